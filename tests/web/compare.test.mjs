@@ -109,5 +109,47 @@ test("both share the memory; the other one goes when it is closed, and changes w
     await page.waitForSelector("#other-scene.fresh");
     assert.deepEqual(await datesAt(NORTH), { letter: "first", tower: "later" });
     await page.click("#compare-close");
-    assert.deepEqual(viewer.log, []);
+    // What was on its way to a comparison that was closed is given up.
+    assert.deepEqual(viewer.log.filter((line) => !/ERR_ABORTED/.test(line)), []);
+});
+
+// What a link says is what is seen, and what is seen is what the next link says.
+test("a link opens the comparison as it was", skip, async () => {
+    const view = [NORTH.lon, NORTH.lat, NORTH.h, NORTH.heading, NORTH.pitch].join();
+    const open = async (query) => {
+        await page.goto("about:blank");
+        await page.goto(`${source.url}/?lang=en&scene=fcity&${query}#${view}`);
+        await waitForViewer(page);
+    };
+    const controls = () =>
+        page.evaluate(() => ({
+            scene: document.getElementById("compare-with").value,
+            by: document.querySelector('input[name="mode"]:checked').value,
+            amount: Number(document.getElementById("amount").value),
+            line: document.getElementById("divider").hidden ? null : document.getElementById("divider").style.left,
+        }));
+    const said = (want) =>
+        page.waitForFunction((text) => decodeURIComponent(location.search).endsWith(text), want, { timeout: 10000 });
+    await open("compare=later&wipe=37.25&swap=");
+    await page.waitForSelector("#other-scene.fresh");
+    assert.deepEqual(await controls(), { scene: "later", by: "wipe", amount: 62.75, line: "37.25%" });
+    // The tower is left of the line, where the other scene lies after the swap; the letter right of it.
+    assert.deepEqual(await datesAt(NORTH), { letter: "first", tower: "later" });
+    await said("scene=fcity&compare=later&wipe=37.25&swap=");
+    await page.click("#compare-swap");
+    await page.click("#compare label:has-text('Fade')");
+    await set("amount", "100");
+    await said("scene=fcity&compare=later&fade=100");
+    await page.reload();
+    await waitForViewer(page);
+    await page.waitForSelector("#other-scene.fresh");
+    assert.deepEqual(await controls(), { scene: "later", by: "fade", amount: 100, line: null });
+    assert.deepEqual(await datesAt(NORTH), { letter: "later", tower: "later" });
+    await page.click("#compare-close");
+    await said("scene=fcity");
+    // A scene that is gone is not replaced by another one.
+    await open("compare=no-such-date&wipe=30");
+    assert.match(await page.textContent("#toast"), /no-such-date/);
+    assert.equal(await page.isVisible("#divider"), false);
+    await said("scene=fcity");
 });

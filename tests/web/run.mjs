@@ -16,7 +16,7 @@ import { parseArgs } from "node:util";
 const HERE = dirname(fileURLToPath(import.meta.url));
 const BROWSER_TESTS = new Set(
     [
-        ...["viewer", "appearance", "away", "thin", "map", "embed", "layers", "shot", "module", "habits", "compare"],
+        ...["viewer", "ssim", "appearance", "away", "thin", "map", "embed", "layers", "shot", "module", "habits", "compare"],
         ...["cesium", "globe", "engines", "three", "raster", "parts", "maplibre"],
     ],
 );

@@ -42,6 +42,7 @@ after(async () => {
 
 const pictures = () => proxy.log.filter(({ path }) => path.includes("/static/"));
 const sizeOf = ({ path }) => Number(/\/(\d+)x\d+\.jpg/.exec(path)[1]);
+const headingOf = ({ path }) => Number(/@([\d.]+),/.exec(decodeURIComponent(path))[1]);
 
 test("home is that of the drawn city", async (t) => {
     if (why) return t.skip(why);
@@ -71,40 +72,47 @@ test("a click tells the place, which the server knows", async (t) => {
     await waitForViewer(page);
 });
 
-test("moving: small pictures one by one; at rest the full one", async (t) => {
+// The camera turns in every frame until some pictures were seen; how long a frame takes is not asked. Headings name the
+// poses: a picture's request must be of the pose that was the newest when it was sent.
+test("moving: small pictures one by one, of the newest pose; at rest the full one", async (t) => {
     if (why) return t.skip(why);
     proxy.log = [];
     proxy.latencyMs = 30;
     // As at first: pictures of the tests before may have been so quick that they grew.
     await page.evaluate(() => (window.citysplat.viewer.pictures.area = 60_000));
-    const drawn = await page.evaluate(async () => {
-        const { viewer } = window.citysplat;
-        const from = viewer.pose;
-        let seen = 0;
-        let small = 0;
-        const off = viewer.on("picture", ({ moving }) => (seen++, (small += moving ? 1 : 0)));
-        const started = performance.now();
-        for (let ms = 0; ms < 3000; ms = performance.now() - started) {
-            viewer.lookAt({ ...from, heading: from.heading + ms / 100 });
-            await new Promise(requestAnimationFrame);
-        }
-        off();
-        return { seen, small };
-    });
-    assert.ok(drawn.small >= 4, `${drawn.small} pictures in 3 s of moving`);
-    const moving = pictures();
-    // They grow where the server is quick; a machine that stalls may rest for a moment.
-    assert.ok(sizeOf(moving[0]) < SIZE.width / 1.5, `${sizeOf(moving[0])} px wide while moving`);
-    const together = moving.filter((one, i) => i > 0 && !moving[i - 1].aborted && one.began < moving[i - 1].ended);
-    assert.equal(together.length, 0, "two requests on their way");
-    // A machine that stalls for longer than a rest asks for the full picture, and takes that back.
-    const kept = moving.filter((one) => !one.aborted).length;
-    assert.ok(kept <= drawn.seen + 1, `${kept} requests for ${drawn.seen} pictures`);
-    assert.ok((moving.length - kept) * 4 <= kept, `${moving.length - kept} requests taken back, ${kept} kept`);
+    const { seen, last } = await page.evaluate(
+        async ([enough, frames]) => {
+            const { viewer } = window.citysplat;
+            const from = { ...viewer.pose, heading: 10 };
+            const seen = []; // of each picture: whether it is a small one, and the heading of that moment
+            let heading = from.heading;
+            const off = viewer.on("picture", ({ moving }) => seen.push({ moving, heading }));
+            for (let i = 0; i < frames && seen.length < enough; i++) {
+                viewer.lookAt({ ...from, heading: (heading += 0.5) });
+                await new Promise(requestAnimationFrame);
+            }
+            off();
+            return { seen, last: heading };
+        },
+        [6, 600],
+    );
     await waitForViewer(page);
-    const last = pictures().at(-1);
-    assert.equal(sizeOf(last), SIZE.width);
     proxy.latencyMs = 0;
+    const asked = pictures().map((one) => ({ ...one, px: sizeOf(one), heading: headingOf(one) }));
+    t.diagnostic(`${seen.length} pictures in ${(last - 10) * 2} frames`);
+    t.diagnostic(asked.map(({ px, heading }) => `${px} px at ${heading}`).join(", "));
+    assert.ok(seen.length >= 6, `${seen.length} pictures while the camera moved`);
+    assert.ok(seen.every(({ moving }) => moving), "a full picture while the camera moved");
+    assert.ok(asked[0].px < SIZE.width / 1.5, `${asked[0].px} px wide while moving`);
+    asked.slice(1).forEach((one, i) => assert.ok(one.began >= asked[i].ended, "two requests on their way"));
+    assert.ok(asked.every(({ aborted }) => !aborted), "a request was taken back");
+    // The next one is sent when a picture is seen, or when the camera moves on after that.
+    seen.slice(0, -1).forEach((one, i) => assert.ok(asked[i + 1].heading >= one.heading - 0.01, "an old pose"));
+    // On its way when the camera stopped: one small picture at most, perhaps one of the pose at rest, then the full one.
+    const full = asked.filter(({ px }) => px === SIZE.width);
+    assert.deepEqual(full.map(({ heading }) => heading), [last]);
+    assert.equal(asked.at(-1), full[0]);
+    assert.ok(asked.length <= seen.length + 3, `${asked.length} requests for ${seen.length} pictures`);
 });
 
 test("the server away: the last picture stays, and the next comes by itself", async (t) => {

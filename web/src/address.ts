@@ -4,6 +4,58 @@
 // SPDX-License-Identifier: Apache-2.0
 import { FOV_DEG, parsePose, type Pose } from "./pose";
 
+// What lies over the view, to be compared with it: ?compare=SCENE&wipe=65, ?compare=SCENE&fade=35, and "swap".
+export interface Comparison {
+  scene: string; // "" for the server's drawing of the view
+  by: "wipe" | "fade";
+  percent: number; // wipe: of the width, where the line is; fade: how much of it is to be seen
+  swapped: boolean; // it lies on the left, or is seen at 0
+}
+
+// Another appearance right of a line: ?second=PHOTOGRAPH&split=48, percent of the width.
+export interface SecondLight {
+  appearance: string;
+  percent: number;
+}
+
+const MIDDLE = 50;
+
+function percentOf(query: URLSearchParams, name: string): number {
+  const text = query.get(name) ?? "";
+  const percent = text.trim() === "" ? NaN : Number(text);
+  return percent >= 0 && percent <= 100 ? percent : MIDDLE;
+}
+
+const digits = (percent: number) => String(Number(percent.toFixed(2)));
+
+// null where the link compares nothing.
+export function parseComparison(query: URLSearchParams): Comparison | null {
+  const scene = query.get("compare");
+  if (scene === null) return null;
+  const by = query.has("fade") ? "fade" : "wipe";
+  return { scene, by, percent: percentOf(query, by), swapped: query.has("swap") };
+}
+
+export function writeComparison(query: URLSearchParams, how: Comparison | null) {
+  for (const name of ["compare", "wipe", "fade", "swap"]) query.delete(name);
+  if (!how) return;
+  query.set("compare", how.scene);
+  query.set(how.by, digits(how.percent));
+  if (how.swapped) query.set("swap", "");
+}
+
+export function parseSecondLight(query: URLSearchParams): SecondLight | null {
+  const appearance = query.get("second");
+  return appearance === null ? null : { appearance, percent: percentOf(query, "split") };
+}
+
+export function writeSecondLight(query: URLSearchParams, second: SecondLight | null) {
+  for (const name of ["second", "split"]) query.delete(name);
+  if (!second) return;
+  query.set("second", second.appearance);
+  query.set("split", digits(second.percent));
+}
+
 export interface View {
   pose: Pose;
   appearance: string; // "" for the default one

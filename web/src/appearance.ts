@@ -2,6 +2,7 @@
 // the light in which the view at hand was photographed.
 //
 // SPDX-License-Identifier: Apache-2.0
+import type { SecondLight } from "./address";
 import { element, setText, toast } from "./dom";
 import { NAME_DEFAULT } from "./network";
 import { byTime, groupOf, nearestPhotograph, PhotoStrip } from "./photographs";
@@ -54,6 +55,7 @@ function options(list: Appearance[]): HTMLElement[] {
 }
 
 export class AppearanceControl {
+  onChange: () => void = () => {}; // what a link says of a second appearance is another thing now
   private readonly from = element<HTMLSelectElement>("appearance-from");
   private readonly to = element<HTMLSelectElement>("appearance-to");
   private readonly mix = element<HTMLInputElement>("appearance-mix");
@@ -65,8 +67,13 @@ export class AppearanceControl {
   private listed = ""; // of which scene and revision photographs are listed, or asked for
   private again = 0; // the timer of another attempt
 
-  constructor(private readonly viewer: Viewer) {
+  // wish: the second appearance of the link, to be shown when the photographs are known.
+  constructor(
+    private readonly viewer: Viewer,
+    private wish: SecondLight | null,
+  ) {
     this.split = new Split(viewer);
+    this.split.onChange = () => this.onChange();
     this.from.onchange = this.to.onchange = () => this.apply(0);
     this.mix.oninput = () => this.apply(viewer.computesColours ? 0 : WAIT_MS);
     viewer.on("scene", () => this.begin());
@@ -100,6 +107,23 @@ export class AppearanceControl {
 
   get photographsOpen(): boolean {
     return this.strip.open;
+  }
+
+  // What a link has to say of it; null: there is no second appearance.
+  get link(): SecondLight | null {
+    const { secondAppearance: appearance } = this.viewer;
+    if (this.wish || appearance === null) return this.wish;
+    return { appearance, percent: 100 * this.split.share };
+  }
+
+  // The second appearance of the link beside the first one, which stays what it is.
+  private async grant({ appearance, percent }: SecondLight) {
+    this.wish = null;
+    if (!this.viewer.computesColours) return toast(text("appearance.second.none"));
+    this.split.share = percent / 100;
+    await this.split.show(appearance);
+    this.to.value = this.split.open ? appearance : "";
+    this.tellSplit();
   }
 
   translate() {
@@ -142,6 +166,7 @@ export class AppearanceControl {
     element("photos-button").hidden = !list.some((one) => one.thumbnail);
     element("appearance-split").hidden = !this.viewer.computesColours;
     this.fillLists();
+    if (this.wish) await this.grant(this.wish);
   }
 
   private fillLists() {
@@ -206,6 +231,7 @@ export class AppearanceControl {
     this.split.update();
     element("appearance-split").setAttribute("aria-pressed", String(this.split.open));
     this.showEnds();
+    this.onChange();
   }
 
   private chooseHere() {

@@ -5,7 +5,8 @@
 // Another scene is drawn by a viewer of its own, which follows this one's camera.
 //
 // SPDX-License-Identifier: Apache-2.0
-import { element, setText } from "./dom";
+import type { Comparison } from "./address";
+import { element, setText, toast } from "./dom";
 import type { Pictures } from "./pictures";
 import { Problem } from "./problem";
 import { text } from "./strings";
@@ -19,6 +20,7 @@ function wordsOf(error: unknown): string {
 
 export class Compare {
   open = false;
+  onChange: () => void = () => {}; // what a link to it says is another thing now
   private swapped = false; // it lies on the left
   private other: Viewer | null = null; // draws another scene
   private followed = ""; // the pose that it has
@@ -28,7 +30,11 @@ export class Compare {
   private readonly pictures: Pictures;
   private readonly list = element<HTMLSelectElement>("compare-with");
 
-  constructor(private readonly viewer: Viewer) {
+  // wish: what the link compares, to be opened with the first scene.
+  constructor(
+    private readonly viewer: Viewer,
+    private wish: Comparison | null,
+  ) {
     this.canvas.id = "server-image";
     this.box.id = "other-scene";
     this.box.inert = true;
@@ -91,10 +97,41 @@ export class Compare {
     element("compare-with-field").hidden = list.options.length < 2 && list.value === SERVER;
     element("server-button").hidden = !list.options.length;
     setText("server-button", text(others.length ? "compare.any" : "compare"));
+    if (this.wish && scene) this.grant(this.wish);
     if (!this.open) return;
     if (!list.options.length) this.show(false);
     else if (list.value !== before || this.other?.scene?.id === scene?.id) this.begin();
     else this.label();
+  }
+
+  // What a link has to say of it; null: nothing is compared.
+  get link(): Comparison | null {
+    if (this.wish || !this.open) return this.wish;
+    const amount = Number(element<HTMLInputElement>("amount").value);
+    const { swapped, wipes } = this;
+    return {
+      ...{ scene: this.list.value, swapped },
+      ...(wipes ? { by: "wipe", percent: 100 - amount } : { by: "fade", percent: amount }),
+    };
+  }
+
+  // As the link says, or not at all: another scene in its place would be a lie.
+  private grant({ scene, by, percent, swapped }: Comparison) {
+    this.wish = null;
+    const { list, viewer } = this;
+    if (viewer.mode === "pictures" || ![...list.options].some(({ value }) => value === scene)) {
+      toast(text("compare.none", { id: scene || text("compare.drawing") }));
+      return;
+    }
+    list.value = scene;
+    this.swapped = swapped;
+    element<HTMLInputElement>("amount").value = String(by === "wipe" ? 100 - percent : percent);
+    document.querySelector<HTMLInputElement>(`input[name="mode"][value="${by}"]`)!.checked = true;
+    this.show(true);
+  }
+
+  private get wipes(): boolean {
+    return document.querySelector<HTMLInputElement>('input[name="mode"]:checked')!.value === "wipe";
   }
 
   show(open: boolean) {
@@ -104,6 +141,7 @@ export class Compare {
     element("server-button").setAttribute("aria-pressed", String(open));
     if (open) this.begin();
     else this.end();
+    this.onChange();
   }
 
   swap() {
@@ -166,9 +204,7 @@ export class Compare {
 
   private layOut() {
     const amount = Number(element<HTMLInputElement>("amount").value); // that the right one has
-    const wipe =
-      document.querySelector<HTMLInputElement>('input[name="mode"]:checked')!.value === "wipe";
-    const { swapped } = this;
+    const { swapped, wipes: wipe } = this;
     for (const { style } of [this.canvas, this.box]) {
       style.opacity = wipe ? "1" : String((swapped ? 100 - amount : amount) / 100);
       style.clipPath = !wipe
@@ -180,6 +216,7 @@ export class Compare {
     this.divider.hidden = !(this.open && wipe && amount > 0 && amount < 100);
     this.divider.style.left = `${100 - amount}%`;
     this.label();
+    this.onChange();
   }
 
   private label() {

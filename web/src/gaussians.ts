@@ -254,6 +254,15 @@ export class Gaussians {
     return 2 * texels + splats.count * (8 + 12 + 4 + 32 + (embed.length ? 8 : 0));
   }
 
+  // What the card holds of Gaussians: the rows that there are, whether tiles fill them or not. They are not given back
+  // while the viewer lives, so this is what its fullest moment took.
+  get cardBytes(): number {
+    const sides = this.planes?.sides.length ?? 0;
+    const tints = this.embedPlanes ? 8 : 0;
+    const each = 16 + 8 + 16 * (this.shPlanes + this.embedPlanes) + sides * (8 + tints);
+    return this.rows * ROW * each + (this.order?.image.data?.byteLength ?? 0);
+  }
+
   // The order on the screen is the one for this camera and for the wanted blocks.
   get settled(): boolean {
     return this.sortedKey === this.wantedKey && !this.sorting;
@@ -554,7 +563,8 @@ export class Gaussians {
 
   // From far to near. One camera asks for it again and again.
   private orderSome(blocks: readonly Block[], camera: PerspectiveCamera): DataTexture {
-    const key = [...blocks.map(({ id, row }) => `${id}@${row}`), ...camera.position.toArray()].join();
+    const ids = blocks.map(({ id, row }) => `${id}@${row}`);
+    const key = [...ids, ...camera.position.toArray(), ...camera.quaternion.toArray()].join();
     if (this.some?.key !== key) {
       this.some?.texture.dispose();
       const order = sortNow(blocks, camera);
@@ -623,12 +633,14 @@ function sortNow(blocks: readonly Block[], camera: PerspectiveCamera): Uint32Arr
   const at = new Uint32Array(count);
   const far = new Float32Array(count);
   const { x, y, z } = camera.position;
+  const ahead = new Vector3(0, 0, -1).applyQuaternion(camera.quaternion);
   let n = 0;
   for (const { splats, row } of blocks) {
     const centres = new Float32Array(splats.place.buffer);
     for (let i = 0; i < splats.count; i++, n++) {
       at[n] = row * ROW + i;
-      far[n] = Math.hypot(centres[4 * i]! - x, centres[4 * i + 1]! - y, centres[4 * i + 2]! - z);
+      far[n] =
+        (centres[4 * i]! - x) * ahead.x + (centres[4 * i + 1]! - y) * ahead.y + (centres[4 * i + 2]! - z) * ahead.z;
     }
   }
   const order = new Uint32Array(Math.ceil(count / ORDER_ROW) * ORDER_ROW);

@@ -15,6 +15,16 @@ const ENU_TO_WORLD = new Matrix4().makeBasis(
   new Vector3(0, 1, 0),
 );
 
+const STEEP = 0.999; // the sine from which the direction of the view tells no heading
+
+// Clockwise from north, in degrees, of vectors in the horizon (east, north): of the view or, where that is steep, of
+// what is right in the picture.
+function headingOf(ahead: [number, number], right: [number, number], sine: number): number {
+  const steep = Math.abs(sine) > STEEP;
+  const radians = steep ? Math.atan2(-right[1], right[0]) : Math.atan2(ahead[0], ahead[1]);
+  return (radians * MathUtils.RAD2DEG + 360) % 360;
+}
+
 export class Frame {
   readonly worldFromEcef = new Matrix4();
   readonly ecefFromWorld = new Matrix4();
@@ -29,15 +39,15 @@ export class Frame {
     const eye = position.clone().applyMatrix4(this.ecefFromWorld);
     const { lat, lon, height } = WGS84_ELLIPSOID.getPositionToCartographic(eye, {});
     const enu = WGS84_ELLIPSOID.getEastNorthUpFrame(lat, lon, height, new Matrix4());
-    const ahead = new Vector3(0, 0, -1)
-      .applyQuaternion(rotation)
-      .transformDirection(this.ecefFromWorld);
-    ahead.transformDirection(enu.invert());
+    const local = enu.invert().multiply(this.ecefFromWorld);
+    const turned = (x: number, z: number) =>
+      new Vector3(x, 0, z).applyQuaternion(rotation).transformDirection(local);
+    const [ahead, right] = [turned(0, -1), turned(1, 0)];
     return {
       lon: lon * MathUtils.RAD2DEG,
       lat: lat * MathUtils.RAD2DEG,
       h: height,
-      heading: (Math.atan2(ahead.x, ahead.y) * MathUtils.RAD2DEG + 360) % 360,
+      heading: headingOf([ahead.x, ahead.y], [right.x, right.y], ahead.z),
       pitch: Math.asin(MathUtils.clamp(ahead.z, -1, 1)) * MathUtils.RAD2DEG,
       fov,
     };
@@ -58,8 +68,8 @@ export class Frame {
     ).applyMatrix4(this.worldFromEcef);
   }
 
-  // World position and rotation of a camera at a pose.
-  cameraFrom(pose: Pose): { position: Vector3; rotation: Quaternion } {
+  // World position and rotation of a camera at a pose, and where it looks: radians, in the scene's own horizon.
+  cameraFrom(pose: Pose): { position: Vector3; rotation: Quaternion; heading: number; pitch: number } {
     const lat = pose.lat * MathUtils.DEG2RAD;
     const lon = pose.lon * MathUtils.DEG2RAD;
     const enu = WGS84_ELLIPSOID.getEastNorthUpFrame(lat, lon, pose.h, new Matrix4());
@@ -75,6 +85,10 @@ export class Frame {
       0,
       "YXZ",
     );
-    return { position, rotation: rotation.multiply(new Quaternion().setFromEuler(turn)) };
+    rotation.multiply(new Quaternion().setFromEuler(turn));
+    const ahead = new Vector3(0, 0, -1).applyQuaternion(rotation);
+    const right = new Vector3(1, 0, 0).applyQuaternion(rotation);
+    const heading = headingOf([ahead.x, -ahead.z], [right.x, -right.z], ahead.y) * MathUtils.DEG2RAD;
+    return { position, rotation, heading, pitch: Math.asin(MathUtils.clamp(ahead.y, -1, 1)) };
   }
 }

@@ -1,7 +1,14 @@
 // The page around the viewer: buttons, keys, the address bar, settings.
 //
 // SPDX-License-Identifier: Apache-2.0
-import { formatView, parseView } from "./address";
+import {
+  formatView,
+  parseComparison,
+  parseSecondLight,
+  parseView,
+  writeComparison,
+  writeSecondLight,
+} from "./address";
 import { AppearanceControl } from "./appearance";
 import { Compare } from "./compare";
 import { copy, element, setText, toast } from "./dom";
@@ -59,10 +66,13 @@ export class Page {
     private readonly small: boolean,
   ) {
     new Status(viewer);
-    this.appearance = new AppearanceControl(viewer);
+    const query = new URLSearchParams(location.search);
+    this.appearance = new AppearanceControl(viewer, parseSecondLight(query));
+    this.appearance.onChange = () => this.address();
     new Tours(viewer);
     this.layers = new LayerPanel(viewer);
-    this.compare = new Compare(viewer);
+    this.compare = new Compare(viewer, parseComparison(query));
+    this.compare.onChange = () => this.address();
     this.inset = new Inset(viewer);
     this.measure = new MeasureTool(viewer);
     viewer.surface.setAttribute("role", "application");
@@ -153,6 +163,8 @@ export class Page {
     for (const old of ["ds", "light", "overlay"]) url.searchParams.delete(old);
     if (viewer.scene && viewer.scenes.length > 1) url.searchParams.set("scene", viewer.scene.id);
     for (const layer of this.layers.links) url.searchParams.append("overlay", layer);
+    writeComparison(url.searchParams, this.compare.link);
+    writeSecondLight(url.searchParams, this.appearance.link);
     if (viewer.scene) url.hash = formatView({ pose: viewer.pose, appearance: viewer.state.wanted });
     return url;
   }

@@ -36,10 +36,12 @@ export class Pictures {
   onProblem: (error: unknown) => void = () => {};
   onStart: () => void = () => {};
   shownKey = ""; // of the full picture on the screen
+  private shownSmall = ""; // of the small one
   drawn = 0;
   private wish: Wish | null = null;
   private wishKey = "";
   private changedAt = 0;
+  private moves = false; // the camera did, in the last frame
   private request: AbortController | null = null;
   private requestFull = false;
   private timer = 0;
@@ -53,13 +55,19 @@ export class Pictures {
     private readonly moving: boolean,
   ) {}
 
-  // What is to be seen now; called in every frame.
-  want(entry: SceneEntry, appearance: string, pose: Pose, width: number, height: number) {
+  // What is to be seen now; called in every frame. moves: the camera does, so another pose follows, be it after a
+  // long frame: the full picture waits for a frame in which it rests.
+  want(entry: SceneEntry, appearance: string, pose: Pose, width: number, height: number, moves = false) {
+    const rests = this.moves && !moves;
+    this.moves = moves;
     const { lon, lat, h, heading, pitch, fov } = pose;
     const digits = [lon, lat].map((v) => v.toFixed(8));
     const turn = [h, heading, pitch, fov].map((v) => v.toFixed(3));
     const key = [entry.id, appearance, ...digits, ...turn, width, height].join(" ");
-    if (key === this.wishKey) return;
+    if (key === this.wishKey) {
+      if (rests) this.next();
+      return;
+    }
     this.wish = { entry, appearance, pose, width, height };
     this.wishKey = key;
     this.changedAt = performance.now();
@@ -88,16 +96,18 @@ export class Pictures {
     this.request?.abort();
     this.request = null;
     this.wish = null;
-    this.wishKey = this.shownKey = this.failedKey = "";
+    this.wishKey = this.shownKey = this.shownSmall = this.failedKey = "";
+    this.moves = false;
   }
 
   private next() {
     clearTimeout(this.timer);
     if (this.request || !this.wish || this.settled || this.failedKey === this.wishKey) return;
     const rested = performance.now() - this.changedAt;
-    const full = rested >= REST_MS;
-    if (!full && !this.moving) {
-      this.timer = window.setTimeout(() => this.next(), REST_MS - rested);
+    const full = rested >= REST_MS && !this.moves;
+    if (!full && (!this.moving || this.shownSmall === this.wishKey)) {
+      // Where the camera still moves, the frame in which it rests goes on.
+      if (!this.moves) this.timer = window.setTimeout(() => this.next(), Math.max(0, REST_MS - rested));
       return;
     }
     void this.fetch(this.wish, this.wishKey, full);
@@ -119,6 +129,7 @@ export class Pictures {
       this.show(bitmap);
       if (full) this.shownKey = key;
       else this.adapt(milliseconds);
+      this.shownSmall = full ? "" : key;
       this.drawn++;
       this.onPicture({ width, height, bytes: body.byteLength, milliseconds, moving: !full });
     } catch (error) {

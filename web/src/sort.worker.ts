@@ -1,4 +1,6 @@
-// Worker: keeps the centres of all Gaussians and returns those of the wanted tiles from far to near.
+// Worker: keeps the centres of all Gaussians and returns those of the wanted tiles from far to near: by depth along
+// the view, as they were trained and as the server draws them. By distance from the eye, ground seen aslant would cover
+// what lies flat on it.
 //
 // SPDX-License-Identifier: Apache-2.0
 // Seen from above: least and most x, least and most z.
@@ -26,21 +28,21 @@ export interface SortReply {
 const BUCKETS = 1 << 16;
 const held = new Map<number, { first: number; centres: Float32Array<ArrayBuffer> }>();
 const starts = new Uint32Array(BUCKETS + 1);
-let distances = new Float32Array(0);
+let depths = new Float32Array(0);
 let indices = new Uint32Array(0);
 
 function isIn(all: Rectangle[], x: number, z: number): boolean {
   return all.some(([left, right, far, near]) => x >= left && x <= right && z >= far && z <= near);
 }
 
-// A counting sort of distances: 65536 steps between the nearest and the farthest.
+// A counting sort of depths: 65536 steps between the nearest and the farthest.
 function sort(message: SortMessage & { kind: "sort" }): SortReply {
   const { blocks, without, eye, ahead, ticket } = message;
   let total = 0;
   for (const block of blocks) total += (held.get(block)?.centres.length ?? 0) / 3;
-  if (distances.length < total) {
-    distances = new Float32Array(Math.ceil(total * 1.25));
-    indices = new Uint32Array(distances.length);
+  if (depths.length < total) {
+    depths = new Float32Array(Math.ceil(total * 1.25));
+    indices = new Uint32Array(depths.length);
   }
   let n = 0;
   let nearest = Infinity;
@@ -59,9 +61,9 @@ function sort(message: SortMessage & { kind: "sort" }): SortReply {
       const x = centres[k]! - eye[0];
       const y = centres[k + 1]! - eye[1];
       const z = centres[k + 2]! - eye[2];
-      if (x * ahead[0] + y * ahead[1] + z * ahead[2] <= 0) continue; // behind the camera
-      const d = Math.sqrt(x * x + y * y + z * z);
-      distances[n] = d;
+      const d = x * ahead[0] + y * ahead[1] + z * ahead[2];
+      if (d <= 0) continue; // behind the camera
+      depths[n] = d;
       indices[n++] = first + i;
       if (d < nearest) nearest = d;
       if (d > farthest) farthest = d;
@@ -69,14 +71,14 @@ function sort(message: SortMessage & { kind: "sort" }): SortReply {
   }
   const scale = (BUCKETS - 1) / Math.max(farthest - nearest, 1e-6);
   starts.fill(0);
-  for (let i = 0; i < n; i++) starts[BUCKETS - (((distances[i]! - nearest) * scale) | 0)]!++;
+  for (let i = 0; i < n; i++) starts[BUCKETS - (((depths[i]! - nearest) * scale) | 0)]!++;
   for (let b = 1; b <= BUCKETS; b++) starts[b]! += starts[b - 1]!;
   const order =
     message.spare && message.spare.length >= n
       ? message.spare
       : new Uint32Array(Math.ceil((n * 1.25) / 1024) * 1024 || 1024);
   for (let i = 0; i < n; i++) {
-    const bucket = BUCKETS - 1 - (((distances[i]! - nearest) * scale) | 0);
+    const bucket = BUCKETS - 1 - (((depths[i]! - nearest) * scale) | 0);
     order[starts[bucket]!++] = indices[i]!;
   }
   return { ticket, order, count: n, left };

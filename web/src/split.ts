@@ -9,7 +9,8 @@ const STEP = 0.02;
 
 export class Split {
   private readonly divider = document.createElement("div");
-  private share = 0.5; // of the width that the first one has
+  share = 0.5; // of the width that the first one has
+  onChange: () => void = () => {}; // the line was moved
 
   constructor(private readonly viewer: Viewer) {
     const { divider } = this;
@@ -64,5 +65,6 @@ export class Split {
     this.divider.style.left = `${100 * this.share}%`;
     this.divider.setAttribute("aria-valuenow", String(Math.round(100 * this.share)));
     this.viewer.splitAt(this.share);
+    this.onChange();
   }
 }

@@ -164,6 +164,7 @@ export class Stage {
 
   // The whole extent, or a box of the caller's, seen from above at an angle.
   home(box = this.box) {
+    this.land();
     const target = box.getCenter(new Vector3());
     target.y = MathUtils.lerp(box.min.y, box.max.y, 0.3);
     this.camera.fov = FOV_DEG;
@@ -200,17 +201,16 @@ export class Stage {
   }
 
   look(pose: Pose) {
-    this.flight = null;
+    this.land();
     this.place(pose);
     this.halt();
   }
 
   private place(pose: Pose) {
-    const { position, rotation } = this.frame.cameraFrom(pose);
+    const { position, heading, pitch } = this.frame.cameraFrom(pose);
     this.camera.fov = pose.fov;
     this.camera.position.copy(position);
-    const angles = new Euler().setFromQuaternion(rotation, "YXZ");
-    this.set(-angles.y, angles.x);
+    this.set(heading, pitch);
   }
 
   // Over to another pose; resolves on arrival, or when a person takes over. At once where motion is
@@ -220,7 +220,7 @@ export class Stage {
       this.look(to);
       return Promise.resolve();
     }
-    this.flight?.done();
+    this.land();
     return new Promise((done) => {
       this.flight = { from: this.pose(), to, at: performance.now(), ms: 1000 * seconds, done };
       this.onMove();
@@ -369,9 +369,14 @@ export class Stage {
     }
   }
 
-  private takeOver() {
+  // A flight ends where it is, and whoever waits for it goes on.
+  private land() {
     this.flight?.done();
     this.flight = null;
+  }
+
+  private takeOver() {
+    this.land();
     this.throwing.set(0, 0, 0);
     this.onTouch();
   }

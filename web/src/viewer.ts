@@ -656,7 +656,7 @@ export class Viewer {
       if (!this.error) this.fail(new Problem("noPictures"));
       return;
     }
-    this.pictures.want(entry, appearance, this.pose, width, height);
+    this.pictures.want(entry, appearance, this.pose, width, height, moved);
     if (this.pace.awake) {
       this.overlay.update();
       this.events.emit("frame", null);

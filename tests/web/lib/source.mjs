@@ -114,8 +114,8 @@ function run(args) {
 
 // A small city under changing light, trained with appearance in a few seconds and served, beside the
 // test city. Exposures are left to the network (--no-exposure): appearances then differ strongly.
-// The test city, which has none (`plain` is its name).
-export async function openLitCity() {
+// The test city, which has none (`plain` is its name). many: Gaussians of a third scene, `many`.
+export async function openLitCity({ many = null } = {}) {
     const dir = mkdtempSync(join(tmpdir(), "citysplat-lit-"));
     const at = (name) => join(dir, name);
     const clean = () => rmSync(dir, { recursive: true, force: true });
@@ -137,7 +137,8 @@ export async function openLitCity() {
             ...options("--appearance --appearance-warmup 50"),
         ]);
         run(["tile", at("scene"), "--trained", at("trained"), "-o", at("lit.tiles"), "-q"]);
-        const server = await serve(at("lit.tiles"), importCity(dir));
+        const more = many ? [importCity(dir, 60, "many", many)] : [];
+        const server = await serve(at("lit.tiles"), importCity(dir), ...more);
         return { ...server, plain: "fcity", close: () => server.close().finally(clean) };
     } catch (error) {
         clean();
