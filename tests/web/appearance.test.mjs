@@ -452,6 +452,7 @@ test("a scene without appearance is asked for as before", skip, async () => {
 // The long form is wander.mjs.
 test("wandering keeps to the limit of memory, and nothing grows", skip, async (t) => {
     const LIMIT_MB = 2; // less than the test city takes
+    const ON_ITS_WAY_MB = 0.2; // no tile is asked for beyond the limit; those on their way still come
     const other = await openPage(`${source.url}/?memory=${LIMIT_MB}`, { width: 320, height: 200 });
     try {
         await other.page.waitForFunction(() => window.citysplat.settled, null, { timeout: 60000 });
@@ -462,7 +463,7 @@ test("wandering keeps to the limit of memory, and nothing grows", skip, async (t
                 `heap ${most("heapMb").toFixed(1)} MB in ${samples.length} samples`,
         );
         assert.ok(samples.length >= 3, `${samples.length} samples`);
-        assert.ok(most("memoryMb") <= LIMIT_MB && most("memoryMb") > 0, `${most("memoryMb")} MB of tiles`);
+        assert.ok(most("memoryMb") <= LIMIT_MB + ON_ITS_WAY_MB && most("memoryMb") > 0, `${most("memoryMb")} MB of tiles`);
         assert.ok(most("heapMb") < 32 && most("cardMb") < 32, `${most("heapMb")} MB heap, ${most("cardMb")} MB card`);
         assert.deepEqual(growthOf(samples), []);
         assert.deepEqual(other.log.filter((line) => !/ERR_ABORTED/.test(line)), []);

@@ -213,10 +213,8 @@ test("keys move the camera", city, async () => {
 });
 
 test("the address bar holds the view, and opens it again exactly", city, async () => {
-    // Straight down, 6 km away too, where the horizon is another one than in the city.
-    const down = { ...SOUTH, pitch: -90, heading: 200.5 };
-    const aside = { ...down, ...placeOfEnu(ORIGIN, [6000, 0, 200]), pitch: -89.99 };
-    for (const pose of [SOUTH, { ...SOUTH, pitch: 12.5, heading: 271.25 }, down, aside]) {
+    const down = { ...SOUTH, pitch: -90, heading: 200.5 }; // the direction of the view tells no heading
+    for (const pose of [SOUTH, { ...SOUTH, pitch: 12.5, heading: 271.25 }, down]) {
         await lookViewer(page, pose);
         await page.waitForFunction(
             ({ heading, pitch }) => {
