@@ -74,25 +74,30 @@ test("a click tells the place, which the server knows", async (t) => {
 
 // The camera turns in every frame until some pictures were seen; how long a frame takes is not asked. Headings name the
 // poses: a picture's request must be of the pose that was the newest when it was sent.
+// On a busy machine the proxy learns so much later that an answer has ended than the page does.
+const LATE_MS = 150;
+
 test("moving: small pictures one by one, of the newest pose; at rest the full one", async (t) => {
     if (why) return t.skip(why);
     proxy.log = [];
     proxy.latencyMs = 30;
     // As at first: pictures of the tests before may have been so quick that they grew.
     await page.evaluate(() => (window.citysplat.viewer.pictures.area = 60_000));
-    const { seen, last } = await page.evaluate(
+    const { seen, frames, last } = await page.evaluate(
         async ([enough, frames]) => {
             const { viewer } = window.citysplat;
             const from = { ...viewer.pose, heading: 10 };
-            const seen = []; // of each picture: whether it is a small one, and the heading of that moment
+            const seen = []; // of each picture: whether it is a small one
+            const poses = []; // of each frame: when the camera had turned, and where to
             let heading = from.heading;
-            const off = viewer.on("picture", ({ moving }) => seen.push({ moving, heading }));
+            const off = viewer.on("picture", ({ moving }) => seen.push({ moving }));
             for (let i = 0; i < frames && seen.length < enough; i++) {
                 viewer.lookAt({ ...from, heading: (heading += 0.5) });
+                poses.push({ at: Date.now(), heading });
                 await new Promise(requestAnimationFrame);
             }
             off();
-            return { seen, last: heading };
+            return { seen, frames: poses, last: heading };
         },
         [6, 600],
     );
@@ -104,10 +109,13 @@ test("moving: small pictures one by one, of the newest pose; at rest the full on
     assert.ok(seen.length >= 6, `${seen.length} pictures while the camera moved`);
     assert.ok(seen.every(({ moving }) => moving), "a full picture while the camera moved");
     assert.ok(asked[0].px < SIZE.width / 1.5, `${asked[0].px} px wide while moving`);
-    asked.slice(1).forEach((one, i) => assert.ok(one.began >= asked[i].ended, "two requests on their way"));
+    asked.slice(1).forEach((one, i) => assert.ok(one.began >= asked[i].ended - LATE_MS, "two requests on their way"));
     assert.ok(asked.every(({ aborted }) => !aborted), "a request was taken back");
-    // The next one is sent when a picture is seen, or when the camera moves on after that.
-    seen.slice(0, -1).forEach((one, i) => assert.ok(asked[i + 1].heading >= one.heading - 0.01, "an old pose"));
+    // The next one is asked for after the answer before it has ended, so with a pose that is not older than that.
+    asked.slice(1).forEach((one, i) => {
+        const newest = frames.filter(({ at }) => at < asked[i].ended - LATE_MS).at(-1);
+        assert.ok(!newest || one.heading >= newest.heading - 0.01, "an old pose");
+    });
     // On its way when the camera stopped: one small picture at most, perhaps one of the pose at rest, then the full one.
     const full = asked.filter(({ px }) => px === SIZE.width);
     assert.deepEqual(full.map(({ heading }) => heading), [last]);
