@@ -25,6 +25,7 @@ for f in core/*.cl render/*.cl loss/*.cl bench/*.cl; do
             case $f in
                 render/common.cl | loss/lanes.cl) prelude="$prelude -include core/vector.cl" ;;
                 render/*) prelude="$prelude -include core/vector.cl -include render/common.cl" ;;
+                loss/mcmc.cl) prelude="$prelude -include core/vector.cl" ;;
                 loss/mip.cl | loss/scale_loss.cl | loss/depth.cl)
                     prelude="$prelude -include core/vector.cl -include loss/lanes.cl" ;;
             esac

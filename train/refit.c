@@ -8,7 +8,10 @@
 
 #include "codec/ckpt.h"
 #include "train/appearance_train.h"
+#include "train/importance.h"
 #include "train/level.h"
+#include "train/regularizer.h"
+#include "train/state.h"
 
 bool refit_wanted(const struct level *l)
 {
@@ -18,25 +21,35 @@ bool refit_wanted(const struct level *l)
            appearance_train_learns(&ctx->appearance, ctx->cfg, &ctx->schedule[1]);
 }
 
-/* The level's Gaussians, unless it has the network that there is now. */
-static enum err_code refit_read(const struct context *ctx, const char *path, struct gauss *g,
-                                bool *needed, struct err *e)
+/* Has the level another network than there is now? */
+static enum err_code refit_look(const struct context *ctx, const struct ckpt_rows *c, bool *needed,
+                                struct err *e)
 {
-    struct ckpt_rows *c = NULL;
     struct buf blob = {0};
     struct appearance saved = {0};
-    enum err_code rc = ckpt_rows_open(path, &c, e);
-    if (!rc)
-        rc = ckpt_rows_blob(c, APPEARANCE_TRAIN_BLOB, &blob, e);
+    enum err_code rc = ckpt_rows_blob(c, APPEARANCE_TRAIN_BLOB, &blob, e);
     if (!rc)
         rc = appearance_read(blob.data, blob.size, &saved, e);
     *needed = !rc && !appearance_train_same(&saved, &ctx->appearance.model);
-    if (*needed)
-        rc = ckpt_rows_read(c, 0, ckpt_rows_count(c), g, e);
     appearance_free(&saved);
     buf_free(&blob);
-    ckpt_rows_close(&c);
-    return rc ? err_add(e, "%s", path) : ERR_OK;
+    return rc;
+}
+
+/* The level's Gaussians instead of those there are; no more room than for them. */
+static enum err_code refit_load(struct level *l, const struct ckpt_rows *c, struct err *e)
+{
+    struct context *ctx = &l->ctx;
+    importance_free(&l->importance); /* made anew where needed, for as many as there are */
+    regularizer_free(&l->regularizer);
+    model_close(&l->model);
+    enum err_code rc =
+        model_open(&l->model, ctx->dev, ctx->render, ckpt_rows_like(c), ckpt_rows_count(c), e);
+    if (!rc)
+        rc = state_fill_rows(&l->model, c, e);
+    if (!rc)
+        rc = model_zero_moments(&l->model, e);
+    return rc ? rc : model_count_inside(&l->model, &ctx->cell, &ctx->start, e);
 }
 
 /* A part of the level's steps, in which nothing moves, nothing grows, and nothing is reset. */
@@ -50,30 +63,35 @@ static void refit_schedule(const struct context *ctx, struct schedule *s)
     s->lr_mean_first = s->lr_mean_last = 0.0;
 }
 
-enum err_code refit_open(struct refit *r, struct level *l, uint32_t at, const char *path,
-                         struct err *e)
+static enum err_code refit_begin(struct level *l, uint32_t at, const struct ckpt_rows *c,
+                                 struct err *e)
 {
     struct context *ctx = &l->ctx;
-    struct gauss g = {0};
-    *r = (struct refit){.was = ctx->schedule[at], .was_shared = ctx->appearance.shared};
-    enum err_code rc = refit_read(ctx, path, &g, &r->needed, e);
-    if (rc || !r->needed) {
-        gauss_free(&g);
-        return rc;
-    }
-    model_close(&l->model);
     ctx->at = at;
     ctx->step = 0;
     ctx->pruned = true;
     ctx->appearance.shared = true;
     refit_schedule(ctx, &ctx->schedule[at]);
     appearance_train_restart(&ctx->appearance);
-    rc = level_open(l, &g, e);
-    gauss_free(&g);
+    enum err_code rc = refit_load(l, c, e);
     if (!rc)
         rc = level_begin(l, e);
     l->model.adam.lr_scale = l->model.adam.lr_quat = l->model.adam.lr_opacity = 0.0f;
     return rc;
+}
+
+enum err_code refit_open(struct refit *r, struct level *l, uint32_t at, const char *path,
+                         struct err *e)
+{
+    struct ckpt_rows *c = NULL;
+    *r = (struct refit){.was = l->ctx.schedule[at], .was_shared = l->ctx.appearance.shared};
+    enum err_code rc = ckpt_rows_open(path, &c, e);
+    if (!rc)
+        rc = refit_look(&l->ctx, c, &r->needed, e);
+    if (!rc && r->needed)
+        rc = refit_begin(l, at, c, e);
+    ckpt_rows_close(&c);
+    return rc ? err_add(e, "%s", path) : ERR_OK;
 }
 
 void refit_end(struct refit *r, struct level *l)

@@ -331,8 +331,7 @@ static enum err_code state_fill_appearance(struct appearance_train *a, const str
     return rc;
 }
 
-/* The Gaussians, by the slice. */
-static enum err_code state_fill_rows(struct model *m, const struct ckpt_rows *c, struct err *e)
+enum err_code state_fill_rows(struct model *m, const struct ckpt_rows *c, struct err *e)
 {
     enum err_code rc = ERR_OK;
     for (size_t i = 0; !rc && i < m->gauss.n; i += STATE_SLICE) {

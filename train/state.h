@@ -8,6 +8,7 @@
 #include "core/err.h"
 
 struct budget;
+struct ckpt_rows;
 struct context;
 struct evaluate_score;
 struct model;
@@ -31,5 +32,9 @@ enum err_code state_save_level(struct model *m, const struct context *ctx,
  * ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */
 enum err_code state_read_level(const char *path, size_t *n, double *psnr_db, double *ssim,
                                struct err *e) ERR_USE;
+
+/* The Gaussians of a checkpoint into a model that was opened for as many, by the slice. ERR_FORMAT,
+ * ERR_IO, ERR_MEM, ERR_DEVICE. */
+enum err_code state_fill_rows(struct model *m, const struct ckpt_rows *c, struct err *e) ERR_USE;
 
 #endif

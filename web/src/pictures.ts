@@ -121,7 +121,8 @@ export class Pictures {
     if (full) this.onStart();
     const started = performance.now();
     try {
-      const url = pictureUrl(wish.entry, wish.appearance, wish.pose, width, height);
+      // These stand for the city; the others lie over the viewer's own picture to be compared with it.
+      const url = pictureUrl(wish.entry, wish.appearance, wish.pose, width, height, this.moving);
       const { body } = await this.link.get(url, request.signal);
       const milliseconds = performance.now() - started;
       const bitmap = await createImageBitmap(new Blob([body]));

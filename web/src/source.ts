@@ -239,18 +239,22 @@ export async function listAppearances(
   return (body.appearances ?? []).map((one) => ({ ...standard, name: String(one.name) }));
 }
 
+// sky: with sky and ground behind the city, as the viewer draws them by day; else before black.
 export function pictureUrl(
   entry: SceneEntry,
   appearance: string,
   pose: Pose,
   width: number,
   height: number,
+  sky = false,
 ): URL {
   if (!entry.pictures) throw new Problem("noPictures");
-  return withAppearance(
+  const url = withAppearance(
     new URL(`${formatPose(pose)}/${width}x${height}.jpg`, entry.pictures),
     appearance,
   );
+  if (sky) url.searchParams.set("background", "sky");
+  return url;
 }
 
 // What the server sees at a pixel of a view; null for the sky.
