@@ -102,15 +102,13 @@ static void packed_is_folder(const struct fixture *f)
     struct err e = {0};
     struct buf zip = {0};
     struct archive_reader *r = NULL;
-    char path[FILE_PATH_MAX], listed[FILE_PATH_MAX], command[2 * FILE_PATH_MAX + 64],
-        line[FILE_PATH_MAX];
+    char path[FILE_PATH_MAX], listed[FILE_PATH_MAX], line[FILE_PATH_MAX];
     path_in(f, "city.3tz", path);
     kit_ok(file_read(path, 0, &zip, &e), e);
     kit_ok(archive_open(zip.data, zip.size, &r, &e), e);
     path_in(f, "static", path);
     path_in(f, "listed", listed);
-    snprintf(command, sizeof command, "find %s -type f -printf '%%P\\n' > %s", path, listed);
-    assert_int_equal(system(command), 0);
+    assert_int_equal(kit_run(NULL, "find '%s' -type f -printf '%%P\\n' > '%s'", path, listed), 0);
     FILE *in = fopen(listed, "r");
     size_t n = 0;
     for (; in && fgets(line, sizeof line, in); n++) {

@@ -64,7 +64,10 @@ static enum err_code regularizer_make(struct regularizer **own, struct err *e)
 {
     if (!*own)
         *own = mem_array(1, sizeof **own);
-    return *own ? ERR_OK : err_set(e, ERR_MEM, "regularizers: out of memory");
+    if (*own)
+        return ERR_OK;
+    (void)err_set(e, ERR_MEM, "regularizers: out of memory");
+    return ERR_MEM;
 }
 
 static enum err_code regularizer_reserve(struct regularizer *r, const struct model *m,
