@@ -74,6 +74,7 @@ scene_about() {
     city) echo "procedural city 300 m, 300 photographs of 400 x 300 px, cells of 100 m" ;;
     city-location) echo "procedural city 300 m, 300 photographs of 400 x 300 px, cells of 100 m, without visibility selection" ;;
     demo) echo "demo city 120 m, 84 photographs of 480 x 360 px, 24 map views" ;;
+    above) echo "procedural city 100 m, 60 photographs of 320 x 240 px from straight above, 24 map views" ;;
     light) echo "procedural city 100 m, 60 photographs of 320 x 240 px under changing light" ;;
     city-light) echo "procedural city 200 m, 150 photographs of 400 x 300 px under changing light" ;;
     *) die "no scene '$1'" ;;
@@ -107,6 +108,7 @@ scene_build() { # NAME FOLDER
       citysplat synth --config configs/demo-synth.jsonc --map-views 24 -o "$2-photos" --overwrite -q
       citysplat ingest "$2-photos/images" "$2-photos/sparse" --config configs/demo-ingest.jsonc -o "$2" -q
       ;;
+    above) scene_ingest_city "$2" --extent-m 100 --photos 60 --width-px 320 --height-px 240 --points 20000 --oblique-share 0 --map-views 24 ;;
     light) scene_ingest_city "$2" --extent-m 100 --photos 60 --width-px 320 --height-px 240 --points 20000 --exposure-ev 0.5 --white-balance 0.15 --sun-variation 0.5 ;;
     city-light) scene_ingest_city "$2" --extent-m 200 --photos 150 --points 60000 --exposure-ev 0.5 --white-balance 0.15 --sun-variation 0.5 ;;
   esac >&2
@@ -359,6 +361,8 @@ remedy_rows() { # STUDY SCENE TRAIN-OPTIONS
   row "$study" "no trimming of the rim" "$scene" "" "$@" --no-trim-rim
   row "$study" "no removal by size" "$scene" "" "$@" --prune-size 0
   row "$study" "no loss on sizes" "$scene" "" "$@" --scale-weight 0
+  row "$study" "no limit of sizes" "$scene" "" "$@" --size-limit 0
+  row "$study" "harmonics as trained" "$scene" "" "$@" --sh-ridge 0
   row "$study" "opacity resets" "$scene" "" "$@" --reset-interval 200 --densify-until-3 0.8
 }
 remedies_city_rows() {
@@ -370,6 +374,30 @@ remedies_caliterra_rows() {
 }
 study_remedies() { seeded remedies remedies_city_rows; }
 study_remedies_caliterra() { seeded remedies_caliterra remedies_caliterra_rows; }
+
+# What long Gaussians and harmonics do to views from where nobody photographed.
+side_row() { # ROW OPTIONS
+  local name=$1
+  shift
+  MAP_VIEWS=1 row side "$name" above "" --iterations "$(steps side)" --budget-1 20000 --budget-2 40000 --budget-3 80000 "$@"
+}
+side_rows() {
+  side_row "neither" --size-limit 0 --sh-ridge 0
+  side_row "both"
+}
+side_demo_rows() {
+  local MAP_VIEWS=1 base=(--iterations "$(steps side_demo)" "${SMALL[@]}")
+  row side_demo "neither" demo "" "${base[@]}" --size-limit 0 --sh-ridge 0
+  row side_demo "both" demo "" "${base[@]}"
+}
+side_caliterra_rows() {
+  local base=(--level-count 1 --iterations "$(steps side_caliterra)" --budget-3 200000)
+  row side_caliterra "neither" caliterra-400 "" "${base[@]}" --size-limit 0 --sh-ridge 0
+  row side_caliterra "both" caliterra-400 "" "${base[@]}"
+}
+study_side() { seeded side side_rows; }
+study_side_demo() { seeded side_demo side_demo_rows; }
+study_side_caliterra() { seeded side_caliterra side_caliterra_rows; }
 
 # Steps that are larger in short runs, against those of the full method.
 rates_city_rows() {
@@ -515,7 +543,7 @@ study_pyramid() {
 }
 
 # Those of the city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full budgets pareto importance rates rates_caliterra remedies remedies_caliterra sh embedding network ochota_light ablation ablation_city
+readonly STUDIES=(time full budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra sh embedding network ochota_light ablation ablation_city
   levels lod far rd layout pyramid growth bench)
 
 main() {

@@ -528,6 +528,12 @@ static double footprint_fade(double beyond_m, double fade_m)
     return 1.0 - t * t * (3.0 - 2.0 * t);
 }
 
+bool footprint_has(const struct footprint *f, const double x_m[3])
+{
+    ptrdiff_t i = f->nx ? footprint_cell(f, x_m[0], x_m[1]) : -1;
+    return i >= 0 && f->inside[i];
+}
+
 double footprint_off(const struct footprint *f, const double x_m[3])
 {
     ptrdiff_t i = f->nx ? footprint_cell(f, x_m[0], x_m[1]) : -1;

@@ -10,6 +10,7 @@
 #ifndef CELLS_FOOTPRINT_H
 #define CELLS_FOOTPRINT_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -48,6 +49,8 @@ void footprint_free(struct footprint *f);
 /* How much of a Gaussian's opacity is left, 0 to 1: mean [3] and covariance [3][3] in ENU metres. 1
  * well inside, 0 beyond the faded edge; what is so large that it reaches out fades, too. */
 double footprint_weight(const struct footprint *f, const double mean_m[3], const double cov[9]);
+/* Is the ground under a place supported? */
+bool footprint_has(const struct footprint *f, const double x_m[3]);
 /* Metres by which a place lies above the highest sparse point around it, or below the lowest;
  * negative between them, -HUGE_VAL beyond the grid, where nothing is known. */
 double footprint_off(const struct footprint *f, const double x_m[3]);

@@ -28,6 +28,7 @@
 
 #include "core/base.h"
 #include "core/camera.h"
+#include "core/cholesky.h"
 #include "core/sort.h"
 
 enum { UNKNOWNS = 7 + SIM3_GROUPS_MAX - 1, REFINE_MAX = 30, JACOBI_SWEEPS = 40 };
@@ -263,41 +264,6 @@ static void sim3_eq_add(struct normal_eq *q, const double *row, double residual,
     }
 }
 
-/* Cholesky in place; solves for b and leaves the factor in a. False when not positive definite. */
-static bool sim3_eq_factor(struct normal_eq *q)
-{
-    for (size_t j = 0; j < q->n; j++) {
-        double pivot = q->a[j][j], full = pivot;
-        for (size_t k = 0; k < j; k++)
-            pivot -= q->a[j][k] * q->a[j][k];
-        if (!(pivot > 1e-13 * full))
-            return false;
-        q->a[j][j] = sqrt(pivot);
-        for (size_t i = j + 1; i < q->n; i++) {
-            double v = q->a[i][j];
-            for (size_t k = 0; k < j; k++)
-                v -= q->a[i][k] * q->a[j][k];
-            q->a[i][j] = v / q->a[j][j];
-        }
-    }
-    return true;
-}
-
-static void sim3_eq_solve(const struct normal_eq *q, const double *b, double *x)
-{
-    for (size_t i = 0; i < q->n; i++) {
-        x[i] = b[i];
-        for (size_t k = 0; k < i; k++)
-            x[i] -= q->a[i][k] * x[k];
-        x[i] /= q->a[i][i];
-    }
-    for (size_t i = q->n; i-- > 0;) {
-        for (size_t k = i + 1; k < q->n; k++)
-            x[i] -= q->a[k][i] * x[k];
-        x[i] /= q->a[i][i];
-    }
-}
-
 /* Robust weight from the residual in units of its errors; pairs within cut_m are never cut. */
 static double sim3_weight_at(const struct sim3_problem *p, const struct sim3_fit *f, size_t i,
                              const double r[3])
@@ -400,7 +366,7 @@ static void sim3_standard_errors(const struct normal_eq *q, struct sim3_fit *f)
     for (size_t i = 0; i < 7; i++) {
         double unit[UNKNOWNS] = {0}, column[UNKNOWNS];
         unit[i] = 1;
-        sim3_eq_solve(q, unit, column);
+        cholesky_solve(&q->a[0][0], q->n, UNKNOWNS, unit, column);
         var[i] = column[i];
     }
     f->tilt_rad = sqrt(fmax(var[0], var[1]));
@@ -479,13 +445,13 @@ enum err_code sim3_refine(const struct sim3_problem *p, struct sim3_fit *fit, st
         q.n = 6 + p->n_groups;
         sim3_add_positions(p, fit, center, &q);
         weak = sim3_add_level(p, fit, &q);
-        if (!sim3_eq_factor(&q)) {
+        if (!cholesky_factor(&q.a[0][0], q.n, UNKNOWNS)) {
             rc = err_set(
                 e, ERR_DATA,
                 "the GPS positions do not determine where the scene lies (all at one place?)");
             break;
         }
-        sim3_eq_solve(&q, q.b, d);
+        cholesky_solve(&q.a[0][0], q.n, UNKNOWNS, q.b, d);
         sim3_fit_step(fit, d, center, p->n_groups);
         double size = 0;
         for (size_t k = 0; k < q.n; k++)

@@ -22,6 +22,7 @@ struct scale_loss {
     cl_program program;
     cl_kernel count, grad;
     cl_mem pieces;
+    cl_mem inside; /* uint8 [ny][nx] of the ground of the first run */
     double weight; /* of the last run */
     bool wide;     /* the shape of the kernels: VW 16 */
 };
@@ -38,6 +39,7 @@ void scale_loss_close(struct scale_loss **p)
     if (s->program)
         clReleaseProgram(s->program);
     dev_release(&s->pieces);
+    dev_release(&s->inside);
     mem_free(s);
     *p = NULL;
 }
@@ -68,6 +70,33 @@ enum err_code scale_loss_open(struct dev *dev, struct scale_loss **out, struct e
     return rc;
 }
 
+/* Arguments 6 to 12 of both kernels: the smaller limit and where it holds. */
+static enum err_code scale_set_ground(struct scale_loss *s, const struct render_model *m,
+                                      const struct scale_loss_ground *g, cl_int *bad, struct err *e)
+{
+    cl_kernel both[2] = {s->count, s->grad};
+    cl_uint nx = g ? (cl_uint)g->nx : 0, ny = g ? (cl_uint)g->ny : 0;
+    cl_float near_m = g ? (cl_float)g->s_max_m : INFINITY,
+             per_m = g ? (cl_float)(1.0 / g->cell_m) : 0.0f, corner[2] = {0.0f, 0.0f};
+    enum err_code rc = ERR_OK;
+    if (g && !s->inside)
+        rc = dev_buffer(s->dev, g->nx * g->ny, g->inside, &s->inside, e);
+    if (rc)
+        return rc;
+    for (size_t k = 0; g && k < 2; k++)
+        corner[k] = (cl_float)(g->corner_m[k] - m->origin_enu_m[k]);
+    for (size_t i = 0; i < 2; i++) {
+        *bad |= dev_arg(both[i], 6, near_m);
+        *bad |= dev_arg(both[i], 7, corner[0]);
+        *bad |= dev_arg(both[i], 8, corner[1]);
+        *bad |= dev_arg(both[i], 9, per_m);
+        *bad |= dev_arg(both[i], 10, nx);
+        *bad |= dev_arg(both[i], 11, ny);
+        *bad |= dev_arg(both[i], 12, *(s->inside ? &s->inside : &s->pieces));
+    }
+    return ERR_OK;
+}
+
 enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
                              const struct scale_loss_input *in, bool sizes_only, cl_mem extra,
                              struct err *e)
@@ -85,19 +114,21 @@ enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
         bad |= dev_arg(both[i], 4, s_max);
         bad |= dev_arg(both[i], 5, r_max);
     }
-    bad |= dev_arg(s->count, 6, s->pieces);
-    bad |= dev_arg(s->grad, 6, weight);
-    bad |= dev_arg(s->grad, 7, s->pieces);
-    bad |= dev_arg(s->grad, 8, only);
-    bad |= dev_arg(s->grad, 9, extra);
+    enum err_code rc = scale_set_ground(s, m, in->ground, &bad, e);
+    if (rc)
+        return rc;
+    bad |= dev_arg(s->count, 13, s->pieces);
+    bad |= dev_arg(s->grad, 13, weight);
+    bad |= dev_arg(s->grad, 14, s->pieces);
+    bad |= dev_arg(s->grad, 15, only);
+    bad |= dev_arg(s->grad, 16, extra);
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "scale_loss: arguments: %s", dev_error_name(bad));
     s->weight = in->weight;
     size_t local = s->wide ? 1 : LAYOUT_SCALE_ITEMS;
     size_t of_group = s->wide ? LAYOUT_PROJECT_GROUPS : LAYOUT_SCALE_ITEMS / LAYOUT_LANES;
     size_t items = (groups + of_group - 1) / of_group * local;
-    enum err_code rc =
-        dev_run(s->dev, s->count, "scale_count", LAYOUT_LOSS_PIECES * local, local, e);
+    rc = dev_run(s->dev, s->count, "scale_count", LAYOUT_LOSS_PIECES * local, local, e);
     return rc ? rc : dev_run(s->dev, s->grad, "scale_grad", items, local, e);
 }
 
@@ -149,15 +180,29 @@ static struct scale_axes scale_axes_of(const double *scale_log)
     return a;
 }
 
-struct scale_loss_value scale_loss_ref_run(const double *scale_log, size_t n,
+/* The limit at a place. */
+static double scale_limit(const struct scale_loss_input *in, const double *mean)
+{
+    const struct scale_loss_ground *g = in->ground;
+    if (!g)
+        return in->s_max_m;
+    double column = floor((mean[0] - g->corner_m[0]) / g->cell_m),
+           row = floor((mean[1] - g->corner_m[1]) / g->cell_m);
+    bool known = column >= 0.0 && row >= 0.0 && column < (double)g->nx && row < (double)g->ny;
+    return known && g->inside[(size_t)row * g->nx + (size_t)column] ? fmin(g->s_max_m, in->s_max_m)
+                                                                    : in->s_max_m;
+}
+
+struct scale_loss_value scale_loss_ref_run(const double *mean, const double *scale_log, size_t n,
                                            const struct scale_loss_input *in, double *grad)
 {
     struct scale_loss_value v = {0};
     double size = 0.0, ratio = 0.0;
     for (size_t i = 0; i < n; i++) {
         struct scale_axes a = scale_axes_of(scale_log + 3 * i);
+        double s_max = scale_limit(in, mean ? mean + 3 * i : NULL);
         for (int k = 0; k < 3; k++)
-            if (a.s[k] > in->s_max_m) {
+            if (a.s[k] > s_max) {
                 v.n++;
                 size += a.s[k];
             }
@@ -169,9 +214,10 @@ struct scale_loss_value scale_loss_ref_run(const double *scale_log, size_t n,
     v.total = in->weight * (size / (v.n + 1.0) + ratio / (v.m + 1.0));
     for (size_t i = 0; grad && i < n; i++) {
         struct scale_axes a = scale_axes_of(scale_log + 3 * i);
+        double s_max = scale_limit(in, mean ? mean + 3 * i : NULL);
         double per_m = in->weight / (v.m + 1.0), q = a.s[a.middle] + SCALE_RATIO_EPS;
         for (int k = 0; k < 3; k++)
-            grad[3 * i + k] = a.s[k] > in->s_max_m ? in->weight / (v.n + 1.0) * a.s[k] : 0.0;
+            grad[3 * i + k] = a.s[k] > s_max ? in->weight / (v.n + 1.0) * a.s[k] : 0.0;
         if (!(a.ratio > in->r_max))
             continue;
         grad[3 * i + a.largest] += per_m * a.ratio;

@@ -9,6 +9,13 @@
 #define RATIO_EPS 1e-8f
 #define SCALE_AHEAD 8
 
+struct limits {
+    float s_max, r_max;
+    float s_near, corner_x, corner_y, per_m; // smaller limit, its grid; INFINITY: none
+    uint nx, ny;
+    __global const uchar *inside; // [ny][nx]
+};
+
 struct axes { // sigmas, and the ratio of the largest to the middle one
     V s[3], largest, middle, ratio;
 };
@@ -32,13 +39,44 @@ inline void axes_load(__global const float *g, struct axes *a)
     a->ratio = a->largest / (a->middle + RATIO_EPS);
 }
 
+inline float limit_at(const struct limits *l, float x, float y)
+{
+    float column = floor((x - l->corner_x) * l->per_m), row = floor((y - l->corner_y) * l->per_m);
+    if (!(column >= 0.0f && row >= 0.0f && column < (float)l->nx && row < (float)l->ny))
+        return l->s_max;
+    return l->inside[(uint)row * l->nx + (uint)column] ? min(l->s_near, l->s_max) : l->s_max;
+}
+
+// The limit of each: few are so long that the grid is asked.
+INLINE V axes_limit(__global const float *g, const struct axes *a, VI real, const struct limits *l)
+{
+    V limit = (V)(l->s_max);
+    VI ask = real & (a->largest > l->s_near);
+#if VW == 16
+    if (any(ask)) {
+        int asks[VW];
+        float out[VW];
+        vstore16(ask, 0, asks);
+        for (uint i = 0; i < VW; i++)
+            out[i] = asks[i] ? limit_at(l, g[LAYOUT_PLANE_MEAN * LAYOUT_LANES + i],
+                                        g[(LAYOUT_PLANE_MEAN + 1) * LAYOUT_LANES + i])
+                             : l->s_max;
+        limit = vload16(0, out);
+    }
+#else
+    if (ask)
+        limit = limit_at(l, LD(g, LAYOUT_PLANE_MEAN), LD(g, LAYOUT_PLANE_MEAN + 1));
+#endif
+    return limit;
+}
+
 // What is too long of one group (VW 1: of one Gaussian), added to what was found before.
 struct found {
     VU n, m;
     V size, ratio;
 };
 
-INLINE void axes_find(const struct axes *a, VI real, float s_max, float r_max, struct found *f)
+INLINE void axes_find(const struct axes *a, VI real, V s_max, float r_max, struct found *f)
 {
     for (uint k = 0; k < 3; k++) {
         VI over = real & (a->s[k] > s_max);
@@ -52,8 +90,8 @@ INLINE void axes_find(const struct axes *a, VI real, float s_max, float r_max, s
 
 // The gradients of one group (Gaussian) into `out`. only: sizes are all that acts, `out` has those
 // planes alone.
-INLINE void axes_grad(const struct axes *a, VI real, float s_max, float r_max, float per_n,
-                      float per_m, uint only, __global float *out)
+INLINE void axes_grad(const struct axes *a, VI real, V s_max, float r_max, float per_n, float per_m,
+                      uint only, __global float *out)
 {
     uint first = only ? 0 : LAYOUT_PLANE_SCALE; // plane of the first size
     uint out_planes = only ? LAYOUT_PLANES_SCALE : LAYOUT_PLANES_GEOMETRY;
@@ -75,9 +113,17 @@ INLINE void axes_grad(const struct axes *a, VI real, float s_max, float r_max, f
         ST(out, p, (V)(0.0f));
 }
 
+#define LIMITS_ARGS                                                                                \
+    float s_max, float r_max, float s_near, float corner_x, float corner_y, float per_m, uint nx,  \
+        uint ny, __global const uchar *inside
+#define LIMITS                                                                                     \
+    {                                                                                              \
+        s_max, r_max, s_near, corner_x, corner_y, per_m, nx, ny, inside                            \
+    }
+
 #if VW == 16
 __kernel void scale_count(__global const float *params, uint n, uint planes, uint groups,
-                          float s_max, float r_max, __global struct layout_scale_piece *pieces)
+                          LIMITS_ARGS, __global struct layout_scale_piece *pieces)
 {
     uint item = (uint)get_global_id(0);
     if (item >= LAYOUT_LOSS_PIECES)
@@ -85,11 +131,14 @@ __kernel void scale_count(__global const float *params, uint n, uint planes, uin
     uint from = PIECE_FROM(item, LAYOUT_LOSS_PIECES, groups),
          to = PIECE_FROM(item + 1, LAYOUT_LOSS_PIECES, groups);
     struct found f = {(VU)(0), (VU)(0), (V)(0.0f), (V)(0.0f)};
+    const struct limits l = LIMITS;
     for (uint group = from; group < to; group++) {
         struct axes a;
         axes_ahead(params, min(group + SCALE_AHEAD, groups - 1), planes);
-        axes_load(params + group_at(group, planes), &a);
-        axes_find(&a, LANE + (int)(group * LAYOUT_LANES) < (int)n, s_max, r_max, &f);
+        __global const float *g = params + group_at(group, planes);
+        VI real = LANE + (int)(group * LAYOUT_LANES) < (int)n;
+        axes_load(g, &a);
+        axes_find(&a, real, axes_limit(g, &a, real, &l), r_max, &f);
     }
     pieces[item].n = lanes_add(f.n);
     pieces[item].m = lanes_add(f.m);
@@ -98,7 +147,7 @@ __kernel void scale_count(__global const float *params, uint n, uint planes, uin
 }
 
 __kernel void scale_grad(__global const float *params, uint n, uint planes, uint groups,
-                         float s_max, float r_max, float weight,
+                         LIMITS_ARGS, float weight,
                          __global const struct layout_scale_piece *pieces, uint only,
                          __global float *extra)
 {
@@ -108,12 +157,15 @@ __kernel void scale_grad(__global const float *params, uint n, uint planes, uint
         all_n += pieces[i].n;
         all_m += pieces[i].m;
     }
-    float per_n = weight / ((float)all_n + 1.0f), per_m = weight / ((float)all_m + 1.0f);
+    float per_long = weight / ((float)all_n + 1.0f), per_needle = weight / ((float)all_m + 1.0f);
+    const struct limits l = LIMITS;
     for (uint group = from; group < to; group++) {
         struct axes a;
         axes_ahead(params, min(group + SCALE_AHEAD, groups - 1), planes);
-        axes_load(params + group_at(group, planes), &a);
-        axes_grad(&a, LANE + (int)(group * LAYOUT_LANES) < (int)n, s_max, r_max, per_n, per_m, only,
+        __global const float *g = params + group_at(group, planes);
+        VI real = LANE + (int)(group * LAYOUT_LANES) < (int)n;
+        axes_load(g, &a);
+        axes_grad(&a, real, axes_limit(g, &a, real, &l), r_max, per_long, per_needle, only,
                   extra + group_at(group, only ? LAYOUT_PLANES_SCALE : LAYOUT_PLANES_GEOMETRY));
     }
 }
@@ -122,8 +174,7 @@ __kernel void scale_grad(__global const float *params, uint n, uint planes, uint
 #define GROUP __attribute__((reqd_work_group_size(ITEMS, 1, 1)))
 
 __kernel GROUP void scale_count(__global const float *params, uint n, uint planes, uint groups,
-                                float s_max, float r_max,
-                                __global struct layout_scale_piece *pieces)
+                                LIMITS_ARGS, __global struct layout_scale_piece *pieces)
 {
     __local uint all_n[ITEMS], all_m[ITEMS];
     __local float size[ITEMS], ratio[ITEMS];
@@ -131,10 +182,12 @@ __kernel GROUP void scale_count(__global const float *params, uint n, uint plane
     uint from = PIECE_FROM(piece, LAYOUT_LOSS_PIECES, groups) * LAYOUT_LANES,
          to = min(PIECE_FROM(piece + 1, LAYOUT_LOSS_PIECES, groups) * LAYOUT_LANES, n);
     struct found f = {0, 0, 0.0f, 0.0f};
+    const struct limits l = LIMITS;
     for (uint i = from + lane; i < to; i += ITEMS) {
         struct axes a;
-        axes_load(params + group_at(i / LAYOUT_LANES, planes) + i % LAYOUT_LANES, &a);
-        axes_find(&a, 1, s_max, r_max, &f);
+        __global const float *g = params + group_at(i / LAYOUT_LANES, planes) + i % LAYOUT_LANES;
+        axes_load(g, &a);
+        axes_find(&a, 1, axes_limit(g, &a, 1, &l), r_max, &f);
     }
     all_n[lane] = f.n;
     all_m[lane] = f.m;
@@ -158,13 +211,14 @@ __kernel GROUP void scale_count(__global const float *params, uint n, uint plane
 }
 
 __kernel GROUP void scale_grad(__global const float *params, uint n, uint planes, uint groups,
-                               float s_max, float r_max, float weight,
+                               LIMITS_ARGS, float weight,
                                __global const struct layout_scale_piece *pieces, uint only,
                                __global float *extra)
 {
     __local uint all_n[ITEMS], all_m[ITEMS];
     uint i = (uint)get_global_id(0), lane = (uint)get_local_id(0);
     uint sum_n = 0, sum_m = 0;
+    const struct limits l = LIMITS;
     for (uint k = lane; k < LAYOUT_LOSS_PIECES; k += ITEMS) {
         sum_n += pieces[k].n;
         sum_m += pieces[k].m;
@@ -182,8 +236,9 @@ __kernel GROUP void scale_grad(__global const float *params, uint n, uint planes
     if (i < groups * LAYOUT_LANES) {
         struct axes a;
         uint group = i / LAYOUT_LANES, in = i % LAYOUT_LANES;
-        axes_load(params + group_at(group, planes) + in, &a);
-        axes_grad(&a, i < n, s_max, r_max, weight / ((float)all_n[0] + 1.0f),
+        __global const float *g = params + group_at(group, planes) + in;
+        axes_load(g, &a);
+        axes_grad(&a, i < n, axes_limit(g, &a, i < n, &l), r_max, weight / ((float)all_n[0] + 1.0f),
                   weight / ((float)all_m[0] + 1.0f), only,
                   extra + group_at(group, only ? LAYOUT_PLANES_SCALE : LAYOUT_PLANES_GEOMETRY) +
                       in);

@@ -3,6 +3,7 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "cells/cell.h"
+#include "cells/footprint.h"
 #include "core/camera.h"
 #include "core/layout.h"
 #include "core/sample.h"
@@ -198,6 +199,49 @@ static void transparent_huge_tiny_and_broken_ones_are_removed(void **state)
     p.prune_above_m = 0.0; /* no limit of size */
     kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
     assert_int_equal(plan.report.pruned, 3);
+    densify_plan_free(&plan);
+    toy_free(&t);
+}
+
+/* Photographs support the ground west of 0, and heights up to 30 m say nothing. */
+static void long_ones_over_supported_ground_are_halved(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    enum { SIDE_CELLS = 2 };
+    uint8_t inside[SIDE_CELLS * SIDE_CELLS] = {1, 0, 1, 0};
+    float low[4] = {-30, -30, -30, -30}, high[4] = {30, 30, 30, 30};
+    const struct footprint ground = {.corner_m = {-10.0, -10.0},
+                                     .cell_m = 10.0,
+                                     .nx = SIDE_CELLS,
+                                     .ny = SIDE_CELLS,
+                                     .inside = inside,
+                                     .low_m = low,
+                                     .high_m = high};
+    struct toy t = toy_make(99);
+    memset(t.grad, 0, t.n * sizeof *t.grad);
+    struct densify_params p = params_of(&everything, 1000, 0);
+    p.ground = &ground;
+    p.free_space_m = HUGE_VAL;
+    p.size_limit_m = 2.0;
+    struct densify_input in = input_of(&t, false);
+    struct densify_plan plan;
+    size_t west = 0;
+    for (size_t i = 2; i < t.n; i += 3) /* those of 5 m */
+        west += *at(t.params, i, 0) < 0.0f;
+    assert_true(west > 5 && west < 28);
+    kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
+    assert_int_equal(plan.report.cut, west);
+    assert_int_equal(plan.report.split, west);
+    assert_int_equal(plan.n, t.n + west);
+    for (size_t k = 0; k < plan.n; k++)
+        if (plan.rows[k].kind != DENSIFY_KEEP)
+            assert_true(plan.rows[k].source % 3 == 2 &&
+                        *at(t.params, plan.rows[k].source, 0) < 0.0f);
+    densify_plan_free(&plan);
+    p.size_limit_m = 0.0; /* no limit */
+    kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
+    assert_int_equal(plan.n, t.n);
     densify_plan_free(&plan);
     toy_free(&t);
 }
@@ -607,6 +651,7 @@ int main(void)
         cmocka_unit_test(a_binding_budget_asks_for_scores_and_is_met_exactly),
         cmocka_unit_test(more_than_the_budget_neither_grows_nor_is_cut),
         cmocka_unit_test(transparent_huge_tiny_and_broken_ones_are_removed),
+        cmocka_unit_test(long_ones_over_supported_ground_are_halved),
         cmocka_unit_test(both_ceilings_hold_where_children_cross_the_border),
         cmocka_unit_test(many_candidates_outside_take_no_room_inside),
         cmocka_unit_test(the_threshold_rises_outside_the_cell),

@@ -19,7 +19,20 @@
 /* ---- scale ---- */
 
 enum { SIZES = 203 }; /* not a multiple of 16 */
-static const struct scale_loss_input scale_in = {.s_max_m = 2.0, .r_max = 10.0, .weight = 0.05};
+/* A board of fields with a smaller limit; Gaussians lie on and beyond it. */
+enum { BOARD = 7 };
+static const uint8_t board[BOARD * BOARD] = {1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1,
+                                             0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0,
+                                             1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1};
+static const struct scale_loss_ground scale_ground = {.inside = board,
+                                                      .nx = BOARD,
+                                                      .ny = BOARD,
+                                                      .corner_m = {-7.3, -6.1},
+                                                      .cell_m = 1.9,
+                                                      .s_max_m = 0.6};
+static const struct scale_loss_input scale_in[2] = {
+    {.s_max_m = 2.0, .r_max = 10.0, .weight = 0.05},
+    {.s_max_m = 2.0, .r_max = 10.0, .weight = 0.05, .ground = &scale_ground}};
 
 /* Sizes on both sides of both limits, none near one; some axes equal. */
 static void scale_sizes(double *scale_log)
@@ -33,18 +46,28 @@ static void scale_sizes(double *scale_log)
         }
 }
 
-static void scale_reference_matches_differences(void **state)
+/* Where kit_gauss puts them. */
+static void scale_means(double *mean)
 {
-    (void)state;
-    double x[3 * SIZES], g[3 * SIZES], fd[3 * SIZES];
+    struct gauss g = {0};
+    kit_gauss(3, SIZES, 10.0, 1, 0, &g);
+    for (size_t i = 0; i < 3 * SIZES; i++)
+        mean[i] = g.origin_enu_m[i % 3] + (double)g.mean_m[i];
+    gauss_free(&g);
+}
+
+static void check_scale_differences(const struct scale_loss_input *in)
+{
+    double x[3 * SIZES], g[3 * SIZES], fd[3 * SIZES], mean[3 * SIZES];
     scale_sizes(x);
-    struct scale_loss_value v = scale_loss_ref_run(x, SIZES, &scale_in, g);
+    scale_means(mean);
+    struct scale_loss_value v = scale_loss_ref_run(mean, x, SIZES, in, g);
     assert_true(v.n > 20 && v.n < 400 && v.m > 20 && v.m < 190);
     for (size_t i = 0; i < 3 * SIZES; i++) {
         double keep = x[i], at[2];
         for (int k = 0; k < 2; k++) {
             x[i] = keep + (k ? FD_STEP : -FD_STEP);
-            struct scale_loss_value w = scale_loss_ref_run(x, SIZES, &scale_in, NULL);
+            struct scale_loss_value w = scale_loss_ref_run(mean, x, SIZES, in, NULL);
             /* the indicators have no derivative: leave out what changes one */
             at[k] = w.n == v.n && w.m == v.m ? w.total : (double)NAN;
         }
@@ -57,6 +80,19 @@ static void scale_reference_matches_differences(void **state)
     kit_near_d("dL/dscale_log", g, fd, 3 * SIZES, 1e-9, FD_REL);
 }
 
+static void scale_reference_matches_differences(void **state)
+{
+    (void)state;
+    double x[3 * SIZES], mean[3 * SIZES];
+    check_scale_differences(&scale_in[0]);
+    check_scale_differences(&scale_in[1]);
+    scale_sizes(x);
+    scale_means(mean);
+    uint32_t all = scale_loss_ref_run(mean, x, SIZES, &scale_in[0], NULL).n,
+             more = scale_loss_ref_run(mean, x, SIZES, &scale_in[1], NULL).n;
+    assert_true(more > all + 20); /* the board has some of them */
+}
+
 static void gauss_of_sizes(const double *scale_log, struct gauss *g)
 {
     kit_gauss(3, SIZES, 10.0, 1, 0, g);
@@ -64,9 +100,9 @@ static void gauss_of_sizes(const double *scale_log, struct gauss *g)
         g->scale_log[i] = (float)scale_log[i];
 }
 
-static void check_scale_kernels(uint32_t width)
+static void check_scale_kernels(const struct scale_loss_input *in, uint32_t width)
 {
-    double x[3 * SIZES], want[3 * SIZES];
+    double x[3 * SIZES], want[3 * SIZES], mean[3 * SIZES];
     struct gauss g = {0};
     struct render *r = NULL;
     struct render_model m = {0};
@@ -76,8 +112,9 @@ static void check_scale_kernels(uint32_t width)
     cl_mem extra = NULL;
     uint32_t own = dev_get()->vector_width;
     scale_sizes(x);
+    scale_means(mean);
     gauss_of_sizes(x, &g);
-    struct scale_loss_value v = scale_loss_ref_run(x, SIZES, &scale_in, want);
+    struct scale_loss_value v = scale_loss_ref_run(mean, x, SIZES, in, want);
     kit_ok(render_open(dev_get(), &r, &e), e);
     kit_ok(render_model_upload(r, &g, &m, &e), e);
     size_t floats = (size_t)m.groups * 11 * 16;
@@ -92,7 +129,7 @@ static void check_scale_kernels(uint32_t width)
     for (int only = 0; only < 2; only++) { /* all planes, then those of the sizes alone */
         size_t planes = only ? 3 : 11, first = only ? 0 : 3;
         kit_ok(dev_write(dev_get(), extra, 0, floats * sizeof *junk, junk, &e), e);
-        kit_ok(scale_loss_run(s, &m, &scale_in, only, extra, &e), e);
+        kit_ok(scale_loss_run(s, &m, in, only, extra, &e), e);
         kit_ok(scale_loss_read(s, &value, &e), e);
         assert_int_equal(value.n, v.n);
         assert_int_equal(value.m, v.m);
@@ -121,8 +158,10 @@ static void check_scale_kernels(uint32_t width)
 static void scale_kernels_match_the_reference(void **state)
 {
     (void)state;
-    check_scale_kernels(0);
-    check_scale_kernels(1);
+    for (size_t i = 0; i < 2; i++) {
+        check_scale_kernels(&scale_in[i], 0);
+        check_scale_kernels(&scale_in[i], 1);
+    }
 }
 
 /* ---- the 3-D filter ---- */

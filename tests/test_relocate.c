@@ -251,7 +251,8 @@ static void places_are_drawn_by_weight(void **state)
         weight[i] = 0.1f + 0.02f * (float)i;
     for (uint32_t i = 0; i < OF; i += 2)
         ids[n++] = i, all += (double)weight[i];
-    kit_ok(relocate_draw(weight, ids, n, ROOM, 3, 4, copies, &placed, &e), e);
+    struct relocate_from from = {.weight = weight, .ids = ids, .n = n, .seed = 3, .stream = 4};
+    kit_ok(relocate_draw(&from, ROOM, copies, &placed, &e), e);
     assert_int_equal(placed, ROOM);
     for (uint32_t i = 0; i < OF; i++) {
         double p = i % 2 ? 0.0 : (double)weight[i] / all;
@@ -259,14 +260,16 @@ static void places_are_drawn_by_weight(void **state)
         assert_true(fabs((double)copies[i] - ROOM * p) <= SIGMAS * sqrt(ROOM * p * (1.0 - p)));
     }
     assert_int_equal(sum, ROOM);
-    kit_ok(relocate_draw(weight, ids, n, ROOM, 3, 4, again, &placed, &e), e);
+    kit_ok(relocate_draw(&from, ROOM, again, &placed, &e), e);
     assert_memory_equal(copies, again, sizeof copies);
     memset(again, 0, sizeof again);
-    kit_ok(relocate_draw(weight, ids, 1, ROOM, 3, 4, again, &placed, &e), e);
+    from.n = 1;
+    kit_ok(relocate_draw(&from, ROOM, again, &placed, &e), e);
     assert_int_equal(again[0], RELOCATE_MOST - 1); /* no more share a place */
     assert_int_equal(placed, RELOCATE_MOST - 1);
     memset(weight, 0, sizeof weight);
-    kit_ok(relocate_draw(weight, ids, n, ROOM, 3, 4, again, &placed, &e), e);
+    from.n = n;
+    kit_ok(relocate_draw(&from, ROOM, again, &placed, &e), e);
     assert_int_equal(placed, 0); /* nobody can be drawn */
 }
 

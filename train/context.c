@@ -7,6 +7,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "cells/footprint.h"
 #include "codec/scene.h"
 #include "loss/photometric.h"
 #include "loss/robust.h"
@@ -14,6 +15,7 @@
 #include "train/photo_loader.h"
 
 #define CONTEXT_NEAR_SHARE 1000.0 /* near planes in a cell's edge */
+#define CONTEXT_SPACING_PX 2.0
 
 void context_close(struct context *ctx)
 {
@@ -41,6 +43,18 @@ size_t context_most(const struct context *ctx)
 }
 
 /* ---- how frames are drawn ---- */
+
+double context_size_limit(const struct context *ctx)
+{
+    const struct schedule *s = context_schedule(ctx);
+    if (!(ctx->cfg->size_limit > 0.0) || !ctx->ground || !ctx->ground->nx)
+        return 0.0;
+    const struct camera *full = &ctx->scene->images[ctx->images[0]].cam;
+    struct camera cam = photo_loader_camera(full, (uint32_t)ctx->cfg->max_edge_px, s->downsample);
+    double px_per_m = ctx->ground->px_per_m * cam.fx_px / full->fx_px;
+    return ctx->cfg->size_limit *
+           fmax(ctx->cell.edge_m / sqrt((double)s->budget), CONTEXT_SPACING_PX / px_per_m);
+}
 
 struct render_options context_render_options(const struct context *ctx, uint32_t step)
 {

@@ -68,6 +68,10 @@ double context_seconds(const struct context *ctx);
 const struct schedule *context_schedule(const struct context *ctx);
 /* Gaussians, inside the cell and out, that this level's budget allows. */
 size_t context_most(const struct context *ctx);
+/* No Gaussian over supported ground should be longer, metres: cfg->size_limit times how far apart
+ * the level's budget is when it covers the cell, or two pixels of its photographs on the ground
+ * where that is more. 0: no limit, or no ground that is known. */
+double context_size_limit(const struct context *ctx);
 /* How frames of a step are drawn, without appearance. */
 struct render_options context_render_options(const struct context *ctx, uint32_t step);
 /* The same in the appearance of a training photograph (an index into the scene's images), once the

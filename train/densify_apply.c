@@ -167,9 +167,10 @@ static struct densify_params densify_make_params(const struct model *m, const st
         .level = s->level,
         .step = ctx->step,
     };
-    if (ctx->ground && c->free_space > 0.0 && schedule_limits_size(s, ctx->step)) {
+    if (ctx->ground && schedule_limits_size(s, ctx->step)) {
         p.ground = ctx->ground;
-        p.free_space_m = c->free_space * ctx->ground->height_m;
+        p.free_space_m = c->free_space > 0.0 ? c->free_space * ctx->ground->height_m : HUGE_VAL;
+        p.size_limit_m = context_size_limit(ctx);
     }
     if (ctx->rim && schedule_limits_size(s, ctx->step))
         p.rim = ctx->rim;

@@ -106,6 +106,19 @@ static bool densify_in_free_space(const struct densify_params *p, const float me
     return p->ground && footprint_off(p->ground, at) > p->free_space_m;
 }
 
+/* Photographs from above say little about how high a large Gaussian reaches, and nothing about how
+ * it is tilted: from the side such are a veil. */
+static bool densify_is_oversize(const struct densify_params *p, const float mean[3],
+                                double largest_m)
+{
+    double at[3];
+    if (!p->ground || !(p->size_limit_m > 0.0) || !(largest_m > p->size_limit_m))
+        return false;
+    for (int k = 0; k < 3; k++)
+        at[k] = p->origin_enu_m[k] + (double)mean[k];
+    return footprint_has(p->ground, at);
+}
+
 static double densify_distance(const struct densify_params *p, const float mean[3])
 {
     return cell_distance(p->cell, p->origin_enu_m[0] + (double)mean[0],
@@ -177,6 +190,8 @@ static enum densify_class densify_classify(const struct densify_params *p,
     enum trim_verdict rim = densify_judge(p, in, i, mean);
     if (rim != TRIM_INSIDE)
         return rim == TRIM_OUTSIDE ? CLASS_PRUNE : CLASS_CUT;
+    if (densify_is_oversize(p, mean, largest))
+        return CLASS_CUT;
     double ramp = 1.0 + (p->tau_outside - 1.0) * fmin(d / p->cell->edge_m, 1.0);
     if (p->strategy == DENSIFY_STRATEGY_MCMC || !((double)in->mean_grad[i] >= p->tau * ramp))
         return CLASS_KEEP;
@@ -337,9 +352,14 @@ static enum err_code densify_relocate_side(const struct densify_params *p,
     size_t room = cap > *count ? cap - *count : 0;
     if (!inside && room > dead)
         room = dead;
-    uint64_t stream = train_stream(TRAIN_STREAM_RELOCATE, p->level, 2 * (uint64_t)p->step + inside);
-    enum err_code rc =
-        relocate_draw(opacity, w->drawn, n, room, p->seed, stream, w->copies, &placed, e);
+    struct relocate_from from = {
+        .weight = opacity,
+        .ids = w->drawn,
+        .n = n,
+        .seed = p->seed,
+        .stream = train_stream(TRAIN_STREAM_RELOCATE, p->level, 2 * (uint64_t)p->step + inside),
+    };
+    enum err_code rc = relocate_draw(&from, room, w->copies, &placed, e);
     *count += placed;
     mem_free(opacity);
     return rc;

@@ -43,6 +43,7 @@ struct densify_params {
     double prune_opacity, prune_above_m; /* 0 = no limit of size */
     const struct footprint *ground;      /* NULL: nothing is known of it */
     double free_space_m; /* what lies farther above or below all points around is removed */
+    double size_limit_m; /* what is longer is split over supported ground, before all others */
     const struct trim
         *rim; /* NULL: not known. What sticks out of the photographs and is larger than
                              * cut_above_m is split, before all others, and what lies outside is

@@ -10,7 +10,9 @@
 #include "train/regularizer.h"
 
 #include <math.h>
+#include <string.h>
 
+#include "cells/footprint.h"
 #include "codec/scene.h"
 #include "core/layout.h"
 #include "loss/depth.h"
@@ -111,6 +113,16 @@ static enum err_code regularizer_scale(struct regularizer *r, const struct model
         .r_max = c->scale_ratio_max,
         .weight = c->scale_weight,
     };
+    struct scale_loss_ground ground = {.s_max_m = context_size_limit(ctx)};
+    if (ground.s_max_m > 0.0) {
+        const struct footprint *f = ctx->ground;
+        ground.inside = f->inside;
+        ground.nx = f->nx;
+        ground.ny = f->ny;
+        ground.cell_m = f->cell_m;
+        memcpy(ground.corner_m, f->corner_m, sizeof ground.corner_m);
+        in.ground = &ground;
+    }
     enum err_code rc = r->scale ? ERR_OK : scale_loss_open(ctx->dev, &r->scale, e);
     return rc ? rc : scale_loss_run(r->scale, &m->gauss, &in, m->adam.extra_sizes, r->extra, e);
 }

@@ -22,10 +22,10 @@ static size_t relocate_find(const double *sum, size_t n, double x)
     return lo;
 }
 
-enum err_code relocate_draw(const float *weight, const uint32_t *ids, size_t n, size_t room,
-                            uint64_t seed, uint64_t stream, uint8_t *copies, size_t *placed,
-                            struct err *e)
+enum err_code relocate_draw(const struct relocate_from *from, size_t room, uint8_t *copies,
+                            size_t *placed, struct err *e)
 {
+    size_t n = from->n;
     *placed = 0;
     if (!n || !room)
         return ERR_OK;
@@ -33,9 +33,10 @@ enum err_code relocate_draw(const float *weight, const uint32_t *ids, size_t n, 
     if (!sum)
         return err_set(e, ERR_MEM, "relocate: out of memory for %zu Gaussians", n);
     for (size_t j = 0; j < n; j++)
-        sum[j] = all += (double)weight[ids[j]];
+        sum[j] = all += (double)from->weight[from->ids[j]];
     for (size_t j = 0; all > 0.0 && j < room; j++) {
-        uint32_t i = ids[relocate_find(sum, n, all * rng_unit(seed, stream, j))];
+        size_t at = relocate_find(sum, n, all * rng_unit(from->seed, from->stream, j));
+        uint32_t i = from->ids[at];
         if (copies[i] >= RELOCATE_MOST - 1)
             continue;
         copies[i]++;

@@ -13,12 +13,19 @@
 
 enum { RELOCATE_MOST = 51 }; /* Gaussians that share a place, as in the published code */
 
-/* Draw `room` times from ids [n], with chances in proportion to weight [by id]; copies [by id] is
- * raised by how often each came. At most RELOCATE_MOST - 1 each: what is beyond is not placed.
- * *placed: how many were. The same for the same seed and stream. ERR_MEM. */
-enum err_code relocate_draw(const float *weight, const uint32_t *ids, size_t n, size_t room,
-                            uint64_t seed, uint64_t stream, uint8_t *copies, size_t *placed,
-                            struct err *e) ERR_USE;
+/* Who can be drawn, and the chance of each; the same seed and stream draw the same. Borrowed. */
+struct relocate_from {
+    const float *weight; /* by id, at least 0 */
+    const uint32_t *ids; /* [n] */
+    size_t n;
+    uint64_t seed, stream;
+};
+
+/* Draw `room` times with chances in proportion to weight; copies [by id] is raised by how often
+ * each came. At most RELOCATE_MOST - 1 each: what is beyond is not placed. *placed: how many were.
+ * ERR_MEM. */
+enum err_code relocate_draw(const struct relocate_from *from, size_t room, uint8_t *copies,
+                            size_t *placed, struct err *e) ERR_USE;
 
 /* `parts` Gaussians in the place of one of opacity o that together blend as it did (equation 9):
  *   o' = 1 - (1 - o)^(1 / parts),

@@ -16,6 +16,7 @@
 #include "train/config.h"
 #include "train/done.h"
 #include "train/evaluate.h"
+#include "train/harmonics.h"
 #include "train/metrics_log.h"
 #include "train/photo_loader.h"
 #include "train/prune.h"
@@ -178,6 +179,8 @@ static enum err_code run_prune(struct run *t, struct err *e)
     bool finest = l->ctx.at + 1 == l->ctx.n_levels;
     enum err_code rc =
         l->ctx.pruned ? ERR_OK : prune_level(&l->model, &l->ctx, &r, finest ? &residuals : NULL, e);
+    if (!rc && !l->ctx.pruned)
+        rc = harmonics_level(&l->model, &l->ctx, e);
     l->ctx.pruned = !rc;
     if (!rc)
         rc = run_residuals(t, &residuals, e);
@@ -337,6 +340,9 @@ static enum err_code run_refit_level(struct run *t, uint32_t at, struct err *e)
         return rc;
     (void)timing_turn(&l->ctx.timing, TIMING_STEP);
     rc = run_refit_steps(t, e);
+    (void)timing_turn(&l->ctx.timing, TIMING_PRUNE);
+    if (!rc)
+        rc = harmonics_level(&l->model, &l->ctx, e);
     (void)timing_turn(&l->ctx.timing, TIMING_EVALUATE);
     if (!rc && t->job->n_test)
         rc = run_score(t, &score, e);

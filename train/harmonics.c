@@ -1,0 +1,172 @@
+/* The smallest harmonics that look alike from where photographs stood: normal equations of a
+ * Gaussian, 16 by 16, by Cholesky.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "train/harmonics.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "codec/scene.h"
+#include "core/base.h"
+#include "core/camera.h"
+#include "core/cholesky.h"
+#include "core/layout.h"
+#include "core/pool.h"
+#include "render/permute.h"
+#include "render/render_ref.h"
+#include "train/context.h"
+#include "train/model.h"
+
+enum { HARMONICS_ROWS = 1024, HARMONICS_CHANNELS = 3 }; /* rows that a thread takes at a time */
+#define HARMONICS_NEAR_M 1e-6
+
+struct harmonics_work {
+    const struct harmonics_rule *rule;
+    double (*center)[3]; /* [n_cams] of projection */
+    float *params;
+    size_t n;
+    uint32_t planes;
+    const double *origin_enu_m;
+};
+
+struct harmonics_fit { /* of one Gaussian */
+    size_t count;      /* coefficients */
+    double a[LAYOUT_SH_MAX][LAYOUT_SH_MAX];
+};
+
+static bool harmonics_sees(const struct camera *c, const double x[3])
+{
+    double at[3];
+    for (int k = 0; k < 3; k++)
+        at[k] = c->rot[3 * k] * x[0] + c->rot[3 * k + 1] * x[1] + c->rot[3 * k + 2] * x[2] +
+                c->trans[k];
+    if (!(at[2] > HARMONICS_NEAR_M))
+        return false;
+    double u = c->fx_px * at[0] / at[2] + c->cx_px, v = c->fy_px * at[1] / at[2] + c->cy_px;
+    return u >= 0.0 && v >= 0.0 && u < (double)c->width_px && v < (double)c->height_px;
+}
+
+/* Sum of Y Y^T over the photographs that see it; their number. */
+static size_t harmonics_gather(const struct harmonics_work *w, const double x[3],
+                               struct harmonics_fit *f)
+{
+    size_t seen = 0;
+    memset(f->a, 0, sizeof f->a);
+    for (size_t k = 0; k < w->rule->n_cams; k++) {
+        double dir[3], y[LAYOUT_SH_MAX], length2 = 0.0;
+        if (!harmonics_sees(&w->rule->cams[k], x))
+            continue;
+        for (int i = 0; i < 3; i++) {
+            dir[i] = x[i] - w->center[k][i];
+            length2 += dir[i] * dir[i];
+        }
+        for (int i = 0; i < 3; i++)
+            dir[i] /= sqrt(length2);
+        ref_sh_basis(dir, w->rule->degree, y);
+        for (size_t i = 0; i < f->count; i++)
+            for (size_t j = 0; j <= i; j++)
+                f->a[i][j] += y[i] * y[j];
+        seen++;
+    }
+    return seen;
+}
+
+/* What the photographs see of c0: the right side of the normal equations. */
+static void harmonics_seen(const struct harmonics_fit *f, const double *c0, double *out)
+{
+    for (size_t i = 0; i < f->count; i++) {
+        out[i] = 0.0;
+        for (size_t j = 0; j < f->count; j++)
+            out[i] += f->a[i > j ? i : j][i > j ? j : i] * c0[j];
+    }
+}
+
+static float *harmonics_at(float *row, size_t i, size_t channel)
+{
+    return row + (LAYOUT_PLANE_SH + HARMONICS_CHANNELS * i + channel) * LAYOUT_LANES;
+}
+
+static void harmonics_row(const struct harmonics_work *w, float *row)
+{
+    struct harmonics_fit f = {.count = (size_t)(w->rule->degree + 1) * (w->rule->degree + 1)};
+    double x[3], c[LAYOUT_SH_MAX], b[HARMONICS_CHANNELS][LAYOUT_SH_MAX];
+    for (size_t k = 0; k < 3; k++)
+        x[k] = w->origin_enu_m[k] + (double)row[(LAYOUT_PLANE_MEAN + k) * LAYOUT_LANES];
+    size_t seen = harmonics_gather(w, x, &f);
+    for (size_t ch = 0; ch < HARMONICS_CHANNELS; ch++) {
+        for (size_t i = 0; i < f.count; i++)
+            c[i] = (double)*harmonics_at(row, i, ch);
+        harmonics_seen(&f, c, b[ch]);
+    }
+    for (size_t i = 1; i < f.count; i++)
+        f.a[i][i] += w->rule->weight * (double)seen;
+    if (seen && !cholesky_factor(&f.a[0][0], f.count, LAYOUT_SH_MAX))
+        return; /* not finite: left as it is */
+    for (size_t ch = 0; ch < HARMONICS_CHANNELS; ch++) {
+        if (seen)
+            cholesky_solve(&f.a[0][0], f.count, LAYOUT_SH_MAX, b[ch], b[ch]);
+        for (size_t i = seen ? 0 : 1; i < f.count; i++)
+            *harmonics_at(row, i, ch) = (float)b[ch][i]; /* nobody saw it: b is 0 */
+    }
+}
+
+static enum err_code harmonics_rows(void *user, size_t part, struct err *e)
+{
+    const struct harmonics_work *w = user;
+    size_t end = (part + 1) * HARMONICS_ROWS;
+    (void)e;
+    for (size_t i = part * HARMONICS_ROWS; i < w->n && i < end; i++)
+        harmonics_row(w, w->params + permute_at(i, w->planes));
+    return ERR_OK;
+}
+
+enum err_code harmonics_hold(const struct harmonics_rule *r, float *params, size_t n,
+                             uint32_t planes, const double origin_enu_m[3], struct err *e)
+{
+    struct harmonics_work w = {.rule = r, .n = n, .planes = planes, .origin_enu_m = origin_enu_m};
+    w.params = params;
+    if (!r->degree || !n)
+        return ERR_OK;
+    w.center = mem_array(r->n_cams, sizeof *w.center);
+    if (!w.center)
+        return err_set(e, ERR_MEM, "harmonics: out of memory for %zu photographs", r->n_cams);
+    for (size_t k = 0; k < r->n_cams; k++)
+        camera_center(&r->cams[k], w.center[k]);
+    enum err_code rc =
+        pool_for((n + HARMONICS_ROWS - 1) / HARMONICS_ROWS, 0, harmonics_rows, &w, e);
+    mem_free(w.center);
+    return rc;
+}
+
+enum err_code harmonics_level(struct model *m, const struct context *ctx, struct err *e)
+{
+    const struct schedule *s = context_schedule(ctx);
+    struct harmonics_rule r = {.n_cams = ctx->n_images,
+                               .weight = ctx->cfg->sh_ridge,
+                               .degree = schedule_sh_degree(s, s->steps)};
+    struct err why = {0};
+    void *params = NULL;
+    if (!(r.weight > 0.0))
+        return ERR_OK;
+    struct camera *cams = mem_array(r.n_cams, sizeof *cams);
+    if (!cams)
+        return err_set(e, ERR_MEM, "harmonics: out of memory for %zu photographs", r.n_cams);
+    for (size_t i = 0; i < r.n_cams; i++) {
+        cams[i] = ctx->scene->images[ctx->images[i]].cam;
+        pose_apply(&ctx->poses, ctx->images[i], &cams[i]);
+    }
+    r.cams = cams;
+    const struct render_model *g = &m->gauss;
+    enum err_code rc =
+        dev_map(m->dev, g->params, CL_MAP_READ | CL_MAP_WRITE, model_bytes(m), &params, e);
+    if (!rc) {
+        rc = harmonics_hold(&r, params, g->n, g->planes, g->origin_enu_m, e);
+        enum err_code done = dev_unmap(m->dev, g->params, &params, &why);
+        if (!rc && done)
+            rc = err_set(e, done, "%s", why.msg);
+    }
+    mem_free(cams);
+    return rc;
+}

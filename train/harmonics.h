@@ -1,0 +1,44 @@
+/* Inside of train/: what harmonics say of directions from which nobody photographed.
+ *
+ * The photographs of a survey that looks straight down see each Gaussian from a narrow cone, and
+ * there sixteen harmonics are far more than their colours tell apart: what is left over is noise
+ * that cancels in the cone and shows outside it. At the end of a level every Gaussian gets the
+ * smallest harmonics that colour it alike from where the training photographs stood (ridge
+ * regression):
+ *
+ *   minimise sum_k |sum_j Y_j(d_k) (c_j - c0_j)|^2 + weight K sum_{j>0} |c_j|^2,
+ *
+ * d_k the directions from the K photographs that have its mean in their picture to it, c0 the
+ * coefficients as trained, j = 0 the base colour, which costs nothing. What hides it is not asked:
+ * from there a map user does not see it either.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef TRAIN_HARMONICS_H
+#define TRAIN_HARMONICS_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "core/err.h"
+
+struct camera;
+struct context;
+struct model;
+
+struct harmonics_rule {
+    const struct camera *cams; /* [n_cams], any picture size */
+    size_t n_cams;
+    double weight;   /* above 0 */
+    uint32_t degree; /* of the coefficients that are in use, 0 to 3; those above stay */
+};
+/* Rows of params, float [groups][planes][16]; means are from origin_enu_m. One that no photograph
+ * has in its picture keeps its base colour alone. Works on all cores; the same result on any number
+ * of them. ERR_MEM. */
+enum err_code harmonics_hold(const struct harmonics_rule *r, float *params, size_t n,
+                             uint32_t planes, const double origin_enu_m[3], struct err *e) ERR_USE;
+/* The same for the model at the end of a level: by cfg->sh_ridge, 0 leaves it as it is; from the
+ * training photographs as their poses are now. Moments are kept. ERR_MEM, ERR_DEVICE. */
+enum err_code harmonics_level(struct model *m, const struct context *ctx, struct err *e) ERR_USE;
+
+#endif
