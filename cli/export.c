@@ -1,6 +1,6 @@
 /* citysplat export: a tile store -> one .ply, .compressed.ply, .spz, .sog or .glb of a level, or a
  * static 3D Tiles folder that any web server or CDN can hand out without us, or that folder as one
- * .3tz. The .glb files are the
+ * .3tz; or its map as one .pmtiles. The .glb files and map tiles are the
  * bytes `citysplat serve` would send.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -12,6 +12,8 @@
 #include <unistd.h>
 
 #include "cli/cli.h"
+#include "cli/export_map.h"
+#include "cli/export_sog.h"
 #include "codec/axes.h"
 #include "codec/glb.h"
 #include "codec/package.h"
@@ -20,6 +22,7 @@
 #include "codec/sog.h"
 #include "codec/spz.h"
 #include "core/appearance.h"
+#include "core/camera.h"
 #include "core/outdir.h"
 #include "core/pool.h"
 #include "lod/bake.h"
@@ -36,7 +39,9 @@ enum {
     EXPORT_GLB,
     EXPORT_PLY_PACKED,
     EXPORT_3DTILES,
-    EXPORT_3TZ
+    EXPORT_3TZ,
+    EXPORT_PMTILES,
+    EXPORT_STREAMED_SOG
 };
 
 struct export_options {
@@ -59,10 +64,13 @@ static const struct options_spec spec = {
         "Writes one level of a tile store as .ply (east-north-up, every bit of a "
         "lossless store), .compressed.ply, .spz, .sog or plain .glb, or the whole pyramid as a "
         "folder with tileset.json and .glb tiles for a web server or CDN, or as that folder in one "
-        ".3tz file.",
+        ".3tz file, or as PlayCanvas' streamed SOG, or the map from straight above as one .pmtiles "
+        "file.",
     .example = "citysplat export city.tiles -o city.ply\n"
                "citysplat export city.tiles -o public/city --format 3dtiles\n"
-               "citysplat export city.tiles -o city.3tz",
+               "citysplat export city.tiles -o city.3tz\n"
+               "citysplat export city.tiles -o city.pmtiles\n"
+               "citysplat export city.tiles -o public/city --format streamed-sog",
     .defs = defs,
     .n_defs = sizeof defs / sizeof *defs,
     .min_args = 1,
@@ -114,14 +122,38 @@ static enum err_code export_gather(struct store *s, uint8_t zoom, const float *i
     return rc;
 }
 
-static enum err_code export_spz(struct gauss *g, const struct quant_grid *grid, struct buf *out,
-                                struct err *e)
+/* From glTF axes about the origin (east, up, south) to the Earth's. */
+static enum err_code export_place(const struct geo_origin *origin, struct spz_place *out,
+                                  struct err *e)
 {
+    double m[16], rot[9], quat[4];
+    enum err_code rc = geo_enu_to_ecef(origin, m, e);
+    for (int k = 0; !rc && k < 3; k++) {
+        out->origin_m[k] = m[12 + k];
+        rot[3 * k] = m[k];
+        rot[3 * k + 1] = m[8 + k];
+        rot[3 * k + 2] = -m[4 + k];
+    }
+    if (rc)
+        return rc;
+    camera_rot_to_quat(rot, quat);
+    for (int k = 0; k < 4; k++)
+        out->rotation_xyzw[k] = quat[(k + 1) % 4];
+    return ERR_OK;
+}
+
+/* origin: NULL: without its place, as version 3. */
+static enum err_code export_spz(struct gauss *g, const struct quant_grid *grid,
+                                const struct geo_origin *origin, struct buf *out, struct err *e)
+{
+    struct spz_place place;
     struct quant q = {0};
     axes_enu_to_gltf(g);
     enum err_code rc = quant_from_gauss(g, g->sh_degree, grid, &q, e);
+    if (!rc && origin)
+        rc = export_place(origin, &place, e);
     if (!rc)
-        rc = spz_encode(&q, 3, out, e);
+        rc = origin ? spz_encode_placed(&q, &place, out, e) : spz_encode(&q, 3, out, e);
     quant_free(&q);
     return rc;
 }
@@ -190,8 +222,9 @@ static enum err_code export_file(struct store *s, const struct export_options *o
         rc = format == EXPORT_PLY          ? ply_encode(&g, &info, &b, e)
              : format == EXPORT_PLY_PACKED ? export_ply_packed(&g, &info, &b, e)
              : format == EXPORT_SOG        ? export_sog(&g, &b, e)
-             : format == EXPORT_GLB        ? export_plain(&g, store_info(s)->attribution, &b, e)
-                                           : export_spz(&g, grid, &b, e);
+             : format == EXPORT_GLB
+                 ? export_plain(&g, store_info(s)->attribution, &b, e)
+                 : export_spz(&g, grid, o->spz_georeference ? &info.origin : NULL, &b, e);
     if (!rc)
         rc = file_write(o->output, b.data, b.size, e);
     if (!rc)
@@ -388,6 +421,8 @@ static int export_format(const char *output)
         return EXPORT_GLB;
     if (dot && !strcasecmp(dot, ".3tz"))
         return EXPORT_3TZ;
+    if (dot && !strcasecmp(dot, ".pmtiles"))
+        return EXPORT_PMTILES;
     return dot && !strcasecmp(dot, ".spz") ? EXPORT_SPZ : EXPORT_3DTILES;
 }
 
@@ -413,6 +448,24 @@ static enum err_code export_open(const char *path, const struct export_options *
     return rc;
 }
 
+/* The map is drawn from the store itself. */
+static enum err_code export_pmtiles(const char *store, const struct export_options *o,
+                                    struct err *e)
+{
+    if (o->clip || o->clip_low_m || o->clip_high_m)
+        return err_set(e, ERR_ARG,
+                       "--clip: not for pmtiles: write the part as a store first (citysplat clip), "
+                       "and export that");
+    const struct export_map m = {.output = o->output,
+                                 .device = o->device,
+                                 .appearance = o->appearance,
+                                 .zooms = o->zooms,
+                                 .format = o->map_format,
+                                 .quality = (int)o->quality,
+                                 .dense = o->dense};
+    return export_map(store, &m, e);
+}
+
 enum err_code cli_export(int argc, char **argv, struct err *e)
 {
     struct export_options o = {0};
@@ -425,17 +478,23 @@ enum err_code cli_export(int argc, char **argv, struct err *e)
     signals_catch();
     if (!o.output)
         rc = err_set(e, ERR_ARG, "-o is missing: where to write");
+    int format = rc || o.format != EXPORT_AUTO ? o.format : export_format(o.output);
+    if (!rc && format == EXPORT_PMTILES) {
+        rc = export_pmtiles(args.arg[0], &o, e);
+        goto out;
+    }
     if (!rc)
         rc = export_open(args.arg[0], &o, &s, e);
     float image[APPEARANCE_IMAGE_MAX];
     const float *chosen = o.appearance ? image : NULL;
     if (!rc && chosen)
         rc = bake_find(s, o.appearance, image, e);
-    int format = rc || o.format != EXPORT_AUTO ? o.format : export_format(o.output);
     if (!rc)
         rc = format == EXPORT_3DTILES ? export_3dtiles(s, &o, chosen, e)
-             : format == EXPORT_3TZ   ? export_3tz(s, &o, chosen, e)
-                                      : export_file(s, &o, format, chosen, e);
+             : format == EXPORT_STREAMED_SOG
+                 ? export_sog_folder(s, chosen, o.output, o.overwrite, e)
+             : format == EXPORT_3TZ ? export_3tz(s, &o, chosen, e)
+                                    : export_file(s, &o, format, chosen, e);
 out:
     store_close(&s);
     arena_free(&arena);

@@ -264,39 +264,67 @@ static enum err_code sog_begin(struct sog_writer *w, struct err *e)
     return w->px && w->meta ? ERR_OK : err_set(e, ERR_MEM, "sog: out of memory");
 }
 
-static enum err_code sog_end(struct sog_writer *w, struct buf *out, struct err *e)
+static enum err_code sog_end(struct sog_writer *w, struct err *e)
 {
     char *text = json_dumps(w->meta, JSON_COMPACT | JSON_REAL_PRECISION(9));
     if (!text)
         return err_set(e, ERR_MEM, "sog: out of memory");
     buf_add(&w->part[0].bytes, text, strlen(text));
     free(text);
-    enum err_code rc = buf_check(&w->part[0].bytes, e);
-    return rc ? rc : archive_write(w->part, w->n_parts, out, e);
+    return buf_check(&w->part[0].bytes, e);
+}
+
+/* All parts; sog_drop them. */
+static enum err_code sog_make(struct sog_writer *w, uint32_t sh_degree, struct err *e)
+{
+    const struct gauss *g = w->g;
+    if (sh_degree > g->sh_degree)
+        return err_set(e, ERR_ARG, "sog: degree %u of Gaussians of degree %u", sh_degree,
+                       g->sh_degree);
+    enum err_code rc = sog_begin(w, e);
+    if (!rc)
+        rc = sog_put_means(w, e);
+    if (!rc)
+        rc = sog_put_quats(w, e);
+    if (!rc)
+        rc = sog_put_indexed(w, "scales", 4, g->scale_log, false, e);
+    if (!rc)
+        rc = sog_put_color(w, e);
+    if (!rc && sh_degree)
+        rc = sog_put_harmonics(w, sh_degree, e);
+    return !rc ? sog_end(w, e) : rc;
+}
+
+static void sog_drop(struct sog_writer *w)
+{
+    for (size_t i = 0; i < w->n_parts; i++)
+        buf_free(&w->part[i].bytes);
+    json_decref(w->meta);
+    mem_free(w->px);
 }
 
 enum err_code sog_encode(const struct gauss *g, uint32_t sh_degree, struct buf *out, struct err *e)
 {
     struct sog_writer w = {.g = g};
-    if (sh_degree > g->sh_degree)
-        return err_set(e, ERR_ARG, "sog: degree %u of Gaussians of degree %u", sh_degree,
-                       g->sh_degree);
-    enum err_code rc = sog_begin(&w, e);
+    enum err_code rc = sog_make(&w, sh_degree, e);
     if (!rc)
-        rc = sog_put_means(&w, e);
+        rc = archive_write(w.part, w.n_parts, out, e);
+    sog_drop(&w);
+    return rc;
+}
+
+enum err_code sog_write(const struct gauss *g, uint32_t sh_degree, const char *dir, struct err *e)
+{
+    struct sog_writer w = {.g = g};
+    char path[FILE_PATH_MAX];
+    enum err_code rc = sog_make(&w, sh_degree, e);
     if (!rc)
-        rc = sog_put_quats(&w, e);
-    if (!rc)
-        rc = sog_put_indexed(&w, "scales", 4, g->scale_log, false, e);
-    if (!rc)
-        rc = sog_put_color(&w, e);
-    if (!rc && sh_degree)
-        rc = sog_put_harmonics(&w, sh_degree, e);
-    if (!rc)
-        rc = sog_end(&w, out, e);
-    for (size_t i = 0; i < w.n_parts; i++)
-        buf_free(&w.part[i].bytes);
-    json_decref(w.meta);
-    mem_free(w.px);
+        rc = file_mkdir(dir, e);
+    for (size_t i = 0; !rc && i < w.n_parts; i++) {
+        rc = file_join(path, dir, w.part[i].name, e);
+        if (!rc)
+            rc = file_write(path, w.part[i].bytes.data, w.part[i].bytes.size, e);
+    }
+    sog_drop(&w);
     return rc;
 }

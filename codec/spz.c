@@ -8,7 +8,8 @@
  *
  * gzip is libdeflate's: the same bytes twice as fast as zlib's. Sizes are bounded by the file's
  * before anything is allocated: DEFLATE cannot grow data more than 1032 times, zstd not more than
- * 128 KiB a block of 4 bytes. Source: github.com/nianticlabs/spz. Extensions (flag 2) are skipped.
+ * 128 KiB a block of 4 bytes. Source: github.com/nianticlabs/spz. Extensions (flag 2) are skipped;
+ * one is written on request: between the head and the sizes, type, length, payload.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -34,6 +35,8 @@ enum {
     DEFLATE_GROWTH_MAX = 1032,
     ZSTD_GROWTH_MAX = 32768,
     POSITION_LIMIT = 1 << 23,
+    PLACE_TYPE = 0x4e530001,
+    PLACE_BYTES = 76 /* and the name of the reference system */
 };
 
 struct spz_head {
@@ -76,14 +79,15 @@ static void spz_streams_write(const struct quant *q, uint8_t *p)
     memcpy(p, q->sh, 3 * (gauss_sh_count(q->sh_degree) - 1) * q->n);
 }
 
-static void spz_head_write(struct buf *b, const struct quant *q, int version, unsigned last)
+static void spz_head_write(struct buf *b, const struct quant *q, int version, unsigned flags,
+                           unsigned last)
 {
     buf_u32(b, MAGIC);
     buf_u32(b, (uint32_t)version);
     buf_u32(b, (uint32_t)q->n);
     buf_u8(b, q->sh_degree);
     buf_u8(b, q->frac_bits);
-    buf_u8(b, q->antialiased ? FLAG_ANTIALIASED : 0);
+    buf_u8(b, flags | (q->antialiased ? FLAG_ANTIALIASED : 0));
     buf_u8(b, last);
 }
 
@@ -101,13 +105,39 @@ static enum err_code spz_gzip_write(const struct buf *plain, struct buf *out, st
     return ERR_OK;
 }
 
+/* A record: the coordinates have no epoch, and the scale is 1. */
+static void spz_place_write(struct buf *b, const struct spz_place *place)
+{
+    static const char crs[] = "EPSG:4978";
+    const unsigned n = sizeof crs - 1;
+    buf_u32(b, PLACE_TYPE);
+    buf_u32(b, PLACE_BYTES + n);
+    buf_u8(b, 1);
+    buf_u8(b, 0);
+    buf_u16(b, n);
+    for (int k = 0; k < 3; k++)
+        buf_f64(b, place->origin_m[k]);
+    for (int k = 0; k < 4; k++)
+        buf_f64(b, place->rotation_xyzw[k]);
+    buf_f64(b, 1);
+    buf_f64(b, (double)NAN);
+    buf_add(b, crs, n);
+}
+
 static enum err_code spz_zstd_write(const struct quant *q, const struct spz_head *h,
-                                    const uint8_t *plain, struct buf *out, struct err *e)
+                                    const struct spz_place *place, const uint8_t *plain,
+                                    struct buf *out, struct err *e)
 {
     const int n_streams = q->sh_degree ? N_STREAMS : N_STREAMS - 1;
-    spz_head_write(out, q, 4, (unsigned)n_streams);
-    buf_u32(out, HEAD4_BYTES);
+    struct buf record = {0};
+    if (place)
+        spz_place_write(&record, place);
+    spz_head_write(out, q, 4, place ? FLAG_EXTENSIONS : 0, (unsigned)n_streams);
+    buf_u32(out, HEAD4_BYTES + (uint32_t)record.size);
     buf_add(out, (const uint8_t[12]){0}, 12);
+    buf_add(out, record.data, record.size);
+    out->failed |= record.failed;
+    buf_free(&record);
     size_t toc = out->size, written[N_STREAMS] = {0};
     buf_grow(out, (size_t)n_streams * 16);
     for (int s = 0; s < n_streams; s++) {
@@ -130,7 +160,8 @@ static enum err_code spz_zstd_write(const struct quant *q, const struct spz_head
     return ERR_OK;
 }
 
-enum err_code spz_encode(const struct quant *q, int version, struct buf *out, struct err *e)
+static enum err_code spz_write(const struct quant *q, int version, const struct spz_place *place,
+                               struct buf *out, struct err *e)
 {
     struct buf plain = {0};
     if (version != 3 && version != 4)
@@ -143,18 +174,29 @@ enum err_code spz_encode(const struct quant *q, int version, struct buf *out, st
     for (int s = 0; s < N_STREAMS; s++)
         bytes += spz_stream_bytes(&h, s);
     if (version == 3)
-        spz_head_write(&plain, q, 3, 0);
+        spz_head_write(&plain, q, 3, 0, 0);
     uint8_t *p = buf_grow(&plain, bytes);
     enum err_code rc = buf_check(&plain, e);
     if (!rc) {
         spz_streams_write(q, p);
         rc = version == 3 ? spz_gzip_write(&plain, out, e)
-                          : spz_zstd_write(q, &h, plain.data, out, e);
+                          : spz_zstd_write(q, &h, place, plain.data, out, e);
     }
     if (rc)
         out->size = start;
     buf_free(&plain);
     return rc;
+}
+
+enum err_code spz_encode(const struct quant *q, int version, struct buf *out, struct err *e)
+{
+    return spz_write(q, version, NULL, out, e);
+}
+
+enum err_code spz_encode_placed(const struct quant *q, const struct spz_place *place,
+                                struct buf *out, struct err *e)
+{
+    return spz_write(q, 4, place, out, e);
 }
 
 /* ---- decode ---- */
