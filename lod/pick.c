@@ -3,10 +3,10 @@
  * The cut starts at the root and is refined where the error is largest on the screen, until it is
  * small enough everywhere or the budget of Gaussians is used up. The screen error of a tile is
  * geometric_error * f / d, the measure of 3D Tiles clients. d is the distance to the tile's core,
- * where nearly all of it is, not to the box that holds every splat whole: a web client, which knows
- * the box alone, may show a finer level than the server's picture, never a coarser one. The
- * distance metric is that of the CityGaussian family: horizontal distance against one threshold a
- * level.
+ * where nearly all of it is, not to the box that holds every splat whole. Tilesets tell the core,
+ * and the viewer measures to it too; a client of others, which knows the box alone, may show a
+ * finer level than the server's picture, never a coarser one. The distance metric is that of the
+ * CityGaussian family: horizontal distance against one threshold a level.
  *
  * A tile is left out only if no splat in it can touch the picture: frustum.h.
  *

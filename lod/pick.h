@@ -1,4 +1,5 @@
-/* Which tiles of a store a view needs: pick.c, see there. The viewer's pick.ts decides the same.
+/* Which tiles of a store a view needs: pick.c, see there. The viewer measures the same
+ * (web/src/screenerror.ts).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

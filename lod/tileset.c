@@ -103,6 +103,19 @@ static void tileset_box(const struct tileset *t, const struct tree_node *v)
     buf_printf(t->out, "]}");
 }
 
+/* Where nearly all of the tile is, in its frame: the viewer measures distance to it, as pick.c. */
+static void tileset_core(const struct tileset *t, const struct tree_node *v)
+{
+    double center[3];
+    tileset_center(t, v, center);
+    buf_printf(t->out, ",\"extras\":{\"core\":[");
+    for (size_t k = 0; k < 3; k++)
+        buf_printf(t->out, "%s%.3f", k ? "," : "", v->core_min_enu_m[k] - center[k]);
+    for (size_t k = 0; k < 3; k++)
+        buf_printf(t->out, ",%.3f", v->core_max_enu_m[k] - center[k]);
+    buf_printf(t->out, "]}");
+}
+
 /* A node and those below it, down to where other documents begin. m: NULL where the document that
  * leads here has moved to this frame already. */
 static void tileset_node(const struct tileset *t, uint32_t index, const double *m)
@@ -118,6 +131,8 @@ static void tileset_node(const struct tileset *t, uint32_t index, const double *
     buf_printf(t->out, ",\"geometricError\":%.9g", v->geometric_error_m);
     if (index == t->start)
         buf_printf(t->out, ",\"refine\":\"REPLACE\"");
+    if (v->tile != TREE_NONE && v->child_count > 0)
+        tileset_core(t, v);
     if (v->tile != TREE_NONE && (!t->left || t->left[index].count || elsewhere)) {
         buf_printf(t->out, ",\"content\":{\"uri\":");
         tileset_uri(t->out, elsewhere ? t->links->part : t->links->tile, t->tiles[v->tile].key);

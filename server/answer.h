@@ -46,11 +46,20 @@ bool answer_can_draw(struct services *s, struct response *out);
  * false for other routes. */
 bool answer_appearance(struct services *s, const struct request *r, struct dataset *d,
                        const struct target *t, struct response *out);
+/* answer_kept.c: an appearance under a name: read, kept, forgotten. */
+void answer_kept(struct services *s, const struct request *r, struct dataset *d,
+                 const struct target *t, struct response *out);
+/* answer_kept.c: a name in t->appearance becomes what it stands for, and t->kept the name. False,
+ * with the problem set: it means nothing in this revision. */
+bool answer_resolve(struct services *s, const struct dataset *d, struct target *t,
+                    struct response *out);
+/* The status of how a change ended that a job made (work.h). */
+int answer_kept_status(enum err_code rc);
 /* The appearance that a target or a body asks for; false, with the problem set, when there is none
  * such. Tiles may also have none applied to them. */
-bool answer_find_tile_appearance(const struct dataset *d, const char *text,
+bool answer_find_tile_appearance(struct services *s, const struct dataset *d, const char *text,
                                  struct appearance_choice *out, struct response *res);
-bool answer_find_appearance(const struct dataset *d, const char *text,
+bool answer_find_appearance(struct services *s, const struct dataset *d, const char *text,
                             struct appearance_choice *out, struct response *res);
 
 #endif

@@ -20,20 +20,26 @@ static void answer_appearance_problem(const struct dataset *d, enum err_code rc,
                                      "appearance, leave `appearance` out");
 }
 
-bool answer_find_tile_appearance(const struct dataset *d, const char *text,
+bool answer_find_tile_appearance(struct services *s, const struct dataset *d, const char *text,
                                  struct appearance_choice *out, struct response *res)
 {
     struct err e = {0};
-    enum err_code rc = appearance_api_find(d, text, out, &e);
+    char is[TARGET_APPEARANCE_MAX], name[TARGET_KEPT_MAX];
+    struct kept_table *kept = *text ? kept_now(s->kept) : NULL;
+    snprintf(is, sizeof is, "%s", text);
+    enum err_code rc = appearance_api_resolve(d, kept, is, name, &e);
+    if (!rc)
+        rc = appearance_api_find(d, is, out, &e);
     if (rc)
         answer_appearance_problem(d, rc, &e, res);
+    kept_drop(&kept);
     return !rc;
 }
 
-bool answer_find_appearance(const struct dataset *d, const char *text,
+bool answer_find_appearance(struct services *s, const struct dataset *d, const char *text,
                             struct appearance_choice *out, struct response *res)
 {
-    if (!answer_find_tile_appearance(d, text, out, res))
+    if (!answer_find_tile_appearance(s, d, text, out, res))
         return false;
     if (out->trained)
         response_problem(res, 400, "a picture has an appearance; \"none\" is of tiles");
@@ -52,11 +58,16 @@ static void answer_appearance_one(const struct request *r, struct dataset *d, co
         answer_appearance_problem(d, rc, &e, out);
 }
 
-static void answer_appearance_mix(const struct request *r, struct dataset *d, struct response *out)
+static void answer_appearance_mix(struct services *s, const struct request *r, struct dataset *d,
+                                  struct response *out)
 {
     struct err e = {0};
-    char text[TARGET_APPEARANCE_MAX];
+    char text[TARGET_APPEARANCE_MAX], name[TARGET_KEPT_MAX];
+    struct kept_table *kept = kept_now(s->kept);
     enum err_code rc = appearance_api_read_mix(d, r->body, r->body_size, text, &e);
+    if (!rc)
+        rc = appearance_api_resolve(d, kept, text, name, &e);
+    kept_drop(&kept);
     if (!rc)
         answer_appearance_one(r, d, text, RESPONSE_NO_STORE, out);
     else
@@ -103,28 +114,33 @@ static void answer_appearance_thumbnail(struct services *s, const struct request
     out->timeout_s = s->cfg->deadline_s;
 }
 
-/* What the query looks for; without one the list of all, which is made when a dataset is opened. */
+/* What the query looks for; without one the list of all, which is made when a dataset is opened,
+ * and again when names are kept or forgotten. */
 static void answer_appearance_list(struct services *s, const struct request *r, struct dataset *d,
                                    const struct target *t, struct response *out)
 {
-    if (!t->search.asked) {
-        response_document(r, RESPONSE_JSON, RESPONSE_MOVING, body_ref(d->appearances), out);
-        return;
-    }
-    if (!d->search) {
-        response_problem(out, 404, "this dataset was trained without appearance");
-        return;
-    }
-    struct hash128 id = result_id_search(d, t);
+    const struct kept_row *row = NULL;
+    struct kept_table *kept = kept_now(s->kept);
+    const size_t n_kept = d->appearance ? kept_of(kept, d->meta.name, &row) : 0;
     out->type = RESPONSE_JSON;
     out->cache_control = RESPONSE_MOVING;
-    if (!response_made(s, r, id, out))
-        return;
-    struct work *w = response_work(d, WORK_SEARCH, id, (struct form){0}, out);
-    if (w)
-        w->target = *t;
-    out->cls = JOB_TILE;
-    out->timeout_s = s->cfg->deadline_s;
+    if (!t->search.asked && !n_kept) {
+        response_body(r, body_ref(d->appearances), out);
+    } else if (!d->search) {
+        response_problem(out, 404, "this dataset was trained without appearance");
+    } else {
+        struct hash128 id = result_id_search(d, t, kept_hash(kept, d->meta.name));
+        struct work *w = response_made(s, r, id, out)
+                             ? response_work(d, WORK_SEARCH, id, (struct form){0}, out)
+                             : NULL;
+        if (w) {
+            w->target = *t;
+            w->kept = kept_ref(kept);
+        }
+        out->cls = JOB_TILE;
+        out->timeout_s = s->cfg->deadline_s;
+    }
+    kept_drop(&kept);
 }
 
 bool answer_appearance(struct services *s, const struct request *r, struct dataset *d,
@@ -141,7 +157,7 @@ bool answer_appearance(struct services *s, const struct request *r, struct datas
     else if (t->route == ROUTE_APPEARANCE)
         answer_appearance_one(r, d, t->appearance, RESPONSE_MOVING, out);
     else if (t->route == ROUTE_MIX)
-        answer_appearance_mix(r, d, out);
+        answer_appearance_mix(s, r, d, out);
     else
         return false;
     return true;

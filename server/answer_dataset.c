@@ -39,7 +39,7 @@ static void answer_dataset_seed(struct services *s, const struct request *r, str
     struct form form = encode_form(s->cfg, &d->meta, &t->form);
     struct appearance_choice choice;
     struct course *c = NULL;
-    if (!answer_find_tile_appearance(d, t->appearance, &choice, out) ||
+    if (!answer_find_tile_appearance(s, d, t->appearance, &choice, out) ||
         !answer_dataset_course(t, &c, out))
         return;
     form.trained = choice.trained;
@@ -85,7 +85,7 @@ static void answer_dataset_tileset(struct services *s, const struct request *r, 
         return;
     }
     struct hash128 id = result_id_tileset(d, t);
-    if (!answer_find_tile_appearance(d, t->appearance, &choice, out) ||
+    if (!answer_find_tile_appearance(s, d, t->appearance, &choice, out) ||
         !response_made(s, r, id, out))
         return;
     struct work *w = response_work(d, WORK_TILESET, id, (struct form){0}, out);

@@ -9,6 +9,7 @@
 #include <string.h>
 
 #include "server/map_document.h"
+#include "server/ogc_tiles.h"
 #include "server/result_id.h"
 
 bool answer_is_surveyed(const struct dataset *d, struct response *out)
@@ -49,7 +50,7 @@ static void answer_map_tile(struct services *s, const struct request *r, struct 
     char device[160];
     bool terrain = t->route == ROUTE_TERRAIN;
     if (!answer_map_there(s, d, t, out) || !answer_can_draw(s, out) ||
-        (!terrain && !answer_find_appearance(d, t->appearance, &choice, out)))
+        (!terrain && !answer_find_appearance(s, d, t->appearance, &choice, out)))
         return;
     const struct map_tile tile = {.key = t->key,
                                   .size_px = (uint32_t)RASTER_PX * t->scale,
@@ -87,7 +88,7 @@ static void answer_map_document(struct services *s, const struct request *r, str
     bool wmts = t->route == ROUTE_WMTS;
     if (!answer_is_surveyed(d, out))
         return;
-    if (t->route != ROUTE_TERRAINJSON && !answer_find_appearance(d, t->appearance, &choice, out))
+    if (t->route != ROUTE_TERRAINJSON && !answer_find_appearance(s, d, t->appearance, &choice, out))
         return;
     response_edition(s, d, t->route, edition);
     enum err_code rc = wmts ? map_document_wmts(d, edition, t, s->url, &b, &e)
@@ -98,6 +99,25 @@ static void answer_map_document(struct services *s, const struct request *r, str
         response_no_memory(out);
     else
         response_document(r, wmts ? "application/xml" : RESPONSE_JSON, RESPONSE_MOVING, b, out);
+}
+
+/* After OGC API - Tiles. */
+static void answer_map_tileset(struct services *s, const struct request *r, struct dataset *d,
+                               const struct target *t, struct response *out)
+{
+    struct body *b = NULL;
+    char edition[9];
+    if (!answer_is_surveyed(d, out))
+        return;
+    response_edition(s, d, t->route, edition);
+    const char *base = ogc_tiles_base(s->cfg->public_url, s->cfg->base_path);
+    enum err_code rc = t->route == ROUTE_MAP_TILESETS
+                           ? ogc_tiles_list(d, base, &b, NULL)
+                           : ogc_tiles_tileset(d, edition, base, &b, NULL);
+    if (rc)
+        response_no_memory(out);
+    else
+        response_document(r, RESPONSE_JSON, RESPONSE_MOVING, b, out);
 }
 
 bool answer_map(struct services *s, const struct request *r, struct dataset *d,
@@ -112,6 +132,10 @@ bool answer_map(struct services *s, const struct request *r, struct dataset *d,
     case ROUTE_TERRAINJSON:
     case ROUTE_WMTS:
         answer_map_document(s, r, d, t, out);
+        return true;
+    case ROUTE_MAP_TILESETS:
+    case ROUTE_MAP_TILESET:
+        answer_map_tileset(s, r, d, t, out);
         return true;
     default:
         return false;

@@ -22,7 +22,7 @@ static void answer_motion_steer(struct services *s, const struct request *r, str
         return;
     }
     if (!answer_view_check(s, p.cam.width_px, p.cam.height_px, out) ||
-        !answer_find_appearance(d, p.appearance, &wish.appearance, out))
+        !answer_find_appearance(s, d, p.appearance, &wish.appearance, out))
         return;
     wish.view = (struct draw_view){p.cam, p.format, p.quality, p.paint};
     wish.timeout_s = p.timeout_s;

@@ -192,13 +192,15 @@ static void answer_service_collections(struct services *s, const struct request 
     struct catalog *c = services_catalog(s);
     struct body *b = NULL;
     if (t->has_bbox || s->auth) {
+        const struct collection_options collection = {s->cfg->public_url, s->cfg->base_path,
+                                                      s->cfg->basemap, s->cfg->basemap_attribution};
         struct dataset **ds = mem_array(c->n_current, sizeof *ds);
         size_t n = 0;
         for (size_t i = 0; ds && i < c->n_current; i++)
             if (answer_service_shows(s, r, t, c->ds[i]) &&
                 (!t->has_bbox || answer_service_meets(c->ds[i], t)))
                 ds[n++] = c->ds[i];
-        if (!ds || collection_list(ds, n, s->cfg->basemap, s->cfg->basemap_attribution, &b, NULL))
+        if (!ds || collection_list(ds, n, &collection, &b, NULL))
             body_drop(&b);
         else
             b->modified_s = c->collections->modified_s;
@@ -227,9 +229,16 @@ bool answer_service(struct services *s, const struct request *r, const struct ta
     case ROUTE_CONFORMANCE:
         response_document(r, RESPONSE_JSON, RESPONSE_MOVING, body_ref(s->conformance), out);
         return true;
+    case ROUTE_MATRICES:
+        response_document(r, RESPONSE_JSON, RESPONSE_MOVING, body_ref(s->matrices), out);
+        return true;
     case ROUTE_API:
         response_document(r, "application/vnd.oai.openapi+json;version=3.0", RESPONSE_MOVING,
                           body_ref(s->api), out);
+        return true;
+    case ROUTE_API_PAGE:
+        response_document(r, "text/html; charset=utf-8", RESPONSE_MOVING, body_ref(s->api_page),
+                          out);
         return true;
     case ROUTE_COLLECTIONS:
         answer_service_collections(s, r, t, out);

@@ -59,7 +59,7 @@ void answer_tile(struct services *s, const struct request *r, struct dataset *d,
     }
     struct form form = encode_form(s->cfg, &d->meta, &t->form);
     struct appearance_choice choice;
-    if (!answer_find_tile_appearance(d, t->appearance, &choice, out))
+    if (!answer_find_tile_appearance(s, d, t->appearance, &choice, out))
         return;
     form.trained = choice.trained;
     struct hash128 id = result_id_tile(d, tile, form, &choice);

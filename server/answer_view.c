@@ -83,7 +83,7 @@ void answer_view(struct services *s, const struct request *r, struct dataset *d,
     };
     struct appearance_choice choice;
     if (!answer_view_check(s, t->width_px, t->height_px, out) ||
-        !answer_find_appearance(d, t->appearance, &choice, out))
+        !answer_find_appearance(s, d, t->appearance, &choice, out))
         return;
     if (paint_check(&t->paint, t->form.format, &e) ||
         view_camera(&d->meta.origin, &pose, t->width_px, t->height_px, &cam, &e)) {
@@ -120,7 +120,7 @@ void answer_render(struct services *s, const struct request *r, struct dataset *
         return;
     }
     if (!answer_view_check(s, p.cam.width_px, p.cam.height_px, out) ||
-        !answer_find_appearance(d, p.appearance, &choice, out))
+        !answer_find_appearance(s, d, p.appearance, &choice, out))
         return;
     struct hash128 id = answer_view_id(s, d, &p.cam, &choice, p.format, p.quality, &p.paint);
     out->type = target_type(p.format);

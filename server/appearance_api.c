@@ -4,7 +4,8 @@
  * camera, --appearance of the programs): a photograph's name, a blend NAME:WEIGHT,NAME:WEIGHT, or
  * =BASE64 of a whole embedding (bake_find). Nothing that a client posts is kept: what a mix answers
  * with is a text that means the same on every server with the same store, so appearances are
- * cached, linked and prefetched like everything else. Two texts of one embedding are one
+ * cached, linked and prefetched like everything else. Names that are kept (kept.h) become such a
+ * text before anything else looks at them. Two texts of one embedding are one
  * appearance: results are named by the embedding's hash.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -84,20 +85,42 @@ static json_t *appearance_api_numbers(const float *v, uint32_t n)
     return list;
 }
 
-enum err_code appearance_api_list(const struct dataset *d, struct body **out, struct err *e)
+static void appearance_api_add(json_t *list, const char *name, bool kept)
+{
+    json_t *o = json_pack("{s:s,s:[o,o]}", "name", name, "links",
+                          appearance_api_link("item", "application/json", "appearance", name),
+                          appearance_api_link("tileset", "application/json", "tileset.json", name));
+    if (kept)
+        json_object_set_new(o, "kept", json_true());
+    json_array_append_new(list, o);
+}
+
+static json_t *appearance_api_list_json(const struct dataset *d, const struct kept_table *t)
 {
     const struct appearance *a = d->appearance;
     json_t *list = json_array();
     for (size_t i = 0; a && i < a->n_images; i++)
-        json_array_append_new(list, json_pack("{s:s,s:[o,o]}", "name", a->names[i], "links",
-                                              appearance_api_link("item", "application/json",
-                                                                  "appearance", a->names[i]),
-                                              appearance_api_link("tileset", "application/json",
-                                                                  "tileset.json", a->names[i])));
-    return document_make(json_pack("{s:s,s:i,s:o}", "default", a ? BAKE_DEFAULT : "",
-                                   "embeddingLength", a ? (int)a->len_image : 0, "appearances",
-                                   list),
-                         out, e);
+        appearance_api_add(list, a->names[i], false);
+    const struct kept_row *row = NULL;
+    const size_t n = a ? kept_of(t, d->meta.name, &row) : 0;
+    for (size_t i = 0; i < n; i++) {
+        struct appearance_choice c;
+        if (!appearance_api_find_kept(d, &row[i], &c, NULL))
+            appearance_api_add(list, row[i].name, true);
+    }
+    return json_pack("{s:s,s:i,s:o}", "default", a ? BAKE_DEFAULT : "", "embeddingLength",
+                     a ? (int)a->len_image : 0, "appearances", list);
+}
+
+enum err_code appearance_api_list(const struct dataset *d, struct body **out, struct err *e)
+{
+    return document_make(appearance_api_list_json(d, NULL), out, e);
+}
+
+enum err_code appearance_api_write_list(const struct dataset *d, const struct kept_table *t,
+                                        struct buf *out, struct err *e)
+{
+    return document_write(appearance_api_list_json(d, t), out, e);
 }
 
 struct appearance_api_near {
@@ -145,33 +168,133 @@ static json_t *appearance_api_nearest(const struct appearance *a, const float *i
     return list;
 }
 
+/* name: in links. */
+static json_t *appearance_api_json(const struct appearance *a, const char *text, const char *name,
+                                   const float *image)
+{
+    return json_pack(
+        "{s:s,s:o,s:o,s:[o,o,o]}", "appearance", text, "embedding",
+        appearance_api_numbers(image, a->len_image), "nearest", appearance_api_nearest(a, image),
+        "links", appearance_api_link("self", "application/json", "appearance", name),
+        appearance_api_link("tileset", "application/json", "tileset.json", name),
+        appearance_api_link("view", "image/jpeg",
+                            "static/{lon},{lat},{h}@{heading},{pitch},{fov}/{w}x{h}.{fmt}", name));
+}
+
+/* The embedding of a choice, which the default one has as well. */
+static enum err_code appearance_api_embedding_of(const struct dataset *d,
+                                                 const struct appearance_choice *c, float *image,
+                                                 struct err *e)
+{
+    if (c->trained)
+        return err_set(e, ERR_ARG, "\"" APPEARANCE_NONE "\" is of tiles: it has no embedding");
+    if (!c->set)
+        return bake_find(d->stores[0], BAKE_DEFAULT, image, e);
+    memcpy(image, c->image, sizeof c->image);
+    return ERR_OK;
+}
+
 enum err_code appearance_api_describe(const struct dataset *d, const char *text, struct body **out,
                                       struct err *e)
 {
-    const struct appearance *a = d->appearance;
     float image[APPEARANCE_IMAGE_MAX];
     const char *name = *text ? text : BAKE_DEFAULT;
-    *out = NULL;
     struct appearance_choice c;
+    *out = NULL;
     enum err_code rc = appearance_api_find(d, text, &c, e);
-    if (!rc && c.trained)
-        rc = err_set(e, ERR_ARG, "\"" APPEARANCE_NONE "\" is of tiles: it has no embedding");
-    else if (!rc && !c.set)
-        rc = bake_find(d->stores[0], BAKE_DEFAULT, image, e);
-    else if (!rc)
-        memcpy(image, c.image, sizeof image);
+    if (!rc)
+        rc = appearance_api_embedding_of(d, &c, image, e);
+    return rc ? rc : document_make(appearance_api_json(d->appearance, name, name, image), out, e);
+}
+
+/* ---- names that are kept ---- */
+
+/* Of a network: an embedding means something to it alone. */
+static struct hash128 appearance_api_model(const struct appearance *a)
+{
+    return hash_bytes(a->w1, appearance_weights(a) * sizeof *a->w1);
+}
+
+static enum err_code appearance_api_fits(const struct dataset *d, const struct kept_row *row,
+                                         struct err *e)
+{
+    if (*row->text != '=' || !d->appearance)
+        return ERR_OK;
+    const struct hash128 own = appearance_api_model(d->appearance);
+    return own.lo == row->model.lo && own.hi == row->model.hi
+               ? ERR_OK
+               : err_set(e, ERR_NOENT,
+                         "'%s' is kept as an embedding of another network than that of this "
+                         "revision: keep it again",
+                         row->name);
+}
+
+enum err_code appearance_api_find_kept(const struct dataset *d, const struct kept_row *row,
+                                       struct appearance_choice *out, struct err *e)
+{
+    enum err_code rc = appearance_api_fits(d, row, e);
+    return rc ? rc : appearance_api_find(d, row->text, out, e);
+}
+
+enum err_code appearance_api_resolve(const struct dataset *d, const struct kept_table *t,
+                                     char text[TARGET_APPEARANCE_MAX], char name[TARGET_KEPT_MAX],
+                                     struct err *e)
+{
+    const struct kept_row *row = kept_find(t, d->meta.name, text);
+    name[0] = '\0';
+    if (!row || !d->appearance || appearance_find(d->appearance, text) >= 0)
+        return ERR_OK; /* a photograph of a later revision has its name */
+    enum err_code rc = appearance_api_fits(d, row, e);
     if (rc)
         return rc;
-    return document_make(
-        json_pack("{s:s,s:o,s:o,s:[o,o,o]}", "appearance", name, "embedding",
-                  appearance_api_numbers(image, a->len_image), "nearest",
-                  appearance_api_nearest(a, image), "links",
-                  appearance_api_link("self", "application/json", "appearance", name),
-                  appearance_api_link("tileset", "application/json", "tileset.json", name),
-                  appearance_api_link(
-                      "view", "image/jpeg",
-                      "static/{lon},{lat},{h}@{heading},{pitch},{fov}/{w}x{h}.{fmt}", name)),
-        out, e);
+    memcpy(name, row->name, sizeof row->name);
+    memcpy(text, row->text, sizeof row->text);
+    return ERR_OK;
+}
+
+enum err_code appearance_api_describe_kept(const struct dataset *d, const struct kept_row *row,
+                                           struct body **out, struct err *e)
+{
+    struct err why = {0};
+    struct appearance_choice c;
+    float image[APPEARANCE_IMAGE_MAX];
+    char etag[BODY_ETAG_SIZE];
+    *out = NULL;
+    enum err_code rc = appearance_api_find_kept(d, row, &c, &why);
+    if (!rc)
+        rc = appearance_api_embedding_of(d, &c, image, &why);
+    json_t *o = rc ? json_pack("{s:s,s:s}", "appearance", row->text, "problem", why.msg)
+                   : appearance_api_json(d->appearance, row->text, row->name, image);
+    json_object_set_new(o, "name", json_string(row->name));
+    rc = document_make(o, out, e);
+    kept_etag(row, etag);
+    if (!rc)
+        memcpy((*out)->etag, etag, sizeof etag);
+    return rc;
+}
+
+enum err_code appearance_api_read_kept(const struct dataset *d, const struct kept_table *t,
+                                       const void *body, size_t n, struct kept_row *row,
+                                       struct err *e)
+{
+    char of[TARGET_KEPT_MAX];
+    struct appearance_choice c;
+    if (d->appearance && appearance_find(d->appearance, row->name) >= 0)
+        return err_set(e, ERR_ARG, "a photograph is called '%s': an appearance needs another name",
+                       row->name);
+    enum err_code rc = appearance_api_read_mix(d, body, n, row->text, e);
+    if (!rc)
+        rc = appearance_api_resolve(d, t, row->text, of, e);
+    if (!rc)
+        rc = appearance_api_find(d, row->text, &c, e);
+    if (rc == ERR_ARG) /* of the blend: 409 is of the name alone */
+        rc = err_set(e, ERR_DATA, "%s", e ? e->msg : "");
+    if (!rc && c.trained)
+        rc = err_set(e, ERR_DATA, "\"" APPEARANCE_NONE "\" is no appearance to keep");
+    row->model = (struct hash128){0};
+    if (!rc && *row->text == '=')
+        row->model = appearance_api_model(d->appearance);
+    return rc;
 }
 
 /* ---- the posted mix ---- */
@@ -212,15 +335,17 @@ enum err_code appearance_api_read_mix(const struct dataset *d, const void *body,
                                       char text[TARGET_APPEARANCE_MAX], struct err *e)
 {
     static const char expected[] = "the body must be a JSON object with either weights (a number "
-                                   "for each photograph's name) or embedding (a list of numbers)";
+                                   "for each photograph's name), embedding (a list of numbers) or "
+                                   "appearance (its text)";
     json_t *o = NULL;
     struct buf b = {0};
     text[0] = '\0';
     enum err_code rc =
         n ? jsonc_parse(body, n, "body", &o, e) : err_set(e, ERR_FORMAT, "%s", expected);
-    const json_t *weights = json_object_get(o, "weights"), *list = json_object_get(o, "embedding");
+    const json_t *weights = json_object_get(o, "weights"), *list = json_object_get(o, "embedding"),
+                 *said = json_object_get(o, "appearance");
     if (!rc && (!json_is_object(o) || json_object_size(o) != 1 ||
-                !(json_is_object(weights) || json_is_array(list))))
+                !(json_is_object(weights) || json_is_array(list) || json_is_string(said))))
         rc = err_set(e, ERR_DATA, "%s", expected);
     if (!rc && !d->appearance)
         rc = err_set(e, ERR_NOENT,
@@ -229,9 +354,14 @@ enum err_code appearance_api_read_mix(const struct dataset *d, const void *body,
         rc = appearance_api_embedding(d->appearance, list, text, e);
     if (!rc && weights)
         rc = appearance_api_weights(weights, &b, e);
+    if (!rc && said)
+        buf_printf(&b, "%s", json_string_value(said));
+    if (!rc && said && (!b.size || b.size != json_string_length(said)))
+        rc = err_set(e, ERR_DATA, "appearance: a text of 1 to %d bytes", TARGET_APPEARANCE_MAX - 1);
+    weights = weights ? weights : said;
     if (!rc && weights && (!b.size || b.size >= TARGET_APPEARANCE_MAX))
-        rc = err_set(e, ERR_DATA, "weights: 1 to 16 photographs, and %d bytes in all",
-                     TARGET_APPEARANCE_MAX - 1);
+        rc = err_set(e, ERR_DATA, "%s: 1 to 16 photographs, and %d bytes in all",
+                     said ? "appearance" : "weights", TARGET_APPEARANCE_MAX - 1);
     if (!rc && weights)
         memcpy(text, b.data, b.size + 1);
     buf_free(&b);

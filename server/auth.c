@@ -69,7 +69,7 @@ static enum err_code auth_read_keys(struct auth *a, json_t *o, const char *path,
 static bool auth_scope_known(const char *s)
 {
     return !strcmp(s, "admin") || (!strncmp(s, "read:", 5) && s[5]) ||
-           (!strncmp(s, "render:", 7) && s[7]);
+           (!strncmp(s, "render:", 7) && s[7]) || (!strncmp(s, "write:", 6) && s[6]);
 }
 
 static enum err_code auth_read_token(struct auth_token *t, const json_t *o, size_t index,
@@ -90,11 +90,11 @@ static enum err_code auth_read_token(struct auth_token *t, const json_t *o, size
     for (size_t i = 0; i < json_array_size(scopes); i++) {
         const char *s = json_string_value(json_array_get(scopes, i));
         if (!s || t->n == AUTH_SCOPES || strlen(s) >= AUTH_SCOPE_TEXT || !auth_scope_known(s))
-            return err_set(
-                e, ERR_FORMAT,
-                "%s: tokens[%zu].scope[%zu]: read:NAME, render:NAME or admin, * for every "
-                "name, at most %d of them",
-                path, index, i, AUTH_SCOPES);
+            return err_set(e, ERR_FORMAT,
+                           "%s: tokens[%zu].scope[%zu]: read:NAME, render:NAME, write:NAME or "
+                           "admin, * for every "
+                           "name, at most %d of them",
+                           path, index, i, AUTH_SCOPES);
         memcpy(t->scope[t->n++], s, strlen(s) + 1);
     }
     return t->n ? ERR_OK
@@ -187,7 +187,7 @@ bool auth_is_public(const struct auth *a, const char *ds)
 
 static bool auth_grants(const struct auth_token *t, enum auth_need need, const char *ds)
 {
-    const char *word = need == AUTH_RENDER ? "render:" : "read:";
+    const char *word = need == AUTH_RENDER ? "render:" : need == AUTH_WRITE ? "write:" : "read:";
     for (size_t i = 0; i < t->n; i++) {
         const char *s = t->scope[i], *of = s + strlen(word);
         if (need == AUTH_ADMIN
@@ -290,12 +290,13 @@ static enum auth_answer auth_check_signature(const struct auth *a, struct auth_p
 enum auth_answer auth_check(const struct auth *a, enum auth_need need, const char *ds,
                             const struct auth_request *r, int64_t now_s)
 {
-    if (need != AUTH_ADMIN && auth_is_public(a, ds))
+    const bool reads = need == AUTH_READ || need == AUTH_RENDER;
+    if (reads && auth_is_public(a, ds))
         return AUTH_OK;
     if (r->authorization && !strncasecmp(r->authorization, "Bearer ", 7))
         return auth_check_token(a, need, ds ? ds : "", r->authorization + 7);
     struct auth_part sig = auth_part(r->query, r->n_query, "sig");
-    if (need != AUTH_ADMIN && sig.n)
+    if (reads && sig.n)
         return auth_check_signature(a, sig, r->path, r->n_path, r->query, r->n_query, now_s);
     return AUTH_UNKNOWN;
 }

@@ -8,7 +8,7 @@
 #include "core/base.h"
 
 enum { AUTH_QUERY_MAX = 512 };
-enum auth_need { AUTH_READ, AUTH_RENDER, AUTH_ADMIN };
+enum auth_need { AUTH_READ, AUTH_RENDER, AUTH_WRITE, AUTH_ADMIN };
 enum auth_answer {
     AUTH_OK,
     AUTH_UNKNOWN,
@@ -18,7 +18,8 @@ enum auth_answer {
 struct auth; /* immutable: any thread */
 
 /* Read a file: {"keys": {"NAME": "32 characters or more"}, "tokens": [{"sha256": "64 hexadecimal
- * digits of the token", "scope": ["read:NAME", "render:NAME", "admin"]}], "public": ["NAME"]},
+ * digits of the token", "scope": ["read:NAME", "render:NAME", "write:NAME", "admin"]}], "public":
+ * ["NAME"]},
  * where * stands for every dataset. auth_close it. ERR_IO, ERR_NOENT, ERR_FORMAT (says which
  * member), ERR_LIMIT, ERR_MEM. */
 enum err_code auth_open(const char *path, struct auth **out, struct err *e) ERR_USE;
@@ -29,7 +30,7 @@ void auth_close(struct auth **a);
 /* Does it need nothing to be read? */
 bool auth_is_public(const struct auth *a, const char *ds);
 /* May whoever sent this do that with dataset ds (NULL of AUTH_ADMIN)? A signature in
- * the query holds for paths that begin with its scope, until its time. */
+ * the query holds for paths that begin with its scope, until its time, and for reading alone. */
 struct auth_request {
     const char *authorization; /* NULL: none */
     const char *path, *query;  /* [n_path], [n_query] */

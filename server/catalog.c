@@ -22,9 +22,17 @@
 #include "server/result_id.h"
 #include "server/search.h"
 
-static enum err_code catalog_make_documents(struct dataset *d, const char *public_url,
+static struct collection_options catalog_collection(const struct catalog_options *o)
+{
+    return (struct collection_options){o->public_url, o->base_path, o->basemap,
+                                       o->basemap_attribution};
+}
+
+static enum err_code catalog_make_documents(struct dataset *d, const struct catalog_options *o,
                                             struct err *e)
 {
+    const struct collection_options collection = catalog_collection(o);
+    const char *public_url = o->public_url;
     struct buf b = {0};
     char text[FILE_PATH_MAX];
     enum err_code rc = tileset_write(d->index, &tileset_of_entry, NULL, NULL, &b, e);
@@ -57,7 +65,7 @@ static enum err_code catalog_make_documents(struct dataset *d, const char *publi
     if (!rc && d->appearance)
         rc = search_open(d, &d->search, e);
     if (!rc)
-        rc = collection_describe(d, &d->collection, e);
+        rc = collection_describe(d, &collection, &d->collection, e);
     struct body *const documents[] = {d->tileset,    d->tileset_moving, d->tilejson,
                                       d->collection, d->appearances,    d->model,
                                       d->photographs};
@@ -101,7 +109,7 @@ static enum err_code catalog_open_or_keep(const char *path, const struct catalog
     if (!rc)
         result_id_tiles_edition(*out, o->preset, (*out)->edition);
     if (!rc)
-        rc = catalog_make_documents(*out, o->public_url, e);
+        rc = catalog_make_documents(*out, o, e);
     if (rc)
         dataset_drop(out);
     return rc;
@@ -178,9 +186,9 @@ enum err_code catalog_open(const char *const *paths, size_t n, const struct cata
         if (!strcmp(c->ds[i]->meta.name, c->ds[i - 1]->meta.name))
             rc = err_set(e, ERR_ARG, "%s and %s: both hold a dataset named '%s': serve one of them",
                          c->ds[i - 1]->path, c->ds[i]->path, c->ds[i]->meta.name);
+    const struct collection_options collection = catalog_collection(o);
     if (!rc)
-        rc = collection_list(c->ds, c->n_current, o->basemap, o->basemap_attribution,
-                             &c->collections, e);
+        rc = collection_list(c->ds, c->n_current, &collection, &c->collections, e);
     if (!rc)
         c->collections->modified_s = (int64_t)time(NULL);
     if (!rc && older)

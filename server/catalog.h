@@ -20,7 +20,8 @@ struct catalog_options {
     size_t readers;          /* handles of each dataset */
     const struct clip *clip; /* of every store this part is served; NULL: all */
     const char *clip_dir;    /* where the parts lie, unnamed; NULL: see clip_open_part */
-    const char *public_url;  /* of TileJSON; NULL, "": none */
+    const char *public_url;  /* of TileJSON and of collections; NULL, "": none */
+    const char *base_path;   /* of collections; NULL, "": none */
     double keep_s;           /* revisions that were replaced are served so long */
     size_t keep_revisions;   /* and at most so many of one dataset */
     const char *basemap;     /* of the viewer's inset map, see collection_list */

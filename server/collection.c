@@ -6,12 +6,16 @@
 
 #include <jansson.h>
 #include <stdio.h>
+#include <string.h>
 
 #include "server/document.h"
+#include "server/ogc_tiles.h"
 #include "server/target.h"
 
-static void collection_add_maps(const struct dataset *d, const char *up, json_t *links)
+static void collection_add_maps(const struct dataset *d, const char *up,
+                                const struct collection_options *opt, json_t *links)
 {
+    const char *base = ogc_tiles_base(opt->public_url, opt->base_path);
     static const struct {
         const char *rel, *type, *file, *title;
     } maps[] = {
@@ -24,11 +28,31 @@ static void collection_add_maps(const struct dataset *d, const char *up, json_t 
         snprintf(href, sizeof href, "%sd/%s/%s", up, d->meta.name, maps[i].file);
         json_array_append_new(links, document_link(maps[i].rel, maps[i].type, href, maps[i].title));
     }
+    snprintf(href, sizeof href, "collections/%s/map/tiles", d->meta.name);
+    if (d->area.in)
+        json_array_append_new(
+            links, ogc_tiles_link("http://www.opengis.net/def/rel/ogc/1.0/tilesets-map",
+                                  "application/json", base, href, "Map: OGC API - Tiles"));
+}
+
+/* Two boxes: that of the ground, in four numbers, which is all that GDAL 3.6 takes, and of what is
+ * in it, with heights. */
+static void collection_add_extents(const struct dataset *d, json_t *o)
+{
+    const double *b = d->bbox, ground[4] = {b[0], b[1], b[3], b[4]};
+    json_object_set_new(o, "extent",
+                        json_pack("{s:{s:[o],s:s}}", "spatial", "bbox", document_numbers(ground, 4),
+                                  "crs", "http://www.opengis.net/def/crs/OGC/1.3/CRS84"));
+    json_object_set_new(o, "contentExtent",
+                        json_pack("{s:{s:[o],s:s}}", "spatial", "bbox", document_numbers(b, 6),
+                                  "crs", "http://www.opengis.net/def/crs/OGC/0/CRS84h"));
 }
 
 /* `up` leads from the document to the service's root: "" or "../". */
-static json_t *collection_json(const struct dataset *d, const char *up)
+static json_t *collection_json(const struct dataset *d, const char *up,
+                               const struct collection_options *opt)
 {
+    const char *url = opt->public_url;
     static const char volumes[] = "http://www.opengis.net/def/rel/ogc/1.0/3d-geovolumes";
     const struct store_meta *m = &d->meta;
     char self[160], tileset[160], tilejson[160], appearances[160], model[160], photographs[160],
@@ -49,16 +73,18 @@ static json_t *collection_json(const struct dataset *d, const char *up)
              d->edition);
     snprintf(view, sizeof view,
              "%sd/%s/static/{lon},{lat},{h}@{heading},{pitch},{fov}/{w}x{h}.{fmt}", up, m->name);
-    json_t *o = json_pack("{s:s,s:s,s:s,s:s,s:{s:{s:[o],s:s}}}", "id", m->name, "title", m->name,
-                          "collectionType", "3d-container", "attribution", m->attribution, "extent",
-                          "spatial", "bbox", document_numbers(d->bbox, 6), "crs",
-                          "http://www.opengis.net/def/crs/OGC/0/CRS84h");
+    json_t *o = json_pack("{s:s,s:s,s:s,s:s}", "id", m->name, "title", m->name, "collectionType",
+                          "3d-container", "attribution", m->attribution);
+    collection_add_extents(d, o);
     json_object_set_new(
         o, "links",
-        json_pack("[o,o,o]", document_link("self", "application/json", self, m->name),
+        json_pack("[o,o,o]",
+                  url && *url
+                      ? ogc_tiles_link("self", "application/json", url, self + strlen(up), m->name)
+                      : document_link("self", "application/json", self, m->name),
                   document_link(volumes, "application/3dtiles+json", tileset, "3D Tiles 1.1"),
                   document_link("tiles", "application/json", tilejson, "TileJSON 3.0.0")));
-    collection_add_maps(d, up, json_object_get(o, "links"));
+    collection_add_maps(d, up, opt, json_object_get(o, "links"));
     const struct {
         const char *rel, *href, *title;
     } more[] = {{"appearances", appearances, "Light and weather to choose from"},
@@ -82,23 +108,25 @@ static json_t *collection_json(const struct dataset *d, const char *up)
     return o;
 }
 
-enum err_code collection_describe(const struct dataset *d, struct body **out, struct err *e)
+enum err_code collection_describe(const struct dataset *d, const struct collection_options *opt,
+                                  struct body **out, struct err *e)
 {
-    return document_make(collection_json(d, "../"), out, e);
+    return document_make(collection_json(d, "../", opt), out, e);
 }
 
-enum err_code collection_list(struct dataset *const *ds, size_t n, const char *basemap,
-                              const char *attribution, struct body **out, struct err *e)
+enum err_code collection_list(struct dataset *const *ds, size_t n,
+                              const struct collection_options *opt, struct body **out,
+                              struct err *e)
 {
     json_t *list = json_array();
     for (size_t i = 0; i < n; i++)
-        json_array_append_new(list, collection_json(ds[i], ""));
+        json_array_append_new(list, collection_json(ds[i], "", opt));
     json_t *o = json_pack("{s:[o],s:o}", "links",
                           document_link("self", "application/json", "collections", "Datasets"),
                           "collections", list);
-    if (basemap && *basemap)
+    if (opt->basemap && *opt->basemap)
         json_object_set_new(o, "basemap",
-                            json_pack("{s:s,s:s}", "tiles", basemap, "attribution",
-                                      attribution ? attribution : ""));
+                            json_pack("{s:s,s:s}", "tiles", opt->basemap, "attribution",
+                                      opt->attribution ? opt->attribution : ""));
     return document_make(o, out, e);
 }

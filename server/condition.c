@@ -42,6 +42,36 @@ bool condition_none_match(const char *header, const char *etag)
     return false;
 }
 
+/* Well formed: *, or entity tags by commas. */
+static bool condition_is_tags(const char *header)
+{
+    const char *p = condition_skip_space(header);
+    if (*p == '*')
+        return !*condition_skip_space(p + 1);
+    while (*p) {
+        p += strncmp(p, "W/", 2) ? 0 : 2;
+        const char *close = *p == '"' ? strchr(p + 1, '"') : NULL;
+        if (!close)
+            return false;
+        p = condition_skip_space(close + 1);
+        if (*p && *p != ',')
+            return false;
+        p += strspn(p, ", \t");
+    }
+    return true;
+}
+
+bool condition_may_write(const char *match, const char *none_match, const char *etag)
+{
+    const bool any = match && *condition_skip_space(match) == '*';
+    /* If-Match compares strongly: a weak tag is nobody's. */
+    if (match && (!condition_is_tags(match) || !etag ||
+                  (!any && (strstr(match, "W/\"") || !condition_none_match(match, etag)))))
+        return false;
+    return !none_match ||
+           (condition_is_tags(none_match) && !(etag && condition_none_match(none_match, etag)));
+}
+
 /* Decimal digits; saturates far above any size. False when there are none. */
 static bool condition_take_size(const char **p, uint64_t *out)
 {

@@ -9,6 +9,10 @@
 
 /* Does If-None-Match (a list or *) hold `etag`, compared weakly? NULL header: false. */
 bool condition_none_match(const char *header, const char *etag);
+/* May a resource whose entity tag is this (NULL: there is none) be changed by a request with these
+ * headers (NULL: absent)? If-Match holds for one of its tags, or * for any; If-None-Match for none
+ * of them, or * for no resource. What cannot be read holds for nothing. */
+bool condition_may_write(const char *match, const char *none_match, const char *etag);
 enum condition_range { RANGE_ALL, RANGE_PART, RANGE_BAD };
 /* One `bytes=` range over a body of `size`. Several ranges, other units and nonsense mean
  * RANGE_ALL. */

@@ -17,11 +17,12 @@
 enum err_code describe_landing(struct body **out, struct err *e)
 {
     json_t *o = json_pack(
-        "{s:s,s:s,s:[o,o,o,o]}", "title", "citysplat", "description",
+        "{s:s,s:s,s:[o,o,o,o,o]}", "title", "citysplat", "description",
         "Cities of 3D Gaussians, in tiles and in pictures", "links",
         document_link("self", "application/json", "./", "This document"),
         document_link("service-desc", "application/vnd.oai.openapi+json;version=3.0", "api",
                       "OpenAPI description"),
+        document_link("service-doc", "text/html", "api.html", "All addresses, to read"),
         document_link("conformance", "application/json", "conformance", "Conformance classes"),
         document_link("data", "application/json", "collections", "Datasets"));
     return document_make(o, out, e);
@@ -36,6 +37,11 @@ enum err_code describe_conformance(struct body **out, struct err *e)
         "http://www.opengis.net/spec/ogcapi-common-1/1.0/conf/oas30",
         "http://www.opengis.net/spec/ogcapi-common-2/1.0/conf/collections",
         "http://www.opengis.net/spec/ogcapi-common-2/1.0/conf/json",
+        "http://www.opengis.net/spec/ogcapi-tiles-1/1.0/conf/core",
+        "http://www.opengis.net/spec/ogcapi-tiles-1/1.0/conf/tileset",
+        "http://www.opengis.net/spec/ogcapi-tiles-1/1.0/conf/tilesets-list",
+        "http://www.opengis.net/spec/ogcapi-tiles-1/1.0/conf/png",
+        "http://www.opengis.net/spec/ogcapi-tiles-1/1.0/conf/jpeg",
         "https://www.opengis.net/spec/ogcapi-geovolumes-1/1.0/conf/core",
         "https://www.opengis.net/spec/ogcapi-geovolumes-1/1.0/conf/3d-tiles",
     };

@@ -1,5 +1,5 @@
-/* JSON documents as bodies. Every link is relative: the host a client used is never echoed, and the
- * service works below any prefix of a proxy.
+/* JSON documents as bodies. Links are relative, but for those of ogc_tiles.h: the host a client
+ * used is never echoed, and the service works below any prefix of a proxy.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -9,25 +9,28 @@
 #include <stdlib.h>
 #include <string.h>
 
+enum err_code document_write(json_t *json, struct buf *out, struct err *e)
+{
+    char *text = json ? json_dumps(json, JSON_INDENT(1) | JSON_REAL_PRECISION(15)) : NULL;
+    json_decref(json);
+    if (!text)
+        return err_set(e, ERR_MEM, "document: out of memory");
+    buf_add(out, text, strlen(text));
+    buf_add(out, "\n", 1);
+    free(text);
+    return buf_check(out, e);
+}
+
 enum err_code document_make(json_t *json, struct body **out, struct err *e)
 {
     struct buf b = {0};
-    char *text = json ? json_dumps(json, JSON_INDENT(1) | JSON_REAL_PRECISION(15)) : NULL;
-    json_decref(json);
-    if (text) {
-        buf_add(&b, text, strlen(text));
-        buf_add(&b, "\n", 1);
-    }
-    free(text);
-    *out = text ? body_take(&b, NULL) : NULL;
-    if (!*out)
-        return err_set(e, ERR_MEM, "document: out of memory");
-    body_compress(*out);
-    return ERR_OK;
+    enum err_code rc = document_write(json, &b, e);
+    return document_take(rc, &b, out, e);
 }
 
 enum err_code document_take(enum err_code rc, struct buf *b, struct body **out, struct err *e)
 {
+    *out = NULL;
     if (rc) {
         buf_free(b);
         return rc;

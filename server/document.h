@@ -9,6 +9,8 @@
 
 struct json_t;
 
+/* The document's text, appended to out. json's reference is taken, as below. ERR_MEM. */
+enum err_code document_write(struct json_t *json, struct buf *out, struct err *e) ERR_USE;
 /* The document as a body, with its gzip form. json's reference is taken; NULL json is out of
  * memory. ERR_MEM. */
 enum err_code document_make(struct json_t *json, struct body **out, struct err *e) ERR_USE;

@@ -52,6 +52,7 @@ static void guard_keep_field(struct request *r, const char *name, size_t n, cons
         {"Accept", &r->accept},
         {"Accept-Encoding", &r->accept_encoding},
         {"If-None-Match", &r->if_none_match},
+        {"If-Match", &r->if_match},
         {"If-Range", &r->if_range},
         {"Range", &r->range},
         {"Authorization", &r->authorization},
@@ -104,13 +105,15 @@ void guard_field(struct guard *f, const char *name, size_t n_name, const char *v
             f->req->forwarded[f->req->n_forwarded++] = value;
     } else {
         f->has_origin |= guard_name_is(name, n_name, "Origin");
+        f->req->from_page = f->has_origin;
         guard_keep_field(f->req, name, n_name, value);
     }
 }
 
 const char *guard_method_name(enum method m)
 {
-    static const char *const names[] = {"GET", "HEAD", "POST", "OPTIONS", "OTHER", "UNKNOWN"};
+    static const char *const names[] = {"GET",    "HEAD",    "POST",  "PUT",
+                                        "DELETE", "OPTIONS", "OTHER", "UNKNOWN"};
     return names[m];
 }
 
@@ -126,7 +129,7 @@ enum method guard_method(const char *name)
         enum method method;
     } methods[] = {
         {"GET", METHOD_GET},         {"HEAD", METHOD_HEAD},   {"POST", METHOD_POST},
-        {"OPTIONS", METHOD_OPTIONS}, {"PUT", METHOD_OTHER},   {"DELETE", METHOD_OTHER},
+        {"OPTIONS", METHOD_OPTIONS}, {"PUT", METHOD_PUT},     {"DELETE", METHOD_DELETE},
         {"PATCH", METHOD_OTHER},     {"TRACE", METHOD_OTHER}, {"CONNECT", METHOD_OTHER},
     };
     for (size_t i = 0; i < sizeof methods / sizeof *methods; i++)

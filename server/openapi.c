@@ -9,6 +9,7 @@
 #include "server/openapi.h"
 
 #include <jansson.h>
+#include <stdio.h>
 #include <string.h>
 
 #include "codec/quant.h"
@@ -40,10 +41,14 @@ static const struct openapi_answer {
     [ROUTE_LANDING] = {.media = "application/json", .schema = "Landing"},
     [ROUTE_CONFORMANCE] = {.media = "application/json", .schema = "Conformance"},
     [ROUTE_API] = {.media = "application/vnd.oai.openapi+json;version=3.0", .schema = "Document"},
+    [ROUTE_API_PAGE] = {.media = "text/html", .schema = "Text"},
     [ROUTE_COLLECTIONS] = {.media = "application/json",
                            .schema = "Collections",
                            .query = OPENAPI_BBOX},
     [ROUTE_COLLECTION] = {.media = "application/json", .schema = "Collection"},
+    [ROUTE_MAP_TILESETS] = {.media = "application/json", .schema = "Document"},
+    [ROUTE_MAP_TILESET] = {.media = "application/json", .schema = "Document"},
+    [ROUTE_MATRICES] = {.media = "application/json", .schema = "Document"},
     [ROUTE_TILEJSON] = {.media = "application/json", .schema = "TileJSON"},
     [ROUTE_TILESET_MOVING] = {.media = "application/json",
                               .schema = "Tileset",
@@ -72,6 +77,7 @@ static const struct openapi_answer {
     [ROUTE_APPEARANCE] = {.media = "application/json",
                           .schema = "Appearance",
                           .query = OPENAPI_APPEARANCE},
+    [ROUTE_KEPT] = {.media = "application/json", .schema = "Kept"},
     [ROUTE_MIX] = {.media = "application/json", .schema = "Appearance"},
     [ROUTE_RENDER] = {.media = "image/jpeg",
                       .schema = "Bytes",
@@ -128,6 +134,8 @@ static const struct openapi_parameter openapi_in_path[] = {
      "format of a tile"},
     {"fmt", "{'type':'string','enum':['jpg','png','webp','npy']}",
      "format of a picture; npy of depth alone"},
+    {"name", "{'type':'string','pattern':'^[a-z0-9][a-z0-9_-]{0,62}$'}",
+     "that an appearance is kept under; neither default nor none"},
     {"stream", "{'type':'string','pattern':'^[a-z0-9][a-z0-9_-]{15,62}$'}",
      "a name that whoever opens the stream makes by chance"},
     {"lon", "{'type':'number','minimum':-180,'maximum':180}", "degrees"},
@@ -161,6 +169,8 @@ static const struct {
     {OPENAPI_SEARCH,
      {"colour", "{'type':'string','pattern':'^[0-9a-fA-F]{6}$'}",
       "RRGGBB: the nearest in what their light makes of mid grey"}},
+    {OPENAPI_SEARCH,
+     {"kept", "{'type':'string','enum':['true']}", "those that are kept under names alone"}},
     {OPENAPI_SEARCH,
      {"sort", "{'type':'string','enum':['number','distance','time','colour']}",
       "distance where near is given, else colour where that is, else number"}},
@@ -221,12 +231,11 @@ static const struct {
     {OPENAPI_PLACE, {"lat", OPENAPI_NUMBER, "latitude, degrees"}},
     {OPENAPI_APPEARANCE,
      {"appearance", OPENAPI_TEXT,
-      "a photograph, NAME:WEIGHT,NAME:WEIGHT, or =BASE64 of an embedding"}},
+      "a photograph, NAME:WEIGHT,NAME:WEIGHT, =BASE64 of an embedding, or a name that is kept"}},
     {OPENAPI_TINT,
      {"appearance", OPENAPI_TEXT,
-      "a photograph, NAME:WEIGHT,NAME:WEIGHT, =BASE64 of an embedding, or none: colours as they "
-      "were "
-      "trained, for clients that compute appearances themselves"}},
+      "a photograph, NAME:WEIGHT,NAME:WEIGHT, =BASE64 of an embedding, a name that is kept, or "
+      "none: colours as they were trained, for clients that compute appearances themselves"}},
 };
 
 /* A schema's text to JSON. */
@@ -311,9 +320,9 @@ static const char *openapi_takes(enum route r)
     static const struct {
         enum route route;
         const char *schema;
-    } takes[] = {{ROUTE_RENDER, "Render"},   {ROUTE_MIX, "Mix"},         {ROUTE_HEIGHT, "Places"},
-                 {ROUTE_PICK, "Pick"},       {ROUTE_PROFILE, "Profile"}, {ROUTE_MEASURE, "Measure"},
-                 {ROUTE_VISIBLE, "Visible"}, {ROUTE_MOTION, "Steer"}};
+    } takes[] = {{ROUTE_RENDER, "Render"},   {ROUTE_MIX, "Mix"},         {ROUTE_KEPT, "Mix"},
+                 {ROUTE_HEIGHT, "Places"},   {ROUTE_PICK, "Pick"},       {ROUTE_PROFILE, "Profile"},
+                 {ROUTE_MEASURE, "Measure"}, {ROUTE_VISIBLE, "Visible"}, {ROUTE_MOTION, "Steer"}};
     for (size_t i = 0; i < sizeof takes / sizeof *takes; i++)
         if (takes[i].route == r)
             return takes[i].schema;
@@ -337,6 +346,37 @@ static json_t *openapi_operation(enum route r, bool post, const char *name, cons
         json_object_set_new(o, "requestBody",
                             json_pack("{s:b,s:o}", "required", 1, "content",
                                       openapi_content("application/json", openapi_takes(r))));
+    return o;
+}
+
+/* PUT or DELETE of what is kept under a name. */
+static json_t *openapi_change(enum route r, bool removes, const char *name, const char *path)
+{
+    static const struct {
+        const char *status, *about;
+    } ends[] = {{"204", "Done: there was one, of the same or of another appearance"},
+                {"412", "If-Match or If-None-Match does not hold"}};
+    char id[64];
+    snprintf(id, sizeof id, "%s_%s", name, removes ? "DELETE" : "PUT");
+    json_t *o = json_pack("{s:s,s:s,s:o}", "operationId", id, "summary",
+                          removes ? "Forget the name" : "Keep an appearance under a name",
+                          "parameters", openapi_parameters(path, 0));
+    json_t *all = json_object();
+    for (size_t i = 0; i < sizeof ends / sizeof *ends; i++)
+        json_object_set_new(all, ends[i].status, json_pack("{s:s}", "description", ends[i].about));
+    if (!removes) {
+        json_object_set_new(all, "201",
+                            json_pack("{s:s,s:o}", "description", "It is kept; the name is new",
+                                      "content", openapi_content("application/json", "Kept")));
+        json_object_set_new(o, "requestBody",
+                            json_pack("{s:b,s:o}", "required", 1, "content",
+                                      openapi_content("application/json", openapi_takes(r))));
+    }
+    json_object_set_new(all, "default",
+                        json_pack("{s:s,s:o}", "description", "A problem document, RFC 9457",
+                                  "content",
+                                  openapi_content("application/problem+json", "Problem")));
+    json_object_set_new(o, "responses", all);
     return o;
 }
 
@@ -378,6 +418,9 @@ enum err_code openapi_describe(struct body **out, struct err *e)
                 json_object_set_new(
                     verbs, post ? "post" : "get",
                     openapi_operation((enum route)r, post, names[r].name, names[r].summary, path));
+        for (int removes = 0; removes < 2 && target_allow((enum route)r) & ALLOW_CHANGE; removes++)
+            json_object_set_new(verbs, removes ? "delete" : "put",
+                                openapi_change((enum route)r, removes, names[r].name, path));
         json_object_set_new(paths, path, verbs);
     }
     for (size_t i = 0; i < sizeof schemas / sizeof *schemas; i++)

@@ -14,6 +14,10 @@
 #define OPENAPI_NUMBERS(least, most)                                                               \
     "{'type':'array','items':" OPENAPI_NUMBER ",'minItems':" #least ",'maxItems':" #most "}"
 
+#define OPENAPI_EXTENT(n)                                                                          \
+    "{'type':'object','properties':{'spatial':{'type':'object','properties':{"                     \
+    "'bbox':{'type':'array','items':" OPENAPI_NUMBERS(n, n) "},'crs':" OPENAPI_TEXT "}}}}"
+
 /* X(name, schema) */
 #define OPENAPI_SCHEMAS(X)                                                                         \
     X("Problem",                                                                                   \
@@ -41,10 +45,8 @@
     X("Collection",                                                                                \
       "{'type':'object','required':['id','extent','links'],'properties':{'id':" OPENAPI_TEXT       \
       ",'title':" OPENAPI_TEXT ",'collectionType':" OPENAPI_TEXT ",'attribution':" OPENAPI_TEXT    \
-      ",'extent':{'type':'object','properties':{'spatial':{'type':'object','properties':{"         \
-      "'bbox':{'type':'array','items':" OPENAPI_NUMBERS(                                           \
-          4, 6) "},'crs':" OPENAPI_TEXT "}}}}"                                                     \
-                ",'links':" OPENAPI_LIST_OF("Link") ",'splats':" OPENAPI_OF("Splats") "}}")        \
+      ",'extent':" OPENAPI_EXTENT(4) ",'contentExtent':" OPENAPI_EXTENT(                           \
+          6) ",'links':" OPENAPI_LIST_OF("Link") ",'splats':" OPENAPI_OF("Splats") "}}")           \
     X("Collections",                                                                               \
       "{'type':'object','required':['links','collections'],'properties':{'links'"                  \
       ":" OPENAPI_LIST_OF("Link") ",'collections':" OPENAPI_LIST_OF("Collection") "}}")            \
@@ -65,6 +67,7 @@
                   ",'appearances':{'type':'array','items':{'type':'object','required':['name','"   \
                   "links'],"                                                                       \
                   "'properties':{'name':" OPENAPI_TEXT ",'number':" OPENAPI_INTEGER                \
+                  ",'kept':{'type':'boolean'}"                                                     \
                   ",'time':" OPENAPI_TEXT ",'lon':" OPENAPI_NUMBER ",'lat':" OPENAPI_NUMBER        \
                   ",'distance_m':" OPENAPI_NUMBER ",'colour':" OPENAPI_TEXT                        \
                   ",'colour_distance':" OPENAPI_NUMBER ",'thumbnail':" OPENAPI_TEXT                \
@@ -75,9 +78,16 @@
       ",'nearest':{'type':'array','items':{'type':'object','required':['name','cosine'],"          \
       "'properties':{'name':" OPENAPI_TEXT ",'cosine':" OPENAPI_NUMBER "}}}"                       \
       ",'links':" OPENAPI_LIST_OF("Link") "}}")                                                    \
-    X("Mix", "{'type':'object','minProperties':1,'maxProperties':1,'additionalProperties':false,"  \
-             "'properties':{'weights':{'type':'object','additionalProperties':" OPENAPI_NUMBER "}" \
-             ",'embedding':{'type':'array','items':" OPENAPI_NUMBER "}}}")                         \
+    X("Kept", "{'type':'object','required':['name','appearance'],'description':'as Appearance, "   \
+              "of what the "                                                                       \
+              "name stands for; problem: why that means nothing in this revision','properties':{"  \
+              "'name':" OPENAPI_TEXT ",'appearance':" OPENAPI_TEXT ",'problem':" OPENAPI_TEXT      \
+              ",'embedding':{'type':'array','items':" OPENAPI_NUMBER                               \
+              "},'links':" OPENAPI_LIST_OF("Link") "}}")                                           \
+    X("Mix",                                                                                       \
+      "{'type':'object','minProperties':1,'maxProperties':1,'additionalProperties':false,"         \
+      "'properties':{'weights':{'type':'object','additionalProperties':" OPENAPI_NUMBER "}"        \
+      ",'embedding':{'type':'array','items':" OPENAPI_NUMBER "},'appearance':" OPENAPI_TEXT "}}")  \
     X("Steer",                                                                                     \
       "{'type':'object','description':'as Render, with the number that a client gives this "       \
       "camera, which the picture repeats, and still: draw it in full at once',"                    \

@@ -25,7 +25,7 @@ static bool response_is_drawn(enum route r)
 {
     return r == ROUTE_VIEW || r == ROUTE_VIEW_MOVING || r == ROUTE_MAP || r == ROUTE_MAP_MOVING ||
            r == ROUTE_MAPJSON || r == ROUTE_TERRAIN || r == ROUTE_TERRAIN_MOVING ||
-           r == ROUTE_TERRAINJSON || r == ROUTE_WMTS;
+           r == ROUTE_TERRAINJSON || r == ROUTE_WMTS || r == ROUTE_MAP_TILESET;
 }
 
 void response_edition(struct services *s, const struct dataset *d, enum route route, char out[9])
@@ -46,7 +46,9 @@ const char *response_cache_control(struct services *s, const struct dataset *d,
 {
     char edition[9];
     response_edition(s, d, t->route, edition);
-    return edition[0] && !strcmp(edition, t->edition) ? RESPONSE_IMMUTABLE : RESPONSE_MOVING;
+    /* A name may stand for something else tomorrow. */
+    return edition[0] && !t->kept[0] && !strcmp(edition, t->edition) ? RESPONSE_IMMUTABLE
+                                                                     : RESPONSE_MOVING;
 }
 
 const char *response_status_text(int status)
@@ -56,6 +58,7 @@ const char *response_status_text(int status)
         const char *text;
     } texts[] = {
         {200, "OK"},
+        {201, "Created"},
         {202, "Accepted"},
         {204, "No Content"},
         {206, "Partial Content"},
@@ -68,6 +71,7 @@ const char *response_status_text(int status)
         {404, "Not Found"},
         {405, "Method Not Allowed"},
         {409, "Conflict"},
+        {412, "Precondition Failed"},
         {413, "Content Too Large"},
         {414, "URI Too Long"},
         {416, "Range Not Satisfiable"},
@@ -78,6 +82,7 @@ const char *response_status_text(int status)
         {501, "Not Implemented"},
         {503, "Service Unavailable"},
         {504, "Gateway Timeout"},
+        {507, "Insufficient Storage"},
     };
     for (size_t i = 0; i < sizeof texts / sizeof *texts; i++)
         if (texts[i].status == status)

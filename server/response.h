@@ -14,7 +14,8 @@ struct request {                  /* borrowed from the connection */
     enum method method;
     const char *target; /* raw, as sent */
     size_t target_size;
-    const char *accept, *accept_encoding, *if_none_match, *if_range, *range; /* NULL when absent */
+    /* NULL when absent: */
+    const char *accept, *accept_encoding, *if_none_match, *if_match, *if_range, *range;
     const char *authorization;
     const char *forwarded[REQUEST_FIELDS_MAX]; /* [n_forwarded], X-Forwarded-For */
     size_t n_forwarded;
@@ -25,10 +26,11 @@ struct request {                  /* borrowed from the connection */
     const char *if_modified_since;
     const void *body;
     size_t body_size;
-    bool prefetch; /* Sec-Purpose: prefetch, or a low Priority */
-    bool local;    /* the client is this machine, and nothing says that it asks for another */
+    bool prefetch;  /* Sec-Purpose: prefetch, or a low Priority */
+    bool from_page; /* Origin came with it: a page of some site asks */
+    bool local;     /* the client is this machine, and nothing says that it asks for another */
 };
-enum { RESPONSE_TAGS = 112 };
+enum { RESPONSE_TAGS = 192 };
 struct response { /* {0}, then route_answer; response_free it */
     int status;
     enum route route;

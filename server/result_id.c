@@ -106,15 +106,17 @@ struct hash128 result_id_seed(const struct dataset *d, const struct target *t,
     return id;
 }
 
-struct hash128 result_id_search(const struct dataset *d, const struct target *t)
+struct hash128 result_id_search(const struct dataset *d, const struct target *t,
+                                struct hash128 kept)
 {
     struct {
-        struct hash128 salt, asked;
+        struct hash128 salt, asked, kept;
         char rev[16], kind[16];
         int32_t bbox_e7[4];
         uint32_t has_bbox, limit, after, unused;
     } name = {.salt = d->salt,
               .asked = hash_bytes(&t->search, sizeof t->search), /* zeros before it was read */
+              .kept = kept,
               .kind = "search",
               .has_bbox = t->has_bbox,
               .limit = t->limit,

@@ -29,7 +29,9 @@ void result_id_pictures_edition(const struct dataset *d, const char *device, int
                                 double gaussians, char out[9]);
 struct hash128 result_id_seed(const struct dataset *d, const struct target *t,
                               const struct course *c, struct form form); /* c: NULL: none */
-struct hash128 result_id_search(const struct dataset *d, const struct target *t);
+/* kept: hash of the names that are kept. */
+struct hash128 result_id_search(const struct dataset *d, const struct target *t,
+                                struct hash128 kept);
 struct hash128 result_id_tileset(const struct dataset *d, const struct target *t);
 /* A photograph's thumbnail in a revision. */
 struct hash128 result_id_thumbnail(const struct dataset *d, const char *name);

@@ -21,6 +21,8 @@ static void route_data(struct services *s, const struct request *r, struct datas
         answer_view(s, r, d, t, out);
     else if (t->route == ROUTE_RENDER)
         answer_render(s, r, d, out);
+    else if (t->route == ROUTE_KEPT)
+        answer_kept(s, r, d, t, out);
     else if (t->route == ROUTE_MOTION)
         answer_motion(s, r, d, t, out);
     else if (!answer_dataset(s, r, d, t, out) && !answer_map(s, r, d, t, out) &&
@@ -28,9 +30,15 @@ static void route_data(struct services *s, const struct request *r, struct datas
         response_problem(out, 404, "there is nothing at this path");
 }
 
+static bool route_changes(const struct request *r)
+{
+    return r->method == METHOD_PUT || r->method == METHOD_DELETE;
+}
+
 static const char *route_allow_text(unsigned allow)
 {
-    return allow == ALLOW_POST                  ? "POST, OPTIONS"
+    return allow & ALLOW_CHANGE                 ? "GET, HEAD, PUT, DELETE, OPTIONS"
+           : allow == ALLOW_POST                ? "POST, OPTIONS"
            : allow == (ALLOW_READ | ALLOW_POST) ? "GET, HEAD, POST, OPTIONS"
                                                 : "GET, HEAD, OPTIONS";
 }
@@ -39,13 +47,18 @@ static const char *route_allow_text(unsigned allow)
 static bool route_method(const struct request *r, unsigned allow, struct response *out)
 {
     bool read = r->method == METHOD_GET || r->method == METHOD_HEAD;
-    if ((read && (allow & ALLOW_READ)) || (r->method == METHOD_POST && (allow & ALLOW_POST)))
+    const bool change = route_changes(r);
+    if ((read && (allow & ALLOW_READ)) || (r->method == METHOD_POST && (allow & ALLOW_POST)) ||
+        (change && (allow & ALLOW_CHANGE)))
         return false;
     if (r->method == METHOD_OPTIONS) {
         out->status = 204;
         out->cache_control = RESPONSE_NO_STORE;
     } else {
-        response_problem(out, 405, "the method is not one of those in Allow");
+        response_problem(out, 405,
+                         change && out->route == ROUTE_KEPT
+                             ? "nothing is kept: the server was started without --state-dir"
+                             : "the method is not one of those in Allow");
     }
     out->allow = route_allow_text(allow);
     return true;
@@ -57,7 +70,7 @@ static bool route_is_here(const struct services *s, const struct request *r, enu
 {
     bool both = route == ROUTE_HEALTH || route == ROUTE_READY || route == ROUTE_VERSION;
     if (r->admin)
-        return both || route == ROUTE_METRICS || route == ROUTE_RELOAD;
+        return both || route == ROUTE_METRICS || route == ROUTE_RELOAD || route == ROUTE_KEPT;
     return route != ROUTE_RELOAD && !(route == ROUTE_METRICS && s->cfg->admin);
 }
 
@@ -107,13 +120,17 @@ static const char *route_tag_header(const struct server_config *cfg)
 }
 
 /* What an operator says about caches of this dataset, and its tag where there is none yet. */
-static void route_cached(const struct services *s, const struct dataset *d, struct response *out)
+static void route_cached(const struct services *s, const struct dataset *d, const struct target *t,
+                         struct response *out)
 {
     bool shared = !s->auth || auth_is_public(s->auth, d->meta.name);
     out->cache_control = cache_policy_of(&s->policy, d->meta.name, shared, out->cache_control);
     out->tag_header = route_tag_header(s->cfg);
     if (!out->surrogate[0] && out->status < 400)
         snprintf(out->surrogate, sizeof out->surrogate, "ds-%s", d->meta.name);
+    if (t->kept[0] && out->status < 400)
+        snprintf(out->surrogate + strlen(out->surrogate),
+                 sizeof out->surrogate - strlen(out->surrogate), " a-%s", t->kept);
 }
 
 void route_answer(struct services *s, const struct request *r, struct response *out)
@@ -139,15 +156,19 @@ void route_answer(struct services *s, const struct request *r, struct response *
         response_problem(out, rc == ERR_NOENT ? 404 : rc == ERR_DATA ? 422 : 400, e.msg);
         return;
     }
-    if (route_method(r, target_allow(t.route), out) || answer_service(s, r, &t, out))
+    unsigned allow = target_allow(t.route);
+    if (!s->kept)
+        allow &= ~(unsigned)ALLOW_CHANGE;
+    if (route_method(r, allow, out) || answer_service(s, r, &t, out))
         return;
-    if (!route_may(s, r, &t, out))
-        return;
+    if (!r->admin && !route_changes(r) && !route_may(s, r, &t, out))
+        return; /* whether it may be changed says answer_kept.c */
     struct catalog *c = services_catalog(s);
     struct dataset *d = catalog_find(c, t.ds, t.rev);
     if (d) {
-        route_data(s, r, d, &t, out);
-        route_cached(s, d, out);
+        if (t.route == ROUTE_KEPT || answer_resolve(s, d, &t, out))
+            route_data(s, r, d, &t, out);
+        route_cached(s, d, &t, out);
     } else if (catalog_find(c, t.ds, "")) {
         response_problem(out, 404, "this server does not have this revision, or not any more");
         out->cache_control = RESPONSE_NO_STORE; /* a reload may bring it */
@@ -155,6 +176,24 @@ void route_answer(struct services *s, const struct request *r, struct response *
         response_problem(out, 404, "no dataset has this name");
     }
     catalog_drop(&c);
+}
+
+/* A name that is new is described, and Location is that of the request, whose last part is the
+ * name; else all is said by the status. */
+static void route_finish_change(struct body *b, struct response *out)
+{
+    char name[TARGET_KEPT_MAX];
+    size_t n = 0;
+    while (n < out->n_instance && out->instance[out->n_instance - n - 1] != '/')
+        n++;
+    snprintf(name, sizeof name, "%.*s", (int)n, out->instance + out->n_instance - n);
+    out->body = b;
+    out->data = b->data;
+    out->size = b->size;
+    memcpy(out->etag, b->etag, sizeof out->etag);
+    out->status = b->size ? 201 : 204;
+    out->type = b->size ? RESPONSE_JSON : NULL;
+    out->location = b->size ? mem_text(name) : NULL;
 }
 
 void route_finish(struct services *s, const struct request *r, struct job_result *result,
@@ -166,6 +205,10 @@ void route_finish(struct services *s, const struct request *r, struct job_result
     out->work = NULL; /* the job owned it */
     struct body *b = result->body;
     result->body = NULL;
+    if (result->end == JOB_OK && out->kind == WORK_KEEP) {
+        route_finish_change(b, out);
+        return;
+    }
     if (result->end == JOB_OK) {
         if (out->unnamed) {
             out->body = b;
@@ -179,7 +222,13 @@ void route_finish(struct services *s, const struct request *r, struct job_result
     body_drop(&b);
     enum job_class cls = out->cls;
     bool soon = result->end != JOB_ERROR || result->code == ERR_MEM || result->code == ERR_BUSY;
-    if (soon || result->code == ERR_DEVICE) {
+    if (result->end == JOB_ERROR && out->kind == WORK_KEEP) {
+        const int status = answer_kept_status(result->code);
+        response_problem(out, status,
+                         status == 500 ? "the change could not be written; the log says why"
+                                       : result->msg);
+        out->retry_after_s = status == 503 ? 1 : 0;
+    } else if (soon || result->code == ERR_DEVICE) {
         response_problem(out,
                          result->end == JOB_TIMEOUT                             ? 504
                          : result->end == JOB_LIMITED                           ? 429

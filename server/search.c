@@ -17,26 +17,44 @@
 #include "core/appearance.h"
 #include "core/gauss.h"
 #include "lod/photograph.h"
+#include "server/appearance_api.h"
 #include "server/appearance_model.h"
 #include "server/dataset.h"
+#include "server/document.h"
+#include "server/kept.h"
 #include "server/search_index.h"
 
 enum { SEARCH_SAMPLES = 8 /* Gaussians that a colour is averaged over */, SEARCH_ROW = 1500 };
 
 /* ---- colours ---- */
 
+/* Embeddings of a few Gaussians, evenly taken; none where they are another model's. */
+static enum err_code search_sample(const struct appearance *a, const struct gauss *g,
+                                   struct search_index *s, struct err *e)
+{
+    const size_t n = g->n < SEARCH_SAMPLES ? g->n : SEARCH_SAMPLES, len = a->len_gauss;
+    if (!n || g->embed_len != len)
+        return ERR_OK;
+    s->sample = mem_array(n * len, sizeof *s->sample);
+    if (!s->sample)
+        return err_set(e, ERR_MEM, "search: out of memory");
+    s->n_sample = n;
+    for (size_t i = 0; i < n; i++)
+        memcpy(s->sample + i * len, g->embed + (i * g->n / n) * len, len * sizeof *s->sample);
+    return ERR_OK;
+}
+
 /* What an appearance makes of mid grey. */
-static void search_colour(const struct appearance *a, const struct gauss *g, size_t row,
-                          struct search_photo *p)
+static void search_colour(const struct appearance *a, const struct search_index *s,
+                          const float *image, struct search_photo *p)
 {
     double sum[3] = {0};
-    const size_t n = g->n < SEARCH_SAMPLES ? g->n : SEARCH_SAMPLES;
-    if (!n || g->embed_len != a->len_gauss)
+    const size_t n = s->n_sample;
+    if (!n)
         return;
     for (size_t i = 0; i < n; i++) {
         double y[APPEARANCE_OUT];
-        appearance_eval(a, g->embed + (i * g->n / n) * g->embed_len, a->images + row * a->len_image,
-                        y);
+        appearance_eval(a, s->sample + i * a->len_gauss, image, y);
         for (int k = 0; k < 3; k++)
             sum[k] += fmin(fmax(2 * y[k] - 0.5, 0), 1);
     }
@@ -50,14 +68,16 @@ static void search_colour(const struct appearance *a, const struct gauss *g, siz
 
 /* ---- the index ---- */
 
-static enum err_code search_add(const struct dataset *d, const struct gauss *g, size_t number,
-                                struct search_photo *out, struct err *e)
+static enum err_code search_add(const struct dataset *d, const struct search_index *s,
+                                size_t number, struct search_photo *out, struct err *e)
 {
+    const struct appearance *a = d->appearance;
     const char *name = appearance_model_photograph(d, number);
     struct photograph p;
     struct err why = {0};
+    out->name = name;
     out->number = (uint32_t)number;
-    search_colour(d->appearance, g, (size_t)appearance_find(d->appearance, name), out);
+    search_colour(a, s, a->images + (size_t)appearance_find(a, name) * a->len_image, out);
     enum err_code rc = photograph_read(d->stores[0], name, &p, &why);
     if (rc)
         return rc == ERR_NOENT ? ERR_OK : err_set(e, rc, "%s", why.msg);
@@ -87,8 +107,10 @@ enum err_code search_open(const struct dataset *d, struct search_index **out, st
     enum err_code rc = ERR_OK;
     if (store_read_gauss(d->stores[0], d->tiles[0].key, &g, &why))
         log_warn("serve", "appearances of %s are not found by colour: %s", d->meta.name, why.msg);
+    else
+        rc = search_sample(d->appearance, &g, s, e);
     for (size_t i = 0; !rc && i < n; i++)
-        rc = search_add(d, &g, i, &s->photo[i], e);
+        rc = search_add(d, s, i, &s->photo[i], e);
     gauss_free(&g);
     if (rc)
         search_index_close(out);
@@ -99,6 +121,7 @@ enum err_code search_open(const struct dataset *d, struct search_index **out, st
 
 struct search_hit {
     const struct search_photo *photo;
+    bool kept; /* a name, of no place and no time; numbers are after those of photographs */
     double distance_m, colour; /* as far as they are asked for */
     double by;                 /* what it is sorted by */
 };
@@ -165,9 +188,12 @@ static json_t *search_row(const struct dataset *d, const struct target *t,
                           const struct search_hit *hit)
 {
     const struct search_photo *p = hit->photo;
-    const char *name = appearance_model_photograph(d, p->number);
     char text[64];
-    json_t *o = json_pack("{s:s,s:i}", "name", name, "number", (int)p->number);
+    json_t *o = json_pack("{s:s}", "name", p->name);
+    if (hit->kept)
+        json_object_set_new(o, "kept", json_true());
+    else
+        json_object_set_new(o, "number", json_integer(p->number));
     if (p->timed)
         json_object_set_new(o, "time", json_string(p->time));
     if (p->posed) {
@@ -185,8 +211,8 @@ static json_t *search_row(const struct dataset *d, const struct target *t,
     if (p->thumbnail)
         json_object_set_new(o, "thumbnail", json_string(text));
     json_object_set_new(o, "links",
-                        json_pack("[o,o]", search_link("item", "appearance", name),
-                                  search_link("tileset", "tileset.json", name)));
+                        json_pack("[o,o]", search_link("item", "appearance", p->name),
+                                  search_link("tileset", "tileset.json", p->name)));
     return o;
 }
 
@@ -217,36 +243,65 @@ static json_t *search_page(const struct dataset *d, const struct target *t,
                      (int)(end - first), "appearances", list, "links", links);
 }
 
+/* Names that are kept, as photographs that nobody took. */
+static size_t search_kept(const struct dataset *d, const struct search_index *s,
+                          const struct kept_row *row, size_t n, struct search_photo *out)
+{
+    size_t n_out = 0;
+    for (size_t i = 0; i < n; i++) {
+        struct appearance_choice c;
+        if (appearance_api_find_kept(d, &row[i], &c, NULL))
+            continue; /* of another revision */
+        out[n_out] = (struct search_photo){.name = row[i].name, .number = (uint32_t)(s->n + i)};
+        if (c.set)
+            search_colour(d->appearance, s, c.image, &out[n_out]);
+        n_out++;
+    }
+    return n_out;
+}
+
+/* The page of all hits, sorted. */
+static enum err_code search_write_hits(const struct dataset *d, const struct target *t,
+                                       struct search_hit *hit, size_t n, struct buf *out,
+                                       struct err *e)
+{
+    qsort(hit, n, sizeof *hit, search_by);
+    return document_write(search_page(d, t, hit, n), out, e);
+}
+
 enum err_code search_write(const struct dataset *d, const struct search_index *s,
-                           const struct target *t, struct buf *out, struct err *e)
+                           const struct target *t, const struct kept_table *kept, struct buf *out,
+                           struct err *e)
 {
     const struct target_search *q = &t->search;
     const uint8_t rgb[3] = {(uint8_t)(q->rgb >> 16), (uint8_t)(q->rgb >> 8), (uint8_t)q->rgb};
     double near_m[3] = {0}, lab[3];
+    const struct kept_row *row = NULL;
+    const size_t n_row = kept_of(kept, d->meta.name, &row);
     size_t n = 0;
-    struct search_hit *hit = mem_array(s->n ? s->n : 1, sizeof *hit);
-    if (!hit)
-        return err_set(e, ERR_MEM, "search: out of memory");
+    struct search_hit *hit = mem_array(s->n + n_row + 1, sizeof *hit);
+    struct search_photo *named = mem_array(n_row + 1, sizeof *named);
+    enum err_code rc = hit && named ? geo_to_enu(&d->meta.origin, q->near_e7[0] * 1e-7,
+                                                 q->near_e7[1] * 1e-7, 0, near_m, e)
+                                    : err_set(e, ERR_MEM, "search: out of memory");
     search_index_lab(rgb, lab);
-    enum err_code rc =
-        geo_to_enu(&d->meta.origin, q->near_e7[0] * 1e-7, q->near_e7[1] * 1e-7, 0, near_m, e);
-    for (size_t i = 0; !rc && i < s->n; i++)
+    for (size_t i = 0; !rc && !q->kept && i < s->n; i++)
         n += search_hits(t, near_m, lab, &s->photo[i], &hit[n]);
-    if (!rc) {
-        qsort(hit, n, sizeof *hit, search_by);
-        json_t *o = search_page(d, t, hit, n);
-        char *text = o ? json_dumps(o, JSON_INDENT(1) | JSON_REAL_PRECISION(15)) : NULL;
-        json_decref(o);
-        rc = text ? ERR_OK : err_set(e, ERR_MEM, "search: out of memory");
-        if (text)
-            buf_printf(out, "%s\n", text);
-        free(text);
-    }
+    const size_t n_named = !rc ? search_kept(d, s, row, n_row, named) : 0;
+    for (size_t i = 0; i < n_named; i++)
+        if (search_hits(t, near_m, lab, &named[i], &hit[n]))
+            hit[n++].kept = true;
+    if (!rc)
+        rc = search_write_hits(d, t, hit, n, out, e);
     mem_free(hit);
-    return rc ? rc : buf_check(out, e);
+    mem_free(named);
+    return rc;
 }
 
-size_t search_room(const struct target *t)
+size_t search_room(const struct dataset *d, const struct target *t, const struct kept_table *kept)
 {
-    return (size_t)t->limit * SEARCH_ROW + 4096;
+    const struct kept_row *row = NULL;
+    const size_t all =
+        (d->appearance ? d->appearance->n_images : 0) + kept_of(kept, d->meta.name, &row);
+    return (t->search.asked && t->limit < all ? t->limit : all) * SEARCH_ROW + 4096;
 }

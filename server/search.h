@@ -9,6 +9,7 @@
 #include "server/target.h"
 
 struct dataset;
+struct kept_table;
 struct search_index;
 
 /* Of a dataset with appearance; search_index_close it. The colour of an appearance is
@@ -17,10 +18,12 @@ struct search_index;
  * that is none), ERR_MEM. */
 enum err_code search_open(const struct dataset *d, struct search_index **out,
                           struct err *e) ERR_USE;
-/* A page of the photographs that t asks for as JSON, appended to out. ERR_MEM. */
+/* A page of the photographs that t asks for, and of names that are kept (NULL: none) as JSON,
+ * appended to out. ERR_MEM. */
 enum err_code search_write(const struct dataset *d, const struct search_index *s,
-                           const struct target *t, struct buf *out, struct err *e) ERR_USE;
-/* Bytes of the result, from above. */
-size_t search_room(const struct target *t);
+                           const struct target *t, const struct kept_table *kept, struct buf *out,
+                           struct err *e) ERR_USE;
+/* Bytes of the result, from above; of the list of all, where nothing is asked for. */
+size_t search_room(const struct dataset *d, const struct target *t, const struct kept_table *kept);
 
 #endif

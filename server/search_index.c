@@ -8,8 +8,10 @@
 
 void search_index_close(struct search_index **s)
 {
-    if (*s)
+    if (*s) {
         mem_free((*s)->photo);
+        mem_free((*s)->sample);
+    }
     mem_free(*s);
     *s = NULL;
 }

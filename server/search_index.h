@@ -8,7 +8,8 @@
 #include "core/base.h"
 
 struct search_photo {
-    uint32_t number; /* as in appearances.json */
+    const char *name; /* of the dataset */
+    uint32_t number;  /* as in appearances.json */
     bool posed, timed, coloured, thumbnail;
     double lon_deg, lat_deg, at_m[3]; /* at_m: on the ellipsoid, in the dataset's frame */
     int64_t time_s;
@@ -19,6 +20,8 @@ struct search_photo {
 struct search_index { /* immutable once made: any thread; search_index_close */
     struct search_photo *photo;
     size_t n;
+    float *sample; /* [n_sample][len_gauss]: embeddings that colours are averaged over */
+    size_t n_sample;
 };
 void search_index_close(struct search_index **s);
 /* sRGB to CIE Lab, white of D65 (IEC 61966-2-1, CIE 15): equal distances look about equally

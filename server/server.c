@@ -138,6 +138,7 @@ static enum err_code server_read_stores(struct server *sv, size_t readers, struc
                                           .clip = clips ? &sv->clip : NULL,
                                           .clip_dir = cfg->clip_dir,
                                           .public_url = cfg->public_url,
+                                          .base_path = cfg->base_path,
                                           .keep_s = cfg->keep_s,
                                           .keep_revisions = (size_t)cfg->keep_revisions,
                                           .basemap = cfg->basemap,
@@ -179,6 +180,8 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
         rc = services_open(s, &sv->cfg, e);
     if (!rc && cfg->cache_dir)
         rc = disk_open(cfg->cache_dir, (uint64_t)cfg->cache_dir_mb << 20, &s->disk, e);
+    if (!rc && cfg->state_dir)
+        rc = kept_open(cfg->state_dir, &s->kept, e);
     if (!rc)
         rc = catalog_open(paths, n, &sv->stores, NULL, &s->catalog, e);
     if (!rc)
@@ -333,6 +336,8 @@ enum err_code server_check(const struct server_config *cfg, const char *const *p
         rc = http_check(cfg, e);
     if (!rc && cfg->cache_dir)
         rc = disk_check(cfg->cache_dir, e);
+    if (!rc && cfg->state_dir)
+        rc = kept_check(cfg->state_dir, e);
     if (!rc)
         rc = catalog_open(paths, n, &sv.stores, NULL, &s->catalog, e);
     if (!rc)

@@ -8,6 +8,7 @@
  *   screen, guard    which requests are refused before anything looks at them
  *   cache, job       what was made, bounded in bytes; what is to be made, in bounded queues
  *   document, static JSON documents; the viewer's files
+ *   kept             appearances under names, in a file of their own
  *   encode           a tile in a format
  *   dataset          one revision of one store: index, handles, documents
  *   appearance_api   the appearances of a dataset

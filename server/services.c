@@ -10,7 +10,9 @@
 #include <string.h>
 #include <time.h>
 
+#include "server/api_page.h"
 #include "server/describe.h"
+#include "server/ogc_tiles.h"
 #include "server/openapi.h"
 
 /* A template that a browser can ask with: another one would only show as an empty map. */
@@ -65,10 +67,15 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
     if (!rc)
         rc = describe_conformance(&s->conformance, e);
     if (!rc)
+        rc = ogc_tiles_matrices(&s->matrices, e);
+    if (!rc)
         rc = openapi_describe(&s->api, e);
+    if (!rc)
+        rc = api_page_describe(s->api, &s->api_page, e);
     int64_t now_s = (int64_t)time(NULL); /* they are the program's, which may be another one now */
     if (!rc)
-        s->landing->modified_s = s->conformance->modified_s = s->api->modified_s = now_s;
+        s->landing->modified_s = s->conformance->modified_s = s->api->modified_s =
+            s->api_page->modified_s = s->matrices->modified_s = now_s;
     if (rc)
         (void)services_free(s);
     return rc;
@@ -86,13 +93,16 @@ bool services_free(struct services *s)
     cache_close(&s->cache);
     flight_close(&s->flight);
     disk_close(&s->disk);
+    kept_close(&s->kept);
     access_close(&s->access);
     auth_close(&s->auth);
     tls_close(&s->tls);
     geoid_close(&s->geoid);
     body_drop(&s->landing);
     body_drop(&s->conformance);
+    body_drop(&s->matrices);
     body_drop(&s->api);
+    body_drop(&s->api_page);
     pthread_mutex_destroy(&s->catalog_lock);
     s->cfg = NULL;
     return true;

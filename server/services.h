@@ -17,6 +17,7 @@
 #include "server/disk.h"
 #include "server/flight.h"
 #include "server/job.h"
+#include "server/kept.h"
 #include "server/metrics.h"
 #include "server/picture.h"
 #include "server/static.h"
@@ -35,6 +36,7 @@ struct services { /* all shared, all thread-safe */
     struct cache *cache;
     struct flight *flight;
     struct disk *disk; /* NULL: without --cache-dir */
+    struct kept *kept; /* named appearances; NULL: without --state-dir */
     struct jobs *jobs;
     struct picture *picture; /* NULL: pictures are off */
     struct motion *motion;   /* streams; whoever opened it closes it, after services_free */
@@ -43,8 +45,9 @@ struct services { /* all shared, all thread-safe */
     struct tls *tls;         /* NULL: the first listener speaks HTTP as it is */
     struct cache_policy policy;
     struct metrics metrics;
-    struct body *landing, *conformance, *api; /* documents that never change */
-    _Atomic bool draining, reload_asked;      /* asked: on the listener of operators */
+    struct body *landing, *conformance, *api, *api_page,
+        *matrices;                       /* documents that never change */
+    _Atomic bool draining, reload_asked; /* asked: on the listener of operators */
     double start_s;
 };
 /* {0} services -> ready documents; services_free takes back everything. cfg is borrowed until then.

@@ -215,6 +215,26 @@ static bool target_parse_document(struct text *t, struct target *out)
     return true;
 }
 
+bool target_is_kept_name(const char *name)
+{
+    struct text t = {name, name + strlen(name)};
+    char again[TARGET_KEPT_MAX];
+    return target_take_name(&t, again, sizeof again) && text_at_end(&t) &&
+           strcmp(name, "default") != 0 && strcmp(name, "none") != 0;
+}
+
+static enum err_code target_parse_kept(struct text *t, struct target *out, struct err *e)
+{
+    if (!target_take_name(t, out->kept, sizeof out->kept) || !text_at_end(t) ||
+        !target_is_kept_name(out->kept))
+        return err_set(e, ERR_NOENT,
+                       "an appearance is kept under a name of at most %d of a-z, 0-9, _ and -, "
+                       "which begins with a letter or digit and is neither default nor none",
+                       TARGET_KEPT_MAX - 1);
+    out->route = ROUTE_KEPT;
+    return ERR_OK;
+}
+
 static enum err_code target_parse_motion(struct text *t, struct target *out, struct err *e)
 {
     if (!target_take_name(t, out->stream, sizeof out->stream) || !text_at_end(t) ||
@@ -264,6 +284,8 @@ static enum err_code target_parse_data(struct text *t, const char *query, size_t
     }
     if (!revisioned && text_take(t, "motion/"))
         return target_parse_motion(t, out, e);
+    if (!revisioned && text_take(t, "appearances/"))
+        return target_parse_kept(t, out, e);
     if (revisioned && (!target_take_rev(t, out) || !text_take(t, "/")))
         return err_set(e, ERR_NOENT,
                        "a revision is 12 hexadecimal digits, and - and the 8 of an edition "
@@ -296,6 +318,12 @@ static enum err_code target_parse_collection(struct text *t, struct target *out,
         return out->route = ROUTE_COLLECTION, ERR_OK;
     if (text_take(t, "/tiles.json") && text_at_end(t))
         return out->route = ROUTE_TILEJSON, ERR_OK;
+    if (text_take(t, "/map/tiles")) {
+        out->route = text_at_end(t) ? ROUTE_MAP_TILESETS : ROUTE_MAP_TILESET;
+        if (text_at_end(t) || (text_take(t, "/WebMercatorQuad") && text_at_end(t)))
+            return ERR_OK;
+        out->route = ROUTE_NONE;
+    }
     return target_nothing(e);
 }
 
@@ -327,10 +355,16 @@ enum err_code target_parse(const char *text, size_t n, struct target *out, struc
         const char *path;
         enum route route;
     } fixed[] = {
-        {"/", ROUTE_LANDING},        {"/conformance", ROUTE_CONFORMANCE},
-        {"/api", ROUTE_API},         {"/healthz", ROUTE_HEALTH},
-        {"/readyz", ROUTE_READY},    {"/version", ROUTE_VERSION},
-        {"/metrics", ROUTE_METRICS}, {"/collections", ROUTE_COLLECTIONS},
+        {"/", ROUTE_LANDING},
+        {"/conformance", ROUTE_CONFORMANCE},
+        {"/api", ROUTE_API},
+        {"/api.html", ROUTE_API_PAGE},
+        {"/healthz", ROUTE_HEALTH},
+        {"/readyz", ROUTE_READY},
+        {"/version", ROUTE_VERSION},
+        {"/metrics", ROUTE_METRICS},
+        {"/collections", ROUTE_COLLECTIONS},
+        {"/tileMatrixSets/WebMercatorQuad", ROUTE_MATRICES},
         {"/-/reload", ROUTE_RELOAD},
     };
     memset(out, 0, sizeof *out);

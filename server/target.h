@@ -10,6 +10,7 @@
 
 struct clip;
 
+enum { TARGET_KEPT_MAX = 64 };   /* a name that an appearance is kept under, with its NUL */
 enum { TARGET_STREAM_MIN = 16 }; /* a name cannot be guessed: whoever knows it steers */
 enum { TARGET_CLIP_CORNERS = 40, TARGET_CLIP_TEXT = TARGET_CLIP_CORNERS * 26 };
 enum {
@@ -20,9 +21,18 @@ enum {
 enum { TARGET_SEARCH = 100, TARGET_SEARCH_MAX = 1000 };   /* appearances of a page */
 enum { TARGET_LIMIT = 10000, TARGET_LIMIT_MAX = 100000 }; /* lines of a prefetch list */
 
-enum method { METHOD_GET, METHOD_HEAD, METHOD_POST, METHOD_OPTIONS, METHOD_OTHER, METHOD_UNKNOWN };
+enum method {
+    METHOD_GET,
+    METHOD_HEAD,
+    METHOD_POST,
+    METHOD_PUT,
+    METHOD_DELETE,
+    METHOD_OPTIONS,
+    METHOD_OTHER,
+    METHOD_UNKNOWN
+};
 /* What a route answers, as bits. */
-enum { ALLOW_READ = 1, ALLOW_POST = 2 };
+enum { ALLOW_READ = 1, ALLOW_POST = 2, ALLOW_CHANGE = 4 /* PUT and DELETE */ };
 
 /* X(id, allow, path, summary): the routes; /api, metrics and 405 answers come from this list. */
 #define ROUTE_LIST(X)                                                                              \
@@ -30,9 +40,16 @@ enum { ALLOW_READ = 1, ALLOW_POST = 2 };
     X(STATIC, ALLOW_READ, "/{file}", "Files of the viewer")                                        \
     X(CONFORMANCE, ALLOW_READ, "/conformance", "Conformance classes")                              \
     X(API, ALLOW_READ, "/api", "This description (OpenAPI 3.0)")                                   \
+    X(API_PAGE, ALLOW_READ, "/api.html", "This description, to read")                              \
     X(COLLECTIONS, ALLOW_READ, "/collections", "All datasets")                                     \
     X(COLLECTION, ALLOW_READ, "/collections/{ds}", "One dataset")                                  \
     X(TILEJSON, ALLOW_READ, "/collections/{ds}/tiles.json", "TileJSON 3.0.0 of a dataset")         \
+    X(MAP_TILESETS, ALLOW_READ, "/collections/{ds}/map/tiles",                                     \
+      "Tilesets of the map after OGC API - Tiles")                                                 \
+    X(MAP_TILESET, ALLOW_READ, "/collections/{ds}/map/tiles/WebMercatorQuad",                      \
+      "The tileset of the map after OGC API - Tiles")                                              \
+    X(MATRICES, ALLOW_READ, "/tileMatrixSets/WebMercatorQuad",                                     \
+      "The tile matrix set of all map tiles")                                                      \
     X(TILESET_MOVING, ALLOW_READ, "/d/{ds}/tileset.json", "3D Tiles 1.1 entry, current revision")  \
     X(TILESET, ALLOW_READ, "/d/{ds}/r/{rev}/tileset.json", "3D Tiles 1.1 tileset of a revision")   \
     X(TILESET_PART, ALLOW_READ, "/d/{ds}/r/{rev}/tileset/{z}/{x}/{y}.json",                        \
@@ -65,6 +82,8 @@ enum { ALLOW_READ = 1, ALLOW_POST = 2 };
     X(MEASURE, ALLOW_POST, "/d/{ds}/measure", "Lengths; areas and volumes within a polygon")       \
     X(VISIBLE, ALLOW_POST, "/d/{ds}/visible", "Is one place seen from another?")                   \
     X(APPEARANCES, ALLOW_READ, "/d/{ds}/appearances", "All appearances of a dataset")              \
+    X(KEPT, ALLOW_READ | ALLOW_CHANGE, "/d/{ds}/appearances/{name}",                               \
+      "An appearance that is kept under a name: PUT keeps it, DELETE forgets it")                  \
     X(MODEL, ALLOW_READ, "/d/{ds}/r/{rev}/appearance.json",                                        \
       "The appearance network of a revision, for clients that compute colours themselves")         \
     X(PHOTOGRAPHS, ALLOW_READ, "/d/{ds}/r/{rev}/appearances.json",                                 \
@@ -164,7 +183,7 @@ struct target_clip {
 };
 enum search_sort { SEARCH_BY_NUMBER, SEARCH_BY_DISTANCE, SEARCH_BY_TIME, SEARCH_BY_COLOUR };
 struct target_search { /* of appearances; the target has bbox and page */
-    bool asked, has_near, has_time, has_hours, has_colour;
+    bool asked, has_near, has_time, has_hours, has_colour, kept; /* kept: named ones alone */
     int32_t near_e7[2];
     uint32_t radius_e3; /* m; 0: any */
     int64_t time_s[2];  /* since 1970 by the cameras' clocks, both included */
@@ -178,6 +197,8 @@ struct target {
     struct key key;
     struct form form;                       /* of views only the format counts */
     char appearance[TARGET_APPEARANCE_MAX]; /* "": not said */
+    char kept[TARGET_KEPT_MAX];             /* of KEPT; elsewhere the name that appearance was,
+                                             * before it became what it stands for; "": none */
     struct target_clip clip;                /* of tiles and what lists them */
     struct target_pose pose; /* of height: longitude and latitude alone, if has_place */
     bool has_place;
@@ -199,6 +220,9 @@ struct target {
     struct target_course course;
     size_t path_size; /* bytes of the path, before '?' */
 };
+/* May an appearance be kept under it? [a-z0-9][a-z0-9_-]*, and none of the words that mean
+ * something. */
+bool target_is_kept_name(const char *name);
 /* ERR_FORMAT: bytes no legal target has (status 400). ERR_DATA: well formed, impossible numbers
  * (422). ERR_NOENT: no such route, or a key out of range (404). `path` has n bytes and no NUL. */
 enum err_code target_parse(const char *text, size_t n, struct target *out, struct err *e) ERR_USE;

@@ -203,10 +203,11 @@ enum {
     SEARCH_SORT,
     SEARCH_LIMIT,
     SEARCH_AFTER,
+    SEARCH_KEPT,
     SEARCH_KEYS
 };
 static const char *const target_search_keys[SEARCH_KEYS] = {
-    "bbox=", "near=", "datetime=", "hours=", "colour=", "sort=", "limit=", "after="};
+    "bbox=", "near=", "datetime=", "hours=", "colour=", "sort=", "limit=", "after=", "kept="};
 
 /* What follows the `key`-th word. */
 static enum err_code target_take_search(struct text *one, int key, struct target *out,
@@ -232,8 +233,12 @@ static enum err_code target_take_search(struct text *one, int key, struct target
         return target_take_sort(one, &out->search, e);
     case SEARCH_LIMIT:
         return target_take_count(one, "limit", 1, TARGET_SEARCH_MAX, &out->limit, e);
-    default:
+    case SEARCH_AFTER:
         return target_take_count(one, "after", 0, 999999999, &out->after, e);
+    default:
+        out->search.kept = true;
+        return text_take(one, "true") ? ERR_OK
+                                      : err_set(e, ERR_FORMAT, "kept is true, or left out");
     }
 }
 
@@ -258,8 +263,8 @@ enum err_code target_parse_search(const char *query, size_t n, struct target *ou
             key++;
         if (key == SEARCH_KEYS || seen >> key & 1)
             return err_set(e, ERR_FORMAT,
-                           "the query may hold bbox, near, datetime, hours, colour, sort, limit "
-                           "and after, each once");
+                           "the query may hold bbox, near, datetime, hours, colour, kept, sort, "
+                           "limit and after, each once");
         seen |= 1u << key;
         enum err_code rc = target_take_search(&one, key, out, e);
         if (!rc && !text_at_end(&one))
@@ -328,5 +333,7 @@ void target_search_query(const struct target *t, uint32_t after, struct buf *out
         buf_printf(out, "&hours=%u-%u", q->hours[0], q->hours[1]);
     if (q->has_colour)
         buf_printf(out, "&colour=%06x", (unsigned)q->rgb);
+    if (q->kept)
+        buf_printf(out, "&kept=true");
     buf_printf(out, "&limit=%u&after=%u", t->limit, after);
 }

@@ -149,7 +149,9 @@ static enum err_code work_make_bytes(struct services *s, const struct job *j, co
     case WORK_THUMBNAIL:
         return work_make_thumbnail(w, out, e);
     case WORK_SEARCH:
-        return search_write(w->ds, w->ds->search, &w->target, out, e);
+        return w->target.search.asked
+                   ? search_write(w->ds, w->ds->search, &w->target, w->kept, out, e)
+                   : appearance_api_write_list(w->ds, w->kept, out, e);
     default:
         return work_make_tile(w, out, e);
     }
@@ -189,7 +191,7 @@ size_t work_room(const struct work *w)
     case WORK_THUMBNAIL:
         return HEAD + PHOTOGRAPH_BYTES_MAX;
     case WORK_SEARCH:
-        return HEAD + search_room(&w->target);
+        return HEAD + search_room(w->ds, &w->target, w->kept);
     default:
         t = store_find(w->ds->index, w->key);
         if (w->form.format == FORMAT_PLY || w->form.format == FORMAT_GLB_PLAIN)
@@ -204,7 +206,8 @@ const char *work_noun(enum work_kind kind)
         [WORK_TILE] = "tile",           [WORK_SEED] = "list of tiles",
         [WORK_TILESET] = "tileset",     [WORK_VIEW] = "picture",
         [WORK_MAP] = "map tile",        [WORK_QUERY] = "answer",
-        [WORK_THUMBNAIL] = "thumbnail", [WORK_SEARCH] = "list of appearances"};
+        [WORK_THUMBNAIL] = "thumbnail", [WORK_SEARCH] = "list of appearances",
+        [WORK_KEEP] = "change"};
     return nouns[kind];
 }
 
@@ -221,6 +224,36 @@ static void work_describe(const struct work *w, char out[64])
         snprintf(out, 64, "%s", noun);
 }
 
+/* Keep a name or forget one. What is kept is described to whoever kept it; empty is the body of a
+ * name that was there before, or is no more. */
+static enum err_code work_change(struct services *s, const struct work *w, struct body **out,
+                                 struct err *e)
+{
+    const struct work_change *c = w->change;
+    const struct kept_condition when = {c->match, c->none_match};
+    struct buf none = {0};
+    char etag[BODY_ETAG_SIZE] = "";
+    bool created = false;
+    enum err_code rc = c->removes ? kept_remove(s->kept, c->row.ds, c->row.name, &when, e)
+                                  : kept_put(s->kept, &c->row, &when, &created, e);
+    if (rc == ERR_IO || rc == ERR_FORMAT || rc == ERR_MEM)
+        log_error("serve", "%s of ds=%s is not %s: %s", c->row.name, c->row.ds,
+                  c->removes ? "forgotten" : "kept", e->msg);
+    if (rc)
+        return rc;
+    log_info("serve", "appearance %s of ds=%s is %s", c->row.name, c->row.ds,
+             c->removes ? "forgotten" : "kept");
+    if (!c->removes)
+        kept_etag(&c->row, etag);
+    if (created)
+        rc = appearance_api_describe_kept(w->ds, &c->row, out, e);
+    else
+        *out = body_take(&none, etag);
+    if (!rc && !*out)
+        rc = err_set(e, ERR_MEM, "out of memory for the answer");
+    return rc;
+}
+
 enum err_code work_run(void *user, const struct job *j, void *work, size_t worker,
                        struct body **out, struct err *e)
 {
@@ -229,6 +262,8 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
     struct buf b = {0};
     char etag[BODY_ETAG_SIZE], what[64];
     (void)worker;
+    if (w->kind == WORK_KEEP)
+        return work_change(s, w, out, e);
     if (w->keep && ((*out = cache_get(s->cache, w->id)) || (*out = flight_get(s->flight, w->id))))
         return ERR_OK; /* made between the question for it and the question for a job */
     size_t room = work_room(w);
@@ -284,5 +319,11 @@ void work_drop(void *services, void *work)
     dataset_drop(&w->ds);
     mem_free(w->query);
     mem_free(w->course);
+    kept_drop(&w->kept);
+    if (w->change) {
+        mem_free(w->change->match);
+        mem_free(w->change->none_match);
+    }
+    mem_free(w->change);
     mem_free(w);
 }

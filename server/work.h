@@ -19,7 +19,14 @@ enum work_kind {
     WORK_MAP,
     WORK_QUERY,
     WORK_THUMBNAIL,
-    WORK_SEARCH
+    WORK_SEARCH,
+    WORK_KEEP
+};
+/* A name to keep or to forget. */
+struct work_change {
+    bool removes;
+    struct kept_row row;      /* to remove: ds and name alone */
+    char *match, *none_match; /* owned; NULL: absent */
 };
 struct work { /* freed with work_drop */
     enum work_kind kind;
@@ -28,13 +35,15 @@ struct work { /* freed with work_drop */
     struct key key;     /* WORK_TILE */
     struct form form;   /* nothing left unsaid */
     struct appearance_choice appearance;
-    struct target target;  /* of lists and thumbnails; of WORK_TILE its clip */
-    struct draw_view view; /* WORK_VIEW */
-    struct map_tile map;   /* WORK_MAP */
-    struct query *query;   /* WORK_QUERY, owned */
-    struct course *course; /* WORK_SEED, owned; NULL: none */
-    bool keep;             /* put the result into the cache */
-    struct body *made;     /* goes to the disk when everybody has it; NULL: nothing does */
+    struct target target;       /* of lists and thumbnails; of WORK_TILE its clip */
+    struct draw_view view;      /* WORK_VIEW */
+    struct map_tile map;        /* WORK_MAP */
+    struct query *query;        /* WORK_QUERY, owned */
+    struct course *course;      /* WORK_SEED, owned; NULL: none */
+    struct kept_table *kept;    /* WORK_SEARCH: a reference; NULL: no names are kept */
+    struct work_change *change; /* WORK_KEEP, owned */
+    bool keep;                  /* put the result into the cache */
+    struct body *made;          /* goes to the disk when everybody has it; NULL: nothing does */
 };
 /* About the bytes of the result, from above: what it takes of --inflight-mb while it is made. */
 enum { WORK_ROOM_HEAD = 4096 }; /* of it for heads and ends */

@@ -26,6 +26,7 @@ static const struct {
     {"/collections?bbox=13,52,14,53", 200, CODED | READ},
     {"/conformance", 200, CODED | READ},
     {"/api", 200, CODED | READ},
+    {"/api.html", 200, CODED | READ},
     {"/d/toy/tileset.json", 200, CODED | READ},
     {"/d/toy/tileset.json?preset=preview&sh=0", 200, CODED | READ},
     {"/d/toy/r/REV+/tileset.json", 200, CODED | READ},

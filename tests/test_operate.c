@@ -73,7 +73,7 @@ static void test_files_of_auth(void **state)
                   bad[i].says);
         assert_null(a);
     }
-    kit_fails(auth_open(auth_file("\"write:x\"", "", path), &a, &e), ERR_FORMAT, e, "scope[0]");
+    kit_fails(auth_open(auth_file("\"steal:x\"", "", path), &a, &e), ERR_FORMAT, e, "scope[0]");
     kit_fails(auth_open(auth_file("", "", path), &a, &e), ERR_FORMAT, e, "scope");
 }
 

@@ -24,6 +24,9 @@ static void test_documents(void **state)
         {"/collections", "application/json", MOVING},
         {"/collections/toy", "application/json", MOVING},
         {"/collections/toy/tiles.json", "application/json", MOVING},
+        {"/collections/toy/map/tiles", "application/json", MOVING},
+        {"/collections/toy/map/tiles/WebMercatorQuad", "application/json", MOVING},
+        {"/tileMatrixSets/WebMercatorQuad", "application/json", MOVING},
         {"/d/toy/tileset.json", "application/json", MOVING},
         {"/d/toy/r/REV+/tileset.json", "application/json", IMMUTABLE},
         {"/d/toy/r/REV/tileset.json", "application/json", MOVING},
@@ -157,6 +160,8 @@ static void test_links_lead_somewhere(void **state)
             assert_null(strstr(href, "://"));
             if (!strncmp(href, "../", 3))
                 snprintf(path, sizeof path, "/%s", href + 3);
+            else if (href[0] == '/')
+                snprintf(path, sizeof path, "%s", href);
             else
                 snprintf(path, sizeof path, "%s%s", docs[i][1], !strcmp(href, "./") ? "" : href);
             struct response to = get(path);
@@ -199,6 +204,40 @@ static void test_api_lists_the_routes(void **state)
     }
     json_decref(o);
     response_free(&r);
+}
+
+/* The page to read names every path and verb of the description, and the landing page names it. */
+static void test_the_page_says_what_the_description_says(void **state)
+{
+    struct response r = get("/api"), page = get("/api.html"), landing = get("/");
+    json_t *o = json_of(&r), *methods, *operation;
+    const char *path, *verb;
+    char want[300];
+    size_t n = 0;
+    (void)state;
+    expect("type", page.type, "text/html; charset=utf-8");
+    expect("Cache-Control", page.cache_control, MOVING);
+    json_object_foreach(json_object_get(o, "paths"), path, methods)
+    {
+        json_object_foreach(methods, verb, operation)
+        {
+            snprintf(want, sizeof want, "<code>%s %s</code>",
+                     !strcmp(verb, "get")    ? "GET"
+                     : !strcmp(verb, "post") ? "POST"
+                     : !strcmp(verb, "put")  ? "PUT"
+                                             : "DELETE",
+                     path);
+            if (!says(&page, want))
+                fail_msg("%s is not on the page", want);
+            n++;
+        }
+    }
+    assert_true(n > 40 && says(&page, "<a href=\"api\">") && !says(&page, "<script"));
+    assert_true(says(&landing, "\"service-doc\"") && says(&landing, "\"api.html\""));
+    json_decref(o);
+    response_free(&r);
+    response_free(&page);
+    response_free(&landing);
 }
 
 /* What /api says of ?appearance=: tiles, tilesets and lists of them may have none, pictures not. */
@@ -672,6 +711,7 @@ int main(void)
         cmocka_unit_test(test_collections_in_a_box),
         cmocka_unit_test(test_links_lead_somewhere),
         cmocka_unit_test(test_api_lists_the_routes),
+        cmocka_unit_test(test_the_page_says_what_the_description_says),
         cmocka_unit_test(test_api_knows_no_appearance),
         cmocka_unit_test(test_tileset_uris),
         cmocka_unit_test(test_refusals),

@@ -149,6 +149,24 @@ static void walk_part(struct walk *w, struct key k, const json_t *node, const do
     json_decref(j);
 }
 
+/* Tiles that may be replaced say where nearly all of them is: the viewer chooses by it. */
+static void walk_core(const struct walk *w, const struct store_tile *t, const json_t *node)
+{
+    size_t n;
+    const struct tree_node *v = &store_tree(w->s)->nodes[t - store_tiles(w->s, &n)];
+    const json_t *core = json_object_get(json_object_get(node, "extras"), "core");
+    double got[6];
+    if (!v->child_count) {
+        assert_null(core);
+        return;
+    }
+    nums(core, 6, got);
+    for (size_t k = 0; k < 3; k++) {
+        assert_true(fabs(got[k] + t->center_enu_m[k] - v->core_min_enu_m[k]) < 1e-3);
+        assert_true(fabs(got[3 + k] + t->center_enu_m[k] - v->core_max_enu_m[k]) < 1e-3);
+    }
+}
+
 /* `at` is the ECEF place of the parent's frame, of a part's root its own. */
 static void walk(struct walk *w, const json_t *node, const double at[3], double error_above,
                  enum begins how, bool part)
@@ -190,6 +208,7 @@ static void walk(struct walk *w, const json_t *node, const double at[3], double 
         const struct store_tile *t = store_find(w->s, k);
         assert_non_null(t);
         w->n_tiles++;
+        walk_core(w, t, node);
         /* The frame stands at the payload's origin: ENU -> ECEF of it by geodesy alone. */
         double lon, lat, h, place[16];
         kit_ok(geo_from_enu(&store_info(w->s)->origin, t->center_enu_m, &lon, &lat, &h, &e), e);

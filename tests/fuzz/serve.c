@@ -8,9 +8,11 @@
 #include <math.h>
 #include <string.h>
 
+#include "core/appearance.h"
 #include "core/options.h"
 #include "lod/query.h"
 #include "server/address.h"
+#include "server/appearance_api.h"
 #include "server/auth.h"
 #include "server/cache_policy.h"
 #include "server/condition.h"
@@ -18,6 +20,7 @@
 #include "server/describe.h"
 #include "server/guard.h"
 #include "server/screen.h"
+#include "server/text.h"
 #include "tests/fuzz/fuzz.h"
 
 static const struct options_def serve_defs[] = {
@@ -52,6 +55,7 @@ void fuzz_target(const uint8_t *bytes, size_t n)
     assert(strspn(t.rev, "0123456789abcdef") == strlen(t.rev));
     assert(t.route != ROUTE_TILE || key_valid(t.key));
     assert(t.route != ROUTE_VIEW || (t.pose.fov_e3 >= 1000 && t.pose.heading_e3 >= 0));
+    assert(t.route != ROUTE_KEPT || target_is_kept_name(t.kept));
     target_query(&t, query);
     assert(strlen(query) < sizeof query);
     for (size_t i = 0; i < t.path_size; i++)
@@ -148,6 +152,9 @@ void fuzz_range(const uint8_t *bytes, size_t n)
     assert(got != RANGE_PART || (length && first < size && length <= size - first));
     (void)condition_none_match(text, "\"AAAAAAAAAAAAAAAAAAAAAA\"");
     (void)condition_not_modified(text, 1700000000);
+    /* What may be written if it matches may not be if it must not. */
+    assert(!condition_may_write(text, text, "\"AAAAAAAAAAAAAAAAAAAAAA\"") &&
+           !condition_may_write(text, NULL, NULL));
     mem_free(text);
 }
 
@@ -161,8 +168,21 @@ void fuzz_accept(const uint8_t *bytes, size_t n)
 
 /* ---- bodies ---- */
 
+/* What is posted to mix, and put under a name. */
+static void serve_mix(const uint8_t *bytes, size_t n)
+{
+    static struct appearance a;
+    const struct dataset d = {.appearance = &a};
+    char text[TARGET_APPEARANCE_MAX];
+    if (!a.w1 && appearance_alloc(&a, 2, 3, 4, 1, NULL))
+        return;
+    if (!appearance_api_read_mix(&d, bytes, n, text, NULL))
+        assert(*text && strlen(text) < sizeof text && text_is_utf8(text));
+}
+
 void fuzz_body(const uint8_t *bytes, size_t n)
 {
+    serve_mix(bytes, n);
     static struct server_config cfg = {
         .max_view_px = 2048, .max_view_mpx = 4, .quality = 85, .deadline_s = 15};
     struct describe_render p;

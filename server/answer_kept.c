@@ -1,0 +1,155 @@
+/* Appearances under names: PUT keeps one, DELETE forgets it, GET says what it stands for; and a
+ * name wherever an appearance is asked for. A change waits for the disk, so a job makes it.
+ *
+ * A name may stand for something else tomorrow: an address that says one is cached for a minute,
+ * and documents hand out what it stands for, which is as immutable as ever. Its tag is a-NAME.
+ *
+ * Changes come from the operators' listener, or with a token that may write (decision 046). A page
+ * of another site that is open in the browser of an operator reaches that listener as well, so
+ * there requests of pages are refused.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <stdio.h>
+#include <string.h>
+#include <time.h>
+
+#include "server/answer.h"
+
+bool answer_resolve(struct services *s, const struct dataset *d, struct target *t,
+                    struct response *out)
+{
+    struct err e = {0};
+    if (!t->appearance[0] || !s->kept)
+        return true;
+    struct kept_table *kept = kept_now(s->kept);
+    enum err_code rc = appearance_api_resolve(d, kept, t->appearance, t->kept, &e);
+    kept_drop(&kept);
+    if (rc)
+        response_problem(out, 404, e.msg);
+    return !rc;
+}
+
+int answer_kept_status(enum err_code rc)
+{
+    return rc == ERR_DATA    ? 412
+           : rc == ERR_NOENT ? 404
+           : rc == ERR_LIMIT ? 507
+           : rc == ERR_MEM   ? 503
+                             : 500;
+}
+
+/* May whoever asks change names? Else the problem is set. */
+static bool answer_kept_may(struct services *s, const struct request *r, const struct target *t,
+                            struct response *out)
+{
+    const size_t n = t->path_size + (r->target_size > t->path_size);
+    const struct auth_request a = {r->authorization, r->target, r->target + n, t->path_size,
+                                   r->target_size - n};
+    if (r->admin && r->from_page)
+        response_problem(out, 403, "the operators' listener takes no changes from pages");
+    else if (!r->admin && !s->auth)
+        response_problem(out, 403,
+                         "names are kept and forgotten on the operators' listener (--admin), or "
+                         "with a token whose scope is write:NAME (--auth)");
+    else if (r->admin)
+        return true;
+    else
+        switch (auth_check(s->auth, AUTH_WRITE, t->ds, &a, (int64_t)time(NULL))) {
+        case AUTH_OK:
+            return true;
+        case AUTH_UNKNOWN:
+            out->unauthorized = true;
+            response_problem(out, 401, "names are kept and forgotten by those who send a token");
+            break;
+        default:
+            response_problem(out, 403, "the token may not keep or forget names of this dataset");
+        }
+    return false;
+}
+
+static char *answer_kept_copy(const char *header, bool *failed)
+{
+    char *text = header ? mem_text(header) : NULL;
+    *failed |= header && !text;
+    return text;
+}
+
+/* A job that makes the change. Its name is its own: equal changes are not one. */
+static void answer_kept_change(struct services *s, const struct request *r, struct dataset *d,
+                               const struct kept_row *row, struct response *out)
+{
+    static _Atomic uint64_t asked;
+    const uint64_t name[2] = {atomic_fetch_add(&asked, 1), (uint64_t)(uintptr_t)s};
+    struct work_change *c = mem_array(1, sizeof *c);
+    bool failed = !c;
+    out->unnamed = true;
+    out->cache_control = RESPONSE_NO_STORE;
+    struct work *w =
+        c ? response_work(d, WORK_KEEP, hash_bytes(name, sizeof name), (struct form){0}, out)
+          : NULL;
+    if (!w) {
+        mem_free(c);
+        response_no_memory(out);
+        return;
+    }
+    w->change = c; /* response_free takes it back from here on */
+    c->removes = r->method == METHOD_DELETE;
+    c->row = *row;
+    c->match = answer_kept_copy(r->if_match, &failed);
+    c->none_match = answer_kept_copy(r->if_none_match, &failed);
+    if (failed)
+        response_no_memory(out);
+    out->cls = JOB_TILE;
+    out->timeout_s = s->cfg->deadline_s;
+}
+
+static void answer_kept_read(struct services *s, const struct request *r, struct dataset *d,
+                             const struct target *t, struct response *out)
+{
+    struct err e = {0};
+    struct body *b = NULL;
+    struct kept_table *kept = kept_now(s->kept);
+    const struct kept_row *row = kept_find(kept, d->meta.name, t->kept);
+    if (!row)
+        response_problem(out, 404,
+                         s->kept ? "no appearance is kept under this name"
+                                 : "no appearance is kept: the server was started without "
+                                   "--state-dir");
+    else if (appearance_api_describe_kept(d, row, &b, &e))
+        response_no_memory(out);
+    else
+        response_document(r, RESPONSE_JSON, RESPONSE_MOVING, b, out);
+    kept_drop(&kept);
+}
+
+void answer_kept(struct services *s, const struct request *r, struct dataset *d,
+                 const struct target *t, struct response *out)
+{
+    struct err e = {0};
+    struct kept_row row = {0};
+    if (r->method == METHOD_GET || r->method == METHOD_HEAD) {
+        answer_kept_read(s, r, d, t, out);
+        return;
+    }
+    if (!answer_kept_may(s, r, t, out))
+        return;
+    snprintf(row.ds, sizeof row.ds, "%s", d->meta.name);
+    snprintf(row.name, sizeof row.name, "%s", t->kept);
+    enum err_code rc = ERR_OK;
+    if (r->method == METHOD_PUT) {
+        struct kept_table *kept = kept_now(s->kept);
+        rc = appearance_api_read_kept(d, kept, r->body, r->body_size, &row, &e);
+        kept_drop(&kept);
+    }
+    if (!rc)
+        answer_kept_change(s, r, d, &row, out);
+    else
+        response_problem(out,
+                         rc == ERR_ARG     ? 409
+                         : rc == ERR_NOENT ? 404
+                         : rc == ERR_DATA  ? 422
+                         : rc == ERR_MEM   ? 503
+                                           : 400,
+                         e.msg);
+}

@@ -1,0 +1,14 @@
+/* The description of the service as a page to read.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SERVER_API_PAGE_H
+#define SERVER_API_PAGE_H
+
+#include "server/body.h"
+
+/* From the OpenAPI document (openapi.h). ERR_INTERNAL: it is none; ERR_MEM. */
+enum err_code api_page_describe(const struct body *openapi, struct body **out,
+                                struct err *e) ERR_USE;
+
+#endif
