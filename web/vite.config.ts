@@ -150,13 +150,22 @@ function addPolicy(policy: string[]): Plugin {
   };
 }
 
+// The page's lines without what they are indented by. It has no <pre>.
+function dropIndent(): Plugin {
+  return {
+    name: "drop-indent",
+    apply: "build",
+    transformIndexHtml: { order: "post", handler: (html) => html.replace(/\n\s+/g, "\n") },
+  };
+}
+
 // `npm run dev` forwards the data to a running `citysplat serve`.
 const server = process.env["CITYSPLAT_SERVER"] ?? "http://127.0.0.1:8080";
 
 // Modes: the page alone, which empties the folder first; "globe", cesium.html with nothing in common
 // with the page, so that the page loads none of it; "module", for other pages.
 const builds = {
-  page: { plugins: [leaveOutGltf(), copyDraco(), addPolicy(POLICY)], build: { chunkSizeWarningLimit: 1500 } },
+  page: { plugins: [leaveOutGltf(), copyDraco(), addPolicy(POLICY), dropIndent()], build: { chunkSizeWarningLimit: 1500 } },
   globe: {
     plugins: [
       bundleCesium(),

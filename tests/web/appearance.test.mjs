@@ -9,7 +9,7 @@ import { createRequire } from "node:module";
 import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 
-import { barePicture, openPage, waitForViewer } from "./lib/browser.mjs";
+import { barePicture, lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
 import { measureContent, rmsDifference } from "./lib/checks.mjs";
 import { decodeDrc as decodeReference } from "./lib/drc.mjs";
 import { decodePng } from "./lib/png.mjs";
@@ -383,19 +383,29 @@ test("two appearances lie side by side", skip, async () => {
         height: png.height,
         at: (x, y) => png.at(from + x, y),
     });
-    const compare = (other, from, to) => differences(part(both, from, to), part(other, from, to)).common;
-    assert.ok(compare(left, 0, line - 24) <= 1, "the left is not the first one");
-    assert.ok(compare(right, line + 24, SIZE.width) <= 1, "the right is not the second one");
-    assert.ok(compare(left, line + 24, SIZE.width) > 4, "both sides look the same");
+    const check = (png, how) => {
+        const compare = (other, from, to) => differences(part(png, from, to), part(other, from, to)).common;
+        assert.ok(compare(left, 0, line - 24) <= 1, `${how}the left is not the first one`);
+        assert.ok(compare(right, line + 24, SIZE.width) <= 1, `${how}the right is not the second one`);
+        assert.ok(compare(left, line + 24, SIZE.width) > 4, `${how}both sides look the same`);
+    };
+    check(both, "");
     assert.equal(await page.getAttribute("#appearance-divider", "aria-valuenow"), "48");
     assert.deepEqual(asked.filter((url) => /\/t\//.test(url)), []);
     // The link says both, and where the line is.
     await page.waitForFunction(() => new URLSearchParams(location.search).get("split") === "48");
     assert.equal(await page.evaluate(() => new URLSearchParams(location.search).get("second")), names[5]);
+    const pose = await page.evaluate(() => window.citysplat.pose());
+    await page.reload();
+    await page.waitForFunction((name) => window.citysplat?.viewer.secondAppearance === name, names[5]);
+    await waitForViewer(page);
+    check(await picture(), "from the link: ");
+    await lookViewer(page, pose); // with all its digits
+    const again = await picture();
     await comeBackAsAnother();
     assert.equal(await page.evaluate(() => window.citysplat.viewer.secondAppearance), names[5]);
-    assert.ok(rmsDifference(both, await picture()) < 0.5, "another revision shows other appearances");
-    await page.evaluate(() => window.citysplat.viewer.setSecondAppearance("no-such-photograph"));
+    assert.ok(rmsDifference(again, await picture()) < 0.5, "another revision shows other appearances");
+    await page.evaluate(() => window.citysplat.viewer.setSecondAppearance("no-such-photograph.jpg"));
     await page.waitForSelector("#problem:not([hidden])");
     assert.equal(await page.evaluate(() => window.citysplat.viewer.secondAppearance), names[5]);
     await page.click("#problem-retry");
@@ -419,7 +429,7 @@ test("as photographed here is the photograph that was taken here", skip, async (
 
 test("an appearance that is not there leaves the picture and the choice", skip, async () => {
     const { appearance } = await state();
-    await page.evaluate(() => window.citysplat.viewer.setAppearance("no-such-photograph"));
+    await page.evaluate(() => window.citysplat.viewer.setAppearance("no-such-photograph.jpg"));
     await page.waitForSelector("#problem:not([hidden])");
     const now = await state();
     assert.deepEqual([now.appearance, now.wanted], [appearance, appearance]);

@@ -99,7 +99,7 @@ test("the page says what it waits for, to screen readers in few words", skip, as
     assert.deepEqual([seen.after, seen.hidden], ["", true]);
 });
 
-test("server lost mid-load and back: full detail without a touch, the picture stays", skip, async () => {
+test("server lost mid-load and back: full detail without a touch, the picture stays", skip, async (t) => {
     proxy.bytesPerSecond = 60_000;
     const page = await open();
     await until(page, () => window.citysplat.state.tiles > 0);
@@ -115,7 +115,9 @@ test("server lost mid-load and back: full detail without a touch, the picture st
     await page.waitForTimeout(700); // longer than its first probe waits
     proxy.bytesPerSecond = Infinity;
     await proxy.up();
+    const up = Date.now();
     await waitForViewer(page);
+    t.diagnostic(`full detail ${((Date.now() - up) / 1000).toFixed(1)} s after the server was there again`);
     const back = await read(page);
     assert.deepEqual([back.link, back.ready, back.broken.length], ["ok", true, 0]);
     assert.match(await page.textContent("#banner-link"), /is back/);

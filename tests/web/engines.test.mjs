@@ -4,6 +4,7 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
+import { spawnSync } from "node:child_process";
 import { readFileSync } from "node:fs";
 import { createServer } from "node:http";
 import { createRequire } from "node:module";
@@ -16,7 +17,7 @@ import { measureContent, rmsDifference } from "./lib/checks.mjs";
 import { fCellCenter, ORIGIN, RED_TOP } from "./lib/city.mjs";
 import { placeOfEnu } from "./lib/geo.mjs";
 import { decodePng } from "./lib/png.mjs";
-import { firstDataSet, getJson, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
+import { BIN, firstDataSet, getJson, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
 import { listContents } from "./lib/tileset.mjs";
 
 useWholeBrowser();
@@ -71,7 +72,8 @@ before(async () => {
                 response.setHeader("Content-Type", "text/javascript");
                 return response.end(bundleBabylon());
             }
-            const file = root ? join(HERE, ROOTS[root], path.slice(root.length)) : join(HERE, "engines.html");
+            const exported = path.startsWith("/exported/") && join(source.dir, path.slice("/exported".length));
+            const file = exported ? exported : root ? join(HERE, ROOTS[root], path.slice(root.length)) : join(HERE, "engines.html");
             response.setHeader("Content-Type", TYPES[extname(file)] ?? "application/octet-stream");
             response.end(readFileSync(file));
         } catch {
@@ -88,8 +90,8 @@ after(async () => {
     await source?.close();
 });
 
-async function draw(engine, ext) {
-    const args = [engine, `${tile}.${ext}`, ext, CAMERA];
+async function draw(engine, ext, url = `${tile}.${ext}`) {
+    const args = [engine, url, ext, CAMERA];
     await opened.page.evaluate(([e, u, x, c]) => window.draw(e, u, x, c), args);
     const path = process.env.ENGINES_SHOTS && join(process.env.ENGINES_SHOTS, `${engine}-${ext}.png`);
     return decodePng(await opened.page.screenshot({ timeout: TIMEOUT_MS, ...(path && { path }) }));
@@ -109,6 +111,23 @@ async function compare(t, engine, first, ...others) {
 
 test("PlayCanvas draws plain.glb, .sog and both .ply alike", skip, (t) =>
     compare(t, "playcanvas", "plain.glb", "sog", "ply", "compressed.ply"));
+
+// The whole city, about the store's origin.
+test("PlayCanvas draws a streamed SOG as it draws one .sog", skip, async (t) => {
+    for (const [name, format] of [["whole.sog", "sog"], ["streamed", "streamed-sog"]]) {
+        const args = ["export", join(source.dir, "city.tiles"), "-o", join(source.dir, name), "--format", format];
+        const run = spawnSync(BIN, args, { encoding: "utf8" });
+        assert.equal(run.status, 0, run.stderr);
+    }
+    const want = await draw("playcanvas", "sog", "/exported/whole.sog");
+    const got = await draw("playcanvas", "lod-meta.json", "/exported/streamed/lod-meta.json");
+    const { share, colors } = measureContent(got);
+    const off = rmsDifference(want, got);
+    t.diagnostic(`${off.toFixed(2)} of 255 from one file; ${(100 * share).toFixed(0)} % drawn`);
+    assert.ok(share > 0.05 && colors > 10);
+    assert.ok(off < SAME_RMS, `${off}`);
+    assert.deepEqual(opened.log, []);
+});
 
 test("Spark draws .spz, .sog and both .ply alike", skip, (t) =>
     compare(t, "spark", "spz", "sog", "ply", "compressed.ply"));

@@ -211,6 +211,50 @@ test("dragging holds the ground under the pointer, the wheel nears what it point
     assert.ok(Math.abs(near.lon - held.lon) * M_PER_DEG < 4, "zooms past the pointer");
 });
 
+test("two fingers near, turn and tilt; a gamepad turns and moves", skip, async () => {
+    await lookViewer(page, SOUTH);
+    const pose = () => page.evaluate(() => window.citysplat.pose());
+    const turned = (a, b) => ((b.heading - a.heading + 540) % 360) - 180;
+    const session = await page.context().newCDPSession(page);
+    await session.send("Emulation.setTouchEmulationEnabled", { enabled: true, maxTouchPoints: 2 });
+    const touch = (type, ...points) =>
+        session.send("Input.dispatchTouchEvent", { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
+    const fingers = async (from, to) => {
+        const before = await pose();
+        await touch("touchStart", ...from);
+        for (let i = 1; i <= 4; i++)
+            await touch("touchMove", ...from.map((p, f) => p.map((v, k) => v + ((to[f][k] - v) * i) / 4)));
+        await nextFrames(page);
+        const after = await pose();
+        await touch("touchEnd");
+        return [before, after];
+    };
+    const [far, near] = await fingers([[450, 330], [550, 330]], [[400, 330], [600, 330]]);
+    assert.ok(near.h < far.h - 20 && Math.abs(turned(far, near)) < 1, "apart is not nearer");
+    const [straight, round] = await fingers([[400, 330], [600, 330]], [[420, 270], [580, 390]]);
+    assert.ok(turned(straight, round) < -20 && turned(straight, round) > -60, "the picture does not turn with them");
+    assert.ok(Math.abs(round.pitch - straight.pitch) < 5, "it tilts as well");
+    const [low, high] = await fingers([[450, 400], [550, 400]], [[450, 350], [550, 350]]);
+    assert.ok(high.pitch > low.pitch + 5, "up together does not tilt");
+    await session.send("Emulation.setTouchEmulationEnabled", { enabled: false });
+    await session.detach();
+
+    await lookViewer(page, SOUTH);
+    const pad = (axes) =>
+        page.evaluate((held) => {
+            navigator.getGamepads = () => (held ? [{ connected: true, axes: held, buttons: [] }] : []);
+            window.dispatchEvent(new Event(held ? "gamepadconnected" : "gamepaddisconnected"));
+        }, axes);
+    const start = await pose();
+    await pad([0, 0, 1, 0]);
+    await page.waitForFunction((h) => Math.abs(window.citysplat.pose().heading - h) > 3, start.heading);
+    await pad([0, -1, 0, 0]);
+    const there = await pose();
+    await page.waitForFunction(({ lon, lat }) => Math.abs(window.citysplat.pose().lat - lat) + Math.abs(window.citysplat.pose().lon - lon) > 1e-5, there);
+    await pad(null);
+    await waitForViewer(page);
+});
+
 test("a height profile along a path: by the server, without it from what is drawn", skip, async (t) => {
     await lookViewer(page, SOUTH);
     await page.keyboard.press("m");

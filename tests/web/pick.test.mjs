@@ -2,13 +2,15 @@
 // through the server's level selection (lod/pick.c): 3d-tiles-renderer itself, the version that
 // web/ ships, walks a tileset of the same tiles with the same cameras.
 //
-// The client knows boundingVolume alone and measures distance to that box; the server measures to
+// Clients of others know boundingVolume alone and measure distance to that box; the server measures to
 // the core, where nearly all of a tile is. Where the two are one, both show the same tiles; where the
-// core is smaller, the client may show finer ones, never coarser.
+// core is smaller, the client may show finer ones, never coarser. The viewer measures to the core too (web/src/
+// screenerror.ts), which the tileset tells, and shows the same tiles.
 //
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
+import { createRequire } from "node:module";
 import { test } from "node:test";
 
 // What the library takes from a browser before anything is drawn.
@@ -21,6 +23,17 @@ const { TilesRenderer } = await import(new URL("3d-tiles-renderer/build/index.th
 const { Group, PerspectiveCamera, Matrix4 } = await import(
     new URL("three/build/three.module.js", MODULES)
 );
+
+const SCREEN_ERROR = new URL("../../web/src/screenerror.ts", import.meta.url);
+const { code } = createRequire(MODULES)("esbuild").transformSync(readFileSync(SCREEN_ERROR, "utf8"), { loader: "ts" });
+const { screenError } = await import(`data:text/javascript,${encodeURIComponent(code)}`);
+class CoredTiles extends TilesRenderer {
+    calculateTileViewError(tile, target) {
+        super.calculateTileViewError(tile, target);
+        const [{ position, sseDenominator }] = this.cameraInfo;
+        target.error = screenError(tile, position, sseDenominator) ?? target.error;
+    }
+}
 
 const PX_PER_SIGMA = 16; // errorTarget of a pixel of sigma: web/src/viewer.ts starts with it
 const FRAMES_MAX = 200;
@@ -41,6 +54,7 @@ function makeTileset(rows) {
         return {
             boundingVolume: { box: [...center, half[0], 0, 0, 0, half[1], 0, 0, 0, half[2]] },
             geometricError: row[15],
+            extras: { core: row.slice(9, 15) },
             content: { uri: `${nameOf(row)}.splats` },
             children: [],
         };
@@ -73,9 +87,9 @@ function makeCamera(test, eye) {
 }
 
 class Client {
-    constructor(rows) {
+    constructor(rows, Tiles = TilesRenderer) {
         const tileset = JSON.stringify(makeTileset(rows));
-        this.tiles = new TilesRenderer("http://localhost/tileset.json");
+        this.tiles = new Tiles("http://localhost/tileset.json");
         this.tiles.registerPlugin({
             name: "TEST",
             fetchData: async (url) =>
@@ -140,6 +154,28 @@ test("finer tiles or the same where cores are smaller, and all that the server s
             }
         }
     assert.ok(finer > 0, "no case tells the two distances apart");
+});
+
+test("the viewer, by cores: the same tiles, whether boxes are cores or not", async () => {
+    const viewers = Object.fromEntries(Object.entries(VECTORS.scenes).map(([name, rows]) => [name, new Client(rows, CoredTiles)]));
+    let count = 0;
+    for (const c of comparable)
+        for (const [at, want] of [["eye", "picked"], ["then", "picked_then"]]) {
+            const shown = await viewers[c.scene].shown(c, c[at]);
+            assert.deepEqual(shown.sort(), [...c[want]].sort(), `case ${c.number}, ${at}`);
+            count += c.scene === "core" ? shown.length : 0;
+        }
+    assert.ok(count > 100, `${count} tiles compared`);
+});
+
+test("cores that are none are passed over", () => {
+    const engineData = { transformInverse: new Matrix4() };
+    const eye = new PerspectiveCamera().position.set(0, 0, 12);
+    const errorOf = (core) => screenError({ geometricError: 8, extras: { core }, engineData }, eye, 0.5);
+    assert.equal(errorOf([-1, -1, -1, 1, 1, 4]), 2);
+    assert.equal(errorOf([-1, -1, -1, 1, 1, 12]), Infinity);
+    for (const core of [undefined, null, "none", [1, 2, 3], [1, 0, 0, 0, 1, 1], [0, 0, 0, 1, 1, null], [0, 0, 0, 1, 1, "1"]])
+        assert.equal(errorOf(core), null, JSON.stringify(core));
 });
 
 test("the client starts with the error the server starts with", () => {

@@ -16,11 +16,11 @@ import { parseArgs } from "node:util";
 const HERE = dirname(fileURLToPath(import.meta.url));
 const BROWSER_TESTS = new Set(
     [
-        ...["viewer", "ssim", "appearance", "away", "thin", "map", "embed", "layers", "shot", "module", "habits", "compare"],
+        ...["viewer", "ssim", "appearance", "away", "thin", "map", "embed", "layers", "shot", "module", "habits", "compare", "wander"],
         ...["cesium", "globe", "engines", "three", "raster", "parts", "maplibre"],
     ],
 );
-const TESTS = ["api", "views", "decoder", "source", "pick", "validate", "readers", "las", "writers", "seed", "tools", ...BROWSER_TESTS];
+const TESTS = ["api", "views", "decoder", "source", "pick", "pmtiles", "streamed", "validate", "readers", "las", "writers", "seed", "tools", ...BROWSER_TESTS];
 const SKIP = 77;
 
 const { values, positionals } = parseArgs({

@@ -90,3 +90,23 @@ test("packed tiles are asked for where the server has them, with the first one a
     assert.match(info.document.root.content.uri, /\/0\.drc\?preset=preview&sh=0$/);
     assert.match(info.document.root.children[0].content.uri, /\.drc\?appearance=none$/);
 });
+
+test("a name that the server keeps is asked for, each time; photographs are known", async () => {
+    const base = "http://127.0.0.1/d/toy/";
+    const own = `${base}r/${NEW}/appearance.json`;
+    const one = Buffer.from(Float32Array.of(3).buffer).toString("base64url");
+    const table = { embeddings: one, photographs: [{ name: "dawn" }] };
+    const kept = `${base}appearance?appearance=evening`;
+    const { info, asked } = await open(base, {
+        [own]: NETWORK,
+        [`${base}r/${NEW}/appearances.json`]: table,
+        [kept]: { appearance: "dawn", embedding: [0.25] },
+        [`${base}appearance?appearance=wrong`]: { embedding: [1, 2] },
+    });
+    assert.deepEqual([...(await info.network.find("dawn"))], [1]);
+    assert.equal(asked.filter((url) => url.includes("?appearance=")).length, 1); // the tileset
+    for (let i = 0; i < 2; i++) assert.deepEqual([...(await info.network.find("evening"))], [0.25]);
+    assert.equal(asked.filter((url) => url === kept).length, 2);
+    await assert.rejects(info.network.find("wrong"), /no photograph/);
+    await assert.rejects(info.network.find("noon"), /404/);
+});

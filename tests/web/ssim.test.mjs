@@ -7,7 +7,7 @@ import { mkdirSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
 
-import { barePicture, lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
+import { bareBytes, lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
 import { placeOfEnu } from "./lib/geo.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { firstDataSet, MOCK, openSource } from "./lib/source.mjs";
@@ -94,13 +94,13 @@ test("the viewer draws what the server draws, at seven poses", { skip: Boolean(w
         assert.equal(response.status, 200, await response.clone().text());
         const bytes = Buffer.from(await response.arrayBuffer());
         await lookViewer(page, pose);
-        const own = await barePicture(page);
+        const own = await bareBytes(page);
         if (KEPT) {
             mkdirSync(KEPT, { recursive: true });
             writeFileSync(join(KEPT, `${name}-server.png`), bytes);
-            writeFileSync(join(KEPT, `${name}-viewer.png`), await page.screenshot());
+            writeFileSync(join(KEPT, `${name}-viewer.png`), own);
         }
-        const { covered, whole, share } = ssim(own, decodePng(bytes));
+        const { covered, whole, share } = ssim(decodePng(own), decodePng(bytes));
         const { gaussians } = await page.evaluate(() => window.citysplat.state);
         t.diagnostic(
             `${name}: ${covered.toFixed(4)} of what is not background (${(100 * share).toFixed(0)} %), ` +

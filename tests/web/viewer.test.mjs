@@ -161,7 +161,7 @@ test("the server view opens and closes", async () => {
     await page.waitForFunction(() => /\d/.test(document.getElementById("stat-gaussians").textContent));
 });
 
-test("scripts come as brotli, and what they ask for is on its way before them", rendered, async (t) => {
+test("scripts come as brotli, what they ask for is on its way before them, and no level in between", rendered, async (t) => {
     const fresh = await openPage(source.url, SIZE);
     await waitForViewer(fresh.page);
     const all = await fresh.page.evaluate(() =>
@@ -169,11 +169,14 @@ test("scripts come as brotli, and what they ask for is on its way before them", 
             .getEntriesByType("resource")
             .map(({ name, initiatorType, encodedBodySize }) => [name, initiatorType, encodedBodySize]),
     );
+    const { tiles } = await fresh.page.evaluate(() => window.citysplat.state);
     await fresh.close();
+    const asked = new Set(all.map(([name]) => name).filter((name) => name.includes("/t/")));
+    assert.ok(asked.size <= tiles + 1, `${asked.size} tiles came for ${tiles} on the screen and the coarsest one`);
     const [first] = all.filter(([name]) => name.includes("/t/")).map(([name]) => name);
     for (const part of ["/collections", "/tileset.json", first]) {
-        const asked = all.filter(([name]) => name.includes(part)).map(([, by]) => by);
-        assert.deepEqual(asked, ["link"], `${part} is asked for by ${asked}`);
+        const by = all.filter(([name]) => name.includes(part)).map(([, one]) => one);
+        assert.deepEqual(by, ["link"], `${part} is asked for by ${by}`);
     }
     const [script, , size] = all.find(([name]) => /assets\/index-.*\.js$/.test(name));
     const plain = await fetch(script, { headers: { "accept-encoding": "identity" } });

@@ -41,7 +41,6 @@ function main() {
   const view = parseView(location.hash);
   const scene = query.get("scene") ?? query.get("ds");
   const memory = Number(query.get("memory"));
-  const small = matchMedia("(pointer: coarse)").matches || innerWidth < 700 || innerHeight < 480;
   const thin = query.has("thin");
   const options: ViewerOptions = {
     url: places(query),
@@ -55,7 +54,7 @@ function main() {
     ...(memory > 0 ? { memoryMb: memory } : {}),
   };
   const viewer = createViewer(element("view"), options);
-  new Page(viewer, small);
+  new Page(viewer);
   if (viewer.mode === "pictures" && !thin) toast(text("banner.thin"));
   window.citysplat = {
     viewer,

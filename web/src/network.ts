@@ -7,6 +7,7 @@ import { HttpError, type Link } from "./link";
 export const NAME_DEFAULT = "default";
 const LENGTH_MAX = 64;
 const BLEND_MAX = 16;
+const KEPT = /^[a-z0-9][a-z0-9_-]*$/; // a name that the server may keep
 
 // What the server tells of a photograph. The pose is where there is one.
 export interface Photograph {
@@ -110,17 +111,28 @@ export class Network {
   }
 
   // The embedding that a text names, as the server reads it: "" or "default", a photograph,
-  // NAME:WEIGHT,NAME:WEIGHT, or =BASE64. Rejects where it names none.
+  // NAME:WEIGHT,NAME:WEIGHT, =BASE64, or a name that the server keeps. Rejects where it names none.
   async find(text: string): Promise<Float32Array> {
     if (!text || text === NAME_DEFAULT) return this.standard;
     if (text.startsWith("=")) return numbers(text.slice(1), this.image);
     await this.list();
+    if (KEPT.test(text) && !this.row(text)) return this.kept(text);
     const parts = text.split(",").map((part) => this.part(part));
     const sum = parts.reduce((total, { weight }) => total + weight, 0);
     if (parts.length > BLEND_MAX || !(Math.abs(sum) > 0)) throw notThere(text);
     const out = new Float32Array(this.image);
     for (const { row, weight } of parts)
       row.forEach((x, i) => (out[i] = out[i]! + (weight / sum) * x));
+    return out;
+  }
+
+  // What a name stands for is the server's to say, and may be another tomorrow.
+  private async kept(name: string): Promise<Float32Array> {
+    const url = new URL("../../appearance", this.table); // of .../r/REV/appearances.json
+    url.searchParams.set("appearance", name);
+    const { embedding } = (await this.link.json(url)) as { embedding?: unknown };
+    const out = Float32Array.from(Array.isArray(embedding) ? embedding : [], Number);
+    if (out.length !== this.image || !out.every(Number.isFinite)) throw notThere(name);
     return out;
   }
 

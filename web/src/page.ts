@@ -22,6 +22,9 @@ import { getLanguage, setLanguage, text, translate } from "./strings";
 import { Tours } from "./tours";
 import type { Mode, Viewer } from "./viewer";
 
+// Touch screens begin with a step less: their pixels are smaller, their lines slower. The size of the window does not
+// count: fewer pixels already ask for fewer Gaussians.
+const TOUCH = matchMedia("(pointer: coarse)").matches;
 const DETAIL_MIDDLE = 4; // the slider position at which a typical Gaussian is one pixel
 const ADDRESS_MS = 300; // browsers refuse an address that changes too often
 
@@ -61,10 +64,7 @@ export class Page {
   private addressTimer = 0;
   private offered = false;
 
-  constructor(
-    private readonly viewer: Viewer,
-    private readonly small: boolean,
-  ) {
+  constructor(private readonly viewer: Viewer) {
     new Status(viewer);
     const query = new URLSearchParams(location.search);
     this.appearance = new AppearanceControl(viewer, parseSecondLight(query));
@@ -206,7 +206,7 @@ export class Page {
     click("share", () => void this.share());
     click("shot-button", () => void this.shot());
     click("fold", () => this.fold(!element("panel").classList.contains("folded")));
-    this.fold(this.small);
+    this.fold(TOUCH || innerWidth < 700 || innerHeight < 480);
   }
 
   private fold(folded: boolean) {
@@ -236,7 +236,7 @@ export class Page {
   private wireSettings() {
     const { viewer } = this;
     const detail = element<HTMLInputElement>("detail");
-    detail.value = String(this.small ? DETAIL_MIDDLE - 1 : DETAIL_MIDDLE);
+    detail.value = String(TOUCH ? DETAIL_MIDDLE - 1 : DETAIL_MIDDLE);
     detail.addEventListener("input", () => this.applyDetail());
     const select = (id: string, value: string, run: (value: string) => void) => {
       const field = element<HTMLSelectElement>(id);

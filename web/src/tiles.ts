@@ -1,11 +1,13 @@
-// Which tiles to have: 3d-tiles-renderer's choice of level with five rules of our own.
+// Which tiles to have: 3d-tiles-renderer's choice of level with six rules of our own.
 //
+// - How coarse a tile is on the screen is measured as the server does.
 // - A tile that failed is not "there": the coarser one stays in its place, and it is asked for again
 //   after a growing pause.
 // - The coarsest tiles come before all others.
 // - A tile that no view wants any more is given up, also when it is on its way.
 // - A coarsest tile comes as a draft; where the view ends with it, the whole tile follows.
-// - A level between the coarsest and the wanted one is left out when the wanted one comes soon.
+// - A level between the coarsest and the wanted one is left out when the wanted one comes soon, or when it is
+//   hardly finer than what is there.
 //
 // SPDX-License-Identifier: Apache-2.0
 import type { LRUCache, Tile } from "3d-tiles-renderer/core";
@@ -15,6 +17,7 @@ import { Matrix4, Vector3 } from "three";
 import type { DecoderPool } from "./decoders";
 import { Gaussians, type Block, type Piece } from "./gaussians";
 import type { Link } from "./link";
+import { screenError } from "./screenerror";
 import { DRAFT, usePackedTiles } from "./source";
 import type { Tint } from "./tint";
 
@@ -34,6 +37,7 @@ export interface CityTile extends Tile {
   children: CityTile[];
   geometricError: number;
   content?: { uri: string };
+  extras?: { core?: unknown };
   internal: Tile["internal"] & {
     loadingState: number;
     depthFromRenderedParent: number;
@@ -47,7 +51,7 @@ export interface CityTile extends Tile {
     inFrustum: boolean;
     lastFrameVisited: number;
   };
-  engineData: { transform: Matrix4 };
+  engineData: { transform: Matrix4; transformInverse: Matrix4 };
 }
 
 // Runs what uploads to the card: at once, or when the owner of the context draws next.
@@ -70,6 +74,8 @@ interface Base {
   visibleTiles: Set<CityTile>;
   queueTileForDownload(tile: CityTile): void;
   removeUnusedPendingTiles(): void;
+  cameraInfo: { position: Vector3; sseDenominator: number }[];
+  calculateTileViewError(tile: CityTile, target: { error: number }): void;
   disposeTile(tile: CityTile): void;
   _upRotationMatrix: Matrix4;
 }
@@ -132,6 +138,12 @@ export class CityTiles extends BaseTiles {
     return document;
   }
 
+  override calculateTileViewError(tile: CityTile, target: { error: number }) {
+    super.calculateTileViewError(tile, target);
+    const [eye] = this.cameraInfo; // there is one
+    target.error = (eye && screenError(tile, eye.position, eye.sseDenominator)) ?? target.error;
+  }
+
   override queueTileForDownload(tile: CityTile) {
     if (this.frozen || tile.internal.loadingState !== UNLOADED) return;
     const broken = this.broken.get(tile);
@@ -150,7 +162,14 @@ export class CityTiles extends BaseTiles {
     const finer = tile.children.some(
       ({ traversal }) => traversal.used && traversal.lastFrameVisited === this.frameCount,
     );
-    return finer && tile.traversal.error > this.errorTarget && this.comesSoon();
+    return finer && tile.traversal.error > this.errorTarget && (!this.halves(tile) || this.comesSoon());
+  }
+
+  // Whether it is at least twice as fine as what stands there: a level that is hardly finer only delays the wanted one.
+  private halves(tile: CityTile): boolean {
+    let up = tile.parent;
+    while (up && up.internal.loadingState === UNLOADED) up = up.parent;
+    return !up || tile.geometricError <= 0.5 * up.geometricError;
   }
 
   private comesSoon(): boolean {
@@ -168,7 +187,10 @@ export class CityTiles extends BaseTiles {
 
   override removeUnusedPendingTiles() {
     const now = performance.now();
-    for (const tile of [...this.loadingTiles]) {
+    const coming = [...this.loadingTiles];
+    // Where nothing of it is wanted the camera has jumped, and nobody will turn back.
+    const patience = coming.some((tile) => this.lruCache.isUsed(tile)) ? GIVE_UP_MS : 0;
+    for (const tile of coming) {
       const state = tile.internal.loadingState;
       if (this.lruCache.isUsed(tile)) {
         this.unwanted.delete(tile);
@@ -177,7 +199,7 @@ export class CityTiles extends BaseTiles {
       } else if (state <= LOADING) {
         const since = this.unwanted.get(tile) ?? now;
         this.unwanted.set(tile, since);
-        if (now - since >= GIVE_UP_MS) {
+        if (now - since >= patience) {
           this.unwanted.delete(tile);
           this.lruCache.remove(tile); // aborts the request
         }

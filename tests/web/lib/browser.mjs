@@ -111,8 +111,8 @@ export function nextFrames(page) {
     return page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))));
 }
 
-// The viewer's picture alone: no panels, and black instead of sky and ground, as the server draws.
-export async function barePicture(page) {
+// The viewer's picture alone: no panels, and black instead of sky and ground, as the server draws. As PNG.
+export async function bareBytes(page) {
     const bare = (on) =>
         page.evaluate(async (off) => {
             const { viewer } = window.citysplat;
@@ -124,9 +124,13 @@ export async function barePicture(page) {
             await new Promise(requestAnimationFrame);
         }, on);
     await bare(true);
-    const png = decodePng(await page.screenshot());
+    const png = await page.screenshot();
     await bare(false);
     return png;
+}
+
+export async function barePicture(page) {
+    return decodePng(await bareBytes(page));
 }
 
 // The viewer's camera to a pose { lon, lat, h, heading, pitch, fov }; waits for the new picture.

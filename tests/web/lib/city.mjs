@@ -110,3 +110,10 @@ export function makeCity() {
     ball(out);
     return out;
 }
+
+// The test city again and again, side by side: so many a side, so far apart.
+export function manyCities(copies, apartM) {
+    const one = makeCity();
+    const at = Array.from({ length: copies }, (_, i) => apartM * (i - (copies - 1) / 2));
+    return at.flatMap((e) => at.flatMap((n) => one.map((g) => ({ ...g, pos: [g.pos[0] + e, g.pos[1] + n, g.pos[2]] }))));
+}

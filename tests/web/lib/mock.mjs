@@ -108,7 +108,8 @@ function collections() {
         id,
         title,
         attribution: CREDIT,
-        extent: { spatial: { bbox: [bbox] } },
+        extent: { spatial: { bbox: [[sw.lon, sw.lat, ne.lon, ne.lat]] } },
+        contentExtent: { spatial: { bbox: [bbox] } },
     });
     return { collections: [one("f", "Test city"), one("f2", "Test city, again")] };
 }

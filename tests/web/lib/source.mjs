@@ -92,18 +92,22 @@ export async function openSource({ edgeM } = {}) {
     }
 }
 
-// The test city, and what is to be another date of it: `later`, with red and blue exchanged.
-export async function openTwoDates() {
-    const dir = mkdtempSync(join(tmpdir(), "citysplat-dates-"));
+// Scenes of Gaussians about ORIGIN, by name (fcity: the test city's), imported and served.
+export async function openScenes(scenes) {
+    const dir = mkdtempSync(join(tmpdir(), "citysplat-scenes-"));
     const clean = () => rmSync(dir, { recursive: true, force: true });
-    const later = makeCity().map((one) => ({ ...one, rgb: one.rgb.toReversed() }));
     try {
-        const server = await serve(importCity(dir), importCity(dir, 60, "later", later));
+        const server = await serve(...Object.entries(scenes).map(([name, city]) => importCity(dir, 60, name, city)));
         return { ...server, close: () => server.close().finally(clean) };
     } catch (error) {
         clean();
         throw error;
     }
+}
+
+// The test city, and what is to be another date of it: `later`, with red and blue exchanged.
+export function openTwoDates() {
+    return openScenes({ fcity: makeCity(), later: makeCity().map((one) => ({ ...one, rgb: one.rgb.toReversed() })) });
 }
 
 function run(args) {

@@ -9,6 +9,8 @@ import { placeOfEnu } from "./geo.mjs";
 const MB = 2 ** 20;
 const SETTLE_MS = 60_000;
 const HASTE_MS = 1000;
+const ON_ITS_WAY = 1.05; // no tile is asked for beyond the limit; those on their way still come
+const LIMITS = { heapMb: 32, cardMb: 32 }; // beside the tiles' own limit
 const WARM = 0.25; // of the time: everything is used for the first time
 const GROWTH = 1.1; // from the first third after that to the last one
 const SLACK = { heapMb: 4, textures: 2, geometries: 2, nodes: 60, listeners: 40, rendererMb: 60 };
@@ -125,6 +127,19 @@ export function growthOf(samples) {
         if (late > GROWTH * early + slack) faults.push(`${key}: ${early.toFixed(1)}, at the end ${late.toFixed(1)}`);
     }
     return faults;
+}
+
+// What passed its bounds, as lines of text; memoryMb: the viewer's limit, which must have been reached.
+export function beyond(samples, memoryMb) {
+    const most = (key) => Math.max(...samples.map((one) => one[key]));
+    const bounds = { memoryMb: ON_ITS_WAY * memoryMb, ...LIMITS };
+    const high = Object.entries(bounds).filter(([key, bound]) => most(key) > bound);
+    const errors = new Set(samples.map(({ error }) => error).filter(Boolean));
+    return [
+        ...high.map(([key, bound]) => `${key}: ${most(key).toFixed(1)} of at most ${bound.toFixed(1)}`),
+        ...errors,
+        ...(samples.some(({ heldBack }) => heldBack) ? [] : ["the limit of memory was never reached"]),
+    ];
 }
 
 // Wanders for some seconds and samples every few. { samples, steps: { jump, glide, light, scene } }
