@@ -74,6 +74,7 @@ scene_about() {
     city) echo "procedural city 300 m, 300 photographs of 400 x 300 px, cells of 100 m" ;;
     city-location) echo "procedural city 300 m, 300 photographs of 400 x 300 px, cells of 100 m, without visibility selection" ;;
     demo) echo "demo city 120 m, 84 photographs of 480 x 360 px, 24 map views" ;;
+    big) echo "procedural city 1 km, 640 photographs of 512 x 384 px, 9 cells of 340 m, 24 map views" ;;
     above) echo "procedural city 100 m, 60 photographs of 320 x 240 px from straight above, 24 map views" ;;
     light) echo "procedural city 100 m, 60 photographs of 320 x 240 px under changing light" ;;
     city-light) echo "procedural city 200 m, 150 photographs of 400 x 300 px under changing light" ;;
@@ -108,6 +109,7 @@ scene_build() { # NAME FOLDER
       citysplat synth --config configs/demo-synth.jsonc --map-views 24 -o "$2-photos" --overwrite -q
       citysplat ingest "$2-photos/images" "$2-photos/sparse" --config configs/demo-ingest.jsonc -o "$2" -q
       ;;
+    big) scene_ingest_city "$2" --extent-m 1000 --photos 640 --width-px 512 --height-px 384 --points 400000 --map-views 24; citysplat plan "$2" --edge-m 340 --images-few 16 ;;
     above) scene_ingest_city "$2" --extent-m 100 --photos 60 --width-px 320 --height-px 240 --points 20000 --oblique-share 0 --map-views 24 ;;
     light) scene_ingest_city "$2" --extent-m 100 --photos 60 --width-px 320 --height-px 240 --points 20000 --exposure-ev 0.5 --white-balance 0.15 --sun-variation 0.5 ;;
     city-light) scene_ingest_city "$2" --extent-m 200 --photos 150 --points 60000 --exposure-ev 0.5 --white-balance 0.15 --sun-variation 0.5 ;;
@@ -419,6 +421,17 @@ study_full() {
   row full ochota ochota-800 "" --iterations "$(steps full)" --appearance --eval --half-image on
 }
 
+# A square kilometre in nine cells. Opacities are reset five times in a cell, which needs a shorter interval than that of
+# the full method. The tiles of one training, drawn by what a Gaussian may miss on the screen.
+study_big() {
+  local d MAP_VIEWS=1 base=(--iterations "$(steps big)" --reset-interval 750 "${SMALL[@]}")
+  SHARED=1 row big "trained" big "" "${base[@]}"
+  unset MAP_VIEWS
+  for d in 1 2 4 8 16; do
+    tile_row big "screen: $d px" big "error_px=$d" --eval --metric screen --error-px "$d" -- "${base[@]}"
+  done
+}
+
 # level_row STUDY ROW SCENE SET EVAL-OPTIONS -- TRAIN-OPTIONS: every level of the same trained scene.
 level_row() {
   local study=$1 name=$2 scene=$3 set=$4 folder command o eval=()
@@ -543,7 +556,7 @@ study_pyramid() {
 }
 
 # Those of the city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra sh embedding network ochota_light ablation ablation_city
+readonly STUDIES=(time full big budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra sh embedding network ochota_light ablation ablation_city
   levels lod far rd layout pyramid growth bench)
 
 main() {
