@@ -11,6 +11,7 @@
 
 #include "cells/footprint_internal.h"
 #include "codec/scene.h"
+#include "core/camera.h"
 #include "core/pool.h"
 #include "core/sort.h"
 
@@ -237,31 +238,17 @@ static enum err_code footprint_heights(struct footprint_work *w, struct err *e)
 
 /* ---- what the photographs see ---- */
 
-/* Its depth in a photograph; false when it is not in the picture. */
-static bool footprint_sees(const struct footprint_work *w, size_t image, const double x[3],
-                           double *depth_m)
-{
-    const struct camera *c = &w->s->images[image].cam;
-    double t[3];
-    for (int a = 0; a < 3; a++)
-        t[a] = c->rot[3 * a] * x[0] + c->rot[3 * a + 1] * x[1] + c->rot[3 * a + 2] * x[2] +
-               c->trans[a];
-    if (!(t[2] > 0.0))
-        return false;
-    double u = c->fx_px * t[0] / t[2] + c->cx_px, v = c->fy_px * t[1] / t[2] + c->cy_px;
-    *depth_m = t[2];
-    return u >= 0.0 && v >= 0.0 && u < c->width_px && v < c->height_px;
-}
-
 static void footprint_look(struct footprint_work *w, size_t cell, const double x[3])
 {
     double depth, px = 0.0;
     size_t views = 0;
-    for (size_t i = 0; i < w->s->n_images; i++)
-        if (w->s->images[i].split == SCENE_TRAIN && footprint_sees(w, i, x, &depth)) {
+    for (size_t i = 0; i < w->s->n_images; i++) {
+        const struct scene_image *image = &w->s->images[i];
+        if (image->split == SCENE_TRAIN && camera_frames(&image->cam, x, 0.0, &depth)) {
             views++;
-            px = fmax(px, w->s->images[i].cam.fx_px / depth);
+            px = fmax(px, image->cam.fx_px / depth);
         }
+    }
     w->f->views[cell] = (uint16_t)(views < UINT16_MAX ? views : UINT16_MAX);
     w->px[cell] = (float)px;
 }

@@ -15,6 +15,7 @@
 #include <string.h>
 
 #include "codec/scene.h"
+#include "core/camera.h"
 #include "core/pool.h"
 #include "core/sort.h"
 
@@ -125,18 +126,13 @@ static bool partition_survey_uses(const struct survey *v, size_t image)
  * the picture. */
 static bool partition_survey_project(const struct camera *c, const double enu[3], struct xy *out)
 {
-    double t[3];
-    for (size_t r = 0; r < 3; r++)
-        t[r] = c->rot[3 * r] * enu[0] + c->rot[3 * r + 1] * enu[1] + c->rot[3 * r + 2] * enu[2] +
-               c->trans[r];
-    if (!(t[2] > PARTITION_NEAR_M))
+    double px[2], w = c->width_px, h = c->height_px;
+    if (!camera_project(c, enu, PARTITION_NEAR_M, px, NULL))
         return false;
-    double u = c->fx_px * t[0] / t[2] + c->cx_px, v = c->fy_px * t[1] / t[2] + c->cy_px;
-    double w = c->width_px, h = c->height_px;
-    if (!(u >= -PARTITION_BORDER_PX && u <= w + PARTITION_BORDER_PX && v >= -PARTITION_BORDER_PX &&
-          v <= h + PARTITION_BORDER_PX))
+    if (!(px[0] >= -PARTITION_BORDER_PX && px[0] <= w + PARTITION_BORDER_PX &&
+          px[1] >= -PARTITION_BORDER_PX && px[1] <= h + PARTITION_BORDER_PX))
         return false;
-    *out = (struct xy){fmin(fmax(u, 0.0), w), fmin(fmax(v, 0.0), h)};
+    *out = (struct xy){fmin(fmax(px[0], 0.0), w), fmin(fmax(px[1], 0.0), h)};
     return true;
 }
 

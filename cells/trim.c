@@ -15,6 +15,7 @@
 
 #include "cells/footprint.h"
 #include "codec/scene.h"
+#include "core/camera.h"
 #include "core/gauss.h"
 #include "core/pool.h"
 
@@ -40,16 +41,6 @@ void trim_free(struct trim *t)
     mem_free(t->first);
     mem_free(t->cams);
     *t = (struct trim){0};
-}
-
-static bool trim_frames(const struct camera *c, const double x[3])
-{
-    double t[3];
-    for (int a = 0; a < 3; a++)
-        t[a] = c->rot[3 * a] * x[0] + c->rot[3 * a + 1] * x[1] + c->rot[3 * a + 2] * x[2] +
-               c->trans[a];
-    double u = c->fx_px * t[0] / t[2] + c->cx_px, v = c->fy_px * t[1] / t[2] + c->cy_px;
-    return t[2] > 0.0 && u >= 0.0 && v >= 0.0 && u < c->width_px && v < c->height_px;
 }
 
 /* ---- which cells are shown ---- */
@@ -152,7 +143,7 @@ static size_t trim_look(const struct trim_work *w, size_t cell, uint32_t *cams, 
             w->s->images[i].split == SCENE_TRAIN ? trim_frames_ball(&w->sides[i], ball) : TRIM_NONE;
         bool some = there == TRIM_WHOLE;
         for (size_t k = 0; there != TRIM_NONE && k < TRIM_PLACES * TRIM_HEIGHTS; k++)
-            if (there == TRIM_WHOLE || trim_frames(&w->s->images[i].cam, x[k]))
+            if (there == TRIM_WHOLE || camera_frames(&w->s->images[i].cam, x[k], 0.0, NULL))
                 some = seen[k] = true;
         if (some)
             cams[n++] = (uint32_t)i;
@@ -281,7 +272,7 @@ bool trim_shows(const struct trim *t, const double x_m[3])
     if (t->deep[cell])
         return true;
     for (size_t k = t->first[cell]; k < t->first[cell + 1]; k++)
-        if (trim_frames(&t->scene->images[t->cams[k]].cam, x_m))
+        if (camera_frames(&t->scene->images[t->cams[k]].cam, x_m, 0.0, NULL))
             return true;
     return false;
 }

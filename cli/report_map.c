@@ -51,13 +51,9 @@ static double report_gsd_at(const struct scene *s, const double at[3])
     double best = HUGE_VAL;
     for (size_t i = 0; i < s->n_images; i++) {
         const struct camera *c = &s->images[i].cam;
-        double p[3];
-        for (size_t k = 0; k < 3; k++)
-            p[k] = c->rot[3 * k] * at[0] + c->rot[3 * k + 1] * at[1] + c->rot[3 * k + 2] * at[2] +
-                   c->trans[k];
-        double x = c->fx_px * p[0] / p[2] + c->cx_px, y = c->fy_px * p[1] / p[2] + c->cy_px;
-        if (p[2] > 0 && x >= 0 && y >= 0 && x < c->width_px && y < c->height_px)
-            best = fmin(best, p[2] / c->fx_px);
+        double depth_m;
+        if (camera_frames(c, at, 0.0, &depth_m))
+            best = fmin(best, depth_m / c->fx_px);
     }
     return isfinite(best) ? best : (double)NAN;
 }

@@ -1,4 +1,4 @@
-/* Pinhole cameras: poses from look-at, heading and JSON, quaternions, resizing.
+/* Pinhole cameras: poses from look-at, heading and JSON, projection, quaternions, resizing.
  *
  * Rotations are world -> camera with rows right, down, forward. A pose that comes from outside is
  * made orthonormal again through its quaternion (Shepperd's method picks the largest component, so
@@ -44,6 +44,30 @@ void camera_center(const struct camera *c, double out_enu_m[3])
     for (int i = 0; i < 3; i++)
         out_enu_m[i] =
             -(c->rot[i] * c->trans[0] + c->rot[3 + i] * c->trans[1] + c->rot[6 + i] * c->trans[2]);
+}
+
+/* What is shown, kept and seeded hangs on the last bits: the order of operations stays. */
+bool camera_project(const struct camera *c, const double enu_m[3], double near_m, double px[2],
+                    double *depth_m)
+{
+    double t[3];
+    for (int i = 0; i < 3; i++)
+        t[i] = c->rot[3 * i] * enu_m[0] + c->rot[3 * i + 1] * enu_m[1] +
+               c->rot[3 * i + 2] * enu_m[2] + c->trans[i];
+    if (!(t[2] > near_m))
+        return false;
+    px[0] = c->fx_px * t[0] / t[2] + c->cx_px;
+    px[1] = c->fy_px * t[1] / t[2] + c->cy_px;
+    if (depth_m)
+        *depth_m = t[2];
+    return true;
+}
+
+bool camera_frames(const struct camera *c, const double enu_m[3], double near_m, double *depth_m)
+{
+    double px[2];
+    return camera_project(c, enu_m, near_m, px, depth_m) && px[0] >= 0.0 && px[1] >= 0.0 &&
+           px[0] < c->width_px && px[1] < c->height_px;
 }
 
 struct camera camera_resize(const struct camera *c, uint32_t width_px, uint32_t height_px)

@@ -25,6 +25,13 @@ struct camera {
 
 /* Centre of projection in the world frame: -rot^T trans. */
 void camera_center(const struct camera *c, double out_enu_m[3]);
+/* Where a point of the world frame is drawn: a pixel, in the picture or not, and its distance along
+ * the forward axis in metres (depth_m may be NULL). False, and nothing written, when it is not
+ * farther than near_m. */
+bool camera_project(const struct camera *c, const double enu_m[3], double near_m, double px[2],
+                    double *depth_m);
+/* Is it drawn in the picture, [0, width) x [0, height)? */
+bool camera_frames(const struct camera *c, const double enu_m[3], double near_m, double *depth_m);
 /* Same view, other picture size: pixel centres are at +0.5, so focal lengths and principal point
  * scale. */
 struct camera camera_resize(const struct camera *c, uint32_t width_px, uint32_t height_px);

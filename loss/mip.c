@@ -148,17 +148,11 @@ enum err_code mip_run(struct mip *m, struct render_model *model, const struct ca
 
 static bool mip_sees(const struct camera *c, const double enu_m[3], double *z)
 {
-    double t[3];
-    for (int k = 0; k < 3; k++)
-        t[k] = c->rot[3 * k] * enu_m[0] + c->rot[3 * k + 1] * enu_m[1] +
-               c->rot[3 * k + 2] * enu_m[2] + c->trans[k];
-    *z = t[2];
-    if (!(t[2] > (double)LAYOUT_MIP_NEAR_M))
-        return false;
-    double u = c->fx_px * t[0] / t[2] + c->cx_px, v = c->fy_px * t[1] / t[2] + c->cy_px;
     const double grow = (double)LAYOUT_MIP_GROW;
-    return u >= -grow * c->width_px && u <= (1.0 + grow) * c->width_px &&
-           v >= -grow * c->height_px && v <= (1.0 + grow) * c->height_px;
+    double px[2];
+    return camera_project(c, enu_m, (double)LAYOUT_MIP_NEAR_M, px, z) &&
+           px[0] >= -grow * c->width_px && px[0] <= (1.0 + grow) * c->width_px &&
+           px[1] >= -grow * c->height_px && px[1] <= (1.0 + grow) * c->height_px;
 }
 
 void mip_ref_filter(const struct gauss *g, const struct camera *cams, size_t n_cams, double *f)

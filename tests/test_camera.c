@@ -86,6 +86,69 @@ static void test_resize_keeps_the_view(void **state)
     kit_near_d("pixel", b, want, 2, 1e-9, 0);
 }
 
+static void test_project(void **state)
+{
+    (void)state;
+    const struct camera c =
+        camera_look_at((double[3]){3, -30, 40}, (double[3]){1, 2, 3}, 0.9, 640, 480);
+    double px[2], want[2], depth_m, again_m;
+    size_t framed = 0;
+    for (uint64_t i = 0; i < 2000; i++) {
+        double x[3], ahead = c.trans[2];
+        for (uint64_t k = 0; k < 3; k++) {
+            x[k] = 60 * rng_normal(2, i, k);
+            ahead += c.rot[6 + k] * x[k];
+        }
+        bool front = camera_project(&c, x, 0, px, &depth_m);
+        assert_int_equal(front, ahead > 0);
+        bool inside = false;
+        if (front) {
+            project(&c, x, want);
+            kit_near_d("pixel", px, want, 2, tol_exact, tol_exact);
+            kit_near_d("depth", &depth_m, &ahead, 1, tol_exact * 100, 0);
+            inside = px[0] >= 0 && px[0] < 640 && px[1] >= 0 && px[1] < 480;
+        }
+        assert_int_equal(camera_frames(&c, x, 0, &again_m), inside);
+        assert_true(!inside || again_m == depth_m);
+        framed += inside;
+    }
+    assert_in_range(framed, 100, 1900); /* both happen */
+}
+
+/* Numbers that double holds exactly: a camera at the origin that looks north. */
+static void test_project_edges(void **state)
+{
+    (void)state;
+    const struct camera c = {.width_px = 64,
+                             .height_px = 32,
+                             .fx_px = 16,
+                             .fy_px = 16,
+                             .cx_px = 32,
+                             .cy_px = 16,
+                             .rot = {1, 0, 0, 0, 0, -1, 0, 1, 0}};
+    double px[2] = {-7, -7}, depth_m = -7;
+    /* Not deeper than the near plane: nothing is written. */
+    assert_false(camera_project(&c, (double[3]){0, 2, 0}, 2, px, &depth_m));
+    assert_false(camera_project(&c, (double[3]){1, 0, 1}, 0, px, &depth_m));
+    assert_false(camera_project(&c, (double[3]){0, -4, 0}, 0, px, &depth_m));
+    assert_false(camera_project(&c, (double[3]){0, (double)NAN, 0}, 0, px, &depth_m));
+    assert_true(px[0] == -7 && px[1] == -7 && depth_m == -7);
+    assert_true(camera_project(&c, (double[3]){0, nextafter(2, 3), 0}, 2, px, NULL));
+    assert_true(camera_project(&c, (double[3]){16, 4, 2}, 2, px, &depth_m)); /* outside, in front */
+    assert_true(px[0] == 96 && px[1] == 8 && depth_m == 4);
+    /* The left and upper border belong to the picture, the right and lower do not. */
+    assert_true(camera_frames(&c, (double[3]){-8, 4, 4}, 0, &depth_m));
+    assert_true(depth_m == 4);
+    assert_false(camera_frames(&c, (double[3]){nextafter(-8, -9), 4, 4}, 0, NULL));
+    assert_false(camera_frames(&c, (double[3]){-8, 4, nextafter(4, 5)}, 0, NULL));
+    assert_false(camera_frames(&c, (double[3]){8, 4, 0}, 0, NULL));
+    assert_false(camera_frames(&c, (double[3]){0, 4, -4}, 0, NULL));
+    assert_true(camera_frames(&c, (double[3]){7.9375, 4, -3.9375}, 0, NULL));
+    /* Behind, where the mirrored pixel would be in the middle; at the near plane. */
+    assert_false(camera_frames(&c, (double[3]){0, -4, 0}, 0, NULL));
+    assert_false(camera_frames(&c, (double[3]){0, 4, 0}, 4, NULL));
+}
+
 static void test_quaternions(void **state)
 {
     (void)state;
@@ -282,6 +345,8 @@ int main(void)
         cmocka_unit_test(test_look_at_conventions),
         cmocka_unit_test(test_heading_agrees_with_look_at),
         cmocka_unit_test(test_resize_keeps_the_view),
+        cmocka_unit_test(test_project),
+        cmocka_unit_test(test_project_edges),
         cmocka_unit_test(test_quaternions),
         cmocka_unit_test(test_json),
         cmocka_unit_test(test_lens_round_trip),

@@ -36,18 +36,6 @@ struct harmonics_fit { /* of one Gaussian */
     double a[LAYOUT_SH_MAX][LAYOUT_SH_MAX];
 };
 
-static bool harmonics_sees(const struct camera *c, const double x[3])
-{
-    double at[3];
-    for (int k = 0; k < 3; k++)
-        at[k] = c->rot[3 * k] * x[0] + c->rot[3 * k + 1] * x[1] + c->rot[3 * k + 2] * x[2] +
-                c->trans[k];
-    if (!(at[2] > HARMONICS_NEAR_M))
-        return false;
-    double u = c->fx_px * at[0] / at[2] + c->cx_px, v = c->fy_px * at[1] / at[2] + c->cy_px;
-    return u >= 0.0 && v >= 0.0 && u < (double)c->width_px && v < (double)c->height_px;
-}
-
 /* Sum of Y Y^T over the photographs that see it; their number. */
 static size_t harmonics_gather(const struct harmonics_work *w, const double x[3],
                                struct harmonics_fit *f)
@@ -56,7 +44,7 @@ static size_t harmonics_gather(const struct harmonics_work *w, const double x[3]
     memset(f->a, 0, sizeof f->a);
     for (size_t k = 0; k < w->rule->n_cams; k++) {
         double dir[3], y[LAYOUT_SH_MAX], length2 = 0.0;
-        if (!harmonics_sees(&w->rule->cams[k], x))
+        if (!camera_frames(&w->rule->cams[k], x, HARMONICS_NEAR_M, NULL))
             continue;
         for (int i = 0; i < 3; i++) {
             dir[i] = x[i] - w->center[k][i];

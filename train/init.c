@@ -12,6 +12,7 @@
 #include "cells/footprint.h"
 #include "codec/mask.h"
 #include "codec/scene.h"
+#include "core/camera.h"
 #include "core/knn.h"
 #include "core/pool.h"
 #include "train/config.h"
@@ -251,16 +252,9 @@ enum err_code init_count_points(const struct scene *s, const uint32_t *images, s
 
 static bool init_ground_is_seen(const struct init_input *in, const double x[3])
 {
-    for (size_t i = 0; i < in->n_images; i++) {
-        const struct camera *c = &in->scene->images[in->images[i]].cam;
-        double t[3];
-        for (int a = 0; a < 3; a++)
-            t[a] = c->rot[3 * a] * x[0] + c->rot[3 * a + 1] * x[1] + c->rot[3 * a + 2] * x[2] +
-                   c->trans[a];
-        double u = c->fx_px * t[0] / t[2] + c->cx_px, v = c->fy_px * t[1] / t[2] + c->cy_px;
-        if (t[2] > 0.0 && u >= 0.0 && v >= 0.0 && u < c->width_px && v < c->height_px)
+    for (size_t i = 0; i < in->n_images; i++)
+        if (camera_frames(&in->scene->images[in->images[i]].cam, x, 0.0, NULL))
             return true;
-    }
     return false;
 }
 
