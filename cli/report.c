@@ -58,27 +58,6 @@ struct report {
     struct buf out;
 };
 
-static void report_text(struct report *r, const char *s)
-{
-    for (; s && *s; s++)
-        switch (*s) {
-        case '&':
-            buf_printf(&r->out, "&amp;");
-            break;
-        case '<':
-            buf_printf(&r->out, "&lt;");
-            break;
-        case '>':
-            buf_printf(&r->out, "&gt;");
-            break;
-        case '"':
-            buf_printf(&r->out, "&quot;");
-            break;
-        default:
-            buf_u8(&r->out, (uint8_t)*s);
-        }
-}
-
 static const json_t *report_get(const json_t *o, const char *a, const char *b)
 {
     const json_t *v = json_object_get(o, a);
@@ -139,16 +118,16 @@ static void report_head(struct report *r)
     }
     strftime(when, sizeof when, "%Y-%m-%d", gmtime_r(&now, &tm));
     buf_printf(&r->out, "<!DOCTYPE html><html lang=\"en\"><head><meta charset=\"utf-8\"><title>");
-    report_text(r, title);
+    buf_markup(&r->out, title);
     buf_printf(&r->out,
                "</title><style>%s</style></head><body>\n<h1>Survey report: ", report_style);
-    report_text(r, title);
+    buf_markup(&r->out, title);
     buf_printf(&r->out, "</h1><p>Written %s by citysplat %s", when, CITYSPLAT_VERSION);
     if (*first)
         buf_printf(&r->out, "; photographs of %s to %s", first, last);
     if (r->scene.attribution && *r->scene.attribution) {
         buf_printf(&r->out, "; ");
-        report_text(r, r->scene.attribution);
+        buf_markup(&r->out, r->scene.attribution);
     }
     buf_printf(&r->out, ".</p>\n");
 }
@@ -328,7 +307,7 @@ static void report_gcp_table(struct report *r)
     for (size_t i = 0; i < json_array_size(list); i++) {
         const json_t *p = json_array_get(list, i);
         buf_printf(&r->out, "<tr><td>");
-        report_text(r, json_string_value(json_object_get(p, "name")));
+        buf_markup(&r->out, json_string_value(json_object_get(p, "name")));
         buf_printf(&r->out, "</td><td>%s</td><td>%.0f</td>",
                    json_is_true(json_object_get(p, "check")) ? "check" : "control",
                    report_num(p, "photographs", NULL));
@@ -396,9 +375,9 @@ static void report_dropped(struct report *r)
             buf_printf(&r->out, "<section><h2>Photographs that were dropped</h2><table "
                                 "class=\"wide\"><tr><th>photograph</th><th>why</th></tr>\n");
         buf_printf(&r->out, "<tr><td>");
-        report_text(r, json_string_value(json_object_get(p, "name")));
+        buf_markup(&r->out, json_string_value(json_object_get(p, "name")));
         buf_printf(&r->out, "</td><td>");
-        report_text(r, json_string_value(json_object_get(p, "why")));
+        buf_markup(&r->out, json_string_value(json_object_get(p, "why")));
         buf_printf(&r->out, "</td></tr>\n");
     }
     if (shown)

@@ -73,6 +73,9 @@ void buf_f32(struct buf *b, float v);
 void buf_f64(struct buf *b, double v);
 void buf_printf(struct buf *b, const char *fmt, ...)
     ERR_PRINTF(2, 3); /* no NUL counted in size, but one follows */
+/* As text or a quoted attribute of HTML or XML: & < > " as entities, and no control characters that
+ * XML cannot hold. NULL is no text. */
+void buf_markup(struct buf *b, const char *text);
 /* Make room for n more bytes and return where they go (size grows by n); NULL when out of memory.
  */
 uint8_t *buf_grow(struct buf *b, size_t n);

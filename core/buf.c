@@ -111,6 +111,28 @@ void buf_printf(struct buf *b, const char *fmt, ...)
     va_end(again);
 }
 
+void buf_markup(struct buf *b, const char *text)
+{
+    for (; text && *text; text++)
+        switch (*text) {
+        case '&':
+            buf_printf(b, "&amp;");
+            break;
+        case '<':
+            buf_printf(b, "&lt;");
+            break;
+        case '>':
+            buf_printf(b, "&gt;");
+            break;
+        case '"':
+            buf_printf(b, "&quot;");
+            break;
+        default:
+            if ((unsigned char)*text >= 0x20 || strchr("\t\n\r", *text))
+                buf_u8(b, (uint8_t)*text);
+        }
+}
+
 enum err_code buf_check(const struct buf *b, struct err *e)
 {
     return b->failed ? err_set(e, ERR_MEM, "out of memory for %zu bytes", b->size) : ERR_OK;

@@ -20,19 +20,6 @@ static const char api_page_head[] =
     "top}code{font-size:.95em}@media(prefers-color-scheme:dark){body{background:#111;color:#ddd}"
     "a{color:#8bf}}</style>\n";
 
-static void api_page_text(struct buf *b, const char *text)
-{
-    for (; text && *text; text++)
-        if (*text == '&')
-            buf_printf(b, "&amp;");
-        else if (*text == '<')
-            buf_printf(b, "&lt;");
-        else if (*text == '"')
-            buf_printf(b, "&quot;");
-        else
-            buf_u8(b, (unsigned char)*text);
-}
-
 static const char *api_page_word(const json_t *o, const char *key)
 {
     const char *text = json_string_value(json_object_get(o, key));
@@ -54,9 +41,9 @@ static void api_page_content(struct buf *b, const char *what, const json_t *cont
     json_object_foreach((json_t *)(uintptr_t)content, type, media)
     {
         buf_printf(b, "<tr><td>%s<td><code>", what);
-        api_page_text(b, type);
+        buf_markup(b, type);
         buf_printf(b, "</code><td>");
-        api_page_text(b, api_page_schema(media));
+        buf_markup(b, api_page_schema(media));
         buf_printf(b, "\n");
     }
 }
@@ -72,16 +59,16 @@ static void api_page_operation(struct buf *b, const char *verb, const char *path
     for (const char *c = verb; *c; c++)
         buf_u8(b, (unsigned)(*c - 'a' + 'A'));
     buf_printf(b, " ");
-    api_page_text(b, path);
+    buf_markup(b, path);
     buf_printf(b, "</code></h2>\n<p>");
-    api_page_text(b, api_page_word(operation, "summary"));
+    buf_markup(b, api_page_word(operation, "summary"));
     buf_printf(b, "</p>\n<table>");
     json_array_foreach(json_object_get(operation, "parameters"), i, p)
     {
         buf_printf(b, "<tr><td>%s<td><code>", api_page_word(p, "in"));
-        api_page_text(b, api_page_word(p, "name"));
+        buf_markup(b, api_page_word(p, "name"));
         buf_printf(b, "</code><td>");
-        api_page_text(b, api_page_word(p, "description"));
+        buf_markup(b, api_page_word(p, "description"));
         buf_printf(b, "\n");
     }
     api_page_content(b, "body",
@@ -99,7 +86,7 @@ static void api_page_write(const json_t *o, struct buf *b)
     const char *path, *verb;
     json_t *verbs, *operation;
     buf_printf(b, "%s<h1>citysplat: addresses</h1>\n<p>Version ", api_page_head);
-    api_page_text(b, api_page_word(json_object_get(o, "info"), "version"));
+    buf_markup(b, api_page_word(json_object_get(o, "info"), "version"));
     buf_printf(b,
                ". The same for programs, with the shapes of all JSON: <a href=\"api\">OpenAPI "
                "3.0</a>. <a href=\"./\">Back</a>. Errors are problem documents (RFC 9457).</p>\n");

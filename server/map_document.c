@@ -72,20 +72,6 @@ enum err_code map_document_tilejson(const struct dataset *d, const char *edition
 
 /* ---- WMTS ---- */
 
-static void map_document_text(struct buf *b, const char *text)
-{
-    for (; *text; text++) {
-        if (*text == '&')
-            buf_printf(b, "&amp;");
-        else if (*text == '<')
-            buf_printf(b, "&lt;");
-        else if (*text == '"')
-            buf_printf(b, "&quot;");
-        else if ((unsigned char)*text >= 0x20)
-            buf_u8(b, (uint8_t)*text);
-    }
-}
-
 static void map_document_layer(struct buf *b, const struct dataset *d, const struct target *t,
                                const char *root)
 {
@@ -94,7 +80,7 @@ static void map_document_layer(struct buf *b, const struct dataset *d, const str
     char query[TARGET_QUERY_MAX];
     map_document_query(t, query);
     buf_printf(b, "<Layer>\n<ows:Title>%s</ows:Title>\n<ows:Abstract>", d->meta.name);
-    map_document_text(b, d->meta.attribution);
+    buf_markup(b, d->meta.attribution);
     buf_printf(b,
                "</ows:Abstract>\n<ows:WGS84BoundingBox>"
                "<ows:LowerCorner>%.9f %.9f</ows:LowerCorner>"
@@ -109,7 +95,7 @@ static void map_document_layer(struct buf *b, const struct dataset *d, const str
     for (size_t i = 0; i < sizeof formats / sizeof *formats; i++) {
         buf_printf(b, "<ResourceURL format=\"%s\" resourceType=\"tile\" template=\"",
                    target_type(formats[i]));
-        map_document_text(b, root);
+        buf_markup(b, root);
         buf_printf(b, "map/{TileMatrix}/{TileCol}/{TileRow}.%s%s\"/>\n", target_ext(formats[i]),
                    query);
     }
@@ -163,9 +149,9 @@ enum err_code map_document_wmts(const struct dataset *d, const char *edition,
     map_document_layer(&b, d, t, root);
     map_document_matrices(&b, raster_zoom_max(&d->area));
     buf_printf(&b, "</Contents>\n<ServiceMetadataURL xlink:href=\"");
-    map_document_text(&b, self);
+    buf_markup(&b, self);
     map_document_query(t, query);
-    map_document_text(&b, query);
+    buf_markup(&b, query);
     buf_printf(&b, "\"/>\n</Capabilities>\n");
     return document_take(buf_check(&b, e), &b, out, e);
 }

@@ -87,6 +87,29 @@ static void buf_and_cursor_round_trip_little_endian(void **state)
     buf_free(&b);
 }
 
+static void buf_markup_leaves_nothing_that_opens_or_ends_markup(void **state)
+{
+    (void)state;
+    static const struct {
+        const char *text, *want;
+    } cases[] = {
+        {"roof \u00e9 's.jpg", "roof \u00e9 's.jpg"},
+        {"<a href=\"x\">A & B</a>", "&lt;a href=&quot;x&quot;&gt;A &amp; B&lt;/a&gt;"},
+        {"&amp;", "&amp;amp;"}, /* what is escaped already is text too */
+        {"a\x01\x1f\b\fz", "az"},
+        {"two\r\n\tlines", "two\r\n\tlines"},
+        {"", ""},
+        {NULL, ""},
+    };
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        struct buf b = {0};
+        buf_markup(&b, cases[i].text);
+        buf_u8(&b, 0);
+        assert_string_equal((const char *)b.data, cases[i].want);
+        buf_free(&b);
+    }
+}
+
 static void file_write_replaces_whole_or_not_at_all(void **state)
 {
     (void)state;
@@ -453,6 +476,7 @@ int main(void)
         cmocka_unit_test(sorts_of_words_and_selection),
         cmocka_unit_test(blocks_are_appended_as_rows_are),
         cmocka_unit_test(buf_and_cursor_round_trip_little_endian),
+        cmocka_unit_test(buf_markup_leaves_nothing_that_opens_or_ends_markup),
         cmocka_unit_test(file_write_replaces_whole_or_not_at_all),
         cmocka_unit_test(file_write_to_a_full_disk_leaves_nothing),
         cmocka_unit_test(rng_is_uniform_normal_and_fixed),
