@@ -386,12 +386,18 @@ void kept_close(struct kept **out)
 
 /* ---- changes; by `writing` ---- */
 
-static bool kept_holds(const struct kept_condition *when, const struct kept_row *row)
+/* ERR_DATA: the request's conditions do not hold for what the name stands for (NULL: nothing). */
+static enum err_code kept_holds(const struct kept_condition *when, const struct kept_row *row,
+                                struct err *e)
 {
     char etag[BODY_ETAG_SIZE] = "";
     if (row)
         kept_etag(row, etag);
-    return condition_may_write(when->match, when->none_match, row ? etag : NULL);
+    if (condition_may_write(when->match, when->none_match, row ? etag : NULL))
+        return ERR_OK;
+    return err_set(e, ERR_DATA,
+                   row ? "the name stands for something else by now"
+                       : "there is nothing of this name");
 }
 
 static enum err_code kept_step(struct kept *k, sqlite3_stmt *q, struct err *e)
@@ -439,16 +445,12 @@ static enum err_code kept_write(struct kept *k, const struct kept_row *row, stru
 enum err_code kept_put(struct kept *k, const struct kept_row *row,
                        const struct kept_condition *when, bool *created, struct err *e)
 {
-    enum err_code rc = ERR_OK;
     pthread_mutex_lock(&k->writing); /* the table is replaced by whoever holds it */
     const struct kept_row *was = kept_find(k->table, row->ds, row->name);
     const bool same = was && !strcmp(was->text, row->text) &&
                       !memcmp(&was->model, &row->model, sizeof row->model);
     *created = !was;
-    if (!kept_holds(when, was))
-        rc = err_set(e, ERR_DATA,
-                     was ? "the name stands for something else by now"
-                         : "there is nothing of this name");
+    enum err_code rc = kept_holds(when, was, e);
     if (!rc && !was)
         rc = kept_room(k->table, row->ds, e);
     if (!rc && !same) {
@@ -467,14 +469,10 @@ enum err_code kept_put(struct kept *k, const struct kept_row *row,
 enum err_code kept_remove(struct kept *k, const char *ds, const char *name,
                           const struct kept_condition *when, struct err *e)
 {
-    enum err_code rc = ERR_OK;
     pthread_mutex_lock(&k->writing);
     const struct kept_row *was = kept_find(k->table, ds, name);
-    if (!kept_holds(when, was))
-        rc = err_set(e, ERR_DATA,
-                     was ? "the name stands for something else by now"
-                         : "there is nothing of this name");
-    else if (!was)
+    enum err_code rc = kept_holds(when, was, e);
+    if (!rc && !was)
         rc = err_set(e, ERR_NOENT, "no appearance is kept under this name");
     if (!rc) {
         struct kept_table *newer =
