@@ -7,10 +7,8 @@
 #include "codec/ply.h"
 #include "codec/quant.h"
 #include "core/pool.h"
-#include "lod/bake.h"
 #include "lod/photograph.h"
-#include "lod/store.h"
-#include "tests/served.h"
+#include "tests/lit.h"
 
 #include <jansson.h>
 #include <math.h>
@@ -35,8 +33,8 @@ static enum err_code no_run(void *user, const struct job *j, void *work, size_t 
 
 static const uint8_t JPEG[] = {0xff, 0xd8, 0xff, 0xe0, 1, 2, 3, 4, 5};
 
-/* What `tile` keeps of a photograph. */
-static void put_photograph(struct store *s, const char *name)
+/* What `tile` keeps of a photograph, for one of them. */
+static void put_photograph(struct store *s)
 {
     struct err e = {0};
     struct buf about = {0};
@@ -50,44 +48,25 @@ static void put_photograph(struct store *s, const char *name)
                                  .fov_y_deg = 50,
                                  .has_thumbnail = true};
     kit_ok(photograph_write(&p, &about, &e), e);
-    kit_ok(photograph_blob(PHOTOGRAPH_BLOB, name, blob, &e), e);
+    kit_ok(photograph_blob(PHOTOGRAPH_BLOB, ODD_NAME, blob, &e), e);
     kit_ok(store_put_blob(s, blob, about.data, about.size, &e), e);
-    kit_ok(photograph_blob(PHOTOGRAPH_THUMBNAIL, name, blob, &e), e);
+    kit_ok(photograph_blob(PHOTOGRAPH_THUMBNAIL, ODD_NAME, blob, &e), e);
     kit_ok(store_put_blob(s, blob, JPEG, sizeof JPEG, &e), e);
     buf_free(&about);
 }
 
-/* One tile under six photographs' light. */
-static void lit_city(void)
+/* The city under six photographs' light. */
+static void light_city(void)
 {
     struct err e = {0};
-    struct store *s = NULL;
-    struct gauss g;
     struct appearance photos;
-    struct buf blob = {0};
-    struct store_meta meta = {.origin = served_origin,
-                              .name = "lit",
-                              .sh_degree = 1,
-                              .embed_len = LEN,
-                              .zoom_min = 17,
-                              .zoom_max = 17};
     kit_ok(appearance_alloc(&photos, LEN, IMAGE, 8, PHOTOS, &e), e);
     appearance_init(&photos, 5);
     for (size_t i = 0; i < PHOTOS; i++)
         snprintf(photos.names[i], APPEARANCE_NAME_MAX, "p%zu.jpg", i);
     snprintf(photos.names[3], APPEARANCE_NAME_MAX, "%s", ODD_NAME);
-    kit_gauss(7, 60, 20, 1, LEN, &g);
-    kit_ok(bake_with_default(&photos, &g, &t.model, &e), e);
-    kit_ok(appearance_write(&t.model, &blob, &e), e);
-    kit_ok(store_create(t.lit, &meta, &s, &e), e);
-    struct store_tile tile = {.key = served_key(17), .level = 1};
-    kit_ok(store_put(s, &tile, &g, &e), e);
-    kit_ok(store_put_blob(s, "appearance", blob.data, blob.size, &e), e);
-    put_photograph(s, ODD_NAME);
-    kit_ok(store_commit(&s, &e), e);
-    buf_free(&blob);
+    lit_city(t.lit, "lit", &photos, put_photograph, &t.model);
     appearance_free(&photos);
-    gauss_free(&g);
 }
 
 static int setup(void **state)
@@ -97,7 +76,7 @@ static int setup(void **state)
     kit_tmpdir(t.dir);
     kit_ok(file_join(t.lit, t.dir, "lit.tiles", &e), e);
     kit_ok(file_join(t.plain, t.dir, "plain.tiles", &e), e);
-    lit_city();
+    light_city();
     served_city(t.plain, "plain", 20);
     served_config(&t.cfg, &t.arena);
     kit_ok(services_open(&t.s, &t.cfg, &e), e);

@@ -5,6 +5,7 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "tests/client.h"
+#include "tests/lit.h"
 
 #include <jansson.h>
 #include <nettle/sha2.h>
@@ -12,9 +13,6 @@
 #include <sqlite3.h>
 #include <sys/wait.h>
 
-#include "core/appearance.h"
-#include "core/gauss.h"
-#include "lod/bake.h"
 #include "server/auth.h"
 #include "server/condition.h"
 #include "server/kept.h"
@@ -23,36 +21,18 @@ enum { PHOTOS = 5, LEN = 4, IMAGE = 6 };
 static const char TOKEN[] = "a token that opens the names of one dataset";
 static char state_dir[FILE_PATH_MAX], state_file[FILE_PATH_MAX];
 
-/* One tile under five photographs' light; seed: of the network. */
-static void lit_city(uint64_t seed)
+/* The city under five photographs' light; seed: of the network. */
+static void light_city(uint64_t seed)
 {
     struct err e = {0};
-    struct store *s = NULL;
-    struct gauss g;
     struct appearance photos, model;
-    struct buf blob = {0};
-    struct store_meta meta = {.origin = served_origin,
-                              .name = "toy",
-                              .sh_degree = 1,
-                              .embed_len = LEN,
-                              .zoom_min = 17,
-                              .zoom_max = 17};
     kit_ok(appearance_alloc(&photos, LEN, IMAGE, 8, PHOTOS, &e), e);
     appearance_init(&photos, seed);
     for (size_t i = 0; i < PHOTOS; i++)
         snprintf(photos.names[i], APPEARANCE_NAME_MAX, i ? "p%zu.jpg" : "dawn", i);
-    kit_gauss(7, 60, 20, 1, LEN, &g);
-    kit_ok(bake_with_default(&photos, &g, &model, &e), e);
-    kit_ok(appearance_write(&model, &blob, &e), e);
-    kit_ok(store_create(t.path, &meta, &s, &e), e);
-    struct store_tile tile = {.key = served_key(17), .level = 1};
-    kit_ok(store_put(s, &tile, &g, &e), e);
-    kit_ok(store_put_blob(s, BAKE_BLOB, blob.data, blob.size, &e), e);
-    kit_ok(store_commit(&s, &e), e);
-    buf_free(&blob);
+    lit_city(t.path, "toy", &photos, NULL, &model);
     appearance_free(&photos);
     appearance_free(&model);
-    gauss_free(&g);
 }
 
 static int setup_lit(void **state)
@@ -63,7 +43,7 @@ static int setup_lit(void **state)
     kit_ok(file_join(state_file, state_dir, "appearances.sqlite", &e), e);
     if (!access(state_dir, F_OK))
         kit_rmdir(state_dir);
-    lit_city(5);
+    light_city(5);
     t.cfg.state_dir = state_dir;
     t.cfg.admin = "127.0.0.1:0";
     return 0;
@@ -348,7 +328,7 @@ static void test_names_outlive_the_network_or_say_that_they_do_not(void **state)
         201);
     snprintf(target, sizeof target, "/d/toy/appearance?appearance=exact");
     assert_int_equal(status_of("GET", target, ""), 200);
-    lit_city(6);
+    light_city(6);
     kit_ok(server_reload(t.server, &e), e);
     assert_int_equal(status_of("GET", target, ""), 404);
     assert_int_equal(status_of("GET", "/d/toy/tileset.json?appearance=exact", ""), 404);

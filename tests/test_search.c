@@ -3,15 +3,13 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "tests/lit.h"
 #include "tests/routed.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <time.h>
 
-#include "core/appearance.h"
-#include "core/gauss.h"
-#include "lod/bake.h"
 #include "lod/photograph.h"
 #include "server/search.h"
 
@@ -48,40 +46,26 @@ static void photo_put(struct store *s, size_t i)
     buf_free(&about);
 }
 
-static void lit_city(const char *path)
+static void photos_put(struct store *s)
+{
+    for (size_t i = 0; i < PHOTOS; i++)
+        if (i != BARE)
+            photo_put(s, i);
+}
+
+static void light_city(const char *path)
 {
     struct err e = {0};
-    struct store *s = NULL;
-    struct gauss g;
     struct appearance photos, model;
-    struct buf blob = {0};
-    struct store_meta meta = {.origin = served_origin,
-                              .name = "lit",
-                              .sh_degree = 1,
-                              .embed_len = LEN,
-                              .zoom_min = 17,
-                              .zoom_max = 17};
     kit_ok(appearance_alloc(&photos, LEN, IMAGE, 8, PHOTOS, &e), e);
     appearance_init(&photos, 5);
     for (size_t i = 0; i < PHOTOS; i++) {
         photo_make(i);
         memcpy(photos.names[i], photo[i].name, sizeof photo[i].name);
     }
-    kit_gauss(7, 60, 20, 1, LEN, &g);
-    kit_ok(bake_with_default(&photos, &g, &model, &e), e);
-    kit_ok(appearance_write(&model, &blob, &e), e);
-    kit_ok(store_create(path, &meta, &s, &e), e);
-    struct store_tile tile = {.key = served_key(17), .level = 1};
-    kit_ok(store_put(s, &tile, &g, &e), e);
-    kit_ok(store_put_blob(s, BAKE_BLOB, blob.data, blob.size, &e), e);
-    for (size_t i = 0; i < PHOTOS; i++)
-        if (i != BARE)
-            photo_put(s, i);
-    kit_ok(store_commit(&s, &e), e);
-    buf_free(&blob);
+    lit_city(path, "lit", &photos, photos_put, &model);
     appearance_free(&photos);
     appearance_free(&model);
-    gauss_free(&g);
 }
 
 static int setup_lit(void **state)
@@ -91,7 +75,7 @@ static int setup_lit(void **state)
     if (setup(state))
         return 1;
     kit_ok(file_join(path, t.dir, "lit.tiles", &e), e);
-    lit_city(path);
+    light_city(path);
     catalog_drop(&t.s.catalog);
     const char *paths[] = {t.path, path};
     kit_ok(catalog_open(paths, 2, &served_stores, NULL, &t.s.catalog, &e), e);

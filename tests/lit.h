@@ -1,0 +1,45 @@
+/* A city under photographs' light, for the tests of what the server does with appearances: one tile
+ * whose Gaussians have embeddings.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef TESTS_LIT_H
+#define TESTS_LIT_H
+
+#include "tests/served.h"
+
+#include "core/appearance.h"
+#include "core/gauss.h"
+#include "lod/bake.h"
+
+/* The photographs are the caller's, allocated and named. out: their model with the default
+ * appearance, as the store has it; appearance_free it. beside: puts what else the store keeps of
+ * photographs; may be NULL. */
+static inline void lit_city(const char *path, const char *name, const struct appearance *photos,
+                            void (*beside)(struct store *s), struct appearance *out)
+{
+    struct err e = {0};
+    struct store *s = NULL;
+    struct gauss g;
+    struct buf blob = {0};
+    struct store_meta meta = {.origin = served_origin,
+                              .sh_degree = 1,
+                              .embed_len = photos->len_gauss,
+                              .zoom_min = SERVED_ZOOM_MAX,
+                              .zoom_max = SERVED_ZOOM_MAX};
+    snprintf(meta.name, sizeof meta.name, "%s", name);
+    kit_gauss(7, 60, 20, 1, photos->len_gauss, &g);
+    kit_ok(bake_with_default(photos, &g, out, &e), e);
+    kit_ok(appearance_write(out, &blob, &e), e);
+    kit_ok(store_create(path, &meta, &s, &e), e);
+    struct store_tile tile = {.key = served_key(SERVED_ZOOM_MAX), .level = 1};
+    kit_ok(store_put(s, &tile, &g, &e), e);
+    kit_ok(store_put_blob(s, BAKE_BLOB, blob.data, blob.size, &e), e);
+    if (beside)
+        beside(s);
+    kit_ok(store_commit(&s, &e), e);
+    buf_free(&blob);
+    gauss_free(&g);
+}
+
+#endif
