@@ -23,6 +23,7 @@
 
 #include "codec/axes.h"
 #include "codec/sog.h"
+#include "core/camera.h"
 #include "core/gauss.h"
 #include "core/outdir.h"
 #include "lod/bake.h"
@@ -156,21 +157,15 @@ static enum err_code export_sog_flush(struct export_sog *x, struct err *e)
  * of SOG's axes. */
 static void export_sog_widen(double box[6], const struct gauss *g, size_t i)
 {
-    const float *q = g->quat_wxyz + 4 * i;
-    double n = 0, r[3][3];
-    for (int k = 0; k < 4; k++)
-        n += (double)q[k] * (double)q[k];
-    const double s = n > 0 ? 2 / n : 0, w = (double)q[0], a = (double)q[1], b = (double)q[2],
-                 c = (double)q[3];
-    const double rows[3][3] = {{1 - s * (b * b + c * c), s * (a * b - w * c), s * (a * c + w * b)},
-                               {s * (a * b + w * c), 1 - s * (a * a + c * c), s * (b * c - w * a)},
-                               {s * (a * c - w * b), s * (b * c + w * a), 1 - s * (a * a + b * b)}};
-    memcpy(r, rows, sizeof r);
+    double quat[4], rot[9];
+    for (size_t k = 0; k < 4; k++)
+        quat[k] = (double)g->quat_wxyz[4 * i + k];
+    camera_quat_to_rot(quat, rot);
     double lo[3], hi[3];
     for (int k = 0; k < 3; k++) {
         double reach = 0;
         for (int j = 0; j < 3; j++)
-            reach += fabs(r[k][j]) * exp((double)g->scale_log[3 * i + (size_t)j]);
+            reach += fabs(rot[3 * k + j]) * exp((double)g->scale_log[3 * i + (size_t)j]);
         const double at = (double)g->mean_m[3 * i + (size_t)k] + g->origin_enu_m[k];
         lo[k] = at - reach;
         hi[k] = at + reach;
