@@ -378,14 +378,10 @@ study_remedies() { seeded remedies remedies_city_rows; }
 study_remedies_caliterra() { seeded remedies_caliterra remedies_caliterra_rows; }
 
 # What long Gaussians and harmonics do to views from where nobody photographed.
-side_row() { # ROW OPTIONS
-  local name=$1
-  shift
-  MAP_VIEWS=1 row side "$name" above "" --iterations "$(steps side)" --budget-1 20000 --budget-2 40000 --budget-3 80000 "$@"
-}
 side_rows() {
-  side_row "neither" --size-limit 0 --sh-ridge 0
-  side_row "both"
+  local MAP_VIEWS=1 base=(--iterations "$(steps side)" --budget-1 20000 --budget-2 40000 --budget-3 80000)
+  row side "neither" above "" "${base[@]}" --size-limit 0 --sh-ridge 0
+  row side "both" above "" "${base[@]}"
 }
 side_demo_rows() {
   local MAP_VIEWS=1 base=(--iterations "$(steps side_demo)" "${SMALL[@]}")
