@@ -1,5 +1,7 @@
 // The scale regularizer: how many axes and needles are too long, then their gradients.
 //   in   params [groups][planes][16]
+//        inside uchar [ny][nx], the grid of supported ground: the limit of what stands where it is
+//        not 0 is s_near, elsewhere s_max. Read at the few that are longer than s_near
 //   mid  pieces [LAYOUT_LOSS_PIECES] counts and sums of a piece
 //   out  extra [groups][LAYOUT_PLANES_GEOMETRY][16] or [groups][LAYOUT_PLANES_SCALE][16], every
 //        plane written, 0 where nothing is wrong
