@@ -74,6 +74,12 @@ static enum err_code export_map_plan(struct export_map_run *r, struct err *e)
     const uint64_t most = (uint64_t)1 << 26;
     const struct area *a = nadir_area(r->nadir);
     uint64_t room = 0;
+    /* The box is of smallest and largest degrees, also over the antimeridian. Of a store that was
+     * clipped beside its footprint it is turned inside out. */
+    if (!(a->west_deg < a->east_deg && a->south_deg < a->north_deg))
+        return err_set(e, ERR_DATA,
+                       "there is no ground to draw: what was surveyed and what the store was "
+                       "clipped to do not meet");
     for (unsigned z = r->zoom_min; z <= r->zoom_max; z++) {
         const struct key from = export_map_corner(a, false, (uint8_t)z),
                          to = export_map_corner(a, true, (uint8_t)z);

@@ -16,8 +16,8 @@ struct export_map {
 };
 #define EXPORT_MAP_FORMATS "webp|png|jpg"
 /* Draw every tile that touches the survey, as `citysplat serve` answers it, and write them. ERR_ARG
- * (zooms), ERR_CANCEL, and the errors of nadir_open, map_tile_make and
- * pmtiles_*. */
+ * (zooms), ERR_DATA (no ground), ERR_LIMIT (tiles), ERR_CANCEL, and the errors of nadir_open,
+ * map_tile_make and pmtiles_*. */
 enum err_code export_map(const char *store, const struct export_map *o, struct err *e) ERR_USE;
 
 #endif

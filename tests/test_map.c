@@ -10,6 +10,7 @@
 
 #include "codec/image.h"
 #include "core/dev.h"
+#include "lod/clip.h"
 #include "lod/raster.h"
 #include "server/body.h"
 #include "server/map_document.h"
@@ -48,6 +49,17 @@ static const char *map_target(const char *what, struct key k, const char *rest, 
     snprintf(out, 256, "/d/survey/r/%s/%s/%u/%u/%u%s", revision_of(ROUTE_MAP), what, k.z, k.x, k.y,
              rest);
     return out;
+}
+
+static void needs_gdal(const char *program)
+{
+    struct buf out = {0};
+    bool found = kit_run(&out, "command -v %s", program) == 0;
+    buf_free(&out);
+    if (found)
+        return;
+    print_message("skipped: no %s (Debian's package gdal-bin has it)\n", program);
+    skip();
 }
 
 static bool start_drawing(void)
@@ -211,6 +223,7 @@ static void outside_is_empty(void **state)
     assert_int_equal(img.px[0] + img.px[1] + img.px[2], 0);
     image_free(&img);
     struct buf out = {0};
+    needs_gdal("gdalinfo");
     assert_int_equal(kit_run(&out, "gdalinfo '%s/edge.png'", f.dir), 0);
     kit_expect_text((const char *)out.data, "ColorInterp=Alpha", __FILE__, __LINE__);
     buf_free(&out);
@@ -406,6 +419,7 @@ static void gdal_opens_the_map(void **state)
     struct reply r;
     char path[FILE_PATH_MAX];
     (void)state;
+    needs_gdal("gdal_translate");
     if (!start_drawing())
         skip();
     ask("GET", "/d/survey/wmts.xml", "", &r);
@@ -472,6 +486,7 @@ static void gdal_opens_the_collection(void **state)
     double edge = 2 * 20037508.342789244 / pow(2, there.z),
            west = -20037508.342789244 + there.x * edge, north = 20037508.342789244 - there.y * edge;
     (void)state;
+    needs_gdal("gdal_translate");
     if (!start_drawing())
         skip();
     if (kit_run(&out,
@@ -711,6 +726,52 @@ static void questions_are_answered(void **state)
     assert_int_equal(status_of("GET", "/d/survey/measure", ""), 405);
 }
 
+/* A store that was clipped to what lies beside its footprint has Gaussians and no ground. */
+static void no_ground_no_file(void **state)
+{
+    static const char west[] =
+        "{\"type\":\"Feature\",\"geometry\":{\"type\":\"MultiPolygon\",\"coordinates\":[[["
+        "[8.6817,50.1107],[8.6820,50.1107],[8.6820,50.1111],[8.6817,50.1111],[8.6817,50.1107]]]]}}";
+    static const double east[4][2] = {
+        {8.6822, 50.1107}, {8.6825, 50.1107}, {8.6825, 50.1111}, {8.6822, 50.1111}};
+    const struct pyramid_config cfg = {.tile_edge_m = 30, .name = "halves"};
+    const struct store_blob blob = {STORE_FOOTPRINT, west, strlen(west)};
+    const char *bin = kit_program();
+    struct err e = {0};
+    struct gauss g;
+    struct clip c;
+    struct clip_report report;
+    struct buf out = {0};
+    struct dev dev;
+    char whole[FILE_PATH_MAX], part[FILE_PATH_MAX], map[FILE_PATH_MAX];
+    (void)state;
+    if (dev_open("cpu", &dev, &e) != ERR_OK) {
+        print_message("skipped: %s\n", e.msg);
+        skip();
+    }
+    dev_close(&dev);
+    kit_ok(file_join(whole, f.dir, "halves.tiles", &e), e);
+    kit_ok(file_join(part, f.dir, "east.tiles", &e), e);
+    kit_ok(file_join(map, f.dir, "east.pmtiles", &e), e);
+    kit_gauss(3, 400, 25, 0, 0, &g);
+    const struct pyramid_level level = {.g = &g, .level = 3};
+    kit_ok(pyramid_build(&origin, &level, 1, &cfg, &blob, 1, whole, NULL, &e), e);
+    kit_ok(clip_of_ring(east, 4, &c, &e), e);
+    kit_ok(clip_store(&c, whole, NULL, part, &report, &e), e);
+    assert_true(report.n_kept > 0 && report.n_dropped > 0);
+    static const char *const zooms[] = {"", "--zooms 0-15"};
+    for (size_t i = 0; i < sizeof zooms / sizeof *zooms; i++) {
+        assert_int_equal(
+            kit_run(&out, "'%s' export -q '%s' -o '%s' --device cpu %s", bin, part, map, zooms[i]),
+            1);
+        kit_expect_text((const char *)out.data, "no ground", __FILE__, __LINE__);
+        buf_free(&out);
+        assert_false(file_exists(map));
+    }
+    clip_free(&c);
+    gauss_free(&g);
+}
+
 int main(int argc, char **argv)
 {
     if (worker_asked(argc, argv))
@@ -730,6 +791,7 @@ int main(int argc, char **argv)
         HTTP_TEST(wmts_needs_an_address),
         HTTP_TEST(wmts_names_itself),
         HTTP_TEST(questions_end_with_their_client),
+        cmocka_unit_test(no_ground_no_file),
     };
     return cmocka_run_group_tests(tests, map_setup_all, map_teardown_all);
 }
