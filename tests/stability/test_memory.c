@@ -123,8 +123,8 @@ static void expect_below_the_estimate(bool appearance)
     kit_figure("memory",
                "appearance=%d bytes_per_gaussian=%.0f limit=%d estimate=%zu gaussians=%zu "
                "program_mib=%.0f peak_mib=%.0f",
-               appearance, each, limit, many.per_gaussian, n_many,
-               (double)base / 1048576.0, (double)peak / 1048576.0);
+               appearance, each, limit, many.per_gaussian, n_many, (double)base / 1048576.0,
+               (double)peak / 1048576.0);
     assert_true(n_many > 2 * MEMORY_MANY); /* it did grow */
     assert_true(peak - base <= many.total - small.total);
     assert_true(each <= limit);
