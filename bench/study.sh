@@ -420,7 +420,7 @@ study_full() {
 # A square kilometre in nine cells. Opacities are reset five times in a cell, which needs a shorter interval than that of
 # the full method. The tiles of one training, drawn by what a Gaussian may miss on the screen.
 study_big() {
-  local d MAP_VIEWS=1 base=(--iterations "$(steps big)" --reset-interval 750 "${SMALL[@]}")
+  local d MAP_VIEWS=1 base=(--iterations "$(steps big)" --reset-interval 750 --budget-1 30000 --budget-2 60000 --budget-3 100000 --jobs 2)
   SHARED=1 row big "trained" big "" "${base[@]}"
   unset MAP_VIEWS
   for d in 1 2 4 8 16; do
@@ -428,7 +428,8 @@ study_big() {
   done
 }
 
-# level_row STUDY ROW SCENE SET EVAL-OPTIONS -- TRAIN-OPTIONS: every level of the same trained scene.
+# level_row STUDY ROW SCENE SET EVAL-OPTIONS -- TRAIN-OPTIONS: every level of the same trained scene. `--views SCENE` are the
+# scene's map views.
 level_row() {
   local study=$1 name=$2 scene=$3 set=$4 folder command o eval=()
   shift 4
@@ -437,13 +438,14 @@ level_row() {
     shift
   done
   shift
-  command="citysplat train $scene $*; citysplat eval $scene ${eval[*]}"
+  [ -z "$SEED" ] || { name="$name (seed $SEED)" set="${set:+$set,}seed=$SEED"; set -- --seed "$SEED" "$@"; }
+  command="citysplat train $scene $*; citysplat eval $scene ${eval[*]/#SCENE/$scene-photos/map-views}"
   wanted "$study" "$name" "$command" || return 0
   scene "$scene" || { say "$study: $name: skipped: its photographs are not at hand"; return 0; }
   folder=$OUT/trained/$(slug shared "$scene")
   ceilings
   trained "$folder" "$scene" "$@"
-  citysplat eval "$OUT/$scene" --results "$folder" -o "$folder/scores.json" "${eval[@]}" >&2
+  citysplat eval "$OUT/$scene" --results "$folder" -o "$folder/scores.json" "${eval[@]/#SCENE/$OUT/$scene-photos/map-views}" >&2
   record "$study" "$name" "$command" --dataset "$(scene_about "$scene")" --commit "$COMMIT" \
     --scores "$folder/scores.json" --ceilings "$OUT/ceilings.jsonl" --set "$set"
 }
@@ -454,6 +456,25 @@ study_far() { # where each level suits: all of them from farther and farther awa
     level_row far "$px px" city "" --half-image off --full-size --max-edge-px "$px" -- "${base[@]}"
   done
 }
+
+# Pictures drawn finer and filtered down: map views, and photographs made small as if from farther away.
+supersample_rows() {
+  local f
+  for f in 1 2 3; do
+    level_row supersample "$f" demo "factor=$f" --views SCENE --supersample "$f" -- --iterations "$(steps supersample)" "${SMALL[@]}"
+  done
+}
+supersample_caliterra_rows() {
+  local px f
+  for px in 400 200 100; do
+    for f in 1 2; do
+      level_row supersample_caliterra "$px px: $f" caliterra-400 "factor=$f" --half-image off --max-edge-px "$px" --supersample "$f" -- \
+        --level-count 1 --iterations "$(steps supersample_caliterra)" --budget-3 200000
+    done
+  done
+}
+study_supersample() { seeded supersample supersample_rows; }
+study_supersample_caliterra() { seeded supersample_caliterra supersample_caliterra_rows; }
 
 study_lod() { # tile sizes and distances (Tables 12 and 13); distances in tenths of the city
   local edge d base=(--iterations "$(steps lod)" "${SMALL[@]}")
@@ -553,7 +574,7 @@ study_pyramid() {
 
 # Those of the city trained alike stand together: it is trained once for them.
 readonly STUDIES=(time full big budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra sh embedding network ochota_light ablation ablation_city
-  levels lod far rd layout pyramid growth bench)
+  levels lod far supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {
   local s wanted_studies=()

@@ -343,9 +343,14 @@ static enum err_code eval_level(struct eval *v, const char *dir, unsigned level,
             &model,
             {.aa = s.aa, .background = {grey, grey, grey}, .near_m = s.near_m, .sh_degree = -1},
             eval_half_image_appearance(&v->half_image)};
+        struct evaluate_model fine = m;
+        fine.options.supersample = (uint32_t)v->o.supersample;
         const struct half_image_source half = {eval_prepare_model, &m};
-        struct evaluate_source src = {
-            .draw = evaluate_draw_model, .user = &m, .bytes = bytes, .render = v->render};
+        struct evaluate_source src = {.draw = evaluate_draw_model,
+                                      .user = &fine,
+                                      .own_size = v->o.supersample > 1 ? &m : NULL,
+                                      .bytes = bytes,
+                                      .render = v->render};
         uint32_t edge = v->o.max_edge_px ? (uint32_t)v->o.max_edge_px : (uint32_t)s.max_edge_px;
         v->trained_steps = s.steps;
         v->exposure = v->exposed && s.exposure;
@@ -395,6 +400,7 @@ struct eval_view {
     struct view *view;
     struct render_options ro;
     struct pick_options po;
+    uint32_t supersample;
     struct appearance_view *appearance; /* NULL: without appearance */
 };
 
@@ -414,6 +420,7 @@ static enum err_code eval_draw_view(void *user, const struct camera *cam, float 
     struct eval_view *w = user;
     struct view_stats stats = {0};
     struct render_options ro = w->ro;
+    ro.supersample = w->supersample;
     if (w->appearance) {
         ro.appearance_frame = appearance_view_frame(w->appearance, cam);
         ro.appearance_hidden = w->appearance->model->hidden;
@@ -429,12 +436,17 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
     struct eval_view w = {
         .ro = {.aa = (enum render_aa)v->o.aa, .background = {grey, grey, grey}, .sh_degree = -1},
         .po = {.metric = (enum pick_metric)v->o.metric, .error_px = v->o.error_px},
+        .supersample = (uint32_t)v->o.supersample,
     };
+    struct eval_view own;
     w.po.distance_m[0] = v->o.distance_1_m;
     w.po.distance_m[1] = v->o.distance_2_m;
     v->exposure = v->exposed && v->o.exposure;
-    struct evaluate_source src = {
-        .draw = eval_draw_view, .user = &w, .bytes = eval_bytes(v->o.tiles), .render = v->render};
+    struct evaluate_source src = {.draw = eval_draw_view,
+                                  .user = &w,
+                                  .own_size = w.supersample > 1 ? &own : NULL,
+                                  .bytes = eval_bytes(v->o.tiles),
+                                  .render = v->render};
     const struct half_image_source half = {eval_prepare_view, &w};
     enum err_code rc = view_open(v->o.tiles, v->render, (size_t)v->o.cache_mib << 20, &w.view, e);
     if (!rc)
@@ -449,9 +461,11 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
             rc = eval_flight_run(&q, w.view, &w.ro, &w.po, e);
         goto out;
     }
+    own = w;
+    own.supersample = 1;
     if (!rc)
         rc = eval_source(v, "tiles, LOD", (uint32_t)v->o.max_edge_px, 1.0, src, &half, e);
-    w.po.no_lod = true;
+    w.po.no_lod = own.po.no_lod = true;
     if (!rc)
         rc = eval_source(v, "tiles, no LOD", (uint32_t)v->o.max_edge_px, 1.0, src, &half, e);
 out:

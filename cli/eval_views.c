@@ -152,6 +152,8 @@ static enum err_code eval_views_one(struct eval_views *v, size_t i, struct err *
                           : err_set(e, ERR_MEM, "eval: out of memory for a picture");
     if (!rc)
         rc = v->src->draw(v->src->user, &view->cam, px, &gaussians, e);
+    if (!rc && v->src->own_size) /* the maps are of the last frame */
+        rc = v->src->draw(v->src->own_size, &view->cam, px + MEDIAN * n, &gaussians, e);
     if (!rc) {
         const struct render_surface_maps maps = {
             .median_m = px + MEDIAN * n, .front = px + FRONT * n, .transmittance = px + LEFT * n};

@@ -165,6 +165,8 @@ static enum err_code render_store(struct render_job *job, const char *path, stru
     if (!rc)
         rc = render_camera(o, &m->origin, &job->cam, e);
     job->ro.aa = render_aa_of(o, m->antialiased);
+    if (!o->supersample)
+        job->ro.supersample = VIEW_SUPERSAMPLE_AUTO;
     if (!rc)
         rc = render_buffer(job, e);
     for (int64_t i = 0; !rc && i < o->repeat; i++) {
@@ -226,7 +228,8 @@ static enum err_code render_file(struct render_job *job, const char *path, struc
 static enum err_code render_run(const char *path, const struct render_cli_options *o, struct err *e)
 {
     struct dev dev;
-    struct render_job job = {.o = o, .ro = {.sh_degree = (int)o->sh_degree}};
+    struct render_job job = {
+        .o = o, .ro = {.sh_degree = (int)o->sh_degree, .supersample = (uint32_t)o->supersample}};
     enum splats_kind kind;
     enum err_code rc = render_background(o->background, job.ro.background, e);
     if (!rc)

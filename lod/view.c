@@ -19,6 +19,9 @@
 #include "lod/view.h"
 
 #define VIEW_CACHE_BYTES ((size_t)1 << 30)
+/* Below this many pixels of their larger sigmas in the mean, Gaussians tile surfaces; photographs
+ * show them at three to five (decision 050). */
+#define VIEW_SMALL_PX 2.5
 
 struct view {
     struct store *store;
@@ -141,6 +144,29 @@ enum err_code view_model(struct view *v, const struct camera *cam, const struct 
     return ERR_OK;
 }
 
+/* What VIEW_SUPERSAMPLE_AUTO is for these tiles. */
+static uint32_t view_supersample(const struct view *v, const struct camera *cam, size_t n_tiles,
+                                 const struct render_options *ro)
+{
+    size_t n_all;
+    const struct store_tile *tiles = store_tiles(v->store, &n_all);
+    double eye[3], count = 0.0, sigma_px = 0.0;
+    camera_center(cam, eye);
+    for (size_t i = 0; i < n_tiles; i++) {
+        const struct store_tile *t = &tiles[v->now[i]];
+        double d2 = 0.0;
+        for (int k = 0; k < 3; k++) {
+            double d = 0.5 * (t->core_min_enu_m[k] + t->core_max_enu_m[k]) - eye[k];
+            d2 += d * d;
+        }
+        count += t->count;
+        sigma_px += t->count * t->sigma_median_m * cam->fx_px /
+                    (ro->orthographic ? 1.0 : fmax(sqrt(d2), RENDER_NEAR_M));
+    }
+    bool fits = cam->width_px <= RENDER_SIZE_MAX_PX / 2 && cam->height_px <= RENDER_SIZE_MAX_PX / 2;
+    return ro->aa != RENDER_AA_NONE && fits && sigma_px < VIEW_SMALL_PX * count ? 2 : 1;
+}
+
 enum err_code view_render_picked(struct view *v, const struct camera *pick_cam,
                                  const struct camera *cam, const struct render_options *ro,
                                  const struct pick_options *po, float *rgb,
@@ -165,6 +191,8 @@ enum err_code view_render_picked(struct view *v, const struct camera *pick_cam,
     double t2 = clock_s();
     st.ms_load = 1e3 * (t2 - t1);
     struct render_options o = *ro;
+    if (o.supersample == VIEW_SUPERSAMPLE_AUTO)
+        o.supersample = view_supersample(v, cam, st.n_tiles, ro);
     if (v->frame && !o.appearance_frame) {
         o.appearance_frame = v->frame;
         o.appearance_hidden = v->appearance->hidden;

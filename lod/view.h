@@ -40,6 +40,8 @@ enum err_code view_set_appearance(struct view *v, const float *image, struct err
 /* bake_find of the view's store, with its errors: ERR_NOENT, ERR_ARG. */
 enum err_code view_find_appearance(struct view *v, const char *text, float *image,
                                    struct err *e) ERR_USE;
+/* render_options.supersample of a view: 2 where its Gaussians are small on the screen, else 1. */
+#define VIEW_SUPERSAMPLE_AUTO UINT32_MAX
 struct view_stats {
     size_t n_tiles;
     uint64_t n_gaussians; /* handed to the renderer: blocks of the tiles that may be in view */

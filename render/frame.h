@@ -50,6 +50,7 @@ struct render {
     /* of the model that was drawn, borrowed; never NULL with a frame: see render_stage_project */
     cl_mem drawn_params, drawn_filter, drawn_list;
     struct layout_view view; /* as uploaded to view_mem */
+    uint32_t supersample;    /* view is of so many times the picture's size; 1 */
     uint32_t tiles;          /* tiles_x * tiles_y */
     uint64_t intersections;  /* (splat, tile) of the frame */
     cl_mem view_mem;         /* __constant struct layout_view[1] */

@@ -45,9 +45,15 @@ struct render_options {
      * frame of a pair of lengths compiles kernels for it. */
     const float *appearance_frame;
     uint32_t appearance_hidden;
+    /* 2 to SUPERSAMPLE_MOST: drawn with so many pixels for one on each axis and filtered down, for
+     * views from farther away than the photographs were taken. 0, 1: not. What is left on the
+     * device is the finer frame. ERR_ARG without compensation (RENDER_AA_NONE), whose Gaussians
+     * would be thinner. */
+    uint32_t supersample;
 };
 
 #define RENDER_NEAR_M 0.2
+enum { RENDER_SIZE_MAX_PX = 16384 }; /* a side of what is drawn */
 
 /* Planes of the parameters of a group of Gaussians, see LAYOUT_PLANE_MEAN in core/layout.h. */
 static inline uint32_t render_planes(uint32_t sh_degree)
@@ -144,6 +150,9 @@ struct render_stats {       /* of the last frame */
 enum err_code render_forward(struct render *r, const struct render_model *m,
                              const struct camera *cam, const struct render_options *o, float *rgb,
                              float *transmittance, struct err *e) ERR_USE;
+/* What the last frame's Gaussians leave of what is behind them: [h][w] of the picture. ERR_ARG (no
+ * frame was drawn), ERR_MEM, ERR_DEVICE. */
+enum err_code render_transmittance(struct render *r, float *out, struct err *e) ERR_USE;
 const struct render_stats *render_last_stats(const struct render *r);
 /* Stage times in render_stats cost a wait after every stage: off unless asked for. */
 void render_set_timing(struct render *r, bool on);

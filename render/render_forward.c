@@ -13,10 +13,11 @@
 
 #include "core/base.h"
 #include "render/frame.h"
+#include "render/supersample.h"
 
 extern const char project_cl[], sort_cl[], bin_cl[], blend_cpu_cl[], blend_gpu_cl[];
 
-enum { SIZE_MAX_PX = 16384, RADIX_PASSES = 3 };
+enum { RADIX_PASSES = 3 };
 
 /* ---- open, close ---- */
 
@@ -135,10 +136,10 @@ static enum err_code render_view_check(const struct camera *c, struct err *e)
         finite = finite && isfinite(c->rot[i]);
     for (int i = 0; i < 3; i++)
         finite = finite && isfinite(c->trans[i]);
-    if (c->width_px < 1 || c->height_px < 1 || c->width_px > SIZE_MAX_PX ||
-        c->height_px > SIZE_MAX_PX)
+    if (c->width_px < 1 || c->height_px < 1 || c->width_px > RENDER_SIZE_MAX_PX ||
+        c->height_px > RENDER_SIZE_MAX_PX)
         return err_set(e, ERR_ARG, "render_forward: picture of %u x %u: sizes are 1 to %d",
-                       c->width_px, c->height_px, SIZE_MAX_PX);
+                       c->width_px, c->height_px, RENDER_SIZE_MAX_PX);
     if (!finite || !(c->fx_px > 0) || !(c->fy_px > 0))
         return err_set(e, ERR_ARG,
                        "render_forward: camera: not finite, or focal length not positive");
@@ -359,35 +360,60 @@ static enum err_code render_stage_blend(struct render *r, struct err *e)
                      r->tiles * local, local, e);
 }
 
-/* Planar on the device, interleaved for the caller; mapping costs nothing on CPUs. */
+/* Planes of the device, [n][h][w], interleaved for the caller; mapping costs nothing on CPUs. */
+static enum err_code render_planes_out(struct render *r, cl_mem from, size_t n, float *out,
+                                       struct err *e)
+{
+    size_t pixels = (size_t)r->view.width * r->view.height;
+    cl_int code = CL_SUCCESS;
+    const float *planes = clEnqueueMapBuffer(r->dev->queue, from, CL_TRUE, CL_MAP_READ, 0,
+                                             n * pixels * sizeof(float), 0, NULL, NULL, &code);
+    if (code != CL_SUCCESS)
+        return err_set(e, ERR_DEVICE, "render_forward: picture: %s", dev_error_name(code));
+    enum err_code rc = ERR_OK;
+    for (size_t k = 0; !rc && k < n && r->supersample > 1; k++)
+        rc = supersample_reduce(planes + k * pixels, r->view.width / r->supersample,
+                                r->view.height / r->supersample, r->supersample,
+                                (double)r->view.kernel_px2, out + k, n, e);
+    for (size_t i = 0; i < pixels && r->supersample == 1; i++)
+        for (size_t k = 0; k < n; k++)
+            out[n * i + k] = planes[k * pixels + i];
+    code = clEnqueueUnmapMemObject(r->dev->queue, from, (void *)(uintptr_t)planes, 0, NULL, NULL);
+    if (!rc && code != CL_SUCCESS)
+        rc = err_set(e, ERR_DEVICE, "render_forward: picture: %s", dev_error_name(code));
+    return rc ? rc : dev_finish(r->dev, e);
+}
+
 static enum err_code render_frame_output(struct render *r, float *rgb, float *transmittance,
                                          struct err *e)
 {
-    size_t pixels = (size_t)r->view.width * r->view.height;
-    if (transmittance) {
-        enum err_code rc =
-            dev_read(r->dev, r->transmit.mem, 0, pixels * sizeof(float), transmittance, e);
-        if (rc)
-            return rc;
-    }
-    if (!rgb)
-        return ERR_OK;
-    cl_int code = CL_SUCCESS;
-    const float *planes = clEnqueueMapBuffer(r->dev->queue, r->color.mem, CL_TRUE, CL_MAP_READ, 0,
-                                             3 * pixels * sizeof(float), 0, NULL, NULL, &code);
-    if (code != CL_SUCCESS)
-        return err_set(e, ERR_DEVICE, "render_forward: picture: %s", dev_error_name(code));
-    const float *red = planes, *green = planes + pixels, *blue = planes + 2 * pixels;
-    for (size_t i = 0; i < pixels; i++) {
-        rgb[3 * i] = red[i];
-        rgb[3 * i + 1] = green[i];
-        rgb[3 * i + 2] = blue[i];
-    }
-    code = clEnqueueUnmapMemObject(r->dev->queue, r->color.mem, (void *)(uintptr_t)planes, 0, NULL,
-                                   NULL);
-    if (code != CL_SUCCESS)
-        return err_set(e, ERR_DEVICE, "render_forward: picture: %s", dev_error_name(code));
-    return dev_finish(r->dev, e);
+    enum err_code rc = ERR_OK;
+    if (transmittance)
+        rc = render_planes_out(r, r->transmit.mem, 1, transmittance, e);
+    return !rc && rgb ? render_planes_out(r, r->color.mem, 3, rgb, e) : rc;
+}
+
+/* The camera that is drawn: the caller's, or finer. */
+static enum err_code render_fine_camera(struct render *r, const struct camera *cam,
+                                        const struct render_options *o, struct camera *fine,
+                                        struct err *e)
+{
+    uint32_t factor = r->supersample = o->supersample > 1 ? o->supersample : 1;
+    enum err_code rc = render_view_check(cam, e);
+    *fine = *cam;
+    if (rc || factor == 1)
+        return rc;
+    if (factor > SUPERSAMPLE_MOST || o->aa == RENDER_AA_NONE)
+        return err_set(e, ERR_ARG,
+                       "render_forward: supersampling is 1 to %d, of anti-aliased Gaussians",
+                       SUPERSAMPLE_MOST);
+    if (cam->width_px > RENDER_SIZE_MAX_PX / factor || cam->height_px > RENDER_SIZE_MAX_PX / factor)
+        return err_set(e, ERR_ARG,
+                       "render_forward: picture of %u x %u: with supersampling %u a side is at "
+                       "most %u",
+                       cam->width_px, cam->height_px, factor, RENDER_SIZE_MAX_PX / factor);
+    *fine = camera_resize(cam, factor * cam->width_px, factor * cam->height_px);
+    return ERR_OK;
 }
 
 enum err_code render_forward(struct render *r, const struct render_model *m,
@@ -395,14 +421,15 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
                              float *transmittance, struct err *e)
 {
     double start = clock_s(), since = start;
-    enum err_code rc = render_view_check(cam, e);
+    struct camera fine;
+    enum err_code rc = render_fine_camera(r, cam, o, &fine, e);
     r->drawn = false;
     memset(&r->stats, 0, sizeof r->stats);
     if (rc)
         return rc;
     assert(m->n <= (size_t)m->groups * LAYOUT_LANES &&
            m->planes == render_planes_embed(m->sh_degree, m->embed_len));
-    render_view_fill(r, m, cam, o, &r->view);
+    render_view_fill(r, m, &fine, o, &r->view);
     r->tiles = r->view.tiles_x * r->view.tiles_y;
     rc = render_go(r, e);
     if (!rc)
@@ -441,6 +468,13 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
 }
 
 /* ---- what the last frame left ---- */
+
+enum err_code render_transmittance(struct render *r, float *out, struct err *e)
+{
+    if (!r->drawn)
+        return err_set(e, ERR_ARG, "render_transmittance: no frame was drawn");
+    return render_planes_out(r, r->transmit.mem, 1, out, e);
+}
 
 const struct render_stats *render_last_stats(const struct render *r)
 {

@@ -92,7 +92,9 @@ void answer_view(struct services *s, const struct request *r, struct dataset *d,
     }
     paint_roll(&cam, t->pose.roll_e3 / 1e3);
     int quality = (int)s->cfg->quality;
-    struct hash128 id = answer_view_id(s, d, &cam, &choice, t->form.format, quality, &t->paint);
+    struct paint paint = t->paint;
+    paint_settle(&paint, t->form.format, (uint32_t)s->cfg->supersample);
+    struct hash128 id = answer_view_id(s, d, &cam, &choice, t->form.format, quality, &paint);
     out->type = target_type(t->form.format);
     out->cache_control = response_cache_control(s, d, t);
     snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s view", d->meta.name,
@@ -101,7 +103,7 @@ void answer_view(struct services *s, const struct request *r, struct dataset *d,
         return;
     struct work *w = response_work(d, WORK_VIEW, id, (struct form){.format = t->form.format}, out);
     if (w) {
-        w->view = (struct draw_view){cam, t->form.format, quality, t->paint};
+        w->view = (struct draw_view){cam, t->form.format, quality, paint};
         w->appearance = choice;
     }
     out->cls = r->prefetch ? JOB_AHEAD : JOB_VIEW;

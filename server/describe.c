@@ -11,6 +11,7 @@
 
 #include "core/geo.h"
 #include "lod/view.h"
+#include "render/supersample.h"
 #include "server/document.h"
 #include "server/paint.h"
 
@@ -219,14 +220,15 @@ static enum err_code describe_read_wish(const struct server_config *cfg,
                                         const struct geo_origin *origin, const void *text, size_t n,
                                         bool stream, struct describe_render *out, struct err *e)
 {
-    static const char *const keys[] = {"camera",      "pose",       "width",      "height",
-                                       "format",      "quality",    "background", "depth",
-                                       "deadline_ms", "appearance", NULL};
+    static const char *const keys[] = {"camera",      "pose",       "width",       "height",
+                                       "format",      "quality",    "background",  "depth",
+                                       "deadline_ms", "appearance", "supersample", NULL};
     static const char *const stream_keys[] = {
-        "camera", "pose",        "width",      "height", "format", "quality", "background",
-        "depth",  "deadline_ms", "appearance", "number", "still",  NULL};
+        "camera", "pose",        "width",      "height", "format", "quality",     "background",
+        "depth",  "deadline_ms", "appearance", "number", "still",  "supersample", NULL};
     json_t *o = NULL;
     json_int_t quality = cfg->quality, deadline_ms = (json_int_t)(cfg->deadline_s * 1000);
+    json_int_t supersample = 0;
     memset(out, 0, sizeof *out);
     enum err_code rc =
         n ? jsonc_parse(text, n, "body", &o, e)
@@ -248,7 +250,11 @@ static enum err_code describe_read_wish(const struct server_config *cfg,
     if (!rc)
         rc = describe_read_appearance(o, out->appearance, e);
     if (!rc)
+        rc = describe_read_int(o, "supersample", 1, SUPERSAMPLE_MOST, &supersample, e);
+    if (!rc)
         rc = describe_read_paint(o, out->format, &out->paint, e);
+    out->paint.supersample = (uint32_t)supersample;
+    paint_settle(&out->paint, out->format, (uint32_t)cfg->supersample);
     out->quality = (int)quality;
     out->timeout_s = (double)deadline_ms / 1000;
     json_decref(o);

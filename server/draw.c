@@ -117,10 +117,12 @@ static enum err_code draw_find(struct draw *d, const struct draw_request *q, int
 static enum err_code draw_measure(struct draw *d, float *transmittance, float *depth_m,
                                   struct err *e)
 {
-    const struct render_surface_maps maps = {.transmittance = transmittance, .median_m = depth_m};
+    const struct render_surface_maps maps = {.median_m = depth_m};
     enum err_code rc = ERR_OK;
-    if (!transmittance && !depth_m)
-        return ERR_OK;
+    if (transmittance)
+        rc = render_transmittance(d->render, transmittance, e);
+    if (rc || !depth_m)
+        return rc;
     if (!d->surface)
         rc = render_surface_open(d->render, &d->surface, e);
     return !rc ? render_surface_run(d->surface, NULL, &maps, e) : rc;
@@ -135,6 +137,8 @@ static enum err_code draw_picture(struct draw *d, const struct draw_request *q, 
     bool left = paint_needs_transmittance(paint), depth = paint_needs_depth(paint, v->format);
     struct render_options ro = {.aa = q->antialiased ? RENDER_AA_2D : RENDER_AA_NONE,
                                 .sh_degree = -1};
+    if (q->antialiased)
+        ro.supersample = paint->supersample ? paint->supersample : VIEW_SUPERSAMPLE_AUTO;
     const struct pick_options po = {.max_gaussians = d->hello.view_gaussians};
     for (int c = 0; c < 3; c++)
         ro.background[c] = (float)(paint->rgb >> (16 - 8 * c) & 255) / 255.0f;

@@ -258,6 +258,7 @@ static void motion_shrink(const struct motion_stream *st, struct draw_view *v)
              h = (uint32_t)fmax(1, round(height * factor));
     if (factor < 1)
         v->cam = camera_resize(&v->cam, w, h);
+    v->paint.supersample = 1;
     v->quality = v->quality < MOTION_QUALITY ? v->quality : MOTION_QUALITY;
 }
 

@@ -110,7 +110,8 @@
                   ",'height':" OPENAPI_INTEGER ",'format':{'type':'string','enum':['jpg','png','"  \
                   "webp','npy']},'depth':{'type':'string','enum':['mm','cm','dm','m']}"            \
                   ",'background':" OPENAPI_TEXT ",'quality':" OPENAPI_INTEGER                      \
-                  ",'deadline_ms':" OPENAPI_INTEGER ",'appearance':" OPENAPI_TEXT "}}")            \
+                  ",'deadline_ms':" OPENAPI_INTEGER ",'supersample':" OPENAPI_INTEGER              \
+                  ",'appearance':" OPENAPI_TEXT "}}")                                              \
     X("Places",                                                                                    \
       "{'type':'object','description':'places: up to 256 [longitude, latitude]; gsd_m'}")          \
     X("Pick",                                                                                      \

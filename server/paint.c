@@ -27,6 +27,14 @@ bool paint_needs_depth(const struct paint *p, enum format f)
     return p->depth != DEPTH_NONE || f == FORMAT_NPY;
 }
 
+void paint_settle(struct paint *p, enum format f, uint32_t supersample)
+{
+    if (paint_needs_depth(p, f))
+        p->supersample = 1;
+    else if (!p->supersample)
+        p->supersample = supersample;
+}
+
 enum err_code paint_check(const struct paint *p, enum format f, struct err *e)
 {
     if (p->depth != DEPTH_NONE && f != FORMAT_PNG && f != FORMAT_NPY)

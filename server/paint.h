@@ -17,6 +17,8 @@ struct paint_planes {
 /* Does it need the transmittance, or the depth? */
 bool paint_needs_transmittance(const struct paint *p);
 bool paint_needs_depth(const struct paint *p, enum format f);
+/* How fine a picture is drawn where the request does not say; depth is of the middle of a pixel. */
+void paint_settle(struct paint *p, enum format f, uint32_t supersample);
 /* ERR_DATA where a format cannot hold it: what to ask for instead. */
 enum err_code paint_check(const struct paint *p, enum format f, struct err *e) ERR_USE;
 /* Append the encoded picture. Depth as PNG is 16-bit grey in the unit of p, 0 where nothing is seen

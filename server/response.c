@@ -36,8 +36,8 @@ void response_edition(struct services *s, const struct dataset *d, enum route ro
         memcpy(out, d->edition, sizeof d->edition);
     } else if (s->picture && picture_state(s->picture) == PICTURE_READY) {
         picture_about(s->picture, device, sizeof device);
-        result_id_pictures_edition(d, device, (int)s->cfg->quality, (double)s->cfg->view_gaussians,
-                                   out);
+        result_id_pictures_edition(d, device, (int)s->cfg->quality, (int)s->cfg->supersample,
+                                   (double)s->cfg->view_gaussians, out);
     }
 }
 

@@ -55,13 +55,14 @@ void result_id_tiles_edition(const struct dataset *d, unsigned preset, char out[
 }
 
 void result_id_pictures_edition(const struct dataset *d, const char *device, int quality,
-                                double gaussians, char out[9])
+                                int supersample, double gaussians, char out[9])
 {
     struct { /* no padding */
         struct hash128 salt;
         char device[160];
-        double quality, gaussians;
-    } name = {.salt = d->salt, .quality = quality, .gaussians = gaussians};
+        double quality, supersample, gaussians;
+    } name = {
+        .salt = d->salt, .quality = quality, .supersample = supersample, .gaussians = gaussians};
     snprintf(name.device, sizeof name.device, "%s", device);
     result_id_edition(&name, sizeof name, out);
 }
@@ -166,7 +167,7 @@ struct hash128 result_id_view(const struct dataset *d, const char *device, const
         struct hash128 salt;
         char rev[16], device[160];
         double rot[9], trans[3], focal[4], gaussians;
-        uint32_t width, height, format, quality, background, rgb, depth, unused;
+        uint32_t width, height, format, quality, background, rgb, depth, supersample;
     } name;
     memset(&name, 0, sizeof name);
     name.salt = d->salt;
@@ -185,6 +186,7 @@ struct hash128 result_id_view(const struct dataset *d, const char *device, const
     name.background = (uint32_t)paint->background;
     name.rgb = paint->rgb;
     name.depth = (uint32_t)paint->depth;
+    name.supersample = paint->supersample;
     name.gaussians = gaussians;
     struct hash128 id = hash_bytes(&name, sizeof name);
     result_id_mix(&id, a);

@@ -26,7 +26,7 @@ void result_id_clip(struct hash128 *id, const struct target_clip *c);
 void result_id_tiles_edition(const struct dataset *d, unsigned preset, char out[9]);
 /* The same of its pictures and maps. */
 void result_id_pictures_edition(const struct dataset *d, const char *device, int quality,
-                                double gaussians, char out[9]);
+                                int supersample, double gaussians, char out[9]);
 struct hash128 result_id_seed(const struct dataset *d, const struct target *t,
                               const struct course *c, struct form form); /* c: NULL: none */
 /* kept: hash of the names that are kept. */

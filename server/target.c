@@ -12,6 +12,7 @@
 #include <string.h>
 
 #include "codec/quant.h"
+#include "render/supersample.h"
 #include "server/text.h"
 
 static const struct {
@@ -161,6 +162,10 @@ enum err_code target_take_form(struct text *one, struct target *target, bool *kn
             !target_read_depth(one->p, (size_t)(one->end - one->p), &target->paint))
             return err_set(e, ERR_FORMAT, "depth is mm, cm, dm or m, the unit, given once");
         one->p = one->end;
+    } else if (target_is_view(target->route) && text_take(one, "supersample=")) {
+        uint32_t *to = &target->paint.supersample;
+        if (*to || !text_take_uint(one, to) || !*to || *to > SUPERSAMPLE_MOST)
+            return err_set(e, ERR_FORMAT, "supersample is 1 to %d, given once", SUPERSAMPLE_MOST);
     } else if (target_is_terrain(target->route) && text_take(one, "encoding=")) {
         bool terrarium = text_take(one, "terrarium");
         if (target->encoding != ENCODING_UNSAID || (!terrarium && !text_take(one, "mapbox")))

@@ -146,7 +146,7 @@ struct target_pose {              /* fixed point, so that equal views are equal 
     int32_t fov_e3;               /* vertical */
     int32_t roll_e3;              /* clockwise, 0..359999 */
 };
-/* What is behind the Gaussians of a picture, or in place of their colours. */
+/* What is behind the Gaussians of a picture, or in place of their colours; how fine it is drawn. */
 enum background { BACKGROUND_COLOUR, BACKGROUND_SKY, BACKGROUND_TRANSPARENT };
 enum depth { DEPTH_NONE, DEPTH_MM, DEPTH_CM, DEPTH_DM, DEPTH_M }; /* unit of a picture of depth */
 struct paint {                                                    /* {0}: on black */
@@ -154,6 +154,7 @@ struct paint {                                                    /* {0}: on bla
     uint32_t rgb; /* of BACKGROUND_COLOUR: 0xRRGGBB */
     enum depth depth;
     bool said_background;
+    uint32_t supersample; /* pixels drawn for one on each axis; 0: as the server finds best */
 };
 /* A tile's bytes are those of a format, and of the quantised ones (.glb .spz .drc) in a preset and
  * a degree of harmonics. */

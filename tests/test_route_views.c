@@ -67,6 +67,9 @@ static void test_what_is_in_the_tag(void **state)
         {AT "/64x48.png?depth=cm", AT "/64x48.png?depth=mm", false},
         {AT "/64x48.png?depth=cm", AT "/64x48.png", false},
         {AT "/64x48.npy", AT "/64x48.png", false},
+        {AT "/64x48.png?supersample=2", AT "/64x48.png", false},
+        {AT "/64x48.png?supersample=2", AT "/64x48.png?supersample=1", false},
+        {AT "/64x48.npy?supersample=2", AT "/64x48.npy", true},
         {AT "/64x48.png?v=1", AT "/64x48.png", true},
     };
     static const struct {
@@ -85,6 +88,10 @@ static void test_what_is_in_the_tag(void **state)
         {AT "/64x48.png?depth=km", 400},
         {AT "/64x48.png?depth=1", 400},
         {AT "/64x48.png?depth=m&depth=m", 400},
+        {AT "/64x48.png?supersample=0", 400},
+        {AT "/64x48.png?supersample=5", 400},
+        {AT "/64x48.png?supersample=", 400},
+        {AT "/64x48.png?supersample=2&supersample=2", 400},
         {AT "/64x48.png?background=sky&background=sky", 400},
         {AT "/64x48@0x.png", 400},
         {AT "/64x48@5x.png", 400},
@@ -168,12 +175,14 @@ static void test_configuration_and_tags(void **state)
         response_free(&b);
     }
     catalog_drop(&others);
-    result_id_pictures_edition(d, "one", 85, 1000, device);
-    result_id_pictures_edition(d, "two", 85, 1000, edition);
+    result_id_pictures_edition(d, "one", 85, 0, 1000, device);
+    result_id_pictures_edition(d, "two", 85, 0, 1000, edition);
     assert_string_not_equal(device, edition);
-    result_id_pictures_edition(d, "one", 86, 1000, edition);
+    result_id_pictures_edition(d, "one", 86, 0, 1000, edition);
     assert_string_not_equal(device, edition);
-    result_id_pictures_edition(d, "one", 85, 1001, edition);
+    result_id_pictures_edition(d, "one", 85, 1, 1000, edition);
+    assert_string_not_equal(device, edition);
+    result_id_pictures_edition(d, "one", 85, 0, 1001, edition);
     assert_string_not_equal(device, edition);
 }
 

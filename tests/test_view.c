@@ -56,6 +56,43 @@ static struct camera camera_at(double east_m, double height_m, double pitch_deg)
     return camera_heading(eye, 10, pitch_deg, 0.9, W, H);
 }
 
+/* VIEW_SUPERSAMPLE_AUTO: finer from far away, as it is from near; never without anti-aliasing, and
+ * not where the finer picture would be too large. */
+static void small_splats_are_supersampled(void **state)
+{
+    struct store_fixture *f = *state;
+    struct err e = {0};
+    struct view *v;
+    static float by_itself[W * H * 3], plain[W * H * 3], fine[W * H * 3];
+    struct camera near = camera_at(0, 60, -30);
+    const struct camera far = camera_at(0, 4000, -88);
+    struct render_options o = draw;
+    struct camera wide = far;
+    wide.width_px = RENDER_SIZE_MAX_PX / 2 + 1;
+    wide.height_px = 1;
+    near.fx_px *= 10; /* as through a tele lens */
+    near.fy_px *= 10;
+    float *row = mem_array(wide.width_px, 3 * sizeof *row);
+    assert_non_null(row);
+    kit_ok(view_open(f->path, f->render, 0, &v, &e), e);
+    for (int i = 0; i < 2; i++) {
+        const struct camera *cam = i ? &far : &near;
+        o.supersample = 1;
+        kit_ok(view_render(v, cam, &o, NULL, plain, NULL, &e), e);
+        o.supersample = 2;
+        kit_ok(view_render(v, cam, &o, NULL, fine, NULL, &e), e);
+        o.supersample = VIEW_SUPERSAMPLE_AUTO;
+        kit_ok(view_render(v, cam, &o, NULL, by_itself, NULL, &e), e);
+        assert_true(memcmp(plain, fine, sizeof plain) != 0);
+        assert_memory_equal(by_itself, i ? fine : plain, sizeof plain);
+    }
+    kit_ok(view_render(v, &wide, &o, NULL, row, NULL, &e), e);
+    o.aa = RENDER_AA_NONE;
+    kit_ok(view_render(v, &far, &o, NULL, by_itself, NULL, &e), e);
+    view_close(&v);
+    mem_free(row);
+}
+
 static void drawn_again_it_is_the_same(void **state)
 {
     struct store_fixture *f = *state;
@@ -228,6 +265,7 @@ int main(void)
     progress_quiet(true);
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(drawn_again_it_is_the_same),
+        cmocka_unit_test(small_splats_are_supersampled),
         cmocka_unit_test(tiles_of_another_camera),
         cmocka_unit_test(without_levels_it_is_the_finest),
         cmocka_unit_test(looking_away_shows_the_background),

@@ -33,6 +33,8 @@ struct evaluate_source {
     enum err_code (*draw)(void *user, const struct camera *cam, float *rgb, double *gaussians,
                           struct err *e);
     void *user;
+    void *own_size; /* user of the same, not supersampled, for maps of the surface that is drawn;
+                     * NULL: user is that */
     const char *pictures; /* folder for NAME.png, photograph left and drawing right; NULL: none */
     double bytes;         /* of the source's files, handed through to the score */
     const struct render

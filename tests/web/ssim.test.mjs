@@ -82,7 +82,7 @@ async function sevenPoses() {
 
 async function served({ lon, lat, h, heading, pitch, fov }) {
     const place = `${lon.toFixed(8)},${lat.toFixed(8)},${h.toFixed(4)}@${heading},${pitch},${fov}`;
-    return fetch(`${source.url}/d/${id}/static/${place}/${SIZE.width}x${SIZE.height}.png`);
+    return fetch(`${source.url}/d/${id}/static/${place}/${SIZE.width}x${SIZE.height}.png?supersample=1`);
 }
 
 test("the viewer draws what the server draws, at seven poses", { skip: Boolean(why) }, async (t) => {
