@@ -82,7 +82,7 @@ static enum err_code supersample_row(void *user, size_t y, struct err *e)
     return ERR_OK;
 }
 
-/* NOLINTNEXTLINE(readability-non-const-parameter): it is written through `s` */
+/* NOLINTBEGIN(readability-non-const-parameter): out is written through `s` */
 enum err_code supersample_reduce(const float *plane, uint32_t width_px, uint32_t height_px,
                                  uint32_t factor, double kernel_px2, float *out, size_t stride,
                                  struct err *e)
@@ -96,3 +96,4 @@ enum err_code supersample_reduce(const float *plane, uint32_t width_px, uint32_t
     supersample_weights(&s, kernel_px2);
     return pool_for(height_px, 0, supersample_row, &s, e);
 }
+/* NOLINTEND(readability-non-const-parameter) */
