@@ -7,76 +7,84 @@
 #include "render/supersample.h"
 
 #include <math.h>
+#include <stdbool.h>
 
 #include "core/base.h"
 #include "core/pool.h"
 
 #define SUPERSAMPLE_SIGMAS 3.0
-enum { SUPERSAMPLE_TAPS = 20, SUPERSAMPLE_COLUMNS = 64 };
+enum {
+    SUPERSAMPLE_TAPS = 20,    /* at most */
+    SUPERSAMPLE_COLUMNS = 64, /* of a picture at a time */
+    SUPERSAMPLE_LINE = SUPERSAMPLE_COLUMNS * SUPERSAMPLE_MOST + SUPERSAMPLE_TAPS
+};
 
 struct supersample {
     const float *plane;
     float *out;
     size_t stride, width, height, factor;
-    size_t taps;      /* of each axis */
-    ptrdiff_t before; /* fine pixels before a pixel's first own one */
+    size_t taps;   /* of each axis */
+    size_t before; /* fine pixels before a pixel's first own one */
     float weight[SUPERSAMPLE_TAPS];
 };
 
 static void supersample_weights(struct supersample *s, double kernel_px2)
 {
     double f = (double)s->factor, variance = kernel_px2 * (f * f - 1.0);
-    s->before = (ptrdiff_t)ceil(SUPERSAMPLE_SIGMAS * sqrt(variance) - 0.5 * f);
-    s->before = s->before > 0 ? s->before : 0;
-    s->taps = s->factor + 2 * (size_t)s->before;
+    s->before = (size_t)fmax(ceil(SUPERSAMPLE_SIGMAS * sqrt(variance) - 0.5 * f), 0.0);
+    s->taps = s->factor + 2 * s->before;
     for (size_t i = 0; i < s->taps; i++) {
         double d = (double)i + 0.5 - 0.5 * (double)s->taps;
         s->weight[i] = (float)exp(-0.5 * d * d / variance);
     }
 }
 
-/* The taps of pixel `at` of an axis of n pixels that lie inside, [*first, *end), and the fine pixel
- * of the first of them; 1 / their sum. */
+/* The taps of pixel `at` of an axis of n pixels that lie inside, [*first, *end); 1 / their sum. */
 static float supersample_span(const struct supersample *s, size_t at, size_t n, size_t *first,
-                              size_t *end, size_t *fine)
+                              size_t *end)
 {
-    ptrdiff_t from = (ptrdiff_t)(at * s->factor) - s->before, most = (ptrdiff_t)(n * s->factor);
+    size_t from = at * s->factor, most = n * s->factor + s->before; /* both of fine pixels, moved */
     float sum = 0.0f;
-    *first = from < 0 ? (size_t)-from : 0;
-    *end = from + (ptrdiff_t)s->taps > most ? (size_t)(most - from) : s->taps;
-    *fine = (size_t)(from + (ptrdiff_t)*first);
+    *first = from < s->before ? s->before - from : 0;
+    *end = from + s->taps > most ? most - from : s->taps;
     for (size_t i = *first; i < *end; i++)
         sum += s->weight[i];
     return 1.0f / sum;
 }
 
-/* A row, some columns at a time: their fine columns down the rows, then along. */
+/* A row, some columns at a time: their fine columns down the rows, then along. What is beyond the
+ * picture counts as 0, and the weights of a pixel there as not being. */
 static enum err_code supersample_row(void *user, size_t y, struct err *e)
 {
     const struct supersample *s = user;
-    float column[SUPERSAMPLE_COLUMNS * SUPERSAMPLE_MOST + 2 * SUPERSAMPLE_TAPS];
-    size_t first, end, fine, fine_width = s->width * s->factor;
-    float share = supersample_span(s, y, s->height, &first, &end, &fine);
+    size_t first, end, fine_width = s->width * s->factor;
+    float share = supersample_span(s, y, s->height, &first, &end), all = 0.0f;
+    for (size_t k = 0; k < s->taps; k++)
+        all += s->weight[k];
+    const float *row = s->plane + (y * s->factor + first - s->before) * fine_width;
     (void)e;
     for (size_t x0 = 0; x0 < s->width; x0 += SUPERSAMPLE_COLUMNS) {
-        size_t x1 = x0 + SUPERSAMPLE_COLUMNS < s->width ? x0 + SUPERSAMPLE_COLUMNS : s->width;
-        size_t a, b, left, right, f0, f1;
-        (void)supersample_span(s, x0, s->width, &a, &b, &f0);
-        (void)supersample_span(s, x1 - 1, s->width, &left, &right, &f1);
-        size_t n = f1 + (right - left) - f0;
-        for (size_t i = 0; i < n; i++)
-            column[i] = 0.0f;
-        for (size_t k = first; k < end; k++) {
-            const float *from = s->plane + (fine + k - first) * fine_width + f0;
-            for (size_t i = 0; i < n; i++)
-                column[i] += s->weight[k] * from[i];
-        }
-        for (size_t x = x0; x < x1; x++) {
-            size_t at;
-            float sum = 0.0f, along = supersample_span(s, x, s->width, &a, &b, &at);
-            for (size_t k = a; k < b; k++)
-                sum += s->weight[k] * column[at - f0 + k - a];
-            s->out[(y * s->width + x) * s->stride] = sum * share * along;
+        float line[SUPERSAMPLE_LINE] = {0}; /* fine pixel x0 * factor - before first */
+        float sum[SUPERSAMPLE_COLUMNS] = {0};
+        float phase[SUPERSAMPLE_MOST][SUPERSAMPLE_COLUMNS + SUPERSAMPLE_TAPS] = {{0}};
+        size_t columns = s->width - x0 < SUPERSAMPLE_COLUMNS ? s->width - x0 : SUPERSAMPLE_COLUMNS;
+        size_t left = x0 ? s->before : 0, n = left + columns * s->factor + s->before;
+        size_t at = x0 * s->factor - left;
+        const size_t inside = n < fine_width - at ? n : fine_width - at;
+        for (size_t k = first; k < end; k++)
+            for (size_t i = 0; i < inside; i++)
+                line[s->before - left + i] += s->weight[k] * row[(k - first) * fine_width + at + i];
+        for (size_t i = 0; i < columns * s->factor + 2 * s->before; i++)
+            phase[i % s->factor][i / s->factor] = line[i];
+        for (size_t k = 0; k < s->taps; k++)
+            for (size_t x = 0; x < columns; x++)
+                sum[x] += s->weight[k] * phase[k % s->factor][k / s->factor + x];
+        for (size_t x = 0; x < columns; x++) {
+            size_t a, b, to = x0 + x;
+            bool whole =
+                to * s->factor >= s->before && (to + 1) * s->factor + s->before <= fine_width;
+            float along = whole ? 1.0f / all : supersample_span(s, to, s->width, &a, &b);
+            s->out[(y * s->width + to) * s->stride] = sum[x] * (share * along);
         }
     }
     return ERR_OK;
