@@ -74,7 +74,7 @@ scene_about() {
     city) echo "procedural city 300 m, 300 photographs of 400 x 300 px, cells of 100 m" ;;
     city-location) echo "procedural city 300 m, 300 photographs of 400 x 300 px, cells of 100 m, without visibility selection" ;;
     demo) echo "demo city 120 m, 84 photographs of 480 x 360 px, 24 map views" ;;
-    big) echo "procedural city 1 km, 640 photographs of 512 x 384 px, 9 cells of 340 m, 24 map views" ;;
+    big) echo "procedural city 1 km, 640 photographs of 512 x 384 px, 12 cells of 340 m, 24 map views" ;;
     above) echo "procedural city 100 m, 60 photographs of 320 x 240 px from straight above, 24 map views" ;;
     light) echo "procedural city 100 m, 60 photographs of 320 x 240 px under changing light" ;;
     city-light) echo "procedural city 200 m, 150 photographs of 400 x 300 px under changing light" ;;
@@ -267,11 +267,6 @@ study_budgets() { # accuracy against the number of Gaussians
   done
 }
 
-study_levels() { # every level at its own picture size (Table 9 of the paper), and tiles with and without LOD
-  row levels caliterra caliterra-800 "" --iterations "$(steps levels)" "${SMALL[@]}" --tiles
-  SHARED=1 row levels city city "" --iterations "$(steps levels)" "${SMALL[@]}" --tiles
-}
-
 study_sh() { # accuracy and bytes at SH degree 0 to 3
   local d
   for d in 0 1 2 3; do
@@ -417,15 +412,13 @@ study_full() {
   row full ochota ochota-800 "" --iterations "$(steps full)" --appearance --eval --half-image on
 }
 
-# A square kilometre in nine cells. Opacities are reset five times in a cell, which needs a shorter interval than that of
-# the full method. The tiles of one training, drawn by what a Gaussian may miss on the screen.
+# A square kilometre in twelve cells, trained once for the studies of its tiles and levels as well. Opacities are reset five
+# times in a cell, which needs a shorter interval than that of the full method.
+big_options() { printf '%s\n' --iterations "$(steps big)" --reset-interval 750 --budget-1 30000 --budget-2 60000 --budget-3 100000 --jobs 2; }
 study_big() {
-  local d MAP_VIEWS=1 base=(--iterations "$(steps big)" --reset-interval 750 --budget-1 30000 --budget-2 60000 --budget-3 100000 --jobs 2)
+  local base MAP_VIEWS=1
+  mapfile -t base < <(big_options)
   SHARED=1 row big "trained" big "" "${base[@]}"
-  unset MAP_VIEWS
-  for d in 1 2 4 8 16; do
-    tile_row big "screen: $d px" big "error_px=$d" --eval --metric screen --error-px "$d" -- "${base[@]}"
-  done
 }
 
 # level_row STUDY ROW SCENE SET EVAL-OPTIONS -- TRAIN-OPTIONS: every level of the same trained scene. `--views SCENE` are the
@@ -451,9 +444,10 @@ level_row() {
 }
 
 study_far() { # where each level suits: all of them from farther and farther away, which is to say, smaller
-  local px base=(--iterations "$(steps far)" "${SMALL[@]}")
-  for px in 400 283 200 141 100 71 50; do
-    level_row far "$px px" city "" --half-image off --full-size --max-edge-px "$px" -- "${base[@]}"
+  local px base
+  mapfile -t base < <(big_options)
+  for px in 512 256 128 64; do
+    level_row far "$px px" big "" --half-image off --full-size --max-edge-px "$px" -- "${base[@]}"
   done
 }
 
@@ -476,18 +470,19 @@ supersample_caliterra_rows() {
 study_supersample() { seeded supersample supersample_rows; }
 study_supersample_caliterra() { seeded supersample_caliterra supersample_caliterra_rows; }
 
-study_lod() { # tile sizes and distances (Tables 12 and 13); distances in tenths of the city
-  local edge d base=(--iterations "$(steps lod)" "${SMALL[@]}")
-  for edge in 12 25 50 100; do # those of zooms 21 to 18; in larger ones tiles would hold more than they may
-    tile_row lod "edge: $edge m" city "edge_m=$edge,distance_1_m=60,distance_2_m=120" --tile-edge-m "$edge" \
-      --eval --metric distance --distance-1-m 60 --distance-2-m 120 -- "${base[@]}"
+study_lod() { # tile sizes, distances and what a Gaussian may have on the screen (Tables 12 and 13)
+  local edge d base
+  mapfile -t base < <(big_options)
+  for edge in 50 100 200; do
+    tile_row lod "edge: $edge m" big "edge_m=$edge,distance_1_m=90,distance_2_m=180" --tile-edge-m "$edge" \
+      --eval --metric distance --distance-1-m 90 --distance-2-m 180 -- "${base[@]}"
   done
-  for d in 15 30 60 90 120; do
-    tile_row lod "distance: $d m" city "edge_m=25,distance_1_m=$d,distance_2_m=$((2 * d))" --tile-edge-m 25 \
+  for d in 45 180 360; do
+    tile_row lod "distance: $d m" big "edge_m=50,distance_1_m=$d,distance_2_m=$((2 * d))" --tile-edge-m 50 \
       --eval --metric distance --distance-1-m "$d" --distance-2-m $((2 * d)) -- "${base[@]}"
   done
   for d in 0.5 1 2 4 8; do
-    tile_row lod "screen: $d px" city "edge_m=25,error_px=$d" --tile-edge-m 25 --eval --metric screen --error-px "$d" -- "${base[@]}"
+    tile_row lod "screen: $d px" big "edge_m=50,error_px=$d" --tile-edge-m 50 --eval --metric screen --error-px "$d" -- "${base[@]}"
   done
 }
 
@@ -572,9 +567,9 @@ study_pyramid() {
   pyramid pyramid_city city --iterations "$(steps pyramid_city)" "${SMALL[@]}"
 }
 
-# Those of the city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full big budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra sh embedding network ochota_light ablation ablation_city
-  levels lod far supersample supersample_caliterra rd layout pyramid growth bench)
+# Those of a city trained alike stand together: it is trained once for them.
+readonly STUDIES=(time full big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra sh embedding network ochota_light ablation ablation_city
+  supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {
   local s wanted_studies=()
