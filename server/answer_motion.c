@@ -21,7 +21,7 @@ static void answer_motion_steer(struct services *s, const struct request *r, str
         response_problem(out, rc == ERR_MEM ? 503 : rc == ERR_DATA ? 422 : 400, e.msg);
         return;
     }
-    if (!answer_view_check(s, p.cam.width_px, p.cam.height_px, out) ||
+    if (!answer_view_check(s, p.cam.width_px, p.cam.height_px, p.format, &p.paint, out) ||
         !answer_find_appearance(s, d, p.appearance, &wish.appearance, out))
         return;
     wish.view = (struct draw_view){p.cam, p.format, p.quality, p.paint};

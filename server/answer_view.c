@@ -13,6 +13,9 @@
 #include "server/paint.h"
 #include "server/result_id.h"
 
+/* Of --max-view-mpx are drawn for a picture: the largest one may be twice as fine. */
+#define VIEW_DRAWN 4.0
+
 bool answer_can_draw(struct services *s, struct response *out)
 {
     char text[320], why[160] = "this server was started with --device none";
@@ -41,8 +44,8 @@ bool answer_can_draw(struct services *s, struct response *out)
     return !(st.wait_s > 0);
 }
 
-bool answer_view_check(struct services *s, uint32_t width_px, uint32_t height_px,
-                       struct response *out)
+bool answer_view_check(struct services *s, uint32_t width_px, uint32_t height_px, enum format f,
+                       struct paint *paint, struct response *out)
 {
     char text[256];
     if (!answer_can_draw(s, out))
@@ -55,6 +58,17 @@ bool answer_view_check(struct services *s, uint32_t width_px, uint32_t height_px
         response_problem(out, 422, text);
         return false;
     }
+    double px = (double)width_px * height_px, most_px = VIEW_DRAWN * s->cfg->max_view_mpx * 1e6;
+    uint32_t fine = paint->supersample;
+    if (px * fine * fine > most_px) {
+        snprintf(
+            text, sizeof text,
+            "at most %g megapixels are drawn for a picture: with supersample %u it may have %g",
+            most_px * 1e-6, fine, most_px * 1e-6 / fine / fine);
+        response_problem(out, 422, text);
+        return false;
+    }
+    paint_settle(paint, f, (uint32_t)s->cfg->supersample, px, most_px);
     return true;
 }
 
@@ -82,7 +96,8 @@ void answer_view(struct services *s, const struct request *r, struct dataset *d,
         .fov_y_deg = t->pose.fov_e3 / 1e3,
     };
     struct appearance_choice choice;
-    if (!answer_view_check(s, t->width_px, t->height_px, out) ||
+    struct paint paint = t->paint;
+    if (!answer_view_check(s, t->width_px, t->height_px, t->form.format, &paint, out) ||
         !answer_find_appearance(s, d, t->appearance, &choice, out))
         return;
     if (paint_check(&t->paint, t->form.format, &e) ||
@@ -92,8 +107,6 @@ void answer_view(struct services *s, const struct request *r, struct dataset *d,
     }
     paint_roll(&cam, t->pose.roll_e3 / 1e3);
     int quality = (int)s->cfg->quality;
-    struct paint paint = t->paint;
-    paint_settle(&paint, t->form.format, (uint32_t)s->cfg->supersample);
     struct hash128 id = answer_view_id(s, d, &cam, &choice, t->form.format, quality, &paint);
     out->type = target_type(t->form.format);
     out->cache_control = response_cache_control(s, d, t);
@@ -121,7 +134,7 @@ void answer_render(struct services *s, const struct request *r, struct dataset *
         response_problem(out, rc == ERR_MEM ? 503 : rc == ERR_DATA ? 422 : 400, e.msg);
         return;
     }
-    if (!answer_view_check(s, p.cam.width_px, p.cam.height_px, out) ||
+    if (!answer_view_check(s, p.cam.width_px, p.cam.height_px, p.format, &p.paint, out) ||
         !answer_find_appearance(s, d, p.appearance, &choice, out))
         return;
     struct hash128 id = answer_view_id(s, d, &p.cam, &choice, p.format, p.quality, &p.paint);

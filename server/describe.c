@@ -254,7 +254,6 @@ static enum err_code describe_read_wish(const struct server_config *cfg,
     if (!rc)
         rc = describe_read_paint(o, out->format, &out->paint, e);
     out->paint.supersample = (uint32_t)supersample;
-    paint_settle(&out->paint, out->format, (uint32_t)cfg->supersample);
     out->quality = (int)quality;
     out->timeout_s = (double)deadline_ms / 1000;
     json_decref(o);

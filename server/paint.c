@@ -27,8 +27,10 @@ bool paint_needs_depth(const struct paint *p, enum format f)
     return p->depth != DEPTH_NONE || f == FORMAT_NPY;
 }
 
-void paint_settle(struct paint *p, enum format f, uint32_t supersample)
+void paint_settle(struct paint *p, enum format f, uint32_t supersample, double px, double most_px)
 {
+    while (supersample > 1 && px * supersample * supersample > most_px)
+        supersample--;
     if (paint_needs_depth(p, f))
         p->supersample = 1;
     else if (!p->supersample)

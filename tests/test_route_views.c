@@ -89,6 +89,7 @@ static void test_what_is_in_the_tag(void **state)
         {AT "/64x48.png?depth=1", 400},
         {AT "/64x48.png?depth=m&depth=m", 400},
         {AT "/64x48.png?supersample=0", 400},
+        {AT "/1200x1000.png?supersample=4", 422},
         {AT "/64x48.png?supersample=5", 400},
         {AT "/64x48.png?supersample=", 400},
         {AT "/64x48.png?supersample=2&supersample=2", 400},
