@@ -25,8 +25,8 @@ void answer_render(struct services *s, const struct request *r, struct dataset *
 /* answer_motion.c: GET of a stream, which exchange.c begins (out->stream), POST of its camera. */
 void answer_motion(struct services *s, const struct request *r, struct dataset *d,
                    const struct target *t, struct response *out);
-/* answer_view.c: false, with the problem set, when pictures cannot be made or this one is too large,
- * or too much would be drawn for it. Settles how fine it is drawn. */
+/* answer_view.c: false, with the problem set, when pictures cannot be made or this one is too
+ * large, or too much would be drawn for it. Settles how fine it is drawn. */
 bool answer_view_check(struct services *s, uint32_t width_px, uint32_t height_px, enum format f,
                        struct paint *paint, struct response *out);
 /* answer_map.c: tiles of a map and of terrain, and the documents that lead to them; false for other

@@ -18,8 +18,8 @@ struct paint_planes {
 bool paint_needs_transmittance(const struct paint *p);
 bool paint_needs_depth(const struct paint *p, enum format f);
 /* How fine a picture of so many pixels is drawn where the request does not say: supersample (0: as
- * it suits the view), or less, so that at most most_px are drawn. Depth is of the middle of a pixel:
- * 1. */
+ * it suits the view), or less, so that at most most_px are drawn. 1 for depth, which is of a
+ * pixel's middle. */
 void paint_settle(struct paint *p, enum format f, uint32_t supersample, double px, double most_px);
 /* ERR_DATA where a format cannot hold it: what to ask for instead. */
 enum err_code paint_check(const struct paint *p, enum format f, struct err *e) ERR_USE;
