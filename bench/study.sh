@@ -336,13 +336,13 @@ study_importance() { seeded importance importance_rows; }
 # and with the other strategy of density control.
 pareto_rows() {
   local b base=(--iterations "$(steps pareto)") MAP_VIEWS=1
-  row pareto "fit" demo "" "${base[@]}" --budget fit
+  row pareto "split: fit" demo "" "${base[@]}" --budget fit
   for b in 40000 80000 160000 320000; do
-    row pareto "$((b / 1000)) k" demo "budget=$b" "${base[@]}" --budget table --budget-1 "$((b / 4))" --budget-2 "$((b / 2))" --budget-3 "$b"
+    row pareto "split: $((b / 1000)) k" demo "budget=$b" "${base[@]}" --budget table --budget-1 "$((b / 4))" --budget-2 "$((b / 2))" --budget-3 "$b"
   done
-  row pareto "auto" demo "" "${base[@]}" --budget auto
+  row pareto "split: auto" demo "" "${base[@]}" --budget auto
   for b in 80000 160000; do
-    row pareto "mcmc $((b / 1000)) k" demo "budget=$b" "${base[@]}" --strategy mcmc --budget table --budget-1 "$((b / 4))" --budget-2 "$((b / 2))" --budget-3 "$b"
+    row pareto "mcmc: $((b / 1000)) k" demo "budget=$b" "${base[@]}" --strategy mcmc --budget table --budget-1 "$((b / 4))" --budget-2 "$((b / 2))" --budget-3 "$b"
   done
 }
 study_pareto() { seeded pareto pareto_rows; }
