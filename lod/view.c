@@ -19,9 +19,9 @@
 #include "lod/view.h"
 
 #define VIEW_CACHE_BYTES ((size_t)1 << 30)
-/* Below this many pixels of their larger sigmas in the mean, Gaussians tile surfaces; photographs
- * show them at three to five (decision 050). */
-#define VIEW_SMALL_PX 2.5
+/* Below this many pixels of their largest sigmas in the mean, Gaussians tile surfaces; photographs
+ * show them at 1.7 and more (decision 050). */
+#define VIEW_SMALL_PX 1.6
 
 struct view {
     struct store *store;
