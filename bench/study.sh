@@ -412,8 +412,8 @@ study_full() {
   row full ochota ochota-800 "" --iterations "$(steps full)" --appearance --eval --half-image on
 }
 
-# A square kilometre in twelve cells, trained once for the studies of its tiles and levels as well. Opacities are reset five
-# times in a cell, which needs a shorter interval than that of the full method.
+# A square kilometre in twelve cells, trained once for the studies of its tiles and levels as well. Opacities are reset twice
+# in each level, which needs a shorter interval than that of the full method.
 big_options() { printf '%s\n' --iterations "$(steps big)" --reset-interval 750 --budget-1 30000 --budget-2 60000 --budget-3 100000 --jobs 2; }
 study_big() {
   local base MAP_VIEWS=1
@@ -473,6 +473,9 @@ study_supersample_caliterra() { seeded supersample_caliterra supersample_caliter
 study_lod() { # tile sizes, distances and what a Gaussian may have on the screen (Tables 12 and 13)
   local edge d base
   mapfile -t base < <(big_options)
+  for d in 0.5 1 2 4 8; do
+    tile_row lod "screen: $d px" big "edge_m=50,error_px=$d" --tile-edge-m 50 --eval --metric screen --error-px "$d" -- "${base[@]}"
+  done
   for edge in 50 100 200; do
     tile_row lod "edge: $edge m" big "edge_m=$edge,distance_1_m=90,distance_2_m=180" --tile-edge-m "$edge" \
       --eval --metric distance --distance-1-m 90 --distance-2-m 180 -- "${base[@]}"
@@ -480,9 +483,6 @@ study_lod() { # tile sizes, distances and what a Gaussian may have on the screen
   for d in 45 180 360; do
     tile_row lod "distance: $d m" big "edge_m=50,distance_1_m=$d,distance_2_m=$((2 * d))" --tile-edge-m 50 \
       --eval --metric distance --distance-1-m "$d" --distance-2-m $((2 * d)) -- "${base[@]}"
-  done
-  for d in 0.5 1 2 4 8; do
-    tile_row lod "screen: $d px" big "edge_m=50,error_px=$d" --tile-edge-m 50 --eval --metric screen --error-px "$d" -- "${base[@]}"
   done
 }
 

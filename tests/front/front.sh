@@ -23,6 +23,10 @@ need() { # PROGRAM PACKAGE
     command -v "$1" >/dev/null || [ -x "/usr/sbin/$1" ] || skip "no $1: Debian's package $2 has it"
 }
 
+need_xkey() { # configs/varnish.vcl asks for it
+    [ -n "$(find /usr/lib -name libvmod_xkey.so -print -quit 2>/dev/null)" ] || skip "no vmod xkey: Debian's package varnish-modules has it"
+}
+
 check() { # WHAT COMMAND...: says what failed
     local what=$1
     shift

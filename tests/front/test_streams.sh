@@ -9,6 +9,7 @@ set -u
 need curl curl
 need nginx nginx-light
 need varnishd varnish
+need_xkey
 PATH=$PATH:/usr/sbin
 for i in 1 2; do serve $i 0 --device cpu; done
 ready() { # the device of server NUMBER draws within 90 seconds

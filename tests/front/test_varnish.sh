@@ -8,7 +8,7 @@ set -u
 . "$(dirname "$0")/front.sh"
 need varnishd varnish
 need curl curl
-[ -n "$(find /usr/lib -name libvmod_xkey.so -print -quit 2>/dev/null)" ] || skip "no vmod xkey: Debian's package varnish-modules has it"
+need_xkey
 for i in 1 2 3; do serve $i 0 --cache-policy '*=1' --tag-header xkey; done
 rev=$(revision)
 front=$(free_port)
