@@ -81,8 +81,8 @@ test("moving: small pictures one by one, of the newest pose; at rest the full on
     if (why) return t.skip(why);
     proxy.log = [];
     proxy.latencyMs = 30;
-    // As at first: pictures of the tests before may have been so quick that they grew.
-    await page.evaluate(() => (window.citysplat.viewer.pictures.area = 60_000));
+    // Small: pictures grow by a third while they come quickly, and on a quick machine none may grow to the full size here.
+    await page.evaluate(() => (window.citysplat.viewer.pictures.area = 20_000));
     const { seen, frames, last } = await page.evaluate(
         async ([enough, frames]) => {
             const { viewer } = window.citysplat;
