@@ -2,6 +2,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include <stdatomic.h>
 #include <stddef.h>
 #include <time.h>
 
@@ -17,11 +18,11 @@ static double clock_of(clockid_t id)
 
 double clock_s(void)
 {
-    static double start; /* of the first call; a race would only move the zero by microseconds */
-    double now = clock_of(CLOCK_MONOTONIC);
-    if (start <= 0.0)
-        start = now;
-    return now - start;
+    static _Atomic double start; /* of the first call, whichever thread's that is */
+    double now = clock_of(CLOCK_MONOTONIC), from = atomic_load(&start);
+    if (from <= 0.0 && atomic_compare_exchange_strong(&start, &from, now))
+        from = now;
+    return now - from;
 }
 
 double clock_cpu_s(void)
