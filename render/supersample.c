@@ -6,6 +6,7 @@
  */
 #include "render/supersample.h"
 
+#include <assert.h>
 #include <math.h>
 #include <stdbool.h>
 
@@ -33,6 +34,7 @@ static void supersample_weights(struct supersample *s, double kernel_px2)
     double f = (double)s->factor, variance = kernel_px2 * (f * f - 1.0);
     s->before = (size_t)fmax(ceil(SUPERSAMPLE_SIGMAS * sqrt(variance) - 0.5 * f), 0.0);
     s->taps = s->factor + 2 * s->before;
+    assert(s->taps <= SUPERSAMPLE_TAPS);
     for (size_t i = 0; i < s->taps; i++) {
         double d = (double)i + 0.5 - 0.5 * (double)s->taps;
         s->weight[i] = (float)exp(-0.5 * d * d / variance);

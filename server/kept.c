@@ -409,8 +409,13 @@ static enum err_code kept_step(struct kept *k, sqlite3_stmt *q, struct err *e)
     return rc;
 }
 
-static void kept_publish(struct kept *k, struct kept_table *newer)
+/* What was written is what is read from now on; what was not is dropped. newer is taken. */
+static void kept_settle(struct kept *k, struct kept_table *newer, enum err_code written)
 {
+    if (written) {
+        kept_drop(&newer);
+        return;
+    }
     pthread_mutex_lock(&k->lock);
     struct kept_table *was = k->table;
     k->table = newer;
@@ -457,10 +462,7 @@ enum err_code kept_put(struct kept *k, const struct kept_row *row,
         struct kept_table *newer =
             kept_changed(k->table, kept_place(k->table, row->ds, row->name), was != NULL, row);
         rc = newer ? kept_write(k, row, e) : err_set(e, ERR_MEM, "names: out of memory");
-        if (!rc)
-            kept_publish(k, newer);
-        else
-            kept_drop(&newer);
+        kept_settle(k, newer, rc);
     }
     pthread_mutex_unlock(&k->writing);
     return rc;
@@ -483,10 +485,7 @@ enum err_code kept_remove(struct kept *k, const char *ds, const char *name,
         rc = !newer              ? err_set(e, ERR_MEM, "names: out of memory")
              : code == SQLITE_OK ? kept_step(k, k->remove, e)
                                  : kept_fail(k, code, "cannot be written", e);
-        if (!rc)
-            kept_publish(k, newer);
-        else
-            kept_drop(&newer);
+        kept_settle(k, newer, rc);
     }
     pthread_mutex_unlock(&k->writing);
     return rc;

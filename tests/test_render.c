@@ -1,6 +1,7 @@
 /* The forward kernels against the double-precision reference, and what must hold for any scene:
  * tiles change nothing, two runs give the same bits, distance from the origin does not matter,
- * nonsense is culled.
+ * nonsense is culled. One piece, although long: all of it draws with one device and compares in one
+ * way.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
