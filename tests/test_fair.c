@@ -437,27 +437,44 @@ static void test_slow_neighbours(void **state)
         close(fd[i]);
 }
 
-/* Where every connection has come just now, one more is told so, in time. */
+/* Fills the limit with connections that say nothing and asks on one more. *in_time: none of them had been open for long
+ * enough to give way when the answer was here, so that the answer is the one of a full server. */
+static void ask_when_full(int limit, struct reply *r, bool *in_time)
+{
+    int fd[16];
+    assert_in_range(limit, 1, sizeof fd / sizeof *fd);
+    double start_s = clock_s();
+    for (int i = 0; i < limit; i++)
+        fd[i] = dial(t.port);
+    ask("GET", "/healthz", "", r);
+    *in_time = (clock_s() - start_s) * 1000 < HEAD_SLOW_MS;
+    for (int i = 0; i < limit; i++)
+        close(fd[i]);
+    await_no_connections();
+}
+
+/* Where every connection has come just now, one more is told so, in time. A machine that is too busy to open them within
+ * the time after which they give way is asked again. */
 static void test_too_many_connections_are_told(void **state)
 {
-    enum { LIMIT = 8 };
-    int fd[LIMIT];
+    enum { LIMIT = 8, TRIES = 20 };
     struct reply r;
     (void)state;
     for (int all = 0; all < 2; all++) {
         *(all ? &t.cfg.max_connections : &t.cfg.per_ip_connections) = LIMIT;
         start();
-        for (int i = 0; i < LIMIT; i++)
-            fd[i] = dial(t.port);
-        ask("GET", "/healthz", "", &r);
-        assert_int_equal(r.status, 503);
-        assert_string_equal(header(&r, "Connection"), "close");
-        assert_string_equal(header(&r, "Content-Type"), "application/problem+json");
-        assert_true(atoi(header(&r, "Retry-After")) >= 1);
-        buf_free(&r.raw);
-        for (int i = 0; i < LIMIT; i++)
-            close(fd[i]);
-        await_no_connections();
+        bool in_time = false;
+        for (int n = 0; n < TRIES && !in_time; n++) {
+            ask_when_full(LIMIT, &r, &in_time);
+            if (in_time) {
+                assert_int_equal(r.status, 503);
+                assert_string_equal(header(&r, "Connection"), "close");
+                assert_string_equal(header(&r, "Content-Type"), "application/problem+json");
+                assert_true(atoi(header(&r, "Retry-After")) >= 1);
+            }
+            buf_free(&r.raw);
+        }
+        assert_true(in_time);
         assert_int_equal(status_of("GET", "/healthz", ""), 200);
         server_stop(&t.server);
         t.cfg.per_ip_connections = 256;
