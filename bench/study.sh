@@ -69,10 +69,9 @@ scene_about() {
     caliterra-800) echo "caliterra, 800 x 600 px" ;;
     ochota-400) echo "ochota, 400 x 300 px" ;;
     ochota-800) echo "ochota, 800 x 600 px" ;;
-    caliterra-cells) echo "caliterra, 800 x 600 px, cells of 80 m" ;;
-    caliterra-cells-location) echo "caliterra, 800 x 600 px, cells of 80 m, without visibility selection" ;;
     city) echo "procedural city 300 m, 300 photographs of 400 x 300 px, cells of 100 m" ;;
-    city-location) echo "procedural city 300 m, 300 photographs of 400 x 300 px, cells of 100 m, without visibility selection" ;;
+    cells) echo "procedural city 200 m, 150 photographs of 400 x 300 px, 6 cells of 70 m, 24 map views" ;;
+    cells-location) echo "procedural city 200 m, 150 photographs of 400 x 300 px, 6 cells of 70 m, without visibility selection, 24 map views" ;;
     demo) echo "demo city 120 m, 84 photographs of 480 x 360 px, 24 map views" ;;
     big) echo "procedural city 1 km, 640 photographs of 512 x 384 px, 12 cells of 340 m, 24 map views" ;;
     above) echo "procedural city 100 m, 60 photographs of 320 x 240 px from straight above, 24 map views" ;;
@@ -95,16 +94,14 @@ scene_ingest_city() { # FOLDER synth options
 }
 
 scene_build() { # NAME FOLDER
-  local cells=(--edge-m 80 --images-few 8 --images-least 6)
   case $1 in
     caliterra-400) scene_ingest_caliterra "$2" 400 ;;
     caliterra-800) scene_ingest_caliterra "$2" 800 ;;
     ochota-*) # no GPS: what a map says of its middle, and of its size
       citysplat ingest "$CITYSPLAT_OCHOTA/images" "$CITYSPLAT_OCHOTA/sparse" --max-edge-px "${1#*-}" --origin 20.97095,52.218,110 --metres-per-unit 71 -o "$2" -q ;;
-    caliterra-cells) scene_ingest_caliterra "$2" 800; citysplat plan "$2" "${cells[@]}" ;;
-    caliterra-cells-location) scene_ingest_caliterra "$2" 800; citysplat plan "$2" "${cells[@]}" --no-visibility ;;
     city) scene_ingest_city "$2" --extent-m 300 --photos 300 --points 100000; citysplat plan "$2" --edge-m 100 --images-few 16 ;;
-    city-location) scene_ingest_city "$2" --extent-m 300 --photos 300 --points 100000; citysplat plan "$2" --edge-m 100 --images-few 16 --no-visibility ;;
+    cells) scene_ingest_city "$2" --extent-m 200 --photos 150 --points 45000 --map-views 24; citysplat plan "$2" --edge-m 70 --images-few 16 ;;
+    cells-location) scene_ingest_city "$2" --extent-m 200 --photos 150 --points 45000 --map-views 24; citysplat plan "$2" --edge-m 70 --images-few 16 --no-visibility ;;
     demo)
       citysplat synth --config configs/demo-synth.jsonc --map-views 24 -o "$2-photos" --overwrite -q
       citysplat ingest "$2-photos/images" "$2-photos/sparse" --config configs/demo-ingest.jsonc -o "$2" -q
@@ -274,26 +271,49 @@ study_sh() { # accuracy and bytes at SH degree 0 to 3
   done
 }
 
-# Rows of Table 10 and of the main ablation: each turns one thing off.
-ablation() { # STUDY SCENE
-  local n
-  n=$(steps "$1") || exit 1
-  local base=(--iterations "$n" "${SMALL[@]}")
-  row "$1" full "$2" "" "${base[@]}" --tiles
-  row "$1" "no anti-aliasing" "$2" "" "${base[@]}" --aa none --tiles --aa none
-  row "$1" "no AbsGS" "$2" "" "${base[@]}" --absgrad-from 4 --tau-3 2e-4 --tiles
-  row "$1" "AbsGS at every level" "$2" "" "${base[@]}" --absgrad-from 1 --tau-1 6e-4 --tau-2 6e-4 --tiles
-  row "$1" "no prioritised densification" "$2" "" "${base[@]}" --tau-outside 1 --tiles
-  row "$1" "one view a score" "$2" "" "${base[@]}" --importance-views 1 --tiles
-  row "$1" "Mip-Splatting" "$2" "" "${base[@]}" --aa mip --tiles
-  row "$1" "sparse depth" "$2" "" "${base[@]}" --depth-sparse --tiles
-  row "$1" "one level" "$2" "" "${base[@]}" --level-count 1
-  row "$1" "no loss on sizes" "$2" "" "${base[@]}" --scale-weight 0 --tiles
-  row "$1" "appearance" "$2" "" "${base[@]}" --appearance --appearance-iterations "$n" --appearance-iterations-min 1 --eval --half-image off --tiles --half-image off
-  row "$1" "no visibility selection" "$2-location" "" "${base[@]}" --tiles
+# Rows of Table 10 and of the main ablation: each turns one thing off, or on, at a budget that binds. AbsGS also at an equal
+# number of Gaussians, where the threshold is so low that the budget binds without it as well.
+ablation_rows() { # STUDY SCENE OPTIONS
+  local study=$1 scene=$2
+  shift 2
+  row "$study" full "$scene" "" "$@"
+  row "$study" "no AbsGS" "$scene" "" "$@" --absgrad-from 4 --tau-3 2e-4
+  row "$study" "no AbsGS, lower threshold" "$scene" "" "$@" --absgrad-from 4 --tau-3 5e-5
+  row "$study" "no anti-aliasing" "$scene" "" "$@" --aa none --eval --aa none
+  row "$study" "Mip-Splatting" "$scene" "" "$@" --aa mip
+  row "$study" "sparse depth" "$scene" "" "$@" --depth-sparse
+  row "$study" "appearance" "$scene" "" "$@" --appearance --eval --half-image off
 }
-study_ablation() { ablation ablation caliterra-cells; }
-study_ablation_city() { ablation ablation_city city; }
+ablation_photographs_rows() {
+  ablation_rows ablation caliterra-400 --level-count 1 --iterations "$(steps ablation)" --budget-3 100000
+}
+ablation_city_rows() {
+  local MAP_VIEWS=1
+  ablation_rows ablation_city demo --level-count 1 --iterations "$(steps ablation_city)" --budget-3 120000
+}
+study_ablation() { seeded ablation ablation_photographs_rows; }
+study_ablation_city() { seeded ablation_city ablation_city_rows; }
+
+# What cells alone have: which photographs train one, where it may grow, what it begins from.
+cells_rows() {
+  local MAP_VIEWS=1 base=(--iterations "$(steps cells)" --budget-1 20000 --budget-2 40000 --budget-3 80000)
+  row cells full cells "" "${base[@]}"
+  row cells "no visibility selection" cells-location "" "${base[@]}"
+  row cells "no prioritised densification" cells "" "${base[@]}" --tau-outside 1
+  row cells "coarse start" cells "" "${base[@]}" --coarse-start
+}
+study_cells() { seeded cells cells_rows; }
+
+# Poses that are refined while Gaussians are trained, on photographs as they came.
+poses_rows() { # STUDY SCENE
+  local base=(--level-count 1 --iterations "$(steps "$1")" --budget-3 100000)
+  row "$1" "as ingested" "$2" "" "${base[@]}"
+  row "$1" "refined" "$2" "" "${base[@]}" --refine-poses
+}
+poses_caliterra_rows() { poses_rows poses_caliterra caliterra-400; }
+poses_ochota_rows() { poses_rows poses_ochota ochota-400; }
+study_poses_caliterra() { seeded poses_caliterra poses_caliterra_rows; }
+study_poses_ochota() { seeded poses_ochota poses_ochota_rows; }
 
 embedding_rows() {
   local n base=(--level-count 1 --iterations "$(steps embedding)" --budget-3 40000)
@@ -568,7 +588,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra sh embedding network ochota_light ablation ablation_city
+readonly STUDIES=(time full big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra sh embedding network ochota_light poses_caliterra poses_ochota ablation ablation_city cells
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {
