@@ -437,8 +437,9 @@ static void test_slow_neighbours(void **state)
         close(fd[i]);
 }
 
-/* Fills the limit with connections that say nothing and asks on one more. *in_time: none of them had been open for long
- * enough to give way when the answer was here, so that the answer is the one of a full server. */
+/* Fills the limit with connections that say nothing and asks on one more. *in_time: none of them
+ * had been open for long enough to give way when the answer was here, so that the answer is the one
+ * of a full server. */
 static void ask_when_full(int limit, struct reply *r, bool *in_time)
 {
     int fd[16];
@@ -453,8 +454,8 @@ static void ask_when_full(int limit, struct reply *r, bool *in_time)
     await_no_connections();
 }
 
-/* Where every connection has come just now, one more is told so, in time. A machine that is too busy to open them within
- * the time after which they give way is asked again. */
+/* Where every connection has come just now, one more is told so, in time. A machine that is too
+ * busy to open them within the time after which they give way is asked again. */
 static void test_too_many_connections_are_told(void **state)
 {
     enum { LIMIT = 8, TRIES = 20 };
