@@ -190,7 +190,7 @@ void resident_weigh(struct resident *r, uint32_t tile, float share)
         resident_leave(r, t);
 }
 
-/* A copy of what is packed of a tile, with a share of its opacity. Caller frees; NULL: no memory. */
+/* A copy of what is packed of a tile, with its share of opacity. Caller frees; NULL: no memory. */
 static float *resident_faint(const struct resident *r, const struct resident_tile *t, size_t rows)
 {
     size_t floats = (size_t)render_piece_groups(rows) * r->model.planes * LAYOUT_LANES;
