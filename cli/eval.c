@@ -455,6 +455,7 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
     if (v->o.flight) {
         const struct eval_flight_request q = {.scene = &v->scene,
                                               .frames = (size_t)v->o.flight,
+                                              .fade = (size_t)v->o.fade,
                                               .max_edge_px = (uint32_t)v->o.max_edge_px,
                                               .rows = v->rows};
         if (!rc)
@@ -574,6 +575,10 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
         goto out;
     if (v.o.flight && !v.o.tiles) {
         rc = err_set(e, ERR_ARG, "--flight: levels change in tile stores: give one with --tiles");
+        goto out;
+    }
+    if (v.o.fade && !v.o.flight) {
+        rc = err_set(e, ERR_ARG, "--fade: levels change in flight: give --flight");
         goto out;
     }
     if (v.o.views)

@@ -2,8 +2,10 @@
  *
  * A picture changes from frame to frame because the camera moves and because other tiles are drawn.
  * To see the second alone each frame is drawn twice: with the tiles that it needs itself, and with
- * those that the frame before needed. The camera is the same, so what differs has popped. Tiles are
- * picked for a picture somewhat larger than the one drawn, so that none is missing at its edge.
+ * those that the frame before was drawn from. The camera is the same, so what differs has popped.
+ * Tiles are picked for a picture somewhat larger than the one drawn, so that none is missing at its
+ * edge. With a fade (lod/fade.h) tiles are drawn in part, and a frame pops by what one step of the
+ * fade changes.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -15,6 +17,8 @@
 
 #include "codec/scene.h"
 #include "core/sort.h"
+#include "lod/fade.h"
+#include "lod/tree.h"
 
 enum { EVAL_FLIGHT_WIDTH = 640, EVAL_FLIGHT_LEVELS = 256, EVAL_FLIGHT_MARGIN = 4 };
 /* From four flight heights down to 0.4 over half a turn, 45 degrees down at the middle. */
@@ -29,6 +33,7 @@ struct eval_flight_figures {
     /* Of the pops of a frame, in 1/255: the largest 99 % quantile, pixel and mean of all frames. */
     size_t pop_99, pop_max, worst_frame; /* worst_frame: where the mean is largest */
     double worst_mean, gaussians;        /* gaussians: mean a frame */
+    size_t stray_99;                     /* likewise, see eval_flight_stray */
 };
 
 static double eval_flight_median(double *v, float *scratch, size_t n)
@@ -135,37 +140,120 @@ static void eval_flight_pop(const float *now, const float *held, size_t pixels, 
     }
 }
 
-static enum err_code eval_flight_fly(const struct eval_flight_path *p, size_t frames,
-                                     struct view *v, const struct render_options *ro,
-                                     const struct pick_options *po, struct eval_flight_figures *f,
-                                     struct err *e)
+/* What two frames are drawn from, the one at hand and the one before. */
+struct eval_flight_tiles {
+    struct view_tiles now, before;
+    struct fade fade;
+    uint32_t *wanted, *tile; /* [n_nodes], [2 * n_nodes] */
+    float *weight;           /* [2 * n_nodes] */
+};
+
+static void eval_flight_clear(struct eval_flight_tiles *t)
+{
+    fade_close(&t->fade);
+    mem_free(t->wanted);
+    mem_free(t->tile);
+    mem_free(t->weight);
+}
+
+static enum err_code eval_flight_prepare(const struct view *v, size_t fade,
+                                         struct eval_flight_tiles *t, struct err *e)
+{
+    const struct tree *tree = store_tree(view_store(v));
+    size_t n = tree->n_nodes;
+    enum err_code rc = ERR_OK;
+    if (fade && view_appearance(v))
+        return err_set(e, ERR_ARG, "--fade: not of tiles with appearance");
+    t->wanted = mem_array(n + 1, sizeof *t->wanted);
+    t->tile = mem_array(2 * n + 1, sizeof *t->tile);
+    t->weight = mem_array(2 * n + 1, sizeof *t->weight);
+    if (!t->wanted || !t->tile || !t->weight)
+        rc = err_set(e, ERR_MEM, "eval: out of memory for %zu tiles", n);
+    if (!rc)
+        rc = fade_open(tree, fade, &t->fade, e);
+    return rc;
+}
+
+/* The tiles of the next frame: those that its camera needs, and what fades. */
+static enum err_code eval_flight_next(struct view *v, const struct camera *cam,
+                                      const struct pick_options *po, struct eval_flight_tiles *t,
+                                      struct err *e)
+{
+    size_t n = 0, other = t->now.tile == t->tile ? t->fade.tree->n_nodes : 0;
+    enum err_code rc = pick_tiles(view_store(v), cam, po, t->wanted, &n, e);
+    t->before = t->now;
+    t->now.tile = t->tile + other;
+    t->now.weight = t->fade.frames ? t->weight + other : NULL;
+    if (!rc)
+        t->now.n = fade_next(&t->fade, t->wanted, n, t->tile + other, t->weight + other);
+    return rc;
+}
+
+/* How far a picture in a fade leaves what lies between those of either set alone: surfaces that are
+ * seen through, or denser than in both. Into the figures; scratch holds two pictures. */
+static enum err_code eval_flight_stray(struct view *v, struct eval_flight_tiles *t,
+                                       const struct camera *cam, const struct render_options *ro,
+                                       const float *now, float *scratch,
+                                       struct eval_flight_figures *f, struct err *e)
+{
+    size_t pixels = (size_t)cam->width_px * cam->height_px;
+    const bool *sets[2] = {t->fade.from, t->fade.to};
+    uint64_t counts[EVAL_FLIGHT_LEVELS] = {0};
+    enum err_code rc = ERR_OK;
+    for (size_t k = 0; !rc && k < 2; k++) {
+        struct view_tiles one = {.tile = t->wanted};
+        for (size_t i = 0; i < t->fade.tree->n_nodes; i++)
+            if (sets[k][i])
+                t->wanted[one.n++] = (uint32_t)i;
+        rc = view_render_tiles(v, &one, cam, ro, scratch + 3 * k * pixels, NULL, e);
+    }
+    for (size_t i = 0; !rc && i < 3 * pixels; i++) { /* what is nearest to `now` between both */
+        float a = scratch[i], b = scratch[3 * pixels + i];
+        scratch[i] = fmaxf(fminf(a, b), fminf(fmaxf(a, b), now[i]));
+    }
+    if (!rc) {
+        eval_flight_compare(now, scratch, pixels, counts);
+        size_t q99 = eval_flight_quantile(counts, 0.99);
+        f->stray_99 = q99 > f->stray_99 ? q99 : f->stray_99;
+    }
+    return rc;
+}
+
+static enum err_code eval_flight_fly(const struct eval_flight_path *p,
+                                     const struct eval_flight_request *q, struct view *v,
+                                     const struct render_options *ro, const struct pick_options *po,
+                                     struct eval_flight_figures *f, struct err *e)
 {
     size_t pixels = (size_t)p->width_px * p->height_px;
-    float *block = mem_array(pixels, 9 * sizeof *block);
+    float *block = mem_array(pixels, 15 * sizeof *block);
     if (!block)
         return err_set(e, ERR_MEM, "eval: out of memory for pictures of %zu pixels", pixels);
     float *now = block, *last = block + 3 * pixels, *held = block + 6 * pixels;
-    struct camera before = {0};
-    enum err_code rc = ERR_OK;
-    for (size_t i = 0; !rc && i < frames; i++) {
-        struct camera cam = eval_flight_camera(p, i, frames), wide = eval_flight_wide(&cam);
+    struct eval_flight_tiles tiles = {0};
+    enum err_code rc = eval_flight_prepare(v, q->fade, &tiles, e);
+    for (size_t i = 0; !rc && i < q->frames; i++) {
+        struct camera cam = eval_flight_camera(p, i, q->frames), wide = eval_flight_wide(&cam);
         struct view_stats st = {0};
-        rc = view_render_picked(v, &wide, &cam, ro, po, now, &st, e);
-        f->gaussians += (double)st.n_gaussians / (double)frames;
+        rc = eval_flight_next(v, &wide, po, &tiles, e);
+        if (!rc)
+            rc = view_render_tiles(v, &tiles.now, &cam, ro, now, &st, e);
+        f->gaussians += (double)st.n_gaussians / (double)q->frames;
+        if (!rc && tiles.fade.frame > 0)
+            rc = eval_flight_stray(v, &tiles, &cam, ro, now, block + 9 * pixels, f, e);
         if (!rc && i) {
-            rc = view_render_picked(v, &before, &cam, ro, po, held, &st, e);
+            rc = view_render_tiles(v, &tiles.before, &cam, ro, held, &st, e);
             if (!rc)
                 eval_flight_pop(now, held, pixels, i, f);
             if (!rc)
                 eval_flight_compare(now, last, pixels, f->changes);
         }
-        before = wide;
         float *t = now;
         now = last;
         last = t;
         if (!rc && signals_stopping())
             rc = err_set(e, ERR_CANCEL, "stopped in flight");
     }
+    eval_flight_clear(&tiles);
     mem_free(block);
     return rc;
 }
@@ -174,13 +262,14 @@ static enum err_code eval_flight_row(const struct eval_flight_request *q, const 
                                      const struct eval_flight_figures *f, struct err *e)
 {
     size_t change99 = eval_flight_quantile(f->changes, 0.99);
-    printf("%-14s %6zu %8zu %8zu %11.3f %11zu %11zu %12.0f\n", what, q->frames, f->pop_99,
-           f->pop_max, f->worst_mean, f->worst_frame, change99, f->gaussians);
-    json_t *row = json_pack("{s:s, s:I, s:I, s:I, s:f, s:I, s:I, s:f}", "what", what, "frames",
-                            (json_int_t)q->frames, "pop_99", (json_int_t)f->pop_99, "pop_max",
-                            (json_int_t)f->pop_max, "pop_frame_mean", f->worst_mean, "pop_frame",
-                            (json_int_t)f->worst_frame, "change_99", (json_int_t)change99,
-                            "gaussians", f->gaussians);
+    printf("%-14s %6zu %8zu %8zu %11.3f %11zu %10zu %11zu %12.0f\n", what, q->frames, f->pop_99,
+           f->pop_max, f->worst_mean, f->worst_frame, f->stray_99, change99, f->gaussians);
+    json_t *row = json_pack("{s:s, s:I, s:I, s:I, s:I, s:f, s:I, s:I, s:I, s:f}", "what", what,
+                            "frames", (json_int_t)q->frames, "fade", (json_int_t)q->fade, "pop_99",
+                            (json_int_t)f->pop_99, "pop_max", (json_int_t)f->pop_max,
+                            "pop_frame_mean", f->worst_mean, "pop_frame",
+                            (json_int_t)f->worst_frame, "stray_99", (json_int_t)f->stray_99,
+                            "change_99", (json_int_t)change99, "gaussians", f->gaussians);
     if (!row || json_array_append_new(q->rows, row))
         return err_set(e, ERR_MEM, "eval: out of memory");
     return ERR_OK;
@@ -193,13 +282,13 @@ enum err_code eval_flight_run(const struct eval_flight_request *q, struct view *
     struct eval_flight_path path = {0};
     enum err_code rc = eval_flight_plan(q, &path, e);
     if (!rc)
-        printf("%-14s %6s %8s %8s %11s %11s %11s %12s\n", "what", "frames", "pop 99 %", "pop max",
-               "frame mean", "which", "change 99 %", "Gaussians");
+        printf("%-14s %6s %8s %8s %11s %11s %10s %11s %12s\n", "what", "frames", "pop 99 %",
+               "pop max", "frame mean", "which", "stray 99 %", "change 99 %", "Gaussians");
     for (int finest = 0; !rc && finest < 2; finest++) {
         struct eval_flight_figures f = {0};
         struct pick_options o = *po;
         o.no_lod = finest;
-        rc = eval_flight_fly(&path, q->frames, v, ro, &o, &f, e);
+        rc = eval_flight_fly(&path, q, v, ro, &o, &f, e);
         if (!rc)
             rc = eval_flight_row(q, finest ? "tiles, no LOD" : "tiles, LOD", &f, e);
     }

@@ -4,6 +4,7 @@
  */
 #include "lod/resident.h"
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -179,6 +180,34 @@ static void resident_leave(struct resident *r, struct resident_tile *t)
     t->page = NULL;
 }
 
+void resident_weigh(struct resident *r, uint32_t tile, float share)
+{
+    struct resident_tile *t = &r->tile[tile];
+    if (t->missing == 1.0f - share)
+        return;
+    t->missing = 1.0f - share;
+    if (t->page)
+        resident_leave(r, t);
+}
+
+/* A copy of what is packed of a tile, with its share of opacity. Caller frees; NULL: no memory. */
+static float *resident_faint(const struct resident *r, const struct resident_tile *t, size_t rows)
+{
+    size_t floats = (size_t)render_piece_groups(rows) * r->model.planes * LAYOUT_LANES;
+    double share = 1.0 - (double)t->missing;
+    float *out = mem_array(floats + 1, sizeof *out);
+    if (!out)
+        return NULL;
+    memcpy(out, t->packed, floats * sizeof *out);
+    for (size_t i = 0; i < rows; i++) {
+        size_t group = i / LAYOUT_LANES * r->model.planes;
+        float *logit = &out[(group + LAYOUT_PLANE_OPACITY) * LAYOUT_LANES + i % LAYOUT_LANES];
+        double o = share / (1.0 + exp(-(double)*logit));
+        *logit = (float)log(o / (1.0 - o));
+    }
+    return out;
+}
+
 /* At least so many pages; when there were fewer nothing is on the device any more. */
 static enum err_code resident_reserve(struct resident *r, size_t pages, struct err *e)
 {
@@ -229,22 +258,26 @@ static enum err_code resident_place(struct resident *r, const uint32_t *picked, 
 {
     size_t block_floats = (size_t)r->model.planes * LAYOUT_LANES * BLOCK_GROUPS, n_pieces = 0;
     struct render_piece *piece = mem_array(pages + 1, sizeof *piece);
-    enum err_code rc = piece ? ERR_OK : err_set(e, ERR_MEM, "out of memory for %zu blocks", pages);
+    float **faint = mem_array(n + 1, sizeof *faint);
+    enum err_code rc =
+        piece && faint ? ERR_OK : err_set(e, ERR_MEM, "out of memory for %zu blocks", pages);
     for (size_t i = 0; !rc && i < n; i++) {
         struct resident_tile *t = &r->tile[picked[i]];
         size_t rows = resident_index(r, picked[i])->count, blocks = block_count(rows);
         if (t->page)
             continue;
-        if (!(t->page = mem_array(blocks + 1, sizeof *t->page))) {
+        faint[i] = t->missing > 0.0f ? resident_faint(r, t, rows) : NULL;
+        if ((t->missing > 0.0f && !faint[i]) ||
+            !(t->page = mem_array(blocks + 1, sizeof *t->page))) {
             rc = err_set(e, ERR_MEM, "out of memory for %zu blocks", blocks);
             break;
         }
         for (size_t b = 0; b < blocks; b++) {
             uint32_t groups = render_piece_groups(rows - b * BLOCK_ROWS);
             t->page[b] = r->free_page[--r->n_free];
-            piece[n_pieces++] = (struct render_piece){t->packed + b * block_floats,
-                                                      groups < BLOCK_GROUPS ? groups : BLOCK_GROUPS,
-                                                      t->page[b] * BLOCK_GROUPS};
+            piece[n_pieces++] = (struct render_piece){
+                (faint[i] ? faint[i] : t->packed) + b * block_floats,
+                groups < BLOCK_GROUPS ? groups : BLOCK_GROUPS, t->page[b] * BLOCK_GROUPS};
         }
         t->used = 0; /* until its blocks are there */
     }
@@ -256,6 +289,9 @@ static enum err_code resident_place(struct resident *r, const uint32_t *picked, 
             resident_leave(r, t);
         t->used = ++r->clock;
     }
+    for (size_t i = 0; faint && i < n; i++)
+        mem_free(faint[i]);
+    mem_free(faint);
     mem_free(piece);
     return rc;
 }

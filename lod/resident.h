@@ -22,6 +22,7 @@ struct resident_tile {   /* by index into store_tiles */
     size_t bytes;        /* of packed */
     struct block *block; /* known once it was decoded */
     uint32_t *page;      /* of each block; NULL: not on the device */
+    float missing;       /* share of its opacity that is not on the device: see resident_weigh */
     uint64_t used;
 };
 struct resident {
@@ -46,6 +47,8 @@ struct resident {
 enum err_code resident_open(struct store *s, struct render *r, uint32_t embed_len,
                             size_t limit_bytes, struct resident *out, struct err *e) ERR_USE;
 void resident_close(struct resident *r);
+/* From now on a tile is drawn with this share of its opacity, above 0, to 1. */
+void resident_weigh(struct resident *r, uint32_t tile, float share);
 /* Tiles picked[0..n), ascending, on the device, and of them what f may see (NULL: everything)
  * listed: then r->model draws it. *n_gaussians: how many those are. ERR_FORMAT, ERR_IO, ERR_DEVICE,
  * ERR_LIMIT, ERR_MEM; ERR_CANCEL: the renderer is told to stop (render_set_stop). */

@@ -145,15 +145,15 @@ enum err_code view_model(struct view *v, const struct camera *cam, const struct 
 }
 
 /* What VIEW_SUPERSAMPLE_AUTO is for these tiles. */
-static uint32_t view_supersample(const struct view *v, const struct camera *cam, size_t n_tiles,
-                                 const struct render_options *ro)
+static uint32_t view_supersample(const struct view *v, const struct camera *cam,
+                                 const struct view_tiles *drawn, const struct render_options *ro)
 {
     size_t n_all;
     const struct store_tile *tiles = store_tiles(v->store, &n_all);
     double eye[3], count = 0.0, sigma_px = 0.0;
     camera_center(cam, eye);
-    for (size_t i = 0; i < n_tiles; i++) {
-        const struct store_tile *t = &tiles[v->now[i]];
+    for (size_t i = 0; i < drawn->n; i++) {
+        const struct store_tile *t = &tiles[drawn->tile[i]];
         double d2 = 0.0;
         for (int k = 0; k < 3; k++) {
             double d = 0.5 * (t->core_min_enu_m[k] + t->core_max_enu_m[k]) - eye[k];
@@ -167,39 +167,35 @@ static uint32_t view_supersample(const struct view *v, const struct camera *cam,
     return ro->aa != RENDER_AA_NONE && fits && sigma_px < VIEW_SMALL_PX * count ? 2 : 1;
 }
 
-enum err_code view_render_picked(struct view *v, const struct camera *pick_cam,
-                                 const struct camera *cam, const struct render_options *ro,
-                                 const struct pick_options *po, float *rgb,
-                                 struct view_stats *stats, struct err *e)
+enum err_code view_render_tiles(struct view *v, const struct view_tiles *tiles,
+                                const struct camera *cam, const struct render_options *ro,
+                                float *rgb, struct view_stats *stats, struct err *e)
 {
-    struct view_stats st = {0};
+    struct view_stats st = {.n_tiles = tiles->n};
     struct frustum f;
-    struct pick_options pick = po ? *po : (struct pick_options){0};
     double t0 = clock_s();
-    pick.orthographic = ro->orthographic;
-    enum err_code rc = pick_tiles(v->store, pick_cam, &pick, v->now, &st.n_tiles, e);
+    if (tiles->weight && v->appearance)
+        return err_set(e, ERR_ARG, "view: tiles with appearance are drawn in full or not at all");
+    if (ro->orthographic)
+        frustum_make_orthographic(cam, &f);
+    else
+        frustum_make(cam, &f);
+    for (size_t i = 0; i < tiles->n; i++)
+        resident_weigh(&v->resident, tiles->tile[i], tiles->weight ? tiles->weight[i] : 1.0f);
+    enum err_code rc = resident_show(&v->resident, tiles->tile, tiles->n, tiles->whole ? NULL : &f,
+                                     &st.n_gaussians, e);
     double t1 = clock_s();
-    st.ms_pick = 1e3 * (t1 - t0);
-    if (!rc) {
-        if (pick.orthographic)
-            frustum_make_orthographic(cam, &f);
-        else
-            frustum_make(cam, &f);
-        rc = resident_show(&v->resident, v->now, st.n_tiles, pick.whole_tiles ? NULL : &f,
-                           &st.n_gaussians, e);
-    }
-    double t2 = clock_s();
-    st.ms_load = 1e3 * (t2 - t1);
+    st.ms_load = 1e3 * (t1 - t0);
     struct render_options o = *ro;
     if (o.supersample == VIEW_SUPERSAMPLE_AUTO)
-        o.supersample = view_supersample(v, cam, st.n_tiles, ro);
+        o.supersample = view_supersample(v, cam, tiles, ro);
     if (v->frame && !o.appearance_frame) {
         o.appearance_frame = v->frame;
         o.appearance_hidden = v->appearance->hidden;
     }
     if (!rc)
         rc = render_forward(v->render, &v->resident.model, cam, &o, rgb, NULL, e);
-    st.ms_render = 1e3 * (clock_s() - t2);
+    st.ms_render = 1e3 * (clock_s() - t1);
     st.n_visible = render_last_stats(v->render)->visible;
     if (!rc && stats)
         *stats = st;
@@ -210,7 +206,17 @@ enum err_code view_render(struct view *v, const struct camera *cam, const struct
                           const struct pick_options *po, float *rgb, struct view_stats *stats,
                           struct err *e)
 {
-    return view_render_picked(v, cam, cam, ro, po, rgb, stats, e);
+    struct pick_options pick = po ? *po : (struct pick_options){0};
+    struct view_tiles tiles = {.tile = v->now, .whole = pick.whole_tiles};
+    double t0 = clock_s(), ms_pick;
+    pick.orthographic = ro->orthographic;
+    enum err_code rc = pick_tiles(v->store, cam, &pick, v->now, &tiles.n, e);
+    ms_pick = 1e3 * (clock_s() - t0);
+    if (!rc)
+        rc = view_render_tiles(v, &tiles, cam, ro, rgb, stats, e);
+    if (!rc && stats)
+        stats->ms_pick = ms_pick;
+    return rc;
 }
 
 enum err_code view_camera(const struct geo_origin *origin, const struct view_pose *pose,

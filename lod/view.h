@@ -7,6 +7,7 @@
 #ifndef LOD_VIEW_H
 #define LOD_VIEW_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -54,12 +55,18 @@ struct view_stats {
 enum err_code view_render(struct view *v, const struct camera *cam, const struct render_options *ro,
                           const struct pick_options *po, float *rgb, struct view_stats *stats,
                           struct err *e) ERR_USE;
-/* The same with the tiles that pick_cam needs: what a change of levels alone does to a picture.
- * ERR_ARG, and what pick_tiles and render_forward give. */
-enum err_code view_render_picked(struct view *v, const struct camera *pick_cam,
-                                 const struct camera *cam, const struct render_options *ro,
-                                 const struct pick_options *po, float *rgb,
-                                 struct view_stats *stats, struct err *e) ERR_USE;
+/* Tiles by index, ascending, and how much of their opacity is drawn (NULL: all); borrowed. */
+struct view_tiles {
+    const uint32_t *tile;
+    const float *weight; /* above 0, to 1; not of stores with appearance */
+    size_t n;
+    bool whole; /* see pick_options.whole_tiles */
+};
+/* The same with tiles of the caller's choice: what a change of levels alone does to a picture.
+ * ERR_ARG, and what render_forward gives. */
+enum err_code view_render_tiles(struct view *v, const struct view_tiles *tiles,
+                                const struct camera *cam, const struct render_options *ro,
+                                float *rgb, struct view_stats *stats, struct err *e) ERR_USE;
 
 /* The Gaussians that such a picture is drawn from, tiles whole, on the device until the next call:
  * colours as they were trained, with embeddings where the store has appearance. render_backward

@@ -25,6 +25,14 @@ grep -q "^tiles, LOD *all  *8 " log || fail "rows of the tiles"
 run eval scene --tiles t.tiles --flight 6 --max-edge-px 96 -o flight.json
 grep -Eq "^tiles, no LOD +6 +0 +0 +0.000" log || fail "the finest level alone pops"
 grep -q '"pop_99"' flight.json || fail "pop_99 in the JSON"
+# Levels that fade into each other pop less, and no picture on the way is far from both.
+row() { awk '/^tiles, LOD/ { print $'"$1"' }' log; }
+run eval scene --tiles t.tiles --flight 24 --max-edge-px 96
+at_once=$(row 5)
+run eval scene --tiles t.tiles --flight 24 --max-edge-px 96 --fade 8
+[ "$at_once" -gt 20 ] && [ $((2 * $(row 5))) -lt "$at_once" ] || fail "a fade pops by half of $at_once or less"
+[ "$(row 8)" -gt 0 ] && [ "$(row 8)" -lt 12 ] || fail "a fade strays little"
+"$bin" eval scene --tiles t.tiles --fade 8 >log 2>&1 && fail "--fade without --flight"
 "$bin" eval scene --flight 6 >log 2>&1 && fail "--flight without --tiles"
 grep -q -- "--tiles" log || fail "says what is missing"
 "$bin" eval scene --views city >log 2>&1 && fail "a folder without views"

@@ -8,6 +8,7 @@
 
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "core/camera.h"
@@ -120,6 +121,16 @@ static void drawn_again_it_is_the_same(void **state)
     view_close(&tiny);
 }
 
+/* Room for the indices of all tiles; free it. */
+static uint32_t *tiles_of(const struct view *v)
+{
+    size_t n;
+    store_tiles(view_store(v), &n);
+    uint32_t *tile = calloc(n, sizeof *tile);
+    assert_non_null(tile);
+    return tile;
+}
+
 /* Tiles are those of the other camera, the picture is this one's. */
 static void tiles_of_another_camera(void **state)
 {
@@ -130,14 +141,60 @@ static void tiles_of_another_camera(void **state)
     static float want[W * H * 3], got[W * H * 3];
     struct camera a = camera_at(0, 60, -30), high = camera_at(0, 60, -30);
     kit_ok(view_open(f->path, f->render, 0, &v, &e), e);
+    uint32_t *tile = tiles_of(v);
+    struct view_tiles picked = {.tile = tile};
     kit_ok(view_render(v, &a, &draw, NULL, want, &own, &e), e);
-    kit_ok(view_render_picked(v, &a, &a, &draw, NULL, got, &far, &e), e);
+    kit_ok(pick_tiles(view_store(v), &a, &(struct pick_options){0}, tile, &picked.n, &e), e);
+    kit_ok(view_render_tiles(v, &picked, &a, &draw, got, &far, &e), e);
     assert_memory_equal(want, got, sizeof want);
     /* From 3 km back along its own axis the same place needs fewer tiles. */
     high.trans[2] += 3000;
-    kit_ok(view_render_picked(v, &high, &a, &draw, NULL, got, &far, &e), e);
+    kit_ok(pick_tiles(view_store(v), &high, &(struct pick_options){0}, tile, &picked.n, &e), e);
+    kit_ok(view_render_tiles(v, &picked, &a, &draw, got, &far, &e), e);
     assert_true(far.n_tiles < own.n_tiles);
     assert_true(memcmp(want, got, sizeof want) != 0);
+    free(tile);
+    view_close(&v);
+}
+
+static double mean_of(const float *rgb)
+{
+    double sum = 0.0;
+    for (size_t i = 0; i < (size_t)W * H * 3; i++)
+        sum += (double)rgb[i] / (W * H * 3);
+    return sum;
+}
+
+/* Over black, less opacity is less light; and none of it stays behind. */
+static void tiles_in_part(void **state)
+{
+    struct store_fixture *f = *state;
+    struct err e = {0};
+    struct view *v;
+    static float want[W * H * 3], got[W * H * 3];
+    struct camera a = camera_at(0, 60, -30);
+    const struct render_options black = {.aa = RENDER_AA_2D, .sh_degree = -1};
+    kit_ok(view_open(f->path, f->render, 0, &v, &e), e);
+    uint32_t *tile = tiles_of(v);
+    struct view_tiles part = {.tile = tile};
+    kit_ok(pick_tiles(view_store(v), &a, &(struct pick_options){0}, tile, &part.n, &e), e);
+    float *weight = calloc(part.n, sizeof *weight);
+    assert_non_null(weight);
+    part.weight = weight;
+    kit_ok(view_render(v, &a, &black, NULL, want, NULL, &e), e);
+    double more = mean_of(want);
+    for (float w = 0.75f; w > 0.1f; w -= 0.25f) {
+        for (size_t i = 0; i < part.n; i++)
+            weight[i] = w;
+        kit_ok(view_render_tiles(v, &part, &a, &black, got, NULL, &e), e);
+        double less = mean_of(got);
+        assert_true(less > 0.1 * (double)w * more && less < more);
+        more = less;
+    }
+    kit_ok(view_render(v, &a, &black, NULL, got, NULL, &e), e);
+    assert_memory_equal(want, got, sizeof want);
+    free(weight);
+    free(tile);
     view_close(&v);
 }
 
@@ -267,6 +324,7 @@ int main(void)
         cmocka_unit_test(drawn_again_it_is_the_same),
         cmocka_unit_test(small_splats_are_supersampled),
         cmocka_unit_test(tiles_of_another_camera),
+        cmocka_unit_test(tiles_in_part),
         cmocka_unit_test(without_levels_it_is_the_finest),
         cmocka_unit_test(looking_away_shows_the_background),
         cmocka_unit_test(a_damaged_tile_spoils_only_the_views_that_need_it),

@@ -16,6 +16,7 @@ import {
 
 import { Backdrop } from "./backdrop";
 import { DecoderPool } from "./decoders";
+import { FADE_FRAMES_LEAST, FADE_MS } from "./fade";
 import { Gaussians, type Block } from "./gaussians";
 import type { Frame } from "./geo";
 import type { Layers } from "./layers";
@@ -66,6 +67,8 @@ export class City {
   private readonly preview: Preview;
   keepsPictures = false; // whole ones, to show appearances from
   takesLong = false; // frames do: what a change of light begins with is drawn ahead
+  frameMs = 0; // that they take
+  fadeMs = FADE_MS; // that levels take to fade into each other
   onWake: (draw: boolean) => void = () => {}; // something happened; draw: which shows
   onCore: (core: Box3) => void = () => {}; // where most Gaussians of the scene are
   onContext: (lost: boolean) => void = () => {};
@@ -216,6 +219,8 @@ export class City {
     if (this.lost) return;
     const { camera, engine } = this;
     camera.updateMatrixWorld();
+    const calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
+    engine.fadeMs = FADE_FRAMES_LEAST * this.frameMs <= this.fadeMs && !calm ? this.fadeMs : 0;
     for (const tiles of [this.active, this.next]) {
       if (!tiles) continue;
       tiles.setResolutionFromRenderer(camera as Camera, this.renderer);
@@ -243,6 +248,7 @@ export class City {
     this.paint();
     this.fresh = this.engine.settled;
     if (this.keepsPictures && this.settled && this.split === null) this.keep();
+    if (this.engine.fading) this.onWake(true);
     if (!this.shared) this.clock.start(begun);
   }
 

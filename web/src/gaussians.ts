@@ -3,7 +3,7 @@
 // one draws a quad for each.
 //
 // What is drawn changes only when a sorted order arrives: tiles that leave stay on the screen until
-// those that replace them can be drawn, so there is no frame without either.
+// those that replace them can be drawn, so there is no frame without either. Then both are, for the time of a fade.
 //
 // SPDX-License-Identifier: Apache-2.0
 import {
@@ -35,6 +35,7 @@ import {
   type WebGLRenderer,
 } from "three";
 
+import { Fade, fadeShare } from "./fade";
 import { ORDER_ROW, Projection, Projector } from "./projection";
 import { makeQuads, makeStripes, QUADS } from "./quads";
 import {
@@ -49,6 +50,7 @@ import { ROW, SH_NONE, type DecodedSplats } from "./spz";
 import type { Tint } from "./tint";
 
 const ROWS_FIRST = 128;
+const EVERYWHERE: Rectangle[] = [[-Infinity, Infinity, -Infinity, Infinity]];
 
 // Gaussians of one tile in the textures.
 export interface Block {
@@ -109,7 +111,11 @@ export class Gaussians {
   gaussians = 0; // of all that is shown, also behind the camera
   private readonly blocks = new Set<Block>();
   private readonly leaving = new Set<Block>(); // not wanted, but perhaps still on the screen
+  fadeMs = 0; // that tiles take to fade into others; 0: they change at once
   private wanted: readonly Piece[] = [];
+  private readonly fade = new Fade();
+  private clock = { began: 0 }; // of the last fade: performance.now() of its first frame
+  private shownClock: { began: number } | null = null; // of the fade that the order on the screen is of
   private shown: Block[] = []; // those of the order on the screen
   private planes: Planes | null = null;
   private rows = 0;
@@ -121,7 +127,7 @@ export class Gaussians {
   private readonly sorter = new Worker(new URL("./sort.worker.ts", import.meta.url), {
     type: "module",
   });
-  private sorting: { ticket: number; blocks: Block[]; key: string } | null = null;
+  private sorting: { ticket: number; blocks: Block[]; key: string; clock: { began: number } | null } | null = null;
   private ticket = 0;
   private nextId = 0;
   private some: { key: string; texture: DataTexture } | null = null; // the order of drawSome
@@ -230,20 +236,31 @@ export class Gaussians {
   remove(block: Block) {
     if (!this.blocks.has(block)) return;
     this.wanted = this.wanted.filter((other) => other.block !== block);
+    if (this.fade.drop(block)) this.version++;
     this.leaving.add(block);
     this.sweep();
   }
 
   // What is to be drawn.
   want(pieces: readonly Piece[]) {
-    const same = ({ block, without }: Piece, i: number) => {
-      const before = this.wanted[i]!;
-      const rest = before.without;
-      return block === before.block && without.length === rest.length && without.every((b, k) => b === rest[k]);
-    };
-    if (pieces.length === this.wanted.length && pieces.every(same)) return;
     this.wanted = pieces;
-    this.version++;
+  }
+
+  // Ends a fade whose time is over, and begins one where others are wanted than are drawn.
+  private step() {
+    const { fade, clock } = this;
+    const spent = clock.began && performance.now() - clock.began;
+    const over = fade.from && spent >= this.fadeMs;
+    if (over) fade.from = null;
+    const before = fade.from;
+    const changed = fade.want(this.wanted, this.fadeMs > 0);
+    if (over || changed) this.version++;
+    if (fade.from && !before) this.clock = { began: 0 };
+  }
+
+  // Levels are fading into each other.
+  get fading(): boolean {
+    return this.fade.from !== null;
   }
 
   // What a Gaussian takes: on the card, and once more in the page's own memory.
@@ -265,7 +282,7 @@ export class Gaussians {
 
   // The order on the screen is the one for this camera and for the wanted blocks.
   get settled(): boolean {
-    return this.sortedKey === this.wantedKey && !this.sorting;
+    return this.sortedKey === this.wantedKey && !this.sorting && !this.fading;
   }
 
   get visibleBlocks(): readonly Block[] {
@@ -388,13 +405,23 @@ export class Gaussians {
 
   // Before every frame: asks for an order where the last one is not of this camera and these blocks.
   update(camera: PerspectiveCamera) {
+    this.step();
     const eye = camera.position;
     const ahead = new Vector3(0, 0, -1).applyQuaternion(camera.quaternion);
     const digits = [...eye.toArray(), ...ahead.toArray()].map((v) => v.toFixed(4));
     this.wantedKey = `${this.version} ${digits.join(" ")}`;
     if (this.sorting || this.wantedKey === this.sortedKey) return;
-    const blocks = this.wanted.map(({ block }) => block);
-    this.sorting = { ticket: ++this.ticket, blocks, key: this.wantedKey };
+    const { from, to } = this.fade;
+    const blocks = [...new Set([...to, ...(from ?? [])].map(({ block }) => block))];
+    const left = (pieces: readonly Piece[]) => {
+      const withouts = new Map([...pieces].reverse().map(({ block, without }) => [block, without]));
+      return blocks.map((block) => {
+        const without = withouts.get(block);
+        if (!without) return EVERYWHERE;
+        return without.length ? without.map(({ area }) => area) : null;
+      });
+    };
+    this.sorting = { ticket: ++this.ticket, blocks, key: this.wantedKey, clock: from && this.clock };
     const spare = this.spare;
     this.spare = null;
     this.post(
@@ -402,7 +429,8 @@ export class Gaussians {
         kind: "sort",
         ticket: this.ticket,
         blocks: blocks.map(({ id }) => id),
-        without: this.wanted.map(({ without }) => (without.length ? without.map(({ area }) => area) : null)),
+        without: left(to),
+        before: from && left(from),
         eye: eye.toArray(),
         ahead: ahead.toArray(),
         spare,
@@ -416,6 +444,7 @@ export class Gaussians {
     this.gaussians = this.sorting.blocks.reduce((sum, { splats }) => sum + splats.count, -left);
     this.sortedKey = this.sorting.key;
     this.shown = this.sorting.blocks;
+    this.shownClock = this.sorting.clock;
     this.sorting = null;
     const height = order.length / ORDER_ROW;
     if (this.order && this.order.image.height === height) {
@@ -441,8 +470,11 @@ export class Gaussians {
   // Evaluates the colours for this eye, finds the place of each Gaussian on the screen, and sets what
   // the mesh needs; the caller renders the scene, of a divided picture each side after useSide().
   prepare(camera: PerspectiveCamera, divided = false) {
-    const { planes, order } = this;
+    const { planes, order, shownClock } = this;
+    if (shownClock) shownClock.began ||= performance.now();
     if (!planes || !order || !this.mesh.visible) return;
+    const share = shownClock && fadeShare((performance.now() - shownClock.began) / Math.max(1, this.fadeMs));
+    const shares = new Vector3(1, share ?? 1, 1 - (share ?? 1));
     const uniforms = this.mesh.material.uniforms;
     this.renderer.getDrawingBufferSize(uniforms["viewport"]!.value as Vector2);
     uniforms["near"]!.value = camera.near;
@@ -459,7 +491,7 @@ export class Gaussians {
     const viewport = uniforms["viewport"]!.value as Vector2;
     planes.sides.forEach((side, k) => {
       this.evaluate(planes, side, k as 0 | 1, camera.position);
-      const all = { order, count: this.drawn, place, shape, colors: side.colors.texture };
+      const all = { order, count: this.drawn, place, shape, colors: side.colors.texture, shares };
       this.projector.run(side.projection, all, camera, viewport);
     });
     renderer.setRenderTarget(target);
@@ -545,7 +577,7 @@ export class Gaussians {
     const viewport = new Vector2(target.width, target.height);
     const order = this.orderSome(blocks, camera);
     const { place, shape } = planes;
-    const all = { order, count, place, shape, colors: side.colors.texture };
+    const all = { order, count, place, shape, colors: side.colors.texture, shares: new Vector3(1, 1, 1) };
     this.projector.run(this.someProjection, all, camera, viewport);
     const now = [count, viewport, ...this.someProjection.textures];
     names.forEach((name, i) => (uniforms[name]!.value = now[i]));

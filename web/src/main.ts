@@ -41,6 +41,7 @@ function main() {
   const view = parseView(location.hash);
   const scene = query.get("scene") ?? query.get("ds");
   const memory = Number(query.get("memory"));
+  const fade = query.get("crossfade");
   const thin = query.has("thin");
   const options: ViewerOptions = {
     url: places(query),
@@ -51,6 +52,7 @@ function main() {
     theme: theme(),
     backdrop: query.get("backdrop") !== "off",
     ...(scene === null ? {} : { scene }),
+    ...(fade === null ? {} : { fadeMs: Number(fade) }),
     ...(memory > 0 ? { memoryMb: memory } : {}),
   };
   const viewer = createViewer(element("view"), options);

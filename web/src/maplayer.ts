@@ -30,6 +30,7 @@ export interface MapLayerOptions {
   lower?: number | "ground";
   memoryMb?: number; // for tiles, on the card and in the page together; default 512
   detail?: number; // px that a typical Gaussian may have on the screen; default 1
+  fadeMs?: number; // that levels take to fade into each other; 0: they change at once; default 280
 }
 
 export interface MapLayerEvents {
@@ -289,6 +290,7 @@ export class MapLayer {
     const city = new City(renderer, this.camera, link, bytes);
     city.backdrop.visible = false;
     city.errorTarget = PX_PER_SIGMA * (this.options.detail ?? 1);
+    city.fadeMs = this.options.fadeMs ?? city.fadeMs;
     city.onWake = () => this.wake();
     city.onCore = (core) => (this.core = core);
     city.onFailure = (error) => this.fail(error);

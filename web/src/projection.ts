@@ -13,6 +13,7 @@ import {
   RGBAIntegerFormat,
   UnsignedIntType,
   Vector2,
+  type Vector3,
   WebGLRenderTarget,
   type BufferGeometry,
   type DataTexture,
@@ -33,6 +34,7 @@ export interface Order {
   place: Texture;
   shape: Texture;
   colors: Texture;
+  shares: Vector3; // of their opacity: of Gaussians that stay, come and go
 }
 
 export class Projection {
@@ -81,6 +83,7 @@ export class Projector {
         shape: { value: null },
         colors: { value: null },
         order: { value: null },
+        shares: { value: null },
         count: { value: 0 },
         viewport: { value: new Vector2(1, 1) },
         near: { value: 0.1 },

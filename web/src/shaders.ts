@@ -140,6 +140,7 @@ uniform usampler2D place, shape, colors, order;
 uniform int count;
 uniform vec2 viewport;
 uniform float near;
+uniform vec3 shares;
 layout(location = 0) out uvec4 first;
 layout(location = 1) out uvec4 second;
 
@@ -171,13 +172,13 @@ void main() {
   ivec2 rank = ivec2(gl_FragCoord.xy);
   if (rank.y * 1024 + rank.x >= count) return;
   uint index = texelFetch(order, rank, 0).x;
-  ivec2 at = ivec2(int(index & 1023u), int(index >> 10));
+  ivec2 at = ivec2(int(index & 1023u), int((index >> 10) & 0xfffffu));
   uvec4 p = texelFetch(place, at, 0);
   vec3 t = (view * vec4(uintBitsToFloat(p.xyz), 1.0)).xyz;
   float depth = -t.z;
   if (depth < near) return;
   uvec4 own = texelFetch(colors, at, 0);
-  float opacity = float(own.w) / 65535.0;
+  float opacity = float(own.w) / 65535.0 * shares[index >> 30];
   uvec2 s = texelFetch(shape, at, 0).xy;
   uvec4 bytes = byte4(s.x);
   vec3 sigma = exp(vec3(bytes.xyz) / 16.0 - 10.0);

@@ -14,18 +14,21 @@ export type SortMessage =
       ticket: number;
       blocks: number[];
       without: (Rectangle[] | null)[]; // of each block: Gaussians in these are left out
+      before: (Rectangle[] | null)[] | null; // and were until a fade began that is under way
       eye: [number, number, number];
       ahead: [number, number, number];
       spare: Uint32Array<ArrayBuffer> | null; // an order that is not on the screen any more
     };
 export interface SortReply {
   ticket: number;
-  order: Uint32Array<ArrayBuffer>; // at least count long
+  order: Uint32Array<ArrayBuffer>; // at least count long; top bits: 1 comes, 2 goes
   count: number;
   left: number; // Gaussians that others stand in for
 }
 
 const BUCKETS = 1 << 16;
+const COMES = 1 << 30;
+const GOES = 2 << 30;
 const held = new Map<number, { first: number; centres: Float32Array<ArrayBuffer> }>();
 const starts = new Uint32Array(BUCKETS + 1);
 let depths = new Float32Array(0);
@@ -37,7 +40,7 @@ function isIn(all: Rectangle[], x: number, z: number): boolean {
 
 // A counting sort of depths: 65536 steps between the nearest and the farthest.
 function sort(message: SortMessage & { kind: "sort" }): SortReply {
-  const { blocks, without, eye, ahead, ticket } = message;
+  const { blocks, without, before, eye, ahead, ticket } = message;
   let total = 0;
   for (const block of blocks) total += (held.get(block)?.centres.length ?? 0) / 3;
   if (depths.length < total) {
@@ -52,9 +55,11 @@ function sort(message: SortMessage & { kind: "sort" }): SortReply {
     const own = held.get(block);
     if (!own) continue;
     const { centres, first } = own;
-    const out = without[b];
+    const [out, was] = [without[b], before?.[b]];
     for (let i = 0, k = 0; k < centres.length; i++, k += 3) {
-      if (out && isIn(out, centres[k]!, centres[k + 2]!)) {
+      const gone = out && isIn(out, centres[k]!, centres[k + 2]!);
+      const fresh = before ? was && isIn(was, centres[k]!, centres[k + 2]!) : gone;
+      if (gone && fresh) {
         left++;
         continue;
       }
@@ -64,7 +69,7 @@ function sort(message: SortMessage & { kind: "sort" }): SortReply {
       const d = x * ahead[0] + y * ahead[1] + z * ahead[2];
       if (d <= 0) continue; // behind the camera
       depths[n] = d;
-      indices[n++] = first + i;
+      indices[n++] = (first + i) | (gone ? GOES : fresh ? COMES : 0);
       if (d < nearest) nearest = d;
       if (d > farthest) farthest = d;
     }

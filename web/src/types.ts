@@ -19,6 +19,7 @@ export interface ViewerOptions {
   colours?: "here" | "server"; // who computes those of an appearance; default: here, where that can be
   memoryMb?: number; // for tiles, on the card and in the page together
   detail?: number; // px that a typical Gaussian may have on the screen; default 1
+  fadeMs?: number; // that levels take to fade into each other; 0: they change at once; default 280
   backdrop?: boolean; // sky and ground; default true
   theme?: "dark" | "light";
   keyboard?: boolean; // keys move the camera; default true

@@ -586,6 +586,7 @@ export class Viewer {
     };
     city.onFailure = (error) => this.fail(error);
     city.errorTarget = PX_PER_SIGMA * (this.options.detail ?? 1);
+    city.fadeMs = this.options.fadeMs ?? city.fadeMs;
     city.backdrop.visible = this.options.backdrop ?? true;
     city.backdrop.setTheme(this.theme);
     city.setOverlay(this.overlay, this.layers);
@@ -671,6 +672,7 @@ export class Viewer {
     if (took !== null) pace.took(took);
     city.keepsPictures = this.book.tint !== null;
     city.takesLong = pace.takesLong;
+    city.frameMs = pace.frameMs;
     // At rest a frame at a time: what comes meanwhile must not wait for more than one.
     const busy = city.clock.busy && pace.takesLong && !moved;
     const turn = pace.turn(now, moved, busy);
