@@ -99,7 +99,7 @@ static enum err_code record_read_results(struct record_run *r, struct err *e)
         snprintf(file, sizeof file, "%s/%s/metrics.jsonl", path, d->d_name);
         if (d->d_name[0] == '.' || !file_exists(file))
             continue;
-        bool shared = !strcmp(d->d_name, "appearance"); /* trained before all cells */
+        bool shared = !strcmp(d->d_name, TRAIN_COARSE_ID); /* trained before all cells */
         rc = record_read_cell(shared ? &before : r, file, e);
         found += !shared;
     }

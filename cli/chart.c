@@ -98,12 +98,12 @@ static enum err_code chart_read_cell(struct chart_run *r, const char *cell_dir, 
     return rc;
 }
 
-/* The shared appearance model is no cell: it has no Gaussians of the city. */
+/* The coarse model is no cell: its Gaussians are not the city's. */
 static bool chart_is_cell(const char *cells, const char *name, char out[FILE_PATH_MAX])
 {
     char path[FILE_PATH_MAX + 32];
     int n = snprintf(out, FILE_PATH_MAX, "%s/%s", cells, name);
-    if (name[0] == '.' || !strcmp(name, "appearance") || n >= FILE_PATH_MAX)
+    if (name[0] == '.' || !strcmp(name, TRAIN_COARSE_ID) || n >= FILE_PATH_MAX)
         return false;
     snprintf(path, sizeof path, "%s/metrics.jsonl", out);
     return file_exists(path);

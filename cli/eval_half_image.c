@@ -11,7 +11,7 @@
 #include "loss/photometric.h"
 #include "train/appearance_train.h"
 #include "train/evaluate.h"
-#include "train/shared.h"
+#include "train/coarse.h"
 
 void eval_half_image_clear(struct eval_half_image *h)
 {
@@ -29,7 +29,7 @@ enum err_code eval_half_image_take(struct eval_half_image *h, bool first, const 
                                    const char *path, const struct scene *s, struct err *e)
 {
     struct appearance a;
-    enum err_code rc = shared_read_model(c, path, &a, e);
+    enum err_code rc = coarse_read_appearance(c, path, &a, e);
     if (rc)
         return rc;
     if (first) {

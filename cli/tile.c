@@ -30,6 +30,7 @@
 #include "lod/clip.h"
 #include "lod/pyramid.h"
 #include "lod/update.h"
+#include "train/config.h"
 
 enum { TILE_LEVELS_MAX = 7, TILE_PART_ROWS = 131072 };
 
@@ -123,7 +124,7 @@ static enum err_code tile_find_cells(struct tile_scene *s, struct err *e)
         struct tile_cell c = {0};
         bool any = false;
         if (ent->d_name[0] == '.' || strlen(ent->d_name) >= sizeof c.id ||
-            !strcmp(ent->d_name, "appearance")) /* the coarse run whose network all cells share */
+            !strcmp(ent->d_name, TRAIN_COARSE_ID)) /* what all cells began from */
             continue;
         memcpy(c.id, ent->d_name, strlen(ent->d_name));
         for (uint8_t l = 1; !rc && l <= TILE_LEVELS_MAX; l++) {

@@ -65,17 +65,17 @@ static enum err_code train_print_list(const char *scene_dir, const struct train_
 }
 
 /* What all cells wait for, before each gets a process of its own. */
-static enum err_code train_shared_first(const char *scene_dir, const struct train_config *cfg,
+static enum err_code train_coarse_first(const char *scene_dir, const struct train_config *cfg,
                                         struct train_result *out, struct err *e)
 {
-    struct train_config shared = *cfg;
+    struct train_config first = *cfg;
     char device[128];
-    if (!cfg->appearance_only && !train_needs_shared(cfg))
+    if (!cfg->coarse_only && !train_needs_coarse(cfg))
         return ERR_OK;
     snprintf(device, sizeof device, "%.*s", (int)strcspn(cfg->device, ","), cfg->device);
-    shared.device = device;
-    shared.appearance_only = true;
-    enum err_code rc = train_run(scene_dir, &shared, out, e);
+    first.device = device;
+    first.coarse_only = true;
+    enum err_code rc = train_run(scene_dir, &first, out, e);
     train_result_free(out);
     return rc;
 }
@@ -88,7 +88,7 @@ static enum err_code train_footprint(const char *scene_dir, const struct train_c
     struct footprint ground = {0};
     struct buf text = {0};
     char path[FILE_PATH_MAX];
-    if (cfg->cell || cfg->appearance_only) /* a part of a run that writes it */
+    if (cfg->cell || cfg->coarse_only) /* a part of a run that writes it */
         return ERR_OK;
     const char *dir = cfg->output ? cfg->output : scene_dir;
     enum err_code rc = scene_read(scene_dir, &scene, e);
@@ -119,8 +119,8 @@ static enum err_code train_all(const char *scene_dir, const struct train_config 
     size_t n = list.n_cells;
     jobs_list_free(&list);
     if (!rc && n > 1)
-        rc = train_shared_first(scene_dir, cfg, out, e);
-    if (rc || cfg->appearance_only)
+        rc = train_coarse_first(scene_dir, cfg, out, e);
+    if (rc || cfg->coarse_only)
         return rc;
     return n > 1 ? jobs_run("/proc/self/exe", scene_dir, cfg, out, e)
                  : train_run(scene_dir, cfg, out, e);

@@ -11,14 +11,14 @@ trap 'rm -rf "$work"' EXIT
 said() { grep -Eq -- "$1" "$work/log"; }
 same_levels() { # DIR-A DIR-B: the levels of all cells, byte by byte
     for f in "$1"/cells/*/level?.ckpt; do cmp "$f" "$2/${f#"$1"/}" || return 1; done
-    [ "$(ls "$1"/cells/*/level?.ckpt | wc -l)" = 10 ]
+    [ "$(ls "$1"/cells/*/level?.ckpt | wc -l)" = 11 ] # 5 cells of 2 levels, and the coarse model
 }
 
 "$bin" synth -o "$work/city" --photos 24 --width-px 64 --height-px 48 --extent-m 120 --points 1200 >"$work/log" 2>&1 &&
     "$bin" ingest "$work/city/images" "$work/city/sparse" -o "$work/scene" --min-points 8 >>"$work/log" 2>&1 &&
     "$bin" plan "$work/scene" --edge-m 70 --images-few 6 --images-least 3 >>"$work/log" 2>&1 ||
     { cat "$work/log"; exit 1; }
-short="--iterations 40 --level-count 2 --budget-2 1500 --budget-3 1800"
+short="--iterations 40 --level-count 2 --budget-2 1500 --budget-3 1800 --coarse-iterations-min 20"
 train() { "$bin" train "$work/scene" $short "$@" >"$work/log" 2>&1; }
 
 check 'the picture of the plan shows cells, cameras and points' sh -c \
@@ -30,6 +30,9 @@ check 'the list has a line a cell' [ "$n" = 5 ]
 check 'all are new' [ "$(cut -f2 "$work/list" | sort -u)" = new ]
 second=$(sed -n 2p "$work/list" | cut -f1)
 
+train -o "$work/early" --cell "$second"
+check 'a cell waits for the coarse model' [ $? = 1 ]
+check 'and says what makes it' said "--coarse-only"
 check 'one process' train -o "$work/serial"
 check 'four processes' train -o "$work/jobs" --jobs 4
 check 'the same bytes' same_levels "$work/serial" "$work/jobs"
@@ -56,7 +59,7 @@ check 'a damaged result is trained again' train -o "$work/fail" --jobs 2 --resum
 check 'and is the same again' same_levels "$work/serial" "$work/fail"
 
 # A stop reaches every child; nothing is lost and nothing is left running.
-"$bin" train "$work/scene" --level-count 1 --iterations 900000 -o "$work/stop" --jobs 2 --threads 2 --budget-3 1500 \
+"$bin" train "$work/scene" --level-count 1 --iterations 900000 --no-coarse-start -o "$work/stop" --jobs 2 --threads 2 --budget-3 1500 \
     >"$work/log" 2>&1 &
 parent=$!
 for _ in $(seq 300); do
@@ -84,10 +87,10 @@ while :; do
     esac
     shift
 done
+case $1 in *coarse.sbatch) ;; *) [ "$dep" ] || exit 1 ;; esac
 for i in $(seq "${array%-*}" "${array#*-}"); do
     SLURM_ARRAY_TASK_ID=$i SLURM_CPUS_PER_TASK=1 sh "$@" >&2 || exit 1
 done
-[ "$array" = 0 ] && [ -z "$dep" ] && exit 1
 echo '7;cluster'
 SBATCH
 chmod +x "$work/path/sbatch"

@@ -518,6 +518,7 @@ static void cells_of_a_plan_are_trained_on_their_own(void **state)
     kit_ok(cell_plan_write(path, &s, &plan, &e), e);
     struct train_config c = toy_config(&a, NULL);
     c.iterations = 60;
+    c.coarse_start = false;
     kit_ok(train_again(dir, &c, &r, &e), e);
     assert_int_equal(r.n_cells, trained);
     char last[32];

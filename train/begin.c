@@ -167,8 +167,10 @@ static enum err_code begin_start(struct run *t, struct err *e)
                                      .sh_degree = (uint32_t)t->cfg->sh_degree,
                                      .limit = l->ctx.schedule[0].budget,
                                      .seed = (uint64_t)t->cfg->seed};
-    enum err_code rc = init_gauss(&first, &g, e);
-    if (!rc && appearance_train_is_on(&l->ctx.appearance))
+    enum err_code rc = t->job->coarse ? init_coarse(&first, t->job->coarse, &g, e) : ERR_OK;
+    if (!rc && !g.n) /* no coarse model, or nothing of it is seen here */
+        rc = init_gauss(&first, &g, e);
+    if (!rc && appearance_train_is_on(&l->ctx.appearance) && !g.embed_len)
         rc = appearance_train_embed(&l->ctx.appearance, (uint64_t)t->cfg->seed, &g, e);
     if (!rc)
         rc = level_open(l, &g, e);
@@ -199,6 +201,12 @@ static enum err_code begin_budget(struct run *t, struct err *e)
                                &n_points, e);
     for (uint32_t i = 0; i < l->ctx.n_levels; i++)
         l->budget.table[i] = l->ctx.schedule[i].budget;
+    size_t around = !rc && t->job->coarse
+                        ? init_count_around(t->job->coarse, l->ctx.scene, l->ctx.images,
+                                            l->ctx.n_images, &l->ctx.cell)
+                        : 0;
+    for (uint32_t i = 0; i < l->ctx.n_levels; i++)
+        l->ctx.schedule[i].around = around;
     if (!rc)
         budget_limit(l->ctx.scene, l->ctx.images, l->ctx.n_images, t->cfg, n_points,
                      l->ctx.schedule);

@@ -10,6 +10,8 @@
 #include "core/options.h"
 
 enum { TRAIN_LEVELS_MAX = 3 };
+/* Folder of cells/ that is no cell of the plan: the coarse model that all of them began from. */
+#define TRAIN_COARSE_ID "coarse"
 
 struct train_config {
 #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;

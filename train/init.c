@@ -23,6 +23,7 @@
 /* A point that lies alone does not become a Gaussian as large as the gap around it: at most this
  * many times the size of its neighbours. */
 #define INIT_GAP_MAX 3.0f
+#define INIT_THIN_MOST 4.0 /* times as long, where others were left out */
 enum { INIT_NEIGHBOURS = 3, INIT_AROUND = 9, INIT_RANDOM_POINTS = 100, INIT_CHUNK = 4096 };
 
 /* ---- nearest neighbours ---- */
@@ -250,10 +251,11 @@ enum err_code init_count_points(const struct scene *s, const uint32_t *images, s
 
 /* ---- ground without points ---- */
 
-static bool init_ground_is_seen(const struct init_input *in, const double x[3])
+static bool init_is_seen(const struct scene *s, const uint32_t *images, size_t n_images,
+                         const double x[3])
 {
-    for (size_t i = 0; i < in->n_images; i++)
-        if (camera_frames(&in->scene->images[in->images[i]].cam, x, 0.0, NULL))
+    for (size_t i = 0; i < n_images; i++)
+        if (camera_frames(&s->images[images[i]].cam, x, 0.0, NULL))
             return true;
     return false;
 }
@@ -268,7 +270,8 @@ static size_t init_ground_places(const struct init_input *in, double *out_enu_m)
         double x[3] = {f->corner_m[0] + ((double)(i % f->nx) + 0.5) * f->cell_m,
                        f->corner_m[1] + ((double)(i / f->nx) + 0.5) * f->cell_m,
                        (double)f->ground_m[i]};
-        if (f->has_points[i] || !f->views[i] || !isfinite(x[2]) || !init_ground_is_seen(in, x) ||
+        if (f->has_points[i] || !f->views[i] || !isfinite(x[2]) ||
+            !init_is_seen(in->scene, in->images, in->n_images, x) ||
             (!in->cell->whole && cell_distance(in->cell, x[0], x[1]) > in->cell->edge_m))
             continue;
         memcpy(out_enu_m + 3 * n++, x, sizeof x);
@@ -387,5 +390,85 @@ enum err_code init_gauss(const struct init_input *in, struct gauss *out, struct 
         gauss_free(out);
     mem_free(p.enu_m);
     mem_free(p.rgb);
+    return rc;
+}
+
+/* ---- from a coarse model of the whole scene ---- */
+
+enum init_part { INIT_INSIDE, INIT_AROUND_IT, INIT_UNSEEN };
+
+static enum init_part init_part(const struct gauss *coarse, size_t row, const struct scene *s,
+                                const uint32_t *images, size_t n_images, const struct cell *cell)
+{
+    double x[3];
+    for (int k = 0; k < 3; k++)
+        x[k] = coarse->origin_enu_m[k] + (double)coarse->mean_m[3 * row + k];
+    if (cell_distance(cell, x[0], x[1]) <= 0.0)
+        return INIT_INSIDE;
+    return init_is_seen(s, images, n_images, x) ? INIT_AROUND_IT : INIT_UNSEEN;
+}
+
+size_t init_count_around(const struct gauss *coarse, const struct scene *s, const uint32_t *images,
+                         size_t n_images, const struct cell *cell)
+{
+    size_t n = 0;
+    for (size_t i = 0; i < coarse->n; i++)
+        n += init_part(coarse, i, s, images, n_images, cell) == INIT_AROUND_IT;
+    return n;
+}
+
+/* An even random choice of `most` of n rows, in place. Returns the logarithm of how much longer
+ * those must be that stay, so that they cover what all did (stochastic simplification, Cook 2007).
+ */
+static float init_thin(uint32_t *rows, size_t n, size_t most, uint64_t seed)
+{
+    uint64_t stream = train_stream(TRAIN_STREAM_INIT, 1, 0);
+    size_t taken = 0;
+    for (size_t i = 0; i < n && taken < most; i++) {
+        double left = (double)(n - i), want = (double)(most - taken);
+        if (rng_unit(seed, stream, i) * left < want)
+            rows[taken++] = rows[i];
+    }
+    return most ? (float)fmin(0.5 * log((double)n / (double)most), log(INIT_THIN_MOST)) : 0.0f;
+}
+
+enum err_code init_coarse(const struct init_input *in, const struct gauss *coarse,
+                          struct gauss *out, struct err *e)
+{
+    uint32_t *rows = mem_array(coarse->n, sizeof *rows),
+             *around = mem_array(coarse->n, sizeof *rows);
+    size_t n = 0, n_around = 0, most = 0;
+    float longer = 0.0f;
+    *out = (struct gauss){0};
+    enum err_code rc = rows && around ? ERR_OK
+                                      : err_set(e, ERR_MEM, "init: out of memory for %zu Gaussians",
+                                                (size_t)coarse->n);
+    for (size_t i = 0; !rc && i < coarse->n; i++) {
+        enum init_part part = init_part(coarse, i, in->scene, in->images, in->n_images, in->cell);
+        if (part == INIT_INSIDE)
+            rows[n++] = (uint32_t)i;
+        else if (part == INIT_AROUND_IT)
+            around[n_around++] = (uint32_t)i;
+    }
+    if (!rc) {
+        most = n < in->limit ? n : in->limit;
+        longer = init_thin(rows, n, most, in->seed);
+        log_info("init", "of the coarse model %zu of %zu Gaussians in the cell, and %zu around it",
+                 most, n, n_around);
+        rc = gauss_alloc(out, most + n_around, in->sh_degree, coarse->embed_len, e);
+    }
+    if (!rc) {
+        out->antialiased = coarse->antialiased;
+        memcpy(out->origin_enu_m, coarse->origin_enu_m, sizeof out->origin_enu_m);
+        rc = gauss_append(out, coarse, rows, most, e);
+    }
+    if (!rc)
+        rc = gauss_append(out, coarse, around, n_around, e);
+    for (size_t i = 0; !rc && i < 3 * most; i++)
+        out->scale_log[i] += longer;
+    if (rc)
+        gauss_free(out);
+    mem_free(rows);
+    mem_free(around);
     return rc;
 }

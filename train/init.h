@@ -40,6 +40,14 @@ enum err_code init_count_points(const struct scene *s, const uint32_t *images, s
 /* dist2[i]: mean squared distance of point i to its three nearest others (fewer when there are
  * fewer). ERR_MEM, ERR_LIMIT. */
 enum err_code init_neighbour_dist2(const float *xyz, size_t n, float *dist2, struct err *e) ERR_USE;
+/* Those of a coarse model of the whole scene instead: of the cell, thinned evenly to `limit` and
+ * then as much larger, and all around it that the cell's photographs show: what stands behind the
+ * cell in a picture is there already, and is not learnt once more by each cell. As many rows behind
+ * as init_count_around says. gauss_free it. ERR_MEM. */
+enum err_code init_coarse(const struct init_input *in, const struct gauss *coarse,
+                          struct gauss *out, struct err *e) ERR_USE;
+size_t init_count_around(const struct gauss *coarse, const struct scene *s, const uint32_t *images,
+                         size_t n_images, const struct cell *cell);
 /* The square of the first Gaussians' size [n]: the same, but for a point that lies alone no more
  * than three times the median size of the nine points nearest to it. ERR_MEM, ERR_LIMIT as
  * knn_build. */

@@ -63,12 +63,13 @@ struct memory_need memory_estimate(const struct train_config *cfg, const struct 
     bool light = cfg->appearance && cfg->embed_len > 0;
     double row = MEMORY_WORD * (double)render_planes_embed((uint32_t)cfg->sh_degree,
                                                            light ? (uint32_t)cfg->embed_len : 0);
-    double n = 0.0, pixels = 0.0, photometric_pixels = 0.0, downsample = HUGE_VAL;
+    double n = 0.0, around = 0.0, pixels = 0.0, photometric_pixels = 0.0, downsample = HUGE_VAL;
     for (uint32_t i = 0; i < n_levels; i++) {
         n = fmax(n, (double)levels[i].budget);
+        around = fmax(around, (double)levels[i].around);
         downsample = fmin(downsample, levels[i].downsample);
     }
-    n *= whole ? 1.0 : MEMORY_OUTSIDE;
+    n = whole ? n : MEMORY_OUTSIDE * n + around;
     double groups = 0.0; /* of neighbours whose embeddings are compared: ids, places, gradients */
     if (light && cfg->embed_smoothness_weight > 0.0)
         groups = fmin((double)cfg->embed_smoothness_samples, n) *

@@ -27,7 +27,7 @@ struct memory_need {
     size_t pixels;       /* of the largest picture */
     size_t total;        /* without the program itself and its OpenCL compiler */
 };
-/* budgets: levels[0 .. n_levels - 1].budget. `whole`: the cell has no outside. */
+/* budgets: levels[0 .. n_levels - 1].budget, and .around. `whole`: the cell has no outside. */
 struct memory_need memory_estimate(const struct train_config *cfg, const struct scene *s,
                                    const uint32_t *images, size_t n_images,
                                    const struct schedule *levels, uint32_t n_levels, bool whole);

@@ -12,6 +12,7 @@
 #include "cells/cell.h"
 
 struct appearance;
+struct gauss;
 struct dev;
 struct photometric;
 struct render;
@@ -30,6 +31,7 @@ struct run_cell { /* one cell to train; all borrowed */
     struct render *render;
     struct photometric *loss;
     const struct appearance *shared; /* of all cells; NULL: the cell learns its own */
+    const struct gauss *coarse;      /* of the whole scene, to begin from; NULL: sparse points */
     uint64_t *steps;                 /* of this process, counted on */
     bool reuse; /* a finished run with these options is taken as it is, with --overwrite as well */
 };

@@ -149,7 +149,7 @@ size_t schedule_cap(size_t start, size_t budget, uint32_t x, uint32_t n)
 
 size_t schedule_cap_outside(const struct schedule *s)
 {
-    return s->stopped ? s->budget_outside : s->budget / 2;
+    return s->stopped ? s->budget_outside : s->budget / 2 + s->around;
 }
 
 /* Last step at which densification is allowed: before both `until` and the end. */

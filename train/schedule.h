@@ -16,6 +16,7 @@ struct schedule {             /* of one level; steps are 1-based and restart at 
     uint32_t steps;
     double downsample;
     size_t budget;         /* Gaussians inside the cell */
+    size_t around;         /* Gaussians of the coarse model that stand around the cell */
     bool stopped;          /* --budget auto: growth has ended ... */
     size_t budget_outside; /* ... with so many outside of the cell; before, half of the budget */
     uint32_t interval, densify_from,
@@ -39,7 +40,7 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
 /* Ceiling of Gaussians inside the cell at densification x of n: a parabola from start (x = 0) to
  * exactly budget (x = n - 1), fast first. start >= budget: start. n <= 1: budget. */
 size_t schedule_cap(size_t start, size_t budget, uint32_t x, uint32_t n);
-/* Gaussians outside of the cell that a level may have. */
+/* Gaussians outside of the cell that a level may have: those it began with, and some more. */
 size_t schedule_cap_outside(const struct schedule *s);
 /* Number n of the above, counting x = 0, which no step uses. */
 uint32_t schedule_densify_count(const struct schedule *s);

@@ -20,7 +20,7 @@ static const char *const state_check_free[] = {
     "output",     "cell",      "device",
     "jobs",       "threads",   "list",
     "resume",     "overwrite", "checkpoint_interval",
-    "stop_after", "cache_mib", "appearance_only",
+    "stop_after", "cache_mib", "coarse_only",
     NULL,
 };
 

@@ -4,13 +4,12 @@
  */
 #include "train/train.h"
 
-#include "core/appearance.h"
 #include "core/pool.h"
 #include "loss/photometric.h"
 #include "render/render.h"
+#include "train/coarse.h"
 #include "train/config.h"
 #include "train/run.h"
-#include "train/shared.h"
 #include "train/train_scene.h"
 
 struct train { /* everything that lives as long as the run */
@@ -19,8 +18,8 @@ struct train { /* everything that lives as long as the run */
     bool dev_is_open;
     struct render *render;
     struct photometric *loss;
-    struct appearance shared; /* of all cells; empty: none */
-    uint64_t steps;           /* in this process, over all cells */
+    struct coarse coarse;
+    uint64_t steps; /* in this process, over all cells */
 };
 
 static enum err_code train_open(struct train *t, const char *scene_dir,
@@ -41,7 +40,7 @@ static enum err_code train_open(struct train *t, const char *scene_dir,
 
 static void train_close(struct train *t)
 {
-    appearance_free(&t->shared);
+    coarse_free(&t->coarse);
     photometric_close(&t->loss);
     render_close(&t->render);
     if (t->dev_is_open)
@@ -49,8 +48,8 @@ static void train_close(struct train *t)
     train_scene_close(&t->scene);
 }
 
-/* The appearance model that all cells of the plan use, where one is wanted. */
-static enum err_code train_shared(struct train *t, struct err *e)
+/* The coarse model that all cells of the plan use, where one is wanted. */
+static enum err_code train_coarse(struct train *t, struct err *e)
 {
     struct train_scene *s = &t->scene;
     const struct train_config *cfg = s->cfg;
@@ -58,14 +57,14 @@ static enum err_code train_shared(struct train *t, struct err *e)
     size_t n = 0;
     for (size_t i = 0; i < s->plan.n_cells; i++)
         n += s->plan.cells[i].parent < 0;
-    if (!shared_wanted(cfg, n))
-        return cfg->appearance_only
-                   ? err_set(e, ERR_ARG,
-                             "--appearance-only: nothing to train: it needs --appearance and "
-                             "--appearance-shared, and a plan of several cells (%s/plan.json has "
-                             "%zu)",
-                             s->dir, n)
-                   : ERR_OK;
+    if (!coarse_wanted(cfg, n)) {
+        if (cfg->coarse_only)
+            log_info("train",
+                     "no coarse model is needed: %zu cells, and with these options each begins on "
+                     "its own",
+                     n ? n : (size_t)1);
+        return ERR_OK;
+    }
     struct run_cell job = {
         .cfg = cfg,
         .base_dir = cfg->output ? cfg->output : s->dir,
@@ -84,7 +83,7 @@ static enum err_code train_shared(struct train *t, struct err *e)
     if (rc)
         return rc;
     job.images = images;
-    return shared_get(&job, !cfg->cell, &t->shared, e);
+    return coarse_get(&job, !cfg->cell, &t->coarse, e);
 }
 
 static enum err_code train_cell(struct train *t, size_t index, struct train_cell_result *out,
@@ -98,7 +97,8 @@ static enum err_code train_cell(struct train *t, size_t index, struct train_cell
         .dev = &t->dev,
         .render = t->render,
         .loss = t->loss,
-        .shared = t->shared.block ? &t->shared : NULL,
+        .shared = t->coarse.appearance.block ? &t->coarse.appearance : NULL,
+        .coarse = t->coarse.gauss.n ? &t->coarse.gauss : NULL,
         .steps = &t->steps,
     };
     enum err_code rc = train_scene_cell(s, index, &job, e);
@@ -121,9 +121,9 @@ static enum err_code train_cells(struct train *t, struct train_result *out, stru
     return rc;
 }
 
-bool train_needs_shared(const struct train_config *cfg)
+bool train_needs_coarse(const struct train_config *cfg)
 {
-    return shared_wanted(cfg, 2);
+    return coarse_wanted(cfg, 2);
 }
 
 enum err_code train_run(const char *scene_dir, const struct train_config *cfg,
@@ -136,8 +136,8 @@ enum err_code train_run(const char *scene_dir, const struct train_config *cfg,
         return err_set(e, ERR_MEM, "train: out of memory");
     enum err_code rc = train_open(t, scene_dir, cfg, e);
     if (!rc)
-        rc = train_shared(t, e);
-    if (!rc && !cfg->appearance_only)
+        rc = train_coarse(t, e);
+    if (!rc && !cfg->coarse_only)
         rc = train_cells(t, out, e);
     out->seconds = clock_s() - start_s;
     out->peak_bytes = mem_peak_bytes();

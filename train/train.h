@@ -28,9 +28,9 @@
 #include "train/result.h"
 
 void train_result_free(struct train_result *r);
-/* Do several cells with these options wait for an appearance model that they share
- * (train/shared.h)? cfg->appearance_only makes train_run train that and nothing else. */
-bool train_needs_shared(const struct train_config *cfg);
+/* Do several cells with these options wait for a coarse model that they share (train/coarse.h)?
+ * cfg->coarse_only makes train_run train that and nothing else. */
+bool train_needs_coarse(const struct train_config *cfg);
 /* Train the scene in `scene_dir`: the cells of its plan.json, or the one that cfg->cell names, or
  * all of it as one cell. train_result_free `out`, also after an error. ERR_CANCEL: stopped (signal
  * or stop_after), the state was saved and the message says how to go on; ERR_BUSY: another process

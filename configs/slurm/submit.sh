@@ -10,7 +10,8 @@ shift 2
 here=$(dirname "$0")
 list=$(citysplat train "$scene" --list "$@") || exit 1
 n=$(printf '%s\n' "$list" | wc -l)
-array=$(sbatch --parsable --array="0-$((n - 1))" "$here/train.sbatch" "$scene" "$@") || exit 1
 # Some sites append ";cluster" to the number.
+coarse=$(sbatch --parsable "$here/coarse.sbatch" "$scene" "$@") || exit 1
+array=$(sbatch --parsable --dependency="afterok:${coarse%%;*}" --array="0-$((n - 1))" "$here/train.sbatch" "$scene" "$@") || exit 1
 merge=$(sbatch --parsable --dependency="afterok:${array%%;*}" "$here/tile.sbatch" "$scene" "$out") || exit 1
-echo "$n cells: job $array; tiles: job $merge"
+echo "coarse model: job $coarse; $n cells: job $array; tiles: job $merge"

@@ -10,7 +10,7 @@
 #include "tests/stability/toy_appearance.h"
 #include "train/appearance_train.h"
 #include "train/config.h"
-#include "train/shared.h"
+#include "train/coarse.h"
 #include "train/train.h"
 
 #include <jansson.h>
@@ -63,7 +63,7 @@ static void seam_merge(const char *dir, const struct partition *plan, const char
             continue;
         snprintf(path, sizeof path, "%s/cells/%s/level1.ckpt", dir, plan->cells[i].id);
         kit_ok(ckpt_read(path, &c, &e), e);
-        kit_ok(shared_read_model(&c, path, &a, &e), e);
+        kit_ok(coarse_read_appearance(&c, path, &a, &e), e);
         ptrdiff_t row = appearance_find(&a, photo);
         assert_true(row >= 0);
         kit_ok(appearance_bake(&a, a.images + (size_t)row * a.len_image, &c.g, &e), e);
@@ -158,14 +158,14 @@ static void cells_agree_on_appearance_at_their_border(void **state)
         c.iterations = 0;
         c.iterations_3 = SEAM_STEPS;
         c.scale_by_images = false;
-        c.appearance_iterations = SEAM_STEPS;
+        c.coarse_iterations = SEAM_STEPS;
         c.appearance_shared = shared;
         c.overwrite = shared;
         train_result_free(&result);
         kit_ok(train_run(dir, &c, &result, &e), e);
         seam[shared] = seam_measure(dir, &t, &truth);
     }
-    snprintf(path, sizeof path, "%s/cells/appearance/level1.ckpt", dir);
+    snprintf(path, sizeof path, "%s/cells/coarse/level1.ckpt", dir);
     assert_true(file_exists(path));
     toy_figure("F9", "seam_shared=%.5f seam_own=%.5f limit=%.5f", seam[1], seam[0], F9_SEAM);
     assert_true(seam[1] < F9_SEAM);
@@ -199,20 +199,20 @@ static void a_single_cell_needs_the_shared_model(void **state)
     struct train_config c = toy_appearance_config(&a, NULL, true);
     c.iterations = 30;
     c.cell = id;
-    kit_fails(train_run(dir, &c, &r, &e), ERR_NOENT, e, "--appearance-only");
+    kit_fails(train_run(dir, &c, &r, &e), ERR_NOENT, e, "--coarse-only");
     train_result_free(&r);
     c.cell = NULL;
-    c.appearance_only = true;
+    c.coarse_only = true;
     for (int i = 0; i < 2; i++) {
         kit_ok(train_run(dir, &c, &r, &e), e);
         assert_int_equal(r.n_cells, 0);
         train_result_free(&r);
-        snprintf(path, sizeof path, "%s/cells/appearance/level1.ckpt", dir);
+        snprintf(path, sizeof path, "%s/cells/coarse/level1.ckpt", dir);
         kit_ok(file_read(path, 0, i ? &again : &first, &e), e);
     }
     assert_int_equal(first.size, again.size);
     assert_memory_equal(first.data, again.data, first.size);
-    c.appearance_only = false;
+    c.coarse_only = false;
     c.cell = id;
     kit_ok(train_run(dir, &c, &r, &e), e);
     train_result_free(&r);
@@ -250,18 +250,18 @@ static void a_network_needs_steps(void **state)
     kit_fails(train_run(dir, &c, &r, &e), ERR_ARG, e, "warm-up of 40 steps");
     train_result_free(&r);
     toy_appearance_plan(dir);
-    c.appearance_only = true;
+    c.coarse_only = true;
     c.appearance_warmup = 1000;
-    c.appearance_iterations = 1000;
-    c.appearance_iterations_min = 2000;
-    kit_fails(train_run(dir, &c, &r, &e), ERR_ARG, e, "--appearance-iterations of at least 2000");
+    c.coarse_iterations = 1000;
+    c.coarse_iterations_min = 2000;
+    kit_fails(train_run(dir, &c, &r, &e), ERR_ARG, e, "--coarse-iterations of at least 2000");
     train_result_free(&r);
-    c.appearance_iterations = 7000; /* the share of so short a run would be 175 steps */
-    c.appearance_iterations_min = 300;
+    c.coarse_iterations = 7000; /* the share of so short a run would be 175 steps */
+    c.coarse_iterations_min = 300;
     kit_ok(train_run(dir, &c, &r, &e), e);
     train_result_free(&r);
     struct ckpt whole;
-    snprintf(path, sizeof path, "%s/cells/appearance/level1.ckpt", dir);
+    snprintf(path, sizeof path, "%s/cells/coarse/level1.ckpt", dir);
     kit_ok(ckpt_read(path, &whole, &e), e);
     assert_int_equal(json_integer_value(json_object_get(whole.meta, "steps")), 300);
     ckpt_free(&whole);

@@ -40,7 +40,6 @@ struct train_config toy_appearance_config(struct arena *a, const char *out, bool
     c.iterations_3 = TOY_APPEARANCE_STEPS; /* kappa 1: the warm-up below is in steps */
     c.appearance = appearance;
     c.appearance_warmup = TOY_APPEARANCE_STEPS / 8;
-    c.appearance_iterations_min = 1;
     c.densify_from = 1000000;
     return c;
 }

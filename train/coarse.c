@@ -1,0 +1,142 @@
+/* The coarse run before a plan's cells; see coarse.h.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "train/coarse.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "cells/cell.h"
+#include "codec/ckpt.h"
+#include "codec/scene.h"
+#include "train/appearance_train.h"
+#include "train/config.h"
+#include "train/result.h"
+#include "train/run.h"
+
+static bool coarse_has_appearance(const struct train_config *cfg)
+{
+    return appearance_train_wanted(cfg) && cfg->appearance_shared;
+}
+
+bool coarse_wanted(const struct train_config *cfg, size_t n_cells)
+{
+    return (cfg->coarse_start || coarse_has_appearance(cfg)) && n_cells > 1;
+}
+
+/* Options of the coarse run: one level that is like the coarsest one of the cells. */
+static struct train_config coarse_config(const struct train_config *cells, const char *resume_path)
+{
+    struct train_config c = *cells;
+    double total = 0.0;
+    const int64_t steps[] = {cells->iterations_3, cells->iterations_2, cells->iterations_1};
+    for (int64_t i = 0; i < cells->level_count; i++)
+        total += (double)steps[i];
+    c.iterations_1 = c.iterations_2 = c.iterations_3 = cells->coarse_iterations;
+    if (cells->iterations > 0)
+        c.iterations = (int64_t)fmax(
+            floor((double)cells->coarse_iterations * (double)cells->iterations / total + 0.5),
+            (double)cells->coarse_iterations_min);
+    c.level_count = 1;
+    c.downsample_2 = c.downsample_3 = c.downsample_1;
+    c.densify_interval_2 = c.densify_interval_3 = c.densify_interval_1;
+    c.densify_until_2 = c.densify_until_3 = c.densify_until_1;
+    c.tau_2 = c.tau_3 = c.tau_1;
+    c.budget_1 = c.budget_2 = c.budget_3 = cells->coarse_budget;
+    c.absgrad_from = TRAIN_LEVELS_MAX + 1;
+    c.appearance_levels = 1;
+    c.coarse_only = c.coarse_start = false;
+    c.appearance = coarse_has_appearance(cells);
+    c.cell = NULL;
+    /* Complete or not, whatever is there with the same options is used; without --resume an
+     * unfinished one is begun anew, as a cell is. */
+    c.resume = cells->resume || !file_exists(resume_path);
+    return c;
+}
+
+enum err_code coarse_read_appearance(const struct ckpt *c, const char *path, struct appearance *out,
+                                     struct err *e)
+{
+    const struct ckpt_blob *b = ckpt_find(c, APPEARANCE_TRAIN_BLOB);
+    *out = (struct appearance){0};
+    if (!b)
+        return ERR_OK;
+    enum err_code rc = appearance_read(b->data, b->size_bytes, out, e);
+    return rc ? err_add(e, "%s", path) : ERR_OK;
+}
+
+static enum err_code coarse_load_appearance(const struct ckpt_rows *c, const char *path,
+                                            struct appearance *out, struct err *e)
+{
+    struct buf b = {0};
+    enum err_code rc = ckpt_rows_blob(c, APPEARANCE_TRAIN_BLOB, &b, e);
+    if (!rc && !b.data)
+        rc = err_set(e, ERR_FORMAT, "%s: holds no appearance model", path);
+    else if (!rc && appearance_read(b.data, b.size, out, e))
+        rc = err_add(e, "%s", path);
+    buf_free(&b);
+    return rc;
+}
+
+static enum err_code coarse_load(const struct train_config *cfg, const char *path,
+                                 struct coarse *out, struct err *e)
+{
+    struct ckpt_rows *c = NULL;
+    enum err_code rc = ckpt_rows_open(path, &c, e);
+    if (!rc && coarse_has_appearance(cfg))
+        rc = coarse_load_appearance(c, path, &out->appearance, e);
+    if (!rc && cfg->coarse_start)
+        rc = ckpt_rows_read(c, 0, ckpt_rows_count(c), &out->gauss, e);
+    ckpt_rows_close(&c);
+    if (rc)
+        coarse_free(out);
+    return rc;
+}
+
+void coarse_free(struct coarse *s)
+{
+    appearance_free(&s->appearance);
+    gauss_free(&s->gauss);
+}
+
+enum err_code coarse_get(const struct run_cell *job, bool may_train, struct coarse *out,
+                         struct err *e)
+{
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], resume[FILE_PATH_MAX];
+    struct train_cell_result result;
+    struct run_cell whole = *job;
+    *out = (struct coarse){0};
+    enum err_code rc = file_join(dir, job->base_dir, "cells/" TRAIN_COARSE_ID, e);
+    if (!rc)
+        rc = file_join(path, dir, "level1.ckpt", e);
+    if (!rc)
+        rc = file_join(resume, dir, "resume.ckpt", e);
+    if (rc)
+        return rc;
+    if (job->cfg->coarse_iterations < job->cfg->coarse_iterations_min)
+        return err_set(e, ERR_ARG,
+                       "coarse model of all cells: %lld steps are too few to learn from: take "
+                       "--coarse-iterations of at least %lld",
+                       (long long)job->cfg->coarse_iterations,
+                       (long long)job->cfg->coarse_iterations_min);
+    struct train_config cfg = coarse_config(job->cfg, resume);
+    whole.cfg = &cfg;
+    whole.shared = NULL;
+    whole.coarse = NULL;
+    whole.reuse = true;
+    cell_whole(job->scene, job->images, job->n_images, &whole.cell);
+    memcpy(whole.cell.id, TRAIN_COARSE_ID, sizeof(TRAIN_COARSE_ID));
+    if (!may_train && (!file_exists(path) || file_exists(resume)))
+        return err_set(e, ERR_NOENT,
+                       "%s: the coarse model that all cells share is not trained yet: run "
+                       "`citysplat train %s --coarse-only` with the same options once, before "
+                       "the jobs of single cells",
+                       path, job->scene->dir);
+    if (may_train)
+        rc = run_cell(&whole, &result, e);
+    if (!rc && may_train && !result.was_done)
+        log_info("train", "coarse model of all cells gaussians=%zu photographs=%zu seconds=%.1f",
+                 result.n_gaussians[0], job->n_images, result.seconds);
+    return rc ? err_add(e, "coarse model of all cells") : coarse_load(job->cfg, path, out, e);
+}
