@@ -10,8 +10,8 @@
 #include "codec/scene.h"
 #include "loss/photometric.h"
 #include "train/appearance_train.h"
-#include "train/evaluate.h"
 #include "train/coarse.h"
+#include "train/evaluate.h"
 
 void eval_half_image_clear(struct eval_half_image *h)
 {

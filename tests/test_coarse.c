@@ -12,8 +12,8 @@
 #include "train/init.h"
 
 /* A coarse model of 40 x 40 Gaussians a metre apart, in the order of their places, and a cell of 10
- * x 10 m in its south-west corner. One photograph is taken from 50 m above (14.5, 4.5); it shows 40 x
- * 20 m, which is east -5.5 to 34.5, north -5.5 to 14.5. */
+ * x 10 m in its south-west corner. One photograph is taken from 50 m above (14.5, 4.5); it shows
+ * 40 x 20 m, which is east -5.5 to 34.5, north -5.5 to 14.5. */
 enum { SIDE = 40, CELL = 10, SEEN_EAST = 35, SEEN_NORTH = 15, EMBED = 4, LIMIT = 25 };
 static const struct cell corner = {.id = "x0y0",
                                    .min_enu_m = {-0.5, -0.5},

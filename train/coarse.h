@@ -22,7 +22,6 @@ struct ckpt;
 struct err;
 struct train_config;
 
-
 struct coarse {                   /* {0} is empty */
     struct appearance appearance; /* empty: none */
     struct gauss gauss;           /* empty: cells begin from sparse points */

@@ -9,8 +9,8 @@
 #include "codec/scene.h"
 #include "tests/stability/toy_appearance.h"
 #include "train/appearance_train.h"
-#include "train/config.h"
 #include "train/coarse.h"
+#include "train/config.h"
 #include "train/train.h"
 
 #include <jansson.h>
