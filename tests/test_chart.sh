@@ -28,9 +28,11 @@ add() { # STUDY ROW SET
 scores 21 0.6 1000; add budgets "1 k" budget=1000
 scores 23 0.7 2000; add budgets "2 k" budget=2000
 scores 24.5 0.75 4000; add budgets "4 k" budget=4000
-scores 24 0.74 4000; add ablation full n=1
-scores 23.5 0.75 3000; add ablation "no anti-aliasing" n=1
-scores 24.25 0.745 5000; add ablation "it's \`odd\` \$HOME \"x\"" n=1
+for seed in 1 2 3; do
+    scores 24 0.74 4000; add ablation "full (seed $seed)" "seed=$seed"
+    scores 23.5 0.75 3000; add ablation "no anti-aliasing (seed $seed)" "seed=$seed"
+    scores 24.25 0.745 5000; add ablation "it's \`odd\` \$HOME \"x\" (seed $seed)" "seed=$seed"
+done
 expect '"train_s":65' "$runs/budgets.jsonl"         # 30 + 35, both cells
 expect '"train_longest_s":35' "$runs/budgets.jsonl" # the slower one
 expect '"fma_gflops":80' "$runs/budgets.jsonl"
