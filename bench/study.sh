@@ -300,7 +300,7 @@ cells_rows() {
   row cells full cells "" "${base[@]}"
   row cells "no visibility selection" cells-location "" "${base[@]}"
   row cells "no prioritised densification" cells "" "${base[@]}" --tau-outside 1
-  row cells "coarse start" cells "" "${base[@]}" --coarse-start
+  row cells "from sparse points" cells "" "${base[@]}" --no-coarse-start
 }
 study_cells() { seeded cells cells_rows; }
 
@@ -380,6 +380,7 @@ remedy_rows() { # STUDY SCENE TRAIN-OPTIONS
   row "$study" "no loss on sizes" "$scene" "" "$@" --scale-weight 0
   row "$study" "no limit of sizes" "$scene" "" "$@" --size-limit 0
   row "$study" "harmonics as trained" "$scene" "" "$@" --sh-ridge 0
+  row "$study" "random background" "$scene" "" "$@" --background-random
   row "$study" "opacity resets" "$scene" "" "$@" --reset-interval 200 --densify-until-3 0.8
 }
 remedies_city_rows() {
