@@ -282,7 +282,6 @@ ablation_rows() { # STUDY SCENE OPTIONS
   row "$study" "no anti-aliasing" "$scene" "" "$@" --aa none --eval --aa none
   row "$study" "Mip-Splatting" "$scene" "" "$@" --aa mip
   row "$study" "sparse depth" "$scene" "" "$@" --depth-sparse
-  row "$study" "appearance" "$scene" "" "$@" --appearance --eval --half-image off
 }
 ablation_photographs_rows() {
   ablation_rows ablation caliterra-400 --level-count 1 --iterations "$(steps ablation)" --budget-3 100000

@@ -183,7 +183,8 @@ static void tiles_in_part(void **state)
     part.weight = weight;
     kit_ok(view_render(v, &a, &black, NULL, want, NULL, &e), e);
     double more = mean_of(want);
-    for (float w = 0.75f; w > 0.1f; w -= 0.25f) {
+    for (int quarters = 3; quarters > 0; quarters--) {
+        float w = 0.25f * (float)quarters;
         for (size_t i = 0; i < part.n; i++)
             weight[i] = w;
         kit_ok(view_render_tiles(v, &part, &a, &black, got, NULL, &e), e);

@@ -440,23 +440,23 @@ enum err_code init_coarse(const struct init_input *in, const struct gauss *coars
     size_t n = 0, n_around = 0, most = 0;
     float longer = 0.0f;
     *out = (struct gauss){0};
-    enum err_code rc = rows && around ? ERR_OK
-                                      : err_set(e, ERR_MEM, "init: out of memory for %zu Gaussians",
-                                                (size_t)coarse->n);
-    for (size_t i = 0; !rc && i < coarse->n; i++) {
+    enum err_code rc = ERR_OK;
+    if (!rows || !around) {
+        rc = err_set(e, ERR_MEM, "init: out of memory for %zu Gaussians", (size_t)coarse->n);
+        goto end;
+    }
+    for (size_t i = 0; i < coarse->n; i++) {
         enum init_part part = init_part(coarse, i, in->scene, in->images, in->n_images, in->cell);
         if (part == INIT_INSIDE)
             rows[n++] = (uint32_t)i;
         else if (part == INIT_AROUND_IT)
             around[n_around++] = (uint32_t)i;
     }
-    if (!rc) {
-        most = n < in->limit ? n : in->limit;
-        longer = init_thin(rows, n, most, in->seed);
-        log_info("init", "of the coarse model %zu of %zu Gaussians in the cell, and %zu around it",
-                 most, n, n_around);
-        rc = gauss_alloc(out, most + n_around, in->sh_degree, coarse->embed_len, e);
-    }
+    most = n < in->limit ? n : in->limit;
+    longer = init_thin(rows, n, most, in->seed);
+    log_info("init", "of the coarse model %zu of %zu Gaussians in the cell, and %zu around it",
+             most, n, n_around);
+    rc = gauss_alloc(out, most + n_around, in->sh_degree, coarse->embed_len, e);
     if (!rc) {
         out->antialiased = coarse->antialiased;
         memcpy(out->origin_enu_m, coarse->origin_enu_m, sizeof out->origin_enu_m);
@@ -468,6 +468,7 @@ enum err_code init_coarse(const struct init_input *in, const struct gauss *coars
         out->scale_log[i] += longer;
     if (rc)
         gauss_free(out);
+end:
     mem_free(rows);
     mem_free(around);
     return rc;
