@@ -309,12 +309,12 @@ static void a_city_of_many_cells(void **state)
     snprintf(c.results, sizeof c.results, "%.500s/results", dir);
     snprintf(c.tiles, sizeof c.tiles, "%.500s/city.tiles", dir);
     RUN("synth -o %s/city --photos 320 --extent-m 240 --width-px 160 --height-px 120 "
-        "--supersample 1 --points 20000",
+        "--supersample 2 --points 20000",
         dir);
     RUN("ingest %s/city/images %s/city/sparse/0 -o %s", dir, dir, c.scene);
     RUN("plan %s --edge-m 80 --images-few 24 --images-least 12", c.scene);
-    RUN("train %s --output %s --iterations 2000 --budget-1 6000 --budget-2 12000 --budget-3 24000 "
-        "--sh-degree 0",
+    RUN("train %s --output %s --iterations 900 --budget-1 4000 --budget-2 8000 --budget-3 16000 "
+        "--sh-degree 1",
         c.scene, c.results);
     /* nothing but its cell decides here what a Gaussian's tile is, and that it has one */
     RUN("tile %s --trained %s --crop none -o %s", c.scene, c.results, c.tiles);
