@@ -117,7 +117,7 @@ enum err_code coarse_get(const struct run_cell *job, bool may_train, struct coar
     if (job->cfg->coarse_iterations < job->cfg->coarse_iterations_min)
         return err_set(e, ERR_ARG,
                        "coarse model of all cells: %lld steps are too few to learn from: take "
-                       "--coarse-iterations of at least %lld",
+                       "--coarse-iterations of at least %lld, or lower --coarse-iterations-min",
                        (long long)job->cfg->coarse_iterations,
                        (long long)job->cfg->coarse_iterations_min);
     struct train_config cfg = coarse_config(job->cfg, resume);

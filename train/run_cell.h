@@ -12,8 +12,8 @@
 #include "cells/cell.h"
 
 struct appearance;
-struct gauss;
 struct dev;
+struct gauss;
 struct photometric;
 struct render;
 struct scene;
