@@ -379,7 +379,8 @@ remedy_rows() { # STUDY SCENE TRAIN-OPTIONS
   row "$study" "no loss on sizes" "$scene" "" "$@" --scale-weight 0
   row "$study" "no limit of sizes" "$scene" "" "$@" --size-limit 0
   row "$study" "harmonics as trained" "$scene" "" "$@" --sh-ridge 0
-  row "$study" "random background" "$scene" "" "$@" --background-random
+  row "$study" "black background" "$scene" "" "$@" --background-random none
+  row "$study" "random background everywhere" "$scene" "" "$@" --background-random all
   row "$study" "opacity resets" "$scene" "" "$@" --reset-interval 200 --densify-until-3 0.8
 }
 remedies_city_rows() {

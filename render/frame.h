@@ -86,6 +86,7 @@ struct render {
     struct frame_buffer color;      /* float [3][h][w] planar, background included */
     struct frame_buffer transmit;   /* float [h][w] */
     struct frame_buffer color_grad; /* float [3][h][w] planar, dL/dcolor */
+    struct frame_buffer where;      /* uchar [h][w]: render_options.background_where */
 
     /* -- appearance: render_appearance.c ------------------------------------------------------- */
     /* the last frame was drawn with it; NULL: plain */
@@ -107,7 +108,7 @@ struct render {
         program; /* forward: layout.h common.cl project.cl sort.cl bin.cl blend_cpu.cl or _gpu */
     struct frame_kernels {
         cl_kernel project, sort_count, sort_scan, sort_scatter, bin_total, bin_expand, bin_sum,
-            bin_scan, bin_scatter, blend;
+            bin_scan, bin_scatter, blend, background;
     } k;
 
     /* -- the backward pass: made by render_backward.c on first use, freed by render_close through

@@ -34,8 +34,12 @@ enum render_aa {
 struct render_options {
     enum render_aa aa;
     float background[3]; /* 0..1, shown where transmittance is left */
-    double near_m;       /* 0: 0.2 m */
-    int sh_degree;       /* highest degree evaluated; -1: all that the model has */
+    /* [h][w], not 0: background_there is behind this pixel instead. Borrowed for the call; NULL:
+     * behind none. ERR_ARG with supersampling. */
+    const uint8_t *background_where;
+    float background_there[3];
+    double near_m; /* 0: 0.2 m */
+    int sh_degree; /* highest degree evaluated; -1: all that the model has */
     /* Rays are parallel to the optical axis: the camera's fx_px and fy_px are pixels a metre, and
      * its centre is any point on the axis with all that is to be seen in front of it. Such a frame
      * has no backward pass (ERR_ARG). */

@@ -15,7 +15,8 @@
 #include "render/frame.h"
 #include "render/supersample.h"
 
-extern const char project_cl[], sort_cl[], bin_cl[], blend_cpu_cl[], blend_gpu_cl[];
+extern const char project_cl[], sort_cl[], bin_cl[], blend_cpu_cl[], blend_gpu_cl[],
+    background_cl[];
 
 enum { RADIX_PASSES = 3 };
 
@@ -29,7 +30,8 @@ static enum err_code render_build(struct render *r, struct err *e)
                                          {"render/project.cl", project_cl},
                                          {"render/sort.cl", sort_cl},
                                          {"render/bin.cl", bin_cl},
-                                         shapes[r->dev->vector_width == LAYOUT_LANES]};
+                                         shapes[r->dev->vector_width == LAYOUT_LANES],
+                                         {"render/background.cl", background_cl}};
     struct {
         const char *name;
         cl_kernel *to;
@@ -37,7 +39,8 @@ static enum err_code render_build(struct render *r, struct err *e)
                    {"sort_scan", &r->k.sort_scan},     {"sort_scatter", &r->k.sort_scatter},
                    {"bin_total", &r->k.bin_total},     {"bin_expand", &r->k.bin_expand},
                    {"bin_sum", &r->k.bin_sum},         {"bin_scan", &r->k.bin_scan},
-                   {"bin_scatter", &r->k.bin_scatter}, {"blend", &r->k.blend}};
+                   {"bin_scatter", &r->k.bin_scatter}, {"blend", &r->k.blend},
+                   {"background", &r->k.background}};
     enum err_code rc =
         dev_build(r->dev, sources, sizeof sources / sizeof *sources, NULL, &r->program, e);
     for (size_t i = 0; !rc && i < sizeof kernels / sizeof *kernels; i++)
@@ -96,6 +99,7 @@ void render_close(struct render **rp)
                                       &r->color,
                                       &r->transmit,
                                       &r->color_grad,
+                                      &r->where,
                                       &r->hits,
                                       &r->tile_stop,
                                       &r->slots};
@@ -103,7 +107,7 @@ void render_close(struct render **rp)
         dev_release(&buffers[i]->mem);
     cl_kernel kernels[] = {r->k.project,     r->k.sort_count, r->k.sort_scan, r->k.sort_scatter,
                            r->k.bin_total,   r->k.bin_expand, r->k.bin_sum,   r->k.bin_scan,
-                           r->k.bin_scatter, r->k.blend};
+                           r->k.bin_scatter, r->k.blend,      r->k.background};
     for (size_t i = 0; i < sizeof kernels / sizeof *kernels; i++)
         if (kernels[i])
             clReleaseKernel(kernels[i]);
@@ -360,6 +364,27 @@ static enum err_code render_stage_blend(struct render *r, struct err *e)
                      r->tiles * local, local, e);
 }
 
+/* Another background behind some pixels. */
+static enum err_code render_stage_background(struct render *r, const struct render_options *o,
+                                             struct err *e)
+{
+    size_t pixels = (size_t)r->view.width * r->view.height, local = LAYOUT_TILE_PIXELS;
+    float more[3];
+    if (!o->background_where)
+        return ERR_OK;
+    for (int c = 0; c < 3; c++)
+        more[c] = o->background_there[c] - o->background[c];
+    enum err_code rc = frame_reserve(r, &r->where, pixels, e);
+    if (!rc)
+        rc = dev_write(r->dev, r->where.mem, 0, pixels, o->background_where, e);
+    return rc ? rc
+              : frame_run(r, r->k.background, "background",
+                          FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(more[0]), FRAME_ARG(more[1]),
+                                     FRAME_ARG(more[2]), FRAME_ARG(r->where.mem),
+                                     FRAME_ARG(r->transmit.mem), FRAME_ARG(r->color.mem)),
+                          (pixels + local - 1) / local * local, local, e);
+}
+
 /* Planes of the device, [n][h][w], interleaved for the caller; mapping costs nothing on CPUs. */
 static enum err_code render_planes_out(struct render *r, cl_mem from, size_t n, float *out,
                                        struct err *e)
@@ -403,6 +428,9 @@ static enum err_code render_fine_camera(struct render *r, const struct camera *c
     *fine = *cam;
     if (rc || factor == 1)
         return rc;
+    if (o->background_where)
+        return err_set(e, ERR_ARG,
+                       "render_forward: another background behind some pixels is not supersampled");
     if (factor > SUPERSAMPLE_MOST || o->aa == RENDER_AA_NONE)
         return err_set(e, ERR_ARG,
                        "render_forward: supersampling is 1 to %d, of anti-aliased Gaussians",
@@ -458,6 +486,8 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
         rc = render_before_blend(r, e);
     if (!rc)
         rc = render_stage_blend(r, e);
+    if (!rc)
+        rc = render_stage_background(r, o, e);
     if (!rc)
         rc = frame_clock(r, &since, &r->stats.ms_blend, e);
     if (!rc)

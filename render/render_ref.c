@@ -37,7 +37,9 @@ enum err_code ref_view_init(const struct gauss *g, const struct camera *cam,
                      cam->rot[3 * i + 1] * g->origin_enu_m[1] +
                      cam->rot[3 * i + 2] * g->origin_enu_m[2] + cam->trans[i];
         v.background[i] = (double)o->background[i];
+        v.background_there[i] = (double)o->background_there[i];
     }
+    v.background_where = o->background_where;
     for (int i = 0; i < 3; i++)
         v.eye[i] = -(v.rot[i] * v.trans[0] + v.rot[3 + i] * v.trans[1] + v.rot[6 + i] * v.trans[2]);
     v.fx = cam->fx_px;
@@ -299,6 +301,12 @@ bool ref_alpha(const struct ref_splat *s, double px, double py, double d[2], dou
     return true;
 }
 
+const double *ref_background(const struct ref_view *v, size_t pixel)
+{
+    bool there = v->background_where && v->background_where[pixel];
+    return there ? v->background_there : v->background;
+}
+
 enum err_code render_ref_forward(const struct gauss *g, const struct camera *cam,
                                  const struct render_options *o, double *rgb, double *transmittance,
                                  struct err *e)
@@ -323,7 +331,7 @@ enum err_code render_ref_forward(const struct gauss *g, const struct camera *cam
             t *= 1 - alpha;
         }
         for (int c = 0; c < 3; c++)
-            rgb[3 * at + c] = sum[c] + t * v.background[c];
+            rgb[3 * at + c] = sum[c] + t * ref_background(&v, at)[c];
         if (transmittance)
             transmittance[at] = t;
     }

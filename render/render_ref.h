@@ -18,6 +18,8 @@ struct ref_view {            /* a camera and options with every default resolved
     double lim_neg[2], lim_pos[2]; /* clamp of x/z, y/z inside the Jacobian */
     double near_m, kernel_px2, half_max_px;
     double background[3];
+    const uint8_t *background_where; /* borrowed; NULL: nowhere */
+    double background_there[3];
     bool compensate, orthographic;
     uint32_t sh_degree; /* evaluated */
     const float *frame; /* constants of an appearance, borrowed; NULL: none */
@@ -53,6 +55,8 @@ struct ref_splat {
 enum err_code ref_view_init(const struct gauss *g, const struct camera *cam,
                             const struct render_options *o, struct ref_view *out,
                             struct err *e) ERR_USE;
+/* The background behind a pixel, [3]. */
+const double *ref_background(const struct ref_view *v, size_t pixel);
 /* False when Gaussian i is culled; *out is unspecified then. */
 bool ref_project(const struct ref_view *v, const struct gauss *g, size_t i, struct ref_splat *out);
 /* All visible splats in blending order: by depth as float32 (what the device sorts by), ties by

@@ -26,8 +26,8 @@ struct splat_grad { /* of what is blended */
 /* ---- compositing ---- */
 
 /* Add the gradients of one pixel. */
-static void backward_pixel(const struct ref_view *v, const struct ref_splat *splats, size_t n,
-                           double px, double py, const double g[3], struct splat_grad *out)
+static void backward_pixel(const struct ref_splat *splats, size_t n, double px, double py,
+                           const double background[3], const double g[3], struct splat_grad *out)
 {
     double total[3] = {0}, pre[3] = {0}, t = 1;
     double d[2], alpha;
@@ -39,7 +39,7 @@ static void backward_pixel(const struct ref_view *v, const struct ref_splat *spl
             t *= 1 - alpha;
         }
     for (int c = 0; c < 3; c++)
-        total[c] += t * v->background[c];
+        total[c] += t * background[c];
     t = 1;
     for (size_t i = 0; i < n && t > (double)LAYOUT_TRANSMITTANCE_MIN; i++) {
         const struct ref_splat *s = &splats[i];
@@ -270,8 +270,9 @@ enum err_code render_ref_backward(const struct gauss *g, const struct camera *ca
         memset(out->frame, 0, appearance_frame_floats(v.embed_len, v.hidden) * sizeof(double));
     for (size_t y = 0; y < v.height; y++)
         for (size_t x = 0; x < v.width; x++)
-            backward_pixel(&v, splats, n, (double)x + 0.5, (double)y + 0.5,
-                           rgb_grad + 3 * (y * v.width + x), grads);
+            backward_pixel(splats, n, (double)x + 0.5, (double)y + 0.5,
+                           ref_background(&v, y * v.width + x), rgb_grad + 3 * (y * v.width + x),
+                           grads);
     for (size_t i = 0; i < n; i++)
         backward_splat(&v, g, &splats[i], &grads[i], out->offset_weight / (double)n, out);
 out:

@@ -70,6 +70,16 @@ struct view_case view_case_make(uint64_t seed, size_t n, enum render_aa aa, uint
     return s;
 }
 
+void view_case_split_background(struct view_case *s)
+{
+    static uint8_t where[PX_H * PX_W];
+    for (size_t i = 0; i < sizeof where; i++)
+        where[i] = i / PX_W > PX_H / 4 && i % PX_W > PX_W / 4 && i % PX_W < 3 * PX_W / 4 ? 7 : 0;
+    s->o.background_where = where;
+    for (size_t c = 0; c < 3; c++)
+        s->o.background_there[c] = 0.9f - 0.4f * (float)c;
+}
+
 void view_case_free(struct view_case *s)
 {
     gauss_free(&s->g);
@@ -175,7 +185,7 @@ double view_case_objective(const struct view_case *s, const double *rgb_of, uint
         }
         buf_u32(&decisions, ~0u);
         for (size_t c = 0; c < 3; c++)
-            sum += t * v.background[c] * s->rgb_grad[3 * at + c];
+            sum += t * ref_background(&v, at)[c] * s->rgb_grad[3 * at + c];
     }
     *signature = hash_bytes(decisions.data, decisions.size).lo;
     buf_free(&decisions);

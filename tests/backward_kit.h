@@ -29,6 +29,8 @@ struct view_case
 view_case_outside(enum render_aa aa); /* centres beyond the Jacobian's clamp on every side */
 struct view_case view_case_needles(enum render_aa aa); /* axes from 0.4 m down to 0.1 mm */
 void view_case_free(struct view_case *s);
+/* Another background behind the middle of the picture. */
+void view_case_split_background(struct view_case *s);
 double *grad_make(size_t n, uint64_t seed); /* standard normal; mem_free */
 /* sum(rgb * rgb_grad) + offset_weight * mean of y3 in double, and a hash of every decision taken on
  * the way. The method holds the view direction of SH fixed when a mean moves: `rgb_of` (may be

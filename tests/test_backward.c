@@ -101,6 +101,10 @@ static void test_kernels_match_reference(void **state)
     s.o.sh_degree = 1;
     check_kernels(r, &s, "degree 1 of 3", 0);
     view_case_free(&s);
+    s = view_case_make(6, 40, RENDER_AA_2D, 1);
+    view_case_split_background(&s);
+    check_kernels(r, &s, "two backgrounds", 0);
+    view_case_free(&s);
     render_close(&r);
 }
 

@@ -68,6 +68,22 @@ static void test_ref_all_parameters(void **state)
     }
 }
 
+static void test_ref_split_background(void **state)
+{
+    (void)state;
+    struct view_case s = view_case_make(110, 7, RENDER_AA_2D, 1);
+    struct grads one = grads_make(&s.g), two = grads_make(&s.g);
+    struct err e = {0};
+    kit_ok(render_ref_backward(&s.g, &s.cam, &s.o, s.rgb_grad, &one.r, &e), e);
+    view_case_split_background(&s);
+    check_reference(&s, "two backgrounds");
+    kit_ok(render_ref_backward(&s.g, &s.cam, &s.o, s.rgb_grad, &two.r, &e), e);
+    assert_true(memcmp(one.r.opacity_logit, two.r.opacity_logit, s.g.n * sizeof(double)) != 0);
+    mem_free(one.block);
+    mem_free(two.block);
+    view_case_free(&s);
+}
+
 static void test_ref_saturated(void **state)
 {
     (void)state;
@@ -154,9 +170,9 @@ static void test_ref_untouched(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_ref_all_parameters), cmocka_unit_test(test_ref_saturated),
-        cmocka_unit_test(test_ref_outside),        cmocka_unit_test(test_ref_needles),
-        cmocka_unit_test(test_ref_untouched),
+        cmocka_unit_test(test_ref_all_parameters), cmocka_unit_test(test_ref_split_background),
+        cmocka_unit_test(test_ref_saturated),      cmocka_unit_test(test_ref_outside),
+        cmocka_unit_test(test_ref_needles),        cmocka_unit_test(test_ref_untouched),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

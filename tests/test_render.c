@@ -394,6 +394,18 @@ static void test_background(void **state)
     for (size_t i = 0; i < 3 * black.pixels; i++)
         assert_true(fabsf(black.rgb[i] + black.t[i / 3] * o.background[i % 3] - lit.rgb[i]) <
                     1e-6f);
+    uint8_t where[70 * 40]; /* every third pixel has the other one behind it */
+    assert_int_equal(black.pixels, sizeof where);
+    for (size_t i = 0; i < sizeof where; i++)
+        where[i] = i % 3 == 0;
+    o.background_where = where;
+    o.background_there[1] = 1.0f;
+    struct picture two = draw(&g, &cam, &o);
+    for (size_t i = 0; i < 3 * black.pixels; i++)
+        assert_true(where[i / 3]
+                        ? fabsf(black.rgb[i] + black.t[i / 3] * (i % 3 == 1) - two.rgb[i]) < 1e-6f
+                        : two.rgb[i] == lit.rgb[i]);
+    picture_free(&two);
     picture_free(&black);
     picture_free(&lit);
     gauss_free(&g);
@@ -760,6 +772,9 @@ static void test_supersampling(void **state)
     kit_fails(render_forward(render, &m, &cam, &o, NULL, NULL, &e), ERR_ARG, e, "1 to 4");
     o.supersample = 2;
     kit_fails(render_forward(render, &m, &wide, &o, NULL, NULL, &e), ERR_ARG, e, "at most 8192");
+    o.background_where = (const uint8_t[8 * 8]){0};
+    kit_fails(render_forward(render, &m, &cam, &o, NULL, NULL, &e), ERR_ARG, e,
+              "another background");
     render_model_free(&m);
     gauss_free(&g);
 }

@@ -66,6 +66,7 @@ void level_close(struct level *l)
     budget_close(&l->budget);
     importance_free(&l->importance);
     regularizer_free(&l->regularizer);
+    background_free(&l->background);
     model_close(&l->model);
     context_close(&l->ctx);
 }
@@ -236,15 +237,6 @@ static enum err_code level_backward(struct level *l, uint32_t step, uint32_t ima
     return rc;
 }
 
-/* Another colour behind every step: no Gaussian can stay transparent for the sake of a background
- * that photographs have not. */
-static void level_background(const struct context *ctx, uint32_t step, struct render_options *ro)
-{
-    uint64_t stream = train_stream(TRAIN_STREAM_BACKGROUND, ctx->at + 1, step);
-    for (uint64_t c = 0; ctx->cfg->background_random && c < 3; c++)
-        ro->background[c] = (float)rng_unit((uint64_t)ctx->cfg->seed, stream, c);
-}
-
 enum err_code level_step(struct level *l, struct photometric_value *value, struct err *e)
 {
     struct context *ctx = &l->ctx;
@@ -257,8 +249,9 @@ enum err_code level_step(struct level *l, struct photometric_value *value, struc
     if (rc)
         return rc;
     struct render_options ro = context_photo_options(ctx, step, photo.image);
-    level_background(ctx, step, &ro);
-    rc = regularizer_step(&l->regularizer, m, ctx, step, &photo, e);
+    rc = background_choose(&l->background, ctx, step, &photo.cam, &ro, e);
+    if (!rc)
+        rc = regularizer_step(&l->regularizer, m, ctx, step, &photo, e);
     if (!rc)
         rc = render_forward(ctx->render, &m->gauss, &photo.cam, &ro, NULL, NULL, e);
     if (!rc)

@@ -6,6 +6,7 @@
 #ifndef TRAIN_LEVEL_H
 #define TRAIN_LEVEL_H
 
+#include "train/background.h"
 #include "train/budget.h"
 #include "train/context.h"
 #include "train/model.h"
@@ -17,7 +18,8 @@ struct regularizer;
 struct level {          /* level_close, also after an error */
     struct context ctx; /* its fixed part is set by whoever makes the level */
     struct model model;
-    struct budget budget;          /* the decisions of --budget auto */
+    struct budget budget; /* the decisions of --budget auto */
+    struct background background;
     struct importance *importance; /* made on first use, as is the next */
     struct regularizer *regularizer;
     /* -- for people */

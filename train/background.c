@@ -1,0 +1,75 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+#include "train/background.h"
+
+#include <string.h>
+
+#include "cells/footprint.h"
+#include "core/base.h"
+#include "train/context.h"
+
+enum background_random {
+    BACKGROUND_RANDOM_NONE,
+    BACKGROUND_RANDOM_SUPPORTED,
+    BACKGROUND_RANDOM_ALL
+}; /* option background_random */
+
+enum {
+    BACKGROUND_BLOCK_PX = 8, /* pixels are asked in squares of so many a side */
+    BACKGROUND_VIEWS = 3     /* photographs that see the ground, at least */
+};
+#define BACKGROUND_DEEP 0.2 /* flight heights from the footprint's border inwards */
+
+static bool background_is_supported(const struct footprint *f, const double from_m[3],
+                                    const double ray[3])
+{
+    ptrdiff_t cell = footprint_meets(f, from_m, ray);
+    return cell >= 0 && f->inside[cell] && f->views[cell] >= BACKGROUND_VIEWS &&
+           (double)f->edge_m[cell] <= -BACKGROUND_DEEP * f->height_m;
+}
+
+static void background_mark(const struct footprint *f, const struct camera *c, uint8_t *where)
+{
+    double from_m[3], ray[3];
+    size_t w = c->width_px, h = c->height_px, block = BACKGROUND_BLOCK_PX;
+    camera_center(c, from_m);
+    for (size_t y = 0; y < h; y += block)
+        for (size_t x = 0; x < w; x += block) {
+            size_t right = x + block < w ? x + block : w, below = y + block < h ? y + block : h;
+            footprint_ray(c, (double)(x + right - 1) / 2.0, (double)(y + below - 1) / 2.0, ray);
+            for (size_t row = y; row < below; row++)
+                memset(where + row * w + x, background_is_supported(f, from_m, ray), right - x);
+        }
+}
+
+enum err_code background_choose(struct background *b, const struct context *ctx, uint32_t step,
+                                const struct camera *cam, struct render_options *ro, struct err *e)
+{
+    size_t n = (size_t)cam->width_px * cam->height_px;
+    uint64_t stream = train_stream(TRAIN_STREAM_BACKGROUND, ctx->at + 1, step);
+    float *color = ro->background;
+    if (ctx->cfg->background_random == BACKGROUND_RANDOM_NONE)
+        return ERR_OK;
+    if (ctx->cfg->background_random == BACKGROUND_RANDOM_SUPPORTED) {
+        if (!ctx->ground || !ctx->ground->nx)
+            return ERR_OK; /* nothing is known to be supported */
+        if (n > b->cap) {
+            mem_free(b->where);
+            b->where = mem_array(n, 1);
+            b->cap = b->where ? n : 0;
+        }
+        if (!b->where)
+            return err_set(e, ERR_MEM, "background: out of memory for %zu pixels", n);
+        background_mark(ctx->ground, cam, b->where);
+        ro->background_where = b->where;
+        color = ro->background_there;
+    }
+    for (uint64_t c = 0; c < 3; c++)
+        color[c] = (float)rng_unit((uint64_t)ctx->cfg->seed, stream, c);
+    return ERR_OK;
+}
+
+void background_free(struct background *b)
+{
+    mem_free(b->where);
+    *b = (struct background){0};
+}
