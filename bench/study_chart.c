@@ -53,7 +53,8 @@ static const struct chart_peer {
 struct chart_run {
     struct chart_options o;
     json_t *lines;             /* of all files */
-    char link[FILE_PATH_MAX];  /* folder of the charts as seen from the Markdown file */
+    const char *page;          /* the Markdown file in work */
+    char link[FILE_PATH_MAX];  /* folder of the charts as seen from it */
     size_t n_drawn, n_missing; /* charts */
     struct arena arena;
 };
@@ -197,8 +198,8 @@ static enum err_code chart_make_link(struct chart_run *r, struct err *e)
     char dir[PATH_MAX], file[PATH_MAX];
     if (!realpath(r->o.output, dir))
         return err_errno(e, ERR_IO, "%s", r->o.output);
-    if (!realpath(r->o.markdown, file))
-        return err_errno(e, ERR_NOENT, "%s", r->o.markdown);
+    if (!realpath(r->page, file))
+        return err_errno(e, ERR_NOENT, "%s", r->page);
     chart_relative(dir, file, r->link, sizeof r->link);
     return ERR_OK;
 }
@@ -265,7 +266,7 @@ static enum err_code chart_rewrite(const struct chart_run *r, const struct buf *
         if (!rc && d && open)
             rc = err_set(e, ERR_FORMAT, "'%s' is not closed by %s", open->name, end_mark);
         if (rc)
-            return err_add(e, "%s, line %zu", r->o.markdown, number);
+            return err_add(e, "%s, line %zu", r->page, number);
         if (open && !closes)
             continue;
         if (open)
@@ -275,28 +276,46 @@ static enum err_code chart_rewrite(const struct chart_run *r, const struct buf *
         buf_u8(out, '\n');
     }
     if (open)
-        return err_set(e, ERR_FORMAT, "%s: '%s' is not closed by %s", r->o.markdown, open->name,
+        return err_set(e, ERR_FORMAT, "%s: '%s' is not closed by %s", r->page, open->name,
                        end_mark);
     return buf_check(out, e);
 }
 
-static enum err_code chart_write_markdown(struct chart_run *r, struct err *e)
+static enum err_code chart_write_page(struct chart_run *r, const char *path, struct err *e)
 {
     struct buf in = {0}, out = {0};
+    r->page = path;
     enum err_code rc = chart_make_link(r, e);
     if (!rc)
-        rc = file_read(r->o.markdown, 0, &in, e);
+        rc = file_read(path, 0, &in, e);
     if (!rc)
         rc = chart_rewrite(r, &in, &out, e);
     if (!rc && r->o.check && (in.size != out.size || memcmp(in.data, out.data, in.size)))
         rc = err_set(e, ERR_DATA,
                      "%s: a table says something else than the records: `citysplat-study chart "
                      "--markdown` writes it anew",
-                     r->o.markdown);
+                     path);
     else if (!rc && !r->o.check)
-        rc = file_write(r->o.markdown, out.data, out.size, e);
+        rc = file_write(path, out.data, out.size, e);
     buf_free(&in);
     buf_free(&out);
+    return rc;
+}
+
+/* A page, or all pages of a folder. */
+static enum err_code chart_write_markdown(struct chart_run *r, struct err *e)
+{
+    static const char *const suffixes[] = {".md", NULL};
+    char file[FILE_PATH_MAX], **names = NULL;
+    size_t n = 0;
+    if (!file_is_dir(r->o.markdown))
+        return chart_write_page(r, r->o.markdown, e);
+    enum err_code rc = file_list(r->o.markdown, suffixes, &r->arena, &names, &n, e);
+    for (size_t i = 0; !rc && i < n; i++) {
+        rc = file_join(file, r->o.markdown, names[i], e);
+        if (!rc)
+            rc = chart_write_page(r, file, e);
+    }
     return rc;
 }
 
@@ -309,11 +328,11 @@ enum err_code study_chart(int argc, char **argv, struct err *e)
         .usage = "citysplat-study chart RUNS... -o DIR [options]",
         .about = "Draws the charts of recorded runs (folders or files of JSON lines, which "
                  "bench/study.sh and `citysplat-study record` write) with gnuplot, as SVG and "
-                 "PNG, and rewrites the tables of a Markdown file. Records are refused that are "
+                 "PNG, and rewrites the tables of Markdown files. Records are refused that are "
                  "shorter or "
                  "of fewer seeds than bench/studies.def states for their study, and those whose "
                  "commit is not in the history of HEAD.",
-        .example = "citysplat-study chart docs/runs -o docs/charts --markdown docs/studies/time.md",
+        .example = "citysplat-study chart docs/runs -o docs/charts --markdown docs/studies",
         .defs = chart_option_defs,
         .n_defs = sizeof chart_option_defs / sizeof *chart_option_defs,
         .min_args = 1,
