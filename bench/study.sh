@@ -379,8 +379,6 @@ remedy_rows() { # STUDY SCENE TRAIN-OPTIONS
   row "$study" "no loss on sizes" "$scene" "" "$@" --scale-weight 0
   row "$study" "no limit of sizes" "$scene" "" "$@" --size-limit 0
   row "$study" "harmonics as trained" "$scene" "" "$@" --sh-ridge 0
-  row "$study" "black background" "$scene" "" "$@" --background-random none
-  row "$study" "random background everywhere" "$scene" "" "$@" --background-random all
   row "$study" "opacity resets" "$scene" "" "$@" --reset-interval 200 --densify-until-3 0.8
 }
 remedies_city_rows() {
@@ -392,6 +390,23 @@ remedies_caliterra_rows() {
 }
 study_remedies() { seeded remedies remedies_city_rows; }
 study_remedies_caliterra() { seeded remedies_caliterra remedies_caliterra_rows; }
+
+# Another colour behind the Gaussians every step: nowhere, behind dark pixels of supported ground (the default), behind all
+# of it, behind all pixels.
+background_rows() { # STUDY SCENE TRAIN-OPTIONS
+  local study=$1 scene=$2 b
+  shift 2
+  for b in none dark supported all; do row "$study" "$b" "$scene" "" "$@" --background-random "$b"; done
+}
+background_city_rows() {
+  local MAP_VIEWS=1
+  background_rows background demo --iterations "$(steps background)" "${SMALL[@]}"
+}
+background_caliterra_rows() {
+  background_rows background_caliterra caliterra-400 --level-count 1 --iterations "$(steps background_caliterra)" --budget-3 100000
+}
+study_background() { seeded background background_city_rows; }
+study_background_caliterra() { seeded background_caliterra background_caliterra_rows; }
 
 # What long Gaussians and harmonics do to views from where nobody photographed.
 side_rows() {
@@ -589,7 +604,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra sh embedding network ochota_light poses_caliterra poses_ochota ablation ablation_city cells
+readonly STUDIES=(time full big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra background background_caliterra sh embedding network ochota_light poses_caliterra poses_ochota ablation ablation_city cells
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {

@@ -13,6 +13,7 @@
 #include "train/background.h"
 #include "train/config.h"
 #include "train/context.h"
+#include "train/photo_loader.h"
 
 /* Flat ground of 60 x 40 m with its corner in the origin, seen by three photographs up to x = 50
  * and by two behind; all of it is inside of the footprint. Flown 20 m above: 4 m of the border are
@@ -80,17 +81,26 @@ static struct camera from_above(void)
     return c;
 }
 
+static bool is_dark(uint32_t row)
+{
+    return row / 8 % 2 != 0;
+}
+
+/* Rows of the photograph are bright and dark in turn, 8 of each. */
 static struct render_options chosen(struct fixture *f, uint32_t step, const struct camera *cam)
 {
+    static uint8_t px[861 * 501 * 3];
     struct err e = {0};
+    struct photo p = {.cam = *cam, .px = px};
+    for (size_t i = 0; i < sizeof px; i++)
+        px[i] = is_dark((uint32_t)(i / 3 / cam->width_px)) ? 63 : i % 3 ? 20 : 64;
     struct render_options ro = {.background = {0.5f, 0.5f, 0.5f}};
-    kit_ok(background_choose(&f->background, &f->ctx, step, cam, &ro, &e), e);
+    kit_ok(background_choose(&f->background, &f->ctx, step, &p, &ro, &e), e);
     return ro;
 }
 
-static void another_colour_behind_supported_ground(void **state)
+static void check_where(struct fixture *f, bool dark_alone)
 {
-    struct fixture *f = *state;
     const struct camera cam = from_above();
     const struct render_options ro = chosen(f, 7, &cam);
     size_t n = 0, wrong = 0, unsure = 0;
@@ -99,7 +109,8 @@ static void another_colour_behind_supported_ground(void **state)
         for (uint32_t x = 0; x < cam.width_px; x++) {
             double east = NX / 2 + ((double)x + 0.5 - cam.cx_px) / 10.0,
                    north = NY / 2 - ((double)y + 0.5 - cam.cy_px) / 10.0;
-            bool want = border_m(east, north) >= DEEP_M && east < THREE_SEE;
+            bool want =
+                border_m(east, north) >= DEEP_M && east < THREE_SEE && (is_dark(y) || !dark_alone);
             /* a cell and a block of pixels */
             double border = least(fabs(border_m(east, north) - DEEP_M), fabs(east - THREE_SEE));
             bool got = ro.background_where[(size_t)y * cam.width_px + x] != 0;
@@ -108,11 +119,23 @@ static void another_colour_behind_supported_ground(void **state)
             wrong += border >= 2.0 && got != want;
         }
     assert_int_equal(wrong, 0);
-    assert_true(n > 100000 && unsure < 100000);
+    assert_true(n > (dark_alone ? 50000 : 100000) && unsure < 100000);
     for (int c = 0; c < 3; c++) {
         assert_true(ro.background[c] == 0.5f); /* elsewhere it stays */
         assert_true(ro.background_there[c] >= 0.0f && ro.background_there[c] < 1.0f);
     }
+}
+
+static void another_colour_behind_supported_ground(void **state)
+{
+    struct fixture *f = *state;
+    f->cfg.background_random = 2;
+    check_where(f, false);
+}
+
+static void behind_dark_pixels_alone(void **state)
+{
+    check_where(*state, true);
 }
 
 static void nothing_is_behind_the_sky(void **state)
@@ -145,7 +168,7 @@ static void behind_all_and_behind_none(void **state)
     f->cfg.background_random = 0;
     struct render_options ro = chosen(f, 1, &cam);
     assert_true(!ro.background_where && ro.background[0] == 0.5f);
-    f->cfg.background_random = 2;
+    f->cfg.background_random = 3;
     ro = chosen(f, 1, &cam);
     assert_true(!ro.background_where && ro.background[0] != ro.background[1]);
     f->cfg.background_random = 1;
@@ -158,6 +181,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test_setup_teardown(another_colour_behind_supported_ground, setup, teardown),
+        cmocka_unit_test_setup_teardown(behind_dark_pixels_alone, setup, teardown),
         cmocka_unit_test_setup_teardown(nothing_is_behind_the_sky, setup, teardown),
         cmocka_unit_test_setup_teardown(colours_are_of_seed_and_step, setup, teardown),
         cmocka_unit_test_setup_teardown(behind_all_and_behind_none, setup, teardown)};

@@ -6,14 +6,17 @@
 #include "cells/footprint.h"
 #include "core/base.h"
 #include "train/context.h"
+#include "train/photo_loader.h"
 
 enum background_random {
     BACKGROUND_RANDOM_NONE,
+    BACKGROUND_RANDOM_DARK,
     BACKGROUND_RANDOM_SUPPORTED,
     BACKGROUND_RANDOM_ALL
 }; /* option background_random */
 
 enum {
+    BACKGROUND_DARK = 64,    /* of 255: all channels of a dark pixel are below */
     BACKGROUND_BLOCK_PX = 8, /* pixels are asked in squares of so many a side */
     BACKGROUND_VIEWS = 3     /* photographs that see the ground, at least */
 };
@@ -41,15 +44,22 @@ static void background_mark(const struct footprint *f, const struct camera *c, u
         }
 }
 
-enum err_code background_choose(struct background *b, const struct context *ctx, uint32_t step,
-                                const struct camera *cam, struct render_options *ro, struct err *e)
+static void background_keep_dark(const uint8_t *px, size_t n, uint8_t *where)
 {
-    size_t n = (size_t)cam->width_px * cam->height_px;
+    for (size_t i = 0; i < n; i++, px += 3)
+        where[i] = where[i] && px[0] < BACKGROUND_DARK && px[1] < BACKGROUND_DARK &&
+                   px[2] < BACKGROUND_DARK;
+}
+
+enum err_code background_choose(struct background *b, const struct context *ctx, uint32_t step,
+                                const struct photo *p, struct render_options *ro, struct err *e)
+{
+    size_t n = (size_t)p->cam.width_px * p->cam.height_px;
     uint64_t stream = train_stream(TRAIN_STREAM_BACKGROUND, ctx->at + 1, step);
     float *color = ro->background;
     if (ctx->cfg->background_random == BACKGROUND_RANDOM_NONE)
         return ERR_OK;
-    if (ctx->cfg->background_random == BACKGROUND_RANDOM_SUPPORTED) {
+    if (ctx->cfg->background_random != BACKGROUND_RANDOM_ALL) {
         if (!ctx->ground || !ctx->ground->nx)
             return ERR_OK; /* nothing is known to be supported */
         if (n > b->cap) {
@@ -59,7 +69,9 @@ enum err_code background_choose(struct background *b, const struct context *ctx,
         }
         if (!b->where)
             return err_set(e, ERR_MEM, "background: out of memory for %zu pixels", n);
-        background_mark(ctx->ground, cam, b->where);
+        background_mark(ctx->ground, &p->cam, b->where);
+        if (ctx->cfg->background_random == BACKGROUND_RANDOM_DARK)
+            background_keep_dark(p->px, n, b->where);
         ro->background_where = b->where;
         color = ro->background_there;
     }

@@ -4,7 +4,8 @@
  * and whoever looks at the city before a sky sees holes. Behind another colour every step it may
  * not. But where photographs look at what nothing can tell the place of (a ground that one of them
  * sees, the sky), the same colour asks for something opaque at any distance at all, which is the
- * fog around a city; there the background stays as it is.
+ * fog around a city; and bright surfaces, which cannot hide, grow a second layer below the first.
+ * There the background stays as it is.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -16,18 +17,18 @@
 
 #include "core/err.h"
 
-struct camera;
 struct context;
+struct photo;
 struct render_options;
 
 struct background { /* {0} is ready; background_free */
     uint8_t *where; /* [h][w] of the last photograph, 0: the background stays */
     size_t cap;
 };
-/* Set ro's background for this step of a photograph taken by `cam`; ro borrows from b until the
- * next call. The colour is a function of seed, level and step. ERR_MEM. */
+/* Set ro's background for this step of a photograph; ro borrows from b until the next call. The
+ * colour is a function of seed, level and step. ERR_MEM. */
 enum err_code background_choose(struct background *b, const struct context *ctx, uint32_t step,
-                                const struct camera *cam, struct render_options *ro,
+                                const struct photo *p, struct render_options *ro,
                                 struct err *e) ERR_USE;
 void background_free(struct background *b);
 

@@ -249,7 +249,7 @@ enum err_code level_step(struct level *l, struct photometric_value *value, struc
     if (rc)
         return rc;
     struct render_options ro = context_photo_options(ctx, step, photo.image);
-    rc = background_choose(&l->background, ctx, step, &photo.cam, &ro, e);
+    rc = background_choose(&l->background, ctx, step, &photo, &ro, e);
     if (!rc)
         rc = regularizer_step(&l->regularizer, m, ctx, step, &photo, e);
     if (!rc)
