@@ -71,6 +71,7 @@ scene_about() {
     ochota-800) echo "ochota, 800 x 600 px" ;;
     city) echo "procedural city 300 m, 300 photographs of 400 x 300 px, cells of 100 m" ;;
     cells) echo "procedural city 200 m, 150 photographs of 400 x 300 px, 6 cells of 70 m, 24 map views" ;;
+    cells-light) echo "procedural city 200 m, 150 photographs of 400 x 300 px under changing light, 11 cells of 66 m" ;;
     cells-location) echo "procedural city 200 m, 150 photographs of 400 x 300 px, 6 cells of 70 m, without visibility selection, 24 map views" ;;
     demo) echo "demo city 120 m, 84 photographs of 480 x 360 px, 24 map views" ;;
     big) echo "procedural city 1 km, 640 photographs of 512 x 384 px, 12 cells of 340 m, 24 map views" ;;
@@ -102,6 +103,10 @@ scene_build() { # NAME FOLDER
     city) scene_ingest_city "$2" --extent-m 300 --photos 300 --points 100000; citysplat plan "$2" --edge-m 100 --images-few 16 ;;
     cells) scene_ingest_city "$2" --extent-m 200 --photos 150 --points 45000 --map-views 24; citysplat plan "$2" --edge-m 70 --images-few 16 ;;
     cells-location) scene_ingest_city "$2" --extent-m 200 --photos 150 --points 45000 --map-views 24; citysplat plan "$2" --edge-m 70 --images-few 16 --no-visibility ;;
+    cells-light)
+      scene_ingest_city "$2" --extent-m 200 --photos 150 --points 45000 --exposure-ev 0.5 --white-balance 0.15 --sun-variation 0.5
+      citysplat plan "$2" --edge-m 66 --images-few 16 --images-least 8
+      ;;
     demo)
       citysplat synth --config configs/demo-synth.jsonc --map-views 24 -o "$2-photos" --overwrite -q
       citysplat ingest "$2-photos/images" "$2-photos/sparse" --config configs/demo-ingest.jsonc -o "$2" -q
@@ -302,6 +307,13 @@ cells_rows() {
   row cells "from sparse points" cells "" "${base[@]}" --no-coarse-start
 }
 study_cells() { seeded cells cells_rows; }
+
+# One appearance model for all cells of a city whose light changes from photograph to photograph, by half images.
+study_cells_light() {
+  local base=(--iterations "$(steps cells_light)" --budget-1 10000 --budget-2 20000 --budget-3 40000)
+  row cells_light "no appearance" cells-light "" "${base[@]}" --eval --half-image on
+  row cells_light "appearance" cells-light "" "${base[@]}" --appearance --eval --half-image on
+}
 
 # Poses that are refined while Gaussians are trained, on photographs as they came.
 poses_rows() { # STUDY SCENE
@@ -604,7 +616,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra background background_caliterra sh embedding network ochota_light poses_caliterra poses_ochota ablation ablation_city cells
+readonly STUDIES=(time full big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra background background_caliterra sh embedding network ochota_light poses_caliterra poses_ochota ablation ablation_city cells cells_light
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {
