@@ -544,10 +544,13 @@ ptrdiff_t footprint_meets(const struct footprint *f, const double from_m[3], con
     double ground_m = i < 0 ? 0.0 : (double)f->ground_m[i];
     if (i < 0 || !(ray[2] < 0.0))
         return -1;
-    for (int k = 0; k < FOOTPRINT_ROUNDS && i >= 0;
-         k++) { /* where it is as high as the ground there */
+    for (int k = 0; k < FOOTPRINT_ROUNDS && i >= 0; k++) {
+        /* Where it is as high as the ground there; found when it is the cell that was tried. */
         double t = (ground_m - from_m[2]) / ray[2];
-        i = footprint_cell(f, from_m[0] + t * ray[0], from_m[1] + t * ray[1]);
+        ptrdiff_t at = footprint_cell(f, from_m[0] + t * ray[0], from_m[1] + t * ray[1]);
+        if (at == i)
+            break;
+        i = at;
         ground_m = i < 0 ? 0.0 : (double)f->ground_m[i];
     }
     return i;
