@@ -93,7 +93,7 @@ static struct render_options chosen(struct fixture *f, uint32_t step, const stru
     struct err e = {0};
     struct photo p = {.cam = *cam, .px = px};
     for (size_t i = 0; i < sizeof px; i++)
-        px[i] = is_dark((uint32_t)(i / 3 / cam->width_px)) ? 63 : i % 3 ? 20 : 64;
+        px[i] = is_dark((uint32_t)(i / 3 / cam->width_px)) ? 39 : i % 3 ? 20 : 40;
     struct render_options ro = {.background = {0.5f, 0.5f, 0.5f}};
     kit_ok(background_choose(&f->background, &f->ctx, step, &p, &ro, &e), e);
     return ro;

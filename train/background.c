@@ -16,7 +16,7 @@ enum background_random {
 }; /* option background_random */
 
 enum {
-    BACKGROUND_DARK = 64,    /* of 255: all channels of a dark pixel are below */
+    BACKGROUND_DARK = 40,    /* of 255: all channels of a dark pixel are below */
     BACKGROUND_BLOCK_PX = 8, /* pixels are asked in squares of so many a side */
     BACKGROUND_VIEWS = 3     /* photographs that see the ground, at least */
 };
