@@ -39,8 +39,9 @@ static void background_mark(const struct footprint *f, const struct camera *c, u
         for (size_t x = 0; x < w; x += block) {
             size_t right = x + block < w ? x + block : w, below = y + block < h ? y + block : h;
             footprint_ray(c, (double)(x + right - 1) / 2.0, (double)(y + below - 1) / 2.0, ray);
+            bool supported = background_is_supported(f, from_m, ray);
             for (size_t row = y; row < below; row++)
-                memset(where + row * w + x, background_is_supported(f, from_m, ray), right - x);
+                memset(where + row * w + x, supported, right - x);
         }
 }
 
