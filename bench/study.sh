@@ -50,12 +50,12 @@ steps() { # STUDY
   printf '%s' "${STUDY_STEPS:-$n}"
 }
 
-# seeded STUDY FUNCTION: FUNCTION with SEED 1, 2, ... as often as the study states; all rows of a seed before the next.
+# seeded STUDY COMMAND...: COMMAND with SEED 1, 2, ... as often as the study states; all rows of a seed before the next.
 seeded() {
   local seeds
   seeds=$(stated "$1" 2) || exit 1
   for SEED in $(seq "$seeds"); do
-    case " ${STUDY_SEEDS:-$SEED} " in *" $SEED "*) "$2" ;; esac
+    case " ${STUDY_SEEDS:-$SEED} " in *" $SEED "*) "${@:2}" ;; esac
   done
   SEED=
 }
@@ -252,6 +252,13 @@ tile_row() {
 # Budgets of cells of about 300 m^2 a thousand Gaussians; the presets' budgets are for larger ones.
 readonly SMALL=(--budget-1 40000 --budget-2 80000 --budget-3 160000)
 
+# ROWS STUDY: the rows of a study on the demo city with map views, or on caliterra at a budget that binds.
+on_demo() {
+  local MAP_VIEWS=1
+  "$1" "$2" demo --iterations "$(steps "$2")" "${SMALL[@]}"
+}
+on_caliterra() { "$1" "$2" caliterra-400 --level-count 1 --iterations "$(steps "$2")" --budget-3 100000; }
+
 study_time() { # accuracy against training time, with the finest level alone and with all three
   local n
   for n in 250 500 1000 2000 4000; do
@@ -288,14 +295,11 @@ ablation_rows() { # STUDY SCENE OPTIONS
   row "$study" "Mip-Splatting" "$scene" "" "$@" --aa mip
   row "$study" "sparse depth" "$scene" "" "$@" --depth-sparse
 }
-ablation_photographs_rows() {
-  ablation_rows ablation caliterra-400 --level-count 1 --iterations "$(steps ablation)" --budget-3 100000
-}
 ablation_city_rows() {
   local MAP_VIEWS=1
   ablation_rows ablation_city demo --level-count 1 --iterations "$(steps ablation_city)" --budget-3 120000
 }
-study_ablation() { seeded ablation ablation_photographs_rows; }
+study_ablation() { seeded ablation on_caliterra ablation_rows ablation; }
 study_ablation_city() { seeded ablation_city ablation_city_rows; }
 
 # What cells alone have: which photographs train one, where it may grow, what it begins from.
@@ -393,15 +397,8 @@ remedy_rows() { # STUDY SCENE TRAIN-OPTIONS
   row "$study" "harmonics as trained" "$scene" "" "$@" --sh-ridge 0
   row "$study" "opacity resets" "$scene" "" "$@" --reset-interval 200 --densify-until-3 0.8
 }
-remedies_city_rows() {
-  local MAP_VIEWS=1
-  remedy_rows remedies demo --iterations "$(steps remedies)" "${SMALL[@]}"
-}
-remedies_caliterra_rows() {
-  remedy_rows remedies_caliterra caliterra-400 --level-count 1 --iterations "$(steps remedies_caliterra)" --budget-3 100000
-}
-study_remedies() { seeded remedies remedies_city_rows; }
-study_remedies_caliterra() { seeded remedies_caliterra remedies_caliterra_rows; }
+study_remedies() { seeded remedies on_demo remedy_rows remedies; }
+study_remedies_caliterra() { seeded remedies_caliterra on_caliterra remedy_rows remedies_caliterra; }
 
 # Another colour behind the Gaussians every step: nowhere, behind dark pixels of supported ground (the default), behind all
 # of it, behind all pixels.
@@ -410,15 +407,8 @@ background_rows() { # STUDY SCENE TRAIN-OPTIONS
   shift 2
   for b in none dark supported all; do row "$study" "$b" "$scene" "" "$@" --background-random "$b"; done
 }
-background_city_rows() {
-  local MAP_VIEWS=1
-  background_rows background demo --iterations "$(steps background)" "${SMALL[@]}"
-}
-background_caliterra_rows() {
-  background_rows background_caliterra caliterra-400 --level-count 1 --iterations "$(steps background_caliterra)" --budget-3 100000
-}
-study_background() { seeded background background_city_rows; }
-study_background_caliterra() { seeded background_caliterra background_caliterra_rows; }
+study_background() { seeded background on_demo background_rows background; }
+study_background_caliterra() { seeded background_caliterra on_caliterra background_rows background_caliterra; }
 
 # What long Gaussians and harmonics do to views from where nobody photographed.
 side_rows() {
