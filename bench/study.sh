@@ -267,6 +267,9 @@ study_time() { # accuracy against training time, with the finest level alone and
   for n in 500 1000 2000 4000; do
     row time "three levels: $n steps" caliterra-400 "steps=$n" --iterations "$n" --budget-1 50000 --budget-2 100000 --budget-3 200000
   done
+  for n in 500 1000 2000; do # photographs as they came, as other trainers take them
+    row time "one level, as taken: $n steps" caliterra-400 "steps=$n" --level-count 1 --iterations "$n" --budget-3 200000 --no-exposure
+  done
 }
 
 study_budgets() { # accuracy against the number of Gaussians
