@@ -3,13 +3,17 @@
 #
 #   tests/stability/collect.sh [BUILD] [all]     BUILD: build/release if not given; all: also those labelled long
 #
-# Exit status: that of the tests. With a failed test the document is left as it is.
+# Exit status: that of the tests. With a failed test, or none, the document is left as it is.
 #
 # SPDX-License-Identifier: Apache-2.0
 set -u
 cd "$(dirname "$0")/../.." || exit 1
 build=${1:-build/release}
 long=${2:-}
+if [ ! -f "$build/CTestTestfile.cmake" ]; then
+    echo "collect.sh: $build holds no tests: build first (cmake --build --preset release), or name the folder" >&2
+    exit 2
+fi
 page=docs/stability.md
 log=$(mktemp) || exit 1
 new=$(mktemp) || exit 1
@@ -25,7 +29,7 @@ fi
 ctest --test-dir "$build" -V -R "$others" >>"$log" 2>&1 || status=1
 figures=$(sed -n 's/^[0-9]*: stability \(F[0-9][0-9]*\|LOD\) /\1 /p' "$log" | sort -V)
 printf '%s\n' "$figures"
-if [ $status -ne 0 ]; then
+if [ $status -ne 0 ] || [ -z "$figures" ]; then
     sed -n '/tests failed/,$p' "$log" >&2
     exit 1
 fi

@@ -54,43 +54,38 @@ static void read_ceilings(const char *path, const int64_t budget[3], struct ceil
     buf_free(&b);
 }
 
-/* A ring of photographs that look at its middle, cut into cells: those at the rim look out of their
- * cell into others, those in the middle have no photograph, some have too few. */
-static void cells_that_look_outside_keep_their_ceilings(void **state)
+/* A ring of photographs that look at its middle, cut into cells. */
+struct ring {
+    double ring_m, edge_m;
+    struct partition plan;
+    struct train_result result;
+    struct ceilings ceilings;
+};
+
+static void ring_train(struct ring *ring)
 {
-    (void)state;
     struct err e = {0};
     struct arena a = {0};
     struct toy t = toy_spec();
     struct gauss g = {0};
     struct scene s;
-    struct partition plan = {0};
     struct partition_config pc = partition_defaults();
-    struct train_result r = {0};
-    struct ceilings c = {0};
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX + 64];
     t.n = 150;
     t.half_m[0] = t.half_m[1] = 16.0;
     t.photos = CELLS_PHOTOS;
-    t.ring_m = 15.0;
+    t.ring_m = ring->ring_m;
     toy_gauss(&t, &g);
     kit_tmpdir(dir);
     toy_write(dir, &t, &g);
     kit_ok(scene_read(dir, &s, &e), e);
-    pc.edge_m = 6.0;
+    pc.edge_m = ring->edge_m;
     pc.images_few = 0;
     pc.images_least = CELLS_FEW;
     pc.use_visibility = false;
-    kit_ok(partition_make(&s, &pc, &plan, &e), e);
+    kit_ok(partition_make(&s, &pc, &ring->plan, &e), e);
     snprintf(path, sizeof path, "%s/plan.json", dir);
-    kit_ok(cell_plan_write(path, &s, &plan, &e), e);
-    size_t empty = 0, poor = 0, trained = 0;
-    for (size_t i = 0; i < plan.n_cells; i++) {
-        empty += plan.cells[i].n_images == 0;
-        poor += plan.cells[i].n_images > 0 && plan.cells[i].n_images < CELLS_FEW;
-        trained += plan.cells[i].parent < 0;
-    }
-    assert_true(empty >= 3 && poor >= 1 && trained >= 2);
+    kit_ok(cell_plan_write(path, &s, &ring->plan, &e), e);
     struct train_config cfg = toy_config(&a, NULL);
     cfg.iterations = CELLS_STEPS;
     cfg.budget_1 = CELLS_BUDGET / 2;
@@ -99,35 +94,77 @@ static void cells_that_look_outside_keep_their_ceilings(void **state)
     cfg.budget = BUDGET_TABLE;
     cfg.coarse_start = false; /* what a coarse model leaves around a cell is beside its ceilings */
     cfg.tau_1 = cfg.tau_2 = cfg.tau_3 = 1e-6; /* everything wants to grow */
-    kit_ok(train_run(dir, &cfg, &r, &e), e);
-    assert_int_equal(r.n_cells, trained);
+    kit_ok(train_run(dir, &cfg, &ring->result, &e), e);
     const int64_t budget[3] = {cfg.budget_1, cfg.budget_2, cfg.budget_3};
-    for (size_t i = 0; i < r.n_cells; i++) {
-        snprintf(path, sizeof path, "%s/cells/%s/metrics.jsonl", dir, r.cells[i].id);
-        read_ceilings(path, budget, &c);
-        assert_true(r.cells[i].n_gaussians[2] > 0);
+    for (size_t i = 0; i < ring->result.n_cells; i++) {
+        snprintf(path, sizeof path, "%s/cells/%s/metrics.jsonl", dir, ring->result.cells[i].id);
+        read_ceilings(path, budget, &ring->ceilings);
+        assert_true(ring->result.cells[i].n_gaussians[2] > 0);
     }
-    kit_figure("F11",
-               "inside_of_cap=%.3f outside_of_half_budget=%.3f total_of_1.5_budget=%.3f limit=1 "
-               "densifications=%zu",
-               c.inside, c.outside, c.total, c.lines);
-    kit_figure("F13",
-               "cells=%zu trained=%zu without_photographs=%zu with_too_few=%zu completed=%zu",
-               plan.n_cells, trained, empty, poor, r.n_cells);
-    assert_true(c.lines > 0 && c.grown > 0 && c.outside > 0.0);
-    assert_true(c.inside <= 1.0 && c.outside <= 1.0 && c.total <= 1.0);
-    train_result_free(&r);
-    partition_free(&plan);
     scene_free(&s);
     gauss_free(&g);
     kit_rmdir(dir);
     arena_free(&a);
 }
 
+static void ring_free(struct ring *ring)
+{
+    train_result_free(&ring->result);
+    partition_free(&ring->plan);
+}
+
+static void ceilings_figure(const struct ceilings *c, const char *looking)
+{
+    kit_figure("F11",
+               "looking=%s inside_of_cap=%.3f outside_of_half_budget=%.3f "
+               "total_of_1.5_budget=%.3f limit=1 densifications=%zu",
+               looking, c->inside, c->outside, c->total, c->lines);
+    assert_true(c->lines > 0 && c->grown > 0);
+    assert_true(c->inside <= 1.0 && c->outside <= 1.0 && c->total <= 1.0);
+}
+
+/* Photographs at the rim look out of their cell into others, cells in the middle have no
+ * photograph, some have too few: the outside is at its ceiling. */
+static void cells_that_look_outside_keep_their_ceilings(void **state)
+{
+    (void)state;
+    struct ring ring = {.ring_m = 15.0, .edge_m = 6.0};
+    ring_train(&ring);
+    size_t empty = 0, poor = 0, trained = 0;
+    for (size_t i = 0; i < ring.plan.n_cells; i++) {
+        const struct partition_cell *cell = &ring.plan.cells[i];
+        empty += cell->n_images == 0;
+        poor += cell->n_images > 0 && cell->n_images < CELLS_FEW;
+        trained += cell->parent < 0;
+    }
+    assert_true(empty >= 3 && poor >= 1 && trained >= 2);
+    assert_int_equal(ring.result.n_cells, trained);
+    ceilings_figure(&ring.ceilings, "out");
+    kit_figure("F13",
+               "cells=%zu trained=%zu without_photographs=%zu with_too_few=%zu completed=%zu",
+               ring.plan.n_cells, trained, empty, poor, ring.result.n_cells);
+    assert_true(ring.ceilings.outside > 0.95);
+    ring_free(&ring);
+}
+
+/* Four cells whose photographs look at the corner that they share: inside and outside are at their
+ * ceilings, and so is their sum. */
+static void cells_that_look_inside_keep_their_ceilings(void **state)
+{
+    (void)state;
+    struct ring ring = {.ring_m = 9.0, .edge_m = 12.0};
+    ring_train(&ring);
+    ceilings_figure(&ring.ceilings, "in");
+    assert_int_equal(ring.result.n_cells, 4);
+    assert_true(ring.ceilings.inside > 0.95 && ring.ceilings.total > 0.95);
+    ring_free(&ring);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(cells_that_look_outside_keep_their_ceilings),
+        cmocka_unit_test(cells_that_look_inside_keep_their_ceilings),
     };
     return cmocka_run_group_tests_name("cells", tests, toy_open_device, toy_close_device);
 }
