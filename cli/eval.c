@@ -162,7 +162,11 @@ static enum err_code eval_views(struct eval *v, const char *what, const struct e
                                 struct err *e)
 {
     char path[FILE_PATH_MAX];
-    struct eval_views_request q = {.dir = v->o.views, .scene = &v->scene, .rows = v->rows};
+    struct eval_views_request q = {.dir = v->o.views,
+                                   .scene = &v->scene,
+                                   .appearance = eval_half_image_appearance(&v->half_image),
+                                   .exposure = v->exposure,
+                                   .rows = v->rows};
     enum err_code rc = eval_pictures(v, what, path, &q.pictures, e);
     return rc ? rc : eval_views_run(&q, what, v->render, src, e);
 }

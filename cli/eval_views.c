@@ -9,6 +9,9 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "codec/scene.h"
+#include "core/exposure.h"
+#include "train/appearance_train.h"
 #include "train/map_views.h"
 
 struct eval_views_kind {
@@ -139,6 +142,21 @@ static enum err_code eval_views_picture(const struct eval_views *v, const struct
     return rc;
 }
 
+/* Draw as that photograph would have been taken from there. */
+static enum err_code eval_views_draw(const struct eval_views *v, const struct map_view *view,
+                                     float *rgb, double *gaussians, struct err *e)
+{
+    const struct evaluate_source *src = v->src;
+    bool lit = view->photograph != MAP_VIEWS_ONE_LIGHT;
+    if (v->q->appearance)
+        v->q->appearance->photograph = lit ? view->photograph : APPEARANCE_VIEW_NEAREST;
+    enum err_code rc = src->draw(src->user, &view->cam, rgb, gaussians, e);
+    if (!rc && lit && v->q->exposure)
+        exposure_expose(v->q->scene->images[view->photograph].exposure_ev, rgb,
+                        (size_t)view->cam.width_px * view->cam.height_px);
+    return rc;
+}
+
 static enum err_code eval_views_one(struct eval_views *v, size_t i, struct err *e)
 {
     enum { RGB = 0, MEDIAN = 3, FRONT, LEFT, LIMIT, PLANES };
@@ -151,7 +169,7 @@ static enum err_code eval_views_one(struct eval_views *v, size_t i, struct err *
     enum err_code rc = px ? map_views_load(&v->views, i, &t, e)
                           : err_set(e, ERR_MEM, "eval: out of memory for a picture");
     if (!rc)
-        rc = v->src->draw(v->src->user, &view->cam, px, &gaussians, e);
+        rc = eval_views_draw(v, view, px, &gaussians, e);
     if (!rc && v->src->own_size) /* the maps are of the last frame */
         rc = v->src->draw(v->src->own_size, &view->cam, px + MEDIAN * n, &gaussians, e);
     if (!rc) {
@@ -196,6 +214,8 @@ enum err_code eval_views_run(const struct eval_views_request *q, const char *wha
     }
     for (size_t i = 0; i < v.n_kinds; i++)
         map_sums_free(&v.kinds[i].sums);
+    if (q->appearance)
+        q->appearance->photograph = APPEARANCE_VIEW_NEAREST;
     render_surface_close(&v.surface);
     map_views_free(&v.views);
     return rc;

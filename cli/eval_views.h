@@ -7,6 +7,7 @@
 
 #include "train/evaluate.h"
 
+struct appearance_view;
 struct json_t;
 struct scene;
 
@@ -14,7 +15,9 @@ struct eval_views_request {
     const char *dir;      /* of the views */
     const char *pictures; /* folder for truth | drawing as NAME.png; NULL: none */
     const struct scene *scene;
-    struct json_t *rows; /* a JSON array that the scores are added to */
+    struct appearance_view *appearance; /* what the source draws with; NULL: without */
+    bool exposure;                      /* the source draws at the mean exposure */
+    struct json_t *rows;                /* a JSON array that the scores are added to */
 };
 void eval_views_print_head(void);
 /* Score a source that draws with `render`: a row for each kind of view, one for all. */

@@ -38,6 +38,7 @@ static const double view_fov_y_deg = 50, /* vertical, a map's usual one */
 static const double near_height = 0.45, far_height = 2.1,
                     aslant_pitch_deg = -45; /* flight heights */
 static const double clear_m = 1;            /* of the eye from any solid */
+static const uint64_t light_dice = 1 << 27; /* random numbers from here on are not those of poses */
 
 struct pose { /* city frame; heading clockwise from +y */
     double eye_m[3], target_m[3], heading_deg, pitch_deg;
@@ -53,6 +54,7 @@ struct views {
     struct synth_draw draw;
     struct camera *cams; /* [n] */
     enum view_kind *kinds;
+    const struct synth_photo **lights; /* [n] whose light it is; NULL: the city's one */
     size_t n;
     struct progress progress;
     atomic_flag progress_busy;
@@ -212,6 +214,24 @@ static enum err_code views_place(struct views *v, size_t i, struct err *e)
                    i + 1, kind_names[kind], VIEW_TRIES);
 }
 
+/* One of the photographs that train and are what they seem. */
+static enum err_code views_light(struct views *v, size_t i, struct err *e)
+{
+    const struct synth_config *cfg = v->cfg;
+    struct dice d = {(uint64_t)cfg->seed,
+                     ((uint64_t)cfg->map_seed << 28) + light_dice + (uint64_t)i * VIEW_TRIES};
+    for (int k = 0; k < VIEW_TRIES; k++) {
+        size_t j = (size_t)views_roll(&d, 0, (double)cfg->photos - 0.001);
+        const struct synth_photo *p = &v->photos[j];
+        if (j % (size_t)cfg->test_every == 0 || p->pose_error || p->gps_outlier)
+            continue;
+        v->lights[i] = p;
+        return ERR_OK;
+    }
+    return err_set(e, ERR_DATA,
+                   "synth: map view %zu: no training photograph whose light it could have", i + 1);
+}
+
 /* ---- the mask ---- */
 
 /* What training has of a photograph: the picture without the lens' distortion, which leaves out the
@@ -333,7 +353,7 @@ static enum err_code views_write_one(const struct views *v, size_t i, struct err
 {
     char path[FILE_PATH_MAX];
     const struct camera *cam = &v->cams[i];
-    struct synth_light light = synth_shade_light();
+    struct synth_light light = v->lights[i] ? v->lights[i]->light : synth_shade_light();
     struct image img = {0}, mask = {0}, square = {0};
     size_t shape[2] = {cam->height_px, cam->width_px};
     float *depth = mem_array(shape[0] * shape[1], sizeof *depth);
@@ -393,8 +413,10 @@ static enum err_code views_write_manifest(const struct views *v, struct err *e)
         double eye[3];
         camera_center(&v->cams[i], eye);
         snprintf(name, sizeof name, "%03zu-%s", i + 1, kind_names[v->kinds[i]]);
-        json_array_append_new(views, json_pack("{s:s, s:s, s:f}", "name", name, "kind",
-                                               kind_names[v->kinds[i]], "height_m", eye[2]));
+        json_array_append_new(views,
+                              json_pack("{s:s, s:s, s:f, s:s*}", "name", name, "kind",
+                                        kind_names[v->kinds[i]], "height_m", eye[2], "photograph",
+                                        v->lights[i] ? v->lights[i]->name : NULL));
     }
     json_t *root =
         json_pack("{s:s, s:I, s:I, s:f, s:{s:f, s:o, s:o}, s:o}", "format", "citysplat-views",
@@ -422,10 +444,13 @@ enum err_code synth_views_write(const struct synth_config *cfg, const struct syn
     enum err_code rc = ERR_OK;
     v.cams = mem_array(v.n, sizeof *v.cams);
     v.kinds = mem_array(v.n, sizeof *v.kinds);
-    if (!v.cams || !v.kinds)
+    v.lights = mem_array(v.n, sizeof *v.lights);
+    if (!v.cams || !v.kinds || !v.lights)
         rc = err_set(e, ERR_MEM, "synth: out of memory for %zu views", v.n);
     for (size_t i = 0; !rc && i < v.n; i++)
         rc = views_place(&v, i, e);
+    for (size_t i = 0; !rc && i < v.n && cfg->map_light; i++)
+        rc = views_light(&v, i, e);
     if (!rc) {
         struct lens l = {
             .model = LENS_PINHOLE,
@@ -445,6 +470,7 @@ enum err_code synth_views_write(const struct synth_config *cfg, const struct syn
     synth_draw_close(&v.draw);
     mem_free(v.cams);
     mem_free(v.kinds);
+    mem_free(v.lights);
     return rc;
 }
 
@@ -463,6 +489,7 @@ enum err_code synth_views_config(const struct synth_config *asked, struct synth_
     json_decref(root);
     out->map_views = asked->map_views;
     out->map_seed = asked->map_seed;
+    out->map_light = asked->map_light;
     out->map_blur_px = asked->map_blur_px;
     return rc;
 }

@@ -35,6 +35,13 @@ run eval scene --tiles t.tiles --flight 24 --max-edge-px 96 --fade 8
 "$bin" eval scene --tiles t.tiles --fade 8 >log 2>&1 && fail "--fade without --flight"
 "$bin" eval scene --flight 6 >log 2>&1 && fail "--flight without --tiles"
 grep -q -- "--tiles" log || fail "says what is missing"
+# Views in the light of photographs.
+run synth --city city --map-views 4 --map-light -o lit -q
+[ "$(grep -c '"photograph": "IMG_[0-9]*.jpg"' lit/views.json)" = 4 ] || fail "views name the photograph of their light"
+run eval scene --views lit
+sed 's/"photograph": "IMG_/"photograph": "XYZ_/' lit/views.json >other && cp other lit/views.json
+"$bin" eval scene --views lit >log 2>&1 && fail "light of a photograph that is not there"
+grep -q "XYZ_.*which the scene does not have" log || fail "says which photograph is missing"
 "$bin" eval scene --views city >log 2>&1 && fail "a folder without views"
 grep -q "map-views" log || fail "says who makes views"
 echo "map views and flight hold"

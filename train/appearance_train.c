@@ -415,7 +415,10 @@ size_t appearance_train_nearest(const struct appearance *a, const struct scene *
 enum err_code appearance_view_open(struct appearance_view *v, const struct appearance *model,
                                    const struct scene *s, struct err *e)
 {
-    *v = (struct appearance_view){.model = model, .scene = s, .reach_m = appearance_train_reach(s)};
+    *v = (struct appearance_view){.model = model,
+                                  .scene = s,
+                                  .reach_m = appearance_train_reach(s),
+                                  .photograph = APPEARANCE_VIEW_NEAREST};
     v->row = mem_array(s->n_images, sizeof *v->row);
     v->image = mem_array(model->len_image, sizeof(float));
     v->frame = mem_array(appearance_frame_floats(model->len_gauss, model->hidden), sizeof(float));
@@ -437,7 +440,10 @@ void appearance_view_close(struct appearance_view *v)
 
 const float *appearance_view_frame(struct appearance_view *v, const struct camera *cam)
 {
-    if (!appearance_train_nearest(v->model, v->scene, v->row, cam, v->reach_m, v->image))
+    uint32_t p = v->photograph;
+    if (p < v->scene->n_images && v->row[p] != APPEARANCE_TRAIN_ROW_NONE)
+        appearance_blend(v->model, &v->row[p], (const double[]){1.0}, 1, v->image);
+    else if (!appearance_train_nearest(v->model, v->scene, v->row, cam, v->reach_m, v->image))
         return NULL;
     appearance_frame(v->model, v->image, v->frame);
     return v->frame;

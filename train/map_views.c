@@ -104,14 +104,37 @@ static enum err_code map_view_file(const struct map_views *v, const char *name, 
     return file_join(out, v->dir, file, e);
 }
 
-static enum err_code map_view_read(struct map_views *v, const json_t *o, const struct move *m,
-                                   struct map_view *out, struct err *e)
+/* The photograph in whose light a view is. */
+static enum err_code map_view_light(const json_t *o, const struct scene *s, struct map_view *out,
+                                    struct err *e)
+{
+    const char *name = NULL;
+    out->photograph = MAP_VIEWS_ONE_LIGHT;
+    if (!json_object_get(o, "photograph"))
+        return ERR_OK;
+    enum err_code rc = jsonc_text(o, "photograph", &name, e);
+    for (size_t i = 0; !rc && i < s->n_images; i++)
+        if (!strcmp(s->images[i].name, name)) {
+            out->photograph = (uint32_t)i;
+            return ERR_OK;
+        }
+    return rc ? rc
+              : err_set(e, ERR_DATA,
+                        "view %s is in the light of %.64s, which the scene does not have: were "
+                        "both made from the same photographs?",
+                        out->name, name);
+}
+
+static enum err_code map_view_read(struct map_views *v, const json_t *o, const struct scene *s,
+                                   const struct move *m, struct map_view *out, struct err *e)
 {
     char path[FILE_PATH_MAX];
     json_t *cam = NULL;
     enum err_code rc = map_view_word(o, "name", out->name, e);
     if (!rc)
         rc = map_view_word(o, "kind", out->kind, e);
+    if (!rc)
+        rc = map_view_light(o, s, out, e);
     if (!rc)
         rc = map_view_file(v, out->name, ".json", path, e);
     if (!rc)
@@ -149,7 +172,7 @@ enum err_code map_views_read(const char *dir, const struct scene *s, struct map_
     if (!rc && !(out->views = mem_array(json_array_size(list), sizeof *out->views)))
         rc = err_set(e, ERR_MEM, "out of memory for %zu views", json_array_size(list));
     for (; !rc && out->n < json_array_size(list); out->n++)
-        rc = map_view_read(out, json_array_get(list, out->n), &m, &out->views[out->n], e);
+        rc = map_view_read(out, json_array_get(list, out->n), s, &m, &out->views[out->n], e);
     out->scale = m.scale;
     json_decref(root);
     if (rc) {

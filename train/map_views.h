@@ -12,9 +12,11 @@
 struct scene;
 
 enum { MAP_VIEWS_KINDS_MAX = 16, MAP_VIEWS_NAME = 64 };
+#define MAP_VIEWS_ONE_LIGHT UINT32_MAX /* that of the city without any variation */
 struct map_view {
     char name[MAP_VIEWS_NAME], kind[MAP_VIEWS_NAME];
-    struct camera cam; /* in the scene's frame */
+    uint32_t photograph; /* of the scene, in whose light it is; MAP_VIEWS_ONE_LIGHT */
+    struct camera cam;   /* in the scene's frame */
 };
 struct map_views { /* {0} is empty; map_views_free */
     char dir[FILE_PATH_MAX];
@@ -23,7 +25,8 @@ struct map_views { /* {0} is empty; map_views_free */
     double scale; /* metres of the scene per metre of the truth */
 };
 /* Read a folder's views.json and cameras, and move them into the scene's frame through the COLMAP
- * model that both come from. ERR_NOENT, ERR_FORMAT. */
+ * model that both come from. ERR_NOENT, ERR_FORMAT; ERR_DATA: the light of a photograph that the
+ * scene does not have. */
 enum err_code map_views_read(const char *dir, const struct scene *s, struct map_views *out,
                              struct err *e) ERR_USE;
 void map_views_free(struct map_views *v);

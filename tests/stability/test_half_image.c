@@ -83,6 +83,39 @@ static void half_fit(struct half_case *t, const struct photo *p, enum half_image
     kit_ok(half_image_fit(t->h, p, &t->run.level.model.gauss, &t->ro, side, embedding, &e), e);
 }
 
+/* A camera can be drawn in the appearance of any photograph; of one without, in the nearest's. */
+static void a_view_has_the_appearance_that_it_is_given(void **state)
+{
+    (void)state;
+    struct half_case t;
+    half_case_open(&t);
+    const struct appearance *a = t.view.model;
+    size_t floats = appearance_frame_floats(a->len_gauss, a->hidden);
+    float *nearest = mem_array(floats, sizeof *nearest), *own = mem_array(floats, sizeof *own);
+    float image[APPEARANCE_IMAGE_MAX];
+    assert_true(nearest && own);
+    memcpy(nearest, appearance_view_frame(&t.view, &t.photo.cam), floats * sizeof *nearest);
+    size_t with = 0, without = 0;
+    for (uint32_t i = 0; i < t.run.scene.n_images; i++) {
+        t.view.photograph = i;
+        const float *frame = appearance_view_frame(&t.view, &t.photo.cam);
+        if (t.view.row[i] == APPEARANCE_TRAIN_ROW_NONE) {
+            assert_memory_equal(frame, nearest, floats * sizeof *frame);
+            without++;
+            continue;
+        }
+        appearance_blend(a, &t.view.row[i], (const double[]){1.0}, 1, image);
+        appearance_frame(a, image, own);
+        assert_memory_equal(frame, own, floats * sizeof *frame);
+        assert_memory_not_equal(frame, nearest, floats * sizeof *frame);
+        with++;
+    }
+    assert_true(with > 2 && without > 0);
+    mem_free(nearest);
+    mem_free(own);
+    half_case_close(&t);
+}
+
 static void the_score_of_a_half_does_not_know_the_other(void **state)
 {
     (void)state;
@@ -176,6 +209,7 @@ int main(int argc, char **argv)
     if (argc > 1)
         cmocka_set_test_filter(argv[1]);
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(a_view_has_the_appearance_that_it_is_given),
         cmocka_unit_test(the_score_of_a_half_does_not_know_the_other),
         cmocka_unit_test(masked_pixels_of_a_half_count_nothing),
         cmocka_unit_test(scores_take_no_longer_than_training),
