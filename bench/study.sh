@@ -76,7 +76,9 @@ scene_about() {
     demo) echo "demo city 120 m, 84 photographs of 480 x 360 px, 24 map views" ;;
     big) echo "procedural city 1 km, 640 photographs of 512 x 384 px, 12 cells of 340 m, 24 map views" ;;
     above) echo "procedural city 100 m, 60 photographs of 320 x 240 px from straight above, 24 map views" ;;
-    light) echo "procedural city 100 m, 60 photographs of 320 x 240 px under changing light" ;;
+    light | light-views*) echo "procedural city 100 m, 60 photographs of 320 x 240 px under changing light" ;;
+    sun-views*) echo "procedural city 100 m, 60 photographs of 320 x 240 px under sun and clouds" ;;
+    one-light) echo "the same city under one light" ;;
     city-light) echo "procedural city 200 m, 150 photographs of 400 x 300 px under changing light" ;;
     *) die "no scene '$1'" ;;
   esac
@@ -86,12 +88,17 @@ scene_ingest_caliterra() { # FOLDER EDGE_PX
   citysplat ingest "$CITYSPLAT_CALITERRA/images" "$CITYSPLAT_CALITERRA/sparse" --max-edge-px "$2" -o "$1" -q
 }
 
+# The city of the studies on light, and what changes from photograph to photograph.
+readonly LIGHT=(--extent-m 100 --photos 60 --width-px 320 --height-px 240 --points 20000)
+readonly CHANGING=(--exposure-ev 0.5 --white-balance 0.15 --sun-variation 0.5)
+readonly SUN=(--sun-variation 1.5)
+
 scene_ingest_city() { # FOLDER synth options
   local folder=$1
   shift
   citysplat synth -o "$folder-photos" --overwrite -q "$@"
-  # Exposures are left to the network, as when the recorded rows were measured.
-  citysplat ingest "$folder-photos/images" "$folder-photos/sparse" --min-points 24 --no-exposure -o "$folder" -q
+  # Exposures are left to the network where a scene says nothing else, as when most rows were measured.
+  citysplat ingest "$folder-photos/images" "$folder-photos/sparse" --min-points 24 "${EXPOSURE:---no-exposure}" -o "$folder" -q
 }
 
 scene_build() { # NAME FOLDER
@@ -113,7 +120,12 @@ scene_build() { # NAME FOLDER
       ;;
     big) scene_ingest_city "$2" --extent-m 1000 --photos 640 --width-px 512 --height-px 384 --points 400000 --map-views 24; citysplat plan "$2" --edge-m 340 --images-few 16 ;;
     above) scene_ingest_city "$2" --extent-m 100 --photos 60 --width-px 320 --height-px 240 --points 20000 --oblique-share 0 --map-views 24 ;;
-    light) scene_ingest_city "$2" --extent-m 100 --photos 60 --width-px 320 --height-px 240 --points 20000 --exposure-ev 0.5 --white-balance 0.15 --sun-variation 0.5 ;;
+    light) scene_ingest_city "$2" "${LIGHT[@]}" "${CHANGING[@]}" ;;
+    light-views) scene_ingest_city "$2" "${LIGHT[@]}" "${CHANGING[@]}" --map-views 24 --map-light ;;
+    light-views-exposed) EXPOSURE=--exposure scene_ingest_city "$2" "${LIGHT[@]}" "${CHANGING[@]}" --map-views 24 --map-light ;;
+    sun-views) scene_ingest_city "$2" "${LIGHT[@]}" "${SUN[@]}" --map-views 24 --map-light ;;
+    sun-views-exposed) EXPOSURE=--exposure scene_ingest_city "$2" "${LIGHT[@]}" "${SUN[@]}" --map-views 24 --map-light ;;
+    one-light) scene_ingest_city "$2" "${LIGHT[@]}" --map-views 24 ;;
     city-light) scene_ingest_city "$2" --extent-m 200 --photos 150 --points 60000 --exposure-ev 0.5 --white-balance 0.15 --sun-variation 0.5 ;;
   esac >&2
 }
@@ -350,6 +362,19 @@ network_rows() {
   row network "no appearance" light "" "${base[@]}" --eval --half-image on
 }
 study_network() { seeded network network_rows; }
+
+# The light of a photograph put on the whole city: map views in the light of photographs that were taken elsewhere. Cameras and a
+# little of the light change, then the light alone.
+transfer_rows() { # STUDY SCENE
+  local study=$1 scene=$2 MAP_VIEWS=1 base=(--iterations "$(steps "$1")" --budget-1 15000 --budget-2 25000 --budget-3 40000)
+  row "$study" "neither" "$scene" "" "${base[@]}"
+  row "$study" "exposure" "$scene-exposed" "" "${base[@]}"
+  row "$study" "appearance" "$scene" "" "${base[@]}" --appearance
+  row "$study" "both" "$scene-exposed" "" "${base[@]}" --appearance
+  [ "$study" != transfer ] || row "$study" "one light" one-light "" "${base[@]}"
+}
+study_transfer() { seeded transfer transfer_rows transfer light-views; }
+study_transfer_sun() { seeded transfer_sun transfer_rows transfer_sun sun-views; }
 
 # What exposures and appearance are worth on photographs of a real district under changing light, by half images.
 study_ochota_light() {
@@ -609,7 +634,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra background background_caliterra sh embedding network ochota_light poses_caliterra poses_ochota ablation ablation_city cells cells_light
+readonly STUDIES=(time full big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra background background_caliterra sh embedding network transfer transfer_sun ochota_light poses_caliterra poses_ochota ablation ablation_city cells cells_light
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {
