@@ -93,6 +93,7 @@ readonly LIGHT=(--extent-m 100 --photos 60 --width-px 320 --height-px 240 --poin
 readonly CHANGING=(--exposure-ev 0.5 --white-balance 0.15 --sun-variation 0.5)
 readonly SUN=(--sun-variation 1.5)
 
+EXPOSURE= # of a scene alone, never of the caller's environment
 scene_ingest_city() { # FOLDER synth options
   local folder=$1
   shift
@@ -111,7 +112,7 @@ scene_build() { # NAME FOLDER
     cells) scene_ingest_city "$2" --extent-m 200 --photos 150 --points 45000 --map-views 24; citysplat plan "$2" --edge-m 70 --images-few 16 ;;
     cells-location) scene_ingest_city "$2" --extent-m 200 --photos 150 --points 45000 --map-views 24; citysplat plan "$2" --edge-m 70 --images-few 16 --no-visibility ;;
     cells-light)
-      scene_ingest_city "$2" --extent-m 200 --photos 150 --points 45000 --exposure-ev 0.5 --white-balance 0.15 --sun-variation 0.5
+      scene_ingest_city "$2" --extent-m 200 --photos 150 --points 45000 "${CHANGING[@]}"
       citysplat plan "$2" --edge-m 66 --images-few 16 --images-least 8
       ;;
     demo)
@@ -126,7 +127,7 @@ scene_build() { # NAME FOLDER
     sun-views) scene_ingest_city "$2" "${LIGHT[@]}" "${SUN[@]}" --map-views 24 --map-light ;;
     sun-views-exposed) EXPOSURE=--exposure scene_ingest_city "$2" "${LIGHT[@]}" "${SUN[@]}" --map-views 24 --map-light ;;
     one-light) scene_ingest_city "$2" "${LIGHT[@]}" --map-views 24 ;;
-    city-light) scene_ingest_city "$2" --extent-m 200 --photos 150 --points 60000 --exposure-ev 0.5 --white-balance 0.15 --sun-variation 0.5 ;;
+    city-light) scene_ingest_city "$2" --extent-m 200 --photos 150 --points 60000 "${CHANGING[@]}" ;;
   esac >&2
 }
 
@@ -363,7 +364,7 @@ network_rows() {
 }
 study_network() { seeded network network_rows; }
 
-# The light of a photograph put on the whole city: map views in the light of photographs that were taken elsewhere. Cameras and a
+# The light of a photograph put on the whole city: map views in the light of photographs. Cameras and a
 # little of the light change, then the light alone.
 transfer_rows() { # STUDY SCENE
   local study=$1 scene=$2 MAP_VIEWS=1 base=(--iterations "$(steps "$1")" --budget-1 15000 --budget-2 25000 --budget-3 40000)

@@ -39,6 +39,21 @@ grep -q -- "--tiles" log || fail "says what is missing"
 run synth --city city --map-views 4 --map-light -o lit -q
 [ "$(grep -c '"photograph": "IMG_[0-9]*.jpg"' lit/views.json)" = 4 ] || fail "views name the photograph of their light"
 run eval scene --views lit
+# They are exposed as their photograph was, and drawn in its appearance: said to be of another one, they fit worse.
+psnr() { awk '$3 == "all" { print $5 }' log; }
+run synth --extent-m 60 --photos 24 --width-px 96 --height-px 72 --points 3000 --exposure-ev 1 --map-views 8 --map-light -o bright -q
+run ingest bright/images bright/sparse --min-points 12 -o bright-scene -q
+cp -r bright/map-views swapped
+awk '/"photograph"/ { sub(/IMG_[0-9]*/, sprintf("IMG_%04d", 2 + 7 * n++ % 22)) } { print }' bright/map-views/views.json >swapped/views.json
+run train bright-scene --level-count 1 --iterations 120 --budget-3 4000 -o exposure -q
+run train bright-scene --level-count 1 --iterations 500 --budget-3 4000 --no-exposure --appearance --appearance-warmup 50 -o appearance -q
+for results in exposure appearance; do
+    run eval bright-scene --results $results --views bright/map-views
+    right=$(psnr)
+    run eval bright-scene --results $results --views swapped
+    awk -v a="$right" -v b="$(psnr)" 'BEGIN { exit !(b > 5 && a > b + 3) }' ||
+        fail "$results: $right dB of the right photographs, $(psnr) dB of others"
+done
 sed 's/"photograph": "IMG_/"photograph": "XYZ_/' lit/views.json >other && cp other lit/views.json
 "$bin" eval scene --views lit >log 2>&1 && fail "light of a photograph that is not there"
 grep -q "XYZ_.*which the scene does not have" log || fail "says which photograph is missing"

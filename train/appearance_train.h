@@ -88,18 +88,17 @@ struct appearance_view {
     uint32_t *row;        /* [scene images] as appearance_train_rows */
     double reach_m;       /* as appearance_train_nearest */
     float *image, *frame; /* of the last camera */
-    uint32_t photograph; /* of the scene, whose appearance every camera has; the nearest ones' where
-                           * it has no row */
+    uint32_t photograph;  /* of the scene, whose appearance every camera has, if it has a row; else
+                           * that of the nearest */
 };
-#define APPEARANCE_VIEW_NEAREST UINT32_MAX
+#define APPEARANCE_VIEW_NEAREST UINT32_MAX /* photograph: none */
 
 /* ERR_MEM, and then there is nothing to close. */
 enum err_code appearance_view_open(struct appearance_view *v, const struct appearance *model,
                                    const struct scene *s, struct err *e) ERR_USE;
 void appearance_view_close(struct appearance_view *v);
 /* Constants of a frame in the appearance of `photograph`, or of the nearest training cameras; NULL
- * when none has a row.
- * Borrowed until the next call. */
+ * when none has a row. Borrowed until the next call. */
 const float *appearance_view_frame(struct appearance_view *v, const struct camera *cam);
 
 /* Embedding for a camera without one: mean of those of the three nearest training cameras. Distance
