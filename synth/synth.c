@@ -236,6 +236,7 @@ static enum err_code synth_write_truth(const struct job *j, const struct synth_s
     json_object_del(config, "city");
     json_object_del(config, "map_views"); /* nor does it depend on what is drawn of it */
     json_object_del(config, "map_seed");
+    json_object_del(config, "map_light");
     json_object_del(config, "map_blur_px");
     json_t *root = json_pack(
         "{s:s, s:o, s:{s:f, s:f, s:f}, s:{s:f, s:o, s:o}, s:{s:s, s:i, s:i, s:o}, s:o}", "format",

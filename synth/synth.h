@@ -72,6 +72,7 @@ struct synth_city { /* {0} is empty; synth_city_free */
     double street_half_m[2][SYNTH_STREETS_MAX];
     size_t n_streets[2];
     double sun[3]; /* unit vector to the sun, city frame */
+    double gloss;  /* share of what shines of its real strength; 0: all is matt */
     struct synth_solid *solids;
     size_t n_solids, cap_solids;
     struct synth_grid grid;

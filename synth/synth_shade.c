@@ -3,8 +3,9 @@
  * Gaussians are judged by texture, so no surface is plain: asphalt with markings and stains, tiled
  * pavements, facades with bays of windows, roofs of tiles, gravel or panels, leaves, fields with
  * furrows. Noise is value noise in octaves; an octave finer than the sample is left out, so
- * distance blurs instead of flickering. Surfaces are matt: colour does not depend on the direction
- * of view.
+ * distance blurs instead of flickering. Surfaces are matt, unless the city has gloss: then glass
+ * and standing water mirror, and asphalt, tiles, sheet metal and car paint have a sheen about the
+ * sun's mirror image (Blinn and Phong's, of Schlick's Fresnel term), one bounce and no more.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -41,8 +42,22 @@ static float shade_noise(float x, float y, uint32_t seed)
     return 2 * (a + u * (b - a) + v * (c - a + u * (a - b - c + d))) - 1;
 }
 
-struct sample { /* of one hit: what textures need */
-    float foot; /* metres a sample covers */
+struct shine {    /* of one hit; 0: matt */
+    float normal; /* share of light that is mirrored at right angles */
+    float sharp;  /* Blinn and Phong's exponent */
+};
+static const float shade_mirror_sharp = 500; /* from here on a surface shows what it mirrors */
+static const struct shine shade_glass = {.08f, 1000}; /* two panes */
+static const struct shine shade_water = {.03f, 1000};
+static const struct shine shade_panel = {.04f, 1000};
+static const struct shine shade_paintwork = {.05f, 300};
+static const struct shine shade_sheet = {.25f, 15};
+static const struct shine shade_asphalt = {.04f, 8};
+static const struct shine shade_clay = {.03f, 6};
+
+struct sample {          /* of one hit: what textures need */
+    float foot;          /* metres a sample covers */
+    struct shine *shine; /* what the texture says of it */
 };
 
 /* 1 where a detail of this size shows, 0 where the sample swallows it. */
@@ -135,6 +150,7 @@ static float shade_street_mark(const struct street *s, float along, const struct
 static void shade_road_albedo(const struct sample *s, float x, float y, const struct street *sx,
                               const struct street *sy, uint32_t seed, float rgb[3])
 {
+    *s->shine = shade_asphalt;
     bool along_y = fabsf(sx->across) < sx->half, along_x = fabsf(sy->across) < sy->half;
     float grey = 0.115f * (1 + 0.55f * shade_fbm(s, x, y, seed, 9, 6));
     float patch = shade_noise(x / 13, y / 5, seed + 1);
@@ -259,6 +275,7 @@ static void shade_window_albedo(const struct sample *s, float u, float v, uint32
         shade_mix(rgb, (const float[3]){.62f, .61f, .58f}, 0.85f);
         return;
     }
+    *s->shine = shade_glass;
     float lit = (float)(pane & 255) / 255;
     shade_paint(rgb, 0.035f + 0.05f * lit, 0.045f + 0.06f * lit, 0.06f + 0.09f * lit);
     shade_tone(rgb, 0.7f + 0.8f * v);
@@ -267,7 +284,6 @@ static void shade_window_albedo(const struct sample *s, float u, float v, uint32
             shade_paint(rgb, .42f, .38f, .30f);
     if ((pane >> 8 & 7) == 1 && fabsf(u - 0.5f) > 0.3f) /* curtains */
         shade_paint(rgb, .36f, .33f, .33f);
-    (void)s;
 }
 
 static void shade_wall_albedo(const struct sample *s, const struct synth_hit *hit, float rgb[3])
@@ -325,6 +341,7 @@ static void shade_tiled_roof_albedo(const struct sample *s, const struct synth_h
         {.33f, .12f, .07f}, {.26f, .09f, .06f}, {.14f, .13f, .14f}, {.36f, .20f, .11f}};
     const struct synth_solid *h = hit->solid;
     const float *base = tiles[h->seed >> 3 & 3];
+    *s->shine = shade_clay;
     float u = (float)hit->local[0], len = (float)hypot(h->ridge_m - h->z1_m, h->half_m[1]);
     float v = (float)(fabs(hit->local[1]) / h->half_m[1]) * len;
     int32_t j = (int32_t)floorf(v / 0.4f), i = (int32_t)floorf(u / 0.35f);
@@ -339,9 +356,12 @@ static void shade_tiled_roof_albedo(const struct sample *s, const struct synth_h
         shade_tone(rgb, 1.35f);
     float w = fabsf(shade_cell_phase(u + 50, 3.4f) * 3.4f - 1.7f),
           mid = fabsf(v - 0.55f * len); /* roof windows */
-    if ((h->seed >> 6 & 1) && w < 0.42f && mid < 0.6f)
+    if ((h->seed >> 6 & 1) && w < 0.42f && mid < 0.6f) {
         shade_paint(rgb, w > 0.34f || mid > 0.5f ? .4f : .06f, w > 0.34f || mid > 0.5f ? .4f : .08f,
                     w > 0.34f ? .4f : .12f);
+        if (w <= 0.34f && mid <= 0.5f)
+            *s->shine = shade_glass;
+    }
 }
 
 static void shade_flat_roof_albedo(const struct sample *s, const struct synth_hit *hit,
@@ -358,8 +378,12 @@ static void shade_flat_roof_albedo(const struct sample *s, const struct synth_hi
     shade_tone(rgb, 1 + 0.62f * shade_fbm(s, u, v, h->seed, 6, 7));
     shade_tone(rgb, 1 - 0.25f * shade_grid_line(s, u + 77, 1.9f, 0.05f)); /* seams of the felt */
     float pool = shade_noise(u / 3.5f, v / 3.5f, h->seed + 3);
-    if (pool > 0.35f) /* where water stands */
+    if ((h->seed >> 3) % 6 == 2)
+        *s->shine = shade_sheet;
+    if (pool > 0.35f) { /* where water stands */
         shade_tone(rgb, 1 - 0.7f * (pool - 0.2f));
+        *s->shine = shade_water;
+    }
     if (edge < 0.35f)
         shade_paint(rgb, .47f + 0.1f * shade_noise(u, v, h->seed + 4), .46f, .44f);
     else if (edge < 0.55f)
@@ -370,6 +394,7 @@ static void shade_flat_roof_albedo(const struct sample *s, const struct synth_hi
         bool frame =
             shade_grid_line(s, u + 90, 1.05f, 0.05f) > 0 || shade_cell_phase(v + 90, 2.5f) < 0.29f;
         shade_paint(rgb, frame ? .35f : .03f, frame ? .36f : .045f, frame ? .38f : .12f);
+        *s->shine = frame ? shade_sheet : shade_panel;
         shade_tone(rgb, 1 + 0.3f * shade_noise(u / 1.05f, v / 2.5f, h->seed + 5));
     }
 }
@@ -381,6 +406,7 @@ static void shade_shed_albedo(const struct sample *s, const struct synth_hit *hi
     const struct synth_solid *h = hit->solid;
     float u = (float)hit->local[0], v = (float)hit->local[1], z = (float)hit->local[2];
     bool top = hit->local_normal[2] > 0.5;
+    *s->shine = shade_sheet;
     shade_paint(rgb, h->color[0], h->color[1], h->color[2]);
     shade_tone(rgb, 1 + 0.4f * shade_fbm(s, top ? u : u + v, top ? v : z, h->seed, 1.5f, 4));
     if (!top && shade_cell_phase(z, 0.25f) < 0.4f)
@@ -401,14 +427,17 @@ static void shade_tree_albedo(const struct sample *s, const struct synth_hit *hi
     shade_tone(rgb, gain < 0.25f ? 0.25f : gain);
 }
 
-static void shade_car_albedo(const struct synth_hit *hit, float rgb[3])
+static void shade_car_albedo(const struct sample *s, const struct synth_hit *hit, float rgb[3])
 {
     const struct synth_solid *h = hit->solid;
     float u = (float)(hit->local[0] / h->half_m[0]), z = (float)hit->local[2];
     shade_paint(rgb, h->color[0], h->color[1], h->color[2]);
+    *s->shine = shade_paintwork;
     if (h->material == SYNTH_CABIN) {
-        if (hit->local_normal[2] < 0.5 && z > 0.08f && z < 0.48f)
+        if (hit->local_normal[2] < 0.5 && z > 0.08f && z < 0.48f) {
             shade_paint(rgb, .03f, .035f, .045f);
+            *s->shine = shade_glass;
+        }
         return;
     }
     if (hit->local_normal[2] > 0.5) {
@@ -447,7 +476,7 @@ static void shade_hit_albedo(const struct synth_city *c, const struct sample *s,
         break;
     case SYNTH_CAR:
     case SYNTH_CABIN:
-        shade_car_albedo(hit, rgb);
+        shade_car_albedo(s, hit, rgb);
         break;
     case SYNTH_TRUNK:
         shade_paint(rgb, hit->solid->color[0], hit->solid->color[1], hit->solid->color[2]);
@@ -462,20 +491,28 @@ struct synth_light synth_shade_light(void)
     return (struct synth_light){{1.75f, 1.62f, 1.38f}, {.46f, .53f, .66f}, {1, 1, 1}};
 }
 
-void synth_shade_hit(const struct synth_city *c, const struct synth_grid *moving,
-                     const struct synth_light *light, const double dir[3],
-                     const struct synth_hit *hit, double footprint_m, float rgb[3])
+static void shade_sky(const struct synth_light *light, const double dir[3], float rgb[3])
 {
-    float out[3];
-    if (!isfinite(hit->t_m)) {
-        float up = (float)fmax(dir[2], 0);
-        shade_paint(out, 0.75f - 0.4f * up, 0.85f - 0.3f * up, 1.0f - 0.1f * up);
-        for (int i = 0; i < 3; i++)
-            rgb[i] = out[i] * light->sky[i] * 1.6f * light->gain[i];
-        return;
-    }
-    struct sample s = {(float)footprint_m};
-    shade_hit_albedo(c, &s, hit, out);
+    float up = (float)fmax(dir[2], 0);
+    shade_paint(rgb, 0.75f - 0.4f * up, 0.85f - 0.3f * up, 1.0f - 0.1f * up);
+    for (int i = 0; i < 3; i++)
+        rgb[i] = rgb[i] * light->sky[i] * 1.6f;
+}
+
+struct lit { /* a place, before the camera's gain */
+    float rgb[3];
+    struct shine shine;
+    float sun; /* cosine to the sun, 0 in shadow */
+};
+
+/* What a place sends everywhere alike. */
+static void shade_matt(const struct synth_city *c, const struct synth_grid *moving,
+                       const struct synth_light *light, const struct synth_hit *hit,
+                       double footprint_m, struct lit *out)
+{
+    out->shine = (struct shine){0};
+    struct sample s = {(float)footprint_m, &out->shine};
+    shade_hit_albedo(c, &s, hit, out->rgb);
     double normal[3] = {hit->normal[0], hit->normal[1], hit->normal[2]};
     if (hit->solid && hit->solid->material == SYNTH_TREE) { /* leaves face everywhere */
         float x = (float)hit->local[0], y = (float)hit->local[1], z = (float)hit->local[2];
@@ -490,10 +527,63 @@ void synth_shade_hit(const struct synth_city *c, const struct synth_grid *moving
     double facing = normal[0] * c->sun[0] + normal[1] * c->sun[1] + normal[2] * c->sun[2], from[3];
     for (int i = 0; i < 3; i++)
         from[i] = hit->pos[i] + 1e-4 * hit->normal[i];
-    float sun = facing > 0 && !synth_trace_shadow(c, moving, from) ? (float)facing : 0;
+    out->sun = facing > 0 && !synth_trace_shadow(c, moving, from) ? (float)facing : 0;
     float sky = 0.62f + 0.38f * (float)normal[2];
     for (int i = 0; i < 3; i++)
-        rgb[i] = out[i] * (sun * light->sun[i] + sky * light->sky[i]) * light->gain[i];
+        out->rgb[i] *= out->sun * light->sun[i] + sky * light->sky[i];
+}
+
+/* What a shining place sends along -dir of the light that it mirrors, and the share of its own that
+ * it keeps back for that. */
+static void shade_gloss(const struct synth_city *c, const struct synth_grid *moving,
+                        const struct synth_light *light, const double dir[3],
+                        const struct synth_hit *hit, double footprint_m, struct lit *lit)
+{
+    const double *n = hit->normal;
+    double across = -(dir[0] * n[0] + dir[1] * n[1] + dir[2] * n[2]), mirror[3], from[3], half[3],
+           len = 0, aligned = 0;
+    if (!(across > 0))
+        return;
+    for (int i = 0; i < 3; i++) {
+        mirror[i] = dir[i] + 2 * across * n[i];
+        from[i] = hit->pos[i] + 1e-4 * n[i];
+        half[i] = c->sun[i] - dir[i];
+        len += half[i] * half[i];
+        aligned += half[i] * n[i];
+    }
+    float f0 = lit->shine.normal, sharp = lit->shine.sharp, seen[3];
+    /* A rough surface is no mirror at a grazing angle either (Lagarde's form of Schlick's term). */
+    float graze = fmaxf(f0, 1 - sqrtf(2 / (sharp + 2)));
+    float share = (float)c->gloss * (f0 + (graze - f0) * powf(1 - (float)across, 5));
+    struct synth_hit other = {.t_m = INFINITY};
+    if (sharp >= shade_mirror_sharp)
+        synth_trace_ray(c, moving, from, mirror, &other);
+    if (isfinite(other.t_m)) {
+        struct lit there;
+        shade_matt(c, moving, light, &other, footprint_m * (1 + other.t_m / hit->t_m), &there);
+        shade_paint(seen, there.rgb[0], there.rgb[1], there.rgb[2]);
+    } else
+        shade_sky(light, mirror, seen);
+    /* Radiance of the sun is its light on a surface over pi, which is what light->sun counts. */
+    float lobe = lit->sun * (sharp + 2) / 8 * powf((float)fmax(aligned / sqrt(len), 0), sharp);
+    for (int i = 0; i < 3; i++)
+        lit->rgb[i] = (1 - share) * lit->rgb[i] + share * (seen[i] + lobe * light->sun[i]);
+}
+
+void synth_shade_hit(const struct synth_city *c, const struct synth_grid *moving,
+                     const struct synth_light *light, const double dir[3],
+                     const struct synth_hit *hit, double footprint_m, float rgb[3])
+{
+    struct lit lit = {0};
+    if (!isfinite(hit->t_m))
+        shade_sky(light, dir, lit.rgb);
+    else {
+        shade_matt(c, moving, light, hit, footprint_m, &lit);
+        if (c->gloss > 0 && lit.shine.normal > 0)
+            shade_gloss(c, moving, light, dir, hit, footprint_m, &lit);
+    }
+    for (int i = 0; i < 3; i++)
+        rgb[i] = lit.rgb[i] * light->gain[i];
 }
 
 uint8_t synth_shade_encode(float linear)

@@ -292,12 +292,91 @@ static void test_knobs(void **state)
     kit_rmdir(tmp);
 }
 
+static double dot(const double a[3], const double b[3])
+{
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+/* A ray from above into the city; its direction has length 1. */
+static void ray_down(const struct synth_city *c, uint64_t i, double dir[3], struct synth_hit *hit)
+{
+    double from[3] = {0, 0, 60}, length;
+    dir[2] = -1;
+    for (uint64_t k = 0; k < 2; k++) {
+        from[k] = (2 * rng_unit(7, 0, 4 * i + k) - 1) * c->half_m;
+        dir[k] = 2 * rng_unit(7, 0, 4 * i + 2 + k) - 1;
+    }
+    length = sqrt(dot(dir, dir));
+    for (int k = 0; k < 3; k++)
+        dir[k] /= length;
+    synth_trace_ray(c, NULL, from, dir, hit);
+}
+
+/* Without gloss colour does not depend on the direction of view; with it that of some surfaces
+ * does. They keep of their own what they do not mirror, and are brighter where they mirror the sun.
+ */
+static void test_gloss(void **state)
+{
+    (void)state;
+    enum { RAYS = 4000 };
+    struct synth_config cfg;
+    struct arena arena = {0};
+    struct synth_city city;
+    struct err e = {0};
+    size_t shiny = 0, sunny = 0, glint = 0;
+    struct synth_light light = synth_shade_light();
+    kit_ok(options_defaults(synth_options(), &cfg, &arena, &e), e);
+    cfg.extent_m = 80;
+    kit_ok(synth_city_make(&cfg, &city, &e), e);
+    for (uint64_t i = 0; i < RAYS; i++) {
+        struct synth_hit hit;
+        double dir[3], other[3], image[3];
+        float matt[3], matt_other[3], gloss[3], image_gloss[3], image_matt[3];
+        ray_down(&city, i, dir, &hit);
+        double along = dot(dir, hit.normal), facing = dot(city.sun, hit.normal);
+        for (int k = 0; k < 3; k++) {
+            other[k] = 2 * along * hit.normal[k] - dir[k]; /* as steep, from the other side */
+            image[k] =
+                city.sun[k] - 2 * facing * hit.normal[k]; /* of an eye that sees it mirrored */
+        }
+        city.gloss = 0;
+        synth_shade_hit(&city, NULL, &light, dir, &hit, 0.05, matt);
+        synth_shade_hit(&city, NULL, &light, other, &hit, 0.05, matt_other);
+        assert_memory_equal(matt, matt_other, sizeof matt);
+        city.gloss = 1;
+        synth_shade_hit(&city, NULL, &light, dir, &hit, 0.05, gloss);
+        if (!memcmp(matt, gloss, sizeof matt))
+            continue;
+        shiny++;
+        if (!hit.solid || hit.solid->material != SYNTH_TREE)
+            /* at right angles a quarter at most is mirrored, more the flatter the view */
+            for (int k = 0; k < 3; k++)
+                assert_true((double)gloss[k] >= (0.75 - pow(1 + along, 5)) * (double)matt[k]);
+        else
+            fail_msg("leaves shine");
+        if (facing < 0.3)
+            continue;
+        sunny++;
+        synth_shade_hit(&city, NULL, &light, image, &hit, 0.05, image_gloss);
+        city.gloss = 0;
+        synth_shade_hit(&city, NULL, &light, image, &hit, 0.05, image_matt);
+        glint += image_gloss[1] > image_matt[1] + 0.02f && image_gloss[1] > gloss[1];
+    }
+    if (shiny < RAYS / 5 || shiny > RAYS * 4 / 5)
+        fail_msg("%zu of %d places shine", shiny, RAYS);
+    if (glint < sunny / 2)
+        fail_msg("of %zu places that shine and face the sun %zu mirror it", sunny, glint);
+    synth_city_free(&city);
+    arena_free(&arena);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_same_seed_same_bytes),
         cmocka_unit_test(test_model_agrees_with_truth),
         cmocka_unit_test(test_knobs),
+        cmocka_unit_test(test_gloss),
     };
     progress_quiet(true);
     log_set_level(LOG_WARN);
