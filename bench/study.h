@@ -40,9 +40,10 @@ bool study_same_row(const struct json_t *a, const struct json_t *b);
 
 /* ---- seeds (bench/study_seeds.c) ---- */
 
-/* A new array in which the seeds of a row are one record: numbers are means; "seeds" and
- * "spread_db", the standard deviation of PSNR, are added, and the text "gain": PSNR less that of
- * the study's first row, "none" below twice the spread of the difference. Records of one seed stay
+/* A new array in which the seeds of a row are one record: numbers are means, times medians; "seeds"
+ * and "spread_db", the standard deviation of PSNR, are added, and the text "gain": PSNR less that
+ * of the study's first row, "none" below twice the spread of the difference. "fma_gflops" and
+ * "triad_gbps" are the least of the runs, with "_most" behind it the most. Records of one seed stay
  * as they are. ERR_MEM. json_decref. */
 enum err_code study_merge_seeds(const struct json_t *lines, struct json_t **out,
                                 struct err *e) ERR_USE;

@@ -108,18 +108,22 @@ static void table_distinct(const struct chart_def *d, const json_t *lines, const
     }
 }
 
+/* Least and most of `key`; a line of several runs has its own most, KEY_most. */
 static void table_range(const struct chart_def *d, const json_t *lines, const char *key,
                         const char *name, const char *unit, struct buf *out)
 {
     double lo = HUGE_VAL, hi = -HUGE_VAL;
+    char most[64];
     size_t i;
+    snprintf(most, sizeof most, "%s_most", key);
     json_t *line;
     json_array_foreach(lines, i, line)
     {
         double v = runs_number(line, key);
         if (chart_takes(d, line, lines) && isfinite(v)) {
+            double top = runs_number(line, most);
             lo = fmin(lo, v);
-            hi = fmax(hi, v);
+            hi = fmax(hi, isfinite(top) ? top : v);
         }
     }
     if (lo < hi)

@@ -50,6 +50,19 @@ if command -v git >/dev/null; then
     "$study" chart "$work/repo/runs" -o "$work/repo" --check --markdown "$work/repo/page.md" >"$work/log" 2>&1 && { echo "a wrong table is taken"; failed=1; }
     grep -q 'says something else than the records' "$work/log" || { cat "$work/log"; failed=1; }
     grep -q 'another figure' "$work/repo/page.md" || { echo "--check writes"; failed=1; }
+    # Seeds of a row are one row: the mean of PSNR and its spread, the median of seconds, what any of the machines could do.
+    seed() { # SEED PSNR SECONDS FMA ROW
+        printf '{"study":"embedding","row":"%s (seed %s)","what":"level 1, half image","dataset":"d","command":"train --seed %s --iterations 1500","commit":"%s","device":"d","fma_gflops":%s,"triad_gbps":20,"numbers":{"level":1,"seed":%s,"psnr_db":%s,"train_s":%s}}\n' \
+            "$5" "$1" "$1" "$here" "$4" "$1" "$2" "$3"
+    }
+    { seed 1 30 10 50 a; seed 2 31 20 100 a; seed 3 32 90 40 a; seed 1 36 10 50 b; seed 2 36 10 50 b; seed 3 36 10 50 b; } >"$work/repo/runs/embedding.jsonl"
+    printf '<!-- table embedding -->\n<!-- end -->\n' >"$work/repo/page.md"
+    if command -v gnuplot >/dev/null; then
+        "$study" chart "$work/repo/runs" -o "$work/repo" --no-png --markdown "$work/repo/page.md" >"$work/log" 2>&1 || { cat "$work/log"; failed=1; }
+        for row in '^| a | 3 | 31.00 | 1.00 | – | 20.0 |' '^| b | 3 | 36.00 | 0.00 | +5.00 | 10.0 |' 'FMA 40 to 100 GFLOP/s, triad 20 GB/s'; do
+            grep -q -- "$row" "$work/repo/page.md" || { cat "$work/repo/page.md"; echo "lacks '$row'"; failed=1; }
+        done
+    fi
 fi
 [ $failed = 0 ] && echo ok
 exit $failed

@@ -21,7 +21,7 @@ static const struct options_spec train_spec = {
              "`citysplat plan`, or cells/all/ without a plan. Ctrl-C saves the "
              "state and --resume goes on from it. configs/ holds presets with their reasons.",
     .example = "citysplat train scene --iterations 2000 --max-edge-px 400   # a few minutes\n"
-               "citysplat train scene --config configs/demo.jsonc\n"
+               "citysplat train scene --config configs/demo-train.jsonc\n"
                "citysplat train scene                                       # the full method",
     .defs = train_defs,
     .n_defs = sizeof train_defs / sizeof train_defs[0],

@@ -73,9 +73,9 @@ void main() {
   rgb += more / 128.0 - sum;
   float opacity = float(byte4(p.w).w) / 255.0;
   ivec4 tint = tinted ? texelFetch(tints, at, 0) : ivec4(-1);
-  if (tint.w >= 0) { // cut before and after, as in render/project.cl
+  if (tint.w >= 0) { // cut once, as in render/project.cl; below 0 when it is stored
     vec4 more = vec4(tint) / 32767.0;
-    rgb = min(max(rgb, 0.0) + more.xyz, 1.0);
+    rgb = min(rgb + more.xyz, 1.0);
     opacity = min(opacity + more.w, 1.0);
   }
   result = uvec4(clamp(vec4(rgb * 8192.0, opacity * 65535.0) + 0.5, 0.0, 65535.0));
