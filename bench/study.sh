@@ -68,12 +68,14 @@ scene_about() {
     caliterra-400) echo "caliterra, 400 x 300 px" ;;
     caliterra-800) echo "caliterra, 800 x 600 px" ;;
     ochota-400) echo "ochota, 400 x 300 px" ;;
+    ochota-cells) echo "ochota, 400 x 300 px, 10 cells of 150 m" ;;
     ochota-800) echo "ochota, 800 x 600 px" ;;
     city) echo "procedural city 300 m, 300 photographs of 400 x 300 px, cells of 100 m" ;;
     cells) echo "procedural city 200 m, 150 photographs of 400 x 300 px, 6 cells of 70 m, 24 map views" ;;
     cells-light) echo "procedural city 200 m, 150 photographs of 400 x 300 px under changing light, 11 cells of 66 m" ;;
     cells-location) echo "procedural city 200 m, 150 photographs of 400 x 300 px, 6 cells of 70 m, without visibility selection, 24 map views" ;;
     demo) echo "demo city 120 m, 84 photographs of 480 x 360 px, 24 map views" ;;
+    gloss) echo "the demo city with surfaces that shine, 84 photographs of 480 x 360 px, 24 map views" ;;
     big) echo "procedural city 1 km, 640 photographs of 512 x 384 px, 12 cells of 340 m, 24 map views" ;;
     above) echo "procedural city 100 m, 60 photographs of 320 x 240 px from straight above, 24 map views" ;;
     light | light-views*) echo "procedural city 100 m, 60 photographs of 320 x 240 px under changing light" ;;
@@ -106,6 +108,7 @@ scene_build() { # NAME FOLDER
   case $1 in
     caliterra-400) scene_ingest_caliterra "$2" 400 ;;
     caliterra-800) scene_ingest_caliterra "$2" 800 ;;
+    ochota-cells) scene_build ochota-400 "$2"; citysplat plan "$2" --edge-m 150 --images-few 16 --images-least 8 ;;
     ochota-*) # no GPS: what a map says of its middle, and of its size
       citysplat ingest "$CITYSPLAT_OCHOTA/images" "$CITYSPLAT_OCHOTA/sparse" --max-edge-px "${1#*-}" --origin 20.97095,52.218,110 --metres-per-unit 71 -o "$2" -q ;;
     city) scene_ingest_city "$2" --extent-m 300 --photos 300 --points 100000; citysplat plan "$2" --edge-m 100 --images-few 16 ;;
@@ -117,6 +120,10 @@ scene_build() { # NAME FOLDER
       ;;
     demo)
       citysplat synth --config configs/demo-synth.jsonc --map-views 24 -o "$2-photos" --overwrite -q
+      citysplat ingest "$2-photos/images" "$2-photos/sparse" --config configs/demo-ingest.jsonc -o "$2" -q
+      ;;
+    gloss)
+      citysplat synth --config configs/demo-synth.jsonc --gloss 1 --map-views 24 -o "$2-photos" --overwrite -q
       citysplat ingest "$2-photos/images" "$2-photos/sparse" --config configs/demo-ingest.jsonc -o "$2" -q
       ;;
     big) scene_ingest_city "$2" --extent-m 1000 --photos 640 --width-px 512 --height-px 384 --points 400000 --map-views 24; citysplat plan "$2" --edge-m 340 --images-few 16 ;;
@@ -292,12 +299,25 @@ study_budgets() { # accuracy against the number of Gaussians
   done
 }
 
-study_sh() { # accuracy and bytes at SH degree 0 to 3
-  local d
-  for d in 0 1 2 3; do
-    row sh "degree $d" caliterra-400 "sh_degree=$d" --level-count 1 --iterations "$(steps sh)" --budget-3 100000 --sh-degree "$d" --sh-interval 250 --tiles
+# Accuracy and bytes at degree 0 to 3 of harmonics: of a dry survey from above, of a real district seen from all sides, and of
+# a city without and with surfaces that shine.
+sh_rows() { # STUDY SCENE DEGREES BUDGET, then what follows --tiles or --eval
+  local d study=$1 scene=$2 degrees=$3 budget=$4
+  shift 4
+  for d in $degrees; do # the default first: the others are compared with it
+    row "$study" "degree $d" "$scene" "sh_degree=$d" --level-count 1 --iterations "$(steps "$study")" --budget-3 "$budget" --sh-degree "$d" --sh-interval 250 "$@"
   done
 }
+sh_caliterra_rows() { sh_rows sh caliterra-400 "3 0 1 2" 100000 --tiles; }
+sh_ochota_rows() { sh_rows sh_ochota ochota-400 "3 0" 150000 --eval --half-image off; }
+sh_city_rows() { # STUDY SCENE DEGREES
+  local MAP_VIEWS=1
+  sh_rows "$@" 120000
+}
+study_sh() { seeded sh sh_caliterra_rows; }
+study_sh_ochota() { seeded sh_ochota sh_ochota_rows; }
+study_sh_demo() { seeded sh_demo sh_city_rows sh_demo demo "3 0"; }
+study_sh_gloss() { seeded sh_gloss sh_city_rows sh_gloss gloss "3 0 1"; }
 
 # Rows of Table 10 and of the main ablation: each turns one thing off, or on, at a budget that binds. AbsGS also at an equal
 # number of Gaussians, where the threshold is so low that the budget binds without it as well.
@@ -378,13 +398,24 @@ study_transfer() { seeded transfer transfer_rows transfer light-views; }
 study_transfer_sun() { seeded transfer_sun transfer_rows transfer_sun sun-views; }
 
 # What exposures and appearance are worth on photographs of a real district under changing light, by half images.
-study_ochota_light() {
+ochota_light_rows() {
   local base=(--level-count 1 --iterations "$(steps ochota_light)")
-  row ochota_light "both" ochota-400 "" "${base[@]}" --appearance --eval --half-image on
   row ochota_light "neither" ochota-400 "" "${base[@]}" --no-exposure --eval --half-image on
   row ochota_light "exposure" ochota-400 "" "${base[@]}" --eval --half-image on
   row ochota_light "appearance" ochota-400 "" "${base[@]}" --no-exposure --appearance --eval --half-image on
+  row ochota_light "both" ochota-400 "" "${base[@]}" --appearance --eval --half-image on
 }
+study_ochota_light() { seeded ochota_light ochota_light_rows; }
+
+# The same in cells, with one appearance network for all of them.
+ochota_cells_rows() {
+  local base=(--level-count 1 --iterations "$(steps ochota_cells)" --budget-3 60000)
+  row ochota_cells "neither" ochota-cells "" "${base[@]}" --no-exposure --eval --half-image on
+  row ochota_cells "exposure" ochota-cells "" "${base[@]}" --eval --half-image on
+  row ochota_cells "appearance" ochota-cells "" "${base[@]}" --no-exposure --appearance --eval --half-image on
+  row ochota_cells "both" ochota-cells "" "${base[@]}" --appearance --eval --half-image on
+}
+study_ochota_cells() { seeded ochota_cells ochota_cells_rows; }
 
 # What looking at many photographs before a Gaussian is split is worth, where the budget binds: thirty thousand Gaussians
 # for photographs that support 100,000 and more.
@@ -635,7 +666,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra background background_caliterra sh embedding network transfer transfer_sun ochota_light poses_caliterra poses_ochota ablation ablation_city cells cells_light
+readonly STUDIES=(time full big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra background background_caliterra sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells poses_caliterra poses_ochota ablation ablation_city cells cells_light
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {
