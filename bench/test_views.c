@@ -1,4 +1,4 @@
-/* See shots.h.
+/* See test_views.h.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -8,10 +8,11 @@
 #include <string.h>
 
 #include "codec/scene.h"
+#include "core/exposure.h"
 #include "loss/metric.h"
 #include "train/photo_loader.h"
 
-#define SHOTS_SAME_DB 120.0 /* of a picture to itself */
+#define VIEWS_SAME_DB 120.0 /* of a picture to itself */
 
 enum err_code test_views_open(struct render *r, const struct scene *scene, const uint32_t *images,
                               size_t n, uint32_t max_edge_px, double downsample,
@@ -22,6 +23,7 @@ enum err_code test_views_open(struct render *r, const struct scene *scene, const
                                           .n_images = n,
                                           .max_edge_px = max_edge_px,
                                           .downsample = downsample,
+                                          .exposure = PHOTO_LOADER_TOLD,
                                           .cache_bytes = (size_t)1 << 30};
     const struct camera cam =
         photo_loader_camera(&scene->images[images[0]].cam, max_edge_px, downsample);
@@ -46,7 +48,7 @@ static double views_psnr(const float *a, const float *b, size_t n)
         double d = (double)fminf(fmaxf(a[i], 0), 1) - (double)fminf(fmaxf(b[i], 0), 1);
         sum += d * d;
     }
-    return fmin(10 * log10((double)n / (sum + 1e-12)), SHOTS_SAME_DB);
+    return fmin(10 * log10((double)n / (sum + 1e-12)), VIEWS_SAME_DB);
 }
 
 static enum err_code views_one(struct test_views *s, size_t i, const struct render_model *m,
@@ -64,19 +66,24 @@ static enum err_code views_one(struct test_views *s, size_t i, const struct rend
     if (!rgb)
         return err_set(e, ERR_MEM, "out of memory for a picture");
     rc = render_forward(s->render, m, &photo.cam, ro, rgb, NULL, e);
-    if (!rc)
-        rc = metric_psnr(rgb, photo.px, photo.mask, w, h, &psnr, e);
-    if (!rc)
-        rc = metric_ssim(rgb, photo.px, photo.mask, w, h, METRIC_TRAINING, &ssim, e);
     if (!rc && keep) {
         mem_free(s->truth[i]);
-        s->truth[i] = rgb;
-        rgb = NULL;
+        s->truth[i] = mem_array(n, sizeof *rgb);
+        if (s->truth[i])
+            memcpy(s->truth[i], rgb, n * sizeof *rgb);
+        else
+            rc = err_set(e, ERR_MEM, "out of memory for a picture");
     }
+    if (!rc && s->truth[i]) /* as drawn, before the exposure of the photograph */
+        sum->self_db += views_psnr(rgb, s->truth[i], n) / (double)s->n;
+    if (!rc) {
+        exposure_expose(photo.exposure_ev, rgb, (size_t)w * h);
+        rc = metric_psnr(rgb, photo.px, photo.mask, w, h, &psnr, e);
+    }
+    if (!rc)
+        rc = metric_ssim(rgb, photo.px, photo.mask, w, h, METRIC_TRAINING, &ssim, e);
     sum->psnr_db += psnr / (double)s->n;
     sum->ssim += ssim / (double)s->n;
-    if (!rc && (!rgb || s->truth[i]))
-        sum->self_db += (rgb ? views_psnr(rgb, s->truth[i], n) : SHOTS_SAME_DB) / (double)s->n;
     mem_free(rgb);
     return rc;
 }

@@ -20,11 +20,12 @@ struct test_views { /* {0} is empty */
     uint32_t edge_px;
 };
 struct test_views_score { /* means over the photographs */
-    double psnr_db, ssim; /* against the photographs */
+    double psnr_db, ssim; /* against the photographs, exposed as each of them was */
     double self_db; /* PSNR against the truth, 120 when this is it: pictures as they are seen */
 };
 /* The n photographs `images` of the scene, no longer than max_edge_px (0: as they are) and
- * `downsample` times smaller. All are borrowed until test_views_close. */
+ * `downsample` times smaller. Where the scene tells exposures, what is drawn is taken to be trained
+ * at the mean one. All are borrowed until test_views_close. ERR_MEM, and those of photographs. */
 enum err_code test_views_open(struct render *r, const struct scene *scene, const uint32_t *images,
                               size_t n, uint32_t max_edge_px, double downsample,
                               struct test_views *out, struct err *e) ERR_USE;

@@ -54,6 +54,13 @@ for results in exposure appearance; do
     awk -v a="$right" -v b="$(psnr)" 'BEGIN { exit !(b > 5 && a > b + 3) }' ||
         fail "$results: $right dB of the right photographs, $(psnr) dB of others"
 done
+# The benchmark of formats exposes what it draws as eval does.
+run tile bright-scene --trained exposure --crop none -o bright.tiles -q
+run eval bright-scene --tiles bright.tiles
+tiles=$(awk '/no LOD  / { print $6 }' log)
+"$(dirname "$bin")/citysplat-bench" rd --quick --scene bright-scene --tiles bright.tiles --record rd.jsonl >log 2>&1 || { cat log; fail rd; }
+trained=$(sed -n 's/.*"row":"trained".*"psnr_db":\([0-9.]*\).*/\1/p' rd.jsonl | head -1)
+awk -v a="$tiles" -v b="$trained" 'BEGIN { exit !(a > 10 && a - b < 0.1 && b - a < 0.1) }' || fail "tiles have $tiles dB by eval, $trained by rd"
 sed 's/"photograph": "IMG_/"photograph": "XYZ_/' lit/views.json >other && cp other lit/views.json
 "$bin" eval scene --views lit >log 2>&1 && fail "light of a photograph that is not there"
 grep -q "XYZ_.*which the scene does not have" log || fail "says which photograph is missing"
