@@ -555,7 +555,7 @@ static void shade_gloss(const struct synth_city *c, const struct synth_grid *mov
     /* A rough surface is no mirror at a grazing angle either (Lagarde's form of Schlick's term). */
     float graze = fmaxf(f0, 1 - sqrtf(2 / (sharp + 2)));
     float share = (float)c->gloss * (f0 + (graze - f0) * powf(1 - (float)across, 5));
-    struct synth_hit other = {.t_m = INFINITY};
+    struct synth_hit other = {.t_m = (double)INFINITY};
     if (sharp >= shade_mirror_sharp)
         synth_trace_ray(c, moving, from, mirror, &other);
     if (isfinite(other.t_m)) {
