@@ -14,10 +14,12 @@ struct codec_limits;
  * beyond. No errors, any thread, as all here. */
 void payload_to_float16(const float *in, size_t n, uint16_t *out);
 void payload_from_float16(const uint16_t *in, size_t n, float *out);
+/* The harmonics [n] that a payload keeps, before their rounding to float16: multiples of 2^-9. */
+void payload_round_sh(float *sh, size_t n);
 /* The rotation that a payload keeps, before its rounding. q is finite and not 0. */
 void payload_unit_quat(const float q_wxyz[4], float out[4]);
-/* The master payload of a tile: float32 means relative to the tile centre, float16 elsewhere
- * (opacity, scale and rotation float32 where `lossless` is set), zstd. ENU axes. Rows that were
+/* The master payload of a tile: float32 means relative to the tile centre, float16 elsewhere, of
+ * harmonics those nearest to multiples of 2^-9 (opacity, scale and rotation float32 where `lossless` is set), zstd. ENU axes. Rows that were
  * decoded from a payload give the same payload again. out: appended to. ERR_DATA (not finite),
  * ERR_LIMIT, ERR_MEM. */
 enum err_code payload_encode(const struct gauss *g, bool lossless, struct buf *out,

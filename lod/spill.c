@@ -75,6 +75,7 @@ static void spill_pack(const struct spill *s, const struct gauss *g, size_t i, u
         return;
     }
     payload_unit_quat(g->quat_wxyz + 4 * i, rest + 3);
+    payload_round_sh(rest + 8, n_sh);
     payload_to_float16(rest, n, half);
     memcpy(out + 12, half, n * sizeof *half);
 }

@@ -60,6 +60,17 @@ static void near_half(const char *what, const float *got, const float *want, siz
     }
 }
 
+/* The half float nearest to the multiple of 2^-9 that is nearest, of two the even one. */
+static void near_step(const float *got, const float *want, size_t n)
+{
+    for (size_t i = 0; i < n; i++) {
+        double w = rint((double)want[i] * 512) / 512;
+        kit_near("sh", got + i, &w, 1, 0, HALF_REL);
+        if (fabs((double)want[i]) < 4 && (double)got[i] != w)
+            fail_msg("sh %.9g is kept as %.9g", (double)want[i], (double)got[i]);
+    }
+}
+
 static void test_half_floats(void **state)
 {
     (void)state;
@@ -69,8 +80,13 @@ static void test_half_floats(void **state)
     kit_gauss(3, 500, 900, 3, 16, &g);
     g.opacity_logit[0] = 1e9f; /* beyond half floats: the largest one */
     g.opacity_logit[1] = -1e9f;
-    g.sh[0] = 3e-7f; /* subnormal half floats */
+    g.sh[0] = 3e-7f; /* kept as 0 */
     g.sh[1] = -6e-5f;
+    g.sh[2] = 65000; /* where half floats are farther apart than harmonics' steps */
+    g.sh[3] = -5.001f;
+    g.sh[4] = 3.0f / 1024;  /* between two steps: the even one */
+    g.scale_log[0] = 3e-7f; /* subnormal half floats */
+    g.scale_log[1] = -6e-5f;
     for (int k = 0; k < 4; k++)
         g.quat_wxyz[k] *= 1e-18f; /* far from unit length, but a rotation */
     kit_ok(payload_encode(&g, false, &b, &e), e);
@@ -79,7 +95,8 @@ static void test_half_floats(void **state)
     assert_true(back.opacity_logit[0] == 65504 && back.opacity_logit[1] == -65504);
     near_half("opacity", back.opacity_logit + 2, g.opacity_logit + 2, g.n - 2);
     near_half("scale", back.scale_log, g.scale_log, 3 * g.n);
-    near_half("sh", back.sh, g.sh, 48 * g.n);
+    near_step(back.sh, g.sh, 48 * g.n);
+    assert_true(back.sh[4] == 4.0f / 1024);
     near_half("embed", back.embed, g.embed, 16 * g.n);
     for (size_t i = 0; i < g.n; i++) {
         const float *q = g.quat_wxyz + 4 * i;
