@@ -19,9 +19,9 @@ void payload_round_sh(float *sh, size_t n);
 /* The rotation that a payload keeps, before its rounding. q is finite and not 0. */
 void payload_unit_quat(const float q_wxyz[4], float out[4]);
 /* The master payload of a tile: float32 means relative to the tile centre, float16 elsewhere, of
- * harmonics those nearest to multiples of 2^-9 (opacity, scale and rotation float32 where `lossless` is set), zstd. ENU axes. Rows that were
- * decoded from a payload give the same payload again. out: appended to. ERR_DATA (not finite),
- * ERR_LIMIT, ERR_MEM. */
+ * harmonics those nearest to multiples of 2^-9; with `lossless` all is float32. zstd. ENU axes.
+ * Rows that were decoded from a payload give the same payload again. out: appended to. ERR_DATA
+ * (not finite), ERR_LIMIT, ERR_MEM. */
 enum err_code payload_encode(const struct gauss *g, bool lossless, struct buf *out,
                              struct err *e) ERR_USE;
 /* Hostile bytes are safe. gauss_free it; empty on errors. ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
