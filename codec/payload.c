@@ -36,7 +36,7 @@ enum {
 
 #define UNIT_TOLERANCE 1e-3f /* four halves of 2^-12 are within 0.5e-3 */
 /* Of a coefficient of harmonics: rms 0.16 of 255 in the colour of a Gaussian, a quarter of the step
- * of the finest format that is served. What lies below is noise of training, two fifths of a
+ * of the finest integers that are served. What lies below is noise of training, two fifths of a
  * store. */
 #define SH_STEP 0x1p-9f
 
