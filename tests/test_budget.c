@@ -12,10 +12,12 @@
 #include "tests/kit.h"
 #include "train/budget.h"
 #include "train/config.h"
-#include "train/context.h"
 #include "train/densify_apply.h"
+#include "train/gallery.h"
 #include "train/importance.h"
 #include "train/model.h"
+#include "train/stage.h"
+#include "train/timing.h"
 #include "train/schedule.h"
 
 #include <math.h>
@@ -135,7 +137,10 @@ struct look {
     struct scene_image images[2];
     struct scene scene;
     struct model model;
-    struct context ctx;
+    struct cell cell;
+    struct appearance_train appearance;
+    struct gallery gallery;
+    struct stage stage;
     struct budget budget;
     size_t n;
 };
@@ -175,28 +180,34 @@ static void look_open(struct look *l)
         look_picture(l->scene.dir, "images", photo_names[i], (uint8_t)(60 + 60 * i), 3);
     }
     look_picture(l->scene.dir, "masks", "a.png.png", 0, 1);
-    l->ctx = (struct context){
-        .cfg = &l->cfg,
-        .scene = &l->scene,
-        .images = held,
-        .n_images = 2,
-        .dev = &l->dev,
-        .render = l->render,
-        .cell = {.min_enu_m = {-50, -50}, .max_enu_m = {0, 50}, .edge_m = 50, .extent_m = 30},
-        .schedule = {{.level = 1,
-                      .n_levels = 1,
-                      .steps = 1000,
-                      .downsample = 1.0,
-                      .budget = 1000,
-                      .interval = 100,
-                      .densify_until = 1000,
-                      .tau = 2e-4}},
-        .n_levels = 1};
+    l->cell = (struct cell){
+        .min_enu_m = {-50, -50}, .max_enu_m = {0, 50}, .edge_m = 50, .extent_m = 30};
+    l->gallery = (struct gallery){.cfg = &l->cfg,
+                                  .engine = {.dev = &l->dev, .render = l->render},
+                                  .scene = &l->scene,
+                                  .images = held,
+                                  .n_images = 2,
+                                  .appearance = &l->appearance,
+                                  .near_m = RENDER_NEAR_M};
+    l->stage = (struct stage){.levels = {{.level = 1,
+                                          .n_levels = 1,
+                                          .steps = 1000,
+                                          .downsample = 1.0,
+                                          .budget = 1000,
+                                          .interval = 100,
+                                          .densify_until = 1000,
+                                          .tau = 2e-4}},
+                              .n_levels = 1};
     l->budget = (struct budget){.held = held, .n_held = 2, .table = {1000}};
     kit_gauss(7, LOOK_GAUSSIANS, 10, 0, 0, &g);
     kit_ok(model_open(&l->model, &l->dev, l->render, &g, 1500, &e), e);
     kit_ok(model_fill(&l->model, &g, &e), e);
     gauss_free(&g);
+}
+
+static enum err_code look_once(struct look *l, struct err *e)
+{
+    return budget_look(&l->budget, &l->model, &l->gallery, &l->cell, &l->stage, 0, e);
 }
 
 static void look_close(struct look *l)
@@ -215,20 +226,20 @@ static void photographs_that_a_mask_covers_whole_are_not_asked(void **state)
     struct err e = {0};
     (void)state;
     look_open(&l);
-    kit_ok(budget_look(&l.budget, &l.model, &l.ctx, 0, &e), e);
+    kit_ok(look_once(&l, &e), e);
     double both_db = l.budget.at.psnr_db;
     assert_true(both_db > 0.0);
     budget_close(&l.budget);
     l.budget = (struct budget){.held = held + 1, .n_held = 1, .table = {1000}};
-    kit_ok(budget_look(&l.budget, &l.model, &l.ctx, 0, &e), e);
+    kit_ok(look_once(&l, &e), e);
     assert_true(l.budget.at.psnr_db == both_db);
     budget_close(&l.budget);
     l.budget = (struct budget){.held = held, .n_held = 1, .table = {1000}};
     log_set_level(LOG_ERROR); /* it warns that nothing is left */
-    kit_ok(budget_look(&l.budget, &l.model, &l.ctx, 0, &e), e);
+    kit_ok(look_once(&l, &e), e);
     log_set_level(LOG_INFO);
     assert_true(l.budget.at.n == 0.0);
-    assert_int_equal(l.ctx.schedule[0].budget, 1000);
+    assert_int_equal(l.stage.levels[0].budget, 1000);
     look_close(&l);
 }
 
@@ -241,13 +252,13 @@ static void growth_that_stops_stops_everywhere(void **state)
     size_t inside = 0, n = LOOK_GAUSSIANS, after = 0;
     (void)state;
     look_open(&l);
-    kit_ok(model_count_inside(&l.model, &l.ctx.cell, &inside, &e), e);
+    kit_ok(model_count_inside(&l.model, &l.cell, &inside, &e), e);
     assert_in_range(inside, n / 4, 3 * n / 4);
     l.budget.at = (struct budget_point){.n = (double)inside / 2, .psnr_db = 90.0};
-    kit_ok(budget_look(&l.budget, &l.model, &l.ctx, 0, &e), e);
+    kit_ok(look_once(&l, &e), e);
     assert_true(l.budget.at.stopped);
-    assert_int_equal(l.ctx.schedule[0].budget, inside);
-    assert_int_equal(schedule_cap_outside(&l.ctx.schedule[0]), n - inside);
+    assert_int_equal(l.stage.levels[0].budget, inside);
+    assert_int_equal(schedule_cap_outside(&l.stage.levels[0]), n - inside);
     float *grad = mem_array(n, sizeof *grad); /* all of them want to be two */
     assert_non_null(grad);
     for (size_t i = 0; i < n; i++)
@@ -256,8 +267,15 @@ static void growth_that_stops_stops_everywhere(void **state)
     kit_ok(dev_write(&l.dev, l.model.stats.count, 0, n * sizeof *grad, grad, &e), e);
     mem_free(grad);
     l.cfg.prune_opacity = 0.0; /* and none is in the way */
-    kit_ok(densify_apply(&l.model, &l.ctx, &importance, 9, &e), e);
-    kit_ok(model_count_inside(&l.model, &l.ctx.cell, &after, &e), e);
+    struct timing timing = {0};
+    const struct site site = {.cell = l.cell};
+    const struct densify_run run = {.gallery = &l.gallery,
+                                    .site = &site,
+                                    .at = &l.stage,
+                                    .importance = &importance,
+                                    .timing = &timing};
+    kit_ok(densify_apply(&l.model, &run, 9, &e), e);
+    kit_ok(model_count_inside(&l.model, &l.cell, &after, &e), e);
     printf("stopped at %zu inside and %zu outside: %zu and %zu\n", inside, n - inside, after,
            l.model.gauss.n - after);
     assert_true(after <= inside && l.model.gauss.n <= n);

@@ -1,5 +1,5 @@
-/* Masks: reading and refusing, shrinking, the way through ingest, points on masked pixels, robust
- * weighting, and a city with moving vehicles trained with and without its masks (F17).
+/* Masks: reading and refusing, shrinking, the way through ingest, points on masked pixels,
+ * and a city with moving vehicles trained with and without its masks (F17).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -10,7 +10,6 @@
 #include "core/options.h"
 #include "ingest/ingest.h"
 #include "ingest/ingest_internal.h"
-#include "loss/robust.h"
 #include "tests/kit.h"
 #include "train/init.h"
 
@@ -90,34 +89,6 @@ static void undistortion_moves_masks_as_it_moves_pictures(void **state)
     kit_rmdir(dir);
 }
 
-static void patches_that_do_not_fit_are_ignored_and_thin_detail_is_not(void **state)
-{
-    (void)state;
-    enum { W = 40, H = 30, N = W * H };
-    static float color[3 * N], scratch[N];
-    static uint8_t px[3 * N], use[N];
-    for (size_t i = 0; i < N; i++)
-        for (size_t c = 0; c < 3; c++) {
-            /* Residuals of 0..0.02, a block of 0.5, and a line of 0.5 one pixel wide. */
-            double residual = 0.02 * rng_unit(3, c, i);
-            size_t x = i % W, y = i / W;
-            if ((x >= 10 && x < 18 && y >= 8 && y < 16) || x == 30)
-                residual = 0.5;
-            color[c * N + i] = (float)(0.4 + residual);
-            px[3 * i + c] = 102; /* 0.4 */
-        }
-    memset(use, 255, sizeof use);
-    use[0] = 0;
-    robust_mask(color, px, W, H, scratch, use);
-    assert_int_equal(use[0], 0);
-    for (size_t y = 1; y < H; y++) {
-        assert_int_equal(use[y * W + 30], 255);
-        assert_int_equal(use[y * W + 5], 255);
-    }
-    assert_int_equal(use[12 * W + 14], 0);
-    assert_int_equal(use[9 * W + 11], 0);
-}
-
 static void points_on_masked_pixels_are_left_out(void **state)
 {
     (void)state;
@@ -195,7 +166,6 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(a_pixel_is_ignored_when_any_below_it_is),
         cmocka_unit_test(undistortion_moves_masks_as_it_moves_pictures),
-        cmocka_unit_test(patches_that_do_not_fit_are_ignored_and_thin_detail_is_not),
         cmocka_unit_test(points_on_masked_pixels_are_left_out),
         cmocka_unit_test(without_masks_all_points_are_used),
     };

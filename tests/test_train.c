@@ -19,6 +19,7 @@
 #include "train/forecast.h"
 #include "train/init.h"
 #include "train/level.h"
+#include "train/run_cell.h"
 #include "train/photo_loader.h"
 #include "train/schedule.h"
 #include "train/train.h"
@@ -384,17 +385,17 @@ static void twenty_steps_give_the_golden_trace(void **state)
     c.densify_from = 1000000; /* choices of who is split may tip over by rounding; steps may not */
     kit_ok(scene_read(scene_dir, &s, &e), e);
     kit_ok(train_scene_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
-    struct level l = {
-        .ctx = {
-            .cfg = &c, .scene = &s, .images = images, .n_images = n, .dev = &dev, .n_levels = 1}};
-    cell_whole(&s, images, n, &l.ctx.cell);
-    kit_ok(schedule_make(&c, n, &l.ctx.cell, l.ctx.schedule, &e), e);
-    kit_ok(render_open(&dev, &l.ctx.render, &e), e);
-    kit_ok(photometric_open(&dev, &l.ctx.loss, &e), e);
+    struct level l;
+    struct run_cell job = {.cfg = &c, .scene = &s, .dev = &dev};
+    cell_whole(&s, images, n, &job.cell);
+    kit_ok(render_open(&dev, &job.render, &e), e);
+    kit_ok(photometric_open(&dev, &job.loss, &e), e);
+    level_init(&l, &job, images, n);
+    kit_ok(schedule_make(&c, n, &job.cell, l.stage.levels, &e), e);
     const struct init_input first = {.scene = &s,
                                      .images = images,
                                      .n_images = n,
-                                     .cell = &l.ctx.cell,
+                                     .cell = &job.cell,
                                      .sh_degree = 1,
                                      .limit = 1000,
                                      .seed = 1};
@@ -409,8 +410,8 @@ static void twenty_steps_give_the_golden_trace(void **state)
     kit_near_d("loss of the first 20 steps", got, golden, 20, 0.0, GOLDEN_REL);
     assert_true(got[19] < got[0]);
     level_close(&l);
-    photometric_close(&l.ctx.loss);
-    render_close(&l.ctx.render);
+    photometric_close(&job.loss);
+    render_close(&job.render);
     gauss_free(&g);
     scene_free(&s);
     arena_free(&a);
@@ -637,24 +638,25 @@ static void the_time_left_is_that_of_all_levels(void **state)
     struct train_config c = toy_config(&a, NULL);
     kit_ok(scene_read(scene_dir, &s, &e), e);
     kit_ok(train_scene_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
-    struct context ctx = {.cfg = &c, .scene = &s, .images = images, .n_images = n, .n_levels = 2};
-    ctx.schedule[0] = (struct schedule){.steps = 100, .downsample = 2.0, .budget = 1000};
-    ctx.schedule[1] = (struct schedule){.steps = 200, .downsample = 1.0, .budget = 1000};
+    struct gallery g = {.cfg = &c, .scene = &s, .images = images, .n_images = n};
+    struct stage at = {.n_levels = 2};
+    at.levels[0] = (struct schedule){.steps = 100, .downsample = 2.0, .budget = 1000};
+    at.levels[1] = (struct schedule){.steps = 200, .downsample = 1.0, .budget = 1000};
     struct forecast f = {0};
-    assert_true(forecast_left_s(&f, &ctx, 1000.0) == 0.0);
-    ctx.step = 50;
-    forecast_add(&f, &ctx, 1000.0, 50.0, 10.0);
+    assert_true(forecast_left_s(&f, &g, &at, 1000.0) == 0.0);
+    at.step = 50;
+    forecast_add(&f, &g, &at, 1000.0, 50.0, 10.0);
     double px = 0.0;
     for (size_t i = 0; i < n; i++)
         px += (double)s.images[images[i]].cam.width_px * s.images[images[i]].cam.height_px /
               (double)n;
     double coarse = 1000.0 + 2.0 * px / 4.0, fine = 1000.0 + 2.0 * px;
     double want = 10.0 * (50.0 * coarse + 200.0 * fine) / (50.0 * coarse);
-    assert_true(fabs(forecast_left_s(&f, &ctx, 1000.0) / want - 1.0) < 1e-9);
-    ctx.at = 1; /* the last level, with as many seconds a work as before */
-    ctx.step = 150;
+    assert_true(fabs(forecast_left_s(&f, &g, &at, 1000.0) / want - 1.0) < 1e-9);
+    at.at = 1; /* the last level, with as many seconds a work as before */
+    at.step = 150;
     want = 10.0 * 50.0 * fine / (50.0 * coarse);
-    assert_true(fabs(forecast_left_s(&f, &ctx, 1000.0) / want - 1.0) < 1e-9);
+    assert_true(fabs(forecast_left_s(&f, &g, &at, 1000.0) / want - 1.0) < 1e-9);
     static const struct {
         double s;
         const char *text;

@@ -12,8 +12,8 @@
 #include "tests/kit.h"
 #include "train/background.h"
 #include "train/config.h"
-#include "train/context.h"
 #include "train/photo_loader.h"
+#include "train/stage.h"
 
 /* Flat ground of 60 x 40 m with its corner in the origin, seen by three photographs up to x = 50
  * and by two behind; all of it is inside of the footprint. Flown 20 m above: 4 m of the border are
@@ -25,7 +25,8 @@ struct fixture {
     struct footprint ground;
     struct train_config cfg;
     struct arena arena;
-    struct context ctx;
+    const struct footprint *known; /* the ground, or NULL */
+    struct stage stage;
     struct background background;
 };
 
@@ -56,8 +57,8 @@ static int setup(void **state)
         g->views[i] = i % NX < THREE_SEE ? 3 : 2;
     }
     kit_ok(options_defaults(train_options(), &f.cfg, &f.arena, &e), e);
-    f.ctx.cfg = &f.cfg;
-    f.ctx.ground = g;
+    f.known = g;
+    f.stage.n_levels = 1;
     *state = &f;
     return 0;
 }
@@ -95,7 +96,8 @@ static struct render_options chosen(struct fixture *f, uint32_t step, const stru
     for (size_t i = 0; i < sizeof px; i++)
         px[i] = is_dark((uint32_t)(i / 3 / cam->width_px)) ? 39 : i % 3 ? 20 : 40;
     struct render_options ro = {.background = {0.5f, 0.5f, 0.5f}};
-    kit_ok(background_choose(&f->background, &f->ctx, step, &p, &ro, &e), e);
+    f->stage.step = step;
+    kit_ok(background_choose(&f->background, &f->cfg, f->known, &f->stage, &p, &ro, &e), e);
     return ro;
 }
 
@@ -172,7 +174,7 @@ static void behind_all_and_behind_none(void **state)
     ro = chosen(f, 1, &cam);
     assert_true(!ro.background_where && ro.background[0] != ro.background[1]);
     f->cfg.background_random = 1;
-    f->ctx.ground = NULL; /* no ground is known */
+    f->known = NULL; /* no ground is known */
     ro = chosen(f, 1, &cam);
     assert_true(!ro.background_where && ro.background[0] == 0.5f);
 }

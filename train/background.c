@@ -5,8 +5,10 @@
 
 #include "cells/footprint.h"
 #include "core/base.h"
-#include "train/context.h"
+#include "render/render.h"
+#include "train/config.h"
 #include "train/photo_loader.h"
+#include "train/stage.h"
 
 enum background_random {
     BACKGROUND_RANDOM_NONE,
@@ -52,16 +54,17 @@ static void background_keep_dark(const uint8_t *px, size_t n, uint8_t *where)
                    px[2] < BACKGROUND_DARK;
 }
 
-enum err_code background_choose(struct background *b, const struct context *ctx, uint32_t step,
+enum err_code background_choose(struct background *b, const struct train_config *cfg,
+                                const struct footprint *ground, const struct stage *at,
                                 const struct photo *p, struct render_options *ro, struct err *e)
 {
     size_t n = (size_t)p->cam.width_px * p->cam.height_px;
-    uint64_t stream = train_stream(TRAIN_STREAM_BACKGROUND, ctx->at + 1, step);
+    uint64_t stream = train_stream(TRAIN_STREAM_BACKGROUND, at->at + 1, at->step);
     float *color = ro->background;
-    if (ctx->cfg->background_random == BACKGROUND_RANDOM_NONE)
+    if (cfg->background_random == BACKGROUND_RANDOM_NONE)
         return ERR_OK;
-    if (ctx->cfg->background_random != BACKGROUND_RANDOM_ALL) {
-        if (!ctx->ground || !ctx->ground->nx)
+    if (cfg->background_random != BACKGROUND_RANDOM_ALL) {
+        if (!ground || !ground->nx)
             return ERR_OK; /* nothing is known to be supported */
         if (n > b->cap) {
             mem_free(b->where);
@@ -70,14 +73,14 @@ enum err_code background_choose(struct background *b, const struct context *ctx,
         }
         if (!b->where)
             return err_set(e, ERR_MEM, "background: out of memory for %zu pixels", n);
-        background_mark(ctx->ground, &p->cam, b->where);
-        if (ctx->cfg->background_random == BACKGROUND_RANDOM_DARK)
+        background_mark(ground, &p->cam, b->where);
+        if (cfg->background_random == BACKGROUND_RANDOM_DARK)
             background_keep_dark(p->px, n, b->where);
         ro->background_where = b->where;
         color = ro->background_there;
     }
     for (uint64_t c = 0; c < 3; c++)
-        color[c] = (float)rng_unit((uint64_t)ctx->cfg->seed, stream, c);
+        color[c] = (float)rng_unit((uint64_t)cfg->seed, stream, c);
     return ERR_OK;
 }
 

@@ -17,17 +17,21 @@
 
 #include "core/err.h"
 
-struct context;
+struct footprint;
 struct photo;
 struct render_options;
+struct stage;
+struct train_config;
 
 struct background { /* {0} is ready; background_free */
     uint8_t *where; /* [h][w] of the last photograph, 0: the background stays */
     size_t cap;
 };
-/* Set ro's background for this step of a photograph; ro borrows from b until the next call. The
- * colour is a function of seed, level and step. ERR_MEM. */
-enum err_code background_choose(struct background *b, const struct context *ctx, uint32_t step,
+/* Set ro's background for the step in work and its photograph, as cfg->background_random says.
+ * ground may be NULL: then no ground is known to be supported. ro borrows from b until the next
+ * call. The colour is a function of seed, level and step. ERR_MEM. */
+enum err_code background_choose(struct background *b, const struct train_config *cfg,
+                                const struct footprint *ground, const struct stage *at,
                                 const struct photo *p, struct render_options *ro,
                                 struct err *e) ERR_USE;
 void background_free(struct background *b);

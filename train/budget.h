@@ -10,11 +10,13 @@
 #include "train/config.h"
 #include "train/schedule.h"
 
-struct context;
+struct cell;
+struct gallery;
 struct half_image;
 struct model;
 struct photo_loader;
 struct scene;
+struct stage;
 
 enum budget_mode { BUDGET_TABLE, BUDGET_FIT, BUDGET_AUTO }; /* as options.def lists them */
 
@@ -56,9 +58,10 @@ void budget_close(struct budget *b);
  * a few steps on its left half go on learning, and then its right half is scored. Gain since the
  * last decision, dB a doubling of the Gaussians: at or above cfg->budget_gain_db the budget rises
  * by 1.3 when it is nearly used, below it growth stops for the rest of the level, inside of the
- * cell and out. What masks cover whole is not scored. Changes the level's budget in ctx->schedule.
+ * cell and out. What masks cover whole is not scored. Changes the budget of the level in work.
  * ERR_MEM, ERR_DEVICE, and what photo_loader_get_nth fails with. */
-enum err_code budget_look(struct budget *b, const struct model *m, struct context *ctx, uint32_t x,
+enum err_code budget_look(struct budget *b, const struct model *m, const struct gallery *g,
+                          const struct cell *cell, struct stage *at, uint32_t x,
                           struct err *e) ERR_USE;
 /* The decision by itself. */
 enum budget_step { BUDGET_KEEP, BUDGET_RAISE, BUDGET_STOP };

@@ -17,12 +17,15 @@
 #include "cells/footprint.h"
 #include "cells/trim.h"
 #include "render/permute.h"
+#include "train/appearance_train.h"
 #include "train/config.h"
-#include "train/context.h"
 #include "train/densify_plan.h"
+#include "train/gallery.h"
 #include "train/importance.h"
 #include "train/metrics_log.h"
 #include "train/model.h"
+#include "train/stage.h"
+#include "train/timing.h"
 
 #define DENSIFY_SHARE_MIN 1e-3 /* of the Gaussians; see docs/decisions/006-density-control.md */
 #define DENSIFY_SHARE_MAX 0.98
@@ -54,13 +57,14 @@ static void densify_free_input(struct densify_work *c)
 
 /* A Gaussian that shows under the light of some photographs only must not go for being faint by
  * itself: the limit is for the largest opacity it was drawn with since the last densification. */
-static enum err_code densify_opacity(const struct model *m, const struct context *ctx,
+static enum err_code densify_opacity(const struct model *m, const struct densify_run *r,
                                      struct densify_work *c, const float *count,
                                      struct densify_params *p, struct err *e)
 {
     const float *params = c->params;
-    if (!appearance_train_is_on(&ctx->appearance) ||
-        ctx->step <= appearance_train_warmup(&ctx->appearance, ctx->cfg, context_schedule(ctx)))
+    const struct appearance_train *a = r->gallery->appearance;
+    if (!appearance_train_is_on(a) ||
+        r->at->step <= appearance_train_warmup(a, r->gallery->cfg, stage_schedule(r->at)))
         return ERR_OK;
     c->opacity = mem_array(m->gauss.n, sizeof(float));
     if (!c->opacity)
@@ -78,7 +82,7 @@ static enum err_code densify_opacity(const struct model *m, const struct context
 }
 
 /* Mean gradients and opacities since the last time. */
-static enum err_code densify_count(const struct model *m, const struct context *ctx,
+static enum err_code densify_count(const struct model *m, const struct densify_run *r,
                                    struct densify_work *c, struct densify_params *p, struct err *e)
 {
     size_t n = m->gauss.n, bytes = n * sizeof(float);
@@ -90,26 +94,23 @@ static enum err_code densify_count(const struct model *m, const struct context *
     if (!rc)
         rc = dev_read(m->dev, m->stats.count, 0, bytes, count, e);
     if (!rc)
-        rc = dev_read(m->dev, context_schedule(ctx)->absgrad ? m->stats.absg : m->stats.grad, 0,
+        rc = dev_read(m->dev, stage_schedule(r->at)->absgrad ? m->stats.absg : m->stats.grad, 0,
                       bytes, c->mean_grad, e);
     for (size_t i = 0; !rc && i < n; i++) {
         float mean = count[i] > 0.0f ? c->mean_grad[i] / count[i] : 0.0f;
         c->mean_grad[i] = mean > 0.0f && isfinite(mean) ? mean : 0.0f;
     }
     if (!rc)
-        rc = densify_opacity(m, ctx, c, count, p, e);
+        rc = densify_opacity(m, r, c, count, p, e);
     mem_free(count);
     return rc;
 }
 
 /* At a level's first densification: thresholds in a wrong unit show in the share of candidates. */
-static void densify_check_share(const struct context *ctx, const struct densify_report *r,
-                                uint32_t x)
+static void densify_check_share(const struct schedule *s, const struct densify_report *r)
 {
     double share = (double)(r->clone_candidates + r->split_candidates) / (double)r->before;
-    const struct schedule *s = context_schedule(ctx);
-    if (x != 1 || ctx->cfg->strategy == DENSIFY_STRATEGY_MCMC ||
-        (share >= DENSIFY_SHARE_MIN && share <= DENSIFY_SHARE_MAX))
+    if (s->mcmc || (share >= DENSIFY_SHARE_MIN && share <= DENSIFY_SHARE_MAX))
         return;
     log_warn("train",
              "level %u: %.2g %% of the Gaussians are candidates for densification, %.2g to %.0f %% "
@@ -118,74 +119,77 @@ static void densify_check_share(const struct context *ctx, const struct densify_
              s->level, 100.0 * share, 100.0 * DENSIFY_SHARE_MIN, 100.0 * DENSIFY_SHARE_MAX, s->tau);
 }
 
-static enum err_code densify_tell(const struct context *ctx, const struct densify_report *r,
-                                  size_t cap, struct err *e)
+static enum err_code densify_tell(struct metrics_log *metrics, const struct stage *at,
+                                  const struct densify_report *r, size_t cap, struct err *e)
 {
+    uint32_t level = stage_schedule(at)->level;
     log_debug(
         "train",
         "densify level=%u step=%u before=%zu pruned=%zu candidates=%zu+%zu room=%zu cloned=%zu "
         "split=%zu after=%zu outside=%zu cap=%zu",
-        context_schedule(ctx)->level, ctx->step, r->before, r->pruned, r->clone_candidates,
-        r->split_candidates, r->room, r->cloned, r->split, r->after, r->outside, cap);
-    if (!ctx->metrics)
+        level, at->step, r->before, r->pruned, r->clone_candidates, r->split_candidates, r->room,
+        r->cloned, r->split, r->after, r->outside, cap);
+    if (!metrics)
         return ERR_OK;
     json_t *o = json_pack(
-        "{s:i, s:i, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I}", "level",
-        (int)context_schedule(ctx)->level, "step", (int)ctx->step, "pruned", (json_int_t)r->pruned,
-        "clone_candidates", (json_int_t)r->clone_candidates, "split_candidates",
-        (json_int_t)r->split_candidates, "room", (json_int_t)r->room, "cloned",
-        (json_int_t)r->cloned, "split", (json_int_t)r->split, "cut", (json_int_t)r->cut, "inside",
-        (json_int_t)r->inside, "outside", (json_int_t)r->outside, "cap", (json_int_t)cap);
-    return metrics_log_line(ctx->metrics, "densify", o, e);
+        "{s:i, s:i, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I}", "level", (int)level, "step",
+        (int)at->step, "pruned", (json_int_t)r->pruned, "clone_candidates",
+        (json_int_t)r->clone_candidates, "split_candidates", (json_int_t)r->split_candidates,
+        "room", (json_int_t)r->room, "cloned", (json_int_t)r->cloned, "split",
+        (json_int_t)r->split, "cut", (json_int_t)r->cut, "inside", (json_int_t)r->inside, "outside",
+        (json_int_t)r->outside, "cap", (json_int_t)cap);
+    return metrics_log_line(metrics, "densify", o, e);
 }
 
-static double densify_prune_above(const struct context *ctx)
+static double densify_prune_above(const struct train_config *c, const struct cell *cell,
+                                  double spacing_m)
 {
-    double spacing_m = ctx->cell.edge_m / sqrt((double)context_schedule(ctx)->budget);
-    return ctx->cfg->prune_size > 0.0
-               ? fmax(ctx->cfg->prune_size * ctx->cell.extent_m, DENSIFY_SPACINGS * spacing_m)
-               : 0.0;
+    return c->prune_size > 0.0 ? fmax(c->prune_size * cell->extent_m, DENSIFY_SPACINGS * spacing_m)
+                               : 0.0;
 }
 
-static struct densify_params densify_make_params(const struct model *m, const struct context *ctx,
-                                                 uint32_t x)
+static struct densify_params densify_make_params(const struct model *m,
+                                                 const struct densify_run *r, uint32_t x)
 {
-    const struct schedule *s = context_schedule(ctx);
-    const struct train_config *c = ctx->cfg;
+    const struct schedule *s = stage_schedule(r->at);
+    const struct train_config *c = r->gallery->cfg;
+    const struct site *site = r->site;
+    double spacing_m = site->cell.edge_m / sqrt((double)s->budget);
+    bool limits = schedule_limits_size(s, r->at->step);
     struct densify_params p = {
-        .cell = &ctx->cell,
-        .cap_inside = schedule_cap(ctx->start, s->budget, x, schedule_densify_count(s)),
+        .cell = &site->cell,
+        .cap_inside = schedule_cap(r->at->start, s->budget, x, schedule_densify_count(s)),
         .cap_outside = schedule_cap_outside(s),
         .strategy = (enum densify_strategy)c->strategy,
         .tau = s->tau,
         .tau_outside = c->tau_outside,
-        .split_above_m = c->percent_dense * ctx->cell.extent_m,
+        .split_above_m = c->percent_dense * site->cell.extent_m,
         .split = (enum densify_split)c->split,
         .prune_opacity = c->prune_opacity,
-        .prune_above_m = schedule_limits_size(s, ctx->step) ? densify_prune_above(ctx) : 0.0,
+        .prune_above_m = limits ? densify_prune_above(c, &site->cell, spacing_m) : 0.0,
         .seed = (uint64_t)c->seed,
         .level = s->level,
-        .step = ctx->step,
+        .step = r->at->step,
     };
-    if (ctx->ground && schedule_limits_size(s, ctx->step)) {
-        p.ground = ctx->ground;
-        p.free_space_m = c->free_space > 0.0 ? c->free_space * ctx->ground->height_m : HUGE_VAL;
-        p.size_limit_m = context_size_limit(ctx);
+    if (site->ground && limits) {
+        p.ground = site->ground;
+        p.free_space_m = c->free_space > 0.0 ? c->free_space * site->ground->height_m : HUGE_VAL;
+        p.size_limit_m = gallery_size_limit(r->gallery, site, s);
     }
-    if (ctx->rim && schedule_limits_size(s, ctx->step))
-        p.rim = ctx->rim;
-    p.cut_above_m = fmax(DENSIFY_CUT_SPACINGS * ctx->cell.edge_m / sqrt((double)s->budget),
-                         ctx->rim ? DENSIFY_CUT_LEAST * ctx->rim->least_m : 0.0);
+    if (site->rim && limits)
+        p.rim = site->rim;
+    p.cut_above_m = fmax(DENSIFY_CUT_SPACINGS * spacing_m,
+                         site->rim ? DENSIFY_CUT_LEAST * site->rim->least_m : 0.0);
     memcpy(p.origin_enu_m, m->gauss.origin_enu_m, sizeof p.origin_enu_m);
     return p;
 }
 
 /* Which rows there will be, from the parameters as they are. */
-static enum err_code densify_decide(struct model *m, struct context *ctx,
-                                    struct importance **importance, struct densify_work *c,
-                                    struct densify_params *p, struct err *e)
+static enum err_code densify_decide(struct model *m, const struct densify_run *r,
+                                    struct densify_work *c, struct densify_params *p,
+                                    struct err *e)
 {
-    enum err_code rc = densify_count(m, ctx, c, p, e);
+    enum err_code rc = densify_count(m, r, c, p, e);
     struct densify_input in = {.params = c->params,
                                .n = m->gauss.n,
                                .planes = m->gauss.planes,
@@ -194,11 +198,12 @@ static enum err_code densify_decide(struct model *m, struct context *ctx,
     if (!rc)
         rc = densify_plan_make(p, &in, &c->plan, e);
     if (!rc && c->plan.report.needs_importance) {
-        enum timing_on was = timing_turn(&ctx->timing, TIMING_IMPORTANCE);
+        enum timing_on was = timing_turn(r->timing, TIMING_IMPORTANCE);
         c->score = mem_array(in.n, sizeof(float));
-        rc = c->score ? importance_run(importance, m, ctx, in.params, c->mean_grad, c->score, e)
+        rc = c->score ? importance_run(r->importance, m, r->gallery, r->at, in.params,
+                                       c->mean_grad, c->score, e)
                       : err_set(e, ERR_MEM, "densify: out of memory for %zu scores", in.n);
-        (void)timing_turn(&ctx->timing, was);
+        (void)timing_turn(r->timing, was);
         in.score = c->score;
         if (!rc)
             rc = densify_plan_make(p, &in, &c->plan, e);
@@ -207,7 +212,7 @@ static enum err_code densify_decide(struct model *m, struct context *ctx,
         rc = err_set(e, ERR_DATA,
                      "level %u, step %u: every Gaussian became transparent and was removed; "
                      "are the poses right?",
-                     context_schedule(ctx)->level, ctx->step);
+                     p->level, p->step);
     densify_free_input(c);
     return rc ? rc : densify_order(p, &in, &c->plan, &c->order, e);
 }
@@ -227,25 +232,26 @@ static enum err_code densify_commit(struct model *m, size_t most, const struct d
     return dev_unmap(m->dev, m->gauss.params, &params, e);
 }
 
-enum err_code densify_apply(struct model *m, struct context *ctx, struct importance **importance,
-                            uint32_t x, struct err *e)
+enum err_code densify_apply(struct model *m, const struct densify_run *r, uint32_t x,
+                            struct err *e)
 {
     struct densify_work c = {0};
     struct err why = {0};
-    struct densify_params p = densify_make_params(m, ctx, x);
+    struct densify_params p = densify_make_params(m, r, x);
     enum err_code rc = dev_map(m->dev, m->gauss.params, CL_MAP_READ, model_bytes(m), &c.params, e);
     if (!rc)
-        rc = densify_decide(m, ctx, importance, &c, &p, e);
+        rc = densify_decide(m, r, &c, &p, e);
     enum err_code done = dev_unmap(m->dev, m->gauss.params, &c.params, &why);
     if (!rc && done)
         rc = err_set(e, done, "%s", why.msg);
     struct densify_report report = c.plan.report;
     densify_plan_free(&c.plan);
     if (!rc)
-        rc = densify_commit(m, context_most(ctx), &c, e);
+        rc = densify_commit(m, schedule_most(stage_schedule(r->at), &r->site->cell), &c, e);
     if (!rc) {
-        densify_check_share(ctx, &report, x);
-        rc = densify_tell(ctx, &report, p.cap_inside, e);
+        if (x == 1)
+            densify_check_share(stage_schedule(r->at), &report);
+        rc = densify_tell(r->metrics, r->at, &report, p.cap_inside, e);
     }
     densify_free_input(&c);
     densify_order_free(&c.order);

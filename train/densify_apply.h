@@ -9,14 +9,26 @@
 
 #include "core/err.h"
 
-struct context;
+struct gallery;
 struct importance;
+struct metrics_log;
 struct model;
+struct site;
+struct stage;
+struct timing;
 
+struct densify_run { /* all borrowed */
+    struct gallery *gallery;
+    const struct site *site;
+    const struct stage *at;
+    struct importance **importance; /* NULL at first; made when candidates have to be ranked */
+    struct metrics_log *metrics;    /* NULL: none are written */
+    struct timing *timing;          /* turned to importance while that runs */
+};
 /* The x-th densification of the level in work, from 1: remove, clone and split under its budget.
- * *importance (NULL at first; importance_free) is made when candidates have to be ranked. ERR_DATA:
- * no Gaussian would be left; ERR_LIMIT: more than a cell can hold; ERR_MEM, ERR_DEVICE. */
-enum err_code densify_apply(struct model *m, struct context *ctx, struct importance **importance,
-                            uint32_t x, struct err *e) ERR_USE;
+ * ERR_DATA: no Gaussian would be left; ERR_LIMIT: more than a cell can hold; ERR_MEM,
+ * ERR_DEVICE. */
+enum err_code densify_apply(struct model *m, const struct densify_run *r, uint32_t x,
+                            struct err *e) ERR_USE;
 
 #endif

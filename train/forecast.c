@@ -8,41 +8,43 @@
 #include <stdio.h>
 
 #include "codec/scene.h"
-#include "train/context.h"
+#include "train/gallery.h"
 #include "train/photo_loader.h"
+#include "train/stage.h"
 
 /* Measured on the demo city on two cores: 0.5 ms a thousand Gaussians, 1.1 ms a thousand pixels. */
 #define FORECAST_PIXEL 2.0 /* a pixel costs so many Gaussians */
 #define FORECAST_KEEP 0.8  /* of what was measured before, a look: the last dozen counts */
 
 /* Of one step of a level. */
-static double forecast_work(const struct context *ctx, const struct schedule *s, double gaussians)
+static double forecast_work(const struct gallery *g, const struct schedule *s, double gaussians)
 {
     double pixels = 0.0;
-    for (size_t i = 0; i < ctx->n_images; i++) {
-        struct camera c = photo_loader_camera(&ctx->scene->images[ctx->images[i]].cam,
-                                              (uint32_t)ctx->cfg->max_edge_px, s->downsample);
+    for (size_t i = 0; i < g->n_images; i++) {
+        struct camera c = photo_loader_camera(&g->scene->images[g->images[i]].cam,
+                                              (uint32_t)g->cfg->max_edge_px, s->downsample);
         pixels += (double)c.width_px * c.height_px;
     }
-    return gaussians + FORECAST_PIXEL * pixels / (double)ctx->n_images;
+    return gaussians + FORECAST_PIXEL * pixels / (double)g->n_images;
 }
 
-void forecast_add(struct forecast *f, const struct context *ctx, double gaussians, double steps,
-                  double seconds)
+void forecast_add(struct forecast *f, const struct gallery *g, const struct stage *at,
+                  double gaussians, double steps, double seconds)
 {
     f->work =
-        FORECAST_KEEP * f->work + steps * forecast_work(ctx, context_schedule(ctx), gaussians);
+        FORECAST_KEEP * f->work + steps * forecast_work(g, stage_schedule(at), gaussians);
     f->seconds = FORECAST_KEEP * f->seconds + seconds;
 }
 
-double forecast_left_s(const struct forecast *f, const struct context *ctx, double gaussians)
+double forecast_left_s(const struct forecast *f, const struct gallery *g, const struct stage *at,
+                       double gaussians)
 {
     double left = 0.0;
-    for (uint32_t i = ctx->at; i < ctx->n_levels; i++) {
-        const struct schedule *s = &ctx->schedule[i];
-        double steps = s->steps - (i == ctx->at ? ctx->step : 0);
-        double n = i == ctx->at ? gaussians : fmax((double)s->budget, gaussians);
-        left += steps * forecast_work(ctx, s, n);
+    for (uint32_t i = at->at; i < at->n_levels; i++) {
+        const struct schedule *s = &at->levels[i];
+        double steps = s->steps - (i == at->at ? at->step : 0);
+        double n = i == at->at ? gaussians : fmax((double)s->budget, gaussians);
+        left += steps * forecast_work(g, s, n);
     }
     return f->work > 0.0 ? f->seconds * left / f->work : 0.0;
 }

@@ -8,17 +8,19 @@
 
 #include <stddef.h>
 
-struct context;
+struct gallery;
+struct stage;
 
 struct forecast { /* {0}: nothing was measured yet */
     double work, seconds;
 };
 /* `steps` of the level in work took so many seconds, with this many Gaussians. */
-void forecast_add(struct forecast *f, const struct context *ctx, double gaussians, double steps,
-                  double seconds);
+void forecast_add(struct forecast *f, const struct gallery *g, const struct stage *at,
+                  double gaussians, double steps, double seconds);
 /* Seconds for what is left of all levels; 0 where nothing was measured. Later levels count with
  * their budgets. */
-double forecast_left_s(const struct forecast *f, const struct context *ctx, double gaussians);
+double forecast_left_s(const struct forecast *f, const struct gallery *g, const struct stage *at,
+                       double gaussians);
 /* "40 s", "12 min", "3 h 20 min", "2 d 4 h" into out. */
 void forecast_text(double seconds, char *out, size_t size);
 

@@ -8,7 +8,6 @@
 #include <math.h>
 #include <string.h>
 
-#include "codec/scene.h"
 #include "core/base.h"
 #include "core/camera.h"
 #include "core/cholesky.h"
@@ -16,7 +15,6 @@
 #include "core/pool.h"
 #include "render/permute.h"
 #include "render/render_ref.h"
-#include "train/context.h"
 #include "train/model.h"
 
 enum { HARMONICS_ROWS = 1024, HARMONICS_CHANNELS = 3 }; /* rows that a thread takes at a time */
@@ -128,33 +126,18 @@ enum err_code harmonics_hold(const struct harmonics_rule *r, float *params, size
     return rc;
 }
 
-enum err_code harmonics_level(struct model *m, const struct context *ctx, struct err *e)
+enum err_code harmonics_level(struct model *m, const struct harmonics_rule *r, struct err *e)
 {
-    const struct schedule *s = context_schedule(ctx);
-    struct harmonics_rule r = {.n_cams = ctx->n_images,
-                               .weight = ctx->cfg->sh_ridge,
-                               .degree = schedule_sh_degree(s, s->steps)};
+    const struct render_model *g = &m->gauss;
     struct err why = {0};
     void *params = NULL;
-    if (!(r.weight > 0.0))
-        return ERR_OK;
-    struct camera *cams = mem_array(r.n_cams, sizeof *cams);
-    if (!cams)
-        return err_set(e, ERR_MEM, "harmonics: out of memory for %zu photographs", r.n_cams);
-    for (size_t i = 0; i < r.n_cams; i++) {
-        cams[i] = ctx->scene->images[ctx->images[i]].cam;
-        pose_apply(&ctx->poses, ctx->images[i], &cams[i]);
-    }
-    r.cams = cams;
-    const struct render_model *g = &m->gauss;
     enum err_code rc =
         dev_map(m->dev, g->params, CL_MAP_READ | CL_MAP_WRITE, model_bytes(m), &params, e);
     if (!rc) {
-        rc = harmonics_hold(&r, params, g->n, g->planes, g->origin_enu_m, e);
+        rc = harmonics_hold(r, params, g->n, g->planes, g->origin_enu_m, e);
         enum err_code done = dev_unmap(m->dev, g->params, &params, &why);
         if (!rc && done)
             rc = err_set(e, done, "%s", why.msg);
     }
-    mem_free(cams);
     return rc;
 }

@@ -23,7 +23,6 @@
 #include "core/err.h"
 
 struct camera;
-struct context;
 struct model;
 
 struct harmonics_rule {
@@ -37,8 +36,9 @@ struct harmonics_rule {
  * of them. ERR_MEM. */
 enum err_code harmonics_hold(const struct harmonics_rule *r, float *params, size_t n,
                              uint32_t planes, const double origin_enu_m[3], struct err *e) ERR_USE;
-/* The same for the model at the end of a level: by cfg->sh_ridge, 0 leaves it as it is; from the
- * training photographs as their poses are now. Moments are kept. ERR_MEM, ERR_DEVICE. */
-enum err_code harmonics_level(struct model *m, const struct context *ctx, struct err *e) ERR_USE;
+/* The same for a model in training, at the end of a level. Moments are kept. ERR_MEM,
+ * ERR_DEVICE. */
+enum err_code harmonics_level(struct model *m, const struct harmonics_rule *r,
+                              struct err *e) ERR_USE;
 
 #endif

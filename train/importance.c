@@ -24,10 +24,11 @@
 #include "render/permute.h"
 #include "render/render.h"
 #include "train/config.h"
-#include "train/context.h"
+#include "train/gallery.h"
 #include "train/importance.h"
 #include "train/model.h"
 #include "train/photo_loader.h"
+#include "train/stage.h"
 
 enum {
     IMPORTANCE_FIELDS = 9,
@@ -155,11 +156,11 @@ static enum err_code importance_alloc_all(struct importance *s, size_t n_px, str
 
 /* Draw the view, find its loss, weigh its pixels on the device. */
 static enum err_code importance_draw(struct importance *s, const struct model *m,
-                                     struct context *ctx, const struct photo *p, double *view_loss,
-                                     struct err *e)
+                                     struct gallery *g, const struct stage *at,
+                                     const struct photo *p, double *view_loss, struct err *e)
 {
     size_t n = (size_t)p->cam.width_px * p->cam.height_px, bytes = n * sizeof(float);
-    struct render_options ro = context_photo_options(ctx, ctx->step, p->image);
+    struct render_options ro = gallery_photo_options(g, at, p->image);
     struct photometric_value v = {0};
     enum err_code rc = importance_alloc_all(s, n, e);
     if (rc)
@@ -168,26 +169,27 @@ static enum err_code importance_draw(struct importance *s, const struct model *m
     if (bytes > s->weight_bytes) {
         dev_release(&s->weight);
         s->weight_bytes = 0;
-        rc = dev_buffer(ctx->dev, bytes, NULL, &s->weight, e);
+        rc = dev_buffer(g->engine.dev, bytes, NULL, &s->weight, e);
         s->weight_bytes = rc ? 0 : bytes;
     }
     if (!rc)
-        rc = render_forward(ctx->render, &m->gauss, &p->cam, &ro, NULL, NULL, e);
+        rc = render_forward(g->engine.render, &m->gauss, &p->cam, &ro, NULL, NULL, e);
     if (!rc)
-        rc = context_photo_value(ctx, p, e);
+        rc = gallery_value(g, p, e);
     if (!rc) /* while the device works */
         importance_edges(p->px, p->cam.width_px, p->cam.height_px, luma, edge);
     if (!rc)
-        rc = photometric_read(ctx->loss, &v, e);
+        rc = photometric_read(g->engine.loss, &v, e);
     if (!rc)
-        rc = dev_read(ctx->dev, render_color_buffer(ctx->render), 0, 3 * bytes, color, e);
+        rc = dev_read(g->engine.dev, render_color_buffer(g->engine.render), 0, 3 * bytes, color,
+                      e);
     if (!rc) {
         importance_errors(color, p->px, p->mask, n, error);
         for (size_t i = 0; i < n; i++)
             error[i] = p->mask && !p->mask[i]
                            ? 0.0f
                            : IMPORTANCE_ERROR * error[i] + IMPORTANCE_EDGE * edge[i];
-        rc = dev_write(ctx->dev, s->weight, 0, bytes, error, e);
+        rc = dev_write(g->engine.dev, s->weight, 0, bytes, error, e);
     }
     *view_loss = isfinite(v.total) ? v.total : 0.0;
     return rc;
@@ -223,7 +225,8 @@ enum err_code importance_inverse_median(const float *x, size_t n, size_t stride,
 struct importance_work {
     struct importance *made;
     const struct model *m;
-    struct context *ctx;
+    struct gallery *gallery;
+    const struct stage *at;
     const float *params, *sums;          /* mapped; sums [n][LAYOUT_IMPORTANCE_SUMS] of the view */
     const float *own[IMPORTANCE_WEIGHT]; /* [n] fields that no view changes */
     float *opacity, *volume;             /* two of them */
@@ -300,9 +303,9 @@ static enum err_code importance_view(struct importance_work *w, size_t nth, stru
     struct photo photo;
     double loss = 0.0;
     size_t chunks = (w->n + IMPORTANCE_CHUNK - 1) / IMPORTANCE_CHUNK;
-    enum err_code rc = photo_loader_get_nth(w->ctx->photos, nth, &photo, e);
+    enum err_code rc = photo_loader_get_nth(w->gallery->photos, nth, &photo, e);
     if (!rc)
-        rc = importance_draw(w->made, w->m, w->ctx, &photo, &loss, e);
+        rc = importance_draw(w->made, w->m, w->gallery, w->at, &photo, &loss, e);
     if (!rc)
         rc = render_importance_run(w->made->device, &w->m->gauss, w->made->weight, &w->sums, e);
     w->view_factor = (float)(IMPORTANCE_VIEW * loss);
@@ -332,28 +335,28 @@ static void importance_forget(struct importance *s)
         render_importance_forget(s->device);
 }
 
-enum err_code importance_run(struct importance **own, const struct model *m, struct context *ctx,
-                             const float *params, const float *mean_grad, float *score,
-                             struct err *e)
+enum err_code importance_run(struct importance **own, const struct model *m, struct gallery *g,
+                             const struct stage *at, const float *params, const float *mean_grad,
+                             float *score, struct err *e)
 {
     struct importance_work w = {
-        .m = m, .ctx = ctx, .params = params, .total = score, .n = m->gauss.n};
-    uint32_t *views = NULL, *all = mem_array(ctx->n_images, sizeof *all);
-    size_t wanted = (size_t)ctx->cfg->importance_views,
-           n_views = wanted < ctx->n_images ? wanted : ctx->n_images;
+        .m = m, .gallery = g, .at = at, .params = params, .total = score, .n = m->gauss.n};
+    uint32_t *views = NULL, *all = mem_array(g->n_images, sizeof *all);
+    size_t wanted = (size_t)g->cfg->importance_views,
+           n_views = wanted < g->n_images ? wanted : g->n_images;
     views = mem_array(n_views, sizeof *views);
-    enum err_code rc = all && views ? importance_make(own, ctx->render, e)
+    enum err_code rc = all && views ? importance_make(own, g->engine.render, e)
                                     : err_set(e, ERR_MEM, "importance: out of memory");
     w.made = *own;
     if (!rc)
         rc = importance_alloc(&w, mean_grad, e);
     if (rc)
         goto out;
-    for (size_t i = 0; i < ctx->n_images; i++)
+    for (size_t i = 0; i < g->n_images; i++)
         all[i] = (uint32_t)i;
     memset(score, 0, w.n * sizeof *score);
-    rc = sample_race(NULL, all, ctx->n_images, n_views, (uint64_t)ctx->cfg->seed,
-                     train_stream(TRAIN_STREAM_VIEWS, ctx->at + 1, ctx->step), views, e);
+    rc = sample_race(NULL, all, g->n_images, n_views, (uint64_t)g->cfg->seed,
+                     train_stream(TRAIN_STREAM_VIEWS, at->at + 1, at->step), views, e);
     if (!rc)
         rc = pool_for((w.n + IMPORTANCE_CHUNK - 1) / IMPORTANCE_CHUNK, 0, importance_static_chunk,
                       &w, e);

@@ -10,18 +10,19 @@
 
 #include "core/err.h"
 
-struct context;
+struct gallery;
 struct model;
+struct stage;
 
 struct importance;
 void importance_free(struct importance **s);
-/* Importance of every Gaussian over cfg->importance_views random training views: score[n], finite
- * and >= 0. params: the model's parameters as the host sees them; mean_grad [n]. *own: NULL at
- * first, keeps kernels and buffers from call to call; importance_free it. ERR_MEM, ERR_DEVICE, and
- * what photo_loader_get_nth fails with. */
-enum err_code importance_run(struct importance **own, const struct model *m, struct context *ctx,
-                             const float *params, const float *mean_grad, float *score,
-                             struct err *e) ERR_USE;
+/* Importance of every Gaussian over cfg->importance_views random training photographs: score[n],
+ * finite and >= 0. params: the model's parameters as the host sees them; mean_grad [n]. *own keeps
+ * kernels and buffers from call to call: NULL at first, importance_free it. ERR_MEM, ERR_DEVICE,
+ * and what photo_loader_get_nth fails with. */
+enum err_code importance_run(struct importance **own, const struct model *m, struct gallery *g,
+                             const struct stage *at, const float *params, const float *mean_grad,
+                             float *score, struct err *e) ERR_USE;
 /* Its parts, for tests. x -> 0..1, 0 when all are equal. Edges: [h][w], stretched. 1 / median of
  * the values above 0 among x[0], x[stride] .. x[(n - 1) stride] (0 when there are none).
  * ERR_MEM. */

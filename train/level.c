@@ -1,9 +1,10 @@
 /* The training loop of one cell: a step, what follows it at certain steps, and the hand-over
- * between levels. This file conducts; what it calls knows the model and the context only.
+ * between levels. This file conducts: it alone knows all parts of a level and hands each of them
+ * what it uses. The parts do not know the level.
  *
- * A step is photograph -> forward pass -> loss -> backward pass fused with Adam; then, where the
- * schedule says so, density control and opacity reset (step first, then densify: a new Gaussian
- * starts with the parameters it was given): densify_apply.c.
+ * A step is photograph -> forward pass -> loss -> backward pass fused with Adam. Where the schedule
+ * says so, density control (densify_apply.c) and opacity reset follow it: first the step, then
+ * densification, so that a new Gaussian starts with the parameters it was given.
  *
  * At a hand-over the Gaussians stay and everything of the optimiser starts anew: moments and
  * statistics 0, step 0.
@@ -14,13 +15,19 @@
 
 #include <math.h>
 
+#include "codec/ckpt.h"
+#include "codec/scene.h"
 #include "loss/photometric.h"
 #include "train/config.h"
 #include "train/densify_apply.h"
+#include "train/harmonics.h"
 #include "train/importance.h"
 #include "train/photo_loader.h"
+#include "train/prune.h"
+#include "train/refit.h"
 #include "train/regularizer.h"
-#include "train/schedule.h"
+#include "train/run_cell.h"
+#include "train/state.h"
 
 /* Of the cell's edge: beyond, exp() and determinants lose their digits. */
 #define LEVEL_SIGMA_MIN 1e-6
@@ -28,14 +35,39 @@
 #define LEVEL_BETA1 0.9f
 #define LEVEL_BETA2 0.999f
 #define LEVEL_EPS 1e-15f
-#define LEVEL_MEAN_KEEP 0.95 /* of the running means shown to people */
+#define LEVEL_MEAN_KEEP 0.95    /* of the running means shown to people */
+#define LEVEL_NEAR_SHARE 1000.0 /* near planes in a cell's edge */
+enum { LEVEL_FILTER_STEPS = 100 }; /* the filter of Mip-Splatting is computed this often */
+
+/* ---- opening ---- */
+
+void level_init(struct level *l, const struct run_cell *job, const uint32_t *images,
+                size_t n_images)
+{
+    const struct train_config *c = job->cfg;
+    *l = (struct level){.cfg = c,
+                        .engine = {job->dev, job->render, job->loss},
+                        .site = {.cell = job->cell},
+                        .stage = {.n_levels = (uint32_t)c->level_count}};
+    l->gallery = (struct gallery){.cfg = c,
+                                  .engine = l->engine,
+                                  .scene = job->scene,
+                                  .images = images,
+                                  .n_images = n_images,
+                                  .poses = &l->poses,
+                                  .appearance = &l->appearance,
+                                  .near_m = c->near_m > 0.0
+                                                ? c->near_m
+                                                : fmax(RENDER_NEAR_M,
+                                                       job->cell.edge_m / LEVEL_NEAR_SHARE)};
+}
 
 static void level_start_optimiser(struct level *l)
 {
-    const struct context *ctx = &l->ctx;
-    const struct train_config *c = ctx->cfg;
-    const struct schedule *s = context_schedule(ctx);
-    const struct appearance_train *a = &ctx->appearance;
+    const struct train_config *c = l->cfg;
+    const struct schedule *s = stage_schedule(&l->stage);
+    const struct appearance_train *a = &l->appearance;
+    uint32_t step = l->stage.step;
     struct render_adam *adam = &l->model.adam;
     adam->lr_scale = (float)(c->lr_scale * s->lr_factor);
     adam->lr_quat = (float)(c->lr_quat * s->lr_factor);
@@ -45,20 +77,21 @@ static void level_start_optimiser(struct level *l)
     adam->beta1 = LEVEL_BETA1;
     adam->beta2 = LEVEL_BETA2;
     adam->eps = LEVEL_EPS;
-    adam->scale_log_min = (float)log(LEVEL_SIGMA_MIN * ctx->cell.edge_m);
-    adam->scale_log_max = (float)log(LEVEL_SIGMA_MAX * ctx->cell.edge_m);
-    adam->step = ctx->step;
+    adam->scale_log_min = (float)log(LEVEL_SIGMA_MIN * l->site.cell.edge_m);
+    adam->scale_log_max = (float)log(LEVEL_SIGMA_MAX * l->site.cell.edge_m);
+    adam->step = step;
     uint32_t warmup = appearance_train_is_on(a) ? appearance_train_warmup(a, c, s) : 0;
-    adam->embed_step = appearance_train_is_on(a) && ctx->step > warmup ? ctx->step - warmup : 0;
+    adam->embed_step = appearance_train_is_on(a) && step > warmup ? step - warmup : 0;
 }
 
 enum err_code level_open(struct level *l, const struct gauss *g, struct err *e)
 {
-    struct context *ctx = &l->ctx;
-    enum err_code rc = model_open(&l->model, ctx->dev, ctx->render, g, context_most(ctx), e);
+    const struct cell *cell = &l->site.cell;
+    size_t most = schedule_most(stage_schedule(&l->stage), cell);
+    enum err_code rc = model_open(&l->model, l->engine.dev, l->engine.render, g, most, e);
     if (!rc)
         rc = model_fill(&l->model, g, e);
-    return rc ? rc : model_count_inside(&l->model, &ctx->cell, &ctx->start, e);
+    return rc ? rc : model_count_inside(&l->model, cell, &l->stage.start, e);
 }
 
 void level_close(struct level *l)
@@ -68,73 +101,198 @@ void level_close(struct level *l)
     regularizer_free(&l->regularizer);
     background_free(&l->background);
     model_close(&l->model);
-    context_close(&l->ctx);
+    gallery_close(&l->gallery);
+    appearance_train_close(&l->appearance);
+    pose_free(&l->poses);
 }
 
 enum err_code level_begin(struct level *l, struct err *e)
 {
-    struct context *ctx = &l->ctx;
-    const struct schedule *s = context_schedule(ctx);
-    struct photo_loader_config f = {
-        .scene = ctx->scene,
-        .images = ctx->images,
-        .n_images = ctx->n_images,
-        .poses = &ctx->poses,
-        .max_edge_px = (uint32_t)ctx->cfg->max_edge_px,
-        .downsample = s->downsample,
-        .cache_bytes = (size_t)ctx->cfg->cache_mib << 20,
-        .exposure = ctx->cfg->exposure ? PHOTO_LOADER_TO_MEAN : PHOTO_LOADER_AS_TAKEN,
-        .no_masks = !ctx->cfg->masks,
-        .seed = (uint64_t)ctx->cfg->seed,
-        .level = s->level,
-    };
-    photo_loader_close(&ctx->photos);
     level_start_optimiser(l);
     l->loss_mean = l->mse_mean = 0.0;
     l->step_s = clock_s();
-    return photo_loader_open(&f, &ctx->photos, e);
+    return gallery_open(&l->gallery, stage_schedule(&l->stage), e);
+}
+
+/* ---- checkpoints ---- */
+
+static struct state level_state(struct level *l, double seconds)
+{
+    return (struct state){.run = {l->cfg, &l->site.cell, l->gallery.n_images},
+                          .at = l->stage,
+                          .appearance = &l->appearance,
+                          .poses = &l->poses,
+                          .budget = &l->budget,
+                          .seconds = seconds};
+}
+
+enum err_code level_resume(struct level *l, const char *path, struct err *e)
+{
+    struct state s = level_state(l, 0.0);
+    enum err_code rc = state_load(&l->model, &l->engine, &s, path, e);
+    l->stage = s.at;
+    l->seconds = s.seconds;
+    return rc;
+}
+
+enum err_code level_save(struct level *l, double seconds, const char *path, struct err *e)
+{
+    struct state s = level_state(l, seconds);
+    return state_save(&l->model, &s, path, e);
+}
+
+enum err_code level_save_result(struct level *l, const char *path,
+                                const struct evaluate_score *score, struct err *e)
+{
+    struct state s = level_state(l, 0.0);
+    enum err_code rc = gallery_filter(&l->gallery, &l->stage, &l->model, e);
+    return rc ? rc : state_save_level(&l->model, &s, path, score, e);
+}
+
+/* ---- between levels ---- */
+
+/* The smallest harmonics that look alike from where photographs stood (option sh_ridge). */
+static enum err_code level_hold_harmonics(struct level *l, struct err *e)
+{
+    const struct schedule *s = stage_schedule(&l->stage);
+    struct harmonics_rule r = {.n_cams = l->gallery.n_images,
+                               .weight = l->cfg->sh_ridge,
+                               .degree = schedule_sh_degree(s, s->steps)};
+    if (!(r.weight > 0.0))
+        return ERR_OK;
+    struct camera *cams = gallery_cameras_full(&l->gallery);
+    if (!cams)
+        return err_set(e, ERR_MEM, "harmonics: out of memory for %zu photographs", r.n_cams);
+    r.cams = cams;
+    enum err_code rc = harmonics_level(&l->model, &r, e);
+    mem_free(cams);
+    return rc;
+}
+
+enum err_code level_prune(struct level *l, struct prune_report *out,
+                          struct residual_list *residuals, struct err *e)
+{
+    if (l->stage.pruned)
+        return ERR_OK;
+    enum err_code rc = prune_level(&l->model, &l->gallery, l->site.ground, &l->stage, out,
+                                   residuals, e);
+    if (!rc)
+        rc = level_hold_harmonics(l, e);
+    l->stage.pruned = !rc;
+    return rc;
 }
 
 enum err_code level_next(struct level *l, struct err *e)
 {
-    struct context *ctx = &l->ctx;
-    enum err_code rc = model_count_inside(&l->model, &ctx->cell, &ctx->start, e);
+    struct stage *at = &l->stage;
+    enum err_code rc = model_count_inside(&l->model, &l->site.cell, &at->start, e);
     if (rc)
         return rc;
-    ctx->at++;
-    ctx->step = 0;
-    ctx->pruned = false;
+    at->at++;
+    at->step = 0;
+    at->pruned = false;
     budget_close(&l->budget);
     l->budget.at = (struct budget_point){0};
     l->model.filter_is_current = false;
-    appearance_train_restart(&ctx->appearance);
+    appearance_train_restart(&l->appearance);
     rc = model_zero_moments(&l->model, e);
     if (!rc)
         rc = model_zero_stats(&l->model, e);
-    if (rc || ctx->at == ctx->n_levels)
+    if (rc || at->at == at->n_levels)
         return rc;
-    const struct schedule *s = context_schedule(ctx);
-    if (ctx->start > s->budget)
+    const struct schedule *s = stage_schedule(at);
+    if (at->start > s->budget)
         log_warn("train",
                  "level %u starts with %zu Gaussians, its budget is %zu: none will be added",
-                 s->level, ctx->start, s->budget);
+                 s->level, at->start, s->budget);
     return level_begin(l, e);
 }
+
+void level_end(struct level *l)
+{
+    l->stage.at = l->stage.n_levels;
+}
+
+/* ---- one network for all levels ---- */
+
+/* The level's Gaussians instead of those there are; no more room than for them. */
+static enum err_code level_refit_load(struct level *l, const struct ckpt_rows *c, struct err *e)
+{
+    importance_free(&l->importance); /* made anew where needed, for as many as there are */
+    regularizer_free(&l->regularizer);
+    model_close(&l->model);
+    enum err_code rc = model_open(&l->model, l->engine.dev, l->engine.render, ckpt_rows_like(c),
+                                  ckpt_rows_count(c), e);
+    if (!rc)
+        rc = state_fill_rows(&l->model, c, e);
+    if (!rc)
+        rc = model_zero_moments(&l->model, e);
+    return rc ? rc : model_count_inside(&l->model, &l->site.cell, &l->stage.start, e);
+}
+
+static enum err_code level_refit_begin(struct level *l, uint32_t at, const struct ckpt_rows *c,
+                                       struct err *e)
+{
+    struct stage *s = &l->stage;
+    s->at = at;
+    s->step = 0;
+    s->pruned = true;
+    s->levels[at] = refit_schedule(&s->levels[at], l->cfg->appearance_refit);
+    l->appearance.shared = true;
+    appearance_train_restart(&l->appearance);
+    enum err_code rc = level_refit_load(l, c, e);
+    if (!rc)
+        rc = level_begin(l, e);
+    l->model.adam.lr_scale = l->model.adam.lr_quat = l->model.adam.lr_opacity = 0.0f;
+    return rc;
+}
+
+enum err_code level_refit_open(struct level_refit *r, struct level *l, uint32_t at,
+                               const char *path, struct err *e)
+{
+    struct ckpt_rows *c = NULL;
+    *r = (struct level_refit){.was = l->stage.levels[at], .was_shared = l->appearance.shared};
+    enum err_code rc = ckpt_rows_open(path, &c, e);
+    if (!rc)
+        rc = refit_look(&l->appearance, c, &r->needed, e);
+    if (!rc && r->needed)
+        rc = level_refit_begin(l, at, c, e);
+    ckpt_rows_close(&c);
+    return rc ? err_add(e, "%s", path) : ERR_OK;
+}
+
+enum err_code level_refit_finish(struct level *l, struct err *e)
+{
+    return level_hold_harmonics(l, e);
+}
+
+void level_refit_end(struct level_refit *r, struct level *l)
+{
+    struct stage *s = &l->stage;
+    if (!r->needed)
+        return;
+    s->levels[s->at] = r->was;
+    s->step = r->was.steps;
+    l->appearance.shared = r->was_shared;
+}
+
+/* ---- after a step ---- */
 
 /* What follows some steps. The device finishes the step before the clock turns. */
 static enum err_code level_control(struct level *l, uint32_t x, struct err *e)
 {
-    struct context *ctx = &l->ctx;
-    enum err_code rc = dev_finish(ctx->dev, e);
-    enum timing_on was = timing_turn(&ctx->timing, TIMING_BUDGET);
+    const struct densify_run run = {&l->gallery,    &l->site,   &l->stage,
+                                    &l->importance, l->metrics, &l->timing};
+    enum err_code rc = dev_finish(l->engine.dev, e);
+    enum timing_on was = timing_turn(&l->timing, TIMING_BUDGET);
     if (!rc && x)
-        rc = budget_look(&l->budget, &l->model, ctx, x, e);
-    (void)timing_turn(&ctx->timing, TIMING_DENSIFY);
+        rc = budget_look(&l->budget, &l->model, &l->gallery, &l->site.cell, &l->stage, x, e);
+    (void)timing_turn(&l->timing, TIMING_DENSIFY);
     if (!rc && x)
-        rc = densify_apply(&l->model, ctx, &l->importance, x, e);
-    if (!rc && schedule_resets(context_schedule(ctx), ctx->step))
-        rc = model_reset_opacity(&l->model, ctx->cfg->reset_opacity, e);
-    (void)timing_turn(&ctx->timing, was);
+        rc = densify_apply(&l->model, &run, x, e);
+    if (!rc && schedule_resets(stage_schedule(&l->stage), l->stage.step))
+        rc = model_reset_opacity(&l->model, l->cfg->reset_opacity, e);
+    (void)timing_turn(&l->timing, was);
     return rc;
 }
 
@@ -144,10 +302,10 @@ static enum err_code level_control(struct level *l, uint32_t x, struct err *e)
 static enum err_code level_check_repaired(struct level *l, struct err *e)
 {
     uint32_t n = 0;
-    enum err_code rc = dev_read(l->ctx.dev, l->model.stats.repaired, 0, sizeof n, &n, e);
+    enum err_code rc = dev_read(l->engine.dev, l->model.stats.repaired, 0, sizeof n, &n, e);
     if (!rc && n != l->repaired) {
         log_warn("train", "%u Gaussians had a non-finite update and were repaired (step %u)",
-                 n - l->repaired, l->ctx.step);
+                 n - l->repaired, l->stage.step);
         l->repaired = n;
     }
     return rc;
@@ -155,13 +313,13 @@ static enum err_code level_check_repaired(struct level *l, struct err *e)
 
 static enum err_code level_read_loss(struct level *l, struct photometric_value *v, struct err *e)
 {
-    enum err_code rc = photometric_read(l->ctx.loss, v, e);
+    enum err_code rc = photometric_read(l->engine.loss, v, e);
     if (rc)
         return rc;
     if (!isfinite(v->total))
         return err_set(e, ERR_DATA,
                        "level %u, step %u: the loss is not finite; lower the learning rates",
-                       context_schedule(&l->ctx)->level, l->ctx.step);
+                       stage_schedule(&l->stage)->level, l->stage.step);
     double keep = l->mse_mean > 0.0 ? LEVEL_MEAN_KEEP : 0.0;
     l->loss_mean = keep * l->loss_mean + (1.0 - keep) * v->total;
     l->mse_mean = keep * l->mse_mean + (1.0 - keep) * v->mse;
@@ -172,9 +330,9 @@ static enum err_code level_read_loss(struct level *l, struct photometric_value *
 static void level_ask_appearance(struct level *l, uint32_t step, const struct render_options *ro,
                                  struct render_appearance_grad *grad)
 {
-    const struct schedule *s = context_schedule(&l->ctx);
-    const struct train_config *c = l->ctx.cfg;
-    const struct appearance_train *a = &l->ctx.appearance;
+    const struct schedule *s = stage_schedule(&l->stage);
+    const struct train_config *c = l->cfg;
+    const struct appearance_train *a = &l->appearance;
     struct render_adam *adam = &l->model.adam;
     adam->appearance = NULL;
     if (!ro->appearance_frame)
@@ -194,18 +352,18 @@ static void level_learn_appearance(struct level *l, uint32_t image)
     const struct render_appearance_grad *grad = adam->appearance;
     l->offset_mean = grad->offset_mean;
     if (grad->frame)
-        appearance_train_update(&l->ctx.appearance, image, (double)adam->lr_embed);
+        appearance_train_update(&l->appearance, image, (double)adam->lr_embed);
 }
 
 /* Of poses, from lr_pose down to lr_pose_final over all levels. */
 static double level_pose_rate(const struct level *l, uint32_t step)
 {
-    const struct context *ctx = &l->ctx;
-    const struct train_config *c = ctx->cfg;
+    const struct stage *at = &l->stage;
+    const struct train_config *c = l->cfg;
     double done = step, all = 0.0;
-    for (uint32_t i = 0; i < ctx->n_levels; i++) {
-        done += i < ctx->at ? ctx->schedule[i].steps : 0.0;
-        all += ctx->schedule[i].steps;
+    for (uint32_t i = 0; i < at->n_levels; i++) {
+        done += i < at->at ? at->levels[i].steps : 0.0;
+        all += at->levels[i].steps;
     }
     if (!(c->lr_pose > 0.0) || !(c->lr_pose_final > 0.0))
         return c->lr_pose * (1.0 - done / all);
@@ -216,22 +374,22 @@ static double level_pose_rate(const struct level *l, uint32_t step)
 static enum err_code level_backward(struct level *l, uint32_t step, uint32_t image,
                                     const struct render_options *ro, struct err *e)
 {
-    const struct schedule *s = context_schedule(&l->ctx);
+    const struct schedule *s = stage_schedule(&l->stage);
     struct model *m = &l->model;
     struct render_appearance_grad grad;
     struct render_density_stats stats = m->stats;
     double pose[POSE_NUMBERS];
-    m->adam.pose_grad = l->ctx.poses.n ? pose : NULL;
+    m->adam.pose_grad = l->poses.n ? pose : NULL;
     m->adam.step = step;
     m->adam.lr_mean = (float)schedule_lr_mean(s, step);
     level_ask_appearance(l, step, ro, &grad);
     if (!s->absgrad || step >= s->densify_until)
         stats.absg = NULL; /* densification would not look at it: saves a tenth of the pass */
-    enum err_code rc = render_backward_step(l->ctx.render, &m->gauss, &m->adam, &stats, e);
+    enum err_code rc = render_backward_step(l->engine.render, &m->gauss, &m->adam, &stats, e);
     if (!rc && m->adam.appearance)
         level_learn_appearance(l, image);
     if (!rc && m->adam.pose_grad)
-        pose_update(&l->ctx.poses, image, pose, level_pose_rate(l, step));
+        pose_update(&l->poses, image, pose, level_pose_rate(l, step));
     m->adam.appearance = NULL; /* these live here */
     m->adam.pose_grad = NULL;
     return rc;
@@ -239,30 +397,34 @@ static enum err_code level_backward(struct level *l, uint32_t step, uint32_t ima
 
 enum err_code level_step(struct level *l, struct photometric_value *value, struct err *e)
 {
-    struct context *ctx = &l->ctx;
     struct model *m = &l->model;
-    uint32_t step = ctx->step + 1;
+    uint32_t step = ++l->stage.step;
     struct photo photo;
-    enum timing_on was = timing_turn(&ctx->timing, TIMING_PHOTOGRAPHS);
-    enum err_code rc = photo_loader_get(ctx->photos, step, &photo, e);
-    (void)timing_turn(&ctx->timing, was);
+    enum timing_on was = timing_turn(&l->timing, TIMING_PHOTOGRAPHS);
+    enum err_code rc = photo_loader_get(l->gallery.photos, step, &photo, e);
+    (void)timing_turn(&l->timing, was);
     if (rc)
         return rc;
-    struct render_options ro = context_photo_options(ctx, step, photo.image);
-    rc = background_choose(&l->background, ctx, step, &photo, &ro, e);
+    struct render_options ro = gallery_photo_options(&l->gallery, &l->stage, photo.image);
+    rc = background_choose(&l->background, l->cfg, l->site.ground, &l->stage, &photo, &ro, e);
+    if (step % LEVEL_FILTER_STEPS == 0)
+        m->filter_is_current = false;
     if (!rc)
-        rc = regularizer_step(&l->regularizer, m, ctx, step, &photo, e);
+        rc = gallery_filter(&l->gallery, &l->stage, m, e);
+    const struct regularizer_input terms = {&l->gallery, &l->site, &l->stage, &photo, &l->timing};
     if (!rc)
-        rc = render_forward(ctx->render, &m->gauss, &photo.cam, &ro, NULL, NULL, e);
+        rc = regularizer_step(&l->regularizer, m, &terms, e);
     if (!rc)
-        rc = context_photo_loss(ctx, &photo, e);
+        rc = render_forward(l->engine.render, &m->gauss, &photo.cam, &ro, NULL, NULL, e);
+    if (!rc)
+        rc = gallery_loss(&l->gallery, &photo, e);
     if (!rc)
         rc = level_backward(l, step, photo.image, &ro, e);
     if (!rc)
-        rc = regularizer_shake(&l->regularizer, m, ctx, step, e);
-    ctx->step = step;
+        rc = regularizer_shake(&l->regularizer, m, l->cfg, &l->site.cell, &l->stage, e);
     if (!rc && value)
         rc = level_read_loss(l, value, e);
-    uint32_t x = schedule_densify_index(context_schedule(ctx), step);
-    return !rc && (x || schedule_resets(context_schedule(ctx), step)) ? level_control(l, x, e) : rc;
+    const struct schedule *s = stage_schedule(&l->stage);
+    uint32_t x = schedule_densify_index(s, step);
+    return !rc && (x || schedule_resets(s, step)) ? level_control(l, x, e) : rc;
 }

@@ -20,10 +20,11 @@
 #include "core/sort.h"
 #include "loss/photometric.h"
 #include "render/permute.h"
-#include "train/context.h"
+#include "train/gallery.h"
 #include "train/model.h"
 #include "train/photo_loader.h"
 #include "train/residual.h"
+#include "train/stage.h"
 
 enum { PRUNE_SUMS = 8, PRUNE_PIXELS = 1, PRUNE_SHARE = 2 };
 enum {
@@ -35,7 +36,9 @@ enum {
 
 struct prune {
     struct model *m;
-    struct context *ctx;
+    struct gallery *gallery;
+    const struct stage *at;
+    const struct footprint *ground;
     struct render_importance *device;
     cl_mem weight; /* zeros: only alpha T is of interest */
     size_t weight_bytes;
@@ -48,30 +51,30 @@ struct prune {
 /* Draw a photograph; its squared error. */
 static enum err_code prune_draw(struct prune *c, size_t nth, double *mse, struct err *e)
 {
-    struct context *ctx = c->ctx;
+    struct gallery *g = c->gallery;
     struct photo p;
     struct photometric_value v = {0};
-    enum err_code rc = photo_loader_get_nth(ctx->photos, nth, &p, e);
+    enum err_code rc = photo_loader_get_nth(g->photos, nth, &p, e);
     if (rc)
         return rc;
-    struct render_options ro = context_photo_options(ctx, ctx->step, p.image);
-    rc = render_forward(ctx->render, &c->m->gauss, &p.cam, &ro, NULL, NULL, e);
+    struct render_options ro = gallery_photo_options(g, c->at, p.image);
+    rc = render_forward(g->engine.render, &c->m->gauss, &p.cam, &ro, NULL, NULL, e);
     if (!rc)
-        rc = context_photo_value(ctx, &p, e);
+        rc = gallery_value(g, &p, e);
     if (!rc)
-        rc = photometric_read(ctx->loss, &v, e);
+        rc = photometric_read(g->engine.loss, &v, e);
     *mse = v.mse;
     if (!rc && c->residuals)
         rc = residual_add(c->residuals, p.name, residual_mse(&p, v.mse), residual_ssim(&p, v.ssim),
-                          residual_coverage(ctx->ground, &p.cam), e);
+                          residual_coverage(c->ground, &p.cam), e);
     size_t bytes = (size_t)p.cam.width_px * p.cam.height_px * sizeof(float);
     if (rc || !c->device || bytes <= c->weight_bytes)
         return rc;
     dev_release(&c->weight);
     c->weight_bytes = 0;
-    rc = dev_buffer(ctx->dev, bytes, NULL, &c->weight, e);
+    rc = dev_buffer(g->engine.dev, bytes, NULL, &c->weight, e);
     if (!rc)
-        rc = dev_zero(ctx->dev, c->weight, 0, bytes, e);
+        rc = dev_zero(g->engine.dev, c->weight, 0, bytes, e);
     c->weight_bytes = rc ? 0 : bytes;
     return rc;
 }
@@ -79,22 +82,22 @@ static enum err_code prune_draw(struct prune *c, size_t nth, double *mse, struct
 /* Photograph k of m that are spread evenly over all. */
 static size_t prune_nth(const struct prune *c, size_t k, size_t m)
 {
-    return k * c->ctx->n_images / m;
+    return k * c->gallery->n_images / m;
 }
 
 static enum err_code prune_measure(struct prune *c, size_t n_views, struct err *e)
 {
     struct model *m = c->m;
-    struct context *ctx = c->ctx;
+    struct gallery *g = c->gallery;
     size_t n = m->gauss.n;
     c->total = mem_array(n, sizeof(float));
     c->views = mem_array(n, sizeof(uint16_t));
-    c->mse = mem_array(ctx->n_images, sizeof(double));
+    c->mse = mem_array(g->n_images, sizeof(double));
     if (!c->total || !c->views || !c->mse)
         return err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
-    enum err_code rc = render_importance_open(ctx->render, &c->device, e);
+    enum err_code rc = render_importance_open(g->engine.render, &c->device, e);
     if (!rc)
-        rc = context_filter(ctx, m, e);
+        rc = gallery_filter(g, c->at, m, e);
     for (size_t v = 0; !rc && v < n_views; v++) {
         const float *sums = NULL;
         size_t nth = prune_nth(c, v, n_views);
@@ -169,7 +172,7 @@ static enum err_code prune_psnr(struct prune *c, size_t n, size_t n_views, doubl
     double sum = 0.0;
     enum err_code rc = n ? model_show(c->m, n, e) : ERR_OK;
     if (!rc && n)
-        rc = context_filter(c->ctx, c->m, e);
+        rc = gallery_filter(c->gallery, c->at, c->m, e);
     for (size_t k = 0; !rc && k < m; k++) { /* of those that were measured */
         size_t nth = prune_nth(c, k * n_views / m, n_views);
         double mse = c->mse[nth];
@@ -195,7 +198,7 @@ static enum err_code prune_bisect(struct prune *c, size_t n, size_t n_candidates
         size_t go = k ? lo + (hi - lo + 1) / 2 : hi; /* all of them first */
         double db;
         rc = prune_psnr(c, n - go, n_views, &db, e);
-        if (db >= before - c->ctx->cfg->prune_loss_db) {
+        if (db >= before - c->gallery->cfg->prune_loss_db) {
             lo = go;
             r->lost_db = before - db;
         } else {
@@ -244,23 +247,25 @@ static enum err_code prune_apply(struct prune *c, const uint8_t *keep, size_t n_
 }
 
 /* Photographs that measure: all at the finest level, whose residuals are wanted. */
-static size_t prune_views(const struct context *ctx, const struct residual_list *residuals)
+static size_t prune_views(const struct gallery *g, const struct stage *at,
+                          const struct residual_list *residuals)
 {
-    size_t some = context_schedule(ctx)->steps / PRUNE_STEPS;
+    size_t some = stage_schedule(at)->steps / PRUNE_STEPS;
     some = some > PRUNE_LEAST ? some : PRUNE_LEAST;
-    return some < ctx->n_images && !residuals ? some : ctx->n_images;
+    return some < g->n_images && !residuals ? some : g->n_images;
 }
 
-enum err_code prune_level(struct model *m, struct context *ctx, struct prune_report *out,
+enum err_code prune_level(struct model *m, struct gallery *g, const struct footprint *ground,
+                          const struct stage *at, struct prune_report *out,
                           struct residual_list *residuals, struct err *e)
 {
-    struct prune c = {.m = m, .ctx = ctx, .residuals = residuals};
-    size_t n = m->gauss.n, n_views = prune_views(ctx, residuals);
-    uint32_t support = (uint32_t)ctx->cfg->prune_support;
+    struct prune c = {.m = m, .gallery = g, .at = at, .ground = ground, .residuals = residuals};
+    size_t n = m->gauss.n, n_views = prune_views(g, at, residuals);
+    uint32_t support = (uint32_t)g->cfg->prune_support;
     *out = (struct prune_report){.before = n};
-    if (!(ctx->cfg->prune_contribution > 0.0) && !support && !residuals)
+    if (!(g->cfg->prune_contribution > 0.0) && !support && !residuals)
         return ERR_OK;
-    if (n_views < ctx->n_images || ctx->n_images < 2 * support) /* then few say nothing */
+    if (n_views < g->n_images || g->n_images < 2 * support) /* then few say nothing */
         support = 0;
     uint8_t *keep = mem_array(n, 1);
     enum err_code rc = keep ? prune_measure(&c, n_views, e)
@@ -271,8 +276,8 @@ enum err_code prune_level(struct model *m, struct context *ctx, struct prune_rep
         rc = err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
     if (!rc)
         prune_choose(c.total, c.views, n,
-                     &(struct prune_rule){n_views < ctx->n_images ? PRUNE_SOME : PRUNE_ALL,
-                                          ctx->cfg->prune_contribution, support},
+                     &(struct prune_rule){n_views < g->n_images ? PRUNE_SOME : PRUNE_ALL,
+                                          g->cfg->prune_contribution, support},
                      scratch, keep, out);
     mem_free(scratch);
     size_t n_keep = n - out->faint - out->unsupported;

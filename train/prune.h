@@ -12,9 +12,11 @@
 
 #include "core/err.h"
 
-struct context;
+struct footprint;
+struct gallery;
 struct model;
 struct residual_list; /* train/residual.h */
+struct stage;
 
 struct prune_report {
     size_t before, faint, unsupported; /* candidates: for their contribution; for support alone */
@@ -29,9 +31,11 @@ struct prune_report {
  * cfg->prune_loss_db. Both options 0: nothing is removed. Moments are kept, statistics of density
  * control are 0 afterwards. `residuals`: all photographs are drawn, and each gets a row, from
  * before the removal; NULL: a short level looks at some of them only, and asks for no support.
+ * ground (may be NULL) is for the coverage of these rows.
  * ERR_CANCEL: stopped by a signal, and nothing was removed; ERR_MEM, ERR_DEVICE, and what
  * photo_loader_get_nth fails with. */
-enum err_code prune_level(struct model *m, struct context *ctx, struct prune_report *out,
+enum err_code prune_level(struct model *m, struct gallery *g, const struct footprint *ground,
+                          const struct stage *at, struct prune_report *out,
                           struct residual_list *residuals, struct err *e) ERR_USE;
 /* Which photographs measured: after some of them, what none of these shows is not judged. */
 enum prune_measured { PRUNE_ALL, PRUNE_SOME };

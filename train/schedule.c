@@ -159,6 +159,11 @@ static uint32_t schedule_densify_last(const struct schedule *s)
     return end > 0 ? end - 1 : 0;
 }
 
+size_t schedule_most(const struct schedule *s, const struct cell *cell)
+{
+    return s->budget + (cell->whole ? 0 : schedule_cap_outside(s));
+}
+
 uint32_t schedule_densify_count(const struct schedule *s)
 {
     uint32_t first = s->densify_from / s->interval, last = schedule_densify_last(s) / s->interval;

@@ -42,7 +42,9 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
 size_t schedule_cap(size_t start, size_t budget, uint32_t x, uint32_t n);
 /* Gaussians outside of the cell that a level may have: those it began with, and some more. */
 size_t schedule_cap_outside(const struct schedule *s);
-/* Number n of the above, counting x = 0, which no step uses. */
+/* Gaussians inside the cell and outside of it that a level's budget allows. */
+size_t schedule_most(const struct schedule *s, const struct cell *cell);
+/* Number n of schedule_cap, counting x = 0, which no step uses. */
 uint32_t schedule_densify_count(const struct schedule *s);
 /* x of this step, or 0 when it does not densify. */
 uint32_t schedule_densify_index(const struct schedule *s, uint32_t step);

@@ -17,11 +17,13 @@
 #include "codec/ckpt.h"
 #include "loss/mip.h"
 #include "render/permute.h"
+#include "train/appearance_train.h"
 #include "train/budget.h"
-#include "train/context.h"
+#include "train/config.h"
 #include "train/evaluate.h"
+#include "train/fixed.h"
 #include "train/model.h"
-#include "train/state_check.h"
+#include "train/pose.h"
 
 enum { STATE_STATS = 5, STATE_APPEARANCE = 2, STATE_SLICE = 65536 };
 static const char *const state_stat_names[STATE_STATS] = {"stat_grad", "stat_absg", "stat_count",
@@ -37,35 +39,37 @@ static void state_stat_buffers(const struct model *m, cl_mem out[STATE_STATS])
 }
 
 /* Head of every checkpoint; NULL when out of memory. */
-static json_t *state_meta(const struct model *m, const struct context *ctx,
-                          const struct budget *budget, const char *kind, struct err *e)
+static json_t *state_meta(const struct model *m, const struct state *st, const char *kind,
+                          struct err *e)
 {
     json_t *config = NULL;
-    if (options_to_json(train_options(), ctx->cfg, &config, e))
+    if (options_to_json(train_options(), st->run.cfg, &config, e))
         return NULL;
     state_check_drop_free(config);
-    const struct schedule *s = context_schedule(ctx);
+    const struct stage *at = &st->at;
+    const struct schedule *s = stage_schedule(at);
+    const struct cell *c = st->run.cell;
     json_t *o = json_pack(
         "{s:s, s:s, s:s, s:i, s:i, s:i, s:i, s:I, s:I, s:I, s:f, s:f, s:f, s:[f,f,f,f], s:o}",
-        "kind", kind, "version", CITYSPLAT_VERSION, "cell", ctx->cell.id, "level", (int)s->level,
-        "levels", (int)ctx->n_levels, "step", (int)ctx->step, "steps", (int)s->steps, "start",
-        (json_int_t)ctx->start, "gaussians", (json_int_t)m->gauss.n, "photographs",
-        (json_int_t)ctx->n_images, "downsample", s->downsample, "edge_m", ctx->cell.edge_m,
-        "extent_m", ctx->cell.extent_m, "box_m", ctx->cell.min_enu_m[0], ctx->cell.min_enu_m[1],
-        ctx->cell.max_enu_m[0], ctx->cell.max_enu_m[1], "config", config);
-    const struct cell_grid *g = &ctx->cell.grid;
+        "kind", kind, "version", CITYSPLAT_VERSION, "cell", c->id, "level", (int)s->level,
+        "levels", (int)at->n_levels, "step", (int)at->step, "steps", (int)s->steps, "start",
+        (json_int_t)at->start, "gaussians", (json_int_t)m->gauss.n, "photographs",
+        (json_int_t)st->run.n_images, "downsample", s->downsample, "edge_m", c->edge_m,
+        "extent_m", c->extent_m, "box_m", c->min_enu_m[0], c->min_enu_m[1],
+        c->max_enu_m[0], c->max_enu_m[1], "config", config);
+    const struct cell_grid *g = &c->grid;
     if (o && g->turned && /* along ENU there is no such member */
         json_object_set_new(o, "grid",
                             json_pack("[f,f,f]", g->yaw_rad, g->origin_m[0], g->origin_m[1]))) {
         json_decref(o);
         o = NULL;
     }
-    if (o && json_object_set_new(o, "pruned", json_boolean(ctx->pruned))) {
+    if (o && json_object_set_new(o, "pruned", json_boolean(at->pruned))) {
         json_decref(o);
         o = NULL;
     }
-    const struct budget_point *b = &budget->at;
-    if (o && budget->n_held &&
+    const struct budget_point *b = &st->budget->at;
+    if (o && st->budget->n_held &&
         json_object_set_new(o, "budget",
                             json_pack("{s:I, s:f, s:f, s:b, s:I}", "budget", (json_int_t)s->budget,
                                       "gaussians", b->n, "psnr_db", b->psnr_db, "stopped",
@@ -162,25 +166,21 @@ static enum err_code state_rows(void *user, enum ckpt_field field, size_t first,
     return ERR_OK;
 }
 
-static enum err_code state_view_filter(struct state_view *v, const struct context *ctx,
-                                       struct model *m, struct err *e)
+static enum err_code state_view_filter(struct state_view *v, const struct model *m, struct err *e)
 {
-    if (ctx->cfg->aa != RENDER_AA_MIP)
-        return ERR_OK;
-    enum err_code rc = context_filter(ctx, m, e);
     v->filter = mem_array(m->gauss.n, sizeof *v->filter);
-    if (!rc && !v->filter)
-        rc = err_set(e, ERR_MEM, "checkpoint: out of memory for %u Gaussians", m->gauss.n);
+    enum err_code rc =
+        v->filter ? ERR_OK
+                  : err_set(e, ERR_MEM, "checkpoint: out of memory for %u Gaussians", m->gauss.n);
     return rc ? rc
               : dev_read(m->dev, m->gauss.filter, 0, m->gauss.n * sizeof *v->filter, v->filter, e);
 }
 
-enum err_code state_save_level(struct model *m, const struct context *ctx,
-                               const struct budget *budget, const char *path,
+enum err_code state_save_level(const struct model *m, const struct state *s, const char *path,
                                const struct evaluate_score *score, struct err *e)
 {
     struct state_view v = {0};
-    json_t *meta = state_meta(m, ctx, budget, "level", e);
+    json_t *meta = state_meta(m, s, "level", e);
     if (!meta)
         return ERR_MEM;
     enum err_code rc = ERR_OK;
@@ -193,15 +193,15 @@ enum err_code state_save_level(struct model *m, const struct context *ctx,
     }
     struct buf appearance = {0};
     struct ckpt_blob blob = {.name = APPEARANCE_TRAIN_BLOB};
-    bool with = appearance_train_is_on(&ctx->appearance);
+    bool with = appearance_train_is_on(s->appearance);
     if (!rc && with)
-        rc = appearance_write(&ctx->appearance.model, &appearance, e);
+        rc = appearance_write(&s->appearance->model, &appearance, e);
     blob.data = appearance.data;
     blob.size_bytes = appearance.size;
     if (!rc) {
-        rc = state_view_open(m, ctx->cfg->aa != RENDER_AA_NONE, &v, e);
-        if (!rc)
-            rc = state_view_filter(&v, ctx, m, e);
+        rc = state_view_open(m, s->run.cfg->aa != RENDER_AA_NONE, &v, e);
+        if (!rc && s->run.cfg->aa == RENDER_AA_MIP)
+            rc = state_view_filter(&v, m, e);
         const struct ckpt_source from = {&v.like, state_rows, &v};
         if (!rc)
             rc = ckpt_write_from(path, meta, &from, &blob, with, e);
@@ -240,20 +240,20 @@ static enum err_code state_appearance_blobs(const struct appearance_train *a,
     return rc;
 }
 
-static size_t state_pose_bytes(const struct context *ctx)
+static size_t state_pose_bytes(const struct pose_set *p)
 {
-    return ctx->poses.n * POSE_STATE * sizeof *ctx->poses.block;
+    return p->n * POSE_STATE * sizeof *p->block;
 }
 
-enum err_code state_save(const struct model *m, const struct context *ctx,
-                         const struct budget *budget, const char *path, struct err *e)
+enum err_code state_save(const struct model *m, const struct state *s, const char *path,
+                         struct err *e)
 {
     struct state_view v = {0};
     struct ckpt_blob blobs[4 + STATE_STATS + STATE_APPEARANCE] = {0};
     const struct render_model *g = &m->gauss;
     size_t n = 0, moments = model_bytes(m), n_appearance = 0;
-    json_t *meta = state_meta(m, ctx, budget, "resume", e);
-    if (meta && json_object_set_new(meta, "seconds", json_real(context_seconds(ctx)))) {
+    json_t *meta = state_meta(m, s, "resume", e);
+    if (meta && json_object_set_new(meta, "seconds", json_real(s->seconds))) {
         json_decref(meta);
         return err_set(e, ERR_MEM, "%s: out of memory", path);
     }
@@ -261,7 +261,7 @@ enum err_code state_save(const struct model *m, const struct context *ctx,
         return ERR_MEM;
     cl_mem stats[STATE_STATS];
     state_stat_buffers(m, stats);
-    enum err_code rc = state_view_open(m, ctx->cfg->aa != RENDER_AA_NONE, &v, e);
+    enum err_code rc = state_view_open(m, s->run.cfg->aa != RENDER_AA_NONE, &v, e);
     if (!rc)
         rc = state_blob(&v, "adam_m1", m->adam.m1, moments, &blobs[n++], e);
     if (!rc)
@@ -270,11 +270,11 @@ enum err_code state_save(const struct model *m, const struct context *ctx,
         rc = state_blob(&v, state_stat_names[i], stats[i], g->n * sizeof(float), &blobs[n++], e);
     if (!rc && g->filter && m->filter_is_current)
         rc = state_blob(&v, "filter", g->filter, g->n * sizeof(float), &blobs[n++], e);
-    if (!rc && ctx->poses.n)
+    if (!rc && s->poses->n)
         blobs[n++] = (struct ckpt_blob){
-            .name = POSE_BLOB, .data = ctx->poses.block, .size_bytes = state_pose_bytes(ctx)};
-    if (!rc && appearance_train_is_on(&ctx->appearance)) {
-        rc = state_appearance_blobs(&ctx->appearance, blobs + n, e);
+            .name = POSE_BLOB, .data = s->poses->block, .size_bytes = state_pose_bytes(s->poses)};
+    if (!rc && appearance_train_is_on(s->appearance)) {
+        rc = state_appearance_blobs(s->appearance, blobs + n, e);
         n_appearance = STATE_APPEARANCE;
     }
     const struct ckpt_source from = {&v.like, state_rows, &v};
@@ -345,7 +345,7 @@ enum err_code state_fill_rows(struct model *m, const struct ckpt_rows *c, struct
     return rc;
 }
 
-static enum err_code state_fill_all(struct model *m, struct context *ctx, const struct ckpt_rows *c,
+static enum err_code state_fill_all(struct model *m, struct state *s, const struct ckpt_rows *c,
                                     const char *path, struct err *e)
 {
     size_t moments = model_bytes(m);
@@ -353,9 +353,9 @@ static enum err_code state_fill_all(struct model *m, struct context *ctx, const 
     state_stat_buffers(m, stats);
     enum err_code rc = state_fill_rows(m, c, e);
     if (!rc)
-        rc = state_fill_appearance(&ctx->appearance, c, path, e);
-    if (!rc && ctx->poses.n)
-        rc = ckpt_rows_blob_to(c, POSE_BLOB, ctx->poses.block, state_pose_bytes(ctx), e);
+        rc = state_fill_appearance(s->appearance, c, path, e);
+    if (!rc && s->poses->n)
+        rc = ckpt_rows_blob_to(c, POSE_BLOB, s->poses->block, state_pose_bytes(s->poses), e);
     if (!rc)
         rc = state_fill(m, c, "adam_m1", m->adam.m1, moments, e);
     if (!rc)
@@ -379,7 +379,7 @@ static enum err_code state_fill_filter(struct model *m, const struct ckpt_rows *
 }
 
 /* What --budget auto has decided at this level. */
-static enum err_code state_budget(struct budget *budget, struct context *ctx, const json_t *meta,
+static enum err_code state_budget(struct budget *budget, struct schedule *s, const json_t *meta,
                                   struct err *e)
 {
     double most, outside = 0.0;
@@ -398,17 +398,18 @@ static enum err_code state_budget(struct budget *budget, struct context *ctx, co
         rc = err_set(e, ERR_FORMAT, "a budget of %g, and %g outside of the cell", most, outside);
     if (rc)
         return rc;
-    struct schedule *s = &ctx->schedule[ctx->at];
     b->stopped = s->stopped = json_is_true(json_object_get(o, "stopped"));
     s->budget = (size_t)most;
     s->budget_outside = (size_t)outside;
     return ERR_OK;
 }
 
-/* Is this a state of l's run? Then take over where it stood. */
-static enum err_code state_apply(struct context *ctx, struct budget *budget, const json_t *meta,
-                                 const struct gauss *like, const char *path, struct err *e)
+/* Is this a state of the same run? Then take over where it stood. */
+static enum err_code state_apply(struct state *s, const json_t *meta, const struct gauss *like,
+                                 const char *path, struct err *e)
 {
+    const struct train_config *cfg = s->run.cfg;
+    struct stage *at = &s->at;
     const char *kind;
     double level, step, start;
     enum err_code rc = jsonc_text(meta, "kind", &kind, e);
@@ -417,34 +418,34 @@ static enum err_code state_apply(struct context *ctx, struct budget *budget, con
     if (rc)
         return err_add(e, "%s", path);
     struct err why = {0};
-    rc = state_check_config(ctx->cfg, path, json_object_get(meta, "config"), &why);
+    rc = state_check_config(cfg, path, json_object_get(meta, "config"), &why);
     if (!rc)
-        rc = state_check_cell(ctx, path, meta, &why);
+        rc = state_check_cell(&s->run, path, meta, &why);
     if (rc)
         return err_set(e, rc, "%s: go back to that, or leave out --resume to start anew", why.msg);
     if (!rc)
-        rc = state_integer(meta, path, "level", 1, ctx->n_levels, &level, e);
+        rc = state_integer(meta, path, "level", 1, at->n_levels, &level, e);
     if (!rc)
-        rc = state_integer(meta, path, "step", 0, ctx->schedule[(int)level - 1].steps, &step, e);
+        rc = state_integer(meta, path, "step", 0, at->levels[(int)level - 1].steps, &step, e);
     if (!rc)
         rc = state_integer(meta, path, "start", 0, 4e9, &start, e);
-    if (!rc && like->sh_degree != (uint32_t)ctx->cfg->sh_degree)
+    if (!rc && like->sh_degree != (uint32_t)cfg->sh_degree)
         rc = err_set(e, ERR_FORMAT, "%s: harmonics of degree %u", path, like->sh_degree);
-    if (!rc && like->embed_len != ctx->appearance.model.len_gauss)
+    if (!rc && like->embed_len != s->appearance->model.len_gauss)
         rc = err_set(e, ERR_FORMAT, "%s: embeddings of length %u", path, like->embed_len);
     if (rc)
         return rc;
-    ctx->at = (uint32_t)level - 1;
-    ctx->step = (uint32_t)step;
-    ctx->start = (size_t)start;
-    ctx->pruned = json_is_true(json_object_get(meta, "pruned"));
+    at->at = (uint32_t)level - 1;
+    at->step = (uint32_t)step;
+    at->start = (size_t)start;
+    at->pruned = json_is_true(json_object_get(meta, "pruned"));
     double seconds = json_number_value(json_object_get(meta, "seconds")); /* older ones have none */
-    ctx->before_s = seconds > 0.0 ? seconds : 0.0;
-    rc = state_budget(budget, ctx, meta, e);
+    s->seconds = seconds > 0.0 ? seconds : 0.0;
+    rc = state_budget(s->budget, &at->levels[at->at], meta, e);
     return rc ? err_add(e, "%s", path) : ERR_OK;
 }
 
-enum err_code state_load(struct model *m, struct context *ctx, struct budget *budget,
+enum err_code state_load(struct model *m, const struct engine *with, struct state *s,
                          const char *path, struct err *e)
 {
     struct ckpt_rows *c = NULL;
@@ -453,12 +454,13 @@ enum err_code state_load(struct model *m, struct context *ctx, struct budget *bu
     if (!rc)
         rc = ckpt_rows_meta(c, &meta, e);
     if (!rc)
-        rc = state_apply(ctx, budget, meta, ckpt_rows_like(c), path, e);
+        rc = state_apply(s, meta, ckpt_rows_like(c), path, e);
     if (!rc)
-        rc = model_open(m, ctx->dev, ctx->render, ckpt_rows_like(c), context_most(ctx), e);
+        rc = model_open(m, with->dev, with->render, ckpt_rows_like(c),
+                        schedule_most(stage_schedule(&s->at), s->run.cell), e);
     if (!rc)
-        rc = state_fill_all(m, ctx, c, path, e);
-    if (!rc && ctx->cfg->aa == RENDER_AA_MIP)
+        rc = state_fill_all(m, s, c, path, e);
+    if (!rc && s->run.cfg->aa == RENDER_AA_MIP)
         rc = state_fill_filter(m, c, e);
     json_decref(meta);
     ckpt_rows_close(&c);

@@ -5,28 +5,38 @@
 #ifndef TRAIN_STATE_H
 #define TRAIN_STATE_H
 
-#include "core/err.h"
+#include "train/stage.h"
+#include "train/state_check.h"
 
 struct budget;
 struct ckpt_rows;
-struct context;
+struct engine;
 struct evaluate_score;
 struct model;
+struct pose_set;
 
+struct state { /* what a checkpoint holds besides the Gaussians; all borrowed but `at` */
+    struct state_run run;
+    struct stage at;
+    struct appearance_train *appearance;
+    struct pose_set *poses;
+    struct budget *budget;
+    double seconds; /* spent on the run so far, by all processes */
+};
 /* Everything needed to go on, and where the run stands. ERR_IO: cannot be written; ERR_MEM,
  * ERR_DEVICE. */
-enum err_code state_save(const struct model *m, const struct context *ctx,
-                         const struct budget *budget, const char *path, struct err *e) ERR_USE;
-/* Into a model that was not opened and a context whose fixed part is set; level_begin is next.
- * ERR_ARG names the first option that differs from the saved run's, ERR_DATA: another cell or other
- * photographs, ERR_FORMAT: not such a file, ERR_NOENT, ERR_IO: cannot be read. level_close it, also
- * after an error. */
-enum err_code state_load(struct model *m, struct context *ctx, struct budget *budget,
+enum err_code state_save(const struct model *m, const struct state *s, const char *path,
+                         struct err *e) ERR_USE;
+/* Back into a model that was not opened, and into s, whose `run` and schedules are set: at,
+ * appearance, poses, budget and seconds become those that were saved. ERR_ARG names the first
+ * option that differs from the saved run's; ERR_DATA: another cell or other photographs;
+ * ERR_FORMAT: not such a file; ERR_NOENT; ERR_IO: cannot be read. model_close it, also after an
+ * error. */
+enum err_code state_load(struct model *m, const struct engine *with, struct state *s,
                          const char *path, struct err *e) ERR_USE;
-/* The result of the level in work; `score` may be NULL. ERR_IO, ERR_MEM,
- * ERR_DEVICE. */
-enum err_code state_save_level(struct model *m, const struct context *ctx,
-                               const struct budget *budget, const char *path,
+/* The result of the level in work. With Mip-Splatting the model's filter has to be current. `score`
+ * may be NULL. ERR_IO, ERR_MEM, ERR_DEVICE. */
+enum err_code state_save_level(const struct model *m, const struct state *s, const char *path,
                                const struct evaluate_score *score, struct err *e) ERR_USE;
 /* What such a result says of itself: Gaussians, and scores of the test photographs, NaN without.
  * ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */

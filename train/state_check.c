@@ -11,7 +11,9 @@
 #include <jansson.h>
 
 #include "codec/ckpt.h"
-#include "train/context.h"
+#include "cells/cell.h"
+#include "train/appearance_train.h"
+#include "train/config.h"
 
 #define STATE_CHECK_SAME_M 1e-6 /* lengths of a plan go through text */
 
@@ -63,11 +65,11 @@ enum err_code state_check_config(const struct train_config *cfg, const char *pat
 }
 
 /* A plan that was made anew gives other cells the same names. */
-enum err_code state_check_cell(const struct context *ctx, const char *path, const json_t *meta,
-                               struct err *e)
+enum err_code state_check_cell(const struct state_run *run, const char *path,
+                               const json_t *meta, struct err *e)
 {
     double lengths[2], box[4], photos, grid[3] = {0.0, 0.0, 0.0};
-    const struct cell *c = &ctx->cell;
+    const struct cell *c = run->cell;
     const double want[6] = {c->edge_m,       c->extent_m,     c->min_enu_m[0],
                             c->min_enu_m[1], c->max_enu_m[0], c->max_enu_m[1]};
     enum err_code rc = jsonc_num(meta, "edge_m", &lengths[0], e);
@@ -79,9 +81,9 @@ enum err_code state_check_cell(const struct context *ctx, const char *path, cons
         rc = jsonc_num(meta, "photographs", &photos, e);
     if (rc)
         return err_add(e, "%s", path);
-    if (photos != (double)ctx->n_images)
+    if (photos != (double)run->n_images)
         return err_set(e, ERR_DATA, "%s: the run had %.0f photographs, the scene has %zu now", path,
-                       photos, ctx->n_images);
+                       photos, run->n_images);
     const double turned[3] = {c->grid.yaw_rad, c->grid.origin_m[0], c->grid.origin_m[1]};
     bool same = c->grid.turned == (json_object_get(meta, "grid") != NULL);
     if (c->grid.turned && same && jsonc_nums(meta, "grid", 3, grid, e))
@@ -97,22 +99,23 @@ enum err_code state_check_cell(const struct context *ctx, const char *path, cons
 }
 
 /* A cell that was trained with an older shared appearance model does not fit its neighbours. */
-static bool state_check_appearance(const struct context *ctx, const struct ckpt_rows *c)
+static bool state_check_appearance(const struct appearance_train *own, const struct ckpt_rows *c)
 {
     struct appearance a = {0};
     struct buf b = {0};
     struct err why = {0};
-    if (!appearance_train_is_on(&ctx->appearance) || !ctx->appearance.shared)
-        return ckpt_rows_has(c, APPEARANCE_TRAIN_BLOB) == appearance_train_is_on(&ctx->appearance);
+    if (!appearance_train_is_on(own) || !own->shared)
+        return ckpt_rows_has(c, APPEARANCE_TRAIN_BLOB) == appearance_train_is_on(own);
     bool same = !ckpt_rows_blob(c, APPEARANCE_TRAIN_BLOB, &b, &why) && b.data &&
                 !appearance_read(b.data, b.size, &a, &why) &&
-                appearance_train_same(&a, &ctx->appearance.model);
+                appearance_train_same(&a, &own->model);
     appearance_free(&a);
     buf_free(&b);
     return same;
 }
 
-enum err_code state_check_result(const struct context *ctx, const char *path, struct err *e)
+enum err_code state_check_result(const struct state_run *run, const struct appearance_train *a,
+                                 const char *path, struct err *e)
 {
     struct ckpt_rows *c = NULL;
     json_t *meta = NULL;
@@ -125,10 +128,10 @@ enum err_code state_check_result(const struct context *ctx, const char *path, st
     if (!rc && strcmp(kind, "level"))
         rc = err_set(e, ERR_FORMAT, "%s: is not the result of a level", path);
     if (!rc)
-        rc = state_check_config(ctx->cfg, path, json_object_get(meta, "config"), e);
+        rc = state_check_config(run->cfg, path, json_object_get(meta, "config"), e);
     if (!rc)
-        rc = state_check_cell(ctx, path, meta, e);
-    if (!rc && !state_check_appearance(ctx, c))
+        rc = state_check_cell(run, path, meta, e);
+    if (!rc && !state_check_appearance(a, c))
         rc = err_set(e, ERR_DATA, "%s: the run used another shared appearance model", path);
     json_decref(meta);
     ckpt_rows_close(&c);

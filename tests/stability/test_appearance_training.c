@@ -87,7 +87,7 @@ static double psnr_with_row(struct toy_run *r, uint32_t image, uint32_t row)
     struct err e = {0};
     struct level *l = &r->level;
     const struct scene_image *im = &r->scene.images[image];
-    struct render_options ro = context_render_options(&l->ctx, l->ctx.step);
+    struct render_options ro = gallery_options(&l->gallery, &l->stage);
     struct image img = {0};
     char path[FILE_PATH_MAX + 64];
     double psnr;
@@ -95,12 +95,12 @@ static double psnr_with_row(struct toy_run *r, uint32_t image, uint32_t row)
     kit_ok(image_read(path, NULL, &img, &e), e);
     float *rgb = mem_array((size_t)img.width_px * img.height_px * 3, sizeof *rgb);
     assert_non_null(rgb);
-    appearance_frame(&l->ctx.appearance.model,
-                     l->ctx.appearance.model.images + row * l->ctx.appearance.model.len_image,
-                     l->ctx.appearance.frame);
-    ro.appearance_frame = l->ctx.appearance.frame;
-    ro.appearance_hidden = l->ctx.appearance.model.hidden;
-    kit_ok(render_forward(l->ctx.render, &l->model.gauss, &im->cam, &ro, rgb, NULL, &e), e);
+    appearance_frame(&l->appearance.model,
+                     l->appearance.model.images + row * l->appearance.model.len_image,
+                     l->appearance.frame);
+    ro.appearance_frame = l->appearance.frame;
+    ro.appearance_hidden = l->appearance.model.hidden;
+    kit_ok(render_forward(l->engine.render, &l->model.gauss, &im->cam, &ro, rgb, NULL, &e), e);
     kit_ok(metric_psnr(rgb, img.px, NULL, img.width_px, img.height_px, &psnr, &e), e);
     image_free(&img);
     mem_free(rgb);
@@ -183,7 +183,7 @@ static void photographs_of_equal_light_may_swap_embeddings(void **state)
     toy_run_level(&r);
     size_t pairs = 0;
     for (size_t i = 0; i + 1 < r.scene.n_images; i += 2) {
-        uint32_t x = r.level.ctx.appearance.row[i], y = r.level.ctx.appearance.row[i + 1];
+        uint32_t x = r.level.appearance.row[i], y = r.level.appearance.row[i + 1];
         if (x == APPEARANCE_TRAIN_ROW_NONE || y == APPEARANCE_TRAIN_ROW_NONE)
             continue; /* one of them is for tests */
         pairs++;
@@ -194,9 +194,9 @@ static void photographs_of_equal_light_may_swap_embeddings(void **state)
         }
     }
     /* That a swap could be seen at all: the most different light of the table. */
-    for (uint32_t row = 0; row < r.level.ctx.appearance.model.n_images; row++)
+    for (uint32_t row = 0; row < r.level.appearance.model.n_images; row++)
         apart = fmin(apart, psnr_with_row(&r, 2, row));
-    apart = psnr_with_row(&r, 2, r.level.ctx.appearance.row[2]) - apart;
+    apart = psnr_with_row(&r, 2, r.level.appearance.row[2]) - apart;
     kit_ok(model_gauss(&r.level.model, &g, &e), e);
     double cosine = neighbours_cosine(&g);
     toy_figure("F7",
@@ -375,18 +375,19 @@ static void coarser_levels_take_over_the_network(void **state)
 static double psnr_of_training(struct toy_run *r, bool own)
 {
     struct err e = {0};
-    struct context *ctx = &r->level.ctx;
+    struct gallery *g = &r->level.gallery;
+    const struct stage *at = &r->level.stage;
     double mse = 0.0;
-    for (size_t i = 0; i < ctx->n_images; i++) {
+    for (size_t i = 0; i < g->n_images; i++) {
         struct photo p;
         struct photometric_value v;
-        kit_ok(photo_loader_get_nth(ctx->photos, i, &p, &e), e);
-        struct render_options ro = own ? context_photo_options(ctx, ctx->step, p.image)
-                                       : context_render_options(ctx, ctx->step);
-        kit_ok(render_forward(ctx->render, &r->level.model.gauss, &p.cam, &ro, NULL, NULL, &e), e);
-        kit_ok(context_photo_value(ctx, &p, &e), e);
-        kit_ok(photometric_read(ctx->loss, &v, &e), e);
-        mse += v.mse / (double)ctx->n_images;
+        kit_ok(photo_loader_get_nth(g->photos, i, &p, &e), e);
+        struct render_options ro =
+            own ? gallery_photo_options(g, at, p.image) : gallery_options(g, at);
+        kit_ok(render_forward(g->engine.render, &r->level.model.gauss, &p.cam, &ro, NULL, NULL, &e), e);
+        kit_ok(gallery_value(g, &p, &e), e);
+        kit_ok(photometric_read(g->engine.loss, &v, &e), e);
+        mse += v.mse / (double)g->n_images;
     }
     return -10.0 * log10(mse);
 }
@@ -407,28 +408,29 @@ static void pruning_and_budgets_look_at_photographs_in_their_own_appearance(void
     c.prune_loss_db = 100.0;
     c.budget_gain_db = 0.0;
     toy_run_open(&r, dir, &c);
-    struct context *ctx = &r.level.ctx;
-    uint32_t held = ctx->images[ctx->n_images - 1]; /* carries no gradient */
-    ctx->n_images--;
+    struct level *l = &r.level;
+    struct gallery *g = &l->gallery;
+    uint32_t held = g->images[g->n_images - 1]; /* carries no gradient */
+    g->n_images--;
     kit_ok(level_begin(&r.level, &e), e);
     toy_run_steps(&r, TOY_APPEARANCE_STEPS / 2);
     struct budget b = {.held = &held, .n_held = 1, .table = {1000}};
     double first = 0.0;
     for (int look = 0; look < 10; look++) {
         b.at = (struct budget_point){0};
-        kit_ok(budget_look(&b, &r.level.model, ctx, 1, &e), e);
+        kit_ok(budget_look(&b, &l->model, g, &l->site.cell, &l->stage, 1, &e), e);
         first = look ? first : b.at.psnr_db;
     }
     budget_close(&b);
     double last = b.at.psnr_db;
     double own = psnr_of_training(&r, true), none = psnr_of_training(&r, false);
-    kit_ok(prune_level(&r.level.model, ctx, &report, &residuals, &e), e);
+    kit_ok(prune_level(&l->model, g, l->site.ground, &l->stage, &report, &residuals, &e), e);
     toy_figure("F6",
                "own_db=%.3f none_db=%.3f pruning_db=%.3f held_first_db=%.3f held_last_db=%.3f", own,
                none, report.psnr_before_db, first, last);
     assert_true(own > none + OWN_GAIN_DB);
     assert_true(report.faint > 0 && fabs(report.psnr_before_db - own) < 1e-3);
-    assert_int_equal(residuals.n, ctx->n_images);
+    assert_int_equal(residuals.n, g->n_images);
     assert_true(last > first + OWN_GAIN_DB); /* its embedding learns from look to look */
     residual_free(&residuals);
     toy_run_close(&r);

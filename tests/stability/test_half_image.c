@@ -34,21 +34,21 @@ static void half_case_open(struct half_case *t)
     t->cfg = toy_appearance_config(&t->arena, NULL, true);
     toy_run_open(&t->run, t->dir, &t->cfg);
     toy_run_steps(&t->run, TOY_APPEARANCE_STEPS / 4);
-    struct context *ctx = &t->run.level.ctx;
+    struct level *l = &t->run.level;
     struct photo_loader_config f = {.scene = &t->run.scene,
                                     .images = t->run.tests,
                                     .n_images = t->run.n_tests,
                                     .downsample = 1.0,
                                     .cache_bytes = 1 << 20};
-    kit_ok(appearance_view_open(&t->view, &ctx->appearance.model, &t->run.scene, &e), e);
+    kit_ok(appearance_view_open(&t->view, &l->appearance.model, &t->run.scene, &e), e);
     const struct half_image_config hc = {.dev = &toy_dev,
-                                         .render = ctx->render,
-                                         .loss = ctx->loss,
+                                         .render = l->engine.render,
+                                         .loss = l->engine.loss,
                                          .appearance = &t->view,
                                          .steps = 10,
                                          .lr = HALF_IMAGE_LR,
                                          .lr_end = HALF_IMAGE_LR_END};
-    t->ro = context_render_options(ctx, ctx->step);
+    t->ro = gallery_options(&l->gallery, &l->stage);
     kit_ok(half_image_open(&hc, &t->h, &e), e);
     kit_ok(photo_loader_open(&f, &t->loader, &e), e);
     kit_ok(photo_loader_get_nth(t->loader, 0, &t->photo, &e), e);

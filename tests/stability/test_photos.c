@@ -25,9 +25,8 @@
 /* One run of so small a scene says little, it moves with the seed: means of three. */
 #define F17_LIMIT_DB 0.2  /* masked runs below the runs without any box */
 #define F17_GAIN_DB 0.5   /* what masks are worth where the boxes were, at least */
-#define F17_ROBUST_DB 0.2 /* and the robust weight, which knows of no masks and begins at once */
-enum { F17_BOX_PX = 30, F17_EVERY = 5, F17_STEPS = 500, F17_ROBUST_FROM = 1, F17_SEEDS = 3 };
-enum f17_way { F17_MASKS, F17_PLAIN, F17_ROBUST };
+enum { F17_BOX_PX = 30, F17_EVERY = 5, F17_STEPS = 500, F17_SEEDS = 3 };
+enum f17_way { F17_MASKS, F17_PLAIN };
 
 /* Where the box is in photograph i; it is in every fifth, never in those for tests. */
 static bool box_at(const struct toy *t, size_t i, uint32_t *x, uint32_t *y)
@@ -92,17 +91,16 @@ static struct ground ground_after_training(const char *dir, const struct toy *t,
     c.iterations = F17_STEPS;
     c.level_count = 1;
     c.masks = way == F17_MASKS;
-    c.robust_from = way == F17_ROBUST ? F17_ROBUST_FROM : 0;
     c.seed = seed;
     toy_run_open(&r, dir, &c);
     toy_run_level(&r);
-    struct render_options ro = context_render_options(&r.level.ctx, r.level.ctx.step);
+    struct render_options ro = gallery_options(&r.level.gallery, &r.level.stage);
     for (size_t i = 0; i < t->photos; i++) {
         struct camera cam = toy_camera(t, i);
         uint32_t x0, y0;
         bool has = box_at(t, i, &x0, &y0);
         toy_draw(g, &cam, want);
-        kit_ok(render_forward(r.level.ctx.render, &r.level.model.gauss, &cam, &ro, got, NULL, &e),
+        kit_ok(render_forward(r.level.engine.render, &r.level.model.gauss, &cam, &ro, got, NULL, &e),
                e);
         for (size_t k = 0; k < n; k++) {
             size_t x = k / 3 % t->width_px, y = k / 3 / t->width_px;
@@ -153,19 +151,17 @@ static void masked_things_that_move_leave_no_trace(void **state)
     write_masks(dir, &t);
     struct ground masked = ground_over_seeds(dir, &t, &g, F17_MASKS);
     struct ground unmasked = ground_over_seeds(dir, &t, &g, F17_PLAIN);
-    struct ground robust = ground_over_seeds(dir, &t, &g, F17_ROBUST);
     kit_figure(
         "F17", "masked_loss_db=%.2f limit=%.2f clean_db=%.2f masked_db=%.2f unmasked_db=%.2f",
         clean.all_db - masked.all_db, F17_LIMIT_DB, clean.all_db, masked.all_db, unmasked.all_db);
     kit_figure("F17",
                "where_boxes_were_masked_gain_db=%.2f least=%.2f clean_db=%.2f masked_db=%.2f "
-               "unmasked_db=%.2f robust_db=%.2f robust_all_db=%.2f",
+               "unmasked_db=%.2f",
                masked.box_db - unmasked.box_db, F17_GAIN_DB, clean.box_db, masked.box_db,
-               unmasked.box_db, robust.box_db, robust.all_db);
+               unmasked.box_db);
     assert_true(masked.all_db >= clean.all_db - F17_LIMIT_DB);
     /* And without masks the boxes do leave one, or this would say nothing. */
     assert_true(masked.box_db > unmasked.box_db + F17_GAIN_DB);
-    assert_true(robust.box_db > unmasked.box_db + F17_ROBUST_DB);
     kit_rmdir(dir);
     gauss_free(&g);
 }
@@ -241,8 +237,8 @@ static void rank_photographs(struct toy_run *r, struct residual_list *out)
                                     .n_images = r->n_images,
                                     .downsample = 1.0,
                                     .cache_bytes = 64 << 20};
-    struct evaluate_model model = {r->level.ctx.render, &r->level.model.gauss,
-                                   context_render_options(&r->level.ctx, r->level.ctx.step), NULL};
+    struct evaluate_model model = {r->level.engine.render, &r->level.model.gauss,
+                                   gallery_options(&r->level.gallery, &r->level.stage), NULL};
     struct evaluate_source source = {.draw = evaluate_draw_model, .user = &model, .residuals = out};
     kit_ok(photo_loader_open(&f, &loader, &e), e);
     kit_ok(evaluate_run(loader, f.n_images, &source, &score, &e), e);
@@ -376,7 +372,7 @@ static struct f18_error pose_errors(const struct toy *t, const struct toy_run *r
         struct camera is = r->scene.images[i].cam,
                       truth = toy_camera(t, (size_t)(name[1] - '0') * 10 + (size_t)(name[2] - '0'));
         double a[3], b[3], turn[9], q[4], *d = p.block + POSE_STATE * i;
-        pose_apply(&r->level.ctx.poses, i, &is);
+        pose_apply(&r->level.poses, i, &is);
         camera_center(&is, a);
         camera_center(&truth, b);
         for (int m = 0; m < 3; m++) {

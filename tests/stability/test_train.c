@@ -126,7 +126,7 @@ static void toy_scene(char dir[FILE_PATH_MAX], struct toy *t)
 
 static void to_the_end(struct toy_run *r)
 {
-    while (r->level.ctx.at < r->level.ctx.n_levels) {
+    while (r->level.stage.at < r->level.stage.n_levels) {
         toy_run_level(r);
         toy_run_next(r);
     }
@@ -172,11 +172,11 @@ static void resumed_anywhere_it_ends_in_the_same_bytes(void **state)
     size_t n = whole.level.model.gauss.n;
     kit_ok(file_join(path, dir, "resume.ckpt", &e), e);
     toy_run_open(&part, dir, &c);
-    while (part.level.ctx.at < part.level.ctx.n_levels) {
-        while (part.level.ctx.step < part.level.ctx.schedule[part.level.ctx.at].steps) {
+    while (part.level.stage.at < part.level.stage.n_levels) {
+        while (part.level.stage.step < part.level.stage.levels[part.level.stage.at].steps) {
             struct toy_run again;
             toy_run_steps(&part, 1);
-            kit_ok(state_save(&part.level.model, &part.level.ctx, &part.level.budget, path, &e), e);
+            kit_ok(level_save(&part.level, 0.0, path, &e), e);
             toy_run_load(&again, dir, &c, path);
             to_the_end(&again);
             struct hash128 got = model_hash(&again);
@@ -214,20 +214,20 @@ static void refined_poses_are_resumed(void **state)
     kit_ok(file_join(path, dir, "resume.ckpt", &e), e);
     toy_run_open(&whole, dir, &c);
     toy_run_open(&part, dir, &c);
-    size_t bytes = whole.level.ctx.poses.n * POSE_STATE * sizeof(double);
+    size_t bytes = whole.level.poses.n * POSE_STATE * sizeof(double);
     to_the_end(&whole);
     struct hash128 want = model_hash(&whole);
-    struct pose_report moved = pose_describe(&whole.level.ctx.poses);
+    struct pose_report moved = pose_describe(&whole.level.poses);
     assert_true(moved.rms_m > 1e-4 && moved.rms_deg > 1e-3 && moved.largest_deg < 1.0);
     for (int k = 0; k < STOPS; k++) {
         toy_run_steps(&part, 3);
-        kit_ok(state_save(&part.level.model, &part.level.ctx, &part.level.budget, path, &e), e);
+        kit_ok(level_save(&part.level, 0.0, path, &e), e);
         toy_run_load(&again, dir, &c, path);
-        assert_memory_equal(again.level.ctx.poses.block, part.level.ctx.poses.block, bytes);
+        assert_memory_equal(again.level.poses.block, part.level.poses.block, bytes);
         to_the_end(&again);
         struct hash128 got = model_hash(&again);
         assert_memory_equal(&got, &want, sizeof got);
-        assert_memory_equal(again.level.ctx.poses.block, whole.level.ctx.poses.block, bytes);
+        assert_memory_equal(again.level.poses.block, whole.level.poses.block, bytes);
         toy_run_close(&again);
     }
     kit_figure("F30", "poses_resumed=%d bit_equal=%d moved_m=%.4f", STOPS, STOPS, moved.rms_m);
@@ -263,7 +263,8 @@ static void expect_finite_scores(const char *what, const char *dir, const struct
     kit_ok(dev_read(&toy_dev, r.level.model.gauss.params, 0, floats * sizeof(float), params, &e),
            e);
     kit_ok(
-        importance_run(&r.level.importance, &r.level.model, &r.level.ctx, params, grad, score, &e),
+        importance_run(&r.level.importance, &r.level.model, &r.level.gallery, &r.level.stage,
+                       params, grad, score, &e),
         e); /* gradients: all 0, all equal */
     for (size_t i = 0; i < n; i++) {
         bad += !isfinite(score[i]) || score[i] < 0.0f;

@@ -18,6 +18,7 @@
 #include "train/init.h"
 #include "train/level.h"
 #include "train/photo_loader.h"
+#include "train/run_cell.h"
 #include "train/schedule.h"
 #include "train/state.h"
 #include "train/train.h"
@@ -203,23 +204,19 @@ static void toy_run_prepare(struct toy_run *r, const char *dir, const struct tra
     kit_ok(scene_read(dir, &r->scene, &e), e);
     kit_ok(train_scene_images(&r->scene, SCENE_TRAIN, true, &r->images, &r->n_images, &e), e);
     kit_ok(train_scene_images(&r->scene, SCENE_TEST, true, &r->tests, &r->n_tests, &e), e);
-    r->level.ctx = (struct context){.cfg = cfg,
-                                    .scene = &r->scene,
-                                    .images = r->images,
-                                    .n_images = r->n_images,
-                                    .dev = &toy_dev,
-                                    .n_levels = (uint32_t)cfg->level_count};
-    cell_whole(&r->scene, r->images, r->n_images, &r->level.ctx.cell);
-    kit_ok(schedule_make(cfg, r->n_images, &r->level.ctx.cell, r->level.ctx.schedule, &e), e);
+    struct run_cell job = {.cfg = cfg, .scene = &r->scene, .dev = &toy_dev};
+    cell_whole(&r->scene, r->images, r->n_images, &job.cell);
+    kit_ok(render_open(&toy_dev, &job.render, &e), e);
+    kit_ok(photometric_open(&toy_dev, &job.loss, &e), e);
+    level_init(&r->level, &job, r->images, r->n_images);
+    kit_ok(schedule_make(cfg, r->n_images, &job.cell, r->level.stage.levels, &e), e);
     if (appearance_train_wanted(cfg))
-        kit_ok(appearance_train_open(&r->level.ctx.appearance, cfg, &r->scene, r->images,
+        kit_ok(appearance_train_open(&r->level.appearance, cfg, &r->scene, r->images,
                                      r->n_images, NULL, &e),
                e);
     if (cfg->refine_poses)
-        kit_ok(pose_open(&r->level.ctx.poses, &r->scene, r->images, r->n_images, TOY_HEIGHT_M, &e),
+        kit_ok(pose_open(&r->level.poses, &r->scene, r->images, r->n_images, TOY_HEIGHT_M, &e),
                e);
-    kit_ok(render_open(&toy_dev, &r->level.ctx.render, &e), e);
-    kit_ok(photometric_open(&toy_dev, &r->level.ctx.loss, &e), e);
 }
 
 void toy_run_open_from(struct toy_run *r, const char *dir, const struct train_config *cfg,
@@ -239,13 +236,13 @@ void toy_run_open(struct toy_run *r, const char *dir, const struct train_config 
     const struct init_input in = {.scene = &r->scene,
                                   .images = r->images,
                                   .n_images = r->n_images,
-                                  .cell = &r->level.ctx.cell,
+                                  .cell = &r->level.site.cell,
                                   .sh_degree = (uint32_t)cfg->sh_degree,
-                                  .limit = r->level.ctx.schedule[0].budget,
+                                  .limit = r->level.stage.levels[0].budget,
                                   .seed = (uint64_t)cfg->seed};
     kit_ok(init_gauss(&in, &g, &e), e);
-    if (appearance_train_is_on(&r->level.ctx.appearance))
-        kit_ok(appearance_train_embed(&r->level.ctx.appearance, (uint64_t)cfg->seed, &g, &e), e);
+    if (appearance_train_is_on(&r->level.appearance))
+        kit_ok(appearance_train_embed(&r->level.appearance, (uint64_t)cfg->seed, &g, &e), e);
     kit_ok(level_open(&r->level, &g, &e), e);
     kit_ok(level_begin(&r->level, &e), e);
     gauss_free(&g);
@@ -256,7 +253,7 @@ void toy_run_load(struct toy_run *r, const char *dir, const struct train_config 
 {
     struct err e = {0};
     toy_run_prepare(r, dir, cfg);
-    kit_ok(state_load(&r->level.model, &r->level.ctx, &r->level.budget, state_path, &e), e);
+    kit_ok(level_resume(&r->level, state_path, &e), e);
     kit_ok(level_begin(&r->level, &e), e);
 }
 
@@ -271,7 +268,7 @@ double toy_run_steps(struct toy_run *r, uint32_t n)
 
 double toy_run_level(struct toy_run *r)
 {
-    return toy_run_steps(r, r->level.ctx.schedule[r->level.ctx.at].steps - r->level.ctx.step);
+    return toy_run_steps(r, r->level.stage.levels[r->level.stage.at].steps - r->level.stage.step);
 }
 
 void toy_run_next(struct toy_run *r)
@@ -290,16 +287,16 @@ struct evaluate_score toy_run_score(struct toy_run *r, double downsample)
         .scene = &r->scene,
         .images = r->n_tests ? r->tests : r->images,
         .n_images = r->n_tests ? r->n_tests : r->n_images,
-        .max_edge_px = (uint32_t)l->ctx.cfg->max_edge_px,
+        .max_edge_px = (uint32_t)l->cfg->max_edge_px,
         .downsample = downsample,
         .cache_bytes = TOY_CACHE_BYTES,
     };
     struct appearance_view look = {0};
-    struct evaluate_model model = {l->ctx.render, &l->model.gauss,
-                                   context_render_options(&l->ctx, l->ctx.step),
-                                   appearance_train_is_on(&l->ctx.appearance) ? &look : NULL};
+    struct evaluate_model model = {l->engine.render, &l->model.gauss,
+                                   gallery_options(&l->gallery, &l->stage),
+                                   appearance_train_is_on(&l->appearance) ? &look : NULL};
     if (model.appearance)
-        kit_ok(appearance_view_open(&look, &l->ctx.appearance.model, &r->scene, &e), e);
+        kit_ok(appearance_view_open(&look, &l->appearance.model, &r->scene, &e), e);
     struct evaluate_source source = {.draw = evaluate_draw_model, .user = &model};
     kit_ok(photo_loader_open(&f, &photos, &e), e);
     kit_ok(evaluate_run(photos, f.n_images, &source, &score, &e), e);
@@ -311,8 +308,8 @@ struct evaluate_score toy_run_score(struct toy_run *r, double downsample)
 void toy_run_close(struct toy_run *r)
 {
     level_close(&r->level);
-    photometric_close(&r->level.ctx.loss);
-    render_close(&r->level.ctx.render);
+    photometric_close(&r->level.engine.loss);
+    render_close(&r->level.engine.render);
     scene_free(&r->scene);
 }
 

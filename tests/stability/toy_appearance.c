@@ -68,14 +68,14 @@ struct evaluate_score toy_appearance_score(struct toy_run *r)
                                     .downsample = 1.0,
                                     .cache_bytes = 1 << 20};
     struct half_image_config c = {.dev = &toy_dev,
-                                  .render = l->ctx.render,
-                                  .loss = l->ctx.loss,
+                                  .render = l->engine.render,
+                                  .loss = l->engine.loss,
                                   .steps = HALF_IMAGE_STEPS,
                                   .lr = HALF_IMAGE_LR,
                                   .lr_end = HALF_IMAGE_LR_END};
-    struct render_options ro = context_render_options(&l->ctx, l->ctx.step);
-    if (appearance_train_is_on(&l->ctx.appearance)) {
-        kit_ok(appearance_view_open(&view, &l->ctx.appearance.model, &r->scene, &e), e);
+    struct render_options ro = gallery_options(&l->gallery, &l->stage);
+    if (appearance_train_is_on(&l->appearance)) {
+        kit_ok(appearance_view_open(&view, &l->appearance.model, &r->scene, &e), e);
         c.appearance = &view;
     }
     kit_ok(half_image_open(&c, &h, &e), e);

@@ -1,0 +1,28 @@
+/* Inside of train/: what is constant in the run of one cell. run.c fills it before the first step;
+ * nobody writes it later.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef TRAIN_FIXED_H
+#define TRAIN_FIXED_H
+
+#include "cells/cell.h"
+
+struct dev;
+struct footprint;
+struct photometric;
+struct render;
+struct trim;
+
+struct engine { /* what computes; borrowed */
+    struct dev *dev;
+    struct render *render;
+    struct photometric *loss;
+};
+struct site { /* where the Gaussians are */
+    struct cell cell;
+    const struct footprint *ground; /* borrowed; NULL: not known */
+    const struct trim *rim;         /* where photographs end; borrowed; NULL: not known */
+};
+
+#endif

@@ -1,0 +1,165 @@
+/* Drawing training photographs from the model, and comparing them with their drawings.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "train/gallery.h"
+
+#include <math.h>
+
+#include "cells/footprint.h"
+#include "codec/scene.h"
+#include "loss/photometric.h"
+#include "train/appearance_train.h"
+#include "train/model.h"
+#include "train/photo_loader.h"
+#include "train/pose.h"
+#include "train/stage.h"
+
+#define GALLERY_SPACING_PX 2.0
+
+enum err_code gallery_open(struct gallery *g, const struct schedule *s, struct err *e)
+{
+    struct photo_loader_config f = {
+        .scene = g->scene,
+        .images = g->images,
+        .n_images = g->n_images,
+        .poses = g->poses,
+        .max_edge_px = (uint32_t)g->cfg->max_edge_px,
+        .downsample = s->downsample,
+        .cache_bytes = (size_t)g->cfg->cache_mib << 20,
+        .exposure = g->cfg->exposure ? PHOTO_LOADER_TO_MEAN : PHOTO_LOADER_AS_TAKEN,
+        .no_masks = !g->cfg->masks,
+        .seed = (uint64_t)g->cfg->seed,
+        .level = s->level,
+    };
+    photo_loader_close(&g->photos);
+    return photo_loader_open(&f, &g->photos, e);
+}
+
+void gallery_close(struct gallery *g)
+{
+    dev_release(&g->target);
+    dev_release(&g->mask);
+    photo_loader_close(&g->photos);
+}
+
+/* ---- cameras ---- */
+
+struct camera *gallery_cameras_full(const struct gallery *g)
+{
+    struct camera *cams = mem_array(g->n_images, sizeof *cams);
+    for (size_t i = 0; cams && i < g->n_images; i++) {
+        cams[i] = g->scene->images[g->images[i]].cam;
+        if (g->poses)
+            pose_apply(g->poses, g->images[i], &cams[i]);
+    }
+    return cams;
+}
+
+struct camera *gallery_cameras(const struct gallery *g, const struct schedule *s)
+{
+    struct camera *cams = gallery_cameras_full(g);
+    for (size_t i = 0; cams && i < g->n_images; i++)
+        cams[i] = photo_loader_camera(&cams[i], (uint32_t)g->cfg->max_edge_px, s->downsample);
+    return cams;
+}
+
+enum err_code gallery_filter(const struct gallery *g, const struct stage *at, struct model *m,
+                             struct err *e)
+{
+    if (g->cfg->aa != RENDER_AA_MIP || m->filter_is_current || at->at >= at->n_levels)
+        return ERR_OK;
+    struct camera *cams = gallery_cameras(g, stage_schedule(at));
+    if (!cams)
+        return err_set(e, ERR_MEM, "mip: out of memory for %zu cameras", g->n_images);
+    enum err_code rc = model_filter(m, cams, g->n_images, e);
+    mem_free(cams);
+    return rc;
+}
+
+double gallery_size_limit(const struct gallery *g, const struct site *site,
+                          const struct schedule *s)
+{
+    const struct footprint *ground = site->ground;
+    if (!(g->cfg->size_limit > 0.0) || !ground || !ground->nx)
+        return 0.0;
+    const struct camera *full = &g->scene->images[g->images[0]].cam;
+    struct camera cam = photo_loader_camera(full, (uint32_t)g->cfg->max_edge_px, s->downsample);
+    double px_per_m = ground->px_per_m * cam.fx_px / full->fx_px;
+    return g->cfg->size_limit *
+           fmax(site->cell.edge_m / sqrt((double)s->budget), GALLERY_SPACING_PX / px_per_m);
+}
+
+/* ---- how frames are drawn ---- */
+
+struct render_options gallery_options(const struct gallery *g, const struct stage *at)
+{
+    const struct train_config *c = g->cfg;
+    float grey = (float)c->background;
+    return (struct render_options){
+        .aa = (enum render_aa)c->aa,
+        .background = {grey, grey, grey},
+        .near_m = g->near_m,
+        .sh_degree = (int)schedule_sh_degree(stage_schedule(at), at->step),
+    };
+}
+
+struct render_options gallery_photo_options(const struct gallery *g, const struct stage *at,
+                                            uint32_t image)
+{
+    struct appearance_train *a = g->appearance;
+    struct render_options ro = gallery_options(g, at);
+    if (appearance_train_is_on(a) &&
+        at->step > appearance_train_warmup(a, g->cfg, stage_schedule(at)))
+        ro.appearance_frame = appearance_train_frame(a, image);
+    ro.appearance_hidden = a->model.hidden;
+    return ro;
+}
+
+/* ---- comparing a frame with its photograph ---- */
+
+static enum err_code gallery_upload(struct gallery *g, cl_mem *to, size_t *room, const void *from,
+                                    size_t bytes, struct err *e)
+{
+    if (bytes > *room) {
+        dev_release(to);
+        *room = 0;
+        enum err_code rc = dev_buffer(g->engine.dev, bytes, NULL, to, e);
+        if (rc)
+            return rc;
+        *room = bytes;
+    }
+    return dev_write(g->engine.dev, *to, 0, bytes, from, e);
+}
+
+static enum err_code gallery_run(struct gallery *g, const struct photo *p, bool value_only,
+                                  struct err *e)
+{
+    struct photometric_input in = {
+        .value_only = value_only,
+        .color = render_color_buffer(g->engine.render),
+        .width_px = p->cam.width_px,
+        .height_px = p->cam.height_px,
+        .l1_weight = (float)g->cfg->l1_weight,
+        .ssim_weight = (float)g->cfg->ssim_weight,
+    };
+    size_t bytes = (size_t)p->cam.width_px * p->cam.height_px * 3;
+    enum err_code rc = gallery_upload(g, &g->target, &g->target_bytes, p->px, bytes, e);
+    in.target = g->target;
+    if (!rc && p->mask)
+        rc = gallery_upload(g, &g->mask, &g->mask_bytes, p->mask, bytes / 3, e);
+    in.mask = p->mask ? g->mask : NULL;
+    return rc ? rc
+              : photometric_run(g->engine.loss, &in,
+                                value_only ? NULL : render_color_grad_buffer(g->engine.render), e);
+}
+
+enum err_code gallery_loss(struct gallery *g, const struct photo *p, struct err *e)
+{
+    return gallery_run(g, p, false, e);
+}
+
+enum err_code gallery_value(struct gallery *g, const struct photo *p, struct err *e)
+{
+    return gallery_run(g, p, true, e);
+}
