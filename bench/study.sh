@@ -355,17 +355,6 @@ study_cells_light() {
   row cells_light "appearance" cells-light "" "${base[@]}" --appearance --eval --half-image on
 }
 
-# Poses that are refined while Gaussians are trained, on photographs as they came.
-poses_rows() { # STUDY SCENE
-  local base=(--level-count 1 --iterations "$(steps "$1")" --budget-3 100000)
-  row "$1" "as ingested" "$2" "" "${base[@]}"
-  row "$1" "refined" "$2" "" "${base[@]}" --refine-poses
-}
-poses_caliterra_rows() { poses_rows poses_caliterra caliterra-400; }
-poses_ochota_rows() { poses_rows poses_ochota ochota-400; }
-study_poses_caliterra() { seeded poses_caliterra poses_caliterra_rows; }
-study_poses_ochota() { seeded poses_ochota poses_ochota_rows; }
-
 embedding_rows() {
   local n base=(--level-count 1 --iterations "$(steps embedding)" --budget-3 40000)
   for n in 16 4 8; do # the default first: the others are compared with it
@@ -666,7 +655,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra background background_caliterra sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells poses_caliterra poses_ochota ablation ablation_city cells cells_light
+readonly STUDIES=(time full big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra background background_caliterra sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ablation ablation_city cells cells_light
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {

@@ -26,7 +26,6 @@
 #include "train/config.h"
 #include "train/evaluate.h"
 #include "train/photo_loader.h"
-#include "train/pose.h"
 #include "train/residual.h"
 #include "train/train.h"
 #include "train/train_scene.h"
@@ -62,12 +61,10 @@ struct eval {
     struct footprint ground;           /* what training photographs show */
     struct residual_list residuals;    /* of the last row that was scored */
     char residuals_of[64];             /* what that row is called */
-    struct pose_set poses;             /* of training photographs, as training refined them */
     json_t *rows;
 };
 
 enum { EVAL_SUSPICIOUS_MAX = 20 }; /* rows printed; the file has all */
-#define EVAL_POSE_UNIT_M 1e3 /* corrections of refined poses are of metres, not of thousands */
 
 static void eval_print_head(void)
 {
@@ -181,7 +178,6 @@ static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_
     struct photo_loader_config f = {.scene = &v->scene,
                                     .images = v->images,
                                     .n_images = v->n_images,
-                                    .poses = &v->poses,
                                     .max_edge_px = max_edge_px,
                                     .downsample = downsample,
                                     .cache_bytes = (size_t)64 << 20,
@@ -367,17 +363,6 @@ static enum err_code eval_level(struct eval *v, const char *dir, unsigned level,
     return rc;
 }
 
-/* Training photographs are drawn from where training found that they were taken. */
-static enum err_code eval_poses(struct eval *v, const char *dir, struct err *e)
-{
-    char path[FILE_PATH_MAX + 64];
-    snprintf(path, sizeof path, "%s/cells/all/poses.json", dir);
-    if (v->plan.n_cells || !file_exists(path))
-        return ERR_OK;
-    enum err_code rc = pose_open(&v->poses, &v->scene, v->images, 0, EVAL_POSE_UNIT_M, e);
-    return rc ? rc : pose_read(&v->poses, &v->scene, path, e);
-}
-
 static enum err_code eval_levels(struct eval *v, const char *scene_dir, struct err *e)
 {
     const char *dir = v->o.results ? v->o.results : scene_dir;
@@ -386,8 +371,6 @@ static enum err_code eval_levels(struct eval *v, const char *scene_dir, struct e
     enum err_code rc = file_join(path, scene_dir, "plan.json", e);
     if (!rc && file_exists(path))
         rc = cell_plan_read(path, &v->scene, &v->plan, e);
-    if (!rc)
-        rc = eval_poses(v, dir, e);
     if (v->o.views) /* the finest alone: the others are for distances of their own */
         for (unsigned level = TRAIN_LEVELS_MAX; !rc && level && !found; level--)
             rc = eval_level(v, dir, level, &found, e);
@@ -600,7 +583,6 @@ out:
     json_decref(v.rows);
     footprint_free(&v.ground);
     residual_free(&v.residuals);
-    pose_free(&v.poses);
     eval_half_image_clear(&v.half_image);
     lpips_close(&v.lpips);
     render_close(&v.render);

@@ -224,8 +224,6 @@ struct layout_adam {
 #define LAYOUT_STEP_STATS 4       /* densification statistics; with them: */
 #define LAYOUT_STEP_ABS 8         /* moduli of the positional gradients (AbsGS) */
 #define LAYOUT_STEP_OPACITY 16    /* the largest opacity drawn */
-#define LAYOUT_STEP_POSE 32       /* what moving the camera does, [items][LAYOUT_POSE_SUMS][VW]: */
-#define LAYOUT_POSE_SUMS 6        /* sums of dL/dmean and of the torque about the eye */
 
 #ifndef __OPENCL_C_VERSION__
 static_assert(sizeof(struct layout_splat) == 64 && LAYOUT_SPLAT_WORDS == 16,

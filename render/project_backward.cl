@@ -480,55 +480,6 @@ inline void stats_add(const struct stats *to, uint i, const struct gradient *d,
     }
 }
 
-// ---- the camera
-
-// A camera that moves is all Gaussians that move against it: sums over them of dL/dmean and of the
-// torque about the eye, (mean - eye) x dL/dmean and what turning each by itself does; world frame.
-#if VW == 16
-#define POSE_LD(row, k) vload16(k, row)
-#define POSE_ST(row, k, x) vstore16(x, k, row)
-#else
-#define POSE_LD(row, k) (row)[k]
-#define POSE_ST(row, k, x) (row)[k] = (x)
-#endif
-
-// They are added up in memory: six vectors that live through the whole loop cost registers in every
-// step, also where nobody asks for them.
-inline __global float *pose_row(__constant struct layout_view *v, uint wants, __global float *parts)
-{
-    size_t id = get_global_id(0);
-#if VW == 16
-    __global float *row = parts + id * LAYOUT_POSE_SUMS * LAYOUT_LANES;
-    bool used = id * LAYOUT_PROJECT_GROUPS < v->groups;
-#else
-    __global float *row = parts + id * LAYOUT_POSE_SUMS;
-    bool used = id / LAYOUT_LANES < v->groups;
-#endif
-    for (uint k = 0; (wants & LAYOUT_STEP_POSE) && used && k < LAYOUT_POSE_SUMS; k++)
-        POSE_ST(row, k, (V)(0.0f));
-    return row;
-}
-
-inline void pose_add(__global float *row, __constant struct layout_view *v,
-                     __global const float *params, const struct gradient *d, VI counted)
-{
-    const V *g = d->geometry + LAYOUT_PLANE_MEAN, *dq = d->geometry + LAYOUT_PLANE_QUAT;
-    V x[3], q[4], t[3];
-    for (uint k = 0; k < 3; k++)
-        x[k] = LD(params, LAYOUT_PLANE_MEAN + k) - v->eye[k];
-    for (uint k = 0; k < 4; k++)
-        q[k] = LD(params, LAYOUT_PLANE_QUAT + k);
-    t[0] = (q[0] * dq[1] - q[1] * dq[0]) + (q[2] * dq[3] - q[3] * dq[2]);
-    t[1] = (q[0] * dq[2] - q[2] * dq[0]) + (q[3] * dq[1] - q[1] * dq[3]);
-    t[2] = (q[0] * dq[3] - q[3] * dq[0]) + (q[1] * dq[2] - q[2] * dq[1]);
-    for (uint k = 0; k < 3; k++) {
-        uint a = (k + 1) % 3, b = (k + 2) % 3;
-        V torque = (x[a] * g[b] - x[b] * g[a]) + 0.5f * t[k];
-        POSE_ST(row, k, POSE_LD(row, k) + (counted ? g[k] : (V)(0.0f)));
-        POSE_ST(row, 3 + k, POSE_LD(row, 3 + k) + (counted ? torque : (V)(0.0f)));
-    }
-}
-
 // ---- appearance
 
 #ifdef APPEARANCE_LEN
@@ -636,12 +587,10 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
                            __global const float *extra, __global float *stat_grad,
                            __global float *stat_absg, __global float *stat_count,
                            __global float *stat_radius, __global float *stat_opacity,
-                           __global uint *repaired,
-                           __global float *pose_parts EFFECTIVE_ARG APPEARANCE_ARG)
+                           __global uint *repaired EFFECTIVE_ARG APPEARANCE_ARG)
 {
     uint to, lane, used = (v->sh_degree + 1) * (v->sh_degree + 1), wants = rates.wants;
     struct stats stats = {stat_grad, stat_absg, stat_count, stat_radius, stat_opacity};
-    __global float *pose = pose_row(v, wants, pose_parts);
     APPEARANCE_OPEN
     for (uint group = item_groups(v, &to, &lane); group < to; group++) {
         size_t at = group_at(group, v->planes) + lane;
@@ -655,8 +604,6 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
             gradient_all(v, a.p, filter + i, &in, visible, &d EFFECTIVE(i));
             seen_direction(v, a.p, dir); // before the mean moves
             sh_basis(dir, v->sh_degree, basis);
-            if (wants & LAYOUT_STEP_POSE)
-                pose_add(pose, v, a.p, &d, gradient_usable(&d) & real & visible);
         } else {
             gradient_none(&d);
             for (uint p = 0; p < LAYOUT_SH_MAX; p++)

@@ -210,9 +210,6 @@ struct render_adam {
     cl_mem extra_grad; /* may be NULL: float [groups][LAYOUT_PLANES_GEOMETRY][16], added to the
                         * gradients of these planes of every Gaussian, seen or not (regularizers) */
     bool extra_sizes;  /* it is float [groups][LAYOUT_PLANES_SCALE][16], of the scales alone */
-    /* May be NULL: not wanted. Out, [6]: what the camera's pose does to the loss, see
-     * render_ref_pose_grad. extra_grad is no part of it. Waits for the device. */
-    double *pose_grad;
 };
 /* Per-Gaussian densification statistics, accumulated by render_backward_step:
  *   grad   float [cap]  sum of ||(0.5 W g_u, 0.5 H g_v)||        (positional gradient, NDC units)
@@ -294,11 +291,5 @@ struct render_ref_grads {
 enum err_code render_ref_backward(const struct gauss *g, const struct camera *cam,
                                   const struct render_options *o, const double *rgb_grad,
                                   const struct render_ref_grads *out, struct err *e) ERR_USE;
-/* The same objective's gradient with respect to the camera's pose, from `mean` and `quat_wxyz` of
- * what render_ref_backward wrote: out[0..2] dL/d(centre), 1/m, and out[3..5] dL/dw of a turn about
- * the centre, world to camera R -> R exp([w]x), both in the world's axes. The view direction of SH
- * is held fixed, as it is for means. */
-void render_ref_pose_grad(const struct gauss *g, const struct camera *cam,
-                          const struct render_ref_grads *grads, double out[6]);
 
 #endif

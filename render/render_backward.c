@@ -25,7 +25,6 @@ struct render_backward_state {
     cl_program program;
     cl_kernel blend, grads, step;
     struct frame_buffer marks; /* uchar [intersections] */
-    struct frame_buffer pose;  /* float [items][LAYOUT_POSE_SUMS][vector width] */
     cl_mem unused;             /* stands for the buffers a caller left out */
 };
 
@@ -41,7 +40,6 @@ static void backward_release(struct render *r)
     if (s->program)
         clReleaseProgram(s->program);
     dev_release(&s->marks.mem);
-    dev_release(&s->pose.mem);
     dev_release(&s->unused);
     mem_free(s);
     r->backward = NULL;
@@ -219,8 +217,6 @@ static uint32_t backward_wants(const struct render_adam *a,
     uint32_t wants = 0;
     if (a->extra_grad)
         wants |= a->extra_sizes ? LAYOUT_STEP_EXTRA_SCALE : LAYOUT_STEP_EXTRA;
-    if (a->pose_grad)
-        wants |= LAYOUT_STEP_POSE;
     if (stats)
         wants |= LAYOUT_STEP_STATS | (stats->absg ? LAYOUT_STEP_ABS : 0) |
                  (stats->opacity ? LAYOUT_STEP_OPACITY : 0);
@@ -254,41 +250,6 @@ static struct layout_adam backward_rates(const struct render *r, const struct re
     return k;
 }
 
-/* Rows of LAYOUT_POSE_SUMS sums, and values of a sum. */
-static size_t backward_pose_rows(const struct render *r, size_t *lanes)
-{
-    size_t local;
-    *lanes = r->dev->vector_width > 1 ? LAYOUT_LANES : 1;
-    return frame_items(r, r->view.groups, &local);
-}
-
-static enum err_code backward_pose_reserve(struct render *r, struct err *e)
-{
-    size_t lanes, rows = backward_pose_rows(r, &lanes);
-    return frame_reserve(r, &r->backward->pose,
-                         (rows * LAYOUT_POSE_SUMS * lanes + 1) * sizeof(float), e);
-}
-
-/* The work-items' sums, added in order. The centre moves against the Gaussians. */
-static enum err_code backward_pose_read(struct render *r, double out[LAYOUT_POSE_SUMS],
-                                        struct err *e)
-{
-    size_t lanes, rows = backward_pose_rows(r, &lanes), n = rows * LAYOUT_POSE_SUMS * lanes;
-    float *parts = mem_array(n, sizeof *parts);
-    if (!parts)
-        return err_set(e, ERR_MEM, "render_backward: out of memory for %zu sums", n);
-    for (size_t k = 0; k < LAYOUT_POSE_SUMS; k++)
-        out[k] = 0.0;
-    enum err_code rc =
-        n ? dev_read(r->dev, r->backward->pose.mem, 0, n * sizeof *parts, parts, e) : ERR_OK;
-    for (size_t i = 0; !rc && i < n; i++) {
-        size_t k = i / lanes % LAYOUT_POSE_SUMS;
-        out[k] += k < 3 ? -(double)parts[i] : (double)parts[i];
-    }
-    mem_free(parts);
-    return rc;
-}
-
 /* After the slots are filled. */
 static enum err_code backward_adam(struct render *r, const struct render_model *m,
                                    const struct render_adam *adam,
@@ -307,11 +268,8 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
             *buffers[i] = none;
     if (r->appearance)
         rc = render_appearance_prepare(r, adam->appearance, &call, e);
-    if (!rc && adam->pose_grad)
-        rc = backward_pose_reserve(r, e);
     if (rc)
         return rc;
-    cl_mem pose = adam->pose_grad ? s->pose.mem : none;
     r->drawn = false; /* the parameters are about to differ from what was drawn */
     const struct frame_arg args[] = {
         FRAME_ARG(r->view_mem),   FRAME_ARG(m->params),       FRAME_ARG(filter),
@@ -320,12 +278,11 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
         FRAME_ARG(adam->m2),      FRAME_ARG(rates),           FRAME_ARG(extra),
         FRAME_ARG(d.grad),        FRAME_ARG(d.absg),          FRAME_ARG(d.count),
         FRAME_ARG(d.radius),      FRAME_ARG(d.opacity),       FRAME_ARG(d.repaired),
-        FRAME_ARG(pose),
     };
     rc = backward_run(r, call.step, "project_step", args, sizeof args / sizeof *args, &call, e);
     if (!rc && r->appearance)
         rc = render_appearance_finish(r, m, NULL, adam, &rates, &call, adam->appearance, e);
-    return !rc && adam->pose_grad ? backward_pose_read(r, adam->pose_grad, e) : rc;
+    return rc;
 }
 
 enum err_code render_backward_step(struct render *r, struct render_model *m,

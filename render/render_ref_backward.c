@@ -280,27 +280,3 @@ out:
     mem_free(grads);
     return rc;
 }
-
-void render_ref_pose_grad(const struct gauss *g, const struct camera *cam,
-                          const struct render_ref_grads *grads, double out[6])
-{
-    double eye[3];
-    camera_center(cam, eye);
-    for (int k = 0; k < 6; k++)
-        out[k] = 0.0;
-    for (size_t i = 0; i < g->n; i++) {
-        const double *f = grads->mean + 3 * i, *dq = grads->quat_wxyz + 4 * i;
-        const float *q = g->quat_wxyz + 4 * i;
-        double x[3];
-        for (int k = 0; k < 3; k++)
-            x[k] = (double)g->mean_m[3 * i + (size_t)k] + g->origin_enu_m[k] - eye[k];
-        for (int k = 0; k < 3; k++) {
-            int a = (k + 1) % 3, b = (k + 2) % 3;
-            /* q -> (1, w / 2) q: of w_k, half of the product (0, e_k) q */
-            double own = (double)q[0] * dq[1 + k] - (double)q[1 + k] * dq[0] +
-                         (double)q[1 + a] * dq[1 + b] - (double)q[1 + b] * dq[1 + a];
-            out[k] -= f[k];
-            out[3 + k] += x[a] * f[b] - x[b] * f[a] + 0.5 * own;
-        }
-    }
-}

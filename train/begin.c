@@ -92,7 +92,7 @@ static enum err_code begin_is_done(const struct begin *t, struct train_cell_resu
 /* What follows will not be what the done-file tells of, nor the residuals of another run. */
 static enum err_code begin_forget_done(const struct begin *t, struct err *e)
 {
-    const char *const names[] = {"done.json", "residuals.json", "poses.json"};
+    const char *const names[] = {"done.json", "residuals.json"};
     enum err_code rc = ERR_OK;
     for (size_t i = 0; !rc && i < (t->resumes ? 1 : sizeof names / sizeof *names); i++) {
         char path[FILE_PATH_MAX];
@@ -225,7 +225,7 @@ static enum err_code begin_ground(struct begin *t, struct err *e)
 {
     const struct train_config *cfg = t->job->cfg;
     enum err_code rc = ERR_OK;
-    if (cfg->free_space > 0.0 || cfg->seed_ground > 0.0 || cfg->refine_poses || cfg->trim_rim)
+    if (cfg->free_space > 0.0 || cfg->seed_ground > 0.0 || cfg->trim_rim)
         rc = footprint_of(t->job->scene, &t->ground, e);
     if (rc || !t->ground.nx || !cfg->trim_rim)
         return rc;

@@ -12,7 +12,6 @@
 #include "train/appearance_train.h"
 #include "train/model.h"
 #include "train/photo_loader.h"
-#include "train/pose.h"
 #include "train/stage.h"
 
 #define GALLERY_SPACING_PX 2.0
@@ -23,7 +22,6 @@ enum err_code gallery_open(struct gallery *g, const struct schedule *s, struct e
         .scene = g->scene,
         .images = g->images,
         .n_images = g->n_images,
-        .poses = g->poses,
         .max_edge_px = (uint32_t)g->cfg->max_edge_px,
         .downsample = s->downsample,
         .cache_bytes = (size_t)g->cfg->cache_mib << 20,
@@ -48,11 +46,8 @@ void gallery_close(struct gallery *g)
 struct camera *gallery_cameras_full(const struct gallery *g)
 {
     struct camera *cams = mem_array(g->n_images, sizeof *cams);
-    for (size_t i = 0; cams && i < g->n_images; i++) {
+    for (size_t i = 0; cams && i < g->n_images; i++)
         cams[i] = g->scene->images[g->images[i]].cam;
-        if (g->poses)
-            pose_apply(g->poses, g->images[i], &cams[i]);
-    }
     return cams;
 }
 

@@ -15,7 +15,6 @@ struct appearance_train;
 struct model;
 struct photo;
 struct photo_loader;
-struct pose_set;
 struct scene;
 struct schedule;
 struct stage;
@@ -27,7 +26,6 @@ struct gallery { /* gallery_close */
     const struct scene *scene;
     const uint32_t *images; /* [n_images] training photographs, indices into the scene's images */
     size_t n_images;
-    const struct pose_set *poses; /* NULL: the scene's */
     struct appearance_train *appearance;
     double near_m; /* near plane of every frame */
     /* -- of gallery.c */
@@ -55,7 +53,7 @@ enum err_code gallery_loss(struct gallery *g, const struct photo *p, struct err 
 /* The same without gradients: for photometric_read alone. ERR_MEM, ERR_DEVICE. */
 enum err_code gallery_value(struct gallery *g, const struct photo *p, struct err *e) ERR_USE;
 
-/* Cameras of the training photographs as their poses are now, [n_images], mem_free them; NULL: out
+/* Cameras of the training photographs, [n_images], mem_free them; NULL: out
  * of memory. _full: at the size of the scene's photographs; else at the size of a level. */
 struct camera *gallery_cameras_full(const struct gallery *g);
 struct camera *gallery_cameras(const struct gallery *g, const struct schedule *s);

@@ -54,7 +54,6 @@ void level_init(struct level *l, const struct run_cell *job, const uint32_t *ima
                                   .scene = job->scene,
                                   .images = images,
                                   .n_images = n_images,
-                                  .poses = &l->poses,
                                   .appearance = &l->appearance,
                                   .near_m = c->near_m > 0.0
                                                 ? c->near_m
@@ -103,7 +102,6 @@ void level_close(struct level *l)
     model_close(&l->model);
     gallery_close(&l->gallery);
     appearance_train_close(&l->appearance);
-    pose_free(&l->poses);
 }
 
 enum err_code level_begin(struct level *l, struct err *e)
@@ -121,7 +119,6 @@ static struct state level_state(struct level *l, double seconds)
     return (struct state){.run = {l->cfg, &l->site.cell, l->gallery.n_images},
                           .at = l->stage,
                           .appearance = &l->appearance,
-                          .poses = &l->poses,
                           .budget = &l->budget,
                           .seconds = seconds};
 }
@@ -355,21 +352,6 @@ static void level_learn_appearance(struct level *l, uint32_t image)
         appearance_train_update(&l->appearance, image, (double)adam->lr_embed);
 }
 
-/* Of poses, from lr_pose down to lr_pose_final over all levels. */
-static double level_pose_rate(const struct level *l, uint32_t step)
-{
-    const struct stage *at = &l->stage;
-    const struct train_config *c = l->cfg;
-    double done = step, all = 0.0;
-    for (uint32_t i = 0; i < at->n_levels; i++) {
-        done += i < at->at ? at->levels[i].steps : 0.0;
-        all += at->levels[i].steps;
-    }
-    if (!(c->lr_pose > 0.0) || !(c->lr_pose_final > 0.0))
-        return c->lr_pose * (1.0 - done / all);
-    return c->lr_pose * pow(c->lr_pose_final / c->lr_pose, done / all);
-}
-
 /* The backward pass of the frame of a photograph, fused with Adam. */
 static enum err_code level_backward(struct level *l, uint32_t step, uint32_t image,
                                     const struct render_options *ro, struct err *e)
@@ -378,8 +360,6 @@ static enum err_code level_backward(struct level *l, uint32_t step, uint32_t ima
     struct model *m = &l->model;
     struct render_appearance_grad grad;
     struct render_density_stats stats = m->stats;
-    double pose[POSE_NUMBERS];
-    m->adam.pose_grad = l->poses.n ? pose : NULL;
     m->adam.step = step;
     m->adam.lr_mean = (float)schedule_lr_mean(s, step);
     level_ask_appearance(l, step, ro, &grad);
@@ -388,10 +368,7 @@ static enum err_code level_backward(struct level *l, uint32_t step, uint32_t ima
     enum err_code rc = render_backward_step(l->engine.render, &m->gauss, &m->adam, &stats, e);
     if (!rc && m->adam.appearance)
         level_learn_appearance(l, image);
-    if (!rc && m->adam.pose_grad)
-        pose_update(&l->poses, image, pose, level_pose_rate(l, step));
-    m->adam.appearance = NULL; /* these live here */
-    m->adam.pose_grad = NULL;
+    m->adam.appearance = NULL; /* it lives here */
     return rc;
 }
 

@@ -12,7 +12,6 @@
 #include "train/fixed.h"
 #include "train/gallery.h"
 #include "train/model.h"
-#include "train/pose.h"
 #include "train/stage.h"
 #include "train/timing.h"
 
@@ -37,7 +36,6 @@ struct level { /* level_init; level_close, also after an error */
     /* -- what learns */
     struct model model;
     struct appearance_train appearance; /* {0}: without; opened before level_open */
-    struct pose_set poses;              /* {0}: the scene's; opened before level_open */
     /* -- what it learns from, and what keeps it in bounds */
     struct gallery gallery;
     struct budget budget; /* the decisions of --budget auto */

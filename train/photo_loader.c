@@ -22,7 +22,6 @@
 #include "core/pool.h"
 #include "train/config.h"
 #include "train/photo_loader.h"
-#include "train/pose.h"
 
 enum { PHOTO_LOADER_AHEAD = 3 };
 enum photo_loader_state {
@@ -295,8 +294,6 @@ static enum err_code photo_loader_take(struct photo_loader *f, size_t slot, cons
                           .px = f->slots[slot].img.px,
                           .mask = f->slots[slot].mask.px,
                           .name = f->cfg.scene->images[f->cfg.images[slot]].name};
-    if (f->cfg.poses)
-        pose_apply(f->cfg.poses, out->image, &out->cam);
     if (f->cfg.exposure == PHOTO_LOADER_TOLD)
         memcpy(out->exposure_ev, f->cfg.scene->images[f->cfg.images[slot]].exposure_ev,
                sizeof out->exposure_ev);

@@ -11,7 +11,6 @@
 
 #include "core/camera.h"
 
-struct pose_set;
 struct scene;
 
 struct photo {
@@ -32,7 +31,6 @@ struct photo_loader_config {
     const struct scene *scene; /* borrowed while it is open, as is images */
     const uint32_t *images;
     size_t n_images;
-    const struct pose_set *poses; /* how cameras move (train/pose.h), borrowed; NULL: they do not */
     uint32_t max_edge_px;         /* 0 = as ingested */
     double downsample;
     enum photo_loader_exposure exposure;

@@ -52,22 +52,6 @@ static double run_seconds(const struct run *t)
 
 /* ---- the first Gaussians ---- */
 
-/* Poses that move with the Gaussians. */
-static enum err_code run_open_poses(struct run *t, struct err *e)
-{
-    struct level *l = &t->level;
-    const struct cell *cell = &l->site.cell;
-    const struct gallery *g = &l->gallery;
-    if (!t->cfg->refine_poses)
-        return ERR_OK;
-    if (!cell->whole)
-        return err_set(e, ERR_ARG,
-                       "--refine-poses: a photograph that several cells of a plan train on would "
-                       "get a pose in each: train without the plan, or leave poses as they are");
-    double unit_m = t->begin.ground.nx ? t->begin.ground.height_m : cell->extent_m;
-    return pose_open(&l->poses, g->scene, g->images, g->n_images, unit_m, e);
-}
-
 static enum err_code run_open_metrics(struct run *t, struct err *e)
 {
     char path[FILE_PATH_MAX];
@@ -111,15 +95,15 @@ static enum err_code run_start(struct run *t, const struct timing *clock, struct
     struct gauss g = {0};
     struct level *l = &t->level;
     run_make_level(t, clock);
-    enum err_code rc = run_open_poses(t, e);
-    if (!rc && t->begin.resumes) {
+    enum err_code rc;
+    if (t->begin.resumes) {
         rc = level_resume(l, t->begin.resume_path, e);
         if (!rc)
             rc = begin_earlier_levels(&t->begin, l->stage.at, t->result, e);
         if (!rc)
             log_info("train", "resume cell=%s level=%u step=%u gaussians=%u", l->site.cell.id,
                      l->stage.at + 1, l->stage.step, l->model.gauss.n);
-    } else if (!rc) {
+    } else {
         rc = begin_gauss(&t->begin, &l->appearance, &g, e);
         if (!rc)
             rc = level_open(l, &g, e);
@@ -471,22 +455,6 @@ static enum err_code run_refit(struct run *t, struct err *e)
     return rc;
 }
 
-/* What became of them. */
-static enum err_code run_tell_poses(const struct run *t, struct err *e)
-{
-    const struct level *l = &t->level;
-    char path[FILE_PATH_MAX];
-    if (!l->poses.n)
-        return ERR_OK;
-    struct pose_report r = pose_describe(&l->poses);
-    log_info("train",
-             "poses moved by %.3f m and %.3f degrees (root mean squares), at most %.3f m and %.3f "
-             "degrees: poses.json",
-             r.rms_m, r.rms_deg, r.largest_m, r.largest_deg);
-    enum err_code rc = file_join(path, t->begin.dir, "poses.json", e);
-    return rc ? rc : pose_write(&l->poses, l->gallery.scene, path, e);
-}
-
 enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out, struct err *e)
 {
     struct run *t = mem_array(1, sizeof *t);
@@ -514,8 +482,6 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
             rc = run_refit(t, e);
         out->seconds = run_seconds(t);
         out->timing = timing_now(&t->level.timing);
-        if (!rc)
-            rc = run_tell_poses(t, e);
         if (!rc)
             rc = done_write(t->begin.dir, out, e);
         if (!rc)

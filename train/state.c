@@ -23,7 +23,6 @@
 #include "train/evaluate.h"
 #include "train/fixed.h"
 #include "train/model.h"
-#include "train/pose.h"
 
 enum { STATE_STATS = 5, STATE_APPEARANCE = 2, STATE_SLICE = 65536 };
 static const char *const state_stat_names[STATE_STATS] = {"stat_grad", "stat_absg", "stat_count",
@@ -240,16 +239,11 @@ static enum err_code state_appearance_blobs(const struct appearance_train *a,
     return rc;
 }
 
-static size_t state_pose_bytes(const struct pose_set *p)
-{
-    return p->n * POSE_STATE * sizeof *p->block;
-}
-
 enum err_code state_save(const struct model *m, const struct state *s, const char *path,
                          struct err *e)
 {
     struct state_view v = {0};
-    struct ckpt_blob blobs[4 + STATE_STATS + STATE_APPEARANCE] = {0};
+    struct ckpt_blob blobs[3 + STATE_STATS + STATE_APPEARANCE] = {0};
     const struct render_model *g = &m->gauss;
     size_t n = 0, moments = model_bytes(m), n_appearance = 0;
     json_t *meta = state_meta(m, s, "resume", e);
@@ -270,9 +264,6 @@ enum err_code state_save(const struct model *m, const struct state *s, const cha
         rc = state_blob(&v, state_stat_names[i], stats[i], g->n * sizeof(float), &blobs[n++], e);
     if (!rc && g->filter && m->filter_is_current)
         rc = state_blob(&v, "filter", g->filter, g->n * sizeof(float), &blobs[n++], e);
-    if (!rc && s->poses->n)
-        blobs[n++] = (struct ckpt_blob){
-            .name = POSE_BLOB, .data = s->poses->block, .size_bytes = state_pose_bytes(s->poses)};
     if (!rc && appearance_train_is_on(s->appearance)) {
         rc = state_appearance_blobs(s->appearance, blobs + n, e);
         n_appearance = STATE_APPEARANCE;
@@ -354,8 +345,6 @@ static enum err_code state_fill_all(struct model *m, struct state *s, const stru
     enum err_code rc = state_fill_rows(m, c, e);
     if (!rc)
         rc = state_fill_appearance(s->appearance, c, path, e);
-    if (!rc && s->poses->n)
-        rc = ckpt_rows_blob_to(c, POSE_BLOB, s->poses->block, state_pose_bytes(s->poses), e);
     if (!rc)
         rc = state_fill(m, c, "adam_m1", m->adam.m1, moments, e);
     if (!rc)

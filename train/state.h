@@ -13,13 +13,11 @@ struct ckpt_rows;
 struct engine;
 struct evaluate_score;
 struct model;
-struct pose_set;
 
 struct state { /* what a checkpoint holds besides the Gaussians; all borrowed but `at` */
     struct state_run run;
     struct stage at;
     struct appearance_train *appearance;
-    struct pose_set *poses;
     struct budget *budget;
     double seconds; /* spent on the run so far, by all processes */
 };
@@ -28,7 +26,7 @@ struct state { /* what a checkpoint holds besides the Gaussians; all borrowed bu
 enum err_code state_save(const struct model *m, const struct state *s, const char *path,
                          struct err *e) ERR_USE;
 /* Back into a model that was not opened, and into s, whose `run` and schedules are set: at,
- * appearance, poses, budget and seconds become those that were saved. ERR_ARG names the first
+ * appearance, budget and seconds become those that were saved. ERR_ARG names the first
  * option that differs from the saved run's; ERR_DATA: another cell or other photographs;
  * ERR_FORMAT: not such a file; ERR_NOENT; ERR_IO: cannot be read. model_close it, also after an
  * error. */

@@ -198,45 +198,6 @@ static void resumed_anywhere_it_ends_in_the_same_bytes(void **state)
     arena_free(&a);
 }
 
-/* Poses that were refined so far belong to the state, with their moments. */
-static void refined_poses_are_resumed(void **state)
-{
-    (void)state;
-    enum { STOPS = 3 }; /* within the first level */
-    struct err e = {0};
-    struct arena a = {0};
-    struct toy t;
-    struct toy_run whole, part, again;
-    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
-    struct train_config c = short_config(&a);
-    c.refine_poses = true;
-    toy_scene(dir, &t);
-    kit_ok(file_join(path, dir, "resume.ckpt", &e), e);
-    toy_run_open(&whole, dir, &c);
-    toy_run_open(&part, dir, &c);
-    size_t bytes = whole.level.poses.n * POSE_STATE * sizeof(double);
-    to_the_end(&whole);
-    struct hash128 want = model_hash(&whole);
-    struct pose_report moved = pose_describe(&whole.level.poses);
-    assert_true(moved.rms_m > 1e-4 && moved.rms_deg > 1e-3 && moved.largest_deg < 1.0);
-    for (int k = 0; k < STOPS; k++) {
-        toy_run_steps(&part, 3);
-        kit_ok(level_save(&part.level, 0.0, path, &e), e);
-        toy_run_load(&again, dir, &c, path);
-        assert_memory_equal(again.level.poses.block, part.level.poses.block, bytes);
-        to_the_end(&again);
-        struct hash128 got = model_hash(&again);
-        assert_memory_equal(&got, &want, sizeof got);
-        assert_memory_equal(again.level.poses.block, whole.level.poses.block, bytes);
-        toy_run_close(&again);
-    }
-    kit_figure("F30", "poses_resumed=%d bit_equal=%d moved_m=%.4f", STOPS, STOPS, moved.rms_m);
-    toy_run_close(&whole);
-    toy_run_close(&part);
-    kit_rmdir(dir);
-    arena_free(&a);
-}
-
 /* ---- F28 ---- */
 
 static void paint_grey(void *user, size_t i, const struct camera *cam, double *rgb)
@@ -325,7 +286,6 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(candidates_do_not_depend_on_picture_size),
         cmocka_unit_test(resumed_anywhere_it_ends_in_the_same_bytes),
-        cmocka_unit_test(refined_poses_are_resumed),
         cmocka_unit_test(scores_survive_constant_and_empty_input),
     };
     return cmocka_run_group_tests_name("train", tests, toy_open_device, toy_close_device);

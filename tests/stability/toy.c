@@ -214,9 +214,6 @@ static void toy_run_prepare(struct toy_run *r, const char *dir, const struct tra
         kit_ok(appearance_train_open(&r->level.appearance, cfg, &r->scene, r->images,
                                      r->n_images, NULL, &e),
                e);
-    if (cfg->refine_poses)
-        kit_ok(pose_open(&r->level.poses, &r->scene, r->images, r->n_images, TOY_HEIGHT_M, &e),
-               e);
 }
 
 void toy_run_open_from(struct toy_run *r, const char *dir, const struct train_config *cfg,
