@@ -362,7 +362,9 @@ enum err_code dev_build(struct dev *d, const struct dev_source *sources, size_t 
         clCreateProgramWithSource(d->context, (cl_uint)(2 * (n_sources + 1)), text, NULL, &code);
     if (code != CL_SUCCESS)
         return dev_fail(e, code, "dev_build", sources[n_sources - 1].name);
+    double start_s = clock_s();
     code = clBuildProgram(program, 1, &d->device, flags, NULL, NULL);
+    d->compile_s += clock_s() - start_s;
     if (code != CL_SUCCESS) {
         rc = dev_build_error(d, program, sources[n_sources - 1].name, code, e);
         clReleaseProgram(program);
@@ -496,6 +498,37 @@ enum err_code dev_unmap(struct dev *d, cl_mem m, void **mapped, struct err *e)
 
 /* ---- launches ---- */
 
+enum { DEV_SMALL_GRID = 65535 }; /* PoCL: work-items in a row that its smaller version is for */
+
+/* Was this kernel launched before with such a size? Remembers it. More than DEV_LAUNCHES_MAX count
+ * as launched. */
+static bool dev_is_launched(struct dev *d, cl_kernel k, size_t global, size_t local)
+{
+    bool large = global > DEV_SMALL_GRID;
+    for (size_t i = d->n_launched; i-- > 0;)
+        if (d->launched[i].kernel == k && d->launched[i].local == local &&
+            d->launched[i].large == large)
+            return true;
+    if (d->n_launched == DEV_LAUNCHES_MAX)
+        return true;
+    d->launched[d->n_launched++] = (struct dev_launch){k, local, large};
+    return false;
+}
+
+/* PoCL compiles a kernel for its work-group size when it is launched first: the time of that launch
+ * is taken for compiling. It waits for what was enqueued before, and for the launch. */
+static cl_int dev_launch_first(struct dev *d, cl_kernel k, size_t global, size_t local)
+{
+    cl_int code = clFinish(d->queue);
+    double start_s = clock_s();
+    if (code == CL_SUCCESS)
+        code = clEnqueueNDRangeKernel(d->queue, k, 1, NULL, &global, &local, 0, NULL, NULL);
+    if (code == CL_SUCCESS)
+        code = clFinish(d->queue);
+    d->compile_s += clock_s() - start_s;
+    return code;
+}
+
 enum err_code dev_run(struct dev *d, cl_kernel k, const char *name, size_t global, size_t local,
                       struct err *e)
 {
@@ -503,7 +536,10 @@ enum err_code dev_run(struct dev *d, cl_kernel k, const char *name, size_t globa
     if (global == 0)
         return ERR_OK; /* nothing to do is not an error here, though it is in OpenCL 1.2 */
     size_t rounded = (global + local - 1) / local * local;
-    cl_int code = clEnqueueNDRangeKernel(d->queue, k, 1, NULL, &rounded, &local, 0, NULL, NULL);
+    cl_int code =
+        dev_is_launched(d, k, rounded, local)
+            ? clEnqueueNDRangeKernel(d->queue, k, 1, NULL, &rounded, &local, 0, NULL, NULL)
+            : dev_launch_first(d, k, rounded, local);
     return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_run", name);
 }
 

@@ -14,6 +14,7 @@
 
 #include "core/err.h"
 
+enum { DEV_LAUNCHES_MAX = 256 };
 struct dev { /* made by dev_open; one caller at a time */
     cl_platform_id platform;
     cl_device_id device;
@@ -24,6 +25,13 @@ struct dev { /* made by dev_open; one caller at a time */
     uint32_t vector_width; /* VW of the per-Gaussian kernels: 16 on CPUs, 1 on GPUs */
     uint64_t max_alloc_bytes, global_bytes;
     char name[128], driver[64];
+    double compile_s;   /* spent on compiling kernels so far: programs, and first launches */
+    struct dev_launch { /* those that were launched before */
+        cl_kernel kernel;
+        size_t local;
+        bool large; /* more work-items than PoCL compiles its smaller version for */
+    } launched[DEV_LAUNCHES_MAX];
+    size_t n_launched;
 };
 
 /* `want` selects: NULL or "auto" (first GPU, else first CPU), "cpu", "gpu", "gpu:K" (the K-th from

@@ -16,9 +16,9 @@
 #include "train/gallery.h"
 #include "train/importance.h"
 #include "train/model.h"
+#include "train/schedule.h"
 #include "train/stage.h"
 #include "train/timing.h"
-#include "train/schedule.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -180,8 +180,8 @@ static void look_open(struct look *l)
         look_picture(l->scene.dir, "images", photo_names[i], (uint8_t)(60 + 60 * i), 3);
     }
     look_picture(l->scene.dir, "masks", "a.png.png", 0, 1);
-    l->cell = (struct cell){
-        .min_enu_m = {-50, -50}, .max_enu_m = {0, 50}, .edge_m = 50, .extent_m = 30};
+    l->cell =
+        (struct cell){.min_enu_m = {-50, -50}, .max_enu_m = {0, 50}, .edge_m = 50, .extent_m = 30};
     l->gallery = (struct gallery){.cfg = &l->cfg,
                                   .engine = {.dev = &l->dev, .render = l->render},
                                   .scene = &l->scene,

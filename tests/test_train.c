@@ -16,11 +16,10 @@
 #include "render/render.h"
 #include "tests/kit.h"
 #include "train/config.h"
-#include "train/forecast.h"
 #include "train/init.h"
 #include "train/level.h"
-#include "train/run_cell.h"
 #include "train/photo_loader.h"
+#include "train/run_cell.h"
 #include "train/schedule.h"
 #include "train/train.h"
 #include "train/train_scene.h"
@@ -626,49 +625,6 @@ static void a_finished_run_is_not_lost(void **state)
 }
 
 /* What is left of the run counts all levels, each by its pixels and Gaussians. */
-static void the_time_left_is_that_of_all_levels(void **state)
-{
-    (void)state;
-    struct err e = {0};
-    struct arena a = {0};
-    struct scene s;
-    uint32_t *images;
-    size_t n;
-    char text[32];
-    struct train_config c = toy_config(&a, NULL);
-    kit_ok(scene_read(scene_dir, &s, &e), e);
-    kit_ok(train_scene_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
-    struct gallery g = {.cfg = &c, .scene = &s, .images = images, .n_images = n};
-    struct stage at = {.n_levels = 2};
-    at.levels[0] = (struct schedule){.steps = 100, .downsample = 2.0, .budget = 1000};
-    at.levels[1] = (struct schedule){.steps = 200, .downsample = 1.0, .budget = 1000};
-    struct forecast f = {0};
-    assert_true(forecast_left_s(&f, &g, &at, 1000.0) == 0.0);
-    at.step = 50;
-    forecast_add(&f, &g, &at, 1000.0, 50.0, 10.0);
-    double px = 0.0;
-    for (size_t i = 0; i < n; i++)
-        px += (double)s.images[images[i]].cam.width_px * s.images[images[i]].cam.height_px /
-              (double)n;
-    double coarse = 1000.0 + 2.0 * px / 4.0, fine = 1000.0 + 2.0 * px;
-    double want = 10.0 * (50.0 * coarse + 200.0 * fine) / (50.0 * coarse);
-    assert_true(fabs(forecast_left_s(&f, &g, &at, 1000.0) / want - 1.0) < 1e-9);
-    at.at = 1; /* the last level, with as many seconds a work as before */
-    at.step = 150;
-    want = 10.0 * 50.0 * fine / (50.0 * coarse);
-    assert_true(fabs(forecast_left_s(&f, &g, &at, 1000.0) / want - 1.0) < 1e-9);
-    static const struct {
-        double s;
-        const char *text;
-    } times[] = {{42.4, "42 s"}, {600.0, "10 min"}, {12000.0, "3 h 20 min"}, {190800.0, "2 d 5 h"}};
-    for (size_t i = 0; i < sizeof times / sizeof times[0]; i++) {
-        forecast_text(times[i].s, text, sizeof text);
-        assert_string_equal(text, times[i].text);
-    }
-    scene_free(&s);
-    arena_free(&a);
-}
-
 static int open_device(void **state)
 {
     (void)state;
@@ -703,7 +659,6 @@ int main(void)
         cmocka_unit_test(pictures_smaller_than_the_window_are_scored_without_it),
         cmocka_unit_test(broken_scenes_are_one_clear_error),
         cmocka_unit_test(a_finished_run_is_not_lost),
-        cmocka_unit_test(the_time_left_is_that_of_all_levels),
     };
     return cmocka_run_group_tests_name("train", tests, open_device, close_device);
 }

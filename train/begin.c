@@ -179,9 +179,8 @@ static enum err_code begin_budget(struct begin *t, struct err *e)
 static void begin_tell_memory(const struct begin *t)
 {
     const struct run_cell *job = t->job;
-    struct memory_need m =
-        memory_estimate(job->cfg, job->scene, t->images, t->n_images, t->levels,
-                        (uint32_t)job->cfg->level_count, job->cell.whole);
+    struct memory_need m = memory_estimate(job->cfg, job->scene, t->images, t->n_images, t->levels,
+                                           (uint32_t)job->cfg->level_count, job->cell.whole);
     log_info("train",
              "cell=%s memory_mib<=%.0f beside the program: %zu Gaussians of %zu B, %zu pixels of "
              "%zu B, photographs %.0f MiB, neighbours %.0f MiB",

@@ -17,7 +17,7 @@ struct train_cell_result;
 struct begin { /* {.job, .lock_fd = -1} at first; begin_close, also after an error */
     const struct run_cell *job; /* borrowed */
     char dir[FILE_PATH_MAX], resume_path[FILE_PATH_MAX];
-    bool resumes; /* there is a state to go on from, and that is wanted */
+    bool resumes;            /* there is a state to go on from, and that is wanted */
     uint32_t *images, *held; /* photographs that train, and those held out */
     size_t n_images, n_held;
     struct schedule levels[TRAIN_LEVELS_MAX];

@@ -131,13 +131,13 @@ static enum err_code densify_tell(struct metrics_log *metrics, const struct stag
         r->cloned, r->split, r->after, r->outside, cap);
     if (!metrics)
         return ERR_OK;
-    json_t *o = json_pack(
-        "{s:i, s:i, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I}", "level", (int)level, "step",
-        (int)at->step, "pruned", (json_int_t)r->pruned, "clone_candidates",
-        (json_int_t)r->clone_candidates, "split_candidates", (json_int_t)r->split_candidates,
-        "room", (json_int_t)r->room, "cloned", (json_int_t)r->cloned, "split",
-        (json_int_t)r->split, "cut", (json_int_t)r->cut, "inside", (json_int_t)r->inside, "outside",
-        (json_int_t)r->outside, "cap", (json_int_t)cap);
+    json_t *o = json_pack("{s:i, s:i, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I}", "level",
+                          (int)level, "step", (int)at->step, "pruned", (json_int_t)r->pruned,
+                          "clone_candidates", (json_int_t)r->clone_candidates, "split_candidates",
+                          (json_int_t)r->split_candidates, "room", (json_int_t)r->room, "cloned",
+                          (json_int_t)r->cloned, "split", (json_int_t)r->split, "cut",
+                          (json_int_t)r->cut, "inside", (json_int_t)r->inside, "outside",
+                          (json_int_t)r->outside, "cap", (json_int_t)cap);
     return metrics_log_line(metrics, "densify", o, e);
 }
 
@@ -148,8 +148,8 @@ static double densify_prune_above(const struct train_config *c, const struct cel
                                : 0.0;
 }
 
-static struct densify_params densify_make_params(const struct model *m,
-                                                 const struct densify_run *r, uint32_t x)
+static struct densify_params densify_make_params(const struct model *m, const struct densify_run *r,
+                                                 uint32_t x)
 {
     const struct schedule *s = stage_schedule(r->at);
     const struct train_config *c = r->gallery->cfg;
@@ -186,8 +186,7 @@ static struct densify_params densify_make_params(const struct model *m,
 
 /* Which rows there will be, from the parameters as they are. */
 static enum err_code densify_decide(struct model *m, const struct densify_run *r,
-                                    struct densify_work *c, struct densify_params *p,
-                                    struct err *e)
+                                    struct densify_work *c, struct densify_params *p, struct err *e)
 {
     enum err_code rc = densify_count(m, r, c, p, e);
     struct densify_input in = {.params = c->params,
@@ -200,8 +199,8 @@ static enum err_code densify_decide(struct model *m, const struct densify_run *r
     if (!rc && c->plan.report.needs_importance) {
         enum timing_on was = timing_turn(r->timing, TIMING_IMPORTANCE);
         c->score = mem_array(in.n, sizeof(float));
-        rc = c->score ? importance_run(r->importance, m, r->gallery, r->at, in.params,
-                                       c->mean_grad, c->score, e)
+        rc = c->score ? importance_run(r->importance, m, r->gallery, r->at, in.params, c->mean_grad,
+                                       c->score, e)
                       : err_set(e, ERR_MEM, "densify: out of memory for %zu scores", in.n);
         (void)timing_turn(r->timing, was);
         in.score = c->score;
@@ -232,8 +231,7 @@ static enum err_code densify_commit(struct model *m, size_t most, const struct d
     return dev_unmap(m->dev, m->gauss.params, &params, e);
 }
 
-enum err_code densify_apply(struct model *m, const struct densify_run *r, uint32_t x,
-                            struct err *e)
+enum err_code densify_apply(struct model *m, const struct densify_run *r, uint32_t x, struct err *e)
 {
     struct densify_work c = {0};
     struct err why = {0};

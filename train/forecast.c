@@ -12,39 +12,97 @@
 #include "train/photo_loader.h"
 #include "train/stage.h"
 
-/* Measured on the demo city on two cores: 0.5 ms a thousand Gaussians, 1.1 ms a thousand pixels. */
-#define FORECAST_PIXEL 2.0 /* a pixel costs so many Gaussians */
-#define FORECAST_KEEP 0.8  /* of what was measured before, a look: the last dozen counts */
+/* Costs in Gaussians of a step. Measured on the demo city on two cores, 3,000 steps at three levels,
+ * where a Gaussian of a step takes 0.06 us. */
+#define FORECAST_STEP 25e3     /* launches and waiting, whatever is drawn */
+#define FORECAST_PIXEL 1.1     /* of a step's photograph */
+#define FORECAST_DRAW 0.7      /* of a step: drawing a photograph for importance or pruning */
+#define FORECAST_DENSIFY 8.5   /* a Gaussian of a densification, without importance */
+#define FORECAST_SCORE_PX 12.0 /* a pixel of a test photograph */
+#define FORECAST_KEEP 0.9      /* of what was measured before, a look */
+/* As train/prune.c: photographs that measure at coarser levels, and those that are drawn again. */
+enum { FORECAST_PRUNE_STEPS = 40, FORECAST_PRUNE_LEAST = 16, FORECAST_PRUNE_AGAIN = 48 };
 
-/* Of one step of a level. */
-static double forecast_work(const struct gallery *g, const struct schedule *s, double gaussians)
+void forecast_open(struct forecast *f, const struct gallery *g, const struct stage *at,
+                   size_t n_tests)
 {
-    double pixels = 0.0;
-    for (size_t i = 0; i < g->n_images; i++) {
-        struct camera c = photo_loader_camera(&g->scene->images[g->images[i]].cam,
-                                              (uint32_t)g->cfg->max_edge_px, s->downsample);
-        pixels += (double)c.width_px * c.height_px;
-    }
-    return gaussians + FORECAST_PIXEL * pixels / (double)g->n_images;
+    *f = (struct forecast){
+        .views = (double)g->cfg->importance_views, .n_images = g->n_images, .n_tests = n_tests};
+    for (uint32_t k = 0; k < at->n_levels; k++)
+        for (size_t i = 0; i < g->n_images; i++) {
+            struct camera c =
+                photo_loader_camera(&g->scene->images[g->images[i]].cam,
+                                    (uint32_t)g->cfg->max_edge_px, at->levels[k].downsample);
+            f->pixels[k] += (double)c.width_px * c.height_px / (double)g->n_images;
+        }
 }
 
-void forecast_add(struct forecast *f, const struct gallery *g, const struct stage *at,
-                  double gaussians, double steps, double seconds)
+static double forecast_step(const struct forecast *f, uint32_t level, double gaussians)
 {
-    f->work =
-        FORECAST_KEEP * f->work + steps * forecast_work(g, stage_schedule(at), gaussians);
+    return gaussians + FORECAST_PIXEL * f->pixels[level] + FORECAST_STEP;
+}
+
+static double forecast_densify(const struct forecast *f, uint32_t level, double gaussians)
+{
+    return FORECAST_DENSIFY * gaussians +
+           FORECAST_DRAW * f->views * forecast_step(f, level, gaussians);
+}
+
+/* Pruning and the test photographs. */
+static double forecast_end(const struct forecast *f, const struct stage *at, uint32_t level,
+                           double gaussians)
+{
+    double all = (double)f->n_images;
+    double some = fmax((double)(at->levels[level].steps / FORECAST_PRUNE_STEPS),
+                       (double)FORECAST_PRUNE_LEAST);
+    double views = level + 1 < at->n_levels ? fmin(some, all) : all;
+    return (views + FORECAST_PRUNE_AGAIN) * FORECAST_DRAW * forecast_step(f, level, gaussians) +
+           (double)f->n_tests * FORECAST_SCORE_PX * f->pixels[level];
+}
+
+/* Steps first + 1 to last, with the densifications among them. *gaussians grows by them. */
+static double forecast_steps(const struct forecast *f, const struct stage *at, uint32_t level,
+                             uint32_t first, double *gaussians)
+{
+    const struct schedule *s = &at->levels[level];
+    uint32_t count = schedule_densify_count(s), from = first;
+    double begin = *gaussians, work = 0.0;
+    uint32_t done = 0; /* densifications before `first` */
+    for (uint32_t step = s->interval; step <= first; step += s->interval)
+        done = schedule_densify_index(s, step) ? schedule_densify_index(s, step) : done;
+    for (uint32_t step = (first / s->interval + 1) * s->interval; step <= s->steps;
+         step += s->interval) {
+        uint32_t x = schedule_densify_index(s, step);
+        if (!x)
+            continue;
+        work += (step - from) * forecast_step(f, level, *gaussians) +
+                forecast_densify(f, level, *gaussians);
+        from = step;
+        if (x > done && count > done + 1) /* the parabola from here on */
+            *gaussians = (double)schedule_cap((size_t)begin, s->budget, x - done, count - done);
+    }
+    return work + (s->steps - from) * forecast_step(f, level, *gaussians);
+}
+
+void forecast_add(struct forecast *f, const struct stage *at, uint32_t first, double gaussians,
+                  double seconds)
+{
+    const struct schedule *s = stage_schedule(at);
+    uint32_t level = at->at;
+    double work = (at->step - first) * forecast_step(f, level, gaussians);
+    for (uint32_t step = first + 1; step <= at->step; step++)
+        if (schedule_densify_index(s, step))
+            work += forecast_densify(f, level, gaussians);
+    f->work = FORECAST_KEEP * f->work + work;
     f->seconds = FORECAST_KEEP * f->seconds + seconds;
 }
 
-double forecast_left_s(const struct forecast *f, const struct gallery *g, const struct stage *at,
-                       double gaussians)
+double forecast_left_s(const struct forecast *f, const struct stage *at, double gaussians)
 {
-    double left = 0.0;
+    double left = 0.0, n = gaussians;
     for (uint32_t i = at->at; i < at->n_levels; i++) {
-        const struct schedule *s = &at->levels[i];
-        double steps = s->steps - (i == at->at ? at->step : 0);
-        double n = i == at->at ? gaussians : fmax((double)s->budget, gaussians);
-        left += steps * forecast_work(g, s, n);
+        left += forecast_steps(f, at, i, i == at->at ? at->step : 0, &n);
+        left += forecast_end(f, at, i, n);
     }
     return f->work > 0.0 ? f->seconds * left / f->work : 0.0;
 }

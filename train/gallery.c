@@ -128,7 +128,7 @@ static enum err_code gallery_upload(struct gallery *g, cl_mem *to, size_t *room,
 }
 
 static enum err_code gallery_run(struct gallery *g, const struct photo *p, bool value_only,
-                                  struct err *e)
+                                 struct err *e)
 {
     struct photometric_input in = {
         .value_only = value_only,

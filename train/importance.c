@@ -155,9 +155,9 @@ static enum err_code importance_alloc_all(struct importance *s, size_t n_px, str
 }
 
 /* Draw the view, find its loss, weigh its pixels on the device. */
-static enum err_code importance_draw(struct importance *s, const struct model *m,
-                                     struct gallery *g, const struct stage *at,
-                                     const struct photo *p, double *view_loss, struct err *e)
+static enum err_code importance_draw(struct importance *s, const struct model *m, struct gallery *g,
+                                     const struct stage *at, const struct photo *p,
+                                     double *view_loss, struct err *e)
 {
     size_t n = (size_t)p->cam.width_px * p->cam.height_px, bytes = n * sizeof(float);
     struct render_options ro = gallery_photo_options(g, at, p->image);
@@ -181,8 +181,7 @@ static enum err_code importance_draw(struct importance *s, const struct model *m
     if (!rc)
         rc = photometric_read(g->engine.loss, &v, e);
     if (!rc)
-        rc = dev_read(g->engine.dev, render_color_buffer(g->engine.render), 0, 3 * bytes, color,
-                      e);
+        rc = dev_read(g->engine.dev, render_color_buffer(g->engine.render), 0, 3 * bytes, color, e);
     if (!rc) {
         importance_errors(color, p->px, p->mask, n, error);
         for (size_t i = 0; i < n; i++)

@@ -35,8 +35,8 @@
 #define LEVEL_BETA1 0.9f
 #define LEVEL_BETA2 0.999f
 #define LEVEL_EPS 1e-15f
-#define LEVEL_MEAN_KEEP 0.95    /* of the running means shown to people */
-#define LEVEL_NEAR_SHARE 1000.0 /* near planes in a cell's edge */
+#define LEVEL_MEAN_KEEP 0.95       /* of the running means shown to people */
+#define LEVEL_NEAR_SHARE 1000.0    /* near planes in a cell's edge */
 enum { LEVEL_FILTER_STEPS = 100 }; /* the filter of Mip-Splatting is computed this often */
 
 /* ---- opening ---- */
@@ -49,16 +49,15 @@ void level_init(struct level *l, const struct run_cell *job, const uint32_t *ima
                         .engine = {job->dev, job->render, job->loss},
                         .site = {.cell = job->cell},
                         .stage = {.n_levels = (uint32_t)c->level_count}};
-    l->gallery = (struct gallery){.cfg = c,
-                                  .engine = l->engine,
-                                  .scene = job->scene,
-                                  .images = images,
-                                  .n_images = n_images,
-                                  .appearance = &l->appearance,
-                                  .near_m = c->near_m > 0.0
-                                                ? c->near_m
-                                                : fmax(RENDER_NEAR_M,
-                                                       job->cell.edge_m / LEVEL_NEAR_SHARE)};
+    l->gallery = (struct gallery){
+        .cfg = c,
+        .engine = l->engine,
+        .scene = job->scene,
+        .images = images,
+        .n_images = n_images,
+        .appearance = &l->appearance,
+        .near_m =
+            c->near_m > 0.0 ? c->near_m : fmax(RENDER_NEAR_M, job->cell.edge_m / LEVEL_NEAR_SHARE)};
 }
 
 static void level_start_optimiser(struct level *l)
@@ -171,8 +170,8 @@ enum err_code level_prune(struct level *l, struct prune_report *out,
 {
     if (l->stage.pruned)
         return ERR_OK;
-    enum err_code rc = prune_level(&l->model, &l->gallery, l->site.ground, &l->stage, out,
-                                   residuals, e);
+    enum err_code rc =
+        prune_level(&l->model, &l->gallery, l->site.ground, &l->stage, out, residuals, e);
     if (!rc)
         rc = level_hold_harmonics(l, e);
     l->stage.pruned = !rc;

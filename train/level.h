@@ -57,7 +57,8 @@ void level_init(struct level *l, const struct run_cell *job, const uint32_t *ima
 /* Device buffers and the first level at step 0, from these Gaussians. ERR_LIMIT, ERR_MEM,
  * ERR_DEVICE. */
 enum err_code level_open(struct level *l, const struct gauss *g, struct err *e) ERR_USE;
-/* Instead of level_open: go on from a state that level_save wrote. Errors of state_load. */
+/* Instead of level_open: go on from a state that level_save wrote. ERR_ARG, ERR_DATA, ERR_FORMAT,
+ * ERR_NOENT, ERR_IO: as state_load; ERR_MEM, ERR_DEVICE. */
 enum err_code level_resume(struct level *l, const char *path, struct err *e) ERR_USE;
 void level_close(struct level *l);
 /* Open the photographs of the level in work and set the optimiser. After level_open, level_resume
@@ -68,18 +69,17 @@ enum err_code level_begin(struct level *l, struct err *e) ERR_USE;
  * Gaussian is left; else the errors of photographs and device. */
 enum err_code level_step(struct level *l, struct photometric_value *value, struct err *e) ERR_USE;
 /* After the last step of a level: remove what contributes nothing (train/prune.h) and fit the
- * smallest harmonics (train/harmonics.h). Does nothing where that was done before. Errors of
- * prune_level. */
+ * smallest harmonics (train/harmonics.h). Does nothing where that was done before. ERR_CANCEL:
+ * stopped by a signal; ERR_MEM, ERR_DEVICE, and what photo_loader_get_nth fails with. */
 enum err_code level_prune(struct level *l, struct prune_report *out,
                           struct residual_list *residuals, struct err *e) ERR_USE;
 /* The level in work is done: the next one starts from its Gaussians with a fresh optimiser.
  * ERR_MEM, ERR_LIMIT, ERR_DEVICE. */
 enum err_code level_next(struct level *l, struct err *e) ERR_USE;
 
-/* The state to go on from, after `seconds` of all processes; and the result of the level in work
- * (score may be NULL). Errors of state_save. */
-enum err_code level_save(struct level *l, double seconds, const char *path,
-                         struct err *e) ERR_USE;
+/* The state to go on from, after `seconds` of all processes. ERR_IO, ERR_MEM, ERR_DEVICE. */
+enum err_code level_save(struct level *l, double seconds, const char *path, struct err *e) ERR_USE;
+/* The result of the level in work; score may be NULL. ERR_IO, ERR_MEM, ERR_DEVICE. */
 enum err_code level_save_result(struct level *l, const char *path,
                                 const struct evaluate_score *score, struct err *e) ERR_USE;
 
@@ -94,7 +94,7 @@ struct level_refit { /* {0} before level_refit_open; level_refit_end */
  * checkpoint. */
 enum err_code level_refit_open(struct level_refit *r, struct level *l, uint32_t at,
                                const char *path, struct err *e) ERR_USE;
-/* After its steps: harmonics as at the end of every level. Errors of harmonics_level. */
+/* After its steps: harmonics as at the end of every level. ERR_MEM, ERR_DEVICE. */
 enum err_code level_refit_finish(struct level *l, struct err *e) ERR_USE;
 /* The stage is what it was after the level's training, so that level_save_result writes it so. */
 void level_refit_end(struct level_refit *r, struct level *l);

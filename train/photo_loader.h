@@ -31,7 +31,7 @@ struct photo_loader_config {
     const struct scene *scene; /* borrowed while it is open, as is images */
     const uint32_t *images;
     size_t n_images;
-    uint32_t max_edge_px;         /* 0 = as ingested */
+    uint32_t max_edge_px; /* 0 = as ingested */
     double downsample;
     enum photo_loader_exposure exposure;
     bool no_masks;      /* use photographs whole even where the scene has masks */

@@ -1,8 +1,8 @@
 /* Which regularizers act at a step, with what weight, and the buffer that sums their gradients.
  *
  * The scale regularizer writes the whole buffer, and the others add to it. Without the scale
- * regularizer the buffer is cleared first. To add a term: a function that says whether the term acts
- * at this step, a function that adds its gradient to the buffer, and a line for each in
+ * regularizer the buffer is cleared first. To add a term: a function that says whether the term
+ * acts at this step, a function that adds its gradient to the buffer, and a line for each in
  * regularizer_step.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -159,8 +159,7 @@ enum err_code regularizer_shake(struct regularizer **own, const struct model *m,
         return ERR_OK;
     double unit_m = cell->extent_m;
     struct mcmc_noise in = {
-        .rate_per_m =
-            c->noise * schedule_lr_mean(stage_schedule(at), at->step) / (unit_m * unit_m),
+        .rate_per_m = c->noise * schedule_lr_mean(stage_schedule(at), at->step) / (unit_m * unit_m),
         .seed = (uint64_t)c->seed,
         .stream = train_stream(TRAIN_STREAM_NOISE, at->at + 1, at->step)};
     enum err_code rc = regularizer_make(own, e);

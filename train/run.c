@@ -26,7 +26,9 @@
 #include "train/result.h"
 #include "train/run.h"
 
-enum { RUN_LOOK_STEPS = 20, RUN_LINE_STEPS = 100, RUN_FORECAST_LOOKS = 3 };
+#define RUN_COMPILED 0.05 /* of a look: more than that, and the look does not count */
+#define RUN_COLD_S 0.5    /* opening the renderer took so long: the cache of kernels is empty */
+enum { RUN_LOOK_STEPS = 20, RUN_LINE_STEPS = 100, RUN_FORECAST_LOOKS = 5 };
 
 struct run {
     struct level level;
@@ -37,10 +39,11 @@ struct run {
     struct progress progress;
     struct timing_seconds spent_before; /* when the level in work began */
     struct forecast forecast;
-    double looked_s;      /* when steps were last counted for it */
-    uint32_t looked_step; /* the step of that look */
-    uint32_t looks;
-    uint64_t last_saved; /* steps of this process when the state was last saved */
+    double looked_s;         /* when steps were last counted for it */
+    uint32_t looked_step;    /* the step of that look */
+    double looked_compile_s; /* of the device, at that look */
+    uint32_t looks;          /* that counted */
+    uint64_t last_saved;     /* steps of this process when the state was last saved */
     struct train_cell_result *result;
 };
 
@@ -79,6 +82,7 @@ static void run_make_level(struct run *t, const struct timing *clock)
     struct level *l = &t->level;
     level_init(l, t->job, b->images, b->n_images);
     l->timing = *clock;
+    timing_compiles(&l->timing, &l->engine.dev->compile_s);
     l->site.ground = b->ground.nx ? &b->ground : NULL;
     l->site.rim = b->ground.nx && t->cfg->trim_rim ? &b->rim : NULL;
     l->budget.held = b->held;
@@ -87,6 +91,7 @@ static void run_make_level(struct run *t, const struct timing *clock)
     memcpy(l->stage.levels, b->levels, sizeof b->levels);
     l->appearance = b->appearance;
     b->appearance = (struct appearance_train){0};
+    forecast_open(&t->forecast, &l->gallery, &l->stage, t->job->n_test);
 }
 
 /* Go on from where the run was interrupted, or from the first Gaussians. */
@@ -140,19 +145,28 @@ static enum err_code run_stop(struct run *t, struct err *e)
         l->stage.at + 1, l->stage.n_levels, l->stage.step, l->stage.levels[l->stage.at].steps);
 }
 
-/* What the whole run will take, said once when it can be known. */
+/* What the whole run will take, said once when it can be known. Looks during which kernels were
+ * compiled say nothing about the steps to come: they are left out. */
 static void run_forecast(struct run *t, char *left, size_t size)
 {
     struct level *l = &t->level;
     double now = clock_s(), n = l->model.gauss.n;
-    uint32_t steps = l->stage.step - t->looked_step;
-    forecast_add(&t->forecast, &l->gallery, &l->stage, n, steps, now - t->looked_s);
+    double seconds = now - t->looked_s, compiled = l->engine.dev->compile_s - t->looked_compile_s;
+    bool counts = compiled < RUN_COMPILED * seconds;
+    if (counts)
+        forecast_add(&t->forecast, &l->stage, t->looked_step, n, seconds - compiled);
     t->looked_s = now;
     t->looked_step = l->stage.step;
-    double rest = forecast_left_s(&t->forecast, &l->gallery, &l->stage, n);
-    forecast_text(rest, left, size);
-    if (++t->looks == RUN_FORECAST_LOOKS)
-        log_info("train", "cell=%s about %s left for the rest of all levels", l->site.cell.id, left);
+    t->looked_compile_s += compiled;
+    if (!(t->forecast.work > 0.0)) {
+        snprintf(left, size, "compiling kernels, ?");
+        return;
+    }
+    forecast_text(forecast_left_s(&t->forecast, &l->stage, n), left, size);
+    t->looks += counts;
+    if (counts && t->looks == RUN_FORECAST_LOOKS)
+        log_info("train", "cell=%s about %s left for the rest of all levels", l->site.cell.id,
+                 left);
 }
 
 static enum err_code run_report(struct run *t, const struct photometric_value *v, struct err *e)
@@ -168,12 +182,12 @@ static enum err_code run_report(struct run *t, const struct photometric_value *v
         return ERR_OK;
     double now = clock_s(), seconds = now - l->step_s;
     l->step_s = now;
-    json_t *o =
-        json_pack("{s:i, s:i, s:f, s:f, s:f, s:f, s:I, s:f, s:I, s:f}", "level", (int)l->stage.at + 1,
-                  "step", (int)l->stage.step, "loss", v->total, "l1", v->l1, "ssim", v->ssim,
-                  "psnr_mean_db", psnr, "gaussians", (json_int_t)l->model.gauss.n,
-                  "s_since_last_line", seconds, "photo_loader_bytes",
-                  (json_int_t)photo_loader_bytes(l->gallery.photos), "opacity_offset", l->offset_mean);
+    json_t *o = json_pack("{s:i, s:i, s:f, s:f, s:f, s:f, s:I, s:f, s:I, s:f}", "level",
+                          (int)l->stage.at + 1, "step", (int)l->stage.step, "loss", v->total, "l1",
+                          v->l1, "ssim", v->ssim, "psnr_mean_db", psnr, "gaussians",
+                          (json_int_t)l->model.gauss.n, "s_since_last_line", seconds,
+                          "photo_loader_bytes", (json_int_t)photo_loader_bytes(l->gallery.photos),
+                          "opacity_offset", l->offset_mean);
     return metrics_log_line(l->metrics, "step", o, e);
 }
 
@@ -339,8 +353,7 @@ static enum err_code run_report_spent(struct run *t, struct err *e)
 {
     struct level *l = &t->level;
     char text[512];
-    struct timing_seconds now = timing_now(&l->timing),
-                          here = timing_since(&now, &t->spent_before);
+    struct timing_seconds now = timing_now(&l->timing), here = timing_since(&now, &t->spent_before);
     t->spent_before = now;
     timing_text(&here, text, sizeof text);
     log_debug("train", "level=%u time: %s", l->stage.at + 1, text);
@@ -361,6 +374,10 @@ static enum err_code run_levels(struct run *t, struct err *e)
         (void)timing_turn(&l->timing, TIMING_STEP);
         t->looked_s = clock_s();
         t->looked_step = l->stage.step;
+        t->looked_compile_s = l->engine.dev->compile_s;
+        if (!t->looks && t->looked_compile_s > RUN_COLD_S)
+            log_info("train", "cell=%s compiling kernels ... later runs take them from a cache",
+                     l->site.cell.id);
         rc = run_steps(t, e);
         if (!rc)
             rc = dev_finish(l->engine.dev, e);

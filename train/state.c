@@ -50,12 +50,12 @@ static json_t *state_meta(const struct model *m, const struct state *st, const c
     const struct cell *c = st->run.cell;
     json_t *o = json_pack(
         "{s:s, s:s, s:s, s:i, s:i, s:i, s:i, s:I, s:I, s:I, s:f, s:f, s:f, s:[f,f,f,f], s:o}",
-        "kind", kind, "version", CITYSPLAT_VERSION, "cell", c->id, "level", (int)s->level,
-        "levels", (int)at->n_levels, "step", (int)at->step, "steps", (int)s->steps, "start",
+        "kind", kind, "version", CITYSPLAT_VERSION, "cell", c->id, "level", (int)s->level, "levels",
+        (int)at->n_levels, "step", (int)at->step, "steps", (int)s->steps, "start",
         (json_int_t)at->start, "gaussians", (json_int_t)m->gauss.n, "photographs",
-        (json_int_t)st->run.n_images, "downsample", s->downsample, "edge_m", c->edge_m,
-        "extent_m", c->extent_m, "box_m", c->min_enu_m[0], c->min_enu_m[1],
-        c->max_enu_m[0], c->max_enu_m[1], "config", config);
+        (json_int_t)st->run.n_images, "downsample", s->downsample, "edge_m", c->edge_m, "extent_m",
+        c->extent_m, "box_m", c->min_enu_m[0], c->min_enu_m[1], c->max_enu_m[0], c->max_enu_m[1],
+        "config", config);
     const struct cell_grid *g = &c->grid;
     if (o && g->turned && /* along ENU there is no such member */
         json_object_set_new(o, "grid",

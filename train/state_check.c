@@ -10,8 +10,8 @@
 
 #include <jansson.h>
 
-#include "codec/ckpt.h"
 #include "cells/cell.h"
+#include "codec/ckpt.h"
 #include "train/appearance_train.h"
 #include "train/config.h"
 
@@ -65,8 +65,8 @@ enum err_code state_check_config(const struct train_config *cfg, const char *pat
 }
 
 /* A plan that was made anew gives other cells the same names. */
-enum err_code state_check_cell(const struct state_run *run, const char *path,
-                               const json_t *meta, struct err *e)
+enum err_code state_check_cell(const struct state_run *run, const char *path, const json_t *meta,
+                               struct err *e)
 {
     double lengths[2], box[4], photos, grid[3] = {0.0, 0.0, 0.0};
     const struct cell *c = run->cell;

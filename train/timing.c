@@ -26,11 +26,19 @@ void timing_start(struct timing *c, enum timing_on on)
     *c = (struct timing){.on = on, .since_s = clock_s()};
 }
 
+void timing_compiles(struct timing *c, const double *compile_s)
+{
+    c->compile_s = compile_s;
+    c->compiled_s = *compile_s;
+}
+
 enum timing_on timing_turn(struct timing *c, enum timing_on on)
 {
     enum timing_on was = c->on;
-    double now = clock_s();
-    c->times.s[was] += now - c->since_s;
+    double now = clock_s(), compiled = c->compile_s ? *c->compile_s - c->compiled_s : 0.0;
+    c->compiled_s += compiled;
+    c->times.s[TIMING_COMPILE] += compiled;
+    c->times.s[was] += now - c->since_s - compiled;
     c->since_s = now;
     c->on = on;
     return was;

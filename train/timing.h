@@ -27,10 +27,15 @@ struct timing_seconds { /* seconds by kind of work; {0} is none */
 struct timing { /* a running clock; timing_start it */
     struct timing_seconds times;
     enum timing_on on;
-    double since_s; /* of clock_s */
+    double since_s;          /* of clock_s */
+    const double *compile_s; /* of the device: seconds spent on compiling so far; NULL: unknown */
+    double compiled_s;       /* of them, those that TIMING_COMPILE has */
 };
 
 void timing_start(struct timing *c, enum timing_on on);
+/* From now on what *compile_s (borrowed) grows by goes to TIMING_COMPILE, whatever the clock is
+ * on. */
+void timing_compiles(struct timing *c, const double *compile_s);
 /* From now on time goes to `on`; returns what it went to. */
 enum timing_on timing_turn(struct timing *c, enum timing_on on);
 /* Up to this moment; the clock goes on. */

@@ -56,7 +56,8 @@ static void the_next_level_keeps_what_was_learnt(void **state)
     toy_run_open(&r, dir, &c);
     double worst = -HUGE_VAL, worst_old = -HUGE_VAL;
     while (r.level.stage.at + 1 < r.level.stage.n_levels) {
-        const struct schedule *before = &r.level.stage.levels[r.level.stage.at], *after = before + 1;
+        const struct schedule *before = &r.level.stage.levels[r.level.stage.at],
+                              *after = before + 1;
         toy_run_level(&r);
         double end = toy_run_score(&r, after->downsample).psnr_db;
         double end_old = toy_run_score(&r, before->downsample).psnr_db;

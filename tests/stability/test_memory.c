@@ -198,8 +198,8 @@ static void as_many_go_as_may(void **state)
         size_t floats = permute_floats(n, planes);
         float *before = arrays_of(l, floats);
         struct prune_report report;
-        kit_ok(prune_level(&l->model, &l->gallery, l->site.ground, &l->stage, &report, NULL,
-                           &e), e);
+        kit_ok(prune_level(&l->model, &l->gallery, l->site.ground, &l->stage, &report, NULL, &e),
+               e);
         toy_figure("F30", "candidates=%zu may_cost_db=%.1f removed=%zu lost_db=%.3f", report.faint,
                    may_cost_db[k], report.removed, report.lost_db);
         assert_true(report.faint > 0 && report.lost_db <= may_cost_db[k]);

@@ -23,8 +23,8 @@
 /* ---- F17 ---- */
 
 /* One run of so small a scene says little, it moves with the seed: means of three. */
-#define F17_LIMIT_DB 0.2  /* masked runs below the runs without any box */
-#define F17_GAIN_DB 0.5   /* what masks are worth where the boxes were, at least */
+#define F17_LIMIT_DB 0.2 /* masked runs below the runs without any box */
+#define F17_GAIN_DB 0.5  /* what masks are worth where the boxes were, at least */
 enum { F17_BOX_PX = 30, F17_EVERY = 5, F17_STEPS = 500, F17_SEEDS = 3 };
 enum f17_way { F17_MASKS, F17_PLAIN };
 
@@ -100,8 +100,9 @@ static struct ground ground_after_training(const char *dir, const struct toy *t,
         uint32_t x0, y0;
         bool has = box_at(t, i, &x0, &y0);
         toy_draw(g, &cam, want);
-        kit_ok(render_forward(r.level.engine.render, &r.level.model.gauss, &cam, &ro, got, NULL, &e),
-               e);
+        kit_ok(
+            render_forward(r.level.engine.render, &r.level.model.gauss, &cam, &ro, got, NULL, &e),
+            e);
         for (size_t k = 0; k < n; k++) {
             size_t x = k / 3 % t->width_px, y = k / 3 / t->width_px;
             double d = want[k] - (double)got[k];

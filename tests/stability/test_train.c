@@ -223,10 +223,9 @@ static void expect_finite_scores(const char *what, const char *dir, const struct
     assert_true(params && grad && score);
     kit_ok(dev_read(&toy_dev, r.level.model.gauss.params, 0, floats * sizeof(float), params, &e),
            e);
-    kit_ok(
-        importance_run(&r.level.importance, &r.level.model, &r.level.gallery, &r.level.stage,
-                       params, grad, score, &e),
-        e); /* gradients: all 0, all equal */
+    kit_ok(importance_run(&r.level.importance, &r.level.model, &r.level.gallery, &r.level.stage,
+                          params, grad, score, &e),
+           e); /* gradients: all 0, all equal */
     for (size_t i = 0; i < n; i++) {
         bad += !isfinite(score[i]) || score[i] < 0.0f;
         positive += score[i] > 0.0f;

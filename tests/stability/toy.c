@@ -211,8 +211,8 @@ static void toy_run_prepare(struct toy_run *r, const char *dir, const struct tra
     level_init(&r->level, &job, r->images, r->n_images);
     kit_ok(schedule_make(cfg, r->n_images, &job.cell, r->level.stage.levels, &e), e);
     if (appearance_train_wanted(cfg))
-        kit_ok(appearance_train_open(&r->level.appearance, cfg, &r->scene, r->images,
-                                     r->n_images, NULL, &e),
+        kit_ok(appearance_train_open(&r->level.appearance, cfg, &r->scene, r->images, r->n_images,
+                                     NULL, &e),
                e);
 }
 
