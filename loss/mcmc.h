@@ -1,6 +1,6 @@
-/* What 3DGS-MCMC (Kheradmand et al. 2024) adds to a step: a pull on opacities and sizes, so that
- * what nothing needs dies, and noise on positions, so that what is nearly dead looks for a place.
- * The number of Gaussians is the business of train/relocate.h.
+/* What 3DGS-MCMC (Kheradmand et al. 2024) adds to a step. A pull on opacities and sizes makes
+ * Gaussians that no photograph needs vanish. Noise on positions moves nearly transparent Gaussians
+ * to other places. train/relocate.h changes their number.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

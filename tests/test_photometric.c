@@ -1,4 +1,4 @@
-/* train/loss.c, loss_ref.c, metric.c: closed forms, finite differences in double, the kernels
+/* loss/photometric.c, photometric_ref.c and metric.c: closed forms, finite differences in double, the kernels
  * against the reference at awkward sizes, equal bits from run to run and for any number of worker
  * threads.
  *

@@ -1,11 +1,10 @@
-/* Inside of train/: what is behind the Gaussians in a step of training.
+/* Inside of train/: the background colour of a training step.
  *
- * A surface that is as dark as what is behind it may stay transparent: the photographs cannot tell,
- * and whoever looks at the city before a sky sees holes. Behind another colour every step it may
- * not. But where photographs look at what nothing can tell the place of (a ground that one of them
- * sees, the sky), the same colour asks for something opaque at any distance at all, which is the
- * fog around a city; and bright surfaces, which cannot hide, grow a second layer below the first.
- * There the background stays as it is.
+ * A surface of the background's colour can stay transparent, because the photographs show no
+ * difference. In front of a sky it then has holes. A background of another colour at every step
+ * prevents that. It does harm in two places, and there the background keeps its colour: where
+ * photographs do not fix the distance of what they show (ground that only one photograph sees, the
+ * sky), it makes fog; under bright surfaces it makes a second layer.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* How many Gaussians a level may have, beside the table of budgets: what its photographs can
- * support, and, on request, what a few held-out photographs say.
+/* How many Gaussians a level may have: the number in the table of budgets, or the number that its
+ * photographs support, or (--budget auto) the number from which held-out photographs still gain.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -53,12 +53,13 @@ struct budget { /* {0}: not automatic. What a state to resume from holds of it i
     } at;
 };
 void budget_close(struct budget *b);
-/* At densification x of the level in work, before it: look at the held-out photographs about ten
- * times a level, each in its own appearance: that of its group, that of a shared model, or one that
- * a few steps on its left half go on learning, and then its right half is scored. Gain since the
- * last decision, dB a doubling of the Gaussians: at or above cfg->budget_gain_db the budget rises
- * by 1.3 when it is nearly used, below it growth stops for the rest of the level, inside of the
- * cell and out. What masks cover whole is not scored. Changes the budget of the level in work.
+/* Before densification x of the level in work; acts about ten times a level. Scores the held-out
+ * photographs, each in its own appearance: that of its group, or that of a shared model. Where
+ * neither exists, a few steps on the photograph's left half learn one, and the right half is
+ * scored. The gain since the last decision is in dB for a doubling of the Gaussians. At or above
+ * cfg->budget_gain_db the budget rises by 1.3 when it is nearly used. Below, growth stops for the
+ * rest of the level, inside the cell and outside. A photograph that a mask covers whole is not
+ * scored. Changes the budget of the level in work.
  * ERR_MEM, ERR_DEVICE, and what photo_loader_get_nth fails with. */
 enum err_code budget_look(struct budget *b, const struct model *m, const struct gallery *g,
                           const struct cell *cell, struct stage *at, uint32_t x,

@@ -27,11 +27,12 @@ struct densify_row {
     uint16_t kind, parts;
 };
 enum densify_strategy { DENSIFY_STRATEGY_SPLIT, DENSIFY_STRATEGY_MCMC }; /* as options.def */
-/* Where the two halves of a Gaussian go (order of --split):
- *   AXIS    at +-0.8 sigma on its longest axis, 0.6 sigma long: mean and covariance of the pair are
- *           those of the parent, and with 0.83 of its opacity so is the mass. The long-axis split
- * of Improved-GS (arXiv 2508.12313), with offsets from the moments. RANDOM  at two places drawn
- * from it, all axes 1.6 times shorter, opacity as it was (3DGS). */
+/* Where the two halves of a Gaussian go (order of --split). DENSIFY_SPLIT_AXIS: at +-0.8 sigma on
+ * its longest axis, which is 0.6 times as long in each half. Mean and covariance of the pair are
+ * those of the parent; with 0.83 of its opacity so is the mass. This is the long-axis split of
+ * Improved-GS (arXiv 2508.12313), with offsets from the moments. DENSIFY_SPLIT_RANDOM: at two
+ * places drawn from the parent's distribution, all axes 1.6 times shorter, opacity unchanged
+ * (3DGS). */
 enum densify_split { DENSIFY_SPLIT_AXIS, DENSIFY_SPLIT_RANDOM };
 struct densify_params {
     const struct cell *cell;
@@ -43,12 +44,10 @@ struct densify_params {
     double prune_opacity, prune_above_m; /* 0 = no limit of size */
     const struct footprint *ground;      /* NULL: nothing is known of it */
     double free_space_m; /* what lies farther above or below all points around is removed */
-    double size_limit_m; /* what is longer is split over supported ground, before all others */
+    double size_limit_m; /* over supported ground, longer ones are split before all others */
     const struct trim
-        *rim; /* NULL: not known. What sticks out of the photographs and is larger than
-                             * cut_above_m is split, before all others, and what lies outside is
-                             * removed */
-    double cut_above_m;
+        *rim;           /* where photographs end; NULL: not known. What lies outside is removed */
+    double cut_above_m; /* larger ones that stick out of the photographs are split first */
     uint64_t seed;
     uint32_t level, step;
 };
@@ -70,9 +69,9 @@ struct densify_plan { /* {0} is empty; densify_plan_free */
     size_t n;
     struct densify_report report;
 };
-/* Choose. Without a score and with a binding budget only the report is filled (rows stays NULL).
- * Inside the cell there are never more than cap_inside afterwards, unless there were more before;
- * same outside. densify_plan_free it. ERR_LIMIT: more than 2^31 Gaussians; ERR_MEM. */
+/* Choose. Where the budget binds and there is no score, only the report is filled and rows stays
+ * NULL. Afterwards there are at most cap_inside Gaussians inside the cell, or as many as before if
+ * that was more; the same holds outside. densify_plan_free it. ERR_LIMIT: more than 2^31 Gaussians; ERR_MEM. */
 enum err_code densify_plan_make(const struct densify_params *p, const struct densify_input *in,
                                 struct densify_plan *out, struct err *e) ERR_USE;
 void densify_plan_free(struct densify_plan *p);

@@ -12,8 +12,8 @@
 #include "train/photo_loader.h"
 #include "train/stage.h"
 
-/* Costs in Gaussians of a step. Measured on the demo city on two cores, 3,000 steps at three levels,
- * where a Gaussian of a step takes 0.06 us. */
+/* Costs in Gaussians of a step. Measured on the demo city on two cores, 3,000 steps at three
+ * levels, where a Gaussian of a step takes 0.06 us. */
 #define FORECAST_STEP 25e3     /* launches and waiting, whatever is drawn */
 #define FORECAST_PIXEL 1.1     /* of a step's photograph */
 #define FORECAST_DRAW 0.7      /* of a step: drawing a photograph for importance or pruning */

@@ -1,12 +1,12 @@
-/* Scores of a model with appearance, fairly: a photograph's light is learnt from one half of it and
- * judged on the other.
+/* Fair scores of a model with appearance: the light of a photograph is learnt from one half of it,
+ * and the other half is scored.
  *
- * For each test photograph only its embedding is optimised, on the pixels left of the middle
- * (columns [0, W/2)), with the training loss, and before it its exposure where the model was
- * trained at the mean one; then the whole picture is drawn and the part right of the middle is
- * scored. Then the other way round, from the start. The photograph's score is the mean of both.
- * Both halves, and those of its mask, are cut out before loss and metric, so no window of SSIM sees
- * across the middle. Learning ignores masked pixels; a photograph whose mask leaves nothing of one
+ * For each test photograph only its embedding is optimised, with the training loss, on the pixels
+ * left of the middle (columns [0, W/2)). If the model was trained at the mean exposure, the
+ * photograph's exposure is found first. Then the part right of the middle is drawn and scored. The
+ * same is done with the sides exchanged. The photograph's score is the mean of both. Both halves,
+ * and those of its mask, are cut out before loss and metric, so no window of SSIM crosses the
+ * middle. Learning ignores masked pixels; a photograph whose mask leaves nothing of one
  * half is not scored. A model without appearance is scored on the same halves and learns nothing.
  * Protocol: NeRF in the Wild (Martin-Brualla 2021), REUrbanGS (ICCV 2025).
  *
@@ -60,9 +60,9 @@ struct half_image_source {
     void *user;
 };
 
-/* Steps a half that take at most as long for n photographs as `trained` steps of training did (0:
- * not known): HALF_IMAGE_STEPS, or fewer. Two halves of a picture cost what a step of training
- * does. */
+/* Steps for each half: HALF_IMAGE_STEPS, or fewer, so that n photographs take at most as long as
+ * `trained` steps of training did (0: not known). Two halves of a picture cost as much as one step
+ * of training. */
 uint32_t half_image_steps(double trained, size_t n_photos);
 
 struct half_image; /* device buffers */

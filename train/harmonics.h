@@ -1,16 +1,15 @@
-/* Inside of train/: what harmonics say of directions from which nobody photographed.
+/* Inside of train/: harmonics in directions that no photograph covers.
  *
- * The photographs of a survey that looks straight down see each Gaussian from a narrow cone, and
- * there sixteen harmonics are far more than their colours tell apart: what is left over is noise
- * that cancels in the cone and shows outside it. At the end of a level every Gaussian gets the
- * smallest harmonics that colour it alike from where the training photographs stood (ridge
- * regression):
+ * A survey that looks straight down sees each Gaussian from a narrow cone of directions. The
+ * colours in that cone do not determine sixteen harmonics. The rest is noise: it cancels inside the
+ * cone and shows outside it. At the end of a level every Gaussian gets the smallest harmonics that
+ * give it the same colours from the places of the training photographs (ridge regression):
  *
  *   minimise sum_k |sum_j Y_j(d_k) (c_j - c0_j)|^2 + weight K sum_{j>0} |c_j|^2,
  *
  * d_k the directions from the K photographs that have its mean in their picture to it, c0 the
- * coefficients as trained, j = 0 the base colour, which costs nothing. What hides it is not asked:
- * from there a map user does not see it either.
+ * coefficients as trained, j = 0 the base colour, which costs nothing. Photographs from which the
+ * Gaussian is hidden count like the others: a map user does not see it from there either.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -31,9 +30,9 @@ struct harmonics_rule {
     double weight;   /* above 0 */
     uint32_t degree; /* of the coefficients that are in use, 0 to 3; those above stay */
 };
-/* Rows of params, float [groups][planes][16]; means are from origin_enu_m. One that no photograph
- * has in its picture keeps its base colour alone. Works on all cores; the same result on any number
- * of them. ERR_MEM. */
+/* Rows of params, float [groups][planes][16]; means are relative to origin_enu_m. A Gaussian that
+ * lies in no photograph keeps its base colour only. Works on all cores; the result does not depend
+ * on their number. ERR_MEM. */
 enum err_code harmonics_hold(const struct harmonics_rule *r, float *params, size_t n,
                              uint32_t planes, const double origin_enu_m[3], struct err *e) ERR_USE;
 /* The same for a model in training, at the end of a level. Moments are kept. ERR_MEM,

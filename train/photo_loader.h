@@ -19,7 +19,7 @@ struct photo {
     const uint8_t *px;    /* [h][w][3], borrowed until the next photo_loader_get */
     const uint8_t *mask;  /* [h][w], 0 = ignore; NULL: use all. From scene/masks (codec/mask.h) */
     const char *name;     /* of the file, borrowed from the scene */
-    float exposure_ev[3]; /* what a drawing must be exposed by to be compared with px
+    float exposure_ev[3]; /* the exposure of a drawing that is compared with px
                              (core/exposure.h); 0 where px was brought to the mean */
 };
 enum photo_loader_exposure {

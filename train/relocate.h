@@ -1,5 +1,6 @@
-/* Inside of train/: where Gaussians go in 3DGS-MCMC (Kheradmand et al. 2024): onto others, drawn in
- * proportion to opacity, which share what they are with those that come. Pure: any thread.
+/* Inside of train/: relocation of 3DGS-MCMC (Kheradmand et al. 2024). A Gaussian that moves goes to
+ * the place of another one, drawn in proportion to opacity, and the two share its opacity. Pure:
+ * any thread.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,6 +1,6 @@
-/* Which photographs do not fit: how far each training photograph is from its drawing, and how
- * unusual that is among all of them. A photograph with a wrong pose, another season or a thumb on
- * the lens stands out, since the others agree against it.
+/* Photographs that do not fit: how far each training photograph is from its drawing, and how
+ * unusual that distance is among all photographs. A photograph with a wrong pose, of another season
+ * or with a thumb on the lens stands out.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -34,7 +34,8 @@ enum err_code residual_add(struct residual_list *l, const char *name, double mse
 /* Of a camera: mean of log2(1 + training photographs that show a place) over places of its picture.
  * 0 without ground. */
 double residual_coverage(const struct footprint *ground, const struct camera *cam);
-/* What a mean over all pixels, masked ones counted as a perfect fit, is over the used ones. */
+/* From a mean over all pixels, in which masked pixels count as a perfect fit, to the mean over the
+ * pixels that the mask leaves. */
 double residual_ssim(const struct photo *p, double ssim);
 double residual_mse(const struct photo *p, double mse);
 void residual_clear(struct residual_list *l); /* n = 0, the room stays */

@@ -1,9 +1,9 @@
 /* Where the time of a run goes: one clock that is always charged to exactly one kind of work, so
  * that the shares add up to the whole.
  *
- * Work on the device goes on while the host does other things. Who turns the clock to rare work
- * that waits for the device (densification, checkpoints) lets the device finish first, or that work
- * would pay for the step before it.
+ * Work on the device goes on while the host does other things. Before the clock is turned to work
+ * that waits for the device (densification, checkpoints), let the device finish. Otherwise that
+ * work is charged with the step before it.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -47,8 +47,8 @@ void timing_add(struct timing_seconds *to, const struct timing_seconds *t);
 struct timing_seconds timing_since(const struct timing_seconds *now,
                                    const struct timing_seconds *then);
 const char *timing_key(enum timing_on on);
-/* "steps 24.1 s (83 %), densification 1.9 s (7 %), ...": the largest first, those below half a per
- * cent together. */
+/* "steps 24.1 s (83 %), densification 1.9 s (7 %), ...": the largest first. Kinds below half a per
+ * cent are added up. */
 void timing_text(const struct timing_seconds *t, char *out, size_t size);
 
 /* {"step": s, ...}, seconds; NULL when out of memory. And back: what is missing or no number is

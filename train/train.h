@@ -1,10 +1,11 @@
 /* Photographs in, Gaussians at three levels of detail out.
  *
- * Reading order: level.c is the loop (one step is a dozen lines) over model.c, the Gaussians on the
- * device, and context.c, what a step needs besides; schedule.c says what happens at which step;
- * photo_loader.c brings photographs; init.c, densify_plan.c, importance.c and prune.c decide which
- * Gaussians there are; state.c saves and restores all of it; run.c strings levels together, train.c
- * cells; evaluate.c scores the result. Losses and metrics are in loss/.
+ * Reading order: run.c goes through the levels of a cell; begin.c is what comes before. level.c is
+ * the loop, one step is a dozen lines: it hands every part what that part uses. stage.h says where
+ * the run stands, fixed.h what never changes, gallery.c has the photographs, model.c the Gaussians
+ * on the device. schedule.c says what happens at which step. init.c, densify_plan.c, importance.c
+ * and prune.c decide which Gaussians there are. state.c saves and restores; train.c goes through
+ * the cells; evaluate.c scores the result. Losses and metrics are in loss/.
  *
  * One trajectory through the levels, level 1 the coarsest: each continues from the Gaussians of the
  * one before with its own budget, densification interval and picture size (Taming 3DGS, Mallick
