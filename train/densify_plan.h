@@ -71,7 +71,8 @@ struct densify_plan { /* {0} is empty; densify_plan_free */
 };
 /* Choose. Where the budget binds and there is no score, only the report is filled and rows stays
  * NULL. Afterwards there are at most cap_inside Gaussians inside the cell, or as many as before if
- * that was more; the same holds outside. densify_plan_free it. ERR_LIMIT: more than 2^31 Gaussians; ERR_MEM. */
+ * that was more; the same holds outside. densify_plan_free it. ERR_LIMIT: more than 2^31 Gaussians;
+ * ERR_MEM. */
 enum err_code densify_plan_make(const struct densify_params *p, const struct densify_input *in,
                                 struct densify_plan *out, struct err *e) ERR_USE;
 void densify_plan_free(struct densify_plan *p);

@@ -25,8 +25,8 @@ struct prune_report {
     double lost_db;                    /* by the removal, in those that were drawn again */
 };
 /* At the end of a level: draw training photographs, each in its own appearance, add up alpha T of
- * every Gaussian over their pixels, and count the photographs that see it. Two kinds are candidates:
- * the faintest, which together hold the share cfg->prune_contribution of the sum, and Gaussians in
+ * every Gaussian over their pixels, and count the photographs that see it. Two kinds are
+ * candidates: the faintest, which together hold the share cfg->prune_contribution of the sum, and Gaussians in
  * fewer than cfg->prune_support photographs. They are removed, the weakest first, until the loss of
  * PSNR would exceed cfg->prune_loss_db. With both options 0 nothing is removed. Moments are kept;
  * statistics of density control are 0 afterwards. With `residuals`, all photographs are drawn and
