@@ -243,6 +243,28 @@ static void photographs_that_a_mask_covers_whole_are_not_asked(void **state)
     look_close(&l);
 }
 
+/* A level that starts with more Gaussians than its budget could never grow. */
+static void a_level_can_grow_beyond_what_it_starts_with(void **state)
+{
+    struct budget b = {.held = held, .n_held = 2, .table = {1000, 2000, 4000}};
+    struct stage at = {.n_levels = 3, .at = 1, .start = 900};
+    (void)state;
+    at.levels[1].budget = 500; /* half of what fits; the level before grew beyond it */
+    budget_next(&b, &at);
+    assert_int_equal(at.levels[1].budget, 1170);
+    struct budget_point last = {.n = 900, .psnr_db = 25.0};
+    assert_int_equal(budget_decide(&last, 1170, 26.0, 1170, 0.5), BUDGET_RAISE);
+    budget_next(&b, &at); /* a budget that has room stays */
+    assert_int_equal(at.levels[1].budget, 1170);
+    at.start = 1900; /* never above the table */
+    budget_next(&b, &at);
+    assert_int_equal(at.levels[1].budget, 2000);
+    b.n_held = 0; /* other modes: nothing */
+    at.levels[1].budget = 500;
+    budget_next(&b, &at);
+    assert_int_equal(at.levels[1].budget, 500);
+}
+
 /* Outside of the cell, too; and a cell counts what is inside of it. */
 static void growth_that_stops_stops_everywhere(void **state)
 {
@@ -333,6 +355,7 @@ int main(void)
         cmocka_unit_test(growth_stops_when_it_does_not_pay),
         cmocka_unit_test(held_out_photographs_are_a_sixteenth),
         cmocka_unit_test(photographs_that_a_mask_covers_whole_are_not_asked),
+        cmocka_unit_test(a_level_can_grow_beyond_what_it_starts_with),
         cmocka_unit_test(growth_that_stops_stops_everywhere),
         cmocka_unit_test(presets_are_the_published_table),
     };

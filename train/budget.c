@@ -207,6 +207,19 @@ static void budget_stop(struct budget *b, struct schedule *s, size_t inside, siz
     s->budget_outside = outside;
 }
 
+void budget_next(const struct budget *b, struct stage *at)
+{
+    struct schedule *s = &at->levels[at->at];
+    double least = floor(BUDGET_RAISE_FACTOR * (double)at->start);
+    size_t table = b->table[at->at];
+    size_t want = least < (double)table ? (size_t)least : table;
+    if (!b->n_held || s->budget >= want)
+        return;
+    log_info("train", "level=%u budget raised from %zu to %zu: it starts with %zu Gaussians",
+             s->level, s->budget, want, at->start);
+    s->budget = want;
+}
+
 enum err_code budget_look(struct budget *b, const struct model *m, const struct gallery *g,
                           const struct cell *cell, struct stage *at, uint32_t x, struct err *e)
 {

@@ -64,6 +64,11 @@ void budget_close(struct budget *b);
 enum err_code budget_look(struct budget *b, const struct model *m, const struct gallery *g,
                           const struct cell *cell, struct stage *at, uint32_t x,
                           struct err *e) ERR_USE;
+/* At the hand-over to the level in work, which starts with at->start Gaussians inside the cell: the
+ * level before can have grown beyond the budget that this one begins with, and a level that cannot
+ * grow at all never measures what growth is worth. Its budget becomes at least 1.3 times the start,
+ * up to the table. Logs what was raised. */
+void budget_next(const struct budget *b, struct stage *at);
 /* The decision by itself. */
 enum budget_step { BUDGET_KEEP, BUDGET_RAISE, BUDGET_STOP };
 enum budget_step budget_decide(const struct budget_point *last, double n, double psnr_db,

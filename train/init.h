@@ -50,7 +50,7 @@ enum err_code init_coarse(const struct init_input *in, const struct gauss *coars
 size_t init_count_around(const struct gauss *coarse, const struct scene *s, const uint32_t *images,
                          size_t n_images, const struct cell *cell);
 /* The squared size of the first Gaussians [n]: as above, but at most three times the median size
- * of the nine nearest points, so that a point that lies alone does not become huge. ERR_MEM, ERR_LIMIT
- * as knn_build. */
+ * of the nine nearest points, so that a point that lies alone does not become huge. ERR_MEM,
+ * ERR_LIMIT as knn_build. */
 enum err_code init_size2(const float *xyz, size_t n, float *size2, struct err *e) ERR_USE;
 #endif

@@ -196,6 +196,7 @@ enum err_code level_next(struct level *l, struct err *e)
         rc = model_zero_stats(&l->model, e);
     if (rc || at->at == at->n_levels)
         return rc;
+    budget_next(&l->budget, at);
     const struct schedule *s = stage_schedule(at);
     if (at->start > s->budget)
         log_warn("train",

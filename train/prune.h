@@ -26,15 +26,14 @@ struct prune_report {
 };
 /* At the end of a level: draw training photographs, each in its own appearance, add up alpha T of
  * every Gaussian over their pixels, and count the photographs that see it. Two kinds are
- * candidates: the faintest, which together hold the share cfg->prune_contribution of the sum, and Gaussians in
- * fewer than cfg->prune_support photographs. They are removed, the weakest first, until the loss of
- * PSNR would exceed cfg->prune_loss_db. With both options 0 nothing is removed. Moments are kept;
- * statistics of density control are 0 afterwards. With `residuals`, all photographs are drawn and
- * each gets a row with its fit before the removal. Without (NULL), a short level draws some of the
- * photographs and does not ask for support.
- * ground (may be NULL) is for the coverage of these rows.
- * ERR_CANCEL: stopped by a signal, and nothing was removed; ERR_MEM, ERR_DEVICE, and what
- * photo_loader_get_nth fails with. */
+ * candidates: the faintest, which together hold the share cfg->prune_contribution of the sum, and
+ * Gaussians in fewer than cfg->prune_support photographs. They are removed, the weakest first,
+ * until the loss of PSNR would exceed cfg->prune_loss_db. With both options 0 nothing is removed.
+ * Moments are kept; statistics of density control are 0 afterwards. With `residuals`, all
+ * photographs are drawn and each gets a row with its fit before the removal. Without (NULL), a
+ * short level draws some of the photographs and does not ask for support. ground (may be NULL) is
+ * for the coverage of these rows. ERR_CANCEL: stopped by a signal, and nothing was removed;
+ * ERR_MEM, ERR_DEVICE, and what photo_loader_get_nth fails with. */
 enum err_code prune_level(struct model *m, struct gallery *g, const struct footprint *ground,
                           const struct stage *at, struct prune_report *out,
                           struct residual_list *residuals, struct err *e) ERR_USE;
