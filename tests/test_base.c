@@ -202,11 +202,13 @@ struct toy {
     OPTIONS_C_ENUM aa;
 };
 static const struct options_def toy_defs[] = {
-    OPTIONS_GROUP_ROW("a heading") OPTIONS_ROW(struct toy, NUM, edge_m, "180", 1, 5000, "m", "edge")
-        OPTIONS_ROW(struct toy, INT, count, "3", 1, 8, "", "levels")
-            OPTIONS_ROW(struct toy, BOOL, serve, "true", 0, 0, "", "serve")
-                OPTIONS_ROW(struct toy, TEXT, output, "", 0, 0, "FILE", "out")
-                    OPTIONS_ROW(struct toy, ENUM, aa, "2d", 0, 0, "none|2d|mip", "anti-aliasing")};
+    OPTIONS_GROUP_ROW("a heading")
+        OPTIONS_ROW(struct toy, NUM, EVERYDAY, edge_m, "180", 1, 5000, "m", "edge")
+            OPTIONS_ROW(struct toy, INT, EVERYDAY, count, "3", 1, 8, "", "levels")
+                OPTIONS_ROW(struct toy, BOOL, EVERYDAY, serve, "true", 0, 0, "", "serve")
+                    OPTIONS_ROW(struct toy, TEXT, EVERYDAY, output, "", 0, 0, "FILE", "out")
+                        OPTIONS_ROW(struct toy, ENUM, EVERYDAY, aa, "2d", 0, 0, "none|2d|mip",
+                                    "anti-aliasing")};
 static const struct options_spec toy_spec = {.command = "toy",
                                              .usage = "toy IN",
                                              .about = "Test.",

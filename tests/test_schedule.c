@@ -100,7 +100,7 @@ static void every_index_from_one_to_the_last_is_used_once(void **state)
     for (int64_t iterations = 7; iterations < 70000; iterations = iterations * 3 + 1) {
         struct train_config c = defaults(&a);
         struct schedule s[3];
-        c.iterations = iterations;
+        c.iterations.one = iterations;
         kit_ok(schedule_make(&c, 75, &cell, s, &e), e);
         uint64_t total = 0;
         for (int l = 0; l < 3; l++) {
@@ -128,7 +128,7 @@ static void runs_of_any_length_remove_huge_gaussians(void **state)
         for (int64_t levels = 1; levels <= 3; levels++) {
             struct train_config c = defaults(&a);
             struct schedule s[3];
-            c.iterations = iterations;
+            c.iterations.one = iterations;
             c.level_count = levels;
             kit_ok(schedule_make(&c, 75, &cell, s, &e), e);
             for (int64_t l = 0; l < levels; l++) {
@@ -157,7 +157,7 @@ static void many_photographs_stretch_and_short_runs_shrink(void **state)
     c.scale_by_images = false;
     kit_ok(schedule_make(&c, 901, &cell, s, &e), e);
     assert_int_equal(s[0].steps, 15000);
-    c.iterations = 2000;
+    c.iterations.one = 2000;
     kit_ok(schedule_make(&c, 901, &cell, s, &e), e);
     assert_int_equal(s[0].steps, 500);
     assert_int_equal(s[1].steps, 500);
@@ -185,7 +185,7 @@ static void fewer_levels_take_the_finest_rows(void **state)
     assert_int_equal(s[0].steps, 30000);
     assert_true(s[0].downsample == 1.0);
     assert_true(s[0].absgrad);
-    assert_int_equal(s[0].budget, c.budget_3);
+    assert_int_equal(s[0].budget, c.budget.v[2]);
     assert_int_equal(schedule_sh_degree(&s[0], 1), 0); /* it is the first level all the same */
     arena_free(&a);
 }
@@ -216,10 +216,10 @@ static void impossible_plans_are_refused(void **state)
     struct err e = {0};
     struct train_config c = defaults(&a);
     struct schedule s[3];
-    c.iterations = 1;
+    c.iterations.one = 1;
     kit_fails(schedule_make(&c, 10, &cell, s, &e), ERR_ARG, e, "level 1 of 3");
-    c.iterations = 0;
-    c.budget_2 = c.budget_1 - 1;
+    c.iterations.one = 0;
+    c.budget.v[1] = c.budget.v[0] - 1;
     kit_fails(schedule_make(&c, 10, &cell, s, &e), ERR_ARG, e, "budgets must not fall");
     arena_free(&a);
 }
@@ -245,7 +245,7 @@ static void short_runs_take_larger_steps(void **state)
         struct cell whole = {.whole = true, .edge_m = 100};
         struct err e = {0};
         kit_ok(options_defaults(train_options(), &cfg, &a, &e), e);
-        cfg.iterations = want[i].steps;
+        cfg.iterations.one = want[i].steps;
         kit_ok(schedule_make(&cfg, 60, &whole, s, &e), e);
         assert_true(fabs(s[2].lr_factor - want[i].factor) < 1e-6);
         assert_true(fabs(s[0].lr_mean_first - want[i].factor * cfg.lr_mean * 50) < 1e-9);

@@ -192,8 +192,8 @@ static enum err_code begin_budget(struct run *t, struct err *e)
     l->ctx.images = t->images;
     l->budget.held = held;
     l->budget.n_held = n_held;
-    if (t->cfg->budget == BUDGET_AUTO && !n_held)
-        log_warn("train", "%zu photographs are too few to hold any out: --budget fit is used",
+    if (t->cfg->budget_rule == BUDGET_AUTO && !n_held)
+        log_warn("train", "%zu photographs are too few to hold any out: --budget-rule fit is used",
                  job->n_images);
     enum err_code rc = schedule_make(t->cfg, l->ctx.n_images, &l->ctx.cell, l->ctx.schedule, e);
     if (!rc)
@@ -239,7 +239,7 @@ static void begin_tell_length(const struct run *t)
                                ctx->schedule[i].steps);
     }
     log_info("train", "cell=%s %.0f steps, by level %s%s", ctx->cell.id, steps, parts,
-             t->cfg->iterations ? "" : ": the full method; --iterations N makes it shorter");
+             t->cfg->iterations.one ? "" : ": the full method; --iterations N makes it shorter");
 }
 
 /* A network that is warmed up for longer than its level learns nothing. */

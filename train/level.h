@@ -18,7 +18,7 @@ struct regularizer;
 struct level {          /* level_close, also after an error */
     struct context ctx; /* its fixed part is set by whoever makes the level */
     struct model model;
-    struct budget budget; /* the decisions of --budget auto */
+    struct budget budget; /* the decisions of --budget-rule auto */
     struct background background;
     struct importance *importance; /* made on first use, as is the next */
     struct regularizer *regularizer;

@@ -89,7 +89,7 @@ static struct ground ground_after_training(const char *dir, const struct toy *t,
     float *got = mem_array(n, sizeof *got);
     assert_true(want && got);
     struct train_config c = toy_config(&a, NULL);
-    c.iterations = F17_STEPS;
+    c.iterations.one = F17_STEPS;
     c.level_count = 1;
     c.masks = way == F17_MASKS;
     c.robust_from = way == F17_ROBUST ? F17_ROBUST_FROM : 0;
@@ -259,9 +259,9 @@ static void find_bad_poses(double off_m, size_t *found, size_t *false_alarms, do
     struct f18 f = {off_m};
     (void)f18_scene(shift_pose, &f);
     struct train_config c = toy_config(&a, NULL);
-    c.iterations = F18_STEPS;
+    c.iterations.one = F18_STEPS;
     c.level_count = 1;
-    c.budget_3 = 800;
+    c.budget.v[2] = 800;
     toy_run_open(&r, f18_dir, &c);
     toy_run_level(&r);
     rank_photographs(&r, &l);
@@ -408,9 +408,9 @@ static void shaken_poses_are_recovered(void **state)
     struct pose_set off = corrections();
     struct toy t = f18_scene(shake_pose, &off);
     struct train_config c = toy_config(&a, NULL);
-    c.iterations = F18_REFINE_STEPS;
+    c.iterations.one = F18_REFINE_STEPS;
     c.level_count = 1;
-    c.budget_3 = 800;
+    c.budget.v[2] = 800;
     c.refine_poses = true;
     c.lr_pose = 4e-3; /* a photograph has but 25 steps */
     toy_run_open(&r, f18_dir, &c);
