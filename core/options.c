@@ -15,6 +15,7 @@
 
 #include <jansson.h>
 
+#include "core/options_completion.h"
 #include "core/options_help.h"
 #include "core/options_rules.h"
 
@@ -367,7 +368,7 @@ static enum err_code options_set_in(const struct options_spec *spec, const struc
     return options_set(d, text, config, a, e);
 }
 
-/* [200, "1k", 0.5] as the text of a list; false if an element is none of these or there is no room. */
+/* [200, "1k", 0.5] as the text of a list; false if an element is none of these or has no room. */
 static bool options_array_text(const json_t *v, char *out, size_t room)
 {
     size_t at = 0;
@@ -611,6 +612,41 @@ static enum err_code options_print_config(const struct options_spec *spec, const
     return ERR_OK;
 }
 
+/* The defaults as JSON. Their struct is as long as its last member. json_decref *out. */
+static enum err_code options_defaults_json(const struct options_spec *spec, struct json_t **out,
+                                           struct err *e)
+{
+    struct arena a = {0};
+    size_t size = sizeof(struct options_nums);
+    for (size_t i = 0; i < spec->n_defs; i++)
+        if (spec->defs[i].offset + sizeof(struct options_nums) > size)
+            size = spec->defs[i].offset + sizeof(struct options_nums);
+    void *config = mem_array(1, size);
+    enum err_code rc =
+        config ? ERR_OK : err_set(e, ERR_MEM, "out of memory for the options' defaults");
+    if (!rc)
+        rc = options_defaults(spec, config, &a, e);
+    if (!rc)
+        rc = options_to_json(spec, config, out, e);
+    mem_free(config);
+    arena_free(&a);
+    return rc;
+}
+
+static enum err_code options_check_rules(const struct options_spec *spec, const void *config,
+                                         struct err *e)
+{
+    struct json_t *now = NULL, *defaults = NULL;
+    enum err_code rc = options_to_json(spec, config, &now, e);
+    if (!rc)
+        rc = options_defaults_json(spec, &defaults, e);
+    if (!rc)
+        rc = options_rules_check(spec, now, defaults, e);
+    json_decref(now);
+    json_decref(defaults);
+    return rc;
+}
+
 enum err_code options_parse(const struct options_spec *spec, int argc, char **argv, void *config,
                             struct options_args *args, struct arena *a, struct err *e)
 {
@@ -623,7 +659,10 @@ enum err_code options_parse(const struct options_spec *spec, int argc, char **ar
     if (!rc && !w.help)
         rc = options_pass(&w, false, e);
     if (w.help) {
-        options_help_print(stdout, spec, w.format);
+        if (w.format >= OPTIONS_FORMAT_BASH)
+            options_completion_print(stdout, spec, w.format);
+        else
+            options_help_print(stdout, spec, w.format);
         args->done = true;
         return ERR_OK;
     }
@@ -632,7 +671,7 @@ enum err_code options_parse(const struct options_spec *spec, int argc, char **ar
         return options_print_config(spec, config, e);
     }
     if (!rc)
-        rc = options_rules_check(spec, config, e);
+        rc = options_check_rules(spec, config, e);
     if (!rc && args->n < spec->min_args)
         rc = err_set(e, ERR_ARG, "too few arguments; usage: %s", spec->usage);
     if (!rc && args->n > spec->max_args)

@@ -3,7 +3,6 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "core/options_help.h"
-#include "core/options_completion.h"
 
 #include <ctype.h>
 #include <string.h>
@@ -376,8 +375,6 @@ void options_help_print(FILE *f, const struct options_spec *spec, enum options_f
         options_help_markdown(f, spec);
     else if (format == OPTIONS_FORMAT_MDOC)
         options_help_mdoc(f, spec);
-    else if (format >= OPTIONS_FORMAT_BASH)
-        options_completion_print(f, spec, format);
     else
         options_help_text(f, spec, format == OPTIONS_FORMAT_ALL);
 }

@@ -17,7 +17,7 @@ enum options_format {
     OPTIONS_FORMAT_ALL,  /* text of all options */
     OPTIONS_FORMAT_MARKDOWN,
     OPTIONS_FORMAT_MDOC,
-    OPTIONS_FORMAT_BASH,
+    OPTIONS_FORMAT_BASH, /* this and the next two: core/options_completion.h */
     OPTIONS_FORMAT_ZSH,
     OPTIONS_FORMAT_FISH
 };
@@ -29,10 +29,9 @@ void options_help_flag(const char *key, char out[OPTIONS_NAME_MAX]);
 void options_help_shown_flag(const struct options_def *d, char out[OPTIONS_NAME_MAX + 4]);
 
 /* Everything about a command on `f`: usage, what it does, its options by group, examples. The
- * text leaves out the options that are not everyday ones, unless the format is ALL. The Markdown is a
- * section ("## citysplat train") of a page; the mdoc is what stands behind
- * options_help_mdoc_head(). What the shells get is a
- * part of the script that `citysplat completion` prints. */
+ * text leaves out the options that are not everyday ones, unless the format is ALL. The Markdown is
+ * a section ("## citysplat train") of a page; the mdoc is what stands behind
+ * options_help_mdoc_head(). */
 void options_help_print(FILE *f, const struct options_spec *spec, enum options_format format);
 
 /* One paragraph of mdoc: nothing in `text` is read as a request. */

@@ -9,7 +9,6 @@
 
 #include <jansson.h>
 
-#include "core/options.h"
 #include "core/options_help.h"
 
 enum options_verdict { OPTIONS_REFUSE, OPTIONS_WARN };
@@ -33,8 +32,8 @@ static const struct options_def *options_rules_def(const struct options_spec *sp
     return NULL;
 }
 
-/* Does the value of `key` hold what `is` says: "set" differs from the default, "unset" does not, any
- * other text is the value itself. */
+/* Does the value of `key` hold what `is` says: "set" differs from the default, "unset" does not,
+ * any other text is the value itself. */
 static bool options_rules_holds(const char *key, const char *is, const json_t *now,
                                 const json_t *defaults)
 {
@@ -69,38 +68,12 @@ static enum err_code options_rules_one(const struct options_spec *spec,
     return ERR_OK;
 }
 
-/* The defaults as JSON. Their struct is as long as its last member. json_decref *out. */
-static enum err_code options_rules_defaults(const struct options_spec *spec, struct json_t **out,
-                                            struct err *e)
+enum err_code options_rules_check(const struct options_spec *spec, const struct json_t *now,
+                                  const struct json_t *defaults, struct err *e)
 {
-    struct arena a = {0};
-    size_t size = sizeof(struct options_nums);
-    for (size_t i = 0; i < spec->n_defs; i++)
-        if (spec->defs[i].offset + sizeof(struct options_nums) > size)
-            size = spec->defs[i].offset + sizeof(struct options_nums);
-    void *config = mem_array(1, size);
-    enum err_code rc =
-        config ? ERR_OK : err_set(e, ERR_MEM, "out of memory for the options' defaults");
-    if (!rc)
-        rc = options_defaults(spec, config, &a, e);
-    if (!rc)
-        rc = options_to_json(spec, config, out, e);
-    mem_free(config);
-    arena_free(&a);
-    return rc;
-}
-
-enum err_code options_rules_check(const struct options_spec *spec, const void *config,
-                                  struct err *e)
-{
-    struct json_t *now = NULL, *defaults = NULL;
-    enum err_code rc = options_to_json(spec, config, &now, e);
-    if (!rc)
-        rc = options_rules_defaults(spec, &defaults, e);
+    enum err_code rc = ERR_OK;
     for (size_t i = 0; !rc && i < sizeof options_rules / sizeof *options_rules; i++)
         if (!strcmp(options_rules[i].command, spec->command))
             rc = options_rules_one(spec, &options_rules[i], now, defaults, e);
-    json_decref(now);
-    json_decref(defaults);
     return rc;
 }

@@ -8,9 +8,10 @@
 #include "core/base.h"
 #include "core/options_spec.h"
 
-/* `config` is resolved. ERR_ARG names both options of the first rule that is broken and what to do;
- * rules that only warn write to the log. ERR_INTERNAL for a rule that names no option of `spec`. */
-enum err_code options_rules_check(const struct options_spec *spec, const void *config,
-                                  struct err *e) ERR_USE;
+/* `now` are the resolved values as JSON, `defaults` those of the table. ERR_ARG names both options
+ * of the first rule that is broken and what to do; rules that only warn write to the log.
+ * ERR_INTERNAL for a rule that names no option of `spec`. */
+enum err_code options_rules_check(const struct options_spec *spec, const struct json_t *now,
+                                  const struct json_t *defaults, struct err *e) ERR_USE;
 
 #endif
