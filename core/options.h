@@ -23,7 +23,7 @@
  * GROUP`, so that the struct need not know of them.
  *
  * The flag of near_m is --near-m VALUE (or =VALUE). BOOL takes --key and --no-key; --help shows the
- * one that changes the default ("--no-masks  turn off: " and the help text). Whole numbers take k,
+ * one that changes the default ("--no-masks  Turn off: " and the help text). Whole numbers take k,
  * M and G: thousands, or steps of 1024 where the unit is KB, MB or MiB (4G of MiB is 4096). Lists
  * are A,B,C, in config files also arrays. Precedence: default < --config FILE... in order < flags.
  * Unknown flags and keys are errors that name the nearest one. core/options_rules.def says which

@@ -86,7 +86,7 @@ static void options_help_text_one(FILE *f, const struct options_def *d)
     snprintf(head, sizeof head, "  --%s%s%s", flag, *value ? " " : "", value);
     const char *quote = d->type == OPTIONS_BOOL || !*d->def ? NULL : d->def;
     /* The help says what the option does; where it is on, the flag that is shown turns it off. */
-    snprintf(tail, sizeof tail, "%s%s%s%s%s", options_help_is_on(d) ? "turn off: " : "", d->help,
+    snprintf(tail, sizeof tail, "%s%s%s%s%s", options_help_is_on(d) ? "Turn off: " : "", d->help,
              quote ? " [" : "", quote ? quote : "", quote ? "]" : "");
     fprintf(f, "%-*s", OPTIONS_HELP_COLUMN, head);
     if (strlen(head) >= OPTIONS_HELP_COLUMN) /* no space is left before the text */
@@ -198,7 +198,7 @@ static void options_help_md_one(FILE *f, const struct options_def *d)
     fprintf(f, " | ");
     if (options_help_has_range(d))
         fprintf(f, "%.15g to %.15g", d->lo, d->hi);
-    fprintf(f, " | %s", options_help_is_on(d) ? "turn off: " : "");
+    fprintf(f, " | %s", options_help_is_on(d) ? "Turn off: " : "");
     options_help_md_text(f, d->help);
     fprintf(f, " |\n");
 }
