@@ -295,11 +295,11 @@ static void help_of_a_switch_says_what_the_shown_flag_does(void **state)
     buf_u8(&b, 0);
     const char *line = strstr((const char *)b.data, "--no-visibility");
     assert_non_null(line);
-    kit_expect_text(line, "turn off: also take photographs", __FILE__, __LINE__);
+    kit_expect_text(line, "Turn off: Also take photographs", __FILE__, __LINE__);
     line = strstr((const char *)b.data, "--all-images");
     assert_non_null(line);
     assert_true(!strncmp(line + strlen("--all-images") + strspn(line + strlen("--all-images"), " "),
-                         "test photographs", strlen("test photographs")));
+                         "Train with", strlen("Train with")));
     buf_free(&b);
 }
 
