@@ -191,7 +191,7 @@ static json_t *options_list_json(const struct options_def *d, const void *p)
     const struct options_nums *x = p;
     bool whole = d->type == OPTIONS_INTS;
     size_t n = whole ? o->n : x->n, most = 1;
-    if (n == 1)
+    if (n == 1 || (whole ? o->one != 0 : x->one != 0.0))
         return whole ? json_integer(o->one) : json_real(x->one);
     for (const char *c = d->def; *c; c++)
         most += *c == ',';

@@ -88,7 +88,7 @@ fence || /^    / {
 # What there is: docs/commands.md, which tests/test_reference.sh compares with the program; the rows of options of
 # citysplat-bench; the usage of bootstrap.
 {
-    printf 'help\t--markdown\nhelp\t--man\nhelp\t\n'
+    printf 'help\t--markdown\nhelp\t--man\nhelp\t\ncompletion\t\n'
     awk '
     /^## citysplat / { command = $3; for (k = split("--config --print-config --help", all, " "); k; k--) print command "\t" all[k]; print command "\t" }
     command != "" && match($0, /^\| `--[a-z0-9-]+`/) { print command "\t" substr($0, 4, RLENGTH - 4) }' docs/commands.md
