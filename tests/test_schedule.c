@@ -224,6 +224,35 @@ static void impossible_plans_are_refused(void **state)
     arena_free(&a);
 }
 
+/* One value: the finest budget with the default's proportion, the same interval everywhere. A list
+ * has a value a level; values for levels that are not trained are refused. */
+static void lists_have_one_value_or_one_a_level(void **state)
+{
+    (void)state;
+    struct arena a = {0};
+    struct err e = {0};
+    struct train_config c = defaults(&a);
+    struct schedule s[3];
+    c.budget = (struct options_ints){.v = {409600, 819200, 2048000}, .one = 100000, .n = 1};
+    c.densify_until.one = 0.25;
+    c.densify_until.n = 1;
+    kit_ok(schedule_make(&c, 10, &cell, s, &e), e);
+    assert_int_equal(s[0].budget, 20000);
+    assert_int_equal(s[1].budget, 40000);
+    assert_int_equal(s[2].budget, 100000);
+    assert_int_equal(s[0].densify_until, s[0].steps / 4);
+    assert_int_equal(s[2].densify_until, s[2].steps / 4);
+    c.iterations = (struct options_ints){.v = {1, 200, 300}, .n = 2};
+    kit_fails(schedule_make(&c, 10, &cell, s, &e), ERR_ARG, e,
+              "--iterations has 2 values and --level-count is 3");
+    c.level_count = 2;
+    kit_ok(schedule_make(&c, 10, &cell, s, &e), e);
+    assert_true(s[0].steps == 200 && s[1].steps == 300);
+    c.level_count = 1;
+    kit_fails(schedule_make(&c, 10, &cell, s, &e), ERR_ARG, e, "give one value, or one for each");
+    arena_free(&a);
+}
+
 /* 60,000 steps have the published rates, a part of them kappa^-0.4 times those, five times at most;
  * positions end at the published last rate over kappa. */
 static void short_runs_take_larger_steps(void **state)
@@ -290,6 +319,7 @@ int main(void)
         cmocka_unit_test(fewer_levels_take_the_finest_rows),
         cmocka_unit_test(position_rate_decays_exponentially_and_restarts),
         cmocka_unit_test(impossible_plans_are_refused),
+        cmocka_unit_test(lists_have_one_value_or_one_a_level),
     };
     return cmocka_run_group_tests_name("schedule", tests, NULL, NULL);
 }
