@@ -7,8 +7,7 @@
  *   citysplat help [COMMAND]          the commands, or one of them
  *   citysplat help --markdown         the command reference, docs/commands.md
  *   citysplat help --man [COMMAND]    a manual page in mdoc; the build makes and installs them
- *   citysplat completion SHELL        the completion of bash, zsh or fish, made and installed
- * likewise
+ *   citysplat completion SHELL        the completion of bash, zsh or fish; likewise
  *
  * SPDX-License-Identifier: Apache-2.0
  */
