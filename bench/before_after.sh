@@ -85,7 +85,7 @@ scene() {
 budgets() { # SCENE
   local finest=160000
   [ "$1" != ochota ] || finest=240000
-  printf '%s\n' --budget table --budget-1 $((finest / 4)) --budget-2 $((finest / 2)) --budget-3 "$finest"
+  printf '%s\n' --budget-rule table --budget $((finest / 4)),$((finest / 2)),"$finest"
 }
 
 # Six poses a scene: NAME, metres east, north and up of the origin, heading and pitch in degrees.
@@ -201,7 +201,7 @@ pictures() {
 short() { # SCENE
   local finest=40000
   [ "$1" != demo ] || finest=32000
-  printf '%s\n' --iterations "${BEFORE_AFTER_STEPS:-600}" --seed 1 --threads 1 --budget table --budget-1 $((finest / 4)) --budget-2 $((finest / 2)) --budget-3 "$finest"
+  printf '%s\n' --iterations "${BEFORE_AFTER_STEPS:-600}" --seed 1 --threads 1 --budget-rule table --budget $((finest / 4)),$((finest / 2)),"$finest"
 }
 
 # One line: what, scene, seconds that passed, seconds of the core, peak MB, Gaussians.

@@ -26,14 +26,14 @@ struct bench_row {
 enum { BENCH_TEXT_MAX = 160 };
 
 struct bench_config {
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "bench/options.def"
 #undef OPT
 };
 
 static const struct options_def bench_defs[] = {
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct bench_config, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct bench_config, type, tier, key, def, lo, hi, unit, help)
 #include "bench/options.def"
 #undef OPT
 };

@@ -270,32 +270,32 @@ tile_row() {
 # ---- the studies: study_NAME, in the order of `all` -------------------------------------------------------
 
 # Budgets of cells of about 300 m^2 a thousand Gaussians; the presets' budgets are for larger ones.
-readonly SMALL=(--budget-1 40000 --budget-2 80000 --budget-3 160000)
+readonly SMALL=(--budget 40000,80000,160000)
 
 # ROWS STUDY: the rows of a study on the demo city with map views, or on caliterra at a budget that binds.
 on_demo() {
   local MAP_VIEWS=1
   "$1" "$2" demo --iterations "$(steps "$2")" "${SMALL[@]}"
 }
-on_caliterra() { "$1" "$2" caliterra-400 --level-count 1 --iterations "$(steps "$2")" --budget-3 100000; }
+on_caliterra() { "$1" "$2" caliterra-400 --level-count 1 --iterations "$(steps "$2")" --budget 100000; }
 
 study_time() { # accuracy against training time, with the finest level alone and with all three
   local n
   for n in 250 500 1000 2000 4000; do
-    row time "one level: $n steps" caliterra-400 "steps=$n" --level-count 1 --iterations "$n" --budget-3 200000
+    row time "one level: $n steps" caliterra-400 "steps=$n" --level-count 1 --iterations "$n" --budget 200000
   done
   for n in 500 1000 2000 4000; do
-    row time "three levels: $n steps" caliterra-400 "steps=$n" --iterations "$n" --budget-1 50000 --budget-2 100000 --budget-3 200000
+    row time "three levels: $n steps" caliterra-400 "steps=$n" --iterations "$n" --budget 50000,100000,200000
   done
   for n in 500 1000 2000; do # photographs as they came, as other trainers take them
-    row time "one level, as taken: $n steps" caliterra-400 "steps=$n" --level-count 1 --iterations "$n" --budget-3 200000 --no-exposure
+    row time "one level, as taken: $n steps" caliterra-400 "steps=$n" --level-count 1 --iterations "$n" --budget 200000 --no-exposure
   done
 }
 
 study_budgets() { # accuracy against the number of Gaussians
   local b
   for b in 25000 50000 100000 200000 400000; do
-    row budgets "$((b / 1000)) k" caliterra-400 "budget=$b" --level-count 1 --iterations "$(steps budgets)" --budget table --budget-3 "$b" --tau-3 1e-4
+    row budgets "$((b / 1000)) k" caliterra-400 "budget=$b" --level-count 1 --iterations "$(steps budgets)" --budget-rule table --budget "$b" --tau 1e-4
   done
 }
 
@@ -305,7 +305,7 @@ sh_rows() { # STUDY SCENE DEGREES BUDGET, then what follows --tiles or --eval
   local d study=$1 scene=$2 degrees=$3 budget=$4
   shift 4
   for d in $degrees; do # the default first: the others are compared with it
-    row "$study" "degree $d" "$scene" "sh_degree=$d" --level-count 1 --iterations "$(steps "$study")" --budget-3 "$budget" --sh-degree "$d" --sh-interval 250 "$@"
+    row "$study" "degree $d" "$scene" "sh_degree=$d" --level-count 1 --iterations "$(steps "$study")" --budget "$budget" --sh-degree "$d" --sh-interval 250 "$@"
   done
 }
 sh_caliterra_rows() { sh_rows sh caliterra-400 "3 0 1 2" 100000 --tiles; }
@@ -325,22 +325,22 @@ ablation_rows() { # STUDY SCENE OPTIONS
   local study=$1 scene=$2
   shift 2
   row "$study" full "$scene" "" "$@"
-  row "$study" "no AbsGS" "$scene" "" "$@" --absgrad-from 4 --tau-3 2e-4
-  row "$study" "no AbsGS, lower threshold" "$scene" "" "$@" --absgrad-from 4 --tau-3 5e-5
+  row "$study" "no AbsGS" "$scene" "" "$@" --absgrad-from 4 --tau 2e-4
+  row "$study" "no AbsGS, lower threshold" "$scene" "" "$@" --absgrad-from 4 --tau 5e-5
   row "$study" "no anti-aliasing" "$scene" "" "$@" --aa none --eval --aa none
   row "$study" "Mip-Splatting" "$scene" "" "$@" --aa mip
   row "$study" "sparse depth" "$scene" "" "$@" --depth-sparse
 }
 ablation_city_rows() {
   local MAP_VIEWS=1
-  ablation_rows ablation_city demo --level-count 1 --iterations "$(steps ablation_city)" --budget-3 120000
+  ablation_rows ablation_city demo --level-count 1 --iterations "$(steps ablation_city)" --budget 120000
 }
 study_ablation() { seeded ablation on_caliterra ablation_rows ablation; }
 study_ablation_city() { seeded ablation_city ablation_city_rows; }
 
 # What cells alone have: which photographs train one, where it may grow, what it begins from.
 cells_rows() {
-  local MAP_VIEWS=1 base=(--iterations "$(steps cells)" --budget-1 20000 --budget-2 40000 --budget-3 80000)
+  local MAP_VIEWS=1 base=(--iterations "$(steps cells)" --budget 20000,40000,80000)
   row cells full cells "" "${base[@]}"
   row cells "no visibility selection" cells-location "" "${base[@]}"
   row cells "no prioritised densification" cells "" "${base[@]}" --tau-outside 1
@@ -350,13 +350,13 @@ study_cells() { seeded cells cells_rows; }
 
 # One appearance model for all cells of a city whose light changes from photograph to photograph, by half images.
 study_cells_light() {
-  local base=(--iterations "$(steps cells_light)" --budget-1 10000 --budget-2 20000 --budget-3 40000)
+  local base=(--iterations "$(steps cells_light)" --budget 10000,20000,40000)
   row cells_light "no appearance" cells-light "" "${base[@]}" --eval --half-image on
   row cells_light "appearance" cells-light "" "${base[@]}" --appearance --eval --half-image on
 }
 
 embedding_rows() {
-  local n base=(--level-count 1 --iterations "$(steps embedding)" --budget-3 40000)
+  local n base=(--level-count 1 --iterations "$(steps embedding)" --budget 40000)
   for n in 16 4 8; do # the default first: the others are compared with it
     row embedding "length $n" light "embed_len=$n" "${base[@]}" --appearance --appearance-warmup 250 --embed-len "$n" --eval --half-image on
   done
@@ -366,7 +366,7 @@ study_embedding() { seeded embedding embedding_rows; } # length of a Gaussian's 
 
 # Which levels the appearance network learns at; the others are brought to the last one.
 network_rows() {
-  local base=(--iterations "$(steps network)" --budget-1 15000 --budget-2 25000 --budget-3 40000)
+  local base=(--iterations "$(steps network)" --budget 15000,25000,40000)
   row network "first level" light "" "${base[@]}" --appearance --appearance-levels 1 --eval --half-image on
   row network "all levels" light "" "${base[@]}" --appearance --eval --half-image on
   row network "no appearance" light "" "${base[@]}" --eval --half-image on
@@ -376,7 +376,7 @@ study_network() { seeded network network_rows; }
 # The light of a photograph put on the whole city: map views in the light of photographs. Cameras and a
 # little of the light change, then the light alone.
 transfer_rows() { # STUDY SCENE
-  local study=$1 scene=$2 MAP_VIEWS=1 base=(--iterations "$(steps "$1")" --budget-1 15000 --budget-2 25000 --budget-3 40000)
+  local study=$1 scene=$2 MAP_VIEWS=1 base=(--iterations "$(steps "$1")" --budget 15000,25000,40000)
   row "$study" "neither" "$scene" "" "${base[@]}"
   row "$study" "exposure" "$scene-exposed" "" "${base[@]}"
   row "$study" "appearance" "$scene" "" "${base[@]}" --appearance
@@ -398,7 +398,7 @@ study_ochota_light() { seeded ochota_light ochota_light_rows; }
 
 # The same in cells, with one appearance network for all of them.
 ochota_cells_rows() {
-  local base=(--level-count 1 --iterations "$(steps ochota_cells)" --budget-3 60000)
+  local base=(--level-count 1 --iterations "$(steps ochota_cells)" --budget 60000)
   row ochota_cells "neither" ochota-cells "" "${base[@]}" --no-exposure --eval --half-image on
   row ochota_cells "exposure" ochota-cells "" "${base[@]}" --eval --half-image on
   row ochota_cells "appearance" ochota-cells "" "${base[@]}" --no-exposure --appearance --eval --half-image on
@@ -409,7 +409,7 @@ study_ochota_cells() { seeded ochota_cells ochota_cells_rows; }
 # What looking at many photographs before a Gaussian is split is worth, where the budget binds: thirty thousand Gaussians
 # for photographs that support 100,000 and more.
 importance_rows() {
-  local n base=(--level-count 1 --iterations "$(steps importance)" --budget table --budget-3 30000 --tau-3 1e-4)
+  local n base=(--level-count 1 --iterations "$(steps importance)" --budget-rule table --budget 30000 --tau 1e-4)
   for n in 10 1; do
     row importance "$n views" caliterra-400 "importance_views=$n" "${base[@]}" --importance-views "$n"
   done
@@ -420,20 +420,20 @@ study_importance() { seeded importance importance_rows; }
 # and with the other strategy of density control.
 pareto_rows() {
   local b base=(--iterations "$(steps pareto)") MAP_VIEWS=1
-  row pareto "split: fit" demo "" "${base[@]}" --budget fit
+  row pareto "split: fit" demo "" "${base[@]}" --budget-rule fit
   for b in 40000 80000 160000 320000; do
-    row pareto "split: $((b / 1000)) k" demo "budget=$b" "${base[@]}" --budget table --budget-1 "$((b / 4))" --budget-2 "$((b / 2))" --budget-3 "$b"
+    row pareto "split: $((b / 1000)) k" demo "budget=$b" "${base[@]}" --budget-rule table --budget "$((b / 4))","$((b / 2))","$b"
   done
-  row pareto "split: auto" demo "" "${base[@]}" --budget auto
+  row pareto "split: auto" demo "" "${base[@]}" --budget-rule auto
   for b in 80000 160000; do
-    row pareto "mcmc: $((b / 1000)) k" demo "budget=$b" "${base[@]}" --strategy mcmc --budget table --budget-1 "$((b / 4))" --budget-2 "$((b / 2))" --budget-3 "$b"
+    row pareto "mcmc: $((b / 1000)) k" demo "budget=$b" "${base[@]}" --strategy mcmc --budget-rule table --budget "$((b / 4))","$((b / 2))","$b"
   done
 }
 study_pareto() { seeded pareto pareto_rows; }
 
 # Each remedy against halo, haze and floaters taken away from the default, and opacity resets that happen in so short a run.
 remedy_rows() { # STUDY SCENE TRAIN-OPTIONS
-  local study=$1 scene=$2
+  local study=$1 scene=$2 until
   shift 2
   row "$study" full "$scene" "" "$@"
   row "$study" "no seeded ground" "$scene" "" "$@" --seed-ground 0
@@ -444,7 +444,8 @@ remedy_rows() { # STUDY SCENE TRAIN-OPTIONS
   row "$study" "no loss on sizes" "$scene" "" "$@" --scale-weight 0
   row "$study" "no limit of sizes" "$scene" "" "$@" --size-limit 0
   row "$study" "harmonics as trained" "$scene" "" "$@" --sh-ridge 0
-  row "$study" "opacity resets" "$scene" "" "$@" --reset-interval 200 --densify-until-3 0.8
+  [ "$study" = remedies ] && until=1,1,0.8 # three levels
+  row "$study" "opacity resets" "$scene" "" "$@" --reset-interval 200 --densify-until "${until:-0.8}"
 }
 study_remedies() { seeded remedies on_demo remedy_rows remedies; }
 study_remedies_caliterra() { seeded remedies_caliterra on_caliterra remedy_rows remedies_caliterra; }
@@ -461,7 +462,7 @@ study_background_caliterra() { seeded background_caliterra on_caliterra backgrou
 
 # What long Gaussians and harmonics do to views from where nobody photographed.
 side_rows() {
-  local MAP_VIEWS=1 base=(--iterations "$(steps side)" --budget-1 20000 --budget-2 40000 --budget-3 80000)
+  local MAP_VIEWS=1 base=(--iterations "$(steps side)" --budget 20000,40000,80000)
   row side "neither" above "" "${base[@]}" --size-limit 0 --sh-ridge 0
   row side "both" above "" "${base[@]}"
 }
@@ -471,7 +472,7 @@ side_demo_rows() {
   row side_demo "both" demo "" "${base[@]}"
 }
 side_caliterra_rows() {
-  local base=(--level-count 1 --iterations "$(steps side_caliterra)" --budget-3 200000)
+  local base=(--level-count 1 --iterations "$(steps side_caliterra)" --budget 200000)
   row side_caliterra "neither" caliterra-400 "" "${base[@]}" --size-limit 0 --sh-ridge 0
   row side_caliterra "both" caliterra-400 "" "${base[@]}"
 }
@@ -486,7 +487,7 @@ rates_city_rows() {
   row rates default demo "" "${base[@]}"
 }
 rates_caliterra_rows() {
-  local base=(--level-count 1 --iterations "$(steps rates_caliterra)" --budget-3 200000)
+  local base=(--level-count 1 --iterations "$(steps rates_caliterra)" --budget 200000)
   row rates_caliterra "rates of the full method" caliterra-400 "" "${base[@]}" --lr-short 1
   row rates_caliterra default caliterra-400 "" "${base[@]}"
 }
@@ -501,7 +502,7 @@ study_full() {
 
 # A square kilometre in twelve cells, trained once for the studies of its tiles and levels as well. Opacities are reset twice
 # in each level, which needs a shorter interval than that of the full method.
-big_options() { printf '%s\n' --iterations "$(steps big)" --reset-interval 750 --budget-1 30000 --budget-2 60000 --budget-3 100000 --jobs 2; }
+big_options() { printf '%s\n' --iterations "$(steps big)" --reset-interval 750 --budget 30000,60000,100000 --jobs 2; }
 study_big() {
   local base MAP_VIEWS=1
   mapfile -t base < <(big_options)
@@ -550,7 +551,7 @@ supersample_caliterra_rows() {
   for px in 400 200 100; do
     for f in 1 2; do
       level_row supersample_caliterra "$px px: $f" caliterra-400 "factor=$f" --half-image off --max-edge-px "$px" --supersample "$f" -- \
-        --level-count 1 --iterations "$(steps supersample_caliterra)" --budget-3 200000
+        --level-count 1 --iterations "$(steps supersample_caliterra)" --budget 200000
     done
   done
 }
@@ -565,11 +566,11 @@ study_lod() { # tile sizes, distances and what a Gaussian may have on the screen
   done
   for edge in 50 100 200; do
     tile_row lod "edge: $edge m" big "edge_m=$edge,distance_1_m=90,distance_2_m=180" --tile-edge-m "$edge" \
-      --eval --metric distance --distance-1-m 90 --distance-2-m 180 -- "${base[@]}"
+      --eval --metric distance --distance-m 90,180 -- "${base[@]}"
   done
   for d in 45 180 360; do
     tile_row lod "distance: $d m" big "edge_m=50,distance_1_m=$d,distance_2_m=$((2 * d))" --tile-edge-m 50 \
-      --eval --metric distance --distance-1-m "$d" --distance-2-m $((2 * d)) -- "${base[@]}"
+      --eval --metric distance --distance-m "$d",$((2 * d)) -- "${base[@]}"
   done
 }
 
@@ -622,17 +623,17 @@ rate() { # SUFFIX SCENE TRAIN-OPTIONS
   forget
 }
 study_rd() {
-  rate "" caliterra-400 --level-count 1 --iterations "$(steps rd)" --budget-3 150000
+  rate "" caliterra-400 --level-count 1 --iterations "$(steps rd)" --budget 150000
   rate _city city --iterations "$(steps rd_city)" "${SMALL[@]}"
 }
 
 study_layout() { # study_rd has two scenes; this one has appearance embeddings
   local n command
   n=$(steps layout_light) || exit 1
-  command="citysplat train city-light --level-count 1 --iterations $n --budget-3 100000 --appearance --appearance-warmup 250 --embed-len 16"
+  command="citysplat train city-light --level-count 1 --iterations $n --budget 100000 --appearance --appearance-warmup 250 --embed-len 16"
   command+="; citysplat tile city-light --crop none; citysplat-bench layout --tiles CITY.tiles"
   wanted layout_light "order: Hilbert curve" "$command" || return 0
-  scored layout city-light --level-count 1 --iterations "$n" --budget-3 100000 --appearance --appearance-warmup 250 --embed-len 16
+  scored layout city-light --level-count 1 --iterations "$n" --budget 100000 --appearance --appearance-warmup 250 --embed-len 16
   citysplat tile "$OUT/city-light" --crop none --trained "$FOLDER" -o "$FOLDER/city.tiles" >&2
   bench_scored layout layout_light city-light "$command" --tiles "$FOLDER/city.tiles"
   forget
@@ -650,7 +651,7 @@ pyramid() { # STUDY SCENE TRAIN-OPTIONS
   forget
 }
 study_pyramid() {
-  pyramid pyramid caliterra-400 --iterations "$(steps pyramid)" --budget table --budget-1 25000 --budget-2 50000 --budget-3 100000
+  pyramid pyramid caliterra-400 --iterations "$(steps pyramid)" --budget-rule table --budget 25000,50000,100000
   pyramid pyramid_city city --iterations "$(steps pyramid_city)" "${SMALL[@]}"
 }
 

@@ -19,14 +19,14 @@
 #include "core/options.h"
 
 struct chart_options {
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "bench/study_chart.def"
 #undef OPT
 };
 
 static const struct options_def chart_option_defs[] = {
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct chart_options, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct chart_options, type, tier, key, def, lo, hi, unit, help)
 #include "bench/study_chart.def"
 #undef OPT
 };

@@ -20,14 +20,14 @@
 #include "train/config.h"
 
 struct record_options {
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "bench/study_record.def"
 #undef OPT
 };
 
 static const struct options_def record_defs[] = {
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct record_options, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct record_options, type, tier, key, def, lo, hi, unit, help)
 #include "bench/study_record.def"
 #undef OPT
 };

@@ -10,7 +10,7 @@
 #include "lod/query.h"
 
 struct ask_options {
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/ask.def"
 #include "cli/geoid.def"
 #undef OPT

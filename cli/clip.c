@@ -9,14 +9,14 @@
 #include "cli/cli.h"
 
 struct clip_options {
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/clip.def"
 #undef OPT
 };
 
 static const struct options_def defs[] = {
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct clip_options, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct clip_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/clip.def"
 #undef OPT
 };

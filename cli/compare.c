@@ -13,20 +13,20 @@
 
 struct compare_options {
     struct maps_options maps;
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/compare.def"
 #undef OPT
 };
 
 static const struct options_def defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW_IN(struct compare_options, maps, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW_IN(struct compare_options, maps, type, tier, key, def, lo, hi, unit, help)
 #include "cli/maps.def"
 #undef OPT
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct compare_options, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct compare_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/compare.def"
 #undef OPT
 };

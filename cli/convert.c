@@ -22,14 +22,14 @@
 #include "codec/spz.h"
 
 struct convert_options {
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/convert.def"
 #undef OPT
 };
 
 static const struct options_def convert_defs[] = {
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct convert_options, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct convert_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/convert.def"
 #undef OPT
 };

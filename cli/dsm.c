@@ -12,13 +12,13 @@ struct dsm_options {
 
 static const struct options_def defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW_IN(struct dsm_options, maps, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW_IN(struct dsm_options, maps, type, tier, key, def, lo, hi, unit, help)
 #include "cli/maps.def"
 #undef OPT
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW_IN(struct dsm_options, heights, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW_IN(struct dsm_options, heights, type, tier, key, def, lo, hi, unit, help)
 #include "cli/geoid.def"
 #undef OPT
 };

@@ -31,15 +31,15 @@
 #include "train/train_scene.h"
 
 struct eval_options {
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/eval.def"
 #undef OPT
 };
 
 static const struct options_def eval_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct eval_options, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct eval_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/eval.def"
 #undef OPT
 };
@@ -426,8 +426,9 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
         .supersample = (uint32_t)v->o.supersample,
     };
     struct eval_view own;
-    w.po.distance_m[0] = v->o.distance_1_m;
-    w.po.distance_m[1] = v->o.distance_2_m;
+    const struct options_nums *d = &v->o.distance_m;
+    w.po.distance_m[0] = d->n == 1 ? d->one : d->v[0];
+    w.po.distance_m[1] = d->n == 1 ? 2.0 * d->one : d->v[1];
     v->exposure = v->exposed && v->o.exposure;
     struct evaluate_source src = {.draw = eval_draw_view,
                                   .user = &w,

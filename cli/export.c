@@ -45,14 +45,14 @@ enum {
 };
 
 struct export_options {
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/export.def"
 #undef OPT
 };
 
 static const struct options_def defs[] = {
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct export_options, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct export_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/export.def"
 #undef OPT
 };

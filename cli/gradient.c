@@ -25,14 +25,14 @@
 #include <jansson.h>
 
 struct gradient_options {
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/gradient.def"
 #undef OPT
 };
 
 static const struct options_def gradient_defs[] = {
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct gradient_options, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct gradient_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/gradient.def"
 #undef OPT
 };

@@ -17,14 +17,14 @@
 enum { IMPORT_AXES_AUTO, IMPORT_AXES_ENU, IMPORT_AXES_YUP, IMPORT_AXES_YDOWN };
 
 struct import_options {
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/import.def"
 #undef OPT
 };
 
 static const struct options_def defs[] = {
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct import_options, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct import_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/import.def"
 #undef OPT
 };

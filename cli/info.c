@@ -19,14 +19,14 @@
 #include "lod/tree.h"
 
 struct info_options {
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/info.def"
 #undef OPT
 };
 
 static const struct options_def defs[] = {
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct info_options, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct info_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/info.def"
 #undef OPT
 };

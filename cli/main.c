@@ -6,7 +6,8 @@
  *
  *   citysplat help [COMMAND]          the commands, or one of them
  *   citysplat help --markdown         the command reference, docs/commands.md
- *   citysplat help --man [COMMAND]    a manual page in mdoc, docs/man/citysplat[-COMMAND].1
+ *   citysplat help --man [COMMAND]    a manual page in mdoc; the build makes and installs them
+ *   citysplat completion SHELL        the completion of bash, zsh or fish; likewise
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -16,6 +17,7 @@
 #include <sysexits.h>
 
 #include "cli/cli.h"
+#include "core/options_completion.h"
 #include "core/options_help.h"
 #include "server/draw.h"
 
@@ -55,7 +57,10 @@ static void print_help(FILE *f)
             about_text);
     for (const struct command *c = commands; c->name; c++)
         fprintf(f, "  %-9s %s\n", c->name, c->about);
-    fprintf(f, "\n`citysplat help COMMAND` tells about one of them. The usual way:\n");
+    fprintf(f,
+            "\n`citysplat help COMMAND` shows its everyday options, `citysplat COMMAND --help=all` "
+            "all of them.\n`citysplat completion bash|zsh|fish` prints a completion for the shell."
+            "\n\nThe usual way:\n");
     for (const char *p = usual_way; *p; p += strcspn(p, "\n") + 1)
         fprintf(f, "  %.*s\n", (int)strcspn(p, "\n"), p);
 }
@@ -106,8 +111,12 @@ static int print_markdown(void)
 {
     printf(
         "# Commands\n\n"
-        "Every command and every option, as `citysplat help COMMAND` prints them. Written by\n"
-        "`citysplat help --markdown`; do not edit.\n\n"
+        "Every command and every option, as `citysplat COMMAND --help=all` prints them. "
+        "`citysplat\n"
+        "help COMMAND` prints the options of the tier everyday. Written by `citysplat help "
+        "--markdown`;\ndo not edit.\n\n"
+        "Whole numbers take `k`, `M` and `G`: thousands, or steps of 1024 where the unit is bytes. "
+        "A list is\n`A,B,C`, coarsest level first; in config files also `[A, B, C]`.\n\n"
         "stdout is data, stderr is the log. Exit codes: 0 done, 1 failed, 2 the command line was "
         "wrong; those of serve are in its own section.\n\n"
         "Every command also takes `--config FILE` (options from a .jsonc file, with `_` for `-` in "
@@ -174,6 +183,31 @@ static int help(int argc, char **argv)
     return 0;
 }
 
+static int completion(const char *shell)
+{
+    static const char *const shells[] = {"bash", "zsh", "fish"};
+    const char *names[sizeof commands / sizeof *commands];
+    size_t n = 0, s = 0;
+    char form[32];
+    while (s < 3 && (!shell || strcmp(shells[s], shell)))
+        s++;
+    if (s == 3) {
+        fprintf(stderr, "citysplat completion: error: '%s' is not bash, zsh or fish\n",
+                shell ? shell : "");
+        return 2;
+    }
+    for (const struct command *c = commands; c->name; c++)
+        names[n++] = c->name;
+    enum options_format format = (enum options_format)(OPTIONS_FORMAT_BASH + (int)s);
+    options_completion_head(stdout, names, n, format);
+    snprintf(form, sizeof form, "--help=%s", shell);
+    int rc = 0;
+    for (const struct command *c = commands; !rc && c->name; c++)
+        rc = help_of(c, form);
+    options_completion_tail(stdout, format);
+    return rc;
+}
+
 int main(int argc, char **argv)
 {
     setlocale(LC_ALL, "C"); /* numbers are written with a point, whatever the user's language */
@@ -186,6 +220,8 @@ int main(int argc, char **argv)
     }
     if (!strcmp(name, "help") || !strcmp(name, "--help") || !strcmp(name, "-h"))
         return help(argc - 1, argv + 1);
+    if (!strcmp(name, "completion"))
+        return completion(argc > 2 ? argv[2] : NULL);
     const struct command *c = command_find(name);
     return c ? run(c, argc - 1, argv + 1) : no_command(name);
 }

@@ -10,19 +10,19 @@
 #include "codec/geojson.h"
 
 struct measure_options {
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/measure.def"
 #undef OPT
     struct ask_options ask;
 };
 
 static const struct options_def defs[] = {
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct measure_options, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct measure_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/measure.def"
 #undef OPT
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW_IN(struct measure_options, ask, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW_IN(struct measure_options, ask, type, tier, key, def, lo, hi, unit, help)
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
 #include "cli/ask.def"
 #define GROUP(title) OPTIONS_GROUP_ROW(title)

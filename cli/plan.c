@@ -13,14 +13,14 @@
 #define PLAN_RAD_PER_DEG 0.017453292519943295
 
 struct plan_options {
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/plan.def"
 #undef OPT
 };
 
 static const struct options_def plan_defs[] = {
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct plan_options, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct plan_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/plan.def"
 #undef OPT
 };

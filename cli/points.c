@@ -9,25 +9,25 @@
 struct points_options {
     struct maps_options maps;
     struct geoid_options heights;
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/ortho.def"
 #undef OPT
 };
 
 static const struct options_def defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW_IN(struct points_options, maps, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW_IN(struct points_options, maps, type, tier, key, def, lo, hi, unit, help)
 #include "cli/maps.def"
 #undef OPT
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW_IN(struct points_options, heights, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW_IN(struct points_options, heights, type, tier, key, def, lo, hi, unit, help)
 #include "cli/geoid.def"
 #undef OPT
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct points_options, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct points_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/ortho.def"
 #undef OPT
 };

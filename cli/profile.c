@@ -6,19 +6,19 @@
 #include "cli/cli.h"
 
 struct profile_options {
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/profile.def"
 #undef OPT
     struct ask_options ask;
 };
 
 static const struct options_def defs[] = {
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct profile_options, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct profile_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/profile.def"
 #undef OPT
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW_IN(struct profile_options, ask, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW_IN(struct profile_options, ask, type, tier, key, def, lo, hi, unit, help)
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
 #include "cli/ask.def"
 #define GROUP(title) OPTIONS_GROUP_ROW(title)

@@ -23,15 +23,15 @@
 #include "render/render.h"
 
 struct render_cli_options {
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/render.def"
 #undef OPT
 };
 
 static const struct options_def defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct render_cli_options, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct render_cli_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/render.def"
 #undef OPT
 };

@@ -20,14 +20,14 @@
 #include "survey/sheet.h"
 
 struct report_options {
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/report.def"
 #undef OPT
 };
 
 static const struct options_def defs[] = {
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct report_options, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct report_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/report.def"
 #undef OPT
 };

@@ -17,8 +17,8 @@
 
 static const struct options_def defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct server_config, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct server_config, type, tier, key, def, lo, hi, unit, help)
 #include "server/options.def"
 #undef OPT
 };

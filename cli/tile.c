@@ -35,14 +35,14 @@
 enum { TILE_LEVELS_MAX = 7, TILE_PART_ROWS = 131072 };
 
 struct tile_options {
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/tile.def"
 #undef OPT
 };
 
 static const struct options_def defs[] = {
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct tile_options, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct tile_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/tile.def"
 #undef OPT
 };

@@ -1,30 +1,33 @@
-/* Options: one X-macro table a command (core/options_spec.h), from which come the config struct,
- * the flags, the config-file keys, the range checks, --help, the reference (docs/commands.md,
- * docs/man) and --print-config. A default exists in one place.
+/* Options: one X-macro table a command (core/options_spec.h). The config struct, the flags, the
+ * keys of config files, the range checks, --help, the reference (docs/commands.md), the manual
+ * pages, the shell completion and --print-config come from it. A default exists in one place.
  *
- *   train/options.def:   OPT(NUM, cell_edge_m, "180", 1, 5000, "m", "edge P of a training cell")
- *                        OPT(ENUM, aa, "2d", 0, 0, "none|2d|mip", "anti-aliasing")
- *   train/train.h:       struct train_config {
- *                        #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
- *                        #include "train/options.def"
- *                        #undef OPT
- *                        };
- *   cli/train.c:         static const struct options_def defs[] = {
- *                        #define GROUP(title) OPTIONS_GROUP_ROW(title)
- *                        #define OPT(type, key, def, lo, hi, unit, help) \
- *                            OPTIONS_ROW(struct train_config, type, key, def, lo, hi, unit, help)
- *                        #include "train/options.def"
- *                        #undef OPT
- *                        };
+ *   train/options.def:  OPT(NUM, MORE, near_m, "0", 0, 1000, "m", "near plane")
+ *                       OPT(ENUM, MORE, aa, "2d", 0, 0, "none|2d|mip", "anti-aliasing")
+ *   train/config.h:     struct train_config {
+ *                       #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+ *                       #include "train/options.def"
+ *                       #undef OPT
+ *                       };
+ *   train/config.c:     static const struct options_def train_defs[] = {
+ *                       #define GROUP(title) OPTIONS_GROUP_ROW(title)
+ *                       #define OPT(type, tier, key, def, lo, hi, unit, help) \
+ *                         OPTIONS_ROW(struct train_config, type, tier, key, def, lo, hi, unit,
+ * help)
+ *                       #include "train/options.def"
+ *                       #undef OPT
+ *                       };
  *
  * GROUP("title") in a table puts the options behind it under a heading of the help. A table with
  * groups begins with `#ifndef GROUP`, an empty definition and `#endif`, and ends with `#undef
  * GROUP`, so that the struct need not know of them.
  *
- * The flag of cell_edge_m is --cell-edge-m VALUE (or =VALUE). BOOL takes --key and --no-key; --help
- * shows the one that changes the default ("--no-masks  turn off: " and the help text).
- * Precedence: default < --config FILE... in order < flags. Unknown flags and keys are errors that
- * name the nearest one.
+ * The flag of near_m is --near-m VALUE (or =VALUE). BOOL takes --key and --no-key; --help shows the
+ * one that changes the default ("--no-masks  Turn off: " and the help text). Whole numbers take k,
+ * M and G: thousands, or steps of 1024 where the unit is KB, MB or MiB (4G of MiB is 4096). Lists
+ * are A,B,C, in config files also arrays. Precedence: default < --config FILE... in order < flags.
+ * Unknown flags and keys are errors that name the nearest one. core/options_rules.def says which
+ * options do not go together.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* The help of a command in three forms (core/options_help.h).
+/* The help of a command as text, Markdown and mdoc (core/options_help.h).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -12,11 +12,12 @@ enum { OPTIONS_HELP_COLUMN = 34, OPTIONS_HELP_WIDTH = 100, OPTIONS_HELP_MDOC_WID
 static const struct options_help_always {
     const char *flag, *value, *about;
 } options_help_always[] = {
-    {"--config", "FILE", "options from a .jsonc file; later files and flags win"},
+    {"--config", "FILE", "read options from a .jsonc file; later files and flags win"},
     {"--print-config", "", "print the resolved options as JSON and stop"},
-    {"-v", "", "more log lines"},
-    {"-q", "", "no progress, only warnings and errors"},
-    {"-h, --help", "", "this text"},
+    {"-v", "", "print more log lines"},
+    {"-q", "", "print no progress, only warnings and errors"},
+    {"-h, --help", "", "print the everyday options"},
+    {"--help=all", "", "print all options"},
 };
 enum { OPTIONS_HELP_ALWAYS = sizeof options_help_always / sizeof *options_help_always };
 
@@ -33,8 +34,7 @@ static bool options_help_is_on(const struct options_def *d)
     return d->type == OPTIONS_BOOL && !strcmp(d->def, "true");
 }
 
-/* The flag that changes the default: --no-masks where masks are on. */
-static void options_help_shown_flag(const struct options_def *d, char out[OPTIONS_NAME_MAX + 4])
+void options_help_shown_flag(const struct options_def *d, char out[OPTIONS_NAME_MAX + 4])
 {
     char flag[OPTIONS_NAME_MAX];
     options_help_flag(d->key, flag);
@@ -46,6 +46,8 @@ static const char *options_help_value(const struct options_def *d)
 {
     if (d->type == OPTIONS_BOOL)
         return "";
+    if (d->type == OPTIONS_INTS || d->type == OPTIONS_NUMS)
+        return "A,B,...";
     if (*d->unit)
         return d->unit;
     return d->type == OPTIONS_INT ? "N" : "X";
@@ -53,7 +55,8 @@ static const char *options_help_value(const struct options_def *d)
 
 static bool options_help_has_range(const struct options_def *d)
 {
-    return d->type == OPTIONS_NUM || d->type == OPTIONS_INT;
+    return d->type == OPTIONS_NUM || d->type == OPTIONS_INT || d->type == OPTIONS_INTS ||
+           d->type == OPTIONS_NUMS;
 }
 
 /* ---- text ---- */
@@ -83,25 +86,64 @@ static void options_help_text_one(FILE *f, const struct options_def *d)
     snprintf(head, sizeof head, "  --%s%s%s", flag, *value ? " " : "", value);
     const char *quote = d->type == OPTIONS_BOOL || !*d->def ? NULL : d->def;
     /* The help says what the option does; where it is on, the flag that is shown turns it off. */
-    snprintf(tail, sizeof tail, "%s%s%s%s%s", options_help_is_on(d) ? "turn off: " : "", d->help,
+    snprintf(tail, sizeof tail, "%s%s%s%s%s", options_help_is_on(d) ? "Turn off: " : "", d->help,
              quote ? " [" : "", quote ? quote : "", quote ? "]" : "");
-    int n = fprintf(f, "%-*s", OPTIONS_HELP_COLUMN, head);
-    if (n > OPTIONS_HELP_COLUMN)
+    fprintf(f, "%-*s", OPTIONS_HELP_COLUMN, head);
+    if (strlen(head) >= OPTIONS_HELP_COLUMN) /* no space is left before the text */
         fprintf(f, "\n%*s", OPTIONS_HELP_COLUMN, "");
     options_help_wrapped(f, tail, OPTIONS_HELP_COLUMN, OPTIONS_HELP_COLUMN);
 }
 
-static void options_help_text(FILE *f, const struct options_spec *spec)
+/* Options of heading `at` (its row, or 0 for those before any heading) that belong to `tier`. */
+static size_t options_help_count(const struct options_spec *spec, size_t at, enum options_tier tier)
+{
+    size_t n = 0, i = at + (at < spec->n_defs && spec->defs[at].type == OPTIONS_GROUP);
+    for (; i < spec->n_defs && spec->defs[i].type != OPTIONS_GROUP; i++)
+        n += spec->defs[i].tier == tier;
+    return n;
+}
+
+/* "81 more: optimizer 14, appearance 9; `citysplat train --help=all` shows them" */
+static void options_help_more(FILE *f, const struct options_spec *spec)
+{
+    char text[1600];
+    size_t n = 0, at = 0;
+    for (size_t i = 0; i < spec->n_defs; i++)
+        n += spec->defs[i].type != OPTIONS_GROUP && spec->defs[i].tier == OPTIONS_MORE;
+    if (!n)
+        return;
+    at += (size_t)snprintf(text, sizeof text, "%zu more", n);
+    const char *before = ": ";
+    for (size_t i = 0; i < spec->n_defs; i++) {
+        const struct options_def *d = &spec->defs[i];
+        size_t more = d->type == OPTIONS_GROUP ? options_help_count(spec, i, OPTIONS_MORE) : 0;
+        if (!more || at >= sizeof text)
+            continue;
+        at += (size_t)snprintf(text + at, sizeof text - at, "%s%.*s %zu", before,
+                               (int)strcspn(d->help, "(:"), d->help, more);
+        before = ", ";
+    }
+    if (at < sizeof text)
+        snprintf(text + at, sizeof text - at, "; `citysplat %s --help=all` shows them",
+                 spec->command);
+    putc('\n', f);
+    options_help_wrapped(f, text, 0, 0);
+}
+
+static void options_help_text(FILE *f, const struct options_spec *spec, bool all)
 {
     fprintf(f, "usage: %s\n\n", spec->usage);
     options_help_wrapped(f, spec->about, 0, 0);
     if (spec->n_defs)
         fprintf(f, "\noptions (defaults in brackets):\n");
     for (size_t i = 0; i < spec->n_defs; i++)
-        if (spec->defs[i].type == OPTIONS_GROUP)
-            fprintf(f, "\n%s:\n", spec->defs[i].help);
-        else
+        if (spec->defs[i].type == OPTIONS_GROUP) {
+            if (all || options_help_count(spec, i, OPTIONS_EVERYDAY))
+                fprintf(f, "\n%s:\n", spec->defs[i].help);
+        } else if (all || spec->defs[i].tier == OPTIONS_EVERYDAY)
             options_help_text_one(f, &spec->defs[i]);
+    if (!all)
+        options_help_more(f, spec);
     fprintf(f, "\nof every command:\n");
     for (size_t i = 0; i < OPTIONS_HELP_ALWAYS; i++) {
         char head[80];
@@ -134,7 +176,7 @@ static void options_help_md_head(FILE *f, const char *title)
 {
     if (title)
         fprintf(f, "\n### %c%s\n", toupper((unsigned char)*title), title + 1);
-    fprintf(f, "\n| option | default | range | what |\n|---|---|---|---|\n");
+    fprintf(f, "\n| option | tier | default | range | what |\n|---|---|---|---|---|\n");
 }
 
 static void options_help_md_one(FILE *f, const struct options_def *d)
@@ -150,13 +192,13 @@ static void options_help_md_one(FILE *f, const struct options_def *d)
     } else {
         putc('`', f);
     }
-    fprintf(f, " | ");
+    fprintf(f, " | %s | ", d->tier == OPTIONS_EVERYDAY ? "everyday" : "more");
     if (d->type != OPTIONS_BOOL)
         options_help_md_text(f, d->def);
     fprintf(f, " | ");
     if (options_help_has_range(d))
         fprintf(f, "%.15g to %.15g", d->lo, d->hi);
-    fprintf(f, " | %s", options_help_is_on(d) ? "turn off: " : "");
+    fprintf(f, " | %s", options_help_is_on(d) ? "Turn off: " : "");
     options_help_md_text(f, d->help);
     fprintf(f, " |\n");
 }
@@ -334,5 +376,5 @@ void options_help_print(FILE *f, const struct options_spec *spec, enum options_f
     else if (format == OPTIONS_FORMAT_MDOC)
         options_help_mdoc(f, spec);
     else
-        options_help_text(f, spec);
+        options_help_text(f, spec, format == OPTIONS_FORMAT_ALL);
 }

@@ -13,7 +13,7 @@
 struct gcp_list;
 
 struct ingest_config {
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "ingest/ingest.def"
 #undef OPT
 };

@@ -7,8 +7,8 @@
 enum err_code config_defaults(struct server_config *out, struct arena *a, struct err *e)
 {
     static const struct options_def defs[] = {
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct server_config, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct server_config, type, tier, key, def, lo, hi, unit, help)
 #include "server/options.def"
 #undef OPT
     };

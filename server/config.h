@@ -9,7 +9,7 @@
 #include "core/options.h"
 
 struct server_config { /* texts are borrowed and live as long as the server */
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "server/options.def"
 #undef OPT
 };

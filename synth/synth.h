@@ -23,7 +23,7 @@ struct colmap_model;
 struct lens;
 
 struct synth_config {
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "synth/synth.def"
 #undef OPT
 };

@@ -1,5 +1,5 @@
 /* Budgets that follow the photographs: the numbers of a case worked out by hand, the decision of
- * --budget auto, which photographs are held out, and the presets' tables.
+ * --budget-rule auto, which photographs are held out, and the presets' tables.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -65,15 +65,15 @@ static void what_fits_is_worked_out_by_hand(void **state)
     struct schedule levels[TRAIN_LEVELS_MAX] = {{.level = 1, .downsample = 4.0, .budget = 20000},
                                                 {.level = 2, .downsample = 2.0, .budget = 819200},
                                                 {.level = 3, .downsample = 1.0, .budget = 100000}};
-    c.budget = BUDGET_TABLE;
+    c.budget_rule = BUDGET_TABLE;
     budget_limit(&s, list, PHOTOS, &c, 0, levels);
     assert_int_equal(levels[1].budget, 819200);
-    c.budget = BUDGET_FIT;
+    c.budget_rule = BUDGET_FIT;
     budget_limit(&s, list, PHOTOS, &c, 0, levels);
     assert_int_equal(levels[0].budget, 20000);
     assert_in_range(levels[1].budget, 59700, 60300);
     assert_int_equal(levels[2].budget, 100000);
-    c.budget = BUDGET_AUTO;
+    c.budget_rule = BUDGET_AUTO;
     levels[2].budget = 1000000;
     budget_limit(&s, list, PHOTOS, &c, 9000, levels);
     assert_int_equal(levels[0].budget, 10000); /* half of the table's 20000 */
@@ -110,7 +110,7 @@ static void held_out_photographs_are_a_sixteenth(void **state)
     defaults(&c, &a);
     for (uint32_t i = 0; i < PHOTOS; i++)
         list[i] = 3 * i;
-    c.budget = BUDGET_AUTO;
+    c.budget_rule = BUDGET_AUTO;
     budget_hold_out(&c, list, PHOTOS, train, &n_train, held, &n_held);
     assert_int_equal(n_held, 2);
     assert_int_equal(held[0], 24);
@@ -120,7 +120,7 @@ static void held_out_photographs_are_a_sixteenth(void **state)
         assert_true(train[i] != 24 && train[i] != 72);
     budget_hold_out(&c, list, 15, train, &n_train, held, &n_held);
     assert_int_equal(n_held, 0);
-    c.budget = BUDGET_FIT;
+    c.budget_rule = BUDGET_FIT;
     budget_hold_out(&c, list, PHOTOS, train, &n_train, held, &n_held);
     assert_int_equal(n_held, 0);
     assert_int_equal(n_train, PHOTOS);

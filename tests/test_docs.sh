@@ -88,11 +88,11 @@ fence || /^    / {
 # What there is: docs/commands.md, which tests/test_reference.sh compares with the program; the rows of options of
 # citysplat-bench; the usage of bootstrap.
 {
-    printf 'help\t--markdown\nhelp\t--man\nhelp\t\n'
+    printf 'help\t--markdown\nhelp\t--man\nhelp\t\ncompletion\t\n'
     awk '
     /^## citysplat / { command = $3; for (k = split("--config --print-config --help", all, " "); k; k--) print command "\t" all[k]; print command "\t" }
     command != "" && match($0, /^\| `--[a-z0-9-]+`/) { print command "\t" substr($0, 4, RLENGTH - 4) }' docs/commands.md
-    sed -n 's/^OPT([A-Z]*, *\([a-z_]*\),.*/\1/p' bench/options.def | sed 's/_/-/g; s/^/-bench\t--/'
+    sed -n 's/^OPT([A-Z]*, [A-Z]*, *\([a-z_]*\),.*/\1/p' bench/options.def | sed 's/_/-/g; s/^/-bench\t--/'
     ./bootstrap help | sed -n 's|^ *\./bootstrap \([a-z]*\).*|bootstrap \1\t|p'
 } >"$work/known"
 awk -F'\t' 'NR == FNR { known[$1, $2]; next }

@@ -11,7 +11,7 @@ fail() { echo "FAILED: $1"; cat log; exit 1; }
 run() { "$bin" "$@" >log 2>&1 || fail "$*"; }
 run synth --extent-m 60 --photos 24 --width-px 96 --height-px 72 --points 3000 --map-views 8 -o city -q
 run ingest city/images city/sparse --min-points 12 -o scene -q
-run train scene --level-count 2 --iterations 120 --budget-2 3000 --budget-3 4000 -q
+run train scene --level-count 2 --iterations 120 --budget 3000,4000 -q
 run tile scene --name t -o t.tiles -q
 run eval scene --views city/map-views -o levels.json --pictures out
 grep -q "overview" log && grep -q "^level 2 *all  *8 " log || fail "rows of the finest level"
@@ -45,8 +45,8 @@ run synth --extent-m 60 --photos 24 --width-px 96 --height-px 72 --points 3000 -
 run ingest bright/images bright/sparse --min-points 12 -o bright-scene -q
 cp -r bright/map-views swapped
 awk '/"photograph"/ { sub(/IMG_[0-9]*/, sprintf("IMG_%04d", 2 + 7 * n++ % 22)) } { print }' bright/map-views/views.json >swapped/views.json
-run train bright-scene --level-count 1 --iterations 120 --budget-3 4000 -o exposure -q
-run train bright-scene --level-count 1 --iterations 500 --budget-3 4000 --no-exposure --appearance --appearance-warmup 50 -o appearance -q
+run train bright-scene --level-count 1 --iterations 120 --budget 4000 -o exposure -q
+run train bright-scene --level-count 1 --iterations 500 --budget 4000 --no-exposure --appearance --appearance-warmup 50 -o appearance -q
 for results in exposure appearance; do
     run eval bright-scene --results $results --views bright/map-views
     right=$(psnr)

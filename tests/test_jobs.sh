@@ -18,7 +18,7 @@ same_levels() { # DIR-A DIR-B: the levels of all cells, byte by byte
     "$bin" ingest "$work/city/images" "$work/city/sparse" -o "$work/scene" --min-points 8 >>"$work/log" 2>&1 &&
     "$bin" plan "$work/scene" --edge-m 70 --images-few 6 --images-least 3 >>"$work/log" 2>&1 ||
     { cat "$work/log"; exit 1; }
-short="--iterations 40 --level-count 2 --budget-2 1500 --budget-3 1800 --coarse-iterations-min 20"
+short="--iterations 40 --level-count 2 --budget 1500,1800 --coarse-iterations-min 20"
 train() { "$bin" train "$work/scene" $short "$@" >"$work/log" 2>&1; }
 
 check 'the picture of the plan shows cells, cameras and points' sh -c \
@@ -59,7 +59,7 @@ check 'a damaged result is trained again' train -o "$work/fail" --jobs 2 --resum
 check 'and is the same again' same_levels "$work/serial" "$work/fail"
 
 # A stop reaches every child; nothing is lost and nothing is left running.
-"$bin" train "$work/scene" --level-count 1 --iterations 900000 --no-coarse-start -o "$work/stop" --jobs 2 --threads 2 --budget-3 1500 \
+"$bin" train "$work/scene" --level-count 1 --iterations 900000 --no-coarse-start -o "$work/stop" --jobs 2 --threads 2 --budget 1500 \
     >"$work/log" 2>&1 &
 parent=$!
 for _ in $(seq 300); do

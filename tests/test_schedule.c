@@ -100,7 +100,7 @@ static void every_index_from_one_to_the_last_is_used_once(void **state)
     for (int64_t iterations = 7; iterations < 70000; iterations = iterations * 3 + 1) {
         struct train_config c = defaults(&a);
         struct schedule s[3];
-        c.iterations = iterations;
+        c.iterations.one = iterations;
         kit_ok(schedule_make(&c, 75, &cell, s, &e), e);
         uint64_t total = 0;
         for (int l = 0; l < 3; l++) {
@@ -128,7 +128,7 @@ static void runs_of_any_length_remove_huge_gaussians(void **state)
         for (int64_t levels = 1; levels <= 3; levels++) {
             struct train_config c = defaults(&a);
             struct schedule s[3];
-            c.iterations = iterations;
+            c.iterations.one = iterations;
             c.level_count = levels;
             kit_ok(schedule_make(&c, 75, &cell, s, &e), e);
             for (int64_t l = 0; l < levels; l++) {
@@ -157,7 +157,7 @@ static void many_photographs_stretch_and_short_runs_shrink(void **state)
     c.scale_by_images = false;
     kit_ok(schedule_make(&c, 901, &cell, s, &e), e);
     assert_int_equal(s[0].steps, 15000);
-    c.iterations = 2000;
+    c.iterations.one = 2000;
     kit_ok(schedule_make(&c, 901, &cell, s, &e), e);
     assert_int_equal(s[0].steps, 500);
     assert_int_equal(s[1].steps, 500);
@@ -185,7 +185,7 @@ static void fewer_levels_take_the_finest_rows(void **state)
     assert_int_equal(s[0].steps, 30000);
     assert_true(s[0].downsample == 1.0);
     assert_true(s[0].absgrad);
-    assert_int_equal(s[0].budget, c.budget_3);
+    assert_int_equal(s[0].budget, c.budget.v[2]);
     assert_int_equal(schedule_sh_degree(&s[0], 1), 0); /* it is the first level all the same */
     arena_free(&a);
 }
@@ -216,11 +216,40 @@ static void impossible_plans_are_refused(void **state)
     struct err e = {0};
     struct train_config c = defaults(&a);
     struct schedule s[3];
-    c.iterations = 1;
+    c.iterations.one = 1;
     kit_fails(schedule_make(&c, 10, &cell, s, &e), ERR_ARG, e, "level 1 of 3");
-    c.iterations = 0;
-    c.budget_2 = c.budget_1 - 1;
+    c.iterations.one = 0;
+    c.budget.v[1] = c.budget.v[0] - 1;
     kit_fails(schedule_make(&c, 10, &cell, s, &e), ERR_ARG, e, "budgets must not fall");
+    arena_free(&a);
+}
+
+/* One value: the finest budget with the default's proportion, the same interval everywhere. A list
+ * has a value a level; values for levels that are not trained are refused. */
+static void lists_have_one_value_or_one_a_level(void **state)
+{
+    (void)state;
+    struct arena a = {0};
+    struct err e = {0};
+    struct train_config c = defaults(&a);
+    struct schedule s[3];
+    c.budget = (struct options_ints){.v = {409600, 819200, 2048000}, .one = 100000, .n = 1};
+    c.densify_until.one = 0.25;
+    c.densify_until.n = 1;
+    kit_ok(schedule_make(&c, 10, &cell, s, &e), e);
+    assert_int_equal(s[0].budget, 20000);
+    assert_int_equal(s[1].budget, 40000);
+    assert_int_equal(s[2].budget, 100000);
+    assert_int_equal(s[0].densify_until, s[0].steps / 4);
+    assert_int_equal(s[2].densify_until, s[2].steps / 4);
+    c.iterations = (struct options_ints){.v = {1, 200, 300}, .n = 2};
+    kit_fails(schedule_make(&c, 10, &cell, s, &e), ERR_ARG, e,
+              "--iterations has 2 values and --level-count is 3");
+    c.level_count = 2;
+    kit_ok(schedule_make(&c, 10, &cell, s, &e), e);
+    assert_true(s[0].steps == 200 && s[1].steps == 300);
+    c.level_count = 1;
+    kit_fails(schedule_make(&c, 10, &cell, s, &e), ERR_ARG, e, "give one value, or one for each");
     arena_free(&a);
 }
 
@@ -245,7 +274,7 @@ static void short_runs_take_larger_steps(void **state)
         struct cell whole = {.whole = true, .edge_m = 100};
         struct err e = {0};
         kit_ok(options_defaults(train_options(), &cfg, &a, &e), e);
-        cfg.iterations = want[i].steps;
+        cfg.iterations.one = want[i].steps;
         kit_ok(schedule_make(&cfg, 60, &whole, s, &e), e);
         assert_true(fabs(s[2].lr_factor - want[i].factor) < 1e-6);
         assert_true(fabs(s[0].lr_mean_first - want[i].factor * cfg.lr_mean * 50) < 1e-9);
@@ -290,6 +319,7 @@ int main(void)
         cmocka_unit_test(fewer_levels_take_the_finest_rows),
         cmocka_unit_test(position_rate_decays_exponentially_and_restarts),
         cmocka_unit_test(impossible_plans_are_refused),
+        cmocka_unit_test(lists_have_one_value_or_one_a_level),
     };
     return cmocka_run_group_tests_name("schedule", tests, NULL, NULL);
 }

@@ -135,12 +135,12 @@ static struct train_config toy_config(struct arena *a, const char *out)
     struct err e = {0};
     kit_ok(options_defaults(train_options(), &c, a, &e), e);
     c.output = out;
-    c.iterations = 300;
-    c.downsample_1 = 2.0;
-    c.downsample_2 = 1.0;
-    c.budget_1 = 80;
-    c.budget_2 = 100;
-    c.budget_3 = 150; /* binds: the draw and its scores are part of every run here */
+    c.iterations.one = 300;
+    c.downsample.v[0] = 2.0;
+    c.downsample.v[1] = 1.0;
+    c.budget.v[0] = 80;
+    c.budget.v[1] = 100;
+    c.budget.v[2] = 150; /* binds: the draw and its scores are part of every run here */
     c.densify_interval_min = 8;
     c.importance_views = 3;
     c.sh_degree = 1;
@@ -379,7 +379,7 @@ static void twenty_steps_give_the_golden_trace(void **state)
     struct gauss g = {0};
     struct train_config c = toy_config(&a, NULL);
     c.level_count = 1;
-    c.iterations = 200;
+    c.iterations.one = 200;
     c.lr_short = 1;           /* the published rates */
     c.densify_from = 1000000; /* choices of who is split may tip over by rounding; steps may not */
     kit_ok(scene_read(scene_dir, &s, &e), e);
@@ -426,10 +426,10 @@ static void a_scene_without_points_starts_from_random_ones(void **state)
     kit_tmpdir(bare);
     toy_write(bare, false);
     struct train_config c = toy_config(&a, NULL); /* results go into the scene folder */
-    c.iterations = 12;
-    c.budget_1 = 200;
-    c.budget_2 = 200;
-    c.budget_3 = 200;
+    c.iterations.one = 12;
+    c.budget.v[0] = 200;
+    c.budget.v[1] = 200;
+    c.budget.v[2] = 200;
     kit_ok(train_again(bare, &c, &r, &e), e);
     assert_true(r.cells[0].n_gaussians[2] >= 90);
     kit_rmdir(bare);
@@ -449,8 +449,8 @@ static void pictures_smaller_than_the_window_are_scored_without_it(void **state)
     struct buf lines = {0};
     kit_tmpdir(out);
     struct train_config c = toy_config(&a, out);
-    c.iterations = 12;
-    c.downsample_1 = 5.0; /* 13 x 10 px */
+    c.iterations.one = 12;
+    c.downsample.v[0] = 5.0; /* 13 x 10 px */
     kit_ok(train_again(scene_dir, &c, &r, &e), e);
     assert_true(isfinite(r.cells[0].psnr_db[0]) && isfinite(r.cells[0].ssim[0]));
     snprintf(path, sizeof path, "%s/cells/all/metrics.jsonl", out);
@@ -517,7 +517,7 @@ static void cells_of_a_plan_are_trained_on_their_own(void **state)
     snprintf(path, sizeof path, "%s/plan.json", dir);
     kit_ok(cell_plan_write(path, &s, &plan, &e), e);
     struct train_config c = toy_config(&a, NULL);
-    c.iterations = 60;
+    c.iterations.one = 60;
     c.coarse_start = false;
     kit_ok(train_again(dir, &c, &r, &e), e);
     assert_int_equal(r.n_cells, trained);
@@ -582,7 +582,7 @@ static void a_finished_run_is_not_lost(void **state)
     struct buf first = {0}, again = {0};
     kit_tmpdir(out);
     struct train_config c = toy_config(&a, out);
-    c.iterations = 12;
+    c.iterations.one = 12;
     c.prune_contribution = 0.0; /* photographs are ranked all the same */
     c.prune_support = 0;
     kit_ok(train_again(scene_dir, &c, &r, &e), e);
@@ -593,7 +593,7 @@ static void a_finished_run_is_not_lost(void **state)
     kit_ok(file_read(path, 0, &first, &e), e);
     kit_ok(train_again(scene_dir, &c, &r, &e), e); /* the same options: nothing to do */
     assert_true(r.cells[0].was_done);
-    c.iterations = 15;
+    c.iterations.one = 15;
     for (int resume = 0; resume < 2; resume++) {
         c.resume = resume;
         kit_fails(train_again(scene_dir, &c, &r, &e), ERR_ARG, e, "iterations = 12, now it is 15");

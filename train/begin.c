@@ -158,8 +158,8 @@ static enum err_code begin_budget(struct begin *t, struct err *e)
         return err_set(e, ERR_MEM, "train: out of memory for %zu photographs", job->n_images);
     t->held = t->images + job->n_images;
     budget_hold_out(cfg, job->images, job->n_images, t->images, &t->n_images, t->held, &t->n_held);
-    if (cfg->budget == BUDGET_AUTO && !t->n_held)
-        log_warn("train", "%zu photographs are too few to hold any out: --budget fit is used",
+    if (cfg->budget_rule == BUDGET_AUTO && !t->n_held)
+        log_warn("train", "%zu photographs are too few to hold any out: --budget-rule fit is used",
                  job->n_images);
     enum err_code rc = schedule_make(cfg, t->n_images, &job->cell, t->levels, e);
     if (!rc)
@@ -200,7 +200,7 @@ static void begin_tell_length(const struct begin *t)
                                t->levels[i].steps);
     }
     log_info("train", "cell=%s %.0f steps, by level %s%s", t->job->cell.id, steps, parts,
-             t->job->cfg->iterations ? "" : ": the full method; --iterations N makes it shorter");
+             t->job->cfg->iterations.one ? "" : ": the full method; --iterations N makes it shorter");
 }
 
 /* A network that is warmed up for longer than its level learns nothing. */

@@ -50,18 +50,18 @@ void budget_limit(const struct scene *s, const uint32_t *images, size_t n_images
                   struct schedule levels[TRAIN_LEVELS_MAX])
 {
     size_t before = 0;
-    for (int64_t i = 0; cfg->budget != BUDGET_TABLE && i < cfg->level_count; i++) {
+    for (int64_t i = 0; cfg->budget_rule != BUDGET_TABLE && i < cfg->level_count; i++) {
         struct schedule *l = &levels[i];
         size_t table = l->budget;
         size_t fit = budget_fit(s, images, n_images, cfg, l->downsample, n_points, table);
-        if (cfg->budget == BUDGET_AUTO)
+        if (cfg->budget_rule == BUDGET_AUTO)
             fit = fit / 2 > n_points ? fit / 2 : n_points < fit ? n_points : fit;
         l->budget = fit > before ? fit : before;
         before = l->budget;
         if (l->budget < table)
             log_info("train",
                      "level %u: at most %zu Gaussians, what %zu photographs of this size support; "
-                     "--budget table allows %zu",
+                     "--budget-rule table allows %zu",
                      l->level, l->budget, n_images, table);
     }
 }
@@ -71,7 +71,7 @@ void budget_limit(const struct scene *s, const uint32_t *images, size_t n_images
 void budget_hold_out(const struct train_config *cfg, const uint32_t *images, size_t n_images,
                      uint32_t *train, size_t *n_train, uint32_t *held, size_t *n_held)
 {
-    bool some = cfg->budget == BUDGET_AUTO && n_images >= BUDGET_EVERY;
+    bool some = cfg->budget_rule == BUDGET_AUTO && n_images >= BUDGET_EVERY;
     *n_train = *n_held = 0;
     for (size_t i = 0; i < n_images; i++)
         if (some && i % BUDGET_EVERY == BUDGET_OFFSET)

@@ -25,9 +25,9 @@ enum budget_mode { BUDGET_TABLE, BUDGET_FIT, BUDGET_AUTO }; /* as options.def li
  * like the length of edges in a picture, not like its area. */
 size_t budget_fit(const struct scene *s, const uint32_t *images, size_t n_images,
                   const struct train_config *cfg, double downsample, size_t n_points, size_t table);
-/* Apply cfg->budget to the budgets of all levels, which are the table's before; they never fall
- * from level to level. Logs what was lowered. With BUDGET_AUTO a level begins with half of what
- * fits. */
+/* Apply cfg->budget_rule to the budgets of all levels, which are the table's before; they never
+ * fall from level to level. Logs what was lowered. With BUDGET_AUTO a level begins with half of
+ * what fits. */
 void budget_limit(const struct scene *s, const uint32_t *images, size_t n_images,
                   const struct train_config *cfg, size_t n_points,
                   struct schedule levels[TRAIN_LEVELS_MAX]);

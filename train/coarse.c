@@ -25,25 +25,48 @@ bool coarse_wanted(const struct train_config *cfg, size_t n_cells)
     return (cfg->coarse_start || coarse_has_appearance(cfg)) && n_cells > 1;
 }
 
+/* The value of the coarsest level for all levels; one value holds at all levels already. */
+static void coarse_first(struct options_ints *l, int64_t n_levels)
+{
+    size_t first = l->n > 1 ? TRAIN_LEVELS_MAX - (size_t)n_levels : 0;
+    for (size_t i = 0; i < TRAIN_LEVELS_MAX; i++)
+        l->v[i] = l->v[first];
+    l->n = l->n == 1 ? 1 : 0;
+}
+
+static void coarse_first_num(struct options_nums *l, int64_t n_levels)
+{
+    size_t first = l->n > 1 ? TRAIN_LEVELS_MAX - (size_t)n_levels : 0;
+    for (size_t i = 0; i < TRAIN_LEVELS_MAX; i++)
+        l->v[i] = l->v[first];
+    l->n = l->n == 1 ? 1 : 0;
+}
+
 /* Options of the coarse run: one level that is like the coarsest one of the cells. */
 static struct train_config coarse_config(const struct train_config *cells, const char *resume_path)
 {
     struct train_config c = *cells;
     double total = 0.0;
-    const int64_t steps[] = {cells->iterations_3, cells->iterations_2, cells->iterations_1};
+    const int64_t steps[] = {cells->iterations.v[2], cells->iterations.v[1],
+                             cells->iterations.v[0]};
     for (int64_t i = 0; i < cells->level_count; i++)
         total += (double)steps[i];
-    c.iterations_1 = c.iterations_2 = c.iterations_3 = cells->coarse_iterations;
-    if (cells->iterations > 0)
-        c.iterations = (int64_t)fmax(
-            floor((double)cells->coarse_iterations * (double)cells->iterations / total + 0.5),
+    c.iterations.v[0] = c.iterations.v[1] = c.iterations.v[2] = cells->coarse_iterations;
+    if (cells->iterations.one > 0)
+        c.iterations.one = (int64_t)fmax(
+            floor((double)cells->coarse_iterations * (double)cells->iterations.one / total + 0.5),
             (double)cells->coarse_iterations_min);
     c.level_count = 1;
-    c.downsample_2 = c.downsample_3 = c.downsample_1;
-    c.densify_interval_2 = c.densify_interval_3 = c.densify_interval_1;
-    c.densify_until_2 = c.densify_until_3 = c.densify_until_1;
-    c.tau_2 = c.tau_3 = c.tau_1;
-    c.budget_1 = c.budget_2 = c.budget_3 = cells->coarse_budget;
+    coarse_first(&c.densify_interval, cells->level_count);
+    coarse_first_num(&c.densify_until, cells->level_count);
+    coarse_first_num(&c.tau, cells->level_count);
+    coarse_first_num(&c.downsample, cells->level_count);
+    if (cells->downsample.n == 1) /* it is the finest level's */
+        c.downsample = (struct options_nums){
+            .one = cells->downsample.one * cells->downsample.v[0] / cells->downsample.v[2], .n = 1};
+    for (size_t i = 0; i < TRAIN_LEVELS_MAX; i++)
+        c.budget.v[i] = cells->coarse_budget;
+    c.budget.n = c.iterations.n = 0;
     c.absgrad_from = TRAIN_LEVELS_MAX + 1;
     c.appearance_levels = 1;
     c.coarse_only = c.coarse_start = false;

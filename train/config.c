@@ -6,8 +6,8 @@
 
 static const struct options_def train_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct train_config, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct train_config, type, tier, key, def, lo, hi, unit, help)
 #include "train/options.def"
 #undef OPT
 };

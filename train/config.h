@@ -14,7 +14,7 @@ enum { TRAIN_LEVELS_MAX = 3 };
 #define TRAIN_COARSE_ID "coarse"
 
 struct train_config {
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "train/options.def"
 #undef OPT
 };

@@ -38,7 +38,7 @@ struct level { /* level_init; level_close, also after an error */
     struct appearance_train appearance; /* {0}: without; opened before level_open */
     /* -- what it learns from, and what keeps it in bounds */
     struct gallery gallery;
-    struct budget budget; /* the decisions of --budget auto */
+    struct budget budget; /* the decisions of --budget-rule auto */
     struct background background;
     struct importance *importance; /* made on first use, as is the next */
     struct regularizer *regularizer;

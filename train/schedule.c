@@ -33,23 +33,51 @@ static double schedule_kappa(const struct train_config *cfg, size_t n_photos)
     return k > 1.0 ? ceil(100.0 * k - 1e-9) / 100.0 : 1.0;
 }
 
-/* The rows _1, _2, _3 of the configuration. */
+/* What the lists of the configuration say of each level, the finest last. */
 struct schedule_base {
     int64_t steps, budget, interval;
     double downsample, until, tau;
 };
-static void schedule_base(const struct train_config *cfg,
-                          struct schedule_base out[TRAIN_LEVELS_MAX])
+
+/* One value of --budget and --downsample is the finest level's, and the coarser levels keep their
+ * proportion to it; one value of the others holds at all levels. */
+static struct schedule_base schedule_base_at(const struct train_config *cfg, size_t level)
 {
-    out[0] =
-        (struct schedule_base){cfg->iterations_1, cfg->budget_1,        cfg->densify_interval_1,
-                               cfg->downsample_1, cfg->densify_until_1, cfg->tau_1};
-    out[1] =
-        (struct schedule_base){cfg->iterations_2, cfg->budget_2,        cfg->densify_interval_2,
-                               cfg->downsample_2, cfg->densify_until_2, cfg->tau_2};
-    out[2] =
-        (struct schedule_base){cfg->iterations_3, cfg->budget_3,        cfg->densify_interval_3,
-                               cfg->downsample_3, cfg->densify_until_3, cfg->tau_3};
+    const size_t last = TRAIN_LEVELS_MAX - 1;
+    const struct options_ints *b = &cfg->budget, *every = &cfg->densify_interval;
+    const struct options_nums *d = &cfg->downsample;
+    double part = (double)b->v[level] / (double)b->v[last];
+    return (struct schedule_base){
+        .steps = cfg->iterations.v[level],
+        .budget = b->n == 1 ? (int64_t)ceil((double)b->one * part) : b->v[level],
+        .interval = every->n == 1 ? every->one : every->v[level],
+        .downsample = d->n == 1 ? d->one * d->v[level] / d->v[last] : d->v[level],
+        .until = cfg->densify_until.n == 1 ? cfg->densify_until.one : cfg->densify_until.v[level],
+        .tau = cfg->tau.n == 1 ? cfg->tau.one : cfg->tau.v[level],
+    };
+}
+
+/* A list has one value, or one a level. */
+static enum err_code schedule_check_lists(const struct train_config *cfg, struct err *e)
+{
+    const struct {
+        const char *flag;
+        size_t n;
+    } lists[] = {
+        {"iterations", cfg->iterations.n},
+        {"budget", cfg->budget.n},
+        {"densify-interval", cfg->densify_interval.n},
+        {"densify-until", cfg->densify_until.n},
+        {"downsample", cfg->downsample.n},
+        {"tau", cfg->tau.n},
+    };
+    for (size_t i = 0; i < sizeof lists / sizeof *lists; i++)
+        if (lists[i].n > 1 && lists[i].n != (size_t)cfg->level_count)
+            return err_set(e, ERR_ARG,
+                           "--%s has %zu values and --level-count is %lld: give one value, or one "
+                           "for each level, coarsest first",
+                           lists[i].flag, lists[i].n, (long long)cfg->level_count);
+    return ERR_OK;
 }
 
 /* A cell that was merged from several has more ground to cover. */
@@ -106,20 +134,24 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
                             struct err *e)
 {
     struct schedule_base base[TRAIN_LEVELS_MAX];
-    schedule_base(cfg, base);
+    enum err_code rc = schedule_check_lists(cfg, e);
+    if (rc)
+        return rc;
+    for (size_t l = 0; l < TRAIN_LEVELS_MAX; l++)
+        base[l] = schedule_base_at(cfg, l);
     uint32_t n = (uint32_t)cfg->level_count, first = TRAIN_LEVELS_MAX - n;
     double total = 0.0, kappa = schedule_kappa(cfg, n_photos);
     for (uint32_t l = first; l < TRAIN_LEVELS_MAX; l++)
         total += (double)base[l].steps;
-    if (cfg->iterations > 0)
-        kappa = (double)cfg->iterations / total;
-    int64_t left = cfg->iterations;
+    if (cfg->iterations.one > 0)
+        kappa = (double)cfg->iterations.one / total;
+    int64_t left = cfg->iterations.one;
     for (uint32_t l = 0; l < n; l++) {
         const struct schedule_base *b = &base[first + l];
         struct schedule *s = &out[l];
         *s = (struct schedule){.level = l + 1, .n_levels = n, .mcmc = cfg->strategy};
         double steps = floor((double)b->steps * kappa + 0.5);
-        if (cfg->iterations > 0 && l + 1 == n)
+        if (cfg->iterations.one > 0 && l + 1 == n)
             steps = (double)left; /* the last level takes what rounding left */
         left -= (int64_t)steps;
         if (!(steps >= 1.0) || steps > SCHEDULE_STEPS_MAX)

@@ -17,7 +17,7 @@ struct schedule {             /* of one level; steps are 1-based and restart at 
     double downsample;
     size_t budget;         /* Gaussians inside the cell */
     size_t around;         /* Gaussians of the coarse model that stand around the cell */
-    bool stopped;          /* --budget auto: growth has ended ... */
+    bool stopped;          /* --budget-rule auto: growth has ended ... */
     size_t budget_outside; /* ... with so many outside of the cell; before, half of the budget */
     uint32_t interval, densify_from,
         densify_until; /* densify when from < step < until and interval | step */

@@ -367,7 +367,7 @@ static enum err_code state_fill_filter(struct model *m, const struct ckpt_rows *
     return rc;
 }
 
-/* What --budget auto has decided at this level. */
+/* What --budget-rule auto has decided at this level. */
 static enum err_code state_budget(struct budget *budget, struct schedule *s, const json_t *meta,
                                   struct err *e)
 {

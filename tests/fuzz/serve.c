@@ -24,8 +24,8 @@
 #include "tests/fuzz/fuzz.h"
 
 static const struct options_def serve_defs[] = {
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct server_config, type, key, def, lo, hi, unit, help)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct server_config, type, tier, key, def, lo, hi, unit, help)
 #include "server/options.def"
 #undef OPT
 };

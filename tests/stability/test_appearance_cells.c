@@ -155,8 +155,8 @@ static void cells_agree_on_appearance_at_their_border(void **state)
     toy_appearance_plan(dir);
     for (int shared = 0; shared < 2; shared++) {
         struct train_config c = toy_appearance_config(&a, NULL, true);
-        c.iterations = 0;
-        c.iterations_3 = SEAM_STEPS;
+        c.iterations.one = 0;
+        c.iterations.v[2] = SEAM_STEPS;
         c.scale_by_images = false;
         c.coarse_iterations = SEAM_STEPS;
         c.appearance_shared = shared;
@@ -197,7 +197,7 @@ static void a_single_cell_needs_the_shared_model(void **state)
         cell++;
     snprintf(id, sizeof id, "%s", plan.cells[cell].id);
     struct train_config c = toy_appearance_config(&a, NULL, true);
-    c.iterations = 30;
+    c.iterations.one = 30;
     c.cell = id;
     kit_fails(train_run(dir, &c, &r, &e), ERR_NOENT, e, "--coarse-only");
     train_result_free(&r);
@@ -245,7 +245,7 @@ static void a_network_needs_steps(void **state)
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX + 64];
     toy_appearance_scene(dir, 0.3);
     struct train_config c = toy_appearance_config(&a, NULL, true);
-    c.iterations = 40;
+    c.iterations.one = 40;
     c.appearance_warmup = TOY_APPEARANCE_STEPS;
     kit_fails(train_run(dir, &c, &r, &e), ERR_ARG, e, "warm-up of 40 steps");
     train_result_free(&r);

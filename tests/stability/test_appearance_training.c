@@ -271,7 +271,7 @@ static void a_run_with_appearance_resumes_bit_by_bit(void **state)
     kit_tmpdir(parts);
     struct train_config c = toy_config(&a, whole);
     c.appearance = true;
-    c.iterations = 200;
+    c.iterations.one = 200;
     kit_ok(train_run(dir, &c, &r, &e), e);
     train_result_free(&r);
     c.output = parts;
@@ -341,7 +341,7 @@ static void coarser_levels_take_over_the_network(void **state)
         kit_tmpdir(out[all]);
         struct train_config c = toy_config(&a, out[all]);
         c.appearance = true;
-        c.iterations = 200;
+        c.iterations.one = 200;
         c.appearance_levels = all ? 3 : 1;
         kit_ok(train_run(dir, &c, &r[all], &e), e);
         for (unsigned k = 0; k < 3; k++) {

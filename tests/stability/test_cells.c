@@ -87,15 +87,15 @@ static void ring_train(struct ring *ring)
     snprintf(path, sizeof path, "%s/plan.json", dir);
     kit_ok(cell_plan_write(path, &s, &ring->plan, &e), e);
     struct train_config cfg = toy_config(&a, NULL);
-    cfg.iterations = CELLS_STEPS;
-    cfg.budget_1 = CELLS_BUDGET / 2;
-    cfg.budget_2 = CELLS_BUDGET * 3 / 4;
-    cfg.budget_3 = CELLS_BUDGET;
-    cfg.budget = BUDGET_TABLE;
+    cfg.iterations.one = CELLS_STEPS;
+    cfg.budget.v[0] = CELLS_BUDGET / 2;
+    cfg.budget.v[1] = CELLS_BUDGET * 3 / 4;
+    cfg.budget.v[2] = CELLS_BUDGET;
+    cfg.budget_rule = BUDGET_TABLE;
     cfg.coarse_start = false; /* what a coarse model leaves around a cell is beside its ceilings */
-    cfg.tau_1 = cfg.tau_2 = cfg.tau_3 = 1e-6; /* everything wants to grow */
+    cfg.tau.v[0] = cfg.tau.v[1] = cfg.tau.v[2] = 1e-6; /* everything wants to grow */
     kit_ok(train_run(dir, &cfg, &ring->result, &e), e);
-    const int64_t budget[3] = {cfg.budget_1, cfg.budget_2, cfg.budget_3};
+    const int64_t budget[3] = {cfg.budget.v[0], cfg.budget.v[1], cfg.budget.v[2]};
     for (size_t i = 0; i < ring->result.n_cells; i++) {
         snprintf(path, sizeof path, "%s/cells/%s/metrics.jsonl", dir, ring->result.cells[i].id);
         read_ceilings(path, budget, &ring->ceilings);

@@ -315,7 +315,7 @@ static void a_city_of_many_cells(void **state)
         dir);
     RUN("ingest %s/city/images %s/city/sparse/0 -o %s", dir, dir, c.scene);
     RUN("plan %s --edge-m 80 --images-few 24 --images-least 12", c.scene);
-    RUN("train %s --output %s --iterations 900 --budget-1 4000 --budget-2 8000 --budget-3 16000 "
+    RUN("train %s --output %s --iterations 900 --budget 4000,8000,16000 "
         "--sh-degree 1",
         c.scene, c.results);
     /* nothing but its cell decides here what a Gaussian's tile is, and that it has one */

@@ -36,11 +36,11 @@ static struct toy city(void)
 static struct train_config config(struct arena *a)
 {
     struct train_config c = toy_config(a, NULL);
-    c.downsample_1 = 4.0;
-    c.downsample_2 = 2.0;
-    c.budget_1 = 250;
-    c.budget_2 = 320;
-    c.budget_3 = 480;
+    c.downsample.v[0] = 4.0;
+    c.downsample.v[1] = 2.0;
+    c.budget.v[0] = 250;
+    c.budget.v[1] = 320;
+    c.budget.v[2] = 480;
     c.sh_degree = 0;
     return c;
 }
@@ -51,7 +51,7 @@ static void the_next_level_keeps_what_was_learnt(void **state)
     struct arena a = {0};
     struct toy_run r;
     struct train_config c = config(&a);
-    c.iterations = 4800;
+    c.iterations.one = 4800;
     c.lr_short = 1; /* the rates of the full method, whose share of a level is looked at */
     toy_run_open(&r, dir, &c);
     double worst = -HUGE_VAL, worst_old = -HUGE_VAL;
@@ -113,12 +113,12 @@ static void resets_do_not_starve_a_small_budget(void **state)
     struct toy_run r;
     struct train_config c = config(&a);
     c.level_count = 1;
-    c.iterations = 0;
-    c.iterations_3 = RESET_STEPS;
-    c.densify_until_3 = 1.0;
+    c.iterations.one = 0;
+    c.iterations.v[2] = RESET_STEPS;
+    c.densify_until.v[2] = 1.0;
     c.reset_interval = RESET_EVERY;
-    c.downsample_3 = 4.0;
-    c.budget_3 = 250;
+    c.downsample.v[2] = 4.0;
+    c.budget.v[2] = 250;
     toy_run_open(&r, dir, &c);
     toy_run_steps(&r, RESET_EVERY - 1);
     double before = toy_run_score(&r, 4.0).psnr_db;

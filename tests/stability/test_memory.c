@@ -68,9 +68,9 @@ static size_t peak_of(const char *program, size_t n, size_t budget, bool appeara
     gauss_free(&g);
     int rc = kit_run(
         &said,
-        "%s train %s --iterations %d --level-count 2 --budget table --budget-2 %zu "
-        "--budget-3 %zu --densify-from 2 --densify-interval-min 5 --tau-2 1e-7 "
-        "--tau-3 1e-7 --importance-views 2 --checkpoint-interval 25 %s -q",
+        "%s train %s --iterations %d --level-count 2 --budget-rule table --budget %zu,%zu "
+        "--densify-from 2 --densify-interval-min 5 --tau 1e-7 "
+        "--importance-views 2 --checkpoint-interval 25 %s -q",
         program, dir, MEMORY_STEPS, budget / 2, budget,
         appearance ? "--appearance --embed-smoothness-interval 5 --embed-smoothness-samples 400"
                    : "");
@@ -86,12 +86,12 @@ static size_t peak_of(const char *program, size_t n, size_t budget, bool appeara
     struct train_config cfg = toy_config(&a, NULL);
     cfg.level_count = 2;
     cfg.sh_degree = 3;
-    cfg.iterations = MEMORY_STEPS;
+    cfg.iterations.one = MEMORY_STEPS;
     cfg.appearance = appearance;
     cfg.scale_weight = 0.05;
     cfg.embed_smoothness_samples = 400;
-    cfg.budget_2 = (int64_t)budget / 2;
-    cfg.budget_3 = (int64_t)budget;
+    cfg.budget.v[1] = (int64_t)budget / 2;
+    cfg.budget.v[2] = (int64_t)budget;
     kit_ok(scene_read(dir, &s, &e), e);
     kit_ok(train_scene_images(&s, SCENE_TRAIN, true, &images, &n_images, &e), e);
     cell_whole(&s, images, n_images, &cell);

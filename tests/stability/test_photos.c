@@ -88,7 +88,7 @@ static struct ground ground_after_training(const char *dir, const struct toy *t,
     float *got = mem_array(n, sizeof *got);
     assert_true(want && got);
     struct train_config c = toy_config(&a, NULL);
-    c.iterations = F17_STEPS;
+    c.iterations.one = F17_STEPS;
     c.level_count = 1;
     c.masks = way == F17_MASKS;
     c.seed = seed;
@@ -256,9 +256,9 @@ static void find_bad_poses(double off_m, size_t *found, size_t *false_alarms, do
     struct f18 f = {off_m};
     (void)f18_scene(shift_pose, &f);
     struct train_config c = toy_config(&a, NULL);
-    c.iterations = F18_STEPS;
+    c.iterations.one = F18_STEPS;
     c.level_count = 1;
-    c.budget_3 = 800;
+    c.budget.v[2] = 800;
     toy_run_open(&r, f18_dir, &c);
     toy_run_level(&r);
     rank_photographs(&r, &l);

@@ -105,8 +105,8 @@ static struct train_config plain_config(struct arena *a, int64_t steps)
 {
     struct train_config c = toy_config(a, NULL);
     c.level_count = 1;
-    c.iterations = steps;
-    c.budget_3 = 5000;
+    c.iterations.one = steps;
+    c.budget.v[2] = 5000;
     c.densify_from = 1000000000;
     c.reset_interval = 1000000000;
     c.scale_weight = 0.0;
@@ -196,7 +196,7 @@ static void giants_and_needles_shrink(void **state)
     c.densify_from = 0; /* as it is used: with removal by size, which begins after a reset */
     c.reset_interval = 150;
     c.prune_size = F4_PRUNE_M / F4_EXTENT_M;
-    c.budget_3 =
+    c.budget.v[2] =
         (int64_t)first.n; /* removal alone: more Gaussians would learn 9 photographs by heart */
     f4_train(&c, &first, &size[3], &ratio[3], &psnr[3]);
     toy_figure("F4",
@@ -445,7 +445,7 @@ static void floaters_fade(void **state)
         c.depth_dir = runs[i].maps ? maps : NULL;
         c.depth_pass = runs[i].pass;
         c.reset_interval = runs[i].reset ? F5_RESET : c.reset_interval;
-        c.densify_until_3 = 1.0; /* resets end an interval before */
+        c.densify_until.v[2] = 1.0; /* resets end an interval before */
         share[i] = floaters_train(&c, &g, first, &mean[i], &psnr[i], &off_px[i]);
         toy_figure("F5",
                    "depth=%s faint=%.2f limit=%.2f mean_opacity=%.4f psnr_db=%.2f "
@@ -701,15 +701,15 @@ static void resume_train(const char *out, const int64_t *pieces, size_t n_pieces
     struct err e = {0};
     struct train_result r = {0};
     struct train_config c = toy_config(&a, out);
-    c.iterations = 330;
+    c.iterations.one = 330;
     c.aa = RENDER_AA_MIP;
     c.depth_sparse = true;
     c.depth_interval = 2;
     c.scale_from = 0;
     c.scale_max_m = 0.5;
-    c.budget_1 = 660;
-    c.budget_2 = 700;
-    c.budget_3 = 800;
+    c.budget.v[0] = 660;
+    c.budget.v[1] = 700;
+    c.budget.v[2] = 800;
     for (size_t i = 0; i < n_pieces; i++) {
         c.stop_after = pieces[i];
         c.resume = i > 0;

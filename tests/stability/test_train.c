@@ -148,7 +148,7 @@ static struct hash128 model_hash(struct toy_run *r)
 static struct train_config short_config(struct arena *a)
 {
     struct train_config c = toy_config(a, NULL);
-    c.iterations = F30_STEPS;
+    c.iterations.one = F30_STEPS;
     c.densify_interval_min = 4;
     c.reset_interval = 7; /* densification, resets, three levels: all of it within 40 steps */
     return c;

@@ -165,12 +165,12 @@ struct train_config toy_config(struct arena *a, const char *out)
     struct err e = {0};
     kit_ok(options_defaults(train_options(), &c, a, &e), e);
     c.output = out;
-    c.iterations = 300;
-    c.downsample_1 = 2.0;
-    c.downsample_2 = 1.0;
-    c.budget_1 = 80;
-    c.budget_2 = 100;
-    c.budget_3 = 150;
+    c.iterations.one = 300;
+    c.downsample.v[0] = 2.0;
+    c.downsample.v[1] = 1.0;
+    c.budget.v[0] = 80;
+    c.budget.v[1] = 100;
+    c.budget.v[2] = 150;
     c.densify_interval_min = 8;
     c.importance_views = 3;
     c.coarse_iterations_min = 1;

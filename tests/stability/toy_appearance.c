@@ -36,8 +36,8 @@ struct train_config toy_appearance_config(struct arena *a, const char *out, bool
 {
     struct train_config c = toy_config(a, out);
     c.level_count = 1;
-    c.iterations = TOY_APPEARANCE_STEPS;
-    c.iterations_3 = TOY_APPEARANCE_STEPS; /* kappa 1: the warm-up below is in steps */
+    c.iterations.one = TOY_APPEARANCE_STEPS;
+    c.iterations.v[2] = TOY_APPEARANCE_STEPS; /* kappa 1: the warm-up below is in steps */
     c.appearance = appearance;
     c.appearance_warmup = TOY_APPEARANCE_STEPS / 8;
     c.densify_from = 1000000;

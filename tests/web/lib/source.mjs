@@ -137,7 +137,7 @@ export async function openLitCity({ many = null } = {}) {
         ]);
         run([
             ...["train", at("scene"), "-o", at("trained")],
-            ...options("-q --level-count 1 --iterations 200 --budget-3 3000"),
+            ...options("-q --level-count 1 --iterations 200 --budget 3000"),
             ...options("--appearance --appearance-warmup 50"),
         ]);
         run(["tile", at("scene"), "--trained", at("trained"), "-o", at("lit.tiles"), "-q"]);
