@@ -1,6 +1,6 @@
 /* Charts and tables of recorded runs (cli/runs.h): chart_data.c picks and groups the records of a
  * chart, chart_plot.c has gnuplot draw them, chart_table.c writes tables. `citysplat chart` draws
- * a user's own runs with it, `citysplat-study chart` (bench/study_chart.c) the studies of docs/.
+ * a user's own runs with it, `citysplat-study chart` (studies/study_chart.c) the studies of docs/.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -11,7 +11,7 @@
 
 enum { CHART_PANELS_MAX = 3, CHART_SERIES_MAX = 16, CHART_TEXT_MAX = 96 };
 
-struct chart_def { /* one chart or table; the fields are explained in bench/charts.def */
+struct chart_def { /* one chart or table; the fields are explained in studies/charts.def */
     const char *name, *study, *what, *kind, *x, *y, *series, *label, *title;
     const char *columns; /* of a table; NULL for a chart */
 };

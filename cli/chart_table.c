@@ -136,7 +136,7 @@ void chart_source(const struct chart_def *d, const json_t *lines, struct buf *ou
 {
     buf_printf(out, "<sub>");
     table_distinct(d, lines, "dataset", out);
-    buf_printf(out, ". `bench/study.sh %.*s`, commit ", (int)strcspn(d->study, "/"), d->study);
+    buf_printf(out, ". `studies/study.sh %.*s`, commit ", (int)strcspn(d->study, "/"), d->study);
     table_distinct(d, lines, "commit", out);
     buf_printf(out, ", on ");
     table_distinct(d, lines, "device", out);

@@ -81,7 +81,7 @@ expect 'odd HOME x' "$work/docs/charts/ablation.svg" # what gnuplot would interp
 grep -q "$(basename "$HOME")/" "$work/docs/charts/ablation.svg" && fail "a variable was expanded"
 expect '^!\[.*\](charts/budgets.svg)$' "$doc"
 expect '^| 2 k | 4.0 | 25.00 | 0.7600 |' "$doc"
-expect 'Not recorded: `bench/study.sh lod`' "$doc"
+expect 'Not recorded: `studies/study.sh lod`' "$doc"
 expect 'abc, on a device, FMA 80 GFLOP/s, triad 20 GB/s' "$doc"
 for text in Before Between After; do expect "^$text" "$doc"; done
 grep -q '^old' "$doc" && fail "old tables stay"

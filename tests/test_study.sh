@@ -1,5 +1,5 @@
 #!/bin/sh
-# bench/study.sh: parses, lists its studies, and a dry run of all of them names every row once with a command
+# studies/study.sh: parses, lists its studies, and a dry run of all of them names every row once with a command
 # that the program's own options allow. Needs CITYSPLAT_BIN.
 #
 # SPDX-License-Identifier: Apache-2.0
@@ -9,13 +9,13 @@ work=$(mktemp -d "${TMPDIR:-/tmp}/citysplat-study-XXXXXX") || exit 1
 trap 'rm -rf "$work"' EXIT
 fail() { echo "FAIL $*"; exit 1; }
 
-bash -n bench/study.sh || fail "bench/study.sh does not parse"
+bash -n studies/study.sh || fail "studies/study.sh does not parse"
 export CITYSPLAT_BUILD=$(dirname "$bin") STUDY_OUT="$work/out" STUDY_RUNS="$work/runs"
-bench/study.sh nosuch >"$work/log" 2>&1 && fail "an unknown study is taken"
+studies/study.sh nosuch >"$work/log" 2>&1 && fail "an unknown study is taken"
 grep -q "no study 'nosuch'" "$work/log" || fail "an unknown study is not named"
-bench/study.sh --dry-run all >"$work/rows" 2>"$work/log" || fail "dry run: $(tail -1 "$work/log")"
+studies/study.sh --dry-run all >"$work/rows" 2>"$work/log" || fail "dry run: $(tail -1 "$work/log")"
 [ ! -e "$work/out" ] || fail "a dry run makes files"
-for study in $(bench/study.sh --list); do
+for study in $(studies/study.sh --list); do
     cut -f1 "$work/rows" | grep -qx "$study" || fail "study $study has no row"
 done
 twice=$(cut -f1,2 "$work/rows" | sort | uniq -d)
@@ -39,8 +39,8 @@ row=$(head -1 "$work/rows")
 study=$(printf '%s' "$row" | cut -f1) name=$(printf '%s' "$row" | cut -f2) command=$(printf '%s' "$row" | cut -f3)
 mkdir -p "$work/runs"
 "$(dirname "$bin")/citysplat-study" record "$work/runs/$study.jsonl" --study "$study" --row "$name" --command "$command" --set psnr_db=30 || fail record
-bench/study.sh --dry-run "$study" 2>/dev/null | cut -f2 | grep -qx "$name" && fail "a recorded row is done again"
+studies/study.sh --dry-run "$study" 2>/dev/null | cut -f2 | grep -qx "$name" && fail "a recorded row is done again"
 "$(dirname "$bin")/citysplat-study" record "$work/runs/$study.jsonl" --study "$study" --row "$name" --command other --set psnr_db=30 || fail record
 [ "$(grep -c "\"row\":\"$name\"" "$work/runs/$study.jsonl")" = 1 ] || fail "recording again does not replace"
-bench/study.sh --dry-run "$study" 2>/dev/null | cut -f2 | grep -qx "$name" || fail "a changed row is not done again"
+studies/study.sh --dry-run "$study" 2>/dev/null | cut -f2 | grep -qx "$name" || fail "a changed row is not done again"
 echo "ok: $(wc -l <"$work/rows") rows"

@@ -10,9 +10,9 @@
 
 #include <jansson.h>
 
-#include "bench/study.h"
 #include "cli/chart.h"
 #include "cli/runs.h"
+#include "studies/study.h"
 
 struct seeds_sum { /* of a number over the seeds of a row */
     double n, mean, spread;

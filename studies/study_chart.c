@@ -13,21 +13,21 @@
 
 #include <jansson.h>
 
-#include "bench/study.h"
 #include "cli/chart.h"
 #include "cli/runs.h"
 #include "core/options.h"
+#include "studies/study.h"
 
 struct chart_options {
 #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
-#include "bench/study_chart.def"
+#include "studies/study_chart.def"
 #undef OPT
 };
 
 static const struct options_def chart_option_defs[] = {
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct chart_options, type, tier, key, def, lo, hi, unit, help)
-#include "bench/study_chart.def"
+#include "studies/study_chart.def"
 #undef OPT
 };
 
@@ -35,7 +35,7 @@ static const struct chart_def chart_defs[] = {
 #define CHART(name, study, what, kind, x, y, series, label, title)                                 \
     {#name, study, what, kind, x, y, series, label, title, NULL},
 #define TABLE(name, study, what, columns) {#name, study, what, "", "", "", "", "", "", columns},
-#include "bench/charts.def"
+#include "studies/charts.def"
 #undef CHART
 #undef TABLE
 };
@@ -46,7 +46,7 @@ static const struct chart_peer {
     double x, y;
 } chart_peers[] = {
 #define PEER(chart, name, x, y) {#chart, name, x, y},
-#include "bench/peers.def"
+#include "studies/peers.def"
 #undef PEER
 };
 
@@ -85,7 +85,7 @@ static enum err_code chart_read(struct chart_run *r, const char *path, struct er
             rc = chart_read_file(r, file, e);
     }
     if (!rc && !n)
-        rc = err_set(e, ERR_NOENT, "%s: no recorded runs (*.jsonl); bench/study.sh makes them",
+        rc = err_set(e, ERR_NOENT, "%s: no recorded runs (*.jsonl); studies/study.sh makes them",
                      path);
     return rc;
 }
@@ -168,7 +168,7 @@ static enum err_code chart_draw_all(struct chart_run *r, struct err *e)
 {
     enum err_code rc = file_mkdir(r->o.output, e);
     if (r->o.only && !chart_find(r->o.only, false))
-        return err_set(e, ERR_ARG, "--only %s: no such chart; bench/charts.def lists them",
+        return err_set(e, ERR_ARG, "--only %s: no such chart; studies/charts.def lists them",
                        r->o.only);
     for (size_t i = 0; !rc && i < chart_n_defs; i++)
         if (!chart_defs[i].columns && (!r->o.only || !strcmp(r->o.only, chart_defs[i].name)))
@@ -219,7 +219,7 @@ static bool chart_has_records(const struct chart_run *r, const struct chart_def 
 static void chart_write_block(const struct chart_run *r, const struct chart_def *d, struct buf *out)
 {
     if (!chart_has_records(r, d)) {
-        buf_printf(out, "*Not recorded: `bench/study.sh %.*s` does.*\n",
+        buf_printf(out, "*Not recorded: `studies/study.sh %.*s` does.*\n",
                    (int)strcspn(d->study, "/"), d->study);
     } else if (d->columns) {
         buf_u8(out, '\n');
@@ -245,7 +245,7 @@ static enum err_code chart_open_block(const char *line, size_t n, const struct c
         return ERR_OK;
     *d = chart_find(name, !strcmp(kind, "table"));
     return *d ? ERR_OK
-              : err_set(e, ERR_FORMAT, "no %s is called '%s'; bench/charts.def lists them", kind,
+              : err_set(e, ERR_FORMAT, "no %s is called '%s'; studies/charts.def lists them", kind,
                         name);
 }
 
@@ -327,10 +327,10 @@ enum err_code study_chart(int argc, char **argv, struct err *e)
         .command = "chart",
         .usage = "citysplat-study chart RUNS... -o DIR [options]",
         .about = "Draws the charts of recorded runs (folders or files of JSON lines, which "
-                 "bench/study.sh and `citysplat-study record` write) with gnuplot, as SVG and "
+                 "studies/study.sh and `citysplat-study record` write) with gnuplot, as SVG and "
                  "PNG, and rewrites the tables of Markdown files. Records are refused that are "
                  "shorter or "
-                 "of fewer seeds than bench/studies.def states for their study, and those whose "
+                 "of fewer seeds than studies/studies.def states for their study, and those whose "
                  "commit is not in the history of HEAD.",
         .example = "citysplat-study chart docs/runs -o docs/charts --markdown docs/studies",
         .defs = chart_option_defs,

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
 # study.sh: accuracy, size and time under varied settings, recorded for the charts and tables of docs/studies.
 #
-#   bench/study.sh [--dry-run] all | STUDY...      --list names the studies
+#   studies/study.sh [--dry-run] all | STUDY...      --list names the studies
 #
 # Every row of a study is one run: train, then score, then `citysplat-study record` into docs/runs/STUDY.jsonl. A row that
 # is recorded there by the same command is skipped, so a stopped study goes on where it was, and changing a
 # setting repeats the rows it touches. Training itself is resumed too. Steps and seeds of every study are stated in
-# bench/studies.def: there is no other default. Redraw a page afterwards with
+# studies/studies.def: there is no other default. Redraw a page afterwards with
 # `citysplat-study chart docs/runs -o docs/charts --markdown docs/studies/STUDY.md`; docs/studies/README.md has all of them.
 #
 # Environment:
@@ -37,11 +37,11 @@ die() { printf 'study: error: %s\n' "$*" >&2; exit 1; }
 
 citysplat() { "$BIN/citysplat" "$@"; }
 
-# What bench/studies.def states of a study.
+# What studies/studies.def states of a study.
 stated() { # STUDY 1|2
   local n
-  n=$(sed -n "s/^STUDY(\"$1\", *\([0-9][0-9]*\), *\([0-9][0-9]*\))\$/\\$2/p" bench/studies.def)
-  [ -n "$n" ] || die "study '$1' is not in bench/studies.def"
+  n=$(sed -n "s/^STUDY(\"$1\", *\([0-9][0-9]*\), *\([0-9][0-9]*\))\$/\\$2/p" studies/studies.def)
+  [ -n "$n" ] || die "study '$1' is not in studies/studies.def"
   printf '%s' "$n"
 }
 steps() { # STUDY
@@ -676,7 +676,7 @@ main() {
   [ $DRY = 1 ] || mkdir -p "$OUT" "$RUNS"
   COMMIT=${STUDY_COMMIT:-$(git rev-parse --short HEAD 2>/dev/null || echo unknown)}
   # A record of changes that are nowhere cannot be repeated.
-  [ $DRY = 1 ] || [ -n "${STUDY_COMMIT:-}" ] || [ -z "$(git status --porcelain -- . ':!docs' ':!bench/study.sh' 2>/dev/null)" ] ||
+  [ $DRY = 1 ] || [ -n "${STUDY_COMMIT:-}" ] || [ -z "$(git status --porcelain -- . ':!docs' ':!studies/study.sh' 2>/dev/null)" ] ||
     die "the working tree has changes: commit them, or name the commit that the programs are of (STUDY_COMMIT)"
   for s in "${wanted_studies[@]}"; do "study_$s"; done
 }

@@ -1,6 +1,6 @@
 /* Records that a page may be made of: their commit is in the history of HEAD, so that their command
  * can be run again; they are as long as their study states, and every row has as many seeds
- * (bench/studies.def).
+ * (studies/studies.def).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -16,8 +16,8 @@
 
 #include <jansson.h>
 
-#include "bench/study.h"
 #include "cli/runs.h"
+#include "studies/study.h"
 
 extern char **environ;
 
@@ -26,7 +26,7 @@ static const struct check_study {
     unsigned steps, seeds;
 } check_studies[] = {
 #define STUDY(name, steps, seeds) {name, steps, seeds},
-#include "bench/studies.def"
+#include "studies/studies.def"
 #undef STUDY
 };
 
@@ -175,19 +175,19 @@ static enum err_code check_line(const json_t *lines, const json_t *line, struct 
     const char *study = runs_text(line, "study"), *row = runs_text(line, "row");
     const struct check_study *s = check_find(study);
     if (!s)
-        return err_set(e, ERR_DATA, "study '%s' states no length: bench/studies.def has none",
+        return err_set(e, ERR_DATA, "study '%s' states no length: studies/studies.def has none",
                        study);
     double steps = check_steps(line);
     if (s->steps && !(steps >= s->steps))
         return err_set(e, ERR_DATA,
                        "study '%s', row '%s': %.0f steps, and the study states %u: measure it "
-                       "again (bench/study.sh %s) or state another length in bench/studies.def",
+                       "again (studies/study.sh %s) or state another length in studies/studies.def",
                        study, row, isfinite(steps) ? steps : 0.0, s->steps, study);
     size_t seeds = s->seeds > 1 ? check_seeds(lines, line) : 1;
     if (seeds < s->seeds)
         return err_set(e, ERR_DATA,
                        "study '%s', row '%.*s': %zu seeds, and the study states %u: measure the "
-                       "others (bench/study.sh %s) or state fewer in bench/studies.def",
+                       "others (studies/study.sh %s) or state fewer in studies/studies.def",
                        study, (int)study_row_length(row), row, seeds, s->seeds, study);
     return ERR_OK;
 }
@@ -205,7 +205,7 @@ enum err_code study_check(const json_t *lines, const char *history_dir, struct e
         if (history_dir && !check_in_history(&commits, history_dir, runs_text(line, "commit")))
             return err_set(e, ERR_DATA,
                            "study '%s', row '%s': commit '%s' is not in the history of HEAD, so "
-                           "nobody can repeat it: measure it again (bench/study.sh %s)",
+                           "nobody can repeat it: measure it again (studies/study.sh %s)",
                            runs_text(line, "study"), runs_text(line, "row"),
                            runs_text(line, "commit"), runs_text(line, "study"));
     }

@@ -2,8 +2,8 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#ifndef BENCH_STUDY_H
-#define BENCH_STUDY_H
+#ifndef STUDIES_STUDY_H
+#define STUDIES_STUDY_H
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -17,7 +17,7 @@ struct json_t;
 enum err_code study_record(int argc, char **argv, struct err *e) ERR_USE;
 enum err_code study_chart(int argc, char **argv, struct err *e) ERR_USE;
 
-/* ---- which records count (bench/study_check.c) ---- */
+/* ---- which records count (studies/study_check.c) ---- */
 
 enum study_history { STUDY_HISTORY_NONE, STUDY_HISTORY_SHALLOW, STUDY_HISTORY_WHOLE };
 
@@ -26,8 +26,8 @@ enum study_history { STUDY_HISTORY_NONE, STUDY_HISTORY_SHALLOW, STUDY_HISTORY_WH
 enum study_history study_history(const char *dir);
 
 /* ERR_DATA for the first record (runs.h) that is shorter or has fewer seeds than its study states
- * in bench/studies.def, or, when `history_dir` is not NULL, whose commit is not an ancestor of HEAD
- * in the repository there. */
+ * in studies/studies.def, or, when `history_dir` is not NULL, whose commit is not an ancestor of
+ * HEAD in the repository there. */
 enum err_code study_check(const struct json_t *lines, const char *history_dir,
                           struct err *e) ERR_USE;
 
@@ -38,7 +38,7 @@ size_t study_row_length(const char *row);
 /* The same study, thing and row but for the seed? */
 bool study_same_row(const struct json_t *a, const struct json_t *b);
 
-/* ---- seeds (bench/study_seeds.c) ---- */
+/* ---- seeds (studies/study_seeds.c) ---- */
 
 /* A new array in which the seeds of a row are one record: numbers are means, times medians; "seeds"
  * and "spread_db", the standard deviation of PSNR, are added, and the text "gain": PSNR less that

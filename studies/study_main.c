@@ -1,5 +1,5 @@
 /* citysplat-study: keeps the records of studies and draws the charts and tables of docs/ from them.
- * bench/study.sh runs the studies. Exit codes: 0 done, 1 failed, 2 the command line was wrong.
+ * studies/study.sh runs the studies. Exit codes: 0 done, 1 failed, 2 the command line was wrong.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -7,7 +7,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "bench/study.h"
+#include "studies/study.h"
 
 static const struct study_command {
     const char *name, *about;

@@ -14,21 +14,21 @@
 
 #include <jansson.h>
 
-#include "bench/study.h"
 #include "cli/runs.h"
 #include "core/options.h"
+#include "studies/study.h"
 #include "train/config.h"
 
 struct record_options {
 #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
-#include "bench/study_record.def"
+#include "studies/study_record.def"
 #undef OPT
 };
 
 static const struct options_def record_defs[] = {
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct record_options, type, tier, key, def, lo, hi, unit, help)
-#include "bench/study_record.def"
+#include "studies/study_record.def"
 #undef OPT
 };
 
@@ -372,7 +372,7 @@ enum err_code study_record(int argc, char **argv, struct err *e)
         .usage = "citysplat-study record FILE.jsonl --study NAME --row NAME [options]",
         .about = "Adds the numbers of a run to a file of recorded runs, from which "
                  "`citysplat-study chart` draws. A row that is there already is replaced. "
-                 "bench/study.sh uses it.",
+                 "studies/study.sh uses it.",
         .example =
             "citysplat eval scene -o scores.json\ncitysplat-study record docs/runs/budgets.jsonl "
             "--study budgets --row '50 k' --scores scores.json --results scene --set "
