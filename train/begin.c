@@ -200,7 +200,8 @@ static void begin_tell_length(const struct begin *t)
                                t->levels[i].steps);
     }
     log_info("train", "cell=%s %.0f steps, by level %s%s", t->job->cell.id, steps, parts,
-             t->job->cfg->iterations.one ? "" : ": the full method; --iterations N makes it shorter");
+             t->job->cfg->iterations.one ? ""
+                                         : ": the full method; --iterations N makes it shorter");
 }
 
 /* A network that is warmed up for longer than its level learns nothing. */
