@@ -107,6 +107,10 @@ struct layout_splat {
     LAYOUT_U32 cover;
     LAYOUT_U32 bands[LAYOUT_BANDS / 2];
 };
+/* Nobody reads cover and bands once the tile lists exist. In a frame with moments of depth they
+ * then hold, as floats, the plane of the splat: its depth at a pixel is
+ *     m = depth + tilt_x d.x + tilt_y d.y,   d = mean - pixel centre,
+ * in units of view.depth_unit_m and relative to that depth. See render/moments.cl. */
 
 /* One view of one model: constants of a frame. World means here: relative to the model's origin. */
 struct layout_view {
@@ -127,6 +131,7 @@ struct layout_view {
     LAYOUT_U32 smooth;            /* 1: Gaussians are widened by a 3-D filter each */
     LAYOUT_U32 listed;            /* 1: a list says which groups of parameters these are */
     LAYOUT_U32 orthographic;      /* 1: fx, fy are px a metre, all rays are rot[6..8] */
+    float depth_unit_m;           /* of moments of depth; 0: the frame has none */
 };
 
 /* Words of struct layout_splat where kernels move records as vectors. */
@@ -140,6 +145,7 @@ struct layout_view {
 #define LAYOUT_SPLAT_Y_OF_X 9
 #define LAYOUT_SPLAT_COVER 10
 #define LAYOUT_SPLAT_BANDS 11
+#define LAYOUT_SPLAT_DEPTH LAYOUT_SPLAT_COVER /* after the tile lists; tilts follow */
 #define LAYOUT_SPLAT_WORDS 16
 
 /* Counts that the device finds in a frame; the host reads them once, before the lists of
@@ -161,7 +167,10 @@ struct layout_counts {
 #define LAYOUT_SLOT_QUV 7
 #define LAYOUT_SLOT_QVV 8
 #define LAYOUT_SLOT_ABS 9 /* two moduli of the gradient of the mean in pixels */
-#define LAYOUT_SLOT_FLOATS 11
+#define LAYOUT_SLOT_DEPTH 11 /* moments of dL/d of the depth at a pixel, as of q; 0 without */
+#define LAYOUT_SLOT_DEPTH_U 12
+#define LAYOUT_SLOT_DEPTH_V 13
+#define LAYOUT_SLOT_FLOATS 14
 
 /* What render_importance_run sums for a Gaussian: its slots hold the first
  * LAYOUT_IMPORTANCE_SLOT. */
@@ -237,7 +246,7 @@ static_assert(LAYOUT_PLANES_GEOMETRY == LAYOUT_PLANE_OPACITY + 1, "opacity is th
 static_assert(sizeof(struct layout_adam) == 17 * 4, "no padding: an argument of a kernel");
 static_assert(sizeof(struct layout_counts) == 8 * (2 + LAYOUT_SORT_CHUNKS) + 4 * LAYOUT_BIN_CHUNKS,
               "no padding");
-static_assert(sizeof(struct layout_view) == 42 * 4, "no padding: kernels read the same words");
+static_assert(sizeof(struct layout_view) == 43 * 4, "no padding: kernels read the same words");
 #endif
 
 #endif

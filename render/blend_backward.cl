@@ -1,7 +1,8 @@
-// Stage: blend, backward. From dL/dcolour of every pixel to eleven sums of every intersection. The
+// Stage: blend, backward. From dL/dcolour of every pixel to fourteen sums of every intersection. The
 // CPU shape is compiled after blend_cpu.cl, whose names it shares.
 //   in   splats, tile_start, intersection_splat, intersection_slot; color, color_grad [3][h][w];
-//        hits, tile_stop
+//        hits, tile_stop; where the view has a unit of depth also transmit [h][w], moment_maps
+//        [2][h][w] and moment_grad [3][h][w]: dL/d of both moments and of the transmittance
 //   out  slots [intersections][LAYOUT_SLOT_FLOATS]; marks [intersections], 1 where a slot was
 //        written (the host clears them: intersections behind the stop are never visited)
 // Front to back once more, so every decision is that of blend to the last bit. With g = dL/dC of a
@@ -15,6 +16,10 @@
 //     0-2  w g      3  q    4  q u    5  q v    6  q u^2    7  q u v    8  q v^2
 //     9  |q u|     10  |q (r v - p x_of_y u)|: moduli of the two pixel gradients, up to a factor;
 //                  0 without with_abs
+//    11  h        12  h u      13  h v: moments of h = dL/d of the splat's depth at the pixel
+// With moments of depth (m of core/layout.h, sum w m and sum w m^2) there are two more colours, m
+// and m^2, and transmittance is a background of 1 behind a third that is 0: they enter dL/dalpha as
+// colours do, and h = w (g_1 + 2 m g_2).
 // Whitened moments stay of the order of q however long and thin the splat is.
 // Every slot has one writer and every sum one order: same input, same bits.
 // Reference: render_ref_backward. Absolute gradients: AbsGS, Ye et al. 2024.
@@ -52,6 +57,12 @@ inline float16 fold_1(float16 x,
 
 struct backward_state { // of each block; pixels beyond the picture's edge have t 0
     float16 t[16], rest[16], g[16][3];
+    float16 gm[16][2]; // of the moments
+};
+
+// Of a whole picture, see the head; the last three are read where the view has a unit of depth.
+struct backward_maps {
+    __global const float *color, *grad, *transmit, *moments, *moment_grad;
 };
 
 // One block of a planar picture, 0 beyond its edges.
@@ -71,7 +82,7 @@ inline float16 backward_block(__global const float *plane, uint w, uint h, uint 
 }
 
 inline void backward_load(struct backward_state *s, __constant struct layout_view *view,
-                          __global const float *color, __global const float *grad, uint px, uint py)
+                          const struct backward_maps *in, uint px, uint py)
 {
     uint w = view->width, h = view->height;
     size_t plane = (size_t)w * h;
@@ -81,20 +92,31 @@ inline void backward_load(struct backward_state *s, __constant struct layout_vie
         int16 inside = (x < (float)w) & (y < (float)h);
         float16 rest = (float16)(0.0f);
         for (uint c = 0; c < 3; c++) {
-            s->g[k][c] = backward_block(grad + c * plane, w, h, bx, by);
-            rest = s->g[k][c] * backward_block(color + c * plane, w, h, bx, by) + rest;
+            s->g[k][c] = backward_block(in->grad + c * plane, w, h, bx, by);
+            rest = s->g[k][c] * backward_block(in->color + c * plane, w, h, bx, by) + rest;
+        }
+        if (view->depth_unit_m > 0.0f) {
+            for (uint c = 0; c < 2; c++) {
+                s->gm[k][c] = backward_block(in->moment_grad + c * plane, w, h, bx, by);
+                rest = s->gm[k][c] * backward_block(in->moments + c * plane, w, h, bx, by) + rest;
+            }
+            rest = backward_block(in->moment_grad + 2 * plane, w, h, bx, by) *
+                       backward_block(in->transmit, w, h, bx, by) +
+                   rest;
         }
         s->rest[k] = rest;
         s->t[k] = inside ? (float16)(1.0f) : (float16)(0.0f);
     }
 }
 
-// One splat over some blocks: moves the pixels on and writes the slot.
-inline void backward_splat(struct backward_state *s, const float *w, float x0, float y0,
-                           uint blocks, uint with_abs, __global float *slot)
+// One splat over some blocks: moves the pixels on and writes the slot. moments is a literal.
+INLINE void backward_splat(struct backward_state *s, const float *w, float x0, float y0,
+                           uint blocks, uint with_abs, const int moments, __global float *slot)
 {
     float16 red = 0.0f, green = 0.0f, blue = 0.0f, m = 0.0f, mu = 0.0f, mv = 0.0f, muu = 0.0f,
-            muv = 0.0f, mvv = 0.0f, abs_x = 0.0f, abs_y = 0.0f;
+            muv = 0.0f, mvv = 0.0f, abs_x = 0.0f, abs_y = 0.0f, mh = 0.0f, mhu = 0.0f, mhv = 0.0f;
+    float depth = w[LAYOUT_SPLAT_DEPTH], tilt_x = w[LAYOUT_SPLAT_DEPTH + 1],
+          tilt_y = w[LAYOUT_SPLAT_DEPTH + 2];
     struct record e = record_of(w, x0, y0);
     float rgb0 = w[LAYOUT_SPLAT_RGB], rgb1 = w[LAYOUT_SPLAT_RGB + 1],
           rgb2 = w[LAYOUT_SPLAT_RGB + 2], cross = e.p * e.x_of_y;
@@ -110,6 +132,14 @@ inline void backward_splat(struct backward_state *s, const float *w, float x0, f
         float16 u = (dx - e.x_of_y * dy) * e.p, v = dy * e.r;
         float16 g0 = s->g[k][0], g1 = s->g[k][1], g2 = s->g[k][2];
         float16 gc = g0 * rgb0 + (g1 * rgb1 + g2 * rgb2);
+        if (moments) {
+            float16 z = tilt_x * dx + (tilt_y * dy + depth), gz = s->gm[k][1] * z;
+            float16 h = share * (2.0f * gz + s->gm[k][0]);
+            gc = (gz + s->gm[k][0]) * z + gc;
+            mh += h;
+            mhu = h * u + mhu;
+            mhv = h * v + mhv;
+        }
         float16 rest = s->rest[k] - share * gc;
         s->rest[k] = rest;
         red = share * g0 + red;
@@ -131,10 +161,16 @@ inline void backward_splat(struct backward_state *s, const float *w, float x0, f
     }
     float16 x = fold_4(fold_8(red, green), fold_8(blue, m)),
             y = fold_4(fold_8(mu, mv), fold_8(muu, muv)),
-            z = fold_4(fold_8(mvv, abs_x), fold_8(abs_y, abs_y));
-    float16 sums = fold_1(fold_2(x, y), fold_2(z, z));
+            z = fold_4(fold_8(mvv, abs_x), fold_8(abs_y, mh)), last = z;
+    if (moments)
+        last = fold_4(fold_8(mhu, mhv), (float16)(0.0f));
+    float16 sums = fold_1(fold_2(x, y), fold_2(z, last));
     vstore8(sums.lo, 0, slot);
-    vstore3(sums.s89a, 0, slot + 8);
+    vstore4(sums.s89ab, 0, slot + 8);
+    if (moments)
+        vstore2(sums.scd, 0, slot + 12);
+    else
+        vstore2((float2)(0.0f), 0, slot + 12);
 }
 
 __kernel void
@@ -142,8 +178,12 @@ blend_backward(__constant struct layout_view *view, __global const struct layout
                __global const uint *tile_start, __global const uint *intersection_splat,
                __global const uint *intersection_slot, __global const float *color,
                __global const float *color_grad, uint with_abs, __global float *slots,
-               __global uchar *marks, __global const ushort *hits, __global const uint *tile_stop)
+               __global uchar *marks, __global const ushort *hits, __global const uint *tile_stop,
+               __global const float *transmit, __global const float *moment_maps,
+               __global const float *moment_grad)
 {
+    const struct backward_maps maps = {color, color_grad, transmit, moment_maps, moment_grad};
+    const bool moments = view->depth_unit_m > 0.0f;
     uint tile = (uint)get_global_id(0);
     if (tile >= view->tiles_x * view->tiles_y)
         return;
@@ -156,7 +196,7 @@ blend_backward(__constant struct layout_view *view, __global const struct layout
 
     if (at == end)
         return;
-    backward_load(&s, view, color, color_grad, px, py);
+    backward_load(&s, view, &maps, px, py);
     while (at < end) {
         uint n = 0;
         for (; at < end && n < BATCH; at++) { // what blend drew; records and slots lie anywhere
@@ -175,8 +215,12 @@ blend_backward(__constant struct layout_view *view, __global const struct layout
             PREFETCH(slots + (size_t)next * LAYOUT_SLOT_FLOATS + LAYOUT_SLOT_FLOATS - 1);
             PREFETCH(marks + next);
             marks[slot[j]] = 1;
-            backward_splat(&s, staged + LAYOUT_SPLAT_WORDS * j, x0, y0, mask[j], with_abs,
-                           slots + (size_t)slot[j] * LAYOUT_SLOT_FLOATS);
+            const float *w = staged + LAYOUT_SPLAT_WORDS * j;
+            __global float *to = slots + (size_t)slot[j] * LAYOUT_SLOT_FLOATS;
+            if (moments)
+                backward_splat(&s, w, x0, y0, mask[j], with_abs, 1, to);
+            else
+                backward_splat(&s, w, x0, y0, mask[j], with_abs, 0, to);
         }
     }
 }
@@ -193,19 +237,29 @@ blend_backward(__constant struct layout_view *view, __global const struct layout
                __global const uint *tile_start, __global const uint *intersection_splat,
                __global const uint *intersection_slot, __global const float *color,
                __global const float *color_grad, uint with_abs, __global float *slots,
-               __global uchar *marks, __global const ushort *hits, __global const uint *tile_stop)
+               __global uchar *marks, __global const ushort *hits, __global const uint *tile_stop,
+               __global const float *transmit, __global const float *moment_maps,
+               __global const float *moment_grad)
 {
+    const bool moments = view->depth_unit_m > 0.0f;
     uint tile = (uint)get_group_id(0), lane = (uint)get_local_id(0);
     uint x = (tile % view->tiles_x) * LAYOUT_TILE + lane % LAYOUT_TILE;
     uint y = (tile / view->tiles_x) * LAYOUT_TILE + lane / LAYOUT_TILE;
     int inside = x < view->width && y < view->height;
     size_t plane = (size_t)view->width * view->height, at = (size_t)y * view->width + x;
-    float g[3] = {0.0f, 0.0f, 0.0f}, rest = 0.0f, t = inside ? 1.0f : 0.0f;
+    float g[3] = {0.0f, 0.0f, 0.0f}, gm[2] = {0.0f, 0.0f}, rest = 0.0f, t = inside ? 1.0f : 0.0f;
     __local float part[LAYOUT_SLOT_FLOATS * PIXELS], stripe[LAYOUT_SLOT_FLOATS * STRIPES];
     __local uint alive;
     for (uint c = 0; c < 3 && inside; c++) {
         g[c] = color_grad[c * plane + at];
         rest = g[c] * color[c * plane + at] + rest;
+    }
+    if (moments && inside) {
+        for (uint c = 0; c < 2; c++) {
+            gm[c] = moment_grad[c * plane + at];
+            rest = gm[c] * moment_maps[c * plane + at] + rest;
+        }
+        rest = moment_grad[2 * plane + at] * transmit[at] + rest;
     }
     for (uint k = tile_start[tile], end = tile_start[tile + 1]; k < end; k++) {
         __global const struct layout_splat *e = splats + intersection_splat[k];
@@ -214,7 +268,12 @@ blend_backward(__constant struct layout_view *view, __global const struct layout
         float a = MIN_(raw, LAYOUT_ALPHA_MAX);
         a = t > LAYOUT_TRANSMITTANCE_MIN ? a : 0.0f;
         float share = a * t, gc = g[0] * e->rgb[0] + (g[1] * e->rgb[1] + g[2] * e->rgb[2]);
-        float u = (dx - e->x_of_y * dy) * e->p, v = dy * e->r;
+        float u = (dx - e->x_of_y * dy) * e->p, v = dy * e->r, h = 0.0f;
+        if (moments) {
+            float z = as_float(e->bands[0]) * dx + (as_float(e->bands[1]) * dy + as_float(e->cover));
+            h = share * (gm[0] + 2.0f * gm[1] * z);
+            gc = (gm[0] + gm[1] * z) * z + gc;
+        }
         rest -= share * gc;
         float q = raw > LAYOUT_ALPHA_MAX ? 0.0f : a * (t * gc - rest / (1.0f - a));
         t -= share;
@@ -222,7 +281,8 @@ blend_backward(__constant struct layout_view *view, __global const struct layout
         float ax = with_abs ? fabs(qu) : 0.0f;
         float ay = with_abs ? fabs(e->r * qv - e->p * e->x_of_y * qu) : 0.0f;
         const float values[LAYOUT_SLOT_FLOATS] = {
-            share * g[0], share * g[1], share * g[2], q, qu, qv, qu * u, qu * v, qv * v, ax, ay};
+            share * g[0], share * g[1], share * g[2], q, qu, qv, qu * u, qu * v, qv * v, ax, ay,
+            h,            h * u,        h * v};
         for (uint i = 0; i < LAYOUT_SLOT_FLOATS; i++)
             part[i * PIXELS + lane] = values[i];
         barrier(CLK_LOCAL_MEM_FENCE);

@@ -1,6 +1,6 @@
 // Stage: blend, CPU shape. One work-item draws one tile of 16x16 pixels.
 //   in   tile_start, intersection_splat, splats
-//   out  color [3][h][w] with background, transmit [h][w]
+//   out  color [3][h][w] with background, transmit [h][w]; of `blend_moments` also moments [2][h][w]
 //        hits [intersections]: bit k is set when the splat was drawn into block k,
 //        tile_stop [tiles]: intersections from there on were not visited. The backward pass visits
 //        these and nothing else.
@@ -12,7 +12,10 @@
 // that does it is still blended), a block when all its pixels have, the tile when all its blocks
 // have.
 //
-// Reference: render_ref_forward. Same order of blending, no atomics.
+// blend_moments also sums the depth of the splats and its square, sum w m and sum w m^2 with w =
+// alpha T and m as in core/layout.h.
+//
+// Reference: render_ref_forward, render_ref_moments. Same order of blending, no atomics.
 
 #define BATCH 64
 #define CHECK_EVERY 16
@@ -95,14 +98,18 @@ inline void blend_masks(const float *records, float x0, float y0, uint tile_cull
 
 struct blend_state {
     float16 t[16], r[16], g[16], b[16]; // transmittance and colour of each block
+    float16 m1[16], m2[16];             // moments of depth
 };
 
-// One splat over some blocks: moves the pixels on.
-inline void blend_splat(struct blend_state *s, const float *w, float x0, float y0, uint blocks)
+// One splat over some blocks: moves the pixels on. moments is a literal.
+INLINE void blend_splat(struct blend_state *s, const float *w, float x0, float y0, uint blocks,
+                        const int moments)
 {
     struct record e = record_of(w, x0, y0);
     float red = w[LAYOUT_SPLAT_RGB], green = w[LAYOUT_SPLAT_RGB + 1],
           blue = w[LAYOUT_SPLAT_RGB + 2];
+    float depth = w[LAYOUT_SPLAT_DEPTH], tilt_x = w[LAYOUT_SPLAT_DEPTH + 1],
+          tilt_y = w[LAYOUT_SPLAT_DEPTH + 2];
     while (blocks) {
         uint k = 31 - clz(blocks);
         blocks ^= 1u << k;
@@ -115,6 +122,11 @@ inline void blend_splat(struct blend_state *s, const float *w, float x0, float y
         s->r[k] = share * red + s->r[k];
         s->g[k] = share * green + s->g[k];
         s->b[k] = share * blue + s->b[k];
+        if (moments) {
+            float16 m = tilt_x * dx + (tilt_y * dy + depth), wm = share * m;
+            s->m1[k] += wm;
+            s->m2[k] = wm * m + s->m2[k];
+        }
     }
 }
 
@@ -158,10 +170,12 @@ inline void blend_store(__constant struct layout_view *view, const float16 block
     }
 }
 
-__kernel void blend(__constant struct layout_view *view, __global const struct layout_splat *splats,
-                    __global const uint *tile_start, __global const uint *intersection_splat,
-                    __global float *color, __global float *transmit, __global ushort *hits,
-                    __global uint *tile_stop)
+// moments is a literal: 0 leaves `moment_maps` alone.
+INLINE void blend_tile(__constant struct layout_view *view,
+                       __global const struct layout_splat *splats, __global const uint *tile_start,
+                       __global const uint *intersection_splat, __global float *color,
+                       __global float *transmit, __global ushort *hits, __global uint *tile_stop,
+                       __global float *moment_maps, const int moments)
 {
     uint tile = (uint)get_global_id(0);
     if (tile >= view->tiles_x * view->tiles_y)
@@ -178,6 +192,8 @@ __kernel void blend(__constant struct layout_view *view, __global const struct l
         int16 inside = (x < (float)view->width) & (y < (float)view->height);
         s.t[k] = inside ? (float16)(1.0f) : (float16)(0.0f); // pixels beyond the edge have stopped
         s.r[k] = s.g[k] = s.b[k] = (float16)(0.0f);
+        if (moments)
+            s.m1[k] = s.m2[k] = (float16)(0.0f);
     }
     active = blend_active(s.t, active);
     for (uint j = 0; j < BATCH * LAYOUT_SPLAT_WORDS; j += 16)
@@ -195,7 +211,7 @@ __kernel void blend(__constant struct layout_view *view, __global const struct l
         for (; j < n && active; j++) {
             uint blocks = mask[j] & active;
             if (blocks)
-                blend_splat(&s, staged + LAYOUT_SPLAT_WORDS * j, x0, y0, blocks);
+                blend_splat(&s, staged + LAYOUT_SPLAT_WORDS * j, x0, y0, blocks, moments);
             hits[at + j] = (ushort)blocks;
             if (j % CHECK_EVERY == CHECK_EVERY - 1)
                 active = blend_active(s.t, active);
@@ -213,4 +229,28 @@ __kernel void blend(__constant struct layout_view *view, __global const struct l
     blend_store(view, s.g, px, py, color + plane);
     blend_store(view, s.b, px, py, color + 2 * plane);
     blend_store(view, s.t, px, py, transmit);
+    if (moments) {
+        blend_store(view, s.m1, px, py, moment_maps);
+        blend_store(view, s.m2, px, py, moment_maps + plane);
+    }
+}
+
+__kernel void blend(__constant struct layout_view *view, __global const struct layout_splat *splats,
+                    __global const uint *tile_start, __global const uint *intersection_splat,
+                    __global float *color, __global float *transmit, __global ushort *hits,
+                    __global uint *tile_stop)
+{
+    blend_tile(view, splats, tile_start, intersection_splat, color, transmit, hits, tile_stop,
+               color, 0);
+}
+
+__kernel void blend_moments(__constant struct layout_view *view,
+                            __global const struct layout_splat *splats,
+                            __global const uint *tile_start,
+                            __global const uint *intersection_splat, __global float *color,
+                            __global float *transmit, __global ushort *hits,
+                            __global uint *tile_stop, __global float *moment_maps)
+{
+    blend_tile(view, splats, tile_start, intersection_splat, color, transmit, hits, tile_stop,
+               moment_maps, 1);
 }

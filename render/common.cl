@@ -27,6 +27,7 @@ INLINE void transpose_16(V w[16])
 #endif
 
 #define LOG2E 1.44269504088896f
+#define LN2_2 1.38629436111989f // 2 ln 2
 
 // 2^x for x in [-126, 127], relative error 1.5e-7: rounding by adding 1.5 * 2^23, then a polynomial
 // for the fraction in [-1/2, 1/2] (minimax, 7.5e-8). Needs IEEE addition, that is no fast-math.

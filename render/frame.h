@@ -7,7 +7,9 @@
  *                                                       ties by index
  *   bin      order -> tile_start, intersection_splat,   intersections of a tile in depth order
  *            intersection_slot
- *   blend    -> color, transmit                         one work-item a tile on CPUs, one
+ *   planes   splats' depths, over words that only bin   with moments of depth alone
+ *            reads
+ *   blend    -> color, transmit, moments                one work-item a tile on CPUs, one
  *                                                       work-group a tile on GPUs
  *
  * No count depends on the number of threads and nothing is added by atomics, so the same input
@@ -86,6 +88,8 @@ struct render {
     struct frame_buffer color;      /* float [3][h][w] planar, background included */
     struct frame_buffer transmit;   /* float [h][w] */
     struct frame_buffer color_grad; /* float [3][h][w] planar, dL/dcolor */
+    /* with view.depth_unit_m: float [2][h][w] and [3][h][w] planar, see render.h */
+    struct frame_buffer moments, moments_grad;
     struct frame_buffer where;      /* uchar [h][w]: render_options.background_where */
 
     /* -- appearance: render_appearance.c ------------------------------------------------------- */
@@ -108,7 +112,7 @@ struct render {
         program; /* forward: layout.h common.cl project.cl sort.cl bin.cl blend_cpu.cl or _gpu */
     struct frame_kernels {
         cl_kernel project, sort_count, sort_scan, sort_scatter, bin_total, bin_expand, bin_sum,
-            bin_scan, bin_scatter, blend, background;
+            bin_scan, bin_scatter, planes, blend, blend_moments, background;
     } k;
 
     /* -- the backward pass: made by render_backward.c on first use, freed by render_close through

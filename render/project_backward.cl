@@ -1,4 +1,4 @@
-// Stage: gather and project, backward. Eleven sums of every intersection -> gradients of the raw
+// Stage: gather and project, backward. Fourteen sums of every intersection -> gradients of the raw
 // parameters of every Gaussian, written out (project_backward) or put into Adam at once
 // (project_step).
 //   in   params [groups][planes][16], tiles_of, slot_first, slots, marks (see blend_backward.cl)
@@ -17,7 +17,11 @@
 // has simple derivatives of its own: d(1/2 ln det S0) = 1 - m_k^2 / det S0 for ln s_k.
 // Rotations: V_k = dL/dR_k gives the torque a = sum_k R_k x V_k, and dL/dq = 2 (0, a) q, which is
 // already tangent. The view direction of SH is held fixed.
-// The camera's own six gradients are sums over the Gaussians of what is at hand, if asked for.
+// With moments of depth a splat's depth at a pixel is z + k . d in units of view.depth_unit_m (see
+// moments.cl), k = L k', k' = -2 ln2 N p_z. From H = sum h, (h_u, h_v) = sum h (u, v) and b = 2 ln2
+// N^T (h_u, h_v)
+//     dL/dP = L (..  - 2 ln2 (h_u, h_v) (p_z + N^T k')^T - k' b^T),   dL/dp_z = -b,
+//     dL/dz = H, dL/d of the mean in pixels = k H.
 //
 // With APPEARANCE_LEN (appearance.cl) opacity is min(o + y3, 1) and colour clamp(SH + 0.5 + 2 y -
 // 1, 0, 1): nothing passes where they were cut. VW 16 goes on through the network at once, so that
@@ -27,13 +31,12 @@
 // Reference: render_ref_backward. Adam: Kingma and Ba 2015, every parameter every frame, also where
 // the gradient is 0.
 
-#define LN2_2 1.38629436111989f // 2 ln 2
 #define GRAD_LIMIT 1e18f        // its square is still a float
 
 // ---- sums of the slots
 
 struct sums {
-    V rgb[3], q, qu, qv, quu, quv, qvv, abs[2];
+    V rgb[3], q, qu, qv, quu, quv, qvv, abs[2], h, hu, hv;
 };
 
 // What forward and blend_backward left for one group (VW 16) or Gaussian (VW 1).
@@ -91,6 +94,9 @@ inline void sums_gather(const struct left *in, struct sums *s)
     s->qvv = t[LAYOUT_SLOT_QVV];
     s->abs[0] = t[LAYOUT_SLOT_ABS];
     s->abs[1] = t[LAYOUT_SLOT_ABS + 1];
+    s->h = t[LAYOUT_SLOT_DEPTH];
+    s->hu = t[LAYOUT_SLOT_DEPTH_U];
+    s->hv = t[LAYOUT_SLOT_DEPTH_V];
 }
 
 // ---- the chain rule
@@ -126,6 +132,7 @@ struct ellipse {
     V along, h02, h12; // sums over the axes: tr(N^T B N), third column of dL/dP (W R s)^T,
     V gn0, gn1;        // dL/dn,
     V torque[3];       // and a, in the camera frame
+    V k0, k1, h0, h1;  // k' and 2 ln2 (h_u, h_v), both in units of depth; 0 without moments
 };
 
 INLINE V sigmas_but(const struct seen *s, int k) // the product of the other two
@@ -168,6 +175,24 @@ INLINE void ellipse_of(__constant struct layout_view *v, const struct seen *s, c
     e->per_det0 = e->act / (e->act != 0.0f ? det0 : (V)(1.0f));
 }
 
+// What the plane of the splat needs, see moments.cl.
+INLINE void ellipse_plane(__constant struct layout_view *v, const struct seen *s,
+                          const struct sums *m, struct ellipse *e)
+{
+    e->k0 = e->k1 = e->h0 = e->h1 = (V)(0.0f);
+    if (!(v->depth_unit_m > 0.0f))
+        return;
+    float unit = 1.0f / v->depth_unit_m;
+    for (int k = 0; k < 3; k++) {
+        V p0 = s->pr[k] * s->scale[k], p1 = s->pr[3 + k] * s->scale[k],
+          z = e->axes[6 + k] * s->scale[k];
+        e->k0 -= LN2_2 * (e->p * (p0 - e->x_of_y * p1)) * z;
+        e->k1 -= LN2_2 * (e->r * p1) * z;
+    }
+    e->h0 = LN2_2 * unit * m->hu;
+    e->h1 = LN2_2 * unit * m->hv;
+}
+
 // Axis by axis: dL/d ln s_k, and the sums over the axes.
 INLINE void ellipse_axes(__constant struct layout_view *v, const struct seen *s,
                          const struct sums *m, struct ellipse *e, V scale[3])
@@ -177,11 +202,14 @@ INLINE void ellipse_axes(__constant struct layout_view *v, const struct seen *s,
     for (int k = 0; k < 3; k++) {
         V p0 = s->pr[k] * s->scale[k], p1 = s->pr[3 + k] * s->scale[k];
         V n0 = e->p * (p0 - e->x_of_y * p1), n1 = e->r * p1;
-        V t0 = e->b00 * n0 + e->b01 * n1, t1 = e->b01 * n0 + e->b11 * n1;
+        V z3 = e->axes[6 + k] * s->scale[k]; // p_z, and b:
+        V left = z3 + (n0 * e->k0 + n1 * e->k1), b = n0 * e->h0 + n1 * e->h1;
+        V t0 = e->b00 * n0 + (e->b01 * n1 - (e->h0 * left + e->k0 * b)),
+          t1 = e->b01 * n0 + (e->b11 * n1 - (e->h1 * left + e->k1 * b));
         V e0 = e->p * t0, e1 = e->r * t1 - e->x_of_y * e0; // dL/dP, column k
         V own = n0 * t0 + n1 * t1;
         e->along += own;
-        V sum = own + (e->act - e->per_det0 * (e->m[k] * e->m[k]));
+        V sum = own + (e->act - e->per_det0 * (e->m[k] * e->m[k])) - b * z3;
         scale[k] = v->smooth ? s->keep[k] * (sum - m->q) + m->q : sum;
         V x = e->axes[k], y = e->axes[3 + k], z = e->axes[6 + k];
         V e0s = e0 * s->scale[k], e1s = e1 * s->scale[k];
@@ -192,7 +220,7 @@ INLINE void ellipse_axes(__constant struct layout_view *v, const struct seen *s,
         e->gn1 = w * y + e->gn1;
         w *= e->nz;
         V v0 = e->fx * e0s + w * e->cx, v1 = e->fy * e1s + w * e->cy,
-          v2 = w - (e->fx * e->cx * e0s + e->fy * e->cy * e1s);
+          v2 = w - (e->fx * e->cx * e0s + e->fy * e->cy * e1s) - b * s->scale[k];
         e->torque[0] += y * v2 - z * v1;
         e->torque[1] += z * v0 - x * v2;
         e->torque[2] += x * v1 - y * v0;
@@ -205,15 +233,18 @@ INLINE void ellipse_mean(__constant struct layout_view *v, const struct seen *s,
 {
     V gu = -LN2_2 * (e->p * m->qu), gv = -LN2_2 * (e->r * m->qv - e->p * e->x_of_y * m->qu);
     V x = s->cam[0] * s->inv_z, y = s->cam[1] * s->inv_z;
+    px[0] = gu; // densification looks at colours alone
+    px[1] = gv;
+    V depth = v->depth_unit_m > 0.0f ? m->h / v->depth_unit_m : (V)(0.0f);
+    gu += depth * (e->p * e->k0);
+    gv += depth * (e->r * e->k1 - e->x_of_y * (e->p * e->k0));
     V gx = e->nz * e->gn0 - e->fx * e->h02, gy = e->nz * e->gn1 - e->fy * e->h12; // of (cx, cy)
     gx = x == e->cx ? gx : (V)(0.0f);
     gy = y == e->cy ? gy : (V)(0.0f);
     V tx = (e->fx * gu + gx * s->inv_z), ty = (e->fy * gv + gy * s->inv_z);
-    V tz = -(tx * x + ty * y) - s->inv_z * (e->along + 2.0f * e->act);
+    V tz = depth - (tx * x + ty * y) - s->inv_z * (e->along + 2.0f * e->act);
     for (int k = 0; k < 3; k++)
         mean[k] = v->rot[k] * tx + (v->rot[3 + k] * ty + v->rot[6 + k] * tz);
-    px[0] = gu;
-    px[1] = gv;
 }
 
 // The torque to the world, then to the quaternion.
@@ -249,6 +280,7 @@ inline void gradient_geometry(__constant struct layout_view *v, __global const f
     (void)seen_mean(v, g, &s);
     (void)seen_ellipse(v, g, filter, &s);
     ellipse_of(v, &s, m, &e);
+    ellipse_plane(v, &s, m, &e);
     ellipse_axes(v, &s, m, &e, out->geometry + LAYOUT_PLANE_SCALE);
     ellipse_mean(v, &s, m, &e, out->px, out->geometry + LAYOUT_PLANE_MEAN);
     ellipse_quat(v, &s, &e, out->geometry + LAYOUT_PLANE_QUAT);

@@ -54,6 +54,10 @@ struct render_options {
      * device is the finer frame. ERR_ARG without compensation (RENDER_AA_NONE), whose Gaussians
      * would be thinner. */
     uint32_t supersample;
+    /* Above 0: the frame also has moments of depth along the rays, in units of so many metres and
+     * relative to that depth, see render_moments_buffer. Of the order of the scene's depth, so that
+     * floats have digits left. ERR_ARG with supersampling and orthographic views. */
+    double depth_unit_m;
 };
 
 #define RENDER_NEAR_M 0.2
@@ -162,6 +166,13 @@ const struct render_stats *render_last_stats(const struct render *r);
 void render_set_timing(struct render *r, bool on);
 /* The colour of the last frame on the device: float [3][h][w] planar, for the loss. Borrowed. */
 cl_mem render_color_buffer(struct render *r);
+/* The transmittance of the last frame on the device: float [h][w]. Borrowed. */
+cl_mem render_transmittance_buffer(struct render *r);
+/* Moments of depth of the last frame, drawn with depth_unit_m: float [2][h][w] planar on the
+ * device. With w = alpha T of a splat and m = z / depth_unit_m - 1 of the depth at which the
+ * pixel's ray meets the most of it (render/moments.cl): sum w m, sum w m^2. The background has no
+ * part in them. Borrowed; NULL after a frame without. */
+cl_mem render_moments_buffer(struct render *r);
 
 /* ---- backward: see render_backward.c ---- */
 
@@ -169,7 +180,11 @@ cl_mem render_color_buffer(struct render *r);
  * render_color_buffer; borrowed, filled by the loss (or by render_set_color_grad). Ask after each
  * frame. NULL when no frame was drawn or memory is out. */
 cl_mem render_color_grad_buffer(struct render *r);
-/* The same from the host. ERR_ARG (no frame was drawn), ERR_MEM, ERR_DEVICE. */
+/* dL/d of both moments and of the transmittance of the last frame: float [3][h][w] planar on the
+ * device; borrowed. It must be filled before the backward pass of a frame with moments. NULL when
+ * the frame has none or memory is out. */
+cl_mem render_moments_grad_buffer(struct render *r);
+/* dL/dcolour from the host. ERR_ARG (no frame was drawn), ERR_MEM, ERR_DEVICE. */
 enum err_code render_set_color_grad(struct render *r, const float *rgb_grad /*[h][w][3]*/,
                                     struct err *e) ERR_USE;
 /* Gradients of the last frame into `grads`: float [groups][planes][16], raw parameters (before
@@ -278,6 +293,11 @@ enum err_code render_surface_run(struct render_surface *s, const float *limit_m,
 enum err_code render_ref_forward(const struct gauss *g, const struct camera *cam,
                                  const struct render_options *o, double *rgb, double *transmittance,
                                  struct err *e) ERR_USE;
+/* Moments of depth and transmittance of a frame with depth_unit_m, [h][w][3]: sum w m, sum w m^2, T
+ * (render_moments_buffer). ERR_ARG, ERR_MEM. */
+enum err_code render_ref_moments(const struct gauss *g, const struct camera *cam,
+                                 const struct render_options *o, double *moments,
+                                 struct err *e) ERR_USE;
 /* Gradients of sum(rgb * rgb_grad) with respect to the raw parameters; arrays in the layout of
  * gauss (n x 3, n x 3, n x 4, n, n x K x 3), written, not added. */
 struct render_ref_grads {
@@ -286,6 +306,9 @@ struct render_ref_grads {
      * is then sum(rgb * rgb_grad) + offset_weight * mean of y3 over the visible. */
     double *embed, *frame;
     double offset_weight;
+    /* In, NULL: none: [h][w][3], the objective has sum(moments * moments_grad) as well, with
+     * depth_unit_m in the options (render_ref_moments). */
+    const double *moments_grad;
 };
 /* rgb_grad [h][w][3]. ERR_ARG, ERR_MEM. */
 enum err_code render_ref_backward(const struct gauss *g, const struct camera *cam,

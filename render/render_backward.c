@@ -1,6 +1,6 @@
 /* The backward pass on the device: dL/dcolour of the last frame -> gradients, or one step of Adam.
  *
- * Two launches: blend_backward leaves eleven sums in one slot per intersection, project_backward or
+ * Two launches: blend_backward leaves fourteen sums in one slot per intersection, project_backward or
  * project_step adds a Gaussian's slots in order and applies the chain rule, the latter with Adam on
  * the spot, so that gradients (236 bytes a Gaussian) never travel through memory. Owns its kernels
  * and marks in struct render_backward_state, made on first use; render_close frees it through
@@ -92,6 +92,16 @@ cl_mem render_color_grad_buffer(struct render *r)
     return r->color_grad.mem;
 }
 
+cl_mem render_moments_grad_buffer(struct render *r)
+{
+    struct err e;
+    size_t bytes = backward_picture_bytes(r); /* three planes, too */
+    if (!r->drawn || !(r->view.depth_unit_m > 0) ||
+        frame_reserve(r, &r->moments_grad, bytes, &e) != ERR_OK)
+        return NULL;
+    return r->moments_grad.mem;
+}
+
 enum err_code render_set_color_grad(struct render *r, const float *rgb_grad, struct err *e)
 {
     if (!r->drawn)
@@ -133,6 +143,11 @@ static enum err_code backward_blend(struct render *r, const struct render_model 
     struct render_backward_state *s = r->backward;
     if (r->color_grad.cap_bytes < backward_picture_bytes(r))
         return err_set(e, ERR_ARG, "render_backward: dL/dcolour was not given for this picture");
+    bool moments = r->view.depth_unit_m > 0;
+    if (moments && r->moments_grad.cap_bytes < backward_picture_bytes(r))
+        return err_set(e, ERR_ARG,
+                       "render_backward: dL/d of the moments was not given for this picture");
+    cl_mem moments_grad = moments ? r->moments_grad.mem : s->unused;
     size_t mark_bytes = ((size_t)r->intersections + 3) / 4 * 4;
     /* [intersections][LAYOUT_SLOT_FLOATS], and room for one vector load */
     rc = frame_reserve(
@@ -152,7 +167,9 @@ static enum err_code backward_blend(struct render *r, const struct render_model 
                                 FRAME_ARG(r->intersection_slot.mem), FRAME_ARG(r->color.mem),
                                 FRAME_ARG(r->color_grad.mem), FRAME_ARG(with_abs),
                                 FRAME_ARG(r->slots.mem), FRAME_ARG(s->marks.mem),
-                                FRAME_ARG(r->hits.mem), FRAME_ARG(r->tile_stop.mem)),
+                                FRAME_ARG(r->hits.mem), FRAME_ARG(r->tile_stop.mem),
+                                FRAME_ARG(r->transmit.mem), FRAME_ARG(r->moments.mem),
+                                FRAME_ARG(moments_grad)),
                      r->tiles * local, local, e);
 }
 

@@ -16,7 +16,7 @@
 #include "render/supersample.h"
 
 extern const char project_cl[], sort_cl[], bin_cl[], blend_cpu_cl[], blend_gpu_cl[],
-    background_cl[];
+    background_cl[], moments_cl[];
 
 enum { RADIX_PASSES = 3 };
 
@@ -30,6 +30,7 @@ static enum err_code render_build(struct render *r, struct err *e)
                                          {"render/project.cl", project_cl},
                                          {"render/sort.cl", sort_cl},
                                          {"render/bin.cl", bin_cl},
+                                         {"render/moments.cl", moments_cl},
                                          shapes[r->dev->vector_width == LAYOUT_LANES],
                                          {"render/background.cl", background_cl}};
     struct {
@@ -40,10 +41,13 @@ static enum err_code render_build(struct render *r, struct err *e)
                    {"bin_total", &r->k.bin_total},     {"bin_expand", &r->k.bin_expand},
                    {"bin_sum", &r->k.bin_sum},         {"bin_scan", &r->k.bin_scan},
                    {"bin_scatter", &r->k.bin_scatter}, {"blend", &r->k.blend},
-                   {"background", &r->k.background}};
+                   {"background", &r->k.background},   {"planes", &r->k.planes},
+                   {"blend_moments", &r->k.blend_moments}}; /* the last: VW 16 alone */
+    size_t n_kernels = sizeof kernels / sizeof *kernels;
+    n_kernels -= r->dev->vector_width == LAYOUT_LANES ? 0 : 1;
     enum err_code rc =
         dev_build(r->dev, sources, sizeof sources / sizeof *sources, NULL, &r->program, e);
-    for (size_t i = 0; !rc && i < sizeof kernels / sizeof *kernels; i++)
+    for (size_t i = 0; !rc && i < n_kernels; i++)
         rc = dev_kernel(r->program, kernels[i].name, kernels[i].to, e);
     return rc;
 }
@@ -99,6 +103,8 @@ void render_close(struct render **rp)
                                       &r->color,
                                       &r->transmit,
                                       &r->color_grad,
+                                      &r->moments,
+                                      &r->moments_grad,
                                       &r->where,
                                       &r->hits,
                                       &r->tile_stop,
@@ -107,7 +113,8 @@ void render_close(struct render **rp)
         dev_release(&buffers[i]->mem);
     cl_kernel kernels[] = {r->k.project,     r->k.sort_count, r->k.sort_scan, r->k.sort_scatter,
                            r->k.bin_total,   r->k.bin_expand, r->k.bin_sum,   r->k.bin_scan,
-                           r->k.bin_scatter, r->k.blend,      r->k.background};
+                           r->k.bin_scatter, r->k.blend,      r->k.background, r->k.planes,
+                           r->k.blend_moments};
     for (size_t i = 0; i < sizeof kernels / sizeof *kernels; i++)
         if (kernels[i])
             clReleaseKernel(kernels[i]);
@@ -196,6 +203,7 @@ static void render_view_fill(const struct render *r, const struct render_model *
     v->smooth = m->filter != NULL;
     v->listed = m->list != NULL;
     v->orthographic = o->orthographic;
+    v->depth_unit_m = (float)o->depth_unit_m;
 }
 
 /* ---- stages ---- */
@@ -226,7 +234,8 @@ static enum err_code render_frame_buffers(struct render *r, struct err *e)
                  {&r->tile_start, (stride + 1) * word},
                  {&r->tile_stop, stride * word},
                  {&r->color, 3 * pixels * sizeof(float)},
-                 {&r->transmit, pixels * sizeof(float)}};
+                 {&r->transmit, pixels * sizeof(float)},
+                 {&r->moments, (r->view.depth_unit_m > 0 ? 2 * pixels : 1) * sizeof(float)}};
     for (size_t i = 0; i < sizeof wants / sizeof *wants; i++) {
         enum err_code rc = frame_reserve(r, wants[i].b, wants[i].bytes, e);
         if (rc)
@@ -353,15 +362,31 @@ static enum err_code render_before_blend(struct render *r, struct err *e)
     return !rc ? render_go(r, e) : rc;
 }
 
+/* Depths of the splats over their pixels, where moments are wanted. */
+static enum err_code render_stage_planes(struct render *r, struct err *e)
+{
+    size_t local, items = frame_items(r, r->view.groups, &local);
+    if (!(r->view.depth_unit_m > 0) || !items)
+        return ERR_OK;
+    return frame_run(r, r->k.planes, "planes",
+                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->drawn_params),
+                                FRAME_ARG(r->drawn_filter), FRAME_ARG(r->drawn_list),
+                                FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->splats.mem)),
+                     items, local, e);
+}
+
 static enum err_code render_stage_blend(struct render *r, struct err *e)
 {
-    size_t local = r->dev->vector_width == LAYOUT_LANES ? 1 : LAYOUT_TILE_PIXELS;
-    return frame_run(r, r->k.blend, "blend",
-                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->splats.mem),
-                                FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->intersection_splat.mem),
-                                FRAME_ARG(r->color.mem), FRAME_ARG(r->transmit.mem),
-                                FRAME_ARG(r->hits.mem), FRAME_ARG(r->tile_stop.mem)),
-                     r->tiles * local, local, e);
+    bool wide = r->dev->vector_width == LAYOUT_LANES, moments = r->view.depth_unit_m > 0;
+    size_t local = wide ? 1 : LAYOUT_TILE_PIXELS;
+    const struct frame_arg args[] = {FRAME_ARG(r->view_mem),       FRAME_ARG(r->splats.mem),
+                                     FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->intersection_splat.mem),
+                                     FRAME_ARG(r->color.mem),      FRAME_ARG(r->transmit.mem),
+                                     FRAME_ARG(r->hits.mem),       FRAME_ARG(r->tile_stop.mem),
+                                     FRAME_ARG(r->moments.mem)};
+    size_t n = sizeof args / sizeof *args;
+    return frame_run(r, wide && moments ? r->k.blend_moments : r->k.blend, "blend", args,
+                     wide && !moments ? n - 1 : n, r->tiles * local, local, e);
 }
 
 /* Another background behind some pixels. */
@@ -426,6 +451,10 @@ static enum err_code render_fine_camera(struct render *r, const struct camera *c
     uint32_t factor = r->supersample = o->supersample > 1 ? o->supersample : 1;
     enum err_code rc = render_view_check(cam, e);
     *fine = *cam;
+    if (!rc && o->depth_unit_m > 0 && (o->orthographic || factor > 1))
+        return err_set(e, ERR_ARG,
+                       "render_forward: moments of depth are of perspective views, one pixel for "
+                       "one");
     if (rc || factor == 1)
         return rc;
     if (o->background_where)
@@ -485,6 +514,8 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
     if (!rc)
         rc = render_before_blend(r, e);
     if (!rc)
+        rc = render_stage_planes(r, e);
+    if (!rc)
         rc = render_stage_blend(r, e);
     if (!rc)
         rc = render_stage_background(r, o, e);
@@ -519,4 +550,14 @@ void render_set_timing(struct render *r, bool on)
 cl_mem render_color_buffer(struct render *r)
 {
     return r->color.mem;
+}
+
+cl_mem render_transmittance_buffer(struct render *r)
+{
+    return r->transmit.mem;
+}
+
+cl_mem render_moments_buffer(struct render *r)
+{
+    return r->view.depth_unit_m > 0 ? r->moments.mem : NULL;
 }

@@ -59,6 +59,7 @@ enum err_code ref_view_init(const struct gauss *g, const struct camera *cam,
     v.compensate = o->aa != RENDER_AA_NONE;
     v.half_max_px = 2 * fmax(w, h);
     v.orthographic = o->orthographic;
+    v.depth_unit_m = o->depth_unit_m;
     v.sh_degree = o->sh_degree >= 0 && (uint32_t)o->sh_degree < g->sh_degree
                       ? (uint32_t)o->sh_degree
                       : g->sh_degree;
@@ -154,6 +155,26 @@ static void ref_covariance(const struct ref_view *v, struct ref_splat *s)
            m12 = p[1] * p[5] - p[2] * p[4];
     s->det0 = m01 * m01 + m02 * m02 + m12 * m12;
     s->det = s->det0 + v->kernel_px2 * (s->cov0[0] + s->cov0[2]) + v->kernel_px2 * v->kernel_px2;
+    for (int k = 0; k < 3; k++) { /* third row of W R diag(s) */
+        double z_k = (v->rot[6] * s->rot[k] + v->rot[7] * s->rot[3 + k] + v->rot[8] * s->rot[6 + k]) *
+                     s->scale[k];
+        s->cov_z[0] += p[k] * z_k;
+        s->cov_z[1] += p[3 + k] * z_k;
+    }
+}
+
+/* The regression of depth on the pixel: z - cov_z^T S^-1 d. See render/moments.cl. */
+static void ref_plane(const struct ref_view *v, struct ref_splat *s)
+{
+    const double *q = s->conic;
+    s->depth = s->cam[2] / v->depth_unit_m - 1;
+    s->tilt[0] = -(q[0] * s->cov_z[0] + q[1] * s->cov_z[1]) / v->depth_unit_m;
+    s->tilt[1] = -(q[1] * s->cov_z[0] + q[2] * s->cov_z[1]) / v->depth_unit_m;
+}
+
+double ref_depth(const struct ref_splat *s, const double d[2])
+{
+    return s->depth + s->tilt[0] * d[0] + s->tilt[1] * d[1];
 }
 
 /* y = sigmoid(W2 max(0, W1 g^ + b) + b2), see core/appearance.h. */
@@ -240,6 +261,8 @@ bool ref_project(const struct ref_view *v, const struct gauss *g, size_t i, stru
     s.conic[0] = s11 / s.det;
     s.conic[1] = -s.cov0[1] / s.det;
     s.conic[2] = s00 / s.det;
+    if (v->depth_unit_m > 0)
+        ref_plane(v, &s);
     double z = v->orthographic ? 1 : s.cam[2];
     s.mean_px[0] = v->fx * s.cam[0] / z + v->cx;
     s.mean_px[1] = v->fy * s.cam[1] / z + v->cy;
@@ -334,6 +357,38 @@ enum err_code render_ref_forward(const struct gauss *g, const struct camera *cam
             rgb[3 * at + c] = sum[c] + t * ref_background(&v, at)[c];
         if (transmittance)
             transmittance[at] = t;
+    }
+    mem_free(splats);
+    return rc;
+}
+
+enum err_code render_ref_moments(const struct gauss *g, const struct camera *cam,
+                                 const struct render_options *o, double *moments, struct err *e)
+{
+    struct ref_view v;
+    struct ref_splat *splats = NULL;
+    size_t n = 0;
+    enum err_code rc = ref_view_init(g, cam, o, &v, e);
+    if (!rc && !(v.depth_unit_m > 0))
+        rc = err_set(e, ERR_ARG, "render_ref_moments: the options have no unit of depth");
+    if (!rc)
+        rc = ref_project_all(&v, g, &splats, &n, e);
+    for (size_t at = 0; !rc && at < (size_t)v.width * v.height; at++) {
+        double px = (double)(at % v.width) + 0.5, py = (double)(at / v.width) + 0.5;
+        double t = 1, sum[2] = {0, 0};
+        for (size_t i = 0; i < n && t > (double)LAYOUT_TRANSMITTANCE_MIN; i++) {
+            double d[2], alpha;
+            bool clamped;
+            if (!ref_alpha(&splats[i], px, py, d, &alpha, &clamped))
+                continue;
+            double m = ref_depth(&splats[i], d);
+            sum[0] += alpha * t * m;
+            sum[1] += alpha * t * m * m;
+            t *= 1 - alpha;
+        }
+        moments[3 * at] = sum[0];
+        moments[3 * at + 1] = sum[1];
+        moments[3 * at + 2] = t;
     }
     mem_free(splats);
     return rc;

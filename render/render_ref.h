@@ -20,6 +20,7 @@ struct ref_view {            /* a camera and options with every default resolved
     double background[3];
     const uint8_t *background_where; /* borrowed; NULL: nowhere */
     double background_there[3];
+    double depth_unit_m; /* of moments of depth; 0: none */
     bool compensate, orthographic;
     uint32_t sh_degree; /* evaluated */
     const float *frame; /* constants of an appearance, borrowed; NULL: none */
@@ -49,6 +50,9 @@ struct ref_splat {
     double opacity_eff; /* opacity * rho */
     double rgb[3];
     double half_px[2]; /* unrounded half-sizes k sqrt(S00), k sqrt(S11) */
+    /* With moments of depth: m = depth + tilt . (mean_px - pixel), in units of depth_unit_m */
+    double depth, tilt[2];
+    double cov_z[2]; /* covariance of the pixel and the depth, px m */
 };
 
 /* ERR_ARG when the camera or the options make no picture. */
@@ -69,6 +73,8 @@ double ref_appearance(const struct ref_view *v, const struct gauss *g, size_t i,
                       double *hidden, double y[APPEARANCE_OUT]);
 /* The splat's colour passes a gradient on. */
 bool ref_color_open(const struct ref_view *v, const struct ref_splat *s, int channel);
+/* The depth of a splat at an offset d = mean - pixel: m of render_moments_buffer. */
+double ref_depth(const struct ref_splat *s, const double d[2]);
 /* Exponent and alpha of a splat at a pixel centre; false when it does not contribute there. d =
  * mean - pixel; *clamped tells that alpha was cut to LAYOUT_ALPHA_MAX. */
 bool ref_alpha(const struct ref_splat *s, double px, double py, double d[2], double *alpha,

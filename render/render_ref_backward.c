@@ -9,7 +9,8 @@
  * both its branches, and the opacity compensation rho of Mip-Splatting (Yu et al. 2024). The view
  * direction of the spherical harmonics is held fixed: colour does not move a mean. With appearance,
  * colour and opacity go on through clamp and sum to the network's outputs, and from there to
- * embeddings and to the constants of the frame.
+ * embeddings and to the constants of the frame. Moments of depth are two more colours, m and m^2,
+ * that vary over a splat; transmittance is the background of a third.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -21,24 +22,42 @@
 
 struct splat_grad { /* of what is blended */
     double mean_px[2], conic[3], opacity_eff, rgb[3];
+    double depth, tilt[2];
 };
+
+/* What a pixel's objective is linear in: colours, then sum w m, sum w m^2 and T. */
+enum { BACKWARD_CHANNELS = 6 };
+
+/* A splat's value in each channel at a pixel. */
+static void backward_values(const struct ref_splat *s, const double d[2],
+                            double out[BACKWARD_CHANNELS])
+{
+    double m = ref_depth(s, d);
+    for (int c = 0; c < 3; c++)
+        out[c] = s->rgb[c];
+    out[3] = m;
+    out[4] = m * m;
+    out[5] = 0;
+}
 
 /* ---- compositing ---- */
 
 /* Add the gradients of one pixel. */
 static void backward_pixel(const struct ref_splat *splats, size_t n, double px, double py,
-                           const double background[3], const double g[3], struct splat_grad *out)
+                           const double background[BACKWARD_CHANNELS],
+                           const double g[BACKWARD_CHANNELS], struct splat_grad *out)
 {
-    double total[3] = {0}, pre[3] = {0}, t = 1;
-    double d[2], alpha;
+    double total[BACKWARD_CHANNELS] = {0}, pre[BACKWARD_CHANNELS] = {0}, t = 1;
+    double d[2], alpha, value[BACKWARD_CHANNELS];
     bool clamped;
     for (size_t i = 0; i < n && t > (double)LAYOUT_TRANSMITTANCE_MIN; i++)
         if (ref_alpha(&splats[i], px, py, d, &alpha, &clamped)) {
-            for (int c = 0; c < 3; c++)
-                total[c] += splats[i].rgb[c] * alpha * t;
+            backward_values(&splats[i], d, value);
+            for (int c = 0; c < BACKWARD_CHANNELS; c++)
+                total[c] += value[c] * alpha * t;
             t *= 1 - alpha;
         }
-    for (int c = 0; c < 3; c++)
+    for (int c = 0; c < BACKWARD_CHANNELS; c++)
         total[c] += t * background[c];
     t = 1;
     for (size_t i = 0; i < n && t > (double)LAYOUT_TRANSMITTANCE_MIN; i++) {
@@ -46,11 +65,18 @@ static void backward_pixel(const struct ref_splat *splats, size_t n, double px, 
         struct splat_grad *o = &out[i];
         if (!ref_alpha(s, px, py, d, &alpha, &clamped))
             continue;
-        double g_alpha = 0;
-        for (int c = 0; c < 3; c++) {
-            pre[c] += s->rgb[c] * alpha * t;
-            g_alpha += g[c] * (s->rgb[c] * t - (total[c] - pre[c]) / (1 - alpha));
+        double g_alpha = 0, g_m = alpha * t * (g[3] + 2 * ref_depth(s, d) * g[4]);
+        backward_values(s, d, value);
+        for (int c = 0; c < BACKWARD_CHANNELS; c++) {
+            pre[c] += value[c] * alpha * t;
+            g_alpha += g[c] * (value[c] * t - (total[c] - pre[c]) / (1 - alpha));
+        }
+        for (int c = 0; c < 3; c++)
             o->rgb[c] += alpha * t * g[c];
+        o->depth += g_m;
+        for (int a = 0; a < 2; a++) {
+            o->tilt[a] += g_m * d[a];
+            o->mean_px[a] += g_m * s->tilt[a];
         }
         t *= 1 - alpha;
         if (clamped)
@@ -89,6 +115,25 @@ static void backward_conic(const struct ref_view *v, const struct ref_splat *s,
     }
 }
 
+/* The plane of a splat: tilt = -S^-1 c / unit with c the covariance of pixel and depth. With a =
+ * S^-1 dL/dtilt / unit: dL/dS = sym(a (S^-1 c)^T), added to cov, and dL/dc = -a. */
+static void backward_plane(const struct ref_view *v, const struct ref_splat *s,
+                           const struct splat_grad *g, double cov[3], double g_cov_z[2])
+{
+    g_cov_z[0] = g_cov_z[1] = 0;
+    if (!(v->depth_unit_m > 0))
+        return;
+    const double *q = s->conic, *c = s->cov_z, *t = g->tilt;
+    double a0 = (q[0] * t[0] + q[1] * t[1]) / v->depth_unit_m,
+           a1 = (q[1] * t[0] + q[2] * t[1]) / v->depth_unit_m;
+    double w0 = q[0] * c[0] + q[1] * c[1], w1 = q[1] * c[0] + q[2] * c[1];
+    cov[0] += a0 * w0;
+    cov[1] += 0.5 * (a0 * w1 + a1 * w0);
+    cov[2] += a1 * w1;
+    g_cov_z[0] = -a0;
+    g_cov_z[1] = -a1;
+}
+
 /* out (3x3 symmetric) = P^T G P for a 2x3 matrix P. */
 static void backward_sandwich(const double p[6], const double g[3], double out[9])
 {
@@ -98,20 +143,22 @@ static void backward_sandwich(const double p[6], const double g[3], double out[9
                 p[i] * (g[0] * p[j] + g[1] * p[3 + j]) + p[3 + i] * (g[1] * p[j] + g[2] * p[3 + j]);
 }
 
-/* Mean: through the pixel position and through J. `sigma_cam` is W Sigma W^T. */
-static void backward_mean(const struct ref_view *v, const struct ref_splat *s, const double g_px[2],
-                          const double cov[3], const double sigma_cam[9], double g_mean[3])
+/* Mean: through the pixel position, through J and through the depth. `sigma_cam` is W Sigma W^T. */
+static void backward_mean(const struct ref_view *v, const struct ref_splat *s,
+                          const struct splat_grad *g, const double cov[3], const double g_cov_z[2],
+                          const double sigma_cam[9], double g_mean[3])
 {
-    const double f[2] = {v->fx, v->fy}, z = s->cam[2];
-    double g_jac[6], g_t[3] = {0}; /* gJ = 2 G J Sigma_cam */
+    const double f[2] = {v->fx, v->fy}, z = s->cam[2], *g_px = g->mean_px;
+    /* gJ = 2 G J Sigma_cam, and of c = J Sigma_cam's third column */
+    double g_jac[6], g_t[3] = {0, 0, v->depth_unit_m > 0 ? g->depth / v->depth_unit_m : 0};
     for (int k = 0; k < 3; k++) {
         double r0 = 0, r1 = 0;
         for (int l = 0; l < 3; l++) {
             r0 += s->jac[l] * sigma_cam[3 * l + k];
             r1 += s->jac[3 + l] * sigma_cam[3 * l + k];
         }
-        g_jac[k] = 2 * (cov[0] * r0 + cov[1] * r1);
-        g_jac[3 + k] = 2 * (cov[1] * r0 + cov[2] * r1);
+        g_jac[k] = 2 * (cov[0] * r0 + cov[1] * r1) + g_cov_z[0] * sigma_cam[3 * k + 2];
+        g_jac[3 + k] = 2 * (cov[1] * r0 + cov[2] * r1) + g_cov_z[1] * sigma_cam[3 * k + 2];
     }
     for (int a = 0; a < 2; a++) {
         g_t[a] += g_px[a] * f[a] / z;
@@ -207,8 +254,9 @@ static void backward_splat(const struct ref_view *v, const struct gauss *g,
 {
     size_t i = s->index, sh_count = gauss_sh_count(g->sh_degree),
            used = gauss_sh_count(v->sh_degree);
-    double cov[3], g_opacity, m[9], sigma_cam[9] = {0}, g_sigma_cam[9], g_sigma[9] = {0};
+    double cov[3], g_cov_z[2], g_opacity, m[9], sigma_cam[9] = {0}, g_sigma_cam[9], g_sigma[9] = {0};
     backward_conic(v, s, in, cov, &g_opacity);
+    backward_plane(v, s, in, cov, g_cov_z);
     for (int r = 0; r < 3; r++) /* W M */
         for (int k = 0; k < 3; k++)
             m[3 * r + k] = (v->rot[3 * r] * s->rot[k] + v->rot[3 * r + 1] * s->rot[3 + k] +
@@ -218,8 +266,13 @@ static void backward_splat(const struct ref_view *v, const struct gauss *g,
         for (int k = 0; k < 3; k++)
             for (int l = 0; l < 3; l++)
                 sigma_cam[3 * r + k] += m[3 * r + l] * m[3 * k + l];
-    backward_mean(v, s, in->mean_px, cov, sigma_cam, out->mean + 3 * i);
+    backward_mean(v, s, in, cov, g_cov_z, sigma_cam, out->mean + 3 * i);
     backward_sandwich(s->jac, cov, g_sigma_cam);
+    for (int l = 0; l < 3; l++) { /* c is symmetric in Sigma_cam as well */
+        double half = 0.5 * (s->jac[l] * g_cov_z[0] + s->jac[3 + l] * g_cov_z[1]);
+        g_sigma_cam[3 * l + 2] += half;
+        g_sigma_cam[6 + l] += half;
+    }
     for (int r = 0; r < 3; r++) /* W^T G W */
         for (int k = 0; k < 3; k++)
             for (int a = 0; a < 3; a++)
@@ -250,6 +303,8 @@ enum err_code render_ref_backward(const struct gauss *g, const struct camera *ca
     enum err_code rc = ref_view_init(g, cam, o, &v, e);
     if (!rc && v.orthographic)
         rc = err_set(e, ERR_ARG, "render_ref_backward: an orthographic view has no backward pass");
+    if (!rc && out->moments_grad && !(v.depth_unit_m > 0))
+        rc = err_set(e, ERR_ARG, "render_ref_backward: the options have no unit of depth");
     if (!rc)
         rc = ref_project_all(&v, g, &splats, &n, e);
     if (rc)
@@ -268,11 +323,15 @@ enum err_code render_ref_backward(const struct gauss *g, const struct camera *ca
         memset(out->embed, 0, g->n * g->embed_len * sizeof(double));
     if (out->frame)
         memset(out->frame, 0, appearance_frame_floats(v.embed_len, v.hidden) * sizeof(double));
-    for (size_t y = 0; y < v.height; y++)
-        for (size_t x = 0; x < v.width; x++)
-            backward_pixel(splats, n, (double)x + 0.5, (double)y + 0.5,
-                           ref_background(&v, y * v.width + x), rgb_grad + 3 * (y * v.width + x),
-                           grads);
+    for (size_t at = 0; at < (size_t)v.width * v.height; at++) {
+        double background[BACKWARD_CHANNELS] = {[5] = 1}, grad[BACKWARD_CHANNELS] = {0};
+        memcpy(background, ref_background(&v, at), 3 * sizeof *background);
+        memcpy(grad, rgb_grad + 3 * at, 3 * sizeof *grad);
+        if (out->moments_grad)
+            memcpy(grad + 3, out->moments_grad + 3 * at, 3 * sizeof *grad);
+        backward_pixel(splats, n, (double)(at % v.width) + 0.5, (double)(at / v.width) + 0.5,
+                       background, grad, grads);
+    }
     for (size_t i = 0; i < n; i++)
         backward_splat(&v, g, &splats[i], &grads[i], out->offset_weight / (double)n, out);
 out:

@@ -80,8 +80,15 @@ void view_case_split_background(struct view_case *s)
         s->o.background_there[c] = 0.9f - 0.4f * (float)c;
 }
 
+void view_case_moments(struct view_case *s)
+{
+    s->o.depth_unit_m = 2.5; /* centres are 2 to 4 m away */
+    s->moments_grad = grad_make((size_t)s->cam.width_px * s->cam.height_px * 3, 99);
+}
+
 void view_case_free(struct view_case *s)
 {
+    mem_free(s->moments_grad);
     gauss_free(&s->g);
     mem_free(s->rgb_grad);
 }
@@ -181,8 +188,13 @@ double view_case_objective(const struct view_case *s, const double *rgb_of, uint
             buf_u32(&decisions, (uint32_t)(2 * i + clamped));
             for (size_t c = 0; c < 3; c++)
                 sum += splats[i].rgb[c] * alpha * t * s->rgb_grad[3 * at + c];
+            double m = ref_depth(&splats[i], d);
+            for (size_t c = 0; s->moments_grad && c < 2; c++)
+                sum += (c ? m * m : m) * alpha * t * s->moments_grad[3 * at + c];
             t *= 1 - alpha;
         }
+        if (s->moments_grad)
+            sum += t * s->moments_grad[3 * at + 2];
         buf_u32(&decisions, ~0u);
         for (size_t c = 0; c < 3; c++)
             sum += t * ref_background(&v, at)[c] * s->rgb_grad[3 * at + c];
@@ -305,8 +317,11 @@ double clear_ambiguous(struct view_case *s)
             t *= 1 - fmin(a, (double)LAYOUT_ALPHA_MAX);
             sure = sure && !near(t, (double)LAYOUT_TRANSMITTANCE_MIN);
         }
-        for (size_t c = 0; c < 3 && !sure; c++)
+        for (size_t c = 0; c < 3 && !sure; c++) {
             s->rgb_grad[3 * at + c] = 0;
+            if (s->moments_grad)
+                s->moments_grad[3 * at + c] = 0;
+        }
         left += sure;
     }
     mem_free(splats);
@@ -326,6 +341,10 @@ void kernel_forward(struct render *r, const struct view_case *s, struct render_m
         kit_ok(render_model_upload(r, &s->g, m, &e), e);
     kit_ok(render_forward(r, m, &s->cam, &s->o, NULL, NULL, &e), e);
     kit_ok(render_set_color_grad(r, g, &e), e);
+    for (size_t i = 0; s->moments_grad && i < n; i++)
+        g[i % 3 * (n / 3) + i / 3] = (float)s->moments_grad[i];
+    if (s->moments_grad)
+        kit_ok(dev_write(dev_get(), render_moments_grad_buffer(r), 0, n * sizeof *g, g, &e), e);
     mem_free(g);
 }
 

@@ -21,6 +21,7 @@ struct view_case { /* view_case_free */
     struct render_options o;
     double *rgb_grad;     /* [h][w][3] */
     double offset_weight; /* of the mean opacity offset, in frames with appearance */
+    double *moments_grad; /* [h][w][3]; NULL: none, see view_case_moments */
 };
 struct view_case view_case_make(uint64_t seed, size_t n, enum render_aa aa, uint32_t degree);
 struct view_case
@@ -29,6 +30,8 @@ struct view_case
 view_case_outside(enum render_aa aa); /* centres beyond the Jacobian's clamp on every side */
 struct view_case view_case_needles(enum render_aa aa); /* axes from 0.4 m down to 0.1 mm */
 void view_case_free(struct view_case *s);
+/* The objective has moments of depth, too. */
+void view_case_moments(struct view_case *s);
 /* Another background behind the middle of the picture. */
 void view_case_split_background(struct view_case *s);
 double *grad_make(size_t n, uint64_t seed); /* standard normal; mem_free */

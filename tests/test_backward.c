@@ -48,6 +48,7 @@ static void check_kernels(struct render *r, struct view_case *s, const char *wha
     double sure = clear_ambiguous(s);
     if (sure < 0.5)
         fail_msg("%s: only %.2f of the pixels are away from every threshold", what, sure);
+    want.r.moments_grad = s->moments_grad;
     kit_ok(render_ref_backward(&s->g, &s->cam, &s->o, s->rgb_grad, &want.r, &e), e);
     kernel_gradients(r, s, width, &got);
     for (size_t k = 0; k < 5; k++) {
@@ -108,15 +109,73 @@ static void test_kernels_match_reference(void **state)
     render_close(&r);
 }
 
+/* Moments of depth of a frame against the reference, and their gradients. */
+#define MOMENTS_ABS 2e-5 /* depths of 2 to 4 m in units of 2.5 m, in float */
+static void check_moments(struct render *r, struct view_case *s, const char *what)
+{
+    size_t px = (size_t)s->cam.width_px * s->cam.height_px;
+    struct render_model m = {0};
+    struct err e = {0};
+    double *want = mem_array(px, 3 * sizeof *want);
+    assert_non_null(want);
+    kernel_forward(r, s, &m);
+    float *moments = floats_read(render_moments_buffer(r), 2 * px),
+          *t = floats_read(render_transmittance_buffer(r), px);
+    kit_ok(render_ref_moments(&s->g, &s->cam, &s->o, want, &e), e);
+    (void)clear_ambiguous(s);
+    double sum = 0;
+    for (size_t i = 0; i < px; i++) {
+        bool sure = s->moments_grad[3 * i] != 0;
+        const double got[3] = {(double)moments[i], (double)moments[px + i], (double)t[i]};
+        for (size_t c = 0; sure && c < 3; c++) {
+            if (!(fabs(got[c] - want[3 * i + c]) <= MOMENTS_ABS))
+                fail_msg("%s: pixel %zu, moment %zu: %.8g, reference %.8g", what, i, c, got[c],
+                         want[3 * i + c]);
+            sum += fabs(got[c]);
+        }
+    }
+    assert_true(sum > 1);
+    mem_free(moments);
+    mem_free(t);
+    mem_free(want);
+    render_model_free(&m);
+    check_kernels(r, s, what, 0);
+}
+
+static void test_moments_match_reference(void **state)
+{
+    (void)state;
+    static const enum render_aa modes[] = {RENDER_AA_NONE, RENDER_AA_2D, RENDER_AA_MIP};
+    struct render *r;
+    struct err e = {0};
+    kit_ok(render_open(dev_get(), &r, &e), e);
+    for (size_t i = 0; i < 3; i++) {
+        struct view_case s[5] = {view_case_make(230 + i, 17, modes[i], 1),
+                                 view_case_outside(modes[i]), view_case_needles(modes[i]),
+                                 view_case_saturated(modes[i]),
+                                 view_case_make(240 + i, 300, modes[i], 2)};
+        static const char *const name[] = {"moments", "moments outside", "moments of needles",
+                                           "moments, saturated", "moments of 300"};
+        for (size_t k = 0; k < 5; k++) {
+            view_case_moments(&s[k]);
+            check_moments(r, &s[k], name[k]);
+            view_case_free(&s[k]);
+        }
+    }
+    render_close(&r);
+}
+
 /* The kernels as a GPU gets them (one Gaussian or pixel a work-item), run here: those of the way
  * back are built on first use, so that the forward pass need not be narrow as well. */
 static void test_narrow_kernels_match_reference(void **state)
 {
     (void)state;
-    for (int i = 0; i < 3; i++) {
-        struct view_case s = i == 0   ? view_case_make(60, 40, RENDER_AA_2D, 2)
-                             : i == 1 ? view_case_saturated(RENDER_AA_MIP)
-                                      : view_case_needles(RENDER_AA_NONE);
+    for (int i = 0; i < 5; i++) {
+        struct view_case s = i % 3 == 0 ? view_case_make(60, 40, RENDER_AA_2D, 2)
+                             : i == 1   ? view_case_saturated(RENDER_AA_MIP)
+                                        : view_case_needles(RENDER_AA_NONE);
+        if (i > 2)
+            view_case_moments(&s);
         struct render *r;
         struct err e = {0};
         kit_ok(render_open(dev_get(), &r, &e), e);
@@ -294,6 +353,7 @@ int main(int argc, char **argv)
     self = argv[0];
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_kernels_match_reference),
+        cmocka_unit_test(test_moments_match_reference),
         cmocka_unit_test(test_narrow_kernels_match_reference),
         cmocka_unit_test(test_same_decisions),
         cmocka_unit_test(test_same_bits),

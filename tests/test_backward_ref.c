@@ -30,6 +30,7 @@ static void check_reference(struct view_case *s, const char *what)
                               s->g.sh};
     double *rgb = view_case_colors(s);
     size_t skipped = 0, all = 0;
+    want.r.moments_grad = s->moments_grad;
     kit_ok(render_ref_backward(&s->g, &s->cam, &s->o, s->rgb_grad, &want.r, &e), e);
     for (size_t k = 0; k < 5; k++) {
         double *fd = mem_array(want.count[k], sizeof *fd);
@@ -65,6 +66,24 @@ static void test_ref_all_parameters(void **state)
         struct view_case s = view_case_make(100 + i, 7, cases[i].aa, cases[i].degree);
         check_reference(&s, cases[i].name);
         view_case_free(&s);
+    }
+}
+
+/* Moments of depth, also of needles and of centres beyond the clamp of the Jacobian. */
+static void test_ref_moments(void **state)
+{
+    (void)state;
+    static const enum render_aa modes[] = {RENDER_AA_NONE, RENDER_AA_2D, RENDER_AA_MIP};
+    for (size_t i = 0; i < 3; i++) {
+        struct view_case s[4] = {view_case_make(130 + i, 7, modes[i], 1), view_case_outside(modes[i]),
+                                 view_case_needles(modes[i]), view_case_saturated(modes[i])};
+        static const char *const name[] = {"moments", "moments outside", "moments of needles",
+                                           "moments, saturated"};
+        for (size_t k = 0; k < 4; k++) {
+            view_case_moments(&s[k]);
+            check_reference(&s[k], name[k]);
+            view_case_free(&s[k]);
+        }
     }
 }
 
@@ -170,7 +189,8 @@ static void test_ref_untouched(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_ref_all_parameters), cmocka_unit_test(test_ref_split_background),
+        cmocka_unit_test(test_ref_all_parameters), cmocka_unit_test(test_ref_moments),
+        cmocka_unit_test(test_ref_split_background),
         cmocka_unit_test(test_ref_saturated),      cmocka_unit_test(test_ref_outside),
         cmocka_unit_test(test_ref_needles),        cmocka_unit_test(test_ref_untouched),
     };
