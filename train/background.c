@@ -47,45 +47,62 @@ static void background_mark(const struct footprint *f, const struct camera *c, u
         }
 }
 
-static void background_keep_dark(const uint8_t *px, size_t n, uint8_t *where)
+static void background_keep_dark(const uint8_t *px, size_t n, const uint8_t *supported,
+                                 uint8_t *where)
 {
     for (size_t i = 0; i < n; i++, px += 3)
-        where[i] = where[i] && px[0] < BACKGROUND_DARK && px[1] < BACKGROUND_DARK &&
+        where[i] = supported[i] && px[0] < BACKGROUND_DARK && px[1] < BACKGROUND_DARK &&
                    px[2] < BACKGROUND_DARK;
 }
 
-enum err_code background_choose(struct background *b, const struct train_config *cfg,
-                                const struct footprint *ground, const struct stage *at,
-                                const struct photo *p, struct render_options *ro, struct err *e)
+enum err_code background_support(struct background *b, const struct footprint *ground,
+                                 const struct photo *p, const uint8_t **out, struct err *e)
+{
+    size_t n = (size_t)p->cam.width_px * p->cam.height_px;
+    *out = NULL;
+    if (!ground || !ground->nx)
+        return ERR_OK;
+    if (n > b->cap) {
+        background_free(b);
+        b->where = mem_array(n, 1);
+        b->supported = mem_array(n, 1);
+        if (!b->where || !b->supported) {
+            background_free(b);
+            return err_set(e, ERR_MEM, "background: out of memory for %zu pixels", n);
+        }
+        b->cap = n;
+    }
+    background_mark(ground, &p->cam, b->supported);
+    *out = b->supported;
+    return ERR_OK;
+}
+
+void background_choose(struct background *b, const struct train_config *cfg,
+                       const uint8_t *supported, const struct stage *at, const struct photo *p,
+                       struct render_options *ro)
 {
     size_t n = (size_t)p->cam.width_px * p->cam.height_px;
     uint64_t stream = train_stream(TRAIN_STREAM_BACKGROUND, at->at + 1, at->step);
     float *color = ro->background;
     if (cfg->background_random == BACKGROUND_RANDOM_NONE)
-        return ERR_OK;
+        return;
     if (cfg->background_random != BACKGROUND_RANDOM_ALL) {
-        if (!ground || !ground->nx)
-            return ERR_OK; /* nothing is known to be supported */
-        if (n > b->cap) {
-            mem_free(b->where);
-            b->where = mem_array(n, 1);
-            b->cap = b->where ? n : 0;
+        if (!supported)
+            return;
+        ro->background_where = supported;
+        if (cfg->background_random == BACKGROUND_RANDOM_DARK) {
+            background_keep_dark(p->px, n, supported, b->where);
+            ro->background_where = b->where;
         }
-        if (!b->where)
-            return err_set(e, ERR_MEM, "background: out of memory for %zu pixels", n);
-        background_mark(ground, &p->cam, b->where);
-        if (cfg->background_random == BACKGROUND_RANDOM_DARK)
-            background_keep_dark(p->px, n, b->where);
-        ro->background_where = b->where;
         color = ro->background_there;
     }
     for (uint64_t c = 0; c < 3; c++)
         color[c] = (float)rng_unit((uint64_t)cfg->seed, stream, c);
-    return ERR_OK;
 }
 
 void background_free(struct background *b)
 {
     mem_free(b->where);
+    mem_free(b->supported);
     *b = (struct background){0};
 }

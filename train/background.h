@@ -22,17 +22,22 @@ struct render_options;
 struct stage;
 struct train_config;
 
-struct background { /* {0} is ready; background_free */
-    uint8_t *where; /* [h][w] of the last photograph, 0: the background stays */
+struct background {     /* {0} is ready; background_free */
+    uint8_t *where;     /* [h][w] of the last photograph, 0: the background stays */
+    uint8_t *supported; /* [h][w] of the last photograph, not 0: supported ground */
     size_t cap;
 };
+/* Which pixels of a photograph show ground that photographs support: [h][w], borrowed from b until
+ * the next call; NULL where ground is NULL or empty. ERR_MEM. */
+enum err_code background_support(struct background *b, const struct footprint *ground,
+                                 const struct photo *p, const uint8_t **out,
+                                 struct err *e) ERR_USE;
 /* Set ro's background for the step in work and its photograph, as cfg->background_random says.
- * ground may be NULL: then no ground is known to be supported. ro borrows from b until the next
- * call. The colour is a function of seed, level and step. ERR_MEM. */
-enum err_code background_choose(struct background *b, const struct train_config *cfg,
-                                const struct footprint *ground, const struct stage *at,
-                                const struct photo *p, struct render_options *ro,
-                                struct err *e) ERR_USE;
+ * supported: of background_support; NULL: no ground is known to be supported. ro borrows from b until the next
+ * call. The colour is a function of seed, level and step. */
+void background_choose(struct background *b, const struct train_config *cfg,
+                                const uint8_t *supported, const struct stage *at,
+                                const struct photo *p, struct render_options *ro);
 void background_free(struct background *b);
 
 #endif

@@ -18,6 +18,7 @@
 #include "codec/ckpt.h"
 #include "codec/scene.h"
 #include "loss/photometric.h"
+#include "loss/solid.h"
 #include "train/config.h"
 #include "train/densify_apply.h"
 #include "train/harmonics.h"
@@ -27,6 +28,7 @@
 #include "train/refit.h"
 #include "train/regularizer.h"
 #include "train/run_cell.h"
+#include "train/solidity.h"
 #include "train/state.h"
 
 /* Of the cell's edge: beyond, exp() and determinants lose their digits. */
@@ -98,6 +100,7 @@ void level_close(struct level *l)
     importance_free(&l->importance);
     regularizer_free(&l->regularizer);
     background_free(&l->background);
+    solid_close(&l->solid);
     model_close(&l->model);
     gallery_close(&l->gallery);
     appearance_train_close(&l->appearance);
@@ -383,7 +386,12 @@ enum err_code level_step(struct level *l, struct photometric_value *value, struc
     if (rc)
         return rc;
     struct render_options ro = gallery_photo_options(&l->gallery, &l->stage, photo.image);
-    rc = background_choose(&l->background, l->cfg, l->site.ground, &l->stage, &photo, &ro, e);
+    const uint8_t *supported;
+    bool solid = solidity_acts(l->cfg, &l->stage);
+    ro.depth_unit_m = solid ? solidity_unit_m(&l->site) : 0.0;
+    rc = background_support(&l->background, l->site.ground, &photo, &supported, e);
+    if (!rc)
+        background_choose(&l->background, l->cfg, supported, &l->stage, &photo, &ro);
     if (step % LEVEL_FILTER_STEPS == 0)
         m->filter_is_current = false;
     if (!rc)
@@ -395,6 +403,8 @@ enum err_code level_step(struct level *l, struct photometric_value *value, struc
         rc = render_forward(l->engine.render, &m->gauss, &photo.cam, &ro, NULL, NULL, e);
     if (!rc)
         rc = gallery_loss(&l->gallery, &photo, e);
+    if (!rc && solid)
+        rc = solidity_step(&l->solid, &l->gallery, &l->stage, &photo, supported, e);
     if (!rc)
         rc = level_backward(l, step, photo.image, &ro, e);
     if (!rc)

@@ -1,0 +1,144 @@
+// The loss on solid surfaces: moments of depth -> their gradients. loss/solid.h has the equations.
+//   solid_inverse  moments [2][h][w], transmit [h][w] -> inverse [h + 2 MARGIN][pitch]: 1 / zeta, 0
+//                  where the pixel has no part in a bend; margins are 0 and stay so
+//   solid_grad     all of these -> grad [3][h][w], sums [h][4]: spread, bend, light of a row
+// A work-item is a row, VW pixels at a time.
+// Reference: solid_ref.c.
+
+#define MARGIN 16 // at least two strides
+
+// n pixels of a row, 0 behind them.
+INLINE V row_load(__global const float *p, uint n)
+{
+#if VW == 16
+    if (n >= 16)
+        return LAYOUT_WIDE(const __global, float, p);
+    float v[16];
+    for (uint i = 0; i < 16; i++)
+        v[i] = i < n ? p[i] : 0.0f;
+    return vload16(0, v);
+#else
+    return p[0];
+#endif
+}
+
+INLINE void row_store(__global float *p, V x, uint n)
+{
+#if VW == 16
+    if (n >= 16) {
+        LAYOUT_WIDE(__global, float, p) = x;
+        return;
+    }
+    float v[16];
+    vstore16(x, 0, v);
+    for (uint i = 0; i < n; i++)
+        p[i] = v[i];
+#else
+    p[0] = x;
+#endif
+}
+
+INLINE V row_ask(__global const uchar *p, uint n) // 1 where p is not 0
+{
+#if VW == 16
+    float v[16];
+    for (uint i = 0; i < 16; i++)
+        v[i] = i < n && p[i] ? 1.0f : 0.0f;
+    return vload16(0, v);
+#else
+    return p[0] ? 1.0f : 0.0f;
+#endif
+}
+
+__kernel void solid_inverse(__global const float *moments, __global const float *transmit,
+                            uint width, uint height, uint pitch, float cover,
+                            __global float *inverse)
+{
+    uint y = (uint)get_global_id(0);
+    if (y >= height)
+        return;
+    size_t row = (size_t)y * width;
+    __global float *out = inverse + (size_t)(y + MARGIN) * pitch + MARGIN;
+    for (uint x = 0; x < width; x += VW) {
+        uint n = width - x;
+        V a = 1.0f - row_load(transmit + row + x, n), m1 = row_load(moments + row + x, n);
+        V q = a / (a + m1);
+        row_store(out + x, ((a >= cover) & (q > 0.0f)) ? q : (V)(0.0f), n);
+    }
+}
+
+struct solid_weights { // over n
+    float spread, bend, light, focal, soft_px, bend_px, cover;
+    uint stride;
+};
+
+// b of a triplet, 0 where one of it has no part.
+INLINE V bend_of(const struct solid_weights *k, V before, V q, V after)
+{
+    VI all = (before > 0.0f) & (q > 0.0f) & (after > 0.0f);
+    V b = k->focal * ((before - 2.0f * q + after) / q);
+    return all ? b : (V)(0.0f);
+}
+
+// dL/d(second difference) of a triplet.
+INLINE V bend_pull(const struct solid_weights *k, V before, V q, V after)
+{
+    V b = bend_of(k, before, q, after), r = b * (1.0f / k->bend_px);
+    V per = q > 0.0f ? k->focal / q : (V)(0.0f);
+    return k->bend * per * (b / (1.0f + r * r));
+}
+
+// dL/dq of a pixel from the three triplets of a line that it is in; adds to *sum.
+INLINE V bend_line(const struct solid_weights *k, __global const float *at, int step, V *sum)
+{
+    V q0 = row_load(at - 2 * step, VW), q1 = row_load(at - step, VW), q2 = row_load(at, VW),
+      q3 = row_load(at + step, VW), q4 = row_load(at + 2 * step, VW);
+    V r = bend_of(k, q1, q2, q3) * (1.0f / k->bend_px);
+    *sum += log(1.0f + r * r);
+    return bend_pull(k, q0, q1, q2) - 2.0f * bend_pull(k, q1, q2, q3) + bend_pull(k, q2, q3, q4);
+}
+
+__kernel void solid_grad(__global const float *moments, __global const float *transmit,
+                         __global const float *inverse, __global const uchar *supported,
+                         uint has_support, uint width, uint height, uint pitch,
+                         struct solid_weights k, __global float *grad, __global float *sums)
+{
+    uint y = (uint)get_global_id(0);
+    if (y >= height)
+        return;
+    size_t row = (size_t)y * width, plane = (size_t)width * height;
+    __global const float *q_row = inverse + (size_t)(y + MARGIN) * pitch + MARGIN;
+    V spread = (V)(0.0f), bend = (V)(0.0f), light = (V)(0.0f);
+    for (uint x = 0; x < width; x += VW) {
+        uint n = width - x;
+        size_t at = row + x;
+        V t = row_load(transmit + at, n), a = 1.0f - t;
+        V m1 = row_load(moments + at, n), m2 = row_load(moments + plane + at, n);
+        V real = TO_V(LANE) < (float)n ? (V)(1.0f) : (V)(0.0f);
+        VI drawn = (a >= k.cover) & (a + m1 > 0.0f) & (real > 0.0f);
+        V inv_a = 1.0f / (drawn ? a : (V)(1.0f)), d = m1 * inv_a, second = m2 * inv_a;
+        V zeta = drawn ? 1.0f + d : (V)(1.0f), px = k.focal / zeta, e = k.soft_px / px;
+        V v = MAX_(second - d * d, (V)(0.0f)), sigma = sqrt(v + e * e);
+        spread += drawn ? a * px * (sigma - e) : (V)(0.0f);
+        V w = drawn ? k.spread * px * 0.5f / sigma : (V)(0.0f); // A over A
+        V g1 = -2.0f * w * d, g2 = w, ga = w * (2.0f * d * d - second);
+        V q = row_load(q_row + x, n);
+        if (k.bend > 0.0f) {
+            V gq = bend_line(&k, q_row + x, (int)k.stride, &bend) +
+                   bend_line(&k, q_row + x, (int)(k.stride * pitch), &bend);
+            gq = q > 0.0f ? gq * inv_a : (V)(0.0f);
+            g1 -= q * q * gq;
+            ga += q * (1.0f - q) * gq;
+        }
+        V where = has_support ? row_ask(supported + at, n) * real : (V)(0.0f);
+        light += where * t;
+        row_store(grad + at, g1, n);
+        row_store(grad + plane + at, g2, n);
+        row_store(grad + 2 * plane + at, k.light * where - ga, n);
+    }
+    float three[3];
+    const V all[3] = {spread, bend, light};
+    for (int i = 0; i < 3; i++)
+        three[i] = lanes_sum(all[i]);
+    vstore4((float4)(three[0], 0.5f * k.bend_px * k.bend_px * three[1], three[2], 0.0f), y, sums);
+}

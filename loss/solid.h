@@ -1,0 +1,61 @@
+/* The loss on solid surfaces: light stops at one depth (spread), the depths of neighbouring pixels
+ * lie in planes (bend), and no light passes ground that photographs see (light).
+ *
+ * With A = 1 - T, D = sum w m / A, V = sum w m^2 / A - D^2 of a pixel (render_moments_buffer) and
+ * zeta = 1 + D its depth in units of the frame's depth, f the focal length in pixels, e =
+ * SOLID_SOFT_PX zeta / f, n the number of pixels:
+ *     spread = 1/n sum A f / zeta (sqrt(V + e^2) - e)             in pixels' footprints
+ *     bend   = 1/n sum over x, y of c^2/2 ln(1 + (b/c)^2),  b = f zeta (q- - 2 q + q+),  q = 1/zeta
+ *     light  = 1/n sum of T over the supported pixels
+ * b is the distance of a pixel's depth from the line between those of the pixels `stride` to
+ * either side, in footprints: inverse depth is linear over a plane. c = SOLID_BEND_PX: edges bend
+ * by many footprints, and pull little. A, f / zeta and f zeta as factors are held fixed, or what
+ * is far would weigh less for being farther.
+ *
+ * Distortion of rays: Mip-NeRF 360 (Barron et al. 2022) and 2DGS (Huang et al. 2024), of which
+ * spread is the square root.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef LOSS_SOLID_H
+#define LOSS_SOLID_H
+
+#include <stdint.h>
+
+#include "render/render.h"
+
+#define SOLID_SOFT_PX 0.25   /* spreads below are small: their gradient goes to 0 */
+#define SOLID_BEND_PX 1.0    /* bends above are edges: their gradient goes to 0 */
+#define SOLID_COVER_MIN 0.1  /* least A with a spread */
+#define SOLID_BEND_COVER 0.5 /* least A of the pixels of a bend */
+enum { SOLID_STRIDE_MAX = 8 };
+
+struct solid_input {
+    uint32_t width_px, height_px;
+    double focal_px; /* fx */
+    double spread, bend, light; /* weights */
+    uint32_t stride;            /* of the bend, px, 1 to SOLID_STRIDE_MAX */
+    const uint8_t *supported;   /* [h][w], not 0: light counts here; NULL: nowhere. Borrowed */
+};
+struct solid_value {
+    double spread, bend, light; /* the three means above, without weights */
+};
+struct solid; /* compiled kernels and buffers */
+/* Build the kernels. solid_close it. ERR_DEVICE, ERR_MEM. */
+enum err_code solid_open(struct dev *dev, struct solid **out, struct err *e) ERR_USE;
+void solid_close(struct solid **s);
+/* Enqueue: fill the renderer's gradient of the moments (render_moments_grad_buffer) for its last
+ * frame, which has moments and this size. ERR_ARG (no such frame, a stride out of range), ERR_MEM,
+ * ERR_DEVICE. */
+enum err_code solid_run(struct solid *s, struct render *r, const struct solid_input *in,
+                        struct err *e) ERR_USE;
+/* Wait, and the values of the last run. ERR_DEVICE. */
+enum err_code solid_read(struct solid *s, struct solid_value *out, struct err *e) ERR_USE;
+
+/* In double on the host. moments [h][w][3]: sum w m, sum w m^2, T; held: those from which the fixed
+ * factors are taken, equal to moments but in differences. */
+struct solid_value solid_ref_value(const struct solid_input *in, const double *moments,
+                                   const double *held);
+/* grad [h][w][3] of spread * weight + ..., written. */
+void solid_ref_grad(const struct solid_input *in, const double *moments, double *grad);
+#endif

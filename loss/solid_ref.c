@@ -1,0 +1,127 @@
+/* The loss on solid surfaces in double, pixel by pixel, as loss/solid.h states it.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <string.h>
+
+#include "core/base.h"
+#include "loss/solid.h"
+
+/* Of a pixel's three numbers. */
+struct solid_pixel {
+    double a, d, second, zeta;
+};
+
+static struct solid_pixel solid_at(const double m[3])
+{
+    double a = 1 - m[2];
+    return (struct solid_pixel){a, m[0] / a, m[1] / a, 1 + m[0] / a};
+}
+
+static bool solid_spreads(const double m[3])
+{
+    return 1 - m[2] >= SOLID_COVER_MIN && 1 - m[2] + m[0] > 0;
+}
+
+/* The pixel that lies `by` strides off along x (axis 0) or y, NULL: none that has part in bends. */
+static const double *solid_beside(const struct solid_input *in, const double *moments, size_t at,
+                                  int axis, int by)
+{
+    ptrdiff_t x = (ptrdiff_t)(at % in->width_px), y = (ptrdiff_t)(at / in->width_px);
+    ptrdiff_t off = by * (ptrdiff_t)in->stride;
+    x += axis ? 0 : off;
+    y += axis ? off : 0;
+    if (x < 0 || y < 0 || x >= (ptrdiff_t)in->width_px || y >= (ptrdiff_t)in->height_px)
+        return NULL;
+    const double *m = moments + 3 * ((size_t)y * in->width_px + (size_t)x);
+    return 1 - m[2] >= SOLID_BEND_COVER && 1 - m[2] + m[0] > 0 ? m : NULL;
+}
+
+/* b of the triplet around a pixel; *factor is what it is multiplied by. False: there is none. */
+static bool solid_bend(const struct solid_input *in, const double *moments, const double *held,
+                       size_t at, int axis, double *b, double *factor)
+{
+    const double *m[3];
+    double q[3];
+    for (int k = 0; k < 3; k++) {
+        m[k] = solid_beside(in, moments, at, axis, k - 1);
+        if (!m[k])
+            return false;
+        q[k] = 1 / solid_at(m[k]).zeta;
+    }
+    *factor = in->focal_px * solid_at(held + 3 * at).zeta;
+    *b = *factor * (q[0] - 2 * q[1] + q[2]);
+    return true;
+}
+
+struct solid_value solid_ref_value(const struct solid_input *in, const double *moments,
+                                   const double *held)
+{
+    struct solid_value v = {0};
+    size_t n = (size_t)in->width_px * in->height_px;
+    for (size_t at = 0; at < n; at++) {
+        if (solid_spreads(moments + 3 * at)) {
+            struct solid_pixel p = solid_at(moments + 3 * at), h = solid_at(held + 3 * at);
+            double px = in->focal_px / h.zeta, soft = SOLID_SOFT_PX / px;
+            v.spread +=
+                h.a * px * (sqrt(fmax(p.second - p.d * p.d, 0) + soft * soft) - soft) / (double)n;
+        }
+        for (int axis = 0; axis < 2; axis++) {
+            double b, factor, c = SOLID_BEND_PX;
+            if (solid_bend(in, moments, held, at, axis, &b, &factor))
+                v.bend += c * c / 2 * log(1 + b * b / (c * c)) / (double)n;
+        }
+        if (in->supported && in->supported[at])
+            v.light += moments[3 * at + 2] / (double)n;
+    }
+    return v;
+}
+
+/* Add dL/d of the three numbers of a pixel from dL/dq, q = A / (A + sum w m). */
+static void solid_add_inverse(const double m[3], double g, double grad[3])
+{
+    struct solid_pixel p = solid_at(m);
+    double q = 1 / p.zeta;
+    grad[0] -= g * q * q / p.a;
+    grad[2] -= g * q * (1 - q) / p.a; /* T = 1 - A */
+}
+
+static void solid_add_bends(const struct solid_input *in, const double *moments, size_t at,
+                            double *grad)
+{
+    static const double part[3] = {1, -2, 1};
+    double n = (double)in->width_px * in->height_px;
+    for (int axis = 0; axis < 2; axis++) {
+        double b, factor;
+        if (!solid_bend(in, moments, moments, at, axis, &b, &factor))
+            continue;
+        double pull =
+            in->bend / n * factor * b / (1 + b * b / (double)(SOLID_BEND_PX * SOLID_BEND_PX));
+        for (int k = 0; k < 3; k++) {
+            const double *m = solid_beside(in, moments, at, axis, k - 1);
+            solid_add_inverse(m, pull * part[k], grad + (m - moments));
+        }
+    }
+}
+
+void solid_ref_grad(const struct solid_input *in, const double *moments, double *grad)
+{
+    size_t n = (size_t)in->width_px * in->height_px;
+    memset(grad, 0, 3 * n * sizeof *grad);
+    for (size_t at = 0; at < n; at++) {
+        double *g = grad + 3 * at;
+        if (solid_spreads(moments + 3 * at)) {
+            struct solid_pixel p = solid_at(moments + 3 * at);
+            double px = in->focal_px / p.zeta, soft = SOLID_SOFT_PX / px,
+                   v = fmax(p.second - p.d * p.d, 0); /* below 0 by rounding alone */
+            double g_v = in->spread / (double)n * p.a * px / (2 * sqrt(v + soft * soft));
+            g[1] += g_v / p.a;
+            g[0] -= g_v * 2 * p.d / p.a;
+            g[2] += g_v * (p.second - 2 * p.d * p.d) / p.a; /* dV/dT = -dV/dA */
+        }
+        solid_add_bends(in, moments, at, grad);
+        if (in->supported && in->supported[at])
+            g[2] += in->light / (double)n;
+    }
+}
