@@ -1,5 +1,5 @@
-/* Depth of the last frame: launches surface.cl over what render_forward left on the device. Owns
- * the compiled kernel and its maps; nothing of the frame is changed.
+/* Depth of the last frame: launches surface.cl over the buffers of render_forward. It owns the
+ * compiled kernel and its maps, and changes nothing of the frame.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
