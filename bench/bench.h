@@ -1,10 +1,11 @@
-/* Benchmarks: named, each checks before it times, each figure a median with what it is compared
- * against.
+/* Benchmarks. Each has a name, checks its results before it measures time, and gives medians and a
+ * value to compare with.
  *
- * A benchmark is a function in bench_NAME.c and a row in benches.def. It calls bench_report once a
- * case: one JSON line on stdout, {"bench","case","value","unit","ratio","against","device"}, growth
- * cases with "gaussians" and "pixels" as well; a table follows at the end. docs/runs/README.md
- * documents the keys. Benchmarks never fail for being slow: a busy neighbour is not a bug.
+ * A benchmark is a function in bench_NAME.c and a row in benches.def. For each case it calls
+ * bench_report, which prints one JSON line on stdout:
+ * {"bench","case","value","unit","ratio","against","device"}. Cases of a series also have
+ * "gaussians" and "pixels". A table follows at the end. docs/runs/README.md explains the keys. A
+ * benchmark never fails because it is slow: other work on the machine is not a bug.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -16,51 +17,53 @@
 
 struct bench {
     const char *name;  /* of the running benchmark */
-    struct dev *dev;   /* opened once for all; NULL when there is no device */
-    double fma_gflops; /* ceiling of the device, measured in this run */
-    double triad_gbps; /* a[i] = b[i] + s * c[i], bytes of all three streams */
-    int runs;          /* how often to time each case (median), --runs */
-    bool quick;        /* --quick: small sizes, for checking that benchmarks work */
+    struct dev *dev;   /* opened once for all benchmarks; NULL: there is no device */
+    double fma_gflops; /* measured in this run: the device's peak of arithmetic */
+    /* measured in this run: a[i] = b[i] + s * c[i], bytes of all three arrays */
+    double triad_gbps;
+    int runs;   /* --runs: timed repetitions of each case, of which the median counts */
+    bool quick; /* --quick: small sizes, to check that benchmarks work */
     struct bench_row *rows;
     size_t n_rows;
     struct arena arena;
     struct json_t *baseline; /* --compare FILE, or NULL */
-    /* Of the studies `rd` and `pyramid`, NULL when not given: the scene; what was made of it; where
-     * rows go. */
+    /* For the studies `rd` and `pyramid`; NULL: not given. The scene, its store, its checkpoints,
+     * and the file for rows. */
     const char *scene, *tiles, *trained, *record;
-    double edge_m;                                  /* of `map`: one square alone; 0: all */
-    int64_t most;                                   /* Gaussians of `sizes`; 0: all sizes */
-    const char *dataset, *study, *command, *commit; /* what rows say of themselves */
+    double edge_m; /* for `map`: edge of the only square to draw; 0: all sizes */
+    int64_t most;  /* for `sizes`: largest number of Gaussians; 0: no limit */
+    const char *dataset, *study, *command, *commit; /* members of every row */
     struct json_t *lines;                           /* rows so far, or NULL */
 };
 
-/* ratio 0 = none; `against` says what the ratio is to ("DRAM triad", "naive C"), NULL when none. */
+/* Reports a case. `ratio` is value over `against` ("DRAM triad", "naive C"). 0 and NULL: none. */
 void bench_report(struct bench *b, const char *case_name, double value, const char *unit,
                   double ratio, const char *against);
-/* A case of a series: value at so many Gaussians and pixels. */
+/* Reports a case of a series, for so many Gaussians and pixels. */
 void bench_report_at(struct bench *b, const char *case_name, double value, const char *unit,
                      double gaussians, double pixels);
-/* Median of b->runs timed calls of fn (after one that is not counted), in milliseconds of wall
- * time; spread (may be NULL): half the distance between the quartiles. */
+/* Calls fn once and then b->runs times, and gives the median of the latter in milliseconds of wall
+ * time. spread (may be NULL): half the distance between the quartiles. Errors of fn, ERR_MEM. */
 enum err_code bench_time(struct bench *b, enum err_code (*fn)(void *user, struct err *e),
                          void *user, double *median_ms, double *spread_ms, struct err *e) ERR_USE;
-/* The same by the process's CPU clock: for work of one thread, what a core of its own would take.
- */
+/* As bench_time, in the CPU time of the process. For work in one thread this is its time on a free
+ * core. */
 enum err_code bench_cpu_time(struct bench *b, enum err_code (*fn)(void *user, struct err *e),
                              void *user, double *median_ms, double *spread_ms,
                              struct err *e) ERR_USE;
-/* A row of the study that runs: `numbers` is taken over. Written to b->record, if any, when all are
- * there. */
+/* Adds a row to the study. It takes over the reference to `numbers`. ERR_MEM. */
 enum err_code bench_record(struct bench *b, const char *row, const char *what,
                            struct json_t *numbers, struct err *e) ERR_USE;
-enum err_code bench_record_write(struct bench *b, struct err *e) ERR_USE; /* forgets the rows */
-/* Of bench_step.c: a whole iteration of training n Gaussians of the city (city.h, degree 3) with a
- * photograph of that size, reported by bench_report_at; and those of the growth benchmark. Not
- * checked as bench_step does: the rates of its check suit its own sizes. */
+/* writes all rows to b->record (NULL: nowhere) and forgets them */
+enum err_code bench_record_write(struct bench *b, struct err *e) ERR_USE;
+/* In bench_step.c: one training iteration of n Gaussians of the city (city.h, SH of degree 3) with
+ * a photograph of that size, and a series for the growth benchmark. Both report with
+ * bench_report_at. They skip the check of bench_step, whose learning rates suit only its own sizes.
+ */
 enum err_code bench_step_at(struct bench *b, const char *name, size_t n, uint32_t width_px,
                             uint32_t height_px, struct err *e) ERR_USE;
 enum err_code bench_step_growth(struct bench *b, struct err *e) ERR_USE;
-/* A path for scratch files of this run; removed at exit. */
+/* A folder for scratch files of this run. It is removed at exit. */
 const char *bench_tmpdir(struct bench *b);
 
 #define BENCH(name, about) enum err_code bench_##name(struct bench *b, struct err *e) ERR_USE;

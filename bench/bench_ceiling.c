@@ -1,4 +1,5 @@
-/* The ceilings every other figure is a fraction of, measured on the same device in the same run.
+/* Peak arithmetic and memory bandwidth of the device, measured in the same run as all other
+ * results.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

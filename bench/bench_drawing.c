@@ -1,9 +1,8 @@
-/* What it costs that pictures are drawn by a process of their own (docs/decisions/022): the same
- * requests to the same code, once through the process (server/worker.h), once on a thread here, the
- * two in turns, picture by picture. A ratio is the median over pairs, so that what else the machine
- * does meets both.
+/* The cost of drawing in a separate process (docs/decisions/022). The same requests go to the same
+ * code in that process (server/worker.h) and in a thread here, in turns, picture by picture. A
+ * ratio is the median over pairs, so other work on the machine affects both sides.
  *
- * Checked before timing: both make the same bytes.
+ * Checked before timing: both give the same bytes.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,6 +1,5 @@
-/* Drawing: whole frames of the procedural city (city.h), with harmonics of degree 3 where nothing
- * else is said, the stages of one, and what Morton order
- * and exact tile culling are worth.
+/* Drawing: whole frames of the procedural city (city.h), the stages of a frame, and the gain of
+ * Morton order and exact tile culling. Harmonics have degree 3 unless a case says otherwise.
  *
  * Checked before timing: a frame drawn twice has the same bits, and exact culling changes none of
  * them.

@@ -1,9 +1,10 @@
-/* How time a frame and an iteration of training grow with the number of Gaussians and with the
- * number of pixels, and what a Gaussian takes in memory while it is drawn.
+/* How the time of a frame and of a training iteration grows with the number of Gaussians and
+ * pixels, and the memory of a Gaussian while it is drawn.
  *
- * The city (city.h) without harmonics: the extent stays, so more Gaussians are smaller ones, as in
- * trained levels. Memory is the growth of the process' resident set from a small model to a large
- * one, pictures and kernels not counted; it tells about devices that share the host's memory.
+ * It uses the city (city.h) without harmonics. The extent stays the same, so more Gaussians are
+ * smaller, as in trained levels. Memory is the growth of the process's resident set from a small
+ * model to a large one, without pictures and kernels. This is valid for devices that share the
+ * host's memory.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

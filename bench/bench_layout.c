@@ -1,12 +1,12 @@
-/* Bytes of .drc by what no picture shows: the order of rows, how integers are cut into attributes,
- * the colour transform, prediction; and by SH degree and appearance embedding.
+/* Size of .drc files by choices that do not change pictures: the order of rows, the division of
+ * integers into attributes, the colour transform, prediction; and by SH degree and appearance
+ * embedding.
  *
- * The leaves of a store (--tiles) are quantised by the presets `spz` and `balanced`; every variant
- * holds the same integers, so sizes are all there is to
- * compare. A variant is one change to the layout of codec/draco_layout.c; its ratio is to the
- * layout as it is written the same way.
+ * The leaves of a store (--tiles) are quantised by the presets `spz` and `balanced`. Every variant
+ * has the same integers, so only sizes are compared. A variant changes the layout of
+ * codec/draco_layout.c in one point; its ratio is to the unchanged layout.
  *
- * Rows are lines of a recorded study, as those of bench_rd.c.
+ * Rows are lines of a recorded study, as in bench_rd.c.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

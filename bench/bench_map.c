@@ -1,8 +1,8 @@
-/* An orthophoto of a whole city: how fast its pixels come, and that memory does not grow with it.
- * Squares of 1, 2 and 4 km edge out of one store, of the largest first 100 million pixels, at last
- * 1.6 billion.
+/* An orthophoto of a whole city: pixels a second, and proof that memory does not grow. Squares with
+ * edges of 1, 2 and 4 km come from one store; the largest has 100 million pixels first and 1.6
+ * billion at last.
  *
- * The city is the one of bench_frame side by side; its coarser levels are those of the pyramid.
+ * The city is that of bench_frame repeated side by side; the pyramid makes its coarser levels.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,7 +1,7 @@
-/* What a thin client sees while its camera turns: a request for each picture, as the viewer asks by
- * itself, against a stream (server/motion.c), over lines of several round-trip times. A relay
- * delays both directions; nothing else about the line is modelled. The camera turns at 20 degrees a
- * second for a few seconds.
+/* What a thin client sees while its camera turns: one request a picture, as the viewer asks by
+ * itself, against a stream (server/motion.c), for several round-trip times. A relay delays both
+ * directions; it models nothing else of the line. The camera turns at 20 degrees a second for a few
+ * seconds.
  *
  * Checked before timing: both answer with JPEG.
  *

@@ -1,17 +1,20 @@
-/* What the coarse levels of a pyramid are best made of: the trainer's own levels, or the finest one
- * made smaller to as many Gaussians.
+/* Compares ways to make the coarse levels of a pyramid: the trainer's own levels, or the finest
+ * level reduced to as many Gaussians.
  *
- * For every level but the finest of a trained scene (--scene, --trained), ways to have as many
- * Gaussians: merging pairs (lod/simplify.c); keeping those of most coverage (opacity times
- * projected area), or of most contribution to the training photographs (sum of alpha T), or a
- * systematic sample, grown until the coverage is what it was (Cook 2007, Stochastic Simplification
- * of Aggregate Detail); every n-th as it is.
+ * For every level but the finest of a trained scene (--scene, --trained) the finest level is
+ * reduced by:
+ * - merging pairs (lod/simplify.c)
+ * - keeping the Gaussians of largest coverage (opacity times projected area)
+ * - keeping those that contribute most to the training photographs (sum of alpha T)
+ * - a systematic sample, grown until the coverage is as before (Cook 2007, Stochastic
+ *   Simplification of Aggregate Detail)
+ * - every n-th Gaussian, unchanged
  *
- * Test photographs are drawn at three sizes: the one the level was trained at; the one at which the
- * median sigma of the trained level is a pixel, which is where clients change to it from the finer
- * level; and half of that. psnr_db is against the photographs, finest_db against pictures of the
- * finest level of that size. Where perspective is left aside, a photograph half as large is one
- * from twice as far.
+ * Test photographs are drawn at three sizes: that of the level's training; the size at which the
+ * median sigma of the trained level is one pixel, where clients change to it from the finer level;
+ * and half of that. psnr_db is against the photographs, finest_db against pictures of the finest
+ * level at that size. A photograph of half the size stands for one from twice the distance, apart
+ * from perspective.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

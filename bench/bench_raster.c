@@ -1,9 +1,9 @@
-/* Map tiles of the server over loopback: how long one of 256 px takes that nobody has asked for, at
- * the finest zoom and from farther, and how long one that is in memory, against a tile of Gaussians
- * that is. One client, one request after the other; what draws has the whole machine.
+/* Map tiles of the server over loopback: the time of a new tile of 256 px, at the finest zoom and
+ * at coarser ones, and of a tile that is in memory, against a tile of Gaussians in memory. One
+ * client sends one request after another, so drawing has the whole machine.
  *
- * Checked before timing: every tile is answered 200 with the type that was asked for, and the
- * second answer has the bytes of the first.
+ * Checked before timing: every tile is answered 200 with the requested type, and a second answer
+ * has the same bytes.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,15 +1,14 @@
-/* Rate against distortion of the tile formats: what a trained scene's pictures lose for how few
- * bytes a Gaussian.
+/* Rate against distortion of the tile formats: the loss of quality against bytes a Gaussian.
  *
  * The leaves of a store (--tiles) are written in a format on a grid of the quantiser, read back and
- * drawn from the scene's (--scene) test photographs. psnr_db is against the photographs, drop_db
- * what the files as they are score better by, self_db against pictures of the files as they are:
- * each a mean over the pictures. First all presets in all formats, then `balanced` as .drc with one
- * field finer and coarser at a time, and ladders of all SH bands together: a preset is well chosen
- * when nothing here is smaller and better.
+ * drawn from the test photographs of the scene (--scene). psnr_db is against the photographs.
+ * drop_db is the loss of psnr_db by quantising. self_db is against pictures of the original
+ * Gaussians. All are means over pictures. First come all presets in all formats, then `balanced` as
+ * .drc with one field finer or coarser at a time, and last series of all SH bands together. A
+ * preset is well chosen if no result here is smaller and better.
  *
  * Every row is a line of a recorded study (--record docs/runs/rd.jsonl), written when all are
- * there.
+ * complete.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

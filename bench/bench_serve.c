@@ -1,9 +1,9 @@
-/* The server's hot path: tiles that are in memory, over loopback, against libmicrohttpd alone
- * answering the same bytes from a constant buffer. The distance between the two is what routing,
- * the guard, the cache and the headers cost. Client and server share the machine, so the requests a
- * second say less than the ratio.
+/* The fast path of the server: tiles in memory, over loopback, against libmicrohttpd alone with the
+ * same bytes from a constant buffer. The difference is the cost of routing, the guard, the cache
+ * and the headers. Client and server share the machine, so the ratio says more than requests a
+ * second.
  *
- * Checked before timing: both answer the tile's bytes.
+ * Checked before timing: both answer with the tile's bytes.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

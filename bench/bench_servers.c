@@ -1,9 +1,9 @@
-/* Files of 5, 50 and 500 KB and a 304 by three servers, each on one core, the clients on another
- * one: citysplat with a tile in memory, libmicrohttpd alone with the same bytes in a buffer, and
- * nginx with them in a file (sendfile, one worker, the system's page cache). The three take turns
- * within each round, so that what else the machine does meets all of them.
+/* Files of 5, 50 and 500 KB and a 304 from three servers, each on one core, with the clients on
+ * another: citysplat with a tile in memory, libmicrohttpd alone with the same bytes in a buffer,
+ * and nginx with a file (sendfile, one worker, page cache). They take turns within each round, so
+ * that other work on the machine affects all of them.
  *
- * Checked before timing: all answer the tile's bytes.
+ * Checked before timing: all answer with the tile's bytes.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

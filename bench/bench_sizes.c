@@ -1,8 +1,8 @@
-/* A frame and an iteration of training at the sizes that are published for this method: up to the
- * 6.84 million Gaussians of a whole scene, at the two picture sizes of its tables. With harmonics
- * of degree 3, as trained; what a device of its own is measured by (bench/gpu.sh).
+/* A frame and a training iteration at the sizes that are published for this method: up to the 6.84
+ * million Gaussians of a whole scene, at the two picture sizes of its tables, with harmonics of
+ * degree 3. GPUs are measured by it (bench/gpu.sh).
  *
- * A size that does not fit into the device's memory is left out, and said.
+ * A size that does not fit into the device's memory is skipped with a message.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

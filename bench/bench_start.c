@@ -1,10 +1,10 @@
-/* Cold start: from the start of a `citysplat render` process to its exit with the first picture
- * written, kernels in the cache on disk; of a `citysplat serve` process to the first 200 of /readyz
- * and to the first tile, with nothing else to do and with every core busy. A small tile store, so
- * that it is start-up that counts, or that of --tiles.
+/* Cold start. It measures a `citysplat render` process from its start to its exit after the first
+ * picture, with kernels in the disk cache, and a `citysplat serve` process to the first 200 of
+ * /readyz and to the first tile, on a quiet machine and with all cores busy. The tile store is
+ * small, so that start-up dominates, or that of --tiles.
  *
- * Checked before timing: the picture is there, the tile is 200. The first run, which may build
- * kernels, is told apart.
+ * Checked before timing: the picture exists and the tile is 200. The first run may build kernels
+ * and is reported separately.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,7 +1,7 @@
-/* Training: whole iterations (draw, loss, backward, Adam of 59 parameters) and their parts.
+/* Training: whole iterations (draw, loss, backward pass, Adam of 59 parameters) and their parts.
  *
- * The photograph is the city itself, the model the city with every parameter disturbed, so
- * gradients and list lengths are those of training in progress. Learning rates are 0: every timed
+ * The photograph is a picture of the city. The model is the city with all parameters disturbed, so
+ * gradients and list lengths are as in real training. Learning rates are 0, so that every timed
  * iteration does the same work. Checked before timing: one iteration at real learning rates must
  * lower the loss.
  *

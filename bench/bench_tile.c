@@ -1,10 +1,10 @@
-/* Tiles: cutting a city into a store, reading it back, selecting levels, and what levels of detail
- * cost and save.
+/* Tiles: cutting a city into a store, reading it back, selecting levels, and the cost and gain of
+ * levels of detail.
  *
- * Checked before timing: every Gaussian is in one tile of the finest level, and every tile reads
- * back whole. Pictures with levels are compared with pictures of the finest tiles from the same
- * place: PSNR over the picture, Gaussians drawn, and time. The picture with every n-th Gaussian
- * left out instead, as many as the levels leave, is the naive way to the same speed.
+ * Checked before timing: every Gaussian is in one tile of the finest level, and every tile can be
+ * read back. Pictures with levels are compared with pictures of the finest tiles from the same
+ * place by PSNR, Gaussians drawn, and time. The simple alternative is a picture with every n-th
+ * Gaussian, as many as the levels have.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,10 +1,10 @@
-/* A large city through the level-of-detail path, as the server draws it: select tiles, bring them
- * to the device, draw with the appearance of a photograph, encode a JPEG. A camera flies over the
- * city in small steps, once to fill the cache of tiles, then timed; the appearance changes every
- * few frames.
+/* A large city with levels of detail, as the server draws it: select tiles, bring them to the
+ * device, draw with the appearance of a photograph, encode a JPEG. A camera flies over the city in
+ * small steps, once to fill the cache of tiles, then timed. The appearance changes every few
+ * frames.
  *
- * The city is the one of bench_frame side by side, with random appearance embeddings; its coarser
- * levels are those of the pyramid.
+ * The city is that of bench_frame repeated side by side, with random appearance embeddings; the
+ * pyramid makes its coarser levels.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

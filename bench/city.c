@@ -1,9 +1,9 @@
 /* The procedural city that benchmarks draw: see city.h.
  *
- * A square of flat discs on the ground, the walls and roofs of 160 blocks, round trees and a few
- * large faint floaters, in the proportions that a trained scene of an oblique flight has (about
- * half of the Gaussians in view, five tiles each, most pixels saturated). It is seeded: every run
- * draws the same.
+ * It has a square ground of flat discs, walls and roofs of 160 blocks, round trees and a few large
+ * faint floaters. The proportions are those of a trained scene of an oblique flight: about half of
+ * the Gaussians are in view, each touches five tiles, most pixels are saturated. It is seeded, so
+ * every run draws the same.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

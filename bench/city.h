@@ -1,4 +1,4 @@
-/* A procedural city of Gaussians, the same on every machine: what the benchmarks draw and train.
+/* The procedural city of Gaussians that benchmarks draw and train. It is the same on every machine.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -9,20 +9,21 @@
 #include "core/camera.h"
 #include "core/gauss.h"
 
-/* n Gaussians with SH of degree 3, in random order; and in Morton order, as trained tiles come.
- * gauss_free. */
+/* A city of n Gaussians with SH of degree 3: city_make in random order, city_sorted in Morton
+ * order, as in trained tiles. Free *out with gauss_free. ERR_MEM. */
 enum err_code city_make(size_t n, struct gauss *out, struct err *e) ERR_USE;
 enum err_code city_sorted(size_t n, struct gauss *out, struct err *e) ERR_USE;
-/* The same with fewer harmonics: ten million fit into memory without them. */
+/* The same with another SH degree. Ten million Gaussians fit into memory with degree 0. ERR_MEM. */
 enum err_code city_make_degree(size_t n, uint32_t sh_degree, struct gauss *out,
                                struct err *e) ERR_USE;
 enum err_code city_sorted_degree(size_t n, uint32_t sh_degree, struct gauss *out,
                                  struct err *e) ERR_USE;
-/* The same Gaussians with embeddings, of the default length, and a network for them as training
- * begins: one photograph, and *frame its constants. gauss_free, appearance_free, mem_free. */
+/* Copies Gaussians, and adds embeddings of the default length and an untrained network with one
+ * photograph. *frame has the constants of a frame. Free with gauss_free, appearance_free and
+ * mem_free. ERR_MEM. */
 enum err_code city_appearance(const struct gauss *g, struct gauss *out, struct appearance *a,
                               float **frame, struct err *e) ERR_USE;
-/* The oblique view of it that every figure is about. */
+/* The oblique view that benchmarks use. */
 struct camera city_camera(uint32_t width_px, uint32_t height_px);
 
 #endif

@@ -1,5 +1,4 @@
-/* Other ways to cut a tile's integers into attributes of a .drc than the one in codec/: what it was
- * chosen from.
+/* Other layouts for the attributes of a .drc than that of codec/draco_layout.c, to compare with it.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -14,17 +13,18 @@ struct buf;
 struct err;
 struct quant;
 
-enum layout_channels { LAYOUT_GREEN, LAYOUT_RGB, LAYOUT_YCOCG }; /* GREEN: red and blue about it */
+/* GREEN: red and blue minus green */
+enum layout_channels { LAYOUT_GREEN, LAYOUT_RGB, LAYOUT_YCOCG };
 enum layout_predict { LAYOUT_PREDICT_PAYING, LAYOUT_PREDICT_POSITION, LAYOUT_PREDICT_ALL };
-struct layout { /* {0}: as codec/draco_layout.c has it */
+struct layout { /* {0}: the layout of codec/draco_layout.c */
     enum layout_channels channels;
     enum layout_predict predict;
-    bool split_position, split_scale, split_rotation, split_color; /* attributes of one component */
-    bool join_channels;     /* a band's channels in one attribute, not green apart */
-    bool scale_differences; /* second and third sigma about the first */
+    bool split_position, split_scale, split_rotation, split_color; /* one attribute a component */
+    bool join_channels;     /* all channels of a band in one attribute, instead of green apart */
+    bool scale_differences; /* second and third sigma minus the first */
 };
-/* The cloud's stream, without names. Values are the steps that remain when the zero bits of all
- * rows are left out. */
+/* Encodes a cloud without names. Low bits that are 0 in all rows are left out first. ERR_MEM,
+ * ERR_INTERNAL. */
 enum err_code layout_encode(const struct quant *q, const struct layout *l, struct buf *out,
                             struct err *e) ERR_USE;
 

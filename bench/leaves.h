@@ -1,4 +1,4 @@
-/* The finest Gaussians of a tile store, as clients get them: tile by tile.
+/* The finest Gaussians of a tile store, tile by tile, as clients get them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -8,10 +8,11 @@
 #include "core/gauss.h"
 
 struct leaves {         /* {0} is empty */
-    struct gauss *tile; /* [n_tiles], ENU about each one's centre */
-    size_t n_tiles, n;  /* n: Gaussians of all */
+    struct gauss *tile; /* [n_tiles], ENU, each about its own centre */
+    size_t n_tiles, n;  /* n: Gaussians of all tiles */
 };
-/* Tiles without children. ERR_DATA when there are none. leaves_free it, also after an error. */
+/* Reads all tiles without children. Call leaves_free afterwards, also after an error. ERR_DATA:
+ * there are none. Else as store_open and store_read_gauss. */
 enum err_code leaves_read(const char *store_path, struct leaves *out, struct err *e) ERR_USE;
 void leaves_free(struct leaves *l);
 

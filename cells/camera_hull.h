@@ -1,4 +1,4 @@
-/* The surveyed ground of a scene: the convex hull of where its photographs were taken.
+/* The surveyed ground of a scene: the convex hull of the places where its photographs were taken.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -9,15 +9,15 @@
 
 struct scene;
 
-struct camera_hull {     /* {0} is empty; camera_hull_free */
+struct camera_hull {     /* {0} is empty; free with camera_hull_free */
     double (*corner)[2]; /* ENU metres, counter-clockwise */
     size_t n;
 };
-/* The hull of all photographs of the scene. One with one or two corners is a place or a line.
- * camera_hull_free it. ERR_DATA: no photographs; ERR_MEM. */
+/* Computes the hull of all photographs of the scene. A hull with one or two corners is a place or a
+ * line. Free *out with camera_hull_free. ERR_DATA: there are no photographs. ERR_MEM. */
 enum err_code camera_hull_of(const struct scene *s, struct camera_hull *out, struct err *e) ERR_USE;
 void camera_hull_free(struct camera_hull *g);
-/* Metres to the hull, 0 inside. */
+/* Horizontal distance to the hull in metres, 0 inside. */
 double camera_hull_distance(const struct camera_hull *g, double x_m, double y_m);
 
 #endif

@@ -1,11 +1,10 @@
-/* Training cells: the rectangle of ground one job covers, and the two lengths everything is
- * measured in.
+/* Training cells: the rectangle of ground of one job, and its two units of length.
  *
- * edge_m is what a cell's side would be (learning rates of positions, the ramp of thresholds
- * outside); extent_m is 1.1 times the largest distance of a camera from the cameras' mean (3D
- * Gaussian Splatting's scene extent: what counts as a large Gaussian). A whole scene takes the
- * larger side of the box around its cameras, or their height above the points where they hardly
- * move.
+ * edge_m is the side of a cell: the unit of learning rates of positions and of the ramp of
+ * thresholds outside. extent_m is 1.1 times the largest distance of a camera from the cameras' mean
+ * (the scene extent of 3D Gaussian Splatting): it tells which Gaussians are large. In a whole scene
+ * edge_m is the larger side of the box around the cameras, or their height above the points if they
+ * hardly move.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* What one training job covers: a rectangle of the ground plane, or the whole scene.
+/* The ground of one training job: a rectangle, or the whole scene.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -14,20 +14,23 @@
 struct partition;
 struct scene;
 
-struct cell {    /* a rectangle of the ground plane; Gaussians outside serve as background */
-    char id[32]; /* folder name below cells/ */
-    bool whole;  /* the whole scene: everything is inside, the rectangle is not used */
-    struct cell_grid grid;             /* the axes of the rectangle */
-    double min_enu_m[2], max_enu_m[2]; /* east, north; along a turned grid its axes */
-    double edge_m;   /* of an unmerged cell: unit of learning rates and of the distance ramp */
-    double extent_m; /* 1.1 * largest distance of a camera from their mean: unit of sizes */
+struct cell {              /* a rectangle of the ground plane; Gaussians outside are background */
+    char id[32];           /* folder name below cells/ */
+    bool whole;            /* the cell is the whole scene, and the rectangle is not used */
+    struct cell_grid grid; /* the axes of the rectangle */
+    double min_enu_m[2], max_enu_m[2]; /* east, north; in a turned grid x, y along its axes */
+    /* edge of a cell before merging: unit of learning rates and of the distance ramp */
+    double edge_m;
+    /* 1.1 * largest distance of a camera from the cameras' mean: unit of sizes */
+    double extent_m;
 };
-/* The single cell "all" of a scene. `images` lists the photographs used for training, at least one.
- */
+/* Makes the only cell, "all", of a scene without a plan. `images` lists the training photographs,
+ * at least one. */
 void cell_whole(const struct scene *s, const uint32_t *images, size_t n_images, struct cell *out);
-/* A cell of a plan; `images` lists its cameras by location, the measure of its extent. */
+/* Makes cell `index` of a plan. `images` lists the photographs whose cameras lie in it; they give
+ * its extent. */
 void cell_planned(const struct scene *s, const struct partition *p, size_t index,
                   const uint32_t *images, size_t n_images, struct cell *out);
-/* Horizontal distance of a place from the rectangle, 0 inside. */
+/* Horizontal distance of a place from the rectangle in metres, 0 inside. */
 double cell_distance(const struct cell *c, double east_m, double north_m);
 #endif

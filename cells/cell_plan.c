@@ -1,5 +1,4 @@
-/* The partition as plan.json, which cell jobs on other machines read, and as an SVG that shows at a
- * glance whether the cells make sense.
+/* The partition as plan.json, for jobs on other machines, and as an SVG for people.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* Between the files of the footprint.
+/* Shared by the files of the footprint.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -9,7 +9,7 @@
 
 struct footprint;
 
-/* footprint.c: edge_m from `inside`. ERR_MEM. */
+/* footprint.c: computes edge_m from `inside`. ERR_MEM. */
 enum err_code footprint_measure(struct footprint *f, struct err *e) ERR_USE;
 
 #endif

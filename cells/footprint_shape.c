@@ -1,6 +1,8 @@
-/* The footprint as polygons: contours of the distance to its border (marching squares, inside on
- * the left, so outer rings run counter-clockwise and holes clockwise as RFC 7946 asks), thinned to
- * a fraction of a cell; and GeoJSON polygons back onto the grid, by the even-odd rule.
+/* The footprint as polygons, and polygons back onto the grid.
+ *
+ * Borders are contours of the distance to the border, by marching squares. Inside is on the left,
+ * so outer rings run counter-clockwise and holes clockwise (RFC 7946). They are simplified to a
+ * fraction of a cell. GeoJSON polygons are put onto the grid by the even-odd rule.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,9 +1,9 @@
 /* Grid, assignment by location and visibility, rebalancing, ownership. See partition.h.
  *
- * The hull of all scene points a photograph could see does not depend on the cells, so it is
- * computed once a photograph; of each image row only the leftmost and rightmost point can lie on
- * the hull, which bounds the candidates by twice the height. Rebalancing works on rectangles: a
- * merge is allowed only where the union is one, with an aspect of at most 2.
+ * The hull of all scene points that a photograph could see does not depend on the cells, so it is
+ * computed once a photograph. Only the leftmost and rightmost point of an image row can lie on the
+ * hull, so there are at most two candidates a row. Rebalancing keeps cells rectangular: two cells
+ * are merged only if their union is a rectangle with an aspect of at most 2.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,10 +1,10 @@
-/* Where photographs end, exactly: for each cell of the footprint's grid whether all of it, none of
- * it or a part is in a picture, and for parts which pictures. Few cells are parts and few
- * photographs reach there, so asking about a place costs next to nothing.
+/* Finds exactly where the photographs end. For each cell of the footprint's grid it is known
+ * whether all, none or a part of it is in a picture, and for parts in which pictures. Few cells are
+ * shown in part and few photographs reach there, so a query of a place is fast.
  *
- * Two halves of a Gaussian that keep its mean and covariance are its axis shortened to 0.6, 0.8
- * sigma to either side. They are 1.2 times as long together, so each stops 1 / 1.2 of the light in
- * the sense of Beer and Lambert, 1 - (1 - opacity)^(1 / 1.2): what is opaque stays so.
+ * Two halves that keep the mean and covariance of a Gaussian have its axis shortened to 0.6, and
+ * lie 0.8 sigma to either side. Together they are 1.2 times as long. Their opacity is therefore 1 -
+ * (1 - opacity)^(1 / 1.2), by the law of Beer and Lambert. What is opaque stays opaque.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,4 @@
-/* What the commands that ask about a surface share: the store, the answer as JSON on standard
- * output.
+/* Shared by the commands that ask about a surface: they open a store and print the answer as JSON.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -15,10 +14,10 @@ struct ask_options {
 #include "cli/geoid.def"
 #undef OPT
 };
-/* LON,LAT. ERR_ARG says what is expected. */
+/* Parses "LON,LAT". ERR_ARG says what is expected. */
 enum err_code ask_place(const char *text, double out[2], struct err *e) ERR_USE;
-/* Ask and print. ERR_ARG: a question without an answer; else as query_answer, nadir_open and
- * geoid_open. */
+/* Answers a question and prints it. ERR_ARG: there is no answer. Else the errors of query_answer,
+ * nadir_open and geoid_open. */
 enum err_code ask_print(const char *store, const struct ask_options *o, const struct query *q,
                         struct err *e) ERR_USE;
 

@@ -1,9 +1,9 @@
-/* citysplat chart: accuracy of a user's own runs against what they cost: training time, Gaussians,
- * bytes and time a frame.
+/* citysplat chart: accuracy of a user's own runs against their cost: training time, Gaussians,
+ * bytes, and time a frame.
  *
- * A run is a trained scene. Its numbers are those that training left in cells/<id>/metrics.jsonl:
- * the score of the test photographs at the end of each level. Cells are put together: times,
- * Gaussians and bytes are sums, scores are means over the test photographs.
+ * A run is a trained scene. Its numbers are in cells/<id>/metrics.jsonl, where training writes the
+ * score of the test photographs at the end of each level. Cells are combined: times, Gaussians and
+ * bytes are summed, and scores are averaged over the test photographs.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

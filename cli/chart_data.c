@@ -1,4 +1,4 @@
-/* Which records a chart is made of, and how they are grouped into lines.
+/* Selects the records of a chart and groups them into series.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,6 +1,6 @@
-/* Charts by gnuplot: a script is composed in memory and run in a child process. The palette is that
- * of Okabe and Ito, which people with any kind of colour vision can tell apart; point shapes differ
- * as well. Texts are stripped of what gnuplot would interpret.
+/* Draws charts with gnuplot: a script is made in memory and run in a child process. The palette is
+ * that of Okabe and Ito, which is safe for colour-blind readers; point shapes differ as well.
+ * Characters that gnuplot would interpret are removed from texts.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* Tables of recorded runs as Markdown, and where their numbers come from.
+/* Tables of recorded runs as Markdown, with the source of their numbers.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

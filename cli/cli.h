@@ -1,4 +1,4 @@
-/* The commands of the program: one file a command, cli/NAME.c with cli_NAME().
+/* The commands of the program. Each command has a file cli/NAME.c with the function cli_NAME().
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -8,8 +8,8 @@
 #include "core/base.h"
 #include "core/options.h"
 
-/* argv[0] is the command's own name. ERR_ARG becomes exit code 2, every other error 1;
- * serve's are those of sysexits.h. */
+/* argv[0] is the command's own name. ERR_ARG becomes exit code 2, any other error 1. `serve` has
+ * the exit codes of sysexits.h. */
 #define COMMAND(name, about) enum err_code cli_##name(int argc, char **argv, struct err *e) ERR_USE;
 #include "cli/commands.def"
 #undef COMMAND

@@ -1,4 +1,4 @@
-/* citysplat compare: what changed between two tile stores, as a map of heights and figures in JSON.
+/* citysplat compare: changes between two tile stores, as a map of heights and as numbers in JSON.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,8 +1,8 @@
 /* citysplat convert: one file of Gaussians into another format.
  *
- * Integers travel untouched between .spz, .drc and .glb with SPZ when nothing else was asked for.
- * Everything else goes through struct gauss. Axes are turned when both sides' are known, and never
- * on a guess.
+ * Between .spz, .drc and .glb with SPZ, integers are copied unchanged if nothing else was asked
+ * for. All other conversions use struct gauss. Axes are turned only if those of both files are
+ * known.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,11 +1,10 @@
-/* What pops in a scripted flight; see eval_flight.h.
+/* Visible jumps in a scripted flight; see eval_flight.h.
  *
- * A picture changes from frame to frame because the camera moves and because other tiles are drawn.
- * To see the second alone each frame is drawn twice: with the tiles that it needs itself, and with
- * those that the frame before was drawn from. The camera is the same, so what differs has popped.
- * Tiles are picked for a picture somewhat larger than the one drawn, so that none is missing at its
- * edge. With a fade (lod/fade.h) tiles are drawn in part, and a frame pops by what one step of the
- * fade changes.
+ * A picture changes between frames for two reasons: the camera moves, and other tiles are drawn. To
+ * measure the second alone, each frame is drawn twice with the same camera: with its own tiles, and
+ * with the tiles of the frame before. The difference is the jump. Tiles are selected for a slightly
+ * larger picture, so that none is missing at its edge. With a fade (lod/fade.h) tiles are drawn in
+ * part, and the jump is the change of one step of the fade.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

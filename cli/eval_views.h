@@ -12,15 +12,16 @@ struct json_t;
 struct scene;
 
 struct eval_views_request {
-    const char *dir;      /* of the views */
-    const char *pictures; /* folder for truth | drawing as NAME.png; NULL: none */
+    const char *dir;      /* folder of the views */
+    const char *pictures; /* folder for pictures "truth | drawing", NAME.png; NULL: none */
     const struct scene *scene;
-    struct appearance_view *appearance; /* what the source draws with; NULL: without */
+    struct appearance_view *appearance; /* appearance that the source draws with; NULL: none */
     bool exposure;                      /* the source draws at the mean exposure */
-    struct json_t *rows;                /* a JSON array that the scores are added to */
+    struct json_t *rows;                /* a JSON array; the scores are appended */
 };
 void eval_views_print_head(void);
-/* Score a source that draws with `render`: a row for each kind of view, one for all. */
+/* Scores a source that draws with `render`: one row for each kind of view, and one for all. Errors
+ * as map_views.h. */
 enum err_code eval_views_run(const struct eval_views_request *q, const char *what,
                              struct render *render, const struct evaluate_source *src,
                              struct err *e) ERR_USE;

@@ -1,7 +1,9 @@
-/* citysplat export: a tile store -> one .ply, .compressed.ply, .spz, .sog or .glb of a level, or a
- * static 3D Tiles folder that any web server or CDN can hand out without us, or that folder as one
- * .3tz; or its map as one .pmtiles. The .glb files and map tiles are the
- * bytes `citysplat serve` would send.
+/* citysplat export: writes a tile store in other forms:
+ * - one .ply, .compressed.ply, .spz, .sog or .glb of a level
+ * - a static 3D Tiles folder for any web server or CDN, or that folder as one .3tz
+ * - its map as one .pmtiles
+ *
+ * The .glb files and map tiles have the same bytes that `citysplat serve` would send.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

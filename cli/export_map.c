@@ -1,6 +1,6 @@
-/* PMTiles of the map: see export_map.h. Tiles are drawn in the order of the file, zoom by zoom
- * along Hilbert's curve, so neighbours on the curve show the same Gaussians, which stay in memory,
- * and the file is written in one pass.
+/* PMTiles of the map: see export_map.h. Tiles are drawn in the order of the file: zoom by zoom, and
+ * within a zoom along a Hilbert curve. Neighbours on the curve show the same Gaussians, which stay
+ * in memory, and the file is written in one pass.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -9,13 +9,14 @@
 
 struct export_map {
     const char *output, *device;
-    const char *appearance, *zooms; /* NULL: the store's; those of map.json. "14-18" */
-    int format;                     /* of EXPORT_MAP_FORMATS, by its place */
-    int quality;                    /* of webp and jpg */
-    bool dense;                     /* 512 px a tile, for dense screens */
+    /* NULL: the store's default appearance, and the zooms of map.json; else zooms as "14-18" */
+    const char *appearance, *zooms;
+    int format;  /* index into EXPORT_MAP_FORMATS */
+    int quality; /* for webp and jpg */
+    bool dense;  /* tiles of 512 px, for dense screens */
 };
 #define EXPORT_MAP_FORMATS "webp|png|jpg"
-/* Draw every tile that touches the survey, as `citysplat serve` answers it, and write them. ERR_ARG
+/* Draws all tiles that touch the survey, as `citysplat serve` would, and writes them. ERR_ARG
  * (zooms), ERR_DATA (no ground), ERR_LIMIT (tiles), ERR_CANCEL, and the errors of nadir_open,
  * map_tile_make and pmtiles_*. */
 enum err_code export_map(const char *store, const struct export_map *o, struct err *e) ERR_USE;

@@ -1,14 +1,15 @@
-/* Streamed SOG: see export_sog.h. What PlayCanvas' engine streams: lod-meta.json has a tree whose
- * leaves are boxes, each with a run of Gaussians a level ("lods"), and a run is a part of a chunk,
- * a SOG of its own of about half a million Gaussians. Level 0 is the finest.
+/* Streamed SOG for PlayCanvas' engine: see export_sog.h. lod-meta.json has a tree. Its leaves are
+ * boxes, each with one run of Gaussians a level ("lods"). A run is a part of a chunk, and a chunk
+ * is a SOG of about half a million Gaussians. Level 0 is the finest.
  *
- * A leaf of theirs is a leaf of ours. A tile above several leaves is divided among them by the
- * means of its Gaussians, so that each box can change its level alone. Chunks are filled level by
- * level in the order of the tree, so a tile is read once and memory holds one chunk.
+ * Each leaf of the tile tree becomes a leaf there. A tile above several leaves is divided among
+ * them by the means of its Gaussians, so that each box can change its level alone. Chunks are
+ * filled level by level in the order of the tree, so each tile is read once and memory holds one
+ * chunk.
  *
- * A level that a box lacks between others is drawn by a finer one; beyond its coarsest a box is
- * empty. Where tops of the pyramid lie at different zooms the levels therefore end at the lowest of
- * them.
+ * If a box lacks a level between others, a finer one is drawn. Above its coarsest level a box would
+ * be empty. If the tops of the pyramid lie at different zooms, levels therefore end at the lowest
+ * top.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -9,9 +9,9 @@
 
 struct store;
 
-/* lod-meta.json and a folder for each chunk, in a folder that appears as a whole; image: as of
- * bake_read. ERR_ARG (the folder is there), ERR_CANCEL, ERR_DATA (no Gaussians), and those of
- * bake_read and sog_write. */
+/* Writes a folder with lod-meta.json and a folder for each chunk. It appears only when complete.
+ * image: as in bake_read. ERR_ARG (the folder exists), ERR_CANCEL, ERR_DATA (no Gaussians), and the
+ * errors of bake_read and sog_write. */
 enum err_code export_sog_folder(struct store *s, const float *image, const char *output,
                                 bool overwrite, struct err *e) ERR_USE;
 

@@ -1,10 +1,10 @@
-/* citysplat gradient: from dL/dimage of one view to dL/dparameters of every Gaussian, as .npy
+/* citysplat gradient: from dL/d(image) of one view to dL/d(parameters) of every Gaussian, as .npy
  * files.
  *
- * For those who want to put this renderer behind their own loss, and for checking it against
- * another one. The gradients are of the raw parameters (before exp, sigmoid and normalisation), one
- * row for each vertex of the .ply. The five files appear together or not at all: they are written
- * into a folder beside the one asked for, which takes its name at the end.
+ * It is for users who combine this renderer with their own loss, and for comparisons with other
+ * renderers. Gradients are of the raw parameters (before exp, sigmoid and normalisation), one row
+ * for each vertex of the .ply. The five files appear together: they are written to a folder that is
+ * renamed at the end.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

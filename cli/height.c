@@ -1,4 +1,4 @@
-/* citysplat height: how high the surface is at places given by longitude and latitude, as JSON.
+/* citysplat height: heights of the surface at given longitudes and latitudes, as JSON.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* citysplat import: Gaussians that another trainer made -> a tile store. Coarser levels are made by
+/* citysplat import: Gaussians of another trainer -> a tile store. Coarser levels are made by
  * simplification.
  *
  * SPDX-License-Identifier: Apache-2.0

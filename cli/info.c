@@ -1,5 +1,4 @@
-/* citysplat info: what is in a file. One JSON object is made and printed as it is or as text, so
- * that both say the same.
+/* citysplat info: the content of a file. It makes one JSON object and prints it as JSON or as text.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* What the commands that draw a store from straight above share: see maps.h.
+/* Shared by the commands that draw a store from straight above: see maps.h.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

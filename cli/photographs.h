@@ -1,4 +1,4 @@
-/* The photographs of a scene as blobs of a store: times, poses and thumbnails.
+/* The photographs of a scene as blobs of a store: time, pose and thumbnail of each.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -15,10 +15,11 @@ struct photographs { /* {0} is empty; photographs_free */
     size_t n_blobs;
     struct photographs_one *all;
     size_t n;
-    size_t thumbnail_bytes; /* of all of them */
+    size_t thumbnail_bytes; /* total of all thumbnails */
 };
-/* Those of the scene's photographs that an appearance model knows. One whose file cannot be read
- * has no thumbnail, with a warning. s outlives out. Parallel. ERR_LIMIT, ERR_MEM, ERR_DATA. */
+/* Makes blobs for the photographs of the scene that the appearance model has. If a file cannot be
+ * read it warns and leaves the thumbnail out. s must outlive *out. It runs in parallel. ERR_LIMIT,
+ * ERR_MEM, ERR_DATA. */
 enum err_code photographs_of(const struct scene *s, const struct appearance *a, bool thumbnails,
                              struct photographs *out, struct err *e) ERR_USE;
 void photographs_free(struct photographs *p);

@@ -1,8 +1,9 @@
-/* citysplat report: one HTML file that tells how good a survey is: what was photographed, how
- * finely and how often, where it lies and how far positions disagree, what was dropped, what
- * training made of it.
+/* citysplat report: one HTML file about the quality of a survey: what was photographed, at which
+ * resolution and how often, where it lies, how far positions disagree, what was dropped, and how
+ * training went.
  *
- * No scripts and no other files: it can be mailed, and prints to PDF from any browser.
+ * It contains no scripts and needs no other files, so it can be mailed, and any browser prints it
+ * to PDF.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* Maps of a survey report: see report_map.h. Grids are small PNGs that the browser enlarges,
- * cameras and arrows are SVG on top, so that a printed page stays sharp.
+/* Maps of a survey report: see report_map.h. Grids are small PNGs that the browser enlarges.
+ * Cameras and arrows are SVG on top, so that they are sharp in print.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

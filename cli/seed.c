@@ -1,6 +1,6 @@
-/* citysplat seed: ask for every tile of a prefetch list, so that the cache or CDN in front of a
- * server has them before people come. The list is the server's own (server/seed.c), most important
- * tiles first; what comes back must carry the tag that the list names. By libcurl.
+/* citysplat seed: requests every tile of a prefetch list, most important first, so that the cache
+ * or CDN in front of a server has them early. The server makes the list (server/seed.c). An answer
+ * must have the entity tag that the list names. It uses libcurl.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* citysplat sign: signed addresses of a server with --auth, for those who cannot send a token.
+/* citysplat sign: signed addresses of a server with --auth, for clients that cannot send a token.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

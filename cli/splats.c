@@ -1,5 +1,5 @@
-/* Files of Gaussians by what is in them. The extension is asked only where the bytes do not tell
- * (.splat).
+/* Recognises files of Gaussians by their content. The extension is used only for .splat, which has
+ * no magic.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* Files of Gaussians by what is in them, for the commands that take any of them.
+/* Reads any file of Gaussians, recognised by its content, for commands that accept all formats.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -25,23 +25,25 @@ enum splats_kind {
 
 struct splats { /* {0} is empty */
     enum splats_kind kind;
-    struct gauss g;       /* axes as in the file */
-    struct ply_info info; /* what a .ply said about its frame */
+    struct gauss g;       /* in the axes of the file */
+    struct ply_info info; /* frame of a .ply, from its comments */
 };
 
-/* By the first bytes; a folder with a scene.json is a scene. ERR_NOENT, ERR_IO. */
+/* Recognises a file by its first bytes. A folder with a scene.json is a scene. ERR_NOENT, ERR_IO.
+ */
 enum err_code splats_kind(const char *path, enum splats_kind *out, struct err *e) ERR_USE;
 const char *splats_kind_name(enum splats_kind k);
-/* Read .ply, .spz, .glb, .drc, .sog, .splat or a checkpoint. ERR_FORMAT for anything else,
- * ERR_LIMIT (lim NULL: the defaults; a checkpoint is ours and has none). splats_free it. */
+/* Reads .ply, .spz, .glb, .drc, .sog, .splat or a checkpoint. lim NULL: default limits; checkpoints
+ * have no limit. Free *out with splats_free. ERR_FORMAT: any other file. ERR_LIMIT, ERR_NOENT,
+ * ERR_IO, ERR_MEM. */
 enum err_code splats_read(const char *path, const struct codec_limits *lim, struct splats *out,
                           struct err *e) ERR_USE;
 void splats_free(struct splats *s);
-/* "lon,lat,h" in degrees and metres; ERR_ARG names the option. */
+/* Parses "lon,lat,h" in degrees and metres. ERR_ARG names the option. */
 enum err_code splats_place(const char *option, const char *text, struct geo_origin *out,
                            struct err *e) ERR_USE;
-/* A store's name: the one given by --name, or NULL: out of a path, in lower case, other characters
- * become '-'. ERR_ARG: longer than 63 letters; what else may be wrong with it store_create says. */
+/* Gives a store's name: `given`, or if that is NULL, the name of `path` in lower case with '-' for
+ * other characters. ERR_ARG: longer than 63 letters. store_create checks everything else. */
 enum err_code splats_name(const char *given, const char *path, char out[64], struct err *e) ERR_USE;
 
 #endif

@@ -1,9 +1,8 @@
 /* citysplat tile: the checkpoints of a trained scene -> one tile store.
  *
- * Each level is put together from all cells that were trained, a slice of rows at a time. A cell's
- * checkpoint also holds background beyond its own ground; every Gaussian is taken from the one cell
- * that owns its place. A cell that lacks a level gives its next coarser one instead, so
- * that no level has holes.
+ * Each level is combined from all trained cells, a slice of rows at a time. A cell's checkpoint
+ * also has background outside its own ground, so each Gaussian is taken only from the cell that
+ * owns its place. A cell without a level gives its next coarser one, so that no level has holes.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* An orthophoto against the procedural city that it is of: see truth.h.
+/* Compares an orthophoto with the procedural city that it shows: see truth.h.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* An orthophoto against the procedural city that it is of.
+/* Compares an orthophoto with the procedural city that it shows.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -8,12 +8,13 @@
 #include "synth/synth.h"
 
 struct truth_score {
-    uint64_t pixels, inside; /* that the orthophoto shows; of these within the built-up square */
-    double psnr_db, inside_psnr_db; /* NAN: none */
+    /* pixels of the orthophoto with a value; those of them in the built-up square */
+    uint64_t pixels, inside;
+    double psnr_db, inside_psnr_db; /* NAN: no pixels */
 };
-/* Draw the city of folder cfg->city on the pixels of the orthophoto cfg->map, into the GeoTIFF
- * cfg->output (NULL: none is written). Errors of synth_views_config, sheet.h and geotiff.h;
- * ERR_DATA: the orthophoto shows nothing; ERR_CANCEL. */
+/* Draws the city of folder cfg->city on the pixels of the orthophoto cfg->map, and writes it to the
+ * GeoTIFF cfg->output (NULL: none). Errors of synth_views_config, sheet.h and geotiff.h. ERR_DATA:
+ * the orthophoto is empty. ERR_CANCEL. */
 enum err_code truth_map(const struct synth_config *cfg, struct truth_score *out,
                         struct err *e) ERR_USE;
 

@@ -1,4 +1,4 @@
-/* A surface model against the procedural city: see truth_heights.h.
+/* Compares a surface model with the procedural city that it shows: see truth_heights.h.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

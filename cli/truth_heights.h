@@ -1,4 +1,4 @@
-/* A surface model against the procedural city that it is of.
+/* Compares a surface model with the procedural city that it shows.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -9,17 +9,19 @@
 #include "synth/synth.h"
 
 struct truth_heights {
-    uint64_t inside, none; /* pixels of the built-up square; without a surface */
-    uint64_t level;        /* of the others, those away from edges, which are scored */
+    uint64_t inside, none; /* pixels in the built-up square; those without a surface */
+    uint64_t level;        /* pixels with a surface and away from edges, which are scored */
     double pixel_m;
-    double median_m, most_m, off_m; /* of their distances: median, 95 %; median with its sign */
-    double volume_m3;               /* of all with a surface: the model's minus the city's */
-    size_t edges, missing;          /* steps of walls; see edge.h */
+    /* height differences: median and 95 % of their size; median with sign */
+    double median_m, most_m, off_m;
+    /* over all pixels with a surface: volume of the model minus that of the city */
+    double volume_m3;
+    size_t edges, missing; /* steps at walls; see edge.h */
     struct edge_score edge;
 };
-/* Heights of the GeoTIFF cfg->map, above the ellipsoid, against the city of folder cfg->city.
- * Errors of synth_views_config and sheet.h; ERR_LIMIT: too many pixels; ERR_DATA: nothing of the
- * city is in it; ERR_CANCEL, ERR_MEM. */
+/* Compares heights above the ellipsoid of the GeoTIFF cfg->map with the city of folder cfg->city.
+ * Errors of synth_views_config and sheet.h. ERR_LIMIT: too many pixels. ERR_DATA: it shows nothing
+ * of the city. ERR_CANCEL, ERR_MEM. */
 enum err_code truth_heights(const struct synth_config *cfg, struct truth_heights *out,
                             struct err *e) ERR_USE;
 

@@ -1,7 +1,7 @@
-/* Codebooks: see cluster.h. On the line, sums over sorted values make a step of Lloyd's algorithm
- * cost 256 binary searches. Rows of many dimensions are divided again and again (tree-structured
- * vector quantisation): a full search would cost n x groups x d a step, seconds where this takes
- * tenths.
+/* Codebooks: see cluster.h. In one dimension, sums over sorted values reduce a step of Lloyd's
+ * algorithm to 256 binary searches. Rows of many dimensions are divided again and again
+ * (tree-structured vector quantisation). A full search would take n x groups x d a step: seconds
+ * instead of tenths.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,5 @@
-/* Codebooks: few values that stand for many, as SOG's textures index them.
+/* Codebooks: few values that stand for many. The textures of SOG hold indices into them. All
+ * functions are deterministic and may be called from any thread.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -9,14 +10,14 @@
 
 enum { CLUSTER_BOOK = 256 };
 
-/* 256 values, ascending, that lie nearest to v [n] (Lloyd's algorithm on the line), and for each of
- * v the index of its nearest. n >= 1, v finite. Deterministic. ERR_MEM. Any thread, as all here. */
+/* Finds 256 values, ascending, that approximate v [n] best (Lloyd's algorithm in one dimension),
+ * and the index of the nearest one for each v. n >= 1, and v is finite. ERR_MEM. */
 enum err_code cluster_values(const float *v, size_t n, float book[CLUSTER_BOOK], uint8_t *index,
                              struct err *e) ERR_USE;
-/* n rows of v [n][d] in at most `most` (1 to 65536) groups: of all groups the one with the largest
- * sum of squares is divided, by the plane through its mean across its longest direction, until
- * there are enough. mean [most][d], label [n]; *n_groups <= most says how many there are.
- * ERR_MEM. */
+/* Divides the n rows of v [n][d] into at most `most` groups (1 to 65536). In each step the group
+ * with the largest sum of squares is cut in two by a plane. The plane goes through the group's mean
+ * and is normal to its longest direction. mean [most][d], label [n]; *n_groups <= most is the
+ * number of groups. ERR_MEM. */
 enum err_code cluster_rows(const float *v, size_t n, size_t d, size_t most, float *mean,
                            uint16_t *label, size_t *n_groups, struct err *e) ERR_USE;
 #endif

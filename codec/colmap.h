@@ -1,4 +1,4 @@
-/* COLMAP models: cameras, images, points3D as .bin or .txt.
+/* COLMAP models: the files cameras, images and points3D, as .bin or .txt.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -39,7 +39,8 @@ struct colmap_point {
     double error_px;
     size_t track, n_track; /* slice of colmap_model.tracks */
 };
-struct colmap_model { /* {0} is empty; sorted by id; ids are resolved to indices and checked */
+/* {0} is empty. Records are sorted by id. References are checked indices, not ids. */
+struct colmap_model {
     struct colmap_camera *cameras;
     size_t n_cameras;
     struct colmap_image *images;
@@ -50,11 +51,12 @@ struct colmap_model { /* {0} is empty; sorted by id; ids are resolved to indices
     size_t n_tracks;
     struct arena arena; /* owns everything above */
 };
-/* From a folder that holds cameras/images/points3D as .bin (preferred) or .txt, or its sparse/ or
- * sparse/0/. ERR_NOENT names what was looked for; ERR_FORMAT names file and record ("images.bin:
- * image 17 of 75: truncated"). colmap_free it. */
+/* Reads a model from a folder, or from its sparse/ or sparse/0/. Each of the three files may be
+ * .bin (preferred) or .txt. Free it with colmap_free. ERR_NOENT names the files that are missing.
+ * ERR_FORMAT names file and record ("images.bin: image 17 of 75: truncated"). ERR_IO, ERR_LIMIT,
+ * ERR_MEM. */
 enum err_code colmap_read(const char *dir, struct colmap_model *out, struct err *e) ERR_USE;
-/* Write cameras.bin, images.bin and points3D.bin into a folder that exists. ERR_IO, ERR_LIMIT,
+/* Writes cameras.bin, images.bin and points3D.bin into a folder that exists. ERR_IO, ERR_LIMIT,
  * ERR_MEM. */
 enum err_code colmap_write_bin(const char *dir, const struct colmap_model *m,
                                struct err *e) ERR_USE;

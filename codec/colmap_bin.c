@@ -1,14 +1,14 @@
-/* COLMAP's binary files: cameras.bin, images.bin, points3D.bin, read and written. All
+/* COLMAP's binary files, read and written: cameras.bin, images.bin, points3D.bin. All is
  * little-endian.
  *
- *   cameras.bin   u64 n; each: i32 id, i32 model, u64 width, u64 height, f64 params[k]
- *   images.bin    u64 n; each: i32 id, f64 q[4] (w x y z), f64 t[3], i32 camera, name NUL, u64 m,
- *                        m times: f64 x, f64 y, i64 point (-1 = none)
- *   points3D.bin  u64 n; each: u64 id, f64 xyz[3], u8 rgb[3], f64 error, u64 len, len times: i32
- * image, i32 obs
+ *     cameras.bin   u64 n; each: i32 id, i32 model, u64 width, u64 height, f64 params[k]
+ *     images.bin    u64 n; each: i32 id, f64 q[4] (w x y z), f64 t[3], i32 camera, name NUL, u64 m,
+ *                   m times: f64 x, f64 y, i64 point (-1 = none)
+ *     points3D.bin  u64 n; each: u64 id, f64 xyz[3], u8 rgb[3], f64 error, u64 len,
+ *                   len times: i32 image, i32 obs
  *
- * A count is believed only after it was compared with the bytes that are left, so a hostile count
- * cannot make us allocate more than a small multiple of the file.
+ * A count is compared with the bytes that are left before it is used. A hostile count can therefore
+ * not make us allocate more than a small multiple of the file.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

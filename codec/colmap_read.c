@@ -1,10 +1,10 @@
-/* COLMAP sparse models: finding the files, resolving ids, and what a sound record is.
+/* Reads COLMAP sparse models: finds the files, resolves ids, and checks records.
  *
- * COLMAP writes a model as three files, binary or text, that refer to each other by id. Readers
- * (colmap_bin.c, colmap_txt.c) take the records as they come; here everything is sorted by id and
- * every reference becomes an index, so that nobody behind this file has to look up or doubt an id
- * again. A point and the observations in its track must agree both ways: files of two different
- * models fail there. Source: https://colmap.github.io/format.html
+ * COLMAP writes a model as three files, binary or text, that refer to each other by id. The readers
+ * (colmap_bin.c, colmap_txt.c) take records as they come. Here all records are sorted by id, and
+ * every reference becomes a checked index. Code that uses a model never looks up an id. A point and
+ * the observations in its track must agree in both directions, so files of two different models are
+ * refused. Source: https://colmap.github.io/format.html
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,10 +1,11 @@
 /* COLMAP's text files: cameras.txt, images.txt, points3D.txt.
  *
- *   cameras.txt   ID MODEL WIDTH HEIGHT PARAMS...
- *   images.txt    ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, and on the next line (it may be empty) X
- * Y POINT_ID ... points3D.txt  ID X Y Z R G B ERROR IMAGE_ID OBS ...
+ *     cameras.txt   ID MODEL WIDTH HEIGHT PARAMS...
+ *     images.txt    ID QW QX QY QZ TX TY TZ CAMERA_ID NAME
+ *                   X Y POINT_ID ...            (the next line; it may be empty)
+ *     points3D.txt  ID X Y Z R G B ERROR IMAGE_ID OBS ...
  *
- * Lines that start with # are comments. Record counts are not known beforehand: records are
+ * Lines that start with # are comments. The number of records is not known beforehand: records are
  * collected in a growing list and moved to the model's arena at the end.
  *
  * SPDX-License-Identifier: Apache-2.0

@@ -14,12 +14,12 @@ struct quant;
 extern "C" {
 #endif
 
-/* .drc: sequential point cloud of integer attributes. `tile` is text for the metadata; out is
- * appended to, the caller frees. ERR_MEM, ERR_INTERNAL (the library failed). Any thread. */
+/* Appends a .drc to `out`: a sequential point cloud with integer attributes. `tile` is a text for
+ * the metadata. The caller frees `out`. ERR_MEM, ERR_INTERNAL (the library failed). Any thread. */
 enum err_code draco_encode(const struct quant *q, const char *tile, struct buf *out,
                            struct err *e) ERR_USE;
-/* Hostile bytes are safe: checked first (draco_check). quant_free it; empty on errors. ERR_FORMAT,
- * ERR_LIMIT, ERR_MEM. Any thread. */
+/* Reads a .drc. Hostile bytes are safe, because draco_check looks at them first. Free *out with
+ * quant_free; it is empty on errors. ERR_FORMAT, ERR_LIMIT, ERR_MEM. Any thread. */
 enum err_code draco_decode(const void *bytes, size_t n, const struct codec_limits *lim,
                            struct quant *out, struct err *e) ERR_USE;
 

@@ -1,5 +1,5 @@
-/* What drones write into the XMP of their photographs beside EXIF: height above take-off, what
- * heights count from, how the camera was tilted.
+/* Values that drones write into the XMP of their photographs: height above take-off, the reference
+ * of altitudes, the tilt of the camera.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -13,15 +13,17 @@
 extern "C" {
 #endif
 
-struct drone_meta { /* {0}: nothing is said */
+struct drone_meta { /* {0}: nothing is known */
     bool has_relative, has_absolute, has_up;
-    double relative_m; /* above where it took off, by the barometer */
+    double relative_m; /* height above take-off, by the barometer */
     double absolute_m;
-    bool ellipsoidal; /* absolute_m, or EXIF's altitude, counts from the ellipsoid */
-    double up_cam[3]; /* unit; up in the camera's axes (x right, y down, z forward) by its gimbal */
+    bool ellipsoidal; /* absolute_m and EXIF's altitude are heights above the ellipsoid */
+    /* unit vector up in camera axes (x right, y down, z forward), from the gimbal */
+    double up_cam[3];
 };
-/* get: the text of an attribute, "drone-dji:RelativeAltitude", cut to room bytes with the NUL;
- * false: not there. What is damaged or no number that a drone can mean is not said. */
+/* Reads the values with `get`. `get` writes the text of an attribute such as
+ * "drone-dji:RelativeAltitude", cut to `room` bytes with its NUL, and returns false if there is
+ * none. Values that are damaged or implausible are left out. */
 void drone_read(bool (*get)(const void *user, const char *name, char *text, size_t room),
                 const void *user, struct drone_meta *out);
 

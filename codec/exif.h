@@ -1,4 +1,5 @@
-/* The few EXIF fields that we need, in JPEG, PNG, WebP and TIFF files.
+/* The EXIF fields that we need, in JPEG, PNG, WebP and TIFF files. All functions may be called from
+ * any thread.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -18,18 +19,18 @@ extern "C" {
 
 struct image_gps {
     bool has_position, has_altitude;
-    double lat_deg, lon_deg, alt_m;   /* alt_m as the file says it: usually above sea level */
+    double lat_deg, lon_deg, alt_m;   /* alt_m as in the file: usually above sea level */
     char time[32];                    /* EXIF DateTimeOriginal or "" */
     double exposure_s, iso, focal_mm; /* 0 = not given */
 };
 
-/* Missing, unknown or damaged fields are simply not there (has_position false, 0, ""): photographs
- * with strange EXIF are still photographs. ERR_NOENT, ERR_IO. */
+/* Reads the fields of a file. Missing or damaged fields are not errors: has_position is false,
+ * numbers are 0, texts "". ERR_NOENT, ERR_IO. */
 enum err_code exif_read(const char *path, struct image_gps *out, struct err *e) ERR_USE;
-/* The same from a whole file in memory. */
+/* As exif_read, from a whole file in memory. */
 void exif_parse(const void *bytes, size_t n, struct image_gps *out);
-/* Put an EXIF block into an encoded picture. Angles are stored to 1e-7 arc seconds, heights to 0.1
- * mm. ERR_FORMAT (no JPEG, PNG, WebP or TIFF), ERR_MEM. Any thread, as all here. */
+/* Puts an EXIF block into an encoded picture. Angles are stored to 1e-7 arc seconds, heights to 0.1
+ * mm. ERR_FORMAT (not a JPEG, PNG, WebP or TIFF), ERR_MEM. */
 enum err_code exif_insert(struct buf *file, const struct image_gps *gps, struct err *e) ERR_USE;
 
 #ifdef __cplusplus

@@ -1,6 +1,6 @@
-/* What OpenImageIO does for codec/image.c: image_shim.cc, a library of its own that is loaded with
- * the first image. OpenImageIO brings 250 libraries, which cost 0.35 s at the start of every
- * process that is linked with it, and most commands and tests see no image.
+/* OpenImageIO's functions for codec/image.c. image_shim.cc is a library of its own, which is loaded
+ * with the first image. OpenImageIO needs 250 libraries. Every process linked with it starts 0.35 s
+ * later, and most commands and tests open no image.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -14,37 +14,39 @@
 
 #define IMAGE_LIBRARY_FILE "citysplat-image.so"
 #define IMAGE_LIBRARY_SYMBOL "image_library_table"
-#define IMAGE_LIBRARY_VERSION 1u /* another one with every change of this table */
+#define IMAGE_LIBRARY_VERSION 1u /* changes with every change of this table */
 
 struct image;
 struct image_input; /* an open file */
-struct image_spec { /* of a file: as it says, unchecked */
+struct image_spec { /* of a file, as the file states it; not checked */
     int width_px, height_px, depth, channels;
 };
-struct image_why { /* of what failed, one line */
+struct image_why { /* the reason of a failure, in one line */
     char text[256];
 };
 
-/* Needs nothing of the program and throws nothing. Any thread; an input is one thread's. Every
- * `why` is set where the code is not ERR_OK; ERR_MEM and ERR_INTERNAL come from all. */
+/* The library needs nothing of the program and throws nothing. Any thread may call it, but only one
+ * thread may use an input. If the result is not ERR_OK, `why` is set. Any function may return
+ * ERR_MEM and ERR_INTERNAL. */
 struct image_library {
     uint32_t version;
-    /* close it. ERR_FORMAT. */
+    /* The caller closes *in. ERR_FORMAT. */
     enum err_code (*open)(const char *path, struct image_input **in, struct image_spec *spec,
                           struct image_why *why);
     void (*close)(struct image_input *in);
-    /* The first `take` channels, 8 bits, three bytes a pixel. ERR_FORMAT: damaged or truncated. */
+    /* Reads the first `take` channels as 8 bits, three bytes a pixel. ERR_FORMAT: damaged or
+     * truncated. */
     enum err_code (*read_u8)(struct image_input *in, int take, uint8_t *px, struct image_why *why);
-    /* The first channel: integers as 0..1, floats as they are. ERR_FORMAT. */
+    /* Reads the first channel: integers as 0..1, floats unchanged. ERR_FORMAT. */
     enum err_code (*read_float)(struct image_input *in, float *px, struct image_why *why);
-    /* XMP as OpenImageIO has it, "prefix:Name"; `in` is an image_input. See drone_read. */
+    /* Reads an XMP attribute "prefix:Name", as drone_read needs it; `in` is an image_input. */
     bool (*attribute)(const void *in, const char *name, char *text, size_t room);
-    /* .jpg and other formats in memory; quality 1..100. ERR_ARG (format), ERR_LIMIT (too large for
-     * it). */
+    /* Encodes .jpg and other formats in memory. quality is 1..100. ERR_ARG (format), ERR_LIMIT (too
+     * large for it). */
     enum err_code (*encode)(const struct image *img, const char *format, int quality,
                             void (*add)(void *to, const void *bytes, size_t n), void *to,
                             struct image_why *why);
-    /* A TIFF on the disk: libtiff seeks while it writes. ERR_LIMIT. */
+    /* Writes a TIFF to the disk, because libtiff seeks while it writes. ERR_LIMIT. */
     enum err_code (*write_tiff)(const char *path, const struct image *img, struct image_why *why);
 };
 

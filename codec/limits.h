@@ -1,5 +1,5 @@
-/* Limits of decoders. A decoder checks counts against the bytes at hand before it allocates, keeps
- * to these limits, and leaves its output empty on an error.
+/* Limits of decoders. A decoder compares counts with the bytes at hand before it allocates, keeps
+ * these limits, and leaves its output empty on an error.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -15,6 +15,6 @@
 struct codec_limits {     /* {0} = the defaults in brackets */
     size_t max_gaussians; /* [64 Mi] */
     size_t max_bytes;     /* decompressed bytes of one file [16 GiB] */
-    size_t max_pixels;    /* of one image [512 Mi] */
+    size_t max_pixels;    /* pixels of one image [512 Mi] */
 };
 #endif

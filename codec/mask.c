@@ -1,4 +1,4 @@
-/* Masks of photographs: reading, shrinking, undistorting, and what they do to points and residuals.
+/* Masks of photographs: reading, shrinking, undistorting, and their effect on points and residuals.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -9,9 +9,9 @@
 
 #include "core/err.h"
 
-/* float32 .npy, C order. shape has ndim entries, in metres, pixels or whatever the caller means by
- * them. Reading allocates *data (mem_free it). ERR_NOENT, ERR_FORMAT (not such a file, another
- * ndim), ERR_LIMIT, ERR_IO, ERR_MEM. Any thread. */
+/* Write, read or decode an array of float32 in C order. shape has ndim entries; the caller defines
+ * units. Free *data with mem_free. ERR_NOENT, ERR_FORMAT (no such file, or another ndim),
+ * ERR_LIMIT, ERR_IO, ERR_MEM. Any thread. */
 enum err_code npy_write(const char *path, const float *data, size_t ndim, const size_t *shape,
                         struct err *e) ERR_USE;
 enum err_code npy_read(const char *path, size_t ndim, size_t *shape, float **data,

@@ -1,16 +1,15 @@
-/* Master payload of a tile: every field of the container, as the store keeps it and all formats are
- * made from.
+/* The payload of a tile. The store keeps it, and all formats are made from it.
  *
- *   0  "CSPT"    4 u16 version 1   6 u8 flags        7 u8 SH degree
- *   8  u32 count  12 u32 embedding length            16 f64 origin e, n, u
- *   40 u64 plain bytes              48 zstd frame, nothing behind it
- *   plain: planes mean | scale | rotation | opacity | sh | embed
+ *     0  "CSPT"    4 u16 version 1   6 u8 flags  7 u8 SH degree
+ *     8  u32 count  12 u32 embedding length  16 f64 origin e, n, u
+ *     40 u64 plain bytes  48 zstd frame, nothing behind it
+ *     plain: planes mean | scale | rotation | opacity | sh | embed
  *
- * Means are float32 about the origin. The rest is half floats, of harmonics those nearest to
- * multiples of 2^-9, or float32 with flag LOSSLESS, so that import and export give every value
- * back. A plane goes component by component and within one
- * byte by byte, each byte the difference to the row before: neighbours along the curve share their
- * high bytes, and zstd finds them.
+ * Means are float32 about the origin. All else is float16, with harmonics rounded to multiples of
+ * 2^-9. With the flag LOSSLESS all else is float32, so that import and export give every value
+ * back. A plane is stored component by component, and a component byte by byte. Each byte is the
+ * difference from the row before. Rows that are close on the curve share their high bytes, so zstd
+ * compresses them well.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* INRIA .ply files of Gaussians.
+/* .ply files of Gaussians: INRIA's, and SuperSplat's compressed ones.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -15,22 +15,23 @@ struct buf;
 struct codec_limits;
 struct gauss;
 
-/* INRIA .ply, and SuperSplat's compressed one. Import finds properties by name, any
- * scalar type, skips unknown ones; SH degree from the number of f_rest. Comments "citysplat origin
- * lon lat h" are read and written (origin may be NULL; on read has_origin tells). Means are read
- * into float32 about origin_enu_m = 0 unless the file carries doubles. gauss_free it; empty on
- * errors. info may be NULL. ERR_NOENT, ERR_IO (of ply_read), ERR_FORMAT names line or property,
- * ERR_DATA, ERR_LIMIT, ERR_MEM. Any thread. */
+/* Read both kinds. Properties are found by name and may have any scalar type; unknown ones are
+ * skipped. The SH degree follows from the number of f_rest properties. The comment "citysplat
+ * origin lon lat h" gives info->origin and info->has_origin. Means become float32 about
+ * origin_enu_m = 0; if the file has doubles, about another origin. info may be NULL. Free *out with
+ * gauss_free; it is empty on errors. ERR_NOENT and ERR_IO (ply_read), ERR_FORMAT names line or
+ * property, ERR_DATA, ERR_LIMIT, ERR_MEM. Any thread. */
 enum err_code ply_read(const char *path, const struct codec_limits *lim, struct gauss *out,
                        struct ply_info *info, struct err *e) ERR_USE;
 enum err_code ply_decode(const void *bytes, size_t n, const struct codec_limits *lim,
                          struct gauss *out, struct ply_info *info, struct err *e) ERR_USE;
-/* Appended to out. ERR_MEM. */
+/* Appends an INRIA .ply to `out`. info may be NULL. ERR_MEM. */
 enum err_code ply_encode(const struct gauss *g, const struct ply_info *info, struct buf *out,
                          struct err *e) ERR_USE;
-/* SuperSplat's compressed one, of bands up to sh_degree; embeddings are left out. Rows stay in
- * their order, which should be that of space (gauss_hilbert_order): 256 share a box. Appended to
- * out. ERR_DATA (not finite), ERR_ARG (sh_degree above g's), ERR_MEM. */
+/* Appends SuperSplat's compressed .ply to `out`, with harmonics up to sh_degree and without
+ * embeddings. Rows keep their order. 256 rows share a box, so neighbours in space should follow
+ * each other (gauss_hilbert_order). ERR_DATA (a value is not finite), ERR_ARG (sh_degree above that
+ * of g), ERR_MEM. */
 enum err_code ply_packed_encode(const struct gauss *g, uint32_t sh_degree,
                                 const struct ply_info *info, struct buf *out,
                                 struct err *e) ERR_USE;

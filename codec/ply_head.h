@@ -1,5 +1,5 @@
-/* The header of a .ply: elements, properties, comments. Shared by the readers of its two splat
- * dialects.
+/* The header of a .ply: elements, properties, comments. The readers of both kinds of splat files
+ * use it.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -21,16 +21,16 @@ enum ply_format { PLY_ASCII, PLY_LITTLE, PLY_BIG };
 struct ply_property {
     const char *name; /* lives in the head's arena */
     enum ply_type type;
-    size_t offset; /* in a binary row; column in an ASCII one */
+    size_t offset; /* binary: offset in a row; ASCII: column */
 };
 struct ply_element {
     const char *name;
     size_t count;
     struct ply_property *props;
     size_t n_props;
-    size_t row_bytes;    /* 0 with a list */
-    const uint8_t *rows; /* binary: count * row_bytes checked to be there; NULL behind an ASCII or
-                            list element */
+    size_t row_bytes; /* 0 if it has a list */
+    /* binary: count * row_bytes bytes, checked; NULL after an ASCII or list element */
+    const uint8_t *rows;
 };
 struct ply_head { /* {0} is empty */
     enum ply_format format;
@@ -43,20 +43,21 @@ struct ply_head { /* {0} is empty */
     struct arena arena;
 };
 
-/* Parse and check against n. ERR_FORMAT names the line. ply_head_free it, also on error. */
+/* Parses a header and checks it against the n bytes. Call ply_head_free afterwards, also on error.
+ * ERR_FORMAT names the line. */
 enum err_code ply_head_read(const void *bytes, size_t n, struct ply_head *out,
                             struct err *e) ERR_USE;
 void ply_head_free(struct ply_head *h);
 const struct ply_element *ply_head_element(const struct ply_head *h, const char *name);
 const struct ply_property *ply_head_property(const struct ply_element *el, const char *name);
-/* The first lines of a file that is written: magic, format (little-endian), what info (NULL: axes
- * ENU) and `antialiased` say in comments. */
+/* Writes the first lines of a file: magic, format (little-endian), and comments about `info` (NULL:
+ * axes ENU) and `antialiased`. */
 void ply_head_comments(const struct ply_info *info, bool antialiased, struct buf *out);
-/* One binary value, converted. */
+/* Reads one binary value and converts it. */
 double ply_head_value(const struct ply_head *h, const struct ply_property *p, const uint8_t *row);
 
-/* ply_packed.c: SuperSplat's compressed .ply. gauss_free it. ERR_FORMAT, ERR_DATA, ERR_LIMIT,
- * ERR_MEM. */
+/* ply_packed.c: test for, and read, SuperSplat's compressed .ply. Free *out with gauss_free.
+ * ERR_FORMAT, ERR_DATA, ERR_LIMIT, ERR_MEM. */
 bool ply_packed_is(const struct ply_head *h);
 enum err_code ply_packed_read(const struct ply_head *h, const struct codec_limits *lim,
                               struct gauss *out, struct err *e) ERR_USE;

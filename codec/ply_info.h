@@ -1,4 +1,4 @@
-/* What a .ply of Gaussians says in its comments about the frame that it is in.
+/* The frame of a .ply of Gaussians, as its comments state it.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -9,8 +9,8 @@
 
 #include "core/geo.h"
 
-/* Comment "axes ENU" or "axes glTF". NONE: read, it said nothing; written, it is ENU as every
- * struct gauss is by default. UNKNOWN: write no comment. */
+/* The comment "axes ENU" or "axes glTF". NONE: a file that was read has no such comment; a file to
+ * write is in ENU. UNKNOWN: write no comment. */
 enum ply_axes { PLY_AXES_NONE, PLY_AXES_ENU, PLY_AXES_GLTF, PLY_AXES_UNKNOWN };
 struct ply_info {
     bool has_origin; /* comment "citysplat origin lon lat h" */

@@ -1,14 +1,14 @@
 /* SuperSplat's compressed .ply: 16 bytes a Gaussian, in chunks of 256 that share their ranges.
  *
- *   chunk   min_x .. max_z, min_scale_x .. max_scale_z (ln sigma), min_r .. max_b (may be
- *           missing, and are always written)
- *   vertex  packed_position 11-10-11, packed_rotation 2-10-10-10, packed_scale 11-10-11,
- *           packed_color 8-8-8-8
- *   sh      f_rest_k u8, channel-major: ((v + 0.5) / 256 - 0.5) * 8, with 0 and 255 exact
+ *     chunk   min_x .. max_z, min_scale_x .. max_scale_z (ln sigma), min_r .. max_b (optional,
+ *             we always write them)
+ *     vertex  packed_position 11-10-11, packed_rotation 2-10-10-10, packed_scale 11-10-11,
+ *             packed_color 8-8-8-8
+ *     sh      f_rest_k u8, channel-major: ((v + 0.5) / 256 - 0.5) * 8, with 0 and 255 exact
  *
- * The first field is in the high bits. Rotations leave out the largest of w x y z; opacity is
- * linear. Rows that are neighbours should be so in space: a position has 2048 steps of the box of
- * its chunk. Source: github.com/playcanvas/splat-transform.
+ * The first field is in the high bits. Rotations leave out the largest of w x y z. Opacity is
+ * linear. A position has 2048 steps in the box of its chunk, so rows that follow each other should
+ * be close in space. Source: github.com/playcanvas/splat-transform.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,16 +1,15 @@
-/* PMTiles, written in one pass: see pmtiles.h and the specification, version 3.
+/* Writes PMTiles in one pass: see pmtiles.h and the specification, version 3.
  *
- *   0       header, 127 bytes          where everything is
- *   127     root directory             gzip, at most 16257 bytes
- *   16384   tiles, in order of their ids: "clustered"
- *   ...     metadata, leaf directories
+ *     0       header, 127 bytes: the place of everything else
+ *     127     root directory, gzip, at most 16257 bytes
+ *     16384   tiles in the order of their ids ("clustered")
+ *     ...     metadata, leaf directories
  *
- * The root directory must lie within the first 16 KiB, which readers fetch at once; how large it is
- * is known at the end alone, so tiles begin behind that room and need not be copied. A directory is
- * numbers of variable length, columns of its entries one after the other: differences of ids, run
- * lengths, lengths, offsets (0: right behind the entry before). A run is one content at ids that
- * follow one another. Where one directory does not fit, the root points at leaves, which have so
- * many entries that it does.
+ * The root directory must lie in the first 16 KiB, which readers fetch at once. Its size is known
+ * only at the end. Tiles therefore begin after that space and need not be moved. A directory is a
+ * list of numbers of variable length, stored column by column: differences of ids, run lengths,
+ * lengths, offsets (0: directly after the entry before). A run is the same content at consecutive
+ * ids. If one directory is too large for the root, the root lists leaf directories.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,4 @@
-/* PNG, written with libdeflate: a tile of a map takes a fraction of the time that it takes
- * with libpng.
+/* PNG by libdeflate. A map tile takes a fraction of the time that libpng takes.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -8,12 +7,12 @@
 
 #include "core/base.h"
 
-/* px [h][w][channels]: 1 grey, 3 RGB, 4 RGB and alpha that is not premultiplied. Appended to out.
- * ERR_ARG (size, channels), ERR_MEM. */
+/* Encodes px [h][w][channels]: 1 grey, 3 RGB, 4 RGB with alpha that is not premultiplied. Appends
+ * to `out`. ERR_ARG (size, channels), ERR_MEM. */
 enum err_code png_encode(const uint8_t *px, uint32_t width_px, uint32_t height_px,
                          uint32_t channels, struct buf *out, struct err *e) ERR_USE;
-/* The same of 16 bits, grey [h][w], with a text chunk: keyword (Latin-1, 1 to 79 bytes) and text.
- * ERR_ARG, ERR_MEM. */
+/* Encodes 16-bit grey [h][w] with a text chunk: keyword (Latin-1, 1 to 79 bytes) and text. Appends
+ * to `out`. ERR_ARG, ERR_MEM. */
 enum err_code png_encode_grey16(const uint16_t *px, uint32_t width_px, uint32_t height_px,
                                 const char *keyword, const char *text, struct buf *out,
                                 struct err *e) ERR_USE;

@@ -1,15 +1,15 @@
-/* The one quantiser: the integers of SPZ v3, which .spz, the SPZ payload of .glb and .drc all
- * carry, so that every client draws the same picture and a test can compare files bit for bit.
+/* The quantiser. It makes the integers of SPZ v3 for .spz, the SPZ payload of .glb, and .drc. Every
+ * client therefore draws the same picture, and a test can compare files bit by bit.
  *
- *   position  round(p * 2^frac_bits), 24 bits    alpha  round(255 * opacity)
- *   color     round(dc * 0.15 * 255 + 127.5)     scale  round((ln(sigma) + 10) * 16)
- *   rotation  index of the largest component << 30 | three 10-bit fields (sign, 9-bit magnitude)
- *   sh        round(128 c) + 128
+ *     position  round(p * 2^frac_bits), 24 bits    alpha  round(255 * opacity)
+ *     color     round(dc * 0.15 * 255 + 127.5)     scale  round((ln(sigma) + 10) * 16)
+ *     rotation  index of the largest component << 30 | three 10-bit fields (sign, 9-bit magnitude)
+ *     sh        round(128 c) + 128
  *
  * A preset leaves low bits out: its integers are multiples of 2^k, or the field's largest value.
- * Every reader of SPZ reads that as it is, and entropy coders do not pay for bits that are always
- * 0. Magnitude 0 has sign 0: a negative zero would not survive the signed integers of .drc.
- * Source: the SPZ format (Niantic, github.com/nianticlabs/spz), version 3.
+ * Any SPZ reader accepts that, and entropy coders spend nothing on bits that are always 0.
+ * Magnitude 0 has sign 0, because the signed integers of .drc have no negative zero. Source: the
+ * SPZ format (Niantic, github.com/nianticlabs/spz), version 3.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

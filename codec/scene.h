@@ -1,4 +1,4 @@
-/* Scenes: what ingest makes and training reads, scene.json and points.bin.
+/* Scenes: scene.json and points.bin. Ingest writes them and training reads them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -15,14 +15,15 @@
 
 enum scene_split { SCENE_TRAIN, SCENE_TEST };
 struct scene_image {
-    char *name;        /* file in images/, borrowed from the scene's arena */
+    char *name;        /* file in images/; lives in the scene's arena */
     struct camera cam; /* undistorted pinhole, world = ENU metres */
     enum scene_split split;
-    uint32_t group;       /* appearance group; one per photograph by default */
-    double gps_enu_m[3];  /* NaN when there is none */
-    double residual_m;    /* after registration; NaN when there is no GPS */
-    float exposure_ev[3]; /* core/exposure.h: stops against the mean of all; 0: not known */
-    char time[20];        /* of the photograph as its camera says it, 2024-06-01T10:00:00, or "" */
+    uint32_t group;      /* appearance group; one per photograph by default */
+    double gps_enu_m[3]; /* NaN when there is no GPS */
+    double residual_m;   /* after registration; NaN when there is no GPS */
+    /* see core/exposure.h: stops against the mean of all photographs; 0: not known */
+    float exposure_ev[3];
+    char time[20]; /* local time of the camera, 2024-06-01T10:00:00, or "" */
 };
 struct scene_point {
     double enu_m[3];
@@ -33,7 +34,8 @@ struct scene_point {
 struct scene { /* {0} is empty */
     struct geo_origin origin;
     double scale, rot[9], trans[3]; /* COLMAP -> ENU: y = scale * rot * x + trans */
-    double vertical_offset_m; /* fitted GPS altitude offset kept apart, see docs/conventions.md */
+    /* fitted offset of GPS altitudes, stored separately, see docs/conventions.md */
+    double vertical_offset_m;
     struct scene_image *images;
     size_t n_images;
     struct scene_point *points;
@@ -41,17 +43,18 @@ struct scene { /* {0} is empty */
     struct scene_track {
         uint32_t point, image;
         float x_px, y_px;
-    } * tracks; /* sorted by image; image pixels after undistortion and resize */
+    } * tracks; /* sorted by image; pixels of the undistorted and resized image */
     size_t n_tracks;
     char *attribution; /* may be NULL */
     char dir[FILE_PATH_MAX];
     struct arena arena;
 };
-/* scene.json + points.bin of a scene folder. scene_free it. ERR_NOENT, ERR_FORMAT names file and
- * key, ERR_DATA, ERR_IO, ERR_LIMIT, ERR_MEM. One thread a scene. */
+/* Read and write scene.json and points.bin of a scene folder. Free the scene with scene_free. Only
+ * one thread may use a scene. ERR_NOENT, ERR_FORMAT names file and key, ERR_DATA, ERR_IO,
+ * ERR_LIMIT, ERR_MEM. */
 enum err_code scene_read(const char *dir, struct scene *out, struct err *e) ERR_USE;
 enum err_code scene_write(const char *dir, const struct scene *s, struct err *e) ERR_USE;
 void scene_free(struct scene *s);
-/* EXIF's "2024:06:01 10:00:00" as a scene keeps it; "" for anything else. */
+/* Converts EXIF's "2024:06:01 10:00:00" to the form of a scene. Anything else becomes "". */
 void scene_time(const char *exif, char out[20]);
 #endif

@@ -1,17 +1,17 @@
-/* Writing SOG, version 2: meta.json and one texel a Gaussian in each of these textures.
+/* Writes SOG, version 2: meta.json, and these textures with one texel a Gaussian.
  *
- *   means_l, means_u   low and high byte of 65535 (L(p) - min) / (max - min), L(p) = sign(p) ln(1 +
- *                      |p|)
- *   quats              the three smaller of w x y z, (c sqrt(2) + 1) / 2 * 255; alpha 252 + which
- *                      is left out
- *   scales             index of ln sigma in a codebook of 256
- *   sh0                index of the DC in a codebook of 256; alpha the opacity
- *   shN_labels         number (low byte, high byte) of a row of the palette
- *   shN_centroids      64 rows of the palette side by side, a texel a coefficient, indices of a
- *                      codebook
+ *     means_l, means_u   low and high byte of 65535 (L(p) - min) / (max - min),
+ *                        L(p) = sign(p) ln(1 + |p|)
+ *     quats              the three smaller of w x y z, (c sqrt(2) + 1) / 2 * 255;
+ *                        alpha 252 + index of the largest
+ *     scales             index of ln sigma in a codebook of 256
+ *     sh0                index of the DC in a codebook of 256; alpha the opacity
+ *     shN_labels         number (low byte, high byte) of a row of the palette
+ *     shN_centroids      64 rows of the palette side by side, a texel a coefficient,
+ *                        indices of a codebook
  *
- * Rows stay in their order: along Hilbert's curve, where neighbours look alike, textures are
- * smaller. Source: github.com/playcanvas/splat-transform.
+ * Rows keep their order. Textures are smaller when the order is that of a Hilbert curve, because
+ * neighbours look alike. Source: github.com/playcanvas/splat-transform.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,10 +1,10 @@
-/* .splat: 32 bytes a Gaussian and no header, as the first web viewer had it. Import only.
+/* .splat: 32 bytes a Gaussian and no header, the format of the first web viewer. Import only.
  *
- *   3 f32 position   3 f32 sigma (linear)   4 u8 colour and opacity
- *   4 u8 rotation w x y z = q * 128 + 128
+ *     3 f32 position   3 f32 sigma (linear)   4 u8 colour and opacity
+ *     4 u8 rotation w x y z = q * 128 + 128
  *
- * No SH beyond the colour, no frame, no way to tell it from other bytes but that its size is a
- * multiple of 32. Source: github.com/antimatter15/splat.
+ * It has no SH beyond the colour and no frame. Only its size, a multiple of 32, tells it from other
+ * bytes. Source: github.com/antimatter15/splat.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -9,8 +9,9 @@
 
 struct codec_limits;
 
-/* antimatter15's .splat: no header, so nothing but its size tells. SH degree 0, frame unknown.
- * gauss_free it; empty on errors. ERR_FORMAT, ERR_LIMIT, ERR_MEM. Any thread. */
+/* Reads antimatter15's .splat. It has no header, so only its size can be checked. The SH degree is
+ * 0 and the frame is not known. Free *out with gauss_free; it is empty on errors. ERR_FORMAT,
+ * ERR_LIMIT, ERR_MEM. Any thread. */
 enum err_code splat_decode(const void *bytes, size_t n, const struct codec_limits *lim,
                            struct gauss *out, struct err *e) ERR_USE;
 #endif

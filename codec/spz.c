@@ -1,15 +1,15 @@
-/* .spz: Gaussians as byte streams under gzip (versions 2 and 3) or zstd (version 4).
+/* .spz: Gaussians as byte streams, compressed by gzip (versions 2 and 3) or zstd (version 4).
  *
- *   v2, v3   gzip( head of 16 bytes | streams back to back )
- *   v4       head of 32 bytes | (packed, plain) size of each stream | a zstd frame each
- *   head     magic, version, count, SH degree, fraction bits, flags, 0 or number of streams;
- *            v4: where the sizes are, 12 * 0
- *   streams  position 9n, alpha n, color 3n, scale 3n, rotation 4n (v2: 3n), sh 3n(K-1)
+ *     v2, v3   gzip( head of 16 bytes | streams back to back )
+ *     v4       head of 32 bytes | (packed, plain) size of each stream | a zstd frame each
+ *     head     magic, version, count, SH degree, fraction bits, flags, 0 or number of streams;
+ *              v4: where the sizes are, 12 * 0
+ *     streams  position 9n, alpha n, color 3n, scale 3n, rotation 4n (v2: 3n), sh 3n(K-1)
  *
- * gzip is libdeflate's: the same bytes twice as fast as zlib's. Sizes are bounded by the file's
- * before anything is allocated: DEFLATE cannot grow data more than 1032 times, zstd not more than
- * 128 KiB a block of 4 bytes. Source: github.com/nianticlabs/spz. Extensions (flag 2) are skipped;
- * one is written on request: between the head and the sizes, type, length, payload.
+ * gzip is libdeflate's, which is twice as fast as zlib. Sizes are bounded by the file's size before
+ * anything is allocated: DEFLATE cannot expand data more than 1032 times, and zstd not more than
+ * 128 KiB a block of 4 bytes. Extensions (flag 2) are skipped. One can be written, between the head
+ * and the sizes: type, length, payload. Source: github.com/nianticlabs/spz.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,11 +1,11 @@
-/* The appearance network on the host: what it is made of, its reference in double, its gradients
- * from those of a frame, baking, and its bytes.
+/* The appearance network on the host: memory, reference in double, gradients, baking, file bytes.
  *
- * One block holds weights, photographs and names. A frame folds the photograph's half of the first
- * layer into the bias, so everything per Gaussian is len_gauss -> hidden -> 4; going back, the
- * photograph's half of W1 and its embedding follow from the gradient of that bias alone. Source:
- * Robust and Efficient 3D Gaussian Splatting for Urban Scene Reconstruction (ICCV 2025); layers are
- * drawn as usual (U(+-1/sqrt(fan in))), but for the opacity output, which starts near 0.
+ * One block holds weights, photographs and names. The photograph's half of the first layer becomes
+ * part of a frame's bias, so the work for each Gaussian is len_gauss -> hidden -> 4. In the
+ * backward pass the gradients of the photograph's half of W1 and of its embedding follow from the
+ * gradient of that bias. Source: Robust and Efficient 3D Gaussian Splatting for Urban Scene
+ * Reconstruction (ICCV 2025). Start values are uniform in +-1/sqrt(fan in), except for the opacity
+ * output, which starts near 0.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* The small things everything else stands on: memory, byte buffers, files, log, progress, random
- * numbers, hashes, JSON with comments. Read in this order. Nothing here knows what a Gaussian is.
+/* Basic services of all other files: memory, byte buffers, files, log, progress, random numbers,
+ * hashes, JSON with comments. Nothing here knows what a Gaussian is.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -18,79 +18,82 @@ extern "C" {
 
 struct json_t;
 
-/* ---- mem.c: sizes are multiplied here and nowhere else ---- */
+/* ---- mem.c: the only place where sizes are multiplied ---- */
 
-/* n * size zeroed bytes, aligned to 64, or NULL (overflow, out of memory). n == 0 gives a valid
- * pointer. Free with mem_free. Tests make the k-th allocation fail with mem_fail_at(k) (0 = never).
- */
+/* Returns n * size zeroed bytes, aligned to 64, or NULL if that overflows or memory is short. n ==
+ * 0 gives a valid pointer. The caller frees it with mem_free. Tests make the k-th allocation fail
+ * with mem_fail_at(k); 0 turns that off. */
 void *mem_array(size_t n, size_t size);
-/* The same with anything in it: for large blocks that are written at once. */
+/* As mem_array, but the bytes are not zeroed. Use it for large blocks that are written at once. */
 void *mem_uninit(size_t n, size_t size);
-/* Grow or shrink: contents kept up to the smaller size, new bytes zeroed. The old block stays valid
- * on failure (NULL). */
+/* Grows or shrinks a block. Contents are kept up to the smaller size, and new bytes are zeroed. On
+ * failure it returns NULL, and the old block stays valid. */
 void *mem_resize(void *p, size_t n_old, size_t n_new, size_t size);
-char *mem_text(const char *s); /* strdup; caller frees with mem_free; NULL when out of memory */
+char *mem_text(const char *s); /* as strdup; caller frees with mem_free; NULL: out of memory */
 void mem_free(void *p);
 void mem_fail_at(size_t k);
-/* From now on a freed block of 256 KiB or more goes back to the system at once. glibc otherwise
- * learns from the first one that such blocks come and go and keeps them, in a heap a thread: a
- * cache of photographs filled by two threads took twice its limit. Where the C library is another
- * one, nothing happens. */
+/* From now on, freed blocks of at least 256 KiB go back to the system at once. By default glibc
+ * raises that limit as large blocks are freed, and keeps freed blocks in one heap a thread. A cache
+ * of photographs that two threads filled took twice its limit that way. With another C library
+ * nothing changes. */
 void mem_return_large(void);
-/* Ask for large pages under the whole ones among these bytes: what is read here and there misses
- * fewer translations of addresses. Nothing happens below 4 MiB and where the system has none. */
+/* Asks the system for large pages where these bytes cover whole ones. Scattered reads then miss
+ * fewer address translations. Nothing happens for less than 4 MiB, or where the system has no large
+ * pages. */
 void mem_prefer_huge(void *p, size_t n_bytes);
-/* Peak resident set of this process so far, bytes. */
+/* Peak resident set of this process, in bytes. 0: not known. */
 size_t mem_peak_bytes(void);
-/* From now on the peak is that since now. False where the system does not do that. */
+/* Restarts the measurement of mem_peak_bytes. Returns false where the system cannot do that. */
 bool mem_peak_reset(void);
 
-/* ---- arena.c: small things that die together ---- */
+/* ---- arena.c: small allocations that are freed together ---- */
 
-struct arena { /* {0} is valid and grows without limit; set limit_bytes for a ceiling */
+struct arena { /* {0} is valid and grows without limit; limit_bytes sets a limit */
     struct arena_block *head;
     size_t used_bytes, limit_bytes;
 };
-/* Zeroed, 16-byte aligned; NULL when the ceiling or memory is exhausted. Lives until arena_free. */
+/* Returns zeroed bytes, aligned to 16, or NULL at the limit or when memory is short. They live
+ * until arena_free. */
 void *arena_get(struct arena *a, size_t n, size_t size);
 char *arena_text(struct arena *a, const char *s);
 char *arena_printf(struct arena *a, const char *fmt, ...) ERR_PRINTF(2, 3);
-void arena_free(struct arena *a); /* idempotent, leaves {0} but for the limit */
+void arena_free(struct arena *a); /* idempotent; keeps limit_bytes, zeroes the rest */
 
-/* ---- buf.c: a growing byte string with a sticky error ---- */
+/* ---- buf.c: a byte string that grows and remembers a failure ---- */
 
 struct buf { /* {0} is valid */
     uint8_t *data;
     size_t size, cap;
-    bool failed; /* an append ran out of memory; later appends do nothing; check once at the end */
+    /* an append ran out of memory; later appends do nothing; check once at the end */
+    bool failed;
 };
 void buf_add(struct buf *b, const void *bytes, size_t n);
 void buf_u8(struct buf *b, unsigned v);
-void buf_u16(struct buf *b, unsigned v); /* little-endian, as all below */
+void buf_u16(struct buf *b, unsigned v); /* little-endian, as are all below */
 void buf_u32(struct buf *b, uint32_t v);
 void buf_u64(struct buf *b, uint64_t v);
 void buf_f32(struct buf *b, float v);
 void buf_f64(struct buf *b, double v);
 void buf_printf(struct buf *b, const char *fmt, ...)
-    ERR_PRINTF(2, 3); /* no NUL counted in size, but one follows */
-/* As text or a quoted attribute of HTML or XML: & < > " as entities, and no control characters that
- * XML cannot hold. NULL is no text. */
+    ERR_PRINTF(2, 3); /* appends a NUL that size does not count */
+/* Appends text for HTML or XML, also inside a quoted attribute. & < > " become entities. Control
+ * characters that XML cannot hold are left out. NULL appends nothing. */
 void buf_markup(struct buf *b, const char *text);
-/* Make room for n more bytes and return where they go (size grows by n); NULL when out of memory.
- */
+/* Adds n bytes to the size and returns where they begin. NULL: out of memory. */
 uint8_t *buf_grow(struct buf *b, size_t n);
-enum err_code buf_check(const struct buf *b, struct err *e) ERR_USE; /* ERR_MEM if failed */
+/* ERR_MEM if an append failed */
+enum err_code buf_check(const struct buf *b, struct err *e) ERR_USE;
 void buf_free(struct buf *b);
 
-/* A reader over foreign bytes: reads past the end set `bad` and return 0, so check once per record.
- */
+/* A reader of bytes from outside. A read past the end returns 0 and sets `bad`, so one check a
+ * record is enough. */
 struct cursor {
     const uint8_t *p, *end;
     bool bad;
 };
 struct cursor cursor_over(const void *bytes, size_t n);
 size_t cursor_left(const struct cursor *c);
-const uint8_t *cursor_take(struct cursor *c, size_t n); /* NULL (and bad) when fewer are left */
+const uint8_t *cursor_take(struct cursor *c, size_t n); /* NULL, and `bad`, when fewer are left */
 uint8_t cursor_u8(struct cursor *c);
 uint16_t cursor_u16(struct cursor *c);
 uint32_t cursor_u32(struct cursor *c);
@@ -98,95 +101,99 @@ uint64_t cursor_u64(struct cursor *c);
 float cursor_f32(struct cursor *c);
 double cursor_f64(struct cursor *c);
 
-/* ---- file.c: whole files in, whole files out ---- */
+/* ---- file.c: reads and writes whole files ---- */
 
-/* Read all of `path`. ERR_NOENT, ERR_IO, ERR_LIMIT (larger than limit_bytes; 0 = 8 GiB). buf_free
- * it. */
+/* Reads all of `path`. Free `out` with buf_free. limit_bytes 0 means 8 GiB. ERR_NOENT, ERR_IO,
+ * ERR_LIMIT (the file is larger than the limit), ERR_MEM. */
 enum err_code file_read(const char *path, size_t limit_bytes, struct buf *out,
                         struct err *e) ERR_USE;
-/* Write beside (`path.part-PID`), fsync, rename. On any error (ERR_IO, ERR_LIMIT) nothing is left
- * behind and an older file of that name is untouched. */
+/* Writes `path.part-PID`, syncs it and renames it to `path`. On ERR_IO or ERR_LIMIT the new file is
+ * removed and an older file of that name stays as it was. */
 enum err_code file_write(const char *path, const void *bytes, size_t n, struct err *e) ERR_USE;
-/* The same in two steps, for libraries that want a path or a stream: file_begin gives the name to
- * write to, file_commit syncs and renames it, file_abort removes it. `part` holds FILE_PATH_MAX
- * bytes. ERR_LIMIT (path too long), ERR_IO. */
+/* file_write in steps, for libraries that want a path or a stream. file_begin gives the name to
+ * write to. file_commit syncs and renames that file. file_abort removes it. `part` has
+ * FILE_PATH_MAX bytes. ERR_LIMIT (path too long), ERR_IO. */
 enum { FILE_PATH_MAX = 4096 };
 enum err_code file_begin(const char *path, char *part, struct err *e) ERR_USE;
 enum err_code file_commit(const char *part, const char *path, struct err *e) ERR_USE;
 void file_abort(const char *part);
-/* mkdir -p. ERR_IO names the folder and why. */
+/* Makes a folder and its parents. ERR_IO names the folder and the reason. ERR_LIMIT (path too
+ * long). */
 enum err_code file_mkdir(const char *path, struct err *e) ERR_USE;
 bool file_exists(const char *path);
 bool file_is_dir(const char *path);
-/* "a/b" joined into `out` (FILE_PATH_MAX bytes); ERR_LIMIT when too long. */
+/* Joins "dir/name" into `out` [FILE_PATH_MAX]. ERR_LIMIT: too long. */
 enum err_code file_join(char *out, const char *dir, const char *name, struct err *e) ERR_USE;
-/* Names (not paths) of the regular files in `dir` with one of the suffixes (NULL-terminated list,
- * case-insensitive, NULL = all), sorted bytewise; strings live in the arena. ERR_NOENT, ERR_IO,
- * ERR_MEM. */
+/* Lists the regular files of `dir` whose name ends in one of the suffixes, without regard to case.
+ * `suffixes` ends with NULL; NULL itself means all files. Names are without the folder, and sorted
+ * by their bytes. They live in the arena. ERR_NOENT, ERR_IO, ERR_MEM. */
 enum err_code file_list(const char *dir, const char *const *suffixes, struct arena *a,
                         char ***names, size_t *n, struct err *e) ERR_USE;
 
 /* ---- log.c ---- */
 
 enum log_level { LOG_ERROR, LOG_WARN, LOG_INFO, LOG_DEBUG };
-void log_set_level(enum log_level level); /* before threads start */
-/* Lines of JSON instead: {"ts","level","module","msg"}. Before threads start. */
+void log_set_level(enum log_level level); /* call before threads start */
+/* Writes lines as JSON: {"ts","level","module","msg"}. Call it before threads start. */
 void log_set_json(bool json);
 bool log_is_json(void);
-/* Now in UTC, as RFC 3339 writes it, with milliseconds. */
+/* Writes the current time in UTC as RFC 3339, with milliseconds. */
 void log_now(char out[32]);
-/* text as the inside of a JSON string, with a NUL; cut where `room` ends. Returns its length. */
+/* Writes `text` as the inside of a JSON string, with a NUL. It is cut at `room` bytes. Returns the
+ * length. */
 size_t log_quote(const char *text, char *out, size_t room);
-/* One line on stderr: "12.41 info train step n=1200 loss=0.0812": elapsed, level, module, event and
- * key=value pairs with units in the keys. */
+/* Writes one line to stderr: "12.41 info train step n=1200 loss=0.0812". It has elapsed seconds,
+ * level, module, event and key=value pairs. Keys contain the unit. */
 void log_line(enum log_level level, const char *module, const char *fmt, ...) ERR_PRINTF(3, 4);
-/* The same in two steps, for those who gather many lines: the length of the line composed with its
- * newline (0: the level is off), and bytes to stderr as they are. */
+/* log_line in two steps, for callers that collect many lines. log_compose returns the length of the
+ * line with its newline, or 0 when the level is off. log_write writes bytes to stderr unchanged. */
 size_t log_compose(char *line, size_t room, enum log_level level, const char *module,
                    const char *fmt, ...) ERR_PRINTF(5, 6);
 void log_write(const char *lines, size_t n);
-/* From here on lines go through a bounded queue to a thread of their own, so that a reader of
- * stderr who stops holds up nobody; what does not fit is dropped and counted. Before other threads
- * start. ERR_MEM. */
+/* From now on a thread writes the lines, from a bounded queue. A slow reader of stderr then stops
+ * nobody. Lines that do not fit are dropped and counted. Call it before other threads start.
+ * ERR_MEM. */
 enum err_code log_start(struct err *e) ERR_USE;
-/* Write what waits, for at most wait_s; then lines are written by who logs them again, unless
- * stderr still hangs. After other threads have ended. */
+/* Writes the lines of the queue, and waits for that at most wait_s + 1 seconds. After that log_line
+ * writes by itself again, unless stderr still hangs. Call it after other threads have ended. */
 void log_stop(double wait_s);
 #define log_error(module, ...) log_line(LOG_ERROR, module, __VA_ARGS__)
 #define log_warn(module, ...) log_line(LOG_WARN, module, __VA_ARGS__)
 #define log_info(module, ...) log_line(LOG_INFO, module, __VA_ARGS__)
 #define log_debug(module, ...) log_line(LOG_DEBUG, module, __VA_ARGS__)
 
-/* ---- progress.c: long work tells its rate and the time left ---- */
+/* ---- progress.c: shows rate and time left of long work ---- */
 
-struct progress {     /* one thread updates it */
-    const char *what; /* borrowed for the lifetime, "train level 1" */
+struct progress {     /* only one thread updates it */
+    const char *what; /* what is done, "train level 1"; borrowed for the lifetime */
     uint64_t total, done;
     double start_s, last_s;
     bool tty, active;
 };
 void progress_start(struct progress *p, const char *what, uint64_t total);
-/* `note` (may be NULL) is appended: "loss 0.08, 41 k Gaussians". Cheap: prints at most 10 times a
- * second on a terminal, one line every 5 s otherwise. */
+/* Updates the count. `note` (may be NULL) is appended: "loss 0.08, 41 k Gaussians". It prints at
+ * most 10 times a second on a terminal, and a line every 5 s elsewhere, so it may be called often.
+ */
 void progress_step(struct progress *p, uint64_t done, const char *note);
 void progress_end(struct progress *p, const char *note);
-void progress_quiet(bool quiet); /* -q: no bars at all; before threads start */
+void progress_quiet(bool quiet); /* -q: shows nothing; call before threads start */
 
-/* ---- clock.c: clock and stop flag ---- */
+/* ---- clock.c ---- */
 
 double clock_s(void);     /* monotonic seconds */
 double clock_cpu_s(void); /* CPU seconds of the whole process, all threads */
 
 /* ---- signals.c: the stop flag ---- */
 
-/* SIGINT and SIGTERM set the flag; a second one kills. Before threads start. */
+/* SIGINT and SIGTERM set the flag. A second signal ends the process. Call it before threads start.
+ */
 void signals_catch(void);
-/* Was it set? Any thread. */
+/* Returns whether the flag is set. Any thread. */
 bool signals_stopping(void);
 
-/* ---- rng.c: counter-based, so that the order of threads cannot matter ---- */
+/* ---- rng.c: random numbers from counters, so the order of threads does not matter ---- */
 
-/* 64 random bits of (seed, stream, index): the same on every machine and in any order. */
+/* Returns 64 random bits for (seed, stream, index). They are the same on every machine. */
 uint64_t rng_u64(uint64_t seed, uint64_t stream, uint64_t index);
 double rng_unit(uint64_t seed, uint64_t stream, uint64_t index); /* uniform in [0, 1), 53 bits */
 double rng_normal(uint64_t seed, uint64_t stream,
@@ -198,32 +205,33 @@ struct hash128 {
     uint64_t lo, hi;
 };
 struct hash128 hash_bytes(const void *bytes, size_t n);
-/* The same over bytes that come piece by piece. hash_end frees the state (NULL: out of memory at
- * the start, and everything is a no-op that ends in zeros). */
+/* hash_bytes for bytes that come in pieces. hash_end frees the state. If memory is short,
+ * hash_begin returns NULL; the other calls accept that, and the hash is 0. */
 struct hash_state;
 struct hash_state *hash_begin(void);
 void hash_add(struct hash_state *s, const void *bytes, size_t n);
 struct hash128 hash_end(struct hash_state *s);
 void hash_text(struct hash128 h, char out[33]); /* 32 lower-case hex digits and NUL */
 
-/* ---- jsonc.c: JSON with whole-line // comments, by jansson ---- */
+/* ---- jsonc.c: JSON with // comments on lines of their own, by jansson ---- */
 
-/* Load and parse; duplicate keys are refused, errors name file, line and column. json_decref it.
- * ERR_FORMAT, ERR_MEM; of a file also ERR_NOENT, ERR_IO, ERR_LIMIT. */
+/* Reads and parses JSON. Duplicate keys are errors. Messages name file, line and column. Release
+ * *out with json_decref. ERR_FORMAT, ERR_MEM; jsonc_read also ERR_NOENT, ERR_IO, ERR_LIMIT. */
 enum err_code jsonc_read(const char *path, struct json_t **out, struct err *e) ERR_USE;
 enum err_code jsonc_parse(const char *text, size_t n, const char *name, struct json_t **out,
                           struct err *e) ERR_USE;
-/* Write through file_write, indented by 2, numbers with 17 digits, keys in insertion order.
- * ERR_IO, ERR_LIMIT, ERR_MEM. */
+/* Writes with file_write. Lines are indented by 2, numbers have 17 digits, keys keep the order of
+ * insertion. ERR_IO, ERR_LIMIT, ERR_MEM. */
 enum err_code jsonc_write(const char *path, const struct json_t *json, struct err *e) ERR_USE;
-/* Typed members, ERR_FORMAT "NAME: key: expected number" when missing or of another type. */
+/* Read a member of a given type. ERR_FORMAT: it is missing or of another type; the message is
+ * "NAME: key: expected number". */
 enum err_code jsonc_num(const struct json_t *o, const char *key, double *out,
                         struct err *e) ERR_USE;
 enum err_code jsonc_nums(const struct json_t *o, const char *key, size_t n, double *out,
                          struct err *e) ERR_USE;
 enum err_code jsonc_text(const struct json_t *o, const char *key, const char **out,
                          struct err *e) ERR_USE; /* borrowed from o */
-/* A number to write, for json_pack's "o": null where it is not finite, which JSON cannot say. */
+/* A number for json_pack's "o". It is null if v is not finite, because JSON has no such number. */
 struct json_t *jsonc_real(double v);
 
 #ifdef __cplusplus

@@ -1,8 +1,8 @@
 /* Pinhole cameras: poses from look-at, heading and JSON, projection, quaternions, resizing.
  *
- * Rotations are world -> camera with rows right, down, forward. A pose that comes from outside is
- * made orthonormal again through its quaternion (Shepperd's method picks the largest component, so
- * no cancellation), because the renderer inverts rotations by transposing them.
+ * Rotations are world -> camera with rows right, down, forward. The renderer inverts a rotation by
+ * transposing it. A pose from outside is therefore made exactly orthonormal, by way of its
+ * quaternion. Shepperd's method picks the largest component, so there is no cancellation.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

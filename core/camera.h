@@ -1,7 +1,8 @@
 /* Cameras: pinhole views for rendering, and COLMAP's lens models for photographs.
  *
- * Camera frame: x right, y down, z forward. Pixel centres at (column + 0.5, row + 0.5), the centre
- * of the top-left pixel is (0.5, 0.5); cx, cy use the same origin. World frame: ENU metres.
+ * Camera frame: x right, y down, z forward. Pixel centres lie at (column + 0.5, row + 0.5), so the
+ * centre of the top-left pixel is (0.5, 0.5). cx and cy use the same origin. World frame: ENU
+ * metres.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -25,31 +26,31 @@ struct camera {
 
 /* Centre of projection in the world frame: -rot^T trans. */
 void camera_center(const struct camera *c, double out_enu_m[3]);
-/* Where a point of the world frame is drawn: a pixel, in the picture or not, and its distance along
- * the forward axis in metres (depth_m may be NULL). False, and nothing written, when it is not
- * farther than near_m. */
+/* Projects a point of the world frame. px is the pixel, which may lie outside the picture. depth_m
+ * (may be NULL) is the distance along the forward axis in metres. If the point is not farther than
+ * near_m, it returns false and writes nothing. */
 bool camera_project(const struct camera *c, const double enu_m[3], double near_m, double px[2],
                     double *depth_m);
-/* Is it drawn in the picture, [0, width) x [0, height)? */
+/* As camera_project, but also false if the pixel is outside [0, width) x [0, height). */
 bool camera_frames(const struct camera *c, const double enu_m[3], double near_m, double *depth_m);
-/* Same view, other picture size: pixel centres are at +0.5, so focal lengths and principal point
- * scale. */
+/* The same view in a picture of another size. Focal lengths and principal point are scaled. */
 struct camera camera_resize(const struct camera *c, uint32_t width_px, uint32_t height_px);
-/* A camera at eye looking at target (ENU metres), z up; a vertical view takes north as its up. */
+/* A camera at `eye` that looks at `target` (ENU metres), with z up. In a vertical view north is up.
+ */
 struct camera camera_look_at(const double eye[3], const double target[3], double fov_y_rad,
                              uint32_t width_px, uint32_t height_px);
-/* heading: degrees clockwise from north; pitch: degrees above the horizon (-90 = straight down);
- * roll 0. */
+/* A camera with a heading (degrees clockwise from north) and a pitch (degrees above the horizon,
+ * -90 looks straight down). Roll is 0. */
 struct camera camera_heading(const double eye[3], double heading_deg, double pitch_deg,
                              double fov_y_rad, uint32_t width_px, uint32_t height_px);
-/* {"width","height","fx","fy","cx","cy","world_to_camera":[16, row-major]}; ERR_FORMAT names the
- * key. The rotation must be orthonormal within 1e-3 (it is re-orthonormalised), sizes 1..16384,
- * focals finite > 0. */
+/* Reads {"width","height","fx","fy","cx","cy","world_to_camera":[16, row-major]}. The rotation must
+ * be orthonormal within 1e-3, and is then made exactly orthonormal. Sizes are 1..16384, focal
+ * lengths finite and > 0. ERR_FORMAT names the key. */
 enum err_code camera_from_json(const struct json_t *o, struct camera *out, struct err *e) ERR_USE;
 void camera_quat_to_rot(const double quat_wxyz[4], double rot[9]); /* normalises */
 void camera_rot_to_quat(const double rot[9], double quat_wxyz[4]); /* w >= 0 */
 
-/* COLMAP camera models, by their COLMAP ids. */
+/* COLMAP's camera models. The values are COLMAP's ids. */
 enum lens_model {
     LENS_SIMPLE_PINHOLE,
     LENS_PINHOLE,
@@ -69,20 +70,20 @@ struct lens {
     uint32_t width_px, height_px;
     double params[12];
 };
-/* COLMAP's names, "OPENCV". ERR_FORMAT: no such model. */
+/* COLMAP's names of the models, such as "OPENCV". ERR_FORMAT: there is no such model. */
 const char *lens_name(enum lens_model model);
 enum err_code lens_from_name(const char *name, enum lens_model *out, struct err *e) ERR_USE;
 size_t lens_param_count(enum lens_model model);
 void lens_focal(const struct lens *l, double *fx, double *fy, double *cx, double *cy);
-/* Does it map straight lines to straight lines (no distortion, or one whose coefficients are all
- * 0)? */
+/* Returns whether the lens has no distortion, so that straight lines stay straight. A model whose
+ * distortion coefficients are all 0 counts as such. */
 bool lens_is_pinhole(const struct lens *l);
-/* The same lens for a picture of another size. Models with one focal length come back as their
- * equal with two, since a rounded size need not keep the aspect ratio. */
+/* The same lens for a picture of another size. A model with one focal length becomes the equal
+ * model with two, because a rounded size may change the aspect ratio. */
 struct lens lens_resize(const struct lens *l, uint32_t width_px, uint32_t height_px);
-/* Normalised camera-plane direction (x/z, y/z) -> distorted pixel. */
+/* Maps a direction in the camera frame, (x/z, y/z), to the distorted pixel. */
 void lens_distort(const struct lens *l, double x, double y, double *u_px, double *v_px);
-/* Its inverse by Newton iteration; false where the model cannot be inverted there. */
+/* The inverse of lens_distort, by Newton's method. Returns false where the model has no inverse. */
 bool lens_undistort(const struct lens *l, double u_px, double v_px, double *x, double *y);
 
 #endif

@@ -8,10 +8,11 @@
 #include <stdbool.h>
 #include <stddef.h>
 
-/* a, [n] rows that are `stride` apart, of which the lower triangle is read, becomes its factor L
- * with L L^T = a. False: not positive definite to 13 digits, and a is spoiled. */
+/* Replaces the matrix a by its Cholesky factor L, L L^T = a. a has n rows, `stride` doubles apart;
+ * only its lower triangle is read. Returns false if a is not positive definite to 13 digits; a is
+ * then destroyed. */
 bool cholesky_factor(double *a, size_t n, size_t stride);
-/* x [n] with L L^T x = b; x may be b. */
+/* Solves L L^T x = b for x [n]. x may be b. */
 void cholesky_solve(const double *l, size_t n, size_t stride, const double *b, double *x);
 
 #endif

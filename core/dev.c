@@ -1,14 +1,13 @@
 /* The OpenCL device: choice, context, queue, programs, buffers.
  *
- * Everything that depends on a vendor is decided here and nowhere else: the vector width of the
- * kernels (16 lanes on CPUs, where PoCL turns a float16 into one register; 1 on GPUs, where a
- * work-item is a lane), whether clang builtins may be used (PoCL), where compiled kernels are
- * cached, and how much memory one buffer may take. One in-order queue a device, so nothing above
- * this file needs events.
+ * All that depends on a vendor is decided here: the vector width of kernels (16 lanes on CPUs,
+ * where PoCL keeps a float16 in one register; 1 on GPUs, where a work-item is a lane), whether
+ * clang builtins may be used (PoCL), where compiled kernels are cached, and how much memory a
+ * buffer may have. A device has one in-order queue, so no other code needs events.
  *
- * PoCL compiles kernels to its cache folder and fails late and obscurely when it cannot write
- * there, so the folder is checked before the first OpenCL call. Its worker threads do not survive
- * fork().
+ * PoCL compiles kernels to its cache folder. If it cannot write there it fails late and without a
+ * clear message, so the folder is checked before the first OpenCL call. PoCL's worker threads do
+ * not survive fork().
  *
  * SPDX-License-Identifier: Apache-2.0
  */

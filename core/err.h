@@ -1,9 +1,9 @@
-/* Errors as values. Every fallible function returns an err_code and takes a struct err last.
+/* Errors are values. Every fallible function returns an err_code and takes a struct err last.
  *
- * The code is for programs, the message for people: "what : which : why", and where it helps, what
- * to do next. The message is set where the cause is known; callers may put context in front of it
- * with err_add and never overwrite it. `e` may be NULL wherever a struct err * is taken. An error
- * that is returned is not logged as well. Nobody but cli/main.c calls exit().
+ * The code is for programs, the message is for people. A message says what failed, which one, why,
+ * and where it helps, what to do: "what : which : why". It is set where the cause is known. Callers
+ * add context in front of it with err_add, and never replace it. Wherever a struct err * is taken,
+ * NULL is allowed. An error that is returned is not logged as well. Only cli/main.c calls exit().
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -16,7 +16,7 @@
 extern "C" {
 #endif
 
-/* X(name, text): one list, so that names and texts cannot drift apart. */
+/* X(name, text): names and texts stand in one list, so they always match. */
 #define ERR_LIST(X)                                                                                \
     X(ERR_OK, "ok")                                                                                \
     X(ERR_ARG, "invalid argument or option")                                                       \
@@ -45,15 +45,15 @@ struct err {
 #define ERR_USE __attribute__((warn_unused_result))
 #define ERR_PRINTF(f, a) __attribute__((format(printf, f, a)))
 
-/* Set code and message, replacing what was there. Returns `code`, so `return err_set(e, ERR_IO,
+/* Sets code and message and replaces the old ones. Returns `code`: `return err_set(e, ERR_IO,
  * ...)`. */
 enum err_code err_set(struct err *e, enum err_code code, const char *fmt, ...) ERR_PRINTF(3, 4);
-/* As err_set, and appends ": strerror(errno)". Call it before anything else touches errno. */
+/* As err_set, and appends ": " and strerror(errno). Call it before anything else changes errno. */
 enum err_code err_errno(struct err *e, enum err_code code, const char *fmt, ...) ERR_PRINTF(3, 4);
-/* Put context in front of the message: "context: message". Returns e->code (ERR_INTERNAL if e is
- * NULL). */
+/* Puts context in front of the message: "context: message". Returns e->code, or ERR_INTERNAL if e
+ * is NULL. */
 enum err_code err_add(struct err *e, const char *fmt, ...) ERR_PRINTF(2, 3);
-/* Name and text of a code, for logs and JSON. Static strings. */
+/* Name and text of a code, for logs and JSON. The strings are static. */
 const char *err_name(enum err_code code);
 const char *err_text(enum err_code code);
 

@@ -1,6 +1,6 @@
-/* Whole files in, whole files out. A file is written under a sibling name, synced and renamed, so a
- * reader never sees half of one and a full disk leaves the old one alone. POSIX calls rather than
- * stdio, so that fault injection reaches them.
+/* Reads and writes whole files. A file is written under another name, synced and renamed. A reader
+ * never sees half of one, and a full disk leaves the old file unchanged. POSIX calls are used
+ * instead of stdio, so that fault injection reaches them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,7 +1,7 @@
-/* WGS 84 through GeographicLib: the scene's local frame, and its place in ECEF.
+/* WGS 84 by GeographicLib: the scene's local frame, and its place in ECEF.
  *
- * The only C++ of core. Nothing is kept between calls: a LocalCartesian costs a few sines to set
- * up, which is nothing beside what its callers do. No exception leaves this file.
+ * This is the only C++ in core. Nothing is kept between calls, because a LocalCartesian is cheap to
+ * set up. No exception leaves this file.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,6 @@
-/* JSON with whole-line // comments. A JSON string cannot hold a newline, so blanking lines whose
- * first characters are // can never change a string, and line numbers in errors stay right.
+/* JSON with // comments on lines of their own. Lines whose first characters are // are blanked
+ * before parsing. A JSON string cannot contain a newline, so this never changes a string. Line
+ * numbers in errors stay right.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* See knn.h. Ranges of up to KNN_LEAF points are searched one by one; a half is left out when its
- * side of the splitting plane is farther than the worst of k found so far.
+/* See knn.h. Ranges of up to KNN_LEAF points are searched one by one. A half of the tree is skipped
+ * if its splitting plane is farther away than the k-th nearest point found so far.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

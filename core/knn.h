@@ -1,7 +1,6 @@
-/* Exact nearest neighbours in space: a balanced k-d tree laid out in an array of points. The median
- * of a range is its node, the halves are its children, so the tree needs no pointers (Bentley
- * 1975). It is built in parallel below its first few splits, and is the same for any number of
- * threads.
+/* Exact nearest neighbours in space, by a balanced k-d tree in an array (Bentley 1975). The median
+ * of a range is the node, and the two halves are its children, so no pointers are needed. Below the
+ * first splits it is built in parallel. The tree does not depend on the number of threads.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -20,17 +19,18 @@ struct knn_point {
     float xyz[3];
     uint32_t id;
 };
-struct knn { /* {0} is empty; knn_free */
+struct knn { /* {0} is empty; free with knn_free */
     size_t n;
     struct knn_point *points; /* [n], in the order of the tree */
-    uint8_t *axis;            /* [n]: split axis of the node at that place */
+    uint8_t *axis;            /* [n] split axis of each node */
 };
-/* xyz [n][3] is copied. ERR_MEM, ERR_LIMIT (more than 2^32 - 1 points). Points must be finite. */
+/* Builds a tree of the points xyz [n][3], which must be finite. It copies them. ERR_MEM, ERR_LIMIT
+ * (more than 2^32 - 1 points). */
 enum err_code knn_build(const float *xyz, size_t n, struct knn *out, struct err *e) ERR_USE;
 void knn_free(struct knn *t);
-/* The k <= KNN_MAX points nearest to p, but for point `skip` (KNN_NOBODY: none left out): ids and
- * squared distances, ascending, of equal ones the lower id first. Returns how many there are. May
- * be called from several threads at once. */
+/* Finds the k <= KNN_MAX points nearest to p. The point `skip` is left out (KNN_NOBODY: none). ids
+ * and squared distances are sorted by distance; of equal distances the lower id comes first.
+ * Returns how many were found. Several threads may call it at once. */
 size_t knn_find(const struct knn *t, const float p[3], uint32_t skip, size_t k, uint32_t *ids,
                 float *dist2);
 

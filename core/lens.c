@@ -1,12 +1,12 @@
-/* COLMAP's eleven lens models, forwards in closed form and backwards by Newton's method.
+/* COLMAP's eleven lens models: distortion in closed form, its inverse by Newton's method.
  *
- * Every model is a warp of a plane followed by focal length and principal point. For the fisheye
- * models the plane is the equidistant one (direction times angle), for the others the perspective
- * one (x/z, y/z); in its own plane each warp is smooth, so one Newton iteration with a numeric
- * Jacobian serves all. It walks out from the principal point in a few steps and demands a positive
- * Jacobian all the way: a pixel beyond the radius where a distortion polynomial folds back has no
- * honest inverse and is refused. Source: COLMAP, src/colmap/sensor/models.h (formulas and parameter
- * orders).
+ * Every model warps a plane and then applies focal length and principal point. For fisheye models
+ * it is the equidistant plane (direction times angle), for the others the perspective one (x/z,
+ * y/z). Each warp is smooth in its plane, so one Newton iteration with a numeric Jacobian serves
+ * all models. It goes out from the principal point in a few steps, and the Jacobian must stay
+ * positive. A pixel beyond the radius where a distortion polynomial folds back has no unique
+ * inverse and is refused. Source: COLMAP, src/colmap/sensor/models.h (formulas and order of
+ * parameters).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

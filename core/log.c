@@ -1,5 +1,5 @@
-/* One line an event on stderr, as text or JSON, composed first and written by one call, so that
- * threads do not mix lines.
+/* The log on stderr, as text or JSON: one line an event. A line is composed first and written by
+ * one call, so that lines of several threads do not mix.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,6 +1,5 @@
-/* Memory: every size is multiplied here, with the overflow checked. A header of 64 bytes in front
- * of each block keeps the payload aligned for vector loads. The failure counter serves the tests
- * that make each allocation fail in turn.
+/* Memory. Every size is multiplied here, with a check for overflow. Blocks are aligned to 64 bytes
+ * for vector loads. Tests use the failure counter to make each allocation fail in turn.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,6 +1,5 @@
-/* Options from defaults, config files and flags into a config struct described by a table. One
- * setter (options_set) checks type and range for all three sources, so a rule cannot hold for one
- * and not another.
+/* Fills a config struct from defaults, config files and flags, by a table. One setter (options_set)
+ * checks type and range for all three sources.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,33 +1,40 @@
-/* Options: one X-macro table a command (core/options_spec.h). The config struct, the flags, the
- * keys of config files, the range checks, --help, the reference (docs/commands.md), the manual
- * pages, the shell completion and --print-config come from it. A default exists in one place.
+/* Options: every command has one table of options, an X-macro (core/options_spec.h). These come
+ * from the table: the config struct, the flags, the keys of config files, the range checks, --help,
+ * docs/commands.md, the manual pages, shell completion and --print-config. A default therefore
+ * stands in one place.
  *
- *   train/options.def:  OPT(NUM, MORE, near_m, "0", 0, 1000, "m", "near plane")
- *                       OPT(ENUM, MORE, aa, "2d", 0, 0, "none|2d|mip", "anti-aliasing")
- *   train/config.h:     struct train_config {
- *                       #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
- *                       #include "train/options.def"
- *                       #undef OPT
- *                       };
- *   train/config.c:     static const struct options_def train_defs[] = {
- *                       #define GROUP(title) OPTIONS_GROUP_ROW(title)
- *                       #define OPT(type, tier, key, def, lo, hi, unit, help) \
- *                         OPTIONS_ROW(struct train_config, type, tier, key, def, lo, hi, unit,
- * help)
- *                       #include "train/options.def"
- *                       #undef OPT
- *                       };
+ *     train/options.def:
+ *       OPT(NUM, MORE, near_m, "0", 0, 1000, "m", "near plane")
+ *       OPT(ENUM, EVERYDAY, aa, "2d", 0, 0, "none|2d|mip", "anti-aliasing")
+ *     train/config.h:
+ *       struct train_config {
+ *       #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+ *       #include "train/options.def"
+ *       #undef OPT
+ *       };
+ *     train/config.c:
+ *       static const struct options_def train_defs[] = {
+ *       #define GROUP(title) OPTIONS_GROUP_ROW(title)
+ *       #define OPT(type, tier, key, def, lo, hi, unit, help)
+ *         OPTIONS_ROW(struct train_config, type, tier, key, def, lo, hi, unit, help)
+ *       #include "train/options.def"
+ *       #undef OPT
+ *       };
  *
- * GROUP("title") in a table puts the options behind it under a heading of the help. A table with
- * groups begins with `#ifndef GROUP`, an empty definition and `#endif`, and ends with `#undef
- * GROUP`, so that the struct need not know of them.
+ * GROUP("title") begins a heading of the help; the options after it stand under that heading. A
+ * table with groups begins with `#ifndef GROUP`, an empty definition of GROUP and `#endif`, and
+ * ends with `#undef GROUP`. The config struct can then include it without knowing about groups.
  *
- * The flag of near_m is --near-m VALUE (or =VALUE). BOOL takes --key and --no-key; --help shows the
- * one that changes the default ("--no-masks  Turn off: " and the help text). Whole numbers take k,
- * M and G: thousands, or steps of 1024 where the unit is KB, MB or MiB (4G of MiB is 4096). Lists
- * are A,B,C, in config files also arrays. Precedence: default < --config FILE... in order < flags.
- * Unknown flags and keys are errors that name the nearest one. core/options_rules.def says which
- * options do not go together.
+ * - The flag of near_m is --near-m VALUE or --near-m=VALUE.
+ * - BOOL has --key and --no-key. --help shows the flag that changes the default: "--no-masks  Turn
+ *   off: " and the help text.
+ * - Whole numbers take k, M and G. They mean thousands, or powers of 1024 where the unit is KB, MB
+ *   or MiB: 4G of MiB is 4096.
+ * - Lists are written A,B,C. In config files they may also be arrays.
+ * - Flags override config files, and a later --config FILE overrides an earlier one. Both override
+ *   defaults.
+ * - An unknown flag or key is an error that names the nearest known one.
+ * - core/options_rules.def says which options exclude each other.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -40,25 +47,24 @@
 struct options_args { /* positional arguments, borrowed from argv */
     const char *arg[16];
     size_t n;
-    bool done; /* --help or --print-config was answered on stdout: the command returns ERR_OK at
-                  once */
+    bool done; /* --help or --print-config was answered on stdout; the command returns ERR_OK */
 };
 
-/* Fill `config` (zeroed by the callee) from defaults, config files and argv[1..]. TEXT values live
- * in the arena. -h/--help, --config FILE, --print-config, -v (debug log) and -q (no progress,
- * warnings only) are understood by every command; -o X is the same as --output X where that key
- * exists. ERR_ARG for anything a user mistyped. */
+/* Fills `config` from defaults, config files and argv[1..]. It zeroes `config` first. TEXT values
+ * live in the arena. Every command accepts -h, --help, --config FILE, --print-config, -v (debug
+ * log) and -q (no progress, warnings only). -o X means --output X where that key exists. ERR_ARG:
+ * the user made a mistake. ERR_MEM. */
 enum err_code options_parse(const struct options_spec *spec, int argc, char **argv, void *config,
                             struct options_args *args, struct arena *a, struct err *e) ERR_USE;
-/* Fill with the defaults alone (tests, library use). ERR_MEM. */
+/* Fills `config` with the defaults alone, for tests and use as a library. ERR_MEM. */
 enum err_code options_defaults(const struct options_spec *spec, void *config, struct arena *a,
                                struct err *e) ERR_USE;
-/* The resolved values as a JSON object: what --print-config prints and a run stores beside its
- * output. json_decref it. ERR_MEM. */
+/* Returns the values as a JSON object. --print-config prints it, and a run stores it beside its
+ * output. Release it with json_decref. ERR_MEM. */
 enum err_code options_to_json(const struct options_spec *spec, const void *config,
                               struct json_t **out, struct err *e) ERR_USE;
-/* Its way back, over what config holds: keys that are missing stay, unknown ones and values out of
- * range are ERR_ARG. */
+/* Sets values of `config` from a JSON object. Keys that are missing keep their values. ERR_ARG: a
+ * key is unknown, or a value is out of range. */
 enum err_code options_from_json(const struct options_spec *spec, const struct json_t *o,
                                 void *config, struct arena *a, struct err *e) ERR_USE;
 

@@ -1,5 +1,5 @@
-/* Shell completion of one command (core/options_completion.h). bash and zsh share the branches:
- * they set `flags`, `values` and `files`, and head and tail do what differs.
+/* Shell completion of one command (core/options_completion.h). bash and zsh share the branches,
+ * which set `flags`, `values` and `files`. Head and tail differ.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* The options of one command as a part of a shell's completion.
+/* Shell completion for the options of one command.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -9,11 +9,11 @@
 
 #include "core/options_help.h"
 
-/* One branch of `case` for bash and zsh, lines of `complete` for fish; `format` is one of the
- * three. All options are offered; an ENUM offers its choices, a TEXT of FILE or DIR files, other
- * values nothing. */
+/* Writes the completion of one command: a branch of `case` for bash and zsh, lines of `complete`
+ * for fish. `format` is one of these three. It offers all options, the choices of an ENUM, and file
+ * names for a TEXT of FILE or DIR. Other values get no proposals. */
 void options_completion_print(FILE *f, const struct options_spec *spec, enum options_format format);
-/* What stands before the first command and behind the last; `names` are all commands. */
+/* Write what stands before the first command and after the last. `names` are all commands. */
 void options_completion_head(FILE *f, const char *const *names, size_t n,
                              enum options_format format);
 void options_completion_tail(FILE *f, enum options_format format);

@@ -1,5 +1,5 @@
-/* What a command's options are: the rows of its table, and the texts of its help. core/options.h
- * has how a table is written and read, core/options_help.h how it is shown.
+/* The rows of a command's option table, and the texts of its help. core/options.h says how a table
+ * is written and read, core/options_help.h how it is shown.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -14,13 +14,14 @@ typedef double OPTIONS_C_NUM;
 typedef int64_t OPTIONS_C_INT;
 typedef bool OPTIONS_C_BOOL;
 typedef const char *OPTIONS_C_TEXT; /* NULL when the default is "" */
-typedef int OPTIONS_C_ENUM;         /* index into the choices listed in `unit`, "none|2d|mip" */
+typedef int OPTIONS_C_ENUM;         /* index into the choices in `unit`, "none|2d|mip" */
 
-/* A list of values, of which the last belongs to the finest level. Without a value of the user `v`
- * is the default and n = 0. One value goes to `one`, and `v` stays the default: the option's help
- * says what it means. Of n > 1 values the last stands in the last place of the default, so that
- * v[length of the default - n] is the first; who reads the list checks that n is the number of
- * levels. A list that equals the default counts as not given. */
+/* A list with one value a level; the last value belongs to the finest level.
+ * - Nothing given: `v` is the default and n = 0. The same holds for a list that equals the default.
+ * - One value: it is in `one`, and `v` stays the default. The option's help says what one value
+ *   means.
+ * - n > 1 values: they fill the end of `v`, so the first is v[length of the default - n]. The code
+ *   that uses the list checks that n is the number of levels. */
 enum { OPTIONS_LIST_MAX = 3 };
 struct options_ints {
     int64_t v[OPTIONS_LIST_MAX], one; /* one: 0 = not given */
@@ -39,28 +40,30 @@ enum options_type {
     OPTIONS_BOOL,
     OPTIONS_TEXT,
     OPTIONS_ENUM,
-    OPTIONS_INTS, /* lists: the default has as many values as there can be */
+    OPTIONS_INTS, /* lists: the default has the largest number of values */
     OPTIONS_NUMS,
-    OPTIONS_GROUP /* no option: a heading of the help, in `help`; its key is "" */
+    OPTIONS_GROUP /* no option but a heading of the help; `help` is its text, its key is "" */
 };
 
-/* EVERYDAY options are shown by --help, MORE by --help=all. */
+/* --help shows EVERYDAY options, --help=all also MORE. */
 enum options_tier { OPTIONS_EVERYDAY, OPTIONS_MORE };
 
 struct options_def {
     enum options_type type;
     enum options_tier tier;
-    const char *key;  /* cell_edge_m */
-    size_t offset;    /* in the config struct */
-    const char *def;  /* default as text; "true"/"false" for BOOL; "" = unset for TEXT */
-    double lo, hi;    /* NUM, INT and lists: inclusive range of a value */
-    const char *unit; /* "m"; for ENUM the choices; for TEXT what it is: "FILE" */
+    const char *key; /* such as cell_edge_m */
+    size_t offset;   /* of the member in the config struct */
+    /* default as text; "true" or "false" for BOOL; "" for a TEXT that is not set */
+    const char *def;
+    double lo, hi;    /* NUM, INT and lists: smallest and largest value allowed */
+    const char *unit; /* "m"; the choices of an ENUM; the kind of a TEXT, such as "FILE" */
     const char *help;
 };
 #define OPTIONS_ROW(st, type, tier, key, def, lo, hi, unit, help)                                  \
     {OPTIONS_##type, OPTIONS_##tier, #key, offsetof(st, key), def, lo, hi, unit, help},
 
-/* Of a table that several commands share, whose struct is member `in` of theirs. */
+/* A row of a table that several commands share. `in` is the member of their config struct that
+ * holds the shared options. */
 /* NOLINTBEGIN(bugprone-macro-parentheses): names of members */
 #define OPTIONS_ROW_IN(st, in, type, tier, key, def, lo, hi, unit, help)                           \
     {OPTIONS_##type, OPTIONS_##tier, #key, offsetof(st, in.key), def, lo, hi, unit, help},
@@ -71,11 +74,11 @@ struct options_def {
 struct options_spec {
     const char *command; /* "train" */
     const char *usage;   /* "citysplat train SCENE [options]" */
-    const char *about;   /* one paragraph for --help */
-    const char *example; /* one or more command lines for --help; may be NULL */
+    const char *about;   /* one paragraph of --help */
+    const char *example; /* one or more command lines of --help; may be NULL */
     const struct options_def *defs;
     size_t n_defs;
-    size_t min_args, max_args; /* positional arguments */
+    size_t min_args, max_args; /* number of positional arguments */
 };
 
 #endif

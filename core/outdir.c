@@ -1,6 +1,6 @@
-/* Output folders by rename. A run that fails, or a disk that is full, leaves no half scene behind
- * that a later command could take for a whole one; an older scene stays until the new one is
- * complete.
+/* Output folders that are renamed when complete. A run that fails, or a full disk, never leaves
+ * half a scene that a later command could take for a whole one. An older scene stays until the new
+ * one is complete.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

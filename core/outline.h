@@ -1,4 +1,4 @@
-/* A polygon on the ground: one ring in a plane of metres.
+/* A polygon on the ground: one ring, in metres.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -10,11 +10,12 @@
 
 #include "core/err.h"
 
-/* at [n][2]; the last corner is joined to the first, which is not repeated. ERR_DATA: fewer than 3
- * corners, no area, or edges that cross (O(n^2)); says which. */
+/* Checks a polygon at [n][2]. The first corner is not repeated at the end. ERR_DATA says what is
+ * wrong: fewer than 3 corners, no area, or edges that cross. Takes O(n^2). */
 enum err_code outline_check(const double (*at)[2], size_t n, struct err *e) ERR_USE;
-bool outline_holds(const double (*at)[2], size_t n, double x, double y); /* even-odd */
-double outline_area(const double (*at)[2], size_t n);                    /* positive */
-double outline_length(const double (*at)[2], size_t n);                  /* of the whole ring */
+/* whether the point is inside, even-odd rule */
+bool outline_holds(const double (*at)[2], size_t n, double x, double y);
+double outline_area(const double (*at)[2], size_t n);   /* m2, positive */
+double outline_length(const double (*at)[2], size_t n); /* of the whole ring, m */
 
 #endif

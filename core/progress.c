@@ -1,5 +1,5 @@
-/* Progress: a bar with rate and time left on a terminal, a plain line every few seconds elsewhere.
- * The only file that knows which of the two stderr is.
+/* Progress: on a terminal a bar with rate and time left, elsewhere a plain line every few seconds.
+ * Only this file asks whether stderr is a terminal.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

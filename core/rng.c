@@ -1,7 +1,7 @@
-/* Random numbers as a function of (seed, stream, index): no state, so no order to depend on. Each
- * input is folded in by the finaliser of SplitMix64 (Steele, Lea, Flood: Fast Splittable
- * Pseudorandom Number Generators, 2014; constants of Stafford's variant 13), a bijection with full
- * avalanche.
+/* Random numbers as a function of (seed, stream, index). There is no state, so results do not
+ * depend on the order of calls. Each input is mixed in by the finaliser of SplitMix64 (Steele, Lea,
+ * Flood: Fast Splittable Pseudorandom Number Generators, 2014; constants of Stafford's variant 13).
+ * It is a bijection with full avalanche.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

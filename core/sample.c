@@ -1,6 +1,6 @@
 /* Weighted sampling without replacement, by an exponential race: the k smallest of -ln(u_i) /
- * score_i (Efraimidis and Spirakis 2006), with u_i from the counter generator, so it is the same on
- * every machine and has no limit of size.
+ * score_i (Efraimidis and Spirakis 2006). u_i comes from the counter generator, so the sample is
+ * the same on every machine. There is no limit of size.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* Random samples without replacement. Pure: any thread.
+/* Random samples without replacement. Functions are pure and may be called from any thread.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -11,9 +11,10 @@
 
 #include "core/err.h"
 
-/* The k smallest of -ln(u_i) / importance_i (exponential race = sampling without replacement): ids
- * of the chosen [k], in order of arrival. Importances of 0 come last. score [by id], NULL: all
- * equal; ids [n]. The same for the same seed and stream. ERR_ARG (k > n), ERR_MEM. */
+/* Chooses k of n ids without replacement, with probability proportional to score [by id] (NULL: all
+ * equal). It takes the k smallest of -ln(u_i) / score_i, an exponential race. Ids with score 0 come
+ * last. chosen [k] keeps the order of ids [n]. Results depend on seed and stream alone. ERR_ARG (k
+ * > n), ERR_MEM. */
 enum err_code sample_race(const float *score, const uint32_t *ids, size_t n, size_t k,
                           uint64_t seed, uint64_t stream, uint32_t *chosen, struct err *e) ERR_USE;
 #endif

@@ -1,12 +1,13 @@
-/* For the C++ files between a library and C: no exception leaves them. A function is a try block,
+/* Keeps C++ exceptions inside the C++ files between a library and C. Such a function is a try
+ * block:
  *
  *     extern "C" enum err_code draco_encode(..., struct err *e)
  *     try {
  *     }
  *     SHIM_CATCH("draco_encode", ERR_FORMAT)
  *
- * std::bad_alloc becomes ERR_MEM, another exception of the library `code` with its text, and what
- * is none at all ERR_INTERNAL.
+ * std::bad_alloc becomes ERR_MEM. Another std::exception becomes `code` with its text. Anything
+ * else becomes ERR_INTERNAL.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,17 +1,19 @@
-/* Loops for wider vectors where the machine has them, chosen when the program is loaded.
+/* Wider vectors for loops, where the processor has them. The choice is made when the program is
+ * loaded.
  *
- * SIMD_WIDE before a function makes two of it: one for any processor of the architecture and one
- * for x86-64-v3 (AVX2 and half floats in hardware). Sums are not reordered and nothing is fused
- * (-ffp-contract=off), so both give the same bits. Helpers that such a function calls must be
- * inlined into it to gain anything. Sanitizers do not go with functions chosen at load time,
- * and clang before 18 does not link them: such builds have the plain functions alone.
+ * SIMD_WIDE before a function compiles it twice: for any processor of the architecture, and for
+ * x86-64-v3 (AVX2 and half floats in hardware). Both give the same bits, because sums are not
+ * reordered and multiply-adds are not fused (-ffp-contract=off). Helpers gain only if they are
+ * inlined into such a function. Builds with sanitizers, and with clang before 18, have the first
+ * version alone: sanitizers fail with functions chosen at load time, and older clang does not link
+ * them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
 #ifndef CORE_SIMD_H
 #define CORE_SIMD_H
 
-#include <limits.h> /* glibc says here that it is glibc */
+#include <limits.h> /* defines __GLIBC__ */
 
 #if defined(__has_feature)
 #if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer) ||                         \
@@ -23,7 +25,7 @@
 #define SIMD_NO_WIDE
 #endif
 
-/* clang before 18 gives the chosen function the name NAME.ifunc, and other files ask for NAME. */
+/* clang before 18 names the chosen function NAME.ifunc, but other files refer to NAME. */
 #if defined(__clang__) && __clang_major__ < 18
 #define SIMD_NO_WIDE
 #endif
@@ -33,7 +35,7 @@
 #else
 #define SIMD_WIDE
 #endif
-/* Bytes that are needed soon, from places that no prefetcher guesses. */
+/* Prefetches bytes that are needed soon, where the hardware cannot foresee it. */
 #define SIMD_SOON(p) __builtin_prefetch(p, 0, 2)
 #define SIMD_INLINE static inline __attribute__((always_inline))
 

@@ -1,14 +1,14 @@
-/* Appearances of a tile store: from colours as they were trained to colours under some light.
+/* Appearances of a tile store: from trained colours to colours in some light.
  *
- * Tiles hold the trained colour and every Gaussian's embedding; the blob "appearance" holds the
- * network, the photographs' embeddings and one more row, BAKE_DEFAULT: what clients get
- * who know nothing of all this. Whoever hands out Gaussians reads them through here, so every
- * format and every picture agree, and any appearance can still be made from the tile.
+ * Tiles hold trained colours and the embedding of each Gaussian. The blob "appearance" holds the
+ * network, the photographs' embeddings and one more row, BAKE_DEFAULT, for clients that do not ask
+ * for an appearance. All code that sends Gaussians reads them through this file, so all formats and
+ * pictures agree. Any appearance can be made from a tile at any time.
  *
- * The default appearance is the one embedding whose colours are nearest, in the mean square over a
- * sample of Gaussians, to the mean of the colours under all training photographs: every photograph
- * counts the same. Averaging the embeddings themselves is only where the search starts, since the
- * network is not linear in them.
+ * The default appearance is one embedding. Its colours are nearest to the mean of the colours in
+ * all training photographs, in the mean square over a sample of Gaussians. Every photograph counts
+ * the same. The mean of the embeddings is only the start of the search, because the network is not
+ * linear.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

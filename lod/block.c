@@ -1,5 +1,6 @@
-/* Blocks of a tile. Tiles come in Morton order, so 256 rows lie close together but for the few that
- * are many times as large as their neighbours; those go to blocks of their own.
+/* Blocks of a tile. The rows of a tile are in the order of a space-filling curve, so 256 of them
+ * lie close together. The few that are many times larger than their neighbours get blocks of their
+ * own.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* Blocks of a decoded tile: 256 neighbours and the box around them, so that a picture takes of a
- * tile only what may be in view. Internal to lod/.
+/* Blocks of a decoded tile: 256 neighbours and the box around them. A picture draws only the blocks
+ * that may be in view. Internal to lod/.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -12,7 +12,7 @@
 enum { BLOCK_GROUPS = 16, BLOCK_ROWS = BLOCK_GROUPS * LAYOUT_LANES };
 
 struct block {
-    double min_enu_m[3], max_enu_m[3]; /* means grown by 3.33 sigma */
+    double min_enu_m[3], max_enu_m[3]; /* box around the means, each widened by 3.33 sigma */
     double sigma_max_m;
 };
 static inline uint32_t block_count(size_t n_gaussians)
@@ -20,10 +20,10 @@ static inline uint32_t block_count(size_t n_gaussians)
     return (uint32_t)((n_gaussians + BLOCK_ROWS - 1) / BLOCK_ROWS);
 }
 
-/* Sort the rows by octaves of size, otherwise as they stand, which is near each other: one large
- * Gaussian makes the box of all its block large. ERR_MEM. */
+/* Sorts rows by size, in powers of two, and otherwise keeps their order, in which neighbours follow
+ * each other. Without this, one large Gaussian would make the box of its block large. ERR_MEM. */
 enum err_code block_sort(struct gauss *g, struct err *e) ERR_USE;
-/* out: block_count(g->n) of them. */
+/* Computes the boxes: out has block_count(g->n) elements. */
 void block_measure(const struct gauss *g, struct block *out);
 
 #endif

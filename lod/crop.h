@@ -1,6 +1,6 @@
-/* What a polygon leaves of the tiles of a store, for documents that list them: a tile that would be
- * empty is not listed. Tiles wholly inside or outside are known by their boxes; those that lie
- * across the border are read, so the answer is exact, up to a bound of what is read.
+/* Finds the tiles of a store that are not empty after clipping, for documents that list tiles.
+ * Boxes decide about tiles completely inside or outside a polygon. Tiles across its border are
+ * read, so the answer is exact, up to a limit of Gaussians to read.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -15,20 +15,21 @@ struct store;
 struct store_tile;
 
 enum crop_side { CROP_OUTSIDE, CROP_INSIDE, CROP_ACROSS };
-/* Where a box [min_m, max_m] of the ENU frame lies, whatever its heights: by a clip without
- * heights. ERR_ARG. */
+/* Compares a box [min_m, max_m] of the ENU frame with a clip without heights. Heights of the box do
+ * not matter. ERR_ARG. */
 enum err_code crop_box(const struct clip *c, const struct geo_origin *origin, const double min_m[3],
                        const double max_m[3], enum crop_side *out, struct err *e) ERR_USE;
 
 struct crop_node {
-    uint32_t count; /* Gaussians of the node's tile that are left; 0: it is not to be listed */
-    bool across;    /* its tile lies across the border: what is left of it is not all, or may be */
-    bool any;       /* something is left of it, or may be of what lies below */
+    uint32_t count; /* Gaussians of the node's tile that are left; 0: do not list it */
+    /* its tile lies across the border, so some of its Gaussians are or may be outside */
+    bool across;
+    bool any; /* Gaussians are left in it, or may be left in a tile below */
 };
-enum { CROP_READ_MAX = 4000000 /* Gaussians; beyond, tiles across the border count as whole */ };
-/* node [tree's n_nodes]: each of those at and below `start` (an index into the store's tree), down
- * to where other documents begin if one_document: these are told by their boxes alone. mem_free it.
- * Errors of store_read_gauss: ERR_FORMAT, ERR_IO, ERR_MEM; ERR_ARG. */
+enum { CROP_READ_MAX = 4000000 /* Gaussians; further tiles across the border count as whole */ };
+/* Computes node [n_nodes of the tree] for `start`, an index into the store's tree, and the nodes
+ * below. With one_document it stops where other documents begin, and only boxes decide about those.
+ * Free *node with mem_free. ERR_FORMAT, ERR_IO, ERR_MEM as in store_read_gauss; ERR_ARG. */
 enum err_code crop_tiles(const struct clip *c, struct store *s, uint32_t start, bool one_document,
                          struct crop_node **node, struct err *e) ERR_USE;
 

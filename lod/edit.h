@@ -1,7 +1,7 @@
-/* A pyramid changed in places: internal to lod/, shared by update_build.c and merge.c.
+/* Changes to some tiles of a pyramid. Internal to lod/: update_build.c and merge.c use it.
  *
- * An edit holds the new Gaussians of tiles, by key. Everything that is not edited is copied byte by
- * byte from the store it is in.
+ * An edit holds the new Gaussians of tiles, by key. Tiles that are not edited are copied from their
+ * store byte by byte.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -16,21 +16,21 @@
 struct edit_tile {
     struct key key;
     uint8_t level;
-    bool carried;   /* a copy of coarser rows: stands for nothing in what is made above */
-    bool whole;     /* never thinned for being too full: rows of a trained level */
-    bool settled;   /* edit_settle was here: the rows are as the store will have them */
-    struct gauss g; /* n == 0: the tile goes away */
+    bool carried;   /* a copy of coarser rows; overviews are not made of it */
+    bool whole;     /* rows of a trained level; never thinned because the tile is too full */
+    bool settled;   /* edit_settle was called: the rows are as the store will have them */
+    struct gauss g; /* n == 0: the tile is removed */
 };
 struct edit_part { /* some rows; borrowed */
     const struct gauss *g;
     const uint32_t *index; /* [n]; NULL: the first n */
     size_t n;
 };
-struct edit { /* {0} and `locate`, `meta` filled in; edit_free */
+struct edit { /* set `locate` and `meta`, {0} elsewhere; free with edit_free */
     struct locate locate;
-    struct store_meta meta; /* of the store that will be written */
+    struct store_meta meta; /* of the store to be written */
     uint32_t max_per_tile;
-    struct buf appearance; /* in place of the blob "appearance"; empty: what the store has */
+    struct buf appearance; /* replaces the blob "appearance"; empty: keep that of the store */
     struct edit_tile *tile;
     size_t n, cap;
     size_t n_far;
@@ -38,28 +38,30 @@ struct edit { /* {0} and `locate`, `meta` filled in; edit_free */
 
 void edit_free(struct edit *d);
 struct edit_tile *edit_find(const struct edit *d, struct key k);
-/* The edit of a tile, made empty if there is none yet. Pointers to others become invalid.
- * ERR_MEM. */
+/* Returns the edit of a tile, and makes an empty one if there is none. Pointers to other edits
+ * become invalid. ERR_MEM. */
 enum err_code edit_touch(struct edit *d, struct key k, uint8_t level, struct edit_tile **out,
                          struct err *e) ERR_USE;
-/* The rows that an edit keeps of the store's tile, about that tile's centre. ERR_MEM. */
+/* Adds the rows that an edit keeps of the store's tile. They are relative to that tile's centre.
+ * ERR_MEM. */
 enum err_code edit_keep(struct edit *d, struct edit_tile *t, const struct gauss *g,
                         const uint32_t *index, size_t n, struct err *e) ERR_USE;
-/* Add rows. A tile keeps its centre, so that what it kept does not move, unless there is none yet
- * or rows would be out of its reach; all rows are known then, so that it moves once. ERR_MEM. */
+/* Adds rows. The tile keeps its centre, so that rows already in it do not move. It gets a new
+ * centre if it has none or if rows would be out of reach. All rows must be given at once, so that
+ * it moves only once. ERR_MEM. */
 enum err_code edit_add(struct edit *d, struct edit_tile *t, const struct edit_part *part,
                        size_t n_parts, struct err *e) ERR_USE;
-/* Leave out rows beyond every format's reach, thin to what a tile may hold, put along the Hilbert
- * curve. What is made of a tile is made of its settled rows, as in the pyramid. ERR_MEM,
- * ERR_LIMIT. */
+/* Brings rows to their final state: removes those beyond the reach of the formats, thins to what a
+ * tile may hold, and sorts along a Hilbert curve. Overviews are made of settled rows, as in the
+ * pyramid. ERR_MEM, ERR_LIMIT. */
 enum err_code edit_settle(struct edit *d, struct edit_tile *t, struct err *e) ERR_USE;
 /* Key of row i at zoom z. ERR_ARG (not finite). */
 enum err_code edit_key(const struct edit *d, const struct gauss *g, size_t i, uint8_t z,
                        struct key *out, struct err *e) ERR_USE;
-/* Settle what is not, write edits and copies of `a` and then `b` (NULL; only tiles
- * that neither an edit nor a has), blobs of a and those of b that a lacks, and commit.
- * n_copied may be NULL. Works on all cores. ERR_CANCEL, ERR_DATA (no tiles), ERR_FORMAT, ERR_IO,
- * ERR_LIMIT, ERR_MEM. */
+/* Settles all edits, writes the store and commits it. It has the edits, copies of the other tiles
+ * of `a`, and copies of tiles that only `b` (may be NULL) has. It has the blobs of a, and those of
+ * b that a lacks. n_copied may be NULL. It uses all cores. ERR_CANCEL, ERR_DATA (no tiles),
+ * ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM. */
 enum err_code edit_write(struct edit *d, struct store *a, struct store *b, const char *out_path,
                          size_t *n_copied, size_t *n_written, struct err *e) ERR_USE;
 

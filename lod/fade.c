@@ -1,7 +1,8 @@
 /* Cross-fade between levels: see fade.h.
  *
- * A tile that comes while an ancestor or a descendant of it is there rises, and one that goes while
- * such a one is to be falls. Others are there at once, or gone: they came into view or left it.
+ * A new tile fades in if an ancestor or a descendant of it was drawn before. An old tile fades out
+ * if an ancestor or descendant replaces it. Other tiles came into view or left it, and change at
+ * once.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

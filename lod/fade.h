@@ -1,10 +1,10 @@
-/* Cross-fade between levels: which tiles a frame is drawn from while others take the place of some,
- * and with how much of their opacity.
+/* Cross-fade between levels: the tiles of a frame and their shares of opacity, while some tiles
+ * replace others.
  *
- * What comes rises as what goes falls (docs/decisions/052-cross-fade.md says why not one after the
- * other). One fade at a time: what is wanted meanwhile waits for its end, except tiles that nothing
- * stands for. The viewer fades by the same curve and rule (web/src/fade.ts);
- * tests/vectors/fade.json holds both to them.
+ * New tiles become opaque while old ones fade (docs/decisions/052-cross-fade.md gives the reasons).
+ * There is one fade at a time. Tiles wanted during a fade wait for its end, unless nothing is drawn
+ * in their place. The viewer uses the same curve and rule (web/src/fade.ts).
+ * tests/vectors/fade.json tests both.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -19,21 +19,24 @@
 
 struct tree;
 
-/* The curve: the share of its opacity that what comes has after the part t of a fade; what goes has
+/* The curve: the share of opacity of new tiles when the part t of a fade has passed. Old tiles have
  * the rest. */
 double fade_share(double t);
 
-struct fade {                /* {0} is empty */
+struct fade {                /* {0} is empty; free with fade_close */
     const struct tree *tree; /* borrowed */
-    size_t frames, frame;    /* of a fade; of the one under way, 0: none is */
-    bool *above, *from, *to; /* [n_nodes], one block: scratch, what was there, what is to be */
+    /* frames: length of a fade; frame: position in the current one, 0: none */
+    size_t frames, frame;
+    bool *above, *from, *to; /* [n_nodes], one block: scratch, tiles before, tiles after */
 };
-/* frames: how many a fade takes; 0 and 1: tiles change at once. fade_close it. ERR_MEM. */
+/* `frames` is the length of a fade. 0 and 1: tiles change at once. Free *out with fade_close.
+ * ERR_MEM. */
 enum err_code fade_open(const struct tree *t, size_t frames, struct fade *out,
                         struct err *e) ERR_USE;
 void fade_close(struct fade *f);
-/* The next frame, whose camera wants tiles wanted[0..n), ascending: the tiles to draw it from,
- * ascending, and their shares of opacity, above 0. tile, weight: [n_nodes] each. */
+/* Computes the next frame, whose camera wants the tiles wanted[0..n), ascending. It writes the
+ * tiles to draw, ascending, and their shares of opacity, above 0. tile and weight have [n_nodes]
+ * elements. Returns the number of tiles. */
 size_t fade_next(struct fade *f, const uint32_t *wanted, size_t n, uint32_t *tile, float *weight);
 
 #endif

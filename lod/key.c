@@ -1,9 +1,9 @@
-/* Tile keys: the Web Mercator quad tree (OGC WebMercatorQuad, the z/x/y of every slippy map).
+/* Tile keys: the Web Mercator quad tree (OGC WebMercatorQuad, the z/x/y of web maps).
  *
- * The column is floor(u 2^z) with u = lon / 360 + 1/2, the row floor(v 2^z) with v = 1/2 -
- * asinh(tan lat) / 2 pi. u and v are computed once in double and scaling by 2^z is exact, so the
- * tile at zoom z is always the ancestor of the tile at any finer zoom: key_at(p, z) ==
- * key_parent(key_at(p, z + 1)). The pyramid rests on that.
+ * The column is floor(u 2^z) with u = lon / 360 + 1/2. The row is floor(v 2^z) with v = 1/2 -
+ * asinh(tan lat) / 2 pi. u and v are computed once in double, and scaling by 2^z is exact. A tile
+ * at zoom z is therefore always the ancestor of the tile at a finer zoom: key_at(p, z) ==
+ * key_parent(key_at(p, z + 1)). The pyramid depends on that.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

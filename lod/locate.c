@@ -1,9 +1,9 @@
-/* ENU -> tile, 50 times as fast as through GeographicLib and to the same tile.
+/* ENU -> tile, 50 times faster than with GeographicLib, and with the same result.
  *
- * Bowring's closed form (Survey Review 28, 1985) gives tan(latitude) within 1e-9 m of ground for
- * places some kilometres above or below the ellipsoid, and the Mercator row needs nothing but that.
- * Within LOCATE_DOUBT of an edge of the finest tiles, far from the ground and near the poles, the
- * long way is taken, so that a Gaussian is never given to another tile than key_at would.
+ * Bowring's closed form (Survey Review 28, 1985) gives tan(latitude) to 1e-9 m on the ground, for
+ * places up to some kilometres above or below the ellipsoid. The Mercator row needs only that. Near
+ * an edge of the finest tiles (LOCATE_DOUBT), far from the ground and near the poles, GeographicLib
+ * is used. A Gaussian therefore always gets the tile that key_at gives.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,14 +1,15 @@
-/* Two stores in one.
+/* Merges two stores.
  *
- * Tiles of one key are made of the Gaussians of both; all others are taken over, byte for byte from
- * the first, and from the second where its frame is the same. Where only one of the two goes on
- * below a tile of both, the other's rows go down with it, or they would vanish when the tile is
- * replaced. Where one begins at a finer zoom, its missing overviews are made first, so that the
- * coarsest tiles show both.
+ * A tile that both stores have is made of the Gaussians of both. Other tiles are copied byte by
+ * byte: from the first store, and from the second if it has the same frame. Below a tile of both,
+ * only one store may have finer tiles. The rows of the other are then copied down into them,
+ * because they would vanish when the tile is replaced. If one store begins at a finer zoom, its
+ * missing overviews are made first, so that the coarsest tiles show both.
  *
- * Frames: both are east-north-up about their own origins, so one goes into the other by the
- * rotation and shift of their ECEF matrices. Spherical harmonics turn by one orthogonal matrix a
- * band, found from the values of the basis in seven directions and those directions turned back.
+ * Both frames are east-north-up about their own origins. One is converted to the other by the
+ * rotation and shift of their ECEF matrices. Spherical harmonics are rotated by one orthogonal
+ * matrix a band. It follows from the values of the basis in seven directions, before and after the
+ * rotation.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* Two stores into one: merge.c, see there.
+/* Merges two stores: see merge.c.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -10,19 +10,19 @@
 #include "core/err.h"
 
 struct merge_report {
-    size_t n_written, n_copied; /* tiles made of both or moved; taken over as they are */
-    double turn_deg;            /* between the frames of the two */
+    /* written: tiles made of both stores, or moved; copied: tiles taken unchanged */
+    size_t n_written, n_copied;
+    double turn_deg; /* rotation between the frames of the stores */
     char revision[13];
 };
-/* Two stores of neighbouring places in one, in the frame of the first: tiles of both with one key
- * are made of both's Gaussians. Origins may differ; rows of the second are then moved and turned,
- * SH too. Ground that both cover shows both. name NULL = the first's. Attributions are put side by
- * side, each once; the appearance model has the photographs of both and the first's default
- * appearance; of other blobs of one name the first's is kept.
- * report may be NULL. One caller at a time a path; works on all cores.
- * ERR_DATA when embeddings, the models that read them, or anti-aliasing do not fit; ERR_ARG for a
- * store and itself, or a name that is too long; ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM,
- * ERR_CANCEL. */
+/* Merges two stores of neighbouring places, in the frame of the first. A tile that both have is
+ * made of the Gaussians of both. If the origins differ, the rows of the second store are moved and
+ * rotated, SH too. Where both cover the same ground, both are visible. name NULL: that of the
+ * first. Attributions are joined, each once. The appearance model has the photographs of both, and
+ * the default appearance of the first. Of other blobs with the same name the first store's is kept.
+ * report may be NULL. Only one caller at a time may use a path. It uses all cores. ERR_DATA:
+ * embeddings, appearance models or anti-aliasing do not match. ERR_ARG: both paths are the same
+ * store, or the name is too long. ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM, ERR_CANCEL. */
 enum err_code merge_build(const char *path_a, const char *path_b, const char *name,
                           const char *out_path, struct merge_report *report, struct err *e) ERR_USE;
 

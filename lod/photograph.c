@@ -1,4 +1,4 @@
-/* Photographs of a store: what a blob about one holds.
+/* Photographs of a store: the content of their blobs.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,17 +1,17 @@
-/* Which tiles a view needs: a cut through the tree, so that what is drawn covers the scene once.
+/* Level selection: a cut through the tree, so that the tiles cover the scene exactly once.
  *
- * The cut starts at the root and is refined where the error is largest on the screen, until it is
- * small enough everywhere or the budget of Gaussians is used up. The screen error of a tile is
- * geometric_error * f / d, the measure of 3D Tiles clients. d is the distance to the tile's core,
- * where nearly all of it is, not to the box that holds every splat whole. Tilesets tell the core,
- * and the viewer measures to it too; a client of others, which knows the box alone, may show a
- * finer level than the server's picture, never a coarser one. The distance metric is that of the
- * CityGaussian family: horizontal distance against one threshold a level.
+ * The cut starts at the root. The tile with the largest screen error is refined next, until all
+ * errors are small enough or the budget of Gaussians is used up. The screen error is
+ * geometric_error * f / d, as in 3D Tiles clients. d is the distance to the tile's core, which
+ * holds nearly all of it, instead of to the box around all splats. Our tilesets contain the core
+ * and our viewer uses it. Other clients know only the box; they may show a finer level than the
+ * server's picture, never a coarser one. The distance metric is that of the CityGaussian family:
+ * horizontal distance against one threshold a level.
  *
  * A tile is left out only if no splat in it can touch the picture: frustum.h.
  *
- * The same input gives the same cut, or pictures could not be cached: the state that keeps a moving
- * camera's levels from flickering is the cut before, and the caller's.
+ * The same input gives the same cut, so pictures can be cached. The caller keeps the last cut,
+ * which prevents flicker of a moving camera.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,13 +1,13 @@
-/* Levels -> tiles, with memory for one tile a worker whatever the size of the city.
+/* Levels -> tiles. It needs memory for one tile a thread, whatever the size of the city.
  *
- * First every part of every level is read once, in any order and by all cores: its rows get the
- * Morton code of their tile at the finest zoom there is, are sorted by it and go to disk as one run
- * (spill.c). The codes tell which tiles there will be (pyramid_plan.c). Then each tile is put
- * together from its slices of the runs, sorted, encoded, and, where nothing coarser was given,
- * thinned to a quarter that becomes part of the tile above: the children of a tile are thinned
- * apart, so a generation of tiles waits only for the one below, and a tile can be made anew from
- * what changed (lod/update_build.c). Workers hand finished tiles to the store in order, so the file
- * does not depend on their number.
+ * First all cores read every part of every level once, in any order. Each row gets the Morton code
+ * of its tile at the finest zoom. The rows of a part are sorted by it and written to disk as one
+ * run (spill.c). The codes determine the tiles (pyramid_plan.c). Then each tile is put together
+ * from its slices of the runs, sorted and encoded. Above the coarsest given level it is also
+ * thinned to a quarter, which becomes part of the tile above. Each child is thinned alone, so the
+ * tiles of one zoom wait only for the zoom below, and an update can make a tile again from its
+ * changed children (lod/update_build.c). Threads give finished tiles to the store in order, so the
+ * file does not depend on their number.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

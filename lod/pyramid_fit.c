@@ -1,7 +1,8 @@
-/* Rows into a tile: its centre, the reach of its formats, and the quarter that it passes on.
+/* Rows in a tile: its centre, the reach of its formats, and the quarter that goes to the tile
+ * above.
  *
- * A quarter of a tile's rows goes into the tile above. Mergers stay on the tile's own ground, by
- * more than what the tile above may round, so that an update finds them again by their place.
+ * Merged rows stay inside the tile, with a margin for the rounding of the tile above. An update can
+ * therefore find them again by their place.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,8 +1,7 @@
-/* Which tiles there will be: everything that the pyramid decides from the codes alone, before a
- * single tile is written.
+/* Everything that the pyramid decides from the codes alone, before it writes tiles.
  *
- * A level's tiles at some zoom and their counts are found by stepping through its runs, each sorted
- * by code: a search a tile and run, whatever the number of rows.
+ * The tiles of a level at a zoom, and their counts, are found by stepping through its sorted runs:
+ * one search a tile and run, for any number of rows.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,8 +1,8 @@
 /* Tiles of a web map: see raster.h.
  *
- * A tile is drawn in a plane that touches the Earth in its middle. Where that is too far from the
- * projection, which happens on low zooms only, it is drawn in quarters, down to where it fits, and
- * of these only what touches the survey.
+ * A tile is drawn in a plane that touches the earth in its middle. On low zooms this may differ too
+ * much from the map's projection. The tile is then drawn in quarters, and these in quarters, until
+ * they fit. Parts that do not touch the survey are skipped.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,18 +1,18 @@
-/* Fewer Gaussians of the same appearance, for the levels that no training made.
+/* Fewer Gaussians of the same appearance, for levels that were not trained.
  *
- * Rounds of pairwise merging: the clusters stand along a Morton curve, another one each round
- * (shifted, Chan 1998), every one finds its cheapest neighbour within a window of the curve, and
- * the cheapest pairs whose halves are both free are merged, until `target` are left. Sorting by
- * digits and costs as vectors make it linear; 0.3 of the clusters go a round, so that later
- * choices see earlier mergers.
+ * It merges pairs in rounds. In each round the clusters are sorted along another Morton curve
+ * (shifted, Chan 1998), and each finds its cheapest neighbour within a window of the curve. The
+ * cheapest pairs are merged if both partners are free, until `target` are left. A round removes at
+ * most 0.3 of the clusters, so that later choices see earlier mergers. Radix sort and vector costs
+ * make a round linear in time.
  *
- * A merger has the pair's mean, covariance (including the spread of the means) and colour, all
- * weighted by coverage = opacity times projected area. Its coverage is the pair's sum less what the
- * two hid of each other; where that asks for more than full opacity the splat is made larger
- * instead, so opaque surfaces do not thin out. SH and embeddings are mixed once at the end, by the
- * weights that the mergers left each row.
+ * A merger has the pair's mean, covariance (with the spread of the means) and colour, all weighted
+ * by coverage = opacity times projected area. Its coverage is the sum of the pair's less what the
+ * two hid of each other. If that needs more than full opacity, the splat is made larger instead, so
+ * opaque surfaces do not thin out. SH and embeddings are mixed once at the end, with the weights of
+ * the mergers.
  *
- * Deterministic, one thread: the pyramid makes many tiles at once.
+ * It is deterministic and uses one thread, because the pyramid makes many tiles at once.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

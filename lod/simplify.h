@@ -1,6 +1,6 @@
-/* Fewer Gaussians of the same appearance: simplify.c, see there.
+/* Replaces Gaussians by fewer ones of the same appearance: simplify.c.
  *
- * Pure: no state, any thread.
+ * Functions are pure; any thread may call them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -13,16 +13,17 @@
 
 struct gauss;
 
-/* Merge neighbours by moment matching down to `target` rows, or all of them if there are fewer.
- * out: gauss_free it; origin, SH degree and embeddings are in's. ERR_ARG (target 0), ERR_LIMIT
- * (2^32 - 1 rows), ERR_MEM. */
+/* Merges neighbours by moment matching until `target` rows are left; if there are not more, all
+ * stay. Free *out with gauss_free. Origin, SH degree and embeddings are those of `in`. ERR_ARG
+ * (target 0), ERR_LIMIT (2^32 - 1 rows), ERR_MEM. */
 enum err_code simplify_gauss(const struct gauss *in, size_t target, struct gauss *out,
                              struct err *e) ERR_USE;
 
-/* Parts, for tests. Eigenvalues, descending, and eigenvectors (columns of v, row-major,
- * right-handed) of a symmetric matrix given as xx xy xz yy yz zz. */
+/* Parts, for tests. Eigenvalues (descending) and eigenvectors (columns of v, row-major,
+ * right-handed) of the symmetric matrix xx xy xz yy yz zz. */
 void simplify_eigen(const double cov[6], double value[3], double v[9]);
-/* Mean over all directions of the projected area of an ellipsoid of half axes s, divided by pi. */
+/* Projected area of an ellipsoid with half axes s, averaged over all directions and divided by pi.
+ */
 double simplify_area(const double s[3]);
 
 #endif

@@ -1,6 +1,6 @@
-/* What merging neighbours costs: the inner loop of the simplifier, in single precision and without
- * branches, so that a compiler makes vectors of it. Only additions, multiplications and divisions
- * in a fixed order: the same on every machine.
+/* The cost of merging neighbours: the inner loop of the simplifier. It is in single precision and
+ * has no branches, so that a compiler can use vectors. It adds, multiplies and divides in a fixed
+ * order, so results are the same on every machine.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

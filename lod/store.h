@@ -1,8 +1,8 @@
 /* The tile store: tiles of Gaussians with an index, in one SQLite file (docs/formats.md).
  *
- * A store is built once and never changed: store_create writes beside the path and store_commit
- * renames. Readers map it. A struct store is for one thread at a time, except where a function says
- * otherwise; opening is cheap, so open one a thread. Messages begin with the path.
+ * A store is built once and never changed. store_create writes under another name, and store_commit
+ * renames. Only one thread at a time may use a struct store, unless a function says otherwise.
+ * Opening is cheap, so each thread opens its own. Messages begin with the path.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -18,32 +18,33 @@ struct gauss;
 enum { STORE_LEVEL_MAX = 7 };
 struct store_tile { /* the index entry of one tile */
     struct key key;
-    uint8_t level;                     /* 1..STORE_LEVEL_MAX trained, 0 = overview */
-    uint32_t count;                    /* Gaussians */
-    uint64_t bytes;                    /* of the payload */
+    uint8_t level;                     /* 1..STORE_LEVEL_MAX: trained; 0: overview */
+    uint32_t count;                    /* number of Gaussians */
+    uint64_t bytes;                    /* size of the payload */
     double center_enu_m[3];            /* origin of the payload's means */
-    double min_enu_m[3], max_enu_m[3]; /* conservative: means grown by 3.33 sigma */
-    /* Where nearly all of it is: 2 and 98 % of the means along each axis. A few Gaussians far above
-     * a roof or as large as the tile make the box above many times as high and wide, so distances
-     * to a tile are taken from this box. All 0: not known, the box above counts. */
+    double min_enu_m[3], max_enu_m[3]; /* box around the means, each widened by 3.33 sigma */
+    /* Box of nearly all Gaussians: from 2 to 98 % of the means along each axis. A few Gaussians
+     * high above a roof, or as large as the tile, make the other box many times larger. Distances
+     * to a tile are therefore measured to this one. All 0: not known; use the other box. */
     double core_min_enu_m[3], core_max_enu_m[3];
-    double sigma_median_m;    /* median over the tile of each Gaussian's largest sigma */
-    double sigma_max_m;       /* the largest of them: how far EWA may reach beyond the box */
-    double geometric_error_m; /* 16 sigma_median_m: sigma is 1 px where clients refine at 16 px */
-    struct hash128 hash;      /* of the payload */
-    uint32_t version;         /* counts up when the tile is replaced */
+    double sigma_median_m; /* median over the tile of the largest sigma of each Gaussian */
+    /* largest sigma: it limits how far EWA splatting may draw beyond the box */
+    double sigma_max_m;
+    /* 16 sigma_median_m: clients that refine at 16 px see a sigma of 1 px */
+    double geometric_error_m;
+    struct hash128 hash; /* of the payload */
+    uint32_t version;    /* grows by 1 when the tile is replaced */
 };
 struct store_meta {
     char name[64]; /* [a-z0-9][a-z0-9_-]* */
     struct geo_origin origin;
     uint32_t sh_degree, embed_len;
     bool antialiased;
-    bool lossless;              /* payloads keep every field in float32 (imports) */
-    uint8_t zoom_min, zoom_max; /* root .. finest level; found by store_commit */
+    bool lossless;              /* payloads have all fields in float32 (imports) */
+    uint8_t zoom_min, zoom_max; /* of the root and of the finest level; set by store_commit */
     char attribution[256];
     char revision
-        [13]; /* first 12 hex digits of the hash over tiles, blobs, name, origin, attribution;
-                        * by store_commit */
+        [13]; /* by store_commit: hash of tiles, blobs, name, origin, attribution, 12 hex digits */
     char created[32]; /* ISO 8601; not part of the revision */
 };
 
@@ -51,20 +52,19 @@ struct store;
 
 /* ---- writing: store_build.c ---- */
 
-/* Begin a store that will stand at `path`; an existing file is replaced only by store_commit.
- * meta: copied; zooms, revision and date are found later. store_commit or store_close it.
- * ERR_ARG (name, origin), ERR_LIMIT (path, SH degree, embedding), ERR_IO, ERR_MEM. */
+/* Begins a store for `path`; only store_commit replaces an existing file. meta is copied; zooms,
+ * revision and date are set later. End with store_commit or store_close. ERR_ARG (name, origin),
+ * ERR_LIMIT (path, SH degree, embedding), ERR_IO, ERR_MEM. */
 enum err_code store_create(const char *path, const struct store_meta *meta, struct store **out,
                            struct err *e) ERR_USE;
-/* Encode g and add it as one tile. In t the caller sets key and level; center_enu_m becomes g's
- * origin, and count, bytes, bounds, sigmas, hash and version are filled in.
- * ERR_ARG (key, no rows), ERR_DATA (not finite), ERR_LIMIT (2 GiB), ERR_IO, ERR_MEM, ERR_INTERNAL
- * (a store that was opened for reading). */
+/* Encodes g and adds it as one tile. The caller sets key and level in t. center_enu_m becomes the
+ * origin of g, and the other members are computed. ERR_ARG (key, no rows), ERR_DATA (not finite),
+ * ERR_LIMIT (2 GiB), ERR_IO, ERR_MEM, ERR_INTERNAL (the store was opened for reading). */
 enum err_code store_put(struct store *s, struct store_tile *t, const struct gauss *g,
                         struct err *e) ERR_USE;
-/* store_put in two halves: encode into `payload` (caller frees) on any thread, since the store is
- * only asked for its options; then add, one at a time, which sets the version. Errors as
- * store_put: ERR_ARG, ERR_DATA, ERR_LIMIT, ERR_MEM, ERR_INTERNAL; ERR_IO of adding. */
+/* store_put in two steps. Any thread may call store_encode, which only reads options of the store;
+ * the caller frees `payload`. Only one thread at a time may call store_add, which sets the version.
+ * ERR_ARG, ERR_DATA, ERR_LIMIT, ERR_MEM, ERR_INTERNAL; store_add also ERR_IO. */
 enum err_code store_encode(const struct store *s, struct store_tile *t, const struct gauss *g,
                            struct buf *payload, struct err *e) ERR_USE;
 enum err_code store_add(struct store *s, struct store_tile *t, const struct buf *payload,
@@ -74,63 +74,65 @@ struct store_blob {
     const void *data;
     size_t size_bytes;
 };
-/* Any named JSON or binary beside the tiles: appearance models, embeddings, reports. Copied; a blob
- * of that name is replaced. ERR_IO, ERR_LIMIT, ERR_MEM, ERR_INTERNAL. */
+/* Adds named JSON or binary data beside the tiles: appearance models, embeddings, reports. It is
+ * copied, and replaces a blob of the same name. ERR_IO, ERR_LIMIT, ERR_MEM, ERR_INTERNAL. */
 enum err_code store_put_blob(struct store *s, const char *name, const void *bytes, size_t n,
                              struct err *e) ERR_USE;
-/* Write meta and revision, sync, rename and close; *s becomes NULL on success. ERR_DATA (no tiles),
- * ERR_IO, ERR_MEM, ERR_INTERNAL. */
+/* Writes meta and revision, syncs, renames and closes. *s becomes NULL on success. ERR_DATA (no
+ * tiles), ERR_IO, ERR_MEM, ERR_INTERNAL. */
 enum err_code store_commit(struct store **s, struct err *e) ERR_USE;
 
 /* ---- reading: store_read.c ---- */
 
-/* Open for reading; store_close it. ERR_NOENT, ERR_FORMAT (no tile store, another schema version,
- * damaged: what and which), ERR_IO, ERR_LIMIT, ERR_MEM. */
+/* Opens a store for reading. Close it with store_close. ERR_NOENT, ERR_FORMAT (not a tile store,
+ * another schema version, or damaged; the message says which), ERR_IO, ERR_LIMIT, ERR_MEM. */
 enum err_code store_open(const char *path, struct store **out, struct err *e) ERR_USE;
-/* The same of a file that is open already, whatever its name stands for by now: also when it was
- * renamed over or removed. fd is borrowed during the call; name is what errors call it. /proc must
- * be there. Errors as store_open, ERR_NOENT among them. */
+/* As store_open, from an open file, even if it was renamed over or removed since. fd is borrowed
+ * during the call. `name` is for messages. It needs /proc. ERR_NOENT, ERR_FORMAT, ERR_IO,
+ * ERR_LIMIT, ERR_MEM. */
 enum err_code store_open_fd(int fd, const char *name, struct store **out, struct err *e) ERR_USE;
-/* One more handle to the file of fd, which `first` was opened from, for another thread. It has the
- * index of first, which is closed after it. ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */
+/* Opens another handle, for another thread, on the file fd from which `first` was opened. It uses
+ * the index of `first`, which must be closed later. ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */
 enum err_code store_open_more(int fd, const struct store *first, struct store **out,
                               struct err *e) ERR_USE;
-/* Close; of a store that is being built: removes the unfinished file. NULL inside is fine. */
+/* Closes a store. If it is being built, the unfinished file is removed. *s may be NULL. */
 void store_close(struct store **s);
-/* Borrowed, until store_close. */
+/* Borrowed until store_close. */
 const struct store_meta *store_info(const struct store *s);
-/* The whole index [*n], sorted by key_compare; borrowed, until store_close. */
+/* The whole index [*n], sorted by key_compare. Borrowed until store_close. */
 const struct store_tile *store_tiles(const struct store *s, size_t *n);
-/* One entry of it, NULL when absent. */
+/* One entry of the index, or NULL. */
 const struct store_tile *store_find(const struct store *s, struct key k);
-/* Payload of a tile into `out` (caller frees), hash verified. ERR_NOENT when absent, ERR_FORMAT
- * names the tile, ERR_IO, ERR_MEM. */
+/* Reads the payload of a tile and checks its hash; the caller frees `out`. ERR_NOENT (no such
+ * tile), ERR_FORMAT names the tile, ERR_IO, ERR_MEM. */
 enum err_code store_read(struct store *s, struct key k, struct buf *out, struct err *e) ERR_USE;
-/* The same decoded: ENU axes, origin_enu_m = center_enu_m; gauss_free it. Errors as store_read:
+/* As store_read, decoded: ENU axes, origin_enu_m = center_enu_m. Free *out with gauss_free.
  * ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */
 enum err_code store_read_gauss(struct store *s, struct key k, struct gauss *out,
                                struct err *e) ERR_USE;
-/* Bytes that store_read gave for `t`, decoded likewise. The store is only read, so threads may
- * share it. No more memory is taken than a tile of t->count Gaussians needs. ERR_FORMAT: no
- * payload, or one of another number, degree or embedding than index and meta say. ERR_MEM. */
+/* Decodes bytes that store_read gave for `t`. The store is only read, so threads may share it. It
+ * uses no more memory than a tile of t->count Gaussians needs. ERR_FORMAT: it is no payload, or its
+ * count, degree or embedding differ from index and meta. ERR_MEM. */
 enum err_code store_decode(const struct store *s, const struct store_tile *t,
                            const struct buf *bytes, struct gauss *out, struct err *e) ERR_USE;
-/* A blob into `out` (caller frees), hash verified. ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */
+/* Reads a blob and checks its hash; the caller frees `out`. ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM.
+ */
 enum err_code store_get_blob(struct store *s, const char *name, struct buf *out,
                              struct err *e) ERR_USE;
-/* The ground that the photographs support (docs/footprint.md): a GeoJSON Feature, one line; NULL:
- * none was stored. Borrowed until store_close. */
-#define STORE_FOOTPRINT "footprint" /* its blob */
+/* The ground that the photographs support (docs/footprint.md), as a GeoJSON Feature in one line.
+ * NULL: none was stored. Borrowed until store_close. */
+#define STORE_FOOTPRINT "footprint" /* name of its blob */
 const char *store_footprint(const struct store *s);
-/* What the store was clipped to (lod/clip.h): a GeoJSON FeatureCollection, one line; what is left
- * lies within every feature of it. NULL: it was not. Borrowed until store_close. */
+/* The polygons that the store was clipped to (lod/clip.h), as a GeoJSON FeatureCollection in one
+ * line. All Gaussians lie within every feature. NULL: it was not clipped. Borrowed until
+ * store_close. */
 #define STORE_CLIP "clip"
 const char *store_clip(const struct store *s);
-/* Names of the blobs [*n], sorted; live in the arena. ERR_FORMAT, ERR_IO, ERR_MEM. */
+/* Names of all blobs [*n], sorted. They live in the arena. ERR_FORMAT, ERR_IO, ERR_MEM. */
 enum err_code store_list_blobs(struct store *s, struct arena *a, char ***names, size_t *n,
                                struct err *e) ERR_USE;
-/* Check every page, index row, payload and blob. Returns the first fault (ERR_FORMAT, ERR_IO,
- * ERR_MEM); n_bad (may be NULL) counts them and each is logged. */
+/* Checks all pages, index rows, payloads and blobs. It returns the first fault (ERR_FORMAT, ERR_IO,
+ * ERR_MEM), logs each, and counts them in n_bad (may be NULL). */
 enum err_code store_verify(struct store *s, size_t *n_bad, struct err *e) ERR_USE;
 
 #endif

@@ -1,10 +1,9 @@
-/* The tile store, writing: a new SQLite file beside the old one, without journal and without syncs,
- * synced once and renamed at the end. A crash or a full disk leaves the old file as it was.
+/* Writes a tile store: a new SQLite file beside the old one, without journal and syncs, synced once
+ * and renamed at the end. A crash or a full disk leaves the old file as it was.
  *
- * A tile that replaces one of another content in the file that stood there before gets that one's
- * version + 1, one of the same content keeps it. The revision is a hash over everything that is
- * served, in key order, so the same input gives the same revision whatever the order of writing and
- * the clock.
+ * A tile that replaces one with other content in the old file gets its version + 1; with the same
+ * content it keeps the version. The revision is a hash over all that is served, in the order of
+ * keys. It depends neither on the order of writing nor on the clock.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* What reading and writing a tile store share: row ids, row hashes, SQLite's errors.
+/* Shared by reading and writing of a tile store: row ids, row hashes, SQLite's errors.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,20 +1,20 @@
-/* What the halves of the tile store share: store_read.c reads, store_build.c writes. Internal to
+/* Shared by the two halves of the tile store: store_read.c reads, store_build.c writes. Internal to
  * lod/.
  *
  * The file is an SQLite database:
  *
- *   application_id  "CSPT"          user_version  schema, STORE_SCHEMA
- *   meta   key, value      name, origin, degrees, zooms, revision, ... as text (doubles with 17
- *                          digits)
- *   tiles  id              zoom and Morton code of x, y; one row a tile
- *          index columns   see store_build.c
- *          hash            of the payload
- *          row_hash        over the index columns and that hash
- *          payload         the codec's master payload
- *   blobs  name, hash, bytes   anything that travels with the tiles
+ *     application_id  "CSPT"     user_version  schema, STORE_SCHEMA
+ *     meta   key, value          name, origin, degrees, zooms, revision, ... as text
+ *                                (doubles with 17 digits)
+ *     tiles  id                  zoom and Morton code of x, y; one row a tile
+ *            index columns       see store_build.c
+ *            hash                of the payload
+ *            row_hash            over the index columns and that hash
+ *            payload             see codec/payload.h
+ *     blobs  name, hash, bytes   data beside the tiles
  *
- * Hashes are XXH3-128, 16 bytes, low word first. Nothing is ever changed in place: a file is built
- * beside and renamed, so a reader sees one revision.
+ * Hashes are XXH3-128, 16 bytes, low word first. Nothing is changed in place: a file is written
+ * under another name and renamed, so a reader sees one revision.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -33,10 +33,10 @@ enum {
     STORE_SCHEMA = 2,
     STORE_PAGE_BYTES = 8192,
     STORE_HASH_BYTES = 16,
-    STORE_ROW_BYTES = 48, /* fewer has no index row: two hashes, lengths of 28 columns */
+    STORE_ROW_BYTES = 48, /* least size of an index row: two hashes, lengths of 28 columns */
 };
 
-/* Data on its way to the disk while a store is built: store_flush.c. */
+/* Sends data to the disk while a store is built: store_flush.c. */
 struct store_flush {
     int fd;
     size_t waiting; /* bytes */
@@ -49,35 +49,37 @@ struct store {
     sqlite3 *db;
     sqlite3_stmt *get, *put, *get_blob;
     bool building;
-    struct store_flush flush; /* building */
-    char path[FILE_PATH_MAX]; /* as the caller named it */
-    char part[FILE_PATH_MAX]; /* building: where it is written */
-    uint64_t size_bytes;      /* opened: of the file */
+    struct store_flush flush; /* while building */
+    char path[FILE_PATH_MAX]; /* as the caller gave it */
+    char part[FILE_PATH_MAX]; /* while building: the file that is written */
+    uint64_t size_bytes;      /* opened: size of the file */
     struct store_meta meta;
-    struct store_tile *tiles; /* opened: sorted by key; building: in order of store_put */
+    struct store_tile *tiles; /* opened: sorted by key; building: in the order of store_put */
     size_t n_tiles, cap_tiles;
-    struct tree tree; /* opened only */
-    /* Opened: the appearance, read by bake.c on first use; NULL: none. store_close frees it through
-     * bake_free, which is NULL until then. */
+    struct tree tree; /* only when opened */
+    /* Opened: the appearance, which bake.c reads on first use; NULL: none. store_close frees it
+     * with bake_free, which is NULL until then. */
     struct bake *bake;
     bool bake_known;
     void (*bake_free)(struct store *s);
-    char *footprint;      /* opened: GeoJSON; NULL: none */
-    char *clip;           /* the same */
-    bool borrows;         /* opened: tiles, tree, footprint and clip are another handle's */
-    struct store *before; /* building: what will be replaced, for tile versions; may be NULL */
+    char *footprint; /* opened: GeoJSON; NULL: none */
+    char *clip;      /* opened: GeoJSON; NULL: none */
+    bool borrows;    /* opened: tiles, tree, footprint and clip belong to another handle */
+    /* building: the store that will be replaced, for tile versions; may be NULL */
+    struct store *before;
 };
 
-/* ERR_IO, ERR_FORMAT, ERR_MEM or ERR_LIMIT by SQLite's code, "PATH: WHAT: sqlite's message". */
+/* Sets ERR_IO, ERR_FORMAT, ERR_MEM or ERR_LIMIT by SQLite's code. The message is "PATH: WHAT:
+ * sqlite's message". */
 enum err_code store_db_fail(const struct store *s, int code, const char *what, struct err *e);
 /* Row id of a tile. */
 int64_t store_db_id(struct key k);
 void store_db_hash_out(struct hash128 h, uint8_t out[STORE_HASH_BYTES]);
-/* Over everything in `t`, so that a damaged index row is seen. */
+/* Hash over all members of t, to detect damaged index rows. */
 struct hash128 store_db_row_hash(const struct store_tile *t);
-/* By key, for qsort. */
+/* Compares keys, for qsort. */
 int store_db_tile_compare(const void *a, const void *b);
-/* Fit for addresses and documents as it is: a-z, 0-9, - and _. */
+/* Returns whether a name may stand in URLs and documents unchanged: a-z, 0-9, - and _. */
 bool store_db_name_ok(const char *name);
 
 #endif

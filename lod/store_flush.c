@@ -1,6 +1,6 @@
-/* To the disk while there is still work to do: what a store has written so far is sent on its way
- * every few megabytes, so that the sync at the end finds little left. Without it the sync of a city
- * of ten million Gaussians waits for a gigabyte. Linux only; elsewhere the sync takes longer.
+/* Starts writing to the disk while a store is built, every few megabytes, so that the sync at the
+ * end has little to do. Without this, the sync of a city of ten million Gaussians waits for a
+ * gigabyte. Linux only; elsewhere the sync takes longer.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,9 +1,9 @@
-/* The tile store, reading: one immutable SQLite file, its index in memory.
+/* Reads a tile store: one immutable SQLite file with its index in memory.
  *
- * The header is checked by hand first, because SQLite fills a truncated file with zeros instead of
- * saying so. Each index row carries a hash of itself and each payload one of its bytes: a damaged
- * row is left out with a warning, a damaged payload fails alone when it is read, and all other
- * tiles go on being served.
+ * The header is checked by hand first, because SQLite silently fills a truncated file with zeros.
+ * Each index row has a hash of itself, and each payload one of its bytes. A damaged row is left out
+ * with a warning. A damaged payload is an error only when it is read. All other tiles stay
+ * available.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,15 +1,16 @@
-/* 3D Tiles 1.1 and TileJSON 3.0.0 of a store: what map engines read first.
+/* 3D Tiles 1.1 and TileJSON 3.0.0 of a store, which map engines read first.
  *
- * Explicit documents, REPLACE, one glb a tile; a large tileset is several documents, each an
- * external tileset of the one above it (lod/tree.h says where they begin). The root's transform is
- * east-north-up at the scene's origin to ECEF, moved to the root tile's centre; below it only
- * translations, because engines share one rotation (and one rotation of SH) between the tiles of a
- * tileset, external ones counted. Boxes are in each tile's own z-up frame. Both names of the splat
- * extensions stand in the tileset's own extensions block: CesiumJS chooses its splat path from
- * there. 3DTILES_content_gltf itself is never required in 1.1 (specification, section "glTF").
+ * Documents are explicit, use REPLACE and have one glb a tile. A large tileset is several
+ * documents, each an external tileset of the one above (lod/tree.h says where they begin). The
+ * root's transform is east-north-up at the scene's origin to ECEF, moved to the root tile's centre.
+ * Below it there are only translations, because engines share one rotation, and one rotation of SH,
+ * among all tiles of a tileset and its external ones. Boxes are in each tile's own z-up frame. Both
+ * names of the splat extensions stand in the tileset's own extensions block, because CesiumJS
+ * chooses its splat path by them. 3DTILES_content_gltf is never required in 1.1 (specification,
+ * section "glTF").
  *
- * Written by hand rather than through jansson: a city has 10^5 tiles, and numbers need 17 digits
- * only in the root.
+ * The text is written without jansson: a city has 10^5 tiles, and only the root needs numbers with
+ * 17 digits.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* Finished tiles in order: a ring of payloads, see tilewriter.h.
+/* Writes finished tiles in order from a ring of payloads: see tilewriter.h.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,7 +1,8 @@
-/* Tiles that many workers encode, written in order by whoever holds the next one: internal to lod/.
+/* Writes tiles in order while many threads encode them. Internal to lod/.
  *
- * The bytes of a store depend on the order in which tiles are written; this makes it that of their
- * numbers, whatever the number of threads, and keeps at most TILEWRITER_AHEAD payloads in memory.
+ * The bytes of a store depend on the order of its tiles. Here it is the order of their numbers, for
+ * any number of threads. At most TILEWRITER_AHEAD payloads are in memory. Any thread that holds the
+ * next tile writes it.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -19,16 +20,17 @@ struct store_tile;
 enum { TILEWRITER_AHEAD = 16 };
 
 struct tilewriter;
-/* For tiles 0 .. n - 1 of a store that is being built (borrowed). ERR_MEM. */
+/* Prepares to write tiles 0 .. n - 1 of a store that is being built (borrowed). ERR_MEM. */
 enum err_code tilewriter_open(struct store *s, size_t n, struct tilewriter **out,
                               struct err *e) ERR_USE;
 void tilewriter_close(struct tilewriter **w);
-/* Encode tile i and write it when its turn comes; waits while it is too far ahead, so low numbers
- * must be begun first (as pool_for does). Each number once. Thread-safe. ERR_CANCEL when another
- * worker gave up; errors of store_put (ERR_DATA, ERR_LIMIT, ERR_IO, ERR_MEM). */
+/* Encodes tile i, and writes it when all lower numbers are written. It waits if it is too far
+ * ahead, so low numbers must begin first (as in pool_for). Each number is put once. Any thread may
+ * call it. ERR_CANCEL: another thread failed. ERR_DATA, ERR_LIMIT, ERR_IO, ERR_MEM as in store_put.
+ */
 enum err_code tilewriter_put(struct tilewriter *w, size_t i, struct store_tile *t,
                              const struct gauss *g, struct err *e) ERR_USE;
-/* A worker gave up: nobody waits for it. */
+/* A thread failed: the others no longer wait for it. */
 void tilewriter_fail(struct tilewriter *w);
 
 #endif

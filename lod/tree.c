@@ -1,10 +1,10 @@
-/* The tiles of a store as a tree. Three passes over the sorted index: downwards each tile finds its
- * nearest existing ancestor, upwards (parents come first, so backwards) bounds are united; then
- * downwards geometric errors are made strictly smaller than those above.
+/* The tiles of a store as a tree, in three passes over the sorted index. First each tile finds its
+ * nearest existing ancestor. Then bounds are united from the leaves up; parents come first, so this
+ * pass runs backwards. Last, geometric errors are made strictly smaller than those above.
  *
- * Tilesets of many nodes are cut into documents of about TREE_DOCUMENT_NODES. A document ends at
- * one depth: the first below which no part is too large for one document, or the last that it has
- * room for, so that documents are neither many and tiny nor one below the other without need.
+ * Large tilesets are cut into documents of about TREE_DOCUMENT_NODES. All parts of a document begin
+ * at the same depth: the first below which every part fits one document, or the last that fits this
+ * document. This avoids many small documents and needless chains of them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

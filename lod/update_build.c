@@ -1,15 +1,15 @@
-/* One retrained cell into a store that exists.
+/* Puts one retrained cell into an existing store.
  *
- * On the cell's own ground the rows of every trained level are replaced; only tiles that hold such
- * rows, old or new, are written anew, copies of coarse rows under tiles without finer ones too. An
- * overview is made of its four children, thinned apart and to the inside of each (pyramid_fit.c):
- * so the rows of a child that changed are taken out of it by their place and made again, the others
- * stay. All other tiles keep their bytes and hash.
+ * On the cell's own ground the rows of every trained level are replaced. Only tiles with such rows,
+ * old or new, are written again, and copies of coarse rows under tiles without finer ones. An
+ * overview is made of its four children, each thinned alone and to its inside (pyramid_fit.c). The
+ * rows of a changed child can therefore be removed from it by their place and made again, while the
+ * others stay. All other tiles keep their bytes and hash.
  *
- * The same cell twice gives the same bytes as once. That asks for some care: rows that are read and
- * written again must not change (payload.c keeps what is rounded), what is made of a tile is made
- * of its rows in the order they are stored in, and rows of the cell whose rounding put them across
- * its border are known again by their place (update_border).
+ * The same cell twice gives the same bytes as once. This needs care in three places. Rows that are
+ * read and written again must not change (payload.c keeps rounded values). An overview is made of
+ * rows in their stored order. Rows that rounding moved across the cell's border are found again by
+ * their place (update_border).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,8 +1,8 @@
-/* What is made of tiles that an update changed: the overviews.
+/* Overviews of tiles that an update changed.
  *
- * Each is what its four children pass on, thinned apart. So where one child changed, the rows in
- * its quarter are taken out and made again of its settled rows; the other three quarters stay as
- * they are.
+ * An overview consists of the rows that its four children give, each thinned alone. If one child
+ * changed, the rows in its quarter are removed and made again from its settled rows. The other
+ * three quarters stay.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* What is made of tiles that an update changed: internal to lod/.
+/* Overviews of tiles that an update changed. Internal to lod/.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -9,8 +9,8 @@
 
 struct update;
 
-/* Make everything above the given levels again, one zoom after the other, up to the store's top.
- * ERR_MEM; errors of store_read_gauss and simplify_gauss (ERR_FORMAT, ERR_IO, ERR_LIMIT). */
+/* Makes the affected tiles above the given levels again, one zoom after another, up to the store's
+ * top. ERR_MEM, ERR_FORMAT, ERR_IO, ERR_LIMIT as in store_read_gauss and simplify_gauss. */
 enum err_code update_overviews(struct update *u, struct err *e) ERR_USE;
 
 #endif

@@ -1,4 +1,4 @@
-/* What an update knows of tiles while it goes on: what the store has, less what was edited.
+/* What an update knows of tiles: the tiles of the store, with the edits made so far.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

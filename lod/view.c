@@ -1,8 +1,8 @@
-/* A picture of a store: pick the tiles, have them brought to the device, list their blocks that may
- * be in view, render.
+/* A picture of a store: selects tiles, brings them to the device, lists their blocks that may be in
+ * view, and renders.
  *
- * Nothing is computed for the model: colours are as they were trained, and the appearance of a
- * photograph is a few hundred numbers that the renderer gets with the frame.
+ * Tiles on the device have trained colours. The appearance of a photograph is a few hundred
+ * numbers, which the renderer gets with the frame.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* What every stage of a frame uses: buffers that grow, work sizes, launches, stage times.
+/* Shared by all stages of a frame: buffers that grow, work sizes, launches, stage times.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,9 +1,9 @@
 /* Sort and tile lists on GPUs: the launches of order_gpu.cl.
  *
- * Depth order ends in ids[0] and the lists in tile_start, intersection_splat and
- * intersection_slot, as sort.cl and bin.cl leave them; keys[0] holds depth keys here instead of
- * tile counts, which nobody reads after this. The state belongs to struct render and grows with it.
- * Passes over tiles stop at the highest bit of a tile's number.
+ * Depth order ends in ids[0], and the lists in tile_start, intersection_splat and
+ * intersection_slot, as with sort.cl and bin.cl. Unlike there, keys[0] holds depth keys; no later
+ * stage reads it. The state belongs to struct render and grows with it. Passes over tiles end at
+ * the highest bit of a tile number.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

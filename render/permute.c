@@ -1,7 +1,7 @@
-/* See rows.h. A few planes at a time are laid aside, each as one plain array, and spread from there
- * to where they go: every cache line of the large array is read and written once, whole, and what
- * is read in any order is small. Both ways run over fixed chunks of groups in parallel; each float
- * is written once, so the result does not depend on threads.
+/* See permute.h. A few planes at a time are copied to plain arrays, and from there to their new
+ * places. Every cache line of the large array is thus read and written once, as a whole, and random
+ * access stays within small arrays. Both copies run over fixed chunks of groups in parallel. Each
+ * float is written once, so the result does not depend on threads.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,12 +1,11 @@
-/* Appearance on the device: the network's programs, what a frame with it leaves behind, and its
- * gradients.
+/* Appearance on the device: the programs of the network, what a frame with it keeps, its gradients.
  *
- * Kernels are compiled for the lengths of the model at hand (one program a pair of lengths, kept
- * until render_close), because loops of constant length keep embeddings in registers; the plain
- * renderer's program knows nothing of it. A frame drawn with appearance has r->appearance set and
- * its constants in r->appearance_frame; render_forward.c and render_backward.c launch the kernels
- * given here instead of their own. What the network computes stands in render/appearance.cl and, in
- * double, in core/appearance.c and render_ref.c.
+ * Kernels are compiled for the lengths of the model in use, because loops of constant length keep
+ * embeddings in registers. Each pair of lengths has a program, which is kept until render_close.
+ * The plain renderer's program does not contain the network. A frame drawn with appearance has
+ * r->appearance set, and its constants in r->appearance_frame. render_forward.c and
+ * render_backward.c then launch these kernels instead of their own. The network's formulas are in
+ * render/appearance.cl and, in double, in core/appearance.c and render_ref.c.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,10 +1,12 @@
-/* The backward pass on the device: dL/dcolour of the last frame -> gradients, or one step of Adam.
+/* The backward pass on the device: dL/d(colour) of the last frame -> gradients, or one step of
+ * Adam.
  *
- * Two launches: blend_backward leaves fourteen sums in one slot per intersection, project_backward or
- * project_step adds a Gaussian's slots in order and applies the chain rule, the latter with Adam on
- * the spot, so that gradients (236 bytes a Gaussian) never travel through memory. Owns its kernels
- * and marks in struct render_backward_state, made on first use; render_close frees it through
- * backward_free. The formulas are in the kernels' heads and, in double, in render_ref_backward.c.
+ * There are two launches. blend_backward writes fourteen sums to one slot an intersection.
+ * project_backward or project_step adds the slots of a Gaussian in order and applies the chain
+ * rule. project_step also makes the Adam step at once, so gradients (236 bytes a Gaussian) are
+ * never stored. Kernels and marks are in struct render_backward_state, which is made on first use;
+ * render_close frees it through backward_free. The formulas are in the heads of the kernels and, in
+ * double, in render_ref_backward.c.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,9 +1,9 @@
 /* The forward pass on the device: programs, buffers, and the order of launches of a frame.
  *
- * Buffers belong to struct render, grow by half when a frame needs more and are kept. The host
- * waits once within a frame, to learn how many intersections (splat, tile) there are before making
- * the lists; nothing is ever written beyond a buffer and nothing is drawn from a list cut short.
- * render/frame.h tells what each stage leaves behind, render_ref.c what the picture is.
+ * Buffers belong to struct render, grow by half when a frame needs more, and are kept. The host
+ * waits once within a frame, to read the number of intersections (splat, tile) before the lists are
+ * made. So nothing is written beyond a buffer, and no list is cut short. render/frame.h says what
+ * each stage leaves, render_ref.c defines the picture.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,6 +1,6 @@
-/* Importance of Gaussians in the last frame: launches importance.cl over what render_forward left
- * on the device. Owns the compiled kernels and the sums; slots are those of the backward pass, and
- * nothing else of the frame is changed, so render_backward may follow.
+/* Importance of Gaussians in the last frame: launches importance.cl over the buffers of
+ * render_forward. It owns the compiled kernel and the sums. It uses the slots of the backward pass
+ * and changes nothing else of the frame, so render_backward may follow.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,9 +1,8 @@
 /* Gaussians on the device: packing into the AoSoA-16 layout and back.
  *
- * Groups of 16 Gaussians hold their parameters plane by plane, so that one vector load gets one
- * parameter of 16 neighbours and a group that is culled costs no memory traffic for the rest.
- * Padding lanes of the last group are zero; kernels leave them alone because their index is not
- * below n.
+ * Groups of 16 Gaussians store their parameters plane by plane. One vector load reads one parameter
+ * of 16 neighbours, and a group that is culled early causes no further memory traffic. Padding
+ * lanes of the last group are zero; kernels skip them because their index is not below n.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

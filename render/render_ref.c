@@ -1,14 +1,14 @@
 /* The method in double precision: how Gaussians become a picture, without tiles, lists or vectors.
  *
- * A Gaussian with mean mu and covariance Sigma = R diag(s)^2 R^T is splatted by the local affine
- * approximation of the perspective map (EWA splatting, Zwicker et al. 2001): its picture is a 2-D
- * Gaussian with covariance S0 = J W Sigma W^T J^T. A small kernel is added against aliasing, S = S0
- * + eps I; with compensation opacity is multiplied by rho = sqrt(det S0 / det S), so that the splat
- * keeps its mass (Mip-Splatting, Yu et al. 2024). Colour is a real spherical-harmonics series in
- * the direction from the camera. Pixels blend the splats front to back (3D Gaussian Splatting,
- * Kerbl et al. 2023).
+ * A Gaussian has mean mu and covariance Sigma = R diag(s)^2 R^T. EWA splatting (Zwicker et al.
+ * 2001) approximates the perspective map locally by an affine one. The Gaussian's picture is then a
+ * 2-D Gaussian with covariance S0 = J W Sigma W^T J^T. A small kernel is added against aliasing: S
+ * = S0 + eps I. With compensation, opacity is multiplied by rho = sqrt(det S0 / det S), so that the
+ * splat keeps its mass (Mip-Splatting, Yu et al. 2024). Colour is a series of real spherical
+ * harmonics in the direction from the camera. Pixels blend the splats front to back (3D Gaussian
+ * Splatting, Kerbl et al. 2023).
  *
- * Everything the kernels do is stated here first and tested against it; nothing here is fast.
+ * The kernels do the same and are tested against this code. It is not meant to be fast.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,16 +1,19 @@
-/* The reference, backwards: gradients of sum(rgb * rgb_grad) in double, by the chain rule written
- * out.
+/* The backward pass of the reference: gradients of sum(rgb * rgb_grad) in double, by the chain
+ * rule.
  *
- * Two halves. Compositing, per pixel, front to back: with w_i = alpha_i T_i, C the final colour
- * (background included) and P_i the colour summed up to and with splat i, dL/dalpha_i = sum_c g_c
- * (rgb_ic T_i - (C_c - P_ic) / (1 - alpha_i)),   dL/drgb_i = w_i g. An alpha cut to its maximum
- * passes nothing on. Then projection, per Gaussian: EWA splatting (Zwicker et al. 2001) with the
- * derivatives of the covariance as in Kerbl et al. 2023, the clamp of the Jacobian's position in
- * both its branches, and the opacity compensation rho of Mip-Splatting (Yu et al. 2024). The view
- * direction of the spherical harmonics is held fixed: colour does not move a mean. With appearance,
- * colour and opacity go on through clamp and sum to the network's outputs, and from there to
- * embeddings and to the constants of the frame. Moments of depth are two more colours, m and m^2,
- * that vary over a splat; transmittance is the background of a third.
+ * First compositing, per pixel, front to back. With w_i = alpha_i T_i, C the final colour
+ * (background included) and P_i the sum of colours up to and including splat i:
+ *
+ *     dL/dalpha_i = sum_c g_c (rgb_ic T_i - (C_c - P_ic) / (1 - alpha_i)),   dL/drgb_i = w_i g
+ *
+ * An alpha that was cut to its maximum has no gradient. Then projection, per Gaussian: EWA
+ * splatting (Zwicker et al. 2001) with the derivatives of the covariance of Kerbl et al. 2023, both
+ * branches of the position's clamp in the Jacobian, and the opacity compensation rho of
+ * Mip-Splatting (Yu et al. 2024). The direction of view of the harmonics is held fixed, so colour
+ * does not move a mean. With appearance, gradients of colour and opacity go on through clamp and
+ * sum to the outputs of the network, and from there to embeddings and to the constants of the
+ * frame. Moments of depth are two more colours, m and m^2, that vary over a splat. Transmittance is
+ * the background of a third colour that is 0.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

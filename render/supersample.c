@@ -1,6 +1,6 @@
-/* A Gaussian smaller than a pixel is drawn as large as a pixel and fainter, and several that tile a
- * surface then let what is behind them through, which their area would have covered. Drawn finer,
- * they cover again; the filter gives the picture the blur that its own kernel would have.
+/* Supersampling. A Gaussian smaller than a pixel is drawn as large as a pixel and fainter. Several
+ * of them that cover a surface then let things behind it shine through. At a higher resolution they
+ * cover it. The filter gives the small picture the blur of its own kernel.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

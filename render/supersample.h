@@ -1,4 +1,4 @@
-/* Pictures drawn finer than they are shown, and filtered down: supersample.c.
+/* Filters pictures that were drawn at a higher resolution down to their size: supersample.c.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -12,11 +12,12 @@
 
 enum { SUPERSAMPLE_MOST = 4 };
 
-/* out [height_px][width_px], `stride` floats apart, of plane [factor height_px][factor width_px]: a
- * Gaussian of variance kernel_px2 (factor^2 - 1) fine pixels, which with the kernel that the fine
- * picture was drawn with makes kernel_px2 of the small one's pixels. Weights at the border are of
- * what is inside. factor 2..SUPERSAMPLE_MOST, kernel_px2 at most 0.5. Parallel; same bits for any
- * number of threads. ERR_MEM. */
+/* Reduces plane [factor height_px][factor width_px] to out [height_px][width_px], whose columns are
+ * `stride` floats apart. The filter is a Gaussian with a variance of kernel_px2 (factor^2 - 1) fine
+ * pixels. With the kernel that the fine picture was drawn with, the total is kernel_px2 pixels of
+ * the small picture. At the border, weights outside are left out and the rest is scaled to 1.
+ * factor is 2..SUPERSAMPLE_MOST, kernel_px2 at most 0.5. It runs in parallel; the bits do not
+ * depend on the number of threads. ERR_MEM. */
 enum err_code supersample_reduce(const float *plane, uint32_t width_px, uint32_t height_px,
                                  uint32_t factor, double kernel_px2, float *out, size_t stride,
                                  struct err *e) ERR_USE;

@@ -1,7 +1,7 @@
-/* citysplat-study chart: every chart and table of the studies in docs/ from recorded runs.
+/* citysplat-study chart: makes every chart and table of the studies in docs/ from recorded runs.
  *
- * The Markdown file keeps its prose; what stands between `<!-- chart NAME -->` or `<!-- table NAME
- * -->` and `<!-- end -->` is written anew.
+ * The Markdown file keeps its text. Only what stands between `<!-- chart NAME -->` or `<!-- table
+ * NAME -->` and `<!-- end -->` is replaced.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

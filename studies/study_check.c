@@ -1,6 +1,6 @@
-/* Records that a page may be made of: their commit is in the history of HEAD, so that their command
- * can be run again; they are as long as their study states, and every row has as many seeds
- * (studies/studies.def).
+/* Checks the records for a page. Their commit must be in the history of HEAD, so that their command
+ * can be run again. They must be as long, and every row must have as many seeds, as their study
+ * states (studies/studies.def).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,8 +1,10 @@
 /* citysplat-study record: adds the numbers of a run to a file of recorded runs (cli/runs.h), from
- * what `citysplat eval -o`, `citysplat train` (cells/<id>/metrics.jsonl) and citysplat-bench wrote.
+ * the output of `citysplat eval -o`, `citysplat train` (cells/<id>/metrics.jsonl) and
+ * citysplat-bench.
  *
- * Training time of a level: from the start of the cell to the level's end, summed over cells; and
- * the longest cell, which is the time when every cell has a machine of its own.
+ * The training time of a level runs from the start of the cell to the end of the level, summed over
+ * cells. The time of the longest cell is recorded too: it is the time with one machine for each
+ * cell.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* Rows of several seeds as one: means, medians of times, the spread of PSNR, and what the row gains
- * on its study's first row, where that is more than twice its spread.
+/* Combines the seeds of a row into one record: means, medians of times, the spread of PSNR, and the
+ * gain over the study's first row if it is more than twice the spread.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,6 +1,6 @@
 #!/bin/sh
 # What documents point at is there: files behind relative links, headings behind #anchors, and in every quoted
-# `citysplat COMMAND --option` the command and the option.
+# `citysplat COMMAND --option` the command and the option. Decisions have the same parts and stand in their index.
 #
 # SPDX-License-Identifier: Apache-2.0
 cd "$(dirname "$0")/.." || exit 1
@@ -104,6 +104,15 @@ awk -F'\t' 'NR == FNR { known[$1, $2]; next }
         bad = 1
     }
     END { exit bad }' "$work/known" "$work/quoted" || failed=1
+# Decisions: number, date, status, context, decision, consequences, and a row in the index with the same date.
+for page in docs/decisions/[0-9]*.md; do
+    number=$(basename "$page" | cut -c1-3)
+    day=$(sed -n 's/^Date: \([0-9-]*\)$/\1/p' "$page")
+    for part in "^# $number: ." '^Date: 20[0-9][0-9]-[01][0-9]-[0-3][0-9]$' '^Status: .' '^## Context$' '^## Decision$' '^## Consequences$'; do
+        grep -q -- "$part" "$page" || { echo "$page: lacks '$part'"; failed=1; }
+    done
+    grep -qF "| [$number]($(basename "$page")) | $day |" docs/decisions/README.md || { echo "$page: no row of number and date in docs/decisions/README.md"; failed=1; }
+done
 [ "$(wc -l <"$work/quoted")" -gt 50 ] || { echo "only $(wc -l <"$work/quoted") quoted commands were found"; failed=1; }
 echo "$(wc -l <"$work/quoted") quoted commands and options"
 exit $failed

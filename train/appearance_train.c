@@ -1,12 +1,11 @@
-/* The appearance model in training: who learns when, Adam on the host, and what goes into
- * checkpoints.
+/* The appearance model in training: which parts learn when, Adam on the host, checkpoints.
  *
- * The photographs' embeddings are learnt lazily: only that of the step's photograph moves, with a
- * step count of its own for the bias correction, so that a table of thousands costs nothing and a
- * photograph does not drift on old momentum while others are shown. Everything is plain sequential
- * arithmetic: same input, same bits.
+ * Only the embedding of the step's photograph changes. It has its own step count for the bias
+ * correction. A table of thousands of photographs therefore costs nothing, and a photograph does
+ * not drift on old momentum while others are shown. The arithmetic is sequential: the same input
+ * gives the same bits.
  *
- * Method: REUrbanGS (ICCV 2025); initial values after the failure modes in docs/appearance.md.
+ * Method: REUrbanGS (ICCV 2025). docs/appearance.md explains the initial values.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,7 @@
-/* SPDX-License-Identifier: Apache-2.0 */
+/* The background colour of a training step: see background.h.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
 #include "train/background.h"
 
 #include <string.h>

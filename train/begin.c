@@ -1,6 +1,6 @@
-/* Everything up to the first step of a cell: where results go, whether they are there already,
- * which photographs train and how many Gaussians there may be, what is known of the ground, the
- * first Gaussians or those of an interrupted run.
+/* Everything before the first step of a cell: where results go, whether they exist already, which
+ * photographs train, how many Gaussians are allowed, what is known of the ground, and the first
+ * Gaussians or those of an interrupted run.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

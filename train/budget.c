@@ -1,13 +1,13 @@
 /* Budgets that follow the photographs.
  *
- * Why: a level with more Gaussians than its photographs can tell apart fits their noise and their
- * wrong poses. On 65 aerial photographs of 400 x 300 px, 7000 steps reach 33.7 dB with 240 k
- * Gaussians and 32.3 dB with the 770 k that gradients alone ask for, in half the time
+ * A level with more Gaussians than its photographs can distinguish fits their noise and their wrong
+ * poses. On 65 aerial photographs of 400 x 300 px, 7000 steps reach 33.7 dB with 240 k Gaussians.
+ * With the 770 k that gradients alone ask for, they reach 32.3 dB in twice the time
  * (docs/decisions/006-density-control.md).
  *
- * Automatic: the held-out PSNR is looked at while the level grows; growth goes on as long as it
- * pays. The optimiser's own progress counts as gain too, so a run errs on the side of growing, up
- * to the table.
+ * Automatic budgets measure the held-out PSNR while the level grows, and growth continues while it
+ * gains. Progress of the optimiser also counts as gain, so a run tends to grow too much, up to the
+ * table.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

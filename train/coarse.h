@@ -1,13 +1,13 @@
-/* Inside of train/: one coarse run over the whole scene, before the cells of a plan.
+/* Internal to train/: a coarse run over the whole scene, before the cells of a plan.
  *
- * It gives cells two things that each of them would else find for itself, and differently:
+ * It gives all cells the same start in two respects:
  *
- * - The appearance network and its photographs. A colour can be explained by the Gaussian or by
- *   the photograph, and each cell would choose (docs/decisions/005-shared-appearance.md).
- * - The Gaussians to begin from, with --coarse-start, and with them all that a cell's photographs
- *   show around it (docs/decisions/053-coarse-start.md).
+ * - The appearance network and its photographs. A colour can be explained by the Gaussian or by the
+ *   photograph, and each cell would choose differently (docs/decisions/005-shared-appearance.md).
+ * - With --coarse-start, the first Gaussians, also those around the cell that its photographs show
+ *   (docs/decisions/053-coarse-start.md).
  *
- * Its result is cells/coarse/level1.ckpt, which is also its done-file.
+ * The result is cells/coarse/level1.ckpt, which is also its done-file.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -24,18 +24,20 @@ struct train_config;
 
 struct coarse {                   /* {0} is empty */
     struct appearance appearance; /* empty: none */
-    struct gauss gauss;           /* empty: cells begin from sparse points */
+    struct gauss gauss;           /* empty: cells begin with sparse points */
 };
 
-/* Do these options ask for one, given the number of cells that are trained? */
+/* Returns whether these options need a coarse run, if n_cells are trained. */
 bool coarse_wanted(const struct train_config *cfg, size_t n_cells);
-/* Read it, or train it first where it is missing or was made with other options. job: as for
- * run_cell, with all training and test photographs of the scene; its cfg is that of the cells.
- * may_train false: ERR_NOENT says how to make it. coarse_free out. */
+/* Reads the coarse model. If it is missing, or was made with other options, it is trained first.
+ * job: as for run_cell, with all training and test photographs of the scene; its cfg is that of the
+ * cells. Free *out with coarse_free. ERR_NOENT: it is missing and may_train is false; the message
+ * says how to make it. Else the errors of run_cell. */
 enum err_code coarse_get(const struct run_cell *job, bool may_train, struct coarse *out,
                          struct err *e) ERR_USE;
 void coarse_free(struct coarse *s); /* idempotent, leaves {0} */
-/* The appearance model of a checkpoint; *out is empty and the answer ERR_OK where it has none. */
+/* Reads the appearance model of a checkpoint. If there is none, *out is empty and the result
+ * ERR_OK. ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
 enum err_code coarse_read_appearance(const struct ckpt *c, const char *path, struct appearance *out,
                                      struct err *e) ERR_USE;
 

@@ -10,7 +10,7 @@
 #include "core/options.h"
 
 enum { TRAIN_LEVELS_MAX = 3 };
-/* Folder of cells/ that is no cell of the plan: the coarse model that all of them began from. */
+/* Folder in cells/ of the coarse model that all cells begin from. It is no cell of the plan. */
 #define TRAIN_COARSE_ID "coarse"
 
 struct train_config {
@@ -18,10 +18,10 @@ struct train_config {
 #include "train/options.def"
 #undef OPT
 };
-/* The table behind struct train_config: flags, defaults, ranges, help. */
+/* The table of struct train_config: flags, defaults, ranges, help. */
 const struct options_spec *train_options(void);
 
-/* Streams of the random numbers; level and step are mixed in by train_stream. */
+/* Streams of random numbers. train_stream combines them with level and step. */
 enum train_stream_id {
     TRAIN_STREAM_SHUFFLE = 1,
     TRAIN_STREAM_INIT,

@@ -1,9 +1,9 @@
-/* Density control of a level in work: what densify_plan.c decides, done to the Gaussians on the
+/* Density control of the current level: applies the plan of densify_plan.c to the Gaussians on the
  * device.
  *
- * Parameters are looked at where they lie (on CPU devices the host sees the same memory), and rows
- * move array by array: what it takes beyond the model is a few numbers a Gaussian, and one array
- * more when the arrays have to grow.
+ * Parameters are read where they are; on CPU devices the host sees the same memory. Rows are moved
+ * array by array. Beyond the model this needs a few numbers a Gaussian, and one more array when the
+ * arrays have to grow.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

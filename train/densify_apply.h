@@ -1,4 +1,4 @@
-/* Inside of train/: density control of the level in work.
+/* Internal to train/: density control of the current level.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -21,12 +21,12 @@ struct densify_run { /* all borrowed */
     struct gallery *gallery;
     const struct site *site;
     const struct stage *at;
-    struct importance **importance; /* NULL at first; made when candidates have to be ranked */
+    struct importance **importance; /* NULL at first; made when candidates are ranked */
     struct metrics_log *metrics;    /* NULL: none are written */
-    struct timing *timing;          /* turned to importance while that runs */
+    struct timing *timing;          /* runs on importance while that is computed */
 };
-/* The x-th densification of the level in work, from 1: remove, clone and split under its budget.
- * ERR_DATA: no Gaussian would be left; ERR_LIMIT: more than a cell can hold; ERR_MEM,
+/* Does densification x of the current level, from 1: it removes, clones and splits under the
+ * budget. ERR_DATA: no Gaussian would be left. ERR_LIMIT: more than a cell can hold. ERR_MEM,
  * ERR_DEVICE. */
 enum err_code densify_apply(struct model *m, const struct densify_run *r, uint32_t x,
                             struct err *e) ERR_USE;

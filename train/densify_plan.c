@@ -1,14 +1,15 @@
-/* Density control under a budget: who is cloned, split or removed.
+/* Density control under a budget: which Gaussians are cloned, split or removed.
  *
- * Candidates are Gaussians whose mean positional gradient exceeds a threshold that grows with the
- * distance from the cell (1 inside .. tau_outside at one cell edge). Small ones are cloned, large
- * ones split in two (3D Gaussian Splatting, Kerbl 2023). Inside and outside have a ceiling each,
- * and room is what a ceiling leaves to its own candidates; each class gets its share of it, drawn
- * without replacement with chances proportional to an importance score (Taming 3DGS, Mallick 2024).
- * The draw is an exponential race: the k smallest -ln(u_i) / importance_i, with u_i from the
- * counter generator, so it is the same on every machine and has no limit of size.
+ * Candidates are Gaussians whose mean positional gradient exceeds a threshold. The threshold grows
+ * with the distance from the cell: 1 inside .. tau_outside at one cell edge. Small candidates are
+ * cloned, large ones split in two (3D Gaussian Splatting, Kerbl 2023). Inside and outside have a
+ * limit each. The room under it is divided among the classes of candidates. In each class,
+ * candidates are drawn without replacement with chances proportional to an importance score (Taming
+ * 3DGS, Mallick 2024). The draw is an exponential race: the k smallest -ln(u_i) / importance_i,
+ * with u_i from the counter generator. It is therefore the same on every machine, and has no limit
+ * of size.
  *
- * Everything here runs on host copies in the device layout; nothing depends on the number of
+ * Everything here works on host copies in the device's layout, and does not depend on the number of
  * threads.
  *
  * SPDX-License-Identifier: Apache-2.0

@@ -1,4 +1,4 @@
-/* Which Gaussians are added and removed at one densification.
+/* Chooses the Gaussians that one densification adds and removes.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -26,42 +26,48 @@ struct densify_row {
     uint32_t source;
     uint16_t kind, parts;
 };
-enum densify_strategy { DENSIFY_STRATEGY_SPLIT, DENSIFY_STRATEGY_MCMC }; /* as options.def */
-/* Where the two halves of a Gaussian go (order of --split). DENSIFY_SPLIT_AXIS: at +-0.8 sigma on
- * its longest axis, which is 0.6 times as long in each half. Mean and covariance of the pair are
- * those of the parent; with 0.83 of its opacity so is the mass. This is the long-axis split of
- * Improved-GS (arXiv 2508.12313), with offsets from the moments. DENSIFY_SPLIT_RANDOM: at two
- * places drawn from the parent's distribution, all axes 1.6 times shorter, opacity unchanged
- * (3DGS). */
+/* in the order of options.def */
+enum densify_strategy { DENSIFY_STRATEGY_SPLIT, DENSIFY_STRATEGY_MCMC };
+/* How a Gaussian is split in two, in the order of --split.
+ *
+ * - DENSIFY_SPLIT_AXIS: the halves lie at +-0.8 sigma on the longest axis, which is shortened to
+ *   0.6 in each. The pair has the parent's mean and covariance. With 0.83 of the parent's opacity
+ *   it also has its mass. This is the long-axis split of Improved-GS (arXiv 2508.12313); the
+ *   offsets follow from the moments.
+ * - DENSIFY_SPLIT_RANDOM: the halves lie at two random places of the parent's distribution. All
+ *   axes are 1.6 times shorter, and the opacity is the same (3DGS). */
 enum densify_split { DENSIFY_SPLIT_AXIS, DENSIFY_SPLIT_RANDOM };
 struct densify_params {
     const struct cell *cell;
-    double origin_enu_m[3]; /* of the means in `params` */
+    double origin_enu_m[3]; /* origin of the means in `params` */
     size_t cap_inside, cap_outside;
-    enum densify_strategy strategy;         /* MCMC: tau, split and scores are not used */
-    double tau, tau_outside, split_above_m; /* larger ones are split */
+    enum densify_strategy strategy; /* with MCMC, tau, split and scores are not used */
+    /* a candidate above split_above_m is split, a smaller one cloned */
+    double tau, tau_outside, split_above_m;
     enum densify_split split;
-    double prune_opacity, prune_above_m; /* 0 = no limit of size */
-    const struct footprint *ground;      /* NULL: nothing is known of it */
-    double free_space_m; /* what lies farther above or below all points around is removed */
+    /* Gaussians above prune_above_m are removed; 0 = no limit */
+    double prune_opacity, prune_above_m;
+    const struct footprint *ground; /* NULL: not known */
+    double free_space_m; /* Gaussians this far above or below all points around are removed */
     double size_limit_m; /* over supported ground, longer ones are split before all others */
     const struct trim
-        *rim;           /* where photographs end; NULL: not known. What lies outside is removed */
-    double cut_above_m; /* larger ones that stick out of the photographs are split first */
+        *rim; /* where the photographs end: Gaussians outside are removed; NULL: not known */
+    double cut_above_m; /* larger ones that reach out of the photographs are split first */
     uint64_t seed;
     uint32_t level, step;
 };
-struct densify_input { /* host copies in the device layout, [groups][planes][16] */
+struct densify_input { /* host copies in the device's layout, [groups][planes][16] */
     const float *params;
     size_t n;
     uint32_t planes;
-    const float *mean_grad; /* [n] mean positional gradient per frame seen, NDC units */
-    const float *opacity; /* [n] what to compare with prune_opacity; NULL: that of the parameters */
-    const float *score;   /* [n] importance, >= 0; NULL while the budget does not bind: all equal */
+    /* [n] mean positional gradient in the frames that saw it, NDC units */
+    const float *mean_grad;
+    const float *opacity; /* [n] compared with prune_opacity; NULL: use the opacity in `params` */
+    const float *score;   /* [n] importance, >= 0; NULL if the budget does not bind: all equal */
 };
 struct densify_report {
     size_t before, pruned, clone_candidates, split_candidates, room, cloned, split, after, inside,
-        outside, cut;      /* cut: split because they stick out, of `split` */
+        outside, cut;      /* cut: those of `split` that reach out of the photographs */
     bool needs_importance; /* the budget binds: call again with a score */
 };
 struct densify_plan { /* {0} is empty; densify_plan_free */
@@ -69,30 +75,30 @@ struct densify_plan { /* {0} is empty; densify_plan_free */
     size_t n;
     struct densify_report report;
 };
-/* Choose. Where the budget binds and there is no score, only the report is filled and rows stays
- * NULL. Afterwards there are at most cap_inside Gaussians inside the cell, or as many as before if
- * that was more; the same holds outside. densify_plan_free it. ERR_LIMIT: more than 2^31 Gaussians;
- * ERR_MEM. */
+/* Makes a plan. If the budget binds and there is no score, it fills only the report, and rows stays
+ * NULL. The plan leaves at most cap_inside Gaussians inside the cell, or as many as before if that
+ * was more; the same holds outside. Free *out with densify_plan_free. ERR_LIMIT: more than 2^31
+ * Gaussians. ERR_MEM. */
 enum err_code densify_plan_make(const struct densify_params *p, const struct densify_input *in,
                                 struct densify_plan *out, struct err *e) ERR_USE;
 void densify_plan_free(struct densify_plan *p);
-/* The rows of a plan along the Morton curve of their new means. */
-struct densify_order {       /* {0} is empty; densify_order_free */
-    struct permutation rows; /* where each comes from; all but those kept are PERMUTE_NEW */
-    uint32_t *split;         /* [n_split] rows that are halves ... */
-    float *mean;             /* [n_split][3] ... and go there */
+/* The rows of a plan, in the order of their new means along a Morton curve. */
+struct densify_order {       /* {0} is empty; free with densify_order_free */
+    struct permutation rows; /* sources of the rows; all but kept ones are PERMUTE_NEW */
+    uint32_t *split;         /* [n_split] rows that are halves */
+    float *mean;             /* [n_split][3] their places */
     size_t n_split;
-    uint32_t *shared; /* [n_shared] rows that share a place ... */
-    uint16_t *parts;  /* [n_shared] ... with so many, themselves included */
+    uint32_t *shared; /* [n_shared] rows that share a place */
+    uint16_t *parts;  /* [n_shared] number of Gaussians in that place, this one included */
     size_t n_shared;
     enum densify_split how;
 };
-/* Put the rows of a plan in that order. densify_order_free it. ERR_MEM. */
+/* Computes that order. Free *out with densify_order_free. ERR_MEM. */
 enum err_code densify_order(const struct densify_params *p, const struct densify_input *in,
                             const struct densify_plan *plan, struct densify_order *out,
                             struct err *e) ERR_USE;
 void densify_order_free(struct densify_order *o);
-/* After permute_move of the parameters: copies of parents that were split become their halves, and
- * those that share a place their parts. */
+/* Call it after permute_move of the parameters. Copies of split parents become halves, and copies
+ * that share a place become parts. */
 void densify_halve(const struct densify_order *o, float *params);
 #endif

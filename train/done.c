@@ -1,9 +1,9 @@
 /* The done-file and the lock of a cell's folder.
  *
- * done.json is written after everything else, by rename, so its presence says that the cell is
- * complete even where a job was killed between two files. It repeats what the levels hold, so a
- * list of many cells need not open their checkpoints. The lock is an advisory one on a file that
- * stays: it goes with the process, however that ends.
+ * done.json is written after everything else, by rename. If it exists, the cell is complete, even
+ * if a job was killed between two files. It repeats key numbers of the levels, so a list of many
+ * cells need not open their checkpoints. The lock is an advisory lock on a file that is never
+ * removed. It ends with the process, however that ends.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* Inside of train/: what is constant in the run of one cell. run.c fills it before the first step;
- * nobody writes it later.
+/* Internal to train/: what is constant in the run of one cell. run.c fills it before the first
+ * step, and no code changes it later.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -14,15 +14,15 @@ struct photometric;
 struct render;
 struct trim;
 
-struct engine { /* what computes; borrowed */
+struct engine { /* device, renderer and loss; borrowed */
     struct dev *dev;
     struct render *render;
     struct photometric *loss;
 };
-struct site { /* where the Gaussians are */
+struct site { /* the cell and its ground */
     struct cell cell;
     const struct footprint *ground; /* borrowed; NULL: not known */
-    const struct trim *rim;         /* where photographs end; borrowed; NULL: not known */
+    const struct trim *rim;         /* where the photographs end; borrowed; NULL: not known */
 };
 
 #endif

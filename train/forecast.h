@@ -1,5 +1,5 @@
-/* Inside of train/: how long the rest of a run will take. Every kind of work has a cost in units of
- * one Gaussian of one step. How long a unit takes is measured as the run goes on.
+/* Internal to train/: the time that the rest of a run will take. Every kind of work has a cost, in
+ * units of one Gaussian of one step. The time of a unit is measured during the run.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -14,23 +14,23 @@
 struct gallery;
 struct stage;
 
-struct forecast {                    /* {0} at first; forecast_open */
-    double pixels[TRAIN_LEVELS_MAX]; /* of a training photograph, mean, by level */
-    double views;                    /* drawn at a densification, for importance */
+struct forecast {                    /* {0} at first, then forecast_open */
+    double pixels[TRAIN_LEVELS_MAX]; /* mean pixels of a training photograph, by level */
+    double views;                    /* photographs drawn at a densification, for importance */
     size_t n_images, n_tests;
-    double work, seconds; /* done so far; what is long ago counts less */
+    double work, seconds; /* units done and their time; older work counts less */
 };
-/* What does not change in a run. n_tests: photographs that are scored after a level. */
+/* Sets what is constant in a run. n_tests: number of photographs that are scored after a level. */
 void forecast_open(struct forecast *f, const struct gallery *g, const struct stage *at,
                    size_t n_tests);
-/* The steps of the level in work from `first` to at->step took so many seconds, with this many
- * Gaussians, without the time that compiling kernels took. */
+/* Adds a measurement: the steps of the current level from `first` to at->step took `seconds`, with
+ * this many Gaussians. Time for compiling kernels is not included. */
 void forecast_add(struct forecast *f, const struct stage *at, uint32_t first, double gaussians,
                   double seconds);
-/* Seconds for what is left of all levels, with their ends; 0 where nothing was measured. Gaussians
- * grow as the schedule lets them. */
+/* Seconds for the rest of all levels, with the work at their ends. 0: nothing was measured yet. It
+ * assumes that Gaussians grow by the schedule. */
 double forecast_left_s(const struct forecast *f, const struct stage *at, double gaussians);
-/* "40 s", "12 min", "3 h 20 min", "2 d 4 h" into out. */
+/* Writes a time as "40 s", "12 min", "3 h 20 min" or "2 d 4 h". */
 void forecast_text(double seconds, char *out, size_t size);
 
 #endif

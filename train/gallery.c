@@ -1,4 +1,4 @@
-/* Drawing training photographs from the model, and comparing them with their drawings.
+/* Draws training photographs from the model, and compares them with their drawings.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

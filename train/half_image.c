@@ -1,7 +1,8 @@
 /* The half-image protocol; see half_image.h.
  *
- * Learning draws only the columns of the half (a camera with a narrower picture), which halves its
- * cost; scoring draws the whole picture and cuts, so that the pixels are those of any other score.
+ * Learning draws only the columns of the half, by a camera with a narrower picture, which halves
+ * its cost. Scoring draws the whole picture and cuts it, so that pixels are the same as in any
+ * other score.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

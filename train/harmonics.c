@@ -1,4 +1,4 @@
-/* The smallest harmonics that look alike from where photographs stood: normal equations of a
+/* Harmonics of least size that look the same from the photographs: the normal equations of a
  * Gaussian, 16 by 16, by Cholesky.
  *
  * SPDX-License-Identifier: Apache-2.0

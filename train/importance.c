@@ -1,16 +1,15 @@
-/* Importance of every Gaussian, the chances in the draw of density control (Taming 3DGS, Mallick
- * 2024).
+/* Importance of every Gaussian, which gives the chances in the draw of density control (Taming
+ * 3DGS, Mallick 2024).
  *
- * A number of random training views is drawn. In each, a pixel weighs 50 times its error plus 50
- * times the edge strength of the photograph (both stretched to 0..1); every Gaussian collects what
- * it touches. Nine quantities, each divided by its median over the Gaussians that have it, are
- * added with fixed coefficients, and the view counts by its loss:
+ * A number of random training views is drawn. In each, the weight of a pixel is 50 times its error
+ * plus 50 times the edge strength of the photograph, both stretched to 0..1. Every Gaussian sums
+ * over the pixels that it touches. Nine quantities, each divided by its median over the Gaussians
+ * that have it, are added with fixed coefficients. A view counts by its loss L:
  *
- *   50 L (25 gradient + 100 opacity + 5 depth + 10 radius + 25 volume + 50 distance + 10 weight +
- * 0.1 pixels
- *         + 50 alpha T)
+ *     50 L (25 gradient + 100 opacity + 5 depth + 10 radius + 25 volume + 50 distance + 10 weight
+ *           + 0.1 pixels + 50 alpha T)
  *
- * A picture of one colour or a view that sees nothing gives zeros, never a division by zero.
+ * A picture of one colour, or a view that sees nothing, gives zeros, never a division by zero.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

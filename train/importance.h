@@ -16,16 +16,16 @@ struct stage;
 
 struct importance;
 void importance_free(struct importance **s);
-/* Importance of every Gaussian over cfg->importance_views random training photographs: score[n],
- * finite and >= 0. params: the model's parameters as the host sees them; mean_grad [n]. *own keeps
- * kernels and buffers from call to call: NULL at first, importance_free it. ERR_MEM, ERR_DEVICE,
- * and what photo_loader_get_nth fails with. */
+/* Computes the importance of every Gaussian over cfg->importance_views random training photographs:
+ * score [n], finite and >= 0. params: host view of the model's parameters; mean_grad [n]. *own
+ * keeps kernels and buffers between calls; it is NULL at first, free it with importance_free.
+ * ERR_MEM, ERR_DEVICE, and the errors of photo_loader_get_nth. */
 enum err_code importance_run(struct importance **own, const struct model *m, struct gallery *g,
                              const struct stage *at, const float *params, const float *mean_grad,
                              float *score, struct err *e) ERR_USE;
-/* Its parts, for tests. x -> 0..1, 0 when all are equal. Edges: [h][w], stretched. 1 / median of
- * the values above 0 among x[0], x[stride] .. x[(n - 1) stride] (0 when there are none).
- * ERR_MEM. */
+/* Parts, for tests. importance_stretch maps x to 0..1, or to 0 if all are equal. importance_edges
+ * gives edge strengths [h][w], stretched. importance_inverse_median gives 1 / median of the values
+ * above 0 among x[0], x[stride] .. x[(n - 1) stride], or 0 if there are none. ERR_MEM. */
 void importance_stretch(float *x, size_t n);
 void importance_edges(const uint8_t *px, uint32_t w, uint32_t h, float *luma, float *out);
 enum err_code importance_inverse_median(const float *x, size_t n, size_t stride, float *out,

@@ -1,6 +1,6 @@
-/* The first Gaussians: one at each point of the sparse model, as large as its neighbours are far
- * (3D Gaussian Splatting, Kerbl 2023, section 5.1), round, opacity 0.1, colour of the point in the
- * constant harmonic.
+/* The first Gaussians: one at each point of the sparse model (3D Gaussian Splatting, Kerbl 2023,
+ * section 5.1). They are round, have an opacity of 0.1, the point's colour in the constant
+ * harmonic, and a size by the distance to their neighbours.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* The first Gaussians: from the points of the scene.
+/* The first Gaussians, from the points of the scene.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -20,37 +20,37 @@ struct init_input { /* all borrowed */
     const uint32_t *images; /* [n_images] training photographs */
     size_t n_images;
     const struct cell *cell;
-    const struct footprint *ground; /* NULL: no Gaussians but those of points */
-    double ground_share;            /* of `limit`, most Gaussians on ground without points */
-    bool no_masks;                  /* take points on ignored pixels, too */
+    const struct footprint *ground; /* NULL: Gaussians only at points */
+    double ground_share;            /* share of `limit`: most Gaussians on ground without points */
+    bool no_masks;                  /* also use points on masked pixels */
     uint32_t sh_degree;
-    size_t limit; /* most Gaussians */
+    size_t limit; /* largest number of Gaussians */
     uint64_t seed;
 };
-/* Gaussians at the scene's points (for a cell of a plan: at the points that its photographs see).
- * Size from the three nearest neighbours, opacity 0.1. If there are more points than `limit`, an
- * even random choice is taken. If there are none, 100 places in front of the cameras are taken.
- * Each grid cell of the ground that a photograph sees and that has no point gets one more Gaussian,
- * at the height of its neighbours and with the colour of the nearest point.
- * Origin: mean of the points. gauss_free it. ERR_MEM; ERR_LIMIT: more points than knn_build
- * takes. */
+/* Makes Gaussians at the scene's points; for a cell of a plan, at the points that its photographs
+ * see. The size comes from the three nearest neighbours, the opacity is 0.1. If there are more
+ * points than `limit`, a random subset is used. If there are none, 100 places in front of the
+ * cameras are used. Each grid cell of the ground that a photograph sees and that has no point gets
+ * a Gaussian, with the height of its neighbours and the colour of the nearest point. The origin is
+ * the mean of the points. Free *out with gauss_free. ERR_MEM. ERR_LIMIT: more points than knn_build
+ * accepts. */
 enum err_code init_gauss(const struct init_input *in, struct gauss *out, struct err *e) ERR_USE;
 /* The number of points that init_gauss would use without a limit. ERR_MEM. */
 enum err_code init_count_points(const struct scene *s, const uint32_t *images, size_t n_images,
                                 const struct cell *cell, size_t *out, struct err *e) ERR_USE;
-/* dist2[i]: mean squared distance of point i to its three nearest others (fewer when there are
- * fewer). ERR_MEM, ERR_LIMIT. */
+/* dist2[i]: mean squared distance of point i to its three nearest others, or to all if there are
+ * fewer. ERR_MEM, ERR_LIMIT. */
 enum err_code init_neighbour_dist2(const float *xyz, size_t n, float *dist2, struct err *e) ERR_USE;
-/* Instead, the Gaussians of a coarse model of the whole scene. Those inside the cell are thinned
- * evenly to `limit` and enlarged to cover the same ground. Those around the cell that its
- * photographs show are taken too, so that the cell does not learn its background again; they are
- * the last init_count_around rows. gauss_free it. ERR_MEM. */
+/* Starts from a coarse model of the whole scene instead. Gaussians inside the cell are thinned
+ * evenly to `limit` and enlarged to cover the same ground. Gaussians around the cell that its
+ * photographs show are included, so that the cell need not learn its background again. They are the
+ * last init_count_around rows. Free *out with gauss_free. ERR_MEM. */
 enum err_code init_coarse(const struct init_input *in, const struct gauss *coarse,
                           struct gauss *out, struct err *e) ERR_USE;
 size_t init_count_around(const struct gauss *coarse, const struct scene *s, const uint32_t *images,
                          size_t n_images, const struct cell *cell);
-/* The squared size of the first Gaussians [n]: as above, but at most three times the median size
- * of the nine nearest points, so that a point that lies alone does not become huge. ERR_MEM,
- * ERR_LIMIT as knn_build. */
+/* The squared size of the first Gaussians [n], as in init_gauss. It is limited to three times the
+ * median size of the nine nearest points, so that an isolated point does not become huge. ERR_MEM,
+ * ERR_LIMIT as in knn_build. */
 enum err_code init_size2(const float *xyz, size_t n, float *size2, struct err *e) ERR_USE;
 #endif

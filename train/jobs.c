@@ -1,10 +1,10 @@
-/* Cells as child processes of one machine. The parent opens no device: it starts `program train
- * SCENE --cell ID` in free slots, reads how far each is from the last lines of its metrics.jsonl,
- * and collects the done-files. Every child runs from the same cells/jobs.jsonc, the resolved
+/* Cells as child processes on one machine. The parent opens no device. It starts `program train
+ * SCENE --cell ID` in free slots, reads the progress of each from the last lines of its
+ * metrics.jsonl, and collects the done-files. Every child reads cells/jobs.jsonc, the resolved
  * options of the parent.
  *
- * A child leads a process group of its own, so Ctrl-C reaches the parent alone, which passes it on
- * as SIGTERM once and waits; a child whose parent dies gets SIGTERM from the kernel.
+ * A child leads its own process group, so Ctrl-C reaches only the parent. The parent passes it on
+ * as SIGTERM once and waits. If the parent dies, the kernel sends SIGTERM to its children.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,7 +1,7 @@
-/* Memory of a cell in training: sizes of every buffer that grows with Gaussians or pixels, added
- * up. Parameters and moments have the room that their level's budget asks for; a frame's buffers
- * grow by steps and count with the most they may have beyond their need. What comes and goes
- * (densification, scores, pruning, similarity) never meets: the largest counts.
+/* Memory of a cell in training: the sum of all buffers that grow with Gaussians or pixels.
+ * Parameters and moments have room for their level's budget. A frame's buffers grow in steps, and
+ * count with their largest excess. Temporary buffers (densification, scores, pruning, similarity)
+ * never exist together, so only the largest counts.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

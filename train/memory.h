@@ -1,5 +1,6 @@
-/* What training a cell takes, as a function of Gaussians, pictures and options. The formula is
- * stated in docs/cells.md and held by stability_cells: whoever adds a buffer adds it here.
+/* Memory for training a cell, as a function of Gaussians, pictures and options. docs/cells.md
+ * states the formula, and the test stability_cells checks it. A new buffer in training must be
+ * added here.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -14,20 +15,21 @@ struct scene;
 struct schedule;
 struct train_config;
 
-/* Device and host together: on a CPU device they are the same memory. */
+/* Memory of device and host together: on a CPU device they are the same. */
 struct memory_need {
-    size_t per_gaussian; /* bytes, the sum of the next three */
-    size_t trained;      /* parameters, two Adam moments, statistics, gradients of regularizers */
-    size_t drawn;        /* a frame's records and keys, lists of intersections and their slots */
-    size_t passing;      /* the most that density control, scores or pruning need for a moment */
-    size_t per_pixel;    /* of the finest level's picture: pictures, loss, scores, evaluation */
-    size_t photo_bytes;  /* decoded photographs kept, and those being decoded */
+    size_t per_gaussian; /* bytes: sum of the next three */
+    size_t trained;      /* parameters, both Adam moments, statistics, gradients of regularizers */
+    size_t drawn;        /* records and keys of a frame, lists of intersections and their slots */
+    size_t passing;      /* largest temporary need of density control, scores or pruning */
+    size_t per_pixel;    /* for the finest level: pictures, loss, scores, evaluation */
+    size_t photo_bytes;  /* decoded photographs in the cache, and those in decoding */
     size_t group_bytes;  /* with appearance: groups of neighbours whose embeddings are compared */
-    size_t gaussians;    /* most of them: inside the cell and out */
+    size_t gaussians;    /* largest number, inside the cell and outside */
     size_t pixels;       /* of the largest picture */
-    size_t total;        /* without the program itself and its OpenCL compiler */
+    size_t total;        /* all, without the program itself and its OpenCL compiler */
 };
-/* budgets: levels[0 .. n_levels - 1].budget, and .around. `whole`: the cell has no outside. */
+/* Estimates the memory. Budgets are levels[0 .. n_levels - 1].budget and .around. `whole`: the cell
+ * has no outside. */
 struct memory_need memory_estimate(const struct train_config *cfg, const struct scene *s,
                                    const uint32_t *images, size_t n_images,
                                    const struct schedule *levels, uint32_t n_levels, bool whole);

@@ -1,5 +1,5 @@
 /* metrics.jsonl: one JSON object a line, for programs that plot or compare runs. Lines are flushed
- * as they are written, so a running or killed job can be read.
+ * at once, so the file of a running or killed job can be read.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

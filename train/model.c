@@ -1,7 +1,7 @@
 /* Gaussians in training, on the device.
  *
- * On a CPU device the host sees the same memory, so arrays are mapped and changed where they lie.
- * When they have to grow, one after the other is moved into a larger buffer.
+ * On a CPU device the host sees the same memory, so arrays are mapped and changed in place. When
+ * they have to grow, they are moved into larger buffers one after another.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

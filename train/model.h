@@ -1,11 +1,11 @@
-/* Inside of train/: the Gaussians in training as they lie on the device, and what moves them:
- * parameters, both Adam moments, statistics for densification and the 3-D filter of Mip-Splatting.
- * Knows nothing of levels, photographs or options.
+/* Internal to train/: the Gaussians in training on the device, and their optimiser: parameters,
+ * both Adam moments, statistics for densification, and the 3-D filter of Mip-Splatting. It does not
+ * know levels, photographs or options.
  *
- *   gauss.params, adam.m1, adam.m2   float [groups][planes][16], capacity gauss.cap rows
- *   stats.*, gauss.filter            float [cap]
+ *     gauss.params, adam.m1, adam.m2   float [groups][planes][16], capacity gauss.cap rows
+ *     stats.*, gauss.filter            float [cap]
  *
- * One thread at a time uses a model. The device's queue orders what happens to it.
+ * Only one thread at a time uses a model. The device's queue orders the work on it.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -20,53 +20,52 @@ struct cell;
 struct dev;
 struct mip;
 
-struct model {       /* {0} is empty; model_close */
+struct model {       /* {0} is empty; free with model_close */
     struct dev *dev; /* borrowed, as is the renderer */
     struct render *render;
-    struct render_model gauss;         /* what is drawn; cap may exceed n */
-    struct render_adam adam;           /* the moments, and rates that level.c sets */
-    struct render_density_stats stats; /* opacity NULL where Gaussians have no embeddings */
+    struct render_model gauss;         /* Gaussians to draw; cap may exceed n */
+    struct render_adam adam;           /* moments, and learning rates set by level.c */
+    struct render_density_stats stats; /* opacity is NULL if Gaussians have no embeddings */
     struct mip *mip;                   /* made on first use */
-    bool filter_is_current;            /* gauss.filter is that of these Gaussians */
+    bool filter_is_current;            /* gauss.filter belongs to the present Gaussians */
 };
 
-/* Room for like->n Gaussians of like's degree, embeddings and origin; parameters and moments are
- * not filled, statistics are 0. `like` needs no arrays. `most`: Gaussians that there will be at
- * most as far as is known now; room for them is taken at once where that is less than twice n.
- * ERR_LIMIT: more than the renderer counts; ERR_MEM, ERR_DEVICE: the device has no room.
- * model_close it, also after an error. */
+/* Allocates room for like->n Gaussians with like's degree, embedding length and origin. `like`
+ * needs no arrays. Parameters and moments are not filled, statistics are 0. `most` is the largest
+ * number expected now; room for it is allocated at once if it is less than twice n. Call
+ * model_close afterwards, also after an error. ERR_LIMIT: more than the renderer can count.
+ * ERR_MEM, ERR_DEVICE: the device has no room. */
 enum err_code model_open(struct model *m, struct dev *dev, struct render *render,
                          const struct gauss *like, size_t most, struct err *e) ERR_USE;
 void model_close(struct model *m);
-/* After model_open with this g: its parameters, and moments 0. ERR_DEVICE: from the device. */
+/* Fills the parameters from g, the one given to model_open, and sets moments to 0. ERR_DEVICE. */
 enum err_code model_fill(struct model *m, const struct gauss *g, struct err *e) ERR_USE;
-/* Gaussians as they are now; the caller says whether they are anti-aliased. gauss_free it. ERR_MEM,
- * ERR_DEVICE. */
+/* Copies the present Gaussians. The caller sets whether they are anti-aliased. Free *out with
+ * gauss_free. ERR_MEM, ERR_DEVICE. */
 enum err_code model_gauss(const struct model *m, struct gauss *out, struct err *e) ERR_USE;
-/* Bytes in use of each of the parameters and the two moments. */
+/* Bytes in use in each of three arrays: the parameters and the two moments. */
 size_t model_bytes(const struct model *m);
 
-/* Other rows out of those there are: parameters as r says, moments 0 where that is PERMUTE_NEW. The
- * arrays are done one after the other, so that when they grow no more than one of them is there
- * twice. Statistics become 0. `most` as in model_open. ERR_LIMIT: more than the renderer counts;
- * ERR_MEM, ERR_DEVICE. */
+/* Replaces the rows by those that r describes. Moments are 0 for PERMUTE_NEW, statistics become 0.
+ * Arrays are changed one after another, so at most one of them exists twice when they grow. `most`:
+ * as in model_open. ERR_LIMIT: more than the renderer can count. ERR_MEM, ERR_DEVICE. */
 enum err_code model_move(struct model *m, const struct permutation *r, size_t most,
                          struct err *e) ERR_USE;
-/* Draw the first n rows only, or again those that model_move made; the others stay. Statistics
- * become 0. ERR_DEVICE. */
+/* Draws only the first n rows from now on; a larger n shows rows of the last model_move again.
+ * Hidden rows are kept. Statistics become 0. ERR_DEVICE. */
 enum err_code model_show(struct model *m, size_t n, struct err *e) ERR_USE;
-/* The rows that are not shown are gone for good. ERR_DEVICE. */
+/* Removes the hidden rows for good. ERR_DEVICE. */
 enum err_code model_forget(struct model *m, struct err *e) ERR_USE;
 
-/* The optimiser begins anew. ERR_DEVICE. */
+/* Set moments, or statistics, to 0. ERR_DEVICE. */
 enum err_code model_zero_moments(struct model *m, struct err *e) ERR_USE;
 enum err_code model_zero_stats(struct model *m, struct err *e) ERR_USE;
-/* Lower every opacity to `top` (0..1) and forget its moments. ERR_DEVICE. */
+/* Lowers opacities above `top` (0..1) to it and sets their moments to 0. ERR_DEVICE. */
 enum err_code model_reset_opacity(struct model *m, double top, struct err *e) ERR_USE;
-/* Gaussians inside the cell. ERR_DEVICE. */
+/* Number of Gaussians inside the cell. ERR_DEVICE. */
 enum err_code model_count_inside(const struct model *m, const struct cell *cell, size_t *out,
                                  struct err *e) ERR_USE;
-/* Compute gauss.filter for these cameras if it is not current. ERR_MEM, ERR_DEVICE. */
+/* Computes gauss.filter for these cameras if it is not current. ERR_MEM, ERR_DEVICE. */
 enum err_code model_filter(struct model *m, const struct camera *cams, size_t n_cams,
                            struct err *e) ERR_USE;
 

@@ -1,12 +1,12 @@
-/* Photographs at training size, decoded ahead of their use.
+/* Photographs at training size, decoded before their use.
  *
- * Order: every epoch is a fresh Fisher-Yates shuffle made from (seed, level, epoch) alone, so step
- * t's photograph does not depend on caches, threads or where a run was resumed. Memory: decoded
- * bytes are kept up to a limit and the least recently used go first; a photograph handed out is
- * pinned until the next call. One thread decodes the photographs of the coming steps while the
- * device works.
+ * Order: every epoch is a new Fisher-Yates shuffle from (seed, level, epoch) alone. The photograph
+ * of a step therefore does not depend on caches, threads or where a run was resumed. Memory:
+ * decoded bytes are kept up to a limit, and the least recently used are dropped first. A photograph
+ * that was returned is pinned until the next call. One thread decodes the photographs of the coming
+ * steps while the device works.
  *
- * `lock` guards everything below it in struct photo_loader; pixels of a slot in state READY and
+ * `lock` guards everything below it in struct photo_loader. Pixels of a slot that is READY and
  * pinned are read without it.
  *
  * SPDX-License-Identifier: Apache-2.0

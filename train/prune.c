@@ -1,14 +1,15 @@
-/* Contribution pruning: Gaussians that add next to nothing to any training photograph cost bytes
- * and time for ever after. The score is the blending weight itself, the sum of alpha T over all
- * pixels of the training views, divided by how many of these show the Gaussian: at the rim of a
- * survey few do, and what they show is as good as what many show. Candidates are the faintest that
- * together hold no more than a given share of all scores, and those that few photographs see,
- * floaters close to one camera.
+/* Contribution pruning: Gaussians that add almost nothing to any training photograph cost bytes and
+ * time. The score of a Gaussian is its blending weight: the sum of alpha T over all pixels of the
+ * training views, divided by the number of views that show it. The division is fair to the rim of a
+ * survey, where few views show a Gaussian. Candidates are the faintest ones, which together have at
+ * most a given share of all scores, and those that few photographs see: floaters close to one
+ * camera.
  *
- * Candidates go behind all others, the weakest last, so that drawing fewer rows is drawing without
- * the weakest. How many can go is bisected: a few photographs drawn again may lose no more than the
- * option allows. One pass over the photographs measures; at coarser levels of short runs only some
- * of them do. Then nobody is a candidate for being seen by few, nor what none of them shows.
+ * Candidates are moved behind all others, the weakest last, so drawing fewer rows means drawing
+ * without the weakest. The number to remove is found by bisection: a few photographs are drawn
+ * again and may lose no more than the option allows. One pass over the photographs measures scores.
+ * At coarser levels of short runs only some photographs are measured. Then support does not make
+ * candidates, and Gaussians that no measured photograph shows are kept.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

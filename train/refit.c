@@ -1,4 +1,4 @@
-/* Coarser levels take over the appearance network of the finest one.
+/* Adapts coarser levels to the appearance network of the finest one: see refit.h.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

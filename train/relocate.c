@@ -1,4 +1,4 @@
-/* Where Gaussians go in 3DGS-MCMC, and what those that share a place become.
+/* Where Gaussians go in 3DGS-MCMC, and the opacity and size of those that share a place.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

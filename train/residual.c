@@ -1,9 +1,9 @@
 /* Residuals of single photographs, ranked by robust z-scores.
  *
- * Median and MAD in place of mean and standard deviation: a few bad photographs must not widen the
- * scale that they are measured with. Two columns, since two kinds of failure exist: a wrong pose
- * ruins structure (SSIM) also where the ground has little contrast, a wrong exposure ruins colours
- * (squared error, in logarithms, whose spread over photographs is nearly even).
+ * Median and MAD replace mean and standard deviation, because a few bad photographs must not widen
+ * the scale that measures them. There are two columns for two kinds of failure. A wrong pose ruins
+ * structure (SSIM), also on ground with little contrast. A wrong exposure ruins colours (squared
+ * error, as a logarithm, whose spread over photographs is nearly even).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

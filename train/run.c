@@ -1,5 +1,5 @@
-/* One cell from its first step to its last level (begin.c has what comes before): go through the
- * levels, score and save each, leave a state to resume from whenever the run is interrupted.
+/* Trains one cell, from its first step to its last level; begin.c prepares it. It goes through the
+ * levels, scores and saves each, and leaves a state to resume from when the run is interrupted.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* Inside of train/: one cell, from its first step to done.json.
+/* Internal to train/: trains one cell, from its first step to done.json.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -11,9 +11,9 @@
 struct train_cell_result;
 
 /* Locks the cell's folder, trains what is missing in it and writes done.json last. ERR_BUSY:
- * another process is at it; ERR_ARG: it holds a finished run with other options, or options do not
- * fit; ERR_CANCEL: stopped, and the state was saved; ERR_DATA, ERR_LIMIT: it cannot be trained;
- * ERR_NOENT, ERR_IO, ERR_FORMAT: files; ERR_MEM, ERR_DEVICE. */
+ * another process trains the cell. ERR_ARG: the folder has a finished run with other options, or
+ * options are invalid. ERR_CANCEL: stopped; the state was saved. ERR_DATA, ERR_LIMIT: it cannot be
+ * trained. ERR_NOENT, ERR_IO, ERR_FORMAT: of files. ERR_MEM, ERR_DEVICE. */
 enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out,
                        struct err *e) ERR_USE;
 #endif

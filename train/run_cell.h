@@ -1,4 +1,4 @@
-/* Inside of train/: what one cell's run is given.
+/* Internal to train/: the input of one cell's run.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -21,7 +21,7 @@ struct train_config;
 
 struct run_cell { /* one cell to train; all borrowed */
     const struct train_config *cfg;
-    const char *base_dir; /* cells/ goes there */
+    const char *base_dir; /* folder of cells/ */
     const struct scene *scene;
     const uint32_t *images;
     uint32_t *test_images;
@@ -30,10 +30,11 @@ struct run_cell { /* one cell to train; all borrowed */
     struct dev *dev;
     struct render *render;
     struct photometric *loss;
-    const struct appearance *shared; /* of all cells; NULL: the cell learns its own */
-    const struct gauss *coarse;      /* of the whole scene, to begin from; NULL: sparse points */
-    uint64_t *steps;                 /* of this process, counted on */
-    bool reuse; /* a finished run with these options is taken as it is, with --overwrite as well */
+    /* appearance model of all cells; NULL: the cell learns its own */
+    const struct appearance *shared;
+    const struct gauss *coarse; /* coarse model to begin from; NULL: sparse points */
+    uint64_t *steps;            /* counts the steps of this process */
+    bool reuse; /* accept a finished run with these options, even with --overwrite */
 };
 
 #endif

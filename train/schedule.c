@@ -1,10 +1,10 @@
-/* What happens at which step of a level: length, densification, opacity resets, harmonics degree,
- * the learning rate of positions. Pure functions of the configuration, so a resumed run needs no
- * state of its own here.
+/* What happens at which step of a level: length, densification, opacity resets, degree of
+ * harmonics, learning rate of positions. All are pure functions of the options, so a resumed run
+ * needs no state for them.
  *
- * Lengths stretch with the number of photographs, kappa = max(n / 600, 1), rounded up to two
- * decimals. A run of a given total length (--iterations) shrinks instead; what then happens to each
- * interval was measured, not derived, and stands beside its constant.
+ * Lengths grow with the number of photographs, by kappa = max(n / 600, 1), rounded up to two
+ * decimals. A run of a given total length (--iterations) is shortened instead. How each interval
+ * shrinks then was found by measurements; the reasons stand beside its constant.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,9 +1,10 @@
-/* What a run writes down: the state to go on from, and the result of each level.
+/* The files of a run: the state to resume from, and the result of each level.
  *
- * The state is the Gaussians, both Adam moments and the densification statistics in the device's
- * layout, and three numbers: level, step, Gaussians at the level's start. Everything else (order of
- * photographs, schedules, random numbers) is a function of these, the configuration and the cell,
- * which are stored and compared: a run can only go on with the options and the plan it began with.
+ * A state has the Gaussians, both Adam moments and the densification statistics in the device's
+ * layout, and three numbers: level, step, and Gaussians at the level's start. Everything else
+ * (order of photographs, schedules, random numbers) follows from these, the options and the cell.
+ * Options and cell are stored and compared: a run can be continued only with the options and the
+ * plan that it began with.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* Inside of train/: a level in training, saved and restored.
+/* Internal to train/: saves and restores a level in training.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -14,35 +14,35 @@ struct engine;
 struct evaluate_score;
 struct model;
 
-struct state { /* what a checkpoint holds besides the Gaussians; all borrowed but `at` */
+struct state { /* content of a checkpoint besides the Gaussians; all borrowed except `at` */
     struct state_run run;
     struct stage at;
     struct appearance_train *appearance;
     struct budget *budget;
-    double seconds; /* spent on the run so far, by all processes */
+    double seconds; /* time of the run so far, in all processes */
 };
-/* Everything needed to go on, and where the run stands. ERR_IO: cannot be written; ERR_MEM,
- * ERR_DEVICE. */
+/* Saves everything that is needed to continue. ERR_IO: it cannot be written. ERR_MEM, ERR_DEVICE.
+ */
 enum err_code state_save(const struct model *m, const struct state *s, const char *path,
                          struct err *e) ERR_USE;
-/* Back into a model that was not opened, and into s, whose `run` and schedules are set: at,
- * appearance, budget and seconds become those that were saved. ERR_ARG names the first
- * option that differs from the saved run's; ERR_DATA: another cell or other photographs;
- * ERR_FORMAT: not such a file; ERR_NOENT; ERR_IO: cannot be read. model_close it, also after an
- * error. */
+/* Restores a state into a model that is not open, and into s. s->run and the schedules must be set;
+ * at, appearance, budget and seconds become the saved ones. Call model_close afterwards, also after
+ * an error. ERR_ARG names the first option that differs from the saved run. ERR_DATA: another cell
+ * or other photographs. ERR_FORMAT: it is no such file. ERR_NOENT. ERR_IO: it cannot be read.
+ * ERR_MEM, ERR_DEVICE. */
 enum err_code state_load(struct model *m, const struct engine *with, struct state *s,
                          const char *path, struct err *e) ERR_USE;
-/* The result of the level in work. With Mip-Splatting the model's filter has to be current. `score`
- * may be NULL. ERR_IO, ERR_MEM, ERR_DEVICE. */
+/* Saves the result of the current level. With Mip-Splatting the model's filter must be current.
+ * `score` may be NULL. ERR_IO, ERR_MEM, ERR_DEVICE. */
 enum err_code state_save_level(const struct model *m, const struct state *s, const char *path,
                                const struct evaluate_score *score, struct err *e) ERR_USE;
-/* What such a result says of itself: Gaussians, and scores of the test photographs, NaN without.
- * ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */
+/* Reads the number of Gaussians of such a result, and the scores of the test photographs; NaN:
+ * none. ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */
 enum err_code state_read_level(const char *path, size_t *n, double *psnr_db, double *ssim,
                                struct err *e) ERR_USE;
 
-/* The Gaussians of a checkpoint into a model that was opened for as many, by the slice. ERR_FORMAT,
- * ERR_IO, ERR_MEM, ERR_DEVICE. */
+/* Copies the Gaussians of a checkpoint, in slices, into a model that was opened for as many.
+ * ERR_FORMAT, ERR_IO, ERR_MEM, ERR_DEVICE. */
 enum err_code state_fill_rows(struct model *m, const struct ckpt_rows *c, struct err *e) ERR_USE;
 
 #endif

@@ -1,4 +1,4 @@
-/* Which run a checkpoint belongs to: its options, its cell and its photographs.
+/* Checks which run a checkpoint belongs to: its options, its cell and its photographs.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

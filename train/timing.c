@@ -1,4 +1,4 @@
-/* The clock of train/timing.h and how its times are shown.
+/* The clock of train/timing.h, and its times as text and JSON.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,9 +1,9 @@
-/* Where the time of a run goes: one clock that is always charged to exactly one kind of work, so
- * that the shares add up to the whole.
+/* Measures the time of a run by kind of work. There is one clock, and it always counts for exactly
+ * one kind, so the shares add up to the whole.
  *
- * Work on the device goes on while the host does other things. Before the clock is turned to work
- * that waits for the device (densification, checkpoints), let the device finish. Otherwise that
- * work is charged with the step before it.
+ * The device works while the host does other things. Wait for the device before the clock is turned
+ * to work that waits for it, such as densification or checkpoints. Otherwise the time of the step
+ * before is counted there.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -24,35 +24,35 @@ enum timing_on {
 struct timing_seconds { /* seconds by kind of work; {0} is none */
     double s[TIMING_COUNT];
 };
-struct timing { /* a running clock; timing_start it */
+struct timing { /* a running clock; start it with timing_start */
     struct timing_seconds times;
     enum timing_on on;
-    double since_s;          /* of clock_s */
-    const double *compile_s; /* of the device: seconds spent on compiling so far; NULL: unknown */
-    double compiled_s;       /* of them, those that TIMING_COMPILE has */
+    double since_s;          /* clock_s at the last turn */
+    const double *compile_s; /* the device's seconds of compiling so far; NULL: not known */
+    double compiled_s;       /* part of it that TIMING_COMPILE has counted */
 };
 
 void timing_start(struct timing *c, enum timing_on on);
-/* From now on what *compile_s (borrowed) grows by goes to TIMING_COMPILE, whatever the clock is
- * on. */
+/* From now on, growth of *compile_s (borrowed) counts as TIMING_COMPILE, whatever the clock is on.
+ */
 void timing_compiles(struct timing *c, const double *compile_s);
-/* From now on time goes to `on`; returns what it went to. */
+/* From now on time counts for `on`. Returns the kind before. */
 enum timing_on timing_turn(struct timing *c, enum timing_on on);
-/* Up to this moment; the clock goes on. */
+/* The times up to now. The clock goes on. */
 struct timing_seconds timing_now(struct timing *c);
 
 double timing_total(const struct timing_seconds *t);
 void timing_add(struct timing_seconds *to, const struct timing_seconds *t);
-/* What was spent since `then`, an earlier timing_now. */
+/* The times between `then`, an earlier timing_now, and `now`. */
 struct timing_seconds timing_since(const struct timing_seconds *now,
                                    const struct timing_seconds *then);
 const char *timing_key(enum timing_on on);
-/* "steps 24.1 s (83 %), densification 1.9 s (7 %), ...": the largest first. Kinds below half a per
- * cent are added up. */
+/* Writes "steps 24.1 s (83 %), densification 1.9 s (7 %), ...", largest first. Kinds below half a
+ * per cent are added up. */
 void timing_text(const struct timing_seconds *t, char *out, size_t size);
 
-/* {"step": s, ...}, seconds; NULL when out of memory. And back: what is missing or no number is
- * 0. */
+/* Convert times to {"step": s, ...} in seconds (NULL: out of memory), and back. Missing or invalid
+ * members become 0. */
 struct json_t *timing_json(const struct timing_seconds *t);
 void timing_from_json(const struct json_t *o, struct timing_seconds *out);
 

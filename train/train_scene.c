@@ -1,4 +1,5 @@
-/* A scene and its plan as work to do: which cells, and which photographs train and test each.
+/* Selects the work in a scene and its plan: the cells, and the training and test photographs of
+ * each.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
