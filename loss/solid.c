@@ -25,7 +25,7 @@ struct solid {
 };
 
 struct solid_weights { /* as in solid.cl */
-    cl_float spread, bend, light, focal, soft_px, bend_px, cover;
+    cl_float spread, bend, light, focal, soft_px, spread_px, bend_px, cover;
     cl_uint stride;
 };
 
@@ -124,8 +124,9 @@ static enum err_code solid_launch(struct solid *s, struct render *r, const struc
     double n = (double)in->width_px * in->height_px;
     const struct solid_weights k = {(cl_float)(in->spread / n), (cl_float)(in->bend / n),
                                     (cl_float)(in->light / n),  (cl_float)in->focal_px,
-                                    (cl_float)SOLID_SOFT_PX,    (cl_float)SOLID_BEND_PX,
-                                    (cl_float)SOLID_COVER_MIN,  in->stride};
+                                    (cl_float)SOLID_SOFT_PX,    (cl_float)SOLID_SPREAD_PX,
+                                    (cl_float)SOLID_BEND_PX,    (cl_float)SOLID_COVER_MIN,
+                                    in->stride};
     cl_mem moments = render_moments_buffer(r), transmit = render_transmittance_buffer(r);
     cl_uint w = in->width_px, h = in->height_px, pitch = solid_pitch(w),
             has_support = in->supported != NULL;

@@ -68,7 +68,7 @@ __kernel void solid_inverse(__global const float *moments, __global const float 
 }
 
 struct solid_weights { // over n
-    float spread, bend, light, focal, soft_px, bend_px, cover;
+    float spread, bend, light, focal, soft_px, spread_px, bend_px, cover;
     uint stride;
 };
 
@@ -118,9 +118,10 @@ __kernel void solid_grad(__global const float *moments, __global const float *tr
         VI drawn = (a >= k.cover) & (a + m1 > 0.0f) & (real > 0.0f);
         V inv_a = 1.0f / (drawn ? a : (V)(1.0f)), d = m1 * inv_a, second = m2 * inv_a;
         V zeta = drawn ? 1.0f + d : (V)(1.0f), px = k.focal / zeta, e = k.soft_px / px;
-        V v = MAX_(second - d * d, (V)(0.0f)), sigma = sqrt(v + e * e);
-        spread += drawn ? a * px * (sigma - e) : (V)(0.0f);
-        V w = drawn ? k.spread * px * 0.5f / sigma : (V)(0.0f); // A over A
+        V v = drawn ? MAX_(second - d * d, (V)(0.0f)) : (V)(0.0f), sigma = sqrt(v + e * e);
+        V s = px * (sigma - e), more = 1.0f + s * (1.0f / k.spread_px);
+        spread += drawn ? a * log(more) : (V)(0.0f);
+        V w = drawn ? k.spread * px * 0.5f / (sigma * more) : (V)(0.0f); // A over A
         V g1 = -2.0f * w * d, g2 = w, ga = w * (2.0f * d * d - second);
         V q = row_load(q_row + x, n);
         if (k.bend > 0.0f) {
@@ -130,7 +131,7 @@ __kernel void solid_grad(__global const float *moments, __global const float *tr
             g1 -= q * q * gq;
             ga += q * (1.0f - q) * gq;
         }
-        V where = has_support ? row_ask(supported + at, n) * real : (V)(0.0f);
+        V where = has_support ? row_ask(supported + at, n) * real / (1.0f + s * s) : (V)(0.0f);
         light += where * t;
         row_store(grad + at, g1, n);
         row_store(grad + plane + at, g2, n);
@@ -140,5 +141,5 @@ __kernel void solid_grad(__global const float *moments, __global const float *tr
     const V all[3] = {spread, bend, light};
     for (int i = 0; i < 3; i++)
         three[i] = lanes_sum(all[i]);
-    vstore4((float4)(three[0], 0.5f * k.bend_px * k.bend_px * three[1], three[2], 0.0f), y, sums);
+    vstore4((float4)(k.spread_px * three[0], 0.5f * k.bend_px * k.bend_px * three[1], three[2], 0.0f), y, sums);
 }

@@ -4,13 +4,16 @@
  * With A = 1 - T, D = sum w m / A, V = sum w m^2 / A - D^2 of a pixel (render_moments_buffer) and
  * zeta = 1 + D its depth in units of the frame's depth, f the focal length in pixels, e =
  * SOLID_SOFT_PX zeta / f, n the number of pixels:
- *     spread = 1/n sum A f / zeta (sqrt(V + e^2) - e)             in pixels' footprints
+ *     spread = 1/n sum A c ln(1 + s/c),   s = f / zeta (sqrt(V + e^2) - e),   c = SOLID_SPREAD_PX
  *     bend   = 1/n sum over x, y of c^2/2 ln(1 + (b/c)^2),  b = f zeta (q- - 2 q + q+),  q = 1/zeta
- *     light  = 1/n sum of T over the supported pixels
+ *     light  = 1/n sum T / (1 + s^2) over the supported pixels
  * b is the distance of a pixel's depth from the line between those of the pixels `stride` to
- * either side, in footprints: inverse depth is linear over a plane. c = SOLID_BEND_PX: edges bend
- * by many footprints, and pull little. A, f / zeta and f zeta as factors are held fixed, or what
- * is far would weigh less for being farther.
+ * either side, and s the standard deviation of depth along the ray, both in pixels' footprints.
+ * Both sums grow slowly where they are large: at edges light is shared between two surfaces, and
+ * depth bends by many footprints. Inverse depth is linear over a plane. c of the bend is SOLID_BEND_PX. A, f / zeta, f zeta and 1 / (1 + s^2) as factors are held fixed, or what
+ * is far would weigh less for being farther. Light makes every Gaussian along the ray more opaque,
+ * whatever its depth: where several are, the surface would sink to the lower ones. So it acts where
+ * the spread is small.
  *
  * Distortion of rays: Mip-NeRF 360 (Barron et al. 2022) and 2DGS (Huang et al. 2024), of which
  * spread is the square root.
@@ -25,6 +28,7 @@
 #include "render/render.h"
 
 #define SOLID_SOFT_PX 0.25   /* spreads below are small: their gradient goes to 0 */
+#define SOLID_SPREAD_PX 2.0 /* spreads above pull less */
 #define SOLID_BEND_PX 1.0    /* bends above are edges: their gradient goes to 0 */
 #define SOLID_COVER_MIN 0.1  /* least A with a spread */
 #define SOLID_BEND_COVER 0.5 /* least A of the pixels of a bend */

@@ -24,6 +24,21 @@ static bool solid_spreads(const double m[3])
     return 1 - m[2] >= SOLID_COVER_MIN && 1 - m[2] + m[0] > 0;
 }
 
+/* s of a pixel: the standard deviation of depth in footprints at the depth of `held`. */
+static double solid_sigma(const struct solid_input *in, const double m[3], const double held[3])
+{
+    struct solid_pixel p = solid_at(m);
+    double px = in->focal_px / solid_at(held).zeta, soft = SOLID_SOFT_PX / px;
+    return px * (sqrt(fmax(p.second - p.d * p.d, 0) + soft * soft) - soft);
+}
+
+/* What light counts at a pixel; where nothing is drawn there is no spread. */
+static double solid_lit(const struct solid_input *in, const double held[3])
+{
+    double s = solid_spreads(held) ? solid_sigma(in, held, held) : 0;
+    return 1 / (1 + s * s);
+}
+
 /* The pixel that lies `by` strides off along x (axis 0) or y, NULL: none that has part in bends. */
 static const double *solid_beside(const struct solid_input *in, const double *moments, size_t at,
                                   int axis, int by)
@@ -62,10 +77,8 @@ struct solid_value solid_ref_value(const struct solid_input *in, const double *m
     size_t n = (size_t)in->width_px * in->height_px;
     for (size_t at = 0; at < n; at++) {
         if (solid_spreads(moments + 3 * at)) {
-            struct solid_pixel p = solid_at(moments + 3 * at), h = solid_at(held + 3 * at);
-            double px = in->focal_px / h.zeta, soft = SOLID_SOFT_PX / px;
-            v.spread +=
-                h.a * px * (sqrt(fmax(p.second - p.d * p.d, 0) + soft * soft) - soft) / (double)n;
+            double s = solid_sigma(in, moments + 3 * at, held + 3 * at);
+            v.spread += (1 - held[3 * at + 2]) * SOLID_SPREAD_PX * log(1 + s / SOLID_SPREAD_PX) / (double)n;
         }
         for (int axis = 0; axis < 2; axis++) {
             double b, factor, c = SOLID_BEND_PX;
@@ -73,7 +86,7 @@ struct solid_value solid_ref_value(const struct solid_input *in, const double *m
                 v.bend += c * c / 2 * log(1 + b * b / (c * c)) / (double)n;
         }
         if (in->supported && in->supported[at])
-            v.light += moments[3 * at + 2] / (double)n;
+            v.light += moments[3 * at + 2] * solid_lit(in, held + 3 * at) / (double)n;
     }
     return v;
 }
@@ -115,13 +128,15 @@ void solid_ref_grad(const struct solid_input *in, const double *moments, double 
             struct solid_pixel p = solid_at(moments + 3 * at);
             double px = in->focal_px / p.zeta, soft = SOLID_SOFT_PX / px,
                    v = fmax(p.second - p.d * p.d, 0); /* below 0 by rounding alone */
-            double g_v = in->spread / (double)n * p.a * px / (2 * sqrt(v + soft * soft));
+            double sigma = sqrt(v + soft * soft), s = px * (sigma - soft);
+            double g_s = in->spread / (double)n * p.a / (1 + s / SOLID_SPREAD_PX);
+            double g_v = g_s * px / (2 * sigma);
             g[1] += g_v / p.a;
             g[0] -= g_v * 2 * p.d / p.a;
             g[2] += g_v * (p.second - 2 * p.d * p.d) / p.a; /* dV/dT = -dV/dA */
         }
         solid_add_bends(in, moments, at, grad);
         if (in->supported && in->supported[at])
-            g[2] += in->light / (double)n;
+            g[2] += in->light * solid_lit(in, moments + 3 * at) / (double)n;
     }
 }

@@ -97,7 +97,9 @@ static struct render_options chosen(struct fixture *f, uint32_t step, const stru
         px[i] = is_dark((uint32_t)(i / 3 / cam->width_px)) ? 39 : i % 3 ? 20 : 40;
     struct render_options ro = {.background = {0.5f, 0.5f, 0.5f}};
     f->stage.step = step;
-    kit_ok(background_choose(&f->background, &f->cfg, f->known, &f->stage, &p, &ro, &e), e);
+    const uint8_t *supported;
+    kit_ok(background_support(&f->background, f->known, &p, &supported, &e), e);
+    background_choose(&f->background, &f->cfg, supported, &f->stage, &p, &ro);
     return ro;
 }
 

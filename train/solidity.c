@@ -5,6 +5,8 @@
  */
 #include "train/solidity.h"
 
+#include <math.h>
+
 #include "cells/footprint.h"
 #include "loss/solid.h"
 #include "train/gallery.h"
@@ -30,12 +32,13 @@ enum err_code solidity_step(struct solid **own, const struct gallery *g, const s
 {
     static const uint32_t strides[] = {1, 2, 4};
     const struct train_config *c = g->cfg;
+    double fade = pow(c->solid_final, (double)at->step / (double)stage_schedule(at)->steps);
     const struct solid_input in = {
         .width_px = photo->cam.width_px,
         .height_px = photo->cam.height_px,
         .focal_px = photo->cam.fx_px,
-        .spread = c->solid_spread,
-        .bend = c->solid_bend,
+        .spread = c->solid_spread * fade,
+        .bend = c->solid_bend * fade,
         .light = c->solid_light,
         .stride = strides[at->step % (sizeof strides / sizeof *strides)],
         .supported = supported,
