@@ -15,6 +15,7 @@
 #include "cli/cli.h"
 #include "cli/eval_flight.h"
 #include "cli/eval_half_image.h"
+#include "cli/eval_surface.h"
 #include "cli/eval_views.h"
 #include "codec/ckpt.h"
 #include "codec/scene.h"
@@ -57,6 +58,7 @@ struct eval {
     bool exposed;                      /* the scene tells exposures */
     bool exposure;                     /* and what is being scored was trained at the mean one */
     double trained_steps;              /* of the level that was scored last; 0: none was */
+    double gaussians, faint;           /* of it; share of those of low opacity; NAN: not known */
     struct lpips *lpips;               /* NULL: no weights */
     struct footprint ground;           /* what training photographs show */
     struct residual_list residuals;    /* of the last row that was scored */
@@ -183,6 +185,15 @@ static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_
                                     .cache_bytes = (size_t)64 << 20,
                                     .exposure =
                                         v->exposure ? PHOTO_LOADER_TOLD : PHOTO_LOADER_AS_TAKEN};
+    if (v->o.surface) {
+        const struct eval_surface_request q = {.city = v->o.surface,
+                                               .views = v->o.views,
+                                               .scene = &v->scene,
+                                               .gaussians = v->gaussians,
+                                               .faint = v->faint,
+                                               .rows = v->rows};
+        return eval_surface_run(&q, what, v->render, &src, e);
+    }
     if (v->o.views)
         return eval_views(v, what, &src, e);
     src.ground = v->ground.nx ? &v->ground : NULL;
@@ -323,6 +334,16 @@ static enum err_code eval_prepare_model(void *user, const struct camera *cam,
     return ERR_OK;
 }
 
+/* A faint Gaussian has a logit below that of EVAL_SURFACE_FAINT, which is 0. */
+static void eval_count(struct eval *v, const struct gauss *g)
+{
+    size_t faint = 0;
+    for (size_t i = 0; i < g->n; i++)
+        faint += g->opacity_logit[i] < 0.0f;
+    v->gaussians = (double)g->n;
+    v->faint = (double)faint / (double)g->n;
+}
+
 static enum err_code eval_level(struct eval *v, const char *dir, unsigned level, size_t *found,
                                 struct err *e)
 {
@@ -345,14 +366,18 @@ static enum err_code eval_level(struct eval *v, const char *dir, unsigned level,
             eval_half_image_appearance(&v->half_image)};
         struct evaluate_model fine = m;
         fine.options.supersample = (uint32_t)v->o.supersample;
+        struct evaluate_model above = m;
+        above.options.orthographic = true;
         const struct half_image_source half = {eval_prepare_model, &m};
         struct evaluate_source src = {.draw = evaluate_draw_model,
                                       .user = &fine,
                                       .own_size = v->o.supersample > 1 ? &m : NULL,
+                                      .above = &above,
                                       .bytes = bytes,
                                       .render = v->render};
         uint32_t edge = v->o.max_edge_px ? (uint32_t)v->o.max_edge_px : (uint32_t)s.max_edge_px;
         v->trained_steps = s.steps;
+        eval_count(v, &g);
         v->exposure = v->exposed && s.exposure;
         rc = eval_source(v, what, edge, v->o.full_size ? 1.0 : s.downsample, src, &half, e);
     }
@@ -371,10 +396,11 @@ static enum err_code eval_levels(struct eval *v, const char *scene_dir, struct e
     enum err_code rc = file_join(path, scene_dir, "plan.json", e);
     if (!rc && file_exists(path))
         rc = cell_plan_read(path, &v->scene, &v->plan, e);
-    if (v->o.views) /* the finest alone: the others are for distances of their own */
+    bool finest = v->o.views || v->o.surface; /* the others are for distances of their own */
+    if (finest)
         for (unsigned level = TRAIN_LEVELS_MAX; !rc && level && !found; level--)
             rc = eval_level(v, dir, level, &found, e);
-    for (unsigned level = 1; !rc && !v->o.views && level <= TRAIN_LEVELS_MAX; level++)
+    for (unsigned level = 1; !rc && !finest && level <= TRAIN_LEVELS_MAX; level++)
         rc = eval_level(v, dir, level, &found, e);
     if (!rc && !found)
         rc = err_set(e, ERR_NOENT, "%s: no level1.ckpt in cells/; `citysplat train` makes it", dir);
@@ -425,7 +451,7 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
         .po = {.metric = (enum pick_metric)v->o.metric, .error_px = v->o.error_px},
         .supersample = (uint32_t)v->o.supersample,
     };
-    struct eval_view own;
+    struct eval_view own, above;
     const struct options_nums *d = &v->o.distance_m;
     w.po.distance_m[0] = d->n == 1 ? d->one : d->v[0];
     w.po.distance_m[1] = d->n == 1 ? 2.0 * d->one : d->v[1];
@@ -433,6 +459,7 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
     struct evaluate_source src = {.draw = eval_draw_view,
                                   .user = &w,
                                   .own_size = w.supersample > 1 ? &own : NULL,
+                                  .above = &above,
                                   .bytes = eval_bytes(v->o.tiles),
                                   .render = v->render};
     const struct half_image_source half = {eval_prepare_view, &w};
@@ -452,7 +479,10 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
     }
     own = w;
     own.supersample = 1;
-    if (!rc)
+    v->gaussians = v->faint = (double)NAN;
+    above = own;
+    above.ro.orthographic = above.po.no_lod = true;
+    if (!rc && !v->o.surface)
         rc = eval_source(v, "tiles, LOD", (uint32_t)v->o.max_edge_px, 1.0, src, &half, e);
     w.po.no_lod = own.po.no_lod = true;
     if (!rc)
@@ -557,7 +587,7 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
         goto out;
     signals_catch();
     rc = eval_open(&v, args.arg[0], e);
-    if (!rc && !v.o.views && !v.o.flight)
+    if (!rc && !v.o.views && !v.o.surface && !v.o.flight)
         rc = footprint_of(&v.scene, &v.ground, e);
     if (rc)
         goto out;
@@ -569,14 +599,14 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
         rc = err_set(e, ERR_ARG, "--fade: levels change in flight: give --flight");
         goto out;
     }
-    if (v.o.views)
+    if (v.o.views && !v.o.surface)
         eval_views_print_head();
-    else if (!v.o.flight)
+    else if (!v.o.flight && !v.o.surface)
         eval_print_head();
     rc = v.o.tiles ? eval_tiles(&v, e) : eval_levels(&v, args.arg[0], e);
-    if (!rc && !v.lpips && !v.o.views && !v.o.flight)
+    if (!rc && !v.lpips && !v.o.views && !v.o.surface && !v.o.flight)
         printf("LPIPS is not scored: --lpips FILE supplies its weights (docs/evaluation.md).\n");
-    if (!rc && !v.o.views && !v.o.flight)
+    if (!rc && !v.o.views && !v.o.surface && !v.o.flight)
         rc = eval_residuals(&v, args.arg[0], e);
     if (!rc && v.o.output)
         rc = eval_write(&v, args.arg[0], e);

@@ -195,8 +195,13 @@ struct layout_counts {
 #define LAYOUT_SURFACE_MEDIAN 0
 #define LAYOUT_SURFACE_MEAN 1
 #define LAYOUT_SURFACE_FRONT 2
-#define LAYOUT_SURFACE_MAPS 3
-#define LAYOUT_SURFACE_TILT 7 /* floats a Gaussian: how its depth varies over its ellipse */
+#define LAYOUT_SURFACE_NEAR 3
+#define LAYOUT_SURFACE_FAR 4
+#define LAYOUT_SURFACE_MET 5
+#define LAYOUT_SURFACE_MAPS 6
+#define LAYOUT_SURFACE_OPEN 0.9f   /* transmittance where a surface begins, */
+#define LAYOUT_SURFACE_OPAQUE 0.1f /* and where it is opaque */
+#define LAYOUT_SURFACE_TILT 7      /* floats a Gaussian: how its depth varies over its ellipse */
 
 /* Losses sum over Gaussians or pixels in this many fixed pieces. */
 #define LAYOUT_LOSS_PIECES 256

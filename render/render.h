@@ -264,7 +264,9 @@ struct render_surface_maps {
     float *median_m; /* where transmittance falls to 1/2: the surface that is seen; 0: nowhere */
     float *mean_m;   /* sum alpha T z / sum alpha T; 0 where nothing is drawn */
     float *front;    /* sum alpha T of what is nearer than limit_m */
-    float *transmittance; /* what is left behind the last Gaussian */
+    float *transmittance;  /* what is left behind the last Gaussian */
+    float *near_m, *far_m; /* where transmittance falls to 0.9, to 0.1; 0: nowhere */
+    float *met;            /* Gaussians met until it is 0.1, with the one that makes it so */
 };
 /* limit_m [h][w], NULL: front is 0. The model that was drawn still exists, as it was. ERR_ARG when
  * no frame was drawn; ERR_MEM, ERR_LIMIT, ERR_DEVICE. */

@@ -78,10 +78,12 @@ enum err_code render_surface_run(struct render_surface *s, const float *limit_m,
     size_t bytes = (size_t)r->view.width * r->view.height * sizeof(float);
     bool wide = r->dev->vector_width == LAYOUT_LANES;
     size_t items = (size_t)r->tiles * (wide ? LAYOUT_TILE : LAYOUT_TILE_PIXELS);
-    cl_uint limited = limit_m != NULL, median_alone = !out->mean_m && !out->front;
-    float *const maps[LAYOUT_SURFACE_MAPS] = {[LAYOUT_SURFACE_MEDIAN] = out->median_m,
-                                              [LAYOUT_SURFACE_MEAN] = out->mean_m,
-                                              [LAYOUT_SURFACE_FRONT] = out->front};
+    cl_uint limited = limit_m != NULL,
+            median_alone = !out->mean_m && !out->front && !out->near_m && !out->far_m && !out->met;
+    float *const maps[LAYOUT_SURFACE_MAPS] = {
+        [LAYOUT_SURFACE_MEDIAN] = out->median_m, [LAYOUT_SURFACE_MEAN] = out->mean_m,
+        [LAYOUT_SURFACE_FRONT] = out->front,     [LAYOUT_SURFACE_NEAR] = out->near_m,
+        [LAYOUT_SURFACE_FAR] = out->far_m,       [LAYOUT_SURFACE_MET] = out->met};
     enum err_code rc = frame_reserve(r, &s->maps, LAYOUT_SURFACE_MAPS * bytes, e);
     if (!rc)
         rc = frame_reserve(r, &s->limit, limited ? bytes : sizeof(float), e);

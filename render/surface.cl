@@ -1,13 +1,15 @@
 // Stage: where the surface of the last frame lies. Replays the blending of the frame and keeps, for
-// every pixel, the depth at which transmittance falls to 1/2, the mean depth, and how much of the
-// colour comes from in front of a given depth.
+// every pixel, the depth at which transmittance falls to 1/2, the mean depth, how much of the
+// colour comes from in front of a given depth, and how thick the surface is.
 //   in   splats, tile_start, intersection_splat, depth_key: the frame
 //        tilts: what surface_tilts made of its Gaussians
 //        limit [h][w]: m; not read without
-//        median_alone: the other two maps are not wanted; they come out wrong
+//        median_alone: the other maps are not wanted; they come out wrong
 //   out  maps [LAYOUT_SURFACE_MAPS][h][w]: median depth in m, 0 where transmittance stays above
 //        1/2; mean depth sum alpha T z / sum alpha T, 0 where nothing is; sum alpha T of what is
-//        nearer than limit
+//        nearer than limit; depths at which transmittance falls to LAYOUT_SURFACE_OPEN and
+//        LAYOUT_SURFACE_OPAQUE, 0 where it stays above; how many Gaussians are met until it is
+//        opaque, that one included
 // VW 16: a work-item is a row of a tile, VW 1: a pixel.
 //
 // The depth of a Gaussian at a pixel is where the pixel's ray meets the most of it. With A =
@@ -123,7 +125,7 @@ __kernel void surface_rows(__constant struct layout_view *view,
     V far = row_limit[0];
 #endif
     V px = (float)x + 0.5f + TO_V(LANE), t = (V)(1.0f), median = (V)(0.0f), sum = (V)(0.0f),
-      front = (V)(0.0f);
+      front = (V)(0.0f), opening = (V)(0.0f), opaque = (V)(0.0f), met = (V)(0.0f);
     // Beyond it nothing is wanted.
     const float last = median_alone ? 0.5f : LAYOUT_TRANSMITTANCE_MIN;
     for (uint i = tile_start[tile], end = tile_start[tile + 1]; i < end; i++) {
@@ -147,6 +149,9 @@ __kernel void surface_rows(__constant struct layout_view *view,
         median = ((t > 0.5f) & (left <= 0.5f)) ? z : median;
         sum += share * z;
         front += z < far ? share : (V)(0.0f);
+        opening = ((t > LAYOUT_SURFACE_OPEN) & (left <= LAYOUT_SURFACE_OPEN)) ? z : opening;
+        opaque = ((t > LAYOUT_SURFACE_OPAQUE) & (left <= LAYOUT_SURFACE_OPAQUE)) ? z : opaque;
+        met += ((t > LAYOUT_SURFACE_OPAQUE) & (a > 0.0f)) ? (V)(1.0f) : (V)(0.0f);
         t = left;
     }
     V drawn = 1.0f - t;
@@ -155,10 +160,16 @@ __kernel void surface_rows(__constant struct layout_view *view,
     vstore16(median, 0, row_maps[LAYOUT_SURFACE_MEDIAN]);
     vstore16(mean, 0, row_maps[LAYOUT_SURFACE_MEAN]);
     vstore16(front, 0, row_maps[LAYOUT_SURFACE_FRONT]);
+    vstore16(opening, 0, row_maps[LAYOUT_SURFACE_NEAR]);
+    vstore16(opaque, 0, row_maps[LAYOUT_SURFACE_FAR]);
+    vstore16(met, 0, row_maps[LAYOUT_SURFACE_MET]);
 #else
     row_maps[LAYOUT_SURFACE_MEDIAN][0] = median;
     row_maps[LAYOUT_SURFACE_MEAN][0] = mean;
     row_maps[LAYOUT_SURFACE_FRONT][0] = front;
+    row_maps[LAYOUT_SURFACE_NEAR][0] = opening;
+    row_maps[LAYOUT_SURFACE_FAR][0] = opaque;
+    row_maps[LAYOUT_SURFACE_MET][0] = met;
 #endif
     for (uint m = 0; m < LAYOUT_SURFACE_MAPS; m++)
         for (uint k = 0; k < n; k++)

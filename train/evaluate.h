@@ -35,6 +35,7 @@ struct evaluate_source {
     void *user;
     void *own_size; /* user of the same, not supersampled, for maps of the surface that is drawn;
                      * NULL: user is that */
+    void *above;    /* user of the same as own_size, drawn orthographically; NULL: there is none */
     const char *pictures; /* folder for NAME.png, photograph left and drawing right; NULL: none */
     double bytes;         /* of the source's files, handed through to the score */
     const struct render

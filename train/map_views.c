@@ -27,42 +27,53 @@ static const double share_min = 0.01; /* of a picture: smaller masks have no PSN
 
 /* ---- reading ---- */
 
-/* y = scale rot x + trans from the frame of the truth into the scene's. */
-struct move {
-    double scale, rot[9], trans[3];
-};
-
 /* Both are COLMAP -> own frame; theirs is undone first. */
-static enum err_code map_move_between(const json_t *o, const struct scene *s, struct move *out,
-                                      struct err *e)
+enum err_code map_views_move(const struct map_move *from, const struct scene *s,
+                             struct map_move *out, struct err *e)
 {
-    double scale, rot[9], trans[3];
-    enum err_code rc = jsonc_num(o, "scale", &scale, e);
-    if (!rc)
-        rc = jsonc_nums(o, "rot", 9, rot, e);
-    if (!rc)
-        rc = jsonc_nums(o, "trans", 3, trans, e);
-    if (!rc && !(scale > 0.0 && isfinite(s->scale / scale)))
-        rc = err_set(e, ERR_FORMAT, "scale %g", scale);
-    if (rc)
-        return err_add(e, "colmap_to_enu");
-    out->scale = s->scale / scale;
+    if (!(from->scale > 0.0 && isfinite(s->scale / from->scale)))
+        return err_set(e, ERR_FORMAT, "colmap_to_enu: scale %g", from->scale);
+    out->scale = s->scale / from->scale;
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++) {
             out->rot[3 * i + j] = 0.0;
             for (int k = 0; k < 3; k++)
-                out->rot[3 * i + j] += s->rot[3 * i + k] * rot[3 * j + k];
+                out->rot[3 * i + j] += s->rot[3 * i + k] * from->rot[3 * j + k];
         }
     for (int i = 0; i < 3; i++) {
         out->trans[i] = s->trans[i];
         for (int j = 0; j < 3; j++)
-            out->trans[i] -= out->scale * out->rot[3 * i + j] * trans[j];
+            out->trans[i] -= out->scale * out->rot[3 * i + j] * from->trans[j];
     }
     return ERR_OK;
 }
 
+/* x = rot^T (y - trans) / scale. */
+struct map_move map_views_move_back(const struct map_move *m)
+{
+    struct map_move back = {.scale = 1.0 / m->scale};
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) {
+            back.rot[3 * i + j] = m->rot[3 * j + i];
+            back.trans[i] -= back.scale * m->rot[3 * j + i] * m->trans[j];
+        }
+    return back;
+}
+
+static enum err_code map_move_read(const json_t *o, const struct scene *s, struct map_move *out,
+                                   struct err *e)
+{
+    struct map_move from;
+    enum err_code rc = jsonc_num(o, "scale", &from.scale, e);
+    if (!rc)
+        rc = jsonc_nums(o, "rot", 9, from.rot, e);
+    if (!rc)
+        rc = jsonc_nums(o, "trans", 3, from.trans, e);
+    return rc ? err_add(e, "colmap_to_enu") : map_views_move(&from, s, out, e);
+}
+
 /* x_cam = W x + t becomes scale x_cam = W rot^T y + t', so depths grow by scale. */
-static void map_move_camera(const struct move *m, struct camera *c)
+void map_views_move_camera(const struct map_move *m, struct camera *c)
 {
     double rot[9];
     for (int i = 0; i < 3; i++)
@@ -126,7 +137,7 @@ static enum err_code map_view_light(const json_t *o, const struct scene *s, stru
 }
 
 static enum err_code map_view_read(struct map_views *v, const json_t *o, const struct scene *s,
-                                   const struct move *m, struct map_view *out, struct err *e)
+                                   const struct map_move *m, struct map_view *out, struct err *e)
 {
     char path[FILE_PATH_MAX];
     json_t *cam = NULL;
@@ -143,7 +154,7 @@ static enum err_code map_view_read(struct map_views *v, const json_t *o, const s
         rc = err_add(e, "%s", path);
     json_decref(cam);
     if (!rc)
-        map_move_camera(m, &out->cam);
+        map_views_move_camera(m, &out->cam);
     return rc;
 }
 
@@ -152,7 +163,7 @@ enum err_code map_views_read(const char *dir, const struct scene *s, struct map_
 {
     char path[FILE_PATH_MAX];
     json_t *root = NULL;
-    struct move m = {0};
+    struct map_move m = {0};
     const char *format = NULL;
     *out = (struct map_views){0};
     snprintf(out->dir, sizeof out->dir, "%s", dir);
@@ -166,7 +177,7 @@ enum err_code map_views_read(const char *dir, const struct scene *s, struct map_
     if (!rc && strcmp(format, "citysplat-views"))
         rc = err_set(e, ERR_FORMAT, "format '%.40s' instead of citysplat-views", format);
     if (!rc)
-        rc = map_move_between(json_object_get(root, "colmap_to_enu"), s, &m, e);
+        rc = map_move_read(json_object_get(root, "colmap_to_enu"), s, &m, e);
     if (!rc && !json_array_size(list))
         rc = err_set(e, ERR_FORMAT, "\"views\": an array of views is expected");
     if (!rc && !(out->views = mem_array(json_array_size(list), sizeof *out->views)))

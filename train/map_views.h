@@ -13,6 +13,18 @@ struct scene;
 
 enum { MAP_VIEWS_KINDS_MAX = 16, MAP_VIEWS_NAME = 64 };
 #define MAP_VIEWS_ONE_LIGHT UINT32_MAX /* that of the city without any variation */
+struct map_move {                      /* y = scale rot x + trans between frames */
+    double scale, rot[9], trans[3];
+};
+/* From a truth's frame into the scene's: both know their way from one COLMAP model. ERR_FORMAT: a
+ * scale that is none. */
+enum err_code map_views_move(const struct map_move *colmap_to_truth, const struct scene *s,
+                             struct map_move *out, struct err *e) ERR_USE;
+struct map_move map_views_move_back(const struct map_move *m);
+/* The camera in the new frame that sees what c sees in the old one: depths grow by scale. An
+ * orthographic one sees the same ground once fx and fy are divided by it. */
+void map_views_move_camera(const struct map_move *m, struct camera *c);
+
 struct map_view {
     char name[MAP_VIEWS_NAME], kind[MAP_VIEWS_NAME];
     uint32_t photograph; /* of the scene, in whose light it is; MAP_VIEWS_ONE_LIGHT */
