@@ -1,10 +1,11 @@
-/* The whole way from photographs and a COLMAP model to a scene folder.
+/* All steps from photographs and a COLMAP model to a scene folder.
  *
- * Photographs are judged in three steps: do they see enough points, does their pose agree with the
- * points they see (a wrong pose has a large reprojection error whatever GPS says), does their place
- * agree with their GPS position (georef.c). What fails is dropped, with its observations, and named
- * in the report. The split into training and test photographs goes by rank among all photographs of
- * the model, so that it does not depend on what was dropped. The scene appears when it is complete.
+ * Photographs are judged by three questions. Do they see enough points? Does their pose agree with
+ * these points? (A wrong pose has a large reprojection error, whatever GPS says.) Does their place
+ * agree with their GPS position (georef.c)? Photographs that fail are dropped with their
+ * observations, and the report names them. The split into training and test photographs uses the
+ * rank among all photographs of the model, so it does not depend on what was dropped. The scene
+ * appears when it is complete.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,7 +1,7 @@
-/* The procedural city written out: photographs, COLMAP model, truth.
+/* Writes the procedural city: photographs, COLMAP model, truth.
  *
- * Photographs are independent, so they are rendered on all cores; each is a function of the seed
- * and its number. The folder appears when everything in it is complete.
+ * Photographs are independent and rendered on all cores. Each is a function of the seed and its
+ * number. The folder appears when it is complete.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
