@@ -7,6 +7,28 @@
 #include "ingest/gcp.h"
 #include "survey/crs.h"
 
+/* One place, by a system that is named only now; its errors are answers. */
+static enum err_code ingest_unproject(int epsg, double *x, double *y, struct err *e)
+{
+    struct crs *crs = NULL;
+    enum err_code rc = crs_open(epsg, &crs, e);
+    if (!rc)
+        rc = crs_unproject(crs, 1, x, y, e);
+    crs_close(&crs);
+    return rc;
+}
+
+/* A system that is used elsewhere on Earth is the wrong one, or x and y are swapped. */
+static void ingest_check_area(const struct crs *crs, const struct gcp *g)
+{
+    double off_deg = crs_outside_deg(crs, g->at[0], g->at[1]);
+    if (off_deg > 3)
+        log_warn("ingest",
+                 "line %zu: ground control point %s lies %.0f degrees outside of where EPSG:%d is "
+                 "used: another zone, x and y swapped, or feet?",
+                 g->line, g->name, off_deg, crs_epsg(crs));
+}
+
 /* Ground control points in longitude and latitude, by PROJ where the file has them projected. */
 static enum err_code ingest_read_gcps(const struct ingest_config *cfg, struct gcp_list *l,
                                       struct err *e)
@@ -24,10 +46,18 @@ static enum err_code ingest_read_gcps(const struct ingest_config *cfg, struct gc
     if (!rc && epsg != GCP_LONLAT)
         rc = crs_open(epsg, &crs, e);
     for (size_t i = 0; !rc && crs && i < l->n; i++) {
-        rc = crs_unproject(crs, 1, &l->gcps[i].at[0], &l->gcps[i].at[1], e);
+        struct gcp *g = &l->gcps[i];
+        rc = crs_unproject(crs, 1, &g->at[0], &g->at[1], e);
         if (rc)
-            err_add(e, "%s: ground control point %s", cfg->gcp, l->gcps[i].name);
+            err_add(e,
+                    "%s: line %zu: ground control point %s (x and y swapped, feet, or "
+                    "millimetres?)",
+                    cfg->gcp, g->line, g->name);
+        else
+            ingest_check_area(crs, g);
     }
+    l->epsg = epsg;
+    l->unproject = ingest_unproject;
     crs_close(&crs);
     return rc;
 }

@@ -162,13 +162,23 @@ static void report_summary(struct report *r)
                report_num(r->told, "georeferencing", "residual_median_m"), "%.2f m",
                report_num(r->told, "georeferencing", "residual_median_m"));
     const json_t *gcp = report_get(r->told, "ground_control", NULL);
-    report_row(r, "control points, RMSE in plan and height",
-               report_num(gcp, "control", "rmse_plan_m"), "%.3f m, %.3f m",
-               report_num(gcp, "control", "rmse_plan_m"),
-               report_num(gcp, "control", "rmse_height_m"));
+    double control = report_num(gcp, "control", "points");
+    if (isfinite(report_num(gcp, "control", "rmse_plan_m")))
+        report_row(r, "control points, RMSE in plan and height", control, "%.3f m, %.3f m",
+                   report_num(gcp, "control", "rmse_plan_m"),
+                   report_num(gcp, "control", "rmse_height_m"));
+    else
+        report_row(r, "control points", control, "%.0f, which fit by themselves: no RMSE", control);
     report_row(r, "check points, RMSE in plan and height", report_num(gcp, "check", "rmse_plan_m"),
                "%.3f m, %.3f m", report_num(gcp, "check", "rmse_plan_m"),
                report_num(gcp, "check", "rmse_height_m"));
+    report_row(r, "the same, expected from survey, marks and frame",
+               report_num(gcp, "check", "expected_plan_m"), "%.3f m, %.3f m",
+               report_num(gcp, "check", "expected_plan_m"),
+               report_num(gcp, "check", "expected_height_m"));
+    report_row(r, "predicted error of the frame", report_num(gcp, "frame_plan_m", NULL),
+               "%.3f m, %.3f m", report_num(gcp, "frame_plan_m", NULL),
+               report_num(gcp, "frame_height_m", NULL));
     buf_printf(&r->out,
                "<tr><td>origin: longitude, latitude, height above the ellipsoid</td><td>"
                "%.7f°, %.7f°, %.2f m</td></tr></table></section>\n",
@@ -298,29 +308,79 @@ static size_t report_gps_table(struct report *r)
     return n;
 }
 
+static void report_point_row(struct report *r, const json_t *p)
+{
+    static const char *const keys[] = {"east_m", "north_m", "up_m"};
+    bool there = report_num(p, "photographs", NULL) > 0,
+         check = json_is_true(json_object_get(p, "check"));
+    buf_printf(&r->out, "<tr><td>");
+    buf_markup(&r->out, json_string_value(json_object_get(p, "name")));
+    buf_printf(&r->out, "</td><td>%s</td><td>%.0f</td>",
+               check                                         ? "check"
+               : report_num(p, "weight", NULL) > 0 || !there ? "control"
+                                                             : "does not count",
+               report_num(p, "photographs", NULL));
+    for (size_t k = 0; k < 3; k++)
+        if (isfinite(report_num(p, keys[k], NULL)))
+            buf_printf(&r->out, "<td>%+.3f m</td>", report_num(p, keys[k], NULL));
+        else
+            buf_printf(&r->out, "<td>%s</td>", there ? "fits by itself" : "not located");
+    for (size_t k = 0; k < 3; k++)
+        if (isfinite(report_num(p, "left_out", keys[k])))
+            buf_printf(&r->out, "<td>%+.3f m</td>", report_num(p, "left_out", keys[k]));
+        else
+            buf_printf(&r->out, "<td></td>");
+    if (isfinite(report_num(p, "influence_m", NULL)))
+        buf_printf(&r->out, "<td>%.3f m</td>", report_num(p, "influence_m", NULL));
+    else
+        buf_printf(&r->out, "<td></td>");
+    buf_printf(&r->out, "</tr>\n");
+}
+
+/* Points and marks that contradict the others. */
+static void report_suspects(struct report *r, const json_t *list)
+{
+    size_t n = 0;
+    for (size_t i = 0; i < json_array_size(list); i++) {
+        const json_t *p = json_array_get(list, i), *marks = json_object_get(p, "marks");
+        const char *name = json_string_value(json_object_get(p, "name")),
+                   *cause = json_string_value(json_object_get(p, "cause"));
+        for (size_t k = 0; k <= json_array_size(marks); k++) {
+            const json_t *m = k ? json_array_get(marks, k - 1) : p;
+            if (!json_is_true(json_object_get(m, "suspect")))
+                continue;
+            buf_printf(&r->out, n++ ? "<br>" : "<p class=\"suspects\">Suspects: ");
+            buf_markup(&r->out, name);
+            buf_printf(&r->out, k ? " in " : cause ? ", likely " : "");
+            buf_markup(&r->out, k ? json_string_value(json_object_get(m, "photograph")) : cause);
+            if (k)
+                buf_printf(&r->out, " (%.1f px)", report_num(m, "left_out_px", NULL));
+        }
+    }
+    if (n)
+        buf_printf(&r->out, "</p>\n");
+}
+
 static void report_gcp_table(struct report *r)
 {
-    const json_t *list = report_get(r->told, "ground_control", "points");
+    const json_t *gcp = report_get(r->told, "ground_control", NULL),
+                 *list = json_object_get(gcp, "points"), *gps = json_object_get(gcp, "gps");
     if (!json_array_size(list))
         return;
     buf_printf(&r->out, "<table><tr><th>ground control point</th><th>use</th><th>photographs</th>"
-                        "<th>east</th><th>north</th><th>up</th></tr>\n");
-    for (size_t i = 0; i < json_array_size(list); i++) {
-        const json_t *p = json_array_get(list, i);
-        buf_printf(&r->out, "<tr><td>");
-        buf_markup(&r->out, json_string_value(json_object_get(p, "name")));
-        buf_printf(&r->out, "</td><td>%s</td><td>%.0f</td>",
-                   json_is_true(json_object_get(p, "check")) ? "check" : "control",
-                   report_num(p, "photographs", NULL));
-        static const char *const keys[] = {"east_m", "north_m", "up_m"};
-        for (size_t k = 0; k < 3; k++)
-            if (isfinite(report_num(p, keys[k], NULL)))
-                buf_printf(&r->out, "<td>%+.3f m</td>", report_num(p, keys[k], NULL));
-            else
-                buf_printf(&r->out, "<td>not located</td>");
-        buf_printf(&r->out, "</tr>\n");
-    }
+                        "<th>east</th><th>north</th><th>up</th><th colspan=\"3\">left out: east, "
+                        "north, up</th><th>influence</th></tr>\n");
+    for (size_t i = 0; i < json_array_size(list); i++)
+        report_point_row(r, json_array_get(list, i));
     buf_printf(&r->out, "</table>\n");
+    report_suspects(r, list);
+    if (!json_is_string(json_object_get(gps, "cause")))
+        return;
+    buf_printf(&r->out,
+               "<p>Ground control is %.2f m in plan and %+.2f m in height from GPS: likely ",
+               report_num(gps, "plan_m", NULL), report_num(gps, "height_m", NULL));
+    buf_markup(&r->out, json_string_value(json_object_get(gps, "cause")));
+    buf_printf(&r->out, ".</p>\n");
 }
 
 static enum err_code report_positions(struct report *r, struct err *e)

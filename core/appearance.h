@@ -83,8 +83,8 @@ void appearance_blend(const struct appearance *a, const uint32_t *index, const d
                       size_t n, float *out);
 
 /* Appends an appearance to `out`, or reads it. The bytes are one little-endian block with a version
- * and a hash. Checkpoints and tile stores keep it as the blob "appearance". Reading hostile bytes
- * is safe: ERR_FORMAT, ERR_LIMIT, ERR_MEM, and *out is then empty. After success free *out with
+ * and a hash. Checkpoints and tile stores keep it as the blob "appearance". Hostile bytes are safe
+ * to read. After ERR_FORMAT, ERR_LIMIT or ERR_MEM *out is empty; after success free it with
  * appearance_free. */
 enum err_code appearance_write(const struct appearance *a, struct buf *out, struct err *e) ERR_USE;
 enum err_code appearance_read(const void *bytes, size_t n, struct appearance *out,

@@ -13,12 +13,26 @@
 #include "core/base.h"
 
 enum { GCP_FIELDS = 16, GCP_LINE_MAX = 1024 };
-enum gcp_column { GCP_X, GCP_Y, GCP_Z, GCP_PX, GCP_PY, GCP_IMAGE, GCP_NAME, GCP_COLUMNS };
+enum gcp_column {
+    GCP_X,
+    GCP_Y,
+    GCP_Z,
+    GCP_PX,
+    GCP_PY,
+    GCP_IMAGE,
+    GCP_NAME,
+    GCP_PLAN_SIGMA,
+    GCP_HEIGHT_SIGMA,
+    GCP_SIGMA, /* of both */
+    GCP_MARK_SIGMA,
+    GCP_COLUMNS
+};
 
 struct gcp_table {
     const char *path;
     size_t line;
-    bool csv;
+    char comma;                 /* between the fields of CSV; 0: blanks */
+    size_t wide;                /* fields of the first line of CSV */
     size_t column[GCP_COLUMNS]; /* which field; SIZE_MAX: not there */
 };
 
@@ -29,10 +43,11 @@ void gcp_free(struct gcp_list *l)
     *l = (struct gcp_list){0};
 }
 
-/* Split at commas or at blanks, in place. */
-static size_t gcp_split(char *text, bool csv, char *field[GCP_FIELDS])
+/* Split at commas (which may be semicolons) or at blanks, in place. */
+static size_t gcp_split(char *text, char comma, char *field[GCP_FIELDS])
 {
-    const char *end = csv ? "," : " \t,;";
+    const char commas[2] = {comma, '\0'}, *end = comma ? commas : " \t,;";
+    bool csv = comma;
     size_t n = 0;
     char *p = text;
     while (n < GCP_FIELDS) {
@@ -91,7 +106,20 @@ static enum gcp_column gcp_column_of(const char *word)
                  {"name", GCP_NAME},
                  {"label", GCP_NAME},
                  {"gcp", GCP_NAME},
-                 {"id", GCP_NAME}};
+                 {"id", GCP_NAME},
+                 {"accuracy_xy", GCP_PLAN_SIGMA},
+                 {"accuracy_plan", GCP_PLAN_SIGMA},
+                 {"sigma_xy", GCP_PLAN_SIGMA},
+                 {"sigma_plan", GCP_PLAN_SIGMA},
+                 {"accuracy_z", GCP_HEIGHT_SIGMA},
+                 {"accuracy_height", GCP_HEIGHT_SIGMA},
+                 {"sigma_z", GCP_HEIGHT_SIGMA},
+                 {"sigma_height", GCP_HEIGHT_SIGMA},
+                 {"accuracy", GCP_SIGMA},
+                 {"accuracy_m", GCP_SIGMA},
+                 {"sigma", GCP_SIGMA},
+                 {"accuracy_px", GCP_MARK_SIGMA},
+                 {"sigma_px", GCP_MARK_SIGMA}};
     for (size_t w = 0; w < sizeof words / sizeof *words; w++)
         if (!strcasecmp(word, words[w].word))
             return words[w].column;
@@ -103,7 +131,9 @@ static enum gcp_column gcp_column_of(const char *word)
 static enum gcp_column gcp_columns(char *text, struct gcp_table *t, int *epsg)
 {
     char *field[GCP_FIELDS];
-    size_t n = gcp_split(text, true, field), c = 0;
+    t->comma = strchr(text, ';') && !strchr(text, ',') ? ';' : ',';
+    size_t n = gcp_split(text, t->comma, field), c = 0;
+    t->wide = n;
     for (size_t i = 0; i < GCP_COLUMNS; i++)
         t->column[i] = SIZE_MAX;
     for (size_t i = 0; i < n; i++) {
@@ -119,12 +149,14 @@ static enum gcp_column gcp_columns(char *text, struct gcp_table *t, int *epsg)
     return (enum gcp_column)c;
 }
 
-/* "EPSG:32632", "WGS84 UTM 32N"; 0 for other words. */
-static int gcp_epsg(const char *text)
+/* "EPSG:32632", "EPSG:25832+7837" with the heights' code, "WGS84 UTM 32N"; 0 for other words. */
+static int gcp_epsg(const char *text, int *heights)
 {
     int code = 0, zone = 0;
     char side = 0;
-    if (sscanf(text, "EPSG:%d", &code) == 1 || sscanf(text, "epsg:%d", &code) == 1)
+    *heights = 0;
+    if (sscanf(text, "EPSG:%d+%d", &code, heights) >= 1 ||
+        sscanf(text, "epsg:%d+%d", &code, heights) >= 1)
         return code;
     if (sscanf(text, "WGS84 UTM %d%c", &zone, &side) == 2 && zone >= 1 && zone <= 60 &&
         (side == 'N' || side == 'S'))
@@ -135,33 +167,33 @@ static int gcp_epsg(const char *text)
 static bool gcp_names_columns(char *text)
 {
     char *field[GCP_FIELDS];
-    size_t n = gcp_split(text, false, field), known = 0;
+    size_t n = gcp_split(text, '\0', field), known = 0;
     for (size_t i = 0; i < n; i++)
         known += gcp_column_of(field[i]) != GCP_COLUMNS;
     return known > 1;
 }
 
 /* The first line names the columns, or the coordinate system, or it is a mark (*mark). */
-static enum err_code gcp_head(const char *line, struct gcp_table *t, int *epsg, bool *mark,
+static enum err_code gcp_head(const char *line, struct gcp_table *t, struct gcp_list *l, bool *mark,
                               struct err *e)
 {
     static const char *const wanted[GCP_NAME] = {
         "x (or easting, lon)", "y (or northing, lat)", "z (or height)", "px", "py", "image"};
     char copy[GCP_LINE_MAX], *end;
     snprintf(copy, sizeof copy, "%s", line);
-    enum gcp_column lacks = gcp_columns(copy, t, epsg);
+    enum gcp_column lacks = gcp_columns(copy, t, &l->epsg);
     *mark = false;
-    t->csv = lacks == GCP_NAME;
-    if (t->csv)
+    if (lacks == GCP_NAME)
         return ERR_OK;
+    t->comma = '\0';
     for (size_t c = 0; c < GCP_COLUMNS; c++)
-        t->column[c] = c;
-    *epsg = gcp_epsg(line);
+        t->column[c] = c <= GCP_NAME ? c : SIZE_MAX;
+    l->epsg = gcp_epsg(line, &l->heights_epsg);
     strtod(line, &end);
     *mark = end != line && strchr(" \t,;", *end);
     snprintf(copy, sizeof copy, "%s", line);
     bool comma = strpbrk(line, ",;") && !strchr(line, '['); /* WKT has both */
-    if (*mark || *epsg || !(comma || gcp_names_columns(copy)))
+    if (*mark || l->epsg || !(comma || gcp_names_columns(copy)))
         return ERR_OK;
     return err_set(e, ERR_FORMAT,
                    "%s: line %zu: no column for %s; expected are the names of the columns, by "
@@ -201,7 +233,7 @@ static enum err_code gcp_find(const struct gcp_table *t, struct gcp_list *l, con
         l->cap = cap;
     }
     struct gcp *g = &l->gcps[l->n];
-    *g = (struct gcp){.at = {at[0], at[1], at[2]}};
+    *g = (struct gcp){.at = {at[0], at[1], at[2]}, .file = {at[0], at[1], at[2]}, .line = t->line};
     if (*name)
         snprintf(g->name, sizeof g->name, "%s", name);
     else
@@ -224,20 +256,96 @@ static enum err_code gcp_add_mark(struct gcp_list *l, const struct gcp_mark *m, 
     return ERR_OK;
 }
 
+/* A number, and nothing else. */
+static bool gcp_number(const char *text, double *out)
+{
+    char *end;
+    *out = strtod(text, &end);
+    return end != text && !*end && isfinite(*out) && fabs(*out) <= 1e12;
+}
+
+/* "634676,12": digits around a comma, where commas do not divide the fields; its length. */
+static size_t gcp_decimal_comma(const char *line, const char **at)
+{
+    for (const char *p = strchr(line, ','); p; p = strchr(p + 1, ',')) {
+        const char *a = p, *b = p + 1;
+        while (a > line && strchr("0123456789+-.", a[-1]))
+            a--;
+        b += strspn(b, "0123456789");
+        if (a == p || b == p + 1 || (*b && !strchr(" \t;\"", *b)) ||
+            (a > line && !strchr(" \t;\"", a[-1])))
+            continue;
+        *at = a;
+        return (size_t)(b - a);
+    }
+    return 0;
+}
+
+/* Commas within numbers would shift all that follows by a column. */
+static enum err_code gcp_check_commas(const struct gcp_table *t, const char *line, struct err *e)
+{
+    const char *at = line;
+    size_t n = t->comma == ',' || !strpbrk(line, " \t;") ? 0 : gcp_decimal_comma(line, &at);
+    if (!n)
+        return ERR_OK;
+    return err_set(e, ERR_FORMAT,
+                   "%s: line %zu: '%.*s' has a decimal comma: write numbers with a decimal point",
+                   t->path, t->line, (int)(n < 40 ? n : 40), at);
+}
+
+/* Fields that the first line does not name, and a photograph that is a number, come of commas
+ * within numbers. */
+static enum err_code gcp_check_fields(const struct gcp_table *t, char *field[GCP_FIELDS], size_t n,
+                                      const char *image, struct err *e)
+{
+    double number;
+    while (t->comma && n > t->wide && !*field[n - 1])
+        n--;
+    if (t->comma && n > t->wide)
+        return err_set(e, ERR_FORMAT,
+                       "%s: line %zu: %zu fields, but the first line names %zu; are there decimal "
+                       "commas? Write numbers with a decimal point",
+                       t->path, t->line, n, t->wide);
+    if (gcp_number(image, &number))
+        return err_set(e, ERR_FORMAT,
+                       "%s: line %zu: the photograph is '%s', a number; are there decimal commas? "
+                       "Write numbers with a decimal point; expected is %s",
+                       t->path, t->line, image,
+                       t->comma ? "what the first line names"
+                                : "x y z column row photograph [name]");
+    return ERR_OK;
+}
+
+/* The number of a column that may be missing or empty: then 0. */
+static enum err_code gcp_sigma(const struct gcp_table *t, char *field[GCP_FIELDS], size_t n,
+                               enum gcp_column column, double *out, struct err *e)
+{
+    size_t i = t->column[column];
+    if (i >= n || !*field[i])
+        return ERR_OK;
+    if (gcp_number(field[i], out) && *out > 0)
+        return ERR_OK;
+    return err_set(e, ERR_FORMAT,
+                   "%s: line %zu: field %zu, '%.40s', is no accuracy: a number above 0 is expected",
+                   t->path, t->line, i + 1, field[i]);
+}
+
 static enum err_code gcp_row(const struct gcp_table *t, char *text, struct gcp_list *l,
                              struct err *e)
 {
-    char *field[GCP_FIELDS], *end;
-    double v[GCP_IMAGE];
-    size_t n = gcp_split(text, t->csv, field);
+    char *field[GCP_FIELDS];
+    double v[GCP_IMAGE], sigma[4] = {0};
+    enum err_code rc = gcp_check_commas(t, text, e);
+    if (rc)
+        return rc;
+    size_t n = gcp_split(text, t->comma, field);
     for (size_t c = 0; c < GCP_IMAGE; c++) {
         size_t i = t->column[c];
-        v[c] = i < n ? strtod(field[i], &end) : 0;
-        if (i >= n || end == field[i] || *end || !isfinite(v[c]) || fabs(v[c]) > 1e9)
+        if (i >= n || !gcp_number(field[i], &v[c]))
             return err_set(e, ERR_FORMAT, "%s: line %zu: field %zu is no number; expected is %s",
                            t->path, t->line, i + 1,
-                           t->csv ? "what the first line names"
-                                  : "x y z column row photograph [name]");
+                           t->comma ? "what the first line names"
+                                    : "x y z column row photograph [name]");
     }
     const char *image = t->column[GCP_IMAGE] < n ? field[t->column[GCP_IMAGE]] : "";
     if (!*image)
@@ -246,11 +354,52 @@ static enum err_code gcp_row(const struct gcp_table *t, char *text, struct gcp_l
         return err_set(e, ERR_FORMAT,
                        "%s: line %zu: '%.40s...': names of photographs have at most %d bytes",
                        t->path, t->line, image, GCP_IMAGE_MAX - 1);
+    rc = gcp_check_fields(t, field, n, image, e);
+    for (size_t k = 0; !rc && k < 4; k++)
+        rc = gcp_sigma(t, field, n, (enum gcp_column)(GCP_PLAN_SIGMA + k), &sigma[k], e);
     const char *name = t->column[GCP_NAME] < n ? field[t->column[GCP_NAME]] : "";
-    struct gcp_mark m = {.x_px = v[GCP_PX], .y_px = v[GCP_PY]};
+    struct gcp_mark m = {
+        .x_px = v[GCP_PX], .y_px = v[GCP_PY], .sigma_px = sigma[3], .line = t->line};
     snprintf(m.image, sizeof m.image, "%s", image);
-    enum err_code rc = gcp_find(t, l, name, v, &m.gcp, e);
-    return rc ? rc : gcp_add_mark(l, &m, e);
+    if (!rc)
+        rc = gcp_find(t, l, name, v, &m.gcp, e);
+    if (rc)
+        return rc;
+    for (size_t k = 0; k < 2; k++)
+        if (sigma[k] > 0 || sigma[2] > 0)
+            l->gcps[m.gcp].sigma_m[k] = sigma[k] > 0 ? sigma[k] : sigma[2];
+    return gcp_add_mark(l, &m, e);
+}
+
+static int gcp_mark_compare(const void *a, const void *b)
+{
+    const struct gcp_mark *const *p = a, *const *q = b;
+    if ((*p)->gcp != (*q)->gcp)
+        return (*p)->gcp < (*q)->gcp ? -1 : 1;
+    int order = strcmp((*p)->image, (*q)->image);
+    return order ? order : ((*p)->line > (*q)->line) - ((*p)->line < (*q)->line);
+}
+
+/* A point has one mark a photograph: two are two points of one name, or a mistake. */
+static enum err_code gcp_check_twice(const char *path, const struct gcp_list *l, struct err *e)
+{
+    const struct gcp_mark **sorted = mem_array(l->n_marks, sizeof *sorted);
+    enum err_code rc =
+        sorted ? ERR_OK : err_set(e, ERR_MEM, "out of memory for ground control points");
+    for (size_t i = 0; !rc && i < l->n_marks; i++)
+        sorted[i] = &l->marks[i];
+    if (!rc)
+        qsort(sorted, l->n_marks, sizeof *sorted, gcp_mark_compare);
+    for (size_t i = 1; !rc && i < l->n_marks; i++) {
+        const struct gcp_mark *a = sorted[i - 1], *b = sorted[i];
+        if (a->gcp == b->gcp && !strcmp(a->image, b->image))
+            rc = err_set(e, ERR_FORMAT,
+                         "%s: lines %zu and %zu both mark ground control point %s in %.100s: "
+                         "remove one, or give two points two names",
+                         path, a->line, b->line, l->gcps[b->gcp].name, b->image);
+    }
+    mem_free(sorted);
+    return rc;
 }
 
 enum err_code gcp_read(const char *path, struct gcp_list *out, struct err *e)
@@ -284,7 +433,7 @@ enum err_code gcp_read(const char *path, struct gcp_list *out, struct err *e)
         line[n] = '\0';
         bool mark = true;
         if (head)
-            rc = gcp_head(line, &t, &out->epsg, &mark, e);
+            rc = gcp_head(line, &t, out, &mark, e);
         head = false;
         if (!rc && mark)
             rc = gcp_row(&t, line, out, e);
@@ -294,6 +443,8 @@ enum err_code gcp_read(const char *path, struct gcp_list *out, struct err *e)
                      "%s: no ground control points; expected is gcp_list.txt of OpenDroneMap, or "
                      "CSV with columns x, y, z, px, py, image and name",
                      path);
+    if (!rc)
+        rc = gcp_check_twice(path, out, e);
     buf_free(&b);
     if (rc)
         gcp_free(out);

@@ -1,13 +1,13 @@
-/* Which GPS positions to trust, and the frame that follows from them.
+/* Finds reliable GPS positions, and the frame that follows from them.
  *
  * Random draws of three photographs give a similarity that many agree with (RANSAC, scored by
- * truncated squares, MSAC); a robust least-squares fit follows. Flights on different days or with
- * different receivers may have heights that are metres apart while everything else agrees, and a
- * fit that ignores that would tilt the scene and reject half of it: partitions into flights (by
- * pauses, by a jump along the order of names, by two clusters of height) are tried, each with a
- * height offset per flight, and one is taken when it explains the positions much better. Then
- * photographs farther from their GPS position than tau = clamp(median(e) + 5 * 1.4826 * MAD(e),
- * tau_min, tau_max) are dropped and the fit repeated, three times at most.
+ * truncated squares, MSAC). A robust least-squares fit follows. Heights of different days or
+ * receivers may differ by metres while everything else agrees. A fit that ignores this would tilt
+ * the scene and reject half of it. Therefore partitions into flights are tried: by pauses, by a
+ * jump along the order of names, by two clusters of height. Each flight gets a height offset, and a
+ * partition is used if it explains the positions much better. Then photographs farther from their
+ * GPS position than tau = clamp(median(e) + 5 * 1.4826 * MAD(e), tau_min, tau_max) are dropped, and
+ * the fit is repeated, at most three times.
  *
  * Sources: Fischler and Bolles 1981 (RANSAC), Torr and Zisserman 2000 (MSAC), Horn 1987.
  *

@@ -1,10 +1,11 @@
-/* The whole way from photographs and a COLMAP model to a scene folder.
+/* All steps from photographs and a COLMAP model to a scene folder.
  *
- * Photographs are judged in three steps: do they see enough points, does their pose agree with the
- * points they see (a wrong pose has a large reprojection error whatever GPS says), does their place
- * agree with their GPS position (georef.c). What fails is dropped, with its observations, and named
- * in the report. The split into training and test photographs goes by rank among all photographs of
- * the model, so that it does not depend on what was dropped. The scene appears when it is complete.
+ * Photographs are judged by three questions. Do they see enough points? Does their pose agree with
+ * these points? (A wrong pose has a large reprojection error, whatever GPS says.) Does their place
+ * agree with their GPS position (georef.c)? Photographs that fail are dropped with their
+ * observations, and the report names them. The split into training and test photographs uses the
+ * rank among all photographs of the model, so it does not depend on what was dropped. The scene
+ * appears when it is complete.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -26,33 +27,6 @@
 #include "core/pool.h"
 #include "core/sort.h"
 #include "ingest/ingest_internal.h"
-
-static const struct options_def defs[] = {
-#define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct ingest_config, type, tier, key, def, lo, hi, unit, help)
-#include "ingest/ingest.def"
-#undef OPT
-};
-
-const struct options_spec *ingest_options(void)
-{
-    static const struct options_spec spec = {
-        .command = "ingest",
-        .usage = "citysplat ingest PHOTOS SPARSE -o SCENE [options]",
-        .about = "Photographs with EXIF GPS and their COLMAP model (a folder with cameras, images "
-                 "and points3D, .bin or "
-                 ".txt) become a scene in metres, east-north-up: undistorted pictures, poses, "
-                 "points. Photographs "
-                 "whose pose or GPS position cannot be right are dropped and named.",
-        .example = "citysplat ingest photos photos/sparse/0 -o scene",
-        .defs = defs,
-        .n_defs = sizeof defs / sizeof *defs,
-        .min_args = 2,
-        .max_args = 2,
-    };
-    return &spec;
-}
 
 static enum err_code ingest_no_memory(struct err *e)
 {

@@ -1,11 +1,12 @@
-/* What drones know about their photographs (codec/drone.h): which altitude counts, and which way is
- * up by their gimbals.
+/* Data of drones about their photographs (codec/drone.h): the altitude to use, and the direction up
+ * by their gimbals.
  *
- * Altitudes. Of a flight most of whose photographs have places resolved by RTK, their absolute
- * altitudes count, from the ellipsoid. Of any other, the barometer's heights above take-off, which
- * do not jump as those of satellites do; at what level they lie is the median of EXIF's minus
- * theirs. Where the two do not keep their distance (the drone took off elsewhere, or was calibrated
- * on the way), and where a photograph has none, EXIF's count.
+ * Altitudes: if most photographs of a flight have positions resolved by RTK, their absolute
+ * altitudes are used, which are above the ellipsoid. In other flights the barometer's heights above
+ * take-off are used, because they do not jump as those of satellites do. Their level is the median
+ * difference to EXIF's altitudes. EXIF's altitudes are used where that difference is not constant
+ * (the drone took off elsewhere, or was calibrated on the way), and for photographs without
+ * barometer.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

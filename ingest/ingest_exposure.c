@@ -1,14 +1,14 @@
-/* Exposure and white balance of every photograph, from the sparse points that several of them see.
+/* Exposure and white balance of every photograph, from sparse points that several photographs see.
  *
- * The light of a point j in photograph i, channel k, is L = A[j][k] * 2^ev[i][k]: the logarithm is
- * a sum, and its least squares have a unique solution but for one constant a channel, which is
- * chosen so that the mean over the photographs is exactly 0. Solved by alternating between points
- * and photographs. Observations weigh 1 / (1 + (r / 0.3)^2) by their residual r in stops (Cauchy),
- * so cars, glints and shadows that moved count little; photographs are held to 0 as if by four more
- * observations, so that chains of few points do not drift.
+ * The light of point j in photograph i, channel k, is L = A[j][k] * 2^ev[i][k]. The logarithm is a
+ * sum, and its least squares have a unique solution except for one constant a channel. That
+ * constant is chosen so that the mean over the photographs is exactly 0. The solution alternates
+ * between points and photographs. The weight of an observation is 1 / (1 + (r / 0.3)^2) for a
+ * residual of r stops (Cauchy), so cars, glints and moving shadows have little effect. Each
+ * photograph has four additional observations of 0, so that chains of few points do not drift.
  *
- * Light is the mean over 5 x 5 pixels of the scene's picture around the observation; clipped and
- * black ones are left out.
+ * Light is the mean over 5 x 5 pixels of the scene's picture around the observation. Clipped and
+ * black pixels are left out.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

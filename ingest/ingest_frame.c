@@ -372,24 +372,39 @@ static enum err_code frame_gcp_origin(struct ingest *g, const struct sim3 *sim, 
     return rc;
 }
 
+static void frame_view(const struct ingest *g, const struct ingest_photo *p, struct gcp_view *v)
+{
+    *v = (struct gcp_view){.image = p->image,
+                           .lens = &g->model.cameras[p->image->camera].lens,
+                           .has_gps = frame_gps_usable(&p->gps)};
+    memcpy(v->center, p->geo.center, sizeof v->center);
+    memcpy(v->rot, p->geo.rot, sizeof v->rot);
+    if (!v->has_gps)
+        return;
+    v->lon_deg = p->gps.lon_deg;
+    v->lat_deg = p->gps.lat_deg;
+    v->h_m = ingest_drone_height_m(g, p);
+}
+
 static enum err_code frame_from_gcp(struct ingest *g, struct sim3 *sim, struct err *e)
 {
     double up[3] = {0};
     size_t n = 0;
+    const struct gcp_fit_config cfg = {.px_scale = g->cfg->gcp_scale,
+                                       .height_offset_m = g->cfg->geoid_offset_m,
+                                       .sigma_m = g->cfg->gcp_accuracy_m,
+                                       .mark_px = g->cfg->mark_accuracy_px,
+                                       .suspects = (enum gcp_suspects)g->cfg->suspects,
+                                       .gps_check = g->cfg->gps_check};
     struct gcp_view *views = mem_array(g->n, sizeof *views);
     enum err_code rc = views ? frame_up(g, up, e) : frame_no_memory(e);
-    for (size_t i = 0; !rc && i < g->n; i++) {
-        const struct ingest_photo *p = &g->photos[i];
-        if (p->verdict != INGEST_KEPT)
-            continue;
-        views[n].image = p->image;
-        views[n].lens = &g->model.cameras[p->image->camera].lens;
-        memcpy(views[n].center, p->geo.center, sizeof views[n].center);
-        memcpy(views[n++].rot, p->geo.rot, sizeof views[0].rot);
-    }
+    for (size_t i = 0; !rc && i < g->n; i++)
+        if (g->photos[i].verdict == INGEST_KEPT)
+            frame_view(g, &g->photos[i], &views[n++]);
     if (!rc)
-        rc = gcp_fit_make(g->gcps, &g->model, views, n, g->cfg->gcp_scale, g->cfg->geoid_offset_m,
-                          up, &g->gcp, e);
+        rc = gcp_fit_make(g->gcps, &g->model, views, n, &cfg, up, &g->gcp, e);
+    for (size_t k = 0; !rc && k < g->gcp.at.n_sights; k++)
+        g->gcp.at.sights[k].view = NULL; /* they go now */
     mem_free(views);
     if (rc)
         return rc;

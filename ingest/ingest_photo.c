@@ -1,11 +1,11 @@
-/* One photograph on its way into a scene: shrunk, and with its lens distortion taken out.
+/* Converts a photograph for a scene: reduces it and removes lens distortion.
  *
  * The pinhole that replaces a distorted lens has square pixels, its principal point in the middle,
- * and the smallest focal length that leaves no pixel without a source: the widest view without
- * black borders, which a trainer would take for black buildings. A photograph much larger than
- * needed is first shrunk to twice the final size, undistorted there with Catmull-Rom splines, and
- * shrunk again with Lanczos: as sharp as undistorting at full size, at a fraction of the time.
- * Pixels of a pinhole camera are only shrunk, or copied as they are.
+ * and the smallest focal length for which every pixel has a source. This is the widest view without
+ * black borders, which training would take for black buildings. A photograph that is much too large
+ * is first reduced to twice the final size, undistorted there with Catmull-Rom splines, and reduced
+ * again with Lanczos. This is as sharp as undistorting at full size, and much faster. Photographs
+ * of a pinhole camera are only reduced, or copied unchanged.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

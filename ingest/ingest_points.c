@@ -1,13 +1,13 @@
-/* Which sparse points are no surface. A wrong match that two photographs agree on lies metres off,
- * often under the ground; training makes a Gaussian as large as the gap around it out of each,
- * whose tails no training photograph shows and every other view does.
+/* Finds sparse points that are not on a surface. A wrong match of two photographs lies metres off,
+ * often below the ground. Training turns such a point into a Gaussian as large as the gap around
+ * it. Training photographs do not show its tails, but every other view does.
  *
- * Four kinds of evidence, judged in this order: rays that meet at too small an angle, a
- * reprojection error far above the others', a gap to the nearest points far above that of the
- * points around, a place far below or above all points near it on the map. The last needs a weak
- * point (few observations or a poor fit), since a lamp post stands above its street, too. All
- * limits are relative: to the median error, to the spacing of the neighbours, to the size of a
- * pixel there.
+ * There are four kinds of evidence, in this order: rays that meet at too small an angle, a
+ * reprojection error far above that of others, a distance to the nearest points far above that of
+ * points around, and a height far below or above all points nearby. The last counts only for a weak
+ * point (few observations or a poor fit), because a lamp post also stands above its street. All
+ * limits are relative: to the median error, to the spacing of neighbours, to the size of a pixel
+ * there.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

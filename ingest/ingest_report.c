@@ -62,34 +62,150 @@ static size_t report_residual_quantiles(const struct ingest_result *r, double q[
     return n;
 }
 
+/* "0.021 m in plan, 0.034 m in height". */
+static void report_two(const double m[2], char out[64])
+{
+    snprintf(out, 64, "%.3f m in plan, %.3f m in height", m[0], m[1]);
+}
+
+static void report_print_rmse(const struct gcp_fit *f)
+{
+    char told[64], expected[64];
+    report_two(f->control_m, told);
+    if (isfinite(f->control_m[0]))
+        printf("GCP      control: RMSE %s; %zu points, %d coordinates more than the frame needs\n",
+               told, f->n_control, f->redundancy);
+    else
+        printf("GCP      control: %zu points fit by themselves: no RMSE; give 3 or more, better "
+               "5\n",
+               f->n_control);
+    report_two(f->check_m, told);
+    report_two(f->check_expected_m, expected);
+    if (f->n_check)
+        printf("         check:   RMSE %s, %zu point%s; expected %s\n", told, f->n_check,
+               f->n_check > 1 ? "s" : "", expected);
+    else
+        printf("         no check points: nothing tells how far off other places are; keep some "
+               "out by --check\n");
+    report_two(f->frame_m, told);
+    if (f->redundancy > 0)
+        printf("         the frame is right to about %s at the points\n", told);
+}
+
+static void report_print_point(const struct gcp_fit *f, size_t i)
+{
+    const struct gcp_place *at = &f->at.places[i];
+    const struct gcp_point *p = &f->points[i];
+    const double *out = p->left.residual_m;
+    bool check = f->list->gcps[i].check;
+    printf("         %s: ", f->list->gcps[i].name);
+    if (check || f->redundancy > 0)
+        printf("%+.3f m east, %+.3f north, %+.3f up; ", p->residual_m[0], p->residual_m[1],
+               p->residual_m[2]);
+    printf("%zu photograph%s%s%s", at->n_photos, at->n_photos > 1 ? "s" : "",
+           at->by_points ? ", height by sparse points" : "",
+           check           ? ", check"
+           : p->weight > 0 ? ""
+                           : ", does not count");
+    if (!check && isfinite(out[0]))
+        printf("; left out %+.3f %+.3f %+.3f, the frame goes %.3f m", out[0], out[1], out[2],
+               p->influence_m);
+    printf("\n");
+}
+
+/* Suspects first: they are what has to be looked at. */
+static void report_print_points_of(const struct gcp_fit *f)
+{
+    size_t shown = 0;
+    for (size_t pass = 0; pass < 2; pass++)
+        for (size_t i = 0; i < f->list->n && shown < NAMES_SHOWN; i++) {
+            if (f->points[i].suspect != (pass == 0))
+                continue;
+            if (!f->at.places[i].n_photos)
+                printf("         %s: in no photograph that was kept\n", f->list->gcps[i].name);
+            else
+                report_print_point(f, i);
+            shown++;
+        }
+    if (f->list->n > shown)
+        printf("         ... and %zu more, see report.json\n", f->list->n - shown);
+}
+
+static const char *report_suspect_use(const struct ingest_result *r, bool counts)
+{
+    static const char *const words[] = {"counts little or not", "left out", "counts all the same"};
+    return counts && r->cfg->suspects == GCP_REWEIGH ? "counts less" : words[r->cfg->suspects];
+}
+
+/* A line for each suspect: which, by how much, why, what was done. */
+static void report_warn_suspects(const struct ingest_result *r)
+{
+    const struct gcp_fit *f = r->gcp;
+    for (size_t i = 0; i < f->list->n; i++) {
+        const struct gcp_point *p = &f->points[i];
+        const double *d = p->left.residual_m;
+        bool check = f->list->gcps[i].check;
+        if (p->suspect && p->far)
+            log_warn("ingest", "suspect: ground control point %s (line %zu): %s: left out",
+                     f->list->gcps[i].name, f->list->gcps[i].line, p->cause);
+        else if (p->suspect)
+            log_warn("ingest",
+                     "suspect: %s point %s (line %zu) is %.2f m off in plan and %+.2f m in height, "
+                     "%.0f times what is expected%s%s: %s",
+                     check ? "check" : "control", f->list->gcps[i].name, f->list->gcps[i].line,
+                     hypot(d[0], d[1]), d[2], p->left.sigmas, p->cause[0] ? "; likely " : "",
+                     p->cause, check ? "look at it" : report_suspect_use(r, p->weight > 0));
+    }
+    for (size_t k = 0; k < f->at.n_sights; k++) {
+        const struct gcp_sight *s = &f->at.sights[k];
+        if (s->suspect)
+            log_warn("ingest",
+                     "suspect: mark of %s in %s (line %zu) is %.1f px from where its other marks "
+                     "put it%s",
+                     f->list->gcps[s->mark->gcp].name, s->mark->image, s->mark->line, s->out_px,
+                     s->used ? "" : ": it does not count");
+    }
+}
+
+static void report_warn_gcp(const struct ingest_result *r)
+{
+    const struct gcp_fit *f = r->gcp;
+    report_warn_suspects(r);
+    if (f->level_by_points)
+        log_warn("ingest",
+                 "%zu ground control points on a line: what is level about it comes from "
+                 "the sparse points; give one beside the line",
+                 f->n_control);
+    if (f->at.n_lost)
+        log_warn("ingest", "%zu marks are in photographs that the model does not hold, '%s' first",
+                 f->at.n_lost, f->at.lost);
+    if ((f->factor > 2 || f->contradict) && isfinite(f->control_m[0]))
+        log_warn("ingest",
+                 "control points contradict the poses or each other: plan_m=%.3f height_m=%.3f, "
+                 "%.1f times what survey and marks explain%s",
+                 f->control_m[0], f->control_m[1], f->factor,
+                 f->n_suspects ? "" : "; these points cannot tell which is wrong: give more");
+    if (f->gps.cause[0])
+        log_warn("ingest",
+                 "ground control is %.2f m in plan and %+.2f m in height from GPS (%zu "
+                 "photographs; usual are %.1f and %.1f m): likely %s",
+                 f->gps.plan_m, -f->gps.height_m, f->gps.n, f->gps.limit_m[0], f->gps.limit_m[1],
+                 f->gps.cause);
+}
+
 static void report_print_gcp(const struct ingest_result *r)
 {
     const struct gcp_fit *f = r->gcp;
     printf("frame    scale %.6g m per COLMAP unit, by %zu ground control points%s\n",
            r->scene->scale, f->n_control,
            f->level_by_points ? " on a line; level by the sparse points" : "");
-    printf("GCP      control: RMSE %.3f m in plan, %.3f m in height\n", f->control_plan_m,
-           f->control_height_m);
-    if (f->n_check)
-        printf("         check:   RMSE %.3f m in plan, %.3f m in height, %zu points\n",
-               f->check_plan_m, f->check_height_m, f->n_check);
-    else
-        printf("         no check points: nothing tells how far off other places are; keep some "
-               "out by --check\n");
-    for (size_t i = 0; i < f->list->n && i < NAMES_SHOWN; i++) {
-        const struct gcp_place *p = &f->places[i];
-        if (!p->n_photos)
-            printf("         %s: in no photograph that was kept\n", f->list->gcps[i].name);
-        else
-            printf("         %s: %+.3f m east, %+.3f north, %+.3f up; %zu photograph%s%s%s\n",
-                   f->list->gcps[i].name, p->residual_m[0], p->residual_m[1], p->residual_m[2],
-                   p->n_photos, p->n_photos > 1 ? "s" : "",
-                   p->by_points ? ", height by sparse points" : "",
-                   f->list->gcps[i].check ? ", check" : "");
-    }
-    if (f->control_plan_m > 3 || f->control_height_m > 3)
-        log_warn("ingest", "ground control points contradict the poses: plan_m=%.2f height_m=%.2f",
-                 f->control_plan_m, f->control_height_m);
+    report_print_rmse(f);
+    report_print_points_of(f);
+    if (f->gps.n)
+        printf("GPS      %zu photographs: ground control lies %.2f m in plan and %+.2f m in height "
+               "from theirs\n",
+               f->gps.n, f->gps.plan_m, -f->gps.height_m);
+    report_warn_gcp(r);
 }
 
 /* Where heights come from and what they count from: key of report.json, words for people. */
@@ -322,31 +438,87 @@ static json_t *report_gimbal_to_json(const struct ingest_gimbal *m)
                : json_null();
 }
 
-static json_t *report_rmse(size_t n, double plan_m, double height_m)
+static json_t *report_rmse(size_t n, const double m[2])
 {
     return json_pack("{s:I, s:o, s:o}", "points", (json_int_t)n, "rmse_plan_m",
-                     report_real_or_null(plan_m), "rmse_height_m", report_real_or_null(height_m));
+                     report_real_or_null(m[0]), "rmse_height_m", report_real_or_null(m[1]));
+}
+
+static json_t *report_marks_to_json(const struct gcp_fit *f, size_t i)
+{
+    json_t *list = json_array();
+    const struct gcp_place *p = &f->at.places[i];
+    for (size_t k = p->first; k < p->first + p->n; k++) {
+        const struct gcp_sight *s = &f->at.sights[k];
+        json_array_append_new(
+            list, json_pack("{s:s, s:I, s:f, s:o, s:o, s:o, s:b, s:b}", "photograph",
+                            s->mark->image, "line", (json_int_t)s->mark->line, "residual_px",
+                            s->residual_px, "left_out_px", report_real_or_null(s->out_px),
+                            "left_out_sigmas", report_real_or_null(s->out_sigmas), "moves_point_m",
+                            report_real_or_null(s->moves * f->sim.scale), "suspect", s->suspect,
+                            "counts", s->used));
+    }
+    return list;
+}
+
+static json_t *report_point_to_json(const struct gcp_fit *f, size_t i)
+{
+    const struct gcp *g = &f->list->gcps[i];
+    const struct gcp_place *at = &f->at.places[i];
+    const struct gcp_point *p = &f->points[i];
+    const struct gcp_left *l = &p->left;
+    bool there = at->n_photos > 0, known = there && (g->check || f->redundancy > 0);
+    json_t *o = json_pack("{s:s, s:b, s:I, s:I, s:b, s:o, s:o, s:o}", "name", g->name, "check",
+                          g->check, "line", (json_int_t)g->line, "photographs",
+                          (json_int_t)at->n_photos, "by_sparse_points", there && at->by_points,
+                          "east_m", known ? json_real(p->residual_m[0]) : json_null(), "north_m",
+                          known ? json_real(p->residual_m[1]) : json_null(), "up_m",
+                          known ? json_real(p->residual_m[2]) : json_null());
+    if (!o || !there)
+        return o;
+    json_object_set_new(o, "gsd_m", json_real(p->gsd_m));
+    json_object_set_new(o, "weight", json_real(p->weight));
+    json_object_set_new(o, "influence_m", report_real_or_null(p->influence_m));
+    json_object_set_new(
+        o, g->check ? "as_check" : "left_out",
+        json_pack("{s:o, s:o, s:o, s:o, s:o, s:o}", "east_m", report_real_or_null(l->residual_m[0]),
+                  "north_m", report_real_or_null(l->residual_m[1]), "up_m",
+                  report_real_or_null(l->residual_m[2]), "sigma_axis_m",
+                  report_real_or_null(l->sigma_m[0]), "sigma_height_m",
+                  report_real_or_null(l->sigma_m[1]), "sigmas", report_real_or_null(l->sigmas)));
+    json_object_set_new(o, "suspect", json_boolean(p->suspect));
+    json_object_set_new(o, "cause", p->cause[0] ? json_string(p->cause) : json_null());
+    json_object_set_new(o, "marks", report_marks_to_json(f, i));
+    return o;
+}
+
+static json_t *report_gcp_gps_to_json(const struct gcp_gps *g)
+{
+    return g->n ? json_pack("{s:I, s:f, s:f, s:f, s:f, s:o}", "photographs", (json_int_t)g->n,
+                            "plan_m", g->plan_m, "height_m", -g->height_m, "limit_plan_m",
+                            g->limit_m[0], "limit_height_m", g->limit_m[1], "cause",
+                            g->cause[0] ? json_string(g->cause) : json_null())
+                : json_null();
 }
 
 static json_t *report_gcp_to_json(const struct gcp_fit *f)
 {
     if (!f)
         return json_null();
-    json_t *list = json_array();
-    for (size_t i = 0; i < f->list->n; i++) {
-        const struct gcp_place *p = &f->places[i];
-        bool there = p->n_photos > 0;
-        json_array_append_new(
-            list, json_pack("{s:s, s:b, s:I, s:b, s:o, s:o, s:o}", "name", f->list->gcps[i].name,
-                            "check", f->list->gcps[i].check, "photographs", (json_int_t)p->n_photos,
-                            "by_sparse_points", there && p->by_points, "east_m",
-                            there ? json_real(p->residual_m[0]) : json_null(), "north_m",
-                            there ? json_real(p->residual_m[1]) : json_null(), "up_m",
-                            there ? json_real(p->residual_m[2]) : json_null()));
-    }
-    return json_pack("{s:o, s:o, s:o}", "control",
-                     report_rmse(f->n_control, f->control_plan_m, f->control_height_m), "check",
-                     report_rmse(f->n_check, f->check_plan_m, f->check_height_m), "points", list);
+    json_t *list = json_array(), *control = report_rmse(f->n_control, f->control_m),
+           *check = report_rmse(f->n_check, f->check_m);
+    for (size_t i = 0; i < f->list->n; i++)
+        json_array_append_new(list, report_point_to_json(f, i));
+    json_object_set_new(control, "redundancy", json_integer(f->redundancy));
+    json_object_set_new(check, "expected_plan_m", report_real_or_null(f->check_expected_m[0]));
+    json_object_set_new(check, "expected_height_m", report_real_or_null(f->check_expected_m[1]));
+    return json_pack("{s:o, s:o, s:o, s:o, s:f, s:f, s:I, s:I, s:I, s:o, s:o}", "control", control,
+                     "check", check, "frame_plan_m", report_real_or_null(f->frame_m[0]),
+                     "frame_height_m", report_real_or_null(f->frame_m[1]), "contradiction",
+                     f->factor, "marks_factor", f->at.factor, "suspects", (json_int_t)f->n_suspects,
+                     "mark_suspects", (json_int_t)f->n_mark_suspects, "marks_lost",
+                     (json_int_t)f->at.n_lost, "gps", report_gcp_gps_to_json(&f->gps), "points",
+                     list);
 }
 
 enum err_code ingest_report_write(const struct ingest_result *r, const char *path, struct err *e)

@@ -1,5 +1,4 @@
-/* The scene from what was kept: pictures' cameras in ENU, points, tracks in pixels of the new
- * pictures.
+/* Makes the scene from what was kept: cameras in ENU, points, tracks in pixels of the new pictures.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

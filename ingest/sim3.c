@@ -332,9 +332,7 @@ static double sim3_add_level(const struct sim3_problem *p, const struct sim3_fit
     return cost;
 }
 
-/* Turn by omega and stretch by exp(grow) about center, then shift. */
-static void sim3_fit_step(struct sim3_fit *f, const double *d, const double center[3],
-                          size_t n_groups)
+void sim3_step(struct sim3 *s, const double d[7], const double center[3])
 {
     double angle = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]),
            half = angle > 1e-12 ? sin(0.5 * angle) / angle : 0.5;
@@ -343,19 +341,25 @@ static void sim3_fit_step(struct sim3_fit *f, const double *d, const double cent
     double grow = exp(fmin(1, fmax(-1, d[3])));
     camera_quat_to_rot(quat, turn);
     for (int i = 0; i < 3; i++)
-        v[i] = f->sim.trans[i] - center[i];
+        v[i] = s->trans[i] - center[i];
     for (int i = 0; i < 3; i++) {
         for (int j = 0; j < 3; j++)
-            rot[3 * i + j] = turn[3 * i] * f->sim.rot[j] + turn[3 * i + 1] * f->sim.rot[3 + j] +
-                             turn[3 * i + 2] * f->sim.rot[6 + j];
-        f->sim.trans[i] =
+            rot[3 * i + j] = turn[3 * i] * s->rot[j] + turn[3 * i + 1] * s->rot[3 + j] +
+                             turn[3 * i + 2] * s->rot[6 + j];
+        s->trans[i] =
             center[i] +
             grow * (turn[3 * i] * v[0] + turn[3 * i + 1] * v[1] + turn[3 * i + 2] * v[2]) +
             d[4 + i];
     }
-    f->sim.scale *= grow;
+    s->scale *= grow;
     camera_rot_to_quat(rot, quat);
-    camera_quat_to_rot(quat, f->sim.rot);
+    camera_quat_to_rot(quat, s->rot);
+}
+
+static void sim3_fit_step(struct sim3_fit *f, const double *d, const double center[3],
+                          size_t n_groups)
+{
+    sim3_step(&f->sim, d, center);
     for (size_t g = 1; g < n_groups; g++)
         f->offset_m[g] += d[6 + g];
 }

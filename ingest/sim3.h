@@ -18,6 +18,9 @@ struct sim3 {
     double scale, rot[9], trans[3];
 };
 void sim3_apply(const struct sim3 *s, const double x[3], double y[3]);
+/* Turn by d[0..2] and stretch by exp(d[3]) about center (in the frame of y), then shift by d[4..6].
+ */
+void sim3_step(struct sim3 *s, const double d[7], const double center[3]);
 
 /* Eigenvalues (ascending) and eigenvectors (rows of vectors, unit) of a symmetric n x n matrix, n
  * <= 4. */

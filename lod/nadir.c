@@ -1,8 +1,8 @@
 /* A store seen straight down: see nadir.h.
  *
- * Seams: a Gaussian is drawn into every piece that it reaches, wherever its mean is, and which
- * tiles are taken depends on the scale alone, so pieces side by side show the same Gaussians in the
- * same order and need no margin.
+ * Pieces have no seams and need no margin. A Gaussian is drawn in every piece that it reaches,
+ * wherever its mean is. The tiles that are used depend on the scale alone, so neighbouring pieces
+ * show the same Gaussians in the same order.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

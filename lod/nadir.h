@@ -1,9 +1,9 @@
-/* A store seen straight down: colour and height of the surface, orthographically, for a piece of
- * ground at a time.
+/* A store seen straight down: colour and height of the surface, orthographic, one piece of ground
+ * at a time.
  *
- * The surface is where transmittance, on its way down, falls to 1/2: the depth of the Gaussian at
- * which it does. Of haze above a roof and of Gaussians below it the median takes no notice, where a
- * mean would be moved by both; see docs/survey.md.
+ * The surface is the depth of the Gaussian at which transmittance, from above, falls to 1/2. This
+ * median is not affected by haze above a roof or by Gaussians below it; a mean would be
+ * (docs/survey.md).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -18,62 +18,63 @@ struct view;
 
 enum { NADIR_SIZE_MAX = 2048 }; /* px, of a piece */
 
-struct nadir; /* a store, a renderer and what was surveyed; one caller at a time */
+struct nadir; /* a store, a renderer and the surveyed area; only one thread may use it */
 struct nadir_options {
     const char *device;     /* OpenCL device, see dev_open */
-    const char *appearance; /* see lod/bake.h; NULL: the store's default one */
-    double ceiling_m;   /* ENU: what is higher is not drawn; NAN: half of the survey's own height
-                               and 20 m above it */
-    size_t cache_bytes; /* of decoded tiles; 0: 256 MiB */
+    const char *appearance; /* see lod/bake.h; NULL: the store's default */
+    /* ENU; what is higher is not drawn. NAN: half of the survey's own height plus 20 m above it */
+    double ceiling_m;
+    size_t cache_bytes; /* limit of decoded tiles; 0: 256 MiB */
 };
-/* ERR_NOENT, ERR_FORMAT, ERR_DATA: no usable store; ERR_DEVICE, ERR_MEM; ERR_NOENT or ERR_ARG:
- * appearance. */
+/* Opens a store. Close *out with nadir_close. ERR_NOENT, ERR_FORMAT, ERR_DATA: no usable store.
+ * ERR_DEVICE, ERR_MEM. ERR_NOENT, ERR_ARG: of the appearance. */
 enum err_code nadir_open(const char *store_path, const struct nadir_options *o, struct nadir **out,
                          struct err *e) ERR_USE;
-/* The same over a view and a renderer that the caller keeps, draws other pictures with, and closes
- * after this; ceiling_m as in the options. The appearance is the view's. ERR_DATA, ERR_DEVICE,
- * ERR_MEM. */
+/* As nadir_open, with a view and a renderer of the caller, who may draw other pictures with them
+ * and closes them later. ceiling_m as in the options. The appearance is that of the view. ERR_DATA,
+ * ERR_DEVICE, ERR_MEM. */
 enum err_code nadir_over(struct view *v, struct render *r, double ceiling_m, struct nadir **out,
                          struct err *e) ERR_USE;
 void nadir_close(struct nadir **n);
 const struct store *nadir_store(const struct nadir *n);
 const struct area *nadir_area(const struct nadir *n);
 
-/* From here on nadir_draw and nadir_look, and so whatever draws with them, ask before they begin,
- * and are ERR_CANCEL when it is true. NULL: never. */
+/* From now on nadir_draw, nadir_look and all that use them call `stop` first, and return ERR_CANCEL
+ * if it is true. NULL: never. */
 void nadir_set_stop(struct nadir *n, bool (*stop)(const void *user), const void *user);
 
-/* A piece of ground: pixel (u, v), the top left corner being (0, 0), lies on the vertical through
+/* A piece of ground. Pixel (u, v), with (0, 0) the top left corner, is the vertical line through
  * center + (u - width / 2) (1 / scale_x) right + (v - height / 2) (1 / scale_y) down. */
 struct nadir_piece {
     double lon_deg, lat_deg;       /* of the centre */
-    double turn_rad;               /* of right, anticlockwise from east */
+    double turn_rad;               /* of `right`, anticlockwise from east */
     double px_per_m_x, px_per_m_y; /* on the ground */
-    uint32_t width, height;        /* up to NADIR_SIZE_MAX */
+    uint32_t width, height;        /* at most NADIR_SIZE_MAX */
 };
-/* Places that say where a piece lies: its middle, the middles of its right and its lower edge, its
- * corners: top left, top right, bottom left, bottom right. */
+/* Places that define a piece: its middle, the middles of its right and lower edges, and its corners
+ * (top left, top right, bottom left, bottom right). */
 enum { NADIR_MIDDLE, NADIR_RIGHT, NADIR_DOWN, NADIR_CORNER, NADIR_PLACES = 7 };
-/* The piece of p->width x p->height pixels at these places. off_px: how far its plane is from them
- * at most. ERR_ARG: no places on Earth. */
+/* Computes the piece of p->width x p->height pixels through these places. off_px: largest distance
+ * between its plane and the places. ERR_ARG: not places on earth. */
 enum err_code nadir_fit(const struct nadir *n, const double lon_deg[NADIR_PLACES],
                         const double lat_deg[NADIR_PLACES], struct nadir_piece *p, double *off_px,
                         struct err *e) ERR_USE;
-/* rgb [h][w][3], 0 to 1, as photographs were fitted; height_m [h][w], ellipsoidal; both NAN where
- * less than half of the light is stopped. Either may be NULL. ERR_ARG: size or place; ERR_CANCEL,
- * ERR_DEVICE, ERR_FORMAT (a damaged tile), ERR_MEM, ERR_LIMIT. */
+/* Draws a piece. rgb [h][w][3] is 0 to 1, with the colours of the photographs. height_m [h][w] is
+ * ellipsoidal. Both are NAN where less than half of the light is stopped. Either may be NULL.
+ * ERR_ARG (size or place), ERR_CANCEL, ERR_DEVICE, ERR_FORMAT (a damaged tile), ERR_MEM, ERR_LIMIT.
+ */
 enum err_code nadir_draw(struct nadir *n, const struct nadir_piece *p, float *rgb, float *height_m,
                          struct err *e) ERR_USE;
 
-/* What one ray of a perspective camera meets. */
+/* What a ray of a perspective camera meets. */
 struct nadir_ray {
     bool found;     /* half of the light is stopped somewhere */
-    double depth_m; /* along the optical axis, to the surface; NAN: none */
-    double front;   /* share of the light that is stopped nearer than the limit */
+    double depth_m; /* depth of the surface along the optical axis; NAN: none */
+    double front;   /* share of light that is stopped nearer than the limit */
 };
-/* The ray through (x, y) of the picture, the top left corner being (0, 0). limit_m: a depth; 0:
- * front is 0. Errors of nadir_draw: ERR_ARG (camera), ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_MEM,
- * ERR_LIMIT. */
+/* Follows the ray through (x, y) of the picture, with (0, 0) the top left corner. limit_m is a
+ * depth; 0: front is 0. ERR_ARG (camera), ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_MEM, ERR_LIMIT as
+ * in nadir_draw. */
 enum err_code nadir_look(struct nadir *n, const struct camera *cam, double x_px, double y_px,
                          double limit_m, struct nadir_ray *out, struct err *e) ERR_USE;
 

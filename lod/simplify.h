@@ -13,8 +13,8 @@
 
 struct gauss;
 
-/* Merges neighbours by moment matching until `target` rows are left; if there are not more, all
- * stay. Free *out with gauss_free. Origin, SH degree and embeddings are those of `in`. ERR_ARG
+/* Merges neighbours by moment matching until `target` rows are left. An input with fewer rows keeps
+ * them all. Free *out with gauss_free. Origin, SH degree and embeddings are those of `in`. ERR_ARG
  * (target 0), ERR_LIMIT (2^32 - 1 rows), ERR_MEM. */
 enum err_code simplify_gauss(const struct gauss *in, size_t target, struct gauss *out,
                              struct err *e) ERR_USE;

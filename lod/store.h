@@ -92,7 +92,8 @@ enum err_code store_open(const char *path, struct store **out, struct err *e) ER
  * ERR_LIMIT, ERR_MEM. */
 enum err_code store_open_fd(int fd, const char *name, struct store **out, struct err *e) ERR_USE;
 /* Opens another handle, for another thread, on the file fd from which `first` was opened. It uses
- * the index of `first`, which must be closed later. ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */
+ * the index of `first`, so `first` must stay open longer. ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM.
+ */
 enum err_code store_open_more(int fd, const struct store *first, struct store **out,
                               struct err *e) ERR_USE;
 /* Closes a store. If it is being built, the unfinished file is removed. *s may be NULL. */

@@ -1,15 +1,15 @@
-/* The depth loss on the device: one frame of inverse depth, drawn and differentiated by the same
- * kernels as colours.
+/* The depth loss on the device: one frame of inverse depth, drawn and differentiated by the kernels
+ * for colours.
  *
- * A shadow of the model has the trained Gaussians' shapes and, as its only colour, unit / z of
- * their centres; drawing it gives D = sum alpha T unit / z. The hard pass draws every Gaussian with
- * opacity DEPTH_HARD whatever its own: a floater is seen in full and has to leave or to fade, where
- * the soft pass would let it be as faint as the colours allow. DEPTH_HARD is just below the cut of
- * alpha, so the derivative with respect to opacity is never cut to 0 (the method asks for opacity 1
- * and a derivative that ignores the cut, which is the same picture within 1 / 255).
+ * A copy of the model has the shapes of the trained Gaussians and, as its only colour, unit / z of
+ * their centres. Drawing it gives D = sum alpha T unit / z. The hard pass draws every Gaussian with
+ * opacity DEPTH_HARD. A floater then counts fully, and has to move or to fade. The soft pass would
+ * let it be as faint as the colours allow. DEPTH_HARD is just below the cut of alpha, so the
+ * derivative with respect to opacity is never cut to 0. The method asks for opacity 1 and a
+ * derivative that ignores the cut; the picture is the same within 1 / 255.
  *
- * Owns its kernels, the shadow (56 bytes a Gaussian) and its gradients (as much). The frame of the
- * colours must be drawn afterwards: this one takes its place. Equations: docs/regularizers.md.
+ * It owns its kernels, the copy (56 bytes a Gaussian) and its gradients (as much). The frame of the
+ * colours must be drawn afterwards, because this one replaces it. Equations: docs/regularizers.md.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

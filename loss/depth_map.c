@@ -1,10 +1,10 @@
-/* What is known of a photograph's depth: a map of relative inverse depth that somebody's network
- * made, brought to metres by the sparse points that the photograph observes, or these points alone.
+/* Known depths of a photograph: a map of relative inverse depth from a network, aligned to metres
+ * by the sparse points that the photograph observes, or these points alone.
  *
- * A network's map is right up to a scale and an offset, so a y + b is fitted to the points' inverse
- * depths, photograph by photograph, and what fits badly is left out and counted (3D Gaussian
- * Splatting's hierarchical successor, Kerbl et al. 2024, aligns the same way). Maps are read again
- * when they are needed: only alignments are kept. Owns those and one target picture.
+ * A network's map is right up to a scale and an offset. So a y + b is fitted to the points' inverse
+ * depths for each photograph. Maps that fit badly are left out and counted (the hierarchical 3D
+ * Gaussian Splatting of Kerbl et al. 2024 aligns in the same way). Only alignments are kept; maps
+ * are read again when needed. It owns the alignments and one target picture.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,6 +1,6 @@
-/* The depth loss in double: what depth.c does, said twice. depth_ref_loss blends inverse depths
- * pixel by pixel; depth_ref_grads goes as the kernels do, through the reference of the
- * backward pass. A test holds the differences of the first against the second.
+/* The depth loss of depth.c in double, computed in two ways. depth_ref_loss blends inverse depths
+ * pixel by pixel. depth_ref_grads works as the kernels do, with the reference of the backward pass.
+ * A test compares finite differences of the first with the second.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,11 +1,11 @@
-/* The smoothness loss on the Gaussians' appearance embeddings: neighbours in space should react to
- * light and season alike.
+/* The smoothness loss on appearance embeddings: neighbours in space should react alike to light and
+ * season.
  *
- * For M Gaussians drawn at random and their k nearest (themselves included), every pair (a, b) of
- * such a group, b the farther one, pays w_b (1 - cos of the angle between their embeddings). It
- * runs on the host, every 50th step: a k-d tree over all means, then groups in parallel; each
- * group's gradient is kept apart and added up in order, so the sum does not depend on threads. All
- * sums in double. Source: REUrbanGS (2025); weights and groups carry no gradient.
+ * M Gaussians are drawn at random. For each, all pairs (a, b) of its k nearest Gaussians (itself
+ * included) count, with b the farther one: w_b (1 - cos of the angle between their embeddings). It
+ * runs on the host, every 50th step: a k-d tree over all means, then groups in parallel. Gradients
+ * of groups are stored separately and added in order, so the sum does not depend on threads. All
+ * sums are in double. Weights and groups have no gradient. Source: REUrbanGS (2025).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
 /* The loss that makes embeddings of neighbours alike: embed_smoothness.c on the host,
- * embed_smoothness_step.c on a model in training.
+ * embed_smoothness_step.c for a model in training.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -11,40 +11,43 @@
 
 #include "render/render.h"
 
-/* With i over `samples` Gaussians drawn at random (all when there are fewer), n_0 .. n_k-1 the k
- * nearest of i, itself included, in order of distance, and e^ = e / |e|:
- *   L = weight / (M C(k, 2)) sum_i sum_{a < b} w_ib (1 - e^_{n_a} . e^_{n_b}),
- *   w_ib = exp(-falloff |mu_i - mu_{n_b}|^2). */
+/* The sum goes over `samples` Gaussians i drawn at random, or all if there are fewer. n_0 .. n_k-1
+ * are the k nearest of i by distance, itself included, and e^ = e / |e|:
+ *
+ *     L = weight / (M C(k, 2)) sum_i sum_{a < b} w_ib (1 - e^_{n_a} . e^_{n_b}),
+ *     w_ib = exp(-falloff |mu_i - mu_{n_b}|^2) */
 struct embed_smoothness_input {
     const float *mean_m; /* [n][3] */
-    const float *embed;  /* not normalised: value c of row i is embed[i / 16 * embed_group + i % 16
-                 * embed_lane + c * embed_next], as in a model or, 16 len, len, 1, [n][len] */
+    /* Not normalised. Value c of row i is embed[i / 16 * embed_group + i % 16 * embed_lane + c *
+     * embed_next], as in a model; 16 len, len, 1 are the strides of [n][len]. */
+    const float *embed;
     size_t embed_group, embed_lane, embed_next;
     size_t n, len, samples, neighbours;
-    double falloff, weight; /* 1 / m^2 */
+    double falloff, weight; /* falloff: 1 / m^2 */
     uint64_t seed, stream;
 };
-/* The loss now, the gradient in pieces that the caller has room for. Same input, same bits, on any
- * number of threads and with pieces of any size. The input is borrowed until
- * embed_smoothness_close, which is due after an error as well. ERR_MEM; ERR_LIMIT: more than 2^32 -
- * 1 Gaussians. */
+/* Computes the loss now; embed_smoothness_rows then gives the gradient in pieces. The same input
+ * gives the same bits, for any number of threads and any size of pieces. The input is borrowed
+ * until embed_smoothness_close, which must be called also after an error. ERR_MEM. ERR_LIMIT: more
+ * than 2^32 - 1 Gaussians. */
 struct embed_smoothness;
 enum err_code embed_smoothness_open(const struct embed_smoothness_input *in,
                                     struct embed_smoothness **out, double *loss,
                                     struct err *e) ERR_USE;
-/* grad [count][len], written: dL/dembed of rows first .. first + count - 1. */
+/* Writes grad [count][len]: dL/d(embed) of the rows first .. first + count - 1. */
 void embed_smoothness_rows(const struct embed_smoothness *w, size_t first, size_t count,
                            float *grad);
 void embed_smoothness_close(struct embed_smoothness **w);
 
 struct embed_smoothness_step; /* compiled kernels, and a buffer */
-/* Build the kernel. embed_smoothness_step_close it. ERR_DEVICE, ERR_MEM. */
+/* Builds the kernel. Free *out with embed_smoothness_step_close. ERR_DEVICE, ERR_MEM. */
 enum err_code embed_smoothness_step_open(struct dev *dev, struct embed_smoothness_step **out,
                                          struct err *e) ERR_USE;
 void embed_smoothness_step_close(struct embed_smoothness_step **s);
-/* Add the loss's gradient to Adam's moments of the embeddings, for the next render_backward_step to
- * take up; `like` without the fields of the model. Models without embeddings: nothing, loss 0.
- * Waits for the device. ERR_ARG: beta1 or beta2 is 0; ERR_MEM, ERR_DEVICE. */
+/* Adds the loss's gradient to Adam's moments of the embeddings; the next render_backward_step
+ * applies it. The function itself fills the fields of `like` that come from the model. A model
+ * without embeddings has loss 0. It waits for the device. ERR_ARG: beta1 or beta2 is 0. ERR_MEM,
+ * ERR_DEVICE. */
 enum err_code embed_smoothness_step_run(struct embed_smoothness_step *s,
                                         const struct render_model *m,
                                         const struct render_adam *adam,

@@ -1,8 +1,8 @@
-/* The smoothness loss in training: the host looks at the embeddings where they lie, their gradient
- * goes in pieces into Adam's moments, where the step that follows takes it up (embed_smoothness.cl
- * says why that is right).
+/* The smoothness loss in training. The host reads the embeddings in place and adds their gradient,
+ * in pieces, to Adam's moments. The next step then applies it (embed_smoothness.cl explains why
+ * this is correct).
  *
- * Owns its kernel and a buffer for one piece.
+ * It owns its kernel and a buffer for one piece.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,9 +1,9 @@
-/* LPIPS on the device: see lpips.h. The two pictures go through the network side by side, so that
- * no layer's features are kept longer than until they are compared.
+/* LPIPS on the device: see lpips.h. Both pictures go through the network together, so features of a
+ * layer are kept only until they are compared.
  *
  * Names of weights are those of the authors' program: net.slice<S>.<N>.weight with N the number of
- * the layer in torchvision's `features`, and lin<K>.model.1.weight; features.<N>.weight and
- * lin<K>.weight are read as well.
+ * the layer in torchvision's `features`, and lin<K>.model.1.weight. features.<N>.weight and
+ * lin<K>.weight are accepted too.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

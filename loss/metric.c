@@ -1,9 +1,9 @@
 /* PSNR, SSIM and GMSD of a rendered picture against a photograph, in double.
  *
- * Two windows, because papers use both: METRIC_TRAINING is what the loss minimises (zero padded:
- * border windows see black beyond the edge), METRIC_VALID keeps only windows inside the picture, as
- * the usual metric libraries do. A window is inside exactly when its centre is 5 px from every
- * edge, and there the zero-padded map holds the same number.
+ * Papers use two windows. METRIC_TRAINING is what the loss minimises: it is zero padded, and
+ * windows at the border see black beyond the edge. METRIC_VALID has only windows inside the
+ * picture, as in most metric libraries. A window is inside exactly if its centre is at least 5 px
+ * from every edge, and there the zero-padded map has the same value.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

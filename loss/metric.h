@@ -10,28 +10,29 @@
 #include "core/err.h"
 
 enum metric_window {
-    METRIC_TRAINING, /* zero padded, every pixel has a window: what the loss uses */
-    METRIC_VALID,    /* only windows that lie inside the picture: what evaluations usually report */
+    METRIC_TRAINING, /* zero padded, a window at every pixel, as in the loss */
+    METRIC_VALID,    /* only windows inside the picture, as evaluations usually report */
 };
-/* All clamp `rgb` [h][w][3] to 0..1 and compare it with `target` uint8 [h][w][3]; mask [h][w]
- * (NULL: use all) is 0 where a pixel is not used. PSNR in dB for range 1, of the mean over the used
- * pixels, +infinity where they are equal; ERR_DATA where there are none. SSIM and GMSD see black in
- * both pictures where the mask is 0 and are means over all pixels, as in the loss. SSIM is the mean
- * over pixels and channels; METRIC_VALID needs at least 11 x 11 pixels (ERR_ARG). */
+/* Metrics of rgb [h][w][3], clamped to 0..1, against target uint8 [h][w][3]. mask [h][w] (NULL: use
+ * all) is 0 at unused pixels. PSNR is in dB for range 1, from the mean over used pixels; equal
+ * pictures have +infinity. ERR_DATA: no pixel is used. SSIM and GMSD see black in both pictures at
+ * unused pixels, and are means over all pixels, as in the loss. SSIM is the mean over pixels and
+ * channels. METRIC_VALID needs at least 11 x 11 pixels (ERR_ARG). ERR_MEM. */
 enum err_code metric_psnr(const float *rgb, const uint8_t *target, const uint8_t *mask,
                           uint32_t width_px, uint32_t height_px, double *out_db,
                           struct err *e) ERR_USE;
 enum err_code metric_ssim(const float *rgb, const uint8_t *target, const uint8_t *mask,
                           uint32_t width_px, uint32_t height_px, enum metric_window window,
                           double *out, struct err *e) ERR_USE;
-/* Gradient Magnitude Similarity Deviation of the grey levels (Xue 2014): a perceptual metric that
- * needs no weights; 0 for equal pictures, lower is better. At least 4 x 4 pixels (ERR_ARG). */
+/* Gradient Magnitude Similarity Deviation of the grey levels (Xue 2014), a perceptual metric
+ * without weights. Lower is better; equal pictures have 0. ERR_ARG: less than 4 x 4 pixels.
+ * ERR_MEM. */
 enum err_code metric_gmsd(const float *rgb, const uint8_t *target, const uint8_t *mask,
                           uint32_t width_px, uint32_t height_px, double *out,
                           struct err *e) ERR_USE;
-/* PSNR, SSIM and GMSD of the pixels of a mask alone [h][w]: others take the target's colour in both
- * pictures, so what is drawn there counts nothing, and means are over used pixels (GMSD: over means
- * of 2 x 2 of them). ERR_ARG below 4 x 4 pixels, ERR_DATA when the mask is empty. */
+/* PSNR, SSIM and GMSD of the masked part [h][w] alone. Elsewhere both pictures get the target's
+ * colour, so drawings there do not count. Means are over used pixels; for GMSD over means of 2 x 2
+ * of them. ERR_ARG: less than 4 x 4 pixels. ERR_DATA: the mask is empty. ERR_MEM. */
 struct metric_scores {
     double psnr_db, ssim, gmsd;
 };

@@ -1,11 +1,11 @@
-/* The 3-D filter of Mip-Splatting (Yu et al. 2024): no Gaussian is drawn thinner than the finest
- * sampling of any training camera that sees it can show.
+/* The 3-D filter of Mip-Splatting (Yu et al. 2024): no Gaussian is thinner than the finest sampling
+ * of the training cameras that see it.
  *
- * The filter of a Gaussian is a length f, recomputed every MIP_EVERY steps and whenever Gaussians
- * were added or removed; it is a constant for the optimiser. The kernels of render/ draw with
- * sqrt(sigma^2 + f^2) and opacity times prod sigma / sigma' (render_model.filter) and give
- * gradients of the raw parameters. Cameras have the level's picture size, so a coarse level learns
- * coarse Gaussians. What leaves the trainer has the filter folded in (mip_fold).
+ * The filter of a Gaussian is a length f. It is computed every MIP_EVERY steps, and when Gaussians
+ * were added or removed. It is a constant for the optimiser. The kernels of render/ draw with
+ * sqrt(sigma^2 + f^2) and opacity times prod sigma / sigma' (render_model.filter), and give
+ * gradients of the raw parameters. Cameras have the picture size of the level, so a coarse level
+ * learns coarse Gaussians. Results of training have the filter folded in (mip_fold).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

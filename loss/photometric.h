@@ -1,14 +1,14 @@
-/* The photometric loss on the device, and image metrics on the host.
+/* The photometric loss on the device.
  *
- *   L = l1_weight * mean|x - y| + ssim_weight * (1 - mean SSIM(x, y))
+ *     L = l1_weight * mean|x - y| + ssim_weight * (1 - mean SSIM(x, y))
  *
- * x is the rendered colour, y the photograph, means over h * w * 3 (masked pixels are zero in both
- * and still count). SSIM: 11x11 Gaussian window of sigma 1.5, normalised, zero padded, per channel,
- * C1 = 0.01^2, C2 = 0.03^2 (Wang 2004). Partial sums are added in a fixed order: same input, same
- * bits.
+ * x is the rendered colour and y the photograph. Means are over h * w * 3; masked pixels are zero
+ * in both and still count. SSIM has an 11x11 Gaussian window of sigma 1.5, normalised and zero
+ * padded, for each channel, with C1 = 0.01^2 and C2 = 0.03^2 (Wang 2004). Partial sums are added in
+ * a fixed order: the same input gives the same bits.
  *
- * A training step is: render_forward -> photometric_run(color -> grad) -> render_backward_step,
- * with no reading back; photometric_read when a number is wanted.
+ * A training step is: render_forward -> photometric_run(color -> grad) -> render_backward_step. It
+ * reads nothing back. Call photometric_read when the value is needed.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -22,9 +22,10 @@
 
 /* ---- photometric.c: on the device ---- */
 
-/* Compiled kernels and scratch buffers of one device, growing with the picture; one caller. */
+/* Compiled kernels and scratch buffers of one device, which grow with the picture. Only one thread
+ * may use it. */
 struct photometric;
-/* Build the kernels. photometric_close it. ERR_DEVICE, ERR_MEM. */
+/* Builds the kernels. Free *out with photometric_close. ERR_DEVICE, ERR_MEM. */
 enum err_code photometric_open(struct dev *dev, struct photometric **out, struct err *e) ERR_USE;
 void photometric_close(struct photometric **l);
 
@@ -33,29 +34,29 @@ struct photometric_input { /* all borrowed */
     cl_mem target;         /* uint8 [h][w][3]: the photograph, 255 = 1.0 */
     cl_mem mask;           /* uint8 [h][w], 0 = ignore this pixel; NULL = use all */
     uint32_t width_px, height_px;
-    /* PHOTOMETRIC_L1_WEIGHT, PHOTOMETRIC_SSIM_WEIGHT; ssim_weight 0 skips that work. */
+    /* usually PHOTOMETRIC_L1_WEIGHT and PHOTOMETRIC_SSIM_WEIGHT; ssim_weight 0 skips SSIM */
     float l1_weight, ssim_weight;
-    bool value_only; /* no gradient: `grad` of photometric_run is not looked at */
+    bool value_only; /* no gradient: photometric_run ignores `grad` */
 };
-/* Enqueue: write dL/dx into `grad`, float [3][h][w] planar (render_color_grad_buffer); 0 where
- * masked. Does not wait for the device. ERR_ARG for an empty picture, ERR_MEM (also when grad is
- * NULL, which is how render_color_grad_buffer tells that the device is full), ERR_LIMIT,
+/* Enqueues the loss, and writes dL/dx to `grad`, float [3][h][w] planar (render_color_grad_buffer);
+ * masked pixels get 0. It does not wait for the device. ERR_ARG: the picture is empty. ERR_MEM,
+ * also if grad is NULL: render_color_grad_buffer returns NULL when the device is full. ERR_LIMIT,
  * ERR_DEVICE. */
 enum err_code photometric_run(struct photometric *l, const struct photometric_input *in,
                               cl_mem grad, struct err *e) ERR_USE;
 
 struct photometric_value {       /* means over h * w * 3 of the last photometric_run */
-    double total, l1, ssim, mse; /* ssim: 1 when it was skipped */
+    double total, l1, ssim, mse; /* ssim: 1 if it was skipped */
 };
-/* Wait for the last photometric_run and add up its partial sums. ERR_ARG when there was none;
+/* Waits for the last photometric_run and adds its partial sums. ERR_ARG: there was none.
  * ERR_DEVICE. */
 enum err_code photometric_read(struct photometric *l, struct photometric_value *out,
                                struct err *e) ERR_USE;
 
 /* ---- photometric_ref.c: the same in double on the host ---- */
 
-/* rgb, target: [h][w][3]; mask [h][w] or NULL; grad [h][w][3] or NULL, written. ERR_ARG: an empty
- * picture; ERR_MEM. */
+/* rgb, target [h][w][3]; mask [h][w] or NULL; grad [h][w][3] or NULL, overwritten. ERR_ARG: the
+ * picture is empty. ERR_MEM. */
 enum err_code photometric_ref_run(const double *rgb, const double *target, const uint8_t *mask,
                                   uint32_t width_px, uint32_t height_px, double l1_weight,
                                   double ssim_weight, double *grad, struct photometric_value *out,

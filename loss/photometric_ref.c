@@ -1,10 +1,14 @@
-/* The photometric loss and its gradient in double on the host: what the kernels are tested against.
+/* The photometric loss and its gradient in double on the host, the reference of the kernels.
  *
- * With K the window operator (11x11 Gaussian, zero padded, symmetric), m1 = Kx, m2 = Ky, s1 = Kx^2
- * - m1^2, s2 = Ky^2 - m2^2, s12 = K(xy) - m1 m2, A1 = 2 m1 m2 + C1, A2 = 2 s12 + C2, B1 = m1^2 +
- * m2^2 + C1, B2 = s1 + s2 + C2: S = A1 A2 / (B1 B2). Seen as a function of (Kx, Kx^2, K(xy)) it has
- * the derivatives pm, ps, pc, and since K is its own transpose d(sum S)/dx = K pm + 2 x K ps + y K
- * pc. Structural similarity: Wang, Bovik, Sheikh, Simoncelli 2004.
+ * K is the window operator (11x11 Gaussian, zero padded, symmetric). With m1 = Kx, m2 = Ky, s1 =
+ * Kx^2 - m1^2, s2 = Ky^2 - m2^2, s12 = K(xy) - m1 m2:
+ *
+ *     A1 = 2 m1 m2 + C1,  A2 = 2 s12 + C2,  B1 = m1^2 + m2^2 + C1,  B2 = s1 + s2 + C2
+ *     S = A1 A2 / (B1 B2)
+ *
+ * As a function of (Kx, Kx^2, K(xy)), S has the derivatives pm, ps, pc. K is its own transpose, so
+ * d(sum S)/dx = K pm + 2 x K ps + y K pc. Structural similarity: Wang, Bovik, Sheikh, Simoncelli
+ * 2004.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,9 +1,9 @@
 /* The scale regularizer: Gaussians longer than a building, and needles, shrink.
  *
- * Two launches a step: counts over fixed pieces, gradients. Owns its kernels and a small buffer. A
- * flat disc (two long axes, one short) is no needle: the ratio is of the longest axis to the middle
- * one. Source: REUrbanGS (2025); the division by n + 1 keeps the pull on one offender the same
- * however many there are.
+ * A step has two launches: counts over fixed pieces, then gradients. It owns its kernels and a
+ * small buffer. A flat disc (two long axes, one short) is no needle, because the ratio is that of
+ * the longest axis to the middle one. The division by n + 1 makes the pull on one Gaussian
+ * independent of their number. Source: REUrbanGS (2025).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

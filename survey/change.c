@@ -1,4 +1,4 @@
-/* What changed between two stores: see change.h.
+/* Changes between two stores: see change.h.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* Contour lines: see contour.h. GDAL's generator takes the rows and gives the lines (marching
- * squares between the centres of pixels); where a pixel has no height a line ends.
+/* Contour lines: see contour.h. GDAL's generator takes rows and gives lines (marching squares
+ * between the centres of pixels). A line ends at a pixel without height.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -112,6 +112,16 @@ int crs_epsg(const struct crs *c)
     return c->epsg;
 }
 
+double crs_outside_deg(const struct crs *c, double lon_deg, double lat_deg)
+{
+    double west, south, east, north;
+    if (!OSRGetAreaOfUse(c->plane, &west, &south, &east, &north, NULL) || west < -180 ||
+        east < west)
+        return 0; /* not known, or across the date line */
+    return fmax(fmax(west - lon_deg, lon_deg - east),
+                fmax(fmax(south - lat_deg, lat_deg - north), 0));
+}
+
 const void *crs_handle(const struct crs *c)
 {
     return c->plane;

@@ -18,6 +18,8 @@ int crs_utm(double lon_deg, double lat_deg);
 enum err_code crs_open(int epsg, struct crs **out, struct err *e) ERR_USE;
 void crs_close(struct crs **c);
 int crs_epsg(const struct crs *c);
+/* Degrees between a place and the box that the system is used in; 0: inside, or not known. */
+double crs_outside_deg(const struct crs *c, double lon_deg, double lat_deg);
 const void *crs_handle(const struct crs *c); /* OGRSpatialReferenceH, borrowed */
 /* The EPSG code of heights above sea level by a model of GeographicLib ("egm96-5" is 5773); 0:
  * there is none. */

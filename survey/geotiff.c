@@ -1,7 +1,7 @@
 /* Cloud Optimized GeoTIFF by GDAL: see geotiff.h. GDAL's COG driver can only copy a whole picture,
- * so a plain tiled one is written first. It is sparse, so what was not surveyed takes no room.
+ * so a plain tiled one is written first. It is sparse: ground that was not surveyed takes no room.
  *
- * Only the two drivers that are needed are registered: no other of GDAL's readers ever sees a file.
+ * Only the two necessary drivers are registered, so no other reader of GDAL ever opens a file.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,8 +1,8 @@
 /* Maps of a store: see map.h.
  *
- * A piece is drawn in a plane that touches the Earth in its middle, with pixels turned and scaled
- * as the projection has them there. How far that is off at the piece's corners is checked; for
- * conformal projections such as UTM it is nothing.
+ * A piece is drawn in a plane that touches the earth in its middle. Its pixels are rotated and
+ * scaled as the projection is there. The error at the piece's corners is checked. For conformal
+ * projections such as UTM it is negligible.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

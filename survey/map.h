@@ -1,5 +1,5 @@
 /* Maps of a store: orthophoto and surface model, as Cloud Optimized GeoTIFF. A city of any size is
- * drawn piece by piece; memory holds one piece and the tiles that it shows.
+ * drawn piece by piece. Memory holds one piece and the tiles that it shows.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -14,59 +14,60 @@ struct geoid;
 enum { MAP_PIECE_PX = 512 };
 #define MAP_EDGE_MAX 1000000 /* px, of a picture */
 #define MAP_PIXELS_MAX 2e10
-#define MAP_OFF_MAX_PX 0.1 /* how far the plane of a piece may be from the projection */
+#define MAP_OFF_MAX_PX 0.1 /* largest distance between the plane of a piece and the projection */
 
 struct map_request {
     enum geotiff_kind kind;
-    int epsg;                  /* 0: the UTM zone of the middle */
-    double gsd_m;              /* pixel, in the projection; 0: by how fine the Gaussians are */
-    const double *bbox_deg;    /* west, south, east, north; NULL: all that was surveyed */
-    uint32_t piece_px;         /* 0: MAP_PIECE_PX */
-    const struct geoid *geoid; /* heights count from it; NULL: from the ellipsoid */
+    int epsg;               /* 0: the UTM zone of the middle */
+    double gsd_m;           /* size of a pixel in the projection; 0: about that of the Gaussians */
+    const double *bbox_deg; /* west, south, east, north; NULL: the whole survey */
+    uint32_t piece_px;      /* 0: MAP_PIECE_PX */
+    const struct geoid *geoid; /* reference of heights; NULL: the ellipsoid */
 };
-struct map_grid { /* pixels of the projection: edges are multiples of a pixel */
+struct map_grid { /* pixels in the projection; edges are multiples of a pixel */
     double west_m, north_m, pixel_m;
     uint32_t width, height;
     int epsg;
 };
 struct map_report {
     struct map_grid grid;
-    uint64_t pixels_held; /* with a surface */
-    double off_px;        /* how far the planes of pieces were from the projection, at most */
+    uint64_t pixels_held; /* number of pixels with a surface */
+    double off_px;        /* largest distance between a piece's plane and the projection */
     double seconds;
     double height_min_m, height_max_m; /* of a surface model; NAN: none */
 };
-/* Where pieces go. */
+/* Receives the pieces of a map. */
 struct map_visitor {
-    const char *what; /* of the progress bar */
+    const char *what; /* text of the progress bar */
     void *user;
-    /* Before the first piece. */
+    /* Called before the first piece. */
     enum err_code (*begin)(void *user, const struct crs *crs, const struct map_grid *g,
                            struct err *e);
-    /* w x h pixels from (x, y) on, row by row of pieces: rgb [h][w][3], 0 to 1, NULL for
-     * GEOTIFF_HEIGHT; height_m [h][w], NAN where there is no surface or nothing was surveyed.
-     * Pieces of which nothing was surveyed are left out. */
+    /* Receives w x h pixels from (x, y) on. Pieces come row by row. rgb [h][w][3] is 0 to 1, and
+     * NULL for GEOTIFF_HEIGHT. height_m [h][w] is NAN where there is no surface or nothing was
+     * surveyed. Pieces outside the survey are left out. */
     enum err_code (*piece)(void *user, uint32_t x, uint32_t y, uint32_t w, uint32_t h,
                            const float *rgb, const float *height_m, struct err *e);
 };
-/* The pixels of a request. ERR_ARG: EPSG code, an empty area, or more pixels than allowed; each
- * says what is. ERR_IO: PROJ's database lacks the geoid's heights. */
+/* Computes the pixels of a request. ERR_ARG: an invalid EPSG code, an empty area, or too many
+ * pixels; the message says what is allowed. ERR_IO: PROJ's database lacks the geoid's heights.
+ * ERR_MEM. */
 enum err_code map_plan(const struct nadir *n, const struct map_request *r, struct crs **crs,
                        struct map_grid *out, struct err *e) ERR_USE;
-/* The piece of p->width x p->height pixels whose top left one is (x, y) of the grid; its corners as
- * area_mask wants them; off_px grows to how far its plane is from the projection. ERR_ARG: farther
- * than MAP_OFF_MAX_PX. */
+/* Fits the piece of p->width x p->height pixels whose top left pixel is (x, y) of the grid.
+ * `corner` is as area_mask wants it. off_px is raised to the distance between its plane and the
+ * projection. ERR_ARG: that is more than MAP_OFF_MAX_PX. */
 enum err_code map_place(const struct nadir *n, const struct crs *crs, const struct map_grid *g,
                         uint32_t x, uint32_t y, struct nadir_piece *p, double corner[8],
                         double *off_px, struct err *e) ERR_USE;
-/* Draw a map and hand its pieces on. ERR_ARG: nothing was surveyed there; errors of map_plan,
- * nadir_draw and the visitor's own; ERR_CANCEL when the program was told to stop. */
+/* Draws a map and gives its pieces to the visitor. ERR_ARG: nothing was surveyed there. ERR_CANCEL:
+ * the program was told to stop. Else the errors of map_plan, nadir_draw and the visitor. */
 enum err_code map_run(struct nadir *n, const struct map_request *r, const struct map_visitor *v,
                       struct map_report *report, struct err *e) ERR_USE;
-/* What heights of a request are: "height above the WGS 84 ellipsoid". */
+/* Describes the heights of a request: "height above the WGS 84 ellipsoid". */
 void map_heights(const struct map_request *r, char out[100]);
-/* Write the file beside and rename it. Errors of map_plan, nadir_draw and geotiff.h; ERR_CANCEL
- * when the program was told to stop. report may be NULL. */
+/* Writes a map under another name and renames it. report may be NULL. ERR_CANCEL: the program was
+ * told to stop. Else the errors of map_plan, nadir_draw and geotiff.h. */
 enum err_code map_write(struct nadir *n, const struct map_request *r, const char *path,
                         struct map_report *report, struct err *e) ERR_USE;
 

@@ -1,4 +1,4 @@
-/* A map that was written before (survey/geotiff.h), or any like it, read again piece by piece.
+/* Reads a map, written by survey/geotiff.h or similar, piece by piece.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -7,17 +7,18 @@
 
 #include "survey/map.h"
 
-struct sheet; /* one caller at a time */
-/* A GeoTIFF, north up, with square pixels, in an EPSG projection in metres: 4 bands of 8 bits for
- * colours, 1 of heights. ERR_NOENT, ERR_FORMAT: not such a file, says what is wrong; ERR_ARG,
- * ERR_IO: its projection; ERR_LIMIT: larger than map.h allows; ERR_MEM. */
+struct sheet; /* only one thread at a time may use it */
+/* Opens a GeoTIFF, north up, with square pixels, in an EPSG projection in metres: 4 bands of 8 bits
+ * for colours, 1 band for heights. Close *out with sheet_close. ERR_NOENT, ERR_FORMAT: it is no
+ * such file; the message says what is wrong. ERR_ARG, ERR_IO: of its projection. ERR_LIMIT: larger
+ * than map.h allows. ERR_MEM. */
 enum err_code sheet_open(const char *path, enum geotiff_kind kind, struct sheet **out,
                          struct err *e) ERR_USE;
 void sheet_close(struct sheet **s);
 const struct map_grid *sheet_grid(const struct sheet *s);
 const struct crs *sheet_crs(const struct sheet *s);
-/* w x h pixels from (x, y) on, which lie within; as geotiff_write takes them. ERR_FORMAT: a damaged
- * file. */
+/* Reads w x h pixels from (x, y) on, inside the map, as geotiff_write takes them. ERR_FORMAT: the
+ * file is damaged. */
 enum err_code sheet_read(const struct sheet *s, uint32_t x, uint32_t y, uint32_t w, uint32_t h,
                          void *pixels, struct err *e) ERR_USE;
 

@@ -1,5 +1,5 @@
-/* The surface of a store as a cloud of coloured points: one for every pixel of a map, at the
- * pixel's middle. What is below a roof or on a wall is not seen from above and has none.
+/* The surface of a store as a cloud of coloured points, one at the middle of every pixel of a map.
+ * Places below a roof or on a wall are not visible from above and have no points.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -10,9 +10,10 @@
 
 #define SURFACE_POINTS_MAX 4294967295.0 /* many readers count with 32 bits */
 
-/* LAS (survey/las.h), written beside and renamed; r->kind is GEOTIFF_COLOR, r->gsd_m the distance
- * of points. ERR_ARG: more than SURFACE_POINTS_MAX, says which distance fits; errors of map_run and
- * las.h: ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM. */
+/* Writes LAS (survey/las.h) under another name and renames it. r->kind is GEOTIFF_COLOR, r->gsd_m
+ * the distance of points. ERR_ARG: more than SURFACE_POINTS_MAX; the message says which distance is
+ * possible. ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM as in map_run and las.h.
+ */
 enum err_code surface_points_write(struct nadir *n, const struct map_request *r, const char *path,
                                    struct map_report *report, struct err *e) ERR_USE;
 

@@ -1,7 +1,7 @@
-/* The procedural city written out: photographs, COLMAP model, truth.
+/* Writes the procedural city: photographs, COLMAP model, truth.
  *
- * Photographs are independent, so they are rendered on all cores; each is a function of the seed
- * and its number. The folder appears when everything in it is complete.
+ * Photographs are independent and rendered on all cores. Each is a function of the seed and its
+ * number. The folder appears when it is complete.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -20,31 +20,6 @@
 #include "core/geo.h"
 #include "core/outdir.h"
 #include "core/pool.h"
-
-static const struct options_def defs[] = {
-#define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct synth_config, type, tier, key, def, lo, hi, unit, help)
-#include "synth/synth.def"
-#undef OPT
-};
-
-const struct options_spec *synth_options(void)
-{
-    static const struct options_spec spec = {
-        .command = "synth",
-        .usage = "citysplat synth -o DIR [options]",
-        .about = "Make a procedural city and photograph it from the air: DIR/images with EXIF GPS, "
-                 "a COLMAP model in "
-                 "DIR/sparse/0, and the exact truth (poses, depth, clean pictures) in DIR/truth.",
-        .example = "citysplat synth -o city\n"
-                   "citysplat synth -o hard --exposure-ev 0.4 --white-balance 0.2 --gps-sigma-m 3 "
-                   "--vehicle-share 0.2",
-        .defs = defs,
-        .n_defs = sizeof defs / sizeof *defs,
-    };
-    return &spec;
-}
 
 struct job {
     const struct synth_config *cfg;

@@ -1,14 +1,13 @@
-/* A procedural city seen by a drone: photographs, a COLMAP model and the exact truth behind them.
+/* A procedural city photographed by a drone: photographs, a COLMAP model, and the exact truth.
  *
- * Nobody has to download anything to try the program, and tests know the right answer: poses,
- * depth, clean pictures, which GPS position lies and by how much. Reading order: synth.c (what is
- * written), synth_city.c (what stands where), synth_flight.c (who looks from where), synth_trace.c
- * (what a ray hits), synth_shade.c (what colour that is), synth_draw.c (a picture), synth_map.c (a
- * map), synth_model.c (the COLMAP model), synth_views.c (ground truth at poses that people take in
- * maps).
+ * It lets people try the program without a download, and tests know the right answer: poses, depth,
+ * clean pictures, and errors of GPS positions. Reading order: synth.c (what is written),
+ * synth_city.c (objects), synth_flight.c (cameras), synth_trace.c (rays), synth_shade.c (colours),
+ * synth_draw.c (a picture), synth_map.c (a map), synth_model.c (the COLMAP model), synth_views.c
+ * (ground truth at poses that are usual in maps).
  *
- * The city is built in its own frame: metres, z up, ground at z = 0, streets along x and y. ENU is
- * that frame turned by city.yaw_rad about z.
+ * The city has its own frame: metres, z up, ground at z = 0, streets along x and y. ENU is that
+ * frame rotated by city.yaw_rad about z.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -27,17 +26,21 @@ struct synth_config {
 #include "synth/synth.def"
 #undef OPT
 };
-/* The table behind struct synth_config: flags, defaults, ranges, help. */
+/* The table of struct synth_config: flags, defaults, ranges, help. */
 const struct options_spec *synth_options(void);
-/* Make the city of cfg in cfg->output:
- *   images/IMG_0001.jpg ...         photographs with EXIF GPS
- *   masks/IMG_0001.jpg.png ...     of photographs with moving vehicles: 0 where those show
- *   sparse/0/...                     COLMAP model in a frame of its own (rotation, scale and shift)
- *   truth/truth.json                origin, COLMAP -> ENU, per photograph: exact pose, what was
- * done to it truth/clean/NAME.png            every test_every-th photograph without appearance
- * changes and vehicles truth/depth/NAME.npy            its depth along the optical axis at pixel
- * centres, metres, 0 = sky
- */
+/* Makes the city of cfg in cfg->output:
+ *
+ *     images/IMG_0001.jpg ...        photographs with EXIF GPS
+ *     masks/IMG_0001.jpg.png ...     of photographs with moving vehicles: 0 where those are
+ *     sparse/0/...                   COLMAP model in its own frame (rotation, scale and shift)
+ *     truth/truth.json               origin, COLMAP -> ENU; for each photograph its exact pose and
+ *                                    its disturbances
+ *     truth/clean/NAME.png           every test_every-th photograph without appearance changes and
+ *                                    vehicles
+ *     truth/depth/NAME.npy           its depth along the optical axis at pixel centres, m,
+ *                                    0 = sky
+ *
+ * ERR_ARG, ERR_IO, ERR_LIMIT, ERR_MEM, ERR_CANCEL. */
 enum err_code synth_run(const struct synth_config *cfg, struct err *e) ERR_USE;
 
 /* ---- synth_city.c ---- */
@@ -50,9 +53,9 @@ struct synth_solid {
     uint32_t seed;      /* of its texture */
     double center_m[2]; /* city frame */
     double cos_yaw, sin_yaw;
-    double half_m[2];  /* half size along its own x and y */
-    double z0_m, z1_m; /* bottom and top; of a gable: eaves */
-    double ridge_m;    /* gable: ridge height, along own x; else z1_m */
+    double half_m[2];  /* half-size along its own x and y */
+    double z0_m, z1_m; /* bottom and top; the top of a gable is its eaves */
+    double ridge_m;    /* gable: height of the ridge, which runs along its own x; else z1_m */
     float color[3];    /* linear albedo */
 };
 struct synth_grid {                   /* solids by square cell of the ground plane; synth_trace.c */
@@ -61,18 +64,17 @@ struct synth_grid {                   /* solids by square cell of the ground pla
     uint32_t nx, ny;
     uint32_t *start; /* [nx * ny + 1] into items */
     uint32_t *items;
-    float *cell_top_m; /* [nx * ny] highest solid of the cell, 0 = none */
+    float *cell_top_m; /* [nx * ny] height of the highest solid of the cell, 0 = none */
 };
 enum { SYNTH_STREETS_MAX = 130 };
 struct synth_city { /* {0} is empty; synth_city_free */
     uint32_t seed;
     double half_m, yaw_rad;
-    double street_m[2]
-                   [SYNTH_STREETS_MAX]; /* centre lines: x of those along y, y of those along x */
+    double street_m[2][SYNTH_STREETS_MAX]; /* centre lines: [0] x, along y; [1] y, along x */
     double street_half_m[2][SYNTH_STREETS_MAX];
     size_t n_streets[2];
     double sun[3]; /* unit vector to the sun, city frame */
-    double gloss;  /* share of what shines of its real strength; 0: all is matt */
+    double gloss;  /* share of the full gloss; 0: everything is matt */
     struct synth_solid *solids;
     size_t n_solids, cap_solids;
     struct synth_grid grid;
@@ -80,7 +82,7 @@ struct synth_city { /* {0} is empty; synth_city_free */
 enum err_code synth_city_make(const struct synth_config *cfg, struct synth_city *out,
                               struct err *e) ERR_USE;
 void synth_city_free(struct synth_city *c);
-/* Vehicles on the move in photograph `photo`: two solids each (body, cabin) into out[2 * n]. */
+/* Makes n vehicles that move in photograph `photo`: two solids each (body, cabin), out[2 * n]. */
 void synth_city_vehicles(const struct synth_city *c, uint64_t photo, size_t n,
                          struct synth_solid *out);
 
@@ -93,70 +95,73 @@ void synth_grid_free(struct synth_grid *g);
 struct synth_hit {
     double t_m; /* along the unit direction; INFINITY = sky */
     double pos[3], normal[3];
-    double local[3]; /* in the solid's frame: its axes, about its centre; z above its bottom */
+    /* in the solid's frame: along its axes, about its centre, z from its bottom */
+    double local[3];
     double local_normal[3];
     const struct synth_solid *solid; /* NULL: ground or sky */
 };
-/* Nearest hit of origin + t dir, t > 0. `moving` may be NULL. */
+/* Finds the nearest hit of origin + t dir, t > 0. `moving` may be NULL. */
 void synth_trace_ray(const struct synth_city *c, const struct synth_grid *moving,
                      const double origin[3], const double dir[3], struct synth_hit *out);
-/* Is anything between origin and the sun? */
+/* Returns whether anything is between origin and the sun. */
 bool synth_trace_shadow(const struct synth_city *c, const struct synth_grid *moving,
                         const double origin[3]);
 
 /* ---- synth_shade.c ---- */
 
-struct synth_light { /* what the sky and the camera do to a photograph; synth_shade_light for none
-                      */
+/* light and camera settings of a photograph; synth_shade_light gives neutral ones */
+struct synth_light {
     float sun[3], sky[3]; /* linear radiance */
     float gain[3];        /* exposure and white balance */
 };
 struct synth_light synth_shade_light(void);
-/* Linear colour of a ray; footprint_m is the size of a sample at the hit, finer texture fades out.
+/* Linear colour of a ray. footprint_m is the size of a sample at the hit; finer texture fades out.
  */
 void synth_shade_hit(const struct synth_city *c, const struct synth_grid *moving,
                      const struct synth_light *light, const double dir[3],
                      const struct synth_hit *hit, double footprint_m, float rgb[3]);
-/* Linear colour after gains -> sRGB byte. */
+/* Converts a linear colour, after gains, to an sRGB byte. */
 uint8_t synth_shade_encode(float linear);
 
 /* ---- synth_draw.c ---- */
 
 struct image;
-struct synth_draw {                /* synth_draw_close; read only in use, so threads may share it */
+/* free with synth_draw_close; drawing only reads it, so threads may share it */
+struct synth_draw {
     const struct synth_city *city; /* borrowed */
     struct lens lens;
-    int supersample; /* rays per pixel and axis */
+    int supersample; /* rays on each axis of a pixel */
     double blur_px;  /* standard deviation of the lens' blur */
     float *rays;     /* [rows][cols][2] camera-plane directions at a coarse grid of pixels */
     size_t rows, cols;
 };
-/* Cameras that draw have the size and focal length of this lens. ERR_MEM; ERR_ARG when the lens
- * cannot be inverted at the picture's corner. */
+/* Prepares drawing. Cameras must have the size and focal length of this lens. ERR_MEM. ERR_ARG: the
+ * lens cannot be inverted at the picture's corner. */
 enum err_code synth_draw_open(const struct synth_city *city, const struct lens *lens,
                               int supersample, double blur_px, struct synth_draw *out,
                               struct err *e) ERR_USE;
 void synth_draw_close(struct synth_draw *d);
-/* cam: pose in ENU. `moving` may be NULL. image_free *out, also after ERR_MEM. */
+/* Draws a picture. cam: pose in ENU. `moving` may be NULL. Free *out with image_free, also after
+ * ERR_MEM. */
 enum err_code synth_draw_picture(const struct synth_draw *d, const struct camera *cam,
                                  const struct synth_light *light, const struct synth_grid *moving,
                                  struct image *out, struct err *e) ERR_USE;
-/* Blur rgb [h][w][3] by a Gaussian. ERR_MEM. */
+/* Blurs rgb [h][w][3] with a Gaussian. ERR_MEM. */
 enum err_code synth_draw_blur(float *rgb, size_t w, size_t h, double sigma_px,
                               struct err *e) ERR_USE;
-/* What a pixel position sees of the still city; returns its depth along the optical axis in metres,
- * 0 = sky. */
+/* Finds what a pixel position sees of the city without vehicles. Returns the depth along the
+ * optical axis in metres, 0 = sky. */
 double synth_draw_hit(const struct synth_draw *d, const struct camera *cam, double u_px,
                       double v_px, struct synth_hit *hit);
-/* The depth of every pixel centre: depth [h][w]. */
+/* Computes the depth at every pixel centre: depth [h][w]. */
 void synth_draw_depth(const struct synth_draw *d, const struct camera *cam, float *depth);
 
 /* ---- synth_map.c ---- */
 
-/* The still city from straight above, all rays parallel: what an orthophoto should show.
- * corner_enu_m: ENU of the picture's corners, top left, top right, bottom left, bottom right;
- * pixels lie evenly between. Each is the mean of supersample^2 rays, then blurred. Works on all
- * cores. image_free *out, also after ERR_MEM. */
+/* Draws the city without vehicles from straight above, with parallel rays, as an orthophoto should
+ * show it. corner_enu_m: ENU of the corners, top left, top right, bottom left, bottom right; pixels
+ * are evenly spaced between. A pixel is the mean of supersample^2 rays, and the picture is then
+ * blurred. It uses all cores. Free *out with image_free, also after ERR_MEM. */
 enum err_code synth_map_draw(const struct synth_city *c, const double corner_enu_m[4][2],
                              const uint32_t size_px[2], int supersample, double blur_px,
                              struct image *out, struct err *e) ERR_USE;
@@ -165,11 +170,11 @@ enum err_code synth_map_draw(const struct synth_city *c, const double corner_enu
 
 struct synth_photo {
     char name[32];
-    struct camera cam; /* truth, ENU; the lens' distortion comes on top */
+    struct camera cam; /* true pose, ENU; without lens distortion */
     struct synth_light light;
     bool vehicles, gps_outlier, pose_error;
     uint32_t flight;        /* 0 or 1 */
-    double gps_enu_m[3];    /* as EXIF tells it */
+    double gps_enu_m[3];    /* as EXIF has it */
     double pose_shift_m[3]; /* ENU error of the COLMAP pose */
     double exposure_ev;
 };
@@ -185,46 +190,49 @@ struct synth_similarity { /* y_enu = scale rot x_colmap + trans */
     double scale, rot[9], trans[3];
 };
 struct synth_similarity synth_model_frame(const struct synth_config *cfg);
-/* The COLMAP model as structure from motion would have given it. colmap_free it. */
+/* Makes the COLMAP model as structure from motion would. Free *out with colmap_free. ERR_MEM. */
 enum err_code synth_model_make(const struct synth_config *cfg, const struct synth_city *city,
                                const struct synth_photo *photos,
                                const struct synth_similarity *frame, struct colmap_model *out,
                                struct err *e) ERR_USE;
 
-/* Is this place (ENU) inside of a photograph's picture, whatever stands in between? */
+/* Returns whether a place (ENU) lies in a photograph's picture. Occlusion is not considered. */
 bool synth_model_frames(const struct lens *lens, const struct camera *cam,
                         const double place_enu_m[3]);
-/* Does a photograph show it: inside of the picture, nothing in between? */
+/* Returns whether a photograph shows it: in the picture, and not hidden. */
 bool synth_model_sees(const struct synth_city *c, const struct lens *lens, const struct camera *cam,
                       const double place_enu_m[3]);
 
 /* ---- synth_views.c ---- */
 
-/* Ground truth at poses that people take in maps, into the folder dir, which exists (see
- * docs/evaluation.md, "Map views"):
- *   views.json                     manifest: what each view is, and COLMAP -> ENU
- *   NAME.json                      camera, as `citysplat render --camera` takes it; ENU
- *   NAME.png, NAME.npy             picture without lens faults; depth along the axis, m, 0 = sky
- *   NAME_mask.png                  255: surface that three training photographs see, each pair of
- *                                  them at least 5 degrees apart; 128: one does; 64: none, as it is
- *                                  hidden in each that looks there; 0: none looks there, or sky
- *   NAME_square.png                255: within the built-up square
- * View i depends on the options of the city, cfg->map_seed and i alone. */
+/* Writes ground truth at poses that are usual in maps into the existing folder dir
+ * (docs/evaluation.md, "Map views"):
+ *
+ *     views.json              manifest: the kind of each view, and COLMAP -> ENU
+ *     NAME.json               camera, as for `citysplat render --camera`; ENU
+ *     NAME.png, NAME.npy      picture without lens errors; depth along the axis, m, 0 = sky
+ *     NAME_mask.png           255: surface that three training photographs see, each pair of
+ *                             them at least 5 degrees apart; 128: one sees it; 64: hidden in
+ *                             each that looks there; 0: none looks there, or sky
+ *     NAME_square.png         255: inside the built-up square
+ *
+ * View i depends on the options of the city, cfg->map_seed and i alone. ERR_ARG, ERR_IO, ERR_MEM,
+ * ERR_CANCEL. */
 enum err_code synth_views_write(const struct synth_config *cfg, const struct synth_city *city,
                                 const struct synth_photo *photos, const char *dir,
                                 struct err *e) ERR_USE;
-/* The options that the city in folder asked->city was made with; those of map views are asked's.
- * Texts live in the arena. ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_DATA, ERR_ARG: its truth.json;
+/* Reads the options of the city in folder asked->city; options of map views are those of `asked`.
+ * Texts live in the arena. ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_DATA, ERR_ARG: of its truth.json.
  * ERR_MEM. */
 enum err_code synth_views_config(const struct synth_config *asked, struct synth_config *out,
                                  struct arena *a, struct err *e) ERR_USE;
-/* The same for the city in folder cfg->city, made before by this command: cfg's other options are
- * taken from there. Writes into cfg->output, or the city's map-views/ if that is NULL; *out_dir
- * gets which. */
+/* As synth_views_write, for a city that this command made before in folder cfg->city; its other
+ * options are read from there. Writes into cfg->output, or if that is NULL into the city's
+ * map-views/; *out_dir is that folder. Errors of synth_views_config and synth_views_write. */
 enum err_code synth_views_run(const struct synth_config *cfg, char out_dir[FILE_PATH_MAX],
                               struct err *e) ERR_USE;
 
-/* Streams of the random numbers. */
+/* Streams of random numbers. */
 enum synth_stream {
     SYNTH_STREAM_STREETS = 1,
     SYNTH_STREAM_LOTS,

@@ -1,10 +1,9 @@
-/* What stands where: streets on a jittered grid, blocks cut into lots, and on the lots houses with
- * flat or gabled roofs, parks, car parks; trees along streets and in the fields around, parked
- * cars.
+/* The objects of the city: streets on a jittered grid, blocks cut into lots, and on the lots houses
+ * with flat or gabled roofs, parks and car parks; trees along streets and in fields, parked cars.
  *
- * A lot is cut in two across its longer edge until it is house-sized, as real parcels are. Every
- * number comes from rng_unit(seed, stream, counter), so a city is a function of its seed and extent
- * alone.
+ * A lot is cut in two across its longer edge until it has the size of a house, as real parcels are.
+ * Every number comes from rng_unit(seed, stream, counter), so a city is a function of its seed and
+ * extent alone.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

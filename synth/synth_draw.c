@@ -1,4 +1,5 @@
-/* Pictures and depth of the procedural city at any camera: rays through a lens, traced and shaded.
+/* Pictures and depth of the procedural city for any camera: rays through a lens are traced and
+ * shaded.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,6 +1,7 @@
-/* Who looks from where: nadir strips back and forth over the city, then four oblique passes that
- * look north, east, south and west at 48 degrees below the horizon, shifted back so that they see
- * the city; and what each photograph suffers: light, exposure, GPS noise and outliers, wrong poses.
+/* The cameras of the flight: nadir strips back and forth over the city, then four oblique passes
+ * that look north, east, south and west at 48 degrees below the horizon, moved back so that they
+ * see the city. And the disturbances of each photograph: light, exposure, GPS noise and outliers,
+ * wrong poses.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

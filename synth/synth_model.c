@@ -1,9 +1,9 @@
-/* The COLMAP model of the procedural city: what structure from motion would have found.
+/* The COLMAP model of the procedural city, as structure from motion would find it.
  *
- * Points are places that random pixels see; a photograph observes a point when a ray from its
- * camera reaches it. Pixels and places carry a little noise, poses are exact unless the options ask
- * for wrong ones, and all of it is told in a frame with a rotation, scale and shift of its own, as
- * a reconstruction without GPS would be.
+ * Points are places that random pixels see. A photograph observes a point if a ray from its camera
+ * reaches it. Pixels and places have a little noise. Poses are exact unless the options ask for
+ * wrong ones. The model is in a frame with a random rotation, scale and shift, like a
+ * reconstruction without GPS.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,11 +1,12 @@
-/* What colour a place is: procedural textures on everything, one sun with shadows, a sky.
+/* Colours of the city: procedural textures on all surfaces, one sun with shadows, a sky.
  *
- * Gaussians are judged by texture, so no surface is plain: asphalt with markings and stains, tiled
- * pavements, facades with bays of windows, roofs of tiles, gravel or panels, leaves, fields with
- * furrows. Noise is value noise in octaves; an octave finer than the sample is left out, so
- * distance blurs instead of flickering. Surfaces are matt, unless the city has gloss: then glass
- * and standing water mirror, and asphalt, tiles, sheet metal and car paint have a sheen about the
- * sun's mirror image (Blinn and Phong's, of Schlick's Fresnel term), one bounce and no more.
+ * Texture decides how well Gaussians can be judged, so no surface is plain: asphalt with markings
+ * and stains, tiled pavements, facades with windows, roofs of tiles, gravel or panels, leaves,
+ * fields with furrows. Noise is value noise in octaves. An octave finer than the sample is left
+ * out, so distance blurs and does not flicker. Surfaces are matt unless the city has gloss. With
+ * gloss, glass and standing water reflect, and asphalt, tiles, sheet metal and car paint have a
+ * highlight around the sun's mirror image (Blinn-Phong with Schlick's Fresnel term), with one
+ * bounce only.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

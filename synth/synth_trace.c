@@ -1,9 +1,9 @@
-/* What a ray hits: a uniform grid over the ground plane, walked cell by cell (Amanatides and Woo
- * 1987), with the height of each cell's tallest solid, so that rays high above the roofs skip whole
+/* Rays into the city: a uniform grid over the ground plane, traversed cell by cell (Amanatides and
+ * Woo 1987). Each cell has the height of its tallest solid, so rays high above the roofs skip whole
  * cells.
  *
- * Solids are boxes, gabled houses (a box cut by two slopes) and ellipsoids, each in a frame turned
- * about z. The ground is the plane z = 0, without end.
+ * Solids are boxes, gabled houses (a box cut by two slopes) and ellipsoids, each in a frame rotated
+ * about z. The ground is the infinite plane z = 0.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

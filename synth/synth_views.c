@@ -1,10 +1,10 @@
-/* Map views: the city at poses that people take in maps, with depth and a mask of the surface that
+/* Map views: the city at poses that are usual in maps, with depth and a mask of the surface that
  * the training photographs support.
  *
- * Test photographs lie between training photographs and look alike; a map's camera goes lower,
- * higher, farther out and down into the streets. Kinds of views follow each other in a fixed order,
- * so any first N are a fair mix; each draws poses until one stands in free air and sees what it
- * looks at.
+ * Test photographs lie between training photographs and look similar. A map's camera goes lower,
+ * higher, farther out, and down into the streets. Kinds of views follow each other in a fixed
+ * order, so any first N are a fair mix. For each view, poses are drawn at random until one is in
+ * free air and sees its target.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,6 @@
-/* A client of the server's tests: blocking, over loopback, every wait with an end far above what a
- * busy machine needs. And the server under test, started afresh for each test with its own options.
+/* A client for the server's tests, and the server under test. The client blocks and uses loopback;
+ * all waits end long after a busy machine would need. The server is started for each test with its
+ * own options.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -22,7 +23,7 @@
 #include <time.h>
 #include <unistd.h>
 
-static const double PATIENCE_S = 20; /* an answer that takes longer than this never comes */
+static const double PATIENCE_S = 20; /* longest wait for an answer */
 
 static struct {
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], rev[13];
@@ -54,7 +55,7 @@ static inline void say_bytes(int fd, const char *p, size_t n)
     while (n) {
         ssize_t k = send(fd, p, n, MSG_NOSIGNAL);
         if (k <= 0)
-            return; /* the server has closed: what it said is still read */
+            return; /* the server has closed; its answer can still be read */
         p += k;
         n -= (size_t)k;
     }
@@ -65,7 +66,7 @@ static inline void say(int fd, const char *text)
     say_bytes(fd, text, strlen(text));
 }
 
-struct reply { /* one answer; buf_free(&raw) */
+struct reply { /* one answer; free with buf_free(&raw) */
     int status;
     struct buf raw;
     const char *head;
@@ -74,7 +75,7 @@ struct reply { /* one answer; buf_free(&raw) */
     char value[512];
 };
 
-/* The value of a header, "" when absent. */
+/* The value of a header, or "". */
 static const char *header(struct reply *r, const char *name)
 {
     size_t n = strlen(name);
@@ -87,7 +88,7 @@ static const char *header(struct reply *r, const char *name)
     return r->value;
 }
 
-/* Add what comes within `wait_s`; false at end of stream. */
+/* Appends what arrives within `wait_s`. Returns false at the end of the stream. */
 static inline bool hear_some(int fd, struct buf *b, double wait_s)
 {
     struct pollfd p = {.fd = fd, .events = POLLIN};
@@ -100,7 +101,7 @@ static inline bool hear_some(int fd, struct buf *b, double wait_s)
     return n > 0;
 }
 
-/* One whole answer. `rest` (may be NULL) carries bytes between the answers of a connection. */
+/* Reads one whole answer. `rest` (may be NULL) keeps bytes of the next answer of the connection. */
 static inline void hear(int fd, bool has_body, struct buf *rest, struct reply *r)
 {
     double end_s = clock_s() + PATIENCE_S;
@@ -110,7 +111,7 @@ static inline void hear(int fd, bool has_body, struct buf *rest, struct reply *r
         memset(rest, 0, sizeof *rest);
     }
     for (bool open = true;;) {
-        buf_add(&r->raw, "", 1); /* so that text functions stop */
+        buf_add(&r->raw, "", 1); /* ends the text for string functions */
         r->raw.size--;
         char *end = r->raw.size ? strstr((char *)r->raw.data, "\r\n\r\n") : NULL;
         if (end) {
@@ -134,7 +135,7 @@ static inline void hear(int fd, bool has_body, struct buf *rest, struct reply *r
     }
 }
 
-/* Request with extra header lines, on a connection of its own. */
+/* Sends a request with extra header lines on its own connection. */
 static inline void ask_port(uint16_t port, const char *method, const char *target,
                             const char *extra, struct reply *r)
 {
@@ -161,13 +162,14 @@ static inline int status_of(const char *method, const char *target, const char *
     return r.status;
 }
 
-/* "REV-EDITION" of t.rev in the addresses of a route, "REV" while it has none; until the next. */
+/* The revision in the addresses of a route: "REV-EDITION", or "REV" if the route has no edition.
+ * Valid until the next call. */
 static inline const char *revision_of(enum route route)
 {
     static char text[32];
     char edition[9] = "";
     struct services *s =
-        t.server ? server_services(t.server) : NULL; /* NULL: a program of its own */
+        t.server ? server_services(t.server) : NULL; /* NULL: the server is another process */
     struct catalog *c = s ? services_catalog(s) : NULL;
     for (size_t i = 0; c && i < c->n; i++)
         if (!strcmp(c->ds[i]->meta.revision, t.rev))
@@ -207,8 +209,9 @@ static inline void start(void)
     catalog_drop(&c);
 }
 
-/* With pictures; false, and says so, where there is no device. The process that draws has a start
- * of its own, which must not count against the first request's deadline where others are busy. */
+/* Starts the server with pictures. If there is no device it prints that and returns false. It waits
+ * until the process that draws has started, so that this does not count for the first request's
+ * deadline. */
 static inline bool start_with_device(void)
 {
     const struct timespec nap = {.tv_nsec = 20000000};
@@ -227,7 +230,7 @@ static inline bool start_with_device(void)
     return true;
 }
 
-/* Descriptors of this process. */
+/* Number of open file descriptors of this process. */
 static inline size_t open_files(void)
 {
     size_t n = 0;
@@ -301,7 +304,7 @@ static inline void await_no_connections(void)
     assert_int_equal(connections(), 0);
 }
 
-/* What most requests are made of. */
+/* Parts of most requests. */
 #define H "Host: a\r\n"
 #define POST "POST /d/toy/render HTTP/1.1\r\n" H
 #define HTTP_TEST(f) cmocka_unit_test_setup_teardown(f, setup, teardown)

@@ -1,5 +1,5 @@
-/* What the tests share: cmocka in the right order, error printing, temporary folders, near-equality
- * that says where and by how much it failed.
+/* Shared by all tests: cmocka in the right order, printing of errors, temporary folders,
+ * comparisons that report where and by how much they failed.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -17,14 +17,14 @@
 #include "core/base.h"
 #include "core/gauss.h"
 
-/* Expect ERR_OK, or print the message and fail. `e` is the struct err of the call. */
+/* Expects ERR_OK, else prints the message and fails. `e` is the struct err of the call. */
 #define kit_ok(call, e)                                                                            \
     do {                                                                                           \
         enum err_code kit_rc = (call);                                                             \
         if (kit_rc != ERR_OK)                                                                      \
             fail_msg("%s: %s: %s", #call, err_name(kit_rc), (e).msg);                              \
     } while (0)
-/* Expect this code, and `part` (may be NULL) in the message. */
+/* Expects this code, and `part` (may be NULL) in the message. */
 #define kit_fails(call, want, e, part)                                                             \
     do {                                                                                           \
         enum err_code kit_rc = (call);                                                             \
@@ -35,40 +35,43 @@
     } while (0)
 void kit_expect_text(const char *msg, const char *part, const char *file, int line);
 
-/* |got - want| <= abs_tol + rel_tol * |want| for all n, else fail naming the worst index. */
+/* Expects |got - want| <= abs_tol + rel_tol * |want| for all n values, else names the worst index.
+ */
 void kit_near(const char *what, const float *got, const double *want, size_t n, double abs_tol,
               double rel_tol);
 void kit_near_d(const char *what, const double *got, const double *want, size_t n, double abs_tol,
                 double rel_tol);
 
-/* A fresh folder under the system's temporary one; kit_rmdir removes it with everything inside. */
+/* Makes a new folder in the system's temporary folder. kit_rmdir removes it with its content. */
 void kit_tmpdir(char path[FILE_PATH_MAX]);
 void kit_rmdir(const char *path);
-/* Setup and teardown of tests that need one such folder. */
+/* Setup and teardown for tests that need one such folder. */
 extern char kit_tmp[FILE_PATH_MAX];
 int kit_tmp_make(void **state);
 int kit_tmp_remove(void **state);
-/* Run a command line through the shell; returns its exit status, output (stdout and stderr) goes
- * into `out` (may be NULL). */
+/* Runs a command line in the shell and returns its exit status. stdout and stderr go to `out` (may
+ * be NULL). */
 int kit_run(struct buf *out, const char *fmt, ...) ERR_PRINTF(2, 3);
-/* The program under test (CITYSPLAT_BIN, set by ctest); skips the test when it is not set. */
+/* The program under test (CITYSPLAT_BIN, which ctest sets). If it is not set, the test is skipped.
+ */
 const char *kit_program(void);
 
-/* digest() gives the same text twice in this process, and as the program's own `digest` argument
- * prints it, with one, two and three PoCL worker threads. self: argv[0]. */
+/* Checks that digest() gives the same text twice in this process, and in new processes with one,
+ * two and three PoCL worker threads. Those are this program with the argument `digest`. self:
+ * argv[0]. */
 void kit_same_bits(const char *self, void (*digest)(char out[33]));
 
-/* One figure measured against a failure of docs/stability.md, on one line of standard output:
- * "stability F22 worst_drop_db=0.31 limit=1.50". Fields are name=value; tests/stability/collect.sh
- * gathers them. */
+/* Prints a measured number for a failure of docs/stability.md as one line on stdout: "stability F22
+ * worst_drop_db=0.31 limit=1.50". Fields are name=value. tests/stability/collect.sh collects them.
+ */
 void kit_figure(const char *row, const char *fmt, ...) ERR_PRINTF(2, 3);
 
-/* 400 x 300 pixels, focal length 300 px, at `at_m` and looking straight down, north up. */
+/* A camera of 400 x 300 pixels with a focal length of 300 px at `at_m`, straight down, north up. */
 struct camera;
 void kit_camera_down(const double at_m[3], struct camera *out);
 
-/* n seeded Gaussians in a box of half-edge `half_m` about the origin: sizes 1-10 % of the box,
- * random rotations, opacities 0.05-0.95, SH of the given degree. gauss_free it. */
+/* n seeded Gaussians in a box of half-edge `half_m` about the origin: sizes of 1-10 % of the box,
+ * random rotations, opacities of 0.05-0.95, SH of the given degree. Free *out with gauss_free. */
 void kit_gauss(uint64_t seed, size_t n, double half_m, uint32_t sh_degree, uint32_t embed_len,
                struct gauss *out);
 

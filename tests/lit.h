@@ -1,5 +1,4 @@
-/* A city under photographs' light, for the tests of what the server does with appearances: one tile
- * whose Gaussians have embeddings.
+/* A store with one tile whose Gaussians have embeddings, for tests of the server's appearances.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -12,9 +11,9 @@
 #include "core/gauss.h"
 #include "lod/bake.h"
 
-/* The photographs are the caller's, allocated and named. out: their model with the default
- * appearance, as the store has it; appearance_free it. beside: puts what else the store keeps of
- * photographs; may be NULL. */
+/* Writes the store. The caller allocates and names `photos`. *out: their model with the default
+ * appearance, as in the store; free it with appearance_free. beside (may be NULL) adds other blobs
+ * about photographs. */
 static inline void lit_city(const char *path, const char *name, const struct appearance *photos,
                             void (*beside)(struct store *s), struct appearance *out)
 {

@@ -1,16 +1,17 @@
-/* Test vectors of level selection: tests/vectors/pick.json on standard output.
+/* Test vectors of level selection: writes tests/vectors/pick.json to standard output.
  *
- * The documented rule, by brute force and without lod/: nothing here knows of heaps or lod/pick.c.
- * A tile's parent is its nearest ancestor that exists. It is refined when it has children and its
- * error is above the limit: screen, geometricError f / d with d the distance to its core (infinite
- * within), limit 16 px times error_px; distance, the threshold of its zoom over the horizontal
- * distance to its core, limit 1. What was refined before stays so down to 1 - hysteresis of the
- * limit. The tile with the largest error goes first; one whose children would break a budget stays.
- * Drawn is what is not refined, all above being so, and in view.
+ * It applies the documented rule by brute force and without lod/pick.c. A tile's parent is its
+ * nearest ancestor that exists. A tile is refined if it has children and its error is above the
+ * limit. Screen metric: the error is geometricError f / d with d the distance to its core (infinite
+ * inside), the limit 16 px times error_px. Distance metric: the error is the threshold of its zoom
+ * over the horizontal distance to its core, the limit 1. A tile that was refined before stays
+ * refined down to 1 - hysteresis of the limit. The tile with the largest error is refined first. A
+ * tile whose children would break a budget is not refined. Tiles that are not refined, below
+ * refined ones, and in view, are drawn.
  *
- * What is in view is left to no rounding: cameras are taken only if every tile that matters has a
- * point well inside the picture or lies wholly beyond one of its borders by metres, and no error is
- * within 1e-6 of its limit. Directions are Pythagorean, so that no sine is computed.
+ * Rounding must not decide what is in view. Cameras are used only if every relevant tile has a
+ * point well inside the picture or lies metres beyond one of its borders, and if no error is within
+ * 1e-6 of its limit. Directions are Pythagorean, so no sine is computed.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,5 @@
-/* Requests to routes as pure calls: services over a small city, and jobs that the test runs itself.
+/* Requests to routes as function calls: services over a small city, and jobs that the test runs
+ * itself.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -15,7 +16,7 @@ static struct {
     struct arena arena;
     struct server_config cfg;
     struct services s;
-    struct picture *picture; /* one that never starts: views become jobs that nobody runs here */
+    struct picture *picture; /* never starts: no view is drawn */
 } t;
 
 static inline enum err_code no_run(void *user, const struct job *j, void *work, size_t worker,
@@ -45,7 +46,7 @@ static inline int setup(void **state)
     memset(script, ';', sizeof script);
     kit_ok(file_write(path, script, sizeof script, &e), e);
     kit_ok(file_join(path, t.web, "assets/index-D3adBeef.js.br", &e), e);
-    kit_ok(file_write(path, script, 100, &e), e); /* nobody unpacks it here */
+    kit_ok(file_write(path, script, 100, &e), e); /* its content does not matter */
     kit_ok(file_join(path, t.web, "assets/index-D3adBeef.js.gz", &e), e);
     kit_ok(file_write(path, script, 100, &e), e);
     served_config(&t.cfg, &t.arena);
@@ -69,8 +70,8 @@ static inline int teardown(void **state)
     return 0;
 }
 
-/* "REV" in text becomes the revision, "REV+" that and the edition of its tiles, "KEY15" etc. the
- * tile about the origin. */
+/* Replaces "REV" in text by the revision, "REV+" by revision and edition of tiles, "KEY15" etc. by
+ * the tile at the origin. */
 static inline const char *expand(const char *text, char *out, size_t room)
 {
     size_t n = 0;
@@ -95,7 +96,7 @@ static inline const char *expand(const char *text, char *out, size_t room)
     return out;
 }
 
-struct ask { /* the request in short */
+struct ask { /* a request, in short */
     enum method method;
     const char *target, *accept, *accept_encoding, *if_none_match, *if_range, *range, *body,
         *if_modified_since;
@@ -104,7 +105,7 @@ struct ask { /* the request in short */
 
 static char last_target[4096];
 
-/* Ask, and if a job is needed, do its work as a worker would. */
+/* Answers a request. If it needs a job, the work is done here as a worker would do it. */
 static inline struct response answer(const struct ask *a)
 {
     struct request r = {
@@ -147,7 +148,7 @@ static inline struct response get(const char *target)
     return answer(&(struct ask){.target = target});
 }
 
-/* Whether the answer says it; bodies are bytes without an end mark. */
+/* Returns whether the answer's body contains a text. Bodies have no NUL at their end. */
 static inline bool says(const struct response *r, const char *text)
 {
     size_t n = strlen(text);

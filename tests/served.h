@@ -1,5 +1,5 @@
-/* A small city to serve, for the tests of the server: three zooms about a place, one Gaussian cloud
- * a tile, and options as the command line would give them.
+/* A small city for tests of the server: three zooms at one place, one cloud of Gaussians a tile,
+ * and default options.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -34,8 +34,7 @@ static inline void served_put(struct store *s, struct key key, size_t n)
     gauss_free(&g);
 }
 
-/* The tile at the origin on three zooms and its western neighbour's children are left out: 1 + 1
- * + 2. */
+/* The tile at the origin. The city has this tile on three zooms, and a neighbour at the finest. */
 static inline struct key served_key(uint8_t z)
 {
     return key_at(served_origin.lon_deg, served_origin.lat_deg, z);

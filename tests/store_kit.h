@@ -1,5 +1,5 @@
-/* A tile store on disk, for the tests of what reads and writes one: a folder of its own, the path
- * of a store in it, and what most tests open of it; a store of one level; a damaged tile.
+/* A tile store on disk, for tests that read or write one: a folder, the path of a store in it, the
+ * objects that most tests open, a store with one level, and a damaged tile.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -15,9 +15,9 @@
 #include "render/render.h"
 
 struct store_fixture {
-    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX]; /* dir/city.tiles, not made yet */
-    struct store *s;                              /* closed by store_fixture_teardown, as are */
-    struct dev dev;                               /* these, which store_fixture_draw opens */
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX]; /* path: dir/city.tiles, not made yet */
+    struct store *s;                              /* closed by store_fixture_teardown */
+    struct dev dev; /* this and the next: opened by store_fixture_draw */
     struct render *render;
 };
 
@@ -61,7 +61,7 @@ static inline int store_fixture_teardown(void **state)
     return 0;
 }
 
-/* A pyramid of one level, the third, at `path`; blob may be NULL. */
+/* Writes a pyramid with one level, the third, to `path`. blob may be NULL. */
 static inline void store_fixture_level(const char *path, const struct geo_origin *origin,
                                        const struct gauss *g, const struct pyramid_config *cfg,
                                        const struct store_blob *blob)
@@ -71,8 +71,8 @@ static inline void store_fixture_level(const char *path, const struct geo_origin
     kit_ok(pyramid_build(origin, &level, 1, cfg, blob, blob != NULL, path, NULL, &e), e);
 }
 
-/* Copy a store to `to` (may be the same) with one bit turned in the stored bytes of a tile, as a
- * failing disk would. */
+/* Copies a store to `to` (may be the same path), with one bit changed in the stored bytes of a
+ * tile, as a failing disk would. */
 static inline void store_fixture_damage(const char *path, struct key k, const char *to)
 {
     struct err e = {0};
@@ -84,7 +84,8 @@ static inline void store_fixture_damage(const char *path, struct key k, const ch
     store_close(&s);
     kit_ok(file_read(path, 0, &file, &e), e);
     assert_true(payload.size > AT + PROBE);
-    const uint8_t *probe = payload.data + AT; /* within one page of the database, near enough */
+    /* lies within one page of the database with high probability */
+    const uint8_t *probe = payload.data + AT;
     size_t at = 0;
     while (at + PROBE <= file.size && memcmp(file.data + at, probe, PROBE) != 0)
         at++;

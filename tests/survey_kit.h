@@ -1,5 +1,5 @@
-/* A store whose truth is known: the procedural city, its surface covered with Gaussians, haze above
- * it and large Gaussians far around. For the tests of what is drawn from straight above.
+/* A store with known truth, for tests of drawing from straight above. The surface of the procedural
+ * city is covered with Gaussians; there is haze above it, and large Gaussians lie far around.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -18,9 +18,9 @@
 #include "lod/store.h"
 #include "synth/synth.h"
 
-#define SPACING_M 0.25 /* of the Gaussians */
+#define SPACING_M 0.25 /* distance between the Gaussians */
 #define EXTENT_M 64
-#define HAZE_M 12 /* above the surface */
+#define HAZE_M 12 /* height above the surface */
 #define SURVEY_PI 3.14159265358979323846
 
 enum { FAR = 60 };
@@ -35,7 +35,7 @@ static struct fixture {
     struct nadir *nadir;
 } f;
 
-/* What is seen from above at an ENU place. */
+/* Height of the surface that is seen from above at an ENU place. */
 static inline double truth_z(double x, double y)
 {
     double c = cos(f.city.yaw_rad), s = sin(f.city.yaw_rad);
@@ -45,7 +45,7 @@ static inline double truth_z(double x, double y)
     return 500 - hit.t_m;
 }
 
-/* The truth is no steeper than that within 0.6 m. */
+/* Returns whether heights of the truth within 0.6 m differ by less than within_m. */
 static inline bool level_at(double x, double y, double within_m)
 {
     double lo = HUGE_VAL, hi = -HUGE_VAL;
@@ -68,14 +68,14 @@ static inline void put(struct gauss *g, double x, double y, double z, double sig
         g->mean_m[3 * i + k] = (float)at[k];
         g->scale_log[3 * i + k] = (float)log(size[k]);
         g->quat_wxyz[4 * i + 1 + k] = 0;
-        /* Red grows to the east, green to the north; up to 1. */
+        /* Red grows to the east, green to the north, up to 1. */
         g->sh[3 * i + k] = (float)(k < 2 ? at[k] / EXTENT_M / 0.28209479 : 0);
     }
 }
 
-/* How far colours are from where they are in the city. Red grows to the east and green to the
- * north, from 0 to 1 over EXTENT_M; the discs were not fitted to stop all light, so how steeply
- * they grow in the picture tells how much of it they stop. Least squares. */
+/* Measures the shift between colours in a picture and in the city, by least squares. Red grows to
+ * the east and green to the north, from 0 to 1 over EXTENT_M. The discs do not stop all light, so
+ * the slope in the picture is also fitted. */
 struct shown {
     double n, at[2], color[2], at_at[2], at_color[2];
 };
@@ -90,7 +90,8 @@ static inline void shown_add(struct shown *s, double red, double green, const do
         s->at_color[k] += enu[k] * c;
     }
 }
-/* Metres to the east (0) or north (1): where the line meets 0, against the edge of the city. */
+/* The shift in metres to the east (0) or north (1): where the line is 0, compared with the edge of
+ * the city. */
 static inline double shown_shift(const struct shown *s, size_t k)
 {
     double slope = (s->n * s->at_color[k] - s->at[k] * s->color[k]) /
@@ -109,7 +110,7 @@ static inline void cover(struct gauss *g)
             double x = ((double)c + 0.5) * SPACING_M - 0.5 * EXTENT_M,
                    y = ((double)r + 0.5) * SPACING_M - 0.5 * EXTENT_M, z = truth_z(x, y);
             put(g, x, y, z, 0.7 * SPACING_M, 0.02, 0.95);
-            /* Haze: never half of the light, not even where a ray meets two layers of it. */
+            /* Haze stops less than half of the light, even where a ray meets two layers. */
             if (r % 4 == 0 && c % 4 == 0)
                 put(g, x, y, z + HAZE_M, 2 * SPACING_M, 0.3, 0.15);
         }
@@ -119,7 +120,7 @@ static inline void cover(struct gauss *g)
     }
 }
 
-/* The store at f.path; footprint: GeoJSON that it carries, NULL for none. */
+/* Writes the store at f.path. footprint: GeoJSON to store in it, NULL: none. */
 static inline void survey_make(const char *footprint)
 {
     struct err e = {0};
@@ -147,13 +148,13 @@ static inline void survey_open(void)
 static inline void survey_drop(void)
 {
     nadir_close(&f.nadir);
-    nadir_close(&f.nadir); /* idempotent */
+    nadir_close(&f.nadir); /* it is idempotent */
     synth_city_free(&f.city);
     arena_free(&f.arena);
     kit_rmdir(f.dir);
 }
 
-/* Setup and teardown of tests that only read the city. */
+/* Setup and teardown for tests that only read the city. */
 static inline int survey_setup(void **state)
 {
     (void)state;

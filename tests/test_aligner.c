@@ -1,7 +1,8 @@
-/* Geo-registration against COLMAP's own: `colmap model_aligner` with the same GPS positions, into
- * ECEF by its own geodesy. Exact GPS must give the same similarity; noise and outliers must not
- * leave ours farther from the truth than COLMAP's robust one; caliterra (real photographs, poor
- * GPS) must stand upright, and the differences are told. Skipped where COLMAP is not installed.
+/* Geo-registration against that of COLMAP: `colmap model_aligner` with the same GPS positions, into
+ * ECEF by its own geodesy. With exact GPS both must give the same similarity. With noise and
+ * outliers ours must not be farther from the truth than COLMAP's robust one. caliterra (real
+ * photographs, poor GPS) must stand upright; differences are printed. Skipped if COLMAP is not
+ * installed.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* The appearance network on the host: its numbers by hand, its gradients by differences, baking
- * against evaluating, and bytes that were not written by us.
+/* The appearance network on the host: values computed by hand, gradients by finite differences,
+ * baking against evaluation, and bytes that were not written by us.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,6 @@
-/* The backward kernels: against the reference in double, deciding as forward does, the same bits
- * for any number of threads, clear errors. The optimiser is tested in test_step.c.
+/* The backward kernels: they agree with the reference in double, decide as the forward pass does,
+ * give the same bits for any number of threads, and report clear errors. test_step.c tests the
+ * optimiser.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

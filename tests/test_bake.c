@@ -1,5 +1,6 @@
-/* Looks of a store: tiles keep what was trained, readers get the default look or the one they ask
- * for, pictures of baked Gaussians are those of the network, and what cannot be found is named.
+/* Appearances of a store: tiles keep trained colours, readers get the default appearance or the one
+ * they ask for, pictures of baked Gaussians equal those of the network, and errors name what cannot
+ * be found.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

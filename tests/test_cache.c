@@ -1,5 +1,5 @@
-/* The cache of encoded bytes: finds what was put, stays within its bytes, keeps what is used, and
- * frees nothing that somebody still sends.
+/* The cache of encoded bytes: it finds entries, keeps its limit, keeps entries that are used, and
+ * frees none that is being sent.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* A part of a store: what is kept lies inside and nothing that does is missing, tiles inside keep
- * every bit, blobs come along, and what makes no sense is refused in words.
+/* Clipping a store: all that is kept lies inside, nothing inside is missing, tiles inside keep
+ * every bit, blobs are copied, and invalid input is refused with a clear message.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,6 +1,5 @@
-/* The day's clock is put forward and back while the server works (the linker's --wrap puts a shift
- * between the program and the clock): waits and deadlines do not notice, and what is about the date
- * follows it.
+/* The time of day is set forward and back while the server works (the linker's --wrap puts a shift
+ * between program and clock). Waits and deadlines do not change; dates in answers follow it.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,6 +1,6 @@
-/* Orthophotos, surface models and maps of change as GDAL judges them: its own validator of Cloud
- * Optimized GeoTIFF (osgeo_utils' samples, every block's leader and trailer), what gdalinfo reads,
- * and overviews that are the means of what they stand for.
+/* Orthophotos, surface models and maps of change, as GDAL judges them: its validator of Cloud
+ * Optimized GeoTIFF (osgeo_utils' samples, leader and trailer of every block), the output of
+ * gdalinfo, and overviews that are means of their pixels.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,6 +1,6 @@
-/* Contour lines and points of a surface whose truth is known, the procedural city: where they lie,
- * what other readers find in the files, and what is refused. Heights above sea level, by a geoid
- * that is made here.
+/* Contour lines and points of a surface with known truth, the procedural city: where they lie, what
+ * other readers find in the files, and what is refused. Heights above sea level use a geoid that is
+ * made here.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* citysplat convert, as a user runs it: formats, axes, degrees, and one clear error with no file
- * left behind.
+/* citysplat convert, run as a user would: formats, axes, degrees, and one clear error that leaves
+ * no file behind.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

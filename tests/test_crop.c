@@ -1,5 +1,5 @@
-/* A polygon in the query of tiles, tilesets and prefetch lists: what comes is what lies within it,
- * one thing in every spelling, and what is listed is there.
+/* A polygon in the query of tiles, tilesets and prefetch lists: answers have what lies inside, all
+ * spellings give the same result, and all that is listed exists.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

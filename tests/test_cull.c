@@ -1,6 +1,6 @@
-/* What is left out of a picture would not have been in it: every splat lies in the boxes of its
- * tile, of all above it and of its block, and pictures of picked tiles and listed blocks have the
- * bits of pictures of everything.
+/* Culling never changes a picture: every splat lies in the boxes of its tile, of all tiles above
+ * and of its block, and pictures of selected tiles and listed blocks have the same bits as pictures
+ * of everything.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* Density control: ceilings, quotas, the draw, what a clone and the halves of a split are.
+/* Density control: limits, quotas, the draw, clones, and the halves of a split.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,5 @@
-/* The folder of results: bounded, sound whatever happens to its files, its disk or its server.
+/* The folder of results: it keeps its limit, and stays valid whatever happens to its files, its
+ * disk or its server.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* What drones say of their photographs in XMP: read from files, also hostile ones; which altitudes
- * ingest believes; and the tilt of the frame against gimbals, on a procedural city.
+/* XMP of drones: reading it from files, also hostile ones; which altitudes ingest uses; and the
+ * tilt of the frame against gimbals, on a procedural city.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* The smoothness loss on appearance embeddings, and the search for neighbours that it stands on:
- * against brute force, the definition written out, and finite differences.
+/* The smoothness loss on appearance embeddings and its search for neighbours, against brute force,
+ * the definition written out, and finite differences.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* Exposure of photographs: the curve there and back, fits against drawings, and what ingest finds
- * from points that several photographs see, some of them wrongly.
+/* Exposure of photographs: the curve and its inverse, fits against drawings, and what ingest
+ * measures from points that several photographs see, some of them wrongly.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* Cross-fade between levels: the curve and the rule, by the vectors that the viewer keeps too
+/* Cross-fade between levels: the curve and the rule, by vectors that also test the viewer
  * (tests/web/source.test.mjs).
  *
  * SPDX-License-Identifier: Apache-2.0

@@ -1,5 +1,5 @@
-/* One client asks for far too much; what is left for the others: turns in queues, rates,
- * connections, and who is who behind a proxy.
+/* One client asks for far too much; the others still get their share: turns in queues, rates,
+ * connections, and the identity of clients behind a proxy.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* The ground that photographs support: against what a survey of known geometry sees, as GeoJSON and
- * back, and what it leaves of a Gaussian.
+/* The footprint: against a survey of known geometry, as GeoJSON and back, and its effect on a
+ * Gaussian.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

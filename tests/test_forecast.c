@@ -1,4 +1,4 @@
-/* The forecast of a run: against the recorded times of one, and against simulated ones.
+/* The forecast of a run, against recorded times of a run and against simulated ones.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,8 +1,7 @@
-/* Every fuzz target over its seeds and a few thousand seeded mutations of them: flips, runs, cuts,
- * copies.
+/* Every fuzz target over its seeds and a few thousand seeded mutations: flips, runs, cuts, copies.
  *
- * A real search is libFuzzer's (tests/fuzz/main.c); this keeps its targets alive, replays what it
- * found worth keeping (tests/fuzz/corpus/), and catches the plain mistakes in every run.
+ * libFuzzer does the real search (tests/fuzz/main.c). This test keeps the targets working, replays
+ * findings (tests/fuzz/corpus/), and catches simple mistakes in every run.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

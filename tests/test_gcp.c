@@ -1,5 +1,5 @@
-/* Ground control points: both forms of file, and a scene without GPS that they put where it is, to
- * the centimetres of their marks; check points; what is refused.
+/* Ground control points: both file formats, a scene without GPS that they place to the centimetres
+ * of their marks, check points, and what is refused.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,8 +1,8 @@
 /* Georeferencing against known frames: noise, outliers, two flights, wrong poses, straight lines;
  * many seeds.
  *
- * A survey of cameras is made in ENU (nadir strips and four oblique passes), told to the code in a
- * frame with a random rotation, scale and shift, and compared with what comes back.
+ * A survey of cameras is made in ENU (nadir strips and four oblique passes). The code gets it in a
+ * frame with a random rotation, scale and shift. The result is compared with the survey.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

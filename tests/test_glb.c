@@ -1,4 +1,4 @@
-/* .glb: the rules that real clients were seen to need, the payload, and hostile files.
+/* .glb: the rules that real clients need, the payload, and hostile files.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
 /* citysplat gradient, through the program: files in the order of the .ply against the double
- * reference, and what it says when it cannot.
+ * reference, and its error messages.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* What the sparse points say of the ground, in training: first Gaussians where no point is, and
- * none in free space.
+/* Ground from sparse points in training: first Gaussians where there are no points, and none in
+ * free space.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* Clients that err, dawdle or swarm: malformed requests, oversized ones, random bytes, slow
- * headers, slow bodies, slow readers, too many connections.
+/* Clients that make mistakes, are slow, or are many: malformed requests, oversized ones, random
+ * bytes, slow headers, slow bodies, slow readers, too many connections.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* Harm from outside while the server runs: a store that is cut short under it, readers who take
- * large bodies slowly, a log that nobody reads, revisions that come and go.
+/* Damage from outside while the server runs: a store that is truncated, readers that take large
+ * bodies slowly, a log that nobody reads, revisions that come and go.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* The smallest harmonics that look alike from where photographs stood.
+/* Harmonics of least size that look the same from the photographs.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* Importance sums of the last frame against what the pictures themselves say.
+/* Importance sums of the last frame, against sums computed from pictures.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

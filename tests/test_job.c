@@ -1,5 +1,5 @@
-/* Jobs: one run for identical requests, bounded queues, every waiter woken exactly once whatever
- * happens. Workers are held at a gate, so the order of events is the test's, not the scheduler's.
+/* Jobs: one run for identical requests, bounded queues, and every waiter is woken exactly once in
+ * all cases. Workers wait at a gate, so the test decides the order of events, not the scheduler.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* Appearances under names: what is answered is on the disk, conditions, who may, what names mean
- * for tiles, documents and caches, files that are not ours, and a process that is killed while it
+/* Named appearances: what is answered is on the disk, conditions, rights, what names mean for
+ * tiles, documents and caches, files that are not ours, and a process that is killed while it
  * writes.
  *
  * SPDX-License-Identifier: Apache-2.0

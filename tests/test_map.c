@@ -1,5 +1,5 @@
-/* Map and terrain tiles over HTTP: what they hold against the procedural city, how they are cached,
- * where there are none; the documents that lead to them as xmllint and GDAL read them.
+/* Map and terrain tiles over HTTP: their content against the procedural city, caching, places
+ * without tiles, and their documents as xmllint and GDAL read them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

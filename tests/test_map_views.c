@@ -1,5 +1,5 @@
-/* Map views: depth maps of the renderer, the measures, the truth that synth writes, and its way
- * into a scene's frame.
+/* Map views: depth maps of the renderer, the measures, the truth that synth writes, and its
+ * conversion to a scene's frame.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* Masks: reading and refusing, shrinking, the way through ingest, points on masked pixels,
- * and a city with moving vehicles trained with and without its masks (F17).
+/* Masks: reading and refusing, shrinking, the way through ingest, points on masked pixels, and a
+ * city with moving vehicles trained with and without its masks (F17).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,7 +1,7 @@
-/* Every kind of address, asked for in every way that changes an answer: method, condition, content
- * coding, range. What must come is worked out here from two things alone: the address's plain
- * answer in that coding, and RFC 9110. Then the same again in a drawn order, so that whatever the
- * server keeps of one answer would show in another.
+/* Every kind of address, requested in every way that changes an answer: method, condition, content
+ * coding, range. The expected answer follows from two things alone: the plain answer of the address
+ * in that coding, and RFC 9110. Then the same again in random order, so that anything the server
+ * keeps of one answer would show in another.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* Streams of pictures that follow a camera: one picture under way, the newest camera wins, small
+/* Streams of pictures that follow a camera: one picture at a time, the newest camera wins, small
  * pictures while it moves and a full one when it rests, limits, readers that are slow or gone, a
  * process that draws and is killed, stopping.
  *

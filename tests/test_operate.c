@@ -1,6 +1,6 @@
-/* What operators rely on: who may read what, caches by dataset, ids of requests, logs of three
- * kinds, the listener of their own, base paths, --check and exit codes, and a supervisor that is
- * told how things stand and hands over sockets.
+/* What operators rely on: rights to read, caches by dataset, ids of requests, logs of three kinds,
+ * their own listener, base paths, --check and exit codes, and a supervisor that is told the state
+ * and hands over sockets.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

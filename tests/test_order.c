@@ -1,5 +1,5 @@
-/* What sort and bin leave behind, for drawing and for the way back: depth order and the lists of
- * tiles, in the shape of the device at hand and in the other one.
+/* Results of sort and bin, for drawing and for the backward pass: depth order and lists of tiles,
+ * in both shapes of the kernels.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

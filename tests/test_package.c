@@ -1,5 +1,5 @@
-/* 3TZ archives: what a reader of the index alone finds, what a reader of zips finds, and writing
- * that fails.
+/* 3TZ archives: what a reader of the index finds, what a reader of zips finds, and failures of
+ * writing.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

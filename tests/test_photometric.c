@@ -1,6 +1,6 @@
-/* loss/photometric.c, photometric_ref.c and metric.c: closed forms, finite differences in double,
- * the kernels against the reference at awkward sizes, equal bits from run to run and for any number
- * of worker threads.
+/* The photometric loss and the metrics (loss/photometric.c, photometric_ref.c, metric.c): closed
+ * forms, finite differences in double, values of other programs, kernels against the reference at
+ * awkward sizes, and equal bits in every run and for any number of worker threads.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* Level selection: cases by hand, and the two promises: what is picked covers every visible leaf
- * exactly once, and what is left out would not have changed a pixel.
+/* Level selection: cases by hand, and two promises: selected tiles cover every visible leaf exactly
+ * once, and tiles left out would not have changed a pixel.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* Pictures over HTTP, on whatever OpenCL device there is: the bytes are those of the view itself,
- * each is made once, newer ones go first, and tiles keep flowing meanwhile.
+/* Pictures over HTTP, on any OpenCL device: the bytes are those of the view, each is made once,
+ * newer ones go first, and tiles are still answered meanwhile.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

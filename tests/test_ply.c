@@ -1,5 +1,5 @@
-/* .ply: every float back, any property order and type, SuperSplat's packed form, and hostile
- * headers.
+/* .ply: every float comes back, any order and type of properties, SuperSplat's packed form, and
+ * hostile headers.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

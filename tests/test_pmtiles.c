@@ -1,5 +1,5 @@
-/* PMTiles as a reader finds them who knows the specification alone: ids, directories of one and of
- * two steps, what is kept once, order, and writing that fails.
+/* PMTiles as a reader sees them that knows only the specification: ids, directories with one and
+ * two steps, deduplication, order, and failures of writing.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* Which sparse points ingest leaves out: all that were put where no surface is, none of the rest.
+/* Sparse points that ingest leaves out: all that were put where no surface is, and no others.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

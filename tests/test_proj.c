@@ -1,8 +1,8 @@
-/* Coordinates against programs that are not ours: PROJ's cs2cs and cct, GDAL's gdaltransform and
- * gdallocationinfo, GeographicLib's GeoConvert. What we take from GeographicLib (the local frame,
- * ECEF) is held against PROJ, what we take from PROJ (map projections) against GeographicLib, and
- * what we compute ourselves (tiles) against PROJ. Polar places, borders of zones, both sides of the
- * antimeridian and both hemispheres are among the places.
+/* Coordinates against other programs: PROJ's cs2cs and cct, GDAL's gdaltransform and
+ * gdallocationinfo, GeographicLib's GeoConvert. The local frame and ECEF (by GeographicLib) are
+ * compared with PROJ, map projections (by PROJ) with GeographicLib, and tiles (our own code) with
+ * PROJ. Places include the poles, borders of zones, both sides of the antimeridian and both
+ * hemispheres.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

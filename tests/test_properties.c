@@ -1,6 +1,6 @@
-/* What holds for every request, by drawn examples: equal tags are equal bytes, parts make the
- * whole, a condition is met exactly when one of its tags is the resource's, a result has one name
- * however it is asked for. Examples are drawn by a counter, so a failure comes back with the same
+/* Properties of every request, by random examples: equal tags mean equal bytes, ranges make up the
+ * whole, a condition is met exactly if one of its tags is the resource's, a result has one name
+ * however it is requested. Examples come from a counter, so a failure can be repeated by its
  * number.
  *
  * SPDX-License-Identifier: Apache-2.0

@@ -1,5 +1,5 @@
-/* The pyramid: every Gaussian in exactly one tile of its level, no holes under REPLACE, and
- * simplification that keeps mass, colour and the look.
+/* The pyramid: every Gaussian is in exactly one tile of its level, there are no holes under
+ * REPLACE, and simplification keeps mass, colour and appearance.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

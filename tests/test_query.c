@@ -1,5 +1,6 @@
-/* Questions about the surface against the procedural city: heights at many places, profiles, areas
- * and volumes, what a pixel shows, lines of sight; and heights above sea level by a geoid model.
+/* Questions about the surface, against the procedural city: heights at many places, profiles, areas
+ * and volumes, the place that a pixel shows, lines of sight, and heights above sea level by a geoid
+ * model.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

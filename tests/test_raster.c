@@ -1,6 +1,5 @@
-/* Tiles of a web map against the procedural city: heights and places in the pixels of
- * WebMercatorQuad, no seams, low zooms, the footprint as the border of what was surveyed, holes
- * that are filled.
+/* Tiles of a web map, against the procedural city: heights and places in the pixels of
+ * WebMercatorQuad, no seams, low zooms, the footprint as the border of the survey, filled holes.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

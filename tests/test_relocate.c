@@ -1,6 +1,6 @@
 /* 3DGS-MCMC: the pull against finite differences, its kernels and those of the noise against their
- * references in both shapes, what the noise is distributed like, how Gaussians that share a place
- * share, and which rows a densification of that strategy makes.
+ * references in both shapes, the distribution of the noise, how Gaussians share a place, and the
+ * rows that a densification makes.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,7 +1,7 @@
-/* The forward kernels against the double-precision reference, and what must hold for any scene:
- * tiles change nothing, two runs give the same bits, distance from the origin does not matter,
- * nonsense is culled. One piece, although long: all of it draws with one device and compares in one
- * way.
+/* The forward kernels against the double-precision reference, and properties of any scene: tiles
+ * change nothing, two runs give the same bits, distance from the origin does not matter, invalid
+ * Gaussians are culled. It is one long file, because all of it draws with one device and compares
+ * in one way.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

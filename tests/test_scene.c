@@ -1,4 +1,4 @@
-/* Scene folders: written and read back the same; damaged ones are refused.
+/* Scene folders: writing and reading gives the same; damaged ones are refused.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* Search for appearances by place, time, hour and colour: against a plain walk over what the test
- * put into the store, pages, and queries that mean nothing.
+/* Search for appearances by place, time, hour and colour: against a plain loop over the store's
+ * content, pages, and invalid queries.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,7 +1,7 @@
-/* `citysplat serve --clip` from end to end: the program itself serves a triangle of the procedural
- * city, and tiles, tileset, map, terrain, pictures and answers end at it. Its revision is that of
- * the part which `citysplat clip` writes, comes again after a restart, and follows the polygon over
- * a reload, while addresses from before it stay good.
+/* `citysplat serve --clip` from end to end. The program serves a triangle of the procedural city,
+ * and tiles, tileset, map, terrain, pictures and answers end at its border. The revision equals
+ * that of the part that `citysplat clip` writes. It is the same after a restart, and follows the
+ * polygon over a reload, while older addresses stay valid.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

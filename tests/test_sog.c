@@ -1,5 +1,5 @@
-/* .sog: values come back within the steps that its textures have, in our axes; hostile files are
- * refused. tests/web/readers.test.mjs lets PlayCanvas' own reader judge.
+/* .sog: values come back within the steps of its textures, in our axes; hostile files are refused.
+ * tests/web/readers.test.mjs tests files with PlayCanvas' own reader.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

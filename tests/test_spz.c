@@ -1,5 +1,5 @@
-/* The quantiser and .spz: integers survive every trip, values stay within half a step, hostile
- * files are refused.
+/* The quantiser and .spz: integers survive every conversion, values stay within half a step,
+ * hostile files are refused.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

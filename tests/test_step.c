@@ -1,5 +1,5 @@
-/* One step of training: Adam against Adam by the book, what it repairs and drops, shapes at the
- * edge of what float can hold, the statistics that densification lives on.
+/* One step of training: Adam against a plain version, what it repairs and drops, shapes at the
+ * limits of float, and the statistics for densification.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

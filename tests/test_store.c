@@ -1,4 +1,5 @@
-/* The tile store: round trip, hashes, damage that stays where it is, no half-written files.
+/* The tile store: writing and reading, hashes, damage that affects only its own tile, no
+ * half-written files.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

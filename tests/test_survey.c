@@ -1,6 +1,6 @@
-/* Maps of a store whose truth is known: the procedural city, its surface covered with Gaussians,
- * haze above it and large Gaussians far around. Heights against the rays of the city, no seams, the
- * file as GDAL reads it, and what is refused.
+/* Maps of a store with known truth: the procedural city covered with Gaussians, haze above it and
+ * large Gaussians far around. Heights are compared with rays into the city; there are no seams;
+ * GDAL reads the file; invalid requests are refused.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

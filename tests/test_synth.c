@@ -1,4 +1,4 @@
-/* The procedural city: same seed, same bytes; model, depth, EXIF and truth tell one story.
+/* The procedural city: the same seed gives the same bytes, and model, depth, EXIF and truth agree.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

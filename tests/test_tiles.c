@@ -1,5 +1,5 @@
-/* The commands around tile stores, through the program: import, export and import again without
- * losing a bit; the cells of a scene put together; pictures; errors.
+/* The commands for tile stores, through the program: import, export and import again without losing
+ * a bit; the cells of a scene combined; pictures; errors.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

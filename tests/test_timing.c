@@ -1,4 +1,4 @@
-/* The clock of where a run's time goes: shares add up to the whole, and survive a file.
+/* The clock of a run: shares add up to the whole, and survive a file.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

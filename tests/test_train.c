@@ -1,8 +1,8 @@
-/* Training as a whole on a toy: the loss falls as it did before, runs repeat bit by bit, a stopped
- * run goes on as if it had not been stopped, and broken scenes give one clear error.
+/* Training as a whole on a toy: the loss falls as recorded, runs repeat bit by bit, a stopped run
+ * continues as if it had not been stopped, and broken scenes give one clear error.
  *
- * The toy: coloured blobs on a patch of ground, photographed from above by cameras on a ring,
- * pictures drawn by the renderer itself, so a perfect fit exists.
+ * The toy is coloured blobs on a patch of ground, photographed from above by cameras on a ring. The
+ * renderer draws the photographs, so a perfect fit exists.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

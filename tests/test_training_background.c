@@ -1,4 +1,4 @@
-/* What is behind the Gaussians in training: another colour every step, where ground is supported.
+/* The background in training: another colour at every step where ground is supported.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

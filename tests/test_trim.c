@@ -1,4 +1,4 @@
-/* What sticks out of the photographs is cut off at their edge, and nothing else changes.
+/* Gaussians that reach out of the photographs are cut at their edge, and nothing else changes.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

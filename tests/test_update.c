@@ -1,5 +1,5 @@
-/* Stores made of stores: a retrained cell changes what it touches and nothing else, and two areas
- * become one without losing or doubling a Gaussian.
+/* Stores made from stores: a retrained cell changes only what it touches, and two areas are merged
+ * without losing or doubling a Gaussian.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,6 +1,6 @@
-/* Views of a store: the same bits whatever was drawn before and however small the cache is, one
- * assembly for as long as the same tiles are picked, appearances baked in, damage named; and
- * cameras given as maps give them.
+/* Views of a store: the same bits whatever was drawn before and for any size of the cache, one
+ * assembly while the same tiles are selected, baked appearances, damage that is named, and cameras
+ * given as maps give them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,6 @@
-/* The second process: asked, crashed, hung, talking nonsense, ended from outside, started again and
- * again. This program is both sides; the other one does what the first letter of a request says.
+/* The second process: it is asked, crashes, hangs, sends nonsense, is ended from outside, and is
+ * started again and again. This program is both sides; the second one does what the first letter of
+ * a request says.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* TLS from the client's side: a certificate of its own making, a session, and a tunnel, which lets
- * tests that know sockets alone run against a server that speaks TLS.
+/* TLS for clients: a self-made certificate, a session, and a tunnel. The tunnel lets tests that use
+ * plain sockets run against a server with TLS.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -32,7 +32,7 @@ static inline void tunnel_put(const char *dir, const char *name, gnutls_datum_t 
     gnutls_free(d->data);
 }
 
-/* dir/NAME.crt and dir/NAME.key, of `name`, for so many days. */
+/* Writes dir/NAME.crt and dir/NAME.key for the common name `name`, valid for so many days. */
 static inline void tunnel_pair(const char *dir, const char *name, int days,
                                char cert[FILE_PATH_MAX], char key[FILE_PATH_MAX])
 {
@@ -67,8 +67,8 @@ static inline void tunnel_pair(const char *dir, const char *name, int days,
 struct tunnel {
     gnutls_session_t session;
     gnutls_certificate_credentials_t credentials;
-    int fd, near; /* near: of a tunnel, the client's side */
-    int error;    /* of the handshake */
+    int fd, near; /* near: the client's side of a tunnel */
+    int error;    /* result of the handshake */
 };
 
 static inline int tunnel_dial(uint16_t port)
@@ -79,7 +79,7 @@ static inline int tunnel_dial(uint16_t port)
     return fd >= 0 && connect(fd, (struct sockaddr *)&a, sizeof a) == 0 ? fd : -1;
 }
 
-/* Whatever the certificate is. False: the handshake failed. */
+/* Opens a session and accepts any certificate. Returns false: the handshake failed. */
 static inline bool tunnel_open(struct tunnel *x, uint16_t port, const char *priorities)
 {
     memset(x, 0, sizeof *x);
@@ -112,7 +112,7 @@ static inline void tunnel_close(struct tunnel *x)
     x->fd = x->near = -1;
 }
 
-/* Common name of the certificate that the server showed. */
+/* Common name of the server's certificate. */
 static inline void tunnel_name(const struct tunnel *x, char out[80])
 {
     unsigned n = 0;
@@ -129,14 +129,15 @@ static inline void tunnel_name(const struct tunnel *x, char out[80])
 
 /* ---- a tunnel ---- */
 
-/* A server that has closed takes no more; GnuTLS would then not read either what it said before. */
+/* Pretends that all bytes were sent. If the server has closed, GnuTLS would otherwise not read its
+ * last answer. */
 static inline ssize_t tunnel_push(gnutls_transport_ptr_t fd, const void *bytes, size_t n)
 {
     ssize_t sent = send((int)(intptr_t)fd, bytes, n, MSG_NOSIGNAL);
     return sent < 0 ? (ssize_t)n : sent;
 }
 
-/* Bytes both ways until one side ends. */
+/* Copies bytes in both directions until one side ends. */
 static inline void *tunnel_carry(void *user)
 {
     struct tunnel *x = user;
@@ -159,12 +160,12 @@ static inline void *tunnel_carry(void *user)
             ssize_t n = recv(x->near, bytes, sizeof bytes, 0);
             if (n < 0)
                 break;
-            if (n == 0) { /* it has said all, and may still read */
+            if (n == 0) { /* the client has sent everything and may still read */
                 sends = false;
                 (void)gnutls_bye(x->session, GNUTLS_SHUT_WR);
                 (void)shutdown(x->fd, SHUT_WR);
             } else if (gnutls_record_send(x->session, bytes, (size_t)n) != n) {
-                sends = false; /* the server listens no more: what it said is still read */
+                sends = false; /* the server reads no more; its answer can still be read */
             }
         }
     }
@@ -201,7 +202,7 @@ static inline void *tunnel_accept(void *user)
     }
 }
 
-/* From here on, what connects to all->port is connected to port `to` by TLS. */
+/* From now on, connections to all->port are forwarded to port `to` by TLS. */
 static inline void tunnels_open(struct tunnels *all, uint16_t to)
 {
     struct sockaddr_in a = {.sin_family = AF_INET};

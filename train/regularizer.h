@@ -1,4 +1,4 @@
-/* Inside of train/: regularizers, the terms of the loss that do not compare colours with the
+/* Internal to train/: regularizers, the terms of the loss that do not compare colours with the
  * photograph. Equations, sources and measurements: docs/regularizers.md.
  *
  * regularizer_step runs before the step's colours are drawn. It writes the gradients of mean, size,
@@ -23,20 +23,20 @@ struct stage;
 struct timing;
 struct train_config;
 
-struct regularizer_input { /* of one step; all borrowed */
+struct regularizer_input { /* input of one step; all borrowed */
     const struct gallery *gallery;
     const struct site *site;
     const struct stage *at;
     const struct photo *photo;
-    struct timing *timing; /* turned to the embedding smoothness while that runs */
+    struct timing *timing; /* runs on embedding smoothness while that is computed */
 };
-/* What the configuration asks for at the step in work; sets m->adam.extra_grad (NULL: nothing).
- * Draws frames of its own: call it before the step's render_forward. *own: NULL at first, made when
- * a term acts; regularizer_free it. ERR_MEM, ERR_DEVICE; ERR_FORMAT, ERR_NOENT, ERR_DATA: a depth
- * map cannot be used. */
+/* Computes the terms that the options want at the current step, and sets m->adam.extra_grad (NULL:
+ * none). It draws frames, so call it before the step's render_forward. *own is NULL at first and
+ * made when a term acts; free it with regularizer_free. ERR_MEM, ERR_DEVICE. ERR_FORMAT, ERR_NOENT,
+ * ERR_DATA: a depth map cannot be used. */
 enum err_code regularizer_step(struct regularizer **own, struct model *m,
                                const struct regularizer_input *in, struct err *e) ERR_USE;
-/* After the step: with --strategy mcmc the means get noise. ERR_MEM, ERR_DEVICE. */
+/* Call it after the step. With --strategy mcmc it adds noise to the means. ERR_MEM, ERR_DEVICE. */
 enum err_code regularizer_shake(struct regularizer **own, const struct model *m,
                                 const struct train_config *cfg, const struct cell *cell,
                                 const struct stage *at, struct err *e) ERR_USE;

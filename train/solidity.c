@@ -32,14 +32,14 @@ enum err_code solidity_step(struct solid **own, const struct gallery *g, const s
 {
     static const uint32_t strides[] = {1, 2, 4};
     const struct train_config *c = g->cfg;
-    double fade = pow(c->solid_final, (double)at->step / (double)stage_schedule(at)->steps);
+    double t = (double)at->step / (double)stage_schedule(at)->steps, fade = pow(c->solid_final, t);
     const struct solid_input in = {
         .width_px = photo->cam.width_px,
         .height_px = photo->cam.height_px,
         .focal_px = photo->cam.fx_px,
         .spread = c->solid_spread * fade,
         .bend = c->solid_bend * fade,
-        .light = c->solid_light,
+        .light = t > c->solid_light_from ? c->solid_light : 0.0,
         .stride = strides[at->step % (sizeof strides / sizeof *strides)],
         .supported = supported,
     };

@@ -1,5 +1,5 @@
-/* Inside of train/: where a run stands. level.c alone moves it on; the others read it. A level's
- * budget changes while the level grows: train/budget.c writes it.
+/* Internal to train/: where a run stands. Only level.c advances it; other modules read it.
+ * train/budget.c writes a level's budget while the level grows.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -11,12 +11,12 @@
 struct stage {
     struct schedule levels[TRAIN_LEVELS_MAX];
     uint32_t n_levels;
-    uint32_t at;   /* levels[at] is in work; n_levels: all are done */
-    uint32_t step; /* of this level: the one in work, or the last one that is done; 0 at first */
-    bool pruned;   /* the level's last act, level_prune, is done */
+    uint32_t at;   /* levels[at] is the current level; n_levels: all are done */
+    uint32_t step; /* of this level: the step in work, or the last one done; 0 at first */
+    bool pruned;   /* level_prune, the end of the level, is done */
     size_t start;  /* Gaussians inside the cell when this level began */
 };
-/* Of the level in work; of the last one when all are done. */
+/* Schedule of the current level, or of the last one when all are done. */
 static inline const struct schedule *stage_schedule(const struct stage *s)
 {
     return &s->levels[s->at < s->n_levels ? s->at : s->n_levels - 1];

@@ -1,4 +1,4 @@
-/* front_city OUT.tiles: a small city for tests of what stands in front of the server.
+/* front_city OUT.tiles: a small city for tests of programs in front of the server.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* Targets that read from disk: a checkpoint, a COLMAP model, polygons. Each input is written into a
- * folder in memory, one for the process.
+/* Fuzz targets that read from disk: a checkpoint, a COLMAP model, polygons. Each input is written
+ * to a folder in memory, one for the process.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* One libFuzzer program a target (FUZZ_TARGET is set for each). Run it with a corpus folder; an
- * empty one is filled with the seeds first: fuzz_spz corpus/spz -max_total_time=60
+/* One libFuzzer program for each target (the build sets FUZZ_TARGET). Run it with a corpus folder;
+ * an empty one is first filled with the seeds: fuzz_spz corpus/spz -max_total_time=60
  *
  * SPDX-License-Identifier: Apache-2.0
  */

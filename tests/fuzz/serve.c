@@ -1,5 +1,5 @@
-/* What comes to the server from clients, and what operators write for it: see fuzz.h. Beside not
- * crashing, what is promised of each result is looked at.
+/* Fuzz targets for data from clients and from operators of the server: see fuzz.h. Besides crashes,
+ * they check promises about each result.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

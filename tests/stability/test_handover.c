@@ -1,5 +1,5 @@
-/* Levels end to end. F27: a level begins where the one before ended. And the schedule of a whole
- * level, opacity resets included, does not destroy what a small budget can carry.
+/* Transitions between levels. F27: a level begins where the one before ended. And the schedule of a
+ * whole level, with opacity resets, does not destroy what a small budget can represent.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

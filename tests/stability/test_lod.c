@@ -1,8 +1,8 @@
 /* F22 (popping and holes) and F23 (altitude) on a store of tiles whose finest level is known.
  *
  * The city is ground and boxes of flat Gaussians. The truth of a view is a model drawn at three
- * times the size and averaged down: what a camera would have seen, which even the finest level does
- * not draw exactly. All coarser tiles are the pyramid's own.
+ * times the size and averaged down, as a camera would see it. Even the finest level does not draw
+ * that exactly. The pyramid makes all coarser tiles.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* Failures that photographs bring: F17 (things that move), F18 (wrong poses that survived every
- * check), F29 (more photographs than memory).
+/* Failures of photographs: F17 (moving things), F18 (wrong poses that passed every check), F29
+ * (more photographs than memory).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,6 +1,5 @@
-/* Stability of what regularizes: sizes and needles (F4), floaters (F5), statistics that know
- * nothing of depth (F16), depth maps that are wrong or of another scale (F21), resuming with all of
- * it (F30).
+/* Stability of the regularizers: sizes and needles (F4), floaters (F5), statistics without depth
+ * (F16), depth maps that are wrong or have another scale (F21), resuming with all of them (F30).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

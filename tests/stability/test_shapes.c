@@ -1,5 +1,5 @@
-/* What single Gaussians can do to a frame: F2 (any shape stays finite), F3 (a camera inside the
- * cloud), F24 (millions of intersections, and what stands behind the camera), F26 (kernel shapes
+/* Effects of single Gaussians on a frame: F2 (any shape stays finite), F3 (a camera inside the
+ * cloud), F24 (millions of intersections, and Gaussians behind the camera), F26 (kernel shapes
  * agree).
  *
  * SPDX-License-Identifier: Apache-2.0

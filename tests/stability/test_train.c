@@ -1,5 +1,5 @@
-/* Failures of the loop around the kernels: F15 (units of densification), F26 and F30 (the same
- * bytes again, also when resumed anywhere), F28 (scores where there is nothing to score).
+/* Failures of the training loop: F15 (units of densification), F26 and F30 (the same bytes again,
+ * also when resumed anywhere), F28 (scores without anything to score).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

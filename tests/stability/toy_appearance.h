@@ -1,7 +1,7 @@
-/* A toy whose photographs were taken in changing light, for the tests of appearance.
+/* A toy whose photographs were taken in changing light, for tests of appearance.
  *
- * Photographs get gains per channel, as exposure and white balance do; whatever a test asks about
- * is known, because the truth is drawn without them.
+ * Photographs have gains for each channel, as exposure and white balance do. The truth is drawn
+ * without them, so it is known.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -12,15 +12,17 @@
 
 enum { TOY_APPEARANCE_PHOTOS = 24, TOY_APPEARANCE_STEPS = 1600 };
 
-/* Exposure of up to +-1 EV and tint times *user (a double), in pairs: photographs 2 k and 2 k + 1
- * have the same light. And the noise that photographs have: without it the toy can be fitted to 37
- * dB, where what shows is only how restless an optimiser with more parameters is. A toy's paint. */
+/* Changes exposure by up to +-1 EV, and adds a tint, both times *user (a double), and noise.
+ * Photographs 2 k and 2 k + 1 have the same light. Without noise the toy can be fitted to 37 dB,
+ * and results then only show that an optimiser with more parameters moves more. It is a `paint` of
+ * a toy. */
 void toy_appearance_paint(void *user, size_t i, const struct camera *cam, double *rgb);
-/* The toy, painted so; strength is borrowed. */
+/* The toy with this paint; strength is borrowed. */
 struct toy toy_appearance(double *strength);
-/* One level of TOY_APPEARANCE_STEPS without densification: who is split is chance on a toy. */
+/* One level of TOY_APPEARANCE_STEPS without densification, because on a toy splits are a matter of
+ * chance. */
 struct train_config toy_appearance_config(struct arena *a, const char *out, bool appearance);
-/* A scene folder of it, made here: kit_rmdir it. */
+/* Makes a scene folder of it; remove it with kit_rmdir. */
 void toy_appearance_scene(char dir[FILE_PATH_MAX], double strength);
 /* Half-image score of a run's test photographs. */
 struct evaluate_score toy_appearance_score(struct toy_run *r);

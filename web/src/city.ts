@@ -17,7 +17,8 @@ import {
 import { Backdrop } from "./backdrop";
 import { DecoderPool } from "./decoders";
 import { FADE_FRAMES_LEAST, FADE_MS } from "./fade";
-import { Gaussians, type Block } from "./gaussians";
+import type { Block } from "./block";
+import { Gaussians } from "./gaussians";
 import type { Frame } from "./geo";
 import type { Layers } from "./layers";
 import type { Link } from "./link";

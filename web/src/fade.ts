@@ -4,7 +4,7 @@
 // The curve and the rule are those of lod/fade.c; tests/vectors/fade.json holds both to them.
 //
 // SPDX-License-Identifier: Apache-2.0
-import type { Block, Piece } from "./gaussians";
+import type { Block, Piece } from "./block";
 
 export const FADE_MS = 280;
 export const FADE_FRAMES_LEAST = 4; // a fade of fewer frames is jerks, and costs more than it shows

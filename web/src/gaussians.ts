@@ -35,6 +35,7 @@ import {
   type WebGLRenderer,
 } from "three";
 
+import type { Block, Piece } from "./block";
 import { Fade, fadeShare } from "./fade";
 import { ORDER_ROW, Projection, Projector } from "./projection";
 import { makeQuads, makeStripes, QUADS } from "./quads";
@@ -51,23 +52,6 @@ import type { Tint } from "./tint";
 
 const ROWS_FIRST = 128;
 const EVERYWHERE: Rectangle[] = [[-Infinity, Infinity, -Infinity, Infinity]];
-
-// Gaussians of one tile in the textures.
-export interface Block {
-  readonly id: number;
-  readonly splats: DecodedSplats;
-  row: number; // the first of its rows; -1 when it is gone
-  readonly rows: number;
-  readonly tint: Tint | null; // null: colours are what the tile says
-  area: Rectangle; // of the centres
-  tinted: [number, number]; // versions of the tint that the card holds; -1 for none
-}
-
-// What is to be drawn of a block: all but what others stand on.
-export interface Piece {
-  block: Block;
-  without: readonly Block[];
-}
 
 interface Planes {
   place: DataTexture;

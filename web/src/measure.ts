@@ -6,7 +6,8 @@ import { Vector3 } from "three";
 import { copy, download, element, setText } from "./dom";
 import type { Frame, Place } from "./geo";
 import { ProfileChart } from "./profile";
-import { getLanguage, text } from "./strings";
+import { text } from "./strings";
+import { formatArea, formatLength } from "./units";
 import type { Viewer } from "./viewer";
 
 type Kind = "path" | "area";
@@ -34,17 +35,6 @@ export function measure(points: Vector3[], kind: Kind): Measures {
     rise: first && last ? last.y - first.y : 0,
     area: Math.abs(twice) / 2,
   };
-}
-
-export function formatLength(metres: number): string {
-  const number = (value: number, digits: number) =>
-    new Intl.NumberFormat(getLanguage(), { maximumFractionDigits: digits, minimumFractionDigits: digits }).format(value);
-  return Math.abs(metres) >= 1000 ? `${number(metres / 1000, 3)} km` : `${number(metres, 2)} m`;
-}
-
-export function formatArea(squareMetres: number): string {
-  const format = new Intl.NumberFormat(getLanguage(), { maximumFractionDigits: 1 });
-  return squareMetres >= 1e6 ? `${format.format(squareMetres / 1e6)} km²` : `${format.format(squareMetres)} m²`;
 }
 
 export function formatPlace({ lon, lat, h }: Place): string {

@@ -4,7 +4,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { Ray, Vector3 } from "three";
 
-import type { Block } from "./gaussians";
+import type { Block } from "./block";
 
 const ALPHA_LEAST = 1 / 255;
 const REACH_SIGMA = 3.33; // where an opaque Gaussian falls below 1/255

@@ -18,7 +18,8 @@ import {
   type WebGLRenderer,
 } from "three";
 
-import type { Block, Gaussians } from "./gaussians";
+import type { Block } from "./block";
+import type { Gaussians } from "./gaussians";
 import { makeCover } from "./quads";
 import { PREVIEW_FRAGMENT, PREVIEW_VERTEX } from "./shaders";
 

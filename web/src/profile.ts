@@ -4,8 +4,8 @@
 // SPDX-License-Identifier: Apache-2.0
 import { download, element, setText } from "./dom";
 import type { Place } from "./geo";
-import { formatLength } from "./measure";
 import { getLanguage, text } from "./strings";
+import { formatLength } from "./units";
 import type { Viewer } from "./viewer";
 
 const SAMPLES = 300;

@@ -15,7 +15,8 @@ import { TilesRenderer } from "3d-tiles-renderer/three";
 import { Matrix4, Vector3 } from "three";
 
 import type { DecoderPool } from "./decoders";
-import { Gaussians, type Block, type Piece } from "./gaussians";
+import type { Block, Piece } from "./block";
+import { Gaussians } from "./gaussians";
 import type { Link } from "./link";
 import { screenError } from "./screenerror";
 import { DRAFT, usePackedTiles } from "./source";

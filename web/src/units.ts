@@ -1,0 +1,15 @@
+// Lengths and areas as texts, in the viewer's language.
+//
+// SPDX-License-Identifier: Apache-2.0
+import { getLanguage } from "./strings";
+
+export function formatLength(metres: number): string {
+  const number = (value: number, digits: number) =>
+    new Intl.NumberFormat(getLanguage(), { maximumFractionDigits: digits, minimumFractionDigits: digits }).format(value);
+  return Math.abs(metres) >= 1000 ? `${number(metres / 1000, 3)} km` : `${number(metres, 2)} m`;
+}
+
+export function formatArea(squareMetres: number): string {
+  const format = new Intl.NumberFormat(getLanguage(), { maximumFractionDigits: 1 });
+  return squareMetres >= 1e6 ? `${format.format(squareMetres / 1e6)} km²` : `${format.format(squareMetres)} m²`;
+}
