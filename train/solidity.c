@@ -39,7 +39,7 @@ enum err_code solidity_step(struct solid **own, const struct gallery *g, const s
         .focal_px = photo->cam.fx_px,
         .spread = c->solid_spread * fade,
         .bend = c->solid_bend * fade,
-        .light = t > c->solid_light_from ? c->solid_light : 0.0,
+        .light = t > c->solid_light_from ? c->solid_light * fade : 0.0,
         .stride = strides[at->step % (sizeof strides / sizeof *strides)],
         .supported = supported,
     };
