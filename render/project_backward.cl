@@ -17,7 +17,6 @@
 // has simple derivatives of its own: d(1/2 ln det S0) = 1 - m_k^2 / det S0 for ln s_k.
 // Rotations: V_k = dL/dR_k gives the torque a = sum_k R_k x V_k, and dL/dq = 2 (0, a) q, which is
 // already tangent. The view direction of SH is held fixed.
-// The camera's own six gradients are sums over the Gaussians of what is at hand, if asked for.
 //
 // With APPEARANCE_LEN (appearance.cl) opacity is min(o + y3, 1) and colour clamp(SH + 0.5 + 2 y -
 // 1, 0, 1): nothing passes where they were cut. VW 16 goes on through the network at once, so that
