@@ -192,7 +192,9 @@ static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_
                                                .gaussians = v->gaussians,
                                                .faint = v->faint,
                                                .rows = v->rows};
-        return eval_surface_run(&q, what, v->render, &src, e);
+        return strcmp(v->o.surface, EVAL_SURFACE_POINTS) != 0
+                   ? eval_surface_run(&q, what, v->render, &src, e)
+                   : eval_points_run(&q, what, v->render, &src, e);
     }
     if (v->o.views)
         return eval_views(v, what, &src, e);

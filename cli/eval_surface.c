@@ -9,6 +9,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "cli/surface_table.h"
 #include "cli/truth_rays.h"
 #include "codec/scene.h"
 #include "train/map_views.h"
@@ -293,119 +294,6 @@ static enum err_code surface_look_around(struct eval_surface *v, struct err *e)
 
 /* ---- telling ---- */
 
-static void surface_cell(int width, int digits, double x)
-{
-    if (isfinite(x))
-        printf(" %*.*f", width, digits, x);
-    else
-        printf(" %*s", width, "-");
-}
-
-static enum err_code surface_row(const struct eval_surface *v, const char *of, json_t *figures,
-                                 struct err *e)
-{
-    json_t *row = json_pack("{s:s, s:s}", "what", v->what, "views_of", of);
-    if (!row || !figures || json_object_update(row, figures) ||
-        json_array_append(v->q->rows, row)) {
-        json_decref(row);
-        json_decref(figures);
-        return err_set(e, ERR_MEM, "eval: out of memory");
-    }
-    json_decref(row);
-    json_decref(figures);
-    return ERR_OK;
-}
-
-static json_t *surface_figures_json(const struct surface_figures *f)
-{
-    return json_pack(
-        "{s:I, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, "
-        "s:o}",
-        "rays", (json_int_t)f->n, "thickness_m", jsonc_real(f->thickness_m), "thickness_90_m",
-        jsonc_real(f->thickness_90_m), "never_opaque", jsonc_real(f->never), "light_through",
-        jsonc_real(f->left), "light_through_90", jsonc_real(f->left_90), "gaussians_met",
-        jsonc_real(f->met), "missing", jsonc_real(f->missing), "median_m", jsonc_real(f->median_m),
-        "off_m", jsonc_real(f->off_m), "rmse_m", jsonc_real(f->rmse_m), "nmad_m",
-        jsonc_real(f->nmad_m), "le90_m", jsonc_real(f->le90_m), "above_1_gsd",
-        jsonc_real(f->above[0]), "above_2_gsd", jsonc_real(f->above[1]), "above_half_m",
-        jsonc_real(f->above[2]), "above_1_m", jsonc_real(f->above[3]), "follows_brightness",
-        jsonc_real(f->follows_brightness));
-}
-
-static void surface_print_head(const char *rays)
-{
-    printf("%-24s %8s %8s %8s %7s %7s %7s %6s %7s %8s %8s %7s %7s %7s %7s %7s %7s %7s %7s\n", rays,
-           "rays", "thick m", "90 % m", "never%", "light%", "90 % %", "met", "none %", "median m",
-           "signed m", "RMSE m", "NMAD m", "LE90 m", ">1 GSD%", ">2 GSD%", ">0.5 m%", ">1 m %",
-           "bright");
-}
-
-static void surface_print(const char *of, const struct surface_figures *f)
-{
-    printf("%-24s %8zu", of, f->n);
-    surface_cell(8, 3, f->thickness_m);
-    surface_cell(8, 3, f->thickness_90_m);
-    surface_cell(7, 2, 100.0 * f->never);
-    surface_cell(7, 2, 100.0 * f->left);
-    surface_cell(7, 2, 100.0 * f->left_90);
-    surface_cell(6, 1, f->met);
-    surface_cell(7, 2, 100.0 * f->missing);
-    surface_cell(8, 3, f->median_m);
-    surface_cell(8, 3, f->off_m);
-    surface_cell(7, 3, f->rmse_m);
-    surface_cell(7, 3, f->nmad_m);
-    surface_cell(7, 3, f->le90_m);
-    for (size_t k = 0; k < SURFACE_ABOVE; k++)
-        surface_cell(7, 2, 100.0 * f->above[k]);
-    surface_cell(7, 2, f->follows_brightness);
-    putchar('\n');
-}
-
-struct surface_group {
-    const char *name;
-    struct surface_pick pick;
-    bool above; /* of rays from above alone: others do not know edges */
-};
-#define SURFACE_BIT(k) (UINT32_C(1) << (k))
-static const struct surface_group surface_groups[] = {
-    {"level", {.level = true}, true},
-    {"edges", {.edge = true}, true},
-    {"all", {0}, false},
-    {"level ground", {.kinds = SURFACE_BIT(SURFACE_GROUND), .level = true}, true},
-    {"ground", {.kinds = SURFACE_BIT(SURFACE_GROUND)}, false},
-    {"roof", {.kinds = SURFACE_BIT(SURFACE_ROOF)}, false},
-    {"wall", {.kinds = SURFACE_BIT(SURFACE_WALL)}, false},
-    {"tree", {.kinds = SURFACE_BIT(SURFACE_TREE)}, false},
-    {"car", {.kinds = SURFACE_BIT(SURFACE_CAR)}, false},
-    {"bright to 0.2", {.level = true, .bright_to = 0.2f}, false},
-    {"bright 0.2 to 0.4", {.level = true, .bright_from = 0.2f, .bright_to = 0.4f}, false},
-    {"bright 0.4 to 0.6", {.level = true, .bright_from = 0.4f, .bright_to = 0.6f}, false},
-    {"bright from 0.6", {.level = true, .bright_from = 0.6f, .bright_to = 2.0f}, false},
-};
-
-static enum err_code surface_tell(const struct eval_surface *v, const char *rays,
-                                  const struct surface_rays *s, struct err *e)
-{
-    enum err_code rc = ERR_OK;
-    char of[96];
-    if (!s->n)
-        return ERR_OK;
-    surface_print_head(rays);
-    for (size_t i = 0; !rc && i < sizeof surface_groups / sizeof *surface_groups; i++) {
-        const struct surface_group *g = &surface_groups[i];
-        struct surface_figures f;
-        if (g->above && s != &v->above)
-            continue;
-        rc = surface_rays_tell(s, &g->pick, v->truth.gsd_m, &f, e);
-        if (rc || !f.n)
-            continue;
-        surface_print(g->name, &f);
-        snprintf(of, sizeof of, "%s: %s", rays, g->name);
-        rc = surface_row(v, of, surface_figures_json(&f), e);
-    }
-    return rc;
-}
-
 struct surface_matches {
     struct surface_match within[SURFACE_MATCHES][SURFACE_CLASSES + 1];
 };
@@ -418,29 +306,29 @@ static enum err_code surface_tell_match(const struct eval_surface *v, struct sur
         surface_match_tell(&v->model, &v->exact, within, SURFACE_ASKED, m->within, e);
     if (rc)
         return rc;
-    printf("%-24s %8s %8s %9s %7s %7s %9s %7s %7s\n", "points", "model", "truth", "1 GSD: P", "R",
+    printf("%-18s %8s %8s %9s %7s %7s %9s %7s %7s\n", "points", "model", "truth", "1 GSD: P", "R",
            "F1", "2 GSD: P", "R", "F1");
     for (size_t i = 0; !rc && i <= SURFACE_CLASSES; i++) {
         size_t k = i ? i - 1 : SURFACE_CLASSES; /* all of them first */
         const char *name = i ? surface_class_name((enum surface_class)k) : "all";
         const struct surface_match *a = &m->within[0][k], *b = &m->within[1][k];
         char of[96];
-        printf("%-24s %8zu %8zu", name, a->n_model, a->n_truth);
-        surface_cell(9, 4, a->precision);
-        surface_cell(7, 4, a->recall);
-        surface_cell(7, 4, a->f1);
-        surface_cell(9, 4, b->precision);
-        surface_cell(7, 4, b->recall);
-        surface_cell(7, 4, b->f1);
+        printf("%-18s %8zu %8zu", name, a->n_model, a->n_truth);
+        surface_table_cell(10, 4, a->precision);
+        surface_table_cell(8, 4, a->recall);
+        surface_table_cell(8, 4, a->f1);
+        surface_table_cell(10, 4, b->precision);
+        surface_table_cell(8, 4, b->recall);
+        surface_table_cell(8, 4, b->f1);
         putchar('\n');
         snprintf(of, sizeof of, "points: %s", name);
-        rc = surface_row(v, of,
-                         json_pack("{s:o, s:o, s:o, s:o, s:o, s:o}", "precision_1_gsd",
-                                   jsonc_real(a->precision), "recall_1_gsd", jsonc_real(a->recall),
-                                   "f1_1_gsd", jsonc_real(a->f1), "precision_2_gsd",
-                                   jsonc_real(b->precision), "recall_2_gsd", jsonc_real(b->recall),
-                                   "f1_2_gsd", jsonc_real(b->f1)),
-                         e);
+        rc = surface_table_row(
+            v->q->rows, v->what, of,
+            json_pack("{s:o, s:o, s:o, s:o, s:o, s:o}", "precision_1_gsd", jsonc_real(a->precision),
+                      "recall_1_gsd", jsonc_real(a->recall), "f1_1_gsd", jsonc_real(a->f1),
+                      "precision_2_gsd", jsonc_real(b->precision), "recall_2_gsd",
+                      jsonc_real(b->recall), "f1_2_gsd", jsonc_real(b->f1)),
+            e);
     }
     return rc;
 }
@@ -450,7 +338,7 @@ static enum err_code surface_tell_short(const struct eval_surface *v,
                                         const struct surface_matches *m, struct err *e)
 {
     const struct surface_pick picks[] = {
-        {.level = true}, {.kinds = SURFACE_BIT(SURFACE_GROUND), .level = true}, {0}};
+        {.level = true}, {.kinds = 1u << SURFACE_GROUND, .level = true}, {0}};
     struct surface_figures f[3];
     enum err_code rc = ERR_OK;
     for (size_t i = 0; !rc && i < 3; i++)
@@ -458,8 +346,8 @@ static enum err_code surface_tell_short(const struct eval_surface *v,
     if (rc)
         return rc;
     const struct surface_figures *level = &f[0], *ground = &f[1], *all = &f[2];
-    return surface_row(
-        v, "surface",
+    return surface_table_row(
+        v->q->rows, v->what, "surface",
         json_pack(
             "{s:f, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o}",
             "gsd_m", v->truth.gsd_m, "gaussians", jsonc_real(v->q->gaussians), "faint_share",
@@ -476,17 +364,31 @@ static enum err_code surface_tell_short(const struct eval_surface *v,
         e);
 }
 
+void eval_surface_print_head(const struct eval_surface_request *q, const char *what, double gsd_m)
+{
+    printf("%s: GSD %.3f m", what, gsd_m);
+    if (isfinite(q->gaussians))
+        printf("; %.0f Gaussians, %.1f %% of them of opacity below %g", q->gaussians,
+               100.0 * q->faint, EVAL_SURFACE_FAINT);
+    putchar('\n');
+}
+
 static enum err_code surface_tell_all(const struct eval_surface *v, struct err *e)
 {
     struct surface_matches m;
-    printf("%s: GSD %.3f m", v->what, v->truth.gsd_m);
-    if (isfinite(v->q->gaussians))
-        printf("; %.0f Gaussians, %.1f %% of them of opacity below %g", v->q->gaussians,
-               100.0 * v->q->faint, EVAL_SURFACE_FAINT);
-    putchar('\n');
-    enum err_code rc = surface_tell(v, "from above", &v->above, e);
+    eval_surface_print_head(v->q, v->what, v->truth.gsd_m);
+    struct surface_table t = {.what = v->what,
+                              .rays = "from above",
+                              .gsd_m = v->truth.gsd_m,
+                              .edges = true,
+                              .kinds = true,
+                              .truth = true,
+                              .rows = v->q->rows};
+    enum err_code rc = surface_table_print(&t, &v->above, e);
+    t.rays = "map views";
+    t.edges = false;
     if (!rc)
-        rc = surface_tell(v, "map views", &v->aslant, e);
+        rc = surface_table_print(&t, &v->aslant, e);
     if (!rc)
         rc = surface_tell_match(v, &m, e);
     return rc ? rc : surface_tell_short(v, &m, e);

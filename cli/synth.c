@@ -9,6 +9,14 @@
 #include "cli/truth_heights.h"
 #include "synth/synth.h"
 
+/* Completeness: what has a surface within so many GSD of the city's. */
+static void synth_print_heights(const char *where, const struct surface_figures *f)
+{
+    printf("%-6s %10zu %9.3f %9.3f %7.3f %7.3f %7.3f %7.3f %9.2f %8.2f %8.2f %8.2f\n", where, f->n,
+           f->median_m, f->off_m, f->rmse_m, f->nmad_m, f->le90_m, f->le95_m, 100 * f->above[4],
+           100 - 100 * f->above[0], 100 - 100 * f->above[1], 100 - 100 * f->above[2]);
+}
+
 static enum err_code synth_score_heights(const struct synth_config *cfg, struct err *e)
 {
     struct truth_heights t;
@@ -16,16 +24,20 @@ static enum err_code synth_score_heights(const struct synth_config *cfg, struct 
     if (rc)
         return rc;
     printf(
-        "%s: %llu pixels of %g m within the built-up square, %llu of them without a surface\n"
-        "heights %llu pixels away from edges: error median %.3f m, 95 %% %.3f m, median with its "
-        "sign %+.3f m\n"
-        "edges   %zu steps of 3 m and more, %zu of them missing: off by median %.2f px, 95 %% "
-        "%.2f px; %.1f %% within 2 px; roofs reach out by %+.2f px (%+.3f m)\n"
-        "volume  %+.0f m3 against the city\n",
-        cfg->map, (unsigned long long)t.inside, t.pixel_m, (unsigned long long)t.none,
-        (unsigned long long)t.level, t.median_m, t.most_m, t.off_m, t.edges, t.missing,
-        t.edge.median_px, t.edge.most_px, 100 * t.edge.within_2_px, t.edge.out_px,
-        t.edge.out_px * t.pixel_m, t.volume_m3);
+        "%s: %llu pixels of %g m within the built-up square, %llu of them without a surface; GSD "
+        "of the photographs %.3f m\n",
+        cfg->map, (unsigned long long)t.inside, t.pixel_m, (unsigned long long)t.none, t.gsd_m);
+    printf("%-6s %10s %9s %9s %7s %7s %7s %7s %9s %8s %8s %8s\n", "places", "pixels", "median m",
+           "signed m", "RMSE m", "NMAD m", "LE90 m", "LE95 m", "> 1 m %", "1 GSD %", "2 GSD %",
+           "5 GSD %");
+    synth_print_heights("level", &t.level);
+    synth_print_heights("edges", &t.zone);
+    synth_print_heights("all", &t.all);
+    printf("walls   %zu steps of 3 m and more, %zu of them missing: off by median %.2f px, 95 %% "
+           "%.2f px; %.1f %% within 2 px; roofs reach out by %+.2f px (%+.3f m)\n"
+           "volume  %+.0f m3 against the city\n",
+           t.edges, t.missing, t.edge.median_px, t.edge.most_px, 100 * t.edge.within_2_px,
+           t.edge.out_px, t.edge.out_px * t.pixel_m, t.volume_m3);
     return ERR_OK;
 }
 

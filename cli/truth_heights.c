@@ -8,7 +8,6 @@
 #include <string.h>
 
 #include "core/geo.h"
-#include "core/sort.h"
 #include "survey/sheet.h"
 
 enum { TRUTH_PIXELS_MAX = 40000000, TRUTH_NEAR_PX = 2 };
@@ -94,35 +93,46 @@ static bool truth_heights_level(const struct heights_job *j, size_t x, size_t y)
     return hi - lo <= truth_steep_m;
 }
 
+static enum err_code truth_heights_rays(const struct heights_job *j, struct truth_heights *out,
+                                        struct surface_rays *rays, struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    for (size_t y = TRUTH_NEAR_PX; y + TRUTH_NEAR_PX < j->h; y++)
+        for (size_t x = TRUTH_NEAR_PX; !rc && x + TRUTH_NEAR_PX < j->w; x++) {
+            size_t i = y * j->w + x;
+            if (!isfinite(j->truth[i]))
+                continue;
+            const struct surface_ray r = {.error_m = j->model[i] - j->truth[i],
+                                          .found = isfinite(j->model[i]),
+                                          .edge = !truth_heights_level(j, x, y)};
+            out->inside++;
+            out->none += !r.found;
+            out->volume_m3 += r.found ? (double)r.error_m * j->pixel_m * j->pixel_m : 0;
+            rc = surface_rays_add(rays, &r, e);
+        }
+    return rc;
+}
+
 static enum err_code truth_heights_score(const struct heights_job *j, struct truth_heights *out,
                                          struct err *e)
 {
-    double *d = mem_array(j->w * j->h, 2 * sizeof *d), *far = d + j->w * j->h;
-    size_t n = 0;
-    if (!d)
-        return err_set(e, ERR_MEM, "out of memory for %zu pixels", j->w * j->h);
-    for (size_t y = TRUTH_NEAR_PX; y + TRUTH_NEAR_PX < j->h; y++)
-        for (size_t x = TRUTH_NEAR_PX; x + TRUTH_NEAR_PX < j->w; x++) {
-            size_t i = y * j->w + x;
-            double off = (double)j->model[i] - (double)j->truth[i];
-            if (!isfinite(j->truth[i]))
-                continue;
-            out->inside++;
-            out->none += !isfinite(off);
-            if (!isfinite(off))
-                continue;
-            out->volume_m3 += off * j->pixel_m * j->pixel_m;
-            if (!truth_heights_level(j, x, y))
-                continue;
-            d[n] = off;
-            far[n++] = fabs(off);
-        }
-    out->level = n;
-    out->median_m = n ? sort_median(far, n) : (double)NAN; /* sorts */
-    out->most_m = n ? far[(n - 1) * 95 / 100] : (double)NAN;
-    out->off_m = n ? sort_median(d, n) : (double)NAN;
-    mem_free(d);
-    return n ? ERR_OK : err_set(e, ERR_DATA, "%s: nothing of the city is in it", j->cfg.map);
+    struct surface_rays rays = {0};
+    struct lens lens = synth_flight_lens(&j->cfg);
+    double fx, fy, cx, cy;
+    lens_focal(&lens, &fx, &fy, &cx, &cy);
+    out->gsd_m = synth_flight_height(&j->cfg) / fx;
+    enum err_code rc = truth_heights_rays(j, out, &rays, e);
+    const struct surface_pick level = {.level = true}, zone = {.edge = true}, all = {0};
+    if (!rc)
+        rc = surface_rays_tell(&rays, &level, out->gsd_m, &out->level, e);
+    if (!rc)
+        rc = surface_rays_tell(&rays, &zone, out->gsd_m, &out->zone, e);
+    if (!rc)
+        rc = surface_rays_tell(&rays, &all, out->gsd_m, &out->all, e);
+    if (!rc && out->inside == out->none)
+        rc = err_set(e, ERR_DATA, "%s: nothing of the city is in it", j->cfg.map);
+    surface_rays_free(&rays);
+    return rc;
 }
 
 /* Line y along x, or along y. */

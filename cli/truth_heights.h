@@ -7,13 +7,13 @@
 
 #include "survey/edge.h"
 #include "synth/synth.h"
+#include "train/surface_rays.h"
 
 struct truth_heights {
     uint64_t inside, none; /* pixels in the built-up square; those without a surface */
-    uint64_t level;        /* pixels with a surface and away from edges, which are scored */
-    double pixel_m;
-    /* height differences: median and 95 % of their size; median with sign */
-    double median_m, most_m, off_m;
+    double pixel_m, gsd_m; /* of the map; of photographs from straight above */
+    /* away from edges; near them; all; above: thickness and light are not known */
+    struct surface_figures level, zone, all;
     /* over all pixels with a surface: volume of the model minus that of the city */
     double volume_m3;
     size_t edges, missing; /* steps at walls; see edge.h */

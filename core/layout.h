@@ -136,7 +136,7 @@ struct layout_view {
     float lim_neg_x, lim_pos_x, lim_neg_y, lim_pos_y; /* limits of x/z and y/z in the Jacobian */
     float near_m;
     float kernel_px2;  /* added to the diagonal of the 2-D covariance */
-    float half_max_px; /* a splat that is larger and nearer than 4 near_m is culled */
+    float half_max_px; /* a splat larger than this and nearer than 4 near_m is culled */
     float background[3];
     LAYOUT_U32 width, height, tiles_x, tiles_y;
     LAYOUT_U32 n, groups, planes; /* planes: of a group of parameters, whatever sh_degree is */

@@ -24,8 +24,8 @@ size_t pool_cores(void);
 /* Limits the number of threads (0 = no limit), here and in a CPU device that is opened later. Call
  * it before threads start. */
 void pool_limit(size_t threads);
-/* From now on pool_for in this thread makes all calls itself. Use it in threads of which there are
- * enough to occupy all cores. */
+/* From now on pool_for in this thread makes all calls itself. Use it in threads that together
+ * already occupy all cores. */
 void pool_alone(void);
 
 /* Starts one background thread that calls fn(user) once. pool_join waits for it and frees it.

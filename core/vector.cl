@@ -1,11 +1,10 @@
-// Second source of every program over groups of Gaussians, behind core/layout.h: the vector type,
-// and loads and stores of the AoSoA-16 layout.
+// The second source, after core/layout.h, of every program over groups of Gaussians: the vector
+// type, and loads and stores of the AoSoA-16 layout.
 //
-// VW 16 (CPUs): V is float16; one work-item handles whole groups of 16 Gaussians, or blocks of 4x4
-// pixels. VW 1 (GPUs): V is float; one work-item is one Gaussian or one pixel. Masks are what
-// comparisons return (-1 in vectors, 1 in scalars): combine them with & and |, choose with
-// ?:, which is right for both. Write a * b + c in one expression: the compiler fuses it where it
-// can.
+// VW 16 (CPUs): V is float16, and one work-item handles whole groups of 16 Gaussians, or blocks of
+// 4x4 pixels. VW 1 (GPUs): V is float, and one work-item is one Gaussian or one pixel. Masks are
+// results of comparisons: -1 in vectors, 1 in scalars. Combine them with & and |, and choose with
+// ?:, which is right for both. Write a * b + c in one expression, so that the compiler can fuse it.
 
 #if VW == 16
 typedef float16 V;

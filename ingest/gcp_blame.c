@@ -1,11 +1,11 @@
-/* What is wrong with ground control: the file read in another way, held against the GPS of the
- * photographs or against the other points.
+/* Finds out what is wrong with ground control: it reads the list in other ways, and compares it
+ * with the GPS of the photographs or with the other points.
  *
- * All of a list may be wrong alike: another zone, east and north exchanged, feet, another datum.
- * Fitted to such a list a scene is consistent and elsewhere. Every such reading is tried, and the
- * one that brings the points to their photographs is named. GPS of photographs that say no accuracy
- * is taken to be right to 15 m in plan, as code measurements are with a margin, and to 25 m in
- * height, as barometers are; the geoid is up to 107 m from the ellipsoid.
+ * A whole list may be wrong in the same way: another zone, east and north exchanged, feet, another
+ * datum. A scene that is fitted to such a list is consistent, but in another place. All such
+ * readings are tried, and the one that brings the points to their photographs is named. GPS without
+ * stated accuracy counts as right to 15 m horizontally, as code measurements are with a margin, and
+ * to 25 m in height, as barometers are. The geoid is up to 107 m from the ellipsoid.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

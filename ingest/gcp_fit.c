@@ -1,10 +1,9 @@
-/* Fitting to ground control points: see gcp_fit.h.
+/* Fits to ground control points: see gcp_fit.h.
  *
- * A first fit is robust (gcp_solve.c) and says which points are suspects: those that it does not
- * count, and those that the others, with the point left out, put elsewhere than survey and marks
- * explain. What is done with them is the user's choice. Thresholds are in the standard deviations
- * of each point, which are those of its survey, of its marks and of the frame, and nothing is a
- * suspect within a pixel on the ground.
+ * A first fit is robust (gcp_solve.c) and finds suspects. These are points that it does not use,
+ * and points whose place by all others differs by more than survey and marks explain. The user
+ * decides what happens to suspects. Limits are in standard deviations of each point, from its
+ * survey, its marks and the frame. A point within a pixel on the ground is never a suspect.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

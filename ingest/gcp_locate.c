@@ -1,14 +1,14 @@
-/* Locating ground control points: see gcp_locate.h.
+/* Locates ground control points: see gcp_locate.h.
  *
- * A point that is marked in several photographs lies where its distances to the marks, in the
- * pictures, have the least sum of squares. One that is marked in a single photograph lies on its
- * ray, at the height of the sparse points that the photograph sees around the mark: as good as the
+ * A point that is marked in several photographs lies where the sum of squared distances to its
+ * marks, in the pictures, is least. A point that is marked in one photograph lies on its ray, at
+ * the height of the sparse points that the photograph sees around the mark. This is accurate if the
  * ground there is level.
  *
- * Each mark is also held against the point that the other marks make (leaving one out). Where the
- * sum of squares falls by more than errors of marks explain when a mark is left out, that mark is a
- * suspect: it is wrong, or the pose of its photograph is. What errors of marks are is what was
- * said, or what half of the points show, if that is more.
+ * Each mark is also compared with the point that the other marks give. It is a suspect if leaving
+ * it out lowers the sum of squares by more than errors of marks explain: then it is wrong, or the
+ * pose of its photograph is. Errors of marks are those that were stated, or those that half of the
+ * points show if they are larger.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,15 +1,15 @@
 /* Robust weighted similarity: see gcp_solve.h.
  *
- * The start is the similarity of three points under which the middle one of all distances, in
- * standard deviations, is least (least median of squares, Rousseeuw 1984; the rank is (n + 4) / 2,
- * since three distances are nearly 0 by themselves). That distance also tells how much more points
- * err than was said: a COLMAP model that is bent, or marks that are worse. Gauss-Newton with
- * weights follows; a point counts fully to three such standard deviations, less to six, and not at
- * all beyond. Of four points no rank tells the wrong one: there a point is left out when the other
- * three agree, and no other three do.
+ * The start is a similarity of three points: the one for which the median distance of all points,
+ * in standard deviations, is least (least median of squares, Rousseeuw 1984). The rank is (n + 4) /
+ * 2, because three distances are nearly 0 by construction. This distance also measures how much
+ * larger errors are than stated, for example because a COLMAP model is bent. Gauss-Newton with
+ * weights follows. A point has full weight up to three such standard deviations, less up to six,
+ * and none beyond. With four points no rank finds the wrong one. There a point is left out if the
+ * other three agree and no other three do.
  *
- * Errors of surveyed points are independent of the axes in plan; those of located points are what
- * their marks make, turned and scaled.
+ * Errors of surveyed points do not depend on the direction of the horizontal axes. Errors of
+ * located points come from their marks, rotated and scaled.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,7 +1,7 @@
-/* Photographs and COLMAP poses in, a scene in metres out. Reading order: ingest.c (the whole way),
- * ingest_frame.c (where the scene lies), georef.c (which positions to trust), sim3.c (the
- * mathematics), ingest_scene.c (cameras, points), ingest_points.c (which points to trust),
- * ingest_photo.c (pixels), ingest_report.c (what is told).
+/* Makes a scene in metres from photographs and COLMAP poses. Reading order: ingest.c (all steps),
+ * ingest_frame.c (where the scene lies), georef.c (which positions are reliable), sim3.c (the
+ * mathematics), ingest_scene.c (cameras, points), ingest_points.c (which points are reliable),
+ * ingest_photo.c (pixels), ingest_report.c (the report).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -17,15 +17,15 @@ struct ingest_config {
 #include "ingest/ingest.def"
 #undef OPT
 };
-/* The table behind struct ingest_config: flags, defaults, ranges, help. */
+/* The table of struct ingest_config: flags, defaults, ranges, help. */
 const struct options_spec *ingest_options(void);
 
-/* Make the scene folder. A report is printed on stdout and kept as report.json. ERR_ARG, ERR_DATA,
- * ERR_FORMAT, ERR_NOENT, ERR_IO, ERR_LIMIT, ERR_MEM, ERR_CANCEL. */
+/* Makes the scene folder. It prints a report on stdout and writes it to report.json. ERR_ARG,
+ * ERR_DATA, ERR_FORMAT, ERR_NOENT, ERR_IO, ERR_LIMIT, ERR_MEM, ERR_CANCEL. */
 enum err_code ingest_run(const char *images_dir, const char *sparse_dir,
                          const struct ingest_config *cfg, struct err *e) ERR_USE;
-/* The same with the frame fitted to ground control points, in longitude, latitude and height. gcps
- * NULL: ingest_run. Errors of gcp_fit_make as well. */
+/* As ingest_run, with the frame fitted to ground control points in longitude, latitude and height.
+ * gcps NULL: as ingest_run. Also the errors of gcp_fit_make. */
 enum err_code ingest_run_gcp(const char *images_dir, const char *sparse_dir,
                              const struct ingest_config *cfg, const struct gcp_list *gcps,
                              struct err *e) ERR_USE;

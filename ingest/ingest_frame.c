@@ -1,8 +1,8 @@
-/* Where the scene lies: by GPS where enough photographs have it, by hand otherwise.
+/* Where the scene lies: by GPS if enough photographs have it, else by options.
  *
- * The fit runs in a frame about the median GPS position; then the origin moves to the middle of the
- * photographs that were kept, at the height of the median point, so the ground is near z = 0. EXIF
- * altitudes are taken as given, plus --geoid-offset-m: nothing about heights is guessed.
+ * The fit uses a frame about the median GPS position. Then the origin moves to the middle of the
+ * kept photographs, at the height of the median point, so the ground is near z = 0. EXIF altitudes
+ * are used as they are, plus --geoid-offset-m; no height is guessed.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

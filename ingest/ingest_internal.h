@@ -1,4 +1,4 @@
-/* Between the files of ingest: the state of one run, and its steps.
+/* Shared by the files of ingest: the state of a run, and its steps.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -18,7 +18,7 @@
 struct ingest_config;
 
 enum ingest_verdict { INGEST_KEPT, INGEST_FEW_POINTS, INGEST_POSE, INGEST_GPS, INGEST_MISSING };
-enum ingest_point { /* of a sparse point: ingest_points.c */
+enum ingest_point { /* verdict on a sparse point: ingest_points.c */
                     INGEST_POINT_KEPT,
                     INGEST_POINT_ANGLE,
                     INGEST_POINT_ERROR,
@@ -27,44 +27,44 @@ enum ingest_point { /* of a sparse point: ingest_points.c */
                     INGEST_POINT_ABOVE,
                     INGEST_POINT_VERDICTS
 };
-enum ingest_altitude { /* which one counts: ingest_drone.c */
+enum ingest_altitude { /* source of the altitude that is used: ingest_drone.c */
                        INGEST_ALTITUDE_EXIF,
                        INGEST_ALTITUDE_BAROMETER,
                        INGEST_ALTITUDE_RTK,
                        INGEST_ALTITUDES
 };
-enum { INGEST_AUTO, INGEST_EXIF }; /* of --altitude */
-/* Which way is up by the gimbals of the cameras. */
+enum { INGEST_AUTO, INGEST_EXIF }; /* values of --altitude */
+/* The direction up by the gimbals of the cameras. */
 struct ingest_gimbal {
-    size_t n, used;    /* photographs that tell it; without those that lie far off */
-    bool known;        /* enough, and they agree */
+    size_t n, used;    /* photographs with that value; without outliers */
+    bool known;        /* there are enough, and they agree */
     double up[3];      /* unit, in COLMAP's frame */
-    double spread_rad; /* median angle of one photograph to all */
-    /* Against the frame: by how much, and leaning to the east and north. */
+    double spread_rad; /* median angle between one photograph and all */
+    /* angle between it and the frame's up; its parts to the east and north */
     double tilt_rad, east_rad, north_rad;
 };
 struct ingest_photo {
     const struct colmap_image *image;
     char *out_name; /* in images/ of the scene */
     uint32_t width_px, height_px;
-    struct image_gps gps; /* its altitude is the one that counts */
+    struct image_gps gps; /* its altitude is the one that is used */
     struct drone_meta drone;
     enum ingest_altitude altitude;
     struct georef_photo geo;
-    size_t n_points;        /* triangulated observations */
+    size_t n_points;        /* number of triangulated observations */
     double reprojection_px; /* median */
     double residual_m;      /* NaN without GPS */
     uint32_t flight, view;
     enum ingest_verdict verdict;
 };
-struct ingest_result { /* what ingest_report.c tells */
+struct ingest_result { /* input of ingest_report.c */
     const struct ingest_config *cfg;
-    const struct ingest_photo *photos; /* in order of file names */
+    const struct ingest_photo *photos; /* in the order of file names */
     size_t n_photos, n_kept, n_train, n_test, n_gps, n_unregistered;
     const struct scene *scene;
     const size_t *points;               /* [INGEST_POINT_VERDICTS] sparse points by verdict */
-    const struct georef_result *georef; /* NULL when there was too little GPS */
-    const struct gcp_fit *gcp;          /* NULL: the frame is not from ground control points */
+    const struct georef_result *georef; /* NULL: there was too little GPS */
+    const struct gcp_fit *gcp; /* NULL: the frame does not come from ground control points */
     const struct ingest_gimbal *gimbal;
     double seconds;
 };
@@ -74,11 +74,11 @@ struct ingest {
     const char *images_dir;
     struct outdir dir;
     struct colmap_model model;
-    struct ingest_photo *photos; /* by name; all arrays and names from the scene's arena */
+    struct ingest_photo *photos; /* by name; arrays and names live in the scene's arena */
     size_t n;
     struct ingest_view *views;
     size_t n_views;
-    /* [model.n_images] index in the scene, UINT32_MAX = dropped; by index in the model */
+    /* [model.n_images] by index in the model: index in the scene, UINT32_MAX = dropped */
     uint32_t *kept;
     struct georef_result georef;
     bool fitted;
@@ -87,54 +87,54 @@ struct ingest {
     struct gcp_fit gcp;
     struct scene scene;
     struct progress progress;
-    atomic_flag progress_busy; /* whoever holds it may touch `progress` */
+    atomic_flag progress_busy; /* only its holder may use `progress` */
     atomic_size_t done, masks;
     size_t points[INGEST_POINT_VERDICTS];
 };
 
-/* ingest_frame.c: origin and similarity into the scene, verdicts of those that contradict their
- * GPS. ERR_ARG (--origin), ERR_DATA (no frame), ERR_MEM. */
+/* ingest_frame.c: computes origin and similarity of the scene, and drops photographs that
+ * contradict their GPS. ERR_ARG (--origin), ERR_DATA (no frame), ERR_MEM. */
 enum err_code ingest_frame_find(struct ingest *g, struct err *e) ERR_USE;
-/* --origin: "LON,LAT,H" in degrees and metres. ERR_ARG. */
+/* Parses --origin: "LON,LAT,H" in degrees and metres. ERR_ARG. */
 enum err_code ingest_frame_parse(const char *text, struct geo_origin *o, struct err *e) ERR_USE;
 /* ---- ingest_drone.c ---- */
 
-/* Choose the altitudes that count, flight by flight. ERR_MEM. */
+/* Chooses the altitudes to use, flight by flight. ERR_MEM. */
 enum err_code ingest_drone_heights(struct ingest *g, struct err *e) ERR_USE;
-/* Above the ellipsoid, as far as --geoid-offset-m says it. */
+/* Height above the ellipsoid, if --geoid-offset-m is right. */
 double ingest_drone_height_m(const struct ingest *g, const struct ingest_photo *p);
-/* Up by the gimbals of the photographs that are kept. ERR_MEM. */
+/* Computes up from the gimbals of the kept photographs. ERR_MEM. */
 enum err_code ingest_drone_up(const struct ingest *g, struct ingest_gimbal *out,
                               struct err *e) ERR_USE;
-/* And how far the frame is from it. */
+/* Computes the tilt of the frame against it. */
 void ingest_drone_check(const struct sim3 *sim, struct ingest_gimbal *io);
 
 /* ---- other steps ---- */
 
-/* ingest_scene.c: images, points and tracks of the scene from what was kept; fills kept and views.
- * ERR_MEM. */
+/* ingest_scene.c: makes images, points and tracks of the scene from what was kept; fills `kept` and
+ * `views`. ERR_MEM. */
 enum err_code ingest_scene_fill(struct ingest *g, struct err *e) ERR_USE;
 
-/* ingest_points.c: take the sparse points out of the scene that are no surface, with their
- * observations; count[] says how many and why. ERR_MEM. */
+/* ingest_points.c: removes sparse points that are not on a surface, with their observations.
+ * count[] gives the numbers by reason. ERR_MEM. */
 enum err_code ingest_points_filter(const struct ingest_config *cfg, struct scene *s,
                                    size_t count[INGEST_POINT_VERDICTS], struct err *e) ERR_USE;
 
-/* ingest_exposure.c: exposure and white balance of the scene's photographs, which are written by
- * now. What is read: ERR_IO, ERR_NOENT, ERR_FORMAT; ERR_CANCEL, ERR_MEM. */
+/* ingest_exposure.c: measures exposure and white balance of the scene's photographs, which are
+ * written already. ERR_IO, ERR_NOENT, ERR_FORMAT: of a photograph. ERR_CANCEL, ERR_MEM. */
 enum err_code ingest_exposure_find(struct ingest *g, struct err *e) ERR_USE;
 
 /* ---- ingest_mask.c ---- */
 
-/* The mask of a photograph for the pinhole picture that ingest makes of it, as PNG. What is read:
- * ERR_NOENT, ERR_FORMAT, ERR_LIMIT; ERR_IO, ERR_MEM. */
+/* Converts the mask of a photograph for its pinhole picture, as PNG. ERR_NOENT, ERR_FORMAT,
+ * ERR_LIMIT: of the mask. ERR_IO, ERR_MEM. */
 enum err_code ingest_mask_convert(const struct ingest_view *v, const char *from, const char *to,
                                   struct err *e) ERR_USE;
 
 /* ---- ingest_report.c ---- */
 
 void ingest_report_print(const struct ingest_result *r);
-/* report.json. ERR_IO, ERR_DATA, ERR_MEM. */
+/* Writes report.json. ERR_IO, ERR_DATA, ERR_MEM. */
 enum err_code ingest_report_write(const struct ingest_result *r, const char *path,
                                   struct err *e) ERR_USE;
 

@@ -1,4 +1,4 @@
-/* What ingest tells: a summary for people on stdout, all of it as report.json.
+/* The report of ingest: a summary on stdout, and everything as report.json.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

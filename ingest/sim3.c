@@ -1,23 +1,21 @@
 /* Similarities between camera centres and GPS positions.
  *
- * The closed form is Horn's (1987): the rotation is the quaternion that belongs to the largest
- * eigenvalue of a 4x4 matrix, found by Jacobi's method. The refinement minimises, over rotation,
- * scale, shift and one height offset per flight,
+ * The closed form is Horn's (1987). The rotation is the quaternion of the largest eigenvalue of a
+ * 4x4 matrix, which Jacobi's method finds. The refinement minimises, over rotation, scale, shift
+ * and one height offset a flight:
  *
- *   sum_i w_i |y_i - s R x_i - t - o_flight(i) e_z|^2                  GPS positions
- *   + mean_i (e_z . R right_i)^2 / sigma_level^2                       cameras are level but for
- * their roll
- *   + |R normal - e_z|_xy^2 / sigma_ground^2                           the ground is roughly
- * horizontal
+ *     sum_i w_i |y_i - s R x_i - t - o_flight(i) e_z|^2    GPS positions
+ *     + mean_i (e_z . R right_i)^2 / sigma_level^2         cameras are level except for their roll
+ *     + |R normal - e_z|_xy^2 / sigma_ground^2             the ground is roughly horizontal
  *
- * Weights are robust (Huber, then cut) and differ between places and heights, whose errors are
- * estimated from the residuals. Errors of receivers drift: neighbours in time err alike, so n
- * positions count for n (1 - rho) / (1 + rho) independent ones, rho being the correlation of
- * neighbours. A height that drifts by 100 m over one flight would otherwise tilt the scene by 45
- * degrees and look certain of it; so counted, the two weak terms win there, and yield to any GPS
- * that deserves it. sigma_level is how far the cameras are from being level with each other; the
- * mean, not the sum, is taken, because rolls of one flight (wind, a crooked mount) are not
- * independent either.
+ * Weights are robust (Huber, then cut). Places and heights have separate ones, with errors
+ * estimated from residuals. Errors of receivers drift, so neighbours in time have similar errors. n
+ * positions therefore count as n (1 - rho) / (1 + rho) independent ones, with rho the correlation
+ * of neighbours. Without this, a height that drifts by 100 m in one flight would tilt the scene by
+ * 45 degrees and look certain. With it, the two weak terms win in such a case, and GPS wins where
+ * it is reliable. sigma_level is how far the cameras are from being level with each other. The term
+ * is a mean and not a sum, because rolls of one flight (wind, a crooked mount) are not independent
+ * either.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

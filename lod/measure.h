@@ -45,10 +45,10 @@ struct measure_area {
     double pixel_m;
 };
 /* Measures inside a polygon [count][2]. base_m: height of a level base; NAN: the plane through the
- * surface along the rim, by least squares. gsd_m is the pixel size; 0: a fourth of the usual
- * Gaussian, or such that there are 250,000 pixels. ERR_DATA: the polygon is not simple, has too
- * many pixels, or no surface along its rim. ERR_ARG, ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_LIMIT,
- * ERR_MEM as in measure_plan and nadir_draw. */
+ * surface along the rim, by least squares. gsd_m is the pixel size. 0: a fourth of the usual
+ * Gaussian; for a large polygon more, up to the size of a Gaussian. ERR_DATA: the polygon is not
+ * simple, has too many pixels, or no surface along its rim. ERR_ARG, ERR_CANCEL, ERR_DEVICE,
+ * ERR_FORMAT, ERR_LIMIT, ERR_MEM as in measure_plan and nadir_draw. */
 enum err_code measure_polygon(struct nadir *n, const double (*lonlat)[2], size_t count,
                               double base_m, double gsd_m, struct measure_area *out,
                               struct err *e) ERR_USE;

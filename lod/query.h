@@ -27,8 +27,8 @@ struct query { /* {0}, then query_read; it has no pointers, so its bytes can be 
     struct camera cam; /* QUERY_PICK: camera and pixel */
     double pixel[2];
 };
-/* Reads a question. origin: of the store; cameras are in its frame. ERR_DATA says what is allowed.
- */
+/* Reads a question. origin: of the store; cameras are in its frame. ERR_DATA: the question is
+ * invalid; the message says what is allowed. */
 enum err_code query_read(enum query_kind kind, const struct json_t *o,
                          const struct geo_origin *origin, struct query *out, struct err *e) ERR_USE;
 /* Answers a question. Release *out with json_decref. With `geoid` (may be NULL) the answer also has

@@ -8,9 +8,10 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* Two splats hide a part of each other's coverage. A merger loses this share of that part. 1 keeps
- * the coverage of the pair alone, and thins out layers of many splats. 0 keeps that of splats that
- * never overlap, and thickens such layers. docs/decisions/007-pyramid.md shows pictures. */
+/* Splats that overlap hide a part of each other, so a pair covers less than the sum of both. This
+ * is the share of the hidden part that a merger loses. 1: the merger covers as much as the pair
+ * alone, and layers of many splats become thinner. 0: it covers the sum, as if splats never
+ * overlapped, and layers become thicker. docs/decisions/007-pyramid.md shows pictures for 1/2. */
 #define SIMPLIFY_HIDDEN_SHARE 0.5
 /* A colour step of 0.2 costs as much as means one sigma apart, by half its square. */
 #define SIMPLIFY_COLOR_WEIGHT 4.0f

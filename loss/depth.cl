@@ -1,12 +1,12 @@
-// The depth loss around an ordinary frame: Gaussians whose colour is their inverse depth, the loss
-// of the picture that they make, and its gradients passed back to the trained Gaussians.
+// The depth loss around an ordinary frame: a copy of the model whose colour is inverse depth, the
+// loss of its picture, and the gradients for the trained Gaussians.
 //   depth_model  params -> shadow [groups][LAYOUT_DEPTH_PLANES][16]: the geometry (opacity replaced
 //                in the hard pass), harmonics of degree 0 with red = unit / z
 //   depth_loss   color, target -> grad [3][h][w], pieces: |D - t| summed over a piece
 //   depth_add    grads of the shadow -> added to extra
 //                [groups][LAYOUT_PLANES_GEOMETRY][16]
-// z = row . mean + row.w with row the camera's third: the mean moves the colour too.
-// Reference: depth_ref.c.
+// z = row . mean + row.w, with row the camera's third. So the colour has a gradient for the mean
+// too. Reference: depth_ref.c.
 #define SH_C0 0.28209479177387814f
 
 inline V depth_of(__global const float *g, float4 row)

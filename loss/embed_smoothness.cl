@@ -1,10 +1,10 @@
-// The device's side of the smoothness loss: the gradient of embeddings into Adam.
+// The smoothness loss on the device: adds the gradient of embeddings to Adam's moments.
 //   embed_smoothness_add   grad [n][len] of rows from .. from + n - 1 -> both moments of the
 //                          embeddings
-// Adam's step that follows multiplies the moments by beta1 and beta2 and adds its own gradient, so
+// The next Adam step multiplies the moments by beta1 and beta2 and adds its own gradient. Therefore
 //   m1 += (1 - beta1) / beta1 g,   m2 += (1 - beta2) / beta2 g^2
-// makes it a step with g added to the first moment exactly, and its square to the second. What is
-// missing is 2 g g', g' the gradient of the frame: nothing where a Gaussian was not seen.
+// adds g to the first moment exactly, and g^2 to the second. The second lacks 2 g g', with g' the
+// gradient of the frame. That is 0 if the Gaussian was not visible.
 
 __kernel void embed_smoothness_add(__global const float *grad, uint from, uint n, uint planes,
                                    uint first, uint len, float k1, float k2, __global float *m1,

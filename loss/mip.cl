@@ -1,6 +1,6 @@
-// Mip-Splatting's 3-D filter: sigma f_i = sqrt(0.2) min over cameras z_i / f_max, over the cameras
-// that see Gaussian i (z > 0.01 m, projection inside the picture grown by 15 %). Those that none
-// sees get the largest f.
+// The 3-D filter of Mip-Splatting: sigma f_i = sqrt(0.2) min z_i / f_max over the cameras that see
+// Gaussian i (z > 0.01 m, projection inside the picture grown by 15 %). A Gaussian that no camera
+// sees gets the largest f.
 //   in   params [groups][planes][16], cameras [n_cameras]
 //   mid  pieces [LAYOUT_LOSS_PIECES]: largest z of a piece
 //   out  filter [groups][16], m

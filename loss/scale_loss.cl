@@ -1,13 +1,14 @@
-// The scale regularizer: how many axes and needles are too long, then their gradients.
+// The scale regularizer: counts axes and needles that are too long, then computes their gradients.
 //   in   params [groups][planes][16]
-//        inside uchar [ny][nx], the grid of supported ground: the limit of what stands where it is
-//        not 0 is s_near, elsewhere s_max. Read at the few that are longer than s_near
+//        inside uchar [ny][nx], the grid of supported ground: where it is not 0 the limit is
+//        s_near, elsewhere s_max. It is read only for axes longer than s_near
 //   mid  pieces [LAYOUT_LOSS_PIECES] counts and sums of a piece
-//   out  extra [groups][LAYOUT_PLANES_GEOMETRY][16] or [groups][LAYOUT_PLANES_SCALE][16], every
-//        plane written, 0 where nothing is wrong
-// Counts are whole numbers over fixed pieces: same input, same bits. Reference: scale_loss_ref_run.
-// VW 16: a work-item has a piece, or LAYOUT_PROJECT_GROUPS groups. VW 1: a work-group has a piece,
-// and its items take every LAYOUT_SCALE_ITEMSth Gaussian of it; gradients are a Gaussian an item.
+//   out  extra [groups][LAYOUT_PLANES_GEOMETRY][16] or [groups][LAYOUT_PLANES_SCALE][16]; every
+//        plane is written, with 0 where no limit is exceeded
+// Counts are integers over fixed pieces: the same input gives the same bits. Reference:
+// scale_loss_ref_run. VW 16: a work-item has a piece, or LAYOUT_PROJECT_GROUPS groups. VW 1: a
+// work-group has a piece, and its items take every LAYOUT_SCALE_ITEMSth Gaussian of it; for
+// gradients an item has one Gaussian.
 #define RATIO_EPS 1e-8f
 #define SCALE_AHEAD 8
 

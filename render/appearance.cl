@@ -1,18 +1,19 @@
-// Appearance: what light, season and weather of a photograph do, as offsets of colour and opacity,
-// by a small network on every Gaussian's embedding. Compiled, before project.cl and
-// project_backward.cl, into programs of their own: with APPEARANCE_LEN defined those take the
-// offsets in, without it they are as if this file did not exist.
+// Appearance: offsets of colour and opacity for the light, season and weather of a photograph, by a
+// small network on the embedding of every Gaussian. It is compiled before project.cl and
+// project_backward.cl, into programs of their own. With APPEARANCE_LEN defined they apply the
+// offsets; without it they do not use this file.
 //   frame  W1's columns of the embedding [HIDDEN][LEN], bias [HIDDEN] with the photograph's part,
 //          W2 [4][HIDDEN], b2 [4]: constants of a frame
 //   y = sigmoid(W2 max(0, W1 g^ + bias) + b2),   g^ = g / max(|g|, 1e-12)
-// A vector of lanes runs through the network at once: LEN and HIDDEN are compile-time constants, so
-// an embedding stays in registers and every weight is one broadcast of a constant.
+// The network processes a vector of lanes at once. LEN and HIDDEN are compile-time constants, so an
+// embedding stays in registers, and a weight is one broadcast of a constant.
 //
-// Backward: with s = W1 g^ + bias, a = max(0, s), z = W2 a + b2:  g_z = g_y y (1 - y),
-// g_a = W2^T g_z, g_s = g_a where s > 0, g_g^ = W1^T g_s, and g_g = (g_g^ - g^ (g^ . g_g^)) / |g|.
-// The frame's gradients are sums over the Gaussians of g_s g^T, g_s, g_z a^T and g_z; they are kept
-// in rows of APPEARANCE_ROW floats, one a fixed piece of the Gaussians, the last of which that
-// counts is the sum of y3, and appearance_sum (appearance_backward.cl) adds the rows in order.
+// Backward: with s = W1 g^ + bias, a = max(0, s), z = W2 a + b2:
+//   g_z = g_y y (1 - y),  g_a = W2^T g_z,  g_s = g_a where s > 0,  g_g^ = W1^T g_s,
+//   g_g = (g_g^ - g^ (g^ . g_g^)) / |g|
+// The gradients of the frame's constants are sums over the Gaussians of g_s g^T, g_s, g_z a^T and
+// g_z. Each fixed piece of the Gaussians has a row of APPEARANCE_ROW floats for them, with the sum
+// of y3 last. appearance_sum (appearance_backward.cl) adds the rows in order.
 //
 // Reference: appearance_eval in core/appearance.c, ref_appearance in render/render_ref.c and
 // appearance_splat in render/render_ref_backward.c.

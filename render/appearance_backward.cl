@@ -1,13 +1,13 @@
-// Stage: the appearance network, backward, where it is not part of project_backward.cl: with VW 1,
-// a work-group is a fixed chunk of the Gaussians. Its items put what they know of a Gaussian each
-// into local memory, then every item adds products of two columns of it for the sums it owns, so
-// that nothing is added by atomics. And for any VW: the sum of all chunks.
+// Stage: the appearance network, backward, for VW 1. With VW 16 it is part of project_backward.cl.
+// A work-group has a fixed chunk of the Gaussians. Its items each write the values of a Gaussian to
+// local memory. Then each item computes the sums that it owns, from products of two columns, so
+// there are no atomic additions. For any VW: the sum of all chunks.
 //   in   y_grads [groups][4][16] (dL/dy, where visible), params, tiles_of, frame (see
 //        appearance.cl)
 //   out  the embedding's planes of grads (appearance_backward), or of params and both moments
 //        (appearance_step); parts [LAYOUT_APPEARANCE_CHUNKS][APPEARANCE_ROW]
-// `each` is added to dL/dy3 of all that are visible: the weight of the mean opacity offset over
-// their number. Formulas and reference: appearance.cl.
+// `each` is added to dL/dy3 of all visible Gaussians: the weight of the mean opacity offset divided
+// by their number. Formulas and reference: appearance.cl.
 
 #if VW == 1
 // Columns of the tile, one row a Gaussian: g^, g_s, a, g_z, y3, 1.

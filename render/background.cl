@@ -1,8 +1,8 @@
 // Stage: another background behind some pixels, after blend.
-//   in   where [h][w]: 0 where the background stays; red, green, blue: by how much it differs
-//        elsewhere; transmit [h][w]
-//   out  color [3][h][w]: plus what the Gaussians let through of the difference
-// The way back takes the picture as it is, so it needs to know nothing of this.
+//   in   where [h][w]: 0 where the background stays; red, green, blue: difference of the other
+//        background; transmit [h][w]
+//   out  color [3][h][w]: plus the difference times transmit
+// The backward pass uses the resulting picture, so it does not need this stage.
 __kernel void background(__constant struct layout_view *view, float red, float green, float blue,
                          __global const uchar *where, __global const float *transmit,
                          __global float *color)

@@ -1,15 +1,15 @@
 // Stage: bin. Splats in depth order -> the list of each tile, in depth order.
 //   in   order [visible], keys [visible] (tile counts, see sort.cl), splats, slot_first, tiles_of
 //   out  tile_start [tiles + 1], intersection_splat and intersection_slot [intersections]
-// A counting sort by tile. First the intersections are written out in depth order, row of tiles by
-// row (bin_expand: the only walk that reads records, at random, and the only one with
-// short loops); then two straight walks over them count and place them. LAYOUT_BIN_CHUNKS
-// fixed chunks of the depth order work side by side: sums over chunks and tiles tell each where its
-// part of each list begins.
+// It is a counting sort by tile. First bin_expand writes the intersections in depth order, one row
+// of tiles after another. Only this pass reads records, at random, and only it has short loops.
+// Then two linear passes count and place the intersections. LAYOUT_BIN_CHUNKS fixed chunks of the
+// depth order are processed in parallel. Sums over chunks and tiles give each chunk its part of
+// each list.
 //   expanded_tile, expanded_splat, expanded_slot [intersections]: in depth order
 //   bin_offset [chunk][stride], stride = tiles rounded up to 16
-// `cap` is the room for intersections. The host has made enough; nothing is written beyond whatever
-// happens. Local size 1: one work-item is one chunk.
+// `cap` is the room for intersections. The host has made enough; nothing is ever written beyond it.
+// Local size 1: one work-item is one chunk.
 
 #define AHEAD 16
 #define BURST 8 // intersections written at once; what is too many is overwritten by the next

@@ -1,14 +1,14 @@
-// Stage: importance of splats in a frame, for density control. Compiled after blend_cpu.cl and
-// blend_backward.cl on CPUs, whose masks and sums it shares. Replays the blending of the last frame
-// and adds up, for every Gaussian, over the pixels it was blended into:
+// Stage: importance of splats in a frame, for density control. On CPUs it is compiled after
+// blend_cpu.cl and blend_backward.cl, and uses their masks and sums. It repeats the blending of the
+// last frame and sums, for every Gaussian, over the pixels in which it was blended:
 //   in   splats, tile_start, intersection_splat, intersection_slot, slot_first, tiles_of,
-//        depth_key: the frame; weight [h][w]: what a pixel counts
+//        depth_key: the frame; weight [h][w]: weight of a pixel
 //   out  slots [intersections][LAYOUT_IMPORTANCE_SLOT] (cleared by the host): weight, 1, alpha T,
 //        distance of the pixel from the mean
 //        sums [n][LAYOUT_IMPORTANCE_SUMS]: those four, then depth in m, half-size in px, 0, 0; all
 //        0 where invisible
-// One writer a slot, fixed order: same input, same bits. The sums are those of Taming 3DGS, Mallick
-// et al. 2024.
+// A slot has one writer and the order is fixed: the same input gives the same bits. The sums are
+// those of Taming 3DGS, Mallick et al. 2024.
 
 #if VW == 16
 

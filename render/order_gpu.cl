@@ -1,16 +1,17 @@
-// Stages sort and bin, GPU shape: what sort.cl and bin.cl give, bit for bit, made by thousands of
-// work-items.
+// Stages sort and bin, GPU shape: the same results as sort.cl and bin.cl, bit for bit, by thousands
+// of work-items.
 //   sort: sums of tiles_of -> slot_first, intersections; stable radix passes over the depth keys
 //         -> ids
 //   bin:  sums of tiles_of in depth order -> first; intersections from there on; stable radix
 //         passes over their tiles; gather -> tile_start, intersection_splat, intersection_slot
-// A work-group takes a block of LAYOUT_ORDER_BLOCK values, an item EACH values in a row of it, so
-// that the order of equal keys is that of the items and no atomics are needed (Satish, Harris and
-// Garland 2009, with digits of 5 bits). Sums are of integers: how they are cut does not show.
-//   sums [blocks], or [digit][block] for a radix pass: totals, after sum_scan what comes before
-// `ordered`: values are taken through order[], and there are counts->visible of them.
-// Barriers stay in the kernels' own bodies: PoCL, where this is tested, does not divide a
-// work-group at barriers of a function that is called.
+// A work-group has a block of LAYOUT_ORDER_BLOCK values, and an item has EACH consecutive values of
+// it. The order of equal keys is then that of the items, and no atomics are needed (Satish, Harris
+// and Garland 2009, with digits of 5 bits). Sums are of integers, so the division into blocks does
+// not change them.
+//   sums [blocks], or [digit][block] for a radix pass: totals; after sum_scan the sum before each
+// `ordered`: values are read through order[], and there are counts->visible of them. Barriers are
+// only in the kernels' own bodies, because PoCL, with which this is tested, does not split a
+// work-group at barriers in called functions.
 
 #define ITEMS LAYOUT_ORDER_ITEMS
 #define EACH (LAYOUT_ORDER_BLOCK / ITEMS)

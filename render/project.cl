@@ -2,17 +2,17 @@
 //   in   params [groups][planes][16]; filter [groups][16], m, with view->smooth
 //        list [groups], with view->listed: which groups of params these are
 //   out  splats [groups * 16] (only where visible), depth_key (bits of depth, ~0 where culled),
-//   tiles_of
-// Culling comes in steps, cheapest first, and a whole group leaves as soon as no lane of it is
-// left; the spherical harmonics, three quarters of the bytes, are read last.
+//        tiles_of
+// Culling has several steps, cheapest first. A group ends as soon as all its lanes are culled.
+// Spherical harmonics, three quarters of the bytes, are read last.
 //
-// Tiles: alpha >= 1/255 inside the ellipse u^2 + v^2 <= opacity_log2 + log2(255) = L. Over a band
-// of tile rows the columns that it touches are those between its leftmost and rightmost point
-// within the band, which take two square roots (AccuTile, Hanson et al. 2025, in rows of tiles). A
-// margin of 0.01 px covers the rounding, so that no pixel is lost that blending would have drawn.
+// Tiles: alpha >= 1/255 inside the ellipse u^2 + v^2 <= opacity_log2 + log2(255) = L. In a band of
+// tile rows, the ellipse touches the columns between its leftmost and rightmost point in the band.
+// They take two square roots (AccuTile, Hanson et al. 2025, in rows of tiles). A margin of 0.01 px
+// covers rounding, so that no pixel is lost that blending would draw.
 //
-// With APPEARANCE_LEN (appearance.cl) the network runs where an opaque splat would reach into the
-// picture, before extents and culling:
+// With APPEARANCE_LEN (appearance.cl) the network runs before extents and culling, for Gaussians
+// that would reach into the picture if they were opaque:
 //   in   frame, its constants;   out  effective [groups * 16], opacity with its offset
 //
 // Reference: ref_project in render_ref.c.

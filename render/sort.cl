@@ -1,10 +1,11 @@
 // Stage: sort. Depth keys -> indices of the visible Gaussians, nearest first.
 //   in   depth_key [n], tiles_of [n]
 //   out  ids [visible]; slot_first [n]: exclusive sum of tiles_of in index order; counts;
-//        keys [visible]: min(tiles_of, 2047) in the low 11 bits, which the first pass has spent
-// Least-significant-digit radix sort, three passes of 11 bits over LAYOUT_SORT_CHUNKS fixed chunks;
-// each chunk keeps its own histogram, so equal keys keep their order, and ties are by index. The
-// first pass also drops what was culled and numbers the slots. Positive floats sort as integers.
+//        keys [visible]: min(tiles_of, 2047) in the low 11 bits, which the first pass has used
+// It is a radix sort, least significant digit first: three passes of 11 bits over
+// LAYOUT_SORT_CHUNKS fixed chunks. Each chunk has its own histogram, so equal keys keep their
+// order, which is by index. The first pass also removes culled Gaussians and numbers the slots.
+// Positive floats sort as integers.
 //   histogram [digit][chunk]: after the scan, where that chunk puts its first key of that digit
 // Local size 1: one work-item is one chunk.
 

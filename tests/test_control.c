@@ -1,7 +1,7 @@
-/* Ground control that cannot lie: mistakes that people make in lists of control points, one at a
- * time in the list of a synthetic survey. Each must be named; where one point or one mark is wrong,
- * the check points must lie as well as without it. And the errors that are predicted must be those
- * that are made, over many surveys.
+/* Mistakes in ground control: those that people make in lists of control points, one at a time, in
+ * the list of a synthetic survey. Each must be named. If one point or one mark is wrong, check
+ * points must be as accurate as without it. And predicted errors must equal real ones, over many
+ * surveys.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

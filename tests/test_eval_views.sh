@@ -21,28 +21,6 @@ for key in psnr_db ssim gmsd square_psnr_db depth_median depth_95 depth_above_2p
 done
 run eval scene --views city/map-views --tiles t.tiles --max-edge-px 96
 grep -q "^tiles, LOD *all  *8 " log || fail "rows of the tiles"
-# The surface against the city, from the checkpoint with map views and from the tiles.
-run eval scene --surface city -o surface.json
-for row in level edges all "level ground" ground roof wall tree "bright from 0.6" points; do
-    grep -q "^$row  *[a-z0-9]" log || fail "a row '$row' of the surface"
-done
-grep -q '"views_of": "map views: wall"' surface.json || fail "walls of map views"
-for key in level_rmse_m ground_thickness_m ground_never_opaque follows_brightness f1_1_gsd faint_share; do
-    grep -Eq "\"$key\": -?[0-9]" surface.json || fail "$key in the JSON"
-done
-grep -Eq '"gaussians": [1-9][0-9]{3}' surface.json || fail "how many Gaussians"
-rmse() { sed -n 's/.*"level_rmse_m": \([0-9.]*\).*/\1/p' "$1"; }
-run eval scene --surface city --tiles t.tiles -o tiles.json
-awk -v a="$(rmse surface.json)" -v b="$(rmse tiles.json)" 'BEGIN { exit !(a > 0 && a < 30 && a - b < 0.1 * a && b - a < 0.1 * a) }' ||
-    fail "level places are off by $(rmse surface.json) m from the checkpoint, by $(rmse tiles.json) m from its tiles"
-# A city of another seed is another surface.
-run synth --extent-m 60 --photos 24 --width-px 96 --height-px 72 --points 3000 --seed 2 -o elsewhere -q
-run eval scene --surface elsewhere -o elsewhere.json
-grep -q "no map views" log || fail "says that there are no map views"
-awk -v a="$(rmse surface.json)" -v b="$(rmse elsewhere.json)" 'BEGIN { exit !(b > a + 0.5) }' ||
-    fail "against another city RMSE is $(rmse elsewhere.json) m, against its own $(rmse surface.json)"
-"$bin" eval scene --surface scene >log 2>&1 && fail "a surface without a city"
-grep -q "citysplat synth" log || fail "says who makes a city"
 # Nothing pops where nothing changes level.
 run eval scene --tiles t.tiles --flight 6 --max-edge-px 96 -o flight.json
 grep -Eq "^tiles, no LOD +6 +0 +0 +0.000" log || fail "the finest level alone pops"

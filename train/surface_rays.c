@@ -25,6 +25,7 @@ struct surface_ray surface_ray_make(double median_m, double near_m, double far_m
         .error_m = median_m > 0.0 && truth_m > 0.0 ? (float)(truth_m - slant * median_m) : NAN,
         .thickness_m = far_m > 0.0 ? (float)(slant * fmax(far_m - near_m, 0.0)) : NAN,
         .left = (float)left,
+        .found = median_m > 0.0,
         .met = (uint16_t)fmin(met, UINT16_MAX)};
 }
 
@@ -72,6 +73,7 @@ static void surface_errors(float *error, float *scratch, size_t n, struct surfac
     out->rmse_m = sqrt(sum / (double)n);
     out->median_m = surface_quantile(scratch, n, 0.5);
     out->le90_m = surface_quantile(scratch, n, 0.9);
+    out->le95_m = surface_quantile(scratch, n, 0.95);
     out->off_m = surface_quantile(error, n, 0.5);
     for (size_t i = 0; i < n; i++)
         scratch[i] = fabsf(error[i] - (float)out->off_m);
@@ -80,17 +82,18 @@ static void surface_errors(float *error, float *scratch, size_t n, struct surfac
 
 struct surface_sums {
     double n, x, y, xx, yy, xy; /* of errors x and brightness y */
-    double met, never, above[SURFACE_ABOVE];
+    double met, never, missing, above[SURFACE_ABOVE];
 };
 
 static void surface_add(struct surface_sums *s, const struct surface_ray *r, double gsd_m)
 {
-    const double limit_m[SURFACE_ABOVE] = {gsd_m, 2.0 * gsd_m, 0.5, 1.0};
+    const double limit_m[SURFACE_ABOVE] = {gsd_m, 2.0 * gsd_m, 5.0 * gsd_m, 0.5, 1.0};
     double x = (double)r->error_m, y = (double)r->bright;
     for (size_t k = 0; k < SURFACE_ABOVE; k++)
         s->above[k] += !(fabs(x) <= limit_m[k]);
     s->met += r->met;
     s->never += !isfinite(r->thickness_m);
+    s->missing += !r->found;
     if (!isfinite(x))
         return;
     s->n += 1.0;
@@ -130,7 +133,7 @@ enum err_code surface_rays_tell(const struct surface_rays *s, const struct surfa
     }
     double all = (double)n; /* 0 / 0 is NaN */
     *out = (struct surface_figures){.n = n,
-                                    .missing = (all - (double)found) / all,
+                                    .missing = sums.missing / all,
                                     .follows_brightness = surface_correlation(&sums),
                                     .never = sums.never / all,
                                     .met = sums.met / all};

@@ -32,6 +32,7 @@ struct surface_ray {
     uint16_t met;      /* Gaussians until transmittance is 0.1 */
     uint8_t kind;      /* enum surface_class */
     bool edge;         /* near a step of the truth */
+    bool found;        /* half of the light is gone somewhere */
 };
 /* Where a drawing's maps say the surface is (render_surface_maps), along a ray that grows by
  * `slant` for a metre of depth. truth_m: along the ray; 0: none. */
@@ -52,15 +53,15 @@ struct surface_pick {             /* which rays; {0}: all */
     bool level, edge;             /* away from edges alone; near them alone */
     float bright_from, bright_to; /* [from, to); to 0: any */
 };
-enum { SURFACE_ABOVE = 4 };
+enum { SURFACE_ABOVE = 5 };
 struct surface_figures { /* of nothing: NAN */
     size_t n;
     double missing; /* share without a surface */
-    /* Errors, m, of those with one. */
-    double median_m, off_m;             /* of their absolute values; with their signs */
-    double rmse_m, nmad_m, le90_m;      /* le90: 90 % of absolute values */
-    double above[SURFACE_ABOVE];        /* share off by more than 1 GSD, 2 GSD, 0.5 m, 1 m; without
-                                             * a surface counts as off */
+    /* Errors, m, of those with one: median of their absolute values and with their signs, root mean
+     * square, 1.4826 times the median absolute deviation, 90 and 95 % of absolute values. */
+    double median_m, off_m, rmse_m, nmad_m, le90_m, le95_m;
+    double above[SURFACE_ABOVE];        /* share off by more than 1, 2, 5 GSD, 0.5 m, 1 m; without a
+                                  * surface is off */
     double follows_brightness;          /* Pearson's correlation of error and brightness */
     double thickness_m, thickness_90_m; /* median and 90 % of those that get opaque */
     double never;                       /* share of those that do not */

@@ -159,7 +159,8 @@ static void figures_are_those_by_hand(void **state)
                                       .bright = bright[i],
                                       .met = (uint16_t)(2 * i),
                                       .kind = i < 3 ? SURFACE_GROUND : SURFACE_WALL,
-                                      .edge = i % 2};
+                                      .edge = i % 2,
+                                      .found = i < 5};
         kit_ok(surface_rays_add(&rays, &r, &e), e);
     }
     kit_ok(surface_rays_tell(&rays, &(struct surface_pick){0}, 0.2, &f, &e), e);
@@ -167,10 +168,10 @@ static void figures_are_those_by_hand(void **state)
     double xy = -0.06 * 0 + 0.14 * 0 + 0.34 * 0.1 + 0.74 * 0.3 + -1.16 * -0.4,
            xx = 0.06 * 0.06 + 0.14 * 0.14 + 0.34 * 0.34 + 0.74 * 0.74 + 1.16 * 1.16,
            yy = 0.01 + 0.09 + 0.16;
-    const double got[] = {f.missing,  f.median_m, f.off_m,       f.rmse_m,
-                          f.nmad_m,   f.le90_m,   f.above[0],    f.above[1],
-                          f.above[2], f.above[3], f.thickness_m, f.thickness_90_m,
-                          f.never,    f.left_90,  f.met,         f.follows_brightness};
+    const double got[] = {
+        f.missing,     f.median_m,       f.off_m,    f.rmse_m,   f.nmad_m,   f.le90_m,
+        f.above[0],    f.above[1],       f.above[3], f.above[4], f.above[2], f.le95_m,
+        f.thickness_m, f.thickness_90_m, f.never,    f.left_90,  f.met,      f.follows_brightness};
     const double want[] = {1.0 / 6,
                            0.3,
                            0.1,
@@ -181,6 +182,8 @@ static void figures_are_those_by_hand(void **state)
                            3.0 / 6,
                            3.0 / 6,
                            2.0 / 6,
+                           2.0 / 6,
+                           1.2,
                            0.3,
                            0.5,
                            1.0 / 6,

@@ -1,0 +1,50 @@
+#!/bin/sh
+# The surface from end to end: a small city, ingested, trained for a moment and tiled, is measured against its own
+# truth and its own points.
+#
+# SPDX-License-Identifier: Apache-2.0
+bin=${CITYSPLAT_BIN:?the program under test}
+dir=$(mktemp -d "${TMPDIR:-/tmp}/citysplat-surface-XXXXXX") || exit 1
+trap 'rm -rf "$dir"' EXIT
+cd "$dir" || exit 1
+fail() { echo "FAILED: $1"; cat log; exit 1; }
+run() { "$bin" "$@" >log 2>&1 || fail "$*"; }
+run synth --extent-m 60 --photos 24 --width-px 96 --height-px 72 --points 3000 --map-views 8 -o city -q
+run ingest city/images city/sparse --min-points 12 -o scene -q
+run train scene --level-count 2 --iterations 120 --budget 3000,4000 -q
+run tile scene --name t -o t.tiles -q
+# The surface against the city, from the checkpoint with map views and from the tiles.
+run eval scene --surface city -o surface.json
+for row in level edges all "level ground" ground roof wall tree "bright from 0.6" points; do
+    grep -q "^$row  *[a-z0-9]" log || fail "a row '$row' of the surface"
+done
+grep -q '"views_of": "map views: wall"' surface.json || fail "walls of map views"
+for key in level_rmse_m ground_thickness_m ground_never_opaque follows_brightness f1_1_gsd faint_share; do
+    grep -Eq "\"$key\": -?[0-9]" surface.json || fail "$key in the JSON"
+done
+grep -Eq '"gaussians": [1-9][0-9]{3}' surface.json || fail "how many Gaussians"
+rmse() { sed -n 's/.*"level_rmse_m": \([0-9.]*\).*/\1/p' "$1"; }
+run eval scene --surface city --tiles t.tiles -o tiles.json
+awk -v a="$(rmse surface.json)" -v b="$(rmse tiles.json)" 'BEGIN { exit !(a > 0 && a < 30 && a - b < 0.1 * a && b - a < 0.1 * a) }' ||
+    fail "level places are off by $(rmse surface.json) m from the checkpoint, by $(rmse tiles.json) m from its tiles"
+# A surface model of the tiles is scored by other code, of other pixels: it comes out alike.
+run dsm t.tiles -o dsm.tif --gsd-m 0.8
+run synth --city city --map dsm.tif
+for row in level edges all; do grep -Eq "^$row +[0-9]+( +[-0-9.]+){10}$" log || fail "a row '$row' of the surface model"; done
+awk -v a="$(rmse surface.json)" -v b="$(awk '$1 == "level" { print $5 }' log)" 'BEGIN { exit !(b > 0.7 * a && b < 1.4 * a) }' ||
+    fail "level places are off by $(rmse surface.json) m along rays, by $(awk '$1 == "level" { print $5 }' log) m in the surface model"
+# Without a truth there are the points of the scene.
+run eval scene --surface points -o points.json
+grep -Eq "^all +[1-9][0-9]{3}" log || fail "points that five photographs show"
+for key in points_rmse_m points_nmad_m photographs_thickness_m photographs_never_opaque; do
+    grep -Eq "\"$key\": [0-9]" points.json || fail "$key in the JSON"
+done
+# A city of another seed is another surface.
+run synth --extent-m 60 --photos 24 --width-px 96 --height-px 72 --points 3000 --seed 2 -o elsewhere -q
+run eval scene --surface elsewhere -o elsewhere.json
+grep -q "no map views" log || fail "says that there are no map views"
+awk -v a="$(rmse surface.json)" -v b="$(rmse elsewhere.json)" 'BEGIN { exit !(b > a + 0.5) }' ||
+    fail "against another city RMSE is $(rmse elsewhere.json) m, against its own $(rmse surface.json)"
+"$bin" eval scene --surface scene >log 2>&1 && fail "a surface without a city"
+grep -q "citysplat synth" log || fail "says who makes a city"
+echo "surfaces hold"
