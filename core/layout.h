@@ -183,7 +183,7 @@ struct layout_counts {
 #define LAYOUT_SLOT_QUU 6
 #define LAYOUT_SLOT_QUV 7
 #define LAYOUT_SLOT_QVV 8
-#define LAYOUT_SLOT_ABS 9 /* two: absolute gradients of the mean, px */
+#define LAYOUT_SLOT_ABS 9    /* two: absolute gradients of the mean, px */
 #define LAYOUT_SLOT_DEPTH 11 /* moments of h = dL/d(depth at a pixel), as of q; 0 without */
 #define LAYOUT_SLOT_DEPTH_U 12
 #define LAYOUT_SLOT_DEPTH_V 13

@@ -19,7 +19,7 @@ struct solid {
     cl_program program;
     cl_kernel inverse, grad;
     cl_mem map, supported, sums;
-    size_t map_bytes, pixels; /* of supported */
+    size_t map_bytes, pixels;     /* of supported */
     uint32_t width_px, height_px; /* map is 0 in the margins of this size */
     float *rows;                  /* [height_px][SOLID_SUMS] */
 };
@@ -122,11 +122,10 @@ static enum err_code solid_launch(struct solid *s, struct render *r, const struc
                                   cl_mem grad, struct err *e)
 {
     double n = (double)in->width_px * in->height_px;
-    const struct solid_weights k = {(cl_float)(in->spread / n), (cl_float)(in->bend / n),
-                                    (cl_float)(in->light / n),  (cl_float)in->focal_px,
-                                    (cl_float)SOLID_SOFT_PX,    (cl_float)SOLID_SPREAD_PX,
-                                    (cl_float)SOLID_BEND_PX,    (cl_float)SOLID_COVER_MIN,
-                                    in->stride};
+    const struct solid_weights k = {
+        (cl_float)(in->spread / n), (cl_float)(in->bend / n),  (cl_float)(in->light / n),
+        (cl_float)in->focal_px,     (cl_float)SOLID_SOFT_PX,   (cl_float)SOLID_SPREAD_PX,
+        (cl_float)SOLID_BEND_PX,    (cl_float)SOLID_COVER_MIN, in->stride};
     cl_mem moments = render_moments_buffer(r), transmit = render_transmittance_buffer(r);
     cl_uint w = in->width_px, h = in->height_px, pitch = solid_pitch(w),
             has_support = in->supported != NULL;

@@ -131,7 +131,7 @@ __kernel void solid_grad(__global const float *moments, __global const float *tr
             g1 -= q * q * gq;
             ga += q * (1.0f - q) * gq;
         }
-        V where = has_support ? row_ask(supported + at, n) * real / (1.0f + s * s) : (V)(0.0f);
+        V where = has_support ? row_ask(supported + at, n) * real : (V)(0.0f);
         light += where * t;
         row_store(grad + at, g1, n);
         row_store(grad + plane + at, g2, n);
@@ -141,5 +141,6 @@ __kernel void solid_grad(__global const float *moments, __global const float *tr
     const V all[3] = {spread, bend, light};
     for (int i = 0; i < 3; i++)
         three[i] = lanes_sum(all[i]);
-    vstore4((float4)(k.spread_px * three[0], 0.5f * k.bend_px * k.bend_px * three[1], three[2], 0.0f), y, sums);
+    float bends = 0.5f * k.bend_px * k.bend_px * three[1];
+    vstore4((float4)(k.spread_px * three[0], bends, three[2], 0.0f), y, sums);
 }

@@ -6,17 +6,16 @@
  * SOLID_SOFT_PX zeta / f, n the number of pixels:
  *     spread = 1/n sum A c ln(1 + s/c),   s = f / zeta (sqrt(V + e^2) - e),   c = SOLID_SPREAD_PX
  *     bend   = 1/n sum over x, y of c^2/2 ln(1 + (b/c)^2),  b = f zeta (q- - 2 q + q+),  q = 1/zeta
- *     light  = 1/n sum T / (1 + s^2) over the supported pixels
- * b is the distance of a pixel's depth from the line between those of the pixels `stride` to
- * either side, and s the standard deviation of depth along the ray, both in pixels' footprints.
- * Both sums grow slowly where they are large: at edges light is shared between two surfaces, and
- * depth bends by many footprints. Inverse depth is linear over a plane. c of the bend is SOLID_BEND_PX. A, f / zeta, f zeta and 1 / (1 + s^2) as factors are held fixed, or what
- * is far would weigh less for being farther. Light makes every Gaussian along the ray more opaque,
- * whatever its depth: where several are, the surface would sink to the lower ones. So it acts where
- * the spread is small.
+ *     light  = 1/n sum of T over the supported pixels
+ * s is the standard deviation of depth along the ray. b is the distance of a pixel's depth from the
+ * line between the depths of the pixels `stride` to either side: inverse depth is linear over a
+ * plane. Both are in pixels' footprints, and both terms grow slowly where they are large: at an
+ * edge light is shared between two surfaces, and depth bends by many footprints. c of the bend is
+ * SOLID_BEND_PX. The factors A, f / zeta and f zeta are held fixed. Otherwise what is far would
+ * weigh less for being farther.
  *
- * Distortion of rays: Mip-NeRF 360 (Barron et al. 2022) and 2DGS (Huang et al. 2024), of which
- * spread is the square root.
+ * V is the distortion of a ray of 2DGS (Huang et al. 2024; first in Mip-NeRF 360, Barron et al.
+ * 2022), without the factor A^2.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -28,7 +27,7 @@
 #include "render/render.h"
 
 #define SOLID_SOFT_PX 0.25   /* spreads below are small: their gradient goes to 0 */
-#define SOLID_SPREAD_PX 2.0 /* spreads above pull less */
+#define SOLID_SPREAD_PX 2.0  /* spreads above pull less */
 #define SOLID_BEND_PX 1.0    /* bends above are edges: their gradient goes to 0 */
 #define SOLID_COVER_MIN 0.1  /* least A with a spread */
 #define SOLID_BEND_COVER 0.5 /* least A of the pixels of a bend */
@@ -36,7 +35,7 @@ enum { SOLID_STRIDE_MAX = 8 };
 
 struct solid_input {
     uint32_t width_px, height_px;
-    double focal_px; /* fx */
+    double focal_px;            /* fx */
     double spread, bend, light; /* weights */
     uint32_t stride;            /* of the bend, px, 1 to SOLID_STRIDE_MAX */
     const uint8_t *supported;   /* [h][w], not 0: light counts here; NULL: nowhere. Borrowed */

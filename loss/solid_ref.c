@@ -32,13 +32,6 @@ static double solid_sigma(const struct solid_input *in, const double m[3], const
     return px * (sqrt(fmax(p.second - p.d * p.d, 0) + soft * soft) - soft);
 }
 
-/* What light counts at a pixel; where nothing is drawn there is no spread. */
-static double solid_lit(const struct solid_input *in, const double held[3])
-{
-    double s = solid_spreads(held) ? solid_sigma(in, held, held) : 0;
-    return 1 / (1 + s * s);
-}
-
 /* The pixel that lies `by` strides off along x (axis 0) or y, NULL: none that has part in bends. */
 static const double *solid_beside(const struct solid_input *in, const double *moments, size_t at,
                                   int axis, int by)
@@ -78,7 +71,8 @@ struct solid_value solid_ref_value(const struct solid_input *in, const double *m
     for (size_t at = 0; at < n; at++) {
         if (solid_spreads(moments + 3 * at)) {
             double s = solid_sigma(in, moments + 3 * at, held + 3 * at);
-            v.spread += (1 - held[3 * at + 2]) * SOLID_SPREAD_PX * log(1 + s / SOLID_SPREAD_PX) / (double)n;
+            v.spread +=
+                (1 - held[3 * at + 2]) * SOLID_SPREAD_PX * log(1 + s / SOLID_SPREAD_PX) / (double)n;
         }
         for (int axis = 0; axis < 2; axis++) {
             double b, factor, c = SOLID_BEND_PX;
@@ -86,7 +80,7 @@ struct solid_value solid_ref_value(const struct solid_input *in, const double *m
                 v.bend += c * c / 2 * log(1 + b * b / (c * c)) / (double)n;
         }
         if (in->supported && in->supported[at])
-            v.light += moments[3 * at + 2] * solid_lit(in, held + 3 * at) / (double)n;
+            v.light += moments[3 * at + 2] / (double)n;
     }
     return v;
 }
@@ -137,6 +131,6 @@ void solid_ref_grad(const struct solid_input *in, const double *moments, double 
         }
         solid_add_bends(in, moments, at, grad);
         if (in->supported && in->supported[at])
-            g[2] += in->light * solid_lit(in, moments + 3 * at) / (double)n;
+            g[2] += in->light / (double)n;
     }
 }

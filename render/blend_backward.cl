@@ -1,5 +1,5 @@
-// Stage: blend, backward. From dL/dcolour of every pixel to fourteen sums of every intersection. The
-// CPU shape is compiled after blend_cpu.cl, whose names it shares.
+// Stage: blend, backward. From dL/dcolour of every pixel to fourteen sums of every intersection.
+// The CPU shape is compiled after blend_cpu.cl, whose names it shares.
 //   in   splats, tile_start, intersection_splat, intersection_slot; color, color_grad [3][h][w];
 //        hits, tile_stop; where the view has a unit of depth also transmit [h][w], moment_maps
 //        [2][h][w] and moment_grad [3][h][w]: dL/d of both moments and of the transmittance
@@ -173,14 +173,15 @@ INLINE void backward_splat(struct backward_state *s, const float *w, float x0, f
         vstore2((float2)(0.0f), 0, slot + 12);
 }
 
-__kernel void
-blend_backward(__constant struct layout_view *view, __global const struct layout_splat *splats,
-               __global const uint *tile_start, __global const uint *intersection_splat,
-               __global const uint *intersection_slot, __global const float *color,
-               __global const float *color_grad, uint with_abs, __global float *slots,
-               __global uchar *marks, __global const ushort *hits, __global const uint *tile_stop,
-               __global const float *transmit, __global const float *moment_maps,
-               __global const float *moment_grad)
+__kernel void blend_backward(__constant struct layout_view *view,
+                             __global const struct layout_splat *splats,
+                             __global const uint *tile_start,
+                             __global const uint *intersection_splat,
+                             __global const uint *intersection_slot, __global const float *color,
+                             __global const float *color_grad, uint with_abs, __global float *slots,
+                             __global uchar *marks, __global const ushort *hits,
+                             __global const uint *tile_stop, __global const float *transmit,
+                             __global const float *moment_maps, __global const float *moment_grad)
 {
     const struct backward_maps maps = {color, color_grad, transmit, moment_maps, moment_grad};
     const bool moments = view->depth_unit_m > 0.0f;
@@ -270,7 +271,8 @@ blend_backward(__constant struct layout_view *view, __global const struct layout
         float share = a * t, gc = g[0] * e->rgb[0] + (g[1] * e->rgb[1] + g[2] * e->rgb[2]);
         float u = (dx - e->x_of_y * dy) * e->p, v = dy * e->r, h = 0.0f;
         if (moments) {
-            float z = as_float(e->bands[0]) * dx + (as_float(e->bands[1]) * dy + as_float(e->cover));
+            float z = as_float(e->bands[1]) * dy + as_float(e->cover);
+            z = as_float(e->bands[0]) * dx + z;
             h = share * (gm[0] + 2.0f * gm[1] * z);
             gc = (gm[0] + gm[1] * z) * z + gc;
         }
@@ -281,8 +283,8 @@ blend_backward(__constant struct layout_view *view, __global const struct layout
         float ax = with_abs ? fabs(qu) : 0.0f;
         float ay = with_abs ? fabs(e->r * qv - e->p * e->x_of_y * qu) : 0.0f;
         const float values[LAYOUT_SLOT_FLOATS] = {
-            share * g[0], share * g[1], share * g[2], q, qu, qv, qu * u, qu * v, qv * v, ax, ay,
-            h,            h * u,        h * v};
+            share * g[0], share * g[1], share * g[2], q,  qu, qv,    qu * u,
+            qu * v,       qv * v,       ax,           ay, h,  h * u, h * v};
         for (uint i = 0; i < LAYOUT_SLOT_FLOATS; i++)
             part[i * PIXELS + lane] = values[i];
         barrier(CLK_LOCAL_MEM_FENCE);

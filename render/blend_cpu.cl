@@ -1,6 +1,7 @@
 // Stage: blend, CPU shape. One work-item draws one tile of 16x16 pixels.
 //   in   tile_start, intersection_splat, splats
-//   out  color [3][h][w] with background, transmit [h][w]; of `blend_moments` also moments [2][h][w]
+//   out  color [3][h][w] with background, transmit [h][w]; of blend_moments also the two moments
+//        [2][h][w]
 //        hits [intersections]: bit k is set when the splat was drawn into block k,
 //        tile_stop [tiles]: intersections from there on were not visited. The backward pass visits
 //        these and nothing else.

@@ -2,9 +2,9 @@
 //   in   params, filter, tiles_of
 //   out  splats: words LAYOUT_SPLAT_DEPTH and the two behind it, of those that are visible
 //
-// How deep does a pixel's ray meet a Gaussian? Under the local affine map of EWA splatting the pixel
-// (u, v) and the depth z of a point of the Gaussian are jointly normal, so the depth at which the
-// ray meets the most of it is the regression of z on the pixel:
+// How deep does a pixel's ray meet a Gaussian? Under the local affine map of EWA splatting the
+// pixel (u, v) and the depth z of a point of the Gaussian are jointly normal. So the depth at which
+// the ray meets the most of it is the regression of z on the pixel:
 //     z(pixel) = z - c^T S^-1 d,   c = cov((u, v), z) = P p_z^T,   d = mean - pixel
 // with P = J W R diag(s), p_z the third row of W R diag(s), S = P P^T + eps I (Zwicker et al. 2001;
 // RaDe-GS, Zhang et al. 2024, has the same plane without eps). Of a flat disc it is the disc's own

@@ -31,7 +31,7 @@
 // Reference: render_ref_backward. Adam: Kingma and Ba 2015, every parameter every frame, also where
 // the gradient is 0.
 
-#define GRAD_LIMIT 1e18f        // its square is still a float
+#define GRAD_LIMIT 1e18f // its square is still a float
 
 // ---- sums of the slots
 

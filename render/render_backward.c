@@ -163,16 +163,15 @@ static enum err_code backward_blend(struct render *r, const struct render_model 
         return err_add(e, "render_backward: %llu intersections of splats and tiles",
                        (unsigned long long)r->intersections);
     size_t local = r->dev->vector_width > 1 ? 1 : LAYOUT_TILE_PIXELS;
-    return frame_run(r, s->blend, "blend_backward",
-                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->splats.mem),
-                                FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->intersection_splat.mem),
-                                FRAME_ARG(r->intersection_slot.mem), FRAME_ARG(r->color.mem),
-                                FRAME_ARG(r->color_grad.mem), FRAME_ARG(with_abs),
-                                FRAME_ARG(r->slots.mem), FRAME_ARG(s->marks.mem),
-                                FRAME_ARG(r->hits.mem), FRAME_ARG(r->tile_stop.mem),
-                                FRAME_ARG(r->transmit.mem), FRAME_ARG(r->moments.mem),
-                                FRAME_ARG(moments_grad)),
-                     r->tiles * local, local, e);
+    return frame_run(
+        r, s->blend, "blend_backward",
+        FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->splats.mem), FRAME_ARG(r->tile_start.mem),
+                   FRAME_ARG(r->intersection_splat.mem), FRAME_ARG(r->intersection_slot.mem),
+                   FRAME_ARG(r->color.mem), FRAME_ARG(r->color_grad.mem), FRAME_ARG(with_abs),
+                   FRAME_ARG(r->slots.mem), FRAME_ARG(s->marks.mem), FRAME_ARG(r->hits.mem),
+                   FRAME_ARG(r->tile_stop.mem), FRAME_ARG(r->transmit.mem),
+                   FRAME_ARG(r->moments.mem), FRAME_ARG(moments_grad)),
+        r->tiles * local, local, e);
 }
 
 /* Launch project_backward or project_step with the arguments of a frame with appearance behind. */

@@ -36,12 +36,18 @@ static enum err_code render_build(struct render *r, struct err *e)
     struct {
         const char *name;
         cl_kernel *to;
-    } kernels[] = {{"project", &r->k.project},         {"sort_count", &r->k.sort_count},
-                   {"sort_scan", &r->k.sort_scan},     {"sort_scatter", &r->k.sort_scatter},
-                   {"bin_total", &r->k.bin_total},     {"bin_expand", &r->k.bin_expand},
-                   {"bin_sum", &r->k.bin_sum},         {"bin_scan", &r->k.bin_scan},
-                   {"bin_scatter", &r->k.bin_scatter}, {"blend", &r->k.blend},
-                   {"background", &r->k.background},   {"planes", &r->k.planes},
+    } kernels[] = {{"project", &r->k.project},
+                   {"sort_count", &r->k.sort_count},
+                   {"sort_scan", &r->k.sort_scan},
+                   {"sort_scatter", &r->k.sort_scatter},
+                   {"bin_total", &r->k.bin_total},
+                   {"bin_expand", &r->k.bin_expand},
+                   {"bin_sum", &r->k.bin_sum},
+                   {"bin_scan", &r->k.bin_scan},
+                   {"bin_scatter", &r->k.bin_scatter},
+                   {"blend", &r->k.blend},
+                   {"background", &r->k.background},
+                   {"planes", &r->k.planes},
                    {"blend_moments", &r->k.blend_moments}}; /* the last: VW 16 alone */
     size_t n_kernels = sizeof kernels / sizeof *kernels;
     n_kernels -= r->dev->vector_width == LAYOUT_LANES ? 0 : 1;
@@ -111,9 +117,9 @@ void render_close(struct render **rp)
                                       &r->slots};
     for (size_t i = 0; i < sizeof buffers / sizeof *buffers; i++)
         dev_release(&buffers[i]->mem);
-    cl_kernel kernels[] = {r->k.project,     r->k.sort_count, r->k.sort_scan, r->k.sort_scatter,
-                           r->k.bin_total,   r->k.bin_expand, r->k.bin_sum,   r->k.bin_scan,
-                           r->k.bin_scatter, r->k.blend,      r->k.background, r->k.planes,
+    cl_kernel kernels[] = {r->k.project,      r->k.sort_count, r->k.sort_scan,  r->k.sort_scatter,
+                           r->k.bin_total,    r->k.bin_expand, r->k.bin_sum,    r->k.bin_scan,
+                           r->k.bin_scatter,  r->k.blend,      r->k.background, r->k.planes,
                            r->k.blend_moments};
     for (size_t i = 0; i < sizeof kernels / sizeof *kernels; i++)
         if (kernels[i])
@@ -379,11 +385,12 @@ static enum err_code render_stage_blend(struct render *r, struct err *e)
 {
     bool wide = r->dev->vector_width == LAYOUT_LANES, moments = r->view.depth_unit_m > 0;
     size_t local = wide ? 1 : LAYOUT_TILE_PIXELS;
-    const struct frame_arg args[] = {FRAME_ARG(r->view_mem),       FRAME_ARG(r->splats.mem),
-                                     FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->intersection_splat.mem),
-                                     FRAME_ARG(r->color.mem),      FRAME_ARG(r->transmit.mem),
-                                     FRAME_ARG(r->hits.mem),       FRAME_ARG(r->tile_stop.mem),
-                                     FRAME_ARG(r->moments.mem)};
+    const struct frame_arg args[] = {
+        FRAME_ARG(r->view_mem),       FRAME_ARG(r->splats.mem),
+        FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->intersection_splat.mem),
+        FRAME_ARG(r->color.mem),      FRAME_ARG(r->transmit.mem),
+        FRAME_ARG(r->hits.mem),       FRAME_ARG(r->tile_stop.mem),
+        FRAME_ARG(r->moments.mem)};
     size_t n = sizeof args / sizeof *args;
     return frame_run(r, wide && moments ? r->k.blend_moments : r->k.blend, "blend", args,
                      wide && !moments ? n - 1 : n, r->tiles * local, local, e);

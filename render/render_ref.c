@@ -156,8 +156,9 @@ static void ref_covariance(const struct ref_view *v, struct ref_splat *s)
     s->det0 = m01 * m01 + m02 * m02 + m12 * m12;
     s->det = s->det0 + v->kernel_px2 * (s->cov0[0] + s->cov0[2]) + v->kernel_px2 * v->kernel_px2;
     for (int k = 0; k < 3; k++) { /* third row of W R diag(s) */
-        double z_k = (v->rot[6] * s->rot[k] + v->rot[7] * s->rot[3 + k] + v->rot[8] * s->rot[6 + k]) *
-                     s->scale[k];
+        double z_k =
+            (v->rot[6] * s->rot[k] + v->rot[7] * s->rot[3 + k] + v->rot[8] * s->rot[6 + k]) *
+            s->scale[k];
         s->cov_z[0] += p[k] * z_k;
         s->cov_z[1] += p[3 + k] * z_k;
     }

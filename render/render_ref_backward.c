@@ -257,7 +257,8 @@ static void backward_splat(const struct ref_view *v, const struct gauss *g,
 {
     size_t i = s->index, sh_count = gauss_sh_count(g->sh_degree),
            used = gauss_sh_count(v->sh_degree);
-    double cov[3], g_cov_z[2], g_opacity, m[9], sigma_cam[9] = {0}, g_sigma_cam[9], g_sigma[9] = {0};
+    double cov[3], g_cov_z[2], g_opacity, m[9], sigma_cam[9] = {0}, g_sigma_cam[9],
+                                                g_sigma[9] = {0};
     backward_conic(v, s, in, cov, &g_opacity);
     backward_plane(v, s, in, cov, g_cov_z);
     for (int r = 0; r < 3; r++) /* W M */

@@ -75,8 +75,9 @@ static void test_ref_moments(void **state)
     (void)state;
     static const enum render_aa modes[] = {RENDER_AA_NONE, RENDER_AA_2D, RENDER_AA_MIP};
     for (size_t i = 0; i < 3; i++) {
-        struct view_case s[4] = {view_case_make(130 + i, 7, modes[i], 1), view_case_outside(modes[i]),
-                                 view_case_needles(modes[i]), view_case_saturated(modes[i])};
+        struct view_case s[4] = {view_case_make(130 + i, 7, modes[i], 1),
+                                 view_case_outside(modes[i]), view_case_needles(modes[i]),
+                                 view_case_saturated(modes[i])};
         static const char *const name[] = {"moments", "moments outside", "moments of needles",
                                            "moments, saturated"};
         for (size_t k = 0; k < 4; k++) {
@@ -189,10 +190,10 @@ static void test_ref_untouched(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_ref_all_parameters), cmocka_unit_test(test_ref_moments),
-        cmocka_unit_test(test_ref_split_background),
-        cmocka_unit_test(test_ref_saturated),      cmocka_unit_test(test_ref_outside),
-        cmocka_unit_test(test_ref_needles),        cmocka_unit_test(test_ref_untouched),
+        cmocka_unit_test(test_ref_all_parameters),   cmocka_unit_test(test_ref_moments),
+        cmocka_unit_test(test_ref_split_background), cmocka_unit_test(test_ref_saturated),
+        cmocka_unit_test(test_ref_outside),          cmocka_unit_test(test_ref_needles),
+        cmocka_unit_test(test_ref_untouched),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -30,8 +30,7 @@ struct background {     /* {0} is ready; free with background_free */
 /* Finds the pixels of a photograph that show ground which photographs support. *out: [h][w],
  * borrowed from b until the next call; NULL where ground is NULL or empty. ERR_MEM. */
 enum err_code background_support(struct background *b, const struct footprint *ground,
-                                 const struct photo *p, const uint8_t **out,
-                                 struct err *e) ERR_USE;
+                                 const struct photo *p, const uint8_t **out, struct err *e) ERR_USE;
 /* Sets the background in `ro` for the current step and its photograph, by cfg->background_random.
  * supported: of background_support; NULL: no ground is supported. ro borrows from b until the next
  * call. The colour is a function of seed, level and step. */

@@ -40,7 +40,7 @@ struct level { /* level_init; level_close, also after an error */
     struct gallery gallery;
     struct budget budget; /* the decisions of --budget-rule auto */
     struct background background;
-    struct solid *solid; /* made on first use */
+    struct solid *solid;           /* made on first use */
     struct importance *importance; /* made on first use, as is the next */
     struct regularizer *regularizer;
     /* -- for people */

@@ -13,10 +13,15 @@
 #include "train/photo_loader.h"
 #include "train/stage.h"
 
+/* A level alone has its coarse part in its own first steps. */
+#define SOLIDITY_SINGLE 0.5
+
 bool solidity_acts(const struct train_config *c, const struct stage *at)
 {
     const struct schedule *s = stage_schedule(at);
     double from = s->level == 1 ? c->solid_from * (double)s->steps : 0.0;
+    if (s->n_levels == 1)
+        from *= SOLIDITY_SINGLE;
     return (c->solid_spread > 0.0 || c->solid_bend > 0.0 || c->solid_light > 0.0) &&
            (double)at->step > from;
 }
@@ -39,7 +44,7 @@ enum err_code solidity_step(struct solid **own, const struct gallery *g, const s
         .focal_px = photo->cam.fx_px,
         .spread = c->solid_spread * fade,
         .bend = c->solid_bend * fade,
-        .light = t > c->solid_light_from ? c->solid_light * fade : 0.0,
+        .light = c->solid_light,
         .stride = strides[at->step % (sizeof strides / sizeof *strides)],
         .supported = supported,
     };
