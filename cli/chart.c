@@ -212,10 +212,10 @@ enum err_code cli_chart(int argc, char **argv, struct err *e)
     const struct options_spec spec = {
         .command = "chart",
         .usage = "citysplat chart SCENE... -o DIR [options]",
-        .about = "Draws how accurate trained scenes are against what they cost: PSNR and SSIM of "
-                 "the test photographs against training time, Gaussians, checkpoint size and time "
-                 "a frame, a line a scene and a point a level. Charts go to DIR as SVG and PNG "
-                 "(by gnuplot), a Markdown table to stdout.",
+        .about = "Draws charts of trained scenes: PSNR and SSIM of the test photographs against "
+                 "training time, number of Gaussians, checkpoint size and time a frame. Each "
+                 "scene is a line and each level a point. Charts are written to DIR as SVG and "
+                 "PNG (by gnuplot), and a Markdown table to stdout.",
         .example = "citysplat chart short/scene long/scene -o charts",
         .defs = chart_option_defs,
         .n_defs = sizeof chart_option_defs / sizeof *chart_option_defs,

@@ -24,10 +24,9 @@ static const struct options_def defs[] = {
 static const struct options_spec spec = {
     .command = "clip",
     .usage = "citysplat clip CITY.tiles -o PART.tiles [options]",
-    .about =
-        "Writes the part of a tile store whose Gaussians have their means within polygons, "
-        "between heights, or both, at every level. Tiles that lie wholly inside are copied byte "
-        "by byte; serve, export and the maps then work on the part.",
+    .about = "Writes a part of a tile store, at every level: the Gaussians whose means lie within "
+             "polygons, between heights, or both. Tiles that lie wholly inside are copied byte by "
+             "byte. The result is a tile store for serve, export and the map commands.",
     .example = "citysplat clip city.tiles -o block.tiles --polygon block.geojson\n"
                "citysplat clip city.tiles -o roofless.tiles --high-m 118",
     .defs = defs,

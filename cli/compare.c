@@ -34,11 +34,10 @@ static const struct options_def defs[] = {
 static const struct options_spec spec = {
     .command = "compare",
     .usage = "citysplat compare EARLIER.tiles LATER.tiles -o CHANGE.tif [options]",
-    .about =
-        "Draws two tile stores of one place from straight above and writes the heights of the "
-        "later minus those of the earlier as a Cloud Optimized GeoTIFF. Prints one JSON object: "
-        "volumes gained and lost, how colours differ, and how far the one lies from the other "
-        "as a whole, which --align corrects first.",
+    .about = "Draws two tile stores of one place from straight above. Writes the heights of the "
+             "later store minus those of the earlier one as a Cloud Optimized GeoTIFF. Prints one "
+             "JSON object: volumes gained and lost, difference of colours, and the shift of the "
+             "later store as a whole. --align corrects that shift first.",
     .example = "citysplat compare may.tiles june.tiles -o change.tif --gsd-m 0.25 --align",
     .defs = defs,
     .n_defs = sizeof defs / sizeof *defs,

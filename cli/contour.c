@@ -39,9 +39,9 @@ static const struct options_spec spec = {
     .command = "contour",
     .usage = "citysplat contour CITY.tiles -o FILE.gpkg [options]",
     .about =
-        "Writes contour lines of the surface of a tile store, seen from straight above: GeoJSON "
-        "in longitude and latitude (.geojson), or a GeoPackage in the projection (.gpkg). "
-        "Memory does not grow with the city.",
+        "Writes contour lines of the surface of a tile store, seen from straight above. The "
+        "file is GeoJSON in longitude and latitude (.geojson) or a GeoPackage in the projection "
+        "(.gpkg). Memory does not grow with the city.",
     .example = "citysplat contour city.tiles -o lines.gpkg --interval-m 0.5 --least-m 5\n"
                "citysplat contour city.tiles -o lines.geojson --geoid egm2008-1",
     .defs = defs,

@@ -261,10 +261,9 @@ enum err_code cli_convert(int argc, char **argv, struct err *e)
         .command = "convert",
         .usage = "citysplat convert IN OUT [options]",
         .about =
-            "Converts a file of Gaussians: reads .ply (of any trainer, or SuperSplat's "
-            "compressed one), "
-            ".spz, .drc, .glb, .sog and .splat, writes .ply, .compressed.ply, .spz, .drc, .glb "
-            "and .sog.",
+            "Converts a file of Gaussians. Reads .ply (of any trainer, or SuperSplat's "
+            "compressed one), .spz, .drc, .glb, .sog and .splat. Writes .ply, .compressed.ply, "
+            ".spz, .drc, .glb and .sog.",
         .example = "citysplat convert point_cloud.ply scene.spz --axes enu\n"
                    "citysplat convert tile.drc tile.glb --glb-payload plain",
         .defs = convert_defs,

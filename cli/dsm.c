@@ -26,9 +26,10 @@ static const struct options_def defs[] = {
 static const struct options_spec spec = {
     .command = "dsm",
     .usage = "citysplat dsm CITY.tiles -o FILE.tif [options]",
-    .about = "Writes heights of the surface of a tile store, seen from straight above, as a Cloud "
-             "Optimized GeoTIFF: float32 metres above the WGS 84 ellipsoid, or with --geoid above "
-             "sea level, -9999 where there is none. Memory does not grow with the city.",
+    .about = "Writes heights of the surface of a tile store, seen from straight above, as a "
+             "Cloud Optimized GeoTIFF. Heights are float32 metres above the WGS 84 ellipsoid, "
+             "or above sea level with --geoid. Where there is no surface they are -9999. Memory "
+             "does not grow with the city.",
     .example = "citysplat dsm city.tiles -o dsm.tif --gsd-m 0.25\n"
                "citysplat dsm city.tiles -o dsm.tif --geoid egm2008-1",
     .defs = defs,

@@ -565,16 +565,13 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
     const struct options_spec spec = {
         .command = "eval",
         .usage = "citysplat eval SCENE [options]",
-        .about =
-            "Draws the scene's test photographs from the trained Gaussians, or from a tile store "
-            "with and "
-            "without level of detail, and prints PSNR, SSIM (zero padded as in training, and inner "
-            "windows only), GMSD (perceptual, lower is better), Gaussians and time a frame. Where "
-            "appearance was trained, a photograph is drawn in the appearance of the nearest "
-            "training "
-            "photographs; rows \"half image\" learn its own from one half of it and score the "
-            "other. With --views it scores ground truth at poses that people take in maps "
-            "instead.",
+        .about = "Draws the scene's test photographs from the trained Gaussians, or from a tile "
+                 "store with and without level of detail. Prints PSNR, SSIM (zero padded as in "
+                 "training, and inner windows only), GMSD (perceptual, lower is better), Gaussians "
+                 "and time a frame. If appearance was trained, a photograph is drawn in the "
+                 "appearance of the nearest training photographs. Rows \"half image\" learn the "
+                 "photograph's appearance from one half of it and score the other half. With "
+                 "--views, map views with ground truth are scored instead.",
         .example =
             "citysplat eval scene\ncitysplat eval scene --tiles city.tiles --max-edge-px 800",
         .defs = eval_defs,

@@ -62,12 +62,11 @@ static const struct options_def defs[] = {
 static const struct options_spec spec = {
     .command = "export",
     .usage = "citysplat export CITY.tiles -o FILE [options]",
-    .about =
-        "Writes one level of a tile store as .ply (east-north-up, every bit of a "
-        "lossless store), .compressed.ply, .spz, .sog or plain .glb, or the whole pyramid as a "
-        "folder with tileset.json and .glb tiles for a web server or CDN, or as that folder in one "
-        ".3tz file, or as PlayCanvas' streamed SOG, or the map from straight above as one .pmtiles "
-        "file.",
+    .about = "Writes one level of a tile store as .ply (east-north-up, every bit of a lossless "
+             "store), .compressed.ply, .spz, .sog or plain .glb. Or writes all levels: as a folder "
+             "with tileset.json and .glb tiles for a web server or CDN, as that folder in one .3tz "
+             "file, or as PlayCanvas' streamed SOG. Or writes the map from straight above as one "
+             ".pmtiles file.",
     .example = "citysplat export city.tiles -o city.ply\n"
                "citysplat export city.tiles -o public/city --format 3dtiles\n"
                "citysplat export city.tiles -o city.3tz\n"

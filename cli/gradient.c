@@ -218,10 +218,10 @@ enum err_code cli_gradient(int argc, char **argv, struct err *e)
         .usage =
             "citysplat gradient SCENE.ply --camera cam.json --grad dLdimage.npy -o DIR [options]",
         .about =
-            "Renders the Gaussians, takes dL/dimage and writes dL/dparameters: mean.npy [n,3], "
-            "log_scale.npy [n,3], quat_wxyz.npy [n,4], opacity_logit.npy [n] and sh.npy [n,K,3], "
-            "float32, "
-            "rows in the order of the file, with respect to the raw parameters.",
+            "Renders the Gaussians, reads dL/dimage and writes dL/dparameters: mean.npy [n,3], "
+            "log_scale.npy [n,3], quat_wxyz.npy [n,4], opacity_logit.npy [n] and sh.npy "
+            "[n,K,3]. Values are float32, with respect to the raw parameters. Rows are in the "
+            "order of the file.",
         .example = "citysplat gradient city.ply --camera cam.json --grad dl.npy -o grads --aa none",
         .defs = gradient_defs,
         .n_defs = sizeof gradient_defs / sizeof *gradient_defs,

@@ -31,9 +31,9 @@ static const struct options_def defs[] = {
 static const struct options_spec spec = {
     .command = "height",
     .usage = "citysplat height CITY.tiles LON,LAT [LON,LAT ...] [options]",
-    .about = "Tells how high the surface of a tile store is at places, seen from straight above: "
-             "one JSON object, heights in metres above the WGS 84 ellipsoid, null where there is "
-             "no surface.",
+    .about = "Prints the height of the surface of a tile store at places, seen from straight "
+             "above, as one JSON object. Heights are in metres above the WGS 84 ellipsoid, and "
+             "null where there is no surface.",
     .example = "citysplat height city.tiles 8.6821,50.1109 8.6830,50.1112",
     .defs = defs,
     .n_defs = sizeof defs / sizeof *defs,

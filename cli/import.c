@@ -32,9 +32,9 @@ static const struct options_def defs[] = {
 static const struct options_spec spec = {
     .command = "import",
     .usage = "citysplat import FILE --origin LON,LAT,H -o CITY.tiles [options]",
-    .about = "Puts Gaussians trained elsewhere on the map: reads .ply (INRIA's and "
-             "SuperSplat's compressed), .spz, .glb, .drc, .splat or a checkpoint, cuts it "
-             "into tiles, makes the coarser levels and writes a tile store.",
+    .about = "Makes a tile store from Gaussians that were trained elsewhere. Reads .ply "
+             "(INRIA's and SuperSplat's compressed), .spz, .glb, .drc, .splat or a checkpoint, "
+             "cuts it into tiles and makes the coarser levels.",
     .example = "citysplat import bridge.ply --origin 8.6821,50.1109,160 -o bridge.tiles\n"
                "citysplat import garden.spz --origin 8.68,50.11,160 --scale 2.5 -o garden.tiles",
     .defs = defs,

@@ -33,8 +33,8 @@ static const struct options_def defs[] = {
 static const struct options_spec spec = {
     .command = "info",
     .usage = "citysplat info FILE [--json]",
-    .about = "Tells what a tile store, a scene, a checkpoint or a file of Gaussians (.ply "
-             ".spz .glb .drc .splat) holds: counts, sizes, bounds, levels.",
+    .about = "Prints what a tile store, a scene, a checkpoint or a file of Gaussians (.ply .spz "
+             ".glb .drc .splat) holds: counts, sizes, bounds, levels.",
     .example = "citysplat info city.tiles\ncitysplat info bridge.ply --json",
     .defs = defs,
     .n_defs = sizeof defs / sizeof *defs,

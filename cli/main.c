@@ -109,21 +109,17 @@ static int help_of(const struct command *c, const char *form)
 
 static int print_markdown(void)
 {
-    printf(
-        "# Commands\n\n"
-        "Every command and every option, as `citysplat COMMAND --help=all` prints them. "
-        "`citysplat\n"
-        "help COMMAND` prints the options of the tier everyday. Written by `citysplat help "
-        "--markdown`;\ndo not edit.\n\n"
-        "Whole numbers take `k`, `M` and `G`: thousands, or steps of 1024 where the unit is bytes. "
-        "A list is\n`A,B,C`, coarsest level first; in config files also `[A, B, C]`.\n\n"
-        "stdout is data, stderr is the log. Exit codes: 0 done, 1 failed, 2 the command line was "
-        "wrong; those of serve are in its own section.\n\n"
-        "Every command also takes `--config FILE` (options from a .jsonc file, with `_` for `-` in "
-        "their names;\nlater files and flags win), `--print-config` (print the resolved options "
-        "as JSON and stop), `-v` (more log\nlines), `-q` (no progress, only warnings and errors), "
-        "`-h` and `--help`. `-o X` is `--output X`.\n\n"
-        "| command | what it does |\n|---|---|\n");
+    printf("# Commands\n\nEvery command and every option, as `citysplat COMMAND --help=all` prints "
+           "them. `citysplat\nhelp COMMAND` prints only the options of the tier everyday. This "
+           "page is written by `citysplat help\n--markdown`; do not edit it.\n\nWhole numbers take "
+           "`k`, `M` and `G`. These are thousands, or steps of 1024 where the unit is bytes. A "
+           "list is\n`A,B,C`, coarsest level first; in config files also `[A, B, C]`.\n\nResults "
+           "go to stdout and log lines to stderr. Exit codes: 0 done, 1 failed, 2 the command line "
+           "was wrong. serve has others, in its own section.\n\nEvery command also takes `--config "
+           "FILE` (options from a .jsonc file, with `_` for `-` in their names;\nlater files and "
+           "flags win), `--print-config` (print the resolved options as JSON and stop), `-v` (more "
+           "log\nlines), `-q` (no progress, only warnings and errors), `-h` and `--help`. `-o X` "
+           "is `--output X`.\n\n| command | what it does |\n|---|---|\n");
     for (const struct command *c = commands; c->name; c++)
         printf("| [%s](#citysplat-%s) | %s |\n", c->name, c->name, c->about);
     int rc = 0;
@@ -135,9 +131,9 @@ static int print_markdown(void)
 static void print_man_index(void)
 {
     options_help_mdoc_head(stdout, "citysplat", about_text);
-    printf(".Sh SYNOPSIS\n.Nm\n.Ar command\n.Op Ar arguments\n.Op Ar options\n"
-           ".Nm\n.Cm help\n.Op Ar command\n.Sh DESCRIPTION\nThe commands, in the order of the "
-           "data's way; each has a page of its own:\n.Bl -tag -width citysplat-gradient(1)\n");
+    printf(".Sh SYNOPSIS\n.Nm\n.Ar command\n.Op Ar arguments\n.Op Ar options\n.Nm\n.Cm "
+           "help\n.Op Ar command\n.Sh DESCRIPTION\nThe commands, in their usual order.\n"
+           "Each has a page of its own:\n.Bl -tag -width citysplat-gradient(1)\n");
     for (const struct command *c = commands; c->name; c++) {
         printf(".It Xr citysplat-%s 1\n", c->name);
         options_help_mdoc_text(stdout, c->about);

@@ -33,9 +33,9 @@ static const struct options_def defs[] = {
 static const struct options_spec spec = {
     .command = "measure",
     .usage = "citysplat measure CITY.tiles [LON,LAT LON,LAT ...] [options]",
-    .about = "Measures on the surface of a tile store. Of two or more places: lengths in the plan "
-             "and in space. With --polygon: area in the plan and of the surface, volume above and "
-             "below a base.",
+    .about = "Measures on the surface of a tile store. For two or more places it prints lengths "
+             "in plan and in space. With --polygon it prints the area in plan and of the "
+             "surface, and the volume above and below a base.",
     .example = "citysplat measure city.tiles 8.6821,50.1109 8.6860,50.1131\n"
                "citysplat measure city.tiles --polygon heap.geojson",
     .defs = defs,

@@ -24,9 +24,9 @@ static const struct options_def defs[] = {
 static const struct options_spec spec = {
     .command = "merge",
     .usage = "citysplat merge A.tiles B.tiles -o C.tiles [options]",
-    .about = "Puts two tile stores of neighbouring areas into one, in the frame of the first. "
-             "Origins may differ. Tiles that only one has are taken over; those that both have are "
-             "made of the Gaussians of both.",
+    .about = "Merges two tile stores of neighbouring areas into one, in the frame of the first. "
+             "Origins may differ. Tiles of one store alone are copied. Tiles of both stores are "
+             "made again from the Gaussians of both.",
     .example = "citysplat merge north.tiles south.tiles -o city.tiles --name city",
     .defs = defs,
     .n_defs = sizeof defs / sizeof *defs,

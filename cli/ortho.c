@@ -29,9 +29,9 @@ static const struct options_spec spec = {
     .command = "ortho",
     .usage = "citysplat ortho CITY.tiles -o FILE.tif [options]",
     .about =
-        "Draws a tile store orthographically, straight down, as a Cloud Optimized GeoTIFF: red, "
-        "green, blue and alpha, which is 0 outside of the survey. Memory does not grow with "
-        "the city.",
+        "Draws a tile store from straight above, orthographically, as a Cloud Optimized GeoTIFF "
+        "with red, green, blue and alpha. Alpha is 0 outside of the survey. Memory does not "
+        "grow with the city.",
     .example = "citysplat ortho city.tiles -o ortho.tif --gsd-m 0.1\n"
                "citysplat ortho city.tiles -o ortho.tif --epsg 25832 --bbox 8.68,50.10,8.69,50.12",
     .defs = defs,

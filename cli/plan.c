@@ -62,9 +62,9 @@ enum err_code cli_plan(int argc, char **argv, struct err *e)
         .command = "plan",
         .usage = "citysplat plan SCENE [options]",
         .about =
-            "Cuts a scene into cells that are trained independently: writes SCENE/plan.json, which "
-            "`citysplat train` follows, and SCENE/plan.svg, a picture of the cells, cameras and "
-            "points.",
+            "Cuts a scene into cells that are trained independently. Writes SCENE/plan.json, "
+            "which `citysplat train` uses, and SCENE/plan.svg, a picture of the cells, cameras "
+            "and points.",
         .example = "citysplat plan scene --edge-m 50 --images-few 16 --images-least 8",
         .defs = plan_defs,
         .n_defs = sizeof plan_defs / sizeof plan_defs[0],

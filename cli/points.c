@@ -36,9 +36,9 @@ static const struct options_spec spec = {
     .command = "points",
     .usage = "citysplat points CITY.tiles -o FILE.las [options]",
     .about =
-        "Writes the surface of a tile store, seen from straight above, as coloured points: LAS "
-        "1.4, one point for every pixel that an orthophoto of this --gsd-m has. Memory does "
-        "not grow with the city.",
+        "Writes the surface of a tile store, seen from straight above, as coloured points in "
+        "LAS 1.4. There is one point for every pixel of an orthophoto with this --gsd-m. Memory "
+        "does not grow with the city.",
     .example = "citysplat points city.tiles -o city.las --gsd-m 0.25 --epsg 25832",
     .defs = defs,
     .n_defs = sizeof defs / sizeof *defs,

@@ -29,8 +29,8 @@ static const struct options_def defs[] = {
 static const struct options_spec spec = {
     .command = "profile",
     .usage = "citysplat profile CITY.tiles LON,LAT LON,LAT [LON,LAT ...] [options]",
-    .about = "Samples the surface of a tile store along a line of places: one JSON object with "
-             "distance, place and height of every sample, lengths in the plan and along the "
+    .about = "Samples the surface of a tile store along a line of places. Prints one JSON "
+             "object: distance, place and height of every sample, lengths in plan and along the "
              "surface, climb and fall.",
     .example = "citysplat profile city.tiles 8.6821,50.1109 8.6860,50.1131 --step-m 1",
     .defs = defs,

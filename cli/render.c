@@ -41,8 +41,8 @@ static const struct options_spec spec = {
     .usage =
         "citysplat render FILE -o PICTURE (--lon --lat --height-m ... | --camera FILE) [options]",
     .about = "Draws one picture of a tile store, or of a .ply, .spz, .glb, .splat or "
-             "checkpoint as it is. With --camera the world is east-north-up metres about the "
-             "store's origin, or the file's own axes.",
+             "checkpoint. With --camera, positions of a store are east-north-up metres about "
+             "its origin; other files keep their own axes.",
     .example = "citysplat render city.tiles --lon 8.6821 --lat 50.1095 --height-m 260 "
                "--heading-deg 10 --pitch-deg -30 -o view.jpg\n"
                "citysplat render bridge.ply --camera cam.json -o view.npy",

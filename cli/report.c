@@ -36,10 +36,10 @@ static const struct options_def defs[] = {
 static const struct options_spec spec = {
     .command = "report",
     .usage = "citysplat report SCENE -o REPORT.html [options]",
-    .about = "Writes a survey report of an ingested scene as one HTML file that prints to PDF: "
-             "coverage, ground sampling distance, errors of GPS and ground control points, "
-             "reprojection errors, dropped photographs, accuracy of what was trained, and with "
-             "--tiles pictures of orthophoto and surface model.",
+    .about = "Writes a survey report of an ingested scene as one HTML file that prints to PDF. "
+             "It shows coverage, ground sampling distance, errors of GPS and ground control "
+             "points, reprojection errors, dropped photographs, and the accuracy of trained "
+             "levels. With --tiles it also shows orthophoto and surface model.",
     .example = "citysplat report scene -o report.html --tiles city.tiles",
     .defs = defs,
     .n_defs = sizeof defs / sizeof *defs,

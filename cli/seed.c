@@ -40,9 +40,9 @@ static const struct options_spec spec = {
     .command = "seed",
     .usage = "citysplat seed URL [options]",
     .about =
-        "Warms a cache or CDN: asks it for the tiles of a prefetch list, most important first, "
-        "and checks their tags. URL is a dataset (https://cdn.example/d/city) or its list with "
-        "an area, the way of a camera, zooms and a format.",
+        "Fills a cache or CDN. Requests the tiles of a prefetch list, most important first, and "
+        "checks their tags. URL is a dataset (https://cdn.example/d/city), or its prefetch list "
+        "with an area, a path of a camera, zooms and a format.",
     .example = "citysplat seed https://cdn.example/d/city --rate 50\n"
                "citysplat seed 'https://cdn.example/d/city/seed.ndjson?z=12-16&f=drc'\n"
                "citysplat seed 'https://cdn.example/d/city/seed.ndjson?"

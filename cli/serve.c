@@ -27,15 +27,14 @@ static const struct options_spec spec = {
     .command = "serve",
     .usage = "citysplat serve CITY.tiles [MORE.tiles ...] [options]",
     .about =
-        "Serve tile stores to map clients: Gaussian tiles as .glb, .spz, .drc and .ply, 3D Tiles "
-        "and TileJSON descriptions, rendered views as .jpg, .png and .webp, and the viewer itself. "
-        "Listens on this machine alone unless --address says otherwise; put a proxy with TLS in "
-        "front of it for the world. SIGTERM finishes what is under way and exits; SIGHUP opens the "
-        "stores again and serves the older revision for another day. --check looks whether it "
-        "would "
-        "start. Exit codes are those of sysexits.h: 64 options, 65 and 66 stores, 69 port or "
-        "device, "
-        "71 memory, 74 input and output, 78 a configuration file, --auth or --check.",
+        "Serves tile stores to map clients: Gaussian tiles as .glb, .spz, .drc and .ply, 3D "
+        "Tiles and TileJSON descriptions, rendered views as .jpg, .png and .webp, and the "
+        "viewer. It listens on this machine only; --address changes that. For the internet use "
+        "--tls-cert, or a proxy with TLS. SIGTERM finishes the running requests and exits. "
+        "SIGHUP opens the stores again; the older revision is served for another day. --check "
+        "tells whether it would start. Exit codes are those of sysexits.h: 64 options, 65 and "
+        "66 stores, 69 port or device, 71 memory, 74 input and output, 78 a configuration file, "
+        "--auth or --check.",
     .example = "citysplat serve city.tiles\n"
                "citysplat serve old-town.tiles harbour.tiles --address 0.0.0.0 --port 8000",
     .defs = defs,

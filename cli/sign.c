@@ -25,10 +25,9 @@ static const struct options_def defs[] = {
 static const struct options_spec spec = {
     .command = "sign",
     .usage = "citysplat sign PATH... --auth FILE [options]",
-    .about =
-        "Print addresses that open a path of a server that was started with --auth, until their "
-        "time is over: what is below a path that ends with /, or that path alone. "
-        "/d/NAME/ is a dataset with its tiles and pictures.",
+    .about = "Prints signed addresses for a server that was started with --auth. A signed address "
+             "opens a path until its time is over. If the path ends with /, it opens everything "
+             "below the path. /d/NAME/ is a dataset with its tiles and pictures.",
     .example = "citysplat sign /d/city/ --auth auth.jsonc --for-s 86400 --url https://maps.example",
     .defs = defs,
     .n_defs = sizeof defs / sizeof *defs,

@@ -50,9 +50,9 @@ static const struct options_spec spec = {
     .command = "tile",
     .usage = "citysplat tile SCENE -o CITY.tiles [options]\n"
              "       citysplat tile SCENE --update CITY.tiles --cell ID",
-    .about = "Cuts the trained levels of a scene into tiles z/x/y of the Web Mercator grid, "
-             "makes overviews until one tile holds the scene, and writes all of it into one "
-             "file that `citysplat serve` serves.",
+    .about = "Cuts the trained levels of a scene into tiles z/x/y of the Web Mercator grid. "
+             "Makes overviews until one tile holds the scene. Writes everything into one file "
+             "for `citysplat serve`.",
     .example = "citysplat tile scene -o city.tiles --attribution '© Survey 2026'",
     .defs = defs,
     .n_defs = sizeof defs / sizeof *defs,

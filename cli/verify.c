@@ -10,9 +10,8 @@
 static const struct options_spec spec = {
     .command = "verify",
     .usage = "citysplat verify CITY.tiles",
-    .about = "Checks every page, index row, tile and blob of a tile store against its hash "
-             "and decodes all of it. Each fault is logged; the exit code is 1 if there is "
-             "one.",
+    .about = "Checks every page, index row, tile and blob of a tile store against its hash and "
+             "decodes all of it. Each fault is logged. The exit code is 1 if there is a fault.",
     .example = "citysplat verify city.tiles",
     .min_args = 1,
     .max_args = 1};

@@ -17,10 +17,9 @@ const struct options_spec *ingest_options(void)
     static const struct options_spec spec = {
         .command = "ingest",
         .usage = "citysplat ingest PHOTOS SPARSE -o SCENE [options]",
-        .about = "Photographs with EXIF GPS and their COLMAP model (a folder with cameras, images "
-                 "and points3D, .bin or "
-                 ".txt) become a scene in metres, east-north-up: undistorted pictures, poses, "
-                 "points. Photographs "
+        .about = "Makes a scene in metres, east-north-up, from photographs with EXIF GPS and "
+                 "their COLMAP model (a folder with cameras, images and points3D, .bin or "
+                 ".txt). The scene has undistorted pictures, poses and points. Photographs "
                  "whose pose or GPS position cannot be right are dropped and named.",
         .example = "citysplat ingest photos photos/sparse/0 -o scene",
         .defs = ingest_defs,

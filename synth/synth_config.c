@@ -17,9 +17,9 @@ const struct options_spec *synth_options(void)
     static const struct options_spec spec = {
         .command = "synth",
         .usage = "citysplat synth -o DIR [options]",
-        .about = "Make a procedural city and photograph it from the air: DIR/images with EXIF GPS, "
-                 "a COLMAP model in "
-                 "DIR/sparse/0, and the exact truth (poses, depth, clean pictures) in DIR/truth.",
+        .about = "Makes a procedural city and photographs it from the air. Writes DIR/images "
+                 "with EXIF GPS, a COLMAP model in DIR/sparse/0, and the exact truth (poses, "
+                 "depth, clean pictures) in DIR/truth.",
         .example = "citysplat synth -o city\n"
                    "citysplat synth -o hard --exposure-ev 0.4 --white-balance 0.2 --gps-sigma-m 3 "
                    "--vehicle-share 0.2",

@@ -15,11 +15,10 @@ static const struct options_def train_defs[] = {
 static const struct options_spec train_spec = {
     .command = "train",
     .usage = "citysplat train SCENE [options]",
-    .about = "Train Gaussians at several levels of detail from a scene that `citysplat ingest` or "
-             "`citysplat "
-             "synth` made. Results and measurements go to SCENE/cells/<id>/, one folder a cell of "
-             "`citysplat plan`, or cells/all/ without a plan. Ctrl-C saves the "
-             "state and --resume goes on from it. configs/ holds presets with their reasons.",
+    .about = "Trains Gaussians at several levels of detail from a scene that `citysplat ingest` "
+             "made. Results and measurements go to SCENE/cells/<id>/, one folder for each cell "
+             "of `citysplat plan`, or to cells/all/ without a plan. Ctrl-C saves the state, and "
+             "--resume continues from it. configs/ holds presets with their reasons.",
     .example = "citysplat train scene --iterations 2000 --max-edge-px 400   # a few minutes\n"
                "citysplat train scene --config configs/demo-train.jsonc\n"
                "citysplat train scene                                       # the full method",
