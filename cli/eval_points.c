@@ -1,8 +1,8 @@
 /* `citysplat eval --surface points`; see eval_surface.h.
  *
- * A point that structure from motion has seen in many photographs is known to a part of a pixel, so
- * where there is no truth it is the nearest thing to one. It says nothing of bare walls and lawns,
- * which have no points.
+ * Structure from motion knows a point that many photographs show to a part of a pixel. Without a
+ * truth, such points are the best reference. They say nothing about bare walls and lawns, which
+ * have no points.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

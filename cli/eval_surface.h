@@ -1,5 +1,5 @@
-/* `citysplat eval --surface`: how solid a scene's surface is, and how far off (docs/evaluation.md):
- * against a procedural city (eval_surface.c), or against the scene's own points (eval_points.c).
+/* `citysplat eval --surface`: solidity and errors of a scene's surface (docs/evaluation.md),
+ * against a procedural city (eval_surface.c) or against the scene's own points (eval_points.c).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -13,23 +13,24 @@ struct scene;
 
 struct eval_surface_request {
     const char *city;  /* folder of the procedural city */
-    const char *views; /* map views; NULL: the city's own, if it has some */
+    const char *views; /* map views; NULL: those of the city, if there are any */
     const struct scene *scene;
-    double gaussians, faint; /* how many; share of opacity below 0.5; NAN: not known */
-    struct json_t *rows;     /* a JSON array that the figures are added to */
+    /* number of Gaussians; share with an opacity below 0.5; NAN: not known */
+    double gaussians, faint;
+    struct json_t *rows; /* a JSON array; the results are appended */
 };
 #define EVAL_SURFACE_FAINT 0.5
 void eval_surface_print_head(const struct eval_surface_request *q, const char *what, double gsd_m);
-/* Draws with src->own_size, or src->user, and src->above. Errors of truth_city_open, map_views_read
- * and rendering; ERR_CANCEL, ERR_MEM. */
+/* Measures against a city. It draws with src->own_size (else src->user) and src->above. Errors of
+ * truth_city_open, map_views_read and rendering; ERR_CANCEL, ERR_MEM. */
 enum err_code eval_surface_run(const struct eval_surface_request *q, const char *what,
                                struct render *render, const struct evaluate_source *src,
                                struct err *e) ERR_USE;
 
-/* A scene without a truth: depths in all photographs against the points that EVAL_POINTS_SEEN of
- * them show, and how solid the surface is along the photographs' rays. ERR_DATA: there are no such
- * points; errors of rendering; ERR_CANCEL, ERR_MEM. */
-#define EVAL_SURFACE_POINTS "points" /* in place of a city's folder */
+/* Measures a scene without a truth: depths in all photographs, against points that at least
+ * EVAL_POINTS_SEEN of them show, and the solidity of the surface along the photographs' rays.
+ * ERR_DATA: there are no such points. Errors of rendering; ERR_CANCEL, ERR_MEM. */
+#define EVAL_SURFACE_POINTS "points" /* instead of a city's folder */
 enum { EVAL_POINTS_SEEN = 5 };
 enum err_code eval_points_run(const struct eval_surface_request *q, const char *what,
                               struct render *render, const struct evaluate_source *src,

@@ -1,4 +1,4 @@
-/* Rows of surface figures; see surface_table.h.
+/* Rows of statistics of surfaces; see surface_table.h.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

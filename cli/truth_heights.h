@@ -11,8 +11,8 @@
 
 struct truth_heights {
     uint64_t inside, none; /* pixels in the built-up square; those without a surface */
-    double pixel_m, gsd_m; /* of the map; of photographs from straight above */
-    /* away from edges; near them; all; above: thickness and light are not known */
+    double pixel_m, gsd_m; /* of the map; of photographs that look straight down */
+    /* pixels away from edges, near them, and all; above: thickness and light are not known */
     struct surface_figures level, zone, all;
     /* over all pixels with a surface: volume of the model minus that of the city */
     double volume_m3;

@@ -9,6 +9,9 @@
 
 #include "core/camera.h"
 #include "core/outline.h"
+#include "lod/surface.h"
+
+#define MEASURE_SIGMAS 3.0
 
 enum {
     MEASURE_PIECE_PX = 512,
@@ -110,6 +113,47 @@ enum err_code measure_profile(struct nadir *n, const double (*lonlat)[2], size_t
     *out = rc ? NULL : samples;
     *length_m = length;
     return rc;
+}
+
+/* Is the rise from one sample to the other more than noise? */
+static bool measure_differs(const struct measure_sample *a, const struct measure_sample *b)
+{
+    return fabs(b->probe.height_m - a->probe.height_m) >
+           MEASURE_SIGMAS * hypot(a->probe.noise_m, b->probe.noise_m);
+}
+
+void measure_climb(const struct measure_sample *s, size_t n, double *climb_m, double *fall_m)
+{
+    /* turn: the extreme where the last rise or fall that counts began; top, bottom: since then */
+    const struct measure_sample *turn = NULL, *top = NULL, *bottom = NULL;
+    int way = 0; /* 1 up, -1 down, 0 neither yet */
+    *climb_m = *fall_m = 0;
+    for (size_t i = 0; i < n; i++) {
+        const struct measure_sample *at = &s[i];
+        if (!isfinite(at->probe.height_m))
+            continue;
+        if (!turn)
+            turn = top = bottom = at;
+        top = at->probe.height_m > top->probe.height_m ? at : top;
+        bottom = at->probe.height_m < bottom->probe.height_m ? at : bottom;
+        if (way <= 0 && at->probe.height_m > bottom->probe.height_m &&
+            measure_differs(bottom, at)) {
+            *fall_m += way < 0 ? turn->probe.height_m - bottom->probe.height_m : 0;
+            turn = bottom;
+            top = at;
+            way = 1;
+        } else if (way >= 0 && at->probe.height_m < top->probe.height_m &&
+                   measure_differs(top, at)) {
+            *climb_m += way > 0 ? top->probe.height_m - turn->probe.height_m : 0;
+            turn = top;
+            bottom = at;
+            way = -1;
+        }
+    }
+    if (way > 0)
+        *climb_m += top->probe.height_m - turn->probe.height_m;
+    if (way < 0)
+        *fall_m += turn->probe.height_m - bottom->probe.height_m;
 }
 
 /* ---- within a polygon ---- */
@@ -276,7 +320,7 @@ static enum err_code measure_piece(struct measure_job *j, double west, double no
     if (rc || !area_mask(nadir_area(j->nadir), corner, w, h, j->in))
         return rc;
     const struct nadir_piece p = {lonlat[0], lonlat[1], 0, 1 / px, 1 / px, w, h};
-    rc = nadir_draw(j->nadir, &p, NULL, j->height, e);
+    rc = surface_draw(j->nadir, &p, &(struct surface_maps){.height_m = j->height}, e);
     for (uint32_t v = 0; !rc && v + reach < h; v++)
         for (uint32_t u = 0; u + reach < w; u++) {
             size_t i = (size_t)v * w + u;

@@ -35,6 +35,11 @@ enum err_code measure_profile(struct nadir *n, const double (*lonlat)[2], size_t
                               double step_m, struct measure_sample **out, size_t *n_out,
                               double *length_m, struct err *e) ERR_USE;
 
+/* How much a profile climbs and falls in all, m. A rise or a fall counts where it is larger than
+ * three standard deviations of its two ends (noise_m of surface_maps), so the noise of level ground
+ * adds up to little. Samples without a surface are passed over. */
+void measure_climb(const struct measure_sample *s, size_t n, double *climb_m, double *fall_m);
+
 struct measure_area {
     double area_m2, perimeter_m;        /* horizontal */
     double known_m2;                    /* area with a surface; what follows is for this part */

@@ -192,13 +192,22 @@ enum err_code nadir_fit(const struct nadir *n, const double lon_deg[NADIR_PLACES
     return ERR_OK;
 }
 
-/* The camera stands on the vertical of the piece's centre, at the ceiling. */
-static enum err_code nadir_camera(const struct nadir *n, const struct nadir_piece *p,
-                                  struct camera *cam, double *eye_h_m, struct err *e)
+/* A piece in the plane that touches the Earth in its middle: its eye, on the vertical there at the
+ * ceiling, and axes to the right, down the picture and down to the ground, ENU of the store. */
+struct nadir_frame {
+    double eye[3], axis[3][3], eye_h_m;
+};
+
+static enum err_code nadir_frame(const struct nadir *n, const struct nadir_piece *p,
+                                 struct nadir_frame *f, struct err *e)
 {
     const struct geo_origin *origin = &store_info(nadir_store(n))->origin;
-    double axes[9], ground[3], eye[3], lon, lat;
-    double c = cos(p->turn_rad), s = sin(p->turn_rad);
+    double axes[9], ground[3], lon, lat, c = cos(p->turn_rad), s = sin(p->turn_rad);
+    if (p->width < 1 || p->height < 1 || p->width > NADIR_SIZE_MAX + 2 * NADIR_MARGIN_MAX ||
+        p->height > NADIR_SIZE_MAX + 2 * NADIR_MARGIN_MAX || !(p->px_per_m_x > 0) ||
+        !(p->px_per_m_y > 0))
+        return err_set(e, ERR_ARG, "nadir: a piece of %u x %u px: 1 to %d, of positive size",
+                       p->width, p->height, NADIR_SIZE_MAX);
     enum err_code rc = geo_to_enu(origin, p->lon_deg, p->lat_deg, origin->h_m, ground, e);
     if (!rc)
         rc = geo_local_axes(origin, p->lon_deg, p->lat_deg, axes, e);
@@ -206,38 +215,64 @@ static enum err_code nadir_camera(const struct nadir *n, const struct nadir_piec
         return rc;
     /* Up by so much that z reaches the ceiling; up is (almost) z. */
     double rise = (n->ceiling_m - ground[2]) / axes[8];
-    memset(cam, 0, sizeof *cam);
     for (size_t k = 0; k < 3; k++) {
         double east = axes[3 * k], north = axes[3 * k + 1], up = axes[3 * k + 2];
-        eye[k] = ground[k] + rise * up;
-        cam->rot[k] = c * east + s * north;
-        cam->rot[3 + k] = s * east - c * north;
-        cam->rot[6 + k] = -up;
+        f->eye[k] = ground[k] + rise * up;
+        f->axis[0][k] = c * east + s * north;
+        f->axis[1][k] = s * east - c * north;
+        f->axis[2][k] = -up;
     }
-    for (size_t r = 0; r < 3; r++)
-        for (size_t k = 0; k < 3; k++)
-            cam->trans[r] -= cam->rot[3 * r + k] * eye[k];
-    cam->width_px = p->width;
-    cam->height_px = p->height;
-    cam->cx_px = 0.5 * p->width;
-    cam->cy_px = 0.5 * p->height;
-    cam->fx_px = p->px_per_m_x;
-    cam->fy_px = p->px_per_m_y;
-    return geo_from_enu(origin, eye, &lon, &lat, eye_h_m, e);
+    return geo_from_enu(origin, f->eye, &lon, &lat, &f->eye_h_m, e);
 }
 
-/* Plane depths to heights: the ellipsoid falls away from its tangent plane by r^2 / 2 R. */
+/* World -> camera of axes right, down, forward; the camera stands `back` metres behind the eye. */
+static void nadir_pose(const struct nadir_frame *f, const double axis[3][3], double back,
+                       struct camera *cam)
+{
+    for (size_t r = 0; r < 3; r++) {
+        cam->trans[r] = r == 2 ? back : 0;
+        for (size_t k = 0; k < 3; k++) {
+            cam->rot[3 * r + k] = axis[r][k];
+            cam->trans[r] -= axis[r][k] * f->eye[k];
+        }
+    }
+}
+
+static struct camera nadir_camera(const struct nadir_frame *f, const struct nadir_piece *p)
+{
+    struct camera cam = {.width_px = p->width,
+                         .height_px = p->height,
+                         .cx_px = 0.5 * p->width,
+                         .cy_px = 0.5 * p->height,
+                         .fx_px = p->px_per_m_x,
+                         .fy_px = p->px_per_m_y};
+    nadir_pose(f, f->axis, 0, &cam);
+    return cam;
+}
+
+/* Metres from the middle of a piece to the centre of pixel (x, y), right and down. */
+static void nadir_place(const struct nadir_piece *p, size_t x, size_t y, double at[2])
+{
+    at[0] = ((double)x + 0.5 - 0.5 * p->width) / p->px_per_m_x;
+    at[1] = ((double)y + 0.5 - 0.5 * p->height) / p->px_per_m_y;
+}
+
+/* The ellipsoid falls away from its tangent plane by r^2 / 2 R. */
+static double nadir_fall(const double at[2])
+{
+    return (at[0] * at[0] + at[1] * at[1]) / (2 * NADIR_EARTH_M);
+}
+
 static void nadir_heights(const struct nadir *n, const struct nadir_piece *p, double eye_h_m,
                           float *height_m)
 {
     for (size_t y = 0; y < p->height; y++)
         for (size_t x = 0; x < p->width; x++) {
             size_t i = y * p->width + x;
-            double dx = ((double)x + 0.5 - 0.5 * p->width) / p->px_per_m_x,
-                   dy = ((double)y + 0.5 - 0.5 * p->height) / p->px_per_m_y;
-            height_m[i] = n->depth[i] > 0 ? (float)(eye_h_m - (double)n->depth[i] +
-                                                    (dx * dx + dy * dy) / (2 * NADIR_EARTH_M))
-                                          : NAN;
+            double at[2];
+            nadir_place(p, x, y, at);
+            height_m[i] =
+                n->depth[i] > 0 ? (float)(eye_h_m - (double)n->depth[i] + nadir_fall(at)) : NAN;
         }
 }
 
@@ -252,40 +287,168 @@ static float nadir_color(float drawn, float transmittance)
     return fminf(drawn / (1 - share * transmittance), 1);
 }
 
-enum err_code nadir_draw(struct nadir *n, const struct nadir_piece *p, float *rgb, float *height_m,
-                         struct err *e)
+/* Draw parallel rays into n->rgb, n->depth and n->transmittance. error_px: of level selection. */
+static enum err_code nadir_rays(struct nadir *n, const struct camera *cam, double error_px,
+                                struct err *e)
 {
-    struct camera cam;
-    double eye_h_m;
-    size_t pixels = (size_t)p->width * p->height;
-    if (p->width < 1 || p->height < 1 || p->width > NADIR_SIZE_MAX || p->height > NADIR_SIZE_MAX ||
-        !(p->px_per_m_x > 0) || !(p->px_per_m_y > 0))
-        return err_set(e, ERR_ARG, "nadir: a piece of %u x %u px: 1 to %d, of positive size",
-                       p->width, p->height, NADIR_SIZE_MAX);
     const struct render_options ro = {
         .aa = store_info(nadir_store(n))->antialiased ? RENDER_AA_2D : RENDER_AA_NONE,
         .sh_degree = -1,
         .orthographic = true};
-    const struct pick_options po = {.error_px = NADIR_ERROR_PX};
-    enum err_code rc = nadir_go(n, e);
+    const struct pick_options po = {.error_px = error_px};
+    enum err_code rc = nadir_room(n, (size_t)cam->width_px * cam->height_px, e);
     if (!rc)
-        rc = nadir_room(n, pixels, e);
-    if (!rc)
-        rc = nadir_camera(n, p, &cam, &eye_h_m, e);
-    if (!rc)
-        rc = view_render(n->view, &cam, &ro, &po, n->rgb, NULL, e);
+        rc = view_render(n->view, cam, &ro, &po, n->rgb, NULL, e);
     const struct render_surface_maps maps = {.median_m = n->depth,
                                              .transmittance = n->transmittance};
     if (!rc)
         rc = render_surface_run(n->surface, NULL, &maps, e);
+    return rc;
+}
+
+enum err_code nadir_draw(struct nadir *n, const struct nadir_piece *p, float *rgb, float *height_m,
+                         struct err *e)
+{
+    struct nadir_frame f;
+    enum err_code rc = nadir_go(n, e);
+    if (!rc)
+        rc = nadir_frame(n, p, &f, e);
     if (rc)
         return rc;
-    for (size_t i = 0; rgb && i < 3 * pixels; i++)
+    const struct camera cam = nadir_camera(&f, p);
+    rc = nadir_rays(n, &cam, NADIR_ERROR_PX, e);
+    if (rc)
+        return rc;
+    for (size_t i = 0; rgb && i < 3 * (size_t)p->width * p->height; i++)
         rgb[i] = n->depth[i / 3] > 0 ? nadir_color(n->rgb[i], n->transmittance[i / 3]) : NAN;
     if (height_m)
-        nadir_heights(n, p, eye_h_m, height_m);
+        nadir_heights(n, p, f.eye_h_m, height_m);
     return ERR_OK;
 }
+
+/* ---- aslant ---- */
+
+/* Rays that go `along` a horizontal axis of the piece and down as much. A place at `along` metres
+ * and height z above the eye lies on row (-along - z) px_per_m; rows are counted from the edge that
+ * rays come over, at the height of the store's origin, so pieces side by side count alike. */
+struct nadir_side {
+    double along[2], across[2]; /* unit axes: right, down */
+    double px_per_m_along, px_per_m_across, coarse;
+    uint32_t px_along, px_across; /* of the piece */
+    double row;                   /* of a place at along 0, z 0 */
+    double first;                 /* row of the picture's top, in its own pixels */
+    uint32_t rows;                /* of the picture */
+};
+static const double nadir_half = 0.70710678118654752; /* sine and cosine of 45 degrees */
+
+static struct nadir_side nadir_side(const struct nadir *n, const struct nadir_frame *f,
+                                    const struct nadir_piece *p, unsigned way, uint32_t coarse)
+{
+    static const double along[NADIR_WAYS][2] = {{0, -1}, {1, 0}, {0, 1}, {-1, 0}};
+    bool up = way % 2 == 0; /* the picture's columns are those of the piece */
+    struct nadir_side s = {.along = {along[way][0], along[way][1]},
+                           .across = {-along[way][1], along[way][0]},
+                           .px_per_m_along = up ? p->px_per_m_y : p->px_per_m_x,
+                           .px_per_m_across = up ? p->px_per_m_x : p->px_per_m_y,
+                           .coarse = coarse,
+                           .px_along = up ? p->height : p->width,
+                           .px_across = up ? p->width : p->height};
+    double eye_z = f->eye_h_m - store_info(nadir_store(n))->origin.h_m;
+    s.row = 0.5 * s.px_along - eye_z * s.px_per_m_along;
+    return s;
+}
+
+/* Row of a place, in pixels of the picture from the edge. */
+static double nadir_side_row(const struct nadir_side *s, const double at[2], double z)
+{
+    double along = s->along[0] * at[0] + s->along[1] * at[1];
+    return ((-along - z) * s->px_per_m_along + s->row) / s->coarse;
+}
+
+/* The rows that the heights need. */
+static void nadir_side_span(struct nadir_side *s, const struct nadir_piece *p,
+                            const struct nadir_frame *f, const float *height_m)
+{
+    double lo = HUGE_VAL, hi = -HUGE_VAL;
+    for (size_t y = 0; y < p->height; y++)
+        for (size_t x = 0; x < p->width; x++) {
+            double at[2], h = (double)height_m[y * p->width + x];
+            nadir_place(p, x, y, at);
+            double row = nadir_side_row(s, at, h - nadir_fall(at) - f->eye_h_m);
+            lo = fmin(lo, row); /* fmin and fmax take no notice of NAN */
+            hi = fmax(hi, row);
+        }
+    s->first = floor(lo);
+    s->rows = lo <= hi ? (uint32_t)fmin(floor(hi) - s->first + 1, NADIR_SLANT_ROWS_MAX) : 0;
+}
+
+static struct camera nadir_side_camera(const struct nadir_side *s, const struct nadir_frame *f,
+                                       double *back)
+{
+    double axis[3][3];
+    for (size_t k = 0; k < 3; k++) {
+        double along = s->along[0] * f->axis[0][k] + s->along[1] * f->axis[1][k];
+        axis[0][k] = s->across[0] * f->axis[0][k] + s->across[1] * f->axis[1][k];
+        axis[1][k] = nadir_half * (f->axis[2][k] - along);
+        axis[2][k] = nadir_half * (f->axis[2][k] + along);
+    }
+    struct camera cam = {.width_px = (uint32_t)ceil(s->px_across / s->coarse),
+                         .height_px = s->rows,
+                         .cx_px = 0.5 * s->px_across / s->coarse,
+                         .cy_px = s->row / s->coarse - s->first,
+                         .fx_px = s->px_per_m_across / s->coarse,
+                         .fy_px = s->px_per_m_along / (nadir_half * s->coarse)};
+    /* What lies at the near edge at the height of the eye is at depth 0. */
+    *back = nadir_half * 0.5 * s->px_along / s->px_per_m_along;
+    nadir_pose(f, (const double(*)[3])axis, *back, &cam);
+    return cam;
+}
+
+enum err_code nadir_slant(struct nadir *n, const struct nadir_piece *p, unsigned way,
+                          uint32_t coarse, const float *height_m, float *out, struct err *e)
+{
+    struct nadir_frame f;
+    double back = 0;
+    enum err_code rc = nadir_go(n, e);
+    if (!rc)
+        rc = nadir_frame(n, p, &f, e);
+    if (rc)
+        return rc;
+    struct nadir_side s = nadir_side(n, &f, p, way, coarse);
+    nadir_side_span(&s, p, &f, height_m);
+    if (s.rows) {
+        struct camera cam = nadir_side_camera(&s, &f, &back);
+        double scale = fmax(cam.fx_px, cam.fy_px) / fmax(p->px_per_m_x, p->px_per_m_y);
+        rc = nadir_rays(n, &cam, NADIR_ERROR_PX * scale, e); /* the Gaussians seen from above */
+        if (rc)
+            return rc;
+    }
+    for (size_t y = 0; y < p->height; y++)
+        for (size_t x = 0; x < p->width; x++) {
+            size_t i = y * p->width + x;
+            double at[2];
+            nadir_place(p, x, y, at);
+            double fall = nadir_fall(at), z = (double)height_m[i] - fall - f.eye_h_m,
+                   row = floor(nadir_side_row(&s, at, z) - s.first),
+                   column = floor(((s.across[0] * at[0] + s.across[1] * at[1]) * s.px_per_m_across +
+                                   0.5 * s.px_across) /
+                                  s.coarse);
+            out[i] = NAN;
+            if (!(row >= 0) || !(row < s.rows))
+                continue;
+            double depth =
+                (double)
+                    n->depth[(size_t)row * (size_t)ceil(s.px_across / s.coarse) + (size_t)column];
+            /* The ray of that pixel: rows tell -along - z, depth tells along - z. */
+            double down = ((s.first + row + 0.5) * s.coarse - s.row) / s.px_per_m_along,
+                   forward = (depth - back) / nadir_half;
+            if (depth > 0)
+                out[i] = (float)(-0.5 * (down + forward) + f.eye_h_m + fall);
+        }
+    return ERR_OK;
+}
+
+/* ---- one ray ---- */
 
 /* A window of the camera's picture whose pixel in the middle has its centre on the ray. */
 enum err_code nadir_look(struct nadir *n, const struct camera *cam, double x_px, double y_px,

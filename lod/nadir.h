@@ -1,9 +1,10 @@
-/* A store seen straight down: colour and height of the surface, orthographic, one piece of ground
- * at a time.
+/* A store seen straight down, and aslant from four sides: colours and heights along parallel rays,
+ * for a piece of ground at a time. One ray a pixel; the surface that maps and questions use is made
+ * of these (lod/surface.h).
  *
- * The surface is the depth of the Gaussian at which transmittance, from above, falls to 1/2. This
- * median is not affected by haze above a roof or by Gaussians below it; a mean would be
- * (docs/survey.md).
+ * A ray's height is where transmittance, on its way down, falls to 1/2: that of the Gaussian at
+ * which it does. Of haze above a roof and of Gaussians below it the median takes no notice, where a
+ * mean would be moved by both; see docs/survey.md.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -16,7 +17,12 @@ struct camera;
 struct render;
 struct view;
 
-enum { NADIR_SIZE_MAX = 2048 }; /* px, of a piece */
+enum {
+    NADIR_SIZE_MAX = 2048,      /* px, of a piece */
+    NADIR_MARGIN_MAX = 64,      /* px, that may lie around it on each side */
+    NADIR_WAYS = 4,             /* sides that slanted rays come from */
+    NADIR_SLANT_ROWS_MAX = 4096 /* px, of a slanted picture: what would lie beyond has no heights */
+};
 
 struct nadir; /* a store, a renderer and the surveyed area; only one thread may use it */
 struct nadir_options {
@@ -49,7 +55,7 @@ struct nadir_piece {
     double lon_deg, lat_deg;       /* of the centre */
     double turn_rad;               /* of `right`, anticlockwise from east */
     double px_per_m_x, px_per_m_y; /* on the ground */
-    uint32_t width, height;        /* at most NADIR_SIZE_MAX */
+    uint32_t width, height;        /* up to NADIR_SIZE_MAX, and margins */
 };
 /* Places that define a piece: its middle, the middles of its right and lower edges, and its corners
  * (top left, top right, bottom left, bottom right). */
@@ -66,7 +72,17 @@ enum err_code nadir_fit(const struct nadir *n, const double lon_deg[NADIR_PLACES
 enum err_code nadir_draw(struct nadir *n, const struct nadir_piece *p, float *rgb, float *height_m,
                          struct err *e) ERR_USE;
 
-/* What a ray of a perspective camera meets. */
+/* Heights of what slanted rays meet that go through the surface of a piece: out [h][w], where the
+ * ray through pixel i at height_m[i] meets half of the light, ellipsoidal; NAN: nowhere, or
+ * height_m[i] is. Rays go down at 45 degrees and away from the edge `way` of the piece: 0 bottom, 1
+ * left, 2 top, 3 right. They are drawn with pixels of `coarse` pixels of the piece. Pieces whose
+ * corners lie whole multiples of that apart have the same rays. Errors of nadir_draw: ERR_ARG,
+ * ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_MEM, ERR_LIMIT. */
+enum err_code nadir_slant(struct nadir *n, const struct nadir_piece *p, unsigned way,
+                          uint32_t coarse, const float *height_m, float *out,
+                          struct err *e) ERR_USE;
+
+/* What one ray of a perspective camera meets. */
 struct nadir_ray {
     bool found;     /* half of the light is stopped somewhere */
     double depth_m; /* depth of the surface along the optical axis; NAN: none */

@@ -25,19 +25,21 @@ static void probe_tile(const struct nadir *n, double lon_deg, double lat_deg, st
 struct probe_picture { /* 17 px for one place, 129 for many */
     uint32_t side;
     double gsd_m;
-    float *rgb, *height;
+    struct surface_maps maps;
 };
 
 static void probe_read(const struct probe_picture *p, uint32_t x, uint32_t y, struct probe *out)
 {
     size_t at = (size_t)y * p->side + x;
-    if (!isfinite(p->height[at]))
+    if (!isfinite(p->maps.height_m[at]))
         return;
     out->found = true;
-    out->height_m = (double)p->height[at];
-    memcpy(out->rgb, p->rgb + 3 * at, sizeof out->rgb);
+    out->height_m = (double)p->maps.height_m[at];
+    out->sigma_m = (double)p->maps.sigma_m[at];
+    out->noise_m = (double)p->maps.noise_m[at];
+    memcpy(out->rgb, p->maps.rgb + 3 * at, sizeof out->rgb);
     for (size_t i = 0; i < 9; i++) { /* fmin and fmax take no notice of NAN */
-        double h = (double)p->height[at + i % 3 - 1 + (i / 3) * p->side - p->side];
+        double h = (double)p->maps.height_m[at + i % 3 - 1 + (i / 3) * p->side - p->side];
         out->height_min_m = fmin(out->height_min_m, h);
         out->height_max_m = fmax(out->height_max_m, h);
     }
@@ -64,6 +66,7 @@ static enum err_code probe_place(struct nadir *n, const double at[2], double gsd
 {
     memset(out, 0, sizeof *out);
     out->height_m = out->height_min_m = out->height_max_m = (double)NAN;
+    out->sigma_m = out->noise_m = (double)NAN;
     out->pixel_m = gsd;
     if (!(fabs(at[0]) <= 180) || !(fabs(at[1]) <= 90))
         return err_set(e, ERR_ARG, "%g,%g: longitude -180 to 180 and latitude -90 to 90 wanted",
@@ -86,18 +89,18 @@ static enum err_code probe_around(struct nadir *n, const double (*lonlat)[2], si
         p.side = PROBE_PX;
     const struct nadir_piece piece = {lonlat[i][0], lonlat[i][1], 0,     1 / gsd,
                                       1 / gsd,      p.side,       p.side};
-    p.rgb = mem_array((size_t)p.side * p.side, 3 * sizeof *p.rgb);
-    p.height = mem_array((size_t)p.side * p.side, sizeof *p.height);
-    enum err_code rc = p.rgb && p.height ? nadir_draw(n, &piece, p.rgb, p.height, e)
-                                         : err_set(e, ERR_MEM, "out of memory for a picture");
+    size_t pixels = (size_t)p.side * p.side;
+    float *room = mem_array(pixels, 6 * sizeof *room);
+    p.maps = (struct surface_maps){room, room + 3 * pixels, room + 4 * pixels, room + 5 * pixels};
+    enum err_code rc = room ? surface_draw(n, &piece, &p.maps, e)
+                            : err_set(e, ERR_MEM, "out of memory for a picture");
     for (size_t k = i; !rc && k < count; k++) {
         if (done[k] || !probe_pixel(&p, lonlat[i], lonlat[k], &x, &y))
             continue;
         done[k] = true;
         probe_read(&p, x, y, &out[k]);
     }
-    mem_free(p.rgb);
-    mem_free(p.height);
+    mem_free(room);
     return rc;
 }
 

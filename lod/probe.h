@@ -5,11 +5,13 @@
 #ifndef LOD_PROBE_H
 #define LOD_PROBE_H
 
-#include "lod/nadir.h"
+#include "lod/surface.h"
 
 struct probe {
     bool surveyed, found; /* surveyed: the place is in the survey; found: there is a surface */
     double height_m;      /* ellipsoidal; NAN: no surface */
+    double sigma_m;       /* its standard deviation */
+    double noise_m;       /* the same of a level place: see surface_maps */
     /* lowest and highest surface within one pixel on each side: they show how much the exact place
      * matters */
     double height_min_m, height_max_m;

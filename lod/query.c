@@ -208,6 +208,7 @@ static json_t *query_probe(const struct query_work *w, const double at[2], const
     query_lonlat(o, at);
     json_object_set_new(o, "surveyed", json_boolean(p->surveyed));
     query_h(w, o, at, p->height_m);
+    query_m(o, "sigma_m", p->sigma_m);
     query_m(o, "height_min_m", p->height_min_m);
     query_m(o, "height_max_m", p->height_max_m);
     if (p->surveyed) {
@@ -282,6 +283,7 @@ static enum err_code query_profile(const struct query_work *w, struct err *e)
         query_m(o, "distance_m", s[i].distance_m);
         query_lonlat(o, at);
         query_h(w, o, at, h);
+        query_m(o, "sigma_m", s[i].probe.sigma_m);
         json_array_append_new(list, o);
         known += isfinite(h);
         lowest = fmin(lowest, h); /* fmin and fmax take no notice of NAN */
@@ -289,8 +291,8 @@ static enum err_code query_profile(const struct query_work *w, struct err *e)
         if (!isfinite(h) || !isfinite(before))
             continue;
         along += hypot(s[i].distance_m - s[i - 1].distance_m, h - before);
-        *(h > before ? &climb : &fall) += fabs(h - before);
     }
+    measure_climb(s, n, &climb, &fall);
     mem_free(s);
     query_m(w->out, "length_m", length);
     query_m(w->out, "surface_length_m", along);

@@ -10,6 +10,8 @@
 
 #include <math.h>
 
+#include "lod/surface.h"
+
 enum { RASTER_WIDE_PX = 32, RASTER_PIECE_MIN = 16 };
 
 static double raster_lat_deg(const struct area *a)
@@ -133,8 +135,10 @@ static enum err_code raster_rect_draw(const struct raster_job *j, const struct r
     }
     if (!area_mask(nadir_area(j->nadir), corner, r->w, r->h, j->piece_in))
         return ERR_OK;
-    rc = nadir_draw(j->nadir, &p, j->rgb ? j->piece_rgb : NULL,
-                    j->height_m ? j->piece_height : NULL, e);
+    const struct surface_maps maps = {.rgb = j->rgb ? j->piece_rgb : NULL,
+                                      .height_m = j->piece_height};
+    rc = j->height_m ? surface_draw(j->nadir, &p, &maps, e)
+                     : nadir_draw(j->nadir, &p, j->piece_rgb, NULL, e);
     if (!rc)
         raster_copy(j, r);
     return rc;

@@ -105,12 +105,11 @@ static enum err_code contour_begin(void *user, const struct crs *crs, const stru
 }
 
 static enum err_code contour_piece(void *user, uint32_t x, uint32_t y, uint32_t w, uint32_t h,
-                                   const float *rgb, const float *height_m, struct err *e)
+                                   const struct surface_maps *m, struct err *e)
 {
     struct contour_job *j = user;
-    (void)rgb;
     for (size_t i = 0; i < (size_t)w * h; i++)
-        j->pixels[i] = isfinite(height_m[i]) ? height_m[i] : GEOTIFF_NODATA;
+        j->pixels[i] = isfinite(m->height_m[i]) ? m->height_m[i] : GEOTIFF_NODATA;
     return geotiff_write(j->raster, x, y, w, h, j->pixels, e);
 }
 
@@ -264,7 +263,7 @@ enum err_code contour_write(struct nadir *n, const struct contour_request *r, co
                             struct contour_report *report, struct err *e)
 {
     struct contour_job j = {.request = r, .path = path, .meta = store_info(nadir_store(n))};
-    const struct map_visitor v = {"surface, px", &j, contour_begin, contour_piece};
+    const struct map_visitor v = {"surface, px", &j, contour_begin, contour_piece, false};
     map_heights(&r->map, j.heights);
     enum err_code rc = contour_check(&j, e);
     if (!rc)

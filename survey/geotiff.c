@@ -35,6 +35,12 @@ void geotiff_start(void)
     GDALRegister_COG();
 }
 
+/* Bands of a kind, and bytes of a pixel of one. */
+static int geotiff_bands(enum geotiff_kind kind)
+{
+    return kind == GEOTIFF_COLOR ? 4 : kind == GEOTIFF_SURFACE ? 2 : 1;
+}
+
 static enum err_code geotiff_fail(const struct geotiff *t, const char *what, struct err *e)
 {
     return err_set(e, ERR_IO, "%s: %s: %s", t->path, what, CPLGetLastErrorMsg());
@@ -45,8 +51,8 @@ static enum err_code geotiff_describe(struct geotiff *t, const struct geotiff_in
 {
     double transform[6] = {info->west_m, info->pixel_m, 0, info->north_m, 0, -info->pixel_m};
     OGRSpatialReferenceH srs =
-        (OGRSpatialReferenceH)(uintptr_t)(t->kind == GEOTIFF_HEIGHT ? crs_with_heights(info->crs)
-                                                                    : crs_handle(info->crs));
+        (OGRSpatialReferenceH)(uintptr_t)(t->kind == GEOTIFF_COLOR ? crs_handle(info->crs)
+                                                                   : crs_with_heights(info->crs));
     bool bad = GDALSetSpatialRef(t->data, srs) != CE_None ||
                GDALSetGeoTransform(t->data, transform) != CE_None;
     if (info->copyright && *info->copyright)
@@ -55,12 +61,13 @@ static enum err_code geotiff_describe(struct geotiff *t, const struct geotiff_in
         bad |= GDALSetMetadataItem(t->data, "CITYSPLAT_STORE", info->source, NULL) != CE_None;
     bad |= GDALSetMetadataItem(t->data, "TIFFTAG_SOFTWARE", "citysplat " CITYSPLAT_VERSION, NULL) !=
            CE_None;
-    GDALRasterBandH band = GDALGetRasterBand(t->data, 1);
-    if (t->kind == GEOTIFF_HEIGHT) {
+    for (int k = 1; t->kind != GEOTIFF_COLOR && k <= geotiff_bands(t->kind); k++) {
+        GDALRasterBandH band = GDALGetRasterBand(t->data, k);
         bad |= GDALSetRasterNoDataValue(band, (double)GEOTIFF_NODATA) != CE_None;
         bad |= GDALSetRasterUnitType(band, "metre") != CE_None;
-        GDALSetDescription(band, info->heights);
-    } else {
+        GDALSetDescription(band, k == 1 ? info->heights : "standard deviation of the first band");
+    }
+    if (t->kind == GEOTIFF_COLOR) {
         bad |= GDALSetRasterColorInterpretation(GDALGetRasterBand(t->data, 4), GCI_AlphaBand) !=
                CE_None;
     }
@@ -96,7 +103,7 @@ enum err_code geotiff_create(const char *path, enum geotiff_kind kind,
     CPLPushErrorHandler(CPLQuietErrorHandler);
     if (!rc)
         t->data = GDALCreate(GDALGetDriverByName("GTiff"), t->base, (int)info->width,
-                             (int)info->height, kind == GEOTIFF_COLOR ? 4 : 1,
+                             (int)info->height, geotiff_bands(kind),
                              kind == GEOTIFF_COLOR ? GDT_Byte : GDT_Float32, options);
     if (!rc && !t->data)
         rc = geotiff_fail(t, "it could not be created", e);
@@ -114,12 +121,12 @@ enum err_code geotiff_write(struct geotiff *t, uint32_t x, uint32_t y, uint32_t 
                             const void *pixels, struct err *e)
 {
     bool color = t->kind == GEOTIFF_COLOR;
-    int size = color ? 1 : 4, bands = color ? 4 : 1;
+    int size = color ? 1 : 4, bands = geotiff_bands(t->kind);
     CPLPushErrorHandler(CPLQuietErrorHandler);
     CPLErr rc = GDALDatasetRasterIO(t->data, GF_Write, (int)x, (int)y, (int)w, (int)h,
                                     (void *)(uintptr_t)pixels, (int)w, (int)h,
                                     color ? GDT_Byte : GDT_Float32, bands, NULL, size * bands,
-                                    size * bands * (int)w, color ? 1 : 0);
+                                    size * bands * (int)w, size);
     CPLPopErrorHandler();
     return rc == CE_None ? ERR_OK : geotiff_fail(t, "pixels could not be written", e);
 }

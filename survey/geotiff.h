@@ -22,8 +22,9 @@ struct geotiff_info {
     bool rows;                      /* it will be read by rows, and not committed */
 };
 enum geotiff_kind {
-    GEOTIFF_COLOR, /* red, green, blue, alpha: uint8 */
-    GEOTIFF_HEIGHT /* one band of float32, m; nodata GEOTIFF_NODATA */
+    GEOTIFF_COLOR,  /* red, green, blue, alpha: uint8 */
+    GEOTIFF_HEIGHT, /* one band of float32, m; nodata GEOTIFF_NODATA */
+    GEOTIFF_SURFACE /* two of them: heights and their standard deviation */
 };
 struct geotiff;
 /* Starts GDAL with only the GeoTIFF drivers, without files of its own, and with a limited cache.
@@ -34,8 +35,8 @@ void geotiff_start(void);
 enum err_code geotiff_create(const char *path, enum geotiff_kind kind,
                              const struct geotiff_info *info, struct geotiff **out,
                              struct err *e) ERR_USE;
-/* Writes a piece inside the picture. pixels: uint8 [h][w][4] or float [h][w]. Pixels that are never
- * written are nodata. ERR_IO. */
+/* Writes a piece inside the picture. pixels: uint8 [h][w][4], float [h][w] or float [h][w][2].
+ * Pixels that are never written are nodata. ERR_IO. */
 enum err_code geotiff_write(struct geotiff *t, uint32_t x, uint32_t y, uint32_t w, uint32_t h,
                             const void *pixels, struct err *e) ERR_USE;
 /* Reads row y [width] of heights that were written. ERR_IO. */

@@ -110,7 +110,8 @@ struct map_job {
     const struct map_request *request;
     const struct map_visitor *visitor;
     struct map_grid grid;
-    float *rgb, *height;
+    float *rgb;
+    struct surface_maps maps;
     uint8_t *in;      /* surveyed */
     double corner[8]; /* of the piece in the Mercator square, see area_mask */
     struct map_report report;
@@ -172,8 +173,9 @@ static enum err_code map_sea(const struct map_job *j, uint32_t x, uint32_t y, ui
             size_t c = (size_t)s, r = (size_t)t;
             s -= (double)c;
             t -= (double)r;
-            j->height[v * w + u] -= (float)((1 - t) * ((1 - s) * sea[r][c] + s * sea[r][c + 1]) +
-                                            t * ((1 - s) * sea[r + 1][c] + s * sea[r + 1][c + 1]));
+            j->maps.height_m[v * w + u] -=
+                (float)((1 - t) * ((1 - s) * sea[r][c] + s * sea[r][c + 1]) +
+                        t * ((1 - s) * sea[r + 1][c] + s * sea[r + 1][c + 1]));
         }
     return ERR_OK;
 }
@@ -182,13 +184,14 @@ static void map_count(struct map_job *j, size_t n)
 {
     struct map_report *r = &j->report;
     for (size_t i = 0; i < n; i++) {
+        double h = (double)j->maps.height_m[i];
         if (!j->in[i])
-            j->height[i] = NAN;
-        if (!isfinite(j->height[i]))
+            j->maps.height_m[i] = NAN;
+        if (!j->in[i] || !isfinite(h))
             continue;
         r->pixels_held++;
-        r->height_min_m = fmin(r->height_min_m, (double)j->height[i]);
-        r->height_max_m = fmax(r->height_max_m, (double)j->height[i]);
+        r->height_min_m = fmin(r->height_min_m, h);
+        r->height_max_m = fmax(r->height_max_m, h);
     }
 }
 
@@ -198,11 +201,11 @@ static enum err_code map_piece(struct map_job *j, uint32_t x, uint32_t y, uint32
     const struct map_grid *g = &j->grid;
     struct nadir_piece p = {.width = g->width - x < size ? g->width - x : size,
                             .height = g->height - y < size ? g->height - y : size};
-    float *rgb = j->request->kind == GEOTIFF_COLOR ? j->rgb : NULL;
     enum err_code rc = map_place(j->nadir, j->crs, g, x, y, &p, j->corner, &j->report.off_px, e);
     if (rc || !area_mask(nadir_area(j->nadir), j->corner, p.width, p.height, j->in))
         return rc;
-    rc = nadir_draw(j->nadir, &p, rgb, j->height, e);
+    rc = j->visitor->colors_alone ? nadir_draw(j->nadir, &p, j->maps.rgb, j->maps.height_m, e)
+                                  : surface_draw(j->nadir, &p, &j->maps, e);
     if (rc)
         return err_add(e, "piece at pixel %u,%u", x, y);
     if (j->request->geoid)
@@ -210,7 +213,7 @@ static enum err_code map_piece(struct map_job *j, uint32_t x, uint32_t y, uint32
     if (rc)
         return rc;
     map_count(j, (size_t)p.width * p.height);
-    return j->visitor->piece(j->visitor->user, x, y, p.width, p.height, rgb, j->height, e);
+    return j->visitor->piece(j->visitor->user, x, y, p.width, p.height, &j->maps, e);
 }
 
 static enum err_code map_draw(struct map_job *j, uint32_t size, struct err *e)
@@ -220,9 +223,12 @@ static enum err_code map_draw(struct map_job *j, uint32_t size, struct err *e)
     size_t pixels = (size_t)size * size;
     enum err_code rc = ERR_OK;
     j->rgb = mem_array(pixels, 3 * sizeof *j->rgb);
-    j->height = mem_array(pixels, sizeof *j->height);
+    j->maps.height_m = mem_array(pixels, sizeof *j->maps.height_m);
+    j->maps.sigma_m = mem_array(pixels, sizeof *j->maps.sigma_m);
+    j->maps.noise_m = mem_array(pixels, sizeof *j->maps.noise_m);
+    j->maps.rgb = j->request->kind == GEOTIFF_COLOR ? j->rgb : NULL;
     j->in = mem_array(pixels, 1);
-    if (!j->rgb || !j->height || !j->in)
+    if (!j->rgb || !j->maps.height_m || !j->maps.sigma_m || !j->maps.noise_m || !j->in)
         return err_set(e, ERR_MEM, "out of memory for a piece of %u px", size);
     progress_start(&bar, j->visitor->what, (uint64_t)j->grid.width * j->grid.height);
     for (uint32_t y = 0; !rc && y < j->grid.height; y += size) {
@@ -265,7 +271,9 @@ enum err_code map_run(struct nadir *n, const struct map_request *r, const struct
         *report = j.report;
     crs_close(&crs);
     mem_free(j.rgb);
-    mem_free(j.height);
+    mem_free(j.maps.height_m);
+    mem_free(j.maps.sigma_m);
+    mem_free(j.maps.noise_m);
     mem_free(j.in);
     return rc;
 }
@@ -294,7 +302,7 @@ static enum err_code map_file_begin(void *user, const struct crs *crs, const str
     struct map_file *f = user;
     char source[128], heights[100];
     size_t size = f->request->piece_px ? f->request->piece_px : MAP_PIECE_PX;
-    if (!(f->pixels = mem_array(size * size, 4)))
+    if (!(f->pixels = mem_array(size * size, 8)))
         return err_set(e, ERR_MEM, "out of memory for a piece of %zu px", size);
     snprintf(source, sizeof source, "%s %s", f->meta->name, f->meta->revision);
     map_heights(f->request, heights);
@@ -307,7 +315,9 @@ static enum err_code map_file_begin(void *user, const struct crs *crs, const str
                                       .copyright = f->meta->attribution,
                                       .source = source,
                                       .heights = heights};
-    return geotiff_create(f->path, f->request->kind, &info, &f->out, e);
+    return geotiff_create(f->path,
+                          f->request->kind == GEOTIFF_COLOR ? GEOTIFF_COLOR : GEOTIFF_SURFACE,
+                          &info, &f->out, e);
 }
 
 static uint8_t map_byte(float v)
@@ -316,19 +326,20 @@ static uint8_t map_byte(float v)
 }
 
 static enum err_code map_file_piece(void *user, uint32_t x, uint32_t y, uint32_t w, uint32_t h,
-                                    const float *rgb, const float *height_m, struct err *e)
+                                    const struct surface_maps *m, struct err *e)
 {
     struct map_file *f = user;
     uint8_t *byte = f->pixels;
     float *height = f->pixels;
     for (size_t i = 0; i < (size_t)w * h; i++) {
-        bool held = isfinite(height_m[i]);
-        if (!rgb) {
-            height[i] = held ? height_m[i] : GEOTIFF_NODATA;
+        bool held = isfinite(m->height_m[i]);
+        if (!m->rgb) {
+            height[2 * i] = held ? m->height_m[i] : GEOTIFF_NODATA;
+            height[2 * i + 1] = held ? m->sigma_m[i] : GEOTIFF_NODATA;
             continue;
         }
         for (size_t k = 0; k < 3; k++)
-            byte[4 * i + k] = held ? map_byte(rgb[3 * i + k]) : 0;
+            byte[4 * i + k] = held ? map_byte(m->rgb[3 * i + k]) : 0;
         byte[4 * i + 3] = held ? 255 : 0;
     }
     return geotiff_write(f->out, x, y, w, h, f->pixels, e);
@@ -340,7 +351,8 @@ enum err_code map_write(struct nadir *n, const struct map_request *r, const char
     struct map_file f = {.request = r, .path = path, .meta = store_info(nadir_store(n))};
     struct map_report own;
     const struct map_visitor v = {r->kind == GEOTIFF_COLOR ? "ortho, px" : "dsm, px", &f,
-                                  map_file_begin, map_file_piece};
+                                  map_file_begin, map_file_piece,
+                                  .colors_alone = r->kind == GEOTIFF_COLOR};
     double start = clock_s();
     enum err_code rc = map_run(n, r, &v, &own, e);
     if (!rc)

@@ -6,7 +6,7 @@
 #ifndef SURVEY_MAP_H
 #define SURVEY_MAP_H
 
-#include "lod/nadir.h"
+#include "lod/surface.h"
 #include "survey/geotiff.h"
 
 struct geoid;
@@ -43,11 +43,14 @@ struct map_visitor {
     /* Called before the first piece. */
     enum err_code (*begin)(void *user, const struct crs *crs, const struct map_grid *g,
                            struct err *e);
-    /* Receives w x h pixels from (x, y) on. Pieces come row by row. rgb [h][w][3] is 0 to 1, and
-     * NULL for GEOTIFF_HEIGHT. height_m [h][w] is NAN where there is no surface or nothing was
-     * surveyed. Pieces outside the survey are left out. */
+    /* Receives w x h pixels from (x, y) on. Pieces come row by row. rgb is NULL for GEOTIFF_HEIGHT.
+     * height_m is NAN where there is no surface or nothing was surveyed. Pieces outside the survey
+     * are left out. */
     enum err_code (*piece)(void *user, uint32_t x, uint32_t y, uint32_t w, uint32_t h,
-                           const float *rgb, const float *height_m, struct err *e);
+                           const struct surface_maps *m, struct err *e);
+    /* Colours alone: heights are those of single rays and tell where there are any, and there is no
+     * uncertainty. Several times as fast. */
+    bool colors_alone;
 };
 /* Computes the pixels of a request. ERR_ARG: an invalid EPSG code, an empty area, or too many
  * pixels; the message says what is allowed. ERR_IO: PROJ's database lacks the geoid's heights.

@@ -32,12 +32,14 @@ static enum err_code sheet_fail(const struct sheet *s, const char *what, struct 
 static enum err_code sheet_check_bands(const struct sheet *s, struct err *e)
 {
     bool color = s->kind == GEOTIFF_COLOR;
-    int want = color ? 4 : 1;
-    if (GDALGetRasterCount(s->data) != want)
-        return sheet_fail(s,
-                          color ? "not an orthophoto: red, green, blue and alpha are expected"
-                                : "not a surface model: one band of heights is expected",
-                          e);
+    int bands = GDALGetRasterCount(s->data);
+    if (color ? bands != 4 : bands != 1 && bands != 2)
+        return sheet_fail(
+            s,
+            color ? "not an orthophoto: red, green, blue and alpha are expected"
+                  : "not a surface model: one band of heights is expected, and at most one of "
+                    "their standard deviation beside it",
+            e);
     if (color && GDALGetRasterDataType(GDALGetRasterBand(s->data, 1)) != GDT_Byte)
         return sheet_fail(s, "not an orthophoto: 8 bits a colour are expected", e);
     return ERR_OK;

@@ -9,9 +9,9 @@
 
 struct sheet; /* only one thread at a time may use it */
 /* Opens a GeoTIFF, north up, with square pixels, in an EPSG projection in metres: 4 bands of 8 bits
- * for colours, 1 band for heights. Close *out with sheet_close. ERR_NOENT, ERR_FORMAT: it is no
- * such file; the message says what is wrong. ERR_ARG, ERR_IO: of its projection. ERR_LIMIT: larger
- * than map.h allows. ERR_MEM. */
+ * for colours; 1 band for heights, or 2 of which the first is read. Close *out with sheet_close.
+ * ERR_NOENT, ERR_FORMAT: it is no such file; the message says what is wrong. ERR_ARG, ERR_IO: of
+ * its projection. ERR_LIMIT: larger than map.h allows. ERR_MEM. */
 enum err_code sheet_open(const char *path, enum geotiff_kind kind, struct sheet **out,
                          struct err *e) ERR_USE;
 void sheet_close(struct sheet **s);

@@ -47,8 +47,7 @@ static enum err_code surface_points_begin(void *user, const struct crs *crs,
 }
 
 static enum err_code surface_points_piece(void *user, uint32_t x, uint32_t y, uint32_t w,
-                                          uint32_t h, const float *rgb, const float *height_m,
-                                          struct err *e)
+                                          uint32_t h, const struct surface_maps *m, struct err *e)
 {
     struct surface_points *s = user;
     const struct map_grid *g = &s->grid;
@@ -57,13 +56,13 @@ static enum err_code surface_points_piece(void *user, uint32_t x, uint32_t y, ui
         size_t n = 0;
         for (size_t u = 0; u < w; u++) {
             size_t i = v * w + u;
-            if (!isfinite(height_m[i]))
+            if (!isfinite(m->height_m[i]))
                 continue;
             s->row[n] = (struct las_point){{g->west_m + ((double)(x + u) + 0.5) * g->pixel_m,
                                             g->north_m - ((double)(y + v) + 0.5) * g->pixel_m,
-                                            (double)height_m[i]},
+                                            (double)m->height_m[i]},
                                            {0}};
-            memcpy(s->row[n++].rgb, rgb + 3 * i, sizeof s->row[0].rgb);
+            memcpy(s->row[n++].rgb, m->rgb + 3 * i, sizeof s->row[0].rgb);
         }
         if (n)
             rc = las_add(s->out, s->row, n, e);
@@ -75,7 +74,8 @@ enum err_code surface_points_write(struct nadir *n, const struct map_request *r,
                                    struct map_report *report, struct err *e)
 {
     struct surface_points s = {.meta = store_info(nadir_store(n)), .path = path};
-    const struct map_visitor v = {"points, px", &s, surface_points_begin, surface_points_piece};
+    const struct map_visitor v = {"points, px", &s, surface_points_begin, surface_points_piece,
+                                  false};
     enum err_code rc = map_run(n, r, &v, report, e);
     if (!rc)
         rc = las_commit(&s.out, e);

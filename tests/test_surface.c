@@ -1,0 +1,229 @@
+/* The surface as a height field: medians on shapes whose heights are known, slanted rays against
+ * the procedural city, and uncertainties against errors where Gaussians scatter.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/survey_kit.h"
+
+#include "core/base.h"
+#include "core/pool.h"
+#include "lod/surface.h"
+
+enum { SIDE = 40, PIXELS = SIDE * SIDE, PIECE = 160 };
+static const struct surface_window window = {2, 4};
+#define PIECE_GSD_M 0.25
+
+struct field {
+    float height[PIXELS], rgb[3 * PIXELS], out[PIXELS], spread[PIXELS];
+};
+
+static void smooth(struct field *f_)
+{
+    struct err e = {0};
+    kit_ok(surface_smooth(f_->height, f_->rgb, SIDE, SIDE, window, f_->out, f_->spread, &e), e);
+}
+
+static void windows_grow_with_the_gaussians(void **state)
+{
+    (void)state;
+    const struct surface_window fine = surface_window(3.5), coarse = surface_window(0.1),
+                                huge = surface_window(1e6);
+    assert_true(fine.near_px == 2 && fine.far_px == 4);
+    assert_true(coarse.near_px == 1 && coarse.far_px == 1);
+    assert_true(huge.far_px == 32 && huge.near_px == 16);
+}
+
+/* A plane stays one, but at the border of the field, where the window is cut off. */
+static void a_plane_stays(void **state)
+{
+    static struct field p;
+    (void)state;
+    for (size_t i = 0; i < PIXELS; i++)
+        p.height[i] = 0.25f * (float)(i % SIDE) + 0.5f * (float)(i / SIDE);
+    smooth(&p);
+    for (size_t y = 4; y < SIDE - 4; y++)
+        for (size_t x = 4; x < SIDE - 4; x++)
+            assert_true(fabsf(p.out[y * SIDE + x] - p.height[y * SIDE + x]) < 1e-5f);
+}
+
+/* A roof 9 m above a street, heights wrong by two pixels along its edge: colour says where it ends.
+ * Without colours it stays where the heights have it. */
+static void a_step_lies_where_colours_change(void **state)
+{
+    static struct field p;
+    (void)state;
+    for (int painted = 0; painted < 2; painted++) {
+        size_t end = painted ? 20 : 22;
+        for (size_t i = 0; i < PIXELS; i++) {
+            p.height[i] = i % SIDE < 22 ? 9 : 0;
+            for (size_t k = 0; k < 3; k++)
+                p.rgb[3 * i + k] = painted && i % SIDE < 20 ? 0.7f : 0.2f;
+        }
+        smooth(&p);
+        for (size_t x = 0; x < SIDE; x++)
+            assert_true(p.out[20 * SIDE + x] == (x < end ? 9.0f : 0.0f));
+    }
+}
+
+/* Single pixels that are far off go; what is larger than the window's half stays; a hole stays a
+ * hole and spoils nothing around it. */
+static void bumps_go_and_holes_stay(void **state)
+{
+    static struct field p;
+    size_t spike = 10 * SIDE + 10, hole = 25 * SIDE + 25;
+    (void)state;
+    memset(&p, 0, sizeof p);
+    p.height[spike] = 30;
+    for (size_t y = 8; y < 24; y++)
+        for (size_t x = 22; x < 38; x++)
+            p.height[y * SIDE + x] = 3;
+    p.height[hole] = NAN;
+    smooth(&p);
+    assert_true(p.out[spike] == 0.0f && p.spread[spike] == 0.0f);
+    assert_true(p.out[16 * SIDE + 30] == 3.0f);
+    assert_true(isnan(p.out[hole]) && isnan(p.spread[hole]));
+    for (size_t i = 0; i < PIXELS; i++)
+        assert_true(i == hole || (isfinite(p.out[i]) && isfinite(p.spread[i])));
+    assert_true(p.out[hole + 1] == 0.0f);
+}
+
+static void threads_change_nothing(void **state)
+{
+    static struct field a, b;
+    (void)state;
+    for (size_t i = 0; i < PIXELS; i++) {
+        a.height[i] = (float)rng_normal(5, 1, i);
+        for (size_t k = 0; k < 3; k++)
+            a.rgb[3 * i + k] = (float)rng_unit(5, 2, 3 * i + k);
+    }
+    b = a;
+    smooth(&a);
+    pool_limit(1);
+    smooth(&b);
+    pool_limit(0);
+    assert_memory_equal(a.out, b.out, sizeof a.out);
+    assert_memory_equal(a.spread, b.spread, sizeof a.spread);
+}
+
+/* ---- of a store ---- */
+
+static struct nadir_piece piece_at(double gsd_m)
+{
+    return (struct nadir_piece){.lon_deg = origin.lon_deg,
+                                .lat_deg = origin.lat_deg,
+                                .px_per_m_x = 1 / gsd_m,
+                                .px_per_m_y = 1 / gsd_m,
+                                .width = PIECE,
+                                .height = PIECE};
+}
+
+static void pixel_at(size_t i, double gsd_m, double at[2])
+{
+    at[0] = ((double)(i % PIECE) + 0.5 - 0.5 * PIECE) * gsd_m;
+    at[1] = (0.5 * PIECE - (double)(i / PIECE) - 0.5) * gsd_m;
+}
+
+/* Through the true surface all four sides meet it, where nothing stands in the way. */
+static void slanted_rays_meet_the_surface(void **state)
+{
+    static float truth[PIECE * PIECE], got[PIECE * PIECE];
+    const struct nadir_piece p = piece_at(PIECE_GSD_M);
+    struct err e = {0};
+    (void)state;
+    for (size_t i = 0; i < PIECE * PIECE; i++) {
+        double at[2];
+        pixel_at(i, PIECE_GSD_M, at);
+        truth[i] = (float)(origin.h_m + truth_z(at[0], at[1]));
+    }
+    truth[77] = NAN;
+    for (unsigned way = 0; way < NADIR_WAYS; way++) {
+        size_t level = 0, met = 0;
+        kit_ok(nadir_slant(f.nadir, &p, way, 2, truth, got, &e), e);
+        assert_true(isnan(got[77]));
+        for (size_t i = 0; i < PIECE * PIECE; i++) {
+            double at[2];
+            pixel_at(i, PIECE_GSD_M, at);
+            if (i == 77 || !level_at(at[0], at[1], 0.3))
+                continue;
+            level++;
+            met += fabsf(got[i] - truth[i]) < 0.15f;
+        }
+        printf("surface: from side %u %zu of %zu level places are seen\n", way, met, level);
+        assert_true(level > 5000 && (double)met > 0.6 * (double)level);
+    }
+}
+
+/* The cover of the city with discs that scatter in height: errors on level ground are about as
+ * large as the uncertainty says, and smaller than those of one ray. Of overlapping discs the upper
+ * ones are seen, which lifts all: errors are taken from their mean. */
+static void uncertainty_is_that_of_the_errors(void **state)
+{
+    static const double scatter_m = 0.2;
+    static const struct nadir_options no = {.ceiling_m = (double)NAN};
+    static float height[PIECE * PIECE], sigma[PIECE * PIECE], noise[PIECE * PIECE],
+        single[PIECE * PIECE];
+    struct err e = {0};
+    struct gauss g;
+    struct nadir *n;
+    char path[FILE_PATH_MAX];
+    size_t side = (size_t)(EXTENT_M / SPACING_M), known = 0;
+    double sum[2] = {0}, sum2[2] = {0}, sigma2 = 0;
+    (void)state;
+    kit_ok(gauss_alloc(&g, side * side, 0, 0, &e), e);
+    g.antialiased = true;
+    g.n = 0;
+    for (size_t i = 0; i < side * side; i++) {
+        double x = ((double)(i % side) + rng_unit(3, 1, i)) * SPACING_M - 0.5 * EXTENT_M,
+               y = ((double)(i / side) + rng_unit(3, 2, i)) * SPACING_M - 0.5 * EXTENT_M;
+        put(&g, x, y, truth_z(x, y) + scatter_m * rng_normal(3, 3, i), 0.7 * SPACING_M, 0.02, 0.95);
+    }
+    kit_ok(file_join(path, f.dir, "loose.tiles", &e), e);
+    const struct pyramid_config cfg = {.tile_edge_m = 30, .name = "loose", .attribution = "ours"};
+    const struct pyramid_level level = {.g = &g, .level = 3};
+    kit_ok(pyramid_build(&origin, &level, 1, &cfg, NULL, 0, path, NULL, &e), e);
+    gauss_free(&g);
+    kit_ok(nadir_open(path, &no, &n, &e), e);
+    const struct nadir_piece p = piece_at(PIECE_GSD_M);
+    const struct surface_maps maps = {.height_m = height, .sigma_m = sigma, .noise_m = noise};
+    kit_ok(surface_draw(n, &p, &maps, &e), e);
+    kit_ok(nadir_draw(n, &p, NULL, single, &e), e);
+    for (size_t i = 0; i < PIECE * PIECE; i++) {
+        double at[2];
+        pixel_at(i, PIECE_GSD_M, at);
+        double truth = origin.h_m + truth_z(at[0], at[1]);
+        const double off[2] = {(double)height[i] - truth, (double)single[i] - truth};
+        assert_true(!isfinite(height[i]) || (noise[i] > 0 && noise[i] <= sigma[i]));
+        if (!isfinite(height[i]) || !level_at(at[0], at[1], 0.1))
+            continue;
+        known++;
+        for (size_t k = 0; k < 2; k++) {
+            sum[k] += off[k];
+            sum2[k] += off[k] * off[k];
+        }
+        sigma2 += (double)sigma[i] * (double)sigma[i];
+    }
+    assert_true(known > 5000);
+    double of = (double)known, rmse = sqrt(sum2[0] / of - sum[0] * sum[0] / (of * of)),
+           single_rmse = sqrt(sum2[1] / of - sum[1] * sum[1] / (of * of)),
+           ratio = rmse / sqrt(sigma2 / of);
+    printf("surface: %zu level places, RMSE %.3f m where one ray has %.3f, of the uncertainty %.2f "
+           "times; all lie %.3f m high\n",
+           known, rmse, single_rmse, ratio, sum[0] / of);
+    assert_true(rmse < 0.75 * single_rmse);
+    assert_true(ratio > 0.6 && ratio < 1.25);
+    nadir_close(&n);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(windows_grow_with_the_gaussians),
+        cmocka_unit_test(a_plane_stays),
+        cmocka_unit_test(a_step_lies_where_colours_change),
+        cmocka_unit_test(bumps_go_and_holes_stay),
+        cmocka_unit_test(threads_change_nothing),
+        cmocka_unit_test(slanted_rays_meet_the_surface),
+        cmocka_unit_test(uncertainty_is_that_of_the_errors),
+    };
+    return cmocka_run_group_tests(tests, survey_setup, survey_teardown);
+}
