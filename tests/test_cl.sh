@@ -26,7 +26,7 @@ for f in core/*.cl render/*.cl loss/*.cl bench/*.cl; do
                 render/common.cl | loss/lanes.cl) prelude="$prelude -include core/vector.cl" ;;
                 render/*) prelude="$prelude -include core/vector.cl -include render/common.cl" ;;
                 loss/mcmc.cl) prelude="$prelude -include core/vector.cl" ;;
-                loss/mip.cl | loss/scale_loss.cl | loss/depth.cl)
+                loss/mip.cl | loss/scale_loss.cl | loss/depth.cl | loss/solid.cl)
                     prelude="$prelude -include core/vector.cl -include loss/lanes.cl" ;;
             esac
             case $f:$vw in # compiled after others, see their heads

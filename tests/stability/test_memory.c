@@ -28,7 +28,7 @@ enum {
     MEMORY_STEPS = 40,
     /* What a Gaussian may take: 708 are parameters and moments. With appearance three times 16
      * numbers of its embedding are added, and 16 bytes of its statistics. */
-    MEMORY_LIMIT_BYTES = 1140,
+    MEMORY_LIMIT_BYTES = 1260, /* 96 more than without moments of depth: 12 an intersection */
     MEMORY_LIMIT_LIGHT_BYTES = MEMORY_LIMIT_BYTES + 3 * 16 * 4 + 16,
 };
 
