@@ -49,7 +49,9 @@ struct colmap_model {
     size_t n_points;
     struct colmap_track_element *tracks;
     size_t n_tracks;
-    struct arena arena; /* owns everything above */
+    struct arena arena;        /* owns everything above */
+    char dir[FILE_PATH_MAX];   /* by colmap_read: the folder of the files */
+    size_t n_models, n_second; /* models to choose from, and photographs of the second largest */
 };
 /* Reads a model from a folder, or from its sparse/ or sparse/0/. Each of the three files may be
  * .bin (preferred) or .txt. Free it with colmap_free. ERR_NOENT names the files that are missing.

@@ -16,7 +16,7 @@
 #include "codec/colmap.h"
 #include "codec/colmap_parse.h"
 
-enum { PART_COUNT = 3 };
+enum { PART_COUNT = 3, MODELS_GAP = 16 /* numbers without a model that end the search */ };
 static const char *const part_names[PART_COUNT] = {"cameras", "images", "points3D"};
 
 void colmap_free(struct colmap_model *m)
@@ -203,24 +203,85 @@ static enum layout colmap_model_in(const char *dir, char *partial, size_t n_part
     return LAYOUT_NONE;
 }
 
-static enum err_code colmap_model_find(const char *dir, char *out, enum layout *layout,
-                                       struct err *e)
+/* Photographs of a model, without reading it whole: a number at the beginning of images.bin; in
+ * images.txt every second line that is no comment. */
+static size_t colmap_model_size(const char *dir, enum layout layout)
 {
-    static const char *const below[] = {"", "sparse", "sparse/0", "0"};
-    char partial[400] = "";
-    for (size_t i = 0; i < sizeof below / sizeof *below; i++) {
-        enum err_code rc =
-            below[i][0] ? file_join(out, dir, below[i], e) : file_join(out, dir, ".", e);
+    char path[FILE_PATH_MAX];
+    size_t n = 0;
+    int c, line = 0;
+    bool comment = false, begin = true;
+    if (file_join(path, dir, layout == LAYOUT_BIN ? "images.bin" : "images.txt", NULL))
+        return 0;
+    FILE *f = fopen(path, "rb");
+    if (!f)
+        return 0;
+    if (layout == LAYOUT_BIN) {
+        uint8_t b[8];
+        struct cursor k = cursor_over(b, fread(b, 1, sizeof b, f));
+        n = (size_t)cursor_u64(&k);
+    }
+    while (layout == LAYOUT_TXT && (c = fgetc(f)) != EOF) {
+        if (begin)
+            comment = c == '#';
+        begin = c == '\n';
+        if (begin && !comment)
+            n += line++ % 2 == 0;
+    }
+    fclose(f);
+    return n;
+}
+
+/* The largest of the models in dir/0, dir/1 ..., into out; *most 0: there is none. COLMAP begins
+ * another one with photographs that it cannot join to the first, in no order of size. */
+static enum err_code colmap_model_largest(const char *dir, char *out, enum layout *layout,
+                                          struct colmap_model *m, char *partial, size_t n_partial,
+                                          struct err *e)
+{
+    size_t most = 0;
+    for (unsigned k = 0, gap = 0; gap < MODELS_GAP; k++) {
+        char name[16], path[FILE_PATH_MAX];
+        snprintf(name, sizeof name, "%u", k);
+        enum err_code rc = file_join(path, dir, name, e);
         if (rc)
             return rc;
-        *layout = colmap_model_in(out, partial, sizeof partial);
-        if (*layout != LAYOUT_NONE)
-            return ERR_OK;
+        enum layout l = colmap_model_in(path, partial, n_partial);
+        gap = l == LAYOUT_NONE ? gap + 1 : 0;
+        if (l == LAYOUT_NONE)
+            continue;
+        size_t n = colmap_model_size(path, l);
+        bool larger = !m->n_models || n > most;
+        m->n_models++;
+        m->n_second = larger ? most : n > m->n_second ? n : m->n_second;
+        if (!larger)
+            continue;
+        most = n;
+        *layout = l;
+        memcpy(out, path, strlen(path) + 1);
+    }
+    return ERR_OK;
+}
+
+static enum err_code colmap_model_find(const char *dir, char *out, enum layout *layout,
+                                       struct colmap_model *m, struct err *e)
+{
+    static const char *const below[] = {".", "sparse"};
+    char partial[400] = "", folder[FILE_PATH_MAX];
+    *layout = LAYOUT_NONE;
+    for (size_t i = 0; i < 2 * (sizeof below / sizeof *below); i++) {
+        enum err_code rc = file_join(folder, dir, below[i % 2], e);
+        if (!rc && i >= 2) /* first the folders themselves, then numbered ones in them */
+            rc = colmap_model_largest(folder, out, layout, m, partial, sizeof partial, e);
+        else if (!rc && (*layout = colmap_model_in(folder, partial, sizeof partial))) {
+            memcpy(out, folder, strlen(folder) + 1);
+            m->n_models = 1;
+        }
+        if (rc || *layout != LAYOUT_NONE)
+            return rc;
     }
     return err_set(e, ERR_NOENT,
                    "%.300s: no COLMAP model: looked for cameras, images and points3D as .bin or "
-                   ".txt there, in "
-                   "sparse/ and in sparse/0/%s",
+                   ".txt there, in sparse/ and in sparse/0/, sparse/1/ ...%s",
                    dir, partial);
 }
 
@@ -252,7 +313,7 @@ enum err_code colmap_read(const char *dir, struct colmap_model *out, struct err 
     char found[FILE_PATH_MAX];
     enum layout layout;
     struct colmap_model m = {0};
-    enum err_code rc = colmap_model_find(dir, found, &layout, e);
+    enum err_code rc = colmap_model_find(dir, found, &layout, &m, e);
     if (rc)
         goto out;
     for (int i = 0; i < PART_COUNT && !rc; i++)
@@ -263,6 +324,7 @@ enum err_code colmap_read(const char *dir, struct colmap_model *out, struct err 
         err_add(e, "COLMAP model in %.300s", found);
         goto out;
     }
+    memcpy(m.dir, found, strlen(found) + 1);
     *out = m;
     m = (struct colmap_model){0};
 out:

@@ -136,6 +136,9 @@ static enum err_code ingest_list_photos(struct ingest *g, struct err *e)
         return ingest_no_memory(e);
     size_t missing = 0;
     const char *first = NULL;
+    enum err_code listed = ingest_files_list(g->images_dir, &g->files, e);
+    if (listed)
+        return listed;
     for (size_t i = 0; i < g->n; i++)
         g->photos[i].image = &g->model.images[i];
     qsort(g->photos, g->n, sizeof *g->photos, ingest_photo_compare);
@@ -154,10 +157,12 @@ static enum err_code ingest_list_photos(struct ingest *g, struct err *e)
         p->out_name = ingest_out_name_make(g, p->image->name);
         if (!p->out_name)
             return ingest_no_memory(e);
-        enum err_code rc = file_join(path, g->images_dir, p->image->name, e);
+        p->file = p->image->name;
+        enum err_code rc = file_join(path, g->images_dir, p->file, e);
         if (rc)
             return rc;
-        if (!file_exists(path)) {
+        if (!file_exists(path) && !(p->file = ingest_files_find(&g->files, p->image->name))) {
+            p->file = p->image->name;
             p->verdict = INGEST_MISSING;
             first = missing++ ? first : p->image->name;
         }
@@ -174,6 +179,23 @@ static enum err_code ingest_list_photos(struct ingest *g, struct err *e)
 
 /* ---- EXIF and sizes ---- */
 
+/* A file that cannot be read is set aside and named; the others are worth a scene. Any thread. */
+static enum err_code ingest_set_aside(struct ingest *g, struct ingest_photo *p, enum err_code rc,
+                                      struct err *e)
+{
+    if (rc != ERR_FORMAT || p->fault)
+        return rc;
+    p->fault = mem_text(e ? e->msg : "cannot be read");
+    if (!p->fault)
+        return ingest_no_memory(e);
+    p->verdict = INGEST_BROKEN;
+    atomic_fetch_add(&g->n_broken, 1);
+    log_warn("ingest", "set aside: %s", p->fault);
+    if (e)
+        *e = (struct err){0};
+    return ERR_OK;
+}
+
 static enum err_code ingest_read_info_task(void *user, size_t i, struct err *e)
 {
     struct ingest *g = user;
@@ -183,11 +205,16 @@ static enum err_code ingest_read_info_task(void *user, size_t i, struct err *e)
         return ERR_OK;
     if (signals_stopping())
         return err_set(e, ERR_CANCEL, "stopped");
-    enum err_code rc = file_join(path, g->images_dir, p->image->name, e);
+    enum err_code rc = file_join(path, g->images_dir, p->file, e);
     if (!rc)
         rc = image_read_info(path, &p->width_px, &p->height_px, &p->gps, &p->drone, e);
-    if (rc)
+    if (rc) {
+        rc = ingest_set_aside(g, p, rc, e);
+        p->gps = (struct image_gps){0};
+        p->drone = (struct drone_meta){0};
+        ingest_step_done(g);
         return rc;
+    }
     const struct lens *l = &g->model.cameras[p->image->camera].lens;
     if (fabs((double)p->width_px * l->height_px / l->width_px - p->height_px) > 1.001)
         return err_set(e, ERR_DATA,
@@ -297,17 +324,20 @@ static size_t ingest_count_verdict(const struct ingest *g, enum ingest_verdict v
 
 static enum err_code ingest_check_some_left(const struct ingest *g, struct err *e)
 {
-    size_t few = ingest_count_verdict(g, INGEST_FEW_POINTS),
+    size_t broken = ingest_count_verdict(g, INGEST_BROKEN),
+           few = ingest_count_verdict(g, INGEST_FEW_POINTS),
            pose = ingest_count_verdict(g, INGEST_POSE), most = 0;
     if (ingest_count_verdict(g, INGEST_KEPT) >= 3)
         return ERR_OK;
     for (size_t i = 0; i < g->n; i++)
         most = g->photos[i].n_points > most ? g->photos[i].n_points : most;
-    return err_set(e, ERR_DATA,
-                   "no scene is left: %zu of %zu photographs see fewer than %lld points (the best "
-                   "one sees %zu; see "
-                   "--min-points), %zu disagree with the points they see (--max-reprojection-px)",
-                   few, g->n, (long long)g->cfg->min_points, most, pose);
+    return err_set(
+        e, ERR_DATA,
+        "no scene is left: %zu of %zu photographs see fewer than %lld points (the best "
+        "one sees %zu; see "
+        "--min-points), %zu disagree with the points they see (--max-reprojection-px), the "
+        "files of %zu are broken",
+        few, g->n, (long long)g->cfg->min_points, most, pose, broken);
 }
 
 static enum err_code ingest_convert_mask(struct ingest *g, const struct ingest_photo *p,
@@ -332,25 +362,42 @@ static enum err_code ingest_convert_mask(struct ingest *g, const struct ingest_p
 static enum err_code ingest_convert_task(void *user, size_t i, struct err *e)
 {
     struct ingest *g = user;
-    const struct ingest_photo *p = &g->photos[i];
+    struct ingest_photo *p = &g->photos[i];
     char from[FILE_PATH_MAX], to[FILE_PATH_MAX], folder[FILE_PATH_MAX];
     struct codec_limits lim = {0};
     enum err_code rc = ERR_OK;
     if (signals_stopping())
         return err_set(e, ERR_CANCEL, "stopped");
     if (p->verdict == INGEST_KEPT) {
-        rc = file_join(from, g->images_dir, p->image->name, e);
+        rc = file_join(from, g->images_dir, p->file, e);
         if (!rc)
             rc = file_join(folder, g->dir.part, "images", e);
         if (!rc)
             rc = file_join(to, folder, p->out_name, e);
         if (!rc)
             rc = ingest_photo_convert(&g->views[p->view], from, to, &lim, e);
-        if (!rc && g->cfg->mask_dir)
+        if (rc == ERR_FORMAT)
+            rc = ingest_set_aside(g, p, rc, e);
+        else if (!rc && g->cfg->mask_dir)
             rc = ingest_convert_mask(g, p, e);
     }
     ingest_step_done(g);
     return rc;
+}
+
+/* Photographs whose pixels turned out to be broken leave the scene again. */
+static enum err_code ingest_convert(struct ingest *g, struct err *e)
+{
+    size_t before = atomic_load(&g->n_broken);
+    enum err_code rc = ingest_for_photos(g, "undistort and shrink", ingest_convert_task, e);
+    if (rc || atomic_load(&g->n_broken) == before)
+        return rc;
+    g->scene.n_images = g->scene.n_points = g->scene.n_tracks = 0;
+    g->n_views = 0;
+    rc = ingest_check_some_left(g, e);
+    if (!rc)
+        rc = ingest_scene_fill(g, e);
+    return rc ? rc : ingest_points_filter(g->cfg, &g->scene, g->points, e);
 }
 
 /* A folder in which no name fits was named wrongly, or its files were. */
@@ -366,18 +413,31 @@ static enum err_code ingest_check_masks(struct ingest *g, struct err *e)
     return ERR_OK;
 }
 
-static enum err_code ingest_count_unregistered(const struct ingest *g, size_t *out, struct err *e)
+static int ingest_file_compare(const void *a, const void *b)
 {
-    static const char *const suffixes[] = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", NULL};
-    struct arena a = {0};
-    char **names;
-    size_t n, in_top = 0;
-    enum err_code rc = file_list(g->images_dir, suffixes, &a, &names, &n, e);
-    for (size_t i = 0; !rc && i < g->n; i++)
-        in_top += g->photos[i].verdict != INGEST_MISSING && !strchr(g->photos[i].image->name, '/');
-    *out = !rc && n > in_top ? n - in_top : 0;
-    arena_free(&a);
-    return rc;
+    const char *const *p = a, *const *q = b;
+    return strcmp(*p, *q);
+}
+
+/* Photographs in the folder that the model does not have: COLMAP did not place them. */
+static enum err_code ingest_find_unplaced(struct ingest *g, struct err *e)
+{
+    const char **placed = mem_array(g->n, sizeof *placed);
+    g->unplaced = arena_get(&g->scene.arena, g->files.n, sizeof *g->unplaced);
+    if (!placed || !g->unplaced) {
+        mem_free(placed);
+        return ingest_no_memory(e);
+    }
+    for (size_t i = 0; i < g->n; i++)
+        placed[i] = g->photos[i].file;
+    qsort(placed, g->n, sizeof *placed, ingest_file_compare);
+    for (size_t k = 0; k < g->files.n; k++) {
+        const char *name = g->files.names[k];
+        if (!bsearch(&name, placed, g->n, sizeof *placed, ingest_file_compare))
+            g->unplaced[g->n_unplaced++] = g->files.names[k];
+    }
+    mem_free(placed);
+    return ERR_OK;
 }
 
 static enum err_code ingest_write_scene(struct ingest *g, double start_s, struct err *e)
@@ -391,6 +451,11 @@ static enum err_code ingest_write_scene(struct ingest *g, double start_s, struct
                               .points = g->points,
                               .georef = g->fitted ? &g->georef : NULL,
                               .gcp = g->gcps ? &g->gcp : NULL,
+                              .unplaced = g->unplaced,
+                              .n_unplaced = g->n_unplaced,
+                              .model_dir = g->model.dir,
+                              .n_models = g->model.n_models,
+                              .n_second = g->model.n_second,
                               .gimbal = &g->gimbal,
                               .positions = g->positions,
                               .n_positioned = g->n_positioned};
@@ -398,9 +463,7 @@ static enum err_code ingest_write_scene(struct ingest *g, double start_s, struct
         *(g->scene.images[i].split == SCENE_TEST ? &r.n_test : &r.n_train) += 1;
     for (size_t i = 0; i < g->n; i++)
         r.n_gps += g->photos[i].geo.has_gps;
-    enum err_code rc = ingest_count_unregistered(g, &r.n_unregistered, e);
-    if (!rc)
-        rc = scene_write(g->dir.part, &g->scene, e);
+    enum err_code rc = scene_write(g->dir.part, &g->scene, e);
     if (!rc)
         rc = file_join(path, g->dir.part, "report.json", e);
     r.seconds = clock_s() - start_s;
@@ -420,6 +483,8 @@ static enum err_code ingest_run_steps(struct ingest *g, const char *sparse_dir, 
     enum err_code rc = colmap_read(sparse_dir, &g->model, e);
     if (!rc)
         rc = ingest_list_photos(g, e);
+    if (!rc)
+        rc = ingest_find_unplaced(g, e);
     if (!rc)
         rc = ingest_for_photos(g, "read EXIF", ingest_read_info_task, e);
     if (!rc)
@@ -445,7 +510,7 @@ static enum err_code ingest_run_steps(struct ingest *g, const char *sparse_dir, 
     if (!rc)
         rc = file_mkdir(folder, e);
     if (!rc)
-        rc = ingest_for_photos(g, "undistort and shrink", ingest_convert_task, e);
+        rc = ingest_convert(g, e);
     if (!rc && g->cfg->mask_dir)
         rc = ingest_check_masks(g, e);
     if (!rc && g->cfg->exposure)
@@ -498,6 +563,9 @@ enum err_code ingest_run_with(const char *images_dir, const char *sparse_dir,
         rc = ingest_run_steps(&g, sparse_dir, start_s, e);
     outdir_abort(&g.dir);
     georef_free(&g.georef);
+    for (size_t i = 0; i < g.n && g.photos; i++)
+        mem_free(g.photos[i].fault);
+    ingest_files_free(&g.files);
     gcp_fit_free(&g.gcp);
     geoid_close(&g.geoid);
     colmap_free(&g.model);

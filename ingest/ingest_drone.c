@@ -24,7 +24,7 @@ static const double drone_keeps_m = 5, drone_keeps_share = 0.9, drone_deg = 57.2
 
 static bool drone_counts(const struct ingest_photo *p, uint32_t flight)
 {
-    return p->verdict != INGEST_MISSING && p->geo.flight_hint == flight;
+    return p->verdict < INGEST_MISSING && p->geo.flight_hint == flight;
 }
 
 /* EXIF's altitude minus the barometer's, of all that have both; their median, and whether nearly

@@ -48,7 +48,7 @@ static enum err_code frame_gps_to_enu(struct ingest *g, const struct geo_origin 
     enum err_code rc = ERR_OK;
     for (size_t i = 0; !rc && i < g->n; i++) {
         struct ingest_photo *p = &g->photos[i];
-        p->geo.has_gps = p->verdict != INGEST_MISSING && frame_gps_usable(&p->gps);
+        p->geo.has_gps = p->verdict < INGEST_MISSING && frame_gps_usable(&p->gps);
         if (p->geo.has_gps)
             rc = geo_to_enu(o, p->gps.lon_deg, p->gps.lat_deg, ingest_heights_photo_m(g, p),
                             p->geo.gps_enu_m, e);

@@ -18,7 +18,14 @@
 
 struct ingest_config;
 
-enum ingest_verdict { INGEST_KEPT, INGEST_FEW_POINTS, INGEST_POSE, INGEST_GPS, INGEST_MISSING };
+enum ingest_verdict {
+    INGEST_KEPT,
+    INGEST_FEW_POINTS,
+    INGEST_POSE,
+    INGEST_GPS,
+    INGEST_MISSING,
+    INGEST_BROKEN /* its file cannot be read */
+};
 enum ingest_point { /* verdict on a sparse point: ingest_points.c */
                     INGEST_POINT_KEPT,
                     INGEST_POINT_ANGLE,
@@ -47,7 +54,9 @@ struct ingest_gimbal {
 };
 struct ingest_photo {
     const struct colmap_image *image;
-    char *out_name; /* in images/ of the scene */
+    const char *file; /* below the folder of photographs; capitals may differ from the name */
+    char *fault;      /* of a broken one: why; else NULL */
+    char *out_name;   /* in images/ of the scene */
     uint32_t width_px, height_px;
     struct image_gps gps; /* its altitude is the one that is used */
     struct drone_meta drone;
@@ -60,10 +69,27 @@ struct ingest_photo {
     uint32_t flight, view;
     enum ingest_verdict verdict;
 };
+/* ---- ingest_files.c ---- */
+
+struct ingest_files { /* {0} is empty; ingest_files_free */
+    char **names;     /* [n] paths below the folder, by name without regard to capitals */
+    size_t n, cap;
+};
+/* Lists the photographs below a folder. Scenes and masks in it are left out. ERR_LIMIT, ERR_MEM. */
+enum err_code ingest_files_list(const char *root, struct ingest_files *out, struct err *e) ERR_USE;
+void ingest_files_free(struct ingest_files *f);
+/* Returns the file of a name; capitals may differ if only one file fits. NULL: there is none. */
+const char *ingest_files_find(const struct ingest_files *f, const char *name);
+/* Does the name end as photographs do, and not as their masks? */
+bool ingest_files_is_photo(const char *name);
+
 struct ingest_result { /* input of ingest_report.c */
     const struct ingest_config *cfg;
     const struct ingest_photo *photos; /* in the order of file names */
-    size_t n_photos, n_kept, n_train, n_test, n_gps, n_unregistered;
+    size_t n_photos, n_kept, n_train, n_test, n_gps, n_unplaced;
+    char *const *unplaced;     /* [n_unplaced] photographs that the model does not have */
+    const char *model_dir;     /* the model that was read */
+    size_t n_models, n_second; /* models that lay there, and photographs of the second largest */
     const struct scene *scene;
     const size_t *points;               /* [INGEST_POINT_VERDICTS] sparse points by verdict */
     const struct georef_result *georef; /* NULL: there was too little GPS */
@@ -77,6 +103,10 @@ struct ingest_result { /* input of ingest_report.c */
 struct ingest {
     const struct ingest_config *cfg;
     const char *images_dir;
+    struct ingest_files files;
+    char **unplaced; /* photographs that the model does not have */
+    size_t n_unplaced;
+    atomic_size_t n_broken;
     struct outdir dir;
     struct colmap_model model;
     struct ingest_photo *photos; /* by name; arrays and names live in the scene's arena */

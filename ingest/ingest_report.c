@@ -34,6 +34,9 @@ static void report_verdict_text(const struct ingest_result *r, const struct inge
         snprintf(out, n, "%.1f m from its GPS position, more than %.1f m", p->residual_m,
                  r->georef ? r->georef->tau_m : 0);
         break;
+    case INGEST_BROKEN:
+        snprintf(out, n, "its file cannot be read: %.*s", (int)(n - 30), p->fault);
+        break;
     case INGEST_MISSING:
         snprintf(out, n, "not in the folder of photographs");
         break;
@@ -373,9 +376,13 @@ void ingest_report_print(const struct ingest_result *r)
     }
     if (dropped > shown)
         printf("dropped  ... and %zu more, see report.json\n", dropped - shown);
-    if (r->n_unregistered)
-        printf("ignored  %zu pictures in the folder that the COLMAP model does not hold\n",
-               r->n_unregistered);
+    for (size_t i = 0; i < r->n_unplaced && i < NAMES_SHOWN; i++)
+        printf("unplaced %s: in the folder, but not in the model\n", r->unplaced[i]);
+    if (r->n_unplaced > NAMES_SHOWN)
+        printf("unplaced ... and %zu more, see report.json\n", r->n_unplaced - NAMES_SHOWN);
+    if (r->n_models > 1)
+        printf("model    %s: the largest of %zu; the second has %zu photographs\n", r->model_dir,
+               r->n_models, r->n_second);
 }
 
 static json_t *report_real_or_null(double v)
@@ -542,12 +549,21 @@ enum err_code ingest_report_write(const struct ingest_result *r, const char *pat
         "s:f}",
         "photographs", (json_int_t)r->n_photos, "kept", (json_int_t)r->n_kept, "train",
         (json_int_t)r->n_train, "test", (json_int_t)r->n_test, "with_gps", (json_int_t)r->n_gps,
-        "not_in_model", (json_int_t)r->n_unregistered, "scale_m", r->scene->scale, "heights",
+        "not_in_model", (json_int_t)r->n_unplaced, "scale_m", r->scene->scale, "heights",
         r->scene->heights, "exposure", "range_ev", range_ev, "median_ev", median_ev, "altitudes",
         report_altitudes_to_json(r), "gimbals", report_gimbal_to_json(r->gimbal), "georeferencing",
         report_georef_to_json(r), "ground_control", report_gcp_to_json(r->gcp), "points",
         report_points_to_json(r), "photos", report_photos_to_json(r), "config", config, "seconds",
         r->seconds);
+    json_t *unplaced = json_array();
+    for (size_t i = 0; root && i < r->n_unplaced; i++)
+        json_array_append_new(unplaced, json_string(r->unplaced[i]));
+    if (root)
+        json_object_set_new(root, "unplaced", unplaced);
+    else
+        json_decref(unplaced);
+    if (root)
+        json_object_set_new(root, "models", json_integer((json_int_t)r->n_models));
     if (!root)
         return err_set(e, ERR_DATA, "%s: cannot be written: a photograph's name is not UTF-8",
                        path);

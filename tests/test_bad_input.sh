@@ -49,7 +49,17 @@ refuse "no COLMAP model" 1 "cameras|sparse" "$work/scene" \
 fresh
 first=$(ls "$work/bad/images" | head -1)
 printf 'this is not a photograph' >"$work/bad/images/$first"
-refuse "not an image" 1 "$first" "$work/scene" \
+# One of them is named and set aside; of all of them nothing can be made.
+"$bin" ingest "$work/bad/images" "$work/bad/sparse" -o "$work/scene" -q >"$work/log" 2>&1
+if [ $? = 0 ] && grep -q "set aside: .*$first" "$work/log"; then
+    passed=$((passed + 1))
+else
+    failed=$((failed + 1))
+    echo "FAIL one file that is no image: it is to be named and set aside"
+fi
+rm -rf "$work/scene"
+for f in "$work/bad/images"/*.jpg; do printf 'this is not a photograph' >"$f"; done
+refuse "no images" 1 "files of 12 are broken" "$work/scene" \
     "$bin" ingest "$work/bad/images" "$work/bad/sparse" -o "$work/scene" -q
 fresh
 for f in "$work/bad/images"/*.jpg; do
