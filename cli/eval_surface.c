@@ -262,7 +262,8 @@ static enum err_code surface_points(struct eval_surface *v, const struct truth_v
         const struct truth_pixel *t = &v->pixel[i];
         double from[3], dir[3], place[3] = {t->enu[0], t->enu[1], t->enu[2]};
         if (t->t_m > 0.0f && t->inside)
-            rc = surface_cloud_add(&v->exact, place, t->kind, e);
+            rc = surface_cloud_add(&v->exact, place,
+                                   (uint8_t)surface_class_base((enum surface_class)t->kind), e);
         if (rc || !(v->median[i] > 0.0f))
             continue;
         double slant = truth_ray(view, (double)(i % w) + 0.5, (double)(i / w) + 0.5, from, dir);
@@ -308,7 +309,7 @@ static enum err_code surface_tell_match(const struct eval_surface *v, struct sur
         return rc;
     printf("%-18s %8s %8s %9s %7s %7s %9s %7s %7s\n", "points", "model", "truth", "1 GSD: P", "R",
            "F1", "2 GSD: P", "R", "F1");
-    for (size_t i = 0; !rc && i <= SURFACE_CLASSES; i++) {
+    for (size_t i = 0; !rc && i <= SURFACE_BASES; i++) {
         size_t k = i ? i - 1 : SURFACE_CLASSES; /* all of them first */
         const char *name = i ? surface_class_name((enum surface_class)k) : "all";
         const struct surface_match *a = &m->within[0][k], *b = &m->within[1][k];
@@ -338,7 +339,7 @@ static enum err_code surface_tell_short(const struct eval_surface *v,
                                         const struct surface_matches *m, struct err *e)
 {
     const struct surface_pick picks[] = {
-        {.level = true}, {.kinds = 1u << SURFACE_GROUND, .level = true}, {0}};
+        {.level = true}, {.kinds = surface_class_bits(SURFACE_GROUND), .level = true}, {0}};
     struct surface_figures f[3];
     enum err_code rc = ERR_OK;
     for (size_t i = 0; !rc && i < 3; i++)

@@ -42,26 +42,47 @@ static const struct surface_column {
 };
 enum { SURFACE_COLUMNS = sizeof surface_columns / sizeof *surface_columns };
 
-#define SURFACE_BIT(k) (UINT32_C(1) << (k))
+#define SURFACE_ANY SURFACE_CLASSES
 static const struct surface_group {
-    const char *name;
-    struct surface_pick pick;
-    bool edges, kinds; /* rays must know these */
+    const char *name; /* NULL: the class's */
+    enum surface_class kind;
+    bool level, edge;
+    float bright_from, bright_to;
 } surface_groups[] = {
-    {"level", {.level = true}, true, false},
-    {"edges", {.edge = true}, true, false},
-    {"all", {0}, false, false},
-    {"level ground", {.kinds = SURFACE_BIT(SURFACE_GROUND), .level = true}, true, true},
-    {"ground", {.kinds = SURFACE_BIT(SURFACE_GROUND)}, false, true},
-    {"roof", {.kinds = SURFACE_BIT(SURFACE_ROOF)}, false, true},
-    {"wall", {.kinds = SURFACE_BIT(SURFACE_WALL)}, false, true},
-    {"tree", {.kinds = SURFACE_BIT(SURFACE_TREE)}, false, true},
-    {"car", {.kinds = SURFACE_BIT(SURFACE_CAR)}, false, true},
-    {"bright to 0.2", {.level = true, .bright_to = 0.2f}, false, false},
-    {"bright 0.2 to 0.4", {.level = true, .bright_from = 0.2f, .bright_to = 0.4f}, false, false},
-    {"bright 0.4 to 0.6", {.level = true, .bright_from = 0.4f, .bright_to = 0.6f}, false, false},
-    {"bright from 0.6", {.level = true, .bright_from = 0.6f, .bright_to = 2.0f}, false, false},
+    {"level", SURFACE_ANY, true, false, 0, 0},
+    {"edges", SURFACE_ANY, false, true, 0, 0},
+    {"all", SURFACE_ANY, false, false, 0, 0},
+    {"level ground", SURFACE_GROUND, true, false, 0, 0},
+    {NULL, SURFACE_GROUND, false, false, 0, 0},
+    {NULL, SURFACE_ROOF, false, false, 0, 0},
+    {NULL, SURFACE_WALL, false, false, 0, 0},
+    {NULL, SURFACE_TREE, false, false, 0, 0},
+    {NULL, SURFACE_CAR, false, false, 0, 0},
+    {NULL, SURFACE_ASPHALT, false, false, 0, 0},
+    {NULL, SURFACE_MARK, false, false, 0, 0},
+    {NULL, SURFACE_LAWN, false, false, 0, 0},
+    {NULL, SURFACE_BLACK, false, false, 0, 0},
+    {NULL, SURFACE_GLASS, false, false, 0, 0},
+    {"bright to 0.2", SURFACE_ANY, false, false, 0, 0.2f},
+    {"bright 0.2 to 0.4", SURFACE_ANY, false, false, 0.2f, 0.4f},
+    {"bright 0.4 to 0.6", SURFACE_ANY, false, false, 0.4f, 0.6f},
+    {"bright from 0.6", SURFACE_ANY, false, false, 0.6f, 2.0f},
 };
+
+/* What a group picks among these rays; false: they do not know it. */
+static bool surface_group_pick(const struct surface_table *t, const struct surface_group *g,
+                               struct surface_pick *out)
+{
+    bool any = g->kind == SURFACE_ANY;
+    *out = (struct surface_pick){.kinds = any                       ? 0
+                                          : g->kind < SURFACE_BASES ? surface_class_bits(g->kind)
+                                                                    : UINT32_C(1) << g->kind,
+                                 .level = g->level || g->bright_to > 0.0f,
+                                 .edge = g->edge,
+                                 .bright_from = g->bright_from,
+                                 .bright_to = g->bright_to};
+    return (t->edges || !(g->level || g->edge)) && (t->kinds || any);
+}
 
 void surface_table_cell(int width, int digits, double v)
 {
@@ -126,12 +147,13 @@ enum err_code surface_table_print(const struct surface_table *t, const struct su
     putchar('\n');
     for (size_t i = 0; !rc && i < sizeof surface_groups / sizeof *surface_groups; i++) {
         const struct surface_group *g = &surface_groups[i];
+        struct surface_pick pick;
         struct surface_figures f;
-        if ((g->edges && !t->edges) || (g->kinds && !t->kinds))
+        if (!surface_group_pick(t, g, &pick))
             continue;
-        rc = surface_rays_tell(s, &g->pick, t->gsd_m, &f, e);
+        rc = surface_rays_tell(s, &pick, t->gsd_m, &f, e);
         if (!rc && f.n)
-            rc = surface_group_print(t, g->name, &f, e);
+            rc = surface_group_print(t, g->name ? g->name : surface_class_name(g->kind), &f, e);
     }
     return rc;
 }

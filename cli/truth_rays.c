@@ -71,8 +71,16 @@ bool truth_inside(const struct truth_city *c, const double p[3])
     return fabs(cs * p[0] + sn * p[1]) <= half && fabs(-sn * p[0] + cs * p[1]) <= half;
 }
 
-static enum surface_class truth_kind(const struct synth_hit *hit)
+static enum surface_class truth_kind(const struct synth_city *c, const struct synth_hit *hit)
 {
+    static const enum surface_class painted[] = {[SYNTH_ASPHALT] = SURFACE_ASPHALT,
+                                                 [SYNTH_MARK] = SURFACE_MARK,
+                                                 [SYNTH_LAWN] = SURFACE_LAWN,
+                                                 [SYNTH_BLACK] = SURFACE_BLACK,
+                                                 [SYNTH_GLASS] = SURFACE_GLASS};
+    enum synth_paint paint = synth_shade_paint(c, hit);
+    if (paint != SYNTH_RICH)
+        return painted[paint];
     if (!hit->solid)
         return SURFACE_GROUND;
     switch (hit->solid->material) {
@@ -112,7 +120,7 @@ static void truth_pixel(const struct truth_rays_job *j, double x_px, double y_px
     out->t_m = (float)hit.t_m;
     for (int k = 0; k < 3; k++)
         out->enu[k] = (float)(from[k] + hit.t_m * dir[k]);
-    out->kind = (uint8_t)truth_kind(&hit);
+    out->kind = (uint8_t)truth_kind(city, &hit);
     out->inside = fabs(hit.pos[0]) <= city->half_m && fabs(hit.pos[1]) <= city->half_m;
     if (!out->inside || !j->v->shaded)
         return;

@@ -74,6 +74,8 @@ scene_about() {
     cells) echo "procedural city 200 m, 150 photographs of 400 x 300 px, 6 cells of 70 m, 24 map views" ;;
     cells-light) echo "procedural city 200 m, 150 photographs of 400 x 300 px under changing light, 11 cells of 66 m" ;;
     cells-location) echo "procedural city 200 m, 150 photographs of 400 x 300 px, 6 cells of 70 m, without visibility selection, 24 map views" ;;
+    exact) echo "city of the demo's size, seed 7, exact GPS, 84 photographs of 480 x 360 px, 24 map views" ;;
+    tricky) echo "the same city in paint that says little of shape" ;;
     demo) echo "demo city 120 m, 84 photographs of 480 x 360 px, 24 map views" ;;
     gloss) echo "the demo city with surfaces that shine, 84 photographs of 480 x 360 px, 24 map views" ;;
     big) echo "procedural city 1 km, 640 photographs of 512 x 384 px, 12 cells of 340 m, 24 map views" ;;
@@ -120,6 +122,12 @@ scene_build() { # NAME FOLDER
       ;;
     demo)
       citysplat synth --config configs/demo-synth.jsonc --map-views 24 -o "$2-photos" --overwrite -q
+      citysplat ingest "$2-photos/images" "$2-photos/sparse" --config configs/demo-ingest.jsonc -o "$2" -q
+      ;;
+    exact | tricky)
+      local paint=rich
+      [ "$1" = exact ] || paint=tricky
+      citysplat synth --config configs/demo-synth.jsonc --seed 7 --gps-sigma-m 0 --gps-outlier-share 0 --paint "$paint" --map-views 24 -o "$2-photos" --overwrite -q
       citysplat ingest "$2-photos/images" "$2-photos/sparse" --config configs/demo-ingest.jsonc -o "$2" -q
       ;;
     gloss)
@@ -195,10 +203,10 @@ trained() {
 
 # row STUDY ROW SCENE SET OPTIONS...: train with OPTIONS, score every level at its own size, record with the
 # numbers SET (budget=50000,...). Options of eval come after `--eval`, those of a second scoring as tiles after
-# `--tiles`. MAP_VIEWS=1 also scores the scene's map views, KEEP=1 leaves the trained cells where they are, SHARED=1 in
+# `--tiles`. MAP_VIEWS=1 also scores the scene's map views, SURFACE=city or points its surface, KEEP=1 leaves the trained cells where they are, SHARED=1 in
 # the scene's own folder, for other studies that train it alike.
 row() {
-  local study=$1 name=$2 scene=$3 set=$4 part=train folder command o
+  local study=$1 name=$2 scene=$3 set=$4 part=train folder command o surface=
   shift 4
   local train=(${SEED:+--seed "$SEED"}) eval=() tiles=()
   [ -z "$SEED" ] || name="$name (seed $SEED)" set="${set:+$set,}seed=$SEED"
@@ -215,6 +223,10 @@ row() {
   command="citysplat train $scene ${train[*]}; citysplat eval $scene${eval[*]:+ ${eval[*]}}"
   [ $part != tiles ] || command+="; citysplat tile $scene --crop none; citysplat eval $scene --tiles CITY.tiles${tiles[*]:+ ${tiles[*]}}"
   [ -z "${MAP_VIEWS:-}" ] || command+="; citysplat eval $scene --views $scene-photos/map-views"
+  case ${SURFACE:-} in
+    city) command+="; citysplat eval $scene --surface $scene-photos" surface=$OUT/$scene-photos ;;
+    points) command+="; citysplat eval $scene --surface points" surface=points ;;
+  esac
   wanted "$study" "$name" "$command" || return 0
   scene "$scene" || { say "$study: $name: skipped: its photographs are not at hand"; return 0; }
   folder=$OUT/trained/$([ -n "${SHARED:-}" ] && slug shared "$scene" || slug "$study" "$name")
@@ -231,9 +243,33 @@ row() {
     citysplat eval "$OUT/$scene" --results "$folder" --views "$OUT/$scene-photos/map-views" -o "$folder/views.json" >&2
     scores+=,$folder/views.json
   fi
+  if [ -n "$surface" ]; then
+    citysplat eval "$OUT/$scene" --results "$folder" --surface "$surface" -o "$folder/surface.json" >&2
+    scores+=,$folder/surface.json
+  fi
   record "$study" "$name" "$command" --dataset "$(scene_about "$scene")" --commit "$COMMIT" --scores "$scores" \
     --results "$folder" --ceilings "$OUT/ceilings.jsonl" ${set:+--set "$set"}
   [ "${KEEP:-0}" = 1 ] || [ -n "${SHARED:-}" ] || rm -rf "$folder"
+}
+
+# repeat STUDY ROW SCENE SET OPTIONS...: what `compare` makes of two trainings of the same photographs, which should be
+# nothing, recorded as STUDY_repeat. They are those of `row STUDY ROW` with seeds 1 and 2 where KEEP=1 has left them.
+repeat() {
+  local study=$1 name=$2 scene=$3 k folder command tiles=()
+  shift 4
+  command="citysplat train $scene --seed 1 $*; citysplat train $scene --seed 2 $*; citysplat tile $scene; citysplat compare 1.tiles 2.tiles"
+  wanted solid_repeat "$study: $name" "$command" || return 0
+  scene "$scene" || { say "$study: $name: skipped: its photographs are not at hand"; return 0; }
+  for k in 1 2; do
+    folder=$OUT/trained/$(slug "$study" "$name (seed $k)")
+    trained "$folder" "$scene" --seed "$k" "$@"
+    tiles+=("$folder/city.tiles")
+    citysplat tile "$OUT/$scene" --trained "$folder" -o "$folder/city.tiles" >&2
+  done
+  citysplat compare "${tiles[@]}" -o "$folder/change.tif" >"$folder/change.json"
+  cat "$folder/change.json" >&2
+  record solid_repeat "$study: $name" "$command" --dataset "$(scene_about "$scene")" --commit "$COMMIT" \
+    --set "$(sed -n 's/^  "\([a-z0-9_]*\)": \(-\{0,1\}[0-9][-+.0-9e]*\),\{0,1\}$/\1=\2/p' "$folder/change.json" | paste -sd, -)"
 }
 
 # tile_row STUDY ROW SCENE SET TILE-OPTIONS --eval EVAL-OPTIONS -- TRAIN-OPTIONS: score tiles of a scene that is
@@ -460,6 +496,28 @@ background_rows() { # STUDY SCENE TRAIN-OPTIONS
 study_background() { seeded background on_demo background_rows background; }
 study_background_caliterra() { seeded background_caliterra on_caliterra background_rows background_caliterra; }
 
+# Solid surfaces: rows are added here, and every study of them has them. CALL is `row`, or `repeat`.
+solid_rows() { # CALL STUDY SCENE TRAIN-OPTIONS
+  local call=$1 study=$2 scene=$3
+  shift 3
+  "$call" "$study" default "$scene" "" "$@"
+  "$call" "$study" "no harmonics" "$scene" "" "$@" --sh-degree 0
+  "$call" "$study" "depth of points" "$scene" "" "$@" --depth-sparse
+  "$call" "$study" "behind all ground" "$scene" "" "$@" --background-random supported
+  "$call" "$study" "fainter pruned" "$scene" "" "$@" --prune-opacity 0.1
+}
+# solid STUDY SCENE SURFACE: all rows with their seeds, then two trainings of each against each other.
+solid() {
+  local study=$1 scene=$2 SURFACE=$3 KEEP=1
+  seeded "$study" solid_rows row "$study" "$scene" --iterations "$(steps "$study")"
+  solid_rows repeat "$study" "$scene" --iterations "$(steps "$study")"
+  rm -rf "$OUT/trained/$study"-*--seed-*
+}
+study_solid() { MAP_VIEWS=1 solid solid exact city; }
+study_solid_tricky() { MAP_VIEWS=1 solid solid_tricky tricky city; }
+study_solid_caliterra() { solid solid_caliterra caliterra-400 points; }
+study_solid_ochota() { solid solid_ochota ochota-400 points; }
+
 # What long Gaussians and harmonics do to views from where nobody photographed.
 side_rows() {
   local MAP_VIEWS=1 base=(--iterations "$(steps side)" --budget 20000,40000,80000)
@@ -656,7 +714,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra background background_caliterra sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ablation ablation_city cells cells_light
+readonly STUDIES=(time full big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_tricky solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ablation ablation_city cells cells_light
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {

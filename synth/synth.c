@@ -213,6 +213,8 @@ static enum err_code synth_write_truth(const struct job *j, const struct synth_s
     json_object_del(config, "map_seed");
     json_object_del(config, "map_light");
     json_object_del(config, "map_blur_px");
+    if (cfg->paint == SYNTH_PAINT_RICH) /* cities had it before there was another */
+        json_object_del(config, "paint");
     json_t *root = json_pack(
         "{s:s, s:o, s:{s:f, s:f, s:f}, s:{s:f, s:o, s:o}, s:{s:s, s:i, s:i, s:o}, s:o}", "format",
         "citysplat-truth", "config", config ? config : json_object(), "origin", "lon_deg",

@@ -26,6 +26,7 @@ struct synth_config {
 #include "synth/synth.def"
 #undef OPT
 };
+enum { SYNTH_PAINT_RICH, SYNTH_PAINT_TRICKY }; /* cfg->paint */
 /* The table of struct synth_config: flags, defaults, ranges, help. */
 const struct options_spec *synth_options(void);
 /* Makes the city of cfg in cfg->output:
@@ -74,6 +75,7 @@ struct synth_city { /* {0} is empty; synth_city_free */
     double street_half_m[2][SYNTH_STREETS_MAX];
     size_t n_streets[2];
     double sun[3]; /* unit vector to the sun, city frame */
+    bool tricky;   /* paint says little of shape: see synth_shade_paint */
     double gloss;  /* share of the full gloss; 0: everything is matt */
     struct synth_solid *solids;
     size_t n_solids, cap_solids;
@@ -120,6 +122,16 @@ struct synth_light synth_shade_light(void);
 void synth_shade_hit(const struct synth_city *c, const struct synth_grid *moving,
                      const struct synth_light *light, const double dir[3],
                      const struct synth_hit *hit, double footprint_m, float rgb[3]);
+/* What a tricky city has at a hit; of another city always SYNTH_RICH. Each has one albedo. */
+enum synth_paint {
+    SYNTH_RICH,
+    SYNTH_ASPHALT,
+    SYNTH_MARK,
+    SYNTH_LAWN,
+    SYNTH_BLACK, /* of a roof */
+    SYNTH_GLASS  /* of a front */
+};
+enum synth_paint synth_shade_paint(const struct synth_city *c, const struct synth_hit *hit);
 /* Converts a linear colour, after gains, to an sRGB byte. */
 uint8_t synth_shade_encode(float linear);
 

@@ -333,6 +333,7 @@ enum err_code synth_city_make(const struct synth_config *cfg, struct synth_city 
     double azimuth = 2 * M_PI * rng_unit(c.seed, SYNTH_STREAM_YAW, 1);
     double rise = 0.75 + 0.25 * rng_unit(c.seed, SYNTH_STREAM_YAW, 2); /* 43 to 57 degrees */
     c.gloss = cfg->gloss;
+    c.tricky = cfg->paint == SYNTH_PAINT_TRICKY;
     c.sun[0] = cos(rise) * cos(azimuth);
     c.sun[1] = cos(rise) * sin(azimuth);
     c.sun[2] = sin(rise);

@@ -148,11 +148,19 @@ static float shade_street_mark(const struct street *s, float along, const struct
     return 0;
 }
 
+static float shade_road_mark(float x, float y, const struct street *sx, const struct street *sy)
+{
+    bool along_y = fabsf(sx->across) < sx->half, along_x = fabsf(sy->across) < sy->half;
+    return along_x && along_y ? 0
+           : along_y          ? shade_street_mark(sx, y, sy)
+                              : shade_street_mark(sy, x, sx);
+}
+
 static void shade_road_albedo(const struct sample *s, float x, float y, const struct street *sx,
                               const struct street *sy, uint32_t seed, float rgb[3])
 {
     *s->shine = shade_asphalt;
-    bool along_y = fabsf(sx->across) < sx->half, along_x = fabsf(sy->across) < sy->half;
+    bool along_y = fabsf(sx->across) < sx->half;
     float grey = 0.115f * (1 + 0.55f * shade_fbm(s, x, y, seed, 9, 6));
     float patch = shade_noise(x / 13, y / 5, seed + 1);
     if (patch > 0.45f) /* resurfaced */
@@ -165,9 +173,7 @@ static void shade_road_albedo(const struct sample *s, float x, float y, const st
     float oil = 1 - fabsf(fabsf(d) - 1.7f) / 0.9f; /* wheel tracks and drips */
     if (oil > 0)
         shade_tone(rgb, 1 - 0.28f * oil * (1 + 0.6f * shade_noise(x / 2, y / 2, seed + 5)));
-    float mark = along_x && along_y ? 0
-                 : along_y          ? shade_street_mark(sx, y, sy)
-                                    : shade_street_mark(sy, x, sx);
+    float mark = shade_road_mark(x, y, sx, sy);
     if (mark > 0) {
         float worn = 0.75f + 0.35f * shade_fbm(s, x, y, seed + 4, 1.2f, 3);
         shade_mix(rgb, (const float[3]){.72f, .71f, .66f}, mark * (worn > 1 ? 1 : worn));
@@ -199,9 +205,15 @@ static void shade_grass_albedo(const struct sample *s, float x, float y, uint32_
     shade_tone(rgb, 1 + 0.75f * n);
 }
 
+/* Above 0.22 pavers, above 0.02 gravel, else grass. */
+static float shade_yard_ground(float x, float y, uint32_t seed)
+{
+    return shade_noise(x / 12, y / 12, seed) + 0.35f * shade_noise(x / 3, y / 3, seed + 1);
+}
+
 static void shade_yard_albedo(const struct sample *s, float x, float y, uint32_t seed, float rgb[3])
 {
-    float what = shade_noise(x / 12, y / 12, seed) + 0.35f * shade_noise(x / 3, y / 3, seed + 1);
+    float what = shade_yard_ground(x, y, seed);
     if (what > 0.22f) { /* brick pavers, each its own shade */
         float row = floorf(y / 0.35f), shift = fmodf(row, 2) * 0.35f;
         int32_t i = (int32_t)floorf((x + shift) / 0.7f), j = (int32_t)row;
@@ -238,32 +250,53 @@ static void shade_field_albedo(const struct sample *s, float x, float y, uint32_
     }
 }
 
-static void shade_ground_albedo(const struct synth_city *c, const struct sample *s,
-                                const double pos[3], float rgb[3])
+struct ground {
+    enum { GROUND_ROAD, GROUND_PAVEMENT, GROUND_YARD, GROUND_FIELD } kind;
+    struct street sx, sy;
+    float near; /* to the nearest street's edge */
+};
+
+static struct ground shade_ground_at(const struct synth_city *c, const double pos[3])
 {
-    float x = (float)pos[0], y = (float)pos[1], margin = 2.4f;
-    struct street sx = shade_street_near(c, 0, pos[0]), sy = shade_street_near(c, 1, pos[1]);
-    float reach = (float)c->half_m;
-    float dx = fabsf(sx.across) - sx.half, dy = fabsf(sy.across) - sy.half;
+    struct ground g = {.sx = shade_street_near(c, 0, pos[0]),
+                       .sy = shade_street_near(c, 1, pos[1])};
+    float x = (float)pos[0], y = (float)pos[1], margin = 2.4f, reach = (float)c->half_m;
+    float dx = fabsf(g.sx.across) - g.sx.half, dy = fabsf(g.sy.across) - g.sy.half;
     bool in_x = fabsf(x) < reach + 7,
          in_y = fabsf(y) < reach + 7; /* outer streets and their pavements */
     bool on_x = dx < 0 && in_y, on_y = dy < 0 && in_x;
     float outer = fmaxf(fabsf(x), fabsf(y)) - reach;
-    if (on_x || on_y) {
-        shade_road_albedo(s, x, y, &sx, &sy, c->seed + 11, rgb);
-        return;
-    }
-    float near = fminf(in_y ? dx : 99, in_x ? dy : 99);
-    if (near < margin && outer < 10) {
-        shade_pavement_albedo(s, x, y, c->seed + 21, rgb);
-        if (near < 0.22f)
+    g.near = fminf(in_y ? dx : 99, in_x ? dy : 99);
+    g.kind = on_x || on_y                    ? GROUND_ROAD
+             : g.near < margin && outer < 10 ? GROUND_PAVEMENT
+             : outer < 0                     ? GROUND_YARD
+                                             : GROUND_FIELD;
+    return g;
+}
+
+enum { SHADE_ROAD = 11, SHADE_PAVEMENT = 21, SHADE_YARD = 31, SHADE_FIELD = 41 }; /* seeds */
+
+static void shade_ground_albedo(const struct synth_city *c, const struct sample *s,
+                                const double pos[3], float rgb[3])
+{
+    float x = (float)pos[0], y = (float)pos[1];
+    struct ground g = shade_ground_at(c, pos);
+    switch (g.kind) {
+    case GROUND_ROAD:
+        shade_road_albedo(s, x, y, &g.sx, &g.sy, c->seed + SHADE_ROAD, rgb);
+        break;
+    case GROUND_PAVEMENT:
+        shade_pavement_albedo(s, x, y, c->seed + SHADE_PAVEMENT, rgb);
+        if (g.near < 0.22f)
             shade_mix(rgb, (const float[3]){.55f, .54f, .50f}, 0.8f);
-        return;
+        break;
+    case GROUND_YARD:
+        shade_yard_albedo(s, x, y, c->seed + SHADE_YARD, rgb);
+        break;
+    case GROUND_FIELD:
+        shade_field_albedo(s, x, y, c->seed + SHADE_FIELD, rgb);
+        break;
     }
-    if (outer < 0)
-        shade_yard_albedo(s, x, y, c->seed + 31, rgb);
-    else
-        shade_field_albedo(s, x, y, c->seed + 41, rgb);
 }
 
 /* ---- houses ---- */
@@ -452,14 +485,58 @@ static void shade_car_albedo(const struct sample *s, const struct synth_hit *hit
         shade_paint(rgb, .02f, .02f, .02f); /* wheels */
 }
 
+/* ---- paint that says little of shape ---- */
+
+static const double shade_roof_up = 0.2; /* least z of a normal that is no wall's */
+
+static enum synth_paint shade_ground_paint(const struct synth_city *c, const double pos[3])
+{
+    float x = (float)pos[0], y = (float)pos[1];
+    struct ground g = shade_ground_at(c, pos);
+    if (g.kind == GROUND_ROAD)
+        return shade_road_mark(x, y, &g.sx, &g.sy) > 0 ? SYNTH_MARK : SYNTH_ASPHALT;
+    return g.kind == GROUND_YARD && shade_yard_ground(x, y, c->seed + SHADE_YARD) <= 0.02f
+               ? SYNTH_LAWN
+               : SYNTH_RICH;
+}
+
+enum synth_paint synth_shade_paint(const struct synth_city *c, const struct synth_hit *hit)
+{
+    if (!c->tricky || !isfinite(hit->t_m))
+        return SYNTH_RICH;
+    if (!hit->solid)
+        return shade_ground_paint(c, hit->pos);
+    if (hit->solid->material != SYNTH_HOUSE)
+        return SYNTH_RICH;
+    if (hit->local_normal[2] > shade_roof_up)
+        return hit->solid->seed >> 16 & 1 ? SYNTH_BLACK : SYNTH_RICH;
+    return (hit->solid->seed >> 17) % 3 == 0 ? SYNTH_GLASS : SYNTH_RICH;
+}
+
+static void shade_tricky_albedo(enum synth_paint paint, const struct sample *s, float rgb[3])
+{
+    static const float albedo[][3] = {[SYNTH_ASPHALT] = {.016f, .016f, .017f},
+                                      [SYNTH_MARK] = {.80f, .80f, .78f},
+                                      [SYNTH_LAWN] = {.075f, .155f, .035f},
+                                      [SYNTH_BLACK] = {.010f, .010f, .011f},
+                                      [SYNTH_GLASS] = {.022f, .026f, .034f}};
+    *s->shine = paint == SYNTH_GLASS ? shade_glass : (struct shine){0};
+    shade_paint(rgb, albedo[paint][0], albedo[paint][1], albedo[paint][2]);
+}
+
 static void shade_hit_albedo(const struct synth_city *c, const struct sample *s,
                              const struct synth_hit *hit, float rgb[3])
 {
+    enum synth_paint paint = synth_shade_paint(c, hit);
+    if (paint != SYNTH_RICH) {
+        shade_tricky_albedo(paint, s, rgb);
+        return;
+    }
     if (!hit->solid) {
         shade_ground_albedo(c, s, hit->pos, rgb);
         return;
     }
-    bool roof = hit->local_normal[2] > 0.2;
+    bool roof = hit->local_normal[2] > shade_roof_up;
     switch (hit->solid->material) {
     case SYNTH_HOUSE:
         if (!roof)
@@ -538,7 +615,8 @@ static void shade_matt(const struct synth_city *c, const struct synth_grid *movi
  * it keeps back for that. */
 static void shade_gloss(const struct synth_city *c, const struct synth_grid *moving,
                         const struct synth_light *light, const double dir[3],
-                        const struct synth_hit *hit, double footprint_m, struct lit *lit)
+                        const struct synth_hit *hit, double gloss, double footprint_m,
+                        struct lit *lit)
 {
     const double *n = hit->normal;
     double across = -(dir[0] * n[0] + dir[1] * n[1] + dir[2] * n[2]), mirror[3], from[3], half[3],
@@ -555,7 +633,7 @@ static void shade_gloss(const struct synth_city *c, const struct synth_grid *mov
     float f0 = lit->shine.normal, sharp = lit->shine.sharp, seen[3];
     /* A rough surface is no mirror at a grazing angle either (Lagarde's form of Schlick's term). */
     float graze = fmaxf(f0, 1 - sqrtf(2 / (sharp + 2)));
-    float share = (float)c->gloss * (f0 + (graze - f0) * powf(1 - (float)across, 5));
+    float share = (float)gloss * (f0 + (graze - f0) * powf(1 - (float)across, 5));
     struct synth_hit other = {.t_m = (double)INFINITY};
     if (sharp >= shade_mirror_sharp)
         synth_trace_ray(c, moving, from, mirror, &other);
@@ -580,8 +658,9 @@ void synth_shade_hit(const struct synth_city *c, const struct synth_grid *moving
         shade_sky(light, dir, lit.rgb);
     else {
         shade_matt(c, moving, light, hit, footprint_m, &lit);
-        if (c->gloss > 0 && lit.shine.normal > 0)
-            shade_gloss(c, moving, light, dir, hit, footprint_m, &lit);
+        double gloss = synth_shade_paint(c, hit) == SYNTH_GLASS ? 1 : c->gloss;
+        if (gloss > 0 && lit.shine.normal > 0)
+            shade_gloss(c, moving, light, dir, hit, gloss, footprint_m, &lit);
     }
     for (int i = 0; i < 3; i++)
         rgb[i] = lit.rgb[i] * light->gain[i];

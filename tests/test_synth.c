@@ -370,6 +370,66 @@ static void test_gloss(void **state)
     arena_free(&arena);
 }
 
+/* Paint of a tricky city has one albedo a class, and its shapes are those of the other city. */
+static void test_tricky(void **state)
+{
+    (void)state;
+    enum { RAYS = 20000, PAINTS = SYNTH_GLASS + 1 };
+    struct synth_config cfg;
+    struct arena arena = {0};
+    struct synth_city rich, city;
+    struct err e = {0};
+    struct synth_light light = synth_shade_light();
+    size_t n[PAINTS] = {0}, plain = 0, darker = 0, mirrors = 0;
+    float first[PAINTS][3] = {{0}};
+    kit_ok(options_defaults(synth_options(), &cfg, &arena, &e), e);
+    cfg.extent_m = 120;
+    kit_ok(synth_city_make(&cfg, &rich, &e), e);
+    cfg.paint = SYNTH_PAINT_TRICKY;
+    kit_ok(synth_city_make(&cfg, &city, &e), e);
+    for (int i = 0; i < 3; i++) { /* of light from the sky alone a level place has one colour */
+        light.sun[i] = 0;
+        light.sky[i] = 1;
+    }
+    for (uint64_t i = 0; i < RAYS; i++) {
+        struct synth_hit hit, same;
+        double dir[3], same_dir[3];
+        float rgb[3], before[3], again[3];
+        ray_down(&city, i, dir, &hit);
+        ray_down(&rich, i, same_dir, &same);
+        assert_true(hit.t_m == same.t_m);
+        assert_int_equal(synth_shade_paint(&rich, &same), SYNTH_RICH);
+        enum synth_paint paint = synth_shade_paint(&city, &hit);
+        synth_shade_hit(&city, NULL, &light, dir, &hit, 0.05, rgb);
+        synth_shade_hit(&rich, NULL, &light, dir, &same, 0.05, before);
+        n[paint]++;
+        if (paint == SYNTH_RICH) {
+            assert_memory_equal(rgb, before, sizeof rgb);
+            continue;
+        }
+        darker += rgb[1] < before[1];
+        if (paint == SYNTH_GLASS) { /* from another side it mirrors something else */
+            dir[2] *= 0.5;
+            synth_shade_hit(&city, NULL, &light, dir, &hit, 0.05, again);
+            mirrors += memcmp(rgb, again, sizeof rgb) != 0;
+        }
+        if (hit.normal[2] < 1 || paint == SYNTH_GLASS)
+            continue;
+        if (plain++, first[paint][1] == 0)
+            memcpy(first[paint], rgb, sizeof rgb);
+        assert_memory_equal(rgb, first[paint], sizeof rgb);
+    }
+    for (size_t k = 0; k < PAINTS; k++)
+        if (n[k] < RAYS / 200)
+            fail_msg("%zu of %d rays meet paint %zu", n[k], RAYS, k);
+    if (plain < RAYS / 4 || darker < RAYS / 5 || mirrors < n[SYNTH_GLASS] / 2)
+        fail_msg("%zu plain, %zu darker, %zu of %zu mirror", plain, darker, mirrors,
+                 n[SYNTH_GLASS]);
+    synth_city_free(&rich);
+    synth_city_free(&city);
+    arena_free(&arena);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -377,6 +437,7 @@ int main(void)
         cmocka_unit_test(test_model_agrees_with_truth),
         cmocka_unit_test(test_knobs),
         cmocka_unit_test(test_gloss),
+        cmocka_unit_test(test_tricky),
     };
     progress_quiet(true);
     log_set_level(LOG_WARN);

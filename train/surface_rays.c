@@ -13,8 +13,34 @@ static const double nmad_normal = 1.4826; /* sigma of a normal distribution over
 
 const char *surface_class_name(enum surface_class c)
 {
-    static const char *const names[SURFACE_CLASSES] = {"ground", "roof", "wall", "tree", "car"};
+    static const char *const names[SURFACE_CLASSES] = {
+        "ground",  "roof",        "wall", "tree",       "car",
+        "asphalt", "white marks", "lawn", "black roof", "glass front"};
     return names[c];
+}
+
+enum surface_class surface_class_base(enum surface_class c)
+{
+    switch (c) {
+    case SURFACE_ASPHALT:
+    case SURFACE_MARK:
+    case SURFACE_LAWN:
+        return SURFACE_GROUND;
+    case SURFACE_BLACK:
+        return SURFACE_ROOF;
+    case SURFACE_GLASS:
+        return SURFACE_WALL;
+    default:
+        return c;
+    }
+}
+
+uint32_t surface_class_bits(enum surface_class base)
+{
+    uint32_t bits = 0;
+    for (unsigned c = 0; c < SURFACE_CLASSES; c++)
+        bits |= surface_class_base((enum surface_class)c) == base ? UINT32_C(1) << c : 0;
+    return bits;
 }
 
 struct surface_ray surface_ray_make(double median_m, double near_m, double far_m, double left,

@@ -11,15 +11,27 @@
 
 #include "core/err.h"
 
-enum surface_class { /* class of the truth at the end of a ray */
-                     SURFACE_GROUND,
-                     SURFACE_ROOF,
-                     SURFACE_WALL,
-                     SURFACE_TREE,
-                     SURFACE_CAR,
-                     SURFACE_CLASSES
+/* What the truth has where a ray ends. */
+enum surface_class {
+    SURFACE_GROUND,
+    SURFACE_ROOF,
+    SURFACE_WALL,
+    SURFACE_TREE,
+    SURFACE_CAR,
+    SURFACE_BASES,
+    /* What paint tells little of, beside the rest of its base. */
+    SURFACE_ASPHALT = SURFACE_BASES,
+    SURFACE_MARK,
+    SURFACE_LAWN,
+    SURFACE_BLACK, /* a roof */
+    SURFACE_GLASS, /* a wall */
+    SURFACE_CLASSES
 };
 const char *surface_class_name(enum surface_class c);
+/* Ground, roof or wall of those with a paint; others are their own. */
+enum surface_class surface_class_base(enum surface_class c);
+/* Bits of all that have this base. */
+uint32_t surface_class_bits(enum surface_class base);
 
 struct surface_ray {
     float error_m;     /* median depth before the truth, from above height over it; NAN: none */
