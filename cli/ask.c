@@ -39,6 +39,11 @@ enum err_code ask_print(const char *store, const struct ask_options *o, const st
         rc = geoid_open(o->geoid, o->geoid_dir, &geoid, e);
     if (!rc)
         rc = nadir_open(store, &no, &n, e);
+    if (!rc && geoid && !heights_ellipsoidal(store_info(nadir_store(n))->heights))
+        rc = err_set(e, ERR_ARG,
+                     "--geoid: heights of this store count from '%s', not from the ellipsoid, so "
+                     "no geoid can be taken off; give --geoid to ingest",
+                     store_info(nadir_store(n))->heights);
     if (!rc)
         rc = query_answer(n, geoid, q, &answer, e);
     if (!rc) {

@@ -175,6 +175,7 @@ static enum err_code info_store(const char *path, bool tiles, json_t *o, struct 
         {"created", json_string(m->created)},
         {"origin_lon_lat_h", info_origin(&m->origin)},
         {"attribution", json_string(m->attribution)},
+        {"heights", json_string(m->heights[0] ? m->heights : "ellipsoid")},
         {"sh_degree", json_integer(m->sh_degree)},
         {"embed_len", json_integer(m->embed_len)},
         {"antialiased", json_boolean(m->antialiased)},
@@ -237,6 +238,8 @@ static enum err_code info_scene(const char *path, json_t *o, struct err *e)
         rc = info_set(o, "points", json_integer((json_int_t)s.n_points), e);
     if (!rc && s.n_images)
         rc = info_set(o, "cameras_enu_m", info_box(lo, hi), e);
+    if (!rc && s.heights[0])
+        rc = info_set(o, "heights", json_string(s.heights), e);
     if (!rc && s.attribution)
         rc = info_set(o, "attribution", json_string(s.attribution), e);
     scene_free(&s);

@@ -3,8 +3,13 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "ingest/ingest.h"
+
+#include <math.h>
+
 #include "cli/cli.h"
+#include "core/heights.h"
 #include "ingest/gcp.h"
+#include "ingest/positions.h"
 #include "survey/crs.h"
 
 /* One place, by a system that is named only now; its errors are answers. */
@@ -27,6 +32,19 @@ static void ingest_check_area(const struct crs *crs, const struct gcp *g)
                  "line %zu: ground control point %s lies %.0f degrees outside of where EPSG:%d is "
                  "used: another zone, x and y swapped, or feet?",
                  g->line, g->name, off_deg, crs_epsg(crs));
+}
+
+/* Is it a vertical system? 4979 has ellipsoidal heights. */
+static enum err_code ingest_check_heights(int epsg, struct err *e)
+{
+    struct crs *crs = NULL;
+    if (epsg == 4979)
+        return ERR_OK;
+    enum err_code rc = crs_open(32632, &crs, e);
+    if (!rc)
+        rc = crs_set_vertical(crs, epsg, e);
+    crs_close(&crs);
+    return rc;
 }
 
 /* Ground control points in longitude and latitude, by PROJ where the file has them projected. */
@@ -56,8 +74,37 @@ static enum err_code ingest_read_gcps(const struct ingest_config *cfg, struct gc
         else
             ingest_check_area(crs, g);
     }
+    if (!rc && l->heights_epsg && !cfg->heights)
+        rc = ingest_check_heights(l->heights_epsg, e);
     l->epsg = epsg;
     l->unproject = ingest_unproject;
+    crs_close(&crs);
+    return rc;
+}
+
+/* Positions of photographs in longitude and latitude. */
+static enum err_code ingest_read_positions(const struct ingest_config *cfg, struct positions *p,
+                                           struct err *e)
+{
+    struct crs *crs = NULL;
+    enum err_code rc = positions_read(cfg->positions, p, e);
+    int epsg = cfg->positions_epsg ? (int)cfg->positions_epsg : p->epsg;
+    if (!rc && !epsg)
+        rc = err_set(e, ERR_ARG,
+                     "%s: the columns are not longitude and latitude: give their system with "
+                     "--positions-epsg CODE",
+                     cfg->positions);
+    if (!rc && epsg != POSITIONS_LONLAT)
+        rc = crs_open(epsg, &crs, e);
+    for (size_t i = 0; !rc && i < p->n; i++) {
+        double *at = p->list[i].at;
+        if (crs)
+            rc = crs_unproject(crs, 1, &at[0], &at[1], e);
+        else if (!(fabs(at[0]) <= 180 && fabs(at[1]) <= 90))
+            rc = err_set(e, ERR_ARG, "%.9g %.9g is no longitude and latitude", at[0], at[1]);
+        if (rc)
+            err_add(e, "%s: line %zu", cfg->positions, p->list[i].line);
+    }
     crs_close(&crs);
     return rc;
 }
@@ -68,17 +115,27 @@ enum err_code cli_ingest(int argc, char **argv, struct err *e)
     struct ingest_config cfg;
     struct options_args args;
     struct gcp_list gcps = {0};
+    struct positions positions = {0};
     enum err_code rc = options_parse(ingest_options(), argc, argv, &cfg, &args, &a, e);
     bool run = !rc && !args.done;
     if (run && !cfg.gcp && (cfg.check || cfg.gcp_epsg))
         rc = err_set(e, ERR_ARG, "ingest: --check and --gcp-epsg belong to --gcp FILE");
+    if (run && !rc && cfg.heights && heights_epsg(cfg.heights)) {
+        rc = ingest_check_heights(heights_epsg(cfg.heights), e);
+        if (rc)
+            err_add(e, "--heights");
+    }
     if (run && !rc && cfg.gcp)
         rc = ingest_read_gcps(&cfg, &gcps, e);
+    if (run && !rc && cfg.positions)
+        rc = ingest_read_positions(&cfg, &positions, e);
     if (run && !rc) {
         signals_catch();
-        rc = ingest_run_gcp(args.arg[0], args.arg[1], &cfg, cfg.gcp ? &gcps : NULL, e);
+        rc = ingest_run_with(args.arg[0], args.arg[1], &cfg, cfg.gcp ? &gcps : NULL,
+                             cfg.positions ? &positions : NULL, e);
     }
     gcp_free(&gcps);
+    positions_free(&positions);
     arena_free(&a);
     return rc;
 }

@@ -89,7 +89,7 @@ void maps_print(const char *path, const struct map_report *r)
 void maps_print_heights(const struct maps *m, const struct map_report *r)
 {
     char what[100];
-    map_heights(&m->request, what);
+    map_heights(m->nadir, &m->request, what);
     printf("; %s, %.2f to %.2f m", what, r->height_min_m, r->height_max_m);
 }
 

@@ -179,10 +179,12 @@ static void report_summary(struct report *r)
     report_row(r, "predicted error of the frame", report_num(gcp, "frame_plan_m", NULL),
                "%.3f m, %.3f m", report_num(gcp, "frame_plan_m", NULL),
                report_num(gcp, "frame_height_m", NULL));
+    char words[HEIGHTS_WORDS_MAX];
+    heights_words(s->heights, words);
     buf_printf(&r->out,
-               "<tr><td>origin: longitude, latitude, height above the ellipsoid</td><td>"
+               "<tr><td>origin: longitude, latitude, height above %s</td><td>"
                "%.7f°, %.7f°, %.2f m</td></tr></table></section>\n",
-               s->origin.lon_deg, s->origin.lat_deg, s->origin.h_m);
+               words, s->origin.lon_deg, s->origin.lat_deg, s->origin.h_m);
 }
 
 /* Orthophoto or surface model of the store, no larger than asked for, from a file beside the
@@ -387,14 +389,16 @@ static enum err_code report_positions(struct report *r, struct err *e)
 {
     enum err_code rc = ERR_OK;
     bool gcp = json_is_object(report_get(r->told, "ground_control", NULL));
+    char words[HEIGHTS_WORDS_MAX];
+    heights_words(r->scene.heights, words);
     buf_printf(&r->out,
                "<section><h2>Georeferencing</h2>\n<p>The frame was fitted to %s. Heights "
-               "count from the WGS 84 ellipsoid.</p>\n",
+               "count from %s.</p>\n",
                gcp ? "ground control points"
                : json_is_object(report_get(r->told, "georeferencing", NULL))
                    ? "GPS positions"
-                   : "nothing: it was placed by "
-                     "hand");
+                   : "nothing: it was placed by hand",
+               words);
     report_gcp_table(r);
     size_t n = report_gps_table(r);
     if (n && r->ground.footprint)

@@ -401,5 +401,5 @@ enum err_code report_map_relief(const float *height_m, uint32_t w, uint32_t h, d
 
 void report_map_relief_legend(double low_m, double high_m, struct buf *out)
 {
-    report_ramp_legend("Height above the ellipsoid", low_m, high_m, "m", out);
+    report_ramp_legend("Height", low_m, high_m, "m", out);
 }

@@ -564,6 +564,7 @@ static enum err_code tile_describe(const struct tile_options *o, const struct sc
     if (strlen(attribution ? attribution : "") >= sizeof cfg->attribution)
         return err_set(e, ERR_ARG, "--attribution: at most %zu bytes", sizeof cfg->attribution - 1);
     snprintf(cfg->attribution, sizeof cfg->attribution, "%s", attribution ? attribution : "");
+    memcpy(cfg->heights, scene->heights, sizeof cfg->heights);
     return splats_name(o->name, o->output, cfg->name, e);
 }
 

@@ -79,6 +79,22 @@ static bool drone_says(const struct drone_source *s, const char *name, const cha
     return s->get(s->user, name, text, sizeof text) && !strcasecmp(text, word);
 }
 
+/* Standard deviations: of DJI's RTK by axis, of Pix4D's tags in plan and height. */
+static void drone_sigma(const struct drone_source *s, double out[2])
+{
+    static const char *const east[] = {"drone-dji:RtkStdLon", NULL},
+                             *const north[] = {"drone-dji:RtkStdLat", NULL},
+                             *const plan[] = {"Camera:GPSXYAccuracy", NULL},
+                             *const up[] = {"drone-dji:RtkStdHgt", "Camera:GPSZAccuracy", NULL};
+    double e, n, v;
+    if (drone_number(s, east, 1e-4, 1000, &e) && drone_number(s, north, 1e-4, 1000, &n))
+        out[0] = sqrt(0.5 * (e * e + n * n));
+    else if (drone_number(s, plan, 1e-4, 1000, &v))
+        out[0] = v;
+    if (drone_number(s, up, 1e-4, 1000, &v))
+        out[1] = v;
+}
+
 void drone_read(bool (*get)(const void *user, const char *name, char *text, size_t room),
                 const void *user, struct drone_meta *out)
 {
@@ -93,6 +109,7 @@ void drone_read(bool (*get)(const void *user, const char *name, char *text, size
     const struct drone_source s = {get, user};
     double rtk = 0;
     *out = (struct drone_meta){0};
+    drone_sigma(&s, out->sigma_m);
     out->has_relative = drone_number(&s, relative, -2000, 20000, &out->relative_m);
     out->has_absolute = drone_number(&s, absolute, -1000, 20000, &out->absolute_m);
     out->has_up = drone_gimbal(&s, out->up_cam) || drone_body(&s, out->up_cam);

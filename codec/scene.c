@@ -217,13 +217,14 @@ static json_t *scene_to_json(const struct scene *s, struct hash128 points_hash)
             images = NULL;
         }
     return json_pack(
-        "{s:s, s:i, s:{s:f, s:f, s:f}, s:{s:f, s:o, s:o}, s:f, s:s?, s:{s:s, s:I, s:I, s:s}, s:o}",
+        "{s:s, s:i, s:{s:f, s:f, s:f}, s:s, s:{s:f, s:o, s:o}, s:f, s:s?, s:{s:s, s:I, s:I, s:s}, "
+        "s:o}",
         "format", "citysplat-scene", "version", SCENE_VERSION, "origin", "lon_deg",
-        s->origin.lon_deg, "lat_deg", s->origin.lat_deg, "h_m", s->origin.h_m, "colmap_to_enu",
-        "scale", s->scale, "rot", scene_nums_to_json(s->rot, 9), "trans",
-        scene_nums_to_json(s->trans, 3), "vertical_offset_m", s->vertical_offset_m, "attribution",
-        s->attribution, "points", "file", "points.bin", "count", (json_int_t)s->n_points, "tracks",
-        (json_int_t)s->n_tracks, "hash", hash, "images", images);
+        s->origin.lon_deg, "lat_deg", s->origin.lat_deg, "h_m", s->origin.h_m, "heights",
+        s->heights, "colmap_to_enu", "scale", s->scale, "rot", scene_nums_to_json(s->rot, 9),
+        "trans", scene_nums_to_json(s->trans, 3), "vertical_offset_m", s->vertical_offset_m,
+        "attribution", s->attribution, "points", "file", "points.bin", "count",
+        (json_int_t)s->n_points, "tracks", (json_int_t)s->n_tracks, "hash", hash, "images", images);
 }
 
 enum err_code scene_write(const char *dir, const struct scene *s, struct err *e)
@@ -367,6 +368,13 @@ static enum err_code scene_frame_from_json(const json_t *root, struct scene *s, 
         rc = jsonc_nums(sim, "trans", 3, s->trans, e);
     if (!rc)
         rc = jsonc_num(root, "vertical_offset_m", &s->vertical_offset_m, e);
+    const char *heights = json_string_value(json_object_get(root, "heights"));
+    if (!rc && heights && !heights_valid(heights))
+        rc = err_set(e, ERR_FORMAT,
+                     "heights: '%.40s' is none of ellipsoid, sea-exif, sea, unknown and EPSG:CODE",
+                     heights);
+    if (!rc && heights)
+        snprintf(s->heights, sizeof s->heights, "%s", heights);
     const json_t *who = json_object_get(root, "attribution");
     if (!rc && json_is_string(who) &&
         !(s->attribution = arena_text(&s->arena, json_string_value(who))))

@@ -12,6 +12,7 @@
 #include "core/base.h"
 #include "core/camera.h"
 #include "core/geo.h"
+#include "core/heights.h"
 
 enum scene_split { SCENE_TRAIN, SCENE_TEST };
 struct scene_image {
@@ -35,6 +36,7 @@ struct scene { /* {0} is empty */
     struct geo_origin origin;
     double scale, rot[9], trans[3]; /* COLMAP -> ENU: y = scale * rot * x + trans */
     /* fitted offset of GPS altitudes, stored separately, see docs/conventions.md */
+    char heights[HEIGHTS_MAX]; /* what heights count from: core/heights.h */
     double vertical_offset_m;
     struct scene_image *images;
     size_t n_images;

@@ -6,6 +6,7 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "core/geo.h"
+#include "core/gtx.h"
 #include "core/shim.h"
 
 #include <GeographicLib/Geocentric.hpp>
@@ -103,15 +104,63 @@ SHIM_CATCH("geo: GeographicLib", ERR_INTERNAL)
 struct geoid {
     std::string name;
     std::unique_ptr<GeographicLib::Geoid> model;
+    struct gtx *grid = NULL; /* instead of a model */
+    ~geoid()
+    {
+        gtx_close(&grid);
+    }
 };
+
+namespace
+{
+
+enum err_code open_grid(const char *path, const std::string &name, struct geoid **out,
+                        struct err *e)
+{
+    auto g = std::make_unique<geoid>();
+    g->name = name;
+    enum err_code rc = gtx_open(path, &g->grid, e);
+    if (!rc)
+        *out = g.release();
+    return rc;
+}
+
+bool ends_with(const std::string &s, const std::string &t)
+{
+    return s.size() >= t.size() && s.compare(s.size() - t.size(), t.size(), t) == 0;
+}
+
+} // namespace
 
 extern "C" enum err_code geoid_open(const char *name, const char *dir, struct geoid **out,
                                     struct err *e)
 try {
     *out = NULL;
+    std::string path(name), folder(dir ? dir : "");
+    size_t slash = path.rfind('/');
+    bool plain = slash == std::string::npos;
+    std::string stem = plain ? path : path.substr(slash + 1);
+    if (ends_with(path, ".gtx"))
+        return open_grid((dir && plain ? folder + "/" + path : path).c_str(),
+                         stem.substr(0, stem.size() - 4), out, e);
+    if (!plain)
+        folder = path.substr(0, slash);
+    if (ends_with(stem, ".pgm")) {
+        folder = folder.empty() ? "." : folder;
+        stem.resize(stem.size() - 4);
+    }
+    char grid[4096];
+    bool proj =
+        folder.empty() && (stem == "egm96" || stem == "egm96-15") && gtx_find("egm96_15.gtx", grid);
     auto g = std::make_unique<geoid>();
-    g->name = name;
-    g->model = std::make_unique<GeographicLib::Geoid>(name, dir ? dir : std::string(), true, true);
+    g->name = stem;
+    try {
+        g->model = std::make_unique<GeographicLib::Geoid>(stem, folder, true, true);
+    } catch (const GeographicLib::GeographicErr &) {
+        if (!proj)
+            throw;
+        return open_grid(grid, "egm96-15", out, e);
+    }
     *out = g.release();
     return ERR_OK;
 } catch (const std::bad_alloc &) {
@@ -119,7 +168,7 @@ try {
 } catch (const std::exception &x) {
     return err_set(e, ERR_NOENT,
                    "geoid %s: %s: give a model of GeographicLib, as egm96-5, and the folder of "
-                   "its .pgm (geographiclib-get-geoids fetches it)",
+                   "its .pgm (geographiclib-get-geoids fetches it), or a .gtx file of PROJ",
                    name, x.what());
 } catch (...) {
     return err_set(e, ERR_INTERNAL, "geoid %s: unknown exception", name);
@@ -138,7 +187,7 @@ extern "C" const char *geoid_name(const struct geoid *g)
 
 extern "C" double geoid_above(const struct geoid *g, double lon_deg, double lat_deg)
 try {
-    return (*g->model)(lat_deg, lon_deg);
+    return g->grid ? gtx_above(g->grid, lon_deg, lat_deg) : (*g->model)(lat_deg, lon_deg);
 } catch (...) {
     return (double)NAN;
 }

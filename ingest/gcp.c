@@ -11,8 +11,8 @@
 #include <strings.h>
 
 #include "core/base.h"
+#include "ingest/table.h"
 
-enum { GCP_FIELDS = 16, GCP_LINE_MAX = 1024 };
 enum gcp_column {
     GCP_X,
     GCP_Y,
@@ -41,30 +41,6 @@ void gcp_free(struct gcp_list *l)
     mem_free(l->gcps);
     mem_free(l->marks);
     *l = (struct gcp_list){0};
-}
-
-/* Split at commas (which may be semicolons) or at blanks, in place. */
-static size_t gcp_split(char *text, char comma, char *field[GCP_FIELDS])
-{
-    const char commas[2] = {comma, '\0'}, *end = comma ? commas : " \t,;";
-    bool csv = comma;
-    size_t n = 0;
-    char *p = text;
-    while (n < GCP_FIELDS) {
-        p += csv ? strspn(p, " \t") : strspn(p, end);
-        if (!csv && !*p)
-            break;
-        size_t len = strcspn(p, end);
-        bool last = !p[len];
-        field[n++] = p;
-        p[len] = '\0';
-        for (size_t k = len; csv && k > 0 && (p[k - 1] == ' ' || p[k - 1] == '\t'); k--)
-            p[k - 1] = '\0';
-        if (last)
-            break;
-        p += len + 1;
-    }
-    return n;
 }
 
 /* What a column of this name holds; GCP_COLUMNS: unknown. */
@@ -130,9 +106,9 @@ static enum gcp_column gcp_column_of(const char *word)
  * not there, GCP_NAME: none. */
 static enum gcp_column gcp_columns(char *text, struct gcp_table *t, int *epsg)
 {
-    char *field[GCP_FIELDS];
+    char *field[TABLE_FIELDS];
     t->comma = strchr(text, ';') && !strchr(text, ',') ? ';' : ',';
-    size_t n = gcp_split(text, t->comma, field), c = 0;
+    size_t n = table_split(text, t->comma, field), c = 0;
     t->wide = n;
     for (size_t i = 0; i < GCP_COLUMNS; i++)
         t->column[i] = SIZE_MAX;
@@ -166,8 +142,8 @@ static int gcp_epsg(const char *text, int *heights)
 
 static bool gcp_names_columns(char *text)
 {
-    char *field[GCP_FIELDS];
-    size_t n = gcp_split(text, '\0', field), known = 0;
+    char *field[TABLE_FIELDS];
+    size_t n = table_split(text, '\0', field), known = 0;
     for (size_t i = 0; i < n; i++)
         known += gcp_column_of(field[i]) != GCP_COLUMNS;
     return known > 1;
@@ -179,7 +155,7 @@ static enum err_code gcp_head(const char *line, struct gcp_table *t, struct gcp_
 {
     static const char *const wanted[GCP_NAME] = {
         "x (or easting, lon)", "y (or northing, lat)", "z (or height)", "px", "py", "image"};
-    char copy[GCP_LINE_MAX], *end;
+    char copy[TABLE_LINE_MAX], *end;
     snprintf(copy, sizeof copy, "%s", line);
     enum gcp_column lacks = gcp_columns(copy, t, &l->epsg);
     *mark = false;
@@ -256,36 +232,11 @@ static enum err_code gcp_add_mark(struct gcp_list *l, const struct gcp_mark *m, 
     return ERR_OK;
 }
 
-/* A number, and nothing else. */
-static bool gcp_number(const char *text, double *out)
-{
-    char *end;
-    *out = strtod(text, &end);
-    return end != text && !*end && isfinite(*out) && fabs(*out) <= 1e12;
-}
-
-/* "634676,12": digits around a comma, where commas do not divide the fields; its length. */
-static size_t gcp_decimal_comma(const char *line, const char **at)
-{
-    for (const char *p = strchr(line, ','); p; p = strchr(p + 1, ',')) {
-        const char *a = p, *b = p + 1;
-        while (a > line && strchr("0123456789+-.", a[-1]))
-            a--;
-        b += strspn(b, "0123456789");
-        if (a == p || b == p + 1 || (*b && !strchr(" \t;\"", *b)) ||
-            (a > line && !strchr(" \t;\"", a[-1])))
-            continue;
-        *at = a;
-        return (size_t)(b - a);
-    }
-    return 0;
-}
-
 /* Commas within numbers would shift all that follows by a column. */
 static enum err_code gcp_check_commas(const struct gcp_table *t, const char *line, struct err *e)
 {
     const char *at = line;
-    size_t n = t->comma == ',' || !strpbrk(line, " \t;") ? 0 : gcp_decimal_comma(line, &at);
+    size_t n = t->comma == ',' || !strpbrk(line, " \t;") ? 0 : table_decimal_comma(line, &at);
     if (!n)
         return ERR_OK;
     return err_set(e, ERR_FORMAT,
@@ -295,8 +246,8 @@ static enum err_code gcp_check_commas(const struct gcp_table *t, const char *lin
 
 /* Fields that the first line does not name, and a photograph that is a number, come of commas
  * within numbers. */
-static enum err_code gcp_check_fields(const struct gcp_table *t, char *field[GCP_FIELDS], size_t n,
-                                      const char *image, struct err *e)
+static enum err_code gcp_check_fields(const struct gcp_table *t, char *field[TABLE_FIELDS],
+                                      size_t n, const char *image, struct err *e)
 {
     double number;
     while (t->comma && n > t->wide && !*field[n - 1])
@@ -306,7 +257,7 @@ static enum err_code gcp_check_fields(const struct gcp_table *t, char *field[GCP
                        "%s: line %zu: %zu fields, but the first line names %zu; are there decimal "
                        "commas? Write numbers with a decimal point",
                        t->path, t->line, n, t->wide);
-    if (gcp_number(image, &number))
+    if (table_number(image, &number))
         return err_set(e, ERR_FORMAT,
                        "%s: line %zu: the photograph is '%s', a number; are there decimal commas? "
                        "Write numbers with a decimal point; expected is %s",
@@ -317,13 +268,13 @@ static enum err_code gcp_check_fields(const struct gcp_table *t, char *field[GCP
 }
 
 /* The number of a column that may be missing or empty: then 0. */
-static enum err_code gcp_sigma(const struct gcp_table *t, char *field[GCP_FIELDS], size_t n,
+static enum err_code gcp_sigma(const struct gcp_table *t, char *field[TABLE_FIELDS], size_t n,
                                enum gcp_column column, double *out, struct err *e)
 {
     size_t i = t->column[column];
     if (i >= n || !*field[i])
         return ERR_OK;
-    if (gcp_number(field[i], out) && *out > 0)
+    if (table_number(field[i], out) && *out > 0)
         return ERR_OK;
     return err_set(e, ERR_FORMAT,
                    "%s: line %zu: field %zu, '%.40s', is no accuracy: a number above 0 is expected",
@@ -333,15 +284,15 @@ static enum err_code gcp_sigma(const struct gcp_table *t, char *field[GCP_FIELDS
 static enum err_code gcp_row(const struct gcp_table *t, char *text, struct gcp_list *l,
                              struct err *e)
 {
-    char *field[GCP_FIELDS];
+    char *field[TABLE_FIELDS];
     double v[GCP_IMAGE], sigma[4] = {0};
     enum err_code rc = gcp_check_commas(t, text, e);
     if (rc)
         return rc;
-    size_t n = gcp_split(text, t->comma, field);
+    size_t n = table_split(text, t->comma, field);
     for (size_t c = 0; c < GCP_IMAGE; c++) {
         size_t i = t->column[c];
-        if (i >= n || !gcp_number(field[i], &v[c]))
+        if (i >= n || !table_number(field[i], &v[c]))
             return err_set(e, ERR_FORMAT, "%s: line %zu: field %zu is no number; expected is %s",
                            t->path, t->line, i + 1,
                            t->comma ? "what the first line names"
@@ -404,40 +355,24 @@ static enum err_code gcp_check_twice(const char *path, const struct gcp_list *l,
 
 enum err_code gcp_read(const char *path, struct gcp_list *out, struct err *e)
 {
-    struct buf b = {0};
-    struct gcp_table t = {.path = path, .column = {0, 1, 2, 3, 4, 5, 6}};
-    bool head = true;
+    struct table lines;
+    struct gcp_table t = {.path = path};
+    char line[TABLE_LINE_MAX];
+    bool head = true, more = true;
     *out = (struct gcp_list){0};
-    enum err_code rc = file_read(path, 0, &b, e);
-    if (!rc) {
-        buf_u8(&b, 0);
-        rc = buf_check(&b, e);
-    }
-    char *first = (char *)b.data;
-    if (!rc && !strncmp(first, "\xef\xbb\xbf", 3)) /* the byte-order mark of UTF-8 */
-        first += 3;
-    for (char *p = rc ? NULL : first, *next; p && !rc; p = next) {
-        char line[GCP_LINE_MAX];
-        size_t n = strcspn(p, "\r\n");
-        next = p[n] ? p + n + 1 : NULL;
-        t.line += !(p[n] == '\n' && p > first && p[-1] == '\r' && n == 0);
-        p += strspn(p, " \t");
-        n = strcspn(p, "\r\n");
-        if (n == 0 || *p == '#')
-            continue;
-        if (n >= sizeof line) {
-            rc = err_set(e, ERR_FORMAT, "%s: line %zu is too long", path, t.line);
-            break;
-        }
-        memcpy(line, p, n);
-        line[n] = '\0';
+    enum err_code rc = table_open(path, &lines, e);
+    while (!rc && !(rc = table_next(&lines, line, &more, e)) && more) {
         bool mark = true;
+        if (*line == '#')
+            continue;
+        t.line = lines.line;
         if (head)
             rc = gcp_head(line, &t, out, &mark, e);
         head = false;
         if (!rc && mark)
             rc = gcp_row(&t, line, out, e);
     }
+    table_close(&lines);
     if (!rc && !out->n_marks)
         rc = err_set(e, ERR_DATA,
                      "%s: no ground control points; expected is gcp_list.txt of OpenDroneMap, or "
@@ -445,7 +380,6 @@ enum err_code gcp_read(const char *path, struct gcp_list *out, struct err *e)
                      path);
     if (!rc)
         rc = gcp_check_twice(path, out, e);
-    buf_free(&b);
     if (rc)
         gcp_free(out);
     return rc;

@@ -257,14 +257,17 @@ static bool blame_fits(const struct gcp_fit *f, size_t i, const double y[3])
            up < 5 * fmax(p->left.sigma_m[1], p->gsd_m);
 }
 
-static bool blame_swapped(const struct gcp_fit *f, size_t i, double offset_m, double y[3],
-                          struct err *e)
+static bool blame_swapped(const struct gcp_fit *f, size_t i)
 {
     struct reading r = {.kind = READ_SWAPPED, .epsg = f->list->epsg};
-    double lon, lat;
-    return blame_read(f->list, &r, i, &lon, &lat) &&
-           !geo_to_enu(&f->frame, lon, lat, f->list->gcps[i].at[2] + offset_m, y, e) &&
-           blame_fits(f, i, y);
+    struct err e = {0};
+    double lon, lat, y[3], at[3];
+    if (!blame_read(f->list, &r, i, &lon, &lat) ||
+        geo_to_enu(&f->frame, lon, lat, f->frame.h_m, y, &e))
+        return false;
+    sim3_apply(&f->sim, f->at.places[i].x, at);
+    y[2] = at[2]; /* of places alone */
+    return blame_fits(f, i, y);
 }
 
 static const char *blame_height(const struct gcp_fit *f, size_t i, const double surveyed[3])
@@ -306,18 +309,15 @@ static size_t blame_copied(const struct gcp_fit *f, size_t i, const double (*y)[
     return f->list->n;
 }
 
-enum err_code gcp_blame_suspects(struct gcp_fit *f, const double (*y)[3], double height_offset_m,
-                                 struct err *e)
+enum err_code gcp_blame_suspects(struct gcp_fit *f, const double (*y)[3], struct err *e)
 {
     size_t n = f->list->n;
     for (size_t i = 0; i < n; i++) {
         struct gcp_point *p = &f->points[i];
-        double at[3];
         if (!p->suspect || !f->at.places[i].n_photos)
             continue;
         size_t other = blame_exchanged(f, i, y), copy = blame_copied(f, i, y);
         const char *height = blame_height(f, i, y[i]);
-        struct err ignored = {0};
         if (other < n)
             snprintf(p->cause, sizeof p->cause, "it and %s have each other's name",
                      f->list->gcps[other].name);
@@ -326,7 +326,7 @@ enum err_code gcp_blame_suspects(struct gcp_fit *f, const double (*y)[3], double
                      f->list->gcps[copy].name);
         else if (height)
             snprintf(p->cause, sizeof p->cause, "%s", height);
-        else if (blame_swapped(f, i, height_offset_m, at, &ignored))
+        else if (blame_swapped(f, i))
             snprintf(p->cause, sizeof p->cause, "its x and y are swapped");
     }
     (void)e;

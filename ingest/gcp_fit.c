@@ -46,8 +46,14 @@ static enum err_code fit_no_memory(struct err *e)
 
 /* ---- the frame ---- */
 
+double gcp_fit_height(const struct gcp_fit_config *cfg, const struct gcp *g)
+{
+    double sea = cfg->geoid ? geoid_above(cfg->geoid, g->at[0], g->at[1]) : 0;
+    return g->at[2] + cfg->height_offset_m + (isfinite(sea) ? sea : 0);
+}
+
 /* The middle one of each coordinate: one wrong point does not turn the frame. */
-static enum err_code fit_frame(struct gcp_fit *f, double height_offset_m, struct err *e)
+static enum err_code fit_frame(struct gcp_fit *f, const struct gcp_fit_config *cfg, struct err *e)
 {
     size_t n = f->list->n;
     double *v = mem_array(n, sizeof *v), lon0 = f->list->gcps[0].at[0], at[3];
@@ -55,12 +61,14 @@ static enum err_code fit_frame(struct gcp_fit *f, double height_offset_m, struct
         return fit_no_memory(e);
     for (size_t k = 0; k < 3; k++) {
         for (size_t i = 0; i < n; i++) {
-            const double *p = f->list->gcps[i].at;
-            v[i] = k ? p[k] : remainder(p[0] - lon0, 360);
+            const struct gcp *p = &f->list->gcps[i];
+            v[i] = k == 0   ? remainder(p->at[0] - lon0, 360)
+                   : k == 1 ? p->at[1]
+                            : gcp_fit_height(cfg, p);
         }
         at[k] = sort_median(v, n);
     }
-    f->frame = (struct geo_origin){remainder(lon0 + at[0], 360), at[1], at[2] + height_offset_m};
+    f->frame = (struct geo_origin){remainder(lon0 + at[0], 360), at[1], at[2]};
     mem_free(v);
     return ERR_OK;
 }
@@ -69,8 +77,9 @@ static enum err_code fit_survey(const struct gcp_fit *f, struct fit_work *w, str
 {
     enum err_code rc = ERR_OK;
     for (size_t i = 0; !rc && i < f->list->n; i++) {
-        const double *p = f->list->gcps[i].at;
-        rc = geo_to_enu(&f->frame, p[0], p[1], p[2] + w->cfg->height_offset_m, w->y[i], e);
+        const struct gcp *p = &f->list->gcps[i];
+        double h = gcp_fit_height(w->cfg, p);
+        rc = geo_to_enu(&f->frame, p->at[0], p->at[1], h, w->y[i], e);
     }
     return rc;
 }
@@ -367,7 +376,7 @@ enum err_code gcp_fit_make(const struct gcp_list *list, const struct colmap_mode
     struct fit_work w = {.cfg = cfg, .up = up};
     enum err_code rc = fit_open(&f, &w, list, e);
     if (!rc)
-        rc = fit_frame(&f, cfg->height_offset_m, e);
+        rc = fit_frame(&f, cfg, e);
     if (!rc)
         rc = fit_survey(&f, &w, e);
     if (!rc)
@@ -378,7 +387,7 @@ enum err_code gcp_fit_make(const struct gcp_list *list, const struct colmap_mode
     if (!rc)
         rc = fit_points(&f, &w, e);
     if (!rc)
-        rc = gcp_blame_suspects(&f, (const double(*)[3])w.y, cfg->height_offset_m, e);
+        rc = gcp_blame_suspects(&f, (const double(*)[3])w.y, e);
     if (!rc && cfg->gps_check)
         rc = gcp_blame_gps(&f, views, n_views, e);
     fit_close(&w);

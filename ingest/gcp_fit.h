@@ -18,10 +18,11 @@ enum gcp_suspects { /* treatment of points and marks that contradict the others 
                     GCP_KEEP  /* all have equal weight */
 };
 struct gcp_fit_config {
-    double px_scale;        /* pixels of the list in a pixel of COLMAP's photographs */
-    double height_offset_m; /* added to the heights of the list */
-    double sigma_m;         /* of surveyed points without accuracy, on each axis */
-    double mark_px;         /* of marks without accuracy, in pixels of the list */
+    double px_scale;           /* pixels of the list in a pixel of COLMAP's photographs */
+    double height_offset_m;    /* added to the heights of the list */
+    const struct geoid *geoid; /* its heights are added, too; NULL: none */
+    double sigma_m;            /* of surveyed points without accuracy, on each axis */
+    double mark_px;            /* of marks without accuracy, in pixels of the list */
     enum gcp_suspects suspects;
     bool gps_check;
 };
@@ -84,7 +85,8 @@ enum err_code gcp_blame_far(struct gcp_fit *f, const struct gcp_view *views, siz
 enum err_code gcp_blame_gps(struct gcp_fit *f, const struct gcp_view *views, size_t n_views,
                             struct err *e) ERR_USE;
 /* Finds the causes of suspects. y [list.n]: their surveyed places in f's frame. ERR_ARG. */
-enum err_code gcp_blame_suspects(struct gcp_fit *f, const double (*y)[3], double height_offset_m,
-                                 struct err *e) ERR_USE;
+enum err_code gcp_blame_suspects(struct gcp_fit *f, const double (*y)[3], struct err *e) ERR_USE;
+/* Returns the height of a point of the list, with what is added to it. */
+double gcp_fit_height(const struct gcp_fit_config *cfg, const struct gcp *g);
 
 #endif

@@ -17,10 +17,10 @@
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
-#include <strings.h>
 
 #include "core/base.h"
 #include "core/sort.h"
+#include "ingest/table.h"
 
 static const double ray_angle_least = 0.01; /* rad between two rays, below it they fix no point */
 static const double sink_least = 0.1;       /* of a ray that is cut with level ground */
@@ -57,29 +57,6 @@ bool gcp_inverse(const double a[9], double inverse[9])
 
 /* ---- which photograph ---- */
 
-static bool locate_is_slash(char c)
-{
-    return c == '/' || c == '\\';
-}
-
-/* How well the path of a photograph and the one of a mark end alike, 0 for not: folders that both
- * have must be the same, capitals do not matter (cameras write .JPG), the whole path is better than
- * a part. */
-static size_t locate_alike(const char *photo, const char *mark)
-{
-    size_t n = strlen(photo), k = strlen(mark), same = 0, least = n < k ? n : k;
-    while (same < least) {
-        char a = photo[n - same - 1], b = mark[k - same - 1];
-        if (locate_is_slash(a) ? !locate_is_slash(b) : strncasecmp(&a, &b, 1) != 0)
-            return 0;
-        same++;
-    }
-    if ((n > least && !locate_is_slash(photo[n - least - 1])) ||
-        (k > least && !locate_is_slash(mark[k - least - 1])))
-        return 0;
-    return 4 * same + 2 * (n == k) + !strcmp(photo, mark);
-}
-
 /* The photograph of a mark, NULL: none. Of all that COLMAP knows, also those that were dropped: the
  * mark of one must not go to another of that name. */
 static enum err_code locate_photo(const struct colmap_model *m, const struct gcp_list *list,
@@ -89,7 +66,7 @@ static enum err_code locate_photo(const struct colmap_model *m, const struct gcp
     const struct colmap_image *best = NULL, *other = NULL;
     size_t most = 0;
     for (size_t i = 0; i < m->n_images; i++) {
-        size_t alike = locate_alike(m->images[i].name, mark->image);
+        size_t alike = table_alike(m->images[i].name, mark->image);
         if (alike && alike == most)
             other = &m->images[i];
         if (alike <= most)

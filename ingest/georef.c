@@ -29,6 +29,7 @@ enum {
     FLIGHTS_PHOTOS_MIN = 12
 };
 static const double collinear_ratio = 0.01;
+static const double ratio_most = 1000; /* accuracies that are said are believed so far */
 /* For a partition to be taken: cost against that of one flight. Cutting one normal distribution of
  * heights at its middle leaves 0.79 of the cost, so clusters must do much better than that. A
  * receiver that drifts is no second flight: a jump must be sudden and fit better than a parabola,
@@ -125,7 +126,7 @@ enum err_code georef_upright(const struct georef_photo *photos, size_t n,
 
 struct work { /* arrays of one georef_fit, all [n] */
     size_t n;
-    double (*x)[3], (*y)[3], (*right)[3], *scratch, *e;
+    double (*x)[3], (*y)[3], (*right)[3], (*ratio)[2], *scratch, *e;
     bool *use;
     uint32_t *group, *trial, *with_gps;
     size_t n_gps;
@@ -139,12 +140,31 @@ static void georef_work_free(struct work *w)
     mem_free(w->x);
     mem_free(w->y);
     mem_free(w->right);
+    mem_free(w->ratio);
     mem_free(w->scratch);
     mem_free(w->e);
     mem_free(w->use);
     mem_free(w->group);
     mem_free(w->trial);
     mem_free(w->with_gps);
+}
+
+/* How much more each position errs than the middle one of those that say it: their errors are
+ * found from the residuals, how they differ from what was said. */
+static void georef_ratios(struct work *w, const struct georef_photo *photos)
+{
+    for (size_t k = 0; k < 2; k++) {
+        size_t n = 0;
+        for (size_t i = 0; i < w->n; i++)
+            if (photos[i].has_gps && photos[i].sigma_m[k] > 0)
+                w->scratch[n++] = photos[i].sigma_m[k];
+        double middle = sort_median(w->scratch, n);
+        for (size_t i = 0; i < w->n; i++)
+            w->ratio[i][k] =
+                photos[i].has_gps && photos[i].sigma_m[k] > 0
+                    ? fmin(ratio_most, fmax(1 / ratio_most, photos[i].sigma_m[k] / middle))
+                    : 1;
+    }
 }
 
 static enum err_code georef_work_make(struct work *w, const struct georef_photo *photos, size_t n,
@@ -154,14 +174,15 @@ static enum err_code georef_work_make(struct work *w, const struct georef_photo 
     w->x = mem_array(n, sizeof *w->x);
     w->y = mem_array(n, sizeof *w->y);
     w->right = mem_array(n, sizeof *w->right);
+    w->ratio = mem_array(n, sizeof *w->ratio);
     w->scratch = mem_array(n, sizeof *w->scratch);
     w->e = mem_array(n, sizeof *w->e);
     w->use = mem_array(n, sizeof *w->use);
     w->group = mem_array(n, sizeof *w->group);
     w->trial = mem_array(n, sizeof *w->trial);
     w->with_gps = mem_array(n, sizeof *w->with_gps);
-    if (!w->x || !w->y || !w->right || !w->scratch || !w->e || !w->use || !w->group || !w->trial ||
-        !w->with_gps)
+    if (!w->x || !w->y || !w->right || !w->ratio || !w->scratch || !w->e || !w->use || !w->group ||
+        !w->trial || !w->with_gps)
         return err_set(e, ERR_MEM, "georeferencing: out of memory for %zu photographs", n);
     for (size_t i = 0; i < n; i++) {
         memcpy(w->x[i], photos[i].center, sizeof w->x[i]);
@@ -171,10 +192,12 @@ static enum err_code georef_work_make(struct work *w, const struct georef_photo 
         if (photos[i].has_gps)
             w->with_gps[w->n_gps++] = (uint32_t)i;
     }
+    georef_ratios(w, photos);
     georef_upright_at(photos, n, cfg->ground_normal, cfg->normal_sigma, w->up);
     w->p = (struct sim3_problem){.x = (const double(*)[3])w->x,
                                  .y = (const double(*)[3])w->y,
                                  .right = (const double(*)[3])w->right,
+                                 .ratio = (const double(*)[2])w->ratio,
                                  .use = w->use,
                                  .group = w->group,
                                  .n = n,

@@ -199,19 +199,6 @@ static enum err_code ingest_read_info_task(void *user, size_t i, struct err *e)
     return ERR_OK;
 }
 
-/* "2024:06:01 10:00:00" as seconds; NaN when it is nothing of the kind. */
-static double ingest_time_seconds(const char *s)
-{
-    int y, mo, d, h, mi, sec;
-    if (sscanf(s, "%4d:%2d:%2d %2d:%2d:%2d", &y, &mo, &d, &h, &mi, &sec) != 6 || y < 1900 ||
-        mo < 1 || mo > 12)
-        return (double)NAN;
-    /* Days of the proleptic Gregorian calendar, March first so that leap days come last. */
-    int a = mo < 3, yy = y - a, mm = mo + 12 * a - 3;
-    double days = 365.0 * yy + yy / 4 - yy / 100 + yy / 400 + (153 * mm + 2) / 5 + d;
-    return days * 86400 + h * 3600 + mi * 60 + sec;
-}
-
 struct moment {
     double s;
     size_t photo;
@@ -233,7 +220,7 @@ static enum err_code ingest_find_flights(struct ingest *g, struct err *e)
         return ingest_no_memory(e);
     size_t n = 0;
     for (size_t i = 0; i < g->n; i++) {
-        double s = ingest_time_seconds(g->photos[i].gps.time);
+        double s = positions_time(g->photos[i].gps.time);
         if (isfinite(s))
             m[n++] = (struct moment){s, i};
     }
@@ -404,7 +391,9 @@ static enum err_code ingest_write_scene(struct ingest *g, double start_s, struct
                               .points = g->points,
                               .georef = g->fitted ? &g->georef : NULL,
                               .gcp = g->gcps ? &g->gcp : NULL,
-                              .gimbal = &g->gimbal};
+                              .gimbal = &g->gimbal,
+                              .positions = g->positions,
+                              .n_positioned = g->n_positioned};
     for (size_t i = 0; i < g->scene.n_images; i++)
         *(g->scene.images[i].split == SCENE_TEST ? &r.n_test : &r.n_train) += 1;
     for (size_t i = 0; i < g->n; i++)
@@ -438,6 +427,10 @@ static enum err_code ingest_run_steps(struct ingest *g, const char *sparse_dir, 
     if (!rc)
         rc = ingest_drone_heights(g, e);
     if (!rc)
+        rc = ingest_positions_apply(g, e);
+    if (!rc)
+        rc = ingest_heights_check(g, e);
+    if (!rc)
         rc = ingest_judge_poses(g, e);
     if (!rc)
         rc = ingest_check_some_left(g, e);
@@ -465,15 +458,25 @@ static enum err_code ingest_run_steps(struct ingest *g, const char *sparse_dir, 
 enum err_code ingest_run(const char *images_dir, const char *sparse_dir,
                          const struct ingest_config *cfg, struct err *e)
 {
-    return ingest_run_gcp(images_dir, sparse_dir, cfg, NULL, e);
+    return ingest_run_with(images_dir, sparse_dir, cfg, NULL, NULL, e);
 }
 
 enum err_code ingest_run_gcp(const char *images_dir, const char *sparse_dir,
                              const struct ingest_config *cfg, const struct gcp_list *gcps,
                              struct err *e)
 {
-    struct ingest g = {
-        .cfg = cfg, .images_dir = images_dir, .gcps = gcps, .progress_busy = ATOMIC_FLAG_INIT};
+    return ingest_run_with(images_dir, sparse_dir, cfg, gcps, NULL, e);
+}
+
+enum err_code ingest_run_with(const char *images_dir, const char *sparse_dir,
+                              const struct ingest_config *cfg, const struct gcp_list *gcps,
+                              const struct positions *positions, struct err *e)
+{
+    struct ingest g = {.cfg = cfg,
+                       .images_dir = images_dir,
+                       .gcps = gcps,
+                       .positions = positions,
+                       .progress_busy = ATOMIC_FLAG_INIT};
     struct geo_origin ignored;
     double start_s = clock_s();
     if (!cfg->output)
@@ -482,9 +485,13 @@ enum err_code ingest_run_gcp(const char *images_dir, const char *sparse_dir,
     if (!rc && cfg->attribution && !ingest_is_utf8(cfg->attribution))
         rc = err_set(e, ERR_ARG, "--attribution: is not written in UTF-8");
     if (!rc)
+        rc = ingest_heights_open(&g, e);
+    if (!rc)
         rc = outdir_begin(cfg->output, "scene.json", cfg->overwrite, &g.dir, e);
-    if (rc)
+    if (rc) {
+        geoid_close(&g.geoid);
         return rc;
+    }
     if (cfg->attribution && !(g.scene.attribution = arena_text(&g.scene.arena, cfg->attribution)))
         rc = ingest_no_memory(e);
     if (!rc)
@@ -492,6 +499,7 @@ enum err_code ingest_run_gcp(const char *images_dir, const char *sparse_dir,
     outdir_abort(&g.dir);
     georef_free(&g.georef);
     gcp_fit_free(&g.gcp);
+    geoid_close(&g.geoid);
     colmap_free(&g.model);
     scene_free(&g.scene);
     return rc;

@@ -11,6 +11,7 @@
 #include "core/options.h"
 
 struct gcp_list;
+struct positions;
 
 struct ingest_config {
 #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
@@ -29,5 +30,11 @@ enum err_code ingest_run(const char *images_dir, const char *sparse_dir,
 enum err_code ingest_run_gcp(const char *images_dir, const char *sparse_dir,
                              const struct ingest_config *cfg, const struct gcp_list *gcps,
                              struct err *e) ERR_USE;
+
+/* The same with positions of photographs from a file, in longitude, latitude and height, instead of
+ * those of EXIF. positions NULL: ingest_run_gcp. Errors of positions_match as well. */
+enum err_code ingest_run_with(const char *images_dir, const char *sparse_dir,
+                              const struct ingest_config *cfg, const struct gcp_list *gcps,
+                              const struct positions *positions, struct err *e) ERR_USE;
 
 #endif

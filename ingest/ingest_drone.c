@@ -96,11 +96,6 @@ enum err_code ingest_drone_heights(struct ingest *g, struct err *e)
     return ERR_OK;
 }
 
-double ingest_drone_height_m(const struct ingest *g, const struct ingest_photo *p)
-{
-    return p->gps.alt_m + (p->altitude == INGEST_ALTITUDE_RTK ? 0 : g->cfg->geoid_offset_m);
-}
-
 /* ---- which way is up ---- */
 
 static void drone_unit(double v[3])

@@ -2,7 +2,8 @@
  *
  * The fit uses a frame about the median GPS position. Then the origin moves to the middle of the
  * kept photographs, at the height of the median point, so the ground is near z = 0. EXIF altitudes
- * are used as they are, plus --geoid-offset-m; no height is guessed.
+ * are used as they are, unless --geoid or --geoid-offset-m makes them ellipsoidal; no height is
+ * guessed.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -49,7 +50,7 @@ static enum err_code frame_gps_to_enu(struct ingest *g, const struct geo_origin 
         struct ingest_photo *p = &g->photos[i];
         p->geo.has_gps = p->verdict != INGEST_MISSING && frame_gps_usable(&p->gps);
         if (p->geo.has_gps)
-            rc = geo_to_enu(o, p->gps.lon_deg, p->gps.lat_deg, ingest_drone_height_m(g, p),
+            rc = geo_to_enu(o, p->gps.lon_deg, p->gps.lat_deg, ingest_heights_photo_m(g, p),
                             p->geo.gps_enu_m, e);
     }
     return rc;
@@ -70,7 +71,7 @@ static enum err_code frame_median_place(const struct ingest *g, struct geo_origi
         lon0 = n ? lon0 : p->lon_deg;
         v[n] = remainder(p->lon_deg - lon0, 360);
         v[g->n + n] = p->lat_deg;
-        v[2 * g->n + n++] = ingest_drone_height_m(g, &g->photos[i]);
+        v[2 * g->n + n++] = ingest_heights_photo_m(g, &g->photos[i]);
     }
     *o = (struct geo_origin){remainder(lon0 + sort_median(v, n), 360), sort_median(v + g->n, n),
                              sort_median(v + 2 * g->n, n)};
@@ -225,8 +226,10 @@ static enum err_code frame_fit_kept(struct ingest *g, struct err *e)
     enum err_code rc =
         list ? frame_upwards(g, cfg.ground_normal, &cfg.normal_sigma, e) : frame_no_memory(e);
     for (size_t i = 0; !rc && i < g->n; i++)
-        if (g->photos[i].verdict == INGEST_KEPT)
-            list[n++] = g->photos[i].geo;
+        if (g->photos[i].verdict == INGEST_KEPT) {
+            list[n] = g->photos[i].geo;
+            memcpy(list[n++].sigma_m, g->photos[i].sigma_m, sizeof list->sigma_m);
+        }
     if (!rc)
         rc = georef_fit(list, n, &cfg, &g->georef, e);
     n = 0;
@@ -267,7 +270,7 @@ static enum err_code frame_from_gps(struct ingest *g, struct sim3 *sim, struct e
         if (g->photos[i].verdict == INGEST_KEPT && g->photos[i].geo.has_gps) {
             const struct ingest_photo *p = &g->photos[i];
             sum +=
-                g->georef.flight_offset_m[p->flight] + p->gps.alt_m - ingest_drone_height_m(g, p);
+                g->georef.flight_offset_m[p->flight] + p->gps.alt_m - ingest_heights_photo_m(g, p);
             n++;
         }
     g->scene.vertical_offset_m = n ? sum / (double)n : 0;
@@ -383,7 +386,8 @@ static void frame_view(const struct ingest *g, const struct ingest_photo *p, str
         return;
     v->lon_deg = p->gps.lon_deg;
     v->lat_deg = p->gps.lat_deg;
-    v->h_m = ingest_drone_height_m(g, p);
+    v->h_m = ingest_heights_photo_m(g, p);
+    memcpy(v->sigma_m, p->sigma_m, sizeof v->sigma_m);
 }
 
 static enum err_code frame_from_gcp(struct ingest *g, struct sim3 *sim, struct err *e)
@@ -392,6 +396,7 @@ static enum err_code frame_from_gcp(struct ingest *g, struct sim3 *sim, struct e
     size_t n = 0;
     const struct gcp_fit_config cfg = {.px_scale = g->cfg->gcp_scale,
                                        .height_offset_m = g->cfg->geoid_offset_m,
+                                       .geoid = g->gcps_of_sea ? g->geoid : NULL,
                                        .sigma_m = g->cfg->gcp_accuracy_m,
                                        .mark_px = g->cfg->mark_accuracy_px,
                                        .suspects = (enum gcp_suspects)g->cfg->suspects,
@@ -433,6 +438,8 @@ enum err_code ingest_frame_find(struct ingest *g, struct err *e)
         rc = g->gcps  ? frame_from_gcp(g, &sim, e)
              : enough ? frame_from_gps(g, &sim, e)
                       : frame_by_hand(g, n_gps, n_kept, &sim, e);
+    if (!rc)
+        ingest_heights_name(g);
     if (!rc && g->gimbal.known)
         ingest_drone_check(&sim, &g->gimbal);
     g->scene.scale = sim.scale;

@@ -14,6 +14,7 @@
 #include "ingest/gcp_fit.h"
 #include "ingest/georef.h"
 #include "ingest/ingest_photo.h"
+#include "ingest/positions.h"
 
 struct ingest_config;
 
@@ -31,6 +32,7 @@ enum ingest_altitude { /* source of the altitude that is used: ingest_drone.c */
                        INGEST_ALTITUDE_EXIF,
                        INGEST_ALTITUDE_BAROMETER,
                        INGEST_ALTITUDE_RTK,
+                       INGEST_ALTITUDE_FILE, /* of --positions */
                        INGEST_ALTITUDES
 };
 enum { INGEST_AUTO, INGEST_EXIF }; /* values of --altitude */
@@ -54,6 +56,7 @@ struct ingest_photo {
     size_t n_points;        /* number of triangulated observations */
     double reprojection_px; /* median */
     double residual_m;      /* NaN without GPS */
+    double sigma_m[2];      /* of its GPS, an axis in plan and the height; 0: not said */
     uint32_t flight, view;
     enum ingest_verdict verdict;
 };
@@ -66,6 +69,8 @@ struct ingest_result { /* input of ingest_report.c */
     const struct georef_result *georef; /* NULL: there was too little GPS */
     const struct gcp_fit *gcp; /* NULL: the frame does not come from ground control points */
     const struct ingest_gimbal *gimbal;
+    const struct positions *positions; /* NULL: none */
+    size_t n_positioned;
     double seconds;
 };
 
@@ -83,8 +88,12 @@ struct ingest {
     struct georef_result georef;
     bool fitted;
     struct ingest_gimbal gimbal;
-    const struct gcp_list *gcps; /* NULL: none */
+    const struct gcp_list *gcps;       /* NULL: none */
+    const struct positions *positions; /* NULL: none */
+    size_t n_positioned;               /* photographs that have one of them */
     struct gcp_fit gcp;
+    struct geoid *geoid; /* --geoid; NULL: none */
+    bool gcps_of_sea;    /* it is added to heights of ground control points */
     struct scene scene;
     struct progress progress;
     atomic_flag progress_busy; /* only its holder may use `progress` */
@@ -97,12 +106,28 @@ struct ingest {
 enum err_code ingest_frame_find(struct ingest *g, struct err *e) ERR_USE;
 /* Parses --origin: "LON,LAT,H" in degrees and metres. ERR_ARG. */
 enum err_code ingest_frame_parse(const char *text, struct geo_origin *o, struct err *e) ERR_USE;
+/* ---- ingest_heights.c ---- */
+
+/* Checks --heights, --geoid and --geoid-offset-m, and opens the geoid. ERR_ARG; of the geoid
+ * ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM. */
+enum err_code ingest_heights_open(struct ingest *g, struct err *e) ERR_USE;
+/* ERR_ARG: the geoid does not reach a photograph. */
+enum err_code ingest_heights_check(const struct ingest *g, struct err *e) ERR_USE;
+/* The height of a photograph, ellipsoidal where that is known. */
+double ingest_heights_photo_m(const struct ingest *g, const struct ingest_photo *p);
+/* heights of the scene. */
+void ingest_heights_name(struct ingest *g);
+
+/* ---- ingest_positions.c ---- */
+
+/* Positions and accuracies of photographs by the file of --positions, or the accuracies that they
+ * have in XMP. ERR_DATA: the file does not fit the photographs; ERR_MEM. */
+enum err_code ingest_positions_apply(struct ingest *g, struct err *e) ERR_USE;
+
 /* ---- ingest_drone.c ---- */
 
 /* Chooses the altitudes to use, flight by flight. ERR_MEM. */
 enum err_code ingest_drone_heights(struct ingest *g, struct err *e) ERR_USE;
-/* Height above the ellipsoid, if --geoid-offset-m is right. */
-double ingest_drone_height_m(const struct ingest *g, const struct ingest_photo *p);
 /* Computes up from the gimbals of the kept photographs. ERR_MEM. */
 enum err_code ingest_drone_up(const struct ingest *g, struct ingest_gimbal *out,
                               struct err *e) ERR_USE;

@@ -216,6 +216,7 @@ static const struct {
     [INGEST_ALTITUDE_BAROMETER] = {"barometer", "the barometer's above take-off, at the level of "
                                                 "EXIF's"},
     [INGEST_ALTITUDE_RTK] = {"rtk", "RTK's, above the ellipsoid"},
+    [INGEST_ALTITUDE_FILE] = {"positions", "those of --positions"},
 };
 
 static void report_count_altitudes(const struct ingest_result *r, size_t n[INGEST_ALTITUDES])
@@ -231,13 +232,21 @@ static void report_print_drone(const struct ingest_result *r)
     const struct ingest_gimbal *m = r->gimbal;
     double deg = 57.29577951308232;
     size_t n[INGEST_ALTITUDES];
+    char words[HEIGHTS_WORDS_MAX];
     report_count_altitudes(r, n);
-    for (size_t k = 0; k < INGEST_ALTITUDES; k++) {
-        bool moved = k != INGEST_ALTITUDE_RTK && r->cfg->geoid_offset_m != 0;
-        if (n[k] && r->georef && (k != INGEST_ALTITUDE_EXIF || moved))
+    for (size_t k = 0; k < INGEST_ALTITUDES; k++)
+        if (n[k] && r->georef)
             printf("heights  %zu photographs: %s%s\n", n[k], altitude_words[k].text,
-                   moved ? ", moved by --geoid-offset-m" : "");
-    }
+                   k >= INGEST_ALTITUDE_RTK      ? ""
+                   : r->cfg->geoid               ? ", moved by --geoid"
+                   : r->cfg->geoid_offset_m != 0 ? ", moved by --geoid-offset-m"
+                                                 : "");
+    heights_words(r->scene->heights, words);
+    printf("heights  of the scene count from %s%s\n", words,
+           !strcmp(r->scene->heights, "sea-exif")
+               ? "; --geoid egm96 makes them ellipsoidal, as globes expect"
+           : !strcmp(r->scene->heights, "unknown") && r->gcp ? "; say it by --heights"
+                                                             : "");
     if (!m->known)
         return;
     printf("gimbals  %zu photographs: up is %.2f deg from the frame's (%+.2f to the east, %+.2f to "
@@ -529,14 +538,16 @@ enum err_code ingest_report_write(const struct ingest_result *r, const char *pat
         return rc;
     double median_ev, range_ev = report_exposure(r, &median_ev);
     json_t *root = json_pack(
-        "{s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:{s:f, s:f}, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:f}",
+        "{s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:s, s:{s:f, s:f}, s:o, s:o, s:o, s:o, s:o, s:o, s:o, "
+        "s:f}",
         "photographs", (json_int_t)r->n_photos, "kept", (json_int_t)r->n_kept, "train",
         (json_int_t)r->n_train, "test", (json_int_t)r->n_test, "with_gps", (json_int_t)r->n_gps,
-        "not_in_model", (json_int_t)r->n_unregistered, "scale_m", r->scene->scale, "exposure",
-        "range_ev", range_ev, "median_ev", median_ev, "altitudes", report_altitudes_to_json(r),
-        "gimbals", report_gimbal_to_json(r->gimbal), "georeferencing", report_georef_to_json(r),
-        "ground_control", report_gcp_to_json(r->gcp), "points", report_points_to_json(r), "photos",
-        report_photos_to_json(r), "config", config, "seconds", r->seconds);
+        "not_in_model", (json_int_t)r->n_unregistered, "scale_m", r->scene->scale, "heights",
+        r->scene->heights, "exposure", "range_ev", range_ev, "median_ev", median_ev, "altitudes",
+        report_altitudes_to_json(r), "gimbals", report_gimbal_to_json(r->gimbal), "georeferencing",
+        report_georef_to_json(r), "ground_control", report_gcp_to_json(r->gcp), "points",
+        report_points_to_json(r), "photos", report_photos_to_json(r), "config", config, "seconds",
+        r->seconds);
     if (!root)
         return err_set(e, ERR_DATA, "%s: cannot be written: a photograph's name is not UTF-8",
                        path);

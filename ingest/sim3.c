@@ -236,6 +236,15 @@ static void sim3_residual_at(const struct sim3_problem *p, const struct sim3_fit
         r[a] = p->y[i][a] - y[a];
 }
 
+/* The same in units of the errors of a middle pair. */
+static void sim3_residual_even(const struct sim3_problem *p, const struct sim3_fit *f, size_t i,
+                               double r[3])
+{
+    sim3_residual_at(p, f, i, r);
+    for (int a = 0; p->ratio && a < 3; a++)
+        r[a] /= p->ratio[i][a == 2];
+}
+
 double sim3_residual(const struct sim3_problem *p, const struct sim3_fit *fit, size_t i)
 {
     double r[3], trust = 1;
@@ -283,10 +292,12 @@ static void sim3_add_positions(const struct sim3_problem *p, const struct sim3_f
         double r[3], y[3];
         if (!p->use[i])
             continue;
-        sim3_residual_at(p, f, i, r);
+        sim3_residual_even(p, f, i, r);
         double w = sim3_weight_at(p, f, i, r);
         if (w == 0)
             continue;
+        double even[2] = {p->ratio ? p->ratio[i][0] : 1, p->ratio ? p->ratio[i][1] : 1};
+        sim3_residual_at(p, f, i, r);
         sim3_apply(&f->sim, p->x[i], y);
         for (int a = 0; a < 3; a++)
             y[a] -= center[a];
@@ -297,7 +308,7 @@ static void sim3_add_positions(const struct sim3_problem *p, const struct sim3_f
             row[4 + a] = 1;
             if (a == 2 && p->group[i])
                 row[6 + p->group[i]] = 1;
-            sim3_eq_add(q, row, r[a], w * (a == 2 ? wv : wh));
+            sim3_eq_add(q, row, r[a], w * (a == 2 ? wv : wh) / (even[a == 2] * even[a == 2]));
         }
     }
 }
@@ -388,7 +399,7 @@ static double sim3_independent_share(const struct sim3_problem *p, const struct 
         double r[3];
         if (!p->use[i])
             continue;
-        sim3_residual_at(p, f, i, r);
+        sim3_residual_even(p, f, i, r);
         for (int a = first; a <= last; a++) {
             r[a] = fmax(-3 * sigma, fmin(3 * sigma, r[a]));
             product += n ? r[a] * last_r[a] : 0;
@@ -418,7 +429,7 @@ static void sim3_spread_at(const struct sim3_problem *p, struct sim3_fit *f, boo
         sim3_apply(&f->sim, p->x[i], y);
         for (int a = 0; a < 3; a++)
             center[a] += y[a];
-        sim3_residual_at(p, f, i, r);
+        sim3_residual_even(p, f, i, r);
         scratch[n] = sqrt(r[0] * r[0] + r[1] * r[1]);
         heights[n++] = fabs(r[2]);
     }

@@ -35,8 +35,10 @@ bool sim3_from_pairs(const double (*x)[3], const double (*y)[3], const uint32_t 
 struct sim3_problem {              /* all borrowed */
     const double (*x)[3], (*y)[3]; /* [n] camera centres, GPS positions in ENU */
     const double (
-        *right)[3];  /* [n] x axes of the cameras in the frame of x; level except for the roll */
-    const bool *use; /* [n] pairs that may be used */
+        *right)[3]; /* [n] x axes of the cameras in the frame of x; level except for the roll */
+    /* [n] errors in plan and in height, relative to the median pair; NULL: all are equal */
+    const double (*ratio)[2];
+    const bool *use;       /* [n] pairs that may be used */
     const uint32_t *group; /* [n] flight, 0 .. n_groups-1; each has its own height offset */
     size_t n, n_groups;
     /* radians by which the cameras are out of level, in the frame where that is least */

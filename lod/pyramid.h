@@ -10,6 +10,7 @@
 #include <stdint.h>
 
 #include "core/err.h"
+#include "core/heights.h"
 
 struct store_blob;
 struct gauss;
@@ -22,6 +23,7 @@ struct pyramid_config { /* {0} has defaults for all but the name */
     bool lossless; /* payloads in float32, and tile centres that lose no bit of a float32 mean */
     char name[64];
     char attribution[256];
+    char heights[HEIGHTS_MAX]; /* core/heights.h; "": above the ellipsoid */
 };
 struct pyramid_level {     /* levels must be consecutive: 1, 2, 3, or 3 alone */
     const struct gauss *g; /* borrowed; NULL: load() gives the level in n_parts parts */

@@ -557,6 +557,7 @@ enum err_code pyramid_build(const struct geo_origin *origin, const struct pyrami
         p.meta.lossless = cfg->lossless;
         memcpy(p.meta.name, cfg->name, sizeof p.meta.name);
         memcpy(p.meta.attribution, cfg->attribution, sizeof p.meta.attribution);
+        memcpy(p.meta.heights, cfg->heights, sizeof p.meta.heights);
         rc = pyramid_write(&p, blobs, n_blobs, out_path, e);
     }
     if (!rc)

@@ -408,13 +408,17 @@ enum err_code query_answer(struct nadir *n, const struct geoid *geoid, const str
                                                              [QUERY_PROFILE] = query_profile,
                                                              [QUERY_MEASURE] = query_measure,
                                                              [QUERY_VISIBLE] = query_visible};
-    struct query_work w = {n, geoid, q, json_object()};
+    const char *heights = store_info(nadir_store(n))->heights;
+    /* No geoid is taken off heights that count from the sea already. */
+    struct query_work w = {n, heights_ellipsoidal(heights) ? geoid : NULL, q, json_object()};
+    char datum[HEIGHTS_WORDS_MAX];
     *out = NULL;
     if (!w.out)
         return err_set(e, ERR_MEM, "out of memory for an answer");
-    json_object_set_new(w.out, "vertical_datum", json_string("WGS 84 ellipsoid"));
+    heights_datum(heights, datum);
+    json_object_set_new(w.out, "vertical_datum", json_string(datum));
     json_object_set_new(w.out, "units", json_string("m"));
-    if (geoid)
+    if (w.geoid)
         json_object_set_new(w.out, "sea_level", json_string(geoid_name(geoid)));
     enum err_code rc = answer[q->kind](&w, e);
     if (rc)

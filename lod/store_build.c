@@ -357,6 +357,8 @@ static enum err_code store_revision(struct store *s, struct err *e)
     buf_printf(&b, "%s\n%.17g %.17g %.17g\n%u %u %d\n%s\n", s->meta.name, s->meta.origin.lon_deg,
                s->meta.origin.lat_deg, s->meta.origin.h_m, s->meta.sh_degree, s->meta.embed_len,
                s->meta.antialiased, s->meta.attribution);
+    if (!heights_ellipsoidal(s->meta.heights))
+        buf_printf(&b, "heights %s\n", s->meta.heights);
     enum err_code rc = ERR_OK;
     for (size_t i = 0; i < s->n_tiles; i++) {
         struct store_tile t = s->tiles[i];
@@ -408,6 +410,7 @@ static enum err_code store_write_meta(struct store *s, struct err *e)
         {"zoom_min", num[7]},
         {"zoom_max", num[8]},
         {"attribution", m->attribution},
+        {"heights", m->heights},
         {"revision", m->revision},
         {"created", m->created},
         {"writer", "citysplat " CITYSPLAT_VERSION},

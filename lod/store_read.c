@@ -223,6 +223,22 @@ static enum err_code store_check_meta(const struct store *s, struct err *e)
     return ERR_OK;
 }
 
+/* Older stores do not have it: "". */
+static enum err_code store_meta_heights(struct store *s, sqlite3_stmt *q, struct store_meta *m,
+                                        struct err *e)
+{
+    sqlite3_reset(q);
+    sqlite3_bind_text(q, 1, "heights", -1, SQLITE_STATIC);
+    int code = sqlite3_step(q);
+    if (code != SQLITE_ROW && code != SQLITE_DONE)
+        return store_db_fail(s, code, "meta", e);
+    const char *text = code == SQLITE_ROW ? (const char *)sqlite3_column_text(q, 0) : "";
+    if (!text || strlen(text) >= sizeof m->heights || !heights_valid(text))
+        return err_set(e, ERR_FORMAT, "%s: meta: heights is none of those known", s->path);
+    memcpy(m->heights, text, strlen(text) + 1);
+    return ERR_OK;
+}
+
 static enum err_code store_read_meta(struct store *s, struct err *e)
 {
     struct store_meta *m = &s->meta;
@@ -252,6 +268,8 @@ static enum err_code store_read_meta(struct store *s, struct err *e)
         rc = store_meta_text(s, q, "name", m->name, sizeof m->name, e);
     if (!rc)
         rc = store_meta_text(s, q, "attribution", m->attribution, sizeof m->attribution, e);
+    if (!rc)
+        rc = store_meta_heights(s, q, m, e);
     if (!rc)
         rc = store_meta_text(s, q, "revision", m->revision, sizeof m->revision, e);
     if (!rc)

@@ -64,7 +64,9 @@ enum err_code map_document_tilejson(const struct dataset *d, const char *edition
     if (terrain) {
         json_object_set_new(
             o, "encoding", json_string(t->encoding == ENCODING_TERRARIUM ? "terrarium" : "mapbox"));
-        json_object_set_new(o, "verticalDatum", json_string("WGS 84 ellipsoid"));
+        char datum[HEIGHTS_WORDS_MAX];
+        heights_datum(d->meta.heights, datum);
+        json_object_set_new(o, "verticalDatum", json_string(datum));
         json_object_set_new(o, "voidHeight", json_real((double)raster_base_m(a)));
     }
     return document_make(o, out, e);

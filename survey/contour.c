@@ -264,7 +264,7 @@ enum err_code contour_write(struct nadir *n, const struct contour_request *r, co
 {
     struct contour_job j = {.request = r, .path = path, .meta = store_info(nadir_store(n))};
     const struct map_visitor v = {"surface, px", &j, contour_begin, contour_piece, false};
-    map_heights(&r->map, j.heights);
+    map_heights(n, &r->map, j.heights);
     enum err_code rc = contour_check(&j, e);
     if (!rc)
         rc = map_run(n, &r->map, &v, &j.report.map, e);

@@ -78,6 +78,11 @@ static enum err_code map_size(const double box[4], double gsd, struct map_grid *
     return ERR_OK;
 }
 
+static const char *map_stored_heights(const struct nadir *n)
+{
+    return store_info(nadir_store(n))->heights;
+}
+
 enum err_code map_plan(const struct nadir *n, const struct map_request *r, struct crs **crs,
                        struct map_grid *out, struct err *e)
 {
@@ -85,6 +90,11 @@ enum err_code map_plan(const struct nadir *n, const struct map_request *r, struc
     double deg[4], box[4], gsd = r->gsd_m > 0 ? r->gsd_m : map_gsd(a->sigma_m);
     *crs = NULL;
     enum err_code rc = map_area(a, r->bbox_deg, deg, e);
+    if (!rc && r->geoid && !heights_ellipsoidal(map_stored_heights(n)))
+        rc = err_set(e, ERR_ARG,
+                     "--geoid: heights of this store count from '%s', not from the ellipsoid, so "
+                     "no geoid can be taken off; give --geoid to ingest",
+                     map_stored_heights(n));
     if (rc)
         return rc;
     int epsg = r->epsg ? r->epsg : crs_utm(0.5 * (deg[0] + deg[2]), 0.5 * (deg[1] + deg[3]));
@@ -94,7 +104,8 @@ enum err_code map_plan(const struct nadir *n, const struct map_request *r, struc
     if (!rc)
         rc = map_size(box, gsd, out, e);
     out->epsg = epsg;
-    int vertical = r->geoid ? crs_vertical(geoid_name(r->geoid)) : 0;
+    int vertical =
+        r->geoid ? crs_vertical(geoid_name(r->geoid)) : heights_epsg(map_stored_heights(n));
     if (!rc && vertical)
         rc = crs_set_vertical(*crs, vertical, e);
     if (rc)
@@ -280,15 +291,18 @@ enum err_code map_run(struct nadir *n, const struct map_request *r, const struct
 
 /* ---- the file ---- */
 
-void map_heights(const struct map_request *r, char out[100])
+void map_heights(const struct nadir *n, const struct map_request *r, char out[100])
 {
+    char words[HEIGHTS_WORDS_MAX];
+    heights_words(map_stored_heights(n), words);
     if (r->geoid)
         snprintf(out, 100, "height above sea level by %.60s", geoid_name(r->geoid));
     else
-        snprintf(out, 100, "height above the WGS 84 ellipsoid");
+        snprintf(out, 100, "height above %s", words);
 }
 
 struct map_file {
+    const struct nadir *nadir;
     const struct map_request *request;
     const char *path;
     const struct store_meta *meta;
@@ -305,7 +319,7 @@ static enum err_code map_file_begin(void *user, const struct crs *crs, const str
     if (!(f->pixels = mem_array(size * size, 8)))
         return err_set(e, ERR_MEM, "out of memory for a piece of %zu px", size);
     snprintf(source, sizeof source, "%s %s", f->meta->name, f->meta->revision);
-    map_heights(f->request, heights);
+    map_heights(f->nadir, f->request, heights);
     const struct geotiff_info info = {.crs = crs,
                                       .west_m = g->west_m,
                                       .north_m = g->north_m,
@@ -348,7 +362,8 @@ static enum err_code map_file_piece(void *user, uint32_t x, uint32_t y, uint32_t
 enum err_code map_write(struct nadir *n, const struct map_request *r, const char *path,
                         struct map_report *report, struct err *e)
 {
-    struct map_file f = {.request = r, .path = path, .meta = store_info(nadir_store(n))};
+    struct map_file f = {
+        .nadir = n, .request = r, .path = path, .meta = store_info(nadir_store(n))};
     struct map_report own;
     const struct map_visitor v = {r->kind == GEOTIFF_COLOR ? "ortho, px" : "dsm, px", &f,
                                   map_file_begin, map_file_piece,

@@ -68,7 +68,7 @@ enum err_code map_place(const struct nadir *n, const struct crs *crs, const stru
 enum err_code map_run(struct nadir *n, const struct map_request *r, const struct map_visitor *v,
                       struct map_report *report, struct err *e) ERR_USE;
 /* Describes the heights of a request: "height above the WGS 84 ellipsoid". */
-void map_heights(const struct map_request *r, char out[100]);
+void map_heights(const struct nadir *n, const struct map_request *r, char out[100]);
 /* Writes a map under another name and renames it. report may be NULL. ERR_CANCEL: the program was
  * told to stop. Else the errors of map_plan, nadir_draw and geotiff.h. */
 enum err_code map_write(struct nadir *n, const struct map_request *r, const char *path,

@@ -19,6 +19,7 @@ static void make_scene(struct scene *s)
                         .rot = {0, -1, 0, 1, 0, 0, 0, 0, 1},
                         .trans = {1, 2, 3},
                         .vertical_offset_m = -1.5,
+                        .heights = "EPSG:7837",
                         .n_images = N_IMAGES,
                         .n_points = N_POINTS};
     s->images = arena_get(&s->arena, N_IMAGES, sizeof *s->images);
@@ -59,6 +60,7 @@ static void test_round_trip(void **state)
     assert_memory_equal(a.rot, b.rot, sizeof a.rot);
     assert_memory_equal(a.trans, b.trans, sizeof a.trans);
     assert_string_equal(a.attribution, b.attribution);
+    assert_string_equal(b.heights, "EPSG:7837");
     assert_int_equal(b.n_images, N_IMAGES);
     for (size_t i = 0; i < N_IMAGES; i++) {
         const struct scene_image *x = &a.images[i], *y = &b.images[i];

@@ -29,7 +29,8 @@ static void assert_near(double got, double want, double tolerance)
 static const struct store_meta meta = {.name = "test-city",
                                        .origin = {8.5, 50.1, 120.25},
                                        .sh_degree = 1,
-                                       .attribution = "Survey \"A\" & Co"};
+                                       .attribution = "Survey \"A\" & Co",
+                                       .heights = "sea-exif"};
 
 static void tile_gauss(uint64_t seed, size_t n, struct gauss *g)
 {
@@ -73,6 +74,7 @@ static void round_trip(void **state)
     const struct store_meta *m = store_info(s);
     assert_string_equal(m->name, "test-city");
     assert_string_equal(m->attribution, meta.attribution);
+    assert_string_equal(m->heights, "sea-exif");
     assert_near(m->origin.lat_deg, 50.1, 0);
     assert_int_equal(m->zoom_min, 15);
     assert_int_equal(m->zoom_max, 16);

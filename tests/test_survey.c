@@ -451,6 +451,49 @@ static void compare(const char *path, const char *name, bool align, struct chang
     nadir_close(&later);
 }
 
+/* A store whose heights are not ellipsoidal says so in its products, and no geoid is taken off. */
+static void other_heights_are_named(void **state)
+{
+    static const struct {
+        const char *heights, *says;
+    } kinds[] = {{"sea-exif", "height above sea level by EXIF"},
+                 {"EPSG:5773", "height above the zero of EPSG:5773"}};
+    const char *bin = kit_program();
+    struct buf out = {0};
+    (void)state;
+    for (size_t i = 0; i < 2; i++) {
+        struct err e = {0};
+        struct gauss g;
+        struct pyramid_config cfg = {.tile_edge_m = 30, .name = "sea"};
+        const struct pyramid_level level = {.g = &g, .level = 3};
+        char path[FILE_PATH_MAX];
+        cover(&g);
+        snprintf(cfg.heights, sizeof cfg.heights, "%s", kinds[i].heights);
+        kit_ok(file_join(path, f.dir, "sea.tiles", &e), e);
+        kit_ok(pyramid_build(&origin, &level, 1, &cfg, NULL, 0, path, NULL, &e), e);
+        gauss_free(&g);
+        assert_int_equal(kit_run(&out,
+                                 "cd '%s' && '%s' dsm -q sea.tiles -o sea.tif --gsd-m 0.5 && "
+                                 "gdalinfo sea.tif",
+                                 f.dir, bin),
+                         0);
+        kit_expect_text((const char *)out.data, kinds[i].says, __FILE__, __LINE__);
+        assert_true(!strstr((const char *)out.data, "WGS 84 ellipsoid"));
+        assert_true(!!strstr((const char *)out.data, "EGM96 height") == (i == 1));
+        buf_free(&out);
+        assert_int_equal(kit_run(&out, "'%s' height -q '%s' 8.6821,50.1109", bin, path), 0);
+        kit_expect_text((const char *)out.data, i ? "\"EPSG:5773\"" : "sea level by EXIF", __FILE__,
+                        __LINE__);
+        buf_free(&out);
+    }
+    assert_int_equal(kit_run(&out,
+                             "cd '%s' && '%s' dsm -q sea.tiles -o no.tif --geoid egm96 --geoid-dir "
+                             "none",
+                             f.dir, bin),
+                     1);
+    buf_free(&out);
+}
+
 static void changes_are_found(void **state)
 {
     struct change_report r;
@@ -643,6 +686,7 @@ int main(void)
         cmocka_unit_test(gdal_calls_it_cloud_optimized),
         cmocka_unit_test(far_gaussians_are_no_survey),
         cmocka_unit_test(places_have_heights),
+        cmocka_unit_test(other_heights_are_named),
         cmocka_unit_test(changes_are_found),
         cmocka_unit_test(what_lies_askew_is_aligned),
         cmocka_unit_test(ortho_is_the_citys_picture),
