@@ -135,6 +135,8 @@ static void template_of(const char *target, char out[96])
     json_t *o = document(target);
     const char *tile = json_string_value(json_array_get(json_object_get(o, "tiles"), 0)), *end;
     assert_non_null(tile);
+    tile = strstr(tile, "r/"); /* addresses are absolute */
+    assert_non_null(tile);
     end = strstr(tile, "/{z}");
     assert_non_null(end);
     snprintf(out, 96, "%.*s", (int)(end - tile), tile);
