@@ -7,10 +7,9 @@
 #include "codec/draco_layout.h"
 #include "codec/glb.h"
 #include "codec/limits.h"
-#include "codec/quant.h"
 #include "codec/spz.h"
 #include "tests/kit.h"
-#include "tests/torture.h"
+#include "tests/quant_kit.h"
 
 #include <math.h>
 #include <string.h>
@@ -162,26 +161,16 @@ static void test_foreign_sh_bytes(void **state)
     quant_free(&back);
 }
 
-static enum err_code decode_free(const void *user, const void *bytes, size_t n,
-                                 const struct codec_limits *lim, struct err *e)
-{
-    struct quant q;
-    (void)user;
-    enum err_code rc = draco_decode(bytes, n, lim, &q, e);
-    if (rc)
-        assert_null(q.block);
-    quant_free(&q);
-    return rc;
-}
-
 static void write_crc(struct buf *b)
 {
     uint32_t crc = draco_crc(b->data, b->size - DRACO_CRC_BYTES);
     memcpy(b->data + b->size - DRACO_CRC_BYTES, &crc, DRACO_CRC_BYTES);
 }
 
+static const struct quant_kit decoder = {draco_decode};
 static const struct torture torture = {.name = "draco",
-                                       .decode = decode_free,
+                                       .decode = quant_kit_decode,
+                                       .user = &decoder,
                                        .errors = TORTURE(ERR_LIMIT) | TORTURE(ERR_MEM),
                                        .mend = write_crc};
 

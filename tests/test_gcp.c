@@ -12,8 +12,7 @@
 #include "codec/scene.h"
 #include "ingest/gcp.h"
 #include "ingest/ingest.h"
-#include "kit.h"
-#include "synth/synth.h"
+#include "tests/city_kit.h"
 
 static char tmp[FILE_PATH_MAX], city[FILE_PATH_MAX], images[FILE_PATH_MAX];
 static struct arena texts;
@@ -39,15 +38,8 @@ static void make_city(const char *dir, double gps_sigma_m)
 {
     struct err e = {0};
     struct synth_config sc;
-    kit_ok(options_defaults(synth_options(), &sc, &texts, &e), e);
-    sc.output = dir;
+    city_kit_config(&sc, &texts, dir, 32);
     sc.gps_sigma_m = gps_sigma_m;
-    sc.photos = 32;
-    sc.width_px = 80;
-    sc.height_px = 60;
-    sc.extent_m = 100;
-    sc.points = 1500;
-    sc.supersample = 1;
     kit_ok(synth_run(&sc, &e), e);
 }
 

@@ -4,10 +4,9 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "codec/limits.h"
-#include "codec/quant.h"
 #include "codec/spz.h"
 #include "tests/kit.h"
-#include "tests/torture.h"
+#include "tests/quant_kit.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -392,20 +391,9 @@ static void test_writes_version_3_by_the_book(void **state)
     gauss_free(&g);
 }
 
-static enum err_code decode_free(const void *user, const void *bytes, size_t n,
-                                 const struct codec_limits *lim, struct err *e)
-{
-    struct quant q;
-    (void)user;
-    enum err_code rc = spz_decode(bytes, n, lim, &q, e);
-    if (rc)
-        assert_null(q.block);
-    quant_free(&q);
-    return rc;
-}
-
+static const struct quant_kit decoder = {spz_decode};
 static const struct torture torture = {
-    .name = "spz", .decode = decode_free, .errors = TORTURE(ERR_LIMIT)};
+    .name = "spz", .decode = quant_kit_decode, .user = &decoder, .errors = TORTURE(ERR_LIMIT)};
 
 static void test_truncation_and_flips(void **state)
 {
