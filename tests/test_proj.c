@@ -495,7 +495,7 @@ static void orthophotos_lie_where_gdal_has_them(void **state)
         char path[FILE_PATH_MAX], want[16];
         kit_ok(file_join(path, dir, "place.tiles", &e), e);
         city_make(o, path);
-        if (kit_run(&out, "'%s' ortho -q '%s' -o '%s/o.tif' --gsd-m 0.25 --device cpu", bin, path,
+        if (kit_run(&out, "'%s' ortho -q '%s' -o '%s/o.tif' --gsd-m 0.25 --device cpu --overwrite", bin, path,
                     dir))
             fail_msg("%.4f,%.4f: %.*s", o->lon_deg, o->lat_deg, (int)out.size,
                      (const char *)out.data);
