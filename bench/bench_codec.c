@@ -218,7 +218,7 @@ static enum err_code codec_tile_requests(struct bench *b, const struct gauss *g,
         t.form = (struct form){(enum format)f, QUANT_BALANCED, (uint8_t)g->sh_degree, false};
         rc = bench_cpu_time(b, codec_tile_make, &t, &ms, NULL, e);
         snprintf(name, sizeof name, "tile of %zu k from store to .%s", n / 1000,
-                 target_ext(t.form.format));
+                 format_ext(t.form.format));
         if (!rc)
             bench_report(b, name, ms, "ms", 0, NULL);
     }

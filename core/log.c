@@ -42,18 +42,38 @@ void log_now(char out[32])
     snprintf(out + n, 32 - n, ".%03dZ", (int)(now.tv_nsec / 1000000));
 }
 
+/* Bytes of the UTF-8 letter that begins at p (RFC 3629); 0: there is none. */
+static size_t log_letter(const unsigned char *p)
+{
+    if (*p < 0x80)
+        return 1;
+    const size_t n = *p >= 0xc2 && *p < 0xe0 ? 2 : *p >= 0xe0 && *p < 0xf0 ? 3 : *p >= 0xf0 ? 4 : 0;
+    if (!n || *p > 0xf4)
+        return 0;
+    for (size_t i = 1; i < n; i++)
+        if ((p[i] & 0xc0) != 0x80)
+            return 0;
+    const bool too_long = (*p == 0xe0 && p[1] < 0xa0) || (*p == 0xf0 && p[1] < 0x90);
+    const bool surrogate = *p == 0xed && p[1] >= 0xa0, beyond = *p == 0xf4 && p[1] >= 0x90;
+    return too_long || surrogate || beyond ? 0 : n;
+}
+
 size_t log_quote(const char *text, char *out, size_t room)
 {
-    size_t n = 0;
-    for (const char *p = text; *p && n + 7 < room; p++) {
+    static const char unknown[] = "\\ufffd";
+    size_t n = 0, letter;
+    for (const char *p = text; *p && n + 7 < room; p += letter ? letter : 1) {
         unsigned char c = (unsigned char)*p;
+        letter = log_letter((const unsigned char *)p);
         if (c == '"' || c == '\\') {
             out[n++] = '\\';
             out[n++] = *p;
         } else if (c < 0x20 || c == 0x7f) {
             n += (size_t)snprintf(out + n, room - n, "\\u%04x", c);
         } else {
-            out[n++] = *p;
+            const size_t m = letter ? letter : sizeof unknown - 1;
+            memcpy(out + n, letter ? p : unknown, m);
+            n += m;
         }
     }
     out[n] = '\0';

@@ -554,11 +554,13 @@ static enum err_code store_take(struct store *s, sqlite3_stmt *q, const char *wh
     if (code != SQLITE_ROW)
         return store_db_fail(s, code, what, e);
     struct hash128 want = store_column_hash(q, 0, &ok);
-    /* NULL of an empty blob is fine, NULL of a page that cannot be read is not. */
+    /* NULL of an empty blob is fine. NULL of a page that cannot be read, or for want of memory, is
+     * not, and says nothing about the hash. */
     const void *p = sqlite3_column_blob(q, 1);
     size_t n = (size_t)sqlite3_column_bytes(q, 1);
-    if (!p && sqlite3_errcode(s->db) != SQLITE_ROW && sqlite3_errcode(s->db) != SQLITE_OK)
-        return store_db_fail(s, sqlite3_errcode(s->db), what, e);
+    code = sqlite3_errcode(s->db);
+    if ((!p || !ok) && code != SQLITE_ROW && code != SQLITE_OK)
+        return store_db_fail(s, code, what, e);
     struct hash128 have = hash_bytes(p ? p : "", n);
     if (!ok || have.lo != want.lo || have.hi != want.hi)
         return err_set(

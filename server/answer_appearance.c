@@ -3,10 +3,11 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "server/answer.h"
+#include "server/answer_appearance.h"
 
 #include <stdio.h>
 
+#include "server/answer.h"
 #include "server/appearance_model.h"
 #include "server/result_id.h"
 
@@ -20,7 +21,7 @@ static void answer_appearance_problem(const struct dataset *d, enum err_code rc,
                                      "appearance, leave `appearance` out");
 }
 
-bool answer_find_tile_appearance(struct services *s, const struct dataset *d, const char *text,
+bool answer_appearance_find_tile(struct services *s, const struct dataset *d, const char *text,
                                  struct appearance_choice *out, struct response *res)
 {
     struct err e = {0};
@@ -36,31 +37,53 @@ bool answer_find_tile_appearance(struct services *s, const struct dataset *d, co
     return !rc;
 }
 
-bool answer_find_appearance(struct services *s, const struct dataset *d, const char *text,
+bool answer_appearance_find(struct services *s, const struct dataset *d, const char *text,
                             struct appearance_choice *out, struct response *res)
 {
-    if (!answer_find_tile_appearance(s, d, text, out, res))
+    if (!answer_appearance_find_tile(s, d, text, out, res))
         return false;
     if (out->trained)
         response_problem(res, 400, "a picture has an appearance; \"none\" is of tiles");
     return !out->trained;
 }
 
-static void answer_appearance_one(const struct request *r, struct dataset *d, const char *text,
-                                  const char *cache_control, struct response *out)
+bool answer_appearance_resolve(struct services *s, const struct dataset *d, struct target *t,
+                               struct response *out)
+{
+    struct err e = {0};
+    if (!t->appearance[0] || !s->kept)
+        return true;
+    struct kept_table *kept = kept_now(s->kept);
+    enum err_code rc = appearance_api_resolve(d, kept, t->appearance, t->kept, &e);
+    kept_drop(&kept);
+    if (rc)
+        response_problem(out, 404, e.msg);
+    return !rc;
+}
+
+static void answer_appearance_describe(const struct request *r, struct dataset *d, const char *text,
+                                       struct response *out)
 {
     struct err e = {0};
     struct body *b = NULL;
     enum err_code rc = appearance_api_describe(d, text, &b, &e);
     if (!rc)
-        response_document(r, RESPONSE_JSON, cache_control, b, out);
+        response_document(r, RESPONSE_JSON, b, out);
     else
         answer_appearance_problem(d, rc, &e, out);
 }
 
-static void answer_appearance_mix(struct services *s, const struct request *r, struct dataset *d,
-                                  struct response *out)
+void answer_appearance_one(struct services *s, const struct request *r, struct dataset *d,
+                           const struct target *t, struct response *out)
 {
+    (void)s;
+    answer_appearance_describe(r, d, t->appearance, out);
+}
+
+void answer_appearance_mix(struct services *s, const struct request *r, struct dataset *d,
+                           const struct target *t, struct response *out)
+{
+    (void)t;
     struct err e = {0};
     char text[TARGET_APPEARANCE_MAX], name[TARGET_KEPT_MAX];
     struct kept_table *kept = kept_now(s->kept);
@@ -69,19 +92,13 @@ static void answer_appearance_mix(struct services *s, const struct request *r, s
         rc = appearance_api_resolve(d, kept, text, name, &e);
     kept_drop(&kept);
     if (!rc)
-        answer_appearance_one(r, d, text, RESPONSE_NO_STORE, out);
+        answer_appearance_describe(r, d, text, out);
     else
-        response_problem(out,
-                         rc == ERR_MEM     ? 503
-                         : rc == ERR_NOENT ? 404
-                         : rc == ERR_DATA  ? 422
-                                           : 400,
-                         e.msg);
+        response_refused(out, rc, e.msg);
 }
 
 /* A document of a revision; b NULL: the dataset has no appearance. */
-static void answer_appearance_document(struct services *s, const struct request *r,
-                                       struct dataset *d, const struct target *t, struct body *b,
+static void answer_appearance_document(const struct request *r, struct dataset *d, struct body *b,
                                        struct response *out)
 {
     if (!b) {
@@ -89,12 +106,25 @@ static void answer_appearance_document(struct services *s, const struct request 
         return;
     }
     snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s", d->meta.name, d->meta.revision);
-    response_document(r, RESPONSE_JSON, response_cache_control(s, d, t), body_ref(b), out);
+    response_document(r, RESPONSE_JSON, body_ref(b), out);
 }
 
-static void answer_appearance_thumbnail(struct services *s, const struct request *r,
-                                        struct dataset *d, const struct target *t,
-                                        struct response *out)
+void answer_appearance_model(struct services *s, const struct request *r, struct dataset *d,
+                             const struct target *t, struct response *out)
+{
+    (void)s, (void)t;
+    answer_appearance_document(r, d, d->model, out);
+}
+
+void answer_appearance_photographs(struct services *s, const struct request *r, struct dataset *d,
+                                   const struct target *t, struct response *out)
+{
+    (void)s, (void)t;
+    answer_appearance_document(r, d, d->photographs, out);
+}
+
+void answer_appearance_thumbnail(struct services *s, const struct request *r, struct dataset *d,
+                                 const struct target *t, struct response *out)
 {
     const char *name = appearance_model_photograph(d, t->row);
     if (!name) {
@@ -102,28 +132,24 @@ static void answer_appearance_thumbnail(struct services *s, const struct request
         return;
     }
     struct hash128 id = result_id_thumbnail(d, name);
-    out->type = target_type(FORMAT_JPG);
-    out->cache_control = RESPONSE_IMMUTABLE; /* its bytes are the store's own */
+    out->type = format_type(FORMAT_JPG);
     snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s", d->meta.name, d->meta.revision);
     if (!response_made(s, r, id, out))
         return;
     struct work *w = response_work(d, WORK_THUMBNAIL, id, (struct form){.format = FORMAT_JPG}, out);
     if (w)
         w->target = *t;
-    out->cls = JOB_PREFETCH;
-    out->timeout_s = s->cfg->deadline_s;
 }
 
 /* What the query looks for; without one the list of all, which is made when a dataset is opened,
  * and again when names are kept or forgotten. */
-static void answer_appearance_list(struct services *s, const struct request *r, struct dataset *d,
-                                   const struct target *t, struct response *out)
+void answer_appearance_list(struct services *s, const struct request *r, struct dataset *d,
+                            const struct target *t, struct response *out)
 {
     const struct kept_row *row = NULL;
     struct kept_table *kept = kept_now(s->kept);
     const size_t n_kept = d->appearance ? kept_of(kept, d->meta.name, &row) : 0;
     out->type = RESPONSE_JSON;
-    out->cache_control = RESPONSE_MOVING;
     if (!t->search.asked && !n_kept) {
         response_body(r, body_ref(d->appearances), out);
     } else if (!d->search) {
@@ -137,28 +163,6 @@ static void answer_appearance_list(struct services *s, const struct request *r, 
             w->target = *t;
             w->kept = kept_ref(kept);
         }
-        out->cls = JOB_TILE;
-        out->timeout_s = s->cfg->deadline_s;
     }
     kept_drop(&kept);
-}
-
-bool answer_appearance(struct services *s, const struct request *r, struct dataset *d,
-                       const struct target *t, struct response *out)
-{
-    if (t->route == ROUTE_MODEL)
-        answer_appearance_document(s, r, d, t, d->model, out);
-    else if (t->route == ROUTE_PHOTOGRAPHS)
-        answer_appearance_document(s, r, d, t, d->photographs, out);
-    else if (t->route == ROUTE_THUMBNAIL)
-        answer_appearance_thumbnail(s, r, d, t, out);
-    else if (t->route == ROUTE_APPEARANCES)
-        answer_appearance_list(s, r, d, t, out);
-    else if (t->route == ROUTE_APPEARANCE)
-        answer_appearance_one(r, d, t->appearance, RESPONSE_MOVING, out);
-    else if (t->route == ROUTE_MIX)
-        answer_appearance_mix(s, r, d, out);
-    else
-        return false;
-    return true;
 }

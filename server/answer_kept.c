@@ -4,9 +4,7 @@
  * A name may stand for something else tomorrow: an address that says one is cached for a minute,
  * and documents hand out what it stands for, which is as immutable as ever. Its tag is a-NAME.
  *
- * Changes come from the operators' listener, or with a token that may write (decision 046). A page
- * of another site that is open in the browser of an operator reaches that listener as well, so
- * there requests of pages are refused.
+ * Changes come from the operators' listener, or with a token that may write (decision 046).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -15,22 +13,9 @@
 #include <time.h>
 
 #include "server/answer.h"
+#include "server/answer_kept.h"
 
-bool answer_resolve(struct services *s, const struct dataset *d, struct target *t,
-                    struct response *out)
-{
-    struct err e = {0};
-    if (!t->appearance[0] || !s->kept)
-        return true;
-    struct kept_table *kept = kept_now(s->kept);
-    enum err_code rc = appearance_api_resolve(d, kept, t->appearance, t->kept, &e);
-    kept_drop(&kept);
-    if (rc)
-        response_problem(out, 404, e.msg);
-    return !rc;
-}
-
-int answer_kept_status(enum err_code rc)
+static int answer_kept_status(enum err_code rc)
 {
     return rc == ERR_DATA    ? 412
            : rc == ERR_NOENT ? 404
@@ -46,9 +31,7 @@ static bool answer_kept_may(struct services *s, const struct request *r, const s
     const size_t n = t->path_size + (r->target_size > t->path_size);
     const struct auth_request a = {r->authorization, r->target, r->target + n, t->path_size,
                                    r->target_size - n};
-    if (r->admin && r->from_page)
-        response_problem(out, 403, "the operators' listener takes no changes from pages");
-    else if (!r->admin && !s->auth)
+    if (!r->admin && !s->auth)
         response_problem(out, 403,
                          "names are kept and forgotten on the operators' listener (--admin), or "
                          "with a token whose scope is write:NAME (--auth)");
@@ -76,8 +59,8 @@ static char *answer_kept_copy(const char *header, bool *failed)
 }
 
 /* A job that makes the change. Its name is its own: equal changes are not one. */
-static void answer_kept_change(struct services *s, const struct request *r, struct dataset *d,
-                               const struct kept_row *row, struct response *out)
+static void answer_kept_ask(struct services *s, const struct request *r, struct dataset *d,
+                            const struct kept_row *row, struct response *out)
 {
     static _Atomic uint64_t asked;
     const uint64_t name[2] = {atomic_fetch_add(&asked, 1), (uint64_t)(uintptr_t)s};
@@ -100,12 +83,10 @@ static void answer_kept_change(struct services *s, const struct request *r, stru
     c->none_match = answer_kept_copy(r->if_none_match, &failed);
     if (failed)
         response_no_memory(out);
-    out->cls = JOB_TILE;
-    out->timeout_s = s->cfg->deadline_s;
 }
 
-static void answer_kept_read(struct services *s, const struct request *r, struct dataset *d,
-                             const struct target *t, struct response *out)
+void answer_kept_read(struct services *s, const struct request *r, struct dataset *d,
+                      const struct target *t, struct response *out)
 {
     struct err e = {0};
     struct body *b = NULL;
@@ -119,19 +100,15 @@ static void answer_kept_read(struct services *s, const struct request *r, struct
     else if (appearance_api_describe_kept(d, row, &b, &e))
         response_no_memory(out);
     else
-        response_document(r, RESPONSE_JSON, RESPONSE_MOVING, b, out);
+        response_document(r, RESPONSE_JSON, b, out);
     kept_drop(&kept);
 }
 
-void answer_kept(struct services *s, const struct request *r, struct dataset *d,
-                 const struct target *t, struct response *out)
+void answer_kept_change(struct services *s, const struct request *r, struct dataset *d,
+                        const struct target *t, struct response *out)
 {
     struct err e = {0};
     struct kept_row row = {0};
-    if (r->method == METHOD_GET || r->method == METHOD_HEAD) {
-        answer_kept_read(s, r, d, t, out);
-        return;
-    }
     if (!answer_kept_may(s, r, t, out))
         return;
     snprintf(row.ds, sizeof row.ds, "%s", d->meta.name);
@@ -143,13 +120,45 @@ void answer_kept(struct services *s, const struct request *r, struct dataset *d,
         kept_drop(&kept);
     }
     if (!rc)
-        answer_kept_change(s, r, d, &row, out);
+        answer_kept_ask(s, r, d, &row, out);
+    else if (rc == ERR_ARG)
+        response_problem(out, 409, e.msg);
     else
-        response_problem(out,
-                         rc == ERR_ARG     ? 409
-                         : rc == ERR_NOENT ? 404
-                         : rc == ERR_DATA  ? 422
-                         : rc == ERR_MEM   ? 503
-                                           : 400,
-                         e.msg);
+        response_refused(out, rc, e.msg);
+}
+
+/* ---- when the change was made ---- */
+
+/* A name that is new is described, and Location is that of the request, whose last part is the
+ * name; else all is said by the status. */
+static void answer_kept_done(struct body *b, struct response *out)
+{
+    char name[TARGET_KEPT_MAX];
+    size_t n = 0;
+    while (n < out->n_instance && out->instance[out->n_instance - n - 1] != '/')
+        n++;
+    snprintf(name, sizeof name, "%.*s", (int)n, out->instance + out->n_instance - n);
+    out->body = b;
+    out->data = b->data;
+    out->size = b->size;
+    memcpy(out->etag, b->etag, sizeof out->etag);
+    out->status = b->size ? 201 : 204;
+    out->type = b->size ? RESPONSE_JSON : NULL;
+    out->location = b->size ? mem_text(name) : NULL;
+}
+
+void answer_kept_finish(struct job_result *result, struct response *out)
+{
+    struct body *b = result->body;
+    result->body = NULL;
+    if (result->end == JOB_OK) {
+        answer_kept_done(b, out);
+        return;
+    }
+    body_drop(&b);
+    const int status = answer_kept_status(result->code);
+    response_problem(out, status,
+                     status == 500 ? "the change could not be written; the log says why"
+                                   : result->msg);
+    out->retry_after_s = status == 503 ? 1 : 0;
 }

@@ -3,16 +3,20 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "server/answer.h"
+#include "server/answer_map.h"
 
 #include <stdio.h>
 #include <string.h>
 
+#include "server/answer.h"
+#include "server/answer_appearance.h"
+#include "server/answer_view.h"
 #include "server/map_document.h"
 #include "server/ogc_tiles.h"
+#include "server/origin.h"
 #include "server/result_id.h"
 
-bool answer_is_surveyed(const struct dataset *d, struct response *out)
+bool answer_map_is_surveyed(const struct dataset *d, struct response *out)
 {
     if (!d->area.in)
         response_problem(out, 404,
@@ -21,12 +25,12 @@ bool answer_is_surveyed(const struct dataset *d, struct response *out)
 }
 
 /* False, with the answer set, where there is nothing to draw. */
-static bool answer_map_there(struct services *s, const struct dataset *d, const struct target *t,
-                             struct response *out)
+static bool answer_map_there(const struct dataset *d, const struct target *t,
+                             enum map_document_of of, struct response *out)
 {
     char text[160];
     int most = raster_zoom_max(&d->area) + RASTER_ZOOM_OVER;
-    if (!answer_is_surveyed(d, out))
+    if (!answer_map_is_surveyed(d, out))
         return false;
     if (t->key.z > most) {
         snprintf(text, sizeof text,
@@ -36,21 +40,20 @@ static bool answer_map_there(struct services *s, const struct dataset *d, const 
         response_problem(out, 404, text);
         return false;
     }
-    if (t->route == ROUTE_TERRAIN || area_touches(&d->area, t->key))
+    if (of == MAP_DOCUMENT_TERRAIN || area_touches(&d->area, t->key))
         return true;
     out->status = 204; /* a tile like any other, with nothing on it */
-    out->cache_control = response_cache_control(s, d, t);
     return false;
 }
 
-static void answer_map_tile(struct services *s, const struct request *r, struct dataset *d,
-                            const struct target *t, struct response *out)
+static void answer_map_draw(struct services *s, const struct request *r, struct dataset *d,
+                            const struct target *t, enum map_document_of of, struct response *out)
 {
     struct appearance_choice choice = {0};
     char device[160];
-    bool terrain = t->route == ROUTE_TERRAIN;
-    if (!answer_map_there(s, d, t, out) || !answer_can_draw(s, out) ||
-        (!terrain && !answer_find_appearance(s, d, t->appearance, &choice, out)))
+    const bool terrain = of == MAP_DOCUMENT_TERRAIN;
+    if (!answer_map_there(d, t, of, out) || !answer_view_can_draw(s, out) ||
+        (!terrain && !answer_appearance_find(s, d, t->appearance, &choice, out)))
         return;
     const struct map_tile tile = {.key = t->key,
                                   .size_px = (uint32_t)RASTER_PX * t->scale,
@@ -62,8 +65,7 @@ static void answer_map_tile(struct services *s, const struct request *r, struct 
                                   .quality = (int)s->cfg->quality};
     picture_about(s->picture, device, sizeof device);
     struct hash128 id = result_id_map(d, device, &tile, map_tile_is_flat(&d->area, &tile), &choice);
-    out->type = target_type(tile.format);
-    out->cache_control = response_cache_control(s, d, t);
+    out->type = format_type(tile.format);
     snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s map", d->meta.name,
              d->meta.revision);
     if (!response_made(s, r, id, out))
@@ -74,70 +76,110 @@ static void answer_map_tile(struct services *s, const struct request *r, struct 
         w->map = tile;
         w->appearance = choice;
     }
-    out->cls = JOB_MAP;
-    out->timeout_s = s->cfg->deadline_s;
 }
 
-static void answer_map_document(struct services *s, const struct request *r, struct dataset *d,
-                                const struct target *t, struct response *out)
+void answer_map_tile(struct services *s, const struct request *r, struct dataset *d,
+                     const struct target *t, struct response *out)
+{
+    answer_map_draw(s, r, d, t, MAP_DOCUMENT_COLOURS, out);
+}
+
+void answer_map_terrain(struct services *s, const struct request *r, struct dataset *d,
+                        const struct target *t, struct response *out)
+{
+    answer_map_draw(s, r, d, t, MAP_DOCUMENT_TERRAIN, out);
+}
+
+/* ---- documents ---- */
+
+/* A document with addresses that begin with the host that was asked, where --public-url does not
+ * say which. */
+static void answer_map_document(const struct services *s, const struct request *r, const char *type,
+                                struct body *b, struct response *out)
+{
+    response_document(r, type, b, out);
+    if (out->status < 400 && !(s->cfg->public_url && *s->cfg->public_url))
+        out->vary = out->vary ? ORIGIN_VARY_ENCODED : ORIGIN_VARY;
+}
+
+static void answer_map_describe(struct services *s, const struct request *r, struct dataset *d,
+                                const struct target *t, enum map_document_of of,
+                                struct response *out)
 {
     struct err e = {0};
     struct body *b = NULL;
     struct appearance_choice choice;
-    char edition[9];
-    bool wmts = t->route == ROUTE_WMTS;
-    if (!answer_is_surveyed(d, out))
+    char edition[9], origin[ORIGIN_MAX];
+    if (!answer_map_is_surveyed(d, out))
         return;
-    if (t->route != ROUTE_TERRAINJSON && !answer_find_appearance(s, d, t->appearance, &choice, out))
+    if (of == MAP_DOCUMENT_COLOURS && !answer_appearance_find(s, d, t->appearance, &choice, out))
         return;
-    response_edition(s, d, t->route, edition);
-    enum err_code rc = wmts ? map_document_wmts(d, edition, t, s->url, &b, &e)
-                            : map_document_tilejson(d, edition, t, s->cfg->public_url, &b, &e);
+    response_edition(s, d, EDITION_PICTURES, edition);
+    if (map_document_tilejson(d, edition, of, t, origin_of(s, r, origin), &b, &e))
+        response_no_memory(out);
+    else
+        answer_map_document(s, r, RESPONSE_JSON, b, out);
+}
+
+void answer_map_tilejson(struct services *s, const struct request *r, struct dataset *d,
+                         const struct target *t, struct response *out)
+{
+    answer_map_describe(s, r, d, t, MAP_DOCUMENT_COLOURS, out);
+}
+
+void answer_map_terrain_tilejson(struct services *s, const struct request *r, struct dataset *d,
+                                 const struct target *t, struct response *out)
+{
+    answer_map_describe(s, r, d, t, MAP_DOCUMENT_TERRAIN, out);
+}
+
+void answer_map_wmts(struct services *s, const struct request *r, struct dataset *d,
+                     const struct target *t, struct response *out)
+{
+    struct err e = {0};
+    struct body *b = NULL;
+    struct appearance_choice choice;
+    char edition[9], origin[ORIGIN_MAX];
+    if (!answer_map_is_surveyed(d, out) ||
+        !answer_appearance_find(s, d, t->appearance, &choice, out))
+        return;
+    response_edition(s, d, EDITION_PICTURES, edition);
+    const char *base = origin_of(s, r, origin);
+    enum err_code rc = map_document_wmts(d, edition, t, *base ? base : s->url, &b, &e);
     if (rc == ERR_ARG)
         response_problem(out, 404, e.msg);
     else if (rc)
         response_no_memory(out);
     else
-        response_document(r, wmts ? "application/xml" : RESPONSE_JSON, RESPONSE_MOVING, b, out);
+        answer_map_document(s, r, "application/xml", b, out);
 }
 
 /* After OGC API - Tiles. */
-static void answer_map_tileset(struct services *s, const struct request *r, struct dataset *d,
-                               const struct target *t, struct response *out)
+void answer_map_tilesets(struct services *s, const struct request *r, struct dataset *d,
+                         const struct target *t, struct response *out)
+{
+    struct body *b = NULL;
+    (void)t;
+    if (!answer_map_is_surveyed(d, out))
+        return;
+    if (ogc_tiles_list(d, ogc_tiles_base(s->cfg->public_url, s->cfg->base_path), &b, NULL))
+        response_no_memory(out);
+    else
+        response_document(r, RESPONSE_JSON, b, out);
+}
+
+void answer_map_tileset(struct services *s, const struct request *r, struct dataset *d,
+                        const struct target *t, struct response *out)
 {
     struct body *b = NULL;
     char edition[9];
-    if (!answer_is_surveyed(d, out))
+    (void)t;
+    if (!answer_map_is_surveyed(d, out))
         return;
-    response_edition(s, d, t->route, edition);
-    const char *base = ogc_tiles_base(s->cfg->public_url, s->cfg->base_path);
-    enum err_code rc = t->route == ROUTE_MAP_TILESETS
-                           ? ogc_tiles_list(d, base, &b, NULL)
-                           : ogc_tiles_tileset(d, edition, base, &b, NULL);
-    if (rc)
+    response_edition(s, d, EDITION_PICTURES, edition);
+    if (ogc_tiles_tileset(d, edition, ogc_tiles_base(s->cfg->public_url, s->cfg->base_path), &b,
+                          NULL))
         response_no_memory(out);
     else
-        response_document(r, RESPONSE_JSON, RESPONSE_MOVING, b, out);
-}
-
-bool answer_map(struct services *s, const struct request *r, struct dataset *d,
-                const struct target *t, struct response *out)
-{
-    switch (t->route) {
-    case ROUTE_MAP:
-    case ROUTE_TERRAIN:
-        answer_map_tile(s, r, d, t, out);
-        return true;
-    case ROUTE_MAPJSON:
-    case ROUTE_TERRAINJSON:
-    case ROUTE_WMTS:
-        answer_map_document(s, r, d, t, out);
-        return true;
-    case ROUTE_MAP_TILESETS:
-    case ROUTE_MAP_TILESET:
-        answer_map_tileset(s, r, d, t, out);
-        return true;
-    default:
-        return false;
-    }
+        response_document(r, RESPONSE_JSON, b, out);
 }

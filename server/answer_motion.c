@@ -5,24 +5,26 @@
 #include <stdio.h>
 
 #include "server/answer.h"
+#include "server/answer_appearance.h"
+#include "server/answer_view.h"
 #include "server/describe.h"
 #include "server/motion.h"
 #include "server/multipart.h"
 
 /* The wish is taken; its picture comes in the other answer. */
-static void answer_motion_steer(struct services *s, const struct request *r, struct dataset *d,
-                                const struct target *t, struct response *out)
+void answer_motion_steer(struct services *s, const struct request *r, struct dataset *d,
+                         const struct target *t, struct response *out)
 {
     struct err e = {0};
     struct describe_render p;
     struct motion_wish wish = {0};
     enum err_code rc = describe_read_motion(s->cfg, &d->meta.origin, r->body, r->body_size, &p, &e);
     if (rc) {
-        response_problem(out, rc == ERR_MEM ? 503 : rc == ERR_DATA ? 422 : 400, e.msg);
+        response_refused(out, rc, e.msg);
         return;
     }
     if (!answer_view_check(s, p.cam.width_px, p.cam.height_px, p.format, &p.paint, out) ||
-        !answer_find_appearance(s, d, p.appearance, &wish.appearance, out))
+        !answer_appearance_find(s, d, p.appearance, &wish.appearance, out))
         return;
     wish.view = (struct draw_view){p.cam, p.format, p.quality, p.paint};
     wish.timeout_s = p.timeout_s;
@@ -33,21 +35,16 @@ static void answer_motion_steer(struct services *s, const struct request *r, str
         return;
     }
     out->status = 204;
-    out->cache_control = RESPONSE_NO_STORE;
+    out->unlogged = true; /* cameras come many times a second */
 }
 
 void answer_motion(struct services *s, const struct request *r, struct dataset *d,
                    const struct target *t, struct response *out)
 {
-    if (r->method == METHOD_POST) {
-        answer_motion_steer(s, r, d, t, out);
-        return;
-    }
-    if (!answer_can_draw(s, out))
+    if (!answer_view_can_draw(s, out))
         return;
     out->status = 200;
     out->type = MULTIPART_TYPE;
-    out->cache_control = RESPONSE_NO_STORE;
     if (r->method == METHOD_HEAD)
         return;
     snprintf(out->stream, sizeof out->stream, "%s", t->stream);

@@ -8,25 +8,9 @@
 #include <jansson.h>
 #include <string.h>
 
+#include "server/answer_map.h"
+#include "server/answer_view.h"
 #include "server/result_id.h"
-
-static bool answer_query_kind(enum route route, enum query_kind *out)
-{
-    static const struct {
-        enum route route;
-        enum query_kind kind;
-    } kinds[] = {{ROUTE_HEIGHT, QUERY_HEIGHT},
-                 {ROUTE_PICK, QUERY_PICK},
-                 {ROUTE_PROFILE, QUERY_PROFILE},
-                 {ROUTE_MEASURE, QUERY_MEASURE},
-                 {ROUTE_VISIBLE, QUERY_VISIBLE}};
-    for (size_t i = 0; i < sizeof kinds / sizeof *kinds; i++)
-        if (kinds[i].route == route) {
-            *out = kinds[i].kind;
-            return true;
-        }
-    return false;
-}
 
 /* ERR_FORMAT: no JSON (400). ERR_DATA: impossible numbers (422). */
 static enum err_code answer_query_read(const struct request *r, const struct dataset *d,
@@ -55,27 +39,23 @@ static enum err_code answer_query_read(const struct request *r, const struct dat
     return rc;
 }
 
-bool answer_query(struct services *s, const struct request *r, struct dataset *d,
-                  const struct target *t, struct response *out)
+static void answer_query(struct services *s, const struct request *r, struct dataset *d,
+                         const struct target *t, enum query_kind kind, struct response *out)
 {
     struct err e = {0};
-    enum query_kind kind;
     char device[160];
-    if (!answer_query_kind(t->route, &kind))
-        return false;
-    if (!answer_is_surveyed(d, out))
-        return true;
+    if (!answer_map_is_surveyed(d, out))
+        return;
     struct query *q = mem_array(1, sizeof *q);
     enum err_code rc =
         q ? answer_query_read(r, d, t, kind, q, &e) : err_set(&e, ERR_MEM, "out of memory");
     if (rc) {
-        response_problem(out, rc == ERR_MEM ? 503 : rc == ERR_DATA ? 422 : 400, e.msg);
-    } else if (answer_can_draw(s, out)) {
+        response_refused(out, rc, e.msg);
+    } else if (answer_view_can_draw(s, out)) {
         picture_about(s->picture, device, sizeof device);
         struct hash128 id = result_id_query(d, device, s->geoid ? geoid_name(s->geoid) : "", q);
         out->unnamed |= r->method == METHOD_POST;
         out->type = RESPONSE_JSON;
-        out->cache_control = RESPONSE_MOVING;
         struct work *w = response_made(s, r, id, out)
                              ? response_work(d, WORK_QUERY, id, (struct form){0}, out)
                              : NULL;
@@ -83,9 +63,18 @@ bool answer_query(struct services *s, const struct request *r, struct dataset *d
             w->query = q;
             q = NULL;
         }
-        out->cls = JOB_MAP;
-        out->timeout_s = s->cfg->deadline_s;
     }
     mem_free(q);
-    return true;
 }
+
+#define ANSWER_QUERY(name, kind)                                                                   \
+    void answer_query_##name(struct services *s, const struct request *r, struct dataset *d,       \
+                             const struct target *t, struct response *out)                         \
+    {                                                                                              \
+        answer_query(s, r, d, t, kind, out);                                                       \
+    }
+ANSWER_QUERY(height, QUERY_HEIGHT)
+ANSWER_QUERY(pick, QUERY_PICK)
+ANSWER_QUERY(profile, QUERY_PROFILE)
+ANSWER_QUERY(measure, QUERY_MEASURE)
+ANSWER_QUERY(visible, QUERY_VISIBLE)

@@ -47,13 +47,14 @@ static enum err_code answer_service_about(struct services *s, const struct reque
                          out, e);
 }
 
-static void answer_service_landing(struct services *s, const struct request *r,
-                                   const struct target *t, struct response *out)
+void answer_service_landing(struct services *s, const struct request *r, struct dataset *d,
+                            const struct target *t, struct response *out)
 {
+    (void)d;
     const struct static_file *index = static_find(&s->web, "/index.html", strlen("/index.html"));
     out->vary = "Accept";
     if (!index || !condition_html(r->accept)) {
-        response_document(r, RESPONSE_JSON, RESPONSE_MOVING, body_ref(s->landing), out);
+        response_document(r, RESPONSE_JSON, body_ref(s->landing), out);
         return;
     }
     size_t from = t->path_size < r->target_size ? t->path_size + 1 : r->target_size;
@@ -61,7 +62,7 @@ static void answer_service_landing(struct services *s, const struct request *r,
     if (!s->auth) /* hints name datasets, and caches keep the page for whoever comes next */
         hint_write(c, r->target + from, r->target_size - from, out->hints);
     catalog_drop(&c);
-    response_document(r, index->type, RESPONSE_MOVING, body_ref(index->body), out);
+    response_document(r, index->type, body_ref(index->body), out);
 }
 
 /* Ready, or degraded: the file of a dataset does not give all its tiles, or a reload failed. Still
@@ -106,11 +107,13 @@ static void answer_service_state(struct services *s, const struct request *r, st
     json_decref(failed);
     if (document_make(o, &b, NULL))
         body_drop(&b);
-    response_document(r, RESPONSE_JSON, RESPONSE_NO_STORE, b, out);
+    response_document(r, RESPONSE_JSON, b, out);
 }
 
-static void answer_service_ready(struct services *s, const struct request *r, struct response *out)
+void answer_service_ready(struct services *s, const struct request *r, struct dataset *d,
+                          const struct target *t, struct response *out)
 {
+    (void)d, (void)t;
     if (atomic_load(&s->draining))
         response_problem(out, 503, "the server is stopping");
     else
@@ -144,10 +147,11 @@ static bool answer_service_may(const struct services *s, const struct request *r
     return answer_service_token(r->authorization, cfg->metrics);
 }
 
-static void answer_service_metrics(struct services *s, const struct request *r,
-                                   struct response *out)
+void answer_service_metrics(struct services *s, const struct request *r, struct dataset *d,
+                            const struct target *t, struct response *out)
 {
     struct buf b = {0};
+    (void)d, (void)t;
     if (!answer_service_may(s, r)) {
         response_problem(
             out, 403,
@@ -160,17 +164,18 @@ static void answer_service_metrics(struct services *s, const struct request *r,
     }
     struct body *text = metrics_text_write(s, &b, NULL) ? NULL : body_take(&b, NULL);
     buf_free(&b);
-    response_document(r, "text/plain; version=0.0.4; charset=utf-8", RESPONSE_NO_STORE, text, out);
+    response_document(r, "text/plain; version=0.0.4; charset=utf-8", text, out);
 }
 
-static void answer_service_version(struct services *s, const struct request *r,
-                                   const struct target *t, struct response *out)
+void answer_service_version(struct services *s, const struct request *r, struct dataset *d,
+                            const struct target *t, struct response *out)
 {
+    (void)d;
     struct body *b = NULL;
     /* A statement of its own: the order in which arguments of a call are evaluated is open. */
     if (answer_service_about(s, r, t, &b, NULL))
         body_drop(&b);
-    response_document(r, RESPONSE_JSON, RESPONSE_NO_STORE, b, out);
+    response_document(r, RESPONSE_JSON, b, out);
 }
 
 /* Does a dataset meet the box that is asked for? One that ends east of where it begins crosses the
@@ -186,9 +191,10 @@ static bool answer_service_meets(const struct dataset *d, const struct target *t
                                 d->bbox[2] * 1e3 <= (double)t->heights_mm[1]));
 }
 
-static void answer_service_collections(struct services *s, const struct request *r,
-                                       const struct target *t, struct response *out)
+void answer_service_collections(struct services *s, const struct request *r, struct dataset *d,
+                                const struct target *t, struct response *out)
 {
+    (void)d;
     struct catalog *c = services_catalog(s);
     struct body *b = NULL;
     if (t->has_bbox || s->auth) {
@@ -208,60 +214,63 @@ static void answer_service_collections(struct services *s, const struct request 
     } else {
         b = body_ref(c->collections);
     }
-    response_document(r, RESPONSE_JSON, s->auth ? RESPONSE_NO_STORE : RESPONSE_MOVING, b, out);
+    if (s->auth) /* others see other datasets */
+        out->cache_control = RESPONSE_NO_STORE;
+    response_document(r, RESPONSE_JSON, b, out);
     catalog_drop(&c);
 }
 
-/* Routes that need no dataset; false for the others. */
-bool answer_service(struct services *s, const struct request *r, const struct target *t,
-                    struct response *out)
+/* ---- what never changes ---- */
+
+void answer_service_file(struct services *s, const struct request *r, struct dataset *d,
+                         const struct target *t, struct response *out)
 {
-    const struct static_file *file;
-    switch (t->route) {
-    case ROUTE_LANDING:
-        answer_service_landing(s, r, t, out);
-        return true;
-    case ROUTE_STATIC:
-        file = static_find(&s->web, r->target, t->path_size);
-        response_document(r, file->type, file->immutable ? RESPONSE_IMMUTABLE : RESPONSE_MOVING,
-                          body_ref(file->body), out);
-        return true;
-    case ROUTE_CONFORMANCE:
-        response_document(r, RESPONSE_JSON, RESPONSE_MOVING, body_ref(s->conformance), out);
-        return true;
-    case ROUTE_MATRICES:
-        response_document(r, RESPONSE_JSON, RESPONSE_MOVING, body_ref(s->matrices), out);
-        return true;
-    case ROUTE_API:
-        response_document(r, "application/vnd.oai.openapi+json;version=3.0", RESPONSE_MOVING,
-                          body_ref(s->api), out);
-        return true;
-    case ROUTE_API_PAGE:
-        response_document(r, "text/html; charset=utf-8", RESPONSE_MOVING, body_ref(s->api_page),
-                          out);
-        return true;
-    case ROUTE_COLLECTIONS:
-        answer_service_collections(s, r, t, out);
-        return true;
-    case ROUTE_HEALTH:
-        response_document(r, RESPONSE_JSON, RESPONSE_NO_STORE, body_text("{\"status\":\"ok\"}\n"),
-                          out);
-        return true;
-    case ROUTE_READY:
-        answer_service_ready(s, r, out);
-        return true;
-    case ROUTE_VERSION:
-        answer_service_version(s, r, t, out);
-        return true;
-    case ROUTE_METRICS:
-        answer_service_metrics(s, r, out);
-        return true;
-    case ROUTE_RELOAD:
-        atomic_store(&s->reload_asked, true);
-        out->status = 202;
-        out->cache_control = RESPONSE_NO_STORE;
-        return true;
-    default:
-        return false;
-    }
+    (void)d;
+    const struct static_file *file = static_find(&s->web, r->target, t->path_size);
+    if (file->immutable)
+        out->cache_control = RESPONSE_IMMUTABLE;
+    response_document(r, file->type, body_ref(file->body), out);
+}
+
+void answer_service_conformance(struct services *s, const struct request *r, struct dataset *d,
+                                const struct target *t, struct response *out)
+{
+    (void)d, (void)t;
+    response_document(r, RESPONSE_JSON, body_ref(s->conformance), out);
+}
+
+void answer_service_matrices(struct services *s, const struct request *r, struct dataset *d,
+                             const struct target *t, struct response *out)
+{
+    (void)d, (void)t;
+    response_document(r, RESPONSE_JSON, body_ref(s->matrices), out);
+}
+
+void answer_service_api(struct services *s, const struct request *r, struct dataset *d,
+                        const struct target *t, struct response *out)
+{
+    (void)d, (void)t;
+    response_document(r, "application/vnd.oai.openapi+json;version=3.0", body_ref(s->api), out);
+}
+
+void answer_service_api_page(struct services *s, const struct request *r, struct dataset *d,
+                             const struct target *t, struct response *out)
+{
+    (void)d, (void)t;
+    response_document(r, "text/html; charset=utf-8", body_ref(s->api_page), out);
+}
+
+void answer_service_health(struct services *s, const struct request *r, struct dataset *d,
+                           const struct target *t, struct response *out)
+{
+    (void)s, (void)d, (void)t;
+    response_document(r, RESPONSE_JSON, body_text("{\"status\":\"ok\"}\n"), out);
+}
+
+void answer_service_reload(struct services *s, const struct request *r, struct dataset *d,
+                           const struct target *t, struct response *out)
+{
+    (void)r, (void)d, (void)t;
+    atomic_store(&s->reload_asked, true);
+    out->status = 202;
 }

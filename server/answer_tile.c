@@ -10,7 +10,9 @@
 #include "lod/clip.h"
 #include "lod/crop.h"
 #include "lod/store.h"
+#include "server/answer_appearance.h"
 #include "server/encode.h"
+#include "server/param_clip.h"
 #include "server/result_id.h"
 #include "server/text.h"
 
@@ -33,7 +35,7 @@ static bool answer_tile_clip(const struct dataset *d, const struct store_tile *t
     struct err e = {0};
     struct clip clip = {0};
     enum crop_side side = CROP_INSIDE;
-    enum err_code rc = c->n ? target_open_clip(c, &clip, &e) : ERR_OK;
+    enum err_code rc = c->n ? param_clip_open(c, &clip, &e) : ERR_OK;
     if (!rc && c->n)
         rc = crop_box(&clip, &d->meta.origin, tile->min_enu_m, tile->max_enu_m, &side, &e);
     clip_free(&clip);
@@ -59,15 +61,14 @@ void answer_tile(struct services *s, const struct request *r, struct dataset *d,
     }
     struct form form = encode_form(s->cfg, &d->meta, &t->form);
     struct appearance_choice choice;
-    if (!answer_find_tile_appearance(s, d, t->appearance, &choice, out))
+    if (!answer_appearance_find_tile(s, d, t->appearance, &choice, out))
         return;
     form.trained = choice.trained;
     struct hash128 id = result_id_tile(d, tile, form, &choice);
     bool part = false;
     if (!answer_tile_clip(d, tile, &t->clip, &id, &part, out))
         return;
-    out->type = target_type(form.format);
-    out->cache_control = response_cache_control(s, d, t);
+    out->type = format_type(form.format);
     answer_tile_tags(d, t->key.z, out->surrogate);
     if (!s->auth || auth_is_public(s->auth, d->meta.name))
         hint_tile(d, tile, t, out->hints);
@@ -82,6 +83,4 @@ void answer_tile(struct services *s, const struct request *r, struct dataset *d,
     }
     out->tile = t->key;
     memcpy(out->tile_of, d->meta.name, sizeof out->tile_of);
-    out->cls = r->prefetch ? JOB_PREFETCH : JOB_TILE;
-    out->timeout_s = s->cfg->deadline_s;
 }

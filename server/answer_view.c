@@ -2,13 +2,15 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "server/answer.h"
+#include "server/answer_view.h"
 
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
 
 #include "lod/view.h"
+#include "server/answer.h"
+#include "server/answer_appearance.h"
 #include "server/describe.h"
 #include "server/paint.h"
 #include "server/result_id.h"
@@ -16,7 +18,7 @@
 /* Of --max-view-mpx are drawn for a picture: the largest one may be twice as fine. */
 #define VIEW_DRAWN 4.0
 
-bool answer_can_draw(struct services *s, struct response *out)
+bool answer_view_can_draw(struct services *s, struct response *out)
 {
     char text[320], why[160] = "this server was started with --device none";
     if (!s->picture || picture_state(s->picture) == PICTURE_OFF) {
@@ -48,7 +50,7 @@ bool answer_view_check(struct services *s, uint32_t width_px, uint32_t height_px
                        struct paint *paint, struct response *out)
 {
     char text[256];
-    if (!answer_can_draw(s, out))
+    if (!answer_view_can_draw(s, out))
         return false;
     uint64_t side = (uint64_t)s->cfg->max_view_px;
     if (!width_px || !height_px || width_px > side || height_px > side ||
@@ -98,7 +100,7 @@ void answer_view(struct services *s, const struct request *r, struct dataset *d,
     struct appearance_choice choice;
     struct paint paint = t->paint;
     if (!answer_view_check(s, t->width_px, t->height_px, t->form.format, &paint, out) ||
-        !answer_find_appearance(s, d, t->appearance, &choice, out))
+        !answer_appearance_find(s, d, t->appearance, &choice, out))
         return;
     if (paint_check(&t->paint, t->form.format, &e) ||
         view_camera(&d->meta.origin, &pose, t->width_px, t->height_px, &cam, &e)) {
@@ -108,8 +110,7 @@ void answer_view(struct services *s, const struct request *r, struct dataset *d,
     paint_roll(&cam, t->pose.roll_e3 / 1e3);
     int quality = (int)s->cfg->quality;
     struct hash128 id = answer_view_id(s, d, &cam, &choice, t->form.format, quality, &paint);
-    out->type = target_type(t->form.format);
-    out->cache_control = response_cache_control(s, d, t);
+    out->type = format_type(t->form.format);
     snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s view", d->meta.name,
              d->meta.revision);
     if (!response_made(s, r, id, out))
@@ -119,26 +120,25 @@ void answer_view(struct services *s, const struct request *r, struct dataset *d,
         w->view = (struct draw_view){cam, t->form.format, quality, paint};
         w->appearance = choice;
     }
-    out->cls = r->prefetch ? JOB_AHEAD : JOB_VIEW;
-    out->timeout_s = s->cfg->deadline_s;
 }
 
-void answer_render(struct services *s, const struct request *r, struct dataset *d,
-                   struct response *out)
+void answer_view_render(struct services *s, const struct request *r, struct dataset *d,
+                        const struct target *t, struct response *out)
 {
+    (void)t;
     struct err e = {0};
     struct describe_render p;
     struct appearance_choice choice;
     enum err_code rc = describe_read_render(s->cfg, &d->meta.origin, r->body, r->body_size, &p, &e);
     if (rc) {
-        response_problem(out, rc == ERR_MEM ? 503 : rc == ERR_DATA ? 422 : 400, e.msg);
+        response_refused(out, rc, e.msg);
         return;
     }
     if (!answer_view_check(s, p.cam.width_px, p.cam.height_px, p.format, &p.paint, out) ||
-        !answer_find_appearance(s, d, p.appearance, &choice, out))
+        !answer_appearance_find(s, d, p.appearance, &choice, out))
         return;
     struct hash128 id = answer_view_id(s, d, &p.cam, &choice, p.format, p.quality, &p.paint);
-    out->type = target_type(p.format);
+    out->type = format_type(p.format);
     out->unnamed = true; /* a name of the bytes is of no use */
     if (!response_made(s, r, id, out))
         return;
@@ -147,6 +147,5 @@ void answer_render(struct services *s, const struct request *r, struct dataset *
         w->view = (struct draw_view){p.cam, p.format, p.quality, p.paint};
         w->appearance = choice;
     }
-    out->cls = JOB_VIEW;
     out->timeout_s = p.timeout_s;
 }

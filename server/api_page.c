@@ -9,6 +9,7 @@
 #include <string.h>
 
 #include "server/document.h"
+#include "server/link.h"
 
 static const char api_page_head[] =
     "<!doctype html>\n<html lang=\"en\"><meta charset=\"utf-8\">"
@@ -87,9 +88,10 @@ static void api_page_write(const json_t *o, struct buf *b)
     json_t *verbs, *operation;
     buf_printf(b, "%s<h1>citysplat: addresses</h1>\n<p>Version ", api_page_head);
     buf_markup(b, api_page_word(json_object_get(o, "info"), "version"));
-    buf_printf(b,
-               ". The same for programs, with the shapes of all JSON: <a href=\"api\">OpenAPI "
-               "3.0</a>. <a href=\"./\">Back</a>. Errors are problem documents (RFC 9457).</p>\n");
+    buf_printf(b, ". The same for programs, with the shapes of all JSON: <a href=\"");
+    link_api(&(struct link){.from = LINK_ROOT}, b);
+    buf_printf(b, "\">OpenAPI 3.0</a>. <a href=\"./\">Back</a>. Errors are problem documents (RFC "
+                  "9457).</p>\n");
     json_object_foreach(json_object_get(o, "paths"), path, verbs)
     {
         json_object_foreach(verbs, verb, operation)

@@ -19,6 +19,8 @@
 
 #include "lod/bake.h"
 #include "server/document.h"
+#include "server/link.h"
+#include "server/text.h"
 
 static const double APPEARANCE_API_MOST = 1e6; /* of a number in an embedding */
 enum { APPEARANCE_API_NEAREST = 5, APPEARANCE_API_LINK_MAX = 3 * TARGET_APPEARANCE_MAX + 128 };
@@ -68,13 +70,18 @@ const float *appearance_api_image(const struct appearance_choice *c)
 
 /* ---- documents ---- */
 
-static json_t *appearance_api_link(const char *rel, const char *type, const char *path,
+/* Relative to the dataset. */
+static json_t *appearance_api_link(const char *rel, const char *type,
+                                   void (*to)(const struct link *l, struct buf *out),
                                    const char *text)
 {
+    static const char key[] = "?appearance=";
+    const struct link l = {.from = LINK_DATASET, .with = "fov"};
     char href[APPEARANCE_API_LINK_MAX];
-    int n = snprintf(href, sizeof href, "%s?appearance=", path);
-    target_escape(text, href + n);
-    return json_pack("{s:s,s:s,s:s}", "rel", rel, "type", type, "href", href);
+    size_t n = strlen(link_text(to, &l, href, 120));
+    memcpy(href + n, key, sizeof key);
+    text_escape(text, href + n + sizeof key - 1);
+    return document_link(rel, type, href, NULL);
 }
 
 static json_t *appearance_api_numbers(const float *v, uint32_t n)
@@ -87,9 +94,10 @@ static json_t *appearance_api_numbers(const float *v, uint32_t n)
 
 static void appearance_api_add(json_t *list, const char *name, bool kept)
 {
-    json_t *o = json_pack("{s:s,s:[o,o]}", "name", name, "links",
-                          appearance_api_link("item", "application/json", "appearance", name),
-                          appearance_api_link("tileset", "application/json", "tileset.json", name));
+    json_t *o =
+        json_pack("{s:s,s:[o,o]}", "name", name, "links",
+                  appearance_api_link("item", "application/json", link_appearance, name),
+                  appearance_api_link("tileset", "application/json", link_tileset_moving, name));
     if (kept)
         json_object_set_new(o, "kept", json_true());
     json_array_append_new(list, o);
@@ -172,13 +180,12 @@ static json_t *appearance_api_nearest(const struct appearance *a, const float *i
 static json_t *appearance_api_json(const struct appearance *a, const char *text, const char *name,
                                    const float *image)
 {
-    return json_pack(
-        "{s:s,s:o,s:o,s:[o,o,o]}", "appearance", text, "embedding",
-        appearance_api_numbers(image, a->len_image), "nearest", appearance_api_nearest(a, image),
-        "links", appearance_api_link("self", "application/json", "appearance", name),
-        appearance_api_link("tileset", "application/json", "tileset.json", name),
-        appearance_api_link("view", "image/jpeg",
-                            "static/{lon},{lat},{h}@{heading},{pitch},{fov}/{w}x{h}.{fmt}", name));
+    return json_pack("{s:s,s:o,s:o,s:[o,o,o]}", "appearance", text, "embedding",
+                     appearance_api_numbers(image, a->len_image), "nearest",
+                     appearance_api_nearest(a, image), "links",
+                     appearance_api_link("self", "application/json", link_appearance, name),
+                     appearance_api_link("tileset", "application/json", link_tileset_moving, name),
+                     appearance_api_link("view", "image/jpeg", link_view_moving, name));
 }
 
 /* The embedding of a choice, which the default one has as well. */

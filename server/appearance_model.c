@@ -14,6 +14,8 @@
 #include "lod/bake.h"
 #include "lod/photograph.h"
 #include "server/document.h"
+#include "server/format.h"
+#include "server/link.h"
 
 static json_t *appearance_model_text(const float *v, size_t n)
 {
@@ -49,12 +51,16 @@ enum err_code appearance_model_describe(const struct dataset *d, struct body **o
 {
     const struct appearance *a = d->appearance;
     const float *standard = a->images + appearance_model_default(a) * a->len_image;
+    const struct link l = {.from = LINK_REVISION, .ext = format_ext(FORMAT_DRC)};
+    char tile[80], photographs[40];
+    link_text(link_tile, &l, tile, sizeof tile - sizeof "?appearance=none");
+    strcat(tile, "?appearance=none");
     return document_make(
         json_pack("{s:s,s:i,s:i,s:i,s:o,s:o,s:s,s:s}", "format", "citysplat-appearance-1",
                   "gaussianLength", (int)a->len_gauss, "imageLength", (int)a->len_image, "hidden",
                   (int)a->hidden, "weights", appearance_model_text(a->w1, appearance_weights(a)),
-                  BAKE_DEFAULT, appearance_model_text(standard, a->len_image), "tiles",
-                  "t/{z}/{x}/{y}.drc?appearance=none", "photographs", "appearances.json"),
+                  BAKE_DEFAULT, appearance_model_text(standard, a->len_image), "tiles", tile,
+                  "photographs", link_text(link_photographs, &l, photographs, sizeof photographs)),
         out, e);
 }
 
@@ -74,9 +80,11 @@ static json_t *appearance_model_about(const char *name, size_t number, const str
                 {"heading", p->heading_deg}, {"pitch", p->pitch_deg}, {"fov", p->fov_y_deg}};
     for (size_t i = 0; i < sizeof pose / sizeof *pose; i++)
         json_object_set_new(o, pose[i].key, json_real(pose[i].v));
-    snprintf(href, sizeof href, "appearances/%zu.jpg", number);
+    const uint32_t row = (uint32_t)number;
+    const struct link l = {.from = LINK_REVISION, .row = &row};
     if (p->has_thumbnail)
-        json_object_set_new(o, "thumbnail", json_string(href));
+        json_object_set_new(o, "thumbnail",
+                            json_string(link_text(link_thumbnail, &l, href, sizeof href)));
     return o;
 }
 

@@ -14,13 +14,14 @@
 
 #include "lod/clip.h"
 #include "lod/store.h"
-#include "lod/tileset.h"
 #include "server/appearance_api.h"
 #include "server/appearance_model.h"
 #include "server/collection.h"
 #include "server/document.h"
+#include "server/link.h"
 #include "server/result_id.h"
 #include "server/search.h"
+#include "server/tileset_links.h"
 
 static struct collection_options catalog_collection(const struct catalog_options *o)
 {
@@ -28,34 +29,42 @@ static struct collection_options catalog_collection(const struct catalog_options
                                        o->basemap_attribution};
 }
 
+static enum err_code catalog_make_tileset(struct dataset *d, enum tileset_links_of of,
+                                          struct body **out, struct err *e)
+{
+    struct buf text = {0}, b = {0};
+    struct tileset_links links;
+    enum err_code rc = tileset_links_make(d, of, "", &text, &links, e);
+    if (!rc)
+        rc = tileset_write(d->index, &links, NULL, NULL, &b, e);
+    buf_free(&text);
+    return document_take(rc, &b, out, e);
+}
+
+static enum err_code catalog_make_tilejson(struct dataset *d, const char *public_url, struct err *e)
+{
+    struct buf b = {0}, tile = {0};
+    struct link l =
+        link_to(LINK_ROOT, public_url && *public_url ? public_url : "../..", d, d->edition);
+    l.ext = format_ext(FORMAT_GLB);
+    link_tile(&l, &tile);
+    buf_u8(&tile, 0);
+    enum err_code rc = buf_check(&tile, e);
+    if (!rc)
+        rc = tileset_tilejson(d->index, (const char *)tile.data, &b, e);
+    buf_free(&tile);
+    return document_take(rc, &b, &d->tilejson, e);
+}
+
 static enum err_code catalog_make_documents(struct dataset *d, const struct catalog_options *o,
                                             struct err *e)
 {
     const struct collection_options collection = catalog_collection(o);
-    const char *public_url = o->public_url;
-    struct buf b = {0};
-    char text[FILE_PATH_MAX];
-    enum err_code rc = tileset_write(d->index, &tileset_of_entry, NULL, NULL, &b, e);
-    rc = document_take(rc, &b, &d->tileset, e);
-    if (!rc) {
-        char part[64];
-        const struct tileset_links moving = {text, part};
-        snprintf(text, sizeof text, "r/%s-%s/%s", d->meta.revision, d->edition,
-                 tileset_of_entry.tile);
-        snprintf(part, sizeof part, "r/%s-%s/%s", d->meta.revision, d->edition,
-                 tileset_of_entry.part);
-        rc = tileset_write(d->index, &moving, NULL, NULL, &b, e);
-        rc = document_take(rc, &b, &d->tileset_moving, e);
-    }
-    if (!rc) {
-        size_t n = public_url ? strlen(public_url) : 0;
-        while (n && public_url[n - 1] == '/')
-            n--;
-        snprintf(text, sizeof text, "%.*s/d/%s/r/%s-%s/t/{z}/{x}/{y}.glb", n ? (int)n : 5,
-                 n ? public_url : "../..", d->meta.name, d->meta.revision, d->edition);
-        rc = tileset_tilejson(d->index, text, &b, e);
-        rc = document_take(rc, &b, &d->tilejson, e);
-    }
+    enum err_code rc = catalog_make_tileset(d, TILESET_LINKS_ENTRY, &d->tileset, e);
+    if (!rc)
+        rc = catalog_make_tileset(d, TILESET_LINKS_MOVING, &d->tileset_moving, e);
+    if (!rc)
+        rc = catalog_make_tilejson(d, o->public_url, e);
     if (!rc)
         rc = appearance_api_list(d, &d->appearances, e);
     if (!rc && d->appearance)

@@ -9,30 +9,42 @@
 #include <string.h>
 
 #include "server/document.h"
+#include "server/format.h"
+#include "server/link.h"
 #include "server/ogc_tiles.h"
-#include "server/target.h"
+
+struct collection_link {
+    const char *rel, *type, *title;
+    void (*to)(const struct link *l, struct buf *out);
+};
+
+/* A link to what belongs to the dataset. up: as in link.h. */
+static void collection_add(const struct dataset *d, const char *up,
+                           const struct collection_link *row, json_t *links)
+{
+    const struct link l = link_to(LINK_ROOT, up, d, d->edition);
+    char href[FILE_PATH_MAX];
+    json_array_append_new(links, document_link(row->rel, row->type,
+                                               link_text(row->to, &l, href, sizeof href),
+                                               row->title ? row->title : d->meta.name));
+}
 
 static void collection_add_maps(const struct dataset *d, const char *up,
                                 const struct collection_options *opt, json_t *links)
 {
     const char *base = ogc_tiles_base(opt->public_url, opt->base_path);
-    static const struct {
-        const char *rel, *type, *file, *title;
-    } maps[] = {
-        {"tiles", "application/json", "map.json", "Map from straight above: TileJSON 3.0.0"},
-        {"tiles", "application/json", "terrain.json", "Terrain, heights as pictures: TileJSON"},
-        {"tiles", "application/xml", "wmts.xml", "Map from straight above: WMTS capabilities"},
+    static const struct collection_link maps[] = {
+        {"tiles", "application/json", "Map from straight above: TileJSON 3.0.0", link_mapjson},
+        {"tiles", "application/json", "Terrain, heights as pictures: TileJSON", link_terrainjson},
+        {"tiles", "application/xml", "Map from straight above: WMTS capabilities", link_wmts},
     };
-    char href[160];
-    for (size_t i = 0; d->area.in && i < sizeof maps / sizeof *maps; i++) {
-        snprintf(href, sizeof href, "%sd/%s/%s", up, d->meta.name, maps[i].file);
-        json_array_append_new(links, document_link(maps[i].rel, maps[i].type, href, maps[i].title));
-    }
-    snprintf(href, sizeof href, "collections/%s/map/tiles", d->meta.name);
+    const struct collection_link tilesets = {"http://www.opengis.net/def/rel/ogc/1.0/tilesets-map",
+                                             "application/json", "Map: OGC API - Tiles",
+                                             link_map_tilesets};
+    for (size_t i = 0; d->area.in && i < sizeof maps / sizeof *maps; i++)
+        collection_add(d, up, &maps[i], links);
     if (d->area.in)
-        json_array_append_new(
-            links, ogc_tiles_link("http://www.opengis.net/def/rel/ogc/1.0/tilesets-map",
-                                  "application/json", base, href, "Map: OGC API - Tiles"));
+        collection_add(d, base ? base : "", &tilesets, links);
 }
 
 /* Two boxes: that of the ground, in four numbers, which is all that GDAL 3.6 takes, and of what is
@@ -48,52 +60,44 @@ static void collection_add_extents(const struct dataset *d, json_t *o)
                                   "crs", "http://www.opengis.net/def/crs/OGC/0/CRS84h"));
 }
 
-/* `up` leads from the document to the service's root: "" or "../". */
+/* `up` leads from the document to the service's root: NULL or "..". */
 static json_t *collection_json(const struct dataset *d, const char *up,
                                const struct collection_options *opt)
 {
     const char *url = opt->public_url;
-    static const char volumes[] = "http://www.opengis.net/def/rel/ogc/1.0/3d-geovolumes";
     const struct store_meta *m = &d->meta;
-    char self[160], tileset[160], tilejson[160], appearances[160], model[160], photographs[160],
-        tile[200], view[200];
+    struct link l = link_to(LINK_ROOT, up, d, d->edition);
+    char tile[200], view[200];
     uint64_t count = 0;
     for (size_t i = 0; i < d->n_tiles; i++)
         if (d->tiles[i].key.z == m->zoom_max)
             count += d->tiles[i].count;
-    snprintf(self, sizeof self, "%scollections/%s", up, m->name);
-    snprintf(tileset, sizeof tileset, "%sd/%s/tileset.json", up, m->name);
-    snprintf(tilejson, sizeof tilejson, "%scollections/%s/tiles.json", up, m->name);
-    snprintf(appearances, sizeof appearances, "%sd/%s/appearances", up, m->name);
-    snprintf(model, sizeof model, "%sd/%s/r/%s-%s/appearance.json", up, m->name, m->revision,
-             d->edition);
-    snprintf(photographs, sizeof photographs, "%sd/%s/r/%s-%s/appearances.json", up, m->name,
-             m->revision, d->edition);
-    snprintf(tile, sizeof tile, "%sd/%s/r/%s-%s/t/{z}/{x}/{y}.{ext}", up, m->name, m->revision,
-             d->edition);
-    snprintf(view, sizeof view,
-             "%sd/%s/static/{lon},{lat},{h}@{heading},{pitch},{fov}/{w}x{h}.{fmt}", up, m->name);
+    link_text(link_tile, &l, tile, sizeof tile);
+    l.with = "fov";
+    link_text(link_view_moving, &l, view, sizeof view);
     json_t *o = json_pack("{s:s,s:s,s:s,s:s}", "id", m->name, "title", m->name, "collectionType",
                           "3d-container", "attribution", m->attribution);
     collection_add_extents(d, o);
-    json_object_set_new(
-        o, "links",
-        json_pack("[o,o,o]",
-                  url && *url
-                      ? ogc_tiles_link("self", "application/json", url, self + strlen(up), m->name)
-                      : document_link("self", "application/json", self, m->name),
-                  document_link(volumes, "application/3dtiles+json", tileset, "3D Tiles 1.1"),
-                  document_link("tiles", "application/json", tilejson, "TileJSON 3.0.0")));
-    collection_add_maps(d, up, opt, json_object_get(o, "links"));
-    const struct {
-        const char *rel, *href, *title;
-    } more[] = {{"appearances", appearances, "Light and weather to choose from"},
-                {"appearance-model", model, "The network, for clients that compute colours"},
-                {"photographs", photographs, "Embeddings, times, poses, thumbnails"}};
-    for (size_t i = 0; d->appearance && i < sizeof more / sizeof *more; i++)
-        json_array_append_new(
-            json_object_get(o, "links"),
-            document_link(more[i].rel, "application/json", more[i].href, more[i].title));
+    static const struct collection_link rows[] = {
+        {"http://www.opengis.net/def/rel/ogc/1.0/3d-geovolumes", "application/3dtiles+json",
+         "3D Tiles 1.1", link_tileset_moving},
+        {"tiles", "application/json", "TileJSON 3.0.0", link_tilejson},
+    };
+    static const struct collection_link appearance[] = {
+        {"appearances", "application/json", "Light and weather to choose from", link_appearances},
+        {"appearance-model", "application/json", "The network, for clients that compute colours",
+         link_model},
+        {"photographs", "application/json", "Embeddings, times, poses, thumbnails",
+         link_photographs}};
+    const struct collection_link self = {"self", "application/json", NULL, link_collection};
+    json_t *links = json_array();
+    collection_add(d, url && *url ? url : up, &self, links);
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
+        collection_add(d, up, &rows[i], links);
+    collection_add_maps(d, up, opt, links);
+    for (size_t i = 0; d->appearance && i < sizeof appearance / sizeof *appearance; i++)
+        collection_add(d, up, &appearance[i], links);
+    json_object_set_new(o, "links", links);
     const double origin[3] = {m->origin.lon_deg, m->origin.lat_deg, m->origin.h_m};
     json_object_set_new(
         o, "splats",
@@ -102,16 +106,16 @@ static json_t *collection_json(const struct dataset *d, const char *up,
                   "maxzoom", (int)m->zoom_max, "shDegree", (int)m->sh_degree, "embedLength",
                   (int)m->embed_len, "antialiased", (int)m->antialiased, "tiles",
                   (json_int_t)d->n_tiles, "gaussians", (json_int_t)count, "tileTemplate", tile,
-                  "viewTemplate", view, "formats", target_ext(FORMAT_GLB), target_ext(FORMAT_SPZ),
-                  target_ext(FORMAT_DRC), target_ext(FORMAT_PLY), target_ext(FORMAT_GLB_PLAIN),
-                  target_ext(FORMAT_PLY_PACKED), target_ext(FORMAT_SOG)));
+                  "viewTemplate", view, "formats", format_ext(FORMAT_GLB), format_ext(FORMAT_SPZ),
+                  format_ext(FORMAT_DRC), format_ext(FORMAT_PLY), format_ext(FORMAT_GLB_PLAIN),
+                  format_ext(FORMAT_PLY_PACKED), format_ext(FORMAT_SOG)));
     return o;
 }
 
 enum err_code collection_describe(const struct dataset *d, const struct collection_options *opt,
                                   struct body **out, struct err *e)
 {
-    return document_make(collection_json(d, "../", opt), out, e);
+    return document_make(collection_json(d, "..", opt), out, e);
 }
 
 enum err_code collection_list(struct dataset *const *ds, size_t n,
@@ -120,10 +124,12 @@ enum err_code collection_list(struct dataset *const *ds, size_t n,
 {
     json_t *list = json_array();
     for (size_t i = 0; i < n; i++)
-        json_array_append_new(list, collection_json(ds[i], "", opt));
-    json_t *o = json_pack("{s:[o],s:o}", "links",
-                          document_link("self", "application/json", "collections", "Datasets"),
-                          "collections", list);
+        json_array_append_new(list, collection_json(ds[i], NULL, opt));
+    char self[40];
+    link_text(link_collections, &(struct link){.from = LINK_ROOT}, self, sizeof self);
+    json_t *o =
+        json_pack("{s:[o],s:o}", "links",
+                  document_link("self", "application/json", self, "Datasets"), "collections", list);
     if (opt->basemap && *opt->basemap)
         json_object_set_new(o, "basemap",
                             json_pack("{s:s,s:s}", "tiles", opt->basemap, "attribution",

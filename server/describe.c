@@ -13,20 +13,33 @@
 #include "lod/view.h"
 #include "render/supersample.h"
 #include "server/document.h"
+#include "server/link.h"
 #include "server/paint.h"
 
 enum err_code describe_landing(struct body **out, struct err *e)
 {
-    json_t *o = json_pack(
-        "{s:s,s:s,s:[o,o,o,o,o]}", "title", "citysplat", "description",
-        "Cities of 3D Gaussians, in tiles and in pictures", "links",
-        document_link("self", "application/json", "./", "This document"),
-        document_link("service-desc", "application/vnd.oai.openapi+json;version=3.0", "api",
-                      "OpenAPI description"),
-        document_link("service-doc", "text/html", "api.html", "All addresses, to read"),
-        document_link("conformance", "application/json", "conformance", "Conformance classes"),
-        document_link("data", "application/json", "collections", "Datasets"));
-    return document_make(o, out, e);
+    static const struct {
+        const char *rel, *type, *title;
+        void (*to)(const struct link *l, struct buf *out);
+    } rows[] = {
+        {"service-desc", "application/vnd.oai.openapi+json;version=3.0", "OpenAPI description",
+         link_api},
+        {"service-doc", "text/html", "All addresses, to read", link_api_page},
+        {"conformance", "application/json", "Conformance classes", link_conformance},
+        {"data", "application/json", "Datasets", link_collections},
+    };
+    const struct link root = {.from = LINK_ROOT};
+    char href[64];
+    json_t *links =
+        json_pack("[o]", document_link("self", "application/json", "./", "This document"));
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
+        json_array_append_new(links, document_link(rows[i].rel, rows[i].type,
+                                                   link_text(rows[i].to, &root, href, sizeof href),
+                                                   rows[i].title));
+    return document_make(json_pack("{s:s,s:s,s:o}", "title", "citysplat", "description",
+                                   "Cities of 3D Gaussians, in tiles and in pictures", "links",
+                                   links),
+                         out, e);
 }
 
 enum err_code describe_conformance(struct body **out, struct err *e)
@@ -116,7 +129,7 @@ static enum err_code describe_read_format(const json_t *o, enum format *out, str
     const json_t *v = json_object_get(o, "format");
     *out = FORMAT_JPG;
     for (int f = FORMAT_JPG; v && f <= FORMAT_NPY; f++)
-        if (json_is_string(v) && !strcmp(json_string_value(v), target_ext((enum format)f))) {
+        if (json_is_string(v) && !strcmp(json_string_value(v), format_ext((enum format)f))) {
             *out = (enum format)f;
             return ERR_OK;
         }
@@ -179,12 +192,12 @@ static enum err_code describe_read_paint(const json_t *o, enum format f, struct 
 {
     const json_t *background = json_object_get(o, "background"),
                  *depth = json_object_get(o, "depth");
-    if (background && !(json_is_string(background) &&
-                        target_read_background(json_string_value(background),
-                                               json_string_length(background), out)))
+    if (background &&
+        !(json_is_string(background) && paint_read_background(json_string_value(background),
+                                                              json_string_length(background), out)))
         return err_set(e, ERR_DATA, "background must be RRGGBB, sky or transparent");
     if (depth && !(json_is_string(depth) &&
-                   target_read_depth(json_string_value(depth), json_string_length(depth), out)))
+                   paint_read_depth(json_string_value(depth), json_string_length(depth), out)))
         return err_set(e, ERR_DATA, "depth must be mm, cm, dm or m: the unit");
     return paint_check(out, f, e);
 }

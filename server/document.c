@@ -44,7 +44,7 @@ enum err_code document_take(enum err_code rc, struct buf *b, struct body **out, 
 
 json_t *document_link(const char *rel, const char *type, const char *href, const char *title)
 {
-    return json_pack("{s:s,s:s,s:s,s:s}", "rel", rel, "type", type, "href", href, "title", title);
+    return json_pack("{s:s,s:s,s:s,s:s*}", "rel", rel, "type", type, "href", href, "title", title);
 }
 
 json_t *document_numbers(const double *v, size_t n)

@@ -84,7 +84,7 @@ static enum err_code encode_gauss(struct gauss *g, const struct store_meta *meta
         rc = sog_encode(g, form.sh_degree, out, e);
         break;
     default:
-        rc = err_set(e, ERR_INTERNAL, "encode: %s is not a tile format", target_ext(format));
+        rc = err_set(e, ERR_INTERNAL, "encode: %s is not a tile format", format_ext(format));
     }
     quant_free(&q);
     return rc;

@@ -1,7 +1,7 @@
 /* A request's life: on_target (the raw target is kept: the one that libmicrohttpd hands out later
  * is decoded and cut at NUL) -> first handler call (guard) -> body calls -> last call
- * (route_answer; sent at once, or suspended behind a job) -> after resume one more call
- * (route_finish, sent) -> on_completed (log, metrics).
+ * (dispatch_answer; sent at once, or suspended behind a job) -> after resume one more call
+ * (dispatch_finish, sent) -> on_completed (log, metrics).
  *
  * Requests of a connection come one after the other, so each lies in its connection's peer: an
  * allocation a request would be a tenth of what a tile in memory costs.
@@ -16,9 +16,9 @@
 #include <string.h>
 #include <sys/socket.h>
 
+#include "server/dispatch.h"
 #include "server/guard.h"
 #include "server/motion.h"
-#include "server/route.h"
 #include "server/screen.h"
 
 /* Of a stream: what libmicrohttpd asks for at once, and what may wait in the socket, so that a
@@ -198,6 +198,8 @@ static int exchange_guard(struct exchange *x, const char *method, const char *ve
     x->req.method = guard_method(method);
     MHD_get_connection_values_n(x->connection, MHD_HEADER_KIND, exchange_on_field, &g);
     x->req.admin = x->f->admin;
+    x->req.trusted = address_in(&x->f->proxies, x->peer->address);
+    x->req.proxied |= !strcmp(version, "HTTP/1.0"); /* nginx speaks it to what is behind it */
     exchange_identify(x);
     x->req.local = guard_local(&g, version) && address_is_loopback(x->peer->address);
     return guard_check(&g, x->f->s->cfg, version, why);
@@ -301,8 +303,8 @@ void *exchange_on_target(void *cls, const char *target, struct MHD_Connection *c
     x->slot = p ? p->slot : NULL;
     x->number = p ? ++p->requests : 0;
     x->start_s = clock_s();
-    x->res.route = ROUTE_NONE;
     x->res.queue_s = -1;
+    x->res.same_origin = f->admin;
     exchange_take_target(x, target);
     watch_phase_at(x->slot, WATCH_HEADER,
                    p && p->over ? EXCHANGE_OVER_S : f->s->cfg->header_timeout_s, x->start_s);
@@ -357,7 +359,7 @@ enum MHD_Result exchange_on_request(void *cls, struct MHD_Connection *c, const c
     if (x->stage == STAGE_SENT)
         return MHD_YES;
     if (x->stage == STAGE_WAIT) {
-        route_finish(f->s, &x->req, &x->waiter.result, &x->res);
+        dispatch_finish(f->s, &x->req, &x->waiter.result, &x->res);
         return exchange_send_answer(x);
     }
     const char *why;
@@ -370,7 +372,7 @@ enum MHD_Result exchange_on_request(void *cls, struct MHD_Connection *c, const c
         return exchange_refuse(x, 503, "out of memory");
     x->req.body = x->body.data;
     x->req.body_size = x->body.size;
-    route_answer(f->s, &x->req, &x->res);
+    dispatch_answer(f->s, &x->req, &x->res);
     if (x->res.stream[0])
         return exchange_begin_stream(x);
     return x->res.work ? exchange_wait_for_job(x) : exchange_send_answer(x);
@@ -395,9 +397,9 @@ static void exchange_log_access(const struct exchange *x, int status, double sec
     exchange_client_text(x, client, sizeof client);
     const struct access_line line = {
         .method = guard_method_name(x->req.method),
-        .route = target_path(x->res.route),
+        .route = route_path(x->res.route),
         /* a target that names no route may hold anything: it is not repeated */
-        .target = x->res.route == ROUTE_NONE ? "-" : x->target,
+        .target = x->res.route ? x->target : "-",
         .client = client,
         .id = x->id[0] ? x->id : "-",
         .cache = x->res.cache,
@@ -409,12 +411,6 @@ static void exchange_log_access(const struct exchange *x, int status, double sec
         .job_s = x->res.run_s,
     };
     access_add(x->f->s->access, &line);
-}
-
-/* Cameras of a stream come many times a second: those that were taken are counted, not logged. */
-static bool exchange_is_logged(const struct exchange *x, int status)
-{
-    return x->f->s->access && !(x->res.route == ROUTE_MOTION && status == 204);
 }
 
 void exchange_on_completed(void *cls, struct MHD_Connection *c, void **con_cls,
@@ -431,8 +427,9 @@ void exchange_on_completed(void *cls, struct MHD_Connection *c, void **con_cls,
     const double now_s = clock_s(), seconds = now_s - x->start_s;
     if (!whole)
         atomic_fetch_add(&f->s->metrics.client_aborts, 1);
-    metrics_request(&f->s->metrics, x->res.route, status, seconds, whole ? x->sent : 0);
-    if (exchange_is_logged(x, status))
+    metrics_request(&f->s->metrics, router_index(f->s->routes, x->res.route), status, seconds,
+                    whole ? x->sent : 0);
+    if (f->s->access && !(whole && x->res.unlogged))
         exchange_log_access(x, status, seconds);
     if (x->stream) {
         watch_disarm(f->watch, x->slot);

@@ -98,8 +98,13 @@ void guard_field(struct guard *f, const char *name, size_t n_name, const char *v
     } else if (guard_name_is(name, n_name, "Host")) {
         f->n_host++;
         f->host_local = address_host_is_loopback(value);
+        f->req->host = value;
     } else if (guard_is_proxys(name, n_name)) {
-        f->proxied = true;
+        f->req->proxied = true;
+        if (guard_name_is(name, n_name, "X-Forwarded-Host"))
+            f->req->forwarded_host = value;
+        if (guard_name_is(name, n_name, "X-Forwarded-Proto"))
+            f->req->forwarded_proto = value;
         if (guard_name_is(name, n_name, "X-Forwarded-For") &&
             f->req->n_forwarded < REQUEST_FIELDS_MAX)
             f->req->forwarded[f->req->n_forwarded++] = value;
@@ -119,7 +124,7 @@ const char *guard_method_name(enum method m)
 
 bool guard_local(const struct guard *g, const char *version)
 {
-    return !g->proxied && !g->has_origin && g->host_local && strcmp(version, "HTTP/1.0") != 0;
+    return !g->req->proxied && !g->has_origin && g->host_local && strcmp(version, "HTTP/1.0") != 0;
 }
 
 enum method guard_method(const char *name)

@@ -10,7 +10,7 @@
 struct guard { /* {.req = r}, then guard_field for each header field */
     struct request *req;
     size_t n, n_length, n_coding, n_host;
-    bool bad, coding_bad, proxied, host_local, has_origin;
+    bool bad, coding_bad, host_local, has_origin;
     uint64_t length;
 };
 enum method guard_method(const char *name);

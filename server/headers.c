@@ -76,9 +76,12 @@ void headers_make(const struct response *r, bool last, struct headers *h)
     headers_add_numbers(r, h);
     if (r->stream[0]) /* nginx would gather pictures until its buffer is full */
         headers_add(h, "X-Accel-Buffering", "no");
-    headers_add(h, "Access-Control-Allow-Origin", "*");
+    if (!r->same_origin)
+        headers_add(h, "Access-Control-Allow-Origin", "*");
     headers_add(h, "X-Content-Type-Options", "nosniff");
-    if (r->allow && r->status == 204) { /* preflight */
+    if (r->same_origin) { /* what operators ask is for no page */
+        headers_add(h, "Cross-Origin-Resource-Policy", "same-origin");
+    } else if (r->allow && r->status == 204) { /* preflight */
         headers_add(h, "Access-Control-Allow-Methods", r->allow);
         headers_add(h, "Access-Control-Allow-Headers",
                     "Range, If-None-Match, If-Range, Content-Type, Authorization");

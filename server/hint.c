@@ -8,12 +8,13 @@
  */
 #include "server/hint.h"
 
-#include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
 
 #include "lod/store.h"
 #include "lod/tree.h"
+#include "server/link.h"
+#include "server/target_query.h"
 #include "server/text.h"
 
 enum hint_depth { HINT_NOTHING, HINT_CATALOGUE, HINT_SCENE };
@@ -41,19 +42,17 @@ static enum hint_depth hint_read(const char *query, size_t n, char scene[64])
     return depth;
 }
 
-/* One more link; left out where there is no room. */
-static void hint_add(char out[HINT_SIZE], const char *format, ...) ERR_PRINTF(2, 3);
-static void hint_add(char out[HINT_SIZE], const char *format, ...)
+/* One more link, with its query; left out where there is no room. */
+static void hint_add(char out[HINT_SIZE], void (*to)(const struct link *l, struct buf *url),
+                     const struct link *l, const char *query)
 {
     static const char how[] = ">; rel=preload; as=fetch; crossorigin";
     size_t used = strlen(out);
     char url[240];
-    va_list ap;
-    va_start(ap, format);
-    int n = vsnprintf(url, sizeof url, format, ap);
-    va_end(ap);
-    if (n > 0 && (size_t)n < sizeof url && used + (size_t)n + sizeof how + 4 < HINT_SIZE)
-        snprintf(out + used, HINT_SIZE - used, "%s<%s%s", used ? ", " : "", url, how);
+    link_text(to, l, url, sizeof url);
+    const size_t n = strlen(url) + strlen(query);
+    if (*url && n < sizeof url && used + n + sizeof how + 4 < HINT_SIZE)
+        snprintf(out + used, HINT_SIZE - used, "%s<%s%s%s", used ? ", " : "", url, query, how);
 }
 
 /* The tile that every view begins with; NULL where a scene has several of them. */
@@ -71,16 +70,16 @@ static const struct store_tile *hint_coarsest(const struct dataset *d)
 
 static void hint_add_scene(const struct dataset *d, char out[HINT_SIZE])
 {
-    const char *name = d->meta.name, *rev = d->meta.revision;
-    const char *trained = d->model ? "?appearance=none" : "";
-    const char *draft = "preset=preview&sh=0";
     const struct store_tile *tile = hint_coarsest(d);
-    hint_add(out, "d/%s/tileset.json%s", name, trained);
+    struct link l = link_to(LINK_ROOT, NULL, d, d->edition);
+    hint_add(out, link_tileset_moving, &l, d->model ? "?appearance=none" : "");
     if (d->model)
-        hint_add(out, "d/%s/r/%s-%s/appearance.json", name, rev, d->edition);
+        hint_add(out, link_model, &l, "");
+    l.key = tile ? &tile->key : NULL;
+    l.ext = format_ext(FORMAT_DRC);
     if (tile)
-        hint_add(out, "d/%s/r/%s-%s/t/%u/%u/%u.drc%s%c%s", name, rev, d->edition, tile->key.z,
-                 tile->key.x, tile->key.y, trained, *trained ? '&' : '?', draft);
+        hint_add(out, link_tile, &l,
+                 d->model ? "?appearance=none&preset=preview&sh=0" : "?preset=preview&sh=0");
 }
 
 void hint_write(const struct catalog *c, const char *query, size_t n, char out[HINT_SIZE])
@@ -90,7 +89,7 @@ void hint_write(const struct catalog *c, const char *query, size_t n, char out[H
     out[0] = 0;
     if (depth == HINT_NOTHING)
         return;
-    hint_add(out, "collections");
+    hint_add(out, link_collections, &(struct link){.from = LINK_ROOT}, "");
     const struct dataset *d = scene[0]       ? catalog_find(c, scene, "")
                               : c->n_current ? c->ds[0]
                                              : NULL;
@@ -105,16 +104,16 @@ enum { HINT_QUERY = 64 }; /* a longer one would be most of the field */
 void hint_tileset(const struct dataset *d, const struct target *t, char out[HINT_SIZE])
 {
     const struct tree *tree = store_tree(d->index);
-    char query[TARGET_QUERY_MAX], base[40] = "";
-    target_query(t, query);
+    char query[TARGET_QUERY_MAX];
+    struct link l = link_to(t->rev[0] ? LINK_REVISION : LINK_DATASET, NULL, d, d->edition);
+    target_query_tiles(t, query);
     out[0] = '\0';
     if (t->clip.n || strlen(query) > HINT_QUERY || tree->root == TREE_NONE ||
         tree->nodes[tree->root].tile == TREE_NONE)
         return;
-    const struct key k = d->tiles[tree->nodes[tree->root].tile].key;
-    if (t->route == ROUTE_TILESET_MOVING)
-        snprintf(base, sizeof base, "r/%s-%s/", d->meta.revision, d->edition);
-    hint_add(out, "%st/%u/%u/%u.glb%s", base, k.z, k.x, k.y, query);
+    l.key = &d->tiles[tree->nodes[tree->root].tile].key;
+    l.ext = format_ext(FORMAT_GLB);
+    hint_add(out, link_tile, &l, query);
 }
 
 void hint_tile(const struct dataset *d, const struct store_tile *tile, const struct target *t,
@@ -127,14 +126,14 @@ void hint_tile(const struct dataset *d, const struct store_tile *tile, const str
     *p = '\0';
     if (!v->child_count || t->clip.n) /* what is left of the others is not known here */
         return;
-    target_query(t, query);
-    const char *ext = target_ext(t->form.format);
+    target_query_tiles(t, query);
+    const char *ext = format_ext(t->form.format);
     const size_t each = NUMBERS + strlen(ext) + strlen(query);
     for (uint32_t i = 0; i < v->child_count && strlen(query) <= HINT_QUERY; i++) {
         const struct key k = d->tiles[tree->children[v->child_first + i]].key;
         if ((size_t)(p - out) + each > HINT_SIZE)
             break;
-        p = text_put(p, i ? ", <../../" : "<../../"); /* from t/z/x/ */
+        p = text_put(p, i ? ", <../../" : "<../../"); /* a tile lies in {z}/{x}/ */
         p = text_put_uint(p, k.z);
         *p++ = '/';
         p = text_put_uint(p, k.x);

@@ -25,6 +25,7 @@
 #include <string.h>
 
 #include "server/condition.h"
+#include "server/param.h"
 #include "server/text.h"
 
 enum {
@@ -266,7 +267,7 @@ static bool kept_read_row(sqlite3_stmt *q, struct kept_row *row)
 {
     memset(row, 0, sizeof *row);
     if (!kept_column(q, 0, row->ds, sizeof row->ds) ||
-        !kept_column(q, 1, row->name, sizeof row->name) || !target_is_kept_name(row->name) ||
+        !kept_column(q, 1, row->name, sizeof row->name) || !param_is_kept_name(row->name) ||
         !kept_column(q, 2, row->text, sizeof row->text) ||
         sqlite3_column_bytes(q, 3) != KEPT_HASH_BYTES)
         return false;

@@ -10,51 +10,46 @@
 
 #include "lod/raster.h"
 #include "server/document.h"
+#include "server/link.h"
+#include "server/text.h"
 
 static const double MAP_DOCUMENT_SCALE0 = 559082264.0287178; /* of zoom 0, WebMercatorQuad */
 static const double MAP_DOCUMENT_HALF_M = 20037508.342789244;
 enum { MAP_DOCUMENT_URL_MAX = TARGET_QUERY_MAX + FILE_PATH_MAX + 64 };
 
-/* The address of a dataset's revision, with '/' at its end. */
-static void map_document_root(const struct dataset *d, const char *edition, const char *base,
-                              char *out, size_t room)
-{
-    const char *dash = *edition ? "-" : "";
-    size_t n = base ? strlen(base) : 0;
-    while (n && base[n - 1] == '/')
-        n--;
-    if (n)
-        snprintf(out, room, "%.*s/d/%s/r/%s%s%s/", (int)n, base, d->meta.name, d->meta.revision,
-                 dash, edition);
-    else
-        snprintf(out, room, "r/%s%s%s/", d->meta.revision, dash, edition);
-}
-
-static void map_document_query(const struct target *t, char out[TARGET_QUERY_MAX])
+static void map_document_query(const struct target *t, enum map_document_of of,
+                               char out[TARGET_QUERY_MAX])
 {
     out[0] = '\0';
-    if (t->route == ROUTE_TERRAINJSON) {
+    if (of == MAP_DOCUMENT_TERRAIN) {
         if (t->encoding == ENCODING_TERRARIUM)
             snprintf(out, TARGET_QUERY_MAX, "?encoding=terrarium");
     } else if (t->appearance[0]) {
         strcpy(out, "?appearance=");
-        target_escape(t->appearance, out + strlen(out));
+        text_escape(t->appearance, out + strlen(out));
     }
 }
 
+/* base: as in map_document.h. */
+static struct link map_document_link(const struct dataset *d, const char *edition, const char *base)
+{
+    return base && *base ? link_to(LINK_ROOT, base, d, edition)
+                         : link_to(LINK_DATASET, NULL, d, edition);
+}
+
 enum err_code map_document_tilejson(const struct dataset *d, const char *edition,
-                                    const struct target *t, const char *base, struct body **out,
-                                    struct err *e)
+                                    enum map_document_of of, const struct target *t,
+                                    const char *base, struct body **out, struct err *e)
 {
     const struct area *a = &d->area;
-    char root[FILE_PATH_MAX], query[TARGET_QUERY_MAX], url[MAP_DOCUMENT_URL_MAX];
-    bool terrain = t->route == ROUTE_TERRAINJSON;
+    const bool terrain = of == MAP_DOCUMENT_TERRAIN;
+    char url[MAP_DOCUMENT_URL_MAX];
+    struct link l = map_document_link(d, edition, base);
     const double bounds[4] = {a->west_deg, a->south_deg, a->east_deg, a->north_deg};
     int zoom_min = raster_zoom_min(a), zoom_max = raster_zoom_max(a);
-    map_document_root(d, edition, base, root, sizeof root);
-    map_document_query(t, query);
-    snprintf(url, sizeof url, "%s%s/{z}/{x}/{y}.%s%s", root, terrain ? "terrain" : "map",
-             terrain ? "png" : "webp", query);
+    l.ext = format_ext(FORMAT_WEBP);
+    link_text(terrain ? link_terrain : link_map, &l, url, sizeof url - TARGET_QUERY_MAX);
+    map_document_query(t, of, url + strlen(url));
     json_t *o =
         json_pack("{s:s,s:s,s:s,s:s,s:[s],s:i,s:i,s:i,s:o,s:[f,f,i]}", "tilejson", "3.0.0", "name",
                   d->meta.name, "attribution", d->meta.attribution, "scheme", "xyz", "tiles", url,
@@ -75,12 +70,13 @@ enum err_code map_document_tilejson(const struct dataset *d, const char *edition
 /* ---- WMTS ---- */
 
 static void map_document_layer(struct buf *b, const struct dataset *d, const struct target *t,
-                               const char *root)
+                               struct link l)
 {
     static const enum format formats[] = {FORMAT_PNG, FORMAT_WEBP, FORMAT_JPG};
+    static const char *const names[3] = {"TileMatrix", "TileCol", "TileRow"};
     const struct area *a = &d->area;
-    char query[TARGET_QUERY_MAX];
-    map_document_query(t, query);
+    char url[MAP_DOCUMENT_URL_MAX];
+    l.key_names = names;
     buf_printf(b, "<Layer>\n<ows:Title>%s</ows:Title>\n<ows:Abstract>", d->meta.name);
     buf_markup(b, d->meta.attribution);
     buf_printf(b,
@@ -91,15 +87,17 @@ static void map_document_layer(struct buf *b, const struct dataset *d, const str
                "<Style isDefault=\"true\"><ows:Identifier>default</ows:Identifier></Style>\n",
                a->west_deg, a->south_deg, a->east_deg, a->north_deg, d->meta.name);
     for (size_t i = 0; i < sizeof formats / sizeof *formats; i++)
-        buf_printf(b, "<Format>%s</Format>\n", target_type(formats[i]));
+        buf_printf(b, "<Format>%s</Format>\n", format_type(formats[i]));
     buf_printf(b, "<TileMatrixSetLink><TileMatrixSet>WebMercatorQuad</TileMatrixSet>"
                   "</TileMatrixSetLink>\n");
     for (size_t i = 0; i < sizeof formats / sizeof *formats; i++) {
         buf_printf(b, "<ResourceURL format=\"%s\" resourceType=\"tile\" template=\"",
-                   target_type(formats[i]));
-        buf_markup(b, root);
-        buf_printf(b, "map/{TileMatrix}/{TileCol}/{TileRow}.%s%s\"/>\n", target_ext(formats[i]),
-                   query);
+                   format_type(formats[i]));
+        l.ext = format_ext(formats[i]);
+        link_text(link_map, &l, url, sizeof url - TARGET_QUERY_MAX);
+        map_document_query(t, MAP_DOCUMENT_COLOURS, url + strlen(url));
+        buf_markup(b, url);
+        buf_printf(b, "\"/>\n");
     }
     buf_printf(b, "</Layer>\n");
 }
@@ -129,15 +127,12 @@ enum err_code map_document_wmts(const struct dataset *d, const char *edition,
                                 struct err *e)
 {
     struct buf b = {0};
-    char root[FILE_PATH_MAX], self[FILE_PATH_MAX], query[TARGET_QUERY_MAX];
+    const struct link l = link_to(LINK_ROOT, base, d, edition);
+    char self[MAP_DOCUMENT_URL_MAX];
     if (!base || !*base)
         return err_set(e, ERR_ARG,
                        "clients of WMTS need absolute addresses: start the server with "
                        "--public-url URL, the address that they see");
-    map_document_root(d, edition, base, root, sizeof root);
-    map_document_root(d, "", base, self, sizeof self);
-    size_t n = strlen(self) - strlen("r//") - strlen(d->meta.revision);
-    snprintf(self + n, sizeof self - n, "wmts.xml");
     buf_printf(&b,
                "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n"
                "<Capabilities xmlns=\"http://www.opengis.net/wmts/1.0\" "
@@ -148,12 +143,12 @@ enum err_code map_document_wmts(const struct dataset *d, const char *edition,
                "<ows:ServiceTypeVersion>1.0.0</ows:ServiceTypeVersion>"
                "</ows:ServiceIdentification>\n<Contents>\n",
                d->meta.name);
-    map_document_layer(&b, d, t, root);
+    map_document_layer(&b, d, t, l);
     map_document_matrices(&b, raster_zoom_max(&d->area));
     buf_printf(&b, "</Contents>\n<ServiceMetadataURL xlink:href=\"");
+    link_text(link_wmts, &l, self, sizeof self - TARGET_QUERY_MAX);
+    map_document_query(t, MAP_DOCUMENT_COLOURS, self + strlen(self));
     buf_markup(&b, self);
-    map_document_query(t, query);
-    buf_markup(&b, query);
     buf_printf(&b, "\"/>\n</Capabilities>\n");
     return document_take(buf_check(&b, e), &b, out, e);
 }

@@ -90,7 +90,7 @@ enum err_code map_tile_make(struct nadir *n, const struct map_tile *t, struct bu
     enum err_code rc = t->encoding == ENCODING_UNSAID ? map_tile_color(n, t, &img, e)
                                                       : map_tile_terrain(n, t, &img, e);
     if (!rc)
-        rc = image_encode(&img, target_ext(t->format), t->quality, out, e);
+        rc = image_encode(&img, format_ext(t->format), t->quality, out, e);
     image_free(&img);
     return rc;
 }

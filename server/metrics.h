@@ -7,19 +7,25 @@
 
 #include <stdatomic.h>
 
-#include "server/target.h"
+#include "core/base.h"
 
 enum { METRICS_CODES = 28, METRICS_BUCKETS = 14 };
+struct metrics_route {
+    _Atomic uint64_t requests[METRICS_CODES], seconds_bucket[METRICS_BUCKETS], seconds_us;
+};
 struct metrics {
-    _Atomic uint64_t requests[ROUTE_COUNT][METRICS_CODES];
-    _Atomic uint64_t seconds_bucket[ROUTE_COUNT][METRICS_BUCKETS], seconds_us[ROUTE_COUNT];
+    struct metrics_route *route; /* [n_routes], the last for what is no route; metrics_free */
+    size_t n_routes;
     _Atomic uint64_t response_bytes, inflight, connections, client_aborts, reaped, displaced,
         store_errors, reload_failed, rejected;
 };
 extern const int metrics_codes[METRICS_CODES]; /* 0 ends them: another status */
 extern const double metrics_bounds_s[METRICS_BUCKETS];
 
-void metrics_request(struct metrics *m, enum route route, int status, double seconds,
-                     uint64_t bytes);
+/* For so many routes. ERR_MEM. */
+enum err_code metrics_open(struct metrics *m, size_t n, struct err *e) ERR_USE;
+void metrics_free(struct metrics *m);
+/* route: its number, that of all routes for none. */
+void metrics_request(struct metrics *m, size_t route, int status, double seconds, uint64_t bytes);
 
 #endif

@@ -27,41 +27,57 @@ static void metrics_text_one(struct buf *out, const char *name, const char *type
     buf_printf(out, "citysplat_%s %llu\n", name, (unsigned long long)value);
 }
 
-static void metrics_text_requests(struct metrics *m, struct buf *out)
+static uint64_t metrics_text_read(_Atomic uint64_t *counter)
 {
-    uint64_t total[ROUTE_COUNT] = {0};
-    metrics_text_head(out, "http_requests_total", "counter",
-                      "Requests by route and status (0: another status).");
-    for (int r = 0; r < ROUTE_COUNT; r++)
-        for (int c = 0; c < METRICS_CODES; c++) {
-            uint64_t n = atomic_load_explicit(&m->requests[r][c], memory_order_relaxed);
-            total[r] += n;
-            if (n)
-                buf_printf(out, "citysplat_http_requests_total{route=\"%s\",code=\"%d\"} %llu\n",
-                           target_path((enum route)r), metrics_codes[c], (unsigned long long)n);
-        }
-    metrics_text_head(out, "http_request_duration_seconds", "histogram",
-                      "From request line to last byte.");
-    for (int r = 0; r < ROUTE_COUNT; r++) {
-        if (!total[r])
-            continue;
-        const char *path = target_path((enum route)r);
-        uint64_t sum = 0;
-        for (int b = 0; b < METRICS_BUCKETS; b++) {
-            sum += atomic_load_explicit(&m->seconds_bucket[r][b], memory_order_relaxed);
-            buf_printf(
-                out,
-                "citysplat_http_request_duration_seconds_bucket{route=\"%s\",le=\"%g\"} %llu\n",
-                path, metrics_bounds_s[b], (unsigned long long)sum);
-        }
+    return atomic_load_explicit(counter, memory_order_relaxed);
+}
+
+static uint64_t metrics_text_total(struct metrics_route *m)
+{
+    uint64_t total = 0;
+    for (int c = 0; c < METRICS_CODES; c++)
+        total += metrics_text_read(&m->requests[c]);
+    return total;
+}
+
+static void metrics_text_duration(struct metrics_route *m, const char *path, struct buf *out)
+{
+    const uint64_t total = metrics_text_total(m);
+    uint64_t sum = 0;
+    for (int b = 0; b < METRICS_BUCKETS && total; b++) {
+        sum += metrics_text_read(&m->seconds_bucket[b]);
+        buf_printf(out,
+                   "citysplat_http_request_duration_seconds_bucket{route=\"%s\",le=\"%g\"} %llu\n",
+                   path, metrics_bounds_s[b], (unsigned long long)sum);
+    }
+    if (total)
         buf_printf(out,
                    "citysplat_http_request_duration_seconds_bucket{route=\"%s\",le=\"+Inf\"} %llu\n"
                    "citysplat_http_request_duration_seconds_sum{route=\"%s\"} %.6f\n"
                    "citysplat_http_request_duration_seconds_count{route=\"%s\"} %llu\n",
-                   path, (unsigned long long)total[r], path,
-                   (double)atomic_load_explicit(&m->seconds_us[r], memory_order_relaxed) * 1e-6,
-                   path, (unsigned long long)total[r]);
-    }
+                   path, (unsigned long long)total, path,
+                   (double)metrics_text_read(&m->seconds_us) * 1e-6, path,
+                   (unsigned long long)total);
+}
+
+static void metrics_text_requests(const struct router *routes, struct metrics *m, struct buf *out)
+{
+    size_t n;
+    const struct route *rows = router_rows(routes, &n);
+    metrics_text_head(out, "http_requests_total", "counter",
+                      "Requests by route and status (0: another status).");
+    for (size_t r = 0; r <= n; r++)
+        for (int c = 0; c < METRICS_CODES; c++) {
+            const uint64_t count = metrics_text_read(&m->route[r].requests[c]);
+            if (count)
+                buf_printf(out, "citysplat_http_requests_total{route=\"%s\",code=\"%d\"} %llu\n",
+                           route_path(r < n ? &rows[r] : NULL), metrics_codes[c],
+                           (unsigned long long)count);
+        }
+    metrics_text_head(out, "http_request_duration_seconds", "histogram",
+                      "From request line to last byte.");
+    for (size_t r = 0; r <= n; r++)
+        metrics_text_duration(&m->route[r], route_path(r < n ? &rows[r] : NULL), out);
 }
 
 static void metrics_text_jobs(struct jobs *jobs, struct buf *out)
@@ -134,7 +150,7 @@ enum err_code metrics_text_write(struct services *s, struct buf *out, struct err
 {
     struct metrics *m = &s->metrics;
     struct cache_stats cs;
-    metrics_text_requests(m, out);
+    metrics_text_requests(s->routes, m, out);
     metrics_text_one(out, "http_response_bytes_total", "counter", "Bytes of bodies.",
                      atomic_load(&m->response_bytes));
     metrics_text_one(out, "http_inflight", "gauge", "Requests being answered.",

@@ -204,7 +204,7 @@ static void motion_show(struct motion_stream *st, const struct job_result *r)
     multipart_put(&st->parts, r->body,
                   "Content-Type: %s\r\nContent-Length: %zu\r\nPose: %lld\r\nSize: %ux%u\r\n"
                   "Rest: %d\r\nServer-Timing: queue;dur=%.1f, job;dur=%.1f\r\n\r\n",
-                  target_type(st->flight_format), r->body->size, (long long)st->flight_number,
+                  format_type(st->flight_format), r->body->size, (long long)st->flight_number,
                   (unsigned)st->flight_px[0], (unsigned)st->flight_px[1], st->flight_full,
                   r->queue_s * 1e3, r->run_s * 1e3);
     st->drawn = st->flight;

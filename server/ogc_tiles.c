@@ -16,7 +16,8 @@
 
 #include "lod/raster.h"
 #include "server/document.h"
-#include "server/target.h"
+#include "server/format.h"
+#include "server/link.h"
 
 #define OGC_TILES_REL "http://www.opengis.net/def/rel/ogc/1.0/"
 #define OGC_TILES_SET "http://www.opengis.net/def/tilematrixset/OGC/1.0/WebMercatorQuad"
@@ -24,15 +25,14 @@
 static const double OGC_TILES_SCALE0 = 559082264.0287178; /* of zoom 0 */
 static const double OGC_TILES_HALF_M = 20037508.342789244;
 
-json_t *ogc_tiles_link(const char *rel, const char *type, const char *base, const char *path,
-                       const char *title)
+/* A link below base. */
+static json_t *ogc_tiles_link(const char *rel, const char *type, const char *base,
+                              const struct dataset *d,
+                              void (*to)(const struct link *l, struct buf *out), const char *title)
 {
     char href[FILE_PATH_MAX + 256];
-    size_t n = base ? strlen(base) : 0;
-    while (n && base[n - 1] == '/')
-        n--;
-    snprintf(href, sizeof href, "%.*s/%s", (int)n, n ? base : "", path);
-    return document_link(rel, type, href, title);
+    const struct link l = {.from = LINK_ROOT, .up = base ? base : "", .ds = d->meta.name};
+    return document_link(rel, type, link_text(to, &l, href, sizeof href), title);
 }
 
 /* What list and tileset both say. */
@@ -49,30 +49,27 @@ static void ogc_tiles_add(json_t *o, json_t *link)
 
 static json_t *ogc_tiles_to_tileset(const struct dataset *d, const char *rel, const char *base)
 {
-    char path[128];
-    snprintf(path, sizeof path, "collections/%s/map/tiles/WebMercatorQuad", d->meta.name);
-    return ogc_tiles_link(rel, "application/json", base, path, "Map from straight above");
+    return ogc_tiles_link(rel, "application/json", base, d, link_map_tileset,
+                          "Map from straight above");
 }
 
-static json_t *ogc_tiles_to_matrices(const char *base)
+static json_t *ogc_tiles_to_matrices(const struct dataset *d, const char *base)
 {
-    return ogc_tiles_link(OGC_TILES_REL "tiling-scheme", "application/json", base,
-                          "tileMatrixSets/WebMercatorQuad", "WebMercatorQuad");
+    return ogc_tiles_link(OGC_TILES_REL "tiling-scheme", "application/json", base, d, link_matrices,
+                          "WebMercatorQuad");
 }
 
 enum err_code ogc_tiles_list(const struct dataset *d, const char *base, struct body **out,
                              struct err *e)
 {
-    char path[128];
-    snprintf(path, sizeof path, "collections/%s/map/tiles", d->meta.name);
     json_t *tileset = ogc_tiles_about(d);
     ogc_tiles_add(tileset, ogc_tiles_to_tileset(d, "self", base));
-    ogc_tiles_add(tileset, ogc_tiles_to_matrices(base));
-    return document_make(
-        json_pack("{s:[o],s:[o]}", "links",
-                  ogc_tiles_link("self", "application/json", base, path, "Tilesets"), "tilesets",
-                  tileset),
-        out, e);
+    ogc_tiles_add(tileset, ogc_tiles_to_matrices(d, base));
+    return document_make(json_pack("{s:[o],s:[o]}", "links",
+                                   ogc_tiles_link("self", "application/json", base, d,
+                                                  link_map_tilesets, "Tilesets"),
+                                   "tilesets", tileset),
+                         out, e);
 }
 
 static json_t *ogc_tiles_limits(const struct area *a)
@@ -93,17 +90,19 @@ enum err_code ogc_tiles_tileset(const struct dataset *d, const char *edition, co
                                 struct body **out, struct err *e)
 {
     static const enum format formats[] = {FORMAT_PNG, FORMAT_JPG, FORMAT_WEBP};
+    static const char *const names[3] = {"tileMatrix", "tileCol", "tileRow"};
     const struct area *a = &d->area;
     const double low[2] = {a->west_deg, a->south_deg}, high[2] = {a->east_deg, a->north_deg};
     json_t *o = ogc_tiles_about(d);
     ogc_tiles_add(o, ogc_tiles_to_tileset(d, "self", base));
-    ogc_tiles_add(o, ogc_tiles_to_matrices(base));
+    ogc_tiles_add(o, ogc_tiles_to_matrices(d, base));
     for (size_t i = 0; i < sizeof formats / sizeof *formats; i++) {
-        char path[256];
-        snprintf(path, sizeof path, "d/%s/r/%s%s%s/map/{tileMatrix}/{tileCol}/{tileRow}.%s",
-                 d->meta.name, d->meta.revision, *edition ? "-" : "", edition,
-                 target_ext(formats[i]));
-        json_t *item = ogc_tiles_link("item", target_type(formats[i]), base, path, "A map tile");
+        char href[FILE_PATH_MAX + 256];
+        struct link l = link_to(LINK_ROOT, base ? base : "", d, edition);
+        l.key_names = names;
+        l.ext = format_ext(formats[i]);
+        json_t *item = document_link("item", format_type(formats[i]),
+                                     link_text(link_map, &l, href, sizeof href), "A map tile");
         json_object_set_new(item, "templated", json_true());
         ogc_tiles_add(o, item);
     }

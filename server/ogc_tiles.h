@@ -22,8 +22,4 @@ enum err_code ogc_tiles_tileset(const struct dataset *d, const char *edition, co
                                 struct body **out, struct err *e) ERR_USE;
 /* WebMercatorQuad, zooms 0 to 24, in the words of both editions of the standard. ERR_MEM. */
 enum err_code ogc_tiles_matrices(struct body **out, struct err *e) ERR_USE;
-/* A link to `path` (without '/' at its beginning) below base. */
-struct json_t *ogc_tiles_link(const char *rel, const char *type, const char *base, const char *path,
-                              const char *title);
-
 #endif

@@ -1,4 +1,4 @@
-/* The OpenAPI description of the service.
+/* The description of the service: OpenAPI 3.0.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -6,8 +6,10 @@
 #define SERVER_OPENAPI_H
 
 #include "server/body.h"
+#include "server/router.h"
 
-/* Made from the route table, so that no route is missing. A reference is the caller's. ERR_MEM. */
-enum err_code openapi_describe(struct body **out, struct err *e) ERR_USE;
+/* Of all routes. ERR_MEM. */
+enum err_code openapi_describe(const struct router *routes, struct body **out,
+                               struct err *e) ERR_USE;
 
 #endif

@@ -161,7 +161,7 @@ enum err_code paint_encode(const struct paint *p, const struct camera *cam, enum
                                    p->background == BACKGROUND_TRANSPARENT ? 4 : 3, &img, e);
     if (!rc) {
         paint_pixels(p, cam, in, &img);
-        rc = image_encode(&img, target_ext(f), quality, out, e);
+        rc = image_encode(&img, format_ext(f), quality, out, e);
     }
     image_free(&img);
     return rc;
@@ -178,4 +178,36 @@ void paint_roll(struct camera *cam, double roll_deg)
         *x = c * x0 + s * y0;
         *y = c * y0 - s * x0;
     }
+}
+
+bool paint_read_background(const char *text, size_t n, struct paint *out)
+{
+    uint32_t rgb = 0;
+    out->said_background = true;
+    if (n == strlen("sky") && !memcmp(text, "sky", n))
+        return out->background = BACKGROUND_SKY, true;
+    if (n == strlen("transparent") && !memcmp(text, "transparent", n))
+        return out->background = BACKGROUND_TRANSPARENT, true;
+    for (size_t i = 0; i < n; i++) {
+        char c = text[i];
+        int v = c >= '0' && c <= '9'   ? c - '0'
+                : c >= 'a' && c <= 'f' ? c - 'a' + 10
+                : c >= 'A' && c <= 'F' ? c - 'A' + 10
+                                       : -1;
+        if (v < 0 || n != 6)
+            return false;
+        rgb = rgb * 16 + (uint32_t)v;
+    }
+    out->rgb = rgb;
+    return n == 6;
+}
+
+bool paint_read_depth(const char *text, size_t n, struct paint *out)
+{
+    static const char *const units[] = {
+        [DEPTH_MM] = "mm", [DEPTH_CM] = "cm", [DEPTH_DM] = "dm", [DEPTH_M] = "m"};
+    for (int u = DEPTH_MM; u <= DEPTH_M; u++)
+        if (n == strlen(units[u]) && !memcmp(text, units[u], n))
+            return out->depth = (enum depth)u, true;
+    return false;
 }

@@ -8,6 +8,10 @@
 #include "core/camera.h"
 #include "server/target.h"
 
+/* RRGGBB, sky or transparent; mm, cm, dm or m: what a text[n] says. False: neither. */
+bool paint_read_background(const char *text, size_t n, struct paint *out);
+bool paint_read_depth(const char *text, size_t n, struct paint *out);
+
 /* What the renderer gives for a picture [h][w]; NULL: not asked for. */
 struct paint_planes {
     const float *rgb;           /* [3]; for SKY and TRANSPARENT on black */

@@ -21,18 +21,11 @@ const char RESPONSE_NO_STORE[] = "no-store";
 const char RESPONSE_JSON[] = "application/json";
 static const char RESPONSE_SHORT[] = "public, max-age=60";
 
-static bool response_is_drawn(enum route r)
-{
-    return r == ROUTE_VIEW || r == ROUTE_VIEW_MOVING || r == ROUTE_MAP || r == ROUTE_MAP_MOVING ||
-           r == ROUTE_MAPJSON || r == ROUTE_TERRAIN || r == ROUTE_TERRAIN_MOVING ||
-           r == ROUTE_TERRAINJSON || r == ROUTE_WMTS || r == ROUTE_MAP_TILESET;
-}
-
-void response_edition(struct services *s, const struct dataset *d, enum route route, char out[9])
+void response_edition(struct services *s, const struct dataset *d, enum edition of, char out[9])
 {
     char device[160];
     out[0] = '\0';
-    if (!response_is_drawn(route)) {
+    if (of == EDITION_TILES) {
         memcpy(out, d->edition, sizeof d->edition);
     } else if (s->picture && picture_state(s->picture) == PICTURE_READY) {
         picture_about(s->picture, device, sizeof device);
@@ -44,8 +37,13 @@ void response_edition(struct services *s, const struct dataset *d, enum route ro
 const char *response_cache_control(struct services *s, const struct dataset *d,
                                    const struct target *t)
 {
+    const enum route_cache cache = t->route->cache;
     char edition[9];
-    response_edition(s, d, t->route, edition);
+    if (cache == CACHE_NONE || cache == CACHE_MOVING)
+        return cache == CACHE_NONE ? RESPONSE_NO_STORE : RESPONSE_MOVING;
+    if (cache == CACHE_STORE)
+        return RESPONSE_IMMUTABLE;
+    response_edition(s, d, cache == CACHE_TILES ? EDITION_TILES : EDITION_PICTURES, edition);
     /* A name may stand for something else tomorrow. */
     return edition[0] && !t->kept[0] && !strcmp(edition, t->edition) ? RESPONSE_IMMUTABLE
                                                                      : RESPONSE_MOVING;
@@ -164,6 +162,16 @@ void response_no_memory(struct response *out)
     out->retry_after_s = 5;
 }
 
+void response_refused(struct response *out, enum err_code rc, const char *detail)
+{
+    response_problem(out,
+                     rc == ERR_MEM     ? 503
+                     : rc == ERR_NOENT ? 404
+                     : rc == ERR_DATA  ? 422
+                                       : 400,
+                     detail);
+}
+
 /* ---- bytes ---- */
 
 /* "tag" -> "tag-gz": another coding of a resource is another representation. */
@@ -243,11 +251,10 @@ void response_body(const struct request *r, struct body *b, struct response *out
     }
 }
 
-void response_document(const struct request *r, const char *type, const char *cache_control,
-                       struct body *b, struct response *out)
+void response_document(const struct request *r, const char *type, struct body *b,
+                       struct response *out)
 {
     out->type = type;
-    out->cache_control = cache_control;
     response_body(r, b, out);
 }
 

@@ -6,6 +6,7 @@
 #define SERVER_RESPONSE_H
 
 #include "server/hint.h"
+#include "server/route.h"
 #include "server/services.h"
 #include "server/work.h"
 
@@ -19,10 +20,13 @@ struct request {                  /* borrowed from the connection */
     const char *authorization;
     const char *forwarded[REQUEST_FIELDS_MAX]; /* [n_forwarded], X-Forwarded-For */
     size_t n_forwarded;
-    const char *referer, *agent; /* for the log */
-    const char *id;              /* of the request; NULL: none */
-    bool id_sent;                /* by the client or a proxy: it comes back */
-    bool admin;                  /* it came to the listener of operators */
+    const char *host, *forwarded_host, *forwarded_proto; /* NULL: absent */
+    bool proxied;                                        /* a proxy says that it is there */
+    bool trusted;                                        /* the connection is of a trusted proxy */
+    const char *referer, *agent;                         /* for the log */
+    const char *id;                                      /* of the request; NULL: none */
+    bool id_sent; /* by the client or a proxy: it comes back */
+    bool admin;   /* it came to the listener of operators */
     const char *if_modified_since;
     const void *body;
     size_t body_size;
@@ -31,9 +35,9 @@ struct request {                  /* borrowed from the connection */
     bool local;     /* the client is this machine, and nothing says that it asks for another */
 };
 enum { RESPONSE_TAGS = 192 };
-struct response { /* {0}, then route_answer; response_free it */
+struct response { /* {0}, then dispatch_answer; response_free it */
     int status;
-    enum route route;
+    const struct route *route;                                  /* NULL: none */
     const char *type, *cache_control, *allow, *vary, *encoding; /* static strings, NULL = none */
     char *location;                                             /* owned */
     char etag[BODY_ETAG_SIZE];                                  /* "" = none */
@@ -53,11 +57,13 @@ struct response { /* {0}, then route_answer; response_free it */
     size_t size;
     uint64_t range_first, range_total; /* of 206 and 416 */
     bool accept_ranges;
+    bool same_origin;      /* pages of other sites may not read it: no CORS fields */
+    bool unlogged;         /* one of many small ones: counted, not logged */
     bool unnamed;          /* the bytes have no name: nothing keeps them, and they have no tag */
     int retry_after_s;     /* 0 = none */
     double queue_s, run_s; /* of the job, for Server-Timing; < 0: there was none */
     const char *cache;     /* "hit", "miss", "shared": for the log */
-    struct work *work;     /* not NULL: submit it, then route_finish */
+    struct work *work;     /* not NULL: submit it, then dispatch_finish */
     enum job_class cls;
     enum work_kind kind; /* of the work */
     double timeout_s;
@@ -67,11 +73,13 @@ struct response { /* {0}, then route_answer; response_free it */
 extern const char RESPONSE_IMMUTABLE[], RESPONSE_MOVING[], RESPONSE_NO_STORE[]; /* Cache-Control */
 extern const char RESPONSE_JSON[];                                              /* Content-Type */
 
-/* The edition of what a route answers of a dataset: what decides its bytes and is in no other part
- * of an address (result_id.h). "" for pictures while nothing can be drawn. */
-void response_edition(struct services *s, const struct dataset *d, enum route route, char out[9]);
-/* Of an address with a revision: immutable where it names this server's edition, so that it says
- * all that decides the bytes; else caches ask again after a minute. */
+/* Editions of a dataset: what decides the bytes and is in no other part of an address
+ * (result_id.h). That of pictures is "" while nothing can be drawn. */
+enum edition { EDITION_TILES, EDITION_PICTURES };
+void response_edition(struct services *s, const struct dataset *d, enum edition of, char out[9]);
+/* By the cache class of the route. Of an address with a revision: immutable where it names this
+ * server's edition, so that it says all that decides the bytes; else caches ask again after a
+ * minute. */
 const char *response_cache_control(struct services *s, const struct dataset *d,
                                    const struct target *t);
 const char *response_status_text(int status);
@@ -81,12 +89,14 @@ void response_problem(struct response *out, int status, const char *detail);
 void response_no_memory(struct response *out);
 /* 500 for a tile that cannot be made: which one, and what to do. out->tile and tile_of are set. */
 void response_tile_problem(struct response *out, bool damaged);
+/* 400, 404, 422 or 503, by what reading a posted document or a query returned. */
+void response_refused(struct response *out, enum err_code rc, const char *detail);
 /* 200, 206, 304 or 416 with `b`, whose reference is taken (NULL: out of memory). type and
  * cache_control are set already. */
 void response_body(const struct request *r, struct body *b, struct response *out);
-/* The same, with its type and Cache-Control. */
-void response_document(const struct request *r, const char *type, const char *cache_control,
-                       struct body *b, struct response *out);
+/* The same, with its type. */
+void response_document(const struct request *r, const char *type, struct body *b,
+                       struct response *out);
 /* The result of work with a known name: 304 and hits are answered now; true when a job has to make
  * it, and the caller says which (response_work). Of out->unnamed always: nobody has it. */
 bool response_made(struct services *s, const struct request *r, struct hash128 id,

@@ -8,6 +8,7 @@
 #include <string.h>
 
 #include "lod/store.h"
+#include "server/target_query.h"
 
 /* Make *id the name of the same thing in this appearance. */
 static void result_id_mix(struct hash128 *id, const struct appearance_choice *a)
@@ -74,7 +75,7 @@ static void result_id_add_query(struct hash128 *id, const struct target *t)
         struct hash128 id, query;
     } name = {.id = *id};
     char query[TARGET_QUERY_MAX];
-    target_query(t, query);
+    target_query_tiles(t, query);
     name.query = hash_bytes(query, strlen(query));
     *id = hash_bytes(&name, sizeof name);
 }
@@ -90,7 +91,7 @@ struct hash128 result_id_seed(const struct dataset *d, const struct target *t,
     } name = {.salt = d->salt,
               .after = t->after,
               .limit = t->limit,
-              .moving = t->route == ROUTE_SEED_MOVING,
+              .moving = !t->rev[0],
               .z_min = t->z_min,
               .z_max = t->z_max,
               .format = (uint32_t)form.format,
@@ -127,22 +128,23 @@ struct hash128 result_id_search(const struct dataset *d, const struct target *t,
     return hash_bytes(&name, sizeof name);
 }
 
-struct hash128 result_id_tileset(const struct dataset *d, const struct target *t)
+struct hash128 result_id_tileset(const struct dataset *d, const struct target *t,
+                                 const struct key *part)
 {
     struct {
         struct hash128 salt;
         char rev[16], edition[16], kind[16];
         uint32_t z, x, y, unused;
     } name = {.salt = d->salt};
-    bool moving = t->route == ROUTE_TILESET_MOVING;
+    const bool moving = !t->rev[0];
     memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
     memcpy(name.edition, d->edition, sizeof d->edition);
     memcpy(name.kind, moving ? "tileset moving" : "tileset", moving ? 15 : 8);
-    if (t->route == ROUTE_TILESET_PART) {
+    if (part) {
         memcpy(name.kind, "tileset part", 13);
-        name.z = t->key.z;
-        name.x = t->key.x;
-        name.y = t->key.y;
+        name.z = part->z;
+        name.x = part->x;
+        name.y = part->y;
     }
     struct hash128 id = hash_bytes(&name, sizeof name);
     result_id_add_query(&id, t);

@@ -32,7 +32,9 @@ struct hash128 result_id_seed(const struct dataset *d, const struct target *t,
 /* kept: hash of the names that are kept. */
 struct hash128 result_id_search(const struct dataset *d, const struct target *t,
                                 struct hash128 kept);
-struct hash128 result_id_tileset(const struct dataset *d, const struct target *t);
+/* part: the tile that the document begins at; NULL: the entry. */
+struct hash128 result_id_tileset(const struct dataset *d, const struct target *t,
+                                 const struct key *part);
 /* A photograph's thumbnail in a revision. */
 struct hash128 result_id_thumbnail(const struct dataset *d, const char *name);
 /* device: its name and driver; other hardware rounds otherwise. gaussians: most that are drawn. */

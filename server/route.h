@@ -1,17 +1,102 @@
-/* Request + services -> response.
+/* A route: one row of routes.def. The parser (router.c), the dispatch (dispatch.c), the links
+ * (link.c), the OpenAPI document and the page of addresses all read this row. No other file has a
+ * path.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
 #ifndef SERVER_ROUTE_H
 #define SERVER_ROUTE_H
 
-#include "server/response.h"
+#include <stdbool.h>
+#include <stddef.h>
 
-/* Answer at once, or set out->work: the caller runs it as a job and comes back with route_finish.
- * Never blocks, never fails. response_free out. */
-void route_answer(struct services *s, const struct request *r, struct response *out);
-/* The job has ended: turn its result (whose body reference is taken) into the answer. */
-void route_finish(struct services *s, const struct request *r, struct job_result *result,
-                  struct response *out);
+struct dataset;
+struct request;
+struct response;
+struct services;
+struct target;
+
+enum method {
+    METHOD_GET,
+    METHOD_HEAD,
+    METHOD_POST,
+    METHOD_PUT,
+    METHOD_DELETE,
+    METHOD_OPTIONS,
+    METHOD_OTHER,
+    METHOD_UNKNOWN
+};
+
+/* Who may ask, as bits. The first listener is the public one, the second is --admin. */
+enum {
+    SCOPE_PUBLIC = 1,    /* the public listener answers */
+    SCOPE_OPERATORS = 2, /* the listener of operators answers */
+    SCOPE_DATASET = 4,   /* it belongs to one dataset: --auth decides who may read it */
+    SCOPE_RENDER = 8,    /* --auth decides who may have this dataset drawn */
+    SCOPE_MOVES = 16,    /* with --admin the public listener does not answer */
+    SCOPE_FILE = 32,     /* a file of the viewer: there is nothing where it has none */
+};
+/* What caches may do with an answer. */
+enum route_cache {
+    CACHE_NONE,     /* no-store */
+    CACHE_MOVING,   /* 60 s */
+    CACHE_TILES,    /* immutable if the address has the edition of tiles, else 60 s */
+    CACHE_PICTURES, /* the same with the edition of pictures */
+    CACHE_STORE,    /* immutable: the bytes are in the store */
+};
+/* The queue and the share of a client that an answer counts in, if it needs a job. */
+enum route_rate {
+    RATE_MEMORY, /* never a job */
+    RATE_LISTS,
+    RATE_TILES,
+    RATE_VIEWS,
+    RATE_MAPS,
+    RATE_THUMBNAILS,
+};
+/* Groups of query parameters (params.def), as bits. Some choose between two forms of one parameter
+ * of a path as well. */
+enum {
+    QUERY_APPEARANCE = 1,
+    QUERY_TILES = 2, /* preset, sh, clip, and an appearance that may be none */
+    QUERY_VIEW = 4,
+    QUERY_MAP = 8,
+    QUERY_TERRAIN = 16,
+    QUERY_SEED = 32,
+    QUERY_SEARCH = 64,
+    QUERY_PLACE = 128,
+    QUERY_BBOX = 256,
+    QUERY_STRICT = QUERY_SEED | QUERY_SEARCH, /* a query with any other key is refused */
+};
+
+/* Fill the response. It does not block and cannot fail: a failure is an answer, too. d is NULL for
+ * a route without SCOPE_DATASET. */
+typedef void route_function(struct services *s, const struct request *r, struct dataset *d,
+                            const struct target *t, struct response *out);
+
+enum { ROUTE_METHODS = 4 };
+struct route_method {
+    enum method method;
+    route_function *answer; /* NULL: no more methods */
+    const char *takes;      /* schema of the body; NULL: there is no body */
+    /* "STATUS MEDIA|MEDIA SCHEMA,STATUS,": what it answers. Problems are not listed. */
+    const char *gives;
+    const char *about;
+    bool whole; /* GET: never 206, 304 or 416 */
+};
+struct route {
+    const char *name;
+    const char *path; /* template: {parameter}, [what may be left out] */
+    unsigned scope;
+    enum route_cache cache;
+    enum route_rate rate;
+    unsigned query;
+    struct route_method on[ROUTE_METHODS]; /* HEAD follows from GET, OPTIONS from all */
+};
+/* NULL: the route has no such method. */
+const struct route_method *route_on(const struct route *r, enum method method);
+/* The value of Allow, with HEAD and OPTIONS. changes: PUT and DELETE are possible, which come
+ * together. */
+const char *route_allow(const struct route *r, bool changes);
+const char *route_path(const struct route *r); /* "unmatched" for NULL */
 
 #endif

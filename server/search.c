@@ -22,7 +22,11 @@
 #include "server/dataset.h"
 #include "server/document.h"
 #include "server/kept.h"
+#include "server/link.h"
+#include "server/param_time.h"
 #include "server/search_index.h"
+#include "server/target_query.h"
+#include "server/text.h"
 
 enum { SEARCH_SAMPLES = 8 /* Gaussians that a colour is averaged over */, SEARCH_ROW = 1500 };
 
@@ -85,7 +89,7 @@ static enum err_code search_add(const struct dataset *d, const struct search_ind
     out->thumbnail = p.has_thumbnail;
     out->lon_deg = p.lon_deg;
     out->lat_deg = p.lat_deg;
-    out->timed = target_read_time(p.time, strlen(p.time), &out->time_s, NULL);
+    out->timed = param_time_read(p.time, strlen(p.time), &out->time_s, NULL);
     snprintf(out->time, sizeof out->time, "%s", out->timed ? p.time : "");
     return geo_to_enu(&d->meta.origin, p.lon_deg, p.lat_deg, 0, out->at_m, e);
 }
@@ -176,12 +180,16 @@ static int search_by(const void *pa, const void *pb)
     return a->photo->number < b->photo->number ? -1 : a->photo->number > b->photo->number;
 }
 
-static json_t *search_link(const char *rel, const char *path, const char *name)
+static json_t *search_link(const char *rel, void (*to)(const struct link *l, struct buf *out),
+                           const char *name)
 {
+    static const char key[] = "?appearance=";
+    const struct link l = {.from = LINK_DATASET};
     char href[3 * APPEARANCE_NAME_MAX + 64];
-    int n = snprintf(href, sizeof href, "%s?appearance=", path);
-    target_escape(name, href + n);
-    return json_pack("{s:s,s:s,s:s}", "rel", rel, "type", "application/json", "href", href);
+    size_t n = strlen(link_text(to, &l, href, 40));
+    memcpy(href + n, key, sizeof key);
+    text_escape(name, href + n + sizeof key - 1);
+    return document_link(rel, "application/json", href, NULL);
 }
 
 static json_t *search_row(const struct dataset *d, const struct target *t,
@@ -207,12 +215,14 @@ static json_t *search_row(const struct dataset *d, const struct target *t,
         json_object_set_new(o, "colour", json_string(text));
     if (t->search.has_colour)
         json_object_set_new(o, "colour_distance", json_real(round(hit->colour * 100) / 100));
-    snprintf(text, sizeof text, "r/%s/appearances/%u.jpg", d->meta.revision, (unsigned)p->number);
+    struct link l = link_to(LINK_DATASET, NULL, d, NULL);
+    l.row = &p->number;
     if (p->thumbnail)
-        json_object_set_new(o, "thumbnail", json_string(text));
+        json_object_set_new(o, "thumbnail",
+                            json_string(link_text(link_thumbnail, &l, text, sizeof text)));
     json_object_set_new(o, "links",
-                        json_pack("[o,o]", search_link("item", "appearance", p->name),
-                                  search_link("tileset", "tileset.json", p->name)));
+                        json_pack("[o,o]", search_link("item", link_appearance, p->name),
+                                  search_link("tileset", link_tileset_moving, p->name)));
     return o;
 }
 
@@ -222,21 +232,22 @@ static json_t *search_page(const struct dataset *d, const struct target *t,
     const size_t first = t->after < n ? t->after : n;
     const size_t end = n - first < t->limit ? n : first + t->limit;
     json_t *list = json_array(), *links = json_array();
+    const struct link here = {.from = LINK_DATASET};
     struct buf self = {0}, next = {0};
+    link_appearances(&here, &self);
+    link_appearances(&here, &next);
     for (size_t i = first; i < end; i++)
         json_array_append_new(list, search_row(d, t, &hit[i]));
-    target_search_query(t, t->after, &self);
-    target_search_query(t, (uint32_t)end, &next);
+    target_query_search(t, t->after, &self);
+    target_query_search(t, (uint32_t)end, &next);
     buf_u8(&self, 0);
     buf_u8(&next, 0);
     if (!self.failed)
-        json_array_append_new(links,
-                              json_pack("{s:s,s:s,s:s+}", "rel", "self", "type", "application/json",
-                                        "href", "appearances", (const char *)self.data));
+        json_array_append_new(
+            links, document_link("self", "application/json", (const char *)self.data, NULL));
     if (!next.failed && end < n)
-        json_array_append_new(links,
-                              json_pack("{s:s,s:s,s:s+}", "rel", "next", "type", "application/json",
-                                        "href", "appearances", (const char *)next.data));
+        json_array_append_new(
+            links, document_link("next", "application/json", (const char *)next.data, NULL));
     buf_free(&self);
     buf_free(&next);
     return json_pack("{s:i,s:i,s:o,s:o}", "numberMatched", (int)n, "numberReturned",

@@ -15,7 +15,9 @@
 #include "lod/store.h"
 #include "lod/tree.h"
 #include "server/encode.h"
+#include "server/link.h"
 #include "server/result_id.h"
+#include "server/target_query.h"
 
 enum { SEED_ROW = 256 }; /* bytes of a line without its query, from above */
 
@@ -106,12 +108,12 @@ static enum err_code seed_take_course(struct seed *s, const struct course *c, st
     return rc;
 }
 
-/* The end of the row, behind the address. */
-static void seed_write_row(const struct seed *s, const struct seed_row *row, const char *query,
-                           struct form form, const struct appearance_choice *a, bool course,
-                           struct buf *out)
+/* list: what addresses are relative to. */
+static void seed_write_row(const struct seed *s, const struct seed_row *row,
+                           const struct link *list, const char *query, struct form form,
+                           const struct appearance_choice *a, bool course, struct buf *out)
 {
-    const struct key k = row->tile->key;
+    struct link at = *list;
     char etag[BODY_ETAG_SIZE];
     const struct crop_node *left = s->left ? &s->left[row->tile - s->d->tiles] : NULL;
     const uint32_t count = left ? left->count : row->tile->count;
@@ -120,9 +122,12 @@ static void seed_write_row(const struct seed *s, const struct seed_row *row, con
         result_id_clip(&id, &s->t->clip);
     body_etag(id, etag);
     etag[strlen(etag) - 1] = 0; /* without its quotes, which JSON would have to escape */
-    buf_printf(out, "t/%u/%u/%u.%s%s\",\"etag\":\"\\\"%s\\\"\",\"gaussians\":%u,\"bytes\":%llu",
-               k.z, k.x, k.y, target_ext(s->t->form.format), query, etag + 1, count,
-               (unsigned long long)encode_bytes(&s->d->meta, form, count));
+    at.key = &row->tile->key;
+    at.ext = format_ext(s->t->form.format);
+    buf_printf(out, "{\"url\":\"");
+    link_tile(&at, out);
+    buf_printf(out, "%s\",\"etag\":\"\\\"%s\\\"\",\"gaussians\":%u,\"bytes\":%llu", query, etag + 1,
+               count, (unsigned long long)encode_bytes(&s->d->meta, form, count));
     if (course)
         buf_printf(out, ",\"at_s\":%.2f", row->at_s);
     buf_printf(out, "}\n");
@@ -131,19 +136,18 @@ static void seed_write_row(const struct seed *s, const struct seed_row *row, con
 static void seed_write_page(const struct seed *s, const struct course *c, struct form form,
                             const struct appearance_choice *a, struct buf *out)
 {
-    char query[TARGET_QUERY_MAX], base[40] = "";
+    char query[TARGET_QUERY_MAX];
+    const struct link list =
+        link_to(s->t->rev[0] ? LINK_REVISION : LINK_DATASET, NULL, s->d, s->d->edition);
     size_t first = s->t->after < s->n ? s->t->after : s->n;
     size_t end = s->n - first < s->t->limit ? s->n : first + s->t->limit;
-    target_query(s->t, query);
-    if (s->t->route == ROUTE_SEED_MOVING)
-        snprintf(base, sizeof base, "r/%s-%s/", s->d->meta.revision, s->d->edition);
-    for (size_t i = first; i < end; i++) {
-        buf_printf(out, "{\"url\":\"%s", base);
-        seed_write_row(s, &s->row[i], query, form, a, c, out);
-    }
+    target_query_tiles(s->t, query);
+    for (size_t i = first; i < end; i++)
+        seed_write_row(s, &s->row[i], &list, query, form, a, c, out);
     if (end < s->n) {
-        buf_printf(out, "{\"next\":\"%sseed.ndjson", base);
-        target_seed_query(s->t, c ? c->path : NULL, (uint32_t)end, out);
+        buf_printf(out, "{\"next\":\"");
+        link_seed(&list, out);
+        target_query_seed(s->t, c ? c->path : NULL, (uint32_t)end, out);
         buf_printf(out, "\"}\n");
     }
 }
@@ -176,6 +180,6 @@ size_t seed_room(const struct dataset *d, const struct target *t, const struct c
 {
     char query[TARGET_QUERY_MAX];
     size_t n = d->n_tiles < t->limit ? d->n_tiles : t->limit;
-    target_query(t, query);
+    target_query_tiles(t, query);
     return n * (SEED_ROW + strlen(query)) + 1024 + strlen(query) + (c ? strlen(c->path) : 0);
 }

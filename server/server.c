@@ -18,7 +18,9 @@
 #include "core/pool.h"
 #include "lod/clip.h"
 #include "server/http.h"
+#include "server/link.h"
 #include "server/motion.h"
+#include "server/routes.h"
 #include "server/services.h"
 #include "server/work.h"
 
@@ -177,7 +179,7 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
     if (!rc)
         server_fit_descriptors(sv);
     if (!rc)
-        rc = services_open(s, &sv->cfg, e);
+        rc = services_open(s, &sv->cfg, ROUTES, ROUTES_COUNT, e);
     if (!rc && cfg->cache_dir)
         rc = disk_open(cfg->cache_dir, (uint64_t)cfg->cache_dir_mb << 20, &s->disk, e);
     if (!rc && cfg->state_dir)
@@ -299,9 +301,12 @@ double server_failing_s(struct server *sv)
 
 bool server_answers(const struct server *sv, double wait_s)
 {
-    static const char ask[] = "GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
-                              "User-Agent: citysplat-watchdog\r\nConnection: close\r\n\r\n";
-    char answer[16] = "";
+    const struct link health = {.from = LINK_ROOT, .up = ""};
+    char path[32], ask[128], answer[16] = "";
+    const size_t n = (size_t)snprintf(ask, sizeof ask,
+                                      "GET %s HTTP/1.1\r\nHost: localhost\r\n"
+                                      "User-Agent: citysplat-watchdog\r\nConnection: close\r\n\r\n",
+                                      link_text(link_healthz, &health, path, sizeof path));
     struct sockaddr_in a = {.sin_family = AF_INET, .sin_port = htons(http_port(sv->http))};
     const struct timeval wait = {.tv_sec = (time_t)wait_s + 1};
     if (inet_pton(AF_INET, sv->cfg.address, &a.sin_addr) != 1 || !a.sin_port)
@@ -317,7 +322,7 @@ bool server_answers(const struct server *sv, double wait_s)
     if (answers && sv->services.tls)
         answers = tls_ask(fd, ask, answer, sizeof answer - 1);
     else if (answers)
-        answers = send(fd, ask, sizeof ask - 1, MSG_NOSIGNAL) == (ssize_t)sizeof ask - 1 &&
+        answers = send(fd, ask, n, MSG_NOSIGNAL) == (ssize_t)n &&
                   recv(fd, answer, sizeof answer - 1, MSG_WAITALL) > 0;
     answers = answers && !strncmp(answer, "HTTP/1.1 ", 9);
     close(fd);
@@ -331,7 +336,7 @@ enum err_code server_check(const struct server_config *cfg, const char *const *p
     struct services *s = &sv.services;
     enum err_code rc = server_read_stores(&sv, 1, e);
     if (!rc)
-        rc = services_open(s, &sv.cfg, e);
+        rc = services_open(s, &sv.cfg, ROUTES, ROUTES_COUNT, e);
     if (!rc)
         rc = http_check(cfg, e);
     if (!rc && cfg->cache_dir)

@@ -31,7 +31,8 @@ static enum err_code services_check_basemap(const char *url, struct err *e)
                           url);
 }
 
-enum err_code services_open(struct services *s, const struct server_config *cfg, struct err *e)
+enum err_code services_open(struct services *s, const struct server_config *cfg,
+                            const struct route *routes, size_t n, struct err *e)
 {
     memset(s, 0, sizeof *s);
     s->cfg = cfg;
@@ -48,6 +49,10 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
     }
     pthread_mutex_init(&s->catalog_lock, NULL);
     enum err_code rc = services_check_basemap(cfg->basemap, e);
+    if (!rc)
+        rc = router_open(routes, n, &s->routes, e);
+    if (!rc)
+        rc = metrics_open(&s->metrics, n, e);
     if (!rc)
         rc = cache_open((size_t)cfg->cache_mb << 20, &s->cache, e);
     if (!rc)
@@ -69,7 +74,7 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
     if (!rc)
         rc = ogc_tiles_matrices(&s->matrices, e);
     if (!rc)
-        rc = openapi_describe(&s->api, e);
+        rc = openapi_describe(s->routes, &s->api, e);
     if (!rc)
         rc = api_page_describe(s->api, &s->api_page, e);
     int64_t now_s = (int64_t)time(NULL); /* they are the program's, which may be another one now */
@@ -98,6 +103,8 @@ bool services_free(struct services *s)
     auth_close(&s->auth);
     tls_close(&s->tls);
     geoid_close(&s->geoid);
+    router_close(&s->routes);
+    metrics_free(&s->metrics);
     body_drop(&s->landing);
     body_drop(&s->conformance);
     body_drop(&s->matrices);

@@ -20,6 +20,7 @@
 #include "server/kept.h"
 #include "server/metrics.h"
 #include "server/picture.h"
+#include "server/router.h"
 #include "server/static.h"
 #include "server/tls.h"
 
@@ -44,16 +45,18 @@ struct services { /* all shared, all thread-safe */
     struct auth *auth;       /* NULL: everybody may read everything */
     struct tls *tls;         /* NULL: the first listener speaks HTTP as it is */
     struct cache_policy policy;
+    struct router *routes; /* what is served */
     struct metrics metrics;
     struct body *landing, *conformance, *api, *api_page,
         *matrices;                       /* documents that never change */
     _Atomic bool draining, reload_asked; /* asked: on the listener of operators */
     double start_s;
 };
-/* {0} services -> ready documents; services_free takes back everything. cfg is borrowed until then.
- * ERR_ARG (--metrics), ERR_MEM. */
+/* {0} services -> ready documents; services_free takes back everything. cfg and routes[n], the
+ * table of what is served (routes.h), are borrowed until then. ERR_ARG (--metrics), ERR_INTERNAL
+ * (the table), ERR_MEM. */
 enum err_code services_open(struct services *s, const struct server_config *cfg,
-                            struct err *e) ERR_USE;
+                            const struct route *routes, size_t n, struct err *e) ERR_USE;
 /* False: a thread does not return, and nothing was freed (job_close). */
 bool services_free(struct services *s);
 struct catalog *services_catalog(struct services *s); /* a reference */

@@ -26,6 +26,10 @@ bool text_take_fixed(struct text *t, int scale, int64_t *out);
  * broken escape, a control character, or no UTF-8. */
 bool text_take_decoded(struct text *t, char *out, size_t room);
 
+/* Percent-encode a text as a value of a query: RFC 3986's unreserved characters stay, and ',' ':'
+ * '=', which it allows there. out holds 3 bytes for each of text, and one more. */
+void text_escape(const char *text, char *out);
+
 bool text_is_utf8(const char *text);
 /* No control character but tabs (RFC 9110, section 5.5). */
 bool text_is_clean(const char *p, size_t n);

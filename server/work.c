@@ -17,8 +17,11 @@
 #include "lod/tree.h"
 #include "server/appearance_model.h"
 #include "server/encode.h"
+#include "server/param_clip.h"
 #include "server/search.h"
 #include "server/seed.h"
+#include "server/target_query.h"
+#include "server/tileset_links.h"
 
 static enum err_code work_borrow(const struct work *w, struct store **s, struct err *e)
 {
@@ -33,7 +36,7 @@ static enum err_code work_make_tile(const struct work *w, struct buf *out, struc
     struct store *s = NULL;
     struct clip clip = {0};
     const bool clipped = w->target.clip.n;
-    enum err_code rc = clipped ? target_open_clip(&w->target.clip, &clip, e) : ERR_OK;
+    enum err_code rc = clipped ? param_clip_open(&w->target.clip, &clip, e) : ERR_OK;
     if (!rc)
         rc = work_borrow(w, &s, e);
     if (!rc)
@@ -51,20 +54,19 @@ static enum err_code work_crop(const struct work *w, struct crop_node **out, str
 {
     struct store *s = NULL;
     struct clip clip = {0};
-    const bool is_part = w->target.route == ROUTE_TILESET_PART;
     const struct tree *tree = store_tree(w->ds->index);
     *out = NULL;
     if (!w->target.clip.n)
         return ERR_OK;
-    enum err_code rc = target_open_clip(&w->target.clip, &clip, e);
+    enum err_code rc = param_clip_open(&w->target.clip, &clip, e);
     if (!rc)
         rc = work_borrow(w, &s, e);
     uint32_t start = tree->root;
-    if (is_part)
-        start = (uint32_t)(store_find(w->ds->index, w->target.key) - w->ds->tiles);
+    if (w->part)
+        start = (uint32_t)(store_find(w->ds->index, w->key) - w->ds->tiles);
     if (!rc)
         rc = crop_tiles(&clip, s, start, w->kind == WORK_TILESET, out, e);
-    if (!rc && !is_part && !(*out)[start].any)
+    if (!rc && !w->part && !(*out)[start].any)
         rc = err_set(e, ERR_NOENT, "nothing of this dataset lies within clip");
     if (s)
         dataset_return(w->ds, s);
@@ -75,21 +77,21 @@ static enum err_code work_crop(const struct work *w, struct crop_node **out, str
 /* A tileset whose tiles are all asked for with the same query, or a part of one. */
 static enum err_code work_make_tileset(const struct work *w, struct buf *out, struct err *e)
 {
-    char query[TARGET_QUERY_MAX], tile[TARGET_QUERY_MAX + 64], part[TARGET_QUERY_MAX + 64];
-    char base[40] = "";
-    bool is_part = w->target.route == ROUTE_TILESET_PART;
-    const struct tileset_links *usual = is_part ? &tileset_of_part : &tileset_of_entry,
-                               links = {tile, part};
-    target_query(&w->target, query);
-    if (w->target.route == ROUTE_TILESET_MOVING)
-        snprintf(base, sizeof base, "r/%s-%s/", w->ds->meta.revision, w->ds->edition);
-    snprintf(tile, sizeof tile, "%s%s%s", base, usual->tile, query);
-    snprintf(part, sizeof part, "%s%s%s", base, usual->part, query);
-    struct crop_node *left;
-    enum err_code rc = work_crop(w, &left, e);
+    char query[TARGET_QUERY_MAX];
+    struct buf text = {0};
+    struct tileset_links links;
+    struct crop_node *left = NULL;
+    target_query_tiles(&w->target, query);
+    const enum tileset_links_of of = w->part            ? TILESET_LINKS_PART
+                                     : w->target.rev[0] ? TILESET_LINKS_ENTRY
+                                                        : TILESET_LINKS_MOVING;
+    enum err_code rc = tileset_links_make(w->ds, of, query, &text, &links, e);
     if (!rc)
-        rc = tileset_write(w->ds->index, &links, is_part ? &w->target.key : NULL, left, out, e);
+        rc = work_crop(w, &left, e);
+    if (!rc)
+        rc = tileset_write(w->ds->index, &links, w->part ? &w->key : NULL, left, out, e);
     mem_free(left);
+    buf_free(&text);
     return rc;
 }
 
@@ -168,7 +170,7 @@ static bool work_is_for_disk(const struct services *s, const struct work *w)
 static size_t work_query_bytes(const struct work *w)
 {
     char query[TARGET_QUERY_MAX];
-    target_query(&w->target, query);
+    target_query_tiles(&w->target, query);
     return strlen(query);
 }
 
@@ -217,7 +219,7 @@ static void work_describe(const struct work *w, char out[64])
     const char *noun = work_noun(w->kind);
     if (w->kind == WORK_TILE || w->kind == WORK_MAP)
         snprintf(out, 64, "%s %u/%u/%u.%s", noun, w->key.z, w->key.x, w->key.y,
-                 target_ext(w->form.format));
+                 format_ext(w->form.format));
     else if (w->kind == WORK_THUMBNAIL)
         snprintf(out, 64, "%s %u", noun, (unsigned)w->target.row);
     else

@@ -32,7 +32,8 @@ struct work { /* freed with work_drop */
     enum work_kind kind;
     struct dataset *ds; /* a reference */
     struct hash128 id;  /* names the result: cache key and job id */
-    struct key key;     /* WORK_TILE */
+    struct key key;     /* WORK_TILE, WORK_MAP; WORK_TILESET with part */
+    bool part;          /* WORK_TILESET: the document that begins at key */
     struct form form;   /* nothing left unsaid */
     struct appearance_choice appearance;
     struct target target;       /* of lists and thumbnails; of WORK_TILE its clip */

@@ -162,9 +162,9 @@ static inline int status_of(const char *method, const char *target, const char *
     return r.status;
 }
 
-/* The revision in the addresses of a route: "REV-EDITION", or "REV" if the route has no edition.
+/* The revision in addresses that have this edition: "REV-EDITION", or "REV" while there is none.
  * Valid until the next call. */
-static inline const char *revision_of(enum route route)
+static inline const char *revision_of(enum edition of)
 {
     static char text[32];
     char edition[9] = "";
@@ -173,7 +173,7 @@ static inline const char *revision_of(enum route route)
     struct catalog *c = s ? services_catalog(s) : NULL;
     for (size_t i = 0; c && i < c->n; i++)
         if (!strcmp(c->ds[i]->meta.revision, t.rev))
-            response_edition(s, c->ds[i], route, edition);
+            response_edition(s, c->ds[i], of, edition);
     if (c)
         catalog_drop(&c);
     snprintf(text, sizeof text, "%s%s%s", t.rev, *edition ? "-" : "", edition);
@@ -183,7 +183,7 @@ static inline const char *revision_of(enum route route)
 static inline const char *tile_target(uint8_t z, const char *ext, char out[128])
 {
     struct key k = served_key(z);
-    snprintf(out, 128, "/d/toy/r/%s/t/%u/%u/%u.%s", revision_of(ROUTE_TILE), k.z, k.x, k.y, ext);
+    snprintf(out, 128, "/d/toy/r/%s/t/%u/%u/%u.%s", revision_of(EDITION_TILES), k.z, k.x, k.y, ext);
     return out;
 }
 

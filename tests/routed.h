@@ -50,7 +50,7 @@ static inline int setup(void **state)
     kit_ok(file_join(path, t.web, "assets/index-D3adBeef.js.gz", &e), e);
     kit_ok(file_write(path, script, 100, &e), e);
     served_config(&t.cfg, &t.arena);
-    kit_ok(services_open(&t.s, &t.cfg, &e), e);
+    kit_ok(services_open(&t.s, &t.cfg, ROUTES, ROUTES_COUNT, &e), e);
     t.s.url = "http://127.0.0.1:8080/";
     const char *paths[] = {t.path};
     kit_ok(catalog_open(paths, 1, &served_stores, NULL, &t.s.catalog, &e), e);
@@ -124,7 +124,7 @@ static inline struct response answer(const struct ask *a)
     };
     r.target_size = strlen(r.target);
     struct response out;
-    route_answer(&t.s, &r, &out);
+    dispatch_answer(&t.s, &r, &out);
     if (out.work && out.work->kind != WORK_VIEW) {
         struct err e = {0};
         struct work *w = out.work;
@@ -138,7 +138,7 @@ static inline struct response answer(const struct ask *a)
         assert_true(!result.body || w->kind != WORK_SEED ||
                     result.body->size <= work_room(w) - WORK_ROOM_HEAD);
         work_drop(NULL, w);
-        route_finish(&t.s, &r, &result, &out);
+        dispatch_finish(&t.s, &r, &result, &out);
     }
     return out;
 }

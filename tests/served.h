@@ -12,8 +12,9 @@
 #include <string.h>
 
 #include "lod/store.h"
+#include "server/dispatch.h"
 #include "server/encode.h"
-#include "server/route.h"
+#include "server/routes.h"
 #include "server/server.h"
 
 enum { SERVED_ZOOM_MIN = 15, SERVED_ZOOM_MAX = 17 };

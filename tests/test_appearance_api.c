@@ -79,7 +79,7 @@ static int setup(void **state)
     light_city();
     served_city(t.plain, "plain", 20);
     served_config(&t.cfg, &t.arena);
-    kit_ok(services_open(&t.s, &t.cfg, &e), e);
+    kit_ok(services_open(&t.s, &t.cfg, ROUTES, ROUTES_COUNT, &e), e);
     const char *paths[] = {t.lit, t.plain};
     kit_ok(catalog_open(paths, 2, &served_stores, NULL, &t.s.catalog, &e), e);
     const struct job_config jobs = {.queue_limit = {1, 1, 1}, .run = no_run, .drop = work_drop};
@@ -106,7 +106,7 @@ static struct response ask(enum method method, const char *target, const char *b
                               .body_size = body ? strlen(body) : 0,
                               .local = true};
     struct response out;
-    route_answer(&t.s, &r, &out);
+    dispatch_answer(&t.s, &r, &out);
     if (out.work) {
         struct err e = {0};
         struct work *w = out.work;
@@ -122,7 +122,7 @@ static struct response ask(enum method method, const char *target, const char *b
         assert_true(!result.body || w->kind != WORK_SEED ||
                     result.body->size <= work_room(w) - WORK_ROOM_HEAD);
         work_drop(NULL, w);
-        route_finish(&t.s, &r, &result, &out);
+        dispatch_finish(&t.s, &r, &result, &out);
     }
     return out;
 }
@@ -638,7 +638,7 @@ static enum err_code ask_one(void *user, size_t i, struct err *e)
     const struct request r = {.target = target, .target_size = strlen(target)};
     struct response out;
     (void)e;
-    route_answer(&t.s, &r, &out);
+    dispatch_answer(&t.s, &r, &out);
     atomic_fetch_add(n_found, out.status == 200);
     response_free(&out);
     return ERR_OK;
@@ -722,7 +722,7 @@ static void what_is_no_look_is_a_clear_answer(void **state)
                               .body = body,
                               .body_size = sizeof body - 1,
                               .if_none_match = "*"};
-    route_answer(&t.s, &q, &r);
+    dispatch_answer(&t.s, &q, &r);
     assert_int_equal(r.status, 200);
     response_free(&r);
 }

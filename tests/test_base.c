@@ -28,6 +28,29 @@ static void err_set_keeps_arguments_that_point_into_the_message(void **state)
     assert_string_equal(err_name(ERR_DEVICE), "ERR_DEVICE");
 }
 
+/* What clients send is in log lines of JSON: they stay UTF-8 and JSON whatever it is. */
+static void log_quote_writes_utf8(void **state)
+{
+    static const struct {
+        const char *text, *want;
+    } rows[] = {
+        {"plain", "plain"},
+        {"a\"b\\\x01", "a\\\"b\\\\\\u0001"},
+        {"\xc3\xa4\xe2\x82\xac\xf0\x9f\x8c\x8d", "\xc3\xa4\xe2\x82\xac\xf0\x9f\x8c\x8d"},
+        {"bad\xff!", "bad\\ufffd!"},
+        {"\xc0\xaf", "\\ufffd\\ufffd"},                       /* a slash, too long */
+        {"\xed\xa0\x80", "\\ufffd\\ufffd\\ufffd"},            /* half of a pair */
+        {"\xf4\x90\x80\x80", "\\ufffd\\ufffd\\ufffd\\ufffd"}, /* beyond Unicode */
+        {"cut \xe2\x82", "cut \\ufffd\\ufffd"},
+    };
+    char out[64];
+    (void)state;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        assert_int_equal(log_quote(rows[i].text, out, sizeof out), strlen(rows[i].want));
+        assert_string_equal(out, rows[i].want);
+    }
+}
+
 static void mem_array_refuses_overflow_and_fails_on_demand(void **state)
 {
     (void)state;
@@ -490,6 +513,7 @@ int main(void)
         cmocka_unit_test(gauss_survives_growth_and_a_moved_origin),
         cmocka_unit_test(hilbert_curve_is_one),
         cmocka_unit_test(gauss_alloc_fails_cleanly),
+        cmocka_unit_test(log_quote_writes_utf8),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -10,6 +10,7 @@
 
 #include "core/gauss.h"
 #include "lod/crop.h"
+#include "server/param_clip.h"
 
 /* About the finest tile's centre, 1e-5 degrees: a triangle that leaves a part of what is there, one
  * in a gap, one far away, and a square around all of the city. */
@@ -338,31 +339,35 @@ static void test_bad_polygons(void **state)
 static void test_many_corners(void **state)
 {
     struct target a, b;
+    struct router *routes = NULL;
     char text[1400], clip[TARGET_CLIP_TEXT];
     (void)state;
+    struct err none = {0};
+    kit_ok(router_open(ROUTES, ROUTES_COUNT, &routes, &none), none);
     for (int n = 38; n <= 41; n++) {
         size_t size = (size_t)snprintf(text, sizeof text, "/d/toy/tileset.json?clip=");
         for (int i = 0; i < n; i++)
             size += (size_t)snprintf(text + size, sizeof text - size, "%s%.7f,%.7f", i ? "," : "",
                                      -100 - cos(0.15 * i), -50 + sin(0.15 * i));
         struct err e = {0};
-        assert_int_equal(target_parse(text, size, &a, &e), n <= 40 ? ERR_OK : ERR_DATA);
+        assert_int_equal(router_read(routes, text, size, &a, &e), n <= 40 ? ERR_OK : ERR_DATA);
         if (n > 40)
             continue;
         size += (size_t)snprintf(text + size, sizeof text - size, ",-101,-50.0000000");
-        kit_ok(target_parse(text, size, &a, &e), e);
+        kit_ok(router_read(routes, text, size, &a, &e), e);
         assert_int_equal(a.clip.n, n);
         /* what it writes is read as the same */
-        target_clip_text(&a.clip, clip);
+        param_clip_text(&a.clip, clip);
         size = (size_t)snprintf(text, sizeof text, "/d/toy/tileset.json?clip=%s", clip);
-        kit_ok(target_parse(text, size, &b, &e), e);
+        kit_ok(router_read(routes, text, size, &b, &e), e);
         assert_memory_equal(&a.clip, &b.clip, sizeof a.clip);
     }
     struct err e = {0};
     const char *least = "/d/toy/tileset.json?clip=-179.0000001,-0.5,0,-89.9999999,1.50,20";
-    kit_ok(target_parse(least, strlen(least), &a, &e), e);
-    target_clip_text(&a.clip, clip);
+    kit_ok(router_read(routes, least, strlen(least), &a, &e), e);
+    param_clip_text(&a.clip, clip);
     assert_string_equal(clip, "-179.0000001,-0.5,0,-89.9999999,1.5,20");
+    router_close(&routes);
 }
 
 /* Boxes against places: what is inside has no corner outside, and the other way round. */

@@ -98,8 +98,8 @@ static int setup_fault(void **state)
 
 static const char *view_of(int heading, const char *size, char target[256])
 {
-    snprintf(target, 256, "/d/toy/r/%s/static/%s@%d,-40/%s", revision_of(ROUTE_VIEW), POSE, heading,
-             size);
+    snprintf(target, 256, "/d/toy/r/%s/static/%s@%d,-40/%s", revision_of(EDITION_PICTURES), POSE,
+             heading, size);
     return target;
 }
 

@@ -248,7 +248,7 @@ static void test_a_name_is_what_it_stands_for_and_never_immutable(void **state)
         buf_free(&r.raw);
     }
     snprintf(target, sizeof target, "/d/toy/r/%s/tileset.json?appearance=evening",
-             revision_of(ROUTE_TILESET));
+             revision_of(EDITION_TILES));
     reply_of(target, &r);
     assert_null(strstr(header(&r, "Cache-Control"), "immutable"));
     buf_free(&r.raw);

@@ -46,8 +46,8 @@ static int map_teardown_all(void **state)
 
 static const char *map_target(const char *what, struct key k, const char *rest, char out[256])
 {
-    snprintf(out, 256, "/d/survey/r/%s/%s/%u/%u/%u%s", revision_of(ROUTE_MAP), what, k.z, k.x, k.y,
-             rest);
+    snprintf(out, 256, "/d/survey/r/%s/%s/%u/%u/%u%s", revision_of(EDITION_PICTURES), what, k.z,
+             k.x, k.y, rest);
     return out;
 }
 
@@ -313,13 +313,13 @@ static void tiles_are_cached(void **state)
     ask("GET", target, "", &r);
     assert_int_equal(r.status, 307);
     snprintf(want, sizeof want, "../../../r/%s/terrain/%u/%u/%u.png?encoding=terrarium",
-             revision_of(ROUTE_MAP), there.z, there.x, there.y);
+             revision_of(EDITION_PICTURES), there.z, there.x, there.y);
     assert_string_equal(header(&r, "Location"), want);
     buf_free(&r.raw);
     snprintf(target, sizeof target, "/d/survey/map/%u/%u/%u@2x.jpg", there.z, there.x, there.y);
     ask("GET", target, "", &r);
     assert_int_equal(r.status, 307);
-    snprintf(want, sizeof want, "../../../r/%s/map/%u/%u/%u@2x.jpg", revision_of(ROUTE_MAP),
+    snprintf(want, sizeof want, "../../../r/%s/map/%u/%u/%u@2x.jpg", revision_of(EDITION_PICTURES),
              there.z, there.x, there.y);
     assert_string_equal(header(&r, "Location"), want);
     buf_free(&r.raw);
@@ -589,7 +589,7 @@ static void wmts_names_itself(void **state)
     start();
     struct catalog *c = services_catalog(server_services(t.server));
     d = catalog_find(c, "survey", "");
-    const struct target there_is = {.route = ROUTE_WMTS, .appearance = "a b"};
+    const struct target there_is = {.appearance = "a b"};
     kit_ok(map_document_wmts(d, "", &there_is, "https://maps.example", &b, &e), e);
     assert_non_null(strstr((const char *)b->data,
                            "https://maps.example/d/survey/wmts.xml?appearance=a%20b\"/>"));

@@ -327,8 +327,8 @@ static void matrix_expand(const char *path, char out[160])
     for (const char *p = path; *p;) {
         if (!strncmp(p, "REV", 3)) {
             bool edition = p[3] == '+';
-            n +=
-                (size_t)snprintf(out + n, 160 - n, "%s", edition ? revision_of(ROUTE_TILE) : t.rev);
+            n += (size_t)snprintf(out + n, 160 - n, "%s",
+                                  edition ? revision_of(EDITION_TILES) : t.rev);
             p += 3 + edition;
         } else if (!strncmp(p, "KEY", 3)) {
             struct key k = served_key((uint8_t)atoi(p + 3));

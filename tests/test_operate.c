@@ -325,6 +325,18 @@ static void test_admin_listener(void **state)
         buf_free(&r.raw);
     }
     assert_false(server_reload_asked(t.server));
+    /* A page in an operator's browser: it asks for nothing, and reads nothing. */
+    ask_port(admin, "POST", "/-/reload",
+             "Origin: https://elsewhere.example\r\nContent-Length: 0\r\n", &r);
+    assert_int_equal(r.status, 403);
+    assert_string_equal(header(&r, "Access-Control-Allow-Origin"), "");
+    buf_free(&r.raw);
+    assert_false(server_reload_asked(t.server));
+    ask_port(admin, "GET", "/metrics", "", &r);
+    assert_int_equal(r.status, 200);
+    assert_string_equal(header(&r, "Access-Control-Allow-Origin"), "");
+    assert_string_equal(header(&r, "Cross-Origin-Resource-Policy"), "same-origin");
+    buf_free(&r.raw);
     ask_port(admin, "POST", "/-/reload", "Content-Length: 0\r\n", &r);
     assert_int_equal(r.status, 202);
     buf_free(&r.raw);

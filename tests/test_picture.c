@@ -13,7 +13,7 @@ static const char POSE[] = "13.398,52.4985,150@10.5,-40,55";
 
 static const char *view_target(const char *pose, const char *size, char out[256])
 {
-    snprintf(out, 256, "/d/toy/r/%s/static/%s/%s", revision_of(ROUTE_VIEW), pose, size);
+    snprintf(out, 256, "/d/toy/r/%s/static/%s/%s", revision_of(EDITION_PICTURES), pose, size);
     return out;
 }
 

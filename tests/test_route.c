@@ -11,6 +11,8 @@
 #include "server/auth.h"
 #include "server/condition.h"
 #include "server/headers.h"
+#include "server/metrics_text.h"
+#include "server/origin.h"
 #include "tests/routed.h"
 
 static void test_documents(void **state)
@@ -173,6 +175,151 @@ static void test_links_lead_somewhere(void **state)
     }
 }
 
+/* ---- a route of a test's own ---- */
+
+/* One row and one function: docs/recipes.md shows these. */
+static void answer_squares(struct services *s, const struct request *r, struct dataset *d,
+                           const struct target *asked, struct response *out)
+{
+    struct buf b = {0};
+    (void)s;
+    buf_printf(&b, "{\"dataset\":\"%s\",\"square\":%u}\n", d->meta.name,
+               asked->limit * asked->limit);
+    response_document(r, RESPONSE_JSON, body_take(&b, NULL), out);
+}
+
+static const struct route squares = {
+    "squares",
+    "/d/{ds}/squares",
+    SCOPE_PUBLIC | SCOPE_DATASET,
+    CACHE_MOVING,
+    RATE_MEMORY,
+    QUERY_SEARCH,
+    {{METHOD_GET, answer_squares, NULL, "200 application/json Document,", "A number squared",
+      false}}};
+
+/* What dispatch_answer says to one target, of the services that have the row. */
+static struct response ask_squares(struct services *s, enum method method, const char *target)
+{
+    const struct request r = {
+        .method = method, .target = target, .target_size = strlen(target), .local = true};
+    struct response out;
+    dispatch_answer(s, &r, &out);
+    return out;
+}
+
+/* The parser, the dispatch, Allow, the document, the page and the metrics know a row of the table
+ * from the row alone. */
+static void test_one_row_and_one_function(void **state)
+{
+    struct err e = {0};
+    struct services s;
+    struct buf metrics = {0};
+    struct route *rows = mem_array(ROUTES_COUNT + 1, sizeof *rows);
+    (void)state;
+    memcpy(rows, ROUTES, ROUTES_COUNT * sizeof *rows);
+    rows[ROUTES_COUNT] = squares;
+    kit_ok(services_open(&s, &t.cfg, rows, ROUTES_COUNT + 1, &e), e);
+    s.catalog = catalog_ref(t.s.catalog);
+    struct response r = ask_squares(&s, METHOD_GET, "/d/toy/squares?limit=7");
+    assert_int_equal(r.status, 200);
+    assert_true(says(&r, "{\"dataset\":\"toy\",\"square\":49}"));
+    expect("Cache-Control", r.cache_control, MOVING);
+    assert_ptr_equal(r.route, &rows[ROUTES_COUNT]);
+    response_free(&r);
+    r = ask_squares(&s, METHOD_GET, "/d/toy/squares?limit=0");
+    assert_int_equal(r.status, 400);
+    response_free(&r);
+    r = ask_squares(&s, METHOD_POST, "/d/toy/squares");
+    assert_int_equal(r.status, 405);
+    expect("Allow", r.allow, "GET, HEAD, OPTIONS");
+    response_free(&r);
+    r = ask_squares(&s, METHOD_GET, "/d/none/squares");
+    assert_int_equal(r.status, 404);
+    response_free(&r);
+    r = ask_squares(&s, METHOD_GET, "/api");
+    assert_true(says(&r, "\"/d/{ds}/squares\"") && says(&r, "\"A number squared\""));
+    response_free(&r);
+    r = ask_squares(&s, METHOD_GET, "/api.html");
+    assert_true(says(&r, "GET /d/{ds}/squares"));
+    response_free(&r);
+    metrics_request(&s.metrics, router_index(s.routes, &rows[ROUTES_COUNT]), 200, 0.1, 1);
+    kit_ok(metrics_text_write(&s, &metrics, &e), e);
+    buf_u8(&metrics, 0);
+    assert_non_null(strstr((char *)metrics.data, "{route=\"/d/{ds}/squares\",code=\"200\"} 1"));
+    buf_free(&metrics);
+    r = get("/d/toy/squares"); /* the program's own table does not have it */
+    assert_int_equal(r.status, 404);
+    response_free(&r);
+    services_free(&s);
+    mem_free(rows);
+}
+
+/* Addresses begin with the host that was asked; a proxy that nobody vouches for may have another. */
+static void test_origins(void **state)
+{
+    static const struct {
+        struct request r;
+        const char *public_url, *base_path, *want;
+    } rows[] = {
+        {{.host = "maps.example:8080"}, NULL, NULL, "http://maps.example:8080"},
+        {{.host = "[::1]:80"}, NULL, "/splats", "http://[::1]:80/splats"},
+        {{.host = "a"}, "https://public.example/", "/splats", "https://public.example/"},
+        {{.host = "a", .proxied = true}, NULL, NULL, ""},
+        {{.host = "a", .proxied = true, .forwarded_host = "b"}, NULL, NULL, ""},
+        {{.host = "a", .proxied = true, .trusted = true}, NULL, NULL, "http://a"},
+        {{.host = "a", .proxied = true, .trusted = true, .forwarded_proto = "https"},
+         NULL,
+         NULL,
+         "https://a"},
+        {{.host = "a", .proxied = true, .trusted = true, .forwarded_proto = "javascript"},
+         NULL,
+         NULL,
+         "http://a"},
+        {{.host = "a",
+          .proxied = true,
+          .trusted = true,
+          .forwarded_host = "maps.example",
+          .forwarded_proto = "HTTPS"},
+         NULL,
+         "/x",
+         "https://maps.example/x"},
+        {{.host = "a\"><b"}, NULL, NULL, ""},
+        {{.host = "a/../b"}, NULL, NULL, ""},
+        {{.host = ""}, NULL, NULL, ""},
+        {{.host = NULL}, NULL, NULL, ""},
+    };
+    (void)state;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        struct server_config cfg = {.public_url = rows[i].public_url,
+                                    .base_path = rows[i].base_path};
+        const struct services s = {.cfg = &cfg};
+        char out[ORIGIN_MAX];
+        expect(rows[i].r.host ? rows[i].r.host : "no host", origin_of(&s, &rows[i].r, out),
+               rows[i].want);
+    }
+}
+
+/* A row that cannot be is an error of the start, and names the row. */
+static void test_rows_that_cannot_be(void **state)
+{
+    static const char *const paths[] = {"/d/{ds}/{nobody}", "/d/{ds}[/{x}", "/d/{ds}]"};
+    (void)state;
+    for (size_t i = 0; i < sizeof paths / sizeof *paths; i++) {
+        struct err e = {0};
+        struct route row = squares;
+        struct router *routes = NULL;
+        row.path = paths[i];
+        kit_fails(router_open(&row, 1, &routes, &e), ERR_INTERNAL, e, "squares");
+        assert_null(routes);
+    }
+    for (size_t i = 0; i < ROUTES_COUNT; i++)
+        for (size_t k = 0; k < i; k++) {
+            assert_string_not_equal(ROUTES[i].path, ROUTES[k].path);
+            assert_string_not_equal(ROUTES[i].name, ROUTES[k].name);
+        }
+}
+
 /* The service description has every route, and no route that is not answered; a path in it has no
  * brackets, and its parameters, each once, are those that are declared. */
 static void test_api_lists_the_routes(void **state)
@@ -181,7 +328,7 @@ static void test_api_lists_the_routes(void **state)
     json_t *o = json_of(&r), *paths = json_object_get(o, "paths"), *methods, *operation;
     const char *path, *verb;
     (void)state;
-    assert_int_equal(json_object_size(paths), ROUTE_NONE - 1);
+    assert_int_equal(json_object_size(paths), ROUTES_COUNT - 1); /* without files */
     json_object_foreach(paths, path, methods)
     {
         assert_null(strpbrk(path, "[]"));
@@ -588,7 +735,7 @@ static void test_basemap(void **state)
         struct catalog_options o = served_stores;
         cfg.basemap = o.basemap = rows[i].url;
         o.basemap_attribution = "Example";
-        enum err_code rc = services_open(&s, &cfg, &e);
+        enum err_code rc = services_open(&s, &cfg, ROUTES, ROUTES_COUNT, &e);
         if (rc != (rows[i].fits ? ERR_OK : ERR_ARG))
             fail_msg("--basemap %s: %s", rows[i].url, e.msg);
         (void)services_free(&s);
@@ -626,7 +773,7 @@ static void test_job_ends(void **state)
         struct request q = {.target = "/", .target_size = 1};
         struct response r = {.cache_control = IMMUTABLE, .cls = JOB_TILE, .queue_s = -1};
         struct job_result result = {.end = rows[i].end, .code = rows[i].code, .msg = "because"};
-        route_finish(&t.s, &q, &result, &r);
+        dispatch_finish(&t.s, &q, &result, &r);
         assert_int_equal(r.status, rows[i].status);
         assert_int_equal(r.retry_after_s > 0, rows[i].retry);
         assert_true(r.status == 404 || !strcmp(r.cache_control, "no-store"));
@@ -648,7 +795,7 @@ static void test_words_of_failures(void **state)
         struct request q = {.target = "/", .target_size = 1};
         struct response r = {.cls = JOB_MAP, .kind = rows[i].kind, .queue_s = -1};
         struct job_result result = {.end = JOB_ERROR, .code = ERR_INTERNAL, .msg = "a path"};
-        route_finish(&t.s, &q, &result, &r);
+        dispatch_finish(&t.s, &q, &result, &r);
         assert_int_equal(r.status, 500);
         if (!says(&r, rows[i].says) || says(&r, "a path"))
             fail_msg("%.*s, not %s", (int)r.size, (const char *)r.data, rows[i].says);
@@ -664,7 +811,7 @@ static void test_metrics_are_local(void **state)
     assert_true(says(&r, "citysplat_dataset_info{ds=\"toy\""));
     response_free(&r);
     struct request q = {.target = "/metrics", .target_size = 8};
-    route_answer(&t.s, &q, &r);
+    dispatch_answer(&t.s, &q, &r);
     assert_int_equal(r.status, 403);
     response_free(&r);
     static const struct {
@@ -689,7 +836,7 @@ static void test_metrics_are_local(void **state)
         cfg.metrics = rows[i].metrics;
         q.local = rows[i].local;
         q.authorization = rows[i].authorization;
-        route_answer(&t.s, &q, &r);
+        dispatch_answer(&t.s, &q, &r);
         if (r.status != rows[i].status)
             fail_msg("--metrics '%s', '%s': %d", rows[i].metrics,
                      q.authorization ? q.authorization : "", r.status);
@@ -699,7 +846,7 @@ static void test_metrics_are_local(void **state)
     struct services other;
     struct err e = {0};
     cfg.metrics = "short";
-    kit_fails(services_open(&other, &cfg, &e), ERR_ARG, e, "--metrics");
+    kit_fails(services_open(&other, &cfg, ROUTES, ROUTES_COUNT, &e), ERR_ARG, e, "--metrics");
 }
 
 int main(void)
@@ -725,6 +872,9 @@ int main(void)
         cmocka_unit_test(test_job_ends),
         cmocka_unit_test(test_words_of_failures),
         cmocka_unit_test(test_metrics_are_local),
+        cmocka_unit_test(test_one_row_and_one_function),
+        cmocka_unit_test(test_rows_that_cannot_be),
+        cmocka_unit_test(test_origins),
     };
     return cmocka_run_group_tests(tests, setup, teardown);
 }

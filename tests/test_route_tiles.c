@@ -4,6 +4,7 @@
  */
 #include "tests/routed.h"
 
+#include <sqlite3.h>
 #include <stdlib.h>
 
 static void test_tiles(void **state)
@@ -60,7 +61,7 @@ static void test_tiles(void **state)
     const char *target = expand("/d/toy/r/REV/t/KEY15.spz", last_target, sizeof last_target);
     struct request q = {.target = target, .target_size = strlen(target), .if_none_match = weak};
     struct response r;
-    route_answer(&t.s, &q, &r);
+    dispatch_answer(&t.s, &q, &r);
     assert_int_equal(r.status, 304);
     assert_null(r.work);
     response_free(&r);
@@ -488,6 +489,24 @@ static void test_damaged_tile(void **state)
     catalog_drop(&damaged);
 }
 
+/* SQLite has no memory for a tile's bytes: that is no damage, and the client may come again. */
+static void test_no_memory_for_a_tile(void **state)
+{
+    const sqlite3_int64 before = sqlite3_hard_heap_limit64(-1);
+    (void)state;
+    (void)sqlite3_hard_heap_limit64(sqlite3_memory_used() + 512);
+    struct response r = get("/d/toy/r/REV+/t/KEY16.ply?sh=0");
+    (void)sqlite3_hard_heap_limit64(before);
+    assert_int_equal(r.status, 503);
+    assert_true(r.retry_after_s > 0);
+    assert_true(says(&r, "out of memory"));
+    assert_false(says(&r, "damaged") || says(&r, "toy.tiles"));
+    response_free(&r);
+    r = get("/d/toy/r/REV+/t/KEY16.ply?sh=0");
+    assert_int_equal(r.status, 200);
+    response_free(&r);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -501,6 +520,7 @@ int main(void)
         cmocka_unit_test(test_seed_pages),
         cmocka_unit_test(test_links),
         cmocka_unit_test(test_damaged_tile),
+        cmocka_unit_test(test_no_memory_for_a_tile),
     };
     return cmocka_run_group_tests(tests, setup, teardown);
 }

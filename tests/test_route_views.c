@@ -137,10 +137,10 @@ static void two_answers(const char *target, const struct server_config *other,
     const struct server_config *usual = t.s.cfg;
     struct catalog *usuals = t.s.catalog;
     const struct request r = {.target = target, .target_size = strlen(target)};
-    route_answer(&t.s, &r, a);
+    dispatch_answer(&t.s, &r, a);
     t.s.cfg = other;
     t.s.catalog = others;
-    route_answer(&t.s, &r, b);
+    dispatch_answer(&t.s, &r, b);
     t.s.cfg = usual;
     t.s.catalog = usuals;
 }
@@ -162,7 +162,7 @@ static void test_configuration_and_tags(void **state)
     stores.preset = other.preset = QUANT_PREVIEW;
     kit_ok(catalog_open(paths, 1, &stores, NULL, &others, &e), e);
     const struct dataset *d = t.s.catalog->ds[0];
-    response_edition(&t.s, d, ROUTE_TILE, tiles);
+    response_edition(&t.s, d, EDITION_TILES, tiles);
     assert_int_equal(strlen(tiles), 8);
     for (int i = 0; i < 3; i++) { /* not said, its own, another one's */
         const char *names[] = {"", tiles, others->ds[0]->edition};
@@ -195,7 +195,7 @@ static void test_pictures_while_the_device_starts(void **state)
     char target[256], edition[9];
     (void)state;
     kit_ok(picture_open(t.s.cfg, &t.s.picture, &e), e);
-    response_edition(&t.s, t.s.catalog->ds[0], ROUTE_VIEW, edition);
+    response_edition(&t.s, t.s.catalog->ds[0], EDITION_PICTURES, edition);
     assert_string_equal(edition, "");
     snprintf(target, sizeof target, "/d/toy/r/%s/static/13.4,52.5,120@0,-90/64x48.png", t.rev);
     struct response a = answer(&(struct ask){.target = target, .if_none_match = "*"});
@@ -221,7 +221,7 @@ static void test_foreign_bytes_in_a_redirect(void **state)
     response_free(&r);
     static const char bad[] = "/d/toy/t/17/1/1.glb?x=\r\nSet-Cookie:a";
     struct request q = {.target = bad, .target_size = sizeof bad - 1};
-    route_answer(&t.s, &q, &r);
+    dispatch_answer(&t.s, &q, &r);
     assert_int_equal(r.status, 400);
     response_free(&r);
 }

@@ -11,6 +11,7 @@
 #include <time.h>
 
 #include "lod/photograph.h"
+#include "server/param_time.h"
 #include "server/search.h"
 
 enum { PHOTOS = 60, LEN = 4, IMAGE = 8, BARE = 7 /* of this nothing is known but its embedding */ };
@@ -433,7 +434,7 @@ static void test_dates(void **state)
         if (!gmtime_r(&s, &tm) || tm.tm_year + 1900 > 9999)
             continue;
         strftime(text, sizeof text, "%Y-%m-%dT%H:%M:%SZ", &tm);
-        assert_true(target_read_time(text, strlen(text), &got, &end));
+        assert_true(param_time_read(text, strlen(text), &got, &end));
         assert_true(got == (int64_t)s && end == got);
     }
 }

@@ -19,7 +19,10 @@
 #include "server/course.h"
 #include "server/describe.h"
 #include "server/guard.h"
+#include "server/router.h"
+#include "server/routes.h"
 #include "server/screen.h"
+#include "server/target_query.h"
 #include "server/text.h"
 #include "tests/fuzz/fuzz.h"
 
@@ -46,21 +49,25 @@ static char *serve_text(const uint8_t *bytes, size_t n)
 
 void fuzz_target(const uint8_t *bytes, size_t n)
 {
+    static struct router *routes; /* once for all inputs */
     struct target t, again;
     char query[TARGET_QUERY_MAX];
-    if (target_parse((const char *)bytes, n, &t, NULL))
+    if (!routes)
+        assert(!router_open(ROUTES, ROUTES_COUNT, &routes, NULL));
+    if (router_read(routes, (const char *)bytes, n, &t, NULL))
         return;
-    assert(t.path_size <= n && t.route < ROUTE_COUNT);
+    const char *name = t.route->name;
+    assert(t.path_size <= n);
     assert(strspn(t.ds, "abcdefghijklmnopqrstuvwxyz0123456789_-") == strlen(t.ds));
     assert(strspn(t.rev, "0123456789abcdef") == strlen(t.rev));
-    assert(t.route != ROUTE_TILE || key_valid(t.key));
-    assert(t.route != ROUTE_VIEW || (t.pose.fov_e3 >= 1000 && t.pose.heading_e3 >= 0));
-    assert(t.route != ROUTE_KEPT || target_is_kept_name(t.kept));
-    target_query(&t, query);
+    assert(strcmp(name, "tile") != 0 || key_valid(t.key));
+    assert(strcmp(name, "view") != 0 || (t.pose.fov_e3 >= 1000 && t.pose.heading_e3 >= 0));
+    assert(strcmp(name, "kept") != 0 || param_is_kept_name(t.kept));
+    target_query_tiles(&t, query);
     assert(strlen(query) < sizeof query);
     for (size_t i = 0; i < t.path_size; i++)
         assert(bytes[i] > 0x20 && bytes[i] < 0x7f && bytes[i] != '%' && bytes[i] != '"');
-    assert(!target_parse((const char *)bytes, n, &again, NULL) && again.route == t.route);
+    assert(!router_read(routes, (const char *)bytes, n, &again, NULL) && again.route == t.route);
 }
 
 /* Where a camera goes, as a prefetch list's query says it: the first bytes are speed and horizon.

@@ -1,14 +1,22 @@
-// The OpenAPI description is valid, describes addresses that exist, and what they answer has the shapes that
-// it says.
+// The OpenAPI description is valid, describes addresses that exist, and they answer with the status, the media type
+// and the shape that it says. Three readers look at it: a validator of the schema, swagger-parser and Redocly's linter.
 //
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
+import { spawnSync } from "node:child_process";
+import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { dirname, join } from "node:path";
 import { after, before, test } from "node:test";
+import { fileURLToPath } from "node:url";
 
+import SwaggerParser from "@apidevtools/swagger-parser";
 import { Validator } from "@seriousme/openapi-schema-validator";
 import Ajv from "ajv";
 
-import { firstDataSet, getJson, openSource } from "./lib/source.mjs";
+import { firstDataSet, getJson, MOCK, openLitCity, openSource } from "./lib/source.mjs";
+
+const REDOCLY = join(dirname(fileURLToPath(import.meta.url)), "node_modules/@redocly/cli/bin/cli.js");
 
 let source;
 let api;
@@ -30,6 +38,22 @@ test("the description is valid OpenAPI 3.0", async () => {
     const { valid, errors } = await new Validator().validate(structuredClone(api));
     assert.ok(valid, JSON.stringify(errors, null, 1));
     assert.match(api.openapi, /^3\.0\./);
+});
+
+test("swagger-parser reads the description", async () => {
+    const read = await SwaggerParser.validate(structuredClone(api));
+    assert.equal(read.info.title, "citysplat");
+});
+
+test("Redocly's linter has nothing against it", (t) => {
+    const dir = mkdtempSync(join(tmpdir(), "citysplat-api-"));
+    t.after(() => rmSync(dir, { recursive: true, force: true }));
+    writeFileSync(join(dir, "api.json"), JSON.stringify(api));
+    const env = { ...process.env, REDOCLY_TELEMETRY: "off", REDOCLY_SUPPRESS_UPDATE_NOTICE: "true" }; // no network
+    const run = spawnSync(process.execPath, [REDOCLY, "lint", "api.json", "--format=json"], { cwd: dir, env, encoding: "utf8" });
+    const { totals, problems } = JSON.parse(run.stdout);
+    t.diagnostic(`${totals.warnings} warnings: ${[...new Set(problems.map((p) => p.ruleId))]}`);
+    assert.equal(totals.errors, 0, JSON.stringify(problems.filter((p) => p.severity === "error"), null, 1));
 });
 
 test("parameters are those of the path, operations have names of their own", () => {
@@ -73,4 +97,101 @@ test("answers have the shapes that are said", async (t) => {
     for (const line of seed.trim().split("\n"))
         check({ $ref: "#/components/schemas/SeedLine" }, JSON.parse(line));
     t.diagnostic(`${looked} documents`);
+});
+
+// ---- every route in every method ----
+
+const isLike = (said, got) => said.split(";")[0] === got.split(";")[0];
+
+// One request, held against what the description says of it.
+async function ask(origin, path, url, method, operation, init = {}) {
+    const abort = new AbortController(); // a stream of pictures has no end
+    const response = await fetch(origin + url, { method, redirect: "manual", signal: abort.signal, ...init });
+    const type = response.headers.get("content-type") ?? "";
+    const what = `${method} ${path} ${url}: ${response.status} ${type}`;
+    const said = operation.responses[response.status] ?? operation.responses[`${Math.floor(response.status / 100)}XX`];
+    assert.ok(said, what);
+    const media = Object.keys(said.content ?? {});
+    if (media.length) assert.ok(media.some((one) => isLike(one, type)), `${what}: ${media} are said`);
+    else if (response.status !== 304) assert.equal(type, "", what); // 304 repeats the fields of a 200
+    const allow = response.headers.get("allow");
+    if (!media.length || /multipart/.test(type)) abort.abort();
+    else await response.arrayBuffer();
+    return { status: response.status, etag: response.headers.get("etag"), allow };
+}
+
+// The values of parameters, such that there is something at each address.
+async function valuesOf(url, ds) {
+    const { splats } = await getJson(`${url}/collections/${ds}`);
+    const [lon, lat, h] = splats.origin;
+    const seed = JSON.parse((await (await fetch(`${url}/d/${ds}/seed.ndjson`)).text()).split("\n")[0]);
+    const [rev, , z, x, y] = seed.url.split("/").slice(1);
+    const map = await getJson(`${url}/d/${ds}/map.json`);
+    const zoom = map.minzoom;
+    const turn = (lat * Math.PI) / 180;
+    const at = [((lon + 180) / 360) * 2 ** zoom, ((1 - Math.asinh(Math.tan(turn)) / Math.PI) / 2) * 2 ** zoom];
+    const place = { lon: lon.toFixed(6), lat: lat.toFixed(6) };
+    return {
+        path: { ds, rev, z, x, y, ext: "glb", row: "0", name: "evening", stream: "0123456789abcdef0123" },
+        map: { z: String(zoom), x: String(Math.floor(at[0])), y: String(Math.floor(at[1])), fmt: "webp" },
+        view: { ...place, height: (h + 60).toFixed(1), heading: "0", pitch: "-60", fov: "50", roll: "0", w: "64", h: "48", s: "1", fmt: "png" },
+        place,
+        bodies: {
+            Render: { pose: { lon, lat, height: h + 60, heading: 0, pitch: -60 }, width: 64, height: 48 },
+            Pick: { pose: { lon, lat, height: h + 60, heading: 0, pitch: -60 }, width: 64, height: 48, x: 30, y: 20 },
+            Steer: { number: 1, pose: { lon, lat, height: h + 60, heading: 0, pitch: -60 }, width: 64, height: 48 },
+            Places: { places: [[lon, lat]] },
+            Profile: { line: [[lon, lat], [lon + 1e-4, lat]] },
+            Measure: { line: [[lon, lat], [lon + 1e-4, lat]] },
+            Visible: { from: { lon, lat, above: 50 }, to: { lon: lon + 2e-4, lat, above: 2 } },
+            Mix: { appearance: "IMG_0001.jpg" },
+        },
+    };
+}
+
+function addressOf(path, values) {
+    const of = path.includes("/static/") ? values.view : /\/(map|terrain)\/\{z}/.test(path) ? values.map : {};
+    return path.replace(/{(\w+)}/g, (_, name) => of[name] ?? values.path[name]);
+}
+
+test("every route answers every method with a status and a type that is said", { skip: MOCK }, async (t) => {
+    const lit = await openLitCity({ serveWith: ["--admin", "127.0.0.1:0", "--state-dir", "DIR/state"] });
+    t.after(() => lit.close());
+    const operators = `http://127.0.0.1:${/operators: port (\d+)/.exec(lit.said())[1]}`;
+    const values = await valuesOf(lit.url, "lit");
+    const appearances = await getJson(`${lit.url}/d/lit/appearances`);
+    values.bodies.Mix = { appearance: appearances.appearances[0].name };
+    for (let k = 0; k < 300 && (await getJson(`${lit.url}/version`)).pictures.state === "starting"; k++)
+        await new Promise((done) => setTimeout(done, 200));
+    const counts = {};
+    const count = ({ status }) => (counts[status] = (counts[status] ?? 0) + 1);
+    const order = ["get", "put", "post", "delete"];
+    for (const [path, methods] of Object.entries(api.paths)) {
+        const url = addressOf(path, values);
+        const declared = order.filter((verb) => methods[verb]);
+        for (const verb of [...declared, ...(methods.put ? ["get"] : [])]) {
+            const operation = methods[verb];
+            const origin = operation.tags[0] === "operators" || verb === "put" || verb === "delete" || path === "/metrics" ? operators : lit.url;
+            const ref = operation.requestBody?.content["application/json"].schema.$ref.split("/").at(-1);
+            const init = ref ? { body: JSON.stringify(values.bodies[ref]), headers: { "content-type": "application/json" } } : {};
+            const place = operation.parameters.some((p) => p.in === "query" && p.name === "lon");
+            const asked = place ? `${url}?lon=${values.place.lon}&lat=${values.place.lat}` : url;
+            const first = await ask(origin, path, asked, verb.toUpperCase(), operation, init);
+            count(first);
+            const absent = path.includes("/tileset/{z}") || (path.endsWith("{name}") && verb !== "put") || verb === "post" && path.includes("/motion/");
+            assert.ok(first.status < 400 || absent, `${verb} ${path} ${asked}: ${first.status}`);
+            if (verb !== "get" || first.status !== 200 || !operation.responses["206"]) continue;
+            for (const headers of [{ range: "bytes=0-0" }, { range: "bytes=999999999-" }, { "if-none-match": first.etag ?? '"-"' }])
+                count(await ask(origin, path, asked, "GET", operation, { headers }));
+            const head = await fetch(origin + asked, { method: "HEAD", redirect: "manual" });
+            assert.equal(head.status, 200, `HEAD ${asked}`);
+        }
+        const verbs = declared.map((verb) => verb.toUpperCase());
+        const other = await fetch((methods.post?.tags[0] === "operators" || path === "/metrics" ? operators : lit.url) + url, { method: "PATCH" });
+        assert.equal(other.status, 405, path);
+        const allow = other.headers.get("allow").split(", ").filter((one) => one !== "HEAD" && one !== "OPTIONS");
+        assert.deepEqual(allow.toSorted(), verbs.toSorted(), path);
+    }
+    t.diagnostic(JSON.stringify(counts));
+    for (const status of [200, 201, 202, 204, 206, 304, 307, 416]) assert.ok(counts[status], `${status} was never answered`);
 });

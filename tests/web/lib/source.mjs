@@ -45,8 +45,8 @@ export function importCity(dir, edgeM = 60, name = "fcity", city = makeCity()) {
 }
 
 // Starts `citysplat serve` on a free port; resolves with its address and a function that ends it.
-function serve(...tiles) {
-    const args = ["serve", ...tiles, "--port", "0", "--web-dir", WEB_DIST];
+function serve(...argv) {
+    const args = ["serve", ...argv, "--port", "0", "--web-dir", WEB_DIST];
     const child = spawn(BIN, args, { stdio: ["ignore", "pipe", "pipe"] });
     let said = "";
     const close = () =>
@@ -67,7 +67,7 @@ function serve(...tiles) {
             const match = /http:\/\/[\w.[\]:]+:\d+/.exec(said);
             if (!match) return;
             clearTimeout(timer);
-            resolve({ url: match[0], close });
+            resolve({ url: match[0], close, said: () => said });
         };
         child.stdout.on("data", listen);
         child.stderr.on("data", listen);
@@ -119,7 +119,8 @@ function run(args) {
 // A small city under changing light, trained with appearance in a few seconds and served, beside the
 // test city. Exposures are left to the network (--no-exposure): appearances then differ strongly.
 // The test city, which has none (`plain` is its name). many: Gaussians of a third scene, `many`.
-export async function openLitCity({ many = null } = {}) {
+// serveWith: options of `citysplat serve`, beside; "DIR" in them is a folder of its own.
+export async function openLitCity({ many = null, serveWith = [] } = {}) {
     const dir = mkdtempSync(join(tmpdir(), "citysplat-lit-"));
     const at = (name) => join(dir, name);
     const clean = () => rmSync(dir, { recursive: true, force: true });
@@ -142,7 +143,8 @@ export async function openLitCity({ many = null } = {}) {
         ]);
         run(["tile", at("scene"), "--trained", at("trained"), "-o", at("lit.tiles"), "-q"]);
         const more = many ? [importCity(dir, 60, "many", many)] : [];
-        const server = await serve(at("lit.tiles"), importCity(dir), ...more);
+        const besides = serveWith.map((word) => word.replace("DIR", dir));
+        const server = await serve(at("lit.tiles"), importCity(dir), ...more, ...besides);
         return { ...server, plain: "fcity", close: () => server.close().finally(clean) };
     } catch (error) {
         clean();

@@ -5,7 +5,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "server/target.h"
+#include "server/param_clip.h"
 
 #include <string.h>
 
@@ -13,57 +13,56 @@
 #include "lod/clip.h"
 #include "server/text.h"
 
-static const double TARGET_CLIP_UNIT = 1e-7; /* degrees */
+static const double PARAM_CLIP_UNIT = 1e-7; /* degrees */
 
-static bool target_same_corner(const int32_t a[2], const int32_t b[2])
+static bool param_clip_same(const int32_t a[2], const int32_t b[2])
 {
     return a[0] == b[0] && a[1] == b[1];
 }
 
 /* A comma, which may come as %2C. */
-static bool target_take_comma(struct text *t)
+static bool param_clip_comma(struct text *t)
 {
     return text_take(t, ",") || text_take(t, "%2C") || text_take(t, "%2c");
 }
 
-static enum err_code target_read_corners(struct text *one, struct target_clip *c, struct err *e)
+static enum err_code param_clip_corners(struct text *one, struct target_clip *c, struct err *e)
 {
     static const int64_t most[2] = {1800000000, 900000000};
     int32_t at[2];
     do {
         for (int k = 0; k < 2; k++) {
             int64_t v;
-            if ((k && !target_take_comma(one)) || !text_take_fixed(one, 7, &v))
-                return err_set(e, ERR_FORMAT,
-                               "clip is lon,lat,lon,lat,...: plain decimals, degrees");
+            if ((k && !param_clip_comma(one)) || !text_take_fixed(one, 7, &v))
+                return ERR_NOENT;
             if (v < -most[k] || v > most[k])
                 return err_set(e, ERR_DATA, "clip: corner %u is no longitude and latitude",
                                c->n + 1);
             at[k] = (int32_t)v;
         }
-        if (c->n && target_same_corner(at, c->corner_e7[c->n - 1]))
+        if (c->n && param_clip_same(at, c->corner_e7[c->n - 1]))
             continue;
-        if (c->n == TARGET_CLIP_CORNERS && !target_same_corner(at, c->corner_e7[0]))
+        if (c->n == TARGET_CLIP_CORNERS && !param_clip_same(at, c->corner_e7[0]))
             return err_set(e, ERR_DATA, "clip: a polygon has 3 to %d corners", TARGET_CLIP_CORNERS);
         if (c->n < TARGET_CLIP_CORNERS)
             memcpy(c->corner_e7[c->n++], at, sizeof at);
-    } while (target_take_comma(one));
+    } while (param_clip_comma(one));
     if (!text_at_end(one))
-        return err_set(e, ERR_FORMAT, "clip is lon,lat,lon,lat,...: plain decimals, degrees");
-    if (c->n > 1 && target_same_corner(c->corner_e7[c->n - 1], c->corner_e7[0]))
+        return ERR_NOENT;
+    if (c->n > 1 && param_clip_same(c->corner_e7[c->n - 1], c->corner_e7[0]))
         c->n--;
     return ERR_OK;
 }
 
-static void target_clip_degrees(const struct target_clip *c, double (*at)[2])
+static void param_clip_degrees(const struct target_clip *c, double (*at)[2])
 {
     for (uint32_t i = 0; i < c->n; i++)
         for (int k = 0; k < 2; k++)
-            at[i][k] = TARGET_CLIP_UNIT * (double)c->corner_e7[i][k];
+            at[i][k] = PARAM_CLIP_UNIT * (double)c->corner_e7[i][k];
 }
 
 /* Twice the signed area: positive counterclockwise, longitude to the right. */
-static double target_clip_turn(const struct target_clip *c)
+static double param_clip_area(const struct target_clip *c)
 {
     double sum = 0;
     const int32_t *o = c->corner_e7[0];
@@ -75,11 +74,11 @@ static double target_clip_turn(const struct target_clip *c)
     return sum;
 }
 
-static void target_clip_turn_round(struct target_clip *c)
+static void param_clip_order(struct target_clip *c)
 {
     struct target_clip was = *c;
     uint32_t first = 0;
-    const bool back = target_clip_turn(c) < 0;
+    const bool back = param_clip_area(c) < 0;
     for (uint32_t i = 1; i < c->n; i++) {
         const int32_t *p = c->corner_e7[i], *q = c->corner_e7[first];
         if (p[0] < q[0] || (p[0] == q[0] && p[1] < q[1]))
@@ -91,33 +90,29 @@ static void target_clip_turn_round(struct target_clip *c)
                sizeof *c->corner_e7);
 }
 
-enum err_code target_take_clip(struct text *one, struct target *out, struct err *e)
+enum err_code param_clip_read(struct text *one, struct target_clip *out, struct err *e)
 {
     double at[TARGET_CLIP_CORNERS][2];
-    if (!target_is_of_tiles(out->route))
-        return err_set(e, ERR_FORMAT, "clip is of tiles, tilesets and prefetch lists");
-    if (out->clip.n)
-        return err_set(e, ERR_FORMAT, "clip is given once");
-    enum err_code rc = target_read_corners(one, &out->clip, e);
-    target_clip_degrees(&out->clip, at);
-    if (!rc && outline_check((const double(*)[2])at, out->clip.n, e)) {
+    enum err_code rc = param_clip_corners(one, out, e);
+    param_clip_degrees(out, at);
+    if (!rc && outline_check((const double(*)[2])at, out->n, e)) {
         err_add(e, "clip");
         rc = ERR_DATA;
     }
     if (!rc)
-        target_clip_turn_round(&out->clip);
+        param_clip_order(out);
     return rc;
 }
 
-enum err_code target_open_clip(const struct target_clip *c, struct clip *out, struct err *e)
+enum err_code param_clip_open(const struct target_clip *c, struct clip *out, struct err *e)
 {
     double at[TARGET_CLIP_CORNERS][2];
-    target_clip_degrees(c, at);
+    param_clip_degrees(c, at);
     return clip_of_ring((const double(*)[2])at, c->n, out, e);
 }
 
 /* The number without zeros at its end. */
-static char *target_put_e7(char *p, int32_t v)
+static char *param_clip_put(char *p, int32_t v)
 {
     const int64_t size = v < 0 ? -(int64_t)v : v;
     if (v < 0)
@@ -131,13 +126,13 @@ static char *target_put_e7(char *p, int32_t v)
     return p;
 }
 
-void target_clip_text(const struct target_clip *c, char out[TARGET_CLIP_TEXT])
+void param_clip_text(const struct target_clip *c, char out[TARGET_CLIP_TEXT])
 {
     char *p = out;
     for (uint32_t i = 0; i < 2 * c->n; i++) {
         if (i)
             *p++ = ',';
-        p = target_put_e7(p, c->corner_e7[i / 2][i % 2]);
+        p = param_clip_put(p, c->corner_e7[i / 2][i % 2]);
     }
     *p = '\0';
 }

@@ -1,0 +1,229 @@
+/* From a request to the function of its row, and from a job's end to its answer. What a row says is
+ * done here for all routes: the listener, the methods, rights, what caches may do, the queue.
+ * dispatch_answer does not block, does not know libmicrohttpd, and cannot fail, since a failure is
+ * an answer too.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/dispatch.h"
+
+#include <stdio.h>
+#include <string.h>
+#include <time.h>
+
+#include "server/answer_appearance.h"
+#include "server/answer_kept.h"
+
+static bool dispatch_changes(const struct request *r)
+{
+    return r->method == METHOD_PUT || r->method == METHOD_DELETE;
+}
+
+/* NULL, with the answer set: a preflight, or a method that the route does not take. */
+static const struct route_method *dispatch_method(const struct services *s, const struct request *r,
+                                                  const struct route *route, struct response *out)
+{
+    const struct route_method *on = route_on(route, r->method);
+    const bool unkept = dispatch_changes(r) && on && !s->kept;
+    if (on && !unkept)
+        return on;
+    if (r->method == METHOD_OPTIONS) {
+        out->status = 204;
+        out->cache_control = RESPONSE_NO_STORE;
+    } else {
+        response_problem(out, 405,
+                         unkept ? "nothing is kept: the server was started without --state-dir"
+                                : "the method is not one of those in Allow");
+    }
+    out->allow = route_allow(route, s->kept);
+    return NULL;
+}
+
+/* Is it on the listener that the request came to? */
+static bool dispatch_is_here(const struct services *s, const struct request *r,
+                             const struct target *t)
+{
+    const unsigned scope = t->route->scope;
+    if (scope & SCOPE_FILE && !static_find(&s->web, r->target, t->path_size))
+        return false;
+    return r->admin ? scope & SCOPE_OPERATORS
+                    : scope & SCOPE_PUBLIC && !(scope & SCOPE_MOVES && s->cfg->admin);
+}
+
+/* May who asks have this? Else the problem is set, the same for datasets that there are and are
+ * not. */
+static bool dispatch_may(const struct services *s, const struct request *r, const struct target *t,
+                         struct response *out)
+{
+    if (!s->auth)
+        return true;
+    size_t n = t->path_size + (r->target_size > t->path_size);
+    const struct auth_request a = {r->authorization, r->target, r->target + n, t->path_size,
+                                   r->target_size - n};
+    switch (auth_check(s->auth, t->route->scope & SCOPE_RENDER ? AUTH_RENDER : AUTH_READ, t->ds, &a,
+                       (int64_t)time(NULL))) {
+    case AUTH_OK:
+        return true;
+    case AUTH_UNKNOWN:
+        out->unauthorized = true;
+        response_problem(out, 401,
+                         "this dataset is for those who send a token or a signed address");
+        break;
+    case AUTH_EXPIRED:
+        response_problem(out, 403, "the time of this signed address is over");
+        break;
+    default:
+        response_problem(out, 403, "the token or the signature does not open this");
+    }
+    return false;
+}
+
+static const char *dispatch_tag_header(const struct server_config *cfg)
+{
+    static const char *const names[] = {"Surrogate-Key", "xkey", "Cache-Tag", NULL};
+    return names[cfg->tag_header];
+}
+
+/* What an operator says about caches of this dataset, and its tag where there is none yet. */
+static void dispatch_cached(const struct services *s, const struct dataset *d,
+                            const struct target *t, struct response *out)
+{
+    bool shared = !s->auth || auth_is_public(s->auth, d->meta.name);
+    out->cache_control = cache_policy_of(&s->policy, d->meta.name, shared, out->cache_control);
+    out->tag_header = dispatch_tag_header(s->cfg);
+    if (!out->surrogate[0] && out->status < 400)
+        snprintf(out->surrogate, sizeof out->surrogate, "ds-%s", d->meta.name);
+    if (t->kept[0] && out->status < 400)
+        snprintf(out->surrogate + strlen(out->surrogate),
+                 sizeof out->surrogate - strlen(out->surrogate), " a-%s", t->kept);
+}
+
+/* The queue of what takes a job. */
+static enum job_class dispatch_queue(const struct request *r, enum route_rate rate)
+{
+    switch (rate) {
+    case RATE_TILES:
+        return r->prefetch ? JOB_PREFETCH : JOB_TILE;
+    case RATE_VIEWS:
+        return r->prefetch && r->method == METHOD_GET ? JOB_AHEAD : JOB_VIEW;
+    case RATE_MAPS:
+        return JOB_MAP;
+    case RATE_THUMBNAILS:
+        return JOB_PREFETCH;
+    default:
+        return JOB_TILE;
+    }
+}
+
+static void dispatch_dataset(struct services *s, const struct request *r,
+                             const struct route_method *on, struct target *t, struct response *out)
+{
+    struct catalog *c = services_catalog(s);
+    struct dataset *d = catalog_find(c, t->ds, t->rev);
+    if (d) {
+        if (answer_appearance_resolve(s, d, t, out)) {
+            out->cache_control = response_cache_control(s, d, t);
+            on->answer(s, r, d, t, out);
+        }
+        dispatch_cached(s, d, t, out);
+    } else if (catalog_find(c, t->ds, "")) {
+        response_problem(out, 404, "this server does not have this revision, or not any more");
+        out->cache_control = RESPONSE_NO_STORE; /* a reload may bring it */
+    } else {
+        response_problem(out, 404, "no dataset has this name");
+    }
+    catalog_drop(&c);
+}
+
+void dispatch_answer(struct services *s, const struct request *r, struct response *out)
+{
+    struct err e = {0};
+    struct target t;
+    memset(out, 0, sizeof *out);
+    out->queue_s = out->run_s = -1;
+    out->id = r->id;
+    out->id_sent = r->id_sent;
+    out->same_origin = r->admin;
+    enum err_code rc = router_read(s->routes, r->target, r->target_size, &t, &e);
+    if (rc != ERR_FORMAT) {
+        out->instance = r->target;
+        out->n_instance = t.path_size;
+    }
+    if (!rc && !dispatch_is_here(s, r, &t))
+        rc = err_set(&e, ERR_NOENT, "there is nothing at this path");
+    if (rc) {
+        response_problem(out, rc == ERR_NOENT ? 404 : rc == ERR_DATA ? 422 : 400, e.msg);
+        return;
+    }
+    out->route = t.route;
+    const struct route_method *on = dispatch_method(s, r, t.route, out);
+    if (!on)
+        return;
+    /* A page of another site that is open in the browser of an operator reaches this listener. */
+    if (r->admin && r->from_page && on->method != METHOD_GET) {
+        response_problem(out, 403, "the operators' listener takes no changes from pages");
+        return;
+    }
+    out->timeout_s = s->cfg->deadline_s;
+    out->cls = dispatch_queue(r, t.route->rate);
+    if (!(t.route->scope & SCOPE_DATASET)) {
+        out->cache_control = t.route->cache == CACHE_NONE ? RESPONSE_NO_STORE : RESPONSE_MOVING;
+        on->answer(s, r, NULL, &t, out);
+    } else if (r->admin || dispatch_changes(r) || dispatch_may(s, r, &t, out)) {
+        dispatch_dataset(s, r, on, &t, out); /* whether it may be changed says answer_kept.c */
+    }
+}
+
+/* Why there is no result. */
+static void dispatch_failed(struct services *s, const struct job_result *result,
+                            struct response *out)
+{
+    const enum job_class cls = out->cls;
+    const bool soon = result->end != JOB_ERROR || result->code == ERR_MEM ||
+                      result->code == ERR_BUSY || result->code == ERR_DEVICE;
+    char text[80]; /* the message names files and is in the log */
+    if (soon) {
+        response_problem(out,
+                         result->end == JOB_TIMEOUT                             ? 504
+                         : result->end == JOB_LIMITED                           ? 429
+                         : result->code == ERR_LIMIT && result->end == JOB_SHED ? 429
+                                                                                : 503,
+                         result->code == ERR_MEM ? "out of memory" : result->msg);
+        out->retry_after_s = result->retry_s ? result->retry_s : job_retry_after(s->jobs, cls);
+    } else if (result->code == ERR_DATA && out->kind == WORK_QUERY) {
+        response_problem(out, 422, result->msg); /* a question without an answer */
+    } else if (result->code == ERR_NOENT) {
+        response_problem(out, 404, result->msg);
+    } else if (out->tile_of[0]) {
+        response_tile_problem(out, result->code == ERR_FORMAT);
+    } else {
+        snprintf(text, sizeof text, "the %s could not be made; the log says why",
+                 work_noun(out->kind));
+        response_problem(out, 500, text);
+    }
+}
+
+void dispatch_finish(struct services *s, const struct request *r, struct job_result *result,
+                     struct response *out)
+{
+    out->queue_s = result->queue_s;
+    out->run_s = result->run_s;
+    out->cache = result->coalesced ? "shared" : out->cache;
+    out->work = NULL; /* the job owned it */
+    if (out->kind == WORK_KEEP) {
+        answer_kept_finish(result, out);
+        return;
+    }
+    struct body *b = result->body;
+    result->body = NULL;
+    if (result->end == JOB_OK && out->unnamed) {
+        out->body = b;
+        out->data = b->data;
+        out->size = b->size;
+    } else if (result->end == JOB_OK) {
+        response_body(r, b, out);
+    } else {
+        body_drop(&b);
+        dispatch_failed(s, result, out);
+    }
+}
