@@ -255,7 +255,7 @@ static void test_one_row_and_one_function(void **state)
     mem_free(rows);
 }
 
-/* Addresses begin with the host that was asked; a proxy that nobody vouches for may have another. */
+/* Addresses begin with the host that was asked. A proxy that is not trusted may have another. */
 static void test_origins(void **state)
 {
     static const struct {

@@ -21,8 +21,14 @@ const REDOCLY = join(dirname(fileURLToPath(import.meta.url)), "node_modules/@red
 let source;
 let api;
 let check; // of a value against a schema of the description
+async function awaitDevice(url) {
+    for (let k = 0; k < 300 && (await getJson(`${url}/version`)).pictures?.state === "starting"; k++)
+        await new Promise((done) => setTimeout(done, 200));
+}
+
 before(async () => {
     source = await openSource();
+    await awaitDevice(source.url);
     api = await getJson(`${source.url}/api`);
     const ajv = new Ajv({ strict: false });
     ajv.addFormat("binary", true);
@@ -125,7 +131,7 @@ async function valuesOf(url, ds) {
     const { splats } = await getJson(`${url}/collections/${ds}`);
     const [lon, lat, h] = splats.origin;
     const seed = JSON.parse((await (await fetch(`${url}/d/${ds}/seed.ndjson`)).text()).split("\n")[0]);
-    const [rev, , z, x, y] = seed.url.split("/").slice(1);
+    const [rev, z, x, y] = /r\/([^/]+)\/t\/(\d+)\/(\d+)\/(\d+)\.glb/.exec(seed.url).slice(1);
     const map = await getJson(`${url}/d/${ds}/map.json`);
     const zoom = map.minzoom;
     const turn = (lat * Math.PI) / 180;
@@ -161,8 +167,7 @@ test("every route answers every method with a status and a type that is said", {
     const values = await valuesOf(lit.url, "lit");
     const appearances = await getJson(`${lit.url}/d/lit/appearances`);
     values.bodies.Mix = { appearance: appearances.appearances[0].name };
-    for (let k = 0; k < 300 && (await getJson(`${lit.url}/version`)).pictures.state === "starting"; k++)
-        await new Promise((done) => setTimeout(done, 200));
+    await awaitDevice(lit.url);
     const counts = {};
     const count = ({ status }) => (counts[status] = (counts[status] ?? 0) + 1);
     const order = ["get", "put", "post", "delete"];
