@@ -57,7 +57,7 @@ static void answer_map_draw(struct services *s, const struct request *r, struct 
         return;
     const struct map_tile tile = {.key = t->key,
                                   .size_px = (uint32_t)RASTER_PX * t->scale,
-                                  .format = t->form.format,
+                                  .format = terrain ? FORMAT_PNG : t->form.format,
                                   .encoding = !terrain ? ENCODING_UNSAID
                                               : t->encoding == ENCODING_TERRARIUM
                                                   ? ENCODING_TERRARIUM

@@ -377,7 +377,7 @@ static void tilejson_leads_to_tiles(void **state)
     start(); /* without a device: documents do not need one */
     json_t *o = document("/d/survey/map.json");
     assert_string_equal(json_string_value(json_object_get(o, "tilejson")), "3.0.0");
-    snprintf(want, sizeof want, "r/%s/map/{z}/{x}/{y}.webp", t.rev);
+    snprintf(want, sizeof want, "http://localhost/d/survey/r/%s/map/{z}/{x}/{y}.webp", t.rev);
     assert_string_equal(json_string_value(json_array_get(json_object_get(o, "tiles"), 0)), want);
     assert_int_equal(json_integer_value(json_object_get(o, "maxzoom")), raster_zoom_max(a));
     assert_int_equal(json_integer_value(json_object_get(o, "minzoom")), raster_zoom_min(a));
@@ -385,7 +385,8 @@ static void tilejson_leads_to_tiles(void **state)
                      a->east_deg) < 1e-9);
     json_decref(o);
     o = document("/d/survey/terrain.json?encoding=terrarium");
-    snprintf(want, sizeof want, "r/%s/terrain/{z}/{x}/{y}.png?encoding=terrarium", t.rev);
+    snprintf(want, sizeof want,
+             "http://localhost/d/survey/r/%s/terrain/{z}/{x}/{y}.png?encoding=terrarium", t.rev);
     assert_string_equal(json_string_value(json_array_get(json_object_get(o, "tiles"), 0)), want);
     assert_string_equal(json_string_value(json_object_get(o, "encoding")), "terrarium");
     json_decref(o);
@@ -566,7 +567,8 @@ static void ogc_tiles_lead_to_tiles(void **state)
     start();
 }
 
-/* Who listens on every address does not know the one that clients see. */
+/* The address that clients see is the one that they ask; behind a proxy that nobody vouches for, who
+ * listens on every address does not know it. */
 static void wmts_needs_an_address(void **state)
 {
     struct reply r;
@@ -575,6 +577,11 @@ static void wmts_needs_an_address(void **state)
     if (!start_drawing())
         skip();
     ask("GET", "/d/survey/wmts.xml", "", &r);
+    assert_int_equal(r.status, 200);
+    assert_non_null(strstr((const char *)r.body, "\"http://localhost/d/survey/r/"));
+    assert_non_null(strstr(header(&r, "Vary"), "Host"));
+    buf_free(&r.raw);
+    ask("GET", "/d/survey/wmts.xml", "Via: 1.1 proxy\r\n", &r);
     assert_int_equal(r.status, 404);
     assert_non_null(strstr((const char *)r.body, "--public-url"));
     buf_free(&r.raw);

@@ -129,14 +129,16 @@ static json_t *document(const char *target)
     return o;
 }
 
-/* "r/REV-EDITION/WHAT" of a document's template. */
+/* "r/REV-EDITION/WHAT" of a document's template, which is absolute. */
 static void template_of(const char *target, char out[96])
 {
     json_t *o = document(target);
     const char *tile = json_string_value(json_array_get(json_object_get(o, "tiles"), 0)), *end;
     assert_non_null(tile);
-    end = strstr(tile, "/{z}");
+    tile = strstr(tile, "/r/");
+    end = tile ? strstr(tile, "/{z}") : NULL;
     assert_non_null(end);
+    tile++;
     snprintf(out, 96, "%.*s", (int)(end - tile), tile);
     json_decref(o);
 }

@@ -44,8 +44,8 @@ def mercator(lonlat):
 
 
 def layers(folder, url):
-    def tiles(path):
-        return f"type=xyz&url={url}/{path}".replace("{", "%7B").replace("}", "%7D")
+    def tiles(template):
+        return f"type=xyz&url={template}".replace("{", "%7B").replace("}", "%7D")
 
     with urllib.request.urlopen(f"{url}/map.json") as answer:
         zooms = json.load(answer)

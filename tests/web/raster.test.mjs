@@ -56,14 +56,12 @@ after(async () => {
 
 const documentUrl = async (file) => `${source.url}/d/${await firstDataSet(source.url)}/${file}`;
 
-// A source of a style: TileJSON with the addresses of its tiles resolved against its own.
+// A source of a style, by a TileJSON.
 async function tileSource(type, file) {
     const url = await documentUrl(file);
     const json = await getJson(url);
     const { minzoom, maxzoom, bounds, tileSize, encoding, attribution } = json;
-    // URL would encode the braces of the template
-    const tiles = json.tiles.map((tile) => new URL("./", url).href + tile);
-    return { type, tiles, minzoom, maxzoom, bounds, tileSize, attribution, ...(encoding && { encoding }) };
+    return { type, tiles: json.tiles, minzoom, maxzoom, bounds, tileSize, attribution, ...(encoding && { encoding }) };
 }
 
 async function screenshot(name) {
