@@ -567,8 +567,8 @@ static void ogc_tiles_lead_to_tiles(void **state)
     start();
 }
 
-/* The address that clients see is the one that they ask; behind a proxy that nobody vouches for, who
- * listens on every address does not know it. */
+/* The address that clients see is the one that they ask. Behind a proxy that is not trusted, a server
+ * that listens on every address does not know it. */
 static void wmts_needs_an_address(void **state)
 {
     struct reply r;
