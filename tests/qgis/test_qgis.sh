@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # QGIS, without a screen, opens an orthophoto, a surface model, and a server's map as XYZ tiles and as WMTS: what it
-# draws lies where it is. Skipped without QGIS (Debian: qgis python3-qgis, 1 GB, not installed by bootstrap).
+# draws lies where it is. Skipped without QGIS (Debian: python3-qgis, 600 MB).
 #
 #   QGIS_SHOTS=FOLDER   keeps the pictures
 #
@@ -14,7 +14,7 @@ trap '[ -z "$server" ] || kill "$server"; wait; rm -rf "$work"' EXIT
 export QT_QPA_PLATFORM=offscreen HOME=$work XDG_RUNTIME_DIR=$work no_proxy=127.0.0.1
 skip() { echo "skipped: $*"; exit 77; }
 
-/usr/bin/python3 -c 'import qgis.core' 2>/dev/null || skip "no QGIS for Python: Debian's packages qgis and python3-qgis have it"
+/usr/bin/python3 -c 'import qgis.core' 2>/dev/null || skip "no QGIS for Python: Debian's package python3-qgis has it"
 command -v node >/dev/null || skip "no Node.js: it makes the test city"
 node "$here/city.mjs" "$work" || exit 1
 "$bin" ortho -q "$work/city.tiles" -o "$work/ortho.tif" --gsd-m 0.25 || exit 1
