@@ -149,6 +149,22 @@ static inline void ask_port(uint16_t port, const char *method, const char *targe
     close(fd);
 }
 
+/* Posts a text; the status. */
+static inline int post_text(const char *target, const char *text, struct reply *r)
+{
+    struct buf q = {0};
+    int fd = dial(t.port);
+    buf_printf(&q,
+               "POST %s HTTP/1.1\r\nHost: test\r\nConnection: close\r\n"
+               "Content-Length: %zu\r\n\r\n%s",
+               target, strlen(text), text);
+    say_bytes(fd, (char *)q.data, q.size);
+    hear(fd, true, NULL, r);
+    buf_free(&q);
+    close(fd);
+    return r->status;
+}
+
 static inline void ask(const char *method, const char *target, const char *extra, struct reply *r)
 {
     ask_port(t.port, method, target, extra, r);

@@ -57,9 +57,10 @@ int kit_run(struct buf *out, const char *fmt, ...) ERR_PRINTF(2, 3);
 const char *kit_program(void);
 
 /* Checks that digest() gives the same text twice in this process, and in new processes with one,
- * two and three PoCL worker threads. Those are this program with the argument `digest`. self:
- * argv[0]. */
-void kit_same_bits(const char *self, void (*digest)(char out[33]));
+ * two and three PoCL worker threads. Those are this program with the argument `digest`: main begins
+ * with kit_digest, which prints the text and returns true when that is the argument. */
+bool kit_digest(int argc, char **argv, void (*digest)(char out[33]));
+void kit_same_bits(void (*digest)(char out[33]));
 
 /* Prints a measured number for a failure of docs/stability.md as one line on stdout: "stability F22
  * worst_drop_db=0.31 limit=1.50". Fields are name=value. tests/stability/collect.sh collects them.

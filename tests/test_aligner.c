@@ -6,7 +6,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "tests/kit.h"
+#include "tests/city_kit.h"
 
 #include <jansson.h>
 #include <math.h>
@@ -19,7 +19,6 @@
 #include "core/geo.h"
 #include "ingest/ingest.h"
 #include "ingest/sim3.h"
-#include "synth/synth.h"
 
 static struct arena texts;
 
@@ -34,17 +33,10 @@ static void city_make(const char *dir, double gps_sigma_m, double outlier_share)
 {
     struct err e = {0};
     struct synth_config c;
-    kit_ok(options_defaults(synth_options(), &c, &texts, &e), e);
-    c.output = dir;
+    city_kit_config(&c, &texts, dir, 32);
     c.overwrite = true;
     c.gps_sigma_m = gps_sigma_m;
     c.gps_outlier_share = outlier_share;
-    c.photos = 32;
-    c.width_px = 80;
-    c.height_px = 60;
-    c.extent_m = 100;
-    c.points = 1500;
-    c.supersample = 1;
     kit_ok(synth_run(&c, &e), e);
 }
 

@@ -283,12 +283,10 @@ static void digest(char out[33])
     view_case_free(&s);
 }
 
-static const char *self;
-
 static void test_same_bits(void **state)
 {
     (void)state;
-    kit_same_bits(self, digest);
+    kit_same_bits(digest);
 }
 
 static void test_errors(void **state)
@@ -344,14 +342,10 @@ static void test_empty(void **state)
 
 int main(int argc, char **argv)
 {
-    if (argc > 1 && !strcmp(argv[1], "digest")) {
-        char text[33];
-        digest(text);
-        puts(text);
+    if (kit_digest(argc, argv, digest)) {
         dev_close(dev_get());
         return 0;
     }
-    self = argv[0];
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_kernels_match_reference),
         cmocka_unit_test(test_moments_match_reference),

@@ -14,8 +14,7 @@
 #include "lod/store.h"
 #include "lod/update.h"
 #include "lod/view.h"
-#include "render/render.h"
-#include "tests/kit.h"
+#include "tests/render_kit.h"
 #include "tests/store_kit.h"
 
 #include <math.h>
@@ -30,8 +29,6 @@ static const struct geo_origin origin = {8.6821, 50.1109, 160};
 
 struct fixture {
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], plain[FILE_PATH_MAX];
-    struct dev dev;
-    struct render *render;
     struct appearance model;
 };
 
@@ -73,20 +70,16 @@ static int setup(void **state)
     buf_free(&blob);
     appearance_free(&full);
     gauss_free(&g);
-    kit_ok(dev_open(NULL, &f.dev, &e), e);
-    kit_ok(render_open(&f.dev, &f.render, &e), e);
     *state = &f;
-    return 0;
+    return render_kit_open(state);
 }
 
 static int teardown(void **state)
 {
     struct fixture *f = *state;
     appearance_free(&f->model);
-    render_close(&f->render);
-    dev_close(&f->dev);
     kit_rmdir(f->dir);
-    return 0;
+    return render_kit_close(state);
 }
 
 static void readers_get_a_look_and_tiles_keep_what_was_trained(void **state)
@@ -174,7 +167,7 @@ static void a_picture_of_baked_gaussians_is_the_network_s(void **state)
     const double eye[3] = {0, -60, 70};
     struct camera cam = camera_heading(eye, 5, -45, 0.9, W, H);
     struct render_options ro = {.aa = RENDER_AA_2D, .sh_degree = -1};
-    kit_ok(view_open(f->path, f->render, 0, &v, &e), e);
+    kit_ok(view_open(f->path, render, 0, &v, &e), e);
     const struct appearance *a = view_appearance(v);
     assert_non_null(a);
     kit_ok(view_render(v, &cam, &ro, NULL, other, NULL, &e), e);

@@ -15,9 +15,8 @@
 #include "ingest/gcp.h"
 #include "ingest/gcp_fit.h"
 #include "ingest/ingest.h"
-#include "kit.h"
 #include "survey/crs.h"
-#include "synth/synth.h"
+#include "tests/city_kit.h"
 
 enum { PLACES = 14, CONTROL = 10, MARKS = 8, ROWS = PLACES * MARKS, SURVEYS = 60, EPSG = 32632 };
 /* Photographs of 1600 x 1200 px, 5 cm on the ground; only poses and GPS of theirs matter here. */
@@ -48,16 +47,9 @@ static void make_city(const char *name, double gps_sigma_m)
     struct err e = {0};
     struct synth_config c;
     char dir[FILE_PATH_MAX];
-    kit_ok(options_defaults(synth_options(), &c, &texts, &e), e);
     kit_ok(file_join(dir, tmp, name, &e), e);
-    c.output = dir;
+    city_kit_config(&c, &texts, dir, 32);
     c.gps_sigma_m = gps_sigma_m;
-    c.photos = 32;
-    c.width_px = 80;
-    c.height_px = 60;
-    c.extent_m = 100;
-    c.points = 1500;
-    c.supersample = 1;
     kit_ok(synth_run(&c, &e), e);
 }
 
@@ -90,18 +82,6 @@ static int teardown(void **state)
     return 0;
 }
 
-static bool in_photo(const struct camera *c, const double x[3], double px[2])
-{
-    double p[3];
-    for (int a = 0; a < 3; a++)
-        p[a] = c->rot[3 * a] * x[0] + c->rot[3 * a + 1] * x[1] + c->rot[3 * a + 2] * x[2] +
-               c->trans[a];
-    px[0] = c->fx_px * p[0] / p[2] + c->cx_px;
-    px[1] = c->fy_px * p[1] / p[2] + c->cy_px;
-    return p[2] > 0 && px[0] > 2 && px[1] > 2 && px[0] < c->width_px - 2 &&
-           px[1] < c->height_px - 2;
-}
-
 /* All places with errors of survey and marks, in a projection; check points are exact. */
 static size_t survey(uint64_t seed, int epsg, struct row out[ROWS])
 {
@@ -120,7 +100,7 @@ static size_t survey(uint64_t seed, int epsg, struct row out[ROWS])
             kit_ok(crs_project(crs, 1, &lon, &lat, &e), e);
         for (size_t k = 0; k < by_gps.n_images && marks < MARKS; k++) {
             struct row *r = &out[n];
-            if (!in_photo(&by_gps.images[k].cam, places[i], px))
+            if (!city_kit_sees(&by_gps.images[k].cam, places[i], 2, px))
                 continue;
             *r = (struct row){.x = lon, .y = lat, .z = h};
             r->px = px[0] * scale + mark_px * rng_normal(seed, 100 + i, 2 * k);

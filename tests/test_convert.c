@@ -19,27 +19,11 @@
 #define POSITION_TOL (0.5 / 4096 + 1e-5)
 #define FLOAT_TOL 2e-5
 
-static char dir[FILE_PATH_MAX];
-
-static int setup(void **state)
-{
-    (void)state;
-    kit_tmpdir(dir);
-    return 0;
-}
-
-static int teardown(void **state)
-{
-    (void)state;
-    kit_rmdir(dir);
-    return 0;
-}
-
 static void load(const char *name, struct buf *out)
 {
     char path[FILE_PATH_MAX];
     struct err e = {0};
-    kit_ok(file_join(path, dir, name, &e), e);
+    kit_ok(file_join(path, kit_tmp, name, &e), e);
     kit_ok(file_read(path, 0, out, &e), e);
 }
 
@@ -47,7 +31,7 @@ static void save(const char *name, const struct buf *b)
 {
     char path[FILE_PATH_MAX];
     struct err e = {0};
-    kit_ok(file_join(path, dir, name, &e), e);
+    kit_ok(file_join(path, kit_tmp, name, &e), e);
     kit_ok(file_write(path, b->data, b->size, &e), e);
 }
 
@@ -73,7 +57,8 @@ static int convert(const char *in, const char *out, const char *options, struct 
 {
     if (said)
         said->size = 0;
-    return kit_run(said, "%s convert %s/%s %s/%s %s", kit_program(), dir, in, dir, out, options);
+    return kit_run(said, "%s convert %s/%s %s/%s %s", kit_program(), kit_tmp, in, kit_tmp, out,
+                   options);
 }
 
 static void expect_same_file(const char *a, const char *b)
@@ -340,7 +325,7 @@ static void test_errors(void **state)
     struct err e = {0};
     for (const char *const *f = (const char *const[]){"broken.ply", "x.spz", "e.obj", NULL}; *f;
          f++) {
-        kit_ok(file_join(path, dir, *f, &e), e);
+        kit_ok(file_join(path, kit_tmp, *f, &e), e);
         assert_false(file_exists(path));
     }
     gauss_free(&g);
@@ -359,5 +344,5 @@ int main(void)
         cmocka_unit_test(test_every_format_into_every_other),
         cmocka_unit_test(test_errors),
     };
-    return cmocka_run_group_tests(tests, setup, teardown);
+    return cmocka_run_group_tests(tests, kit_tmp_make, kit_tmp_remove);
 }

@@ -4,6 +4,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "tests/render_kit.h"
 #include "tests/store_kit.h"
 
 #include <math.h>
@@ -27,8 +28,6 @@ static const struct render_options draw = {
 
 struct fixture {
     char dir[FILE_PATH_MAX], path[2][FILE_PATH_MAX]; /* quantised, lossless */
-    struct dev dev;
-    struct render *render;
 };
 
 /* Houses on a plain: most Gaussians small, some as large as a house, a few as large as a tile. */
@@ -55,19 +54,15 @@ static int setup(void **state)
         store_fixture_level(f.path[i], &origin, &g, &cfg, NULL);
     }
     gauss_free(&g);
-    kit_ok(dev_open(NULL, &f.dev, &e), e);
-    kit_ok(render_open(&f.dev, &f.render, &e), e);
     *state = &f;
-    return 0;
+    return render_kit_open(state);
 }
 
 static int teardown(void **state)
 {
     struct fixture *f = *state;
-    render_close(&f->render);
-    dev_close(&f->dev);
     kit_rmdir(f->dir);
-    return 0;
+    return render_kit_close(state);
 }
 
 /* ---- boxes ---- */
@@ -194,8 +189,7 @@ static size_t cut(const struct tree *t, const struct store_tile *tiles, uint32_t
 }
 
 /* The picture of these tiles, every row handed over. */
-static void picture_of_all(struct fixture *f, struct store *s, bool *used, const struct camera *cam,
-                           float *rgb)
+static void picture_of_all(struct store *s, bool *used, const struct camera *cam, float *rgb)
 {
     struct err e = {0};
     struct gauss all;
@@ -213,8 +207,8 @@ static void picture_of_all(struct fixture *f, struct store *s, bool *used, const
         kit_ok(gauss_append(&all, &g, NULL, g.n, &e), e);
         gauss_free(&g);
     }
-    kit_ok(render_model_upload(f->render, &all, &m, &e), e);
-    kit_ok(render_forward(f->render, &m, cam, &draw, rgb, NULL, &e), e);
+    kit_ok(render_model_upload(render, &all, &m, &e), e);
+    kit_ok(render_forward(render, &m, cam, &draw, rgb, NULL, &e), e);
     render_model_free(&m);
     gauss_free(&all);
 }
@@ -244,7 +238,7 @@ static void check_pictures(struct fixture *f)
     static float full[W * H * 3], got[W * H * 3];
     size_t n, n_left_out = 0, n_cut = 0;
     uint64_t whole = 0, blocks = 0, visible = 0;
-    kit_ok(view_open(f->path[0], f->render, 100000, &v, &e), e); /* tiles come and go */
+    kit_ok(view_open(f->path[0], render, 100000, &v, &e), e); /* tiles come and go */
     struct store *s;
     kit_ok(store_open(f->path[0], &s, &e), e);
     const struct store_tile *tiles = store_tiles(s, &n);
@@ -267,7 +261,7 @@ static void check_pictures(struct fixture *f)
             assert_true(used[picked[i]]);
         n_cut += n_want;
         n_left_out += n_want - n_picked;
-        picture_of_all(f, s, used, &cam, full);
+        picture_of_all(s, used, &cam, full);
         kit_ok(view_render(v, &cam, &draw, &o, got, &st, &e), e);
         if (memcmp(full, got, sizeof full))
             fail_msg("view %llu: leaving out changes the picture", (unsigned long long)seed);
@@ -299,13 +293,16 @@ static void what_is_left_out_changes_no_bit(void **state)
 /* The kernels of GPUs, and no mapping of buffers. */
 static void nor_as_on_a_gpu(void **state)
 {
-    struct fixture f = *(struct fixture *)*state;
+    const struct dev own = dev;
+    struct render *of_own = render;
     struct err e = {0};
-    f.dev.vector_width = 1;
-    f.dev.is_cpu = false;
-    kit_ok(render_open(&f.dev, &f.render, &e), e);
-    check_pictures(&f);
-    render_close(&f.render);
+    dev.vector_width = 1;
+    dev.is_cpu = false;
+    kit_ok(render_open(&dev, &render, &e), e);
+    check_pictures(*state);
+    render_close(&render);
+    render = of_own;
+    dev = own;
 }
 
 /* Among the Gaussians of many sizes the reach of the longest one counts, wherever it is. */

@@ -7,32 +7,12 @@
 #include "codec/draco_layout.h"
 #include "codec/glb.h"
 #include "codec/limits.h"
-#include "codec/quant.h"
 #include "codec/spz.h"
 #include "tests/kit.h"
-#include "tests/torture.h"
+#include "tests/quant_kit.h"
 
 #include <math.h>
 #include <string.h>
-
-static void expect_same(const struct quant *a, const struct quant *b)
-{
-    size_t sh = 3 * (gauss_sh_count(a->sh_degree) - 1);
-    assert_int_equal(a->n, b->n);
-    assert_int_equal(a->sh_degree, b->sh_degree);
-    assert_int_equal(a->embed_len, b->embed_len);
-    assert_int_equal(a->antialiased, b->antialiased);
-    assert_int_equal(a->frac_bits, b->frac_bits);
-    assert_memory_equal(a->position, b->position, a->n * 12);
-    assert_memory_equal(a->alpha, b->alpha, a->n);
-    assert_memory_equal(a->color, b->color, a->n * 3);
-    assert_memory_equal(a->scale, b->scale, a->n * 3);
-    assert_memory_equal(a->rotation, b->rotation, a->n * 4);
-    assert_memory_equal(a->sh, b->sh, a->n * sh);
-    assert_memory_equal(a->embed, b->embed, a->n * a->embed_len);
-    assert_memory_equal(a->embed_min, b->embed_min, a->embed_len * 4);
-    assert_memory_equal(a->embed_max, b->embed_max, a->embed_len * 4);
-}
 
 static void test_round_trip_is_exact(void **state)
 {
@@ -51,7 +31,7 @@ static void test_round_trip_is_exact(void **state)
         kit_ok(quant_from_gauss(&g, i % 4, NULL, &q, &e), e);
         kit_ok(draco_encode(&q, "18/137561/91234", &b, &e), e);
         kit_ok(draco_decode(b.data, b.size, NULL, &back, &e), e);
-        expect_same(&q, &back);
+        quant_kit_same(&q, &back);
         kit_ok(draco_encode(&back, "18/137561/91234", &again, &e), e);
         assert_int_equal(b.size, again.size);
         assert_memory_equal(b.data, again.data, b.size);
@@ -89,10 +69,10 @@ static void test_agrees_with_spz_in_every_preset(void **state)
         kit_ok(glb_find_spz(glb.data, glb.size, &inside, &n_inside, &e), e);
         kit_ok(spz_decode(inside, n_inside, NULL, &by_glb, &e), e);
         kit_ok(draco_decode(drc.data, drc.size, NULL, &by_draco, &e), e);
-        expect_same(&q, &by_spz);
-        expect_same(&q, &by_spz4);
-        expect_same(&q, &by_glb);
-        expect_same(&q, &by_draco);
+        quant_kit_same(&q, &by_spz);
+        quant_kit_same(&q, &by_spz4);
+        quant_kit_same(&q, &by_glb);
+        quant_kit_same(&q, &by_draco);
         kit_ok(draco_encode(&by_spz, NULL, &turned, &e), e);
         assert_int_equal(drc.size, turned.size);
         assert_memory_equal(drc.data, turned.data, drc.size);
@@ -156,22 +136,10 @@ static void test_foreign_sh_bytes(void **state)
         q.sh[i] = (uint8_t)(i * 7);
     kit_ok(draco_encode(&q, NULL, &b, &e), e);
     kit_ok(draco_decode(b.data, b.size, NULL, &back, &e), e);
-    expect_same(&q, &back);
+    quant_kit_same(&q, &back);
     buf_free(&b);
     quant_free(&q);
     quant_free(&back);
-}
-
-static enum err_code decode_free(const void *user, const void *bytes, size_t n,
-                                 const struct codec_limits *lim, struct err *e)
-{
-    struct quant q;
-    (void)user;
-    enum err_code rc = draco_decode(bytes, n, lim, &q, e);
-    if (rc)
-        assert_null(q.block);
-    quant_free(&q);
-    return rc;
 }
 
 static void write_crc(struct buf *b)
@@ -180,8 +148,10 @@ static void write_crc(struct buf *b)
     memcpy(b->data + b->size - DRACO_CRC_BYTES, &crc, DRACO_CRC_BYTES);
 }
 
+static const struct quant_kit decoder = {draco_decode};
 static const struct torture torture = {.name = "draco",
-                                       .decode = decode_free,
+                                       .decode = quant_kit_decode,
+                                       .user = &decoder,
                                        .errors = TORTURE(ERR_LIMIT) | TORTURE(ERR_MEM),
                                        .mend = write_crc};
 

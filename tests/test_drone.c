@@ -11,8 +11,7 @@
 #include "codec/image.h"
 #include "codec/scene.h"
 #include "ingest/ingest.h"
-#include "kit.h"
-#include "synth/synth.h"
+#include "tests/city_kit.h"
 
 #define DEG 57.29577951308232
 #define TAKE_OFF_M 283.4 /* of the drone, as EXIF counts */
@@ -403,15 +402,8 @@ static int setup(void **state)
     struct synth_config c;
     struct err e = {0};
     kit_tmp_make(state);
-    kit_ok(options_defaults(synth_options(), &c, &config_texts, &e), e);
     kit_ok(file_join(city, kit_tmp, "city", &e), e);
-    c.output = city;
-    c.photos = 48;
-    c.width_px = 80;
-    c.height_px = 60;
-    c.extent_m = 100;
-    c.points = 1500;
-    c.supersample = 1;
+    city_kit_config(&c, &config_texts, city, 48);
     c.gps_sigma_m = 1.5;
     c.gps_outlier_share = 0;
     kit_ok(synth_run(&c, &e), e);

@@ -3,16 +3,8 @@
 # truth and its own points.
 #
 # SPDX-License-Identifier: Apache-2.0
-bin=${CITYSPLAT_BIN:?the program under test}
-dir=$(mktemp -d "${TMPDIR:-/tmp}/citysplat-surface-XXXXXX") || exit 1
-trap 'rm -rf "$dir"' EXIT
-cd "$dir" || exit 1
-fail() { echo "FAILED: $1"; cat log; exit 1; }
-run() { "$bin" "$@" >log 2>&1 || fail "$*"; }
-run synth --extent-m 60 --photos 24 --width-px 96 --height-px 72 --points 3000 --map-views 8 -o city -q
-run ingest city/images city/sparse --min-points 12 -o scene -q
-run train scene --level-count 2 --iterations 120 --budget 3000,4000 -q
-run tile scene --name t -o t.tiles -q
+# shellcheck source=tests/trained.sh
+. "$(dirname "$0")/trained.sh"
 # The surface against the city, from the checkpoint with map views and from the tiles.
 run eval scene --surface city -o surface.json
 for row in level edges all "level ground" ground roof wall tree "bright from 0.6" points; do

@@ -3,16 +3,8 @@
 # against its own truth by kind of view, from the checkpoint and from the tiles, and flown into.
 #
 # SPDX-License-Identifier: Apache-2.0
-bin=${CITYSPLAT_BIN:?the program under test}
-dir=$(mktemp -d "${TMPDIR:-/tmp}/citysplat-views-XXXXXX") || exit 1
-trap 'rm -rf "$dir"' EXIT
-cd "$dir" || exit 1
-fail() { echo "FAILED: $1"; cat log; exit 1; }
-run() { "$bin" "$@" >log 2>&1 || fail "$*"; }
-run synth --extent-m 60 --photos 24 --width-px 96 --height-px 72 --points 3000 --map-views 8 -o city -q
-run ingest city/images city/sparse --min-points 12 -o scene -q
-run train scene --level-count 2 --iterations 120 --budget 3000,4000 -q
-run tile scene --name t -o t.tiles -q
+# shellcheck source=tests/trained.sh
+. "$(dirname "$0")/trained.sh"
 run eval scene --views city/map-views -o levels.json --pictures out
 grep -q "overview" log && grep -q "^level 2 *all  *8 " log || fail "rows of the finest level"
 [ "$(ls out/level_2 | wc -l)" = 8 ] || fail "pictures of 8 views"

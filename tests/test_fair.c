@@ -25,16 +25,22 @@ static int taken(struct turns *q)
     return it ? ((struct thing *)(void *)it)->number : -1;
 }
 
+enum { THINGS = 8 };
+static void begin(bool newest, struct thing x[THINGS], struct turns **q)
+{
+    struct err e = {0};
+    kit_ok(turn_open(newest, q, &e), e);
+    for (int i = 0; i < THINGS; i++)
+        x[i] = (struct thing){.number = i};
+}
+
 static void test_turns(void **state)
 {
-    struct thing x[8];
+    struct thing x[THINGS];
     struct turns *q = NULL;
-    struct err e = {0};
     (void)state;
     for (int newest = 0; newest < 2; newest++) {
-        kit_ok(turn_open(newest, &q, &e), e);
-        for (int i = 0; i < 8; i++)
-            x[i] = (struct thing){.number = i};
+        begin(newest, x, &q);
         assert_int_equal(taken(q), -1);
         for (int i = 0; i < 5; i++)
             turn_add(q, &x[i].place, 77);
@@ -57,14 +63,11 @@ static void test_turns(void **state)
  * less. */
 static void test_who_gives_way(void **state)
 {
-    struct thing x[8];
+    struct thing x[THINGS];
     struct turns *q = NULL;
-    struct err e = {0};
     (void)state;
     for (int newest = 0; newest < 2; newest++) {
-        kit_ok(turn_open(newest, &q, &e), e);
-        for (int i = 0; i < 8; i++)
-            x[i] = (struct thing){.number = i};
+        begin(newest, x, &q);
         turn_add(q, &x[0].place, 1);
         turn_add(q, &x[1].place, 1);
         turn_add(q, &x[2].place, 1);

@@ -9,35 +9,15 @@
 #include <string.h>
 
 #include "cells/footprint.h"
-#include "codec/scene.h"
-#include "kit.h"
+#include "tests/flight_kit.h"
 
-enum { SIDE = 6, POINTS = 101 };
-#define HEIGHT 60.0
-#define STEP 20.0 /* between photographs */
-
-/* A nadir flight of 6 x 6 photographs over flat ground of 400 m with a tower in the middle; the
- * pictures cover 80 x 60 m of it each. */
+/* The flight, and a tower in its middle. */
 static void survey(struct scene *s)
 {
-    memset(s, 0, sizeof *s);
-    s->origin = (struct geo_origin){7.57, 47.56, 280};
-    s->n_images = SIDE * SIDE;
-    s->n_points = POINTS * POINTS;
-    s->images = arena_get(&s->arena, s->n_images, sizeof *s->images);
-    s->points = arena_get(&s->arena, s->n_points, sizeof *s->points);
-    for (size_t i = 0; i < s->n_images; i++) {
-        struct camera *c = &s->images[i].cam;
-        const double at[3] = {STEP * (double)(i % SIDE) - 50, STEP * (double)(i / SIDE) - 50,
-                              HEIGHT};
-        kit_camera_down(at, c);
-        s->images[i].split = SCENE_TRAIN;
-    }
+    flight_kit_scene(s);
     for (size_t i = 0; i < s->n_points; i++) {
-        double x = 4.0 * (double)(i % POINTS) - 200, y = 4.0 * (double)(i / POINTS) - 200;
-        s->points[i].enu_m[0] = x;
-        s->points[i].enu_m[1] = y;
-        s->points[i].enu_m[2] = fabs(x) < 10 && fabs(y) < 10 ? 25.0 : 0.0;
+        const double *at = s->points[i].enu_m;
+        s->points[i].enu_m[2] = fabs(at[0]) < 10 && fabs(at[1]) < 10 ? 25.0 : 0.0;
     }
 }
 

@@ -12,8 +12,7 @@
 #include "codec/scene.h"
 #include "ingest/gcp.h"
 #include "ingest/ingest.h"
-#include "kit.h"
-#include "synth/synth.h"
+#include "tests/city_kit.h"
 
 static char tmp[FILE_PATH_MAX], city[FILE_PATH_MAX], images[FILE_PATH_MAX];
 static struct arena texts;
@@ -39,15 +38,8 @@ static void make_city(const char *dir, double gps_sigma_m)
 {
     struct err e = {0};
     struct synth_config sc;
-    kit_ok(options_defaults(synth_options(), &sc, &texts, &e), e);
-    sc.output = dir;
+    city_kit_config(&sc, &texts, dir, 32);
     sc.gps_sigma_m = gps_sigma_m;
-    sc.photos = 32;
-    sc.width_px = 80;
-    sc.height_px = 60;
-    sc.extent_m = 100;
-    sc.points = 1500;
-    sc.supersample = 1;
     kit_ok(synth_run(&sc, &e), e);
 }
 
@@ -74,19 +66,6 @@ static int teardown(void **state)
     arena_free(&texts);
     kit_rmdir(tmp);
     return 0;
-}
-
-/* Where an ENU place lies in a photograph of the scene; false: not in it. */
-static bool in_photo(const struct camera *c, const double x[3], double px[2])
-{
-    double p[3];
-    for (int a = 0; a < 3; a++)
-        p[a] = c->rot[3 * a] * x[0] + c->rot[3 * a + 1] * x[1] + c->rot[3 * a + 2] * x[2] +
-               c->trans[a];
-    px[0] = c->fx_px * p[0] / p[2] + c->cx_px;
-    px[1] = c->fy_px * p[1] / p[2] + c->cy_px;
-    return p[2] > 0 && px[0] > 1 && px[1] > 1 && px[0] < c->width_px - 1 &&
-           px[1] < c->height_px - 1;
 }
 
 enum { PLACES = 10 };
@@ -121,7 +100,7 @@ static void write_list(struct buf *b, const size_t *which, size_t n, size_t most
             surveyed[k] = places[which[i]][k] + survey_m * rng_normal(5, k, which[i]);
         kit_ok(geo_from_enu(&by_gps.origin, surveyed, &lon, &lat, &h, &e), e);
         for (size_t k = 0; k < by_gps.n_images && marks < most; k++) {
-            if (!in_photo(&by_gps.images[k].cam, places[which[i]], px) ||
+            if (!city_kit_sees(&by_gps.images[k].cam, places[which[i]], 1, px) ||
                 !sees(k, tracked[which[i]]))
                 continue;
             buf_printf(b, "%.10f\t%.10f\t%.4f\t%.3f\t%.3f\t%s\tp%zu\n", lon, lat, h,

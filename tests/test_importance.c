@@ -2,19 +2,16 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "tests/kit.h"
+#include "tests/render_kit.h"
 
 #include <math.h>
 #include <string.h>
 
 #include "core/layout.h"
-#include "render/render.h"
 
 enum { WIDTH = 53, HEIGHT = 37, PIXELS = WIDTH * HEIGHT, SUMS = 8 };
 #define SUM_REL 2e-5 /* float sums of some thousand terms */
 
-static struct dev dev;
-static struct render *render;
 static const struct render_options options = {.aa = RENDER_AA_2D, .sh_degree = -1};
 
 struct frame_sums {
@@ -189,23 +186,6 @@ static void an_empty_view_gives_zeros(void **state)
     gauss_free(&g);
 }
 
-static int open_device(void **state)
-{
-    (void)state;
-    struct err e = {0};
-    kit_ok(dev_open(NULL, &dev, &e), e);
-    kit_ok(render_open(&dev, &render, &e), e);
-    return 0;
-}
-
-static int close_device(void **state)
-{
-    (void)state;
-    render_close(&render);
-    dev_close(&dev);
-    return 0;
-}
-
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -214,5 +194,5 @@ int main(void)
         cmocka_unit_test(the_other_shape_of_the_kernels_gives_the_same_sums),
         cmocka_unit_test(an_empty_view_gives_zeros),
     };
-    return cmocka_run_group_tests_name("score", tests, open_device, close_device);
+    return cmocka_run_group_tests_name("score", tests, render_kit_open, render_kit_close);
 }

@@ -16,8 +16,7 @@
 #include "core/sort.h"
 #include "ingest/ingest.h"
 #include "ingest/ingest_internal.h"
-#include "kit.h"
-#include "synth/synth.h"
+#include "tests/city_kit.h"
 
 static const double tol_place_m = 0.02; /* EXIF rounding, averaged over the photographs */
 static struct arena config_texts;
@@ -30,16 +29,8 @@ static void join(char *out, const char *a, const char *b)
 
 static void city_config(struct synth_config *c, char *dir, const char *name)
 {
-    struct err e = {0};
-    kit_ok(options_defaults(synth_options(), c, &config_texts, &e), e);
     join(dir, kit_tmp, name);
-    c->output = dir;
-    c->photos = 32;
-    c->width_px = 80;
-    c->height_px = 60;
-    c->extent_m = 100;
-    c->points = 1500;
-    c->supersample = 1;
+    city_kit_config(c, &config_texts, dir, 32);
 }
 
 static void ingest_config(struct ingest_config *c, char *dir, const char *name)

@@ -15,6 +15,12 @@
 
 enum { WAITERS = 100 };
 
+struct bench;
+struct client {
+    struct job_waiter w;
+    struct bench *b;
+    int wakes;
+};
 struct bench { /* what the test and the jobs share */
     pthread_mutex_t lock;
     pthread_cond_t changed;
@@ -23,16 +29,12 @@ struct bench { /* what the test and the jobs share */
     size_t tile_threads, runs, drops, works, woken, cancelled_seen;
     int order[64]; /* numbers of works in the order they began */
     struct jobs *jobs;
+    struct client c[WAITERS];
 };
 struct item { /* the work */
     int number;
     enum err_code fail;
     bool poll; /* run until cancelled */
-};
-struct client {
-    struct job_waiter w;
-    struct bench *b;
-    int wakes;
 };
 
 static struct item *item_new(struct bench *b, int number, enum err_code fail, bool poll)
@@ -149,6 +151,8 @@ static void bench_close(struct bench *b)
     pthread_cond_broadcast(&b->changed);
     pthread_mutex_unlock(&b->lock);
     job_close(&b->jobs);
+    for (int i = 0; i < WAITERS; i++)
+        body_drop(&b->c[i].w.result.body);
     assert_int_equal(b->elsewhere, 0);
     assert_int_equal(b->drops, b->works); /* no work leaks, none is freed twice */
     pthread_cond_destroy(&b->changed);
@@ -193,29 +197,31 @@ static enum err_code ask(struct bench *b, struct client *c, enum job_class cls, 
                       &c->w);
 }
 
+/* Client i asks, and is taken. */
+static void submit(struct bench *b, int i, enum job_class cls, int number)
+{
+    assert_int_equal(ask(b, &b->c[i], cls, item_new(b, number, ERR_OK, false), 60), ERR_OK);
+}
+
 static void test_identical_requests_share_a_run(void **state)
 {
-    static struct client c[WAITERS];
     struct bench b;
     (void)state;
-    memset(c, 0, sizeof c);
     bench_open(&b, 2, false, 1, 8);
     for (int i = 0; i < WAITERS; i++)
-        assert_int_equal(ask(&b, &c[i], JOB_TILE, item_new(&b, 7, ERR_OK, false), 60), ERR_OK);
+        submit(&b, i, JOB_TILE, 7);
     gate(&b, true);
     await(&b, &b.woken, WAITERS);
     assert_int_equal(b.runs, 1);
     size_t coalesced = 0;
     for (int i = 0; i < WAITERS; i++) {
-        assert_int_equal(c[i].wakes, 1);
-        assert_int_equal(c[i].w.result.end, JOB_OK);
-        assert_ptr_equal(c[i].w.result.body, c[0].w.result.body);
-        coalesced += c[i].w.result.coalesced;
+        assert_int_equal(b.c[i].wakes, 1);
+        assert_int_equal(b.c[i].w.result.end, JOB_OK);
+        assert_ptr_equal(b.c[i].w.result.body, b.c[0].w.result.body);
+        coalesced += b.c[i].w.result.coalesced;
     }
     assert_int_equal(coalesced, WAITERS - 1);
-    assert_memory_equal(c[0].w.result.body->data, "made 7", 6);
-    for (int i = 0; i < WAITERS; i++)
-        body_drop(&c[i].w.result.body);
+    assert_memory_equal(b.c[0].w.result.body->data, "made 7", 6);
     bench_close(&b);
 }
 
@@ -223,26 +229,25 @@ static void test_errors_reach_every_waiter(void **state)
 {
     static const enum err_code errors[] = {ERR_FORMAT, ERR_MEM,   ERR_IO,
                                            ERR_DEVICE, ERR_LIMIT, ERR_BUSY};
-    static struct client c[WAITERS];
     struct bench b;
     (void)state;
     bench_open(&b, 2, false, 1, 8);
     for (size_t k = 0; k < sizeof errors / sizeof *errors; k++) {
-        memset(c, 0, sizeof c);
+        memset(b.c, 0, sizeof b.c);
         b.woken = 0;
         gate(&b, false);
         int number = 100 + (int)k;
         for (int i = 0; i < WAITERS; i++)
-            assert_int_equal(ask(&b, &c[i], JOB_TILE, item_new(&b, number, errors[k], false), 60),
+            assert_int_equal(ask(&b, &b.c[i], JOB_TILE, item_new(&b, number, errors[k], false), 60),
                              ERR_OK);
         gate(&b, true);
         await(&b, &b.woken, WAITERS);
         for (int i = 0; i < WAITERS; i++) {
-            assert_int_equal(c[i].wakes, 1);
-            assert_int_equal(c[i].w.result.end, JOB_ERROR);
-            assert_int_equal(c[i].w.result.code, errors[k]);
-            assert_null(c[i].w.result.body);
-            kit_expect_text(c[i].w.result.msg, "fails with", __FILE__, __LINE__);
+            assert_int_equal(b.c[i].wakes, 1);
+            assert_int_equal(b.c[i].w.result.end, JOB_ERROR);
+            assert_int_equal(b.c[i].w.result.code, errors[k]);
+            assert_null(b.c[i].w.result.body);
+            kit_expect_text(b.c[i].w.result.msg, "fails with", __FILE__, __LINE__);
         }
     }
     bench_close(&b);
@@ -279,54 +284,46 @@ static void test_failures_are_remembered(void **state)
 
 static void test_a_full_queue_refuses(void **state)
 {
-    static struct client c[40];
     struct bench b;
     (void)state;
-    memset(c, 0, sizeof c);
     bench_open(&b, 2, false, 1, 8);
     size_t accepted = 0, refused = 0;
     for (int i = 0; i < 2; i++)
-        accepted += ask(&b, &c[i], JOB_TILE, item_new(&b, i, ERR_OK, false), 60) == ERR_OK;
+        accepted += ask(&b, &b.c[i], JOB_TILE, item_new(&b, i, ERR_OK, false), 60) == ERR_OK;
     await(&b, &b.runs, 2); /* both workers are held at the gate, the queue is empty */
     for (int i = 2; i < 40; i++) {
-        enum err_code rc = ask(&b, &c[i], JOB_TILE, item_new(&b, i, ERR_OK, false), 60);
+        enum err_code rc = ask(&b, &b.c[i], JOB_TILE, item_new(&b, i, ERR_OK, false), 60);
         accepted += !rc;
         refused += rc == ERR_BUSY;
         if (rc)
-            assert_int_equal(c[i].w.result.end, JOB_SHED);
+            assert_int_equal(b.c[i].w.result.end, JOB_SHED);
     }
     assert_int_equal(accepted, 10);
     assert_int_equal(refused, 30);
     assert_in_range(job_retry_after(b.jobs, JOB_TILE), 1, 10);
     gate(&b, true);
     await(&b, &b.woken, 10);
-    for (int i = 0; i < 40; i++)
-        body_drop(&c[i].w.result.body);
     bench_close(&b);
 }
 
 static void test_views_run_newest_first_and_shed_the_oldest(void **state)
 {
-    static struct client c[8];
     struct bench b;
     (void)state;
-    memset(c, 0, sizeof c);
     bench_open(&b, 1, true, 3, 8);
-    assert_int_equal(ask(&b, &c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, false), 60), ERR_OK);
+    submit(&b, 0, JOB_VIEW, 0);
     await(&b, &b.runs, 1);
     for (int i = 1; i < 6; i++) /* five ask, three fit: 1 and 2 make room */
-        assert_int_equal(ask(&b, &c[i], JOB_VIEW, item_new(&b, i, ERR_OK, false), 60), ERR_OK);
+        submit(&b, i, JOB_VIEW, i);
     await(&b, &b.woken, 2);
-    assert_int_equal(c[1].w.result.end, JOB_SHED);
-    assert_int_equal(c[2].w.result.end, JOB_SHED);
+    assert_int_equal(b.c[1].w.result.end, JOB_SHED);
+    assert_int_equal(b.c[2].w.result.end, JOB_SHED);
     gate(&b, true);
     await(&b, &b.woken, 6);
     const int want[] = {0, 5, 4, 3};
     assert_memory_equal(b.order, want, sizeof want);
-    for (int i = 0; i < 6; i++) {
-        assert_int_equal(c[i].wakes, 1);
-        body_drop(&c[i].w.result.body);
-    }
+    for (int i = 0; i < 6; i++)
+        assert_int_equal(b.c[i].wakes, 1);
     bench_close(&b);
 }
 
@@ -335,101 +332,87 @@ static void test_views_run_newest_first_and_shed_the_oldest(void **state)
  * his turn comes before the first one's. */
 static void test_views_take_turns_between_clients(void **state)
 {
-    static struct client c[8];
     struct bench b;
     (void)state;
-    memset(c, 0, sizeof c);
     bench_open(&b, 1, true, 3, 8);
-    assert_int_equal(ask(&b, &c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, false), 60), ERR_OK);
+    submit(&b, 0, JOB_VIEW, 0);
     await(&b, &b.runs, 1);
     for (int i = 1; i < 4; i++)
-        assert_int_equal(ask(&b, &c[i], JOB_VIEW, item_new(&b, i, ERR_OK, false), 60), ERR_OK);
-    assert_int_equal(ask(&b, &c[4], JOB_VIEW, item_new(&b, 1000, ERR_OK, false), 60), ERR_OK);
+        submit(&b, i, JOB_VIEW, i);
+    submit(&b, 4, JOB_VIEW, 1000);
     await(&b, &b.woken, 1);
-    assert_int_equal(c[1].w.result.end, JOB_SHED);
-    assert_int_equal(c[1].w.result.code, ERR_BUSY); /* somebody else needed the room */
-    assert_int_equal(ask(&b, &c[5], JOB_VIEW, item_new(&b, 4, ERR_OK, false), 60), ERR_OK);
+    assert_int_equal(b.c[1].w.result.end, JOB_SHED);
+    assert_int_equal(b.c[1].w.result.code, ERR_BUSY); /* somebody else needed the room */
+    submit(&b, 5, JOB_VIEW, 4);
     await(&b, &b.woken, 2);
-    assert_int_equal(c[2].w.result.code, ERR_LIMIT); /* his own newer one did */
+    assert_int_equal(b.c[2].w.result.code, ERR_LIMIT); /* his own newer one did */
     gate(&b, true);
     await(&b, &b.woken, 6);
     const int want[] = {0, 1000, 4, 3};
     assert_memory_equal(b.order, want, sizeof want);
-    for (int i = 0; i < 6; i++)
-        body_drop(&c[i].w.result.body);
     bench_close(&b);
 }
 
 static void test_prefetch_runs_last_and_moves_up(void **state)
 {
-    static struct client c[8];
     struct bench b;
     (void)state;
-    memset(c, 0, sizeof c);
     bench_open(&b, 1, false, 1, 8);
-    assert_int_equal(ask(&b, &c[0], JOB_TILE, item_new(&b, 0, ERR_OK, false), 60), ERR_OK);
+    submit(&b, 0, JOB_TILE, 0);
     await(&b, &b.runs, 1);
-    assert_int_equal(ask(&b, &c[1], JOB_PREFETCH, item_new(&b, 1, ERR_OK, false), 60), ERR_OK);
-    assert_int_equal(ask(&b, &c[2], JOB_PREFETCH, item_new(&b, 2, ERR_OK, false), 60), ERR_OK);
-    assert_int_equal(ask(&b, &c[3], JOB_TILE, item_new(&b, 3, ERR_OK, false), 60), ERR_OK);
-    assert_int_equal(ask(&b, &c[4], JOB_TILE, item_new(&b, 2, ERR_OK, false), 60), ERR_OK);
+    submit(&b, 1, JOB_PREFETCH, 1);
+    submit(&b, 2, JOB_PREFETCH, 2);
+    submit(&b, 3, JOB_TILE, 3);
+    submit(&b, 4, JOB_TILE, 2);
     gate(&b, true);
     await(&b, &b.woken, 5);
     const int want[] = {0, 3, 2, 1};
     assert_memory_equal(b.order, want, sizeof want);
-    for (int i = 0; i < 5; i++)
-        body_drop(&c[i].w.result.body);
     bench_close(&b);
 }
 
 static void test_pictures_ahead_are_drawn_last_and_move_up(void **state)
 {
-    static struct client c[8];
     struct bench b;
     (void)state;
-    memset(c, 0, sizeof c);
     bench_open(&b, 1, true, 8, 8);
-    assert_int_equal(ask(&b, &c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, false), 60), ERR_OK);
+    submit(&b, 0, JOB_VIEW, 0);
     await(&b, &b.runs, 1);
-    assert_int_equal(ask(&b, &c[1], JOB_AHEAD, item_new(&b, 1, ERR_OK, false), 60), ERR_OK);
-    assert_int_equal(ask(&b, &c[2], JOB_AHEAD, item_new(&b, 2, ERR_OK, false), 60), ERR_OK);
-    assert_int_equal(ask(&b, &c[3], JOB_MAP, item_new(&b, 3, ERR_OK, false), 60), ERR_OK);
-    assert_int_equal(ask(&b, &c[4], JOB_VIEW, item_new(&b, 2, ERR_OK, false), 60), ERR_OK);
+    submit(&b, 1, JOB_AHEAD, 1);
+    submit(&b, 2, JOB_AHEAD, 2);
+    submit(&b, 3, JOB_MAP, 3);
+    submit(&b, 4, JOB_VIEW, 2);
     gate(&b, true);
     await(&b, &b.woken, 5);
     const int want[] = {0, 3, 2, 1}; /* pictures and maps take turns */
     assert_memory_equal(b.order, want, sizeof want);
-    for (int i = 0; i < 5; i++)
-        body_drop(&c[i].w.result.body);
     bench_close(&b);
 }
 
 static void test_leaving(void **state)
 {
-    static struct client c[6];
     struct bench b;
     struct job_stats st;
     (void)state;
-    memset(c, 0, sizeof c);
     bench_open(&b, 1, true, 4, 8);
     /* a running picture is told to stop when its last client leaves, not before */
-    assert_int_equal(ask(&b, &c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, true), 60), ERR_OK);
-    assert_int_equal(ask(&b, &c[1], JOB_VIEW, item_new(&b, 0, ERR_OK, true), 60), ERR_OK);
+    assert_int_equal(ask(&b, &b.c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, true), 60), ERR_OK);
+    assert_int_equal(ask(&b, &b.c[1], JOB_VIEW, item_new(&b, 0, ERR_OK, true), 60), ERR_OK);
     await(&b, &b.runs, 1);
-    assert_true(job_leave(b.jobs, &c[0].w));
-    assert_false(job_leave(b.jobs, &c[0].w)); /* once */
+    assert_true(job_leave(b.jobs, &b.c[0].w));
+    assert_false(job_leave(b.jobs, &b.c[0].w)); /* once */
     nap_ms(20);
     assert_int_equal(b.cancelled_seen, 0);
-    assert_true(job_leave(b.jobs, &c[1].w));
+    assert_true(job_leave(b.jobs, &b.c[1].w));
     await(&b, &b.cancelled_seen, 1);
-    assert_int_equal(c[0].w.result.end, JOB_CANCELLED);
+    assert_int_equal(b.c[0].w.result.end, JOB_CANCELLED);
     assert_int_equal(b.woken, 0); /* who leaves is not woken */
     /* a queued tile is forgotten, a running one is finished for the cache */
-    assert_int_equal(ask(&b, &c[2], JOB_TILE, item_new(&b, 2, ERR_OK, false), 60), ERR_OK);
+    submit(&b, 2, JOB_TILE, 2);
     await(&b, &b.runs, 2);
-    assert_int_equal(ask(&b, &c[3], JOB_TILE, item_new(&b, 3, ERR_OK, false), 60), ERR_OK);
-    assert_true(job_leave(b.jobs, &c[3].w));
-    assert_true(job_leave(b.jobs, &c[2].w));
+    submit(&b, 3, JOB_TILE, 3);
+    assert_true(job_leave(b.jobs, &b.c[3].w));
+    assert_true(job_leave(b.jobs, &b.c[2].w));
     gate(&b, true);
     for (int i = 0; i < 500 && !job_idle(b.jobs); i++)
         nap_ms(10);
@@ -449,21 +432,19 @@ static bool item_passing(const void *work)
 /* A question whose answer is not kept is told to stop as well; a map tile is finished. */
 static void test_passing_work_is_cancelled(void **state)
 {
-    static struct client c[2];
     struct bench b;
     struct job_stats st;
     (void)state;
-    memset(c, 0, sizeof c);
     bench_passing = item_passing;
     bench_open(&b, 1, true, 4, 8);
     bench_passing = NULL;
-    assert_int_equal(ask(&b, &c[0], JOB_MAP, item_new(&b, 0, ERR_OK, true), 60), ERR_OK);
+    assert_int_equal(ask(&b, &b.c[0], JOB_MAP, item_new(&b, 0, ERR_OK, true), 60), ERR_OK);
     await(&b, &b.runs, 1);
-    assert_true(job_leave(b.jobs, &c[0].w));
+    assert_true(job_leave(b.jobs, &b.c[0].w));
     await(&b, &b.cancelled_seen, 1);
-    assert_int_equal(ask(&b, &c[1], JOB_MAP, item_new(&b, 1, ERR_OK, false), 60), ERR_OK);
+    submit(&b, 1, JOB_MAP, 1);
     await(&b, &b.runs, 2);
-    assert_true(job_leave(b.jobs, &c[1].w));
+    assert_true(job_leave(b.jobs, &b.c[1].w));
     gate(&b, true);
     for (int i = 0; i < 500 && !job_idle(b.jobs); i++)
         nap_ms(10);
@@ -476,66 +457,58 @@ static void test_passing_work_is_cancelled(void **state)
 /* Nobody joins a picture that was told to stop. */
 static void test_a_cancelled_view_is_not_shared(void **state)
 {
-    static struct client c[2];
     struct bench b;
     (void)state;
-    memset(c, 0, sizeof c);
     bench_open(&b, 1, true, 4, 8);
     gate(&b, true);
-    assert_int_equal(ask(&b, &c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, true), 60), ERR_OK);
+    assert_int_equal(ask(&b, &b.c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, true), 60), ERR_OK);
     await(&b, &b.runs, 1);
-    assert_true(job_leave(b.jobs, &c[0].w));
-    assert_int_equal(ask(&b, &c[1], JOB_VIEW, item_new(&b, 0, ERR_OK, false), 60), ERR_OK);
+    assert_true(job_leave(b.jobs, &b.c[0].w));
+    submit(&b, 1, JOB_VIEW, 0);
     await(&b, &b.woken, 1);
-    assert_int_equal(c[1].w.result.end, JOB_OK);
-    body_drop(&c[1].w.result.body);
+    assert_int_equal(b.c[1].w.result.end, JOB_OK);
     bench_close(&b);
 }
 
 static void test_deadlines(void **state)
 {
-    static struct client c[3];
     struct bench b;
     (void)state;
-    memset(c, 0, sizeof c);
     bench_open(&b, 1, false, 1, 8);
-    assert_int_equal(ask(&b, &c[0], JOB_TILE, item_new(&b, 0, ERR_OK, false), 5), ERR_OK);
+    assert_int_equal(ask(&b, &b.c[0], JOB_TILE, item_new(&b, 0, ERR_OK, false), 5), ERR_OK);
     await(&b, &b.runs, 1);
-    assert_int_equal(ask(&b, &c[1], JOB_TILE, item_new(&b, 0, ERR_OK, false), 50), ERR_OK);
-    assert_int_equal(ask(&b, &c[2], JOB_TILE, item_new(&b, 2, ERR_OK, false), 5), ERR_OK);
+    assert_int_equal(ask(&b, &b.c[1], JOB_TILE, item_new(&b, 0, ERR_OK, false), 50), ERR_OK);
+    assert_int_equal(ask(&b, &b.c[2], JOB_TILE, item_new(&b, 2, ERR_OK, false), 5), ERR_OK);
     job_tick(b.jobs, clock_s());
     assert_int_equal(b.woken, 0);
     job_tick(b.jobs, clock_s() + 6);
     assert_int_equal(b.woken, 2); /* the run goes on for the one who waits longer */
-    assert_int_equal(c[0].w.result.end, JOB_TIMEOUT);
-    assert_int_equal(c[2].w.result.end, JOB_TIMEOUT);
+    assert_int_equal(b.c[0].w.result.end, JOB_TIMEOUT);
+    assert_int_equal(b.c[2].w.result.end, JOB_TIMEOUT);
     gate(&b, true);
     await(&b, &b.woken, 3);
-    assert_int_equal(c[1].w.result.end, JOB_OK);
+    assert_int_equal(b.c[1].w.result.end, JOB_OK);
     assert_int_equal(b.runs, 1); /* the other was dropped from the queue */
-    body_drop(&c[1].w.result.body);
     bench_close(&b);
 }
 
 static void test_stopping_answers_everyone(void **state)
 {
-    static struct client c[20];
     struct bench b;
     (void)state;
-    memset(c, 0, sizeof c);
     bench_open(&b, 1, true, 4, 16);
-    assert_int_equal(ask(&b, &c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, true), 60), ERR_OK);
+    assert_int_equal(ask(&b, &b.c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, true), 60), ERR_OK);
     await(&b, &b.runs, 1);
     for (int i = 1; i < 5; i++)
-        assert_int_equal(ask(&b, &c[i], JOB_VIEW, item_new(&b, i, ERR_OK, true), 60), ERR_OK);
+        assert_int_equal(ask(&b, &b.c[i], JOB_VIEW, item_new(&b, i, ERR_OK, true), 60), ERR_OK);
     gate(&b, true);
     job_stop(b.jobs);
     assert_int_equal(b.woken, 5);
     for (int i = 0; i < 5; i++) {
-        assert_int_equal(c[i].wakes, 1);
-        assert_int_equal(c[i].w.result.end, JOB_SHED);
+        assert_int_equal(b.c[i].wakes, 1);
+        assert_int_equal(b.c[i].w.result.end, JOB_SHED);
     }
-    assert_int_equal(ask(&b, &c[5], JOB_TILE, item_new(&b, 9, ERR_OK, false), 60), ERR_BUSY);
+    assert_int_equal(ask(&b, &b.c[5], JOB_TILE, item_new(&b, 9, ERR_OK, false), 60), ERR_BUSY);
     bench_close(&b);
 }
 
@@ -544,11 +517,9 @@ static void test_stopping_answers_everyone(void **state)
  * everything ends. */
 static void test_a_device_that_hangs(void **state)
 {
-    static struct client c[3];
     struct bench b;
     struct err e = {0};
     (void)state;
-    memset(c, 0, sizeof c);
     bench_open(&b, 1, false, 4, 8); /* for its locks */
     assert_true(job_close(&b.jobs));
     const struct job_config cfg = {.tile_threads = 1,
@@ -562,9 +533,9 @@ static void test_a_device_that_hangs(void **state)
     for (int i = 0; i < 500 && job_drawing_s(b.jobs) > 0; i++)
         nap_ms(10); /* the thread starts */
     assert_true(job_drawing_s(b.jobs) == 0);
-    assert_int_equal(ask(&b, &c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, false), 60), ERR_OK);
+    submit(&b, 0, JOB_VIEW, 0);
     await(&b, &b.runs, 1);
-    assert_int_equal(ask(&b, &c[1], JOB_VIEW, item_new(&b, 1, ERR_OK, false), 60), ERR_OK);
+    submit(&b, 1, JOB_VIEW, 1);
     nap_ms(50);
     assert_true(job_drawing_s(b.jobs) >= 0.05);
     double start_s = clock_s();
@@ -574,7 +545,7 @@ static void test_a_device_that_hangs(void **state)
     assert_false(job_stop(b.jobs)); /* as services_free does after http_close: not as long again */
     assert_true(clock_s() - start_s < 0.9);
     assert_int_equal(b.woken, 2);
-    assert_int_equal(c[0].w.result.end, JOB_SHED);
+    assert_int_equal(b.c[0].w.result.end, JOB_SHED);
     assert_non_null(b.jobs);
     bench_close(&b); /* opens the gate */
     assert_null(b.jobs);

@@ -567,8 +567,8 @@ static void ogc_tiles_lead_to_tiles(void **state)
     start();
 }
 
-/* The address that clients see is the one that they ask. Behind a proxy that is not trusted, a server
- * that listens on every address does not know it. */
+/* The address that clients see is the one that they ask. Behind a proxy that is not trusted, a
+ * server that listens on every address does not know it. */
 static void wmts_needs_an_address(void **state)
 {
     struct reply r;
@@ -606,17 +606,9 @@ static void wmts_names_itself(void **state)
 
 static int post(const char *path, const char *body, struct reply *r)
 {
-    struct buf q = {0};
-    int fd = dial(t.port);
-    buf_printf(&q,
-               "POST /d/survey/%s HTTP/1.1\r\nHost: test\r\nConnection: close\r\n"
-               "Content-Length: %zu\r\n\r\n%s",
-               path, strlen(body), body);
-    say_bytes(fd, (char *)q.data, q.size);
-    hear(fd, true, NULL, r);
-    buf_free(&q);
-    close(fd);
-    return r->status;
+    char target[128];
+    snprintf(target, sizeof target, "/d/survey/%s", path);
+    return post_text(target, body, r);
 }
 
 static void nobody_is_woken(struct job_waiter *w)

@@ -3,7 +3,8 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "tests/kit.h"
+#include "tests/city_kit.h"
+#include "tests/render_kit.h"
 
 #include <jansson.h>
 #include <math.h>
@@ -16,16 +17,12 @@
 #include "codec/scene.h"
 #include "core/layout.h"
 #include "loss/metric.h"
-#include "render/render.h"
 #include "render/render_ref.h"
-#include "synth/synth.h"
 #include "train/map_views.h"
 
 enum { WIDTH = 53, HEIGHT = 37, PIXELS = WIDTH * HEIGHT };
 #define DEPTH_REL 1e-5 /* float sums of some hundred terms */
 
-static struct dev dev;
-static struct render *render;
 static const struct render_options options = {.aa = RENDER_AA_2D, .sh_degree = -1};
 
 /* ---- depth maps ---- */
@@ -457,15 +454,11 @@ static void fog_is_halo_beyond_the_edge(void **state)
 
 static void city_config(struct synth_config *cfg, struct arena *a, const char *dir)
 {
-    struct err e = {0};
-    kit_ok(options_defaults(synth_options(), cfg, a, &e), e);
-    cfg->output = dir;
-    cfg->photos = 24;
+    city_kit_config(cfg, a, dir, 24);
     cfg->width_px = 64;
     cfg->height_px = 48;
     cfg->extent_m = 90;
     cfg->points = 400;
-    cfg->supersample = 1;
     cfg->map_views = 8;
 }
 
@@ -711,23 +704,6 @@ static void views_move_into_the_scene(void **state)
     kit_rmdir(tmp);
 }
 
-static int open_device(void **state)
-{
-    (void)state;
-    struct err e = {0};
-    kit_ok(dev_open(NULL, &dev, &e), e);
-    kit_ok(render_open(&dev, &render, &e), e);
-    return 0;
-}
-
-static int close_device(void **state)
-{
-    (void)state;
-    render_close(&render);
-    dev_close(&dev);
-    return 0;
-}
-
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -742,5 +718,5 @@ int main(void)
         cmocka_unit_test(synth_writes_views_that_are_true),
         cmocka_unit_test(views_move_into_the_scene),
     };
-    return cmocka_run_group_tests(tests, open_device, close_device);
+    return cmocka_run_group_tests(tests, render_kit_open, render_kit_close);
 }

@@ -162,6 +162,21 @@ static void await_streams(uint64_t n)
     assert_int_equal(counts().streams, n);
 }
 
+/* A server that draws, or the test is skipped. */
+static void start_drawing(void)
+{
+    if (!start_with_device())
+        skip();
+}
+
+/* The same, and a reader of its first stream. */
+static void follow(struct reader *r)
+{
+    start_drawing();
+    reader_open(r, NAME);
+    await_streams(1);
+}
+
 /* ---- tests ---- */
 
 static void test_small_while_it_moves_full_at_rest(void **state)
@@ -170,10 +185,7 @@ static void test_small_while_it_moves_full_at_rest(void **state)
     struct reader r;
     struct part p;
     (void)state;
-    if (!start_with_device())
-        skip();
-    reader_open(&r, NAME);
-    await_streams(1);
+    follow(&r);
     assert_false(reader_next(&r, 0.3, &p)); /* nobody said where the camera is */
     assert_int_equal(steer(NAME, 1, 10, 800, ""), 204);
     assert_true(reader_next(&r, PATIENCE_S, &p));
@@ -220,8 +232,7 @@ static void test_refusals(void **state)
     struct reply a;
     (void)state;
     t.cfg.client_streams = 2;
-    if (!start_with_device())
-        skip();
+    start_drawing();
     assert_int_equal(steer(NAME, 1, 0, 100, ""), 404); /* nobody reads it */
     ask("GET", "/d/toy/motion/short", "", &a);
     assert_int_equal(a.status, 404);
@@ -264,8 +275,7 @@ static void test_idle_streams_end(void **state)
     struct part p;
     (void)state;
     t.cfg.stream_idle_s = 1;
-    if (!start_with_device())
-        skip();
+    start_drawing();
     reader_open(&r, NAME);
     assert_false(reader_next(&r, PATIENCE_S, &p));
     assert_true(r.ended && r.last_chunk); /* an orderly end */
@@ -280,8 +290,7 @@ static void test_slow_reader(void **state)
     struct part p;
     (void)state;
     t.cfg.write_timeout_s = 1;
-    if (!start_with_device())
-        skip();
+    start_drawing();
     reader_open(&slow, NAME);
     reader_open(&fast, "fast-0123456789ab");
     await_streams(2);
@@ -311,8 +320,7 @@ static void test_come_and_go(void **state)
     struct part p;
     char name[STREAMS][32];
     (void)state;
-    if (!start_with_device())
-        skip();
+    start_drawing();
     for (int round = 0; round < ROUNDS; round++) {
         for (int i = 0; i < STREAMS; i++) {
             snprintf(name[i], sizeof name[i], "come-and-go-%d-%06d", i, round);
@@ -374,10 +382,7 @@ static void test_the_process_that_draws_is_killed(void **state)
     struct reader r;
     struct part p;
     (void)state;
-    if (!start_with_device())
-        skip();
-    reader_open(&r, NAME);
-    await_streams(1);
+    follow(&r);
     assert_int_equal(steer(NAME, 1, 10, 400, ""), 204);
     assert_true(reader_next(&r, PATIENCE_S, &p));
     kill_and_go_on(&r, 2, false);
@@ -392,8 +397,7 @@ static void test_stopping(void **state)
     struct reader r[2];
     struct part p;
     (void)state;
-    if (!start_with_device())
-        skip();
+    start_drawing();
     reader_open(&r[0], NAME);
     reader_open(&r[1], "0123456789abcdeg");
     await_streams(2);

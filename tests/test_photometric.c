@@ -398,24 +398,18 @@ static void test_out_of_memory(void **state)
     }
 }
 
-static const char *self;
-
 static void test_same_bits(void **state)
 {
     (void)state;
-    kit_same_bits(self, digest);
+    kit_same_bits(digest);
 }
 
 int main(int argc, char **argv)
 {
-    if (argc > 1 && !strcmp(argv[1], "digest")) {
-        char text[33];
-        digest(text);
-        puts(text);
+    if (kit_digest(argc, argv, digest)) {
         dev_close(dev_get());
         return 0;
     }
-    self = argv[0];
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_ref_closed_forms),
         cmocka_unit_test(test_ref_finite_differences),

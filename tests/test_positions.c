@@ -14,9 +14,8 @@
 #include "core/gtx.h"
 #include "ingest/ingest.h"
 #include "ingest/positions.h"
-#include "kit.h"
 #include "survey/crs.h"
-#include "synth/synth.h"
+#include "tests/city_kit.h"
 
 static char tmp[FILE_PATH_MAX], city[FILE_PATH_MAX], images[FILE_PATH_MAX];
 static struct arena texts;
@@ -36,16 +35,9 @@ static void make_city(const char *name, double gps_sigma_m, char dir[FILE_PATH_M
 {
     struct err e = {0};
     struct synth_config c;
-    kit_ok(options_defaults(synth_options(), &c, &texts, &e), e);
     kit_ok(file_join(dir, tmp, name, &e), e);
-    c.output = dir;
+    city_kit_config(&c, &texts, dir, PHOTOS);
     c.gps_sigma_m = gps_sigma_m;
-    c.photos = PHOTOS;
-    c.width_px = 80;
-    c.height_px = 60;
-    c.extent_m = 100;
-    c.points = 1500;
-    c.supersample = 1;
     kit_ok(synth_run(&c, &e), e);
 }
 

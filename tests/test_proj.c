@@ -28,8 +28,6 @@ enum { PLACES = 400 };
 static const double same_m = 1e-6;
 static const double same_deg = 1e-11; /* of 1.1e5 m each */
 
-static char dir[FILE_PATH_MAX];
-
 static bool there(const char *program)
 {
     struct buf out = {0};
@@ -51,7 +49,7 @@ static void through(const char *command, const double *in, size_t n, size_t colu
     for (size_t i = 0; i < n * columns; i++)
         buf_printf(&lines, "%.17g%c", in[i], (i + 1) % columns ? ' ' : '\n');
     kit_ok(buf_check(&lines, &e), e);
-    kit_ok(file_join(path, dir, "lines", &e), e);
+    kit_ok(file_join(path, kit_tmp, "lines", &e), e);
     kit_ok(file_write(path, lines.data, lines.size, &e), e);
     buf_free(&lines);
     int rc = kit_run(&said, "%s <'%s'", command, path);
@@ -109,7 +107,7 @@ static void utm_is_geographiclibs(void **state)
         skip();
     for (size_t i = 0; i < n; i++)
         buf_printf(&lines, "%.12f %.12f\n", at[i][1], at[i][0]);
-    kit_ok(file_join(path, dir, "utm", &e), e);
+    kit_ok(file_join(path, kit_tmp, "utm", &e), e);
     kit_ok(file_write(path, lines.data, lines.size, &e), e);
     buf_free(&lines);
     assert_int_equal(kit_run(&said, "GeoConvert -u -p 9 <'%s'", path), 0);
@@ -350,7 +348,7 @@ static json_t *document(const char *name)
     char path[FILE_PATH_MAX];
     struct err e = {0};
     json_t *o;
-    kit_ok(file_join(path, dir, name, &e), e);
+    kit_ok(file_join(path, kit_tmp, name, &e), e);
     kit_ok(jsonc_read(path, &o, &e), e);
     return o;
 }
@@ -386,7 +384,7 @@ static void tileset_walk(const json_t *node, const double parent[16], double (*e
     const char *uri = json_string_value(json_object_get(json_object_get(node, "content"), "uri"));
     assert_non_null(uri);
     snprintf(name, sizeof name, "tileset/%.100s", uri);
-    kit_ok(file_join(path, dir, name, &e), e);
+    kit_ok(file_join(path, kit_tmp, name, &e), e);
     kit_ok(file_read(path, 0, &bytes, &e), e);
     kit_ok(glb_decode(bytes.data, bytes.size, NULL, &g, &e), e);
     buf_free(&bytes);
@@ -419,10 +417,10 @@ static void tilesets_stand_on_the_earth(void **state)
         struct err e = {0};
         char path[FILE_PATH_MAX], command[200];
         size_t n = 0;
-        kit_ok(file_join(path, dir, "place.tiles", &e), e);
+        kit_ok(file_join(path, kit_tmp, "place.tiles", &e), e);
         city_make(o, path);
         if (kit_run(&out, "'%s' export -q '%s' -o '%s/tileset' --format 3dtiles --overwrite", bin,
-                    path, dir))
+                    path, kit_tmp))
             fail_msg("%.*s", (int)out.size, (const char *)out.data);
         buf_free(&out);
         json_t *tileset = document("tileset/tileset.json");
@@ -451,8 +449,8 @@ static void tilesets_stand_on_the_earth(void **state)
            worst);
 }
 
-/* What GDAL reads at a longitude and latitude of dir/o.tif: how far from there a place of these
- * colours lies, m. */
+/* What GDAL reads at a longitude and latitude of o.tif: how far from there a place of these colours
+ * lies, m. */
 static double colour_off(const struct geo_origin *o, const double at[2])
 {
     const double enu[3] = {at[0], at[1], 0};
@@ -461,7 +459,7 @@ static double colour_off(const struct geo_origin *o, const double at[2])
     struct buf out = {0};
     kit_ok(geo_from_enu(o, enu, &lon, &lat, &h, &e), e);
     int rc =
-        kit_run(&out, "gdallocationinfo -valonly -wgs84 '%s/o.tif' %.12f %.12f", dir, lon, lat);
+        kit_run(&out, "gdallocationinfo -valonly -wgs84 '%s/o.tif' %.12f %.12f", kit_tmp, lon, lat);
     buf_u8(&out, 0);
     if (rc || sscanf((const char *)out.data, "%lf %lf %lf", &red, &green, &blue) != 3)
         fail_msg("%.4f,%.4f: %s", o->lon_deg, o->lat_deg, (const char *)out.data);
@@ -493,10 +491,10 @@ static void orthophotos_lie_where_gdal_has_them(void **state)
         const struct geo_origin *o = &cities[i];
         struct buf out = {0};
         char path[FILE_PATH_MAX], want[16];
-        kit_ok(file_join(path, dir, "place.tiles", &e), e);
+        kit_ok(file_join(path, kit_tmp, "place.tiles", &e), e);
         city_make(o, path);
         if (kit_run(&out, "'%s' ortho -q '%s' -o '%s/o.tif' --gsd-m 0.25 --device cpu", bin, path,
-                    dir))
+                    kit_tmp))
             fail_msg("%.4f,%.4f: %.*s", o->lon_deg, o->lat_deg, (int)out.size,
                      (const char *)out.data);
         snprintf(want, sizeof want, "EPSG:%d", crs_utm(o->lon_deg, o->lat_deg));
@@ -510,19 +508,10 @@ static void orthophotos_lie_where_gdal_has_them(void **state)
            sizeof cities / sizeof *cities, worst_m);
 }
 
-static int setup(void **state)
+static int quiet_folder(void **state)
 {
-    (void)state;
     log_set_level(LOG_ERROR);
-    kit_tmpdir(dir);
-    return 0;
-}
-
-static int teardown(void **state)
-{
-    (void)state;
-    kit_rmdir(dir);
-    return 0;
+    return kit_tmp_make(state);
 }
 
 int main(void)
@@ -535,5 +524,5 @@ int main(void)
         cmocka_unit_test(tilesets_stand_on_the_earth),
         cmocka_unit_test(orthophotos_lie_where_gdal_has_them),
     };
-    return cmocka_run_group_tests_name("proj", tests, setup, teardown);
+    return cmocka_run_group_tests_name("proj", tests, quiet_folder, kit_tmp_remove);
 }

@@ -583,12 +583,10 @@ static void digest(char out[33])
     look_free(&l);
 }
 
-static const char *self;
-
 static void test_same_bits(void **state)
 {
     (void)state;
-    kit_same_bits(self, digest);
+    kit_same_bits(digest);
 }
 
 static void test_errors(void **state)
@@ -636,16 +634,12 @@ static void test_errors(void **state)
 /* An argument is "digest", or a pattern of test names: what a simulator can do in time. */
 int main(int argc, char **argv)
 {
-    if (argc > 1 && !strcmp(argv[1], "digest")) {
-        char text[33];
-        digest(text);
-        puts(text);
+    if (kit_digest(argc, argv, digest)) {
         dev_close(dev_get());
         return 0;
     }
     if (argc > 1)
         cmocka_set_test_filter(argv[1]);
-    self = argv[0];
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_reference),         cmocka_unit_test(test_same_network),
         cmocka_unit_test(test_upload_download),   cmocka_unit_test(test_kernels),

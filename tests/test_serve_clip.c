@@ -362,18 +362,10 @@ static void views_end_there(void **state)
 
 static json_t *answer(const char *what, const char *body)
 {
-    struct buf q = {0};
     struct reply r;
-    int fd = dial(t.port);
-    buf_printf(&q,
-               "POST /d/survey/%s HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n"
-               "Content-Length: %zu\r\n\r\n%s",
-               what, strlen(body), body);
-    say_bytes(fd, (char *)q.data, q.size);
-    hear(fd, true, NULL, &r);
-    buf_free(&q);
-    close(fd);
-    if (r.status != 200)
+    char target[128];
+    snprintf(target, sizeof target, "/d/survey/%s", what);
+    if (post_text(target, body, &r) != 200)
         fail_msg("%s %s: %d %.*s", what, body, r.status, (int)r.body_size, (const char *)r.body);
     json_t *o = json_loadb((const char *)r.body, r.body_size, 0, NULL);
     assert_non_null(o);

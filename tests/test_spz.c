@@ -4,10 +4,9 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "codec/limits.h"
-#include "codec/quant.h"
 #include "codec/spz.h"
 #include "tests/kit.h"
-#include "tests/torture.h"
+#include "tests/quant_kit.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -23,21 +22,6 @@
 #define SH_TOL (8 / 128.0 + 1e-6)
 /* 9 bits over sqrt(1/2): half a step on three components, and what it makes of the largest one. */
 #define ROTATION_TOL_DEG 0.3
-
-static void expect_same(const struct quant *a, const struct quant *b)
-{
-    size_t sh = 3 * (gauss_sh_count(a->sh_degree) - 1);
-    assert_int_equal(a->n, b->n);
-    assert_int_equal(a->sh_degree, b->sh_degree);
-    assert_int_equal(a->antialiased, b->antialiased);
-    assert_int_equal(a->frac_bits, b->frac_bits);
-    assert_memory_equal(a->position, b->position, a->n * 12);
-    assert_memory_equal(a->alpha, b->alpha, a->n);
-    assert_memory_equal(a->color, b->color, a->n * 3);
-    assert_memory_equal(a->scale, b->scale, a->n * 3);
-    assert_memory_equal(a->rotation, b->rotation, a->n * 4);
-    assert_memory_equal(a->sh, b->sh, a->n * sh);
-}
 
 static double sigmoid(double x)
 {
@@ -110,7 +94,7 @@ static void test_quantising_twice_is_quantising_once(void **state)
         differ += q.rotation[i] != again.rotation[i];
     assert_true(differ <= 5);
     memcpy(again.rotation, q.rotation, q.n * 4);
-    expect_same(&q, &again);
+    quant_kit_same(&q, &again);
     quant_free(&q);
     quant_free(&again);
     gauss_free(&g);
@@ -192,7 +176,7 @@ static void test_position_bits_fit_the_tile(void **state)
         assert_int_not_equal(all & ((2u << cases[i].zero_bits) - 1), 0);
         kit_ok(spz_encode(&q, 3, &b, &e), e);
         kit_ok(spz_decode(b.data, b.size, NULL, &again, &e), e);
-        expect_same(&q, &again);
+        quant_kit_same(&q, &again);
         kit_ok(quant_to_gauss(&again, &back, &e), e);
         double step = ldexp(1, (int)cases[i].zero_bits - (int)q.frac_bits);
         assert_true(step <= cases[i].sigma_m / 16);
@@ -268,7 +252,7 @@ static void test_round_trip(void **state)
         kit_ok(quant_from_gauss(&g, (uint32_t)i % 4, NULL, &q, &e), e);
         kit_ok(spz_encode(&q, version, &b, &e), e);
         kit_ok(spz_decode(b.data, b.size, NULL, &back, &e), e);
-        expect_same(&q, &back);
+        quant_kit_same(&q, &back);
         kit_ok(spz_encode(&back, version, &again, &e), e);
         assert_int_equal(b.size, again.size);
         assert_memory_equal(b.data, again.data, b.size);
@@ -392,20 +376,9 @@ static void test_writes_version_3_by_the_book(void **state)
     gauss_free(&g);
 }
 
-static enum err_code decode_free(const void *user, const void *bytes, size_t n,
-                                 const struct codec_limits *lim, struct err *e)
-{
-    struct quant q;
-    (void)user;
-    enum err_code rc = spz_decode(bytes, n, lim, &q, e);
-    if (rc)
-        assert_null(q.block);
-    quant_free(&q);
-    return rc;
-}
-
+static const struct quant_kit decoder = {spz_decode};
 static const struct torture torture = {
-    .name = "spz", .decode = decode_free, .errors = TORTURE(ERR_LIMIT)};
+    .name = "spz", .decode = quant_kit_decode, .user = &decoder, .errors = TORTURE(ERR_LIMIT)};
 
 static void test_truncation_and_flips(void **state)
 {
@@ -491,7 +464,7 @@ static void test_out_of_memory(void **state)
             mem_fail_at(0);
         }
         kit_ok(rc, e);
-        expect_same(&q, &back);
+        quant_kit_same(&q, &back);
         quant_free(&q);
         quant_free(&back);
         gauss_free(&g);

@@ -2,21 +2,17 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "tests/kit.h"
+#include "tests/render_kit.h"
 
 #include <math.h>
 #include <string.h>
 
 #include "core/camera.h"
-#include "render/render.h"
 #include "train/surface_match.h"
 #include "train/surface_rays.h"
 
 enum { SIDE = 33, PIXELS = SIDE * SIDE, MIDDLE = PIXELS / 2 };
 #define DEPTH_M 1e-4 /* float depths of some ten metres */
-
-static struct dev dev;
-static struct render *render;
 
 struct maps {
     float rgb[3 * PIXELS], median[PIXELS], near[PIXELS], far[PIXELS], left[PIXELS], met[PIXELS];
@@ -263,21 +259,6 @@ static void matches_are_those_by_hand(void **state)
     surface_cloud_free(&truth);
 }
 
-static int begin(void **state)
-{
-    (void)state;
-    struct err e = {0};
-    return dev_open("auto", &dev, &e) || render_open(&dev, &render, &e);
-}
-
-static int end(void **state)
-{
-    (void)state;
-    render_close(&render);
-    dev_close(&dev);
-    return 0;
-}
-
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -287,5 +268,5 @@ int main(void)
         cmocka_unit_test(figures_are_those_by_hand),
         cmocka_unit_test(matches_are_those_by_hand),
     };
-    return cmocka_run_group_tests(tests, begin, end);
+    return cmocka_run_group_tests(tests, render_kit_open, render_kit_close);
 }

@@ -9,15 +9,11 @@
 #include "cells/cell.h"
 #include "cells/cell_plan.h"
 #include "cells/partition.h"
-#include "codec/ckpt.h"
 #include "codec/image.h"
-#include "codec/scene.h"
 #include "loss/photometric.h"
 #include "render/render.h"
-#include "tests/kit.h"
-#include "train/config.h"
+#include "tests/stability/toy.h"
 #include "train/init.h"
-#include "train/level.h"
 #include "train/photo_loader.h"
 #include "train/run_cell.h"
 #include "train/schedule.h"
@@ -43,7 +39,7 @@ static char scene_dir[FILE_PATH_MAX];
 
 /* ---- the toy ---- */
 
-static void toy_gauss(struct gauss *g)
+static void blobs_gauss(struct gauss *g)
 {
     struct err e = {0};
     kit_ok(gauss_alloc(g, BLOBS, 0, 0, &e), e);
@@ -62,15 +58,15 @@ static void toy_gauss(struct gauss *g)
     }
 }
 
-static struct camera toy_camera(size_t i)
+static struct camera blobs_camera(size_t i)
 {
     double angle = 2.0 * 3.14159265358979 * (double)i / PHOTOS;
     double eye[3] = {6.0 * cos(angle), 6.0 * sin(angle), 10.0}, target[3] = {0.0, 0.0, 0.0};
     return camera_look_at(eye, target, 0.9, WIDTH, HEIGHT);
 }
 
-static void toy_photo(struct render *r, const struct render_model *m, const struct camera *cam,
-                      const char *path)
+static void blobs_photo(struct render *r, const struct render_model *m, const struct camera *cam,
+                        const char *path)
 {
     struct err e = {0};
     struct image img = {0};
@@ -87,7 +83,7 @@ static void toy_photo(struct render *r, const struct render_model *m, const stru
 }
 
 /* Scene folder with PHOTOS photographs, the first one for tests. */
-static void toy_write(const char *dir, bool with_points)
+static void blobs_write(const char *dir, bool with_points)
 {
     struct err e = {0};
     struct gauss g = {0};
@@ -97,7 +93,7 @@ static void toy_write(const char *dir, bool with_points)
     struct scene_image images[PHOTOS];
     struct scene_point points[BLOBS];
     char names[PHOTOS][16], sub[FILE_PATH_MAX], path[FILE_PATH_MAX];
-    toy_gauss(&g);
+    blobs_gauss(&g);
     kit_ok(file_join(sub, dir, "images", &e), e);
     kit_ok(file_mkdir(sub, &e), e);
     kit_ok(render_open(&dev, &r, &e), e);
@@ -105,13 +101,13 @@ static void toy_write(const char *dir, bool with_points)
     for (size_t i = 0; i < PHOTOS; i++) {
         snprintf(names[i], sizeof names[i], "p%zu.png", i);
         images[i] = (struct scene_image){.name = names[i],
-                                         .cam = toy_camera(i),
+                                         .cam = blobs_camera(i),
                                          .split = i ? SCENE_TRAIN : SCENE_TEST,
                                          .group = (uint32_t)i,
                                          .gps_enu_m = {(double)NAN, (double)NAN, (double)NAN},
                                          .residual_m = (double)NAN};
         kit_ok(file_join(path, sub, names[i], &e), e);
-        toy_photo(r, &m, &images[i].cam, path);
+        blobs_photo(r, &m, &images[i].cam, path);
     }
     for (size_t i = 0; i < BLOBS; i++) {
         points[i] = (struct scene_point){.error_px = 0.5f, .track_length = 3};
@@ -129,24 +125,6 @@ static void toy_write(const char *dir, bool with_points)
     gauss_free(&g);
 }
 
-static struct train_config toy_config(struct arena *a, const char *out)
-{
-    struct train_config c;
-    struct err e = {0};
-    kit_ok(options_defaults(train_options(), &c, a, &e), e);
-    c.output = out;
-    c.iterations.one = 300;
-    c.downsample.v[0] = 2.0;
-    c.downsample.v[1] = 1.0;
-    c.budget.v[0] = 80;
-    c.budget.v[1] = 100;
-    c.budget.v[2] = 150; /* binds: the draw and its scores are part of every run here */
-    c.densify_interval_min = 8;
-    c.importance_views = 3;
-    c.sh_degree = 1;
-    return c;
-}
-
 /* train_run into a result that is in use. */
 static enum err_code train_again(const char *dir, const struct train_config *c,
                                  struct train_result *r, struct err *e)
@@ -160,7 +138,7 @@ static enum err_code train_again(const char *dir, const struct train_config *c,
 static void cameras_at_training_size_keep_the_view(void **state)
 {
     (void)state;
-    struct camera c = toy_camera(0);
+    struct camera c = blobs_camera(0);
     c.width_px = 4000;
     c.height_px = 3000;
     struct camera s = photo_loader_camera(&c, 400, 2.0);
@@ -229,20 +207,12 @@ static void the_feed_shows_every_photograph_once_an_epoch_within_its_cache(void 
 
 /* ---- whole runs ---- */
 
-static void read_level(const char *out, unsigned level, struct ckpt *c)
-{
-    struct err e = {0};
-    char path[FILE_PATH_MAX + 64];
-    snprintf(path, sizeof path, "%s/cells/all/level%u.ckpt", out, level);
-    kit_ok(ckpt_read(path, c, &e), e);
-}
-
 static void assert_same_levels(const char *a, const char *b)
 {
     for (unsigned level = 1; level <= 3; level++) {
         struct ckpt x, y;
-        read_level(a, level, &x);
-        read_level(b, level, &y);
+        toy_read_level(a, level, &x);
+        toy_read_level(b, level, &y);
         assert_int_equal(x.g.n, y.g.n);
         assert_memory_equal(x.g.mean_m, y.g.mean_m, x.g.n * 12);
         assert_memory_equal(x.g.scale_log, y.g.scale_log, x.g.n * 12);
@@ -272,7 +242,7 @@ static void training_improves_keeps_budgets_and_repeats(void **state)
     }
     assert_same_levels(out[0], out[1]);
     struct ckpt c;
-    read_level(out[0], 2, &c);
+    toy_read_level(out[0], 2, &c);
     assert_true(c.g.antialiased);
     assert_int_equal(c.g.sh_degree, 1);
     assert_int_equal(json_integer_value(json_object_get(c.meta, "level")), 2);
@@ -321,7 +291,7 @@ static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
     assert_same_levels(whole, parts);
     for (unsigned i = 0; i < 3; i++) { /* also of levels that other processes finished */
         struct ckpt level;
-        read_level(parts, i + 1, &level);
+        toy_read_level(parts, i + 1, &level);
         assert_int_equal(r.cells[0].n_gaussians[i], level.g.n);
         assert_true(r.cells[0].psnr_db[i] == json_number_value(json_object_get(
                                                  json_object_get(level.meta, "test"), "psnr_db")));
@@ -424,7 +394,7 @@ static void a_scene_without_points_starts_from_random_ones(void **state)
     struct train_result r = {0};
     char bare[FILE_PATH_MAX];
     kit_tmpdir(bare);
-    toy_write(bare, false);
+    blobs_write(bare, false);
     struct train_config c = toy_config(&a, NULL); /* results go into the scene folder */
     c.iterations.one = 12;
     c.budget.v[0] = 200;
@@ -473,7 +443,7 @@ static void broken_scenes_are_one_clear_error(void **state)
     kit_tmpdir(broken);
     struct train_config c = toy_config(&a, NULL);
     kit_fails(train_again(broken, &c, &r, &e), ERR_NOENT, e, "scene.json");
-    toy_write(broken, true);
+    blobs_write(broken, true);
     snprintf(path, sizeof path, "%s/images/p4.png", broken);
     assert_int_equal(unlink(path), 0);
     kit_fails(train_again(broken, &c, &r, &e), ERR_NOENT, e, "p4.png");
@@ -504,7 +474,7 @@ static void cells_of_a_plan_are_trained_on_their_own(void **state)
     struct ckpt x, y;
     kit_tmpdir(dir);
     kit_tmpdir(one);
-    toy_write(dir, true);
+    blobs_write(dir, true);
     kit_ok(scene_read(dir, &s, &e), e);
     pc.edge_m = 8.0;
     pc.images_few = pc.images_least = 2;
@@ -633,7 +603,7 @@ static int open_device(void **state)
     log_set_level(LOG_ERROR);
     kit_ok(dev_open(NULL, &dev, &e), e);
     kit_tmpdir(scene_dir);
-    toy_write(scene_dir, true);
+    blobs_write(scene_dir, true);
     return 0;
 }
 

@@ -7,38 +7,14 @@
 
 #include "cells/footprint.h"
 #include "cells/trim.h"
-#include "codec/scene.h"
 #include "core/gauss.h"
-#include "kit.h"
+#include "tests/flight_kit.h"
 
-enum { SIDE = 6, POINTS = 101, GRID = 60 };
-#define HEIGHT 60.0
-#define STEP 20.0   /* between photographs */
+enum { GRID = 60 };
 #define SIGMA 2.0   /* of the Gaussians */
 #define APART 3.0   /* their places */
 #define EDGE_X 90.0 /* the pictures end there, */
 #define EDGE_Y 80.0 /* and there */
-
-/* A nadir flight of 6 x 6 photographs over flat ground; the pictures cover 80 x 60 m of it each. */
-static void survey(struct scene *s)
-{
-    memset(s, 0, sizeof *s);
-    s->origin = (struct geo_origin){7.57, 47.56, 280};
-    s->n_images = SIDE * SIDE;
-    s->n_points = POINTS * POINTS;
-    s->images = arena_get(&s->arena, s->n_images, sizeof *s->images);
-    s->points = arena_get(&s->arena, s->n_points, sizeof *s->points);
-    for (size_t i = 0; i < s->n_images; i++) {
-        const double at[3] = {STEP * (double)(i % SIDE) - 50, STEP * (double)(i / SIDE) - 50,
-                              HEIGHT};
-        kit_camera_down(at, &s->images[i].cam);
-        s->images[i].split = SCENE_TRAIN;
-    }
-    for (size_t i = 0; i < s->n_points; i++) {
-        s->points[i].enu_m[0] = 4.0 * (double)(i % POINTS) - 200;
-        s->points[i].enu_m[1] = 4.0 * (double)(i / POINTS) - 200;
-    }
-}
 
 /* A carpet of discs over the ground and beyond, turned against the grid. */
 static void carpet(struct gauss *g)
@@ -108,7 +84,7 @@ static void test_edge(void **state)
     struct gauss before = {0}, g = {0};
     struct err e = {0};
     size_t gone = 0, same = 0, inside = 0;
-    survey(&s);
+    flight_kit_scene(&s);
     kit_ok(footprint_of(&s, &f, &e), e);
     kit_ok(trim_open(&s, &f, 3, 3.0, &t, &e), e);
     carpet(&before);
@@ -158,7 +134,7 @@ static void test_places(void **state)
     struct trim t;
     struct err e = {0};
     size_t seen = 0, n = 0;
-    survey(&s);
+    flight_kit_scene(&s);
     s.images[7].split = SCENE_TEST;
     kit_ok(footprint_of(&s, &f, &e), e);
     kit_ok(trim_open(&s, &f, 3, 3.0, &t, &e), e);

@@ -106,4 +106,14 @@ tiles() { # paths of tiles, one a line: the same places in many formats
     done
 }
 
+check_first_tile() { # through the cache at $url; leaves its path in $tile
+    tile=$(tiles | head -1)
+    check 'a cold tile is a miss' is "$(header "$url$tile" X-Cache)" MISS
+    check 'then it is a hit' is "$(header "$url$tile" X-Cache)" HIT
+    check 'its bytes are those of a server' cmp <(curl -s "$url$tile") <(curl -s "http://127.0.0.1:${ports[1]}$tile")
+    check 'a range of it' cmp <(curl -s -r 100-299 "$url$tile") <(curl -s "$url$tile" | tail -c +101 | head -c 200)
+    check 'a range is 206' is "$(status -r 100-299 "$url$tile")" 206
+    check 'If-None-Match is 304' is "$(status -H "If-None-Match: $(header "$url$tile" ETag)" "$url$tile")" 304
+}
+
 "$city" "$work/toy.tiles" || exit 1

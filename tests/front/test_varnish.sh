@@ -25,13 +25,7 @@ if ! await "$url/healthz"; then
     exit 1
 fi
 
-tile=$(tiles | head -1)
-check 'a cold tile is a miss' is "$(header "$url$tile" X-Cache)" MISS
-check 'then it is a hit' is "$(header "$url$tile" X-Cache)" HIT
-check 'its bytes are those of a server' cmp <(curl -s "$url$tile") <(curl -s "http://127.0.0.1:${ports[1]}$tile")
-check 'a range of it' cmp <(curl -s -r 100-299 "$url$tile") <(curl -s "$url$tile" | tail -c +101 | head -c 200)
-check 'a range is 206' is "$(status -r 100-299 "$url$tile")" 206
-check 'If-None-Match is 304' is "$(status -H "If-None-Match: $(header "$url$tile" ETag)" "$url$tile")" 304
+check_first_tile
 
 cold=$(tiles | sed -n 20p)
 for i in $(seq 200); do printf 'url="%s"\noutput="/dev/null"\n' "$url$cold"; done >"$work/many"

@@ -159,6 +159,14 @@ void toy_write(const char *dir, const struct toy *t, const struct gauss *g)
 
 /* ---- a run ---- */
 
+void toy_read_level(const char *dir, unsigned level, struct ckpt *out)
+{
+    struct err e = {0};
+    char path[FILE_PATH_MAX + 64];
+    snprintf(path, sizeof path, "%s/cells/all/level%u.ckpt", dir, level);
+    kit_ok(ckpt_read(path, out, &e), e);
+}
+
 struct train_config toy_config(struct arena *a, const char *out)
 {
     struct train_config c;

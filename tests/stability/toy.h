@@ -10,6 +10,7 @@
 #ifndef TESTS_STABILITY_TOY_H
 #define TESTS_STABILITY_TOY_H
 
+#include "codec/ckpt.h"
 #include "codec/scene.h"
 #include "tests/kit.h"
 #include "train/config.h"
@@ -59,6 +60,9 @@ struct train_config toy_config(struct arena *a, const char *out);
 /* The only device of a test program, so kernels are built once. Use these as group setup and
  * teardown. */
 extern struct dev toy_dev;
+/* A finished level of a run without cells. ckpt_free *out. */
+void toy_read_level(const char *dir, unsigned level, struct ckpt *out);
+
 int toy_open_device(void **state);
 int toy_close_device(void **state);
 

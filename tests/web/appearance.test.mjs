@@ -7,9 +7,9 @@
 import assert from "node:assert/strict";
 import { createRequire } from "node:module";
 import { after, before, test } from "node:test";
-import { fileURLToPath } from "node:url";
 
-import { barePicture, lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
+import { barePicture, closeAll, lookViewer, openPage, setControl, waitForViewer } from "./lib/browser.mjs";
+import { importSource } from "./lib/bundle.mjs";
 import { measureContent, rmsDifference } from "./lib/checks.mjs";
 import { decodeDrc as decodeReference } from "./lib/drc.mjs";
 import { decodePng } from "./lib/png.mjs";
@@ -45,10 +45,7 @@ before(async () => {
     names = table.photographs.map((one) => one.name);
     await page.waitForSelector("#photos-button:not([hidden])");
 });
-after(async () => {
-    await viewer?.close();
-    await source?.close();
-});
+after(() => closeAll(viewer, source));
 
 const picture = () => barePicture(page);
 const state = (on = page) => on.evaluate(() => window.citysplat.state);
@@ -67,14 +64,7 @@ async function wear(appearance, on = page) {
 }
 
 async function choose(id, value) {
-    await page.evaluate(
-        ([name, v]) => {
-            const control = document.getElementById(name);
-            control.value = v;
-            control.dispatchEvent(new Event(control.type === "range" ? "input" : "change"));
-        },
-        [id, value],
-    );
+    await setControl(page, id, value);
     await waitForViewer(page);
 }
 
@@ -117,18 +107,7 @@ test("every appearance of the server is offered, with its photographs' times", s
 });
 
 test("the browser's decoder of .drc gives what draco3d gives, and refuses damage", skip, async () => {
-    const SOURCE = fileURLToPath(new URL("../../web/src/drc.ts", import.meta.url));
-    const { buildSync } = createRequire(SOURCE)("esbuild");
-    const [built] = buildSync({
-        entryPoints: [SOURCE],
-        bundle: true,
-        format: "esm",
-        write: false,
-        target: "es2022",
-    }).outputFiles;
-    const { decodeDrc } = await import(
-        `data:text/javascript;base64,${Buffer.from(built.text).toString("base64")}`
-    );
+    const { decodeDrc } = await importSource("drc.ts");
     const draco = await createRequire(import.meta.url)("draco3d").createDecoderModule({});
     const [tile] = await listContents(`${source.url}/d/${NAME}/tileset.json`, getJson);
     for (const query of ["sh=0", "sh=1", "sh=2", "preset=near-lossless", "preset=preview", "preset=spz"]) {

@@ -4,7 +4,7 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
-import { openPage, useWholeBrowser } from "./lib/browser.mjs";
+import { closeAll, openPage, useWholeBrowser } from "./lib/browser.mjs";
 import { checkNorth, checkSouth, measureContent, NORTH, rmsDifference, SOUTH } from "./lib/checks.mjs";
 import { makeCity } from "./lib/city.mjs";
 import { decodePng } from "./lib/png.mjs";
@@ -26,10 +26,7 @@ before(async () => {
     });
     await opened.page.addStyleTag({ content: ".cesium-widget-credits{display:none!important}" });
 });
-after(async () => {
-    await opened?.close();
-    await source?.close();
-});
+after(() => closeAll(opened, source));
 
 // tilesLoaded alone may still show the coarser level: the merged primitive must hold the selected
 // tiles too.

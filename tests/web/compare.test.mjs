@@ -4,7 +4,7 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
-import { lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
+import { closeAll, lookViewer, openViewer, setControl, waitForViewer } from "./lib/browser.mjs";
 import { NORTH, SOUTH } from "./lib/checks.mjs";
 import { fCellCenter, ORIGIN, RED_TOP } from "./lib/city.mjs";
 import { project } from "./lib/geo.mjs";
@@ -22,14 +22,10 @@ let page;
 before(async () => {
     if (skip.skip) return;
     source = await openTwoDates();
-    viewer = await openPage(`${source.url}/?lang=en&scene=fcity`, SIZE);
+    viewer = await openViewer(`${source.url}/?lang=en&scene=fcity`, SIZE);
     page = viewer.page;
-    await waitForViewer(page);
 });
-after(async () => {
-    await viewer?.close();
-    await source?.close();
-});
+after(() => closeAll(viewer, source));
 
 // "first" or "later", by the colours of the tower and of the letter as they are on the screen.
 async function datesAt(pose) {
@@ -47,23 +43,12 @@ async function datesAt(pose) {
     return { tower: date(TOWER), letter: date(LETTER) };
 }
 
-async function set(id, value) {
-    await page.evaluate(
-        ([name, v]) => {
-            const control = document.getElementById(name);
-            control.value = v;
-            control.dispatchEvent(new Event(control.type === "range" ? "input" : "change"));
-        },
-        [id, value],
-    );
-}
-
 test("another scene lies right of a line, follows the camera, and is swapped", skip, async () => {
     await lookViewer(page, SOUTH);
     assert.equal(await page.textContent("#server-button"), "Compare");
     await page.click("#server-button");
     assert.deepEqual(await page.$$eval("#compare-with option", (all) => all.map((one) => one.value)), ["", "later"]);
-    await set("compare-with", "later");
+    await setControl(page, "compare-with", "later");
     await page.waitForSelector("#other-scene.fresh");
     assert.deepEqual(await datesAt(SOUTH), { letter: "first", tower: "later" });
     assert.deepEqual(
@@ -77,10 +62,10 @@ test("another scene lies right of a line, follows the camera, and is swapped", s
     assert.deepEqual(await datesAt(NORTH), { letter: "first", tower: "later" });
     assert.equal(await page.textContent("#compare-left"), "later");
     await page.click("#compare-swap");
-    await set("amount", "100");
+    await setControl(page, "amount", "100");
     assert.deepEqual(await datesAt(NORTH), { letter: "later", tower: "later" });
     await page.click("#compare label:has-text('Fade')");
-    await set("amount", "0");
+    await setControl(page, "amount", "0");
     assert.deepEqual(await datesAt(NORTH), { letter: "first", tower: "first" });
 });
 
@@ -103,8 +88,8 @@ test("both share the memory; the other one goes when it is closed, and changes w
     await waitForViewer(page);
     await page.keyboard.press("v");
     assert.deepEqual(await page.$$eval("#compare-with option", (all) => all.map((one) => one.value)), ["", "fcity"]);
-    await set("compare-with", "fcity");
-    await set("amount", "50");
+    await setControl(page, "compare-with", "fcity");
+    await setControl(page, "amount", "50");
     await page.click("#compare label:has-text('Wipe')");
     await page.waitForSelector("#other-scene.fresh");
     assert.deepEqual(await datesAt(NORTH), { letter: "first", tower: "later" });
@@ -138,7 +123,7 @@ test("a link opens the comparison as it was", skip, async () => {
     await said("scene=fcity&compare=later&wipe=37.25&swap=");
     await page.click("#compare-swap");
     await page.click("#compare label:has-text('Fade')");
-    await set("amount", "100");
+    await setControl(page, "amount", "100");
     await said("scene=fcity&compare=later&fade=100");
     await page.reload();
     await waitForViewer(page);

@@ -5,9 +5,8 @@
 import assert from "node:assert/strict";
 import { spawnSync } from "node:child_process";
 import { cpSync, mkdirSync, mkdtempSync, readdirSync, readFileSync, rmSync } from "node:fs";
-import { createServer } from "node:http";
 import { tmpdir } from "node:os";
-import { dirname, extname, join, normalize } from "node:path";
+import { dirname, join, normalize } from "node:path";
 import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 import { gzipSync } from "node:zlib";
@@ -15,6 +14,7 @@ import { gzipSync } from "node:zlib";
 import { openPage, waitForViewer } from "./lib/browser.mjs";
 import { measureContent } from "./lib/checks.mjs";
 import { makeCity } from "./lib/city.mjs";
+import { serveFiles } from "./lib/files.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { BIN, GIVEN_TILES, importCity, MOCK } from "./lib/source.mjs";
 
@@ -23,7 +23,6 @@ const DIST = join(dirname(fileURLToPath(import.meta.url)), "../../web/dist");
 const PAGE_GZIP_MAX = 261_500; // 900 of them are the cross-fade
 const MODULE_GZIP_MAX = 320_000;
 const skip = { skip: MOCK || GIVEN_TILES ? "needs the test city" : false };
-const TYPES = { ".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".json": "application/json" };
 
 let dir;
 let server;
@@ -38,20 +37,8 @@ before(async () => {
     if (run.status !== 0) throw new Error(run.stderr);
     for (const part of ["index.html", "assets", "viewer.js", "icon.svg", "examples"])
         cpSync(join(DIST, part), join(site, "app", part), { recursive: true });
-    server = createServer((request, response) => {
-        try {
-            const path = normalize(decodeURIComponent(new URL(request.url, "http://x").pathname));
-            const file = join(dir, path.endsWith("/") ? `${path}index.html` : path);
-            const bytes = readFileSync(file);
-            response.setHeader("Content-Type", TYPES[extname(file)] ?? "application/octet-stream");
-            response.end(bytes);
-        } catch {
-            response.statusCode = 404;
-            response.end();
-        }
-    });
-    await new Promise((done) => server.listen(0, "127.0.0.1", done));
-    url = `http://127.0.0.1:${server.address().port}/some/where`;
+    server = await serveFiles((path) => join(dir, normalize(path.endsWith("/") ? `${path}index.html` : path)));
+    url = `${server.url}/some/where`;
 });
 after(() => {
     server?.close();

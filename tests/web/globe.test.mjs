@@ -10,7 +10,7 @@ import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 import { gzipSync } from "node:zlib";
 
-import { openPage, useWholeBrowser } from "./lib/browser.mjs";
+import { closeAll, openPage, useWholeBrowser } from "./lib/browser.mjs";
 import { checkSouth, SOUTH } from "./lib/checks.mjs";
 import { makeCity, ORIGIN, RED_TOP } from "./lib/city.mjs";
 import { project } from "./lib/geo.mjs";
@@ -36,10 +36,7 @@ before(async () => {
     opened = await openPage(`${source.url}/cesium.html${hashOf(SOUTH)}`, SIZE);
     await opened.page.addStyleTag({ content: "#panel,.cesium-widget-credits{display:none!important}" });
 });
-after(async () => {
-    await opened?.close();
-    await source?.close();
-});
+after(() => closeAll(opened, source));
 
 // Every tile that this view wants is in the one primitive that is drawn.
 async function settle(page) {

@@ -7,9 +7,10 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { after, afterEach, before, test } from "node:test";
-import { fileURLToPath, pathToFileURL } from "node:url";
+import { pathToFileURL } from "node:url";
 
-import { barePicture, lookViewer, nextFrames, openPage, waitForViewer } from "./lib/browser.mjs";
+import { barePicture, closeAll, nextFrames, openPage, openViewer, waitForViewer } from "./lib/browser.mjs";
+import { importSource } from "./lib/bundle.mjs";
 import { measureContent, SOUTH } from "./lib/checks.mjs";
 import { ORIGIN, RED_TOP } from "./lib/city.mjs";
 import {
@@ -95,16 +96,10 @@ before(async () => {
         "/metres.geojson": { body: { type: "Point", coordinates: [500000, 5700000] } },
         "/refused.glb": { body: "no", status: 403 },
     });
-    viewer = await openPage(source.url, SIZE);
+    viewer = await openViewer(source.url, SIZE, SOUTH);
     page = viewer.page;
-    await waitForViewer(page);
-    await lookViewer(page, SOUTH);
 });
-after(async () => {
-    await viewer?.close();
-    await source?.close();
-    await foreign?.close();
-});
+after(() => closeAll(viewer, source, foreign));
 afterEach(async () => {
     if (page)
         await page.evaluate(() => {
@@ -367,12 +362,7 @@ test("the list of layers and the dialog of pictures: named, large enough on a ph
 });
 
 test("sizes of images are read before they are unpacked", async () => {
-    const SOURCE = fileURLToPath(new URL("../../web/src/gltfcheck.ts", import.meta.url));
-    const { buildSync } = createRequire(SOURCE)("esbuild");
-    const [built] = buildSync({ entryPoints: [SOURCE], bundle: true, format: "esm", write: false }).outputFiles;
-    const { sizeOfImage } = await import(
-        `data:text/javascript;base64,${Buffer.from(built.text).toString("base64")}`
-    );
+    const { sizeOfImage } = await importSource("gltfcheck.ts");
     const png = Buffer.alloc(33);
     png.write("\x89PNG\r\n\x1a\n", 0, "latin1");
     png.writeUInt32BE(70000, 16);

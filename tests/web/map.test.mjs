@@ -7,7 +7,7 @@ import { readFileSync } from "node:fs";
 import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 
-import { barePicture, lookViewer, nextFrames, openPage, waitForViewer } from "./lib/browser.mjs";
+import { barePicture, closeAll, lookViewer, nextFrames, openViewer, waitForViewer } from "./lib/browser.mjs";
 import { measureContent, rmsDifference, SOUTH } from "./lib/checks.mjs";
 import { ORIGIN, RED_TOP } from "./lib/city.mjs";
 import { placeOfEnu, project } from "./lib/geo.mjs";
@@ -26,15 +26,10 @@ let page;
 before(async () => {
     if (skip.skip) return;
     source = await openSource();
-    viewer = await openPage(source.url, SIZE);
+    viewer = await openViewer(source.url, SIZE, SOUTH);
     page = viewer.page;
-    await waitForViewer(page);
-    await lookViewer(page, SOUTH);
 });
-after(async () => {
-    await viewer?.close();
-    await source?.close();
-});
+after(() => closeAll(viewer, source));
 
 const pixelOf = (enu) => project(ORIGIN, SOUTH, enu, SIZE.width, SIZE.height);
 

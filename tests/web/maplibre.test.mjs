@@ -6,7 +6,7 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
-import { openPage, useWholeBrowser } from "./lib/browser.mjs";
+import { closeAll, openPage, useWholeBrowser } from "./lib/browser.mjs";
 import { checkNorth, checkSouth, NORTH, rmsDifference, SOUTH } from "./lib/checks.mjs";
 import { BLUE_TOP, fCellCenter, makeCity, ORIGIN, RED_TOP } from "./lib/city.mjs";
 import { placeOfEnu, project } from "./lib/geo.mjs";
@@ -32,10 +32,7 @@ before(async () => {
     await page.waitForFunction(() => window.layer?.state.ready, null, { timeout: TIMEOUT_MS });
     await page.addStyleTag({ content: "#note,.maplibregl-control-container{display:none!important}" });
 });
-after(async () => {
-    await opened?.close();
-    await source?.close();
-});
+after(() => closeAll(opened, source));
 
 // Everything of the map and of the layer is drawn.
 async function settle() {

@@ -12,7 +12,7 @@ import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 import { gzipSync } from "node:zlib";
 
-import { openPage } from "./lib/browser.mjs";
+import { closeAll, openPage } from "./lib/browser.mjs";
 import { measureContent, NORTH, rmsDifference, SOUTH } from "./lib/checks.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { openSource } from "./lib/source.mjs";
@@ -93,10 +93,7 @@ before(async () => {
         for (const id of ["a", "b"]) document.getElementById(id).style.cssText = "width:300px;height:200px;float:left";
     });
 });
-after(async () => {
-    await opened?.close();
-    await source?.close();
-});
+after(() => closeAll(opened, source));
 
 const make = (id, more = {}) =>
     page.evaluate(

@@ -3,11 +3,10 @@
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
-import { createRequire } from "node:module";
 import { after, before, test } from "node:test";
-import { fileURLToPath } from "node:url";
 
-import { barePicture, lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
+import { barePicture, closeAll, openPage, openViewer, waitForViewer } from "./lib/browser.mjs";
+import { importSource } from "./lib/bundle.mjs";
 import { checkSouth, rmsDifference, SOUTH } from "./lib/checks.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { firstDataSet, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
@@ -21,15 +20,10 @@ let page;
 before(async () => {
     if (skip.skip) return;
     source = await openSource();
-    viewer = await openPage(`${source.url}/?lang=en`, { ...SIZE, acceptDownloads: true });
+    viewer = await openViewer(`${source.url}/?lang=en`, { ...SIZE, acceptDownloads: true }, SOUTH);
     page = viewer.page;
-    await waitForViewer(page);
-    await lookViewer(page, SOUTH);
 });
-after(async () => {
-    await viewer?.close();
-    await source?.close();
-});
+after(() => closeAll(viewer, source));
 
 // A picture by the module's method: { png } or { error }.
 async function shoot(options, on = page) {
@@ -59,12 +53,7 @@ function halved(png) {
 }
 
 test("parts cover the picture once, and are small enough", async () => {
-    const SOURCE = fileURLToPath(new URL("../../web/src/shot.ts", import.meta.url));
-    const { buildSync } = createRequire(SOURCE)("esbuild");
-    const [built] = buildSync({ entryPoints: [SOURCE], bundle: true, format: "esm", write: false }).outputFiles;
-    const { cutUp, checkSize } = await import(
-        `data:text/javascript;base64,${Buffer.from(built.text).toString("base64")}`
-    );
+    const { cutUp, checkSize } = await importSource("shot.ts");
     for (const [width, height] of [[640, 480], [2048, 1900], [2049, 16], [3840, 2160], [16384, 12000], [17, 16384]]) {
         const parts = cutUp(width, height);
         const area = parts.reduce((sum, part) => sum + part.width * part.height, 0);

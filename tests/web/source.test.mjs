@@ -3,22 +3,11 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
-import { createRequire } from "node:module";
 import { test } from "node:test";
-import { fileURLToPath } from "node:url";
 
-const SOURCE = fileURLToPath(new URL("../../web/src/source.ts", import.meta.url));
-const { buildSync } = createRequire(SOURCE)("esbuild");
-const [built] = buildSync({
-    entryPoints: [SOURCE],
-    bundle: true,
-    format: "esm",
-    write: false,
-    target: "es2022",
-}).outputFiles;
-const { openScene } = await import(
-    `data:text/javascript;base64,${Buffer.from(built.text).toString("base64")}`
-);
+import { importSource } from "./lib/bundle.mjs";
+
+const { openScene } = await importSource("source.ts");
 
 const NEW = "0123456789ab";
 const OLD = "ba9876543210";

@@ -7,7 +7,7 @@ import { mkdirSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
 
-import { bareBytes, lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
+import { bareBytes, closeAll, lookViewer, openViewer } from "./lib/browser.mjs";
 import { placeOfEnu } from "./lib/geo.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { firstDataSet, MOCK, openSource } from "./lib/source.mjs";
@@ -27,14 +27,10 @@ before(async () => {
     if (why) return;
     source = await openSource();
     id = await firstDataSet(source.url);
-    viewer = await openPage(source.url, SIZE);
+    viewer = await openViewer(source.url, SIZE);
     page = viewer.page;
-    await waitForViewer(page);
 });
-after(async () => {
-    await viewer?.close();
-    await source?.close();
-});
+after(() => closeAll(viewer, source));
 
 // Where most Gaussians are: the middle, half of the width, and the ground.
 function extent() {

@@ -5,7 +5,7 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
-import { lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
+import { lookViewer, openPage, openViewer, waitForViewer } from "./lib/browser.mjs";
 import { measureContent, SOUTH } from "./lib/checks.mjs";
 import { ORIGIN, RED_TOP } from "./lib/city.mjs";
 import { placeOfEnu, project } from "./lib/geo.mjs";
@@ -30,9 +30,8 @@ before(async () => {
     else if (!trial.ok) throw new Error(`${trial.url}: ${await trial.text()}`);
     if (why) return;
     proxy = await Proxy.open(source.url);
-    viewer = await openPage(`${proxy.url}/?thin`, SIZE);
+    viewer = await openViewer(`${proxy.url}/?thin`, SIZE);
     page = viewer.page;
-    await waitForViewer(page);
 });
 after(async () => {
     await viewer?.close();

@@ -5,16 +5,16 @@
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
 import { spawnSync } from "node:child_process";
-import { mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
-import { createServer } from "node:http";
+import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
-import { dirname, extname, join, normalize } from "node:path";
+import { dirname, join, normalize } from "node:path";
 import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 
 import { openPage, useWholeBrowser } from "./lib/browser.mjs";
 import { measureContent, rmsDifference } from "./lib/checks.mjs";
 import { makeCity, ORIGIN } from "./lib/city.mjs";
+import { serveFiles } from "./lib/files.mjs";
 import { writePly } from "./lib/ply.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { BIN } from "./lib/source.mjs";
@@ -30,7 +30,6 @@ const SAME_RMS = 4;
 const PREVIEW_RMS = 12;
 const COLOR_TOLERANCE = 7;
 
-const TYPES = { ".html": "text/html", ".js": "text/javascript", ".mjs": "text/javascript" };
 const ROOTS = {
     "/three/": join(HERE, "../../web/node_modules/three/"),
     "/draco3d/": join(HERE, "node_modules/draco3d/"),
@@ -50,19 +49,8 @@ function fileOf(path) {
 
 before(async () => {
     dir = mkdtempSync(join(tmpdir(), "citysplat-three-"));
-    server = createServer((request, response) => {
-        try {
-            const file = fileOf(new URL(request.url, "http://x").pathname);
-            const bytes = readFileSync(file);
-            response.setHeader("Content-Type", TYPES[extname(file)] ?? "application/octet-stream");
-            response.end(bytes);
-        } catch {
-            response.statusCode = 404;
-            response.end();
-        }
-    });
-    await new Promise((done) => server.listen(0, "127.0.0.1", done));
-    opened = await openPage(`http://127.0.0.1:${server.address().port}/`, SIZE);
+    server = await serveFiles(fileOf);
+    opened = await openPage(`${server.url}/`, SIZE);
     await opened.page.waitForFunction(() => window.ready === true, null, { timeout: TIMEOUT_MS });
 });
 after(async () => {

@@ -5,7 +5,7 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
-import { barePicture, lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
+import { barePicture, closeAll, lookViewer, openPage, openViewer, waitForViewer } from "./lib/browser.mjs";
 import { fCellCenter, makeCity, ORIGIN } from "./lib/city.mjs";
 import {
     checkNorth,
@@ -29,14 +29,10 @@ let viewer; // one page for all tests that do not need a fresh one
 let page;
 before(async () => {
     source = await openSource();
-    viewer = await openPage(source.url, SIZE);
+    viewer = await openViewer(source.url, SIZE);
     page = viewer.page;
-    await waitForViewer(page);
 });
-after(async () => {
-    await viewer?.close();
-    await source?.close();
-});
+after(() => closeAll(viewer, source));
 
 const picture = () => barePicture(page);
 

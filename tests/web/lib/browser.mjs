@@ -133,6 +133,31 @@ export async function barePicture(page) {
     return decodePng(await bareBytes(page));
 }
 
+// The viewer at url, when all that its view wants is drawn: that of `pose`, if there is one. As openPage.
+export async function openViewer(url, size, pose) {
+    const viewer = await openPage(url, size);
+    await waitForViewer(viewer.page);
+    if (pose) await lookViewer(viewer.page, pose);
+    return viewer;
+}
+
+// What tests have opened; undefined where they were skipped.
+export async function closeAll(...opened) {
+    for (const one of opened) await one?.close();
+}
+
+// As if a person had set the control.
+export function setControl(page, id, value) {
+    return page.evaluate(
+        ([name, v]) => {
+            const control = document.getElementById(name);
+            control.value = v;
+            control.dispatchEvent(new Event(control.type === "range" ? "input" : "change"));
+        },
+        [id, value],
+    );
+}
+
 // The viewer's camera to a pose { lon, lat, h, heading, pitch, fov }; waits for the new picture.
 export async function lookViewer(page, pose) {
     await page.evaluate((p) => window.citysplat.look(p), pose);
