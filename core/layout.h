@@ -121,10 +121,12 @@ struct layout_splat {
     LAYOUT_U32 cover;
     LAYOUT_U32 bands[LAYOUT_BANDS / 2];
 };
-/* Nobody reads cover and bands once the tile lists exist. In a frame with moments of depth they
- * then hold, as floats, the plane of the splat: its depth at a pixel is
- *     m = depth + tilt_x d.x + tilt_y d.y,   d = mean - pixel centre,
- * in units of view.depth_unit_m and relative to that depth. See render/moments.cl. */
+/* Only bin reads cover and bands. In a frame with moments of depth they then hold, as floats, the
+ * plane of the splat. Its depth at a pixel is
+ *
+ *     m = depth + tilt_x d.x + tilt_y d.y,   d = mean - pixel centre
+ *
+ * in units of view.depth_unit_m, and relative to that depth. See render/moments.cl. */
 
 /* Constants of a frame: one view of one model. World coordinates here are relative to the model's
  * origin. */
@@ -183,8 +185,9 @@ struct layout_counts {
 #define LAYOUT_SLOT_QUU 6
 #define LAYOUT_SLOT_QUV 7
 #define LAYOUT_SLOT_QVV 8
-#define LAYOUT_SLOT_ABS 9    /* two: absolute gradients of the mean, px */
-#define LAYOUT_SLOT_DEPTH 11 /* moments of h = dL/d(depth at a pixel), as of q; 0 without */
+#define LAYOUT_SLOT_ABS 9 /* two: absolute gradients of the mean, px */
+/* moments of h = dL/d(depth at a pixel), like those of q; 0: no moments */
+#define LAYOUT_SLOT_DEPTH 11
 #define LAYOUT_SLOT_DEPTH_U 12
 #define LAYOUT_SLOT_DEPTH_V 13
 #define LAYOUT_SLOT_FLOATS 14

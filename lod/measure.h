@@ -35,9 +35,9 @@ enum err_code measure_profile(struct nadir *n, const double (*lonlat)[2], size_t
                               double step_m, struct measure_sample **out, size_t *n_out,
                               double *length_m, struct err *e) ERR_USE;
 
-/* How much a profile climbs and falls in all, m. A rise or a fall counts where it is larger than
- * three standard deviations of its two ends (noise_m of surface_maps), so the noise of level ground
- * adds up to little. Samples without a surface are passed over. */
+/* Computes how much a profile climbs and falls in all, in m. A rise or fall counts if it exceeds
+ * three standard deviations of its two ends (noise_m of surface_maps), so noise of level ground
+ * adds little. Samples without a surface are skipped. */
 void measure_climb(const struct measure_sample *s, size_t n, double *climb_m, double *fall_m);
 
 struct measure_area {

@@ -1,10 +1,10 @@
-/* A store seen straight down, and aslant from four sides: colours and heights along parallel rays,
- * for a piece of ground at a time. One ray a pixel; the surface that maps and questions use is made
- * of these (lod/surface.h).
+/* A store seen straight down, and at an angle from four sides: colours and heights along parallel
+ * rays, one piece of ground at a time. There is one ray a pixel. lod/surface.h combines these rays
+ * to the surface of maps and questions.
  *
- * A ray's height is where transmittance, on its way down, falls to 1/2: that of the Gaussian at
- * which it does. Of haze above a roof and of Gaussians below it the median takes no notice, where a
- * mean would be moved by both; see docs/survey.md.
+ * The height of a ray is the depth of the Gaussian at which transmittance, from above, falls to
+ * 1/2. This median is not affected by haze above a roof or by Gaussians below it; a mean would be
+ * (docs/survey.md).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -19,9 +19,9 @@ struct view;
 
 enum {
     NADIR_SIZE_MAX = 2048,      /* px, of a piece */
-    NADIR_MARGIN_MAX = 64,      /* px, that may lie around it on each side */
-    NADIR_WAYS = 4,             /* sides that slanted rays come from */
-    NADIR_SLANT_ROWS_MAX = 4096 /* px, of a slanted picture: what would lie beyond has no heights */
+    NADIR_MARGIN_MAX = 64,      /* px, largest margin of a piece on each side */
+    NADIR_WAYS = 4,             /* number of sides for slanted rays */
+    NADIR_SLANT_ROWS_MAX = 4096 /* px, of a slanted picture; pixels beyond have no heights */
 };
 
 struct nadir; /* a store, a renderer and the surveyed area; only one thread may use it */
@@ -72,17 +72,17 @@ enum err_code nadir_fit(const struct nadir *n, const double lon_deg[NADIR_PLACES
 enum err_code nadir_draw(struct nadir *n, const struct nadir_piece *p, float *rgb, float *height_m,
                          struct err *e) ERR_USE;
 
-/* Heights of what slanted rays meet that go through the surface of a piece: out [h][w], where the
- * ray through pixel i at height_m[i] meets half of the light, ellipsoidal; NAN: nowhere, or
- * height_m[i] is. Rays go down at 45 degrees and away from the edge `way` of the piece: 0 bottom, 1
- * left, 2 top, 3 right. They are drawn with pixels of `coarse` pixels of the piece. Pieces whose
- * corners lie whole multiples of that apart have the same rays. Errors of nadir_draw: ERR_ARG,
- * ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_MEM, ERR_LIMIT. */
+/* Computes heights along slanted rays. out [h][w]: the ellipsoidal height at which the ray through
+ * pixel i at height_m[i] has lost half of its light. NAN: nowhere, or height_m[i] is NAN. Rays go
+ * down at 45 degrees, away from the edge `way` of the piece: 0 bottom, 1 left, 2 top, 3 right. A
+ * pixel of this drawing is `coarse` pixels of the piece. Pieces whose corners differ by a multiple
+ * of that have the same rays. ERR_ARG, ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_MEM, ERR_LIMIT as in
+ * nadir_draw. */
 enum err_code nadir_slant(struct nadir *n, const struct nadir_piece *p, unsigned way,
                           uint32_t coarse, const float *height_m, float *out,
                           struct err *e) ERR_USE;
 
-/* What one ray of a perspective camera meets. */
+/* What a ray of a perspective camera meets. */
 struct nadir_ray {
     bool found;     /* half of the light is stopped somewhere */
     double depth_m; /* depth of the surface along the optical axis; NAN: none */

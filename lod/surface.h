@@ -1,18 +1,18 @@
-/* The surface of a store as a height field with an uncertainty: what maps, contour lines, points,
- * questions about heights and comparisons are made of. docs/decisions/061-one-surface.md says what
- * each step was chosen for.
+/* The surface of a store as a height field with uncertainty. Maps, contour lines, points, questions
+ * about heights and comparisons use it. docs/decisions/061-one-surface.md gives the reasons for
+ * each step.
  *
- * One ray a pixel is noisy where Gaussians are half transparent. So each pixel is seen five times,
- * from straight above and along slanted rays from four sides (lod/nadir.h), which agree where the
- * surface is. Of those that do, the median counts. Then each pixel takes the weighted median of 25
- * around it, over about the size of a Gaussian; pixels of another colour weigh less, so edges of
- * roofs stay where the orthophoto has them.
+ * One ray a pixel is noisy where Gaussians are half transparent. Each pixel is therefore seen five
+ * times: from straight above, and along slanted rays from four sides (lod/nadir.h). These agree
+ * where the surface is, and the height is the median of those that agree. Then each pixel gets the
+ * weighted median of 25 pixels around it, over about the size of a Gaussian. Pixels of another
+ * colour have less weight, so edges of roofs stay where the orthophoto has them.
  *
- * The uncertainty is one standard deviation. It comes from how the 25 differ, from how many of the
- * five agree, from the size of the Gaussians and, at steps, from their height.
+ * The uncertainty is one standard deviation. It depends on the differences among the 25, on how
+ * many of the five agree, on the size of the Gaussians and, at steps, on their height.
  *
- * A pixel depends on its neighbourhood alone, and pieces are drawn with the margin that it needs:
- * pieces side by side agree.
+ * A pixel depends only on its neighbourhood, and pieces are drawn with the margin that this needs.
+ * Neighbouring pieces therefore agree.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -21,30 +21,30 @@
 
 #include "lod/nadir.h"
 
-/* All [h][w], to be filled; NULL: not wanted. NAN where no light is stopped at a surface: less than
- * half of it, from straight above. */
+/* Maps [h][w] to compute; NULL: not wanted. NAN: less than half of the light from straight above is
+ * stopped. */
 struct surface_maps {
-    float *rgb;      /* [h][w][3], 0 to 1, of nadir_draw */
+    float *rgb;      /* [h][w][3], 0 to 1, as in nadir_draw */
     float *height_m; /* ellipsoidal */
     float *sigma_m;  /* its standard deviation */
-    float *noise_m;  /* the same without what steps add: how well the height of a level place is
-                        known, wherever the edges are */
+    /* the same without the part of steps: the uncertainty of a level place, wherever edges are */
+    float *noise_m;
 };
-/* Errors of nadir_draw: ERR_ARG, ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_MEM, ERR_LIMIT. */
+/* Draws a piece. ERR_ARG, ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_MEM, ERR_LIMIT as in nadir_draw.
+ */
 enum err_code surface_draw(struct nadir *n, const struct nadir_piece *p,
                            const struct surface_maps *out, struct err *e) ERR_USE;
 
-/* ---- the parts, for tests ---- */
+/* ---- parts, for tests ---- */
 
-/* Pixels around a pixel: {0, 2, 4} stands for 25 of them, at 0, 2 and 4 pixels to each side. */
+/* Pixels around a pixel: {2, 4} stands for 25 of them, at 0, 2 and 4 pixels to each side. */
 struct surface_window {
-    uint32_t near_px, far_px; /* near may equal far: 9 pixels */
+    uint32_t near_px, far_px; /* near_px may equal far_px: 9 pixels */
 };
-/* The window over which heights are taken together, where the usual Gaussian has sigma_px. */
+/* The window for smoothing heights, if the usual Gaussian has sigma_px. */
 struct surface_window surface_window(double sigma_px);
-/* Of one height field [h][w] with colours [h][w][3]: weighted medians and how the pixels around
- * differ from them (1.48 times the weighted median of absolute differences). NAN stays NAN.
- * ERR_MEM. */
+/* Smooths a height field [h][w] with colours [h][w][3]. out: weighted medians. spread_m: 1.48 times
+ * the weighted median of absolute differences from them. NAN stays NAN. ERR_MEM. */
 enum err_code surface_smooth(const float *height_m, const float *rgb, uint32_t w, uint32_t h,
                              struct surface_window win, float *out, float *spread_m,
                              struct err *e) ERR_USE;

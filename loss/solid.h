@@ -1,20 +1,23 @@
-/* The loss on solid surfaces: light stops at one depth (spread), the depths of neighbouring pixels
- * lie in planes (bend), and no light passes ground that photographs see (light).
+/* The loss on solid surfaces has three terms. Light stops at one depth (spread). The depths of
+ * neighbouring pixels lie in planes (bend). No light passes through ground that photographs see
+ * (light).
  *
- * With A = 1 - T, D = sum w m / A, V = sum w m^2 / A - D^2 of a pixel (render_moments_buffer) and
- * zeta = 1 + D its depth in units of the frame's depth, f the focal length in pixels, e =
- * SOLID_SOFT_PX zeta / f, n the number of pixels:
+ * For a pixel, A = 1 - T, D = sum w m / A and V = sum w m^2 / A - D^2 (render_moments_buffer). zeta
+ * = 1 + D is its depth in units of the frame's depth. f is the focal length in pixels, e =
+ * SOLID_SOFT_PX zeta / f, and n the number of pixels.
+ *
  *     spread = 1/n sum A c ln(1 + s/c),   s = f / zeta (sqrt(V + e^2) - e),   c = SOLID_SPREAD_PX
  *     bend   = 1/n sum over x, y of c^2/2 ln(1 + (b/c)^2),  b = f zeta (q- - 2 q + q+),  q = 1/zeta
  *     light  = 1/n sum of T over the supported pixels
- * s is the standard deviation of depth along the ray. b is the distance of a pixel's depth from the
- * line between the depths of the pixels `stride` to either side: inverse depth is linear over a
- * plane. Both are in pixels' footprints, and both terms grow slowly where they are large: at an
- * edge light is shared between two surfaces, and depth bends by many footprints. c of the bend is
- * SOLID_BEND_PX. The factors A, f / zeta and f zeta are held fixed. Otherwise what is far would
- * weigh less for being farther.
  *
- * V is the distortion of a ray of 2DGS (Huang et al. 2024; first in Mip-NeRF 360, Barron et al.
+ * s is the standard deviation of depth along the ray. b is the distance of a pixel's depth from the
+ * line between the depths of the pixels `stride` to either side; inverse depth is linear over a
+ * plane. In bend, c is SOLID_BEND_PX. s and b are in footprints of a pixel. Spread and bend grow
+ * slowly where they are large, because at an edge two surfaces share the light, and depth bends by
+ * many footprints. The factors A, f / zeta and f zeta are held fixed. Otherwise a Gaussian could
+ * lower the loss by moving away.
+ *
+ * V is the distortion of a ray in 2DGS (Huang et al. 2024; first in Mip-NeRF 360, Barron et al.
  * 2022), without the factor A^2.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -26,10 +29,10 @@
 
 #include "render/render.h"
 
-#define SOLID_SOFT_PX 0.25   /* spreads below are small: their gradient goes to 0 */
-#define SOLID_SPREAD_PX 2.0  /* spreads above pull less */
-#define SOLID_BEND_PX 1.0    /* bends above are edges: their gradient goes to 0 */
-#define SOLID_COVER_MIN 0.1  /* least A with a spread */
+#define SOLID_SOFT_PX 0.25   /* the gradient of smaller spreads goes to 0 */
+#define SOLID_SPREAD_PX 2.0  /* larger spreads have less pull */
+#define SOLID_BEND_PX 1.0    /* the gradient of larger bends goes to 0, because they are edges */
+#define SOLID_COVER_MIN 0.1  /* least A of a pixel with a spread */
 #define SOLID_BEND_COVER 0.5 /* least A of the pixels of a bend */
 enum { SOLID_STRIDE_MAX = 8 };
 
@@ -38,27 +41,27 @@ struct solid_input {
     double focal_px;            /* fx */
     double spread, bend, light; /* weights */
     uint32_t stride;            /* of the bend, px, 1 to SOLID_STRIDE_MAX */
-    const uint8_t *supported;   /* [h][w], not 0: light counts here; NULL: nowhere. Borrowed */
+    const uint8_t *supported;   /* [h][w], not 0: light counts; NULL: nowhere; borrowed */
 };
 struct solid_value {
-    double spread, bend, light; /* the three means above, without weights */
+    double spread, bend, light; /* the three terms without weights */
 };
 struct solid; /* compiled kernels and buffers */
-/* Build the kernels. solid_close it. ERR_DEVICE, ERR_MEM. */
+/* Builds the kernels. Free *out with solid_close. ERR_DEVICE, ERR_MEM. */
 enum err_code solid_open(struct dev *dev, struct solid **out, struct err *e) ERR_USE;
 void solid_close(struct solid **s);
-/* Enqueue: fill the renderer's gradient of the moments (render_moments_grad_buffer) for its last
- * frame, which has moments and this size. ERR_ARG (no such frame, a stride out of range), ERR_MEM,
- * ERR_DEVICE. */
+/* Enqueues: writes the renderer's gradient of the moments (render_moments_grad_buffer) for its last
+ * frame, which must have moments and this size. ERR_ARG (there is no such frame, or the stride is
+ * out of range), ERR_MEM, ERR_DEVICE. */
 enum err_code solid_run(struct solid *s, struct render *r, const struct solid_input *in,
                         struct err *e) ERR_USE;
-/* Wait, and the values of the last run. ERR_DEVICE. */
+/* Waits, and reads the values of the last run. ERR_DEVICE. */
 enum err_code solid_read(struct solid *s, struct solid_value *out, struct err *e) ERR_USE;
 
-/* In double on the host. moments [h][w][3]: sum w m, sum w m^2, T; held: those from which the fixed
- * factors are taken, equal to moments but in differences. */
+/* Reference in double on the host. moments [h][w][3]: sum w m, sum w m^2, T. held: the moments from
+ * which the fixed factors are computed. It equals moments, except for finite differences. */
 struct solid_value solid_ref_value(const struct solid_input *in, const double *moments,
                                    const double *held);
-/* grad [h][w][3] of spread * weight + ..., written. */
+/* Writes grad [h][w][3] of spread * weight + ... */
 void solid_ref_grad(const struct solid_input *in, const double *moments, double *grad);
 #endif

@@ -1,4 +1,4 @@
-/* The loss on solid surfaces in double, pixel by pixel, as loss/solid.h states it.
+/* The loss on solid surfaces in double, pixel by pixel, by the formulas in loss/solid.h.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

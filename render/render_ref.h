@@ -51,7 +51,7 @@ struct ref_splat {
     double opacity_eff; /* opacity * rho */
     double rgb[3];
     double half_px[2]; /* half-sizes k sqrt(S00), k sqrt(S11), not rounded */
-    /* With moments of depth: m = depth + tilt . (mean_px - pixel), in units of depth_unit_m */
+    /* with moments of depth: m = depth + tilt . (mean_px - pixel), in units of depth_unit_m */
     double depth, tilt[2];
     double cov_z[2]; /* covariance of the pixel and the depth, px m */
 };
@@ -75,7 +75,7 @@ double ref_appearance(const struct ref_view *v, const struct gauss *g, size_t i,
                       double *hidden, double y[APPEARANCE_OUT]);
 /* Returns whether a gradient of this channel passes the clamp of the colour. */
 bool ref_color_open(const struct ref_view *v, const struct ref_splat *s, int channel);
-/* Returns the depth of a splat at an offset d = mean - pixel: m of render_moments_buffer. */
+/* Returns the depth of a splat at an offset d = mean - pixel: the m of render_moments_buffer. */
 double ref_depth(const struct ref_splat *s, const double d[2]);
 /* Computes the alpha of a splat at a pixel centre. Returns false if the splat does not contribute
  * there. d = mean - pixel. *clamped: alpha was cut to LAYOUT_ALPHA_MAX. */

@@ -48,8 +48,8 @@ struct map_visitor {
      * are left out. */
     enum err_code (*piece)(void *user, uint32_t x, uint32_t y, uint32_t w, uint32_t h,
                            const struct surface_maps *m, struct err *e);
-    /* Colours alone: heights are those of single rays and tell where there are any, and there is no
-     * uncertainty. Several times as fast. */
+    /* Only colours are needed. Heights are then those of single rays and only show where there is a
+     * surface; there is no uncertainty. Drawing is several times as fast. */
     bool colors_alone;
 };
 /* Computes the pixels of a request. ERR_ARG: an invalid EPSG code, an empty area, or too many

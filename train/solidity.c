@@ -1,5 +1,5 @@
-/* When the terms act, and with what weights. Neighbouring pixels are compared at another distance
- * every step, so that depth is even over one pixel and over several.
+/* When the terms act, and with which weights. The distance between compared pixels changes at every
+ * step, so that depth becomes smooth over one pixel and over several.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
