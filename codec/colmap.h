@@ -50,8 +50,8 @@ struct colmap_model {
     struct colmap_track_element *tracks;
     size_t n_tracks;
     struct arena arena;        /* owns everything above */
-    char dir[FILE_PATH_MAX];   /* by colmap_read: the folder of the files */
-    size_t n_models, n_second; /* models to choose from, and photographs of the second largest */
+    char dir[FILE_PATH_MAX];   /* set by colmap_read: folder of the files */
+    size_t n_models, n_second; /* number of models found, and photographs of the second largest */
 };
 /* Reads a model from a folder, or from its sparse/ or sparse/0/. Each of the three files may be
  * .bin (preferred) or .txt. Free it with colmap_free. ERR_NOENT names the files that are missing.

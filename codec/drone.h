@@ -19,7 +19,7 @@ struct drone_meta { /* {0}: nothing is known */
     double absolute_m;
     bool ellipsoidal; /* absolute_m and EXIF's altitude are heights above the ellipsoid */
     /* unit vector up in camera axes (x right, y down, z forward), from the gimbal */
-    double sigma_m[2]; /* of the position, an axis in plan and the height; 0: not said */
+    double sigma_m[2]; /* of the position, on each horizontal axis and of height; 0: not given */
     double up_cam[3];
 };
 /* Reads the values with `get`. `get` writes the text of an attribute such as

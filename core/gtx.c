@@ -1,8 +1,8 @@
 /* Geoid grids: see gtx.h.
  *
- * The format is of NOAA's VDatum: big-endian, four doubles (latitude and longitude of the
- * south-west node, steps of both), two 32-bit counts (rows, columns), rows of float32 from the
- * south, -88.8888 where nothing is known.
+ * The format is that of NOAA's VDatum, big-endian: four doubles (latitude and longitude of the
+ * south-west node, both steps), two 32-bit counts (rows, columns), then rows of float32 from the
+ * south. -88.8888 means that nothing is known.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* What heights count from: see heights.h.
+/* The reference of heights: see heights.h.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

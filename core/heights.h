@@ -1,10 +1,10 @@
-/* What the heights of a scene or a store count from, as a short text:
+/* The reference of heights in a scene or store, as a short text:
  *
- *   ellipsoid   the WGS 84 ellipsoid; so does "", of imports
- *   sea-exif    above sea level as cameras write it into EXIF; no geoid is known
- *   sea         above sea level; by which geoid is not known
- *   EPSG:7837   heights of this vertical coordinate system
- *   unknown     nobody said
+ *     ellipsoid   the WGS 84 ellipsoid; "" means the same, for imports
+ *     sea-exif    above sea level, as cameras write it into EXIF; the geoid is not known
+ *     sea         above sea level; the geoid is not known
+ *     EPSG:7837   heights of this vertical coordinate system
+ *     unknown     the reference was not given
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -14,14 +14,14 @@
 #include <stdbool.h>
 
 enum { HEIGHTS_MAX = 24, HEIGHTS_WORDS_MAX = 80 };
-/* Is it one of the texts above? */
+/* Returns whether it is one of the texts above. */
 bool heights_valid(const char *text);
 bool heights_ellipsoidal(const char *text);
 /* The code of "EPSG:7837"; 0: none. */
 int heights_epsg(const char *text);
-/* For people, after "height above": "the WGS 84 ellipsoid". */
+/* Writes words that follow "height above": "the WGS 84 ellipsoid". */
 void heights_words(const char *text, char out[HEIGHTS_WORDS_MAX]);
-/* For people and programs, by itself: "WGS 84 ellipsoid". */
+/* Writes the reference alone: "WGS 84 ellipsoid". */
 void heights_datum(const char *text, char out[HEIGHTS_WORDS_MAX]);
 
 #endif

@@ -20,7 +20,7 @@ enum gcp_suspects { /* treatment of points and marks that contradict the others 
 struct gcp_fit_config {
     double px_scale;           /* pixels of the list in a pixel of COLMAP's photographs */
     double height_offset_m;    /* added to the heights of the list */
-    const struct geoid *geoid; /* its heights are added, too; NULL: none */
+    const struct geoid *geoid; /* its heights are added too; NULL: none */
     double sigma_m;            /* of surveyed points without accuracy, on each axis */
     double mark_px;            /* of marks without accuracy, in pixels of the list */
     enum gcp_suspects suspects;
@@ -86,7 +86,7 @@ enum err_code gcp_blame_gps(struct gcp_fit *f, const struct gcp_view *views, siz
                             struct err *e) ERR_USE;
 /* Finds the causes of suspects. y [list.n]: their surveyed places in f's frame. ERR_ARG. */
 enum err_code gcp_blame_suspects(struct gcp_fit *f, const double (*y)[3], struct err *e) ERR_USE;
-/* Returns the height of a point of the list, with what is added to it. */
+/* Returns the height of a point of the list, with the offset and the geoid added. */
 double gcp_fit_height(const struct gcp_fit_config *cfg, const struct gcp *g);
 
 #endif

@@ -16,7 +16,7 @@ struct georef_photo {         /* photographs in the order of file names */
     double center[3], rot[9]; /* in COLMAP's frame; rot is world -> camera */
     bool has_gps;
     double gps_enu_m[3];
-    double sigma_m[2];    /* of it, an axis in plan and the height; 0: not said */
+    double sigma_m[2];    /* its accuracy, on each horizontal axis and of height; 0: not known */
     uint32_t flight_hint; /* number of the flight by time or folder, from 0 */
 };
 struct georef_config {

@@ -31,8 +31,8 @@ enum err_code ingest_run_gcp(const char *images_dir, const char *sparse_dir,
                              const struct ingest_config *cfg, const struct gcp_list *gcps,
                              struct err *e) ERR_USE;
 
-/* The same with positions of photographs from a file, in longitude, latitude and height, instead of
- * those of EXIF. positions NULL: ingest_run_gcp. Errors of positions_match as well. */
+/* As ingest_run_gcp, with positions of photographs from a file instead of EXIF, in longitude,
+ * latitude and height. positions NULL: as ingest_run_gcp. Also the errors of positions_match. */
 enum err_code ingest_run_with(const char *images_dir, const char *sparse_dir,
                               const struct ingest_config *cfg, const struct gcp_list *gcps,
                               const struct positions *positions, struct err *e) ERR_USE;

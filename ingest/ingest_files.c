@@ -1,5 +1,5 @@
-/* The photographs that lie in a folder, whether a model has them or not: which file a name of the
- * model means where capitals differ (.jpg and .JPG), and which photographs the model lacks.
+/* The photographs in a folder, and their relation to a model: the file that a name of the model
+ * means if case differs (.jpg and .JPG), and photographs that the model lacks.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

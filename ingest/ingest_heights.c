@@ -1,7 +1,7 @@
-/* What heights count from. EXIF's count from the sea, by a geoid that nobody names; those of RTK
- * from the ellipsoid; those of ground control points from what the user says. With --geoid heights
- * of the sea become ellipsoidal, place by place. Without it they stay what they are, and the scene
- * says so: nothing is called ellipsoidal that is not.
+/* The reference of heights. EXIF's heights are above sea level, by a geoid that is not stated.
+ * Those of RTK are above the ellipsoid. Those of ground control points are as the user says. With
+ * --geoid, heights above sea level become ellipsoidal, place by place. Without it they stay as they
+ * are, and the scene states that. Nothing is called ellipsoidal that is not.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

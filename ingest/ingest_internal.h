@@ -54,9 +54,10 @@ struct ingest_gimbal {
 };
 struct ingest_photo {
     const struct colmap_image *image;
-    const char *file; /* below the folder of photographs; capitals may differ from the name */
-    char *fault;      /* of a broken one: why; else NULL */
-    char *out_name;   /* in images/ of the scene */
+    /* path below the folder of photographs; its case may differ from the name's */
+    const char *file;
+    char *fault;    /* reason why a photograph is broken; else NULL */
+    char *out_name; /* in images/ of the scene */
     uint32_t width_px, height_px;
     struct image_gps gps; /* its altitude is the one that is used */
     struct drone_meta drone;
@@ -65,22 +66,23 @@ struct ingest_photo {
     size_t n_points;        /* number of triangulated observations */
     double reprojection_px; /* median */
     double residual_m;      /* NaN without GPS */
-    double sigma_m[2];      /* of its GPS, an axis in plan and the height; 0: not said */
+    /* accuracy of its GPS, on each horizontal axis and of height; 0: not known */
+    double sigma_m[2];
     uint32_t flight, view;
     enum ingest_verdict verdict;
 };
 /* ---- ingest_files.c ---- */
 
 struct ingest_files { /* {0} is empty; ingest_files_free */
-    char **names;     /* [n] paths below the folder, by name without regard to capitals */
+    char **names;     /* [n] paths below the folder, sorted by name without regard to case */
     size_t n, cap;
 };
 /* Lists the photographs below a folder. Scenes and masks in it are left out. ERR_LIMIT, ERR_MEM. */
 enum err_code ingest_files_list(const char *root, struct ingest_files *out, struct err *e) ERR_USE;
 void ingest_files_free(struct ingest_files *f);
-/* Returns the file of a name; capitals may differ if only one file fits. NULL: there is none. */
+/* Returns the file of a name. Case may differ if only one file fits. NULL: there is none. */
 const char *ingest_files_find(const struct ingest_files *f, const char *name);
-/* Does the name end as photographs do, and not as their masks? */
+/* Returns whether a name ends like that of a photograph, and not like that of a mask. */
 bool ingest_files_is_photo(const char *name);
 
 struct ingest_result { /* input of ingest_report.c */
@@ -89,7 +91,7 @@ struct ingest_result { /* input of ingest_report.c */
     size_t n_photos, n_kept, n_train, n_test, n_gps, n_unplaced;
     char *const *unplaced;     /* [n_unplaced] photographs that the model does not have */
     const char *model_dir;     /* the model that was read */
-    size_t n_models, n_second; /* models that lay there, and photographs of the second largest */
+    size_t n_models, n_second; /* number of models found, and photographs of the second largest */
     const struct scene *scene;
     const size_t *points;               /* [INGEST_POINT_VERDICTS] sparse points by verdict */
     const struct georef_result *georef; /* NULL: there was too little GPS */
@@ -120,10 +122,10 @@ struct ingest {
     struct ingest_gimbal gimbal;
     const struct gcp_list *gcps;       /* NULL: none */
     const struct positions *positions; /* NULL: none */
-    size_t n_positioned;               /* photographs that have one of them */
+    size_t n_positioned;               /* number of photographs with one of these positions */
     struct gcp_fit gcp;
     struct geoid *geoid; /* --geoid; NULL: none */
-    bool gcps_of_sea;    /* it is added to heights of ground control points */
+    bool gcps_of_sea;    /* the geoid is added to heights of ground control points */
     struct scene scene;
     struct progress progress;
     atomic_flag progress_busy; /* only its holder may use `progress` */
@@ -141,17 +143,17 @@ enum err_code ingest_frame_parse(const char *text, struct geo_origin *o, struct 
 /* Checks --heights, --geoid and --geoid-offset-m, and opens the geoid. ERR_ARG; of the geoid
  * ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM. */
 enum err_code ingest_heights_open(struct ingest *g, struct err *e) ERR_USE;
-/* ERR_ARG: the geoid does not reach a photograph. */
+/* Checks that the geoid covers all photographs. ERR_ARG: it does not. */
 enum err_code ingest_heights_check(const struct ingest *g, struct err *e) ERR_USE;
-/* The height of a photograph, ellipsoidal where that is known. */
+/* The height of a photograph, ellipsoidal if that is known. */
 double ingest_heights_photo_m(const struct ingest *g, const struct ingest_photo *p);
-/* heights of the scene. */
+/* Sets the scene's reference of heights. */
 void ingest_heights_name(struct ingest *g);
 
 /* ---- ingest_positions.c ---- */
 
-/* Positions and accuracies of photographs by the file of --positions, or the accuracies that they
- * have in XMP. ERR_DATA: the file does not fit the photographs; ERR_MEM. */
+/* Sets positions and accuracies of photographs from the file of --positions, or accuracies from
+ * XMP. ERR_DATA: the file does not fit the photographs. ERR_MEM. */
 enum err_code ingest_positions_apply(struct ingest *g, struct err *e) ERR_USE;
 
 /* ---- ingest_drone.c ---- */

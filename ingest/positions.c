@@ -1,10 +1,10 @@
 /* Positions from files: see positions.h.
  *
- * DJI's .MRK: a line for each photograph of a flight, number, seconds and week of GPS's time, the
- * way from the antenna to the camera (already added), latitude, longitude, ellipsoidal height,
+ * DJI's .MRK has a line for each photograph of a flight: number, seconds and week of GPS time,
+ * vector from the antenna to the camera (already added), latitude, longitude, ellipsoidal height,
  * their standard deviations, kind of solution (user manuals of Zenmuse P1 and Matrice 4: "after
- * compensation"). RTKLIB's .pos: a line for each moment, times by GPS or UTC; written of the
- * camera's events it has one for each photograph, and no names.
+ * compensation"). RTKLIB's .pos has a line for each moment, with times in GPS or UTC. A file of
+ * camera events has one line for each photograph, without names.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

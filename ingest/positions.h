@@ -1,5 +1,5 @@
-/* Positions of photographs from files, as receivers with RTK or PPK write them: CSV with a first
- * line that names the columns, RTKLIB's and Emlid's .pos of camera events, DJI's .MRK.
+/* Positions of photographs from files of receivers with RTK or PPK: CSV whose first line names the
+ * columns, RTKLIB's and Emlid's .pos of camera events, and DJI's .MRK.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -16,11 +16,12 @@ enum { POSITION_IMAGE_MAX = 256, POSITIONS_LONLAT = 4326 };
 enum position_by { POSITION_BY_NAME, POSITION_BY_TIME, POSITION_BY_NUMBER };
 
 struct position {
-    char image[POSITION_IMAGE_MAX]; /* by name; of .MRK what names of its photographs begin with */
-    double time_s;                  /* since year 0, by GPS's or universal time; NAN: not said */
-    size_t number;                  /* of .MRK */
-    double at[3];      /* longitude, latitude, height, or as the file has them until projected */
-    double sigma_m[2]; /* an axis in plan, height; 0: not said */
+    /* by name; for .MRK the beginning of its photographs' names */
+    char image[POSITION_IMAGE_MAX];
+    double time_s;     /* since year 0, in GPS time or universal time; NAN: not given */
+    size_t number;     /* for .MRK */
+    double at[3];      /* longitude, latitude, height; as in the file until it is unprojected */
+    double sigma_m[2]; /* of each horizontal axis, and of height; 0: not given */
     size_t line, file;
 };
 struct positions { /* {0} is empty; positions_free */
@@ -28,26 +29,29 @@ struct positions { /* {0} is empty; positions_free */
     size_t n, cap;
     enum position_by by;
     size_t files;
-    int epsg; /* of the file; 0: it does not say */
+    int epsg; /* of the file; 0: not given */
     char heights[HEIGHTS_MAX];
 };
-/* One file, or several .MRK by commas. ERR_NOENT, ERR_FORMAT (which line, what is expected),
- * ERR_DATA (no positions, or more than one kind), ERR_IO, ERR_LIMIT, ERR_MEM. */
+/* Reads one file, or several .MRK separated by commas. Free *out with positions_free. ERR_NOENT,
+ * ERR_FORMAT (names the line and what is expected), ERR_DATA (no positions, or more than one kind),
+ * ERR_IO, ERR_LIMIT, ERR_MEM. */
 enum err_code positions_read(const char *paths, struct positions *out, struct err *e) ERR_USE;
 void positions_free(struct positions *p);
 
 struct position_photo {
     const char *name;
-    double time_s; /* by the camera's clock; NAN: not said */
+    double time_s; /* by the camera's clock; NAN: not given */
     bool has_gps;
     double lon_deg, lat_deg;
-    size_t position; /* out: index in the list, SIZE_MAX: none */
+    size_t position; /* output: index in the list; SIZE_MAX: none */
 };
-/* Find the position of each photograph. By time: the clocks may differ by a constant. ERR_DATA:
- * names fit several, numbers or times do not fit the photographs: says why; ERR_MEM. */
+/* Finds the position of each photograph. If they are matched by time, the clocks may differ by a
+ * constant. ERR_DATA: a name fits several photographs, or numbers or times do not fit; the message
+ * says why. ERR_MEM. */
 enum err_code positions_match(const struct positions *p, struct position_photo *photos, size_t n,
                               struct err *e) ERR_USE;
-/* "2024:06:01 10:00:00" or with slashes, seconds with a fraction; NAN: it is none. */
+/* Parses "2024:06:01 10:00:00", also with slashes or a fraction of seconds. NAN: it is no such
+ * time. */
 double positions_time(const char *text);
 
 #endif

@@ -36,7 +36,7 @@ struct sim3_problem {              /* all borrowed */
     const double (*x)[3], (*y)[3]; /* [n] camera centres, GPS positions in ENU */
     const double (
         *right)[3]; /* [n] x axes of the cameras in the frame of x; level except for the roll */
-    /* [n] errors in plan and in height, relative to the median pair; NULL: all are equal */
+    /* [n] horizontal and vertical errors relative to the median pair; NULL: all are equal */
     const double (*ratio)[2];
     const bool *use;       /* [n] pairs that may be used */
     const uint32_t *group; /* [n] flight, 0 .. n_groups-1; each has its own height offset */

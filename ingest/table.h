@@ -1,5 +1,6 @@
-/* Lines of fields, as lists of ground control points and of positions are: by commas, semicolons or
- * blanks, numbers with a decimal point. And names of photographs, as such lists write them.
+/* Reads lines of fields, as in lists of ground control points and of positions. Fields are
+ * separated by commas, semicolons or blanks, and numbers have a decimal point. Also compares names
+ * of photographs in such lists.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -18,26 +19,26 @@ struct table { /* {0}, then table_open; table_close it */
     const char *path;
     struct buf *bytes;
     char *next;  /* NULL: no more */
-    size_t line; /* of the last that was read, from 1 */
+    size_t line; /* number of the last line that was read, from 1 */
 };
-/* ERR_NOENT, ERR_IO, ERR_LIMIT, ERR_MEM. */
+/* Opens a file. Close *out with table_close. ERR_NOENT, ERR_IO, ERR_LIMIT, ERR_MEM. */
 enum err_code table_open(const char *path, struct table *out, struct err *e) ERR_USE;
 void table_close(struct table *t);
-/* The next line that is not empty, without blanks before it. *more: there was one. ERR_FORMAT: it
- * is too long. */
+/* Reads the next line that is not empty, without leading blanks. *more: there was one. ERR_FORMAT:
+ * it is too long. */
 enum err_code table_next(struct table *t, char line[TABLE_LINE_MAX], bool *more,
                          struct err *e) ERR_USE;
-/* Split at `comma`, or at 0 at blanks, commas and semicolons, in place; blanks around fields go.
- * Returns how many there are. */
+/* Splits text in place at `comma`, or if that is 0 at blanks, commas and semicolons. Blanks around
+ * fields are removed. Returns the number of fields. */
 size_t table_split(char *text, char comma, char *field[TABLE_FIELDS]);
-/* A finite number of at most 1e12, and nothing else. */
+/* Parses a finite number of at most 1e12 and nothing else. Returns false if it is none. */
 bool table_number(const char *text, double *out);
-/* "634676,12": digits around a comma, where commas do not divide the fields; its length, 0: none.
- */
+/* Finds a decimal comma, as in "634676,12", in a line whose fields are not separated by commas.
+ * Returns its length; 0: there is none. */
 size_t table_decimal_comma(const char *line, const char **at);
-/* How well the path of a photograph and the one of a list end alike, 0 for not: folders that both
- * have must be the same, capitals do not matter (cameras write .JPG), the whole path is better than
- * a part. */
+/* Rates how well the path of a photograph matches one in a list, from its end. 0: no match. Folders
+ * that both have must be equal. Case is ignored, because cameras write .JPG. The whole path is
+ * better than a part. */
 size_t table_alike(const char *photo, const char *listed);
 
 #endif

@@ -23,7 +23,7 @@ struct pyramid_config { /* {0} has defaults for all but the name */
     bool lossless; /* payloads in float32, and tile centres that lose no bit of a float32 mean */
     char name[64];
     char attribution[256];
-    char heights[HEIGHTS_MAX]; /* core/heights.h; "": above the ellipsoid */
+    char heights[HEIGHTS_MAX]; /* reference of heights: core/heights.h; "": the ellipsoid */
 };
 struct pyramid_level {     /* levels must be consecutive: 1, 2, 3, or 3 alone */
     const struct gauss *g; /* borrowed; NULL: load() gives the level in n_parts parts */

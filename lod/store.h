@@ -44,7 +44,7 @@ struct store_meta {
     bool lossless;              /* payloads have all fields in float32 (imports) */
     uint8_t zoom_min, zoom_max; /* of the root and of the finest level; set by store_commit */
     char attribution[256];
-    char heights[HEIGHTS_MAX]; /* what heights count from: core/heights.h; "": the ellipsoid */
+    char heights[HEIGHTS_MAX]; /* reference of heights: core/heights.h; "": the ellipsoid */
     char revision
         [13]; /* by store_commit: hash of tiles, blobs, name, origin, attribution, 12 hex digits */
     char created[32]; /* ISO 8601; not part of the revision */

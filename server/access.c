@@ -1,6 +1,6 @@
-/* The access log: one line a request, gathered in memory and written ten times a second by the
- * watching thread, because a write(2) a request costs more than answering from memory does. When a
- * burst fills the buffer, lines are dropped and counted; answers never wait for the log.
+/* The access log: one line a request, collected in memory and written ten times a second by the
+ * watching thread. A write(2) for each request would cost more than an answer from memory. When a
+ * burst fills the buffer, lines are dropped and counted. Answers never wait for the log.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* Addresses of clients. What comes in X-Forwarded-For was written by anybody: it counts only where
- * the proxy that passed it on is trusted, and from the end, because a proxy appends.
+/* Addresses of clients. Anybody can write X-Forwarded-For. It is used only if the proxy that sent
+ * it is trusted, and from its end, because a proxy appends.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,6 +1,6 @@
 /* The functions that rows of routes.def name. A new row needs no declaration. Each function fills a
  * response. It does not block and cannot fail: a failure is an answer, too. The family
- * answer_<family> is in answer_<family>.c. What families take from each other is in
+ * answer_<family> is in answer_<family>.c. Functions that several families use are in
  * answer_<family>.h.
  *
  * SPDX-License-Identifier: Apache-2.0

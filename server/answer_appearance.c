@@ -1,5 +1,5 @@
-/* Appearances: the list, one of them, a posted mix; the network and the photographs for clients
- * that compute colours; and what a request says about an appearance.
+/* Appearances: the list, one of them, a posted mix, and network and photographs for clients that
+ * compute colours. Also finds the appearance that a request names.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

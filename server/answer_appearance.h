@@ -1,4 +1,4 @@
-/* What a request says about an appearance.
+/* The appearance that a request names.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -7,14 +7,14 @@
 
 #include "server/response.h"
 
-/* The appearance of pictures that a text names. False, with the problem set: there is none such. */
+/* Finds the appearance of pictures that a text names. False: there is none; the problem is set. */
 bool answer_appearance_find(struct services *s, const struct dataset *d, const char *text,
                             struct appearance_choice *out, struct response *res);
-/* The same of tiles, which may also have none applied to them. */
+/* As answer_find_appearance, for tiles, which may also have no appearance applied. */
 bool answer_appearance_find_tile(struct services *s, const struct dataset *d, const char *text,
                                  struct appearance_choice *out, struct response *res);
-/* A name in t->appearance becomes what it stands for, and t->kept the name. False, with the problem
- * set: it means nothing in this revision. */
+/* Replaces a named appearance in t->appearance by its meaning, and sets t->kept to the name. False:
+ * it has no meaning in this revision; the problem is set. */
 bool answer_appearance_resolve(struct services *s, const struct dataset *d, struct target *t,
                                struct response *out);
 

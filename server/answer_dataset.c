@@ -1,5 +1,5 @@
-/* What is below a dataset beside tiles and pictures: its documents, tilesets, prefetch lists, and
- * the redirects of addresses without a revision.
+/* Answers about a dataset except tiles and pictures: its documents, tilesets, prefetch lists, and
+ * redirects of addresses without a revision.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

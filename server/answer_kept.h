@@ -1,4 +1,4 @@
-/* How a change of a kept appearance ends.
+/* The end of a change of a named appearance.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -7,7 +7,7 @@
 
 #include "server/response.h"
 
-/* The answer to a change that a job made (work.h): its result, whose body is taken. */
+/* Answers a change that a job made (work.h), from its result. It takes over the result's body. */
 void answer_kept_finish(struct job_result *result, struct response *out);
 
 #endif

@@ -1,4 +1,4 @@
-/* The city from straight above in tiles of a web map, as colours and as heights, and the documents
+/* The city from straight above as tiles of a web map, in colours and in heights, and the documents
  * that lead to them.
  *
  * SPDX-License-Identifier: Apache-2.0

@@ -1,4 +1,4 @@
-/* What answers about the surface share.
+/* Shared by answers about the surface.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -7,7 +7,8 @@
 
 #include "server/response.h"
 
-/* False, with the problem set, where nothing was surveyed: there are no maps and no heights. */
+/* Returns whether the dataset has surveyed ground. If not, it has no maps and heights, and the
+ * problem is set. */
 bool answer_map_is_surveyed(const struct dataset *d, struct response *out);
 
 #endif

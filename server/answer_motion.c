@@ -1,4 +1,4 @@
-/* Streams of pictures that follow a camera (motion.c): opening one, and steering it.
+/* Streams of pictures that follow a camera (motion.c): begins one, and sets its camera.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* Questions about the surface of a dataset: posted JSON, and the height at one place by its
- * address. They are answered on the thread that draws, in the dataset's default appearance.
+/* Questions about the surface of a dataset: posted JSON, and the height at one place by address.
+ * The thread that draws answers them, in the dataset's default appearance.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

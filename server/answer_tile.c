@@ -1,4 +1,4 @@
-/* Tiles: what is not in memory is a job.
+/* Tiles: from memory, or by a job.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

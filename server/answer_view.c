@@ -1,4 +1,4 @@
-/* Rendered views: the cacheable GET of a pose, the POST of any camera.
+/* Rendered views: the cacheable GET of a pose, and the POST of any camera.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* What answers with pictures share.
+/* Shared by answers with pictures.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -7,11 +7,11 @@
 
 #include "server/response.h"
 
-/* False, with the problem set, when nothing can be drawn. Sets out->unnamed while the device
- * starts: ask before the result is named. */
+/* Returns whether anything can be drawn; if not, the problem is set. While the device starts it
+ * sets out->unnamed, so call it before the result is named. */
 bool answer_view_can_draw(struct services *s, struct response *out);
-/* False, with the problem set, when pictures cannot be made or this one is too large, or too much
- * would be drawn for it. Settles how fine it is drawn. */
+/* Checks a picture and chooses its supersampling. False: pictures are off, or this one is too large
+ * or too expensive; the problem is set. */
 bool answer_view_check(struct services *s, uint32_t width_px, uint32_t height_px, enum format f,
                        struct paint *paint, struct response *out);
 

@@ -1,5 +1,5 @@
-/* The description as HTML, made from the OpenAPI document, so that both say the same: every path,
- * what it takes and what it answers with. No script and nothing from elsewhere.
+/* The description as HTML, made from the OpenAPI document, so that both agree: every path with its
+ * parameters and answers. It has no script and loads nothing.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

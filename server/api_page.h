@@ -1,4 +1,4 @@
-/* The description of the service as a page to read.
+/* The description of the service as an HTML page.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -7,7 +7,7 @@
 
 #include "server/body.h"
 
-/* From the OpenAPI document (openapi.h). ERR_INTERNAL: it is none; ERR_MEM. */
+/* Makes it from the OpenAPI document (openapi.h). ERR_INTERNAL: that is invalid. ERR_MEM. */
 enum err_code api_page_describe(const struct body *openapi, struct body **out,
                                 struct err *e) ERR_USE;
 

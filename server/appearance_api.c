@@ -1,12 +1,11 @@
-/* The appearance API: which appearances a dataset has, what a blend of them is, and one in a URL.
+/* The appearance API: the appearances of a dataset, blends, and appearances in URLs.
  *
- * An appearance is one text wherever it is said (?appearance=, the key `appearance` of a posted
- * camera, --appearance of the programs): a photograph's name, a blend NAME:WEIGHT,NAME:WEIGHT, or
- * =BASE64 of a whole embedding (bake_find). Nothing that a client posts is kept: what a mix answers
- * with is a text that means the same on every server with the same store, so appearances are
- * cached, linked and prefetched like everything else. Names that are kept (kept.h) become such a
- * text before anything else looks at them. Two texts of one embedding are one
- * appearance: results are named by the embedding's hash.
+ * An appearance is one text everywhere (?appearance=, the key `appearance` of a posted camera,
+ * --appearance of the programs): a photograph's name, a blend NAME:WEIGHT,NAME:WEIGHT, or =BASE64
+ * of a whole embedding (bake_find). Nothing that a client posts is stored. A mix is answered with a
+ * text that means the same on every server with the same store, so appearances can be cached,
+ * linked and prefetched. Named appearances (kept.h) are replaced by such a text first. Two texts
+ * with one embedding are one appearance, because results are named by the embedding's hash.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

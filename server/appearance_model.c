@@ -1,6 +1,6 @@
-/* The appearance model as documents. Numbers are float32 in base64url, as in an appearance's text:
- * a client gets the very bits that the server bakes with. The default appearance is no photograph,
- * so its row is left out of their numbering.
+/* The appearance model as documents. Numbers are float32 in base64url, as in an appearance's text,
+ * so a client gets the same bits that the server bakes with. The default appearance is no
+ * photograph, so the numbers of photographs leave out its row.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,8 +1,8 @@
-/* Tokens and signed addresses. A token comes as Authorization: Bearer, never in an address, where
- * logs keep it; the file holds its SHA-256 alone. A signed address is for those who cannot send a
- * header (map engines, images): HMAC-SHA256 over the path that it opens and the time when that
- * ends, so one signature serves a tileset and all its tiles. Digests and comparison are Nettle's;
- * what is compared is of a fixed length and compared in a time that does not depend on it.
+/* Tokens and signed addresses. A token is sent as Authorization: Bearer, never in an address,
+ * because logs keep addresses; the file has only its SHA-256. A signed address is for clients that
+ * cannot send headers (map engines, images). It is an HMAC-SHA256 over the path that it opens and
+ * its end time, so one signature is enough for a tileset and all its tiles. Digests and comparison
+ * are Nettle's. Compared values have a fixed length, and the time does not depend on them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

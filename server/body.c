@@ -1,8 +1,7 @@
-/* Encoded bytes that several answers share: a counter, the bytes, their entity tag, and for text
- * also the gzip form, of
- * the viewer's files the brotli form. A body is written by one thread, then shared and never
- * changed; whoever holds a reference may read it without a lock. libmicrohttpd sends straight from
- * these bytes.
+/* Encoded bytes that several answers share: a counter, the bytes, their entity tag, for text also
+ * the gzip form, and for the viewer's files the brotli form. One thread writes a body; then it is
+ * shared and never changed. The holder of a reference may read it without a lock. libmicrohttpd
+ * sends directly from these bytes.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,9 +1,9 @@
-/* Encoded results in memory, bounded in bytes. Sixteen shards, each a hash table with two LRU
- * lists: a new entry goes on probation, a second hit protects it, and what overflows the protected
- * four fifths falls back on probation. A scan of the city once over therefore cannot push out what
- * people look at (segmented LRU: Karedla, Love, Wherry 1994). Bodies are counted, so an evicted one
- * that is being sent stays alive until it is out. Lock: one mutex a shard, held for a few pointer
- * moves; freed bodies are dropped after it is released.
+/* Encoded results in memory, limited in bytes. There are sixteen shards. Each is a hash table with
+ * two LRU lists (segmented LRU: Karedla, Love, Wherry 1994). A new entry is on probation, and a
+ * second hit protects it. When more than four fifths are protected, the oldest fall back on
+ * probation. One scan of the city therefore cannot push out popular tiles. Bodies are counted, so
+ * an evicted one lives until it is sent. A shard has one mutex, held for a few pointer operations;
+ * bodies are dropped after it is released.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

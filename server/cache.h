@@ -1,4 +1,4 @@
-/* Encoded results in memory: a segmented LRU in 16 shards, bounded in bytes.
+/* Encoded results in memory: a segmented LRU in 16 shards, limited in bytes.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -13,12 +13,12 @@ struct cache_stats {
 };
 enum err_code cache_open(size_t limit_bytes, struct cache **out, struct err *e) ERR_USE;
 void cache_close(struct cache **c);
-/* A reference to the body, or NULL. Any thread. */
+/* Returns a reference to the body, or NULL. Any thread. */
 struct body *cache_get(struct cache *c, struct hash128 key);
-/* Keep a reference of its own. Entries larger than a shard's budget are not kept. The newer wins.
- */
+/* Adds a body, and takes a reference. A body larger than a shard's budget is not kept. A newer body
+ * replaces an older one. */
 void cache_put(struct cache *c, struct hash128 key, struct body *b);
-/* Bytes that it answers for (body_cost). Lock-free. */
+/* Memory of all its bodies (body_cost). Lock-free. */
 size_t cache_bytes(const struct cache *c);
 void cache_count(struct cache *c, struct cache_stats *out);
 

@@ -1,6 +1,5 @@
-/* Cache-Control by dataset. What is made is `public`; a policy turns that into what may be kept by
- * browsers alone, or by nobody, and sets how long the documents that move may be kept. no-store
- * stays no-store.
+/* Cache-Control by dataset. The default is `public`. A policy allows only browsers to cache, or
+ * nobody, and sets the lifetime of documents that change. no-store is never changed.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,7 +1,6 @@
 /* The datasets at one moment, with their documents. A reload makes a new catalog and swaps a
- * pointer, requests under way keep the old one, and a revision that was replaced is served for
- * another day from the handles it holds, although its file has been renamed over. A reload that
- * fails has changed nothing.
+ * pointer. Requests in progress keep the old one. A replaced revision is served for another day
+ * from its open handles, although its file was replaced. A reload that fails changes nothing.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

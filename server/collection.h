@@ -1,4 +1,4 @@
-/* Documents about datasets: collections after OGC API Common and the 3D GeoVolumes draft.
+/* Documents about datasets: collections as in OGC API Common and the 3D GeoVolumes draft.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -8,18 +8,20 @@
 #include "server/dataset.h"
 
 struct collection_options {
-    const char *public_url; /* the service's address as clients see it; NULL, "": unknown */
-    const char *base_path;  /* of the service on its host; NULL, "": it has none */
-    const char *basemap;    /* map tiles of somebody else that the viewer may show below its own, as
-                                a URL with {z}, {x} and {y}; NULL, "": none */
-    const char *attribution; /* whose they are; NULL: nobody's */
+    const char *public_url; /* address of the service as clients see it; NULL, "": not known */
+    const char *base_path;  /* path of the service on its host; NULL, "": none */
+    /* map tiles of another provider that the viewer may show below its own: a URL with {z}, {x} and
+     * {y}; NULL, "": none */
+    const char *basemap;
+    const char *attribution; /* attribution of that map; NULL: none */
 };
 
-/* With a public_url `self` and the link to the map's tilesets are absolute; without, the first is
- * relative to the document, and the second begins with '/' (ogc_tiles.h). ERR_MEM. */
+/* Describes a dataset. With a public_url, `self` and the link to the map's tilesets are absolute.
+ * Without, `self` is relative to the document, and the other begins with '/' (ogc_tiles.h).
+ * ERR_MEM. */
 enum err_code collection_describe(const struct dataset *d, const struct collection_options *opt,
                                   struct body **out, struct err *e) ERR_USE;
-/* Of ds[n], without those that a newer revision replaced. ERR_MEM. */
+/* Describes ds [n], without replaced revisions. ERR_MEM. */
 enum err_code collection_list(struct dataset *const *ds, size_t n,
                               const struct collection_options *opt, struct body **out,
                               struct err *e) ERR_USE;

@@ -1,6 +1,6 @@
-/* The headers that make an answer conditional, partial or negotiated (RFC 9110 sections 12.5, 13,
- * 14). Each function reads foreign text and answers one question; what it does not understand it
- * ignores, as the RFC asks. Nothing here allocates.
+/* Headers of conditional and partial requests and of content negotiation (RFC 9110 sections 12.5,
+ * 13, 14). Each function reads untrusted text and answers one question. It ignores what it does not
+ * understand, as the RFC asks. Nothing here allocates.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -13,7 +13,7 @@ struct server_config { /* texts are borrowed and live as long as the server */
 #include "server/options.def"
 #undef OPT
 };
-/* Every option as it is when nobody gives it; texts live in the arena. ERR_MEM. */
+/* Sets every option to its default. Texts live in the arena. ERR_MEM. */
 enum err_code config_defaults(struct server_config *out, struct arena *a, struct err *e) ERR_USE;
 
 #endif

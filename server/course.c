@@ -1,7 +1,7 @@
-/* A path is positions, joined by ';', each written as in the address of a picture:
- * lon,lat,height@heading,pitch. Between them a camera flies straight at its speed, and turns on the
- * way; where turning takes longer than flying, the leg takes that long. It is looked at about twice
- * a second.
+/* A path is positions joined by ';', each written as in the address of a picture:
+ * lon,lat,height@heading,pitch. Between them the camera flies straight at its speed, and turns. If
+ * turning takes longer than flying, the leg takes that long. The path is sampled about twice a
+ * second.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,6 +1,6 @@
-/* A dataset is one revision of one store: its index (read without locks, it never changes), one
- * store handle a worker, and room for the documents that describe it. Immutable and counted:
- * requests under way keep the one they began with.
+/* A dataset is one revision of one store: its index (read without locks, because it never changes),
+ * one store handle for each worker, and its documents. It is immutable and counted. Requests in
+ * progress keep the one that they began with.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -14,45 +14,49 @@
 struct clip;
 struct search_index;
 
-struct dataset { /* immutable but for what the comments say; counted */
+struct dataset { /* immutable except where a comment says otherwise; reference-counted */
     _Atomic uint32_t refs;
-    char *path;          /* of this revision, when it was opened */
-    char source[13];     /* revision of what is at the path; meta.revision unless it was clipped */
-    struct hash128 clip; /* clip_hash of what it was clipped to */
-    int fd;              /* its file, whatever that path names by now; of a clipped one its part */
+    char *path; /* path of this revision when it was opened */
+    /* revision of the store at that path; equal to meta.revision unless it was clipped */
+    char source[13];
+    struct hash128 clip; /* clip_hash of the clip */
+    /* its open file, even if the path names another one by now; if clipped, the file with the part
+     */
+    int fd;
     struct store_meta meta;
     const struct store_tile *tiles;
     size_t n_tiles;
-    const struct store *index;           /* stores[0], for what threads may share of a store */
-    const struct appearance *appearance; /* of the store; NULL: one appearance only */
-    struct area area;                    /* what was surveyed; .in NULL: nothing is known */
-    double bbox[6];                      /* west south hmin east north hmax, degrees and metres */
-    struct hash128 salt;         /* of all that goes into an encoded tile beside its payload */
-    char edition[9];             /* of its tiles (result_id.h); by catalog.c, as are these seven: */
-    struct body *tileset;        /* URIs relative to d/NAME/r/REV/ */
-    struct body *tileset_moving; /* URIs relative to d/NAME/ */
+    const struct store *index; /* stores[0], for parts of a store that threads may share */
+    const struct appearance *appearance; /* of the store; NULL: only one appearance */
+    struct area area;                    /* surveyed area; .in NULL: not known */
+    double bbox[6];       /* west south hmin east north hmax, in degrees and metres */
+    struct hash128 salt;  /* hash of all that determines an encoded tile except its payload */
+    char edition[9];      /* of its tiles (result_id.h); catalog.c sets this and the next seven: */
+    struct body *tileset; /* with URIs relative to d/NAME/r/REV/ */
+    struct body *tileset_moving; /* with URIs relative to d/NAME/ */
     struct body *tilejson;
     struct body *collection;
     struct body *appearances;
     struct body *model, *photographs; /* NULL without appearance, as is search */
-    struct search_index *search;      /* of its photographs */
-    _Atomic uint32_t n_failed;        /* results that its file did not give: it is damaged */
-    pthread_mutex_t lock;             /* of free_store, n_free */
+    struct search_index *search;      /* index of its photographs */
+    /* number of results that could not be read from its file: the file is damaged */
+    _Atomic uint32_t n_failed;
+    pthread_mutex_t lock; /* for free_store and n_free */
     struct store **stores, **free_store;
     size_t n_stores, n_free;
 };
 
-/* Open `path` with `readers` handles for workers. clip (may be NULL): the part of it that this
- * leaves, as a file in clip_dir that goes with the dataset. dataset_drop it. The errors of
- * store_open and clip_open_part, ERR_MEM. */
+/* Opens `path` with `readers` handles for worker threads. clip (may be NULL) selects a part, which
+ * becomes a file in clip_dir that is removed with the dataset. Free *out with dataset_drop.
+ * ERR_MEM, and the errors of store_open and clip_open_part. */
 enum err_code dataset_open(const char *path, size_t readers, const struct clip *clip,
                            const char *clip_dir, struct dataset **out, struct err *e) ERR_USE;
 struct dataset *dataset_ref(struct dataset *d);
 void dataset_drop(struct dataset **d);
-/* Is the caller's the only reference? Nobody can take another one then. */
+/* Returns whether the caller has the only reference. No other thread can then take one. */
 bool dataset_is_last(const struct dataset *d);
-/* A handle for this thread alone until dataset_return. NULL only if more threads borrow than
- * `readers`. */
+/* Borrows a handle for this thread until dataset_return. NULL: more threads borrow than `readers`.
+ */
 struct store *dataset_borrow(struct dataset *d);
 void dataset_return(struct dataset *d, struct store *s);
 

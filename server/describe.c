@@ -1,5 +1,5 @@
-/* The JSON documents that describe the service: landing page, conformance; and the posted camera in
- * the other direction.
+/* JSON documents that describe the service (landing page, conformance), and the parser of posted
+ * cameras.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

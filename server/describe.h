@@ -1,5 +1,5 @@
-/* The documents about the service itself: landing page, conformance; and the posted camera
- * of /d/{ds}/render in the other direction.
+/* Documents about the service: landing page and conformance. Also the parser of cameras that are
+ * posted to /d/{ds}/render.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -13,7 +13,7 @@
 
 struct geo_origin;
 
-/* A reference is the caller's. ERR_MEM. */
+/* The caller owns the reference. ERR_MEM. */
 enum err_code describe_landing(struct body **out, struct err *e) ERR_USE;
 enum err_code describe_conformance(struct body **out, struct err *e) ERR_USE;
 
@@ -23,16 +23,16 @@ struct describe_render {
     int quality;
     struct paint paint;
     double timeout_s;
-    char appearance[TARGET_APPEARANCE_MAX]; /* "": the default one */
-    int64_t number;                         /* of motion: the client's own */
-    bool still;                             /* and whether the camera rests */
+    char appearance[TARGET_APPEARANCE_MAX]; /* "": the default */
+    int64_t number;                         /* for motion: the client's own number */
+    bool still;                             /* for motion: the camera does not move */
 };
-/* Read the posted JSON text[n]. ERR_FORMAT: no such JSON (400). ERR_DATA: impossible numbers (422).
- * ERR_MEM. */
+/* Parses the posted JSON text [n]. ERR_FORMAT: it is not such JSON (400). ERR_DATA: impossible
+ * numbers (422). ERR_MEM. */
 enum err_code describe_read_render(const struct server_config *cfg, const struct geo_origin *origin,
                                    const void *text, size_t n, struct describe_render *out,
                                    struct err *e) ERR_USE;
-/* The same of a stream's camera, which may have a "number" and say that it is "still". */
+/* As describe_read_render, for the camera of a stream, which may have "number" and "still". */
 enum err_code describe_read_motion(const struct server_config *cfg, const struct geo_origin *origin,
                                    const void *text, size_t n, struct describe_render *out,
                                    struct err *e) ERR_USE;

@@ -1,15 +1,15 @@
-/* A folder of results, a file each, named by what decides its bytes (result_id.c): a name never
- * means other bytes, so nothing in it is ever out of date. Files are written beside and renamed,
- * without waiting for the disk: what a power cut leaves of one does not have the hash that its
- * head says, and is taken for a miss, as every other damage is.
+/* A folder of results, one file each. A file is named by what determines its bytes (result_id.c). A
+ * name never means other bytes, so no file is ever out of date. Files are written under another
+ * name and renamed, without waiting for the disk. A file that a power cut damages does not match
+ * the hash in its head. It counts as a miss, as any other damage does.
  *
- * Which files there are is known in memory, in the order of their last use; the files' own times
- * carry it over a restart. Work on files is done outside the lock: a file that another thread
- * removes meanwhile is a miss. Only workers come here, never the threads that speak HTTP.
+ * The list of files is in memory, in order of last use. The times of the files keep that order over
+ * a restart. Work on files is done outside the lock: a file that another thread removes meanwhile
+ * is a miss. Only workers use this folder, never the HTTP threads.
  *
- *   DIR/lock            held (flock) by the server that uses the folder
- *   DIR/ab/cdef...      the rest of the name's 32 digits; a head of 64 bytes, then the result
- *   DIR/ab/cdef....part while it is written
+ *     DIR/lock              held (flock) by the server that uses the folder
+ *     DIR/ab/cdef...        the rest of the name's 32 digits; a head of 64 bytes, then the result
+ *     DIR/ab/cdef....part   while it is written
  *
  * SPDX-License-Identifier: Apache-2.0
  */

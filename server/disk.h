@@ -1,4 +1,4 @@
-/* Results on disk: what was made once is there after a restart.
+/* Results on disk, which survive a restart.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -11,20 +11,20 @@ struct disk; /* any thread */
 struct disk_stats {
     size_t entries;
     uint64_t bytes, hits, misses, written, evicted;
-    uint64_t damaged, failed; /* files that are not what was written; writes that failed */
+    uint64_t damaged, failed; /* damaged: files with wrong content; failed: failed writes */
 };
-/* The folder, made if it is not there, which no other process uses meanwhile (ERR_BUSY); at most
- * limit_bytes of files. disk_close it. ERR_IO, ERR_MEM. */
+/* Opens a folder, and makes it if needed. Only one process may use it (ERR_BUSY). Its files have at
+ * most limit_bytes. Close *out with disk_close. ERR_IO, ERR_MEM. */
 enum err_code disk_open(const char *dir, uint64_t limit_bytes, struct disk **out,
                         struct err *e) ERR_USE;
 void disk_close(struct disk **d);
-/* Can disk_open write there? Beside a server that uses it as well. ERR_IO. */
+/* Checks whether disk_open could write there. A server may be using the folder. ERR_IO. */
 enum err_code disk_check(const char *dir, struct err *e) ERR_USE;
-/* Add the bytes that were put under this name to *out. False: there are none, or they were not
- * what was put: then they are gone. */
+/* Appends the bytes of this name to *out. False: there are none, or they were damaged and have been
+ * removed. */
 bool disk_get(struct disk *d, struct hash128 id, struct buf *out);
-/* Keep n bytes under a name; what was not asked for for longest makes room. Failing is counted, and
- * said once a minute. d may be NULL. */
+/* Keeps n bytes under a name. The least recently used files are removed to make room. A failure is
+ * counted, and logged once a minute. d may be NULL. */
 void disk_put(struct disk *d, struct hash128 id, const void *bytes, size_t n);
 void disk_count(struct disk *d, struct disk_stats *out);
 

@@ -1,4 +1,4 @@
-/* What a folder of results holds when a server starts (disk.c has the layout).
+/* Lists a folder of results when a server starts (disk.c defines the layout).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -12,15 +12,15 @@
 struct disk_scan_file {
     struct hash128 id;
     uint64_t bytes;
-    struct timespec used; /* last, by its own time */
+    struct timespec used; /* time of last use, from the file itself */
 };
-struct disk_scan { /* {0} is empty; disk_scan_free */
+struct disk_scan { /* {0} is empty; free with disk_scan_free */
     struct disk_scan_file *file;
     size_t n, cap;
 };
-/* The files below dir, those that were used longest ago first. Its 256 folders are made where they
- * are not there; what was being written when a server ended is removed, names that are none of ours
- * are passed over. ERR_IO, ERR_LIMIT (the path is too long), ERR_MEM. */
+/* Lists the files below dir, least recently used first. It makes the 256 folders if they are
+ * missing, and removes files that were incomplete when a server ended. Other names are ignored.
+ * ERR_IO, ERR_LIMIT (the path is too long), ERR_MEM. */
 enum err_code disk_scan_dir(const char *dir, struct disk_scan *out, struct err *e) ERR_USE;
 void disk_scan_free(struct disk_scan *s);
 

@@ -1,7 +1,7 @@
-/* From a request to the function of its row, and from a job's end to its answer. What a row says is
- * done here for all routes: the listener, the methods, rights, what caches may do, the queue.
- * dispatch_answer does not block, does not know libmicrohttpd, and cannot fail, since a failure is
- * an answer too.
+/* From a request to the function of its row, and from the end of a job to its answer. Here the
+ * properties of a row are applied for all routes: listener, methods, rights, caching, queue.
+ * dispatch_answer does not block, does not know libmicrohttpd, and cannot fail: a failure is an
+ * answer, too.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

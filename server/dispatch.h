@@ -1,4 +1,4 @@
-/* Request + services -> response.
+/* From a request to a response.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -7,10 +7,10 @@
 
 #include "server/response.h"
 
-/* Answer at once, or set out->work: the caller runs it as a job and comes back with
- * dispatch_finish. Never blocks, never fails. response_free out. */
+/* Answers at once, or sets out->work. In that case the caller runs the work as a job and then calls
+ * dispatch_finish. It never blocks and never fails. Free *out with response_free. */
 void dispatch_answer(struct services *s, const struct request *r, struct response *out);
-/* The job has ended: turn its result (whose body reference is taken) into the answer. */
+/* Turns the result of the job into the answer. It takes over the result's body. */
 void dispatch_finish(struct services *s, const struct request *r, struct job_result *result,
                      struct response *out);
 

@@ -1,4 +1,4 @@
-/* JSON documents as bodies, and the parts that most of them have.
+/* JSON documents as bodies, and parts that most of them have.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -9,19 +9,16 @@
 
 struct json_t;
 
-/* The document's text, appended to out. json's reference is taken, as below. ERR_MEM. */
+/* Appends the document's text to `out`. It takes over the reference to json. ERR_MEM. */
 enum err_code document_write(struct json_t *json, struct buf *out, struct err *e) ERR_USE;
-/* The document as a body, with its gzip form. json's reference is taken; NULL json is out of
- * memory. ERR_MEM. */
+/* Makes a body of the document, with its gzip form. It takes over the reference to json; NULL means
+ * out of memory. ERR_MEM. */
 enum err_code document_make(struct json_t *json, struct body **out, struct err *e) ERR_USE;
-/* Bytes that were written already, which are taken; rc says how that went and is passed on.
- * ERR_MEM.
- */
+/* Makes a body of bytes that were written already, and takes them over. `rc` is the result of
+ * writing them: an error is returned unchanged. ERR_MEM. */
 enum err_code document_take(enum err_code rc, struct buf *b, struct body **out,
                             struct err *e) ERR_USE;
-/* A link object of OGC API; NULL when out of memory, which document_make notices. title may be
- * NULL.
- */
+/* A link object of OGC API. NULL: out of memory, which document_make reports. title may be NULL. */
 struct json_t *document_link(const char *rel, const char *type, const char *href,
                              const char *title);
 struct json_t *document_numbers(const double *v, size_t n);

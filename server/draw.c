@@ -1,6 +1,6 @@
-/* The process that draws: one thread owns the OpenCL device, the compiled kernels and the tiles on
- * it. It is niced, and OpenCL's own threads, which it starts, inherit that, so tiles keep flowing
- * while a picture is made. Which stores are open is decided by who asks (picture.c).
+/* The process that draws. One thread owns the OpenCL device, the compiled kernels and the tiles on
+ * the device. It has a lower priority, which OpenCL's own threads inherit, so tiles are answered
+ * while a picture is made. picture.c decides which stores are open.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

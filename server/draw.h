@@ -1,6 +1,6 @@
-/* What the process that draws is asked, and how it answers: views, map tiles and questions about
- * the surface, of stores whose descriptors it is sent. It alone has the OpenCL device and the
- * Gaussians on it; see worker.h for the process itself and picture.h for who asks.
+/* Requests to the process that draws, and its answers: views, map tiles and questions about the
+ * surface. It gets file descriptors of stores. Only this process has the OpenCL device and
+ * Gaussians on it. worker.h runs the process, picture.h sends the requests.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -13,26 +13,26 @@
 #include "server/map_tile.h"
 #include "server/worker.h"
 
-enum { DRAW_SLOTS = 4 /* stores that it has open */ };
+enum { DRAW_SLOTS = 4 /* number of stores that it keeps open */ };
 
-struct draw_hello {                                        /* told once */
-    char device[128], geoid[64], geoid_dir[FILE_PATH_MAX]; /* as the options; geoid "": none */
+struct draw_hello {                                        /* sent once, at the start */
+    char device[128], geoid[64], geoid_dir[FILE_PATH_MAX]; /* as in the options; geoid "": none */
     uint64_t view_cache_bytes, view_gaussians;
-    int nice; /* of the thread that draws and of those that it starts */
+    int nice; /* for the thread that draws and the threads that it starts */
     bool log_json;
 };
 struct draw_view {
     struct camera cam;
     enum format format;
-    int quality; /* of JPEG and WebP */
+    int quality; /* for JPEG and WebP */
     struct paint paint;
 };
 enum draw_kind { DRAW_VIEW, DRAW_MAP, DRAW_QUERY };
 struct draw_request {
     enum draw_kind kind;
-    uint32_t slot;    /* of the store that is drawn */
-    uint32_t drop;    /* a bit a slot: close these first */
-    bool opens;       /* a descriptor came along: what the slot holds from here on */
+    uint32_t slot;    /* slot of the store to draw */
+    uint32_t drop;    /* a bit for each slot to close first */
+    bool opens;       /* a descriptor is attached: the slot holds that store from now on */
     bool antialiased; /* of the store */
     char name[128];   /* of the store, for messages */
     struct appearance_choice appearance;
@@ -43,9 +43,9 @@ struct draw_request {
     };
 };
 
-/* hello: struct draw_hello; request: struct draw_request. */
+/* hello is a struct draw_hello, request a struct draw_request. */
 extern const struct worker_service draw_service;
-/* Answer until `citysplat serve` ends: worker_main. Returns the exit code. */
+/* Answers requests until `citysplat serve` ends: worker_main. Returns the exit code. */
 int draw_main(void);
 
 #endif

@@ -1,7 +1,6 @@
-/* A tile of Gaussians to bytes in a format. Axes: .glb, .spz and .drc are in glTF axes about the
- * tile's centre (the tileset's transforms put it in place), .sog in those of PlayCanvas' tools
- * (half a turn about x from there); .ply, compressed or not, keeps east-north-up and says its
- * origin in comments.
+/* Encodes a tile of Gaussians. .glb, .spz and .drc are in glTF axes about the tile's centre (the
+ * tileset's transforms put it in place). .sog is in the axes of PlayCanvas' tools, half a turn
+ * about x from those. .ply, compressed or not, stays in east-north-up, with its origin in comments.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

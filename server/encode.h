@@ -1,4 +1,4 @@
-/* One tile of Gaussians to bytes of a format.
+/* Encodes a tile of Gaussians.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -10,22 +10,21 @@
 #include "server/config.h"
 #include "server/target.h"
 
-/* What a target leaves unsaid: the preset that `citysplat serve` was given, the dataset's degree.
- * Of formats that are not quantised there is one form only. */
+/* Fills in what a target left open: the preset of `citysplat serve`, and the degree of the dataset.
+ * A format that is not quantised has one form. */
 struct form encode_form(const struct server_config *cfg, const struct store_meta *meta,
                         const struct form *asked);
-/* Append one tile's bytes of a form. image: an embedding [len_image] of the store's appearance
- * model, NULL for the default one. clip: what is left of the tile, NULL: all of it. ERR_NOENT (no
- * such tile, or nothing of it is left), ERR_FORMAT (damaged), ERR_IO, ERR_MEM,
- * ERR_DATA, ERR_LIMIT. */
+/* Appends the bytes of a tile in a form. image: an embedding [len_image] of the store's appearance
+ * model; NULL: the default one. clip: the part of the tile; NULL: all. ERR_NOENT (no such tile, or
+ * nothing of it is left), ERR_FORMAT (damaged), ERR_IO, ERR_MEM, ERR_DATA, ERR_LIMIT. */
 enum err_code encode_tile(struct store *s, struct key key, struct form form, const float *image,
                           const struct clip *clip, struct buf *out, struct err *e) ERR_USE;
-/* About how many bytes a tile of so many Gaussians takes, by what trained cities take in each form
- * (docs/formats.md); the same for equal arguments. */
+/* Estimates the bytes of a tile with `count` Gaussians, from trained cities (docs/formats.md).
+ * Equal arguments give equal results. */
 uint64_t encode_bytes(const struct store_meta *meta, struct form form, uint32_t count);
-/* Hash of what the encoders make of a fixed sample with this meta. Entity tags contain it, so that
- * they change whenever the encoders, or the libraries below them, do: equal tags are equal bytes.
- * ERR_MEM, and what encoders return. */
+/* Hash of the encoders' output for a fixed sample with this meta. Entity tags contain it. They
+ * therefore change when the encoders or their libraries change, and equal tags mean equal bytes.
+ * ERR_MEM, and the errors of the encoders. */
 enum err_code encode_fingerprint(const struct store_meta *meta, struct hash128 *out,
                                  struct err *e) ERR_USE;
 

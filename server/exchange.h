@@ -1,5 +1,5 @@
-/* One request and its answer: what libmicrohttpd calls, from the request line to the last byte. cls
- * of all callbacks is the front that the connection came to.
+/* One request and its answer: the callbacks of libmicrohttpd, from the request line to the last
+ * byte. cls of all callbacks is the front of the connection.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -11,25 +11,27 @@
 #include "server/services.h"
 #include "server/watch.h"
 
-/* What the connections of a listener share; http.c fills and frees it. */
+/* Shared by the connections of a listener. http.c fills and frees it. */
 struct front {
     struct services *s;
-    bool admin;                  /* the listener of operators */
+    bool admin;                  /* the listener for operators */
     size_t n_base;               /* length of --base-path */
-    struct address_nets proxies; /* trusted ones */
-    struct hash128 secret;       /* of numbers of clients */
+    struct address_nets proxies; /* trusted proxies */
+    struct hash128 secret;       /* for the numbers of clients */
     struct watch *watch;
     struct replies *replies;
-    atomic_flag proxy_told;       /* that requests come through a proxy that is not trusted */
-    _Atomic uint64_t open, asked; /* connections now; requests so far, for their ids */
+    /* it was logged that requests come through a proxy that is not trusted */
+    atomic_flag proxy_told;
+    _Atomic uint64_t open, asked; /* connections now; number of requests so far, for their ids */
 };
 
-/* MHD_OPTION_NOTIFY_CONNECTION: makes and frees what is known of a connection. */
+/* MHD_OPTION_NOTIFY_CONNECTION: makes and frees the state of a connection. */
 void exchange_on_connection(void *cls, struct MHD_Connection *c, void **context,
                             enum MHD_ConnectionNotificationCode what);
 /* MHD_OPTION_URI_LOG_CALLBACK: a request begins. */
 void *exchange_on_target(void *cls, const char *target, struct MHD_Connection *c);
-/* The access handler: its head, its body, its end, and after a job once more. */
+/* The access handler. It is called for the head, the body and the end of a request, and once more
+ * after a job. */
 enum MHD_Result exchange_on_request(void *cls, struct MHD_Connection *c, const char *url,
                                     const char *method, const char *version, const char *upload,
                                     size_t *n_upload, void **con_cls);

@@ -1,7 +1,7 @@
-/* A hash table of live bodies, without references of its own: a body whose last reference is
- * dropped takes itself out (body.gone) before it is freed. Between the two, flight_get may still
- * see it with no references left; it takes a reference only where there is one already, under the
- * lock that the body needs to leave.
+/* A hash table of live bodies, without references of its own. A body whose last reference is
+ * dropped removes itself (body.gone) before it is freed. In between, flight_get may still find it
+ * without references. It takes a reference only if there is one already, under the lock that the
+ * body needs for its removal.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

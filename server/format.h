@@ -1,4 +1,4 @@
-/* What a tile and a picture can be: extension and media type.
+/* Formats of tiles and pictures: extension and media type.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,8 +1,7 @@
-/* The guard refuses what libmicrohttpd 0.9.75 lets through and a proxy in front might read in
- * another way: both Content-Length and Transfer-Encoding, or two of one, a transfer coding other
- * than chunked, two Hosts, control bytes, targets that are not a path, methods nobody defined. Such
- * a request gets a 4xx or 501 and the connection is closed (RFC 9112, sections 3.2, 6.1, 6.3,
- * 11.2).
+/* Refuses requests that libmicrohttpd 0.9.75 accepts and that a proxy in front could read
+ * differently: both Content-Length and Transfer-Encoding, or two of one; a transfer coding other
+ * than chunked; two Hosts; control bytes; targets that are not a path; unknown methods. Such a
+ * request gets a 4xx or 501, and the connection is closed (RFC 9112, sections 3.2, 6.1, 6.3, 11.2).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* Which requests are refused before anything looks at them.
+/* Refuses invalid requests before any answer looks at them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -15,17 +15,16 @@ struct guard { /* {.req = r}, then guard_field for each header field */
 };
 enum method guard_method(const char *name);
 const char *guard_method_name(enum method m); /* for the log */
-/* Look at one header field; what answers need of it is kept in req (borrowed). */
+/* Checks one header field, and stores in req what answers need of it (borrowed). */
 void guard_field(struct guard *g, const char *name, size_t n_name, const char *value,
                  size_t n_value);
-/* All fields were seen, and req has its method and target. 0 when the request may go on, else the
- * status to refuse with, and why. */
+/* Checks the request after all fields; req has its method and target. Returns 0 if it may go on,
+ * else the status of the refusal, and the reason. */
 int guard_check(const struct guard *g, const struct server_config *cfg, const char *version,
                 const char **why);
-/* Does it look like a request of this machine's own: asked for by a loopback name, and without a
- * sign of a proxy (RFC 9110, section 7.6.3; the fields that proxies add; HTTP/1.0, which nginx
- * speaks to what is behind it where it is not told otherwise), nor of a page of another site in
- * this machine's browser (Origin)? */
+/* Returns whether a request seems to come from this machine. It names a loopback host. It has no
+ * sign of a proxy (RFC 9110, section 7.6.3; fields that proxies add; HTTP/1.0, which nginx uses by
+ * default). It does not come from a page of another site in a browser on this machine (Origin). */
 bool guard_local(const struct guard *g, const char *version);
 
 #endif

@@ -8,14 +8,14 @@
 #include "server/response.h"
 
 enum { HEADERS_MAX = 32 };
-struct headers { /* values are borrowed from the response or lie in the texts */
+struct headers { /* values are borrowed from the response, or lie in the texts below */
     size_t n;
     struct {
         const char *name, *value;
     } field[HEADERS_MAX];
     char range[80], retry[16], timing[80], modified[32];
 };
-/* What goes out with r; last: the connection ends behind it. out lives no longer than r. */
+/* Makes the header fields of r. last: the connection closes after it. out must not outlive r. */
 void headers_make(const struct response *r, bool last, struct headers *out);
 
 #endif

@@ -1,8 +1,8 @@
-/* The page's script would find these addresses one after the other, each behind a round trip:
- * catalogue, tileset and network, coarsest tile. As hints they are on their way while the script
- * still is. They have to be the script's own addresses, letter by letter (web/src/source.ts), and
- * in its mode. Addresses in tilesets and tiles are relative to these; one that leaves out how it
- * was signed would not open, so answers of datasets that are not public have none (answer_*.c).
+/* Without hints the page's script finds these addresses one after another, each after a round trip:
+ * catalogue, tileset and network, coarsest tile. Hints let them load while the script still loads.
+ * They must be exactly the script's own addresses (web/src/source.ts), in its mode. Addresses in
+ * tilesets and tiles are relative to these. An address without its signature would not open, so
+ * answers of datasets that are not public have no hints (answer_*.c).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

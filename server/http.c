@@ -1,5 +1,5 @@
-/* libmicrohttpd's daemon: listening, its options, draining. What it calls for a request is in
- * exchange.c, what it sends is made in reply.c; nothing else includes microhttpd.h.
+/* libmicrohttpd's daemon: listening, its options, draining. exchange.c has its callbacks for
+ * requests, reply.c makes what it sends. No other file includes microhttpd.h.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* Asking for a job: joining one that there is, or a place in a queue, if the client may have one
- * and there is room.
+/* Requests for a job: joins an existing one, or adds one to a queue if the client may and there is
+ * room.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,17 +1,19 @@
-/* Slow work, away from the HTTP threads. A job is named by a 128-bit id: while it waits or runs,
- * everyone who asks for the same id becomes one more waiter of the same run (single flight). Queues
- * are bounded, and clients take turns in each (turn.c): when one is full, whoever has most in it
- * gives way. Map tiles and streams take turns with pictures on the thread that draws. New work also
- * takes one of its client's tokens (rate.c); joining and prefetched tiles that move up take none.
- * Prefetched tiles run when nothing else does and move up when somebody really asks.
+/* Internals of jobs.
  *
- * One mutex guards everything, and no callback but cfg.passing runs under it. Whoever takes a
- * waiter off a job under the lock (the worker that finished, job_leave, job_tick, job_stop) has
- * claimed it: waiter->job becomes NULL, and only the claimer wakes it. So each waiter is woken
- * exactly once, however those four race, and a job that ends in any way answers all its waiters,
- * because job_finish is the only end.
+ * A job is named by a 128-bit id. While it waits or runs, every request for the same id becomes a
+ * waiter of the same run (single flight). Queues are limited, and clients take turns in each
+ * (turn.c). If one is full, the client with most items in it loses one. Map tiles and streams take
+ * turns with pictures on the thread that draws. New work takes one of its client's tokens (rate.c).
+ * Joining a job takes none, and neither does a prefetched tile that moves up. Prefetched tiles run
+ * when nothing else does, and move up when a client requests them.
  *
- * job_run.c has the threads, job_ask.c those who ask, job_wait.c those who wait.
+ * One mutex guards everything. Of all callbacks only cfg.passing is called with it held. A waiter
+ * is taken off its job with the lock held, by the worker that finished, job_leave, job_tick or
+ * job_stop. This claims it: waiter->job becomes NULL, and only the claimer wakes it. Each waiter is
+ * thus woken exactly once, however these four race. job_finish is the only end of a job, so all
+ * waiters get an answer.
+ *
+ * job_run.c has the threads, job_ask.c the requests, job_wait.c the waiters.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -36,7 +38,7 @@ struct job {
     _Atomic bool cancel;
     struct job_waiter *waiters;
     struct job *table_next;
-    struct turn_item place; /* in its queue */
+    struct turn_item place; /* position in its queue */
     double queued_s, started_s;
 };
 struct job_thread {
@@ -44,43 +46,44 @@ struct job_thread {
     size_t index;
     struct pool_thread *thread;
 };
-struct jobs { /* all but cfg and workers by `lock` */
+struct jobs { /* `lock` guards all except cfg and workers */
     struct job_config cfg;
     struct job_thread *workers; /* tile threads, then the view thread */
     size_t n_workers;
     pthread_mutex_t lock;
     pthread_cond_t tile_ready, view_ready;
     struct turns *queue[JOB_CLASSES];
-    struct rate *rate[JOB_CLASSES]; /* NULL: that of JOB_TILE */
+    struct rate *rate[JOB_CLASSES]; /* NULL: that of JOB_TILE is used */
     struct job *table[JOB_TABLE];
     struct failures failures;
-    enum job_class drew; /* the last that was drawn */
+    enum job_class drew; /* class of the last job that was drawn */
     bool stopping, drawer_ended;
-    bool drawer_hangs;      /* of job_stop: it has been waited for */
+    bool drawer_hangs;      /* set by job_stop: waiting for it failed */
     double drawing_since_s; /* 0: the thread that draws waits for work */
     pthread_cond_t ended;
     struct job_stats stats;
 };
 
-/* ---- under the lock ---- */
+/* ---- with the lock held ---- */
 
-struct job **job_table_find(struct jobs *js, struct hash128 id); /* where it is, or would be */
+/* place of a job in the table, or place to insert it */
+struct job **job_table_find(struct jobs *js, struct hash128 id);
 void job_table_remove(struct jobs *js, struct job *j);
-struct job *job_at(struct turn_item *it); /* NULL: of none */
+struct job *job_at(struct turn_item *it); /* NULL: `it` is NULL */
 bool job_is_drawn(enum job_class cls);
 void job_queue_add(struct jobs *js, struct job *j, uint64_t client);
-/* Take *p off its job and put it on the caller's list. */
+/* Takes *p off its job and adds it to the caller's list. */
 void job_claim(struct job *j, struct job_waiter **p, const struct job_result *r,
                struct job_waiter **claimed);
-/* A job that nobody waits for: the caller frees what comes back. */
+/* Removes a job without waiters. The caller frees the returned job, if any. */
 struct job *job_abandon(struct jobs *js, struct job *j);
 
-/* ---- not under the lock ---- */
+/* ---- without the lock ---- */
 
 void job_wake_all(struct job_waiter *w);
 void job_free(struct jobs *js, struct job *j);
-/* Claim every waiter whose deadline is before `before_s` (or everyone); jobs without waiters are
- * forgotten. */
+/* Claims every waiter whose deadline is before `before_s`, or all of them. Jobs without waiters are
+ * dropped. */
 void job_claim_where(struct jobs *js, double before_s, const struct job_result *r, bool everyone);
 
 #endif

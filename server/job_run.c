@@ -1,4 +1,4 @@
-/* The threads of jobs: taking the next one, running it, telling those who wait; starting and
+/* The threads of jobs: they take the next job, run it and wake its waiters. Also starting and
  * stopping.
  *
  * SPDX-License-Identifier: Apache-2.0

@@ -1,4 +1,4 @@
-/* Jobs and those who wait for them: the table of jobs, and everything by which a waiter leaves one.
+/* Jobs and their waiters: the table of jobs, and all ways in which a waiter leaves one.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

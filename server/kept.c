@@ -1,16 +1,16 @@
 /* Named appearances: see kept.h.
  *
- * The file is an SQLite database in WAL mode, written through to the disk (synchronous=FULL) before
- * a change is answered, held by one process (locking_mode=EXCLUSIVE):
+ * The file is an SQLite database in WAL mode. A change is on the disk (synchronous=FULL) before it
+ * is answered. One process holds the file (locking_mode=EXCLUSIVE):
  *
- *   application_id  "CSPN"          user_version  KEPT_SCHEMA
- *   kept  dataset, name             what is named; the primary key
- *         text                      what it stands for
- *         model                     16 bytes, hash of the network an embedding is for
+ *     application_id  "CSPN"      user_version  KEPT_SCHEMA
+ *     kept  dataset, name         what is named; the primary key
+ *           text                  its meaning
+ *           model                 16 bytes, hash of the network of an embedding
  *
- * What it holds is read once, when it is opened, and checked like anything foreign. Answers read a
- * table in memory; a change makes a new one, after the disk has it. `writing` is held over a whole
- * change, `lock` only to take or replace the table.
+ * Its content is read once, when it is opened, and checked like any data from outside. Answers read
+ * a table in memory; a change makes a new one after it is on the disk. `writing` is held for a
+ * whole change, `lock` only to take or replace the table.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* Appearances that somebody gave a name, kept over restarts: one SQLite file in --state-dir, and a
- * copy in memory that answers read.
+/* Named appearances, which survive restarts: an SQLite file in --state-dir, and a copy in memory
+ * that answers read.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -9,50 +9,51 @@
 #include "server/body.h"
 #include "server/target.h"
 
-enum { KEPT_DATASET_MAX = 1000, KEPT_MAX = 4096 }; /* of one dataset, of all */
+enum { KEPT_DATASET_MAX = 1000, KEPT_MAX = 4096 }; /* of one dataset; of all */
 
 struct kept_row {
     char ds[64], name[TARGET_KEPT_MAX];
-    char text[TARGET_APPEARANCE_MAX]; /* what the name stands for: see appearance_api.h */
-    struct hash128 model;             /* network that an embedding is for; 0: the text names
-                                       * photographs */
+    char text[TARGET_APPEARANCE_MAX]; /* the meaning of the name, see appearance_api.h */
+    struct hash128 model;             /* network of an embedding; 0: the text names photographs */
 };
-struct kept_table { /* immutable, counted: all names at one moment */
+struct kept_table { /* all names at one moment; immutable, reference-counted */
     _Atomic uint32_t refs;
     size_t n;
-    struct kept_row *row; /* [n], by ds, then name */
+    struct kept_row *row; /* [n], sorted by ds, then name */
 };
 struct kept; /* any thread */
 
-/* The names in dir, which is made where it is not there; kept_close it. One process at a time:
- * ERR_BUSY. ERR_FORMAT: the file is damaged or another program's; ERR_IO, ERR_LIMIT, ERR_MEM. */
+/* Opens the names in dir, and makes the folder if needed. Close *out with kept_close. ERR_BUSY:
+ * another process uses it. ERR_FORMAT: the file is damaged or belongs to another program. ERR_IO,
+ * ERR_LIMIT, ERR_MEM. */
 enum err_code kept_open(const char *dir, struct kept **out, struct err *e) ERR_USE;
-/* Could it be opened? A server that uses it is no error. */
+/* Checks whether it could be opened. A server that uses it is not an error. */
 enum err_code kept_check(const char *dir, struct err *e) ERR_USE;
-void kept_close(struct kept **k); /* accepts NULL inside, leaves NULL */
+void kept_close(struct kept **k); /* *t may be NULL; sets it to NULL */
 
-/* All names of now; kept_drop it. k NULL: NULL. */
+/* Returns all present names; free with kept_drop. k NULL: NULL. */
 struct kept_table *kept_now(struct kept *k);
-void kept_drop(struct kept_table **t);             /* accepts NULL inside, leaves NULL */
-struct kept_table *kept_ref(struct kept_table *t); /* of NULL: NULL */
-/* NULL: there is none, as where t is NULL. Borrowed from t. */
+void kept_drop(struct kept_table **t);             /* *t may be NULL; sets it to NULL */
+struct kept_table *kept_ref(struct kept_table *t); /* t NULL: NULL */
+/* Finds a name; borrowed from t. NULL: there is none, or t is NULL. */
 const struct kept_row *kept_find(const struct kept_table *t, const char *ds, const char *name);
-/* Those of a dataset: how many, and the first; a hash of all that they say. */
+/* kept_of: number of names of a dataset, and the first of them. kept_hash: hash of their content.
+ */
 size_t kept_of(const struct kept_table *t, const char *ds, const struct kept_row **first);
 struct hash128 kept_hash(const struct kept_table *t, const char *ds);
-/* The entity tag of what a name stands for. */
+/* The entity tag of a name's content. */
 void kept_etag(const struct kept_row *row, char out[BODY_ETAG_SIZE]);
 
-/* If-Match and If-None-Match of a request, NULL: absent. */
+/* If-Match and If-None-Match of a request; NULL: absent. */
 struct kept_condition {
     const char *match, *none_match;
 };
-/* Keep a row, in place of one of its name; *created: there was none. When this returns ERR_OK it is
- * on the disk. ERR_DATA: a condition does not hold; ERR_LIMIT: too many names, or the disk is full;
- * ERR_IO, ERR_FORMAT, ERR_MEM. In all of these nothing has changed. Waits for the disk. */
+/* Stores a row, and replaces one with the same name; *created: there was none. After ERR_OK it is
+ * on the disk. It waits for the disk. ERR_DATA: a condition is not met. ERR_LIMIT: too many names,
+ * or the disk is full. ERR_IO, ERR_FORMAT, ERR_MEM. After an error nothing has changed. */
 enum err_code kept_put(struct kept *k, const struct kept_row *row,
                        const struct kept_condition *when, bool *created, struct err *e) ERR_USE;
-/* Forget one. ERR_NOENT: there is none; the others as of kept_put. */
+/* Removes a name. ERR_NOENT: there is none. Else as kept_put. */
 enum err_code kept_remove(struct kept *k, const char *ds, const char *name,
                           const struct kept_condition *when, struct err *e) ERR_USE;
 

@@ -1,4 +1,5 @@
-/* The listening sockets, bound before anything slow is started, or taken over from a supervisor.
+/* Listening sockets. They are bound before slow parts of the server start, or taken over from a
+ * supervisor.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

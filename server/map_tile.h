@@ -1,4 +1,4 @@
-/* Tiles of a web map as bytes: colour, or heights written as colours.
+/* Tiles of a web map as bytes: colours, or heights coded as colours.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -8,21 +8,21 @@
 #include "lod/raster.h"
 #include "server/target.h"
 
-enum { MAP_TILE_REACH_PX = 16 /* how far holes of terrain are filled from their rims */ };
+enum { MAP_TILE_REACH_PX = 16 /* distance over which holes of terrain are filled */ };
 
 struct map_tile {
     struct key key;
     uint32_t size_px;
     enum format format;     /* jpg, png, webp */
     enum encoding encoding; /* of heights; ENCODING_UNSAID: colours */
-    int quality;            /* of jpg and webp */
+    int quality;            /* for jpg and webp */
 };
-/* Terrain that is level everywhere, the same bytes for every such tile: neither it nor the margin
- * that its holes are filled from touches the survey. */
+/* Returns whether a terrain tile is level everywhere, so that all such tiles have the same bytes:
+ * the survey touches neither it nor the margin used for filling. */
 bool map_tile_is_flat(const struct area *a, const struct map_tile *t);
-/* Append the encoded picture. Where nothing was surveyed colours are transparent, in JPEG white,
- * and heights are those of raster_fill with raster_base_m. Errors of raster_draw and image_encode:
- * ERR_ARG, ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_LIMIT, ERR_MEM, ERR_INTERNAL. */
+/* Appends the encoded picture. Ground that was not surveyed is transparent, in JPEG white; heights
+ * are those of raster_fill with raster_base_m. ERR_ARG, ERR_CANCEL, ERR_DEVICE, ERR_FORMAT,
+ * ERR_LIMIT, ERR_MEM, ERR_INTERNAL as in raster_draw and image_encode. */
 enum err_code map_tile_make(struct nadir *n, const struct map_tile *t, struct buf *out,
                             struct err *e) ERR_USE;
 

@@ -1,5 +1,5 @@
-/* Counters. Requests are labelled by route template and status, never by path, so the number of
- * series is fixed. Relaxed atomics: nobody waits for anybody.
+/* Counters. Their labels are route template and status, never a path, so the number of series is
+ * fixed. Atomics are relaxed: no thread waits.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -14,18 +14,19 @@ struct metrics_route {
     _Atomic uint64_t requests[METRICS_CODES], seconds_bucket[METRICS_BUCKETS], seconds_us;
 };
 struct metrics {
-    struct metrics_route *route; /* [n_routes], the last for what is no route; metrics_free */
+    /* [n_routes], the last one for requests without a route; free with metrics_free */
+    struct metrics_route *route;
     size_t n_routes;
     _Atomic uint64_t response_bytes, inflight, connections, client_aborts, reaped, displaced,
         store_errors, reload_failed, rejected;
 };
-extern const int metrics_codes[METRICS_CODES]; /* 0 ends them: another status */
+extern const int metrics_codes[METRICS_CODES]; /* ended by 0, which stands for other statuses */
 extern const double metrics_bounds_s[METRICS_BUCKETS];
 
-/* For so many routes. ERR_MEM. */
+/* Allocates counters for so many routes. ERR_MEM. */
 enum err_code metrics_open(struct metrics *m, size_t n, struct err *e) ERR_USE;
 void metrics_free(struct metrics *m);
-/* route: its number, that of all routes for none. */
+/* Counts a request. route: its number, or the number of all routes for none. */
 void metrics_request(struct metrics *m, size_t route, int status, double seconds, uint64_t bytes);
 
 #endif

@@ -7,7 +7,7 @@
 
 #include "server/services.h"
 
-/* Append it. ERR_MEM. */
+/* Appends it to `out`. ERR_MEM. */
 enum err_code metrics_text_write(struct services *s, struct buf *out, struct err *e) ERR_USE;
 
 #endif

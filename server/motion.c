@@ -1,14 +1,14 @@
 /* Streams of pictures that follow a camera. While the camera moves, pictures are small and made
- * quickly; when it rests, one is drawn in full. One picture of a stream is under way at most, and
- * it is always that of the newest camera: the next one is drawn when the last byte of the one
- * before has gone to the socket, so a slow line gets fewer pictures, never old ones (exchange.c
- * keeps little waiting in the socket).
+ * quickly. When it rests, one is drawn at full size. A stream has at most one picture in progress,
+ * always that of the newest camera. The next one is drawn when the last byte of the one before is
+ * in the socket. A slow line therefore gets fewer pictures, never old ones (exchange.c limits the
+ * bytes in the socket).
  *
- * A stream is read by one connection, steered by any number of requests, and drawn for by one job
- * at a time. One mutex guards all streams; no job is submitted and nobody is called under it.
- * References: the table, the reader and the job under way have one each. `flying` says who may
- * touch the waiter: whoever sets it submits the job, and the job's end, or a job_leave that claimed
- * the waiter, clears it.
+ * One connection reads a stream, any number of requests set its camera, and one job at a time draws
+ * for it. One mutex guards all streams. No job is submitted and no callback is called with it held.
+ * The table, the reader and the job in progress have one reference each. `flying` decides who may
+ * use the waiter: the code that sets it submits the job, and the job's end, or a job_leave that
+ * claimed the waiter, clears it.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

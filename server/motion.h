@@ -1,6 +1,5 @@
-/* Streams of pictures that follow a camera, for clients that do not draw Gaussians themselves: one
- * request stays open and is answered with picture after picture; others, small, say where the
- * camera is.
+/* Streams of pictures that follow a camera, for clients that do not draw Gaussians. One request
+ * stays open and gets picture after picture. Other, small requests send the position of the camera.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -12,50 +11,49 @@
 #include "server/services.h"
 
 struct motion;        /* all streams of a server; thread-safe */
-struct motion_stream; /* one of them; counted references */
+struct motion_stream; /* one stream; reference-counted */
 
-struct motion_wish { /* what a client wants to see */
+struct motion_wish { /* the picture that a client wants */
     struct draw_view view;
     struct appearance_choice appearance;
-    double timeout_s; /* of one picture */
-    int64_t number;   /* the client's own, repeated with the picture */
-    bool still;       /* draw it in full at once */
+    double timeout_s; /* for one picture */
+    int64_t number;   /* the client's own number, repeated with the picture */
+    bool still;       /* draw at full size at once */
 };
 struct motion_counts {
-    uint64_t streams, pictures, full; /* open now; sent since the start, those in full among them */
+    /* open now; sent since the start, and those of them at full size */
+    uint64_t streams, pictures, full;
 };
 
-/* motion_close it, after the connections. ERR_MEM. */
+/* Close *out with motion_close, after the connections. ERR_MEM. */
 enum err_code motion_open(struct services *s, struct motion **out, struct err *e) ERR_USE;
-/* After job_close: no picture is under way any more. */
+/* Call it after job_close, when no picture is being made. */
 void motion_close(struct motion **m);
-/* Draw in full where cameras rest, end streams that nobody steers; a few times a second. */
+/* Draws at full size where cameras rest, and ends streams without a recent camera. Call it a few
+ * times a second. */
 void motion_tick(struct motion *m, double now_s);
-/* End all: what is being read is finished. New ones are refused. */
+/* Ends all streams; pictures that are being read are finished. New streams are refused. */
 void motion_stop(struct motion *m);
 void motion_count(struct motion *m, struct motion_counts *out);
 
-/* A stream of a dataset's pictures by a name that the client chose. ready() is called, on any
- * thread and under no lock, once after each motion_await that returned true.
- *
- *   out  motion_leave it when its reader has gone
- *
- * Errors: ERR_ARG (the name is taken), ERR_LIMIT (too many streams of this client), ERR_BUSY (too
- * many in all, or the server stops), ERR_MEM. */
+/* Begins a stream of a dataset's pictures, with a name that the client chose. ready() is called
+ * once after each motion_await that returned true, in any thread and without a lock. Call
+ * motion_leave when the reader of *out has gone. ERR_ARG (the name is in use), ERR_LIMIT (too many
+ * streams of this client), ERR_BUSY (too many streams, or the server is stopping), ERR_MEM. */
 enum err_code motion_begin(struct motion *m, const char *ds, const char *name, uint64_t client,
                            void (*ready)(void *user), void *user, struct motion_stream **out,
                            struct err *e) ERR_USE;
-/* The camera is here now; the newest wins. d: the dataset's revision to draw. ERR_NOENT: there is
- * no such stream. */
+/* Sets the camera of a stream; only the newest one is drawn. d: the revision of the dataset to
+ * draw. ERR_NOENT: there is no such stream. */
 enum err_code motion_steer(struct motion *m, struct dataset *d, const char *name,
                            const struct motion_wish *wish, struct err *e) ERR_USE;
-/* The next bytes of the stream, at most room; 0: none yet; -1: it has ended. */
+/* Copies the next bytes of the stream, at most `room`. 0: none yet. -1: it has ended. */
 ssize_t motion_read(struct motion_stream *st, char *out, size_t room);
-/* There was nothing to read: call ready() when there is. False: there is already. */
+/* Asks for a call of ready() when there are bytes. False: there are some already. */
 bool motion_await(struct motion_stream *st);
-/* It ends, at the next read; any thread. */
+/* Ends a stream at its next read. Any thread. */
 void motion_end(struct motion_stream *st);
-/* The reader has gone: out of the table, the picture under way is given up. Leaves NULL. */
+/* Removes a stream whose reader has gone, and gives up its picture. Sets *st to NULL. */
 void motion_leave(struct motion_stream **st);
 struct motion_stream *motion_ref(struct motion_stream *st);
 void motion_drop(struct motion_stream **st);

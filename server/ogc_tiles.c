@@ -1,10 +1,10 @@
 /* OGC API - Tiles: see ogc_tiles.h.
  *
- * GDAL 3.6 decides the form. It reads a tile matrix set in the words of OGC 17-083r2 alone (2019:
- * identifier, supportedCRS, tileMatrix, topLeftCorner), where others read those of 17-083r4
- * (2022: id, crs, tileMatrices, pointOfOrigin); here are both. It opens no tileset without limits,
- * and where these are narrower than a matrix it asks for tiles that lie elsewhere. So limits say
- * which zooms there are, and of each the whole; a tile beside the survey is 204.
+ * GDAL 3.6 determines the form. It reads a tile matrix set only in the words of OGC 17-083r2 (2019:
+ * identifier, supportedCRS, tileMatrix, topLeftCorner). Other programs read those of 17-083r4
+ * (2022: id, crs, tileMatrices, pointOfOrigin). Both are written. GDAL opens no tileset without
+ * limits, and with limits narrower than a matrix it requests wrong tiles. The limits therefore
+ * state which zooms exist, and for each the whole matrix. A tile outside the survey is 204.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

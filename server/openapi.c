@@ -1,8 +1,8 @@
 /* OpenAPI 3.0.3, made from the route table: paths, methods, parameters, rights and answers are
  * those of the rows.
  *
- * Brackets in a route's template stand for what may be left out. A path of OpenAPI cannot say that,
- * so it has the long form. Answers that follow from the kind of a route are not in its row: 206,
+ * Brackets in a route's template mark an optional part. OpenAPI cannot express that in a path, so
+ * it has the long form. A row does not list answers that follow from the kind of its route: 206,
  * 304 and 416 of a GET, and problems.
  *
  * SPDX-License-Identifier: Apache-2.0

@@ -8,7 +8,7 @@
 #include "server/body.h"
 #include "server/router.h"
 
-/* Of all routes. ERR_MEM. */
+/* Describes all routes. ERR_MEM. */
 enum err_code openapi_describe(const struct router *routes, struct body **out,
                                struct err *e) ERR_USE;
 

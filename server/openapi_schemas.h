@@ -1,5 +1,5 @@
-/* Shapes of the JSON that the service answers with, and of what it takes: OpenAPI 3.0 schemas. '
- * stands for a quotation mark.
+/* OpenAPI 3.0 schemas of the JSON that the service sends and accepts. ' stands for a quotation
+ * mark.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -8,12 +8,13 @@
 #include "server/response.h"
 
 enum { ORIGIN_MAX = 512 };
-/* What caches must tell answers apart by that hold origin_of. */
-extern const char ORIGIN_VARY[], ORIGIN_VARY_ENCODED[]; /* without, with Accept-Encoding */
-/* --public-url, else "https://HOST/BASE" by the request: its Host and the listener's scheme, behind
- * a trusted proxy (--trusted-proxy) X-Forwarded-Host and X-Forwarded-Proto where it sends them.
- * "": unknown. The host is no name, or a proxy that is not trusted stands between: it may have
- * another name. */
+/* Vary for answers that depend on origin_of. */
+/* without Accept-Encoding, then with it */
+extern const char ORIGIN_VARY[], ORIGIN_VARY_ENCODED[];
+/* Writes the origin: --public-url, else "https://HOST/BASE" from the request. The request gives
+ * Host and the listener's scheme; behind a trusted proxy (--trusted-proxy) it gives
+ * X-Forwarded-Host and X-Forwarded-Proto if the proxy sends them. "": not known, because Host is no
+ * valid name, or an untrusted proxy, which may have another name, is in between. */
 const char *origin_of(const struct services *s, const struct request *r, char out[ORIGIN_MAX]);
 
 #endif

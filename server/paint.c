@@ -1,7 +1,7 @@
-/* From what the renderer gives to the bytes of a picture.
+/* Turns the renderer's output into the bytes of a picture.
  *
- * The sky is that of the viewer in its light theme: a gradient from the horizon up, and ground
- * below it that fades towards the horizon.
+ * The sky is that of the viewer's light theme: a gradient upwards from the horizon, and below it
+ * ground that fades towards the horizon.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

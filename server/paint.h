@@ -1,4 +1,4 @@
-/* What a picture is made of behind the Gaussians, or in place of their colours; and its bytes.
+/* The background of a picture, or depth instead of its colours; and its encoding.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -8,33 +8,35 @@
 #include "core/camera.h"
 #include "server/target.h"
 
-/* RRGGBB, sky or transparent; mm, cm, dm or m: what a text[n] says. False: neither. */
+/* Parse text [n]: RRGGBB, "sky" or "transparent"; and "mm", "cm", "dm" or "m". Return false if it
+ * is none of them. */
 bool paint_read_background(const char *text, size_t n, struct paint *out);
 bool paint_read_depth(const char *text, size_t n, struct paint *out);
 
-/* What the renderer gives for a picture [h][w]; NULL: not asked for. */
+/* The renderer's output for a picture [h][w]; NULL: not wanted. */
 struct paint_planes {
     const float *rgb;           /* [3]; for SKY and TRANSPARENT on black */
-    const float *transmittance; /* what is left behind the last Gaussian */
-    const float *depth_m;       /* along the optical axis, of the surface that is seen; 0: none */
+    const float *transmittance; /* behind the last Gaussian */
+    const float *depth_m;       /* of the visible surface, along the optical axis; 0: none */
 };
-/* Does it need the transmittance, or the depth? */
+/* Return whether it needs transmittance, or depth. */
 bool paint_needs_transmittance(const struct paint *p);
 bool paint_needs_depth(const struct paint *p, enum format f);
-/* How fine a picture of so many pixels is drawn where the request does not say: supersample (0: as
- * it suits the view), or less, so that at most most_px are drawn. 1 for depth, which is of a
- * pixel's middle. */
+/* Chooses the supersampling of a picture with px pixels, if the request does not. `supersample` is
+ * the wish; 0: what suits the view. It is lowered so that at most most_px pixels are drawn. Depth
+ * has 1, because it is that of a pixel's middle. */
 void paint_settle(struct paint *p, enum format f, uint32_t supersample, double px, double most_px);
-/* ERR_DATA where a format cannot hold it: what to ask for instead. */
+/* Checks whether a format can hold it. ERR_DATA: it cannot; the message says what to request
+ * instead. */
 enum err_code paint_check(const struct paint *p, enum format f, struct err *e) ERR_USE;
-/* Append the encoded picture. Depth as PNG is 16-bit grey in the unit of p, 0 where nothing is seen
- * and 65535 for what is farther, with the unit in a text chunk; as .npy it is float32 metres, NaN
- * where nothing is seen. ERR_MEM, and what image_encode and png_encode return: ERR_ARG,
- * ERR_INTERNAL. */
+/* Appends the encoded picture. Depth as PNG is 16-bit grey in the unit of p. 0: nothing is visible;
+ * 65535: farther; a text chunk has the unit. Depth as .npy is float32 metres, NaN: nothing is
+ * visible. ERR_MEM, and the errors of image_encode and png_encode: ERR_ARG, ERR_INTERNAL. */
 enum err_code paint_encode(const struct paint *p, const struct camera *cam, enum format f,
                            int quality, const struct paint_planes *in, struct buf *out,
                            struct err *e) ERR_USE;
-/* Turn a camera clockwise about its optical axis, degrees: the picture turns the other way. */
+/* Rotates a camera clockwise about its optical axis, in degrees. The picture rotates the other way.
+ */
 void paint_roll(struct camera *cam, double roll_deg);
 
 #endif

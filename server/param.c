@@ -1,6 +1,6 @@
-/* See param.h. What is common to many parameters is a type. A parameter with a form of its own has
+/* See param.h. A form that many parameters share is a type. A parameter with a form of its own has
  * a function here, or in param_clip.c and param_time.c. Numbers are plain decimals without leading
- * zeros, so that a resource has one name.
+ * zeros, so that a resource has only one name.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

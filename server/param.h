@@ -8,39 +8,39 @@
 #include "server/target.h"
 #include "server/text.h"
 
-enum { PARAM_PATH = 1 << 16 }; /* beside the groups of route.h: it stands in a path */
+enum { PARAM_PATH = 1 << 16 }; /* with the groups of route.h: the parameter is part of a path */
 enum param_type {
-    PARAM_NAME,    /* [a-z0-9][a-z0-9_-]* of so many letters */
-    PARAM_NATURAL, /* a natural number; the range is checked later, by who knows more */
+    PARAM_NAME,    /* [a-z0-9][a-z0-9_-]*, with a length in the range */
+    PARAM_NATURAL, /* a natural number; its range is checked later */
     PARAM_COUNT,   /* a natural number in the range */
-    PARAM_E7,      /* a decimal number in the range, kept in 1e-7 */
-    PARAM_E3,      /* the same in thousandths */
-    PARAM_ANGLE,   /* the same, kept in 0 to 359999 */
-    PARAM_FORMAT,  /* an extension (format.h), the last of its text */
-    PARAM_WORD,    /* one of the words: the first is kept as `least`, the next as one more */
+    PARAM_E7,      /* a decimal number in the range, stored in 1e-7 */
+    PARAM_E3,      /* the same, in thousandths */
+    PARAM_ANGLE,   /* the same, stored as 0 to 359999 */
+    PARAM_FORMAT,  /* an extension (format.h) at the end of the text */
+    PARAM_WORD,    /* one of the words: the first is stored as `least`, the next as one more */
     PARAM_TEXT,    /* percent-encoded UTF-8 */
-    PARAM_REST,    /* whatever follows; it is not kept */
-    PARAM_OWN,     /* its own function reads it */
+    PARAM_REST,    /* any text; it is not stored */
+    PARAM_OWN,     /* a function of its own reads it */
 };
 struct param {
     const char *name;
     unsigned groups;
     enum param_type type;
-    enum err_code (*read)(struct text *t, struct target *out, struct err *e); /* of PARAM_OWN */
+    enum err_code (*read)(struct text *t, struct target *out, struct err *e); /* for PARAM_OWN */
     double least, most;
-    const char *words;    /* "a|b|c"; of PARAM_OWN a pattern; may be NULL */
-    const char *standard; /* NULL: nothing is set where it is left out */
+    const char *words;    /* "a|b|c"; for PARAM_OWN a pattern; may be NULL */
+    const char *standard; /* default; NULL: nothing is set */
     size_t at, size;      /* of its member in struct target */
     const char *must, *about;
 };
 extern const struct param PARAMS[];
 extern const size_t PARAMS_COUNT;
 
-/* Read one value from t on, in a query to its end. ERR_NOENT: it is none, and e is not set.
- * ERR_DATA, ERR_FORMAT: it is one that cannot be, and e says why. */
+/* Reads one value from t on; in a query it must end there. ERR_NOENT: there is no such value; e is
+ * not set. ERR_DATA, ERR_FORMAT: the value is impossible; e says why. */
 enum err_code param_read(const struct param *p, struct text *t, struct target *out,
                          struct err *e) ERR_USE;
-/* May an appearance be kept under it? [a-z0-9][a-z0-9_-]*, and none of the words that have a
+/* Returns whether an appearance may have this name: [a-z0-9][a-z0-9_-]*, and no word with another
  * meaning. */
 bool param_is_kept_name(const char *name);
 

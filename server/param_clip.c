@@ -1,7 +1,7 @@
-/* A polygon in a query: clip=lon,lat,lon,lat,... in degrees, one ring of which the first corner may
- * be repeated at the end. Where it begins and which way round it goes does not matter: it is kept
- * counterclockwise from its most western corner (of these the most southern), so that equal
- * polygons are one thing in every cache.
+/* A polygon in a query: clip=lon,lat,lon,lat,... in degrees, one ring, whose first corner may be
+ * repeated at the end. The first corner and the direction do not matter. It is stored
+ * counterclockwise from its westernmost corner (of several the southernmost), so that equal
+ * polygons are equal for every cache.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -10,11 +10,11 @@
 struct clip;
 struct text;
 
-/* What follows "clip=". ERR_NOENT: it is no such text. ERR_DATA: it is no polygon. */
+/* Reads the text after "clip=". ERR_NOENT: it is no such text. ERR_DATA: it is no valid polygon. */
 enum err_code param_clip_read(struct text *one, struct target_clip *out, struct err *e) ERR_USE;
-/* The polygon for use: clip_free it. ERR_DATA, ERR_MEM. */
+/* Makes a clip of the polygon. Free it with clip_free. ERR_DATA, ERR_MEM. */
 enum err_code param_clip_open(const struct target_clip *c, struct clip *out, struct err *e) ERR_USE;
-/* "lon,lat,lon,lat,...", the one spelling of it. */
+/* Writes "lon,lat,lon,lat,...", its only spelling. */
 void param_clip_text(const struct target_clip *c, char out[TARGET_CLIP_TEXT]);
 
 #endif

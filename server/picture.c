@@ -1,7 +1,7 @@
 /* Pictures for clients that cannot draw Gaussians, made by the process that draws (draw.c). This
- * side knows the datasets: which of them that process has open, in which of its slots, is decided
- * here, and forgotten when it is another process. Without a device the server still serves tiles,
- * and says why it has no pictures.
+ * side knows the datasets, and decides which of them that process has open in which slot. It
+ * forgets that when a new process starts. Without a device the server still answers tiles, and says
+ * why it has no pictures.
  *
  * The slots belong to the drawing thread; the worker has its own lock.
  *

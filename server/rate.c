@@ -1,5 +1,5 @@
-/* Token buckets, one a client, in a table of sets; the one that was used least lately makes room,
- * which is full again by then or belongs to one of very many.
+/* Token buckets, one a client, in a table of sets. A new client replaces the least recently used
+ * one of its set. That bucket is full again by then, or there are very many clients.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

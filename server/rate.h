@@ -1,4 +1,4 @@
-/* How many things a second a client may ask for: token buckets.
+/* Limits how many things a second a client may request: token buckets.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -7,14 +7,15 @@
 
 #include "core/base.h"
 
-struct rate; /* of one kind of thing; the caller has the lock */
+struct rate; /* for one kind of thing; the caller holds the lock */
 
-/* per_s on average over burst_s seconds; 0: no limit. ERR_MEM. */
+/* Allows per_s on average over burst_s seconds; 0: no limit. ERR_MEM. */
 enum err_code rate_open(double per_s, double burst_s, struct rate **out, struct err *e) ERR_USE;
 void rate_close(struct rate **r);
-/* One more of `client`: 0 when it may have it, else the seconds until it may (nothing is taken). */
+/* Takes one token of `client` and returns 0. If there is none, it takes nothing and returns the
+ * seconds until there is one. */
 double rate_take(struct rate *r, uint64_t client, double now_s);
-/* What was just taken came to nothing: it is given back. */
+/* Gives back the token that was just taken. */
 void rate_give(struct rate *r, uint64_t client);
 
 #endif

@@ -1,13 +1,11 @@
-/* libmicrohttpd's responses. Making one takes forty allocations for a dozen header fields, which is
- * as much work as everything else that a tile in memory costs; but one response may be sent many
- * times, by any thread. So those that are asked for again are kept (decision 040): a table with a
- * place for each, by where its bytes lie, and one that comes twice while the one that is there does
- * not takes its place.
+/* libmicrohttpd's responses. Making one takes forty allocations for a dozen header fields, as much
+ * work as all else for a tile from memory. But a response may be sent many times, by any thread.
+ * Frequent ones are therefore kept (decision 040), in a table with one place for each address of
+ * bytes. A response takes a place if it comes twice while the present one does not.
  *
- * A kept response only points at the bytes. It is sent for an answer whose bytes lie there, are as
- * many, and go out with the same header fields, letter by letter; that answer's own reference to
- * its body keeps them alive. Nothing is kept alive by this table, and what it points at after a
- * body has gone is never read.
+ * A kept response only points to the bytes. It is sent for an answer with the same bytes, size and
+ * header fields. That answer's own reference keeps the body alive. The table keeps nothing alive,
+ * and never reads the bytes of a body that was freed.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,6 @@
-/* Putting bytes into an answer. Conditions are decided before bodies are touched: the entity tag of
- * a result is its name (result_id.c), so 304 costs no read and no encoding. RFC 9110, 9111, 9457.
+/* Puts bytes into an answer. Conditions are decided before bodies are read: the entity tag of a
+ * result is its name (result_id.c), so a 304 needs no reading and no encoding. RFC 9110, 9111,
+ * 9457.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* A request, its answer, and putting bytes and headers into the answer.
+/* A request, its answer, and functions that put bytes and headers into the answer.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -10,99 +10,103 @@
 #include "server/services.h"
 #include "server/work.h"
 
-enum { REQUEST_FIELDS_MAX = 64 }; /* more are refused */
+enum { REQUEST_FIELDS_MAX = 64 }; /* requests with more are refused */
 struct request {                  /* borrowed from the connection */
     enum method method;
-    const char *target; /* raw, as sent */
+    const char *target; /* as sent */
     size_t target_size;
-    /* NULL when absent: */
+    /* NULL: absent */
     const char *accept, *accept_encoding, *if_none_match, *if_match, *if_range, *range;
     const char *authorization;
     const char *forwarded[REQUEST_FIELDS_MAX]; /* [n_forwarded], X-Forwarded-For */
     size_t n_forwarded;
     const char *host, *forwarded_host, *forwarded_proto; /* NULL: absent */
-    bool proxied;                                        /* a proxy says that it is there */
-    bool trusted;                                        /* the connection is of a trusted proxy */
-    const char *referer, *agent;                         /* for the log */
-    const char *id;                                      /* of the request; NULL: none */
-    bool id_sent; /* by the client or a proxy: it comes back */
-    bool admin;   /* it came to the listener of operators */
+    bool proxied;                                        /* a proxy announced itself */
+    bool trusted;                /* the connection comes from a trusted proxy */
+    const char *referer, *agent; /* for the log */
+    const char *id;              /* id of the request; NULL: none */
+    bool id_sent;                /* the client or a proxy sent the id, so the answer repeats it */
+    bool admin;                  /* it came to the listener for operators */
     const char *if_modified_since;
     const void *body;
     size_t body_size;
     bool prefetch;  /* Sec-Purpose: prefetch, or a low Priority */
-    bool from_page; /* Origin came with it: a page of some site asks */
-    bool local;     /* the client is this machine, and nothing says that it asks for another */
+    bool from_page; /* it has Origin: a page of some site made it */
+    bool local;     /* the client is this machine, and nothing indicates another client behind it */
 };
 enum { RESPONSE_TAGS = 192 };
-struct response { /* {0}, then dispatch_answer; response_free it */
+struct response { /* {0}, then dispatch_answer; free with response_free */
     int status;
     const struct route *route;                                  /* NULL: none */
-    const char *type, *cache_control, *allow, *vary, *encoding; /* static strings, NULL = none */
+    const char *type, *cache_control, *allow, *vary, *encoding; /* static strings; NULL = none */
     char *location;                                             /* owned */
     char etag[BODY_ETAG_SIZE];                                  /* "" = none */
-    char hints[HINT_SIZE];         /* Link of the viewer's page; "" = none */
+    char hints[HINT_SIZE];         /* Link for the viewer's page; "" = none */
     char surrogate[RESPONSE_TAGS]; /* tags by which caches purge, sent as tag_header */
     const char *tag_header;        /* NULL: not sent */
-    bool id_sent;                  /* the client or a proxy sent the id: it comes back */
-    int64_t modified_s;            /* 0: not said */
-    struct key tile;   /* that is asked for, and the name of its dataset, "" for anything else: */
-    char tile_of[64];  /* what a problem with it names */
-    const char *id;    /* of the request; NULL: it is not sent */
-    bool unauthorized; /* WWW-Authenticate goes with it */
-    const char *instance; /* the path of a target that could be read, [n_instance]: for problems */
+    bool id_sent;                  /* the client or a proxy sent the id, so the answer repeats it */
+    int64_t modified_s;            /* 0: not known */
+    /* the requested tile, and the name of its dataset, or "" for other requests */
+    struct key tile;
+    char tile_of[64];  /* problem documents name them */
+    const char *id;    /* id of the request; NULL: it is not sent */
+    bool unauthorized; /* send WWW-Authenticate */
+    /* [n_instance] path of a target that could be parsed, for problem documents */
+    const char *instance;
     size_t n_instance;
     struct body *body;   /* a reference; NULL = no bytes */
-    const uint8_t *data; /* what to send: inside body */
+    const uint8_t *data; /* bytes to send, inside body */
     size_t size;
-    uint64_t range_first, range_total; /* of 206 and 416 */
+    uint64_t range_first, range_total; /* for 206 and 416 */
     bool accept_ranges;
     bool same_origin;      /* pages of other sites may not read it: no CORS fields */
-    bool unlogged;         /* one of many small ones: counted, not logged */
-    bool unnamed;          /* the bytes have no name: nothing keeps them, and they have no tag */
+    bool unlogged;         /* one of many small answers: counted, not logged */
+    bool unnamed;          /* the bytes have no name: they are not kept and have no entity tag */
     int retry_after_s;     /* 0 = none */
     double queue_s, run_s; /* of the job, for Server-Timing; < 0: there was none */
-    const char *cache;     /* "hit", "miss", "shared": for the log */
-    struct work *work;     /* not NULL: submit it, then dispatch_finish */
+    const char *cache;     /* "hit", "miss" or "shared": for the log */
+    struct work *work;     /* not NULL: submit it, then call dispatch_finish */
     enum job_class cls;
     enum work_kind kind; /* of the work */
     double timeout_s;
-    char stream[64], stream_of[64]; /* not "": a stream begins, of this dataset */
+    char stream[64], stream_of[64]; /* not "": a stream of this dataset begins */
 };
 
 extern const char RESPONSE_IMMUTABLE[], RESPONSE_MOVING[], RESPONSE_NO_STORE[]; /* Cache-Control */
 extern const char RESPONSE_JSON[];                                              /* Content-Type */
 
-/* Editions of a dataset: what decides the bytes and is in no other part of an address
- * (result_id.h). That of pictures is "" while nothing can be drawn. */
+/* Editions of a dataset (result_id.h): what determines the bytes and is not in the rest of an
+ * address. That of pictures is "" while nothing can be drawn. */
 enum edition { EDITION_TILES, EDITION_PICTURES };
 void response_edition(struct services *s, const struct dataset *d, enum edition of, char out[9]);
-/* By the cache class of the route. Of an address with a revision: immutable where it names this
- * server's edition, so that it says all that decides the bytes; else caches ask again after a
- * minute. */
+/* The Cache-Control by the cache class of the route. An address with a revision is immutable if it
+ * has this server's edition, so that it determines all bytes. Else caches ask again after a minute.
+ */
 const char *response_cache_control(struct services *s, const struct dataset *d,
                                    const struct target *t);
 const char *response_status_text(int status);
-/* A problem document (RFC 9457) in place of whatever `out` held. */
+/* Replaces the content of `out` by a problem document (RFC 9457). */
 void response_problem(struct response *out, int status, const char *detail);
-/* The same, 503 with Retry-After. */
+/* As response_problem: 503 with Retry-After. */
 void response_no_memory(struct response *out);
-/* 500 for a tile that cannot be made: which one, and what to do. out->tile and tile_of are set. */
+/* As response_problem: 500 for a tile that cannot be made; it names the tile and says what to do.
+ * out->tile and tile_of must be set. */
 void response_tile_problem(struct response *out, bool damaged);
-/* 400, 404, 422 or 503, by what reading a posted document or a query returned. */
+/* Answers 400, 404, 422 or 503, by the result of reading a posted document or a query. */
 void response_refused(struct response *out, enum err_code rc, const char *detail);
-/* 200, 206, 304 or 416 with `b`, whose reference is taken (NULL: out of memory). type and
- * cache_control are set already. */
+/* Answers 200, 206, 304 or 416 with `b`, whose reference it takes over (NULL: out of memory). type
+ * and cache_control must be set. */
 void response_body(const struct request *r, struct body *b, struct response *out);
-/* The same, with its type. */
+/* As response_body, with type. */
 void response_document(const struct request *r, const char *type, struct body *b,
                        struct response *out);
-/* The result of work with a known name: 304 and hits are answered now; true when a job has to make
- * it, and the caller says which (response_work). Of out->unnamed always: nobody has it. */
+/* Answers from what is known about the result `id`: 304, and results in a cache. Returns true if a
+ * job must make it; the caller then sets the work (response_work). With out->unnamed it always
+ * returns true. */
 bool response_made(struct services *s, const struct request *r, struct hash128 id,
                    struct response *out);
-/* New work for a job, in out->work, whose result is kept unless out->unnamed; NULL, with the
- * problem set, when out of memory. */
+/* Makes work for a job, in out->work. Its result is kept unless out->unnamed. NULL: out of memory;
+ * the problem is set. */
 struct work *response_work(struct dataset *d, enum work_kind kind, struct hash128 id,
                            struct form form, struct response *out);
 void response_free(struct response *r);

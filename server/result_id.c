@@ -1,4 +1,4 @@
-/* What decides the bytes of each kind of result.
+/* What determines the bytes of each kind of result.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

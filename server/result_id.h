@@ -1,6 +1,6 @@
-/* The names of results. A name is a hash of everything that decides the bytes, so equal names are
- * equal bytes: it is the key of the cache, the id of the job and, written in base64url, the strong
- * entity tag.
+/* The names of results. A name is a hash of all that determines the bytes, so equal names mean
+ * equal bytes. It is the key of the cache, the id of the job and, in base64url, the strong entity
+ * tag.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -16,35 +16,36 @@
 #include "server/map_tile.h"
 #include "server/target.h"
 
-/* form has nothing left unsaid (encode_form). */
+/* Name of a tile. form must be complete (encode_form). */
 struct hash128 result_id_tile(const struct dataset *d, const struct store_tile *t, struct form form,
                               const struct appearance_choice *a);
-/* The same of what a polygon leaves of it. */
+/* Changes a name to that of the part inside a polygon. */
 void result_id_clip(struct hash128 *id, const struct target_clip *c);
-/* The edition of a dataset's tiles: what decides their bytes beside the revision and the rest of an
- * address. preset: of those that do not say one. */
+/* The edition of a dataset's tiles: what determines their bytes and is in neither the revision nor
+ * the rest of an address. preset: that of addresses without one. */
 void result_id_tiles_edition(const struct dataset *d, unsigned preset, char out[9]);
-/* The same of its pictures and maps. */
+/* The edition of its pictures and maps. */
 void result_id_pictures_edition(const struct dataset *d, const char *device, int quality,
                                 int supersample, double gaussians, char out[9]);
 struct hash128 result_id_seed(const struct dataset *d, const struct target *t,
                               const struct course *c, struct form form); /* c: NULL: none */
-/* kept: hash of the names that are kept. */
+/* kept: hash of the named appearances */
 struct hash128 result_id_search(const struct dataset *d, const struct target *t,
                                 struct hash128 kept);
 /* part: the tile that the document begins at; NULL: the entry. */
 struct hash128 result_id_tileset(const struct dataset *d, const struct target *t,
                                  const struct key *part);
-/* A photograph's thumbnail in a revision. */
+/* Name of a photograph's thumbnail in a revision. */
 struct hash128 result_id_thumbnail(const struct dataset *d, const char *name);
-/* device: its name and driver; other hardware rounds otherwise. gaussians: most that are drawn. */
+/* Name of a picture. device: name and driver, because other hardware rounds differently. gaussians:
+ * the limit of Gaussians. */
 struct hash128 result_id_view(const struct dataset *d, const char *device, const struct camera *cam,
                               const struct appearance_choice *a, enum format format, int quality,
                               const struct paint *paint, double gaussians);
-/* geoid: name of the model, "": none. */
+/* geoid: name of the model; "": none. */
 struct hash128 result_id_query(const struct dataset *d, const char *device, const char *geoid,
                                const struct query *q);
-/* flat: nothing of the survey is in it, so all such tiles are the same. */
+/* flat: the tile shows nothing of the survey, so all such tiles are the same. */
 struct hash128 result_id_map(const struct dataset *d, const char *device, const struct map_tile *t,
                              bool flat, const struct appearance_choice *a);
 

@@ -32,19 +32,19 @@ enum {
     SCOPE_PUBLIC = 1,    /* the public listener answers */
     SCOPE_OPERATORS = 2, /* the listener of operators answers */
     SCOPE_DATASET = 4,   /* it belongs to one dataset: --auth decides who may read it */
-    SCOPE_RENDER = 8,    /* --auth decides who may have this dataset drawn */
-    SCOPE_MOVES = 16,    /* with --admin the public listener does not answer */
-    SCOPE_FILE = 32,     /* a file of the viewer: there is nothing where it has none */
+    SCOPE_RENDER = 8,    /* --auth decides who may request drawings of this dataset */
+    SCOPE_MOVES = 16,    /* with --admin the public listener does not answer it */
+    SCOPE_FILE = 32,     /* a file of the viewer; without such a file there is no route */
 };
 /* What caches may do with an answer. */
 enum route_cache {
     CACHE_NONE,     /* no-store */
     CACHE_MOVING,   /* 60 s */
     CACHE_TILES,    /* immutable if the address has the edition of tiles, else 60 s */
-    CACHE_PICTURES, /* the same with the edition of pictures */
+    CACHE_PICTURES, /* the same, with the edition of pictures */
     CACHE_STORE,    /* immutable: the bytes are in the store */
 };
-/* The queue and the share of a client that an answer counts in, if it needs a job. */
+/* The queue of an answer, and the client's limit that it counts against, if it needs a job. */
 enum route_rate {
     RATE_MEMORY, /* never a job */
     RATE_LISTS,
@@ -53,8 +53,8 @@ enum route_rate {
     RATE_MAPS,
     RATE_THUMBNAILS,
 };
-/* Groups of query parameters (params.def), as bits. Some choose between two forms of one parameter
- * of a path as well. */
+/* Groups of query parameters (params.def), as bits. Some also choose between two forms of a
+ * parameter of the path. */
 enum {
     QUERY_APPEARANCE = 1,
     QUERY_TILES = 2, /* preset, sh, clip, and an appearance that may be none */
@@ -68,7 +68,7 @@ enum {
     QUERY_STRICT = QUERY_SEED | QUERY_SEARCH, /* a query with any other key is refused */
 };
 
-/* Fill the response. It does not block and cannot fail: a failure is an answer, too. d is NULL for
+/* Fills the response. It does not block and cannot fail: a failure is an answer, too. d is NULL for
  * a route without SCOPE_DATASET. */
 typedef void route_function(struct services *s, const struct request *r, struct dataset *d,
                             const struct target *t, struct response *out);
@@ -78,24 +78,24 @@ struct route_method {
     enum method method;
     route_function *answer; /* NULL: no more methods */
     const char *takes;      /* schema of the body; NULL: there is no body */
-    /* "STATUS MEDIA|MEDIA SCHEMA,STATUS,": what it answers. Problems are not listed. */
+    /* "STATUS MEDIA|MEDIA SCHEMA,STATUS,": its answers. Problems are not listed. */
     const char *gives;
     const char *about;
     bool whole; /* GET: never 206, 304 or 416 */
 };
 struct route {
     const char *name;
-    const char *path; /* template: {parameter}, [what may be left out] */
+    const char *path; /* template with {parameter} and [optional part] */
     unsigned scope;
     enum route_cache cache;
     enum route_rate rate;
     unsigned query;
     struct route_method on[ROUTE_METHODS]; /* HEAD follows from GET, OPTIONS from all */
 };
-/* NULL: the route has no such method. */
+/* The row's entry for a method. NULL: there is none. */
 const struct route_method *route_on(const struct route *r, enum method method);
-/* The value of Allow, with HEAD and OPTIONS. changes: PUT and DELETE are possible, which come
- * together. */
+/* The value of Allow, with HEAD and OPTIONS. changes: PUT and DELETE are possible; they always
+ * occur together. */
 const char *route_allow(const struct route *r, bool changes);
 const char *route_path(const struct route *r); /* "unmatched" for NULL */
 

@@ -1,11 +1,11 @@
-/* See router.h. Everything after this file works with a row, a dataset name that is matched against
- * the catalog, and numbers. No byte of a target becomes a path of a file. A path needs no percent
- * sign, no empty or dotted segment and no byte outside [A-Za-z0-9/_.,@:-], so anything else is
- * refused here, and traversal, NUL and encoding tricks end with it.
+/* See router.h. Later code uses a row, a dataset name that is compared with the catalog, and
+ * numbers. No byte of a target becomes a path of a file. A valid path has no percent sign, no empty
+ * or dotted segment and no byte outside [A-Za-z0-9/_.,@:-]. Anything else is refused here, and with
+ * it traversal, NUL and encoding tricks.
  *
- * Templates are cut into pieces when the router is opened: literals, parameters, and what may be
- * left out. The rows are sorted, so that those that begin alike stand together. A row begins where
- * the row before it and this one part, and is skipped when the row before failed earlier.
+ * Templates are cut into pieces when the router is opened: literals, parameters, and optional
+ * parts. Rows are sorted, so that rows with the same beginning are neighbours. Matching a row
+ * starts where it differs from the row before, and skips it if that row failed earlier.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

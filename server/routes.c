@@ -1,4 +1,4 @@
-/* The words that rows of routes.def are made of, and the table.
+/* The words that rows of routes.def use, and the table.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

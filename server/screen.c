@@ -1,12 +1,11 @@
-/* Requests are cut into lines and bodies as RFC 9112 says, and each line is looked at before
- * libmicrohttpd sees it. There is no hook for that in version 0.9.75, so this file defines recv():
- * the program's own definition comes before the C library's when the shared library is bound, and
- * descriptors that no screen is attached to go straight to recvfrom(). exchange.c refuses
- * everything if requests come that no screen has seen, so a build in which that does not work
- * serves nothing.
+/* Cuts requests into lines and bodies as RFC 9112 defines, and checks each line before
+ * libmicrohttpd gets it. Version 0.9.75 has no hook for that, so this file defines recv(). The
+ * program's own definition takes precedence over the C library's when the shared library is bound.
+ * Descriptors without a screen go directly to recvfrom(). exchange.c refuses requests that no
+ * screen has seen, so a build in which this fails answers nothing.
  *
- * Reads are as libmicrohttpd's edge-triggered loop needs them: a short count, or EAGAIN, only when
- * the socket is empty; else the room is filled.
+ * Reads are as libmicrohttpd's edge-triggered loop needs them: a short count or EAGAIN only if the
+ * socket is empty; else the room is filled.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,8 +1,8 @@
-/* Appearances by place, time and colour: see search.h.
+/* Search for appearances by place, time and colour: see search.h.
  *
- * Distances are between places on the ellipsoid, straight through it: a millionth shorter than
- * along it over a city. Colours are compared in CIE Lab by the distance of 1976. Times are
- * those of the cameras' clocks, which know no zone.
+ * Distances are between places on the ellipsoid, in a straight line; over a city that is a
+ * millionth shorter than along it. Colours are compared in CIE Lab by the distance of 1976. Times
+ * are those of the cameras' clocks, without a time zone.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* What is known of photographs: see search_index.h.
+/* An index of photographs: see search_index.h.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* What is known of a dataset's photographs: where, when, in what light.
+/* An index of a dataset's photographs: where and when they were taken, and in what light.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -8,7 +8,7 @@
 #include "core/base.h"
 
 struct search_photo {
-    const char *name; /* of the dataset */
+    const char *name; /* borrowed from the dataset */
     uint32_t number;  /* as in appearances.json */
     bool posed, timed, coloured, thumbnail;
     double lon_deg, lat_deg, at_m[3]; /* at_m: on the ellipsoid, in the dataset's frame */
@@ -17,14 +17,14 @@ struct search_photo {
     uint8_t rgb[3];
     double lab[3];
 };
-struct search_index { /* immutable once made: any thread; search_index_close */
+struct search_index { /* immutable, any thread; free with search_index_close */
     struct search_photo *photo;
     size_t n;
-    float *sample; /* [n_sample][len_gauss]: embeddings that colours are averaged over */
+    float *sample; /* [n_sample][len_gauss] embeddings over which colours are averaged */
     size_t n_sample;
 };
 void search_index_close(struct search_index **s);
-/* sRGB to CIE Lab, white of D65 (IEC 61966-2-1, CIE 15): equal distances look about equally
+/* Converts sRGB to CIE Lab, white D65 (IEC 61966-2-1, CIE 15). Equal distances look about equally
  * different. */
 void search_index_lab(const uint8_t rgb[3], double lab[3]);
 

@@ -1,6 +1,7 @@
-/* Prefetch lists. Of an area: coarse levels first, then tiles that hold more. Of a camera on its
- * way: what it needs first comes first, and at one moment what is above a tile comes before it,
- * since clients show a coarse tile until the finer ones are there, and near ones before far ones.
+/* Prefetch lists. For an area, coarse levels come first, then tiles with more Gaussians. For a
+ * camera on a path, the tiles that it needs first come first. Of those for one moment, a tile comes
+ * after the tiles above it, because clients show a coarse tile until finer ones arrive; then near
+ * ones before far ones.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -12,14 +12,14 @@
 
 struct crop_node;
 
-/* Append a page of the tiles that t selects, most important first, one JSON line each, and the
- * address of the next page where there is one. c: NULL, or what a camera needs on its way, soonest
- * first. left: what the target's polygon leaves of the tiles (lod/crop.h), NULL: all. form, a: of
- * the entity tags; the addresses have them where t says them. ERR_MEM, ERR_ARG (a camera). */
+/* Appends a page of the tiles that t selects, most important first, as JSON lines, then the address
+ * of the next page if there is one. c: NULL, or the path of a camera; tiles that it needs soonest
+ * come first. left: what the polygon of t leaves of the tiles (lod/crop.h); NULL: all. form, a: for
+ * entity tags; addresses have them if t does. ERR_MEM, ERR_ARG (a camera). */
 enum err_code seed_write(const struct dataset *d, const struct target *t, const struct course *c,
                          const struct crop_node *left, struct form form,
                          const struct appearance_choice *a, struct buf *out, struct err *e) ERR_USE;
-/* Bytes of the result, from above. */
+/* Upper limit of the result's bytes. */
 size_t seed_room(const struct dataset *d, const struct target *t, const struct course *c);
 
 #endif

@@ -1,5 +1,5 @@
-/* The server as a whole: stores opened, threads started, and all of it taken down again in order.
- * First the listener closes and answers drain, then jobs stop, then what they used is freed.
+/* The server as a whole: it opens stores and starts threads, and ends everything in order. First
+ * the listener closes and requests are finished, then jobs stop, then the rest is freed.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

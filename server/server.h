@@ -1,34 +1,37 @@
-/* The server: tile stores in, HTTP out. This is all that a program needs: start, reload, stop. One
- * request's way, which is also the reading order, each file knowing only those above it:
+/* The server: tile stores in, HTTP out. A program needs only this header: start, reload, stop. A
+ * request passes these files in this order, which is also the reading order; each uses only those
+ * above it:
  *
- *   config.h         options
- *   body             bytes that several answers share, with their entity tag
- *   condition        conditional, partial and negotiated requests (headers to decisions)
- *   target           the target, once, into integers and enums: no byte of it ever becomes a path
- *   screen, guard    which requests are refused before anything looks at them
- *   cache, job       what was made, bounded in bytes; what is to be made, in bounded queues
- *   document, static JSON documents; the viewer's files
- *   kept             appearances under names, in a file of their own
- *   encode           a tile in a format
- *   dataset          one revision of one store: index, handles, documents
- *   appearance_api   the appearances of a dataset
- *   result_id        the name of a result: a hash of all that decides its bytes
- *   seed, collection prefetch lists; documents about datasets
- *   catalog          the datasets at one moment
- *   worker           a second process of the program: started, asked, killed, started again
- *   draw             what it does: cameras to pictures, on the device that it alone has
- *   picture          which of the datasets it has open; asking it
- *   access, metrics  what is logged and counted
- *   services         all of the above together: what answers draw on
- *   work             what a job does
- *   response         putting bytes and headers into an answer
- *   answer_*         the answers, a family a file
- *   route            request + services -> response, pure
- *   watch            slow, idle and gone clients
- *   listen, http     libmicrohttpd -> struct request; suspends and resumes
- *   server           starts it all and takes it down
+ *     config           options
+ *     body             bytes that several answers share, with their entity tag
+ *     condition        headers of conditional, partial and negotiated requests
+ *     route, param     rows of the route table; typed parameters
+ *     router           a target becomes a row and integers; no byte of it becomes a path of a file
+ *     screen, guard    refuse invalid requests
+ *     cache, job       results in memory, limited in bytes; work in limited queues
+ *     document, static JSON documents; the viewer's files
+ *     kept             named appearances, in a file
+ *     encode           a tile in a format
+ *     dataset          one revision of one store: index, handles, documents
+ *     appearance_api   the appearances of a dataset
+ *     result_id        the name of a result: a hash of all that determines its bytes
+ *     link             addresses in documents and answers
+ *     seed, collection prefetch lists; documents about datasets
+ *     catalog          the datasets at one moment
+ *     worker           a second process of the program: started, asked, killed, started again
+ *     draw             its work: cameras to pictures, on the device that it alone has
+ *     picture          sends requests to it
+ *     access, metrics  logs and counters
+ *     services         all of the above, for answers
+ *     work             what a job does
+ *     response         puts bytes and headers into an answer
+ *     answer_*         the answers, one family a file
+ *     dispatch         request + services -> response
+ *     watch            slow, idle and gone clients
+ *     listen, http     libmicrohttpd -> struct request; suspends and resumes
+ *     server           starts and stops all
  *
- * Nothing slow happens on an HTTP thread.
+ * No slow work is done in an HTTP thread.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -43,49 +46,49 @@
 struct server;
 struct services;
 
-/* Open the stores at paths[n] and listen; answers may be asked for when this returns.
+/* Opens the stores at paths [n] and listens. Requests are answered when it returns.
  *
- *   cfg    copied, its texts borrowed until server_stop
- *   paths  borrowed until server_stop (server_reload reads them again)
- *   out    server_stop it; NULL on failure
+ *     cfg    copied, its texts borrowed until server_stop
+ *     paths  borrowed until server_stop (server_reload reads them again)
+ *     out    end with server_stop; NULL on failure
  *
- * Ignores SIGPIPE for the process. Errors: ERR_ARG (address, two datasets of one name), ERR_BUSY
- * (the port is taken), ERR_IO, ERR_FORMAT, ERR_DATA, ERR_NOENT (a store cannot be opened),
- * ERR_LIMIT (viewer files), ERR_MEM. A device that does not open is no error: pictures are then
- * off.
- */
+ * It makes the process ignore SIGPIPE. ERR_ARG (an address, or two datasets with one name),
+ * ERR_BUSY (the port is in use), ERR_IO, ERR_FORMAT, ERR_DATA, ERR_NOENT (a store cannot be
+ * opened), ERR_LIMIT (viewer files), ERR_MEM. A device that cannot be opened is no error: pictures
+ * are then off. */
 enum err_code server_start(const struct server_config *cfg, const char *const *paths, size_t n,
                            struct server **out, struct err *e) ERR_USE;
 
-/* "http://127.0.0.1:8080/", with the port that was taken. Lives until server_stop. */
+/* "http://127.0.0.1:8080/", with the port in use. It lives until server_stop. */
 const char *server_url(const struct server *s);
 
-/* What its answers draw on (server/services.h), for tests and benches. Lives until server_stop. */
+/* The services of its answers (server/services.h), for tests and benchmarks. They live until
+ * server_stop. */
 struct services *server_services(struct server *s);
 
-/* Open the stores again. Revisions that were replaced stay for a day (--keep-s, --keep-revisions).
- * On any error (those of server_start about stores) the old data stay, and /readyz says so. One
- * caller at a time, of the next function as well. */
+/* Opens the stores again. Replaced revisions stay for a day (--keep-s, --keep-revisions). After an
+ * error (those of server_start about stores) the old data stay, and /readyz reports it. Only one
+ * thread at a time may call this and server_expire. */
 enum err_code server_reload(struct server *s, struct err *e) ERR_USE;
-/* Let go of revisions whose day is over, by clock_s(); to be called now and then. */
+/* Drops revisions whose time is over, by clock_s(). Call it from time to time. */
 void server_expire(struct server *s, double now_s);
 
-/* Stop listening, finish what is under way within the configured times, free everything. Accepts
- * NULL inside, leaves NULL. False: a thread does not return from a call; what it uses is not freed,
- * and the program had better end without waiting for it (_exit). */
+/* Stops listening, finishes requests within the configured times, and frees everything. *s may be
+ * NULL and becomes NULL. False: a thread does not return from a call. What it uses is not freed,
+ * and the program should end without waiting for it (_exit). */
 bool server_stop(struct server **s);
-/* Has an operator asked for a reload (POST /-/reload on the listener of --admin) since the last
- * call? */
+/* Returns whether an operator asked for a reload (POST /-/reload on the listener of --admin) since
+ * the last call. */
 bool server_reload_asked(struct server *s);
-/* Does it answer a request of its own within wait_s? For a watchdog. */
+/* Returns whether the server answers a request of its own within wait_s. For a watchdog. */
 bool server_answers(const struct server *s, double wait_s);
 uint16_t server_admin_port(const struct server *s); /* 0: there is none */
-/* Would server_start do, but for ports and the device? Opens what it would open, and closes it
- * again; says what there is on `out` (may be NULL). Its errors. */
+/* Checks what server_start would do, except for ports and the device. It opens everything and
+ * closes it again, and prints what it found to `out` (may be NULL). Errors of server_start. */
 enum err_code server_check(const struct server_config *cfg, const char *const *paths, size_t n,
                            FILE *out, struct err *e) ERR_USE;
-/* Seconds since the process that draws ended unasked, until it has been well for a while; 0: it
- * is. */
+/* Seconds since the process that draws first ended unexpectedly. 0: it is well, or has been well
+ * again for a while. */
 double server_failing_s(struct server *s);
 
 #endif

@@ -1,6 +1,6 @@
-/* What answers draw on, and its lifetime. Routes read it from many threads at once: everything here
- * is immutable after services_open, has its own lock, or is atomic. The catalog pointer is the one
- * thing that moves (a reload), under catalog_lock.
+/* The services that answers use, and their lifetime. Many threads read them at once: everything
+ * here is immutable after services_open, has its own lock, or is atomic. Only the catalog pointer
+ * changes (by a reload), under catalog_lock.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,8 +1,8 @@
-/* The viewer's files, read once at start into a sorted table: a request looks a path up among
- * strings that were found on disk before the first request came, and never reaches the file system.
- * Names with a hash in them (Vite's assets/) are immutable; text is also kept as brotli and gzip,
- * which the build left beside it as x.js.br and x.js.gz: to make them takes time that a start does
- * not have. Where there is no x.js.gz, it is made.
+/* The viewer's files, read once at the start into a sorted table. A request finds a path among
+ * names that were read from disk before, and never reaches the file system. Names with a hash
+ * (Vite's assets/) are immutable. Text is also kept as brotli and gzip, from x.js.br and x.js.gz of
+ * the viewer's build, because making them would delay the start. If there is no x.js.gz, it is
+ * made.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

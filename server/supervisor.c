@@ -1,4 +1,4 @@
-/* libsystemd's part of talking to a supervisor.
+/* Communication with a supervisor, by libsystemd.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

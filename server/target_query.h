@@ -1,4 +1,4 @@
-/* The query of a target again, as documents and names of results hold it.
+/* Writes the query of a target again, for documents and names of results.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -7,12 +7,12 @@
 
 #include "server/target.h"
 
-/* "?preset=NAME&sh=N&clip=C&appearance=A" as far as the target says them, else "". */
+/* Writes "?preset=NAME&sh=N&clip=C&appearance=A" with the parts that the target has, else "". */
 void target_query_tiles(const struct target *t, char out[TARGET_QUERY_MAX]);
-/* The query of a prefetch list again, "?...", that goes on after so many lines. path: of the
- * course, for the borrowed one may be gone; NULL where there is none. */
+/* Writes the query of a prefetch list, "?...", for the page after so many lines. path: that of the
+ * course, because the borrowed one may be gone; NULL: none. */
 void target_query_seed(const struct target *t, const char *path, uint32_t after, struct buf *out);
-/* The query of a search again, "?...", that goes on after so many. */
+/* Writes the query of a search, "?...", for the page after so many results. */
 void target_query_search(const struct target *t, uint32_t after, struct buf *out);
 
 #endif

@@ -1,4 +1,4 @@
-/* Reading a request's target from left to right: see text.h.
+/* Parses a request's target from left to right: see text.h.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

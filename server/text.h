@@ -1,5 +1,5 @@
-/* Reading a request's target from left to right. What is not there is not taken: each function that
- * returns false has read an unknown part, and the caller gives up or works on a copy.
+/* Parses a request's target from left to right. A function that returns false has met something
+ * else. Its text is then not defined, so the caller gives up or works on a copy.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -10,32 +10,32 @@
 #include <stddef.h>
 #include <stdint.h>
 
-struct text { /* what is left to read, borrowed */
+struct text { /* the rest to read, borrowed */
     const char *p, *end;
 };
 
-bool text_take(struct text *t, const char *word); /* false: t is as it was */
+bool text_take(struct text *t, const char *word); /* false: t is unchanged */
 bool text_at_end(const struct text *t);
-bool text_is_digit(const struct text *t); /* of what comes next */
-/* A natural number of at most 9 digits, no leading zero. */
+bool text_is_digit(const struct text *t); /* of the next byte */
+/* Reads a natural number of at most 9 digits, without leading zeros. */
 bool text_take_uint(struct text *t, uint32_t *out);
-/* [-]digits[.digits] times 10^scale, rounded half away from zero: at most 9 digits before the point
- * and 12 after. "-0" is 0. */
+/* Reads [-]digits[.digits] times 10^scale, rounded half away from zero. It has at most 9 digits
+ * before the point and 12 after. "-0" is 0. */
 bool text_take_fixed(struct text *t, int scale, int64_t *out);
-/* The rest of t, percent-decoded ('+' is a space, as forms write it). False: no text, too long, a
- * broken escape, a control character, or no UTF-8. */
+/* Percent-decodes the rest of t ('+' is a space, as in forms). False: it is empty, too long or not
+ * UTF-8, or has a broken escape or a control character. */
 bool text_take_decoded(struct text *t, char *out, size_t room);
 
-/* Percent-encode a text as a value of a query: RFC 3986's unreserved characters stay, and ',' ':'
- * '=', which it allows there. out holds 3 bytes for each of text, and one more. */
+/* Percent-encodes a text as a value of a query. RFC 3986's unreserved characters stay, and so do
+ * ',' ':' '=', which it allows there. out has 3 bytes for each byte of text, and one more. */
 void text_escape(const char *text, char *out);
 
 bool text_is_utf8(const char *text);
-/* No control character but tabs (RFC 9110, section 5.5). */
+/* Returns whether a text has no control characters except tabs (RFC 9110, section 5.5). */
 bool text_is_clean(const char *p, size_t n);
 
-/* Write at p and return where it ends; there is room, and no NUL is written. For what every answer
- * of a tile says: by printf it would be a tenth of the work of an answer. */
+/* Writes at p and returns the end. There must be room, and no NUL is written. It is for every
+ * answer of a tile, where printf would be a tenth of the work. */
 char *text_put(char *p, const char *word);
 char *text_put_uint(char *p, uint32_t v); /* in decimal, at most TEXT_UINT bytes */
 enum { TEXT_UINT = 10 };

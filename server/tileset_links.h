@@ -1,4 +1,4 @@
-/* The templates of tiles and parts that a served tileset names.
+/* The templates of tiles and parts in a served tileset.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -8,10 +8,11 @@
 #include "lod/tileset.h"
 #include "server/dataset.h"
 
-/* Which document names them: the entry of a revision, a part of it, or the entry of the current
+/* The document that has them: the entry of a revision, a part of it, or the entry of the current
  * revision. */
 enum tileset_links_of { TILESET_LINKS_ENTRY, TILESET_LINKS_PART, TILESET_LINKS_MOVING };
-/* query: of each tile, "" or "?...". text holds what out points to: buf_free it. ERR_MEM. */
+/* Makes the templates. query: for each tile, "" or "?...". text holds what *out points to; free it
+ * with buf_free. ERR_MEM. */
 enum err_code tileset_links_make(const struct dataset *d, enum tileset_links_of of,
                                  const char *query, struct buf *text, struct tileset_links *out,
                                  struct err *e) ERR_USE;

@@ -1,8 +1,8 @@
-/* TLS by libmicrohttpd and GnuTLS. libmicrohttpd reads what was decrypted by gnutls_record_recv(),
- * as it reads other sockets by recv(), and this file defines it for the same reason for which
- * screen.c defines recv(): bytes go through the screen before a parser sees them. Behind it
- * gnutls_record_recv_seq() reads the records; sessions that no screen is attached to go straight
- * there. GnuTLS's own recv(), of what is not decrypted yet, passes the screen by.
+/* TLS by libmicrohttpd and GnuTLS. libmicrohttpd reads decrypted bytes with gnutls_record_recv(),
+ * as it reads other sockets with recv(). This file defines that function for the same reason for
+ * which screen.c defines recv(): bytes pass the screen before a parser gets them. Records are read
+ * with gnutls_record_recv_seq(); sessions without a screen use that directly. GnuTLS's own recv(),
+ * for encrypted bytes, does not use the screen.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,10 +1,10 @@
-/* A queue in which clients take turns, so that whoever asks for a thousand things holds up itself.
- * Each client has a list of what it waits for; clients that wait stand in a row by when they last
- * had a turn. Taking the next and adding are a few pointers; who must give way is looked for in the
- * row.
+/* A queue in which clients take turns, so that a client with a thousand requests delays only
+ * itself. Each client has a list of waiting items. Waiting clients are sorted by the time of their
+ * last turn. Taking and adding an item are a few pointer operations. The list is searched for the
+ * item to shed.
  *
- * Clients are remembered in a table of sets: the one that had no turn for longest makes room for a
- * new one, and if all of a set wait, two share a place and a turn.
+ * Clients are in a table of sets. A new client replaces the one in its set that had no turn for the
+ * longest time. If all clients of a set are waiting, two share an entry and a turn.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

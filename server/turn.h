@@ -1,4 +1,4 @@
-/* Whose job comes next: a queue in which clients take turns.
+/* A queue in which clients take turns.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -8,28 +8,29 @@
 #include "core/base.h"
 
 struct turn_client;
-struct turn_item { /* in what waits; {0} until turn_add */
+struct turn_item { /* part of each queued thing; {0} until turn_add */
     struct turn_item *newer, *older;
     struct turn_client *client;
 };
-struct turns; /* one queue; the caller has the lock */
+struct turns; /* one queue; the caller holds the lock */
 
-/* newest_first: of a client's items the newest comes first, and the oldest gives way (pictures);
- * else the oldest comes first, and the newest gives way. turn_close it when it is empty.
- * ERR_MEM. */
+/* newest_first: of a client's items the newest is served first and the oldest is shed first
+ * (pictures). Else it is the other way round. Call turn_close when the queue is empty. ERR_MEM. */
 enum err_code turn_open(bool newest_first, struct turns **out, struct err *e) ERR_USE;
 void turn_close(struct turns **q);
-/* Put an item of a client (any number that tells clients apart) at its end of the queue. */
+/* Adds an item of a client. `client` is any number that identifies one. */
 void turn_add(struct turns *q, struct turn_item *it, uint64_t client);
 void turn_remove(struct turns *q, struct turn_item *it);
-/* Take out what comes next: of the client whose last turn is longest ago. NULL: nothing waits. */
+/* Removes and returns the next item. It belongs to the client whose last turn is longest ago. NULL:
+ * the queue is empty. */
 struct turn_item *turn_next(struct turns *q);
-/* The queue is full, and `client` comes with one more: the item that gives way, still in the queue,
- * or NULL: the new one does. It is one of whoever has most, the new one counted; of several, of the
- * one who had a turn last. */
+/* Chooses the item to shed when `client` wants to add one to a full queue. The item stays in the
+ * queue; NULL means that the new item is refused. It is an item of the client with most items, the
+ * new one included. If several clients have equally many, it is one of the client that had a turn
+ * last. */
 struct turn_item *turn_shed(struct turns *q, uint64_t client);
-/* `client` wants this item as well: from now on it counts as its own, if it has fewer than the
- * owner. */
+/* `client` also wants this item. If it has fewer items than the owner, the item counts as its own
+ * from now on. */
 void turn_join(struct turns *q, struct turn_item *it, uint64_t client);
 uint64_t turn_owner(const struct turn_item *it);
 size_t turn_count(const struct turns *q);

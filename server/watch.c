@@ -1,12 +1,13 @@
-/* Clients that are slow, idle or gone. libmicrohttpd's timeout counts inactivity, so a client that
- * sends one byte a second is never cut; and it does not look at a suspended connection, so a client
- * that hangs up while its tile is made goes unnoticed. This thread does both: each connection has a
- * slot with a deadline for the phase it is in (an atomic, so the request path takes no lock), and
- * the sockets of waiting clients are in an epoll set.
+/* Ends connections of clients that are slow, idle or gone. libmicrohttpd's timeout counts
+ * inactivity, so it never ends a client that sends one byte a second. It does not look at suspended
+ * connections, so it does not notice a client that hangs up while its tile is made. This thread
+ * does both. Each connection has a slot with a deadline for its present phase (an atomic, so
+ * requests take no lock). The sockets of waiting clients are in an epoll set.
  *
  * A slot's fd is valid from watch_add to watch_remove, which libmicrohttpd calls before it closes
- * the socket, so shutdown() under the lock never hits a reused number. A waiter is touched only
- * while the slot is armed and the lock is held; whoever resumes a connection disarms first.
+ * the socket. shutdown() under the lock therefore never hits a reused number. A waiter is used only
+ * while the slot is armed and the lock is held. Code that resumes a connection disarms the slot
+ * first.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

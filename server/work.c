@@ -1,6 +1,6 @@
-/* The work of jobs: from a store to bytes, on a worker thread with a store handle of its own, or
- * in the process that draws. The result enters the cache before the job ends, so whoever asks next
- * finds the job or the bytes.
+/* The work of jobs: from a store to bytes, in a worker thread with its own store handle, or in the
+ * process that draws. The result is in the cache before the job ends, so the next request finds the
+ * job or the bytes.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

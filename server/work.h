@@ -22,39 +22,39 @@ enum work_kind {
     WORK_SEARCH,
     WORK_KEEP
 };
-/* A name to keep or to forget. */
+/* A change of a named appearance. */
 struct work_change {
     bool removes;
-    struct kept_row row;      /* to remove: ds and name alone */
+    struct kept_row row;      /* to remove one: only ds and name */
     char *match, *none_match; /* owned; NULL: absent */
 };
 struct work { /* freed with work_drop */
     enum work_kind kind;
     struct dataset *ds; /* a reference */
-    struct hash128 id;  /* names the result: cache key and job id */
+    struct hash128 id;  /* name of the result: cache key and job id */
     struct key key;     /* WORK_TILE, WORK_MAP; WORK_TILESET with part */
     bool part;          /* WORK_TILESET: the document that begins at key */
-    struct form form;   /* nothing left unsaid */
+    struct form form;   /* complete (encode_form) */
     struct appearance_choice appearance;
-    struct target target;       /* of lists and thumbnails; of WORK_TILE its clip */
+    struct target target;       /* for lists and thumbnails; for WORK_TILE its clip */
     struct draw_view view;      /* WORK_VIEW */
     struct map_tile map;        /* WORK_MAP */
     struct query *query;        /* WORK_QUERY, owned */
-    struct course *course;      /* WORK_SEED, owned; NULL: none */
-    struct kept_table *kept;    /* WORK_SEARCH: a reference; NULL: no names are kept */
+    struct course *course;      /* WORK_SEED, owned; NULL: no camera */
+    struct kept_table *kept;    /* WORK_SEARCH: a reference; NULL: there are no named appearances */
     struct work_change *change; /* WORK_KEEP, owned */
-    bool keep;                  /* put the result into the cache */
-    struct body *made;          /* goes to the disk when everybody has it; NULL: nothing does */
+    bool keep;                  /* keep the result in the cache */
+    struct body *made; /* written to the disk after the waiters have it; NULL: nothing is */
 };
-/* About the bytes of the result, from above: what it takes of --inflight-mb while it is made. */
-enum { WORK_ROOM_HEAD = 4096 }; /* of it for heads and ends */
+/* Upper limit of the result's bytes: its share of --inflight-mb while it is made. */
+enum { WORK_ROOM_HEAD = 4096 }; /* part of it for head and end */
 size_t work_room(const struct work *w);
 const char *work_noun(enum work_kind kind); /* "map tile": for messages */
-/* Run on a worker: from the store to bytes. The result goes to the cache before the job ends. The
- * errors of what is made; ERR_MEM. */
+/* Makes the bytes in a worker thread, from the store. The result is in the cache before the job
+ * ends. ERR_MEM, and the errors of the kind of work. */
 enum err_code work_run(void *services, const struct job *j, void *work, size_t worker,
                        struct body **out, struct err *e) ERR_USE;
 void work_drop(void *services, void *work);
-bool work_passing(const void *work); /* a picture, or what is not kept: see job_config */
+bool work_passing(const void *work); /* whether it is a picture, or is not kept: see job_config */
 
 #endif

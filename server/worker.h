@@ -1,6 +1,6 @@
-/* A second process of the same program that does what must not take this one down: it is started,
- * asked one thing at a time, killed when it does not answer, and started again when it has ended.
- * What it is asked are bytes to this file; draw.h knows them.
+/* A second process of the same program, for work that must not take this one down. It is started,
+ * gets one request at a time, is killed if it does not answer, and is started again if it ends.
+ * Requests are opaque bytes here; draw.h defines them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -11,57 +11,59 @@
 
 #include "core/base.h"
 
-#define WORKER_ARGUMENT "draw-for-serve" /* the program's only argument in its second process */
+/* the only argument of the program in its second process */
+#define WORKER_ARGUMENT "draw-for-serve"
 enum { WORKER_REQUEST_MAX = 16384, WORKER_ABOUT = 160 };
 
 /* ---- this process ---- */
 
 struct worker;
 struct worker_config {
-    const void *hello; /* [n_hello], copied: the first thing that it is told, to get ready */
+    const void *hello; /* [n_hello], copied: the first message, to get ready */
     size_t n_hello;
-    double start_s; /* longest time to get ready; 0: any */
-    double ask_s;   /* longest time for one answer; 0: any */
-    double pause_s; /* before the third start; doubles up to */
+    double start_s; /* longest time to get ready; 0: no limit */
+    double ask_s;   /* longest time for one answer; 0: no limit */
+    double pause_s; /* pause before the third start; it doubles up to */
     double pause_most_s;
-    double steady_s; /* whoever was well for so long begins anew: no pause */
+    double steady_s; /* after this time without a failure the pause starts anew */
 };
 enum worker_state {
     WORKER_STARTING, /* for the first time */
     WORKER_READY,
-    WORKER_OFF,  /* it said at its first start that it never will be; about says why */
-    WORKER_AGAIN /* it has ended; it is started again, after wait_s */
+    WORKER_OFF,  /* at its first start it said that it cannot work; `about` says why */
+    WORKER_AGAIN /* it has ended, and will be started after wait_s */
 };
 struct worker_status {
     enum worker_state state;
-    char about[WORKER_ABOUT]; /* what it said when it was ready, kept from then on */
+    char about[WORKER_ABOUT]; /* its text when it got ready, kept from then on */
     bool known;               /* it was ready once */
     double wait_s;            /* until the next start */
-    double failing_s;         /* since it ended for the first time without being well since */
-    pid_t pid;                /* 0: none */
-    uint64_t starts, crashes, kills, cancels; /* kills: of those that did not answer */
-    double cpu_s;                             /* of all, as far as they told */
-    uint64_t peak_bytes;                      /* of the last one */
+    double failing_s;         /* since its first unexpected end, until it is well again */
+    pid_t pid;                /* 0: it does not run */
+    uint64_t starts, crashes, kills, cancels; /* kills: because it did not answer */
+    double cpu_s;                             /* of all processes, as far as they reported it */
+    uint64_t peak_bytes;                      /* of the last process */
 };
 
-/* Start it, and a thread that keeps it. worker_close it. ERR_MEM; that it does not start is told by
- * its status. */
+/* Starts the process, and a thread that keeps it running. Close *out with worker_close. ERR_MEM. A
+ * failed start is reported by worker_status. */
 enum err_code worker_open(const struct worker_config *cfg, struct worker **out,
                           struct err *e) ERR_USE;
-/* Tell it to end, and kill it if it does not within a second. No call may be under way. */
+/* Ends the process, and kills it if it does not end within a second. No call may be in progress. */
 void worker_close(struct worker **w);
-/* From now on calls under way end soon: ERR_CANCEL. Any thread. */
+/* Makes calls in progress end soon with ERR_CANCEL. Any thread. */
 void worker_stop(struct worker *w);
 void worker_status(struct worker *w, struct worker_status *out); /* any thread */
-/* One thread at a time, as the next one. Wait until it is ready; *life is another number after each
- * start: a new one knows nothing of what the one before was told. ERR_BUSY: it pauses before it is
- * started again; ERR_DEVICE: it is off; ERR_CANCEL: stop (may be NULL) said so. */
+/* Waits until it is ready. *life is another number after each start; a new process knows nothing of
+ * earlier messages. Only one thread at a time may call this and worker_ask. ERR_BUSY: it pauses
+ * before the next start. ERR_DEVICE: it is off. ERR_CANCEL: `stop` (may be NULL) returned true. */
 enum err_code worker_ready(struct worker *w, bool (*stop)(const void *user), const void *user,
                            uint64_t *life, struct err *e) ERR_USE;
-/* Ask this life of it; its answer is appended to out, at most `limit` bytes. fd goes along unless
- * it is -1. It is told when stop says that nobody wants the answer any more. Its own error;
- * ERR_DEVICE: it ended at this, or was ended because it did not answer in time or answered
- * nonsense; ERR_BUSY: that life is over; ERR_CANCEL, ERR_MEM. */
+/* Sends a request to the process `life`, with the descriptor fd unless that is -1, and appends its
+ * answer to `out`, at most `limit` bytes. If `stop` returns true, the process is told that nobody
+ * wants the answer. Returns an error of the process itself, or: ERR_DEVICE: it ended during the
+ * request, or was ended because it was too slow or its answer invalid. ERR_BUSY: this process has
+ * ended already. ERR_CANCEL, ERR_MEM. */
 enum err_code worker_ask(struct worker *w, uint64_t life, const void *request, size_t n, int fd,
                          size_t limit, bool (*stop)(const void *user), const void *user,
                          struct buf *out, struct err *e) ERR_USE;
@@ -69,33 +71,33 @@ enum err_code worker_ask(struct worker *w, uint64_t life, const void *request, s
 /* ---- the other process ---- */
 
 struct worker_service {
-    /* Get ready: *user is passed to the others, about is text for the status. */
+    /* Gets ready. *user is passed to the other functions; about is text for the status. */
     enum err_code (*open)(const void *hello, size_t n, void **user, char about[WORKER_ABOUT],
                           struct err *e);
-    /* fd is -1, or taken by the callee. */
+    /* fd is -1, or owned by the function. */
     enum err_code (*run)(void *user, const void *request, size_t n, int fd, struct buf *out,
                          struct err *e);
-    void (*close)(void *user); /* also after an open that failed, if it set *user */
+    void (*close)(void *user); /* also called after a failed open, if that set *user */
 };
-bool worker_asked(int argc, char **argv); /* Is this process to be that one? */
-/* Answer until the other process ends. Returns the exit code. */
+bool worker_asked(int argc, char **argv); /* returns whether this process is the second one */
+/* Answers requests until the other process ends. Returns the exit code. */
 int worker_main(const struct worker_service *s);
-/* Does nobody want what is being made any more? To be asked now and then: a microsecond. user is
- * not looked at. In any other process: no. */
+/* Returns whether nobody wants the present answer any more. Call it from time to time; it takes a
+ * microsecond. `user` is ignored. In other processes it returns false. */
 bool worker_cancelled(const void *user);
 
-/* ---- between the two ---- */
+/* ---- messages between the two ---- */
 
-struct worker_head { /* in front of each request; a packet each */
+struct worker_head { /* before each request; each is one packet */
     uint32_t magic, cancel;
     uint64_t number;
 };
-struct worker_answer { /* the bytes themselves are in the shared file, which `memory` went along for
-                          with the first request */
+/* the answer's bytes are in the shared file `memory`, which was sent with the first request */
+struct worker_answer {
     uint32_t magic, code;
     uint64_t number, n_bytes, peak_bytes;
     double cpu_s;
-    char text[sizeof((struct err *)NULL)->msg]; /* of the error; of the first answer: about */
+    char text[sizeof((struct err *)NULL)->msg]; /* of the error; in the first answer: about */
 };
 enum { WORKER_MAGIC = 0x43535744, WORKER_FD = 3 };
 

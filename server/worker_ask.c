@@ -1,7 +1,8 @@
-/* A second process as others see it: opened, asked one thing at a time, stopped, closed.
+/* A second process, for those that send requests: it is opened, gets one request at a time, is
+ * stopped and closed.
  *
- * One thread asks; another one, the keeper (worker_keep.c), has the process. A call under way marks
- * itself in `asking`, so that descriptors stay open until it is over.
+ * One thread sends requests. Another one, the keeper (worker_keep.c), owns the process. A call in
+ * progress sets `asking`, so that descriptors stay open until it has ended.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,10 +1,10 @@
 /* The other side of worker_ask.c: the process that answers.
  *
- * Requests come as packets on descriptor 3, one at a time; the bytes of answers go into a file in
- * memory that the other process reads, and whose descriptor came with the first request. It ends
- * when that side has gone: it sees the end of the connection, and the kernel kills it where it is
- * in a call that does not return. Signals that a terminal or a supervisor sends to a whole group
- * are blocked by whoever started it, so that what is under way is finished first.
+ * Requests come as packets on descriptor 3, one at a time. The bytes of answers go to a file in
+ * memory that the other process reads; its descriptor came with the first request. The process ends
+ * when the other side has gone: it sees the end of the connection, and if it is in a call that does
+ * not return, the kernel kills it. The parent blocks signals that a terminal or a supervisor sends
+ * to a whole group, so that work in progress is finished first.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

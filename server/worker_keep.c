@@ -1,12 +1,12 @@
 /* The keeper: the thread that starts the second process, waits for its end and starts it again.
  *
- * Whichever of the keeper and who asks finds that it must go kills it, but only the keeper waits
- * for it (waitpid) and closes its socket, and not while the other one asks: so a process id that is
- * killed is never another's.
+ * Either the keeper or the asking thread may kill the process. Only the keeper waits for it
+ * (waitpid) and closes its socket, and not while the other one asks. A killed process id is
+ * therefore never that of another process.
  *
- * Pauses: the first time it ends it is started again at once, because one crash is an accident and
- * somebody waits for a picture. If it was not well for steady_s before it ended once more, the next
- * start waits, each time twice as long.
+ * Pauses: after its first end it is started again at once, because one crash is an accident and a
+ * client waits for a picture. If it was not well for steady_s before it ended again, the next start
+ * is delayed, twice as long each time.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,5 @@
-/* The second process between those who ask it and the keeper: internal to server/worker_*.c.
+/* The second process, for the threads that send requests and for the keeper. Internal to
+ * server/worker_*.c.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -9,39 +10,41 @@
 
 #include "server/worker.h"
 
-/* Everything but cfg and hello is guarded by `lock`. */
+/* `lock` guards all except cfg and hello. */
 struct worker {
     struct worker_config cfg;
     uint8_t *hello;
     struct pool_thread *keeper;
     pthread_mutex_t lock;
-    pthread_cond_t changed; /* state, asking, stopping */
+    pthread_cond_t changed; /* signals changes of state, asking and stopping */
     struct worker_status now;
     uint64_t life, number;
-    int fd, memory;      /* of this life; -1: none */
-    bool asking;         /* somebody uses fd and memory: the keeper leaves them open */
-    bool failed, killed; /* this life is to end; it was killed because it did not answer */
+    int fd, memory; /* of this process; -1: none */
+    bool asking;    /* a thread uses fd and memory, so the keeper must leave them open */
+    /* failed: this process must end; killed: it was killed because it did not answer */
+    bool failed, killed;
     bool stopping;
-    double ready_s, asked_s; /* when it was ready; when the last call began, 0: none is under way */
+    double ready_s, asked_s; /* when it got ready; when the present call began, 0: none */
     double failing_since_s;  /* 0: all is well */
-    double again_s;          /* not before this */
+    double again_s;          /* earliest time of the next start */
     unsigned failures;       /* in a row */
-    double cpu_s;            /* of the lives before */
+    double cpu_s;            /* of earlier processes */
 };
 
-/* The keeper's thread: start it, wait for its end, start it again, until worker_stop. */
+/* The keeper's thread: it starts the process, waits for its end and starts it again, until
+ * worker_stop. */
 void worker_keep(void *user);
-/* Under the lock: until something has changed, at most wait_s. */
+/* With the lock held, waits until something changes, at most wait_s. */
 void worker_wait(struct worker *w, double wait_s);
 
-/* One packet, with a descriptor unless `with` is -1. ERR_IO: nobody is there. */
+/* Sends one packet, with a descriptor unless `with` is -1. ERR_IO: the other side is gone. */
 enum err_code worker_packet_send(int fd, const struct worker_head *h, const void *bytes, size_t n,
                                  int with, struct err *e) ERR_USE;
-/* Wait at most wait_ms for the answer to `number`. *got: it is there. ERR_IO: the connection has
- * ended. ERR_FORMAT: that is none. */
+/* Waits at most wait_ms for the answer to `number`. *got: it has come. ERR_IO: the connection has
+ * ended. ERR_FORMAT: it is no answer. */
 enum err_code worker_packet_receive(int fd, uint64_t number, int wait_ms, struct worker_answer *a,
                                     bool *got, struct err *e) ERR_USE;
-/* Append the n bytes of an answer. A short file is an answer that is none: ERR_FORMAT. ERR_MEM. */
+/* Appends the n bytes of an answer. ERR_FORMAT: the file is too short. ERR_MEM. */
 enum err_code worker_packet_take(int memory, size_t n, struct buf *out, struct err *e) ERR_USE;
 
 #endif

@@ -1,7 +1,7 @@
-/* What goes between the two processes: packets of a Unix socket, one a request and one an answer,
- * and the file in memory that answers' bytes are read from. What comes from the other process is
- * checked as if it came from the network: a driver that writes where it should not is one of the
- * reasons for its being a process of its own.
+/* Messages between the two processes: packets of a Unix socket, one for a request and one for an
+ * answer, and a file in memory with the answers' bytes. Data from the other process is checked like
+ * data from the network. A driver that writes to wrong addresses is one reason for the separate
+ * process.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -75,7 +75,7 @@ struct synth_city { /* {0} is empty; synth_city_free */
     double street_half_m[2][SYNTH_STREETS_MAX];
     size_t n_streets[2];
     double sun[3]; /* unit vector to the sun, city frame */
-    bool tricky;   /* paint says little of shape: see synth_shade_paint */
+    bool tricky;   /* its paint shows little of shape: see synth_shade_paint */
     double gloss;  /* share of the full gloss; 0: everything is matt */
     struct synth_solid *solids;
     size_t n_solids, cap_solids;
@@ -122,7 +122,8 @@ struct synth_light synth_shade_light(void);
 void synth_shade_hit(const struct synth_city *c, const struct synth_grid *moving,
                      const struct synth_light *light, const double dir[3],
                      const struct synth_hit *hit, double footprint_m, float rgb[3]);
-/* What a tricky city has at a hit; of another city always SYNTH_RICH. Each has one albedo. */
+/* The paint of a tricky city at a hit. Other cities have SYNTH_RICH everywhere. Each other paint
+ * has one albedo. */
 enum synth_paint {
     SYNTH_RICH,
     SYNTH_ASPHALT,

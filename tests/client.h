@@ -178,8 +178,8 @@ static inline int status_of(const char *method, const char *target, const char *
     return r.status;
 }
 
-/* The revision in addresses that have this edition: "REV-EDITION", or "REV" while there is none.
- * Valid until the next call. */
+/* The revision in addresses with this edition: "REV-EDITION", or "REV" while there is none. Valid
+ * until the next call. */
 static inline const char *revision_of(enum edition of)
 {
     static char text[32];

@@ -1,5 +1,5 @@
-/* Positions of photographs from files of receivers, with accuracies that weigh; and what heights
- * count from, through to the products.
+/* Positions of photographs from files of receivers, with accuracies as weights; and the reference
+ * of heights, from input to products.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -11,7 +11,7 @@
 
 #include "core/err.h"
 
-/* What the truth has where a ray ends. */
+/* Class of the truth at the end of a ray. */
 enum surface_class {
     SURFACE_GROUND,
     SURFACE_ROOF,
@@ -19,7 +19,7 @@ enum surface_class {
     SURFACE_TREE,
     SURFACE_CAR,
     SURFACE_BASES,
-    /* What paint tells little of, beside the rest of its base. */
+    /* Paint that shows little of shape. Each is a part of its base. */
     SURFACE_ASPHALT = SURFACE_BASES,
     SURFACE_MARK,
     SURFACE_LAWN,
@@ -28,9 +28,9 @@ enum surface_class {
     SURFACE_CLASSES
 };
 const char *surface_class_name(enum surface_class c);
-/* Ground, roof or wall of those with a paint; others are their own. */
+/* The base of a class: ground, roof or wall for a paint, else the class itself. */
 enum surface_class surface_class_base(enum surface_class c);
-/* Bits of all that have this base. */
+/* Bits of all classes with this base. */
 uint32_t surface_class_bits(enum surface_class base);
 
 struct surface_ray {
