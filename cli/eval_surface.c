@@ -113,7 +113,8 @@ static struct surface_ray surface_pixel(const struct eval_surface *v, const stru
     size_t i = y * view->cam.width_px + x;
     double slant = truth_ray(view, (double)x + 0.5, (double)y + 0.5, from, dir);
     struct surface_ray r =
-        surface_ray_make(v->median[i], v->near[i], v->far[i], v->left[i], v->met[i], slant, t->t_m);
+        surface_ray_make((double)v->median[i], (double)v->near[i], (double)v->far[i],
+                         (double)v->left[i], (double)v->met[i], slant, (double)t->t_m);
     r.kind = t->kind;
     r.bright = t->bright;
     return r;
@@ -260,7 +261,8 @@ static enum err_code surface_points(struct eval_surface *v, const struct truth_v
     size_t w = view->cam.width_px, pixels = w * view->cam.height_px;
     for (size_t i = 0; !rc && i < pixels; i++) {
         const struct truth_pixel *t = &v->pixel[i];
-        double from[3], dir[3], place[3] = {t->enu[0], t->enu[1], t->enu[2]};
+        double from[3], dir[3],
+            place[3] = {(double)t->enu[0], (double)t->enu[1], (double)t->enu[2]};
         if (t->t_m > 0.0f && t->inside)
             rc = surface_cloud_add(&v->exact, place,
                                    (uint8_t)surface_class_base((enum surface_class)t->kind), e);

@@ -189,7 +189,7 @@ static size_t cut(const struct tree *t, const struct store_tile *tiles, uint32_t
 }
 
 /* The picture of these tiles, every row handed over. */
-static void picture_of_all(struct store *s, bool *used, const struct camera *cam, float *rgb)
+static void picture_of_all(struct store *s, const bool *used, const struct camera *cam, float *rgb)
 {
     struct err e = {0};
     struct gauss all;

@@ -253,7 +253,7 @@ static void matches_are_those_by_hand(void **state)
     kit_ok(surface_match_tell(&model, &truth, within, 1000, m, &e), e);
     assert_true(isnan(m[0][SURFACE_CLASSES].precision) && m[0][SURFACE_CLASSES].recall == 0.0 &&
                 m[0][SURFACE_CLASSES].f1 == 0.0);
-    const double far[3] = {1e6, 0, 0}, unknown[3] = {0, NAN, 0};
+    const double far[3] = {1e6, 0, 0}, unknown[3] = {0, (double)NAN, 0};
     kit_fails(surface_cloud_add(&truth, far, 0, &e), ERR_LIMIT, e, "too far");
     kit_fails(surface_cloud_add(&truth, unknown, 0, &e), ERR_LIMIT, e, "too far");
     surface_cloud_free(&truth);
