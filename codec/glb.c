@@ -29,7 +29,7 @@ enum {
     CHUNK_BIN = 0x004e4942,
     FLOAT32 = 5126,
     UINT8 = 5121,
-    HEAD_BYTES = 12,
+    GLB_HEAD_BYTES = 12,
 };
 #define EXT_SPLAT "KHR_gaussian_splatting"
 #define EXT_SPZ "KHR_gaussian_splatting_compression_spz_2"
@@ -42,7 +42,7 @@ static enum err_code glb_pack(json_t *root, const struct buf *bin, struct buf *o
     if (!text)
         return err_set(e, ERR_ARG, "glb: the text given for it is not UTF-8, or out of memory");
     size_t n = strlen(text), n_json = (n + 3) & ~(size_t)3, n_bin = (bin->size + 3) & ~(size_t)3;
-    size_t total = HEAD_BYTES + 8 + n_json + 8 + n_bin;
+    size_t total = GLB_HEAD_BYTES + 8 + n_json + 8 + n_bin;
     enum err_code rc = ERR_OK;
     if (total > UINT32_MAX) {
         rc = err_set(e, ERR_LIMIT, "glb: %zu bytes: at most 4 GiB fit, cut the scene into tiles",

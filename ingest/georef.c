@@ -39,7 +39,7 @@ static const double better_in_order = 0.8, better_in_clusters = 0.6, offset_min_
 static const double jump_sudden = 0.5, jump_better = 0.9, cluster_changes = 0.1;
 enum { JUMP_WINDOW = 10 };
 enum partition { PARTITION_PAUSE, PARTITION_JUMP, PARTITION_CLUSTER };
-static const double level_sigma = 0.03, normal_sigma = 0.2,
+static const double georef_level = 0.03, normal_sigma = 0.2,
                     hint_sigma = 0.5; /* radians, of upright_at */
 
 void georef_free(struct georef_result *r)
@@ -62,7 +62,7 @@ static double georef_level_sigma(const struct georef_photo *photos, size_t n)
             for (size_t i = 0; i < n; i++)
                 m[3 * a + b] += photos[i].rot[a] * photos[i].rot[b] / (double)n;
     sim3_eigen(m, 3, values, vectors);
-    return fmax(level_sigma, fmax(values[0], 0) / level_sigma);
+    return fmax(georef_level, fmax(values[0], 0) / georef_level);
 }
 
 /* Up in COLMAP's frame, from cameras that do not roll, over ground that is roughly level: the
@@ -72,7 +72,7 @@ static void georef_upright_at(const struct georef_photo *photos, size_t n, const
 {
     double hint[3] = {0}, m[9] = {0}, values[3], vectors[9];
     bool known = normal[0] != 0 || normal[1] != 0 || normal[2] != 0;
-    double level = known && !(sigma > 0) ? georef_level_sigma(photos, n) : level_sigma;
+    double level = known && !(sigma > 0) ? georef_level_sigma(photos, n) : georef_level;
     for (size_t i = 0; i < n;
          i++) /* between "up in the picture" and "backwards": right for any pitch down */
         for (int a = 0; a < 3; a++)

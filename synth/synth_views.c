@@ -63,11 +63,11 @@ struct views {
 
 /* ---- poses ---- */
 
-struct dice { /* random numbers of one try at one view */
+struct views_dice { /* random numbers of one try at one view */
     uint64_t seed, next;
 };
 
-static double views_roll(struct dice *d, double lo, double hi)
+static double views_roll(struct views_dice *d, double lo, double hi)
 {
     return lo + (hi - lo) * rng_unit(d->seed, SYNTH_STREAM_VIEWS, d->next++);
 }
@@ -112,8 +112,8 @@ static bool views_target_is_seen(const struct synth_city *c, const struct pose *
 }
 
 /* Look at a place of the city from `height` above the ground, at p->pitch_deg. */
-static bool views_aim(const struct synth_city *c, struct dice *d, double height, double range_max,
-                      struct pose *p)
+static bool views_aim(const struct synth_city *c, struct views_dice *d, double height,
+                      double range_max, struct pose *p)
 {
     double side = 0.8 * c->half_m, h, range;
     p->target_m[0] = views_roll(d, -side, side);
@@ -128,7 +128,7 @@ static bool views_aim(const struct synth_city *c, struct dice *d, double height,
     return height > p->target_m[2] + 2 && range < range_max;
 }
 
-static void views_overview(const struct synth_city *c, struct dice *d, struct pose *p)
+static void views_overview(const struct synth_city *c, struct views_dice *d, struct pose *p)
 {
     double away = views_roll(d, 1.8, 3) * c->half_m;
     p->heading_deg = views_roll(d, 0, 360);
@@ -139,7 +139,7 @@ static void views_overview(const struct synth_city *c, struct dice *d, struct po
     p->pitch_deg = -atan2(p->eye_m[2] - 5, away) * 180 / M_PI;
 }
 
-static void views_street(const struct synth_city *c, struct dice *d, struct pose *p)
+static void views_street(const struct synth_city *c, struct views_dice *d, struct pose *p)
 {
     int axis = views_roll(d, 0, 1) < 0.5;
     size_t i = (size_t)views_roll(d, 0, (double)c->n_streets[axis] - 0.001);
@@ -153,7 +153,8 @@ static void views_street(const struct synth_city *c, struct dice *d, struct pose
     p->pitch_deg = views_roll(d, -6, 2);
 }
 
-static bool views_pose(const struct views *v, enum view_kind kind, struct dice *d, struct pose *p)
+static bool views_pose(const struct views *v, enum view_kind kind, struct views_dice *d,
+                       struct pose *p)
 {
     const struct synth_city *c = v->city;
     double height = synth_flight_height(v->cfg), reach = 4 * height + c->half_m;
@@ -199,8 +200,8 @@ static enum err_code views_place(struct views *v, size_t i, struct err *e)
     enum view_kind kind = kind_order[i % (sizeof kind_order / sizeof *kind_order)];
     struct pose p;
     for (uint64_t k = 0; k < VIEW_TRIES; k++) {
-        struct dice d = {(uint64_t)v->cfg->seed,
-                         ((uint64_t)v->cfg->map_seed << 28) + ((uint64_t)i * VIEW_TRIES + k) * 16};
+        struct views_dice d = {(uint64_t)v->cfg->seed, ((uint64_t)v->cfg->map_seed << 28) +
+                                                           ((uint64_t)i * VIEW_TRIES + k) * 16};
         if (!views_pose(v, kind, &d, &p) || !views_eye_is_clear(v->city, p.eye_m) ||
             (p.aimed && !views_target_is_seen(v->city, &p)))
             continue;
@@ -218,8 +219,8 @@ static enum err_code views_place(struct views *v, size_t i, struct err *e)
 static enum err_code views_light(struct views *v, size_t i, struct err *e)
 {
     const struct synth_config *cfg = v->cfg;
-    struct dice d = {(uint64_t)cfg->seed,
-                     ((uint64_t)cfg->map_seed << 28) + light_dice + (uint64_t)i * VIEW_TRIES};
+    struct views_dice d = {(uint64_t)cfg->seed,
+                           ((uint64_t)cfg->map_seed << 28) + light_dice + (uint64_t)i * VIEW_TRIES};
     for (int k = 0; k < VIEW_TRIES; k++) {
         size_t j = (size_t)views_roll(&d, 0, (double)cfg->photos - 0.001);
         const struct synth_photo *p = &v->photos[j];

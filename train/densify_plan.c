@@ -140,7 +140,7 @@ static bool densify_row_inside(const struct densify_params *p, const struct dens
 
 enum densify_class { CLASS_KEEP, CLASS_PRUNE, CLASS_CLONE, CLASS_SPLIT, CLASS_CUT };
 
-struct densify_work {
+struct densify_lists {
     uint8_t *class, *inside, *chosen; /* [n] */
     uint32_t *drawn;                  /* scratch for a draw */
     uint8_t *copies;                  /* [n] MCMC: how many come to each; otherwise NULL */
@@ -200,7 +200,7 @@ static enum densify_class densify_classify(const struct densify_params *p,
 }
 
 static void densify_classify_all(const struct densify_params *p, const struct densify_input *in,
-                                 struct densify_work *w)
+                                 struct densify_lists *w)
 {
     for (size_t i = 0; i < in->n; i++) {
         bool inside;
@@ -221,7 +221,7 @@ static void densify_classify_all(const struct densify_params *p, const struct de
 
 /* What taking this candidate adds inside and outside; a child of a split may cross the border. */
 static void densify_gain(const struct densify_params *p, const struct densify_input *in,
-                         const struct densify_work *w, uint32_t i, int *in_gain, int *out_gain)
+                         const struct densify_lists *w, uint32_t i, int *in_gain, int *out_gain)
 {
     if (w->class[i] == CLASS_CLONE) {
         *in_gain = w->inside[i];
@@ -236,7 +236,7 @@ static void densify_gain(const struct densify_params *p, const struct densify_in
 
 /* Take a candidate if both ceilings allow. */
 static bool densify_take(const struct densify_params *p, const struct densify_input *in,
-                         struct densify_work *w, uint32_t i)
+                         struct densify_lists *w, uint32_t i)
 {
     int gain_in, gain_out;
     densify_gain(p, in, w, i, &gain_in, &gain_out);
@@ -251,7 +251,7 @@ static bool densify_take(const struct densify_params *p, const struct densify_in
 
 /* What sticks out is halved first, in a part of the room: there is a next time. */
 static size_t densify_cut(const struct densify_params *p, const struct densify_input *in,
-                          struct densify_work *w)
+                          struct densify_lists *w)
 {
     size_t n = 0, room = p->cap_inside > w->n_in ? p->cap_inside - w->n_in : 0;
     if (!p->cell->whole && p->cap_outside > w->n_out)
@@ -263,7 +263,7 @@ static size_t densify_cut(const struct densify_params *p, const struct densify_i
 
 /* Draw `quota` of one class and mark them, keeping to both ceilings. */
 static enum err_code densify_draw(const struct densify_params *p, const struct densify_input *in,
-                                  struct densify_work *w, const uint32_t *ids, size_t n,
+                                  struct densify_lists *w, const uint32_t *ids, size_t n,
                                   size_t quota, size_t *taken, struct err *e)
 {
     /* Only a border can make the ceilings refuse one and call up the next in line. */
@@ -275,7 +275,7 @@ static enum err_code densify_draw(const struct densify_params *p, const struct d
     return rc;
 }
 
-static enum err_code densify_rows(const struct densify_input *in, const struct densify_work *w,
+static enum err_code densify_rows(const struct densify_input *in, const struct densify_lists *w,
                                   struct densify_plan *out, struct err *e)
 {
     size_t n = 0;
@@ -312,7 +312,7 @@ static bool densify_room(struct densify_side *side, size_t n, size_t cap, bool b
  * below 2^32, and since the room is at most what is wanted, what clones leave is never more than
  * there are splits. */
 static enum err_code densify_draw_side(const struct densify_params *p,
-                                       const struct densify_input *in, struct densify_work *w,
+                                       const struct densify_input *in, struct densify_lists *w,
                                        const struct densify_side *side, struct densify_report *r,
                                        struct err *e)
 {
@@ -331,7 +331,7 @@ static enum err_code densify_draw_side(const struct densify_params *p,
 
 /* MCMC: the dead come back elsewhere, and inside the cell their number grows to the ceiling. */
 static enum err_code densify_relocate_side(const struct densify_params *p,
-                                           const struct densify_input *in, struct densify_work *w,
+                                           const struct densify_input *in, struct densify_lists *w,
                                            bool inside, struct err *e)
 {
     size_t n = 0, dead = 0, placed = 0, *count = inside ? &w->n_in : &w->n_out;
@@ -367,7 +367,7 @@ static enum err_code densify_relocate_side(const struct densify_params *p,
 }
 
 static enum err_code densify_relocate(const struct densify_params *p,
-                                      const struct densify_input *in, struct densify_work *w,
+                                      const struct densify_input *in, struct densify_lists *w,
                                       struct densify_plan *out, struct err *e)
 {
     struct densify_report *r = &out->report;
@@ -386,7 +386,7 @@ static enum err_code densify_relocate(const struct densify_params *p,
 }
 
 static enum err_code densify_fill(const struct densify_params *p, const struct densify_input *in,
-                                  struct densify_work *w, struct densify_plan *out, struct err *e)
+                                  struct densify_lists *w, struct densify_plan *out, struct err *e)
 {
     struct densify_report *r = &out->report;
     struct densify_side *inside = &w->side[1], *outside = &w->side[0];
@@ -421,7 +421,7 @@ enum err_code densify_plan_make(const struct densify_params *p, const struct den
                                 struct densify_plan *out, struct err *e)
 {
     enum err_code rc = ERR_OK;
-    struct densify_work w = {0};
+    struct densify_lists w = {0};
     *out = (struct densify_plan){0};
     if (in->n > UINT32_MAX / 2)
         return err_set(e, ERR_LIMIT, "densify: %zu Gaussians are more than one cell can hold",
