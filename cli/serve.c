@@ -77,6 +77,7 @@ static enum err_code serve_run(struct server *sv, const struct server_config *cf
         if (sigtimedwait(hup, NULL, &wait) == SIGHUP || server_reload_asked(sv))
             serve_reload(sv);
         server_expire(sv, clock_s());
+        server_keep_memory(sv, clock_s());
         serve_watch(sv, &next_s);
         if (cfg->exit_hung && server_failing_s(sv) > fmax(cfg->device_timeout_s, 10))
             return err_set(e, ERR_DEVICE, "pictures have failed for %.0f s, and --exit-hung is set",

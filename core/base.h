@@ -37,6 +37,16 @@ void mem_fail_at(size_t k);
  * of photographs that two threads filled took twice its limit that way. With another C library
  * nothing changes. */
 void mem_return_large(void);
+/* Gives freed memory back to the system that the C library still holds. It takes milliseconds, in
+ * which threads that allocate wait. With another C library nothing happens. */
+void mem_give_back(void);
+/* Memory that a process holds and the system cannot drop without swap: anonymous and shared pages,
+ * in bytes. pid 0: this process. 0: not known. */
+size_t mem_held_bytes(int pid);
+/* `yield` is called when an allocation fails, which is then tried once more. It frees what it can
+ * do without, and neither allocates nor waits for a lock that an allocating thread may hold. NULL:
+ * nothing is called. */
+void mem_on_short(void (*yield)(void *user, size_t bytes), void *user);
 /* Asks the system for large pages where these bytes cover whole ones. Scattered reads then miss
  * fewer address translations. Nothing happens for less than 4 MiB, or where the system has no large
  * pages. */

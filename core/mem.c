@@ -4,6 +4,7 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #define _DEFAULT_SOURCE /* madvise */
+#include <pthread.h>
 #include <stdatomic.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -18,7 +19,10 @@
 #include "core/base.h"
 
 enum { MEM_ALIGN = 64, MEM_LARGE = 256 << 10, MEM_HUGE = 2 << 20 };
-static atomic_size_t mem_countdown; /* 0 = never fail */
+static atomic_size_t mem_countdown;                                /* 0 = never fail */
+static pthread_mutex_t mem_short_lock = PTHREAD_MUTEX_INITIALIZER; /* of the next two */
+static void (*mem_short_yield)(void *user, size_t bytes);
+static void *mem_short_user;
 
 void mem_fail_at(size_t k)
 {
@@ -43,11 +47,35 @@ static size_t mem_round(size_t n, size_t size)
     return bytes ? (bytes + MEM_ALIGN - 1) / MEM_ALIGN * MEM_ALIGN : MEM_ALIGN;
 }
 
+void mem_on_short(void (*yield)(void *user, size_t bytes), void *user)
+{
+    pthread_mutex_lock(&mem_short_lock);
+    mem_short_yield = yield;
+    mem_short_user = user;
+    pthread_mutex_unlock(&mem_short_lock);
+}
+
+/* Under the lock, so that whoever takes `yield` away knows that it is not running. */
+static bool mem_make_room(size_t bytes)
+{
+    pthread_mutex_lock(&mem_short_lock);
+    const bool asked = mem_short_yield;
+    if (asked)
+        mem_short_yield(mem_short_user, bytes);
+    pthread_mutex_unlock(&mem_short_lock);
+    return asked;
+}
+
+static bool mem_allocate(void **p, size_t bytes)
+{
+    return !mem_must_fail() && !posix_memalign(p, MEM_ALIGN, bytes);
+}
+
 void *mem_uninit(size_t n, size_t size)
 {
     size_t bytes = mem_round(n, size);
     void *p = NULL;
-    if (!bytes || mem_must_fail() || posix_memalign(&p, MEM_ALIGN, bytes))
+    if (!bytes || (!mem_allocate(&p, bytes) && !(mem_make_room(bytes) && mem_allocate(&p, bytes))))
         return NULL;
     mem_prefer_huge(p, bytes);
     return p;
@@ -90,6 +118,28 @@ void mem_return_large(void)
 #ifdef __GLIBC__
     (void)mallopt(M_MMAP_THRESHOLD, MEM_LARGE);
 #endif
+}
+
+void mem_give_back(void)
+{
+#ifdef __GLIBC__
+    (void)malloc_trim(0);
+#endif
+}
+
+size_t mem_held_bytes(int pid)
+{
+    char path[48], line[128];
+    unsigned long long kb, held_kb = 0;
+    if (pid)
+        snprintf(path, sizeof path, "/proc/%d/status", pid);
+    FILE *f = fopen(pid ? path : "/proc/self/status", "re");
+    while (f && fgets(line, sizeof line, f))
+        if (sscanf(line, "RssAnon: %llu", &kb) == 1 || sscanf(line, "RssShmem: %llu", &kb) == 1)
+            held_kb += kb;
+    if (f)
+        fclose(f);
+    return (size_t)held_kb << 10;
 }
 
 bool mem_peak_reset(void)

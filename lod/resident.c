@@ -208,13 +208,8 @@ static float *resident_faint(const struct resident *r, const struct resident_til
     return out;
 }
 
-/* At least so many pages; when there were fewer nothing is on the device any more. */
-static enum err_code resident_reserve(struct resident *r, size_t pages, struct err *e)
+static void resident_forget_pages(struct resident *r)
 {
-    bool kept;
-    enum err_code rc = render_model_reserve(r->render, &r->model, pages * BLOCK_GROUPS, &kept, e);
-    if (!rc && kept)
-        return ERR_OK;
     for (size_t i = 0; i < r->n_tiles; i++) {
         mem_free(r->tile[i].page);
         r->tile[i].page = NULL;
@@ -222,12 +217,23 @@ static enum err_code resident_reserve(struct resident *r, size_t pages, struct e
     mem_free(r->free_page);
     mem_free(r->list);
     mem_free(r->next);
+    r->free_page = r->list = r->next = NULL;
+    r->n_pages = r->n_free = r->n_list = 0;
+    r->list_valid = false;
+}
+
+/* At least so many pages; when there were fewer nothing is on the device any more. */
+static enum err_code resident_reserve(struct resident *r, size_t pages, struct err *e)
+{
+    bool kept;
+    enum err_code rc = render_model_reserve(r->render, &r->model, pages * BLOCK_GROUPS, &kept, e);
+    if (!rc && kept)
+        return ERR_OK;
+    resident_forget_pages(r);
     r->n_pages = render_model_capacity(&r->model) / BLOCK_GROUPS;
     r->free_page = mem_array(r->n_pages, sizeof *r->free_page);
     r->list = mem_array(r->n_pages * BLOCK_GROUPS, sizeof *r->list);
     r->next = mem_array(r->n_pages * BLOCK_GROUPS, sizeof *r->next);
-    r->list_valid = false;
-    r->n_free = 0;
     if (!rc && !(r->free_page && r->list && r->next)) {
         r->n_pages = 0;
         render_model_free(&r->model);
@@ -236,6 +242,26 @@ static enum err_code resident_reserve(struct resident *r, size_t pages, struct e
     for (size_t i = r->n_pages; !rc && i-- > 0;)
         r->free_page[r->n_free++] = (uint32_t)i;
     return rc;
+}
+
+/* As resident_open left it. */
+static void resident_empty(struct render_model *m)
+{
+    struct render_model kept = {.sh_degree = m->sh_degree, .embed_len = m->embed_len};
+    memcpy(kept.origin_enu_m, m->origin_enu_m, sizeof kept.origin_enu_m);
+    render_model_free(m);
+    *m = kept;
+}
+
+void resident_shrink(struct resident *r)
+{
+    const size_t limit = r->limit_bytes;
+    r->limit_bytes = 0;
+    resident_evict(r);
+    r->limit_bytes = limit;
+    resident_forget_pages(r);
+    resident_empty(&r->model);
+    resident_empty(&r->flat);
 }
 
 /* Free pages enough, at the cost of tiles used last before `since`. */

@@ -47,6 +47,8 @@ struct resident {
 enum err_code resident_open(struct store *s, struct render *r, uint32_t embed_len,
                             size_t limit_bytes, struct resident *out, struct err *e) ERR_USE;
 void resident_close(struct resident *r);
+/* Frees all tiles, in memory and on the device. */
+void resident_shrink(struct resident *r);
 /* From now on a tile is drawn with this share of its opacity, above 0 and up to 1. */
 void resident_weigh(struct resident *r, uint32_t tile, float share);
 /* Brings the tiles picked[0..n), ascending, to the device and lists the blocks that f (NULL: all)

@@ -90,6 +90,11 @@ void view_close(struct view **vp)
     *vp = NULL;
 }
 
+void view_shrink(struct view *v)
+{
+    resident_shrink(&v->resident);
+}
+
 const struct store *view_store(const struct view *v)
 {
     return v->store;

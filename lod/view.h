@@ -33,6 +33,8 @@ enum err_code view_open(const char *store_path, struct render *r, size_t cache_b
 enum err_code view_open_fd(int fd, const char *name, struct render *r, size_t cache_bytes,
                            struct view **out, struct err *e) ERR_USE;
 void view_close(struct view **v);
+/* Frees the tiles that are kept for the next picture, in memory and on the device. */
+void view_shrink(struct view *v);
 /* Borrowed until view_close. */
 const struct store *view_store(const struct view *v);
 /* that of the store; NULL: none */

@@ -65,8 +65,10 @@ void answer_service_landing(struct services *s, const struct request *r, struct 
     response_document(r, index->type, body_ref(index->body), out);
 }
 
-/* Ready, or degraded: the file of a dataset does not give all its tiles, or a reload failed. Still
- * 200, because everything else is served, and taking the server out would help nobody. */
+static const double SHORT_S = 60; /* how long memory that ran out is told */
+
+/* Ready, or degraded: the file of a dataset does not give all its tiles, a reload failed, or memory
+ * ran out. Still 200, because everything else is served, and taking it out would help nobody. */
 static void answer_service_state(struct services *s, const struct request *r, struct response *out)
 {
     struct body *b = NULL;
@@ -92,7 +94,9 @@ static void answer_service_state(struct services *s, const struct request *r, st
     struct worker_status drawing = {0};
     if (s->picture)
         picture_status(s->picture, &drawing);
-    degraded |= why[0] || drawing.state == WORKER_AGAIN;
+    const double short_s = services_short_s(s);
+    const bool is_short = short_s >= 0 && short_s < SHORT_S;
+    degraded |= why[0] || drawing.state == WORKER_AGAIN || is_short;
     json_t *o = degraded ? json_pack("{s:s,s:O}", "status", "degraded", "failed", failed)
                          : json_pack("{s:s}", "status", "ready");
     if (why[0]) /* it names files: whoever is not on this machine learns that it is so */
@@ -101,6 +105,10 @@ static void answer_service_state(struct services *s, const struct request *r, st
                                             ? why
                                             : "the last reload failed, and the data from before "
                                               "it are served; the log says why"));
+    if (is_short)
+        json_object_set_new(o, "memory",
+                            json_string("answers were refused because memory ran out; nothing is "
+                                        "damaged: give --memory less than there is"));
     if (drawing.state == WORKER_AGAIN)
         json_object_set_new(o, "pictures",
                             json_string("the process that draws has ended, and is started again"));

@@ -61,6 +61,8 @@ bool answer_view_check(struct services *s, uint32_t width_px, uint32_t height_px
         return false;
     }
     double px = (double)width_px * height_px, most_px = VIEW_DRAWN * s->cfg->max_view_mpx * 1e6;
+    if (s->plan.drawn_px)
+        most_px = fmin(most_px, (double)s->plan.drawn_px);
     uint32_t fine = paint->supersample;
     if (px * fine * fine > most_px) {
         snprintf(

@@ -168,10 +168,23 @@ static void cache_shard_remove(struct shard *s, struct entry *x, struct entry **
     *freed = x;
 }
 
+/* What was taken out. Not under the lock. */
+static void cache_free_list(struct cache *c, struct entry *freed)
+{
+    size_t cost = 0;
+    for (struct entry *next; freed; freed = next) {
+        next = freed->bucket_next;
+        cost += freed->cost;
+        body_drop(&freed->body);
+        mem_free(freed);
+    }
+    atomic_fetch_sub(&c->bytes, cost);
+}
+
 void cache_put(struct cache *c, struct hash128 key, struct body *b)
 {
     struct shard *s = cache_shard_of(c, key);
-    size_t cost = body_cost(b), freed_cost = 0;
+    size_t cost = body_cost(b);
     struct entry *x = cost > c->shard_limit ? NULL : mem_array(1, sizeof *x);
     if (!x)
         return;
@@ -197,13 +210,36 @@ void cache_put(struct cache *c, struct hash128 key, struct body *b)
     cache_list_add(&s->probation, x);
     atomic_fetch_add(&c->bytes, cost);
     pthread_mutex_unlock(&s->lock);
-    for (struct entry *next; freed; freed = next) {
-        next = freed->bucket_next;
-        freed_cost += freed->cost;
-        body_drop(&freed->body);
-        mem_free(freed);
+    cache_free_list(c, freed);
+}
+
+/* The oldest of one shard, as long as that gives something. Bytes. */
+static size_t cache_shard_yield(struct shard *s, size_t bytes, struct entry **freed)
+{
+    size_t got = 0;
+    while (got < bytes && s->n) {
+        struct entry *victim = s->probation.oldest ? s->probation.oldest : s->protected.oldest;
+        got += victim->cost;
+        cache_shard_remove(s, victim, freed);
+        s->evictions++;
     }
-    atomic_fetch_sub(&c->bytes, freed_cost);
+    return got;
+}
+
+size_t cache_yield(struct cache *c, size_t bytes)
+{
+    size_t got = 0;
+    /* A part of each shard, and what is missing then of any. */
+    for (int k = 0; k < 2 * SHARDS && got < bytes; k++) {
+        struct shard *s = &c->shard[k % SHARDS];
+        struct entry *freed = NULL;
+        if (pthread_mutex_trylock(&s->lock))
+            continue;
+        got += cache_shard_yield(s, k < SHARDS ? bytes / SHARDS + 1 : bytes - got, &freed);
+        pthread_mutex_unlock(&s->lock);
+        cache_free_list(c, freed);
+    }
+    return got;
 }
 
 size_t cache_bytes(const struct cache *c)

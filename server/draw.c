@@ -23,6 +23,12 @@
 #include "render/render.h"
 #include "server/paint.h"
 
+enum {
+    DRAW_OVER = 16 /* a process that holds so much of its memory too much, 1/16, is replaced */
+};
+
+#define DRAW_AGE_S 60.0 /* but not before */
+
 struct draw_slot {
     struct view *view;   /* NULL: empty */
     struct nadir *nadir; /* over the view; NULL: nobody asked for a map yet */
@@ -70,6 +76,9 @@ static enum err_code draw_open(const void *hello, size_t n, void **user, char ab
     if (n != sizeof d->hello)
         return err_set(e, ERR_INTERNAL, "a greeting of %zu bytes, not %zu", n, sizeof d->hello);
     memcpy(&d->hello, hello, n);
+    if (!d->hello.slots || d->hello.slots > DRAW_SLOTS)
+        return err_set(e, ERR_INTERNAL, "a greeting of %u stores", d->hello.slots);
+    mem_return_large();
     log_set_json(d->hello.log_json);
     log_set_level(LOG_WARN); /* the server tells what is well */
     if (d->hello.nice)
@@ -102,8 +111,8 @@ static enum err_code draw_find(struct draw *d, const struct draw_request *q, int
             draw_empty(&d->slot[i]);
     if (q->opens) {
         draw_empty(s);
-        rc = view_open_fd(fd, q->name, d->render, (size_t)d->hello.view_cache_bytes / DRAW_SLOTS,
-                          &s->view, e);
+        rc = view_open_fd(fd, q->name, d->render,
+                          (size_t)d->hello.view_cache_bytes / d->hello.slots, &s->view, e);
     }
     if (fd >= 0)
         close(fd);
@@ -196,7 +205,25 @@ static enum err_code draw_run(void *user, const void *request, size_t n, int fd,
                                : draw_answer(d, q, s->nadir, out, e);
 }
 
-const struct worker_service draw_service = {draw_open, draw_run, draw_close};
+/* Compilers and drivers leave much behind that is free and not given back. What is then still too
+ * much are tiles of earlier pictures, and after them what cannot be freed but by a new process. */
+static bool draw_rest(void *user)
+{
+    struct draw *d = user;
+    const size_t limit = (size_t)d->hello.memory_bytes;
+    if (!limit || mem_held_bytes(0) <= limit)
+        return false;
+    mem_give_back();
+    if (mem_held_bytes(0) <= limit)
+        return false;
+    for (int i = 0; i < DRAW_SLOTS; i++)
+        if (d->slot[i].view)
+            view_shrink(d->slot[i].view);
+    mem_give_back();
+    return mem_held_bytes(0) > limit + limit / DRAW_OVER;
+}
+
+const struct worker_service draw_service = {draw_open, draw_run, draw_close, draw_rest, DRAW_AGE_S};
 
 int draw_main(void)
 {

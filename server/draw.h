@@ -18,7 +18,9 @@ enum { DRAW_SLOTS = 4 /* number of stores that it keeps open */ };
 struct draw_hello {                                        /* sent once, at the start */
     char device[128], geoid[64], geoid_dir[FILE_PATH_MAX]; /* as in the options; geoid "": none */
     uint64_t view_cache_bytes, view_gaussians;
-    int nice; /* for the thread that draws and the threads that it starts */
+    uint64_t memory_bytes; /* beyond it, what is kept for the next picture goes; 0: no limit */
+    uint32_t slots;        /* stores to keep open, at most DRAW_SLOTS */
+    int nice;              /* for the thread that draws and the threads that it starts */
     bool log_json;
 };
 struct draw_view {

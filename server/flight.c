@@ -98,6 +98,11 @@ size_t flight_held(const struct flight *f, size_t cached)
     return atomic_load(&f->reserved) + (alive > cached ? alive - cached : 0);
 }
 
+size_t flight_limit(const struct flight *f)
+{
+    return f->limit;
+}
+
 size_t flight_bytes(const struct flight *f)
 {
     return atomic_load(&f->bytes);

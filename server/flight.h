@@ -27,6 +27,7 @@ void flight_release(struct flight *f, size_t bytes);
 /* Bytes that count against the limit: live bodies beyond `cached`, and bodies that are being made.
  */
 size_t flight_held(const struct flight *f, size_t cached);
+size_t flight_limit(const struct flight *f);
 /* Bytes of all live bodies. */
 size_t flight_bytes(const struct flight *f);
 

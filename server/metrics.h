@@ -18,7 +18,7 @@ struct metrics {
     struct metrics_route *route;
     size_t n_routes;
     _Atomic uint64_t response_bytes, inflight, connections, client_aborts, reaped, displaced,
-        store_errors, reload_failed, rejected;
+        store_errors, reload_failed, rejected, memory_short;
 };
 extern const int metrics_codes[METRICS_CODES]; /* ended by 0, which stands for other statuses */
 extern const double metrics_bounds_s[METRICS_BUCKETS];

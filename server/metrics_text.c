@@ -118,6 +118,8 @@ static void metrics_text_drawing(struct services *s, struct buf *out)
                      st.crashes);
     metrics_text_one(out, "drawing_kills_total", "counter",
                      "Ends because it did not answer in --device-timeout-s.", st.kills);
+    metrics_text_one(out, "drawing_renewals_total", "counter",
+                     "Ends because it held more memory than its share.", st.renewals);
     metrics_text_one(out, "drawing_cancels_total", "counter",
                      "Pictures that it gave up because nobody waited any more.", st.cancels);
     metrics_text_head(out, "drawing_seconds", "gauge", "Time that the picture under way takes.");
@@ -191,7 +193,13 @@ enum err_code metrics_text_write(struct services *s, struct buf *out, struct err
                      "Bytes of answers that are made or sent and not in the cache.",
                      flight_held(s->flight, cache_bytes(s->cache)));
     metrics_text_one(out, "inflight_limit_bytes", "gauge", "Above it answers are refused.",
-                     (uint64_t)s->cfg->inflight_mb << 20);
+                     flight_limit(s->flight));
+    metrics_text_one(out, "memory_budget_bytes", "gauge", "--memory.", s->plan.budget);
+    metrics_text_one(out, "memory_held_bytes", "gauge",
+                     "Memory of the server and its drawing process that cannot be dropped.",
+                     services_held_bytes(s));
+    metrics_text_one(out, "memory_short_total", "counter",
+                     "Answers refused because memory ran out.", atomic_load(&m->memory_short));
     metrics_text_one(out, "live_bytes", "gauge",
                      "Bytes of live answers, those in the cache among them.",
                      flight_bytes(s->flight));

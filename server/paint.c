@@ -29,12 +29,13 @@ bool paint_needs_depth(const struct paint *p, enum format f)
 
 void paint_settle(struct paint *p, enum format f, uint32_t supersample, double px, double most_px)
 {
+    enum { AUTO_MOST = 2 }; /* that of VIEW_SUPERSAMPLE_AUTO */
     while (supersample > 1 && px * supersample * supersample > most_px)
         supersample--;
     if (paint_needs_depth(p, f))
         p->supersample = 1;
     else if (!p->supersample)
-        p->supersample = supersample;
+        p->supersample = !supersample && px * AUTO_MOST * AUTO_MOST > most_px ? 1 : supersample;
 }
 
 enum err_code paint_check(const struct paint *p, enum format f, struct err *e)

@@ -19,6 +19,8 @@ static const double START_S = 60; /* at least: kernels may have to be compiled *
 
 struct picture {
     const struct server_config *cfg;
+    const struct memory_plan *plan;
+    uint32_t n_slots;
     struct worker *worker; /* NULL: not started */
     uint64_t life, tick;
     uint32_t stale; /* a bit a slot: it may hold what is not known here */
@@ -28,13 +30,16 @@ struct picture {
     } slot[DRAW_SLOTS];
 };
 
-enum err_code picture_open(const struct server_config *cfg, struct picture **out, struct err *e)
+enum err_code picture_open(const struct server_config *cfg, const struct memory_plan *plan,
+                           struct picture **out, struct err *e)
 {
     struct picture *p = mem_array(1, sizeof *p);
     *out = p;
     if (!p)
         return err_set(e, ERR_MEM, "picture: out of memory");
     p->cfg = cfg;
+    p->plan = plan;
+    p->n_slots = plan->slots ? plan->slots : DRAW_SLOTS;
     return ERR_OK;
 }
 
@@ -52,7 +57,9 @@ enum err_code picture_start(struct picture *p, struct err *e)
     picture_text(h->device, sizeof h->device, cfg->device);
     picture_text(h->geoid, sizeof h->geoid, cfg->geoid);
     picture_text(h->geoid_dir, sizeof h->geoid_dir, cfg->geoid_dir);
-    h->view_cache_bytes = (uint64_t)cfg->view_cache_mb << 20;
+    h->view_cache_bytes = p->plan->view_cache;
+    h->memory_bytes = p->plan->drawing;
+    h->slots = p->n_slots;
     h->view_gaussians = (uint64_t)cfg->view_gaussians;
     h->nice = PICTURE_NICE;
     h->log_json = log_is_json();
@@ -124,7 +131,7 @@ static bool picture_slot(struct picture *p, struct dataset *d, struct draw_reque
     q->drop = p->stale;
     p->stale = 0;
     q->opens = false;
-    for (uint32_t i = 0; i < DRAW_SLOTS; i++) {
+    for (uint32_t i = 0; i < p->n_slots; i++) {
         if (p->slot[i].ds && dataset_is_last(p->slot[i].ds)) {
             dataset_drop(&p->slot[i].ds);
             p->slot[i].used = 0;

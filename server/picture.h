@@ -9,15 +9,17 @@
 #include "server/dataset.h"
 #include "server/draw.h"
 #include "server/job.h"
+#include "server/memory.h"
 
 struct picture;
 /* STARTING: the device is not known yet. READY: it is known, even while the process is started
  * again (picture_status). */
 enum picture_state { PICTURE_STARTING, PICTURE_READY, PICTURE_OFF };
 
-/* Close *out with picture_close. ERR_MEM. */
-enum err_code picture_open(const struct server_config *cfg, struct picture **out,
-                           struct err *e) ERR_USE;
+/* plan: its part of the memory; {0}: the options alone. Both are borrowed. Close *out with
+ * picture_close. ERR_MEM. */
+enum err_code picture_open(const struct server_config *cfg, const struct memory_plan *plan,
+                           struct picture **out, struct err *e) ERR_USE;
 /* Starts the process; until then all requests wait. ERR_MEM. */
 enum err_code picture_start(struct picture *p, struct err *e) ERR_USE;
 void picture_stop(struct picture *p); /* gives up the picture in work; any thread */

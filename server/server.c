@@ -6,6 +6,7 @@
 #include "server/server.h"
 
 #include <arpa/inet.h>
+#include <math.h>
 #include <netinet/in.h>
 #include <signal.h>
 #include <stdio.h>
@@ -31,8 +32,9 @@ struct server {
     struct clip clip; /* of all stores; in use if stores.clip is set */
     struct catalog_options stores;
     struct services services;
+    double looked_s;           /* when memory was looked at */
     struct http *http, *admin; /* admin: NULL without --admin */
-    char url[128];
+    char url[128], memory[256];
 };
 
 static void server_stop_drawing(void *user)
@@ -59,7 +61,7 @@ static enum err_code server_start_jobs(struct server *sv, struct err *e)
         .passing = work_passing,
         .stop = server_stop_drawing,
     };
-    enum err_code rc = views ? picture_open(cfg, &s->picture, e) : ERR_OK;
+    enum err_code rc = views ? picture_open(cfg, &s->plan, &s->picture, e) : ERR_OK;
     if (!rc && views)
         rc = picture_start(s->picture, e);
     if (!rc)
@@ -67,13 +69,14 @@ static enum err_code server_start_jobs(struct server *sv, struct err *e)
     return !rc ? job_open(&jobs, &s->jobs, e) : rc;
 }
 
-static enum err_code server_load_web(struct server *sv, struct err *e)
+static enum err_code server_load_web(const struct server *sv, struct static_table *out,
+                                     struct err *e)
 {
     char dir[FILE_PATH_MAX];
     if (sv->cfg.web_dir)
-        return static_load(sv->cfg.web_dir, &sv->services.web, e);
+        return static_load(sv->cfg.web_dir, out, e);
     if (static_default_dir(dir))
-        return static_load(dir, &sv->services.web, e);
+        return static_load(dir, out, e);
     log_warn("serve",
              "no viewer files found near the program; / shows JSON (build web/, or --web-dir DIR)");
     return ERR_OK;
@@ -149,6 +152,113 @@ static enum err_code server_read_stores(struct server *sv, size_t readers, struc
     return rc;
 }
 
+/* What the stores ask of memory. */
+static void server_needs(const struct catalog *c, struct memory_needs *n)
+{
+    for (size_t i = 0; i < c->n; i++) {
+        const struct dataset *d = c->ds[i];
+        const size_t row =
+            (11 + 3 * gauss_sh_count(d->meta.sh_degree) + d->meta.embed_len) * sizeof(float);
+        uint64_t of_zoom[KEY_ZOOM_MAX + 1] = {0};
+        for (size_t k = 0; k < d->n_tiles; k++) {
+            const struct store_tile *t = &d->tiles[k];
+            of_zoom[t->key.z] += t->count;
+            n->largest_tile = t->count * row > n->largest_tile ? t->count * row : n->largest_tile;
+        }
+        for (size_t z = 0; z <= KEY_ZOOM_MAX; z++)
+            n->gaussians = of_zoom[z] > n->gaussians ? of_zoom[z] : n->gaussians;
+    }
+}
+
+/* Options that say how much become what --memory allows. */
+static enum err_code server_plan(struct server *sv, const struct catalog *c,
+                                 struct memory_plan *plan, struct err *e)
+{
+    struct server_config *cfg = &sv->cfg;
+    struct memory_needs n = {.base = mem_held_bytes(0),
+                             .workers = sv->workers,
+                             .connections = (size_t)cfg->max_connections,
+                             .draws = !cfg->device || strcmp(cfg->device, "none") != 0,
+                             .view_gaussians = (uint64_t)cfg->view_gaussians,
+                             .view_mpx = cfg->max_view_mpx,
+                             .cache = (size_t)cfg->cache_mb << 20,
+                             .inflight = (size_t)cfg->inflight_mb << 20,
+                             .view_cache = (size_t)cfg->view_cache_mb << 20};
+    const size_t machine = memory_machine();
+    enum err_code rc = memory_parse(cfg->memory, machine, &n.budget, e);
+    server_needs(c, &n);
+    if (!rc)
+        rc = memory_plan(&n, plan, e);
+    if (rc)
+        return rc;
+    sv->workers = plan->workers;
+    cfg->max_connections = (int64_t)plan->connections;
+    if (n.draws) {
+        cfg->view_gaussians = (int64_t)plan->view_gaussians;
+        cfg->max_view_mpx = plan->view_mpx;
+    }
+    snprintf(sv->memory, sizeof sv->memory,
+             "memory budget_mb=%zu of=%zu base_mb=%zu cache_mb=%zu inflight_mb=%zu drawing_mb=%zu "
+             "view_cache_mb=%zu workers=%zu connections=%zu",
+             plan->budget >> 20, machine >> 20, n.base >> 20, plan->cache >> 20,
+             plan->inflight >> 20, plan->drawing >> 20, plan->view_cache >> 20, plan->workers,
+             plan->connections);
+    if (plan->lowered)
+        log_warn("serve",
+                 "--memory holds pictures to %llu Gaussians and %.2f megapixels, %.2f of them "
+                 "supersampled",
+                 (unsigned long long)(plan->view_gaussians ? plan->view_gaussians : n.gaussians),
+                 plan->view_mpx, fmin(plan->view_mpx, (double)plan->drawn_px * 0.25e-6));
+    return ERR_OK;
+}
+
+/* Stores and the viewer's files, which say what is needed, and then what uses memory. */
+static enum err_code server_open_services(struct server *sv, struct err *e)
+{
+    struct catalog *c = NULL;
+    struct static_table web = {0};
+    struct memory_plan plan;
+    enum err_code rc = catalog_open(sv->paths, sv->n_paths, &sv->stores, NULL, &c, e);
+    if (!rc)
+        rc = server_load_web(sv, &web, e);
+    if (!rc)
+        rc = server_plan(sv, c, &plan, e);
+    if (!rc)
+        server_fit_descriptors(sv);
+    if (!rc)
+        rc = services_open(&sv->services, &sv->cfg, &plan, ROUTES, ROUTES_COUNT, e);
+    if (!rc) {
+        sv->services.catalog = c;
+        sv->services.web = web;
+    } else {
+        static_free(&web);
+        catalog_drop(&c);
+    }
+    return rc;
+}
+
+/* An allocation has failed. */
+static void server_on_short(void *user, size_t bytes)
+{
+    services_make_room(user, 2 * bytes);
+}
+
+void server_keep_memory(struct server *sv, double now_s)
+{
+    static const double every_s = 0.25;
+    struct services *s = &sv->services;
+    const size_t budget = s->plan.budget;
+    if (now_s - sv->looked_s < every_s)
+        return;
+    sv->looked_s = now_s;
+    if (services_held_bytes(s) <= budget)
+        return;
+    mem_give_back();
+    const size_t held = services_held_bytes(s);
+    if (held > budget)
+        services_make_room(s, held - budget);
+}
+
 static void server_log_disk(const struct server *sv)
 {
     struct disk_stats st;
@@ -166,6 +276,7 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
     *out = sv;
     if (!sv)
         return err_set(e, ERR_MEM, "serve: out of memory");
+    mem_return_large();
     signal(SIGPIPE,
            SIG_IGN); /* a client that hangs up is an error of write(), not of the program */
     sv->cfg = *cfg;
@@ -177,32 +288,27 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
     if (!rc)
         rc = server_read_stores(sv, sv->workers, e);
     if (!rc)
-        server_fit_descriptors(sv);
+        rc = server_open_services(sv, e);
     if (!rc)
-        rc = services_open(s, &sv->cfg, ROUTES, ROUTES_COUNT, e);
+        mem_on_short(server_on_short, s);
     if (!rc && cfg->cache_dir)
         rc = disk_open(cfg->cache_dir, (uint64_t)cfg->cache_dir_mb << 20, &s->disk, e);
     if (!rc && cfg->state_dir)
         rc = kept_open(cfg->state_dir, &s->kept, e);
-    if (!rc)
-        rc = catalog_open(paths, n, &sv->stores, NULL, &s->catalog, e);
     if (!rc)
         rc = http_open(s, HTTP_PUBLIC, &sv->http, e);
     if (!rc && cfg->admin)
         rc = http_open(s, HTTP_ADMIN, &sv->admin, e);
     if (!rc) {
         server_set_url(sv);
-        rc = server_load_web(sv, e);
-    }
-    if (!rc)
         rc = server_start_jobs(sv, e);
+    }
     if (!rc)
         rc = http_start(sv->http, e);
     if (!rc && sv->admin)
         rc = http_start(sv->admin, e);
     if (!rc) {
-        log_info("serve", "memory cache_mb=%d inflight_mb=%d view_cache_mb=%d", (int)cfg->cache_mb,
-                 (int)cfg->inflight_mb, s->picture ? (int)cfg->view_cache_mb : 0);
+        log_info("serve", "%s", sv->memory);
         server_log_disk(sv);
         for (size_t i = 0; i < s->catalog->n; i++)
             log_info("serve", "dataset name=%s revision=%s tiles=%zu file=%s",
@@ -268,6 +374,7 @@ bool server_stop(struct server **out)
     *out = NULL;
     if (!sv)
         return true;
+    mem_on_short(NULL, NULL);
     http_close(&sv->http);
     http_close(&sv->admin); /* last: it says how the stopping goes */
     bool ended = services_free(&sv->services);
@@ -332,21 +439,18 @@ bool server_answers(const struct server *sv, double wait_s)
 enum err_code server_check(const struct server_config *cfg, const char *const *paths, size_t n,
                            FILE *out, struct err *e)
 {
-    struct server sv = {.cfg = *cfg};
+    struct server sv = {.cfg = *cfg, .paths = paths, .n_paths = n};
     struct services *s = &sv.services;
+    sv.workers = cfg->workers ? (size_t)cfg->workers : pool_cores();
     enum err_code rc = server_read_stores(&sv, 1, e);
     if (!rc)
-        rc = services_open(s, &sv.cfg, ROUTES, ROUTES_COUNT, e);
+        rc = server_open_services(&sv, e);
     if (!rc)
         rc = http_check(cfg, e);
     if (!rc && cfg->cache_dir)
         rc = disk_check(cfg->cache_dir, e);
     if (!rc && cfg->state_dir)
         rc = kept_check(cfg->state_dir, e);
-    if (!rc)
-        rc = catalog_open(paths, n, &sv.stores, NULL, &s->catalog, e);
-    if (!rc)
-        rc = server_load_web(&sv, e);
     for (size_t i = 0; !rc && out && i < s->catalog->n; i++)
         fprintf(out, "dataset %s revision %s, %zu tiles: %s\n", s->catalog->ds[i]->meta.name,
                 s->catalog->ds[i]->meta.revision, s->catalog->ds[i]->n_tiles,
@@ -357,7 +461,7 @@ enum err_code server_check(const struct server_config *cfg, const char *const *p
         fprintf(out, "TLS: %s\n", text);
     }
     if (!rc && out)
-        fprintf(out, "viewer: %zu files\nwell\n", s->web.n);
+        fprintf(out, "%s\nviewer: %zu files\nwell\n", sv.memory, s->web.n);
     (void)services_free(s);
     clip_free(&sv.clip);
     return rc;

@@ -10,6 +10,7 @@
  *     screen, guard    refuse invalid requests
  *     cache, job       results in memory, limited in bytes; work in limited queues
  *     document, static JSON documents; the viewer's files
+ *     memory           what the machine has, and the shares of --memory
  *     kept             named appearances, in a file
  *     encode           a tile in a format
  *     dataset          one revision of one store: index, handles, documents
@@ -59,6 +60,9 @@ struct services;
 enum err_code server_start(const struct server_config *cfg, const char *const *paths, size_t n,
                            struct server **out, struct err *e) ERR_USE;
 
+/* Looks at the memory that is held. Beyond --memory, freed memory goes back and caches give way.
+ * Call it a few times a second. */
+void server_keep_memory(struct server *sv, double now_s);
 /* "http://127.0.0.1:8080/", with the port in use. It lives until server_stop. */
 const char *server_url(const struct server *s);
 

@@ -31,11 +31,21 @@ static enum err_code services_check_basemap(const char *url, struct err *e)
                           url);
 }
 
+/* Bytes of an option in MB, or the share of the plan. */
+static size_t services_share(int64_t mb, size_t share)
+{
+    enum { UNPLANNED_MB = 512 };
+    return mb ? (size_t)mb << 20 : share ? share : (size_t)UNPLANNED_MB << 20;
+}
+
 enum err_code services_open(struct services *s, const struct server_config *cfg,
-                            const struct route *routes, size_t n, struct err *e)
+                            const struct memory_plan *plan, const struct route *routes, size_t n,
+                            struct err *e)
 {
     memset(s, 0, sizeof *s);
     s->cfg = cfg;
+    if (plan)
+        s->plan = *plan;
     s->start_s = clock_s();
     enum { TOKEN_MIN = 16 };
     if (strcmp(cfg->metrics, "local") != 0 && strcmp(cfg->metrics, "public") != 0 &&
@@ -54,9 +64,9 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
     if (!rc)
         rc = metrics_open(&s->metrics, n, e);
     if (!rc)
-        rc = cache_open((size_t)cfg->cache_mb << 20, &s->cache, e);
+        rc = cache_open(services_share(cfg->cache_mb, s->plan.cache), &s->cache, e);
     if (!rc)
-        rc = flight_open((size_t)cfg->inflight_mb << 20, &s->flight, e);
+        rc = flight_open(services_share(cfg->inflight_mb, s->plan.inflight), &s->flight, e);
     if (!rc && cfg->access_log)
         rc = access_open((enum access_format)cfg->access_format, &s->access, e);
     if (!rc)
@@ -113,6 +123,33 @@ bool services_free(struct services *s)
     pthread_mutex_destroy(&s->catalog_lock);
     s->cfg = NULL;
     return true;
+}
+
+size_t services_held_bytes(const struct services *s)
+{
+    struct worker_status st = {0};
+    if (s->picture)
+        picture_status(s->picture, &st);
+    return mem_held_bytes(0) + (st.pid > 0 ? mem_held_bytes((int)st.pid) : 0);
+}
+
+void services_make_room(struct services *s, size_t bytes)
+{
+    enum { LEAST = 1 << 20 };
+    (void)cache_yield(s->cache, bytes > LEAST ? bytes : LEAST);
+    mem_give_back();
+}
+
+void services_note_short(struct services *s)
+{
+    atomic_store(&s->short_ms, (uint64_t)(clock_s() * 1e3));
+    atomic_fetch_add(&s->metrics.memory_short, 1);
+}
+
+double services_short_s(const struct services *s)
+{
+    const uint64_t at_ms = atomic_load(&s->short_ms);
+    return at_ms ? clock_s() - (double)at_ms * 1e-3 : -1;
 }
 
 struct catalog *services_catalog(struct services *s)

@@ -18,6 +18,7 @@
 #include "server/flight.h"
 #include "server/job.h"
 #include "server/kept.h"
+#include "server/memory.h"
 #include "server/metrics.h"
 #include "server/picture.h"
 #include "server/router.h"
@@ -45,19 +46,33 @@ struct services { /* all are shared and thread-safe */
     struct auth *auth;       /* NULL: everything is public */
     struct tls *tls;         /* NULL: the first listener has no TLS */
     struct cache_policy policy;
-    struct router *routes; /* what is served */
+    struct router *routes;   /* what is served */
+    struct memory_plan plan; /* {0}: memory has no limit but those of the options */
+    /* clock_s() of the last answer that was refused for want of memory, in ms; 0: none yet */
+    _Atomic uint64_t short_ms;
     struct metrics metrics;
     struct body *landing, *conformance, *api, *api_page,
         *matrices;                       /* documents that never change */
     _Atomic bool draining, reload_asked; /* reload_asked: by the listener for operators */
     double start_s;
 };
-/* Makes the documents and services. End with services_free. cfg and routes [n], the route table
- * (routes.h), are borrowed until then. ERR_ARG (--metrics), ERR_INTERNAL (the table), ERR_MEM. */
+/* Makes the documents and services. plan NULL: {0}. End with services_free. cfg and routes [n], the
+ * route table (routes.h), are borrowed until then. ERR_ARG (--metrics), ERR_INTERNAL (the table),
+ * ERR_MEM. */
 enum err_code services_open(struct services *s, const struct server_config *cfg,
-                            const struct route *routes, size_t n, struct err *e) ERR_USE;
+                            const struct memory_plan *plan, const struct route *routes, size_t n,
+                            struct err *e) ERR_USE;
 /* False: a thread does not end, and nothing was freed (job_close). */
 bool services_free(struct services *s);
+/* Memory that this process and the one that draws hold. */
+size_t services_held_bytes(const struct services *s);
+/* Lets caches give way to a need of so many bytes, and freed memory go back. Any thread; does not
+ * allocate. */
+void services_make_room(struct services *s, size_t bytes);
+/* An answer was refused for want of memory: /readyz says so for a minute. */
+void services_note_short(struct services *s);
+/* Seconds since then; -1: it never happened. */
+double services_short_s(const struct services *s);
 struct catalog *services_catalog(struct services *s); /* a reference */
 /* Seconds since the process that draws first ended unexpectedly. 0: it is well, or has been well
  * again for a while. */

@@ -159,6 +159,21 @@ static enum err_code work_make_bytes(struct services *s, const struct job *j, co
     }
 }
 
+/* Where memory runs out, caches give way and it is tried once more. */
+static enum err_code work_make_anyhow(struct services *s, const struct job *j, const struct work *w,
+                                      struct buf *out, struct err *e)
+{
+    enum err_code rc = work_make_bytes(s, j, w, out, e);
+    if (!rc)
+        rc = buf_check(out, e);
+    if (rc != ERR_MEM)
+        return rc;
+    services_make_room(s, 2 * work_room(w));
+    buf_free(out);
+    rc = work_make_bytes(s, j, w, out, e);
+    return !rc ? buf_check(out, e) : rc;
+}
+
 /* Tiles, pictures and maps take long enough that reading them is quicker; lists are as quick. */
 static bool work_is_for_disk(const struct services *s, const struct work *w)
 {
@@ -274,7 +289,7 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
         return rc;
     const bool for_disk = work_is_for_disk(s, w), read = for_disk && disk_get(s->disk, w->id, &b);
     if (!read)
-        rc = work_make_bytes(s, j, w, &b, e);
+        rc = work_make_anyhow(s, j, w, &b, e);
     if (!rc)
         rc = buf_check(&b, e);
     if (!rc) {
@@ -294,6 +309,8 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
         w->made = body_ref(*out);
     bool none = (w->kind == WORK_QUERY && rc == ERR_DATA) ||
                 ((w->kind == WORK_THUMBNAIL || w->target.clip.n) && rc == ERR_NOENT);
+    if (rc == ERR_MEM)
+        services_note_short(s);
     if (rc && rc != ERR_CANCEL && !none) {
         if (rc == ERR_FORMAT || rc == ERR_IO)
             atomic_fetch_add(&w->ds->n_failed, 1);

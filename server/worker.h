@@ -40,9 +40,10 @@ struct worker_status {
     double wait_s;            /* until the next start */
     double failing_s;         /* since its first unexpected end, until it is well again */
     pid_t pid;                /* 0: it does not run */
-    uint64_t starts, crashes, kills, cancels; /* kills: because it did not answer */
-    double cpu_s;                             /* of all processes, as far as they reported it */
-    uint64_t peak_bytes;                      /* of the last process */
+    /* kills: because it did not answer; renewals: because it held too much memory */
+    uint64_t starts, crashes, kills, cancels, renewals;
+    double cpu_s;        /* of all processes, as far as they reported it */
+    uint64_t peak_bytes; /* of the last process */
 };
 
 /* Starts the process, and a thread that keeps it running. Close *out with worker_close. ERR_MEM. A
@@ -78,6 +79,10 @@ struct worker_service {
     enum err_code (*run)(void *user, const void *request, size_t n, int fd, struct buf *out,
                          struct err *e);
     void (*close)(void *user); /* also called after a failed open, if that set *user */
+    /* Called after each answer, while nobody waits; may be NULL. True: the process is to be
+     * replaced by a new one after its next answer, if it is age_s old by now. */
+    bool (*rest)(void *user);
+    double age_s;
 };
 bool worker_asked(int argc, char **argv); /* returns whether this process is the second one */
 /* Answers requests until the other process ends. Returns the exit code. */
@@ -95,6 +100,7 @@ struct worker_head { /* before each request; each is one packet */
 /* the answer's bytes are in the shared file `memory`, which was sent with the first request */
 struct worker_answer {
     uint32_t magic, code;
+    uint32_t leaves; /* the process ends after this answer, and wants to be started again */
     uint64_t number, n_bytes, peak_bytes;
     double cpu_s;
     char text[sizeof((struct err *)NULL)->msg]; /* of the error; in the first answer: about */

@@ -126,6 +126,7 @@ static enum err_code worker_hear(struct worker *w, const struct worker_head *h, 
     w->now.cpu_s = a.cpu_s;
     w->now.peak_bytes = a.peak_bytes;
     w->now.cancels += a.code == ERR_CANCEL;
+    w->leaves = a.leaves;
     pthread_mutex_unlock(&w->lock);
     if (a.code || told) { /* an error of the call, not of the connection */
         err_set(e, a.code ? (enum err_code)a.code : ERR_CANCEL, "%s",
@@ -149,6 +150,10 @@ static bool worker_answered(struct worker *w, enum err_code rc)
         w->killed = rc != ERR_IO && !w->stopping;
         if (rc != ERR_IO && w->now.pid > 0)
             kill(w->now.pid, SIGKILL);
+    } else if (w->leaves) {
+        w->asked_s = 0;
+        w->failed = true;
+        w->now.state = WORKER_AGAIN;
     } else {
         w->asked_s = 0;
     }

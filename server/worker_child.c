@@ -28,7 +28,8 @@ static struct { /* of the one connection that this process has */
     uint64_t number;    /* of the request under way */
     uint64_t had_bytes; /* of the answer before */
     bool there;         /* this process is that one */
-    bool cancelled, ended;
+    bool cancelled, ended, leaves;
+    double start_s;
 } worker_child;
 
 bool worker_asked(int argc, char **argv)
@@ -114,6 +115,7 @@ static bool worker_child_answer(enum err_code rc, const char *text, size_t n_byt
 {
     struct worker_answer a = {.magic = WORKER_MAGIC,
                               .code = rc,
+                              .leaves = worker_child.leaves,
                               .number = worker_child.number,
                               .n_bytes = n_bytes,
                               .peak_bytes = mem_peak_bytes(),
@@ -158,6 +160,7 @@ int worker_main(const struct worker_service *s)
         return EX_USAGE;
     }
     worker_child.there = true;
+    worker_child.start_s = clock_s();
     prctl(PR_SET_PDEATHSIG, SIGKILL);
     (void)close_range(WORKER_FD + 1, ~0U, 0);
     worker_child_offer();
@@ -165,8 +168,11 @@ int worker_main(const struct worker_service *s)
         return EX_PROTOCOL;
     enum err_code rc = s->open(worker_child.request, worker_child.n, &user, about, &e);
     bool told = worker_child_answer(rc, rc ? e.msg : about, 0);
-    while (!rc && told && worker_child_next(&with))
-        told = worker_child_run(s, user, with);
+    while (!rc && told && worker_child_next(&with)) {
+        told = worker_child_run(s, user, with) && !worker_child.leaves;
+        if (told && s->rest && s->rest(user))
+            worker_child.leaves = clock_s() - worker_child.start_s >= s->age_s;
+    }
     s->close(user);
     return rc ? EX_UNAVAILABLE : EX_OK;
 }

@@ -88,7 +88,7 @@ static enum err_code worker_begin(struct worker *w, struct err *e)
     w->now.starts++;
     w->life++;
     w->number = 0;
-    w->failed = w->killed = false;
+    w->failed = w->killed = w->leaves = false;
     w->ready_s = w->asked_s = w->again_s = 0;
     pthread_mutex_unlock(&w->lock);
     return rc ? rc : worker_packet_send(sv[0], &h, w->hello, w->cfg.n_hello, memory, e);
@@ -213,6 +213,18 @@ static void worker_end(struct worker *w, char how[128])
     pthread_mutex_unlock(&w->lock);
 }
 
+/* It has ended because it held too much memory. True: it has. */
+static bool worker_renewed(struct worker *w)
+{
+    pthread_mutex_lock(&w->lock);
+    const bool renewed = w->leaves && !w->killed;
+    w->now.renewals += renewed;
+    pthread_mutex_unlock(&w->lock);
+    if (renewed)
+        log_info("serve", "the process that draws held too much memory, and is replaced");
+    return renewed;
+}
+
 /* It has ended unasked: when is the next start? */
 static void worker_pause(struct worker *w, const char *how, const struct err *e)
 {
@@ -264,7 +276,7 @@ void worker_keep(void *user)
         worker_end(w, how);
         if (off)
             worker_off(w, e.msg);
-        else if (!worker_stopping(w))
+        else if (!worker_stopping(w) && !worker_renewed(w))
             worker_pause(w, how, &e);
     }
 }

@@ -23,6 +23,7 @@ struct worker {
     bool asking;    /* a thread uses fd and memory, so the keeper must leave them open */
     /* failed: this process must end; killed: it was killed because it did not answer */
     bool failed, killed;
+    bool leaves; /* it said that it ends, and is started again at once */
     bool stopping;
     double ready_s, asked_s; /* when it got ready; when the present call began, 0: none */
     double failing_since_s;  /* 0: all is well */

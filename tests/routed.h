@@ -50,7 +50,7 @@ static inline int setup(void **state)
     kit_ok(file_join(path, t.web, "assets/index-D3adBeef.js.gz", &e), e);
     kit_ok(file_write(path, script, 100, &e), e);
     served_config(&t.cfg, &t.arena);
-    kit_ok(services_open(&t.s, &t.cfg, ROUTES, ROUTES_COUNT, &e), e);
+    kit_ok(services_open(&t.s, &t.cfg, NULL, ROUTES, ROUTES_COUNT, &e), e);
     t.s.url = "http://127.0.0.1:8080/";
     const char *paths[] = {t.path};
     kit_ok(catalog_open(paths, 1, &served_stores, NULL, &t.s.catalog, &e), e);

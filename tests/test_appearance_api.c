@@ -79,7 +79,7 @@ static int setup(void **state)
     light_city();
     served_city(t.plain, "plain", 20);
     served_config(&t.cfg, &t.arena);
-    kit_ok(services_open(&t.s, &t.cfg, ROUTES, ROUTES_COUNT, &e), e);
+    kit_ok(services_open(&t.s, &t.cfg, NULL, ROUTES, ROUTES_COUNT, &e), e);
     const char *paths[] = {t.lit, t.plain};
     kit_ok(catalog_open(paths, 2, &served_stores, NULL, &t.s.catalog, &e), e);
     const struct job_config jobs = {.queue_limit = {1, 1, 1}, .run = no_run, .drop = work_drop};

@@ -219,7 +219,7 @@ static void test_one_row_and_one_function(void **state)
     (void)state;
     memcpy(rows, ROUTES, ROUTES_COUNT * sizeof *rows);
     rows[ROUTES_COUNT] = squares;
-    kit_ok(services_open(&s, &t.cfg, rows, ROUTES_COUNT + 1, &e), e);
+    kit_ok(services_open(&s, &t.cfg, NULL, rows, ROUTES_COUNT + 1, &e), e);
     s.catalog = catalog_ref(t.s.catalog);
     struct response r = ask_squares(&s, METHOD_GET, "/d/toy/squares?limit=7");
     assert_int_equal(r.status, 200);
@@ -735,7 +735,7 @@ static void test_basemap(void **state)
         struct catalog_options o = served_stores;
         cfg.basemap = o.basemap = rows[i].url;
         o.basemap_attribution = "Example";
-        enum err_code rc = services_open(&s, &cfg, ROUTES, ROUTES_COUNT, &e);
+        enum err_code rc = services_open(&s, &cfg, NULL, ROUTES, ROUTES_COUNT, &e);
         if (rc != (rows[i].fits ? ERR_OK : ERR_ARG))
             fail_msg("--basemap %s: %s", rows[i].url, e.msg);
         (void)services_free(&s);
@@ -846,7 +846,7 @@ static void test_metrics_are_local(void **state)
     struct services other;
     struct err e = {0};
     cfg.metrics = "short";
-    kit_fails(services_open(&other, &cfg, ROUTES, ROUTES_COUNT, &e), ERR_ARG, e, "--metrics");
+    kit_fails(services_open(&other, &cfg, NULL, ROUTES, ROUTES_COUNT, &e), ERR_ARG, e, "--metrics");
 }
 
 int main(void)

@@ -20,7 +20,7 @@ static void test_views(void **state)
     assert_true(says(&r, "--device none"));
     assert_in_range(r.retry_after_s, 1, 10);
     response_free(&r);
-    kit_ok(picture_open(&t.cfg, &t.s.picture, &e), e); /* as while the device starts */
+    kit_ok(picture_open(&t.cfg, &t.s.plan, &t.s.picture, &e), e); /* as while the device starts */
     r = get(target);
     assert_non_null(r.work);
     assert_int_equal(r.cls, JOB_VIEW);
@@ -108,7 +108,7 @@ static void test_what_is_in_the_tag(void **state)
 #undef AT
     struct err e = {0};
     (void)state;
-    kit_ok(picture_open(&t.cfg, &t.s.picture, &e), e);
+    kit_ok(picture_open(&t.cfg, &t.s.plan, &t.s.picture, &e), e);
     for (size_t i = 0; i < sizeof equal / sizeof *equal; i++) {
         struct response a = get(equal[i].a), b = get(equal[i].b);
         assert_non_null(a.work);
@@ -194,7 +194,7 @@ static void test_pictures_while_the_device_starts(void **state)
     struct err e = {0};
     char target[256], edition[9];
     (void)state;
-    kit_ok(picture_open(t.s.cfg, &t.s.picture, &e), e);
+    kit_ok(picture_open(t.s.cfg, &t.s.plan, &t.s.picture, &e), e);
     response_edition(&t.s, t.s.catalog->ds[0], EDITION_PICTURES, edition);
     assert_string_equal(edition, "");
     snprintf(target, sizeof target, "/d/toy/r/%s/static/13.4,52.5,120@0,-90/64x48.png", t.rev);
@@ -303,7 +303,7 @@ static void test_posted_cameras(void **state)
     };
     struct err e = {0};
     (void)state;
-    kit_ok(picture_open(&t.cfg, &t.s.picture, &e), e);
+    kit_ok(picture_open(&t.cfg, &t.s.plan, &t.s.picture, &e), e);
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         struct response r = answer(
             &(struct ask){.method = METHOD_POST, .target = "/d/toy/render", .body = rows[i].body});

@@ -70,6 +70,8 @@ static enum err_code fake_open(const void *hello, size_t n, void **user, char ab
     return !strcmp(text, "off") ? err_set(e, ERR_DEVICE, "no device here") : ERR_OK;
 }
 
+static bool fake_rests_too_full; /* what its rest() says */
+
 /* An answer made by hand. */
 static void fake_answer(uint32_t magic, uint64_t number, uint64_t n_bytes, size_t size)
 {
@@ -107,6 +109,9 @@ static enum err_code fake_run(void *user, const void *request, size_t n, int fd,
         buf_add(out, bytes, got > 0 ? (size_t)got : 0);
         return ERR_OK;
     }
+    case 'r': /* from now on it holds too much */
+        fake_rests_too_full = true;
+        return ERR_OK;
     case 'd':
         buf_printf(out, "%zu %d", open_files(), fcntl(2, F_GETFD) >= 0);
         return ERR_OK;
@@ -150,7 +155,13 @@ static void fake_close(void *user)
     (void)user;
 }
 
-static const struct worker_service fake = {fake_open, fake_run, fake_close};
+static bool fake_rest(void *user)
+{
+    (void)user;
+    return fake_rests_too_full;
+}
+
+static const struct worker_service fake = {fake_open, fake_run, fake_close, fake_rest, 0};
 
 /* ---- this process ---- */
 
@@ -227,6 +238,28 @@ static void await_gone(pid_t pid)
 
 static const struct worker_config quick = {
     .start_s = 10, .ask_s = 10, .pause_s = 0.2, .pause_most_s = 1, .steady_s = 0.3};
+
+/* A process that holds too much answers once more, and is replaced: no crash, no pause. */
+static void test_renewed(void **state)
+{
+    struct err e = {0};
+    (void)state;
+    begin("hello", &quick);
+    for (uint64_t i = 1; i <= 3; i++) { /* also when it is replaced again and again */
+        kit_ok(ask("r", &e), e);
+        const pid_t was = status().pid;
+        kit_ok(ask("e7", &e), e);
+        assert_int_equal(out.size, 7);
+        kit_ok(ask("e8", &e), e); /* waits for the new one */
+        assert_int_equal(out.size, 8);
+        assert_int_not_equal(status().pid, was);
+        assert_int_equal(status().renewals, i);
+        await_gone(was);
+    }
+    assert_int_equal(status().crashes, 0);
+    assert_int_equal(status().kills, 0);
+    assert_true(status().failing_s <= 0);
+}
 
 static void test_answers(void **state)
 {
@@ -553,6 +586,7 @@ int main(int argc, char **argv)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_this_side_killed), /* first: it forks */
         cmocka_unit_test_teardown(test_answers, end),
+        cmocka_unit_test_teardown(test_renewed, end),
         cmocka_unit_test_teardown(test_crash, end),
         cmocka_unit_test_teardown(test_hang, end),
         cmocka_unit_test_teardown(test_nonsense, end),

@@ -1,0 +1,45 @@
+/* One number for the memory of the server: what the machine has, and how --memory is shared out.
+ *
+ * Memory is what the system cannot drop: anonymous pages of both processes. Pages of the program's
+ * file and its libraries come on top, as far as they are used (docs/sizing.md).
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SERVER_MEMORY_H
+#define SERVER_MEMORY_H
+
+#include "core/base.h"
+
+struct memory_needs { /* sizes in bytes */
+    size_t budget;
+    size_t base; /* what this process holds before its caches: program, indexes, documents */
+    size_t workers, connections; /* as asked for */
+    size_t largest_tile;         /* the largest tile, decoded */
+    bool draws;
+    uint64_t gaussians;                 /* of the store with most */
+    uint64_t view_gaussians;            /* most in a picture, as asked for; 0: no limit */
+    double view_mpx;                    /* largest picture, as asked for */
+    size_t cache, inflight, view_cache; /* set by options; 0: a share */
+};
+struct memory_plan { /* sizes in bytes */
+    size_t budget, cache, inflight, workers, connections;
+    /* for the process that draws; 0: there is none */
+    size_t drawing, view_cache;
+    uint64_t view_gaussians, drawn_px; /* drawn_px: most pixels, before they are filtered down */
+    double view_mpx;
+    unsigned slots; /* stores that it keeps open */
+    bool lowered;   /* pictures are smaller or have fewer Gaussians than asked for */
+};
+
+/* Parses "auto" (half of `machine`), or a number with k, M or G: 512M. ERR_ARG. */
+enum err_code memory_parse(const char *text, size_t machine, size_t *out, struct err *e) ERR_USE;
+/* Memory of this machine, or of the tightest control group that this process is in. */
+size_t memory_machine(void);
+/* The same from files: cgroup names the groups as /proc/self/cgroup does, and the groups lie below
+ * `root`, as in /sys/fs/cgroup. Versions 1 and 2. */
+size_t memory_limit(size_t physical, const char *cgroup, const char *root);
+/* Shares the budget out. ERR_LIMIT: it is too small; the message says what is enough. */
+enum err_code memory_plan(const struct memory_needs *n, struct memory_plan *out,
+                          struct err *e) ERR_USE;
+
+#endif
