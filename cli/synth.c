@@ -47,7 +47,7 @@ static enum err_code synth_score_map(const struct synth_config *cfg, struct err 
     if (!cfg->city)
         return err_set(e, ERR_ARG, "synth: --map: an orthophoto of which city? give --city CITY");
     enum err_code rc = truth_map(cfg, &s, e);
-    if (rc == ERR_FORMAT && !cfg->output) { /* no orthophoto: of one band */
+    if (rc == ERR_FORMAT) { /* no orthophoto: heights */
         struct err why = *e;
         if (!synth_score_heights(cfg, e))
             return ERR_OK;

@@ -8,6 +8,7 @@
 #include <string.h>
 
 #include "core/geo.h"
+#include "survey/geotiff.h"
 #include "survey/sheet.h"
 
 enum { TRUTH_PIXELS_MAX = 40000000, TRUTH_NEAR_PX = 2 };
@@ -168,6 +169,32 @@ static enum err_code truth_heights_edges(struct heights_job *j, bool down, struc
     return room ? rc : err_set(e, ERR_MEM, "out of memory for a line of %zu px", w);
 }
 
+/* Errors of the heights as a map of the same pixels; it overwrites j->model. */
+static enum err_code truth_heights_write(struct heights_job *j, const char *path, struct err *e)
+{
+    const struct map_grid *g = sheet_grid(j->map);
+    const struct geotiff_info info = {.crs = sheet_crs(j->map),
+                                      .west_m = g->west_m,
+                                      .north_m = g->north_m,
+                                      .pixel_m = g->pixel_m,
+                                      .width = g->width,
+                                      .height = g->height,
+                                      .source = "procedural city",
+                                      .heights = "height of the model less that of the city"};
+    struct geotiff *t = NULL;
+    for (size_t i = 0; i < j->w * j->h; i++) {
+        float error_m = j->model[i] - j->truth[i];
+        j->model[i] = isfinite(error_m) ? error_m : GEOTIFF_NODATA;
+    }
+    enum err_code rc = geotiff_create(path, GEOTIFF_HEIGHT, &info, &t, e);
+    if (!rc)
+        rc = geotiff_write(t, 0, 0, g->width, g->height, j->model, e);
+    if (!rc)
+        rc = geotiff_commit(&t, e);
+    geotiff_close(&t);
+    return rc;
+}
+
 enum err_code truth_heights(const struct synth_config *cfg, struct truth_heights *out,
                             struct err *e)
 {
@@ -189,6 +216,8 @@ enum err_code truth_heights(const struct synth_config *cfg, struct truth_heights
         rc = truth_heights_edges(&j, down, e);
     if (!rc)
         rc = edge_tell(&j.edges, &out->edge, e);
+    if (!rc && cfg->output)
+        rc = truth_heights_write(&j, cfg->output, e);
     out->pixel_m = j.pixel_m;
     out->edges = j.edges.n + j.edges.missing;
     out->missing = j.edges.missing;

@@ -20,7 +20,8 @@ struct truth_heights {
     struct edge_score edge;
 };
 /* Compares heights above the ellipsoid of the GeoTIFF cfg->map with the city of folder cfg->city.
- * Errors of synth_views_config and sheet.h. ERR_LIMIT: too many pixels. ERR_DATA: it shows nothing
+ * With cfg->output it writes the errors, m, as a GeoTIFF of the same pixels. Errors of
+ * synth_views_config, sheet.h and geotiff.h. ERR_LIMIT: too many pixels. ERR_DATA: it shows nothing
  * of the city. ERR_CANCEL, ERR_MEM. */
 enum err_code truth_heights(const struct synth_config *cfg, struct truth_heights *out,
                             struct err *e) ERR_USE;

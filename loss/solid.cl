@@ -85,7 +85,8 @@ INLINE V bend_pull(const struct solid_weights *k, V before, V q, V after)
 {
     V b = bend_of(k, before, q, after), r = b * (1.0f / k->bend_px);
     V per = q > 0.0f ? k->focal / q : (V)(0.0f);
-    return k->bend * per * (b / (1.0f + r * r));
+    V more = 1.0f + r * r;
+    return k->bend * per * (b / (more * more));
 }
 
 // dL/dq of a pixel from the three triplets of a line that it is in; adds to *sum.
@@ -94,7 +95,7 @@ INLINE V bend_line(const struct solid_weights *k, __global const float *at, int 
     V q0 = row_load(at - 2 * step, VW), q1 = row_load(at - step, VW), q2 = row_load(at, VW),
       q3 = row_load(at + step, VW), q4 = row_load(at + 2 * step, VW);
     V r = bend_of(k, q1, q2, q3) * (1.0f / k->bend_px);
-    *sum += log(1.0f + r * r);
+    *sum += r * r / (1.0f + r * r);
     return bend_pull(k, q0, q1, q2) - 2.0f * bend_pull(k, q1, q2, q3) + bend_pull(k, q2, q3, q4);
 }
 
@@ -119,9 +120,9 @@ __kernel void solid_grad(__global const float *moments, __global const float *tr
         V inv_a = 1.0f / (drawn ? a : (V)(1.0f)), d = m1 * inv_a, second = m2 * inv_a;
         V zeta = drawn ? 1.0f + d : (V)(1.0f), px = k.focal / zeta, e = k.soft_px / px;
         V v = drawn ? MAX_(second - d * d, (V)(0.0f)) : (V)(0.0f), sigma = sqrt(v + e * e);
-        V s = px * (sigma - e), more = 1.0f + s * (1.0f / k.spread_px);
-        spread += drawn ? a * log(more) : (V)(0.0f);
-        V w = drawn ? k.spread * px * 0.5f / (sigma * more) : (V)(0.0f); // A over A
+        V s = px * (sigma - e), r = s * (1.0f / k.spread_px), more = 1.0f + r * r;
+        spread += drawn ? a * (s / more + k.spread_px * atan(r)) : (V)(0.0f);
+        V w = drawn ? k.spread * px * 0.5f / (sigma * more * more) : (V)(0.0f); // A over A
         V g1 = -2.0f * w * d, g2 = w, ga = w * (2.0f * d * d - second);
         V q = row_load(q_row + x, n);
         if (k.bend > 0.0f) {
@@ -142,5 +143,5 @@ __kernel void solid_grad(__global const float *moments, __global const float *tr
     for (int i = 0; i < 3; i++)
         three[i] = lanes_sum(all[i]);
     float bends = 0.5f * k.bend_px * k.bend_px * three[1];
-    vstore4((float4)(k.spread_px * three[0], bends, three[2], 0.0f), y, sums);
+    vstore4((float4)(0.5f * three[0], bends, three[2], 0.0f), y, sums);
 }

@@ -6,16 +6,19 @@
  * = 1 + D is its depth in units of the frame's depth. f is the focal length in pixels, e =
  * SOLID_SOFT_PX zeta / f, and n the number of pixels.
  *
- *     spread = 1/n sum A c ln(1 + s/c),   s = f / zeta (sqrt(V + e^2) - e),   c = SOLID_SPREAD_PX
- *     bend   = 1/n sum over x, y of c^2/2 ln(1 + (b/c)^2),  b = f zeta (q- - 2 q + q+),  q = 1/zeta
+ *     spread = 1/n sum A c/2 (r / (1 + r^2) + atan r),   r = s / c,   c = SOLID_SPREAD_PX,
+ *              s = f / zeta (sqrt(V + e^2) - e)
+ *     bend   = 1/n sum over x, y of c^2/2 r^2 / (1 + r^2),   r = b / c,   c = SOLID_BEND_PX,
+ *              b = f zeta (q- - 2 q + q+),   q = 1 / zeta
  *     light  = 1/n sum of T over the supported pixels
  *
  * s is the standard deviation of depth along the ray. b is the distance of a pixel's depth from the
  * line between the depths of the pixels `stride` to either side; inverse depth is linear over a
- * plane. In bend, c is SOLID_BEND_PX. s and b are in footprints of a pixel. Spread and bend grow
- * slowly where they are large, because at an edge two surfaces share the light, and depth bends by
- * many footprints. The factors A, f / zeta and f zeta are held fixed. Otherwise a Gaussian could
- * lower the loss by moving away.
+ * plane. s and b are in footprints of a pixel. The terms are A s and b^2 / 2 where r is small, and
+ * their slopes fall with 1 / (1 + r^2)^2 (Geman and McClure 1985): they let go of what is large. At
+ * an edge two surfaces share the light, and depth bends by many footprints. A loss that still pulls
+ * there, if only weakly, lifts the ground of narrow courts. The factors A, f / zeta and f zeta are
+ * held fixed. Otherwise a Gaussian could lower the loss by moving away.
  *
  * V is the distortion of a ray in 2DGS (Huang et al. 2024; first in Mip-NeRF 360, Barron et al.
  * 2022), without the factor A^2.
@@ -30,8 +33,8 @@
 #include "render/render.h"
 
 #define SOLID_SOFT_PX 0.25   /* the gradient of smaller spreads goes to 0 */
-#define SOLID_SPREAD_PX 2.0  /* larger spreads have less pull */
-#define SOLID_BEND_PX 1.0    /* the gradient of larger bends goes to 0, because they are edges */
+#define SOLID_SPREAD_PX 4.0  /* the gradient of larger spreads goes to 0 */
+#define SOLID_BEND_PX 2.0    /* the gradient of larger bends goes to 0 */
 #define SOLID_COVER_MIN 0.1  /* least A of a pixel with a spread */
 #define SOLID_BEND_COVER 0.5 /* least A of the pixels of a bend */
 enum { SOLID_STRIDE_MAX = 8 };

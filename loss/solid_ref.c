@@ -70,14 +70,14 @@ struct solid_value solid_ref_value(const struct solid_input *in, const double *m
     size_t n = (size_t)in->width_px * in->height_px;
     for (size_t at = 0; at < n; at++) {
         if (solid_spreads(moments + 3 * at)) {
-            double s = solid_sigma(in, moments + 3 * at, held + 3 * at);
-            v.spread +=
-                (1 - held[3 * at + 2]) * SOLID_SPREAD_PX * log(1 + s / SOLID_SPREAD_PX) / (double)n;
+            double s = solid_sigma(in, moments + 3 * at, held + 3 * at), c = SOLID_SPREAD_PX;
+            v.spread += (1 - held[3 * at + 2]) * (s / (1 + s * s / (c * c)) + c * atan(s / c)) /
+                        (2 * (double)n);
         }
         for (int axis = 0; axis < 2; axis++) {
             double b, factor, c = SOLID_BEND_PX;
             if (solid_bend(in, moments, held, at, axis, &b, &factor))
-                v.bend += c * c / 2 * log(1 + b * b / (c * c)) / (double)n;
+                v.bend += b * b / (1 + b * b / (c * c)) / (2 * (double)n);
         }
         if (in->supported && in->supported[at])
             v.light += moments[3 * at + 2] / (double)n;
@@ -103,8 +103,8 @@ static void solid_add_bends(const struct solid_input *in, const double *moments,
         double b, factor;
         if (!solid_bend(in, moments, moments, at, axis, &b, &factor))
             continue;
-        double pull =
-            in->bend / n * factor * b / (1 + b * b / (double)(SOLID_BEND_PX * SOLID_BEND_PX));
+        double more = 1 + b * b / (SOLID_BEND_PX * SOLID_BEND_PX),
+               pull = in->bend / n * factor * b / (more * more);
         for (int k = 0; k < 3; k++) {
             const double *m = solid_beside(in, moments, at, axis, k - 1);
             solid_add_inverse(m, pull * part[k], grad + (m - moments));
@@ -123,7 +123,8 @@ void solid_ref_grad(const struct solid_input *in, const double *moments, double 
             double px = in->focal_px / p.zeta, soft = SOLID_SOFT_PX / px,
                    v = fmax(p.second - p.d * p.d, 0); /* below 0 by rounding alone */
             double sigma = sqrt(v + soft * soft), s = px * (sigma - soft);
-            double g_s = in->spread / (double)n * p.a / (1 + s / SOLID_SPREAD_PX);
+            double more = 1 + s * s / (SOLID_SPREAD_PX * SOLID_SPREAD_PX),
+                   g_s = in->spread / (double)n * p.a / (more * more);
             double g_v = g_s * px / (2 * sigma);
             g[1] += g_v / p.a;
             g[0] -= g_v * 2 * p.d / p.a;

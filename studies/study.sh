@@ -201,6 +201,18 @@ trained() {
   touch "$folder/done"
 }
 
+# model_errors SCENE FOLDER: errors of the surface model of a city's training, as numbers for `record`.
+model_errors() {
+  local scene=$1 folder=$2
+  [ -f "$folder/city.tiles" ] || citysplat tile "$OUT/$scene" --trained "$folder" -o "$folder/city.tiles" >&2
+  rm -f "$folder/dsm.tif"
+  citysplat dsm "$folder/city.tiles" --gsd-m 0.192 -o "$folder/dsm.tif" >&2
+  citysplat synth --city "$OUT/$scene-photos" --map "$folder/dsm.tif" | awk '
+    $1 == "level" { printf "dsm_level_off_m=%s,dsm_level_rmse_m=%s,dsm_level_le90_m=%s,", $4, $5, $7 }
+    $1 == "edges" { printf "dsm_edges_median_m=%s,", $3 }
+    $1 == "all" { printf "dsm_above_1_m_percent=%s", $9 }'
+}
+
 # row STUDY ROW SCENE SET OPTIONS...: train with OPTIONS, score every level at its own size, record with the
 # numbers SET (budget=50000,...). Options of eval come after `--eval`, those of a second scoring as tiles after
 # `--tiles`. MAP_VIEWS=1 also scores the scene's map views, SURFACE=city or points its surface, KEEP=1 leaves the trained cells where they are, SHARED=1 in
@@ -224,7 +236,10 @@ row() {
   [ $part != tiles ] || command+="; citysplat tile $scene --crop none; citysplat eval $scene --tiles CITY.tiles${tiles[*]:+ ${tiles[*]}}"
   [ -z "${MAP_VIEWS:-}" ] || command+="; citysplat eval $scene --views $scene-photos/map-views"
   case ${SURFACE:-} in
-    city) command+="; citysplat eval $scene --surface $scene-photos" surface=$OUT/$scene-photos ;;
+    city)
+      command+="; citysplat eval $scene --surface $scene-photos; citysplat tile $scene; citysplat dsm CITY.tiles --gsd-m 0.192; citysplat synth --city $scene-photos --map DSM"
+      surface=$OUT/$scene-photos
+      ;;
     points) command+="; citysplat eval $scene --surface points" surface=points ;;
   esac
   wanted "$study" "$name" "$command" || return 0
@@ -247,6 +262,9 @@ row() {
     citysplat eval "$OUT/$scene" --results "$folder" --surface "$surface" -o "$folder/surface.json" >&2
     scores+=,$folder/surface.json
   fi
+  if [ "${SURFACE:-}" = city ]; then
+    set+="${set:+,}$(model_errors "$scene" "$folder")"
+  fi
   record "$study" "$name" "$command" --dataset "$(scene_about "$scene")" --commit "$COMMIT" --scores "$scores" \
     --results "$folder" --ceilings "$OUT/ceilings.jsonl" ${set:+--set "$set"}
   [ "${KEEP:-0}" = 1 ] || [ -n "${SHARED:-}" ] || rm -rf "$folder"
@@ -264,7 +282,7 @@ repeat() {
     folder=$OUT/trained/$(slug "$study" "$name (seed $k)")
     trained "$folder" "$scene" --seed "$k" "$@"
     tiles+=("$folder/city.tiles")
-    citysplat tile "$OUT/$scene" --trained "$folder" -o "$folder/city.tiles" >&2
+    [ -f "$folder/city.tiles" ] || citysplat tile "$OUT/$scene" --trained "$folder" -o "$folder/city.tiles" >&2
   done
   citysplat compare "${tiles[@]}" -o "$folder/change.tif" >"$folder/change.json"
   cat "$folder/change.json" >&2
@@ -496,15 +514,20 @@ background_rows() { # STUDY SCENE TRAIN-OPTIONS
 study_background() { seeded background on_demo background_rows background; }
 study_background_caliterra() { seeded background_caliterra on_caliterra background_rows background_caliterra; }
 
-# Solid surfaces: rows are added here, and every study of them has them. CALL is `row`, or `repeat`.
+# Solid surfaces: each term taken away and alone. CALL is `row`, or `repeat`.
 solid_rows() { # CALL STUDY SCENE TRAIN-OPTIONS
   local call=$1 study=$2 scene=$3
   shift 3
   "$call" "$study" default "$scene" "" "$@"
-  "$call" "$study" "no harmonics" "$scene" "" "$@" --sh-degree 0
-  "$call" "$study" "depth of points" "$scene" "" "$@" --depth-sparse
-  "$call" "$study" "behind all ground" "$scene" "" "$@" --background-random supported
-  "$call" "$study" "fainter pruned" "$scene" "" "$@" --prune-opacity 0.1
+  "$call" "$study" off "$scene" "" "$@" --solid-spread 0 --solid-bend 0 --solid-light 0
+  [ "$study" != solid ] || [ "$call" = repeat ] || solid_terms "$study" "$scene" "$@"
+}
+solid_terms() { # STUDY SCENE TRAIN-OPTIONS
+  local study=$1 scene=$2
+  shift 2
+  row "$study" "spread alone" "$scene" "" "$@" --solid-bend 0 --solid-light 0
+  row "$study" "bend alone" "$scene" "" "$@" --solid-spread 0 --solid-light 0
+  row "$study" "light alone" "$scene" "" "$@" --solid-spread 0 --solid-bend 0
 }
 # solid STUDY SCENE SURFACE: all rows with their seeds, then two trainings of each against each other.
 solid() {

@@ -184,8 +184,8 @@ static void test_by_hand(void **state)
     }
     v = solid_ref_value(&in, m, m);
     double mean = 0.2 / 3, var = 0.04 / 3 - mean * mean, px_m = 45 / (1 + mean), soft = 0.25 / px_m;
-    double s = px_m * (sqrt(var + soft * soft) - soft);
-    assert_true(fabs(v.spread - 0.75 * SOLID_SPREAD_PX * log(1 + s / SOLID_SPREAD_PX)) < 1e-9);
+    double s = px_m * (sqrt(var + soft * soft) - soft), r = s / SOLID_SPREAD_PX;
+    assert_true(fabs(v.spread - 0.75 * 0.5 * (s / (1 + r * r) + SOLID_SPREAD_PX * atan(r))) < 1e-9);
     assert_true(fabs(v.light - 0.25 * 19 / 40) < 1e-9 && v.bend < 1e-12);
     mem_free(m);
 }
