@@ -10,6 +10,7 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "codec/exif.h"
+#include "codec/exif_camera.h"
 
 #include <math.h>
 #include <stdint.h>
@@ -27,6 +28,9 @@ enum {
     TAG_ISO = 0x8827,
     TAG_DATE_ORIGINAL = 0x9003,
     TAG_FOCAL = 0x920a,
+    TAG_FOCAL_35MM = 0xa405,
+    TAG_MAKE = 0x010f,
+    TAG_MODEL = 0x0110,
     TAG_GPS_LAT_REF = 1,
     TAG_GPS_LAT = 2,
     TAG_GPS_LON_REF = 3,
@@ -290,6 +294,64 @@ enum err_code exif_read(const char *path, struct image_gps *out, struct err *e)
     enum err_code rc = file_read(path, 0, &b, e);
     if (!rc)
         exif_parse(b.data, b.size, out);
+    buf_free(&b);
+    return rc;
+}
+
+/* ---- the camera ---- */
+
+/* Printable text of a field, without blanks at its end. */
+static void exif_ifd_text(const struct tiff *t, uint32_t ifd, unsigned tag, char *out, size_t room)
+{
+    struct field f;
+    size_t n = 0;
+    if (exif_ifd_find(t, ifd, tag, &f) && f.type == TYPE_ASCII)
+        while (n < f.count && n + 1 < room && f.data[n] >= 0x20 && f.data[n] < 0x7f) {
+            out[n] = (char)f.data[n];
+            n++;
+        }
+    while (n && out[n - 1] == ' ')
+        n--;
+    out[n] = '\0';
+}
+
+static void exif_camera_blob(const uint8_t *p, size_t n, struct exif_camera *out)
+{
+    struct tiff t;
+    uint32_t ifd0;
+    char make[40], model[48];
+    if (!exif_tiff_open(p, n, &t, &ifd0))
+        return;
+    uint32_t exif = exif_ifd_offset(&t, ifd0, TAG_EXIF_IFD);
+    exif_ifd_text(&t, ifd0, TAG_MAKE, make, sizeof make);
+    exif_ifd_text(&t, ifd0, TAG_MODEL, model, sizeof model);
+    bool twice = !strncmp(model, make, strlen(make)); /* many models begin with the maker */
+    snprintf(out->model, sizeof out->model, "%s%s%s", twice ? "" : make,
+             !twice && *make && *model ? " " : "", model);
+    out->focal_mm = exif_ifd_num(&t, exif, TAG_FOCAL);
+    out->focal_35mm = exif_ifd_num(&t, exif, TAG_FOCAL_35MM);
+}
+
+enum err_code exif_camera_read(const char *path, struct exif_camera *out, struct err *e)
+{
+    struct buf b = {0};
+    *out = (struct exif_camera){0};
+    enum err_code rc = file_read(path, 0, &b, e);
+    const uint8_t *p = b.data;
+    if (!rc && exif_is_jpeg(p, b.size)) {
+        for (size_t at = 2; at + 4 <= b.size && p[at] == 0xff && p[at + 1] != 0xda;) {
+            size_t len = (size_t)p[at + 2] << 8 | p[at + 3];
+            if (len < 2 || len > b.size - at - 2)
+                break;
+            if (p[at + 1] == 0xe1 && len >= 8 && !memcmp(p + at + 4, "Exif\0\0", 6)) {
+                exif_camera_blob(p + at + 10, len - 8, out);
+                break;
+            }
+            at += 2 + len;
+        }
+    } else if (!rc) {
+        exif_camera_blob(p, b.size, out);
+    }
     buf_free(&b);
     return rc;
 }

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # ./bootstrap city: a second run goes on where the first was killed, and trains nothing again; folders of one name do not
-# collide; options reach ingest; other options do not remove what was trained.
+# collide; options reach ingest; other options do not remove what was trained; photographs alone get poses first, by a
+# stand-in for COLMAP (tests/fake_colmap.c).
 #
 # SPDX-License-Identifier: Apache-2.0
 set -uo pipefail
@@ -59,6 +60,24 @@ other=$(ls -d "$work"/out/my-flight-*)
 grep -q '"origin": "7.5731,47.5582,300"' "$other/scene/report.json" || fail "--origin did not reach ingest"
 grep -q '"heights": "ellipsoid"' "$other/scene/scene.json" || fail "--geoid did not reach ingest"
 [ "$(stat -c %Y.%i "$scene/cells/all/done.json")" = "$done_at" ] || fail "the other folder touched the first one"
+
+# Photographs alone: their poses come first. What failed goes on; what is there is not done again.
+mkdir "$work/path" "$work/c" && ln -s "${FAKE_COLMAP:?the stand-in for COLMAP}" "$work/path/colmap"
+cp -r "$work/a/my flight/images" "$work/c/photographs alone"
+export PATH=$work/path:$PATH FAKE_LOG=$work/calls FAKE_TRUTH=$work/a/my\ flight/sparse/0
+FAKE_FAIL=mapper city "$work/c/photographs alone" && fail "an alignment that failed was taken"
+expect "a failed alignment" "mapper: exit 1"
+alone=$work/out/photographs-alone
+[ ! -e "$alone/scene" ] && [ ! -e "$alone/align/sparse" ] || fail "an alignment that failed left something"
+: >"$work/calls"
+city "$work/c/photographs alone" || fail "photographs alone: exit $?"
+expect "photographs alone" "16 of 16 photographs"
+[ "$(cut -d' ' -f1 "$work/calls" | sort | uniq -c | tr -d ' \n')" = 1mapper ] || fail "a failed alignment began anew"
+[ -f "$alone/photographs-alone.tiles" ] || fail "photographs alone: no tiles"
+city "$work/c/photographs alone" || fail "photographs alone again: exit $?"
+expect "photographs alone again" "the poses are there already"
+expect "photographs alone again" "tiles are there already"
+[ "$(wc -l <"$work/calls")" = 1 ] || fail "photographs alone again: COLMAP was called"
 
 # Paths of options are seen from where the script is called.
 echo "EPSG:4326" >"$work/gcp_list.txt"

@@ -1,0 +1,26 @@
+/* Another program as a step of ours: its output goes to a log, how far it is to a progress bar.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef CLI_ALIGN_RUN_H
+#define CLI_ALIGN_RUN_H
+
+#include "core/base.h"
+
+struct align_run {
+    const char *const *argv; /* up to NULL; argv[0] is sought in PATH */
+    const char *log;         /* appended to */
+    const char *what;        /* of the progress bar; NULL: none */
+    uint64_t total;
+    uint64_t (*count)(void *user); /* how much of it is done; asked every two seconds */
+    void *user;
+};
+/* Whether there is such a program, in PATH or as a path. ERR_NOENT: no; the message has the package
+ * to install. */
+enum err_code align_run_find(const char *program, struct err *e) ERR_USE;
+/* Runs it to its end. It ends with this process. ERR_NOENT: there is no such program. ERR_DATA: it
+ * failed; the message has its last line and the log. ERR_CANCEL: we were asked to stop, and it was
+ * stopped. ERR_IO, ERR_MEM. */
+enum err_code align_run(const struct align_run *r, struct err *e) ERR_USE;
+
+#endif

@@ -1,0 +1,94 @@
+/* What the parts of `citysplat align` share: the plan, the folder it works in, and how far it is.
+ *
+ *   DIR/sparse/0, 1 ...   models, the largest first
+ *   DIR/align.json        what was made how: versions, options, seconds, photographs not placed
+ *   DIR/logs/STAGE.log    what COLMAP said
+ *   DIR/work/             database, lists, links, state.json
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef CLI_ALIGN_WORK_H
+#define CLI_ALIGN_WORK_H
+
+#include <jansson.h>
+
+#include "cli/align_db.h"
+#include "core/options.h"
+#include "ingest/align_plan.h"
+
+struct align_options {
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "cli/align.def"
+#undef OPT
+};
+
+enum { ALIGN_SHOWN = 20, ALIGN_INLIERS = 15 }; /* the latter is COLMAP's least of a match */
+enum align_stage { ALIGN_LOOK, ALIGN_FEATURES, ALIGN_MATCHES, ALIGN_MODEL, ALIGN_STAGES };
+
+struct align {
+    const struct align_options *o;
+    const char *photos, *dir;
+    struct align_plan plan;
+    struct align_forecast forecast;
+    char version[128]; /* what COLMAP calls itself */
+    bool renamed;      /* options that are not SIFT's alone have other names: 3.12 and newer */
+    json_t *state;
+    double slow;             /* times that this machine takes what is usual, measured by the look */
+    struct align_seen *seen; /* [plan.n] */
+    uint32_t *model_of;      /* [plan.n] model that holds it, UINT32_MAX: none */
+    size_t n_models, placed, *sizes;
+    struct arena arena;
+};
+
+/* ---- align_state.c: the folder, and which stages are complete ---- */
+
+enum err_code align_no_memory(struct err *e);
+size_t align_cores(const struct align *a);
+/* "DIR/below" in the arena; NULL: out of memory. */
+char *align_path(struct align *a, const char *below);
+/* Removes a file or folder, if there is one. */
+void align_remove(const char *path);
+const char *align_stage_name(enum align_stage s);
+bool align_is_done(const struct align *a, enum align_stage s);
+/* Takes up the state of an earlier run, or makes a new folder. ERR_ARG: the folder belongs to
+ * something else, or to other photographs or options. ERR_IO, ERR_LIMIT, ERR_MEM. */
+enum err_code align_open(struct align *a, struct err *e) ERR_USE;
+/* Writes state.json. ERR_IO, ERR_LIMIT, ERR_MEM. */
+enum err_code align_save(struct align *a, struct err *e) ERR_USE;
+enum err_code align_set_done(struct align *a, enum align_stage s, double seconds,
+                             struct err *e) ERR_USE;
+/* From now on the options that decide the result are those of this run. */
+void align_set_options(struct align *a);
+
+/* ---- align_colmap.c: calls of COLMAP. Errors are those of align_run. ---- */
+
+enum err_code align_ask_version(struct align *a, struct err *e) ERR_USE;
+/* Links to photographs under names that lists of COLMAP can have. */
+enum err_code align_link_photos(struct align *a, struct err *e) ERR_USE;
+/* Features of all photographs. `log` is the stage, `what` is for the progress bar. */
+enum err_code align_extract(struct align *a, char *db, uint32_t edge_px, long long features,
+                            const char *log, const char *what, struct err *e) ERR_USE;
+/* Compares the pairs of the plan. */
+enum err_code align_match(struct align *a, char *db, const char *log, const char *what,
+                          struct err *e) ERR_USE;
+/* Models in work/sparse. */
+enum err_code align_map(struct align *a, const char *db, struct err *e) ERR_USE;
+
+/* ---- align_tell.c: what is printed, and align.json ---- */
+
+void align_print_plan(const struct align *a);
+void align_print_forecast(const struct align *a);
+void align_print_look(const struct align *a, size_t largest);
+/* Photographs outside the largest model, with the reason. */
+void align_print_unplaced(const struct align *a);
+void align_print_result(const struct align *a);
+/* Writes align.json. `config` is taken over. ERR_DATA, ERR_IO, ERR_LIMIT, ERR_MEM. */
+enum err_code align_write_result(struct align *a, json_t *config, struct err *e) ERR_USE;
+
+/* ---- align_publish.c ---- */
+
+/* COLMAP's models to DIR/sparse, the largest first, with the true names of photographs. ERR_DATA:
+ * there is none. ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM. */
+enum err_code align_publish(struct align *a, struct err *e) ERR_USE;
+
+#endif

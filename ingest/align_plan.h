@@ -1,0 +1,76 @@
+/* What a folder of photographs is like before poses are sought: which cameras took them, which of
+ * them may see the same ground, and what speaks against them.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef INGEST_ALIGN_PLAN_H
+#define INGEST_ALIGN_PLAN_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "core/base.h"
+
+struct align_photo {
+    const char *name; /* below the folder */
+    char link[32];    /* the name that COLMAP gets, without blanks: "000017.jpg" */
+    uint32_t width_px, height_px;
+    char camera[96]; /* by EXIF; "" = not given */
+    double focal_mm; /* 0 = not given */
+    double focal_px; /* by the focal length on 35 mm film; 0 = not known */
+    double time_s;   /* NAN = not given */
+    bool has_gps;
+    double at_m[2];      /* east and north by GPS, about the first photograph that has it */
+    double height_m;     /* above take-off; NAN = not known */
+    double sharp;        /* fine detail over contrast, of the picture shrunk to 800 px */
+    struct hash128 hash; /* of the file */
+    size_t group;        /* camera, lens and focal length */
+    size_t cluster;      /* photographs that lie together by GPS */
+    size_t copy_of;      /* an earlier one with the same bytes; SIZE_MAX: none */
+    bool blurred;        /* much less sharp than the others */
+    char *fault;         /* it cannot be read: why; NULL: it can */
+};
+struct align_pair {
+    uint32_t a, b; /* a < b */
+};
+struct align_plan {             /* {0} is empty; align_plan_free */
+    struct align_photo *photos; /* [n] by folder, time and name */
+    size_t n, n_usable, n_gps;  /* usable: neither broken nor a copy */
+    size_t n_groups, n_clusters, n_copies, n_blurred, n_broken;
+    double apart_m;           /* of the two largest clusters; 0: one */
+    double overlap;           /* of neighbours, by GPS, height and focal length; NAN: not known */
+    double megapixels;        /* mean of usable photographs */
+    struct align_pair *pairs; /* [n_pairs] */
+    size_t n_pairs;
+    struct arena arena;
+};
+/* Reads EXIF and pixels of all photographs below a folder. ERR_NOENT, ERR_DATA (fewer than three
+ * can be used), ERR_IO, ERR_LIMIT, ERR_CANCEL, ERR_MEM. */
+enum err_code align_plan_read(const char *dir, struct align_plan *out, struct err *e) ERR_USE;
+/* Pairs to compare: each photograph with its nearest by GPS and with the next in order. Without GPS
+ * with more of the next, and all with all where they are few. ERR_MEM. */
+enum err_code align_plan_pairs(struct align_plan *p, size_t neighbours, size_t next,
+                               struct err *e) ERR_USE;
+bool align_plan_usable(const struct align_photo *p);
+/* Index of a link; SIZE_MAX: none. */
+size_t align_plan_find(const struct align_plan *p, const char *link);
+void align_plan_free(struct align_plan *p);
+
+/* ---- a forecast ---- */
+
+struct align_forecast {
+    uint32_t edge_px;  /* longest edge of pictures for features */
+    uint32_t features; /* most of a photograph */
+    double features_s, matches_s, model_s;
+};
+/* Seconds on so many cores that are `slow` times slower than usual. */
+struct align_forecast align_plan_forecast(const struct align_plan *p, uint32_t edge_px,
+                                          uint32_t features, size_t cores, double slow);
+/* The finest usual choice that takes at most so many seconds, or else the coarsest. edge_px and
+ * features that are not 0 are as given. */
+struct align_forecast align_plan_afford(const struct align_plan *p, uint32_t edge_px,
+                                        uint32_t features, size_t cores, double slow,
+                                        double seconds);
+
+#endif
