@@ -55,12 +55,18 @@ static json_t *compare_pose(const struct change_pose *p)
 
 static enum err_code compare_print(const char *output, const struct change_report *r, struct err *e)
 {
+    const struct changed_report *c = &r->changed;
     json_t *o = json_pack(
-        "{s:s, s:s, s:i, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:o, s:b}", "map", output,
-        "units", "m", "epsg", r->grid.epsg, "pixel_m", r->grid.pixel_m, "compared_area_m2",
-        (double)r->pixels * r->pixel_m2, "mean_m", r->mean_m, "median_m", r->median_m, "spread_m",
-        r->spread_m, "changed_share", r->changed_share, "gained_m3", r->gained_m3, "lost_m3",
-        r->lost_m3, "color_rms", r->color, "shift", compare_pose(&r->pose), "aligned", r->aligned);
+        "{s:s, s:s, s:i, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:I, s:f, s:f, s:f, s:f, s:o, s:f, "
+        "s:o, "
+        "s:b}",
+        "map", output, "units", "m", "epsg", r->grid.epsg, "pixel_m", r->grid.pixel_m,
+        "compared_area_m2", (double)r->pixels * r->pixel_m2, "mean_m", r->mean_m, "median_m",
+        r->median_m, "spread_m", r->spread_m, "differs_share", r->differs_share, "changed_share",
+        (double)c->pixels / (double)r->pixels, "regions", (json_int_t)c->regions, "gained_m3",
+        c->gained_m3, "gained_95_m3", c->gained_95_m3, "lost_m3", c->lost_m3, "lost_95_m3",
+        c->lost_95_m3, "correlation_m", jsonc_real(c->correlation_m), "color_rms", r->color,
+        "shift", compare_pose(&r->pose), "aligned", r->aligned);
     if (o && r->aligned) {
         json_object_set_new(o, "rounds", json_integer(r->rounds));
         json_object_set_new(o, "shift_left", compare_pose(&r->left));
@@ -82,13 +88,17 @@ enum err_code cli_compare(int argc, char **argv, struct err *e)
     struct change_report report = {0};
     enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
     bool run = !rc && !args.done;
+    if (run && o.polygons)
+        rc = maps_check_output(o.polygons, maps_vector, o.maps.overwrite, e);
     for (size_t k = 0; run && !rc && k < 2; k++)
-        rc = maps_open(args.arg[k], &o.maps, NULL, NULL, &m[k], e);
+        rc = maps_open(args.arg[k], &o.maps, maps_geotiff, NULL, NULL, &m[k], e);
     const struct map_request *r = &m[0].request;
     const struct change_request request = {.epsg = r->epsg,
                                            .gsd_m = r->gsd_m,
                                            .bbox_deg = r->bbox_deg,
                                            .least_m = o.least_m,
+                                           .least_m2 = o.least_m2,
+                                           .polygons = o.polygons,
                                            .align = o.align};
     if (run && !rc)
         rc = change_write(m[0].nadir, m[1].nadir, &request, o.maps.output, &report, e);

@@ -58,7 +58,7 @@ enum err_code cli_contour(int argc, char **argv, struct err *e)
     enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
     bool run = !rc && !args.done;
     if (run)
-        rc = maps_open(args.arg[0], &o.maps, &o.heights, NULL, &m, e);
+        rc = maps_open(args.arg[0], &o.maps, maps_vector, &o.heights, NULL, &m, e);
     struct contour_report r = {0};
     m.request.kind = GEOTIFF_HEIGHT;
     const struct contour_request request = {m.request, o.interval_m, o.base_m, o.least_m, o.field};

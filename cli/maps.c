@@ -8,6 +8,8 @@
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
+#include <strings.h>
 
 #include "core/geo.h"
 
@@ -45,7 +47,33 @@ static enum err_code maps_bbox(const char *text, double out[4], struct err *e)
                          text);
 }
 
-enum err_code maps_open(const char *store, const struct maps_options *o,
+const char *const maps_geotiff[] = {".tif", ".tiff", NULL};
+const char *const maps_vector[] = {".geojson", ".gpkg", ".json", NULL};
+const char *const maps_points[] = {".las", NULL};
+
+enum err_code maps_check_output(const char *path, const char *const *ends, bool overwrite,
+                                struct err *e)
+{
+    size_t n = strlen(path), at = 0;
+    char list[80];
+    for (size_t i = 0; ends[i]; i++) {
+        size_t m = strlen(ends[i]);
+        if (n > m && !strcasecmp(path + n - m, ends[i]))
+            return file_exists(path) && !overwrite
+                       ? err_set(e, ERR_ARG,
+                                 "%s: exists; choose another name, or replace it with --overwrite",
+                                 path)
+                       : ERR_OK;
+        at += (size_t)snprintf(list + at, sizeof list - at, "%s%s", i ? " or " : "", ends[i]);
+    }
+    return err_set(e, ERR_ARG, "%s: the name must end in %s, which is what this command writes%s",
+                   path, list,
+                   n > 4 && !strcasecmp(path + n - 4, ".laz")
+                       ? "; no library for .laz is in Debian 12, and 'pdal translate' makes it"
+                       : "");
+}
+
+enum err_code maps_open(const char *store, const struct maps_options *o, const char *const *ends,
                         const struct geoid_options *g, const char *appearance, struct maps *out,
                         struct err *e)
 {
@@ -55,6 +83,8 @@ enum err_code maps_open(const char *store, const struct maps_options *o,
     signals_catch();
     if (!o->output)
         rc = err_set(e, ERR_ARG, "-o is missing: where to write");
+    else
+        rc = maps_check_output(o->output, ends, o->overwrite, e);
     if (!rc && o->bbox)
         rc = maps_bbox(o->bbox, out->bbox, e);
     if (!rc)
@@ -98,7 +128,8 @@ enum err_code maps_write(const char *store, const struct maps_options *o,
 {
     struct maps m;
     struct map_report r = {0};
-    enum err_code rc = maps_open(store, o, c->heights, c->appearance, &m, e);
+    enum err_code rc =
+        maps_open(store, o, c->ends ? c->ends : maps_geotiff, c->heights, c->appearance, &m, e);
     if (rc)
         return rc;
     m.request.kind = c->kind;

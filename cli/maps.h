@@ -25,9 +25,14 @@ struct maps { /* free with maps_close */
     double bbox[4];
     struct map_request request; /* has pointers to bbox and geoid, so do not move the struct */
 };
+/* Ends of names that say what a file is, NULL after the last. */
+extern const char *const maps_geotiff[], *const maps_vector[], *const maps_points[];
+/* Does the name end so, and is there no such file, or may it be replaced? ERR_ARG: what to do. */
+enum err_code maps_check_output(const char *path, const char *const *ends, bool overwrite,
+                                struct err *e) ERR_USE;
 /* Checks the options and opens the store. appearance and g may be NULL. ERR_ARG names the option.
  * ERR_NOENT, ERR_FORMAT, ERR_DATA, ERR_DEVICE, ERR_MEM as in nadir_open and geoid_open. */
-enum err_code maps_open(const char *store, const struct maps_options *o,
+enum err_code maps_open(const char *store, const struct maps_options *o, const char *const *ends,
                         const struct geoid_options *g, const char *appearance, struct maps *out,
                         struct err *e) ERR_USE;
 void maps_close(struct maps *m);
@@ -41,6 +46,7 @@ struct maps_command {
     enum geotiff_kind kind;
     const char *appearance;              /* NULL: the store's default */
     const struct geoid_options *heights; /* NULL: the map has no heights */
+    const char *const *ends;             /* of the file; NULL: maps_geotiff */
     const char *counts;                  /* name for pixels with a surface; NULL: pixels */
     enum err_code (*write)(struct nadir *n, const struct map_request *r, const char *path,
                            struct map_report *out, struct err *e);

@@ -57,6 +57,7 @@ enum err_code cli_points(int argc, char **argv, struct err *e)
                                                .appearance = o.appearance,
                                                .heights = &o.heights,
                                                .counts = "points",
+                                               .ends = maps_points,
                                                .write = surface_points_write},
                         e);
     arena_free(&arena);

@@ -163,7 +163,11 @@ static enum err_code area_read_footprint(struct area *a, const char *text, struc
     json_t *root = text ? json_loads(text, 0, NULL) : NULL;
     bool ok = false;
     enum err_code rc = root ? area_add_layer(a, root, true, &ok, e) : ERR_OK;
+    double px_per_m =
+        json_number_value(json_object_get(json_object_get(root, "properties"), "pixels_per_m"));
     a->by_tiles = !ok;
+    if (ok && px_per_m > 0 && isfinite(1 / px_per_m))
+        a->gsd_m = 1 / px_per_m;
     if (text && !rc && !ok)
         log_warn("store", "the footprint is no MultiPolygon of places: what was surveyed is taken "
                           "from the tiles");

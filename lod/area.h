@@ -35,6 +35,7 @@ struct area {                  /* {0} is empty; free with area_free */
     double west_deg, south_deg, east_deg, north_deg; /* box around the survey */
     /* ENU: nearly all Gaussians of the survey lie between these heights */
     double floor_m, ceiling_m;
+    double gsd_m;   /* of the nearest photographs, median over the ground; 0: not known */
     double sigma_m; /* usual median sigma: half of all Gaussians are in finer tiles */
 };
 /* Computes the area. Free *out with area_free. ERR_DATA: the store has no tiles. ERR_MEM. */

@@ -206,7 +206,7 @@ model_errors() {
   local scene=$1 folder=$2
   [ -f "$folder/city.tiles" ] || citysplat tile "$OUT/$scene" --trained "$folder" -o "$folder/city.tiles" >&2
   rm -f "$folder/dsm.tif"
-  citysplat dsm "$folder/city.tiles" --gsd-m 0.192 -o "$folder/dsm.tif" >&2
+  citysplat dsm "$folder/city.tiles" --gsd-m 0.192 -o "$folder/dsm.tif" --overwrite >&2
   citysplat synth --city "$OUT/$scene-photos" --map "$folder/dsm.tif" | awk '
     $1 == "level" { printf "dsm_level_off_m=%s,dsm_level_rmse_m=%s,dsm_level_le90_m=%s,", $4, $5, $7 }
     $1 == "edges" { printf "dsm_edges_median_m=%s,", $3 }
@@ -284,7 +284,7 @@ repeat() {
     tiles+=("$folder/city.tiles")
     [ -f "$folder/city.tiles" ] || citysplat tile "$OUT/$scene" --trained "$folder" -o "$folder/city.tiles" >&2
   done
-  citysplat compare "${tiles[@]}" -o "$folder/change.tif" >"$folder/change.json"
+  citysplat compare "${tiles[@]}" -o "$folder/change.tif" --overwrite >"$folder/change.json"
   cat "$folder/change.json" >&2
   record solid_repeat "$study: $name" "$command" --dataset "$(scene_about "$scene")" --commit "$COMMIT" \
     --set "$(sed -n 's/^  "\([a-z0-9_]*\)": \(-\{0,1\}[0-9][-+.0-9e]*\),\{0,1\}$/\1=\2/p' "$folder/change.json" | paste -sd, -)"

@@ -8,6 +8,8 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "survey/changed.h"
+
 enum { CHANGE_BINS = 200001 /* of a centimetre, -1000 to 1000 m */ };
 /* Of alignment: it has converged within 0.02 px and 2 mm; each round explains about two thirds of
  * what is left, for edges are steeper than the limit of slopes. Rounds draw at most so many pieces,
@@ -23,8 +25,11 @@ struct change_job {
     struct geotiff *out;     /* NULL: a round, nothing is written */
     struct change_pose pose; /* the later is drawn as if it did not lie so */
     uint64_t stride;         /* every which piece is drawn */
-    float *height[2], *rgb[2];
+    struct surface_maps maps[2];
+    float *room[2];
+    float *pair; /* difference and its standard deviation */
     uint8_t *in[2];
+    struct changed *changed;
     uint64_t *histogram; /* [CHANGE_BINS] */
     double least_m, off_px, sum_m, color2, px_m2;
     double normal[CHANGE_UNKNOWNS][CHANGE_UNKNOWNS + 1]; /* of the pose */
@@ -37,10 +42,7 @@ static void change_count(struct change_job *j, double d)
     j->histogram[(size_t)fmin(fmax(bin, 0), CHANGE_BINS - 1)]++;
     j->r.pixels++;
     j->sum_m += d;
-    if (!(fabs(d) > j->least_m))
-        return;
-    j->r.changed_share += 1; /* a share once all are counted */
-    *(d > 0 ? &j->r.gained_m3 : &j->r.lost_m3) += fabs(d) * j->px_m2;
+    j->r.differs_share += fabs(d) > j->least_m; /* a share once all are counted */
 }
 
 /* d = up - slope_e east - slope_n north + tilt_e x + tilt_n y; x, y from the middle of the map. */
@@ -65,7 +67,7 @@ static void change_middle(const struct map_grid *g, double u, double v, double a
 }
 
 static void change_pixels(struct change_job *j, const struct nadir_piece *p, uint32_t left,
-                          uint32_t top, float *out)
+                          uint32_t top)
 {
     size_t w = p->width;
     double dx = 2 / p->px_per_m_x, dy = 2 / p->px_per_m_y;
@@ -73,17 +75,20 @@ static void change_pixels(struct change_job *j, const struct nadir_piece *p, uin
     for (size_t y = 0; y < p->height; y++)
         for (size_t x = 0; x < w; x++) {
             size_t i = y * w + x;
-            const float *a = j->height[0] + i;
-            double at[2], d = (double)j->height[1][i] - (double)*a;
-            out[i] = GEOTIFF_NODATA;
+            const float *a = j->maps[0].height_m + i;
+            double at[2], d = (double)j->maps[1].height_m[i] - (double)*a;
+            float *noise = j->maps[1].noise_m + i; /* in place, as what only this pixel reads */
+            j->pair[2 * i] = j->pair[2 * i + 1] = GEOTIFF_NODATA;
             if (!j->in[0][i] || !j->in[1][i] || !isfinite(d))
                 continue;
             change_middle(&j->grid, (double)(left + x), (double)(top + y), at);
             d -= j->pose.up_m + j->pose.tilt_east * at[0] + j->pose.tilt_north * at[1];
-            out[i] = (float)d;
+            j->pair[2 * i] = (float)d;
+            j->pair[2 * i + 1] = hypotf(j->maps[0].sigma_m[i], j->maps[1].sigma_m[i]);
+            *noise = hypotf(j->maps[0].noise_m[i], *noise);
             change_count(j, d);
             for (size_t k = 0; k < 3; k++) {
-                double c = (double)j->rgb[1][3 * i + k] - (double)j->rgb[0][3 * i + k];
+                double c = (double)j->maps[1].rgb[3 * i + k] - (double)j->maps[0].rgb[3 * i + k];
                 j->color2 += c * c / 3;
             }
             if (x > 0 && y > 0 && x + 1 < w && y + 1 < p->height) /* right is east, nearly */
@@ -123,14 +128,17 @@ static enum err_code change_piece(struct change_job *j, uint32_t x, uint32_t y, 
     rc = change_move(j, &moved, corner, e);
     if (rc || !area_mask(nadir_area(j->nadir[1]), corner, p.width, p.height, j->in[1]))
         return rc;
-    rc = nadir_draw(j->nadir[0], &p, j->rgb[0], j->height[0], e);
+    rc = surface_draw(j->nadir[0], &p, &j->maps[0], e);
     if (!rc)
-        rc = nadir_draw(j->nadir[1], &moved, j->rgb[1], j->height[1], e);
+        rc = surface_draw(j->nadir[1], &moved, &j->maps[1], e);
     if (rc)
         return rc;
-    float *out = j->height[1]; /* in place: each pixel is read before it is written */
-    change_pixels(j, &p, x, y, out);
-    return j->out ? geotiff_write(j->out, x, y, p.width, p.height, out, e) : ERR_OK;
+    change_pixels(j, &p, x, y);
+    if (!j->out)
+        return ERR_OK;
+    rc = geotiff_write(j->out, x, y, p.width, p.height, j->pair, e);
+    return rc ? rc
+              : changed_add(j->changed, x, y, p.width, p.height, j->pair, j->maps[1].noise_m, e);
 }
 
 /* The centimetre below which a share of all differences lies. */
@@ -185,11 +193,13 @@ static enum err_code change_room(struct change_job *j, struct err *e)
 {
     size_t n = (size_t)MAP_PIECE_PX * MAP_PIECE_PX;
     bool ok = (j->histogram = mem_array(CHANGE_BINS, sizeof *j->histogram)) != NULL;
+    ok = (j->pair = mem_array(n, 2 * sizeof *j->pair)) && ok;
     for (size_t k = 0; k < 2; k++) {
-        j->height[k] = mem_array(n, sizeof *j->height[k]);
-        j->rgb[k] = mem_array(n, 3 * sizeof *j->rgb[k]);
+        float *at = j->room[k] = mem_array(n, 6 * sizeof *at);
         j->in[k] = mem_array(n, 1);
-        ok = ok && j->height[k] && j->rgb[k] && j->in[k];
+        ok = ok && at && j->in[k];
+        if (at)
+            j->maps[k] = (struct surface_maps){at, at + 3 * n, at + 4 * n, at + 5 * n};
     }
     return ok ? ERR_OK : err_set(e, ERR_MEM, "out of memory for a piece of %d px", MAP_PIECE_PX);
 }
@@ -228,7 +238,7 @@ static enum err_code change_draw(struct change_job *j, const char *what, struct 
     j->r.mean_m = j->sum_m / n;
     j->r.median_m = change_quantile(j->histogram, j->r.pixels, 0.5);
     j->r.spread_m = change_spread(j);
-    j->r.changed_share /= n;
+    j->r.differs_share /= n;
     j->r.color = sqrt(j->color2 / n);
     j->r.pose = change_solve(j);
     return ERR_OK;
@@ -289,8 +299,8 @@ static bool change_box(const struct area *a, const struct area *b, const double 
     return box[0] < box[2] && box[1] < box[3];
 }
 
-static enum err_code change_create(struct change_job *j, const char *path, bool align,
-                                   struct err *e)
+static enum err_code change_create(struct change_job *j, const char *path,
+                                   const struct change_request *r, struct err *e)
 {
     const struct store_meta *a = store_info(nadir_store(j->nadir[0])),
                             *b = store_info(nadir_store(j->nadir[1]));
@@ -306,18 +316,30 @@ static enum err_code change_create(struct change_job *j, const char *path, bool 
         .height = j->grid.height,
         .copyright = b->attribution,
         .source = source,
-        .heights = align ? "height of the later, moved onto the earlier, minus that of the earlier"
-                         : "height of the later minus that of the earlier"};
-    return geotiff_create(path, GEOTIFF_HEIGHT, &info, &j->out, e);
+        .heights = r->align
+                       ? "height of the later, moved onto the earlier, minus that of the earlier"
+                       : "height of the later minus that of the earlier",
+        .rows = true};
+    double sigma_m = fmax(nadir_area(j->nadir[0])->sigma_m, nadir_area(j->nadir[1])->sigma_m);
+    const struct changed_request request = {
+        .path = path,
+        .polygons = r->polygons,
+        .about = source,
+        .least_m = j->least_m,
+        .sigma_m = sigma_m,
+        .least_m2 = r->least_m2 > 0 ? r->least_m2 : CHANGE_LEAST_SIGMA2 * sigma_m * sigma_m};
+    enum err_code rc = changed_begin(&request, &info, &j->changed, e);
+    return rc ? rc : geotiff_create(path, GEOTIFF_SURFACE, &info, &j->out, e);
 }
 
 static void change_close(struct change_job *j)
 {
+    changed_close(&j->changed);
     geotiff_close(&j->out);
     mem_free(j->histogram);
+    mem_free(j->pair);
     for (size_t k = 0; k < 2; k++) {
-        mem_free(j->height[k]);
-        mem_free(j->rgb[k]);
+        mem_free(j->room[k]);
         mem_free(j->in[k]);
     }
 }
@@ -336,8 +358,11 @@ enum err_code change_write(struct nadir *earlier, struct nadir *later,
     if (!change_box(a, b, r->bbox_deg, box))
         return err_set(e, ERR_ARG, "the two were not surveyed in one place: nothing to compare");
     /* Pixels of the coarser of the two. */
-    const struct map_request m = {
-        .kind = GEOTIFF_HEIGHT, .epsg = r->epsg, .gsd_m = r->gsd_m, .bbox_deg = box};
+    const struct map_request m = {.kind = GEOTIFF_HEIGHT,
+                                  .epsg = r->epsg,
+                                  .gsd_m = r->gsd_m,
+                                  .bbox_deg = box,
+                                  .coarse = true};
     enum err_code rc = map_plan(a->sigma_m > b->sigma_m ? earlier : later, &m, &crs, &j.grid, e);
     j.crs = crs;
     if (!rc)
@@ -345,11 +370,13 @@ enum err_code change_write(struct nadir *earlier, struct nadir *later,
     if (!rc && r->align)
         rc = change_align(&j, &rounds, e);
     if (!rc)
-        rc = change_create(&j, path, r->align, e);
+        rc = change_create(&j, path, r, e);
     if (!rc)
         rc = change_draw(&j, "compare, rows", e);
     if (!rc && !j.r.pixels)
         rc = err_set(e, ERR_ARG, "the two were not surveyed in one place: nothing to compare");
+    if (!rc)
+        rc = changed_tell(j.changed, j.out, j.px_m2, &j.r.changed, e);
     if (!rc)
         rc = geotiff_commit(&j.out, e);
     if (!rc) {

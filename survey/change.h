@@ -8,15 +8,19 @@
 
 #include <stdbool.h>
 
+#include "survey/changed.h"
 #include "survey/map.h"
 
-#define CHANGE_LEAST_M 0.5 /* default of least_m */
+#define CHANGE_LEAST_SIGMA2 4.0 /* squares of the usual Gaussian that a change covers at least */
+#define CHANGE_LEAST_M 0.5      /* default of least_m */
 
 struct change_request {
     int epsg;               /* as in map_request */
     double gsd_m;           /* 0: that of the coarser store */
     const double *bbox_deg; /* NULL: where both were surveyed */
     double least_m;         /* a height that differs by more has changed; 0: CHANGE_LEAST_M */
+    double least_m2;        /* of the ground of a change; 0: CHANGE_LEAST_SIGMA2 */
+    const char *polygons;   /* file of what changed, see survey/layer.h; NULL: none */
     bool align;             /* first move and tilt the later store onto the earlier one */
 };
 /* Shift and tilt of the later store against the earlier one. */
@@ -32,9 +36,9 @@ struct change_report {
     double mean_m;   /* later minus earlier, as is all below */
     double median_m,
         spread_m;         /* to the centimetre; spread: 1.48 times the median absolute deviation */
-    double changed_share; /* share of pixels that differ by more than least_m */
-    double gained_m3, lost_m3; /* volumes of these pixels */
-    double color;              /* root mean square difference of colours, 0 to 1 */
+    double differs_share; /* of the pixels: by more than least_m */
+    struct changed_report changed; /* what of it is more than the uncertainty of both allows */
+    double color;                  /* root mean square difference of colours, 0 to 1 */
     /* The shift and tilt that best explain the differences below 2 m, by the slopes of the earlier
      * store (Nuth and Kaeaeb 2011). If the median is more than half of 2 m away from 0, up_m is the
      * median, and the others are not known. After alignment: the sum of all rounds. */

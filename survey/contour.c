@@ -9,35 +9,27 @@
 #include <stdio.h>
 #include <string.h>
 #include <strings.h>
-#include <unistd.h>
 
 #include <gdal/cpl_string.h>
 #include <gdal/gdal.h>
 #include <gdal/gdal_alg.h>
-#include <gdal/ogr_api.h>
-#include <gdal/ogr_srs_api.h>
 
-enum { CONTOUR_BATCH = 20000, CONTOUR_FIELD_MAX = 31 }; /* lines of a transaction */
+#include "survey/layer.h"
 
-/* Of ogrsf_frmts.h, which is C++. */
-void RegisterOGRGeoJSON(void);
-void RegisterOGRGeoPackage(void);
+enum { CONTOUR_FIELD_MAX = 31 };
 
 struct contour_job {
     const struct contour_request *request;
     const struct store_meta *meta;
     const char *path;
-    char part[FILE_PATH_MAX], heights[100];
-    bool geojson;
+    char heights[100];
     struct crs *crs;
     struct map_grid grid;
     struct geotiff *raster;
     float *pixels; /* of a piece */
     float *row;    /* of the whole */
     double *scan;
-    GDALDatasetH data;
-    OGRLayerH layer;
-    OGRFeatureDefnH defn;
+    struct layer *out;
     struct contour_report report;
     struct err *e;
     enum err_code rc; /* of what GDAL calls */
@@ -50,21 +42,13 @@ static enum err_code contour_fail(const struct contour_job *j, const char *what,
 
 /* ---- what is asked for ---- */
 
-static bool contour_ends(const char *path, const char *end)
-{
-    size_t n = strlen(path), m = strlen(end);
-    return n > m && !strcasecmp(path + n - m, end);
-}
-
 static enum err_code contour_check(struct contour_job *j, struct err *e)
 {
     const struct contour_request *r = j->request;
     size_t n = strspn(r->field, "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_");
-    j->geojson = contour_ends(j->path, ".geojson") || contour_ends(j->path, ".json");
-    if (!j->geojson && !contour_ends(j->path, ".gpkg"))
-        return err_set(e, ERR_ARG,
-                       "%s: the name must end in .geojson or .gpkg, which says what it is",
-                       j->path);
+    enum err_code rc = layer_check(j->path, e);
+    if (rc)
+        return rc;
     if (!n || r->field[n] || n > CONTOUR_FIELD_MAX || (*r->field >= '0' && *r->field <= '9') ||
         !strcasecmp(r->field, "fid") || !strcasecmp(r->field, "geom"))
         return err_set(
@@ -130,44 +114,11 @@ static enum err_code contour_count(const struct contour_job *j, struct err *e)
 
 static enum err_code contour_open(struct contour_job *j, struct err *e)
 {
-    char **options = NULL;
-    OGRSpatialReferenceH srs = (OGRSpatialReferenceH)(uintptr_t)crs_handle(j->crs), wgs84 = NULL;
-    RegisterOGRGeoJSON();
-    RegisterOGRGeoPackage();
-    enum err_code rc = file_begin(j->path, j->part, e);
-    if (rc)
-        return rc;
-    unlink(j->part); /* of a process of that number that was killed */
-    GDALDriverH driver = GDALGetDriverByName(j->geojson ? "GeoJSON" : "GPKG");
-    j->data = driver ? GDALCreate(driver, j->part, 0, 0, 0, GDT_Unknown, NULL) : NULL;
-    if (!j->data)
-        return contour_fail(j, "it could not be created", e);
-    if (j->geojson) {
-        wgs84 = OSRNewSpatialReference(NULL);
-        OSRImportFromEPSG(wgs84, 4326);
-        OSRSetAxisMappingStrategy(wgs84, OAMS_TRADITIONAL_GIS_ORDER);
-        options = CSLSetNameValue(options, "RFC7946", "YES");
-        options = CSLSetNameValue(options, "COORDINATE_PRECISION", "8"); /* a millimetre */
-    } else {
-        options = CSLSetNameValue(options, "GEOMETRY_NAME", "geom");
-    }
+    const char *const field[1] = {j->request->field};
     char about[200];
     snprintf(about, sizeof about, "%s, m; %s %s", j->heights, j->meta->name, j->meta->revision);
-    options = CSLSetNameValue(options, "DESCRIPTION", about);
-    j->layer = GDALDatasetCreateLayer(j->data, "contours", j->geojson ? wgs84 : srs, wkbLineString,
-                                      options);
-    CSLDestroy(options);
-    if (wgs84)
-        OSRDestroySpatialReference(wgs84);
-    OGRFieldDefnH field = OGR_Fld_Create(j->request->field, OFTReal);
-    bool bad = !j->layer || OGR_L_CreateField(j->layer, field, FALSE) != OGRERR_NONE;
-    OGR_Fld_Destroy(field);
-    if (bad)
-        return contour_fail(j, "its layer could not be made", e);
-    j->defn = OGR_L_GetLayerDefn(j->layer);
-    if (!j->geojson && GDALDatasetStartTransaction(j->data, FALSE) != OGRERR_NONE)
-        return contour_fail(j, "it could not be written", e);
-    return ERR_OK;
+    const struct layer_info info = {"contours", about, j->crs, false, field, 1};
+    return layer_create(j->path, &info, &j->out, e);
 }
 
 /* From pixels to the projection, in place; returns its length, m. */
@@ -190,22 +141,9 @@ static enum err_code contour_add(struct contour_job *j, double level, int n, dou
         j->report.n_short++;
         return ERR_OK;
     }
-    enum err_code rc = j->geojson ? crs_unproject(j->crs, (size_t)n, x, y, e) : ERR_OK;
-    if (rc)
-        return rc;
-    OGRFeatureH f = OGR_F_Create(j->defn);
-    OGRGeometryH line = OGR_G_CreateGeometry(wkbLineString);
-    OGR_G_SetPoints(line, n, x, sizeof *x, y, sizeof *y, NULL, 0);
-    OGR_F_SetFieldDouble(f, 0, level);
-    bool bad = OGR_F_SetGeometryDirectly(f, line) != OGRERR_NONE ||
-               OGR_L_CreateFeature(j->layer, f) != OGRERR_NONE;
-    OGR_F_Destroy(f);
     j->report.lines++;
     j->report.points += (uint64_t)n;
-    if (!bad && !j->geojson && j->report.lines % CONTOUR_BATCH == 0)
-        bad = GDALDatasetCommitTransaction(j->data) != OGRERR_NONE ||
-              GDALDatasetStartTransaction(j->data, FALSE) != OGRERR_NONE;
-    return bad ? contour_fail(j, "a line could not be written", e) : ERR_OK;
+    return layer_add_line(j->out, n, x, y, &level, e);
 }
 
 /* GDAL's generator would throw where this fails, also while it is destroyed: what went wrong is
@@ -231,7 +169,7 @@ static enum err_code contour_lines(struct contour_job *j, struct err *e)
     j->e = e;
     progress_start(&bar, "contours, rows", g->height);
     for (uint32_t y = 0; !rc && y < g->height; y++) {
-        rc = geotiff_row(j->raster, y, j->row, e);
+        rc = geotiff_row(j->raster, 1, y, j->row, e);
         for (size_t x = 0; x < g->width; x++)
             j->scan[x] = (double)j->row[x];
         if (!rc && GDAL_CG_FeedLine(cg, j->scan) != CE_None)
@@ -248,44 +186,28 @@ static enum err_code contour_lines(struct contour_job *j, struct err *e)
     return j->rc;
 }
 
-static enum err_code contour_commit(struct contour_job *j, struct err *e)
-{
-    bool bad = !j->geojson && GDALDatasetCommitTransaction(j->data) != OGRERR_NONE;
-    CPLErrorReset();
-    GDALClose(j->data);
-    j->data = NULL;
-    if (bad || CPLGetLastErrorType() >= CE_Failure)
-        return contour_fail(j, "it could not be written", e);
-    return file_commit(j->part, j->path, e);
-}
-
 enum err_code contour_write(struct nadir *n, const struct contour_request *r, const char *path,
                             struct contour_report *report, struct err *e)
 {
     struct contour_job j = {.request = r, .path = path, .meta = store_info(nadir_store(n))};
     const struct map_visitor v = {"surface, px", &j, contour_begin, contour_piece, false};
-    map_heights(n, &r->map, j.heights);
+    struct map_request map = r->map;
+    map.coarse = true;
+    map_heights(n, &map, j.heights);
     enum err_code rc = contour_check(&j, e);
     if (!rc)
-        rc = map_run(n, &r->map, &v, &j.report.map, e);
+        rc = map_run(n, &map, &v, &j.report.map, e);
     if (!rc)
         rc = contour_count(&j, e);
-    CPLPushErrorHandler(CPLQuietErrorHandler);
     if (!rc)
         rc = contour_open(&j, e);
+    CPLPushErrorHandler(CPLQuietErrorHandler);
     if (!rc)
         rc = contour_lines(&j, e);
-    if (!rc)
-        rc = contour_commit(&j, e);
-    if (j.data)
-        GDALClose(j.data);
     CPLPopErrorHandler();
-    if (rc && *j.part) {
-        char journal[FILE_PATH_MAX + 16];
-        snprintf(journal, sizeof journal, "%s-journal", j.part);
-        unlink(journal);
-        unlink(j.part);
-    }
+    if (!rc)
+        rc = layer_commit(&j.out, e);
+    layer_close(&j.out);
     geotiff_close(&j.raster);
     crs_close(&j.crs);
     mem_free(j.pixels);

@@ -14,6 +14,7 @@
 #include <gdal/cpl_conv.h>
 #include <gdal/cpl_string.h>
 #include <gdal/gdal.h>
+#include <gdal/gdal_alg.h>
 #include <gdal/gdal_frmts.h>
 
 #include "core/base.h"
@@ -131,14 +132,27 @@ enum err_code geotiff_write(struct geotiff *t, uint32_t x, uint32_t y, uint32_t 
     return rc == CE_None ? ERR_OK : geotiff_fail(t, "pixels could not be written", e);
 }
 
-enum err_code geotiff_row(struct geotiff *t, uint32_t y, float *row, struct err *e)
+enum err_code geotiff_row(struct geotiff *t, int band, uint32_t y, float *row, struct err *e)
 {
     int w = GDALGetRasterXSize(t->data);
     CPLPushErrorHandler(CPLQuietErrorHandler);
-    CPLErr rc = GDALRasterIO(GDALGetRasterBand(t->data, 1), GF_Read, 0, (int)y, w, 1, row, w, 1,
+    CPLErr rc = GDALRasterIO(GDALGetRasterBand(t->data, band), GF_Read, 0, (int)y, w, 1, row, w, 1,
                              GDT_Float32, 0, 0);
     CPLPopErrorHandler();
     return rc == CE_None ? ERR_OK : geotiff_fail(t, "pixels could not be read again", e);
+}
+
+enum err_code geotiff_outline(struct geotiff *t, void *ogr_layer, struct err *e)
+{
+    GDALRasterBandH band = GDALGetRasterBand(t->data, 1);
+    /* Pixels: a file that has a place would give places. */
+    double none[6] = {0, 1, 0, 0, 0, 1};
+    CPLPushErrorHandler(CPLQuietErrorHandler);
+    CPLErr rc = GDALSetGeoTransform(t->data, none);
+    if (rc == CE_None)
+        rc = GDALPolygonize(band, GDALGetMaskBand(band), (OGRLayerH)ogr_layer, 0, NULL, NULL, NULL);
+    CPLPopErrorHandler();
+    return rc == CE_None ? ERR_OK : geotiff_fail(t, "outlines could not be found", e);
 }
 
 static int CPL_STDCALL geotiff_progress(double share, const char *message, void *user)

@@ -19,7 +19,7 @@ struct geotiff_info {
     uint32_t width, height;
     const char *copyright, *source; /* may be NULL */
     const char *heights;            /* reference of heights, "height above the WGS 84 ellipsoid" */
-    bool rows;                      /* it will be read by rows, and not committed */
+    bool rows;                      /* it will be read by rows */
 };
 enum geotiff_kind {
     GEOTIFF_COLOR,  /* red, green, blue, alpha: uint8 */
@@ -39,8 +39,12 @@ enum err_code geotiff_create(const char *path, enum geotiff_kind kind,
  * Pixels that are never written are nodata. ERR_IO. */
 enum err_code geotiff_write(struct geotiff *t, uint32_t x, uint32_t y, uint32_t w, uint32_t h,
                             const void *pixels, struct err *e) ERR_USE;
-/* Reads row y [width] of heights that were written. ERR_IO. */
-enum err_code geotiff_row(struct geotiff *t, uint32_t y, float *row, struct err *e) ERR_USE;
+/* Reads row y [width] of a band, 1 the first, of what was written. ERR_IO. */
+enum err_code geotiff_row(struct geotiff *t, int band, uint32_t y, float *row,
+                          struct err *e) ERR_USE;
+/* Adds polygons of the pixels of one whole number, in pixels from the top left corner, to an
+ * OGRLayerH whose first field gets the number. Pixels of no data have none. ERR_IO. */
+enum err_code geotiff_outline(struct geotiff *t, void *ogr_layer, struct err *e) ERR_USE;
 /* Makes the final file; it closes *t in any case. ERR_IO. ERR_CANCEL: the program was told to stop.
  */
 enum err_code geotiff_commit(struct geotiff **t, struct err *e) ERR_USE;

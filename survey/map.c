@@ -56,6 +56,13 @@ static enum err_code map_area(const struct area *a, const double *bbox, double o
     return ERR_OK;
 }
 
+/* As fine as the photographs are, to two digits. */
+static double map_fine(double gsd_m)
+{
+    double unit = pow(10, floor(log10(gsd_m)) - 1);
+    return unit * floor(gsd_m / unit + 0.5);
+}
+
 /* About as fine as the Gaussians are, a round number. */
 static double map_gsd(double sigma_m)
 {
@@ -87,7 +94,9 @@ enum err_code map_plan(const struct nadir *n, const struct map_request *r, struc
                        struct map_grid *out, struct err *e)
 {
     const struct area *a = nadir_area(n);
-    double deg[4], box[4], gsd = r->gsd_m > 0 ? r->gsd_m : map_gsd(a->sigma_m);
+    double deg[4], box[4], gsd = r->gsd_m;
+    if (!(gsd > 0))
+        gsd = a->gsd_m > 0 && !r->coarse ? map_fine(a->gsd_m) : map_gsd(a->sigma_m);
     *crs = NULL;
     enum err_code rc = map_area(a, r->bbox_deg, deg, e);
     if (!rc && r->geoid && !heights_ellipsoidal(map_stored_heights(n)))

@@ -19,7 +19,9 @@ enum { MAP_PIECE_PX = 512 };
 struct map_request {
     enum geotiff_kind kind;
     int epsg;               /* 0: the UTM zone of the middle */
-    double gsd_m;           /* size of a pixel in the projection; 0: about that of the Gaussians */
+    double gsd_m;           /* size of a pixel in the projection; 0: that of the photographs, where
+                               it is known, else about that of the Gaussians */
+    bool coarse;            /* 0 of gsd_m: about that of the Gaussians in any case */
     const double *bbox_deg; /* west, south, east, north; NULL: the whole survey */
     uint32_t piece_px;      /* 0: MAP_PIECE_PX */
     const struct geoid *geoid; /* reference of heights; NULL: the ellipsoid */

@@ -493,8 +493,8 @@ static void orthophotos_lie_where_gdal_has_them(void **state)
         char path[FILE_PATH_MAX], want[16];
         kit_ok(file_join(path, kit_tmp, "place.tiles", &e), e);
         city_make(o, path);
-        if (kit_run(&out, "'%s' ortho -q '%s' -o '%s/o.tif' --gsd-m 0.25 --device cpu", bin, path,
-                    kit_tmp))
+        if (kit_run(&out, "'%s' ortho -q '%s' -o '%s/o.tif' --gsd-m 0.25 --device cpu --overwrite",
+                    bin, path, kit_tmp))
             fail_msg("%.4f,%.4f: %.*s", o->lon_deg, o->lat_deg, (int)out.size,
                      (const char *)out.data);
         snprintf(want, sizeof want, "EPSG:%d", crs_utm(o->lon_deg, o->lat_deg));

@@ -412,6 +412,19 @@ static void the_program_says_the_same(void **state)
     buf_free(&out);
     assert_int_equal(kit_run(&out, "'%s' height -q '%s' 8.6821", bin, f.path), 2);
     buf_free(&out);
+    static const struct {
+        const char *command, *file, *says;
+    } ends[] = {{"dsm", "no.png", "must end in .tif or .tiff"},
+                {"ortho", "no", "must end in .tif or .tiff"},
+                {"points", "no.laz", "no library for .laz"},
+                {"contour", "no.shp", "must end in .geojson or .gpkg"}};
+    for (size_t i = 0; i < sizeof ends / sizeof *ends; i++) {
+        assert_int_equal(kit_run(&out, "'%s' %s -q '%s' -o '%s/%s'", bin, ends[i].command, f.path,
+                                 f.dir, ends[i].file),
+                         2);
+        kit_expect_text((const char *)out.data, ends[i].says, __FILE__, __LINE__);
+        buf_free(&out);
+    }
 }
 
 /* The city once more: moved as a whole, tilted (higher by so much a metre to the east), or with a
@@ -472,11 +485,12 @@ static void other_heights_are_named(void **state)
         kit_ok(file_join(path, f.dir, "sea.tiles", &e), e);
         kit_ok(pyramid_build(&origin, &level, 1, &cfg, NULL, 0, path, NULL, &e), e);
         gauss_free(&g);
-        assert_int_equal(kit_run(&out,
-                                 "cd '%s' && '%s' dsm -q sea.tiles -o sea.tif --gsd-m 0.5 && "
-                                 "gdalinfo sea.tif",
-                                 f.dir, bin),
-                         0);
+        assert_int_equal(
+            kit_run(&out,
+                    "cd '%s' && '%s' dsm -q sea.tiles -o sea.tif --gsd-m 0.5 --overwrite && "
+                    "gdalinfo sea.tif",
+                    f.dir, bin),
+            0);
         kit_expect_text((const char *)out.data, kinds[i].says, __FILE__, __LINE__);
         assert_true(!strstr((const char *)out.data, "WGS 84 ellipsoid"));
         assert_true(!!strstr((const char *)out.data, "EGM96 height") == (i == 1));
@@ -494,9 +508,44 @@ static void other_heights_are_named(void **state)
     buf_free(&out);
 }
 
+/* One polygon around the block, of its size, in both formats; files are not replaced unasked. */
+static void changes_are_outlined(const char *later)
+{
+    static const char *const name[] = {"c.geojson", "c.gpkg"};
+    struct buf out = {0};
+    for (size_t i = 0; i < 2; i++) {
+        assert_int_equal(kit_run(&out,
+                                 "'%s' compare -q '%s' '%s' -o '%s/c.tif' --gsd-m 0.25 --polygons "
+                                 "'%s/%s' --overwrite",
+                                 kit_program(), f.path, later, f.dir, f.dir, name[i]),
+                         0);
+        kit_expect_text((const char *)out.data, "\"regions\": 1,", __FILE__, __LINE__);
+        buf_free(&out);
+        assert_int_equal(kit_run(&out,
+                                 "ogrinfo -q -al '%s/%s' -dialect SQLite -sql 'SELECT COUNT(*) AS "
+                                 "n, MAX(area_m2) AS area, MAX(volume_m3) AS volume, "
+                                 "MAX(volume_95_m3) AS half FROM changes'",
+                                 f.dir, name[i]),
+                         0);
+        const char *area = strstr((const char *)out.data, "area (Real) = "),
+                   *volume = strstr((const char *)out.data, "volume (Real) = ");
+        kit_expect_text((const char *)out.data, "n (Integer) = 1", __FILE__, __LINE__);
+        assert_true(area && volume);
+        assert_true(fabs(strtod(area + 14, NULL) - 36) < 8);
+        assert_true(fabs(strtod(volume + 16, NULL) - 180) < 27);
+        buf_free(&out);
+    }
+    assert_int_equal(kit_run(&out, "'%s' compare -q '%s' '%s' -o '%s/c.tif' --gsd-m 0.5",
+                             kit_program(), f.path, later, f.dir),
+                     2);
+    kit_expect_text((const char *)out.data, "replace it with --overwrite", __FILE__, __LINE__);
+    buf_free(&out);
+}
+
 static void changes_are_found(void **state)
 {
     struct change_report r;
+    const struct changed_report *c = &r.changed;
     struct buf out = {0};
     struct err e = {0};
     char path[FILE_PATH_MAX];
@@ -521,10 +570,14 @@ static void changes_are_found(void **state)
     assert_true(level);
     later_city("block.tiles", 0, 0, 0, 0, block, path);
     compare(path, "block.tif", false, &r);
-    printf("survey compare: gained %.1f m3 of 180, lost %.1f, changed %.4f\n", r.gained_m3,
-           r.lost_m3, r.changed_share);
-    assert_true(r.gained_m3 > 165 && r.gained_m3 < 225 && r.lost_m3 < 5);
-    assert_true(fabs(r.changed_share * (double)r.pixels * r.pixel_m2 - 36) < 7);
+    printf("survey compare: gained %.1f +- %.1f m3 of 180, lost %.1f, %u regions, alike over %.2f "
+           "m, changed %.4f\n",
+           c->gained_m3, c->gained_95_m3, c->lost_m3, c->regions, c->correlation_m,
+           (double)c->pixels / (double)r.pixels);
+    assert_int_equal(c->regions, 1);
+    assert_true(fabs(c->gained_m3 - 180) < 0.15 * 180 && c->lost_m3 == 0);
+    assert_true(fabs(c->gained_m3 - 180) < c->gained_95_m3);
+    assert_true(fabs((double)c->pixels * r.pixel_m2 - 36) < 8);
     assert_true(fabs(r.pose.east_m) < 0.02 && fabs(r.pose.north_m) < 0.02 &&
                 fabs(r.pose.up_m) < 0.02);
     assert_int_equal(kit_run(&out, "gdalinfo -json '%s/block.tif'", f.dir), 0);
@@ -537,6 +590,7 @@ static void changes_are_found(void **state)
                      0);
     kit_expect_text((const char *)out.data, "\"gained_m3\"", __FILE__, __LINE__);
     buf_free(&out);
+    changes_are_outlined(path);
     const double far[4] = {9, 51, 9.1, 51.1};
     const struct change_request nowhere = {.bbox_deg = far};
     kit_fails(change_write(f.nadir, f.nadir, &nowhere, "x.tif", &r, &e), ERR_ARG, e,
@@ -555,12 +609,12 @@ static void aligned(const char *name, double east, double north, double up, doub
         "%.3f %.3f %.3f; changed %.4f before, %.4f after\n",
         east, north, up, 1000 * tilt, r.pose.east_m, r.pose.north_m, r.pose.up_m,
         1000 * r.pose.tilt_east, r.rounds, r.left.east_m, r.left.north_m, r.left.up_m,
-        before.changed_share, r.changed_share);
+        before.differs_share, r.differs_share);
     assert_true(r.aligned && !before.aligned);
     assert_true(hypot(r.pose.east_m - east, r.pose.north_m - north) < 0.1 * GSD_M + 0.02);
     assert_true(fabs(r.pose.up_m - up) < 0.01 && fabs(r.pose.tilt_east - tilt) < 2e-4);
     assert_true(fabs(r.pose.tilt_north) < 2e-4);
-    assert_true(r.changed_share < 0.25 * before.changed_share && fabs(r.median_m) < 0.011);
+    assert_true(r.differs_share < 0.25 * before.differs_share && fabs(r.median_m) < 0.011);
 }
 
 /* A store that was moved by a known amount is moved back by it: to the tenth of a pixel, also where
@@ -573,7 +627,7 @@ static void what_lies_askew_is_aligned(void **state)
     aligned("high.tiles", -0.4, 0.8, 7.5, 0);
     assert_int_equal(
         kit_run(&out,
-                "cd '%s' && '%s' compare -q city.tiles high.tiles -o c.tif --gsd-m 0.5 "
+                "cd '%s' && '%s' compare -q city.tiles high.tiles -o c.tif --overwrite --gsd-m 0.5 "
                 "--align",
                 f.dir, kit_program()),
         0);
@@ -582,7 +636,8 @@ static void what_lies_askew_is_aligned(void **state)
     buf_free(&out);
     /* Far above: the plan is not known without it. */
     assert_int_equal(
-        kit_run(&out, "cd '%s' && '%s' compare -q city.tiles high.tiles -o c.tif --gsd-m 0.5",
+        kit_run(&out,
+                "cd '%s' && '%s' compare -q city.tiles high.tiles -o c.tif --overwrite --gsd-m 0.5",
                 f.dir, kit_program()),
         0);
     kit_expect_text((const char *)out.data, "\"east_m\": null", __FILE__, __LINE__);
@@ -632,7 +687,7 @@ static double score(const char *tiles)
     double psnr_db = 0;
     const char *bin = kit_program(), *at;
     assert_int_equal(kit_run(&out,
-                             "cd '%s' && '%s' ortho -q '%s' -o o.tif --gsd-m 0.25 && "
+                             "cd '%s' && '%s' ortho -q '%s' -o o.tif --gsd-m 0.25 --overwrite && "
                              "'%s' synth -q --city . --map o.tif -o truth.tif --overwrite",
                              f.dir, bin, tiles, bin),
                      0);
