@@ -38,8 +38,8 @@ void pool_join(struct pool_thread **t);
 /* Initialises a condition whose waits use the clock of clock_s(). That clock cannot be set. With
  * the time of day, a wait of a second would last a day if the clock were put back by one. */
 void pool_cond_init(pthread_cond_t *c);
-/* Waits until the condition is signalled (true) or clock_s() reaches end_s (false). It may return
- * early, as all waits on conditions. */
+/* Waits until the condition is signalled (true) or clock_s() reaches end_s (false). Like
+ * every wait on a condition, it may return before either. */
 bool pool_cond_wait(pthread_cond_t *c, pthread_mutex_t *lock, double end_s);
 
 #endif

@@ -4,7 +4,7 @@
  * waiter of the same run (single flight). Queues are limited, and clients take turns in each
  * (turn.c). If one is full, the client with most items in it loses one. Map tiles and streams take
  * turns with pictures on the thread that draws. New work takes one of its client's tokens (rate.c).
- * Joining a job takes none, and neither does a prefetched tile that moves up. Prefetched tiles run
+ * A request that joins a job takes no token. A prefetched tile that moves up takes none either. Prefetched tiles run
  * when nothing else does, and move up when a client requests them.
  *
  * One mutex guards everything. Of all callbacks only cfg.passing is called with it held. A waiter

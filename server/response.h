@@ -76,7 +76,7 @@ extern const char RESPONSE_IMMUTABLE[], RESPONSE_MOVING[], RESPONSE_NO_STORE[]; 
 extern const char RESPONSE_JSON[];                                              /* Content-Type */
 
 /* Editions of a dataset (result_id.h): what determines the bytes and is not in the rest of an
- * address. That of pictures is "" while nothing can be drawn. */
+ * address. While nothing can be drawn, the edition of pictures is "". */
 enum edition { EDITION_TILES, EDITION_PICTURES };
 void response_edition(struct services *s, const struct dataset *d, enum edition of, char out[9]);
 /* The Cache-Control by the cache class of the route. An address with a revision is immutable if it
