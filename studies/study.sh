@@ -514,15 +514,14 @@ background_rows() { # STUDY SCENE TRAIN-OPTIONS
 study_background() { seeded background on_demo background_rows background; }
 study_background_caliterra() { seeded background_caliterra on_caliterra background_rows background_caliterra; }
 
-# Solid surfaces: each term taken away and alone. CALL is `row`, or `repeat`.
+# Solid surfaces, with and without the terms. CALL is `row`, or `repeat`.
 solid_rows() { # CALL STUDY SCENE TRAIN-OPTIONS
   local call=$1 study=$2 scene=$3
   shift 3
   "$call" "$study" default "$scene" "" "$@"
   "$call" "$study" off "$scene" "" "$@" --solid-spread 0 --solid-bend 0 --solid-light 0
-  [ "$study" != solid ] || [ "$call" = repeat ] || solid_terms "$study" "$scene" "$@"
 }
-solid_terms() { # STUDY SCENE TRAIN-OPTIONS
+solid_terms_rows() { # STUDY SCENE TRAIN-OPTIONS
   local study=$1 scene=$2
   shift 2
   row "$study" "spread alone" "$scene" "" "$@" --solid-bend 0 --solid-light 0
@@ -537,6 +536,11 @@ solid() {
   rm -rf "$OUT/trained/$study"-*--seed-*
 }
 study_solid() { MAP_VIEWS=1 solid solid exact city; }
+# Each term alone.
+study_solid_terms() {
+  local MAP_VIEWS=1 SURFACE=city
+  seeded solid_terms solid_terms_rows solid_terms exact --iterations "$(steps solid_terms)"
+}
 study_solid_tricky() { MAP_VIEWS=1 solid solid_tricky tricky city; }
 study_solid_caliterra() { solid solid_caliterra caliterra-400 points; }
 study_solid_ochota() { solid solid_ochota ochota-400 points; }
@@ -737,7 +741,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_tricky solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ablation ablation_city cells cells_light
+readonly STUDIES=(time full big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_tricky solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ablation ablation_city cells cells_light
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {

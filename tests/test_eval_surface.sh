@@ -25,6 +25,13 @@ run synth --city city --map dsm.tif
 for row in level edges all; do grep -Eq "^$row +[0-9]+( +[-0-9.]+){10}$" log || fail "a row '$row' of the surface model"; done
 awk -v a="$(rmse surface.json)" -v b="$(awk '$1 == "level" { print $5 }' log)" 'BEGIN { exit !(b > 0.6 * a && b < 1.8 * a) }' ||
     fail "level places are off by $(rmse surface.json) m along rays, by $(awk '$1 == "level" { print $5 }' log) m in the surface model"
+# Its errors as a map: heights of the model less those of the city, on the same pixels.
+run synth --city city --map dsm.tif -o errors.tif
+grep -q "^level " log || fail "the map of errors comes without figures"
+if command -v gdalinfo >/dev/null; then
+    gdalinfo -mm errors.tif | tr , ' ' | awk -F'[= ]+' '/Computed Min\/Max/ { ok = $(NF - 1) < 0 && $NF > 0 && $NF < 60 } END { exit !ok }' ||
+        fail "the map of errors has $(gdalinfo -mm errors.tif | grep Computed)"
+fi
 # Without a truth there are the points of the scene.
 run eval scene --surface points -o points.json
 grep -Eq "^all +[1-9][0-9]{3}" log || fail "points that five photographs show"
