@@ -114,10 +114,11 @@ enum err_code align_db_seen(const char *path, const struct align_plan *plan, uin
     uint32_t *by_id = mem_array(cap, sizeof *by_id), *parent = mem_array(plan->n, sizeof *parent),
              *count = mem_array(plan->n, sizeof *count);
     sqlite3 *db = db_open(path);
-    enum err_code rc =
-        by_id && parent && count ? ERR_OK : err_set(e, ERR_MEM, "align: out of memory");
+    enum err_code rc = by_id && parent && count ? ERR_OK : ERR_MEM;
     *largest = 0;
-    if (!rc) {
+    if (rc) {
+        err_set(e, rc, "align: out of memory");
+    } else {
         memset(by_id, 0xff, cap * sizeof *by_id);
         for (size_t i = 0; i < plan->n; i++)
             parent[i] = (uint32_t)i;

@@ -4,6 +4,7 @@
  */
 #include "cli/align_run.h"
 
+#include <assert.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <signal.h>
@@ -54,6 +55,7 @@ static void run_become(const char *const *argv, int log, pid_t parent)
         const char *const *from;
         char *const *to;
     } args = {.from = argv};
+    assert(argv[0]);
     execvp(argv[0], args.to);
     _exit(RUN_NOT_FOUND);
 }
@@ -139,8 +141,9 @@ enum err_code align_run(const struct align_run *r, struct err *e)
     int log = open(r->log, O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0666);
     if (log < 0)
         return err_errno(e, ERR_IO, "%s: cannot open", r->log);
-    for (const char *const *a = r->argv; *a; a++)
-        dprintf(log, "%s%s", a == r->argv ? "$ " : " ", *a);
+    dprintf(log, "$ %s", r->argv[0]);
+    for (const char *const *a = r->argv + 1; *a; a++)
+        dprintf(log, " %s", *a);
     dprintf(log, "\n");
     setenv("QT_QPA_PLATFORM", "offscreen", 0); /* COLMAP wants a display even without its window */
     pid_t parent = getpid(), pid = fork();

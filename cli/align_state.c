@@ -18,11 +18,6 @@
 
 static const char *const stage_names[ALIGN_STAGES] = {"look", "features", "matches", "model"};
 
-enum err_code align_no_memory(struct err *e)
-{
-    return err_set(e, ERR_MEM, "align: out of memory");
-}
-
 size_t align_cores(const struct align *a)
 {
     return a->o->threads ? (size_t)a->o->threads : pool_cores();

@@ -42,7 +42,11 @@ struct align {
 
 /* ---- align_state.c: the folder, and which stages are complete ---- */
 
-enum err_code align_no_memory(struct err *e);
+static inline enum err_code align_no_memory(struct err *e)
+{
+    err_set(e, ERR_MEM, "align: out of memory");
+    return ERR_MEM;
+}
 size_t align_cores(const struct align *a);
 /* "DIR/below" in the arena; NULL: out of memory. */
 char *align_path(struct align *a, const char *below);
