@@ -4,8 +4,8 @@
  * waiter of the same run (single flight). Queues are limited, and clients take turns in each
  * (turn.c). If one is full, the client with most items in it loses one. Map tiles and streams take
  * turns with pictures on the thread that draws. New work takes one of its client's tokens (rate.c).
- * A request that joins a job takes no token. A prefetched tile that moves up takes none either. Prefetched tiles run
- * when nothing else does, and move up when a client requests them.
+ * A request that joins a job takes no token. A prefetched tile that moves up takes none either.
+ * Prefetched tiles run when nothing else does, and move up when a client requests them.
  *
  * One mutex guards everything. Of all callbacks only cfg.passing is called with it held. A waiter
  * is taken off its job with the lock held, by the worker that finished, job_leave, job_tick or

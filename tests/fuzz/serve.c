@@ -238,7 +238,7 @@ void fuzz_conf(const uint8_t *bytes, size_t n)
     if (n && !options_defaults(&serve_spec, &cfg, &arena, NULL) &&
         !jsonc_parse(text, n, "conf", &o, NULL) && json_is_object(o) &&
         !options_from_json(&serve_spec, o, &cfg, &arena, NULL)) {
-        assert(cfg.port >= 0 && cfg.port <= 65535 && cfg.cache_mb >= 1);
+        assert(cfg.port >= 0 && cfg.port <= 65535 && cfg.cache_mb >= 0);
         assert(!options_to_json(&serve_spec, &cfg, &back, NULL));
         assert(!options_from_json(&serve_spec, back, &cfg, &arena, NULL));
     }
