@@ -281,7 +281,8 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
     (void)worker;
     if (w->kind == WORK_KEEP)
         return work_change(s, w, out, e);
-    if (w->keep && ((*out = cache_get(s->cache, w->id)) || (*out = flight_get(s->flight, w->id))))
+    if (w->keep &&
+        ((*out = cache_get(s->cache, w->id, NULL)) || (*out = flight_get(s->flight, w->id))))
         return ERR_OK; /* made between the question for it and the question for a job */
     size_t room = work_room(w);
     enum err_code rc = flight_reserve(s->flight, room, cache_bytes(s->cache), e);
@@ -333,7 +334,7 @@ void work_drop(void *services, void *work)
     struct services *s = services;
     struct work *w = work;
     if (w->made) /* its waiters have it: they did not wait for the disk */
-        disk_put(s->disk, w->id, w->made->data, w->made->size);
+        disk_put(s->disk, w->id, w->made->data, w->made->size, w->target.clip.n);
     body_drop(&w->made);
     dataset_drop(&w->ds);
     mem_free(w->query);
