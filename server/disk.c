@@ -6,8 +6,9 @@
  * The lists of files are in memory, in order of last use. A new file is on probation, and a second
  * use protects it, as in cache.c: one scan of the city pushes out what was used once. Results of
  * polygons are a list of their own. The times of the files keep the order over a restart, and their
- * mode (0600, 0500 protected, 0700 of polygons) keeps the list. Work on files is done outside the lock: a file that another thread removes meanwhile
- * is a miss. Only workers use this folder, never the HTTP threads.
+ * mode (0600, 0500 protected, 0700 of polygons) keeps the list. Work on files is done outside the
+ * lock: a file that another thread removes meanwhile is a miss. Only workers use this folder, never
+ * the HTTP threads.
  *
  *     DIR/lock              held (flock) by the server that uses the folder
  *     DIR/ab/cdef...        the rest of the name's 32 digits; a head of 64 bytes, then the result

@@ -20,8 +20,8 @@ enum err_code disk_open(const char *dir, uint64_t limit_bytes, struct disk **out
 void disk_close(struct disk **d);
 /* Checks whether disk_open could write there. A server may be using the folder. ERR_IO. */
 enum err_code disk_check(const char *dir, struct err *e) ERR_USE;
-/* The result of this name was used, from memory. It is kept longer than what was used once. Takes no
- * time; HTTP threads may call it. d may be NULL. */
+/* The result of this name was used, from memory. It is kept longer than what was used once. Takes
+ * no time; HTTP threads may call it. d may be NULL. */
 void disk_note(struct disk *d, struct hash128 id);
 /* Appends the bytes of this name to *out. False: there are none, or they were damaged and have been
  * removed. */

@@ -38,7 +38,9 @@ bool job_is_picture(enum job_class cls)
 
 void job_queue_add(struct jobs *js, struct job *j, uint64_t client)
 {
-    turn_add(js->queue[j->cls], &j->place, client);
+    j->client = client;
+    j->predicted_ms = cost_predict(&js->cost, j->kind, j->expected_ms);
+    turn_add(js->queue[j->cls], &j->place, client, j->predicted_ms);
     pthread_cond_signal(job_is_drawn(j->cls) ? &js->view_ready : &js->tile_ready);
 }
 

@@ -6,6 +6,7 @@
  */
 #include "server/work.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -16,6 +17,7 @@
 #include "lod/tileset.h"
 #include "lod/tree.h"
 #include "server/appearance_model.h"
+#include "server/cost.h"
 #include "server/encode.h"
 #include "server/param_clip.h"
 #include "server/search.h"
@@ -214,6 +216,39 @@ size_t work_room(const struct work *w)
         if (w->form.format == FORMAT_PLY || w->form.format == FORMAT_GLB_PLAIN)
             return HEAD + (t ? t->count : 0) * (17 + sh) * sizeof(float);
         return HEAD + (t ? t->count : 0) * (20 + sh + w->ds->meta.embed_len);
+    }
+}
+
+/* The formulas of docs/sizing.md for drawing, those of docs/benchmarks.md for encoding. What they
+ * miss is learned, for tiles and lists of polygons apart from others. */
+double work_cost(const void *work, unsigned *kind)
+{
+    enum { CLIPPED_TILE = COST_KINDS - 1, CLIPPED_LIST = COST_KINDS - 2 };
+    const double gaussian_ms = 25e-6, pixel_ms = 34e-6, encode_ms = 1.5e-3, row_ms = 2e-3,
+                 drawn = 3e5; /* a usual picture */
+    const struct work *w = work;
+    const bool clipped = w->target.clip.n;
+    const struct store_tile *t = NULL;
+    *kind = (unsigned)w->kind;
+    switch (w->kind) {
+    case WORK_VIEW:
+        return 5 + gaussian_ms * drawn +
+               pixel_ms * (double)w->view.cam.width_px * w->view.cam.height_px *
+                   fmax(1, w->view.paint.supersample * w->view.paint.supersample);
+    case WORK_MAP:
+        return 5 + 4 * pixel_ms * (double)w->map.size_px * w->map.size_px;
+    case WORK_QUERY:
+        return 10;
+    case WORK_SEED:
+    case WORK_TILESET:
+        *kind = clipped ? (unsigned)CLIPPED_LIST : *kind;
+        return 1 + (double)w->ds->n_tiles * row_ms * (clipped ? 1000 : 1);
+    case WORK_TILE:
+        t = store_find(w->ds->index, w->key);
+        *kind = clipped ? (unsigned)CLIPPED_TILE : *kind;
+        return 1 + encode_ms * (t ? t->count : 0);
+    default:
+        return 2;
     }
 }
 

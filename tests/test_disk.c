@@ -201,8 +201,8 @@ static void write_file(const char *path, const struct buf *b, size_t n)
     assert_int_equal(fclose(f), 0);
 }
 
-/* A scan of the city, each result used once, leaves what was used again; so it does after a restart,
- * and where memory answered in between. */
+/* A scan of the city, each result used once, leaves what was used again; so it does after a
+ * restart, and where memory answered in between. */
 static void test_scan(void **state)
 {
     enum { WARM = 200, SCAN = 4000, EACH = 16000 };
