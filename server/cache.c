@@ -217,8 +217,10 @@ void cache_put(struct cache *c, struct hash128 key, struct body *b)
 static size_t cache_shard_yield(struct shard *s, size_t bytes, struct entry **freed)
 {
     size_t got = 0;
-    while (got < bytes && s->n) {
+    while (got < bytes) {
         struct entry *victim = s->probation.oldest ? s->probation.oldest : s->protected.oldest;
+        if (!victim)
+            break;
         got += victim->cost;
         cache_shard_remove(s, victim, freed);
         s->evictions++;

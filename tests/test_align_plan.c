@@ -163,7 +163,8 @@ static void sizes_follow_the_time_there_is(void **state)
         .photos = &photo, .n = 1, .n_usable = 300, .megapixels = 20, .n_pairs = 3000};
     struct align_forecast most = align_plan_afford(&p, 0, 0, 2, 1, 1e9), last = most;
     assert_int_equal(most.edge_px, 3200);
-    for (double s = 1e5; s > 1; s /= 2) {
+    for (int k = 0; k < 17; k++) {
+        double s = 1e5 / (double)(1 << k);
         struct align_forecast f = align_plan_afford(&p, 0, 0, 2, 1, s);
         double all = f.features_s + f.matches_s + f.model_s;
         assert_true(f.edge_px <= last.edge_px && f.features <= last.features);

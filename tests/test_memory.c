@@ -13,6 +13,19 @@ enum { MB = 1 << 20 };
 
 /* ---- what there is ---- */
 
+static void check_size(const char *text, size_t want)
+{
+    struct err e = {0};
+    size_t got = 0;
+    enum err_code rc = memory_parse(text, 2000u * MB, &got, &e);
+    if (!want) {
+        kit_fails(rc, ERR_ARG, e, "--memory");
+        return;
+    }
+    kit_ok(rc, e);
+    assert_int_equal(got, want);
+}
+
 static void test_sizes(void **state)
 {
     static const struct {
@@ -24,17 +37,8 @@ static void test_sizes(void **state)
                 {"half", 0},          {"1e99", 0},         {"nan", 0},
                 {"1000", 0}};
     (void)state;
-    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
-        struct err e = {0};
-        size_t got = 0;
-        enum err_code rc = memory_parse(rows[i].text, 2000u * MB, &got, &e);
-        if (rows[i].want) {
-            kit_ok(rc, e);
-            assert_int_equal(got, rows[i].want);
-        } else {
-            kit_fails(rc, ERR_ARG, e, "--memory");
-        }
-    }
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
+        check_size(rows[i].text, rows[i].want);
 }
 
 static void put(const char *dir, const char *name, const char *text, char path[FILE_PATH_MAX])
@@ -99,38 +103,58 @@ static struct memory_needs needs(size_t budget_mb)
                                  .view_mpx = 4};
 }
 
+/* What the message of a budget that is too small names, MB. */
+static size_t named_mb(const struct err *e)
+{
+    const char *at = strstr(e->msg, "give --memory ");
+    assert_non_null(at);
+    return (size_t)atol(at + strlen("give --memory "));
+}
+
+/* last: of a smaller budget. */
+static void check_plan(const struct memory_plan *p, const struct memory_plan *last,
+                       const struct memory_needs *n)
+{
+    assert_true(sum_of(p) + n->base <= n->budget);
+    /* but for what one more worker or store to draw takes */
+    const size_t step = n->largest_tile * 5 + 2 * (size_t)MB;
+    assert_true(p->cache + step >= last->cache);
+    assert_true(p->inflight + step >= last->inflight);
+    assert_true(p->drawing + step >= last->drawing);
+    assert_in_range(p->workers, 1, INT32_MAX);
+    assert_in_range(p->connections, 64, INT32_MAX);
+    assert_int_equal(p->drawing > 0, n->draws);
+}
+
+static void check_budget(size_t mb, bool draws, size_t *said, struct memory_plan *last)
+{
+    struct err e = {0};
+    struct memory_plan p;
+    struct memory_needs n = needs(mb);
+    n.draws = draws;
+    enum err_code rc = memory_plan(&n, &p, &e);
+    if (rc) {
+        kit_fails(rc, ERR_LIMIT, e, "--memory ");
+        *said = named_mb(&e);
+        assert_in_range(*said, mb + 1, SIZE_MAX);
+        return;
+    }
+    assert_in_range(*said, 1, mb + 4);
+    check_plan(&p, last, &n);
+    *last = p;
+}
+
 /* For every budget: the shares and what is held besides do not exceed it, and none of them shrinks
  * where there is more. Below the least the message names a size, and that size is enough. */
 static void test_shares(void **state)
 {
-    struct memory_plan last = {0}, p;
+    struct memory_plan last = {0};
     (void)state;
     for (int draws = 0; draws < 2; draws++) {
         size_t said = 0;
-        memset(&last, 0, sizeof last);
-        for (size_t mb = 16; mb < 40000; mb += mb < 1000 ? 4 : 512) {
-            struct err e = {0};
-            struct memory_needs n = needs(mb);
-            n.draws = draws;
-            enum err_code rc = memory_plan(&n, &p, &e);
-            if (rc) {
-                kit_fails(rc, ERR_LIMIT, e, "--memory ");
-                const char *at = strstr(e.msg, "give --memory ");
-                assert_non_null(at);
-                said = (size_t)atol(at + strlen("give --memory "));
-                assert_true(said > mb);
-                continue;
-            }
-            assert_true(mb + 4 >= said && said > 0);
-            assert_true(sum_of(&p) + n.base <= n.budget);
-            /* but for what one more worker or store to draw takes */
-            const size_t step = n.largest_tile * 5 + 2 * (size_t)MB;
-            assert_true(p.cache + step >= last.cache && p.inflight + step >= last.inflight);
-            assert_true(p.drawing + step >= last.drawing);
-            assert_true(p.workers >= 1 && p.connections >= 64);
-            assert_int_equal(p.drawing > 0, draws);
-            last = p;
-        }
+        last = (struct memory_plan){0};
+        for (size_t mb = 16; mb < 40000; mb += mb < 1000 ? 4 : 512)
+            check_budget(mb, draws, &said, &last);
         assert_false(last.lowered);
         assert_int_equal(last.workers, 2);
         assert_int_equal(last.connections, 2048);
@@ -219,8 +243,8 @@ static void test_yields(void **state)
     t.cfg.memory = "4G";
     start();
     struct services *s = server_services(t.server);
-    for (uint8_t z = SERVED_ZOOM_MIN; z <= SERVED_ZOOM_MAX; z++) {
-        ask("GET", tile_target(z, "ply", target), "", &r);
+    for (int z = SERVED_ZOOM_MIN; z <= SERVED_ZOOM_MAX; z++) {
+        ask("GET", tile_target((uint8_t)z, "ply", target), "", &r);
         assert_int_equal(r.status, 200);
         buf_free(&r.raw);
     }
