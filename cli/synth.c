@@ -47,10 +47,11 @@ static enum err_code synth_score_map(const struct synth_config *cfg, struct err 
     if (!cfg->city)
         return err_set(e, ERR_ARG, "synth: --map: an orthophoto of which city? give --city CITY");
     enum err_code rc = truth_map(cfg, &s, e);
-    if (rc == ERR_FORMAT) { /* no orthophoto: heights */
+    if (rc == ERR_FORMAT) { /* no orthophoto: heights, or the first reason counts */
         struct err why = *e;
-        if (!synth_score_heights(cfg, e))
-            return ERR_OK;
+        enum err_code heights = synth_score_heights(cfg, e);
+        if (heights != ERR_FORMAT)
+            return heights;
         *e = why;
     }
     if (!rc)

@@ -115,14 +115,8 @@ static enum err_code truth_draw(struct truth_job *j, struct err *e)
 
 static enum err_code truth_create(struct truth_job *j, const char *path, struct err *e)
 {
-    const struct map_grid *g = sheet_grid(j->map);
-    const struct geotiff_info info = {.crs = sheet_crs(j->map),
-                                      .west_m = g->west_m,
-                                      .north_m = g->north_m,
-                                      .pixel_m = g->pixel_m,
-                                      .width = g->width,
-                                      .height = g->height,
-                                      .source = "procedural city"};
+    struct geotiff_info info = sheet_info(j->map);
+    info.source = "procedural city";
     return path ? geotiff_create(path, GEOTIFF_COLOR, &info, &j->out, e) : ERR_OK;
 }
 

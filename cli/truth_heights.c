@@ -172,15 +172,9 @@ static enum err_code truth_heights_edges(struct heights_job *j, bool down, struc
 /* Errors of the heights as a map of the same pixels; it overwrites j->model. */
 static enum err_code truth_heights_write(struct heights_job *j, const char *path, struct err *e)
 {
-    const struct map_grid *g = sheet_grid(j->map);
-    const struct geotiff_info info = {.crs = sheet_crs(j->map),
-                                      .west_m = g->west_m,
-                                      .north_m = g->north_m,
-                                      .pixel_m = g->pixel_m,
-                                      .width = g->width,
-                                      .height = g->height,
-                                      .source = "procedural city",
-                                      .heights = "height of the model less that of the city"};
+    struct geotiff_info info = sheet_info(j->map);
+    info.source = "procedural city";
+    info.heights = "height of the model less that of the city";
     struct geotiff *t = NULL;
     for (size_t i = 0; i < j->w * j->h; i++) {
         float error_m = j->model[i] - j->truth[i];
@@ -188,7 +182,7 @@ static enum err_code truth_heights_write(struct heights_job *j, const char *path
     }
     enum err_code rc = geotiff_create(path, GEOTIFF_HEIGHT, &info, &t, e);
     if (!rc)
-        rc = geotiff_write(t, 0, 0, g->width, g->height, j->model, e);
+        rc = geotiff_write(t, 0, 0, info.width, info.height, j->model, e);
     if (!rc)
         rc = geotiff_commit(&t, e);
     geotiff_close(&t);

@@ -18,8 +18,9 @@ struct appearance_choice { /* {0} is the default appearance */
     float image[APPEARANCE_IMAGE_MAX]; /* embedding, [len_image] */
     struct hash128 hash;               /* of the embedding */
 };
-/* Finds the appearance that a text names (bake_find). "" and BAKE_DEFAULT are the default one.
- * APPEARANCE_NONE is too, if the dataset has no other. ERR_NOENT: there is no such appearance.
+/* Finds the appearance that a text names (bake_find). "" and BAKE_DEFAULT name the default
+ * appearance. In a dataset without appearances APPEARANCE_NONE names it as well. ERR_NOENT: there
+ * is no such appearance.
  * ERR_ARG: the text is invalid. */
 enum err_code appearance_api_find(const struct dataset *d, const char *text,
                                   struct appearance_choice *out, struct err *e) ERR_USE;

@@ -8,9 +8,9 @@
 #include "core/camera.h"
 #include "server/target.h"
 
-/* Parse text [n]: RRGGBB, "sky" or "transparent"; and "mm", "cm", "dm" or "m". Return false if it
- * is none of them. */
+/* Parses text [n] as a background: RRGGBB, "sky" or "transparent". Returns false for any other. */
 bool paint_read_background(const char *text, size_t n, struct paint *out);
+/* Parses text [n] as a unit of depth: "mm", "cm", "dm" or "m". Returns false for any other. */
 bool paint_read_depth(const char *text, size_t n, struct paint *out);
 
 /* The renderer's output for a picture [h][w]; NULL: not wanted. */

@@ -9,9 +9,9 @@
 
 struct text;
 
-/* Reads a date, or a time of RFC 3339 with an offset, "Z" or neither: seconds since 1970 00:00 by
- * the same clock. to_s (may be NULL): its end; for a date the end of the day. Returns false if it
- * is neither. */
+/* Parses text [n]: a date, or a time of RFC 3339. The offset ("+02:00", "Z") may be missing.
+ * from_s: seconds since 1970 by the clock of the text. to_s (may be NULL): the end, which for a
+ * date is the end of that day. Returns false if the text is neither date nor time. */
 bool param_time_read(const char *text, size_t n, int64_t *from_s, int64_t *to_s);
 /* Reads one of them, or two joined by '/', where ".." is open (INT64_MIN, INT64_MAX). ERR_NOENT: it
  * is no such text. ERR_DATA: it ends before it begins. */

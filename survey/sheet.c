@@ -118,6 +118,16 @@ const struct crs *sheet_crs(const struct sheet *s)
     return s->crs;
 }
 
+struct geotiff_info sheet_info(const struct sheet *s)
+{
+    return (struct geotiff_info){.crs = s->crs,
+                                 .west_m = s->grid.west_m,
+                                 .north_m = s->grid.north_m,
+                                 .pixel_m = s->grid.pixel_m,
+                                 .width = s->grid.width,
+                                 .height = s->grid.height};
+}
+
 enum err_code sheet_read(const struct sheet *s, uint32_t x, uint32_t y, uint32_t w, uint32_t h,
                          void *pixels, struct err *e)
 {
