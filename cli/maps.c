@@ -12,6 +12,8 @@
 #include <strings.h>
 
 #include "core/geo.h"
+#include "survey/bare.h"
+#include "survey/bare_draw.h"
 
 enum err_code maps_number(const char *option, const char *text, double *out, struct err *e)
 {
@@ -120,7 +122,10 @@ void maps_print_heights(const struct maps *m, const struct map_report *r)
 {
     char what[100];
     map_heights(m->nadir, &m->request, what);
-    printf("; %s, %.2f to %.2f m", what, r->height_min_m, r->height_max_m);
+    if (m->request.ground && m->request.kind == GEOTIFF_HEIGHT)
+        printf("; %s, bare earth", what);
+    else
+        printf("; %s, %.2f to %.2f m", what, r->height_min_m, r->height_max_m);
 }
 
 enum err_code maps_write(const char *store, const struct maps_options *o,
@@ -128,12 +133,19 @@ enum err_code maps_write(const char *store, const struct maps_options *o,
 {
     struct maps m;
     struct map_report r = {0};
+    struct bare *bare = NULL;
     enum err_code rc =
         maps_open(store, o, c->ends ? c->ends : maps_geotiff, c->heights, c->appearance, &m, e);
     if (rc)
         return rc;
     m.request.kind = c->kind;
-    rc = c->write(m.nadir, &m.request, o->output, &r, e);
+    if (c->bare && c->bare->ground) {
+        const struct bare_rule rule = {c->bare->widest_m, c->bare->slope};
+        rc = bare_draw(m.nadir, &m.request, &rule, &bare, e);
+        m.request.ground = bare;
+    }
+    if (!rc)
+        rc = c->write(m.nadir, &m.request, o->output, &r, e);
     if (!rc) {
         maps_print(o->output, &r);
         if (c->heights)
@@ -142,6 +154,7 @@ enum err_code maps_write(const char *store, const struct maps_options *o,
             printf("; %" PRIu64 " %s", r.pixels_held, c->counts);
         printf("\n");
     }
+    bare_close(&bare);
     maps_close(&m);
     return rc;
 }

@@ -19,6 +19,12 @@ struct geoid_options {
 #include "cli/geoid.def"
 #undef OPT
 };
+struct ground_options {
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "cli/ground.def"
+#undef OPT
+};
+
 struct maps { /* free with maps_close */
     struct nadir *nadir;
     struct geoid *geoid; /* NULL: not wanted */
@@ -46,6 +52,7 @@ struct maps_command {
     enum geotiff_kind kind;
     const char *appearance;              /* NULL: the store's default */
     const struct geoid_options *heights; /* NULL: the map has no heights */
+    const struct ground_options *bare;   /* NULL: the map knows no bare earth */
     const char *const *ends;             /* of the file; NULL: maps_geotiff */
     const char *counts;                  /* name for pixels with a surface; NULL: pixels */
     enum err_code (*write)(struct nadir *n, const struct map_request *r, const char *path,

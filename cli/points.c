@@ -9,6 +9,7 @@
 struct points_options {
     struct maps_options maps;
     struct geoid_options heights;
+    struct ground_options bare;
 #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/ortho.def"
 #undef OPT
@@ -27,6 +28,11 @@ static const struct options_def defs[] = {
 #undef OPT
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW_IN(struct points_options, bare, type, tier, key, def, lo, hi, unit, help)
+#include "cli/ground.def"
+#undef OPT
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct points_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/ortho.def"
 #undef OPT
@@ -37,8 +43,9 @@ static const struct options_spec spec = {
     .usage = "citysplat points CITY.tiles -o FILE.las [options]",
     .about =
         "Writes the surface of a tile store, seen from straight above, as coloured points in "
-        "LAS 1.4. There is one point for every pixel of an orthophoto with this --gsd-m. Memory "
-        "does not grow with the city.",
+        "LAS 1.4. There is one point for every pixel of an orthophoto with this --gsd-m. With "
+        "--ground points have classes. Memory does not grow with the city, but with --ground by 13 "
+        "bytes for every square metre.",
     .example = "citysplat points city.tiles -o city.las --gsd-m 0.25 --epsg 25832",
     .defs = defs,
     .n_defs = sizeof defs / sizeof *defs,
@@ -56,6 +63,7 @@ enum err_code cli_points(int argc, char **argv, struct err *e)
                         &(struct maps_command){.kind = GEOTIFF_COLOR,
                                                .appearance = o.appearance,
                                                .heights = &o.heights,
+                                               .bare = &o.bare,
                                                .counts = "points",
                                                .ends = maps_points,
                                                .write = surface_points_write},

@@ -30,9 +30,11 @@ static enum err_code synth_score_heights(const struct synth_config *cfg, struct 
     printf("%-6s %10s %9s %9s %7s %7s %7s %7s %9s %8s %8s %8s\n", "places", "pixels", "median m",
            "signed m", "RMSE m", "NMAD m", "LE90 m", "LE95 m", "> 1 m %", "1 GSD %", "2 GSD %",
            "5 GSD %");
-    synth_print_heights("level", &t.level);
-    synth_print_heights("edges", &t.zone);
+    synth_print_heights(cfg->map_ground ? "seen" : "level", &t.level);
+    synth_print_heights(cfg->map_ground ? "below" : "edges", &t.zone);
     synth_print_heights("all", &t.all);
+    if (cfg->map_ground)
+        return ERR_OK;
     printf("walls   %zu steps of 3 m and more, %zu of them missing: off by median %.2f px, 95 %% "
            "%.2f px; %.1f %% within 2 px; roofs reach out by %+.2f px (%+.3f m)\n"
            "volume  %+.0f m3 against the city\n",

@@ -22,6 +22,7 @@ struct heights_job {
     size_t w, h;
     double pixel_m, corner[4][2]; /* ENU: top left, top right, bottom left, bottom right */
     float *model, *truth;         /* [h][w] */
+    uint8_t *covered;             /* [h][w] something stands on the ground there */
     struct edge_list edges;
 };
 
@@ -36,8 +37,8 @@ static bool truth_heights_place(const struct heights_job *j, double u, double v,
     return fabs(cs * at[0] + sn * at[1]) <= half && fabs(-sn * at[0] + cs * at[1]) <= half;
 }
 
-/* Ellipsoidal height of what is seen there from above. */
-static float truth_heights_at(const struct heights_job *j, double u, double v)
+/* Ellipsoidal height of what is seen there from above, or of the ground below it. */
+static float truth_heights_at(const struct heights_job *j, double u, double v, bool *covered)
 {
     double at[2], cs = cos(j->city.yaw_rad), sn = sin(j->city.yaw_rad);
     (void)truth_heights_place(j, u, v, at);
@@ -45,7 +46,8 @@ static float truth_heights_at(const struct heights_job *j, double u, double v)
                  down[3] = {0, 0, -1};
     struct synth_hit hit;
     synth_trace_ray(&j->city, NULL, eye, down, &hit);
-    return (float)(j->origin.h_m + truth_eye_m - hit.t_m +
+    *covered = hit.solid;
+    return (float)(j->origin.h_m + truth_eye_m - (j->cfg.map_ground ? truth_eye_m : hit.t_m) +
                    (at[0] * at[0] + at[1] * at[1]) / (2 * truth_earth_m));
 }
 
@@ -61,7 +63,8 @@ static enum err_code truth_heights_read(struct heights_job *j, struct err *e)
                        j->cfg.map, n, TRUTH_PIXELS_MAX);
     j->model = mem_array(j->w * j->h, sizeof *j->model);
     j->truth = mem_array(j->w * j->h, sizeof *j->truth);
-    if (!j->model || !j->truth)
+    j->covered = mem_array(j->w * j->h, 1);
+    if (!j->model || !j->truth || !j->covered)
         return err_set(e, ERR_MEM, "%s: out of memory for %.3g pixels", j->cfg.map, n);
     enum err_code rc = sheet_read(j->map, 0, 0, g->width, g->height, j->model, e);
     for (size_t i = 0; !rc && i < 4; i++) {
@@ -73,11 +76,11 @@ static enum err_code truth_heights_read(struct heights_job *j, struct err *e)
         memcpy(j->corner[i], enu, sizeof j->corner[i]);
     }
     for (size_t i = 0; !rc && i < j->w * j->h; i++) {
-        double at[2];
-        bool in = truth_heights_place(j, (double)(i % j->w) + 0.5, (double)(i / j->w) + 0.5, at);
+        double at[2], u = (double)(i % j->w) + 0.5, v = (double)(i / j->w) + 0.5;
+        bool in = truth_heights_place(j, u, v, at), covered = false;
         j->model[i] = !in || j->model[i] < GEOTIFF_NODATA + 1 ? NAN : j->model[i];
-        j->truth[i] =
-            in ? truth_heights_at(j, (double)(i % j->w) + 0.5, (double)(i / j->w) + 0.5) : NAN;
+        j->truth[i] = in ? truth_heights_at(j, u, v, &covered) : NAN;
+        j->covered[i] = covered;
     }
     return rc;
 }
@@ -103,9 +106,10 @@ static enum err_code truth_heights_rays(const struct heights_job *j, struct trut
             size_t i = y * j->w + x;
             if (!isfinite(j->truth[i]))
                 continue;
-            const struct surface_ray r = {.error_m = j->model[i] - j->truth[i],
-                                          .found = isfinite(j->model[i]),
-                                          .edge = !truth_heights_level(j, x, y)};
+            const struct surface_ray r = {
+                .error_m = j->model[i] - j->truth[i],
+                .found = isfinite(j->model[i]),
+                .edge = j->cfg.map_ground ? j->covered[i] : !truth_heights_level(j, x, y)};
             out->inside++;
             out->none += !r.found;
             out->volume_m3 += r.found ? (double)r.error_m * j->pixel_m * j->pixel_m : 0;
@@ -142,8 +146,8 @@ static void truth_heights_line(const struct heights_job *j, bool down, size_t y,
 {
     for (size_t i = 0; i < fine; i++) {
         double a = ((double)i + 0.5) / EDGE_FINE, b = (double)y + 0.5, at[2];
-        bool in = truth_heights_place(j, down ? b : a, down ? a : b, at);
-        truth[i] = in ? truth_heights_at(j, down ? b : a, down ? a : b) : NAN;
+        bool covered, in = truth_heights_place(j, down ? b : a, down ? a : b, at);
+        truth[i] = in ? truth_heights_at(j, down ? b : a, down ? a : b, &covered) : NAN;
     }
 }
 
@@ -197,6 +201,7 @@ enum err_code truth_heights(const struct synth_config *cfg, struct truth_heights
     *out = (struct truth_heights){0};
     enum err_code rc = synth_views_config(cfg, &j.cfg, &arena, e);
     j.cfg.map = cfg->map;
+    j.cfg.map_ground = cfg->map_ground;
     if (!rc)
         rc = synth_city_make(&j.cfg, &j.city, e);
     j.origin = (struct geo_origin){j.cfg.lon_deg, j.cfg.lat_deg, j.cfg.ground_h_m};
@@ -206,9 +211,9 @@ enum err_code truth_heights(const struct synth_config *cfg, struct truth_heights
         rc = truth_heights_read(&j, e);
     if (!rc)
         rc = truth_heights_score(&j, out, e);
-    for (int down = 0; !rc && down < 2; down++)
+    for (int down = 0; !rc && !cfg->map_ground && down < 2; down++)
         rc = truth_heights_edges(&j, down, e);
-    if (!rc)
+    if (!rc && !cfg->map_ground)
         rc = edge_tell(&j.edges, &out->edge, e);
     if (!rc && cfg->output)
         rc = truth_heights_write(&j, cfg->output, e);
@@ -220,6 +225,7 @@ enum err_code truth_heights(const struct synth_config *cfg, struct truth_heights
     synth_city_free(&j.city);
     mem_free(j.model);
     mem_free(j.truth);
+    mem_free(j.covered);
     arena_free(&arena);
     return rc;
 }

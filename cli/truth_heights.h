@@ -12,17 +12,18 @@
 struct truth_heights {
     uint64_t inside, none; /* pixels in the built-up square; those without a surface */
     double pixel_m, gsd_m; /* of the map; of photographs that look straight down */
-    /* pixels away from edges, near them, and all; above: thickness and light are not known */
+    /* pixels away from edges, near them, and all; above: thickness and light are not known. Of bare
+     * earth (cfg->map_ground): pixels where it is seen, where something stands on it, and all. */
     struct surface_figures level, zone, all;
     /* over all pixels with a surface: volume of the model minus that of the city */
     double volume_m3;
     size_t edges, missing; /* steps at walls; see edge.h */
     struct edge_score edge;
 };
-/* Compares heights above the ellipsoid of the GeoTIFF cfg->map with the city of folder cfg->city.
- * With cfg->output it writes the errors, m, as a GeoTIFF of the same pixels. Errors of
- * synth_views_config, sheet.h and geotiff.h. ERR_LIMIT: too many pixels. ERR_DATA: it shows nothing
- * of the city. ERR_CANCEL, ERR_MEM. */
+/* Compares heights above the ellipsoid of the GeoTIFF cfg->map with the city of folder cfg->city,
+ * or with its ground (cfg->map_ground; then there are no walls). With cfg->output it writes the
+ * errors, m, as a GeoTIFF of the same pixels. Errors of synth_views_config, sheet.h and geotiff.h.
+ * ERR_LIMIT: too many pixels. ERR_DATA: it shows nothing of the city. ERR_CANCEL, ERR_MEM. */
 enum err_code truth_heights(const struct synth_config *cfg, struct truth_heights *out,
                             struct err *e) ERR_USE;
 

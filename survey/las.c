@@ -168,7 +168,7 @@ enum err_code las_add(struct las *l, const struct las_point *p, size_t n, struct
         buf_u16(b, 0); /* intensity */
         buf_u8(b, LAS_ONLY_RETURN);
         buf_u8(b, 0);
-        buf_u8(b, LAS_UNCLASSIFIED);
+        buf_u8(b, p[i].class ? p[i].class : LAS_UNCLASSIFIED);
         buf_u8(b, 0);
         buf_u16(b, 0); /* scan angle: straight down */
         buf_u16(b, 0); /* source */

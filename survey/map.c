@@ -12,6 +12,8 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "survey/bare.h"
+
 /* ---- the grid ---- */
 
 /* A box of longitudes and latitudes in the projection: its edges, at 33 places each. */
@@ -323,12 +325,14 @@ static enum err_code map_file_begin(void *user, const struct crs *crs, const str
                                     struct err *e)
 {
     struct map_file *f = user;
-    char source[128], heights[100];
+    char source[128], heights[120];
     size_t size = f->request->piece_px ? f->request->piece_px : MAP_PIECE_PX;
     if (!(f->pixels = mem_array(size * size, 8)))
         return err_set(e, ERR_MEM, "out of memory for a piece of %zu px", size);
     snprintf(source, sizeof source, "%s %s", f->meta->name, f->meta->revision);
     map_heights(f->nadir, f->request, heights);
+    if (f->request->ground)
+        snprintf(heights + strlen(heights), sizeof heights - strlen(heights), ", bare earth");
     const struct geotiff_info info = {.crs = crs,
                                       .west_m = g->west_m,
                                       .north_m = g->north_m,
@@ -348,10 +352,21 @@ static uint8_t map_byte(float v)
     return (uint8_t)(fminf(fmaxf(v, 0), 1) * 255 + 0.5f);
 }
 
+/* Bare earth instead of what stands on it. How well that is known nobody says. */
+static void map_bare(const struct bare *g, uint32_t x, uint32_t y, float pair[2])
+{
+    float bare = bare_at(g, x, y);
+    if (pair[0] <= bare + (float)BARE_NEAR_M)
+        return;
+    pair[0] = bare;
+    pair[1] = GEOTIFF_NODATA;
+}
+
 static enum err_code map_file_piece(void *user, uint32_t x, uint32_t y, uint32_t w, uint32_t h,
                                     const struct surface_maps *m, struct err *e)
 {
     struct map_file *f = user;
+    const struct bare *bare = f->request->ground;
     uint8_t *byte = f->pixels;
     float *height = f->pixels;
     for (size_t i = 0; i < (size_t)w * h; i++) {
@@ -359,6 +374,8 @@ static enum err_code map_file_piece(void *user, uint32_t x, uint32_t y, uint32_t
         if (!m->rgb) {
             height[2 * i] = held ? m->height_m[i] : GEOTIFF_NODATA;
             height[2 * i + 1] = held ? m->sigma_m[i] : GEOTIFF_NODATA;
+            if (held && bare)
+                map_bare(bare, x + (uint32_t)(i % w), y + (uint32_t)(i / w), height + 2 * i);
             continue;
         }
         for (size_t k = 0; k < 3; k++)

@@ -10,6 +10,7 @@
 #include "survey/geotiff.h"
 
 struct geoid;
+struct bare;
 
 enum { MAP_PIECE_PX = 512 };
 #define MAP_EDGE_MAX 1000000 /* px, of a picture */
@@ -25,6 +26,9 @@ struct map_request {
     const double *bbox_deg; /* west, south, east, north; NULL: the whole survey */
     uint32_t piece_px;      /* 0: MAP_PIECE_PX */
     const struct geoid *geoid; /* reference of heights; NULL: the ellipsoid */
+    /* Only for map_write and surface_points_write: bare earth and classes by it, of the same
+     * request (survey/bare.h). NULL: the surface as it is. */
+    const struct bare *ground;
 };
 struct map_grid { /* pixels in the projection; edges are multiples of a pixel */
     double west_m, north_m, pixel_m;

@@ -8,11 +8,13 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "survey/bare.h"
 #include "survey/las.h"
 
 struct surface_points {
     const struct store_meta *meta;
     const char *path;
+    const struct bare *ground; /* NULL: no classes */
     struct map_grid grid;
     struct las *out;
     struct las_point *row;
@@ -61,8 +63,14 @@ static enum err_code surface_points_piece(void *user, uint32_t x, uint32_t y, ui
             s->row[n] = (struct las_point){{g->west_m + ((double)(x + u) + 0.5) * g->pixel_m,
                                             g->north_m - ((double)(y + v) + 0.5) * g->pixel_m,
                                             (double)m->height_m[i]},
-                                           {0}};
-            memcpy(s->row[n++].rgb, m->rgb + 3 * i, sizeof s->row[0].rgb);
+                                           {0},
+                                           0};
+            memcpy(s->row[n].rgb, m->rgb + 3 * i, sizeof s->row[0].rgb);
+            if (s->ground)
+                s->row[n].class = (uint8_t)bare_class_of(
+                    m->height_m[i] - bare_at(s->ground, x + (uint32_t)u, y + (uint32_t)v),
+                    m->rgb + 3 * i);
+            n++;
         }
         if (n)
             rc = las_add(s->out, s->row, n, e);
@@ -73,7 +81,8 @@ static enum err_code surface_points_piece(void *user, uint32_t x, uint32_t y, ui
 enum err_code surface_points_write(struct nadir *n, const struct map_request *r, const char *path,
                                    struct map_report *report, struct err *e)
 {
-    struct surface_points s = {.meta = store_info(nadir_store(n)), .path = path};
+    struct surface_points s = {
+        .meta = store_info(nadir_store(n)), .path = path, .ground = r->ground};
     const struct map_visitor v = {"points, px", &s, surface_points_begin, surface_points_piece,
                                   false};
     enum err_code rc = map_run(n, r, &v, report, e);

@@ -274,8 +274,8 @@ static void las_has_limits(void **state)
     struct err e = {0};
     char path[FILE_PATH_MAX];
     struct las_info info = {.offset_m = {500000, 5000000, 0}, .wkt = "x", .source = "s"};
-    const struct las_point far = {{500000 + 3e6, 5000000, 1}, {0}},
-                           nowhere = {{(double)NAN, 0, 0}, {0}};
+    const struct las_point far = {{500000 + 3e6, 5000000, 1}, {0}, 0},
+                           nowhere = {{(double)NAN, 0, 0}, {0}, 0};
     (void)state;
     path_of("limits.las", path);
     kit_ok(las_create(path, &info, &l, &e), e);

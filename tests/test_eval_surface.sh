@@ -30,6 +30,23 @@ run synth --city city --map dsm.tif -o errors.tif
 grep -q "^level " log || fail "the map of errors comes without figures"
 gdalinfo -mm errors.tif | tr , ' ' | awk -F'[= ]+' '/Computed Min\/Max/ { ok = $(NF - 1) < 0 && $NF > 0 && $NF < 60 } END { exit !ok }' ||
     fail "the map of errors has $(gdalinfo -mm errors.tif | grep Computed)"
+# Bare earth lies below the surface: its heights are off by less from the ground than the surface's are.
+run dsm t.tiles -o dtm.tif --gsd-m 0.8 --ground
+grep -q "bare earth" log || fail "dsm --ground does not say that it is bare earth"
+gdalinfo dtm.tif | grep -q "bare earth" || fail "the file does not say that it is bare earth"
+run synth --city city --map dtm.tif --map-ground
+for row in seen below all; do grep -Eq "^$row +[0-9]+( +[-0-9.]+){10}$" log || fail "a row '$row' of bare earth"; done
+grep -q "^walls" log && fail "walls of bare earth"
+bare=$(awk '$1 == "below" { print $5 }' log)
+run synth --city city --map dsm.tif --map-ground
+awk -v a="$bare" -v b="$(awk '$1 == "below" { print $5 }' log)" 'BEGIN { exit !(a > 0 && a < 0.5 * b) }' ||
+    fail "below houses bare earth is off by $bare m, the surface by $(awk '$1 == "below" { print $5 }' log) m"
+# Points have its classes, and lie where they lie without them.
+run points t.tiles -o plain.las --gsd-m 0.8
+run points t.tiles -o classes.las --gsd-m 0.8 --ground
+class() { od -An -v -tu1 -w36 -j "$(od -An -tu4 -j 96 -N 4 "$1")" "$1" | awk '{ n[$17]++ } END { for (c in n) print c, n[c] }' | sort -n; }
+[ "$(class plain.las | awk '{ print $1 }')" = 1 ] || fail "classes without --ground: $(class plain.las)"
+class classes.las | awk '{ n[$1] = $2 } END { exit !(n[2] > 100 && n[6] > 50) }' || fail "classes: $(class classes.las)"
 # Without a truth there are the points of the scene.
 run eval scene --surface points -o points.json
 grep -Eq "^all +[1-9][0-9]{3}" log || fail "points that five photographs show"
