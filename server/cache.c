@@ -133,7 +133,7 @@ static struct shard *cache_shard_of(struct cache *c, struct hash128 key)
     return &c->shard[key.hi >> 60];
 }
 
-struct body *cache_get(struct cache *c, struct hash128 key)
+struct body *cache_get(struct cache *c, struct hash128 key, bool *again)
 {
     struct shard *s = cache_shard_of(c, key);
     struct body *body = NULL;
@@ -141,6 +141,8 @@ struct body *cache_get(struct cache *c, struct hash128 key)
     struct entry *x = *cache_bucket_find(s, key);
     if (x) {
         s->hits++;
+        if (again)
+            *again = !x->protected;
         cache_list_remove(x->protected ? &s->protected : &s->probation, x);
         x->protected = true;
         cache_list_add(&s->protected, x);

@@ -13,8 +13,9 @@ struct cache_stats {
 };
 enum err_code cache_open(size_t limit_bytes, struct cache **out, struct err *e) ERR_USE;
 void cache_close(struct cache **c);
-/* Returns a reference to the body, or NULL. Any thread. */
-struct body *cache_get(struct cache *c, struct hash128 key);
+/* Returns a reference to the body, or NULL. *again (may be NULL): it is protected from now on. Any
+ * thread. */
+struct body *cache_get(struct cache *c, struct hash128 key, bool *again);
 /* Adds a body, and takes a reference. A body larger than a shard's budget is not kept. A newer body
  * replaces an older one. */
 void cache_put(struct cache *c, struct hash128 key, struct body *b);

@@ -3,9 +3,12 @@
  * name and renamed, without waiting for the disk. A file that a power cut damages does not match
  * the hash in its head. It counts as a miss, as any other damage does.
  *
- * The list of files is in memory, in order of last use. The times of the files keep that order over
- * a restart. Work on files is done outside the lock: a file that another thread removes meanwhile
- * is a miss. Only workers use this folder, never the HTTP threads.
+ * The lists of files are in memory, in order of last use. A new file is on probation, and a second
+ * use protects it, as in cache.c: one scan of the city pushes out what was used once. Results of
+ * polygons are a list of their own. The times of the files keep the order over a restart, and their
+ * mode (0600, 0500 protected, 0700 of polygons) keeps the list. Work on files is done outside the
+ * lock: a file that another thread removes meanwhile is a miss. Only workers use this folder. HTTP
+ * threads touch only the lists, and never wait for the lock.
  *
  *     DIR/lock              held (flock) by the server that uses the folder
  *     DIR/ab/cdef...        the rest of the name's 32 digits; a head of 64 bytes, then the result
@@ -41,18 +44,29 @@ struct disk_head {
 };
 static const char disk_magic[8] = "CSDISK1";
 
+enum disk_part { DISK_PROBATION, DISK_PROTECTED, DISK_APART, DISK_PARTS };
+enum { DISK_APART_SHARE = 8 /* of all, for those apart */ };
+static const mode_t disk_mode[DISK_PARTS] = {0600, 0500, 0700};
+
 struct disk_entry {
     struct hash128 id;
     uint64_t cost; /* bytes of the file, in whole blocks */
     double touched_s;
-    struct disk_entry *bucket_next, *newer, *older;
+    enum disk_part part;
+    bool unsaved; /* in the list of files whose mode does not say the part yet */
+    struct disk_entry *bucket_next, *newer, *older, *unsaved_next;
+};
+struct disk_list {
+    struct disk_entry *newest, *oldest;
+    uint64_t bytes;
 };
 struct disk {
     char dir[FILE_PATH_MAX - DISK_NAME];
     uint64_t limit;
     int fd;               /* of the lock file */
     pthread_mutex_t lock; /* of all that follows */
-    struct disk_entry **bucket, *newest, *oldest;
+    struct disk_entry **bucket, *unsaved;
+    struct disk_list list[DISK_PARTS];
     size_t n_buckets;
     double said_s;
     struct disk_stats stats;
@@ -70,16 +84,55 @@ static struct disk_entry **disk_find(struct disk *d, struct hash128 id)
 
 static void disk_unlink(struct disk *d, struct disk_entry *x)
 {
-    *(x->newer ? &x->newer->older : &d->newest) = x->older;
-    *(x->older ? &x->older->newer : &d->oldest) = x->newer;
+    struct disk_list *l = &d->list[x->part];
+    *(x->newer ? &x->newer->older : &l->newest) = x->older;
+    *(x->older ? &x->older->newer : &l->oldest) = x->newer;
+    l->bytes -= x->cost;
 }
 
-static void disk_to_front(struct disk *d, struct disk_entry *x)
+static void disk_to_front(struct disk *d, struct disk_entry *x, enum disk_part part)
 {
+    struct disk_list *l = &d->list[part];
+    x->part = part;
     x->newer = NULL;
-    x->older = d->newest;
-    *(d->newest ? &d->newest->newer : &d->oldest) = x;
-    d->newest = x;
+    x->older = l->newest;
+    *(l->newest ? &l->newest->newer : &l->oldest) = x;
+    l->newest = x;
+    l->bytes += x->cost;
+}
+
+/* The mode of its file does not say its part: disk_save_parts writes it. */
+static void disk_note_unsaved(struct disk *d, struct disk_entry *x)
+{
+    if (x->unsaved)
+        return;
+    x->unsaved = true;
+    x->unsaved_next = d->unsaved;
+    d->unsaved = x;
+}
+
+static void disk_move(struct disk *d, struct disk_entry *x, enum disk_part part)
+{
+    if (x->part != part)
+        disk_note_unsaved(d, x);
+    disk_unlink(d, x);
+    disk_to_front(d, x, part);
+}
+
+/* At most four fifths are protected. The oldest of them fall back, so that new files have room to
+ * be used a second time. */
+static void disk_limit_protected(struct disk *d)
+{
+    const struct disk_list *l = &d->list[DISK_PROTECTED];
+    while (l->bytes > d->limit / 5 * 4 && l->oldest != l->newest)
+        disk_move(d, l->oldest, DISK_PROBATION);
+}
+
+/* It was used again. */
+static void disk_rise(struct disk *d, struct disk_entry *x)
+{
+    disk_move(d, x, x->part == DISK_PROBATION ? DISK_PROTECTED : x->part);
+    disk_limit_protected(d);
 }
 
 /* Staying small is allowed when memory is short. */
@@ -89,22 +142,27 @@ static void disk_grow(struct disk *d)
     struct disk_entry **bigger = mem_array(n, sizeof(struct disk_entry *));
     if (!bigger)
         return;
-    for (struct disk_entry *x = d->newest; x; x = x->older) {
-        x->bucket_next = bigger[x->id.lo & (n - 1)];
-        bigger[x->id.lo & (n - 1)] = x;
-    }
+    for (int part = 0; part < DISK_PARTS; part++)
+        for (struct disk_entry *x = d->list[part].newest; x; x = x->older) {
+            x->bucket_next = bigger[x->id.lo & (n - 1)];
+            bigger[x->id.lo & (n - 1)] = x;
+        }
     mem_free(d->bucket);
     d->bucket = bigger;
     d->n_buckets = n;
 }
 
 /* False when out of memory: the file then stays until the next start. */
-static bool disk_add(struct disk *d, struct hash128 id, uint64_t cost, double touched_s)
+static bool disk_add(struct disk *d, struct hash128 id, uint64_t cost, double touched_s,
+                     enum disk_part part)
 {
     struct disk_entry **p = disk_find(d, id), *x = *p;
     if (x) { /* written again */
         d->stats.bytes -= x->cost;
         disk_unlink(d, x);
+        if (x->part != part)
+            disk_note_unsaved(d, x);
+        part = x->part;
     } else {
         x = mem_array(1, sizeof *x);
         if (!x)
@@ -116,7 +174,7 @@ static bool disk_add(struct disk *d, struct hash128 id, uint64_t cost, double to
     x->cost = cost;
     x->touched_s = touched_s;
     d->stats.bytes += cost;
-    disk_to_front(d, x);
+    disk_to_front(d, x, part);
     if (d->stats.entries > d->n_buckets)
         disk_grow(d);
     return true;
@@ -128,6 +186,11 @@ static void disk_forget(struct disk *d, struct hash128 id)
     if (!x)
         return;
     *p = x->bucket_next;
+    for (struct disk_entry **u = &d->unsaved; x->unsaved && *u; u = &(*u)->unsaved_next)
+        if (*u == x) {
+            *u = x->unsaved_next;
+            break;
+        }
     disk_unlink(d, x);
     d->stats.bytes -= x->cost;
     d->stats.entries--;
@@ -157,14 +220,46 @@ static void disk_say(struct disk *d, const char *what, const char *path, const c
         log_warn("serve", "disk cache: %s: %s: %s", what, path, why);
 }
 
+/* By the lock: what goes first. NULL: there is room. */
+static const struct disk_entry *disk_victim(const struct disk *d)
+{
+    const struct disk_list *l = d->list;
+    if (l[DISK_APART].bytes > d->limit / DISK_APART_SHARE)
+        return l[DISK_APART].oldest;
+    if (d->stats.bytes <= d->limit)
+        return NULL;
+    return l[DISK_PROBATION].oldest   ? l[DISK_PROBATION].oldest
+           : l[DISK_PROTECTED].oldest ? l[DISK_PROTECTED].oldest
+                                      : l[DISK_APART].oldest;
+}
+
+/* Into the modes of files: the parts that changed since the last time. Not under the lock. */
+static void disk_save_parts(struct disk *d)
+{
+    char path[FILE_PATH_MAX];
+    for (bool any = true; any;) {
+        pthread_mutex_lock(&d->lock);
+        struct disk_entry *x = d->unsaved;
+        any = x;
+        if (x) {
+            d->unsaved = x->unsaved_next;
+            x->unsaved = false;
+            disk_path(d, x->id, "", path);
+            (void)chmod(path, disk_mode[x->part]);
+        }
+        pthread_mutex_unlock(&d->lock);
+    }
+}
+
 /* Remove the oldest until there is room. */
 static void disk_make_room(struct disk *d)
 {
     char path[FILE_PATH_MAX];
     for (;;) {
         pthread_mutex_lock(&d->lock);
-        const bool over = d->stats.bytes > d->limit && d->oldest;
-        struct hash128 id = over ? d->oldest->id : (struct hash128){0, 0};
+        const struct disk_entry *victim = disk_victim(d);
+        const bool over = victim;
+        struct hash128 id = over ? victim->id : (struct hash128){0, 0};
         if (over) {
             disk_forget(d, id);
             d->stats.evicted++;
@@ -240,8 +335,12 @@ static enum err_code disk_scan_all(struct disk *d, struct err *e)
     struct disk_scan found = {0};
     enum err_code rc = disk_scan_dir(d->dir, &found, e);
     for (size_t i = 0; !rc && i < found.n; i++)
-        if (!disk_add(d, found.file[i].id, disk_cost(found.file[i].bytes), -DISK_TOUCH_S))
+        if (!disk_add(d, found.file[i].id, disk_cost(found.file[i].bytes), -DISK_TOUCH_S,
+                      found.file[i].mode == disk_mode[DISK_PROTECTED] ? DISK_PROTECTED
+                      : found.file[i].mode == disk_mode[DISK_APART]   ? DISK_APART
+                                                                      : DISK_PROBATION))
             rc = err_set(e, ERR_MEM, "disk cache: out of memory for its list of files");
+    disk_limit_protected(d);
     disk_scan_free(&found);
     return rc;
 }
@@ -307,10 +406,12 @@ void disk_close(struct disk **out)
     *out = NULL;
     if (!d)
         return;
-    for (struct disk_entry *x = d->newest, *older; x; x = older) {
-        older = x->older;
-        mem_free(x);
-    }
+    disk_save_parts(d);
+    for (int part = 0; part < DISK_PARTS; part++)
+        for (struct disk_entry *x = d->list[part].newest, *older; x; x = older) {
+            older = x->older;
+            mem_free(x);
+        }
     if (d->fd >= 0)
         close(d->fd);
     pthread_mutex_destroy(&d->lock);
@@ -330,13 +431,22 @@ static bool disk_use(struct disk *d, struct hash128 id, bool *touch)
         *touch = now_s - x->touched_s > DISK_TOUCH_S;
         if (*touch)
             x->touched_s = now_s;
-        disk_unlink(d, x);
-        disk_to_front(d, x);
+        disk_rise(d, x);
     } else {
         d->stats.misses++;
     }
     pthread_mutex_unlock(&d->lock);
     return x;
+}
+
+void disk_note(struct disk *d, struct hash128 id)
+{
+    if (!d || pthread_mutex_trylock(&d->lock))
+        return;
+    struct disk_entry *x = *disk_find(d, id);
+    if (x)
+        disk_rise(d, x);
+    pthread_mutex_unlock(&d->lock);
 }
 
 bool disk_get(struct disk *d, struct hash128 id, struct buf *out)
@@ -352,6 +462,7 @@ bool disk_get(struct disk *d, struct hash128 id, struct buf *out)
         (void)futimens(fd, NULL);
     if (there)
         close(fd);
+    disk_save_parts(d);
     pthread_mutex_lock(&d->lock);
     d->stats.hits += good;
     d->stats.misses += !good;
@@ -367,20 +478,21 @@ bool disk_get(struct disk *d, struct hash128 id, struct buf *out)
 }
 
 /* Its folder as well, for somebody may have emptied the cache. */
-static int disk_create(const struct disk *d, struct hash128 id, const char *part)
+static int disk_create(const struct disk *d, struct hash128 id, const char *part, mode_t mode)
 {
     const int flags = O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW;
     char folder[FILE_PATH_MAX];
-    int fd = open(part, flags, 0600);
+    int fd = open(part, flags, mode);
     if (fd >= 0 || errno != ENOENT)
         return fd;
     disk_path(d, id, "", folder);
     *strrchr(folder, '/') = '\0';
-    return mkdir(folder, 0700) && errno != EEXIST ? -1 : open(part, flags, 0600);
+    return mkdir(folder, 0700) && errno != EEXIST ? -1 : open(part, flags, mode);
 }
 
 /* The file, under its own name when it is whole, and its entry. */
-static void disk_write(struct disk *d, struct hash128 id, const void *bytes, size_t n)
+static void disk_write(struct disk *d, struct hash128 id, const void *bytes, size_t n,
+                       enum disk_part list)
 {
     char path[FILE_PATH_MAX], part[FILE_PATH_MAX];
     struct disk_head h = {.size = n, .id = id, .hash = hash_bytes(bytes, n)};
@@ -388,7 +500,7 @@ static void disk_write(struct disk *d, struct hash128 id, const void *bytes, siz
     memcpy(h.magic, disk_magic, sizeof h.magic);
     disk_path(d, id, "", path);
     disk_path(d, id, ".part", part);
-    int fd = disk_create(d, id, part);
+    int fd = disk_create(d, id, part, disk_mode[list]);
     if (fd < 0) {
         const int why_not = errno;
         pthread_mutex_lock(&d->lock);
@@ -411,7 +523,7 @@ static void disk_write(struct disk *d, struct hash128 id, const void *bytes, siz
     d->stats.written += ok;
     d->stats.failed += !ok;
     if (ok)
-        (void)disk_add(d, id, disk_cost(n + sizeof h), clock_s());
+        (void)disk_add(d, id, disk_cost(n + sizeof h), clock_s(), list);
     pthread_mutex_unlock(&d->lock);
     if (!ok) {
         (void)unlink(part);
@@ -419,12 +531,13 @@ static void disk_write(struct disk *d, struct hash128 id, const void *bytes, siz
     }
 }
 
-void disk_put(struct disk *d, struct hash128 id, const void *bytes, size_t n)
+void disk_put(struct disk *d, struct hash128 id, const void *bytes, size_t n, bool apart)
 {
     if (!d || n > d->limit / DISK_SHARE)
         return;
-    disk_write(d, id, bytes, n);
+    disk_write(d, id, bytes, n, apart ? DISK_APART : DISK_PROBATION);
     disk_make_room(d);
+    disk_save_parts(d);
 }
 
 void disk_count(struct disk *d, struct disk_stats *out)

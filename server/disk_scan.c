@@ -74,6 +74,7 @@ static enum err_code disk_scan_folder(const char *all, unsigned i, struct disk_s
                  !fstatat(dirfd(dir), f->d_name, &st, AT_SYMLINK_NOFOLLOW) && S_ISREG(st.st_mode)) {
             found.bytes = (uint64_t)st.st_size;
             found.used = st.st_mtim;
+            found.mode = st.st_mode & 0700;
             rc = disk_scan_add(s, found, e);
         }
     }

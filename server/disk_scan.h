@@ -13,6 +13,7 @@ struct disk_scan_file {
     struct hash128 id;
     uint64_t bytes;
     struct timespec used; /* time of last use, from the file itself */
+    unsigned mode;        /* of the file: what disk.c wrote there */
 };
 struct disk_scan { /* {0} is empty; free with disk_scan_free */
     struct disk_scan_file *file;

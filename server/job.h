@@ -7,12 +7,23 @@
 
 #include "server/body.h"
 
-/* JOB_MOTION: pictures of streams that follow a camera. A stream requests one at a time, so they do
- * not count against rates of clients. JOB_PREFETCH and JOB_AHEAD: tiles and pictures that nobody
- * looks at yet; they run when nothing else waits. */
-enum job_class { JOB_VIEW, JOB_TILE, JOB_PREFETCH, JOB_MAP, JOB_MOTION, JOB_AHEAD, JOB_CLASSES };
+/* JOB_MOTION: pictures of streams that follow a camera. A stream requests one at a time, so they
+ * do not count against rates of clients. JOB_SLOW: what was submitted as JOB_TILE and takes long.
+ * One of several tile threads is left to quick tiles while there are some. JOB_PREFETCH and
+ * JOB_AHEAD: tiles and pictures that nobody looks at yet; they run when nothing else waits. */
+enum job_class {
+    JOB_VIEW,
+    JOB_TILE,
+    JOB_PREFETCH,
+    JOB_MAP,
+    JOB_MOTION,
+    JOB_AHEAD,
+    JOB_SLOW,
+    JOB_CLASSES
+};
 bool job_is_picture(enum job_class cls); /* picture of a view, requested now or ahead */
-/* JOB_SHED: a queue was full. JOB_LIMITED: the client requests too much. */
+/* JOB_SHED: a queue was full, or the wait would be longer than the deadline. JOB_LIMITED: the
+ * client requests too much. */
 enum job_end { JOB_OK, JOB_ERROR, JOB_CANCELLED, JOB_SHED, JOB_TIMEOUT, JOB_LIMITED, JOB_ENDS };
 enum { JOB_BURST_S = 10 }; /* rates of clients are averages over this time */
 
@@ -23,7 +34,7 @@ struct job_result {
     struct body *body; /* if end is JOB_OK, a reference that the waiter owns */
     double queue_s, run_s;
     bool coalesced; /* another request had started this job */
-    int retry_s;    /* with JOB_LIMITED: when to ask again */
+    int retry_s;    /* when to ask again; 0: not known */
 };
 
 /* A request that waits for a job's result. It lives in the caller's memory from job_submit until it
@@ -45,7 +56,10 @@ struct job_config {
     /* one thread draws: JOB_VIEW (of each client the newest first), JOB_MAP and JOB_MOTION (of each
      * client the oldest first) in turns, then JOB_AHEAD */
     bool view_thread;
-    size_t queue_limit[JOB_CLASSES];
+    size_t queue_limit[JOB_CLASSES]; /* of JOB_SLOW: that of JOB_TILE */
+    /* What work takes by a formula, in ms, and its kind (cost.h); the queue learns from what it
+     * took. Called with the lock held. NULL: 1 ms. */
+    double (*cost)(const void *work, unsigned *kind);
     double client_views_s, client_tiles_s; /* new jobs a second for one client; 0: no limit */
     double stop_s; /* how long job_stop waits for the thread that draws; 0 = 10 s */
     /* a failed job is not repeated for this time, which doubles up to 60 s; 0 = 2 s */
@@ -72,9 +86,10 @@ enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct e
  * w will be woken. ERR_BUSY: the queue is full, or the server is stopping. ERR_LIMIT: the client
  * requests too much. A failure that is remembered returns its own code, with end JOB_ERROR. After
  * an error w->result has the reason, and w is not woken. `client`, any number that identifies a
- * client, keeps queues fair: clients take turns. When a queue is full, the client with most items
- * in it loses one. If that is an older picture of the requesting client, the result is ERR_LIMIT.
- */
+ * client, keeps queues fair: clients have equal parts of the time. Work that would wait longer than
+ * timeout_s is refused; of pictures the client's oldest goes. When a queue is full, the client with
+ * most items in it loses one. If that is an older picture of the requesting client, the result is
+ * ERR_LIMIT. */
 enum err_code job_submit(struct jobs *js, enum job_class cls, struct hash128 id, void *work,
                          uint64_t client, double timeout_s, struct job_waiter *w) ERR_USE;
 /* Removes a waiter whose client is gone. True: w was still waiting and will not be woken. A queued

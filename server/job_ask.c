@@ -9,6 +9,8 @@
 #include <stdio.h>
 #include <string.h>
 
+#define JOB_SLOW_MS 80.0 /* predicted; what takes longer leaves a thread to what is quick */
+
 /* Refuse w: the result says why, and w will not be woken. */
 static enum err_code job_refuse(struct job_waiter *w, enum job_end end, enum err_code code,
                                 const char *why)
@@ -31,21 +33,52 @@ static void job_join(struct jobs *js, struct job *j, enum job_class cls, uint64_
         job_queue_add(js, j, client);
     } else {
         turn_join(js->queue[j->cls], &j->place, client);
+        j->client = turn_owner(&j->place);
     }
 }
 
-/* Under the lock: room in the queue for one more of `client`. False: there is none, w is refused.
- * *shed is a queued job that had to give way. */
-static bool job_make_room(struct jobs *js, enum job_class cls, uint64_t client,
+/* Under the lock: how long new work of `client` would wait, by what is known. Queues of one thread
+ * that have work share its time. */
+static double job_wait_s(const struct jobs *js, enum job_class cls, uint64_t client)
+{
+    size_t sharing = 1, threads = 1;
+    for (int c = 0; c < JOB_CLASSES; c++)
+        sharing += c != (int)cls && c != JOB_PREFETCH && c != JOB_AHEAD &&
+                   job_is_drawn((enum job_class)c) == job_is_drawn(cls) && turn_count(js->queue[c]);
+    if (!job_is_drawn(cls) && js->cfg.tile_threads > 1)
+        threads = js->cfg.tile_threads - (cls == JOB_SLOW);
+    return turn_wait_ms(js->queue[cls], client) * 1e-3 * (double)sharing / (double)threads;
+}
+
+static int job_seconds(double wait_s)
+{
+    enum { MOST = 60 };
+    return wait_s < 1 ? 1 : wait_s > MOST ? MOST : (int)ceil(wait_s);
+}
+
+/* Under the lock: room in the queue for one more of `client`, that is served within timeout_s.
+ * False: there is none, w is refused. *shed is a queued job that had to give way. */
+static bool job_make_room(struct jobs *js, enum job_class cls, uint64_t client, double timeout_s,
                           struct job_waiter *w, struct job **shed)
 {
-    if (turn_count(js->queue[cls]) < js->cfg.queue_limit[cls])
+    const enum job_class limited = cls == JOB_SLOW ? JOB_TILE : cls;
+    const bool waits = cls != JOB_PREFETCH && cls != JOB_AHEAD; /* those run when nothing waits */
+    const double wait_s = waits ? job_wait_s(js, cls, client) : 0;
+    const bool full = turn_count(js->queue[cls]) >= js->cfg.queue_limit[limited];
+    if (!full && wait_s <= timeout_s)
         return true;
     js->stats.ended[cls][JOB_SHED]++;
-    *shed = job_at(turn_shed(js->queue[cls], client));
-    if (!*shed)
-        job_refuse(w, JOB_SHED, ERR_BUSY, "too many requests are waiting");
-    return *shed;
+    *shed = job_at(full              ? turn_shed(js->queue[cls], client)
+                   : cls == JOB_VIEW ? turn_oldest(js->queue[cls], client)
+                                     : NULL);
+    if (*shed)
+        return true;
+    job_refuse(w, JOB_SHED, ERR_BUSY,
+               full ? "too many requests are waiting"
+                    : "it would wait longer than its deadline: ask again later");
+    /* when the wait is as long as it may be; of a full queue, when what is before it was served */
+    w->result.retry_s = job_seconds(full ? wait_s : wait_s - timeout_s);
+    return false;
 }
 
 /* NULL: it is not counted. */
@@ -75,9 +108,10 @@ static bool job_pay(struct jobs *js, enum job_class cls, uint64_t client, double
 /* Under the lock: a job for this id to wait for, or NULL with w refused. Takes *work if it is
  * needed; *shed is a queued job that had to give way. */
 static struct job *job_find_or_add(struct jobs *js, enum job_class cls, struct hash128 id,
-                                   uint64_t client, void **work, struct job_waiter *w,
-                                   struct job **shed)
+                                   uint64_t client, double timeout_s, void **work,
+                                   struct job_waiter *w, struct job **shed)
 {
+    unsigned kind = 0;
     struct job *j = *job_table_find(js, id);
     double now_s = clock_s();
     if (js->stopping) {
@@ -94,9 +128,14 @@ static struct job *job_find_or_add(struct jobs *js, enum job_class cls, struct h
         job_refuse(w, JOB_ERROR, f->code, f->msg);
         return NULL;
     }
+    const double expected_ms = js->cfg.cost ? js->cfg.cost(*work, &kind) : 1;
+    if (cls == JOB_TILE && cost_predict(&js->cost, kind, expected_ms) > JOB_SLOW_MS)
+        cls = JOB_SLOW;
+    else if (cls == JOB_TILE)
+        js->quick_s = now_s;
     if (!job_pay(js, cls, client, now_s, w)) /* first: room is made by taking another's */
         return NULL;
-    if (!job_make_room(js, cls, client, w, shed)) {
+    if (!job_make_room(js, cls, client, timeout_s, w, shed)) {
         if (job_rate(js, cls))
             rate_give(job_rate(js, cls), client);
         return NULL;
@@ -109,6 +148,8 @@ static struct job *job_find_or_add(struct jobs *js, enum job_class cls, struct h
     }
     j->id = id;
     j->cls = cls;
+    j->kind = kind;
+    j->expected_ms = expected_ms;
     j->work = *work;
     *work = NULL;
     j->queued_s = now_s;
@@ -126,7 +167,7 @@ enum err_code job_submit(struct jobs *js, enum job_class cls, struct hash128 id,
     struct job_waiter *claimed = NULL;
     memset(&w->result, 0, sizeof w->result);
     pthread_mutex_lock(&js->lock);
-    struct job *j = job_find_or_add(js, cls, id, client, &work, w, &shed);
+    struct job *j = job_find_or_add(js, cls, id, client, timeout_s, &work, w, &shed);
     /* Once the lock is open, w may be woken and gone: what is returned must be read before. */
     enum err_code rc = j ? ERR_OK : w->result.code;
     if (j) {

@@ -1,17 +1,19 @@
 /* Internals of jobs.
  *
  * A job is named by a 128-bit id. While it waits or runs, every request for the same id becomes a
- * waiter of the same run (single flight). Queues are limited, and clients take turns in each
- * (turn.c). If one is full, the client with most items in it loses one. Map tiles and streams take
- * turns with pictures on the thread that draws. New work takes one of its client's tokens (rate.c).
- * A request that joins a job takes no token. A prefetched tile that moves up takes none either.
- * Prefetched tiles run when nothing else does, and move up when a client requests them.
+ * waiter of the same run (single flight). Clients have equal parts of the time of each queue
+ * (turn.c), and queues of one thread have equal parts of its time. What work takes is learned
+ * (cost.c). Work is refused if it would wait longer than its deadline. Queues are limited as well:
+ * if one is full, the client with most items in it loses one. New work takes one of its client's
+ * tokens (rate.c). A request that joins a job takes no token. A prefetched tile that moves up takes
+ * none either. Prefetched tiles run when nothing else does, and move up when a client requests
+ * them.
  *
- * One mutex guards everything. Of all callbacks only cfg.passing is called with it held. A waiter
- * is taken off its job with the lock held, by the worker that finished, job_leave, job_tick or
- * job_stop. This claims it: waiter->job becomes NULL, and only the claimer wakes it. Each waiter is
- * thus woken exactly once, however these four race. job_finish is the only end of a job, so all
- * waiters get an answer.
+ * One mutex guards everything. Of all callbacks only cfg.passing and cfg.cost are called with it
+ * held. A waiter is taken off its job with the lock held, by the worker that finished, job_leave,
+ * job_tick or job_stop. This claims it: waiter->job becomes NULL, and only the claimer wakes it.
+ * Each waiter is thus woken exactly once, however these four race. job_finish is the only end of a
+ * job, so all waiters get an answer.
  *
  * job_run.c has the threads, job_ask.c the requests, job_wait.c the waiters.
  *
@@ -23,6 +25,7 @@
 #include <pthread.h>
 
 #include "core/pool.h"
+#include "server/cost.h"
 #include "server/failure.h"
 #include "server/job.h"
 #include "server/rate.h"
@@ -39,6 +42,9 @@ struct job {
     struct job_waiter *waiters;
     struct job *table_next;
     struct turn_item place; /* position in its queue */
+    uint64_t client;        /* whose time it takes */
+    unsigned kind;          /* of its cost, see job_config.cost */
+    double expected_ms, predicted_ms;
     double queued_s, started_s;
 };
 struct job_thread {
@@ -56,7 +62,11 @@ struct jobs { /* `lock` guards all except cfg and workers */
     struct rate *rate[JOB_CLASSES]; /* NULL: that of JOB_TILE is used */
     struct job *table[JOB_TABLE];
     struct failures failures;
-    enum job_class drew; /* class of the last job that was drawn */
+    struct cost cost;
+    double quick_s; /* when quick work was last asked for: JOB_TILE that is not slow */
+    /* Time that each class had. Classes of one thread have equal parts of it, counted from when one
+     * begins to wait; now_ms: clock of the class that was served last, of tiles and of drawing. */
+    double class_ms[JOB_CLASSES], now_ms[2];
     bool stopping, drawer_ended;
     bool drawer_hangs;      /* set by job_stop: waiting for it failed */
     double drawing_since_s; /* 0: the thread that draws waits for work */

@@ -8,6 +8,8 @@
 #include <math.h>
 #include <stdio.h>
 
+static const double QUICK_S = 1; /* how long a thread is left to quick work after the last of it */
+
 /* ---- under the lock ---- */
 
 static void job_note(struct jobs *js, const struct job *j, const struct job_result *r)
@@ -17,6 +19,16 @@ static void job_note(struct jobs *js, const struct job *j, const struct job_resu
     else if (r->end == JOB_ERROR && r->code != ERR_MEM && r->code != ERR_BUSY)
         failure_note(&js->failures, j->id, r->code, r->msg, clock_s());
     /* the others may well succeed next time */
+}
+
+/* What it took is learned, and whoever was served pays the difference. */
+static void job_settle(struct jobs *js, const struct job *j, const struct job_result *r)
+{
+    const double ms = r->run_s * 1e3, more = ms - j->predicted_ms;
+    turn_charge(js->queue[j->cls], j->client, more);
+    js->class_ms[j->cls] += more;
+    if (r->end == JOB_OK)
+        cost_learn(&js->cost, j->kind, j->expected_ms, ms);
 }
 
 /* ---- not under the lock ---- */
@@ -31,6 +43,7 @@ static void job_finish(struct jobs *js, struct job *j, struct job_result *r, str
     js->stats.ended[j->cls][r->end]++;
     js->stats.run_s[j->cls] += r->run_s;
     job_note(js, j, r);
+    job_settle(js, j, r);
     while (j->waiters)
         job_claim(j, &j->waiters, r, &claimed);
     pthread_mutex_unlock(&js->lock);
@@ -58,28 +71,43 @@ static void job_run(struct jobs *js, struct job *j, size_t worker)
     job_finish(js, j, &r, body);
 }
 
+/* Of these classes the one that had least time, and of it the client that had least. */
+static struct job *job_next_of(struct jobs *js, const enum job_class *order, size_t n, bool drawn)
+{
+    enum job_class least = JOB_CLASSES;
+    double *now_ms = &js->now_ms[drawn], at_ms = (double)INFINITY;
+    for (size_t i = 0; i < n; i++) {
+        const enum job_class c = order[i];
+        const double ms = fmax(js->class_ms[c], *now_ms);
+        if (!turn_count(js->queue[c]) || ms >= at_ms)
+            continue;
+        least = c;
+        at_ms = ms;
+    }
+    if (least == JOB_CLASSES)
+        return NULL;
+    struct job *j = job_at(turn_next(js->queue[least]));
+    *now_ms = at_ms;
+    js->class_ms[least] = at_ms + j->predicted_ms;
+    return j;
+}
+
 /* What the thread that draws begins next: streams, pictures and map tiles in turns. */
 static struct job *job_next_drawn(struct jobs *js)
 {
-    static const enum job_class order[] = {JOB_MOTION, JOB_VIEW, JOB_MAP};
-    enum { N = sizeof order / sizeof *order };
-    size_t last = 0;
-    while (last < N - 1 && order[last] != js->drew)
-        last++;
-    for (size_t k = 1; k <= N; k++) {
-        enum job_class c = order[(last + k) % N];
-        if (turn_count(js->queue[c])) {
-            js->drew = c;
-            return job_at(turn_next(js->queue[c]));
-        }
-    }
-    return job_at(turn_next(js->queue[JOB_AHEAD]));
+    static const enum job_class order[] = {JOB_VIEW, JOB_MAP, JOB_MOTION};
+    struct job *j = job_next_of(js, order, sizeof order / sizeof *order, true);
+    return j ? j : job_at(turn_next(js->queue[JOB_AHEAD]));
 }
 
+/* One of several threads is left to what is quick, while such work comes. */
 static struct job *job_next_tile(struct jobs *js)
 {
-    struct turn_item *it = turn_next(js->queue[JOB_TILE]);
-    return job_at(it ? it : turn_next(js->queue[JOB_PREFETCH]));
+    static const enum job_class order[] = {JOB_TILE, JOB_SLOW};
+    const bool slow = js->stats.running[JOB_SLOW] + 1 < js->cfg.tile_threads ||
+                      clock_s() - js->quick_s > QUICK_S || js->cfg.tile_threads == 1;
+    struct job *j = job_next_of(js, order, 1 + slow, false);
+    return j ? j : job_at(turn_next(js->queue[JOB_PREFETCH]));
 }
 
 static void job_worker_main(void *user)
@@ -135,7 +163,6 @@ enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct e
     pthread_cond_init(&js->tile_ready, NULL);
     pthread_cond_init(&js->view_ready, NULL);
     pool_cond_init(&js->ended);
-    js->drew = JOB_MOTION; /* pictures are first */
     js->drawing_since_s = cfg->view_thread ? clock_s() : 0;
     js->drawer_ended = !cfg->view_thread;
     for (int c = 0; c < JOB_CLASSES && !rc; c++)

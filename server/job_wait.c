@@ -38,7 +38,9 @@ bool job_is_picture(enum job_class cls)
 
 void job_queue_add(struct jobs *js, struct job *j, uint64_t client)
 {
-    turn_add(js->queue[j->cls], &j->place, client);
+    j->client = client;
+    j->predicted_ms = cost_predict(&js->cost, j->kind, j->expected_ms);
+    turn_add(js->queue[j->cls], &j->place, client, j->predicted_ms);
     pthread_cond_signal(job_is_drawn(j->cls) ? &js->view_ready : &js->tile_ready);
 }
 
@@ -180,5 +182,9 @@ void job_tick(struct jobs *js, double now_s)
 {
     static const struct job_result late = {
         .end = JOB_TIMEOUT, .code = ERR_BUSY, .msg = "not made within the time allowed"};
+    pthread_mutex_lock(&js->lock);
+    if (turn_count(js->queue[JOB_SLOW])) /* a thread that was left to quick work may take it now */
+        pthread_cond_signal(&js->tile_ready);
+    pthread_mutex_unlock(&js->lock);
     job_claim_where(js, now_s, &late, false);
 }

@@ -10,8 +10,8 @@
 
 #include "server/motion.h"
 
-static const char *const metrics_text_classes[JOB_CLASSES] = {"view", "tile",   "prefetch",
-                                                              "map",  "motion", "ahead"};
+static const char *const metrics_text_classes[JOB_CLASSES] = {"view",   "tile",  "prefetch", "map",
+                                                              "motion", "ahead", "slow"};
 static const char *const metrics_text_ends[JOB_ENDS] = {"ok",   "error",   "cancel",
                                                         "shed", "timeout", "limited"};
 

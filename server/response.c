@@ -273,7 +273,10 @@ bool response_made(struct services *s, const struct request *r, struct hash128 i
     body_etag(id, out->etag);
     out->accept_ranges = true;
     out->status = 200;
-    struct body *b = cache_get(s->cache, id);
+    bool again = false;
+    struct body *b = cache_get(s->cache, id, &again);
+    if (again) /* those in memory are not read from the disk, which would forget them */
+        disk_note(s->disk, id);
     if (!b)
         b = flight_get(s->flight, id); /* too large to be kept, but others are reading it */
     out->cache = b ? "hit" : "miss";

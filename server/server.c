@@ -53,6 +53,7 @@ static enum err_code server_start_jobs(struct server *sv, struct err *e)
         .queue_limit = {(size_t)cfg->queue_views, (size_t)cfg->queue_tiles,
                         (size_t)cfg->queue_prefetch, (size_t)cfg->queue_maps, (size_t)cfg->streams,
                         (size_t)cfg->queue_views},
+        .cost = work_cost,
         .client_views_s = cfg->client_views_s,
         .client_tiles_s = cfg->client_tiles_s,
         .user = s,

@@ -1,7 +1,10 @@
-/* A queue in which clients take turns, so that a client with a thousand requests delays only
- * itself. Each client has a list of waiting items. Waiting clients are sorted by the time of their
- * last turn. Taking and adding an item are a few pointer operations. The list is searched for the
- * item to shed.
+/* A queue in which clients have equal parts of the time, so that a client with a thousand requests,
+ * or with dear ones, delays only itself. Each client has a list of waiting items and a clock, which
+ * advances by what its items take. The client whose clock is least is served. The clock of one that
+ * begins to wait is set to that of the client served last, so nobody saves time up (start-time fair
+ * queueing: Goyal, Vin, Cheng 1996; the result is that of deficit round robin with a quantum of
+ * zero). Waiting clients are sorted by their clocks. Taking and adding an item are a few pointer
+ * operations. The list is searched for the item to shed.
  *
  * Clients are in a table of sets. A new client replaces the one in its set that had no turn for the
  * longest time. If all clients of a set are waiting, two share an entry and a turn.
@@ -10,17 +13,21 @@
  */
 #include "server/turn.h"
 
+#include <math.h>
+
+#define TURN_LEAST_MS 1e-3 /* nothing is for nothing */
 enum { TURN_SETS = 512, TURN_WAYS = 4 };
 
 struct turn_client {
-    uint64_t number, served; /* served: turn of its last; 0: none yet */
+    uint64_t number;
+    double clock_ms, ms; /* clock 0: never served; ms: of its items */
     struct turn_item *newest, *oldest;
     size_t n;
     struct turn_client *earlier, *later; /* in the row, while n > 0 */
 };
 struct turns {
     bool newest_first;
-    uint64_t turn;
+    double now_ms; /* clock of the client that was served last, before it was */
     size_t n;
     struct turn_client *first, *last; /* the row */
     struct turn_client client[TURN_SETS][TURN_WAYS];
@@ -46,7 +53,7 @@ static struct turn_client *turn_known(struct turns *q, uint64_t number)
 {
     struct turn_client *set = q->client[number % TURN_SETS];
     for (int i = 0; i < TURN_WAYS; i++)
-        if (set[i].number == number && (set[i].served || set[i].n))
+        if (set[i].number == number && (set[i].clock_ms > 0 || set[i].n))
             return &set[i];
     return NULL;
 }
@@ -57,7 +64,7 @@ static struct turn_client *turn_place(struct turns *q, uint64_t number)
     if (c)
         return c;
     for (int i = 0; i < TURN_WAYS; i++)
-        if (!set[i].n && (!c || set[i].served < c->served))
+        if (!set[i].n && (!c || set[i].clock_ms < c->clock_ms))
             c = &set[i];
     if (!c)
         return &set[0];
@@ -65,11 +72,11 @@ static struct turn_client *turn_place(struct turns *q, uint64_t number)
     return c;
 }
 
-/* Into the row, which ascends by `served`. */
+/* Into the row, which ascends by clocks. */
 static void turn_row_add(struct turns *q, struct turn_client *c)
 {
     struct turn_client *before = q->last;
-    while (before && before->served > c->served)
+    while (before && before->clock_ms > c->clock_ms)
         before = before->earlier;
     c->earlier = before;
     c->later = before ? before->later : q->first;
@@ -84,7 +91,7 @@ static void turn_row_remove(struct turns *q, struct turn_client *c)
     c->earlier = c->later = NULL;
 }
 
-void turn_add(struct turns *q, struct turn_item *it, uint64_t client)
+void turn_add(struct turns *q, struct turn_item *it, uint64_t client, double ms)
 {
     struct turn_client *c = turn_place(q, client);
     it->client = c;
@@ -92,9 +99,13 @@ void turn_add(struct turns *q, struct turn_item *it, uint64_t client)
     it->newer = NULL;
     *(c->newest ? &c->newest->newer : &c->oldest) = it;
     c->newest = it;
+    it->ms = ms;
+    c->ms += ms;
     q->n++;
-    if (!c->n++)
-        turn_row_add(q, c);
+    if (c->n++)
+        return;
+    c->clock_ms = fmax(c->clock_ms, q->now_ms);
+    turn_row_add(q, c);
 }
 
 void turn_remove(struct turns *q, struct turn_item *it)
@@ -102,10 +113,20 @@ void turn_remove(struct turns *q, struct turn_item *it)
     struct turn_client *c = it->client;
     *(it->newer ? &it->newer->older : &c->newest) = it->older;
     *(it->older ? &it->older->newer : &c->oldest) = it->newer;
+    c->ms -= it->ms;
     *it = (struct turn_item){0};
     q->n--;
     if (!--c->n)
         turn_row_remove(q, c);
+}
+
+static void turn_set_clock(struct turns *q, struct turn_client *c, double clock_ms)
+{
+    if (c->n)
+        turn_row_remove(q, c);
+    c->clock_ms = clock_ms;
+    if (c->n)
+        turn_row_add(q, c);
 }
 
 struct turn_item *turn_next(struct turns *q)
@@ -114,13 +135,35 @@ struct turn_item *turn_next(struct turns *q)
     struct turn_item *it = !c ? NULL : q->newest_first ? c->newest : c->oldest;
     if (!it)
         return NULL;
+    const double ms = fmax(it->ms, TURN_LEAST_MS);
     turn_remove(q, it);
-    if (c->n)
-        turn_row_remove(q, c);
-    c->served = ++q->turn;
-    if (c->n)
-        turn_row_add(q, c);
+    q->now_ms = fmax(q->now_ms, c->clock_ms);
+    turn_set_clock(q, c, c->clock_ms + ms);
     return it;
+}
+
+void turn_charge(struct turns *q, uint64_t client, double ms)
+{
+    struct turn_client *c = turn_known(q, client);
+    if (c) /* it does not go back beyond what was served meanwhile */
+        turn_set_clock(q, c, fmax(c->clock_ms + ms, q->now_ms + TURN_LEAST_MS));
+}
+
+double turn_wait_ms(struct turns *q, uint64_t client)
+{
+    const struct turn_client *own = turn_known(q, client);
+    const double mine = own ? own->ms : 0, until = fmax(own ? own->clock_ms : 0, q->now_ms) + mine;
+    double wait = mine;
+    for (const struct turn_client *c = q->first; c; c = c->later)
+        if (c != own && c->clock_ms <= until)
+            wait += fmin(c->ms, until - c->clock_ms + c->oldest->ms);
+    return wait;
+}
+
+struct turn_item *turn_oldest(struct turns *q, uint64_t client)
+{
+    const struct turn_client *c = turn_known(q, client);
+    return c && c->n ? c->oldest : NULL;
 }
 
 struct turn_item *turn_shed(struct turns *q, uint64_t client)
@@ -130,8 +173,8 @@ struct turn_item *turn_shed(struct turns *q, uint64_t client)
     for (struct turn_client *c = q->last; c; c = c->earlier)
         if (c != asks && (!most || c->n > most->n))
             most = c;
-    uint64_t served = asks ? asks->served : 0;
-    if (!most || n_asks > most->n || (n_asks == most->n && served >= most->served))
+    const double clock_ms = fmax(asks ? asks->clock_ms : 0, q->now_ms);
+    if (!most || n_asks > most->n || (n_asks == most->n && clock_ms >= most->clock_ms))
         most = asks; /* may be NULL */
     if (!most || !most->n || (most == asks && !q->newest_first))
         return NULL;
@@ -143,8 +186,9 @@ void turn_join(struct turns *q, struct turn_item *it, uint64_t client)
     struct turn_client *c = turn_known(q, client);
     if (c == it->client || (c && c->n >= it->client->n) || (!c && it->client->n < 2))
         return;
+    const double ms = it->ms;
     turn_remove(q, it);
-    turn_add(q, it, client);
+    turn_add(q, it, client, ms);
 }
 
 uint64_t turn_owner(const struct turn_item *it)

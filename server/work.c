@@ -6,6 +6,7 @@
  */
 #include "server/work.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -16,6 +17,7 @@
 #include "lod/tileset.h"
 #include "lod/tree.h"
 #include "server/appearance_model.h"
+#include "server/cost.h"
 #include "server/encode.h"
 #include "server/param_clip.h"
 #include "server/search.h"
@@ -217,6 +219,47 @@ size_t work_room(const struct work *w)
     }
 }
 
+/* The formulas of docs/sizing.md for drawing a usual picture of 300,000 Gaussians, those of
+ * docs/benchmarks.md for encoding. What they miss is learned: for each kind of question, each
+ * format of tiles, and what polygons cut, apart from the rest. */
+double work_cost(const void *work, unsigned *kind)
+{
+    enum {
+        QUESTION = WORK_KEEP + 1,
+        TILE = QUESTION + QUERY_VISIBLE + 1,
+        CLIPPED_TILE = TILE + FORMAT_COUNT,
+        CLIPPED_LIST
+    };
+    static_assert((int)CLIPPED_LIST < (int)COST_KINDS, "each kind has a factor of its own");
+    const double gaussian_ms = 25e-6, pixel_ms = 34e-6, encode_ms = 1.5e-3, row_ms = 2e-3,
+                 drawn = 3e5;
+    const struct work *w = work;
+    const bool clipped = w->target.clip.n;
+    const struct store_tile *t = NULL;
+    *kind = (unsigned)w->kind;
+    switch (w->kind) {
+    case WORK_VIEW:
+        return 5 + gaussian_ms * drawn +
+               pixel_ms * (double)w->view.cam.width_px * w->view.cam.height_px *
+                   fmax(1, w->view.paint.supersample * w->view.paint.supersample);
+    case WORK_MAP:
+        return 5 + 4 * pixel_ms * (double)w->map.size_px * w->map.size_px;
+    case WORK_QUERY:
+        *kind = QUESTION + w->query->kind;
+        return 10;
+    case WORK_SEED:
+    case WORK_TILESET:
+        *kind = clipped ? (unsigned)CLIPPED_LIST : *kind;
+        return 1 + (double)w->ds->n_tiles * row_ms * (clipped ? 1000 : 1);
+    case WORK_TILE:
+        t = store_find(w->ds->index, w->key);
+        *kind = clipped ? (unsigned)CLIPPED_TILE : TILE + (unsigned)w->form.format;
+        return 1 + encode_ms * (t ? t->count : 0);
+    default:
+        return 2;
+    }
+}
+
 const char *work_noun(enum work_kind kind)
 {
     static const char *const nouns[] = {
@@ -281,7 +324,8 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
     (void)worker;
     if (w->kind == WORK_KEEP)
         return work_change(s, w, out, e);
-    if (w->keep && ((*out = cache_get(s->cache, w->id)) || (*out = flight_get(s->flight, w->id))))
+    if (w->keep &&
+        ((*out = cache_get(s->cache, w->id, NULL)) || (*out = flight_get(s->flight, w->id))))
         return ERR_OK; /* made between the question for it and the question for a job */
     size_t room = work_room(w);
     enum err_code rc = flight_reserve(s->flight, room, cache_bytes(s->cache), e);
@@ -333,7 +377,7 @@ void work_drop(void *services, void *work)
     struct services *s = services;
     struct work *w = work;
     if (w->made) /* its waiters have it: they did not wait for the disk */
-        disk_put(s->disk, w->id, w->made->data, w->made->size);
+        disk_put(s->disk, w->id, w->made->data, w->made->size, w->target.clip.n);
     body_drop(&w->made);
     dataset_drop(&w->ds);
     mem_free(w->query);

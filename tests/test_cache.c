@@ -36,7 +36,7 @@ static void put(struct cache *c, uint64_t i, size_t size)
 
 static bool has(struct cache *c, uint64_t i)
 {
-    struct body *b = cache_get(c, key_of(i));
+    struct body *b = cache_get(c, key_of(i), NULL);
     bool found = b;
     body_drop(&b);
     return found;
@@ -52,7 +52,7 @@ static void test_finds_what_was_put(void **state)
     for (uint64_t i = 0; i < 5000; i++) /* more than the first tables hold */
         put(c, i, 1 + i % 100);
     for (uint64_t i = 0; i < 5000; i++) {
-        struct body *b = cache_get(c, key_of(i));
+        struct body *b = cache_get(c, key_of(i), NULL);
         assert_non_null(b);
         assert_int_equal(b->size, 1 + i % 100);
         assert_int_equal(b->data[0], i & 255);
@@ -64,7 +64,7 @@ static void test_finds_what_was_put(void **state)
     assert_int_equal(st.misses, 1);
     assert_int_equal(st.entries, 5000);
     put(c, 7, 55); /* the newer wins */
-    struct body *b = cache_get(c, key_of(7));
+    struct body *b = cache_get(c, key_of(7), NULL);
     assert_int_equal(b->size, 55);
     body_drop(&b);
     cache_count(c, &st);
@@ -121,7 +121,7 @@ static void test_evicted_bodies_live_while_held(void **state)
     (void)state;
     kit_ok(cache_open((size_t)1 << 20, &c, &e), e);
     put(c, 1, 1000);
-    struct body *held = cache_get(c, key_of(1));
+    struct body *held = cache_get(c, key_of(1), NULL);
     assert_non_null(held);
     for (uint64_t i = 2; i < 4000; i++)
         put(c, i, 4000), (void)has(c, i);
@@ -138,7 +138,7 @@ static enum err_code hammer(void *user, size_t t, struct err *e)
     struct cache *c = user;
     for (uint64_t i = 0; i < 4000; i++) {
         uint64_t id = rng_u64(3, t, i) % 300;
-        struct body *b = cache_get(c, key_of(id));
+        struct body *b = cache_get(c, key_of(id), NULL);
         if (b && (b->size != 100 + id || b->data[id % b->size] != (id & 255)))
             return err_set(e, ERR_INTERNAL, "entry %llu holds other bytes", (unsigned long long)id);
         if (!b)

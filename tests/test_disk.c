@@ -56,7 +56,7 @@ static void put(struct disk *d, uint64_t k, size_t n)
 {
     struct buf b = {0};
     disk_bytes(k, n, &b);
-    disk_put(d, disk_id(k), b.data, b.size);
+    disk_put(d, disk_id(k), b.data, b.size, false);
     buf_free(&b);
 }
 
@@ -199,6 +199,60 @@ static void write_file(const char *path, const struct buf *b, size_t n)
     assert_non_null(f);
     assert_int_equal(fwrite(b->data, 1, n, f), n);
     assert_int_equal(fclose(f), 0);
+}
+
+/* A scan of the city, each result used once, leaves what was used again; so it does after a
+ * restart, and where memory answered in between. */
+static void test_scan(void **state)
+{
+    enum { WARM = 600, SCAN = 4000, EACH = 16000 };
+    struct disk *d = open_folder("scan", 16 * MB);
+    (void)state;
+    for (uint64_t k = 0; k < WARM; k++)
+        put(d, k, EACH);
+    for (uint64_t k = 0; k < WARM; k++) {
+        if (k % 2)
+            disk_note(d, disk_id(k));
+        else
+            assert_true(got(d, k, EACH));
+    }
+    for (uint64_t run = 0; run < 2; run++) {
+        size_t kept = 0;
+        for (uint64_t k = 0; k < SCAN; k++)
+            put(d, 1000 + run * SCAN + k, EACH);
+        assert_true(count(d).bytes <= 16 * MB);
+        for (uint64_t k = 0; k < WARM; k++)
+            kept += got(d, k, EACH);
+        assert_true(kept >= WARM * 9 / 10);
+        disk_close(&d);
+        d = open_folder("scan", 16 * MB);
+    }
+    disk_close(&d);
+}
+
+/* Results of polygons have an eighth and push out only each other, also after a restart. */
+static void test_apart(void **state)
+{
+    enum { OWN = 100, APART = 1000, EACH = 16000 };
+    struct disk *d = open_folder("apart", 16 * MB);
+    struct buf b = {0};
+    size_t kept = 0;
+    (void)state;
+    for (uint64_t k = 0; k < OWN; k++)
+        put(d, k, EACH);
+    disk_bytes(7, EACH, &b);
+    for (int run = 0; run < 2; run++) {
+        for (uint64_t k = 0; k < APART; k++)
+            disk_put(d, disk_id(5000 + k + (uint64_t)run * APART), b.data, b.size, true);
+        assert_true(count(d).bytes <= OWN * 20480 + 2 * MB);
+        disk_close(&d);
+        d = open_folder("apart", 16 * MB);
+    }
+    for (uint64_t k = 0; k < OWN; k++)
+        kept += got(d, k, EACH);
+    assert_int_equal(kept, OWN);
+    buf_free(&b);
+    disk_close(&d);
 }
 
 static void test_damage(void **state)
@@ -423,6 +477,8 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_round_trip),
         cmocka_unit_test(test_bounded),
+        cmocka_unit_test(test_scan),
+        cmocka_unit_test(test_apart),
         cmocka_unit_test(test_damage),
         cmocka_unit_test(test_full_disk),
         cmocka_unit_test(test_killed),

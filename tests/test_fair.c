@@ -9,6 +9,7 @@
 
 #include "core/pool.h"
 #include "server/address.h"
+#include "server/cost.h"
 #include "server/rate.h"
 #include "server/turn.h"
 
@@ -43,20 +44,76 @@ static void test_turns(void **state)
         begin(newest, x, &q);
         assert_int_equal(taken(q), -1);
         for (int i = 0; i < 5; i++)
-            turn_add(q, &x[i].place, 77);
-        turn_add(q, &x[5].place, 88);
-        turn_add(q, &x[6].place, 99);
+            turn_add(q, &x[i].place, 77, 1);
+        turn_add(q, &x[5].place, 88, 1);
+        turn_add(q, &x[6].place, 99, 1);
         assert_int_equal(turn_count(q), 7);
         const int old_first[] = {0, 5, 6, 1, 2}, new_first[] = {4, 5, 6, 3, 2};
         for (int i = 0; i < 5; i++)
             assert_int_equal(taken(q), (newest ? new_first : old_first)[i]);
-        turn_add(q, &x[7].place, 88); /* 88 had its turn before 77 had its last */
+        turn_add(q, &x[7].place, 88, 1); /* 88 had its turn before 77 had its last */
         assert_int_equal(taken(q), 7);
         turn_remove(q, &x[newest ? 1 : 3].place);
         assert_int_equal(taken(q), newest ? 0 : 4);
         assert_int_equal(taken(q), -1);
         turn_close(&q);
     }
+}
+
+/* Parts of the time, not of the number: one dear item of the first, a hundred cheap ones of the
+ * second. What was taken for cheap and was dear is paid for afterwards. */
+static void test_parts_of_time(void **state)
+{
+    enum { CHEAP = 300 };
+    static struct thing cheap[CHEAP], dear[THINGS];
+    struct turns *q = NULL;
+    struct err e = {0};
+    (void)state;
+    kit_ok(turn_open(false, &q, &e), e);
+    for (int i = 0; i < THINGS; i++) {
+        dear[i] = (struct thing){.number = 1000 + i};
+        turn_add(q, &dear[i].place, 1, 100);
+    }
+    for (int i = 0; i < CHEAP; i++) {
+        cheap[i] = (struct thing){.number = i};
+        turn_add(q, &cheap[i].place, 2, 1);
+    }
+    int n_dear = 0, n_cheap = 0;
+    while (n_cheap < 200)
+        *(taken(q) >= 1000 ? &n_dear : &n_cheap) += 1;
+    assert_in_range(n_dear, 2, 3);
+    /* a third sees what both have before it: their parts, up to its own */
+    assert_true(turn_wait_ms(q, 3) <= 101);
+    assert_true(turn_wait_ms(q, 1) >= 100 * (THINGS - 3));
+    turn_charge(q, 2, 500);
+    for (int i = 0; i < 4; i++)
+        assert_true(taken(q) >= 1000);
+    assert_ptr_equal(turn_oldest(q, 2), &cheap[200].place);
+    assert_null(turn_oldest(q, 9));
+    while (turn_count(q))
+        taken(q);
+    turn_close(&q);
+}
+
+/* What work takes is learned within some jobs, by kind; one that took very long is no rule. */
+static void test_costs_are_learned(void **state)
+{
+    struct cost c = {0};
+    (void)state;
+    assert_true(fabs(cost_predict(&c, 1, 20) - 20) < 1e-9);
+    for (int i = 0; i < 30; i++)
+        cost_learn(&c, 1, 10, 35);
+    assert_true(fabs(cost_predict(&c, 1, 20) / 70 - 1) < 0.02);
+    assert_true(fabs(cost_predict(&c, 2, 20) - 20) < 1e-9); /* another kind */
+    cost_learn(&c, 1, 10, 1e6);
+    assert_true(cost_predict(&c, 1, 20) < 120);
+    for (int i = 0; i < 60; i++)
+        cost_learn(&c, 1, 10, 0);
+    assert_true(cost_predict(&c, 1, 20) > 0 && cost_predict(&c, 1, 20) < 1);
+    cost_learn(&c, 1, (double)NAN, 5);
+    cost_learn(&c, 99, 1, 5);
+    assert_true(isfinite(cost_predict(&c, 1, 20)));
+    assert_true(fabs(cost_predict(&c, 99, 20) - 20) < 1e-9);
 }
 
 /* Who gives way: one of whoever has most; of equals, who had a turn last; never one who has
@@ -68,10 +125,10 @@ static void test_who_gives_way(void **state)
     (void)state;
     for (int newest = 0; newest < 2; newest++) {
         begin(newest, x, &q);
-        turn_add(q, &x[0].place, 1);
-        turn_add(q, &x[1].place, 1);
-        turn_add(q, &x[2].place, 1);
-        turn_add(q, &x[3].place, 2);
+        turn_add(q, &x[0].place, 1, 1);
+        turn_add(q, &x[1].place, 1, 1);
+        turn_add(q, &x[2].place, 1, 1);
+        turn_add(q, &x[3].place, 2, 1);
         assert_ptr_equal(turn_shed(q, 2),
                          &x[newest ? 0 : 2].place); /* 2 has two with the new one */
         assert_ptr_equal(turn_shed(q, 3), &x[newest ? 0 : 2].place);
@@ -83,11 +140,11 @@ static void test_who_gives_way(void **state)
         while (turn_count(q))
             taken(q);
         for (int i = 4; i < 7; i++)
-            turn_add(q, &x[i].place, (uint64_t)i);
+            turn_add(q, &x[i].place, (uint64_t)i, 1);
         assert_null(turn_shed(q, 1));  /* all have one, and the asker had a turn last */
         assert_null(turn_shed(q, 99)); /* nobody of them had one */
         int first = taken(q);
-        turn_add(q, &x[first].place, (uint64_t)first);
+        turn_add(q, &x[first].place, (uint64_t)first, 1);
         assert_ptr_equal(turn_shed(q, 99), &x[first].place);
         while (turn_count(q))
             taken(q);
@@ -108,7 +165,7 @@ static void test_very_many_clients(void **state)
     kit_ok(turn_open(false, &q, &e), e);
     for (int i = 0; i < N; i++) {
         x[i].number = i;
-        turn_add(q, &x[i].place, rng_u64(3, 0, (uint64_t)i));
+        turn_add(q, &x[i].place, rng_u64(3, 0, (uint64_t)i), 1);
     }
     for (int i = 0; i < N; i++)
         sum += (uint64_t)taken(q);
@@ -250,7 +307,7 @@ static uint64_t tiles_made(void)
 {
     struct job_stats st;
     job_count(server_services(t.server)->jobs, &st);
-    return st.ended[JOB_TILE][JOB_OK];
+    return served_tiles(&st, JOB_OK);
 }
 
 /* A tile that is in no cache; n tells them apart, and those of the victim from those of others. */
@@ -359,7 +416,7 @@ static void test_limited_rates(void **state)
     buf_free(&r.raw);
     struct job_stats st;
     job_count(server_services(t.server)->jobs, &st);
-    assert_int_equal(st.ended[JOB_TILE][JOB_LIMITED], limited);
+    assert_int_equal(served_tiles(&st, JOB_LIMITED), limited);
 }
 
 /* ---- connections ---- */
@@ -492,6 +549,8 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_turns),
+        cmocka_unit_test(test_parts_of_time),
+        cmocka_unit_test(test_costs_are_learned),
         cmocka_unit_test(test_who_gives_way),
         cmocka_unit_test(test_very_many_clients),
         cmocka_unit_test(test_rates),

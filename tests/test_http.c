@@ -153,7 +153,7 @@ static void test_304_of_a_cold_tile(void **state)
     assert_string_equal(header(&r, "Content-Length"), "");
     buf_free(&r.raw);
     job_count(server_services(t.server)->jobs, &after);
-    assert_int_equal(after.ended[JOB_TILE][JOB_OK], before.ended[JOB_TILE][JOB_OK]);
+    assert_int_equal(served_tiles(&after, JOB_OK), served_tiles(&before, JOB_OK));
 }
 
 static void test_keep_alive_and_pipelining(void **state)
@@ -272,7 +272,7 @@ static void test_one_job_for_many_clients(void **state)
     cache_count(server_services(t.server)->cache, &cs);
     assert_int_equal(cs.entries, 1);
     job_count(server_services(t.server)->jobs, &st);
-    assert_in_range(st.ended[JOB_TILE][JOB_OK], 1,
+    assert_in_range(served_tiles(&st, JOB_OK), 1,
                     2); /* 2: asked between the end of one and the cache */
     await_no_connections();
 }

@@ -122,6 +122,15 @@ static void client_wake(struct job_waiter *w)
 }
 
 static bool (*bench_passing)(const void *work); /* of the benches opened next */
+static double (*bench_cost)(const void *work, unsigned *kind);
+
+/* 10 ms, and a second for numbers whose last digit is 9. */
+static double item_cost(const void *work, unsigned *kind)
+{
+    const struct item *it = work;
+    *kind = it->number % 10 == 9;
+    return *kind ? 1000 : 10;
+}
 
 static void bench_open(struct bench *b, size_t threads, bool view, size_t view_limit,
                        size_t tile_limit)
@@ -140,6 +149,7 @@ static void bench_open(struct bench *b, size_t threads, bool view, size_t view_l
         .run = item_run,
         .drop = item_drop,
         .passing = bench_passing,
+        .cost = bench_cost,
     };
     kit_ok(job_open(&cfg, &b->jobs, &e), e);
 }
@@ -251,6 +261,78 @@ static void test_errors_reach_every_waiter(void **state)
         }
     }
     bench_close(&b);
+}
+
+/* Fifty clients at once with one request each all wait: the wait is below their deadline. One that
+ * asks for more than its part of the time can make until its deadline is refused, is told when to
+ * ask again, and refuses nobody else. */
+static void test_the_wait_decides(void **state)
+{
+    enum { MANY = 50, DEAR = 20 };
+    struct bench b;
+    int refused = 0;
+    (void)state;
+    bench_cost = item_cost;
+    bench_open(&b, 1, false, 1, 1000);
+    for (int i = 0; i < MANY; i++)
+        submit(&b, i, JOB_TILE, 1000 * (i + 1));
+    for (int i = MANY; i < MANY + DEAR; i++) {
+        struct client *c = &b.c[i];
+        enum err_code rc =
+            ask(&b, c, JOB_TILE, item_new(&b, 99000 + 10 * (i - MANY) + 9, ERR_OK, false), 6);
+        refused += rc == ERR_BUSY;
+        if (rc) {
+            assert_int_equal(c->w.result.end, JOB_SHED);
+            assert_in_range(c->w.result.retry_s, 1, 60);
+        }
+    }
+    assert_in_range(refused, DEAR - 7, DEAR - 2);
+    submit(&b, MANY + DEAR, JOB_TILE, 77000);
+    gate(&b, true);
+    await(&b, &b.woken, (size_t)(MANY + DEAR + 1 - refused));
+    for (int i = 0; i < MANY; i++)
+        assert_int_equal(b.c[i].w.result.end, JOB_OK);
+    bench_close(&b);
+    bench_cost = NULL;
+}
+
+/* What is predicted to take long leaves one of several threads to what is quick, as long as such
+ * work comes: with none for a second, all threads take slow work. */
+static void test_slow_work_leaves_a_thread(void **state)
+{
+    enum { THREADS = 3, SLOW = 6, TICK_MS = 100 };
+    struct bench b;
+    struct job_stats st;
+    (void)state;
+    bench_cost = item_cost;
+    bench_open(&b, THREADS, false, 1, 100);
+    gate(&b, true);
+    submit(&b, 0, JOB_TILE, 70000);
+    await(&b, &b.woken, 1);
+    gate(&b, false);
+    for (int i = 1; i <= SLOW; i++)
+        submit(&b, i, JOB_TILE, 1000 * i + 9);
+    await(&b, &b.runs, 1 + THREADS - 1);
+    job_count(b.jobs, &st);
+    assert_int_equal(st.running[JOB_SLOW], THREADS - 1);
+    submit(&b, SLOW + 1, JOB_TILE, 50000);
+    await(&b, &b.runs, 1 + THREADS);
+    assert_int_equal(b.order[THREADS], 50000); /* before four that were there earlier */
+    gate(&b, true);
+    await(&b, &b.woken, SLOW + 2);
+    gate(&b, false);
+    for (int i = 0; i < THREADS; i++)
+        submit(&b, SLOW + 2 + i, JOB_TILE, 100009 + 10 * i);
+    for (int i = 0; i < 50 && st.running[JOB_SLOW] < THREADS; i++) {
+        nap_ms(TICK_MS);
+        job_tick(b.jobs, clock_s());
+        job_count(b.jobs, &st);
+    }
+    assert_int_equal(st.running[JOB_SLOW], THREADS);
+    gate(&b, true);
+    await(&b, &b.woken, SLOW + 2 + THREADS);
+    bench_close(&b);
+    bench_cost = NULL;
 }
 
 /* A failure is remembered for a moment, then tried again; one that memory caused is not remembered.
@@ -609,6 +691,8 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_identical_requests_share_a_run),
         cmocka_unit_test(test_errors_reach_every_waiter),
+        cmocka_unit_test(test_the_wait_decides),
+        cmocka_unit_test(test_slow_work_leaves_a_thread),
         cmocka_unit_test(test_failures_are_remembered),
         cmocka_unit_test(test_a_full_queue_refuses),
         cmocka_unit_test(test_views_run_newest_first_and_shed_the_oldest),
