@@ -254,7 +254,7 @@ static void same_name(struct row *r, size_t n)
 static void mark_twice(struct row *r, size_t n)
 {
     struct row *m = first_of(r, n, "p5");
-    snprintf(m[1].image, sizeof m[1].image, "%s", m[0].image);
+    memcpy(m[1].image, m[0].image, sizeof m[1].image);
 }
 
 enum form { FORM_ODM, FORM_CSV, FORM_COMMA_X, FORM_COMMA_PX, FORM_COMMA_CSV, FORM_COMMA_EXCEL };
