@@ -1,4 +1,4 @@
-/* PNG by libdeflate. A map tile takes a fraction of the time that libpng takes.
+/* PNG by libdeflate. It encodes a map tile in a fraction of the time of libpng.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -35,8 +35,8 @@ struct memory_plan { /* sizes in bytes */
 enum err_code memory_parse(const char *text, size_t machine, size_t *out, struct err *e) ERR_USE;
 /* Memory of this machine, or of the tightest control group that this process is in. */
 size_t memory_machine(void);
-/* The same from files: cgroup names the groups as /proc/self/cgroup does, and the groups lie below
- * `root`, as in /sys/fs/cgroup. Versions 1 and 2. */
+/* The same from a file like /proc/self/cgroup and a folder like /sys/fs/cgroup, of version 1 or 2
+ * of control groups. */
 size_t memory_limit(size_t physical, const char *cgroup, const char *root);
 /* Shares the budget out. ERR_LIMIT: it is too small; the message says what is enough. */
 enum err_code memory_plan(const struct memory_needs *n, struct memory_plan *out,

@@ -51,8 +51,8 @@ struct screen *screen_at(int fd); /* NULL: none is attached */
 /* A short read from a socket means that it is empty. After a TLS record there may be others. */
 enum screen_source { SCREEN_SOCKET, SCREEN_RECORDS };
 /* Reads from a source until `room` is full or nothing comes, and returns checked bytes in `out`.
- * more() returns a number of bytes, 0 at the end, and less for "not now" and for errors. *last gets
- * the last 0 or negative result of more(), if there was one. */
+ * more() returns a number of bytes, 0 at the end, and less for "not now" and for errors. If
+ * more() returned 0 or less, *last gets that. */
 size_t screen_read(struct screen *s, ssize_t (*more)(void *from, char *out, size_t room),
                    void *from, enum screen_source source, char *out, size_t room, ssize_t *last);
 /* The status with which to refuse request n of the connection, counted from 1. 0: it is not

@@ -19,7 +19,7 @@ struct residual {     /* one photograph */
     const char *name; /* borrowed from the scene */
     double mse;       /* mean squared error, colours 0..1 */
     double ssim;      /* zero padded, as in the loss */
-    double coverage;  /* number of photographs that show the same, as a logarithm; 0: not known */
+    double coverage;  /* mean log2 of how many photographs show the same; 0: not known */
     /* set by residual_rank: of ln mse and of 1 - ssim; a larger value fits worse */
     double z_mse, z_ssim;
     double z; /* the larger of the two */
