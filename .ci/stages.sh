@@ -66,6 +66,12 @@ run_one() { # NAME: what came of it lies in NAME.result, because it may run in a
     printf '%s %s\n' "$(tail -1 "$logs/$name.time" | awk '{ printf "%.1f %.1f", $1, $2 + $3 }')" "$result" >"$logs/$name.result"
 }
 
+stop_beside() { # PID: its whole group; what it builds is not touched any more when this returns
+    kill -TERM -- "-$1" 2>/dev/null
+    wait "$1"
+    while kill -0 -- "-$1" 2>/dev/null; do sleep 0.1; done
+}
+
 run_stages() { # NAME...; exits with 1 when one failed
     local name other failed=0 total=$EPOCHREALTIME seconds cpu result
     for name in "$@"; do
@@ -82,7 +88,7 @@ run_stages() { # NAME...; exits with 1 when one failed
                 set +m ;;
         esac
         [ "${stage_pid[$name]:-}" ] || run_one "$name"
-        [ -z "${stage_pid[${other:-none}]:-}" ] || { kill -TERM -- "-${stage_pid[$other]}" 2>/dev/null; wait "${stage_pid[$other]}"; }
+        [ -z "${stage_pid[${other:-none}]:-}" ] || stop_beside "${stage_pid[$other]}"
     done
     printf '\n%-11s %9s %9s  %s\n' stage seconds 'CPU s' result
     for name in "$@"; do
