@@ -191,6 +191,11 @@ static enum err_code depth_align_photo(struct depth_map *d, uint32_t image, stru
     enum err_code rc = depth_find(d->cfg.dir, s->images[image].name, &found, path, e);
     if (rc || !found)
         return rc;
+    if (d->cfg.metric) {
+        p->a = 1.0;
+        p->verdict = DEPTH_MAP_OK;
+        return ERR_OK;
+    }
     rc = depth_read_file(path, &f, e);
     double *x = mem_array(p->last - p->first, sizeof *x),
            *y = mem_array(p->last - p->first, sizeof *y);

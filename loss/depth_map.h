@@ -36,6 +36,7 @@ struct depth_map_config {
     /* folder with NAME.npy, .png, .pfm or .tif of inverse depth, NAME with or without its own
      * extension; NULL: none */
     const char *dir;
+    bool metric; /* maps are in 1/m: they are taken as they are */
     bool sparse; /* photographs without a map use the points that they observe */
 };
 struct depth_map; /* alignments of all maps, and the target of one photograph */

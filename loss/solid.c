@@ -18,14 +18,15 @@ struct solid {
     struct dev *dev; /* borrowed */
     cl_program program;
     cl_kernel inverse, grad;
-    cl_mem map, supported, sums;
-    size_t map_bytes, pixels;     /* of supported */
-    uint32_t width_px, height_px; /* map is 0 in the margins of this size */
-    float *rows;                  /* [height_px][SOLID_SUMS] */
+    cl_mem map, supported, known, sums;
+    size_t map_bytes, known_bytes, pixels; /* pixels: of supported */
+    uint32_t width_px, height_px;          /* map is 0 in the margins of this size */
+    float *rows;                           /* [height_px][SOLID_SUMS] */
 };
 
 struct solid_weights { /* as in solid.cl */
-    cl_float spread, bend, light, focal, soft_px, spread_px, bend_px, cover;
+    cl_float spread, bend, light, focal, soft_px, spread_px, bend_px, cover, prior, prior_px,
+        known_zeta;
     cl_uint stride;
 };
 
@@ -42,6 +43,7 @@ void solid_close(struct solid **p)
         clReleaseProgram(s->program);
     dev_release(&s->map);
     dev_release(&s->supported);
+    dev_release(&s->known);
     dev_release(&s->sums);
     mem_free(s->rows);
     mem_free(s);
@@ -118,6 +120,19 @@ static enum err_code solid_support(struct solid *s, const struct solid_input *in
     return !rc && in->supported ? dev_write(s->dev, s->supported, 0, pixels, in->supported, e) : rc;
 }
 
+static enum err_code solid_known(struct solid *s, const struct solid_input *in, struct err *e)
+{
+    size_t bytes = in->known ? (size_t)in->width_px * in->height_px * sizeof(float) : sizeof(float);
+    enum err_code rc = ERR_OK;
+    if (bytes > s->known_bytes) {
+        dev_release(&s->known);
+        s->known_bytes = 0;
+        rc = dev_buffer(s->dev, bytes, NULL, &s->known, e);
+        s->known_bytes = rc ? 0 : bytes;
+    }
+    return !rc && in->known ? dev_write(s->dev, s->known, 0, bytes, in->known, e) : rc;
+}
+
 static enum err_code solid_launch(struct solid *s, struct render *r, const struct solid_input *in,
                                   cl_mem grad, struct err *e)
 {
@@ -125,10 +140,11 @@ static enum err_code solid_launch(struct solid *s, struct render *r, const struc
     const struct solid_weights k = {
         (cl_float)(in->spread / n), (cl_float)(in->bend / n),  (cl_float)(in->light / n),
         (cl_float)in->focal_px,     (cl_float)SOLID_SOFT_PX,   (cl_float)SOLID_SPREAD_PX,
-        (cl_float)SOLID_BEND_PX,    (cl_float)SOLID_COVER_MIN, in->stride};
+        (cl_float)SOLID_BEND_PX,    (cl_float)SOLID_COVER_MIN, (cl_float)(in->prior / n),
+        (cl_float)SOLID_PRIOR_PX,   (cl_float)in->known_zeta,  in->stride};
     cl_mem moments = render_moments_buffer(r), transmit = render_transmittance_buffer(r);
     cl_uint w = in->width_px, h = in->height_px, pitch = solid_pitch(w),
-            has_support = in->supported != NULL;
+            has_support = in->supported != NULL, has_known = in->known != NULL;
     cl_float cover = (cl_float)SOLID_BEND_COVER;
     cl_int bad = dev_arg(s->inverse, 0, moments);
     bad |= dev_arg(s->inverse, 1, transmit);
@@ -142,12 +158,14 @@ static enum err_code solid_launch(struct solid *s, struct render *r, const struc
     bad |= dev_arg(s->grad, 2, s->map);
     bad |= dev_arg(s->grad, 3, s->supported);
     bad |= dev_arg(s->grad, 4, has_support);
-    bad |= dev_arg(s->grad, 5, w);
-    bad |= dev_arg(s->grad, 6, h);
-    bad |= dev_arg(s->grad, 7, pitch);
-    bad |= dev_arg(s->grad, 8, k);
-    bad |= dev_arg(s->grad, 9, grad);
-    bad |= dev_arg(s->grad, 10, s->sums);
+    bad |= dev_arg(s->grad, 5, s->known);
+    bad |= dev_arg(s->grad, 6, has_known);
+    bad |= dev_arg(s->grad, 7, w);
+    bad |= dev_arg(s->grad, 8, h);
+    bad |= dev_arg(s->grad, 9, pitch);
+    bad |= dev_arg(s->grad, 10, k);
+    bad |= dev_arg(s->grad, 11, grad);
+    bad |= dev_arg(s->grad, 12, s->sums);
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "solid: arguments: %s", dev_error_name(bad));
     enum err_code rc = dev_run(s->dev, s->inverse, "solid_inverse", h, 1, e);
@@ -169,6 +187,8 @@ enum err_code solid_run(struct solid *s, struct render *r, const struct solid_in
     enum err_code rc = solid_reserve(s, in->width_px, in->height_px, e);
     if (!rc)
         rc = solid_support(s, in, e);
+    if (!rc)
+        rc = solid_known(s, in, e);
     return rc ? rc : solid_launch(s, r, in, grad, e);
 }
 
@@ -182,6 +202,7 @@ enum err_code solid_read(struct solid *s, struct solid_value *out, struct err *e
         dev_read(s->dev, s->sums, 0, s->height_px * SOLID_SUMS * sizeof *s->rows, s->rows, e);
     for (size_t i = 0; !rc && i < (size_t)s->height_px * SOLID_SUMS; i++)
         sum[i % SOLID_SUMS] += (double)s->rows[i];
-    *out = (struct solid_value){sum[0] / n, sum[1] / n, sum[2] / n};
+    *out = (struct solid_value){
+        .spread = sum[0] / n, .bend = sum[1] / n, .light = sum[2] / n, .prior = sum[3] / n};
     return rc;
 }

@@ -1,7 +1,7 @@
 // The loss on solid surfaces: moments of depth -> their gradients. loss/solid.h has the equations.
 //   solid_inverse  moments [2][h][w], transmit [h][w] -> inverse [h + 2 MARGIN][pitch]: 1 / zeta, 0
 //                  where the pixel has no part in a bend; margins are 0 and stay so
-//   solid_grad     all of these -> grad [3][h][w], sums [h][4]: spread, bend, light of a row
+//   solid_grad     all of these -> grad [3][h][w], sums [h][4]: spread, bend, light, prior of a row
 // A work-item is a row, VW pixels at a time.
 // Reference: solid_ref.c.
 
@@ -68,7 +68,8 @@ __kernel void solid_inverse(__global const float *moments, __global const float 
 }
 
 struct solid_weights { // over n
-    float spread, bend, light, focal, soft_px, spread_px, bend_px, cover;
+    float spread, bend, light, focal, soft_px, spread_px, bend_px, cover, prior, prior_px;
+    float known_zeta;
     uint stride;
 };
 
@@ -101,15 +102,16 @@ INLINE V bend_line(const struct solid_weights *k, __global const float *at, int 
 
 __kernel void solid_grad(__global const float *moments, __global const float *transmit,
                          __global const float *inverse, __global const uchar *supported,
-                         uint has_support, uint width, uint height, uint pitch,
-                         struct solid_weights k, __global float *grad, __global float *sums)
+                         uint has_support, __global const float *known, uint has_known, uint width,
+                         uint height, uint pitch, struct solid_weights k, __global float *grad,
+                         __global float *sums)
 {
     uint y = (uint)get_global_id(0);
     if (y >= height)
         return;
     size_t row = (size_t)y * width, plane = (size_t)width * height;
     __global const float *q_row = inverse + (size_t)(y + MARGIN) * pitch + MARGIN;
-    V spread = (V)(0.0f), bend = (V)(0.0f), light = (V)(0.0f);
+    V spread = (V)(0.0f), prior = (V)(0.0f), bend = (V)(0.0f), light = (V)(0.0f);
     for (uint x = 0; x < width; x += VW) {
         uint n = width - x;
         size_t at = row + x;
@@ -119,11 +121,18 @@ __kernel void solid_grad(__global const float *moments, __global const float *tr
         VI drawn = (a >= k.cover) & (a + m1 > 0.0f) & (real > 0.0f);
         V inv_a = 1.0f / (drawn ? a : (V)(1.0f)), d = m1 * inv_a, second = m2 * inv_a;
         V zeta = drawn ? 1.0f + d : (V)(1.0f), px = k.focal / zeta, e = k.soft_px / px;
-        V v = drawn ? MAX_(second - d * d, (V)(0.0f)) : (V)(0.0f), sigma = sqrt(v + e * e);
-        V s = px * (sigma - e), r = s * (1.0f / k.spread_px), more = 1.0f + r * r;
-        spread += drawn ? a * (s / more + k.spread_px * atan(r)) : (V)(0.0f);
-        V w = drawn ? k.spread * px * 0.5f / (sigma * more * more) : (V)(0.0f); // A over A
-        V g1 = -2.0f * w * d, g2 = w, ga = w * (2.0f * d * d - second);
+        V t_known = has_known ? row_load(known + at, n) : (V)(0.0f);
+        VI is_known = drawn & (t_known > 0.0f);
+        V about = is_known ? k.known_zeta / (is_known ? t_known : (V)(1.0f)) - 1.0f : d;
+        V v = drawn ? MAX_(second - (2.0f * d - about) * about, (V)(0.0f)) : (V)(0.0f);
+        V sigma = sqrt(v + e * e), c = is_known ? (V)(k.prior_px) : (V)(k.spread_px);
+        V s = px * (sigma - e), r = s / c, more = 1.0f + r * r;
+        V term = drawn ? a * (s / more + c * atan(r)) : (V)(0.0f);
+        spread += is_known ? (V)(0.0f) : term;
+        prior += is_known ? term : (V)(0.0f);
+        V weight = is_known ? (V)(k.prior) : (V)(k.spread);
+        V w = drawn ? weight * px * 0.5f / (sigma * more * more) : (V)(0.0f); // A over A
+        V g1 = -2.0f * w * about, g2 = w, ga = w * (2.0f * d * about - second);
         V q = row_load(q_row + x, n);
         if (k.bend > 0.0f) {
             V gq = bend_line(&k, q_row + x, (int)k.stride, &bend) +
@@ -138,10 +147,7 @@ __kernel void solid_grad(__global const float *moments, __global const float *tr
         row_store(grad + plane + at, g2, n);
         row_store(grad + 2 * plane + at, k.light * where - ga, n);
     }
-    float three[3];
-    const V all[3] = {spread, bend, light};
-    for (int i = 0; i < 3; i++)
-        three[i] = lanes_sum(all[i]);
-    float bends = 0.5f * k.bend_px * k.bend_px * three[1];
-    vstore4((float4)(0.5f * three[0], bends, three[2], 0.0f), y, sums);
+    float bends = 0.5f * k.bend_px * k.bend_px * lanes_sum(bend);
+    vstore4((float4)(0.5f * lanes_sum(spread), bends, lanes_sum(light), 0.5f * lanes_sum(prior)), y,
+            sums);
 }

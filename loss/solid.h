@@ -1,13 +1,15 @@
-/* The loss on solid surfaces has three terms. Light stops at one depth (spread). The depths of
- * neighbouring pixels lie in planes (bend). No light passes through ground that photographs see
- * (light).
+/* The loss on solid surfaces has four terms. Light stops at one depth (spread), and where that is
+ * known, there (prior). The depths of neighbouring pixels lie in planes (bend). No light passes
+ * through ground that photographs see (light).
  *
  * For a pixel, A = 1 - T, D = sum w m / A and V = sum w m^2 / A - D^2 (render_moments_buffer). zeta
  * = 1 + D is its depth in units of the frame's depth. f is the focal length in pixels, e =
  * SOLID_SOFT_PX zeta / f, and n the number of pixels.
  *
  *     spread = 1/n sum A c/2 (r / (1 + r^2) + atan r),   r = s / c,   c = SOLID_SPREAD_PX,
- *              s = f / zeta (sqrt(V + e^2) - e)
+ *              s = f / zeta (sqrt(V + e^2) - e),   over pixels of unknown depth
+ *     prior  = the same over pixels of known depth zeta*, with c = SOLID_PRIOR_PX and
+ *              V + (zeta - zeta*)^2 = sum w (m - m*)^2 / A in place of V
  *     bend   = 1/n sum over x, y of c^2/2 r^2 / (1 + r^2),   r = b / c,   c = SOLID_BEND_PX,
  *              b = f zeta (q- - 2 q + q+),   q = 1 / zeta
  *     light  = 1/n sum of T over the supported pixels
@@ -34,6 +36,7 @@
 
 #define SOLID_SOFT_PX 0.25   /* the gradient of smaller spreads goes to 0 */
 #define SOLID_SPREAD_PX 4.0  /* the gradient of larger spreads goes to 0 */
+#define SOLID_PRIOR_PX 100.0 /* the gradient of larger distances from a known depth goes to 0 */
 #define SOLID_BEND_PX 2.0    /* the gradient of larger bends goes to 0 */
 #define SOLID_COVER_MIN 0.1  /* least A of a pixel with a spread */
 #define SOLID_BEND_COVER 0.5 /* least A of the pixels of a bend */
@@ -41,13 +44,16 @@ enum { SOLID_STRIDE_MAX = 8 };
 
 struct solid_input {
     uint32_t width_px, height_px;
-    double focal_px;            /* fx */
-    double spread, bend, light; /* weights */
-    uint32_t stride;            /* of the bend, px, 1 to SOLID_STRIDE_MAX */
-    const uint8_t *supported;   /* [h][w], not 0: light counts; NULL: nowhere; borrowed */
+    double focal_px;                   /* fx */
+    double spread, prior, bend, light; /* weights */
+    uint32_t stride;                   /* of the bend, px, 1 to SOLID_STRIDE_MAX */
+    const uint8_t *supported;          /* [h][w], not 0: light counts; NULL: nowhere; borrowed */
+    const float
+        *known; /* [h][w] known_zeta / zeta*; at most 0: not known; NULL: nowhere; borrowed */
+    double known_zeta;
 };
 struct solid_value {
-    double spread, bend, light; /* the three terms without weights */
+    double spread, prior, bend, light; /* the terms without weights */
 };
 struct solid; /* compiled kernels and buffers */
 /* Builds the kernels. Free *out with solid_close. ERR_DEVICE, ERR_MEM. */

@@ -24,12 +24,34 @@ static bool solid_spreads(const double m[3])
     return 1 - m[2] >= SOLID_COVER_MIN && 1 - m[2] + m[0] > 0;
 }
 
-/* s of a pixel: the standard deviation of depth in footprints at the depth of `held`. */
-static double solid_sigma(const struct solid_input *in, const double m[3], const double held[3])
+/* What the spread of a pixel is about. */
+struct solid_about {
+    bool known;
+    double m, c, weight; /* m*, if it is known; c of the term, and its weight */
+};
+
+static struct solid_about solid_about(const struct solid_input *in, size_t at)
 {
-    struct solid_pixel p = solid_at(m);
+    double t = in->known ? (double)in->known[at] : 0.0;
+    if (t > 0.0)
+        return (struct solid_about){true, in->known_zeta / t - 1, SOLID_PRIOR_PX, in->prior};
+    return (struct solid_about){false, 0, SOLID_SPREAD_PX, in->spread};
+}
+
+/* V, about the known depth if there is one; below 0 by rounding alone. */
+static double solid_variance(struct solid_pixel p, struct solid_about about)
+{
+    double m = about.known ? about.m : p.d;
+    return fmax(p.second - 2 * p.d * m + m * m, 0);
+}
+
+/* s of a pixel, in footprints at the depth of `held`. */
+static double solid_sigma(const struct solid_input *in, size_t at, const double m[3],
+                          const double held[3])
+{
     double px = in->focal_px / solid_at(held).zeta, soft = SOLID_SOFT_PX / px;
-    return px * (sqrt(fmax(p.second - p.d * p.d, 0) + soft * soft) - soft);
+    double v = solid_variance(solid_at(m), solid_about(in, at));
+    return px * (sqrt(v + soft * soft) - soft);
 }
 
 /* The pixel that lies `by` strides off along x (axis 0) or y, NULL: none that has part in bends. */
@@ -70,9 +92,11 @@ struct solid_value solid_ref_value(const struct solid_input *in, const double *m
     size_t n = (size_t)in->width_px * in->height_px;
     for (size_t at = 0; at < n; at++) {
         if (solid_spreads(moments + 3 * at)) {
-            double s = solid_sigma(in, moments + 3 * at, held + 3 * at), c = SOLID_SPREAD_PX;
-            v.spread += (1 - held[3 * at + 2]) * (s / (1 + s * s / (c * c)) + c * atan(s / c)) /
-                        (2 * (double)n);
+            struct solid_about about = solid_about(in, at);
+            double s = solid_sigma(in, at, moments + 3 * at, held + 3 * at), c = about.c;
+            *(about.known ? &v.prior : &v.spread) += (1 - held[3 * at + 2]) *
+                                                     (s / (1 + s * s / (c * c)) + c * atan(s / c)) /
+                                                     (2 * (double)n);
         }
         for (int axis = 0; axis < 2; axis++) {
             double b, factor, c = SOLID_BEND_PX;
@@ -120,15 +144,16 @@ void solid_ref_grad(const struct solid_input *in, const double *moments, double 
         double *g = grad + 3 * at;
         if (solid_spreads(moments + 3 * at)) {
             struct solid_pixel p = solid_at(moments + 3 * at);
+            struct solid_about about = solid_about(in, at);
             double px = in->focal_px / p.zeta, soft = SOLID_SOFT_PX / px,
-                   v = fmax(p.second - p.d * p.d, 0); /* below 0 by rounding alone */
+                   m = about.known ? about.m : p.d, v = solid_variance(p, about);
             double sigma = sqrt(v + soft * soft), s = px * (sigma - soft);
-            double more = 1 + s * s / (SOLID_SPREAD_PX * SOLID_SPREAD_PX),
-                   g_s = in->spread / (double)n * p.a / (more * more);
+            double more = 1 + s * s / (about.c * about.c),
+                   g_s = about.weight / (double)n * p.a / (more * more);
             double g_v = g_s * px / (2 * sigma);
             g[1] += g_v / p.a;
-            g[0] -= g_v * 2 * p.d / p.a;
-            g[2] += g_v * (p.second - 2 * p.d * p.d) / p.a; /* dV/dT = -dV/dA */
+            g[0] -= g_v * 2 * m / p.a;
+            g[2] += g_v * (p.second - 2 * p.d * m) / p.a; /* dV/dT = -dV/dA */
         }
         solid_add_bends(in, moments, at, grad);
         if (in->supported && in->supported[at])

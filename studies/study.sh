@@ -232,7 +232,8 @@ row() {
         esac ;;
     esac
   done
-  command="citysplat train $scene ${train[*]}; citysplat eval $scene${eval[*]:+ ${eval[*]}}"
+  command="citysplat train $scene ${train[*]//$OUT\//}; citysplat eval $scene${eval[*]:+ ${eval[*]}}"
+  [[ $command != *"--depth-prior $scene-depth"* ]] || command="citysplat stereo $scene -o $scene-depth; $command"
   [ $part != tiles ] || command+="; citysplat tile $scene --crop none; citysplat eval $scene --tiles CITY.tiles${tiles[*]:+ ${tiles[*]}}"
   [ -z "${MAP_VIEWS:-}" ] || command+="; citysplat eval $scene --views $scene-photos/map-views"
   case ${SURFACE:-} in
@@ -244,6 +245,7 @@ row() {
   esac
   wanted "$study" "$name" "$command" || return 0
   scene "$scene" || { say "$study: $name: skipped: its photographs are not at hand"; return 0; }
+  depths "$scene" "$command"
   folder=$OUT/trained/$([ -n "${SHARED:-}" ] && slug shared "$scene" || slug "$study" "$name")
   ceilings
   trained "$folder" "$scene" "${train[@]}"
@@ -270,14 +272,20 @@ row() {
   [ "${KEEP:-0}" = 1 ] || [ -n "${SHARED:-}" ] || rm -rf "$folder"
 }
 
+# depths SCENE COMMAND: depth maps of its photographs beside it, $OUT/SCENE-depth, where the command asks for them.
+depths() {
+  [[ $2 != *"--depth-prior $1-depth"* ]] || [ -d "$OUT/$1-depth" ] || citysplat stereo "$OUT/$1" -o "$OUT/$1-depth" >&2
+}
+
 # repeat STUDY ROW SCENE SET OPTIONS...: what `compare` makes of two trainings of the same photographs, which should be
 # nothing, recorded as STUDY_repeat. They are those of `row STUDY ROW` with seeds 1 and 2 where KEEP=1 has left them.
 repeat() {
   local study=$1 name=$2 scene=$3 k folder command tiles=()
   shift 4
-  command="citysplat train $scene --seed 1 $*; citysplat train $scene --seed 2 $*; citysplat tile $scene; citysplat compare 1.tiles 2.tiles"
+  command="citysplat train $scene --seed 1 ${*//$OUT\//}; citysplat train $scene --seed 2 ${*//$OUT\//}; citysplat tile $scene; citysplat compare 1.tiles 2.tiles"
   wanted solid_repeat "$study: $name" "$command" || return 0
   scene "$scene" || { say "$study: $name: skipped: its photographs are not at hand"; return 0; }
+  depths "$scene" "$command"
   for k in 1 2; do
     folder=$OUT/trained/$(slug "$study" "$name (seed $k)")
     trained "$folder" "$scene" --seed "$k" "$@"
@@ -514,10 +522,11 @@ background_rows() { # STUDY SCENE TRAIN-OPTIONS
 study_background() { seeded background on_demo background_rows background; }
 study_background_caliterra() { seeded background_caliterra on_caliterra background_rows background_caliterra; }
 
-# Solid surfaces, with and without the terms. CALL is `row`, or `repeat`.
+# Solid surfaces, with known depths, without, and without the terms. CALL is `row`, or `repeat`.
 solid_rows() { # CALL STUDY SCENE TRAIN-OPTIONS
   local call=$1 study=$2 scene=$3
   shift 3
+  "$call" "$study" stereo "$scene" "" "$@" --depth-prior "$OUT/$scene-depth"
   "$call" "$study" default "$scene" "" "$@"
   "$call" "$study" off "$scene" "" "$@" --solid-spread 0 --solid-bend 0 --solid-light 0
 }

@@ -22,6 +22,7 @@ BEGIN {
     ok["ingest"] = " core codec ingest "
     ok["cells"] = " core codec cells "
     ok["loss"] = " core codec render loss "
+    ok["stereo"] = " core codec stereo "
     ok["train"] = " core codec render lod cells loss train "
     ok["survey"] = " core codec render lod survey "
     ok["server"] = " core codec render lod server "
@@ -43,14 +44,14 @@ BEGIN {
 /^#include <microhttpd.h>/ && FILENAME !~ /^server\/(http\.c|exchange\.[ch]|reply\.[ch])$/ {
     print FILENAME ":" FNR ": only server/http.c, exchange and reply include microhttpd.h"; bad = 1
 }
-END { exit bad }' core/*.[ch] core/*.cc render/*.[ch] codec/*.[ch] codec/*.cc lod/*.[ch] synth/*.[ch] ingest/*.[ch] cells/*.[ch] loss/*.[ch] train/*.[ch] survey/*.[ch] server/*.[ch] studies/*.[ch] || exit 1
-cxx=$(find core render codec lod synth ingest cells loss train survey server cli bench studies -name '*.cc' -o -name '*.cpp' | sort | tr '\n' ' ')
+END { exit bad }' core/*.[ch] core/*.cc render/*.[ch] codec/*.[ch] codec/*.cc lod/*.[ch] synth/*.[ch] ingest/*.[ch] cells/*.[ch] loss/*.[ch] stereo/*.[ch] train/*.[ch] survey/*.[ch] server/*.[ch] studies/*.[ch] || exit 1
+cxx=$(find core render codec lod synth ingest cells loss stereo train survey server cli bench studies -name '*.cc' -o -name '*.cpp' | sort | tr '\n' ' ')
 if [ "$cxx" != "codec/draco_shim.cc codec/image_shim.cc core/geo_shim.cc " ]; then
     echo "C++ outside the three shims: $cxx"
     exit 1
 fi
 
-folders="core render codec cells ingest synth loss lod train survey server cli bench studies"
+folders="core render codec cells ingest synth loss stereo lod train survey server cli bench studies"
 sources() { # ENDING...: files of the program
     for ending; do find $folders -name "*.$ending"; done | sort
 }

@@ -16,21 +16,32 @@
 #define KERNEL_L2 1e-4
 #define VALUE_REL 1e-4
 
-static uint8_t support[PX_H * PX_W];
+#define KNOWN_ZETA 1.2
 
-/* Weights that make the three terms of the same order; half of the picture is supported. */
+static uint8_t support[PX_H * PX_W];
+static float known[PX_H * PX_W];
+
+/* Weights that make the terms of the same order; half of the picture is supported, and depth is
+ * known in a quarter of it. */
 static struct solid_input input(uint32_t stride)
 {
     for (size_t i = 0; i < sizeof support; i++)
         support[i] = i % PX_W > PX_W / 2 ? 3 : 0;
+    for (size_t i = 0; i < sizeof known / sizeof *known; i++) {
+        double zeta = 1 + 0.1 * rng_normal(9, 1, i);
+        known[i] = i / PX_W > PX_H / 2 && i % 2 ? (float)(KNOWN_ZETA / zeta) : -1.0f;
+    }
     return (struct solid_input){.width_px = PX_W,
                                 .height_px = PX_H,
                                 .focal_px = 45,
                                 .spread = 0.7,
+                                .prior = 0.8,
                                 .bend = 0.9,
                                 .light = 1.3,
                                 .stride = stride,
-                                .supported = support};
+                                .supported = support,
+                                .known = known,
+                                .known_zeta = KNOWN_ZETA};
 }
 
 /* Moments that Gaussians could have made: A from 0 to 1, depths about 0 with steps. */
@@ -52,7 +63,7 @@ static double *moments_make(uint64_t seed)
 static double weighted(const struct solid_input *in, const double *moments, const double *held)
 {
     struct solid_value v = solid_ref_value(in, moments, held);
-    return in->spread * v.spread + in->bend * v.bend + in->light * v.light;
+    return in->spread * v.spread + in->prior * v.prior + in->bend * v.bend + in->light * v.light;
 }
 
 /* A pixel whose cover is not within a step of a threshold. */
@@ -134,7 +145,8 @@ static void check_kernels(uint32_t width, struct view_case *s, uint32_t stride)
             fail_msg("pixel %zu, %zu: %g, reference %g", i / 3, i % 3, g, want[i]);
     }
     assert_true(sqrt(err2) <= KERNEL_L2 * sqrt(ref2));
-    assert_true(v.spread > 0.05 && v.bend > 0.05 && v.light > 0.05);
+    assert_true(v.spread > 0.05 && v.prior > 0.05 && v.bend > 0.05 && v.light > 0.05);
+    assert_true(fabs(got.prior - v.prior) < VALUE_REL * v.prior);
     assert_true(fabs(got.spread - v.spread) < VALUE_REL * v.spread);
     assert_true(fabs(got.bend - v.bend) < VALUE_REL * v.bend);
     assert_true(fabs(got.light - v.light) < VALUE_REL * v.light);
@@ -167,7 +179,9 @@ static void test_by_hand(void **state)
 {
     (void)state;
     struct solid_input in = input(2);
+    static float all_known[PX_H * PX_W];
     size_t px = (size_t)PX_W * PX_H;
+    in.known = NULL;
     double *m = mem_array(px, 3 * sizeof *m);
     assert_non_null(m);
     for (size_t i = 0; i < px; i++) { /* 1/z linear in x and y; opaque */
@@ -187,6 +201,14 @@ static void test_by_hand(void **state)
     double s = px_m * (sqrt(var + soft * soft) - soft), r = s / SOLID_SPREAD_PX;
     assert_true(fabs(v.spread - 0.75 * 0.5 * (s / (1 + r * r) + SOLID_SPREAD_PX * atan(r))) < 1e-9);
     assert_true(fabs(v.light - 0.25 * 19 / 40) < 1e-9 && v.bend < 1e-12);
+    in.known = all_known; /* all of it at 0.2: two thirds of the light is 0.2 off */
+    for (size_t i = 0; i < px; i++)
+        all_known[i] = 1.0f;
+    v = solid_ref_value(&in, m, m);
+    s = px_m * (sqrt(0.04 * 2 / 3 + soft * soft) - soft);
+    r = s / SOLID_PRIOR_PX;
+    assert_true(fabs(v.prior - 0.75 * 0.5 * (s / (1 + r * r) + SOLID_PRIOR_PX * atan(r))) < 1e-9);
+    assert_true(v.spread == 0.0);
     mem_free(m);
 }
 

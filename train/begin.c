@@ -15,6 +15,7 @@
 #include "train/appearance_train.h"
 #include "train/budget.h"
 #include "train/config.h"
+#include "train/depth_prior.h"
 #include "train/done.h"
 #include "train/init.h"
 #include "train/memory.h"
@@ -119,6 +120,17 @@ enum err_code begin_earlier_levels(const struct begin *t, uint32_t at,
     return rc;
 }
 
+/* Points fused from known depths, where the options ask for them. */
+static enum err_code begin_dense(const struct run_cell *job, float **out, size_t *n, struct err *e)
+{
+    char dir[FILE_PATH_MAX];
+    *n = 0;
+    if (!(job->cfg->seed_dense > 0.0))
+        return ERR_OK;
+    enum err_code rc = depth_prior_dir(job->cfg, job->scene, dir, e);
+    return rc || !dir[0] ? rc : depth_prior_points(dir, out, n, e);
+}
+
 enum err_code begin_gauss(const struct begin *t, const struct appearance_train *appearance,
                           struct gauss *out, struct err *e)
 {
@@ -129,19 +141,25 @@ enum err_code begin_gauss(const struct begin *t, const struct appearance_train *
             "train",
             "%s of an unfinished run is ignored and will be replaced; --resume goes on from it",
             t->resume_path);
-    const struct init_input first = {.scene = job->scene,
-                                     .images = t->images,
-                                     .n_images = t->n_images,
-                                     .cell = &job->cell,
-                                     .ground = t->ground.nx ? &t->ground : NULL,
-                                     .ground_share = cfg->seed_ground,
-                                     .no_masks = !cfg->masks,
-                                     .sh_degree = (uint32_t)cfg->sh_degree,
-                                     .limit = t->levels[0].budget,
-                                     .seed = (uint64_t)cfg->seed};
+    float *dense = NULL;
+    struct init_input first = {.scene = job->scene,
+                               .images = t->images,
+                               .n_images = t->n_images,
+                               .cell = &job->cell,
+                               .ground = t->ground.nx ? &t->ground : NULL,
+                               .ground_share = cfg->seed_ground,
+                               .dense_share = cfg->seed_dense,
+                               .no_masks = !cfg->masks,
+                               .sh_degree = (uint32_t)cfg->sh_degree,
+                               .limit = t->levels[0].budget,
+                               .seed = (uint64_t)cfg->seed};
     enum err_code rc = job->coarse ? init_coarse(&first, job->coarse, out, e) : ERR_OK;
-    if (!rc && !out->n) /* no coarse model, or nothing of it is seen here */
-        rc = init_gauss(&first, out, e);
+    if (!rc && !out->n) { /* no coarse model, or nothing of it is seen here */
+        rc = begin_dense(job, &dense, &first.n_dense, e);
+        first.dense = dense;
+        rc = rc ? rc : init_gauss(&first, out, e);
+    }
+    mem_free(dense);
     if (!rc && appearance_train_is_on(appearance) && !out->embed_len)
         rc = appearance_train_embed(appearance, (uint64_t)cfg->seed, out, e);
     return rc;

@@ -24,7 +24,13 @@
  * many times the size of its neighbours. */
 #define INIT_GAP_MAX 3.0f
 #define INIT_THIN_MOST 4.0 /* times as long, where others were left out */
-enum { INIT_NEIGHBOURS = 3, INIT_AROUND = 9, INIT_RANDOM_POINTS = 100, INIT_CHUNK = 4096 };
+enum {
+    INIT_NEIGHBOURS = 3,
+    INIT_AROUND = 9,
+    INIT_RANDOM_POINTS = 100,
+    INIT_DENSE = 6,
+    INIT_CHUNK = 4096
+};
 
 /* ---- nearest neighbours ---- */
 
@@ -348,6 +354,47 @@ static enum err_code init_ground(const struct init_input *in, struct init_points
     return rc;
 }
 
+/* Random ones of the dense points in the cell or near it, behind the points there are. */
+static enum err_code init_dense(const struct init_input *in, struct init_points *p, struct err *e)
+{
+    size_t n = p->n, most = (size_t)(in->dense_share * (double)in->limit), found = 0, taken = 0;
+    bool *near = mem_array(in->n_dense + 1, sizeof *near);
+    for (size_t i = 0; near && i < in->n_dense; i++) {
+        const float *x = in->dense + INIT_DENSE * i;
+        near[i] = in->cell->whole ||
+                  cell_distance(in->cell, (double)x[0], (double)x[1]) <= in->cell->edge_m;
+        found += near[i];
+    }
+    most = most < in->limit - n ? most : in->limit - n;
+    most = most < found ? most : found;
+    uint64_t stream = train_stream(TRAIN_STREAM_INIT, 1, 1);
+    double *enu_m = mem_resize(p->enu_m, 3 * n, 3 * (n + most), sizeof *enu_m);
+    p->enu_m = enu_m ? enu_m : p->enu_m;
+    uint8_t *rgb = mem_resize(p->rgb, 3 * n, 3 * (n + most), 1);
+    p->rgb = rgb ? rgb : p->rgb;
+    enum err_code rc = near && enu_m && rgb
+                           ? ERR_OK
+                           : err_set(e, ERR_MEM, "init: out of memory for %zu points", in->n_dense);
+    for (size_t i = 0, passed = 0; !rc && i < in->n_dense && taken < most; i++) {
+        const float *x = in->dense + INIT_DENSE * i;
+        if (!near[i])
+            continue;
+        double left = (double)(found - passed++), want = (double)(most - taken); /* as above */
+        if (rng_unit(in->seed, stream, i) * left >= want)
+            continue;
+        for (size_t k = 0; k < 3; k++) {
+            p->enu_m[3 * (n + taken) + k] = (double)x[k];
+            p->rgb[3 * (n + taken) + k] = (uint8_t)fminf(fmaxf(x[3 + k], 0.0f), 255.0f);
+        }
+        taken++;
+    }
+    p->n = n + taken;
+    if (!rc)
+        log_info("init", "%zu of %zu points of stereo", taken, found);
+    mem_free(near);
+    return rc;
+}
+
 static enum err_code init_pick(const struct init_input *in, struct init_points *p, struct err *e)
 {
     const struct scene *s = in->scene;
@@ -372,6 +419,8 @@ static enum err_code init_pick(const struct init_input *in, struct init_points *
         init_random_points(s, in->images, in->n_images, in->cell, in->seed, p);
     if (!rc && n_use && in->ground && in->ground_share > 0.0)
         rc = init_ground(in, p, e);
+    if (!rc && in->n_dense)
+        rc = init_dense(in, p, e);
     mem_free(use);
     mem_free(seen);
     return rc;

@@ -100,7 +100,7 @@ void level_close(struct level *l)
     importance_free(&l->importance);
     regularizer_free(&l->regularizer);
     background_free(&l->background);
-    solid_close(&l->solid);
+    solidity_free(&l->solidity);
     model_close(&l->model);
     gallery_close(&l->gallery);
     appearance_train_close(&l->appearance);
@@ -404,7 +404,7 @@ enum err_code level_step(struct level *l, struct photometric_value *value, struc
     if (!rc)
         rc = gallery_loss(&l->gallery, &photo, e);
     if (!rc && solid)
-        rc = solidity_step(&l->solid, &l->gallery, &l->stage, &photo, supported, e);
+        rc = solidity_step(&l->solidity, &l->site, &l->gallery, &l->stage, &photo, supported, e);
     if (!rc)
         rc = level_backward(l, step, photo.image, &ro, e);
     if (!rc)

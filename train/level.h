@@ -40,7 +40,7 @@ struct level { /* level_init, then level_close, also after an error */
     struct gallery gallery;
     struct budget budget; /* decisions of --budget-rule auto */
     struct background background;
-    struct solid *solid;           /* this and the next two: made on first use */
+    struct solidity *solidity;     /* this and the next two: made on first use */
     struct importance *importance; /* this and the next: made on first use */
     struct regularizer *regularizer;
     /* -- for logs -- */

@@ -1,0 +1,48 @@
+/* Depth maps of a scene's photographs: a sweep each, and what neighbours agree on.
+ *
+ * A pixel is kept if the maps of at least `agree` neighbours have the same height where its place
+ * falls in them, within `tolerance` planes; its height is then the mean of these. This is the
+ * left-right check of stereo, for many views (Merrell et al. 2007).
+ *
+ * Samples of all maps are fused into points (stereo/fuse.h), of which training begins.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef STEREO_DEPTHS_H
+#define STEREO_DEPTHS_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "core/err.h"
+
+struct dev;
+struct scene;
+
+struct depths_config {
+    uint32_t max_edge_px; /* of maps */
+    size_t near;          /* neighbours of a photograph */
+    size_t agree;
+    double tolerance;  /* planes */
+    double edge;       /* planes: a window that reaches so much lower ground is not kept */
+    double spacing_px; /* edge of the cubes of fused points, in footprints of a pixel */
+    double move_px;    /* by which a plane may move a neighbour's pixel */
+    bool test_split;   /* leave the test photographs out */
+    bool overwrite;
+};
+struct depths_result {
+    size_t photographs, maps;
+    uint64_t pixels, known; /* of the maps */
+    size_t points;
+    double seconds;
+};
+/* Writes `dir`/NAME.npy for every photograph with neighbours: inverse depth in 1/m, [h][w], NaN
+ * where neighbours do not agree; points.npy, [n][6]: east, north, up in metres, red, green, blue;
+ * and depths.json. The folder appears when it is complete. ERR_ARG
+ * (the folder exists), ERR_DATA (no points, or no photograph has neighbours), ERR_NOENT, ERR_IO,
+ * ERR_FORMAT: of files. ERR_MEM, ERR_DEVICE, ERR_CANCEL. */
+enum err_code depths_make(struct dev *dev, const struct scene *s, const struct depths_config *cfg,
+                          const char *dir, struct depths_result *out, struct err *e) ERR_USE;
+
+#endif

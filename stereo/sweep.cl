@@ -1,0 +1,304 @@
+// Plane sweep: photographs -> costs of heights -> one height a pixel. stereo/sweep.h has the
+// equations.
+//   sweep_cost  reference and neighbours -> cost uchar [planes][h][w]
+//   sweep_turn  cost -> [h][w][planes]
+//   sweep_path  cost -> sum ushort [h][w][planes]: adds the costs of paths in one direction
+//   sweep_pick  sum -> plane of least sum, float [h][w], and its correlation [h][w]
+// Reference: sweep_ref.c.
+
+#define TILE_W 64
+#define TILE_H 32
+#define ROW (TILE_W + 16) // of a tile and its margins
+#define ROWS (TILE_H + 2 * RADIUS)
+#define SIDE (2 * RADIUS + 1)
+#define TAPS ((float)(SIDE * SIDE))
+
+#if VW == 16
+typedef ushort16 S;
+#define LOAD(p) vload16(0, p)
+#define STORE(x, p) vstore16(x, 0, p)
+#define TO_S convert_ushort16
+#define TO_BYTE convert_uchar16
+#else
+typedef ushort S;
+#define LOAD(p) (*(p))
+#define STORE(x, p) (*(p) = (x))
+#define TO_S convert_ushort
+#define TO_BYTE convert_uchar
+#endif
+
+INLINE VU take(__global const uint *p, VI at)
+{
+#if VW == 16
+    int i[16];
+    uint v[16];
+    vstore16(at, 0, i);
+    for (int k = 0; k < 16; k++)
+        v[k] = p[i[k]];
+    return vload16(0, v);
+#else
+    return p[at];
+#endif
+}
+
+// The part of the reference that a tile needs.
+static void tile_read(__global const uchar *grey, int width, int height, int x0, int y0, float *out)
+{
+    for (int y = 0; y < ROWS; y++) {
+        __global const uchar *row = grey + clamp(y0 + y - RADIUS, 0, height - 1) * width;
+        for (int x = 0; x < ROW; x++)
+            out[y * ROW + x] = (float)row[clamp(x0 + x - RADIUS, 0, width - 1)] * (1.0f / 255.0f);
+    }
+}
+
+// Where pixels of the reference fall in a neighbour. Returns the third coordinate.
+INLINE V map_at(const float *h, V px, float py, V *u, V *v)
+{
+    V q = h[6] * px + (h[7] * py + h[8]), inv = 1.0f / q;
+    *u = (h[0] * px + (h[1] * py + h[2])) * inv;
+    *v = (h[3] * px + (h[4] * py + h[5])) * inv;
+    return q;
+}
+
+// The neighbour as the reference would see it if all lay in the plane. Outside of it: its edge.
+// quads: a pixel, its right neighbour, and the two below, 8 bits each.
+static void tile_warp(__global const uint *quads, int width, int height, const float *h, int x0,
+                      int y0, float *out)
+{
+    float right = (float)width - 1.001f, bottom = (float)height - 1.001f;
+    for (int y = 0; y < ROWS; y++) {
+        float py = (float)(y0 + y - RADIUS) + 0.5f;
+        for (int x = 0; x < ROW; x += VW) {
+            V u, v, px = (float)(x0 + x - RADIUS) + 0.5f + TO_V(LANE);
+            (void)map_at(h, px, py, &u, &v);
+            u = CLAMP_(u - 0.5f, (V)(0.0f), (V)(right));
+            v = CLAMP_(v - 0.5f, (V)(0.0f), (V)(bottom));
+            VI i = TO_VI(u), j = TO_VI(v);
+            V fu = u - TO_V(i), fv = v - TO_V(j);
+            VU four = take(quads, j * width + i);
+            V a = TO_V(four & 255u), b = TO_V((four >> 8) & 255u), c = TO_V((four >> 16) & 255u),
+              d = TO_V(four >> 24);
+            V top = a + fu * (b - a), low = c + fu * (d - c);
+            STORE((top + fv * (low - top)) * (1.0f / 255.0f), out + y * ROW + x);
+        }
+    }
+}
+
+struct tile_sums { // of a row of windows: columns
+    float one[ROW], two[ROW], both[ROW];
+};
+
+INLINE void sums_move(struct tile_sums *s, const float *a, const float *b, float sign)
+{
+    for (int x = 0; x < ROW; x += VW) {
+        V p = LOAD(a + x), q = LOAD(b + x);
+        STORE(LOAD(s->one + x) + sign * q, s->one + x);
+        STORE(LOAD(s->two + x) + sign * (q * q), s->two + x);
+        STORE(LOAD(s->both + x) + sign * (p * q), s->both + x);
+    }
+}
+
+INLINE V sums_window(const float *column)
+{
+    V sum = LOAD(column);
+    for (int k = 1; k < SIDE; k++)
+        sum += LOAD(column + k);
+    return sum * (1.0f / TAPS);
+}
+
+// Mean of a window, and 1 / its standard deviation with noise, of the reference.
+struct tile_own {
+    float mean[TILE_H * TILE_W], inverse[TILE_H * TILE_W];
+};
+
+static void tile_own(const float *ref, struct tile_own *out)
+{
+    struct tile_sums s;
+    for (int x = 0; x < ROW; x++)
+        s.one[x] = s.two[x] = s.both[x] = 0.0f;
+    for (int y = 0; y < 2 * RADIUS; y++)
+        sums_move(&s, ref + y * ROW, ref + y * ROW, 1.0f);
+    for (int y = 0; y < TILE_H; y++) {
+        sums_move(&s, ref + (y + 2 * RADIUS) * ROW, ref + (y + 2 * RADIUS) * ROW, 1.0f);
+        for (int x = 0; x < TILE_W; x += VW) {
+            V m = sums_window(s.one + x), v = sums_window(s.two + x) - m * m;
+            STORE(m, out->mean + y * TILE_W + x);
+            STORE(1.0f / sqrt(MAX_(v, (V)(0.0f)) + NOISE), out->inverse + y * TILE_W + x);
+        }
+        sums_move(&s, ref + y * ROW, ref + y * ROW, -1.0f);
+    }
+}
+
+// The three best correlations so far, best first.
+struct tile_best {
+    float first[TILE_H * TILE_W], second[TILE_H * TILE_W], third[TILE_H * TILE_W];
+};
+
+static void tile_score(const float *ref, const struct tile_own *own, const float *near,
+                       const float *h, int width, int height, int x0, int y0, struct tile_best *t)
+{
+    struct tile_sums s;
+    float right = (float)width - 1.0f, bottom = (float)height - 1.0f;
+    for (int x = 0; x < ROW; x++)
+        s.one[x] = s.two[x] = s.both[x] = 0.0f;
+    for (int y = 0; y < 2 * RADIUS; y++)
+        sums_move(&s, ref + y * ROW, near + y * ROW, 1.0f);
+    for (int y = 0; y < TILE_H; y++) {
+        float py = (float)(y0 + y) + 0.5f;
+        sums_move(&s, ref + (y + 2 * RADIUS) * ROW, near + (y + 2 * RADIUS) * ROW, 1.0f);
+        for (int x = 0; x < TILE_W; x += VW) {
+            int at = y * TILE_W + x;
+            V u, v, px = (float)(x0 + x) + 0.5f + TO_V(LANE), q = map_at(h, px, py, &u, &v);
+            V m = sums_window(s.one + x), var = sums_window(s.two + x) - m * m;
+            V c = (sums_window(s.both + x) - m * LOAD(own->mean + at)) * LOAD(own->inverse + at) /
+                  sqrt(MAX_(var, (V)(0.0f)) + NOISE);
+            VI inside = (q > 0.0f) & (u >= 1.0f) & (v >= 1.0f) & (u <= right) & (v <= bottom);
+            c = inside ? c : (V)(-2.0f);
+            V a = LOAD(t->first + at), b = LOAD(t->second + at), d = LOAD(t->third + at);
+            STORE(MAX_(a, c), t->first + at);
+            c = MIN_(a, c);
+            STORE(MAX_(b, c), t->second + at);
+            c = MIN_(b, c);
+            STORE(MAX_(d, c), t->third + at);
+        }
+        sums_move(&s, ref + y * ROW, near + y * ROW, -1.0f);
+    }
+}
+
+// 1 minus the mean of the best correlations of neighbours that show the place.
+INLINE V best_cost(const struct tile_best *t, int at, uint best)
+{
+    V a = LOAD(t->first + at), b = LOAD(t->second + at), c = LOAD(t->third + at), n = (V)(1.0f);
+    VI two = (b > -1.5f) & (best > 1 ? (VI)(-1) : (VI)(0));
+    VI three = (c > -1.5f) & (best > 2 ? (VI)(-1) : (VI)(0));
+    a += two ? b : (V)(0.0f);
+    n += two ? (V)(1.0f) : (V)(0.0f);
+    a += three ? c : (V)(0.0f);
+    n += three ? (V)(1.0f) : (V)(0.0f);
+    return COST_MOST * CLAMP_(1.0f - a / n, (V)(0.0f), (V)(1.0f));
+}
+
+// quads: pictures of the neighbours; sizes [n_near]: width, height, first pixel of each.
+// homography [planes][n_near][9]. A work-item is a tile and SLAB planes.
+__kernel void sweep_cost(__global const uchar *ref, __global const uint *quads,
+                         __global const uint *sizes, __global const float *homography, uint n_near,
+                         uint best, uint planes, uint width, uint height, __global uchar *cost)
+{
+    uint across = (width + TILE_W - 1) / TILE_W, down = (height + TILE_H - 1) / TILE_H;
+    uint tile = (uint)get_global_id(0) % (across * down),
+         slab = (uint)get_global_id(0) / (across * down);
+    if (slab * SLAB >= planes)
+        return;
+    int x0 = (int)(tile % across) * TILE_W, y0 = (int)(tile / across) * TILE_H;
+    float here[ROWS * ROW], there[ROWS * ROW];
+    struct tile_own own;
+    struct tile_best t;
+    tile_read(ref, (int)width, (int)height, x0, y0, here);
+    tile_own(here, &own);
+    for (uint p = slab * SLAB; p < planes && p < (slab + 1) * SLAB; p++) {
+        for (int i = 0; i < TILE_H * TILE_W; i++)
+            t.first[i] = t.second[i] = t.third[i] = -2.0f;
+        for (uint k = 0; k < n_near; k++) {
+            float h[9];
+            for (int i = 0; i < 9; i++)
+                h[i] = homography[(p * n_near + k) * 9 + i];
+            int w = (int)sizes[3 * k], n = (int)sizes[3 * k + 1];
+            tile_warp(quads + sizes[3 * k + 2], w, n, h, x0, y0, there);
+            tile_score(here, &own, there, h, w, n, x0, y0, &t);
+        }
+        for (int y = 0; y < TILE_H && y0 + y < (int)height; y++)
+            for (int x = 0; x < TILE_W && x0 + x < (int)width; x += VW) {
+                uchar c[VW];
+                STORE(TO_BYTE(best_cost(&t, y * TILE_W + x, best) + 0.5f), c);
+                size_t at = ((size_t)p * height + y0 + y) * width + x0 + x;
+                for (int i = 0; i < VW && x0 + x + i < (int)width; i++)
+                    cost[at + i] = c[i];
+            }
+    }
+}
+
+__kernel void sweep_turn(__global const uchar *in, uint planes, uint width, uint height,
+                         __global uchar *out)
+{
+    uint y = (uint)get_global_id(0);
+    if (y >= height)
+        return;
+    for (uint x = 0; x < width; x++) {
+        size_t at = (size_t)y * width + x;
+        for (uint p = 0; p < PLANES; p++)
+            out[at * PLANES + p] =
+                p < planes ? in[(size_t)p * width * height + at] : (uchar)COST_MOST;
+    }
+}
+
+INLINE ushort next_least(S x)
+{
+#if VW == 16
+    ushort8 a = min(x.lo, x.hi);
+    ushort4 b = min(a.lo, a.hi);
+    return min(min(b.x, b.y), min(b.z, b.w));
+#else
+    return x;
+#endif
+}
+
+// A work-item is a line of pixels: first pixel, step between pixels, number of pixels.
+__kernel void sweep_path(__global const uchar *cost, __global const uchar *ref, uint lines,
+                         int first_base, int first_step, int step, uint count, uint jump_low,
+                         uint jump_high, float edge, __global ushort *sum)
+{
+    uint line = (uint)get_global_id(0);
+    if (line >= lines)
+        return;
+    ushort before[PLANES + 2 * VW]; // plane p at VW + p, with walls on both sides
+    int at = first_base + (int)line * first_step;
+    ushort least = 0;
+    for (int p = 0; p < PLANES + 2 * VW; p++)
+        before[p] = p >= VW && p < PLANES + VW ? 0 : (ushort)60000;
+    uchar grey = ref[at];
+    for (uint i = 0; i < count; i++, at += step) {
+        __global const uchar *c = cost + (size_t)at * PLANES;
+        __global ushort *s = sum + (size_t)at * PLANES;
+        float change = fabs((float)ref[at] - (float)grey) * (edge / 255.0f);
+        ushort jump = (ushort)((float)jump_low + (float)(jump_high - jump_low) / (1.0f + change));
+        grey = ref[at];
+        S most = (S)((ushort)(least + jump)), less = (S)(least), next = (S)((ushort)60000);
+        S left = LOAD(before + VW - 1), step_cost = (S)((ushort)STEP_COST);
+        for (int p = 0; p < PLANES; p += VW) {
+            S mid = LOAD(before + VW + p), right = LOAD(before + VW + p + 1);
+            S m = min(min(mid, most), (S)(min(left, right) + step_cost));
+            S v = (S)(m - less + TO_S(LOAD(c + p)));
+            left = LOAD(before + VW + p + VW - 1);
+            STORE(v, before + VW + p);
+            STORE((S)(LOAD(s + p) + v), s + p);
+            next = min(next, v);
+        }
+        least = next_least(next);
+    }
+}
+
+__kernel void sweep_pick(__global const uchar *cost, __global const ushort *sum, uint planes,
+                         uint width, uint height, __global float *plane, __global float *score)
+{
+    uint y = (uint)get_global_id(0);
+    if (y >= height)
+        return;
+    for (uint x = 0; x < width; x++) {
+        size_t at = (size_t)y * width + x;
+        __global const ushort *s = sum + at * PLANES;
+        ushort least = 65535;
+        for (uint p = 0; p < planes; p++)
+            least = min(least, s[p]);
+        uint best = 0;
+        while (s[best] != least)
+            best++;
+        float sub = 0.0f;
+        if (best > 0 && best + 1 < planes) {
+            float a = (float)s[best - 1], b = (float)s[best], c = (float)s[best + 1];
+            float bend = a - 2.0f * b + c;
+            sub = bend > 0.0f ? 0.5f * (a - c) / bend : 0.0f;
+        }
+        plane[at] = (float)best + sub;
+        score[at] = 1.0f - (float)cost[at * PLANES + best] / COST_MOST;
+    }
+}

@@ -1,0 +1,293 @@
+/* Depth of photographs from their neighbours: maps between pictures, the kernels in both shapes
+ * against the reference in double, fused points, and a small city from end to end against its exact
+ * depth.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <jansson.h>
+
+#include "codec/image.h"
+#include "codec/npy.h"
+#include "codec/scene.h"
+#include "core/dev.h"
+#include "stereo/fuse.h"
+#include "stereo/pairs.h"
+#include "stereo/sweep.h"
+#include "tests/city_kit.h"
+
+enum { VIEWS = 4, VIEW_W = 90, VIEW_H = 70, PLANES = 40 };
+#define EYE_M 40.0
+
+static struct dev dev;
+static struct arena texts;
+static uint8_t grey[VIEWS][VIEW_H * VIEW_W];
+static struct sweep_input input;
+
+/* Value noise in three octaves: texture of level ground and of a level roof at 6 m. */
+static double paint(double x, double y, uint64_t seed)
+{
+    double sum = 0.0;
+    for (int octave = 0; octave < 3; octave++) {
+        double cell = 0.6 * (1 << octave), u = x / cell + 1000, v = y / cell + 1000;
+        double fu = u - floor(u), fv = v - floor(v), at[4];
+        for (uint64_t k = 0; k < 4; k++)
+            at[k] = rng_unit(seed, (uint64_t)octave,
+                             ((uint64_t)v + k / 2) * 4096 + (uint64_t)u + k % 2);
+        sum += (1 - fv) * ((1 - fu) * at[0] + fu * at[1]) + fv * ((1 - fu) * at[2] + fu * at[3]);
+    }
+    return sum / 3;
+}
+
+static double height_of(double x, double y)
+{
+    return fabs(x) < 5 && fabs(y) < 4 ? 6.0 : 0.0;
+}
+
+/* The surface that a pixel shows: the roof first. */
+static double pixel_of(const struct camera *c, double x, double y, double at[3])
+{
+    static const double heights[2] = {6.0, 0.0};
+    double eye[3], a = (x - c->cx_px) / c->fx_px, b = (y - c->cy_px) / c->fy_px;
+    camera_center(c, eye);
+    for (int i = 0; i < 2; i++) {
+        double ray[3];
+        for (int k = 0; k < 3; k++)
+            ray[k] = c->rot[k] * a + c->rot[3 + k] * b + c->rot[6 + k];
+        double t = (heights[i] - eye[2]) / ray[2];
+        for (int k = 0; k < 3; k++)
+            at[k] = eye[k] + t * ray[k];
+        if (height_of(at[0], at[1]) == heights[i])
+            return heights[i];
+    }
+    return 0.0; /* the wall: painted as the ground behind it */
+}
+
+static int pictures_make(void **state)
+{
+    static const double eyes[VIEWS][3] = {
+        {0, -8, EYE_M}, {9, -7, EYE_M + 1}, {-9, -8, EYE_M}, {1, 2, EYE_M - 2}};
+    struct err e = {0};
+    if (kit_tmp_make(state))
+        return 1;
+    kit_ok(dev_open(NULL, &dev, &e), e);
+    for (int v = 0; v < VIEWS; v++) {
+        const double target[3] = {0.2 * v, 1, 0};
+        struct camera cam = camera_look_at(eyes[v], target, 0.55, VIEW_W, VIEW_H);
+        for (int i = 0; i < VIEW_W * VIEW_H; i++) {
+            double at[3];
+            (void)pixel_of(&cam, i % VIEW_W + 0.5, i / VIEW_W + 0.5, at);
+            /* another exposure in every picture */
+            double g = (40 + 15 * v) + (150 - 20 * v) * paint(at[0], at[1], at[2] > 3 ? 7 : 8);
+            grey[v][i] = (uint8_t)(g + 0.5);
+        }
+        struct sweep_view view = {cam, grey[v]};
+        if (v)
+            input.near[v - 1] = view;
+        else
+            input.ref = view;
+    }
+    input.n_near = VIEWS - 1;
+    input.low_m = -3;
+    input.step_m = 0.3;
+    input.planes = PLANES;
+    return 0;
+}
+
+static int pictures_remove(void **state)
+{
+    dev_close(&dev);
+    arena_free(&texts);
+    return kit_tmp_remove(state);
+}
+
+/* A place in the plane falls on the same pixels by the map as by the cameras. */
+static void a_plane_maps_pixels_as_the_cameras_do(void **state)
+{
+    (void)state;
+    for (size_t k = 0; k < input.n_near; k++)
+        for (uint64_t i = 0; i < 50; i++) {
+            double at[3] = {8 * rng_unit(1, k, i) - 4, 8 * rng_unit(2, k, i) - 4,
+                            6 * rng_unit(3, k, i) - 2};
+            double a[2], b[2], h[9];
+            assert_true(camera_project(&input.ref.cam, at, 0.1, a, NULL));
+            assert_true(camera_project(&input.near[k].cam, at, 0.1, b, NULL));
+            sweep_homography(&input, k, at[2], h);
+            double q = h[6] * a[0] + h[7] * a[1] + h[8];
+            assert_true(q > 0);
+            assert_true(fabs((h[0] * a[0] + h[1] * a[1] + h[2]) / q - b[0]) < 1e-8);
+            assert_true(fabs((h[3] * a[0] + h[4] * a[1] + h[5]) / q - b[1]) < 1e-8);
+        }
+}
+
+static void check_kernels(uint32_t width)
+{
+    enum { N = VIEW_W * VIEW_H };
+    static float plane[N], score[N];
+    static double want[N], want_score[N];
+    struct err e = {0};
+    struct sweep *s;
+    uint32_t own = dev.vector_width;
+    size_t other = 0, ground = 0, roof = 0, wrong = 0;
+    dev.vector_width = width ? width : own;
+    kit_ok(sweep_open(&dev, PLANES, &s, &e), e);
+    kit_ok(sweep_run(s, &input, plane, score, &e), e);
+    dev.vector_width = own;
+    kit_ok(sweep_ref_run(&input, want, want_score, &e), e);
+    for (int i = 0; i < N; i++) {
+        double x = i % VIEW_W + 0.5, y = i / VIEW_W + 0.5, at[3];
+        /* Costs are whole numbers on the device: close rivals may change places. */
+        other += fabs((double)plane[i] - want[i]) > 0.25 ||
+                 fabs((double)score[i] - want_score[i]) > 0.02;
+        if (x < 8 || y < 8 || x > VIEW_W - 8 || y > VIEW_H - 8)
+            continue;
+        double z = pixel_of(&input.ref.cam, x, y, at), far = 2.0;
+        bool inside =
+            fabs(at[0]) < 5 - far && fabs(at[1])<4 - far, outside = fabs(at[0])> 5 + far ||
+            fabs(at[1]) > 4 + far;
+        if (!inside && !outside)
+            continue;
+        ground += z < 3;
+        roof += z > 3;
+        wrong += fabs(input.low_m + input.step_m * (double)plane[i] - z) > 0.3;
+    }
+    if (other > N / 50)
+        fail_msg("%zu of %d pixels differ from the reference", other, N);
+    assert_true(ground > 500 && roof > 80);
+    if (wrong > (ground + roof) / 33)
+        fail_msg("%zu of %zu pixels are off by more than a plane", wrong, ground + roof);
+    sweep_close(&s);
+}
+
+static void kernels_equal_the_reference(void **state)
+{
+    (void)state;
+    check_kernels(0);
+    check_kernels(1);
+}
+
+static void senseless_sweeps_are_refused(void **state)
+{
+    static float out[VIEW_W * VIEW_H];
+    struct sweep_input none = input, many = input;
+    struct err e = {0};
+    struct sweep *s;
+    (void)state;
+    kit_fails(sweep_open(&dev, 1, &s, &e), ERR_ARG, e, "planes");
+    kit_ok(sweep_open(&dev, 32, &s, &e), e);
+    none.n_near = 0;
+    kit_fails(sweep_run(s, &none, out, out, &e), ERR_ARG, e, "neighbours");
+    many.planes = 33;
+    kit_fails(sweep_run(s, &many, out, out, &e), ERR_ARG, e, "planes");
+    sweep_close(&s);
+}
+
+static void cubes_hold_the_mean_of_their_samples(void **state)
+{
+    static const struct fuse_sample samples[] = {{{0.1f, 0.1f, 0}, {10, 20, 30}},
+                                                 {{5.2f, 0, 1}, {1, 1, 1}},
+                                                 {{0.3f, 0.5f, 0}, {30, 40, 50}},
+                                                 {{1.2f, 0.1f, 0}, {9, 9, 9}}};
+    float *points;
+    size_t n;
+    struct err e = {0};
+    (void)state;
+    kit_ok(fuse_samples(samples, 4, 1.0, &points, &n, &e), e);
+    assert_int_equal(n, 3);
+    double sum[6] = {0};
+    for (size_t i = 0; i < n * 6; i++)
+        sum[i % 6] += (double)points[i];
+    static const double want[6] = {0.2 + 5.2 + 1.2, 0.3 + 0 + 0.1, 1, 30, 40, 50};
+    for (int k = 0; k < 6; k++)
+        assert_true(fabs(sum[k] - want[k]) < 1e-5);
+    mem_free(points);
+    kit_ok(fuse_samples(samples, 0, 1.0, &points, &n, &e), e);
+    assert_int_equal(n, 0);
+    mem_free(points);
+}
+
+/* ---- a city ---- */
+
+struct city_score {
+    size_t truth, known, far, close; /* pixels; of the known: off by more than 2 %, within 0.5 % */
+};
+
+static struct city_score city_score(const char *dir)
+{
+    struct err e = {0};
+    struct buf names = {0};
+    struct city_score s = {0};
+    char map_dir[FILE_PATH_MAX], truth_dir[FILE_PATH_MAX];
+    kit_ok(file_join(map_dir, kit_tmp, dir, &e), e);
+    kit_ok(file_join(truth_dir, kit_tmp, "city/truth/depth", &e), e);
+    assert_int_equal(kit_run(&names, "cd '%s/city/truth/depth' && ls", kit_tmp), 0);
+    buf_u8(&names, 0);
+    char *rest = (char *)names.data;
+    for (char *name; (name = strtok_r(rest, "\n", &rest));) {
+        char path[FILE_PATH_MAX], map[32];
+        size_t shape[2], same[2];
+        float *truth, *got;
+        kit_ok(file_join(path, truth_dir, name, &e), e);
+        kit_ok(npy_read(path, 2, shape, &truth, &e), e);
+        snprintf(map, sizeof map, "%.8s.jpg.npy", name);
+        kit_ok(file_join(path, map_dir, map, &e), e);
+        kit_ok(npy_read(path, 2, same, &got, &e), e);
+        assert_memory_equal(shape, same, sizeof shape);
+        for (size_t i = 0; i < shape[0] * shape[1]; i++) {
+            double off = fabs(1 / (double)got[i] - (double)truth[i]) / (double)truth[i];
+            bool known = truth[i] > 0.0f && isfinite(got[i]);
+            s.truth += truth[i] > 0.0f;
+            s.known += known;
+            s.far += known && off > 0.02;
+            s.close += known && off < 0.005;
+        }
+        mem_free(truth);
+        mem_free(got);
+    }
+    buf_free(&names);
+    assert_true(s.truth > 10000);
+    return s;
+}
+
+static void a_city_from_its_photographs(void **state)
+{
+    struct buf out = {0};
+    const char *bin = kit_program();
+    (void)state;
+    assert_int_equal(
+        kit_run(
+            &out,
+            "cd '%s' && '%s' synth -o city --photos 30 --extent-m 60 --width-px "
+            "240 --height-px 180 --seed 5 -q && "
+            "'%s' ingest city/images city/sparse -o scene -q && '%s' stereo scene --no-test-split "
+            "-q && '%s' stereo scene -o edges --no-test-split --edge 1e6 -q",
+            kit_tmp, bin, bin, bin, bin),
+        0);
+    struct city_score s = city_score("scene/depth"), edges = city_score("edges");
+    if (s.known < s.truth / 3 || s.far > s.known / 20 || s.close < s.known * 3 / 4)
+        fail_msg("of %zu pixels %zu are known, %zu off by more than 2 %%, %zu within 0.5 %%",
+                 s.truth, s.known, s.far, s.close);
+    /* what windows make wider is known to all views alike, and wrong */
+    assert_true(edges.known > s.known);
+    assert_true(edges.far - s.far > (edges.known - s.known) / 10);
+    /* the maps are there: nothing is replaced unasked */
+    assert_int_equal(kit_run(&out, "cd '%s' && '%s' stereo scene -q", kit_tmp, bin), 2);
+    assert_non_null(strstr((char *)out.data, "--overwrite"));
+    buf_free(&out);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(a_plane_maps_pixels_as_the_cameras_do),
+        cmocka_unit_test(kernels_equal_the_reference),
+        cmocka_unit_test(senseless_sweeps_are_refused),
+        cmocka_unit_test(cubes_hold_the_mean_of_their_samples),
+        cmocka_unit_test(a_city_from_its_photographs),
+    };
+    return cmocka_run_group_tests(tests, pictures_make, pictures_remove);
+}
