@@ -17,6 +17,15 @@ static void synth_print_heights(const char *where, const struct surface_figures 
            100 - 100 * f->above[0], 100 - 100 * f->above[1], 100 - 100 * f->above[2]);
 }
 
+static void synth_print_sigma(const char *where, const struct truth_sigma *s)
+{
+    if (s->n)
+        printf("sigma   %s: %zu pixels, median %.3f m; %.1f, %.1f and %.1f %% of the errors within "
+               "1, 2 and 3; median of error over sigma %.2f\n",
+               where, s->n, s->median_m, 100 * s->within[0], 100 * s->within[1], 100 * s->within[2],
+               s->ratio_middle);
+}
+
 static enum err_code synth_score_heights(const struct synth_config *cfg, struct err *e)
 {
     struct truth_heights t;
@@ -33,6 +42,9 @@ static enum err_code synth_score_heights(const struct synth_config *cfg, struct 
     synth_print_heights(cfg->map_ground ? "seen" : "level", &t.level);
     synth_print_heights(cfg->map_ground ? "below" : "edges", &t.zone);
     synth_print_heights("all", &t.all);
+    synth_print_sigma(cfg->map_ground ? "seen" : "level", &t.sigma[0]);
+    synth_print_sigma(cfg->map_ground ? "below" : "edges", &t.sigma[1]);
+    synth_print_sigma("all", &t.sigma[2]);
     if (cfg->map_ground)
         return ERR_OK;
     printf("walls   %zu steps of 3 m and more, %zu of them missing: off by median %.2f px, 95 %% "

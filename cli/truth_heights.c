@@ -8,6 +8,7 @@
 #include <string.h>
 
 #include "core/geo.h"
+#include "core/sort.h"
 #include "survey/geotiff.h"
 #include "survey/sheet.h"
 
@@ -21,8 +22,8 @@ struct heights_job {
     struct sheet *map;
     size_t w, h;
     double pixel_m, corner[4][2]; /* ENU: top left, top right, bottom left, bottom right */
-    float *model, *truth;         /* [h][w] */
-    uint8_t *covered;             /* [h][w] something stands on the ground there */
+    float *model, *truth, *sigma; /* [h][w]; sigma is NULL if the map has none */
+    uint8_t *apart; /* [h][w] near an edge, or of bare earth: something stands there */
     struct edge_list edges;
 };
 
@@ -63,10 +64,15 @@ static enum err_code truth_heights_read(struct heights_job *j, struct err *e)
                        j->cfg.map, n, TRUTH_PIXELS_MAX);
     j->model = mem_array(j->w * j->h, sizeof *j->model);
     j->truth = mem_array(j->w * j->h, sizeof *j->truth);
-    j->covered = mem_array(j->w * j->h, 1);
-    if (!j->model || !j->truth || !j->covered)
+    j->apart = mem_array(j->w * j->h, 1);
+    if (!j->model || !j->truth || !j->apart)
         return err_set(e, ERR_MEM, "%s: out of memory for %.3g pixels", j->cfg.map, n);
     enum err_code rc = sheet_read(j->map, 0, 0, g->width, g->height, j->model, e);
+    if (!rc && sheet_has_sigma(j->map)) {
+        j->sigma = mem_array(j->w * j->h, sizeof *j->sigma);
+        rc = j->sigma ? sheet_read_sigma(j->map, 0, 0, g->width, g->height, j->sigma, e)
+                      : err_set(e, ERR_MEM, "%s: out of memory for %.3g pixels", j->cfg.map, n);
+    }
     for (size_t i = 0; !rc && i < 4; i++) {
         double x = g->west_m + (double)(i & 1) * g->width * g->pixel_m,
                y = g->north_m - (double)(i >> 1) * g->height * g->pixel_m, enu[3];
@@ -80,7 +86,7 @@ static enum err_code truth_heights_read(struct heights_job *j, struct err *e)
         bool in = truth_heights_place(j, u, v, at), covered = false;
         j->model[i] = !in || j->model[i] < GEOTIFF_NODATA + 1 ? NAN : j->model[i];
         j->truth[i] = in ? truth_heights_at(j, u, v, &covered) : NAN;
-        j->covered[i] = covered;
+        j->apart[i] = covered;
     }
     return rc;
 }
@@ -97,7 +103,7 @@ static bool truth_heights_level(const struct heights_job *j, size_t x, size_t y)
     return hi - lo <= truth_steep_m;
 }
 
-static enum err_code truth_heights_rays(const struct heights_job *j, struct truth_heights *out,
+static enum err_code truth_heights_rays(struct heights_job *j, struct truth_heights *out,
                                         struct surface_rays *rays, struct err *e)
 {
     enum err_code rc = ERR_OK;
@@ -106,10 +112,11 @@ static enum err_code truth_heights_rays(const struct heights_job *j, struct trut
             size_t i = y * j->w + x;
             if (!isfinite(j->truth[i]))
                 continue;
-            const struct surface_ray r = {
-                .error_m = j->model[i] - j->truth[i],
-                .found = isfinite(j->model[i]),
-                .edge = j->cfg.map_ground ? j->covered[i] : !truth_heights_level(j, x, y)};
+            if (!j->cfg.map_ground)
+                j->apart[i] = !truth_heights_level(j, x, y);
+            const struct surface_ray r = {.error_m = j->model[i] - j->truth[i],
+                                          .found = isfinite(j->model[i]),
+                                          .edge = j->apart[i]};
             out->inside++;
             out->none += !r.found;
             out->volume_m3 += r.found ? (double)r.error_m * j->pixel_m * j->pixel_m : 0;
@@ -118,7 +125,49 @@ static enum err_code truth_heights_rays(const struct heights_job *j, struct trut
     return rc;
 }
 
-static enum err_code truth_heights_score(const struct heights_job *j, struct truth_heights *out,
+/* Errors against standard deviations; which: 0 apart from edges, 1 near them, 2 all. ratio [h][w]
+ * is room. */
+static void truth_heights_sigma(const struct heights_job *j, int which, float *ratio,
+                                struct truth_sigma *out)
+{
+    size_t n = 0, within[3] = {0};
+    for (size_t i = 0; i < j->w * j->h; i++) {
+        float r = fabsf(j->model[i] - j->truth[i]) / j->sigma[i];
+        if (!(j->sigma[i] > 0) || !isfinite(r) || (which < 2 && which != j->apart[i]))
+            continue;
+        for (int k = 0; k < 3; k++)
+            within[k] += r <= (float)(k + 1);
+        ratio[n++] = r;
+    }
+    *out = (struct truth_sigma){.n = n};
+    if (!n)
+        return;
+    for (int k = 0; k < 3; k++)
+        out->within[k] = (double)within[k] / (double)n;
+    out->ratio_middle = (double)sort_select(ratio, n, n / 2);
+    n = 0;
+    for (size_t i = 0; i < j->w * j->h; i++)
+        if (j->sigma[i] > 0 && isfinite(j->model[i] - j->truth[i]) &&
+            (which == 2 || which == j->apart[i]))
+            ratio[n++] = j->sigma[i];
+    out->median_m = (double)sort_select(ratio, n, n / 2);
+}
+
+static enum err_code truth_heights_sigmas(const struct heights_job *j, struct truth_heights *out,
+                                          struct err *e)
+{
+    if (!j->sigma)
+        return ERR_OK;
+    float *room = mem_array(j->w * j->h, sizeof *room);
+    if (!room)
+        return err_set(e, ERR_MEM, "%s: out of memory", j->cfg.map);
+    for (int k = 0; k < 3; k++)
+        truth_heights_sigma(j, k, room, &out->sigma[k]);
+    mem_free(room);
+    return ERR_OK;
+}
+
+static enum err_code truth_heights_score(struct heights_job *j, struct truth_heights *out,
                                          struct err *e)
 {
     struct surface_rays rays = {0};
@@ -134,6 +183,8 @@ static enum err_code truth_heights_score(const struct heights_job *j, struct tru
         rc = surface_rays_tell(&rays, &zone, out->gsd_m, &out->zone, e);
     if (!rc)
         rc = surface_rays_tell(&rays, &all, out->gsd_m, &out->all, e);
+    if (!rc)
+        rc = truth_heights_sigmas(j, out, e);
     if (!rc && out->inside == out->none)
         rc = err_set(e, ERR_DATA, "%s: nothing of the city is in it", j->cfg.map);
     surface_rays_free(&rays);
@@ -225,7 +276,8 @@ enum err_code truth_heights(const struct synth_config *cfg, struct truth_heights
     synth_city_free(&j.city);
     mem_free(j.model);
     mem_free(j.truth);
-    mem_free(j.covered);
+    mem_free(j.sigma);
+    mem_free(j.apart);
     arena_free(&arena);
     return rc;
 }

@@ -9,12 +9,20 @@
 #include "synth/synth.h"
 #include "train/surface_rays.h"
 
+/* How well standard deviations tell errors, over pixels that have one. */
+struct truth_sigma {
+    size_t n;
+    double median_m;     /* of the standard deviations */
+    double within[3];    /* share of errors within 1, 2 and 3 standard deviations */
+    double ratio_middle; /* median of error over standard deviation; 0.674 of a normal one */
+};
 struct truth_heights {
     uint64_t inside, none; /* pixels in the built-up square; those without a surface */
     double pixel_m, gsd_m; /* of the map; of photographs that look straight down */
     /* pixels away from edges, near them, and all; above: thickness and light are not known. Of bare
      * earth (cfg->map_ground): pixels where it is seen, where something stands on it, and all. */
     struct surface_figures level, zone, all;
+    struct truth_sigma sigma[3]; /* of the same three; n is 0 if the map has none */
     /* over all pixels with a surface: volume of the model minus that of the city */
     double volume_m3;
     size_t edges, missing; /* steps at walls; see edge.h */

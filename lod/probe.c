@@ -91,7 +91,10 @@ static enum err_code probe_around(struct nadir *n, const double (*lonlat)[2], si
                                       1 / gsd,      p.side,       p.side};
     size_t pixels = (size_t)p.side * p.side;
     float *room = mem_array(pixels, 6 * sizeof *room);
-    p.maps = (struct surface_maps){room, room + 3 * pixels, room + 4 * pixels, room + 5 * pixels};
+    p.maps = (struct surface_maps){.rgb = room,
+                                   .height_m = room + 3 * pixels,
+                                   .sigma_m = room + 4 * pixels,
+                                   .noise_m = room + 5 * pixels};
     enum err_code rc = room ? surface_draw(n, &piece, &p.maps, e)
                             : err_set(e, ERR_MEM, "out of memory for a picture");
     for (size_t k = i; !rc && k < count; k++) {

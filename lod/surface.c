@@ -18,6 +18,7 @@ static const double surface_reach = 1.15;      /* of the window */
 static const double surface_agree = 3;         /* heights that differ by less are of one surface */
 static const double surface_slant_px = 0.6;    /* pixels of slanted rays, at most */
 static const double surface_floor = 0.045;     /* of the uncertainty */
+static const double surface_common = 0.115;    /* what all views are off by alike */
 static const double surface_scatter = 0.85;    /* of what the window spreads */
 static const double surface_step = 1.5;        /* what differs by more around a pixel is an edge */
 static const double surface_edge_share = 0.33; /* of its height, beyond that, is uncertain */
@@ -249,18 +250,20 @@ static void surface_tell(const struct surface_job *j, const struct nadir_piece *
                 memcpy(out->rgb + 3 * to, j->rgb + 3 * i, 3 * sizeof *out->rgb);
             if (out->height_m)
                 out->height_m[to] = j->smooth[i];
-            if (!out->sigma_m && !out->noise_m)
+            if (!out->sigma_m && !out->noise_m && !out->repeat_m)
                 continue;
             double spread = surface_scatter * (double)j->spread[i],
                    few = surface_few[j->agree[i]] * j->sigma_m, least = surface_floor * j->sigma_m,
                    step = (double)surface_range(j, x + j->margin, y + j->margin) -
                           surface_step * j->sigma_m,
-                   edge = surface_edge_share * fmax(step, 0),
+                   edge = surface_edge_share * fmax(step, 0), common = surface_common * j->sigma_m,
                    noise2 = least * least + spread * spread + few * few;
             if (out->noise_m)
                 out->noise_m[to] = (float)sqrt(noise2); /* NAN where spread is */
             if (out->sigma_m)
-                out->sigma_m[to] = (float)sqrt(noise2 + edge * edge);
+                out->sigma_m[to] = (float)sqrt(noise2 + common * common + edge * edge);
+            if (out->repeat_m)
+                out->repeat_m[to] = (float)sqrt(noise2 + edge * edge);
         }
 }
 

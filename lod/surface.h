@@ -9,7 +9,8 @@
  * colour have less weight, so edges of roofs stay where the orthophoto has them.
  *
  * The uncertainty is one standard deviation. It depends on the differences among the 25, on how
- * many of the five agree, on the size of the Gaussians and, at steps, on their height.
+ * many of the five agree, on the size of the Gaussians and, at steps, on their height. A part is
+ * common to all: surfaces that training closed lie a little low.
  *
  * A pixel depends only on its neighbourhood, and pieces are drawn with the margin that this needs.
  * Neighbouring pieces therefore agree.
@@ -27,8 +28,11 @@ struct surface_maps {
     float *rgb;      /* [h][w][3], 0 to 1, as in nadir_draw */
     float *height_m; /* ellipsoidal */
     float *sigma_m;  /* its standard deviation */
-    /* the same without the part of steps: the uncertainty of a level place, wherever edges are */
+    /* Without the part of steps, and without what all views and all trainings have in common: the
+     * uncertainty of a level place against others. */
     float *noise_m;
+    /* the standard deviation without that common part: of a surface against another of its kind */
+    float *repeat_m;
 };
 /* Draws a piece. ERR_ARG, ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_MEM, ERR_LIMIT as in nadir_draw.
  */

@@ -84,7 +84,7 @@ static void change_pixels(struct change_job *j, const struct nadir_piece *p, uin
             change_middle(&j->grid, (double)(left + x), (double)(top + y), at);
             d -= j->pose.up_m + j->pose.tilt_east * at[0] + j->pose.tilt_north * at[1];
             j->pair[2 * i] = (float)d;
-            j->pair[2 * i + 1] = hypotf(j->maps[0].sigma_m[i], j->maps[1].sigma_m[i]);
+            j->pair[2 * i + 1] = hypotf(j->maps[0].repeat_m[i], j->maps[1].repeat_m[i]);
             *noise = hypotf(j->maps[0].noise_m[i], *noise);
             change_count(j, d);
             for (size_t k = 0; k < 3; k++) {
@@ -199,7 +199,8 @@ static enum err_code change_room(struct change_job *j, struct err *e)
         j->in[k] = mem_array(n, 1);
         ok = ok && at && j->in[k];
         if (at)
-            j->maps[k] = (struct surface_maps){at, at + 3 * n, at + 4 * n, at + 5 * n};
+            j->maps[k] = (struct surface_maps){
+                .rgb = at, .height_m = at + 3 * n, .repeat_m = at + 4 * n, .noise_m = at + 5 * n};
     }
     return ok ? ERR_OK : err_set(e, ERR_MEM, "out of memory for a piece of %d px", MAP_PIECE_PX);
 }

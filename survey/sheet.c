@@ -140,3 +140,19 @@ enum err_code sheet_read(const struct sheet *s, uint32_t x, uint32_t y, uint32_t
     CPLPopErrorHandler();
     return rc == CE_None ? ERR_OK : err_set(e, ERR_FORMAT, "%s: %s", s->path, CPLGetLastErrorMsg());
 }
+
+bool sheet_has_sigma(const struct sheet *s)
+{
+    return s->kind != GEOTIFF_COLOR && GDALGetRasterCount(s->data) == 2;
+}
+
+enum err_code sheet_read_sigma(const struct sheet *s, uint32_t x, uint32_t y, uint32_t w,
+                               uint32_t h, float *sigma_m, struct err *e)
+{
+    int band = 2;
+    CPLPushErrorHandler(CPLQuietErrorHandler);
+    CPLErr rc = GDALDatasetRasterIO(s->data, GF_Read, (int)x, (int)y, (int)w, (int)h, sigma_m,
+                                    (int)w, (int)h, GDT_Float32, 1, &band, 4, 4 * (int)w, 0);
+    CPLPopErrorHandler();
+    return rc == CE_None ? ERR_OK : err_set(e, ERR_FORMAT, "%s: %s", s->path, CPLGetLastErrorMsg());
+}

@@ -23,5 +23,10 @@ struct geotiff_info sheet_info(const struct sheet *s);
  * file is damaged. */
 enum err_code sheet_read(const struct sheet *s, uint32_t x, uint32_t y, uint32_t w, uint32_t h,
                          void *pixels, struct err *e) ERR_USE;
+/* Whether heights have standard deviations. */
+bool sheet_has_sigma(const struct sheet *s);
+/* Reads them as sheet_read reads heights. ERR_FORMAT: the file is damaged, or has none. */
+enum err_code sheet_read_sigma(const struct sheet *s, uint32_t x, uint32_t y, uint32_t w,
+                               uint32_t h, float *sigma_m, struct err *e) ERR_USE;
 
 #endif

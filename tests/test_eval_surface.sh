@@ -25,6 +25,12 @@ run synth --city city --map dsm.tif
 for row in level edges all; do grep -Eq "^$row +[0-9]+( +[-0-9.]+){10}$" log || fail "a row '$row' of the surface model"; done
 awk -v a="$(rmse surface.json)" -v b="$(awk '$1 == "level" { print $5 }' log)" 'BEGIN { exit !(b > 0.6 * a && b < 1.8 * a) }' ||
     fail "level places are off by $(rmse surface.json) m along rays, by $(awk '$1 == "level" { print $5 }' log) m in the surface model"
+# The standard deviations beside the heights: what they say of the errors.
+for row in level edges all; do
+    grep -Eq "^sigma   $row: [1-9][0-9]* pixels, median [0-9.]+ m; [0-9.]+, [0-9.]+ and [0-9.]+ % of the errors" log || fail "sigma of '$row'"
+done
+awk '$1 == "sigma" && $2 == "all:" { gsub(",", ""); ok = $8 > 20 && $8 <= $9 && $9 <= $11 && $11 <= 100 } END { exit !ok }' log ||
+    fail "errors over standard deviations: $(grep '^sigma' log)"
 # Its errors as a map: heights of the model less those of the city, on the same pixels.
 run synth --city city --map dsm.tif -o errors.tif
 grep -q "^level " log || fail "the map of errors comes without figures"
