@@ -8,7 +8,7 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "bench/bench.h"
-#include "bench/city.h"
+#include "bench/load.h"
 
 #include <math.h>
 #include <netinet/in.h>
@@ -24,7 +24,6 @@
 
 #include "core/pool.h"
 #include "core/sort.h"
-#include "lod/pyramid.h"
 #include "server/server.h"
 #include "server/services.h"
 
@@ -390,21 +389,6 @@ static enum err_code motion_case(struct bench *b, struct thin *t, uint16_t port,
     return rc;
 }
 
-/* The procedural city in three levels of detail. */
-static enum err_code motion_city(const char *path, size_t n, struct err *e)
-{
-    static const struct geo_origin origin = {8.6821, 50.1109, 160};
-    const struct pyramid_config cfg = {.name = "bench", .tile_edge_m = 60};
-    struct pyramid_report report;
-    struct gauss g = {0};
-    enum err_code rc = city_sorted_degree(n, 1, &g, e);
-    const struct pyramid_level level = {.g = &g, .level = 3};
-    if (!rc)
-        rc = pyramid_build(&origin, &level, 1, &cfg, NULL, 0, path, &report, e);
-    gauss_free(&g);
-    return rc;
-}
-
 enum err_code bench_motion(struct bench *b, struct err *e)
 {
     char path[FILE_PATH_MAX];
@@ -415,7 +399,7 @@ enum err_code bench_motion(struct bench *b, struct err *e)
     const char *const paths[] = {b->tiles ? b->tiles : path};
     enum err_code rc = file_join(path, bench_tmpdir(b), "motion.tiles", e);
     if (!rc && !b->tiles)
-        rc = motion_city(path, b->quick ? 50000 : 1000000, e);
+        rc = load_city(path, b->quick ? 50000 : 1000000, e);
     if (!rc)
         rc = config_defaults(&cfg, &arena, e);
     cfg.port = 0;

@@ -17,8 +17,10 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "bench/city.h"
 #include "core/options.h"
 #include "core/pool.h"
+#include "lod/pyramid.h"
 #include "lod/store.h"
 
 /* ---- something to serve ---- */
@@ -60,6 +62,20 @@ enum err_code load_store(const char *path, size_t n, struct key *key, struct err
     return rc;
 }
 
+enum err_code load_city(const char *path, size_t n, struct err *e)
+{
+    static const struct geo_origin origin = {8.6821, 50.1109, 160};
+    const struct pyramid_config cfg = {.name = "bench", .tile_edge_m = 60};
+    struct pyramid_report report;
+    struct gauss g = {0};
+    enum err_code rc = city_sorted_degree(n, 1, &g, e);
+    const struct pyramid_level level = {.g = &g, .level = 3};
+    if (!rc)
+        rc = pyramid_build(&origin, &level, 1, &cfg, NULL, 0, path, &report, e);
+    gauss_free(&g);
+    return rc;
+}
+
 enum err_code load_config(struct server_config *cfg, struct arena *a, struct err *e)
 {
     enum err_code rc = config_defaults(cfg, a, e);
@@ -75,9 +91,20 @@ enum err_code load_config(struct server_config *cfg, struct arena *a, struct err
 
 int load_dial(uint16_t port)
 {
-    struct sockaddr_in a = {.sin_family = AF_INET, .sin_port = htons(port)};
+    return load_dial_from(1, port);
+}
+
+int load_dial_from(unsigned host, uint16_t port)
+{
+    struct sockaddr_in a = {.sin_family = AF_INET, .sin_port = htons(port)}, own = a;
     a.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    own.sin_addr.s_addr = htonl((INADDR_LOOPBACK & ~255u) + host);
+    own.sin_port = 0;
     int fd = socket(AF_INET, SOCK_STREAM, 0);
+    if (fd >= 0 && host > 1 && bind(fd, (struct sockaddr *)&own, sizeof own) != 0) {
+        close(fd);
+        return -1;
+    }
     if (fd >= 0 && connect(fd, (struct sockaddr *)&a, sizeof a) != 0) {
         close(fd);
         fd = -1;

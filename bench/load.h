@@ -17,6 +17,8 @@ enum { LOAD_CORE_SERVER = 0, LOAD_CORE_CLIENT = 1 };
 
 /* Writes a store with one tile of n Gaussians and returns its key. ERR_IO, ERR_MEM. */
 enum err_code load_store(const char *path, size_t n, struct key *key, struct err *e) ERR_USE;
+/* Writes a store with the procedural city of n Gaussians in levels of detail. ERR_IO, ERR_MEM. */
+enum err_code load_city(const char *path, size_t n, struct err *e) ERR_USE;
 /* Default options, but with a free port and without device, log and limits for clients. ERR_MEM. */
 enum err_code load_config(struct server_config *cfg, struct arena *a, struct err *e) ERR_USE;
 
@@ -29,6 +31,8 @@ struct load {
     double cpu_s[LOAD_CLIENTS]; /* CPU time of the clients so far */
 };
 int load_dial(uint16_t port); /* -1: no server listens */
+/* The same from 127.0.0.`host`, which is a client of its own. */
+int load_dial_from(unsigned host, uint16_t port);
 bool load_send(int fd, const char *text);
 /* Sends one request and keeps the size of the answer, its body and its entity tag (either may be
  * NULL). ERR_IO, ERR_MEM. */

@@ -24,7 +24,7 @@ static struct address address_of_v4(const void *four)
     return a;
 }
 
-static bool address_is_v4(struct address a)
+bool address_is_v4(struct address a)
 {
     return !memcmp(a.ip, address_v4_prefix, 12);
 }

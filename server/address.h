@@ -30,6 +30,7 @@ bool address_parse(const char *text, size_t n, struct address *out);
 enum err_code address_read_nets(const char *list, struct address_nets *out, struct err *e) ERR_USE;
 bool address_in(const struct address_nets *nets, struct address a);
 bool address_is_loopback(struct address a);
+bool address_is_v4(struct address a);
 /* The client of a request that came from `peer`. If peer is a trusted proxy, it is the last address
  * of X-Forwarded-For that is not a trusted proxy; else it is peer. forwarded [n]: the values of all
  * fields of that name, in order; they form one list (RFC 9110, section 5.3). */

@@ -163,7 +163,7 @@ static enum MHD_Result exchange_on_field(void *cls, enum MHD_ValueKind kind, con
     return MHD_YES;
 }
 
-/* Who asks, behind a trusted proxy the one it asks for. */
+/* Who asks for work, behind a trusted proxy the one it asks for. */
 static uint64_t exchange_client(const struct exchange *x)
 {
     struct front *f = x->f;
@@ -172,8 +172,8 @@ static uint64_t exchange_client(const struct exchange *x)
         !atomic_flag_test_and_set(&f->proxy_told))
         log_warn("http", "requests come through a proxy, and all its clients share one client's "
                          "part; --trusted-proxy ADDRESS tells them apart");
-    return address_number(address_client(&f->proxies, peer, x->req.forwarded, x->req.n_forwarded),
-                          f->secret);
+    peer = address_client(&f->proxies, peer, x->req.forwarded, x->req.n_forwarded);
+    return address_number(crowd_client(f->crowd, peer, clock_s()), f->secret);
 }
 
 /* What the screen has against this request: 0 or a status. A request that it has not seen is

@@ -6,7 +6,7 @@
 #ifndef SERVER_EXCHANGE_H
 #define SERVER_EXCHANGE_H
 
-#include "server/address.h"
+#include "server/crowd.h"
 #include "server/reply.h"
 #include "server/services.h"
 #include "server/watch.h"
@@ -18,6 +18,7 @@ struct front {
     size_t n_base;               /* length of --base-path */
     struct address_nets proxies; /* trusted proxies */
     struct hash128 secret;       /* for the numbers of clients */
+    struct crowd *crowd;
     struct watch *watch;
     struct replies *replies;
     /* it was logged that requests come through a proxy that is not trusted */

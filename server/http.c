@@ -159,8 +159,11 @@ enum err_code http_open(struct services *s, enum http_side side, struct http **o
     if (!rc)
         rc = http_check_base(s->cfg->base_path, &h->front.n_base, e);
     if (!rc)
+        rc = crowd_open(h->front.secret, &h->front.crowd, e);
+    if (!rc)
         rc = http_listen(h, e);
     if (rc) {
+        crowd_close(&h->front.crowd);
         mem_free(h);
         *out = NULL;
     }
@@ -203,6 +206,7 @@ static void http_free(struct http *h)
 {
     watch_close(&h->front.watch);
     reply_close(&h->front.replies);
+    crowd_close(&h->front.crowd);
     mem_free(h);
 }
 

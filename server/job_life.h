@@ -9,6 +9,10 @@
  * none either. Prefetched tiles run when nothing else does, and move up when a client requests
  * them.
  *
+ * A stream asks for its next picture when the one before was sent. Long work of others would begin
+ * in each such moment, and take nearly all the time. So while the stream drawn last is behind with
+ * its part, the thread that draws waits for it for a moment before it begins long work (job_run.c).
+ *
  * One mutex guards everything. Of all callbacks only cfg.passing and cfg.cost are called with it
  * held. A waiter is taken off its job with the lock held, by the worker that finished, job_leave,
  * job_tick or job_stop. This claims it: waiter->job becomes NULL, and only the claimer wakes it.
@@ -67,6 +71,9 @@ struct jobs { /* `lock` guards all except cfg and workers */
     /* Time that each class had. Classes of one thread have equal parts of it, counted from when one
      * begins to wait; now_ms: clock of the class that was served last, of tiles and of drawing. */
     double class_ms[JOB_CLASSES], now_ms[2];
+    /* The stream that was drawn last, and when. Its next picture is asked for in a moment. */
+    uint64_t stream;
+    double stream_s;
     bool stopping, drawer_ended;
     bool drawer_hangs;      /* set by job_stop: waiting for it failed */
     double drawing_since_s; /* 0: the thread that draws waits for work */

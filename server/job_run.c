@@ -9,6 +9,11 @@
 #include <stdio.h>
 
 static const double QUICK_S = 1; /* how long a thread is left to quick work after the last of it */
+static const double STREAM_S = 0.05; /* how long long work waits for the next picture of a stream */
+static const double STREAM_PAYS = 0.5; /* part of that wait that counts as the stream's time */
+static const double HELD_MS = 40;      /* predicted: work that waits so */
+/* Nothing can be drawn while a long picture is, so it counts for more than its time. */
+static const double LONG_MS = 100, LONG_PAYS = 2;
 
 /* ---- under the lock ---- */
 
@@ -24,11 +29,17 @@ static void job_note(struct jobs *js, const struct job *j, const struct job_resu
 /* What it took is learned, and whoever was served pays the difference. */
 static void job_settle(struct jobs *js, const struct job *j, const struct job_result *r)
 {
-    const double ms = r->run_s * 1e3, more = ms - j->predicted_ms;
+    const double ms = r->run_s * 1e3;
+    const double more =
+        ms * (job_is_drawn(j->cls) && ms > LONG_MS ? LONG_PAYS : 1) - j->predicted_ms;
     turn_charge(js->queue[j->cls], j->client, more);
     js->class_ms[j->cls] += more;
     if (r->end == JOB_OK)
         cost_learn(&js->cost, j->kind, j->expected_ms, ms);
+    if (j->cls != JOB_MOTION)
+        return;
+    js->stream = j->client;
+    js->stream_s = r->end == JOB_OK ? clock_s() : 0;
 }
 
 /* ---- not under the lock ---- */
@@ -71,33 +82,68 @@ static void job_run(struct jobs *js, struct job *j, size_t worker)
     job_finish(js, j, &r, body);
 }
 
-/* Of these classes the one that had least time, and of it the client that had least. */
-static struct job *job_next_of(struct jobs *js, const enum job_class *order, size_t n, bool drawn)
+/* A class's time, counted from when it began to wait. */
+static double job_class_ms(const struct jobs *js, enum job_class c)
+{
+    return fmax(js->class_ms[c], js->now_ms[job_is_drawn(c)]);
+}
+
+/* Of these classes the one with work that had least time; JOB_CLASSES: none has work. */
+static enum job_class job_least(const struct jobs *js, const enum job_class *order, size_t n)
 {
     enum job_class least = JOB_CLASSES;
-    double *now_ms = &js->now_ms[drawn], at_ms = (double)INFINITY;
-    for (size_t i = 0; i < n; i++) {
-        const enum job_class c = order[i];
-        const double ms = fmax(js->class_ms[c], *now_ms);
-        if (!turn_count(js->queue[c]) || ms >= at_ms)
-            continue;
-        least = c;
-        at_ms = ms;
-    }
-    if (least == JOB_CLASSES)
+    for (size_t i = 0; i < n; i++)
+        if (turn_count(js->queue[order[i]]) &&
+            (least == JOB_CLASSES || job_class_ms(js, order[i]) < job_class_ms(js, least)))
+            least = order[i];
+    return least;
+}
+
+/* Of a class the work of the client that had least time. NULL: JOB_CLASSES. */
+static struct job *job_take(struct jobs *js, enum job_class c)
+{
+    if (c == JOB_CLASSES)
         return NULL;
-    struct job *j = job_at(turn_next(js->queue[least]));
-    *now_ms = at_ms;
-    js->class_ms[least] = at_ms + j->predicted_ms;
+    struct job *j = job_at(turn_next(js->queue[c]));
+    js->now_ms[job_is_drawn(c)] = job_class_ms(js, c);
+    js->class_ms[c] = job_class_ms(js, c) + j->predicted_ms;
     return j;
 }
 
-/* What the thread that draws begins next: streams, pictures and map tiles in turns. */
+/* When this work may begin, because the stream drawn last is to be served before; 0: now. */
+static double job_begins_s(struct jobs *js, enum job_class c)
+{
+    const double until_s = js->stream_s > 0 ? js->stream_s + STREAM_S : 0;
+    if (c == JOB_CLASSES || clock_s() >= until_s ||
+        job_at(turn_first(js->queue[c]))->predicted_ms < HELD_MS)
+        return 0;
+    const bool due = turn_is_due(js->queue[JOB_MOTION], js->stream) &&
+                     (c == JOB_MOTION || job_class_ms(js, JOB_MOTION) < job_class_ms(js, c));
+    return due ? until_s : 0;
+}
+
+/* Wait for the next picture of the stream drawn last, or for anything else to do. */
+static void job_await_stream(struct jobs *js, double until_s)
+{
+    const double from_s = clock_s();
+    (void)pool_cond_wait(&js->view_ready, &js->lock, until_s);
+    const double ms = (clock_s() - from_s) * 1e3 * STREAM_PAYS;
+    turn_charge(js->queue[JOB_MOTION], js->stream, ms);
+    js->class_ms[JOB_MOTION] = job_class_ms(js, JOB_MOTION) + ms;
+}
+
+/* What the thread that draws begins next: streams, pictures and map tiles in turns. NULL: nothing
+ * is to be done, or the server stops. */
 static struct job *job_next_drawn(struct jobs *js)
 {
     static const enum job_class order[] = {JOB_VIEW, JOB_MAP, JOB_MOTION};
-    struct job *j = job_next_of(js, order, sizeof order / sizeof *order, true);
-    return j ? j : job_at(turn_next(js->queue[JOB_AHEAD]));
+    enum job_class c = job_least(js, order, sizeof order / sizeof *order);
+    for (double until_s; !js->stopping && (until_s = job_begins_s(js, c)) > 0;) {
+        job_await_stream(js, until_s);
+        c = job_least(js, order, sizeof order / sizeof *order);
+    }
+    struct job *j = js->stopping ? NULL : job_take(js, c);
+    return j || js->stopping ? j : job_at(turn_next(js->queue[JOB_AHEAD]));
 }
 
 /* One of several threads is left to what is quick, while such work comes. */
@@ -106,7 +152,7 @@ static struct job *job_next_tile(struct jobs *js)
     static const enum job_class order[] = {JOB_TILE, JOB_SLOW};
     const bool slow = js->stats.running[JOB_SLOW] + 1 < js->cfg.tile_threads ||
                       clock_s() - js->quick_s > QUICK_S || js->cfg.tile_threads == 1;
-    struct job *j = job_next_of(js, order, 1 + slow, false);
+    struct job *j = job_take(js, job_least(js, order, 1 + slow));
     return j ? j : job_at(turn_next(js->queue[JOB_PREFETCH]));
 }
 
@@ -123,7 +169,8 @@ static void job_worker_main(void *user)
     while (!js->stopping) {
         struct job *j = view ? job_next_drawn(js) : job_next_tile(js);
         if (!j) {
-            pthread_cond_wait(view ? &js->view_ready : &js->tile_ready, &js->lock);
+            if (!js->stopping)
+                pthread_cond_wait(view ? &js->view_ready : &js->tile_ready, &js->lock);
             continue;
         }
         j->running = true;
@@ -161,7 +208,7 @@ enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct e
     js->failures.pause_s = cfg->slow_s > 0 ? cfg->slow_s : 2;
     pthread_mutex_init(&js->lock, NULL);
     pthread_cond_init(&js->tile_ready, NULL);
-    pthread_cond_init(&js->view_ready, NULL);
+    pool_cond_init(&js->view_ready);
     pool_cond_init(&js->ended);
     js->drawing_since_s = cfg->view_thread ? clock_s() : 0;
     js->drawer_ended = !cfg->view_thread;

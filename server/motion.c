@@ -26,6 +26,7 @@ enum { MOTION_QUALITY = 60 };
 static const double REST_S = 0.18;         /* a camera that did not move for so long rests */
 static const double DRAW_S = 0.04;         /* what a moving picture may take */
 static const double RETRY_S = 0.25;        /* after a refusal */
+static const double GIVES_WAY = 12;        /* after this part of --stream-idle-s without a camera */
 static const double AREA_FIRST_PX = 60000; /* of moving pictures; follows the time that they take */
 static const double AREA_LEAST_PX = 20000;
 static const double AREA_MOST_PX = 1e6;
@@ -129,14 +130,21 @@ static struct motion_stream *motion_find(struct motion *m, const char *ds, const
     return st;
 }
 
-/* Under the lock: may this client have one more, by this name? */
+/* Under the lock: may this client have one more, by this name? *gives_way: if all are taken, the
+ * one that was not steered for longest. */
 static enum err_code motion_may_begin(struct motion *m, const char *ds, const char *name,
-                                      uint64_t client, struct err *e)
+                                      uint64_t client, struct motion_stream **gives_way,
+                                      struct err *e)
 {
     const struct server_config *cfg = m->s->cfg;
+    const double before_s = clock_s() - cfg->stream_idle_s / GIVES_WAY;
+    struct motion_stream *idlest = NULL;
     size_t own = 0;
-    for (struct motion_stream *st = m->first; st; st = st->next)
+    for (struct motion_stream *st = m->first; st; st = st->next) {
         own += st->client == client;
+        if (st->wished_s < (idlest ? idlest->wished_s : before_s))
+            idlest = st;
+    }
     if (m->stopping)
         return err_set(e, ERR_BUSY, "the server is stopping");
     if (motion_find(m, ds, name))
@@ -144,8 +152,11 @@ static enum err_code motion_may_begin(struct motion *m, const char *ds, const ch
     if (cfg->client_streams && own >= (size_t)cfg->client_streams)
         return err_set(e, ERR_LIMIT, "your address has %zu streams open, and may have %d", own,
                        (int)cfg->client_streams);
-    if (m->n >= (size_t)cfg->streams)
+    if (m->n < (size_t)cfg->streams)
+        return ERR_OK;
+    if (!idlest)
         return err_set(e, ERR_BUSY, "%zu streams are open, which is as many as there may be", m->n);
+    *gives_way = idlest;
     return ERR_OK;
 }
 
@@ -153,7 +164,7 @@ enum err_code motion_begin(struct motion *m, const char *ds, const char *name, u
                            void (*ready)(void *user), void *user, struct motion_stream **out,
                            struct err *e)
 {
-    struct motion_stream *st = mem_array(1, sizeof *st);
+    struct motion_stream *st = mem_array(1, sizeof *st), *old = NULL;
     *out = NULL;
     if (!st)
         return err_set(e, ERR_MEM, "out of memory for a stream");
@@ -170,7 +181,9 @@ enum err_code motion_begin(struct motion *m, const char *ds, const char *name, u
     multipart_begin(&st->parts);
     atomic_init(&st->refs, 2);
     pthread_mutex_lock(&m->lock);
-    enum err_code rc = motion_may_begin(m, ds, name, client, e);
+    enum err_code rc = motion_may_begin(m, ds, name, client, &old, e);
+    if (old)
+        (void)motion_unlist(old);
     if (!rc) {
         st->listed = true;
         st->next = m->first;
@@ -178,6 +191,10 @@ enum err_code motion_begin(struct motion *m, const char *ds, const char *name, u
         m->n++;
     }
     pthread_mutex_unlock(&m->lock);
+    if (old) { /* its reference was the table's */
+        motion_end(old);
+        motion_drop(&old);
+    }
     if (rc)
         mem_free(st);
     else

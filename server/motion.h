@@ -38,8 +38,10 @@ void motion_count(struct motion *m, struct motion_counts *out);
 
 /* Begins a stream of a dataset's pictures, with a name that the client chose. ready() is called
  * once after each motion_await that returned true, in any thread and without a lock. Call
- * motion_leave when the reader of *out has gone. ERR_ARG (the name is in use), ERR_LIMIT (too many
- * streams of this client), ERR_BUSY (too many streams, or the server is stopping), ERR_MEM. */
+ * motion_leave when the reader of *out has gone. If there are as many streams as there may be, the
+ * one that was not steered for longest ends, if that is a twelfth of stream_idle_s. ERR_ARG (the
+ * name is in use), ERR_LIMIT (too many streams of this client), ERR_BUSY (too many streams, or the
+ * server is stopping), ERR_MEM. */
 enum err_code motion_begin(struct motion *m, const char *ds, const char *name, uint64_t client,
                            void (*ready)(void *user), void *user, struct motion_stream **out,
                            struct err *e) ERR_USE;

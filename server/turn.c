@@ -129,10 +129,22 @@ static void turn_set_clock(struct turns *q, struct turn_client *c, double clock_
         turn_row_add(q, c);
 }
 
+struct turn_item *turn_first(struct turns *q)
+{
+    const struct turn_client *c = q->first;
+    return !c ? NULL : q->newest_first ? c->newest : c->oldest;
+}
+
+bool turn_is_due(struct turns *q, uint64_t client)
+{
+    const struct turn_client *c = turn_known(q, client);
+    return c && !c->n && (!q->first || fmax(c->clock_ms, q->now_ms) < q->first->clock_ms);
+}
+
 struct turn_item *turn_next(struct turns *q)
 {
     struct turn_client *c = q->first;
-    struct turn_item *it = !c ? NULL : q->newest_first ? c->newest : c->oldest;
+    struct turn_item *it = turn_first(q);
     if (!it)
         return NULL;
     const double ms = fmax(it->ms, TURN_LEAST_MS);

@@ -22,6 +22,10 @@ void turn_close(struct turns **q);
 /* Adds an item of a client, which takes about `ms`. `client` is any number that identifies one. */
 void turn_add(struct turns *q, struct turn_item *it, uint64_t client, double ms);
 void turn_remove(struct turns *q, struct turn_item *it);
+/* Returns the next item and leaves it in the queue. NULL: the queue is empty. */
+struct turn_item *turn_first(struct turns *q);
+/* Returns whether `client`, which has no item in the queue, would be served next if it had one. */
+bool turn_is_due(struct turns *q, uint64_t client);
 /* Removes and returns the next item. It belongs to the client that had least time, counted from
  * when it began to wait. NULL: the queue is empty. */
 struct turn_item *turn_next(struct turns *q);

@@ -10,6 +10,7 @@
 #include "core/pool.h"
 #include "server/address.h"
 #include "server/cost.h"
+#include "server/crowd.h"
 #include "server/rate.h"
 #include "server/turn.h"
 
@@ -419,6 +420,47 @@ static void test_limited_rates(void **state)
     assert_int_equal(served_tiles(&st, JOB_LIMITED), limited);
 }
 
+/* Eight /64s of a /56 are clients of their own. With a ninth the /56 is one client for a minute;
+ * /56s of a /48 likewise. Others, and IPv4, are not touched. */
+static void test_networks(void **state)
+{
+    struct crowd *c = NULL;
+    struct err e = {0};
+    struct address a = {.ip = {0x20, 1, 0xd, 0xb8, 0, 1}},
+                   other = {.ip = {0x20, 1, 0xd, 0xb8, 0, 2}};
+    struct address v4;
+    (void)state;
+    assert_true(address_parse("192.0.2.7", 9, &v4));
+    kit_ok(crowd_open((struct hash128){4, 5}, &c, &e), e);
+    a.ip[15] = other.ip[15] = 1;
+    for (int round = 0; round < 3; round++)
+        for (uint8_t i = 0; i < CROWD_MOST; i++) {
+            a.ip[7] = i;
+            struct address got = crowd_client(c, a, 10 + round);
+            assert_memory_equal(got.ip, a.ip, 8);
+            assert_int_equal(got.ip[15], 0);
+        }
+    a.ip[7] = 100;
+    assert_int_equal(crowd_client(c, a, 20).ip[7], 0); /* the ninth: all are one */
+    a.ip[7] = 3;
+    assert_int_equal(crowd_client(c, a, 21).ip[7], 0);
+    assert_int_equal(crowd_client(c, a, 20.5 + CROWD_S).ip[7], 3); /* over: only two asked since */
+    for (int i = 0; i < 1000; i++) { /* of a /48: a /64 in each of its /56s */
+        a.ip[6] = (uint8_t)i;
+        a.ip[7] = (uint8_t)(i / 3);
+        struct address got = crowd_client(c, a, 200 + 0.01 * i);
+        assert_int_equal(got.ip[6] || got.ip[7], i > 0 && i < CROWD_MOST);
+    }
+    other.ip[7] = 9;
+    assert_memory_equal(crowd_client(c, other, 200).ip, other.ip, 8);
+    assert_memory_equal(crowd_client(c, v4, 200).ip, v4.ip, 16);
+    for (uint32_t i = 0; i < 100000; i++) { /* very many networks: others are forgotten */
+        memcpy(a.ip + 2, &i, 4);
+        assert_memory_equal(crowd_client(c, a, 300 + 1e-3 * i).ip, a.ip, 8);
+    }
+    crowd_close(&c);
+}
+
 /* ---- connections ---- */
 
 static int dial_and_ask(int *status)
@@ -555,6 +597,7 @@ int main(void)
         cmocka_unit_test(test_very_many_clients),
         cmocka_unit_test(test_rates),
         cmocka_unit_test(test_addresses),
+        cmocka_unit_test(test_networks),
         HTTP_TEST(test_a_share_of_tiles),
         HTTP_TEST(test_limited_rates),
         HTTP_TEST(test_idle_connections_give_way),

@@ -283,6 +283,39 @@ static void test_idle_streams_end(void **state)
     await_streams(0);
 }
 
+/* Where all streams are taken, one that is not steered gives way to a new one; one that is steered
+ * does not. */
+static void test_unsteered_streams_give_way(void **state)
+{
+    struct reader r[3];
+    struct part p;
+    struct reply a;
+    const double least_s = 1;
+    (void)state;
+    t.cfg.streams = 2;
+    t.cfg.stream_idle_s = 12 * least_s;
+    start_drawing();
+    reader_open(&r[0], NAME);
+    reader_open(&r[1], "0123456789abcdeg");
+    await_streams(2);
+    const double begun_s = clock_s();
+    ask("GET", "/d/toy/motion/0123456789abcdeh", "", &a);
+    assert_true(a.status == 503 || clock_s() - begun_s > least_s / 2);
+    buf_free(&a.raw);
+    while (clock_s() - begun_s < 1.2 * least_s)
+        nap_ms(20);
+    assert_int_equal(steer("0123456789abcdeg", 1, 0, 100, ""), 204);
+    reader_open(&r[2], "0123456789abcdei");
+    assert_false(reader_next(&r[0], PATIENCE_S, &p));
+    assert_true(r[0].ended && r[0].last_chunk); /* an orderly end */
+    assert_int_equal(counts().streams, 2);
+    assert_int_equal(steer("0123456789abcdeg", 2, 10, 100, ""), 204);
+    assert_int_equal(steer("0123456789abcdei", 1, 10, 100, ""), 204);
+    for (int i = 0; i < 3; i++)
+        reader_close(&r[i]);
+    await_streams(0);
+}
+
 /* A reader that stops holds up its own stream alone, and little is drawn for it. */
 static void test_slow_reader(void **state)
 {
@@ -421,6 +454,7 @@ int main(int argc, char **argv)
         HTTP_TEST(test_small_while_it_moves_full_at_rest),
         HTTP_TEST(test_refusals),
         HTTP_TEST(test_idle_streams_end),
+        HTTP_TEST(test_unsteered_streams_give_way),
         HTTP_TEST(test_slow_reader),
         HTTP_TEST(test_come_and_go),
         HTTP_TEST(test_the_process_that_draws_is_killed),

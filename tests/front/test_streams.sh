@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # A stream of pictures through the shipped configurations of nginx and of Varnish, over two servers: the camera reaches
-# the server that draws, each picture comes while the stream is open, and a reader that leaves ends it.
+# the server that draws, each picture comes while the stream is open, and a reader that leaves ends it. And a page of
+# pictures through nginx.
 #
 # SPDX-License-Identifier: Apache-2.0
 set -u
@@ -70,6 +71,20 @@ closed() { # all of them, within 10 seconds
     done
     return 1
 }
+
+# A page of 24 views at once through nginx: all are drawn, and a reload has all from its cache.
+url=http://127.0.0.1:$nginx_port
+check 'nginx answers' await "$url/healthz"
+rev=$(header "$url/d/toy/static/13.4,52.5,90@0,-90/64x48.jpg" Location | sed -n 's|.*r/\([^/]*\)/static.*|\1|p')
+for i in $(seq 24); do
+    printf 'url="%s/d/toy/r/%s/static/13.4,52.5,90@%s,-60/320x240.jpg"\noutput="/dev/null"\n' "$url" "$rev" $((15 * i))
+done >"$work/page"
+page() { # the answers: how many of which status, and of which state of the cache
+    curl -s --no-progress-meter --parallel --parallel-immediate --parallel-max 24 --max-time 60 -K "$work/page" \
+        -w '%{http_code} %header{x-cache}\n' 2>/dev/null | sort | uniq -c | tr -s ' '
+}
+check 'a page of 24 views is 24 pictures' is "$(page)" ' 24 200 MISS'
+check 'and on reload' is "$(page)" ' 24 200 HIT'
 
 for front in nginx varnish; do
     port=${front}_port
