@@ -21,7 +21,7 @@
 #include "cli/cli.h"
 #include "core/pool.h"
 
-static const struct options_def defs[] = {
+static const struct options_def align_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct align_options, type, tier, key, def, lo, hi, unit, help)
@@ -29,15 +29,15 @@ static const struct options_def defs[] = {
 #undef OPT
 };
 
-static const struct options_spec spec = {
+static const struct options_spec align_spec = {
     .command = "align",
     .usage = "citysplat align PHOTOS -o MODEL [options]",
     .about = "Finds the poses of photographs by COLMAP, which must be installed: one camera for "
              "each lens and focal length, pairs by GPS and order, features as large as --minutes "
              "allows. Photographs that find no place are named, with the reason.",
     .example = "citysplat align photos -o model",
-    .defs = defs,
-    .n_defs = sizeof defs / sizeof *defs,
+    .defs = align_defs,
+    .n_defs = sizeof align_defs / sizeof *align_defs,
     .min_args = 1,
     .max_args = 1,
 };
@@ -146,7 +146,7 @@ static enum err_code align_result(struct align *a, struct err *e)
     json_t *config = NULL;
     enum err_code rc = align_publish(a, e);
     if (!rc)
-        rc = options_to_json(&spec, a->o, &config, e);
+        rc = options_to_json(&align_spec, a->o, &config, e);
     if (!rc)
         rc = align_write_result(a, config, e);
     if (!rc)
@@ -201,7 +201,7 @@ enum err_code cli_align(int argc, char **argv, struct err *e)
     struct options_args args;
     struct arena arena = {0};
     struct align a = {.o = &o};
-    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    enum err_code rc = options_parse(&align_spec, argc, argv, &o, &args, &arena, e);
     bool run = !rc && !args.done;
     if (run && !o.output)
         rc = err_set(e, ERR_ARG, "-o is missing: the folder to make");

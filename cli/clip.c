@@ -14,14 +14,14 @@ struct clip_options {
 #undef OPT
 };
 
-static const struct options_def defs[] = {
+static const struct options_def clip_defs[] = {
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct clip_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/clip.def"
 #undef OPT
 };
 
-static const struct options_spec spec = {
+static const struct options_spec clip_spec = {
     .command = "clip",
     .usage = "citysplat clip CITY.tiles -o PART.tiles [options]",
     .about = "Writes a part of a tile store, at every level: the Gaussians whose means lie within "
@@ -29,8 +29,8 @@ static const struct options_spec spec = {
              "byte. The result is a tile store for serve, export and the map commands.",
     .example = "citysplat clip city.tiles -o block.tiles --polygon block.geojson\n"
                "citysplat clip city.tiles -o roofless.tiles --high-m 118",
-    .defs = defs,
-    .n_defs = sizeof defs / sizeof *defs,
+    .defs = clip_defs,
+    .n_defs = sizeof clip_defs / sizeof *clip_defs,
     .min_args = 1,
     .max_args = 1};
 
@@ -42,7 +42,7 @@ enum err_code cli_clip(int argc, char **argv, struct err *e)
     struct clip clip = {0};
     struct arena arena = {0};
     bool any = false;
-    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    enum err_code rc = options_parse(&clip_spec, argc, argv, &o, &args, &arena, e);
     bool run = !rc && !args.done;
     if (run && !o.output)
         rc = err_set(e, ERR_ARG, "-o FILE is missing: where to write the tiles");

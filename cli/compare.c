@@ -18,7 +18,7 @@ struct compare_options {
 #undef OPT
 };
 
-static const struct options_def defs[] = {
+static const struct options_def compare_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW_IN(struct compare_options, maps, type, tier, key, def, lo, hi, unit, help)
@@ -31,7 +31,7 @@ static const struct options_def defs[] = {
 #undef OPT
 };
 
-static const struct options_spec spec = {
+static const struct options_spec compare_spec = {
     .command = "compare",
     .usage = "citysplat compare EARLIER.tiles LATER.tiles -o CHANGE.tif [options]",
     .about = "Draws two tile stores of one place from straight above. Writes the heights of the "
@@ -39,8 +39,8 @@ static const struct options_spec spec = {
              "JSON object: volumes gained and lost, difference of colours, and the shift of the "
              "later store as a whole. --align corrects that shift first.",
     .example = "citysplat compare may.tiles june.tiles -o change.tif --gsd-m 0.25 --align",
-    .defs = defs,
-    .n_defs = sizeof defs / sizeof *defs,
+    .defs = compare_defs,
+    .n_defs = sizeof compare_defs / sizeof *compare_defs,
     .min_args = 2,
     .max_args = 2};
 
@@ -86,7 +86,7 @@ enum err_code cli_compare(int argc, char **argv, struct err *e)
     struct arena arena = {0};
     struct maps m[2] = {{0}, {0}};
     struct change_report report = {0};
-    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    enum err_code rc = options_parse(&compare_spec, argc, argv, &o, &args, &arena, e);
     bool run = !rc && !args.done;
     if (run && o.polygons)
         rc = maps_check_output(o.polygons, maps_vector, o.maps.overwrite, e);

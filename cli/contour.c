@@ -17,7 +17,7 @@ struct contour_options {
 #undef OPT
 };
 
-static const struct options_def defs[] = {
+static const struct options_def contour_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW_IN(struct contour_options, maps, type, tier, key, def, lo, hi, unit, help)
@@ -35,7 +35,7 @@ static const struct options_def defs[] = {
 #undef OPT
 };
 
-static const struct options_spec spec = {
+static const struct options_spec contour_spec = {
     .command = "contour",
     .usage = "citysplat contour CITY.tiles -o FILE.gpkg [options]",
     .about =
@@ -44,8 +44,8 @@ static const struct options_spec spec = {
         "(.gpkg). Memory does not grow with the city.",
     .example = "citysplat contour city.tiles -o lines.gpkg --interval-m 0.5 --least-m 5\n"
                "citysplat contour city.tiles -o lines.geojson --geoid egm2008-1",
-    .defs = defs,
-    .n_defs = sizeof defs / sizeof *defs,
+    .defs = contour_defs,
+    .n_defs = sizeof contour_defs / sizeof *contour_defs,
     .min_args = 1,
     .max_args = 1};
 
@@ -55,7 +55,7 @@ enum err_code cli_contour(int argc, char **argv, struct err *e)
     struct options_args args;
     struct arena arena = {0};
     struct maps m = {0};
-    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    enum err_code rc = options_parse(&contour_spec, argc, argv, &o, &args, &arena, e);
     bool run = !rc && !args.done;
     if (run)
         rc = maps_open(args.arg[0], &o.maps, maps_vector, &o.heights, NULL, &m, e);

@@ -35,14 +35,14 @@ static const struct options_def convert_defs[] = {
 };
 
 enum convert_format {
-    FORMAT_PLY_PACKED, /* SuperSplat's compressed one; read as any other .ply */
-    FORMAT_PLY,
-    FORMAT_SPZ,
-    FORMAT_DRC,
-    FORMAT_GLB,
-    FORMAT_SOG,
-    FORMAT_SPLAT,
-    FORMATS
+    CONVERT_PLY_PACKED, /* SuperSplat's compressed one; read as any other .ply */
+    CONVERT_PLY,
+    CONVERT_SPZ,
+    CONVERT_DRC,
+    CONVERT_GLB,
+    CONVERT_SOG,
+    CONVERT_SPLAT,
+    CONVERT_FORMATS
 };
 enum convert_axes {
     AXES_AUTO,
@@ -59,10 +59,10 @@ struct converted {
 
 static enum err_code convert_format_of(const char *path, enum convert_format *out, struct err *e)
 {
-    static const char *const names[FORMATS] = {
+    static const char *const names[CONVERT_FORMATS] = {
         ".compressed.ply", ".ply", ".spz", ".drc", ".glb", ".sog", ".splat"};
     const size_t n = strlen(path);
-    for (int f = 0; f < FORMATS; f++) {
+    for (int f = 0; f < CONVERT_FORMATS; f++) {
         size_t n_name = strlen(names[f]);
         if (n >= n_name && !strcasecmp(path + n - n_name, names[f])) {
             *out = (enum convert_format)f;
@@ -98,17 +98,17 @@ static enum err_code convert_read(const char *path, const struct codec_limits *l
     if (rc)
         return rc;
     c->axes = AXES_GLTF;
-    if (format == FORMAT_PLY || format == FORMAT_PLY_PACKED) {
+    if (format == CONVERT_PLY || format == CONVERT_PLY_PACKED) {
         rc = ply_decode(b.data, b.size, lim, &c->g, &c->info, e);
         c->axes = of_ply[c->info.axes];
-    } else if (format == FORMAT_SPLAT) {
+    } else if (format == CONVERT_SPLAT) {
         rc = splat_decode(b.data, b.size, lim, &c->g, e);
         c->axes = AXES_AUTO;
-    } else if (format == FORMAT_SOG) {
+    } else if (format == CONVERT_SOG) {
         rc = sog_decode(b.data, b.size, lim, &c->g, e);
-    } else if (format == FORMAT_SPZ) {
+    } else if (format == CONVERT_SPZ) {
         rc = spz_decode(b.data, b.size, lim, &c->q, e);
-    } else if (format == FORMAT_DRC) {
+    } else if (format == CONVERT_DRC) {
         rc = draco_decode(b.data, b.size, lim, &c->q, e);
     } else {
         rc = convert_decode_glb(&b, lim, c, e);
@@ -185,7 +185,7 @@ static enum err_code convert_write_ply(struct converted *c, enum convert_format 
                                                     : AXES_ENU;
     static const enum ply_axes said[] = {PLY_AXES_UNKNOWN, PLY_AXES_ENU, PLY_AXES_GLTF};
     c->info.axes = said[convert_turn(c, want, in)];
-    if (format == FORMAT_PLY)
+    if (format == CONVERT_PLY)
         return ply_encode(&c->g, &c->info, out, e);
     enum err_code rc = convert_sort_gauss(&c->g, e);
     return !rc ? ply_packed_encode(&c->g, c->g.sh_degree, &c->info, out, e) : rc;
@@ -195,9 +195,9 @@ static enum err_code convert_write_integers(struct converted *c, enum convert_fo
                                             const struct convert_options *o, struct buf *out,
                                             struct err *e)
 {
-    if (format == FORMAT_SPZ)
+    if (format == CONVERT_SPZ)
         return spz_encode(&c->q, o->spz_version ? 4 : 3, out, e);
-    if (format == FORMAT_DRC)
+    if (format == CONVERT_DRC)
         return draco_encode(&c->q, NULL, out, e);
     return glb_encode_spz(&c->q, o->copyright, out, e);
 }
@@ -223,8 +223,8 @@ static enum err_code convert_write(struct converted *c, enum convert_format form
                                    struct err *e)
 {
     bool as_is = c->q.block && o->sh_degree < 0 && !o->center && !o->preset && c->axes == AXES_GLTF;
-    bool integers =
-        format == FORMAT_SPZ || format == FORMAT_DRC || (format == FORMAT_GLB && !o->glb_payload);
+    bool integers = format == CONVERT_SPZ || format == CONVERT_DRC ||
+                    (format == CONVERT_GLB && !o->glb_payload);
     if (as_is && integers)
         return convert_write_integers(c, format, o, out, e);
     enum err_code rc = ERR_OK;
@@ -234,7 +234,7 @@ static enum err_code convert_write(struct converted *c, enum convert_format form
         convert_center(&c->g);
     if (rc)
         return rc;
-    if (format == FORMAT_PLY || format == FORMAT_PLY_PACKED)
+    if (format == CONVERT_PLY || format == CONVERT_PLY_PACKED)
         return convert_write_ply(c, format, o, in, out, e);
     if (c->g.origin_enu_m[0] != 0 || c->g.origin_enu_m[1] != 0 || c->g.origin_enu_m[2] != 0)
         return err_set(
@@ -245,7 +245,7 @@ static enum err_code convert_write(struct converted *c, enum convert_format form
     convert_turn(c, AXES_GLTF, in);
     if (o->sort)
         rc = convert_sort_gauss(&c->g, e);
-    if (!rc && format == FORMAT_SOG)
+    if (!rc && format == CONVERT_SOG)
         return sog_encode(&c->g, c->g.sh_degree, out, e);
     if (!rc && !integers)
         return glb_encode_plain(&c->g, o->copyright, out, e);
@@ -280,7 +280,7 @@ enum err_code cli_convert(int argc, char **argv, struct err *e)
     if (rc || args.done)
         goto out;
     rc = convert_format_of(args.arg[1], &format, e);
-    if (!rc && format == FORMAT_SPLAT)
+    if (!rc && format == CONVERT_SPLAT)
         rc = err_set(e, ERR_ARG, "%s: .splat is read, not written", args.arg[1]);
     const struct codec_limits lim = {.max_gaussians = (size_t)o.max_gaussians,
                                      .max_bytes = (size_t)o.max_mib << 20};

@@ -11,7 +11,7 @@ struct dsm_options {
     struct ground_options bare;
 };
 
-static const struct options_def defs[] = {
+static const struct options_def dsm_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW_IN(struct dsm_options, maps, type, tier, key, def, lo, hi, unit, help)
@@ -29,7 +29,7 @@ static const struct options_def defs[] = {
 #undef OPT
 };
 
-static const struct options_spec spec = {
+static const struct options_spec dsm_spec = {
     .command = "dsm",
     .usage = "citysplat dsm CITY.tiles -o FILE.tif [options]",
     .about = "Writes heights of the surface of a tile store, seen from straight above, as a "
@@ -40,8 +40,8 @@ static const struct options_spec spec = {
     .example = "citysplat dsm city.tiles -o dsm.tif --gsd-m 0.25\n"
                "citysplat dsm city.tiles -o dsm.tif --geoid egm2008-1\n"
                "citysplat dsm city.tiles -o dtm.tif --ground",
-    .defs = defs,
-    .n_defs = sizeof defs / sizeof *defs,
+    .defs = dsm_defs,
+    .n_defs = sizeof dsm_defs / sizeof *dsm_defs,
     .min_args = 1,
     .max_args = 1};
 
@@ -50,7 +50,7 @@ enum err_code cli_dsm(int argc, char **argv, struct err *e)
     struct dsm_options o = {0};
     struct options_args args;
     struct arena arena = {0};
-    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    enum err_code rc = options_parse(&dsm_spec, argc, argv, &o, &args, &arena, e);
     if (!rc && !args.done)
         rc = maps_write(
             args.arg[0], &o.maps,

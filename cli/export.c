@@ -52,14 +52,14 @@ struct export_options {
 #undef OPT
 };
 
-static const struct options_def defs[] = {
+static const struct options_def export_defs[] = {
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct export_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/export.def"
 #undef OPT
 };
 
-static const struct options_spec spec = {
+static const struct options_spec export_spec = {
     .command = "export",
     .usage = "citysplat export CITY.tiles -o FILE [options]",
     .about = "Writes one level of a tile store as .ply (east-north-up, every bit of a lossless "
@@ -72,8 +72,8 @@ static const struct options_spec spec = {
                "citysplat export city.tiles -o city.3tz\n"
                "citysplat export city.tiles -o city.pmtiles\n"
                "citysplat export city.tiles -o public/city --format streamed-sog",
-    .defs = defs,
-    .n_defs = sizeof defs / sizeof *defs,
+    .defs = export_defs,
+    .n_defs = sizeof export_defs / sizeof *export_defs,
     .min_args = 1,
     .max_args = 1};
 
@@ -473,7 +473,7 @@ enum err_code cli_export(int argc, char **argv, struct err *e)
     struct options_args args;
     struct arena arena = {0};
     struct store *s = NULL;
-    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    enum err_code rc = options_parse(&export_spec, argc, argv, &o, &args, &arena, e);
     if (rc || args.done)
         goto out;
     signals_catch();

@@ -22,14 +22,14 @@ struct import_options {
 #undef OPT
 };
 
-static const struct options_def defs[] = {
+static const struct options_def import_defs[] = {
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct import_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/import.def"
 #undef OPT
 };
 
-static const struct options_spec spec = {
+static const struct options_spec import_spec = {
     .command = "import",
     .usage = "citysplat import FILE --origin LON,LAT,H -o CITY.tiles [options]",
     .about = "Makes a tile store from Gaussians that were trained elsewhere. Reads .ply "
@@ -37,8 +37,8 @@ static const struct options_spec spec = {
              "cuts it into tiles and makes the coarser levels.",
     .example = "citysplat import bridge.ply --origin 8.6821,50.1109,160 -o bridge.tiles\n"
                "citysplat import garden.spz --origin 8.68,50.11,160 --scale 2.5 -o garden.tiles",
-    .defs = defs,
-    .n_defs = sizeof defs / sizeof *defs,
+    .defs = import_defs,
+    .n_defs = sizeof import_defs / sizeof *import_defs,
     .min_args = 1,
     .max_args = 1};
 
@@ -119,7 +119,7 @@ enum err_code cli_import(int argc, char **argv, struct err *e)
     struct import_options o = {0};
     struct options_args args;
     struct arena arena = {0};
-    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    enum err_code rc = options_parse(&import_spec, argc, argv, &o, &args, &arena, e);
     if (!rc && !args.done && !o.output)
         rc = err_set(e, ERR_ARG, "-o FILE is missing: where to write the tiles");
     if (!rc && !args.done) {

@@ -23,21 +23,21 @@ struct info_options {
 #undef OPT
 };
 
-static const struct options_def defs[] = {
+static const struct options_def info_defs[] = {
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct info_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/info.def"
 #undef OPT
 };
 
-static const struct options_spec spec = {
+static const struct options_spec info_spec = {
     .command = "info",
     .usage = "citysplat info FILE [--json]",
     .about = "Prints what a tile store, a scene, a checkpoint or a file of Gaussians (.ply .spz "
              ".glb .drc .splat) holds: counts, sizes, bounds, levels.",
     .example = "citysplat info city.tiles\ncitysplat info bridge.ply --json",
-    .defs = defs,
-    .n_defs = sizeof defs / sizeof *defs,
+    .defs = info_defs,
+    .n_defs = sizeof info_defs / sizeof *info_defs,
     .min_args = 1,
     .max_args = 1};
 
@@ -339,7 +339,7 @@ enum err_code cli_info(int argc, char **argv, struct err *e)
     struct arena arena = {0};
     enum splats_kind kind = SPLATS_UNKNOWN;
     json_t *j = json_object();
-    enum err_code rc = j ? options_parse(&spec, argc, argv, &o, &args, &arena, e)
+    enum err_code rc = j ? options_parse(&info_spec, argc, argv, &o, &args, &arena, e)
                          : err_set(e, ERR_MEM, "info: out of memory");
     if (rc || args.done)
         goto out;

@@ -16,7 +16,7 @@ struct measure_options {
     struct ask_options ask;
 };
 
-static const struct options_def defs[] = {
+static const struct options_def measure_defs[] = {
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct measure_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/measure.def"
@@ -30,7 +30,7 @@ static const struct options_def defs[] = {
 #undef OPT
 };
 
-static const struct options_spec spec = {
+static const struct options_spec measure_spec = {
     .command = "measure",
     .usage = "citysplat measure CITY.tiles [LON,LAT LON,LAT ...] [options]",
     .about = "Measures on the surface of a tile store. For two or more places it prints lengths "
@@ -38,8 +38,8 @@ static const struct options_spec spec = {
              "surface, and the volume above and below a base.",
     .example = "citysplat measure city.tiles 8.6821,50.1109 8.6860,50.1131\n"
                "citysplat measure city.tiles --polygon heap.geojson",
-    .defs = defs,
-    .n_defs = sizeof defs / sizeof *defs,
+    .defs = measure_defs,
+    .n_defs = sizeof measure_defs / sizeof *measure_defs,
     .min_args = 1,
     .max_args = 1 + 15};
 
@@ -70,7 +70,7 @@ enum err_code cli_measure(int argc, char **argv, struct err *e)
     struct options_args args;
     struct arena arena = {0};
     struct query q = {.kind = QUERY_MEASURE};
-    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    enum err_code rc = options_parse(&measure_spec, argc, argv, &o, &args, &arena, e);
     bool run = !rc && !args.done;
     if (run && (o.polygon ? args.n > 1 : args.n < 3))
         rc = err_set(e, ERR_ARG, "measure: give two or more places LON,LAT, or --polygon FILE");

@@ -14,22 +14,22 @@ struct merge_options {
 #undef OPT
 };
 
-static const struct options_def defs[] = {
+static const struct options_def merge_defs[] = {
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct merge_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/merge.def"
 #undef OPT
 };
 
-static const struct options_spec spec = {
+static const struct options_spec merge_spec = {
     .command = "merge",
     .usage = "citysplat merge A.tiles B.tiles -o C.tiles [options]",
     .about = "Merges two tile stores of neighbouring areas into one, in the frame of the first. "
              "Origins may differ. Tiles of one store alone are copied. Tiles of both stores are "
              "made again from the Gaussians of both.",
     .example = "citysplat merge north.tiles south.tiles -o city.tiles --name city",
-    .defs = defs,
-    .n_defs = sizeof defs / sizeof *defs,
+    .defs = merge_defs,
+    .n_defs = sizeof merge_defs / sizeof *merge_defs,
     .min_args = 2,
     .max_args = 2};
 
@@ -39,7 +39,7 @@ enum err_code cli_merge(int argc, char **argv, struct err *e)
     struct options_args args;
     struct merge_report r;
     struct arena arena = {0};
-    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    enum err_code rc = options_parse(&merge_spec, argc, argv, &o, &args, &arena, e);
     if (!rc && !args.done && !o.output)
         rc = err_set(e, ERR_ARG, "-o FILE is missing: where to write the tiles");
     if (!rc && !args.done) {

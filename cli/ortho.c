@@ -12,20 +12,19 @@ struct ortho_options {
 #undef OPT
 };
 
-static const struct options_def defs[] = {
+static const struct options_def ortho_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW_IN(struct ortho_options, maps, type, tier, key, def, lo, hi, unit, help)
 #include "cli/maps.def"
 #undef OPT
-#define GROUP(title) OPTIONS_GROUP_ROW(title)
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct ortho_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/ortho.def"
 #undef OPT
 };
 
-static const struct options_spec spec = {
+static const struct options_spec ortho_spec = {
     .command = "ortho",
     .usage = "citysplat ortho CITY.tiles -o FILE.tif [options]",
     .about =
@@ -34,8 +33,8 @@ static const struct options_spec spec = {
         "grow with the city.",
     .example = "citysplat ortho city.tiles -o ortho.tif --gsd-m 0.1\n"
                "citysplat ortho city.tiles -o ortho.tif --epsg 25832 --bbox 8.68,50.10,8.69,50.12",
-    .defs = defs,
-    .n_defs = sizeof defs / sizeof *defs,
+    .defs = ortho_defs,
+    .n_defs = sizeof ortho_defs / sizeof *ortho_defs,
     .min_args = 1,
     .max_args = 1};
 
@@ -44,7 +43,7 @@ enum err_code cli_ortho(int argc, char **argv, struct err *e)
     struct ortho_options o = {0};
     struct options_args args;
     struct arena arena = {0};
-    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    enum err_code rc = options_parse(&ortho_spec, argc, argv, &o, &args, &arena, e);
     if (!rc && !args.done)
         rc = maps_write(args.arg[0], &o.maps,
                         &(struct maps_command){

@@ -15,7 +15,7 @@ struct points_options {
 #undef OPT
 };
 
-static const struct options_def defs[] = {
+static const struct options_def points_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW_IN(struct points_options, maps, type, tier, key, def, lo, hi, unit, help)
@@ -31,14 +31,13 @@ static const struct options_def defs[] = {
     OPTIONS_ROW_IN(struct points_options, bare, type, tier, key, def, lo, hi, unit, help)
 #include "cli/ground.def"
 #undef OPT
-#define GROUP(title) OPTIONS_GROUP_ROW(title)
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct points_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/ortho.def"
 #undef OPT
 };
 
-static const struct options_spec spec = {
+static const struct options_spec points_spec = {
     .command = "points",
     .usage = "citysplat points CITY.tiles -o FILE.las [options]",
     .about =
@@ -47,8 +46,8 @@ static const struct options_spec spec = {
         "--ground points have classes. Memory does not grow with the city, but with --ground by 13 "
         "bytes for every square metre.",
     .example = "citysplat points city.tiles -o city.las --gsd-m 0.25 --epsg 25832",
-    .defs = defs,
-    .n_defs = sizeof defs / sizeof *defs,
+    .defs = points_defs,
+    .n_defs = sizeof points_defs / sizeof *points_defs,
     .min_args = 1,
     .max_args = 1};
 
@@ -57,7 +56,7 @@ enum err_code cli_points(int argc, char **argv, struct err *e)
     struct points_options o = {0};
     struct options_args args;
     struct arena arena = {0};
-    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    enum err_code rc = options_parse(&points_spec, argc, argv, &o, &args, &arena, e);
     if (!rc && !args.done)
         rc = maps_write(args.arg[0], &o.maps,
                         &(struct maps_command){.kind = GEOTIFF_COLOR,

@@ -12,7 +12,7 @@ struct profile_options {
     struct ask_options ask;
 };
 
-static const struct options_def defs[] = {
+static const struct options_def profile_defs[] = {
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct profile_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/profile.def"
@@ -26,15 +26,15 @@ static const struct options_def defs[] = {
 #undef OPT
 };
 
-static const struct options_spec spec = {
+static const struct options_spec profile_spec = {
     .command = "profile",
     .usage = "citysplat profile CITY.tiles LON,LAT LON,LAT [LON,LAT ...] [options]",
     .about = "Samples the surface of a tile store along a line of places. Prints one JSON "
              "object: distance, place and height of every sample, lengths in plan and along the "
              "surface, climb and fall.",
     .example = "citysplat profile city.tiles 8.6821,50.1109 8.6860,50.1131 --step-m 1",
-    .defs = defs,
-    .n_defs = sizeof defs / sizeof *defs,
+    .defs = profile_defs,
+    .n_defs = sizeof profile_defs / sizeof *profile_defs,
     .min_args = 3,
     .max_args = 1 + 15};
 
@@ -44,7 +44,7 @@ enum err_code cli_profile(int argc, char **argv, struct err *e)
     struct options_args args;
     struct arena arena = {0};
     struct query q = {.kind = QUERY_PROFILE};
-    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    enum err_code rc = options_parse(&profile_spec, argc, argv, &o, &args, &arena, e);
     q.step_m = o.step_m;
     for (size_t i = 1; !rc && !args.done && i < args.n; i++) /* before the store is opened */
         rc = ask_place(args.arg[i], q.place[q.n++], e);

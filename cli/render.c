@@ -28,7 +28,7 @@ struct render_cli_options {
 #undef OPT
 };
 
-static const struct options_def defs[] = {
+static const struct options_def render_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct render_cli_options, type, tier, key, def, lo, hi, unit, help)
@@ -36,7 +36,7 @@ static const struct options_def defs[] = {
 #undef OPT
 };
 
-static const struct options_spec spec = {
+static const struct options_spec render_spec = {
     .command = "render",
     .usage =
         "citysplat render FILE -o PICTURE (--lon --lat --height-m ... | --camera FILE) [options]",
@@ -46,8 +46,8 @@ static const struct options_spec spec = {
     .example = "citysplat render city.tiles --lon 8.6821 --lat 50.1095 --height-m 260 "
                "--heading-deg 10 --pitch-deg -30 -o view.jpg\n"
                "citysplat render bridge.ply --camera cam.json -o view.npy",
-    .defs = defs,
-    .n_defs = sizeof defs / sizeof *defs,
+    .defs = render_defs,
+    .n_defs = sizeof render_defs / sizeof *render_defs,
     .min_args = 1,
     .max_args = 1};
 
@@ -253,7 +253,7 @@ enum err_code cli_render(int argc, char **argv, struct err *e)
     struct render_cli_options o = {0};
     struct options_args args;
     struct arena arena = {0};
-    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    enum err_code rc = options_parse(&render_spec, argc, argv, &o, &args, &arena, e);
     if (!rc && !args.done && !o.output)
         rc = err_set(e, ERR_ARG, "-o PICTURE is missing: where to write");
     if (!rc && !args.done)

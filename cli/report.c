@@ -26,14 +26,14 @@ struct report_options {
 #undef OPT
 };
 
-static const struct options_def defs[] = {
+static const struct options_def report_defs[] = {
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct report_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/report.def"
 #undef OPT
 };
 
-static const struct options_spec spec = {
+static const struct options_spec report_spec = {
     .command = "report",
     .usage = "citysplat report SCENE -o REPORT.html [options]",
     .about = "Writes a survey report of an ingested scene as one HTML file that prints to PDF. "
@@ -41,8 +41,8 @@ static const struct options_spec spec = {
              "points, reprojection errors, dropped photographs, and the accuracy of trained "
              "levels. With --tiles it also shows orthophoto and surface model.",
     .example = "citysplat report scene -o report.html --tiles city.tiles",
-    .defs = defs,
-    .n_defs = sizeof defs / sizeof *defs,
+    .defs = report_defs,
+    .n_defs = sizeof report_defs / sizeof *report_defs,
     .min_args = 1,
     .max_args = 1};
 
@@ -521,7 +521,7 @@ enum err_code cli_report(int argc, char **argv, struct err *e)
     struct options_args args;
     struct arena arena = {0};
     struct report r = {.o = &o, .ground = {.gsd_m_median = (double)NAN}};
-    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    enum err_code rc = options_parse(&report_spec, argc, argv, &o, &args, &arena, e);
     bool run = !rc && !args.done;
     if (run && !o.output)
         rc = err_set(e, ERR_ARG, "-o is missing: where to write");

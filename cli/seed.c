@@ -29,14 +29,14 @@ struct seed_options {
 #undef OPT
 };
 
-static const struct options_def defs[] = {
+static const struct options_def seed_defs[] = {
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct seed_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/seed.def"
 #undef OPT
 };
 
-static const struct options_spec spec = {
+static const struct options_spec seed_spec = {
     .command = "seed",
     .usage = "citysplat seed URL [options]",
     .about =
@@ -47,8 +47,8 @@ static const struct options_spec spec = {
                "citysplat seed 'https://cdn.example/d/city/seed.ndjson?z=12-16&f=drc'\n"
                "citysplat seed 'https://cdn.example/d/city/seed.ndjson?"
                "path=8.67,50.1,220@0,-30;8.68,50.1,220@0,-30'",
-    .defs = defs,
-    .n_defs = sizeof defs / sizeof *defs,
+    .defs = seed_defs,
+    .n_defs = sizeof seed_defs / sizeof *seed_defs,
     .min_args = 1,
     .max_args = 1};
 
@@ -398,7 +398,7 @@ enum err_code cli_seed(int argc, char **argv, struct err *e)
     struct arena arena = {0};
     struct seed_run r = {.o = &o};
     char *url = NULL;
-    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    enum err_code rc = options_parse(&seed_spec, argc, argv, &o, &args, &arena, e);
     if (rc || args.done)
         goto out;
     signals_catch();

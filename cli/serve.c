@@ -15,7 +15,7 @@
 #include "server/server.h"
 #include "server/supervisor.h"
 
-static const struct options_def defs[] = {
+static const struct options_def serve_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct server_config, type, tier, key, def, lo, hi, unit, help)
@@ -23,7 +23,7 @@ static const struct options_def defs[] = {
 #undef OPT
 };
 
-static const struct options_spec spec = {
+static const struct options_spec serve_spec = {
     .command = "serve",
     .usage = "citysplat serve CITY.tiles [MORE.tiles ...] [options]",
     .about =
@@ -37,8 +37,8 @@ static const struct options_spec spec = {
         "--auth or --check.",
     .example = "citysplat serve city.tiles\n"
                "citysplat serve old-town.tiles harbour.tiles --address 0.0.0.0 --port 8000",
-    .defs = defs,
-    .n_defs = sizeof defs / sizeof *defs,
+    .defs = serve_defs,
+    .n_defs = sizeof serve_defs / sizeof *serve_defs,
     .min_args = 1,
     .max_args = 16,
 };
@@ -95,7 +95,7 @@ enum err_code cli_serve(int argc, char **argv, struct err *e)
     sigset_t hup;
     sigemptyset(&hup);
     sigaddset(&hup, SIGHUP);
-    enum err_code rc = options_parse(&spec, argc, argv, &cfg, &args, &arena, e);
+    enum err_code rc = options_parse(&serve_spec, argc, argv, &cfg, &args, &arena, e);
     if (rc || args.done)
         goto out;
     log_set_json(cfg.log_format);

@@ -15,22 +15,22 @@ struct sign_config {
 #undef OPT
 };
 
-static const struct options_def defs[] = {
+static const struct options_def sign_defs[] = {
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct sign_config, type, tier, key, def, lo, hi, unit, help)
 #include "cli/sign.def"
 #undef OPT
 };
 
-static const struct options_spec spec = {
+static const struct options_spec sign_spec = {
     .command = "sign",
     .usage = "citysplat sign PATH... --auth FILE [options]",
     .about = "Prints signed addresses for a server that was started with --auth. A signed address "
              "opens a path until its time is over. If the path ends with /, it opens everything "
              "below the path. /d/NAME/ is a dataset with its tiles and pictures.",
     .example = "citysplat sign /d/city/ --auth auth.jsonc --for-s 86400 --url https://maps.example",
-    .defs = defs,
-    .n_defs = sizeof defs / sizeof *defs,
+    .defs = sign_defs,
+    .n_defs = sizeof sign_defs / sizeof *sign_defs,
     .min_args = 1,
     .max_args = 16,
 };
@@ -42,7 +42,7 @@ enum err_code cli_sign(int argc, char **argv, struct err *e)
     struct arena arena = {0};
     struct auth *auth = NULL;
     char query[AUTH_QUERY_MAX];
-    enum err_code rc = options_parse(&spec, argc, argv, &cfg, &args, &arena, e);
+    enum err_code rc = options_parse(&sign_spec, argc, argv, &cfg, &args, &arena, e);
     if (rc || args.done)
         goto out;
     if (!cfg.auth)

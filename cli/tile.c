@@ -39,14 +39,14 @@ struct tile_options {
 #undef OPT
 };
 
-static const struct options_def defs[] = {
+static const struct options_def tile_defs[] = {
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct tile_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/tile.def"
 #undef OPT
 };
 
-static const struct options_spec spec = {
+static const struct options_spec tile_spec = {
     .command = "tile",
     .usage = "citysplat tile SCENE -o CITY.tiles [options]\n"
              "       citysplat tile SCENE --update CITY.tiles --cell ID",
@@ -54,8 +54,8 @@ static const struct options_spec spec = {
              "Makes overviews until one tile holds the scene. Writes everything into one file "
              "for `citysplat serve`.",
     .example = "citysplat tile scene -o city.tiles --attribution '© Survey 2026'",
-    .defs = defs,
-    .n_defs = sizeof defs / sizeof *defs,
+    .defs = tile_defs,
+    .n_defs = sizeof tile_defs / sizeof *tile_defs,
     .min_args = 1,
     .max_args = 1};
 
@@ -687,7 +687,7 @@ enum err_code cli_tile(int argc, char **argv, struct err *e)
     struct tile_options o = {0};
     struct options_args args;
     struct arena arena = {0};
-    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    enum err_code rc = options_parse(&tile_spec, argc, argv, &o, &args, &arena, e);
     if (!rc && !args.done && (!o.update != !o.cell))
         rc = err_set(e, ERR_ARG, "--update FILE and --cell ID belong together");
     if (!rc && !args.done && !o.output && !o.update)

@@ -7,7 +7,7 @@
 #include "cli/cli.h"
 #include "lod/store.h"
 
-static const struct options_spec spec = {
+static const struct options_spec verify_spec = {
     .command = "verify",
     .usage = "citysplat verify CITY.tiles",
     .about = "Checks every page, index row, tile and blob of a tile store against its hash and "
@@ -23,7 +23,7 @@ enum err_code cli_verify(int argc, char **argv, struct err *e)
     struct store *s = NULL;
     size_t n, n_bad = 0;
     char none;
-    enum err_code rc = options_parse(&spec, argc, argv, &none, &args, &arena, e);
+    enum err_code rc = options_parse(&verify_spec, argc, argv, &none, &args, &arena, e);
     if (rc || args.done)
         goto out;
     rc = store_open(args.arg[0], &s, e);
