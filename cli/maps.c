@@ -139,6 +139,7 @@ enum err_code maps_write(const char *store, const struct maps_options *o,
     if (rc)
         return rc;
     m.request.kind = c->kind;
+    m.request.walls = c->walls;
     if (c->bare && c->bare->ground) {
         const struct bare_rule rule = {c->bare->widest_m, c->bare->slope};
         rc = bare_draw(m.nadir, &m.request, &rule, &bare, e);
@@ -151,7 +152,9 @@ enum err_code maps_write(const char *store, const struct maps_options *o,
         if (c->heights)
             maps_print_heights(&m, &r);
         if (c->counts)
-            printf("; %" PRIu64 " %s", r.pixels_held, c->counts);
+            printf("; %" PRIu64 " %s", r.pixels_held + r.more, c->counts);
+        if (c->walls)
+            printf(", %" PRIu64 " of them on walls", r.more);
         printf("\n");
     }
     bare_close(&bare);

@@ -54,6 +54,7 @@ struct maps_command {
     const struct geoid_options *heights; /* NULL: the map has no heights */
     const struct ground_options *bare;   /* NULL: the map knows no bare earth */
     const char *const *ends;             /* of the file; NULL: maps_geotiff */
+    bool walls;                          /* points on walls too */
     const char *counts;                  /* name for pixels with a surface; NULL: pixels */
     enum err_code (*write)(struct nadir *n, const struct map_request *r, const char *path,
                            struct map_report *out, struct err *e);

@@ -13,6 +13,9 @@ struct points_options {
 #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/ortho.def"
 #undef OPT
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "cli/points.def"
+#undef OPT
 };
 
 static const struct options_def points_defs[] = {
@@ -35,6 +38,10 @@ static const struct options_def points_defs[] = {
     OPTIONS_ROW(struct points_options, type, tier, key, def, lo, hi, unit, help)
 #include "cli/ortho.def"
 #undef OPT
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct points_options, type, tier, key, def, lo, hi, unit, help)
+#include "cli/points.def"
+#undef OPT
 };
 
 static const struct options_spec points_spec = {
@@ -42,7 +49,8 @@ static const struct options_spec points_spec = {
     .usage = "citysplat points CITY.tiles -o FILE.las [options]",
     .about =
         "Writes the surface of a tile store, seen from straight above, as coloured points in "
-        "LAS 1.4. There is one point for every pixel of an orthophoto with this --gsd-m. With "
+        "LAS 1.4. There is one point for every pixel of an orthophoto with this --gsd-m, and with "
+        "--walls more on walls. With "
         "--ground points have classes. Memory does not grow with the city, but with --ground by 13 "
         "bytes for every square metre.",
     .example = "citysplat points city.tiles -o city.las --gsd-m 0.25 --epsg 25832",
@@ -63,6 +71,7 @@ enum err_code cli_points(int argc, char **argv, struct err *e)
                                                .appearance = o.appearance,
                                                .heights = &o.heights,
                                                .bare = &o.bare,
+                                               .walls = o.walls,
                                                .counts = "points",
                                                .ends = maps_points,
                                                .write = surface_points_write},

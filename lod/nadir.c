@@ -404,46 +404,99 @@ static struct camera nadir_side_camera(const struct nadir_side *s, const struct 
     return cam;
 }
 
+/* A drawing along slanted rays. */
+struct nadir_aslant {
+    struct nadir_frame f;
+    struct nadir_side s;
+    double back;
+    size_t columns;
+};
+
+static enum err_code nadir_aslant(struct nadir *n, const struct nadir_piece *p, unsigned way,
+                                  uint32_t coarse, const float *height_m, struct nadir_aslant *a,
+                                  struct err *e)
+{
+    enum err_code rc = nadir_go(n, e);
+    *a = (struct nadir_aslant){0};
+    if (!rc)
+        rc = nadir_frame(n, p, &a->f, e);
+    if (rc)
+        return rc;
+    a->s = nadir_side(n, &a->f, p, way, coarse);
+    a->columns = (size_t)ceil(a->s.px_across / a->s.coarse);
+    nadir_side_span(&a->s, p, &a->f, height_m);
+    if (!a->s.rows)
+        return ERR_OK;
+    struct camera cam = nadir_side_camera(&a->s, &a->f, &a->back);
+    double scale = fmax(cam.fx_px, cam.fy_px) / fmax(p->px_per_m_x, p->px_per_m_y);
+    return nadir_rays(n, &cam, NADIR_ERROR_PX * scale, e); /* the Gaussians seen from above */
+}
+
+/* Of a pixel of the drawing: rows tell -along - z, depth tells along - z. */
+static void nadir_aslant_meets(const struct nadir_aslant *a, double row, double depth,
+                               double *along, double *z)
+{
+    double down = ((a->s.first + row + 0.5) * a->s.coarse - a->s.row) / a->s.px_per_m_along,
+           forward = (depth - a->back) / nadir_half;
+    *along = 0.5 * (forward - down);
+    *z = -0.5 * (down + forward);
+}
+
+enum err_code nadir_slant_points(struct nadir *n, const struct nadir_piece *p, unsigned way,
+                                 const float *height_m,
+                                 enum err_code (*visit)(void *user, const struct nadir_point *at,
+                                                        struct err *e),
+                                 void *user, struct err *e)
+{
+    struct nadir_aslant a;
+    enum err_code rc = nadir_aslant(n, p, way, 1, height_m, &a, e);
+    for (size_t i = 0; !rc && i < a.s.rows * a.columns; i++) {
+        double along, z,
+            across = ((double)(i % a.columns) + 0.5 - 0.5 * a.s.px_across) / a.s.px_per_m_across;
+        if (!(n->depth[i] > 0))
+            continue;
+        nadir_aslant_meets(&a, (double)(i / a.columns), (double)n->depth[i], &along, &z);
+        const double at[2] = {along * a.s.along[0] + across * a.s.across[0],
+                              along * a.s.along[1] + across * a.s.across[1]};
+        struct nadir_point point = {
+            {at[0] * p->px_per_m_x + 0.5 * p->width, at[1] * p->px_per_m_y + 0.5 * p->height},
+            (float)(z + a.f.eye_h_m + nadir_fall(at)),
+            {0}};
+        for (size_t k = 0; k < 3; k++)
+            point.rgb[k] = nadir_color(n->rgb[3 * i + k], n->transmittance[i]);
+        if (point.at_px[0] >= 0 && point.at_px[0] < p->width && point.at_px[1] >= 0 &&
+            point.at_px[1] < p->height)
+            rc = visit(user, &point, e);
+    }
+    return rc;
+}
+
 enum err_code nadir_slant(struct nadir *n, const struct nadir_piece *p, unsigned way,
                           uint32_t coarse, const float *height_m, float *out, struct err *e)
 {
-    struct nadir_frame f;
-    double back = 0;
-    enum err_code rc = nadir_go(n, e);
-    if (!rc)
-        rc = nadir_frame(n, p, &f, e);
+    struct nadir_aslant a;
+    enum err_code rc = nadir_aslant(n, p, way, coarse, height_m, &a, e);
     if (rc)
         return rc;
-    struct nadir_side s = nadir_side(n, &f, p, way, coarse);
-    nadir_side_span(&s, p, &f, height_m);
-    if (s.rows) {
-        struct camera cam = nadir_side_camera(&s, &f, &back);
-        double scale = fmax(cam.fx_px, cam.fy_px) / fmax(p->px_per_m_x, p->px_per_m_y);
-        rc = nadir_rays(n, &cam, NADIR_ERROR_PX * scale, e); /* the Gaussians seen from above */
-        if (rc)
-            return rc;
-    }
+    const struct nadir_side *s = &a.s;
     for (size_t y = 0; y < p->height; y++)
         for (size_t x = 0; x < p->width; x++) {
             size_t i = y * p->width + x;
-            double at[2];
+            double at[2], along, z_met;
             nadir_place(p, x, y, at);
-            double fall = nadir_fall(at), z = (double)height_m[i] - fall - f.eye_h_m,
-                   row = floor(nadir_side_row(&s, at, z) - s.first),
-                   column = floor(((s.across[0] * at[0] + s.across[1] * at[1]) * s.px_per_m_across +
-                                   0.5 * s.px_across) /
-                                  s.coarse);
+            double fall = nadir_fall(at), z = (double)height_m[i] - fall - a.f.eye_h_m,
+                   row = floor(nadir_side_row(s, at, z) - s->first),
+                   column =
+                       floor(((s->across[0] * at[0] + s->across[1] * at[1]) * s->px_per_m_across +
+                              0.5 * s->px_across) /
+                             s->coarse);
             out[i] = NAN;
-            if (!(row >= 0) || !(row < s.rows))
+            if (!(row >= 0) || !(row < s->rows))
                 continue;
-            double depth =
-                (double)
-                    n->depth[(size_t)row * (size_t)ceil(s.px_across / s.coarse) + (size_t)column];
-            /* The ray of that pixel: rows tell -along - z, depth tells along - z. */
-            double down = ((s.first + row + 0.5) * s.coarse - s.row) / s.px_per_m_along,
-                   forward = (depth - back) / nadir_half;
+            double depth = (double)n->depth[(size_t)row * a.columns + (size_t)column];
+            nadir_aslant_meets(&a, row, depth, &along, &z_met);
             if (depth > 0)
-                out[i] = (float)(-0.5 * (down + forward) + f.eye_h_m + fall);
+                out[i] = (float)(z_met + a.f.eye_h_m + fall);
         }
     return ERR_OK;
 }

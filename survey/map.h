@@ -29,6 +29,7 @@ struct map_request {
     /* Only for map_write and surface_points_write: bare earth and classes by it, of the same
      * request (survey/bare.h). NULL: the surface as it is. */
     const struct bare *ground;
+    bool walls; /* only for surface_points_write: points on walls too */
 };
 struct map_grid { /* pixels in the projection; edges are multiples of a pixel */
     double west_m, north_m, pixel_m;
@@ -38,6 +39,7 @@ struct map_grid { /* pixels in the projection; edges are multiples of a pixel */
 struct map_report {
     struct map_grid grid;
     uint64_t pixels_held; /* number of pixels with a surface */
+    uint64_t more;        /* of points: those on walls */
     double off_px;        /* largest distance between a piece's plane and the projection */
     double seconds;
     double height_min_m, height_max_m; /* of a surface model; NAN: none */

@@ -1,5 +1,6 @@
 /* The surface of a store as a cloud of coloured points, one at the middle of every pixel of a map.
- * Places below a roof or on a wall are not visible from above and have no points.
+ * Places below a roof are not visible and have no points. Walls are not visible from above; with
+ * r->walls slanted rays from four sides find points on them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -53,6 +53,12 @@ run points t.tiles -o classes.las --gsd-m 0.8 --ground
 class() { od -An -v -tu1 -w36 -j "$(od -An -tu4 -j 96 -N 4 "$1")" "$1" | awk '{ n[$17]++ } END { for (c in n) print c, n[c] }' | sort -n; }
 [ "$(class plain.las | awk '{ print $1 }')" = 1 ] || fail "classes without --ground: $(class plain.las)"
 class classes.las | awk '{ n[$1] = $2 } END { exit !(n[2] > 100 && n[6] > 50) }' || fail "classes: $(class classes.las)"
+# Points on walls come beside the others.
+run points t.tiles -o walls.las --gsd-m 0.8 --walls
+walls=$(sed -n 's/.* \([0-9]*\) of them on walls.*/\1/p' log)
+[ "$walls" -gt 100 ] || fail "points on walls: '$walls'"
+[ $(($(class walls.las | awk '{ print $2 }') - walls)) = "$(class plain.las | awk '{ print $2 }')" ] ||
+    fail "$(class walls.las) points with walls, $(class plain.las) without, $walls on walls"
 # Without a truth there are the points of the scene.
 run eval scene --surface points -o points.json
 grep -Eq "^all +[1-9][0-9]{3}" log || fail "points that five photographs show"

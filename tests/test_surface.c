@@ -217,6 +217,81 @@ static void uncertainty_is_that_of_the_errors(void **state)
     nadir_close(&n);
 }
 
+/* ---- walls ---- */
+
+enum { BOX_STEP = 5 /* Gaussians a metre */, BOX_GROUND = 24, BOX_EDGE = 8, BOX_TOP = 6 };
+struct box_seen {
+    size_t n, wall[4], off;
+};
+
+/* A box in the middle of a piece of 10 pixels a metre, right x and down -y. */
+static enum err_code box_meets(void *user, const struct nadir_point *p, struct err *e)
+{
+    struct box_seen *s = user;
+    double x = p->at_px[0] / 10 - 0.5 * BOX_GROUND, y = 0.5 * BOX_GROUND - p->at_px[1] / 10,
+           z = (double)p->height_m - origin.h_m, half = 0.5 * BOX_EDGE,
+           off[4] = {fabs(x - half), fabs(x + half), fabs(y - half), fabs(y + half)};
+    (void)e;
+    if (z < 1 || z > BOX_TOP - 1)
+        return ERR_OK;
+    s->n++;
+    bool near = false;
+    for (size_t k = 0; k < 4; k++) {
+        double along = k < 2 ? y : x;
+        bool on = off[k] < 0.2 && fabs(along) < half + 0.2;
+        s->wall[k] += on;
+        near = near || on;
+    }
+    s->off += !near;
+    return ERR_OK;
+}
+
+static void slanted_rays_find_walls(void **state)
+{
+    static const struct nadir_options no = {.ceiling_m = (double)NAN};
+    static float height[BOX_GROUND * 10 * BOX_GROUND * 10];
+    enum { N = BOX_GROUND * BOX_STEP, M = BOX_EDGE * BOX_STEP, T = BOX_TOP * BOX_STEP };
+    struct box_seen seen = {0};
+    struct err e = {0};
+    struct gauss g;
+    struct nadir *n;
+    char path[FILE_PATH_MAX];
+    const double step = 1.0 / BOX_STEP, half = 0.5 * BOX_EDGE;
+    (void)state;
+    kit_ok(gauss_alloc(&g, N * N + 4 * M * T, 0, 0, &e), e);
+    g.antialiased = true;
+    g.n = 0;
+    for (size_t i = 0; i < N * N; i++) {
+        double x = ((double)(i % N) + 0.5) * step - 0.5 * BOX_GROUND,
+               y = ((double)(i / N) + 0.5) * step - 0.5 * BOX_GROUND;
+        put(&g, x, y, fabs(x) < half && fabs(y) < half ? BOX_TOP : 0, 0.12, 0.05, 0.99);
+    }
+    for (size_t i = 0; i < 4 * M * T; i++) {
+        size_t side = i / (M * T);
+        double along = ((double)(i % M) + 0.5) * step - half,
+               z = ((double)(i / M % T) + 0.5) * step, at = side % 2 ? half : -half;
+        put(&g, side < 2 ? at : along, side < 2 ? along : at, z, 0.1, 0.1, 0.99);
+    }
+    kit_ok(file_join(path, f.dir, "box.tiles", &e), e);
+    const struct pyramid_config cfg = {.tile_edge_m = 30, .name = "box", .attribution = "ours"};
+    const struct pyramid_level level = {.g = &g, .level = 3};
+    kit_ok(pyramid_build(&origin, &level, 1, &cfg, NULL, 0, path, NULL, &e), e);
+    gauss_free(&g);
+    kit_ok(nadir_open(path, &no, &n, &e), e);
+    const struct nadir_piece p = {origin.lon_deg,  origin.lat_deg, 0, 10, 10,
+                                  BOX_GROUND * 10, BOX_GROUND * 10};
+    kit_ok(nadir_draw(n, &p, NULL, height, &e), e);
+    for (unsigned way = 0; way < NADIR_WAYS; way++)
+        kit_ok(nadir_slant_points(n, &p, way, height, box_meets, &seen, &e), e);
+    printf("walls: %zu points between top and foot, %zu, %zu, %zu and %zu on the walls, %zu on "
+           "none\n",
+           seen.n, seen.wall[0], seen.wall[1], seen.wall[2], seen.wall[3], seen.off);
+    for (size_t k = 0; k < 4; k++)
+        assert_true(seen.wall[k] > 1000);
+    assert_true(30 * seen.off < seen.n); /* at corners */
+    nadir_close(&n);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -227,6 +302,7 @@ int main(void)
         cmocka_unit_test(threads_change_nothing),
         cmocka_unit_test(slanted_rays_meet_the_surface),
         cmocka_unit_test(uncertainty_is_that_of_the_errors),
+        cmocka_unit_test(slanted_rays_find_walls),
     };
     return cmocka_run_group_tests(tests, survey_setup, survey_teardown);
 }
