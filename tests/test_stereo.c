@@ -274,10 +274,48 @@ static void a_city_from_its_photographs(void **state)
     /* what windows make wider is known to all views alike, and wrong */
     assert_true(edges.known > s.known);
     assert_true(edges.far - s.far > (edges.known - s.known) / 10);
+    /* the same bytes with one thread */
+    assert_int_equal(kit_run(&out,
+                             "cd '%s' && '%s' stereo scene -o again --no-test-split --threads 1 -q "
+                             "&& diff -r scene/depth again",
+                             kit_tmp, bin),
+                     0);
     /* the maps are there: nothing is replaced unasked */
     assert_int_equal(kit_run(&out, "cd '%s' && '%s' stereo scene -q", kit_tmp, bin), 2);
     assert_non_null(strstr((char *)out.data, "--overwrite"));
     buf_free(&out);
+}
+
+/* `train` with these options on the city's scene fails and says this. */
+static void refused(const char *options, const char *says)
+{
+    struct buf out = {0};
+    assert_int_equal(kit_run(&out, "cd '%s' && '%s' train scene -q --output trained %s 2>&1",
+                             kit_tmp, kit_program(), options),
+                     1);
+    buf_u8(&out, 0);
+    if (!strstr((char *)out.data, says))
+        fail_msg("%s: %s", options, (char *)out.data);
+    buf_free(&out);
+}
+
+static void training_refuses_other_folders(void **state)
+{
+    static const float five[5] = {1, 2, 3, 4, 5}, bad[6] = {0, 0, NAN, 1, 2, 3};
+    const size_t shape_five[2] = {1, 5}, shape_bad[2] = {1, 6};
+    struct err e = {0};
+    char path[FILE_PATH_MAX];
+    (void)state;
+    kit_ok(file_join(path, kit_tmp, "again/points.npy", &e), e);
+    refused("--depth-prior elsewhere", "citysplat stereo");
+    kit_ok(npy_write(path, five, 2, shape_five, &e), e);
+    refused("--depth-prior again", "6 are expected");
+    kit_ok(npy_write(path, bad, 2, shape_bad, &e), e);
+    refused("--depth-prior again", "not finite");
+    assert_int_equal(kit_run(NULL, "rm '%s' '%s'/again/IMG*", path, kit_tmp), 0);
+    refused("--depth-prior again --solid-from 0", "no depth map can be used");
+    assert_int_equal(kit_run(NULL, "mv '%s/scene/depth' '%s/gone'", kit_tmp, kit_tmp), 0);
+    refused("--depth-prior stereo", "citysplat stereo");
 }
 
 int main(void)
@@ -288,6 +326,7 @@ int main(void)
         cmocka_unit_test(senseless_sweeps_are_refused),
         cmocka_unit_test(cubes_hold_the_mean_of_their_samples),
         cmocka_unit_test(a_city_from_its_photographs),
+        cmocka_unit_test(training_refuses_other_folders),
     };
     return cmocka_run_group_tests(tests, pictures_make, pictures_remove);
 }
