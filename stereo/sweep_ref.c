@@ -56,32 +56,35 @@ static double sweep_ref_correlation(const struct sweep_input *in, size_t k, cons
     return (ab / SWEEP_TAPS - ma * mb) / sqrt(va * vb);
 }
 
+/* Of pixel (x, y) in a plane with these maps to the neighbours. */
+static double sweep_ref_cost_of(const struct sweep_input *in, const double (*h)[9], int x, int y)
+{
+    double best[3] = {-2.0, -2.0, -2.0};
+    size_t want = in->n_near > 4 ? 3 : in->n_near > 1 ? 2 : 1, m = 1;
+    for (size_t k = 0; k < in->n_near; k++) {
+        double c = sweep_ref_correlation(in, k, h[k], x, y);
+        for (int b = 0; b < 3; b++) {
+            double was = best[b];
+            best[b] = fmax(was, c);
+            c = fmin(was, c);
+        }
+    }
+    double sum = best[0];
+    while (m < want && best[m] > -1.5)
+        sum += best[m++];
+    return SWEEP_COST_MOST * fmax(fmin(1.0 - sum / (double)m, 1.0), 0.0);
+}
+
 void sweep_ref_cost(const struct sweep_input *in, double *cost)
 {
     size_t w = in->ref.cam.width_px, n = w * in->ref.cam.height_px;
-    size_t want = in->n_near > 4 ? 3 : in->n_near > 1 ? 2 : 1;
     for (uint32_t p = 0; p < in->planes; p++) {
         double h[SWEEP_NEAR_MAX][9];
         for (size_t k = 0; k < in->n_near; k++)
             sweep_homography(in, k, in->low_m + in->step_m * p, h[k]);
-        for (size_t i = 0; i < n; i++) {
-            double best[3] = {-2.0, -2.0, -2.0}, sum;
-            for (size_t k = 0; k < in->n_near; k++) {
-                double c = sweep_ref_correlation(in, k, h[k], (int)(i % w), (int)(i / w));
-                for (int b = 0; b < 3; b++)
-                    if (c > best[b]) {
-                        double was = best[b];
-                        best[b] = c;
-                        c = was;
-                    }
-            }
-            size_t m = 1;
-            sum = best[0];
-            while (m < want && best[m] > -1.5)
-                sum += best[m++];
+        for (size_t i = 0; i < n; i++)
             cost[i * in->planes + p] =
-                SWEEP_COST_MOST * fmax(fmin(1.0 - sum / (double)m, 1.0), 0.0);
-        }
+                sweep_ref_cost_of(in, (const double(*)[9])h, (int)(i % w), (int)(i / w));
     }
 }
 
@@ -93,7 +96,7 @@ static void sweep_ref_path(const struct sweep_input *in, const double *cost, dou
     double least = 0.0, grey = in->ref.grey[first] / 255.0;
     memset(before, 0, planes * sizeof *before);
     for (size_t i = 0; i < count; i++, at += (size_t)step) {
-        double change = fabs(in->ref.grey[at] / 255.0 - grey) * SWEEP_EDGE, next = INFINITY;
+        double change = fabs(in->ref.grey[at] / 255.0 - grey) * SWEEP_EDGE, next = (double)INFINITY;
         double jump = SWEEP_JUMP_LOW + (SWEEP_JUMP_HIGH - SWEEP_JUMP_LOW) / (1.0 + change);
         grey = in->ref.grey[at] / 255.0;
         for (size_t p = 0; p < planes; p++) {

@@ -338,6 +338,20 @@ static void test_full_disk(void **state)
 
 enum { KILLS = 25, NAMES = 30 };
 
+/* Writes until it is killed, and closes `began` after its first file. */
+static void write_for_ever(uint64_t first, const int began[2])
+{
+    struct disk *d = NULL;
+    struct err e = {0};
+    if (file_join(folder, t.dir, "killed", &e) || disk_open(folder, 4 * MB, &d, &e))
+        _exit(1);
+    put(d, first % NAMES, 20000 + first % NAMES);
+    close(began[0]);
+    close(began[1]);
+    for (uint64_t k = first + 1;; k++)
+        put(d, k % NAMES, 20000 + k % NAMES);
+}
+
 /* Killed while it writes: whatever the next one finds is whole. */
 static void test_killed(void **state)
 {
@@ -349,19 +363,8 @@ static void test_killed(void **state)
         assert_int_equal(pipe(began), 0);
         pid_t pid = fork();
         assert_true(pid >= 0);
-        if (!pid) {
-            struct disk *d = NULL;
-            struct err e = {0};
-            if (file_join(folder, t.dir, "killed", &e) || disk_open(folder, 4 * MB, &d, &e))
-                _exit(1);
-            for (uint64_t k = i;; k++) {
-                put(d, k % NAMES, 20000 + k % NAMES);
-                if (k == i) {
-                    close(began[0]);
-                    close(began[1]);
-                }
-            }
-        }
+        if (!pid)
+            write_for_ever(i, began);
         close(began[1]);
         assert_int_equal(read(began[0], &none, 1), 0);
         close(began[0]);

@@ -434,8 +434,8 @@ static void test_networks(void **state)
     kit_ok(crowd_open((struct hash128){4, 5}, &c, &e), e);
     a.ip[15] = other.ip[15] = 1;
     for (int round = 0; round < 3; round++)
-        for (uint8_t i = 0; i < CROWD_MOST; i++) {
-            a.ip[7] = i;
+        for (int i = 0; i < CROWD_MOST; i++) {
+            a.ip[7] = (uint8_t)i;
             struct address got = crowd_client(c, a, 10 + round);
             assert_memory_equal(got.ip, a.ip, 8);
             assert_int_equal(got.ip[15], 0);
