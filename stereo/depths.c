@@ -89,6 +89,10 @@ static enum err_code depths_read(void *user, size_t i, struct err *e)
         rc = file_join(path, dir, im->name, e);
     if (!rc)
         rc = image_read(path, NULL, &full, e);
+    if (!rc && (full.width_px != im->cam.width_px || full.height_px != im->cam.height_px))
+        rc = err_set(e, ERR_DATA,
+                     "%s: %u x %u pixels, the scene says %u x %u: ingest the scene again", path,
+                     full.width_px, full.height_px, im->cam.width_px, im->cam.height_px);
     if (!rc)
         rc = image_resize(&full, v->cam.width_px, v->cam.height_px, &v->rgb, e);
     if (!rc)
@@ -211,15 +215,7 @@ static enum err_code depths_write(void *user, size_t i, struct err *e)
     enum err_code rc = k > 0 && (size_t)k < sizeof name
                            ? file_join(path, d->dir->part, name, e)
                            : err_set(e, ERR_LIMIT, "stereo: a name is too long");
-    char *slash = strrchr(path, '/');
-    if (!rc && slash) { /* a photograph may lie in a folder of its own */
-        *slash = '\0';
-        rc = file_mkdir(path, e);
-        *slash = '/';
-    }
-    if (!rc)
-        rc = npy_write(path, inverse, 2, shape, e);
-    return rc;
+    return rc ? rc : npy_write(path, inverse, 2, shape, e);
 }
 
 /* ---- points ---- */

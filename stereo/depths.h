@@ -39,9 +39,9 @@ struct depths_result {
 };
 /* Writes `dir`/NAME.npy for every photograph with neighbours: inverse depth in 1/m, [h][w], NaN
  * where neighbours do not agree; points.npy, [n][6]: east, north, up in metres, red, green, blue;
- * and depths.json. The folder appears when it is complete. ERR_ARG
- * (the folder exists), ERR_DATA (no points, or no photograph has neighbours), ERR_NOENT, ERR_IO,
- * ERR_FORMAT: of files. ERR_MEM, ERR_DEVICE, ERR_CANCEL. */
+ * and depths.json. The folder appears when it is complete. ERR_ARG (the folder exists), ERR_DATA
+ * (no points, no photograph has neighbours, or one has another size than the scene says),
+ * ERR_NOENT, ERR_IO, ERR_FORMAT: of files. ERR_MEM, ERR_DEVICE, ERR_CANCEL. */
 enum err_code depths_make(struct dev *dev, const struct scene *s, const struct depths_config *cfg,
                           const char *dir, struct depths_result *out, struct err *e) ERR_USE;
 

@@ -158,6 +158,7 @@ static void check_kernels(uint32_t width)
     if (other > N / 50)
         fail_msg("%zu of %d pixels differ from the reference", other, N);
     assert_true(ground > 500 && roof > 80);
+    /* 2.0 % when this was written: behind the roof, where one neighbour sees the ground */
     if (wrong > (ground + roof) / 33)
         fail_msg("%zu of %zu pixels are off by more than a plane", wrong, ground + roof);
     sweep_close(&s);
@@ -268,6 +269,8 @@ static void a_city_from_its_photographs(void **state)
             kit_tmp, bin, bin, bin, bin),
         0);
     struct city_score s = city_score("scene/depth"), edges = city_score("edges");
+    /* 59 % known, 3.5 % of these off by more than 2 %, when this was written; photographs of 480 px
+     * have 1.1 % (decision 069) */
     if (s.known < s.truth / 3 || s.far > s.known / 20 || s.close < s.known * 3 / 4)
         fail_msg("of %zu pixels %zu are known, %zu off by more than 2 %%, %zu within 0.5 %%",
                  s.truth, s.known, s.far, s.close);
