@@ -7,7 +7,6 @@
  */
 #include "codec/image.h"
 
-#include <dlfcn.h>
 #include <pthread.h>
 #include <stdio.h>
 #include <string.h>
@@ -18,44 +17,19 @@
 #include "codec/limits.h"
 #include "codec/png.h"
 #include "codec/webp.h"
+#include "core/library.h"
 
 /* ---- the library ---- */
 
 static const struct image_library *image_table; /* NULL: could not be loaded, image_table_why */
 static struct err image_table_why;
 
-/* A folder from the program's own: of a build, and installed. */
-static bool image_library_path(const char *folder, char out[FILE_PATH_MAX])
-{
-    char self[FILE_PATH_MAX];
-    ssize_t n = readlink("/proc/self/exe", self, sizeof self - 1);
-    if (n <= 0)
-        return false;
-    self[n] = 0;
-    *strrchr(self, '/') = 0;
-    return snprintf(out, FILE_PATH_MAX, "%s/%s" IMAGE_LIBRARY_FILE, self, folder) < FILE_PATH_MAX &&
-           file_exists(out);
-}
-
 static void image_load_once(void)
 {
-    char path[FILE_PATH_MAX];
-    if (!image_library_path("", path) && !image_library_path(IMAGE_LIBRARY_FOLDER "/", path)) {
-        (void)err_set(&image_table_why, ERR_NOENT,
-                      "images: " IMAGE_LIBRARY_FILE ": is neither beside the program nor in "
-                      "%s: install citysplat whole",
-                      IMAGE_LIBRARY_FOLDER);
-        return;
-    }
-    void *library = dlopen(path, RTLD_NOW | RTLD_LOCAL);
-    const struct image_library *table = library ? dlsym(library, IMAGE_LIBRARY_SYMBOL) : NULL;
-    if (!table)
-        (void)err_set(&image_table_why, ERR_INTERNAL, "images: %s: cannot be loaded (%s)", path,
-                      dlerror());
-    else if (table->version != IMAGE_LIBRARY_VERSION)
-        (void)err_set(&image_table_why, ERR_INTERNAL,
-                      "images: %s: is of another version of citysplat: install both anew", path);
-    else
+    static const struct library l = {"images", IMAGE_LIBRARY_FILE, IMAGE_LIBRARY_SYMBOL,
+                                     IMAGE_LIBRARY_VERSION};
+    const void *table;
+    if (!library_load(&l, &table, &image_table_why))
         image_table = table;
 }
 

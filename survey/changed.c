@@ -8,12 +8,9 @@
 #include <stdio.h>
 #include <string.h>
 
-#include <gdal/gdal.h>
-#include <gdal/gdal_alg.h>
-#include <gdal/ogr_api.h>
-
 #include "core/base.h"
 #include "core/sort.h"
+#include "survey/gdal_library.h"
 #include "survey/layer.h"
 #include "survey/region.h"
 
@@ -28,9 +25,6 @@ static const double changed_cell = 15;
 static const double changed_alike = 0.05; /* correlation that is none */
 static const double changed_95 = 1.96;    /* standard deviations */
 static const double changed_pi = 3.14159265358979323846;
-
-/* Of ogrsf_frmts.h, which is C++. */
-void RegisterOGRMEM(void);
 
 struct changed {
     struct changed_request request;
@@ -299,18 +293,18 @@ static void changed_sum(const struct changed *c, struct changed_report *out)
 static enum err_code changed_polygon(const struct changed *c, OGRGeometryH shape, struct layer *l,
                                      const double *value, struct err *e)
 {
-    size_t rings = (size_t)OGR_G_GetGeometryCount(shape), n = 0, at = 0;
+    size_t rings = (size_t)gdal->OGR_G_GetGeometryCount(shape), n = 0, at = 0;
     for (size_t i = 0; i < rings; i++)
-        n += (size_t)OGR_G_GetPointCount(OGR_G_GetGeometryRef(shape, (int)i));
+        n += (size_t)gdal->OGR_G_GetPointCount(gdal->OGR_G_GetGeometryRef(shape, (int)i));
     int *count = mem_array(rings + 1, sizeof *count);
     double *x = mem_array(n + 1, 2 * sizeof *x), *y = x + n;
     enum err_code rc = count && x ? ERR_OK : err_set(e, ERR_MEM, "out of memory for an outline");
     for (size_t i = 0; !rc && i < rings; i++) {
-        OGRGeometryH ring = OGR_G_GetGeometryRef(shape, (int)i);
-        count[i] = OGR_G_GetPointCount(ring);
+        OGRGeometryH ring = gdal->OGR_G_GetGeometryRef(shape, (int)i);
+        count[i] = gdal->OGR_G_GetPointCount(ring);
         for (int k = 0; k < count[i]; k++, at++) {
-            x[at] = c->info.west_m + OGR_G_GetX(ring, k) * c->info.pixel_m;
-            y[at] = c->info.north_m - OGR_G_GetY(ring, k) * c->info.pixel_m;
+            x[at] = c->info.west_m + gdal->OGR_G_GetX(ring, k) * c->info.pixel_m;
+            y[at] = c->info.north_m - gdal->OGR_G_GetY(ring, k) * c->info.pixel_m;
         }
     }
     if (!rc)
@@ -325,9 +319,9 @@ static enum err_code changed_features(const struct changed *c, OGRLayerH from, s
 {
     enum err_code rc = ERR_OK;
     OGRFeatureH f;
-    OGR_L_ResetReading(from);
-    while (!rc && (f = OGR_L_GetNextFeature(from))) {
-        const struct region *r = &c->regions.list[OGR_F_GetFieldAsInteger(f, 0)];
+    gdal->OGR_L_ResetReading(from);
+    while (!rc && (f = gdal->OGR_L_GetNextFeature(from))) {
+        const struct region *r = &c->regions.list[gdal->OGR_F_GetFieldAsInteger(f, 0)];
         const double value[CHANGED_FIELDS] = {r->pixels * c->pixel_m2,
                                               r->sum * c->pixel_m2,
                                               changed_95 * c->pixel_m2 *
@@ -335,8 +329,8 @@ static enum err_code changed_features(const struct changed *c, OGRLayerH from, s
                                               r->sum / r->pixels,
                                               r->most,
                                               r->seeds * c->pixel_m2};
-        rc = changed_polygon(c, OGR_F_GetGeometryRef(f), l, value, e);
-        OGR_F_Destroy(f);
+        rc = changed_polygon(c, gdal->OGR_F_GetGeometryRef(f), l, value, e);
+        gdal->OGR_F_Destroy(f);
     }
     return rc;
 }
@@ -350,21 +344,23 @@ static enum err_code changed_outlines(struct changed *c, struct err *e)
                                     field,     CHANGED_FIELDS};
     struct layer *l = NULL;
     enum err_code rc = layer_create(c->request.polygons, &info, &l, e);
-    RegisterOGRMEM();
-    GDALDriverH driver = GDALGetDriverByName("Memory");
-    GDALDatasetH data = rc || !driver ? NULL : GDALCreate(driver, "", 0, 0, 0, GDT_Unknown, NULL);
+    if (rc)
+        return rc;
+    gdal->RegisterOGRMEM();
+    GDALDriverH driver = gdal->GDALGetDriverByName("Memory");
+    GDALDatasetH data = !driver ? NULL : gdal->GDALCreate(driver, "", 0, 0, 0, GDT_Unknown, NULL);
     OGRLayerH shapes =
-        data ? GDALDatasetCreateLayer(data, "regions", NULL, wkbPolygon, NULL) : NULL;
-    OGRFieldDefnH id = OGR_Fld_Create("region", OFTInteger);
-    if (!rc && (!shapes || OGR_L_CreateField(shapes, id, FALSE) != OGRERR_NONE))
+        data ? gdal->GDALDatasetCreateLayer(data, "regions", NULL, wkbPolygon, NULL) : NULL;
+    OGRFieldDefnH id = gdal->OGR_Fld_Create("region", OFTInteger);
+    if (!shapes || gdal->OGR_L_CreateField(shapes, id, FALSE) != OGRERR_NONE)
         rc = err_set(e, ERR_MEM, "out of memory for outlines");
-    OGR_Fld_Destroy(id);
+    gdal->OGR_Fld_Destroy(id);
     if (!rc)
         rc = geotiff_outline(c->which, shapes, e);
     if (!rc)
         rc = changed_features(c, shapes, l, e);
     if (data)
-        GDALClose(data);
+        gdal->GDALClose(data);
     if (!rc)
         rc = layer_commit(&l, e);
     layer_close(&l);

@@ -10,10 +10,7 @@
 #include <string.h>
 #include <strings.h>
 
-#include <gdal/cpl_string.h>
-#include <gdal/gdal.h>
-#include <gdal/gdal_alg.h>
-
+#include "survey/gdal_library.h"
 #include "survey/layer.h"
 
 enum { CONTOUR_FIELD_MAX = 31 };
@@ -37,7 +34,7 @@ struct contour_job {
 
 static enum err_code contour_fail(const struct contour_job *j, const char *what, struct err *e)
 {
-    return err_set(e, ERR_IO, "%s: %s: %s", j->path, what, CPLGetLastErrorMsg());
+    return err_set(e, ERR_IO, "%s: %s: %s", j->path, what, gdal->CPLGetLastErrorMsg());
 }
 
 /* ---- what is asked for ---- */
@@ -161,8 +158,8 @@ static enum err_code contour_lines(struct contour_job *j, struct err *e)
     const struct map_grid *g = &j->grid;
     struct progress bar;
     GDALContourGeneratorH cg =
-        GDAL_CG_Create((int)g->width, (int)g->height, TRUE, (double)GEOTIFF_NODATA,
-                       j->request->interval_m, j->request->base_m, contour_line, j);
+        gdal->GDAL_CG_Create((int)g->width, (int)g->height, TRUE, (double)GEOTIFF_NODATA,
+                             j->request->interval_m, j->request->base_m, contour_line, j);
     if (!cg)
         return contour_fail(j, "lines could not be started", e);
     enum err_code rc = ERR_OK;
@@ -172,7 +169,7 @@ static enum err_code contour_lines(struct contour_job *j, struct err *e)
         rc = geotiff_row(j->raster, 1, y, j->row, e);
         for (size_t x = 0; x < g->width; x++)
             j->scan[x] = (double)j->row[x];
-        if (!rc && GDAL_CG_FeedLine(cg, j->scan) != CE_None)
+        if (!rc && gdal->GDAL_CG_FeedLine(cg, j->scan) != CE_None)
             rc = contour_fail(j, "lines could not be drawn", e);
         rc = rc ? rc : j->rc;
         if (!rc && signals_stopping())
@@ -181,8 +178,8 @@ static enum err_code contour_lines(struct contour_job *j, struct err *e)
     }
     progress_end(&bar, NULL);
     if (rc && !j->rc)
-        j->rc = rc;      /* no more lines */
-    GDAL_CG_Destroy(cg); /* gives the lines that end at the border */
+        j->rc = rc;            /* no more lines */
+    gdal->GDAL_CG_Destroy(cg); /* gives the lines that end at the border */
     return j->rc;
 }
 
@@ -201,10 +198,10 @@ enum err_code contour_write(struct nadir *n, const struct contour_request *r, co
         rc = contour_count(&j, e);
     if (!rc)
         rc = contour_open(&j, e);
-    CPLPushErrorHandler(CPLQuietErrorHandler);
+    gdal_errors_keep();
     if (!rc)
         rc = contour_lines(&j, e);
-    CPLPopErrorHandler();
+    gdal_errors_show();
     if (!rc)
         rc = layer_commit(&j.out, e);
     layer_close(&j.out);

@@ -8,11 +8,8 @@
 #include <stdio.h>
 #include <string.h>
 
-#include <gdal/cpl_conv.h>
-#include <gdal/cpl_error.h>
-#include <gdal/ogr_srs_api.h>
-
 #include "core/base.h"
+#include "survey/gdal_library.h"
 
 struct crs {
     int epsg;
@@ -43,24 +40,26 @@ int crs_utm(double lon_deg, double lat_deg)
 /* Longitude first, east first, whatever the authority says. */
 static OGRSpatialReferenceH crs_reference(int epsg)
 {
-    OGRSpatialReferenceH r = OSRNewSpatialReference(NULL);
-    if (r && OSRImportFromEPSG(r, epsg) != OGRERR_NONE) {
-        OSRDestroySpatialReference(r);
+    OGRSpatialReferenceH r = gdal->OSRNewSpatialReference(NULL);
+    if (r && gdal->OSRImportFromEPSG(r, epsg) != OGRERR_NONE) {
+        gdal->OSRDestroySpatialReference(r);
         return NULL;
     }
     if (r)
-        OSRSetAxisMappingStrategy(r, OAMS_TRADITIONAL_GIS_ORDER);
+        gdal->OSRSetAxisMappingStrategy(r, OAMS_TRADITIONAL_GIS_ORDER);
     return r;
 }
 
 enum err_code crs_open(int epsg, struct crs **out, struct err *e)
 {
     *out = NULL;
+    enum err_code rc = gdal_load(e);
+    if (rc)
+        return rc;
     struct crs *c = mem_array(1, sizeof *c);
     if (!c)
         return err_set(e, ERR_MEM, "EPSG:%d: out of memory", epsg);
-    enum err_code rc = ERR_OK;
-    CPLPushErrorHandler(CPLQuietErrorHandler);
+    gdal_errors_keep();
     c->epsg = epsg;
     c->wgs84 = crs_reference(4326);
     c->plane = crs_reference(epsg);
@@ -69,19 +68,20 @@ enum err_code crs_open(int epsg, struct crs **out, struct err *e)
     else if (!c->plane)
         rc = err_set(e, ERR_ARG,
                      "EPSG:%d: no such coordinate system; e.g. 32632 is UTM zone 32 north", epsg);
-    else if (!OSRIsProjected(c->plane) || fabs(OSRGetLinearUnits(c->plane, NULL) - 1.0) > 1e-9)
+    else if (!gdal->OSRIsProjected(c->plane) ||
+             fabs(gdal->OSRGetLinearUnits(c->plane, NULL) - 1.0) > 1e-9)
         rc = err_set(e, ERR_ARG,
                      "EPSG:%d: not a projection in metres; use one, e.g. 326xx or 327xx (UTM) or "
                      "the country's own",
                      epsg);
     if (!rc) {
-        c->to = OCTNewCoordinateTransformation(c->wgs84, c->plane);
-        c->from = OCTNewCoordinateTransformation(c->plane, c->wgs84);
+        c->to = gdal->OCTNewCoordinateTransformation(c->wgs84, c->plane);
+        c->from = gdal->OCTNewCoordinateTransformation(c->plane, c->wgs84);
         if (!c->to || !c->from)
             rc = err_set(e, ERR_ARG, "EPSG:%d: PROJ knows no way from WGS 84: %s", epsg,
-                         CPLGetLastErrorMsg());
+                         gdal->CPLGetLastErrorMsg());
     }
-    CPLPopErrorHandler();
+    gdal_errors_show();
     if (rc)
         crs_close(&c);
     *out = c;
@@ -94,15 +94,15 @@ void crs_close(struct crs **cp)
     if (!c)
         return;
     if (c->to)
-        OCTDestroyCoordinateTransformation(c->to);
+        gdal->OCTDestroyCoordinateTransformation(c->to);
     if (c->from)
-        OCTDestroyCoordinateTransformation(c->from);
+        gdal->OCTDestroyCoordinateTransformation(c->from);
     if (c->wgs84)
-        OSRDestroySpatialReference(c->wgs84);
+        gdal->OSRDestroySpatialReference(c->wgs84);
     if (c->plane)
-        OSRDestroySpatialReference(c->plane);
+        gdal->OSRDestroySpatialReference(c->plane);
     if (c->compound)
-        OSRDestroySpatialReference(c->compound);
+        gdal->OSRDestroySpatialReference(c->compound);
     mem_free(c);
     *cp = NULL;
 }
@@ -115,7 +115,7 @@ int crs_epsg(const struct crs *c)
 double crs_outside_deg(const struct crs *c, double lon_deg, double lat_deg)
 {
     double west, south, east, north;
-    if (!OSRGetAreaOfUse(c->plane, &west, &south, &east, &north, NULL) || west < -180 ||
+    if (!gdal->OSRGetAreaOfUse(c->plane, &west, &south, &east, &north, NULL) || west < -180 ||
         east < west)
         return 0; /* not known, or across the date line */
     return fmax(fmax(west - lon_deg, lon_deg - east),
@@ -142,27 +142,27 @@ int crs_vertical(const char *geoid)
 
 enum err_code crs_set_vertical(struct crs *c, int epsg, struct err *e)
 {
-    OGRSpatialReferenceH up = crs_reference(epsg), both = OSRNewSpatialReference(NULL);
-    const char *name = up ? OSRGetName(up) : NULL;
+    OGRSpatialReferenceH up = crs_reference(epsg), both = gdal->OSRNewSpatialReference(NULL);
+    const char *name = up ? gdal->OSRGetName(up) : NULL;
     char text[200];
     enum err_code rc = ERR_OK;
     if (!both)
         rc = err_set(e, ERR_MEM, "EPSG:%d: out of memory", epsg);
-    else if (!name || !OSRIsVertical(up))
+    else if (!name || !gdal->OSRIsVertical(up))
         rc = err_set(e, ERR_IO, "EPSG:%d: PROJ's database has no such heights", epsg);
     if (!rc)
-        snprintf(text, sizeof text, "%s + %s", OSRGetName(c->plane), name);
-    if (!rc && OSRSetCompoundCS(both, text, c->plane, up) != OGRERR_NONE)
-        rc = err_set(e, ERR_IO, "EPSG:%d + EPSG:%d: %s", c->epsg, epsg, CPLGetLastErrorMsg());
+        snprintf(text, sizeof text, "%s + %s", gdal->OSRGetName(c->plane), name);
+    if (!rc && gdal->OSRSetCompoundCS(both, text, c->plane, up) != OGRERR_NONE)
+        rc = err_set(e, ERR_IO, "EPSG:%d + EPSG:%d: %s", c->epsg, epsg, gdal->CPLGetLastErrorMsg());
     if (up)
-        OSRDestroySpatialReference(up);
+        gdal->OSRDestroySpatialReference(up);
     if (rc && both)
-        OSRDestroySpatialReference(both);
+        gdal->OSRDestroySpatialReference(both);
     if (rc)
         return rc;
-    OSRSetAxisMappingStrategy(both, OAMS_TRADITIONAL_GIS_ORDER);
+    gdal->OSRSetAxisMappingStrategy(both, OAMS_TRADITIONAL_GIS_ORDER);
     if (c->compound)
-        OSRDestroySpatialReference(c->compound);
+        gdal->OSRDestroySpatialReference(c->compound);
     c->compound = both;
     return ERR_OK;
 }
@@ -176,8 +176,8 @@ enum err_code crs_wkt(const struct crs *c, char **out, struct err *e)
 {
     char *text = NULL;
     OGRSpatialReferenceH r = (OGRSpatialReferenceH)(uintptr_t)crs_with_heights(c);
-    *out = OSRExportToWkt(r, &text) == OGRERR_NONE && text ? mem_text(text) : NULL;
-    CPLFree(text);
+    *out = gdal->OSRExportToWkt(r, &text) == OGRERR_NONE && text ? mem_text(text) : NULL;
+    gdal->CPLFree(text);
     return *out ? ERR_OK : err_set(e, ERR_MEM, "EPSG:%d: out of memory for its text", c->epsg);
 }
 
@@ -191,9 +191,9 @@ static enum err_code crs_apply(const struct crs *c, OGRCoordinateTransformationH
         size_t many = n - from < BATCH ? n - from : BATCH;
         memcpy(x0, x + from, many * sizeof *x0);
         memcpy(y0, y + from, many * sizeof *y0);
-        CPLPushErrorHandler(CPLQuietErrorHandler);
-        OCTTransformEx(t, (int)many, x + from, y + from, NULL, ok);
-        CPLPopErrorHandler();
+        gdal_errors_keep();
+        gdal->OCTTransformEx(t, (int)many, x + from, y + from, NULL, ok);
+        gdal_errors_show();
         for (size_t i = 0; i < many; i++)
             if (!ok[i] || !isfinite(x[from + i]) || !isfinite(y[from + i]))
                 return err_set(e, ERR_ARG, "EPSG:%d: it does not reach the place %.9g %.9g",

@@ -15,7 +15,8 @@ struct crs; /* only one thread at a time may use it */
  * Svalbard are irregular). North of 84 and south of 80 degrees it is that of UPS. */
 int crs_utm(double lon_deg, double lat_deg);
 /* Opens a projection. Close *out with crs_close. ERR_ARG: there is no such code, or its axes are
- * not metres in the plane. */
+ * not metres in the plane. ERR_NOENT, ERR_INTERNAL: of gdal_load. ERR_IO: PROJ's database is
+ * missing. ERR_MEM. */
 enum err_code crs_open(int epsg, struct crs **out, struct err *e) ERR_USE;
 void crs_close(struct crs **c);
 int crs_epsg(const struct crs *c);

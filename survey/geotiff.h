@@ -27,11 +27,11 @@ enum geotiff_kind {
     GEOTIFF_SURFACE /* two of them: heights and their standard deviation */
 };
 struct geotiff;
-/* Starts GDAL with only the GeoTIFF drivers, without files of its own, and with a limited cache.
- * Call it before GDAL opens any file. */
-void geotiff_start(void);
+/* Loads GDAL and starts it with only the GeoTIFF drivers, without files of its own, and with a
+ * limited cache. Call it before GDAL opens any file. ERR_NOENT, ERR_INTERNAL: as gdal_load. */
+enum err_code geotiff_start(struct err *e) ERR_USE;
 /* Begins a file. End with geotiff_commit or geotiff_close. ERR_IO, ERR_MEM, ERR_LIMIT (the path is
- * too long). */
+ * too long), and those of geotiff_start. */
 enum err_code geotiff_create(const char *path, enum geotiff_kind kind,
                              const struct geotiff_info *info, struct geotiff **out,
                              struct err *e) ERR_USE;

@@ -9,12 +9,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include <gdal/cpl_conv.h>
-#include <gdal/gdal.h>
-#include <gdal/gdal_frmts.h>
-#include <gdal/ogr_srs_api.h>
-
 #include "core/base.h"
+#include "survey/gdal_library.h"
 
 struct sheet {
     char path[FILE_PATH_MAX];
@@ -32,7 +28,7 @@ static enum err_code sheet_fail(const struct sheet *s, const char *what, struct 
 static enum err_code sheet_check_bands(const struct sheet *s, struct err *e)
 {
     bool color = s->kind == GEOTIFF_COLOR;
-    int bands = GDALGetRasterCount(s->data);
+    int bands = gdal->GDALGetRasterCount(s->data);
     if (color ? bands != 4 : bands != 1 && bands != 2)
         return sheet_fail(
             s,
@@ -40,7 +36,7 @@ static enum err_code sheet_check_bands(const struct sheet *s, struct err *e)
                   : "not a surface model: one band of heights is expected, and at most one of "
                     "their standard deviation beside it",
             e);
-    if (color && GDALGetRasterDataType(GDALGetRasterBand(s->data, 1)) != GDT_Byte)
+    if (color && gdal->GDALGetRasterDataType(gdal->GDALGetRasterBand(s->data, 1)) != GDT_Byte)
         return sheet_fail(s, "not an orthophoto: 8 bits a colour are expected", e);
     return ERR_OK;
 }
@@ -48,12 +44,12 @@ static enum err_code sheet_check_bands(const struct sheet *s, struct err *e)
 static enum err_code sheet_place(struct sheet *s, struct err *e)
 {
     double t[6];
-    OGRSpatialReferenceH srs = GDALGetSpatialRef(s->data);
+    OGRSpatialReferenceH srs = gdal->GDALGetSpatialRef(s->data);
     /* Heights may stand beside the projection. */
-    const char *code = srs ? OSRGetAuthorityCode(srs, "PROJCS") : NULL,
-               *name = srs ? OSRGetAuthorityName(srs, "PROJCS") : NULL;
-    double w = GDALGetRasterXSize(s->data), h = GDALGetRasterYSize(s->data);
-    if (GDALGetGeoTransform(s->data, t) != CE_None || t[2] != 0 || t[4] != 0 || !(t[1] > 0) ||
+    const char *code = srs ? gdal->OSRGetAuthorityCode(srs, "PROJCS") : NULL,
+               *name = srs ? gdal->OSRGetAuthorityName(srs, "PROJCS") : NULL;
+    double w = gdal->GDALGetRasterXSize(s->data), h = gdal->GDALGetRasterYSize(s->data);
+    if (gdal->GDALGetGeoTransform(s->data, t) != CE_None || t[2] != 0 || t[4] != 0 || !(t[1] > 0) ||
         fabs(t[1] + t[5]) > 1e-9 * t[1])
         return sheet_fail(s, "it is not north up, or its pixels are not square", e);
     if (!code || !name || strcmp(name, "EPSG") != 0)
@@ -78,18 +74,19 @@ enum err_code sheet_open(const char *path, enum geotiff_kind kind, struct sheet 
         rc = err_set(e, ERR_LIMIT, "%.60s...: the path is too long", path);
     else if (!file_exists(path))
         rc = err_set(e, ERR_NOENT, "%s: no such file", path);
-    geotiff_start();
-    static const char *const drivers[] = {"GTiff", NULL};
-    CPLPushErrorHandler(CPLQuietErrorHandler);
     if (!rc)
-        s->data = GDALOpenEx(path, GDAL_OF_RASTER | GDAL_OF_READONLY, drivers, NULL, NULL);
+        rc = geotiff_start(e);
+    static const char *const drivers[] = {"GTiff", NULL};
+    gdal_errors_keep();
+    if (!rc)
+        s->data = gdal->GDALOpenEx(path, GDAL_OF_RASTER | GDAL_OF_READONLY, drivers, NULL, NULL);
     if (!rc && !s->data)
         rc = sheet_fail(s, "not a GeoTIFF", e);
     if (!rc)
         rc = sheet_check_bands(s, e);
     if (!rc)
         rc = sheet_place(s, e);
-    CPLPopErrorHandler();
+    gdal_errors_show();
     if (rc)
         sheet_close(&s);
     *out = s;
@@ -102,7 +99,7 @@ void sheet_close(struct sheet **sp)
     if (!s)
         return;
     if (s->data)
-        GDALClose(s->data);
+        gdal->GDALClose(s->data);
     crs_close(&s->crs);
     mem_free(s);
     *sp = NULL;
@@ -133,26 +130,28 @@ enum err_code sheet_read(const struct sheet *s, uint32_t x, uint32_t y, uint32_t
 {
     bool color = s->kind == GEOTIFF_COLOR;
     int size = color ? 1 : 4, bands = color ? 4 : 1;
-    CPLPushErrorHandler(CPLQuietErrorHandler);
-    CPLErr rc = GDALDatasetRasterIO(s->data, GF_Read, (int)x, (int)y, (int)w, (int)h, pixels,
-                                    (int)w, (int)h, color ? GDT_Byte : GDT_Float32, bands, NULL,
-                                    size * bands, size * bands * (int)w, color ? 1 : 0);
-    CPLPopErrorHandler();
-    return rc == CE_None ? ERR_OK : err_set(e, ERR_FORMAT, "%s: %s", s->path, CPLGetLastErrorMsg());
+    gdal_errors_keep();
+    CPLErr rc = gdal->GDALDatasetRasterIO(s->data, GF_Read, (int)x, (int)y, (int)w, (int)h, pixels,
+                                          (int)w, (int)h, color ? GDT_Byte : GDT_Float32, bands,
+                                          NULL, size * bands, size * bands * (int)w, color ? 1 : 0);
+    gdal_errors_show();
+    return rc == CE_None ? ERR_OK
+                         : err_set(e, ERR_FORMAT, "%s: %s", s->path, gdal->CPLGetLastErrorMsg());
 }
 
 bool sheet_has_sigma(const struct sheet *s)
 {
-    return s->kind != GEOTIFF_COLOR && GDALGetRasterCount(s->data) == 2;
+    return s->kind != GEOTIFF_COLOR && gdal->GDALGetRasterCount(s->data) == 2;
 }
 
 enum err_code sheet_read_sigma(const struct sheet *s, uint32_t x, uint32_t y, uint32_t w,
                                uint32_t h, float *sigma_m, struct err *e)
 {
     int band = 2;
-    CPLPushErrorHandler(CPLQuietErrorHandler);
-    CPLErr rc = GDALDatasetRasterIO(s->data, GF_Read, (int)x, (int)y, (int)w, (int)h, sigma_m,
-                                    (int)w, (int)h, GDT_Float32, 1, &band, 4, 4 * (int)w, 0);
-    CPLPopErrorHandler();
-    return rc == CE_None ? ERR_OK : err_set(e, ERR_FORMAT, "%s: %s", s->path, CPLGetLastErrorMsg());
+    gdal_errors_keep();
+    CPLErr rc = gdal->GDALDatasetRasterIO(s->data, GF_Read, (int)x, (int)y, (int)w, (int)h, sigma_m,
+                                          (int)w, (int)h, GDT_Float32, 1, &band, 4, 4 * (int)w, 0);
+    gdal_errors_show();
+    return rc == CE_None ? ERR_OK
+                         : err_set(e, ERR_FORMAT, "%s: %s", s->path, gdal->CPLGetLastErrorMsg());
 }

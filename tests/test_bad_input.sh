@@ -88,6 +88,27 @@ else
     echo "skip full disk: no user namespaces here"
 fi
 
+# -- libraries of the program -------------------------------------------------------------------------------------
+mkdir "$work/alone"
+cp "$bin" "$work/alone/citysplat"
+refuse "no library of images" 1 "images: citysplat-image.so: is neither beside the program nor in" "$work/pictures" \
+    "$work/alone/citysplat" synth -o "$work/pictures" --photos 3 --width-px 64 --height-px 48 --extent-m 40 -q
+refuse "no library of maps" 1 "maps and projections: citysplat-gdal.so: is neither beside the program nor in" "" \
+    "$work/alone/citysplat" synth --city "$work/city" --map "$work/file" -q
+echo 'not a library' >"$work/alone/citysplat-gdal.so"
+refuse "a library that is none" 1 "citysplat-gdal.so: cannot be loaded" "" \
+    "$work/alone/citysplat" synth --city "$work/city" --map "$work/file" -q
+
+# An installed program finds both: it writes photographs, and GDAL says what the file is not.
+if [ -f "$(dirname "$bin")/CMakeCache.txt" ]; then
+    cmake --install "$(dirname "$bin")" --prefix "$work/usr" >"$work/log" 2>&1 || { cat "$work/log"; exit 1; }
+    "$work/usr/bin/citysplat" synth -o "$work/pictures" --photos 3 --width-px 64 --height-px 48 --extent-m 40 -q || exit 1
+    refuse "a map that is none, by an installed program" 1 "file: not a GeoTIFF" "" \
+        "$work/usr/bin/citysplat" synth --city "$work/city" --map "$work/file" -q
+else
+    echo "skip an installed program: this one is not in its build folder"
+fi
+
 # -- tile stores and splats --------------------------------------------------------------------------------------
 refuse "not a tile store" 65 "$work/file" "" "$bin" serve "$work/file" --port 0 -q
 refuse "no tile store" 66 "nothing.tiles" "" "$bin" serve "$work/nothing.tiles" --port 0 -q

@@ -174,12 +174,12 @@ static void gdalinfo_says_what_it_is(void **state)
 /* A pixel of the first overview is the mean of its four, of which nodata is none. */
 static void overviews_are_means(void **state)
 {
+    struct err e = {0};
     (void)state;
     needs_maps();
-    geotiff_start();
+    kit_ok(geotiff_start(&e), e);
     for (size_t i = 0; i < 2; i++) {
         char path[FILE_PATH_MAX];
-        struct err e = {0};
         kit_ok(file_join(path, f.dir, rows[i].name, &e), e);
         GDALDatasetH d = GDALOpen(path, GA_ReadOnly);
         assert_non_null(d);

@@ -15,9 +15,11 @@
 #include <jansson.h>
 
 #include "codec/image.h"
+#include "core/library.h"
 #include "lod/probe.h"
 #include "survey/change.h"
 #include "survey/edge.h"
+#include "survey/gdal_library.h"
 #include "survey/map.h"
 
 #define GSD_M 0.25
@@ -730,6 +732,26 @@ static void ortho_is_the_citys_picture(void **state)
     buf_free(&out);
 }
 
+/* A library that was left over from an older installation. */
+static void a_library_of_another_version_is_refused(void **state)
+{
+    struct err e = {0};
+    struct library l = {"maps", GDAL_LIBRARY_FILE, GDAL_LIBRARY_SYMBOL, GDAL_LIBRARY_VERSION};
+    const void *table;
+    (void)state;
+    kit_ok(library_load(&l, &table, &e), e);
+    assert_ptr_equal(table, gdal);
+    l.version++;
+    assert_int_equal(library_load(&l, &table, &e), ERR_INTERNAL);
+    kit_expect_text(e.msg, "another version", __FILE__, __LINE__);
+    assert_null(table);
+    l.symbol = "no_such_table";
+    assert_int_equal(library_load(&l, &table, &e), ERR_INTERNAL);
+    kit_expect_text(e.msg, "cannot be loaded", __FILE__, __LINE__);
+    l.file = "citysplat-none.so";
+    assert_int_equal(library_load(&l, &table, &e), ERR_NOENT);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -747,6 +769,7 @@ int main(void)
         cmocka_unit_test(ortho_is_the_citys_picture),
         cmocka_unit_test(nonsense_is_refused),
         cmocka_unit_test(the_program_says_the_same),
+        cmocka_unit_test(a_library_of_another_version_is_refused),
     };
     return cmocka_run_group_tests_name("survey", tests, survey_setup, survey_teardown);
 }

@@ -31,9 +31,9 @@ fi
 # list is missing in it for want of a name.
 if command -v dpkg-query >/dev/null && grep -q 'VERSION_ID="12"' /etc/os-release && command -v readelf >/dev/null; then
     image=$(sed -n '/apt-get install/,/rm -rf/p' "$root/configs/Containerfile" | tr -d '\\' | tr ' ' '\n' | grep -E '^[a-z0-9][a-z0-9.+-]+$' | grep -vx 'apt-get\|install\|rm' | sort -u)
-    image_library=$(dirname "$bin")/citysplat-image.so
-    needed=$(readelf -d "$bin" "$image_library" | sed -n 's/.*(NEEDED).*\[\(.*\)\]/\1/p')
-    mapfile -t files < <(ldd "$bin" "$image_library" | awk '$2 == "=>" { print $1, $3 }' | grep -Fwf <(echo "$needed") | cut -d' ' -f2 |
+    loaded=$(dirname "$bin") loaded=("$loaded/citysplat-image.so" "$loaded/citysplat-gdal.so") # when they are needed
+    needed=$(readelf -d "$bin" "${loaded[@]}" | sed -n 's/.*(NEEDED).*\[\(.*\)\]/\1/p')
+    mapfile -t files < <(ldd "$bin" "${loaded[@]}" | awk '$2 == "=>" { print $1, $3 }' | grep -Fwf <(echo "$needed") | cut -d' ' -f2 |
         xargs -r readlink -f | sed 's|.*/\([^/]*/[^/]*\)$|*/\1|')
     # libc6, libgcc-s1 and libstdc++6 come with the others; a sanitizer's library is in no image.
     packages=$(dpkg-query -S "${files[@]}" 2>/dev/null | cut -d: -f1 | grep -vx 'libc6\|libgcc-s1\|libstdc++6\|lib.*san[0-9]*' | sort -u)

@@ -1,0 +1,24 @@
+/* Parts of the program that are shared libraries of their own, loaded when they are first needed.
+ * They keep large foreign libraries out of the start of the program: OpenImageIO brings 250, GDAL
+ * 110.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef CORE_LIBRARY_H
+#define CORE_LIBRARY_H
+
+#include <stdint.h>
+
+#include "core/err.h"
+
+struct library {
+    const char *what;   /* for messages, "images" */
+    const char *file;   /* "citysplat-image.so", beside the program or in its library folder */
+    const char *symbol; /* of a table whose first member is a uint32_t, its version */
+    uint32_t version;   /* that the caller knows */
+};
+/* Loads a library, which stays loaded. *table is borrowed. ERR_NOENT: the file is missing.
+ * ERR_INTERNAL: it cannot be loaded, or is of another version. */
+enum err_code library_load(const struct library *l, const void **table, struct err *e) ERR_USE;
+
+#endif
