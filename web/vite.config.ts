@@ -10,6 +10,8 @@ import { dirname, join } from "node:path";
 import { buildSync } from "esbuild";
 import { defineConfig, type Plugin } from "vite";
 
+import { inlineWorkers, listLicences, minifyWhole } from "./build";
+
 const CESIUM_BASE_URL = JSON.stringify("./cesium/"); // beside the page
 
 // For examples/maplibre.html.
@@ -162,6 +164,11 @@ function dropIndent(): Plugin {
 // `npm run dev` forwards the data to a running `citysplat serve`.
 const server = process.env["CITYSPLAT_SERVER"] ?? "http://127.0.0.1:8080";
 
+const { version } = JSON.parse(readFileSync(new URL("package.json", import.meta.url), "utf8")) as {
+  version: string;
+};
+const inWorkers = new Set<string>(); // sources of the module's workers
+
 // Modes: the page alone, which empties the folder first; "globe", cesium.html with nothing in common
 // with the page, so that the page loads none of it; "module", for other pages.
 const builds = {
@@ -178,27 +185,30 @@ const builds = {
     },
   },
   module: {
-    plugins: [leaveOutGltf(), copyDraco(), copyParts("maplibre-gl", "dist", MAPLIBRE_PARTS, "maplibre")],
+    plugins: [
+      leaveOutGltf(),
+      copyDraco(),
+      copyParts("maplibre-gl", "dist", MAPLIBRE_PARTS, "maplibre"),
+      inlineWorkers(inWorkers),
+      minifyWhole(version),
+      listLicences(inWorkers, "../LICENSE"),
+    ],
     build: {
       emptyOutDir: false,
-      rollupOptions: {
-        preserveEntrySignatures: "allow-extension" as const, // all of it in viewer.js
-        output: { chunkFileNames: "assets/[name]-[hash].js" },
-      },
-      lib: { entry: "src/viewer.ts", formats: ["es" as const], fileName: () => "viewer.js" },
+      rollupOptions: { output: { inlineDynamicImports: true } }, // all of it in viewer.js
+      lib: { entry: "src/module.ts", formats: ["es" as const], fileName: () => "viewer.js" },
     },
   },
-};
-
-const { version } = JSON.parse(readFileSync(new URL("package.json", import.meta.url), "utf8")) as {
-  version: string;
 };
 
 export default defineConfig(({ mode }) => {
   const { plugins, build } = builds[mode === "globe" || mode === "module" ? mode : "page"];
   return {
     base: "./",
-    define: { __VERSION__: JSON.stringify(version) },
+    define: {
+      __VERSION__: JSON.stringify(version),
+      __ASSETS__: JSON.stringify(mode === "module" ? "./assets/" : "./"), // from the script that needs them
+    },
     plugins,
     publicDir: mode === "module" || mode === "globe" ? false : "public",
     build: { target: "es2022", sourcemap: false, ...build },

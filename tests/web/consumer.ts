@@ -1,4 +1,4 @@
-// A page of somebody else in TypeScript: compiled by module.test.mjs against the declarations that the
+// A page of somebody else in TypeScript: compiled by reach.test.mjs against the declarations that the
 // module ships, with nothing of ours but the package. Every option, event and method of docs/viewer.md.
 //
 // SPDX-License-Identifier: Apache-2.0
@@ -11,10 +11,11 @@ import {
     type Mode,
     type Place,
     type Pose,
+    type Problem,
     type Viewer,
     type ViewerOptions,
     type ViewerState,
-} from "@citysplat/viewer";
+} from "citysplat-viewer";
 import { Map as MapView } from "maplibre-gl";
 
 const pose: Pose = { lon: 13.4, lat: 52.5, h: 200, heading: 0, pitch: -40, fov: 45 };
@@ -29,7 +30,7 @@ const options: ViewerOptions = {
     detail: 1.5,
     backdrop: true,
     theme: "light",
-    keyboard: false,
+    keyboard: "focus",
 };
 const viewer: Viewer = createViewer(document.body, options);
 const ends: (() => void)[] = [
@@ -88,4 +89,11 @@ export function onMap(container: HTMLElement): MapLayer {
     map.addLayer(layer);
     map.on("click", ({ point }) => layer.pick(point)?.h.toFixed());
     return layer;
+}
+
+export function asElement(): string {
+    const city = document.querySelector("city-splat")!;
+    city.view = "13.4,52.5,200,0,-40";
+    city.viewer?.on("problem", (problem) => (problem as Problem).kind === "no3d");
+    return [city.src, city.scene, city.appearance, city.viewer?.mode].join();
 }

@@ -2,3 +2,4 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 declare const __VERSION__: string; // of package.json
+declare const __ASSETS__: string; // folder of assets/, from the script

@@ -28,8 +28,9 @@ import { CardClock } from "./pace";
 import { Preview } from "./preview";
 import type { SceneInfo } from "./source";
 import { text } from "./strings";
-import { CityTiles, type Broken, type CardTurn, type CityTile } from "./tiles";
+import { CityTiles, type CardTurn, type CityTile } from "./tiles";
 import { Tint } from "./tint";
+import type { Broken } from "./types";
 
 export interface CityStats {
   tiles: number; // drawn now
@@ -43,6 +44,7 @@ export interface CityStats {
   broken: Broken[]; // wanted, and not to be had
 }
 
+/** @internal */
 export const NO_STATS: CityStats = {
   tiles: 0,
   gaussians: 0,
@@ -55,6 +57,16 @@ export const NO_STATS: CityStats = {
   broken: [],
 };
 
+// No multisampling: splats have no edges to smooth, and it costs.
+function makeRenderer(canvas: HTMLCanvasElement): WebGLRenderer {
+  try {
+    return new WebGLRenderer({ canvas, antialias: false, powerPreference: "high-performance" });
+  } catch {
+    throw new Error("no WebGL 2"); // three.js has told the console what the browser says
+  }
+}
+
+/** @internal */
 export class City {
   readonly renderer: WebGLRenderer;
   readonly scene = new Scene();
@@ -74,9 +86,10 @@ export class City {
   onCore: (core: Box3) => void = () => {}; // where most Gaussians of the scene are
   onContext: (lost: boolean) => void = () => {};
   onFailure: (error: Error) => void = () => {};
+  onStopped: (error: Error) => void = () => {}; // nothing new can be drawn here
   onCard: CardTurn = (run) => run();
   private readonly shared: boolean; // the context is somebody else's: nothing is cleared, depth is kept
-  private readonly decoders = new DecoderPool();
+  private readonly decoders: DecoderPool;
   private readonly cache = new LRUCache();
   private active: CityTiles | null = null;
   private next: CityTiles | null = null; // takes the place of the active one when it is complete
@@ -88,7 +101,7 @@ export class City {
   private fresh = false; // the last frame shows the newest order
 
   // surface: a canvas of its own, or the renderer of a context that others draw into as well. Throws
-  // when the browser has no WebGL 2.
+  // when the browser has no WebGL 2 or starts no worker.
   constructor(
     surface: HTMLCanvasElement | WebGLRenderer,
     private readonly camera: PerspectiveCamera,
@@ -96,14 +109,17 @@ export class City {
     memoryBytes: number,
   ) {
     this.shared = surface instanceof WebGLRenderer;
-    // No multisampling: splats have no edges to smooth, and it costs.
-    this.renderer =
-      surface instanceof WebGLRenderer
-        ? surface
-        : new WebGLRenderer({ canvas: surface, antialias: false, powerPreference: "high-performance" });
+    this.renderer = surface instanceof WebGLRenderer ? surface : makeRenderer(surface);
     const canvas = this.renderer.domElement;
     this.renderer.setClearColor(0x000000, 1);
-    this.engine = new Gaussians(this.renderer);
+    try {
+      this.engine = new Gaussians(this.renderer);
+      this.decoders = new DecoderPool();
+    } catch (error) {
+      if (!this.shared) this.renderer.dispose();
+      throw error;
+    }
+    this.engine.onFailure = (error) => this.onStopped(error);
     this.clock = new CardClock(this.renderer.getContext() as WebGL2RenderingContext);
     this.engine.setTested(this.shared);
     this.preview = new Preview(this.renderer, this.engine);

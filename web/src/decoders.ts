@@ -4,6 +4,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import type { DecodeReply, DecodeRequest } from "./decode.worker";
 import type { DecodedSplats } from "./spz";
+import { startWorker } from "./workers";
 
 interface Job {
   request: DecodeRequest;
@@ -50,7 +51,7 @@ export class DecoderPool {
   }
 
   private start(seat: Seat): Worker {
-    const worker = new Worker(new URL("./decode.worker.ts", import.meta.url), { type: "module" });
+    const worker = startWorker("decode");
     worker.onmessage = ({ data }: MessageEvent<DecodeReply>) => {
       const job = seat.job;
       seat.job = null;

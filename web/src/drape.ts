@@ -30,8 +30,9 @@ import {
 
 import type { Frame } from "./geo";
 import type { Shape } from "./overlay";
+import { TOUCH } from "./touch";
 
-const SIDE_PX = matchMedia("(pointer: coarse)").matches ? 2048 : 4096;
+const SIDE_PX = TOUCH ? 2048 : 4096;
 const TEXEL_LEAST_M = 0.05;
 const LINE_M = [0.3, 3] as const;
 const MARGIN_M = 30; // beyond the city

@@ -49,6 +49,7 @@ import {
 import type { Rectangle, SortMessage, SortReply } from "./sort.worker";
 import { ROW, SH_NONE, type DecodedSplats } from "./spz";
 import type { Tint } from "./tint";
+import { startWorker, WORKER_NEEDS } from "./workers";
 
 const ROWS_FIRST = 128;
 const EVERYWHERE: Rectangle[] = [[-Infinity, Infinity, -Infinity, Infinity]];
@@ -108,9 +109,8 @@ export class Gaussians {
   private embedPlanes = 0;
   private order: DataTexture | null = null;
   private spare: Uint32Array<ArrayBuffer> | null = null;
-  private readonly sorter = new Worker(new URL("./sort.worker.ts", import.meta.url), {
-    type: "module",
-  });
+  onFailure: (error: Error) => void = () => {}; // nothing new can be drawn any more
+  private readonly sorter = startWorker("sort");
   private sorting: { ticket: number; blocks: Block[]; key: string; clock: { began: number } | null } | null = null;
   private ticket = 0;
   private nextId = 0;
@@ -191,6 +191,8 @@ export class Gaussians {
     this.colorScene.add(this.colorMesh);
     this.projector = new Projector(renderer);
     this.sorter.onmessage = ({ data }: MessageEvent<SortReply>) => this.take(data);
+    this.sorter.onerror = ({ message }) =>
+      this.onFailure(new Error(message ? `sorting: ${message}` : `no worker starts; the page's policy must allow ${WORKER_NEEDS}`));
   }
 
   // ---- blocks ----

@@ -25,6 +25,7 @@ function headingOf(ahead: [number, number], right: [number, number], sine: numbe
   return (radians * MathUtils.RAD2DEG + 360) % 360;
 }
 
+/** @internal */
 export class Frame {
   readonly worldFromEcef = new Matrix4();
   readonly ecefFromWorld = new Matrix4();

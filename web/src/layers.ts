@@ -120,7 +120,9 @@ async function fetchFile(url: URL, signal: AbortSignal): Promise<ArrayBuffer> {
 }
 
 export class Layers {
+  /** @internal */
   readonly models = new Group(); // drawn before the city, and hidden by what is in front of it
+  /** @internal */
   readonly drape = new Drape();
   onWake: () => void = () => {};
   onChange: () => void = () => {};
@@ -128,6 +130,7 @@ export class Layers {
   private readonly lights = new Group();
   private next = 1;
 
+  /** @internal */
   constructor(
     private readonly stage: Stage,
     private readonly overlay: Overlay,
@@ -199,6 +202,7 @@ export class Layers {
   }
 
   // Where it is, in the scene's metres; null where that is not known.
+  /** @internal */
   extentOf(id: number): Box3 | null {
     const { shapes, model, tiles, layer } = this.entries.get(id) ?? {};
     const box = new Box3();
@@ -216,12 +220,14 @@ export class Layers {
   }
 
   // Before a frame is drawn.
+  /** @internal */
   step(camera: Stage["camera"], renderer: Parameters<ForeignTiles["step"]>[1]) {
     for (const { layer, tiles } of this.entries.values())
       if (tiles && layer.visible && layer.state === "shown") tiles.step(camera, renderer);
   }
 
   // The nearest point of a model on a ray; null where there is none.
+  /** @internal */
   meet(ray: Ray): Vector3 | null {
     if (!this.models.children.length) return null;
     const caster = new Raycaster(ray.origin, ray.direction);

@@ -3,10 +3,10 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import { parseView } from "./address";
-import { element, toast } from "./dom";
+import { element } from "./dom";
 import { language, Page, theme } from "./page";
 import "./style.css";
-import { setLanguage, text } from "./strings";
+import { setLanguage } from "./strings";
 import { createViewer, type Pose, type Viewer, type ViewerOptions, type ViewerState } from "./viewer";
 
 interface Console {
@@ -57,7 +57,6 @@ function main() {
   };
   const viewer = createViewer(element("view"), options);
   new Page(viewer);
-  if (viewer.mode === "pictures" && !thin) toast(text("banner.thin"));
   window.citysplat = {
     viewer,
     get state() {

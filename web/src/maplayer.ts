@@ -99,6 +99,7 @@ export class MapLayer {
   readonly type = "custom" as const;
   readonly renderingMode = "3d" as const;
   scene: SceneEntry | null = null;
+  /** @internal */
   info: SceneInfo | null = null;
   private readonly camera = new PerspectiveCamera();
   private readonly events = new Events<MapLayerEvents>();
@@ -113,6 +114,7 @@ export class MapLayer {
   private opening = 0;
   private error: Error | null = null;
   private wasReady = false;
+  private refused = false; // this browser does not draw
 
   constructor(private readonly options: MapLayerOptions = {}) {
     this.id = options.id ?? "citysplat";
@@ -269,7 +271,8 @@ export class MapLayer {
 
   render(gl: WebGL2RenderingContext, view: MapFrame) {
     if (!this.map) return;
-    const city = this.city ?? this.begin(gl);
+    const city = this.city ?? this.tryBegin(gl);
+    if (!city) return;
     city.renderer.resetState();
     for (const run of this.jobs.splice(0)) run();
     if (this.follow(view)) {
@@ -281,12 +284,31 @@ export class MapLayer {
     this.wasReady = state.ready;
   }
 
+  // null where the browser cannot draw it; told once.
+  private tryBegin(gl: WebGL2RenderingContext): City | null {
+    if (this.refused) return null;
+    try {
+      return this.begin(gl);
+    } catch (error) {
+      this.refuse(error);
+      return null;
+    }
+  }
+
+  private refuse(error: unknown) {
+    this.refused = true;
+    const why = error instanceof Error ? error.message : String(error);
+    const problem = new Problem("no3d", { why });
+    console.warn(`citysplat: ${problem.message}`);
+    this.fail(problem);
+  }
+
   // The canvas of the renderer is none that is seen: its size is all that is used of it.
   private begin(gl: WebGL2RenderingContext): City {
     const canvas = document.createElement("canvas");
     const renderer = new WebGLRenderer({ canvas, context: gl });
-    const link = new Link();
     const bytes = (this.options.memoryMb ?? MEMORY_MB) * 2 ** 20;
+    const link = new Link();
     const city = new City(renderer, this.camera, link, bytes);
     city.backdrop.visible = false;
     city.errorTarget = PX_PER_SIGMA * (this.options.detail ?? 1);
@@ -294,6 +316,7 @@ export class MapLayer {
     city.onWake = () => this.wake();
     city.onCore = (core) => (this.core = core);
     city.onFailure = (error) => this.fail(error);
+    city.onStopped = (error) => this.refuse(error);
     city.onCard = (run) => this.atNextFrame(run);
     link.onState = (state, before) => {
       this.events.emit("link", state);

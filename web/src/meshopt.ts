@@ -3,6 +3,7 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import type { MeshoptReply, MeshoptRequest } from "./meshopt.worker";
+import { startWorker } from "./workers";
 
 const BUFFER_MS = 30_000;
 const BYTES_MAX = 512 * 2 ** 20;
@@ -27,7 +28,7 @@ export class MeshoptPool {
 
   private decode(request: MeshoptRequest): Promise<Uint8Array> {
     if (!(request.count * request.size <= BYTES_MAX)) throw new Error("meshopt: too large");
-    this.worker ??= new Worker(new URL("./meshopt.worker.ts", import.meta.url), { type: "module" });
+    this.worker ??= startWorker("meshopt");
     const { worker } = this;
     return new Promise((resolve, reject) => {
       const fail = (why: string) => {

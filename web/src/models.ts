@@ -68,7 +68,7 @@ const meshopt = new MeshoptPool();
 // that needs it.
 function dracoLoader(): DRACOLoader {
   if (!draco) {
-    draco = new DRACOLoader().setDecoderPath(new URL(/* @vite-ignore */ "./", import.meta.url).href);
+    draco = new DRACOLoader().setDecoderPath(new URL(/* @vite-ignore */ __ASSETS__, import.meta.url).href);
     (draco as unknown as { decoderConfig: object }).decoderConfig = { type: "js" };
     draco.setWorkerLimit(2);
   }

@@ -1,6 +1,12 @@
 // Parts of packages that have no types of their own.
 //
 // SPDX-License-Identifier: Apache-2.0
+// What the build makes of a worker: its script as text.
+declare module "*.worker.ts?text" {
+  const text: string;
+  export default text;
+}
+
 declare module "*/meshopt_decoder_reference.js" {
   export const MeshoptDecoder: {
     decodeGltfBuffer(

@@ -52,6 +52,7 @@ function isLength(v: unknown): v is number {
 
 const notThere = (name: string) => new HttpError(404, "", `no photograph is called '${name}'`);
 
+/** @internal */
 export class Network {
   readonly gaussian: number; // lengths
   readonly image: number;

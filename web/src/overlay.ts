@@ -39,6 +39,7 @@ interface Entry {
 }
 
 export class Overlay {
+  /** @internal */
   readonly group = new Group();
   onWake: () => void = () => {};
   private readonly entries = new Map<number, Entry>();
@@ -46,6 +47,7 @@ export class Overlay {
   private readonly size = new Vector2(1, 1);
   private next = 1;
 
+  /** @internal */
   constructor(
     surface: HTMLElement,
     private readonly stage: Stage,

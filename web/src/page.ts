@@ -16,16 +16,17 @@ import { Inset } from "./inset";
 import { LayerPanel } from "./layerpanel";
 import { MeasureTool } from "./measure";
 import type { ShotDialog } from "./shotdialog";
-import { isForScene, type Walk } from "./stage";
+import type { Walk } from "./pose";
+import { isForScene } from "./stage";
 import { banner, Status, unbanner } from "./status";
 import { getLanguage, setLanguage, text, translate } from "./strings";
+import { TOUCH } from "./touch";
 import { Tours } from "./tours";
 import type { Mode, Viewer } from "./viewer";
 
-// Touch screens begin with a step less: their pixels are smaller, their lines slower. The size of the window does not
-// count: fewer pixels already ask for fewer Gaussians.
-const TOUCH = matchMedia("(pointer: coarse)").matches;
-const DETAIL_MIDDLE = 4; // the slider position at which a typical Gaussian is one pixel
+// The slider position at which a typical Gaussian is one pixel. Touch screens begin with a step less. The size of the window
+// does not count: fewer pixels already ask for fewer Gaussians.
+const DETAIL_MIDDLE = 4;
 const ADDRESS_MS = 300; // browsers refuse an address that changes too often
 
 function stored(key: string): string | null {

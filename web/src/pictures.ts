@@ -31,6 +31,7 @@ interface Wish {
   height: number;
 }
 
+/** @internal */
 export class Pictures {
   onPicture: (info: PictureInfo) => void = () => {};
   onProblem: (error: unknown) => void = () => {};

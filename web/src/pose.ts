@@ -37,3 +37,6 @@ export function parsePose(text: string): Pose | null {
     return null;
   return { lon, lat, h, heading, pitch, fov };
 }
+
+// How a person moves the camera.
+export type Walk = "orbit" | "fly" | "walk";

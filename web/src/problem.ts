@@ -10,6 +10,9 @@ export type ProblemKind =
   | "noScene"
   | "badTileset"
   | "noPictures"
+  | "no3d" // this browser does not draw, and the server may
+  | "nothingDraws" // nor does the server
+  | "badView"
   | "http";
 
 export class Problem extends Error {

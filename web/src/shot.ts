@@ -58,6 +58,7 @@ export function cutUp(width: number, height: number): Part[] {
 }
 
 // The camera of a part as the server takes it: x right, y down, z forward, from east-north-up metres.
+/** @internal */
 export function cameraOf(camera: PerspectiveCamera, width: number, height: number, part: Part) {
   const worldFromEnu = new Matrix4().set(1, 0, 0, 0, 0, 0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1);
   const view = camera.matrixWorld.clone().invert().multiply(worldFromEnu);
@@ -95,6 +96,7 @@ function encode(canvas: HTMLCanvasElement, format: ShotFormat): Promise<Blob> {
 }
 
 // render: where the server takes cameras.
+/** @internal */
 export async function drawByServer(
   render: URL,
   camera: PerspectiveCamera,

@@ -23,6 +23,7 @@ export interface SceneEntry {
   packed: boolean; // tiles are to be had as .drc, and as drafts
 }
 
+/** @internal */
 export interface SceneInfo {
   url: string; // of the tileset, with the appearance
   network: Network | null; // colours of the tiles are as they were trained; null: as they are shown
@@ -108,6 +109,7 @@ function entryOfTileset(tileset: URL): SceneEntry {
 }
 
 // The scenes at a URL: a server's folder, or a tileset.json.
+/** @internal */
 export async function findScenes(link: Link, url: URL): Promise<SceneEntry[]> {
   if (/\.json$/.test(url.pathname)) return [entryOfTileset(url)];
   const base = new URL(url);
@@ -121,6 +123,7 @@ export async function findScenes(link: Link, url: URL): Promise<SceneEntry[]> {
 
 // The first of some places that has scenes. A place that says no is passed over; one that does not
 // answer is waited for.
+/** @internal */
 export async function findFirst(link: Link, urls: URL[]): Promise<SceneEntry[]> {
   let first: unknown;
   for (const url of urls) {
@@ -143,6 +146,7 @@ function withAppearance(url: URL, appearance: string): URL {
 // Tiles are asked for in their smallest form, which carries embeddings too, in every document of a
 // tileset. drafts: the first tile of each branch comes as one: it is there soon, and mostly gone as soon
 // as finer ones are.
+/** @internal */
 export function usePackedTiles(document: { root?: Node }, drafts = true) {
   const visit = ({ content, children }: Node, first: boolean) => {
     const tile = content?.uri && /\.glb(?=\?|$)/.test(content.uri);
@@ -175,6 +179,7 @@ async function fetchNetwork(
 }
 
 // compute: colours are to be computed here, if the server lets us.
+/** @internal */
 export async function openScene(
   link: Link,
   entry: SceneEntry,
@@ -227,6 +232,7 @@ function describe(
 }
 
 // Every appearance of a scene. The time is that of the photograph, where the server tells it.
+/** @internal */
 export async function listAppearances(
   link: Link,
   entry: SceneEntry,
@@ -240,6 +246,7 @@ export async function listAppearances(
 }
 
 // sky: with sky and ground behind the city, as the viewer draws them by day; else before black.
+/** @internal */
 export function pictureUrl(
   entry: SceneEntry,
   appearance: string,
@@ -258,6 +265,7 @@ export function pictureUrl(
 }
 
 // What the server sees at a pixel of a view; null for the sky.
+/** @internal */
 export async function askPlace(
   link: Link,
   { questions }: SceneEntry,
@@ -276,6 +284,7 @@ export async function askPlace(
 }
 
 // What the server says of a scene's map tiles; null where there are none.
+/** @internal */
 export async function findMapTiles(link: Link, entry: SceneEntry): Promise<MapTiles | null> {
   if (!entry.map || !entry.pictures) return null;
   const about = (await link.json(entry.map)) as { maxzoom?: unknown; bounds?: unknown };
@@ -287,6 +296,7 @@ export async function findMapTiles(link: Link, entry: SceneEntry): Promise<MapTi
 }
 
 // The operator's basemap, where there is one.
+/** @internal */
 export async function findBasemap(link: Link, entry: SceneEntry): Promise<Basemap | null> {
   if (!entry.catalogue) return null;
   const { basemap } = (await link.json(new URL("collections", entry.catalogue))) as {

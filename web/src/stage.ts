@@ -9,7 +9,7 @@
 import { Box3, Euler, MathUtils, Matrix4, PerspectiveCamera, Plane, Ray, Vector3 } from "three";
 
 import { Frame } from "./geo";
-import { FOV_DEG, type Pose } from "./pose";
+import { FOV_DEG, type Pose, type Walk } from "./pose";
 
 const HOME_HEADING_DEG = 20;
 const HOME_PITCH_DEG = -38;
@@ -48,8 +48,6 @@ const ZOOM_PER_S = 1.5; // natural logarithm
 const LOOK_RAD_PER_PX = 0.0035;
 const GLIDE_S = 0.12; // how fast a throw dies out
 
-export type Walk = "orbit" | "fly" | "walk";
-
 // Keys belong to the scene unless a control that uses them has the focus.
 export function isForScene(event: KeyboardEvent): boolean {
   const target = event.composedPath()[0];
@@ -73,7 +71,7 @@ interface Drag {
 export class Stage {
   readonly camera = new PerspectiveCamera(FOV_DEG, 1, 1, 10000);
   frame = new Frame(new Matrix4().makeTranslation(6378137, 0, 0)); // until a scene opens
-  keyboard = true;
+  keyboard: boolean | "focus" = true; // "focus": keys count while the surface has it
   // The surface on a ray, where the owner knows it.
   surfaceOn: (ray: Ray) => Vector3 | null = () => null;
   onMove: () => void = () => {};
@@ -507,6 +505,7 @@ export class Stage {
 
   private key(event: KeyboardEvent) {
     if (!this.keyboard || active !== this || !(event.code in KEYS) || !isForScene(event)) return;
+    if (this.keyboard === "focus" && !event.composedPath().includes(this.surface)) return;
     event.preventDefault();
     if (!this.held.size) this.takeOver();
     this.held.add(event.code);

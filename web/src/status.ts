@@ -2,7 +2,7 @@
 // picture or takes the keys.
 //
 // SPDX-License-Identifier: Apache-2.0
-import { element, setText } from "./dom";
+import { element, setText, toast } from "./dom";
 import { Problem } from "./problem";
 import { getLanguage, text } from "./strings";
 import type { Progress, Viewer, ViewerState } from "./viewer";
@@ -159,6 +159,9 @@ export class Status {
   }
 
   private showProblem(error: Error) {
+    const kind = error instanceof Problem ? error.kind : null;
+    if (kind === "no3d") return toast(error.message); // the server's pictures come
+    if (kind === "noAnswer") return; // a banner says that
     element("problem-title").textContent =
       error instanceof Problem ? error.title : text("problem.other.title");
     element("problem-text").textContent = error.message;

@@ -21,6 +21,7 @@ import type { Link } from "./link";
 import { screenError } from "./screenerror";
 import { DRAFT, usePackedTiles } from "./source";
 import type { Tint } from "./tint";
+import type { Broken } from "./types";
 
 // States of a tile, as 3d-tiles-renderer numbers them.
 const UNLOADED = 0;
@@ -57,13 +58,6 @@ export interface CityTile extends Tile {
 
 // Runs what uploads to the card: at once, or when the owner of the context draws next.
 export type CardTurn = (run: () => void) => void | Promise<void>;
-
-export interface Broken {
-  name: string;
-  why: string;
-  tries: number;
-  again: number; // performance.now() of the next attempt
-}
 
 // Members of 3d-tiles-renderer that its type declarations leave out.
 interface Base {

@@ -22,7 +22,7 @@ export interface ViewerOptions {
   fadeMs?: number; // that levels take to fade into each other; 0: they change at once; default 280
   backdrop?: boolean; // sky and ground; default true
   theme?: "dark" | "light";
-  keyboard?: boolean; // keys move the camera; default true
+  keyboard?: boolean | "focus"; // keys move the camera; "focus": only while it has the focus; default true
 }
 
 export interface ViewerEvents {
@@ -70,4 +70,12 @@ export interface Progress {
   done: number; // tiles of this wait, or layers
   total: number; // 0: not known
   bytes: number; // received since it began
+}
+
+// A tile that is wanted, and not to be had.
+export interface Broken {
+  name: string;
+  why: string;
+  tries: number;
+  again: number; // performance.now() of the next attempt
 }

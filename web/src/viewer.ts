@@ -14,6 +14,7 @@ import { Overlay } from "./overlay";
 import { Pace } from "./pace";
 import { pickMedian } from "./pick";
 import { Pictures } from "./pictures";
+import type { Walk } from "./pose";
 import { Problem } from "./problem";
 import { Waits } from "./progress";
 import { Scenes, type Opened, type SceneHost } from "./scenes";
@@ -30,7 +31,8 @@ import {
   type SceneEntry,
   type SceneInfo,
 } from "./source";
-import { Stage, type Walk } from "./stage";
+import { Stage } from "./stage";
+import { TOUCH } from "./touch";
 import type { Mode, Progress, ViewerEvents, ViewerOptions, ViewerState } from "./types";
 
 // Of this module, as semantic versioning has it: what docs/viewer.md names is what it promises.
@@ -51,9 +53,10 @@ export type { ShotFormat, ShotOptions } from "./shot";
 
 export type { Mode, Progress, ViewerEvents, ViewerOptions, ViewerState } from "./types";
 
-const SMALL_DEVICE = matchMedia("(pointer: coarse)").matches;
-const MEMORY_MB = SMALL_DEVICE ? 384 : 1536;
-const PIXEL_RATIO_MAX = SMALL_DEVICE ? 1.5 : 2;
+export { Problem, type ProblemKind } from "./problem";
+
+const MEMORY_MB = TOUCH ? 384 : 1536;
+const PIXEL_RATIO_MAX = TOUCH ? 1.5 : 2;
 const PX_PER_SIGMA = 16; // a tile's geometric error is 16 times its typical Gaussian
 const ABOVE_M = 200; // over most of the city: where one looks down from
 const FINE_M = 0.25; // how finely
@@ -73,6 +76,7 @@ function extentOf(info: SceneInfo, frame: Frame): Box3 {
 export class Viewer {
   readonly surface: HTMLElement; // takes pointer and keys
   readonly canvas: HTMLCanvasElement;
+  /** @internal */
   readonly stage: Stage;
   readonly overlay: Overlay;
   readonly layers: Layers;
@@ -90,6 +94,7 @@ export class Viewer {
   private touched = false;
   private homeless = true; // the scene's extent is not known yet
   private wasReady = false;
+  private without3d = ""; // why this browser does not draw
   private running = 0; // the next turn of the loop; 0: it rests
   private timer = 0; // that ends the rest
   private previous = 0; // when the last turn was; 0: before the rest
@@ -153,6 +158,7 @@ export class Viewer {
     this.link.onState = (state, before) => {
       this.events.emit("link", state);
       if (before === "away") this.comeBack();
+      else if (state === "away" && !this.scene) this.tell(new Problem("noAnswer", { url: this.address }));
       this.wake();
     };
     this.startDrawing(options.mode ?? "auto");
@@ -187,6 +193,7 @@ export class Viewer {
     return this.book.entry;
   }
 
+  /** @internal */
   get info(): SceneInfo | null {
     return this.book.info;
   }
@@ -441,6 +448,18 @@ export class Viewer {
     this.wake();
   }
 
+  // A problem that leaves the viewer something to do; after the caller's turn, in which it adds its handlers.
+  private tell(problem: Problem) {
+    console.warn(`citysplat: ${problem.message}`);
+    queueMicrotask(() => this.closed || this.events.emit("problem", problem));
+  }
+
+  // Where it asks first.
+  private get address(): string {
+    const { url = "./" } = this.options;
+    return new URL((Array.isArray(url) ? url[0] : url) ?? "./", location.href).href;
+  }
+
   private clearProblem() {
     this.error = null;
     this.wake(false);
@@ -556,6 +575,7 @@ export class Viewer {
   }
 
   // The server's drawing of this view on a canvas of the caller's, for comparing.
+  /** @internal */
   comparison(canvas: HTMLCanvasElement): Pictures {
     return new Pictures(canvas, this.link, false);
   }
@@ -574,10 +594,12 @@ export class Viewer {
   private startCity(): boolean {
     try {
       this.city = new City(this.canvas, this.stage.camera, this.link, this.memoryMost * 2 ** 20);
-    } catch {
+    } catch (error) {
+      this.missOut(error);
       return false;
     }
     const { city } = this;
+    city.onStopped = (error) => this.giveUp(city, error);
     city.onWake = (draw) => this.wake(draw);
     city.onCore = (core) => this.setCore(core);
     city.onContext = (lost) => {
@@ -596,6 +618,20 @@ export class Viewer {
       void this.book.open(this.scene, null, false);
     }
     return true;
+  }
+
+  private missOut(error: unknown) {
+    this.without3d = error instanceof Error ? error.message : String(error);
+    this.tell(new Problem("no3d", { why: this.without3d }));
+  }
+
+  // It had started, and cannot go on: the server's pictures are what is left.
+  private giveUp(city: City, error: Error) {
+    if (city !== this.city || this.closed) return;
+    this.city = null;
+    city.dispose();
+    this.missOut(error);
+    this.setMode("pictures");
   }
 
   private wake(draw = true) {
@@ -654,7 +690,7 @@ export class Viewer {
     const { entry, appearance, width, height } = this.wantedView;
     if (!entry || !this.info || document.hidden) return;
     if (!entry.pictures) {
-      if (!this.error) this.fail(new Problem("noPictures"));
+      if (!this.error) this.fail(new Problem(this.without3d ? "nothingDraws" : "noPictures", { why: this.without3d }));
       return;
     }
     this.pictures.want(entry, appearance, this.pose, width, height, moved);
@@ -729,6 +765,3 @@ export class Viewer {
 export function createViewer(container: HTMLElement, options: ViewerOptions = {}): Viewer {
   return new Viewer(container, options);
 }
-
-export { createMapLayer, MapLayer } from "./maplayer";
-export type { MapFrame, MapHost, MapLayerEvents, MapLayerOptions, MapLayerState } from "./maplayer";

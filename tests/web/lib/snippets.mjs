@@ -1,0 +1,21 @@
+// The examples of docs/, as they are printed.
+//
+// SPDX-License-Identifier: Apache-2.0
+import { readFileSync } from "node:fs";
+import { fileURLToPath } from "node:url";
+
+const DOCS = fileURLToPath(new URL("../../../docs/", import.meta.url));
+
+// Code blocks below a heading of a document, down to the next heading; kind: what stands behind the three backticks.
+export function snippets(document, heading, kind = "") {
+    const text = readFileSync(`${DOCS}${document}`, "utf8");
+    const at = text.indexOf(`\n${heading}\n`);
+    if (at < 0) throw new Error(`docs/${document} has no "${heading}"`);
+    const [part] = text.slice(at + heading.length + 2).split(/^#+ /m, 1);
+    const found = [...part.matchAll(/^```(\w*)\n([\s\S]*?)^```$/gm)].filter(([, of]) => of === kind).map(([, , code]) => code);
+    if (!found.length) throw new Error(`docs/${document}: no \`\`\`${kind} below "${heading}"`);
+    return found;
+}
+
+// The host of the documents is the one that answers here.
+export const hostedBy = (code, url) => code.replaceAll("https://city.example", url);
