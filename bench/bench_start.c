@@ -53,10 +53,10 @@ static enum err_code start_program(char *out, struct err *e)
 static enum err_code start_run(void *user, struct err *e)
 {
     const struct start_case *c = user;
-    const char *argv[] = {c->program, "render",     c->store, "-o",          c->picture,
-                          "--lon",    "8.6821",     "--lat",  "50.1100",     "--height-m",
-                          "260",      "--width-px", "1280",   "--height-px", "720",
-                          "-q",       NULL};
+    const char *argv[] = {c->program, "render",      c->store, "-o",          c->picture,
+                          "--lon",    "8.6821",      "--lat",  "50.1100",     "--height-m",
+                          "260",      "--width-px",  "1280",   "--height-px", "720",
+                          "-q",       "--overwrite", NULL};
     pid_t pid;
     int status = 0;
     posix_spawn_file_actions_t quiet; /* our own stdout is JSON lines */

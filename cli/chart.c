@@ -18,6 +18,7 @@
 
 #include "cli/chart.h"
 #include "cli/cli.h"
+#include "cli/output.h"
 #include "cli/runs.h"
 #include "train/config.h"
 
@@ -179,7 +180,13 @@ static enum err_code chart_draw(const struct chart_def *d, const json_t *lines,
                                 const struct chart_options *o, struct err *e)
 {
     struct chart_data data = {0};
+    char path[FILE_PATH_MAX], name[64];
+    snprintf(name, sizeof name, "%s.svg", d->name);
     enum err_code rc = chart_data_make(d, lines, &data, e);
+    if (!rc && data.n_series)
+        rc = file_join(path, o->output, name, e);
+    if (!rc && data.n_series)
+        rc = output_check(path, o->overwrite, e);
     if (!rc && data.n_series)
         rc = chart_plot(d, &data, o->output, o->png, e);
     if (!rc && data.n_series)

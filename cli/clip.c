@@ -7,6 +7,7 @@
 #include <stdio.h>
 
 #include "cli/cli.h"
+#include "cli/output.h"
 
 struct clip_options {
 #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
@@ -46,6 +47,8 @@ enum err_code cli_clip(int argc, char **argv, struct err *e)
     bool run = !rc && !args.done;
     if (run && !o.output)
         rc = err_set(e, ERR_ARG, "-o FILE is missing: where to write the tiles");
+    if (run && !rc)
+        rc = output_check(o.output, o.overwrite, e);
     if (run && !rc)
         rc = clip_of_options(o.polygon, o.low_m, o.high_m, "", &clip, &any, e);
     if (run && !rc && !any)

@@ -11,6 +11,7 @@
 #include <strings.h>
 
 #include "cli/cli.h"
+#include "cli/output.h"
 #include "codec/axes.h"
 #include "codec/draco.h"
 #include "codec/glb.h"
@@ -282,6 +283,8 @@ enum err_code cli_convert(int argc, char **argv, struct err *e)
     rc = convert_format_of(args.arg[1], &format, e);
     if (!rc && format == CONVERT_SPLAT)
         rc = err_set(e, ERR_ARG, "%s: .splat is read, not written", args.arg[1]);
+    if (!rc)
+        rc = output_check(args.arg[1], o.overwrite, e);
     const struct codec_limits lim = {.max_gaussians = (size_t)o.max_gaussians,
                                      .max_bytes = (size_t)o.max_mib << 20};
     if (rc || (rc = convert_read(args.arg[0], &lim, &c, e)) != ERR_OK)

@@ -17,6 +17,7 @@
 #include "cli/eval_half_image.h"
 #include "cli/eval_surface.h"
 #include "cli/eval_views.h"
+#include "cli/output.h"
 #include "codec/ckpt.h"
 #include "codec/scene.h"
 #include "core/exposure.h"
@@ -585,7 +586,9 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
     if (rc || args.done)
         goto out;
     signals_catch();
-    rc = eval_open(&v, args.arg[0], e);
+    rc = output_check(v.o.output, v.o.overwrite, e);
+    if (!rc)
+        rc = eval_open(&v, args.arg[0], e);
     if (!rc && !v.o.views && !v.o.surface && !v.o.flight)
         rc = footprint_of(&v.scene, &v.ground, e);
     if (rc)

@@ -16,6 +16,7 @@
 #include "cli/cli.h"
 #include "cli/export_map.h"
 #include "cli/export_sog.h"
+#include "cli/output.h"
 #include "codec/axes.h"
 #include "codec/glb.h"
 #include "codec/package.h"
@@ -407,24 +408,36 @@ static enum err_code export_3tz(struct store *s, const struct export_options *o,
     return rc;
 }
 
-static int export_format(const char *output)
+static enum err_code export_format(const char *output, int *out, struct err *e)
 {
-    static const char packed[] = ".compressed.ply";
-    const char *dot = strrchr(output, '.');
-    size_t n = strlen(output), n_packed = sizeof packed - 1;
-    if (n > n_packed && !strcasecmp(output + n - n_packed, packed))
-        return EXPORT_PLY_PACKED;
-    if (dot && !strcasecmp(dot, ".ply"))
-        return EXPORT_PLY;
-    if (dot && !strcasecmp(dot, ".sog"))
-        return EXPORT_SOG;
-    if (dot && !strcasecmp(dot, ".glb"))
-        return EXPORT_GLB;
-    if (dot && !strcasecmp(dot, ".3tz"))
-        return EXPORT_3TZ;
-    if (dot && !strcasecmp(dot, ".pmtiles"))
-        return EXPORT_PMTILES;
-    return dot && !strcasecmp(dot, ".spz") ? EXPORT_SPZ : EXPORT_3DTILES;
+    static const struct {
+        const char *ending;
+        int format;
+    } known[] = {{".compressed.ply", EXPORT_PLY_PACKED},
+                 {".ply", EXPORT_PLY},
+                 {".spz", EXPORT_SPZ},
+                 {".sog", EXPORT_SOG},
+                 {".glb", EXPORT_GLB},
+                 {".3tz", EXPORT_3TZ},
+                 {".pmtiles", EXPORT_PMTILES}};
+    const char *slash = strrchr(output, '/'), *name = slash ? slash + 1 : output;
+    size_t n = strlen(name);
+    for (size_t i = 0; i < sizeof known / sizeof *known; i++) {
+        size_t m = strlen(known[i].ending);
+        if (n > m && !strcasecmp(name + n - m, known[i].ending)) {
+            *out = known[i].format;
+            return ERR_OK;
+        }
+    }
+    *out = EXPORT_3DTILES;
+    const char *dot = strrchr(name, '.');
+    return !dot || dot == name || !dot[1] || file_is_dir(output)
+               ? ERR_OK
+               : err_set(e, ERR_ARG,
+                         "%s: no format ends in %s: .ply, .compressed.ply, .spz, .sog, .glb, .3tz "
+                         "and .pmtiles are written; for a folder of that name give --format "
+                         "3dtiles or streamed-sog",
+                         output, dot);
 }
 
 /* The store, or the part of it that --clip and its like leave. */
@@ -479,7 +492,11 @@ enum err_code cli_export(int argc, char **argv, struct err *e)
     signals_catch();
     if (!o.output)
         rc = err_set(e, ERR_ARG, "-o is missing: where to write");
-    int format = rc || o.format != EXPORT_AUTO ? o.format : export_format(o.output);
+    else
+        rc = output_check(o.output, o.overwrite, e); /* folders are looked at by their writers */
+    int format = (int)o.format;
+    if (!rc && format == EXPORT_AUTO)
+        rc = export_format(o.output, &format, e);
     if (!rc && format == EXPORT_PMTILES) {
         rc = export_pmtiles(args.arg[0], &o, e);
         goto out;

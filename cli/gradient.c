@@ -159,8 +159,8 @@ static void gradient_remove_folder(const char *dir)
     rmdir(dir);
 }
 
-/* ERR_ARG when `dir` exists and is not an earlier result of ours. */
-static enum err_code gradient_check_output(const char *dir, struct err *e)
+/* ERR_ARG when `dir` holds something else than an earlier result of ours that may be replaced. */
+static enum err_code gradient_check_output(const char *dir, bool overwrite, struct err *e)
 {
     if (!file_exists(dir) && !file_is_dir(dir))
         return ERR_OK;
@@ -169,10 +169,15 @@ static enum err_code gradient_check_output(const char *dir, struct err *e)
         return err_errno(e, ERR_IO, "gradient: output folder %s", dir);
     enum err_code rc = ERR_OK;
     for (const struct dirent *entry; !rc && (entry = readdir(d)) != NULL;) {
-        bool ours = !strcmp(entry->d_name, ".") || !strcmp(entry->d_name, "..");
+        bool none = !strcmp(entry->d_name, ".") || !strcmp(entry->d_name, ".."), ours = none;
         for (size_t i = 0; i < FILES; i++)
             ours = ours || !strcmp(entry->d_name, gradient_files[i].name);
-        if (!ours)
+        if (ours && !none && !overwrite)
+            rc = err_set(e, ERR_ARG,
+                         "output folder %s: holds gradients; choose another, or replace them with "
+                         "--overwrite",
+                         dir);
+        else if (!ours)
             rc = err_set(e, ERR_ARG, "output folder %s: it holds %s: name a new or empty folder",
                          dir, entry->d_name);
     }
@@ -248,7 +253,7 @@ enum err_code cli_gradient(int argc, char **argv, struct err *e)
     if (!rc)
         rc = gradient_parse_background(o.background, ro.background, e);
     if (!rc)
-        rc = gradient_check_output(o.output, e);
+        rc = gradient_check_output(o.output, o.overwrite, e);
     if (!rc)
         rc = gradient_read_camera(o.camera, &cam, e);
     if (!rc)

@@ -8,6 +8,7 @@
 #include <string.h>
 
 #include "cli/cli.h"
+#include "cli/output.h"
 #include "cli/splats.h"
 #include "codec/axes.h"
 #include "codec/limits.h"
@@ -122,6 +123,8 @@ enum err_code cli_import(int argc, char **argv, struct err *e)
     enum err_code rc = options_parse(&import_spec, argc, argv, &o, &args, &arena, e);
     if (!rc && !args.done && !o.output)
         rc = err_set(e, ERR_ARG, "-o FILE is missing: where to write the tiles");
+    if (!rc && !args.done)
+        rc = output_check(o.output, o.overwrite, e);
     if (!rc && !args.done) {
         signals_catch();
         rc = import_run(args.arg[0], &o, e);

@@ -11,6 +11,7 @@
 #include <string.h>
 #include <strings.h>
 
+#include "cli/output.h"
 #include "core/geo.h"
 #include "survey/bare.h"
 #include "survey/bare_draw.h"
@@ -61,11 +62,7 @@ enum err_code maps_check_output(const char *path, const char *const *ends, bool 
     for (size_t i = 0; ends[i]; i++) {
         size_t m = strlen(ends[i]);
         if (n > m && !strcasecmp(path + n - m, ends[i]))
-            return file_exists(path) && !overwrite
-                       ? err_set(e, ERR_ARG,
-                                 "%s: exists; choose another name, or replace it with --overwrite",
-                                 path)
-                       : ERR_OK;
+            return output_check(path, overwrite, e);
         at += (size_t)snprintf(list + at, sizeof list - at, "%s%s", i ? " or " : "", ends[i]);
     }
     return err_set(e, ERR_ARG, "%s: the name must end in %s, which is what this command writes%s",

@@ -12,6 +12,7 @@
 #include <jansson.h>
 
 #include "cli/cli.h"
+#include "cli/output.h"
 #include "cli/splats.h"
 #include "codec/image.h"
 #include "codec/npy.h"
@@ -256,6 +257,8 @@ enum err_code cli_render(int argc, char **argv, struct err *e)
     enum err_code rc = options_parse(&render_spec, argc, argv, &o, &args, &arena, e);
     if (!rc && !args.done && !o.output)
         rc = err_set(e, ERR_ARG, "-o PICTURE is missing: where to write");
+    if (!rc && !args.done)
+        rc = output_check(o.output, o.overwrite, e);
     if (!rc && !args.done)
         rc = render_run(args.arg[0], &o, e);
     arena_free(&arena);

@@ -16,6 +16,7 @@
 
 #include "cells/footprint.h"
 #include "cli/cli.h"
+#include "cli/output.h"
 #include "cli/report_map.h"
 #include "codec/scene.h"
 #include "survey/sheet.h"
@@ -525,6 +526,8 @@ enum err_code cli_report(int argc, char **argv, struct err *e)
     bool run = !rc && !args.done;
     if (run && !o.output)
         rc = err_set(e, ERR_ARG, "-o is missing: where to write");
+    if (run && !rc)
+        rc = output_check(o.output, o.overwrite, e);
     if (run && !rc) {
         signals_catch();
         r.dir = args.arg[0];

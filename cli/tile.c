@@ -20,6 +20,7 @@
 #include "cells/partition.h"
 #include "cells/trim.h"
 #include "cli/cli.h"
+#include "cli/output.h"
 #include "cli/photographs.h"
 #include "cli/splats.h"
 #include "codec/ckpt.h"
@@ -692,6 +693,8 @@ enum err_code cli_tile(int argc, char **argv, struct err *e)
         rc = err_set(e, ERR_ARG, "--update FILE and --cell ID belong together");
     if (!rc && !args.done && !o.output && !o.update)
         rc = err_set(e, ERR_ARG, "-o FILE is missing: where to write the tiles");
+    if (!rc && !args.done && !(o.update && o.output && !strcmp(o.update, o.output)))
+        rc = output_check(o.output, o.overwrite, e);
     if (!rc && !args.done) {
         signals_catch();
         rc = tile_run(args.arg[0], &o, e);

@@ -101,9 +101,8 @@ struct depth_file { /* {0} is empty; mem_free(px) */
     float *px;
 };
 
-/* The map of a photograph; `*found` tells whether there is a file. */
-static enum err_code depth_find(const char *dir, const char *name, bool *found,
-                                char path[FILE_PATH_MAX], struct err *e)
+enum err_code depth_map_find(const char *dir, const char *name, bool *found, char *path,
+                             struct err *e)
 {
     static const char *const endings[] = {".npy", ".png", ".pfm", ".tif", ".tiff", ".exr"};
     char stem[2][FILE_PATH_MAX], file[FILE_PATH_MAX];
@@ -188,7 +187,7 @@ static enum err_code depth_align_photo(struct depth_map *d, uint32_t image, stru
     bool found;
     size_t n = 0;
     p->verdict = DEPTH_MAP_MISSING;
-    enum err_code rc = depth_find(d->cfg.dir, s->images[image].name, &found, path, e);
+    enum err_code rc = depth_map_find(d->cfg.dir, s->images[image].name, &found, path, e);
     if (rc || !found)
         return rc;
     if (d->cfg.metric) {
@@ -321,7 +320,8 @@ static enum err_code depth_fill_map(struct depth_map *d, uint32_t image, const s
     struct depth_file f = {0};
     char path[FILE_PATH_MAX];
     bool found;
-    enum err_code rc = depth_find(d->cfg.dir, d->cfg.scene->images[image].name, &found, path, e);
+    enum err_code rc =
+        depth_map_find(d->cfg.dir, d->cfg.scene->images[image].name, &found, path, e);
     if (!rc && !found)
         rc = err_set(e, ERR_NOENT, "%s: the depth map of %s has gone", d->cfg.dir,
                      d->cfg.scene->images[image].name);

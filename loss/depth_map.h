@@ -29,6 +29,11 @@ extern const char *const depth_verdict_text[DEPTH_VERDICTS];
  * absolute deviations about medians, which outliers hardly change. */
 enum depth_verdict depth_align(const double *x, const double *y, size_t n, double *a, double *b);
 
+/* Finds the map of a photograph in a folder. path has FILE_PATH_MAX bytes; *found: there is such a
+ * file. ERR_LIMIT. */
+enum err_code depth_map_find(const char *dir, const char *name, bool *found, char *path,
+                             struct err *e) ERR_USE;
+
 struct depth_map_config {
     const struct scene *scene; /* borrowed, as is images */
     const uint32_t *images;

@@ -249,19 +249,19 @@ row() {
   folder=$OUT/trained/$([ -n "${SHARED:-}" ] && slug shared "$scene" || slug "$study" "$name")
   ceilings
   trained "$folder" "$scene" "${train[@]}"
-  citysplat eval "$OUT/$scene" --results "$folder" -o "$folder/scores.json" "${eval[@]}" >&2
+  citysplat eval "$OUT/$scene" --results "$folder" -o "$folder/scores.json" --overwrite "${eval[@]}" >&2
   local scores=$folder/scores.json
   if [ $part = tiles ]; then
-    citysplat tile "$OUT/$scene" --crop none --trained "$folder" -o "$folder/city.tiles" >&2
-    citysplat eval "$OUT/$scene" --tiles "$folder/city.tiles" -o "$folder/tiles.json" "${tiles[@]}" >&2
+    citysplat tile "$OUT/$scene" --crop none --trained "$folder" -o "$folder/city.tiles" --overwrite >&2
+    citysplat eval "$OUT/$scene" --tiles "$folder/city.tiles" -o "$folder/tiles.json" --overwrite "${tiles[@]}" >&2
     scores+=,$folder/tiles.json
   fi
   if [ -n "${MAP_VIEWS:-}" ]; then
-    citysplat eval "$OUT/$scene" --results "$folder" --views "$OUT/$scene-photos/map-views" -o "$folder/views.json" >&2
+    citysplat eval "$OUT/$scene" --results "$folder" --views "$OUT/$scene-photos/map-views" -o "$folder/views.json" --overwrite >&2
     scores+=,$folder/views.json
   fi
   if [ -n "$surface" ]; then
-    citysplat eval "$OUT/$scene" --results "$folder" --surface "$surface" -o "$folder/surface.json" >&2
+    citysplat eval "$OUT/$scene" --results "$folder" --surface "$surface" -o "$folder/surface.json" --overwrite >&2
     scores+=,$folder/surface.json
   fi
   if [ "${SURFACE:-}" = city ]; then
@@ -324,7 +324,7 @@ tile_row() {
   tiles=$folder/$(slug "${tile[*]}").tiles
   [ -f "$tiles" ] || citysplat tile "$OUT/$scene" --crop none --trained "$folder" -o "$tiles" "${tile[@]}" >&2
   set+=${set:+,}tiles=$(citysplat info "$tiles" --json | sed -n 's/.*"tiles_count": *\([0-9][0-9]*\).*/\1/p' | head -1)
-  citysplat eval "$OUT/$scene" --tiles "$tiles" -o "$folder/scores.json" "${eval[@]}" >&2
+  citysplat eval "$OUT/$scene" --tiles "$tiles" -o "$folder/scores.json" --overwrite "${eval[@]}" >&2
   record "$study" "$name" "$command" --dataset "$(scene_about "$scene")" --commit "$COMMIT" \
     --scores "$folder/scores.json" --ceilings "$OUT/ceilings.jsonl" --set "$set"
 }
@@ -620,7 +620,7 @@ level_row() {
   folder=$OUT/trained/$(slug shared "$scene")
   ceilings
   trained "$folder" "$scene" "$@"
-  citysplat eval "$OUT/$scene" --results "$folder" -o "$folder/scores.json" "${eval[@]/#SCENE/$OUT/$scene-photos/map-views}" >&2
+  citysplat eval "$OUT/$scene" --results "$folder" -o "$folder/scores.json" --overwrite "${eval[@]/#SCENE/$OUT/$scene-photos/map-views}" >&2
   record "$study" "$name" "$command" --dataset "$(scene_about "$scene")" --commit "$COMMIT" \
     --scores "$folder/scores.json" --ceilings "$OUT/ceilings.jsonl" --set "$set"
 }
@@ -711,7 +711,7 @@ rate() { # SUFFIX SCENE TRAIN-OPTIONS
   wanted "$layout" "order: Hilbert curve" "$command layout --tiles CITY.tiles" && todo+=layout
   [ -n "$todo" ] || return 0
   scored "$rd" "$scene" "$@" || return 0
-  citysplat tile "$OUT/$scene" --crop none --trained "$FOLDER" -o "$FOLDER/city.tiles" >&2
+  citysplat tile "$OUT/$scene" --crop none --trained "$FOLDER" -o "$FOLDER/city.tiles" --overwrite >&2
   case $todo in rd*) bench_scored rd "$rd" "$scene" "$command rd --scene $scene --tiles CITY.tiles" --scene "$OUT/$scene" --tiles "$FOLDER/city.tiles" ;; esac
   case $todo in *layout) bench_scored layout "$layout" "$scene" "$command layout --tiles CITY.tiles" --tiles "$FOLDER/city.tiles" ;; esac
   forget
@@ -728,7 +728,7 @@ study_layout() { # study_rd has two scenes; this one has appearance embeddings
   command+="; citysplat tile city-light --crop none; citysplat-bench layout --tiles CITY.tiles"
   wanted layout_light "order: Hilbert curve" "$command" || return 0
   scored layout city-light --level-count 1 --iterations "$n" --budget 100000 --appearance --appearance-warmup 250 --embed-len 16
-  citysplat tile "$OUT/city-light" --crop none --trained "$FOLDER" -o "$FOLDER/city.tiles" >&2
+  citysplat tile "$OUT/city-light" --crop none --trained "$FOLDER" -o "$FOLDER/city.tiles" --overwrite >&2
   bench_scored layout layout_light city-light "$command" --tiles "$FOLDER/city.tiles"
   forget
 }

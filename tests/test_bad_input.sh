@@ -122,6 +122,41 @@ refuse "a name that is too long" 2 "at most 63" "$work/huge.tiles" \
     "$bin" import "$work/huge.ply" --origin 8,50,100 -o "$work/huge.tiles" -q \
     --name "$(printf %064d 0)"
 
+# -- files that are there ----------------------------------------------------------------------------------------
+mkdir "$work/kept"
+keep() { # NAME OUTPUT COMMAND...: refused, and the file is as it was
+    file=$work/kept/$2
+    echo precious >"$file"
+    name=$1
+    shift 2
+    refuse "$name over a file" "${want:-2}" "exists; choose another name, or replace it with --overwrite" "" "$@"
+    [ "$(cat "$file")" = precious ] || { failed=$((failed + 1)); echo "FAIL $name: the file was touched"; }
+}
+keep tile a.tiles "$bin" tile "$work/city" -o "$work/kept/a.tiles" -q
+keep import a.tiles "$bin" import "$work/huge.ply" --origin 8,50,100 -o "$work/kept/a.tiles" -q
+keep merge a.tiles "$bin" merge "$work/a.tiles" "$work/b.tiles" -o "$work/kept/a.tiles" -q
+keep clip a.tiles "$bin" clip "$work/a.tiles" --high-m 100 -o "$work/kept/a.tiles" -q
+keep convert a.spz "$bin" convert "$work/huge.ply" "$work/kept/a.spz" -q
+keep render a.png "$bin" render "$work/a.tiles" --lon 8 --lat 50 --height-m 9 -o "$work/kept/a.png" -q
+keep report a.html "$bin" report "$work/city" -o "$work/kept/a.html" -q
+keep eval a.json "$bin" eval "$work/city" -o "$work/kept/a.json" -q
+for end in ply spz sog glb compressed.ply 3tz pmtiles; do
+    keep "export .$end" "a.$end" "$bin" export "$work/a.tiles" -o "$work/kept/a.$end" -q
+done
+for map in "ortho a.tif" "dsm a.TIF" "contour a.gpkg" "points a.las"; do
+    keep "${map% *}" "${map#* }" "$bin" ${map% *} "$work/a.tiles" -o "$work/kept/${map#* }" -q
+done
+keep compare a.tif "$bin" compare "$work/a.tiles" "$work/a.tiles" -o "$work/kept/a.tif" -q
+
+# -- endings that say what nobody writes ---------------------------------------------------------------------------
+for asked in "ortho a.png .tif or .tiff" "dsm a.jpg .tif or .tiff" "points a.laz pdal.translate" "points a.csv .las" \
+    "contour a.shp .geojson or .gpkg" "export a.laz .ply" "export a.png .ply"; do
+    set -- $asked
+    command=$1 file=$2
+    shift 2
+    refuse "$command -o $file" 2 "$*" "$work/none-$file" "$bin" "$command" "$work/a.tiles" -o "$work/none-$file" -q
+done
+
 # -- the command line -----------------------------------------------------------------------------------------------
 refuse "unknown option" 2 "did you mean --output" "" "$bin" ingest a b --ouput x
 refuse "unknown command" 2 "no command 'trian'" "" "$bin" trian

@@ -57,8 +57,8 @@ static int convert(const char *in, const char *out, const char *options, struct 
 {
     if (said)
         said->size = 0;
-    return kit_run(said, "%s convert %s/%s %s/%s %s", kit_program(), kit_tmp, in, kit_tmp, out,
-                   options);
+    return kit_run(said, "%s convert %s/%s %s/%s --overwrite %s", kit_program(), kit_tmp, in,
+                   kit_tmp, out, options);
 }
 
 static void expect_same_file(const char *a, const char *b)

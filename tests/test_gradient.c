@@ -105,7 +105,7 @@ static void test_against_reference(void **state)
         struct buf log = {0};
         if (kit_run(&log,
                     "%s gradient %s/scene.ply --camera %s/cam.json --grad %s/dl.npy -o %s --aa %s "
-                    "--background 0.25,0.5,1 --sh-degree %d",
+                    "--background 0.25,0.5,1 --sh-degree %d --overwrite",
                     program, dir, dir, dir, out, modes[k], k ? -1 : 1) != 0)
             fail_msg("%s", log.data ? (char *)log.data : "no output");
         kit_ok(render_ref_backward(&g, &cam, &o, rgb_grad, &ref, &e), e);

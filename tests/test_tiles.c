@@ -196,10 +196,10 @@ static void levels_and_formats(void **state)
         double tolerance_m;
     } spz[] = {{"--preset spz", 3e-4}, {"", 0.5 * 1.9 / 128 + 3e-4}};
     for (size_t i = 0; i < 2; i++) {
-        run(f, 0, NULL, "export a.tiles -o a.spz -q %s", spz[i].preset);
+        run(f, 0, NULL, "export a.tiles -o a.spz -q --overwrite %s", spz[i].preset);
         run(f, 0, "2000", "info a.spz");
-        run(f, 0, NULL, "import a.spz --origin -122.4,37.8,10 -o b.tiles -q");
-        run(f, 0, NULL, "export b.tiles -o b.ply -q");
+        run(f, 0, NULL, "import a.spz --origin -122.4,37.8,10 -o b.tiles -q --overwrite");
+        run(f, 0, NULL, "export b.tiles -o b.ply -q --overwrite");
         read_ply(f, "b.ply", &out, &info);
         double lo[3], hi[3], lo2[3], hi2[3];
         gauss_bounds(&in, 0, lo, hi);

@@ -14,6 +14,7 @@
 #include "render/render.h"
 #include "tests/stability/toy.h"
 #include "train/init.h"
+#include "train/inputs.h"
 #include "train/photo_loader.h"
 #include "train/run_cell.h"
 #include "train/schedule.h"
@@ -280,6 +281,8 @@ static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
         kit_fails(train_again(scene_dir, &c, &r, &e), ERR_CANCEL, e, "--resume goes on");
     }
     c.stop_after = 0;
+    c.resume = false; /* it is not thrown away unasked */
+    kit_fails(train_again(scene_dir, &c, &r, &e), ERR_ARG, e, "an unfinished run is there");
     c.resume = true;
     c.seed++;
     kit_fails(train_again(scene_dir, &c, &r, &e), ERR_ARG, e, "seed");
@@ -327,6 +330,127 @@ static void a_damaged_state_is_refused(void **state)
     kit_fails(train_again(scene_dir, &c, &r, &e), ERR_FORMAT, e, "stat_radius");
     buf_free(&file);
     kit_rmdir(out);
+    train_result_free(&r);
+    arena_free(&a);
+}
+
+/* One byte more at the end of a file, which no decoder reads. */
+static void lengthen(const char *dir, const char *name)
+{
+    struct err e = {0};
+    struct buf b = {0};
+    char path[FILE_PATH_MAX];
+    kit_ok(file_join(path, dir, name, &e), e);
+    kit_ok(file_read(path, 0, &b, &e), e);
+    buf_u8(&b, 0);
+    kit_ok(file_write(path, b.data, b.size, &e), e);
+    buf_free(&b);
+}
+
+/* The second pose moves by a centimetre. */
+static void move_a_camera(const char *dir)
+{
+    struct err e = {0};
+    struct scene s;
+    kit_ok(scene_read(dir, &s, &e), e);
+    s.images[1].cam.trans[2] += 0.01;
+    kit_ok(scene_write(dir, &s, &e), e);
+    scene_free(&s);
+}
+
+static void write_mask(const char *dir, uint8_t value)
+{
+    struct err e = {0};
+    struct image mask = {0};
+    char path[FILE_PATH_MAX];
+    kit_ok(file_join(path, dir, "masks", &e), e);
+    kit_ok(file_mkdir(path, &e), e);
+    kit_ok(file_join(path, dir, "masks/p1.png.png", &e), e);
+    kit_ok(image_alloc(WIDTH, HEIGHT, 1, &mask, &e), e);
+    memset(mask.px, 255, WIDTH * HEIGHT);
+    memset(mask.px, value, WIDTH);
+    kit_ok(image_write(path, &mask, 0, NULL, &e), e);
+    image_free(&mask);
+}
+
+static void write_depths(const char *dir)
+{
+    struct err e = {0};
+    char path[FILE_PATH_MAX];
+    kit_ok(file_join(path, dir, "depth", &e), e);
+    kit_ok(file_mkdir(path, &e), e);
+    kit_ok(file_join(path, dir, "depth/depths.json", &e), e);
+    kit_ok(file_write(path, "{}", 2, &e), e);
+}
+
+static void remove_depths(const char *dir)
+{
+    struct err e = {0};
+    char path[FILE_PATH_MAX];
+    kit_ok(file_join(path, dir, "depth/depths.json", &e), e);
+    assert_int_equal(unlink(path), 0);
+}
+
+/* A finished run, and one to go on with, of other photographs, masks, poses or depths are neither
+ * "complete" nor gone on with. */
+static void what_a_run_was_made_of_may_not_change(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    struct train_result r = {0};
+    char dir[FILE_PATH_MAX], half[FILE_PATH_MAX];
+    kit_tmpdir(dir);
+    kit_tmpdir(half);
+    blobs_write(dir, true);
+    write_mask(dir, 255);
+    struct train_config whole = toy_config(&a, NULL), part = toy_config(&a, half);
+    whole.depth_prior = part.depth_prior = "auto";
+    whole.iterations.one = 30;
+    part.stop_after = 3;
+    kit_ok(train_again(dir, &whole, &r, &e), e);
+    kit_fails(train_again(dir, &part, &r, &e), ERR_CANCEL, e, "--resume goes on");
+    part.resume = true;
+    kit_ok(train_again(dir, &whole, &r, &e), e);
+    assert_true(r.cells[0].was_done);
+    kit_fails(train_again(dir, &part, &r, &e), ERR_CANCEL, e, "--resume goes on");
+    for (int i = 0; i < 4; i++) {
+        static const char *const said[] = {"photographs, or which of them train, have changed",
+                                           "masks have changed", "poses, exposures or sparse",
+                                           "had no known depths, now there are some"};
+        if (i == 0)
+            lengthen(dir, "images/p4.png");
+        else if (i == 1)
+            write_mask(dir, 0);
+        else if (i == 2)
+            move_a_camera(dir);
+        else
+            write_depths(dir);
+        kit_fails(train_again(dir, &whole, &r, &e), ERR_ARG, e, said[i]);
+        kit_expect_text(e.msg, "--overwrite", __FILE__, __LINE__);
+        kit_fails(train_again(dir, &part, &r, &e), ERR_DATA, e, said[i]);
+        kit_expect_text(e.msg, "--overwrite", __FILE__, __LINE__);
+        if (i == 3) /* maps that say nothing: it would not train with them */
+            continue;
+        whole.overwrite = part.overwrite = true;
+        part.resume = false;
+        kit_ok(train_again(dir, &whole, &r, &e), e);
+        assert_false(r.cells[0].was_done);
+        kit_fails(train_again(dir, &part, &r, &e), ERR_CANCEL, e, "--resume goes on");
+        whole.overwrite = part.overwrite = false;
+        part.resume = true;
+    }
+    remove_depths(dir);
+    kit_ok(train_again(dir, &whole, &r, &e), e);
+    assert_true(r.cells[0].was_done);
+    struct inputs none = {0}, some = {0};
+    snprintf(some.hash[INPUTS_DEPTHS], sizeof some.hash[INPUTS_DEPTHS], "a hash");
+    json_t *meta = json_pack("{s:o}", "inputs", inputs_to_json(&some));
+    assert_int_equal(inputs_check(&some, "a.ckpt", meta, &e), ERR_OK);
+    kit_fails(inputs_check(&none, "a.ckpt", meta, &e), ERR_DATA, e, "had known depths, now");
+    json_decref(meta);
+    kit_rmdir(dir);
+    kit_rmdir(half);
     train_result_free(&r);
     arena_free(&a);
 }
@@ -615,8 +739,10 @@ static int close_device(void **state)
     return 0;
 }
 
-int main(void)
+int main(int argc, char **argv)
 {
+    if (argc > 1)
+        cmocka_set_test_filter(argv[1]);
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(cameras_at_training_size_keep_the_view),
         cmocka_unit_test(the_feed_shows_every_photograph_once_an_epoch_within_its_cache),
@@ -624,6 +750,7 @@ int main(void)
         cmocka_unit_test(training_improves_keeps_budgets_and_repeats),
         cmocka_unit_test(a_stopped_run_goes_on_as_if_it_had_not_been),
         cmocka_unit_test(a_damaged_state_is_refused),
+        cmocka_unit_test(what_a_run_was_made_of_may_not_change),
         cmocka_unit_test(a_scene_without_points_starts_from_random_ones),
         cmocka_unit_test(cells_of_a_plan_are_trained_on_their_own),
         cmocka_unit_test(pictures_smaller_than_the_window_are_scored_without_it),

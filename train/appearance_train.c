@@ -506,8 +506,8 @@ enum err_code appearance_train_read_state(struct appearance_train *k, const void
         rc = err_set(e, ERR_DATA, "the appearance model is that of other photographs or lengths");
     else if (k->shared && !appearance_train_same(&saved, a))
         rc = err_set(e, ERR_DATA,
-                     "the shared appearance model was trained anew since: leave out --resume to "
-                     "train this cell with it");
+                     "the shared appearance model was trained anew since: --overwrite trains "
+                     "this cell with it");
     uint32_t version = cursor_u32(&c), steps = cursor_u32(&c);
     appearance_train_parts(k, part);
     for (size_t i = 0; !rc && i < APPEARANCE_TRAIN_PARTS; i++) {

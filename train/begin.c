@@ -67,7 +67,7 @@ static enum err_code begin_is_done(const struct begin *t, struct train_cell_resu
 {
     char path[FILE_PATH_MAX];
     const struct train_config *cfg = t->job->cfg;
-    const struct state_run run = {cfg, &t->job->cell, t->n_images};
+    const struct state_run run = {cfg, &t->job->cell, t->n_images, &t->inputs};
     struct train_cell_result was;
     struct err why = {0};
     *done = false;
@@ -79,15 +79,26 @@ static enum err_code begin_is_done(const struct begin *t, struct train_cell_resu
     if (state_check_result(&run, &t->appearance, path, &why))
         return cfg->overwrite
                    ? ERR_OK
-                   : err_set(
-                         e, ERR_ARG,
-                         "%s holds a finished run with other options (%s): --overwrite replaces "
-                         "it, --output DIR keeps both",
-                         t->dir, why.msg);
+                   : err_set(e, ERR_ARG,
+                             "%s holds a finished run of other options or inputs (%s): --overwrite "
+                             "replaces it, --output DIR keeps both",
+                             t->dir, why.msg);
     *done = true;
     *out = was;
     out->was_done = true;
     return ERR_OK;
+}
+
+/* An unfinished run may be hours of work: it is not replaced unasked. */
+static enum err_code begin_ask(const struct begin *t, struct err *e)
+{
+    const struct train_config *cfg = t->job->cfg;
+    return t->resumes || cfg->overwrite || !file_exists(t->resume_path)
+               ? ERR_OK
+               : err_set(e, ERR_ARG,
+                         "%s: an unfinished run is there: --resume goes on from it, --overwrite "
+                         "begins anew, --output DIR keeps both",
+                         t->resume_path);
 }
 
 /* What follows will not be what the done-file tells of, nor the residuals of another run. */
@@ -114,8 +125,7 @@ enum err_code begin_earlier_levels(const struct begin *t, uint32_t at,
         if (!rc)
             rc = state_read_level(path, &out->n_gaussians[i], &out->psnr_db[i], &out->ssim[i], e);
         if (rc)
-            err_add(e, "level %u of the run to go on with: leave out --resume to start anew",
-                    i + 1);
+            err_add(e, "level %u of the run to go on with: --overwrite begins anew", i + 1);
     }
     return rc;
 }
@@ -136,11 +146,6 @@ enum err_code begin_gauss(const struct begin *t, const struct appearance_train *
 {
     const struct run_cell *job = t->job;
     const struct train_config *cfg = job->cfg;
-    if (file_exists(t->resume_path))
-        log_warn(
-            "train",
-            "%s of an unfinished run is ignored and will be replaced; --resume goes on from it",
-            t->resume_path);
     float *dense = NULL;
     struct init_input first = {.scene = job->scene,
                                .images = t->images,
@@ -265,7 +270,11 @@ enum err_code begin_run(struct begin *t, struct train_cell_result *out, bool *do
     if (!rc)
         rc = done_lock(t->dir, &t->lock_fd, e);
     if (!rc)
+        rc = inputs_read(job, &t->inputs, e);
+    if (!rc)
         rc = begin_is_done(t, out, done, e);
+    if (!rc && !*done)
+        rc = begin_ask(t, e);
     if (rc || *done)
         return rc;
     rc = begin_forget_done(t, e);

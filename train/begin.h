@@ -9,6 +9,7 @@
 #include "cells/trim.h"
 #include "core/base.h"
 #include "train/appearance_train.h"
+#include "train/inputs.h"
 #include "train/schedule.h"
 
 struct run_cell;
@@ -25,6 +26,7 @@ struct begin { /* {.job, .lock_fd = -1} at first; call begin_close, also after a
     struct appearance_train appearance; /* {0}: none; the level takes it over */
     struct footprint ground;            /* nx 0: not known */
     struct trim rim;
+    struct inputs inputs; /* what the run is made of */
     int lock_fd;
 };
 

@@ -72,8 +72,7 @@ static struct train_config coarse_config(const struct train_config *cells, const
     c.coarse_only = c.coarse_start = false;
     c.appearance = coarse_has_appearance(cells);
     c.cell = NULL;
-    /* Complete or not, whatever is there with the same options is used; without --resume an
-     * unfinished one is begun anew, as a cell is. */
+    /* Whatever is complete with the same options is used. */
     c.resume = cells->resume || !file_exists(resume_path);
     return c;
 }

@@ -118,7 +118,7 @@ enum err_code level_begin(struct level *l, struct err *e)
 
 static struct state level_state(struct level *l, double seconds)
 {
-    return (struct state){.run = {l->cfg, &l->site.cell, l->gallery.n_images},
+    return (struct state){.run = {l->cfg, &l->site.cell, l->gallery.n_images, l->site.inputs},
                           .at = l->stage,
                           .appearance = &l->appearance,
                           .budget = &l->budget,

@@ -83,6 +83,7 @@ static void run_make_level(struct run *t, const struct timing *clock)
     level_init(l, t->job, b->images, b->n_images);
     l->timing = *clock;
     timing_compiles(&l->timing, &l->engine.dev->compile_s);
+    l->site.inputs = &b->inputs;
     l->site.ground = b->ground.nx ? &b->ground : NULL;
     l->site.rim = b->ground.nx && t->cfg->trim_rim ? &b->rim : NULL;
     l->budget.held = b->held;

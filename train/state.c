@@ -23,6 +23,7 @@
 #include "train/config.h"
 #include "train/evaluate.h"
 #include "train/fixed.h"
+#include "train/inputs.h"
 #include "train/model.h"
 
 enum { STATE_STATS = 5, STATE_APPEARANCE = 2, STATE_SLICE = 65536 };
@@ -65,6 +66,10 @@ static json_t *state_meta(const struct model *m, const struct state *st, const c
         o = NULL;
     }
     if (o && json_object_set_new(o, "pruned", json_boolean(at->pruned))) {
+        json_decref(o);
+        o = NULL;
+    }
+    if (o && st->run.inputs && json_object_set_new(o, "inputs", inputs_to_json(st->run.inputs))) {
         json_decref(o);
         o = NULL;
     }
@@ -412,7 +417,7 @@ static enum err_code state_apply(struct state *s, const json_t *meta, const stru
     if (!rc)
         rc = state_check_cell(&s->run, path, meta, &why);
     if (rc)
-        return err_set(e, rc, "%s: go back to that, or leave out --resume to start anew", why.msg);
+        return err_set(e, rc, "%s: go back to that, or begin anew with --overwrite", why.msg);
     if (!rc)
         rc = state_integer(meta, path, "level", 1, at->n_levels, &level, e);
     if (!rc)

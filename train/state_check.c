@@ -14,6 +14,7 @@
 #include "codec/ckpt.h"
 #include "train/appearance_train.h"
 #include "train/config.h"
+#include "train/inputs.h"
 
 #define STATE_CHECK_SAME_M 1e-6 /* lengths of a plan go through text */
 
@@ -84,6 +85,11 @@ enum err_code state_check_cell(const struct state_run *run, const char *path, co
     if (photos != (double)run->n_images)
         return err_set(e, ERR_DATA, "%s: the run had %.0f photographs, the scene has %zu now", path,
                        photos, run->n_images);
+    /* Without a plan the box follows from the poses, so they are told of first. */
+    if (run->inputs && c->whole)
+        rc = inputs_check(run->inputs, path, meta, e);
+    if (rc)
+        return rc;
     const double turned[3] = {c->grid.yaw_rad, c->grid.origin_m[0], c->grid.origin_m[1]};
     bool same = c->grid.turned == (json_object_get(meta, "grid") != NULL);
     if (c->grid.turned && same && jsonc_nums(meta, "grid", 3, grid, e))
@@ -95,7 +101,7 @@ enum err_code state_check_cell(const struct state_run *run, const char *path, co
             return err_set(e, ERR_DATA,
                            "%s: the run's cell %s was another one, of another plan.json", path,
                            c->id);
-    return ERR_OK;
+    return run->inputs && !c->whole ? inputs_check(run->inputs, path, meta, e) : ERR_OK;
 }
 
 /* A cell that was trained with an older shared appearance model does not fit its neighbours. */

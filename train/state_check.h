@@ -11,13 +11,15 @@
 
 struct appearance_train;
 struct cell;
+struct inputs;
 struct json_t; /* jansson.h */
 struct train_config;
 
 struct state_run { /* identity of a run; all borrowed */
     const struct train_config *cfg;
     const struct cell *cell;
-    size_t n_images; /* training photographs */
+    size_t n_images;             /* training photographs */
+    const struct inputs *inputs; /* NULL: neither saved nor compared */
 };
 
 /* Removes options that do not change the result from `config`, so that they do not change its bytes
@@ -27,8 +29,8 @@ void state_check_drop_free(struct json_t *config);
  * names the first that differs. */
 enum err_code state_check_config(const struct train_config *cfg, const char *path,
                                  const struct json_t *saved, struct err *e) ERR_USE;
-/* Compares cell and number of photographs with the head `meta` of a checkpoint. The names are not
- * enough, because a new plan uses the same names for other cells. ERR_DATA: they differ.
+/* Compares cell, number of photographs and inputs with the head `meta` of a checkpoint. The names
+ * are not enough, because a new plan uses the same names for other cells. ERR_DATA: they differ.
  * ERR_FORMAT: the head is incomplete. */
 enum err_code state_check_cell(const struct state_run *run, const char *path,
                                const struct json_t *meta, struct err *e) ERR_USE;

@@ -47,7 +47,7 @@ class Bytes {
 
 function exportMap(name, ...more) {
     const out = join(dir, name);
-    const run = spawnSync(BIN, ["export", join(source.dir, "city.tiles"), "-o", out, ...more], { encoding: "utf8" });
+    const run = spawnSync(BIN, ["export", join(source.dir, "city.tiles"), "-o", out, "--overwrite", ...more], { encoding: "utf8" });
     return { out, run };
 }
 

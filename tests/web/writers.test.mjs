@@ -151,7 +151,7 @@ for (const version of ["3", "4"]) {
 // The record as spz's pull request 105 describes it, read from that alone.
 test("an exported .spz says where it lies, and splat-transform reads it", { skip: skip || GIVEN_TILES }, () => {
     importCity(dir);
-    const args = ["export", path("city.tiles"), "-o"];
+    const args = ["export", path("city.tiles"), "--overwrite", "-o"];
     run(BIN, [...args, path("placed.spz"), "--spz-georeference"]);
     run(BIN, [...args, path("plain.spz")]);
     for (const name of ["placed", "plain"]) transform(`${name}.spz`, `${name}.ply`);

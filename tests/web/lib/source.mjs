@@ -31,6 +31,7 @@ export function importCity(dir, edgeM = 60, name = "fcity", city = makeCity()) {
         ply,
         "--output",
         tiles,
+        "--overwrite",
         "--name",
         name,
         "--tile-edge-m",
