@@ -50,18 +50,18 @@ sub vcl_recv {
         return (synth(404));
     }
     set req.backend_hint = servers.backend(by = URL);
-    unset req.http.Cookie;
     # Streams of pictures go through as they come.
-    if (req.url ~ "^/d/[^/]+/motion/") {
+    if (req.url ~ "^(/signed/[^/]+)?/d/[^/]+/motion/") {
         return (pipe);
     }
     if (req.method != "GET" && req.method != "HEAD") {
         return (pass);
     }
     # An answer for one who said who asks does not go to others (serve --auth).
-    if (req.http.Authorization) {
+    if (req.http.Authorization || req.http.Cookie ~ "(^|; *)citysplat=") {
         return (pass);
     }
+    unset req.http.Cookie;
     return (hash);
 }
 

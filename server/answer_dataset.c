@@ -10,9 +10,12 @@
 
 #include "lod/tileset.h"
 #include "server/answer.h"
+#include "server/collection.h"
 #include "server/encode.h"
 #include "server/link.h"
+#include "server/origin.h"
 #include "server/result_id.h"
+#include "server/right.h"
 #include "server/target_query.h"
 
 /* What a camera needs on its way; *out NULL where the target names none. False, with the problem
@@ -74,7 +77,7 @@ static void answer_dataset_entry(struct services *s, const struct request *r, st
     if (!moving)
         snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s", d->meta.name,
                  d->meta.revision);
-    if (!part && (!s->auth || auth_is_public(s->auth, d->meta.name)))
+    if (!part && right_is_public(r, d->meta.name))
         hint_tileset(d, t, out->hints);
     if (!query[0] && !part) {
         response_body(r, body_ref(moving ? d->tileset_moving : d->tileset), out);
@@ -157,13 +160,35 @@ void answer_dataset_moving_picture(struct services *s, const struct request *r, 
 void answer_dataset_collection(struct services *s, const struct request *r, struct dataset *d,
                                const struct target *t, struct response *out)
 {
-    (void)s, (void)t;
-    response_document(r, RESPONSE_JSON, body_ref(d->collection), out);
+    struct body *b = NULL;
+    struct origin_places at;
+    (void)t;
+    if (!r->seal) {
+        response_document(r, RESPONSE_JSON, body_ref(d->collection), out);
+        return;
+    }
+    origin_read(s, r, &at); /* what is absolute in it must lie below the seal */
+    const struct collection_options collection = {at.public_url, at.base_path, s->cfg->basemap,
+                                                  s->cfg->basemap_attribution};
+    if (collection_describe(d, &collection, &b, NULL))
+        response_no_memory(out);
+    else
+        response_document(r, RESPONSE_JSON, b, out);
 }
 
 void answer_dataset_tilejson(struct services *s, const struct request *r, struct dataset *d,
                              const struct target *t, struct response *out)
 {
-    (void)s, (void)t;
-    response_document(r, RESPONSE_JSON, body_ref(d->tilejson), out);
+    struct body *b = NULL;
+    struct origin_places at;
+    (void)t;
+    if (!r->seal) {
+        response_document(r, RESPONSE_JSON, body_ref(d->tilejson), out);
+        return;
+    }
+    origin_read(s, r, &at);
+    if (catalog_tilejson(d, at.public_url, &b, NULL))
+        response_no_memory(out);
+    else
+        response_document(r, RESPONSE_JSON, b, out);
 }

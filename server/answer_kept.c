@@ -10,10 +10,10 @@
  */
 #include <stdio.h>
 #include <string.h>
-#include <time.h>
 
 #include "server/answer.h"
 #include "server/answer_kept.h"
+#include "server/right.h"
 
 static int answer_kept_status(enum err_code rc)
 {
@@ -28,17 +28,15 @@ static int answer_kept_status(enum err_code rc)
 static bool answer_kept_may(struct services *s, const struct request *r, const struct target *t,
                             struct response *out)
 {
-    const size_t n = t->path_size + (r->target_size > t->path_size);
-    const struct auth_request a = {r->authorization, r->target, r->target + n, t->path_size,
-                                   r->target_size - n};
-    if (!r->admin && !s->auth)
+    (void)s;
+    if (!r->admin && !r->auth)
         response_problem(out, 403,
                          "names are kept and forgotten on the operators' listener (--admin), or "
                          "with a token whose scope is write:NAME (--auth)");
     else if (r->admin)
         return true;
     else
-        switch (auth_check(s->auth, AUTH_WRITE, t->ds, &a, (int64_t)time(NULL))) {
+        switch (right_check(r, t, AUTH_WRITE, t->ds)) {
         case AUTH_OK:
             return true;
         case AUTH_UNKNOWN:

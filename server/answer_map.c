@@ -144,8 +144,7 @@ void answer_map_wmts(struct services *s, const struct request *r, struct dataset
         !answer_appearance_find(s, d, t->appearance, &choice, out))
         return;
     response_edition(s, d, EDITION_PICTURES, edition);
-    const char *base = origin_of(s, r, origin);
-    enum err_code rc = map_document_wmts(d, edition, t, *base ? base : s->url, &b, &e);
+    enum err_code rc = map_document_wmts(d, edition, t, origin_or_own(s, r, origin), &b, &e);
     if (rc == ERR_ARG)
         response_problem(out, 404, e.msg);
     else if (rc)
@@ -159,10 +158,12 @@ void answer_map_tilesets(struct services *s, const struct request *r, struct dat
                          const struct target *t, struct response *out)
 {
     struct body *b = NULL;
+    struct origin_places at;
     (void)t;
     if (!answer_map_is_surveyed(d, out))
         return;
-    if (ogc_tiles_list(d, ogc_tiles_base(s->cfg->public_url, s->cfg->base_path), &b, NULL))
+    origin_read(s, r, &at);
+    if (ogc_tiles_list(d, ogc_tiles_base(at.public_url, at.base_path), &b, NULL))
         response_no_memory(out);
     else
         response_document(r, RESPONSE_JSON, b, out);
@@ -172,13 +173,14 @@ void answer_map_tileset(struct services *s, const struct request *r, struct data
                         const struct target *t, struct response *out)
 {
     struct body *b = NULL;
+    struct origin_places at;
     char edition[9];
     (void)t;
     if (!answer_map_is_surveyed(d, out))
         return;
     response_edition(s, d, EDITION_PICTURES, edition);
-    if (ogc_tiles_tileset(d, edition, ogc_tiles_base(s->cfg->public_url, s->cfg->base_path), &b,
-                          NULL))
+    origin_read(s, r, &at);
+    if (ogc_tiles_tileset(d, edition, ogc_tiles_base(at.public_url, at.base_path), &b, NULL))
         response_no_memory(out);
     else
         response_document(r, RESPONSE_JSON, b, out);

@@ -7,23 +7,20 @@
 #include <jansson.h>
 #include <string.h>
 #include <strings.h>
-#include <time.h>
 
 #include "server/collection.h"
 #include "server/condition.h"
 #include "server/document.h"
 #include "server/hint.h"
 #include "server/metrics_text.h"
+#include "server/origin.h"
+#include "server/right.h"
 
 /* Is who asks told that there is this dataset? */
-static bool answer_service_shows(const struct services *s, const struct request *r,
-                                 const struct target *t, const struct dataset *d)
+static bool answer_service_shows(const struct request *r, const struct target *t,
+                                 const struct dataset *d)
 {
-    size_t n = t->path_size + (r->target_size > t->path_size);
-    const struct auth_request a = {r->authorization, r->target, r->target + n, t->path_size,
-                                   r->target_size - n};
-    return !s->auth || r->admin ||
-           auth_check(s->auth, AUTH_READ, d->meta.name, &a, (int64_t)time(NULL)) == AUTH_OK;
+    return r->admin || right_check(r, t, AUTH_READ, d->meta.name) == AUTH_OK;
 }
 
 static enum err_code answer_service_about(struct services *s, const struct request *r,
@@ -37,7 +34,7 @@ static enum err_code answer_service_about(struct services *s, const struct reque
     json_t *revisions = json_object();
     struct catalog *c = services_catalog(s);
     for (size_t i = 0; i < c->n_current; i++)
-        if (answer_service_shows(s, r, t, c->ds[i]))
+        if (answer_service_shows(r, t, c->ds[i]))
             json_object_set_new(revisions, c->ds[i]->meta.name,
                                 json_string(c->ds[i]->meta.revision));
     catalog_drop(&c);
@@ -59,7 +56,7 @@ void answer_service_landing(struct services *s, const struct request *r, struct 
     }
     size_t from = t->path_size < r->target_size ? t->path_size + 1 : r->target_size;
     struct catalog *c = services_catalog(s);
-    if (!s->auth) /* hints name datasets, and caches keep the page for whoever comes next */
+    if (!r->auth) /* hints name datasets, and caches keep the page for whoever comes next */
         hint_write(c, r->target + from, r->target_size - from, out->hints);
     catalog_drop(&c);
     response_document(r, index->type, body_ref(index->body), out);
@@ -81,9 +78,9 @@ static void answer_service_state(struct services *s, const struct request *r, st
             continue;
         degraded = true;
         json_object_set_new(failed,
-                            s->auth && !r->admin && !auth_is_public(s->auth, c->ds[i]->meta.name)
-                                ? "(not public)"
-                                : c->ds[i]->meta.name,
+                            r->admin || right_is_public(r, c->ds[i]->meta.name)
+                                ? c->ds[i]->meta.name
+                                : "(not public)",
                             json_integer(n));
     }
     catalog_drop(&c);
@@ -144,9 +141,7 @@ static bool answer_service_token(const char *given, const char *token)
 static bool answer_service_may(const struct services *s, const struct request *r)
 {
     const struct server_config *cfg = s->cfg;
-    const struct auth_request a = {r->authorization, "", "", 0, 0};
-    if (r->admin ||
-        (s->auth && auth_check(s->auth, AUTH_ADMIN, NULL, &a, (int64_t)time(NULL)) == AUTH_OK))
+    if (r->admin || (r->auth && right_check(r, NULL, AUTH_ADMIN, NULL) == AUTH_OK))
         return true;
     if (!strcmp(cfg->metrics, "public"))
         return true;
@@ -205,13 +200,15 @@ void answer_service_collections(struct services *s, const struct request *r, str
     (void)d;
     struct catalog *c = services_catalog(s);
     struct body *b = NULL;
-    if (t->has_bbox || s->auth) {
-        const struct collection_options collection = {s->cfg->public_url, s->cfg->base_path,
-                                                      s->cfg->basemap, s->cfg->basemap_attribution};
+    if (t->has_bbox || r->auth) {
+        struct origin_places at;
+        origin_read(s, r, &at);
+        const struct collection_options collection = {at.public_url, at.base_path, s->cfg->basemap,
+                                                      s->cfg->basemap_attribution};
         struct dataset **ds = mem_array(c->n_current, sizeof *ds);
         size_t n = 0;
         for (size_t i = 0; ds && i < c->n_current; i++)
-            if (answer_service_shows(s, r, t, c->ds[i]) &&
+            if (answer_service_shows(r, t, c->ds[i]) &&
                 (!t->has_bbox || answer_service_meets(c->ds[i], t)))
                 ds[n++] = c->ds[i];
         if (!ds || collection_list(ds, n, &collection, &b, NULL))
@@ -222,7 +219,7 @@ void answer_service_collections(struct services *s, const struct request *r, str
     } else {
         b = body_ref(c->collections);
     }
-    if (s->auth) /* others see other datasets */
+    if (r->auth) /* others see other datasets */
         out->cache_control = RESPONSE_NO_STORE;
     response_document(r, RESPONSE_JSON, b, out);
     catalog_drop(&c);

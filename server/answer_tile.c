@@ -14,6 +14,7 @@
 #include "server/encode.h"
 #include "server/param_clip.h"
 #include "server/result_id.h"
+#include "server/right.h"
 #include "server/text.h"
 
 /* What caches purge by. */
@@ -70,7 +71,7 @@ void answer_tile(struct services *s, const struct request *r, struct dataset *d,
         return;
     out->type = format_type(form.format);
     answer_tile_tags(d, t->key.z, out->surrogate);
-    if (!s->auth || auth_is_public(s->auth, d->meta.name))
+    if (right_is_public(r, d->meta.name))
         hint_tile(d, tile, t, out->hints);
     if (!response_made(s, r, id, out))
         return;

@@ -1,8 +1,11 @@
-/* Tokens and signed addresses. A token is sent as Authorization: Bearer, never in an address,
- * because logs keep addresses; the file has only its SHA-256. A signed address is for clients that
- * cannot send headers (map engines, images). It is an HMAC-SHA256 over the path that it opens and
- * its end time, so one signature is enough for a tileset and all its tiles. Digests and comparison
- * are Nettle's. Compared values have a fixed length, and the time does not depend on them.
+/* Tokens, sessions and signed addresses. A token is sent as Authorization: Bearer, never in an
+ * address, because logs keep addresses; the file has only its SHA-256. A session is a cookie that a
+ * browser gets for a token. A signed address is for clients that cannot send either (map engines,
+ * programs): a seal in front of all paths, which documents pass on because their addresses are
+ * relative to it, or a signature in the query of one path. Seals and signatures are an HMAC-SHA256
+ * over what they open and their end. The server keeps no list of them: a session ends when its
+ * token or its key leaves the file. Digests and comparison are Nettle's. Compared values have a
+ * fixed length, and the time does not depend on them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -14,12 +17,25 @@
 #include <nettle/hmac.h>
 #include <nettle/memops.h>
 #include <nettle/sha2.h>
+#include <stdatomic.h>
 #include <stdio.h>
 #include <string.h>
 #include <strings.h>
 
 enum { AUTH_MAX = 256, AUTH_KEY_MIN = 32, AUTH_KEY_MAX = 256, AUTH_NAME = 64, AUTH_SCOPES = 16 };
 enum { AUTH_SCOPE_TEXT = AUTH_NAME + 8, AUTH_SIG = BASE64_ENCODE_RAW_LENGTH(SHA256_DIGEST_SIZE) };
+enum { AUTH_AGE_S = 30 * 86400, AUTH_AGE_MAX_S = 366 * 86400, AUTH_SESSION_S = 12 * 3600 };
+enum { AUTH_SKEW_S = 60 }; /* clocks of who signs and who checks may differ by so much */
+enum { AUTH_TOKEN_ID = 16, AUTH_PARTS = 5 };
+const char AUTH_COOKIE[] = "citysplat";
+static const char AUTH_SESSION[] = "session"; /* the word of a cookie's seal */
+/* Words of seals in addresses, and what they open. */
+static const struct {
+    const char *word;
+    bool reads, renders;
+} auth_scopes[] = {[AUTH_SCOPE_READ] = {"read", true, false},
+                   [AUTH_SCOPE_RENDER] = {"render", false, true},
+                   [AUTH_SCOPE_BOTH] = {"read-render", true, true}};
 
 struct auth_key {
     char name[AUTH_NAME];
@@ -32,6 +48,9 @@ struct auth_token {
     size_t n;
 };
 struct auth {
+    _Atomic size_t refs;
+    struct hash128 text; /* of the file */
+    int64_t max_age_s, session_s;
     struct auth_key key[AUTH_MAX];
     struct auth_token token[AUTH_MAX];
     char open[AUTH_MAX][AUTH_NAME];
@@ -114,20 +133,38 @@ static enum err_code auth_read_open(struct auth *a, const json_t *list, const ch
     return ERR_OK;
 }
 
+static enum err_code auth_check_member(const char *name, const json_t *v, const char *path,
+                                       struct err *e)
+{
+    const bool list = !strcmp(name, "tokens") || !strcmp(name, "public"),
+               time = !strcmp(name, "max_age_s") || !strcmp(name, "session_s");
+    if (!list && !time && strcmp(name, "keys") != 0)
+        return err_set(e, ERR_FORMAT,
+                       "%s: %.40s: there are keys, tokens, public, max_age_s and session_s", path,
+                       name);
+    if (time && !(json_is_integer(v) && json_integer_value(v) >= AUTH_SKEW_S &&
+                  json_integer_value(v) <= AUTH_AGE_MAX_S))
+        return err_set(e, ERR_FORMAT, "%s: %s: a whole number of seconds, %d to %d", path, name,
+                       AUTH_SKEW_S, AUTH_AGE_MAX_S);
+    if (!time && (list ? !json_is_array(v) : !json_is_object(v)))
+        return err_set(e, ERR_FORMAT, "%s: %s: must be %s", path, name,
+                       list ? "a list" : "an object");
+    return ERR_OK;
+}
+
 static enum err_code auth_read(struct auth *a, json_t *o, const char *path, struct err *e)
 {
     const char *name;
     json_t *v;
     json_object_foreach(o, name, v)
     {
-        bool list = !strcmp(name, "tokens") || !strcmp(name, "public");
-        if (!list && strcmp(name, "keys") != 0)
-            return err_set(e, ERR_FORMAT, "%s: %.40s: there are keys, tokens and public", path,
-                           name);
-        if (list ? !json_is_array(v) : !json_is_object(v))
-            return err_set(e, ERR_FORMAT, "%s: %s: must be %s", path, name,
-                           list ? "a list" : "an object");
+        if (auth_check_member(name, v, path, e))
+            return ERR_FORMAT;
     }
+    if ((v = json_object_get(o, "max_age_s")) != NULL)
+        a->max_age_s = json_integer_value(v);
+    if ((v = json_object_get(o, "session_s")) != NULL)
+        a->session_s = json_integer_value(v);
     const json_t *tokens = json_object_get(o, "tokens");
     enum err_code rc = auth_read_keys(a, json_object_get(o, "keys"), path, e);
     for (size_t i = 0; i < json_array_size(tokens) && !rc; i++)
@@ -145,6 +182,10 @@ enum err_code auth_parse(const char *text, size_t n, const char *name, struct au
     *out = a;
     if (!a)
         return err_set(e, ERR_MEM, "--auth: out of memory");
+    atomic_init(&a->refs, 1);
+    a->text = hash_bytes(text, n);
+    a->max_age_s = AUTH_AGE_S;
+    a->session_s = AUTH_SESSION_S;
     enum err_code rc = jsonc_parse(text, n, name, &o, e);
     if (!rc && !json_is_object(o))
         rc = err_set(e, ERR_FORMAT, "%s: must be an object", name);
@@ -167,15 +208,29 @@ enum err_code auth_open(const char *path, struct auth **out, struct err *e)
     return rc;
 }
 
-void auth_close(struct auth **a)
+struct auth *auth_ref(struct auth *a)
 {
-    if (*a) /* secrets do not stay in memory that others get */
-        memset(*a, 0, sizeof **a);
-    mem_free(*a);
-    *a = NULL;
+    if (a)
+        atomic_fetch_add_explicit(&a->refs, 1, memory_order_relaxed);
+    return a;
 }
 
-/* ---- who may ---- */
+void auth_close(struct auth **out)
+{
+    struct auth *a = *out;
+    *out = NULL;
+    if (!a || atomic_fetch_sub_explicit(&a->refs, 1, memory_order_acq_rel) != 1)
+        return;
+    memset(a, 0, sizeof *a); /* secrets do not stay in memory that others get */
+    mem_free(a);
+}
+
+bool auth_is_same(const struct auth *a, const struct auth *b)
+{
+    return a->text.lo == b->text.lo && a->text.hi == b->text.hi;
+}
+
+/* ---- tokens ---- */
 
 bool auth_is_public(const struct auth *a, const char *ds)
 {
@@ -198,16 +253,21 @@ static bool auth_grants(const struct auth_token *t, enum auth_need need, const c
     return false;
 }
 
+static void auth_digest(const char *token, uint8_t out[SHA256_DIGEST_SIZE])
+{
+    struct sha256_ctx h;
+    sha256_init(&h);
+    sha256_update(&h, strlen(token), (const uint8_t *)token);
+    sha256_digest(&h, SHA256_DIGEST_SIZE, out);
+}
+
 /* All tokens are looked at, whichever it is. */
 static enum auth_answer auth_check_token(const struct auth *a, enum auth_need need, const char *ds,
                                          const char *token)
 {
-    struct sha256_ctx h;
     uint8_t digest[SHA256_DIGEST_SIZE];
     enum auth_answer answer = AUTH_FORBIDDEN;
-    sha256_init(&h);
-    sha256_update(&h, strlen(token), (const uint8_t *)token);
-    sha256_digest(&h, sizeof digest, digest);
+    auth_digest(token, digest);
     for (size_t i = 0; i < a->n_tokens; i++)
         if (memeql_sec(a->token[i].digest, digest, sizeof digest) &&
             auth_grants(&a->token[i], need, ds))
@@ -215,7 +275,9 @@ static enum auth_answer auth_check_token(const struct auth *a, enum auth_need ne
     return answer;
 }
 
-struct auth_part { /* of a query; n 0: not there */
+/* ---- signatures ---- */
+
+struct auth_part { /* of a query or a seal; n 0: not there */
     const char *p;
     size_t n;
 };
@@ -232,8 +294,13 @@ static struct auth_part auth_part(const char *query, size_t n, const char *name)
     return (struct auth_part){NULL, 0};
 }
 
-/* base64url without padding. */
-static void auth_mac(const struct auth_key *k, const char *scope, size_t n_scope, int64_t exp_s,
+static bool auth_part_is(struct auth_part p, const char *word)
+{
+    return p.p && p.n == strlen(word) && !memcmp(p.p, word, p.n);
+}
+
+/* base64url without padding, of "WHAT" or "WORD.NAME", a newline and the time. */
+static void auth_mac(const struct auth_key *k, struct auth_part what, int64_t exp_s,
                      char out[AUTH_SIG + 1])
 {
     struct hmac_sha256_ctx h;
@@ -241,13 +308,13 @@ static void auth_mac(const struct auth_key *k, const char *scope, size_t n_scope
     char when[32];
     int n = snprintf(when, sizeof when, "\n%lld", (long long)exp_s);
     hmac_sha256_set_key(&h, k->n, k->secret);
-    hmac_sha256_update(&h, n_scope, (const uint8_t *)scope);
+    hmac_sha256_update(&h, what.n, (const uint8_t *)what.p);
     hmac_sha256_update(&h, (size_t)n, (const uint8_t *)when);
     hmac_sha256_digest(&h, sizeof digest, digest);
     base64_encode_raw(out, sizeof digest, digest);
     for (char *p = out; p < out + AUTH_SIG; p++)
         *p = *p == '+' ? '-' : *p == '/' ? '_' : *p;
-    out[AUTH_SIG] = '\0';
+    out[AUTH_SIG - 1] = '\0'; /* 43 characters; the 44th is padding */
 }
 
 static bool auth_read_time(struct auth_part t, int64_t *out)
@@ -261,31 +328,116 @@ static bool auth_read_time(struct auth_part t, int64_t *out)
     return t.n > 0;
 }
 
-static enum auth_answer auth_check_signature(const struct auth *a, struct auth_part sig,
-                                             const char *path, size_t n_path, const char *query,
-                                             size_t n_query, int64_t now_s)
+/* Did the key sign `what`, and does it hold now? */
+static enum auth_answer auth_verify(const struct auth *a, struct auth_part key,
+                                    struct auth_part exp, struct auth_part what,
+                                    struct auth_part sig, int64_t now_s)
 {
-    struct auth_part key = auth_part(query, n_query, "key"),
-                     scope = auth_part(query, n_query, "scope"),
-                     exp = auth_part(query, n_query, "exp");
     int64_t exp_s;
     char want[AUTH_SIG + 1];
-    size_t n = AUTH_SIG - 1; /* 43 characters; the 44th is padding */
-    if (sig.n != n || !auth_read_time(exp, &exp_s))
+    if (sig.n != AUTH_SIG - 1 || !auth_read_time(exp, &exp_s))
         return AUTH_FORBIDDEN;
     for (size_t i = 0; i < a->n_keys; i++) {
-        const struct auth_key *k = &a->key[i];
-        if (strlen(k->name) != key.n || memcmp(k->name, key.p, key.n) != 0)
+        if (!auth_part_is(key, a->key[i].name))
             continue;
-        auth_mac(k, scope.p ? scope.p : "", scope.n, exp_s, want);
-        bool below = scope.n && scope.n <= n_path && !memcmp(scope.p, path, scope.n) &&
-                     (scope.p[scope.n - 1] == '/' || scope.n == n_path);
-        if (!memeql_sec(want, sig.p, n) || !below)
+        auth_mac(&a->key[i], what, exp_s, want);
+        if (!memeql_sec(want, sig.p, sig.n))
             return AUTH_FORBIDDEN;
-        return now_s < exp_s ? AUTH_OK : AUTH_EXPIRED;
+        return now_s >= exp_s                               ? AUTH_EXPIRED
+               : exp_s - now_s > a->max_age_s + AUTH_SKEW_S ? AUTH_LONG
+                                                            : AUTH_OK;
     }
     return AUTH_FORBIDDEN;
 }
+
+enum { AUTH_SEAL_KEY, AUTH_SEAL_EXP, AUTH_SEAL_WORD, AUTH_SEAL_NAME, AUTH_SEAL_SIG };
+
+static enum auth_answer auth_read_seal(const struct auth *a, const char *seal, size_t n,
+                                       int64_t now_s, struct auth_part part[AUTH_PARTS])
+{
+    const char *end = seal + n;
+    for (int i = 0; i < AUTH_PARTS; i++) {
+        const char *dot = i < AUTH_PARTS - 1 ? memchr(seal, '.', (size_t)(end - seal)) : end;
+        if (!dot)
+            return AUTH_FORBIDDEN;
+        part[i] = (struct auth_part){seal, (size_t)(dot - seal)};
+        seal = dot + (dot < end);
+    }
+    const struct auth_part what = {part[AUTH_SEAL_WORD].p,
+                                   part[AUTH_SEAL_WORD].n + 1 + part[AUTH_SEAL_NAME].n};
+    return auth_verify(a, part[AUTH_SEAL_KEY], part[AUTH_SEAL_EXP], what, part[AUTH_SEAL_SIG],
+                       now_s);
+}
+
+/* The scope that a word means; AUTH_SCOPE_BOTH + 1: none. */
+static size_t auth_scope_of(struct auth_part word)
+{
+    size_t i = 0;
+    while (i <= AUTH_SCOPE_BOTH && !auth_part_is(word, auth_scopes[i].word))
+        i++;
+    return i;
+}
+
+enum auth_answer auth_check_seal(const struct auth *a, const char *seal, size_t n, int64_t now_s)
+{
+    struct auth_part part[AUTH_PARTS];
+    const enum auth_answer answer = auth_read_seal(a, seal, n, now_s, part);
+    return answer || auth_scope_of(part[AUTH_SEAL_WORD]) <= AUTH_SCOPE_BOTH ? answer
+                                                                            : AUTH_FORBIDDEN;
+}
+
+static enum auth_answer auth_open_seal(const struct auth *a, enum auth_need need, const char *ds,
+                                       const struct auth_request *r, int64_t now_s)
+{
+    struct auth_part part[AUTH_PARTS];
+    const enum auth_answer answer = auth_read_seal(a, r->seal, r->n_seal, now_s, part);
+    if (answer)
+        return answer;
+    const size_t scope = auth_scope_of(part[AUTH_SEAL_WORD]);
+    return scope <= AUTH_SCOPE_BOTH && auth_part_is(part[AUTH_SEAL_NAME], ds) &&
+                   (need == AUTH_RENDER ? auth_scopes[scope].renders : auth_scopes[scope].reads)
+               ? AUTH_OK
+               : AUTH_FORBIDDEN;
+}
+
+/* ---- sessions ---- */
+
+static void auth_token_id(const struct auth_token *t, char out[2 * AUTH_TOKEN_ID + 1])
+{
+    base16_encode_update(out, AUTH_TOKEN_ID, t->digest);
+    out[2 * AUTH_TOKEN_ID] = '\0';
+}
+
+/* The value of our cookie among all that the client sent. */
+static struct auth_part auth_cookie(const char *cookies)
+{
+    const size_t n = strlen(AUTH_COOKIE);
+    for (const char *p = cookies; p && *p; p = strchr(p, ';'), p = p ? p + 1 : NULL) {
+        p += strspn(p, " \t");
+        if (!strncmp(p, AUTH_COOKIE, n) && p[n] == '=')
+            return (struct auth_part){p + n + 1, strcspn(p + n + 1, "; \t")};
+    }
+    return (struct auth_part){NULL, 0};
+}
+
+/* A session that is over, or whose token or key has gone, is no credential any more. */
+static enum auth_answer auth_check_session(const struct auth *a, enum auth_need need,
+                                           const char *ds, struct auth_part cookie, int64_t now_s)
+{
+    struct auth_part part[AUTH_PARTS];
+    char id[2 * AUTH_TOKEN_ID + 1];
+    if (auth_read_seal(a, cookie.p, cookie.n, now_s, part) ||
+        !auth_part_is(part[AUTH_SEAL_WORD], AUTH_SESSION))
+        return AUTH_UNKNOWN;
+    for (size_t i = 0; i < a->n_tokens; i++) {
+        auth_token_id(&a->token[i], id);
+        if (auth_part_is(part[AUTH_SEAL_NAME], id))
+            return auth_grants(&a->token[i], need, ds) ? AUTH_OK : AUTH_FORBIDDEN;
+    }
+    return AUTH_UNKNOWN;
+}
+
+/* ---- who may ---- */
 
 enum auth_answer auth_check(const struct auth *a, enum auth_need need, const char *ds,
                             const struct auth_request *r, int64_t now_s)
@@ -295,32 +447,103 @@ enum auth_answer auth_check(const struct auth *a, enum auth_need need, const cha
         return AUTH_OK;
     if (r->authorization && !strncasecmp(r->authorization, "Bearer ", 7))
         return auth_check_token(a, need, ds ? ds : "", r->authorization + 7);
-    struct auth_part sig = auth_part(r->query, r->n_query, "sig");
-    if (reads && sig.n)
-        return auth_check_signature(a, sig, r->path, r->n_path, r->query, r->n_query, now_s);
-    return AUTH_UNKNOWN;
+    if (!reads)
+        return AUTH_UNKNOWN;
+    if (r->seal)
+        return auth_open_seal(a, need, ds, r, now_s);
+    const struct auth_part sig = auth_part(r->query, r->n_query, "sig"),
+                           cookie = auth_cookie(r->cookie);
+    if (sig.n)
+        return r->names_others ? AUTH_FORBIDDEN
+                               : auth_verify(a, auth_part(r->query, r->n_query, "key"),
+                                             auth_part(r->query, r->n_query, "exp"),
+                                             (struct auth_part){r->path, r->n_path}, sig, now_s);
+    return cookie.n ? auth_check_session(a, need, ds, cookie, now_s) : AUTH_UNKNOWN;
 }
 
-enum err_code auth_sign(const struct auth *a, const char *key, const char *scope, int64_t exp_s,
-                        char out[AUTH_QUERY_MAX], struct err *e)
+/* ---- making them ---- */
+
+static enum err_code auth_find_key(const struct auth *a, const char *key, int64_t exp_s,
+                                   int64_t now_s, const struct auth_key **out, struct err *e)
 {
-    const struct auth_key *k = NULL;
-    char sig[AUTH_SIG + 1];
+    *out = NULL;
     for (size_t i = 0; i < a->n_keys; i++)
         if (key ? !strcmp(a->key[i].name, key) : a->n_keys == 1)
-            k = &a->key[i];
-    if (!k)
+            *out = &a->key[i];
+    if (!*out)
         return err_set(e, ERR_ARG, "--key %s: the file has %zu keys, and none of this name",
                        key ? key : "(none)", a->n_keys);
-    if (scope[0] != '/' || strlen(scope) > 200 ||
-        scope[strspn(scope,
-                     "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789/_.,@:-")])
-        return err_set(
-            e, ERR_ARG,
-            "--scope %s: a path of this server, as /d/NAME/ for a dataset with all below", scope);
-    auth_mac(k, scope, strlen(scope), exp_s, sig);
-    sig[AUTH_SIG - 1] = '\0';
-    snprintf(out, AUTH_QUERY_MAX, "exp=%lld&key=%s&scope=%s&sig=%s", (long long)exp_s, k->name,
-             scope, sig);
+    if (exp_s - now_s > a->max_age_s)
+        return err_set(e, ERR_ARG,
+                       "--for-s %lld: the server takes no signature that holds for more than %lld "
+                       "s (max_age_s of the file)",
+                       (long long)(exp_s - now_s), (long long)a->max_age_s);
     return ERR_OK;
+}
+
+static void auth_make_seal(const struct auth_key *k, const char *word, const char *name,
+                           int64_t exp_s, char out[AUTH_SEAL_MAX])
+{
+    char what[AUTH_SEAL_MAX], sig[AUTH_SIG + 1];
+    const int n = snprintf(what, sizeof what, "%s.%s", word, name);
+    auth_mac(k, (struct auth_part){what, (size_t)n}, exp_s, sig);
+    snprintf(out, AUTH_SEAL_MAX, "%s.%lld.%.80s.%s", k->name, (long long)exp_s, what, sig);
+}
+
+static bool auth_is_name(const char *ds)
+{
+    const size_t n = strlen(ds);
+    return n && n < AUTH_NAME && *ds != '-' && *ds != '_' &&
+           strspn(ds, "abcdefghijklmnopqrstuvwxyz0123456789_-") == n;
+}
+
+enum err_code auth_sign(const struct auth *a, const char *key, enum auth_scope scope,
+                        const char *ds, int64_t exp_s, int64_t now_s, char out[AUTH_SEAL_MAX],
+                        struct err *e)
+{
+    const struct auth_key *k;
+    if (!auth_is_name(ds))
+        return err_set(e, ERR_ARG,
+                       "%.80s: no name of a dataset: one of at most %d of a-z, 0-9, _ "
+                       "and -",
+                       ds, AUTH_NAME - 1);
+    enum err_code rc = auth_find_key(a, key, exp_s, now_s, &k, e);
+    if (!rc)
+        auth_make_seal(k, auth_scopes[scope].word, ds, exp_s, out);
+    return rc;
+}
+
+enum err_code auth_sign_path(const struct auth *a, const char *key, const char *path, int64_t exp_s,
+                             int64_t now_s, char out[AUTH_QUERY_MAX], struct err *e)
+{
+    const struct auth_key *k;
+    char sig[AUTH_SIG + 1];
+    if (path[0] != '/' || strlen(path) > 255)
+        return err_set(e, ERR_ARG, "%.80s: no path of a server: one begins with /", path);
+    enum err_code rc = auth_find_key(a, key, exp_s, now_s, &k, e);
+    if (rc)
+        return rc;
+    auth_mac(k, (struct auth_part){path, strlen(path)}, exp_s, sig);
+    snprintf(out, AUTH_QUERY_MAX, "exp=%lld&key=%s&sig=%s", (long long)exp_s, k->name, sig);
+    return ERR_OK;
+}
+
+enum auth_answer auth_session(const struct auth *a, const char *token, int64_t now_s,
+                              char out[AUTH_SEAL_MAX], int64_t *for_s)
+{
+    uint8_t digest[SHA256_DIGEST_SIZE];
+    char id[2 * AUTH_TOKEN_ID + 1];
+    const struct auth_token *found = NULL;
+    auth_digest(token, digest);
+    for (size_t i = 0; i < a->n_tokens; i++)
+        if (memeql_sec(a->token[i].digest, digest, sizeof digest))
+            found = &a->token[i];
+    if (!a->n_keys)
+        return AUTH_UNKNOWN;
+    if (!found)
+        return AUTH_FORBIDDEN;
+    *for_s = a->session_s < a->max_age_s ? a->session_s : a->max_age_s;
+    auth_token_id(found, id);
+    auth_make_seal(&a->key[0], AUTH_SESSION, id, now_s + *for_s, out);
+    return AUTH_OK;
 }

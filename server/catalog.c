@@ -40,7 +40,8 @@ static enum err_code catalog_make_tileset(struct dataset *d, enum tileset_links_
     return document_take(rc, &b, out, e);
 }
 
-static enum err_code catalog_make_tilejson(struct dataset *d, const char *public_url, struct err *e)
+enum err_code catalog_tilejson(const struct dataset *d, const char *public_url, struct body **out,
+                               struct err *e)
 {
     struct buf b = {0}, tile = {0};
     struct link l =
@@ -52,7 +53,7 @@ static enum err_code catalog_make_tilejson(struct dataset *d, const char *public
     if (!rc)
         rc = tileset_tilejson(d->index, (const char *)tile.data, &b, e);
     buf_free(&tile);
-    return document_take(rc, &b, &d->tilejson, e);
+    return document_take(rc, &b, out, e);
 }
 
 static enum err_code catalog_make_documents(struct dataset *d, const struct catalog_options *o,
@@ -63,7 +64,7 @@ static enum err_code catalog_make_documents(struct dataset *d, const struct cata
     if (!rc)
         rc = catalog_make_tileset(d, TILESET_LINKS_MOVING, &d->tileset_moving, e);
     if (!rc)
-        rc = catalog_make_tilejson(d, o->public_url, e);
+        rc = catalog_tilejson(d, o->public_url, &d->tilejson, e);
     if (!rc)
         rc = appearance_api_list(d, &d->appearances, e);
     if (!rc && d->appearance)

@@ -38,6 +38,9 @@ enum err_code catalog_open(const char *const *paths, size_t n, const struct cata
  * none. ERR_MEM. */
 enum err_code catalog_expire(const struct catalog *c, const struct catalog_options *o, double now_s,
                              struct catalog **out, struct err *e) ERR_USE;
+/* Makes the TileJSON of a dataset's tiles. public_url NULL: its addresses are relative. ERR_MEM. */
+enum err_code catalog_tilejson(const struct dataset *d, const char *public_url, struct body **out,
+                               struct err *e) ERR_USE;
 struct catalog *catalog_ref(struct catalog *c);
 void catalog_drop(struct catalog **c);
 /* Finds a dataset; borrowed from c. rev "": the current revision. NULL: there is none. */

@@ -13,6 +13,7 @@
 
 #include "server/answer_appearance.h"
 #include "server/answer_kept.h"
+#include "server/right.h"
 
 static bool dispatch_changes(const struct request *r)
 {
@@ -24,7 +25,7 @@ static const struct route_method *dispatch_method(const struct services *s, cons
                                                   const struct route *route, struct response *out)
 {
     const struct route_method *on = route_on(route, r->method);
-    const bool unkept = dispatch_changes(r) && on && !s->kept;
+    const bool unkept = route->scope & SCOPE_STATE && dispatch_changes(r) && on && !s->kept;
     if (on && !unkept)
         return on;
     if (r->method == METHOD_OPTIONS) {
@@ -52,25 +53,24 @@ static bool dispatch_is_here(const struct services *s, const struct request *r,
 
 /* May who asks have this? Else the problem is set, the same for datasets that there are and are
  * not. */
-static bool dispatch_may(const struct services *s, const struct request *r, const struct target *t,
-                         struct response *out)
+static bool dispatch_may(const struct request *r, enum auth_answer answer, struct response *out)
 {
-    if (!s->auth)
-        return true;
-    size_t n = t->path_size + (r->target_size > t->path_size);
-    const struct auth_request a = {r->authorization, r->target, r->target + n, t->path_size,
-                                   r->target_size - n};
-    switch (auth_check(s->auth, t->route->scope & SCOPE_RENDER ? AUTH_RENDER : AUTH_READ, t->ds, &a,
-                       (int64_t)time(NULL))) {
+    switch (answer) {
     case AUTH_OK:
         return true;
     case AUTH_UNKNOWN:
         out->unauthorized = true;
         response_problem(out, 401,
-                         "this dataset is for those who send a token or a signed address");
+                         r->cookie ? "this dataset is for those who send a token or a signed "
+                                     "address; a session has ended, or there was none"
+                                   : "this dataset is for those who send a token or a signed "
+                                     "address");
         break;
     case AUTH_EXPIRED:
         response_problem(out, 403, "the time of this signed address is over");
+        break;
+    case AUTH_LONG:
+        response_problem(out, 403, "this signed address holds for longer than this server allows");
         break;
     default:
         response_problem(out, 403, "the token or the signature does not open this");
@@ -85,10 +85,10 @@ static const char *dispatch_tag_header(const struct server_config *cfg)
 }
 
 /* What an operator says about caches of this dataset, and its tag where there is none yet. */
-static void dispatch_cached(const struct services *s, const struct dataset *d,
-                            const struct target *t, struct response *out)
+static void dispatch_cached(const struct services *s, const struct request *r,
+                            const struct dataset *d, const struct target *t, struct response *out)
 {
-    bool shared = !s->auth || auth_is_public(s->auth, d->meta.name);
+    bool shared = right_is_public(r, d->meta.name);
     out->cache_control = cache_policy_of(&s->policy, d->meta.name, shared, out->cache_control);
     out->tag_header = dispatch_tag_header(s->cfg);
     if (!out->surrogate[0] && out->status < 400)
@@ -125,7 +125,7 @@ static void dispatch_dataset(struct services *s, const struct request *r,
             out->cache_control = response_cache_control(s, d, t);
             on->answer(s, r, d, t, out);
         }
-        dispatch_cached(s, d, t, out);
+        dispatch_cached(s, r, d, t, out);
     } else if (catalog_find(c, t->ds, "")) {
         response_problem(out, 404, "this server does not have this revision, or not any more");
         out->cache_control = RESPONSE_NO_STORE; /* a reload may bring it */
@@ -135,43 +135,92 @@ static void dispatch_dataset(struct services *s, const struct request *r,
     catalog_drop(&c);
 }
 
-void dispatch_answer(struct services *s, const struct request *r, struct response *out)
+/* A signed address is a seal and another path, which it opens: what counts from here on is that
+ * path. False, with the answer set, where the seal does not hold. */
+static bool dispatch_unseal(struct request *r, const struct target *t, struct response *out)
+{
+    const size_t n = (size_t)(t->seal + t->n_seal - r->target);
+    if (!dispatch_may(r, auth_check_seal(r->auth, t->seal, t->n_seal, (int64_t)time(NULL)), out))
+        return false;
+    if (n == t->path_size) { /* relative addresses would not lie below it */
+        struct buf b = {0};
+        buf_printf(&b, "%.*s/", (int)t->n_seal, t->seal);
+        buf_u8(&b, 0);
+        out->status = 308;
+        out->cache_control = RESPONSE_NO_STORE;
+        out->location = b.failed ? NULL : mem_text((const char *)b.data);
+        buf_free(&b);
+        return false;
+    }
+    r->seal = t->seal;
+    r->n_seal = t->n_seal;
+    r->prefix = r->target;
+    r->n_prefix = n;
+    r->target += n;
+    r->target_size -= n;
+    out->secret = true;
+    return true;
+}
+
+/* False, with the answer set, where the target is none. */
+static bool dispatch_read(const struct services *s, struct request *r, struct target *t,
+                          struct response *out)
 {
     struct err e = {0};
-    struct target t;
-    memset(out, 0, sizeof *out);
-    out->queue_s = out->run_s = -1;
-    out->id = r->id;
-    out->id_sent = r->id_sent;
-    out->same_origin = r->admin;
-    enum err_code rc = router_read(s->routes, r->target, r->target_size, &t, &e);
-    if (rc != ERR_FORMAT) {
+    enum err_code rc = router_read(s->routes, r->target, r->target_size, t, &e);
+    if (!rc && t->route->scope & SCOPE_SIGNED && r->auth && !r->admin && !r->seal)
+        return dispatch_unseal(r, t, out) && dispatch_read(s, r, t, out);
+    if (rc != ERR_FORMAT && !(!rc && t->route->scope & SCOPE_SIGNED)) {
         out->instance = r->target;
-        out->n_instance = t.path_size;
+        out->n_instance = t->path_size;
     }
-    if (!rc && !dispatch_is_here(s, r, &t))
+    if (!rc && !dispatch_is_here(s, r, t))
         rc = err_set(&e, ERR_NOENT, "there is nothing at this path");
-    if (rc) {
+    if (rc)
         response_problem(out, rc == ERR_NOENT ? 404 : rc == ERR_DATA ? 422 : 400, e.msg);
+    return !rc;
+}
+
+static void dispatch_route(struct services *s, struct request *r, struct response *out)
+{
+    struct target t;
+    if (!dispatch_read(s, r, &t, out))
+        return;
+    out->route = t.route;
+    /* A page that is open in the browser of an operator reaches this listener. */
+    if (r->admin && r->from_page) {
+        response_problem(out, 403, "the operators' listener answers no pages");
         return;
     }
-    out->route = t.route;
     const struct route_method *on = dispatch_method(s, r, t.route, out);
     if (!on)
         return;
-    /* A page of another site that is open in the browser of an operator reaches this listener. */
-    if (r->admin && r->from_page && on->method != METHOD_GET) {
-        response_problem(out, 403, "the operators' listener takes no changes from pages");
-        return;
-    }
     out->timeout_s = s->cfg->deadline_s;
     out->cls = dispatch_queue(r, t.route->rate);
     if (!(t.route->scope & SCOPE_DATASET)) {
         out->cache_control = t.route->cache == CACHE_NONE ? RESPONSE_NO_STORE : RESPONSE_MOVING;
         on->answer(s, r, NULL, &t, out);
-    } else if (r->admin || dispatch_changes(r) || dispatch_may(s, r, &t, out)) {
-        dispatch_dataset(s, r, on, &t, out); /* whether it may be changed says answer_kept.c */
+    } else if (r->admin || dispatch_changes(r) || /* which answer_kept.c allows */
+               dispatch_may(r,
+                            right_check(r, &t,
+                                        t.route->scope & SCOPE_RENDER ? AUTH_RENDER : AUTH_READ,
+                                        t.ds),
+                            out)) {
+        dispatch_dataset(s, r, on, &t, out);
     }
+}
+
+void dispatch_answer(struct services *s, const struct request *r, struct response *out)
+{
+    struct request own = *r;
+    own.auth = services_auth(s);
+    memset(out, 0, sizeof *out);
+    out->queue_s = out->run_s = -1;
+    out->id = r->id;
+    out->id_sent = r->id_sent;
+    out->same_origin = r->admin;
+    dispatch_route(s, &own, out);
+    auth_close(&own.auth);
 }
 
 /* Why there is no result. */

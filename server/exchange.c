@@ -18,6 +18,7 @@
 
 #include "server/dispatch.h"
 #include "server/guard.h"
+#include "server/link.h"
 #include "server/motion.h"
 #include "server/screen.h"
 
@@ -393,17 +394,17 @@ static void exchange_client_text(const struct exchange *x, char *out, size_t roo
 
 static void exchange_log_access(const struct exchange *x, int status, double seconds)
 {
-    char client[ADDRESS_TEXT];
+    char client[ADDRESS_TEXT], target[ACCESS_TARGET], referer[ACCESS_TARGET];
     exchange_client_text(x, client, sizeof client);
     const struct access_line line = {
         .method = guard_method_name(x->req.method),
         .route = route_path(x->res.route),
         /* a target that names no route may hold anything: it is not repeated */
-        .target = x->res.route ? x->target : "-",
+        .target = x->res.route ? link_mask(x->target, target, sizeof target) : "-",
         .client = client,
         .id = x->id[0] ? x->id : "-",
         .cache = x->res.cache,
-        .referer = x->req.referer,
+        .referer = x->req.referer ? link_mask(x->req.referer, referer, sizeof referer) : NULL,
         .agent = x->req.agent,
         .status = status,
         .bytes = x->sent,

@@ -55,6 +55,8 @@ static void guard_keep_field(struct request *r, const char *name, size_t n, cons
         {"If-Range", &r->if_range},
         {"Range", &r->range},
         {"Authorization", &r->authorization},
+        {"Cookie", &r->cookie},
+        {"Origin", &r->origin},
         {"If-Modified-Since", &r->if_modified_since},
         {"Referer", &r->referer},
         {"User-Agent", &r->agent},

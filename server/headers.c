@@ -64,6 +64,7 @@ void headers_make(const struct response *r, bool last, struct headers *h)
     headers_add(h, "Content-Encoding", r->encoding);
     headers_add(h, "Allow", r->allow);
     headers_add(h, "Location", r->location);
+    headers_add(h, "Set-Cookie", r->set_cookie);
     headers_add(h, "Link", r->hints);
     headers_add(h, r->tag_header, r->surrogate);
     headers_add(h, "Cache-Status", headers_cache_status(r));
@@ -79,6 +80,8 @@ void headers_make(const struct response *r, bool last, struct headers *h)
     if (!r->same_origin)
         headers_add(h, "Access-Control-Allow-Origin", "*");
     headers_add(h, "X-Content-Type-Options", "nosniff");
+    if (r->secret)
+        headers_add(h, "Referrer-Policy", "strict-origin");
     if (r->same_origin) { /* what operators ask is for no page */
         headers_add(h, "Cross-Origin-Resource-Policy", "same-origin");
     } else if (r->allow && r->status == 204) { /* preflight */

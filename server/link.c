@@ -51,6 +51,10 @@ static void link_put_value(const struct link *l, const char *name, size_t n, str
         buf_printf(out, "%s", l->ext);
     else if (n == 3 && !memcmp(name, "row", n) && l->row)
         buf_printf(out, "%u", *l->row);
+    else if (n == 4 && !memcmp(name, "seal", n) && l->seal)
+        buf_printf(out, "%s", l->seal);
+    else if (n == 4 && !memcmp(name, "rest", n) && l->seal)
+        buf_u8(out, '/');
     else
         buf_printf(out, "{%.*s}", (int)n, name);
 }
@@ -136,4 +140,33 @@ const char *link_below_dataset(const char *target)
         if (*p == '/')
             target = strchr(target, '/') + 1;
     return target;
+}
+
+/* The end of the secret that begins at p, which is neither the address' begin nor behind its end;
+ * p: there is none. */
+static const char *link_secret(const char *address, const char *p)
+{
+    static const char sig[] = "sig=";
+    const size_t n = strcspn(link_path_signed, "{"), n_sig = sizeof sig - 1;
+    const size_t before = (size_t)(p - address);
+    if (before >= n && !memcmp(p - n, link_path_signed, n))
+        return p + strcspn(p, "/?# ");
+    if (before > n_sig && !memcmp(p - n_sig, sig, n_sig) && strchr("?&", p[-1 - (int)n_sig]))
+        return p + strcspn(p, "&# ");
+    return p;
+}
+
+const char *link_mask(const char *address, char *out, size_t room)
+{
+    size_t n = 0;
+    for (const char *p = address; *p && n + 2 < room;) {
+        const char *end = link_secret(address, p);
+        if (end > p)
+            out[n++] = '-';
+        p = end;
+        if (*p)
+            out[n++] = *p++;
+    }
+    out[n] = '\0';
+    return out;
 }

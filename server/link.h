@@ -20,6 +20,7 @@ struct link { /* a member that is NULL stays in the address as {name} */
     const char *const *key_names; /* [3], instead of {z} {x} {y}; NULL: these */
     const char *ext;              /* for {ext} and {fmt} */
     const uint32_t *row;
+    const char *seal; /* of link_signed(), which then ends with '/' */
     const char *with; /* optional parameter that stays in the address; NULL: all are left out */
 };
 /* Makes {from, up} for a dataset, with its revision and the edition where `from` needs them. */
@@ -36,6 +37,9 @@ void link_revision(const struct link *l, struct buf *out);
 /* Writes an address as text to out [room]; "" if it does not fit. */
 const char *link_text(void (*to)(const struct link *l, struct buf *out), const struct link *l,
                       char *out, size_t room);
+/* Copies an address for a log, with '-' for what opens it: a seal, or the signature of a query. Cut
+ * where there is no room. */
+const char *link_mask(const char *address, char *out, size_t room);
 /* Returns the part of a target after the folder of a dataset. */
 const char *link_below_dataset(const char *target);
 

@@ -428,8 +428,8 @@ void motion_leave(struct motion_stream **out)
 /* ---- all of them ---- */
 
 /* Do something with each stream, not under the lock. */
-static void motion_each(struct motion *m, void (*fn)(struct motion_stream *st, double now_s),
-                        double now_s)
+static void motion_each(struct motion *m, void (*fn)(struct motion_stream *st, const void *user),
+                        const void *user)
 {
     struct motion_stream *all[64], *st;
     size_t skip = 0, n;
@@ -442,15 +442,16 @@ static void motion_each(struct motion *m, void (*fn)(struct motion_stream *st, d
                 all[n++] = motion_ref(st);
         pthread_mutex_unlock(&m->lock);
         for (size_t k = 0; k < n; k++) {
-            fn(all[k], now_s);
+            fn(all[k], user);
             motion_drop(&all[k]);
         }
         skip += n;
     } while (n == sizeof all / sizeof *all);
 }
 
-static void motion_tick_one(struct motion_stream *st, double now_s)
+static void motion_tick_one(struct motion_stream *st, const void *user)
 {
+    const double now_s = *(const double *)user;
     pthread_mutex_lock(&st->m->lock);
     bool idle = st->m->stopping || now_s - st->wished_s > st->m->s->cfg->stream_idle_s;
     pthread_mutex_unlock(&st->m->lock);
@@ -462,12 +463,24 @@ static void motion_tick_one(struct motion_stream *st, double now_s)
 
 void motion_tick(struct motion *m, double now_s)
 {
-    motion_each(m, motion_tick_one, now_s);
+    motion_each(m, motion_tick_one, &now_s);
 }
 
-static void motion_end_one(struct motion_stream *st, double now_s)
+static void motion_recheck_one(struct motion_stream *st, const void *user)
 {
-    (void)now_s;
+    if (!auth_is_public(user, st->ds))
+        motion_end(st);
+}
+
+void motion_recheck(struct motion *m, const struct auth *a)
+{
+    if (m)
+        motion_each(m, motion_recheck_one, a);
+}
+
+static void motion_end_one(struct motion_stream *st, const void *user)
+{
+    (void)user;
     motion_end(st);
 }
 
@@ -478,7 +491,7 @@ void motion_stop(struct motion *m)
     pthread_mutex_lock(&m->lock);
     m->stopping = true;
     pthread_mutex_unlock(&m->lock);
-    motion_each(m, motion_end_one, 0);
+    motion_each(m, motion_end_one, NULL);
 }
 
 void motion_count(struct motion *m, struct motion_counts *out)

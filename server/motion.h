@@ -32,6 +32,9 @@ void motion_close(struct motion **m);
 /* Draws at full size where cameras rest, and ends streams without a recent camera. Call it a few
  * times a second. */
 void motion_tick(struct motion *m, double now_s);
+/* Rights have changed: ends the streams of datasets that are not public. Whoever may read them
+ * still can begin them again. */
+void motion_recheck(struct motion *m, const struct auth *a);
 /* Ends all streams; pictures that are being read are finished. New streams are refused. */
 void motion_stop(struct motion *m);
 void motion_count(struct motion *m, struct motion_counts *out);

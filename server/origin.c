@@ -20,21 +20,77 @@ static bool origin_is_host(const char *host)
     return n && n < 256 && strspn(host, plain) == n;
 }
 
-const char *origin_of(const struct services *s, const struct request *r, char out[ORIGIN_MAX])
+static const char *origin_host(const struct request *r)
 {
-    const char *scheme = s->tls && !r->admin ? "https" : "http", *host = r->host;
-    const char *base = s->cfg->base_path ? s->cfg->base_path : "";
-    out[0] = '\0';
+    return r->trusted && r->forwarded_host ? r->forwarded_host : r->host;
+}
+
+static bool origin_begins_with_https(const char *url)
+{
+    return !strncasecmp(url, "https:", strlen("https:"));
+}
+
+bool origin_is_tls(const struct services *s, const struct request *r)
+{
     if (s->cfg->public_url && *s->cfg->public_url)
-        return s->cfg->public_url;
-    if (r->proxied && !r->trusted)
-        return out;
-    if (r->trusted && r->forwarded_host)
-        host = r->forwarded_host;
+        return origin_begins_with_https(s->cfg->public_url);
     if (r->trusted && r->forwarded_proto)
-        scheme = !strcasecmp(r->forwarded_proto, "https") ? "https" : "http";
-    if (origin_is_host(host) &&
-        snprintf(out, ORIGIN_MAX, "%s://%s%s", scheme, host, base) >= ORIGIN_MAX)
+        return !strcasecmp(r->forwarded_proto, "https");
+    return s->tls && !r->admin;
+}
+
+bool origin_is_own_page(const struct services *s, const struct request *r)
+{
+    const char *host = r->origin ? strstr(r->origin, "://") : NULL, *own = origin_host(r);
+    const char *url = s->cfg->public_url ? strstr(s->cfg->public_url, "://") : NULL;
+    if (!r->from_page)
+        return true;
+    if (!host)
+        return false;
+    host += 3;
+    const size_t n = strlen(host);
+    return (own && !strcasecmp(host, own)) ||
+           (url && !strncasecmp(host, url + 3, n) && (url[3 + n] == '/' || !url[3 + n]));
+}
+
+/* What stands before the path of a signed address, behind `base` without its slash. "" where it
+ * does not fit. */
+static const char *origin_below(const char *base, const struct request *r, char out[ORIGIN_MAX])
+{
+    size_t n = strlen(base);
+    while (n && base[n - 1] == '/')
+        n--;
+    if (snprintf(out, ORIGIN_MAX, "%.*s%.*s", (int)n, base, (int)r->n_prefix,
+                 r->prefix ? r->prefix : "") >= ORIGIN_MAX)
         out[0] = '\0';
     return out;
+}
+
+const char *origin_of(const struct services *s, const struct request *r, char out[ORIGIN_MAX])
+{
+    char base[ORIGIN_MAX];
+    out[0] = '\0';
+    if (s->cfg->public_url && *s->cfg->public_url)
+        return origin_below(s->cfg->public_url, r, out);
+    if (r->proxied && !r->trusted)
+        return out;
+    if (origin_is_host(origin_host(r)) &&
+        snprintf(base, sizeof base, "%s://%s%s", origin_is_tls(s, r) ? "https" : "http",
+                 origin_host(r), s->cfg->base_path ? s->cfg->base_path : "") < ORIGIN_MAX)
+        return origin_below(base, r, out);
+    return out;
+}
+
+const char *origin_or_own(const struct services *s, const struct request *r, char out[ORIGIN_MAX])
+{
+    if (!*origin_of(s, r, out) && s->url)
+        return origin_below(s->url, r, out);
+    return out;
+}
+
+void origin_read(const struct services *s, const struct request *r, struct origin_places *out)
+{
+    const char *url = s->cfg->public_url, *base = s->cfg->base_path;
+    out->public_url = url && *url ? origin_below(url, r, out->text[0]) : NULL;
+    out->base_path = origin_below(base ? base : "", r, out->text[1]);
 }

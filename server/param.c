@@ -148,6 +148,17 @@ static enum err_code param_own_rev(struct text *t, struct target *out, struct er
                : ERR_NOENT;
 }
 
+/* Up to the next slash, or the end. */
+static enum err_code param_own_seal(struct text *t, struct target *out, struct err *e)
+{
+    const char *slash = memchr(t->p, '/', (size_t)(t->end - t->p));
+    (void)e;
+    out->seal = t->p;
+    t->p = slash ? slash : t->end;
+    out->n_seal = (size_t)(t->p - out->seal);
+    return out->n_seal ? ERR_OK : ERR_NOENT;
+}
+
 static enum err_code param_own_row_2x(struct text *t, struct target *out, struct err *e)
 {
     (void)e;

@@ -61,6 +61,7 @@ const char *response_status_text(int status)
         {202, "Accepted"},
         {204, "No Content"},
         {206, "Partial Content"},
+        {303, "See Other"},
         {304, "Not Modified"},
         {307, "Temporary Redirect"},
         {308, "Permanent Redirect"},
@@ -93,7 +94,8 @@ void response_free(struct response *r)
 {
     body_drop(&r->body);
     mem_free(r->location);
-    r->location = NULL;
+    mem_free(r->set_cookie);
+    r->location = r->set_cookie = NULL;
     if (r->work)
         work_drop(NULL, r->work);
     r->work = NULL;

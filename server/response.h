@@ -17,7 +17,7 @@ struct request {                  /* borrowed from the connection */
     size_t target_size;
     /* NULL: absent */
     const char *accept, *accept_encoding, *if_none_match, *if_match, *if_range, *range;
-    const char *authorization;
+    const char *authorization, *cookie, *origin;
     const char *forwarded[REQUEST_FIELDS_MAX]; /* [n_forwarded], X-Forwarded-For */
     size_t n_forwarded;
     const char *host, *forwarded_host, *forwarded_proto; /* NULL: absent */
@@ -30,16 +30,21 @@ struct request {                  /* borrowed from the connection */
     const char *if_modified_since;
     const void *body;
     size_t body_size;
-    bool prefetch;  /* Sec-Purpose: prefetch, or a low Priority */
-    bool from_page; /* it has Origin: a page of some site made it */
-    bool local;     /* the client is this machine, and nothing indicates another client behind it */
+    bool prefetch;     /* Sec-Purpose: prefetch, or a low Priority */
+    bool from_page;    /* it has Origin: a page of some site made it */
+    struct auth *auth; /* as it is while this request is answered; NULL: all is public */
+    /* of a signed address: its seal [n_seal], and all that stands before the path [n_prefix]; NULL:
+     * none. target is without it. */
+    const char *seal, *prefix;
+    size_t n_seal, n_prefix;
+    bool local; /* the client is this machine, and nothing indicates another client behind it */
 };
 enum { RESPONSE_TAGS = 192 };
 struct response { /* {0}, then dispatch_answer; free with response_free */
     int status;
     const struct route *route;                                  /* NULL: none */
     const char *type, *cache_control, *allow, *vary, *encoding; /* static strings; NULL = none */
-    char *location;                                             /* owned */
+    char *location, *set_cookie;                                /* owned */
     char etag[BODY_ETAG_SIZE];                                  /* "" = none */
     char hints[HINT_SIZE];         /* Link for the viewer's page; "" = none */
     char surrogate[RESPONSE_TAGS]; /* tags by which caches purge, sent as tag_header */
@@ -59,6 +64,7 @@ struct response { /* {0}, then dispatch_answer; free with response_free */
     size_t size;
     uint64_t range_first, range_total; /* for 206 and 416 */
     bool accept_ranges;
+    bool secret;           /* the address opens it: pages of other sites do not learn it */
     bool same_origin;      /* pages of other sites may not read it: no CORS fields */
     bool unlogged;         /* one of many small answers: counted, not logged */
     bool unnamed;          /* the bytes have no name: they are not kept and have no entity tag */

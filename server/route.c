@@ -4,6 +4,8 @@
  */
 #include "server/route.h"
 
+#include <string.h>
+
 const struct route_method *route_on(const struct route *r, enum method method)
 {
     const enum method asked = method == METHOD_HEAD ? METHOD_GET : method;
@@ -27,6 +29,12 @@ const char *route_allow(const struct route *r, bool changes)
     };
     return texts[(route_on(r, METHOD_GET) ? 1 : 0) + (route_on(r, METHOD_POST) ? 2 : 0) +
                  (changes && route_on(r, METHOD_PUT) ? 4 : 0)];
+}
+
+bool route_names_others(const struct route *r)
+{
+    const struct route_method *on = route_on(r, METHOD_GET);
+    return on && !strstr(on->gives, " Bytes,");
 }
 
 const char *route_path(const struct route *r)

@@ -331,17 +331,41 @@ struct services *server_services(struct server *sv)
     return &sv->services;
 }
 
+/* Who may read what. It comes first and by itself: a token is revoked at once, whatever the stores
+ * are like. */
+static enum err_code server_reload_auth(struct server *sv, struct err *e)
+{
+    struct auth *a = NULL;
+    if (!sv->cfg.auth)
+        return ERR_OK;
+    enum err_code rc = auth_open(sv->cfg.auth, &a, e);
+    if (rc)
+        return rc;
+    services_set_auth(&sv->services, &a);
+    struct auth *now = services_auth(&sv->services);
+    const bool same = auth_is_same(a, now);
+    auth_close(&a);
+    if (!same) {
+        motion_recheck(sv->services.motion, now);
+        log_info("serve", "tokens, keys and signatures are those of %s as it is now", sv->cfg.auth);
+    }
+    auth_close(&now);
+    return ERR_OK;
+}
+
 enum err_code server_reload(struct server *sv, struct err *e)
 {
     struct services *s = &sv->services;
     struct err own = {0};
     struct catalog *older = services_catalog(s), *newer = NULL;
     struct tls_pair *pair = NULL;
-    struct clip clip;
+    struct clip clip = {0};
     struct catalog_options stores = sv->stores;
     bool clips = false;
-    e = e ? e : &own;                                                /* what it says is kept */
-    enum err_code rc = server_read_clip(&sv->cfg, &clip, &clips, e); /* as its file is now */
+    e = e ? e : &own; /* what it says is kept */
+    enum err_code rc = server_reload_auth(sv, e);
+    if (!rc)
+        rc = server_read_clip(&sv->cfg, &clip, &clips, e); /* as its file is now */
     stores.clip = clips ? &clip : NULL;
     if (!rc && s->tls)
         rc = tls_read(s->tls, &pair, e);

@@ -160,6 +160,23 @@ struct catalog *services_catalog(struct services *s)
     return c;
 }
 
+struct auth *services_auth(struct services *s)
+{
+    pthread_mutex_lock(&s->catalog_lock);
+    struct auth *a = auth_ref(s->auth);
+    pthread_mutex_unlock(&s->catalog_lock);
+    return a;
+}
+
+void services_set_auth(struct services *s, struct auth **a)
+{
+    pthread_mutex_lock(&s->catalog_lock);
+    struct auth *was = s->auth;
+    s->auth = *a;
+    *a = was;
+    pthread_mutex_unlock(&s->catalog_lock);
+}
+
 void services_set_catalog(struct services *s, struct catalog *c, const char *reload_error)
 {
     pthread_mutex_lock(&s->catalog_lock);

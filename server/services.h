@@ -31,7 +31,7 @@ struct services { /* all are shared and thread-safe */
     struct geoid *geoid; /* --geoid; NULL: none */
     /* address of the service: --public-url, else where it listens; NULL: on every address */
     const char *url;
-    pthread_mutex_t catalog_lock; /* for catalog and reload_error */
+    pthread_mutex_t catalog_lock; /* for catalog, reload_error and auth */
     struct catalog *catalog;
     char reload_error[256]; /* why the last reload failed; "": it did not fail */
     struct static_table web;
@@ -43,7 +43,7 @@ struct services { /* all are shared and thread-safe */
     struct picture *picture; /* NULL: pictures are off */
     struct motion *motion;   /* streams; whoever opened it closes it, after services_free */
     struct access *access;   /* NULL: no access log */
-    struct auth *auth;       /* NULL: everything is public */
+    struct auth *auth;       /* by catalog_lock; NULL: everything is public */
     struct tls *tls;         /* NULL: the first listener has no TLS */
     struct cache_policy policy;
     struct router *routes;   /* what is served */
@@ -74,6 +74,9 @@ void services_note_short(struct services *s);
 /* Seconds since then; -1: it never happened. */
 double services_short_s(const struct services *s);
 struct catalog *services_catalog(struct services *s); /* a reference */
+struct auth *services_auth(struct services *s);       /* a reference; NULL: everything is public */
+/* Takes over *a, and gives back in it what counted before. */
+void services_set_auth(struct services *s, struct auth **a);
 /* Seconds since the process that draws first ended unexpectedly. 0: it is well, or has been well
  * again for a while. */
 double services_failing_s(struct services *s);

@@ -93,6 +93,8 @@ struct target {
     enum encoding encoding; /* for terrain */
     uint32_t row;           /* for a thumbnail */
     char stream[64];        /* for motion */
+    const char *seal;       /* [n_seal], borrowed from the target's text; for a signed address */
+    size_t n_seal;
     struct target_search search;
     /* for seed, collections and search: */
     bool has_bbox;

@@ -454,9 +454,10 @@ static void test_who_may(void **state)
         buf_free(&r.raw);
         struct auth *a = NULL;
         kit_ok(auth_open(path, &a, &e), e);
-        kit_ok(auth_sign(a, NULL, "/d/toy/", (int64_t)time(NULL) + 60, query, &e), e);
+        const int64_t now_s = (int64_t)time(NULL);
+        kit_ok(auth_sign(a, NULL, AUTH_SCOPE_BOTH, "toy", now_s + 60, now_s, query, &e), e);
         auth_close(&a);
-        snprintf(target, sizeof target, PATH "?%s", query);
+        snprintf(target, sizeof target, "/signed/%s" PATH, query);
         say_to(t.port, "DELETE", target, "", NULL, &r); /* a signature reads */
         assert_int_equal(r.status, 401);
         buf_free(&r.raw);

@@ -3,6 +3,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "server/auth.h"
 #include "tests/client.h"
 #include "tests/survey_kit.h"
 
@@ -412,18 +413,39 @@ static void tilejson_leads_to_tiles(void **state)
     json_decref(o);
 }
 
+/* The survey becomes private; out is what stands before each path of a signed address. */
+static void make_private(char out[300])
+{
+    static const char text[] = "{\"keys\": {\"k\": \"0123456789abcdef0123456789abcdef\"}}";
+    static char path[FILE_PATH_MAX];
+    const int64_t now_s = (int64_t)time(NULL);
+    char seal[AUTH_SEAL_MAX];
+    struct err e = {0};
+    struct auth *a = NULL;
+    kit_ok(file_join(path, f.dir, "auth.jsonc", &e), e);
+    kit_ok(file_write(path, text, sizeof text - 1, &e), e);
+    kit_ok(auth_open(path, &a, &e), e);
+    kit_ok(auth_sign(a, NULL, AUTH_SCOPE_BOTH, "survey", now_s + 3600, now_s, seal, &e), e);
+    auth_close(&a);
+    t.cfg.auth = path;
+    snprintf(out, 300, "/signed/%s", seal);
+}
+
 /* GDAL goes all the way: capabilities, tiles, pixels; and by the address of the tiles alone. */
 static void gdal_opens_the_map(void **state)
 {
     struct buf out = {0};
     struct err e = {0};
     struct reply r;
-    char path[FILE_PATH_MAX];
+    char path[FILE_PATH_MAX], prefix[300], target[900];
     (void)state;
     needs_gdal("gdal_translate");
+    make_private(prefix);
     if (!start_drawing())
         skip();
-    ask("GET", "/d/survey/wmts.xml", "", &r);
+    assert_int_equal(status_of("GET", "/d/survey/wmts.xml", ""), 401);
+    snprintf(target, sizeof target, "%s/d/survey/wmts.xml", prefix);
+    ask("GET", target, "", &r);
     assert_int_equal(r.status, 200);
     assert_string_equal(header(&r, "Content-Type"), "application/xml");
     kit_ok(file_join(path, f.dir, "wmts.xml", &e), e);
@@ -436,12 +458,12 @@ static void gdal_opens_the_map(void **state)
            west = -20037508.342789244 + there.x * edge, north = 20037508.342789244 - there.y * edge;
     if (kit_run(&out,
                 "cd '%s' && gdal_translate -q -of PNG -projwin %.6f %.6f %.6f %.6f "
-                "-outsize 256 256 'WMTS:http://127.0.0.1:%u/d/survey/wmts.xml' w.png",
-                f.dir, west, north, west + edge, north - edge, t.port))
+                "-outsize 256 256 'WMTS:http://127.0.0.1:%u%s/d/survey/wmts.xml' w.png",
+                f.dir, west, north, west + edge, north - edge, t.port, prefix))
         fail_msg("%s", (const char *)out.data);
     buf_free(&out);
     buf_printf(&xyz,
-               "<GDAL_WMS><Service name=\"TMS\"><ServerUrl>http://127.0.0.1:%u/d/survey/r/%s/map/"
+               "<GDAL_WMS><Service name=\"TMS\"><ServerUrl>http://127.0.0.1:%u%s/d/survey/r/%s/map/"
                "${z}/${x}/${y}.png</ServerUrl></Service><DataWindow><UpperLeftX>-20037508.342789244"
                "</UpperLeftX><UpperLeftY>20037508.342789244</UpperLeftY><LowerRightX>"
                "20037508.342789244</LowerRightX><LowerRightY>-20037508.342789244</LowerRightY>"
@@ -449,7 +471,7 @@ static void gdal_opens_the_map(void **state)
                "<YOrigin>top</YOrigin></DataWindow><Projection>EPSG:3857</Projection>"
                "<BandsCount>4</BandsCount><BlockSizeX>256</BlockSizeX><BlockSizeY>256</"
                "BlockSizeY></GDAL_WMS>",
-               t.port, t.rev, there.z);
+               t.port, prefix, t.rev, there.z);
     kit_ok(file_join(path, f.dir, "xyz.xml", &e), e);
     kit_ok(file_write(path, xyz.data, xyz.size, &e), e);
     buf_free(&xyz);
@@ -459,12 +481,13 @@ static void gdal_opens_the_map(void **state)
         fail_msg("%s", (const char *)out.data);
     buf_free(&out);
     struct image img, same, own;
-    char target[256];
+    char tile[256];
     kit_ok(file_join(path, f.dir, "w.png", &e), e);
     kit_ok(image_read(path, NULL, &img, &e), e);
     kit_ok(file_join(path, f.dir, "x.png", &e), e);
     kit_ok(image_read(path, NULL, &same, &e), e);
-    fetch_picture(map_target("map", there, ".png", target), "image/png", "own.png", &own);
+    snprintf(target, sizeof target, "%s%s", prefix, map_target("map", there, ".png", tile));
+    fetch_picture(target, "image/png", "own.png", &own);
     assert_int_equal(same.width_px, 256);
     assert_memory_equal(own.px, same.px, 256 * 256 * 3);
     size_t off = 0;
@@ -483,23 +506,25 @@ static void gdal_opens_the_collection(void **state)
     struct buf out = {0};
     struct err e = {0};
     struct image own, img;
-    char path[FILE_PATH_MAX], target[256];
+    char path[FILE_PATH_MAX], prefix[300], tile[256], target[900];
     double edge = 2 * 20037508.342789244 / pow(2, there.z),
            west = -20037508.342789244 + there.x * edge, north = 20037508.342789244 - there.y * edge;
     (void)state;
     needs_gdal("gdal_translate");
+    make_private(prefix);
     if (!start_drawing())
         skip();
     if (kit_run(&out,
                 "cd '%s' && gdal_translate -q -of PNG -oo CACHE=NO -oo TILEMATRIX=%u -oo MINX=%.6f "
                 "-oo MINY=%.6f -oo MAXX=%.6f -oo MAXY=%.6f "
-                "OGCAPI:http://127.0.0.1:%u/collections/survey o.png",
-                f.dir, there.z, west, north - edge, west + edge, north, t.port))
+                "OGCAPI:http://127.0.0.1:%u%s/collections/survey o.png",
+                f.dir, there.z, west, north - edge, west + edge, north, t.port, prefix))
         fail_msg("%s", (const char *)out.data);
     buf_free(&out);
     kit_ok(file_join(path, f.dir, "o.png", &e), e);
     kit_ok(image_read(path, NULL, &img, &e), e);
-    fetch_picture(map_target("map", there, ".png", target), "image/png", "own.png", &own);
+    snprintf(target, sizeof target, "%s%s", prefix, map_target("map", there, ".png", tile));
+    fetch_picture(target, "image/png", "own.png", &own);
     assert_int_equal(img.width_px, 256);
     assert_int_equal(img.height_px, 256);
     assert_memory_equal(own.px, img.px, 256 * 256 * 3);

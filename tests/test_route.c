@@ -184,7 +184,7 @@ static void test_origins(void **state)
     } rows[] = {
         {{.host = "maps.example:8080"}, NULL, NULL, "http://maps.example:8080"},
         {{.host = "[::1]:80"}, NULL, "/splats", "http://[::1]:80/splats"},
-        {{.host = "a"}, "https://public.example/", "/splats", "https://public.example/"},
+        {{.host = "a"}, "https://public.example/", "/splats", "https://public.example"},
         {{.host = "a", .proxied = true}, NULL, NULL, ""},
         {{.host = "a", .proxied = true, .forwarded_host = "b"}, NULL, NULL, ""},
         {{.host = "a", .proxied = true, .trusted = true}, NULL, NULL, "http://a"},

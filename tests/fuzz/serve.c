@@ -222,15 +222,32 @@ void fuzz_conf(const uint8_t *bytes, size_t n)
     struct cache_policy policy;
     struct auth *auth = NULL;
     json_t *o = NULL, *back = NULL;
-    char *text = serve_text(bytes, n), query[AUTH_QUERY_MAX];
+    char *text = serve_text(bytes, n), query[AUTH_QUERY_MAX], seal[AUTH_SEAL_MAX];
+    int64_t for_s;
     (void)!address_read_nets(text, &nets, NULL);
     if (!cache_policy_read(text, &policy, NULL))
         assert(cache_policy_of(&policy, "x", true, "no-store"));
     if (n && !auth_parse(text, n, "auth", &auth, NULL)) {
-        struct auth_request r = {text, "/d/x/", text, 5, n};
+        struct auth_request r = {.authorization = text, .path = "/d/x/", .query = text};
+        r.n_path = 5;
+        r.n_query = n;
         (void)auth_check(auth, AUTH_READ, "x", &r, 5);
-        if (!auth_sign(auth, NULL, "/d/x/", 10, query, NULL)) {
-            r = (struct auth_request){NULL, "/d/x/t", query, 6, strlen(query)};
+        r.authorization = NULL;
+        r.cookie = text;
+        (void)auth_check(auth, AUTH_READ, "x", &r, 5);
+        (void)auth_check_seal(auth, text, n, 5);
+        (void)auth_session(auth, text, 5, seal, &for_s);
+        if (!auth_sign(auth, NULL, AUTH_SCOPE_READ, "x", 10, 5, seal, NULL)) {
+            r = (struct auth_request){.path = "", .query = "", .seal = seal};
+            r.n_seal = strlen(seal);
+            assert(auth_check(auth, AUTH_READ, "x", &r, 5) == AUTH_OK);
+            assert(auth_is_public(auth, "x") ||
+                   auth_check(auth, AUTH_RENDER, "x", &r, 5) == AUTH_FORBIDDEN);
+        }
+        if (!auth_sign_path(auth, NULL, "/d/x/t", 10, 5, query, NULL)) {
+            r = (struct auth_request){.path = "/d/x/t", .query = query};
+            r.n_path = 6;
+            r.n_query = strlen(query);
             assert(auth_check(auth, AUTH_READ, "x", &r, 5) == AUTH_OK);
         }
     }

@@ -19,7 +19,9 @@ command -v node >/dev/null || skip "no Node.js: it makes the test city"
 node "$here/city.mjs" "$work" || exit 1
 "$bin" ortho -q "$work/city.tiles" -o "$work/ortho.tif" --gsd-m 0.25 || exit 1
 "$bin" dsm -q "$work/city.tiles" -o "$work/dsm.tif" --gsd-m 0.25 || exit 1
-"$bin" serve "$work/city.tiles" --port 0 --no-access-log >"$work/out" 2>"$work/log" &
+# The city is private: QGIS has one signed address, and sends nothing else.
+echo '{"keys": {"k": "a key of this test alone, 32 characters"}}' >"$work/auth.jsonc"
+"$bin" serve "$work/city.tiles" --auth "$work/auth.jsonc" --port 0 --no-access-log >"$work/out" 2>"$work/log" &
 server=$!
 for _ in $(seq 200); do
     url=$(sed -n 's|.*\(http://[^/]*\)/.*|\1|p' "$work/out")
@@ -27,7 +29,8 @@ for _ in $(seq 200); do
     sleep 0.1
 done
 [ -n "$url" ] || { cat "$work/log"; exit 1; }
-timeout 200 /usr/bin/python3 "$here/show.py" "$work/places.json" "$work" "$url/d/fcity"
+url=$("$bin" sign fcity --auth "$work/auth.jsonc" --url "$url") || exit 1
+timeout 200 /usr/bin/python3 "$here/show.py" "$work/places.json" "$work" "${url}d/fcity"
 rc=$?
 [ -z "${QGIS_SHOTS:-}" ] || cp "$work"/qgis-*.png "$QGIS_SHOTS"
 exit $rc

@@ -18,7 +18,7 @@ const TIMEOUT_MS = 120000;
 let source;
 let opened;
 before(async () => {
-    source = await openSource();
+    source = await openSource({ signed: true });
     const name = await firstDataSet(source.url);
     opened = await openPage(`${source.url}/examples/cesium.html?ds=${name}`, SIZE);
     await opened.page.waitForFunction(() => window.tileset !== undefined, null, {

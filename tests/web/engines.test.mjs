@@ -61,7 +61,7 @@ let opened;
 let tile; // URL of the tile that holds the whole city, without its extension
 before(async () => {
     if (skip.skip) return;
-    source = await openSource();
+    source = await openSource({ signed: true });
     const url = `${source.url}/d/${await firstDataSet(source.url)}/tileset.json`;
     tile = (await listContents(url, getJson))[0].url.replace(/\.glb$/, "");
     pages = createServer((request, response) => {

@@ -32,7 +32,7 @@ let opened;
 let asked;
 before(async () => {
     if (skip.skip) return;
-    source = await openSource();
+    source = await openSource({ signed: true });
     opened = await openPage(`${source.url}/cesium.html${hashOf(SOUTH)}`, SIZE);
     await opened.page.addStyleTag({ content: "#panel,.cesium-widget-credits{display:none!important}" });
 });
@@ -122,7 +122,7 @@ test("the viewer links here with its view and loads nothing of Cesium", skip, as
         timeout: TIMEOUT_MS,
     });
     const { hash, pathname } = new URL(await page.evaluate(() => document.getElementById("globe").href));
-    assert.equal(pathname, "/cesium.html");
+    assert.equal(pathname, new URL(`${source.url}/cesium.html`).pathname);
     assert.equal(hash.split(",").slice(3).join(), "0.00,-36.00");
     assert.deepEqual(asked.filter((url) => /cesium|engine-/.test(url)), []);
     await close();

@@ -26,7 +26,7 @@ let opened;
 let page;
 before(async () => {
     if (skip.skip) return;
-    source = await openSource();
+    source = await openSource({ signed: true });
     opened = await openPage(`${source.url}/examples/maplibre.html`, SIZE);
     page = opened.page;
     await page.waitForFunction(() => window.layer?.state.ready, null, { timeout: TIMEOUT_MS });

@@ -31,7 +31,7 @@ let pages;
 let opened;
 before(async () => {
     if (skip.skip) return;
-    source = await openSource();
+    source = await openSource({ signed: true });
     pages = createServer((request, response) => {
         const path = normalize(request.url.split("?")[0]);
         if (path === "/") {

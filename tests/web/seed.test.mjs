@@ -7,7 +7,7 @@ import { spawn } from "node:child_process";
 import { createServer } from "node:http";
 import { after, before, test } from "node:test";
 
-import { BIN, firstDataSet, MOCK, openSource } from "./lib/source.mjs";
+import { BIN, firstDataSet, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
 
 const skip = { skip: MOCK ? "the mock has no lists" : false };
 
@@ -15,7 +15,7 @@ let source;
 let name;
 before(async () => {
     if (skip.skip) return;
-    source = await openSource();
+    source = await openSource({ signed: true });
     name = await firstDataSet(source.url);
 });
 after(() => source?.close());
@@ -59,6 +59,55 @@ test("every tile of a dataset, in the list's order", skip, async () => {
     assert.deepEqual(seen.map((one) => one.url), [`/d/${name}/seed.ndjson`, ...want]);
     assert.ok(seen.every((one) => one.purpose === "prefetch"));
     close();
+});
+
+// ---- private data ----
+
+// All addresses in a document, as they stand there: of links, templates and tiles.
+function addressesIn(text, type) {
+    if (/xml/.test(type)) return [...text.matchAll(/(?:template|xlink:href)="([^"]+)"/g)].map((m) => m[1]);
+    const found = [];
+    const visit = (value, key) => {
+        const isAddress = typeof value === "string" && /^(href|uri|url|next|tiles|data|tileTemplate|viewTemplate|thumbnail)$/.test(key);
+        if (isAddress) found.push(value);
+        else if (value && typeof value === "object")
+            for (const [name, one] of Object.entries(value)) visit(one, Array.isArray(value) ? key : name);
+    };
+    for (const line of /ndjson/.test(type) ? text.trim().split("\n") : [text]) visit(JSON.parse(line), "");
+    return found;
+}
+
+test("one signed address opens all that its documents name", { skip: MOCK || GIVEN_TILES ? "needs a private city" : false }, async (t) => {
+    const city = source;
+    const run = await seed(`${city.url}/d/fcity`, "--rate", "1000");
+    assert.equal(run.status, 0, run.err);
+    const open = [`${city.url}/`, `${city.url}/collections`];
+    const seen = new Set(open);
+    const kinds = {};
+    const values = { TileMatrix: 1, TileCol: 1, TileRow: 1, tileMatrix: 1, tileCol: 1, tileRow: 1, z: 1, x: 1, y: 1 };
+    const camera = { lon: 8, lat: 50, height: 300, heading: 0, pitch: -30, fov: 60, w: 64, h: 48, fmt: "jpg", ext: "glb" };
+    while (open.length) {
+        const url = open.pop();
+        const response = await fetch(url, { headers: { accept: "application/json" } });
+        assert.ok(![401, 403].includes(response.status), `${url}: ${response.status}`);
+        assert.ok(response.url.startsWith(city.url), `${url} leads to ${response.url}`);
+        const type = response.headers.get("content-type") ?? "";
+        kinds[type] = (kinds[type] ?? 0) + 1;
+        if (!/json|xml/.test(type) || !response.ok) continue;
+        for (const address of addressesIn(await response.text(), type)) {
+            const filled = address.replace(/{(\w+)}/g, (_, name) => values[name] ?? camera[name]);
+            const next = new URL(filled, url).href;
+            if (/^https?:\/\/www\.(opengis\.net|apache\.org)/.test(next) || seen.has(next)) continue;
+            assert.ok(next.startsWith(`${city.url}/`), `${url} names ${address}`);
+            seen.add(next);
+            open.push(next);
+        }
+    }
+    t.diagnostic(`${seen.size} addresses: ${JSON.stringify(kinds)}`);
+    assert.ok(seen.size > 30);
+    const unsigned = city.url.replace(/\/signed\/.*/, "");
+    assert.equal((await fetch(`${unsigned}/d/fcity/tileset.json`)).status, 401);
+    assert.doesNotMatch(city.said(), new RegExp(city.url.split(".").at(-1))); // of the log
 });
 
 test("an area, zooms and a format by the list's address; no faster than told", skip, async () => {

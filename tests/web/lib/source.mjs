@@ -4,6 +4,7 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import { spawn, spawnSync } from "node:child_process";
+import { randomBytes } from "node:crypto";
 import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { dirname, join } from "node:path";
@@ -77,16 +78,32 @@ function serve(...argv) {
     });
 }
 
-// { url, city, dir, close }: a running server; city tells whether it holds the test city, in tiles of
-// edgeM; dir has it as city.tiles.
-export async function openSource({ edgeM } = {}) {
+// Options of a server whose data are private, in a folder.
+function privateOptions(dir) {
+    const file = join(dir, "auth.jsonc");
+    writeFileSync(file, JSON.stringify({ keys: { k: randomBytes(32).toString("base64") } }));
+    return ["--auth", file];
+}
+
+// The address that opens a private data set: all that a client of it asks for lies below.
+function signedUrl(dir, url, name = "fcity") {
+    const args = ["sign", name, "--auth", join(dir, "auth.jsonc"), "--url", url];
+    const run = spawnSync(BIN, args, { encoding: "utf8" });
+    if (run.status !== 0) throw new Error(`citysplat ${args.join(" ")}\n${run.stderr}`);
+    return run.stdout.trim().replace(/\/$/, "");
+}
+
+// { url, city, dir, close, said }: a running server; city tells whether it holds the test city, in tiles of
+// edgeM; dir has it as city.tiles. signed: the city is private, and url is a signed address.
+export async function openSource({ edgeM, signed = false } = {}) {
     if (MOCK) return { ...(await startMock()), city: true };
     if (GIVEN_TILES) return { ...(await serve(GIVEN_TILES)), city: false };
     const dir = mkdtempSync(join(tmpdir(), "citysplat-web-"));
     const clean = () => rmSync(dir, { recursive: true, force: true });
     try {
-        const server = await serve(importCity(dir, edgeM));
-        return { ...server, city: true, dir, close: () => server.close().finally(clean) };
+        const server = await serve(importCity(dir, edgeM), ...(signed ? privateOptions(dir) : []));
+        const url = signed ? signedUrl(dir, server.url) : server.url;
+        return { ...server, url, city: true, dir, close: () => server.close().finally(clean) };
     } catch (error) {
         clean();
         throw error;
