@@ -60,7 +60,7 @@ after(async () => {
 });
 
 function convert(from, to, ...options) {
-    const args = ["convert", join(dir, from), join(dir, to), ...options];
+    const args = ["convert", join(dir, from), join(dir, to), "--overwrite", ...options];
     const run = spawnSync(BIN, args, { encoding: "utf8" });
     assert.equal(run.status, 0, `citysplat ${args.join(" ")}\n${run.stderr}`);
 }

@@ -69,7 +69,7 @@ function run(program, args) {
 const path = (name) => join(dir, name);
 const transform = (from, to, ...options) =>
     run(process.execPath, [TRANSFORM, "-q", "-w", "-g", "cpu", ...options, path(from), path(to)]);
-const convert = (from, to, ...options) => run(BIN, ["convert", path(from), path(to), ...options]);
+const convert = (from, to, ...options) => run(BIN, ["convert", path(from), path(to), "--overwrite", ...options]);
 const load = (name) => readPly(readFileSync(path(name)));
 
 // Every column of ours against theirs, which is turned.
