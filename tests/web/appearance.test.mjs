@@ -385,9 +385,9 @@ test("two appearances lie side by side", skip, async () => {
     assert.equal(await page.evaluate(() => window.citysplat.viewer.secondAppearance), names[5]);
     assert.ok(rmsDifference(again, await picture()) < 0.5, "another revision shows other appearances");
     await page.evaluate(() => window.citysplat.viewer.setSecondAppearance("no-such-photograph.jpg"));
-    await page.waitForSelector("#problem:not([hidden])");
+    assert.match(await page.textContent("#banner-notice"), /no-such-photograph/);
     assert.equal(await page.evaluate(() => window.citysplat.viewer.secondAppearance), names[5]);
-    await page.click("#problem-retry");
+    await page.click("#banner-notice button");
     await page.click("#appearance-split");
     await choose("appearance-to", "");
     assert.ok(rmsDifference(left, await picture()) < 0.5, "the first one does not come back");
@@ -409,10 +409,25 @@ test("as photographed here is the photograph that was taken here", skip, async (
 test("an appearance that is not there leaves the picture and the choice", skip, async () => {
     const { appearance } = await state();
     await page.evaluate(() => window.citysplat.viewer.setAppearance("no-such-photograph.jpg"));
-    await page.waitForSelector("#problem:not([hidden])");
+    assert.match(await page.textContent("#banner-notice"), /no-such-photograph/);
+    assert.equal(await page.isVisible("#problem"), false);
     const now = await state();
     assert.deepEqual([now.appearance, now.wanted], [appearance, appearance]);
     assert.ok(now.gaussians > 0);
+});
+
+test("a link to a light that is gone opens in the default light, and says so", skip, async () => {
+    const opened = async (query) => {
+        await page.goto(`${source.url}/?${query}`);
+        await page.waitForSelector("#banner-notice");
+        assert.match(await page.textContent("#banner-notice"), /no light and weather "gone\.jpg"/);
+        await waitForViewer(page);
+        const { appearance, error, ready } = await state();
+        assert.deepEqual([appearance, error, ready], ["", null, true]);
+        assert.equal(await page.isVisible("#problem"), false);
+    };
+    await opened(`scene=${NAME}&appearance=gone.jpg`);
+    await opened(`scene=${source.plain}&appearance=gone.jpg`); // which has one light
 });
 
 test("a scene without appearance is asked for as before", skip, async () => {

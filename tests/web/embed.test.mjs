@@ -80,6 +80,14 @@ test("the module in another page: options, events, methods, disposal", skip, asy
     await close();
 });
 
+test("without a city beside it the page says what to do", skip, async () => {
+    const { page, close } = await openPage(`${url}/app/`, SIZE);
+    await page.waitForSelector("#problem:not([hidden])");
+    assert.match(await page.textContent("#problem-text"), /\?url=/);
+    assert.match(await page.title(), /^No city beside this page/);
+    await close();
+});
+
 test("a tileset that is not there is told as an event", skip, async () => {
     const { page, close } = await openPage(`${url}/app/examples/embed.html?url=none/tileset.json`, SIZE);
     await page.waitForFunction(() => /404/.test(document.getElementById("out").textContent));

@@ -92,7 +92,7 @@ test("a click tells the height of what is there", skip, async () => {
     await page.waitForFunction(() => document.getElementById("place-text").textContent, null, {
         timeout: TIMEOUT_MS,
     });
-    const height = Number(/([-\d.]+) m$/.exec(await page.textContent("#place-text"))[1]);
+    const height = Number(/([-\d.]+) m above/.exec(await page.textContent("#place-text"))[1]);
     assert.ok(Math.abs(height - ORIGIN.h - RED_TOP[2]) < 3, `the red roof is at ${height} m`);
 });
 

@@ -7,7 +7,8 @@ import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { after, before, test } from "node:test";
 
-import { openPage, waitForViewer } from "./lib/browser.mjs";
+import { bareBytes, openPage, waitForViewer } from "./lib/browser.mjs";
+import { decodePng } from "./lib/png.mjs";
 import { openSource } from "./lib/source.mjs";
 
 const TARGET_PX = 44;
@@ -53,6 +54,73 @@ for (const [name, size] of Object.entries(SIZES)) {
     });
 }
 
+// The largest rectangle of cells that nothing covers, in pixels.
+const CELL_PX = 10;
+function largestFree({ width, height }, covers) {
+    const columns = Math.floor(width / CELL_PX);
+    const depth = new Array(columns).fill(0); // free cells above, this one included
+    let best = { size: 0 };
+    for (let y = CELL_PX; y <= height; y += CELL_PX) {
+        for (let i = 0; i < columns; i++) {
+            const [left, top] = [i * CELL_PX, y - CELL_PX];
+            const hit = covers.some((one) => one.left < left + CELL_PX && one.right > left && one.top < y && one.bottom > top);
+            depth[i] = hit ? 0 : depth[i] + 1;
+        }
+        for (let i = 0; i < columns; i++)
+            for (let k = i, least = Infinity; k < columns && (least = Math.min(least, depth[k])) > 0; k++)
+                if ((k - i + 1) * least * CELL_PX ** 2 > best.size)
+                    best = { size: (k - i + 1) * least * CELL_PX ** 2, width: (k - i + 1) * CELL_PX, height: least * CELL_PX };
+    }
+    return best;
+}
+
+// Where the picture is not black, and which share of that the covers cover.
+function drawnBox({ width, height, at }, covers) {
+    const box = { left: width, right: 0, top: height, bottom: 0 };
+    let [all, covered] = [0, 0];
+    for (let y = 0; y < height; y++)
+        for (let x = 0; x < width; x++)
+            if (Math.max(...at(x, y).slice(0, 3)) > 24) {
+                box.left = Math.min(box.left, x);
+                box.right = Math.max(box.right, x + 1);
+                box.top = Math.min(box.top, y);
+                box.bottom = Math.max(box.bottom, y + 1);
+                all++;
+                covered += covers.some((one) => one.left <= x && x < one.right && one.top <= y && y < one.bottom);
+            }
+    return { ...box, covered: covered / all };
+}
+
+// Screens, and what the drawn city spans at least of the area that panels leave free, or of its width where that is high.
+const SCREENS = [
+    [{ width: 1400, height: 800 }, "area"],
+    [{ width: 1000, height: 640 }, "area"],
+    [{ width: 390, height: 844, hasTouch: true, isMobile: true }, "width"],
+    [{ width: 844, height: 390, hasTouch: true, isMobile: true }, "area"],
+];
+const HOME_LEAST = 0.6;
+const COVERED_MOST = 0.02; // strays beyond the box of most Gaussians
+
+for (const [size, by] of SCREENS)
+    test(`home fills what the panels leave free at ${size.width} x ${size.height}`, async (t) => {
+        const { page, close } = await openPage(source.url, size);
+        t.after(close);
+        await waitForViewer(page);
+        if (process.env.HABITS_SHOTS) await page.screenshot({ path: `${process.env.HABITS_SHOTS}/home-${size.width}x${size.height}.png` });
+        const covers = await page.evaluate(() =>
+            [...document.querySelectorAll("#panel, #tools, footer")]
+                .map((node) => node.getBoundingClientRect())
+                .map(({ left, right, top, bottom }) => ({ left, right, top, bottom })));
+        const drawn = drawnBox(decodePng(await bareBytes(page)), covers);
+        const free = largestFree(size, covers);
+        const [across, down] = [drawn.right - drawn.left, drawn.bottom - drawn.top];
+        const share = { area: (across * down) / free.size, width: across / free.width };
+        t.diagnostic(`${across} x ${down} px of ${free.width} x ${free.height}: ${(100 * share.area).toFixed(0)} % of the area, ${(100 * share.width).toFixed(0)} % of the width`);
+        assert.ok(drawn.covered < COVERED_MOST, `panels cover ${(100 * drawn.covered).toFixed(1)} % of the city`);
+        assert.ok(drawn.left > 0 && drawn.right < size.width && drawn.bottom < size.height, `the city is cut: ${JSON.stringify(drawn)}`);
+        assert.ok(share[by] >= HOME_LEAST, `${share[by]} of the ${by}`);
+    });
+
 test("every control has a name, in both languages, and the choice is kept", async () => {
     const { page, log, close } = await openPage(`${source.url}/?lang=en`, { width: 900, height: 700 });
     await waitForViewer(page);
@@ -73,6 +141,7 @@ test("every control has a name, in both languages, and the choice is kept", asyn
     assert.equal(await page.textContent("#share"), "Share link");
     await page.click("#settings summary");
     await page.selectOption("#language", "de");
+    await page.waitForFunction(() => document.documentElement.lang === "de");
     assert.equal(await page.textContent("#share"), "Link teilen");
     assert.equal(await page.getAttribute("html", "lang"), "de");
     assert.deepEqual([...(await nameless()), ...(await empty())], []);

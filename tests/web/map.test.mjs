@@ -39,11 +39,12 @@ async function clickOn(enu) {
     await nextFrames(page);
 }
 
-test("a click tells longitude, latitude and height of what is seen there", skip, async () => {
+test("a click tells latitude, longitude and height of what is seen there", skip, async () => {
     const roof = [RED_TOP[0], RED_TOP[1], RED_TOP[2] + 0.5];
     await clickOn(roof);
     const text = await page.textContent("#place-text");
-    const [lon, lat, h] = text.split(",").map(parseFloat);
+    assert.match(text, /^lat [\d.]+°, lon [\d.]+°, [\d.]+ m above the ellipsoid$/);
+    const [lat, lon, h] = text.match(/[\d.]+/g).map(Number);
     const want = placeOfEnu(ORIGIN, roof);
     const east = (lon - want.lon) * M_PER_DEG * Math.cos((want.lat * Math.PI) / 180);
     const north = (lat - want.lat) * M_PER_DEG;
@@ -70,6 +71,10 @@ test("a length and an area, and both as GeoJSON", skip, async () => {
     await page.check('input[name="measure"][value="area"]', { force: true });
     const words = (await page.textContent("#measure-text")).replace(/,(\d{3})/g, "$1");
     assert.ok(Math.abs(parseFloat(words) - 875) < 90, `${words}, want 875 m²`);
+    // Each side has its length, and the whole its area.
+    const labels = (await page.locator(".citysplat-label").allTextContents()).sort((a, b) => parseFloat(a) - parseFloat(b));
+    assert.equal(labels.length, 5, labels.join());
+    [25, 25, 35, 35].forEach((want, i) => assert.ok(Math.abs(parseFloat(labels[i]) - want) < 3, `${labels}, want ${want} m`));
     const coming = page.waitForEvent("download");
     await page.click("#measure-save");
     const file = await (await coming).path();

@@ -17,7 +17,7 @@ import {
 } from "./lib/checks.mjs";
 import { placeOfEnu, project } from "./lib/geo.mjs";
 import { decodePng } from "./lib/png.mjs";
-import { firstDataSet, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
+import { firstDataSet, getJson, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
 
 const SIZE = { width: 720, height: 540 };
 // Client and server round and cut off a little differently (1.7 on the test city, 4.3 on a trained one,
@@ -271,8 +271,13 @@ test("problems are said in words, and go when the next scene opens", async () =>
     await page.goto(`${source.url}/?scene=no-such-scene`);
     await page.waitForSelector("#problem:not([hidden])");
     assert.match(await page.textContent("#problem-text"), /no scene "no-such-scene"/);
-    const id = await firstDataSet(source.url);
-    await page.evaluate((name) => window.citysplat.viewer.openScene(name), id);
+    assert.equal(await page.title(), "Nothing to show – citysplat");
+    assert.equal(await page.textContent("#title"), "Nothing to show");
+    // What there is can be chosen.
+    const titles = (await getJson(`${source.url}/collections`)).collections.map(({ id, title }) => title ?? id);
+    assert.deepEqual(await page.locator("#problem-scenes button").allTextContents(), titles);
+    await page.click("#problem-scenes button");
     await waitForViewer(page);
+    assert.equal(await page.textContent("#title"), titles[0]);
     assert.equal(await page.isVisible("#problem"), false);
 });

@@ -191,6 +191,7 @@ export class Compare {
     }
     const { entry, appearance, width, height } = viewer.wantedView;
     if (!entry) return;
+    this.pictures.sky = viewer.backdrop; // like with like
     this.pictures.want(entry, appearance, viewer.pose, width, height);
     if (!this.pictures.settled) this.canvas.classList.remove("fresh");
   }

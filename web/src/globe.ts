@@ -27,6 +27,7 @@ import "./globe.css";
 import { FOV_DEG, type Pose } from "./pose";
 import "./style.css";
 import { getLanguage, setLanguage, text, translate } from "./strings";
+import { formatPlace } from "./units";
 
 interface Scene {
   id: string;
@@ -236,8 +237,8 @@ class Globe {
   }
 
   private showPlace() {
-    const { lat, lon, h, heading } = this.pose;
-    setText("where", `${lat.toFixed(6)}°, ${lon.toFixed(6)}°, ${h.toFixed(1)} m · ${heading.toFixed(0)}°`);
+    const { pose } = this;
+    setText("where", `${formatPlace(pose, 6)} · ${pose.heading.toFixed(0)}°`);
     clearTimeout(this.addressTimer);
     this.addressTimer = window.setTimeout(() => {
       if (!this.tileset) return;
@@ -264,14 +265,14 @@ class Globe {
     setText(
       "place-text",
       place.found
-        ? `${place.lat!.toFixed(7)}°, ${place.lon!.toFixed(7)}°, ${place.height_m!.toFixed(2)} m`
+        ? formatPlace({ lat: place.lat!, lon: place.lon!, h: place.height_m! })
         : text("place.none"),
     );
   }
 }
 
 async function main() {
-  setLanguage(query.get("lang") ?? navigator.language);
+  await setLanguage(query.get("lang") ?? navigator.language);
   document.documentElement.lang = getLanguage();
   const light = matchMedia("(prefers-color-scheme: light)").matches;
   document.documentElement.dataset["theme"] = light ? "light" : "dark";

@@ -54,6 +54,11 @@ export async function describe(response: Response): Promise<string> {
   return `${new URL(response.url).pathname}: ${response.status} ${response.statusText}`;
 }
 
+// It was asked for by a name that the server does not have.
+export function isGone(error: unknown): boolean {
+  return error instanceof HttpError && [400, 404, 410, 422].includes(error.status);
+}
+
 // Of the larger answers that the page got so far, its scripts too, while they flowed: what the line
 // carries is known before the first tile. 0 where all came from the browser's store.
 function speedOfPage(): number {

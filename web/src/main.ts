@@ -33,9 +33,9 @@ function places(query: URLSearchParams): string[] {
   return own ? [own] : ["./", "../", "/", "./tileset.json"];
 }
 
-function main() {
+async function main() {
   const query = new URLSearchParams(location.search);
-  setLanguage(query.get("lang") ?? language());
+  await setLanguage(query.get("lang") ?? language());
   document.documentElement.dataset["theme"] = theme();
   if (query.get("ui") === "off") document.documentElement.dataset["ui"] = "off";
   const view = parseView(location.hash);
@@ -76,4 +76,4 @@ function main() {
   };
 }
 
-main();
+void main();

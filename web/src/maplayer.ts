@@ -13,7 +13,7 @@ import { Box3, Matrix4, PerspectiveCamera, Ray, Vector3, WebGLRenderer } from "t
 import { City, NO_STATS, type CityStats } from "./city";
 import { Events, type Handler } from "./events";
 import { Frame, type Place } from "./geo";
-import { Link, type LinkState } from "./link";
+import { isGone, Link, type LinkState } from "./link";
 import type { Network } from "./network";
 import { pickMedian } from "./pick";
 import { Problem } from "./problem";
@@ -232,7 +232,12 @@ export class MapLayer {
       this.events.emit(keep ? "appearance" : "scene", (keep ? appearance : entry) as never);
       this.wake();
     } catch (error) {
-      if (ticket === this.opening && city === this.city) this.fail(error);
+      if (ticket !== this.opening || city !== this.city) return;
+      const name = this.wanted;
+      if (keep || !name || !isGone(error)) return this.fail(error);
+      this.wanted = ""; // it opens in the default light
+      this.events.emit("problem", new Problem("noAppearance", { name }));
+      await this.open(entry, false);
     }
   }
 

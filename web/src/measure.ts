@@ -5,9 +5,10 @@ import { Vector3 } from "three";
 
 import { copy, download, element, setText } from "./dom";
 import type { Frame, Place } from "./geo";
+import type { Shape } from "./overlay";
 import { ProfileChart } from "./profile";
 import { text } from "./strings";
-import { formatArea, formatLength } from "./units";
+import { formatArea, formatLength, formatPlace } from "./units";
 import type { Viewer } from "./viewer";
 
 type Kind = "path" | "area";
@@ -37,10 +38,6 @@ export function measure(points: Vector3[], kind: Kind): Measures {
   };
 }
 
-export function formatPlace({ lon, lat, h }: Place): string {
-  return `${lon.toFixed(7)}, ${lat.toFixed(7)}, ${h.toFixed(2)} m`;
-}
-
 // RFC 7946: longitude, latitude, height above the ellipsoid.
 export function toGeoJson(places: Place[], kind: Kind, values: Measures): string {
   const at = places.map(({ lon, lat, h }) => [
@@ -64,7 +61,7 @@ export function toGeoJson(places: Place[], kind: Kind, values: Measures): string
 export class MeasureTool {
   open = false;
   private places: Place[] = [];
-  private shape = 0;
+  private shapes: number[] = []; // what is measured, and a label for each part of it
   private marker = 0;
   private place: Place | null = null;
   private readonly profile: ProfileChart;
@@ -126,19 +123,29 @@ export class MeasureTool {
   private set(places: Place[]) {
     this.places = places;
     const { overlay } = this.viewer;
-    if (this.shape) overlay.remove(this.shape);
-    this.shape = places.length
-      ? overlay.add({
-          kind: places.length === 1 ? "point" : this.kind === "area" ? "area" : "line",
-          places,
-          ...(places.length > 1 ? { label: this.summary(true) } : {}),
-        })
-      : 0;
+    for (const shape of this.shapes) overlay.remove(shape);
+    this.shapes = places.length ? this.drawn(places).map((shape) => overlay.add(shape)) : [];
     const line = this.kind === "path" && places.length > 1;
     element<HTMLButtonElement>("measure-profile").disabled = !line;
     if (!line) this.profile.close();
     else if (this.profile.isOpen) void this.profile.show(places);
     setText("measure-text", places.length > 1 ? this.summary() : text("measure.hint"));
+  }
+
+  // The path or area with its sum; of more than one part each with its length, in the middle; every point.
+  private drawn(places: Place[]): Shape[] {
+    const closed = this.kind === "area" && places.length > 2;
+    const kind = places.length === 1 ? "point" : this.kind === "area" ? "area" : "line";
+    const whole: Shape = { kind, places, ...(places.length > 1 && (closed || places.length === 2) ? { label: this.summary(true) } : {}) };
+    if (places.length < 3) return [whole];
+    const frame = this.frame();
+    const points = places.map((place) => frame.pointOf(place));
+    const ends = closed ? [...points.slice(1), points[0]!] : points.slice(1);
+    const parts = ends.map((end, i): Shape => {
+      const middle = frame.placeOf(points[i]!.clone().lerp(end, 0.5));
+      return { kind: "label", places: [middle], label: formatLength(points[i]!.distanceTo(end)) };
+    });
+    return [whole, ...parts];
   }
 
   private values(): Measures {

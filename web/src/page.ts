@@ -12,16 +12,19 @@ import {
 import { AppearanceControl } from "./appearance";
 import { Compare } from "./compare";
 import { copy, element, setText, toast } from "./dom";
+import { freePart } from "./free";
 import { Inset } from "./inset";
 import { LayerPanel } from "./layerpanel";
 import { MeasureTool } from "./measure";
 import type { ShotDialog } from "./shotdialog";
 import type { Walk } from "./pose";
+import { Problem } from "./problem";
 import { isForScene } from "./stage";
 import { banner, Status, unbanner } from "./status";
 import { getLanguage, setLanguage, text, translate } from "./strings";
 import { TOUCH } from "./touch";
 import { Tours } from "./tours";
+import { formatPlace } from "./units";
 import type { Mode, Viewer } from "./viewer";
 
 // The slider position at which a typical Gaussian is one pixel. Touch screens begin with a step less. The size of the window
@@ -64,6 +67,7 @@ export class Page {
   private shots: ShotDialog | null = null;
   private addressTimer = 0;
   private offered = false;
+  private problem: Error | null = null; // why no scene is open
 
   constructor(private readonly viewer: Viewer) {
     new Status(viewer);
@@ -83,6 +87,7 @@ export class Page {
     this.wireKeys();
     this.wireViewer();
     this.translate();
+    viewer.fitInto(freePart);
     this.showMode(viewer.mode);
   }
 
@@ -94,14 +99,15 @@ export class Page {
     this.layers.translate();
     this.compare.translate();
     this.applyDetail();
+    this.showTitle();
     this.showPlace();
   }
 
   private wireViewer() {
     const { viewer } = this;
     viewer.on("scene", (scene) => {
-      setText("title", scene.title);
-      document.title = `${scene.title} – citysplat`;
+      this.problem = null;
+      this.showTitle();
       setText("attribution", viewer.info?.attribution ?? "");
       this.fillChooser();
       element("globe").hidden = !scene.catalogue; // cesium.html is where a server serves this page
@@ -115,7 +121,25 @@ export class Page {
     viewer.on("appearance", () => this.address());
     viewer.on("layers", () => this.address());
     viewer.on("mode", (mode) => this.showMode(mode));
+    viewer.on("problem", (problem) => {
+      this.problem = problem;
+      this.showTitle();
+    });
+    viewer.on("link", (link) => {
+      if (link === "ok") this.problem = null; // it is asked again
+      this.showTitle();
+    });
     viewer.on("slow", (fps) => void this.offer(fps));
+  }
+
+  // What is open, or why nothing is.
+  private showTitle() {
+    const { scene } = this.viewer;
+    const { problem } = this;
+    const failed = problem instanceof Problem ? problem.title : text("problem.other.title");
+    const title = scene?.title ?? (problem ? failed : text("loading"));
+    setText("title", title);
+    document.title = `${title} – citysplat`;
   }
 
   private fillChooser() {
@@ -129,11 +153,7 @@ export class Page {
   private showPlace() {
     const { pose, scene } = this.viewer;
     element("north").querySelector("svg")!.style.transform = `rotate(${-pose.heading}deg)`;
-    const { lat, lon, h, heading } = pose;
-    setText(
-      "where",
-      scene ? `${lat.toFixed(6)}°, ${lon.toFixed(6)}°, ${h.toFixed(1)} m · ${heading.toFixed(0)}°` : "",
-    );
+    setText("where", scene ? `${formatPlace(pose, 6)} · ${pose.heading.toFixed(0)}°` : "");
   }
 
   // ---- slow machines ----
@@ -183,7 +203,9 @@ export class Page {
   private async share() {
     const url = this.url().href;
     history.replaceState(null, "", url);
-    await copy(url, text("share.done"));
+    // Phones have a sheet for it. Closed without a choice, it rejects.
+    if (TOUCH && navigator.canShare?.({ url })) await navigator.share({ title: document.title, url }).catch(() => {});
+    else await copy(url, text("share.done"));
   }
 
   private async shot() {
@@ -206,6 +228,8 @@ export class Page {
     click("help-button", () => element<HTMLDialogElement>("help").showModal());
     click("share", () => void this.share());
     click("shot-button", () => void this.shot());
+    element("full").hidden = !document.fullscreenEnabled;
+    click("full", () => void (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen()));
     click("fold", () => this.fold(!element("panel").classList.contains("folded")));
     this.fold(TOUCH || innerWidth < 700 || innerHeight < 480);
   }
@@ -217,6 +241,7 @@ export class Page {
     button.setAttribute("aria-expanded", String(!folded));
     label.dataset["t"] = folded ? "panel.show" : "panel.hide";
     label.textContent = button.title = text(folded ? "panel.show" : "panel.hide");
+    this.viewer.fitInto(freePart);
   }
 
   private nextWalk() {
@@ -252,9 +277,7 @@ export class Page {
     });
     select("language", getLanguage(), (value) => {
       store("language", value);
-      setLanguage(value);
-      this.translate();
-      if (viewer.scene) setText("title", viewer.scene.title);
+      void setLanguage(value).then(() => this.translate());
     });
     const backdrop = element<HTMLInputElement>("backdrop");
     backdrop.addEventListener("change", () => (viewer.backdrop = backdrop.checked));

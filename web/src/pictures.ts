@@ -49,12 +49,15 @@ export class Pictures {
   private area = MOVING_AREA_PX;
   private failedKey = "";
 
+  sky: boolean; // with sky and ground behind the city
   // moving: draw pictures while the camera moves; else only those of a resting one.
   constructor(
     private readonly canvas: HTMLCanvasElement,
     private readonly link: Link,
     private readonly moving: boolean,
-  ) {}
+  ) {
+    this.sky = moving; // these stand for the city; the others lie over the viewer's own picture
+  }
 
   // What is to be seen now; called in every frame. moves: the camera does, so another pose follows, be it after a
   // long frame: the full picture waits for a frame in which it rests.
@@ -64,7 +67,7 @@ export class Pictures {
     const { lon, lat, h, heading, pitch, fov } = pose;
     const digits = [lon, lat].map((v) => v.toFixed(8));
     const turn = [h, heading, pitch, fov].map((v) => v.toFixed(3));
-    const key = [entry.id, appearance, ...digits, ...turn, width, height].join(" ");
+    const key = [entry.id, appearance, ...digits, ...turn, width, height, this.sky].join(" ");
     if (key === this.wishKey) {
       if (rests) this.next();
       return;
@@ -122,8 +125,7 @@ export class Pictures {
     if (full) this.onStart();
     const started = performance.now();
     try {
-      // These stand for the city; the others lie over the viewer's own picture to be compared with it.
-      const url = pictureUrl(wish.entry, wish.appearance, wish.pose, width, height, this.moving);
+      const url = pictureUrl(wish.entry, wish.appearance, wish.pose, width, height, this.sky);
       const { body } = await this.link.get(url, request.signal);
       const milliseconds = performance.now() - started;
       const bitmap = await createImageBitmap(new Blob([body]));

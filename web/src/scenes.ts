@@ -4,7 +4,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import type { City } from "./city";
 import type { Pose } from "./geo";
-import type { Link } from "./link";
+import { isGone, type Link } from "./link";
 import type { Network } from "./network";
 import { Problem } from "./problem";
 import { findFirst, findScenes, openScene, type SceneEntry, type SceneInfo } from "./source";
@@ -28,6 +28,7 @@ export interface SceneHost {
   recolour(appearance: string, change: () => void): void; // computed here
   split(share: number | null): void;
   fail(error: unknown): void;
+  tell(problem: Problem): void; // what is shown goes on
   clearProblem(): void;
 }
 
@@ -84,8 +85,7 @@ export class Scenes {
     let tint: Tint | null;
     this.describing++;
     try {
-      info = await this.describe(entry);
-      tint = await makeTint(info, this.appearance);
+      [info, tint] = await (keep ? this.read(entry) : this.readAnyhow(entry, ticket));
     } catch (error) {
       if (keep) this.refuse(error, ticket);
       else if (ticket === this.ticket) host.fail(error);
@@ -102,6 +102,25 @@ export class Scenes {
     const same = this.entry === entry;
     this.entry = entry;
     host.show(entry, info, { pose, same, keep });
+  }
+
+  private async read(entry: SceneEntry): Promise<[SceneInfo, Tint | null]> {
+    const info = await this.describe(entry);
+    return [info, await makeTint(info, this.appearance)];
+  }
+
+  // A scene that was trained again may lack the light of an older link: then it opens in its default light.
+  private async readAnyhow(entry: SceneEntry, ticket: number): Promise<[SceneInfo, Tint | null]> {
+    const name = this.appearance;
+    try {
+      return await this.read(entry);
+    } catch (error) {
+      if (!name || !isGone(error) || ticket !== this.ticket) throw error;
+      this.appearance = "";
+      const both = await this.read(entry);
+      this.host.tell(new Problem("noAppearance", { name }));
+      return both;
+    }
   }
 
   private describe(entry: SceneEntry): Promise<SceneInfo> {
@@ -131,8 +150,14 @@ export class Scenes {
 
   private refuse(error: unknown, ticket: number) {
     if (ticket !== this.ticket || this.host.closed()) return;
+    const wanted = this.appearance;
     this.appearance = this.host.shown();
-    this.host.fail(error);
+    this.failOrTell(error, wanted);
+  }
+
+  private failOrTell(error: unknown, name: string) {
+    if (isGone(error)) this.host.tell(new Problem("noAppearance", { name }));
+    else this.host.fail(error);
   }
 
   async setSecond(appearance: string | null, share: number): Promise<void> {
@@ -149,7 +174,7 @@ export class Scenes {
     } catch (error) {
       if (late()) return;
       this.second = tint.names[1];
-      host.fail(error);
+      this.failOrTell(error, appearance ?? "");
     }
   }
 

@@ -5,7 +5,7 @@
 import { Matrix4, Vector3 } from "three";
 
 import { formatPose, type Place, type Pose } from "./geo";
-import { HttpError, type Link } from "./link";
+import { HttpError, isGone, type Link } from "./link";
 import { NAME_DEFAULT, Network, type Photograph } from "./network";
 import { Problem } from "./problem";
 
@@ -122,19 +122,22 @@ export async function findScenes(link: Link, url: URL): Promise<SceneEntry[]> {
 }
 
 // The first of some places that has scenes. A place that says no is passed over; one that does not
-// answer is waited for.
+// answer is waited for. Where nothing is in any of them, that is what is said.
 /** @internal */
 export async function findFirst(link: Link, urls: URL[]): Promise<SceneEntry[]> {
   let first: unknown;
+  let nothing = true;
   for (const url of urls) {
     try {
+      if (/\.json$/.test(url.pathname)) await link.json(url); // a guess, until it is there
       return await findScenes(link, url);
     } catch (error) {
       if (!(error instanceof HttpError || error instanceof Problem)) throw error;
       first ??= error;
+      nothing &&= isGone(error) || (error instanceof Problem && error.kind === "notCitysplat");
     }
   }
-  throw first;
+  throw nothing ? new Problem("nothingHere") : first;
 }
 
 function withAppearance(url: URL, appearance: string): URL {

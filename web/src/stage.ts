@@ -9,11 +9,13 @@
 import { Box3, Euler, MathUtils, Matrix4, PerspectiveCamera, Plane, Ray, Vector3 } from "three";
 
 import { Frame } from "./geo";
+import type { Area } from "./free";
 import { FOV_DEG, type Pose, type Walk } from "./pose";
 
 const HOME_HEADING_DEG = 20;
-const HOME_PITCH_DEG = -38;
-const MARGIN = 1.1;
+const HOME_PITCHES_DEG = [-38, -33, -28, -45, -52, -60]; // the first one where others fill not clearly more
+const CLEARLY = 1.15;
+const MARGIN = 0.11; // of the free part, on each side: a tenth of the Gaussians lies outside the box of most
 const PITCH_MOST = MathUtils.degToRad(89.9);
 const CLEARANCE_M = 1.7; // eyes above the ground
 
@@ -74,6 +76,7 @@ export class Stage {
   keyboard: boolean | "focus" = true; // "focus": keys count while the surface has it
   // The surface on a ray, where the owner knows it.
   surfaceOn: (ray: Ray) => Vector3 | null = () => null;
+  free: () => Area = () => ({ left: 0, right: 1, top: 0, bottom: 1 }); // what nothing of the page covers
   onMove: () => void = () => {};
   onTouch: () => void = () => {}; // a person moved the camera
   onClick: (x: number, y: number) => void = () => {};
@@ -160,37 +163,73 @@ export class Stage {
     return this.box.min.y;
   }
 
-  // The whole extent, or a box of the caller's, seen from above at an angle.
+  // The whole extent, or a box of the caller's, seen from above at an angle, in the part of the surface that is free. Of some
+  // angles the one that fills most of it.
   home(box = this.box) {
     this.land();
-    const target = box.getCenter(new Vector3());
-    target.y = MathUtils.lerp(box.min.y, box.max.y, 0.3);
     this.camera.fov = FOV_DEG;
-    this.set(HOME_HEADING_DEG * MathUtils.DEG2RAD, HOME_PITCH_DEG * MathUtils.DEG2RAD);
-    const away = this.ahead().negate();
-    this.camera.position.copy(target).addScaledVector(away, this.distanceToFit(box, target, away) * MARGIN);
+    let best = { pitch: 0, position: new Vector3(), share: 0 };
+    for (const degrees of HOME_PITCHES_DEG) {
+      const pitch = degrees * MathUtils.DEG2RAD;
+      this.set(HOME_HEADING_DEG * MathUtils.DEG2RAD, pitch);
+      const fit = this.fit(box);
+      if (fit.share > CLEARLY * best.share) best = { pitch, ...fit };
+    }
+    this.set(HOME_HEADING_DEG * MathUtils.DEG2RAD, best.pitch);
+    this.camera.position.copy(best.position);
     this.halt();
   }
 
-  // Smallest distance from which all corners of a box are inside the frustum.
-  private distanceToFit(box: Box3, target: Vector3, away: Vector3): number {
-    const right = new Vector3(0, 1, 0).cross(away).normalize();
-    const up = away.clone().cross(right);
+  // The nearest place from which all corners of a box are in the free part, turned as the camera is; and how much of that part
+  // they span.
+  private fit(box: Box3): { position: Vector3; share: number } {
+    const ahead = this.ahead();
+    const right = new Vector3().crossVectors(ahead, new Vector3(0, 1, 0)).normalize();
+    const up = new Vector3().crossVectors(right, ahead);
+    const target = box.getCenter(new Vector3());
+    const corners = Array.from({ length: 8 }, (_, i) => {
+      const { min, max } = box;
+      const corner = new Vector3(i & 1 ? max.x : min.x, i & 2 ? max.y : min.y, i & 4 ? max.z : min.z).sub(target);
+      return { x: corner.dot(right), y: corner.dot(up), z: corner.dot(ahead) };
+    });
+    const { left, right: end, top, bottom } = this.free();
     const tanY = Math.tan(MathUtils.degToRad(this.camera.fov / 2));
     const tanX = tanY * this.camera.aspect;
-    let distance = 0;
-    for (let i = 0; i < 8; i++) {
-      const corner = new Vector3(
-        i & 1 ? box.max.x : box.min.x,
-        i & 2 ? box.max.y : box.min.y,
-        i & 4 ? box.max.z : box.min.z,
-      ).sub(target);
-      const toward = corner.dot(away);
-      const needX = toward + Math.abs(corner.dot(right)) / tanX;
-      const needY = toward + Math.abs(corner.dot(up)) / tanY;
-      distance = Math.max(distance, needX, needY);
+    // From -1 to 1 across the surface, times the tangent: what a corner may have for each metre that it is away.
+    const within = (from: number, to: number, tan: number) => {
+      const gap = MARGIN * (to - from);
+      return [tan * (2 * (from + gap) - 1), tan * (2 * (to - gap) - 1)] as const;
+    };
+    const [x0, x1] = within(left, end, tanX);
+    const [y0, y1] = within(1 - bottom, 1 - top, tanY);
+    // Where the camera may be across the view so that all corners are within: from the first to the second, if that is a span.
+    const span = (axis: "x" | "y", low: number, high: number, away: number) =>
+      [
+        Math.max(...corners.map((corner) => corner[axis] - high * (corner.z + away))),
+        Math.min(...corners.map((corner) => corner[axis] - low * (corner.z + away))),
+      ] as const;
+    const fits = (away: number) => {
+      const [a, b] = span("x", x0, x1, away);
+      const [c, d] = span("y", y0, y1, away);
+      return a <= b && c <= d;
+    };
+    let near = Math.max(...corners.map(({ z }) => -z)) + this.camera.near;
+    let far = near + 1;
+    while (!fits(far) && far < 1e8) far *= 2;
+    for (let i = 0; i < 50; i++) {
+      const middle = (near + far) / 2;
+      if (fits(middle)) far = middle;
+      else near = middle;
     }
-    return distance;
+    const middle = ([a, b]: readonly [number, number]) => (a + b) / 2;
+    const x = middle(span("x", x0, x1, far));
+    const y = middle(span("y", y0, y1, far));
+    const spread = (axis: "x" | "y", at: number) => {
+      const seen = corners.map((corner) => (corner[axis] - at) / (corner.z + far));
+      return Math.max(...seen) - Math.min(...seen);
+    };
+    const position = target.addScaledVector(right, x).addScaledVector(up, y).addScaledVector(ahead, -far);
+    return { position, share: (spread("x", x) / (x1 - x0)) * (spread("y", y) / (y1 - y0)) };
   }
 
   pose(): Pose {

@@ -5,7 +5,7 @@
 import { element, setText, toast } from "./dom";
 import { Problem } from "./problem";
 import { getLanguage, text } from "./strings";
-import type { Progress, Viewer, ViewerState } from "./viewer";
+import type { Progress, SceneEntry, Viewer, ViewerState } from "./viewer";
 
 const NUMBERS_EVERY_MS = 150;
 const LINE_AFTER_MS = 400; // a wait shorter than this is not worth a line
@@ -162,10 +162,23 @@ export class Status {
     const kind = error instanceof Problem ? error.kind : null;
     if (kind === "no3d") return toast(error.message); // the server's pictures come
     if (kind === "noAnswer") return; // a banner says that
+    if (kind === "noAppearance") return banner("notice", error.message, [{ label: text("banner.close"), run: () => {} }]);
+    // Of a link to a scene that is not there: those that are.
+    const others = kind === "noScene" ? this.viewer.scenes : [];
+    element("problem-scenes").replaceChildren(...others.map((scene) => this.linkTo(scene)));
     element("problem-title").textContent =
       error instanceof Problem ? error.title : text("problem.other.title");
     element("problem-text").textContent = error.message;
     element("problem").hidden = false;
+  }
+
+  private linkTo({ id, title }: SceneEntry): HTMLElement {
+    const button = document.createElement("button");
+    button.textContent = title;
+    button.onclick = () => void this.viewer.openScene(id);
+    const item = document.createElement("li");
+    item.append(button);
+    return item;
   }
 
   private hideProblem() {

@@ -1,7 +1,13 @@
 // Lengths and areas as texts, in the viewer's language.
 //
 // SPDX-License-Identifier: Apache-2.0
-import { getLanguage } from "./strings";
+import type { Place } from "./pose";
+import { getLanguage, text } from "./strings";
+
+// The same everywhere: latitude first, labels, and above what the height is.
+export function formatPlace({ lon, lat, h }: Place, digits = 7): string {
+  return text("place.text", { lat: lat.toFixed(digits), lon: lon.toFixed(digits), h: h.toFixed(digits > 6 ? 2 : 1) });
+}
 
 export function formatLength(metres: number): string {
   const number = (value: number, digits: number) =>

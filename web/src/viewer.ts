@@ -7,6 +7,7 @@ import { Box3, Ray, Vector3 } from "three";
 import { City, NO_STATS, type CityStats } from "./city";
 import { decodeOnce } from "./core";
 import { Events, type Handler } from "./events";
+import type { Area } from "./free";
 import { Frame, type Place, type Pose } from "./geo";
 import { Layers } from "./layers";
 import { HttpError, Link, type LinkState } from "./link";
@@ -180,6 +181,7 @@ export class Viewer {
       recolour: (appearance, change) => this.recolour(appearance, change),
       split: (share) => this.splitAt(share),
       fail: (error) => this.fail(error),
+      tell: (problem) => this.tell(problem),
       clearProblem: () => this.clearProblem(),
     };
     return new Scenes(host, this.link, this.options);
@@ -274,6 +276,13 @@ export class Viewer {
   home() {
     this.touched = false;
     this.stage.home();
+  }
+
+  /** @internal */
+  // Parts of the surface may be covered: home is in what is free. Again, where nobody has moved the camera.
+  fitInto(free: () => Area) {
+    this.stage.free = free;
+    if (!this.touched && !this.homeless) this.stage.home();
   }
 
   // Where the city is at a point of the container, in CSS pixels from its corner; null for the sky.
@@ -504,6 +513,10 @@ export class Viewer {
 
   set detail(px: number) {
     if (this.city) this.city.errorTarget = PX_PER_SIGMA * px;
+  }
+
+  get backdrop(): boolean {
+    return this.city?.backdrop.visible ?? false;
   }
 
   set backdrop(on: boolean) {
