@@ -166,8 +166,8 @@ bool condition_brotli(const char *header)
 
 bool condition_html(const char *header)
 {
-    return header && condition_list_weight(header, "text/html") >
-                         condition_list_weight(header, "application/json");
+    const int weight = header ? condition_list_weight(header, "text/html") : -1;
+    return weight > 0 && weight > condition_list_weight(header, "application/json");
 }
 
 static const char condition_days[7][4] = {"Sun", "Mon", "Tue", "Wed", "Thu", "Fri", "Sat"};

@@ -11,6 +11,7 @@
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include "lod/bake.h"
@@ -57,6 +58,9 @@ static enum err_code dataset_open_file(struct dataset *d, const struct clip *cli
     struct clip_report r;
     double start_s = clock_s();
     enum err_code rc = ERR_OK;
+    struct stat st;
+    if (!stat(d->path, &st) && !S_ISREG(st.st_mode)) /* opening a FIFO would wait for a writer */
+        return err_set(e, ERR_FORMAT, "%s: no file: a tile store is a file", d->path);
     if (!clip) {
         d->fd = open(d->path, O_RDONLY | O_CLOEXEC);
         if (d->fd < 0)

@@ -223,6 +223,14 @@ void dispatch_answer(struct services *s, const struct request *r, struct respons
     auth_close(&own.auth);
 }
 
+/* What may be told of a failure: a message with a path is for the log. */
+static const char *dispatch_says(const struct job_result *r)
+{
+    return r->code == ERR_MEM    ? "out of memory"
+           : strchr(r->msg, '/') ? "it could not be made now; the server's log says why"
+                                 : r->msg;
+}
+
 /* Why there is no result. */
 static void dispatch_failed(struct services *s, const struct job_result *result,
                             struct response *out)
@@ -237,7 +245,7 @@ static void dispatch_failed(struct services *s, const struct job_result *result,
                          : result->end == JOB_LIMITED                           ? 429
                          : result->code == ERR_LIMIT && result->end == JOB_SHED ? 429
                                                                                 : 503,
-                         result->code == ERR_MEM ? "out of memory" : result->msg);
+                         dispatch_says(result));
         out->retry_after_s = result->retry_s ? result->retry_s : job_retry_after(s->jobs, cls);
     } else if (result->code == ERR_DATA && out->kind == WORK_QUERY) {
         response_problem(out, 422, result->msg); /* a question without an answer */

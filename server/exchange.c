@@ -14,6 +14,7 @@
 #include <netinet/tcp.h>
 #include <stdio.h>
 #include <string.h>
+#include <strings.h>
 #include <sys/socket.h>
 
 #include "server/dispatch.h"
@@ -25,6 +26,7 @@
 /* Of a stream: what libmicrohttpd asks for at once, and what may wait in the socket, so that a
  * picture that is drawn next is of the camera of now and not of that many bytes ago. */
 enum { EXCHANGE_STREAM_BLOCK = 16 << 10, EXCHANGE_STREAM_WAITING = 16 << 10 };
+enum { EXCHANGE_AUTHORITY = 256 }; /* of a target in absolute form */
 enum { EXCHANGE_ID_MAX = 65, EXCHANGE_TARGET = 192 /* longer ones are allocated */ };
 static const double EXCHANGE_OVER_S = 1; /* for the request of a connection too many */
 
@@ -38,7 +40,7 @@ struct exchange { /* one request and its answer */
     uint64_t number;         /* of the connection's requests, from 1 */
     char *target;            /* NULL: too long, or out of memory */
     char target_text[EXCHANGE_TARGET];
-    char id[EXCHANGE_ID_MAX];
+    char id[EXCHANGE_ID_MAX], authority[EXCHANGE_AUTHORITY];
     double start_s;
     enum stage stage;
     struct request req;
@@ -143,7 +145,7 @@ static void exchange_identify(struct exchange *x)
  * astray. */
 static bool exchange_unbase(struct exchange *x)
 {
-    const char *base = x->f->s->cfg->base_path, *target = x->target;
+    const char *base = x->f->s->cfg->base_path, *target = x->req.target;
     size_t n = x->f->n_base;
     if (!n || !target || strncmp(target, base, n) != 0)
         return false;
@@ -198,6 +200,8 @@ static int exchange_guard(struct exchange *x, const char *method, const char *ve
     struct guard g = {.req = &x->req};
     x->req.method = guard_method(method);
     MHD_get_connection_values_n(x->connection, MHD_HEADER_KIND, exchange_on_field, &g);
+    if (x->authority[0])
+        guard_authority(&g, x->authority);
     x->req.admin = x->f->admin;
     x->req.trusted = address_in(&x->f->proxies, x->peer->address);
     x->req.proxied |= !strcmp(version, "HTTP/1.0"); /* nginx speaks it to what is behind it */
@@ -278,6 +282,25 @@ static struct exchange *exchange_begin(struct peer *p)
     return &p->now;
 }
 
+/* A target in absolute form, as proxies get it (RFC 9112, section 3.2.2): its authority counts, and
+ * not Host. Another form is left for the guard to refuse. */
+static void exchange_take_authority(struct exchange *x)
+{
+    const size_t skip = !strncasecmp(x->target, "http://", 7)    ? 7
+                        : !strncasecmp(x->target, "https://", 8) ? 8
+                                                                 : 0;
+    char *host = x->target + skip, *path = host + strcspn(host, "/?");
+    const size_t n = (size_t)(path - host);
+    if (!skip || !n || n >= sizeof x->authority || memchr(host, '@', n))
+        return;
+    memcpy(x->authority, host, n);
+    x->authority[n] = '\0';
+    if (*path != '/') /* the path is empty, which means the same as a slash */
+        *--path = '/';
+    x->req.target = path;
+    x->req.target_size = strlen(path);
+}
+
 static void exchange_take_target(struct exchange *x, const char *target)
 {
     size_t n = strlen(target);
@@ -287,6 +310,8 @@ static void exchange_take_target(struct exchange *x, const char *target)
         x->target = mem_text(target);
     x->req.target = x->target;
     x->req.target_size = n;
+    if (x->target && n && x->target[0] != '/')
+        exchange_take_authority(x);
 }
 
 void *exchange_on_target(void *cls, const char *target, struct MHD_Connection *c)

@@ -20,6 +20,13 @@ static bool guard_name_is(const char *name, size_t n, const char *want)
            !strncasecmp(name, want, n);
 }
 
+/* What RFC 3986 allows in a host and a port; it may be empty. */
+static bool guard_is_host(const char *p)
+{
+    return !p[strspn(p, "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789"
+                        "-._~!$&'()*+,;=:%[]")];
+}
+
 static bool guard_clean_name(const char *p, size_t n)
 {
     for (size_t i = 0; i < n; i++)
@@ -98,6 +105,7 @@ void guard_field(struct guard *f, const char *name, size_t n_name, const char *v
         f->coding_bad |= strcasecmp(value, "chunked") != 0;
     } else if (guard_name_is(name, n_name, "Host")) {
         f->n_host++;
+        f->bad |= !guard_is_host(value);
         f->host_local = address_host_is_loopback(value);
         f->req->host = value;
     } else if (guard_is_proxys(name, n_name)) {
@@ -114,6 +122,13 @@ void guard_field(struct guard *f, const char *name, size_t n_name, const char *v
         f->req->from_page = f->has_origin;
         guard_keep_field(f->req, name, n_name, value);
     }
+}
+
+void guard_authority(struct guard *g, const char *authority)
+{
+    g->bad |= !guard_is_host(authority);
+    g->host_local = address_host_is_loopback(authority);
+    g->req->host = authority;
 }
 
 const char *guard_method_name(enum method m)

@@ -22,6 +22,9 @@ void guard_field(struct guard *g, const char *name, size_t n_name, const char *v
  * else the status of the refusal, and the reason. */
 int guard_check(const struct guard *g, const struct server_config *cfg, const char *version,
                 const char **why);
+/* The authority of a target in absolute form, in place of Host (RFC 9112, section 3.2.2). Call it
+ * after all fields. */
+void guard_authority(struct guard *g, const char *authority);
 /* Returns whether a request seems to come from this machine. It names a loopback host. It has no
  * sign of a proxy (RFC 9110, section 7.6.3; fields that proxies add; HTTP/1.0, which nginx uses by
  * default). It does not come from a page of another site in a browser on this machine (Origin). */

@@ -356,6 +356,8 @@ enum err_code kept_open(const char *dir, struct kept **out, struct err *e)
         rc = kept_read(k, e);
     if (!rc)
         rc = kept_prepare(k, e);
+    if (rc == ERR_LIMIT) /* a full disk is no damage: a supervisor tries again */
+        rc = e ? (e->code = ERR_IO) : ERR_IO;
     if (rc)
         kept_close(out);
     return rc;

@@ -43,16 +43,21 @@ static ssize_t reply_no_bytes(void *cls, uint64_t at, char *out, size_t room)
 }
 
 /* A 304 without the body at hand must not claim Content-Length: 0 (RFC 9110, section 8.6), which an
- * empty buffer would; a stream of unknown length claims nothing wrong. */
+ * empty buffer would. A stream of unknown length claims nothing wrong. But libmicrohttpd 0.9.75
+ * ends it with a last chunk, five bytes that no client expects behind a 304: so the connection ends
+ * instead. */
 static struct MHD_Response *reply_create(const struct response *r)
 {
     if (r->body && r->data)
         return MHD_create_response_from_buffer(r->size, (void *)(uintptr_t)r->data,
                                                MHD_RESPMEM_PERSISTENT);
-    if (r->status == 304)
-        return MHD_create_response_from_callback(MHD_SIZE_UNKNOWN, 1024, reply_no_bytes, NULL,
-                                                 NULL);
-    return MHD_create_response_from_buffer(0, (void *)(uintptr_t) "", MHD_RESPMEM_PERSISTENT);
+    if (r->status != 304)
+        return MHD_create_response_from_buffer(0, (void *)(uintptr_t) "", MHD_RESPMEM_PERSISTENT);
+    struct MHD_Response *m =
+        MHD_create_response_from_callback(MHD_SIZE_UNKNOWN, 1024, reply_no_bytes, NULL, NULL);
+    if (m)
+        (void)MHD_set_response_options(m, MHD_RF_HTTP_1_0_COMPATIBLE_STRICT, MHD_RO_END);
+    return m;
 }
 
 static void reply_add_headers(struct MHD_Response *m, const struct headers *h)

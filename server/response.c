@@ -228,6 +228,10 @@ void response_body(const struct request *r, struct body *b, struct response *out
     response_encode(r, b, out);
     out->modified_s = b->modified_s;
     bool read = r->method == METHOD_GET || r->method == METHOD_HEAD;
+    if (read && !condition_may_write(r->if_match, NULL, out->etag)) {
+        response_problem(out, 412, "the resource has another entity tag than If-Match says");
+        return;
+    }
     if (read &&
         (condition_none_match(r->if_none_match, out->etag) ||
          (!r->if_none_match && condition_not_modified(r->if_modified_since, b->modified_s)))) {

@@ -137,6 +137,15 @@ static size_t screen_keys(const char *p, size_t n)
     return keys;
 }
 
+/* Two spaces one behind the other: one stands between the parts of a request line. */
+static bool screen_has_gap(const char *p, size_t n)
+{
+    for (size_t i = 1; i < n; i++)
+        if (p[i] == ' ' && p[i - 1] == ' ')
+            return true;
+    return false;
+}
+
 /* A whole line, without its end. 0, or the status to refuse it with (then the state is as
  * before). */
 static int screen_line(struct screen *s, const char *p, size_t n)
@@ -147,7 +156,8 @@ static int screen_line(struct screen *s, const char *p, size_t n)
     case SCREEN_REQUEST:
         if (!n)
             return 0;
-        if (!text_is_clean(p, n) || memchr(p, '\t', n) || screen_keys(p, n) > SCREEN_KEYS)
+        if (!text_is_clean(p, n) || memchr(p, '\t', n) || screen_keys(p, n) > SCREEN_KEYS ||
+            screen_has_gap(p, n))
             return 400;
         s->requests++;
         s->length = s->n_length = s->n_coding = 0;
@@ -204,7 +214,9 @@ static bool screen_next_line(struct screen *s)
         if (!keep) /* a line of spaces is no end of a head */
             return screen_refuse(s, 400), false;
     }
-    int status = screen_line(s, p, bare);
+    const bool of_chunk = s->state == SCREEN_CHUNK_SIZE || s->state == SCREEN_CHUNK_END;
+    /* A lone LF may end a line of the head (RFC 9112, section 2.2), and none of a chunk. */
+    int status = of_chunk && !cr ? 400 : screen_line(s, p, bare);
     if (status)
         return screen_refuse(s, status), false;
     s->n_ok += size + 1;

@@ -306,6 +306,37 @@ static enum err_code shared_client(void *user, size_t i, struct err *e)
     return wrong ? err_set(e, ERR_INTERNAL, "%zu wrong answers", wrong) : ERR_OK;
 }
 
+/* A tile that nobody has made since the start, and that the client has: a head, and not one byte
+ * behind it that would be the beginning of the next answer. */
+static void test_304_of_what_was_not_made(void **state)
+{
+    char target[128], etag[BODY_ETAG_SIZE], line[400];
+    struct reply r;
+    struct buf got = {0};
+    (void)state;
+    start();
+    ask("GET", tile_target(17, "glb", target), "", &r);
+    snprintf(etag, sizeof etag, "%s", header(&r, "ETag"));
+    buf_free(&r.raw);
+    server_stop(&t.server);
+    start();
+    int fd = dial(t.port);
+    snprintf(line, sizeof line, "GET %s HTTP/1.1\r\n" H "If-None-Match: %s\r\n\r\n", target, etag);
+    say(fd, line);
+    shutdown(fd, SHUT_WR);
+    while (hear_some(fd, &got, 1))
+        ;
+    buf_u8(&got, 0);
+    const char *text = (const char *)got.data, *end = strstr(text, "\r\n\r\n");
+    assert_int_equal(strncmp(text, "HTTP/1.1 304 ", 13), 0);
+    assert_non_null(end);
+    assert_string_equal(end, "\r\n\r\n");
+    assert_null(strstr(text, "Transfer-Encoding"));
+    assert_null(strstr(text, "\r\nContent-Length"));
+    buf_free(&got);
+    close(fd);
+}
+
 /* Kept answers go out from several threads at once. */
 static void test_shared(void **state)
 {
@@ -582,6 +613,7 @@ int main(void)
         HTTP_TEST(test_keep_alive_and_pipelining),
         HTTP_TEST(test_damaged_tile),
         HTTP_TEST(test_one_job_for_many_clients),
+        HTTP_TEST(test_304_of_what_was_not_made),
         HTTP_TEST(test_shared),
         HTTP_TEST(test_vanishing_clients),
         HTTP_TEST(test_busy_port),

@@ -15,6 +15,7 @@
 #include <nettle/base16.h>
 #include <nettle/sha2.h>
 #include <signal.h>
+#include <sys/stat.h>
 #include <sys/un.h>
 #include <sys/wait.h>
 #include <sysexits.h>
@@ -853,8 +854,11 @@ static void test_revocation(void **state)
 
 static void test_check_and_exit_codes(void **state)
 {
-    char bad[FILE_PATH_MAX], conf[FILE_PATH_MAX];
+    char bad[FILE_PATH_MAX], conf[FILE_PATH_MAX], fifo[FILE_PATH_MAX];
+    struct err e = {0};
     (void)state;
+    kit_ok(file_join(fifo, t.dir, "fifo.tiles", &e), e);
+    assert_int_equal(mkfifo(fifo, 0600), 0);
     put("bad.tiles", "this is no store", bad);
     put("bad-conf.jsonc", "{\"port\": 70000}", conf);
     int busy = -1;
@@ -871,6 +875,7 @@ static void test_check_and_exit_codes(void **state)
         {EX_CONFIG, "--cache-policy", {"--check", "--cache-policy", "x"}},
         {EX_CONFIG, "/nonexistent", {"--check", "--auth", "/nonexistent"}},
         {EX_CONFIG, "bad.tiles", {"--check", bad}},
+        {EX_CONFIG, "no file", {"--check", fifo}}, /* not waited for */
         {EX_CONFIG, "/nonexistent", {"--check", "--clip", "/nonexistent"}},
         {EX_CONFIG, "--trusted-proxy", {"--check", "--trusted-proxy", "x"}},
         {EX_CONFIG, "/nonexistent", {"--check", "--web-dir", "/nonexistent"}},

@@ -332,6 +332,7 @@ static void test_conditions(void **state)
         {"text/html,application/xhtml+xml,application/xml;q=0.9,*/*;q=0.8", true},
         {"application/json", false},
         {"text/html;q=0.5, application/json", false},
+        {"text/html;q=0", false},
         {"application/json;q=0.1, text/html;q=0.2", true},
     };
     (void)state;
