@@ -319,7 +319,12 @@ static enum err_code measure_piece(struct measure_job *j, double west, double no
         rc = measure_unplan(&j->frame, middle, lonlat, e);
     if (rc || !area_mask(nadir_area(j->nadir), corner, w, h, j->in))
         return rc;
-    const struct nadir_piece p = {lonlat[0], lonlat[1], 0, 1 / px, 1 / px, w, h};
+    const struct nadir_piece p = {.lon_deg = lonlat[0],
+                                  .lat_deg = lonlat[1],
+                                  .px_per_m_x = 1 / px,
+                                  .px_per_m_y = 1 / px,
+                                  .width = w,
+                                  .height = h};
     rc = surface_draw(j->nadir, &p, &(struct surface_maps){.height_m = j->height}, e);
     for (uint32_t v = 0; !rc && v + reach < h; v++)
         for (uint32_t u = 0; u + reach < w; u++) {

@@ -288,13 +288,14 @@ static float nadir_color(float drawn, float transmittance)
 }
 
 /* Draw parallel rays into n->rgb, n->depth and n->transmittance. error_px: of level selection. */
-static enum err_code nadir_rays(struct nadir *n, const struct camera *cam, double error_px,
-                                struct err *e)
+static enum err_code nadir_rays(struct nadir *n, const struct camera *cam, double kernel_px2,
+                                double error_px, struct err *e)
 {
     const struct render_options ro = {
         .aa = store_info(nadir_store(n))->antialiased ? RENDER_AA_2D : RENDER_AA_NONE,
         .sh_degree = -1,
-        .orthographic = true};
+        .orthographic = true,
+        .kernel_px2 = kernel_px2};
     const struct pick_options po = {.error_px = error_px};
     enum err_code rc = nadir_room(n, (size_t)cam->width_px * cam->height_px, e);
     if (!rc)
@@ -316,7 +317,7 @@ enum err_code nadir_draw(struct nadir *n, const struct nadir_piece *p, float *rg
     if (rc)
         return rc;
     const struct camera cam = nadir_camera(&f, p);
-    rc = nadir_rays(n, &cam, NADIR_ERROR_PX, e);
+    rc = nadir_rays(n, &cam, p->kernel_px2, NADIR_ERROR_PX, e);
     if (rc)
         return rc;
     for (size_t i = 0; rgb && i < 3 * (size_t)p->width * p->height; i++)
@@ -429,7 +430,8 @@ static enum err_code nadir_aslant(struct nadir *n, const struct nadir_piece *p, 
         return ERR_OK;
     struct camera cam = nadir_side_camera(&a->s, &a->f, &a->back);
     double scale = fmax(cam.fx_px, cam.fy_px) / fmax(p->px_per_m_x, p->px_per_m_y);
-    return nadir_rays(n, &cam, NADIR_ERROR_PX * scale, e); /* the Gaussians seen from above */
+    /* the Gaussians seen from above */
+    return nadir_rays(n, &cam, p->kernel_px2, NADIR_ERROR_PX * scale, e);
 }
 
 /* Of a pixel of the drawing: rows tell -along - z, depth tells along - z. */

@@ -87,8 +87,12 @@ static enum err_code probe_around(struct nadir *n, const double (*lonlat)[2], si
         near += !done[k] && probe_pixel(&p, lonlat[i], lonlat[k], &x, &y);
     if (!near)
         p.side = PROBE_PX;
-    const struct nadir_piece piece = {lonlat[i][0], lonlat[i][1], 0,     1 / gsd,
-                                      1 / gsd,      p.side,       p.side};
+    const struct nadir_piece piece = {.lon_deg = lonlat[i][0],
+                                      .lat_deg = lonlat[i][1],
+                                      .px_per_m_x = 1 / gsd,
+                                      .px_per_m_y = 1 / gsd,
+                                      .width = p.side,
+                                      .height = p.side};
     size_t pixels = (size_t)p.side * p.side;
     float *room = mem_array(pixels, 6 * sizeof *room);
     p.maps = (struct surface_maps){.rgb = room,

@@ -17,6 +17,7 @@ static const double surface_least_sigma_px = 0.5;
 static const double surface_reach = 1.15;      /* of the window */
 static const double surface_agree = 3;         /* heights that differ by less are of one surface */
 static const double surface_slant_px = 0.6;    /* pixels of slanted rays, at most */
+static const double surface_kernel_px2 = 0.03; /* of drawing: that of colours widens roofs */
 static const double surface_floor = 0.045;     /* of the uncertainty */
 static const double surface_common = 0.115;    /* what all views are off by alike */
 static const double surface_scatter = 0.85;    /* of what the window spreads */
@@ -77,6 +78,7 @@ static void surface_plan(const struct nadir *n, const struct nadir_piece *p, str
     j->margin = (j->window.far_px + j->window.near_px + SURFACE_SLANT_MAX - 1) / SURFACE_SLANT_MAX *
                 SURFACE_SLANT_MAX;
     j->piece = *p;
+    j->piece.kernel_px2 = surface_kernel_px2;
     j->piece.width += 2 * j->margin;
     j->piece.height += 2 * j->margin;
 }
@@ -182,9 +184,8 @@ static size_t surface_around(const struct surface_filter *f, const int *offset, 
                 continue;
             for (size_t k = 0; k < 3; k++)
                 d += (f->rgb[3 * at + k] - own[k]) * (f->rgb[3 * at + k] - own[k]);
-            out[found++] = (struct surface_sample){f->height[at],
-                                                   expf(-d / (6 * surface_color * surface_color)) +
-                                                       surface_least_weight};
+            float like = isfinite(d) ? expf(-d / (6 * surface_color * surface_color)) : 0;
+            out[found++] = (struct surface_sample){f->height[at], like + surface_least_weight};
         }
     return found;
 }
@@ -246,8 +247,6 @@ static void surface_tell(const struct surface_job *j, const struct nadir_piece *
     for (size_t y = 0; y < p->height; y++)
         for (size_t x = 0; x < p->width; x++) {
             size_t to = y * p->width + x, i = (y + j->margin) * j->piece.width + x + j->margin;
-            if (out->rgb)
-                memcpy(out->rgb + 3 * to, j->rgb + 3 * i, 3 * sizeof *out->rgb);
             if (out->height_m)
                 out->height_m[to] = j->smooth[i];
             if (!out->sigma_m && !out->noise_m && !out->repeat_m)
@@ -284,6 +283,8 @@ enum err_code surface_draw(struct nadir *n, const struct nadir_piece *p,
                             j.spread, e);
     if (!rc)
         surface_tell(&j, p, out);
+    if (!rc && out->rgb)
+        rc = nadir_draw(n, p, out->rgb, NULL, e);
     mem_free(j.room);
     mem_free(j.agree);
     return rc;

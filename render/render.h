@@ -40,6 +40,9 @@ struct render_options {
     const uint8_t *background_where;
     float background_there[3];
     double near_m; /* 0: 0.2 m */
+    /* Variance that is added to Gaussians on the picture, in square pixels. 0: what they were
+     * trained with. Less shows edges where they are, and not every thin Gaussian. */
+    double kernel_px2;
     int sh_degree; /* highest degree evaluated; -1: the model's */
     /* Rays are parallel to the optical axis, and the camera's fx_px and fy_px are pixels a metre.
      * Its centre is any point of the axis with everything visible in front of it. Such a frame has

@@ -192,7 +192,7 @@ static void render_view_fill(const struct render *r, const struct render_model *
         v->lim_pos_y = (float)((h - c->cy_px) / c->fy_px + 0.15 * h / c->fy_px);
     }
     v->near_m = (float)(o->near_m > 0 ? o->near_m : RENDER_NEAR_M);
-    v->kernel_px2 = o->aa == RENDER_AA_MIP ? 0.1f : 0.3f;
+    v->kernel_px2 = o->kernel_px2 > 0 ? (float)o->kernel_px2 : o->aa == RENDER_AA_MIP ? 0.1f : 0.3f;
     v->compensate = o->aa != RENDER_AA_NONE;
     v->half_max_px = 2 * (float)(w > h ? w : h);
     v->width = c->width_px;

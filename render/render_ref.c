@@ -55,7 +55,7 @@ enum err_code ref_view_init(const struct gauss *g, const struct camera *cam,
     v.lim_neg[1] = v.cy / v.fy + 0.15 * h / v.fy;
     v.lim_pos[1] = (h - v.cy) / v.fy + 0.15 * h / v.fy;
     v.near_m = o->near_m > 0 ? o->near_m : RENDER_NEAR_M;
-    v.kernel_px2 = o->aa == RENDER_AA_MIP ? 0.1 : 0.3;
+    v.kernel_px2 = o->kernel_px2 > 0 ? o->kernel_px2 : o->aa == RENDER_AA_MIP ? 0.1 : 0.3;
     v.compensate = o->aa != RENDER_AA_NONE;
     v.half_max_px = 2 * fmax(w, h);
     v.orthographic = o->orthographic;

@@ -64,8 +64,10 @@ static enum err_code sweep_build(struct sweep *s, struct err *e)
                                          {"stereo/sweep.cl", sweep_cl}};
     char flags[256];
     snprintf(flags, sizeof flags,
-             "-DPLANES=%u -DRADIUS=%d -DSLAB=%d -DCOST_MOST=%d.0f -DSTEP_COST=%d -DNOISE=%.9ef",
-             s->planes, SWEEP_RADIUS, SWEEP_SLAB, SWEEP_COST_MOST, SWEEP_STEP_COST, SWEEP_NOISE);
+             "-DPLANES=%u -DRADIUS=%d -DSLAB=%d -DCOST_MOST=%d.0f -DSTEP_COST=%d "
+             "-DNOISE=%.9ef -DLIKE=%.9ef",
+             s->planes, SWEEP_RADIUS, SWEEP_SLAB, SWEEP_COST_MOST, SWEEP_STEP_COST, SWEEP_NOISE,
+             SWEEP_LIKE);
     enum err_code rc = dev_build(s->dev, sources, 2, flags, &s->program, e);
     if (!rc)
         rc = dev_kernel(s->program, "sweep_cost", &s->cost, e);

@@ -11,7 +11,7 @@
 #define ROW (TILE_W + 16) // of a tile and its margins
 #define ROWS (TILE_H + 2 * RADIUS)
 #define SIDE (2 * RADIUS + 1)
-#define TAPS ((float)(SIDE * SIDE))
+#define TILE (TILE_H * TILE_W)
 
 #if VW == 16
 typedef ushort16 S;
@@ -84,74 +84,75 @@ static void tile_warp(__global const uint *quads, int width, int height, const f
     }
 }
 
-struct tile_sums { // of a row of windows: columns
-    float one[ROW], two[ROW], both[ROW];
-};
+// A window is every other pixel of a square, as on a chessboard: half of the work, and no less
+// certain. This is the first of row j.
+#define FIRST(j) ((j)&1)
+#define ROW_TAPS (RADIUS + 1)
 
-INLINE void sums_move(struct tile_sums *s, const float *a, const float *b, float sign)
-{
-    for (int x = 0; x < ROW; x += VW) {
-        V p = LOAD(a + x), q = LOAD(b + x);
-        STORE(LOAD(s->one + x) + sign * q, s->one + x);
-        STORE(LOAD(s->two + x) + sign * (q * q), s->two + x);
-        STORE(LOAD(s->both + x) + sign * (p * q), s->both + x);
-    }
-}
-
-INLINE V sums_window(const float *column)
-{
-    V sum = LOAD(column);
-    for (int k = 1; k < SIDE; k++)
-        sum += LOAD(column + k);
-    return sum * (1.0f / TAPS);
-}
-
-// Mean of a window, and 1 / its standard deviation with noise, of the reference.
+// Of the reference: weights of a window's pixels, 1 / their sum, the mean, and 1 / the standard
+// deviation with noise.
 struct tile_own {
-    float mean[TILE_H * TILE_W], inverse[TILE_H * TILE_W];
+    float weight[SIDE * ROW_TAPS * TILE], share[TILE], mean[TILE], inverse[TILE];
 };
 
 static void tile_own(const float *ref, struct tile_own *out)
 {
-    struct tile_sums s;
-    for (int x = 0; x < ROW; x++)
-        s.one[x] = s.two[x] = s.both[x] = 0.0f;
-    for (int y = 0; y < 2 * RADIUS; y++)
-        sums_move(&s, ref + y * ROW, ref + y * ROW, 1.0f);
-    for (int y = 0; y < TILE_H; y++) {
-        sums_move(&s, ref + (y + 2 * RADIUS) * ROW, ref + (y + 2 * RADIUS) * ROW, 1.0f);
+    for (int y = 0; y < TILE_H; y++)
         for (int x = 0; x < TILE_W; x += VW) {
-            V m = sums_window(s.one + x), v = sums_window(s.two + x) - m * m;
-            STORE(m, out->mean + y * TILE_W + x);
-            STORE(1.0f / sqrt(MAX_(v, (V)(0.0f)) + NOISE), out->inverse + y * TILE_W + x);
+            int at = y * TILE_W + x;
+            V middle = LOAD(ref + (y + RADIUS) * ROW + x + RADIUS);
+            V all = (V)(0.0f), one = all, two = all;
+            for (int j = 0; j < SIDE; j++)
+                for (int i = FIRST(j); i < SIDE; i += 2) {
+                    V a = LOAD(ref + (y + j) * ROW + x + i), d = (a - middle) * (1.0f / LIKE);
+                    V like = 1.0f / (1.0f + d * d), w = like * like;
+                    STORE(w, out->weight + (j * ROW_TAPS + i / 2) * TILE + at);
+                    all += w;
+                    one += w * a;
+                    two += w * a * a;
+                }
+            V share = 1.0f / all, m = one * share, v = two * share - m * m;
+            STORE(share, out->share + at);
+            STORE(m, out->mean + at);
+            STORE(1.0f / sqrt(MAX_(v, (V)(0.0f)) + NOISE), out->inverse + at);
         }
-        sums_move(&s, ref + y * ROW, ref + y * ROW, -1.0f);
-    }
+}
+
+// Correlation of the windows of a vector of pixels from (x, y) of the tile on.
+INLINE V tile_correlation(const float *ref, const struct tile_own *own, const float *near, int x,
+                          int y)
+{
+    int at = y * TILE_W + x;
+    V one = (V)(0.0f), two = one, both = one;
+    for (int j = 0; j < SIDE; j++)
+        for (int i = FIRST(j); i < SIDE; i += 2) {
+            int tap = (y + j) * ROW + x + i;
+            V b = LOAD(near + tap);
+            V w = b * LOAD(own->weight + (j * ROW_TAPS + i / 2) * TILE + at);
+            one += w;
+            two += w * b;
+            both += w * LOAD(ref + tap);
+        }
+    V share = LOAD(own->share + at), m = one * share, var = two * share - m * m;
+    return (both * share - m * LOAD(own->mean + at)) * LOAD(own->inverse + at) /
+           sqrt(MAX_(var, (V)(0.0f)) + NOISE);
 }
 
 // The three best correlations so far, best first.
 struct tile_best {
-    float first[TILE_H * TILE_W], second[TILE_H * TILE_W], third[TILE_H * TILE_W];
+    float first[TILE], second[TILE], third[TILE];
 };
 
 static void tile_score(const float *ref, const struct tile_own *own, const float *near,
                        const float *h, int width, int height, int x0, int y0, struct tile_best *t)
 {
-    struct tile_sums s;
     float right = (float)width - 1.0f, bottom = (float)height - 1.0f;
-    for (int x = 0; x < ROW; x++)
-        s.one[x] = s.two[x] = s.both[x] = 0.0f;
-    for (int y = 0; y < 2 * RADIUS; y++)
-        sums_move(&s, ref + y * ROW, near + y * ROW, 1.0f);
     for (int y = 0; y < TILE_H; y++) {
         float py = (float)(y0 + y) + 0.5f;
-        sums_move(&s, ref + (y + 2 * RADIUS) * ROW, near + (y + 2 * RADIUS) * ROW, 1.0f);
         for (int x = 0; x < TILE_W; x += VW) {
             int at = y * TILE_W + x;
             V u, v, px = (float)(x0 + x) + 0.5f + TO_V(LANE), q = map_at(h, px, py, &u, &v);
-            V m = sums_window(s.one + x), var = sums_window(s.two + x) - m * m;
-            V c = (sums_window(s.both + x) - m * LOAD(own->mean + at)) * LOAD(own->inverse + at) /
-                  sqrt(MAX_(var, (V)(0.0f)) + NOISE);
+            V c = tile_correlation(ref, own, near, x, y);
             VI inside = (q > 0.0f) & (u >= 1.0f) & (v >= 1.0f) & (u <= right) & (v <= bottom);
             c = inside ? c : (V)(-2.0f);
             V a = LOAD(t->first + at), b = LOAD(t->second + at), d = LOAD(t->third + at);
@@ -161,7 +162,6 @@ static void tile_score(const float *ref, const struct tile_own *own, const float
             c = MIN_(b, c);
             STORE(MAX_(d, c), t->third + at);
         }
-        sums_move(&s, ref + y * ROW, near + y * ROW, -1.0f);
     }
 }
 
@@ -196,7 +196,7 @@ __kernel void sweep_cost(__global const uchar *ref, __global const uint *quads,
     tile_read(ref, (int)width, (int)height, x0, y0, here);
     tile_own(here, &own);
     for (uint p = slab * SLAB; p < planes && p < (slab + 1) * SLAB; p++) {
-        for (int i = 0; i < TILE_H * TILE_W; i++)
+        for (int i = 0; i < TILE; i++)
             t.first[i] = t.second[i] = t.third[i] = -2.0f;
         for (uint k = 0; k < n_near; k++) {
             float h[9];

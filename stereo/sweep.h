@@ -9,9 +9,13 @@
  *
  * of neighbour k; c is the reference's centre. Windows are compared by normalised correlation of
  * grey values, which light and exposure do not change; NOISE is added to both variances, so that
- * windows without texture correlate with nothing. The cost of a plane is 1 minus the mean of the
- * best correlations (Kang, Szeliski and Chai 2001), so that a surface may be hidden from some of
- * the neighbours.
+ * windows without texture correlate with nothing. A pixel of a window counts by how like the middle
+ * it is (Yoon and Kweon 2006), because another grey is often another surface:
+ *
+ *     w = (1 + (a - a_middle)^2 / LIKE^2)^-2
+ *
+ * The cost of a plane is 1 minus the mean of the best correlations (Kang, Szeliski and Chai 2001),
+ * so that a surface may be hidden from some of the neighbours.
  *
  * Costs are summed along paths in four directions (semi-global matching, Hirschmueller 2008): a
  * change by one plane costs SWEEP_STEP_COST, and one by more a jump, which is cheaper across edges
@@ -33,13 +37,14 @@ struct dev;
 enum {
     SWEEP_NEAR_MAX = 8,
     SWEEP_PLANES_MAX = 192,
-    SWEEP_RADIUS = 3,      /* of windows, px */
+    SWEEP_RADIUS = 3,      /* of windows, px: every other pixel, as on a chessboard */
     SWEEP_COST_MOST = 200, /* where nothing correlates */
     SWEEP_STEP_COST = 8,
     SWEEP_JUMP_LOW = 30,
     SWEEP_JUMP_HIGH = 120
 };
 #define SWEEP_NOISE 4e-5 /* variance of grey values that is not texture */
+#define SWEEP_LIKE 0.1   /* difference of grey values at which a pixel counts a quarter */
 #define SWEEP_EDGE 25.0  /* a change of grey by 1 / SWEEP_EDGE halves what a jump may save */
 
 struct sweep_view {

@@ -8,8 +8,6 @@
 #include "core/base.h"
 #include "stereo/sweep.h"
 
-enum { SWEEP_SIDE = 2 * SWEEP_RADIUS + 1, SWEEP_TAPS = SWEEP_SIDE * SWEEP_SIDE };
-
 static double sweep_ref_grey(const struct sweep_view *v, int x, int y)
 {
     int w = (int)v->cam.width_px, h = (int)v->cam.height_px;
@@ -33,27 +31,32 @@ static double sweep_ref_bilinear(const struct sweep_view *v, double u, double w)
 static double sweep_ref_correlation(const struct sweep_input *in, size_t k, const double h[9],
                                     int x, int y)
 {
-    double a1 = 0.0, a2 = 0.0, b1 = 0.0, b2 = 0.0, ab = 0.0;
+    double n = 0.0, a1 = 0.0, a2 = 0.0, b1 = 0.0, b2 = 0.0, ab = 0.0;
     const struct sweep_view *near = &in->near[k];
+    double middle = sweep_ref_grey(&in->ref, x, y);
     for (int j = -SWEEP_RADIUS; j <= SWEEP_RADIUS; j++)
         for (int i = -SWEEP_RADIUS; i <= SWEEP_RADIUS; i++) {
             double px = x + i + 0.5, py = y + j + 0.5, q = h[6] * px + h[7] * py + h[8];
             double u = (h[0] * px + h[1] * py + h[2]) / q, v = (h[3] * px + h[4] * py + h[5]) / q;
-            double a = sweep_ref_grey(&in->ref, x + i, y + j), b = sweep_ref_bilinear(near, u, v);
             if (!i && !j &&
                 !(q > 0.0 && u >= 1.0 && v >= 1.0 && u <= near->cam.width_px - 1.0 &&
                   v <= near->cam.height_px - 1.0))
                 return -2.0;
-            a1 += a;
-            a2 += a * a;
-            b1 += b;
-            b2 += b * b;
-            ab += a * b;
+            if ((i + j) % 2)
+                continue;
+            double a = sweep_ref_grey(&in->ref, x + i, y + j), b = sweep_ref_bilinear(near, u, v);
+            double w = pow(1.0 + pow((a - middle) / SWEEP_LIKE, 2.0), -2.0);
+            n += w;
+            a1 += w * a;
+            a2 += w * a * a;
+            b1 += w * b;
+            b2 += w * b * b;
+            ab += w * a * b;
         }
-    double ma = a1 / SWEEP_TAPS, mb = b1 / SWEEP_TAPS;
-    double va = fmax(a2 / SWEEP_TAPS - ma * ma, 0.0) + SWEEP_NOISE,
-           vb = fmax(b2 / SWEEP_TAPS - mb * mb, 0.0) + SWEEP_NOISE;
-    return (ab / SWEEP_TAPS - ma * mb) / sqrt(va * vb);
+    double ma = a1 / n, mb = b1 / n;
+    double va = fmax(a2 / n - ma * ma, 0.0) + SWEEP_NOISE,
+           vb = fmax(b2 / n - mb * mb, 0.0) + SWEEP_NOISE;
+    return (ab / n - ma * mb) / sqrt(va * vb);
 }
 
 /* Of pixel (x, y) in a plane with these maps to the neighbours. */

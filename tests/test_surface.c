@@ -278,8 +278,12 @@ static void slanted_rays_find_walls(void **state)
     kit_ok(pyramid_build(&origin, &level, 1, &cfg, NULL, 0, path, NULL, &e), e);
     gauss_free(&g);
     kit_ok(nadir_open(path, &no, &n, &e), e);
-    const struct nadir_piece p = {origin.lon_deg,  origin.lat_deg, 0, 10, 10,
-                                  BOX_GROUND * 10, BOX_GROUND * 10};
+    const struct nadir_piece p = {.lon_deg = origin.lon_deg,
+                                  .lat_deg = origin.lat_deg,
+                                  .px_per_m_x = 10,
+                                  .px_per_m_y = 10,
+                                  .width = BOX_GROUND * 10,
+                                  .height = BOX_GROUND * 10};
     kit_ok(nadir_draw(n, &p, NULL, height, &e), e);
     for (unsigned way = 0; way < NADIR_WAYS; way++)
         kit_ok(nadir_slant_points(n, &p, way, height, box_meets, &seen, &e), e);
