@@ -210,7 +210,8 @@ model_errors() {
   citysplat synth --city "$OUT/$scene-photos" --map "$folder/dsm.tif" | awk '
     $1 == "level" { printf "dsm_level_off_m=%s,dsm_level_rmse_m=%s,dsm_level_le90_m=%s,", $4, $5, $7 }
     $1 == "edges" { printf "dsm_edges_median_m=%s,", $3 }
-    $1 == "all" { printf "dsm_above_1_m_percent=%s", $9 }'
+    $1 == "all" { printf "dsm_rmse_m=%s,dsm_above_1_m_percent=%s,", $5, $9 }
+    $1 == "walls" { sub(/.*px \(/, ""); printf "dsm_roofs_out_m=%s", $1 + 0 }'
 }
 
 # row STUDY ROW SCENE SET OPTIONS...: train with OPTIONS, score every level at its own size, record with the
