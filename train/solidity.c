@@ -89,20 +89,18 @@ enum err_code solidity_step(struct solidity **own, const struct site *site, cons
     static const uint32_t strides[] = {1, 2, 4};
     const struct train_config *c = g->cfg;
     double t = (double)at->step / (double)stage_schedule(at)->steps, fade = pow(c->solid_final, t);
-    double begun = solidity_has_begun(c, at) ? 1.0 : 0.0, rest = fade * begun;
+    double begun = solidity_has_begun(c, at) ? 1.0 : 0.0;
     struct depth_target known = {0};
     enum err_code rc = solidity_open(own, g, e);
-    if (!rc && (*own)->maps) {
-        rest *= c->solid_known;
+    if (!rc && (*own)->maps)
         rc = depth_map_target((*own)->maps, photo->image, &photo->cam, photo->mask, &known, e);
-    }
     const struct solid_input in = {
         .width_px = photo->cam.width_px,
         .height_px = photo->cam.height_px,
         .focal_px = photo->cam.fx_px,
-        .spread = c->solid_spread * rest,
+        .spread = c->solid_spread * fade * begun,
         .prior = c->solid_prior * fade * begun,
-        .bend = c->solid_bend * rest,
+        .bend = c->solid_bend * fade * begun,
         .light = c->solid_light * begun,
         .stride = strides[at->step % (sizeof strides / sizeof *strides)],
         .supported = supported,
