@@ -266,6 +266,22 @@ static void surface_tell(const struct surface_job *j, const struct nadir_piece *
         }
 }
 
+/* Colours with the kernel that they were trained with, where there is a height. At the rim of a
+ * surface this kernel may find none: then those of the narrow one. */
+static enum err_code surface_colors(struct nadir *n, const struct surface_job *j,
+                                    const struct nadir_piece *p, float *rgb, struct err *e)
+{
+    enum err_code rc = nadir_draw(n, p, rgb, NULL, e);
+    for (size_t y = 0; !rc && y < p->height; y++)
+        for (size_t x = 0; x < p->width; x++) {
+            size_t i = (y + j->margin) * j->piece.width + x + j->margin;
+            float *to = rgb + 3 * (y * p->width + x);
+            for (size_t k = 0; k < 3; k++)
+                to[k] = !isfinite(j->smooth[i]) ? NAN : isfinite(to[k]) ? to[k] : j->rgb[3 * i + k];
+        }
+    return rc;
+}
+
 enum err_code surface_draw(struct nadir *n, const struct nadir_piece *p,
                            const struct surface_maps *out, struct err *e)
 {
@@ -284,7 +300,7 @@ enum err_code surface_draw(struct nadir *n, const struct nadir_piece *p,
     if (!rc)
         surface_tell(&j, p, out);
     if (!rc && out->rgb)
-        rc = nadir_draw(n, p, out->rgb, NULL, e);
+        rc = surface_colors(n, &j, p, out->rgb, e);
     mem_free(j.room);
     mem_free(j.agree);
     return rc;

@@ -162,7 +162,7 @@ static void uncertainty_is_that_of_the_errors(void **state)
     static const double scatter_m = 0.2;
     static const struct nadir_options no = {.ceiling_m = (double)NAN};
     static float height[PIECE * PIECE], sigma[PIECE * PIECE], noise[PIECE * PIECE],
-        repeat[PIECE * PIECE], single[PIECE * PIECE];
+        repeat[PIECE * PIECE], single[PIECE * PIECE], rgb[3 * PIECE * PIECE];
     struct err e = {0};
     struct gauss g;
     struct nadir *n;
@@ -176,6 +176,8 @@ static void uncertainty_is_that_of_the_errors(void **state)
     for (size_t i = 0; i < side * side; i++) {
         double x = ((double)(i % side) + rng_unit(3, 1, i)) * SPACING_M - 0.5 * EXTENT_M,
                y = ((double)(i / side) + rng_unit(3, 2, i)) * SPACING_M - 0.5 * EXTENT_M;
+        if (x > 0.4 * PIECE * PIECE_GSD_M && rng_unit(3, 4, i) < 0.7)
+            continue; /* a strip with holes */
         put(&g, x, y, truth_z(x, y) + scatter_m * rng_normal(3, 3, i), 0.7 * SPACING_M, 0.02, 0.95);
     }
     kit_ok(file_join(path, f.dir, "loose.tiles", &e), e);
@@ -186,7 +188,7 @@ static void uncertainty_is_that_of_the_errors(void **state)
     kit_ok(nadir_open(path, &no, &n, &e), e);
     const struct nadir_piece p = piece_at(PIECE_GSD_M);
     const struct surface_maps maps = {
-        .height_m = height, .sigma_m = sigma, .noise_m = noise, .repeat_m = repeat};
+        .rgb = rgb, .height_m = height, .sigma_m = sigma, .noise_m = noise, .repeat_m = repeat};
     kit_ok(surface_draw(n, &p, &maps, &e), e);
     kit_ok(nadir_draw(n, &p, NULL, single, &e), e);
     for (size_t i = 0; i < PIECE * PIECE; i++) {
@@ -194,9 +196,12 @@ static void uncertainty_is_that_of_the_errors(void **state)
         pixel_at(i, PIECE_GSD_M, at);
         double truth = origin.h_m + truth_z(at[0], at[1]);
         const double off[2] = {(double)height[i] - truth, (double)single[i] - truth};
+        for (size_t k = 0; k < 3; k++) /* two kernels, one surface */
+            assert_int_equal(isfinite(rgb[3 * i + k]) != 0, isfinite(height[i]) != 0);
         assert_true(!isfinite(height[i]) ||
                     (noise[i] > 0 && noise[i] <= repeat[i] && repeat[i] < sigma[i]));
-        if (!isfinite(height[i]) || !level_at(at[0], at[1], 0.1))
+        if (!isfinite(height[i]) || at[0] > 0.35 * PIECE * PIECE_GSD_M ||
+            !level_at(at[0], at[1], 0.1))
             continue;
         known++;
         for (size_t k = 0; k < 2; k++) {
