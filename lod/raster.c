@@ -118,7 +118,7 @@ static void raster_copy(const struct raster_job *j, const struct raster_rect *r)
 static enum err_code raster_rect_draw(const struct raster_job *j, const struct raster_rect *r,
                                       struct err *e)
 {
-    struct nadir_piece p;
+    struct nadir_piece p = {0};
     double corner[8], off_px;
     enum err_code rc = raster_fit(j, r, &p, corner, &off_px, e);
     if (rc || !raster_any(j, corner))

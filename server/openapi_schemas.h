@@ -134,6 +134,7 @@
       ":" OPENAPI_TEXT ",'version':" OPENAPI_TEXT ",'datasets':{'type':'object',"                  \
       "'additionalProperties':" OPENAPI_TEXT "},'pictures':{'type':'object','required':['state',"  \
       "'device'],'properties':{'state':" OPENAPI_TEXT ",'device':" OPENAPI_TEXT "}}}}")            \
+    X("Token", "{'type':'object','required':['token'],'properties':{'token':" OPENAPI_TEXT "}}")   \
     X("Bytes", "{'type':'string','format':'binary'}")                                              \
     X("Text", OPENAPI_TEXT)                                                                        \
     X("Document", "{'type':'object'}")

@@ -151,6 +151,7 @@ async function valuesOf(url, ds) {
             Measure: { line: [[lon, lat], [lon + 1e-4, lat]] },
             Visible: { from: { lon, lat, above: 50 }, to: { lon: lon + 2e-4, lat, above: 2 } },
             Mix: { appearance: "IMG_0001.jpg" },
+            Token: { token: "none" },
         },
     };
 }
