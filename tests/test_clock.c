@@ -177,7 +177,7 @@ static void test_dates(void **state)
     start();
     kit_ok(auth_open(path, &a, &e), e);
     const int64_t now_s = (int64_t)time(NULL);
-    const double most_s = 30 * 86400 + 60; /* the default of max_age_s, and clocks that differ */
+    const int64_t most_s = 30 * 86400 + 60; /* the default of max_age_s, and clocks that differ */
     kit_ok(auth_sign(a, NULL, AUTH_SCOPE_READ, "toy", now_s + 3600, now_s, query, &e), e);
     auth_close(&a);
     snprintf(target, sizeof target, "/signed/%s/d/toy/tileset.json", query);
