@@ -1,5 +1,6 @@
 /* Map and terrain tiles over HTTP: their content against the procedural city, caching, places
- * without tiles, and their documents as xmllint and GDAL read them.
+ * without tiles, and their documents as xmllint and GDAL read them. It is one long file, because
+ * all of it asks one server that draws one survey.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -690,6 +690,8 @@ static void test_orthographic(void **state)
     for (size_t i = 0; i < sizeof modes / sizeof *modes; i++) {
         struct render_options o = {.aa = modes[i], .sh_degree = -1, .orthographic = true};
         check("orthographic", &g, &cam, &o);
+        o.kernel_px2 = 0.03;
+        check("orthographic, with a narrow kernel", &g, &cam, &o);
     }
     /* Farther away along the axis it is the same picture. */
     struct render_options o = {.aa = RENDER_AA_2D, .sh_degree = -1, .orthographic = true};

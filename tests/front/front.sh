@@ -117,3 +117,28 @@ check_first_tile() { # through the cache at $url; leaves its path in $tile
 }
 
 "$city" "$work/toy.tiles" || exit 1
+
+# nginx on 127.0.0.1:$front with a file of configs/ without TLS, its ports and folders changed by options of sed. $url is
+# its address, pids[4] its process.
+front_nginx() { # FILE WORKERS SED-OPTION...
+    local file=$1 workers=$2 d
+    shift 2
+    front=$(free_port) url=http://127.0.0.1:$front
+    mkdir -p "$work/nginx/logs" "$work/nginx/cache"
+    {
+        [ "$(id -u)" != 0 ] || echo 'user root;' # the folder is its own alone
+        printf 'daemon off;\nworker_processes %s;\npid %s/nginx/pid;\nerror_log %s/nginx/error.log;\n' "$workers" "$work" "$work"
+        printf 'events { worker_connections 512; }\nhttp {\n'
+        for d in client_body proxy fastcgi uwsgi scgi; do printf '%s_temp_path %s/nginx/%s;\n' $d "$work" $d; done
+        sed -e "s|listen 443 ssl http2;|listen 127.0.0.1:$front;|" -e '/ssl_certificate/d' "$@" "$root/configs/$file"
+        printf '}\n'
+    } >"$work/nginx.conf"
+    PATH=$PATH:/usr/sbin
+    if ! nginx -t -p "$work/nginx" -c "$work/nginx.conf" >"$work/nginx/test" 2>&1; then
+        cat "$work/nginx/test"
+        exit 1
+    fi
+    nginx -p "$work/nginx" -c "$work/nginx.conf" &
+    pids[4]=$!
+    check 'nginx answers' await "$url/healthz"
+}

@@ -10,30 +10,11 @@ need nginx nginx-light
 need curl curl
 for i in 1 2 3; do serve $i 0 --cache-policy '*=1'; done
 rev=$(revision)
-front=$(free_port)
-mkdir -p "$work/nginx/logs" "$work/nginx/cache"
 servers=$(for i in 1 2 3; do echo "server 127.0.0.1:${ports[i]};"; done | tr '\n' ' ')
 
 # The shipped file, with ports and folders of this test and without TLS.
-{
-    [ "$(id -u)" != 0 ] || echo 'user root;' # the folder is its own alone
-    printf 'daemon off;\nworker_processes 2;\npid %s/nginx/pid;\nerror_log %s/nginx/error.log;\n' "$work" "$work"
-    printf 'events { worker_connections 512; }\nhttp {\naccess_log off;\n'
-    for d in client_body proxy fastcgi uwsgi scgi; do printf '%s_temp_path %s/nginx/%s;\n' $d "$work" $d; done
-    sed -e "s|listen 443 ssl http2;|listen 127.0.0.1:$front;|" -e '/ssl_certificate/d' \
-        -e "s|server 127.0.0.1:8080;|$servers|" -e "s|/var/cache/nginx/citysplat|$work/nginx/cache|" \
-        "$root/configs/nginx.conf"
-    printf '}\n'
-} >"$work/nginx.conf"
-PATH=$PATH:/usr/sbin
-if ! nginx -t -p "$work/nginx" -c "$work/nginx.conf" >"$work/nginx/test" 2>&1; then
-    cat "$work/nginx/test"
-    exit 1
-fi
-nginx -p "$work/nginx" -c "$work/nginx.conf" &
-pids[4]=$!
-url=http://127.0.0.1:$front
-check 'nginx answers' await "$url/healthz"
+front_nginx nginx.conf 2 -e "s|server 127.0.0.1:8080;|$servers|" -e "s|/var/cache/nginx/citysplat|$work/nginx/cache|" \
+    -e '1i access_log off;'
 
 check_first_tile
 check 'a range beyond its end is 416' is "$(status -r 99999999- "$url$tile")" 416

@@ -13,31 +13,14 @@ own=a-token-of-nginx-alone
 sha=$(printf %s $own | sha256sum | cut -d' ' -f1)
 echo "{\"keys\": {\"k\": \"a key of this test alone, 32 characters\"}, \"tokens\": [{\"sha256\": \"$sha\", \"scope\": [\"read:toy\", \"render:toy\"]}]}" >"$work/auth.jsonc"
 serve 1 0 --auth "$work/auth.jsonc"
-mkdir -p "$work/id" "$work/nginx/logs"
+mkdir -p "$work/id"
 node "$(dirname "$0")/identity.mjs" "$work/id" &
 pids[3]=$!
 for _ in $(seq 200); do [ -e "$work/id/port" ] && break; sleep 0.05; done
-front=$(free_port)
-{
-    [ "$(id -u)" != 0 ] || echo 'user root;' # the folder is its own alone
-    printf 'daemon off;\nworker_processes 1;\npid %s/nginx/pid;\nerror_log %s/nginx/error.log;\n' "$work" "$work"
-    printf 'events { worker_connections 256; }\nhttp {\n'
-    for d in client_body proxy fastcgi uwsgi scgi; do printf '%s_temp_path %s/nginx/%s;\n' $d "$work" $d; done
-    sed -e "s|listen 443 ssl http2;|listen 127.0.0.1:$front;|" -e '/ssl_certificate/d' \
-        -e "s|127.0.0.1:8080|127.0.0.1:${ports[1]}|" -e "s|127.0.0.1:4180|127.0.0.1:$(cat "$work/id/port")|" \
-        -e "s|TOKEN-OF-VIEWERS|$own|" -e "s|/var/log/nginx|$work/nginx|" -e 's|X-Forwarded-Proto $scheme|X-Forwarded-Proto https|' \
-        "$root/configs/nginx_oidc.conf"
-    printf '}\n'
-} >"$work/nginx.conf"
-PATH=$PATH:/usr/sbin
-if ! nginx -t -p "$work/nginx" -c "$work/nginx.conf" >"$work/nginx/test" 2>&1; then
-    cat "$work/nginx/test"
-    exit 1
-fi
-nginx -p "$work/nginx" -c "$work/nginx.conf" &
-pids[4]=$!
-url=http://127.0.0.1:$front there=/d/toy/tileset.json
-check 'nginx answers' await "$url/healthz"
+front_nginx nginx_oidc.conf 1 -e "s|127.0.0.1:8080|127.0.0.1:${ports[1]}|" \
+    -e "s|127.0.0.1:4180|127.0.0.1:$(cat "$work/id/port")|" -e "s|TOKEN-OF-VIEWERS|$own|" -e "s|/var/log/nginx|$work/nginx|" \
+    -e 's|X-Forwarded-Proto $scheme|X-Forwarded-Proto https|'
+there=/d/toy/tileset.json
 bearer() { cat "$work/id/$1"; }
 
 check 'a token that holds' is "$(status -H "Authorization: Bearer $(bearer good)" "$url$there")" 200
