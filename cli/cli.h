@@ -11,7 +11,9 @@
 /* argv[0] is the command's own name. ERR_ARG becomes exit code 2, any other error 1. `serve` has
  * the exit codes of sysexits.h. */
 #define COMMAND(name, about) enum err_code cli_##name(int argc, char **argv, struct err *e) ERR_USE;
+#define COMMAND_AS(function, name, about) COMMAND(function, about)
 #include "cli/commands.def"
+#undef COMMAND_AS
 #undef COMMAND
 
 #endif

@@ -28,7 +28,9 @@ struct command {
 
 static const struct command commands[] = {
 #define COMMAND(name, about) {#name, about, cli_##name},
+#define COMMAND_AS(function, name, about) {name, about, cli_##function},
 #include "cli/commands.def"
+#undef COMMAND_AS
 #undef COMMAND
     {NULL, NULL, NULL},
 };
@@ -56,7 +58,7 @@ static void print_help(FILE *f)
             "usage: citysplat COMMAND [arguments] [--options]\n\ncommands:\n",
             about_text);
     for (const struct command *c = commands; c->name; c++)
-        fprintf(f, "  %-9s %s\n", c->name, c->about);
+        fprintf(f, "  %-10s %s\n", c->name, c->about);
     fprintf(f,
             "\n`citysplat help COMMAND` shows its everyday options, `citysplat COMMAND --help=all` "
             "all of them.\n`citysplat completion bash|zsh|fish` prints a completion for the shell."

@@ -61,7 +61,7 @@ function quoted(text, at,    n, k, word, command) {
             command = "-bench"
         } else if (word[k] ~ /(^|[\/$(])(citysplat|bootstrap)$/ && word[k - 1] != "comment") {
             command = word[k + 1]
-            if (command !~ /^[a-z]+$/) command = ""
+            if (command !~ /^[a-z]+(-[a-z]+)?$/) command = ""
             else if (word[k] ~ /bootstrap$/) { print FILENAME "\t" at "\tbootstrap " command "\t"; command = "" }
             else print FILENAME "\t" at "\t" command "\t"
         } else if (word[k] ~ /^[|;&]|[;|]$/) {

@@ -13,7 +13,7 @@ fail() { echo "FAIL $*"; exit 1; }
 
 "$bin" help --markdown >"$work/commands.md" || fail "citysplat help --markdown"
 cli/reference.sh "$bin" "$work" || fail "cli/reference.sh"
-commands=$(sed -n 's/^COMMAND(\([a-z]*\),.*/\1/p' cli/commands.def)
+commands=$(sed -n -e 's/^COMMAND(\([a-z]*\),.*/\1/p' -e 's/^COMMAND_AS([a-z_]*, "\([a-z-]*\)",.*/\1/p' cli/commands.def)
 [ -n "$commands" ] || fail "cli/commands.def names no command"
 [ "$1" != --write ] || cp "$work/commands.md" docs/commands.md || fail "not written"
 again='CITYSPLAT_BIN=PROGRAM tests/test_reference.sh --write makes it anew'

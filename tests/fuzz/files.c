@@ -16,13 +16,16 @@
 #include "codec/ckpt.h"
 #include "codec/colmap.h"
 #include "codec/geojson.h"
+#include "codec/odm.h"
 #include "tests/fuzz/fuzz.h"
 
-enum { CKPT_HEAD = 64, CKPT_ENTRY = 64, CKPT_HASHED = 24, COLMAP_HEAD = 5 };
+enum { CKPT_HEAD = 64, CKPT_ENTRY = 64, CKPT_HASHED = 24, COLMAP_HEAD = 5, ODM_HEAD = 3 };
 
 static char folder[64];
-static const char *const names[] = {"x.ckpt",      "cameras.bin", "images.bin",   "points3D.bin",
-                                    "cameras.txt", "images.txt",  "points3D.txt", "x.geojson"};
+static const char *const names[] = {"x.ckpt",       "cameras.bin",   "images.bin",
+                                    "points3D.bin", "cameras.txt",   "images.txt",
+                                    "points3D.txt", "x.geojson",     "reconstruction.json",
+                                    "tracks.csv",   "shots.geojson", "cameras.json"};
 
 static void remove_folder(void)
 {
@@ -149,6 +152,34 @@ void fuzz_colmap(const uint8_t *bytes, size_t n)
         drop(names[i]);
 }
 
+/* Byte 0: reconstruction.json with tracks.csv, or shots.geojson with cameras.json; then the length
+ * of the first in 16 bits. What is read is a model that can be written and read again. */
+void fuzz_odm(const uint8_t *bytes, size_t n)
+{
+    struct odm_project p;
+    struct colmap_model again = {0};
+    if (n < ODM_HEAD)
+        return;
+    size_t left = n - ODM_HEAD, first = (size_t)get(bytes + 1, 2), k = bytes[0] & 1 ? 10 : 8;
+    first = first < left ? first : left;
+    put(names[k], bytes + ODM_HEAD, first);
+    put(names[k + 1], bytes + ODM_HEAD + first, left - first);
+    if (odm_read(folder, &p, NULL) == ERR_OK) {
+        for (size_t i = 0; i < p.model.n_images; i++)
+            assert(!p.places[i].known ||
+                   (fabs(p.places[i].lat_deg) <= 90 && fabs(p.places[i].lon_deg) <= 180));
+        enum err_code rc = colmap_write_bin(folder, &p.model, NULL);
+        assert(!rc);
+        rc = colmap_read(folder, &again, NULL);
+        assert(!rc && again.n_images == p.model.n_images && again.n_points == p.model.n_points &&
+               again.n_tracks == p.model.n_tracks);
+        colmap_free(&again);
+    }
+    odm_free(&p);
+    for (size_t i = 1; i < sizeof names / sizeof *names; i++)
+        drop(names[i]);
+}
+
 /* What is read are closed rings on the globe, and asking for a place ends. */
 void fuzz_geojson(const uint8_t *bytes, size_t n)
 {
@@ -196,6 +227,45 @@ bool fuzz_seed_geojson(size_t i, struct buf *out)
         "{\"type\":\"Polygon\",\"coordinates\":[[[-180,-90,3],[180,-90,3],[0,90,3],[-180,-90,3]]]}]"
         "}"};
     buf_printf(out, "%s", seeds[i]);
+    return !out->failed;
+}
+
+/* Two photographs, with a point or from the report alone. */
+bool fuzz_seed_odm(size_t i, struct buf *out)
+{
+    static const char lens[] = "\"c\":{\"projection_type\":\"brown\",\"width\":40,\"height\":30,"
+                               "\"focal_x\":0.8,\"focal_y\":0.8,\"k1\":0.01}";
+    struct buf part[2] = {{0}};
+    if (i == 2) {
+        buf_printf(&part[0], "{\"features\":[");
+        for (int k = 0; k < 2; k++)
+            buf_printf(&part[0],
+                       "%s{\"properties\":{\"filename\":\"%d.jpg\",\"focal\":0.8,\"width\":40,"
+                       "\"height\":30,\"translation\":[500000,5000000,%d],\"rotation\":[3,0,0.%d]}"
+                       ",\"geometry\":{\"coordinates\":[8,47,300]}}",
+                       k ? "," : "", k, k, k);
+        buf_printf(&part[0], "]}");
+        buf_printf(&part[1], "{%s}", lens);
+    } else {
+        buf_printf(&part[0], "[{\"cameras\":{%s},\"shots\":{", lens);
+        for (int k = 0; k < 2; k++)
+            buf_printf(&part[0],
+                       "%s\"%d.jpg\":{\"rotation\":[0,0,0.%d],\"translation\":[%d,0,0],"
+                       "\"camera\":\"c\"}",
+                       k ? "," : "", k, k, k);
+        buf_printf(&part[0],
+                   "},\"points\":{\"7\":{\"coordinates\":[0,0,5],\"color\":[1,2,3]}},"
+                   "\"reference_lla\":{\"latitude\":47,\"longitude\":8,\"altitude\":0}}]");
+        if (i == 0)
+            buf_printf(&part[1],
+                       "OPENSFM_TRACKS_VERSION_v2\n0.jpg\t7\t1\t0.1\t0\n1.jpg\t7\t2\t0\t0\n");
+    }
+    buf_u8(out, i == 2);
+    buf_u16(out, (uint32_t)part[0].size);
+    for (int k = 0; k < 2; k++) {
+        buf_add(out, part[k].data, part[k].size);
+        buf_free(&part[k]);
+    }
     return !out->failed;
 }
 

@@ -25,6 +25,7 @@ bool fuzz_seed(const char *target, size_t i, struct buf *out);
 struct gauss;
 bool fuzz_seed_ckpt(const struct gauss *g, struct buf *out);
 bool fuzz_seed_colmap(size_t i, struct buf *out);
+bool fuzz_seed_odm(size_t i, struct buf *out);
 bool fuzz_seed_geojson(size_t i, struct buf *out);
 /* Seeds of the targets in serve.c; false for other targets. */
 bool fuzz_seed_serve(const char *target, size_t i, struct buf *out);

@@ -148,6 +148,8 @@ bool fuzz_seed(const char *target, size_t i, struct buf *out)
         return appearance_seed(i, out) == ERR_OK;
     if (!strcmp(target, "colmap"))
         return fuzz_seed_colmap(i, out);
+    if (!strcmp(target, "odm"))
+        return fuzz_seed_odm(i, out);
     if (!strcmp(target, "geojson"))
         return fuzz_seed_geojson(i, out);
     if (!strcmp(target, "tensors"))

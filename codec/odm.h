@@ -1,0 +1,42 @@
+/* Projects of OpenDroneMap and OpenSfM as COLMAP models: reconstruction.json, tracks.csv,
+ * shots.geojson, cameras.json.
+ *
+ * OpenSfM's poses are world to camera, x right, y down, z forward, with the rotation as axis times
+ * angle. Focal lengths and principal points are in units of the picture's larger side, from its
+ * middle. Poses and points stay in the frame of the project. Sources: OpenSfM, doc/geometry and
+ * opensfm/io.py; OpenDroneMap, opendm/shots.py.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef CODEC_ODM_H
+#define CODEC_ODM_H
+
+#include "codec/colmap.h"
+
+struct odm_place { /* of a photograph, by the project */
+    bool known;
+    double lon_deg, lat_deg, h_m;
+};
+enum odm_links {                     /* which photographs see a point */
+                 ODM_LINKS_TRACKS,   /* by tracks.csv */
+                 ODM_LINKS_COMPUTED, /* where it projects, and nothing is nearer */
+                 ODM_LINKS_NONE      /* there are no points */
+};
+struct odm_project { /* {0} is empty; odm_free */
+    struct colmap_model model;
+    struct odm_place *places; /* [model.n_images]; lives in the model's arena */
+    size_t n_places;
+    enum odm_links links;
+    size_t n_others;          /* photographs of further, smaller reconstructions, left out */
+    size_t n_alone;           /* points that less than two photographs see, left out */
+    char from[FILE_PATH_MAX]; /* the file with the poses */
+};
+
+/* Reads a project: the folder of OpenDroneMap, OpenSfM's in it, or a file reconstruction.json or
+ * shots.geojson. Of several reconstructions the largest is taken. Free *out with odm_free.
+ * ERR_NOENT: there is none of these files. ERR_FORMAT, ERR_DATA: of a file, which the message
+ * names; ERR_DATA also for a camera that COLMAP has no model for. ERR_IO, ERR_LIMIT, ERR_MEM. */
+enum err_code odm_read(const char *path, struct odm_project *out, struct err *e) ERR_USE;
+void odm_free(struct odm_project *p);
+
+#endif
