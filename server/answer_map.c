@@ -133,6 +133,23 @@ void answer_map_terrain_tilejson(struct services *s, const struct request *r, st
     answer_map_describe(s, r, d, t, MAP_DOCUMENT_TERRAIN, out);
 }
 
+void answer_map_style(struct services *s, const struct request *r, struct dataset *d,
+                      const struct target *t, struct response *out)
+{
+    struct err e = {0};
+    struct body *b = NULL;
+    struct appearance_choice choice;
+    char edition[9], origin[ORIGIN_MAX];
+    if (!answer_map_is_surveyed(d, out) ||
+        !answer_appearance_find(s, d, t->appearance, &choice, out))
+        return;
+    response_edition(s, d, EDITION_PICTURES, edition);
+    if (map_document_style(d, edition, t, origin_of(s, r, origin), &b, &e))
+        response_no_memory(out);
+    else
+        answer_map_document(s, r, RESPONSE_JSON, b, out);
+}
+
 void answer_map_wmts(struct services *s, const struct request *r, struct dataset *d,
                      const struct target *t, struct response *out)
 {

@@ -36,6 +36,7 @@ static void collection_add_maps(const struct dataset *d, const char *up,
     static const struct collection_link maps[] = {
         {"tiles", "application/json", "Map from straight above: TileJSON 3.0.0", link_mapjson},
         {"tiles", "application/json", "Terrain, heights as pictures: TileJSON", link_terrainjson},
+        {"stylesheet", "application/json", "Map on its terrain: style of MapLibre", link_style},
         {"tiles", "application/xml", "Map from straight above: WMTS capabilities", link_wmts},
     };
     const struct collection_link tilesets = {"http://www.opengis.net/def/rel/ogc/1.0/tilesets-map",

@@ -1,13 +1,15 @@
-/* TileJSON and WMTS capabilities: see map_document.h.
+/* TileJSON, a style of MapLibre, and WMTS capabilities: see map_document.h.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "server/map_document.h"
 
 #include <jansson.h>
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 
+#include "lod/key.h"
 #include "lod/raster.h"
 #include "server/document.h"
 #include "server/link.h"
@@ -37,26 +39,55 @@ static struct link map_document_link(const struct dataset *d, const char *editio
                          : link_to(LINK_DATASET, NULL, d, edition);
 }
 
+/* What TileJSON and a source of a style have alike. */
+static json_t *map_document_tiles(const struct dataset *d, const char *edition,
+                                  enum map_document_of of, const struct target *t, const char *base)
+{
+    const struct area *a = &d->area;
+    const double bounds[4] = {a->west_deg, a->south_deg, a->east_deg, a->north_deg};
+    char url[MAP_DOCUMENT_URL_MAX];
+    struct link l = map_document_link(d, edition, base);
+    l.ext = format_ext(FORMAT_WEBP);
+    link_text(of == MAP_DOCUMENT_TERRAIN ? link_terrain : link_map, &l, url,
+              sizeof url - TARGET_QUERY_MAX);
+    map_document_query(t, of, url + strlen(url));
+    return json_pack("{s:[s],s:i,s:i,s:i,s:o}", "tiles", url, "minzoom", (int)raster_zoom_min(a),
+                     "maxzoom", (int)raster_zoom_max(a), "tileSize", RASTER_PX, "bounds",
+                     document_numbers(bounds, 4));
+}
+
+/* The members of `more`, whose reference it takes over, behind those of `o`. NULL: no memory. */
+static json_t *map_document_join(json_t *o, json_t *more)
+{
+    const bool joined = o && more && !json_object_update(o, more);
+    json_decref(more);
+    if (joined)
+        return o;
+    json_decref(o);
+    return NULL;
+}
+
+static json_t *map_document_center(const struct area *a)
+{
+    const double center[2] = {0.5 * (a->west_deg + a->east_deg),
+                              0.5 * (a->south_deg + a->north_deg)};
+    return document_numbers(center, 2);
+}
+
 enum err_code map_document_tilejson(const struct dataset *d, const char *edition,
                                     enum map_document_of of, const struct target *t,
                                     const char *base, struct body **out, struct err *e)
 {
     const struct area *a = &d->area;
-    const bool terrain = of == MAP_DOCUMENT_TERRAIN;
-    char url[MAP_DOCUMENT_URL_MAX];
-    struct link l = map_document_link(d, edition, base);
-    const double bounds[4] = {a->west_deg, a->south_deg, a->east_deg, a->north_deg};
-    int zoom_min = raster_zoom_min(a), zoom_max = raster_zoom_max(a);
-    l.ext = format_ext(FORMAT_WEBP);
-    link_text(terrain ? link_terrain : link_map, &l, url, sizeof url - TARGET_QUERY_MAX);
-    map_document_query(t, of, url + strlen(url));
+    const int zoom_min = raster_zoom_min(a), zoom_max = raster_zoom_max(a);
     json_t *o =
-        json_pack("{s:s,s:s,s:s,s:s,s:[s],s:i,s:i,s:i,s:o,s:[f,f,i]}", "tilejson", "3.0.0", "name",
-                  d->meta.name, "attribution", d->meta.attribution, "scheme", "xyz", "tiles", url,
-                  "minzoom", zoom_min, "maxzoom", zoom_max, "tileSize", RASTER_PX, "bounds",
-                  document_numbers(bounds, 4), "center", 0.5 * (bounds[0] + bounds[2]),
-                  0.5 * (bounds[1] + bounds[3]), zoom_min + 3 < zoom_max ? zoom_min + 3 : zoom_max);
-    if (terrain) {
+        map_document_join(json_pack("{s:s,s:s,s:s,s:s}", "tilejson", "3.0.0", "name", d->meta.name,
+                                    "attribution", d->meta.attribution, "scheme", "xyz"),
+                          map_document_tiles(d, edition, of, t, base));
+    json_t *center = map_document_center(a);
+    json_array_append_new(center, json_integer(zoom_min + 3 < zoom_max ? zoom_min + 3 : zoom_max));
+    json_object_set_new(o, "center", center);
+    if (of == MAP_DOCUMENT_TERRAIN) {
         json_object_set_new(
             o, "encoding", json_string(t->encoding == ENCODING_TERRARIUM ? "terrarium" : "mapbox"));
         char datum[HEIGHTS_WORDS_MAX];
@@ -65,6 +96,60 @@ enum err_code map_document_tilejson(const struct dataset *d, const char *edition
         json_object_set_new(o, "voidHeight", json_real((double)raster_base_m(a)));
     }
     return document_make(o, out, e);
+}
+
+/* ---- a style ---- */
+
+static const double MAP_DOCUMENT_FIT_PX = 480, /* edge of the survey in the first picture */
+    MAP_DOCUMENT_PITCH_DEG = 45, MAP_DOCUMENT_SHADE = 0.25;
+enum { MAP_DOCUMENT_WORLD_PX = 512 }; /* of MapLibre at zoom 0 */
+
+/* The zoom at which the survey is MAP_DOCUMENT_FIT_PX wide or high. */
+static double map_document_zoom(const struct area *a)
+{
+    double north_west[2], south_east[2];
+    key_place(a->west_deg, a->north_deg, north_west);
+    key_place(a->east_deg, a->south_deg, south_east);
+    const double edge = fmax(south_east[0] - north_west[0], south_east[1] - north_west[1]);
+    return edge > 0 ? log2(MAP_DOCUMENT_FIT_PX / (MAP_DOCUMENT_WORLD_PX * edge))
+                    : (double)raster_zoom_max(a);
+}
+
+/* Heights have no bounds: terrain tiles beyond the survey are flat at its floor, and without them
+ * MapLibre would have the city on a block above height 0. Terrain and hillshade have a source each,
+ * because MapLibre asks for that. */
+static json_t *map_document_sources(const struct dataset *d, const char *edition,
+                                    const struct target *t, const char *base)
+{
+    json_t *city = map_document_join(
+        json_pack("{s:s,s:s}", "type", "raster", "attribution", d->meta.attribution),
+        map_document_tiles(d, edition, MAP_DOCUMENT_COLOURS, t, base));
+    json_t *heights =
+        map_document_join(json_pack("{s:s,s:s}", "type", "raster-dem", "encoding", "mapbox"),
+                          map_document_tiles(d, edition, MAP_DOCUMENT_TERRAIN, t, base));
+    json_object_del(heights, "bounds");
+    return json_pack("{s:o,s:O,s:o}", "city", city, "terrain", heights, "hillshade", heights);
+}
+
+static json_t *map_document_layers(void)
+{
+    return json_pack("[{s:s,s:s,s:{s:s}},{s:s,s:s,s:s},{s:s,s:s,s:s,s:{s:f}}]", "id", "background",
+                     "type", "background", "paint", "background-color", "#e6e8e6", "id", "city",
+                     "type", "raster", "source", "city", "id", "hillshade", "type", "hillshade",
+                     "source", "hillshade", "paint", "hillshade-exaggeration", MAP_DOCUMENT_SHADE);
+}
+
+enum err_code map_document_style(const struct dataset *d, const char *edition,
+                                 const struct target *t, const char *base, struct body **out,
+                                 struct err *e)
+{
+    return document_make(json_pack("{s:i,s:s,s:o,s:f,s:f,s:o,s:{s:s,s:i},s:o}", "version", 8,
+                                   "name", d->meta.name, "center", map_document_center(&d->area),
+                                   "zoom", map_document_zoom(&d->area), "pitch",
+                                   MAP_DOCUMENT_PITCH_DEG, "sources",
+                                   map_document_sources(d, edition, t, base), "terrain", "source",
+                                   "terrain", "exaggeration", 1, "layers", map_document_layers()),
+                         out, e);
 }
 
 /* ---- WMTS ---- */

@@ -1,5 +1,5 @@
-/* Documents that lead map programs to the tiles of a dataset: TileJSON of colours and of heights,
- * and WMTS capabilities.
+/* Documents that lead map programs to the tiles of a dataset: TileJSON of colours and of heights, a
+ * style for MapLibre, and WMTS capabilities.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -16,6 +16,11 @@ enum map_document_of { MAP_DOCUMENT_COLOURS, MAP_DOCUMENT_TERRAIN };
 enum err_code map_document_tilejson(const struct dataset *d, const char *edition,
                                     enum map_document_of of, const struct target *t,
                                     const char *base, struct body **out, struct err *e) ERR_USE;
+/* A style (version 8): the city from straight above on its terrain, with hillshade, and a view that
+ * frames it in a window of 640 x 480 or larger. */
+enum err_code map_document_style(const struct dataset *d, const char *edition,
+                                 const struct target *t, const char *base, struct body **out,
+                                 struct err *e) ERR_USE;
 enum err_code map_document_wmts(const struct dataset *d, const char *edition,
                                 const struct target *t, const char *base, struct body **out,
                                 struct err *e) ERR_USE;

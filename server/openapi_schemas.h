@@ -55,6 +55,15 @@
       ",'tiles':{'type':'array','items':" OPENAPI_TEXT ",'minItems':1},'minzoom':" OPENAPI_INTEGER \
       ",'maxzoom':" OPENAPI_INTEGER ",'bounds':" OPENAPI_NUMBERS(                                  \
           4, 4) ",'center':" OPENAPI_NUMBERS(3, 3) ",'attribution':" OPENAPI_TEXT "}}")            \
+    X("Style",                                                                                     \
+      "{'type':'object','required':['version','sources','layers'],'properties':{"                  \
+      "'version':{'type':'integer','enum':[8]},'name':" OPENAPI_TEXT ",'center':" OPENAPI_NUMBERS( \
+          2, 2) ",'zoom':" OPENAPI_NUMBER ",'pitch':" OPENAPI_NUMBER                               \
+                ",'terrain':{'type':'object','required':['source'],'properties':{'source'"         \
+                ":" OPENAPI_TEXT ",'exaggeration':" OPENAPI_NUMBER                                 \
+                "}},'sources':{'type':'object',"                                                   \
+                "'additionalProperties':{'type':'object','required':['type','tiles']}}"            \
+                ",'layers':{'type':'array','items':{'type':'object','required':['id','type']}}}}") \
     X("Tileset",                                                                                   \
       "{'type':'object','required':['asset','geometricError','root'],'properties':{"               \
       "'asset':{'type':'object','required':['version'],'properties':{'version':" OPENAPI_TEXT "}}" \

@@ -404,9 +404,9 @@ static void tilejson_leads_to_tiles(void **state)
     assert_int_equal(status_of("GET", "/d/survey/map.json?appearance=noon", ""), 404);
     o = document("/collections/survey");
     char *dump = json_dumps(o, JSON_COMPACT);
-    for (int i = 0; i < 3; i++) {
+    for (int i = 0; i < 4; i++) {
         static const char *const links[] = {"../d/survey/map.json", "../d/survey/terrain.json",
-                                            "../d/survey/wmts.xml"};
+                                            "../d/survey/style.json", "../d/survey/wmts.xml"};
         assert_non_null(strstr(dump, links[i]));
     }
     free(dump);
@@ -421,6 +421,43 @@ static void tilejson_leads_to_tiles(void **state)
              t.rev);
     assert_string_equal(json_string_value(json_array_get(json_object_get(o, "tiles"), 0)), want);
     json_decref(o);
+}
+
+/* A style names the tiles that TileJSON names, and looks at the middle of the survey from where it
+ * is 480 of 512 * 2^zoom pixels. */
+static void style_leads_to_tiles(void **state)
+{
+    const struct area *a = nadir_area(f.nadir);
+    char want[256];
+    (void)state;
+    start();
+    json_t *o = document("/d/survey/style.json"), *center = json_object_get(o, "center");
+    const char *source, *kind;
+    json_t *sources = json_object_get(o, "sources");
+    static const char *const names[] = {"city", "terrain", "hillshade"};
+    assert_int_equal(json_integer_value(json_object_get(o, "version")), 8);
+    for (size_t i = 0; i < 3; i++) {
+        const json_t *one = json_object_get(sources, names[i]);
+        snprintf(want, sizeof want, "http://localhost/d/survey/r/%s/%s/{z}/{x}/{y}.%s", t.rev,
+                 i ? "terrain" : "map", i ? "png" : "webp");
+        source = json_string_value(json_array_get(json_object_get(one, "tiles"), 0));
+        assert_string_equal(source, want);
+        kind = json_string_value(json_object_get(one, "type"));
+        assert_string_equal(kind, i ? "raster-dem" : "raster");
+        assert_int_equal(json_integer_value(json_object_get(one, "maxzoom")), raster_zoom_max(a));
+        assert_int_equal(json_integer_value(json_object_get(one, "tileSize")), RASTER_PX);
+        assert_true(!json_object_get(one, "bounds") == (i > 0));
+    }
+    assert_true(fabs(json_number_value(json_array_get(center, 1)) -
+                     0.5 * (a->south_deg + a->north_deg)) < 1e-9);
+    double low[2], high[2];
+    key_place(a->west_deg, a->north_deg, low);
+    key_place(a->east_deg, a->south_deg, high);
+    const double edge = fmax(high[0] - low[0], high[1] - low[1]),
+                 px = 512 * edge * exp2(json_number_value(json_object_get(o, "zoom")));
+    assert_true(fabs(px - 480) < 1e-6);
+    json_decref(o);
+    assert_int_equal(status_of("GET", "/d/survey/style.json?appearance=noon", ""), 404);
 }
 
 /* The survey becomes private; out is what stands before each path of a signed address. */
@@ -817,6 +854,7 @@ int main(int argc, char **argv)
         HTTP_TEST(tiles_are_cached),
         HTTP_TEST(nonsense_is_refused),
         HTTP_TEST(tilejson_leads_to_tiles),
+        HTTP_TEST(style_leads_to_tiles),
         HTTP_TEST(gdal_opens_the_map),
         HTTP_TEST(gdal_opens_the_collection),
         HTTP_TEST(ogc_tiles_lead_to_tiles),

@@ -257,6 +257,7 @@ static void test_signed_addresses(void **state)
         {"/d/toy/tileset.json", "\"uri\":\"r/"},
         {"/d/toy/map.json", "\"http://localhost%s/d/toy/r/"},
         {"/d/toy/terrain.json", "\"http://localhost%s/d/toy/r/"},
+        {"/d/toy/style.json", "\"http://localhost%s/d/toy/r/"},
         {"/d/toy/wmts.xml", "\"http://localhost%s/d/toy/r/"},
         {"/d/toy/seed.ndjson?z=15-17", "{\"url\":\"r/"},
         {"/version", "\"toy\""},

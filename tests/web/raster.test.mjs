@@ -1,5 +1,6 @@
 // MapLibre and OpenLayers, which know nothing of Gaussians, show the city by its map tiles; MapLibre
-// raises it by its terrain tiles: what lies where, how high, no seam, and no error in the console.
+// raises it by its terrain tiles, by the recipes of docs/clients.md as printed: what lies where, how high, no seam,
+// and no error in the console.
 //
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
@@ -10,9 +11,11 @@ import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 
 import { openPage, useWholeBrowser } from "./lib/browser.mjs";
+import { measureContent } from "./lib/checks.mjs";
 import { BLUE_TOP, fCellCenter, ORIGIN, RED_TOP } from "./lib/city.mjs";
 import { placeOfEnu } from "./lib/geo.mjs";
 import { decodePng } from "./lib/png.mjs";
+import { snippets } from "./lib/snippets.mjs";
 import { firstDataSet, getBytes, getJson, GIVEN_TILES, openSource } from "./lib/source.mjs";
 
 useWholeBrowser();
@@ -23,7 +26,7 @@ const TIMEOUT_MS = 90000;
 const skip = { skip: GIVEN_TILES ? "needs the test city" : false };
 const PAGE = `<!doctype html><meta charset="utf-8"><link rel="icon" href="data:,">
 <link rel="stylesheet" href="/maplibre-gl/dist/maplibre-gl.css"><link rel="stylesheet" href="/ol/ol.css">
-<style>html,body,#map{margin:0;height:100%;background:#fff}</style><div id="map"></div>`;
+<style>html,body,#map{margin:0;height:100%;background:#fff}.maplibregl-ctrl-attrib{display:none!important}</style><div id="map"></div>`;
 const TYPES = { mjs: "text/javascript", js: "text/javascript", css: "text/css" };
 
 let source;
@@ -64,33 +67,52 @@ async function tileSource(type, file) {
     return { type, tiles: json.tiles, minzoom, maxzoom, bounds, tileSize, attribution, ...(encoding && { encoding }) };
 }
 
+// What went wrong. MapLibre itself cancels requests for tiles that its view does not need any more.
+const faults = () => opened.log.filter((line) => !line.endsWith("net::ERR_ABORTED"));
+
 async function screenshot(name) {
     const path = process.env.RASTER_SHOTS && join(process.env.RASTER_SHOTS, `${name}.png`);
     return decodePng(await opened.page.screenshot(path ? { path } : {}));
 }
 
-async function showMap(name, view, terrain) {
-    const sources = { city: await tileSource("raster", "map.json") };
-    if (terrain) sources.dem = await tileSource("raster-dem", "terrain.json");
-    const style = {
-        version: 8,
-        sources,
-        layers: [{ id: "city", type: "raster", source: "city", paint: { "raster-fade-duration": 0 } }],
-        ...(terrain && { terrain: { source: "dem", exaggeration: 1 } }),
-    };
+const [STYLE, SOURCES] = snippets("clients.md", "## MapLibre", "js");
+
+// A map that a recipe opens, or fills where it is given one.
+async function showMap(recipe) {
+    const code = recipe.replaceAll("{host}", source.url).replaceAll("{ds}", await firstDataSet(source.url));
     await opened.page.evaluate(
-        async ([style, view, timeout]) => {
-            const { Map: MapView } = await import("/maplibre-gl/dist/maplibre-gl.mjs");
+        async ([code, opens]) => {
+            const maplibregl = await import("/maplibre-gl/dist/maplibre-gl.mjs");
             window.shown?.remove();
-            window.shown = new MapView({ container: "map", style, attributionControl: false, ...view });
-            await new Promise((done, fail) => {
+            const empty = { version: 8, sources: {}, layers: [] };
+            const given = opens ? undefined : new maplibregl.Map({ container: "map", style: empty });
+            if (given) await given.once("load");
+            const run = new Function("maplibregl", "map", opens ? `${code.replace("const map", "map")}; return map;` : `${code}; return map;`);
+            window.shown = run(maplibregl, given);
+            window.failed = [];
+            window.shown.on("error", ({ error }) => window.failed.push(error.message));
+        },
+        [code, /new maplibregl\.Map/.test(code)],
+    );
+}
+
+// What a map shows from a view, or from its own where none is given, when all of it is there.
+async function lookAt(name, view) {
+    await opened.page.evaluate(
+        async ([view, timeout]) => {
+            const idle = new Promise((done, fail) => {
                 window.shown.once("idle", done);
-                window.shown.on("error", (e) => fail(e.error));
                 setTimeout(() => fail(new Error("never idle")), timeout);
             });
+            while (!window.shown.getLayer("city")) await window.shown.once("styledata");
+            window.shown.setPaintProperty("city", "raster-fade-duration", 0); // fading is not waited for
+            if (view) window.shown.jumpTo(view);
+            window.shown.triggerRepaint();
+            await idle;
         },
-        [style, view, TIMEOUT_MS],
+        [view, TIMEOUT_MS],
     );
+    assert.deepEqual(await opened.page.evaluate(() => window.failed), []);
     return screenshot(name);
 }
 
@@ -114,7 +136,7 @@ async function cityLies(picture, pixelOf) {
     assert.ok(blue[2] > blue[0] + 80 && blue[2] > blue[1] + 40, `blue tower: ${blue}`);
     assert.ok(yellow[0] > 180 && yellow[1] > 140 && yellow[2] < 110, `yellow F: ${yellow}`);
     assert.ok(Math.max(...ground) - Math.min(...ground) < 30 && ground[0] < 160, `ground: ${ground}`);
-    assert.deepEqual(opened.log, []);
+    assert.deepEqual(faults(), []);
 }
 
 // Pixels of ground, about the red tower, through which the page behind is seen: white. (North-west of the
@@ -137,15 +159,43 @@ async function countHoles(picture) {
 }
 
 test("MapLibre shows the map: the city lies where it is, without a seam", skip, async (t) => {
-    const picture = await showMap("maplibre", { center: MIDDLE, zoom: 17.4 }, false);
+    await showMap(SOURCES);
+    await opened.page.evaluate(() => window.shown.setTerrain(null));
+    const picture = await lookAt("maplibre", { center: MIDDLE, zoom: 17.4 });
     await cityLies(picture, pixelOf);
     const { within, holes } = await countHoles(picture);
     t.diagnostic(`${holes} of ${within} pixels show what is behind the map`);
     assert.ok(within > 20000 && holes === 0, `${holes} of ${within}`);
 });
 
+test("MapLibre opens the city by one address: in its frame, with its credit, upright", skip, async (t) => {
+    await showMap(STYLE);
+    const picture = await lookAt("maplibre-style");
+    const { bounds, attribution } = await getJson(await documentUrl("map.json"));
+    const [west, south, east, north] = bounds;
+    const corners = [[west, south], [east, south], [east, north], [west, north]];
+    const places = await opened.page.evaluate((all) => all.map((at) => window.shown.project(at)), corners);
+    const [wide, high] = ["x", "y"].map((axis) => {
+        const values = places.map((place) => place[axis]);
+        const side = axis === "x" ? SIZE.width : SIZE.height;
+        assert.ok(Math.min(...values) >= 0 && Math.max(...values) <= side, JSON.stringify(places));
+        return (Math.max(...values) - Math.min(...values)) / side;
+    });
+    t.diagnostic(`the survey takes ${wide.toFixed(2)} of the width, ${high.toFixed(2)} of the height`);
+    assert.ok(Math.max(wide, high) > 0.6, `${wide} of the width, ${high} of the height`);
+    assert.ok(measureContent(picture).colors > 10);
+    assert.match(await opened.page.textContent(".maplibregl-ctrl-attrib"), new RegExp(attribution));
+    const { pitch, terrain } = await opened.page.evaluate(() => ({
+        pitch: window.shown.getPitch(),
+        terrain: window.shown.getTerrain(),
+    }));
+    assert.ok(pitch > 30 && terrain, `pitch ${pitch}, ${JSON.stringify(terrain)}`);
+    assert.deepEqual(faults(), []);
+});
+
 test("MapLibre raises the map by the terrain: towers are as high as they are", skip, async (t) => {
-    const picture = await showMap("maplibre-terrain", { center: MIDDLE, zoom: 17, pitch: 60, bearing: 20 }, true);
+    await opened.page.evaluate(() => window.shown.setPaintProperty("background", "background-color", "#fff"));
+    const picture = await lookAt("maplibre-terrain", { center: MIDDLE, zoom: 17, pitch: 60, bearing: 20 });
     const heights = await opened.page.evaluate(
         (places) => places.map((at) => window.shown.queryTerrainElevation(at)),
         [RED_TOP, BLUE_TOP, [25, -25, 0]].map(lonLat),
@@ -158,7 +208,7 @@ test("MapLibre raises the map by the terrain: towers are as high as they are", s
     const { within, holes } = await countHoles(picture);
     t.diagnostic(`${holes} of ${within} pixels show what is behind the terrain`);
     assert.ok(within > 20000 && holes === 0, `${holes} of ${within}`);
-    assert.deepEqual(opened.log, []);
+    assert.deepEqual(faults(), []);
 });
 
 // Tiles of one zoom around the city as the server gives them, and how colours or heights change from

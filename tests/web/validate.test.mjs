@@ -1,14 +1,17 @@
 // Every served glTF tile through Khronos' validator and through the rules that Cesium, ArcGIS and
-// our own client need; the tileset document through the rules of 3D Tiles 1.1.
+// our own client need; the tileset document through the rules of 3D Tiles 1.1; the style through
+// MapLibre's own validator.
 //
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
 import { createRequire } from "node:module";
 import { after, before, test } from "node:test";
 
+import { validateStyleMin } from "@maplibre/maplibre-gl-style-spec";
+
 import { makeCity } from "./lib/city.mjs";
 import { decodeGlb, EXT, EXT_SPZ, findSpz } from "./lib/glb.mjs";
-import { firstDataSet, getBytes, getJson, GIVEN_TILES, openSource } from "./lib/source.mjs";
+import { firstDataSet, getBytes, getJson, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
 import { decodeSpz } from "./lib/spz.mjs";
 import { checkTileset, listContents } from "./lib/tileset.mjs";
 
@@ -39,6 +42,13 @@ after(() => source?.close());
 
 test("tileset.json keeps the rules", () => {
     assert.deepEqual(checkTileset(tileset), []);
+});
+
+test("MapLibre's validator has nothing against style.json", { skip: MOCK }, async () => {
+    const style = await getJson(tilesetUrl.replace("tileset.json", "style.json"));
+    assert.deepEqual(validateStyleMin(style), []);
+    // it does see what is wrong
+    assert.equal(validateStyleMin({ ...style, terrain: { source: 1 } }).length, 1);
 });
 
 test("the glTF validator finds only what it cannot know", async (t) => {
