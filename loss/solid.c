@@ -12,7 +12,7 @@
 
 extern const char vector_cl[], lanes_cl[], solid_cl[];
 
-enum { SOLID_MARGIN = 2 * SOLID_STRIDE_MAX, SOLID_SUMS = 4 };
+enum { SOLID_MARGIN = 2 * SOLID_STRIDE_MAX, SOLID_SUMS = 8 };
 
 struct solid {
     struct dev *dev; /* borrowed */
@@ -26,7 +26,7 @@ struct solid {
 
 struct solid_weights { /* as in solid.cl */
     cl_float spread, bend, light, focal, soft_px, spread_px, bend_px, cover, prior, prior_px,
-        known_zeta;
+        known_zeta, light_known, unknown;
     cl_uint stride;
 };
 
@@ -137,22 +137,26 @@ static enum err_code solid_launch(struct solid *s, struct render *r, const struc
                                   cl_mem grad, struct err *e)
 {
     double n = (double)in->width_px * in->height_px;
-    const struct solid_weights k = {
-        (cl_float)(in->spread / n), (cl_float)(in->bend / n),  (cl_float)(in->light / n),
-        (cl_float)in->focal_px,     (cl_float)SOLID_SOFT_PX,   (cl_float)SOLID_SPREAD_PX,
-        (cl_float)SOLID_BEND_PX,    (cl_float)SOLID_COVER_MIN, (cl_float)(in->prior / n),
-        (cl_float)SOLID_PRIOR_PX,   (cl_float)in->known_zeta,  in->stride};
+    const struct solid_weights k = {(cl_float)(in->spread / n), (cl_float)(in->bend / n),
+                                    (cl_float)(in->light / n),  (cl_float)in->focal_px,
+                                    (cl_float)SOLID_SOFT_PX,    (cl_float)SOLID_SPREAD_PX,
+                                    (cl_float)SOLID_BEND_PX,    (cl_float)SOLID_COVER_MIN,
+                                    (cl_float)(in->prior / n),  (cl_float)SOLID_PRIOR_PX,
+                                    (cl_float)in->known_zeta,   (cl_float)(in->light_known / n),
+                                    (cl_float)in->unknown,      in->stride};
     cl_mem moments = render_moments_buffer(r), transmit = render_transmittance_buffer(r);
     cl_uint w = in->width_px, h = in->height_px, pitch = solid_pitch(w),
             has_support = in->supported != NULL, has_known = in->known != NULL;
     cl_float cover = (cl_float)SOLID_BEND_COVER;
     cl_int bad = dev_arg(s->inverse, 0, moments);
     bad |= dev_arg(s->inverse, 1, transmit);
-    bad |= dev_arg(s->inverse, 2, w);
-    bad |= dev_arg(s->inverse, 3, h);
-    bad |= dev_arg(s->inverse, 4, pitch);
-    bad |= dev_arg(s->inverse, 5, cover);
-    bad |= dev_arg(s->inverse, 6, s->map);
+    bad |= dev_arg(s->inverse, 2, s->known);
+    bad |= dev_arg(s->inverse, 3, has_known);
+    bad |= dev_arg(s->inverse, 4, w);
+    bad |= dev_arg(s->inverse, 5, h);
+    bad |= dev_arg(s->inverse, 6, pitch);
+    bad |= dev_arg(s->inverse, 7, cover);
+    bad |= dev_arg(s->inverse, 8, s->map);
     bad |= dev_arg(s->grad, 0, moments);
     bad |= dev_arg(s->grad, 1, transmit);
     bad |= dev_arg(s->grad, 2, s->map);
@@ -202,7 +206,10 @@ enum err_code solid_read(struct solid *s, struct solid_value *out, struct err *e
         dev_read(s->dev, s->sums, 0, s->height_px * SOLID_SUMS * sizeof *s->rows, s->rows, e);
     for (size_t i = 0; !rc && i < (size_t)s->height_px * SOLID_SUMS; i++)
         sum[i % SOLID_SUMS] += (double)s->rows[i];
-    *out = (struct solid_value){
-        .spread = sum[0] / n, .bend = sum[1] / n, .light = sum[2] / n, .prior = sum[3] / n};
+    *out = (struct solid_value){.spread = sum[0] / n,
+                                .bend = sum[1] / n,
+                                .light = sum[2] / n,
+                                .prior = sum[3] / n,
+                                .light_known = sum[4] / n};
     return rc;
 }

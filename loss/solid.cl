@@ -1,7 +1,9 @@
 // The loss on solid surfaces: moments of depth -> their gradients. loss/solid.h has the equations.
-//   solid_inverse  moments [2][h][w], transmit [h][w] -> inverse [h + 2 MARGIN][pitch]: 1 / zeta, 0
-//                  where the pixel has no part in a bend; margins are 0 and stay so
-//   solid_grad     all of these -> grad [3][h][w], sums [h][4]: spread, bend, light, prior of a row
+//   solid_inverse  moments [2][h][w], transmit [h][w], known [h][w] -> inverse
+//                  [h + 2 MARGIN][pitch]: 1 / zeta, with a minus where other depths are known and
+//                  this one is not, 0 where the pixel has no part in a bend; margins are 0 and stay
+//   solid_grad     all of these -> grad [3][h][w], sums [h][8]: spread, bend, light, prior and
+//                  light_known of a row, 0, 0, 0
 // A work-item is a row, VW pixels at a time.
 // Reference: solid_ref.c.
 
@@ -51,8 +53,8 @@ INLINE V row_ask(__global const uchar *p, uint n) // 1 where p is not 0
 }
 
 __kernel void solid_inverse(__global const float *moments, __global const float *transmit,
-                            uint width, uint height, uint pitch, float cover,
-                            __global float *inverse)
+                            __global const float *known, uint has_known, uint width, uint height,
+                            uint pitch, float cover, __global float *inverse)
 {
     uint y = (uint)get_global_id(0);
     if (y >= height)
@@ -62,32 +64,41 @@ __kernel void solid_inverse(__global const float *moments, __global const float 
     for (uint x = 0; x < width; x += VW) {
         uint n = width - x;
         V a = 1.0f - row_load(transmit + row + x, n), m1 = row_load(moments + row + x, n);
-        V q = a / (a + m1);
-        row_store(out + x, ((a >= cover) & (q > 0.0f)) ? q : (V)(0.0f), n);
+        V q = a / (a + m1), sign = (V)(1.0f);
+        if (has_known)
+            sign = row_load(known + row + x, n) > 0.0f ? (V)(1.0f) : (V)(-1.0f);
+        row_store(out + x, ((a >= cover) & (q > 0.0f)) ? sign * q : (V)(0.0f), n);
     }
 }
 
 struct solid_weights { // over n
     float spread, bend, light, focal, soft_px, spread_px, bend_px, cover, prior, prior_px;
-    float known_zeta;
+    float known_zeta, light_known, unknown;
     uint stride;
 };
 
 // b of a triplet, 0 where one of it has no part.
 INLINE V bend_of(const struct solid_weights *k, V before, V q, V after)
 {
-    VI all = (before > 0.0f) & (q > 0.0f) & (after > 0.0f);
-    V b = k->focal * ((before - 2.0f * q + after) / q);
+    V p0 = fabs(before), p1 = fabs(q), p2 = fabs(after);
+    VI all = (p0 > 0.0f) & (p1 > 0.0f) & (p2 > 0.0f);
+    V b = k->focal * ((p0 - 2.0f * p1 + p2) / p1);
     return all ? b : (V)(0.0f);
+}
+
+// f of a triplet.
+INLINE V bend_part(const struct solid_weights *k, V q)
+{
+    return q < 0.0f ? (V)(k->unknown) : (V)(1.0f);
 }
 
 // dL/d(second difference) of a triplet.
 INLINE V bend_pull(const struct solid_weights *k, V before, V q, V after)
 {
-    V b = bend_of(k, before, q, after), r = b * (1.0f / k->bend_px);
-    V per = q > 0.0f ? k->focal / q : (V)(0.0f);
+    V b = bend_of(k, before, q, after), r = b * (1.0f / k->bend_px), p1 = fabs(q);
+    V per = p1 > 0.0f ? k->focal / p1 : (V)(0.0f);
     V more = 1.0f + r * r;
-    return k->bend * per * (b / (more * more));
+    return k->bend * bend_part(k, q) * per * (b / (more * more));
 }
 
 // dL/dq of a pixel from the three triplets of a line that it is in; adds to *sum.
@@ -96,7 +107,7 @@ INLINE V bend_line(const struct solid_weights *k, __global const float *at, int 
     V q0 = row_load(at - 2 * step, VW), q1 = row_load(at - step, VW), q2 = row_load(at, VW),
       q3 = row_load(at + step, VW), q4 = row_load(at + 2 * step, VW);
     V r = bend_of(k, q1, q2, q3) * (1.0f / k->bend_px);
-    *sum += r * r / (1.0f + r * r);
+    *sum += bend_part(k, q2) * (r * r / (1.0f + r * r));
     return bend_pull(k, q0, q1, q2) - 2.0f * bend_pull(k, q1, q2, q3) + bend_pull(k, q2, q3, q4);
 }
 
@@ -112,6 +123,8 @@ __kernel void solid_grad(__global const float *moments, __global const float *tr
     size_t row = (size_t)y * width, plane = (size_t)width * height;
     __global const float *q_row = inverse + (size_t)(y + MARGIN) * pitch + MARGIN;
     V spread = (V)(0.0f), prior = (V)(0.0f), bend = (V)(0.0f), light = (V)(0.0f);
+    V light_known = (V)(0.0f);
+    float part = has_known ? k.unknown : 1.0f; // f where depth is not known
     for (uint x = 0; x < width; x += VW) {
         uint n = width - x;
         size_t at = row + x;
@@ -128,12 +141,12 @@ __kernel void solid_grad(__global const float *moments, __global const float *tr
         V sigma = sqrt(v + e * e), c = is_known ? (V)(k.prior_px) : (V)(k.spread_px);
         V s = px * (sigma - e), r = s / c, more = 1.0f + r * r;
         V term = drawn ? a * (s / more + c * atan(r)) : (V)(0.0f);
-        spread += is_known ? (V)(0.0f) : term;
+        spread += is_known ? (V)(0.0f) : part * term;
         prior += is_known ? term : (V)(0.0f);
-        V weight = is_known ? (V)(k.prior) : (V)(k.spread);
+        V weight = is_known ? (V)(k.prior) : (V)(k.spread * part);
         V w = drawn ? weight * px * 0.5f / (sigma * more * more) : (V)(0.0f); // A over A
         V g1 = -2.0f * w * about, g2 = w, ga = w * (2.0f * d * about - second);
-        V q = row_load(q_row + x, n);
+        V q = fabs(row_load(q_row + x, n));
         if (k.bend > 0.0f) {
             V gq = bend_line(&k, q_row + x, (int)k.stride, &bend) +
                    bend_line(&k, q_row + x, (int)(k.stride * pitch), &bend);
@@ -142,12 +155,16 @@ __kernel void solid_grad(__global const float *moments, __global const float *tr
             ga += q * (1.0f - q) * gq;
         }
         V where = has_support ? row_ask(supported + at, n) * real : (V)(0.0f);
-        light += where * t;
+        VI there = t_known > 0.0f;
+        light += there ? (V)(0.0f) : where * t;
+        light_known += there ? where * t : (V)(0.0f);
+        V press = where * (there ? (V)(k.light_known) : (V)(k.light));
         row_store(grad + at, g1, n);
         row_store(grad + plane + at, g2, n);
-        row_store(grad + 2 * plane + at, k.light * where - ga, n);
+        row_store(grad + 2 * plane + at, press - ga, n);
     }
     float bends = 0.5f * k.bend_px * k.bend_px * lanes_sum(bend);
-    vstore4((float4)(0.5f * lanes_sum(spread), bends, lanes_sum(light), 0.5f * lanes_sum(prior)), y,
-            sums);
+    vstore8((float8)(0.5f * lanes_sum(spread), bends, lanes_sum(light), 0.5f * lanes_sum(prior),
+                     lanes_sum(light_known), 0.0f, 0.0f, 0.0f),
+            y, sums);
 }

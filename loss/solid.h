@@ -3,24 +3,28 @@
  * through ground that photographs see (light).
  *
  * For a pixel, A = 1 - T, D = sum w m / A and V = sum w m^2 / A - D^2 (render_moments_buffer). zeta
- * = 1 + D is its depth in units of the frame's depth. f is the focal length in pixels, e =
- * SOLID_SOFT_PX zeta / f, and n the number of pixels.
+ * = 1 + D is its depth in units of the frame's depth. focal is the focal length in pixels, e =
+ * SOLID_SOFT_PX zeta / focal, and n the number of pixels.
  *
- *     spread = 1/n sum A c/2 (r / (1 + r^2) + atan r),   r = s / c,   c = SOLID_SPREAD_PX,
- *              s = f / zeta (sqrt(V + e^2) - e),   over pixels of unknown depth
+ *     spread = 1/n sum f A c/2 (r / (1 + r^2) + atan r),   r = s / c,   c = SOLID_SPREAD_PX,
+ *              s = focal / zeta (sqrt(V + e^2) - e),   over pixels of unknown depth
  *     prior  = the same over pixels of known depth zeta*, with c = SOLID_PRIOR_PX and
  *              V + (zeta - zeta*)^2 = sum w (m - m*)^2 / A in place of V
- *     bend   = 1/n sum over x, y of c^2/2 r^2 / (1 + r^2),   r = b / c,   c = SOLID_BEND_PX,
- *              b = f zeta (q- - 2 q + q+),   q = 1 / zeta
- *     light  = 1/n sum of T over the supported pixels
+ *     bend   = 1/n sum over x, y of f c^2/2 r^2 / (1 + r^2),   r = b / c,   c = SOLID_BEND_PX,
+ *              b = focal zeta (q- - 2 q + q+),   q = 1 / zeta
+ *     light  = 1/n sum of T over the supported pixels; light_known: those of known depth
+ *
+ * f is 1. In a photograph with known depths it is `unknown` at pixels whose own depth is not known:
+ * there photographs do not agree (narrow courts, edges, trees), and what closes and smooths a
+ * surface fills courts.
  *
  * s is the standard deviation of depth along the ray. b is the distance of a pixel's depth from the
  * line between the depths of the pixels `stride` to either side; inverse depth is linear over a
  * plane. s and b are in footprints of a pixel. The terms are A s and b^2 / 2 where r is small, and
  * their slopes fall with 1 / (1 + r^2)^2 (Geman and McClure 1985): they let go of what is large. At
  * an edge two surfaces share the light, and depth bends by many footprints. A loss that still pulls
- * there, if only weakly, lifts the ground of narrow courts. The factors A, f / zeta and f zeta are
- * held fixed. Otherwise a Gaussian could lower the loss by moving away.
+ * there, if only weakly, lifts the ground of narrow courts. The factors A, focal / zeta and
+ * focal zeta are held fixed. Otherwise a Gaussian could lower the loss by moving away.
  *
  * V is the distortion of a ray in 2DGS (Huang et al. 2024; first in Mip-NeRF 360, Barron et al.
  * 2022), without the factor A^2.
@@ -36,7 +40,7 @@
 
 #define SOLID_SOFT_PX 0.25   /* the gradient of smaller spreads goes to 0 */
 #define SOLID_SPREAD_PX 4.0  /* the gradient of larger spreads goes to 0 */
-#define SOLID_PRIOR_PX 100.0 /* the gradient of larger distances from a known depth goes to 0 */
+#define SOLID_PRIOR_PX 4.0   /* the gradient of larger distances from a known depth goes to 0 */
 #define SOLID_BEND_PX 2.0    /* the gradient of larger bends goes to 0 */
 #define SOLID_COVER_MIN 0.1  /* least A of a pixel with a spread */
 #define SOLID_BEND_COVER 0.5 /* least A of the pixels of a bend */
@@ -46,6 +50,8 @@ struct solid_input {
     uint32_t width_px, height_px;
     double focal_px;                   /* fx */
     double spread, prior, bend, light; /* weights */
+    double light_known;                /* weight of light where depth is known */
+    double unknown;                    /* f of pixels of unknown depth, if `known` is given */
     uint32_t stride;                   /* of the bend, px, 1 to SOLID_STRIDE_MAX */
     const uint8_t *supported;          /* [h][w], not 0: light counts; NULL: nowhere; borrowed */
     const float
@@ -53,7 +59,7 @@ struct solid_input {
     double known_zeta;
 };
 struct solid_value {
-    double spread, prior, bend, light; /* the terms without weights */
+    double spread, prior, bend, light, light_known; /* the terms without weights */
 };
 struct solid; /* compiled kernels and buffers */
 /* Builds the kernels. Free *out with solid_close. ERR_DEVICE, ERR_MEM. */

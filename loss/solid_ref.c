@@ -28,14 +28,16 @@ static bool solid_spreads(const double m[3])
 struct solid_about {
     bool known;
     double m, c, weight; /* m*, if it is known; c of the term, and its weight */
+    double part;         /* f */
 };
 
 static struct solid_about solid_about(const struct solid_input *in, size_t at)
 {
     double t = in->known ? (double)in->known[at] : 0.0;
     if (t > 0.0)
-        return (struct solid_about){true, in->known_zeta / t - 1, SOLID_PRIOR_PX, in->prior};
-    return (struct solid_about){false, 0, SOLID_SPREAD_PX, in->spread};
+        return (struct solid_about){true, in->known_zeta / t - 1, SOLID_PRIOR_PX, in->prior, 1};
+    double part = in->known ? in->unknown : 1;
+    return (struct solid_about){false, 0, SOLID_SPREAD_PX, in->spread, part};
 }
 
 /* V, about the known depth if there is one; below 0 by rounding alone. */
@@ -94,17 +96,19 @@ struct solid_value solid_ref_value(const struct solid_input *in, const double *m
         if (solid_spreads(moments + 3 * at)) {
             struct solid_about about = solid_about(in, at);
             double s = solid_sigma(in, at, moments + 3 * at, held + 3 * at), c = about.c;
-            *(about.known ? &v.prior : &v.spread) += (1 - held[3 * at + 2]) *
+            *(about.known ? &v.prior : &v.spread) += about.part * (1 - held[3 * at + 2]) *
                                                      (s / (1 + s * s / (c * c)) + c * atan(s / c)) /
                                                      (2 * (double)n);
         }
         for (int axis = 0; axis < 2; axis++) {
             double b, factor, c = SOLID_BEND_PX;
             if (solid_bend(in, moments, held, at, axis, &b, &factor))
-                v.bend += b * b / (1 + b * b / (c * c)) / (2 * (double)n);
+                v.bend +=
+                    solid_about(in, at).part * b * b / (1 + b * b / (c * c)) / (2 * (double)n);
         }
         if (in->supported && in->supported[at])
-            v.light += moments[3 * at + 2] / (double)n;
+            *(solid_about(in, at).known ? &v.light_known : &v.light) +=
+                moments[3 * at + 2] / (double)n;
     }
     return v;
 }
@@ -128,7 +132,7 @@ static void solid_add_bends(const struct solid_input *in, const double *moments,
         if (!solid_bend(in, moments, moments, at, axis, &b, &factor))
             continue;
         double more = 1 + b * b / (SOLID_BEND_PX * SOLID_BEND_PX),
-               pull = in->bend / n * factor * b / (more * more);
+               pull = in->bend / n * solid_about(in, at).part * factor * b / (more * more);
         for (int k = 0; k < 3; k++) {
             const double *m = solid_beside(in, moments, at, axis, k - 1);
             solid_add_inverse(m, pull * part[k], grad + (m - moments));
@@ -149,7 +153,7 @@ void solid_ref_grad(const struct solid_input *in, const double *moments, double 
                    m = about.known ? about.m : p.d, v = solid_variance(p, about);
             double sigma = sqrt(v + soft * soft), s = px * (sigma - soft);
             double more = 1 + s * s / (about.c * about.c),
-                   g_s = about.weight / (double)n * p.a / (more * more);
+                   g_s = about.weight * about.part / (double)n * p.a / (more * more);
             double g_v = g_s * px / (2 * sigma);
             g[1] += g_v / p.a;
             g[0] -= g_v * 2 * m / p.a;
@@ -157,6 +161,6 @@ void solid_ref_grad(const struct solid_input *in, const double *moments, double 
         }
         solid_add_bends(in, moments, at, grad);
         if (in->supported && in->supported[at])
-            g[2] += in->light / (double)n;
+            g[2] += (solid_about(in, at).known ? in->light_known : in->light) / (double)n;
     }
 }

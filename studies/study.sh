@@ -15,6 +15,7 @@
 #   CITYSPLAT_OCHOTA      the same of the ochota survey (docs/exposure.md)
 #   STUDY_STEPS           steps of every training, for a trial; as stated if not given, and pages take nothing shorter
 #   STUDY_SEEDS           the seeds to run of those stated, "1 2"; all if not given
+#   STUDY_ROWS            the rows to run of the studies on solid surfaces, "stereo off"; all if not given
 #   STUDY_COMMIT          the commit that the programs were built of; HEAD if not given, which must then be clean
 #   STUDY_OUT             where scenes and trained cells go [out/study]
 #   STUDY_RUNS            where runs are recorded [docs/runs]
@@ -525,11 +526,16 @@ study_background_caliterra() { seeded background_caliterra on_caliterra backgrou
 
 # Solid surfaces, with known depths, without, and without the terms. CALL is `row`, or `repeat`.
 solid_rows() { # CALL STUDY SCENE TRAIN-OPTIONS
-  local call=$1 study=$2 scene=$3
+  local call=$1 study=$2 scene=$3 name
   shift 3
-  "$call" "$study" stereo "$scene" "" "$@" --depth-prior "$OUT/$scene-depth"
-  "$call" "$study" default "$scene" "" "$@"
-  "$call" "$study" off "$scene" "" "$@" --solid-spread 0 --solid-bend 0 --solid-light 0
+  for name in ${STUDY_ROWS:-stereo default off}; do
+    case $name in
+      stereo) "$call" "$study" stereo "$scene" "" "$@" --depth-prior "$OUT/$scene-depth" ;;
+      default) "$call" "$study" default "$scene" "" "$@" ;;
+      off) "$call" "$study" off "$scene" "" "$@" --solid-spread 0 --solid-bend 0 --solid-light 0 ;;
+      *) die "STUDY_ROWS: no row '$name' of stereo, default, off" ;;
+    esac
+  done
 }
 solid_terms_rows() { # STUDY SCENE TRAIN-OPTIONS
   local study=$1 scene=$2

@@ -38,6 +38,8 @@ static struct solid_input input(uint32_t stride)
                                 .prior = 0.8,
                                 .bend = 0.9,
                                 .light = 1.3,
+                                .light_known = 0.6,
+                                .unknown = 0.4,
                                 .stride = stride,
                                 .supported = support,
                                 .known = known,
@@ -63,7 +65,8 @@ static double *moments_make(uint64_t seed)
 static double weighted(const struct solid_input *in, const double *moments, const double *held)
 {
     struct solid_value v = solid_ref_value(in, moments, held);
-    return in->spread * v.spread + in->prior * v.prior + in->bend * v.bend + in->light * v.light;
+    return in->spread * v.spread + in->prior * v.prior + in->bend * v.bend + in->light * v.light +
+           in->light_known * v.light_known;
 }
 
 /* A pixel whose cover is not within a step of a threshold. */
@@ -150,6 +153,8 @@ static void check_kernels(uint32_t width, struct view_case *s, uint32_t stride)
     assert_true(fabs(got.spread - v.spread) < VALUE_REL * v.spread);
     assert_true(fabs(got.bend - v.bend) < VALUE_REL * v.bend);
     assert_true(fabs(got.light - v.light) < VALUE_REL * v.light);
+    assert_true(v.light_known > 0.02 &&
+                fabs(got.light_known - v.light_known) < VALUE_REL * v.light_known);
     solid_close(&solid);
     render_model_free(&model);
     render_close(&r);
@@ -208,7 +213,7 @@ static void test_by_hand(void **state)
     s = px_m * (sqrt(0.04 * 2 / 3 + soft * soft) - soft);
     r = s / SOLID_PRIOR_PX;
     assert_true(fabs(v.prior - 0.75 * 0.5 * (s / (1 + r * r) + SOLID_PRIOR_PX * atan(r))) < 1e-9);
-    assert_true(v.spread == 0.0);
+    assert_true(v.spread == 0.0 && v.light == 0.0 && fabs(v.light_known - 0.25 * 19 / 40) < 1e-9);
     mem_free(m);
 }
 

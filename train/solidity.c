@@ -6,6 +6,7 @@
 #include "train/solidity.h"
 
 #include <math.h>
+#include <string.h>
 
 #include "cells/footprint.h"
 #include "codec/scene.h"
@@ -50,7 +51,8 @@ static bool solidity_has_begun(const struct train_config *c, const struct stage 
 bool solidity_acts(const struct train_config *c, const struct stage *at)
 {
     bool own = c->solid_spread > 0.0 || c->solid_bend > 0.0 || c->solid_light > 0.0;
-    return ((c->solid_prior > 0.0 || own) && solidity_has_begun(c, at));
+    bool known = c->solid_prior > 0.0 && c->depth_prior && strcmp(c->depth_prior, "none");
+    return (own || known) && solidity_has_begun(c, at);
 }
 
 double solidity_unit_m(const struct site *site)
@@ -102,6 +104,8 @@ enum err_code solidity_step(struct solidity **own, const struct site *site, cons
         .prior = c->solid_prior * fade * begun,
         .bend = c->solid_bend * fade * begun,
         .light = c->solid_light * begun,
+        .light_known = c->solid_light_known * begun,
+        .unknown = c->solid_unknown,
         .stride = strides[at->step % (sizeof strides / sizeof *strides)],
         .supported = supported,
         .known = known.t,
