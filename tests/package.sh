@@ -1,0 +1,93 @@
+#!/usr/bin/env bash
+# The Debian package on a system that has nothing of it: its contents and fields, then installed into a clean Debian
+# (debootstrap) with what it depends on, and used there: from a procedural city to a served tile.
+#   tests/package.sh PACKAGE.deb [CHROOT]     CHROOT: a debootstrap of before; it is not changed
+# Without root it is unpacked into a folder and run with the libraries of this system.
+#
+# SPDX-License-Identifier: Apache-2.0
+set -euo pipefail
+package=$(realpath "$1") base=${2:-}
+version=$(dpkg-deb -f "$package" Version)
+work=$(mktemp -d)
+trap 'rm -rf --one-file-system "$work"' EXIT
+fail() { echo "FAILED: $*" >&2; exit 1; }
+
+# ---- contents
+
+dpkg-deb -c "$package" | awk '{ print $6 }' >"$work/list"
+for file in bin/citysplat lib/citysplat/citysplat-image.so lib/citysplat/citysplat-gdal.so share/man/man1/citysplat.1.gz \
+    share/man/man1/citysplat-serve.1.gz share/bash-completion/completions/citysplat share/zsh/site-functions/_citysplat \
+    share/fish/vendor_completions.d/citysplat.fish lib/systemd/system/citysplat.service lib/systemd/system/citysplat.socket \
+    share/citysplat/web/index.html share/citysplat/web/viewer.js share/citysplat/web/LICENSES.txt share/doc/citysplat/copyright \
+    share/doc/citysplat/CHANGELOG.md.gz share/doc/citysplat/sbom.spdx.json share/doc/citysplat/licences-npm.txt \
+    share/doc/citysplat/examples/serve.jsonc share/doc/citysplat/examples/nginx.conf; do
+    grep -qx "./usr/$file" "$work/list" || fail "no /usr/$file in the package"
+done
+! grep -vE '^\./(usr/.*)?$' "$work/list" || fail 'files outside of /usr'
+dpkg-deb -c "$package" | awk '$2 != "root/root" || $1 ~ /^.{5}w|^.{8}w|[sS]/ && $1 !~ /^l/ { print; bad = 1 } END { exit bad }' || fail 'owners or permissions'
+depends=$(dpkg-deb -f "$package" Depends)
+for name in libc6 libsqlite3-0 libgdal32 libopenimageio2.4 libmicrohttpd12 ocl-icd-libopencl1; do
+    case $depends in *"$name"*) ;; *) fail "it does not depend on $name: $depends" ;; esac
+done
+echo "contents: $(wc -l <"$work/list") entries, $(($(stat -c %s "$package") / 1024)) KiB"
+
+# ---- use
+
+cat >"$work/use.sh" <<'USE'
+set -eu
+version=$1 work=$(mktemp -d)
+cd "$work"
+export XDG_CACHE_HOME=$work/cache POCL_CACHE_DIR=$work/cache/pocl
+[ "$(citysplat --version)" = "citysplat $version" ]
+citysplat synth -o city --photos 24 --width-px 160 --height-px 120 --extent-m 100 -q
+citysplat ingest city/images city -o scene -q
+citysplat train scene --iterations 20,20,20 -q
+citysplat tile scene -o city.tiles -q
+citysplat ortho city.tiles -o ortho.tif -q # the plug-in with GDAL
+[ -s ortho.tif ]
+citysplat serve city.tiles --port 18080 --address 127.0.0.1 >log 2>&1 &
+server=$!
+n=0
+until curl -fsS -o /dev/null http://127.0.0.1:18080/readyz 2>/dev/null; do
+    n=$((n + 1))
+    [ $n -lt 300 ] && kill -0 $server || { cat log; exit 1; }
+    sleep 0.2
+done
+curl -fsS http://127.0.0.1:18080/d/city/tileset.json >tileset.json
+tile=$(tr ',' '\n' <tileset.json | sed -n 's/.*"uri": *"\([^"]*\.glb[^"]*\)".*/\1/p' | head -1)
+case $tile in /*) ;; *) tile=/d/city/$tile ;; esac
+curl -fsS "http://127.0.0.1:18080$tile" >tile.glb
+[ "$(head -c 4 tile.glb)" = glTF ]
+curl -fsS http://127.0.0.1:18080/ | grep -q '<html'
+curl -fsS -o view.jpg "http://127.0.0.1:18080/d/city/view.jpg?width=64&height=48"
+echo "used: a tile of $(wc -c <tile.glb) bytes, a view of $(wc -c <view.jpg) bytes"
+kill $server
+wait $server
+cd /
+rm -rf "$work"
+USE
+
+if [ "$(id -u)" != 0 ] || ! command -v debootstrap >/dev/null; then
+    echo 'not root, or no debootstrap: unpacked, with the libraries of this system'
+    dpkg-deb -x "$package" "$work/root"
+    PATH=$work/root/usr/bin:$PATH sh "$work/use.sh" "$version"
+    exit
+fi
+mirror=$(sed -n 's/^URIs: *\(\S*\)$/\1/p; s/^deb \(\[.*\] \)\?\(\S*\) .*/\2/p' /etc/apt/sources.list /etc/apt/sources.list.d/debian* 2>/dev/null | head -1 || true)
+root=$work/root
+if [ -n "$base" ]; then cp -a "$base" "$root"; else
+    debootstrap --variant=minbase bookworm "$root" "${mirror:-http://deb.debian.org/debian}" >"$work/log" 2>&1 || { tail -20 "$work/log"; fail debootstrap; }
+fi
+cp "$package" "$root/tmp/citysplat.deb"
+cp "$work/use.sh" "$root/tmp/use.sh"
+cp /etc/resolv.conf "$root/etc/resolv.conf"
+# A namespace of its own for mounts: nothing has to be undone. The program finds its
+# folder by /proc/self/exe, and PoCL its cores in /sys.
+inside() { unshare --mount sh -c 'mount -t proc proc "$0/proc" && mount --rbind /sys "$0/sys" && exec chroot "$0" env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root DEBIAN_FRONTEND=noninteractive "$@"' "$root" "$@"; }
+inside apt-get update -qq
+inside apt-get install -y -qq --no-install-recommends /tmp/citysplat.deb pocl-opencl-icd curl >"$work/log" 2>&1 || { tail -30 "$work/log"; fail 'apt-get install'; }
+inside sh /tmp/use.sh "$version"
+inside apt-get purge -y -qq citysplat >"$work/log" 2>&1 || { tail -30 "$work/log"; fail 'apt-get purge'; }
+left=$(inside find /usr /lib/systemd /var/lib -name '*citysplat*' -not -path '/var/lib/dpkg/*' 2>/dev/null || true)
+[ -z "$left" ] || fail "purged, and still there: $left"
+echo "installed into a clean Debian $(cat "$root/etc/debian_version"), used, removed"
