@@ -16,7 +16,7 @@
 #include "loss/photometric.h"
 #include "render/render.h"
 
-enum { SEED = 7 };
+enum { SEED = 7, STEP_KERNELS_MAX = 64 };
 
 struct step_case {
     struct dev *dev; /* borrowed */
@@ -294,6 +294,53 @@ enum err_code bench_step_at(struct bench *b, const char *name, size_t n, uint32_
         bench_report_at(b, name, ms, "ms", (double)n, (double)width_px * height_px);
     step_free(&c);
     return rc;
+}
+
+/* What of an iteration each kernel takes, on the device's own clock, and what is left of it: gaps
+ * between launches, the host's work and its waiting. */
+static enum err_code step_kernels(struct bench *b, size_t n, uint32_t w, uint32_t h, struct err *e)
+{
+    struct step_case c;
+    struct dev_time times[STEP_KERNELS_MAX];
+    size_t n_times = 0;
+    double all_ms = 0, kernels_ms = 0;
+    char text[128];
+    enum err_code rc = step_open(b, n, w, h, false, &c, e), ended;
+    if (!rc)
+        rc = bench_time(b, step_once, &c, &all_ms, NULL, e);
+    if (!rc)
+        rc = dev_time_begin(b->dev, e);
+    for (int i = 0; !rc && i < b->runs; i++)
+        rc = step_once(&c, e);
+    if (b->dev->timing) {
+        ended = dev_time_end(b->dev, times, STEP_KERNELS_MAX, &n_times, e);
+        rc = rc ? rc : ended;
+    }
+    for (size_t i = 0; !rc && i < n_times; i++) {
+        double ms = times[i].ms / b->runs;
+        kernels_ms += ms;
+        snprintf(text, sizeof text, "%s (%.3g launches)", times[i].name,
+                 (double)times[i].launches / b->runs);
+        bench_report_at(b, text, ms, "ms", (double)n, (double)w * h);
+    }
+    if (!rc) {
+        const struct render_stats *s = render_last_stats(c.render);
+        bench_report_at(b, "visible", (double)s->visible, "Gaussians", (double)n, (double)w * h);
+        bench_report_at(b, "intersections", (double)s->intersections, "intersections", (double)n,
+                        (double)w * h);
+        bench_report_at(b, "all but kernels", all_ms - kernels_ms, "ms", (double)n, (double)w * h);
+        bench_report_at(b, "training iteration", all_ms, "ms", (double)n, (double)w * h);
+    }
+    step_free(&c);
+    return rc;
+}
+
+enum err_code bench_kernels(struct bench *b, struct err *e)
+{
+    enum err_code rc = step_kernels(b, b->quick ? 5000 : 100000, 400, 300, e);
+    if (!rc && !b->quick)
+        rc = step_kernels(b, 1000000, 1280, 720, e);
+    return rc || b->quick || b->dev->is_cpu ? rc : step_kernels(b, 6840000, 1600, 1200, e);
 }
 
 /* Whole iterations against Gaussians at 1280 x 720, and against pixels with 100,000 Gaussians. */

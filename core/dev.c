@@ -311,32 +311,81 @@ void dev_close(struct dev *d)
 
 /* ---- programs ---- */
 
+static size_t dev_lines(const char *text)
+{
+    size_t n = 0;
+    for (; *text; text++)
+        n += *text == '\n';
+    return n;
+}
+
+/* The file and its line that line `line` of all pieces is. */
+static const char *dev_line_of(unsigned long *line, const char *const *text,
+                               const char *const *names, size_t n_text)
+{
+    unsigned long before = 0;
+    for (size_t i = 0; i < n_text; i++) {
+        unsigned long lines = dev_lines(text[i]);
+        if (i % 2 && *line > before && *line <= before + lines + 1) {
+            *line -= before;
+            return names[i / 2];
+        }
+        before += lines;
+    }
+    return NULL;
+}
+
+void dev_cite(const char *log, const char *const *text, const char *const *names, size_t n_text,
+              struct buf *out)
+{
+    static const char mark[] = "<kernel>:";
+    const char *at;
+    while ((at = strstr(log, mark)) != NULL) {
+        char *end;
+        unsigned long line = strtoul(at + sizeof mark - 1, &end, 10);
+        const char *name = dev_line_of(&line, text, names, n_text);
+        buf_printf(out, "%.*s", (int)(at - log), log);
+        if (name)
+            buf_printf(out, "%s:%lu", name, line);
+        else
+            buf_printf(out, "%.*s", (int)(end - at), at);
+        log = end;
+    }
+    buf_printf(out, "%s", log);
+}
+
 /* As much of the compiler's log as an err holds (its first error comes first); all of it at debug
  * level. */
-static enum err_code dev_build_error(struct dev *d, cl_program program, const char *name,
-                                     cl_int code, struct err *e)
+static enum err_code dev_build_error(struct dev *d, cl_program program, const char *const *text,
+                                     const char *const *names, size_t n_text, cl_int code,
+                                     struct err *e)
 {
+    const char *name = names[n_text / 2 - 1];
     size_t size = 0;
-    char *text = NULL;
+    char *log = NULL;
+    struct buf cited = {0};
     enum err_code rc = ERR_DEVICE;
     if (clGetProgramBuildInfo(program, d->device, CL_PROGRAM_BUILD_LOG, 0, NULL, &size) ==
         CL_SUCCESS)
-        text = mem_array(size + 1, 1);
-    if (text && clGetProgramBuildInfo(program, d->device, CL_PROGRAM_BUILD_LOG, size, text, NULL) ==
-                    CL_SUCCESS) {
-        log_debug("dev", "build log of %s:\n%s", name, text);
-        rc = err_set(e, ERR_DEVICE, "dev_build: %s: %s:\n%s", name, dev_error_name(code), text);
+        log = mem_array(size + 1, 1);
+    if (log && clGetProgramBuildInfo(program, d->device, CL_PROGRAM_BUILD_LOG, size, log, NULL) ==
+                   CL_SUCCESS) {
+        dev_cite(log, text, names, n_text, &cited);
+        const char *told = cited.failed ? log : (const char *)cited.data;
+        log_debug("dev", "build log of %s:\n%s", name, told);
+        rc = err_set(e, ERR_DEVICE, "dev_build: %s: %s:\n%s", name, dev_error_name(code), told);
     } else {
         rc = dev_fail(e, code, "dev_build", name);
     }
-    mem_free(text);
+    buf_free(&cited);
+    mem_free(log);
     return rc;
 }
 
 enum err_code dev_build(struct dev *d, const struct dev_source *sources, size_t n_sources,
                         const char *options, cl_program *out, struct err *e)
 {
-    const char *text[2 * (SOURCES_MAX + 1)];
+    const char *text[2 * (SOURCES_MAX + 1)], *names[SOURCES_MAX + 1];
     char lines[SOURCES_MAX + 1][160], flags[1024];
     cl_int code = CL_SUCCESS;
     cl_program program = NULL;
@@ -345,8 +394,8 @@ enum err_code dev_build(struct dev *d, const struct dev_source *sources, size_t 
     assert(n_sources > 0 && n_sources <= SOURCES_MAX);
     *out = NULL;
     for (size_t i = 0; i <= n_sources; i++) {
-        const char *name = i ? sources[i - 1].name : "core/layout.h";
-        snprintf(lines[i], sizeof lines[i], "\n#line 1 \"%s\"\n", name);
+        names[i] = i ? sources[i - 1].name : "core/layout.h";
+        snprintf(lines[i], sizeof lines[i], "\n#line 1 \"%s\"\n", names[i]);
         text[2 * i] = lines[i];
         text[2 * i + 1] = i ? sources[i - 1].text : layout_h;
     }
@@ -365,7 +414,7 @@ enum err_code dev_build(struct dev *d, const struct dev_source *sources, size_t 
     code = clBuildProgram(program, 1, &d->device, flags, NULL, NULL);
     d->compile_s += clock_s() - start_s;
     if (code != CL_SUCCESS) {
-        rc = dev_build_error(d, program, sources[n_sources - 1].name, code, e);
+        rc = dev_build_error(d, program, text, names, 2 * (n_sources + 1), code, e);
         clReleaseProgram(program);
         return rc;
     }
@@ -497,6 +546,86 @@ enum err_code dev_unmap(struct dev *d, cl_mem m, void **mapped, struct err *e)
 
 /* ---- launches ---- */
 
+enum { DEV_TIMED_MAX = 8192 };
+struct dev_timing {
+    cl_command_queue plain; /* the device's own, put aside for one that keeps times */
+    struct dev_timed {
+        const char *name;
+        cl_event event;
+    } launch[DEV_TIMED_MAX];
+    size_t n;
+};
+
+enum err_code dev_time_begin(struct dev *d, struct err *e)
+{
+    cl_int code = clFinish(d->queue);
+    struct dev_timing *t = mem_array(1, sizeof *t);
+    if (!t)
+        return err_set(e, ERR_MEM, "dev_time_begin: out of memory");
+    t->plain = d->queue;
+    cl_command_queue timed = NULL;
+    if (code == CL_SUCCESS)
+        timed = clCreateCommandQueue(d->context, d->device, CL_QUEUE_PROFILING_ENABLE, &code);
+    if (code != CL_SUCCESS) {
+        mem_free(t);
+        return dev_fail(e, code, "dev_time_begin", d->name);
+    }
+    d->queue = timed;
+    d->timing = t;
+    return ERR_OK;
+}
+
+static cl_int dev_timed_add(const struct dev_timed *l, struct dev_time *out, size_t max, size_t *n)
+{
+    cl_ulong from = 0, to = 0;
+    cl_int code =
+        clGetEventProfilingInfo(l->event, CL_PROFILING_COMMAND_START, sizeof from, &from, NULL);
+    if (code == CL_SUCCESS)
+        code = clGetEventProfilingInfo(l->event, CL_PROFILING_COMMAND_END, sizeof to, &to, NULL);
+    size_t at = 0;
+    while (at < *n && strcmp(out[at].name, l->name) != 0)
+        at++;
+    if (code != CL_SUCCESS || at == max)
+        return code;
+    if (at == *n)
+        out[(*n)++] = (struct dev_time){.name = l->name};
+    out[at].launches++;
+    out[at].ms += (double)(to - from) * 1e-6;
+    return CL_SUCCESS;
+}
+
+enum err_code dev_time_end(struct dev *d, struct dev_time *out, size_t max, size_t *n,
+                           struct err *e)
+{
+    struct dev_timing *t = d->timing;
+    cl_int code = clFinish(d->queue);
+    if (out)
+        *n = 0;
+    for (size_t i = 0; t && i < t->n; i++) {
+        if (out && code == CL_SUCCESS)
+            code = dev_timed_add(&t->launch[i], out, max, n);
+        clReleaseEvent(t->launch[i].event);
+    }
+    if (t) {
+        clReleaseCommandQueue(d->queue);
+        d->queue = t->plain;
+    }
+    mem_free(t);
+    d->timing = NULL;
+    return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_time_end", d->name);
+}
+
+/* Enqueues a launch; keeps its event if kernels are timed. */
+static cl_int dev_enqueue(struct dev *d, cl_kernel k, const char *name, size_t global, size_t local)
+{
+    struct dev_timing *t = d->timing && d->timing->n < DEV_TIMED_MAX ? d->timing : NULL;
+    cl_event *event = t ? &t->launch[t->n].event : NULL;
+    cl_int code = clEnqueueNDRangeKernel(d->queue, k, 1, NULL, &global, &local, 0, NULL, event);
+    if (t && code == CL_SUCCESS)
+        t->launch[t->n++].name = name;
+    return code;
+}
+
 enum { DEV_SMALL_GRID = 65535 }; /* PoCL: work-items in a row that its smaller version is for */
 
 /* Was this kernel launched before with such a size? Remembers it. More than DEV_LAUNCHES_MAX count
@@ -516,16 +645,22 @@ static bool dev_is_launched(struct dev *d, cl_kernel k, size_t global, size_t lo
 
 /* PoCL compiles a kernel for its work-group size when it is launched first: the time of that launch
  * is taken for compiling. It waits for what was enqueued before, and for the launch. */
-static cl_int dev_launch_first(struct dev *d, cl_kernel k, size_t global, size_t local)
+static cl_int dev_launch_first(struct dev *d, cl_kernel k, const char *name, size_t global,
+                               size_t local)
 {
     cl_int code = clFinish(d->queue);
     double start_s = clock_s();
     if (code == CL_SUCCESS)
-        code = clEnqueueNDRangeKernel(d->queue, k, 1, NULL, &global, &local, 0, NULL, NULL);
+        code = dev_enqueue(d, k, name, global, local);
     if (code == CL_SUCCESS)
         code = clFinish(d->queue);
     d->compile_s += clock_s() - start_s;
     return code;
+}
+
+size_t dev_local(const struct dev *d)
+{
+    return d->vector_width > 1 ? 1 : 64;
 }
 
 enum err_code dev_run(struct dev *d, cl_kernel k, const char *name, size_t global, size_t local,
@@ -535,10 +670,9 @@ enum err_code dev_run(struct dev *d, cl_kernel k, const char *name, size_t globa
     if (global == 0)
         return ERR_OK; /* nothing to do is not an error here, though it is in OpenCL 1.2 */
     size_t rounded = (global + local - 1) / local * local;
-    cl_int code =
-        dev_is_launched(d, k, rounded, local)
-            ? clEnqueueNDRangeKernel(d->queue, k, 1, NULL, &rounded, &local, 0, NULL, NULL)
-            : dev_launch_first(d, k, rounded, local);
+    cl_int code = dev_is_launched(d, k, rounded, local)
+                      ? dev_enqueue(d, k, name, rounded, local)
+                      : dev_launch_first(d, k, name, rounded, local);
     return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_run", name);
 }
 

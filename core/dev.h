@@ -14,6 +14,7 @@
 
 #include "core/err.h"
 
+struct buf;
 enum { DEV_LAUNCHES_MAX = 256 };
 struct dev { /* made by dev_open; only one thread at a time may use it */
     cl_platform_id platform;
@@ -33,6 +34,7 @@ struct dev { /* made by dev_open; only one thread at a time may use it */
         bool large; /* so many work-items that PoCL compiles another version of the kernel */
     } launched[DEV_LAUNCHES_MAX];
     size_t n_launched;
+    struct dev_timing *timing; /* dev_time_begin; NULL: no kernel is timed */
 };
 
 /* Opens a device. `want` is NULL or "auto" (first GPU, else first CPU), "cpu", "gpu", "gpu:K" (the
@@ -54,6 +56,11 @@ enum err_code dev_build(struct dev *d, const struct dev_source *sources, size_t 
                         const char *options, cl_program *out, struct err *e) ERR_USE;
 enum err_code dev_kernel(cl_program program, const char *name, cl_kernel *out,
                          struct err *e) ERR_USE;
+/* Some drivers (NVIDIA's) take no notice of #line: their logs cite "<kernel>" and lines of all that
+ * was handed to the compiler, which is `n_text` pieces. Appends the log with the files and lines
+ * that are meant. names[i] is the file of piece 2 i + 1; piece 2 i is the #line before it. */
+void dev_cite(const char *log, const char *const *text, const char *const *names, size_t n_text,
+              struct buf *out);
 /* Allocates a buffer. size_bytes is rounded up to a multiple of 64, 0 to 64. `host` (may be NULL)
  * is copied into it. ERR_MEM and ERR_LIMIT say how much was wanted and what the device allows. */
 enum err_code dev_buffer(struct dev *d, size_t size_bytes, const void *host, cl_mem *out,
@@ -77,11 +84,27 @@ enum err_code dev_unmap(struct dev *d, cl_mem m, void **mapped, struct err *e) E
 /* Sets argument `index` of a kernel. It returns an OpenCL code: OR the codes of all arguments and
  * check the result once. */
 #define dev_arg(k, index, value) clSetKernelArg((k), (index), sizeof(value), &(value))
+/* Work-items of a group where their number does not matter to the kernel: 1 on CPUs, where a
+ * work-item is a piece of work; 64 on GPUs, where fewer leave lanes idle. The kernel must bear
+ * items beyond its last, because dev_run rounds up. */
+size_t dev_local(const struct dev *d);
 /* dev_run enqueues a one-dimensional launch of `global` work-items, rounded up to a multiple of
  * `local`. dev_finish waits until the queue is empty. ERR_DEVICE. */
 enum err_code dev_run(struct dev *d, cl_kernel k, const char *name, size_t global, size_t local,
                       struct err *e) ERR_USE;
 enum err_code dev_finish(struct dev *d, struct err *e) ERR_USE;
 const char *dev_error_name(cl_int code);
+/* Time that kernels take on the device, by name, of all launches between the two calls. Launches of
+ * the same name are added up. dev_time_end gives at most `max` names, in the order of their first
+ * launch, and frees what dev_time_begin took. With out NULL it gives nothing. Call it before
+ * dev_close. ERR_DEVICE, ERR_MEM. */
+struct dev_time {
+    const char *name; /* that was given to dev_run */
+    size_t launches;
+    double ms;
+};
+enum err_code dev_time_begin(struct dev *d, struct err *e) ERR_USE;
+enum err_code dev_time_end(struct dev *d, struct dev_time *out, size_t max, size_t *n,
+                           struct err *e) ERR_USE;
 
 #endif

@@ -21,8 +21,11 @@
 
 extern const char vector_cl[], lanes_cl[], depth_cl[];
 
+enum { DEPTH_LOCAL = 64 }; /* work-items of a group, VW 1 */
+
 struct depth {
     struct dev *dev; /* borrowed */
+    bool wide;       /* the shape of the kernels: VW 16 */
     cl_program program;
     cl_kernel model, loss, add;
     cl_mem shadow, grads, target, pieces;
@@ -58,6 +61,7 @@ enum err_code depth_open(struct dev *dev, struct depth **out, struct err *e)
     if (!d)
         return err_set(e, ERR_MEM, "depth: out of memory");
     d->dev = dev;
+    d->wide = dev->vector_width > 1;
     enum err_code rc =
         dev_build(dev, sources, sizeof sources / sizeof *sources, NULL, &d->program, e);
     if (!rc)
@@ -111,6 +115,15 @@ static cl_float4 depth_row(const struct render_model *m, const struct camera *c)
     return row;
 }
 
+/* A work-item has LAYOUT_PROJECT_GROUPS groups (VW 16) or a Gaussian (VW 1). */
+static enum err_code depth_over_all(struct depth *d, cl_kernel k, const char *name, uint32_t groups,
+                                    struct err *e)
+{
+    return d->wide ? dev_run(d->dev, k, name,
+                             (groups + LAYOUT_PROJECT_GROUPS - 1) / LAYOUT_PROJECT_GROUPS, 1, e)
+                   : dev_run(d->dev, k, name, (size_t)groups * LAYOUT_LANES, DEPTH_LOCAL, e);
+}
+
 static enum err_code depth_draw(struct depth *d, struct render *r, const struct render_model *m,
                                 const struct depth_input *in, struct render_model *shadow,
                                 struct err *e)
@@ -128,8 +141,7 @@ static enum err_code depth_draw(struct depth *d, struct render *r, const struct 
     bad |= dev_arg(d->model, 7, d->shadow);
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "depth_model: arguments: %s", dev_error_name(bad));
-    size_t items = (groups + LAYOUT_PROJECT_GROUPS - 1) / LAYOUT_PROJECT_GROUPS;
-    enum err_code rc = dev_run(d->dev, d->model, "depth_model", items, 1, e);
+    enum err_code rc = depth_over_all(d, d->model, "depth_model", groups, e);
     struct render_options o = in->options;
     o.sh_degree = 0;
     o.appearance_frame = NULL;
@@ -186,8 +198,7 @@ static enum err_code depth_gather(struct depth *d, const struct render_model *m,
     bad |= dev_arg(d->add, 8, extra);
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "depth_add: arguments: %s", dev_error_name(bad));
-    size_t items = (groups + LAYOUT_PROJECT_GROUPS - 1) / LAYOUT_PROJECT_GROUPS;
-    return dev_run(d->dev, d->add, "depth_add", items, 1, e);
+    return depth_over_all(d, d->add, "depth_add", groups, e);
 }
 
 enum err_code depth_run(struct depth *d, struct render *r, const struct render_model *m,

@@ -326,8 +326,8 @@ static enum err_code lpips_run_pool(struct lpips *l, struct lpips_map *pair, int
     dev_arg(l->pool, 6, to.w);
     dev_arg(l->pool, 7, to.h);
     dev_arg(l->pool, 8, stride);
-    rc = dev_run(l->dev, l->pool, "lpips_pool", (size_t)channels * (size_t)to.w * (size_t)to.h, 1,
-                 e);
+    rc = dev_run(l->dev, l->pool, "lpips_pool", (size_t)channels * (size_t)to.w * (size_t)to.h,
+                 dev_local(l->dev), e);
     lpips_swap(pair);
     return rc;
 }
@@ -358,7 +358,7 @@ static enum err_code lpips_run_conv(struct lpips *l, struct lpips_map *pair,
     if (!wide)
         dev_arg(k, 12, y->plan.stride);
     rc = dev_run(l->dev, k, wide ? "lpips_conv" : "lpips_conv_stride",
-                 groups * blocks * (size_t)to.h, 1, e);
+                 groups * blocks * (size_t)to.h, dev_local(l->dev), e);
     lpips_swap(pair);
     return rc;
 }
@@ -380,7 +380,7 @@ static enum err_code lpips_compare(struct lpips *l, const struct lpips_layer *y,
         dev_arg(l->distance, 4, y->cout);
         dev_arg(l->distance, 5, s.w);
         dev_arg(l->distance, 6, s.h);
-        rc = dev_run(l->dev, l->distance, "lpips_distance", n, 1, e);
+        rc = dev_run(l->dev, l->distance, "lpips_distance", n, dev_local(l->dev), e);
     }
     if (!rc)
         rc = dev_read(l->dev, l->distances.mem, 0, n * sizeof *host, host, e);

@@ -12,11 +12,16 @@
 
 extern const char vector_cl[], lanes_cl[], solid_cl[];
 
-enum { SOLID_MARGIN = 2 * SOLID_STRIDE_MAX, SOLID_SUMS = 8 };
+enum {
+    SOLID_MARGIN = 2 * SOLID_STRIDE_MAX,
+    SOLID_SUMS = 8,
+    SOLID_ROW_ITEMS = 64 /* VW 1: work-items of a row */
+};
 
 struct solid {
     struct dev *dev; /* borrowed */
     cl_program program;
+    bool wide; /* the shape of the kernels: VW 16 */
     cl_kernel inverse, grad;
     cl_mem map, supported, known, sums;
     size_t map_bytes, known_bytes, pixels; /* pixels: of supported */
@@ -59,6 +64,7 @@ enum err_code solid_open(struct dev *dev, struct solid **out, struct err *e)
     if (!s)
         return err_set(e, ERR_MEM, "solid: out of memory");
     s->dev = dev;
+    s->wide = dev->vector_width > 1;
     enum err_code rc =
         dev_build(dev, sources, sizeof sources / sizeof *sources, NULL, &s->program, e);
     if (!rc)
@@ -172,8 +178,9 @@ static enum err_code solid_launch(struct solid *s, struct render *r, const struc
     bad |= dev_arg(s->grad, 12, s->sums);
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "solid: arguments: %s", dev_error_name(bad));
-    enum err_code rc = dev_run(s->dev, s->inverse, "solid_inverse", h, 1, e);
-    return rc ? rc : dev_run(s->dev, s->grad, "solid_grad", h, 1, e);
+    size_t local = s->wide ? 1 : SOLID_ROW_ITEMS;
+    enum err_code rc = dev_run(s->dev, s->inverse, "solid_inverse", h * local, local, e);
+    return rc ? rc : dev_run(s->dev, s->grad, "solid_grad", h * local, local, e);
 }
 
 enum err_code solid_run(struct solid *s, struct render *r, const struct solid_input *in,

@@ -4,10 +4,24 @@
 //                  this one is not, 0 where the pixel has no part in a bend; margins are 0 and stay
 //   solid_grad     all of these -> grad [3][h][w], sums [h][8]: spread, bend, light, prior and
 //                  light_known of a row, 0, 0, 0
-// A work-item is a row, VW pixels at a time.
+// VW 16 (CPUs): a work-item is a row, VW pixels at a time. VW 1 (GPUs): a work-group is a row, and
+// an item has every ROW_ITEMS-th pixel of it.
 // Reference: solid_ref.c.
 
 #define MARGIN 16 // at least two strides
+
+#if VW == 16
+#define ROW_GROUP
+#define ROW_OF get_global_id(0)
+#define ROW_FROM 0
+#define ROW_STEP VW
+#else
+#define ROW_ITEMS 64 // as in solid.c
+#define ROW_GROUP __attribute__((reqd_work_group_size(ROW_ITEMS, 1, 1)))
+#define ROW_OF get_group_id(0)
+#define ROW_FROM (uint) get_local_id(0)
+#define ROW_STEP ROW_ITEMS
+#endif
 
 // n pixels of a row, 0 behind them.
 INLINE V row_load(__global const float *p, uint n)
@@ -52,16 +66,16 @@ INLINE V row_ask(__global const uchar *p, uint n) // 1 where p is not 0
 #endif
 }
 
-__kernel void solid_inverse(__global const float *moments, __global const float *transmit,
-                            __global const float *known, uint has_known, uint width, uint height,
-                            uint pitch, float cover, __global float *inverse)
+__kernel ROW_GROUP void solid_inverse(__global const float *moments, __global const float *transmit,
+                                      __global const float *known, uint has_known, uint width,
+                                      uint height, uint pitch, float cover, __global float *inverse)
 {
-    uint y = (uint)get_global_id(0);
+    uint y = (uint)ROW_OF;
     if (y >= height)
         return;
     size_t row = (size_t)y * width;
     __global float *out = inverse + (size_t)(y + MARGIN) * pitch + MARGIN;
-    for (uint x = 0; x < width; x += VW) {
+    for (uint x = ROW_FROM; x < width; x += ROW_STEP) {
         uint n = width - x;
         V a = 1.0f - row_load(transmit + row + x, n), m1 = row_load(moments + row + x, n);
         V q = a / (a + m1), sign = (V)(1.0f);
@@ -111,21 +125,23 @@ INLINE V bend_line(const struct solid_weights *k, __global const float *at, int 
     return bend_pull(k, q0, q1, q2) - 2.0f * bend_pull(k, q1, q2, q3) + bend_pull(k, q2, q3, q4);
 }
 
-__kernel void solid_grad(__global const float *moments, __global const float *transmit,
-                         __global const float *inverse, __global const uchar *supported,
-                         uint has_support, __global const float *known, uint has_known, uint width,
-                         uint height, uint pitch, struct solid_weights k, __global float *grad,
-                         __global float *sums)
+__kernel ROW_GROUP void solid_grad(__global const float *moments, __global const float *transmit,
+                                   __global const float *inverse, __global const uchar *supported,
+                                   uint has_support, __global const float *known, uint has_known,
+                                   uint width, uint height, uint pitch, struct solid_weights k,
+                                   __global float *grad, __global float *sums)
 {
-    uint y = (uint)get_global_id(0);
+    uint y = (uint)ROW_OF;
+#if VW == 16
     if (y >= height)
         return;
+#endif
     size_t row = (size_t)y * width, plane = (size_t)width * height;
     __global const float *q_row = inverse + (size_t)(y + MARGIN) * pitch + MARGIN;
     V spread = (V)(0.0f), prior = (V)(0.0f), bend = (V)(0.0f), light = (V)(0.0f);
     V light_known = (V)(0.0f);
     float part = has_known ? k.unknown : 1.0f; // f where depth is not known
-    for (uint x = 0; x < width; x += VW) {
+    for (uint x = ROW_FROM; x < width; x += ROW_STEP) {
         uint n = width - x;
         size_t at = row + x;
         V t = row_load(transmit + at, n), a = 1.0f - t;
@@ -164,7 +180,20 @@ __kernel void solid_grad(__global const float *moments, __global const float *tr
         row_store(grad + 2 * plane + at, press - ga, n);
     }
     float bends = 0.5f * k.bend_px * k.bend_px * lanes_sum(bend);
-    vstore8((float8)(0.5f * lanes_sum(spread), bends, lanes_sum(light), 0.5f * lanes_sum(prior),
-                     lanes_sum(light_known), 0.0f, 0.0f, 0.0f),
-            y, sums);
+    float8 sum = (float8)(0.5f * lanes_sum(spread), bends, lanes_sum(light),
+                          0.5f * lanes_sum(prior), lanes_sum(light_known), 0.0f, 0.0f, 0.0f);
+#if VW == 16
+    vstore8(sum, y, sums);
+#else
+    __local float8 row_part[ROW_ITEMS]; // added by halves: the order is fixed
+    uint item = (uint)get_local_id(0);
+    row_part[item] = sum;
+    for (uint half_way = ROW_ITEMS / 2; half_way > 0; half_way /= 2) {
+        barrier(CLK_LOCAL_MEM_FENCE);
+        if (item < half_way)
+            row_part[item] += row_part[item + half_way];
+    }
+    if (item == 0)
+        vstore8(row_part[0], y, sums);
+#endif
 }

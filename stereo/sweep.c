@@ -16,6 +16,7 @@ enum {
     SWEEP_TILE_W = 64, /* as in sweep.cl */
     SWEEP_TILE_H = 32,
     SWEEP_SLAB = 16,  /* planes of a work-item */
+    SWEEP_LOCAL = 64, /* work-items of a group, VW 1 */
     SWEEP_ROUND = 32, /* planes are padded to a multiple */
     SWEEP_KERNELS = 4
 };
@@ -34,6 +35,7 @@ enum sweep_buffer {
 
 struct sweep {
     struct dev *dev; /* borrowed */
+    bool wide;       /* the shape of the kernels: VW 16 */
     cl_program program;
     cl_kernel cost, turn, path, pick;
     uint32_t planes; /* padded */
@@ -87,6 +89,7 @@ enum err_code sweep_open(struct dev *dev, uint32_t planes, struct sweep **out, s
     if (!s)
         return err_set(e, ERR_MEM, "sweep: out of memory");
     s->dev = dev;
+    s->wide = dev->vector_width > 1;
     s->planes = (planes + SWEEP_ROUND - 1) / SWEEP_ROUND * SWEEP_ROUND;
     enum err_code rc = sweep_build(s, e);
     if (rc)
@@ -213,7 +216,7 @@ static enum err_code sweep_costs(struct sweep *s, const struct sweep_input *in, 
             planes = in->planes;
     size_t tiles = (size_t)((w + SWEEP_TILE_W - 1) / SWEEP_TILE_W) *
                    ((h + SWEEP_TILE_H - 1) / SWEEP_TILE_H),
-           slabs = (planes + SWEEP_SLAB - 1) / SWEEP_SLAB;
+           slabs = (planes + SWEEP_SLAB - 1) / SWEEP_SLAB, pixels = (size_t)w * h;
     cl_int bad = dev_arg(s->cost, 0, s->buffer[SWEEP_REF]);
     bad |= dev_arg(s->cost, 1, s->buffer[SWEEP_NEAR]);
     bad |= dev_arg(s->cost, 2, s->buffer[SWEEP_SIZES]);
@@ -231,8 +234,10 @@ static enum err_code sweep_costs(struct sweep *s, const struct sweep_input *in, 
     bad |= dev_arg(s->turn, 4, s->buffer[SWEEP_TURNED]);
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "sweep: arguments: %s", dev_error_name(bad));
-    enum err_code rc = dev_run(s->dev, s->cost, "sweep_cost", tiles * slabs, 1, e);
-    return rc ? rc : dev_run(s->dev, s->turn, "sweep_turn", h, 1, e);
+    size_t local = s->wide ? 1 : SWEEP_LOCAL;
+    enum err_code rc =
+        dev_run(s->dev, s->cost, "sweep_cost", s->wide ? tiles * slabs : pixels * planes, local, e);
+    return rc ? rc : dev_run(s->dev, s->turn, "sweep_turn", s->wide ? h : pixels, local, e);
 }
 
 /* One of four directions: rows and columns, forward and back. */
@@ -258,7 +263,8 @@ static enum err_code sweep_path(struct sweep *s, uint32_t w, uint32_t h, int dir
     bad |= dev_arg(s->path, 10, s->buffer[SWEEP_SUM]);
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "sweep: arguments: %s", dev_error_name(bad));
-    return dev_run(s->dev, s->path, "sweep_path", lines, 1, e);
+    size_t items = s->wide ? 1 : s->planes; /* of a line */
+    return dev_run(s->dev, s->path, "sweep_path", lines * items, items, e);
 }
 
 static enum err_code sweep_pick(struct sweep *s, const struct sweep_input *in, struct err *e)
@@ -273,7 +279,8 @@ static enum err_code sweep_pick(struct sweep *s, const struct sweep_input *in, s
     bad |= dev_arg(s->pick, 6, s->buffer[SWEEP_SCORE]);
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "sweep: arguments: %s", dev_error_name(bad));
-    return dev_run(s->dev, s->pick, "sweep_pick", h, 1, e);
+    return s->wide ? dev_run(s->dev, s->pick, "sweep_pick", h, 1, e)
+                   : dev_run(s->dev, s->pick, "sweep_pick", (size_t)w * h, SWEEP_LOCAL, e);
 }
 
 enum err_code sweep_run(struct sweep *s, const struct sweep_input *in, float *plane, float *score,

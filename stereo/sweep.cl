@@ -4,14 +4,17 @@
 //   sweep_turn  cost -> [h][w][planes]
 //   sweep_path  cost -> sum ushort [h][w][planes]: adds the costs of paths in one direction
 //   sweep_pick  sum -> plane of least sum, float [h][w], and its correlation [h][w]
+// VW 16 (CPUs): a work-item of sweep_cost has a tile and SLAB planes in its private memory, one of
+// sweep_path a line of pixels, one of the others a row. VW 1 (GPUs): a work-item of sweep_cost has
+// a pixel and a plane and keeps its window in registers, a work-group of sweep_path has a line with
+// one item for each plane, and an item of the others has a pixel.
 // Reference: sweep_ref.c.
 
-#define TILE_W 64
-#define TILE_H 32
-#define ROW (TILE_W + 16) // of a tile and its margins
-#define ROWS (TILE_H + 2 * RADIUS)
 #define SIDE (2 * RADIUS + 1)
-#define TILE (TILE_H * TILE_W)
+// A window is every other pixel of a square, as on a chessboard: half of the work, and no less
+// certain. This is the first of row j.
+#define FIRST(j) ((j)&1)
+#define ROW_TAPS (RADIUS + 1)
 
 #if VW == 16
 typedef ushort16 S;
@@ -41,16 +44,6 @@ INLINE VU take(__global const uint *p, VI at)
 #endif
 }
 
-// The part of the reference that a tile needs.
-static void tile_read(__global const uchar *grey, int width, int height, int x0, int y0, float *out)
-{
-    for (int y = 0; y < ROWS; y++) {
-        __global const uchar *row = grey + clamp(y0 + y - RADIUS, 0, height - 1) * width;
-        for (int x = 0; x < ROW; x++)
-            out[y * ROW + x] = (float)row[clamp(x0 + x - RADIUS, 0, width - 1)] * (1.0f / 255.0f);
-    }
-}
-
 // Where pixels of the reference fall in a neighbour. Returns the third coordinate.
 INLINE V map_at(const float *h, V px, float py, V *u, V *v)
 {
@@ -62,6 +55,53 @@ INLINE V map_at(const float *h, V px, float py, V *u, V *v)
 
 // The neighbour as the reference would see it if all lay in the plane. Outside of it: its edge.
 // quads: a pixel, its right neighbour, and the two below, 8 bits each.
+INLINE V sample_at(__global const uint *quads, int width, float right, float bottom, const float *h,
+                   V px, float py)
+{
+    V u, v;
+    (void)map_at(h, px, py, &u, &v);
+    u = CLAMP_(u - 0.5f, (V)(0.0f), (V)(right));
+    v = CLAMP_(v - 0.5f, (V)(0.0f), (V)(bottom));
+    VI i = TO_VI(u), j = TO_VI(v);
+    V fu = u - TO_V(i), fv = v - TO_V(j);
+    VU four = take(quads, j * width + i);
+    V a = TO_V(four & 255u), b = TO_V((four >> 8) & 255u), c = TO_V((four >> 16) & 255u),
+      d = TO_V(four >> 24);
+    V top = a + fu * (b - a), low = c + fu * (d - c);
+    return (top + fv * (low - top)) * (1.0f / 255.0f);
+}
+
+// 1 minus the mean of the best correlations, best first, of neighbours that show the place.
+INLINE V best_cost(V a, V b, V c, uint best)
+{
+    V n = (V)(1.0f);
+    VI two = (b > -1.5f) & (best > 1 ? (VI)(-1) : (VI)(0));
+    VI three = (c > -1.5f) & (best > 2 ? (VI)(-1) : (VI)(0));
+    a += two ? b : (V)(0.0f);
+    n += two ? (V)(1.0f) : (V)(0.0f);
+    a += three ? c : (V)(0.0f);
+    n += three ? (V)(1.0f) : (V)(0.0f);
+    return COST_MOST * CLAMP_(1.0f - a / n, (V)(0.0f), (V)(1.0f));
+}
+
+#if VW == 16
+
+#define TILE_W 64
+#define TILE_H 32
+#define ROW (TILE_W + 16) // of a tile and its margins
+#define ROWS (TILE_H + 2 * RADIUS)
+#define TILE (TILE_H * TILE_W)
+
+// The part of the reference that a tile needs.
+static void tile_read(__global const uchar *grey, int width, int height, int x0, int y0, float *out)
+{
+    for (int y = 0; y < ROWS; y++) {
+        __global const uchar *row = grey + clamp(y0 + y - RADIUS, 0, height - 1) * width;
+        for (int x = 0; x < ROW; x++)
+            out[y * ROW + x] = (float)row[clamp(x0 + x - RADIUS, 0, width - 1)] * (1.0f / 255.0f);
+    }
+}
+
 static void tile_warp(__global const uint *quads, int width, int height, const float *h, int x0,
                       int y0, float *out)
 {
@@ -69,25 +109,11 @@ static void tile_warp(__global const uint *quads, int width, int height, const f
     for (int y = 0; y < ROWS; y++) {
         float py = (float)(y0 + y - RADIUS) + 0.5f;
         for (int x = 0; x < ROW; x += VW) {
-            V u, v, px = (float)(x0 + x - RADIUS) + 0.5f + TO_V(LANE);
-            (void)map_at(h, px, py, &u, &v);
-            u = CLAMP_(u - 0.5f, (V)(0.0f), (V)(right));
-            v = CLAMP_(v - 0.5f, (V)(0.0f), (V)(bottom));
-            VI i = TO_VI(u), j = TO_VI(v);
-            V fu = u - TO_V(i), fv = v - TO_V(j);
-            VU four = take(quads, j * width + i);
-            V a = TO_V(four & 255u), b = TO_V((four >> 8) & 255u), c = TO_V((four >> 16) & 255u),
-              d = TO_V(four >> 24);
-            V top = a + fu * (b - a), low = c + fu * (d - c);
-            STORE((top + fv * (low - top)) * (1.0f / 255.0f), out + y * ROW + x);
+            V px = (float)(x0 + x - RADIUS) + 0.5f + TO_V(LANE);
+            STORE(sample_at(quads, width, right, bottom, h, px, py), out + y * ROW + x);
         }
     }
 }
-
-// A window is every other pixel of a square, as on a chessboard: half of the work, and no less
-// certain. This is the first of row j.
-#define FIRST(j) ((j)&1)
-#define ROW_TAPS (RADIUS + 1)
 
 // Of the reference: weights of a window's pixels, 1 / their sum, the mean, and 1 / the standard
 // deviation with noise.
@@ -165,21 +191,13 @@ static void tile_score(const float *ref, const struct tile_own *own, const float
     }
 }
 
-// 1 minus the mean of the best correlations of neighbours that show the place.
-INLINE V best_cost(const struct tile_best *t, int at, uint best)
+INLINE V tile_cost(const struct tile_best *t, int at, uint best)
 {
-    V a = LOAD(t->first + at), b = LOAD(t->second + at), c = LOAD(t->third + at), n = (V)(1.0f);
-    VI two = (b > -1.5f) & (best > 1 ? (VI)(-1) : (VI)(0));
-    VI three = (c > -1.5f) & (best > 2 ? (VI)(-1) : (VI)(0));
-    a += two ? b : (V)(0.0f);
-    n += two ? (V)(1.0f) : (V)(0.0f);
-    a += three ? c : (V)(0.0f);
-    n += three ? (V)(1.0f) : (V)(0.0f);
-    return COST_MOST * CLAMP_(1.0f - a / n, (V)(0.0f), (V)(1.0f));
+    return best_cost(LOAD(t->first + at), LOAD(t->second + at), LOAD(t->third + at), best);
 }
 
 // quads: pictures of the neighbours; sizes [n_near]: width, height, first pixel of each.
-// homography [planes][n_near][9]. A work-item is a tile and SLAB planes.
+// homography [planes][n_near][9].
 __kernel void sweep_cost(__global const uchar *ref, __global const uint *quads,
                          __global const uint *sizes, __global const float *homography, uint n_near,
                          uint best, uint planes, uint width, uint height, __global uchar *cost)
@@ -209,7 +227,7 @@ __kernel void sweep_cost(__global const uchar *ref, __global const uint *quads,
         for (int y = 0; y < TILE_H && y0 + y < (int)height; y++)
             for (int x = 0; x < TILE_W && x0 + x < (int)width; x += VW) {
                 uchar c[VW];
-                STORE(TO_BYTE(best_cost(&t, y * TILE_W + x, best) + 0.5f), c);
+                STORE(TO_BYTE(tile_cost(&t, y * TILE_W + x, best) + 0.5f), c);
                 size_t at = ((size_t)p * height + y0 + y) * width + x0 + x;
                 for (int i = 0; i < VW && x0 + x + i < (int)width; i++)
                     cost[at + i] = c[i];
@@ -217,32 +235,120 @@ __kernel void sweep_cost(__global const uchar *ref, __global const uint *quads,
     }
 }
 
+#else
+
+// Of the reference, around a pixel: as struct tile_own.
+struct own {
+    float ref[SIDE * ROW_TAPS], weight[SIDE * ROW_TAPS], share, mean, inverse;
+};
+
+INLINE void own_of(__global const uchar *grey, int width, int height, int x, int y, struct own *out)
+{
+    float middle = (float)grey[y * width + x] * (1.0f / 255.0f), all = 0.0f, one = 0.0f, two = 0.0f;
+#pragma unroll
+    for (int j = 0; j < SIDE; j++) {
+        __global const uchar *row = grey + clamp(y + j - RADIUS, 0, height - 1) * width;
+#pragma unroll
+        for (int i = FIRST(j); i < SIDE; i += 2) {
+            float a = (float)row[clamp(x + i - RADIUS, 0, width - 1)] * (1.0f / 255.0f);
+            float d = (a - middle) * (1.0f / LIKE), like = 1.0f / (1.0f + d * d), w = like * like;
+            out->ref[j * ROW_TAPS + i / 2] = a;
+            out->weight[j * ROW_TAPS + i / 2] = w;
+            all += w;
+            one += w * a;
+            two += w * a * a;
+        }
+    }
+    out->share = 1.0f / all;
+    out->mean = one * out->share;
+    float v = two * out->share - out->mean * out->mean;
+    out->inverse = 1.0f / sqrt(MAX_(v, 0.0f) + NOISE);
+}
+
+// -2 where the neighbour does not show the place.
+INLINE float own_correlation(const struct own *own, __global const uint *quads, int width,
+                             int height, const float *h, int x, int y)
+{
+    float right = (float)width - 1.001f, bottom = (float)height - 1.001f, u, v;
+    float q = map_at(h, (float)x + 0.5f, (float)y + 0.5f, &u, &v), one = 0.0f, two = 0.0f,
+          both = 0.0f;
+    if (!((q > 0.0f) & (u >= 1.0f) & (v >= 1.0f) & (u <= (float)width - 1.0f) &
+          (v <= (float)height - 1.0f)))
+        return -2.0f;
+#pragma unroll
+    for (int j = 0; j < SIDE; j++)
+#pragma unroll
+        for (int i = FIRST(j); i < SIDE; i += 2) {
+            float b = sample_at(quads, width, right, bottom, h, (float)(x + i - RADIUS) + 0.5f,
+                                (float)(y + j - RADIUS) + 0.5f);
+            float w = b * own->weight[j * ROW_TAPS + i / 2];
+            one += w;
+            two += w * b;
+            both += w * own->ref[j * ROW_TAPS + i / 2];
+        }
+    float m = one * own->share, var = two * own->share - m * m;
+    return (both * own->share - m * own->mean) * own->inverse / sqrt(MAX_(var, 0.0f) + NOISE);
+}
+
+// Arguments as above.
+__kernel void sweep_cost(__global const uchar *ref, __global const uint *quads,
+                         __global const uint *sizes, __global const float *homography, uint n_near,
+                         uint best, uint planes, uint width, uint height, __global uchar *cost)
+{
+    size_t pixels = (size_t)width * height, item = get_global_id(0);
+    if (item >= pixels * planes)
+        return;
+    uint p = (uint)(item / pixels), at = (uint)(item % pixels);
+    int x = (int)(at % width), y = (int)(at / width);
+    struct own own;
+    float first = -2.0f, second = -2.0f, third = -2.0f;
+    own_of(ref, (int)width, (int)height, x, y, &own);
+    for (uint k = 0; k < n_near; k++) {
+        float h[9];
+#pragma unroll
+        for (int i = 0; i < 9; i++)
+            h[i] = homography[(p * n_near + k) * 9 + i];
+        float c = own_correlation(&own, quads + sizes[3 * k + 2], (int)sizes[3 * k],
+                                  (int)sizes[3 * k + 1], h, x, y);
+        float a = MIN_(first, c), b = MIN_(second, a);
+        first = MAX_(first, c);
+        second = MAX_(second, a);
+        third = MAX_(third, b);
+    }
+    cost[item] = TO_BYTE(best_cost(first, second, third, best) + 0.5f);
+}
+
+#endif
+
+// The pixels of a work-item.
+#if VW == 16
+#define PIXELS_EACH(at, width, height)                                                             \
+    for (size_t at = get_global_id(0) * (width),                                                   \
+                end_ = get_global_id(0) < (height) ? at + (width) : at;                            \
+         at < end_; at++)
+#else
+#define PIXELS_EACH(at, width, height)                                                             \
+    for (size_t at = get_global_id(0), end_ = (size_t)(width) * (height); at < end_; at = end_)
+#endif
+
 __kernel void sweep_turn(__global const uchar *in, uint planes, uint width, uint height,
                          __global uchar *out)
 {
-    uint y = (uint)get_global_id(0);
-    if (y >= height)
-        return;
-    for (uint x = 0; x < width; x++) {
-        size_t at = (size_t)y * width + x;
-        for (uint p = 0; p < PLANES; p++)
-            out[at * PLANES + p] =
-                p < planes ? in[(size_t)p * width * height + at] : (uchar)COST_MOST;
-    }
+    PIXELS_EACH(at, width, height)
+    for (uint p = 0; p < PLANES; p++)
+        out[at * PLANES + p] = p < planes ? in[(size_t)p * width * height + at] : (uchar)COST_MOST;
 }
+
+#if VW == 16
 
 INLINE ushort next_least(S x)
 {
-#if VW == 16
     ushort8 a = min(x.lo, x.hi);
     ushort4 b = min(a.lo, a.hi);
     return min(min(b.x, b.y), min(b.z, b.w));
-#else
-    return x;
-#endif
 }
 
-// A work-item is a line of pixels: first pixel, step between pixels, number of pixels.
+// A line of pixels: first pixel, step between pixels, number of pixels.
 __kernel void sweep_path(__global const uchar *cost, __global const uchar *ref, uint lines,
                          int first_base, int first_step, int step, uint count, uint jump_low,
                          uint jump_high, float edge, __global ushort *sum)
@@ -277,14 +383,51 @@ __kernel void sweep_path(__global const uchar *cost, __global const uchar *ref, 
     }
 }
 
+#else
+
+// Arguments as above. Every step ends with the least of all planes, by halves.
+__kernel __attribute__((reqd_work_group_size(PLANES, 1, 1))) void
+sweep_path(__global const uchar *cost, __global const uchar *ref, uint lines, int first_base,
+           int first_step, int step, uint count, uint jump_low, uint jump_high, float edge,
+           __global ushort *sum)
+{
+    __local ushort before[PLANES + 2], low[PLANES]; // plane p at 1 + p, with walls on both sides
+    uint p = (uint)get_local_id(0);
+    int at = first_base + (int)get_group_id(0) * first_step;
+    ushort least = 0;
+    before[1 + p] = 0;
+    if (p == 0)
+        before[0] = before[PLANES + 1] = 60000;
+    uchar grey = ref[at];
+    for (uint i = 0; i < count; i++, at += step) {
+        size_t own = (size_t)at * PLANES + p;
+        float change = fabs((float)ref[at] - (float)grey) * (edge / 255.0f);
+        ushort jump = (ushort)((float)jump_low + (float)(jump_high - jump_low) / (1.0f + change));
+        grey = ref[at];
+        barrier(CLK_LOCAL_MEM_FENCE);
+        ushort beside = (ushort)(min(before[p], before[p + 2]) + STEP_COST);
+        ushort m = min(min(before[1 + p], (ushort)(least + jump)), beside);
+        ushort v = (ushort)(m - least + cost[own]);
+        barrier(CLK_LOCAL_MEM_FENCE);
+        before[1 + p] = low[p] = v;
+        sum[own] += v;
+        for (uint half_way = 128; half_way > 0; half_way /= 2) { // PLANES is 192 at most
+            barrier(CLK_LOCAL_MEM_FENCE);
+            if (p < half_way && p + half_way < PLANES)
+                low[p] = min(low[p], low[p + half_way]);
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
+        least = low[0];
+    }
+}
+
+#endif
+
 __kernel void sweep_pick(__global const uchar *cost, __global const ushort *sum, uint planes,
                          uint width, uint height, __global float *plane, __global float *score)
 {
-    uint y = (uint)get_global_id(0);
-    if (y >= height)
-        return;
-    for (uint x = 0; x < width; x++) {
-        size_t at = (size_t)y * width + x;
+    PIXELS_EACH(at, width, height)
+    {
         __global const ushort *s = sum + at * PLANES;
         ushort least = 65535;
         for (uint p = 0; p < planes; p++)

@@ -12,7 +12,7 @@ compile() { # options, besides those of $f, $target and $vw
         -I. $1 -fsyntax-only -Wall -Wno-unused-function -Werror "$f" || {
         echo "$f: does not compile for $target with VW=$vw and $1"; status=1; }
 }
-for f in core/*.cl render/*.cl loss/*.cl bench/*.cl; do
+for f in core/*.cl render/*.cl loss/*.cl stereo/*.cl bench/*.cl; do
     [ -f "$f" ] || continue
     for target in spir64 nvptx64 amdgcn--amdhsa; do
         case $f in
@@ -28,6 +28,9 @@ for f in core/*.cl render/*.cl loss/*.cl bench/*.cl; do
                 loss/mcmc.cl) prelude="$prelude -include core/vector.cl" ;;
                 loss/mip.cl | loss/scale_loss.cl | loss/depth.cl | loss/solid.cl)
                     prelude="$prelude -include core/vector.cl -include loss/lanes.cl" ;;
+                stereo/sweep.cl)
+                    prelude="-DPLANES=192 -DRADIUS=3 -DSLAB=16 -DCOST_MOST=200.0f -DSTEP_COST=4 -DNOISE=1e-3f \
+                        -DLIKE=0.1f $prelude -include core/vector.cl" ;;
             esac
             case $f:$vw in # compiled after others, see their heads
                 render/blend_cpu.cl:1) continue ;; # the CPU shape alone

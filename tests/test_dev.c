@@ -147,8 +147,64 @@ static void test_build_error_cites_file_and_line(void **state)
                                       {"tests/broken.cl", BROKEN_CL}};
     assert_int_equal(dev_build(d, src, 2, NULL, &p, &e), ERR_DEVICE);
     assert_null(p);
-    assert_non_null(strstr(e.msg, "tests/broken.cl:3"));
-    assert_non_null(strstr(e.msg, "no_such_name"));
+    kit_expect_text(e.msg, "tests/broken.cl:3", __FILE__, __LINE__);
+    kit_expect_text(e.msg, "no_such_name", __FILE__, __LINE__);
+}
+
+/* As NVIDIA's driver writes its logs. */
+static void test_lines_of_all_pieces_are_those_of_files(void **state)
+{
+    (void)state;
+    const char *const text[] = {"\n#line 1 \"a.h\"\n", "one\ntwo\n", "\n#line 1 \"b.cl\"\n",
+                                "one\ntwo\nthree"},
+                      *const names[] = {"a.h", "b.cl"};
+    struct buf got = {0};
+    dev_cite("<kernel>:4:2: error: x\n<kernel>:9:12: note: y\n<kernel>:1:1: z <kernel>:99:1: w",
+             text, names, 4, &got);
+    assert_string_equal((const char *)got.data,
+                        "a.h:2:2: error: x\nb.cl:3:12: note: y\n<kernel>:1:1: z <kernel>:99:1: w");
+    buf_free(&got);
+}
+
+/* Launches are counted by name, on the device's clock, and the queue is as before afterwards. */
+static void test_kernels_are_timed_by_name(void **state)
+{
+    struct dev *d = *state;
+    struct err e = {0};
+    cl_program p = NULL;
+    cl_kernel k = NULL;
+    cl_mem m = NULL;
+    const struct dev_source src = {"tests/double.cl", DOUBLE_CL};
+    const cl_uint n = 1 << 16;
+    float x = 1, got = 0;
+    struct dev_time times[2];
+    size_t n_times = 0;
+    cl_command_queue plain = d->queue;
+    kit_ok(dev_build(d, &src, 1, NULL, &p, &e), e);
+    kit_ok(dev_kernel(p, "double_it", &k, &e), e);
+    kit_ok(dev_buffer(d, n * sizeof x, NULL, &m, &e), e);
+    kit_ok(dev_write(d, m, 0, sizeof x, &x, &e), e);
+    assert_int_equal(dev_arg(k, 0, m) | dev_arg(k, 1, n), CL_SUCCESS);
+    kit_ok(dev_run(d, k, "before", n, 64, &e), e);
+    kit_ok(dev_time_begin(d, &e), e);
+    kit_ok(dev_run(d, k, "one", n, 64, &e), e);
+    kit_ok(dev_run(d, k, "two", n, 64, &e), e);
+    kit_ok(dev_run(d, k, "one", n, 64, &e), e);
+    kit_ok(dev_run(d, k, "three", n, 64, &e), e); /* no room for it */
+    kit_ok(dev_time_end(d, times, 2, &n_times, &e), e);
+    kit_ok(dev_run(d, k, "after", n, 64, &e), e);
+    assert_ptr_equal(d->queue, plain);
+    assert_int_equal(n_times, 2);
+    assert_string_equal(times[0].name, "one");
+    assert_int_equal(times[0].launches, 2);
+    assert_string_equal(times[1].name, "two");
+    assert_int_equal(times[1].launches, 1);
+    assert_true(times[0].ms > 0 && times[1].ms > 0);
+    kit_ok(dev_read(d, m, 0, sizeof got, &got, &e), e);
+    assert_true(got == 64.0f);
+    dev_release(&m);
+    clReleaseKernel(k);
+    clReleaseProgram(p);
 }
 
 static void test_buffer_limits(void **state)
@@ -200,6 +256,8 @@ int main(void)
         cmocka_unit_test(test_build_and_run),
         cmocka_unit_test(test_unset_argument_is_an_error),
         cmocka_unit_test(test_build_error_cites_file_and_line),
+        cmocka_unit_test(test_lines_of_all_pieces_are_those_of_files),
+        cmocka_unit_test(test_kernels_are_timed_by_name),
         cmocka_unit_test(test_buffer_limits),
         cmocka_unit_test(test_unwritable_cache_is_named),
     };
