@@ -6,14 +6,18 @@ import { after, before, test } from "node:test";
 
 import { closeAll, openPage, useWholeBrowser } from "./lib/browser.mjs";
 import { checkNorth, checkSouth, measureContent, NORTH, rmsDifference, SOUTH } from "./lib/checks.mjs";
-import { makeCity } from "./lib/city.mjs";
+import { makeCity, ORIGIN } from "./lib/city.mjs";
+import { placeOfEnu } from "./lib/geo.mjs";
 import { decodePng } from "./lib/png.mjs";
-import { firstDataSet, GIVEN_TILES, getJson, openSource } from "./lib/source.mjs";
+import { firstDataSet, getBytes, getJson, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
+import { ssim } from "./lib/ssim.mjs";
 
 useWholeBrowser();
 
 const SIZE = { width: 640, height: 480 };
 const TIMEOUT_MS = 120000;
+const SSIM_LEAST = 0.95; // of what is not background, to the server's picture
+const STOCK_PX = 16; // Cesium's own maximumScreenSpaceError
 
 let source;
 let opened;
@@ -77,7 +81,7 @@ async function look(page, pose) {
     let [last, same] = [null, 0];
     for (let tries = 0; same < 2 && tries < 30; tries++) {
         await page.waitForTimeout(400);
-        const picture = decodePng(await page.screenshot());
+        const picture = decodePng(await page.screenshot({ timeout: TIMEOUT_MS }));
         same = last && rmsDifference(picture, last) === 0 ? same + 1 : 0;
         last = picture;
     }
@@ -95,6 +99,32 @@ test("splats are visible, nothing fails", async () => {
     assert.ok(colors > 10, `only ${colors} colours`);
     assert.deepEqual(opened.log, []);
 });
+
+// Metres east, north and up of the city's middle; heading, pitch.
+const POSES = {
+    home: [0, -160, 128, 0, -38],
+    near: [28, 28, 28, 225, -35],
+    afar: [-320, 240, 160, 127, -22],
+};
+
+test(
+    "with nothing set Cesium shows what the server draws: at home, near and afar",
+    { skip: MOCK || GIVEN_TILES ? "needs the test city and a server" : false },
+    async (t) => {
+        const name = await firstDataSet(source.url);
+        const error = await opened.page.evaluate(() => window.tileset.maximumScreenSpaceError);
+        assert.equal(error, STOCK_PX, "the example sets nothing");
+        for (const [what, [e, n, u, heading, pitch]] of Object.entries(POSES)) {
+            const pose = { ...placeOfEnu(ORIGIN, [e, n, u]), heading, pitch, fov: 45 };
+            const place = `${pose.lon.toFixed(8)},${pose.lat.toFixed(8)},${pose.h.toFixed(4)}@${heading},${pitch},45`;
+            const bytes = await getBytes(`${source.url}/d/${name}/static/${place}/${SIZE.width}x${SIZE.height}.png`);
+            const { covered, share } = ssim(await look(opened.page, pose), decodePng(bytes));
+            t.diagnostic(`${what}: ${covered.toFixed(4)} of what is not background (${(100 * share).toFixed(0)} %)`);
+            assert.ok(share > 0.02, `${what}: nothing is in sight`);
+            assert.ok(covered >= SSIM_LEAST, `${what}: ${covered}`);
+        }
+    },
+);
 
 test(
     "every part of the city is where it belongs",

@@ -42,7 +42,6 @@ interface Pick {
   height_m?: number;
 }
 
-const DETAIL_PX = 8; // screen-space error at which tiles are refined; Cesium's own 16 shows twice the splats' size
 const TRIM_MS = 30_000;
 const ADDRESS_MS = 300;
 const AWAKE_MS = 3000; // frames go on for so long after the last change
@@ -167,9 +166,7 @@ class Globe {
   private async load(turn: number): Promise<boolean> {
     const url = new URL("tileset.json", this.scene!.folder);
     if (this.appearance) url.searchParams.set("appearance", this.appearance);
-    const tileset = await Cesium3DTileset.fromUrl(url.href, {
-      maximumScreenSpaceError: DETAIL_PX,
-    });
+    const tileset = await Cesium3DTileset.fromUrl(url.href); // its own 16 px shows the server's tiles
     if (turn !== this.opened) {
       tileset.destroy();
       return false;
