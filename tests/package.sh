@@ -59,7 +59,7 @@ case $tile in /*) ;; *) tile=/d/city/$tile ;; esac
 curl -fsS "http://127.0.0.1:18080$tile" >tile.glb
 [ "$(head -c 4 tile.glb)" = glTF ]
 curl -fsS http://127.0.0.1:18080/ | grep -q '<html'
-curl -fsS -o view.jpg "http://127.0.0.1:18080/d/city/view.jpg?width=64&height=48"
+curl -fsSL -o view.jpg http://127.0.0.1:18080/d/city/static/7.5733,47.5570,430@0,-50/64x48.jpg
 echo "used: a tile of $(wc -c <tile.glb) bytes, a view of $(wc -c <view.jpg) bytes"
 kill $server
 wait $server

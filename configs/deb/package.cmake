@@ -18,7 +18,7 @@ install(CODE "
   execute_process(COMMAND_ERROR_IS_FATAL ANY COMMAND ${NODE_OF_PACKAGE} ${deb}/sbom.mjs --texts \"\${to}/licences-npm.txt\"
     --sbom \"\${to}/sbom.spdx.json\" --version ${PROJECT_VERSION}
     $<TARGET_FILE:citysplat> $<TARGET_FILE:citysplat-image> $<TARGET_FILE:citysplat-gdal>)" ${of_package})
-install(FILES ${deb}/copyright CHANGELOG.md README.md docs/licences.md DESTINATION ${doc} ${of_package})
+install(FILES ${deb}/copyright CHANGELOG.md README.md docs/tutorial.md docs/licences.md DESTINATION ${doc} ${of_package})
 install(FILES configs/citysplat.service configs/citysplat.socket DESTINATION lib/systemd/system ${of_package})
 install(DIRECTORY configs/ DESTINATION ${doc}/examples ${of_package}
   PATTERN deb EXCLUDE PATTERN Containerfile EXCLUDE PATTERN citysplat.service EXCLUDE PATTERN citysplat.socket EXCLUDE)
