@@ -31,7 +31,7 @@ struct solid {
 
 struct solid_weights { /* as in solid.cl */
     cl_float spread, bend, light, focal, soft_px, spread_px, bend_px, cover, prior, prior_px,
-        known_zeta, light_known, unknown;
+        known_zeta, light_known, unknown, light_t;
     cl_uint stride;
 };
 
@@ -143,13 +143,12 @@ static enum err_code solid_launch(struct solid *s, struct render *r, const struc
                                   cl_mem grad, struct err *e)
 {
     double n = (double)in->width_px * in->height_px;
-    const struct solid_weights k = {(cl_float)(in->spread / n), (cl_float)(in->bend / n),
-                                    (cl_float)(in->light / n),  (cl_float)in->focal_px,
-                                    (cl_float)SOLID_SOFT_PX,    (cl_float)SOLID_SPREAD_PX,
-                                    (cl_float)SOLID_BEND_PX,    (cl_float)SOLID_COVER_MIN,
-                                    (cl_float)(in->prior / n),  (cl_float)SOLID_PRIOR_PX,
-                                    (cl_float)in->known_zeta,   (cl_float)(in->light_known / n),
-                                    (cl_float)in->unknown,      in->stride};
+    const struct solid_weights k = {
+        (cl_float)(in->spread / n), (cl_float)(in->bend / n),  (cl_float)(in->light / n),
+        (cl_float)in->focal_px,     (cl_float)SOLID_SOFT_PX,   (cl_float)SOLID_SPREAD_PX,
+        (cl_float)SOLID_BEND_PX,    (cl_float)SOLID_COVER_MIN, (cl_float)(in->prior / n),
+        (cl_float)SOLID_PRIOR_PX,   (cl_float)in->known_zeta,  (cl_float)(in->light_known / n),
+        (cl_float)in->unknown,      (cl_float)SOLID_LIGHT_T,   in->stride};
     cl_mem moments = render_moments_buffer(r), transmit = render_transmittance_buffer(r);
     cl_uint w = in->width_px, h = in->height_px, pitch = solid_pitch(w),
             has_support = in->supported != NULL, has_known = in->known != NULL;

@@ -87,7 +87,7 @@ __kernel ROW_GROUP void solid_inverse(__global const float *moments, __global co
 
 struct solid_weights { // over n
     float spread, bend, light, focal, soft_px, spread_px, bend_px, cover, prior, prior_px;
-    float known_zeta, light_known, unknown;
+    float known_zeta, light_known, unknown, light_t;
     uint stride;
 };
 
@@ -172,9 +172,11 @@ __kernel ROW_GROUP void solid_grad(__global const float *moments, __global const
         }
         V where = has_support ? row_ask(supported + at, n) * real : (V)(0.0f);
         VI there = t_known > 0.0f;
-        light += there ? (V)(0.0f) : where * t;
-        light_known += there ? where * t : (V)(0.0f);
-        V press = where * (there ? (V)(k.light_known) : (V)(k.light));
+        V over = MIN_(t, (V)(k.light_t)), slope = over * (1.0f / k.light_t);
+        V through = where * (t - over + 0.5f * over * slope);
+        light += there ? (V)(0.0f) : through;
+        light_known += there ? through : (V)(0.0f);
+        V press = where * slope * (there ? (V)(k.light_known) : (V)(k.light));
         row_store(grad + at, g1, n);
         row_store(grad + plane + at, g2, n);
         row_store(grad + 2 * plane + at, press - ga, n);

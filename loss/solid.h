@@ -12,7 +12,8 @@
  *              V + (zeta - zeta*)^2 = sum w (m - m*)^2 / A in place of V
  *     bend   = 1/n sum over x, y of f c^2/2 r^2 / (1 + r^2),   r = b / c,   c = SOLID_BEND_PX,
  *              b = focal zeta (q- - 2 q + q+),   q = 1 / zeta
- *     light  = 1/n sum of T over the supported pixels; light_known: those of known depth
+ *     light  = 1/n sum of h(T) over the supported pixels; light_known: those of known depth
+ *              h = T^2 / (2 t) below t = SOLID_LIGHT_T, T - t/2 above: what is closed is left alone
  *
  * f is 1. In a photograph with known depths it is `unknown` at pixels whose own depth is not known:
  * there photographs do not agree (narrow courts, edges, trees), and what closes and smooths a
@@ -42,6 +43,7 @@
 #define SOLID_SPREAD_PX 4.0  /* the gradient of larger spreads goes to 0 */
 #define SOLID_PRIOR_PX 4.0   /* the gradient of larger distances from a known depth goes to 0 */
 #define SOLID_BEND_PX 2.0    /* the gradient of larger bends goes to 0 */
+#define SOLID_LIGHT_T 0.03   /* the gradient of less light falls with it */
 #define SOLID_COVER_MIN 0.1  /* least A of a pixel with a spread */
 #define SOLID_BEND_COVER 0.5 /* least A of the pixels of a bend */
 enum { SOLID_STRIDE_MAX = 8 };

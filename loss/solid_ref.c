@@ -87,6 +87,12 @@ static bool solid_bend(const struct solid_input *in, const double *moments, cons
     return true;
 }
 
+/* h(T) */
+static double solid_through(double t)
+{
+    return t < SOLID_LIGHT_T ? t * t / (2 * SOLID_LIGHT_T) : t - SOLID_LIGHT_T / 2;
+}
+
 struct solid_value solid_ref_value(const struct solid_input *in, const double *moments,
                                    const double *held)
 {
@@ -108,7 +114,7 @@ struct solid_value solid_ref_value(const struct solid_input *in, const double *m
         }
         if (in->supported && in->supported[at])
             *(solid_about(in, at).known ? &v.light_known : &v.light) +=
-                moments[3 * at + 2] / (double)n;
+                solid_through(moments[3 * at + 2]) / (double)n;
     }
     return v;
 }
@@ -161,6 +167,7 @@ void solid_ref_grad(const struct solid_input *in, const double *moments, double 
         }
         solid_add_bends(in, moments, at, grad);
         if (in->supported && in->supported[at])
-            g[2] += (solid_about(in, at).known ? in->light_known : in->light) / (double)n;
+            g[2] += (solid_about(in, at).known ? in->light_known : in->light) *
+                    fmin(moments[3 * at + 2] / SOLID_LIGHT_T, 1) / (double)n;
     }
 }

@@ -205,7 +205,7 @@ static void test_by_hand(void **state)
     double mean = 0.2 / 3, var = 0.04 / 3 - mean * mean, px_m = 45 / (1 + mean), soft = 0.25 / px_m;
     double s = px_m * (sqrt(var + soft * soft) - soft), r = s / SOLID_SPREAD_PX;
     assert_true(fabs(v.spread - 0.75 * 0.5 * (s / (1 + r * r) + SOLID_SPREAD_PX * atan(r))) < 1e-9);
-    assert_true(fabs(v.light - 0.25 * 19 / 40) < 1e-9 && v.bend < 1e-12);
+    assert_true(fabs(v.light - (0.25 - SOLID_LIGHT_T / 2) * 19 / 40) < 1e-9 && v.bend < 1e-12);
     in.known = all_known; /* all of it at 0.2: two thirds of the light is 0.2 off */
     for (size_t i = 0; i < px; i++)
         all_known[i] = 1.0f;
@@ -213,7 +213,8 @@ static void test_by_hand(void **state)
     s = px_m * (sqrt(0.04 * 2 / 3 + soft * soft) - soft);
     r = s / SOLID_PRIOR_PX;
     assert_true(fabs(v.prior - 0.75 * 0.5 * (s / (1 + r * r) + SOLID_PRIOR_PX * atan(r))) < 1e-9);
-    assert_true(v.spread == 0.0 && v.light == 0.0 && fabs(v.light_known - 0.25 * 19 / 40) < 1e-9);
+    assert_true(v.spread == 0.0 && v.light == 0.0 &&
+                fabs(v.light_known - (0.25 - SOLID_LIGHT_T / 2) * 19 / 40) < 1e-9);
     mem_free(m);
 }
 
