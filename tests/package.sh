@@ -47,6 +47,7 @@ citysplat ortho city.tiles -o ortho.tif -q # the plug-in with GDAL
 [ -s ortho.tif ]
 citysplat serve city.tiles --port 18080 --address 127.0.0.1 >log 2>&1 &
 server=$!
+trap "kill $server 2>/dev/null || true" EXIT
 n=0
 until curl -fsS -o /dev/null http://127.0.0.1:18080/readyz 2>/dev/null; do
     n=$((n + 1))
@@ -58,7 +59,7 @@ tile=$(tr ',' '\n' <tileset.json | sed -n 's/.*"uri": *"\([^"]*\.glb[^"]*\)".*/\
 case $tile in /*) ;; *) tile=/d/city/$tile ;; esac
 curl -fsS "http://127.0.0.1:18080$tile" >tile.glb
 [ "$(head -c 4 tile.glb)" = glTF ]
-curl -fsS http://127.0.0.1:18080/ | grep -q '<html'
+curl -fsS -H 'Accept: text/html' http://127.0.0.1:18080/ | grep -q '<html'
 curl -fsSL -o view.jpg http://127.0.0.1:18080/d/city/static/7.5733,47.5570,430@0,-50/64x48.jpg
 echo "used: a tile of $(wc -c <tile.glb) bytes, a view of $(wc -c <view.jpg) bytes"
 kill $server
