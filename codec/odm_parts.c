@@ -26,6 +26,11 @@ static int odm_key_compare(const void *a, const void *b)
     return strcmp(p->name, q->name);
 }
 
+void odm_keys_sort(struct odm_keys *k)
+{
+    qsort(k->list, k->n, sizeof *k->list, odm_key_compare);
+}
+
 uint32_t odm_keys_find(const struct odm_keys *k, const char *name)
 {
     const struct odm_key want = {name, 0};
@@ -47,7 +52,7 @@ enum err_code odm_keys_of(const json_t *object, struct arena *a, struct odm_keys
     if (!out->list)
         return odm_no_memory(e);
     json_object_foreach((json_t *)(uintptr_t)object, name, value) out->list[n++].name = name;
-    qsort(out->list, n, sizeof *out->list, odm_key_compare);
+    odm_keys_sort(out);
     for (size_t i = 0; i < n; i++)
         out->list[i].index = (uint32_t)i;
     return ERR_OK;

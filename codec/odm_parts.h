@@ -19,6 +19,8 @@ struct odm_keys {
     struct odm_key *list; /* lives in the arena that it was made with */
     size_t n;
 };
+/* Sorts a list by name. */
+void odm_keys_sort(struct odm_keys *k);
 /* The index of a name; UINT32_MAX: there is none. */
 uint32_t odm_keys_find(const struct odm_keys *k, const char *name);
 /* The members of a JSON object, sorted by name; index = rank. ERR_MEM. */

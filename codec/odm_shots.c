@@ -154,12 +154,6 @@ static enum err_code odm_shot_pose(struct odm_shots *s, size_t i, struct err *e)
     return rc;
 }
 
-static int odm_shot_compare(const void *a, const void *b)
-{
-    const struct odm_key *p = a, *q = b;
-    return strcmp(p->name, q->name);
-}
-
 static enum err_code odm_shots_list(struct odm_shots *s, const json_t *features, struct err *e)
 {
     struct arena *a = &s->out->model.arena;
@@ -181,7 +175,7 @@ static enum err_code odm_shots_list(struct odm_shots *s, const json_t *features,
             return rc;
         }
     }
-    qsort(s->names.list, n, sizeof *s->names.list, odm_shot_compare);
+    odm_keys_sort(&s->names);
     for (size_t i = 1; i < n; i++)
         if (!strcmp(s->names.list[i].name, s->names.list[i - 1].name))
             return err_set(e, ERR_FORMAT, "photograph '%.200s' appears twice",

@@ -21,8 +21,6 @@
 
 extern const char vector_cl[], lanes_cl[], depth_cl[];
 
-enum { DEPTH_LOCAL = 64 }; /* work-items of a group, VW 1 */
-
 struct depth {
     struct dev *dev; /* borrowed */
     bool wide;       /* the shape of the kernels: VW 16 */
@@ -121,7 +119,7 @@ static enum err_code depth_over_all(struct depth *d, cl_kernel k, const char *na
 {
     return d->wide ? dev_run(d->dev, k, name,
                              (groups + LAYOUT_PROJECT_GROUPS - 1) / LAYOUT_PROJECT_GROUPS, 1, e)
-                   : dev_run(d->dev, k, name, (size_t)groups * LAYOUT_LANES, DEPTH_LOCAL, e);
+                   : dev_run(d->dev, k, name, (size_t)groups * LAYOUT_LANES, dev_local(d->dev), e);
 }
 
 static enum err_code depth_draw(struct depth *d, struct render *r, const struct render_model *m,

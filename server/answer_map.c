@@ -102,19 +102,29 @@ static void answer_map_document(const struct services *s, const struct request *
         out->vary = out->vary ? ORIGIN_VARY_ENCODED : ORIGIN_VARY;
 }
 
+/* The edition that a document names in its addresses. False, and answered: there is no survey, or
+ * not the appearance that was asked for; terrain has none. */
+static bool answer_map_edition(struct services *s, struct dataset *d, const struct target *t,
+                               enum map_document_of of, char edition[9], struct response *out)
+{
+    struct appearance_choice choice;
+    if (!answer_map_is_surveyed(d, out))
+        return false;
+    if (of == MAP_DOCUMENT_COLOURS && !answer_appearance_find(s, d, t->appearance, &choice, out))
+        return false;
+    response_edition(s, d, EDITION_PICTURES, edition);
+    return true;
+}
+
 static void answer_map_describe(struct services *s, const struct request *r, struct dataset *d,
                                 const struct target *t, enum map_document_of of,
                                 struct response *out)
 {
     struct err e = {0};
     struct body *b = NULL;
-    struct appearance_choice choice;
     char edition[9], origin[ORIGIN_MAX];
-    if (!answer_map_is_surveyed(d, out))
+    if (!answer_map_edition(s, d, t, of, edition, out))
         return;
-    if (of == MAP_DOCUMENT_COLOURS && !answer_appearance_find(s, d, t->appearance, &choice, out))
-        return;
-    response_edition(s, d, EDITION_PICTURES, edition);
     if (map_document_tilejson(d, edition, of, t, origin_of(s, r, origin), &b, &e))
         response_no_memory(out);
     else
@@ -138,12 +148,9 @@ void answer_map_style(struct services *s, const struct request *r, struct datase
 {
     struct err e = {0};
     struct body *b = NULL;
-    struct appearance_choice choice;
     char edition[9], origin[ORIGIN_MAX];
-    if (!answer_map_is_surveyed(d, out) ||
-        !answer_appearance_find(s, d, t->appearance, &choice, out))
+    if (!answer_map_edition(s, d, t, MAP_DOCUMENT_COLOURS, edition, out))
         return;
-    response_edition(s, d, EDITION_PICTURES, edition);
     if (map_document_style(d, edition, t, origin_of(s, r, origin), &b, &e))
         response_no_memory(out);
     else
@@ -155,12 +162,9 @@ void answer_map_wmts(struct services *s, const struct request *r, struct dataset
 {
     struct err e = {0};
     struct body *b = NULL;
-    struct appearance_choice choice;
     char edition[9], origin[ORIGIN_MAX];
-    if (!answer_map_is_surveyed(d, out) ||
-        !answer_appearance_find(s, d, t->appearance, &choice, out))
+    if (!answer_map_edition(s, d, t, MAP_DOCUMENT_COLOURS, edition, out))
         return;
-    response_edition(s, d, EDITION_PICTURES, edition);
     enum err_code rc = map_document_wmts(d, edition, t, origin_or_own(s, r, origin), &b, &e);
     if (rc == ERR_ARG)
         response_problem(out, 404, e.msg);

@@ -16,7 +16,6 @@ enum {
     SWEEP_TILE_W = 64, /* as in sweep.cl */
     SWEEP_TILE_H = 32,
     SWEEP_SLAB = 16,  /* planes of a work-item */
-    SWEEP_LOCAL = 64, /* work-items of a group, VW 1 */
     SWEEP_ROUND = 32, /* planes are padded to a multiple */
     SWEEP_KERNELS = 4
 };
@@ -234,7 +233,7 @@ static enum err_code sweep_costs(struct sweep *s, const struct sweep_input *in, 
     bad |= dev_arg(s->turn, 4, s->buffer[SWEEP_TURNED]);
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "sweep: arguments: %s", dev_error_name(bad));
-    size_t local = s->wide ? 1 : SWEEP_LOCAL;
+    size_t local = dev_local(s->dev);
     enum err_code rc =
         dev_run(s->dev, s->cost, "sweep_cost", s->wide ? tiles * slabs : pixels * planes, local, e);
     return rc ? rc : dev_run(s->dev, s->turn, "sweep_turn", s->wide ? h : pixels, local, e);
@@ -279,8 +278,8 @@ static enum err_code sweep_pick(struct sweep *s, const struct sweep_input *in, s
     bad |= dev_arg(s->pick, 6, s->buffer[SWEEP_SCORE]);
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "sweep: arguments: %s", dev_error_name(bad));
-    return s->wide ? dev_run(s->dev, s->pick, "sweep_pick", h, 1, e)
-                   : dev_run(s->dev, s->pick, "sweep_pick", (size_t)w * h, SWEEP_LOCAL, e);
+    size_t items = s->wide ? h : (size_t)w * h;
+    return dev_run(s->dev, s->pick, "sweep_pick", items, dev_local(s->dev), e);
 }
 
 enum err_code sweep_run(struct sweep *s, const struct sweep_input *in, float *plane, float *score,
