@@ -2,6 +2,7 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import { existsSync } from "node:fs";
+import { after } from "node:test";
 
 import { decodePng } from "./png.mjs";
 
@@ -35,8 +36,9 @@ export function missingBrowser() {
 
 const CALM_FRAMES = 6;
 let waits = 0;
-let shared = null; // one browser for all pages that are open at a time
+let shared = null; // one browser for all pages: its start and the drivers' first picture take seconds
 let users = 0;
+const testing = Boolean(process.env.NODE_TEST_CONTEXT); // of a file of tests; else of a tool
 
 async function takeBrowser() {
     const { chromium } = await import("playwright-core");
@@ -45,15 +47,19 @@ async function takeBrowser() {
     return shared;
 }
 
-// The browser stays for a moment: the next test may want it.
 async function leaveBrowser() {
-    if (--users > 0) return;
-    await new Promise((done) => setTimeout(done, 50));
-    if (users > 0 || !shared) return;
+    if (--users > 0 || testing) return;
+    await endBrowser();
+}
+
+async function endBrowser() {
     const browser = await shared;
     shared = null;
-    await browser.close();
+    await browser?.close();
 }
+
+// Of a file of tests the browser goes with the last test.
+if (testing) after(endBrowser);
 
 // Opens url in a fresh profile. { page, log, close }: log collects console errors and uncaught
 // exceptions.
@@ -66,7 +72,7 @@ export async function openPage(url, { width = 800, height = 600, ...more } = {})
     });
     const page = await context.newPage();
     const close = async () => {
-        await context.close();
+        if (shared) await context.close(); // else it went with the browser
         await leaveBrowser();
     };
     const log = [];
