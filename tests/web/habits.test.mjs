@@ -26,6 +26,14 @@ for (const [name, size] of Object.entries(SIZES)) {
     test(`${name}: every control can be reached and is large enough`, async () => {
         const { page, log, close } = await openPage(source.url, size);
         await waitForViewer(page);
+        // Home depends on what the footer covers, so lines that come and go must not be in its way.
+        const footer = (line) =>
+            page.evaluate((words) => {
+                document.getElementById("progress-text").textContent = words;
+                return document.querySelector("footer").getBoundingClientRect().height;
+            }, line);
+        const heights = [await footer("Tiles: 123 of 1234 · 123.45 MB"), await footer("")];
+        assert.equal(heights[0], heights[1], "the footer grows with the progress");
         await page.click("#fold");
         for (const box of await page.$$("#panel details")) await box.evaluate((d) => (d.open = true));
         const faults = await page.evaluate((least) => {

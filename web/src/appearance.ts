@@ -56,6 +56,7 @@ function options(list: Appearance[]): HTMLElement[] {
 
 export class AppearanceControl {
   onChange: () => void = () => {}; // what a link says of a second appearance is another thing now
+  onList: () => void = () => {}; // photographs are listed, and the panel has its size
   private readonly from = element<HTMLSelectElement>("appearance-from");
   private readonly to = element<HTMLSelectElement>("appearance-to");
   private readonly mix = element<HTMLInputElement>("appearance-mix");
@@ -166,6 +167,7 @@ export class AppearanceControl {
     element("photos-button").hidden = !list.some((one) => one.thumbnail);
     element("appearance-split").hidden = !this.viewer.computesColours;
     this.fillLists();
+    this.onList();
     if (this.wish) await this.grant(this.wish);
   }
 

@@ -68,12 +68,14 @@ export class Page {
   private addressTimer = 0;
   private offered = false;
   private problem: Error | null = null; // why no scene is open
+  private used = false; // somebody has pressed, turned or typed something since the scene opened
 
   constructor(private readonly viewer: Viewer) {
     new Status(viewer);
     const query = new URLSearchParams(location.search);
     this.appearance = new AppearanceControl(viewer, parseSecondLight(query));
     this.appearance.onChange = () => this.address();
+    this.appearance.onList = () => this.frame();
     new Tours(viewer);
     this.layers = new LayerPanel(viewer);
     this.compare = new Compare(viewer, parseComparison(query));
@@ -87,8 +89,15 @@ export class Page {
     this.wireKeys();
     this.wireViewer();
     this.translate();
+    const use = () => (this.used = true);
+    for (const name of ["pointerdown", "keydown", "wheel"]) window.addEventListener(name, use, { capture: true, passive: true });
     viewer.fitInto(freePart);
     this.showMode(viewer.mode);
+  }
+
+  // Home again in what is free, where the panels got what they show after the city came; not under somebody's hands.
+  private frame() {
+    if (!this.used) this.viewer.fitInto(freePart);
   }
 
   private translate() {
@@ -107,11 +116,13 @@ export class Page {
     const { viewer } = this;
     viewer.on("scene", (scene) => {
       this.problem = null;
+      this.used = false;
       this.showTitle();
       setText("attribution", viewer.info?.attribution ?? "");
       this.fillChooser();
       element("globe").hidden = !scene.catalogue; // cesium.html is where a server serves this page
       this.showPlace();
+      this.frame();
       this.address();
     });
     viewer.on("move", () => {

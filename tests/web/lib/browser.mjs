@@ -35,6 +35,7 @@ export function missingBrowser() {
 }
 
 const CALM_FRAMES = 6;
+const PATIENCE_MS = 120_000; // of each step: a busy machine takes long, and that is no fault of a page
 let waits = 0;
 let shared = null; // one browser for all pages: its start and the drivers' first picture take seconds
 let users = 0;
@@ -70,6 +71,7 @@ export async function openPage(url, { width = 800, height = 600, ...more } = {})
         deviceScaleFactor: 1,
         ...more,
     });
+    context.setDefaultTimeout(PATIENCE_MS);
     const page = await context.newPage();
     const close = async () => {
         if (shared) await context.close(); // else it went with the browser

@@ -16,6 +16,7 @@ import { writePly } from "./ply.mjs";
 
 const WEB_DIST = join(dirname(fileURLToPath(import.meta.url)), "../../../web/dist");
 const START_TIMEOUT_MS = 60000; // kernels may have to be compiled
+const DEADLINE_S = 120; // of an answer: a busy machine must not turn a picture into an error
 
 export const BIN = process.env.CITYSPLAT_BIN;
 export const GIVEN_TILES = process.env.CITYSPLAT_TILES;
@@ -48,7 +49,7 @@ export function importCity(dir, edgeM = 60, name = "fcity", city = makeCity()) {
 
 // Starts `citysplat serve` on a free port; resolves with its address and a function that ends it.
 function serve(...argv) {
-    const args = ["serve", ...argv, "--port", "0", "--web-dir", WEB_DIST];
+    const args = ["serve", ...argv, "--port", "0", "--web-dir", WEB_DIST, "--deadline-s", String(DEADLINE_S)];
     const child = spawn(BIN, args, { stdio: ["ignore", "pipe", "pipe"] });
     let said = "";
     const close = () =>
