@@ -25,18 +25,20 @@ static const struct options_def serve_defs[] = {
 
 static const struct options_spec serve_spec = {
     .command = "serve",
-    .usage = "citysplat serve CITY.tiles [MORE.tiles ...] [options]",
+    .usage = "citysplat serve CITY.tiles|URL [MORE ...] [options]",
     .about =
         "Serves tile stores to map clients: Gaussian tiles as .glb, .spz, .drc and .ply, 3D "
         "Tiles and TileJSON descriptions, rendered views as .jpg, .png and .webp, and the "
-        "viewer. It listens on this machine only; --address changes that. For the internet use "
+        "viewer. A store is a file, or an object at https://, http:// or s3:// that is read in "
+        "parts. It listens on this machine only; --address changes that. For the internet use "
         "--tls-cert, or a proxy with TLS. SIGTERM finishes the running requests and exits. "
         "SIGHUP opens the stores again; the older revision is served for another day. --check "
         "tells whether it would start. Exit codes are those of sysexits.h: 64 options, 65 and "
         "66 stores, 69 port or device, 71 memory, 74 input and output, 78 a configuration file, "
         "--auth or --check.",
     .example = "citysplat serve city.tiles\n"
-               "citysplat serve old-town.tiles harbour.tiles --address 0.0.0.0 --port 8000",
+               "citysplat serve old-town.tiles harbour.tiles --address 0.0.0.0 --port 8000\n"
+               "citysplat serve https://cdn.example/city.tiles --cache-dir /var/cache/citysplat",
     .defs = serve_defs,
     .n_defs = sizeof serve_defs / sizeof *serve_defs,
     .min_args = 1,
@@ -76,6 +78,7 @@ static enum err_code serve_run(struct server *sv, const struct server_config *cf
         const struct timespec wait = {.tv_nsec = 100000000};
         if (sigtimedwait(hup, NULL, &wait) == SIGHUP || server_reload_asked(sv))
             serve_reload(sv);
+        server_look(sv, clock_s());
         server_expire(sv, clock_s());
         server_keep_memory(sv, clock_s());
         serve_watch(sv, &next_s);

@@ -25,6 +25,7 @@
 #include "codec/sog.h"
 #include "codec/splat.h"
 #include "codec/spz.h"
+#include "lod/range.h"
 
 enum { SPLATS_HEAD = 128 };
 
@@ -60,6 +61,10 @@ enum err_code splats_kind(const char *path, enum splats_kind *out, struct err *e
 {
     uint8_t head[SPLATS_HEAD];
     *out = SPLATS_UNKNOWN;
+    if (range_is_url(path)) { /* nothing else is read from there */
+        *out = SPLATS_STORE;
+        return ERR_OK;
+    }
     if (file_is_dir(path)) {
         char scene[FILE_PATH_MAX];
         enum err_code rc = file_join(scene, path, "scene.json", e);

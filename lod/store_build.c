@@ -41,6 +41,13 @@ static const char store_schema_sql[] =
     " hash BLOB NOT NULL, row_hash BLOB NOT NULL, payload BLOB NOT NULL);"
     "CREATE TABLE blobs(name TEXT PRIMARY KEY, hash BLOB NOT NULL, bytes BLOB NOT NULL);";
 
+/* What opening reads, without the payloads between. It is made at the end, so its pages lie
+ * together: a store at an address opens with a few requests. */
+static const char store_index_sql[] =
+    "CREATE INDEX tiles_index ON tiles(z,x,y,level,count,bytes,version,center_e,center_n,center_u,"
+    "min_e,min_n,min_u,max_e,max_n,max_u,core_min_e,core_min_n,core_min_u,core_max_e,core_max_n,"
+    "core_max_u,sigma_median_m,sigma_max_m,geometric_error_m,hash,row_hash)";
+
 static const char store_put_sql[] =
     "INSERT INTO "
     "tiles(id,z,x,y,level,count,bytes,version,center_e,center_n,center_u,min_e,min_n,min_u,"
@@ -458,6 +465,8 @@ enum err_code store_commit(struct store **sp, struct err *e)
     rc = store_revision(s, e);
     if (!rc)
         rc = store_write_meta(s, e);
+    if (!rc)
+        rc = store_exec(s, store_index_sql, "cannot write", e);
     if (!rc)
         rc = store_exec(s, "COMMIT", "cannot write", e);
     sqlite3_finalize(s->get);

@@ -7,9 +7,15 @@
 #include <string.h>
 
 #include "lod/key.h"
+#include "lod/remote.h"
 
 enum err_code store_db_fail(const struct store *s, int code, const char *what, struct err *e)
 {
+    if (s->remote && remote_failed(s->remote)->code) {
+        const struct err far = *remote_failed(s->remote);
+        remote_forgive(s->remote);
+        return err_set(e, far.code, "%s: %s", what, far.msg); /* which says nothing of the file */
+    }
     const char *why = s->db ? sqlite3_errmsg(s->db) : sqlite3_errstr(code);
     switch (code & 0xff) {
     case SQLITE_CORRUPT:

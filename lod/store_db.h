@@ -27,6 +27,7 @@
 #include "lod/tree.h"
 
 struct bake;
+struct remote;
 
 enum {
     STORE_APPLICATION_ID = 0x43535054, /* "CSPT" */
@@ -62,9 +63,10 @@ struct store {
     struct bake *bake;
     bool bake_known;
     void (*bake_free)(struct store *s);
-    char *footprint; /* opened: GeoJSON; NULL: none */
-    char *clip;      /* opened: GeoJSON; NULL: none */
-    bool borrows;    /* opened: tiles, tree, footprint and clip belong to another handle */
+    char *footprint;       /* opened: GeoJSON; NULL: none */
+    char *clip;            /* opened: GeoJSON; NULL: none */
+    bool borrows;          /* opened: tiles, tree, footprint and clip belong to another handle */
+    struct remote *remote; /* opened from an address: its reader, which belongs to db; else NULL */
     /* building: the store that will be replaced, for tile versions; may be NULL */
     struct store *before;
 };

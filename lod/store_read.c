@@ -21,8 +21,10 @@
 
 #include "codec/limits.h"
 #include "codec/payload.h"
+#include "lod/remote.h"
 #include "lod/store.h"
 #include "lod/store_db.h"
+#include "lod/store_remote.h"
 #include "lod/tree.h"
 
 static struct hash128 store_hash_in(const uint8_t in[STORE_HASH_BYTES])
@@ -41,24 +43,35 @@ static uint32_t store_be32(const uint8_t *p)
     return (uint32_t)p[0] << 24 | (uint32_t)p[1] << 16 | (uint32_t)p[2] << 8 | p[3];
 }
 
-/* The 100 bytes of an SQLite header (sqlite.org/fileformat2.html, 1.3) against the file's size. */
-static enum err_code store_check_header(const char *at, const char *path, uint64_t *size_bytes,
-                                        struct err *e)
+enum { STORE_HEADER_BYTES = 100 };
+
+/* The first bytes of a file, and its size; *got: fewer are there. */
+static enum err_code store_read_header(const char *at, const char *path,
+                                       uint8_t h[STORE_HEADER_BYTES], size_t *got, uint64_t *size,
+                                       struct err *e)
 {
-    uint8_t h[100];
     int fd = open(at, O_RDONLY | O_CLOEXEC);
     if (fd < 0)
         return err_errno(e, errno == ENOENT ? ERR_NOENT : ERR_IO, "%s", path);
     struct stat st;
     bool known = fstat(fd, &st) == 0, folder = known && S_ISDIR(st.st_mode);
-    ssize_t got = known && !folder ? pread(fd, h, sizeof h, 0) : -1;
+    ssize_t n = known && !folder ? pread(fd, h, STORE_HEADER_BYTES, 0) : -1;
     close(fd);
     if (folder)
         return err_set(e, ERR_FORMAT,
                        "%s: a folder, not a tile store: a store is one file, CITY.tiles; give "
                        "that (of a trained run, `citysplat tile %s -o city.tiles` writes it)",
                        path, path);
-    if (got != (ssize_t)sizeof h || memcmp(h, "SQLite format 3", 16) ||
+    *got = n > 0 ? (size_t)n : 0;
+    *size = known ? (uint64_t)st.st_size : 0;
+    return ERR_OK;
+}
+
+/* SQLite's header (sqlite.org/fileformat2.html, 1.3) against the file's size. */
+static enum err_code store_check_header(const uint8_t h[STORE_HEADER_BYTES], size_t got,
+                                        uint64_t size_bytes, const char *path, struct err *e)
+{
+    if (got != STORE_HEADER_BYTES || memcmp(h, "SQLite format 3", 16) ||
         store_be32(h + 68) != STORE_APPLICATION_ID)
         return err_set(
             e, ERR_FORMAT,
@@ -70,10 +83,9 @@ static enum err_code store_check_header(const char *at, const char *path, uint64
             store_be32(h + 60), STORE_SCHEMA);
     uint64_t page = (uint64_t)h[16] << 8 | h[17], pages = store_be32(h + 28);
     uint64_t want = (page == 1 ? 65536 : page) * pages;
-    if (want != (uint64_t)st.st_size)
+    if (want != size_bytes)
         return err_set(e, ERR_FORMAT, "%s: truncated or overlong: %llu bytes, its header says %llu",
-                       path, (unsigned long long)st.st_size, (unsigned long long)want);
-    *size_bytes = want;
+                       path, (unsigned long long)size_bytes, (unsigned long long)want);
     return ERR_OK;
 }
 
@@ -139,10 +151,12 @@ static enum err_code store_connect(struct store *s, const char *at, const char *
     if (code == SQLITE_OK) {
         sqlite3_db_config(s->db, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, NULL);
         sqlite3_db_config(s->db, SQLITE_DBCONFIG_DEFENSIVE, 1, NULL);
+        s->remote = store_remote_of(s->db);
         sqlite3_limit(s->db, SQLITE_LIMIT_LENGTH,
                       s->size_bytes < INT_MAX ? (int)s->size_bytes : INT_MAX);
         code = sqlite3_exec(s->db,
-                            "PRAGMA mmap_size=0; PRAGMA cell_size_check=ON; PRAGMA query_only=ON",
+                            "PRAGMA mmap_size=0; PRAGMA cell_size_check=ON; PRAGMA query_only=ON;"
+                            "PRAGMA temp_store=MEMORY",
                             NULL, NULL, NULL);
     }
     if (code != SQLITE_OK)
@@ -286,10 +300,13 @@ static enum err_code store_read_meta(struct store *s, struct err *e)
 
 /* ---- index ---- */
 
+/* From the covering index that a store has beside its tiles (store_build.c), where the rows lie
+ * together; older stores have none, and the rows are read between the payloads. */
 #define STORE_INDEX_SQL                                                                            \
     "SELECT id,z,x,y,level,count,bytes,version,center_e,center_n,center_u,min_e,min_n,min_u,"      \
     "max_e,max_n,max_u,core_min_e,core_min_n,core_min_u,core_max_e,core_max_n,core_max_u,"         \
     "sigma_median_m,sigma_max_m,geometric_error_m,hash,row_hash FROM tiles"
+#define STORE_ROWS_SQL STORE_INDEX_SQL " NOT INDEXED"
 
 static uint64_t store_column_u(sqlite3_stmt *q, int column, uint64_t limit, bool *ok)
 {
@@ -339,11 +356,12 @@ static bool store_row(sqlite3_stmt *q, struct store_tile *t)
 
 /* Rows come in order of id; the damaged ones are left out and counted. Pages that point to each
  * other in circles give rows for ever: no more are read than the file has room for. */
-static enum err_code store_read_index(struct store *s, size_t *n_bad, struct err *e)
+static enum err_code store_read_index(struct store *s, const char *sql, size_t *n_bad,
+                                      struct err *e)
 {
     sqlite3_stmt *q = NULL;
     struct key first = {0};
-    int code = sqlite3_prepare_v2(s->db, STORE_INDEX_SQL, -1, &q, NULL);
+    int code = sqlite3_prepare_v2(s->db, sql, -1, &q, NULL);
     enum err_code rc = code == SQLITE_OK ? ERR_OK : store_db_fail(s, code, "index", e);
     while (!rc && (code = sqlite3_step(q)) == SQLITE_ROW) {
         if (s->n_tiles == s->cap_tiles) {
@@ -379,13 +397,17 @@ static enum err_code store_read_index(struct store *s, size_t *n_bad, struct err
 }
 
 /* Kept as text that is known to be JSON, since it goes into documents as it is. */
-static void store_read_outline(struct store *s, const char *name, char **out)
+static enum err_code store_read_outline(struct store *s, const char *name, char **out,
+                                        struct err *e)
 {
     struct buf b = {0};
     json_t *root = NULL;
-    enum err_code rc = store_get_blob(s, name, &b, NULL);
+    struct err why = {0};
+    enum err_code rc = store_get_blob(s, name, &b, &why);
     if (rc == ERR_NOENT)
-        return;
+        return ERR_OK;
+    if (rc == ERR_BUSY)
+        return err_set(e, rc, "%s", why.msg);
     if (!rc)
         rc = jsonc_parse((const char *)b.data, b.size, name, &root, NULL);
     if (!rc)
@@ -394,6 +416,7 @@ static void store_read_outline(struct store *s, const char *name, char **out)
     buf_free(&b);
     if (rc || !*out) /* what is drawn does not need it; verify finds what is damaged */
         log_warn("store", "%s: its %s cannot be read: it is left out", s->path, name);
+    return ERR_OK;
 }
 
 const char *store_footprint(const struct store *s)
@@ -406,15 +429,28 @@ const char *store_clip(const struct store *s)
     return s->clip;
 }
 
-/* The file at `at`, which messages call `path`. */
+static enum err_code store_far_header(struct remote *far, uint8_t h[STORE_HEADER_BYTES],
+                                      size_t *got, uint64_t *size, struct err *e)
+{
+    *size = remote_size(far);
+    *got = *size < STORE_HEADER_BYTES ? (size_t)*size : STORE_HEADER_BYTES;
+    return remote_read(far, 0, h, *got, e);
+}
+
+/* The file at `at`, which messages call `path`. far: it is a remote one, else NULL. */
 static enum err_code store_open_at(const char *at, const char *path, const char *vfs,
-                                   struct store **out, struct err *e)
+                                   struct remote *far, struct store **out, struct err *e)
 {
     *out = NULL;
     if (strlen(path) >= FILE_PATH_MAX)
         return err_set(e, ERR_LIMIT, "%s: path too long", path);
+    uint8_t h[STORE_HEADER_BYTES];
+    size_t got = 0;
     uint64_t size_bytes = 0;
-    enum err_code rc = store_check_header(at, path, &size_bytes, e);
+    enum err_code rc = far ? store_far_header(far, h, &got, &size_bytes, e)
+                           : store_read_header(at, path, h, &got, &size_bytes, e);
+    if (!rc)
+        rc = store_check_header(h, got, size_bytes, path, e);
     if (rc)
         return rc;
     struct store *s = mem_array(1, sizeof *s);
@@ -429,12 +465,13 @@ static enum err_code store_open_at(const char *at, const char *path, const char 
     if (!rc)
         rc = store_read_meta(s, e);
     if (!rc)
-        rc = store_read_index(s, &n_bad, e);
+        rc = store_read_index(s, STORE_INDEX_SQL, &n_bad, e);
     if (!rc)
         rc = tree_build(s->tiles, s->n_tiles, &s->tree, e);
     if (!rc) {
-        store_read_outline(s, STORE_FOOTPRINT, &s->footprint);
-        store_read_outline(s, STORE_CLIP, &s->clip);
+        rc = store_read_outline(s, STORE_FOOTPRINT, &s->footprint, e);
+        if (!rc)
+            rc = store_read_outline(s, STORE_CLIP, &s->clip, e);
     }
     if (rc)
         store_close(&s);
@@ -444,15 +481,51 @@ static enum err_code store_open_at(const char *at, const char *path, const char 
 
 enum err_code store_open(const char *path, struct store **out, struct err *e)
 {
-    return store_open_at(path, path, NULL, out, e);
+    int fd = -1;
+    *out = NULL;
+    if (!range_is_url(path))
+        return store_open_at(path, path, NULL, NULL, out, e);
+    enum err_code rc = remote_open(path, &fd, e);
+    if (rc)
+        return rc;
+    rc = store_open_fd(fd, path, out, e);
+    close(fd);
+    return rc;
+}
+
+enum err_code store_open_file(const char *path, int *fd, struct err *e)
+{
+    struct stat st;
+    *fd = -1;
+    if (range_is_url(path))
+        return remote_open(path, fd, e);
+    if (!stat(path, &st) && !S_ISREG(st.st_mode)) /* opening a FIFO would wait for a writer */
+        return err_set(e, ERR_FORMAT, "%s: no file: a tile store is a file", path);
+    *fd = open(path, O_RDONLY | O_CLOEXEC);
+    return *fd < 0 ? err_errno(e, errno == ENOENT ? ERR_NOENT : ERR_IO, "%s", path) : ERR_OK;
+}
+
+/* The part of a remote store that was clipped is a file of its own. */
+static bool store_is_far(int fd, const char *name)
+{
+    return range_is_url(name) && remote_is(fd);
 }
 
 enum err_code store_open_fd(int fd, const char *name, struct store **out, struct err *e)
 {
     char at[32];
+    struct remote *far = NULL;
     snprintf(at, sizeof at, "%s%d", store_fds, fd);
-    pthread_once(&store_vfs_once, store_add_vfs);
-    return store_open_at(at, name, store_vfs.zName, out, e);
+    if (!store_is_far(fd, name)) {
+        pthread_once(&store_vfs_once, store_add_vfs);
+        return store_open_at(at, name, store_vfs.zName, NULL, out, e);
+    }
+    *out = NULL;
+    enum err_code rc = remote_attach(fd, &far, e);
+    if (!rc)
+        rc = store_open_at(at, remote_shown(far), store_remote_vfs(), far, out, e);
+    remote_close(&far);
+    return rc;
 }
 
 enum err_code store_open_more(int fd, const struct store *first, struct store **out, struct err *e)
@@ -460,6 +533,7 @@ enum err_code store_open_more(int fd, const struct store *first, struct store **
     char at[32];
     snprintf(at, sizeof at, "%s%d", store_fds, fd);
     pthread_once(&store_vfs_once, store_add_vfs);
+    const char *vfs = first->remote ? store_remote_vfs() : store_vfs.zName;
     *out = NULL;
     struct store *s = mem_array(1, sizeof *s);
     if (!s)
@@ -473,12 +547,12 @@ enum err_code store_open_more(int fd, const struct store *first, struct store **
     s->footprint = first->footprint;
     s->clip = first->clip;
     s->borrows = true;
-    enum err_code rc = store_connect(s, at, store_vfs.zName, e);
+    enum err_code rc = store_connect(s, at, vfs, e);
     /* Its pages of the index are in memory from here on: a file that is cut short later has lost
      * tiles, not the way to all of them. */
     int code = SQLITE_OK;
-    if (!rc)
-        code = sqlite3_exec(s->db, "SELECT max(row_hash) FROM tiles", NULL, NULL, NULL);
+    if (!rc && !s->remote)
+        code = sqlite3_exec(s->db, "SELECT max(row_hash) FROM tiles NOT INDEXED", NULL, NULL, NULL);
     if (code != SQLITE_OK)
         rc = store_db_fail(s, code, "index", e);
     if (rc)
@@ -516,6 +590,21 @@ void store_close(struct store **sp)
 const struct store_meta *store_info(const struct store *s)
 {
     return &s->meta;
+}
+
+const char *store_path(const struct store *s)
+{
+    return s->path;
+}
+
+bool store_replaced(const struct store *s)
+{
+    return s->remote && remote_changed(s->remote);
+}
+
+enum err_code store_ask(struct store *s, double wait_s, struct err *e)
+{
+    return s->remote ? remote_check(s->remote, wait_s, e) : ERR_OK;
 }
 
 const struct store_tile *store_tiles(const struct store *s, size_t *n)
@@ -584,9 +673,14 @@ enum err_code store_read(struct store *s, struct key k, struct buf *out, struct 
         if (code != SQLITE_OK)
             return store_db_fail(s, code, what, e);
     }
+    const struct store_tile *t = s->remote ? store_find(s, k) : NULL;
+    if (t)
+        remote_expect(s->remote, t->bytes);
     sqlite3_bind_int64(s->get, 1, store_db_id(k));
     enum err_code rc = store_take(s, s->get, what, out, e);
     sqlite3_reset(s->get);
+    if (t)
+        remote_expect(s->remote, 0);
     if (rc)
         buf_free(out);
     return rc;
@@ -715,7 +809,7 @@ static void store_verify_tiles(struct store *s, struct err *first, size_t *n_bad
 {
     struct progress p;
     progress_start(&p, "verify tiles", s->n_tiles);
-    for (size_t i = 0; i < s->n_tiles; i++) {
+    for (size_t i = 0; i < s->n_tiles && first->code != ERR_BUSY; i++) {
         const struct store_tile *t = &s->tiles[i];
         struct gauss g = {0};
         struct err e = {0};
@@ -741,9 +835,9 @@ enum err_code store_verify(struct store *s, size_t *n_bad_out, struct err *e)
     char **names = NULL;
     store_verify_pages(s, &first, &n_bad);
     /* Rows that were left out at opening are found again by reading the index afresh. */
-    struct store again = {.db = s->db, .size_bytes = s->size_bytes};
+    struct store again = {.db = s->db, .size_bytes = s->size_bytes, .remote = s->remote};
     memcpy(again.path, s->path, sizeof again.path);
-    enum err_code rc = store_read_index(&again, &n_rows_bad, &one);
+    enum err_code rc = store_read_index(&again, STORE_ROWS_SQL, &n_rows_bad, &one);
     mem_free(again.tiles);
     if (!rc && n_rows_bad)
         err_set(&one, ERR_FORMAT, "%s: %zu index rows are damaged", s->path, n_rows_bad);

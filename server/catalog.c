@@ -107,7 +107,7 @@ static enum err_code catalog_open_or_keep(const char *path, const struct catalog
         return rc;
     for (size_t i = 0; older && i < older->n_current && !*out; i++) {
         struct dataset *d = older->ds[i];
-        if (!atomic_load(&d->n_failed) && !strcmp(d->path, path) &&
+        if (!atomic_load(&d->n_failed) && !store_replaced(d->index) && !strcmp(d->path, path) &&
             catalog_is_of(d, store_info(now)->revision, clip_hash(o->clip)))
             *out = dataset_ref(d);
     }
@@ -194,7 +194,8 @@ enum err_code catalog_open(const char *const *paths, size_t n, const struct cata
     for (size_t i = 1; i < c->n && !rc; i++)
         if (!strcmp(c->ds[i]->meta.name, c->ds[i - 1]->meta.name))
             rc = err_set(e, ERR_ARG, "%s and %s: both hold a dataset named '%s': serve one of them",
-                         c->ds[i - 1]->path, c->ds[i]->path, c->ds[i]->meta.name);
+                         store_path(c->ds[i - 1]->index), store_path(c->ds[i]->index),
+                         c->ds[i]->meta.name);
     const struct collection_options collection = catalog_collection(o);
     if (!rc)
         rc = collection_list(c->ds, c->n_current, &collection, &c->collections, e);

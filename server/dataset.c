@@ -6,12 +6,9 @@
  */
 #include "server/dataset.h"
 
-#include <errno.h>
-#include <fcntl.h>
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
-#include <sys/stat.h>
 #include <unistd.h>
 
 #include "lod/bake.h"
@@ -57,25 +54,22 @@ static enum err_code dataset_open_file(struct dataset *d, const struct clip *cli
     struct store *whole = NULL;
     struct clip_report r;
     double start_s = clock_s();
-    enum err_code rc = ERR_OK;
-    struct stat st;
-    if (!stat(d->path, &st) && !S_ISREG(st.st_mode)) /* opening a FIFO would wait for a writer */
-        return err_set(e, ERR_FORMAT, "%s: no file: a tile store is a file", d->path);
-    if (!clip) {
-        d->fd = open(d->path, O_RDONLY | O_CLOEXEC);
-        if (d->fd < 0)
-            return err_errno(e, errno == ENOENT ? ERR_NOENT : ERR_IO, "%s", d->path);
-    } else {
-        rc = store_open(d->path, &whole, e);
-        if (!rc)
-            memcpy(d->source, store_info(whole)->revision, sizeof d->source);
-        store_close(&whole);
-        if (!rc)
-            rc = clip_open_part(clip, d->path, clip_dir, &d->fd, &r, e);
-        if (!rc)
-            log_info("serve", "clipped file=%s tiles=%zu kept=%zu left_out=%zu seconds=%.1f",
-                     d->path, r.n_tiles, r.n_kept, r.n_dropped, clock_s() - start_s);
-    }
+    int fd = -1;
+    if (!clip)
+        return store_open_file(d->path, &d->fd, e);
+    enum err_code rc = store_open_file(d->path, &fd, e);
+    if (!rc)
+        rc = store_open_fd(fd, d->path, &whole, e);
+    if (fd >= 0)
+        close(fd);
+    if (!rc)
+        memcpy(d->source, store_info(whole)->revision, sizeof d->source);
+    if (!rc)
+        rc = clip_open_part(clip, d->path, clip_dir, &d->fd, &r, e);
+    if (!rc)
+        log_info("serve", "clipped file=%s tiles=%zu kept=%zu left_out=%zu seconds=%.1f",
+                 store_path(whole), r.n_tiles, r.n_kept, r.n_dropped, clock_s() - start_s);
+    store_close(&whole);
     return rc;
 }
 
@@ -84,7 +78,7 @@ static enum err_code dataset_open_stores(struct dataset *d, size_t n, struct err
     d->stores = mem_array(n, sizeof *d->stores);
     d->free_store = mem_array(n, sizeof *d->free_store);
     if (!d->stores || !d->free_store)
-        return err_set(e, ERR_MEM, "dataset %s: out of memory", d->path);
+        return err_set(e, ERR_MEM, "out of memory for a dataset");
     for (size_t i = 0; i < n; i++) {
         enum err_code rc = i ? store_open_more(d->fd, d->stores[0], &d->stores[i], e)
                              : store_open_fd(d->fd, d->path, &d->stores[i], e);
@@ -121,13 +115,13 @@ enum err_code dataset_open(const char *path, size_t readers, const struct clip *
     struct dataset *d = mem_array(1, sizeof *d);
     *out = d;
     if (!d)
-        return err_set(e, ERR_MEM, "dataset %s: out of memory", path);
+        return err_set(e, ERR_MEM, "out of memory for a dataset");
     atomic_init(&d->refs, 1);
     d->fd = -1;
     pthread_mutex_init(&d->lock, NULL);
     enum err_code rc = ERR_OK;
     if (!(d->path = mem_text(path)))
-        rc = err_set(e, ERR_MEM, "dataset %s: out of memory", path);
+        rc = err_set(e, ERR_MEM, "out of memory for a dataset");
     if (!rc)
         rc = dataset_open_file(d, clip, clip_dir, e);
     if (!rc)

@@ -19,6 +19,7 @@
 #include "core/geo.h"
 #include "lod/nadir.h"
 #include "lod/pick.h"
+#include "lod/remote.h"
 #include "lod/view.h"
 #include "render/render.h"
 #include "server/paint.h"
@@ -27,7 +28,8 @@ enum {
     DRAW_OVER = 16 /* a process that holds so much of its memory too much, 1/16, is replaced */
 };
 
-#define DRAW_AGE_S 60.0 /* but not before */
+#define DRAW_AGE_S 60.0   /* but not before */
+#define REMOTE_WAIT_S 5.0 /* for what is read of a store at an address */
 
 struct draw_slot {
     struct view *view;   /* NULL: empty */
@@ -94,6 +96,7 @@ static enum err_code draw_open(const void *hello, size_t n, void **user, char ab
     if (rc)
         return rc;
     render_set_stop(d->render, worker_cancelled, NULL);
+    remote_patience(REMOTE_WAIT_S);
     snprintf(about, WORKER_ABOUT, "%.100s %.50s", d->dev.name, d->dev.driver);
     return ERR_OK;
 }

@@ -13,6 +13,8 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "lod/store.h"
+
 enum { PICTURE_NICE = 5 };
 static const double PAUSE_S = 0.25, PAUSE_MOST_S = 30, STEADY_S = 10;
 static const double START_S = 60; /* at least: kernels may have to be compiled */
@@ -170,7 +172,7 @@ enum err_code picture_make(struct picture *p, const struct job *j, struct datase
     p->life = life;
     bool opens = picture_slot(p, d, q);
     q->antialiased = d->meta.antialiased;
-    snprintf(q->name, sizeof q->name, "%.*s", (int)sizeof q->name - 1, d->path);
+    snprintf(q->name, sizeof q->name, "%.*s", (int)sizeof q->name - 1, store_path(d->index));
     rc = worker_ask(p->worker, life, q, sizeof *q, opens ? d->fd : -1, limit, picture_stopped, j,
                     out, e);
     if (opens && !rc) {

@@ -17,7 +17,9 @@
 #include <unistd.h>
 
 #include "core/pool.h"
+#include "lod/blocks.h"
 #include "lod/clip.h"
+#include "lod/remote.h"
 #include "server/http.h"
 #include "server/link.h"
 #include "server/motion.h"
@@ -32,6 +34,7 @@ struct server {
     struct clip clip; /* of all stores; in use if stores.clip is set */
     struct catalog_options stores;
     struct services services;
+    double asked_s, look_s;    /* stores at addresses: last asked; not before, as a reload failed */
     double looked_s;           /* when memory was looked at */
     struct http *http, *admin; /* admin: NULL without --admin */
     char url[128], memory[256];
@@ -270,6 +273,16 @@ static void server_log_disk(const struct server *sv)
              (unsigned long long)(st.bytes >> 20), (int)sv->cfg.cache_dir_mb, sv->cfg.cache_dir);
 }
 
+/* Of stores at addresses. What was read of them is kept beside what was made of them. */
+static enum err_code server_set_remote(const struct server_config *cfg, struct err *e)
+{
+    char dir[FILE_PATH_MAX];
+    enum err_code rc = cfg->cache_dir ? file_join(dir, cfg->cache_dir, "stores", e) : ERR_OK;
+    blocks_configure(cfg->cache_dir && !rc ? dir : NULL, (uint64_t)cfg->remote_cache_mb << 20);
+    remote_patience(cfg->deadline_s);
+    return rc;
+}
+
 enum err_code server_start(const struct server_config *cfg, const char *const *paths, size_t n,
                            struct server **out, struct err *e)
 {
@@ -286,6 +299,8 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
     sv->workers = cfg->workers ? (size_t)cfg->workers : pool_cores();
     struct services *s = &sv->services;
     enum err_code rc = log_start(e);
+    if (!rc)
+        rc = server_set_remote(cfg, e);
     if (!rc)
         rc = server_read_stores(sv, sv->workers, e);
     if (!rc)
@@ -314,7 +329,7 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
         for (size_t i = 0; i < s->catalog->n; i++)
             log_info("serve", "dataset name=%s revision=%s tiles=%zu file=%s",
                      s->catalog->ds[i]->meta.name, s->catalog->ds[i]->meta.revision,
-                     s->catalog->ds[i]->n_tiles, s->catalog->ds[i]->path);
+                     s->catalog->ds[i]->n_tiles, store_path(s->catalog->ds[i]->index));
     } else {
         server_stop(out);
     }
@@ -382,6 +397,33 @@ enum err_code server_reload(struct server *sv, struct err *e)
     catalog_drop(&older);
     clip_free(&clip);
     return rc;
+}
+
+/* A store that was found replaced is opened again at once, but not more often than it is asked:
+ * what is there now may be no store. */
+void server_look(struct server *sv, double now_s)
+{
+    const double ask_s = 2, every_s = sv->cfg.remote_refresh_s;
+    struct services *s = &sv->services;
+    struct catalog *c = services_catalog(s);
+    const bool asks = every_s > 0 && now_s - sv->asked_s >= every_s;
+    bool replaced = false;
+    for (size_t i = 0; i < c->n_current; i++) {
+        struct err e = {0};
+        struct dataset *d = c->ds[i];
+        if (asks && !store_replaced(d->index) && store_ask(d->stores[0], ask_s, &e) &&
+            e.code != ERR_DATA)
+            log_warn("serve", "not known whether ds=%s is as it was: %s", d->meta.name, e.msg);
+        replaced |= store_replaced(d->index);
+    }
+    catalog_drop(&c);
+    if (asks)
+        sv->asked_s = now_s;
+    if (!replaced || now_s < sv->look_s)
+        return;
+    sv->look_s = now_s + fmax(every_s, ask_s);
+    log_info("serve", "a store was replaced at its server: it is opened again");
+    atomic_store(&s->reload_asked, true);
 }
 
 void server_expire(struct server *sv, double now_s)
@@ -467,7 +509,9 @@ enum err_code server_check(const struct server_config *cfg, const char *const *p
     struct server sv = {.cfg = *cfg, .paths = paths, .n_paths = n};
     struct services *s = &sv.services;
     sv.workers = cfg->workers ? (size_t)cfg->workers : pool_cores();
-    enum err_code rc = server_read_stores(&sv, 1, e);
+    enum err_code rc = server_set_remote(cfg, e);
+    if (!rc)
+        rc = server_read_stores(&sv, 1, e);
     if (!rc)
         rc = server_open_services(&sv, e);
     if (!rc)
@@ -479,7 +523,7 @@ enum err_code server_check(const struct server_config *cfg, const char *const *p
     for (size_t i = 0; !rc && out && i < s->catalog->n; i++)
         fprintf(out, "dataset %s revision %s, %zu tiles: %s\n", s->catalog->ds[i]->meta.name,
                 s->catalog->ds[i]->meta.revision, s->catalog->ds[i]->n_tiles,
-                s->catalog->ds[i]->path);
+                store_path(s->catalog->ds[i]->index));
     if (!rc && out && s->tls) {
         char text[256];
         tls_about(s->tls, text, sizeof text);

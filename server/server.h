@@ -74,6 +74,10 @@ struct services *server_services(struct server *s);
  * error (those of server_start about stores) the old data stay, and /readyz reports it. Only one
  * thread at a time may call this and server_expire. */
 enum err_code server_reload(struct server *s, struct err *e) ERR_USE;
+/* Looks whether a store at an address was replaced at its server, and if so, asks for a reload
+ * (server_reload_asked). Every --remote-refresh-s the servers are asked, by this thread. Call it
+ * from time to time, from the thread that reloads. */
+void server_look(struct server *s, double now_s);
 /* Drops revisions whose time is over, by clock_s(). Call it from time to time. */
 void server_expire(struct server *s, double now_s);
 

@@ -13,6 +13,7 @@
 #include "lod/clip.h"
 #include "lod/crop.h"
 #include "lod/photograph.h"
+#include "lod/remote.h"
 #include "lod/store.h"
 #include "lod/tileset.h"
 #include "lod/tree.h"
@@ -25,12 +26,14 @@
 #include "server/target_query.h"
 #include "server/tileset_links.h"
 
+static const double REMOTE_PART = 0.8; /* of the time of an answer, for what it reads */
+
 static enum err_code work_borrow(const struct work *w, struct store **s, struct err *e)
 {
     *s = dataset_borrow(w->ds);
     return *s ? ERR_OK
               : err_set(e, ERR_INTERNAL, "dataset %s: fewer store handles than workers",
-                        w->ds->path);
+                        w->ds->meta.name);
 }
 
 static enum err_code work_make_tile(const struct work *w, struct buf *out, struct err *e)
@@ -322,6 +325,8 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
     struct buf b = {0};
     char etag[BODY_ETAG_SIZE], what[64];
     (void)worker;
+    /* of a store at an address: an answer in time, be it that there is none */
+    remote_until(clock_s() + REMOTE_PART * s->cfg->deadline_s);
     if (w->kind == WORK_KEEP)
         return work_change(s, w, out, e);
     if (w->keep &&

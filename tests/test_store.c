@@ -201,12 +201,13 @@ static void full_disk(void **state)
     buf_free(&ls);
 }
 
-/* Change one byte where `bytes` first occurs in the file (at + offset). */
-static void flip(const char *path, const void *bytes, size_t n, size_t offset)
+/* Change one byte where `bytes` first occurs in the file after `from` (at + offset). Returns where
+ * that is. */
+static size_t flip_after(const char *path, size_t from, const void *bytes, size_t n, size_t offset)
 {
     struct err e = {0};
     struct buf b = {0};
-    size_t at = 0;
+    size_t at = from;
     kit_ok(file_read(path, 0, &b, &e), e);
     for (; at + n <= b.size && memcmp(b.data + at, bytes, n); at++)
         ;
@@ -214,6 +215,12 @@ static void flip(const char *path, const void *bytes, size_t n, size_t offset)
     b.data[at + offset] ^= 0x10;
     kit_ok(file_write(path, b.data, b.size, &e), e);
     buf_free(&b);
+    return at;
+}
+
+static void flip(const char *path, const void *bytes, size_t n, size_t offset)
+{
+    flip_after(path, 0, bytes, n, offset);
 }
 
 static void a_flipped_payload_byte_costs_one_tile(void **state)
@@ -255,7 +262,14 @@ static void a_flipped_index_byte_costs_one_tile(void **state)
     uint8_t big[8];
     for (size_t i = 0; i < 8; i++)
         big[i] = b.data[7 - i];
-    flip(f->path, big, 8, 5);
+    /* beside the payload, which is found by verify alone, and where opening reads it */
+    const size_t at = flip_after(f->path, 0, big, 8, 5);
+    kit_ok(store_open(f->path, &s, &e), e);
+    store_tiles(s, &n);
+    assert_int_equal(n, 3);
+    kit_fails(store_verify(s, &n, &e), ERR_FORMAT, e, "tiles_index");
+    store_close(&s);
+    flip_after(f->path, at + 8, big, 8, 5);
     kit_ok(store_open(f->path, &s, &e), e);
     store_tiles(s, &n);
     assert_int_equal(n, 2);
