@@ -490,6 +490,16 @@ void dev_release(cl_mem *m)
     }
 }
 
+enum err_code dev_reserve(struct dev *d, size_t n_bytes, cl_mem *m, size_t *room, struct err *e)
+{
+    if (*m && n_bytes <= *room)
+        return ERR_OK;
+    dev_release(m);
+    enum err_code rc = dev_buffer(d, n_bytes, NULL, m, e);
+    *room = rc ? 0 : n_bytes;
+    return rc;
+}
+
 enum err_code dev_read(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes, void *out,
                        struct err *e)
 {

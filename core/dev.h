@@ -66,6 +66,10 @@ void dev_cite(const char *log, const char *const *text, const char *const *names
 enum err_code dev_buffer(struct dev *d, size_t size_bytes, const void *host, cl_mem *out,
                          struct err *e) ERR_USE;
 void dev_release(cl_mem *m); /* NULL is accepted; leaves NULL */
+/* Makes *m a buffer of at least n_bytes; *room is its size, 0 at first. A buffer that is too small
+ * is replaced, and its values are lost. ERR_MEM, ERR_LIMIT: then there is none. */
+enum err_code dev_reserve(struct dev *d, size_t n_bytes, cl_mem *m, size_t *room,
+                          struct err *e) ERR_USE;
 /* Read, write or zero the bytes [offset, offset + n) of a buffer. dev_read and dev_write block.
  * ERR_DEVICE. */
 enum err_code dev_read(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes, void *out,

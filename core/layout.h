@@ -275,6 +275,23 @@ static_assert(sizeof(struct layout_adam) == 17 * 4, "no padding: an argument of 
 static_assert(sizeof(struct layout_counts) == 8 * (2 + LAYOUT_SORT_CHUNKS) + 4 * LAYOUT_BIN_CHUNKS,
               "no padding");
 static_assert(sizeof(struct layout_view) == 43 * 4, "no padding: kernels read the same words");
+
+/* Number of planes of a group of parameters. Embeddings begin at plane layout_planes(sh_degree, 0).
+ */
+static inline uint32_t layout_planes(uint32_t sh_degree, uint32_t embed_len)
+{
+    return LAYOUT_PLANE_SH + 3 * (sh_degree + 1) * (sh_degree + 1) + embed_len;
+}
+/* Index of a row's value in plane 0. */
+static inline size_t layout_at(size_t row, uint32_t planes)
+{
+    return row / LAYOUT_LANES * planes * LAYOUT_LANES + row % LAYOUT_LANES;
+}
+/* Number of floats of an array with n rows. */
+static inline size_t layout_floats(size_t n, uint32_t planes)
+{
+    return (n + LAYOUT_LANES - 1) / LAYOUT_LANES * planes * LAYOUT_LANES;
+}
 #endif
 
 #endif

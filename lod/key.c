@@ -10,7 +10,6 @@
 #include <math.h>
 
 #include "lod/key.h"
-#include "render/permute.h"
 
 #define KEY_PI 3.14159265358979323846
 #define KEY_LAT_MAX_DEG 85.05112877980659 /* where the Mercator square ends: atan(sinh(pi)) */

@@ -11,8 +11,6 @@
 
 #include <math.h>
 
-#include "render/permute.h"
-
 #define LOCATE_PI 3.14159265358979323846
 #define LOCATE_A 6378137.0
 #define LOCATE_F (1.0 / 298.257223563)

@@ -68,7 +68,7 @@ static enum err_code resident_pack(const struct resident *r, const struct gauss 
                                    struct resident_tile *to, struct err *e)
 {
     size_t floats = (size_t)render_piece_groups(g->n) * LAYOUT_LANES *
-                    render_planes_embed(g->sh_degree, g->embed_len);
+                    layout_planes(g->sh_degree, g->embed_len);
     if (!to->block)
         to->block = mem_array(block_count(g->n) + 1, sizeof *to->block);
     to->packed = mem_array(floats + 1, sizeof(float));

@@ -27,8 +27,8 @@ struct depth {
     cl_program program;
     cl_kernel model, loss, add;
     cl_mem shadow, grads, target, pieces;
-    size_t groups, pixels; /* room in shadow and grads, in target */
-    double per_value;      /* weight / n_known of the last run */
+    size_t shadow_bytes, grads_bytes, target_bytes;
+    double per_value; /* weight / n_known of the last run */
 };
 
 void depth_close(struct depth **p)
@@ -79,24 +79,13 @@ enum err_code depth_open(struct dev *dev, struct depth **out, struct err *e)
 static enum err_code depth_reserve(struct depth *d, const struct render_model *m, size_t pixels,
                                    struct err *e)
 {
-    enum err_code rc = ERR_OK;
-    if (m->groups > d->groups) {
-        size_t groups = m->cap / LAYOUT_LANES > m->groups ? m->cap / LAYOUT_LANES : m->groups;
-        size_t bytes = groups * LAYOUT_DEPTH_PLANES * LAYOUT_LANES * sizeof(float);
-        dev_release(&d->shadow);
-        dev_release(&d->grads);
-        d->groups = 0;
-        rc = dev_buffer(d->dev, bytes, NULL, &d->shadow, e);
-        if (!rc)
-            rc = dev_buffer(d->dev, bytes, NULL, &d->grads, e);
-        d->groups = rc ? 0 : groups;
-    }
-    if (!rc && pixels > d->pixels) {
-        dev_release(&d->target);
-        d->pixels = 0;
-        rc = dev_buffer(d->dev, pixels * sizeof(float), NULL, &d->target, e);
-        d->pixels = rc ? 0 : pixels;
-    }
+    size_t n = m->cap > m->n ? m->cap : m->n;
+    size_t bytes = layout_floats(n, LAYOUT_DEPTH_PLANES) * sizeof(float);
+    enum err_code rc = dev_reserve(d->dev, bytes, &d->shadow, &d->shadow_bytes, e);
+    if (!rc)
+        rc = dev_reserve(d->dev, bytes, &d->grads, &d->grads_bytes, e);
+    if (!rc)
+        rc = dev_reserve(d->dev, pixels * sizeof(float), &d->target, &d->target_bytes, e);
     return rc ? err_add(e, "depth of %u Gaussians", m->n) : ERR_OK;
 }
 

@@ -9,7 +9,6 @@
 #include "core/base.h"
 #include "core/layout.h"
 #include "loss/embed_smoothness.h"
-#include "render/permute.h"
 
 extern const char embed_smoothness_cl[];
 
@@ -118,7 +117,7 @@ enum err_code embed_smoothness_step_run(struct embed_smoothness_step *s,
                                         const struct embed_smoothness_input *like, double *loss,
                                         struct err *e)
 {
-    const size_t n = m->n, embed = render_planes(m->sh_degree), group = m->planes * LAYOUT_LANES;
+    const size_t n = m->n, embed = layout_planes(m->sh_degree, 0), group = m->planes * LAYOUT_LANES;
     struct embed_smoothness_input in = *like;
     struct err why = {0};
     void *params = NULL;
@@ -129,12 +128,12 @@ enum err_code embed_smoothness_step_run(struct embed_smoothness_step *s,
         return err_set(e, ERR_ARG, "embed_smoothness: Adam without momentum has no place for it");
     float *mean = mem_array(n, 3 * sizeof *mean);
     enum err_code rc =
-        mean ? dev_map(s->dev, m->params, CL_MAP_READ, permute_floats(n, m->planes) * sizeof(float),
+        mean ? dev_map(s->dev, m->params, CL_MAP_READ, layout_floats(n, m->planes) * sizeof(float),
                        &params, e)
              : err_set(e, ERR_MEM, "embed_smoothness: out of memory for %zu Gaussians", n);
     for (size_t i = 0; !rc && i < n; i++)
         for (size_t k = 0; k < 3; k++)
-            mean[3 * i + k] = ((const float *)params)[permute_at(i, m->planes) + k * LAYOUT_LANES];
+            mean[3 * i + k] = ((const float *)params)[layout_at(i, m->planes) + k * LAYOUT_LANES];
     if (!rc) {
         in.mean_m = mean;
         in.embed = (const float *)params + embed * LAYOUT_LANES;

@@ -255,15 +255,8 @@ static size_t lpips_map_floats(struct lpips_size s, int channels)
 static enum err_code lpips_clear(struct lpips *l, struct lpips_map *m, size_t floats, struct err *e)
 {
     size_t bytes = floats * sizeof(float);
-    if (bytes > m->bytes) {
-        dev_release(&m->mem);
-        m->bytes = 0;
-        enum err_code rc = dev_buffer(l->dev, bytes, NULL, &m->mem, e);
-        if (rc)
-            return rc;
-        m->bytes = bytes;
-    }
-    return dev_zero(l->dev, m->mem, 0, bytes, e);
+    enum err_code rc = dev_reserve(l->dev, bytes, &m->mem, &m->bytes, e);
+    return rc ? rc : dev_zero(l->dev, m->mem, 0, bytes, e);
 }
 
 static float lpips_input(const struct lpips *l, double v, int channel)

@@ -94,38 +94,28 @@ static size_t photometric_groups(const struct photometric *l, uint32_t width_px,
 static enum err_code photometric_reserve(struct photometric *l, uint32_t w, uint32_t h,
                                          struct err *e)
 {
-    enum err_code rc = ERR_OK;
     size_t local, maps_bytes = (size_t)9 * h * photometric_pitch(w) * sizeof(float);
     size_t parts_bytes = photometric_groups(l, w, h, &local) * LAYOUT_LOSS_PARTS * sizeof(float);
     if (w == l->width_px && h == l->height_px)
         return ERR_OK;
     l->width_px = l->height_px = 0;
-    if (maps_bytes > l->maps_bytes) {
-        dev_release(&l->maps);
-        l->maps_bytes = 0;
-        rc = dev_buffer(l->dev, maps_bytes, NULL, &l->maps, e);
-        if (rc)
-            return err_add(e, "photometric_run: maps of %u x %u px", w, h);
-        l->maps_bytes = maps_bytes;
-    }
     if (parts_bytes > l->parts_bytes) {
-        dev_release(&l->parts);
-        l->parts_bytes = 0;
         mem_free(l->host_parts);
+        l->parts_bytes = 0;
         l->host_parts = mem_array(parts_bytes, 1);
         if (!l->host_parts)
             return err_set(e, ERR_MEM, "photometric_run: out of memory");
-        rc = dev_buffer(l->dev, parts_bytes, NULL, &l->parts, e);
-        if (rc)
-            return err_add(e, "photometric_run: partial sums of %u x %u px", w, h);
-        l->parts_bytes = parts_bytes;
     }
-    rc = dev_zero(l->dev, l->maps, 0, maps_bytes, e);
-    if (!rc) {
-        l->width_px = w;
-        l->height_px = h;
-    }
-    return rc;
+    enum err_code rc = dev_reserve(l->dev, maps_bytes, &l->maps, &l->maps_bytes, e);
+    if (!rc)
+        rc = dev_reserve(l->dev, parts_bytes, &l->parts, &l->parts_bytes, e);
+    if (!rc)
+        rc = dev_zero(l->dev, l->maps, 0, maps_bytes, e);
+    if (rc)
+        return err_add(e, "photometric_run: %u x %u px", w, h);
+    l->width_px = w;
+    l->height_px = h;
+    return ERR_OK;
 }
 
 enum err_code photometric_run(struct photometric *l, const struct photometric_input *in,

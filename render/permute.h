@@ -28,15 +28,5 @@ enum { PERMUTE_SPARE = 16 };
 /* See above: ERR_MEM. */
 enum err_code permute_move(const struct permutation *r, bool zero_new, const float *from, float *to,
                            struct err *e) ERR_USE;
-/* Index of a row's value in plane 0. */
-static inline size_t permute_at(size_t row, uint32_t planes)
-{
-    return row / LAYOUT_LANES * planes * LAYOUT_LANES + row % LAYOUT_LANES;
-}
-/* Number of floats of an array with n rows. */
-static inline size_t permute_floats(size_t n, uint32_t planes)
-{
-    return (n + LAYOUT_LANES - 1) / LAYOUT_LANES * planes * LAYOUT_LANES;
-}
 
 #endif

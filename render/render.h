@@ -66,17 +66,6 @@ struct render_options {
 #define RENDER_NEAR_M 0.2
 enum { RENDER_SIZE_MAX_PX = 16384 }; /* largest edge of a drawing */
 
-/* Planes of a group of parameters, see LAYOUT_PLANE_MEAN in core/layout.h. */
-static inline uint32_t render_planes(uint32_t sh_degree)
-{
-    return LAYOUT_PLANE_SH + 3 * (sh_degree + 1) * (sh_degree + 1);
-}
-/* The same with embeddings, which begin at plane render_planes(sh_degree). */
-static inline uint32_t render_planes_embed(uint32_t sh_degree, uint32_t embed_len)
-{
-    return render_planes(sh_degree) + embed_len;
-}
-
 struct render; /* compiled kernels and buffers of a frame on one device */
 /* Compiles the kernels. dev is borrowed and must outlive *out. Close it with render_close.
  * ERR_DEVICE, ERR_MEM. */
@@ -128,7 +117,7 @@ static inline uint32_t render_piece_groups(size_t n_gaussians)
 {
     return (uint32_t)((n_gaussians + LAYOUT_LANES - 1) / LAYOUT_LANES);
 }
-/* Packs g into `out`, render_piece_groups(g->n) * render_planes_embed(...) * LAYOUT_LANES floats.
+/* Packs g into `out`, render_piece_groups(g->n) * layout_planes(...) * LAYOUT_LANES floats.
  */
 void render_piece_pack(const struct gauss *g, const double origin_enu_m[3], float *out);
 /* Makes room for n_groups in m. The caller sets sh_degree, embed_len and origin_enu_m before; with

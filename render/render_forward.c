@@ -492,7 +492,7 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
     if (rc)
         return rc;
     assert(m->n <= (size_t)m->groups * LAYOUT_LANES &&
-           m->planes == render_planes_embed(m->sh_degree, m->embed_len));
+           m->planes == layout_planes(m->sh_degree, m->embed_len));
     render_view_fill(r, m, &fine, o, &r->view);
     r->tiles = r->view.tiles_x * r->view.tiles_y;
     rc = render_go(r, e);

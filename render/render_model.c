@@ -31,7 +31,7 @@ static void model_plane_sets(const struct gauss *g, struct plane_set out[SETS])
     out[3] = (struct plane_set){g->opacity_logit, LAYOUT_PLANE_OPACITY, 1};
     out[4] =
         (struct plane_set){g->sh, LAYOUT_PLANE_SH, (uint32_t)(3 * gauss_sh_count(g->sh_degree))};
-    out[5] = (struct plane_set){g->embed, render_planes(g->sh_degree), g->embed_len};
+    out[5] = (struct plane_set){g->embed, layout_planes(g->sh_degree, 0), g->embed_len};
 }
 
 static void model_pack(const struct gauss *g, uint32_t planes, size_t group0, size_t groups,
@@ -97,7 +97,7 @@ enum err_code render_model_upload(struct render *r, const struct gauss *g, struc
     m.cap = m.groups * LANES;
     m.sh_degree = g->sh_degree;
     m.embed_len = g->embed_len;
-    m.planes = render_planes_embed(g->sh_degree, g->embed_len);
+    m.planes = layout_planes(g->sh_degree, g->embed_len);
     memcpy(m.origin_enu_m, g->origin_enu_m, sizeof m.origin_enu_m);
     enum err_code rc =
         dev_buffer(r->dev, (size_t)m.groups * m.planes * LANES * sizeof(float), NULL, &m.params, e);
@@ -149,7 +149,7 @@ enum err_code render_model_download(struct render *r, const struct render_model 
 
 void render_piece_pack(const struct gauss *g, const double origin_enu_m[3], float *out)
 {
-    uint32_t planes = render_planes_embed(g->sh_degree, g->embed_len);
+    uint32_t planes = layout_planes(g->sh_degree, g->embed_len);
     size_t groups = render_piece_groups(g->n), lanes = groups * LANES;
     memset(out, 0, lanes * planes * sizeof *out);
     model_pack(g, planes, 0, groups, out);
@@ -165,7 +165,7 @@ enum err_code render_model_reserve(struct render *r, struct render_model *m, siz
                                    bool *kept, struct err *e)
 {
     *kept = true;
-    m->planes = render_planes_embed(m->sh_degree, m->embed_len);
+    m->planes = layout_planes(m->sh_degree, m->embed_len);
     if (m->params && n_groups <= render_model_capacity(m))
         return ERR_OK;
     size_t cap = n_groups + n_groups / 4 + 1;

@@ -37,7 +37,7 @@ static float *at(float *p, size_t i, uint32_t plane)
  * gradient 1. */
 static struct toy toy_make(size_t n)
 {
-    size_t floats = permute_floats(n, PLANES);
+    size_t floats = layout_floats(n, PLANES);
     struct toy t = {n,
                     mem_array(floats, 4),
                     mem_array(n, 4),
@@ -257,7 +257,7 @@ static struct arrays apply(const struct densify_params *p, const struct toy *t,
     struct err e = {0};
     struct densify_input in = input_of(t, false);
     struct densify_order order;
-    size_t floats = permute_floats(plan->n, PLANES);
+    size_t floats = layout_floats(plan->n, PLANES);
     struct arrays to = {mem_array(floats, 4), mem_array(floats, 4), mem_array(floats, 4)};
     assert_true(to.params && to.m1 && to.m2);
     kit_ok(densify_order(p, &in, plan, &order, &e), e);

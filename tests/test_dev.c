@@ -230,6 +230,26 @@ static void test_buffer_limits(void **state)
 
 /* A child process of its own, because the choice of folder is made once, before the first OpenCL
  * call. */
+static void test_reserve_keeps_what_is_large_enough(void **state)
+{
+    struct dev *d = *state;
+    struct err e = {0};
+    cl_mem m = NULL, was;
+    size_t room = 0, n;
+    kit_ok(dev_reserve(d, 256, &m, &room, &e), e);
+    assert_int_equal(room, 256);
+    was = m;
+    kit_ok(dev_reserve(d, 100, &m, &room, &e), e);
+    assert_ptr_equal(m, was);
+    assert_int_equal(room, 256);
+    kit_ok(dev_reserve(d, 4096, &m, &room, &e), e);
+    assert_int_equal(clGetMemObjectInfo(m, CL_MEM_SIZE, sizeof n, &n, NULL), CL_SUCCESS);
+    assert_int_equal(n, 4096);
+    assert_int_equal(dev_reserve(d, (size_t)d->max_alloc_bytes + 1, &m, &room, &e), ERR_LIMIT);
+    assert_null(m);
+    assert_int_equal(room, 0);
+}
+
 static void test_unwritable_cache_is_named(void **state)
 {
     (void)state;
@@ -259,6 +279,7 @@ int main(void)
         cmocka_unit_test(test_lines_of_all_pieces_are_those_of_files),
         cmocka_unit_test(test_kernels_are_timed_by_name),
         cmocka_unit_test(test_buffer_limits),
+        cmocka_unit_test(test_reserve_keeps_what_is_large_enough),
         cmocka_unit_test(test_unwritable_cache_is_named),
     };
     return cmocka_run_group_tests_name("dev", tests, setup, teardown);

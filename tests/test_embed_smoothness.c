@@ -280,7 +280,7 @@ static void gradients_enter_the_moments(void **state)
     assert_true(again == loss);
     kit_ok(dev_read(&dev, adam.m1, 0, floats * sizeof(float), after, &e), e);
     kit_ok(dev_read(&dev, adam.m2, 0, floats * sizeof(float), after + floats, &e), e);
-    uint32_t first = render_planes(1), touched = 0;
+    uint32_t first = layout_planes(1, 0), touched = 0;
     for (uint32_t p = 0; p < m.planes; p++)
         for (size_t i = 0; i < (size_t)m.groups * 16; i++) {
             size_t at = (i / 16 * m.planes + p) * 16 + i % 16;

@@ -9,7 +9,6 @@
 #include "core/camera.h"
 #include "core/layout.h"
 #include "kit.h"
-#include "render/permute.h"
 #include "render/render_ref.h"
 #include "train/harmonics.h"
 
@@ -30,17 +29,17 @@ static struct {
 
 static float *sh_of(float *params, size_t i, size_t k, size_t channel)
 {
-    return params + permute_at(i, PLANES) + (LAYOUT_PLANE_SH + 3 * k + channel) * LAYOUT_LANES;
+    return params + layout_at(i, PLANES) + (LAYOUT_PLANE_SH + 3 * k + channel) * LAYOUT_LANES;
 }
 
 /* Places on the ground under the flight, colours of every direction. */
 static float *places(void)
 {
-    float *params = mem_array(permute_floats(N, PLANES), sizeof *params);
+    float *params = mem_array(layout_floats(N, PLANES), sizeof *params);
     assert_non_null(params);
     for (size_t i = 0; i < N; i++) {
         for (size_t a = 0; a < 2; a++)
-            params[permute_at(i, PLANES) + a * LAYOUT_LANES] =
+            params[layout_at(i, PLANES) + a * LAYOUT_LANES] =
                 (float)(20.0 * rng_unit(1, a, i) - 10.0);
         for (size_t k = 0; k < COUNT; k++)
             for (size_t c = 0; c < 3; c++)
@@ -98,7 +97,7 @@ static void hold(float *params, double weight, uint32_t degree, const double ori
 static void place_of(const float *params, size_t i, double x[3])
 {
     for (size_t a = 0; a < 3; a++)
-        x[a] = origin[a] + (double)params[permute_at(i, PLANES) + a * LAYOUT_LANES];
+        x[a] = origin[a] + (double)params[layout_at(i, PLANES) + a * LAYOUT_LANES];
 }
 
 static void direction(const struct camera *cam, const double x[3], double dir[3])
@@ -205,7 +204,7 @@ static void what_was_seen_from_all_around_stays(void **state)
     (void)state;
     all_around(t.cams);
     hold(t.params, 1e-7, 3, origin);
-    for (size_t i = 0; i < permute_floats(N, PLANES); i++)
+    for (size_t i = 0; i < layout_floats(N, PLANES); i++)
         assert_true(fabsf(t.params[i] - t.before[i]) < 1e-4f);
 }
 
@@ -229,10 +228,10 @@ static void the_rest_stays(void **state)
     float *again = places();
     hold(t.params, WEIGHT, 1, origin);
     hold(again, WEIGHT, 1, origin);
-    assert_memory_equal(t.params, again, permute_floats(N, PLANES) * sizeof *again);
+    assert_memory_equal(t.params, again, layout_floats(N, PLANES) * sizeof *again);
     for (size_t i = 0; i < N; i++)
         for (size_t p = 0; p < PLANES; p++) {
-            size_t at = permute_at(i, PLANES) + p * LAYOUT_LANES;
+            size_t at = layout_at(i, PLANES) + p * LAYOUT_LANES;
             bool used = p >= LAYOUT_PLANE_SH && p < LAYOUT_PLANE_SH + 12;
             assert_true(used ? t.params[at] != t.before[at] : t.params[at] == t.before[at]);
         }

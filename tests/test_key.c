@@ -3,7 +3,6 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "lod/key.h"
-#include "render/permute.h"
 #include "tests/kit.h"
 
 #include <math.h>

@@ -15,13 +15,13 @@ static float value_of(size_t row, uint32_t plane)
 
 static float *array_make(size_t n, size_t room)
 {
-    float *a = mem_array(permute_floats(room, PLANES), sizeof *a);
+    float *a = mem_array(layout_floats(room, PLANES), sizeof *a);
     assert_non_null(a);
-    for (size_t i = 0; i < permute_floats(room, PLANES); i++)
+    for (size_t i = 0; i < layout_floats(room, PLANES); i++)
         a[i] = -1.0f; /* what must be overwritten */
     for (size_t i = 0; i < n; i++)
         for (uint32_t p = 0; p < PLANES; p++)
-            a[permute_at(i, PLANES) + p * LAYOUT_LANES] = value_of(i, p);
+            a[layout_at(i, PLANES) + p * LAYOUT_LANES] = value_of(i, p);
     return a;
 }
 
@@ -32,7 +32,7 @@ static void expect_rows(const float *a, const struct permutation *r, bool zero_n
         for (uint32_t p = 0; p < PLANES; p++) {
             bool zero = d >= r->n || (zero_new && (r->source[d] & PERMUTE_NEW));
             float want = zero ? 0.0f : value_of(r->source[d] & ~PERMUTE_NEW, p);
-            bad += a[permute_at(d, PLANES) + p * LAYOUT_LANES] != want;
+            bad += a[layout_at(d, PLANES) + p * LAYOUT_LANES] != want;
         }
     assert_int_equal(bad, 0);
 }
@@ -89,7 +89,7 @@ static void an_order_can_be_taken_back(void **state)
     kit_ok(permute_move(&(struct permutation){back, FEW, FEW, PLANES}, false, a, a, &e), e);
     for (size_t i = 0; i < FEW; i++)
         for (uint32_t p = 0; p < PLANES; p++)
-            assert_true(a[permute_at(i, PLANES) + p * LAYOUT_LANES] == value_of(i, p));
+            assert_true(a[layout_at(i, PLANES) + p * LAYOUT_LANES] == value_of(i, p));
     mem_free(there);
     mem_free(back);
     mem_free(a);

@@ -277,13 +277,13 @@ static void places_are_drawn_by_weight(void **state)
 
 static float *plane_of(float *params, size_t i, uint32_t plane)
 {
-    return params + permute_at(i, PLANES) + (size_t)plane * LAYOUT_LANES;
+    return params + layout_at(i, PLANES) + (size_t)plane * LAYOUT_LANES;
 }
 
 /* West of 0 is inside; every fifth is dead. */
 static float *toy_params(void)
 {
-    float *params = mem_array(permute_floats(N, PLANES), sizeof *params);
+    float *params = mem_array(layout_floats(N, PLANES), sizeof *params);
     assert_non_null(params);
     for (size_t i = 0; i < N; i++) {
         for (uint32_t k = 0; k < 3; k++) {
@@ -336,7 +336,7 @@ static void the_dead_move_and_the_number_is_the_ceiling(void **state)
     }
     kit_ok(densify_order(&p, &in, &plan, &order, &e), e);
     assert_int_equal(order.n_shared, shared);
-    float *to = mem_array(permute_floats(plan.n, PLANES), sizeof *to);
+    float *to = mem_array(layout_floats(plan.n, PLANES), sizeof *to);
     assert_non_null(to);
     kit_ok(permute_move(&order.rows, false, params, to, &e), e);
     densify_halve(&order, to);

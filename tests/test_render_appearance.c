@@ -170,7 +170,7 @@ static void test_same_network(void **state)
 /* The embedding's planes. */
 static float *embed_read(const struct render_model *m, cl_mem mem)
 {
-    size_t first = render_planes(m->sh_degree), len = m->embed_len;
+    size_t first = layout_planes(m->sh_degree, 0), len = m->embed_len;
     float *raw = floats_read(mem, (size_t)m->groups * m->planes * 16),
           *out = mem_array(m->n, len * sizeof *out);
     assert_non_null(out);

@@ -16,7 +16,7 @@
 
 #include "cells/footprint.h"
 #include "cells/trim.h"
-#include "render/permute.h"
+#include "core/layout.h"
 #include "train/appearance_train.h"
 #include "train/config.h"
 #include "train/densify_plan.h"
@@ -74,7 +74,7 @@ static enum err_code densify_opacity(const struct model *m, const struct densify
         dev_read(m->dev, m->stats.opacity, 0, m->gauss.n * sizeof(float), c->opacity, e);
     for (size_t i = 0; !rc && i < m->gauss.n; i++) {
         float own =
-            params[permute_at(i, m->gauss.planes) + (size_t)LAYOUT_PLANE_OPACITY * LAYOUT_LANES];
+            params[layout_at(i, m->gauss.planes) + (size_t)LAYOUT_PLANE_OPACITY * LAYOUT_LANES];
         if (!(count[i] > 0.0f)) /* not seen: nothing was added to its own */
             c->opacity[i] = 1.0f / (1.0f + expf(-own)) + (float)APPEARANCE_TRAIN_OFFSET_IDLE;
     }

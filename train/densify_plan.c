@@ -38,7 +38,7 @@ enum { DENSIFY_CUT_SHARE = 4 };  /* of the room, for what sticks out */
 
 static size_t densify_at(size_t i, uint32_t planes, uint32_t plane)
 {
-    return permute_at(i, planes) + (size_t)plane * LAYOUT_LANES;
+    return layout_at(i, planes) + (size_t)plane * LAYOUT_LANES;
 }
 
 /* ---- geometry of one row ---- */

@@ -116,15 +116,8 @@ struct render_options gallery_photo_options(const struct gallery *g, const struc
 static enum err_code gallery_upload(struct gallery *g, cl_mem *to, size_t *room, const void *from,
                                     size_t bytes, struct err *e)
 {
-    if (bytes > *room) {
-        dev_release(to);
-        *room = 0;
-        enum err_code rc = dev_buffer(g->engine.dev, bytes, NULL, to, e);
-        if (rc)
-            return rc;
-        *room = bytes;
-    }
-    return dev_write(g->engine.dev, *to, 0, bytes, from, e);
+    enum err_code rc = dev_reserve(g->engine.dev, bytes, to, room, e);
+    return rc ? rc : dev_write(g->engine.dev, *to, 0, bytes, from, e);
 }
 
 static enum err_code gallery_run(struct gallery *g, const struct photo *p, bool value_only,

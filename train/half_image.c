@@ -12,8 +12,8 @@
 #include <string.h>
 
 #include "core/exposure.h"
+#include "core/layout.h"
 #include "loss/photometric.h"
-#include "render/permute.h"
 #include "train/appearance_train.h"
 #include "train/evaluate.h"
 #include "train/photo_loader.h"
@@ -86,19 +86,6 @@ static enum half_image_side half_image_other(enum half_image_side side)
 }
 
 /* ---- learning ---- */
-
-static enum err_code half_image_grow(struct half_image *h, cl_mem *b, size_t *have, size_t want,
-                                     struct err *e)
-{
-    if (*b && *have >= want)
-        return ERR_OK;
-    dev_release(b);
-    *have = 0;
-    enum err_code rc = dev_buffer(h->c.dev, want, NULL, b, e);
-    if (!rc)
-        *have = want;
-    return rc;
-}
 
 static struct camera half_image_camera(const struct camera *cam, enum half_image_side side)
 {
@@ -213,14 +200,14 @@ static enum err_code half_image_upload(struct half_image *h, const struct photo 
                                        const struct render_model *m, struct err *e)
 {
     size_t n = (size_t)part->cam.width_px * part->cam.height_px;
-    size_t grads = permute_floats(m->cap, m->planes) * sizeof(float);
-    enum err_code rc = half_image_grow(h, &h->target, &h->target_bytes, 3 * n, e);
+    size_t grads = layout_floats(m->cap, m->planes) * sizeof(float);
+    enum err_code rc = dev_reserve(h->c.dev, 3 * n, &h->target, &h->target_bytes, e);
     if (!rc)
-        rc = half_image_grow(h, &h->grads, &h->grads_bytes, grads, e);
+        rc = dev_reserve(h->c.dev, grads, &h->grads, &h->grads_bytes, e);
     if (!rc)
         rc = dev_write(h->c.dev, h->target, 0, 3 * n, part->px, e);
     if (!rc && part->mask)
-        rc = half_image_grow(h, &h->mask, &h->mask_bytes, n, e);
+        rc = dev_reserve(h->c.dev, n, &h->mask, &h->mask_bytes, e);
     return !rc && part->mask ? dev_write(h->c.dev, h->mask, 0, n, part->mask, e) : rc;
 }
 

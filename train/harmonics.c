@@ -13,7 +13,6 @@
 #include "core/cholesky.h"
 #include "core/layout.h"
 #include "core/pool.h"
-#include "render/permute.h"
 #include "render/render_ref.h"
 #include "train/model.h"
 
@@ -104,7 +103,7 @@ static enum err_code harmonics_rows(void *user, size_t part, struct err *e)
     size_t end = (part + 1) * HARMONICS_ROWS;
     (void)e;
     for (size_t i = part * HARMONICS_ROWS; i < w->n && i < end; i++)
-        harmonics_row(w, w->params + permute_at(i, w->planes));
+        harmonics_row(w, w->params + layout_at(i, w->planes));
     return ERR_OK;
 }
 

@@ -16,11 +16,11 @@
 #include <math.h>
 #include <string.h>
 
+#include "core/layout.h"
 #include "core/pool.h"
 #include "core/sample.h"
 #include "core/sort.h"
 #include "loss/photometric.h"
-#include "render/permute.h"
 #include "render/render.h"
 #include "train/config.h"
 #include "train/gallery.h"
@@ -165,12 +165,7 @@ static enum err_code importance_draw(struct importance *s, const struct model *m
     if (rc)
         return rc;
     float *color = s->scratch, *error = color + 3 * n, *edge = error + n, *luma = edge + n;
-    if (bytes > s->weight_bytes) {
-        dev_release(&s->weight);
-        s->weight_bytes = 0;
-        rc = dev_buffer(g->engine.dev, bytes, NULL, &s->weight, e);
-        s->weight_bytes = rc ? 0 : bytes;
-    }
+    rc = dev_reserve(g->engine.dev, bytes, &s->weight, &s->weight_bytes, e);
     if (!rc)
         rc = render_forward(g->engine.render, &m->gauss, &p->cam, &ro, NULL, NULL, e);
     if (!rc)
@@ -240,7 +235,7 @@ static enum err_code importance_static_chunk(void *user, size_t chunk, struct er
     uint32_t planes = w->m->gauss.planes;
     size_t end = (chunk + 1) * IMPORTANCE_CHUNK < w->n ? (chunk + 1) * IMPORTANCE_CHUNK : w->n;
     for (size_t i = chunk * IMPORTANCE_CHUNK; i < end; i++) {
-        const float *p = w->params + permute_at(i, planes);
+        const float *p = w->params + layout_at(i, planes);
         float volume = 0.0f;
         for (size_t k = 0; k < 3; k++)
             volume += p[(LAYOUT_PLANE_SCALE + k) * LAYOUT_LANES];

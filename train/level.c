@@ -111,7 +111,8 @@ enum err_code level_begin(struct level *l, struct err *e)
     level_start_optimiser(l);
     l->loss_mean = l->mse_mean = 0.0;
     l->step_s = clock_s();
-    return gallery_open(&l->gallery, stage_schedule(&l->stage), e);
+    enum err_code rc = gallery_open(&l->gallery, stage_schedule(&l->stage), e);
+    return rc ? rc : regularizer_open(&l->regularizer, &l->gallery, &l->site.cell, e);
 }
 
 /* ---- checkpoints ---- */
@@ -398,7 +399,7 @@ enum err_code level_step(struct level *l, struct photometric_value *value, struc
         rc = gallery_filter(&l->gallery, &l->stage, m, e);
     const struct regularizer_input terms = {&l->gallery, &l->site, &l->stage, &photo, &l->timing};
     if (!rc)
-        rc = regularizer_step(&l->regularizer, m, &terms, e);
+        rc = regularizer_step(l->regularizer, m, &terms, e);
     if (!rc)
         rc = render_forward(l->engine.render, &m->gauss, &photo.cam, &ro, NULL, NULL, e);
     if (!rc)
@@ -408,7 +409,7 @@ enum err_code level_step(struct level *l, struct photometric_value *value, struc
     if (!rc)
         rc = level_backward(l, step, photo.image, &ro, e);
     if (!rc)
-        rc = regularizer_shake(&l->regularizer, m, l->cfg, &l->site.cell, &l->stage, e);
+        rc = regularizer_shake(l->regularizer, m, l->cfg, &l->site.cell, &l->stage, e);
     if (!rc && value)
         rc = level_read_loss(l, value, e);
     const struct schedule *s = stage_schedule(&l->stage);

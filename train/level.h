@@ -40,9 +40,9 @@ struct level { /* level_init, then level_close, also after an error */
     struct gallery gallery;
     struct budget budget; /* decisions of --budget-rule auto */
     struct background background;
-    struct solidity *solidity;     /* this and the next two: made on first use */
-    struct importance *importance; /* this and the next: made on first use */
-    struct regularizer *regularizer;
+    struct regularizer *regularizer; /* opened by level_begin */
+    struct solidity *solidity;       /* this and the next: made on first use */
+    struct importance *importance;
     /* -- for logs -- */
     struct timing timing;       /* run.c starts it; {0} in tests, which ignore it */
     uint32_t repaired;          /* number of non-finite updates so far */
@@ -62,8 +62,9 @@ enum err_code level_open(struct level *l, const struct gauss *g, struct err *e) 
  * ERR_NOENT, ERR_IO as in state_load; ERR_MEM, ERR_DEVICE. */
 enum err_code level_resume(struct level *l, const char *path, struct err *e) ERR_USE;
 void level_close(struct level *l);
-/* Opens the photographs of the current level and sets the optimiser. Call it after level_open,
- * level_resume and level_next. ERR_MEM, ERR_LIMIT. */
+/* Opens the photographs of the current level and the regularizers, and sets the optimiser. Call it
+ * after level_open and level_resume; level_next calls it. ERR_MEM, ERR_LIMIT, and the errors of
+ * regularizer_open. */
 enum err_code level_begin(struct level *l, struct err *e) ERR_USE;
 /* Makes one step: photograph, forward pass, loss, backward pass with Adam, density control. `value`
  * (may be NULL) gets the loss, which waits for the device. ERR_DATA: the loss is not finite, or no

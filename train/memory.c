@@ -61,8 +61,8 @@ struct memory_need memory_estimate(const struct train_config *cfg, const struct 
                                    const struct schedule *levels, uint32_t n_levels, bool whole)
 {
     bool light = cfg->appearance && cfg->embed_len > 0;
-    double row = MEMORY_WORD * (double)render_planes_embed((uint32_t)cfg->sh_degree,
-                                                           light ? (uint32_t)cfg->embed_len : 0);
+    double row = MEMORY_WORD * (double)layout_planes((uint32_t)cfg->sh_degree,
+                                                     light ? (uint32_t)cfg->embed_len : 0);
     double n = 0.0, around = 0.0, pixels = 0.0, photometric_pixels = 0.0, downsample = HUGE_VAL;
     for (uint32_t i = 0; i < n_levels; i++) {
         n = fmax(n, (double)levels[i].budget);

@@ -54,7 +54,7 @@ void model_close(struct model *m)
 
 size_t model_bytes(const struct model *m)
 {
-    return permute_floats(m->gauss.n, m->gauss.planes) * sizeof(float);
+    return layout_floats(m->gauss.n, m->gauss.planes) * sizeof(float);
 }
 
 /* Room for n Gaussians that are there, and for those to come. Memory that is reserved and not
@@ -88,7 +88,7 @@ enum err_code model_zero_stats(struct model *m, struct err *e)
         if (!*rows[i])
             rc = dev_buffer(m->dev, m->gauss.cap * sizeof(float), NULL, rows[i], e);
     for (size_t i = 0; !rc && i < n; i++)
-        rc = dev_zero(m->dev, *rows[i], 0, permute_floats(m->gauss.n, 1) * sizeof(float), e);
+        rc = dev_zero(m->dev, *rows[i], 0, layout_floats(m->gauss.n, 1) * sizeof(float), e);
     return rc;
 }
 
@@ -103,13 +103,13 @@ enum err_code model_open(struct model *m, struct dev *dev, struct render *render
     m->render = render;
     g->sh_degree = like->sh_degree;
     g->embed_len = like->embed_len;
-    g->planes = render_planes_embed(like->sh_degree, like->embed_len);
+    g->planes = layout_planes(like->sh_degree, like->embed_len);
     memcpy(g->origin_enu_m, like->origin_enu_m, sizeof g->origin_enu_m);
     g->cap = (uint32_t)cap;
     model_count(m, like->n);
     cl_mem *arrays[MODEL_ARRAYS];
     model_arrays(m, arrays);
-    size_t bytes = permute_floats(cap, g->planes) * sizeof(float);
+    size_t bytes = layout_floats(cap, g->planes) * sizeof(float);
     enum err_code rc = ERR_OK;
     for (size_t i = 0; !rc && i < MODEL_ARRAYS; i++)
         rc = dev_buffer(dev, bytes, NULL, arrays[i], e);
@@ -141,7 +141,7 @@ static enum err_code model_move_array(struct model *m, size_t nth, const struct 
                                       size_t cap, struct err *e)
 {
     cl_mem *arrays[MODEL_ARRAYS], *at, grown = NULL;
-    size_t before = permute_floats(r->n_old, r->planes), after = permute_floats(r->n, r->planes);
+    size_t before = layout_floats(r->n_old, r->planes), after = layout_floats(r->n, r->planes);
     size_t most = before > after ? before : after;
     bool grows = cap > m->gauss.cap;
     void *from = NULL, *to = NULL;
@@ -150,7 +150,7 @@ static enum err_code model_move_array(struct model *m, size_t nth, const struct 
     model_arrays(m, arrays);
     at = arrays[nth];
     if (grows)
-        rc = dev_buffer(m->dev, permute_floats(cap, r->planes) * sizeof(float), NULL, &grown, e);
+        rc = dev_buffer(m->dev, layout_floats(cap, r->planes) * sizeof(float), NULL, &grown, e);
     if (!rc)
         rc = dev_map(m->dev, *at, grows ? CL_MAP_READ : CL_MAP_READ | CL_MAP_WRITE,
                      (grows ? before : most) * sizeof(float), &from, e);
@@ -209,7 +209,7 @@ enum err_code model_forget(struct model *m, struct err *e)
         void *at = NULL;
         rc = dev_map(m->dev, *arrays[k], CL_MAP_READ | CL_MAP_WRITE, model_bytes(m), &at, e);
         for (uint32_t p = 0; !rc && p < planes; p++)
-            memset((float *)at + permute_at(n, planes) + (size_t)p * LAYOUT_LANES, 0,
+            memset((float *)at + layout_at(n, planes) + (size_t)p * LAYOUT_LANES, 0,
                    (LAYOUT_LANES - lane) * sizeof(float));
         if (!rc)
             rc = dev_unmap(m->dev, *arrays[k], &at, e);
@@ -230,7 +230,7 @@ enum err_code model_reset_opacity(struct model *m, double top, struct err *e)
         void *mapped = NULL;
         rc = dev_map(m->dev, *arrays[k], CL_MAP_READ | CL_MAP_WRITE, model_bytes(m), &mapped, e);
         for (size_t i = 0; !rc && i < g->n; i++) {
-            float *o = (float *)mapped + permute_at(i, g->planes) +
+            float *o = (float *)mapped + layout_at(i, g->planes) +
                        (size_t)LAYOUT_PLANE_OPACITY * LAYOUT_LANES;
             *o = k ? 0.0f : fminf(*o, logit);
         }
@@ -250,7 +250,7 @@ enum err_code model_count_inside(const struct model *m, const struct cell *cell,
     if (rc)
         return rc;
     for (size_t i = 0; i < g->n; i++) {
-        const float *mean = (const float *)params + permute_at(i, g->planes);
+        const float *mean = (const float *)params + layout_at(i, g->planes);
         n += cell_distance(cell, g->origin_enu_m[0] + (double)mean[0],
                            g->origin_enu_m[1] + (double)mean[LAYOUT_LANES]) <= 0.0;
     }

@@ -15,10 +15,8 @@
 #include <pthread.h>
 #include <string.h>
 
-#include "codec/image.h"
-#include "codec/mask.h"
 #include "codec/scene.h"
-#include "core/exposure.h"
+#include "codec/scene_photo.h"
 #include "core/pool.h"
 #include "train/config.h"
 #include "train/photo_loader.h"
@@ -31,18 +29,16 @@ enum photo_loader_state {
     PHOTO_LOADER_FAILED
 };
 
-enum photo_loader_masked { PHOTO_LOADER_FILE = 1, PHOTO_LOADER_CLIPPED = 2 };
-
 struct photo_loader_slot {
     enum photo_loader_state state;
-    struct image img, mask; /* mask: empty when the photograph has none */
-    uint64_t used;          /* clock of the last use */
+    struct scene_photo photo;
+    uint64_t used; /* clock of the last use */
 };
 
 struct photo_loader {
     struct photo_loader_config cfg;
     struct camera *cams; /* [n] at training size */
-    uint8_t *masked;     /* [n] enum photo_loader_masked, together */
+    unsigned *masks;     /* [n] of scene_photo_masks */
     struct pool_thread *thread;
     pthread_mutex_t lock;
     pthread_cond_t changed;
@@ -72,88 +68,9 @@ struct camera photo_loader_camera(const struct camera *cam, uint32_t max_edge_px
 
 /* ---- decoding ---- */
 
-static enum err_code photo_loader_decode(const struct photo_loader *f, size_t slot,
-                                         struct image *out, struct err *e)
-{
-    const struct scene_image *im = &f->cfg.scene->images[f->cfg.images[slot]];
-    const struct camera *cam = &f->cams[slot];
-    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
-    struct image full = {0};
-    enum err_code rc = file_join(dir, f->cfg.scene->dir, "images", e);
-    if (!rc)
-        rc = file_join(path, dir, im->name, e);
-    if (!rc)
-        rc = image_read(path, NULL, &full, e);
-    if (rc)
-        return rc;
-    if (full.channels != 3 || full.width_px != im->cam.width_px ||
-        full.height_px != im->cam.height_px) {
-        rc = err_set(e, ERR_DATA,
-                     "%s: %u x %u pixels, the scene says %u x %u: ingest the scene again", path,
-                     full.width_px, full.height_px, im->cam.width_px, im->cam.height_px);
-    } else if (full.width_px == cam->width_px && full.height_px == cam->height_px) {
-        *out = full;
-        return ERR_OK;
-    } else {
-        rc = image_resize(&full, cam->width_px, cam->height_px, out, e);
-    }
-    image_free(&full);
-    return rc;
-}
-
-static enum err_code photo_loader_mask_path(const struct photo_loader_config *cfg, size_t slot,
-                                            char out[FILE_PATH_MAX], struct err *e)
-{
-    char dir[FILE_PATH_MAX];
-    enum err_code rc = file_join(dir, cfg->scene->dir, "masks", e);
-    return rc ? rc : mask_path(dir, cfg->scene->images[cfg->images[slot]].name, out, e);
-}
-
-static enum err_code photo_loader_decode_mask(const struct photo_loader *f, size_t slot,
-                                              struct image *out, struct err *e)
-{
-    const struct camera *full = &f->cfg.scene->images[f->cfg.images[slot]].cam;
-    char path[FILE_PATH_MAX];
-    struct image whole = {0};
-    if (!(f->masked[slot] & PHOTO_LOADER_FILE))
-        return ERR_OK;
-    enum err_code rc = photo_loader_mask_path(&f->cfg, slot, path, e);
-    if (!rc)
-        rc = mask_read(path, full->width_px, full->height_px, &whole, e);
-    if (!rc)
-        rc = mask_resize(&whole, f->cams[slot].width_px, f->cams[slot].height_px, out, e);
-    image_free(&whole);
-    return rc;
-}
-
-/* The exposure that a photograph is brought to the mean from; NULL: it stays as it is. */
-static const float *photo_loader_exposure(const struct photo_loader_config *cfg, size_t slot)
-{
-    const float *ev = cfg->scene->images[cfg->images[slot]].exposure_ev;
-    return cfg->exposure == PHOTO_LOADER_TO_MEAN && !exposure_is_mean(ev) ? ev : NULL;
-}
-
-/* To the mean exposure, in place. What was clipped is darker now than it may have been: masked. */
-static enum err_code photo_loader_to_mean(const struct photo_loader *f, size_t slot,
-                                          struct image *img, struct image *mask, struct err *e)
-{
-    const float *ev = photo_loader_exposure(&f->cfg, slot);
-    size_t n = (size_t)img->width_px * img->height_px;
-    if (!ev)
-        return ERR_OK;
-    if ((f->masked[slot] & PHOTO_LOADER_CLIPPED) && !mask->px) {
-        enum err_code rc = image_alloc(img->width_px, img->height_px, 1, mask, e);
-        if (rc)
-            return rc;
-        memset(mask->px, 255, n);
-    }
-    exposure_to_mean(ev, img->px, n, mask->px);
-    return ERR_OK;
-}
-
 static size_t photo_loader_size(const struct photo_loader *f, size_t slot)
 {
-    return (size_t)f->cams[slot].width_px * f->cams[slot].height_px * (f->masked[slot] ? 4 : 3);
+    return (size_t)f->cams[slot].width_px * f->cams[slot].height_px * (f->masks[slot] ? 4 : 3);
 }
 
 static bool photo_loader_wanted(const struct photo_loader *f, size_t slot)
@@ -187,8 +104,7 @@ static void photo_loader_evict(struct photo_loader *f, size_t need, bool even_wa
         if (oldest == f->cfg.n_images)
             return;
         f->bytes -= photo_loader_size(f, oldest);
-        image_free(&f->slots[oldest].img);
-        image_free(&f->slots[oldest].mask);
+        scene_photo_free(&f->slots[oldest].photo);
         f->slots[oldest].state = PHOTO_LOADER_EMPTY;
     }
 }
@@ -196,20 +112,19 @@ static void photo_loader_evict(struct photo_loader *f, size_t need, bool even_wa
 /* Lock held on entry and exit, released while decoding. */
 static void photo_loader_load(struct photo_loader *f, size_t slot)
 {
-    struct image img = {0}, mask = {0};
+    struct scene_photo photo = {0};
+    const struct scene_photo_form form = {.width_px = f->cams[slot].width_px,
+                                          .height_px = f->cams[slot].height_px,
+                                          .to_mean = f->cfg.exposure == PHOTO_LOADER_TO_MEAN,
+                                          .masks = f->masks[slot]};
     struct err e = {0};
     f->slots[slot].state = PHOTO_LOADER_LOADING;
     f->bytes += photo_loader_size(f, slot);
     pthread_mutex_unlock(&f->lock);
-    enum err_code rc = photo_loader_decode(f, slot, &img, &e);
-    if (!rc)
-        rc = photo_loader_decode_mask(f, slot, &mask, &e);
-    if (!rc)
-        rc = photo_loader_to_mean(f, slot, &img, &mask, &e);
+    enum err_code rc = scene_photo_read(f->cfg.scene, f->cfg.images[slot], &form, &photo, &e);
     pthread_mutex_lock(&f->lock);
     f->slots[slot].state = rc ? PHOTO_LOADER_FAILED : PHOTO_LOADER_READY;
-    f->slots[slot].img = img;
-    f->slots[slot].mask = mask;
+    f->slots[slot].photo = photo;
     f->slots[slot].used = ++f->clock;
     if (rc) {
         f->bytes -= photo_loader_size(f, slot);
@@ -291,8 +206,8 @@ static enum err_code photo_loader_take(struct photo_loader *f, size_t slot, cons
         return rc;
     *out = (struct photo){.image = f->cfg.images[slot],
                           .cam = f->cams[slot],
-                          .px = f->slots[slot].img.px,
-                          .mask = f->slots[slot].mask.px,
+                          .px = f->slots[slot].photo.img.px,
+                          .mask = f->slots[slot].photo.mask.px,
                           .name = f->cfg.scene->images[f->cfg.images[slot]].name};
     if (f->cfg.exposure == PHOTO_LOADER_TOLD)
         memcpy(out->exposure_ev, f->cfg.scene->images[f->cfg.images[slot]].exposure_ev,
@@ -345,23 +260,18 @@ enum err_code photo_loader_open(const struct photo_loader_config *cfg, struct ph
     pthread_mutex_init(&f->lock, NULL);
     pthread_cond_init(&f->changed, NULL);
     f->cams = mem_array(cfg->n_images, sizeof *f->cams);
-    f->masked = mem_array(cfg->n_images, 1);
+    f->masks = mem_array(cfg->n_images, sizeof *f->masks);
     f->slots = mem_array(cfg->n_images, sizeof *f->slots);
     f->shuffle = mem_array(cfg->n_images, sizeof *f->shuffle);
-    if (!f->cams || !f->masked || !f->slots || !f->shuffle) {
+    if (!f->cams || !f->masks || !f->slots || !f->shuffle) {
         rc = err_set(e, ERR_MEM, "photographs: out of memory for %zu photographs", cfg->n_images);
         goto out;
     }
     for (size_t i = 0; !rc && i < cfg->n_images; i++) {
-        char path[FILE_PATH_MAX];
         f->cams[i] = photo_loader_camera(&cfg->scene->images[cfg->images[i]].cam, cfg->max_edge_px,
                                          cfg->downsample);
-        rc = photo_loader_mask_path(cfg, i, path, e);
-        const uint8_t white[3] = {255, 255, 255};
-        const float *ev = photo_loader_exposure(cfg, i);
-        f->masked[i] =
-            (uint8_t)((!rc && !cfg->no_masks && file_exists(path) ? PHOTO_LOADER_FILE : 0) |
-                      (ev && exposure_clipped(ev, white) ? PHOTO_LOADER_CLIPPED : 0));
+        rc = scene_photo_masks(cfg->scene, cfg->images[i], !cfg->no_masks,
+                               cfg->exposure == PHOTO_LOADER_TO_MEAN, &f->masks[i], e);
     }
     if (!rc)
         rc = pool_start(photo_loader_thread, f, &f->thread, e);
@@ -384,11 +294,9 @@ void photo_loader_close(struct photo_loader **p)
         pthread_mutex_unlock(&f->lock);
         pool_join(&f->thread);
     }
-    for (size_t i = 0; f->slots && i < f->cfg.n_images; i++) {
-        image_free(&f->slots[i].img);
-        image_free(&f->slots[i].mask);
-    }
-    mem_free(f->masked);
+    for (size_t i = 0; f->slots && i < f->cfg.n_images; i++)
+        scene_photo_free(&f->slots[i].photo);
+    mem_free(f->masks);
     pthread_cond_destroy(&f->changed);
     pthread_mutex_destroy(&f->lock);
     mem_free(f->cams);

@@ -71,13 +71,8 @@ static enum err_code prune_draw(struct prune *c, size_t nth, double *mse, struct
     size_t bytes = (size_t)p.cam.width_px * p.cam.height_px * sizeof(float);
     if (rc || !c->device || bytes <= c->weight_bytes)
         return rc;
-    dev_release(&c->weight);
-    c->weight_bytes = 0;
-    rc = dev_buffer(g->engine.dev, bytes, NULL, &c->weight, e);
-    if (!rc)
-        rc = dev_zero(g->engine.dev, c->weight, 0, bytes, e);
-    c->weight_bytes = rc ? 0 : bytes;
-    return rc;
+    rc = dev_reserve(g->engine.dev, bytes, &c->weight, &c->weight_bytes, e);
+    return rc ? rc : dev_zero(g->engine.dev, c->weight, 0, bytes, e);
 }
 
 /* Photograph k of m that are spread evenly over all. */

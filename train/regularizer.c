@@ -2,8 +2,8 @@
  *
  * The scale regularizer writes the whole buffer, and the others add to it. Without the scale
  * regularizer the buffer is cleared first. To add a term: a function that says whether the term
- * acts at this step, a function that adds its gradient to the buffer, and a line for each in
- * regularizer_step.
+ * acts at this step, a function that adds its gradient to the buffer, a line for each in
+ * regularizer_step, and its kernels in regularizer_open. A step opens nothing.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -47,7 +47,7 @@ struct regularizer {
     struct depth_map *maps;
     struct embed_smoothness_step *smoothness;
     cl_mem extra; /* float [groups][11][16] */
-    size_t groups;
+    size_t extra_bytes;
 };
 
 void regularizer_free(struct regularizer **p)
@@ -65,30 +65,12 @@ void regularizer_free(struct regularizer **p)
     *p = NULL;
 }
 
-static enum err_code regularizer_make(struct regularizer **own, struct err *e)
-{
-    if (!*own)
-        *own = mem_array(1, sizeof **own);
-    if (*own)
-        return ERR_OK;
-    (void)err_set(e, ERR_MEM, "regularizers: out of memory");
-    return ERR_MEM;
-}
-
 static enum err_code regularizer_reserve(struct regularizer *r, const struct model *m,
                                          struct err *e)
 {
-    size_t groups = m->gauss.cap / LAYOUT_LANES;
-    if (r->extra && r->groups >= groups)
-        return ERR_OK;
-    dev_release(&r->extra);
-    r->groups = 0;
-    enum err_code rc = dev_buffer(
-        m->dev, groups * REGULARIZER_PLANES * LAYOUT_LANES * sizeof(float), NULL, &r->extra, e);
-    if (rc)
-        return err_add(e, "regularizers of %u Gaussians", m->gauss.n);
-    r->groups = groups;
-    return ERR_OK;
+    size_t bytes = layout_floats(m->gauss.cap, REGULARIZER_PLANES) * sizeof(float);
+    enum err_code rc = dev_reserve(m->dev, bytes, &r->extra, &r->extra_bytes, e);
+    return rc ? err_add(e, "regularizers of %u Gaussians", m->gauss.n) : ERR_OK;
 }
 
 static enum err_code regularizer_clear(struct regularizer *r, const struct model *m, struct err *e)
@@ -127,8 +109,7 @@ static enum err_code regularizer_scale(struct regularizer *r, const struct model
         memcpy(ground.corner_m, f->corner_m, sizeof ground.corner_m);
         loss.ground = &ground;
     }
-    enum err_code rc = r->scale ? ERR_OK : scale_loss_open(m->dev, &r->scale, e);
-    return rc ? rc : scale_loss_run(r->scale, &m->gauss, &loss, m->adam.extra_sizes, r->extra, e);
+    return scale_loss_run(r->scale, &m->gauss, &loss, m->adam.extra_sizes, r->extra, e);
 }
 
 /* What an option of -1 means. */
@@ -144,46 +125,33 @@ static struct mcmc_pull regularizer_pull_of(const struct train_config *c, const 
                               .unit_m = cell->extent_m};
 }
 
-static enum err_code regularizer_pull(struct regularizer *r, const struct model *m,
-                                      const struct mcmc_pull *in, struct err *e)
+static bool regularizer_pulls(const struct mcmc_pull *p)
 {
-    enum err_code rc = r->mcmc ? ERR_OK : mcmc_open(m->dev, &r->mcmc, e);
-    return rc ? rc : mcmc_pull_run(r->mcmc, &m->gauss, in, r->extra, e);
+    return p->opacity_weight > 0.0 || p->size_weight > 0.0;
 }
 
-enum err_code regularizer_shake(struct regularizer **own, const struct model *m,
+static bool regularizer_shakes(const struct train_config *c)
+{
+    return c->strategy == DENSIFY_STRATEGY_MCMC && c->noise > 0.0;
+}
+
+enum err_code regularizer_shake(struct regularizer *r, const struct model *m,
                                 const struct train_config *c, const struct cell *cell,
                                 const struct stage *at, struct err *e)
 {
-    if (c->strategy != DENSIFY_STRATEGY_MCMC || !(c->noise > 0.0))
+    if (!regularizer_shakes(c))
         return ERR_OK;
     double unit_m = cell->extent_m;
     struct mcmc_noise in = {
         .rate_per_m = c->noise * schedule_lr_mean(stage_schedule(at), at->step) / (unit_m * unit_m),
         .seed = (uint64_t)c->seed,
         .stream = train_stream(TRAIN_STREAM_NOISE, at->at + 1, at->step)};
-    enum err_code rc = regularizer_make(own, e);
-    if (!rc && !(*own)->mcmc)
-        rc = mcmc_open(m->dev, &(*own)->mcmc, e);
-    return rc ? rc : mcmc_noise_run((*own)->mcmc, &m->gauss, &in, e);
+    return mcmc_noise_run(r->mcmc, &m->gauss, &in, e);
 }
 
-static bool regularizer_depth_acts(const struct train_config *c, uint32_t step)
+static bool regularizer_has_depth(const struct train_config *c)
 {
-    return (c->depth_dir || c->depth_sparse) && c->depth_weight > 0.0 &&
-           step % (uint32_t)c->depth_interval == 0;
-}
-
-static enum err_code regularizer_depth_open(struct regularizer *r, const struct gallery *g,
-                                            struct err *e)
-{
-    struct depth_map_config maps = {.scene = g->scene,
-                                    .images = g->images,
-                                    .n_images = g->n_images,
-                                    .dir = g->cfg->depth_dir,
-                                    .sparse = g->cfg->depth_sparse};
-    enum err_code rc = r->maps ? ERR_OK : depth_map_open(&maps, &r->maps, e);
-    return rc || r->depth ? rc : depth_open(g->engine.dev, &r->depth, e);
+    return (c->depth_dir || c->depth_sparse) && c->depth_weight > 0.0;
 }
 
 /* From depth_weight down to depth_weight_final over the level, exponentially. */
@@ -201,9 +169,8 @@ static enum err_code regularizer_depth(struct regularizer *r, const struct model
     const struct train_config *c = in->gallery->cfg;
     const struct photo *photo = in->photo;
     struct depth_target target = {0};
-    enum err_code rc = regularizer_depth_open(r, in->gallery, e);
-    if (!rc)
-        rc = depth_map_target(r->maps, photo->image, &photo->cam, photo->mask, &target, e);
+    enum err_code rc =
+        depth_map_target(r->maps, photo->image, &photo->cam, photo->mask, &target, e);
     if (rc || !target.n_known)
         return rc;
     uint32_t turn = in->at->step / (uint32_t)c->depth_interval;
@@ -220,13 +187,17 @@ static enum err_code regularizer_depth(struct regularizer *r, const struct model
     return depth_run(r->depth, m->render, &m->gauss, &depth, r->extra, e);
 }
 
+static bool regularizer_has_smoothness(const struct gallery *g)
+{
+    return g->cfg->embed_smoothness_weight > 0.0 && appearance_train_is_on(g->appearance);
+}
+
 /* From the first frame with appearance on; before, embeddings do not step. */
 static bool regularizer_smoothness_acts(const struct gallery *g, const struct stage *at)
 {
-    const struct train_config *c = g->cfg;
-    return c->embed_smoothness_weight > 0.0 && appearance_train_is_on(g->appearance) &&
-           at->step > appearance_train_warmup(g->appearance, c, stage_schedule(at)) &&
-           at->step % (uint32_t)c->embed_smoothness_interval == 0;
+    return regularizer_has_smoothness(g) &&
+           at->step > appearance_train_warmup(g->appearance, g->cfg, stage_schedule(at)) &&
+           at->step % (uint32_t)g->cfg->embed_smoothness_interval == 0;
 }
 
 /* Steps the embeddings at once. The device finishes first: this part shall not pay for the step
@@ -246,42 +217,71 @@ static enum err_code regularizer_smoothness(struct regularizer *r, struct model 
     };
     enum err_code rc = dev_finish(m->dev, e);
     enum timing_on was = timing_turn(in->timing, TIMING_EMBED_SMOOTHNESS);
-    if (!rc && !r->smoothness)
-        rc = embed_smoothness_step_open(m->dev, &r->smoothness, e);
     if (!rc)
         rc = embed_smoothness_step_run(r->smoothness, &m->gauss, &m->adam, &pairs, &loss, e);
     (void)timing_turn(in->timing, was);
     return rc;
 }
 
-enum err_code regularizer_step(struct regularizer **own, struct model *m,
+enum err_code regularizer_step(struct regularizer *r, struct model *m,
                                const struct regularizer_input *in, struct err *e)
 {
     const struct train_config *c = in->gallery->cfg;
-    bool scale = regularizer_scale_acts(c, in->at), depth = regularizer_depth_acts(c, in->at->step);
-    bool smoothness = regularizer_smoothness_acts(in->gallery, in->at);
+    bool scale = regularizer_scale_acts(c, in->at);
+    bool depth = regularizer_has_depth(c) && in->at->step % (uint32_t)c->depth_interval == 0;
     struct mcmc_pull pull = regularizer_pull_of(c, &in->site->cell);
-    bool pulls = pull.opacity_weight > 0.0 || pull.size_weight > 0.0;
-    bool extra = scale || depth || pulls; /* the parts that share the buffer */
+    bool pulls = regularizer_pulls(&pull);
+    enum err_code rc = ERR_OK;
     m->adam.extra_grad = NULL;
-    if (!extra && !smoothness)
-        return ERR_OK;
-    enum err_code rc = regularizer_make(own, e);
-    if (!rc && smoothness)
-        rc = regularizer_smoothness(*own, m, in, e);
-    if (rc || !extra)
+    if (regularizer_smoothness_acts(in->gallery, in->at))
+        rc = regularizer_smoothness(r, m, in, e);
+    if (rc || !(scale || depth || pulls)) /* those that share the buffer */
         return rc;
-    rc = regularizer_reserve(*own, m, e);
+    rc = regularizer_reserve(r, m, e);
     m->adam.extra_sizes = scale && !depth && !pulls; /* fewer planes to pass through memory */
-    if (!rc && scale)
-        rc = regularizer_scale(*own, m, in, e);
-    else if (!rc)
-        rc = regularizer_clear(*own, m, e);
-    if (!rc && pulls)
-        rc = regularizer_pull(*own, m, &pull, e);
-    if (!rc && depth)
-        rc = regularizer_depth(*own, m, in, e);
     if (!rc)
-        m->adam.extra_grad = (*own)->extra;
+        rc = scale ? regularizer_scale(r, m, in, e) : regularizer_clear(r, m, e);
+    if (!rc && pulls)
+        rc = mcmc_pull_run(r->mcmc, &m->gauss, &pull, r->extra, e);
+    if (!rc && depth)
+        rc = regularizer_depth(r, m, in, e);
+    if (!rc)
+        m->adam.extra_grad = r->extra;
+    return rc;
+}
+
+/* ---- opening ---- */
+
+static enum err_code regularizer_open_depth(struct regularizer *r, const struct gallery *g,
+                                            struct err *e)
+{
+    const struct depth_map_config maps = {.scene = g->scene,
+                                          .images = g->images,
+                                          .n_images = g->n_images,
+                                          .dir = g->cfg->depth_dir,
+                                          .sparse = g->cfg->depth_sparse};
+    enum err_code rc = depth_map_open(&maps, &r->maps, e);
+    return rc ? rc : depth_open(g->engine.dev, &r->depth, e);
+}
+
+enum err_code regularizer_open(struct regularizer **own, const struct gallery *g,
+                               const struct cell *cell, struct err *e)
+{
+    const struct train_config *c = g->cfg;
+    const struct mcmc_pull pull = regularizer_pull_of(c, cell);
+    if (*own)
+        return ERR_OK;
+    struct regularizer *r = *own = mem_array(1, sizeof *r);
+    enum err_code rc = r ? ERR_OK : err_set(e, ERR_MEM, "regularizers: out of memory");
+    if (!rc && c->scale_weight > 0.0)
+        rc = scale_loss_open(g->engine.dev, &r->scale, e);
+    if (!rc && (regularizer_pulls(&pull) || regularizer_shakes(c)))
+        rc = mcmc_open(g->engine.dev, &r->mcmc, e);
+    if (!rc && regularizer_has_depth(c))
+        rc = regularizer_open_depth(r, g, e);
+    if (!rc && regularizer_has_smoothness(g))
+        rc = embed_smoothness_step_open(g->engine.dev, &r->smoothness, e);
+    if (rc)
+        regularizer_free(own);
     return rc;
 }

@@ -30,16 +30,20 @@ struct regularizer_input { /* input of one step; all borrowed */
     const struct photo *photo;
     struct timing *timing; /* runs on embedding smoothness while that is computed */
 };
-/* Computes the terms that the options want at the current step, and sets m->adam.extra_grad (NULL:
- * none). It draws frames, so call it before the step's render_forward. *own is NULL at first and
- * made when a term acts; free it with regularizer_free. ERR_MEM, ERR_DEVICE. ERR_FORMAT, ERR_NOENT,
- * ERR_DATA: a depth map cannot be used. */
-enum err_code regularizer_step(struct regularizer **own, struct model *m,
+/* Opens what the options want at any step: kernels, and depth maps. It does nothing if *own is open
+ * already; that is NULL at first. Free it with regularizer_free. ERR_MEM, ERR_DEVICE. ERR_DATA: no
+ * depth map can be used. Errors of their files. */
+enum err_code regularizer_open(struct regularizer **own, const struct gallery *g,
+                               const struct cell *cell, struct err *e) ERR_USE;
+void regularizer_free(struct regularizer **r);
+/* Computes the terms that act at the current step, and sets m->adam.extra_grad (NULL: none). It
+ * draws frames, so call it before the step's render_forward. ERR_MEM, ERR_DEVICE. ERR_FORMAT,
+ * ERR_NOENT, ERR_DATA: a depth map cannot be read. */
+enum err_code regularizer_step(struct regularizer *r, struct model *m,
                                const struct regularizer_input *in, struct err *e) ERR_USE;
-/* Call it after the step. With --strategy mcmc it adds noise to the means. ERR_MEM, ERR_DEVICE. */
-enum err_code regularizer_shake(struct regularizer **own, const struct model *m,
+/* Call it after the step. With --strategy mcmc it adds noise to the means. ERR_DEVICE. */
+enum err_code regularizer_shake(struct regularizer *r, const struct model *m,
                                 const struct train_config *cfg, const struct cell *cell,
                                 const struct stage *at, struct err *e) ERR_USE;
-void regularizer_free(struct regularizer **r);
 
 #endif

@@ -16,8 +16,8 @@
 #include <jansson.h>
 
 #include "codec/ckpt.h"
+#include "core/layout.h"
 #include "loss/mip.h"
-#include "render/permute.h"
 #include "train/appearance_train.h"
 #include "train/budget.h"
 #include "train/config.h"
@@ -138,7 +138,7 @@ static enum err_code state_view_close(struct state_view *v, enum err_code rc, st
  * nothing of it. */
 static void state_fold(const struct state_view *v, enum ckpt_field field, size_t row, float *out)
 {
-    const float *p = (const float *)v->at[0] + permute_at(row, v->m->gauss.planes);
+    const float *p = (const float *)v->at[0] + layout_at(row, v->m->gauss.planes);
     float scale[3], opacity = p[LAYOUT_PLANE_OPACITY * LAYOUT_LANES];
     struct gauss one = {.n = 1, .scale_log = scale, .opacity_logit = &opacity};
     for (size_t k = 0; k < 3; k++)
@@ -155,13 +155,14 @@ static enum err_code state_rows(void *user, enum ckpt_field field, size_t first,
     (void)e;
     const struct state_view *v = user;
     const struct render_model *m = &v->m->gauss;
-    const uint32_t plane[] = {
-        LAYOUT_PLANE_MEAN, LAYOUT_PLANE_SCALE,          LAYOUT_PLANE_QUAT, LAYOUT_PLANE_OPACITY,
-        LAYOUT_PLANE_SH,   render_planes(m->sh_degree), m->planes};
+    const uint32_t plane[] = {LAYOUT_PLANE_MEAN, LAYOUT_PLANE_SCALE,
+                              LAYOUT_PLANE_QUAT, LAYOUT_PLANE_OPACITY,
+                              LAYOUT_PLANE_SH,   layout_planes(m->sh_degree, 0),
+                              m->planes};
     size_t count = plane[field + 1] - plane[field];
     bool fold = v->filter && (field == CKPT_SCALE || field == CKPT_OPACITY);
     for (size_t i = 0; i < n; i++) {
-        const float *p = (const float *)v->at[0] + permute_at(first + i, m->planes) +
+        const float *p = (const float *)v->at[0] + layout_at(first + i, m->planes) +
                          (size_t)plane[field] * LAYOUT_LANES;
         if (fold)
             state_fold(v, field, first + i, out + i * count);

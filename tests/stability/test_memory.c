@@ -6,7 +6,7 @@
 #include "cells/cell.h"
 #include "codec/ckpt.h"
 #include "codec/scene.h"
-#include "render/permute.h"
+#include "core/layout.h"
 #include "tests/stability/toy.h"
 #include "train/config.h"
 #include "train/level.h"
@@ -164,8 +164,8 @@ static bool same_row(const float *a, size_t i, const float *b, size_t j, uint32_
 {
     bool same = true;
     for (uint32_t p = 0; p < planes; p++)
-        same = same && a[permute_at(i, planes) + (size_t)p * LAYOUT_LANES] ==
-                           b[permute_at(j, planes) + (size_t)p * LAYOUT_LANES];
+        same = same && a[layout_at(i, planes) + (size_t)p * LAYOUT_LANES] ==
+                           b[layout_at(j, planes) + (size_t)p * LAYOUT_LANES];
     return same;
 }
 
@@ -195,7 +195,7 @@ static void as_many_go_as_may(void **state)
         toy_run_steps(&r, REMOVAL_STEPS);
         struct level *l = &r.level;
         uint32_t n = l->model.gauss.n, planes = l->model.gauss.planes;
-        size_t floats = permute_floats(n, planes);
+        size_t floats = layout_floats(n, planes);
         float *before = arrays_of(l, floats);
         struct prune_report report;
         kit_ok(prune_level(&l->model, &l->gallery, l->site.ground, &l->stage, &report, NULL, &e),
@@ -219,7 +219,7 @@ static void as_many_go_as_may(void **state)
                     assert_true(++from < n); /* a later one */
             for (size_t i = l->model.gauss.n; i % LAYOUT_LANES; i++)
                 for (uint32_t p = 0; p < planes; p++)
-                    assert_true(is[permute_at(i, planes) + (size_t)p * LAYOUT_LANES] == 0.0f);
+                    assert_true(is[layout_at(i, planes) + (size_t)p * LAYOUT_LANES] == 0.0f);
         }
         toy_run_steps(&r, 1); /* and training goes on */
         mem_free(before);

@@ -6,9 +6,9 @@
 #include "codec/ckpt.h"
 #include "codec/npy.h"
 #include "codec/scene.h"
+#include "core/layout.h"
 #include "loss/depth.h"
 #include "loss/depth_map.h"
-#include "render/permute.h"
 #include "tests/stability/toy.h"
 #include "train/config.h"
 #include "train/level.h"
@@ -474,7 +474,7 @@ static float *f16_train(const struct train_config *c, uint32_t steps, size_t *fl
     toy_run_open(&r, scene_dir, c);
     (void)toy_run_steps(&r, steps);
     const struct render_model *m = &r.level.model.gauss;
-    size_t n = m->n, params = permute_floats(n, m->planes);
+    size_t n = m->n, params = layout_floats(n, m->planes);
     float *out = mem_array(F16_STATS * n + params, sizeof *out);
     assert_non_null(out);
     cl_mem stats[F16_STATS] = {r.level.model.stats.grad, r.level.model.stats.absg,

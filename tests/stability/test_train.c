@@ -3,7 +3,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "render/permute.h"
+#include "core/layout.h"
 #include "tests/stability/toy.h"
 #include "train/config.h"
 #include "train/importance.h"
@@ -136,7 +136,7 @@ static struct hash128 model_hash(struct toy_run *r)
 {
     struct err e = {0};
     size_t bytes =
-        permute_floats(r->level.model.gauss.n, r->level.model.gauss.planes) * sizeof(float);
+        layout_floats(r->level.model.gauss.n, r->level.model.gauss.planes) * sizeof(float);
     float *v = mem_array(bytes, 1);
     assert_non_null(v);
     kit_ok(dev_read(&toy_dev, r->level.model.gauss.params, 0, bytes, v, &e), e);
@@ -217,7 +217,7 @@ static void expect_finite_scores(const char *what, const char *dir, const struct
     struct train_config c = toy_config(&a, NULL);
     c.level_count = 1;
     toy_run_open_from(&r, dir, &c, g);
-    size_t n = g->n, floats = permute_floats(n, r.level.model.gauss.planes), bad = 0, positive = 0;
+    size_t n = g->n, floats = layout_floats(n, r.level.model.gauss.planes), bad = 0, positive = 0;
     float *params = mem_array(floats, sizeof(float)), *grad = mem_array(n, sizeof(float)),
           *score = mem_array(n, sizeof(float));
     assert_true(params && grad && score);
