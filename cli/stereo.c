@@ -32,6 +32,7 @@ static enum err_code stereo_make(const struct stereo_options *o, const char *dir
                                       .spacing_px = o->spacing_px,
                                       .edge = o->edge,
                                       .move_px = o->move_px,
+                                      .walls = o->walls,
                                       .test_split = o->test_split,
                                       .overwrite = o->overwrite};
     struct scene scene = {0};

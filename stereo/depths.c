@@ -19,7 +19,7 @@
 #include "stereo/pairs.h"
 #include "stereo/sweep.h"
 
-#define DEPTHS_DOWN 0.05 /* least downward part of a ray a unit of forward: below, no height */
+#define DEPTHS_JUMP 5.0 /* footprints of a pixel from one to the next: an edge */
 
 enum { DEPTHS_SAMPLES_MAX = 16 << 20 };
 
@@ -112,7 +112,7 @@ static bool depths_point(const struct camera *c, double x, double y, double z_m,
     camera_center(c, eye);
     for (int k = 0; k < 3; k++)
         ray[k] = c->rot[k] * a + c->rot[3 + k] * b + c->rot[6 + k];
-    if (!(ray[2] < -DEPTHS_DOWN))
+    if (!(ray[2] < -SWEEP_DOWN))
         return false;
     *depth_m = (z_m - eye[2]) / ray[2];
     for (int k = 0; k < 3; k++)
@@ -124,7 +124,7 @@ static bool depths_point(const struct camera *c, double x, double y, double z_m,
 static bool depths_input(const struct depths *d, size_t i, struct sweep_input *in)
 {
     const struct depths_view *v = &d->views[i];
-    *in = (struct sweep_input){.ref = {v->cam, v->grey}};
+    *in = (struct sweep_input){.ref = {v->cam, v->grey}, .walls = d->cfg->walls};
     for (size_t k = 0; k < d->pairs.n_near[i]; k++) {
         const struct depths_view *other = &d->views[d->pairs.near[i][k]];
         in->near[in->n_near++] = (struct sweep_view){other->cam, other->grey};
@@ -175,9 +175,31 @@ static double depths_agreed(const struct depths *d, size_t i, double x, double y
     return n >= d->cfg->agree ? sum / (double)(n + 1) : (double)NAN;
 }
 
+/* Writes 1 for the pixels behind an edge: deeper than one beside them by DEPTHS_JUMP footprints. */
+static void depths_behind(const struct depths_view *v, uint8_t *out)
+{
+    size_t w = v->cam.width_px, h = v->cam.height_px;
+    const ptrdiff_t beside[4] = {-1, 1, -(ptrdiff_t)w, (ptrdiff_t)w};
+    for (size_t at = 0; at < w * h; at++) {
+        size_t x = at % w, y = at / w;
+        const bool is_there[4] = {x > 0, x + 1 < w, y > 0, y + 1 < h};
+        double own, other, point[3];
+        if (!depths_point(&v->cam, (double)x + 0.5, (double)y + 0.5, (double)v->height_m[at], point,
+                          &own))
+            continue;
+        for (int k = 0; k < 4; k++) {
+            size_t to = at + (size_t)beside[k];
+            if (is_there[k] && depths_point(&v->cam, (double)(to % w) + 0.5, (double)(to / w) + 0.5,
+                                            (double)v->height_m[to], point, &other))
+                out[at] |= own - other > DEPTHS_JUMP * own / v->cam.fx_px;
+        }
+    }
+}
+
 /* Whether the window of a pixel reaches over an edge to lower ground. Windows make what stands in
- * front wider by their radius, in all views alike, so that views agree on it. */
-static bool depths_overhangs(const struct depths *d, size_t i, size_t at)
+ * front wider by their radius, in all views alike, so that views agree on it. Down a wall heights
+ * fall without an edge. */
+static bool depths_overhangs(const struct depths *d, size_t i, size_t at, const uint8_t *behind)
 {
     const struct depths_view *v = &d->views[i];
     int w = (int)v->cam.width_px, h = (int)v->cam.height_px, x = (int)(at % (size_t)w),
@@ -185,7 +207,8 @@ static bool depths_overhangs(const struct depths *d, size_t i, size_t at)
     float least = v->height_m[at] - (float)(d->cfg->edge * v->step_m);
     for (int j = y - SWEEP_RADIUS; j <= y + SWEEP_RADIUS; j++)
         for (int k = x - SWEEP_RADIUS; k <= x + SWEEP_RADIUS; k++)
-            if (j >= 0 && k >= 0 && j < h && k < w && v->height_m[j * w + k] < least)
+            if (j >= 0 && k >= 0 && j < h && k < w && behind[j * w + k] &&
+                v->height_m[j * w + k] < least)
                 return true;
     return false;
 }
@@ -199,16 +222,22 @@ static enum err_code depths_write(void *user, size_t i, struct err *e)
     if (!v->height_m)
         return ERR_OK;
     float *inverse = mem_array(n, sizeof *inverse);
-    if (!inverse)
+    uint8_t *behind = mem_array(n, 1);
+    if (!inverse || !behind) {
+        mem_free(inverse);
+        mem_free(behind);
         return err_set(e, ERR_MEM, "stereo: out of memory for %zu px", n);
+    }
+    depths_behind(v, behind);
     for (size_t p = 0; p < n; p++) {
         double x = (double)(p % shape[1]) + 0.5, y = (double)(p / shape[1]) + 0.5, at[3], depth;
         double z = depths_agreed(d, i, x, y, (double)v->height_m[p]);
-        bool good =
-            isfinite(z) && !depths_overhangs(d, i, p) && depths_point(&v->cam, x, y, z, at, &depth);
+        bool good = isfinite(z) && !depths_overhangs(d, i, p, behind) &&
+                    depths_point(&v->cam, x, y, z, at, &depth);
         inverse[p] = good ? (float)(1.0 / depth) : NAN;
         d->known[i] += good;
     }
+    mem_free(behind);
     mem_free(v->kept);
     v->kept = inverse;
     int k = snprintf(name, sizeof name, "%s.npy", d->scene->images[i].name);

@@ -24,10 +24,11 @@ struct depths_config {
     uint32_t max_edge_px; /* of maps */
     size_t near;          /* neighbours of a photograph */
     size_t agree;
-    double tolerance;  /* planes */
-    double edge;       /* planes: a window that reaches so much lower ground is not kept */
+    double tolerance; /* planes */
+    double edge; /* planes: a window that reaches ground so much lower over an edge is not kept */
     double spacing_px; /* edge of the cubes of fused points, in footprints of a pixel */
     double move_px;    /* by which a plane may move a neighbour's pixel */
+    bool walls;        /* upright planes too (stereo/sweep.h) */
     bool test_split;   /* leave the test photographs out */
     bool overwrite;
 };

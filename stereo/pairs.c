@@ -169,7 +169,8 @@ static bool pairs_place(const struct sweep_input *in, size_t k, const double x[2
                         double out[2])
 {
     double h[9];
-    sweep_homography(in, k, z, h);
+    struct sweep_plane level = sweep_level(z);
+    sweep_homography(in, k, &level, h);
     double q = h[6] * x[0] + h[7] * x[1] + h[8];
     out[0] = (h[0] * x[0] + h[1] * x[1] + h[2]) / q;
     out[1] = (h[3] * x[0] + h[4] * x[1] + h[5]) / q;

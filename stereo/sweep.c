@@ -13,18 +13,20 @@
 extern const char vector_cl[], sweep_cl[];
 
 enum {
-    SWEEP_TILE_W = 64, /* as in sweep.cl */
-    SWEEP_TILE_H = 32,
     SWEEP_SLAB = 16,  /* planes of a work-item */
     SWEEP_ROUND = 32, /* planes are padded to a multiple */
-    SWEEP_KERNELS = 4
+    SWEEP_KERNELS = 4,
+    SWEEP_TILE = 5 /* numbers a tile of upright planes, as in sweep.cl */
 };
 enum sweep_buffer {
     SWEEP_REF,
     SWEEP_NEAR,
     SWEEP_SIZES,
     SWEEP_HOMOGRAPHY,
+    SWEEP_UPRIGHT, /* homographies of upright planes */
+    SWEEP_TILES,
     SWEEP_COST,
+    SWEEP_WALLS, /* costs of upright planes */
     SWEEP_TURNED,
     SWEEP_SUM,
     SWEEP_PLANE,
@@ -66,9 +68,10 @@ static enum err_code sweep_build(struct sweep *s, struct err *e)
     char flags[256];
     snprintf(flags, sizeof flags,
              "-DPLANES=%u -DRADIUS=%d -DSLAB=%d -DCOST_MOST=%d.0f -DSTEP_COST=%d "
-             "-DNOISE=%.9ef -DLIKE=%.9ef",
+             "-DNOISE=%.9ef -DLIKE=%.9ef -DTILE_W=%d -DTILE_H=%d -DWALL_MORE=%d -DWALL_COST=%d "
+             "-DDOWN=%.9ef",
              s->planes, SWEEP_RADIUS, SWEEP_SLAB, SWEEP_COST_MOST, SWEEP_STEP_COST, SWEEP_NOISE,
-             SWEEP_LIKE);
+             SWEEP_LIKE, SWEEP_TILE_W, SWEEP_TILE_H, SWEEP_WALL_MORE, SWEEP_WALL_COST, SWEEP_DOWN);
     enum err_code rc = dev_build(s->dev, sources, 2, flags, &s->program, e);
     if (!rc)
         rc = dev_kernel(s->program, "sweep_cost", &s->cost, e);
@@ -109,34 +112,99 @@ static enum err_code sweep_reserve(struct sweep *s, enum sweep_buffer which, siz
     return rc;
 }
 
-void sweep_homography(const struct sweep_input *in, size_t k, double z_m, double out[9])
+/* M = R^T K^-1, row-major */
+static void sweep_rays(const struct camera *r, double out[9])
 {
-    const struct camera *r = &in->ref.cam, *n = &in->near[k].cam;
-    double c[3], ray[9], kr[9], e3[3], b[9];
-    camera_center(r, c);
-    for (int i = 0; i < 3; i++) { /* ray = R^T K^-1 */
-        ray[3 * i] = r->rot[i] / r->fx_px;
-        ray[3 * i + 1] = r->rot[3 + i] / r->fy_px;
-        ray[3 * i + 2] = r->rot[6 + i] - ray[3 * i] * r->cx_px - ray[3 * i + 1] * r->cy_px;
+    for (int i = 0; i < 3; i++) {
+        out[3 * i] = r->rot[i] / r->fx_px;
+        out[3 * i + 1] = r->rot[3 + i] / r->fy_px;
+        out[3 * i + 2] = r->rot[6 + i] - out[3 * i] * r->cx_px - out[3 * i + 1] * r->cy_px;
     }
-    for (int j = 0; j < 3; j++) { /* kr = K_k R_k */
+}
+
+void sweep_ray(const struct sweep_input *in, double x, double y, double out[3])
+{
+    double m[9];
+    sweep_rays(&in->ref.cam, m);
+    for (int i = 0; i < 3; i++)
+        out[i] = m[3 * i] * x + m[3 * i + 1] * y + m[3 * i + 2];
+}
+
+void sweep_homography(const struct sweep_input *in, size_t k, const struct sweep_plane *plane,
+                      double out[9])
+{
+    const struct camera *n = &in->near[k].cam;
+    double c[3], ray[9], kr[9], away[3], far_m = plane->at_m;
+    camera_center(&in->ref.cam, c);
+    sweep_rays(&in->ref.cam, ray);
+    for (int j = 0; j < 3; j++) { /* kr = K_k R_k, away = n^T M, far = s - n^T c */
         kr[j] = n->fx_px * n->rot[j] + n->cx_px * n->rot[6 + j];
         kr[3 + j] = n->fy_px * n->rot[3 + j] + n->cy_px * n->rot[6 + j];
         kr[6 + j] = n->rot[6 + j];
+        away[j] = plane->normal[0] * ray[j] + plane->normal[1] * ray[3 + j] +
+                  plane->normal[2] * ray[6 + j];
+        far_m -= plane->normal[j] * c[j];
     }
     const double kt[3] = {n->fx_px * n->trans[0] + n->cx_px * n->trans[2],
                           n->fy_px * n->trans[1] + n->cy_px * n->trans[2], n->trans[2]};
     for (int i = 0; i < 3; i++) {
-        e3[i] = kt[i];
+        double eye = kt[i];
         for (int j = 0; j < 3; j++)
-            e3[i] += kr[3 * i + j] * c[j];
+            eye += kr[3 * i + j] * c[j];
         for (int j = 0; j < 3; j++)
-            b[3 * i + j] =
-                kr[3 * i] * ray[j] + kr[3 * i + 1] * ray[3 + j] + kr[3 * i + 2] * ray[6 + j];
+            out[3 * i + j] =
+                eye * away[j] + far_m * (kr[3 * i] * ray[j] + kr[3 * i + 1] * ray[3 + j] +
+                                         kr[3 * i + 2] * ray[6 + j]);
     }
-    for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++)
-            out[3 * i + j] = -(e3[i] * ray[6 + j] + (z_m - c[2]) * b[3 * i + j]);
+}
+
+struct sweep_plane sweep_level(double z_m)
+{
+    return (struct sweep_plane){{0.0, 0.0, -1.0}, -z_m};
+}
+
+/* The planes in which a pixel's heights lie. False: it does not look down, or not at the wall. */
+static bool sweep_wall_span(const struct sweep_input *in, const struct sweep_wall *w, double x,
+                            double y, double *low, double *high)
+{
+    double d[3], c[3];
+    sweep_ray(in, x, y, d);
+    camera_center(&in->ref.cam, c);
+    double scale = (w->direction[0] * d[0] + w->direction[1] * d[1]) / d[2] / w->rho,
+           from = (c[2] - in->low_m) / in->step_m * (1.0 - scale);
+    *low = fmin(*low, from);
+    *high = fmax(*high, from + scale * (in->planes - 1.0));
+    return d[2] < -SWEEP_DOWN && scale > 0.0;
+}
+
+bool sweep_wall(const struct sweep_input *in, uint32_t x0, uint32_t y0, struct sweep_wall *out)
+{
+    const int least = -SWEEP_WALL_MORE, most = (int)in->planes + SWEEP_WALL_MORE;
+    uint32_t x1 = x0 + SWEEP_TILE_W, y1 = y0 + SWEEP_TILE_H;
+    double d[3], low = (double)INFINITY, high = -low;
+    sweep_ray(in, 0.5 * (x0 + x1), 0.5 * (y0 + y1), d);
+    double flat = hypot(d[0], d[1]);
+    *out = (struct sweep_wall){{d[0] / flat, d[1] / flat}, flat / d[2], least, most};
+    if (!in->walls || !(d[2] < -SWEEP_DOWN) || !(out->rho < -SWEEP_WALL_SLOPE))
+        return false;
+    /* scale is a ratio of linear functions: its extremes lie at the corners */
+    if (sweep_wall_span(in, out, x0, y0, &low, &high) &
+        sweep_wall_span(in, out, x1, y0, &low, &high) &
+        sweep_wall_span(in, out, x0, y1, &low, &high) &
+        sweep_wall_span(in, out, x1, y1, &low, &high)) {
+        out->first = (int)fmax(floor(low), least);
+        out->end = (int)fmin(floor(high) + 2.0, most);
+    }
+    return out->first < out->end;
+}
+
+struct sweep_plane sweep_upright(const struct sweep_input *in, const struct sweep_wall *w, int p)
+{
+    double c[3];
+    camera_center(&in->ref.cam, c);
+    double far_m = (in->low_m + in->step_m * p - c[2]) * w->rho;
+    return (struct sweep_plane){{w->direction[0], w->direction[1], 0.0},
+                                w->direction[0] * c[0] + w->direction[1] * c[1] + far_m};
 }
 
 /* A pixel, its right neighbour and the two below in one word, for bilinear sampling. The last row
@@ -179,6 +247,24 @@ static enum err_code sweep_upload_near(struct sweep *s, const struct sweep_input
     return rc;
 }
 
+/* The maps to all neighbours, row-major, as floats. */
+static void sweep_maps(const struct sweep_input *in, const struct sweep_plane *plane, float *out)
+{
+    for (size_t k = 0; k < in->n_near; k++) {
+        double one[9];
+        sweep_homography(in, k, plane, one);
+        for (int i = 0; i < 9; i++)
+            out[9 * k + (size_t)i] = (float)one[i];
+    }
+}
+
+static enum err_code sweep_send(struct sweep *s, enum sweep_buffer which, const void *from,
+                                size_t bytes, struct err *e)
+{
+    enum err_code rc = sweep_reserve(s, which, bytes, e);
+    return rc ? rc : dev_write(s->dev, s->buffer[which], 0, bytes, from, e);
+}
+
 static enum err_code sweep_upload(struct sweep *s, const struct sweep_input *in, struct err *e)
 {
     size_t pixels = (size_t)in->ref.cam.width_px * in->ref.cam.height_px;
@@ -186,57 +272,129 @@ static enum err_code sweep_upload(struct sweep *s, const struct sweep_input *in,
     float *h = mem_array(maps, sizeof *h);
     if (!h)
         return err_set(e, ERR_MEM, "sweep: out of memory");
-    for (uint32_t p = 0; p < in->planes; p++)
-        for (size_t k = 0; k < in->n_near; k++) {
-            double one[9];
-            sweep_homography(in, k, in->low_m + in->step_m * p, one);
-            for (int i = 0; i < 9; i++)
-                h[(p * in->n_near + k) * 9 + (size_t)i] = (float)one[i];
-        }
+    for (uint32_t p = 0; p < in->planes; p++) {
+        struct sweep_plane level = sweep_level(in->low_m + in->step_m * p);
+        sweep_maps(in, &level, h + p * in->n_near * 9);
+    }
     enum err_code rc = sweep_upload_near(s, in, e);
     if (!rc)
-        rc = sweep_reserve(s, SWEEP_REF, pixels, e);
+        rc = sweep_send(s, SWEEP_REF, in->ref.grey, pixels, e);
     if (!rc)
-        rc = sweep_reserve(s, SWEEP_HOMOGRAPHY, maps * sizeof *h, e);
-    if (!rc)
-        rc = dev_write(s->dev, s->buffer[SWEEP_REF], 0, pixels, in->ref.grey, e);
-    if (!rc)
-        rc = dev_write(s->dev, s->buffer[SWEEP_HOMOGRAPHY], 0, maps * sizeof *h, h, e);
+        rc = sweep_send(s, SWEEP_HOMOGRAPHY, h, maps * sizeof *h, e);
     mem_free(h);
     return rc;
 }
 
-static enum err_code sweep_costs(struct sweep *s, const struct sweep_input *in, struct err *e)
+static size_t sweep_across(const struct sweep_input *in)
+{
+    return (in->ref.cam.width_px + SWEEP_TILE_W - 1) / SWEEP_TILE_W;
+}
+
+static size_t sweep_tiles(const struct sweep_input *in)
+{
+    return sweep_across(in) * ((in->ref.cam.height_px + SWEEP_TILE_H - 1) / SWEEP_TILE_H);
+}
+
+/* Maps of upright planes, and of each tile the direction, 1 / rho, and which planes it has. */
+static enum err_code sweep_upload_walls(struct sweep *s, const struct sweep_input *in,
+                                        struct err *e)
+{
+    size_t tiles = sweep_tiles(in), across = sweep_across(in), each = in->n_near * 9,
+           all = sweep_upright_planes(in) * each;
+    float *h = mem_array(tiles * all, sizeof *h), *t = mem_array(tiles * SWEEP_TILE, sizeof *t);
+    enum err_code rc = h && t ? ERR_OK : err_set(e, ERR_MEM, "sweep: out of memory");
+    for (size_t i = 0; !rc && i < tiles; i++) {
+        struct sweep_wall w;
+        if (!sweep_wall(in, (uint32_t)(i % across) * SWEEP_TILE_W,
+                        (uint32_t)(i / across) * SWEEP_TILE_H, &w))
+            continue; /* it has no planes */
+        const double tile[SWEEP_TILE] = {w.direction[0], w.direction[1], 1.0 / w.rho,
+                                         w.first + SWEEP_WALL_MORE, w.end + SWEEP_WALL_MORE};
+        for (int k = 0; k < SWEEP_TILE; k++)
+            t[SWEEP_TILE * i + (size_t)k] = (float)tile[k];
+        for (int p = w.first; p < w.end; p++) {
+            struct sweep_plane up = sweep_upright(in, &w, p);
+            sweep_maps(in, &up, h + i * all + (size_t)(p + SWEEP_WALL_MORE) * each);
+        }
+    }
+    if (!rc)
+        rc = sweep_send(s, SWEEP_UPRIGHT, h, tiles * all * sizeof *h, e);
+    if (!rc)
+        rc = sweep_send(s, SWEEP_TILES, t, tiles * SWEEP_TILE * sizeof *t, e);
+    mem_free(h);
+    mem_free(t);
+    return rc;
+}
+
+/* Costs of level planes, or of upright ones. */
+static enum err_code sweep_cost(struct sweep *s, const struct sweep_input *in, bool upright,
+                                struct err *e)
 {
     cl_uint w = in->ref.cam.width_px, h = in->ref.cam.height_px, near = (cl_uint)in->n_near,
             best = near > 4   ? 3
                    : near > 1 ? 2
                               : 1,
-            planes = in->planes;
-    size_t tiles = (size_t)((w + SWEEP_TILE_W - 1) / SWEEP_TILE_W) *
-                   ((h + SWEEP_TILE_H - 1) / SWEEP_TILE_H),
-           slabs = (planes + SWEEP_SLAB - 1) / SWEEP_SLAB, pixels = (size_t)w * h;
+            planes = upright ? (cl_uint)sweep_upright_planes(in) : in->planes,
+            each = upright ? planes * near * 9 : 0;
+    size_t slabs = (planes + SWEEP_SLAB - 1) / SWEEP_SLAB, pixels = (size_t)w * h;
     cl_int bad = dev_arg(s->cost, 0, s->buffer[SWEEP_REF]);
     bad |= dev_arg(s->cost, 1, s->buffer[SWEEP_NEAR]);
     bad |= dev_arg(s->cost, 2, s->buffer[SWEEP_SIZES]);
-    bad |= dev_arg(s->cost, 3, s->buffer[SWEEP_HOMOGRAPHY]);
-    bad |= dev_arg(s->cost, 4, near);
-    bad |= dev_arg(s->cost, 5, best);
-    bad |= dev_arg(s->cost, 6, planes);
-    bad |= dev_arg(s->cost, 7, w);
-    bad |= dev_arg(s->cost, 8, h);
-    bad |= dev_arg(s->cost, 9, s->buffer[SWEEP_COST]);
-    bad |= dev_arg(s->turn, 0, s->buffer[SWEEP_COST]);
-    bad |= dev_arg(s->turn, 1, planes);
-    bad |= dev_arg(s->turn, 2, w);
-    bad |= dev_arg(s->turn, 3, h);
-    bad |= dev_arg(s->turn, 4, s->buffer[SWEEP_TURNED]);
+    bad |= dev_arg(s->cost, 3, s->buffer[upright ? SWEEP_UPRIGHT : SWEEP_HOMOGRAPHY]);
+    bad |= dev_arg(s->cost, 4, each);
+    bad |= dev_arg(s->cost, 5, s->buffer[upright ? SWEEP_TILES : SWEEP_HOMOGRAPHY]);
+    bad |= dev_arg(s->cost, 6, near);
+    bad |= dev_arg(s->cost, 7, best);
+    bad |= dev_arg(s->cost, 8, planes);
+    bad |= dev_arg(s->cost, 9, w);
+    bad |= dev_arg(s->cost, 10, h);
+    bad |= dev_arg(s->cost, 11, s->buffer[upright ? SWEEP_WALLS : SWEEP_COST]);
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "sweep: arguments: %s", dev_error_name(bad));
-    size_t local = dev_local(s->dev);
-    enum err_code rc =
-        dev_run(s->dev, s->cost, "sweep_cost", s->wide ? tiles * slabs : pixels * planes, local, e);
-    return rc ? rc : dev_run(s->dev, s->turn, "sweep_turn", s->wide ? h : pixels, local, e);
+    return dev_run(s->dev, s->cost, "sweep_cost",
+                   s->wide ? sweep_tiles(in) * slabs : pixels * planes, dev_local(s->dev), e);
+}
+
+/* The lesser cost of both, planes of a pixel side by side. */
+static enum err_code sweep_turn(struct sweep *s, const struct sweep_input *in, struct err *e)
+{
+    cl_uint w = in->ref.cam.width_px, h = in->ref.cam.height_px, planes = in->planes,
+            upright = in->walls ? (cl_uint)sweep_upright_planes(in) : 0;
+    struct {
+        cl_float m[9], from; /* from: (c_z - low) / step */
+    } rays;
+    double m[9], c[3];
+    sweep_rays(&in->ref.cam, m);
+    camera_center(&in->ref.cam, c);
+    for (int i = 0; i < 9; i++)
+        rays.m[i] = (cl_float)m[i];
+    rays.from = (cl_float)((c[2] - in->low_m) / in->step_m);
+    /* without walls these two are not read */
+    cl_mem walls = s->buffer[in->walls ? SWEEP_WALLS : SWEEP_COST],
+           tiles = s->buffer[in->walls ? SWEEP_TILES : SWEEP_COST];
+    cl_int bad = dev_arg(s->turn, 0, s->buffer[SWEEP_COST]);
+    bad |= dev_arg(s->turn, 1, walls);
+    bad |= dev_arg(s->turn, 2, tiles);
+    bad |= dev_arg(s->turn, 3, rays);
+    bad |= dev_arg(s->turn, 4, upright);
+    bad |= dev_arg(s->turn, 5, planes);
+    bad |= dev_arg(s->turn, 6, w);
+    bad |= dev_arg(s->turn, 7, h);
+    bad |= dev_arg(s->turn, 8, s->buffer[SWEEP_TURNED]);
+    if (bad != CL_SUCCESS)
+        return err_set(e, ERR_DEVICE, "sweep: arguments: %s", dev_error_name(bad));
+    return dev_run(s->dev, s->turn, "sweep_turn", s->wide ? h : (size_t)w * h, dev_local(s->dev),
+                   e);
+}
+
+static enum err_code sweep_costs(struct sweep *s, const struct sweep_input *in, struct err *e)
+{
+    enum err_code rc = sweep_cost(s, in, false, e);
+    if (!rc && in->walls)
+        rc = sweep_upload_walls(s, in, e);
+    if (!rc && in->walls)
+        rc = sweep_cost(s, in, true, e);
+    return rc ? rc : sweep_turn(s, in, e);
 }
 
 /* One of four directions: rows and columns, forward and back. */
@@ -286,11 +444,14 @@ enum err_code sweep_run(struct sweep *s, const struct sweep_input *in, float *pl
                         struct err *e)
 {
     size_t pixels = (size_t)in->ref.cam.width_px * in->ref.cam.height_px;
-    static const enum sweep_buffer rooms[] = {SWEEP_COST, SWEEP_TURNED, SWEEP_SUM, SWEEP_PLANE,
-                                              SWEEP_SCORE};
-    const size_t bytes[] = {pixels * in->planes, pixels * s->planes,
-                            pixels * s->planes * sizeof(cl_ushort), pixels * sizeof(float),
-                            pixels * sizeof(float)};
+    static const enum sweep_buffer rooms[] = {SWEEP_COST,  SWEEP_TURNED, SWEEP_SUM,
+                                              SWEEP_PLANE, SWEEP_SCORE,  SWEEP_WALLS};
+    const size_t bytes[] = {pixels * in->planes,
+                            pixels * s->planes,
+                            pixels * s->planes * sizeof(cl_ushort),
+                            pixels * sizeof(float),
+                            pixels * sizeof(float),
+                            in->walls ? pixels * sweep_upright_planes(in) : 0};
     if (!in->n_near || in->n_near > SWEEP_NEAR_MAX || in->planes < 2 || in->planes > s->planes)
         return err_set(e, ERR_ARG, "sweep: %zu neighbours, %u planes: 1 to %d, 2 to %u", in->n_near,
                        in->planes, SWEEP_NEAR_MAX, s->planes);

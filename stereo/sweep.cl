@@ -1,7 +1,7 @@
 // Plane sweep: photographs -> costs of heights -> one height a pixel. stereo/sweep.h has the
 // equations.
 //   sweep_cost  reference and neighbours -> cost uchar [planes][h][w]
-//   sweep_turn  cost -> [h][w][planes]
+//   sweep_turn  costs of level and upright planes -> the lesser, [h][w][planes]
 //   sweep_path  cost -> sum ushort [h][w][planes]: adds the costs of paths in one direction
 //   sweep_pick  sum -> plane of least sum, float [h][w], and its correlation [h][w]
 // VW 16 (CPUs): a work-item of sweep_cost has a tile and SLAB planes in its private memory, one of
@@ -15,6 +15,8 @@
 // certain. This is the first of row j.
 #define FIRST(j) ((j)&1)
 #define ROW_TAPS (RADIUS + 1)
+#define TILES_OF(width) (((width) + TILE_W - 1) / TILE_W)
+#define TILE_NUMBERS 5 // direction, 1 / rho, first plane, end of planes
 
 #if VW == 16
 typedef ushort16 S;
@@ -42,6 +44,16 @@ INLINE VU take(__global const uint *p, VI at)
 #else
     return p[at];
 #endif
+}
+
+INLINE uint tile_first(__global const float *tiles, uint tile)
+{
+    return (uint)tiles[TILE_NUMBERS * tile + 3];
+}
+
+INLINE uint tile_end(__global const float *tiles, uint tile)
+{
+    return (uint)tiles[TILE_NUMBERS * tile + 4];
 }
 
 // Where pixels of the reference fall in a neighbour. Returns the third coordinate.
@@ -86,8 +98,6 @@ INLINE V best_cost(V a, V b, V c, uint best)
 
 #if VW == 16
 
-#define TILE_W 64
-#define TILE_H 32
 #define ROW (TILE_W + 16) // of a tile and its margins
 #define ROWS (TILE_H + 2 * RADIUS)
 #define TILE (TILE_H * TILE_W)
@@ -197,29 +207,38 @@ INLINE V tile_cost(const struct tile_best *t, int at, uint best)
 }
 
 // quads: pictures of the neighbours; sizes [n_near]: width, height, first pixel of each.
-// homography [planes][n_near][9].
+// homography [planes][n_near][9], of a tile `each` behind that of the tile before. Where each is
+// not 0, a tile has its own planes, and costs of others are not written.
 __kernel void sweep_cost(__global const uchar *ref, __global const uint *quads,
-                         __global const uint *sizes, __global const float *homography, uint n_near,
-                         uint best, uint planes, uint width, uint height, __global uchar *cost)
+                         __global const uint *sizes, __global const float *homography, uint each,
+                         __global const float *tiles, uint n_near, uint best, uint planes,
+                         uint width, uint height, __global uchar *cost)
 {
-    uint across = (width + TILE_W - 1) / TILE_W, down = (height + TILE_H - 1) / TILE_H;
+    uint across = TILES_OF(width), down = (height + TILE_H - 1) / TILE_H;
     uint tile = (uint)get_global_id(0) % (across * down),
          slab = (uint)get_global_id(0) / (across * down);
     if (slab * SLAB >= planes)
         return;
     int x0 = (int)(tile % across) * TILE_W, y0 = (int)(tile / across) * TILE_H;
+    uint first = slab * SLAB, end = min(planes, first + SLAB);
+    if (each) {
+        first = max(first, tile_first(tiles, tile));
+        end = min(end, tile_end(tiles, tile));
+    }
+    if (first >= end)
+        return;
     float here[ROWS * ROW], there[ROWS * ROW];
     struct tile_own own;
     struct tile_best t;
     tile_read(ref, (int)width, (int)height, x0, y0, here);
     tile_own(here, &own);
-    for (uint p = slab * SLAB; p < planes && p < (slab + 1) * SLAB; p++) {
+    for (uint p = first; p < end; p++) {
         for (int i = 0; i < TILE; i++)
             t.first[i] = t.second[i] = t.third[i] = -2.0f;
         for (uint k = 0; k < n_near; k++) {
             float h[9];
             for (int i = 0; i < 9; i++)
-                h[i] = homography[(p * n_near + k) * 9 + i];
+                h[i] = homography[tile * each + (p * n_near + k) * 9 + i];
             int w = (int)sizes[3 * k], n = (int)sizes[3 * k + 1];
             tile_warp(quads + sizes[3 * k + 2], w, n, h, x0, y0, there);
             tile_score(here, &own, there, h, w, n, x0, y0, &t);
@@ -292,14 +311,18 @@ INLINE float own_correlation(const struct own *own, __global const uint *quads, 
 
 // Arguments as above.
 __kernel void sweep_cost(__global const uchar *ref, __global const uint *quads,
-                         __global const uint *sizes, __global const float *homography, uint n_near,
-                         uint best, uint planes, uint width, uint height, __global uchar *cost)
+                         __global const uint *sizes, __global const float *homography, uint each,
+                         __global const float *tiles, uint n_near, uint best, uint planes,
+                         uint width, uint height, __global uchar *cost)
 {
     size_t pixels = (size_t)width * height, item = get_global_id(0);
     if (item >= pixels * planes)
         return;
     uint p = (uint)(item / pixels), at = (uint)(item % pixels);
     int x = (int)(at % width), y = (int)(at / width);
+    uint tile = y / TILE_H * TILES_OF(width) + x / TILE_W;
+    if (each && (p < tile_first(tiles, tile) || p >= tile_end(tiles, tile)))
+        return;
     struct own own;
     float first = -2.0f, second = -2.0f, third = -2.0f;
     own_of(ref, (int)width, (int)height, x, y, &own);
@@ -307,7 +330,7 @@ __kernel void sweep_cost(__global const uchar *ref, __global const uint *quads,
         float h[9];
 #pragma unroll
         for (int i = 0; i < 9; i++)
-            h[i] = homography[(p * n_near + k) * 9 + i];
+            h[i] = homography[tile * each + (p * n_near + k) * 9 + i];
         float c = own_correlation(&own, quads + sizes[3 * k + 2], (int)sizes[3 * k],
                                   (int)sizes[3 * k + 1], h, x, y);
         float a = MIN_(first, c), b = MIN_(second, a);
@@ -331,12 +354,54 @@ __kernel void sweep_cost(__global const uchar *ref, __global const uint *quads,
     for (size_t at = get_global_id(0), end_ = (size_t)(width) * (height); at < end_; at = end_)
 #endif
 
-__kernel void sweep_turn(__global const uchar *in, uint planes, uint width, uint height,
-                         __global uchar *out)
+struct sweep_rays {
+    float m[9], from;
+};
+
+// Plane p' of a pixel is scale p + shift; scale 0: there is none.
+INLINE float2 upright_at(struct sweep_rays k, __global const float *tile, float px, float py)
 {
+    float d[3];
+    for (int i = 0; i < 3; i++)
+        d[i] = k.m[3 * i] * px + k.m[3 * i + 1] * py + k.m[3 * i + 2];
+    float scale = (tile[0] * d[0] + tile[1] * d[1]) / d[2] * tile[2];
+    if (!(d[2] < -DOWN) | !(scale > 0.0f))
+        return (float2)(0.0f);
+    return (float2)(scale, k.from * (1.0f - scale) + WALL_MORE);
+}
+
+// The cost of a pixel between two upright planes, costs [planes][h][w]; COST_MOST outside of them.
+INLINE float upright_cost(__global const uchar *costs, __global const float *tile, size_t pixels,
+                          float p)
+{
+    if (!((p >= tile[3]) & (p < tile[4] - 1.0f)))
+        return COST_MOST;
+    uint low = (uint)p;
+    float a = (float)costs[low * pixels], b = (float)costs[(low + 1) * pixels];
+    return a + (p - (float)low) * (b - a) + WALL_COST;
+}
+
+// walls [planes of walls][h][w]; upright 0: there are none.
+__kernel void sweep_turn(__global const uchar *in, __global const uchar *walls,
+                         __global const float *tiles, struct sweep_rays rays, uint upright,
+                         uint planes, uint width, uint height, __global uchar *out)
+{
+    size_t pixels = (size_t)width * height;
     PIXELS_EACH(at, width, height)
-    for (uint p = 0; p < PLANES; p++)
-        out[at * PLANES + p] = p < planes ? in[(size_t)p * width * height + at] : (uchar)COST_MOST;
+    {
+        uint x = (uint)(at % width), y = (uint)(at / width);
+        __global const float *tile =
+            tiles + TILE_NUMBERS * (y / TILE_H * TILES_OF(width) + x / TILE_W);
+        float2 to = (float2)(0.0f);
+        if (upright)
+            to = upright_at(rays, tile, (float)x + 0.5f, (float)y + 0.5f);
+        for (uint p = 0; p < PLANES; p++) {
+            float c = p < planes ? (float)in[p * pixels + at] : COST_MOST;
+            if ((to.x > 0.0f) & (p < planes))
+                c = min(c, upright_cost(walls + at, tile, pixels, to.x * (float)p + to.y));
+            out[at * PLANES + p] = (uchar)(c + 0.5f);
+        }
+    }
 }
 
 #if VW == 16

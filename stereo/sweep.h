@@ -1,13 +1,14 @@
-/* Depth of a photograph from its neighbours, by a sweep of horizontal planes.
+/* Depth of a photograph from its neighbours, by sweeps of horizontal and of upright planes.
  *
  * In a city most surfaces are level, or stand on level ground: a height is the label that
  * neighbouring pixels share. For every plane at height z_p = low_m + p step_m the neighbours are
  * drawn as the reference would see them if all lay in that plane (Collins 1996). The pixel x of the
  * reference, homogeneous, falls on
  *
- *     y ~ -(K_k (R_k c + t_k) m^T + (z_p - c_z) K_k R_k M) x,   M = R^T K^-1,   m^T = its third row
+ *     y ~ (K_k (R_k c + t_k) n^T M + (s - n^T c) K_k R_k M) x,   M = R^T K^-1
  *
- * of neighbour k; c is the reference's centre. Windows are compared by normalised correlation of
+ * of neighbour k, for a plane n^T X = s whose normal points away from the eye: n = (0, 0, -1), s =
+ * -z_p. c is the reference's centre. Windows are compared by normalised correlation of
  * grey values, which light and exposure do not change; NOISE is added to both variances, so that
  * windows without texture correlate with nothing. A pixel of a window counts by how like the middle
  * it is (Yoon and Kweon 2006), because another grey is often another surface:
@@ -16,6 +17,16 @@
  *
  * The cost of a plane is 1 minus the mean of the best correlations (Kang, Szeliski and Chai 2001),
  * so that a surface may be hidden from some of the neighbours.
+ *
+ * A window on a wall is not level. So windows are compared in upright planes too (Gallup et al.
+ * 2007, sweeps in several directions), which face the reference: in a tile of pixels n is the
+ * horizontal part of the ray through its middle, and plane p goes through that ray at height z_p, p
+ * from -SWEEP_WALL_MORE on. With d = M x and rho = n^T d / d_z, a pixel at height z lies in plane
+ *
+ *     p' = (c_z - low + (z - c_z) rho / rho_middle) / step
+ *
+ * between two planes, whose costs are interpolated. The cost of a height is the lesser of the two
+ * directions; upright costs SWEEP_WALL_COST more.
  *
  * Costs are summed along paths in four directions (semi-global matching, Hirschmueller 2008): a
  * change by one plane costs SWEEP_STEP_COST, and one by more a jump, which is cheaper across edges
@@ -26,6 +37,7 @@
 #ifndef STEREO_SWEEP_H
 #define STEREO_SWEEP_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -41,11 +53,17 @@ enum {
     SWEEP_COST_MOST = 200, /* where nothing correlates */
     SWEEP_STEP_COST = 8,
     SWEEP_JUMP_LOW = 30,
-    SWEEP_JUMP_HIGH = 120
+    SWEEP_JUMP_HIGH = 120,
+    SWEEP_TILE_W = 64, /* px */
+    SWEEP_TILE_H = 32,
+    SWEEP_WALL_MORE = 24, /* upright planes below and above the heights */
+    SWEEP_WALL_COST = 4
 };
-#define SWEEP_NOISE 4e-5 /* variance of grey values that is not texture */
-#define SWEEP_LIKE 0.1   /* difference of grey values at which a pixel counts a quarter */
-#define SWEEP_EDGE 25.0  /* a change of grey by 1 / SWEEP_EDGE halves what a jump may save */
+#define SWEEP_NOISE 4e-5     /* variance of grey values that is not texture */
+#define SWEEP_LIKE 0.1       /* difference of grey values at which a pixel counts a quarter */
+#define SWEEP_DOWN 0.05      /* least downward part of a ray a unit of forward: below, no height */
+#define SWEEP_WALL_SLOPE 0.2 /* least horizontal part of a ray a unit down that shows walls */
+#define SWEEP_EDGE 25.0      /* a change of grey by 1 / SWEEP_EDGE halves what a jump may save */
 
 struct sweep_view {
     struct camera cam;
@@ -56,6 +74,10 @@ struct sweep_input {
     size_t n_near;
     double low_m, step_m; /* height of the first plane, distance of planes; ENU metres */
     uint32_t planes;      /* 2 to SWEEP_PLANES_MAX */
+    bool walls;           /* upright planes too */
+};
+struct sweep_plane { /* normal^T X = at_m; the normal points away from the eye */
+    double normal[3], at_m;
 };
 struct sweep; /* compiled kernels and buffers */
 /* Builds the kernels for sweeps of at most `planes` planes. Free *out with sweep_close. ERR_ARG,
@@ -67,9 +89,26 @@ void sweep_close(struct sweep **s);
  * ERR_ARG (no neighbour, or the number of planes), ERR_MEM, ERR_DEVICE. */
 enum err_code sweep_run(struct sweep *s, const struct sweep_input *in, float *plane, float *score,
                         struct err *e) ERR_USE;
-/* The map from pixels of the reference to those of neighbour k by the plane at height z_m,
- * row-major. Its third coordinate is above 0 for rays that go down and places before both. */
-void sweep_homography(const struct sweep_input *in, size_t k, double z_m, double out[9]);
+/* The map from pixels of the reference to those of neighbour k by a plane, row-major. Its third
+ * coordinate is above 0 for rays that go with the normal and places before both. */
+void sweep_homography(const struct sweep_input *in, size_t k, const struct sweep_plane *plane,
+                      double out[9]);
+struct sweep_plane sweep_level(double z_m);
+/* A ray of the reference through (x, y) px: M x. */
+void sweep_ray(const struct sweep_input *in, double x, double y, double out[3]);
+/* The upright planes of a tile of pixels. */
+struct sweep_wall {
+    double direction[2], rho; /* of its middle */
+    int first, end;           /* planes that its pixels need */
+};
+/* x0, y0: the tile's first pixel. False: it sees no walls. */
+bool sweep_wall(const struct sweep_input *in, uint32_t x0, uint32_t y0, struct sweep_wall *out);
+struct sweep_plane sweep_upright(const struct sweep_input *in, const struct sweep_wall *w, int p);
+/* How many there are, of all tiles. */
+static inline size_t sweep_upright_planes(const struct sweep_input *in)
+{
+    return in->planes + 2 * (size_t)SWEEP_WALL_MORE;
+}
 
 /* Reference in double on the host. cost [h][w][planes]. ERR_MEM. */
 void sweep_ref_cost(const struct sweep_input *in, double *cost);

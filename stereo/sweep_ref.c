@@ -45,7 +45,7 @@ static double sweep_ref_correlation(const struct sweep_input *in, size_t k, cons
             if ((i + j) % 2)
                 continue;
             double a = sweep_ref_grey(&in->ref, x + i, y + j), b = sweep_ref_bilinear(near, u, v);
-            double w = pow(1.0 + pow((a - middle) / SWEEP_LIKE, 2.0), -2.0);
+            double r = (a - middle) / SWEEP_LIKE, w = 1.0 / ((1.0 + r * r) * (1.0 + r * r));
             n += w;
             a1 += w * a;
             a2 += w * a * a;
@@ -78,16 +78,50 @@ static double sweep_ref_cost_of(const struct sweep_input *in, const double (*h)[
     return SWEEP_COST_MOST * fmax(fmin(1.0 - sum / (double)m, 1.0), 0.0);
 }
 
+static double sweep_ref_plane(const struct sweep_input *in, const struct sweep_plane *plane, int x,
+                              int y)
+{
+    double h[SWEEP_NEAR_MAX][9];
+    for (size_t k = 0; k < in->n_near; k++)
+        sweep_homography(in, k, plane, h[k]);
+    return sweep_ref_cost_of(in, (const double(*)[9])h, x, y);
+}
+
+/* Lowers the costs of pixel (x, y) to those of upright planes. */
+static void sweep_ref_walls(const struct sweep_input *in, int x, int y, double *cost)
+{
+    double d[3], c[3];
+    struct sweep_wall w;
+    sweep_ray(in, x + 0.5, y + 0.5, d);
+    camera_center(&in->ref.cam, c);
+    if (!sweep_wall(in, (uint32_t)x / SWEEP_TILE_W * SWEEP_TILE_W,
+                    (uint32_t)y / SWEEP_TILE_H * SWEEP_TILE_H, &w))
+        return;
+    double scale = (w.direction[0] * d[0] + w.direction[1] * d[1]) / d[2] / w.rho;
+    if (!(d[2] < -SWEEP_DOWN && scale > 0.0))
+        return;
+    for (uint32_t p = 0; p < in->planes; p++) {
+        double z_m = in->low_m + in->step_m * p;
+        double to = (c[2] - in->low_m + (z_m - c[2]) * scale) / in->step_m;
+        int low = (int)floor(to);
+        if (low < w.first || low + 1 >= w.end)
+            continue;
+        struct sweep_plane a = sweep_upright(in, &w, low), b = sweep_upright(in, &w, low + 1);
+        double ca = sweep_ref_plane(in, &a, x, y), cb = sweep_ref_plane(in, &b, x, y);
+        cost[p] = fmin(cost[p], ca + (to - low) * (cb - ca) + SWEEP_WALL_COST);
+    }
+}
+
 void sweep_ref_cost(const struct sweep_input *in, double *cost)
 {
     size_t w = in->ref.cam.width_px, n = w * in->ref.cam.height_px;
-    for (uint32_t p = 0; p < in->planes; p++) {
-        double h[SWEEP_NEAR_MAX][9];
-        for (size_t k = 0; k < in->n_near; k++)
-            sweep_homography(in, k, in->low_m + in->step_m * p, h[k]);
-        for (size_t i = 0; i < n; i++)
-            cost[i * in->planes + p] =
-                sweep_ref_cost_of(in, (const double(*)[9])h, (int)(i % w), (int)(i / w));
+    for (size_t i = 0; i < n; i++) {
+        int x = (int)(i % w), y = (int)(i / w);
+        for (uint32_t p = 0; p < in->planes; p++) {
+            struct sweep_plane level = sweep_level(in->low_m + in->step_m * p);
+            cost[i * in->planes + p] = sweep_ref_plane(in, &level, x, y);
+        }
+        sweep_ref_walls(in, x, y, cost + i * in->planes);
     }
 }
 

@@ -25,8 +25,8 @@ enum { VIEWS = 4, VIEW_W = 90, VIEW_H = 70, PLANES = 40 };
 
 static struct dev dev;
 static struct arena texts;
-static uint8_t grey[VIEWS][VIEW_H * VIEW_W];
-static struct sweep_input input;
+static uint8_t grey[2][VIEWS][VIEW_H * VIEW_W];
+static struct sweep_input input, aslant;
 
 /* Value noise in three octaves: texture of level ground and of a level roof at 6 m. */
 static double paint(double x, double y, uint64_t seed)
@@ -48,53 +48,63 @@ static double height_of(double x, double y)
     return fabs(x) < 5 && fabs(y) < 4 ? 6.0 : 0.0;
 }
 
-/* The surface that a pixel shows: the roof first. */
-static double pixel_of(const struct camera *c, double x, double y, double at[3])
+/* The place that a pixel shows, and its paint. Returns 0: ground, 1: roof, 2: wall at y = -4. */
+static int pixel_of(const struct camera *c, double x, double y, double at[3], double *painted)
 {
-    static const double heights[2] = {6.0, 0.0};
-    double eye[3], a = (x - c->cx_px) / c->fx_px, b = (y - c->cy_px) / c->fy_px;
+    double eye[3], ray[3], a = (x - c->cx_px) / c->fx_px, b = (y - c->cy_px) / c->fy_px;
     camera_center(c, eye);
-    for (int i = 0; i < 2; i++) {
-        double ray[3];
+    for (int k = 0; k < 3; k++)
+        ray[k] = c->rot[k] * a + c->rot[3 + k] * b + c->rot[6 + k];
+    const double to[3] = {-eye[2] / ray[2], (6.0 - eye[2]) / ray[2], (-4.0 - eye[1]) / ray[1]};
+    for (int what = 2; what >= 0; what--) {
         for (int k = 0; k < 3; k++)
-            ray[k] = c->rot[k] * a + c->rot[3 + k] * b + c->rot[6 + k];
-        double t = (heights[i] - eye[2]) / ray[2];
-        for (int k = 0; k < 3; k++)
-            at[k] = eye[k] + t * ray[k];
-        if (height_of(at[0], at[1]) == heights[i])
-            return heights[i];
+            at[k] = eye[k] + to[what] * ray[k];
+        bool wall = fabs(at[0]) < 5 && at[2] >= 0.0 && at[2] <= 6.0 && eye[1] < -4;
+        if (!what || (what == 1 && height_of(at[0], at[1]) > 3) || (what == 2 && wall)) {
+            *painted = paint(at[0], what == 2 ? at[2] : at[1], 8 - (uint64_t)what);
+            return what;
+        }
     }
-    return 0.0; /* the wall: painted as the ground behind it */
+    return 0;
+}
+
+static void pictures_draw(struct sweep_input *in, uint8_t (*out)[VIEW_H * VIEW_W],
+                          const double (*eyes)[3])
+{
+    for (int v = 0; v < VIEWS; v++) {
+        const double target[3] = {0.2 * v, 1, 0};
+        struct camera cam = camera_look_at(eyes[v], target, 0.55, VIEW_W, VIEW_H);
+        for (int i = 0; i < VIEW_W * VIEW_H; i++) {
+            double at[3], painted;
+            (void)pixel_of(&cam, i % VIEW_W + 0.5, i / VIEW_W + 0.5, at, &painted);
+            /* another exposure in every picture */
+            out[v][i] = (uint8_t)(40 + 15 * v + (150 - 20 * v) * painted + 0.5);
+        }
+        struct sweep_view view = {cam, out[v]};
+        if (v)
+            in->near[v - 1] = view;
+        else
+            in->ref = view;
+    }
+    in->n_near = VIEWS - 1;
+    in->low_m = -3;
+    in->step_m = 0.3;
+    in->planes = PLANES;
 }
 
 static int pictures_make(void **state)
 {
     static const double eyes[VIEWS][3] = {
         {0, -8, EYE_M}, {9, -7, EYE_M + 1}, {-9, -8, EYE_M}, {1, 2, EYE_M - 2}};
+    static const double eyes_aslant[VIEWS][3] = {
+        {0, -32, 26}, {6, -31, 27}, {-7, -32, 26}, {1, -27, 30}};
     struct err e = {0};
     if (kit_tmp_make(state))
         return 1;
     kit_ok(dev_open(NULL, &dev, &e), e);
-    for (int v = 0; v < VIEWS; v++) {
-        const double target[3] = {0.2 * v, 1, 0};
-        struct camera cam = camera_look_at(eyes[v], target, 0.55, VIEW_W, VIEW_H);
-        for (int i = 0; i < VIEW_W * VIEW_H; i++) {
-            double at[3];
-            (void)pixel_of(&cam, i % VIEW_W + 0.5, i / VIEW_W + 0.5, at);
-            /* another exposure in every picture */
-            double g = (40 + 15 * v) + (150 - 20 * v) * paint(at[0], at[1], at[2] > 3 ? 7 : 8);
-            grey[v][i] = (uint8_t)(g + 0.5);
-        }
-        struct sweep_view view = {cam, grey[v]};
-        if (v)
-            input.near[v - 1] = view;
-        else
-            input.ref = view;
-    }
-    input.n_near = VIEWS - 1;
-    input.low_m = -3;
-    input.step_m = 0.3;
-    input.planes = PLANES;
+    pictures_draw(&input, grey[0], eyes);
+    pictures_draw(&aslant, grey[1], eyes_aslant);
+    aslant.walls = true;
     return 0;
 }
 
@@ -116,12 +126,93 @@ static void a_plane_maps_pixels_as_the_cameras_do(void **state)
             double a[2], b[2], h[9];
             assert_true(camera_project(&input.ref.cam, at, 0.1, a, NULL));
             assert_true(camera_project(&input.near[k].cam, at, 0.1, b, NULL));
-            sweep_homography(&input, k, at[2], h);
+            struct sweep_plane level = sweep_level(at[2]);
+            sweep_homography(&input, k, &level, h);
             double q = h[6] * a[0] + h[7] * a[1] + h[8];
             assert_true(q > 0);
             assert_true(fabs((h[0] * a[0] + h[1] * a[1] + h[2]) / q - b[0]) < 1e-8);
             assert_true(fabs((h[3] * a[0] + h[4] * a[1] + h[5]) / q - b[1]) < 1e-8);
         }
+}
+
+/* A place in an upright plane too, and each pixel's heights lie in the planes of its tile. */
+static void an_upright_plane_maps_pixels_as_the_cameras_do(void **state)
+{
+    (void)state;
+    for (size_t k = 0; k < aslant.n_near; k++)
+        for (uint32_t tile = 0; tile < 2; tile++)
+            for (uint64_t i = 0; i < 30; i++) {
+                struct sweep_wall w;
+                double x = 40 * rng_unit(1, k, i) + 4, y = 20 * rng_unit(2, k, i) + 40, d[3], at[3],
+                       c[3], h[9], px[2];
+                assert_true(sweep_wall(&aslant, 0, tile * SWEEP_TILE_H, &w));
+                struct sweep_plane up = sweep_upright(&aslant, &w, (int)(20 * rng_unit(3, k, i)));
+                camera_center(&aslant.ref.cam, c);
+                sweep_ray(&aslant, x, y, d);
+                double way = up.at_m, along = 0;
+                for (int j = 0; j < 3; j++) {
+                    way -= up.normal[j] * c[j];
+                    along += up.normal[j] * d[j];
+                }
+                for (int j = 0; j < 3; j++)
+                    at[j] = c[j] + way / along * d[j];
+                assert_true(camera_project(&aslant.near[k].cam, at, 0.1, px, NULL));
+                sweep_homography(&aslant, k, &up, h);
+                double q = h[6] * x + h[7] * y + h[8];
+                assert_true(q > 0);
+                assert_true(fabs((h[0] * x + h[1] * y + h[2]) / q - px[0]) < 1e-8);
+                assert_true(fabs((h[3] * x + h[4] * y + h[5]) / q - px[1]) < 1e-8);
+            }
+    struct sweep_input down = input;
+    struct sweep_wall w;
+    assert_false(sweep_wall(&input, 0, 0, &w)); /* none are asked for */
+    down.walls = true;
+    assert_false(sweep_wall(&down, 13, 47, &w)); /* it looks straight down there */
+}
+
+/* Share of the wall's pixels within 0.1 m of its height, a third of a plane. */
+static double walls_right(const struct sweep_input *in, const float *plane)
+{
+    double at[3], painted;
+    size_t n = 0, right = 0;
+    for (int i = 0; i < VIEW_W * VIEW_H; i++) {
+        if (pixel_of(&in->ref.cam, i % VIEW_W + 0.5, i / VIEW_W + 0.5, at, &painted) != 2)
+            continue;
+        n++;
+        right += fabs(in->low_m + in->step_m * (double)plane[i] - at[2]) < 0.1;
+    }
+    assert_true(n > 500);
+    return (double)right / (double)n;
+}
+
+static void walls_are_found_by_upright_planes(void **state)
+{
+    enum { N = VIEW_W * VIEW_H };
+    static float plane[N], score[N], level[N];
+    static double want[N], want_score[N];
+    struct sweep_input without = aslant;
+    uint32_t own = dev.vector_width;
+    (void)state;
+    kit_ok(sweep_ref_run(&aslant, want, want_score, &(struct err){0}), (struct err){0});
+    for (int shape = 0; shape < 2; shape++) {
+        struct err e = {0};
+        struct sweep *s;
+        size_t other = 0;
+        dev.vector_width = shape ? 1 : own;
+        kit_ok(sweep_open(&dev, PLANES, &s, &e), e);
+        kit_ok(sweep_run(s, &aslant, plane, score, &e), e);
+        without.walls = false;
+        kit_ok(sweep_run(s, &without, level, score, &e), e);
+        sweep_close(&s);
+        dev.vector_width = own;
+        for (int i = 0; i < N; i++)
+            other += fabs((double)plane[i] - want[i]) > 0.25;
+        if (other > N / 50)
+            fail_msg("%zu of %d pixels differ from the reference", other, N);
+        double with = walls_right(&aslant, plane), none = walls_right(&aslant, level);
+        if (with < 0.5 || with < 1.5 * none)
+            fail_msg("%.2f of the wall are right, %.2f without upright planes", with, none);
+    }
 }
 
 static void check_kernels(uint32_t width)
@@ -139,13 +230,14 @@ static void check_kernels(uint32_t width)
     dev.vector_width = own;
     kit_ok(sweep_ref_run(&input, want, want_score, &e), e);
     for (int i = 0; i < N; i++) {
-        double x = i % VIEW_W + 0.5, y = i / VIEW_W + 0.5, at[3];
+        double x = i % VIEW_W + 0.5, y = i / VIEW_W + 0.5, at[3], painted;
         /* Costs are whole numbers on the device: close rivals may change places. */
         other += fabs((double)plane[i] - want[i]) > 0.25 ||
                  fabs((double)score[i] - want_score[i]) > 0.02;
         if (x < 8 || y < 8 || x > VIEW_W - 8 || y > VIEW_H - 8)
             continue;
-        double z = pixel_of(&input.ref.cam, x, y, at), far = 2.0;
+        (void)pixel_of(&input.ref.cam, x, y, at, &painted);
+        double z = at[2], far = 2.0;
         bool inside =
             fabs(at[0]) < 5 - far && fabs(at[1])<4 - far, outside = fabs(at[0])> 5 + far ||
             fabs(at[1]) > 4 + far;
@@ -325,7 +417,9 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(a_plane_maps_pixels_as_the_cameras_do),
+        cmocka_unit_test(an_upright_plane_maps_pixels_as_the_cameras_do),
         cmocka_unit_test(kernels_equal_the_reference),
+        cmocka_unit_test(walls_are_found_by_upright_planes),
         cmocka_unit_test(senseless_sweeps_are_refused),
         cmocka_unit_test(cubes_hold_the_mean_of_their_samples),
         cmocka_unit_test(a_city_from_its_photographs),
