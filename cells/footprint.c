@@ -515,6 +515,12 @@ static double footprint_fade(double beyond_m, double fade_m)
     return 1.0 - t * t * (3.0 - 2.0 * t);
 }
 
+bool footprint_is_deep(const struct footprint *f, size_t cell)
+{
+    return f->inside[cell] && f->views[cell] >= FOOTPRINT_DEEP_VIEWS &&
+           (double)f->edge_m[cell] <= -FOOTPRINT_DEEP * f->height_m;
+}
+
 bool footprint_has(const struct footprint *f, const double x_m[3])
 {
     ptrdiff_t i = f->nx ? footprint_cell(f, x_m[0], x_m[1]) : -1;

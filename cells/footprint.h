@@ -21,7 +21,11 @@ struct camera;
 struct geo_origin;
 struct scene;
 
-enum { FOOTPRINT_VIEWS = 2 };
+enum {
+    FOOTPRINT_VIEWS = 2,
+    FOOTPRINT_DEEP_VIEWS = 3 /* photographs that see ground well inside, at least */
+};
+#define FOOTPRINT_DEEP 0.2 /* flight heights from the border inwards: well inside */
 
 struct footprint { /* {0} is empty: all ground counts as supported; free with footprint_free */
     double corner_m[2], cell_m; /* south-west corner of the grid, ENU; edge of a cell */
@@ -53,6 +57,8 @@ void footprint_free(struct footprint *f);
  * It is 1 well inside and 0 beyond the faded edge. A Gaussian that is large enough to reach outside
  * fades too. */
 double footprint_weight(const struct footprint *f, const double mean_m[3], const double cov[9]);
+/* Returns whether a cell of the grid lies well inside, and enough photographs see it. */
+bool footprint_is_deep(const struct footprint *f, size_t cell);
 /* Returns whether the ground under a place is supported. */
 bool footprint_has(const struct footprint *f, const double x_m[3]);
 /* Metres by which a place is above the highest sparse point around it, or below the lowest. Between

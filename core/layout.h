@@ -235,7 +235,7 @@ struct layout_counts {
 
 struct layout_scale_piece {
     LAYOUT_U32 n, m; /* n: axes longer than s_max; m: Gaussians whose axis ratio is above r_max */
-    float size, ratio;
+    float size, ratio, flat; /* flat: sum of log(1 + (least axis / flat_m)^2) */
 };
 
 struct layout_mip_camera { /* trans is relative to the model's origin */

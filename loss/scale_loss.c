@@ -2,8 +2,8 @@
  *
  * A step has two launches: counts over fixed pieces, then gradients. It owns its kernels and a
  * small buffer. A flat disc (two long axes, one short) is no needle, because the ratio is that of
- * the longest axis to the middle one. The division by n + 1 makes the pull on one Gaussian
- * independent of their number. Source: REUrbanGS (2025).
+ * the longest axis to the middle one. Gaussians become such discs. The division by n + 1 makes the
+ * pull on one Gaussian independent of their number. Source: REUrbanGS (2025).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -22,9 +22,9 @@ struct scale_loss {
     cl_program program;
     cl_kernel count, grad;
     cl_mem pieces;
-    cl_mem inside; /* uint8 [ny][nx] of the ground of the first run */
-    double weight; /* of the last run */
-    bool wide;     /* the shape of the kernels: VW 16 */
+    cl_mem parts;        /* uint8 [ny][nx] of the ground of the first run */
+    double weight, flat; /* of the last run; flat: over 2 N */
+    bool wide;           /* the shape of the kernels: VW 16 */
 };
 
 void scale_loss_close(struct scale_loss **p)
@@ -39,7 +39,7 @@ void scale_loss_close(struct scale_loss **p)
     if (s->program)
         clReleaseProgram(s->program);
     dev_release(&s->pieces);
-    dev_release(&s->inside);
+    dev_release(&s->parts);
     mem_free(s);
     *p = NULL;
 }
@@ -79,8 +79,8 @@ static enum err_code scale_set_ground(struct scale_loss *s, const struct render_
     cl_float near_m = g ? (cl_float)g->s_max_m : INFINITY,
              per_m = g ? (cl_float)(1.0 / g->cell_m) : 0.0f, corner[2] = {0.0f, 0.0f};
     enum err_code rc = ERR_OK;
-    if (g && !s->inside)
-        rc = dev_buffer(s->dev, g->nx * g->ny, g->inside, &s->inside, e);
+    if (g && !s->parts)
+        rc = dev_buffer(s->dev, g->nx * g->ny, g->parts, &s->parts, e);
     if (rc)
         return rc;
     for (size_t k = 0; g && k < 2; k++)
@@ -92,7 +92,7 @@ static enum err_code scale_set_ground(struct scale_loss *s, const struct render_
         *bad |= dev_arg(both[i], 9, per_m);
         *bad |= dev_arg(both[i], 10, nx);
         *bad |= dev_arg(both[i], 11, ny);
-        *bad |= dev_arg(both[i], 12, *(s->inside ? &s->inside : &s->pieces));
+        *bad |= dev_arg(both[i], 12, *(s->parts ? &s->parts : &s->pieces));
     }
     return ERR_OK;
 }
@@ -103,7 +103,8 @@ enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
 {
     cl_uint only = sizes_only, n = m->n, planes = m->planes, groups = m->groups;
     cl_float s_max = (cl_float)in->s_max_m, r_max = (cl_float)in->r_max,
-             weight = (cl_float)in->weight;
+             weight = (cl_float)in->weight, flat = n ? (cl_float)(in->flat_weight / n) : 0.0f,
+             per_flat = in->flat_weight > 0.0 ? (cl_float)(1.0 / in->flat_m) : 0.0f;
     cl_int bad = CL_SUCCESS;
     cl_kernel both[2] = {s->count, s->grad};
     for (size_t i = 0; i < 2; i++) {
@@ -117,14 +118,18 @@ enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
     enum err_code rc = scale_set_ground(s, m, in->ground, &bad, e);
     if (rc)
         return rc;
-    bad |= dev_arg(s->count, 13, s->pieces);
-    bad |= dev_arg(s->grad, 13, weight);
-    bad |= dev_arg(s->grad, 14, s->pieces);
-    bad |= dev_arg(s->grad, 15, only);
-    bad |= dev_arg(s->grad, 16, extra);
+    bad |= dev_arg(s->count, 13, per_flat);
+    bad |= dev_arg(s->count, 14, s->pieces);
+    bad |= dev_arg(s->grad, 13, per_flat);
+    bad |= dev_arg(s->grad, 14, weight);
+    bad |= dev_arg(s->grad, 15, flat);
+    bad |= dev_arg(s->grad, 16, s->pieces);
+    bad |= dev_arg(s->grad, 17, only);
+    bad |= dev_arg(s->grad, 18, extra);
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "scale_loss: arguments: %s", dev_error_name(bad));
     s->weight = in->weight;
+    s->flat = n ? 0.5 * in->flat_weight / n : 0.0;
     size_t local = s->wide ? 1 : LAYOUT_SCALE_ITEMS;
     size_t of_group = s->wide ? LAYOUT_PROJECT_GROUPS : LAYOUT_SCALE_ITEMS / LAYOUT_LANES;
     size_t items = (groups + of_group - 1) / of_group * local;
@@ -136,7 +141,7 @@ enum err_code scale_loss_read(struct scale_loss *s, struct scale_loss_value *out
 {
     struct layout_scale_piece pieces[LAYOUT_LOSS_PIECES];
     struct {
-        double n, m, size, ratio;
+        double n, m, size, ratio, flat;
     } t = {0};
     enum err_code rc = dev_read(s->dev, s->pieces, 0, sizeof pieces, pieces, e);
     if (rc)
@@ -146,11 +151,12 @@ enum err_code scale_loss_read(struct scale_loss *s, struct scale_loss_value *out
         t.m += pieces[i].m;
         t.size += (double)pieces[i].size;
         t.ratio += (double)pieces[i].ratio;
+        t.flat += (double)pieces[i].flat;
     }
-    *out = (struct scale_loss_value){.total =
-                                         s->weight * (t.size / (t.n + 1.0) + t.ratio / (t.m + 1.0)),
-                                     .n = (uint32_t)t.n,
-                                     .m = (uint32_t)t.m};
+    *out = (struct scale_loss_value){
+        .total = s->weight * (t.size / (t.n + 1.0) + t.ratio / (t.m + 1.0)) + s->flat * t.flat,
+        .n = (uint32_t)t.n,
+        .m = (uint32_t)t.m};
     return ERR_OK;
 }
 
@@ -158,7 +164,7 @@ enum err_code scale_loss_read(struct scale_loss *s, struct scale_loss_value *out
 
 struct scale_axes {
     double s[3], ratio;
-    int largest, middle;
+    int largest, middle, least;
 };
 
 static struct scale_axes scale_axes_of(const double *scale_log)
@@ -176,28 +182,49 @@ static struct scale_axes scale_axes_of(const double *scale_log)
         if (k != a.largest && a.s[k] < a.s[least])
             least = k;
     a.middle = 3 - a.largest - least;
+    a.least = 0;
+    for (int k = 1; k < 3; k++)
+        if (a.s[k] < a.s[a.least])
+            a.least = k; /* the first of equals */
     a.ratio = a.s[a.largest] / (a.s[a.middle] + SCALE_RATIO_EPS);
     return a;
+}
+
+/* Whether a place belongs to a part of the ground. */
+static bool scale_inside(const struct scale_loss_input *in, const double *mean,
+                         enum scale_loss_part part)
+{
+    const struct scale_loss_ground *g = in->ground;
+    if (!g || !mean)
+        return part == SCALE_LOSS_FLAT;
+    double column = floor((mean[0] - g->corner_m[0]) / g->cell_m),
+           row = floor((mean[1] - g->corner_m[1]) / g->cell_m);
+    bool known = column >= 0.0 && row >= 0.0 && column < (double)g->nx && row < (double)g->ny;
+    return known && g->parts[(size_t)row * g->nx + (size_t)column] & part;
 }
 
 /* The limit at a place. */
 static double scale_limit(const struct scale_loss_input *in, const double *mean)
 {
-    const struct scale_loss_ground *g = in->ground;
-    if (!g)
-        return in->s_max_m;
-    double column = floor((mean[0] - g->corner_m[0]) / g->cell_m),
-           row = floor((mean[1] - g->corner_m[1]) / g->cell_m);
-    bool known = column >= 0.0 && row >= 0.0 && column < (double)g->nx && row < (double)g->ny;
-    return known && g->inside[(size_t)row * g->nx + (size_t)column] ? fmin(g->s_max_m, in->s_max_m)
-                                                                    : in->s_max_m;
+    return scale_inside(in, mean, SCALE_LOSS_LIMITED) ? fmin(in->ground->s_max_m, in->s_max_m)
+                                                      : in->s_max_m;
+}
+
+/* The least axis in units of flat_m; 0 where it does not count. */
+static double scale_thick(const struct scale_loss_input *in, const double *mean,
+                          const struct scale_axes *a)
+{
+    return in->flat_weight > 0.0 && scale_inside(in, mean, SCALE_LOSS_FLAT)
+               ? a->s[a->least] / in->flat_m
+               : 0.0;
 }
 
 struct scale_loss_value scale_loss_ref_run(const double *mean, const double *scale_log, size_t n,
                                            const struct scale_loss_input *in, double *grad)
 {
     struct scale_loss_value v = {0};
-    double size = 0.0, ratio = 0.0;
+    double size = 0.0, ratio = 0.0, flat = 0.0;
+    double pull = n ? in->flat_weight / (double)n : 0.0;
     for (size_t i = 0; i < n; i++) {
         struct scale_axes a = scale_axes_of(scale_log + 3 * i);
         double s_max = scale_limit(in, mean ? mean + 3 * i : NULL);
@@ -206,18 +233,21 @@ struct scale_loss_value scale_loss_ref_run(const double *mean, const double *sca
                 v.n++;
                 size += a.s[k];
             }
+        flat += log1p(pow(scale_thick(in, mean ? mean + 3 * i : NULL, &a), 2.0));
         if (a.ratio > in->r_max) {
             v.m++;
             ratio += a.ratio;
         }
     }
-    v.total = in->weight * (size / (v.n + 1.0) + ratio / (v.m + 1.0));
+    v.total = in->weight * (size / (v.n + 1.0) + ratio / (v.m + 1.0)) + 0.5 * pull * flat;
     for (size_t i = 0; grad && i < n; i++) {
         struct scale_axes a = scale_axes_of(scale_log + 3 * i);
         double s_max = scale_limit(in, mean ? mean + 3 * i : NULL);
         double per_m = in->weight / (v.m + 1.0), q = a.s[a.middle] + SCALE_RATIO_EPS;
         for (int k = 0; k < 3; k++)
             grad[3 * i + k] = a.s[k] > s_max ? in->weight / (v.n + 1.0) * a.s[k] : 0.0;
+        double thick = scale_thick(in, mean ? mean + 3 * i : NULL, &a);
+        grad[3 * i + a.least] += pull * thick * thick / (1.0 + thick * thick);
         if (!(a.ratio > in->r_max))
             continue;
         grad[3 * i + a.largest] += per_m * a.ratio;

@@ -1,26 +1,29 @@
 // The scale regularizer: counts axes and needles that are too long, then computes their gradients.
 //   in   params [groups][planes][16]
-//        inside uchar [ny][nx], the grid of supported ground: where it is not 0 the limit is
-//        s_near, elsewhere s_max. It is read only for axes longer than s_near
+//        parts uchar [ny][nx], the grid of the ground: where it has LIMITED the limit is s_near,
+//        elsewhere s_max; where it has FLAT Gaussians shall be flat
 //   mid  pieces [LAYOUT_LOSS_PIECES] counts and sums of a piece
 //   out  extra [groups][LAYOUT_PLANES_GEOMETRY][16] or [groups][LAYOUT_PLANES_SCALE][16]; every
-//        plane is written, with 0 where no limit is exceeded
+//        plane is written, with 0 where nothing pulls
 // Counts are integers over fixed pieces: the same input gives the same bits. Reference:
 // scale_loss_ref_run. VW 16: a work-item has a piece, or LAYOUT_PROJECT_GROUPS groups. VW 1: a
 // work-group has a piece, and its items take every LAYOUT_SCALE_ITEMSth Gaussian of it; for
 // gradients an item has one Gaussian.
 #define RATIO_EPS 1e-8f
 #define SCALE_AHEAD 8
+#define LIMITED 1 // enum scale_loss_part
+#define FLAT 2
 
 struct limits {
     float s_max, r_max;
     float s_near, corner_x, corner_y, per_m; // smaller limit, its grid; INFINITY: none
     uint nx, ny;
-    __global const uchar *inside; // [ny][nx]
+    __global const uchar *parts; // [ny][nx]
+    float per_flat;              // 1 / flat_m, or 0
 };
 
 struct axes { // sigmas, and the ratio of the largest to the middle one
-    V s[3], largest, middle, ratio;
+    V s[3], largest, middle, least, ratio;
 };
 
 #if VW == 16
@@ -39,6 +42,7 @@ inline void axes_load(__global const float *g, struct axes *a)
     V ab = MIN_(a->s[0], a->s[1]), top = MAX_(a->s[0], a->s[1]), below = MIN_(top, a->s[2]);
     a->largest = MAX_(top, a->s[2]);
     a->middle = MAX_(ab, below);
+    a->least = MIN_(ab, a->s[2]);
     a->ratio = a->largest / (a->middle + RATIO_EPS);
 }
 
@@ -47,7 +51,8 @@ inline float limit_at(const struct limits *l, float x, float y)
     float column = floor((x - l->corner_x) * l->per_m), row = floor((y - l->corner_y) * l->per_m);
     if (!(column >= 0.0f && row >= 0.0f && column < (float)l->nx && row < (float)l->ny))
         return l->s_max;
-    return l->inside[(uint)row * l->nx + (uint)column] ? min(l->s_near, l->s_max) : l->s_max;
+    uint part = l->parts[(uint)row * l->nx + (uint)column];
+    return part & LIMITED ? min(l->s_near, l->s_max) : l->s_max;
 }
 
 // The limit of each: few are so long that the grid is asked.
@@ -73,14 +78,46 @@ INLINE V axes_limit(__global const float *g, const struct axes *a, VI real, cons
     return limit;
 }
 
+// All bits where Gaussians shall be flat: everywhere without a grid.
+INLINE VI axes_over_flat(__global const float *g, VI real, const struct limits *l)
+{
+    V column = floor((LD(g, LAYOUT_PLANE_MEAN) - l->corner_x) * l->per_m),
+      row = floor((LD(g, LAYOUT_PLANE_MEAN + 1) - l->corner_y) * l->per_m);
+    VI known =
+        real & (column >= 0.0f) & (row >= 0.0f) & (column < (float)l->nx) & (row < (float)l->ny);
+    if (!l->nx)
+        return real;
+#if VW == 16
+    int at[VW], is[VW], out[VW];
+    vstore16(known ? TO_VI(row) * (int)l->nx + TO_VI(column) : (VI)(0), 0, at);
+    vstore16(known, 0, is);
+    for (uint i = 0; i < VW; i++)
+        out[i] = is[i] && (l->parts[at[i]] & FLAT) ? -1 : 0;
+    return vload16(0, out);
+#else
+    return known && (l->parts[(uint)row * l->nx + (uint)column] & FLAT);
+#endif
+}
+
+// 1 / flat_m where Gaussians shall be flat, 0 elsewhere.
+INLINE V axes_flat(__global const float *g, VI real, const struct limits *l)
+{
+    if (!(l->per_flat > 0.0f))
+        return (V)(0.0f);
+    return axes_over_flat(g, real, l) ? (V)(l->per_flat) : (V)(0.0f);
+}
+
 // What is too long of one group (VW 1: of one Gaussian), added to what was found before.
 struct found {
     VU n, m;
-    V size, ratio;
+    V size, ratio, flat;
 };
 
-INLINE void axes_find(const struct axes *a, VI real, V s_max, float r_max, struct found *f)
+INLINE void axes_find(const struct axes *a, VI real, V s_max, float r_max, V per_flat,
+                      struct found *f)
 {
+    V thick = a->least * per_flat;
+    f->flat += log(1.0f + thick * thick);
     for (uint k = 0; k < 3; k++) {
         VI over = real & (a->s[k] > s_max);
         f->n += over ? (VU)(1) : (VU)(0);
@@ -94,12 +131,13 @@ INLINE void axes_find(const struct axes *a, VI real, V s_max, float r_max, struc
 // The gradients of one group (Gaussian) into `out`. only: sizes are all that acts, `out` has those
 // planes alone.
 INLINE void axes_grad(const struct axes *a, VI real, V s_max, float r_max, float per_n, float per_m,
-                      uint only, __global float *out)
+                      float flat, V per_flat, uint only, __global float *out)
 {
     uint first = only ? 0 : LAYOUT_PLANE_SCALE; // plane of the first size
     uint out_planes = only ? LAYOUT_PLANES_SCALE : LAYOUT_PLANES_GEOMETRY;
-    VI needle = real & (a->ratio > r_max), left = needle, also = needle;
-    V q = a->middle + RATIO_EPS;
+    VI needle = real & (a->ratio > r_max), left = needle, also = needle, thin = real;
+    V q = a->middle + RATIO_EPS, thick = a->least * per_flat, pull = thick * thick;
+    pull = flat * pull / (1.0f + pull);
     for (uint p = 0; p < first; p++)
         ST(out, p, (V)(0.0f));
     for (uint k = 0; k < 3; k++) {
@@ -110,6 +148,9 @@ INLINE void axes_grad(const struct axes *a, VI real, V s_max, float r_max, float
         VI is_middle = also & !is_largest & (a->s[k] == a->middle);
         also &= !is_middle;
         g -= is_middle ? per_m * a->ratio * (a->s[k] / q) : (V)(0.0f);
+        VI is_least = thin & (a->s[k] == a->least);
+        thin &= !is_least;
+        g += is_least ? pull : (V)(0.0f);
         ST(out, first + k, g);
     }
     for (uint p = first + LAYOUT_PLANES_SCALE; p < out_planes; p++)
@@ -118,10 +159,10 @@ INLINE void axes_grad(const struct axes *a, VI real, V s_max, float r_max, float
 
 #define LIMITS_ARGS                                                                                \
     float s_max, float r_max, float s_near, float corner_x, float corner_y, float per_m, uint nx,  \
-        uint ny, __global const uchar *inside
+        uint ny, __global const uchar *parts, float per_flat
 #define LIMITS                                                                                     \
     {                                                                                              \
-        s_max, r_max, s_near, corner_x, corner_y, per_m, nx, ny, inside                            \
+        s_max, r_max, s_near, corner_x, corner_y, per_m, nx, ny, parts, per_flat                   \
     }
 
 #if VW == 16
@@ -133,7 +174,7 @@ __kernel void scale_count(__global const float *params, uint n, uint planes, uin
         return;
     uint from = PIECE_FROM(item, LAYOUT_LOSS_PIECES, groups),
          to = PIECE_FROM(item + 1, LAYOUT_LOSS_PIECES, groups);
-    struct found f = {(VU)(0), (VU)(0), (V)(0.0f), (V)(0.0f)};
+    struct found f = {(VU)(0), (VU)(0), (V)(0.0f), (V)(0.0f), (V)(0.0f)};
     const struct limits l = LIMITS;
     for (uint group = from; group < to; group++) {
         struct axes a;
@@ -141,16 +182,17 @@ __kernel void scale_count(__global const float *params, uint n, uint planes, uin
         __global const float *g = params + group_at(group, planes);
         VI real = LANE + (int)(group * LAYOUT_LANES) < (int)n;
         axes_load(g, &a);
-        axes_find(&a, real, axes_limit(g, &a, real, &l), r_max, &f);
+        axes_find(&a, real, axes_limit(g, &a, real, &l), r_max, axes_flat(g, real, &l), &f);
     }
     pieces[item].n = lanes_add(f.n);
     pieces[item].m = lanes_add(f.m);
     pieces[item].size = lanes_sum(f.size);
     pieces[item].ratio = lanes_sum(f.ratio);
+    pieces[item].flat = lanes_sum(f.flat);
 }
 
 __kernel void scale_grad(__global const float *params, uint n, uint planes, uint groups,
-                         LIMITS_ARGS, float weight,
+                         LIMITS_ARGS, float weight, float flat,
                          __global const struct layout_scale_piece *pieces, uint only,
                          __global float *extra)
 {
@@ -168,7 +210,8 @@ __kernel void scale_grad(__global const float *params, uint n, uint planes, uint
         __global const float *g = params + group_at(group, planes);
         VI real = LANE + (int)(group * LAYOUT_LANES) < (int)n;
         axes_load(g, &a);
-        axes_grad(&a, real, axes_limit(g, &a, real, &l), r_max, per_long, per_needle, only,
+        axes_grad(&a, real, axes_limit(g, &a, real, &l), r_max, per_long, per_needle, flat,
+                  axes_flat(g, real, &l), only,
                   extra + group_at(group, only ? LAYOUT_PLANES_SCALE : LAYOUT_PLANES_GEOMETRY));
     }
 }
@@ -180,22 +223,23 @@ __kernel GROUP void scale_count(__global const float *params, uint n, uint plane
                                 LIMITS_ARGS, __global struct layout_scale_piece *pieces)
 {
     __local uint all_n[ITEMS], all_m[ITEMS];
-    __local float size[ITEMS], ratio[ITEMS];
+    __local float size[ITEMS], ratio[ITEMS], flat[ITEMS];
     uint piece = (uint)get_group_id(0), lane = (uint)get_local_id(0);
     uint from = PIECE_FROM(piece, LAYOUT_LOSS_PIECES, groups) * LAYOUT_LANES,
          to = min(PIECE_FROM(piece + 1, LAYOUT_LOSS_PIECES, groups) * LAYOUT_LANES, n);
-    struct found f = {0, 0, 0.0f, 0.0f};
+    struct found f = {0, 0, 0.0f, 0.0f, 0.0f};
     const struct limits l = LIMITS;
     for (uint i = from + lane; i < to; i += ITEMS) {
         struct axes a;
         __global const float *g = params + group_at(i / LAYOUT_LANES, planes) + i % LAYOUT_LANES;
         axes_load(g, &a);
-        axes_find(&a, 1, axes_limit(g, &a, 1, &l), r_max, &f);
+        axes_find(&a, 1, axes_limit(g, &a, 1, &l), r_max, axes_flat(g, 1, &l), &f);
     }
     all_n[lane] = f.n;
     all_m[lane] = f.m;
     size[lane] = f.size;
     ratio[lane] = f.ratio;
+    flat[lane] = f.flat;
     for (uint half_way = ITEMS / 2; half_way > 0; half_way /= 2) {
         barrier(CLK_LOCAL_MEM_FENCE);
         if (lane < half_way) {
@@ -203,6 +247,7 @@ __kernel GROUP void scale_count(__global const float *params, uint n, uint plane
             all_m[lane] += all_m[lane + half_way];
             size[lane] += size[lane + half_way];
             ratio[lane] += ratio[lane + half_way];
+            flat[lane] += flat[lane + half_way];
         }
     }
     if (lane == 0) {
@@ -210,11 +255,12 @@ __kernel GROUP void scale_count(__global const float *params, uint n, uint plane
         pieces[piece].m = all_m[0];
         pieces[piece].size = size[0];
         pieces[piece].ratio = ratio[0];
+        pieces[piece].flat = flat[0];
     }
 }
 
 __kernel GROUP void scale_grad(__global const float *params, uint n, uint planes, uint groups,
-                               LIMITS_ARGS, float weight,
+                               LIMITS_ARGS, float weight, float flat,
                                __global const struct layout_scale_piece *pieces, uint only,
                                __global float *extra)
 {
@@ -242,7 +288,7 @@ __kernel GROUP void scale_grad(__global const float *params, uint n, uint planes
         __global const float *g = params + group_at(group, planes) + in;
         axes_load(g, &a);
         axes_grad(&a, i < n, axes_limit(g, &a, i < n, &l), r_max, weight / ((float)all_n[0] + 1.0f),
-                  weight / ((float)all_m[0] + 1.0f), only,
+                  weight / ((float)all_m[0] + 1.0f), flat, axes_flat(g, i < n, &l), only,
                   extra + group_at(group, only ? LAYOUT_PLANES_SCALE : LAYOUT_PLANES_GEOMETRY) +
                       in);
     }

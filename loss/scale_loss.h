@@ -14,18 +14,25 @@
 /* With s the sigmas and r_i = max_k s_ik / (median_k s_ik + 1e-8):
  *
  *     L = weight (sum_{s_ik > s_max} s_ik / (n + 1) + sum_{r_i > r_max} r_i / (m + 1))
+ *         + flat_weight / (2 N) sum_i log(1 + (min_k s_ik / flat_m)^2)
  *
- * n and m are the numbers of terms, held fixed. Source: REUrbanGS (2025), section on
- * regularization. Over a part of the ground s_max can be smaller. */
+ * n and m are the numbers of terms, held fixed, and N that of the Gaussians. The last term makes
+ * Gaussians flat. Its pull on log s is the same for all that are thicker than flat_m, and goes to 0
+ * below (PGSR, Chen et al. 2024, presses the least axis itself). Source of the others: REUrbanGS
+ * (2025), section on regularization. Over a part of the ground s_max can be smaller. The last term
+ * acts over a part. */
+enum scale_loss_part { SCALE_LOSS_LIMITED = 1, SCALE_LOSS_FLAT = 2 };
 struct scale_loss_ground { /* borrowed */
-    const uint8_t *inside; /* [ny][nx], row 0 is the southernmost; not 0: s_max_m applies */
+    const uint8_t *parts;  /* [ny][nx] of enum scale_loss_part, row 0 is the southernmost */
     size_t nx, ny;
     double corner_m[2], cell_m; /* south-west corner, ENU; edge of a cell */
-    double s_max_m;
+    double s_max_m;             /* there; INFINITY: no other than elsewhere */
 };
 struct scale_loss_input {
     double s_max_m, r_max, weight;
-    /* NULL: the outer s_max_m applies everywhere; the first run fixes the grid */
+    double flat_weight, flat_m; /* flat_m is read where flat_weight > 0 */
+    /* NULL: the outer s_max_m applies everywhere, and so does flat_weight; the first run fixes the
+     * grid */
     const struct scale_loss_ground *ground;
 };
 struct scale_loss_value {

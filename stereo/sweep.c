@@ -4,6 +4,7 @@
  */
 #include "stereo/sweep.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 

@@ -21,18 +21,26 @@
 enum { SIZES = 203 }; /* not a multiple of 16 */
 /* A board of fields with a smaller limit; Gaussians lie on and beyond it. */
 enum { BOARD = 7 };
-static const uint8_t board[BOARD * BOARD] = {1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1,
-                                             0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0,
-                                             1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1};
-static const struct scale_loss_ground scale_ground = {.inside = board,
+static const uint8_t board[BOARD * BOARD] = {1, 2, 3, 0, 1, 2, 3, 2, 1, 0, 3, 0, 1, 2, 3, 0, 1,
+                                             2, 3, 2, 1, 0, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2,
+                                             3, 2, 1, 0, 3, 0, 1, 2, 3, 2, 1, 0, 3, 2, 1};
+static const struct scale_loss_ground scale_ground = {.parts = board,
                                                       .nx = BOARD,
                                                       .ny = BOARD,
                                                       .corner_m = {-7.3, -6.1},
                                                       .cell_m = 1.9,
                                                       .s_max_m = 0.6};
-static const struct scale_loss_input scale_in[2] = {
+enum { SCALE_INPUTS = 4 };
+static const struct scale_loss_input scale_in[SCALE_INPUTS] = {
     {.s_max_m = 2.0, .r_max = 10.0, .weight = 0.05},
-    {.s_max_m = 2.0, .r_max = 10.0, .weight = 0.05, .ground = &scale_ground}};
+    {.s_max_m = 2.0, .r_max = 10.0, .weight = 0.05, .ground = &scale_ground},
+    {.s_max_m = 2.0, .r_max = 10.0, .weight = 0.05, .flat_weight = 3.0, .flat_m = 0.2},
+    {.s_max_m = 2.0,
+     .r_max = 10.0,
+     .weight = 0.05,
+     .flat_weight = 3.0,
+     .flat_m = 0.2,
+     .ground = &scale_ground}};
 
 /* Sizes on both sides of both limits, none near one; some axes equal. */
 static void scale_sizes(double *scale_log)
@@ -84,13 +92,18 @@ static void scale_reference_matches_differences(void **state)
 {
     (void)state;
     double x[3 * SIZES], mean[3 * SIZES];
-    check_scale_differences(&scale_in[0]);
-    check_scale_differences(&scale_in[1]);
+    for (int i = 0; i < SCALE_INPUTS; i++)
+        check_scale_differences(&scale_in[i]);
     scale_sizes(x);
     scale_means(mean);
     uint32_t all = scale_loss_ref_run(mean, x, SIZES, &scale_in[0], NULL).n,
              more = scale_loss_ref_run(mean, x, SIZES, &scale_in[1], NULL).n;
     assert_true(more > all + 20); /* the board has some of them */
+    double none = scale_loss_ref_run(mean, x, SIZES, &scale_in[1], NULL).total,
+           part = scale_loss_ref_run(mean, x, SIZES, &scale_in[3], NULL).total - none,
+           whole = scale_loss_ref_run(mean, x, SIZES, &scale_in[2], NULL).total -
+                   scale_loss_ref_run(mean, x, SIZES, &scale_in[0], NULL).total;
+    assert_true(part > 0.1 * whole && part < 0.9 * whole); /* and some of the thick ones */
 }
 
 static void gauss_of_sizes(const double *scale_log, struct gauss *g)
@@ -158,7 +171,7 @@ static void check_scale_kernels(const struct scale_loss_input *in, uint32_t widt
 static void scale_kernels_match_the_reference(void **state)
 {
     (void)state;
-    for (size_t i = 0; i < 2; i++) {
+    for (size_t i = 0; i < SCALE_INPUTS; i++) {
         check_scale_kernels(&scale_in[i], 0);
         check_scale_kernels(&scale_in[i], 1);
     }

@@ -21,18 +21,15 @@ enum background_random {
 }; /* option background_random */
 
 enum {
-    BACKGROUND_DARK = 40,    /* of 255: all channels of a dark pixel are below */
-    BACKGROUND_BLOCK_PX = 8, /* pixels are asked in squares of so many a side */
-    BACKGROUND_VIEWS = 3     /* photographs that see the ground, at least */
+    BACKGROUND_DARK = 40,   /* of 255: all channels of a dark pixel are below */
+    BACKGROUND_BLOCK_PX = 8 /* pixels are asked in squares of so many a side */
 };
-#define BACKGROUND_DEEP 0.2 /* flight heights from the footprint's border inwards */
 
 static bool background_is_supported(const struct footprint *f, const double from_m[3],
                                     const double ray[3])
 {
     ptrdiff_t cell = footprint_meets(f, from_m, ray);
-    return cell >= 0 && f->inside[cell] && f->views[cell] >= BACKGROUND_VIEWS &&
-           (double)f->edge_m[cell] <= -BACKGROUND_DEEP * f->height_m;
+    return cell >= 0 && footprint_is_deep(f, (size_t)cell);
 }
 
 static void background_mark(const struct footprint *f, const struct camera *c, uint8_t *where)

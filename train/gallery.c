@@ -72,17 +72,25 @@ enum err_code gallery_filter(const struct gallery *g, const struct stage *at, st
     return rc;
 }
 
-double gallery_size_limit(const struct gallery *g, const struct site *site,
-                          const struct schedule *s)
+double gallery_footprint_m(const struct gallery *g, const struct site *site,
+                           const struct schedule *s)
 {
     const struct footprint *ground = site->ground;
-    if (!(g->cfg->size_limit > 0.0) || !ground || !ground->nx)
+    if (!ground || !ground->nx)
         return 0.0;
     const struct camera *full = &g->scene->images[g->images[0]].cam;
     struct camera cam = photo_loader_camera(full, (uint32_t)g->cfg->max_edge_px, s->downsample);
-    double px_per_m = ground->px_per_m * cam.fx_px / full->fx_px;
+    return full->fx_px / (ground->px_per_m * cam.fx_px);
+}
+
+double gallery_size_limit(const struct gallery *g, const struct site *site,
+                          const struct schedule *s)
+{
+    double footprint_m = gallery_footprint_m(g, site, s);
+    if (!(g->cfg->size_limit > 0.0) || !(footprint_m > 0.0))
+        return 0.0;
     return g->cfg->size_limit *
-           fmax(site->cell.edge_m / sqrt((double)s->budget), GALLERY_SPACING_PX / px_per_m);
+           fmax(site->cell.edge_m / sqrt((double)s->budget), GALLERY_SPACING_PX * footprint_m);
 }
 
 /* ---- how frames are drawn ---- */

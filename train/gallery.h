@@ -61,6 +61,10 @@ struct camera *gallery_cameras(const struct gallery *g, const struct schedule *s
  * the Gaussians have changed. Without, it does nothing. ERR_MEM, ERR_DEVICE. */
 enum err_code gallery_filter(const struct gallery *g, const struct stage *at, struct model *m,
                              struct err *e) ERR_USE;
+/* The footprint of a pixel of the level's photographs on the ground, in metres. 0: the ground is
+ * not known. */
+double gallery_footprint_m(const struct gallery *g, const struct site *site,
+                           const struct schedule *s);
 /* The length in metres that no Gaussian should exceed over supported ground. It is cfg->size_limit
  * times the larger of two lengths: the spacing of the level's budget if it covered the cell evenly,
  * and two pixels of the level's photographs on the ground. 0: no limit, or the ground is not known.

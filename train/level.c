@@ -112,7 +112,7 @@ enum err_code level_begin(struct level *l, struct err *e)
     l->loss_mean = l->mse_mean = 0.0;
     l->step_s = clock_s();
     enum err_code rc = gallery_open(&l->gallery, stage_schedule(&l->stage), e);
-    return rc ? rc : regularizer_open(&l->regularizer, &l->gallery, &l->site.cell, e);
+    return rc ? rc : regularizer_open(&l->regularizer, &l->gallery, &l->site, e);
 }
 
 /* ---- checkpoints ---- */

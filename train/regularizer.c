@@ -30,6 +30,7 @@
 #include "train/timing.h"
 
 #define REGULARIZER_SIZE_OF_CELL 0.1 /* largest size where none is configured, in cell edges */
+#define REGULARIZER_FLAT_PX 0.1      /* thickness below which a Gaussian is flat, in footprints */
 /* A limit of size below the size at which Gaussians are split would keep them from being split. */
 #define REGULARIZER_SPLIT_ROOM 1.5
 #define REGULARIZER_MCMC 0.01 /* weights of 3DGS-MCMC */
@@ -42,6 +43,7 @@ enum {
 
 struct regularizer {
     struct scale_loss *scale;
+    uint8_t *parts; /* of the ground: enum scale_loss_part; NULL without one */
     struct mcmc *mcmc;
     struct depth *depth;
     struct depth_map *maps;
@@ -56,6 +58,7 @@ void regularizer_free(struct regularizer **p)
     if (!r)
         return;
     scale_loss_close(&r->scale);
+    mem_free(r->parts);
     mcmc_close(&r->mcmc);
     depth_close(&r->depth);
     depth_map_close(&r->maps);
@@ -79,12 +82,32 @@ static enum err_code regularizer_clear(struct regularizer *r, const struct model
     return dev_zero(m->dev, r->extra, 0, floats * sizeof(float), e);
 }
 
+/* Supported ground has the limit. Gaussians are flat well inside of it. */
+static enum err_code regularizer_parts(struct regularizer *r, const struct site *site,
+                                       struct err *e)
+{
+    const struct footprint *f = site->ground;
+    size_t n = f ? f->nx * f->ny : 0;
+    r->parts = mem_array(n, sizeof *r->parts);
+    if (n && !r->parts)
+        return err_set(e, ERR_MEM, "regularizers: out of memory for %zu cells of ground", n);
+    for (size_t i = 0; i < n; i++)
+        r->parts[i] = (f->inside[i] ? SCALE_LOSS_LIMITED : 0) |
+                      (footprint_is_deep(f, i) ? SCALE_LOSS_FLAT : 0);
+    return ERR_OK;
+}
+
+static bool regularizer_has_scale(const struct train_config *c)
+{
+    return c->scale_weight > 0.0 || c->solid_flat > 0.0;
+}
+
 /* From the first opacity reset and one densification after it; later levels go on with it. */
 static bool regularizer_scale_acts(const struct train_config *c, const struct stage *at)
 {
     const struct schedule *s = stage_schedule(at);
     double from = s->level == 1 ? (double)c->scale_from * s->kappa : 0.0;
-    return c->scale_weight > 0.0 && (double)at->step > from;
+    return regularizer_has_scale(c) && (double)at->step > from;
 }
 
 static enum err_code regularizer_scale(struct regularizer *r, const struct model *m,
@@ -98,11 +121,15 @@ static enum err_code regularizer_scale(struct regularizer *r, const struct model
         .r_max = c->scale_ratio_max,
         .weight = c->scale_weight,
     };
-    struct scale_loss_ground ground = {
-        .s_max_m = gallery_size_limit(in->gallery, in->site, stage_schedule(in->at))};
-    if (ground.s_max_m > 0.0) {
+    const struct schedule *s = stage_schedule(in->at);
+    double limit_m = gallery_size_limit(in->gallery, in->site, s),
+           footprint_m = gallery_footprint_m(in->gallery, in->site, s);
+    struct scale_loss_ground ground = {.s_max_m = limit_m > 0.0 ? limit_m : (double)INFINITY};
+    if (footprint_m > 0.0) {
+        loss.flat_weight = c->solid_flat;
+        loss.flat_m = REGULARIZER_FLAT_PX * footprint_m;
         const struct footprint *f = in->site->ground;
-        ground.inside = f->inside;
+        ground.parts = r->parts;
         ground.nx = f->nx;
         ground.ny = f->ny;
         ground.cell_m = f->cell_m;
@@ -265,16 +292,18 @@ static enum err_code regularizer_open_depth(struct regularizer *r, const struct 
 }
 
 enum err_code regularizer_open(struct regularizer **own, const struct gallery *g,
-                               const struct cell *cell, struct err *e)
+                               const struct site *site, struct err *e)
 {
     const struct train_config *c = g->cfg;
-    const struct mcmc_pull pull = regularizer_pull_of(c, cell);
+    const struct mcmc_pull pull = regularizer_pull_of(c, &site->cell);
     if (*own)
         return ERR_OK;
     struct regularizer *r = *own = mem_array(1, sizeof *r);
     enum err_code rc = r ? ERR_OK : err_set(e, ERR_MEM, "regularizers: out of memory");
-    if (!rc && c->scale_weight > 0.0)
+    if (!rc && regularizer_has_scale(c))
         rc = scale_loss_open(g->engine.dev, &r->scale, e);
+    if (!rc && regularizer_has_scale(c))
+        rc = regularizer_parts(r, site, e);
     if (!rc && (regularizer_pulls(&pull) || regularizer_shakes(c)))
         rc = mcmc_open(g->engine.dev, &r->mcmc, e);
     if (!rc && regularizer_has_depth(c))

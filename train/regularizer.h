@@ -34,7 +34,7 @@ struct regularizer_input { /* input of one step; all borrowed */
  * already; that is NULL at first. Free it with regularizer_free. ERR_MEM, ERR_DEVICE. ERR_DATA: no
  * depth map can be used. Errors of their files. */
 enum err_code regularizer_open(struct regularizer **own, const struct gallery *g,
-                               const struct cell *cell, struct err *e) ERR_USE;
+                               const struct site *site, struct err *e) ERR_USE;
 void regularizer_free(struct regularizer **r);
 /* Computes the terms that act at the current step, and sets m->adam.extra_grad (NULL: none). It
  * draws frames, so call it before the step's render_forward. ERR_MEM, ERR_DEVICE. ERR_FORMAT,
