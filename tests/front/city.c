@@ -1,4 +1,5 @@
-/* front_city OUT.tiles [GAUSSIANS]: a small city for tests of programs in front of the server.
+/* front_city OUT.tiles [GAUSSIANS [SIDE]]: a small city for tests of programs in front of the
+ * server, or one of SIDE x SIDE tiles at the finest zoom.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -6,11 +7,29 @@
 
 #include <stdlib.h>
 
+static void city_square(const char *path, size_t n, uint32_t side)
+{
+    struct err e = {0};
+    struct store *s = NULL;
+    const struct store_meta meta = {.name = "toy", .origin = served_origin, .sh_degree = 1};
+    kit_ok(store_create(path, &meta, &s, &e), e);
+    served_put(s, served_key(SERVED_ZOOM_MIN), n);
+    const struct key at = served_key(SERVED_ZOOM_MAX);
+    for (uint32_t y = 0; y < side; y++)
+        for (uint32_t x = 0; x < side; x++)
+            served_put(s, (struct key){at.z, at.x + x, at.y + y}, n);
+    kit_ok(store_commit(&s, &e), e);
+}
+
 int main(int argc, char **argv)
 {
-    const long n = argc == 3 ? strtol(argv[2], NULL, 10) : 2000;
-    if (argc < 2 || argc > 3 || n < 1 || n > 1000000)
+    const long n = argc > 2 ? strtol(argv[2], NULL, 10) : 2000,
+               side = argc > 3 ? strtol(argv[3], NULL, 10) : 0;
+    if (argc < 2 || argc > 4 || n < 1 || n > 1000000 || side < 0 || side > 2000)
         return 2;
-    served_city(argv[1], "toy", (size_t)n);
+    if (side)
+        city_square(argv[1], (size_t)n, (uint32_t)side);
+    else
+        served_city(argv[1], "toy", (size_t)n);
     return 0;
 }

@@ -37,11 +37,11 @@ is() { [ "$1" = "$2" ] || { echo "  is '$1', want '$2'"; return 1; }; }
 at_least() { [ "${1:-0}" -ge "$2" ] || { echo "  is '$1', want at least $2"; return 1; }; }
 at_most() { [ "${1:-0}" -le "$2" ] || { echo "  is '$1', want at most $2"; return 1; }; }
 
-serve() { # NUMBER PORT [OPTIONS]: starts a server; its port (0: any) in ports[NUMBER], its log in NUMBER.log
+serve() { # NUMBER PORT [OPTIONS]: starts a server of $store, else of $work/toy.tiles; its port (0: any) in ports[NUMBER], its log in NUMBER.log
     local i=$1 port=$2 k
     shift 2
     : >"$work/$i.out"
-    "$bin" serve "$work/toy.tiles" --port "$port" --device none --trusted-proxy 127.0.0.1 "$@" \
+    "$bin" serve "${store:-$work/toy.tiles}" --port "$port" --device none --trusted-proxy 127.0.0.1 "$@" \
         >"$work/$i.out" 2>>"$work/$i.log" &
     pids[i]=$!
     for k in $(seq 100); do
@@ -141,4 +141,21 @@ front_nginx() { # FILE WORKERS SED-OPTION...
     nginx -p "$work/nginx" -c "$work/nginx.conf" &
     pids[4]=$!
     check 'nginx answers' await "$url/healthz"
+}
+
+# nginx with the files of $work/far, as a store at an address is read. $far is its address, pids[8] its process, far/log its log.
+far_nginx() {
+    local d far_port
+    far_port=$(free_port) far=http://127.0.0.1:$far_port
+    mkdir -p "$work/far"
+    {
+        [ "$(id -u)" != 0 ] || echo 'user root;'
+        printf 'daemon off;\nworker_processes 1;\npid %s/far/pid;\nerror_log %s/far/error;\nevents { }\n' "$work" "$work"
+        printf 'http {\naccess_log %s/far/log;\nkeepalive_requests 1000000;\n' "$work"
+        for d in client_body proxy fastcgi uwsgi scgi; do printf '%s_temp_path %s/far/%s;\n' $d "$work" $d; done
+        printf 'server { listen 127.0.0.1:%s; root %s/far; }\n}\n' "$far_port" "$work"
+    } >"$work/far.conf"
+    PATH=$PATH:/usr/sbin nginx -p "$work/far" -c "$work/far.conf" &
+    pids[8]=$!
+    check 'the server of the store answers' await "$far/"
 }
