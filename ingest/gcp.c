@@ -33,6 +33,7 @@ struct gcp_table {
     size_t line;
     char comma;                 /* between the fields of CSV; 0: blanks */
     size_t wide;                /* fields of the first line of CSV */
+    bool bare;                  /* points may come without a mark */
     size_t column[GCP_COLUMNS]; /* which field; SIZE_MAX: not there */
 };
 
@@ -140,6 +141,15 @@ static int gcp_epsg(const char *text, int *heights)
     return 0;
 }
 
+static void gcp_take_epsg(const char *text, struct gcp_list *l)
+{
+    int heights, code = gcp_epsg(text, &heights);
+    if (code) {
+        l->epsg = code;
+        l->heights_epsg = heights;
+    }
+}
+
 static bool gcp_names_columns(char *text)
 {
     char *field[TABLE_FIELDS];
@@ -159,12 +169,12 @@ static enum err_code gcp_head(const char *line, struct gcp_table *t, struct gcp_
     snprintf(copy, sizeof copy, "%s", line);
     enum gcp_column lacks = gcp_columns(copy, t, &l->epsg);
     *mark = false;
-    if (lacks == GCP_NAME)
+    if (lacks == GCP_NAME || (t->bare && lacks >= GCP_PX))
         return ERR_OK;
     t->comma = '\0';
     for (size_t c = 0; c < GCP_COLUMNS; c++)
         t->column[c] = c <= GCP_NAME ? c : SIZE_MAX;
-    l->epsg = gcp_epsg(line, &l->heights_epsg);
+    gcp_take_epsg(line, l);
     strtod(line, &end);
     *mark = end != line && strchr(" \t,;", *end);
     snprintf(copy, sizeof copy, "%s", line);
@@ -218,7 +228,19 @@ static enum err_code gcp_find(const struct gcp_table *t, struct gcp_list *l, con
     return ERR_OK;
 }
 
-static enum err_code gcp_add_mark(struct gcp_list *l, const struct gcp_mark *m, struct err *e)
+enum err_code gcp_add_point(const char *path, struct gcp_list *l, const struct gcp *g,
+                            struct err *e)
+{
+    const struct gcp_table t = {.path = path, .line = g->line};
+    size_t at;
+    enum err_code rc = gcp_find(&t, l, g->name, g->file, &at, e);
+    for (size_t k = 0; !rc && k < 2; k++)
+        if (!(l->gcps[at].sigma_m[k] > 0))
+            l->gcps[at].sigma_m[k] = g->sigma_m[k];
+    return rc;
+}
+
+enum err_code gcp_add_mark(struct gcp_list *l, const struct gcp_mark *m, struct err *e)
 {
     if (l->n_marks == l->cap_marks) {
         size_t cap = l->cap_marks ? 2 * l->cap_marks : 16;
@@ -281,6 +303,41 @@ static enum err_code gcp_sigma(const struct gcp_table *t, char *field[TABLE_FIEL
                    t->path, t->line, i + 1, field[i]);
 }
 
+/* Is this line a point alone, "x y z [name]", or CSV without a photograph? */
+static bool gcp_is_bare(const struct gcp_table *t, char *const field[TABLE_FIELDS], size_t n)
+{
+    const size_t image = t->column[GCP_IMAGE];
+    double number;
+    if (!t->bare)
+        return false;
+    if (t->comma)
+        return image >= n || !*field[image];
+    return n <= 4 || !table_number(field[3], &number);
+}
+
+static void gcp_take_sigmas(struct gcp *g, const double sigma[3])
+{
+    for (size_t k = 0; k < 2; k++)
+        if (sigma[k] > 0 || sigma[2] > 0)
+            g->sigma_m[k] = sigma[k] > 0 ? sigma[k] : sigma[2];
+}
+
+static enum err_code gcp_bare_row(const struct gcp_table *t, char *field[TABLE_FIELDS], size_t n,
+                                  const double at[3], struct gcp_list *l, struct err *e)
+{
+    const size_t named = t->comma ? t->column[GCP_NAME] : 3;
+    double sigma[3] = {0};
+    size_t g;
+    enum err_code rc = gcp_check_fields(t, field, n, "", e);
+    for (size_t k = 0; !rc && k < 3; k++)
+        rc = gcp_sigma(t, field, n, (enum gcp_column)(GCP_PLAN_SIGMA + k), &sigma[k], e);
+    if (!rc)
+        rc = gcp_find(t, l, named < n ? field[named] : "", at, &g, e);
+    if (!rc)
+        gcp_take_sigmas(&l->gcps[g], sigma);
+    return rc;
+}
+
 static enum err_code gcp_row(const struct gcp_table *t, char *text, struct gcp_list *l,
                              struct err *e)
 {
@@ -290,7 +347,8 @@ static enum err_code gcp_row(const struct gcp_table *t, char *text, struct gcp_l
     if (rc)
         return rc;
     size_t n = table_split(text, t->comma, field);
-    for (size_t c = 0; c < GCP_IMAGE; c++) {
+    const bool bare = gcp_is_bare(t, field, n);
+    for (size_t c = 0; c < (bare ? GCP_PX : GCP_IMAGE); c++) {
         size_t i = t->column[c];
         if (i >= n || !table_number(field[i], &v[c]))
             return err_set(e, ERR_FORMAT, "%s: line %zu: field %zu is no number; expected is %s",
@@ -298,6 +356,8 @@ static enum err_code gcp_row(const struct gcp_table *t, char *text, struct gcp_l
                            t->comma ? "what the first line names"
                                     : "x y z column row photograph [name]");
     }
+    if (bare)
+        return gcp_bare_row(t, field, n, v, l, e);
     const char *image = t->column[GCP_IMAGE] < n ? field[t->column[GCP_IMAGE]] : "";
     if (!*image)
         return err_set(e, ERR_FORMAT, "%s: line %zu: no photograph is named", t->path, t->line);
@@ -316,9 +376,7 @@ static enum err_code gcp_row(const struct gcp_table *t, char *text, struct gcp_l
         rc = gcp_find(t, l, name, v, &m.gcp, e);
     if (rc)
         return rc;
-    for (size_t k = 0; k < 2; k++)
-        if (sigma[k] > 0 || sigma[2] > 0)
-            l->gcps[m.gcp].sigma_m[k] = sigma[k] > 0 ? sigma[k] : sigma[2];
+    gcp_take_sigmas(&l->gcps[m.gcp], sigma);
     return gcp_add_mark(l, &m, e);
 }
 
@@ -353,18 +411,22 @@ static enum err_code gcp_check_twice(const char *path, const struct gcp_list *l,
     return rc;
 }
 
-enum err_code gcp_read(const char *path, struct gcp_list *out, struct err *e)
+static enum err_code gcp_read_lines(const char *path, bool bare, struct gcp_list *out,
+                                    struct err *e)
 {
     struct table lines;
-    struct gcp_table t = {.path = path};
+    struct gcp_table t = {.path = path, .bare = bare};
     char line[TABLE_LINE_MAX];
     bool head = true, more = true;
     *out = (struct gcp_list){0};
     enum err_code rc = table_open(path, &lines, e);
     while (!rc && !(rc = table_next(&lines, line, &more, e)) && more) {
         bool mark = true;
-        if (*line == '#')
+        if (*line == '#') { /* "# EPSG:25832" above the names of the columns */
+            if (head)
+                gcp_take_epsg(line + 1 + strspn(line + 1, " \t"), out);
             continue;
+        }
         t.line = lines.line;
         if (head)
             rc = gcp_head(line, &t, out, &mark, e);
@@ -373,13 +435,27 @@ enum err_code gcp_read(const char *path, struct gcp_list *out, struct err *e)
             rc = gcp_row(&t, line, out, e);
     }
     table_close(&lines);
+    if (!rc)
+        rc = gcp_check_twice(path, out, e);
+    return rc;
+}
+
+enum err_code gcp_read(const char *path, struct gcp_list *out, struct err *e)
+{
+    enum err_code rc = gcp_read_lines(path, false, out, e);
     if (!rc && !out->n_marks)
         rc = err_set(e, ERR_DATA,
                      "%s: no ground control points; expected is gcp_list.txt of OpenDroneMap, or "
                      "CSV with columns x, y, z, px, py, image and name",
                      path);
-    if (!rc)
-        rc = gcp_check_twice(path, out, e);
+    if (rc)
+        gcp_free(out);
+    return rc;
+}
+
+enum err_code gcp_read_points(const char *path, struct gcp_list *out, struct err *e)
+{
+    enum err_code rc = gcp_read_lines(path, true, out, e);
     if (rc)
         gcp_free(out);
     return rc;

@@ -4,8 +4,8 @@
  * then lines "x y z column row photograph [name]", separated by blanks or tabs. CSV, with commas or
  * semicolons, has a line with the names of columns: x, y, z (or easting, northing, height; or lon,
  * lat, height), px, py, image; optionally name, accuracy_xy and accuracy_z in metres, and
- * accuracy_px. Numbers have decimal points. A decimal comma is refused, and the message names the
- * line.
+ * accuracy_px. A comment "# EPSG:25832" above names its coordinate system. Numbers have decimal
+ * points. A decimal comma is refused, and the message names the line.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -48,7 +48,16 @@ struct gcp_list { /* {0} is empty; gcp_free */
 /* Reads a file. Free *out with gcp_free. ERR_NOENT, ERR_FORMAT (names the line and what is
  * expected), ERR_DATA (none, or too many), ERR_IO, ERR_MEM. */
 enum err_code gcp_read(const char *path, struct gcp_list *out, struct err *e) ERR_USE;
+/* As gcp_read, and points may come without marks: "x y z [name]" in a gcp_list.txt, or CSV without
+ * px, py and image, or with nothing in them. There may be no point at all. */
+enum err_code gcp_read_points(const char *path, struct gcp_list *out, struct err *e) ERR_USE;
 void gcp_free(struct gcp_list *l);
+/* Adds a point of the file `path` by its name, unless it is there. ERR_FORMAT: it lies elsewhere
+ * there. ERR_DATA (too many), ERR_MEM. */
+enum err_code gcp_add_point(const char *path, struct gcp_list *l, const struct gcp *g,
+                            struct err *e) ERR_USE;
+/* Appends a mark. ERR_MEM. */
+enum err_code gcp_add_mark(struct gcp_list *l, const struct gcp_mark *m, struct err *e) ERR_USE;
 /* Makes check points of those with these names, separated by commas. ERR_ARG: there is no such
  * name. */
 enum err_code gcp_keep_out(struct gcp_list *l, const char *names, struct err *e) ERR_USE;

@@ -381,7 +381,7 @@ enum err_code gcp_fit_make(const struct gcp_list *list, const struct colmap_mode
         rc = fit_survey(&f, &w, e);
     if (!rc)
         rc = gcp_locate(list, m, views, n_views, cfg->px_scale, cfg->mark_px, up,
-                        cfg->suspects == GCP_KEEP, &f.at, e);
+                        cfg->suspects == GCP_KEEP, HUGE_VAL, &f.at, e);
     if (!rc && cfg->gps_check)
         rc = gcp_blame_far(&f, views, n_views, e);
     if (!rc)

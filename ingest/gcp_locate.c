@@ -57,11 +57,9 @@ bool gcp_inverse(const double a[9], double inverse[9])
 
 /* ---- which photograph ---- */
 
-/* The photograph of a mark, NULL: none. Of all that COLMAP knows, also those that were dropped: the
- * mark of one must not go to another of that name. */
-static enum err_code locate_photo(const struct colmap_model *m, const struct gcp_list *list,
-                                  const struct gcp_mark *mark, const struct colmap_image **out,
-                                  struct err *e)
+enum err_code gcp_locate_photo(const struct colmap_model *m, const struct gcp_list *list,
+                               const struct gcp_mark *mark, const struct colmap_image **out,
+                               struct err *e)
 {
     const struct colmap_image *best = NULL, *other = NULL;
     size_t most = 0;
@@ -126,7 +124,7 @@ static enum err_code locate_sights(const struct gcp_list *list, const struct col
 {
     for (size_t k = 0; k < list->n_marks; k++) {
         const struct colmap_image *photo;
-        enum err_code rc = locate_photo(m, list, &list->marks[k], &photo, e);
+        enum err_code rc = gcp_locate_photo(m, list, &list->marks[k], &photo, e);
         if (rc)
             return rc;
         if (!photo && !out->n_lost++)
@@ -406,7 +404,7 @@ static void locate_place(const struct colmap_model *m, const double up[3], bool 
 
 enum err_code gcp_locate(const struct gcp_list *list, const struct colmap_model *m,
                          const struct gcp_view *views, size_t n_views, double px_scale,
-                         double mark_px, const double up[3], bool use_suspects,
+                         double mark_px, const double up[3], bool use_suspects, double factor_most,
                          struct gcp_places *out, struct err *e)
 {
     struct gcp_places p = {.places = mem_array(list->n, sizeof *p.places),
@@ -417,6 +415,7 @@ enum err_code gcp_locate(const struct gcp_list *list, const struct colmap_model 
         rc = locate_sights(list, m, views, n_views, px_scale, mark_px, &p, e);
     if (!rc)
         rc = locate_factor(list, &p, e);
+    p.factor = fmin(p.factor, factor_most);
     for (size_t i = 0; !rc && i < list->n; i++)
         locate_place(m, up, use_suspects, &p, &p.places[i]);
     if (rc)

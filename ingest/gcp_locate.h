@@ -48,13 +48,19 @@ struct gcp_places {           /* {0} is empty; gcp_places_free */
 /* Locates. A mark belongs to the photograph of m whose path ends like the mark's. px_scale: pixels
  * of the list in a pixel of COLMAP's photographs. mark_px: standard deviation of marks without
  * accuracy, in pixels of the list. up: the ground's normal on the side of the cameras; 0 0 0 =
- * unknown. use_suspects: also use marks that contradict the others of their point. Free *out with
+ * unknown. use_suspects: also use marks that contradict the others of their point. factor_most:
+ * limit of the factor, for lists that are not complete. Free *out with
  * gcp_places_free. ERR_DATA: a mark lies outside its photograph, or its name fits several. ERR_MEM.
  */
 enum err_code gcp_locate(const struct gcp_list *list, const struct colmap_model *m,
                          const struct gcp_view *views, size_t n_views, double px_scale,
-                         double mark_px, const double up[3], bool use_suspects,
+                         double mark_px, const double up[3], bool use_suspects, double factor_most,
                          struct gcp_places *out, struct err *e) ERR_USE;
+/* Finds the photograph of a mark, NULL: none. Of all that COLMAP knows, also those that were
+ * dropped: the mark of one must not go to another of that name. ERR_DATA: the name fits several. */
+enum err_code gcp_locate_photo(const struct colmap_model *m, const struct gcp_list *list,
+                               const struct gcp_mark *mark, const struct colmap_image **out,
+                               struct err *e) ERR_USE;
 void gcp_places_free(struct gcp_places *p);
 /* Inverts a symmetric positive definite matrix. Returns false if it is singular to 13 digits. */
 bool gcp_inverse(const double a[9], double inverse[9]);

@@ -476,10 +476,9 @@ static enum err_code ingest_write_scene(struct ingest *g, double start_s, struct
     return rc;
 }
 
-static enum err_code ingest_run_steps(struct ingest *g, const char *sparse_dir, double start_s,
-                                      struct err *e)
+/* Up to the photographs' verdicts: what they are, and how good their poses. */
+static enum err_code ingest_read_survey(struct ingest *g, const char *sparse_dir, struct err *e)
 {
-    char folder[FILE_PATH_MAX];
     enum err_code rc = colmap_read(sparse_dir, &g->model, e);
     if (!rc)
         rc = ingest_list_photos(g, e);
@@ -497,8 +496,14 @@ static enum err_code ingest_run_steps(struct ingest *g, const char *sparse_dir, 
         rc = ingest_heights_check(g, e);
     if (!rc)
         rc = ingest_judge_poses(g, e);
-    if (!rc)
-        rc = ingest_check_some_left(g, e);
+    return !rc ? ingest_check_some_left(g, e) : rc;
+}
+
+static enum err_code ingest_run_steps(struct ingest *g, const char *sparse_dir, double start_s,
+                                      struct err *e)
+{
+    char folder[FILE_PATH_MAX];
+    enum err_code rc = ingest_read_survey(g, sparse_dir, e);
     if (!rc)
         rc = ingest_frame_find(g, e);
     if (!rc)
@@ -519,6 +524,86 @@ static enum err_code ingest_run_steps(struct ingest *g, const char *sparse_dir, 
         rc = ingest_write_scene(g, start_s, e);
     return rc;
 }
+
+static void ingest_close(struct ingest *g)
+{
+    outdir_abort(&g->dir);
+    georef_free(&g->georef);
+    for (size_t i = 0; i < g->n && g->photos; i++)
+        mem_free(g->photos[i].fault);
+    ingest_files_free(&g->files);
+    gcp_fit_free(&g->gcp);
+    geoid_close(&g->geoid);
+    colmap_free(&g->model);
+    scene_free(&g->scene);
+}
+
+/* ---- a look, without a scene ---- */
+
+/* The photographs whose poses count with ground control points, by name. */
+static enum err_code ingest_look_photos(const struct ingest *g, struct ingest_survey *out,
+                                        struct err *e)
+{
+    out->photos = mem_array(g->n, sizeof *out->photos);
+    if (!out->photos)
+        return ingest_no_memory(e);
+    for (size_t i = 0; i < g->n; i++) {
+        const struct ingest_photo *p = &g->photos[i];
+        if (p->verdict != INGEST_KEPT && p->verdict != INGEST_GPS)
+            continue;
+        struct ingest_survey_photo *q = &out->photos[out->n++];
+        *q = (struct ingest_survey_photo){
+            .file = mem_text(p->file),
+            .width_px = p->width_px,
+            .height_px = p->height_px,
+            .view = {.image = p->image, .lens = &g->model.cameras[p->image->camera].lens}};
+        memcpy(q->view.center, p->geo.center, sizeof q->view.center);
+        memcpy(q->view.rot, p->geo.rot, sizeof q->view.rot);
+        if (!q->file)
+            return ingest_no_memory(e);
+    }
+    return ERR_OK;
+}
+
+enum err_code ingest_look(const char *images_dir, const char *sparse_dir,
+                          const struct ingest_config *cfg, struct ingest_survey *out, struct err *e)
+{
+    struct ingest g = {.cfg = cfg, .images_dir = images_dir, .progress_busy = ATOMIC_FLAG_INIT};
+    struct err why = {0};
+    *out = (struct ingest_survey){0};
+    enum err_code rc = ingest_heights_open(&g, e);
+    if (!rc)
+        rc = ingest_read_survey(&g, sparse_dir, e);
+    if (!rc) {
+        enum err_code placed = ingest_frame_find(&g, &why);
+        out->placed = !placed;
+        out->origin = g.scene.origin;
+        out->sim.scale = g.scene.scale;
+        memcpy(out->sim.rot, g.scene.rot, sizeof out->sim.rot);
+        memcpy(out->sim.trans, g.scene.trans, sizeof out->sim.trans);
+        if (placed && placed != ERR_DATA)
+            rc = err_set(e, placed, "%s", why.msg);
+    }
+    if (!rc)
+        rc = ingest_look_photos(&g, out, e);
+    out->model = g.model; /* the photographs point into it */
+    g.model = (struct colmap_model){0};
+    ingest_close(&g);
+    if (rc)
+        ingest_survey_free(out);
+    return rc;
+}
+
+void ingest_survey_free(struct ingest_survey *s)
+{
+    for (size_t i = 0; i < s->n && s->photos; i++)
+        mem_free(s->photos[i].file);
+    mem_free(s->photos);
+    colmap_free(&s->model);
+    *s = (struct ingest_survey){0};
+}
+
+/* ---- a scene ---- */
 
 enum err_code ingest_run(const char *images_dir, const char *sparse_dir,
                          const struct ingest_config *cfg, struct err *e)
@@ -561,14 +646,6 @@ enum err_code ingest_run_with(const char *images_dir, const char *sparse_dir,
         rc = ingest_no_memory(e);
     if (!rc)
         rc = ingest_run_steps(&g, sparse_dir, start_s, e);
-    outdir_abort(&g.dir);
-    georef_free(&g.georef);
-    for (size_t i = 0; i < g.n && g.photos; i++)
-        mem_free(g.photos[i].fault);
-    ingest_files_free(&g.files);
-    gcp_fit_free(&g.gcp);
-    geoid_close(&g.geoid);
-    colmap_free(&g.model);
-    scene_free(&g.scene);
+    ingest_close(&g);
     return rc;
 }

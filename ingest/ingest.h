@@ -12,6 +12,7 @@
 
 struct gcp_list;
 struct positions;
+struct ingest_survey; /* ingest_look.h */
 
 struct ingest_config {
 #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
@@ -36,5 +37,13 @@ enum err_code ingest_run_gcp(const char *images_dir, const char *sparse_dir,
 enum err_code ingest_run_with(const char *images_dir, const char *sparse_dir,
                               const struct ingest_config *cfg, const struct gcp_list *gcps,
                               const struct positions *positions, struct err *e) ERR_USE;
+
+/* Reads photographs and poses without making a scene. The frame is that of GPS, if there is enough
+ * of it. Free *out with ingest_survey_free. ERR_DATA, ERR_FORMAT, ERR_NOENT, ERR_IO, ERR_LIMIT,
+ * ERR_MEM, ERR_CANCEL. */
+enum err_code ingest_look(const char *images_dir, const char *sparse_dir,
+                          const struct ingest_config *cfg, struct ingest_survey *out,
+                          struct err *e) ERR_USE;
+void ingest_survey_free(struct ingest_survey *s);
 
 #endif

@@ -13,6 +13,7 @@
 #include "core/outdir.h"
 #include "ingest/gcp_fit.h"
 #include "ingest/georef.h"
+#include "ingest/ingest_look.h"
 #include "ingest/ingest_photo.h"
 #include "ingest/positions.h"
 

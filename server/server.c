@@ -28,7 +28,8 @@
 #include "server/work.h"
 
 struct server {
-    struct server_config cfg; /* texts are borrowed from the caller */
+    struct server_config cfg;     /* texts are borrowed from the caller */
+    const struct server_own *own; /* NULL: tile stores */
     const char *const *paths;
     size_t n_paths, workers;
     struct clip clip; /* of all stores; in use if stores.clip is set */
@@ -230,8 +231,10 @@ static enum err_code server_open_services(struct server *sv, struct err *e)
     if (!rc)
         server_fit_descriptors(sv);
     if (!rc)
-        rc = services_open(&sv->services, &sv->cfg, &plan, ROUTES, ROUTES_COUNT, e);
+        rc = services_open(&sv->services, &sv->cfg, &plan, sv->own ? sv->own->routes : ROUTES,
+                           sv->own ? sv->own->n : ROUTES_COUNT, e);
     if (!rc) {
+        sv->services.own = sv->own ? sv->own->data : NULL;
         sv->services.catalog = c;
         sv->services.web = web;
     } else {
@@ -283,8 +286,19 @@ static enum err_code server_set_remote(const struct server_config *cfg, struct e
     return rc;
 }
 
-enum err_code server_start(const struct server_config *cfg, const char *const *paths, size_t n,
-                           struct server **out, struct err *e)
+static void server_log_start(const struct server *sv)
+{
+    const struct catalog *c = sv->services.catalog;
+    log_info("serve", "%s", sv->memory);
+    server_log_disk(sv);
+    for (size_t i = 0; i < c->n; i++)
+        log_info("serve", "dataset name=%s revision=%s tiles=%zu file=%s", c->ds[i]->meta.name,
+                 c->ds[i]->meta.revision, c->ds[i]->n_tiles, store_path(c->ds[i]->index));
+}
+
+static enum err_code server_begin(const struct server_config *cfg, const char *const *paths,
+                                  size_t n, const struct server_own *own, struct server **out,
+                                  struct err *e)
 {
     struct server *sv = mem_array(1, sizeof *sv);
     *out = sv;
@@ -294,6 +308,7 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
     signal(SIGPIPE,
            SIG_IGN); /* a client that hangs up is an error of write(), not of the program */
     sv->cfg = *cfg;
+    sv->own = own;
     sv->paths = paths;
     sv->n_paths = n;
     sv->workers = cfg->workers ? (size_t)cfg->workers : pool_cores();
@@ -323,17 +338,23 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
         rc = http_start(sv->http, e);
     if (!rc && sv->admin)
         rc = http_start(sv->admin, e);
-    if (!rc) {
-        log_info("serve", "%s", sv->memory);
-        server_log_disk(sv);
-        for (size_t i = 0; i < s->catalog->n; i++)
-            log_info("serve", "dataset name=%s revision=%s tiles=%zu file=%s",
-                     s->catalog->ds[i]->meta.name, s->catalog->ds[i]->meta.revision,
-                     s->catalog->ds[i]->n_tiles, store_path(s->catalog->ds[i]->index));
-    } else {
+    if (rc)
         server_stop(out);
-    }
+    else if (!own)
+        server_log_start(sv);
     return rc;
+}
+
+enum err_code server_start(const struct server_config *cfg, const char *const *paths, size_t n,
+                           struct server **out, struct err *e)
+{
+    return server_begin(cfg, paths, n, NULL, out, e);
+}
+
+enum err_code server_start_own(const struct server_config *cfg, const struct server_own *own,
+                               struct server **out, struct err *e)
+{
+    return server_begin(cfg, NULL, 0, own, out, e);
 }
 
 const char *server_url(const struct server *sv)

@@ -46,6 +46,7 @@
 
 struct server;
 struct services;
+struct route;
 
 /* Opens the stores at paths [n] and listens. Requests are answered when it returns.
  *
@@ -63,6 +64,16 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
 /* Looks at the memory that is held. Beyond --memory, freed memory goes back and caches give way.
  * Call it a few times a second. */
 void server_keep_memory(struct server *sv, double now_s);
+/* A service of a command, for one person: no stores, a route table of its own, and the viewer's
+ * files. */
+struct server_own {
+    const struct route *routes; /* [n], as in routes.h */
+    size_t n;
+    void *data; /* for their functions: services.own */
+};
+/* As server_start. own is borrowed until server_stop. */
+enum err_code server_start_own(const struct server_config *cfg, const struct server_own *own,
+                               struct server **out, struct err *e) ERR_USE;
 /* "http://127.0.0.1:8080/", with the port in use. It lives until server_stop. */
 const char *server_url(const struct server *s);
 

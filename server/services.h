@@ -55,6 +55,7 @@ struct services { /* all are shared and thread-safe */
         *matrices;                       /* documents that never change */
     _Atomic bool draining, reload_asked; /* reload_asked: by the listener for operators */
     double start_s;
+    void *own; /* of a command with routes of its own (server_start_own); else NULL */
 };
 /* Makes the documents and services. plan NULL: {0}. End with services_free. cfg and routes [n], the
  * route table (routes.h), are borrowed until then. ERR_ARG (--metrics), ERR_INTERNAL (the table),

@@ -1,5 +1,5 @@
-// Builds of the browser client: the page, the globe (`vite build --mode globe` -> dist/cesium.html)
-// and the module for other pages (`vite build --mode module` -> dist/viewer.js). Relative URLs,
+// Builds of the browser client: the page, the globe (`vite build --mode globe` -> dist/cesium.html), the
+// page of `citysplat mark` (`vite build --mode mark` -> dist/mark.html) and the module for other pages (`vite build --mode module` -> dist/viewer.js). Relative URLs,
 // everything bundled, nothing from a CDN.
 //
 // SPDX-License-Identifier: Apache-2.0
@@ -169,8 +169,8 @@ const { version } = JSON.parse(readFileSync(new URL("package.json", import.meta.
 };
 const inWorkers = new Set<string>(); // sources of the module's workers
 
-// Modes: the page alone, which empties the folder first; "globe", cesium.html with nothing in common
-// with the page, so that the page loads none of it; "module", for other pages.
+// Modes: the page alone, which empties the folder first; "globe" and "mark", cesium.html and mark.html with
+// nothing in common with the page, so that it loads none of them; "module", for other pages.
 const builds = {
   page: { plugins: [leaveOutGltf(), copyDraco(), addPolicy(POLICY), dropIndent()], build: { chunkSizeWarningLimit: 1500 } },
   globe: {
@@ -183,6 +183,10 @@ const builds = {
       emptyOutDir: false,
       rollupOptions: { input: "cesium.html" },
     },
+  },
+  mark: {
+    plugins: [addPolicy(POLICY), dropIndent()],
+    build: { emptyOutDir: false, rollupOptions: { input: "mark.html" } },
   },
   module: {
     plugins: [
@@ -202,7 +206,7 @@ const builds = {
 };
 
 export default defineConfig(({ mode }) => {
-  const { plugins, build } = builds[mode === "globe" || mode === "module" ? mode : "page"];
+  const { plugins, build } = builds[mode in builds ? (mode as keyof typeof builds) : "page"];
   return {
     base: "./",
     define: {
@@ -210,7 +214,7 @@ export default defineConfig(({ mode }) => {
       __ASSETS__: JSON.stringify(mode === "module" ? "./assets/" : "./"), // from the script that needs them
     },
     plugins,
-    publicDir: mode === "module" || mode === "globe" ? false : "public",
+    publicDir: ["globe", "mark", "module"].includes(mode) ? false : "public",
     build: { target: "es2022", sourcemap: false, ...build },
     worker: { format: "es" },
     server: { proxy: { "/collections": server, "/d/": server } },

@@ -3,8 +3,9 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import { parseView } from "./address";
+import { language, theme } from "./choices";
 import { element } from "./dom";
-import { language, Page, theme } from "./page";
+import { Page } from "./page";
 import "./style.css";
 import { setLanguage } from "./strings";
 import { createViewer, type Pose, type Viewer, type ViewerOptions, type ViewerState } from "./viewer";

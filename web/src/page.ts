@@ -10,6 +10,7 @@ import {
   writeSecondLight,
 } from "./address";
 import { AppearanceControl } from "./appearance";
+import { store, theme } from "./choices";
 import { Compare } from "./compare";
 import { copy, element, setText, toast } from "./dom";
 import { freePart } from "./free";
@@ -31,32 +32,6 @@ import type { Mode, Viewer } from "./viewer";
 // does not count: fewer pixels already ask for fewer Gaussians.
 const DETAIL_MIDDLE = 4;
 const ADDRESS_MS = 300; // browsers refuse an address that changes too often
-
-function stored(key: string): string | null {
-  try {
-    return localStorage.getItem(`citysplat.${key}`);
-  } catch {
-    return null;
-  }
-}
-
-function store(key: string, value: string) {
-  try {
-    localStorage.setItem(`citysplat.${key}`, value);
-  } catch {
-    // no storage: the choice lives as long as the page
-  }
-}
-
-export function theme(): "dark" | "light" {
-  const chosen = stored("theme");
-  if (chosen === "dark" || chosen === "light") return chosen;
-  return matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
-}
-
-export function language(): string {
-  return stored("language") ?? navigator.language;
-}
 
 export class Page {
   private readonly appearance: AppearanceControl;

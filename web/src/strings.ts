@@ -25,16 +25,24 @@ export async function setLanguage(wanted: string): Promise<void> {
 }
 
 export function text(key: TextKey, values: Record<string, string | number> = {}): string {
-  const raw = table[key] ?? en[key];
+  return fill(table[key] ?? en[key], values);
+}
+
+// "{name}" in a text becomes that value.
+export function fill(raw: string, values: Record<string, string | number>): string {
   return raw.replace(/\{(\w+)\}/g, (_, name: string) => String(values[name] ?? ""));
 }
 
 // Every element with data-t, data-t-title or data-t-label says it in the language of now.
 export function translate(root: ParentNode) {
-  for (const node of root.querySelectorAll<HTMLElement>("[data-t]"))
-    node.textContent = text(node.dataset["t"] as TextKey);
+  translateBy(root, (key) => text(key as TextKey));
+}
+
+// As translate, with the texts of another page.
+export function translateBy(root: ParentNode, say: (key: string) => string) {
+  for (const node of root.querySelectorAll<HTMLElement>("[data-t]")) node.textContent = say(node.dataset["t"]!);
   for (const node of root.querySelectorAll<HTMLElement>("[data-t-title]"))
-    node.title = text(node.dataset["tTitle"] as TextKey) + (node.dataset["key"] ? ` (${node.dataset["key"]})` : "");
+    node.title = say(node.dataset["tTitle"]!) + (node.dataset["key"] ? ` (${node.dataset["key"]})` : "");
   for (const node of root.querySelectorAll<HTMLElement>("[data-t-label]"))
-    node.setAttribute("aria-label", text(node.dataset["tLabel"] as TextKey));
+    node.setAttribute("aria-label", say(node.dataset["tLabel"]!));
 }

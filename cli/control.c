@@ -1,0 +1,59 @@
+/* Ground control points in longitude and latitude: see control.h.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "cli/control.h"
+
+#include "core/base.h"
+#include "survey/crs.h"
+
+/* One place, by a system that is named only now; its errors are answers. */
+static enum err_code control_unproject_one(int epsg, double *x, double *y, struct err *e)
+{
+    struct crs *crs = NULL;
+    enum err_code rc = crs_open(epsg, &crs, e);
+    if (!rc)
+        rc = crs_unproject(crs, 1, x, y, e);
+    crs_close(&crs);
+    return rc;
+}
+
+/* A system that is used elsewhere on Earth is the wrong one, or x and y are swapped. */
+static void control_check_area(const struct crs *crs, const struct gcp *g)
+{
+    double off_deg = crs_outside_deg(crs, g->at[0], g->at[1]);
+    if (off_deg > 3)
+        log_warn("gcp",
+                 "line %zu: ground control point %s lies %.0f degrees outside of where EPSG:%d is "
+                 "used: another zone, x and y swapped, or feet?",
+                 g->line, g->name, off_deg, crs_epsg(crs));
+}
+
+enum err_code control_unproject(const char *path, int epsg, struct gcp_list *l, struct err *e)
+{
+    struct crs *crs = NULL;
+    enum err_code rc = ERR_OK;
+    epsg = epsg ? epsg : l->epsg;
+    if (!epsg)
+        rc = err_set(e, ERR_ARG,
+                     "%s: does not say its coordinate system in words known here: give it with "
+                     "--gcp-epsg CODE, e.g. 32632, or 4326 for longitude and latitude",
+                     path);
+    if (!rc && epsg != GCP_LONLAT)
+        rc = crs_open(epsg, &crs, e);
+    for (size_t i = 0; !rc && crs && i < l->n; i++) {
+        struct gcp *g = &l->gcps[i];
+        rc = crs_unproject(crs, 1, &g->at[0], &g->at[1], e);
+        if (rc)
+            err_add(e,
+                    "%s: line %zu: ground control point %s (x and y swapped, feet, or "
+                    "millimetres?)",
+                    path, g->line, g->name);
+        else
+            control_check_area(crs, g);
+    }
+    l->epsg = epsg;
+    l->unproject = control_unproject_one;
+    crs_close(&crs);
+    return rc;
+}

@@ -1,0 +1,209 @@
+/* citysplat mark: ground control points marked in photographs, by a page in a browser.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <stdio.h>
+#include <string.h>
+#include <sys/random.h>
+#include <time.h>
+
+#include "cli/cli.h"
+#include "cli/control.h"
+#include "cli/mark_work.h"
+#include "codec/scene.h"
+#include "ingest/ingest.h"
+#include "server/config.h"
+#include "server/static.h"
+
+struct mark_options {
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "cli/mark.def"
+#undef OPT
+};
+
+static const struct options_def mark_defs[] = {
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct mark_options, type, tier, key, def, lo, hi, unit, help)
+#include "cli/mark.def"
+#undef OPT
+};
+
+static const struct options_spec mark_spec = {
+    .command = "mark",
+    .usage = "citysplat mark PHOTOGRAPHS MODEL --points FILE [-o gcp_list.txt] [options]",
+    .about = "Serves a page on which ground control points are marked in photographs, and prints "
+             "its address. Every mark is saved at once. PHOTOGRAPHS and MODEL are those of ingest, "
+             "and `ingest --gcp` reads the list. The command runs until it is interrupted.",
+    .example = "citysplat mark photos/ photos/sparse/0 --points points.csv -o gcp_list.txt",
+    .defs = mark_defs,
+    .n_defs = sizeof mark_defs / sizeof *mark_defs,
+    .min_args = 2,
+    .max_args = 2};
+
+/* ---- points and marks ---- */
+
+/* Points and marks of `more` that `l` lacks, by their names. */
+static enum err_code mark_merge(const char *path, struct gcp_list *l, const struct gcp_list *more,
+                                struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    if (l->epsg && more->epsg && l->epsg != more->epsg)
+        return err_set(e, ERR_ARG, "%s: is in EPSG:%d, the list that is continued in EPSG:%d", path,
+                       more->epsg, l->epsg);
+    l->epsg = l->epsg ? l->epsg : more->epsg;
+    l->heights_epsg = l->heights_epsg ? l->heights_epsg : more->heights_epsg;
+    for (size_t i = 0; !rc && i < more->n; i++)
+        rc = gcp_add_point(path, l, &more->gcps[i], e);
+    return rc;
+}
+
+static enum err_code mark_read_list(const struct mark_options *o, struct gcp_list *l, struct err *e)
+{
+    struct gcp_list more = {0};
+    const bool there = file_exists(o->output);
+    if (!there && !o->points)
+        return err_set(e, ERR_ARG,
+                       "mark: which points? Give --points FILE, a CSV with columns name, x, y and "
+                       "z, or a list to continue with -o");
+    enum err_code rc = gcp_read_points(there ? o->output : o->points, l, e);
+    if (!rc && there && o->points) {
+        rc = gcp_read_points(o->points, &more, e);
+        if (!rc)
+            rc = mark_merge(o->points, l, &more, e);
+        gcp_free(&more);
+    }
+    if (!rc && !l->n)
+        rc =
+            err_set(e, ERR_DATA, "%s: no ground control points", o->points ? o->points : o->output);
+    return !rc ? control_unproject(there ? o->output : o->points, (int)o->gcp_epsg, l, e) : rc;
+}
+
+/* ---- photographs ---- */
+
+/* The frame of a scene in place of GPS'. */
+static enum err_code mark_take_frame(const char *dir, struct ingest_survey *survey, struct err *e)
+{
+    struct scene s;
+    enum err_code rc = scene_read(dir, &s, e);
+    if (rc)
+        return rc;
+    survey->placed = true;
+    survey->origin = s.origin;
+    survey->sim.scale = s.scale;
+    memcpy(survey->sim.rot, s.rot, sizeof s.rot);
+    memcpy(survey->sim.trans, s.trans, sizeof s.trans);
+    scene_free(&s);
+    return ERR_OK;
+}
+
+static enum err_code mark_look(const struct mark_options *o, const char *images, const char *model,
+                               struct ingest_survey *survey, struct arena *a, struct err *e)
+{
+    struct ingest_config cfg;
+    enum err_code rc = options_defaults(ingest_options(), &cfg, a, e);
+    cfg.skip_missing = true;
+    if (!rc)
+        rc = ingest_look(images, model, &cfg, survey, e);
+    if (!rc && o->scene)
+        rc = mark_take_frame(o->scene, survey, e);
+    if (!rc && !survey->placed)
+        log_warn("mark", "the photographs have too little GPS: points are expected in them only "
+                         "when three points are marked in two photographs each; --scene SCENE "
+                         "gives a frame");
+    return rc;
+}
+
+/* ---- serving ---- */
+
+static enum err_code mark_make_token(char out[MARK_TOKEN], struct err *e)
+{
+    uint8_t chance[(MARK_TOKEN - 1) / 2];
+    if (getrandom(chance, sizeof chance, 0) != sizeof chance)
+        return err_errno(e, ERR_IO, "the system has no random numbers");
+    for (size_t i = 0; i < sizeof chance; i++)
+        snprintf(out + 2 * i, 3, "%02x", chance[i]);
+    return ERR_OK;
+}
+
+static enum err_code mark_check_page(const char *web_dir, struct err *e)
+{
+    char dir[FILE_PATH_MAX], page[FILE_PATH_MAX];
+    bool found = web_dir != NULL;
+    if (found)
+        snprintf(dir, sizeof dir, "%s", web_dir);
+    else
+        found = static_default_dir(dir);
+    if (found && !file_join(page, dir, "mark.html", e) && file_exists(page))
+        return ERR_OK;
+    return err_set(e, ERR_NOENT,
+                   "the page's files are not %s: build web/ (npm ci && npm run build), or give "
+                   "--web-dir DIR",
+                   found ? dir : "beside the program");
+}
+
+static enum err_code mark_serve(const struct mark_options *o, struct mark_work *w, struct arena *a,
+                                struct err *e)
+{
+    struct server_config cfg;
+    struct server *sv = NULL;
+    const struct server_own own = {MARK_ROUTES, MARK_ROUTES_COUNT, w};
+    enum err_code rc = config_defaults(&cfg, a, e);
+    cfg.address = o->address;
+    cfg.port = o->port;
+    cfg.web_dir = o->web_dir;
+    cfg.device = "none";
+    cfg.access_log = false;
+    cfg.workers = 1;
+    cfg.http_threads = 4; /* photographs are read in them */
+    if (!rc)
+        rc = server_start_own(&cfg, &own, &sv, e);
+    if (rc)
+        return rc;
+    printf("citysplat marks %zu points in %zu photographs: open %smark.html#%s\n",
+           marking_list(w->marking)->n, marking_survey(w->marking)->n, server_url(sv), w->token);
+    printf("every mark is saved to %s; Ctrl+C ends\n", w->output);
+    fflush(stdout);
+    while (!signals_stopping()) {
+        const struct timespec wait = {.tv_nsec = 100000000};
+        nanosleep(&wait, NULL);
+        server_keep_memory(sv, clock_s());
+    }
+    return server_stop(&sv) ? ERR_OK : err_set(e, ERR_INTERNAL, "a thread does not end");
+}
+
+enum err_code cli_mark(int argc, char **argv, struct err *e)
+{
+    struct arena a = {0};
+    struct mark_options o;
+    struct options_args args;
+    struct gcp_list list = {0};
+    struct ingest_survey survey = {0};
+    struct mark_work w = {.lock = PTHREAD_MUTEX_INITIALIZER};
+    enum err_code rc = options_parse(&mark_spec, argc, argv, &o, &args, &a, e);
+    if (rc || args.done)
+        goto out;
+    w.images_dir = args.arg[0];
+    w.output = o.output;
+    signals_catch();
+    rc = mark_check_page(o.web_dir, e);
+    if (!rc)
+        rc = mark_read_list(&o, &list, e);
+    if (!rc)
+        rc = mark_look(&o, args.arg[0], args.arg[1], &survey, &a, e);
+    if (!rc)
+        rc = mark_make_token(w.token, e);
+    if (!rc) {
+        const struct marking_config cfg = {
+            .output = o.output, .px_scale = o.gcp_scale, .mark_px = 0.5, .sigma_m = 0.02};
+        rc = marking_open(&cfg, &survey, &list, &w.marking, e);
+    }
+    if (!rc)
+        rc = mark_serve(&o, &w, &a, e);
+out:
+    marking_close(&w.marking);
+    ingest_survey_free(&survey);
+    gcp_free(&list);
+    arena_free(&a);
+    return rc;
+}
