@@ -17,6 +17,7 @@
 #include "bench/test_views.h"
 #include "codec/axes.h"
 #include "codec/draco.h"
+#include "codec/glb.h"
 #include "codec/quant.h"
 #include "codec/scene.h"
 #include "codec/sog.h"
@@ -31,16 +32,19 @@
 
 enum { NAME_MAX_BYTES = 64 };
 
-/* .sog has no grid but the degree: its codebooks are its own. */
+/* .sog and .glb without SPZ have no grid but the degree: their numbers are their own. */
 enum rd_format {
     RD_DRC,
     RD_SPZ3,
     RD_SPZ4,
     RD_PRESET_FORMATS,
     RD_SOG = RD_PRESET_FORMATS,
+    RD_GLB_PACKED,
+    RD_GLB_PLAIN, /* of all degrees alone */
     RD_FORMATS
 };
-static const char *const format_names[RD_FORMATS] = {"drc", "spz 3", "spz 4", "sog"};
+static const char *const format_names[RD_FORMATS] = {"drc", "spz 3",      "spz 4",
+                                                     "sog", "packed.glb", "plain.glb"};
 
 struct rd {
     struct bench *b;
@@ -61,12 +65,17 @@ static enum err_code rd_score(struct rd *r, const struct gauss *g, bool keep,
     return test_views_score(&r->shots, g, &ro, keep, out, e);
 }
 
-static enum err_code rd_trip_sog(const struct gauss *tile, uint32_t sh_degree, struct buf *file,
-                                 struct gauss *out, struct err *e)
+static enum err_code rd_trip_own(const struct gauss *tile, enum rd_format f, uint32_t sh_degree,
+                                 struct buf *file, struct gauss *out, struct err *e)
 {
     const uint32_t degree = sh_degree < tile->sh_degree ? sh_degree : tile->sh_degree;
-    enum err_code rc = sog_encode(tile, degree, file, e);
-    return rc ? rc : sog_decode(file->data, file->size, NULL, out, e);
+    enum err_code rc = f == RD_SOG          ? sog_encode(tile, degree, file, e)
+                       : f == RD_GLB_PACKED ? glb_encode_packed(tile, degree, NULL, file, e)
+                                            : glb_encode_plain(tile, NULL, file, e);
+    if (rc)
+        return rc;
+    return f == RD_SOG ? sog_decode(file->data, file->size, NULL, out, e)
+                       : glb_decode(file->data, file->size, NULL, out, e);
 }
 
 static enum err_code rd_trip(const struct gauss *tile, enum rd_format f,
@@ -95,13 +104,13 @@ static enum err_code rd_tile(const struct gauss *tile, enum rd_format f,
 {
     struct gauss g = {0};
     struct buf file = {0};
-    enum err_code rc = f == RD_SOG ? rd_trip_sog(tile, grid->sh_degree, &file, &g, e)
+    enum err_code rc = f >= RD_SOG ? rd_trip_own(tile, f, grid->sh_degree, &file, &g, e)
                                    : rd_trip(tile, f, grid, &file, &g, e);
     if (!rc) {
         memcpy(g.origin_enu_m, tile->origin_enu_m, sizeof g.origin_enu_m);
         axes_gltf_to_enu(&g);
         rc = gauss_append(all, &g, NULL, g.n, e);
-        all->antialiased = g.antialiased;
+        all->antialiased = tile->antialiased; /* which a .glb without SPZ does not say */
     }
     *bytes += file.size;
     gauss_free(&g);
@@ -169,8 +178,12 @@ static enum err_code rd_presets(struct rd *r, struct err *e)
         const struct quant_grid g = {.sh_degree = (uint8_t)degree};
         snprintf(row, sizeof row, "degree:%u", degree);
         rc = rd_row(r, row, RD_SOG, &g, e);
+        if (!rc)
+            rc = rd_row(r, row, RD_GLB_PACKED, &g, e);
     }
-    return rc;
+    const struct quant_grid all = {.sh_degree = (uint8_t)r->leaves.tile[0].sh_degree};
+    snprintf(row, sizeof row, "degree:%u", all.sh_degree);
+    return rc ? rc : rd_row(r, row, RD_GLB_PLAIN, &all, e);
 }
 
 static enum err_code rd_fields(struct rd *r, struct err *e)

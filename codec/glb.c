@@ -5,9 +5,10 @@
  * payload, COLOR_0 present, SH_DEGREE_0 absent (one name more and Cesium drops all SH), no node
  * transform. The bytes inside are in glTF axes and a correct .spz by themselves. The plain form is
  * for three.js, PlayCanvas and Babylon: linear sigmas and opacities, quaternions x y z w, SH as
- * trained.
+ * trained. The packed form is the plain one in the smallest numbers that the extension itself
+ * allows, so that no decoder is needed: normalised shorts for rotations, opacities and sigmas.
  *
- * Sources: glTF 2.0; KHR_gaussian_splatting (release candidate);
+ * Sources: glTF 2.0; KHR_gaussian_splatting (ratified);
  * KHR_gaussian_splatting_compression_spz_2 (draft).
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -29,6 +30,8 @@ enum {
     CHUNK_BIN = 0x004e4942,
     FLOAT32 = 5126,
     UINT8 = 5121,
+    INT16 = 5122,
+    UINT16 = 5123,
     GLB_HEAD_BYTES = 12,
 };
 #define EXT_SPLAT "KHR_gaussian_splatting"
@@ -166,27 +169,64 @@ out:
     return rc;
 }
 
-/* ---- plain: one accessor, one view, one run of floats an attribute ---- */
+/* ---- plain and packed: one accessor, one view, one run of numbers an attribute ---- */
 
 struct plain {
     const struct gauss *g;
     json_t *attributes, *accessors, *views;
     struct buf bin;
+    uint32_t sh_degree;
+    bool packed;
 };
 
-static float *glb_plain_add(struct plain *p, const char *name, size_t width, json_t **made)
+static size_t glb_component_bytes(int component)
+{
+    return component == FLOAT32                        ? 4
+           : component == INT16 || component == UINT16 ? 2
+           : component == 5120 || component == UINT8   ? 1
+                                                       : 0;
+}
+
+/* Zeroed rows of `component` from a multiple of 4 bytes on, each of them again one; integers are
+ * normalised. NULL: no memory, which the buffer remembers. */
+static uint8_t *glb_plain_add(struct plain *p, const char *name, size_t width, int component,
+                              json_t **made)
 {
     static const char *const type[] = {"", "SCALAR", "VEC2", "VEC3", "VEC4"};
-    size_t bytes = p->g->n * width * sizeof(float);
-    json_t *a = glb_accessor(p->g->n, FLOAT32, type[width]);
+    size_t row = glb_component_bytes(component) * width, stride = (row + 3) & ~(size_t)3;
+    size_t bytes = p->g->n * stride;
+    json_t *a = glb_accessor(p->g->n, component, type[width]);
+    json_t *view =
+        json_pack("{s:i,s:I,s:I,s:i}", "buffer", 0, "byteOffset", (json_int_t)p->bin.size,
+                  "byteLength", (json_int_t)bytes, "target", 34962); /* ARRAY_BUFFER */
+    if (stride != row)
+        json_object_set_new(view, "byteStride", json_integer((json_int_t)stride));
+    if (component != FLOAT32)
+        json_object_set_new(a, "normalized", json_true());
     json_object_set_new(a, "bufferView", json_integer((json_int_t)json_array_size(p->views)));
-    json_array_append_new(
-        p->views, json_pack("{s:i,s:I,s:I,s:i}", "buffer", 0, "byteOffset", (json_int_t)p->bin.size,
-                            "byteLength", (json_int_t)bytes, "target", 34962)); /* ARRAY_BUFFER */
+    json_array_append_new(p->views, view);
     glb_add_attribute(p->attributes, p->accessors, name, a);
     if (made)
         *made = a;
-    return (void *)buf_grow(&p->bin, bytes);
+    uint8_t *at = buf_grow(&p->bin, bytes);
+    if (at)
+        memset(at, 0, bytes);
+    return at;
+}
+
+/* A number at `at` as a component: integers stand for 0 (or -1) to 1. */
+static void glb_put(uint8_t *at, int component, float v)
+{
+    if (component == FLOAT32) {
+        memcpy(at, &v, sizeof v);
+        return;
+    }
+    float most = component == INT16 ? 32767 : component == UINT16 ? 65535 : 255;
+    v = v > 1 ? 1 : v < -1 ? -1 : v;
+    uint16_t bits = (uint16_t)(int32_t)lrintf((component == INT16 || v > 0 ? v : 0) * most);
+    at[0] = (uint8_t)bits;
+    if (component != UINT8)
+        at[1] = (uint8_t)(bits >> 8);
 }
 
 static float glb_linear_from_srgb(float v)
@@ -195,77 +235,130 @@ static float glb_linear_from_srgb(float v)
     return v <= 0.04045f ? v / 12.92f : powf((v + 0.055f) / 1.055f, 2.4f);
 }
 
+static float glb_opacity(const struct gauss *g, size_t i)
+{
+    return 1 / (1 + expf(-g->opacity_logit[i]));
+}
+
 static void glb_plain_fill_sh(struct plain *p)
 {
     const struct gauss *g = p->g;
     size_t k = gauss_sh_count(g->sh_degree), at = 0;
     char name[64];
-    for (uint32_t l = 0; l <= g->sh_degree; l++)
+    for (uint32_t l = 0; l <= p->sh_degree; l++)
         for (uint32_t m = 0; m <= 2 * l; m++, at++) {
-            float *f = glb_plain_add(p, glb_sh_name(name, l, m), 3, NULL);
-            for (size_t i = 0; f && i < g->n; i++)
-                memcpy(f + 3 * i, g->sh + 3 * (i * k + at), 3 * sizeof *f);
+            uint8_t *to = glb_plain_add(p, glb_sh_name(name, l, m), 3, FLOAT32, NULL);
+            for (size_t i = 0; to && i < g->n; i++)
+                memcpy(to + 12 * i, g->sh + 3 * (i * k + at), 12);
         }
+}
+
+/* For viewers without the extension: points, in linear colour. */
+static void glb_plain_fill_color(struct plain *p)
+{
+    const struct gauss *g = p->g;
+    size_t k = gauss_sh_count(g->sh_degree);
+    int component = p->packed ? UINT8 : FLOAT32;
+    size_t step = glb_component_bytes(component);
+    uint8_t *to = glb_plain_add(p, "COLOR_0", 4, component, NULL);
+    for (size_t i = 0; to && i < g->n; i++)
+        for (size_t c = 0; c < 4; c++, to += step)
+            glb_put(to, component,
+                    c < 3 ? glb_linear_from_srgb((float)GAUSS_SH_C0 * g->sh[3 * k * i + c] + 0.5f)
+                          : glb_opacity(g, i));
+}
+
+/* Normalised shorts end at 1 m: Gaussians of coarse levels are larger and stay floats, because a
+ * scale of the node is what CesiumJS stops at and others leave out. */
+static int glb_scale_component(const struct plain *p)
+{
+    const struct gauss *g = p->g;
+    bool fits = p->packed;
+    for (size_t i = 0; fits && i < 3 * g->n; i++)
+        fits = g->scale_log[i] <= 0;
+    return fits ? UINT16 : FLOAT32;
+}
+
+static void glb_plain_fill_shape(struct plain *p)
+{
+    const struct gauss *g = p->g;
+    int component = glb_scale_component(p);
+    size_t step = glb_component_bytes(component), stride = (3 * step + 3) & ~(size_t)3;
+    uint8_t *to = glb_plain_add(p, EXT_SPLAT ":SCALE", 3, component, NULL);
+    for (size_t i = 0; to && i < 3 * g->n; i++)
+        glb_put(to + i / 3 * stride + i % 3 * step, component, expf(g->scale_log[i]));
+    component = p->packed ? INT16 : FLOAT32;
+    step = glb_component_bytes(component);
+    to = glb_plain_add(p, EXT_SPLAT ":ROTATION", 4, component, NULL);
+    for (size_t i = 0; to && i < g->n; i++) {
+        const float *q = g->quat_wxyz + 4 * i;
+        float norm = sqrtf(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
+        for (size_t c = 0; c < 4; c++, to += step)
+            glb_put(to, component, q[(c + 1) % 4] / norm);
+    }
+    component = p->packed ? UINT16 : FLOAT32;
+    to = glb_plain_add(p, EXT_SPLAT ":OPACITY", 1, component, NULL);
+    for (size_t i = 0; to && i < g->n; i++)
+        glb_put(to + 4 * i, component, glb_opacity(g, i));
 }
 
 static void glb_plain_fill(struct plain *p)
 {
     const struct gauss *g = p->g;
-    size_t k = gauss_sh_count(g->sh_degree);
     double lo[3], hi[3];
     json_t *position;
-    float *f = glb_plain_add(p, "POSITION", 3, &position);
-    for (size_t i = 0; f && i < 3 * g->n; i++) {
-        double v = (double)(f[i] = g->mean_m[i]);
+    uint8_t *to = glb_plain_add(p, "POSITION", 3, FLOAT32, &position);
+    for (size_t i = 0; to && i < 3 * g->n; i++) {
+        double v = (double)g->mean_m[i];
+        glb_put(to + 4 * i, FLOAT32, g->mean_m[i]);
         lo[i % 3] = i < 3 || v < lo[i % 3] ? v : lo[i % 3];
         hi[i % 3] = i < 3 || v > hi[i % 3] ? v : hi[i % 3];
     }
-    if (f)
+    if (to)
         glb_set_bounds(position, lo, hi);
-    f = glb_plain_add(p, "COLOR_0", 4,
-                      NULL); /* for viewers without the extension: points, linear colour */
-    for (size_t i = 0; f && i < g->n; i++) {
-        for (size_t c = 0; c < 3; c++)
-            f[4 * i + c] = glb_linear_from_srgb((float)GAUSS_SH_C0 * g->sh[3 * k * i + c] + 0.5f);
-        f[4 * i + 3] = 1 / (1 + expf(-g->opacity_logit[i]));
-    }
-    f = glb_plain_add(p, EXT_SPLAT ":SCALE", 3, NULL);
-    for (size_t i = 0; f && i < 3 * g->n; i++)
-        f[i] = expf(g->scale_log[i]);
-    f = glb_plain_add(p, EXT_SPLAT ":ROTATION", 4, NULL);
-    for (size_t i = 0; f && i < g->n; i++) {
-        const float *q = g->quat_wxyz + 4 * i;
-        float norm = sqrtf(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-        for (size_t c = 0; c < 4; c++)
-            f[4 * i + c] = q[(c + 1) % 4] / norm;
-    }
-    f = glb_plain_add(p, EXT_SPLAT ":OPACITY", 1, NULL);
-    for (size_t i = 0; f && i < g->n; i++)
-        f[i] = 1 / (1 + expf(-g->opacity_logit[i]));
+    glb_plain_fill_color(p);
+    glb_plain_fill_shape(p);
     glb_plain_fill_sh(p);
+}
+
+/* p->g, degree and kind are set. */
+static enum err_code glb_encode_accessors(struct plain *p, const char *copyright, struct buf *out,
+                                          struct err *e)
+{
+    size_t bad = 0;
+    if (!p->g->n)
+        return err_set(e, ERR_DATA, "glb: no Gaussians: a glTF accessor cannot be empty");
+    if (gauss_count_bad(p->g, &bad))
+        return err_set(e, ERR_DATA, "glb: row %zu: not finite, or no rotation", bad);
+    p->attributes = json_object();
+    p->accessors = json_array();
+    p->views = json_array();
+    glb_plain_fill(p);
+    json_t *root = glb_document(copyright, p->attributes, p->accessors, p->views, p->bin.size,
+                                glb_splat_extension(), false);
+    enum err_code rc = buf_check(&p->bin, e);
+    if (!rc && !root)
+        rc = err_set(e, ERR_ARG, "glb: the copyright text is not UTF-8, or out of memory");
+    if (!rc)
+        rc = glb_pack(root, &p->bin, out, e);
+    json_decref(root);
+    buf_free(&p->bin);
+    return rc;
 }
 
 enum err_code glb_encode_plain(const struct gauss *g, const char *copyright, struct buf *out,
                                struct err *e)
 {
-    size_t bad = 0;
-    if (!g->n)
-        return err_set(e, ERR_DATA, "glb: no Gaussians: a glTF accessor cannot be empty");
-    if (gauss_count_bad(g, &bad))
-        return err_set(e, ERR_DATA, "glb: row %zu: not finite, or no rotation", bad);
+    struct plain p = {.g = g, .sh_degree = g->sh_degree};
+    return glb_encode_accessors(&p, copyright, out, e);
+}
+
+enum err_code glb_encode_packed(const struct gauss *g, uint32_t sh_degree, const char *copyright,
+                                struct buf *out, struct err *e)
+{
     struct plain p = {
-        .g = g, .attributes = json_object(), .accessors = json_array(), .views = json_array()};
-    glb_plain_fill(&p);
-    json_t *root = glb_document(copyright, p.attributes, p.accessors, p.views, p.bin.size,
-                                glb_splat_extension(), false);
-    enum err_code rc = buf_check(&p.bin, e);
-    if (!rc && !root)
-        rc = err_set(e, ERR_ARG, "glb: the copyright text is not UTF-8, or out of memory");
-    if (!rc)
-        rc = glb_pack(root, &p.bin, out, e);
-    json_decref(root);
-    buf_free(&p.bin);
-    return rc;
+        .g = g, .sh_degree = sh_degree < g->sh_degree ? sh_degree : g->sh_degree, .packed = true};
+    return glb_encode_accessors(&p, copyright, out, e);
 }
 
 /* ---- reading ---- */
@@ -383,14 +476,6 @@ struct values { /* an accessor, checked to hold count rows of width */
     bool normalized;
 };
 
-static size_t glb_component_bytes(int component)
-{
-    return component == FLOAT32                      ? 4
-           : component == 5122 || component == 5123  ? 2
-           : component == 5120 || component == UINT8 ? 1
-                                                     : 0;
-}
-
 static enum err_code glb_values_find(const struct glb *f, const char *name, size_t width,
                                      struct values *v, struct err *e)
 {
@@ -437,7 +522,7 @@ static float glb_value_get(const struct values *v, size_t row, size_t c)
         return v->normalized ? fmaxf(f / 127, -1) : f;
     case UINT8:
         return v->normalized ? (float)p[0] / 255 : (float)p[0];
-    case 5122:
+    case INT16:
         f = (float)(int16_t)u16;
         return v->normalized ? fmaxf(f / 32767, -1) : f;
     default:

@@ -8,6 +8,7 @@
 #include <string.h>
 #include <strings.h>
 
+#include "server/card.h"
 #include "server/collection.h"
 #include "server/condition.h"
 #include "server/document.h"
@@ -44,6 +45,22 @@ static enum err_code answer_service_about(struct services *s, const struct reque
                          out, e);
 }
 
+/* The viewer's page for the scene that this query opens. NULL: none that everybody may read. */
+static struct body *answer_service_card(struct services *s, const struct request *r,
+                                        const struct catalog *c, const struct body *index,
+                                        const char *query, size_t n)
+{
+    const struct dataset *d = hint_scene(c, query, n);
+    struct body *page = NULL;
+    char origin[ORIGIN_MAX];
+    if (!d || !right_is_public(r, d->meta.name))
+        return NULL;
+    const bool pictures = s->picture && picture_state(s->picture) != PICTURE_OFF;
+    if (card_page(index, d, origin_of(s, r, origin), pictures, &page, NULL))
+        body_drop(&page);
+    return page;
+}
+
 void answer_service_landing(struct services *s, const struct request *r, struct dataset *d,
                             const struct target *t, struct response *out)
 {
@@ -58,8 +75,12 @@ void answer_service_landing(struct services *s, const struct request *r, struct 
     struct catalog *c = services_catalog(s);
     if (!r->auth) /* hints name datasets, and caches keep the page for whoever comes next */
         hint_write(c, r->target + from, r->target_size - from, out->hints);
+    struct body *page =
+        answer_service_card(s, r, c, index->body, r->target + from, r->target_size - from);
     catalog_drop(&c);
-    response_document(r, index->type, body_ref(index->body), out);
+    response_document(r, index->type, page ? page : body_ref(index->body), out);
+    if (out->status < 400)
+        out->vary = "Accept, Accept-Encoding, Host, X-Forwarded-Host, X-Forwarded-Proto";
 }
 
 static const double SHORT_S = 60; /* how long memory that ran out is told */

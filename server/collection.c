@@ -8,6 +8,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "server/card.h"
 #include "server/document.h"
 #include "server/format.h"
 #include "server/link.h"
@@ -27,6 +28,22 @@ static void collection_add(const struct dataset *d, const char *up,
     json_array_append_new(links, document_link(row->rel, row->type,
                                                link_text(row->to, &l, href, sizeof href),
                                                row->title ? row->title : d->meta.name));
+}
+
+/* A picture of the whole scene, for lists. */
+static void collection_add_preview(const struct dataset *d, const char *up, json_t *links)
+{
+    enum { WIDTH = 320, HEIGHT = 200 };
+    struct buf href = {0};
+    card_picture(d, up ? up : "", WIDTH, HEIGHT, &href);
+    if (href.size) {
+        buf_u8(&href, 0);
+        json_array_append_new(links, href.failed
+                                         ? NULL
+                                         : document_link("preview", "image/jpeg",
+                                                         (const char *)href.data, d->meta.name));
+    }
+    buf_free(&href);
 }
 
 static void collection_add_maps(const struct dataset *d, const char *up,
@@ -96,20 +113,22 @@ static json_t *collection_json(const struct dataset *d, const char *up,
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
         collection_add(d, up, &rows[i], links);
     collection_add_maps(d, up, opt, links);
+    collection_add_preview(d, up, links);
     for (size_t i = 0; d->appearance && i < sizeof appearance / sizeof *appearance; i++)
         collection_add(d, up, &appearance[i], links);
     json_object_set_new(o, "links", links);
     const double origin[3] = {m->origin.lon_deg, m->origin.lat_deg, m->origin.h_m};
     json_object_set_new(
         o, "splats",
-        json_pack("{s:s,s:o,s:i,s:i,s:i,s:i,s:b,s:I,s:I,s:s,s:s,s:[s,s,s,s,s,s,s]}", "revision",
+        json_pack("{s:s,s:o,s:i,s:i,s:i,s:i,s:b,s:I,s:I,s:s,s:s,s:[s,s,s,s,s,s,s,s]}", "revision",
                   m->revision, "origin", document_numbers(origin, 3), "minzoom", (int)m->zoom_min,
                   "maxzoom", (int)m->zoom_max, "shDegree", (int)m->sh_degree, "embedLength",
                   (int)m->embed_len, "antialiased", (int)m->antialiased, "tiles",
                   (json_int_t)d->n_tiles, "gaussians", (json_int_t)count, "tileTemplate", tile,
                   "viewTemplate", view, "formats", format_ext(FORMAT_GLB), format_ext(FORMAT_SPZ),
                   format_ext(FORMAT_DRC), format_ext(FORMAT_PLY), format_ext(FORMAT_GLB_PLAIN),
-                  format_ext(FORMAT_PLY_PACKED), format_ext(FORMAT_SOG)));
+                  format_ext(FORMAT_GLB_PACKED), format_ext(FORMAT_PLY_PACKED),
+                  format_ext(FORMAT_SOG)));
     return o;
 }
 

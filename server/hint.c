@@ -82,6 +82,17 @@ static void hint_add_scene(const struct dataset *d, char out[HINT_SIZE])
                  d->model ? "?appearance=none&preset=preview&sh=0" : "?preset=preview&sh=0");
 }
 
+static const struct dataset *hint_find(const struct catalog *c, const char *scene)
+{
+    return scene[0] ? catalog_find(c, scene, "") : c->n_current ? c->ds[0] : NULL;
+}
+
+const struct dataset *hint_scene(const struct catalog *c, const char *query, size_t n)
+{
+    char scene[64];
+    return hint_read(query, n, scene) == HINT_NOTHING ? NULL : hint_find(c, scene);
+}
+
 void hint_write(const struct catalog *c, const char *query, size_t n, char out[HINT_SIZE])
 {
     char scene[64];
@@ -90,9 +101,7 @@ void hint_write(const struct catalog *c, const char *query, size_t n, char out[H
     if (depth == HINT_NOTHING)
         return;
     hint_add(out, link_collections, &(struct link){.from = LINK_ROOT}, "");
-    const struct dataset *d = scene[0]       ? catalog_find(c, scene, "")
-                              : c->n_current ? c->ds[0]
-                                             : NULL;
+    const struct dataset *d = hint_find(c, scene);
     if (depth == HINT_SCENE && d)
         hint_add_scene(d, out);
 }

@@ -14,6 +14,9 @@ enum { HINT_SIZE = 768 };
  * [n] bytes as sent, without '?'. It names the catalogue, then tileset, network and coarsest tile
  * of the scene that the page opens. "": the query points to another server. */
 void hint_write(const struct catalog *c, const char *query, size_t n, char out[HINT_SIZE]);
+/* The dataset that the page with this query opens; NULL: of another server, or there is none. It is
+ * borrowed from the catalogue. */
+const struct dataset *hint_scene(const struct catalog *c, const char *query, size_t n);
 /* For a tileset's entry: the tile that every view begins with (rel=preload). "": there are several.
  */
 void hint_tileset(const struct dataset *d, const struct target *t, char out[HINT_SIZE]);

@@ -216,7 +216,8 @@ size_t work_room(const struct work *w)
         return HEAD + search_room(w->ds, &w->target, w->kept);
     default:
         t = store_find(w->ds->index, w->key);
-        if (w->form.format == FORMAT_PLY || w->form.format == FORMAT_GLB_PLAIN)
+        if (w->form.format == FORMAT_PLY || w->form.format == FORMAT_GLB_PLAIN ||
+            w->form.format == FORMAT_GLB_PACKED)
             return HEAD + (t ? t->count : 0) * (17 + sh) * sizeof(float);
         return HEAD + (t ? t->count : 0) * (20 + sh + w->ds->meta.embed_len);
     }

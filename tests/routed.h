@@ -99,7 +99,7 @@ static inline const char *expand(const char *text, char *out, size_t room)
 struct ask { /* a request, in short */
     enum method method;
     const char *target, *accept, *accept_encoding, *if_none_match, *if_range, *range, *body,
-        *if_modified_since;
+        *if_modified_since, *host;
     bool prefetch;
 };
 
@@ -112,6 +112,7 @@ static inline struct response answer(const struct ask *a)
         .method = a->method,
         .target = expand(a->target, last_target, sizeof last_target),
         .accept = a->accept,
+        .host = a->host,
         .accept_encoding = a->accept_encoding,
         .if_none_match = a->if_none_match,
         .if_range = a->if_range,

@@ -189,8 +189,8 @@ static struct {
 /* Every form of every tile, and documents in each coding: no tag stands for two things. */
 static void test_tags(void **state)
 {
-    static const char *const exts[] = {"glb", "spz", "drc", "plain.glb", "compressed.ply",
-                                       "ply", "sog"};
+    static const char *const exts[] = {
+        "glb", "spz", "drc", "plain.glb", "packed.glb", "compressed.ply", "ply", "sog"};
     static const char *const presets[] = {"", "&preset=spz", "&preset=preview", "&preset=balanced",
                                           "&preset=near-lossless"};
     static const char *const documents[] = {"/collections",

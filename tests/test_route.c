@@ -9,6 +9,7 @@
 #include <unistd.h>
 
 #include "server/auth.h"
+#include "server/card.h"
 #include "server/condition.h"
 #include "server/headers.h"
 #include "server/metrics_text.h"
@@ -167,7 +168,8 @@ static void test_links_lead_somewhere(void **state)
             else
                 snprintf(path, sizeof path, "%s%s", docs[i][1], !strcmp(href, "./") ? "" : href);
             struct response to = get(path);
-            assert_int_equal(to.status, 200);
+            const char *rel = json_string_value(json_object_get(link, "rel"));
+            assert_int_equal(to.status, rel && !strcmp(rel, "preview") ? 307 : 200);
             response_free(&to);
         }
         json_decref(o);
@@ -518,6 +520,65 @@ static void test_hints(void **state)
     auth_close(&t.s.auth);
 }
 
+/* The page says which scene it is, in words that cannot become markup; of private ones nothing. */
+static void test_card(void **state)
+{
+    static const char private[] = "{\"public\": []}", plain[] = "<title>viewer</title>";
+    struct dataset *d = t.s.catalog->ds[0];
+    char kept[sizeof d->meta.attribution];
+    struct err e = {0};
+    (void)state;
+    memcpy(kept, d->meta.attribution, sizeof kept);
+    snprintf(d->meta.attribution, sizeof d->meta.attribution, "%s",
+             "\"><script>alert(1)</script>&'");
+    struct response r = answer(
+        &(struct ask){.target = "/?scene=toy", .accept = "text/html", .host = "city.example"});
+    assert_int_equal(r.status, 200);
+    assert_true(says(&r, "<title>toy – citysplat</title>"));
+    assert_true(says(&r, "property=\"og:title\" content=\"toy\""));
+    assert_true(says(&r, "content=\"http://city.example/?scene=toy\""));
+    assert_true(says(&r, "&quot;&gt;&lt;script&gt;alert(1)&lt;/script&gt;&amp;&#39;"));
+    assert_false(says(&r, "<script>alert"));
+    assert_false(says(&r, "og:image")); /* nothing is drawn here */
+    assert_false(says(&r, plain));
+    assert_non_null(strstr(r.vary, "Host"));
+    response_free(&r);
+
+    struct body *page =
+                    body_text("<!doctype html><meta name=\"description\" content=\"x\" />\n"
+                              "<meta property=\"og:title\" content=\"x\" />\n<title>x</title>"
+                              "<noscript>x</noscript><main>y</main><svg><title>z</title></svg>"),
+                *made = NULL;
+    kit_ok(card_page(page, d, "https://a.example/below", true, &made, &e), e);
+    struct response one = {.data = made->data, .size = made->size};
+    assert_true(says(&one, "property=\"og:image\" "
+                           "content=\"https://a.example/below/d/toy/static/"));
+    assert_true(says(&one, "/1200x630.jpg\""));
+    assert_true(says(&one, "content=\"summary_large_image\""));
+    assert_true(says(&one, "<noscript><img src=\"./d/toy/static/"));
+    assert_true(says(&one, "<main>y</main><svg><title>z</title></svg>"));
+    assert_false(says(&one, "content=\"x\""));
+    assert_false(says(&one, ">x<"));
+    body_drop(&made);
+    kit_ok(card_page(page, d, "", true, &made, &e), e); /* who asks by no name */
+    one = (struct response){.data = made->data, .size = made->size};
+    assert_false(says(&one, "og:image"));
+    assert_false(says(&one, "og:url"));
+    body_drop(&made);
+    body_drop(&page);
+    memcpy(d->meta.attribution, kept, sizeof kept);
+
+    r = answer(&(struct ask){.target = "/?scene=none", .accept = "text/html"});
+    assert_true(says(&r, plain));
+    response_free(&r);
+    assert_int_equal(auth_parse(private, sizeof private - 1, "access.json", &t.s.auth, &e), 0);
+    r = answer(&(struct ask){.target = "/?scene=toy", .accept = "text/html"});
+    assert_true(says(&r, plain));
+    assert_false(says(&r, "toy"));
+    response_free(&r);
+    auth_close(&t.s.auth);
+}
+
 static void test_basemap(void **state)
 {
     static const struct {
@@ -669,6 +730,7 @@ int main(void)
         cmocka_unit_test(test_viewer_files),
         cmocka_unit_test(test_coded_of_other_bytes),
         cmocka_unit_test(test_hints),
+        cmocka_unit_test(test_card),
         cmocka_unit_test(test_basemap),
         cmocka_unit_test(test_job_ends),
         cmocka_unit_test(test_words_of_failures),

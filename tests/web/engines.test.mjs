@@ -109,8 +109,8 @@ async function compare(t, engine, first, ...others) {
     assert.deepEqual(opened.log, []);
 }
 
-test("PlayCanvas draws plain.glb, .sog and both .ply alike", skip, (t) =>
-    compare(t, "playcanvas", "plain.glb", "sog", "ply", "compressed.ply"));
+test("PlayCanvas draws plain.glb, packed.glb, .sog and both .ply alike", skip, (t) =>
+    compare(t, "playcanvas", "plain.glb", "packed.glb", "sog", "ply", "compressed.ply"));
 
 // The whole city, about the store's origin.
 test("PlayCanvas draws a streamed SOG as it draws one .sog", skip, async (t) => {
@@ -132,8 +132,8 @@ test("PlayCanvas draws a streamed SOG as it draws one .sog", skip, async (t) => 
 test("Spark draws .spz, .sog and both .ply alike", skip, (t) =>
     compare(t, "spark", "spz", "sog", "ply", "compressed.ply"));
 
-test("Babylon.js draws plain.glb, .spz, .sog and both .ply alike", skip, (t) =>
-    compare(t, "babylon", "plain.glb", "spz", "sog", "ply", "compressed.ply"));
+test("Babylon.js draws plain.glb, packed.glb, .spz, .sog and both .ply alike", skip, (t) =>
+    compare(t, "babylon", "plain.glb", "packed.glb", "spz", "sog", "ply", "compressed.ply"));
 
 test("Leaflet lays the map where the city is", skip, async () => {
     const lonLat = (enu) => {

@@ -193,6 +193,37 @@ test("scripts come as brotli, what they ask for is on its way before them, and n
     assert.ok(size < 0.25 * text.length, `${size} of ${text.length} bytes`);
 });
 
+// As those fetch it who show a card of a link: the page without scripts, and the picture that it names.
+test("the page of a scene names it, with a picture of all of it", { skip: MOCK || GIVEN_TILES ? "needs the test city" : false }, async (t) => {
+    const name = await firstDataSet(source.url);
+    const html = await (await fetch(`${source.url}/?scene=${name}`, { headers: { accept: "text/html" } })).text();
+    const tag = (what) => new RegExp(`<meta (?:property|name)="${what}" content="([^"]*)"`).exec(html)?.[1];
+    assert.match(html, new RegExp(`<title>${name} – citysplat</title>`));
+    assert.equal(tag("og:title"), name);
+    assert.equal(tag("og:url"), `${source.url}/?scene=${name}`);
+    assert.match(tag("og:description"), /^A city in 3D at 52\.\d+° N, 13\.\d+° E\. Test city, drawn by code$/);
+    const address = tag("og:image");
+    if (!address) return t.skip("nothing is drawn here");
+    assert.equal(tag("twitter:card"), "summary_large_image");
+    const ask = async () => {
+        const began = performance.now();
+        const answer = await fetch(address.replace(/jpg$/, "png"));
+        const bytes = Buffer.from(await answer.arrayBuffer());
+        return { answer, bytes, ms: performance.now() - began };
+    };
+    const first = await ask();
+    if ([501, 503].includes(first.answer.status)) return t.skip("no pictures");
+    assert.equal(first.answer.status, 200, address);
+    const { ms } = await ask();
+    t.diagnostic(`${ms.toFixed(0)} ms when it is there`);
+    const picture = decodePng(first.bytes);
+    const { share } = measureContent(picture);
+    assert.ok(share > 0.1, `${share} of the picture is not background`);
+    // All of it: the rim is empty.
+    for (let x = 0; x < 1200; x += 8) for (const y of [0, 629]) assert.ok(Math.max(...picture.at(x, y).slice(0, 3)) < 24, `${x}, ${y}`);
+    assert.match(html, /<noscript><img src="\.\/d\/[^"]+\/1200x630\.jpg"/);
+});
+
 test("keys move the camera", city, async () => {
     const hold = async (key) => {
         await lookViewer(page, SOUTH);
@@ -284,6 +315,10 @@ test("problems are said in words, and go when the next scene opens", async () =>
     // What there is can be chosen.
     const titles = (await getJson(`${source.url}/collections`)).collections.map(({ id, title }) => title ?? id);
     assert.deepEqual(await page.locator("#problem-scenes button").allTextContents(), titles);
+    if (!MOCK) {
+        const pictures = await page.$$eval("#problem-scenes img", (all) => all.map(({ src }) => src));
+        assert.ok(pictures.length <= titles.length && pictures.every((src) => /\/static\/.*\/320x200\.jpg$/.test(src)), pictures.join());
+    }
     await page.click("#problem-scenes button");
     await waitForViewer(page);
     assert.equal(await page.textContent("#title"), titles[0]);

@@ -20,6 +20,7 @@ export interface SceneEntry {
   pictures: URL | null; // the folder of its static views; null on a file server
   questions: URL | null; // the folder of height, profile, measure; null on a file server
   map: URL | null; // TileJSON of its map tiles; null where there are none
+  preview: URL | null; // a small picture of the whole scene; null where nobody draws one
   packed: boolean; // tiles are to be had as .drc, and as drafts
 }
 
@@ -81,6 +82,7 @@ function entryOf(collection: Collection, base: URL): SceneEntry {
   const href = (rel: string) => collection.links?.find((link) => link.rel === rel)?.href;
   const appearances = href("appearances");
   const network = href("appearance-model");
+  const preview = href("preview");
   const map = collection.links?.find((link) => /\/map\.json$/.test(link.href ?? ""))?.href;
   const revision = collection.splats?.revision;
   const folder = `d/${encodeURIComponent(id)}/`;
@@ -95,6 +97,7 @@ function entryOf(collection: Collection, base: URL): SceneEntry {
     pictures: new URL(revision ? `${folder}r/${revision}/static/` : `${folder}static/`, base),
     questions: new URL(folder, base),
     map: map ? new URL(map, base) : null,
+    preview: preview ? new URL(preview, base) : null,
     packed: Array.isArray(collection.splats?.formats) && collection.splats.formats.includes("drc"),
   };
 }
@@ -104,7 +107,7 @@ function entryOfTileset(tileset: URL): SceneEntry {
   const folder = decodeURIComponent(tileset.pathname.split("/").at(-2) ?? "");
   const id = folder || "city";
   const absent = { catalogue: null, appearances: null, network: null };
-  const unasked = { pictures: null, questions: null, map: null, packed: false };
+  const unasked = { pictures: null, questions: null, map: null, preview: null, packed: false };
   return { id, title: id, attribution: "", tileset, ...absent, ...unasked };
 }
 

@@ -172,9 +172,16 @@ export class Status {
     element("problem").hidden = false;
   }
 
-  private linkTo({ id, title }: SceneEntry): HTMLElement {
+  private linkTo({ id, title, preview }: SceneEntry): HTMLElement {
     const button = document.createElement("button");
     button.textContent = title;
+    if (preview) {
+      const picture = document.createElement("img");
+      picture.alt = "";
+      picture.onerror = () => picture.remove(); // of a server that draws nothing
+      picture.src = preview.href;
+      button.prepend(picture);
+    }
     button.onclick = () => void this.viewer.openScene(id);
     const item = document.createElement("li");
     item.append(button);
