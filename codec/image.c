@@ -14,6 +14,7 @@
 #include <unistd.h>
 
 #include "codec/image_library.h"
+#include "codec/jpg.h"
 #include "codec/limits.h"
 #include "codec/png.h"
 #include "codec/webp.h"
@@ -33,7 +34,7 @@ static void image_load_once(void)
         image_table = table;
 }
 
-enum err_code image_load(struct err *e)
+static enum err_code image_load(struct err *e)
 {
     static pthread_once_t once = PTHREAD_ONCE_INIT;
     pthread_once(&once, image_load_once);
@@ -87,14 +88,36 @@ static enum err_code image_open(const char *path, struct image_input **in, struc
                    s->width_px, s->height_px, s->depth, s->channels);
 }
 
+static size_t image_limit(const struct codec_limits *lim)
+{
+    return lim && lim->max_pixels ? lim->max_pixels : CODEC_MAX_PIXELS;
+}
+
 static enum err_code image_check(const char *path, const struct image_spec *s,
                                  const struct codec_limits *lim, struct err *e)
 {
-    size_t limit = lim && lim->max_pixels ? lim->max_pixels : CODEC_MAX_PIXELS;
+    size_t limit = image_limit(lim);
     return (size_t)s->width_px * (size_t)s->height_px <= limit
                ? ERR_OK
                : err_set(e, ERR_LIMIT, "image: %s: %d x %d pixels are more than the limit of %zu",
                          path, s->width_px, s->height_px, limit);
+}
+
+/* Reads a plain JPEG without OpenImageIO. Returns false for any other file, and for one that is
+ * damaged or beyond a limit: OpenImageIO's way says so. */
+static bool image_read_plain(const char *path, const struct codec_limits *lim, struct image *out)
+{
+    struct err e;
+    struct jpg *j;
+    uint32_t width_px, height_px;
+    if (!jpg_open(path, &j, &width_px, &height_px))
+        return false;
+    bool ok = (size_t)width_px * height_px <= image_limit(lim) &&
+              !image_alloc(width_px, height_px, 3, out, &e) && jpg_read(j, out->px);
+    jpg_close(j);
+    if (!ok)
+        image_free(out);
+    return ok;
 }
 
 enum err_code image_read(const char *path, const struct codec_limits *lim, struct image *out,
@@ -105,6 +128,8 @@ enum err_code image_read(const char *path, const struct codec_limits *lim, struc
     struct image_why why;
     struct image img = {0};
     *out = img;
+    if (image_read_plain(path, lim, out))
+        return ERR_OK;
     enum err_code rc = image_open(path, &in, &s, e);
     if (rc)
         return rc;
@@ -152,21 +177,48 @@ enum err_code image_read_map(const char *path, const struct codec_limits *lim, u
     return ERR_OK;
 }
 
+static bool image_no_attribute(const void *user, const char *name, char *text, size_t room)
+{
+    (void)user, (void)name;
+    if (room)
+        *text = '\0';
+    return false;
+}
+
+/* The head of a plain JPEG without OpenImageIO, which is needed only for the XMP of drones. */
+static bool image_info_plain(const char *path, uint32_t *width_px, uint32_t *height_px,
+                             struct drone_meta *drone)
+{
+    struct jpg *j;
+    if (!jpg_open(path, &j, width_px, height_px))
+        return false;
+    bool ok = !drone || !jpg_has_xmp(j);
+    jpg_close(j);
+    if (ok && drone)
+        drone_read(image_no_attribute, NULL, drone);
+    return ok;
+}
+
 enum err_code image_read_info(const char *path, uint32_t *width_px, uint32_t *height_px,
                               struct image_gps *gps, struct drone_meta *drone, struct err *e)
 {
     struct image_input *in;
     struct image_spec s;
-    enum err_code rc = image_open(path, &in, &s, e);
-    if (rc)
-        return rc;
+    uint32_t size_px[2];
+    if (!image_info_plain(path, &size_px[0], &size_px[1], drone)) {
+        enum err_code rc = image_open(path, &in, &s, e);
+        if (rc)
+            return rc;
+        size_px[0] = (uint32_t)s.width_px;
+        size_px[1] = (uint32_t)s.height_px;
+        if (drone)
+            drone_read(image_table->attribute, in, drone);
+        image_table->close(in);
+    }
     if (width_px)
-        *width_px = (uint32_t)s.width_px;
+        *width_px = size_px[0];
     if (height_px)
-        *height_px = (uint32_t)s.height_px;
-    if (drone)
-        drone_read(image_table->attribute, in, drone);
-    image_table->close(in);
+        *height_px = size_px[1];
     return gps ? exif_read(path, gps, e) : ERR_OK;
 }
 
@@ -191,6 +243,9 @@ enum err_code image_encode(const struct image *img, const char *format, int qual
     if (!strcmp(format, "webp") && img->channels >= 3)
         return webp_encode(img->px, img->width_px, img->height_px, img->channels,
                            image_quality(quality), out, e);
+    if (!strcmp(format, "jpg") && jpg_encode(img->px, img->width_px, img->height_px, img->channels,
+                                             image_quality(quality), out))
+        return buf_check(out, e);
     enum err_code rc = image_load(e);
     if (rc)
         return rc;

@@ -1,4 +1,5 @@
-/* Pictures in files and in memory, by OpenImageIO: image.c, image_shim.cc, image_resize.c.
+/* Pictures in files and in memory, by libjpeg, libwebp and OpenImageIO: image.c, jpg.c, webp.c,
+ * png.c, image_shim.cc, image_resize.c.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -24,10 +25,9 @@ struct image { /* {0} is empty */
     uint32_t width_px, height_px, channels;
     uint8_t *px; /* [h][w][channels], sRGB values as stored */
 };
-/* Loads OpenImageIO now, which takes 0.4 s. Otherwise the first function that reads a file, or
- * writes .jpg or .tif, loads it and returns these errors. ERR_NOENT (not installed), ERR_INTERNAL.
- * Any thread. */
-enum err_code image_load(struct err *e) ERR_USE;
+/* OpenImageIO is loaded by the first function that needs it, which takes 0.8 s of processor time
+ * and may fail with ERR_NOENT (not installed) or ERR_INTERNAL. Plain JPEGs (jpg.h), and
+ * .png and .webp that are written, do not need it. Any thread may call these functions. */
 /* Reads a picture as 8-bit RGB. Grey is expanded and alpha dropped. The EXIF orientation is
  * ignored, as in COLMAP. Free it with image_free. ERR_NOENT, ERR_FORMAT (not an image; names the
  * file), ERR_LIMIT, ERR_MEM. */

@@ -1,6 +1,6 @@
 /* OpenImageIO's functions for codec/image.c. image_shim.cc is a library of its own, which is loaded
- * with the first image. OpenImageIO needs 250 libraries. Every process linked with it starts 0.35 s
- * later, and most commands and tests open no image.
+ * with the first image that is no plain JPEG (jpg.h). OpenImageIO needs 250 libraries: 0.8 s of
+ * processor time in every process that loads it.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -89,8 +89,6 @@ static enum err_code draw_open(const void *hello, size_t n, void **user, char ab
     d->has_dev = !rc;
     if (!rc)
         rc = render_open(&d->dev, &d->render, e);
-    if (!rc)
-        rc = image_load(e); /* now, not within the first picture */
     if (!rc && d->hello.geoid[0])
         rc = geoid_open(d->hello.geoid, d->hello.geoid_dir, &d->geoid, e);
     if (rc)

@@ -233,6 +233,8 @@ static inline bool start_with_device(void)
     const struct timespec nap = {.tv_nsec = 20000000};
     struct err e = {0};
     struct dev dev;
+    if (t.server)
+        return true; /* that of the test before: SHARED_TEST */
     if (dev_open("cpu", &dev, &e) != ERR_OK) {
         print_message("skipped: %s\n", e.msg);
         return false;
@@ -324,5 +326,14 @@ static inline void await_no_connections(void)
 #define H "Host: a\r\n"
 #define POST "POST /d/toy/render HTTP/1.1\r\n" H
 #define HTTP_TEST(f) cmocka_unit_test_setup_teardown(f, setup, teardown)
+
+/* Tests one after the other that ask one server, which the first of them starts: a process that
+ * draws takes a second of the processor to start. SHARED_LAST stops it. */
+static inline int setup_shared(void **state)
+{
+    return t.server ? 0 : setup(state);
+}
+#define SHARED_TEST(f) cmocka_unit_test_setup_teardown(f, setup_shared, NULL)
+#define SHARED_LAST(f) cmocka_unit_test_setup_teardown(f, setup_shared, teardown)
 
 #endif

@@ -105,6 +105,53 @@ static void test_quality_decides_chroma_and_size(void **state)
     image_free(&img);
 }
 
+static void write_all(const char *path, const struct buf *b)
+{
+    struct err e = {0};
+    kit_ok(file_write(path, b->data, b->size, &e), e);
+}
+
+/* Plain JPEGs do not go through OpenImageIO: its own program reads them, and writes them, alike. */
+static void test_jpegs_are_openimageios(void **state)
+{
+    static const struct {
+        uint32_t width_px, height_px, channels;
+        int quality;
+    } kinds[] = {{37, 23, 3, 90}, {64, 48, 3, 97}, {33, 17, 1, 80}, {1, 1, 3, 1}};
+    struct err e = {0};
+    struct buf out = {0};
+    (void)state;
+    if (kit_run(&out, "command -v oiiotool"))
+        skip();
+    buf_free(&out);
+    for (size_t i = 0; i < sizeof kinds / sizeof *kinds; i++) {
+        struct image img = picture(kinds[i].width_px, kinds[i].height_px, kinds[i].channels), own,
+                     theirs;
+        struct buf jpg = {0};
+        size_t n = (size_t)3 * img.width_px * img.height_px;
+        kit_ok(image_encode(&img, "jpg", kinds[i].quality, &jpg, &e), e);
+        write_all(in_tmp("own.jpg"), &jpg);
+        kit_ok(image_write(in_tmp("pixels.png"), &img, 0, NULL, &e), e);
+        if (kit_run(&out,
+                    "cd '%s' && oiiotool own.jpg -o read.png && oiiotool pixels.png --eraseattrib "
+                    "'.*' --attrib oiio:ColorSpace sRGB --attrib:type=string "
+                    "jpeg:subsampling %s --quality %d -o theirs.jpg",
+                    kit_tmp, kinds[i].quality >= 95 ? "4:4:4" : "4:2:0", kinds[i].quality))
+            fail_msg("%s", (const char *)out.data);
+        kit_ok(image_read(in_tmp("own.jpg"), NULL, &own, &e), e);
+        kit_ok(image_read(in_tmp("read.png"), NULL, &theirs, &e), e);
+        assert_memory_equal(own.px, theirs.px, n);
+        image_free(&theirs);
+        kit_ok(image_read(in_tmp("theirs.jpg"), NULL, &theirs, &e), e);
+        assert_memory_equal(own.px, theirs.px, n);
+        image_free(&own);
+        image_free(&theirs);
+        image_free(&img);
+        buf_free(&jpg);
+        buf_free(&out);
+    }
+}
+
 static void test_grey_is_expanded(void **state)
 {
     (void)state;
@@ -465,6 +512,7 @@ int main(void)
         cmocka_unit_test(test_write_read),
         cmocka_unit_test(test_encode_is_deterministic),
         cmocka_unit_test(test_quality_decides_chroma_and_size),
+        cmocka_unit_test(test_jpegs_are_openimageios),
         cmocka_unit_test(test_grey_is_expanded),
         cmocka_unit_test(test_alpha_is_dropped_not_multiplied),
         cmocka_unit_test(test_exif_round_trip),

@@ -26,6 +26,7 @@ const LINKED = {
   "libgdal": ["MIT", "maps and heights as files; `citysplat-gdal.so`"],
   "libgeographiclib": ["MIT", "geodesy"],
   "libgnutls": ["LGPL-2.1-or-later", "HTTPS"],
+  "libjpeg62-turbo": ["IJG AND BSD-3-Clause AND Zlib", "plain JPEG"],
   "libjansson": ["MIT", "JSON"],
   "libmicrohttpd": ["LGPL-2.1-or-later", "HTTP"],
   "libnettle": ["LGPL-3.0-or-later OR GPL-2.0-or-later", "signed addresses"],
