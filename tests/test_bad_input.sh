@@ -91,18 +91,23 @@ fi
 # -- libraries of the program -------------------------------------------------------------------------------------
 mkdir "$work/alone"
 cp "$bin" "$work/alone/citysplat"
-refuse "no library of images" 1 "images: citysplat-image.so: is neither beside the program nor in" "$work/pictures" \
-    "$work/alone/citysplat" synth -o "$work/pictures" --photos 3 --width-px 64 --height-px 48 --extent-m 40 -q
+# Plain JPEGs need no library; a .tif does. One Gaussian of .splat: mean and size as 6 floats, RGBA, rotation.
+printf '\0\0\0\0\0\0\0\0\0\0\200\100\315\314\314\075\315\314\314\075\315\314\314\075\377\200\100\377\377\200\200\200' >"$work/one.splat"
+cat >"$work/camera.json" <<'JSON'
+{"width": 64, "height": 48, "fx": 50, "fy": 50, "cx": 32, "cy": 24, "world_to_camera": [1,0,0,0, 0,1,0,0, 0,0,1,0, 0,0,0,1]}
+JSON
+refuse "no library of images" 1 "images: citysplat-image.so: is neither beside the program nor in" "$work/one.tif" \
+    "$work/alone/citysplat" render "$work/one.splat" --camera "$work/camera.json" -o "$work/one.tif" -q
 refuse "no library of maps" 1 "maps and projections: citysplat-gdal.so: is neither beside the program nor in" "" \
     "$work/alone/citysplat" synth --city "$work/city" --map "$work/file" -q
 echo 'not a library' >"$work/alone/citysplat-gdal.so"
 refuse "a library that is none" 1 "citysplat-gdal.so: cannot be loaded" "" \
     "$work/alone/citysplat" synth --city "$work/city" --map "$work/file" -q
 
-# An installed program finds both: it writes photographs, and GDAL says what the file is not.
+# An installed program finds both: it writes a .tif, and GDAL says what the file is not.
 if [ -f "$(dirname "$bin")/CMakeCache.txt" ]; then
     cmake --install "$(dirname "$bin")" --prefix "$work/usr" >"$work/log" 2>&1 || { cat "$work/log"; exit 1; }
-    "$work/usr/bin/citysplat" synth -o "$work/pictures" --photos 3 --width-px 64 --height-px 48 --extent-m 40 -q || exit 1
+    "$work/usr/bin/citysplat" render "$work/one.splat" --camera "$work/camera.json" -o "$work/one.tif" -q || exit 1
     refuse "a map that is none, by an installed program" 1 "file: not a GeoTIFF" "" \
         "$work/usr/bin/citysplat" synth --city "$work/city" --map "$work/file" -q
 else
