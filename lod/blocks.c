@@ -2,7 +2,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#define _GNU_SOURCE /* fallocate */
+#define _GNU_SOURCE // NOLINT(cert-dcl51-cpp): fallocate
 #include "lod/blocks.h"
 
 #include <assert.h>

@@ -487,6 +487,7 @@ static enum err_code range_ask(struct range *r, struct range_object *o, const st
 }
 
 enum err_code range_get(struct range *r, struct range_object *o, uint64_t at, size_t n,
+                        // NOLINTNEXTLINE(readability-non-const-parameter): range_ask writes to it
                         uint8_t *out, size_t *got, double until_s, struct err *e)
 {
     const struct range_ask q = {.at = at, .n = n, .out = out};

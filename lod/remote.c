@@ -205,6 +205,20 @@ static enum err_code remote_fetch(struct remote *r, uint64_t b, struct err *e)
     return ERR_OK;
 }
 
+/* Reads block b into r->block, from the file or from the server. */
+static enum err_code remote_take(struct remote *r, uint64_t b, struct err *e)
+{
+    if (b == r->have)
+        return ERR_OK;
+    r->have = UINT64_MAX;
+    enum err_code rc = blocks_get(r->blocks, b, r->block) ? ERR_OK : remote_fetch(r, b, e);
+    if (rc)
+        r->failed = *e;
+    else
+        r->have = b;
+    return rc;
+}
+
 enum err_code remote_read(struct remote *r, uint64_t at, void *out, size_t n, struct err *e)
 {
     struct err own = {0};
@@ -214,17 +228,9 @@ enum err_code remote_read(struct remote *r, uint64_t at, void *out, size_t n, st
         const uint64_t b = at / BLOCKS_BYTES;
         const size_t skip = (size_t)(at % BLOCKS_BYTES), left = BLOCKS_BYTES - skip,
                      part = n < left ? n : left;
-        if (b != r->have) {
-            r->have = UINT64_MAX;
-            if (!blocks_get(r->blocks, b, r->block)) {
-                const enum err_code rc = remote_fetch(r, b, e);
-                if (rc) {
-                    r->failed = *e;
-                    return rc;
-                }
-            }
-            r->have = b;
-        }
+        const enum err_code rc = remote_take(r, b, e);
+        if (rc)
+            return rc;
         memcpy(to, r->block + skip, part);
         to += part;
         at += part;

@@ -188,11 +188,10 @@ bool sweep_wall(const struct sweep_input *in, uint32_t x0, uint32_t y0, struct s
     *out = (struct sweep_wall){{d[0] / flat, d[1] / flat}, flat / d[2], least, most};
     if (!in->walls || !(d[2] < -SWEEP_DOWN) || !(out->rho < -SWEEP_WALL_SLOPE))
         return false;
-    /* scale is a ratio of linear functions: its extremes lie at the corners */
-    if (sweep_wall_span(in, out, x0, y0, &low, &high) &
-        sweep_wall_span(in, out, x1, y0, &low, &high) &
-        sweep_wall_span(in, out, x0, y1, &low, &high) &
-        sweep_wall_span(in, out, x1, y1, &low, &high)) {
+    bool all = true; /* scale is a ratio of linear functions: its extremes lie at the corners */
+    for (int k = 0; k < 4; k++)
+        all &= sweep_wall_span(in, out, k % 2 ? x1 : x0, k / 2 ? y1 : y0, &low, &high);
+    if (all) {
         out->first = (int)fmax(floor(low), least);
         out->end = (int)fmin(floor(high) + 2.0, most);
     }

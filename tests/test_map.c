@@ -67,6 +67,8 @@ static void needs_gdal(const char *program)
 /* prefix: what stands before each path; "" where the survey is public. */
 static bool start_drawing_below(const char *prefix)
 {
+    if (!t.server)
+        t.cfg.deadline_s = 60; /* on a busy machine a question takes longer than people wait */
     if (!start_with_device())
         return false;
     char tile[256], target[900]; /* tags are those of the device, known once one was drawn */
@@ -712,6 +714,8 @@ static void questions_end_with_their_client(void **state)
                        .id = {.lo = 1, .hi = 2},
                        .query = q};
     catalog_drop(&c);
+    job_count(s->jobs, &st);
+    uint64_t cancelled = st.ended[JOB_MAP][JOB_CANCELLED]; /* of the tests before */
     assert_int_equal(job_submit(s->jobs, JOB_MAP, w->id, w, 1, 60, &waiter), ERR_OK);
     double end_s = clock_s() + PATIENCE_S;
     do {
@@ -722,7 +726,7 @@ static void questions_end_with_their_client(void **state)
     while (!job_idle(s->jobs) && clock_s() < end_s)
         nanosleep(&nap, NULL);
     job_count(s->jobs, &st);
-    assert_int_equal(st.ended[JOB_MAP][JOB_CANCELLED], 1);
+    assert_int_equal(st.ended[JOB_MAP][JOB_CANCELLED], cancelled + 1);
 }
 
 /* What is answered is test_query's; here: how it is asked, and what is said to nonsense. */

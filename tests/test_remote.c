@@ -3,7 +3,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#define _GNU_SOURCE /* strcasestr */
+#define _GNU_SOURCE // NOLINT(cert-dcl51-cpp): strcasestr
 #include "tests/ranges_kit.h"
 
 #include "tests/client.h"

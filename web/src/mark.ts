@@ -22,6 +22,7 @@ class MarkPage {
   readonly view: PhotoView;
   photo = -1;
   pending = 0; // changes on their way
+  private choosing = 0; // points whose photographs are asked for
   private readonly bitmaps = new Map<number, Promise<ImageBitmap>>();
   private nudged: ReturnType<typeof setTimeout> | undefined;
 
@@ -48,14 +49,19 @@ class MarkPage {
   // ---- what is shown ----
 
   async choose(point: number) {
-    await this.flush();
-    await this.desk.choose(point);
-    this.lists();
-    await this.openPhoto(this.desk.spots[0]?.photo ?? -1);
+    this.choosing++;
+    try {
+      await this.flush();
+      await this.desk.choose(point);
+      this.lists();
+      await this.openPhoto(this.desk.spots[0]?.photo ?? -1);
+    } finally {
+      this.choosing--;
+    }
   }
 
   get ready() {
-    return this.pending === 0 && !this.nudged && element("wait").hidden;
+    return this.pending === 0 && this.choosing === 0 && !this.nudged && element("wait").hidden;
   }
 
   private async openPhoto(photo: number, focus = false) {
