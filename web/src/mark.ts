@@ -22,7 +22,7 @@ class MarkPage {
   readonly view: PhotoView;
   photo = -1;
   pending = 0; // changes on their way
-  private choosing = 0; // points whose photographs are asked for
+  private asking = 0; // for the survey, or for a point's photographs
   private readonly bitmaps = new Map<number, Promise<ImageBitmap>>();
   private nudged: ReturnType<typeof setTimeout> | undefined;
 
@@ -40,28 +40,33 @@ class MarkPage {
   }
 
   async open(point: number) {
-    await this.desk.open();
-    setText("saved", say("ready", { file: this.desk.output }));
-    if (this.desk.strays) banner(say("strays", { n: this.desk.strays }));
-    await this.choose(point);
+    this.asking++;
+    try {
+      await this.desk.open();
+      setText("saved", say("ready", { file: this.desk.output }));
+      if (this.desk.strays) banner(say("strays", { n: this.desk.strays }));
+      await this.choose(point);
+    } finally {
+      this.asking--;
+    }
   }
 
   // ---- what is shown ----
 
   async choose(point: number) {
-    this.choosing++;
+    this.asking++;
     try {
       await this.flush();
       await this.desk.choose(point);
       this.lists();
       await this.openPhoto(this.desk.spots[0]?.photo ?? -1);
     } finally {
-      this.choosing--;
+      this.asking--;
     }
   }
 
   get ready() {
-    return this.pending === 0 && this.choosing === 0 && !this.nudged && element("wait").hidden;
+    return this.pending === 0 && this.asking === 0 && !this.nudged && element("wait").hidden;
   }
 
   private async openPhoto(photo: number, focus = false) {
