@@ -1,8 +1,9 @@
 /* Parts of an object at a web server or in a bucket, by HTTP range requests (RFC 9110, 14). libcurl
  * speaks the protocol, and signs requests to S3.
  *
- * What a server sends is not trusted. Each answer must be of the object that was opened (the same
- * entity tag, or date, and size), of the bytes that were asked for, and complete.
+ * What a server sends is not trusted. An answer must hold all of the bytes that were asked for, and
+ * no others. It must come from the object that was opened: its size is the same, and so is its
+ * entity tag, or its date where there is no tag.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
