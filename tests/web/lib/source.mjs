@@ -137,7 +137,8 @@ function run(args) {
 
 // A small city under changing light, trained with appearance in a few seconds and served, beside the
 // test city. Gaussians stay thick (--solid-flat 0): at the rim of thin ones a pixel differs by 21 of 255
-// between the page's colours and tiles that the server baked. Exposures are left to the network (--no-exposure): appearances then differ strongly.
+// between the page's colours and tiles that the server baked. Exposures are left to the network
+// (--no-exposure): appearances then differ strongly.
 // The test city, which has none (`plain` is its name). many: Gaussians of a third scene, `many`.
 // serveWith: options of `citysplat serve`, beside; "DIR" in them is a folder of its own.
 export async function openLitCity({ many = null, serveWith = [] } = {}) {
