@@ -8,6 +8,7 @@
 #include "cli/truth.h"
 #include "cli/truth_heights.h"
 #include "synth/synth.h"
+#include "synth/synth_splats.h"
 
 /* Completeness: what has a surface within so many GSD of the city's. */
 static void synth_print_heights(const char *where, const struct surface_figures *f)
@@ -95,6 +96,18 @@ enum err_code cli_synth(int argc, char **argv, struct err *e)
         if (!rc)
             printf("%s: %lld map views of %s in %.1f s\n", dir, (long long)cfg.map_views, cfg.city,
                    clock_s() - start);
+        goto out;
+    }
+    if (cfg.sh_degree && !cfg.splats) {
+        rc = err_set(e, ERR_ARG, "--sh-degree is that of Gaussians; give --splats N as well");
+        goto out;
+    }
+    if (cfg.splats) {
+        rc = synth_splats_write(&cfg, e);
+        double took = clock_s() - start;
+        if (!rc)
+            printf("%s: %lld Gaussians in %.1f s (%.2f M/s)\n", cfg.output, (long long)cfg.splats,
+                   took, (double)cfg.splats / took / 1e6);
         goto out;
     }
     rc = synth_run(&cfg, e);

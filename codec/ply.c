@@ -22,7 +22,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define FLOAT_REACH_M 4096.0
 /* What writers make of opacity 1 and of flat Gaussians: infinities, brought back to the last
  * sensible value. */
 #define OPACITY_LOGIT_MAX 16.0f
@@ -117,8 +116,9 @@ static void ply_means_read(const struct source *s, const struct columns *col, st
                 hi[c] = v > hi[c] ? v : hi[c];
             }
         double far = fmax(fabs(lo[c]), fabs(hi[c]));
-        g->origin_enu_m[c] =
-            far > FLOAT_REACH_M && lo[c] <= hi[c] && far < 1e9 ? round(lo[c] / 2 + hi[c] / 2) : 0;
+        g->origin_enu_m[c] = far > PLY_FLOAT_REACH_M && lo[c] <= hi[c] && far < 1e9
+                                 ? round(lo[c] / 2 + hi[c] / 2)
+                                 : 0;
     }
     for (size_t i = 0; i < g->n; i++)
         for (int c = 0; c < 3; c++)
@@ -211,14 +211,13 @@ enum err_code ply_read(const char *path, const struct codec_limits *lim, struct 
 
 /* ---- writing ---- */
 
-static void ply_head_write(const struct gauss *g, const struct ply_info *info, bool doubles,
-                           struct buf *out)
+void ply_encode_head(const struct ply_rows *r, const struct ply_info *info, struct buf *out)
 {
-    size_t n_rest = 3 * (gauss_sh_count(g->sh_degree) - 1);
-    ply_head_comments(info, g->antialiased, out);
-    buf_printf(out, "element vertex %zu\n", g->n);
+    size_t n_rest = 3 * (gauss_sh_count(r->sh_degree) - 1);
+    ply_head_comments(info, r->antialiased, out);
+    buf_printf(out, "element vertex %zu\n", r->n);
     for (int c = 0; c < 3; c++)
-        buf_printf(out, "property %s %c\n", doubles ? "double" : "float", "xyz"[c]);
+        buf_printf(out, "property %s %c\n", r->doubles ? "double" : "float", "xyz"[c]);
     buf_printf(out, "property float nx\nproperty float ny\nproperty float nz\n");
     for (int i = 3; i < 6; i++)
         buf_printf(out, "property float %s\n", fixed_names[i]);
@@ -229,25 +228,16 @@ static void ply_head_write(const struct gauss *g, const struct ply_info *info, b
     buf_printf(out, "end_header\n");
 }
 
-enum err_code ply_encode(const struct gauss *g, const struct ply_info *info, struct buf *out,
-                         struct err *e)
+size_t ply_row_bytes(const struct ply_rows *r)
 {
-    const size_t k = gauss_sh_count(g->sh_degree), n_rest = k - 1;
-    size_t bad = 0, start = out->size;
-    bool doubles = false;
-    if (gauss_count_bad(g, &bad))
-        return err_set(e, ERR_DATA, "ply: row %zu: not finite, or no rotation", bad);
-    for (size_t i = 0; i < 3 * g->n && !doubles; i++)
-        doubles = fabs((double)g->mean_m[i] + g->origin_enu_m[i % 3]) > FLOAT_REACH_M;
-    if (doubles && g->origin_enu_m[0] == 0 && g->origin_enu_m[1] == 0 && g->origin_enu_m[2] == 0)
-        doubles = false; /* they are float32 already */
-    ply_head_write(g, info, doubles, out);
-    const size_t n_tail = 3 + 3 * k + 1 + 3 + 4, row = 3 * (doubles ? 8 : 4) + 4 * n_tail;
-    uint8_t *p = g->n <= SIZE_MAX / row ? buf_grow(out, g->n * row) : NULL;
-    if (!p) {
-        out->size = start;
-        return err_set(e, ERR_MEM, "ply: %zu Gaussians: out of memory", g->n);
-    }
+    return 3 * (r->doubles ? sizeof(double) : sizeof(float)) +
+           sizeof(float) * (3 + 3 * gauss_sh_count(r->sh_degree) + 1 + 3 + 4);
+}
+
+void ply_encode_rows(const struct gauss *g, bool doubles, uint8_t *out)
+{
+    const size_t k = gauss_sh_count(g->sh_degree), n_rest = k - 1, n_tail = 3 + 3 * k + 1 + 3 + 4;
+    uint8_t *p = out;
     for (size_t i = 0; i < g->n; i++) {
         const float *sh = g->sh + 3 * k * i;
         float tail[3 + 48 + 8] = {0}, *t = tail + 3; /* normals 0 */
@@ -267,5 +257,27 @@ enum err_code ply_encode(const struct gauss *g, const struct ply_info *info, str
         memcpy(p, tail, 4 * n_tail);
         p += 4 * n_tail;
     }
+}
+
+enum err_code ply_encode(const struct gauss *g, const struct ply_info *info, struct buf *out,
+                         struct err *e)
+{
+    struct ply_rows rows = {.n = g->n, .sh_degree = g->sh_degree, .antialiased = g->antialiased};
+    size_t bad = 0, start = out->size;
+    if (gauss_count_bad(g, &bad))
+        return err_set(e, ERR_DATA, "ply: row %zu: not finite, or no rotation", bad);
+    for (size_t i = 0; i < 3 * g->n && !rows.doubles; i++)
+        rows.doubles = fabs((double)g->mean_m[i] + g->origin_enu_m[i % 3]) > PLY_FLOAT_REACH_M;
+    if (rows.doubles && g->origin_enu_m[0] == 0 && g->origin_enu_m[1] == 0 &&
+        g->origin_enu_m[2] == 0)
+        rows.doubles = false; /* they are float32 already */
+    ply_encode_head(&rows, info, out);
+    const size_t row = ply_row_bytes(&rows);
+    uint8_t *p = g->n <= SIZE_MAX / row ? buf_grow(out, g->n * row) : NULL;
+    if (!p) {
+        out->size = start;
+        return err_set(e, ERR_MEM, "ply: %zu Gaussians: out of memory", g->n);
+    }
+    ply_encode_rows(g, rows.doubles, p);
     return ERR_OK;
 }

@@ -5,6 +5,7 @@
 #ifndef CODEC_PLY_H
 #define CODEC_PLY_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -28,6 +29,19 @@ enum err_code ply_decode(const void *bytes, size_t n, const struct codec_limits 
 /* Appends an INRIA .ply to `out`. info may be NULL. ERR_MEM. */
 enum err_code ply_encode(const struct gauss *g, const struct ply_info *info, struct buf *out,
                          struct err *e) ERR_USE;
+/* An INRIA .ply in parts, for one that is larger than memory: the head, then the rows in any order,
+ * each at its place. Positions farther than PLY_FLOAT_REACH_M from 0 should be doubles. */
+#define PLY_FLOAT_REACH_M 4096.0
+struct ply_rows {
+    size_t n; /* of all rows */
+    uint32_t sh_degree;
+    bool antialiased;
+    bool doubles; /* positions */
+};
+void ply_encode_head(const struct ply_rows *r, const struct ply_info *info, struct buf *out);
+size_t ply_row_bytes(const struct ply_rows *r);
+/* out [g->n][ply_row_bytes]. Values are not checked. */
+void ply_encode_rows(const struct gauss *g, bool doubles, uint8_t *out);
 /* Appends SuperSplat's compressed .ply to `out`, with harmonics up to sh_degree and without
  * embeddings. Rows keep their order. 256 rows share a box, so neighbours in space should follow
  * each other (gauss_hilbert_order). ERR_DATA (a value is not finite), ERR_ARG (sh_degree above that

@@ -130,6 +130,9 @@ void file_abort(const char *part);
 /* Makes a folder and its parents. ERR_IO names the folder and the reason. ERR_LIMIT (path too
  * long). */
 enum err_code file_mkdir(const char *path, struct err *e) ERR_USE;
+/* Tells that a file or folder of so many bytes is going to be written at `path`, and how much is
+ * free. ERR_IO: the disk has less. Where that is not known, it returns ERR_OK. */
+enum err_code file_room(const char *path, uint64_t bytes, struct err *e) ERR_USE;
 bool file_exists(const char *path);
 bool file_is_dir(const char *path);
 /* Joins "dir/name" into `out` [FILE_PATH_MAX]. ERR_LIMIT: too long. */

@@ -12,6 +12,7 @@
 #include <string.h>
 #include <strings.h>
 #include <sys/stat.h>
+#include <sys/statvfs.h>
 #include <unistd.h>
 
 #include "core/base.h"
@@ -133,6 +134,34 @@ enum err_code file_write(const char *path, const void *bytes, size_t n, struct e
         return rc;
     }
     return file_commit(part, path, e);
+}
+
+/* A size for people. */
+static void file_size_text(uint64_t bytes, char out[32])
+{
+    double b = (double)bytes;
+    snprintf(out, 32, b < 1e9 ? "%.1f MB" : "%.1f GB", b < 1e9 ? b / 1e6 : b / 1e9);
+}
+
+enum err_code file_room(const char *path, uint64_t bytes, struct err *e)
+{
+    char dir[FILE_PATH_MAX], need[32], have[32];
+    struct statvfs fs;
+    snprintf(dir, sizeof dir, "%s", path);
+    char *slash = strrchr(dir, '/');
+    if (slash)
+        slash[slash == dir] = '\0';
+    if (statvfs(slash ? dir : ".", &fs))
+        return ERR_OK;
+    uint64_t left = (uint64_t)fs.f_bavail * fs.f_frsize;
+    file_size_text(bytes, need);
+    file_size_text(left, have);
+    if (left < bytes)
+        return err_set(e, ERR_IO,
+                       "%s: %s are needed on the disk, %s are free; make room, or write elsewhere",
+                       path, need, have);
+    log_info("disk", "%s: %s are needed, %s are free", path, need, have);
+    return ERR_OK;
 }
 
 enum err_code file_mkdir(const char *path, struct err *e)

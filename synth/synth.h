@@ -4,7 +4,8 @@
  * clean pictures, and errors of GPS positions. Reading order: synth.c (what is written),
  * synth_city.c (objects), synth_flight.c (cameras), synth_trace.c (rays), synth_shade.c (colours),
  * synth_draw.c (a picture), synth_map.c (a map), synth_model.c (the COLMAP model), synth_views.c
- * (ground truth at poses that are usual in maps).
+ * (ground truth at poses that are usual in maps), synth_splats.c (a city of any size as Gaussians)
+ * and synth_splats_write.c (into files).
  *
  * The city has its own frame: metres, z up, ground at z = 0, streets along x and y. ENU is that
  * frame rotated by city.yaw_rad about z.
@@ -83,6 +84,13 @@ struct synth_city { /* {0} is empty; synth_city_free */
 };
 enum err_code synth_city_make(const struct synth_config *cfg, struct synth_city *out,
                               struct err *e) ERR_USE;
+/* One district of a city without end: a square of SYNTH_DISTRICT_M, whose streets go on in the
+ * districts around it. All districts of a seed have one sun and one yaw_rad. Its frame has the
+ * district's middle at 0. ERR_MEM. */
+enum { SYNTH_DISTRICT_BLOCKS = 6 }; /* a multiple of 3: no avenue on a border */
+#define SYNTH_DISTRICT_M (46.0 * SYNTH_DISTRICT_BLOCKS)
+enum err_code synth_city_district(uint32_t seed, int64_t column, int64_t row,
+                                  struct synth_city *out, struct err *e) ERR_USE;
 void synth_city_free(struct synth_city *c);
 /* Makes n vehicles that move in photograph `photo`: two solids each (body, cabin), out[2 * n]. */
 void synth_city_vehicles(const struct synth_city *c, uint64_t photo, size_t n,
@@ -261,7 +269,9 @@ enum synth_stream {
     SYNTH_STREAM_FRAME,
     SYNTH_STREAM_POINTS,
     SYNTH_STREAM_PIXELS,
-    SYNTH_STREAM_VIEWS
+    SYNTH_STREAM_VIEWS,
+    SYNTH_STREAM_DISTRICTS,
+    SYNTH_STREAM_SPLATS
 };
 
 #endif

@@ -321,36 +321,96 @@ static void city_plant_fields(struct builder *b, double extent_m)
     }
 }
 
+/* Axes and sun: those of a seed. */
+static void city_orient(struct synth_city *c, uint32_t seed)
+{
+    c->yaw_rad = (rng_unit(seed, SYNTH_STREAM_YAW, 0) - 0.5) * 0.9;
+    double azimuth = 2 * M_PI * rng_unit(seed, SYNTH_STREAM_YAW, 1);
+    double rise = 0.75 + 0.25 * rng_unit(seed, SYNTH_STREAM_YAW, 2); /* 43 to 57 degrees */
+    c->sun[0] = cos(rise) * cos(azimuth);
+    c->sun[1] = cos(rise) * sin(azimuth);
+    c->sun[2] = sin(rise);
+}
+
+static struct builder city_builder(struct synth_city *c, struct err *e)
+{
+    return (struct builder){.city = c,
+                            .lots = {c->seed, SYNTH_STREAM_LOTS, 0},
+                            .e = e,
+                            .trees = {c->seed, SYNTH_STREAM_TREES, 0},
+                            .cars = {c->seed, SYNTH_STREAM_CARS, 0}};
+}
+
+/* Blocks and streets; only the fields are missing. */
+static void city_build(struct builder *b)
+{
+    const struct synth_city *c = b->city;
+    for (size_t i = 0; i + 1 < c->n_streets[0]; i++)
+        for (size_t j = 0; j + 1 < c->n_streets[1]; j++) {
+            struct rect r = {c->street_m[0][i] + c->street_half_m[0][i] + sidewalk_m,
+                             c->street_m[1][j] + c->street_half_m[1][j] + sidewalk_m,
+                             c->street_m[0][i + 1] - c->street_half_m[0][i + 1] - sidewalk_m,
+                             c->street_m[1][j + 1] - c->street_half_m[1][j + 1] - sidewalk_m};
+            if (r.x1 - r.x0 > 4 && r.y1 - r.y0 > 4)
+                city_fill_lot(b, r);
+        }
+    for (int axis = 0; axis < 2; axis++)
+        for (size_t i = 0; i < c->n_streets[axis]; i++)
+            city_line_street(b, axis, i);
+}
+
 enum err_code synth_city_make(const struct synth_config *cfg, struct synth_city *out, struct err *e)
 {
     struct synth_city c = {.seed = (uint32_t)cfg->seed, .half_m = 0.5 * cfg->extent_m};
-    struct builder b = {.city = &c,
-                        .lots = {c.seed, SYNTH_STREAM_LOTS, 0},
-                        .e = e,
-                        .trees = {c.seed, SYNTH_STREAM_TREES, 0},
-                        .cars = {c.seed, SYNTH_STREAM_CARS, 0}};
-    c.yaw_rad = (rng_unit(c.seed, SYNTH_STREAM_YAW, 0) - 0.5) * 0.9;
-    double azimuth = 2 * M_PI * rng_unit(c.seed, SYNTH_STREAM_YAW, 1);
-    double rise = 0.75 + 0.25 * rng_unit(c.seed, SYNTH_STREAM_YAW, 2); /* 43 to 57 degrees */
+    struct builder b = city_builder(&c, e);
+    city_orient(&c, c.seed);
     c.gloss = cfg->gloss;
     c.tricky = cfg->paint == SYNTH_PAINT_TRICKY;
-    c.sun[0] = cos(rise) * cos(azimuth);
-    c.sun[1] = cos(rise) * sin(azimuth);
-    c.sun[2] = sin(rise);
     city_lay_streets(&c, cfg->extent_m);
-    for (size_t i = 0; i + 1 < c.n_streets[0]; i++)
-        for (size_t j = 0; j + 1 < c.n_streets[1]; j++) {
-            struct rect r = {c.street_m[0][i] + c.street_half_m[0][i] + sidewalk_m,
-                             c.street_m[1][j] + c.street_half_m[1][j] + sidewalk_m,
-                             c.street_m[0][i + 1] - c.street_half_m[0][i + 1] - sidewalk_m,
-                             c.street_m[1][j + 1] - c.street_half_m[1][j + 1] - sidewalk_m};
-            if (r.x1 - r.x0 > 4 && r.y1 - r.y0 > 4)
-                city_fill_lot(&b, r);
-        }
-    for (int axis = 0; axis < 2; axis++)
-        for (size_t i = 0; i < c.n_streets[axis]; i++)
-            city_line_street(&b, axis, i);
+    city_build(&b);
     city_plant_fields(&b, cfg->extent_m);
+    if (b.rc == ERR_OK)
+        b.rc = synth_grid_make(c.solids, c.n_solids, &c.grid, e);
+    if (b.rc == ERR_OK)
+        *out = c;
+    else
+        synth_city_free(&c);
+    return b.rc;
+}
+
+/* Streets of a district. A street of the whole city has one number, so it goes on next door. */
+static void city_lay_district(struct synth_city *c, uint32_t seed, const int64_t at[2])
+{
+    const double pitch = SYNTH_DISTRICT_M / SYNTH_DISTRICT_BLOCKS;
+    for (int axis = 0; axis < 2; axis++) {
+        c->n_streets[axis] = SYNTH_DISTRICT_BLOCKS + 1;
+        for (size_t i = 0; i <= SYNTH_DISTRICT_BLOCKS; i++) {
+            uint64_t number = (uint64_t)(at[axis] * SYNTH_DISTRICT_BLOCKS + (int64_t)i);
+            double jitter = rng_unit(seed, SYNTH_STREAM_STREETS, 2 * number + (uint64_t)axis);
+            bool inner = i > 0 && i < SYNTH_DISTRICT_BLOCKS;
+            c->street_m[axis][i] =
+                -c->half_m + (double)i * pitch + (inner ? 0.24 * (jitter - 0.5) * pitch : 0.0);
+            c->street_half_m[axis][i] = i % 3 == 1 ? avenue_half_m : street_half_m;
+        }
+    }
+}
+
+enum err_code synth_city_district(uint32_t seed, int64_t column, int64_t row,
+                                  struct synth_city *out, struct err *e)
+{
+    const int64_t at[2] = {column, row};
+    uint64_t place = (uint64_t)column << 32 ^ ((uint64_t)row & 0xffffffffu);
+    struct synth_city c = {.seed = (uint32_t)rng_u64(seed, SYNTH_STREAM_DISTRICTS, place),
+                           .half_m = 0.5 * SYNTH_DISTRICT_M};
+    struct builder b = city_builder(&c, e);
+    size_t n = 0;
+    city_orient(&c, seed);
+    city_lay_district(&c, seed, at);
+    city_build(&b);
+    for (size_t i = 0; i < c.n_solids; i++) /* what stands beyond the border is the neighbour's */
+        if (fmax(fabs(c.solids[i].center_m[0]), fabs(c.solids[i].center_m[1])) < c.half_m)
+            c.solids[n++] = c.solids[i];
+    c.n_solids = n;
     if (b.rc == ERR_OK)
         b.rc = synth_grid_make(c.solids, c.n_solids, &c.grid, e);
     if (b.rc == ERR_OK)

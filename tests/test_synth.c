@@ -7,13 +7,18 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "codec/ckpt.h"
 #include "codec/colmap.h"
 #include "codec/image.h"
 #include "codec/limits.h"
 #include "codec/npy.h"
+#include "codec/ply.h"
+#include "core/gauss.h"
 #include "core/geo.h"
+#include "core/pool.h"
 #include "kit.h"
 #include "synth/synth.h"
+#include "synth/synth_splats.h"
 
 static const double tol_gps_m =
     0.02; /* EXIF keeps 1e-4 seconds of arc or better, and centimetres */
@@ -430,6 +435,156 @@ static void test_tricky(void **state)
     arena_free(&arena);
 }
 
+/* ---- a city of Gaussians ---- */
+
+/* Distance from the place to the nearest row, and whether rows are what they should be. */
+static double nearest_m(const struct gauss *g, const double at[3])
+{
+    double best = HUGE_VAL;
+    for (size_t i = 0; i < g->n; i++) {
+        double d = 0;
+        for (size_t k = 0; k < 3; k++)
+            d += pow((double)g->mean_m[3 * i + k] + g->origin_enu_m[k] - at[k], 2);
+        best = fmin(best, d);
+    }
+    return sqrt(best);
+}
+
+/* What is seen from straight above has a Gaussian near it, whatever their number. */
+static void test_splats_cover(void **state)
+{
+    (void)state;
+    enum { N = 60000, PLACES = 300 };
+    struct synth_splats s;
+    struct synth_city c;
+    struct gauss g, part;
+    struct err e = {0};
+    kit_ok(synth_splats_open(5, 1, N, 1.0, &s, &e), e);
+    assert_int_equal(s.n_districts, 1);
+    kit_ok(synth_city_district(5, 0, 0, &c, &e), e);
+    kit_ok(synth_splats_make(&s, N, 0, N, true, &g, &e), e);
+    assert_int_equal(g.n, N);
+    assert_int_equal(gauss_count_bad(&g, NULL), 0);
+    double spacing = synth_splats_spacing(&s, N), cy = cos(c.yaw_rad), sy = sin(c.yaw_rad);
+    size_t near = 0, dark = 0;
+    for (uint64_t i = 0; i < PLACES; i++) {
+        const double eye[3] = {(rng_unit(1, 1, i) - 0.5) * 2 * c.half_m,
+                               (rng_unit(1, 2, i) - 0.5) * 2 * c.half_m, 500},
+                     down[3] = {0, 0, -1};
+        struct synth_hit hit;
+        synth_trace_ray(&c, NULL, eye, down, &hit);
+        const double at[3] = {cy * hit.pos[0] - sy * hit.pos[1], sy * hit.pos[0] + cy * hit.pos[1],
+                              hit.pos[2]};
+        near += nearest_m(&g, at) < 1.2 * spacing;
+    }
+    if (near < 0.97 * PLACES)
+        fail_msg("%zu of %d places have a Gaussian within %.2f m", near, PLACES, 1.2 * spacing);
+    for (size_t i = 0; i < N; i++)
+        dark += g.sh[12 * i] < -1.2f;
+    if (dark > N / 4) /* streets in the sun are not black, and walls are not */
+        fail_msg("%zu of %d Gaussians are nearly black", dark, N);
+    kit_ok(synth_splats_make(&s, N, 777, 1000, true, &part, &e), e);
+    assert_memory_equal(part.mean_m, g.mean_m + 3 * 777, 3000 * sizeof *g.mean_m);
+    assert_memory_equal(part.sh, g.sh + 12 * 777, 12000 * sizeof *g.sh);
+    gauss_free(&g);
+    gauss_free(&part);
+    synth_city_free(&c);
+    synth_splats_free(&s);
+}
+
+/* Several districts: all rows are there, and streets go on from one to the next. */
+static void test_splats_districts(void **state)
+{
+    (void)state;
+    enum { N = 50000 };
+    struct synth_splats s;
+    struct synth_city a, b;
+    struct gauss g;
+    struct err e = {0};
+    kit_ok(synth_splats_open(9, 0, N, 4.0, &s, &e), e);
+    assert_in_range(s.n_districts, 3, 8);
+    kit_ok(synth_splats_make(&s, N, 0, N, false, &g, &e), e);
+    assert_int_equal(g.n, N);
+    double low[3], high[3];
+    gauss_bounds(&g, 0, low, high);
+    for (size_t k = 0; k < 2; k++)
+        assert_true(high[k] - low[k] > 1.5 * SYNTH_DISTRICT_M && fabs(high[k]) < s.reach_m + 5);
+    kit_ok(synth_city_district(9, 0, 0, &a, &e), e);
+    kit_ok(synth_city_district(9, 0, 1, &b, &e), e);
+    assert_memory_equal(a.street_m[0], b.street_m[0], a.n_streets[0] * sizeof *a.street_m[0]);
+    assert_memory_not_equal(a.street_m[1], b.street_m[1], a.n_streets[1] * sizeof *a.street_m[1]);
+    assert_true(a.n_solids != b.n_solids || memcmp(a.solids, b.solids, a.n_solids));
+    synth_city_free(&a);
+    synth_city_free(&b);
+    gauss_free(&g);
+    synth_splats_free(&s);
+}
+
+static void splats_write(const struct city *base, const char *dir, const char *name, int64_t seed,
+                         char path[FILE_PATH_MAX])
+{
+    struct synth_config cfg = base->cfg;
+    struct err e = {0};
+    kit_ok(file_join(path, dir, name, &e), e);
+    cfg.output = path;
+    cfg.splats = 9001;
+    cfg.sh_degree = 2;
+    cfg.spacing_m = 8;
+    cfg.seed = seed;
+    kit_ok(synth_splats_write(&cfg, &e), e);
+}
+
+/* The same bytes whatever the number of threads, others of another seed; three levels that hold
+ * the same city. */
+static void test_splats_files(void **state)
+{
+    (void)state;
+    char tmp[FILE_PATH_MAX], path[4][FILE_PATH_MAX], level[FILE_PATH_MAX];
+    struct city base;
+    struct buf one = {0}, other = {0};
+    struct gauss g;
+    struct ply_info info;
+    struct ckpt c;
+    struct err e = {0};
+    kit_tmpdir(tmp);
+    city_defaults(&base, tmp, "base");
+    splats_write(&base, tmp, "a.ply", 1, path[0]);
+    pool_limit(1);
+    splats_write(&base, tmp, "b.ply", 1, path[1]);
+    pool_limit(0);
+    splats_write(&base, tmp, "c.ply", 2, path[2]);
+    splats_write(&base, tmp, "levels", 1, path[3]);
+    kit_ok(file_read(path[0], 0, &one, &e), e);
+    kit_ok(file_read(path[1], 0, &other, &e), e);
+    assert_int_equal(one.size, other.size);
+    assert_memory_equal(one.data, other.data, one.size);
+    buf_free(&other);
+    kit_ok(file_read(path[2], 0, &other, &e), e);
+    assert_int_equal(one.size, other.size);
+    assert_memory_not_equal(one.data, other.data, one.size);
+    kit_ok(ply_read(path[0], NULL, &g, &info, &e), e);
+    assert_int_equal(g.n, 9001);
+    assert_true(info.has_origin && info.origin.lat_deg == base.cfg.lat_deg);
+    for (int l = 1; l <= 3; l++) {
+        char name[64];
+        snprintf(name, sizeof name, "cells/all/level%d.ckpt", l);
+        kit_ok(file_join(level, path[3], name, &e), e);
+        kit_ok(ckpt_read(level, &c, &e), e);
+        assert_int_equal(c.g.n, 9001 >> (3 - l));
+        if (l == 3) {
+            assert_memory_equal(c.g.mean_m, g.mean_m, 3 * g.n * sizeof *g.mean_m);
+            assert_memory_equal(c.g.quat_wxyz, g.quat_wxyz, 4 * g.n * sizeof *g.quat_wxyz);
+            assert_memory_equal(c.g.sh, g.sh, 27 * g.n * sizeof *g.sh);
+        }
+        ckpt_free(&c);
+    }
+    gauss_free(&g);
+    buf_free(&one);
+    buf_free(&other);
+    arena_free(&base.arena);
+    kit_rmdir(tmp);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -438,6 +593,9 @@ int main(void)
         cmocka_unit_test(test_knobs),
         cmocka_unit_test(test_gloss),
         cmocka_unit_test(test_tricky),
+        cmocka_unit_test(test_splats_cover),
+        cmocka_unit_test(test_splats_districts),
+        cmocka_unit_test(test_splats_files),
     };
     progress_quiet(true);
     log_set_level(LOG_WARN);

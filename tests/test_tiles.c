@@ -19,6 +19,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/statvfs.h>
 
 #include <jansson.h>
 
@@ -497,6 +498,32 @@ static void one_clear_error_each(void **state)
     assert_int_equal(kit_run(NULL, "ls '%s'/x.*", f->dir) != 0, 1);
 }
 
+/* A city of Gaussians without training: both forms tile, and nothing is left of a run that was
+ * killed or that has no room. */
+static void a_city_without_training(void **state)
+{
+    struct fixture *f = *state;
+    struct buf out = {0};
+    run(f, 0, "20000 Gaussians", "synth --splats 20k -o flat.ply -q");
+    run(f, 0, "tiles", "import flat.ply -o flat.tiles -q");
+    run(f, 0, "20000", "synth --splats 20k -o deep -q");
+    run(f, 0, "level 2         10000", "tile deep -o deep.tiles -q");
+    struct statvfs disk;
+    assert_int_equal(statvfs(f->dir, &disk), 0);
+    if ((double)disk.f_bavail * (double)disk.f_frsize < 1e12)
+        run(f, 1, "are needed on the disk", "synth --splats 4G --sh-degree 3 -o no.ply -q");
+    run(f, 2, "exists", "synth --splats 1k -o flat.ply -q");
+    run(f, 2, "--splats", "synth --spacing-m 3 -o no -q");
+    run(f, 2, "--splats", "synth --sh-degree 1 -o no -q");
+    kit_run(&out,
+            "cd '%s' && mkdir dies && { '%s' synth --splats 20M -o dies/x.ply -q & p=$!; sleep "
+            "0.4; kill -9 $p; wait $p; ls dies; }",
+            f->dir, f->bin);
+    assert_null(strstr((const char *)out.data, "x.ply"));
+    assert_false(kit_run(&out, "cd '%s' && ls no.ply*", f->dir) == 0);
+    buf_free(&out);
+}
+
 int main(void)
 {
 #define CASE(name) cmocka_unit_test_setup_teardown(name, setup, teardown)
@@ -508,6 +535,7 @@ int main(void)
         CASE(pictures),
         CASE(cells_become_one_store),
         CASE(one_clear_error_each),
+        CASE(a_city_without_training),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
