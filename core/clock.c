@@ -29,3 +29,9 @@ double clock_cpu_s(void)
 {
     return clock_of(CLOCK_PROCESS_CPUTIME_ID);
 }
+
+int64_t clock_days(int64_t year, int64_t month, int64_t day)
+{
+    const int64_t m = (month + 9) % 12, y = year - (month < 3); /* a year begins in March */
+    return 365 * y + y / 4 - y / 100 + y / 400 + (153 * m + 2) / 5 + day - 719469;
+}

@@ -45,13 +45,23 @@ bool outline_holds(const double (*at)[2], size_t n, double x, double y)
     return in;
 }
 
-double outline_area(const double (*at)[2], size_t n)
+static double outline_signed_area(const double (*at)[2], size_t n)
 {
     double sum = 0;
     for (size_t i = 0, k = n - 1; i < n; k = i++)
         sum += 0.5 * ((at[k][0] - at[0][0]) * (at[i][1] - at[0][1]) -
                       (at[i][0] - at[0][0]) * (at[k][1] - at[0][1]));
-    return fabs(sum);
+    return sum;
+}
+
+double outline_area(const double (*at)[2], size_t n)
+{
+    return fabs(outline_signed_area(at, n));
+}
+
+bool outline_is_clockwise(const double (*at)[2], size_t n)
+{
+    return outline_signed_area(at, n) < 0;
 }
 
 double outline_length(const double (*at)[2], size_t n)

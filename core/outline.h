@@ -15,7 +15,8 @@
 enum err_code outline_check(const double (*at)[2], size_t n, struct err *e) ERR_USE;
 /* whether the point is inside, even-odd rule */
 bool outline_holds(const double (*at)[2], size_t n, double x, double y);
-double outline_area(const double (*at)[2], size_t n);   /* m2, positive */
-double outline_length(const double (*at)[2], size_t n); /* of the whole ring, m */
+bool outline_is_clockwise(const double (*at)[2], size_t n); /* with x to the right, y up */
+double outline_area(const double (*at)[2], size_t n);       /* m2, positive */
+double outline_length(const double (*at)[2], size_t n);     /* of the whole ring, m */
 
 #endif

@@ -24,7 +24,7 @@ static bool answer_dataset_course(const struct target *t, struct course **out, s
 {
     struct err e = {0};
     *out = NULL;
-    if (!t->course.path)
+    if (!t->course.path.p)
         return true;
     if (!(*out = mem_array(1, sizeof **out))) {
         response_no_memory(res);
@@ -58,7 +58,7 @@ void answer_dataset_seed(struct services *s, const struct request *r, struct dat
         return;
     }
     w->target = *t;
-    w->target.course.path = NULL; /* borrowed */
+    w->target.course.path.p = NULL; /* borrowed */
     w->appearance = choice;
     w->course = c;
 }

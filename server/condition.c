@@ -185,15 +185,6 @@ void condition_date(int64_t at_s, char out[CONDITION_DATE])
              (unsigned)t.tm_min % 100, (unsigned)t.tm_sec % 100);
 }
 
-/* Days from 1970 to the first of a month (month 0..11), Gregorian. */
-static int64_t condition_days_to(int64_t year, int month)
-{
-    static const int before[12] = {0, 31, 59, 90, 120, 151, 181, 212, 243, 273, 304, 334};
-    int64_t y = year - 1, leap = y / 4 - y / 100 + y / 400 - 477;
-    bool this_one = (year % 4 == 0 && year % 100 != 0) || year % 400 == 0;
-    return (year - 1970) * 365 + leap + before[month] + (month > 1 && this_one);
-}
-
 /* "Sun, 06 Nov 1994 08:49:37 GMT" */
 static bool condition_take_date(const char *p, int64_t *out)
 {
@@ -211,7 +202,7 @@ static bool condition_take_date(const char *p, int64_t *out)
         return false;
     const int day = (p[5] - '0') * 10 + p[6] - '0', hour = (p[17] - '0') * 10 + p[18] - '0',
               minute = (p[20] - '0') * 10 + p[21] - '0', second = (p[23] - '0') * 10 + p[24] - '0';
-    *out = ((condition_days_to(year, month) + day - 1) * 24 + hour) * 3600 + minute * 60 + second;
+    *out = ((clock_days(year, month + 1, day) * 24 + hour) * 60 + minute) * 60 + second;
     return true;
 }
 

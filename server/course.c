@@ -42,7 +42,7 @@ static enum err_code course_take(struct text *t, struct view_pose *out, struct e
 static enum err_code course_read_path(const struct target_course *t, struct course *out,
                                       struct err *e)
 {
-    struct text raw = {t->path, t->path + t->n_path};
+    struct text raw = t->path;
     if (!text_take_decoded(&raw, out->path, sizeof out->path))
         return err_set(e, ERR_FORMAT, "path cannot be read, or is longer than %d bytes",
                        COURSE_TEXT_MAX - 1);
@@ -64,7 +64,7 @@ static enum err_code course_read_path(const struct target_course *t, struct cour
 enum err_code course_read(const struct target_course *t, struct course *out, struct err *e)
 {
     memset(out, 0, sizeof *out);
-    if (!t->path)
+    if (!t->path.p)
         return ERR_OK;
     enum err_code rc = course_read_path(t, out, e);
     if (rc)

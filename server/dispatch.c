@@ -139,12 +139,13 @@ static void dispatch_dataset(struct services *s, const struct request *r,
  * path. False, with the answer set, where the seal does not hold. */
 static bool dispatch_unseal(struct request *r, const struct target *t, struct response *out)
 {
-    const size_t n = (size_t)(t->seal + t->n_seal - r->target);
-    if (!dispatch_may(r, auth_check_seal(r->auth, t->seal, t->n_seal, (int64_t)time(NULL)), out))
+    const size_t n_seal = (size_t)(t->seal.end - t->seal.p);
+    const size_t n = (size_t)(t->seal.end - r->target);
+    if (!dispatch_may(r, auth_check_seal(r->auth, t->seal.p, n_seal, (int64_t)time(NULL)), out))
         return false;
     if (n == t->path_size) { /* relative addresses would not lie below it */
         struct buf b = {0};
-        buf_printf(&b, "%.*s/", (int)t->n_seal, t->seal);
+        buf_printf(&b, "%.*s/", (int)n_seal, t->seal.p);
         buf_u8(&b, 0);
         out->status = 308;
         out->cache_control = RESPONSE_NO_STORE;
@@ -152,8 +153,8 @@ static bool dispatch_unseal(struct request *r, const struct target *t, struct re
         buf_free(&b);
         return false;
     }
-    r->seal = t->seal;
-    r->n_seal = t->n_seal;
+    r->seal = t->seal.p;
+    r->n_seal = n_seal;
     r->prefix = r->target;
     r->n_prefix = n;
     r->target += n;

@@ -1,5 +1,5 @@
 /* OpenAPI 3.0.3, made from the route table: paths, methods, parameters, rights and answers are
- * those of the rows.
+ * those of the rows. It is written as text, parsed, and sent as all documents are.
  *
  * Brackets in a route's template mark an optional part. OpenAPI cannot express that in a path, so
  * it has the long form. A row does not list answers that follow from the kind of its route: 206,
@@ -9,294 +9,214 @@
  */
 #include "server/openapi.h"
 
-#include <jansson.h>
+#include <stdarg.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "server/document.h"
 #include "server/openapi_schemas.h"
 
-enum { OPENAPI_PATH = 256 };
+/* the schema of what has a media type */
+#define OPENAPI_CONTENT "'%s':{'schema':{'$ref':'#/components/schemas/%s'}}"
 
-/* A schema's text to JSON. */
-static json_t *openapi_json(const char *text)
+/* Appends JSON: ' of the form is a quotation mark, and %s, its only conversion, a text of a table.
+ * A comma at its start is left out behind an opening bracket. */
+static void ERR_PRINTF(2, 3) openapi_put(struct buf *b, const char *form, ...)
 {
-    struct buf b = {0};
-    for (const char *p = text; *p; p++)
-        buf_u8(&b, *p == '\'' ? '"' : (unsigned char)*p);
-    json_t *o = b.failed ? NULL : json_loadb((const char *)b.data, b.size, JSON_DECODE_ANY, NULL);
-    buf_free(&b);
-    return o;
+    va_list args;
+    va_start(args, form);
+    form += *form == ',' && b->size && strchr("[{", b->data[b->size - 1]);
+    for (; *form; form++)
+        if (*form == '%') {
+            const char *text = va_arg(args, const char *);
+            buf_add(b, text, strlen(text));
+            form++;
+        } else {
+            buf_u8(b, *form == '\'' ? '"' : (unsigned char)*form);
+        }
+    va_end(args);
 }
 
 /* ---- parameters ---- */
 
-static json_t *openapi_enum(const struct param *p)
+static void openapi_enum(const struct param *p, struct buf *b)
 {
-    json_t *words = json_array();
-    if (p->type == PARAM_FORMAT)
-        for (int f = (int)p->least; f <= (int)p->most; f++)
-            json_array_append_new(words, json_string(format_ext((enum format)f)));
-    for (const char *w = p->words; p->type == PARAM_WORD && *w; w += *w == '|') {
-        json_array_append_new(words, json_stringn(w, strcspn(w, "|")));
-        w += strcspn(w, "|");
+    size_t n;
+    const char *word;
+    openapi_put(b, ",'enum':[");
+    for (uint32_t i = 0; (word = param_choice(p, i, &n)) != NULL; i++) {
+        openapi_put(b, ",'");
+        buf_add(b, word, n);
+        openapi_put(b, "'");
     }
-    return json_pack("{s:s,s:o}", "type", "string", "enum", words);
+    openapi_put(b, "]");
 }
 
-static json_t *openapi_range(const struct param *p, const char *type)
+static void openapi_schema(const struct param *p, struct buf *b)
 {
-    json_t *o = json_pack("{s:s}", "type", type);
-    const double ends[2] = {p->least, p->most};
-    for (int k = 0; k < 2; k++)
-        if (ends[k] != UINT32_MAX)
-            json_object_set_new(o, k ? "maximum" : "minimum",
-                                ends[k] == (double)(json_int_t)ends[k]
-                                    ? json_integer((json_int_t)ends[k])
-                                    : json_real(ends[k]));
-    return o;
-}
-
-static json_t *openapi_schema(const struct param *p)
-{
-    char pattern[64];
-    switch (p->type) {
-    case PARAM_NAME:
-        snprintf(pattern, sizeof pattern, "^[a-z0-9][a-z0-9_-]{%d,%d}$", (int)p->least - 1,
-                 (int)p->most - 1);
-        return json_pack("{s:s,s:s}", "type", "string", "pattern", pattern);
-    case PARAM_NATURAL:
-    case PARAM_COUNT:
-        return openapi_range(p, "integer");
-    case PARAM_E7:
-    case PARAM_E3:
-    case PARAM_ANGLE:
-        return openapi_range(p, "number");
-    case PARAM_FORMAT:
-    case PARAM_WORD:
-        return openapi_enum(p);
-    default:
-        return json_pack("{s:s,s:s*}", "type", "string", "pattern", p->words);
-    }
-}
-
-static json_t *openapi_parameter(const struct param *p, const char *in)
-{
-    json_t *schema = openapi_schema(p);
-    const bool number = json_object_get(schema, "minimum") != NULL;
+    const bool whole = p->type == PARAM_NATURAL || p->type == PARAM_COUNT;
+    const bool number =
+        whole || p->type == PARAM_E7 || p->type == PARAM_E3 || p->type == PARAM_ANGLE;
+    openapi_put(b, "{'type':'%s'", whole ? "integer" : number ? "number" : "string");
+    if (p->type == PARAM_NAME)
+        buf_printf(b, ",\"pattern\":\"^[a-z0-9][a-z0-9_-]{%g,%g}$\"", p->least - 1, p->most - 1);
+    else if (p->type == PARAM_FORMAT || p->type == PARAM_WORD)
+        openapi_enum(p, b);
+    else if (number)
+        buf_printf(b, ",\"minimum\":%.15g", p->least);
+    else if (p->words)
+        openapi_put(b, ",'pattern':'%s'", p->words);
+    if (number && p->most != UINT32_MAX)
+        buf_printf(b, ",\"maximum\":%.15g", p->most);
     if (p->standard)
-        json_object_set_new(schema, "default",
-                            number ? json_integer(atoi(p->standard)) : json_string(p->standard));
-    return json_pack("{s:s,s:s,s:b,s:s,s:o}", "name", p->name, "in", in, "required",
-                     !strcmp(in, "path"), "description", p->about, "schema", schema);
+        openapi_put(b, number ? ",'default':%s" : ",'default':'%s'", p->standard);
+    openapi_put(b, "}");
 }
 
-/* Those of a query belong to GET. */
-static json_t *openapi_parameters(const struct router *routes, const struct route *r,
-                                  enum method method)
+static void openapi_parameters(const struct router *routes, const struct route *r, bool of_query,
+                               struct buf *b)
 {
     const struct param *const *params;
-    json_t *list = json_array();
-    size_t n = router_path_params(routes, r, &params);
-    for (size_t i = 0; i < n; i++)
-        json_array_append_new(list, openapi_parameter(params[i], "path"));
-    n = method == METHOD_GET ? router_query_params(routes, r, &params) : 0;
-    for (size_t i = 0; i < n; i++)
-        json_array_append_new(list, openapi_parameter(params[i], "query"));
-    return list;
+    const size_t n = router_params(routes, r, of_query, &params);
+    for (size_t i = 0; i < n; i++) {
+        openapi_put(b, ",{'name':'%s','in':'%s','required':%s,'description':'%s','schema':",
+                    params[i]->name, of_query ? "query" : "path", of_query ? "false" : "true",
+                    params[i]->about);
+        openapi_schema(params[i], b);
+        openapi_put(b, "}");
+    }
 }
 
 /* ---- answers ---- */
 
-static json_t *openapi_content(const char *media, const char *schema)
-{
-    char ref[80];
-    snprintf(ref, sizeof ref, "#/components/schemas/%s", schema);
-    return json_pack("{s:{s:{s:s}}}", media, "schema", "$ref", ref);
-}
-
 static const char *openapi_about(const char *status)
 {
-    static const struct {
-        const char *status, *about;
-    } rows[] = {{"200", "The resource"},
-                {"201", "It is kept; the name is new"},
-                {"202", "It will be done"},
-                {"204", "Done, or there is nothing here"},
-                {"206", "The range that was asked for"},
-                {"304", "You have it already"},
-                {"307", "It is in the current revision"},
-                {"416", "The range lies outside"}};
+    static const char *const rows[] = {"200The resource",
+                                       "201It is kept; the name is new",
+                                       "202It will be done",
+                                       "204Done, or there is nothing here",
+                                       "206The range that was asked for",
+                                       "304You have it already",
+                                       "307It is in the current revision",
+                                       "416The range lies outside"};
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
-        if (!strcmp(rows[i].status, status))
-            return rows[i].about;
+        if (!strncmp(rows[i], status, 3))
+            return rows[i] + 3;
     return "A problem document, RFC 9457";
 }
 
-/* The answer of a status, which is made where it is not there yet. */
-static json_t *openapi_response(json_t *responses, const char *status)
+/* The answer `status`, with the media types that GIVES of a row has for the status `of`. */
+static void openapi_answer(const char *status, const char *of, const char *gives, struct buf *b)
 {
-    json_t *o = json_object_get(responses, status);
-    if (!o) {
-        o = json_pack("{s:s}", "description", openapi_about(status));
-        json_object_set_new(responses, status, o);
+    bool content = false;
+    openapi_put(b, ",'%s':{'description':'%s'", status, openapi_about(status));
+    for (const char *p = gives; *p; p += strcspn(p, ",") + 1) {
+        char is[4] = "", media[120], schema[40], *rest = media;
+        if (sscanf(p, "%3[0-9X] %119[^ ,] %39[^,]", is, media, schema) < 3 || strcmp(is, of) != 0)
+            continue;
+        for (const char *one = strtok_r(media, "|", &rest); one; one = strtok_r(NULL, "|", &rest)) {
+            openapi_put(b, content ? "," : ",'content':{");
+            openapi_put(b, OPENAPI_CONTENT, one, schema);
+            content = true;
+        }
     }
-    return o;
+    openapi_put(b, content ? "}" : "");
+    if (!strcmp(status, "307"))
+        openapi_put(b, ",'headers':{'Location':{'description':'%s','schema':{'type':'string'}}}",
+                    "relative to the request's path");
+    openapi_put(b, "}");
 }
 
-/* Media types "A|B" of a schema. */
-static void openapi_add_media(json_t *response, const char *media, const char *schema)
+static void openapi_answers(const struct route_method *on, struct buf *b)
 {
-    json_t *content = json_object_get(response, "content");
-    if (!content) {
-        content = json_object();
-        json_object_set_new(response, "content", content);
+    static const char problem[] = "4XX application/problem+json Problem,";
+    for (const char *p = on->gives; *p; p += strcspn(p, ",") + 1) {
+        const char status[4] = {p[0], p[1], p[2]};
+        if (strstr(on->gives, status) == p)
+            openapi_answer(status, status, on->gives, b);
     }
-    for (char one[80]; *media; media += *media == '|') {
-        const size_t n = strcspn(media, "|");
-        snprintf(one, sizeof one, "%.*s", (int)n, media);
-        json_t *more = openapi_content(one, schema);
-        json_object_update(content, more);
-        json_decref(more);
-        media += n;
+    if (on->method == METHOD_GET && !on->whole && !strncmp(on->gives, "200 ", 4)) {
+        openapi_answer("206", "200", on->gives, b);
+        openapi_answer("304", "304", on->gives, b);
+        openapi_answer("416", "4XX", problem, b);
     }
-}
-
-static void openapi_add_location(json_t *response)
-{
-    json_object_set_new(response, "headers",
-                        json_pack("{s:{s:s,s:{s:s}}}", "Location", "description",
-                                  "relative to the request's path", "schema", "type", "string"));
-}
-
-/* "STATUS MEDIA|MEDIA SCHEMA,STATUS," */
-static json_t *openapi_responses(const struct route_method *on)
-{
-    json_t *all = json_object();
-    bool part = false;
-    for (const char *p = on->gives; *p;) {
-        char status[4] = "", media[120] = "", schema[40] = "";
-        int n = sscanf(p, "%3[0-9] %119[^ ,] %39[^,]", status, media, schema);
-        json_t *o = openapi_response(all, status);
-        if (n == 3)
-            openapi_add_media(o, media, schema);
-        if (!strcmp(status, "307"))
-            openapi_add_location(o);
-        part |= n == 3 && on->method == METHOD_GET && !on->whole && !strcmp(status, "200");
-        p += strcspn(p, ",");
-        p += *p == ',';
-    }
-    if (part) {
-        json_object_set(openapi_response(all, "206"), "content",
-                        json_object_get(json_object_get(all, "200"), "content"));
-        (void)openapi_response(all, "304");
-        openapi_add_media(openapi_response(all, "416"), "application/problem+json", "Problem");
-    }
-    static const char *const problems[] = {"4XX", "5XX"};
-    for (int k = 0; k < 2; k++)
-        openapi_add_media(openapi_response(all, problems[k]), "application/problem+json",
-                          "Problem");
-    return all;
+    openapi_answer("4XX", "4XX", problem, b);
+    openapi_answer("5XX", "4XX", problem, b);
 }
 
 /* ---- operations ---- */
 
-static const char *openapi_tag(const struct route *r)
-{
-    return r->scope & SCOPE_DATASET      ? "datasets"
-           : r->scope == SCOPE_OPERATORS ? "operators"
-                                         : "service";
-}
-
-/* Without --auth nothing is needed. */
-static json_t *openapi_security(const struct route *r, enum method method)
-{
-    if (!(r->scope & SCOPE_DATASET))
-        return json_array();
-    json_t *o = json_pack("[{},{s:[]}]", "token");
-    if (method == METHOD_GET)
-        json_array_append_new(o, json_pack("{s:[]}", "signature"));
-    return o;
-}
-
-static json_t *openapi_operation(const struct router *routes, const struct route *r,
-                                 const struct route_method *on, const char *verb)
-{
-    char id[64];
-    snprintf(id, sizeof id, "%s%s%s", r->name, on == r->on ? "" : "_", on == r->on ? "" : verb);
-    json_t *o =
-        json_pack("{s:s,s:s,s:[s],s:o,s:o,s:o}", "operationId", id, "summary", on->about, "tags",
-                  openapi_tag(r), "security", openapi_security(r, on->method), "parameters",
-                  openapi_parameters(routes, r, on->method), "responses", openapi_responses(on));
-    if (on->takes)
-        json_object_set_new(o, "requestBody",
-                            json_pack("{s:b,s:o}", "required", 1, "content",
-                                      openapi_content("application/json", on->takes)));
-    return o;
-}
-
-/* A route's template without its brackets. */
-static void openapi_path(const struct route *r, char out[OPENAPI_PATH])
-{
-    size_t n = 0;
-    for (const char *p = r->path; *p && n + 1 < OPENAPI_PATH; p++)
-        if (*p != '[' && *p != ']')
-            out[n++] = *p;
-    out[n] = '\0';
-}
-
-static json_t *openapi_paths(const struct router *routes)
+static void openapi_operation(const struct router *routes, const struct route *r,
+                              const struct route_method *on, struct buf *b)
 {
     static const char *const verbs[] = {[METHOD_GET] = "get",
                                         [METHOD_POST] = "post",
                                         [METHOD_PUT] = "put",
                                         [METHOD_DELETE] = "delete"};
-    size_t n;
-    const struct route *rows = router_rows(routes, &n);
-    json_t *paths = json_object();
-    for (const struct route *r = rows; r < rows + n; r++) {
-        char path[OPENAPI_PATH];
-        if (r->scope & SCOPE_FILE) /* whatever the viewer has: no part of the interface */
-            continue;
-        json_t *all = json_object();
-        for (const struct route_method *on = r->on; on < r->on + ROUTE_METHODS && on->answer; on++)
-            json_object_set_new(all, verbs[on->method],
-                                openapi_operation(routes, r, on, verbs[on->method]));
-        openapi_path(r, path);
-        json_object_set_new(paths, path, all);
-    }
-    return paths;
+    const char *const verb = verbs[on->method];
+    const bool of_dataset = r->scope & SCOPE_DATASET, first = on == r->on;
+    openapi_put(b, ",'%s':{'operationId':'%s%s%s','summary':'%s','tags':['%s'],'security':[", verb,
+                r->name, first ? "" : "_", first ? "" : verb, on->about,
+                of_dataset                    ? "datasets"
+                : r->scope == SCOPE_OPERATORS ? "operators"
+                                              : "service");
+    if (of_dataset) /* without --auth nothing is needed */
+        openapi_put(b, "{},{'token':[]}");
+    if (of_dataset && on->method == METHOD_GET)
+        openapi_put(b, ",{'signature':[]}");
+    openapi_put(b, "],'parameters':[");
+    openapi_parameters(routes, r, false, b);
+    if (on->method == METHOD_GET)
+        openapi_parameters(routes, r, true, b);
+    openapi_put(b, "],'responses':{");
+    openapi_answers(on, b);
+    openapi_put(b, "}");
+    if (on->takes)
+        openapi_put(b, ",'requestBody':{'required':true,'content':{" OPENAPI_CONTENT "}}",
+                    "application/json", on->takes);
+    openapi_put(b, "}");
 }
 
-static json_t *openapi_components(void)
+static void openapi_paths(const struct router *routes, struct buf *b)
 {
-    static const struct {
-        const char *name, *schema;
-    } schemas[] = {
-#define SCHEMA_ROW(name, schema) {name, schema},
-        OPENAPI_SCHEMAS(SCHEMA_ROW)
-#undef SCHEMA_ROW
-    };
-    json_t *shapes = json_object();
-    for (size_t i = 0; i < sizeof schemas / sizeof *schemas; i++)
-        json_object_set_new(shapes, schemas[i].name, openapi_json(schemas[i].schema));
-    return json_pack("{s:o,s:{s:{s:s,s:s},s:{s:s,s:s,s:s}}}", "schemas", shapes, "securitySchemes",
-                     "token", "type", "http", "scheme", "bearer", "signature", "type", "apiKey",
-                     "in", "query", "name", "sig");
+    size_t n;
+    const struct route *rows = router_rows(routes, &n);
+    for (const struct route *r = rows; r < rows + n; r++) {
+        if (r->scope & SCOPE_FILE) /* whatever the viewer has: no part of the interface */
+            continue;
+        openapi_put(b, ",'");
+        for (const char *p = r->path; *p; p++)
+            if (*p != '[' && *p != ']')
+                buf_u8(b, (unsigned char)*p);
+        openapi_put(b, "':{");
+        for (const struct route_method *on = r->on; on < r->on + ROUTE_METHODS && on->answer; on++)
+            openapi_operation(routes, r, on, b);
+        openapi_put(b, "}");
+    }
 }
 
 enum err_code openapi_describe(const struct router *routes, struct body **out, struct err *e)
 {
-    json_t *tags = json_pack("[{s:s,s:s},{s:s,s:s},{s:s,s:s}]", "name", "service", "description",
-                             "The service as a whole", "name", "datasets", "description",
-                             "One dataset; --auth says who may read it", "name", "operators",
-                             "description", "On the listener of --admin alone");
-    json_t *o =
-        json_pack("{s:s,s:{s:s,s:s,s:s,s:{s:s,s:s}},s:[{s:s}],s:o,s:o,s:o}", "openapi", "3.0.3",
-                  "info", "title", "citysplat", "version", CITYSPLAT_VERSION, "description",
-                  "Tiles and pictures of cities of 3D Gaussians", "license", "name", "Apache 2.0",
-                  "url", "https://www.apache.org/licenses/LICENSE-2.0", "servers", "url", ".",
-                  "tags", tags, "paths", openapi_paths(routes), "components", openapi_components());
-    return document_make(o, out, e);
+    struct buf b = {0};
+    struct json_t *o = NULL;
+    openapi_put(&b, "{'openapi':'3.0.3','info':{'title':'citysplat','version':'" CITYSPLAT_VERSION
+                    "','description':'Tiles and pictures of cities of 3D Gaussians','license':{"
+                    "'name':'Apache 2.0','url':'https://www.apache.org/licenses/LICENSE-2.0'}},"
+                    "'servers':[{'url':'.'}],'tags':["
+                    "{'name':'service','description':'The service as a whole'},"
+                    "{'name':'datasets','description':'One dataset; --auth says who may read it'},"
+                    "{'name':'operators','description':'On the listener of --admin alone'}],"
+                    "'paths':{");
+    openapi_paths(routes, &b);
+    openapi_put(&b, "},'components':{'schemas':{");
+#define SCHEMA_ROW(name, schema) openapi_put(&b, ",'" name "':" schema);
+    OPENAPI_SCHEMAS(SCHEMA_ROW)
+#undef SCHEMA_ROW
+    openapi_put(&b, "},'securitySchemes':{'token':{'type':'http','scheme':'bearer'},"
+                    "'signature':{'type':'apiKey','in':'query','name':'sig'}}}}");
+    enum err_code rc = buf_check(&b, e);
+    if (!rc)
+        rc = jsonc_parse((const char *)b.data, b.size, "openapi", &o, e);
+    buf_free(&b);
+    return rc ? rc : document_make(o, out, e);
 }

@@ -31,34 +31,17 @@ static bool param_take_name(struct text *t, size_t least, size_t most, char *out
     return n >= least;
 }
 
-static bool param_take_format(struct text *t, int first, int last, enum format *out)
+const char *param_choice(const struct param *p, uint32_t i, size_t *n)
 {
-    for (int f = first; f <= last; f++) {
-        struct text at = *t;
-        if (text_take(&at, format_ext((enum format)f)) && text_at_end(&at)) {
-            *t = at;
-            *out = (enum format)f;
-            return true;
-        }
+    const char *word = p->type == PARAM_WORD ? p->words : NULL;
+    if (p->type == PARAM_FORMAT && p->least + i <= p->most)
+        word = format_ext((enum format)(p->least + i));
+    for (; word && p->type == PARAM_WORD && i; i--) {
+        word = strchr(word, '|');
+        word += word != NULL;
     }
-    return false;
-}
-
-/* Which of the words "a|b|c" all of t is; false: none. */
-static bool param_take_word(struct text *t, const char *words, uint32_t *out)
-{
-    const size_t n = (size_t)(t->end - t->p);
-    for (uint32_t i = 0;; i++, words++) {
-        const size_t m = strcspn(words, "|");
-        if (n == m && !memcmp(t->p, words, n)) {
-            t->p = t->end;
-            *out = i;
-            return true;
-        }
-        words += m;
-        if (!*words)
-            return false;
-    }
+    *n = word ? strcspn(word, "|") : 0;
+    return word;
 }
 
 static void param_keep(const struct param *p, uint32_t v, struct target *out)
@@ -68,6 +51,20 @@ static void param_keep(const struct param *p, uint32_t v, struct target *out)
         *to = (uint8_t)(v < 255 ? v : 255);
     else
         memcpy(to, &v, sizeof v);
+}
+
+/* All of t is one of the choices. */
+static bool param_read_choice(const struct param *p, struct text *t, struct target *out)
+{
+    size_t n;
+    const char *word;
+    for (uint32_t i = 0; (word = param_choice(p, i, &n)) != NULL; i++)
+        if ((size_t)(t->end - t->p) == n && !memcmp(t->p, word, n)) {
+            param_keep(p, (uint32_t)p->least + i, out);
+            t->p = t->end;
+            return true;
+        }
+    return false;
 }
 
 static enum err_code param_read_decimal(const struct param *p, struct text *t, struct target *out,
@@ -86,10 +83,19 @@ static enum err_code param_read_decimal(const struct param *p, struct text *t, s
     return ERR_OK;
 }
 
+/* The rest of a query's part, or of a path up to the next slash. */
+static bool param_read_span(const struct param *p, struct text *t, struct target *out)
+{
+    const char *slash = p->groups & PARAM_PATH ? memchr(t->p, '/', (size_t)(t->end - t->p)) : NULL;
+    const struct text span = {t->p, slash ? slash : t->end};
+    memcpy((char *)out + p->at, &span, sizeof span);
+    t->p = span.end;
+    return span.end - span.p >= (ptrdiff_t)p->least;
+}
+
 enum err_code param_read(const struct param *p, struct text *t, struct target *out, struct err *e)
 {
     uint32_t v = 0;
-    enum format f;
     bool ok = true;
     switch (p->type) {
     case PARAM_NAME:
@@ -105,15 +111,14 @@ enum err_code param_read(const struct param *p, struct text *t, struct target *o
     case PARAM_ANGLE:
         return param_read_decimal(p, t, out, e);
     case PARAM_FORMAT:
-        if ((ok = param_take_format(t, (int)p->least, (int)p->most, &f)))
-            param_keep(p, (uint32_t)f, out);
-        break;
     case PARAM_WORD:
-        if ((ok = param_take_word(t, p->words, &v)))
-            param_keep(p, v + (uint32_t)p->least, out);
+        ok = param_read_choice(p, t, out);
         break;
     case PARAM_TEXT:
         ok = text_take_decoded(t, (char *)out + p->at, p->size);
+        break;
+    case PARAM_SPAN:
+        ok = param_read_span(p, t, out);
         break;
     case PARAM_REST:
         t->p = t->end;
@@ -148,17 +153,6 @@ static enum err_code param_own_rev(struct text *t, struct target *out, struct er
                : ERR_NOENT;
 }
 
-/* Up to the next slash, or the end. */
-static enum err_code param_own_seal(struct text *t, struct target *out, struct err *e)
-{
-    const char *slash = memchr(t->p, '/', (size_t)(t->end - t->p));
-    (void)e;
-    out->seal = t->p;
-    t->p = slash ? slash : t->end;
-    out->n_seal = (size_t)(t->p - out->seal);
-    return out->n_seal ? ERR_OK : ERR_NOENT;
-}
-
 static enum err_code param_own_row_2x(struct text *t, struct target *out, struct err *e)
 {
     (void)e;
@@ -168,89 +162,63 @@ static enum err_code param_own_row_2x(struct text *t, struct target *out, struct
     return ERR_OK;
 }
 
+static bool param_take_kept(struct text *t, char out[TARGET_KEPT_MAX])
+{
+    return param_take_name(t, 1, TARGET_KEPT_MAX - 1, out) && strcmp(out, "default") != 0 &&
+           strcmp(out, "none") != 0;
+}
+
 bool param_is_kept_name(const char *name)
 {
     struct text t = {name, name + strlen(name)};
     char again[TARGET_KEPT_MAX];
-    return param_take_name(&t, 1, sizeof again - 1, again) && text_at_end(&t) &&
-           strcmp(name, "default") != 0 && strcmp(name, "none") != 0;
+    return param_take_kept(&t, again) && text_at_end(&t);
 }
 
 static enum err_code param_own_kept(struct text *t, struct target *out, struct err *e)
 {
     (void)e;
-    return param_take_name(t, 1, sizeof out->kept - 1, out->kept) && param_is_kept_name(out->kept)
-               ? ERR_OK
-               : ERR_NOENT;
+    return param_take_kept(t, out->kept) ? ERR_OK : ERR_NOENT;
 }
 
 /* ---- places ---- */
 
-/* A comma, which may come as %2C. */
-static bool param_take_comma(struct text *t)
-{
-    return text_take(t, ",") || text_take(t, "%2C") || text_take(t, "%2c");
-}
-
-/* n numbers: longitude, latitude, longitude, ... in 1e-7 degrees. */
-static enum err_code param_take_degrees(struct text *one, int n, const char *name, int32_t *out,
-                                        struct err *e)
-{
-    for (int i = 0; i < n; i++) {
-        int64_t v;
-        const int64_t most = i % 2 ? 900000000 : 1800000000;
-        if ((i && !param_take_comma(one)) || !text_take_fixed(one, 7, &v))
-            return ERR_NOENT;
-        if (v < -most || v > most)
-            return err_set(e, ERR_DATA, "%s: no longitude and latitude", name);
-        out[i] = (int32_t)v;
-    }
-    return ERR_OK;
-}
-
 static enum err_code param_own_bbox(struct text *one, struct target *out, struct err *e)
 {
-    enum err_code rc = param_take_degrees(one, 4, "bbox", out->bbox_e7, e);
+    enum err_code rc = text_take_degrees(one, 4, "bbox:", out->bbox_e7, e);
     out->has_bbox = true;
     return !rc && out->bbox_e7[1] > out->bbox_e7[3]
                ? err_set(e, ERR_DATA, "bbox is west,south,east,north: south is above north")
                : rc;
 }
 
+static bool param_take_box(struct text t, bool solid, struct target *out)
+{
+    for (int k = 0; k < 2; k++)
+        if ((k && !text_take_mark(&t, ',')) ||
+            text_take_degrees(&t, 2, "bbox:", &out->bbox_e7[2 * k], NULL) ||
+            (solid && !(text_take_mark(&t, ',') && text_take_fixed(&t, 3, &out->heights_mm[k]))))
+            return false;
+    return text_at_end(&t);
+}
+
 /* Of collections: four numbers, or six with heights. */
 static enum err_code param_own_box(struct text *one, struct target *out, struct err *e)
 {
-    char text[128];
-    int64_t v[6] = {0};
-    int n = 0;
     (void)e;
-    bool ok = text_take_decoded(one, text, sizeof text);
-    struct text plain = {text, text + (ok ? strlen(text) : 0)};
-    for (; ok && n < 6 && (!n || text_take(&plain, ",")); n++)
-        ok = text_take_fixed(&plain, 7, &v[n]);
-    const int east = n == 6 ? 3 : 2;
-    const int64_t flat[4] = {v[0], v[1], v[east], v[east + 1]};
-    for (int i = 0; ok && n >= 4 && i < 4; i++)
-        ok = flat[i] >= -(i % 2 ? 900000000 : 1800000000) &&
-             flat[i] <= (i % 2 ? 900000000 : 1800000000);
-    if (!ok || !text_at_end(&plain) || (n != 4 && n != 6) || flat[1] > flat[3])
-        return ERR_NOENT;
-    for (int i = 0; i < 4; i++)
-        out->bbox_e7[i] = (int32_t)flat[i];
-    out->has_bbox = true;
-    out->has_heights = n == 6;
-    out->heights_mm[0] = n == 6 ? v[2] / 10000 : 0;
-    out->heights_mm[1] = n == 6 ? v[5] / 10000 : 0;
-    return ERR_OK;
+    out->has_heights = !param_take_box(*one, false, out);
+    out->has_bbox = !out->has_heights || param_take_box(*one, true, out);
+    one->p = one->end;
+    return out->has_bbox && out->bbox_e7[1] <= out->bbox_e7[3] ? ERR_OK : ERR_NOENT;
 }
 
 static enum err_code param_own_near(struct text *one, struct target *out, struct err *e)
 {
     struct target_search *q = &out->search;
     int64_t radius;
-    enum err_code rc = param_take_degrees(one, 2, "near", q->near_e7, e);
+    enum err_code rc = text_take_degrees(one, 2, "near:", q->near_e7, e);
     q->has_near = true;
-    if (rc || !param_take_comma(one))
+    if (rc || !text_take_mark(one, ','))
         return rc;
     if (!text_take_fixed(one, 3, &radius))
         return ERR_NOENT;
@@ -261,12 +229,6 @@ static enum err_code param_own_near(struct text *one, struct target *out, struct
 }
 
 /* ---- lists ---- */
-
-static enum err_code param_own_datetime(struct text *one, struct target *out, struct err *e)
-{
-    out->search.has_time = true;
-    return param_time_interval(one, out->search.time_s, e);
-}
 
 static enum err_code param_own_hours(struct text *one, struct target *out, struct err *e)
 {
@@ -297,26 +259,15 @@ static enum err_code param_own_colour(struct text *one, struct target *out, stru
 
 static enum err_code param_own_zooms(struct text *one, struct target *out, struct err *e)
 {
-    uint32_t a = 0, b = 0;
+    uint32_t a, b;
     (void)e;
-    bool ok = text_take_uint(one, &a);
+    if (!text_take_uint(one, &a))
+        return ERR_NOENT;
     b = a;
-    if (ok && text_take(one, "-"))
-        ok = text_take_uint(one, &b);
-    if (!ok || a > b || b > KEY_ZOOM_MAX)
+    if ((text_take(one, "-") && !text_take_uint(one, &b)) || a > b || b > KEY_ZOOM_MAX)
         return ERR_NOENT;
     out->z_min = (uint8_t)a;
     out->z_max = (uint8_t)b;
-    return ERR_OK;
-}
-
-/* course.c reads it. */
-static enum err_code param_own_path(struct text *one, struct target *out, struct err *e)
-{
-    (void)e;
-    out->course.path = one->p;
-    out->course.n_path = (size_t)(one->end - one->p);
-    one->p = one->end;
     return ERR_OK;
 }
 
@@ -333,14 +284,7 @@ static enum err_code param_own_size(struct text *one, struct target *out, struct
     return ERR_OK;
 }
 
-/* ---- tiles and pictures ---- */
-
-static enum err_code param_own_clip(struct text *one, struct target *out, struct err *e)
-{
-    if (!(out->route->query & QUERY_TILES))
-        return err_set(e, ERR_FORMAT, "clip is of tiles, tilesets and prefetch lists");
-    return param_clip_read(one, &out->clip, e);
-}
+/* ---- pictures ---- */
 
 static enum err_code param_own_background(struct text *one, struct target *out, struct err *e)
 {
@@ -354,30 +298,20 @@ static enum err_code param_own_background(struct text *one, struct target *out, 
 /* ---- the table ---- */
 
 #define PATH PARAM_PATH
-#define NAME PARAM_NAME, NULL
-#define NATURAL PARAM_NATURAL, NULL
-#define COUNT PARAM_COUNT, NULL
-#define E7 PARAM_E7, NULL
-#define E3 PARAM_E3, NULL
-#define ANGLE PARAM_ANGLE, NULL
-#define FORMAT PARAM_FORMAT, NULL
-#define WORD PARAM_WORD, NULL
-#define TEXT PARAM_TEXT, NULL
-#define REST PARAM_REST, NULL
-#define OWN(name) PARAM_OWN, param_own_##name
+#define PARAM_OWN(function) PARAM_OWN, .read = function
 const struct param PARAMS[] = {
-#define PARAM(name, groups, type, least, most, words, standard, member, must, about)               \
-    {#name,                                                                                        \
-     groups,                                                                                       \
-     type,                                                                                         \
-     least,                                                                                        \
-     most,                                                                                         \
-     words,                                                                                        \
-     standard,                                                                                     \
+#define PARAM(id, in, form, from, to, list, left_out, member, message, text)                       \
+    {PARAM_##form,                                                                                 \
+     .name = #id,                                                                                  \
+     in,                                                                                           \
+     from,                                                                                         \
+     to,                                                                                           \
+     list,                                                                                         \
+     left_out,                                                                                     \
      offsetof(struct target, member),                                                              \
      sizeof((struct target *)0)->member,                                                           \
-     must,                                                                                         \
-     about},
+     message,                                                                                      \
+     text},
 #include "server/params.def"
 #undef PARAM
 };

@@ -19,16 +19,17 @@ enum param_type {
     PARAM_FORMAT,  /* an extension (format.h) at the end of the text */
     PARAM_WORD,    /* one of the words: the first is stored as `least`, the next as one more */
     PARAM_TEXT,    /* percent-encoded UTF-8 */
+    PARAM_SPAN,    /* any text up to a slash of the path, at least `least` bytes; borrowed */
     PARAM_REST,    /* any text; it is not stored */
     PARAM_OWN,     /* a function of its own reads it */
 };
 struct param {
-    const char *name;
-    unsigned groups;
     enum param_type type;
     enum err_code (*read)(struct text *t, struct target *out, struct err *e); /* for PARAM_OWN */
+    const char *name;
+    unsigned groups;
     double least, most;
-    const char *words;    /* "a|b|c"; for PARAM_OWN a pattern; may be NULL */
+    const char *words;    /* "a|b|c"; for PARAM_SPAN and PARAM_OWN a pattern; may be NULL */
     const char *standard; /* default; NULL: nothing is set */
     size_t at, size;      /* of its member in struct target */
     const char *must, *about;
@@ -40,6 +41,8 @@ extern const size_t PARAMS_COUNT;
  * not set. ERR_DATA, ERR_FORMAT: the value is impossible; e says why. */
 enum err_code param_read(const struct param *p, struct text *t, struct target *out,
                          struct err *e) ERR_USE;
+/* The i-th choice [n] of a format or word. NULL: there are no more. */
+const char *param_choice(const struct param *p, uint32_t i, size_t *n);
 /* Returns whether an appearance may have this name: [a-z0-9][a-z0-9_-]*, and no word with another
  * meaning. */
 bool param_is_kept_name(const char *name);

@@ -19,12 +19,10 @@ void router_close(struct router **r);
  * is the number of rows. */
 const struct route *router_rows(const struct router *r, size_t *n);
 size_t router_index(const struct router *r, const struct route *row);
-/* The parameters of a row: those of its path, in order and in their form for this path, and those
- * that its query may have. Return their number. The array lives as long as r. */
-size_t router_path_params(const struct router *r, const struct route *row,
-                          const struct param *const **out);
-size_t router_query_params(const struct router *r, const struct route *row,
-                           const struct param *const **out);
+/* The parameters of a row: those of its path, in order and in their form for this path, or those
+ * that its query may have. Returns their number. The array lives as long as r. */
+size_t router_params(const struct router *r, const struct route *row, bool of_query,
+                     const struct param *const **out);
 /* Parses text [n], which may contain a NUL. ERR_FORMAT: it has bytes that no valid target has
  * (400). ERR_DATA: it is well formed, with impossible numbers (422). ERR_NOENT: there is no such
  * route, or a tile key is out of range (404). */

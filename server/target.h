@@ -8,6 +8,7 @@
 #include "core/base.h"
 #include "lod/key.h"
 #include "server/format.h"
+#include "server/text.h"
 
 struct route;
 
@@ -55,8 +56,7 @@ enum encoding {
 };
 /* The path of a camera (course.h), in thousandths except for pixels; 0: not given. */
 struct target_course {
-    const char *path; /* [n_path], borrowed from the target's text; NULL: there is no camera */
-    size_t n_path;
+    struct text path; /* borrowed from the target's text; p NULL: there is no camera */
     uint32_t width_px, height_px, fov_e3, error_e3, speed_e3, horizon_e3;
 };
 /* A polygon that does not cross itself, in its only spelling, so that equal polygons are equal
@@ -93,8 +93,7 @@ struct target {
     enum encoding encoding; /* for terrain */
     uint32_t row;           /* for a thumbnail */
     char stream[64];        /* for motion */
-    const char *seal;       /* [n_seal], borrowed from the target's text; for a signed address */
-    size_t n_seal;
+    struct text seal;       /* borrowed from the target's text; for a signed address */
     struct target_search search;
     /* for seed, collections and search: */
     bool has_bbox;

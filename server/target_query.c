@@ -4,9 +4,6 @@
  */
 #include "server/target_query.h"
 
-#include <stdio.h>
-#include <string.h>
-
 #include "codec/quant.h"
 #include "server/param_clip.h"
 #include "server/param_time.h"
@@ -15,38 +12,29 @@
 void target_query_tiles(const struct target *t, char out[TARGET_QUERY_MAX])
 {
     const struct form *f = &t->form;
-    size_t n = 0;
-    out[0] = '\0';
+    char *p = out;
     if (f->preset < QUANT_PRESETS)
-        n += (size_t)snprintf(out, TARGET_QUERY_MAX, "?preset=%s",
-                              quant_preset_name((enum quant_preset)f->preset));
+        p = text_put(text_put(p, "&preset="), quant_preset_name((enum quant_preset)f->preset));
     if (f->sh_degree <= GAUSS_SH_DEGREE_MAX)
-        n +=
-            (size_t)snprintf(out + n, TARGET_QUERY_MAX - n, "%csh=%u", n ? '&' : '?', f->sh_degree);
-    if (t->clip.n) {
-        n += (size_t)snprintf(out + n, TARGET_QUERY_MAX - n, "%cclip=", n ? '&' : '?');
-        param_clip_text(&t->clip, out + n);
-        n += strlen(out + n);
-    }
-    if (t->appearance[0]) {
-        n += (size_t)snprintf(out + n, TARGET_QUERY_MAX - n, "%cappearance=", n ? '&' : '?');
-        text_escape(t->appearance, out + n);
-    }
+        p = text_put_uint(text_put(p, "&sh="), f->sh_degree);
+    if (t->clip.n)
+        p = param_clip_text(&t->clip, text_put(p, "&clip="));
+    *p = '\0';
+    if (t->appearance[0])
+        text_escape(t->appearance, text_put(p, "&appearance="));
+    out[0] = out[0] ? '?' : '\0';
 }
 
 static void target_query_degrees(struct buf *out, const char *name, const int32_t *v_e7, int n)
 {
-    for (int i = 0; i < n; i++) {
-        const int64_t v = v_e7[i], size = v < 0 ? -v : v;
-        buf_printf(out, "%s%s%lld.%07lld", i ? "," : name, v < 0 ? "-" : "",
-                   (long long)(size / 10000000), (long long)(size % 10000000));
-    }
+    for (int i = 0; i < n; i++)
+        buf_printf(out, "%s%.7f", i ? "," : name, v_e7[i] / 1e7);
 }
 
 static void target_query_measure(struct buf *out, const char *name, uint32_t value_e3)
 {
     if (value_e3)
-        buf_printf(out, "%s%u.%03u", name, value_e3 / 1000, value_e3 % 1000);
+        buf_printf(out, "%s%.3f", name, value_e3 / 1e3);
 }
 
 void target_query_seed(const struct target *t, const char *path, uint32_t after, struct buf *out)

@@ -16,6 +16,24 @@ bool text_take(struct text *t, const char *word)
     return true;
 }
 
+static int text_hex_value(char c)
+{
+    return c >= '0' && c <= '9'   ? c - '0'
+           : c >= 'a' && c <= 'f' ? c - 'a' + 10
+           : c >= 'A' && c <= 'F' ? c - 'A' + 10
+                                  : -1;
+}
+
+bool text_take_mark(struct text *t, char mark)
+{
+    const char *p = t->p;
+    if (t->end - p > 2 && *p == '%' && text_hex_value(p[1]) * 16 + text_hex_value(p[2]) == mark)
+        t->p += 3;
+    else if (p < t->end && *p == mark)
+        t->p++;
+    return t->p > p;
+}
+
 bool text_at_end(const struct text *t)
 {
     return t->p == t->end;
@@ -64,12 +82,19 @@ bool text_take_fixed(struct text *t, int scale, int64_t *out)
     return true;
 }
 
-static int text_hex_value(char c)
+enum err_code text_take_degrees(struct text *t, int n, const char *what, int32_t *out_e7,
+                                struct err *e)
 {
-    return c >= '0' && c <= '9'   ? c - '0'
-           : c >= 'a' && c <= 'f' ? c - 'a' + 10
-           : c >= 'A' && c <= 'F' ? c - 'A' + 10
-                                  : -1;
+    for (int i = 0; i < n; i++) {
+        int64_t v;
+        const int64_t most = i % 2 ? 900000000 : 1800000000;
+        if ((i && !text_take_mark(t, ',')) || !text_take_fixed(t, 7, &v))
+            return ERR_NOENT;
+        if (v < -most || v > most)
+            return err_set(e, ERR_DATA, "%s no longitude and latitude", what);
+        out_e7[i] = (int32_t)v;
+    }
+    return ERR_OK;
 }
 
 bool text_take_decoded(struct text *t, char *out, size_t room)

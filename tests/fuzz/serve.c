@@ -87,8 +87,7 @@ void fuzz_course(const uint8_t *bytes, size_t n)
     t.fov_e3 = 1000u + 500u * bytes[2];
     t.width_px = 1u + bytes[3];
     char *path = serve_text(bytes + HEAD, n - HEAD);
-    t.path = path;
-    t.n_path = n - HEAD;
+    t.path = (struct text){path, path + (n - HEAD)};
     if (!course_read(&t, &c, NULL)) {
         assert(c.n >= 1 && c.n <= COURSE_POSES_MAX);
         if (!course_cameras(&c, &serve_origin, cam, at_s, &n_cam, NULL)) {
