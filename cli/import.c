@@ -73,6 +73,42 @@ static void import_print(const char *path, const struct pyramid_report *r)
 {
     printf("%s: %zu tiles, zoom %u to %u, at most %zu Gaussians in one, revision %s, %.1f s\n",
            path, r->n_tiles, r->zoom_min, r->zoom_max, r->max_in_tile, r->revision, r->seconds);
+    log_info("tile", "seconds=%.2f read_s=%.2f plan_s=%.2f write_s=%.2f cpu_s=%.2f peak_bytes=%zu",
+             r->seconds, r->read_s, r->plan_s, r->seconds - r->read_s - r->plan_s, clock_cpu_s(),
+             mem_peak_bytes());
+}
+
+/* ---- a .ply in parts, so that memory does not grow with it ---- */
+
+enum { IMPORT_PART_ROWS = 131072 };
+
+struct import_stream {
+    struct ply_stream *ply;
+    const struct import_options *o;
+    const struct splats *like; /* kind and frame */
+    size_t n;
+};
+
+static enum err_code import_load(void *user, size_t part, struct gauss *out, struct err *e)
+{
+    const struct import_stream *s = user;
+    size_t first = part * IMPORT_PART_ROWS, left = s->n - first;
+    enum err_code rc =
+        ply_stream_read(s->ply, first, left < IMPORT_PART_ROWS ? left : IMPORT_PART_ROWS, out, e);
+    if (!rc) {
+        import_turn(s->like, s->o->axes, out);
+        import_scale(out, s->o->scale);
+    }
+    return rc;
+}
+
+/* Rows between the passes, and the store with its overviews: a third more rows than the finest
+ * level has. */
+static uint64_t import_room(const struct ply_rows *r, bool lossless)
+{
+    uint64_t values = 11 + 3 * (uint64_t)gauss_sh_count(r->sh_degree);
+    uint64_t row = lossless ? 4 * values : 12 + 2 * (values - 3);
+    return r->n * row * 7 / 3;
 }
 
 static enum err_code import_run(const char *path, const struct import_options *o, struct err *e)
@@ -80,6 +116,8 @@ static enum err_code import_run(const char *path, const struct import_options *o
     struct splats s = {0};
     struct geo_origin origin;
     struct pyramid_report report;
+    struct import_stream stream = {.o = o, .like = &s};
+    struct pyramid_level level = {.level = (uint8_t)o->level_count};
     struct pyramid_config cfg = {.tile_edge_m = o->tile_edge_m,
                                  .max_per_tile = (uint32_t)o->max_per_tile,
                                  .lossless = o->lossless};
@@ -91,6 +129,10 @@ static enum err_code import_run(const char *path, const struct import_options *o
     if (!rc)
         rc = splats_name(o->name, o->output, cfg.name, e);
     if (!rc)
+        rc = splats_kind(path, &s.kind, e);
+    if (!rc && s.kind == SPLATS_PLY)
+        rc = ply_stream_open(path, &stream.ply, &s.info, e);
+    if (!rc && !stream.ply)
         rc = splats_read(path, &lim, &s, e);
     if (rc)
         goto out;
@@ -101,16 +143,28 @@ static enum err_code import_run(const char *path, const struct import_options *o
     }
     if (!o->origin)
         origin = s.info.origin;
-    import_turn(&s, o->axes, &s.g);
-    import_scale(&s.g, o->scale);
+    if (stream.ply) {
+        const struct ply_rows rows = ply_stream_rows(stream.ply);
+        stream.n = rows.n;
+        level.load = import_load;
+        level.user = &stream;
+        level.n_parts = (rows.n + IMPORT_PART_ROWS - 1) / IMPORT_PART_ROWS;
+        rc = file_room(o->output, import_room(&rows, o->lossless), e);
+        if (rc)
+            goto out;
+    } else {
+        import_turn(&s, o->axes, &s.g);
+        import_scale(&s.g, o->scale);
+        level.g = &s.g;
+    }
     snprintf(cfg.attribution, sizeof cfg.attribution, "%s", o->attribution ? o->attribution : "");
-    const struct pyramid_level level = {.g = &s.g, .level = (uint8_t)o->level_count};
     rc = pyramid_build(&origin, &level, 1, &cfg, NULL, 0, o->output, &report, e);
     if (!rc)
         import_print(o->output, &report);
-    else if (rc != ERR_ARG)
+    else if (rc != ERR_ARG && !stream.ply)
         err_add(e, "%s", path);
 out:
+    ply_stream_close(&stream.ply);
     splats_free(&s);
     return rc;
 }

@@ -16,11 +16,15 @@
 #include "codec/ply_head.h"
 #include "core/gauss.h"
 
+#include <errno.h>
+#include <fcntl.h>
 #include <float.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 /* What writers make of opacity 1 and of flat Gaussians: infinities, brought back to the last
  * sensible value. */
@@ -126,8 +130,53 @@ static void ply_means_read(const struct source *s, const struct columns *col, st
                 (float)(ply_source_get(s, i, col->fixed[c]) - g->origin_enu_m[c]);
 }
 
+/* Little-endian float32 in the order of trainers, as nearly all files have it. */
+static bool ply_rows_plain(const struct source *s, const struct columns *col)
+{
+    const struct ply_property *const *f = col->fixed;
+    if (s->text || s->head->format != PLY_LITTLE)
+        return false;
+    for (size_t i = 0; i < N_FIXED; i++)
+        if (f[i]->type != PLY_F32)
+            return false;
+    for (size_t i = 0; i < 3 * col->n_rest; i++)
+        if (col->rest[i]->type != PLY_F32)
+            return false;
+    return f[1]->offset == f[0]->offset + 4 && f[2]->offset == f[0]->offset + 8 &&
+           f[4]->offset == f[3]->offset + 4 && f[5]->offset == f[3]->offset + 8 &&
+           f[8]->offset == f[7]->offset + 4 && f[9]->offset == f[7]->offset + 8 &&
+           f[11]->offset == f[10]->offset + 4 && f[12]->offset == f[10]->offset + 8 &&
+           f[13]->offset == f[10]->offset + 12;
+}
+
+static void ply_rows_copy(const struct source *s, const struct columns *col, struct gauss *g)
+{
+    const size_t k = gauss_sh_count(g->sh_degree), n_rest = k - 1;
+    const struct ply_property *const *f = col->fixed;
+    memset(g->origin_enu_m, 0, sizeof g->origin_enu_m);
+    for (size_t i = 0; i < g->n; i++) {
+        const uint8_t *row = s->rows + i * s->row_bytes;
+        float *sh = g->sh + 3 * k * i, *ln = g->scale_log + 3 * i, logit;
+        memcpy(g->mean_m + 3 * i, row + f[0]->offset, 12);
+        memcpy(sh, row + f[3]->offset, 12);
+        for (size_t c = 0; c < 3; c++)
+            for (size_t r = 0; r < n_rest; r++)
+                memcpy(sh + 3 * (r + 1) + c, row + col->rest[c * col->n_rest + r]->offset, 4);
+        memcpy(&logit, row + f[6]->offset, 4);
+        g->opacity_logit[i] = isinf(logit) ? copysignf(OPACITY_LOGIT_MAX, logit) : logit;
+        memcpy(ln, row + f[7]->offset, 12);
+        for (size_t c = 0; c < 3; c++)
+            ln[c] = ln[c] < SCALE_LOG_MIN && !isfinite(ln[c]) ? SCALE_LOG_MIN : ln[c];
+        memcpy(g->quat_wxyz + 4 * i, row + f[10]->offset, 16);
+    }
+}
+
 static void ply_rows_read(const struct source *s, const struct columns *col, struct gauss *g)
 {
+    if (ply_rows_plain(s, col)) {
+        ply_rows_copy(s, col, g);
+        return;
+    }
     const size_t k = gauss_sh_count(g->sh_degree), n_rest = k - 1;
     ply_means_read(s, col, g);
     for (size_t i = 0; i < g->n; i++) {
@@ -179,6 +228,133 @@ static enum err_code ply_inria_read(const struct ply_head *h, const struct codec
     if (rc)
         gauss_free(out);
     mem_free(text);
+    return rc;
+}
+
+/* ---- a file larger than memory ---- */
+
+enum { PLY_HEAD_MAX = 4 << 20 }; /* more than the longest head that is understood */
+
+struct ply_stream {
+    char path[FILE_PATH_MAX];
+    int fd;
+    struct ply_head head;
+    const struct ply_element *vertex;
+    struct columns col;
+};
+
+static enum err_code ply_read_at(const struct ply_stream *s, void *out, size_t n, uint64_t at,
+                                 size_t *got, struct err *e)
+{
+    char *p = out;
+    for (*got = 0; *got < n;) {
+        ssize_t here = pread(s->fd, p + *got, n - *got, (off_t)(at + *got));
+        if (here < 0 && errno == EINTR)
+            continue;
+        if (here < 0)
+            return err_errno(e, ERR_IO, "%s", s->path);
+        if (here == 0)
+            break;
+        *got += (size_t)here;
+    }
+    return ERR_OK;
+}
+
+/* The head of the open file; *fits: its rows can be read in parts. */
+static enum err_code ply_stream_head(struct ply_stream *s, bool *fits, struct err *e)
+{
+    struct stat st;
+    size_t got = 0;
+    if (fstat(s->fd, &st))
+        return err_errno(e, ERR_IO, "%s", s->path);
+    uint8_t *bytes = mem_uninit(PLY_HEAD_MAX, 1);
+    enum err_code rc = bytes ? ply_read_at(s, bytes, PLY_HEAD_MAX, 0, &got, e)
+                             : err_set(e, ERR_MEM, "%s: out of memory", s->path);
+    size_t size = S_ISREG(st.st_mode) && (size_t)st.st_size > got ? (size_t)st.st_size : got;
+    if (!rc)
+        rc = ply_head_read_of(bytes, got, size, &s->head, e);
+    mem_free(bytes);
+    s->vertex = rc ? NULL : ply_head_element(&s->head, "vertex");
+    *fits = s->vertex && s->vertex->rows_at && s->vertex->row_bytes && !ply_packed_is(&s->head);
+    if (*fits)
+        rc = ply_columns_find(s->vertex, &s->col, e);
+    return rc;
+}
+
+enum err_code ply_stream_open(const char *path, struct ply_stream **out, struct ply_info *info,
+                              struct err *e)
+{
+    bool fits = false;
+    *out = NULL;
+    struct ply_stream *s = mem_array(1, sizeof *s);
+    if (!s)
+        return err_set(e, ERR_MEM, "%s: out of memory", path);
+    snprintf(s->path, sizeof s->path, "%s", path);
+    s->fd = open(path, O_RDONLY | O_CLOEXEC);
+    enum err_code rc = s->fd < 0 ? err_errno(e, errno == ENOENT ? ERR_NOENT : ERR_IO, "%s", path)
+                                 : ply_stream_head(s, &fits, e);
+    if (rc && rc != ERR_IO && rc != ERR_NOENT)
+        err_add(e, "%s", path);
+    if (rc || !fits) {
+        ply_stream_close(&s);
+        return rc;
+    }
+    *info = s->head.info;
+    *out = s;
+    return ERR_OK;
+}
+
+void ply_stream_close(struct ply_stream **s)
+{
+    if (*s) {
+        ply_head_free(&(*s)->head);
+        if ((*s)->fd >= 0)
+            close((*s)->fd);
+    }
+    mem_free(*s);
+    *s = NULL;
+}
+
+struct ply_rows ply_stream_rows(const struct ply_stream *s)
+{
+    return (struct ply_rows){.n = s->vertex->count,
+                             .sh_degree = s->col.sh_degree,
+                             .antialiased = s->head.antialiased,
+                             .doubles = s->col.fixed[0]->type == PLY_F64};
+}
+
+enum err_code ply_stream_read(const struct ply_stream *s, size_t first, size_t n, struct gauss *out,
+                              struct err *e)
+{
+    const struct ply_element *v = s->vertex;
+    size_t got = 0, bad = 0, n_bad;
+    *out = (struct gauss){0};
+    if (first > v->count || n > v->count - first)
+        return err_set(e, ERR_ARG, "%s: rows %zu to %zu of %zu", s->path, first, first + n,
+                       v->count);
+    uint8_t *rows = mem_uninit(n, v->row_bytes);
+    enum err_code rc = rows ? ply_read_at(s, rows, n * v->row_bytes,
+                                          v->rows_at + (uint64_t)first * v->row_bytes, &got, e)
+                            : err_set(e, ERR_MEM, "%s: out of memory for %zu rows", s->path, n);
+    if (!rc && got < n * v->row_bytes)
+        rc = err_set(e, ERR_FORMAT, "%s: row %zu: the file ends: truncated while it was read",
+                     s->path, first + got / v->row_bytes);
+    if (!rc)
+        rc = gauss_uninit(out, n, s->col.sh_degree, 0, e);
+    if (!rc) {
+        const struct source from = {&s->head, rows, v->row_bytes, v->n_props, NULL};
+        out->n = n;
+        out->antialiased = s->head.antialiased;
+        ply_rows_read(&from, &s->col, out);
+        if ((n_bad = gauss_count_bad(out, &bad)))
+            rc = err_set(e, ERR_DATA,
+                         "%s: row %zu: not finite, or no rotation (%zu such rows near it): remove "
+                         "them",
+                         s->path, first + bad, n_bad);
+    }
+    if (rc)
+        gauss_free(out);
+    mem_free(rows);
     return rc;
 }
 

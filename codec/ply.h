@@ -42,6 +42,19 @@ void ply_encode_head(const struct ply_rows *r, const struct ply_info *info, stru
 size_t ply_row_bytes(const struct ply_rows *r);
 /* out [g->n][ply_row_bytes]. Values are not checked. */
 void ply_encode_rows(const struct gauss *g, bool doubles, uint8_t *out);
+/* Reads an INRIA .ply in parts. *out is NULL, without an error, when the file cannot be read that
+ * way (text, compressed): ply_read can. Counts are checked against the size of the file. Any thread
+ * may read; close it with ply_stream_close, idempotent. Each part has an origin of its own where
+ * coordinates are doubles. ply_stream_open: ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_MEM. ply_stream_read
+ * (free *out with gauss_free): ERR_IO, ERR_FORMAT (the file became shorter), ERR_DATA names the
+ * row, ERR_ARG (rows that are not there), ERR_MEM. */
+struct ply_stream;
+enum err_code ply_stream_open(const char *path, struct ply_stream **out, struct ply_info *info,
+                              struct err *e) ERR_USE;
+void ply_stream_close(struct ply_stream **s);
+struct ply_rows ply_stream_rows(const struct ply_stream *s);
+enum err_code ply_stream_read(const struct ply_stream *s, size_t first, size_t n, struct gauss *out,
+                              struct err *e) ERR_USE;
 /* Appends SuperSplat's compressed .ply to `out`, with harmonics up to sh_degree and without
  * embeddings. Rows keep their order. 256 rows share a box, so neighbours in space should follow
  * each other (gauss_hilbert_order). ERR_DATA (a value is not finite), ERR_ARG (sh_degree above that

@@ -158,24 +158,25 @@ static enum err_code head_line_read(struct ply_head *h, char *line, bool *format
 /* Where each element's rows are, as far as that can be told without reading lists. */
 static enum err_code head_place_rows(struct ply_head *h, struct err *e)
 {
-    const uint8_t *at = h->format == PLY_ASCII ? NULL : h->body;
-    size_t left = h->n_body;
+    bool known = h->format != PLY_ASCII;
+    size_t at = 0, left = h->n_body;
     for (size_t i = 0; i < h->n_elements; i++) {
         struct ply_element *el = &h->elements[i];
         for (size_t k = 0; k < el->n_props; k++) {
             if (el->props[k].type == PLY_LIST)
-                at = NULL;
+                known = false;
             else
                 el->row_bytes += types[el->props[k].type].bytes;
         }
-        if (!at)
+        if (!known)
             continue;
         if (el->row_bytes && el->count > left / el->row_bytes)
             return err_set(e, ERR_FORMAT,
                            "ply: element %.40s: %zu rows of %zu bytes announced, %zu bytes are "
                            "there: truncated",
                            el->name, el->count, el->row_bytes, left);
-        el->rows = at;
+        el->rows = h->body ? h->body + at : NULL;
+        el->rows_at = h->body_at + at;
         at += el->count * el->row_bytes;
         left -= el->count * el->row_bytes;
     }
@@ -183,6 +184,12 @@ static enum err_code head_place_rows(struct ply_head *h, struct err *e)
 }
 
 enum err_code ply_head_read(const void *bytes, size_t n, struct ply_head *out, struct err *e)
+{
+    return ply_head_read_of(bytes, n, n, out, e);
+}
+
+enum err_code ply_head_read_of(const void *bytes, size_t n, size_t n_file, struct ply_head *out,
+                               struct err *e)
 {
     struct cursor c = cursor_over(bytes, n);
     char line[LINE_MAX_BYTES];
@@ -202,8 +209,9 @@ enum err_code ply_head_read(const void *bytes, size_t n, struct ply_head *out, s
     }
     if (!format_seen)
         return err_set(e, ERR_FORMAT, "ply: no format line in the header");
-    out->body = c.p;
-    out->n_body = cursor_left(&c);
+    out->body_at = n - cursor_left(&c);
+    out->body = n == n_file ? c.p : NULL;
+    out->n_body = n_file - out->body_at;
     return head_place_rows(out, e);
 }
 

@@ -31,6 +31,7 @@ struct ply_element {
     size_t row_bytes; /* 0 if it has a list */
     /* binary: count * row_bytes bytes, checked; NULL after an ASCII or list element */
     const uint8_t *rows;
+    uint64_t rows_at; /* binary: where they begin in the file; 0 after an ASCII or list element */
 };
 struct ply_head { /* {0} is empty */
     enum ply_format format;
@@ -38,8 +39,8 @@ struct ply_head { /* {0} is empty */
     size_t n_elements;
     struct ply_info info;
     bool antialiased;
-    const uint8_t *body;
-    size_t n_body;
+    const uint8_t *body; /* NULL: only the head was at hand */
+    size_t body_at, n_body;
     struct arena arena;
 };
 
@@ -47,6 +48,9 @@ struct ply_head { /* {0} is empty */
  * ERR_FORMAT names the line. */
 enum err_code ply_head_read(const void *bytes, size_t n, struct ply_head *out,
                             struct err *e) ERR_USE;
+/* The same from the first n bytes of a file of n_file bytes; rows are not at hand. ERR_FORMAT. */
+enum err_code ply_head_read_of(const void *bytes, size_t n, size_t n_file, struct ply_head *out,
+                               struct err *e) ERR_USE;
 void ply_head_free(struct ply_head *h);
 const struct ply_element *ply_head_element(const struct ply_head *h, const char *name);
 const struct ply_property *ply_head_property(const struct ply_element *el, const char *name);

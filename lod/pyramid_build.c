@@ -82,14 +82,12 @@ static enum err_code pyramid_spill_part(struct pyramid *p, const struct gauss *g
     if (!items)
         return err_set(e, ERR_MEM, "out of memory for the tile codes of %zu Gaussians", g->n);
     enum err_code rc = pyramid_code_rows(p, g, items, &n, e);
-    if (!rc && !(run->code = mem_array(n, sizeof *run->code)))
-        rc = err_set(e, ERR_MEM, "out of memory for the tile codes of %zu Gaussians", g->n);
     if (!rc) {
         sort_items(items, items + g->n, n);
-        for (size_t i = 0; i < n; i++)
-            run->code[i] = items[i].key;
-        rc = spill_add(&p->spill, g, items, n, run, e);
+        rc = spill_index(run, items, n, e);
     }
+    if (!rc)
+        rc = spill_add(&p->spill, g, items, n, run, e);
     mem_free(items);
     return rc;
 }
@@ -203,25 +201,27 @@ static enum err_code pyramid_gather(struct pyramid *p, const struct pyramid_runs
 {
     uint64_t first, last;
     size_t from, to, bytes = 0;
+    enum err_code rc = ERR_OK;
     pyramid_range(code, z, &first, &last);
-    for (size_t r = 0; r < runs->n; r++) {
-        spill_slice(&runs->run[r], first, last, &from, &to);
+    for (size_t r = 0; !rc && r < runs->n; r++) {
+        rc = spill_slice(&p->spill, &runs->run[r], first, last, &from, &to, e);
         out->n += to - from;
         bytes += (to - from) * spill_row_bytes(&p->spill, &runs->run[r]);
     }
+    if (rc)
+        return rc;
     out->rows = mem_uninit(bytes, sizeof *out->rows);
     out->row = mem_uninit(out->n, sizeof *out->row);
     out->run = mem_uninit(out->n, sizeof *out->run);
     if (!out->rows || !out->row || !out->run)
         return err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", out->n);
-    enum err_code rc = ERR_OK;
     uint8_t *at = out->rows;
     size_t n = 0;
     for (size_t r = 0; !rc && r < runs->n; r++) {
         const struct spill_run *run = &runs->run[r];
         size_t width = spill_row_bytes(&p->spill, run);
-        spill_slice(run, first, last, &from, &to);
-        if (from == to)
+        rc = spill_slice(&p->spill, run, first, last, &from, &to, e);
+        if (rc || from == to)
             continue;
         rc = spill_read(&p->spill, run, from, to, at, e);
         for (size_t i = from; i < to; i++, at += width) {
@@ -544,14 +544,17 @@ enum err_code pyramid_build(const struct geo_origin *origin, const struct pyrami
         rc = locate_open(origin, &p.locate, e);
     if (!rc)
         rc = spill_open(out_path, cfg->lossless, &p.spill, e);
+    p.spill.locate = &p.locate;
     if (!rc)
         rc = pyramid_read(&p, e);
+    p.report->read_s = clock_s() - start;
     if (!rc) {
         p.top_level = levels[n_levels - 1].level;
         rc = pyramid_choose_zoom(&p, e);
     }
     if (!rc)
         rc = pyramid_plan(&p, e);
+    p.report->plan_s = clock_s() - start - p.report->read_s;
     if (!rc) {
         p.meta.origin = *origin;
         p.meta.lossless = cfg->lossless;

@@ -47,11 +47,10 @@ static enum err_code pyramid_tabulate(const struct pyramid *p, size_t i, uint8_t
     for (size_t r = 0; !rc && r < p->runs[i].n; r++) {
         const struct spill_run *run = &p->runs[i].run[r];
         for (size_t from = 0, to; !rc && from < run->n; from = to) {
-            uint64_t code = run->code[from] >> shift, first, last;
-            size_t begin;
-            pyramid_range(code, z, &first, &last);
-            spill_slice(run, first, last, &begin, &to);
-            rc = pyramid_table_add(out, &cap, (struct pyramid_count){code, to - from}, e);
+            uint64_t code = 0;
+            rc = spill_tile(&p->spill, run, shift, from, &code, &to, e);
+            if (!rc)
+                rc = pyramid_table_add(out, &cap, (struct pyramid_count){code, to - from}, e);
         }
     }
     if (out->n)

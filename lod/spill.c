@@ -11,11 +11,14 @@
 #include <unistd.h>
 
 #include "codec/payload.h"
+#include "core/gauss.h"
 #include "core/simd.h"
+#include "lod/locate.h"
 
 enum {
     SPILL_BLOCK_ROWS = 4096,
     SPILL_SOON = 8,
+    SPILL_GROUP_ROWS = 16, /* on average, at least */
     SPILL_LINE = 64 / sizeof(float),
     SPILL_REST_MAX = 3 + 4 + 1 + 48 + GAUSS_EMBED_MAX
 };
@@ -163,11 +166,9 @@ enum err_code spill_add(struct spill *s, const struct gauss *g, const struct sor
     return rc;
 }
 
-enum err_code spill_read(struct spill *s, const struct spill_run *r, size_t from, size_t to,
-                         void *out, struct err *e)
+static enum err_code spill_read_at(const struct spill *s, void *out, size_t n, uint64_t at,
+                                   struct err *e)
 {
-    size_t row = spill_row_bytes(s, r), n = (to - from) * row;
-    uint64_t at = r->offset + from * row;
     char *p = out;
     while (n > 0) {
         ssize_t got = pread(s->fd, p, n, (off_t)at);
@@ -183,32 +184,157 @@ enum err_code spill_read(struct spill *s, const struct spill_run *r, size_t from
     return ERR_OK;
 }
 
-static size_t spill_lower(const struct spill_run *r, uint64_t code)
+enum err_code spill_read(const struct spill *s, const struct spill_run *r, size_t from, size_t to,
+                         void *out, struct err *e)
 {
-    size_t lo = 0, hi = r->n;
-    while (lo < hi) {
+    size_t row = spill_row_bytes(s, r);
+    return spill_read_at(s, out, (to - from) * row, r->offset + from * row, e);
+}
+
+/* ---- the index ---- */
+
+/* Groups become fewer as their codes lose bits, two a zoom. */
+static unsigned spill_choose_shift(const struct sort_item *items, size_t n)
+{
+    size_t differ[33] = {0}, groups = 1; /* by zooms up to which two neighbours differ */
+    for (size_t i = 1; i < n; i++) {
+        unsigned zooms = 0;
+        for (uint64_t x = items[i].key ^ items[i - 1].key; x; x >>= 2)
+            zooms++;
+        differ[zooms]++;
+    }
+    for (unsigned z = 32; z > 0; z--) {
+        groups += differ[z]; /* with the last z - 1 zooms left out */
+        if (groups > n / SPILL_GROUP_ROWS + 1)
+            return 2 * z;
+    }
+    return 0;
+}
+
+enum err_code spill_index(struct spill_run *run, const struct sort_item *items, size_t n,
+                          struct err *e)
+{
+    *run = (struct spill_run){.n = n, .shift = spill_choose_shift(items, n)};
+    uint64_t mask = run->shift < 64 ? UINT64_MAX << run->shift : 0;
+    size_t groups = n > 0;
+    for (size_t i = 1; i < n; i++)
+        groups += (items[i].key & mask) != (items[i - 1].key & mask);
+    run->group = mem_array(groups, sizeof *run->group);
+    if (!run->group)
+        return err_set(e, ERR_MEM, "out of memory for the tile codes of %zu Gaussians", n);
+    for (size_t i = 0; i < n; i++)
+        if (i == 0 || (items[i].key & mask) != (items[i - 1].key & mask))
+            run->group[run->n_groups++] = (struct spill_group){items[i].key & mask, (uint32_t)i};
+    run->code_first = n ? items[0].key : 0;
+    run->code_last = n ? items[n - 1].key : 0;
+    return ERR_OK;
+}
+
+/* The code of a row, from its mean: what it was sorted by. */
+static enum err_code spill_code(const struct spill *s, const struct spill_run *r, size_t row,
+                                uint64_t *code, struct err *e)
+{
+    float mean[3];
+    double enu[3];
+    struct key k;
+    enum err_code rc =
+        spill_read_at(s, mean, sizeof mean, r->offset + row * spill_row_bytes(s, r), e);
+    for (size_t a = 0; a < 3; a++)
+        enu[a] = rc ? 0.0 : (double)mean[a] + r->origin_enu_m[a];
+    if (!rc)
+        rc = locate_key(s->locate, enu, &k, e);
+    *code = rc ? 0 : locate_code(k);
+    return rc;
+}
+
+/* The last group with a code of at most this one, or the first. */
+static size_t spill_group_of(const struct spill_run *r, uint64_t code)
+{
+    size_t lo = 0, hi = r->n_groups;
+    while (lo + 1 < hi) {
         size_t mid = lo + (hi - lo) / 2;
-        if (r->code[mid] < code)
-            lo = mid + 1;
+        if (r->group[mid].code <= code)
+            lo = mid;
         else
             hi = mid;
     }
     return lo;
 }
 
-void spill_slice(const struct spill_run *r, uint64_t first, uint64_t last, size_t *from, size_t *to)
+static size_t spill_group_end(const struct spill_run *r, size_t group)
 {
-    *from = *to = 0;
-    if (!r->code) {
-        *to = r->code_first >= first && r->code_first < last ? r->n : 0;
-    } else if (r->n > 0 && r->code[0] < last && r->code[r->n - 1] >= first) {
-        *from = spill_lower(r, first);
-        *to = spill_lower(r, last);
+    return group + 1 < r->n_groups ? r->group[group + 1].begin : r->n;
+}
+
+/* The first row with at least this code. */
+static enum err_code spill_lower(const struct spill *s, const struct spill_run *r, uint64_t code,
+                                 size_t *out, struct err *e)
+{
+    size_t g = spill_group_of(r, code), lo = r->group[g].begin, hi = spill_group_end(r, g);
+    if (code <= r->group[g].code || code <= r->code_first) {
+        *out = lo;
+        return ERR_OK;
     }
+    if (code >> r->shift != r->group[g].code >> r->shift) {
+        *out = hi;
+        return ERR_OK;
+    }
+    while (lo < hi) {
+        size_t mid = lo + (hi - lo) / 2;
+        uint64_t here;
+        enum err_code rc = spill_code(s, r, mid, &here, e);
+        if (rc)
+            return rc;
+        if (here < code)
+            lo = mid + 1;
+        else
+            hi = mid;
+    }
+    *out = lo;
+    return ERR_OK;
+}
+
+enum err_code spill_slice(const struct spill *s, const struct spill_run *r, uint64_t first,
+                          uint64_t last, size_t *from, size_t *to, struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    *from = *to = 0;
+    if (!r->group) {
+        *to = r->code_first >= first && r->code_first < last ? r->n : 0;
+    } else if (r->n > 0 && r->code_first < last && r->code_last >= first) {
+        *to = r->n;
+        if (r->code_first < first)
+            rc = spill_lower(s, r, first, from, e);
+        if (!rc && r->code_last >= last)
+            rc = spill_lower(s, r, last, to, e);
+    }
+    return rc;
+}
+
+enum err_code spill_tile(const struct spill *s, const struct spill_run *r, unsigned shift,
+                         size_t from, uint64_t *code, size_t *to, struct err *e)
+{
+    size_t lo = 0, hi = r->n_groups;
+    while (lo + 1 < hi) { /* the group of the row */
+        size_t mid = lo + (hi - lo) / 2;
+        if (r->group[mid].begin <= from)
+            lo = mid;
+        else
+            hi = mid;
+    }
+    enum err_code rc = ERR_OK;
+    *code = r->group[lo].code;
+    if (shift < r->shift)
+        rc = spill_code(s, r, from, code, e);
+    *code >>= shift;
+    *to = r->n;
+    if (!rc && r->code_last >> shift != *code)
+        rc = spill_lower(s, r, (*code + 1) << shift, to, e);
+    return rc;
 }
 
 void spill_run_free(struct spill_run *r)
 {
-    mem_free(r->code);
+    mem_free(r->group);
     *r = (struct spill_run){0};
 }

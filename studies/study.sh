@@ -16,6 +16,7 @@
 #   STUDY_STEPS           steps of every training, for a trial; as stated if not given, and pages take nothing shorter
 #   STUDY_SEEDS           the seeds to run of those stated, "1 2"; all if not given
 #   STUDY_ROWS            the rows to run of the studies on solid surfaces, "stereo off"; all if not given
+#   STUDY_MILLIONS        sizes of the cities of growth_import, "1 4 16 64", in millions of Gaussians
 #   STUDY_COMMIT          the commit that the programs were built of; HEAD if not given, which must then be clean
 #   STUDY_OUT             where scenes and trained cells go [out/study]
 #   STUDY_RUNS            where runs are recorded [docs/runs]
@@ -689,7 +690,36 @@ bench_rows() { # STUDY NAMES...
     --bench "$OUT/$study.jsonl" --ceilings "$OUT/$study.jsonl"
 }
 study_bench() { bench_rows bench; }
-study_growth() { bench_rows growth growth; }
+
+# import_row MILLIONS: a city of so many Gaussians, without harmonics, tiled from one .ply. It needs 68 B a Gaussian on the disk
+# for the .ply, and 55 B for what tiling writes.
+import_row() {
+  local m=$1 line
+  local command="citysplat synth --splats ${1}M -o city.ply; citysplat import city.ply --no-lossless -o city.tiles"
+  wanted growth "import $m M" "$command" || return 0
+  mkdir -p "$OUT"
+  ceilings
+  citysplat synth --splats "${m}M" -o "$OUT/import.ply" --overwrite -q
+  line=$(citysplat import "$OUT/import.ply" --no-lossless -o "$OUT/import.tiles" --overwrite 2>&1 >/dev/null | grep 'tile seconds=')
+  rm "$OUT/import.ply"
+  awk -v m="$m" -v bytes="$(stat -c %s "$OUT/import.tiles")" -v device="$(sed -n 's/.*"device":"\([^"]*\)".*/\1/p' "$OUT/ceilings.jsonl" | head -1)" '{
+    for (i = 1; i <= NF; i++) if (split($i, kv, "=") == 2) v[kv[1]] = kv[2]
+    printf "{\"bench\":\"growth\",\"case\":\"import: %d Gaussians\",\"value\":%s,\"unit\":\"s\",\"gaussians\":%d,\"gaussians_per_s\":%.0f,\"cpu_s\":%s,", m * 1e6, v["seconds"], m * 1e6, m * 1e6 / v["seconds"], v["cpu_s"]
+    printf "\"read_s\":%s,\"plan_s\":%s,\"write_s\":%s,\"peak_bytes\":%s,\"bytes\":%d,\"device\":\"%s\"}\n", v["read_s"], v["plan_s"], v["write_s"], v["peak_bytes"], bytes, device
+  }' <<<"$line" >"$OUT/import.jsonl"
+  rm "$OUT/import.tiles"
+  record growth "import $m M" "$command" --dataset "city of Gaussians" --commit "$COMMIT" --bench "$OUT/import.jsonl" \
+    --ceilings "$OUT/ceilings.jsonl"
+}
+study_growth() {
+  local m
+  bench_rows growth growth
+  for m in 1 4 16 64; do import_row "$m"; done
+}
+study_growth_import() { # MILLIONS in STUDY_MILLIONS: the largest need much disk
+  local m
+  for m in ${STUDY_MILLIONS:-1 4 16 64}; do import_row "$m"; done
+}
 
 # scored STUDY SCENE TRAIN-OPTIONS: trains SCENE and sets FOLDER; those of the city are the same for several studies.
 scored() {

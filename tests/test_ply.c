@@ -10,6 +10,7 @@
 
 #include <math.h>
 #include <string.h>
+#include <unistd.h>
 
 static void expect_same(const struct gauss *a, const struct gauss *b)
 {
@@ -434,6 +435,101 @@ static void test_files(void **state)
     kit_rmdir(dir);
 }
 
+static void expect_part(const struct gauss *whole, size_t at, const struct gauss *part, size_t n)
+{
+    size_t k = 3 * gauss_sh_count(whole->sh_degree);
+    assert_int_equal(part->n, n);
+    for (size_t i = 0; i < 3 * n; i++) {
+        double want = (double)whole->mean_m[3 * at + i] + whole->origin_enu_m[i % 3];
+        assert_true(fabs((double)part->mean_m[i] + part->origin_enu_m[i % 3] - want) < 1e-4);
+    }
+    assert_memory_equal(part->sh, whole->sh + k * at, n * k * sizeof *part->sh);
+    assert_memory_equal(part->quat_wxyz, whole->quat_wxyz + 4 * at, n * 16);
+    assert_memory_equal(part->scale_log, whole->scale_log + 3 * at, n * 12);
+}
+
+static void expect_parts(const struct ply_stream *s, const struct gauss *whole)
+{
+    struct err e = {0};
+    for (size_t at = 0, n; at < whole->n; at += n) {
+        struct gauss part;
+        n = at + 300 < whole->n ? 300 : whole->n - at;
+        kit_ok(ply_stream_read(s, at, n, &part, &e), e);
+        expect_part(whole, at, &part, n);
+        gauss_free(&part);
+    }
+}
+
+/* In parts: the same rows, in float32 and in doubles. */
+static void test_in_parts(void **state)
+{
+    (void)state;
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    struct err e = {0};
+    kit_tmpdir(dir);
+    kit_ok(file_join(path, dir, "a.ply", &e), e);
+    for (uint32_t far = 0; far < 2; far++) {
+        struct gauss g, whole, part;
+        struct ply_stream *s;
+        struct ply_info info = {0};
+        struct buf b = {0};
+        kit_gauss(far, 1000, 100, far ? 0 : 3, 0, &g);
+        g.origin_enu_m[0] = far ? 2e6 : 0;
+        kit_ok(ply_encode(&g, NULL, &b, &e), e);
+        kit_ok(file_write(path, b.data, b.size, &e), e);
+        kit_ok(ply_read(path, NULL, &whole, NULL, &e), e);
+        kit_ok(ply_stream_open(path, &s, &info, &e), e);
+        assert_non_null(s);
+        assert_int_equal(ply_stream_rows(s).n, 1000);
+        assert_int_equal(ply_stream_rows(s).doubles, far);
+        expect_parts(s, &whole);
+        kit_fails(ply_stream_read(s, 900, 101, &part, &e), ERR_ARG, e, "1000");
+        ply_stream_close(&s);
+        buf_free(&b);
+        gauss_free(&g);
+        gauss_free(&whole);
+    }
+    kit_rmdir(dir);
+}
+
+/* A file that is cut while it is read; other kinds are left to ply_read. */
+static void test_in_parts_cut(void **state)
+{
+    (void)state;
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    struct gauss g, part;
+    struct ply_stream *s;
+    struct ply_info info = {0};
+    struct buf b = {0};
+    struct err e = {0};
+    kit_tmpdir(dir);
+    kit_ok(file_join(path, dir, "a.ply", &e), e);
+    kit_gauss(3, 1000, 100, 1, 0, &g);
+    kit_ok(ply_encode(&g, NULL, &b, &e), e);
+    kit_ok(file_write(path, b.data, b.size, &e), e);
+    kit_ok(ply_stream_open(path, &s, &info, &e), e);
+    kit_ok(file_write(path, b.data, b.size - 5, &e), e); /* another file: the open one stays */
+    kit_ok(ply_stream_read(s, 0, 1000, &part, &e), e);
+    gauss_free(&part);
+    ply_stream_close(&s);
+    kit_fails(ply_stream_open(path, &s, &info, &e), ERR_FORMAT, e, "truncated");
+    assert_null(s);
+    kit_ok(file_write(path, b.data, b.size, &e), e);
+    kit_ok(ply_stream_open(path, &s, &info, &e), e);
+    assert_int_equal(truncate(path, (off_t)b.size - 5), 0);
+    kit_fails(ply_stream_read(s, 700, 300, &part, &e), ERR_FORMAT, e, "row 999");
+    ply_stream_close(&s);
+    buf_free(&b);
+    kit_ok(ply_packed_encode(&g, 0, NULL, &b, &e), e);
+    kit_ok(file_write(path, b.data, b.size, &e), e);
+    kit_ok(ply_stream_open(path, &s, &info, &e), e);
+    assert_null(s);
+    kit_fails(ply_stream_open("/none/a.ply", &s, &info, &e), ERR_NOENT, e, "/none/a.ply");
+    buf_free(&b);
+    gauss_free(&g);
+    kit_rmdir(dir);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -448,6 +544,8 @@ int main(void)
         cmocka_unit_test(test_hostile_headers),
         cmocka_unit_test(test_bad_rows_are_named),
         cmocka_unit_test(test_files),
+        cmocka_unit_test(test_in_parts),
+        cmocka_unit_test(test_in_parts_cut),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -9,6 +9,7 @@
 #include "lod/locate.h"
 #include "lod/pyramid.h"
 #include "lod/simplify.h"
+#include "lod/spill.h"
 #include "lod/store.h"
 #include "lod/tree.h"
 #include "render/render.h"
@@ -691,6 +692,66 @@ static void a_quarter_looks_like_the_whole(void **state)
     gauss_free(&some);
 }
 
+/* The index of a run against the codes themselves, at zooms above and below its groups. */
+static void slices_of_a_run(void **state)
+{
+    struct store_fixture *f = *state;
+    enum { ROWS = 3000 };
+    struct locate l;
+    struct gauss g;
+    struct spill s;
+    struct spill_run run = {0};
+    struct err e = {0};
+    struct sort_item *items = mem_array(2 * ROWS, sizeof *items);
+    kit_ok(locate_open(&origin, &l, &e), e);
+    city(11, ROWS, 80, &g);
+    for (size_t i = 0; i < ROWS; i++) {
+        const double enu[3] = {(double)g.mean_m[3 * i], (double)g.mean_m[3 * i + 1],
+                               (double)g.mean_m[3 * i + 2]};
+        struct key k;
+        kit_ok(locate_key(&l, enu, &k, &e), e);
+        items[i] = (struct sort_item){locate_code(k), (uint32_t)i};
+    }
+    sort_items(items, items + ROWS, ROWS);
+    kit_ok(spill_open(f->path, false, &s, &e), e);
+    s.locate = &l;
+    kit_ok(spill_index(&run, items, ROWS, &e), e);
+    assert_in_range(run.n_groups, 2, ROWS / 16 + 1);
+    assert_in_range(run.shift, 2, 20);
+    kit_ok(spill_add(&s, &g, items, ROWS, &run, &e), e);
+    for (unsigned shift = 0; shift < 48; shift += 2)
+        for (size_t from = 0, to; from < ROWS; from = to) {
+            uint64_t code;
+            size_t want = from, first, last;
+            kit_ok(spill_tile(&s, &run, shift, from, &code, &to, &e), e);
+            while (want < ROWS && items[want].key >> shift == items[from].key >> shift)
+                want++;
+            assert_int_equal(code, items[from].key >> shift);
+            assert_int_equal(to, want);
+            kit_ok(spill_slice(&s, &run, code << shift, (code + 1) << shift, &first, &last, &e), e);
+            assert_int_equal(first, from);
+            assert_int_equal(last, to);
+        }
+    for (uint64_t i = 0; i < 500; i++) { /* between codes, and outside of all */
+        uint64_t spread = 2 * (run.code_last - run.code_first),
+                 a = run.code_first - spread / 4 + rng_u64(1, 1, i) % spread,
+                 b = a + rng_u64(1, 2, i) % spread;
+        size_t from, to, want[2] = {0, 0};
+        for (size_t k = 0; k < ROWS; k++) {
+            want[0] += items[k].key < a;
+            want[1] += items[k].key < b;
+        }
+        kit_ok(spill_slice(&s, &run, a, b, &from, &to, &e), e);
+        assert_int_equal(to - from, want[1] - want[0]);
+        if (to > from)
+            assert_int_equal(from, want[0]);
+    }
+    spill_run_free(&run);
+    spill_close(&s);
+    mem_free(items);
+    gauss_free(&g);
+}
+
 int main(void)
 {
 #define CASE(name)                                                                                 \
@@ -706,6 +767,7 @@ int main(void)
         CASE(lossless_means),
         CASE(a_scene_across_the_equator),
         CASE(one_tile_or_a_corner_holds_the_scene),
+        CASE(slices_of_a_run),
         cmocka_unit_test(located_as_by_definition),
         cmocka_unit_test(eigen_of_known_matrices),
         cmocka_unit_test(projected_areas),
