@@ -1,5 +1,5 @@
-/* What a thin client sees while its camera turns: one request a picture, as the viewer asks by
- * itself, against a stream (server/motion.c), for several round-trip times. A relay delays both
+/* What a thin client sees while its camera turns: one request a picture, against a stream of JPEG
+ * and a stream of video (server/motion.c), for several round-trip times. A relay delays both
  * directions; it models nothing else of the line. The camera turns at 20 degrees a second for a few
  * seconds.
  *
@@ -22,12 +22,13 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "codec/video.h"
 #include "core/pool.h"
 #include "core/sort.h"
 #include "server/server.h"
 #include "server/services.h"
 
-enum { MOTION_W = 1280, MOTION_H = 720, MOTION_PICTURES = 2000, MOTION_PAIRS = 4 };
+enum { MOTION_W = 1280, MOTION_H = 720, MOTION_PICTURES = 2000, MOTION_PAIRS = 8 };
 enum { MOTION_PIECES = 4096, MOTION_PIECE = 16384 };
 static const double MOTION_RUN_S = 6, MOTION_POSE_S = 0.033;
 /* As the viewer's pictures.ts. */
@@ -194,6 +195,7 @@ static void motion_seen_report(struct bench *b, const char *how, double delay_s,
     } rows[] = {
         {"pictures", "/s", (double)(s->n - 1) / over},
         {"pose to picture, median", "ms", late[s->n / 2]},
+        {"pose to picture, 90 of 100", "ms", late[s->n * 90 / 100]},
         {"pose to picture, 95 of 100", "ms", late[s->n * 95 / 100]},
         {"age of what is seen, mean", "ms", age / over * 1e3},
         {"size", "kpx", s->pixels / (double)s->n / 1e3},
@@ -321,16 +323,19 @@ static const char *motion_thin_part_end(const struct buf *b, size_t at)
     return NULL;
 }
 
-static enum err_code motion_thin_by_stream(const struct thin *t, struct seen *s, struct err *e)
+static enum err_code motion_thin_by_stream(const struct thin *t, const char *query, struct seen *s,
+                                           struct err *e)
 {
+    static unsigned streams;
     char path[64], q[200];
     struct buf a = {0};
     struct steering st = {.thin = t, .path = path, .start_s = clock_s()};
     struct pool_thread *thread = NULL;
-    snprintf(path, sizeof path, "motion/bench-%u-%06u", (unsigned)getpid(), (unsigned)t->port);
+    snprintf(path, sizeof path, "motion/bench-%u-%06u-%u", (unsigned)getpid(), (unsigned)t->port,
+             streams++);
     int fd = motion_line_dial(t->port);
     st.fd = motion_line_dial(t->port);
-    snprintf(q, sizeof q, "GET /d/%s/%s HTTP/1.1\r\nHost: bench\r\n\r\n", t->ds, path);
+    snprintf(q, sizeof q, "GET /d/%s/%s%s HTTP/1.1\r\nHost: bench\r\n\r\n", t->ds, path, query);
     enum err_code rc = fd < 0 || st.fd < 0 || send(fd, q, strlen(q), MSG_NOSIGNAL) < 0
                            ? err_set(e, ERR_IO, "bench_motion: cannot connect")
                            : ERR_OK;
@@ -370,7 +375,7 @@ static enum err_code motion_case(struct bench *b, struct thin *t, uint16_t port,
                                  struct err *e)
 {
     struct line l;
-    struct seen *s = mem_array(2, sizeof *s);
+    struct seen *s = mem_array(3, sizeof *s);
     enum err_code rc = s ? motion_line_open(&l, port, delay_s, e)
                          : err_set(e, ERR_MEM, "bench_motion: out of memory");
     if (!s)
@@ -379,11 +384,14 @@ static enum err_code motion_case(struct bench *b, struct thin *t, uint16_t port,
     if (!rc)
         rc = motion_thin_by_request(t, &s[0], e);
     if (!rc)
-        rc = motion_thin_by_stream(t, &s[1], e);
+        rc = motion_thin_by_stream(t, "", &s[1], e);
+    if (!rc && video_can())
+        rc = motion_thin_by_stream(t, "?video=vp9", &s[2], e);
     motion_line_close(&l);
     if (!rc) {
         motion_seen_report(b, "request a picture", delay_s, &s[0]);
         motion_seen_report(b, "stream", delay_s, &s[1]);
+        motion_seen_report(b, "video", delay_s, &s[2]);
     }
     mem_free(s);
     return rc;

@@ -26,10 +26,11 @@ void answer_motion_steer(struct services *s, const struct request *r, struct dat
     if (!answer_view_check(s, p.cam.width_px, p.cam.height_px, p.format, &p.paint, out) ||
         !answer_appearance_find(s, d, p.appearance, &wish.appearance, out))
         return;
-    wish.view = (struct draw_view){p.cam, p.format, p.quality, p.paint};
+    wish.view = (struct draw_view){p.cam, p.format, p.quality, p.paint, false};
     wish.timeout_s = p.timeout_s;
     wish.number = p.number;
     wish.still = p.still;
+    wish.key = p.key;
     if (motion_steer(s->motion, d, t->stream, &wish, &e)) {
         response_problem(out, 404, e.msg);
         return;
@@ -47,6 +48,7 @@ void answer_motion(struct services *s, const struct request *r, struct dataset *
     out->type = MULTIPART_TYPE;
     if (r->method == METHOD_HEAD)
         return;
+    out->video = t->video;
     snprintf(out->stream, sizeof out->stream, "%s", t->stream);
     snprintf(out->stream_of, sizeof out->stream_of, "%s", d->meta.name);
 }

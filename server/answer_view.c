@@ -119,7 +119,7 @@ void answer_view(struct services *s, const struct request *r, struct dataset *d,
         return;
     struct work *w = response_work(d, WORK_VIEW, id, (struct form){.format = t->form.format}, out);
     if (w) {
-        w->view = (struct draw_view){cam, t->form.format, quality, paint};
+        w->view = (struct draw_view){cam, t->form.format, quality, paint, false};
         w->appearance = choice;
     }
 }
@@ -146,7 +146,7 @@ void answer_view_render(struct services *s, const struct request *r, struct data
         return;
     struct work *w = response_work(d, WORK_VIEW, id, (struct form){.format = p.format}, out);
     if (w) {
-        w->view = (struct draw_view){p.cam, p.format, p.quality, p.paint};
+        w->view = (struct draw_view){p.cam, p.format, p.quality, p.paint, false};
         w->appearance = choice;
     }
     out->timeout_s = p.timeout_s;

@@ -218,13 +218,14 @@ static enum err_code describe_read_appearance(const json_t *o, char out[TARGET_A
 static enum err_code describe_read_stream(const json_t *o, struct describe_render *out,
                                           struct err *e)
 {
-    const json_t *still = json_object_get(o, "still");
+    const json_t *still = json_object_get(o, "still"), *key = json_object_get(o, "key");
     json_int_t number = 0;
-    if (still && !json_is_boolean(still))
-        return err_set(e, ERR_DATA, "still must be true or false");
+    if ((still && !json_is_boolean(still)) || (key && !json_is_boolean(key)))
+        return err_set(e, ERR_DATA, "still and key must be true or false");
     enum err_code rc = describe_read_int(o, "number", 0, INT32_MAX, &number, e);
     out->number = number;
     out->still = json_is_true(still);
+    out->key = json_is_true(key);
     return rc;
 }
 
@@ -236,9 +237,10 @@ static enum err_code describe_read_wish(const struct server_config *cfg,
     static const char *const keys[] = {"camera",      "pose",       "width",       "height",
                                        "format",      "quality",    "background",  "depth",
                                        "deadline_ms", "appearance", "supersample", NULL};
-    static const char *const stream_keys[] = {
-        "camera", "pose",        "width",      "height", "format", "quality",     "background",
-        "depth",  "deadline_ms", "appearance", "number", "still",  "supersample", NULL};
+    static const char *const stream_keys[] = {"camera",      "pose",        "width",      "height",
+                                              "format",      "quality",     "background", "depth",
+                                              "deadline_ms", "appearance",  "number",     "still",
+                                              "key",         "supersample", NULL};
     json_t *o = NULL;
     json_int_t quality = cfg->quality, deadline_ms = (json_int_t)(cfg->deadline_s * 1000);
     json_int_t supersample = 0;

@@ -26,6 +26,7 @@ struct describe_render {
     char appearance[TARGET_APPEARANCE_MAX]; /* "": the default */
     int64_t number;                         /* for motion: the client's own number */
     bool still;                             /* for motion: the camera does not move */
+    bool key;                               /* for motion: the reader needs a key frame */
 };
 /* Parses the posted JSON text [n]. ERR_FORMAT: it is not such JSON (400). ERR_DATA: impossible
  * numbers (422). ERR_MEM. */

@@ -164,7 +164,8 @@ static enum err_code draw_picture(struct draw *d, const struct draw_request *q, 
     if (!rc)
         rc = draw_measure(d, left ? more : NULL, depth ? more + (left ? n : 0) : NULL, e);
     if (!rc)
-        rc = paint_encode(paint, &v->cam, v->format, v->quality, &planes, out, e);
+        rc = v->planes ? paint_frame(paint, &v->cam, &planes, out, e)
+                       : paint_encode(paint, &v->cam, v->format, v->quality, &planes, out, e);
     mem_free(rgb);
     return rc;
 }

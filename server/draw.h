@@ -28,6 +28,7 @@ struct draw_view {
     enum format format;
     int quality; /* for JPEG and WebP */
     struct paint paint;
+    bool planes; /* not encoded: in planes, for a video (codec/video.h) */
 };
 enum draw_kind { DRAW_VIEW, DRAW_MAP, DRAW_QUERY };
 struct draw_request {

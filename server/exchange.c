@@ -25,7 +25,11 @@
 
 /* Of a stream: what libmicrohttpd asks for at once, and what may wait in the socket, so that a
  * picture that is drawn next is of the camera of now and not of that many bytes ago. */
-enum { EXCHANGE_STREAM_BLOCK = 16 << 10, EXCHANGE_STREAM_WAITING = 16 << 10 };
+enum {
+    EXCHANGE_STREAM_BLOCK = 16 << 10,
+    EXCHANGE_STREAM_WAITING = 16 << 10,
+    EXCHANGE_VIDEO_WAITING = 4 << 10
+};
 enum { EXCHANGE_AUTHORITY = 256 }; /* of a target in absolute form */
 enum { EXCHANGE_ID_MAX = 65, EXCHANGE_TARGET = 192 /* longer ones are allocated */ };
 static const double EXCHANGE_OVER_S = 1; /* for the request of a connection too many */
@@ -257,9 +261,14 @@ static enum MHD_Result exchange_wait_for_job(struct exchange *x)
 static enum MHD_Result exchange_begin_stream(struct exchange *x)
 {
     struct err e = {0};
-    const int waiting = EXCHANGE_STREAM_WAITING;
-    enum err_code rc = motion_begin(x->f->s->motion, x->res.stream_of, x->res.stream,
-                                    exchange_client(x), exchange_on_stream, x, &x->stream, &e);
+    const int waiting = x->res.video ? EXCHANGE_VIDEO_WAITING : EXCHANGE_STREAM_WAITING;
+    const struct motion_reader reader = {.ds = x->res.stream_of,
+                                         .name = x->res.stream,
+                                         .client = exchange_client(x),
+                                         .video = x->res.video,
+                                         .ready = exchange_on_stream,
+                                         .user = x};
+    enum err_code rc = motion_begin(x->f->s->motion, &reader, &x->stream, &e);
     if (rc) {
         response_problem(&x->res, rc == ERR_ARG ? 409 : rc == ERR_LIMIT ? 429 : 503, e.msg);
         x->res.retry_after_s = rc == ERR_ARG ? 0 : 10;

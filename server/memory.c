@@ -30,6 +30,8 @@ enum { MEMORY_MB = 1 << 20, MEMORY_SLOTS = 4, MEMORY_CONNECTIONS_MIN = 64 };
 /* One of 16 parts is what the allocator holds without use; connections have half a part, workers
  * two. */
 #define MEMORY_PARTS 16
+/* Of what drawing left, encoders of streams have a quarter. Without one a stream is JPEG. */
+#define MEMORY_VIDEO_PART 4
 
 /* ---- what there is ---- */
 
@@ -130,7 +132,7 @@ static size_t memory_max(size_t a, size_t b)
 
 struct memory_parts { /* bytes */
     size_t fixed;     /* of this process */
-    size_t cache, inflight, drawing, view_cache, gaussians, others, pixels;
+    size_t cache, inflight, drawing, view_cache, gaussians, others, pixels, video;
     unsigned slots;
 };
 
@@ -238,6 +240,8 @@ enum err_code memory_plan(const struct memory_needs *n, struct memory_plan *out,
     out->budget = n->budget;
     if (n->draws)
         memory_share_drawing(n, &p, &rest);
+    if (n->draws)
+        memory_grow(&p.video, n->video, rest / MEMORY_VIDEO_PART, &rest);
     if (!n->inflight)
         memory_grow(&p.inflight, SIZE_MAX, rest / 3, &rest);
     if (!n->cache)
@@ -247,6 +251,7 @@ enum err_code memory_plan(const struct memory_needs *n, struct memory_plan *out,
     if (!n->draws)
         return ERR_OK;
     out->view_cache = p.view_cache;
+    out->video = p.video;
     const uint64_t drawn = memory_drawn_gaussians(n), fits = p.gaussians / MEMORY_GAUSSIAN;
     out->view_gaussians = fits < drawn ? fits : n->view_gaussians;
     out->drawn_px = p.pixels / MEMORY_PIXEL;

@@ -19,12 +19,14 @@ struct memory_needs { /* sizes in bytes */
     uint64_t gaussians;                 /* of the store with most */
     uint64_t view_gaussians;            /* most in a picture, as asked for; 0: no limit */
     double view_mpx;                    /* largest picture, as asked for */
+    size_t video;                       /* most that encoders of streams can use */
     size_t cache, inflight, view_cache; /* set by options; 0: a share */
 };
 struct memory_plan { /* sizes in bytes */
     size_t budget, cache, inflight, workers, connections;
     /* for the process that draws; 0: there is none */
     size_t drawing, view_cache;
+    size_t video;                      /* for encoders of streams */
     uint64_t view_gaussians, drawn_px; /* drawn_px: most pixels, before they are filtered down */
     double view_mpx;
     unsigned slots; /* stores that it keeps open */

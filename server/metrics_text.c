@@ -181,6 +181,14 @@ enum err_code metrics_text_write(struct services *s, struct buf *out, struct err
                      streams.pictures);
     metrics_text_one(out, "stream_full_pictures_total", "counter",
                      "Those drawn in full, of cameras at rest.", streams.full);
+    metrics_text_one(out, "stream_encoders", "gauge", "Encoders of streams as video, open now.",
+                     streams.encoders);
+    metrics_text_one(out, "stream_encoder_bytes", "gauge", "Memory that they may take.",
+                     streams.encoder_bytes);
+    metrics_text_one(out, "stream_frames_total", "counter", "Pictures of streams that are video.",
+                     streams.frames);
+    metrics_text_one(out, "stream_encode_milliseconds_total", "counter",
+                     "Time to encode these, without drawing.", (uint64_t)(streams.encode_s * 1e3));
     if (s->picture)
         metrics_text_drawing(s, out);
     cache_count(s->cache, &cs);

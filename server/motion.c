@@ -2,7 +2,8 @@
  * quickly. When it rests, one is drawn at full size. A stream has at most one picture in progress,
  * always that of the newest camera. The next one is drawn when the last byte of the one before is
  * in the socket. A slow line therefore gets fewer pictures, never old ones (exchange.c limits the
- * bytes in the socket).
+ * bytes in the socket). A frame of a video is drawn only when the one before is in the socket as a
+ * whole: each frame refers to the one before, so those that are too many must not be encoded.
  *
  * One connection reads a stream, any number of requests set its camera, and one job at a time draws
  * for it. One mutex guards all streams. No job is submitted and no callback is called with it held.
@@ -18,11 +19,14 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "codec/video.h"
+#include "core/pool.h"
+#include "server/film.h"
 #include "server/multipart.h"
 #include "server/result_id.h"
 #include "server/work.h"
 
-enum { MOTION_QUALITY = 60 };
+enum { MOTION_QUALITY = 60, MOTION_THREADS = 2 /* of an encoder */ };
 static const double REST_S = 0.18;         /* a camera that did not move for so long rests */
 static const double DRAW_S = 0.04;         /* what a moving picture may take */
 static const double RETRY_S = 0.25;        /* after a refusal */
@@ -53,7 +57,11 @@ struct motion_stream {
     int64_t flight_number;
     bool flight_full;
     uint32_t flight_px[2];
-    enum format flight_format;
+    const char *flight_type;
+    struct film *film;      /* NULL: no video */
+    bool flight_film;       /* the picture under way is a frame of it */
+    double put_s;           /* when the newest picture could be read; 0: it is in the socket */
+    bool put_film;          /* it is a frame */
     struct multipart parts; /* what is read */
 };
 struct motion {
@@ -63,6 +71,7 @@ struct motion {
     size_t n;
     bool stopping;
     uint64_t pictures, full;
+    struct film_room films;
 };
 
 static void motion_on_wake(struct job_waiter *w);
@@ -75,6 +84,8 @@ enum err_code motion_open(struct services *s, struct motion **out, struct err *e
     if (!*out)
         return err_set(e, ERR_MEM, "motion: out of memory");
     (*out)->s = s;
+    (*out)->films.limit_bytes = s->plan.budget ? s->plan.video : SIZE_MAX;
+    (*out)->films.threads = pool_cores() > 1 ? MOTION_THREADS : 1;
     pthread_mutex_init(&(*out)->lock, NULL);
     return ERR_OK;
 }
@@ -101,6 +112,7 @@ void motion_drop(struct motion_stream **out)
     *out = NULL;
     if (!st || atomic_fetch_sub(&st->refs, 1) > 1)
         return;
+    film_drop(&st->film);
     body_drop(&st->parts.picture);
     if (st->d)
         dataset_drop(&st->d);
@@ -160,28 +172,42 @@ static enum err_code motion_may_begin(struct motion *m, const char *ds, const ch
     return ERR_OK;
 }
 
-enum err_code motion_begin(struct motion *m, const char *ds, const char *name, uint64_t client,
-                           void (*ready)(void *user), void *user, struct motion_stream **out,
-                           struct err *e)
+static struct motion_stream *motion_make(struct motion *m, const struct motion_reader *r,
+                                         struct err *e)
 {
-    struct motion_stream *st = mem_array(1, sizeof *st), *old = NULL;
-    *out = NULL;
-    if (!st)
-        return err_set(e, ERR_MEM, "out of memory for a stream");
+    const bool video = r->video && video_can();
+    struct motion_stream *st = mem_array(1, sizeof *st);
+    struct film *film = video ? film_begin(&m->films) : NULL;
+    if (!st || (video && !film)) {
+        film_drop(&film);
+        mem_free(st);
+        (void)err_set(e, ERR_MEM, "out of memory for a stream");
+        return NULL;
+    }
     st->m = m;
-    st->client = client;
+    st->client = r->client;
     st->waiter.wake =
         motion_on_wake; /* the rest of it is touched by jobs alone, under their lock */
-    st->ready = ready;
-    st->user = user;
+    st->ready = r->ready;
+    st->user = r->user;
+    st->film = film;
     st->wished_s = clock_s();
     st->area_px = AREA_FIRST_PX;
-    snprintf(st->ds, sizeof st->ds, "%s", ds);
-    snprintf(st->name, sizeof st->name, "%s", name);
+    snprintf(st->ds, sizeof st->ds, "%s", r->ds);
+    snprintf(st->name, sizeof st->name, "%s", r->name);
     multipart_begin(&st->parts);
     atomic_init(&st->refs, 2);
+    return st;
+}
+
+enum err_code motion_begin(struct motion *m, const struct motion_reader *r,
+                           struct motion_stream **out, struct err *e)
+{
+    struct motion_stream *st = *out = motion_make(m, r, e), *old = NULL;
+    if (!st)
+        return ERR_MEM;
     pthread_mutex_lock(&m->lock);
-    enum err_code rc = motion_may_begin(m, ds, name, client, &old, e);
+    enum err_code rc = motion_may_begin(m, r->ds, r->name, r->client, &old, e);
     if (old)
         (void)motion_unlist(old);
     if (!rc) {
@@ -195,10 +221,11 @@ enum err_code motion_begin(struct motion *m, const char *ds, const char *name, u
         motion_end(old);
         motion_drop(&old);
     }
-    if (rc)
+    if (rc) {
+        *out = NULL;
+        film_drop(&st->film);
         mem_free(st);
-    else
-        *out = st;
+    }
     return rc;
 }
 
@@ -215,24 +242,40 @@ static void motion_notify(struct motion_stream *st)
         st->ready(st->user);
 }
 
-/* Under the lock: the picture that has come becomes what is read. Takes the body. */
-static void motion_show(struct motion_stream *st, const struct job_result *r)
+/* Under the lock: moving pictures are as large as is made in time. */
+static void motion_adapt(struct motion_stream *st, const struct job_result *r,
+                         struct film_told *told)
 {
-    multipart_put(&st->parts, r->body,
-                  "Content-Type: %s\r\nContent-Length: %zu\r\nPose: %lld\r\nSize: %ux%u\r\n"
-                  "Rest: %d\r\nServer-Timing: queue;dur=%.1f, job;dur=%.1f\r\n\r\n",
-                  format_type(st->flight_format), r->body->size, (long long)st->flight_number,
-                  (unsigned)st->flight_px[0], (unsigned)st->flight_px[1], st->flight_full,
-                  r->queue_s * 1e3, r->run_s * 1e3);
-    st->drawn = st->flight;
-    st->drawn_full = st->flight_full;
-    st->m->pictures++;
-    st->m->full += st->flight_full;
-    if (!st->flight_full && !r->coalesced) {
+    if (st->flight_film) {
+        st->area_px = film_shown(st->film, r->run_s, DRAW_S, told);
+    } else if (!st->flight_full && !r->coalesced) {
         double factor = DRAW_S / fmax(r->run_s, 1e-3);
         st->area_px *= fmin(1.3, fmax(0.5, factor));
         st->area_px = fmin(AREA_MOST_PX, fmax(AREA_LEAST_PX, st->area_px));
     }
+}
+
+/* Under the lock: the picture that has come becomes what is read. Takes the body. */
+static void motion_show(struct motion_stream *st, const struct job_result *r)
+{
+    struct film_told told = {0};
+    char frame[64] = "";
+    motion_adapt(st, r, &told);
+    if (st->flight_film)
+        snprintf(frame, sizeof frame, ", encode;dur=%.1f\r\nKey: %d", told.encode_s * 1e3,
+                 told.key);
+    multipart_put(&st->parts, r->body,
+                  "Content-Type: %s\r\nContent-Length: %zu\r\nPose: %lld\r\nSize: %ux%u\r\n"
+                  "Rest: %d\r\nServer-Timing: queue;dur=%.1f, job;dur=%.1f%s\r\n\r\n",
+                  st->flight_type, r->body->size, (long long)st->flight_number,
+                  (unsigned)st->flight_px[0], (unsigned)st->flight_px[1], st->flight_full,
+                  r->queue_s * 1e3, r->run_s * 1e3, frame);
+    st->put_s = clock_s();
+    st->put_film = st->flight_film;
+    st->drawn = st->flight;
+    st->drawn_full = st->flight_full;
+    st->m->pictures++;
+    st->m->full += st->flight_full;
 }
 
 /* A job has ended: on a worker's thread, or for want of room on the one that asked. */
@@ -279,13 +322,37 @@ static void motion_shrink(const struct motion_stream *st, struct draw_view *v)
     v->quality = v->quality < MOTION_QUALITY ? v->quality : MOTION_QUALITY;
 }
 
+/* Under the lock: a moving picture becomes a frame of the video, if it can be one. */
+static bool motion_film(struct motion_stream *st, struct work *w)
+{
+    struct draw_view *v = &w->view;
+    const bool can = st->film && v->paint.depth == DEPTH_NONE && v->format != FORMAT_NPY &&
+                     v->paint.background != BACKGROUND_TRANSPARENT;
+    if (!can ||
+        !film_next(st->film, v->cam.width_px, v->cam.height_px, st->area_px, v->quality, &w->shot))
+        return false;
+    v->cam = camera_resize(&v->cam, w->shot.width_px, w->shot.height_px);
+    v->paint.supersample = 1;
+    v->planes = true;
+    w->film = film_ref(st->film);
+    return true;
+}
+
+/* Under the lock: whether a picture is to be drawn now. *full: of a camera that rests. */
+static bool motion_is_due(const struct motion_stream *st, double now_s, bool *full)
+{
+    bool fresh = st->drawn != st->wished;
+    bool busy =
+        st->flying || st->ended || !multipart_is_read(&st->parts) || (st->film && st->put_s > 0);
+    *full = st->wish.still || (!fresh && !st->drawn_full && now_s - st->wished_s >= REST_S);
+    return !busy && st->d && now_s >= st->again_s && (fresh || (!st->drawn_full && *full));
+}
+
 /* Under the lock: what is to be drawn now, and for the flight to begin. NULL: nothing. */
 static struct work *motion_next(struct motion_stream *st, double now_s)
 {
-    bool fresh = st->drawn != st->wished;
-    bool full = st->wish.still || (!fresh && !st->drawn_full && now_s - st->wished_s >= REST_S);
-    bool busy = st->flying || st->ended || !multipart_is_read(&st->parts);
-    if (busy || !st->d || now_s < st->again_s || (!fresh && (st->drawn_full || !full)))
+    bool full;
+    if (!motion_is_due(st, now_s, &full))
         return NULL;
     struct work *w = mem_array(1, sizeof *w);
     if (!w) {
@@ -297,13 +364,14 @@ static struct work *motion_next(struct motion_stream *st, double now_s)
     w->view = st->wish.view;
     w->appearance = st->wish.appearance;
     w->form.format = w->view.format;
-    if (!full)
+    st->flight_film = !full && motion_film(st, w);
+    if (!full && !st->flight_film)
         motion_shrink(st, &w->view);
     st->flying = true;
     st->flight = st->wished;
     st->flight_full = full;
     st->flight_number = st->wish.number;
-    st->flight_format = w->view.format;
+    st->flight_type = st->flight_film ? MULTIPART_FRAME_TYPE : format_type(w->view.format);
     st->flight_px[0] = w->view.cam.width_px;
     st->flight_px[1] = w->view.cam.height_px;
     return w;
@@ -321,8 +389,10 @@ static void motion_step(struct motion_stream *st, double now_s)
     if (!w)
         return;
     picture_about(s->picture, device, sizeof device);
-    w->id = result_id_view(w->ds, device, &w->view.cam, &w->appearance, w->view.format,
-                           w->view.quality, &w->view.paint, (double)s->cfg->view_gaussians);
+    w->id = w->film
+                ? film_id(w->film)
+                : result_id_view(w->ds, device, &w->view.cam, &w->appearance, w->view.format,
+                                 w->view.quality, &w->view.paint, (double)s->cfg->view_gaussians);
     struct motion_stream *held = motion_ref(st); /* the flight's */
     if (job_submit(s->jobs, JOB_MOTION, w->id, w, st->client, timeout_s, &st->waiter)) {
         struct job_result r = st->waiter.result;
@@ -351,6 +421,8 @@ enum err_code motion_steer(struct motion *m, struct dataset *d, const char *name
         was = st->d;
         st->d = dataset_ref(d);
         st->wish = *wish;
+        if (wish->key && st->film)
+            film_need_key(st->film);
         st->wished++;
         st->wished_s = now_s;
     }
@@ -379,6 +451,11 @@ ssize_t motion_read(struct motion_stream *st, char *out, size_t room)
 {
     pthread_mutex_lock(&st->m->lock);
     struct body *read;
+    if (multipart_is_read(&st->parts) && st->put_s > 0) { /* so the socket has all of it */
+        if (st->put_film)
+            film_sent(st->film, clock_s() - st->put_s);
+        st->put_s = 0;
+    }
     size_t n = multipart_read(&st->parts, out, room, &read);
     bool ended = st->ended && !n;
     bool more = !multipart_is_read(&st->parts);
@@ -500,6 +577,19 @@ void motion_count(struct motion *m, struct motion_counts *out)
     if (!m)
         return;
     pthread_mutex_lock(&m->lock);
-    *out = (struct motion_counts){m->n, m->pictures, m->full};
+    *out = (struct motion_counts){m->n,
+                                  m->pictures,
+                                  m->full,
+                                  atomic_load(&m->films.encoders),
+                                  atomic_load(&m->films.held_bytes),
+                                  atomic_load(&m->films.frames),
+                                  (double)atomic_load(&m->films.encode_us) * 1e-6};
     pthread_mutex_unlock(&m->lock);
+}
+
+size_t motion_video_bytes(size_t streams)
+{
+    return video_can()
+               ? streams * video_room((uint32_t)sqrt(AREA_MOST_PX), (uint32_t)sqrt(AREA_MOST_PX))
+               : 0;
 }

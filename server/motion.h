@@ -19,10 +19,21 @@ struct motion_wish { /* the picture that a client wants */
     double timeout_s; /* for one picture */
     int64_t number;   /* the client's own number, repeated with the picture */
     bool still;       /* draw at full size at once */
+    bool key;         /* of a video: the next frame refers to no other */
 };
 struct motion_counts {
     /* open now; sent since the start, and those of them at full size */
     uint64_t streams, pictures, full;
+    uint64_t encoders, encoder_bytes; /* of videos, open now; what they may take */
+    uint64_t frames;                  /* of videos, encoded since the start */
+    double encode_s;                  /* sum */
+};
+struct motion_reader { /* who reads a stream */
+    const char *ds, *name;
+    uint64_t client;
+    bool video;                /* moving pictures are frames of a video, where that can be */
+    void (*ready)(void *user); /* see motion_begin */
+    void *user;
 };
 
 /* Close *out with motion_close, after the connections. ERR_MEM. */
@@ -38,6 +49,8 @@ void motion_recheck(struct motion *m, const struct auth *a);
 /* Ends all streams; pictures that are being read are finished. New streams are refused. */
 void motion_stop(struct motion *m);
 void motion_count(struct motion *m, struct motion_counts *out);
+/* Most memory that encoders of so many streams can use. */
+size_t motion_video_bytes(size_t streams);
 
 /* Begins a stream of a dataset's pictures, with a name that the client chose. ready() is called
  * once after each motion_await that returned true, in any thread and without a lock. Call
@@ -45,9 +58,8 @@ void motion_count(struct motion *m, struct motion_counts *out);
  * one that was not steered for longest ends, if that is a twelfth of stream_idle_s. ERR_ARG (the
  * name is in use), ERR_LIMIT (too many streams of this client), ERR_BUSY (too many streams, or the
  * server is stopping), ERR_MEM. */
-enum err_code motion_begin(struct motion *m, const char *ds, const char *name, uint64_t client,
-                           void (*ready)(void *user), void *user, struct motion_stream **out,
-                           struct err *e) ERR_USE;
+enum err_code motion_begin(struct motion *m, const struct motion_reader *r,
+                           struct motion_stream **out, struct err *e) ERR_USE;
 /* Sets the camera of a stream; only the newest one is drawn. d: the revision of the dataset to
  * draw. ERR_NOENT: there is no such stream. */
 enum err_code motion_steer(struct motion *m, struct dataset *d, const char *name,

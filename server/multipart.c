@@ -12,6 +12,7 @@
 #include "server/body.h"
 
 const char MULTIPART_TYPE[] = "multipart/x-mixed-replace; boundary=" MULTIPART_BOUNDARY;
+const char MULTIPART_FRAME_TYPE[] = "video/VP9";
 static const char multipart_tail[] = "\r\n--" MULTIPART_BOUNDARY "\r\n";
 enum { MULTIPART_TAIL = sizeof multipart_tail - 1 };
 

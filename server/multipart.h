@@ -15,7 +15,8 @@
 struct body;
 
 #define MULTIPART_BOUNDARY "citysplat-picture"
-extern const char MULTIPART_TYPE[]; /* Content-Type of the stream */
+extern const char MULTIPART_TYPE[];       /* Content-Type of the stream */
+extern const char MULTIPART_FRAME_TYPE[]; /* of a frame of VP9 (RFC 9628) */
 
 enum { MULTIPART_HEAD = 384 };
 struct multipart {

@@ -99,8 +99,10 @@
       ",'embedding':{'type':'array','items':" OPENAPI_NUMBER "},'appearance':" OPENAPI_TEXT "}}")  \
     X("Steer",                                                                                     \
       "{'type':'object','description':'as Render, with the number that a client gives this "       \
-      "camera, which the picture repeats, and still: draw it in full at once',"                    \
-      "'properties':{'number':" OPENAPI_INTEGER ",'still':{'type':'boolean'}}}")                   \
+      "camera, which the picture repeats; still: draw it in full at once; key: of a video, the "   \
+      "next frame refers to no other',"                                                            \
+      "'properties':{'number':" OPENAPI_INTEGER ",'still':{'type':'boolean'},"                     \
+      "'key':{'type':'boolean'}}}")                                                                \
     X("Render",                                                                                    \
       "{'type':'object','additionalProperties':false,'description':'a camera, or a pose with "     \
       "width"                                                                                      \

@@ -13,6 +13,7 @@
 
 #include "codec/image.h"
 #include "codec/png.h"
+#include "codec/video.h"
 
 static const double paint_unit_m[] = {
     [DEPTH_NONE] = 0, [DEPTH_MM] = 1e-3, [DEPTH_CM] = 1e-2, [DEPTH_DM] = 0.1, [DEPTH_M] = 1};
@@ -166,6 +167,20 @@ enum err_code paint_encode(const struct paint *p, const struct camera *cam, enum
     }
     image_free(&img);
     return rc;
+}
+
+enum err_code paint_frame(const struct paint *p, const struct camera *cam,
+                          const struct paint_planes *in, struct buf *out, struct err *e)
+{
+    struct image img = {0};
+    enum err_code rc = image_alloc(cam->width_px, cam->height_px, 3, &img, e);
+    uint8_t *to = rc ? NULL : buf_grow(out, video_planes_bytes(cam->width_px, cam->height_px));
+    if (to) {
+        paint_pixels(p, cam, in, &img);
+        video_planes(&img, to);
+    }
+    image_free(&img);
+    return !rc ? buf_check(out, e) : rc;
 }
 
 void paint_roll(struct camera *cam, double roll_deg)

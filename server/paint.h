@@ -35,6 +35,9 @@ enum err_code paint_check(const struct paint *p, enum format f, struct err *e) E
 enum err_code paint_encode(const struct paint *p, const struct camera *cam, enum format f,
                            int quality, const struct paint_planes *in, struct buf *out,
                            struct err *e) ERR_USE;
+/* Appends the picture, which is not transparent, in planes for a video. ERR_MEM. */
+enum err_code paint_frame(const struct paint *p, const struct camera *cam,
+                          const struct paint_planes *in, struct buf *out, struct err *e) ERR_USE;
 /* Rotates a camera clockwise about its optical axis, in degrees. The picture rotates the other way.
  */
 void paint_roll(struct camera *cam, double roll_deg);

@@ -76,6 +76,7 @@ struct response { /* {0}, then dispatch_answer; free with response_free */
     enum work_kind kind; /* of the work */
     double timeout_s;
     char stream[64], stream_of[64]; /* not "": a stream of this dataset begins */
+    bool video;                     /* of moving cameras as frames of a video */
 };
 
 extern const char RESPONSE_IMMUTABLE[], RESPONSE_MOVING[], RESPONSE_NO_STORE[]; /* Cache-Control */

@@ -67,6 +67,7 @@ enum {
     QUERY_SEARCH = 64,
     QUERY_PLACE = 128,
     QUERY_BBOX = 256,
+    QUERY_MOTION = 512,
     QUERY_STRICT = QUERY_SEED | QUERY_SEARCH, /* a query with any other key is refused */
 };
 

@@ -27,6 +27,7 @@ enum { /* queries */
        APPEARANCE = QUERY_APPEARANCE,
        SEARCH = QUERY_SEARCH,
        PLACE = QUERY_PLACE,
+       MOTION = QUERY_MOTION,
 };
 #define JSON(schema) "200 application/json " schema ","
 #define BYTES(media) "200 " media " Bytes,"

@@ -186,6 +186,7 @@ static enum err_code server_plan(struct server *sv, const struct catalog *c,
                              .draws = !cfg->device || strcmp(cfg->device, "none") != 0,
                              .view_gaussians = (uint64_t)cfg->view_gaussians,
                              .view_mpx = cfg->max_view_mpx,
+                             .video = motion_video_bytes((size_t)cfg->streams),
                              .cache = (size_t)cfg->cache_mb << 20,
                              .inflight = (size_t)cfg->inflight_mb << 20,
                              .view_cache = (size_t)cfg->view_cache_mb << 20};
@@ -204,10 +205,10 @@ static enum err_code server_plan(struct server *sv, const struct catalog *c,
     }
     snprintf(sv->memory, sizeof sv->memory,
              "memory budget_mb=%zu of=%zu base_mb=%zu cache_mb=%zu inflight_mb=%zu drawing_mb=%zu "
-             "view_cache_mb=%zu workers=%zu connections=%zu",
+             "view_cache_mb=%zu video_mb=%zu workers=%zu connections=%zu",
              plan->budget >> 20, machine >> 20, n.base >> 20, plan->cache >> 20,
-             plan->inflight >> 20, plan->drawing >> 20, plan->view_cache >> 20, plan->workers,
-             plan->connections);
+             plan->inflight >> 20, plan->drawing >> 20, plan->view_cache >> 20, plan->video >> 20,
+             plan->workers, plan->connections);
     if (plan->lowered)
         log_warn("serve",
                  "--memory holds pictures to %llu Gaussians and %.2f megapixels, %.2f of them "

@@ -93,6 +93,7 @@ struct target {
     enum encoding encoding; /* for terrain */
     uint32_t row;           /* for a thumbnail */
     char stream[64];        /* for motion */
+    uint8_t video;          /* for motion: 1: VP9; 0: pictures by themselves */
     struct text seal;       /* borrowed from the target's text; for a signed address */
     struct target_search search;
     /* for seed, collections and search: */

@@ -139,12 +139,29 @@ static enum err_code work_make_seed(const struct work *w, struct buf *out, struc
     return rc;
 }
 
+/* A frame of a video: drawn by the other process, encoded here, where the encoder is. */
+static enum err_code work_make_frame(struct services *s, const struct job *j, const struct work *w,
+                                     struct buf *out, struct err *e)
+{
+    struct buf planes = {0};
+    enum err_code rc = work_make_drawn(s, j, w, DRAW_VIEW, &planes, e);
+    if (!rc)
+        rc = buf_check(&planes, e);
+    if (!rc && job_cancelled(j))
+        rc = err_set(e, ERR_CANCEL, "cancelled");
+    if (!rc)
+        rc = film_encode(w->film, &w->shot, planes.data, planes.size, out, e);
+    buf_free(&planes);
+    return rc;
+}
+
 static enum err_code work_make_bytes(struct services *s, const struct job *j, const struct work *w,
                                      struct buf *out, struct err *e)
 {
     switch (w->kind) {
     case WORK_VIEW:
-        return work_make_drawn(s, j, w, DRAW_VIEW, out, e);
+        return w->film ? work_make_frame(s, j, w, out, e)
+                       : work_make_drawn(s, j, w, DRAW_VIEW, out, e);
     case WORK_MAP:
         return work_make_drawn(s, j, w, DRAW_MAP, out, e);
     case WORK_QUERY:
@@ -232,9 +249,10 @@ double work_cost(const void *work, unsigned *kind)
         QUESTION = WORK_KEEP + 1,
         TILE = QUESTION + QUERY_VISIBLE + 1,
         CLIPPED_TILE = TILE + FORMAT_COUNT,
-        CLIPPED_LIST
+        CLIPPED_LIST,
+        FRAME
     };
-    static_assert((int)CLIPPED_LIST < (int)COST_KINDS, "each kind has a factor of its own");
+    static_assert((int)FRAME < (int)COST_KINDS, "each kind has a factor of its own");
     const double gaussian_ms = 25e-6, pixel_ms = 34e-6, encode_ms = 1.5e-3, row_ms = 2e-3,
                  drawn = 3e5;
     const struct work *w = work;
@@ -243,6 +261,7 @@ double work_cost(const void *work, unsigned *kind)
     *kind = (unsigned)w->kind;
     switch (w->kind) {
     case WORK_VIEW:
+        *kind = w->film ? (unsigned)FRAME : *kind; /* encoding is a part of its time */
         return 5 + gaussian_ms * drawn +
                pixel_ms * (double)w->view.cam.width_px * w->view.cam.height_px *
                    fmax(1, w->view.paint.supersample * w->view.paint.supersample);
@@ -386,6 +405,7 @@ void work_drop(void *services, void *work)
         disk_put(s->disk, w->id, w->made->data, w->made->size, w->target.clip.n);
     body_drop(&w->made);
     dataset_drop(&w->ds);
+    film_drop(&w->film);
     mem_free(w->query);
     mem_free(w->course);
     kept_drop(&w->kept);

@@ -8,6 +8,7 @@
 #include "lod/key.h"
 #include "lod/query.h"
 #include "server/course.h"
+#include "server/film.h"
 #include "server/map_tile.h"
 #include "server/services.h"
 
@@ -38,6 +39,8 @@ struct work { /* freed with work_drop */
     struct appearance_choice appearance;
     struct target target;       /* for lists and thumbnails; for WORK_TILE its clip */
     struct draw_view view;      /* WORK_VIEW */
+    struct film *film;          /* WORK_VIEW: a reference; NULL: it is a picture by itself */
+    struct film_shot shot;      /* with film */
     struct map_tile map;        /* WORK_MAP */
     struct query *query;        /* WORK_QUERY, owned */
     struct course *course;      /* WORK_SEED, owned; NULL: no camera */

@@ -33,6 +33,7 @@ const LINKED = {
   "libopenimageio": ["BSD-3-Clause", "photographs; `citysplat-image.so`"],
   "libsqlite3": ["LicenseRef-SQLite-public-domain", "tile stores"],
   "libsystemd": ["LGPL-2.1-or-later", "readiness, watchdog"],
+  "libvpx": ["BSD-3-Clause", "streams as video"],
   "libwebp": ["BSD-3-Clause", "pictures, `.sog`"],
   "libxxhash": ["BSD-2-Clause", "hashes"],
   "libzip": ["BSD-3-Clause", "`.sog`, `.3tz`"],
