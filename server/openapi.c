@@ -96,6 +96,7 @@ static const char *openapi_about(const char *status)
                                        "202It will be done",
                                        "204Done, or there is nothing here",
                                        "206The range that was asked for",
+                                       "303It is done; a page follows",
                                        "304You have it already",
                                        "307It is in the current revision",
                                        "416The range lies outside"};
