@@ -175,6 +175,12 @@ test("a change asks for nothing and never shows a gap", skip, async (t) => {
         }
     await waitForViewer(page);
     await bare(false);
+    const grounds = new Set();
+    for (const name of names.slice(0, 3)) {
+        await wear(name);
+        grounds.add(await page.evaluate(() => String(window.citysplat.viewer.city.backdrop.mesh.material.uniforms.groundColor.value.toArray())));
+    }
+    assert.equal(grounds.size, 3, "ground and sky have the light of the city");
     t.diagnostic(`${shots} pictures, the darkest ${(darkest / least).toFixed(2)} of the darkest look`);
     assert.ok(darkest > 0.9 * least, "a picture is darker than every appearance");
     const tiles = asked.filter((url) => /\/t\/|tileset|appearance/.test(url));

@@ -265,7 +265,7 @@ test("a page at rest costs nothing, and wakes for everything that shows", async 
         key: () => page.keyboard.press("ArrowLeft", { delay: 60 }),
         pose: () => page.evaluate(() => window.citysplat.viewer.home()),
         size: () => page.setViewportSize({ width: 720, height: 500 }),
-        theme: () => page.selectOption("#theme", "light"),
+        sky: () => page.click("#backdrop"),
         walk: () => page.evaluate(() => (window.citysplat.viewer.stage.walk = "walk")),
         overlay: () =>
             page.evaluate(() => {

@@ -94,6 +94,30 @@ test("a part of the city from near by is as fine as the whole", city, async (t) 
     }
 });
 
+test("the ground goes on around the city, whose edge fades into it, below a sky", city, async (t) => {
+    const pose = { ...placeOfEnu(ORIGIN, [0, -230, 90]), heading: 0, pitch: -14, fov: 60 };
+    await lookViewer(page, pose);
+    const bare = await picture();
+    await page.evaluate(() => void (document.documentElement.dataset.ui = "off"));
+    const whole = decodePng(await page.screenshot());
+    await page.evaluate(() => void (document.documentElement.dataset.ui = "on"));
+    const at = (png, enu) => png.mean(...project(ORIGIN, pose, enu, SIZE.width, SIZE.height), 1);
+    // As grey as the ground that was surveyed, and neither horizon nor grid.
+    for (const enu of [[-20, -115, 0], [60, -120, 0], [-60, -125, 0]]) {
+        assert.deepEqual(at(bare, enu).map(Math.round), [0, 0, 0], `${enu}`);
+        const color = at(whole, enu);
+        assert.ok([107, 110, 115].every((v, c) => Math.abs(color[c] - v) < 25), `${enu}: ${color}`);
+    }
+    const steps = (png) => {
+        const line = Array.from({ length: 121 }, (_, i) => at(png, [-15, -130 + i / 2, 0])[1]);
+        return Math.max(...line.slice(4).map((v, i) => Math.abs(v - line[i])));
+    };
+    t.diagnostic(`the steepest 2 m over the edge: ${steps(whole).toFixed(1)} of 255, without ground ${steps(bare).toFixed(1)}`);
+    assert.ok(steps(whole) < 10 && steps(bare) > 30, `${steps(whole)} and ${steps(bare)}`);
+    const [red, , blue] = whole.at(10, 10);
+    assert.ok(blue > red + 30, `sky: ${whole.at(10, 10)}`);
+});
+
 test("less detail draws fewer Gaussians, and back", city, async () => {
     await lookViewer(page, SOUTH);
     const fine = (await read()).gaussians;

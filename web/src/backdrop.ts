@@ -1,20 +1,20 @@
-// Sky, horizon and ground behind the city: a full-screen pass that knows where the ground plane is,
-// with a grid of metres that fades towards the horizon.
+// Sky, horizon and level ground behind the city: a full-screen pass that knows where the ground is. Their colours
+// follow the light in which the city is shown.
 //
 // SPDX-License-Identifier: Apache-2.0
 import {
   Box3,
-  BufferAttribute,
-  BufferGeometry,
   GLSL3,
   Matrix4,
   Mesh,
   NoBlending,
   RawShaderMaterial,
-  Vector2,
   Vector3,
+  type BufferGeometry,
   type PerspectiveCamera,
 } from "three";
+
+import { makeCover } from "./quads";
 
 const VERTEX = `
 in vec3 position;
@@ -27,65 +27,61 @@ void main() {
   gl_Position = vec4(position.xy, 1.0, 1.0);
 }`;
 
+// Ground goes over into the horizon: from a city's length on, or from as far as it takes from high above.
+export const HAZE = `
+uniform vec3 eye, skyLow;
+uniform float ground, reach;
+vec3 hazed(vec3 color, vec2 at) {
+  float most = 8.0 * max(reach, eye.y - ground);
+  return mix(color, skyLow, smoothstep(0.25, 1.0, length(at - eye.xz) / most));
+}`;
+
 const FRAGMENT = `
 precision highp float;
 in vec3 ray;
-uniform vec3 eye, skyTop, skyLow, groundColor;
-uniform vec2 center;
-uniform float ground, reach, cell;
+uniform vec3 skyTop, groundColor;
 out vec4 result;
-float lines(vec2 p, float size, float width) {
-  vec2 w = width * fwidth(p / size);
-  vec2 g = abs(fract(p / size - 0.5) - 0.5);
-  vec2 on = 1.0 - smoothstep(w, w * 2.0, g);
-  return max(on.x, on.y) * (1.0 - smoothstep(0.15, 0.5, max(w.x, w.y)));
-}
+${HAZE}
 void main() {
   vec3 d = normalize(ray);
-  float up = d.y;
-  vec3 sky = mix(skyLow, skyTop, pow(clamp(up, 0.0, 1.0), 0.45));
-  vec3 color = sky;
+  vec3 color = mix(skyLow, skyTop, pow(clamp(d.y, 0.0, 1.0), 0.45));
   float above = eye.y - ground;
-  if (up < 0.0 && above > 0.0) {
-    vec2 at = eye.xz + d.xz * (above / -up);
-    float far = length(at - center) / reach;
-    float near = 1.0 - smoothstep(0.8, 4.0, far);
-    float grid = max(0.5 * lines(at, cell, 1.0), lines(at, cell * 10.0, 1.2));
-    vec3 floor_ = groundColor + 0.07 * grid * near;
-    float haze = smoothstep(1.0, 7.0, far);
-    color = mix(floor_, skyLow, max(haze, smoothstep(-0.05, 0.0, up)));
-  }
+  if (d.y < 0.0 && above > 0.0) color = hazed(groundColor, eye.xz + d.xz * (above / -d.y));
   result = vec4(color, 1.0);
 }`;
 
-const COLORS = {
-  dark: { skyTop: [0.04, 0.06, 0.1], skyLow: [0.2, 0.25, 0.32], groundColor: [0.12, 0.14, 0.16] },
-  light: { skyTop: [0.36, 0.56, 0.82], skyLow: [0.82, 0.88, 0.93], groundColor: [0.6, 0.62, 0.6] },
-};
+const TOP = [0.36, 0.56, 0.82]; // of a sky by day
+const LOW = [0.82, 0.88, 0.93]; // at its horizon
+const GROUND: [number, number, number] = [0.52, 0.53, 0.5]; // until the city's own colours are known
+const NIGHT = 0.1; // what is left of them by night
+const LIT: [number, number] = [0.04, 0.3]; // brightness of a city by night, and of one by day
+const TINGE = 0.35; // of the city's light in the horizon
+const DIMMED = 0.45; // of the sky, where the page is dark
 
 export class Backdrop {
   readonly mesh: Mesh<BufferGeometry, RawShaderMaterial>;
+  // Of all that goes over into the horizon.
+  readonly haze = {
+    eye: { value: new Vector3() },
+    skyLow: { value: new Vector3() },
+    ground: { value: 0 },
+    reach: { value: 100 },
+  };
+  private light: readonly number[] = GROUND;
+  private dim = 1;
 
   constructor() {
-    const geometry = new BufferGeometry();
-    const corners = new Float32Array([-1, -1, 0, 3, -1, 0, -1, 3, 0]);
-    geometry.setAttribute("position", new BufferAttribute(corners, 3));
     this.mesh = new Mesh(
-      geometry,
+      makeCover(),
       new RawShaderMaterial({
         glslVersion: GLSL3,
         vertexShader: VERTEX,
         fragmentShader: FRAGMENT,
         uniforms: {
+          ...this.haze,
           worldFromClip: { value: new Matrix4() },
-          eye: { value: new Vector3() },
-          center: { value: new Vector2() },
-          ground: { value: 0 },
-          reach: { value: 100 },
-          cell: { value: 10 },
           skyTop: { value: new Vector3() },
-          skyLow: { value: new Vector3() },
-          groundColor: { value: new Vector3() },
+          groundColor: { value: new Vector3(...GROUND) },
         },
         depthTest: false,
         depthWrite: false,
@@ -94,7 +90,7 @@ export class Backdrop {
     );
     this.mesh.frustumCulled = false;
     this.mesh.renderOrder = -1;
-    this.setTheme("dark");
+    this.colour();
   }
 
   set visible(on: boolean) {
@@ -106,27 +102,44 @@ export class Backdrop {
   }
 
   setTheme(theme: "dark" | "light") {
-    for (const [name, value] of Object.entries(COLORS[theme]))
-      (this.mesh.material.uniforms[name]!.value as Vector3).fromArray(value);
+    this.dim = theme === "dark" ? DIMMED : 1;
+    this.colour();
+  }
+
+  // The city's mean colour from above, and that of the ground far from it, from 0 to 1.
+  setLight(light: readonly number[], ground: readonly number[]) {
+    this.light = light;
+    this.mesh.material.uniforms["groundColor"]!.value.fromArray(ground);
+    this.colour();
+  }
+
+  private colour() {
+    const [r, g, b] = this.light as [number, number, number];
+    const bright = 0.2126 * r + 0.7152 * g + 0.0722 * b;
+    const t = Math.min(1, Math.max(0, (bright - LIT[0]) / (LIT[1] - LIT[0])));
+    const day = this.dim * (NIGHT + (1 - NIGHT) * t * t * (3 - 2 * t));
+    const tinge = [r, g, b].map((v) => 1 + TINGE * (Math.min(2, v / Math.max(0.02, bright)) - 1));
+    const { uniforms } = this.mesh.material;
+    const set = (name: string, color: number[]) => (uniforms[name]!.value as Vector3).fromArray(color);
+    set("skyTop", TOP.map((v) => v * day));
+    set("skyLow", LOW.map((v, c) => Math.min(1, v * day * tinge[c]!)));
   }
 
   setExtent(box: Box3) {
     const size = box.getSize(new Vector3());
-    const middle = box.getCenter(new Vector3());
-    const reach = Math.max(20, Math.hypot(size.x, size.z) / 2);
-    const uniforms = this.mesh.material.uniforms;
-    (uniforms["center"]!.value as Vector2).set(middle.x, middle.z);
-    uniforms["ground"]!.value = box.min.y;
-    uniforms["reach"]!.value = reach;
-    uniforms["cell"]!.value = 10 ** Math.max(0, Math.round(Math.log10(reach / 12)));
+    this.haze.reach.value = Math.max(20, Math.hypot(size.x, size.z) / 2);
+    this.setLevel(box.min.y);
+  }
+
+  // Height of the ground far from the city.
+  setLevel(height: number) {
+    this.haze.ground.value = height;
   }
 
   update(camera: PerspectiveCamera) {
-    const uniforms = this.mesh.material.uniforms;
-    (uniforms["worldFromClip"]!.value as Matrix4)
-      .copy(camera.matrixWorld)
-      .multiply(camera.projectionMatrixInverse);
-    (uniforms["eye"]!.value as Vector3).copy(camera.position);
+    const { worldFromClip } = this.mesh.material.uniforms;
+    (worldFromClip!.value as Matrix4).copy(camera.matrixWorld).multiply(camera.projectionMatrixInverse);
+    this.haze.eye.value.copy(camera.position);
   }
 
   dispose() {

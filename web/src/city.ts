@@ -27,6 +27,7 @@ import type { Overlay } from "./overlay";
 import { CardClock } from "./pace";
 import { Preview } from "./preview";
 import type { SceneInfo } from "./source";
+import type { Surroundings } from "./surroundings";
 import { text } from "./strings";
 import { CityTiles, type CardTurn, type CityTile } from "./tiles";
 import { Tint } from "./tint";
@@ -76,6 +77,9 @@ export class City {
   over: Overlay | null = null; // lines over the city
   layers: Layers | null = null; // models in it, shapes on it
   split: number | null = null; // from this part of the width on, the second appearance
+  private ground: Surroundings | null = null; // of what is drawn here alone
+  private groundless = false; // its script was asked for
+  private groundComes = false; // and is on its way
   private readonly lines = new Scene();
   private readonly preview: Preview;
   keepsPictures = false; // whole ones, to show appearances from
@@ -97,6 +101,7 @@ export class City {
   private core = new Box3();
   private wakeTimer = 0;
   private lost = false;
+  private closed = false;
   private sizeKey = "";
   private fresh = false; // the last frame shows the newest order
 
@@ -203,6 +208,7 @@ export class City {
       this.retire(this.active);
       this.active = tiles;
       this.core.makeEmpty();
+      this.ground?.forget();
     }
     this.fresh = false;
     this.onWake(false);
@@ -261,12 +267,35 @@ export class City {
     if (this.lost) return;
     const begun = performance.now();
     this.choose();
+    this.surround();
     this.preview.drop();
     this.paint();
     this.fresh = this.engine.settled;
     if (this.keepsPictures && this.settled && this.split === null) this.keep();
     if (this.engine.fading) this.onWake(true);
     if (!this.shared) this.clock.start(begun);
+  }
+
+  // Ground around the city, in its light of now. Its script comes when the first tile is on the screen.
+  private surround() {
+    const { active, backdrop, engine, ground } = this;
+    const blocks = active?.coarsest ?? [];
+    if (!backdrop.visible || !this.shows || !blocks.length) return;
+    if (ground) return ground.follow(blocks);
+    if (this.groundless) return;
+    this.groundless = this.groundComes = true;
+    void import("./surroundings").then(
+      (module) => {
+        if (this.closed) return;
+        this.ground = new module.Surroundings(this.renderer, engine, backdrop);
+        this.scene.add(this.ground.mesh);
+        this.onWake(true);
+      },
+      () => {}, // the line is gone, or the server has another page now: level ground does
+    ).finally(() => {
+      this.groundComes = false;
+      this.onWake(false);
+    });
   }
 
   // The picture, and the coarse one in the same light: a change of light draws one more of these.
@@ -278,6 +307,9 @@ export class City {
   private paint() {
     const { camera, engine } = this;
     this.backdrop.update(camera);
+    const ground = this.backdrop.visible && this.ground?.ready ? this.ground : null;
+    if (this.ground) this.ground.shown = ground !== null;
+    engine.setEdge(ground);
     engine.prepare(camera, this.split !== null);
     this.render();
   }
@@ -391,7 +423,7 @@ export class City {
 
   // Nothing more will come by itself for this view, and the screen shows all that came.
   get settled(): boolean {
-    return !this.lost && this.fresh && !this.next && this.active !== null && !this.active.loading;
+    return !this.lost && this.fresh && !this.groundComes && !this.next && this.active !== null && !this.active.loading;
   }
 
   // Something of the scene is on the screen.
@@ -431,7 +463,8 @@ export class City {
     this.preview.dispose();
     this.engine.dispose();
     this.backdrop.dispose();
-    this.lost = true; // nothing is drawn any more
+    this.ground?.dispose();
+    this.lost = this.closed = true; // nothing is drawn any more
     this.onContext = () => {};
     this.renderer.dispose();
     // A page has few contexts, and the canvas may be held by others.

@@ -116,7 +116,7 @@ export class CitySplatElement extends Base {
   }
 
   private get coloured(): "dark" | "light" {
-    return this.getAttribute("theme") === "light" ? "light" : "dark";
+    return this.getAttribute("theme") === "dark" ? "dark" : "light";
   }
 
   // ---- attributes as properties, which is what frameworks set ----

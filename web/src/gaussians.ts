@@ -37,7 +37,7 @@ import {
 
 import type { Block, Piece } from "./block";
 import { Fade, fadeShare } from "./fade";
-import { ORDER_ROW, Projection, Projector } from "./projection";
+import { ORDER_ROW, Projection, Projector, type Edge } from "./projection";
 import { makeQuads, makeStripes, QUADS } from "./quads";
 import {
   COLOR_VERTEX,
@@ -555,6 +555,8 @@ export class Gaussians {
     renderer.autoClear = false;
     this.applyTints(planes, side, 0, blocks);
     this.evaluateBlocks(side, blocks, camera.position);
+    const { visible } = mesh;
+    mesh.visible = true;
     const { uniforms } = mesh.material;
     const names = ["count", "viewport", "first", "second"] as const;
     const kept = names.map((name) => uniforms[name]!.value as unknown);
@@ -577,6 +579,25 @@ export class Gaussians {
     names.forEach((name, i) => (uniforms[name]!.value = kept[i]));
     mesh.geometry.instanceCount = instanceCount;
     mesh.material.uniformsNeedUpdate = true;
+    mesh.visible = visible;
+  }
+
+  // The same by a camera of its own, before nothing, with all of its edges.
+  drawAbove(blocks: readonly Block[], camera: PerspectiveCamera, target: WebGLRenderTarget) {
+    const { renderer, projector } = this;
+    const { edge } = projector;
+    const alpha = renderer.getClearAlpha();
+    projector.edge = null;
+    renderer.setClearAlpha(0);
+    this.drawSome(blocks, camera, target);
+    renderer.setClearAlpha(alpha);
+    projector.edge = edge;
+    for (const side of this.planes?.sides ?? []) side.key = ""; // colours of these blocks are for that eye
+  }
+
+  // What is left of opacities, by place; null: all.
+  setEdge(edge: Edge | null) {
+    this.projector.edge = edge;
   }
 
   // From far to near. One camera asks for it again and again.

@@ -50,7 +50,6 @@ async function main() {
     appearance: view?.appearance || (query.get("appearance") ?? query.get("light") ?? ""),
     colours: query.get("colours") === "server" ? "server" : "here",
     mode: thin ? "pictures" : "auto",
-    theme: theme(),
     backdrop: query.get("backdrop") !== "off",
     ...(scene === null ? {} : { scene }),
     ...(fade === null ? {} : { fadeMs: Number(fade) }),

@@ -259,7 +259,6 @@ export class Page {
     select("theme", theme(), (value) => {
       store("theme", value);
       document.documentElement.dataset["theme"] = value;
-      viewer.setTheme(value as "dark" | "light");
     });
     select("language", getLanguage(), (value) => {
       store("language", value);

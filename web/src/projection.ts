@@ -14,6 +14,7 @@ import {
   UnsignedIntType,
   Vector2,
   type Vector3,
+  Vector4,
   WebGLRenderTarget,
   type BufferGeometry,
   type DataTexture,
@@ -35,6 +36,12 @@ export interface Order {
   shape: Texture;
   colors: Texture;
   shares: Vector3; // of their opacity: of Gaussians that stay, come and go
+}
+
+// Shares of opacity seen from above, in the texture's alpha. square: its middle x, z and 1 / side.
+export interface Edge {
+  map: Texture;
+  square: Vector4;
 }
 
 export class Projection {
@@ -68,6 +75,7 @@ export class Projection {
 }
 
 export class Projector {
+  edge: Edge | null = null;
   private readonly mesh: Mesh<BufferGeometry, RawShaderMaterial>;
   private readonly flat = new OrthographicCamera();
 
@@ -87,6 +95,9 @@ export class Projector {
         count: { value: 0 },
         viewport: { value: new Vector2(1, 1) },
         near: { value: 0.1 },
+        fades: { value: false },
+        map: { value: null },
+        square: { value: new Vector4() },
       },
       depthTest: false,
       depthWrite: false,
@@ -103,6 +114,9 @@ export class Projector {
     (uniforms["projection"]!.value as Matrix4).copy(camera.projectionMatrix);
     (uniforms["viewport"]!.value as Vector2).copy(viewport);
     uniforms["near"]!.value = camera.near;
+    uniforms["fades"]!.value = this.edge !== null;
+    uniforms["map"]!.value = this.edge?.map ?? null;
+    if (this.edge) (uniforms["square"]!.value as Vector4).copy(this.edge.square);
     for (const [name, value] of Object.entries(order)) uniforms[name]!.value = value as unknown;
     this.mesh.material.uniformsNeedUpdate = true;
     this.renderer.setRenderTarget(into.fit(order.order.image.height));

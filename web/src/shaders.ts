@@ -141,6 +141,9 @@ uniform int count;
 uniform vec2 viewport;
 uniform float near;
 uniform vec3 shares;
+uniform bool fades;
+uniform sampler2D map;
+uniform vec4 square;
 layout(location = 0) out uvec4 first;
 layout(location = 1) out uvec4 second;
 
@@ -174,11 +177,13 @@ void main() {
   uint index = texelFetch(order, rank, 0).x;
   ivec2 at = ivec2(int(index & 1023u), int((index >> 10) & 0xfffffu));
   uvec4 p = texelFetch(place, at, 0);
-  vec3 t = (view * vec4(uintBitsToFloat(p.xyz), 1.0)).xyz;
+  vec3 world = uintBitsToFloat(p.xyz);
+  vec3 t = (view * vec4(world, 1.0)).xyz;
   float depth = -t.z;
   if (depth < near) return;
   uvec4 own = texelFetch(colors, at, 0);
   float opacity = float(own.w) / 65535.0 * shares[index >> 30];
+  if (fades) opacity *= texture(map, vec2(world.x - square.x, square.y - world.z) * square.z + 0.5).a;
   uvec2 s = texelFetch(shape, at, 0).xy;
   uvec4 bytes = byte4(s.x);
   vec3 sigma = exp(vec3(bytes.xyz) / 16.0 - 10.0);

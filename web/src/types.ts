@@ -21,7 +21,7 @@ export interface ViewerOptions {
   detail?: number; // px that a typical Gaussian may have on the screen; default 1
   fadeMs?: number; // that levels take to fade into each other; 0: they change at once; default 280
   backdrop?: boolean; // sky and ground; default true
-  theme?: "dark" | "light";
+  theme?: "dark" | "light"; // dark: a dimmed sky; default light
   keyboard?: boolean | "focus"; // keys move the camera; "focus": only while it has the focus; default true
 }
 

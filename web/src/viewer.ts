@@ -111,7 +111,7 @@ export class Viewer {
     readonly container: HTMLElement,
     private readonly options: ViewerOptions = {},
   ) {
-    this.theme = options.theme ?? "dark";
+    this.theme = options.theme ?? "light";
     this.memoryMost = options.memoryMb ?? MEMORY_MB;
     const layer = (tag: string) => {
       const node = document.createElement(tag);

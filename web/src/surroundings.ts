@@ -1,0 +1,179 @@
+// The ground that a city lies on and that goes on around it: its own colours, seen from above in the light of now,
+// over its own terrain. Comes after the first picture.
+//
+// SPDX-License-Identifier: Apache-2.0
+import {
+  Box3,
+  BufferAttribute,
+  BufferGeometry,
+  ClampToEdgeWrapping,
+  DataTexture,
+  GLSL3,
+  LinearFilter,
+  Mesh,
+  NoBlending,
+  PerspectiveCamera,
+  RawShaderMaterial,
+  RGBAFormat,
+  UnsignedByteType,
+  Vector3,
+  Vector4,
+  WebGLRenderTarget,
+  type WebGLRenderer,
+} from "three";
+
+import { HAZE, type Backdrop } from "./backdrop";
+import type { Block } from "./block";
+import type { Gaussians } from "./gaussians";
+import { findHeights, HEIGHT_CELLS, isObject, MAP_PX, mapGround, SPAN, type Square } from "./groundmap";
+
+const ABOVE = 40; // halves of the square: so far that all is seen from straight above
+
+const VERTEX = `
+in vec3 position;
+uniform mat4 viewMatrix, projectionMatrix;
+out vec3 at;
+void main() {
+  at = position;
+  gl_Position = projectionMatrix * viewMatrix * vec4(position, 1.0);
+}`;
+
+const FRAGMENT = `
+precision highp float;
+in vec3 at;
+uniform sampler2D map;
+uniform vec4 square; // middle x, z; 1 / side
+out vec4 result;
+${HAZE}
+void main() {
+  vec2 uv = vec2(at.x - square.x, square.y - at.z) * square.z + 0.5;
+  result = vec4(hazed(texture(map, uv).rgb, at.xz), 1.0);
+}`;
+
+function boxOf(blocks: readonly Block[]): Box3 {
+  const box = new Box3();
+  for (const { splats } of blocks) {
+    const { min, max } = splats.core;
+    box.union(new Box3(new Vector3(...min), new Vector3(...max)));
+  }
+  return box;
+}
+
+export class Surroundings {
+  readonly mesh: Mesh<BufferGeometry, RawShaderMaterial>;
+  readonly map: DataTexture;
+  readonly square = new Vector4();
+  ready = false;
+  private raised = false; // there is terrain
+  private key = "";
+  private terrainKey = "";
+  private readonly above = new WebGLRenderTarget(MAP_PX, MAP_PX, { depthBuffer: false });
+  private readonly camera = new PerspectiveCamera();
+
+  constructor(
+    private readonly renderer: WebGLRenderer,
+    private readonly engine: Gaussians,
+    private readonly backdrop: Backdrop,
+  ) {
+    this.map = new DataTexture(new Uint8Array(4 * MAP_PX ** 2), MAP_PX, MAP_PX, RGBAFormat, UnsignedByteType);
+    this.map.minFilter = this.map.magFilter = LinearFilter;
+    this.map.wrapS = this.map.wrapT = ClampToEdgeWrapping;
+    const material = new RawShaderMaterial({
+      glslVersion: GLSL3,
+      vertexShader: VERTEX,
+      fragmentShader: FRAGMENT,
+      uniforms: { ...backdrop.haze, map: { value: this.map }, square: { value: this.square } },
+      blending: NoBlending,
+    });
+    this.mesh = new Mesh(new BufferGeometry(), material);
+    this.mesh.frustumCulled = false;
+    this.mesh.renderOrder = -0.5; // over the sky, behind all else
+    this.mesh.onAfterRender = (gl) => gl.clearDepth(); // and never in front of anything
+    this.mesh.visible = false;
+  }
+
+  set shown(on: boolean) {
+    this.mesh.visible = on && this.raised;
+  }
+
+  private keyOf(blocks: readonly Block[]): string {
+    return blocks.map(({ id, tint }) => `${id}:${tint?.versions[0] ?? 0}`).join();
+  }
+
+  // Another scene comes.
+  forget() {
+    this.ready = false;
+    this.key = this.terrainKey = "";
+  }
+
+  // It is that of these tiles, in their light of now.
+  isOf(blocks: readonly Block[]): boolean {
+    return this.key === this.keyOf(blocks);
+  }
+
+  // The coarsest tiles, which hold all of the scene.
+  follow(blocks: readonly Block[]) {
+    if (this.isOf(blocks)) return;
+    this.key = this.keyOf(blocks);
+    const box = boxOf(blocks);
+    const size = box.getSize(new Vector3());
+    const middle = box.getCenter(new Vector3());
+    const square = { x: middle.x, z: middle.z, half: (SPAN * Math.max(size.x, size.z, 1)) / 2 };
+    this.square.set(square.x, square.z, 1 / (2 * square.half), 0);
+    const map = mapGround(this.look(blocks, square, middle.y), isObject(size));
+    if (!map) return;
+    this.map.image.data!.set(map.texels);
+    this.map.needsUpdate = true;
+    this.backdrop.setLight(map.light, map.far);
+    const terrainKey = blocks.map(({ id }) => id).join();
+    if (terrainKey !== this.terrainKey) this.raise(findHeights(blocks, square, map), square);
+    this.terrainKey = terrainKey;
+    this.ready = true;
+  }
+
+  // From above.
+  private look(blocks: readonly Block[], { x, z, half }: Square, y: number): Uint8Array {
+    const { camera, renderer, above } = this;
+    const high = ABOVE * half;
+    camera.fov = (2 * Math.atan(1 / ABOVE) * 180) / Math.PI;
+    camera.near = high / 2;
+    camera.far = 2 * high;
+    camera.up.set(0, 0, -1);
+    camera.position.set(x, y + high, z);
+    camera.lookAt(x, y, z);
+    camera.updateProjectionMatrix();
+    camera.updateMatrixWorld();
+    this.engine.drawAbove(blocks, camera, above);
+    const bytes = new Uint8Array(4 * MAP_PX ** 2);
+    renderer.readRenderTargetPixels(above, 0, 0, MAP_PX, MAP_PX, bytes);
+    return bytes;
+  }
+
+  private raise(heights: Float32Array | null, { x, z, half }: Square) {
+    this.raised = heights !== null;
+    if (!heights) return;
+    const side = HEIGHT_CELLS + 1;
+    const places = new Float32Array(3 * side * side);
+    const at = (i: number) => half * ((2 * i) / HEIGHT_CELLS - 1);
+    heights.forEach((height, i) => {
+      places.set([x + at(i % side), height, z - at(Math.floor(i / side))], 3 * i);
+    });
+    const index = new Uint16Array(6 * HEIGHT_CELLS ** 2);
+    for (let cell = 0; cell < HEIGHT_CELLS ** 2; cell++) {
+      const corner = cell + Math.floor(cell / HEIGHT_CELLS);
+      index.set([0, 1, side + 1, 0, side + 1, side].map((step) => corner + step), 6 * cell);
+    }
+    this.mesh.geometry.dispose();
+    this.mesh.geometry = new BufferGeometry();
+    this.mesh.geometry.setAttribute("position", new BufferAttribute(places, 3));
+    this.mesh.geometry.setIndex(new BufferAttribute(index, 1));
+    this.backdrop.setLevel(heights.at(-1)!);
+  }
+
+  dispose() {
+    this.map.dispose();
+    this.above.dispose();
+    this.mesh.geometry.dispose();
+    this.mesh.material.dispose();
+  }
+}
