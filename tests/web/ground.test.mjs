@@ -9,6 +9,8 @@ import { importSource } from "./lib/bundle.mjs";
 
 const { fill, findHeights, HEIGHT_CELLS, isObject, MAP_PX, mapGround, SPAN } = await importSource("groundmap.ts");
 
+const { piecesOf, tileX, tileY } = await importSource("basemap.ts");
+
 const GREEN = [60, 120, 40];
 const GREY = [100, 100, 100];
 const HALF = MAP_PX / (2 * SPAN); // of the city, in cells
@@ -70,6 +72,7 @@ function slope(rise) {
             const roof = Math.abs(x) < 3 && Math.abs(z) < 3;
             places.push([x, 100 + rise * x + (roof ? 20 : 0), z]);
         }
+    places.push([20, 40, 20]); // the stray
     const place = new Uint32Array(4 * places.length);
     const centres = new Float32Array(place.buffer);
     places.forEach((at, i) => {
@@ -107,4 +110,19 @@ test("filling takes the nearest, and needs something", () => {
     assert.ok(values[2 * 9] < 5 && values[2 * 54] > 5, "near ones count more");
     assert.ok([...values].every((v, i) => (i % 2 ? Math.abs(v - 1) < 1e-5 : v >= 3 - 1e-5 && v <= 7 + 1e-5)));
     assert.equal(fill(new Float32Array(2 * 64), size, 1), false);
+});
+
+test("tiles of a map cover an area, few and of the finest zoom", () => {
+    const area = [13.39, 52.495, 13.41, 52.505];
+    const pieces = piecesOf("https://m.example/{z}/{x}/{y}.png?k=1", ...area);
+    const numbers = pieces.map(({ url }) => /^https:\/\/m\.example\/(\d+)\/(\d+)\/(\d+)\.png\?k=1$/.exec(url).slice(1).map(Number));
+    const [zoom] = numbers[0];
+    assert.ok(zoom === 15 || zoom === 16, `zoom ${zoom}`);
+    assert.ok(pieces.length <= 36 && new Set(pieces.map(({ url }) => url)).size === pieces.length);
+    const edges = (key, pick) => pick(...pieces.map((one) => one[key]));
+    assert.ok(edges("west", Math.min) <= area[0] && edges("east", Math.max) >= area[2]);
+    assert.ok(edges("south", Math.min) <= area[1] && edges("north", Math.max) >= area[3]);
+    // Numbers as everybody counts them: Berlin's.
+    assert.deepEqual([Math.floor(tileX(13.4, 12)), Math.floor(tileY(52.5, 12))], [2200, 1343]);
+    assert.equal(piecesOf("{z}/{x}/{y}", -180, -89, 180, 89)[0].url, "2/0/0");
 });

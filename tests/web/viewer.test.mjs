@@ -15,6 +15,7 @@ import {
     rmsDifference,
     SOUTH,
 } from "./lib/checks.mjs";
+import { openForeign } from "./lib/foreign.mjs";
 import { placeOfEnu, project } from "./lib/geo.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { firstDataSet, getJson, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
@@ -23,6 +24,9 @@ const SIZE = { width: 720, height: 540 };
 // Client and server round and cut off a little differently (1.7 on the test city, 4.3 on a trained one,
 // where they may also choose other levels). A shift by 5 pixels gives 10, a mirrored picture 21.
 const RMS_MAX = GIVEN_TILES ? 8 : 4;
+
+// One red pixel.
+const RED_PNG = Buffer.from("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAIAAACQd1PeAAAADElEQVR4nGP4z8AAAAMBAQDJ/pLvAAAAAElFTkSuQmCC", "base64");
 
 let source;
 let viewer; // one page for all tests that do not need a fresh one
@@ -116,6 +120,30 @@ test("the ground goes on around the city, whose edge fades into it, below a sky"
     assert.ok(steps(whole) < 10 && steps(bare) > 30, `${steps(whole)} and ${steps(bare)}`);
     const [red, , blue] = whole.at(10, 10);
     assert.ok(blue > red + 30, `sky: ${whole.at(10, 10)}`);
+
+    // A map of somebody else, once it is asked for.
+    const map = await openForeign(new Proxy({}, { get: () => ({ body: RED_PNG }) }));
+    const asked = [];
+    page.on("request", (request) => request.url().startsWith(map.url) && asked.push(new URL(request.url()).pathname));
+    const lay = (tiles) => page.evaluate((address) => {
+        const { viewer } = window.citysplat;
+        const told = new Promise((done) => viewer.on("problem", (problem) => done(problem.kind)));
+        viewer.setBasemap(address && { tiles: address, attribution: "" });
+        return address.includes("{z}") ? viewer.basemapCredit : told;
+    }, tiles);
+    assert.equal(await lay(`${map.url}/tiles.png`), "badBasemap");
+    assert.equal(await lay(`${map.url}/{z}/{x}/{y}.png`), new URL(map.url).host);
+    await page.waitForFunction(() => window.citysplat.viewer.city.backdrop.haze.baseAt.value.w > 0);
+    await waitForViewer(page);
+    await page.evaluate(() => void (document.documentElement.dataset.ui = "off"));
+    const mapped = decodePng(await page.screenshot());
+    await page.evaluate(() => void (document.documentElement.dataset.ui = "on"));
+    for (const enu of [[-20, -115, 0], [60, -120, 0]]) assert.ok(at(mapped, enu)[0] > 150 && at(mapped, enu)[1] < 60, `the map: ${at(mapped, enu)}`);
+    assert.ok(at(mapped, [-15, -40, 0])[1] > 80, `the city is on it: ${at(mapped, [-15, -40, 0])}`);
+    assert.ok(asked.length > 3 && asked.length <= 36 && asked.every((path) => /^\/\d+\/\d+\/\d+\.png$/.test(path)), asked.join());
+    await page.evaluate(() => window.citysplat.viewer.setBasemap(null));
+    await page.waitForFunction(() => window.citysplat.viewer.city.backdrop.haze.baseAt.value.w === 0);
+    await map.close();
 });
 
 test("less detail draws fewer Gaussians, and back", city, async () => {

@@ -10,8 +10,10 @@ import {
   NoBlending,
   RawShaderMaterial,
   Vector3,
+  Vector4,
   type BufferGeometry,
   type PerspectiveCamera,
+  type Texture,
 } from "three";
 
 import { makeCover } from "./quads";
@@ -31,6 +33,14 @@ void main() {
 export const HAZE = `
 uniform vec3 eye, skyLow;
 uniform float ground, reach;
+uniform sampler2D base;
+uniform vec4 baseAt; // middle x, z; 1 / side; brightness, 0: there is none
+vec3 based(vec3 color, vec2 at) {
+  if (baseAt.w == 0.0) return color;
+  vec2 uv = vec2(at.x - baseAt.x, baseAt.y - at.y) * baseAt.z + 0.5;
+  vec4 own = texture(base, uv);
+  return mix(color, own.rgb * baseAt.w, own.a * (1.0 - smoothstep(0.75, 1.0, 2.0 * length(uv - 0.5))));
+}
 vec3 hazed(vec3 color, vec2 at) {
   float most = 8.0 * max(reach, eye.y - ground);
   return mix(color, skyLow, smoothstep(0.25, 1.0, length(at - eye.xz) / most));
@@ -46,7 +56,10 @@ void main() {
   vec3 d = normalize(ray);
   vec3 color = mix(skyLow, skyTop, pow(clamp(d.y, 0.0, 1.0), 0.45));
   float above = eye.y - ground;
-  if (d.y < 0.0 && above > 0.0) color = hazed(groundColor, eye.xz + d.xz * (above / -d.y));
+  if (d.y < 0.0 && above > 0.0) {
+    vec2 at = eye.xz + d.xz * (above / -d.y);
+    color = hazed(based(groundColor, at), at);
+  }
   result = vec4(color, 1.0);
 }`;
 
@@ -66,7 +79,11 @@ export class Backdrop {
     skyLow: { value: new Vector3() },
     ground: { value: 0 },
     reach: { value: 100 },
+    base: { value: null as Texture | null },
+    baseAt: { value: new Vector4() },
   };
+  private day = 1; // how bright it is
+  private square: readonly [x: number, z: number, side: number] | null = null; // of the map on the ground
   private light: readonly number[] = GROUND;
   private dim = 1;
 
@@ -117,12 +134,25 @@ export class Backdrop {
     const [r, g, b] = this.light as [number, number, number];
     const bright = 0.2126 * r + 0.7152 * g + 0.0722 * b;
     const t = Math.min(1, Math.max(0, (bright - LIT[0]) / (LIT[1] - LIT[0])));
-    const day = this.dim * (NIGHT + (1 - NIGHT) * t * t * (3 - 2 * t));
+    const day = (this.day = this.dim * (NIGHT + (1 - NIGHT) * t * t * (3 - 2 * t)));
+    this.laySquare();
     const tinge = [r, g, b].map((v) => 1 + TINGE * (Math.min(2, v / Math.max(0.02, bright)) - 1));
     const { uniforms } = this.mesh.material;
     const set = (name: string, color: number[]) => (uniforms[name]!.value as Vector3).fromArray(color);
     set("skyTop", TOP.map((v) => v * day));
     set("skyLow", LOW.map((v, c) => Math.min(1, v * day * tinge[c]!)));
+  }
+
+  // A picture on the ground, north above; null: none.
+  setBase(texture: Texture | null, square: readonly [x: number, z: number, side: number] | null) {
+    this.haze.base.value = texture;
+    this.square = square;
+    this.laySquare();
+  }
+
+  private laySquare() {
+    const [x, z, side] = this.square ?? [0, 0, 1];
+    this.haze.baseAt.value.set(x, z, 1 / side, this.square ? this.day : 0);
   }
 
   setExtent(box: Box3) {

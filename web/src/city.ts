@@ -78,6 +78,8 @@ export class City {
   layers: Layers | null = null; // models in it, shapes on it
   split: number | null = null; // from this part of the width on, the second appearance
   private ground: Surroundings | null = null; // of what is drawn here alone
+  basemap = ""; // address of the tiles of a map on that ground
+  private frame: Frame | null = null;
   private groundless = false; // its script was asked for
   private groundComes = false; // and is on its way
   private readonly lines = new Scene();
@@ -177,6 +179,7 @@ export class City {
   // is there.
   // tint: has its appearance already; null where the tiles' colours are final.
   open(info: SceneInfo, frame: Frame, keep: boolean, tint: Tint | null) {
+    this.frame = frame;
     const tiles = new CityTiles(
       info.url,
       info.document,
@@ -281,13 +284,18 @@ export class City {
     const { active, backdrop, engine, ground } = this;
     const blocks = active?.coarsest ?? [];
     if (!backdrop.visible || !this.shows || !blocks.length) return;
-    if (ground) return ground.follow(blocks);
+    if (ground) {
+      ground.follow(blocks);
+      if (this.frame) ground.lay(this.basemap, this.frame);
+      return;
+    }
     if (this.groundless) return;
     this.groundless = this.groundComes = true;
     void import("./surroundings").then(
       (module) => {
         if (this.closed) return;
         this.ground = new module.Surroundings(this.renderer, engine, backdrop);
+        this.ground.onChange = () => this.onWake(true);
         this.scene.add(this.ground.mesh);
         this.onWake(true);
       },
@@ -296,6 +304,11 @@ export class City {
       this.groundComes = false;
       this.onWake(false);
     });
+  }
+
+  // Height of the ground at a place, in world metres; null where it is not known.
+  groundAt({ x, z }: Vector3): number | null {
+    return this.ground?.ready ? this.ground.heightAt(x, z) : null;
   }
 
   // The picture, and the coarse one in the same light: a change of light draws one more of these.

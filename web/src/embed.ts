@@ -10,7 +10,7 @@ const EVENTS = ["ready", "scene", "problem", "move", "click", "appearance", "lin
 type EventName = (typeof EVENTS)[number];
 export type CitySplatEvents = { [Name in EventName]: CustomEvent<ViewerEvents[Name]> };
 
-const ATTRIBUTES = ["src", "scene", "view", "appearance", "mode", "theme", "detail", "memory", "backdrop"] as const;
+const ATTRIBUTES = ["src", "scene", "view", "appearance", "mode", "theme", "detail", "memory", "backdrop", "basemap", "basemap-credit"] as const;
 type Attribute = (typeof ATTRIBUTES)[number];
 
 const STYLE = ":host{display:block;position:relative;aspect-ratio:16/9;overflow:hidden}:host([hidden]){display:none}div{position:absolute;inset:0}";
@@ -69,6 +69,7 @@ export class CitySplatElement extends Base {
     else if (name === "detail") viewer.detail = Number(now) || 1;
     else if (name === "memory" && Number(now) > 0) viewer.memoryMb = Number(now);
     else if (name === "backdrop") viewer.backdrop = now !== "off";
+    else if (name === "basemap" || name === "basemap-credit") viewer.setBasemap(this.basemap);
   }
 
   private start(): Viewer {
@@ -80,6 +81,7 @@ export class CitySplatElement extends Base {
       appearance: this.appearance,
       theme: this.coloured,
       backdrop: text("backdrop") !== "off",
+      basemap: this.basemap,
       detail: Number(text("detail")) || 1,
       keyboard: "focus", // the page's keys are the page's
       ...(scene ? { scene } : {}),
@@ -113,6 +115,11 @@ export class CitySplatElement extends Base {
       queueMicrotask(() => this.tell("problem", problem));
     }
     return parsed?.pose ?? null;
+  }
+
+  private get basemap() {
+    const tiles = this.getAttribute("basemap");
+    return tiles ? { tiles, attribution: this.getAttribute("basemap-credit") ?? "" } : null;
   }
 
   private get coloured(): "dark" | "light" {

@@ -15,7 +15,9 @@ const MEAN_FROM = 1.1; // in halves of the city: from here on
 const MEAN_TO = 2.3; // to here its own colours and heights go over into their means
 const SOLID = 77; // of 255: opacity of what counts as ground
 const LOW = 0.1; // of a cell's heights, from below: the ground
-const CELL_LEAST = 3; // Gaussians that tell it
+const ROOF_M = 15; // half of the width of roofs below which the ground passes
+const REACH_MOST = 4; // of it, in cells
+const STRAY = 0.02; // of the cells, from below: deeper than those is nothing
 
 export interface Square {
   x: number; // its middle, in world metres
@@ -186,27 +188,39 @@ export function findHeights(blocks: readonly Block[], square: Square, map: Groun
     }
   }
   const lows = cells.map((heights, cell) => {
-    if (heights.length < CELL_LEAST || !shareAt(map, cell % size, Math.floor(cell / size))) return Infinity;
+    if (!heights.length || !shareAt(map, cell % size, Math.floor(cell / size))) return Infinity;
     return heights.sort((a, b) => a - b)[Math.floor(LOW * heights.length)]!;
   });
   const known = lows.filter(Number.isFinite).sort((a, b) => a - b);
   if (!known.length) return null;
   const level = known[Math.floor(known.length / 4)]!;
+  const least = known[Math.floor(STRAY * known.length)]!;
+  const ground = passBelow(lows, size, Math.min(REACH_MOST, Math.ceil(ROOF_M * scale)));
   const values = new Float32Array(2 * size * size);
   for (let cell = 0; cell < size * size; cell++) {
     if (lows[cell] === Infinity) continue;
-    values[2 * cell] = around(lows, cell, size) - level;
+    values[2 * cell] = Math.max(least, ground[cell]!) - level;
     values[2 * cell + 1] = 1;
   }
   fill(values, size, 1);
   return corners(values, size, level);
 }
 
-// A roof over a whole cell is no ground: the lowest of the cells around.
-function around(lows: readonly number[], cell: number, size: number): number {
-  let least = lows[cell]!;
-  for (const step of [-size - 1, -size, 1 - size, -1, 1, size - 1, size, size + 1]) least = Math.min(least, lows[cell + step] ?? Infinity);
-  return least;
+// A roof is no ground: the lowest of the cells around, and of those the highest, so that slopes stay what they are.
+function passBelow(lows: readonly number[], size: number, reach: number): number[] {
+  const pass = (from: readonly number[], best: (a: number, b: number) => number) =>
+    from.map((own, cell) => {
+      if (!Number.isFinite(own)) return own;
+      const [x, y] = [cell % size, Math.floor(cell / size)];
+      let out = own;
+      for (let i = Math.max(0, y - reach); i <= Math.min(size - 1, y + reach); i++)
+        for (let k = Math.max(0, x - reach); k <= Math.min(size - 1, x + reach); k++) {
+          const other = from[i * size + k]!;
+          if (Number.isFinite(other)) out = best(out, other);
+        }
+      return out;
+    });
+  return pass(pass(lows, Math.min), Math.max);
 }
 
 function corners(values: Float32Array, size: number, level: number): Float32Array {

@@ -44,6 +44,7 @@ async function main() {
   const memory = Number(query.get("memory"));
   const fade = query.get("crossfade");
   const thin = query.has("thin");
+  const basemap = query.get("basemap");
   const options: ViewerOptions = {
     url: places(query),
     pose: view?.pose ?? null,
@@ -51,6 +52,7 @@ async function main() {
     colours: query.get("colours") === "server" ? "server" : "here",
     mode: thin ? "pictures" : "auto",
     backdrop: query.get("backdrop") !== "off",
+    basemap: basemap ? { tiles: basemap, attribution: query.get("credit") ?? "" } : null,
     ...(scene === null ? {} : { scene }),
     ...(fade === null ? {} : { fadeMs: Number(fade) }),
     ...(memory > 0 ? { memoryMb: memory } : {}),

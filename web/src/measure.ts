@@ -109,11 +109,16 @@ export class MeasureTool {
     this.place = place;
     element("place").hidden = close;
     element("place-copy").hidden = !place;
-    setText("place-text", place ? formatPlace(place) : text("place.none"));
+    setText("place-text", place ? this.words(place) : text("place.none"));
     if (this.marker) this.viewer.overlay.remove(this.marker);
     this.marker = place
       ? this.viewer.overlay.add({ kind: "point", places: [place], color: "#ff5ea8" })
       : 0;
+  }
+
+  private words(place: Place): string {
+    const up = this.viewer.aboveGround(place);
+    return up === null ? formatPlace(place) : text("place.up", { place: formatPlace(place), up: up.toFixed(0) });
   }
 
   private add(place: Place | null) {

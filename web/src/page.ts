@@ -17,6 +17,7 @@ import { freePart } from "./free";
 import { Inset } from "./inset";
 import { LayerPanel } from "./layerpanel";
 import { MeasureTool } from "./measure";
+import type { EmbedDialog } from "./embeddialog";
 import type { ShotDialog } from "./shotdialog";
 import type { Walk } from "./pose";
 import { Problem } from "./problem";
@@ -40,6 +41,7 @@ export class Page {
   private readonly layers: LayerPanel;
   private readonly measure: MeasureTool;
   private shots: ShotDialog | null = null;
+  private embeds: EmbedDialog | null = null;
   private addressTimer = 0;
   private offered = false;
   private problem: Error | null = null; // why no scene is open
@@ -93,9 +95,10 @@ export class Page {
       this.problem = null;
       this.used = false;
       this.showTitle();
-      setText("attribution", viewer.info?.attribution ?? "");
+      setText("attribution", [viewer.info?.attribution, viewer.basemapCredit].filter(Boolean).join(" · "));
       this.fillChooser();
-      element("globe").hidden = !scene.catalogue; // cesium.html is where a server serves this page
+      // cesium.html and viewer.js are where a server serves this page.
+      element("globe").hidden = element("embed-button").hidden = !scene.catalogue;
       this.showPlace();
       this.frame();
       this.address();
@@ -201,6 +204,13 @@ export class Page {
     this.shots.open();
   }
 
+  private async embed() {
+    if (!this.viewer.scene) return;
+    const { EmbedDialog } = await import("./embeddialog");
+    this.embeds ??= new EmbedDialog(this.viewer);
+    this.embeds.open();
+  }
+
   // ---- controls ----
 
   private wireTools() {
@@ -213,6 +223,7 @@ export class Page {
     click("walk", () => this.nextWalk());
     click("help-button", () => element<HTMLDialogElement>("help").showModal());
     click("share", () => void this.share());
+    click("embed-button", () => void this.embed());
     click("shot-button", () => void this.shot());
     element("full").hidden = !document.fullscreenEnabled;
     click("full", () => void (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen()));

@@ -13,6 +13,7 @@ export type ProblemKind =
   | "no3d" // this browser does not draw, and the server may
   | "nothingDraws" // nor does the server
   | "badView"
+  | "badBasemap"
   | "noAppearance" // the default light is shown
   | "nothingHere" // beside the page
   | "http";

@@ -51,6 +51,20 @@ export interface Basemap {
   attribution: string;
 }
 
+// The credit of a map on the ground: what is given, or the host that it comes from.
+/** @internal */
+export function creditOf({ tiles, attribution }: Basemap): string {
+  return attribution || new URL(tiles, document.baseURI).host;
+}
+
+// Whether tiles can be asked for there.
+/** @internal */
+export function isTileAddress(tiles: string): boolean {
+  if (!URL.canParse(tiles, document.baseURI)) return false;
+  const { protocol } = new URL(tiles, document.baseURI);
+  return /^https?:$/.test(protocol) && ["{z}", "{x}", "{y}"].every((part) => tiles.includes(part));
+}
+
 interface Collection {
   id?: string;
   title?: string;

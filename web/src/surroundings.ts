@@ -6,6 +6,7 @@ import {
   Box3,
   BufferAttribute,
   BufferGeometry,
+  CanvasTexture,
   ClampToEdgeWrapping,
   DataTexture,
   GLSL3,
@@ -25,8 +26,11 @@ import {
 import { HAZE, type Backdrop } from "./backdrop";
 import type { Block } from "./block";
 import type { Gaussians } from "./gaussians";
+import type { Frame } from "./geo";
 import { findHeights, HEIGHT_CELLS, isObject, MAP_PX, mapGround, SPAN, type Square } from "./groundmap";
 
+const BASE_SPAN = 3; // squares that a map on the ground covers, a side
+const NEAR_M = 25; // of a place
 const ABOVE = 40; // halves of the square: so far that all is seen from straight above
 
 const VERTEX = `
@@ -47,7 +51,7 @@ out vec4 result;
 ${HAZE}
 void main() {
   vec2 uv = vec2(at.x - square.x, square.y - at.z) * square.z + 0.5;
-  result = vec4(hazed(texture(map, uv).rgb, at.xz), 1.0);
+  result = vec4(hazed(based(texture(map, uv).rgb, at.xz), at.xz), 1.0);
 }`;
 
 function boxOf(blocks: readonly Block[]): Box3 {
@@ -64,10 +68,14 @@ export class Surroundings {
   readonly map: DataTexture;
   readonly square = new Vector4();
   ready = false;
-  private raised = false; // there is terrain
+  private heights: Float32Array | null = null; // of the corners of its terrain
   private key = "";
   private terrainKey = "";
   private readonly above = new WebGLRenderTarget(MAP_PX, MAP_PX, { depthBuffer: false });
+  private base: CanvasTexture | null = null;
+  private baseKey = "";
+  private asking = new AbortController();
+  onChange: () => void = () => {}; // a map is on the ground, or gone
   private readonly camera = new PerspectiveCamera();
 
   constructor(
@@ -93,7 +101,7 @@ export class Surroundings {
   }
 
   set shown(on: boolean) {
-    this.mesh.visible = on && this.raised;
+    this.mesh.visible = on && this.heights !== null;
   }
 
   private keyOf(blocks: readonly Block[]): string {
@@ -131,6 +139,52 @@ export class Surroundings {
     this.ready = true;
   }
 
+  // Of the ground at a place: the lowest near by, for roofs may raise it.
+  heightAt(x: number, z: number): number | null {
+    if (!this.heights) return null;
+    const steps = [-NEAR_M, 0, NEAR_M];
+    return Math.min(...steps.flatMap((i) => steps.map((k) => this.cornerHeight(x + i, z + k))));
+  }
+
+  private cornerHeight(x: number, z: number): number {
+    const side = HEIGHT_CELLS + 1;
+    const { square } = this;
+    const heights = this.heights!;
+    const along = (offset: number) => Math.min(HEIGHT_CELLS, Math.max(0, (offset * square.z + 0.5) * HEIGHT_CELLS));
+    const [column, row] = [along(x - square.x), along(square.y - z)];
+    const [i, k] = [Math.min(HEIGHT_CELLS - 1, Math.floor(column)), Math.min(HEIGHT_CELLS - 1, Math.floor(row))];
+    const [fx, fy] = [column - i, row - k];
+    const at = (north: number, east: number) => heights[(k + north) * side + i + east]!;
+    const low = at(0, 0) * (1 - fx) + at(0, 1) * fx;
+    return low * (1 - fy) + (at(1, 0) * (1 - fx) + at(1, 1) * fx) * fy;
+  }
+
+  // A map of somebody else on the ground, by its address; "": none.
+  lay(template: string, frame: Frame) {
+    const { x, y: z, z: scale } = this.square;
+    const square = { x, z, half: BASE_SPAN / (2 * scale) };
+    const key = template && `${template} ${x} ${z} ${scale}`;
+    if (!this.ready || key === this.baseKey) return;
+    this.baseKey = key;
+    this.asking.abort();
+    this.asking = new AbortController();
+    this.setBase(null, square);
+    if (!template) return;
+    const { signal } = this.asking;
+    void import("./basemap").then(async ({ drawBasemap }) => {
+      const canvas = await drawBasemap(template, square, frame, signal);
+      if (canvas && !signal.aborted) this.setBase(canvas, square);
+    }, () => {});
+  }
+
+  private setBase(canvas: HTMLCanvasElement | null, { x, z, half }: Square) {
+    this.base?.dispose();
+    this.base = canvas && new CanvasTexture(canvas);
+    if (this.base) this.base.anisotropy = 4;
+    this.backdrop.setBase(this.base, canvas && [x, z, 2 * half]);
+    this.onChange();
+  }
+
   // From above.
   private look(blocks: readonly Block[], { x, z, half }: Square, y: number): Uint8Array {
     const { camera, renderer, above } = this;
@@ -150,7 +204,7 @@ export class Surroundings {
   }
 
   private raise(heights: Float32Array | null, { x, z, half }: Square) {
-    this.raised = heights !== null;
+    this.heights = heights;
     if (!heights) return;
     const side = HEIGHT_CELLS + 1;
     const places = new Float32Array(3 * side * side);
@@ -171,6 +225,8 @@ export class Surroundings {
   }
 
   dispose() {
+    this.asking.abort();
+    this.base?.dispose();
     this.map.dispose();
     this.above.dispose();
     this.mesh.geometry.dispose();

@@ -5,7 +5,7 @@ import type { Place, Pose } from "./geo";
 import type { Layer } from "./layers";
 import type { LinkState } from "./link";
 import type { PictureInfo } from "./pictures";
-import type { SceneEntry } from "./source";
+import type { Basemap, SceneEntry } from "./source";
 
 export type Mode = "splats" | "pictures"; // drawn here, or by the server
 
@@ -21,6 +21,7 @@ export interface ViewerOptions {
   detail?: number; // px that a typical Gaussian may have on the screen; default 1
   fadeMs?: number; // that levels take to fade into each other; 0: they change at once; default 280
   backdrop?: boolean; // sky and ground; default true
+  basemap?: Basemap | null; // raster tiles on the ground around the city, of whoever it names; default: none
   theme?: "dark" | "light"; // dark: a dimmed sky; default light
   keyboard?: boolean | "focus"; // keys move the camera; "focus": only while it has the focus; default true
 }

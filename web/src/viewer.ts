@@ -22,8 +22,10 @@ import { Scenes, type Opened, type SceneHost } from "./scenes";
 import type { ShotOptions } from "./shot";
 import {
   askPlace,
+  creditOf,
   findBasemap,
   findMapTiles,
+  isTileAddress,
   listAppearances,
   pictureUrl,
   type Appearance,
@@ -103,6 +105,8 @@ export class Viewer {
   private closed = false;
   private readonly listening = new AbortController();
   private readonly resizing: ResizeObserver;
+  private map: Basemap | null = null; // on the ground
+  private readonly credit = document.createElement("small"); // of that map
   private theme: "dark" | "light";
   private memoryMost: number; // MB
   private readonly positions: boolean; // the container, which had no position of its own
@@ -125,7 +129,10 @@ export class Viewer {
     this.pictureCanvas.className = "citysplat-picture";
     Object.assign(this.surface.style, { overflow: "hidden", outline: "none", background: "#0b0e13" });
     this.surface.tabIndex = 0;
-    this.surface.append(this.canvas, this.pictureCanvas);
+    this.credit.className = "citysplat-credit";
+    Object.assign(this.credit.style, { position: "absolute", right: "0", bottom: "0", padding: "0 6px", color: "#222", background: "rgb(255 255 255 / 75%)", font: "11px/1.6 system-ui, sans-serif", pointerEvents: "none" });
+    this.credit.hidden = true;
+    this.surface.append(this.canvas, this.pictureCanvas, this.credit);
     this.positions = getComputedStyle(container).position === "static";
     if (this.positions) container.style.position = "relative";
     container.append(this.surface);
@@ -163,6 +170,7 @@ export class Viewer {
       this.wake();
     };
     this.startDrawing(options.mode ?? "auto");
+    this.setBasemap(options.basemap ?? null);
     this.resizing = new ResizeObserver(() => this.resize());
     this.resizing.observe(container);
     this.resize();
@@ -310,6 +318,13 @@ export class Viewer {
     const ray = new Ray(above, new Vector3(0, -1, 0));
     const found = this.city ? pickMedian(this.city.engine.visibleBlocks, ray, perMetre) : null;
     return found && frame.placeOf(found).h;
+  }
+
+  // How high a place is above the ground there, roughly: that of the surroundings, below roofs. null where it is not known.
+  aboveGround(place: Place): number | null {
+    const point = this.stage.frame.pointOf(place);
+    const ground = this.city?.groundAt(point) ?? null;
+    return ground === null ? null : Math.max(0, point.y - ground);
   }
 
   private surfaceOn(ray: Ray): Vector3 | null {
@@ -524,6 +539,23 @@ export class Viewer {
     this.wake();
   }
 
+  // Map tiles of somebody else on the ground around the city, which tells them what is looked at; null: none. Their credit
+  // is shown.
+  setBasemap(basemap: Basemap | null) {
+    const wrong = basemap !== null && !isTileAddress(basemap.tiles);
+    if (wrong) this.tell(new Problem("badBasemap", { tiles: basemap.tiles, z: "{z}", x: "{x}", y: "{y}" }));
+    this.map = wrong ? null : basemap;
+    this.credit.textContent = this.basemapCredit;
+    this.credit.hidden = !this.basemapCredit;
+    if (this.city) this.city.basemap = this.map?.tiles ?? "";
+    this.wake();
+  }
+
+  // Whom the map on the ground is of; "": there is none.
+  get basemapCredit(): string {
+    return this.map ? creditOf(this.map) : "";
+  }
+
   setTheme(theme: "dark" | "light") {
     this.theme = theme;
     this.city?.backdrop.setTheme(theme);
@@ -624,6 +656,7 @@ export class Viewer {
     city.fadeMs = this.options.fadeMs ?? city.fadeMs;
     city.backdrop.visible = this.options.backdrop ?? true;
     city.backdrop.setTheme(this.theme);
+    city.basemap = this.map?.tiles ?? "";
     city.setOverlay(this.overlay, this.layers);
     this.resize();
     if (this.info && this.scene) {
