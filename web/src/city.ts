@@ -146,6 +146,7 @@ export class City {
     canvas.addEventListener("webglcontextrestored", () => {
       this.lost = false;
       this.engine.restore();
+      this.clock.restore();
       this.onContext(false);
       this.onWake(true);
     });

@@ -124,18 +124,28 @@ export class Pace {
   }
 }
 
+const DONE_MS = 1500; // after a lost context: a frame that is not done by then is not told of
+
 // When the card has drawn a frame: scripts return long before.
 export class CardClock {
   private fence: WebGLSync | null = null;
   private begunAt = 0;
+  private doubtful = false; // a context that came back may have fences that are never done
+  private blind = false; // it has
 
   constructor(private readonly gl: WebGL2RenderingContext) {}
 
   // Right after a frame was drawn that was begun then. One frame at a time is watched.
   start(begunAt: number) {
-    if (this.fence || this.gl.isContextLost()) return;
+    if (this.fence || this.blind || this.gl.isContextLost()) return;
     this.begunAt = begunAt;
     this.fence = this.gl.fenceSync(this.gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+  }
+
+  // The context was lost, and is there again.
+  restore() {
+    this.fence = null;
+    this.doubtful = true;
   }
 
   // The card is not done with the watched frame.
@@ -148,7 +158,12 @@ export class CardClock {
     const { gl, fence } = this;
     if (!fence) return null;
     const lost = gl.isContextLost();
-    if (!lost && gl.getSyncParameter(fence, gl.SYNC_STATUS) !== gl.SIGNALED) return null;
+    if (!lost && gl.getSyncParameter(fence, gl.SYNC_STATUS) !== gl.SIGNALED) {
+      this.blind = this.doubtful && performance.now() - this.begunAt > DONE_MS;
+      if (this.blind) this.fence = null;
+      return null;
+    }
+    this.doubtful = false;
     gl.deleteSync(fence);
     this.fence = null;
     return lost ? null : performance.now() - this.begunAt;
