@@ -33,9 +33,10 @@ enum err_code cell_plan_write(const char *path, const struct scene *s, const str
                               struct err *e)
 {
     json_t *cells = json_array();
-    json_t *root = json_pack("{s:i, s:f, s:I, s:I, s:o}", "plan_version", PLAN_VERSION, "edge_m",
-                             p->edge_m, "merged", (json_int_t)p->n_merged, "divided",
-                             (json_int_t)p->n_divided, "cells", cells);
+    json_t *root =
+        json_pack("{s:i, s:f, s:f, s:I, s:I, s:o}", "plan_version", PLAN_VERSION, "edge_m",
+                  p->edge_m, "share_min", p->share_min, "merged", (json_int_t)p->n_merged,
+                  "divided", (json_int_t)p->n_divided, "cells", cells);
     bool bad = !root;
     const struct cell_grid *g = &p->grid;
     if (!bad && g->turned)
@@ -165,6 +166,10 @@ static enum err_code plan_read_cells(const json_t *root, const struct scene *s,
             err_set(e, ERR_FORMAT, "plan version %g, this program reads %d", version, PLAN_VERSION);
     if (!rc)
         rc = jsonc_num(root, "edge_m", &out->edge_m, e);
+    if (!rc && json_object_get(root, "share_min")) /* plans of before had whole photographs */
+        rc = jsonc_num(root, "share_min", &out->share_min, e);
+    if (!rc && !(out->share_min >= 0.0 && out->share_min <= 1.0))
+        rc = err_set(e, ERR_FORMAT, "\"share_min\": %g is no share", out->share_min);
     if (!rc)
         rc = plan_read_grid(root, &out->grid, e);
     if (!rc && (!json_array_size(cells) || !(out->edge_m > 0.0)))

@@ -231,16 +231,18 @@ static double partition_visibility(const struct survey *v, const struct partitio
     return partition_hull_area(scratch, n, scratch + (end - first)) / v->view_area_px2[image];
 }
 
-static void partition_count_azimuth(const struct survey *v, struct partition_cell *c)
+void partition_count_azimuth(const struct scene *s, const struct cell_grid *g,
+                             struct partition_cell *c)
 {
     memset(c->azimuth, 0, sizeof c->azimuth);
     for (size_t k = 0; k < c->n_images; k++) {
-        /* From where does the photograph see the cell's middle? Octants clockwise from north. */
-        struct xy p = v->center[c->images[k]];
+        double eye[3];
+        camera_center(&s->images[c->images[k]].cam, eye);
+        struct xy p = partition_along(g, eye);
         double dx = p.x - 0.5 * (c->min_m[0] + c->max_m[0]);
         double dy = p.y - 0.5 * (c->min_m[1] + c->max_m[1]);
         const double octant = 0.7853981633974483;
-        double azimuth = atan2(dx, dy) - v->cfg->grid.yaw_rad; /* north of the grid is turned */
+        double azimuth = atan2(dx, dy) - g->yaw_rad; /* north of the grid is turned */
         c->azimuth[(int)(floor(azimuth / octant + 0.5) + 64.0) % 8]++;
     }
 }
@@ -283,7 +285,7 @@ static enum err_code partition_assign(const struct survey *v, double edge_m,
     for (size_t i = 0; i < s->n_points; i++)
         c->n_points += v->reliable[i] &&
                        partition_near(c, partition_along(&cfg->grid, s->points[i].enu_m), 0.0);
-    partition_count_azimuth(v, c);
+    partition_count_azimuth(s, &cfg->grid, c);
     return ERR_OK;
 }
 

@@ -8,6 +8,8 @@
  * Gaussian belongs to exactly one cell. Source: REUrbanGS (ICCV 2025) section 3.1 and its
  * supplement; VastGaussian (2024) for visibility selection.
  *
+ * These photographs may be replaced by all that show enough of the cell (cells/share.h).
+ *
  * SPDX-License-Identifier: Apache-2.0
  */
 #ifndef CELLS_PARTITION_H
@@ -54,6 +56,7 @@ struct partition { /* {0} is empty; free with partition_free */
     struct partition_cell *cells; /* sorted by y, then x */
     size_t n_cells;
     size_t n_merged, n_divided; /* number of merges and divisions */
+    double share_min;           /* of share_photographs; above 0, photographs are cut */
     struct arena arena;
 };
 
@@ -69,6 +72,9 @@ size_t partition_owner(const struct partition *p, double x_m, double y_m);
 /* Returns whether an ENU box (x, y) lies in the box of cell `index` and of no other. */
 bool partition_covers(const struct partition *p, size_t index, const double min_enu_m[2],
                       const double max_enu_m[2]);
+/* Counts the photographs of a cell by the direction from which they see its middle. */
+void partition_count_azimuth(const struct scene *s, const struct cell_grid *g,
+                             struct partition_cell *c);
 /* Distance from (x, y), along the grid, to a cell's box, 0 inside. */
 double partition_distance(const struct partition_cell *c, double x_m, double y_m);
 

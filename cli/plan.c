@@ -7,6 +7,7 @@
 
 #include "cells/cell_plan.h"
 #include "cells/partition.h"
+#include "cells/share.h"
 #include "cli/cli.h"
 #include "codec/scene.h"
 
@@ -97,6 +98,8 @@ enum err_code cli_plan(int argc, char **argv, struct err *e)
                                          .use_visibility = o.visibility,
                                          .all_images = o.all_images};
     rc = partition_make(&scene, &cfg, &p, e);
+    if (!rc)
+        rc = share_photographs(&scene, o.share_min, o.all_images, &p, e);
     if (!rc)
         rc = file_join(path, args.arg[0], "plan.json", e);
     if (!rc)

@@ -83,6 +83,32 @@ struct camera camera_resize(const struct camera *c, uint32_t width_px, uint32_t 
     return out;
 }
 
+/* First whole pixel and number of pixels of a share of `n` pixels. */
+static void camera_window_axis(double from, double to, uint32_t n, uint32_t *first, uint32_t *count)
+{
+    double a = fmin(fmax(floor(from * n), 0.0), n - 1.0), b = fmin(fmax(ceil(to * n), a + 1.0), n);
+    *first = (uint32_t)a;
+    *count = (uint32_t)(b - a);
+}
+
+void camera_window_px(const struct camera *c, const struct camera_window *w, uint32_t out[4])
+{
+    camera_window_axis(w->x0, w->x1, c->width_px, &out[0], &out[2]);
+    camera_window_axis(w->y0, w->y1, c->height_px, &out[1], &out[3]);
+}
+
+struct camera camera_crop(const struct camera *c, const struct camera_window *w)
+{
+    struct camera out = *c;
+    uint32_t px[4];
+    camera_window_px(c, w, px);
+    out.width_px = px[2];
+    out.height_px = px[3];
+    out.cx_px -= px[0];
+    out.cy_px -= px[1];
+    return out;
+}
+
 /* A camera at eye with the given unit right and forward axes. */
 static struct camera camera_place(const double eye[3], const double right[3],
                                   const double forward[3], double fov_y_rad, uint32_t width_px,

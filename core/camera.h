@@ -24,6 +24,10 @@ struct camera {
     double trans[3]; /* x_cam = rot * x_world + trans, metres */
 };
 
+struct camera_window { /* a part of a picture, in shares of its width and height, 0..1 */
+    double x0, y0, x1, y1;
+};
+
 /* Centre of projection in the world frame: -rot^T trans. */
 void camera_center(const struct camera *c, double out_enu_m[3]);
 /* Projects a point of the world frame. px is the pixel, which may lie outside the picture. depth_m
@@ -35,6 +39,11 @@ bool camera_project(const struct camera *c, const double enu_m[3], double near_m
 bool camera_frames(const struct camera *c, const double enu_m[3], double near_m, double *depth_m);
 /* The same view in a picture of another size. Focal lengths and principal point are scaled. */
 struct camera camera_resize(const struct camera *c, uint32_t width_px, uint32_t height_px);
+/* The whole pixels that a part of the picture touches: left, top, width, height; at least one pixel
+ * each. */
+void camera_window_px(const struct camera *c, const struct camera_window *w, uint32_t out[4]);
+/* The camera of that part of the picture. */
+struct camera camera_crop(const struct camera *c, const struct camera_window *w);
 /* A camera at `eye` that looks at `target` (ENU metres), with z up. In a vertical view north is up.
  */
 struct camera camera_look_at(const double eye[3], const double target[3], double fov_y_rad,

@@ -162,6 +162,20 @@ static double depth_sample(const struct depth_file *f, double x, double y)
            fv * ((1.0 - fu) * (double)low[i] + fu * (double)low[i1]);
 }
 
+/* Where a camera's picture lies in the whole photograph, in the camera's pixels. */
+struct depth_frame {
+    double left, top, width, height;
+};
+
+/* A camera may show a part of its photograph (camera_crop), at another size (camera_resize). */
+static struct depth_frame depth_frame_of(const struct camera *full, const struct camera *cam)
+{
+    double sx = cam->fx_px / full->fx_px, sy = cam->fy_px / full->fy_px;
+    return (struct depth_frame){round(full->cx_px * sx - cam->cx_px),
+                                round(full->cy_px * sy - cam->cy_px), round(full->width_px * sx),
+                                round(full->height_px * sy)};
+}
+
 /* ---- points ---- */
 
 /* Inverse depth of observation t in its photograph; 0: behind it, outside, or a bad point. */
@@ -327,9 +341,11 @@ static enum err_code depth_fill_map(struct depth_map *d, uint32_t image, const s
                      d->cfg.scene->images[image].name);
     if (!rc)
         rc = depth_read_file(path, &f, e);
+    const struct depth_frame in = depth_frame_of(&d->cfg.scene->images[image].cam, cam);
     for (uint32_t y = 0; !rc && y < cam->height_px; y++)
         for (uint32_t x = 0; x < cam->width_px; x++) {
-            double v = depth_sample(&f, (x + 0.5) / cam->width_px, (y + 0.5) / cam->height_px);
+            double v =
+                depth_sample(&f, (x + 0.5 + in.left) / in.width, (y + 0.5 + in.top) / in.height);
             double t = isfinite(v) ? fmax(p->a * v + p->b, 0.0) : -1.0;
             d->target[(size_t)y * cam->width_px + x] = (float)t;
             *n_known += t >= 0.0;
@@ -345,17 +361,18 @@ static void depth_fill_points(struct depth_map *d, uint32_t image, const struct 
     const struct scene *s = d->cfg.scene;
     const struct camera *full = &s->images[image].cam;
     const struct depth_photo *p = &d->photos[image];
+    const struct depth_frame in = depth_frame_of(full, cam);
     for (size_t i = 0; i < (size_t)cam->width_px * cam->height_px; i++)
         d->target[i] = -1.0f;
     for (size_t i = p->first; i < p->last; i++) {
         double t = depth_of_track(s, &s->tracks[i]);
         if (!(t > 0.0))
             continue;
-        uint32_t x = (uint32_t)((double)s->tracks[i].x_px / full->width_px * cam->width_px),
-                 y = (uint32_t)((double)s->tracks[i].y_px / full->height_px * cam->height_px);
-        x = x < cam->width_px ? x : cam->width_px - 1;
-        y = y < cam->height_px ? y : cam->height_px - 1;
-        float *to = &d->target[(size_t)y * cam->width_px + x];
+        double x = floor((double)s->tracks[i].x_px / full->width_px * in.width) - in.left,
+               y = floor((double)s->tracks[i].y_px / full->height_px * in.height) - in.top;
+        if (!(x >= 0.0 && y >= 0.0 && x < cam->width_px && y < cam->height_px))
+            continue; /* in another part of the photograph */
+        float *to = &d->target[(size_t)y * cam->width_px + (size_t)x];
         *n_known += *to < 0.0f;
         *to = fmaxf(*to, (float)t);
     }

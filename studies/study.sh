@@ -117,7 +117,7 @@ scene_build() { # NAME FOLDER
       citysplat ingest "$CITYSPLAT_OCHOTA/images" "$CITYSPLAT_OCHOTA/sparse" --max-edge-px "${1#*-}" --origin 20.97095,52.218,110 --metres-per-unit 71 -o "$2" -q ;;
     city) scene_ingest_city "$2" --extent-m 300 --photos 300 --points 100000; citysplat plan "$2" --edge-m 100 --images-few 16 ;;
     cells) scene_ingest_city "$2" --extent-m 200 --photos 150 --points 45000 --map-views 24; citysplat plan "$2" --edge-m 70 --images-few 16 ;;
-    cells-location) scene_ingest_city "$2" --extent-m 200 --photos 150 --points 45000 --map-views 24; citysplat plan "$2" --edge-m 70 --images-few 16 --no-visibility ;;
+    cells-location) scene_ingest_city "$2" --extent-m 200 --photos 150 --points 45000 --map-views 24; citysplat plan "$2" --edge-m 70 --images-few 16 --no-visibility --share-min 0 ;;
     cells-light)
       scene_ingest_city "$2" --extent-m 200 --photos 150 --points 45000 "${CHANGING[@]}"
       citysplat plan "$2" --edge-m 66 --images-few 16 --images-least 8

@@ -40,6 +40,18 @@ static void defaults(struct train_config *c, struct arena *a)
     kit_ok(options_defaults(train_options(), c, a, &e), e);
 }
 
+static size_t fit(const struct scene *s, const uint32_t *list, size_t n, size_t n_points,
+                  const struct train_config *c, size_t table)
+{
+    return budget_fit(&(struct budget_photos){s, list, NULL, n, n_points}, c, 1.0, table);
+}
+
+static void limit(const struct scene *s, const uint32_t *list, size_t n_points,
+                  const struct train_config *c, struct schedule levels[TRAIN_LEVELS_MAX])
+{
+    budget_limit(&(struct budget_photos){s, list, NULL, PHOTOS, n_points}, c, levels);
+}
+
 static void what_fits_is_worked_out_by_hand(void **state)
 {
     (void)state;
@@ -54,28 +66,40 @@ static void what_fits_is_worked_out_by_hand(void **state)
         list[i] = i;
     c.budget_density = 10.0;
     /* sqrt(400 * 225) = 300; 40 photographs: 10 * 40 * 300. */
-    assert_int_equal(budget_fit(&s, list, PHOTOS, &c, 1.0, 500, 1000000), 120000);
-    assert_int_equal(budget_fit(&s, list, 10, &c, 1.0, 500, 1000000), 30000);
-    assert_int_equal(budget_fit(&s, list, PHOTOS, &c, 1.0, 130000, 1000000), 130000); /* points */
-    assert_int_equal(budget_fit(&s, list, PHOTOS, &c, 1.0, 130000, 90000), 90000);    /* table */
+    assert_int_equal(fit(&s, list, PHOTOS, 500, &c, 1000000), 120000);
+    assert_int_equal(fit(&s, list, 10, 500, &c, 1000000), 30000);
+    assert_int_equal(fit(&s, list, PHOTOS, 130000, &c, 1000000), 130000); /* points */
+    assert_int_equal(fit(&s, list, PHOTOS, 130000, &c, 90000), 90000);    /* table */
+    /* Cells that share the photographs share their Gaussians. */
+    double part[PHOTOS], rest[PHOTOS];
+    for (size_t i = 0; i < PHOTOS; i++) {
+        part[i] = (double)(i + 1) / (PHOTOS + 1);
+        rest[i] = 1.0 - part[i];
+    }
+    const struct budget_photos mine = {&s, list, part, PHOTOS, 0},
+                               others = {&s, list, rest, PHOTOS, 0};
+    size_t a_cell = budget_fit(&mine, &c, 1.0, 1000000),
+           another = budget_fit(&others, &c, 1.0, 1000000);
+    assert_in_range(a_cell + another, 119998, 120000);
+    assert_in_range(a_cell, 59999, 60001);
     c.max_edge_px = 200; /* half the edge, half the Gaussians */
-    assert_in_range(budget_fit(&s, list, PHOTOS, &c, 1.0, 0, 1000000), 59800, 60300);
+    assert_in_range(fit(&s, list, PHOTOS, 0, &c, 1000000), 59800, 60300);
     c.max_edge_px = 0;
 
     struct schedule levels[TRAIN_LEVELS_MAX] = {{.level = 1, .downsample = 4.0, .budget = 20000},
                                                 {.level = 2, .downsample = 2.0, .budget = 819200},
                                                 {.level = 3, .downsample = 1.0, .budget = 100000}};
     c.budget_rule = BUDGET_TABLE;
-    budget_limit(&s, list, PHOTOS, &c, 0, levels);
+    limit(&s, list, 0, &c, levels);
     assert_int_equal(levels[1].budget, 819200);
     c.budget_rule = BUDGET_FIT;
-    budget_limit(&s, list, PHOTOS, &c, 0, levels);
+    limit(&s, list, 0, &c, levels);
     assert_int_equal(levels[0].budget, 20000);
     assert_in_range(levels[1].budget, 59700, 60300);
     assert_int_equal(levels[2].budget, 100000);
     c.budget_rule = BUDGET_AUTO;
     levels[2].budget = 1000000;
-    budget_limit(&s, list, PHOTOS, &c, 9000, levels);
+    limit(&s, list, 9000, &c, levels);
     assert_int_equal(levels[0].budget, 10000); /* half of the table's 20000 */
     assert_int_equal(levels[2].budget, 60000); /* half of 120000 */
     arena_free(&a);
@@ -334,7 +358,7 @@ static void presets_are_the_published_table(void **state)
         kit_ok(options_parse(train_options(), 4, argv, &c, &args, &a, &e), e);
         assert_true(c.appearance && c.embed_len > 0 && c.depth_sparse && c.depth_weight > 0.0);
         kit_ok(schedule_make(&c, 600, &cell, s, &e), e);
-        budget_limit(NULL, NULL, 0, &c, 0, s); /* a table: photographs are not asked */
+        budget_limit(&(struct budget_photos){0}, &c, s); /* a table: photographs are not asked */
         for (size_t i = 0; i < 3; i++) {
             assert_int_equal(s[i].budget, table[k].budget[i]);
             assert_int_equal(s[i].interval, table[k].interval[i]);

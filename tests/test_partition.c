@@ -5,6 +5,8 @@
 #include "cells/cell.h"
 #include "cells/cell_plan.h"
 #include "cells/partition.h"
+#include "cells/share.h"
+#include "cells/window.h"
 #include "codec/scene.h"
 #include "tests/kit.h"
 
@@ -432,6 +434,150 @@ static void a_turned_grid_cuts_a_turned_scene_alike(void **state)
     kit_rmdir(dir);
 }
 
+static void what_lies_outside_of_all_cells_is_owned_as_when_tiles_are_cut(void **state)
+{
+    (void)state;
+    enum { PLACES = 500 };
+    struct err e = {0};
+    struct scene s;
+    struct partition p;
+    flight_make(10, 10, 10.0, 25.0, &s); /* points reach 25 m beyond the cameras */
+    struct partition_config cfg = partition_defaults();
+    cfg.edge_m = 30.0;
+    cfg.images_few = 0;
+    cfg.images_least = 1;
+    kit_ok(partition_make(&s, &cfg, &p, &e), e);
+    assert_int_equal(p.n_cells, 9);
+    size_t outside = 0;
+    for (size_t i = 0; i < PLACES; i++) {
+        double x = 140.0 * rng_unit(7, 1, i) - 25.0, y = 140.0 * rng_unit(7, 2, i) - 25.0;
+        size_t owner = partition_owner(&p, x, y);
+        outside += partition_distance(&p.cells[owner], x, y) > 0.0;
+        for (size_t k = 0; k < p.n_cells; k++) {
+            struct cell c;
+            cell_planned(&s, &p, k, p.cells[k].images, p.cells[k].n_location, &c);
+            assert_int_equal(cell_owned_distance(&c, x, y) <= 0.0, k == owner);
+        }
+    }
+    assert_true(outside > PLACES / 4);
+    partition_free(&p);
+    scene_free(&s);
+}
+
+/* A wide flight, so that photographs show several cells. */
+static void parts_make(struct scene *s, struct partition *p, double share_min)
+{
+    struct err e = {0};
+    flight_make(6, 6, 10.0, 30.0, s);
+    struct partition_config cfg = partition_defaults();
+    cfg.edge_m = 20.0;
+    cfg.images_few = 0;
+    cfg.images_least = 1;
+    kit_ok(partition_make(s, &cfg, p, &e), e);
+    kit_ok(share_photographs(s, share_min, false, p, &e), e);
+    assert_int_equal(p->n_cells, 9);
+}
+
+static void every_photograph_is_shared_out_among_the_cells_that_it_shows(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct scene s;
+    struct partition p;
+    parts_make(&s, &p, 1e-6);
+    double sum[36] = {0}, most = 0.0, taken = 0.0;
+    for (size_t i = 0; i < p.n_cells; i++) {
+        const struct partition_cell *c = &p.cells[i];
+        struct window_points points;
+        struct cell cell;
+        cell_planned(&s, &p, i, c->images, c->n_location, &cell);
+        assert_true(cell.cut);
+        most = fmax(most, cell.steps_share);
+        taken += cell.steps_share;
+        kit_ok(window_open(&s, &cell, &points, &e), e);
+        for (size_t k = 0; k < c->n_images; k++) {
+            const struct camera *cam = &s.images[c->images[k]].cam;
+            struct camera_window w;
+            assert_true(window_of(&points, cam, &w));
+            sum[c->images[k]] += window_share(&points, &cell, c->images[k]);
+            /* what it frames of the cell is in the part, but for the outermost points */
+            struct camera part = camera_crop(cam, &w);
+            size_t framed = 0, in_part = 0;
+            for (size_t j = 0; j < s.n_points; j++) {
+                const double *at = s.points[j].enu_m;
+                bool mine = cell_owned_distance(&cell, at[0], at[1]) <= 0.0;
+                framed += mine && camera_frames(cam, at, 0.0, NULL);
+                in_part += mine && camera_frames(&part, at, 0.0, NULL);
+            }
+            assert_true(framed > 0 && in_part == framed);
+            assert_true(part.width_px <= cam->width_px && part.height_px <= cam->height_px);
+        }
+        window_free(&points);
+    }
+    for (size_t i = 0; i < s.n_images; i++)
+        assert_true(fabs(sum[i] - 1.0) < 1e-9);
+    assert_true(fabs(most - 1.0) < 1e-12 && taken < 9.0);
+    partition_free(&p);
+    scene_free(&s);
+}
+
+static void a_part_is_much_smaller_than_the_photograph_and_its_camera_is_shifted(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct scene s;
+    struct partition p;
+    parts_make(&s, &p, 0.02);
+    struct window_points points;
+    struct camera_window w;
+    struct cell cell;
+    cell_planned(&s, &p, 4, p.cells[4].images, p.cells[4].n_location, &cell);
+    kit_ok(window_open(&s, &cell, &points, &e), e);
+    const struct camera *cam = &s.images[14].cam; /* east 20, north 20: above the cell's middle */
+    assert_true(window_of(&points, cam, &w));
+    /* 20 m and 1 m on each side of 60 m, and 4 % on each side */
+    assert_true(w.x1 - w.x0 > 20.0 / 60.0 && w.x1 - w.x0 < 0.45);
+    struct camera part = camera_crop(cam, &w);
+    const double place[3] = {22.0, 27.0, 0.0};
+    uint32_t at[4];
+    double whole[2], cut[2];
+    camera_window_px(cam, &w, at);
+    assert_true(camera_project(cam, place, 0.1, whole, NULL));
+    assert_true(camera_project(&part, place, 0.1, cut, NULL));
+    assert_true(fabs(whole[0] - at[0] - cut[0]) < 1e-9 && fabs(whole[1] - at[1] - cut[1]) < 1e-9);
+    struct camera away = camera_heading((double[3]){20.0, 20.0, 50.0}, 0.0, 90.0, 1.0, 200, 200);
+    assert_false(window_of(&points, &away, &w)); /* looks up */
+    assert_true(w.x0 <= 0.0 && w.y0 <= 0.0 && w.x1 >= 1.0 && w.y1 >= 1.0);
+    window_free(&points);
+    partition_free(&p);
+    scene_free(&s);
+}
+
+static void the_plan_says_whether_photographs_are_cut(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct scene s;
+    struct partition p, again;
+    struct cell cell;
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX + 64];
+    kit_tmpdir(dir);
+    snprintf(path, sizeof path, "%s/plan.json", dir);
+    for (int cut = 0; cut < 2; cut++) {
+        parts_make(&s, &p, cut ? 0.02 : 0.0);
+        kit_ok(cell_plan_write(path, &s, &p, &e), e);
+        kit_ok(cell_plan_read(path, &s, &again, &e), e);
+        cell_planned(&s, &again, 0, again.cells[0].images, again.cells[0].n_location, &cell);
+        assert_int_equal(cell.cut, cut);
+        assert_int_equal(cell.steps_share < 1.0, cut);
+        assert_int_equal(again.cells[0].n_images, p.cells[0].n_images);
+        partition_free(&again);
+        partition_free(&p);
+        scene_free(&s);
+    }
+    kit_rmdir(dir);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -442,6 +588,10 @@ int main(void)
         cmocka_unit_test(empty_and_tiny_cells_become_background),
         cmocka_unit_test(the_plan_file_reads_back_and_refuses_another_scene),
         cmocka_unit_test(a_turned_grid_cuts_a_turned_scene_alike),
+        cmocka_unit_test(every_photograph_is_shared_out_among_the_cells_that_it_shows),
+        cmocka_unit_test(a_part_is_much_smaller_than_the_photograph_and_its_camera_is_shifted),
+        cmocka_unit_test(the_plan_says_whether_photographs_are_cut),
+        cmocka_unit_test(what_lies_outside_of_all_cells_is_owned_as_when_tiles_are_cut),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -9,6 +9,7 @@
 #include "cells/cell.h"
 #include "cells/cell_plan.h"
 #include "cells/partition.h"
+#include "cells/share.h"
 #include "codec/image.h"
 #include "loss/photometric.h"
 #include "render/render.h"
@@ -203,6 +204,49 @@ static void the_feed_shows_every_photograph_once_an_epoch_within_its_cache(void 
         assert_int_equal(seen, 0x1fe); /* all but photograph 0, which is for tests */
     }
     assert_true(differs);
+    scene_free(&s);
+}
+
+static void the_feed_cuts_photographs_to_their_windows(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct scene s;
+    uint32_t *images;
+    size_t n;
+    kit_ok(scene_read(scene_dir, &s, &e), e);
+    kit_ok(train_scene_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
+    struct camera_window windows[PHOTOS - 1];
+    for (size_t i = 0; i < n; i++)
+        windows[i] = (struct camera_window){0.05 * (double)i, 0.3, 0.5 + 0.05 * (double)i, 1.0};
+    const struct photo_loader_config cfg = {.scene = &s,
+                                            .images = images,
+                                            .n_images = n,
+                                            .windows = windows,
+                                            .downsample = 1.0,
+                                            .cache_bytes = 1 << 20,
+                                            .level = 1};
+    struct photo_loader *f = NULL;
+    kit_ok(photo_loader_open(&cfg, &f, &e), e);
+    for (size_t i = 0; i < n; i++) {
+        const struct camera *full = &s.images[images[i]].cam;
+        struct photo p;
+        struct image want = {0};
+        uint32_t at[4];
+        char path[FILE_PATH_MAX + 64];
+        camera_window_px(full, &windows[i], at);
+        kit_ok(photo_loader_get_nth(f, i, &p, &e), e);
+        assert_true(p.cam.width_px == at[2] && p.cam.height_px == at[3]);
+        assert_true(at[2] < WIDTH && at[3] < HEIGHT);
+        assert_true(fabs(p.cam.cx_px + at[0] - full->cx_px) < 1e-12);
+        snprintf(path, sizeof path, "%s/images/%s", scene_dir, s.images[p.image].name);
+        kit_ok(image_read(path, NULL, &want, &e), e);
+        for (uint32_t y = 0; y < at[3]; y++)
+            assert_memory_equal(want.px + 3 * ((at[1] + y) * WIDTH + at[0]),
+                                p.px + 3 * (size_t)y * at[2], 3 * at[2]);
+        image_free(&want);
+    }
+    photo_loader_close(&f);
     scene_free(&s);
 }
 
@@ -604,6 +648,8 @@ static void cells_of_a_plan_are_trained_on_their_own(void **state)
     pc.images_few = pc.images_least = 2;
     pc.use_visibility = false;
     kit_ok(partition_make(&s, &pc, &plan, &e), e);
+    kit_ok(share_photographs(&s, 0.02, false, &plan, &e), e);
+    assert_true(plan.share_min > 0.0); /* photographs are cut */
     size_t trained = 0;
     for (size_t i = 0; i < plan.n_cells; i++)
         trained += plan.cells[i].parent < 0;
@@ -746,6 +792,7 @@ int main(int argc, char **argv)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(cameras_at_training_size_keep_the_view),
         cmocka_unit_test(the_feed_shows_every_photograph_once_an_epoch_within_its_cache),
+        cmocka_unit_test(the_feed_cuts_photographs_to_their_windows),
         cmocka_unit_test(twenty_steps_give_the_golden_trace),
         cmocka_unit_test(training_improves_keeps_budgets_and_repeats),
         cmocka_unit_test(a_stopped_run_goes_on_as_if_it_had_not_been),

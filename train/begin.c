@@ -12,6 +12,8 @@
 
 #include <jansson.h>
 
+#include "cells/window.h"
+#include "codec/scene.h"
 #include "train/appearance_train.h"
 #include "train/budget.h"
 #include "train/config.h"
@@ -149,6 +151,7 @@ enum err_code begin_gauss(const struct begin *t, const struct appearance_train *
     float *dense = NULL;
     struct init_input first = {.scene = job->scene,
                                .images = t->images,
+                               .windows = t->windows,
                                .n_images = t->n_images,
                                .cell = &job->cell,
                                .ground = t->ground.nx ? &t->ground : NULL,
@@ -170,6 +173,34 @@ enum err_code begin_gauss(const struct begin *t, const struct appearance_train *
     return rc;
 }
 
+/* What the photographs show of the cell, those that train and then those held out. */
+static enum err_code begin_windows(struct begin *t, struct err *e)
+{
+    const struct run_cell *job = t->job;
+    struct window_points points = {0};
+    double area = 0.0;
+    if (!job->cell.cut)
+        return ERR_OK;
+    size_t n = t->n_images + t->n_held;
+    t->windows = mem_array(n, sizeof *t->windows);
+    t->shares = mem_array(n, sizeof *t->shares);
+    if (!t->windows || !t->shares)
+        return err_set(e, ERR_MEM, "train: out of memory for %zu photographs", n);
+    enum err_code rc = window_open(job->scene, &job->cell, &points, e);
+    for (size_t i = 0; !rc && i < n; i++) {
+        uint32_t image = i < t->n_images ? t->images[i] : t->held[i - t->n_images];
+        struct camera_window *w = &t->windows[i];
+        (void)window_of(&points, &job->scene->images[image].cam, w); /* none: all of it */
+        t->shares[i] = window_share(&points, &job->cell, image);
+        area += (w->x1 - w->x0) * (w->y1 - w->y0);
+    }
+    window_free(&points);
+    if (!rc)
+        log_info("train", "cell=%s: %zu photographs are cut to %.0f %% of their pixels",
+                 job->cell.id, n, 100.0 * area / (double)n);
+    return rc;
+}
+
 /* Which photographs train, and how many Gaussians each level may have. */
 static enum err_code begin_budget(struct begin *t, struct err *e)
 {
@@ -184,17 +215,23 @@ static enum err_code begin_budget(struct begin *t, struct err *e)
     if (cfg->budget_rule == BUDGET_AUTO && !t->n_held)
         log_warn("train", "%zu photographs are too few to hold any out: --budget-rule fit is used",
                  job->n_images);
-    enum err_code rc = schedule_make(cfg, t->n_images, &job->cell, t->levels, e);
+    enum err_code rc = begin_windows(t, e);
+    if (!rc)
+        rc = schedule_make(cfg, t->n_images, &job->cell, t->levels, e);
     if (!rc)
         rc = init_count_points(job->scene, t->images, t->n_images, &job->cell, &n_points, e);
     if (!rc && job->coarse)
-        around = init_count_around(job->coarse, job->scene, t->images, t->n_images, &job->cell);
+        around = init_count_around(job->coarse, job->scene, t->images, t->windows, t->n_images,
+                                   &job->cell);
+    if (t->shares && job->coarse)
+        n_points = 0; /* it begins with as many of the coarse model as are allowed */
     for (size_t i = 0; i < n_levels; i++) {
         t->table[i] = t->levels[i].budget;
         t->levels[i].around = around;
     }
+    const struct budget_photos photos = {job->scene, t->images, t->shares, t->n_images, n_points};
     if (!rc)
-        budget_limit(job->scene, t->images, t->n_images, cfg, n_points, t->levels);
+        budget_limit(&photos, cfg, t->levels);
     return rc;
 }
 
@@ -291,6 +328,8 @@ void begin_close(struct begin *t)
     trim_free(&t->rim);
     footprint_free(&t->ground);
     appearance_train_close(&t->appearance);
+    mem_free(t->windows);
+    mem_free(t->shares);
     mem_free(t->images);
     t->images = NULL;
 }

@@ -32,28 +32,27 @@
 #define BUDGET_GREW 1.05 /* fewer new Gaussians than this say nothing about their worth */
 enum { BUDGET_EVERY = 16, BUDGET_OFFSET = 8, BUDGET_LOOKS = 10, BUDGET_FIT_STEPS = 10 };
 
-size_t budget_fit(const struct scene *s, const uint32_t *images, size_t n_images,
-                  const struct train_config *cfg, double downsample, size_t n_points, size_t table)
+size_t budget_fit(const struct budget_photos *p, const struct train_config *cfg, double downsample,
+                  size_t table)
 {
     double sum = 0.0;
-    for (size_t i = 0; i < n_images; i++) {
-        struct camera c =
-            photo_loader_camera(&s->images[images[i]].cam, (uint32_t)cfg->max_edge_px, downsample);
-        sum += sqrt((double)c.width_px * c.height_px);
+    for (size_t i = 0; i < p->n; i++) {
+        struct camera c = photo_loader_camera(&p->scene->images[p->images[i]].cam,
+                                              (uint32_t)cfg->max_edge_px, downsample);
+        sum += (p->shares ? p->shares[i] : 1.0) * sqrt((double)c.width_px * c.height_px);
     }
-    double fit = fmax(floor(cfg->budget_density * sum), (double)n_points);
+    double fit = fmax(floor(cfg->budget_density * sum), (double)p->n_points);
     return fit < (double)table ? (size_t)fmax(fit, 1.0) : table;
 }
 
-void budget_limit(const struct scene *s, const uint32_t *images, size_t n_images,
-                  const struct train_config *cfg, size_t n_points,
+void budget_limit(const struct budget_photos *p, const struct train_config *cfg,
                   struct schedule levels[TRAIN_LEVELS_MAX])
 {
-    size_t before = 0;
+    size_t before = 0, n_points = p->n_points;
     for (int64_t i = 0; cfg->budget_rule != BUDGET_TABLE && i < cfg->level_count; i++) {
         struct schedule *l = &levels[i];
         size_t table = l->budget;
-        size_t fit = budget_fit(s, images, n_images, cfg, l->downsample, n_points, table);
+        size_t fit = budget_fit(p, cfg, l->downsample, table);
         if (cfg->budget_rule == BUDGET_AUTO)
             fit = fit / 2 > n_points ? fit / 2 : n_points < fit ? n_points : fit;
         l->budget = fit > before ? fit : before;
@@ -62,7 +61,7 @@ void budget_limit(const struct scene *s, const uint32_t *images, size_t n_images
             log_info("train",
                      "level %u: at most %zu Gaussians, what %zu photographs of this size support; "
                      "--budget-rule table allows %zu",
-                     l->level, l->budget, n_images, table);
+                     l->level, l->budget, p->n, table);
     }
 }
 
@@ -94,6 +93,7 @@ static enum err_code budget_open_photos(struct budget *b, const struct gallery *
         .scene = g->scene,
         .images = b->held,
         .n_images = b->n_held,
+        .windows = b->windows,
         .max_edge_px = (uint32_t)g->cfg->max_edge_px,
         .downsample = s->downsample,
         .exposure = g->cfg->exposure ? PHOTO_LOADER_TO_MEAN : PHOTO_LOADER_AS_TAKEN,

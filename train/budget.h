@@ -20,16 +20,22 @@ struct stage;
 
 enum budget_mode { BUDGET_TABLE, BUDGET_FIT, BUDGET_AUTO }; /* in the order of options.def */
 
-/* The budget that n photographs of a level support: density * sum of sqrt(w h) px. It is at least
- * n_points, the Gaussians that training starts from, and at most `table`. It grows with the length
- * of edges in a picture, because detail does; not with the area. */
-size_t budget_fit(const struct scene *s, const uint32_t *images, size_t n_images,
-                  const struct train_config *cfg, double downsample, size_t n_points, size_t table);
+/* The photographs of a cell. */
+struct budget_photos {
+    const struct scene *scene;
+    const uint32_t *images; /* [n] */
+    const double *shares;   /* [n] what of each shows the cell, 0..1; NULL: all of it */
+    size_t n, n_points;     /* n_points: Gaussians that training starts from */
+};
+/* The budget that n photographs of a level support: density * sum of share * sqrt(w h) px. It is at
+ * least n_points, and at most `table`. It grows with the length of edges in a picture, because
+ * detail does; not with the area. Shares make the budgets of cells add up to that of the scene. */
+size_t budget_fit(const struct budget_photos *p, const struct train_config *cfg, double downsample,
+                  size_t table);
 /* Applies cfg->budget_rule to the budgets of all levels, which come from the table. A level never
  * has a smaller budget than the one before. It logs what it lowered. With BUDGET_AUTO a level
  * begins with half of what fits. */
-void budget_limit(const struct scene *s, const uint32_t *images, size_t n_images,
-                  const struct train_config *cfg, size_t n_points,
+void budget_limit(const struct budget_photos *p, const struct train_config *cfg,
                   struct schedule levels[TRAIN_LEVELS_MAX]);
 
 /* ---- BUDGET_AUTO ---- */
@@ -43,7 +49,8 @@ void budget_hold_out(const struct train_config *cfg, const uint32_t *images, siz
 struct budget { /* {0}: not automatic. `at` is what a saved state contains of it. */
     const uint32_t *held;
     size_t n_held;
-    size_t table[TRAIN_LEVELS_MAX]; /* largest values that budgets can be raised to */
+    const struct camera_window *windows; /* [n_held] their parts; NULL: all of each; borrowed */
+    size_t table[TRAIN_LEVELS_MAX];      /* largest values that budgets can be raised to */
     /* held-out photographs at the size of the level; made on first use */
     struct photo_loader *photos;
     struct appearance_view view; /* this and the next: with appearance; made on first use */

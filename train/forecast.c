@@ -30,9 +30,7 @@ void forecast_open(struct forecast *f, const struct gallery *g, const struct sta
         .views = (double)g->cfg->importance_views, .n_images = g->n_images, .n_tests = n_tests};
     for (uint32_t k = 0; k < at->n_levels; k++)
         for (size_t i = 0; i < g->n_images; i++) {
-            struct camera c =
-                photo_loader_camera(&g->scene->images[g->images[i]].cam,
-                                    (uint32_t)g->cfg->max_edge_px, at->levels[k].downsample);
+            struct camera c = gallery_camera(g, i, &at->levels[k]);
             f->pixels[k] += (double)c.width_px * c.height_px / (double)g->n_images;
         }
 }

@@ -22,6 +22,7 @@ enum err_code gallery_open(struct gallery *g, const struct schedule *s, struct e
         .scene = g->scene,
         .images = g->images,
         .n_images = g->n_images,
+        .windows = g->windows,
         .max_edge_px = (uint32_t)g->cfg->max_edge_px,
         .downsample = s->downsample,
         .cache_bytes = (size_t)g->cfg->cache_mib << 20,
@@ -51,11 +52,18 @@ struct camera *gallery_cameras_full(const struct gallery *g)
     return cams;
 }
 
+struct camera gallery_camera(const struct gallery *g, size_t nth, const struct schedule *s)
+{
+    const struct camera *full = &g->scene->images[g->images[nth]].cam;
+    struct camera c = photo_loader_camera(full, (uint32_t)g->cfg->max_edge_px, s->downsample);
+    return g->windows ? camera_crop(&c, &g->windows[nth]) : c;
+}
+
 struct camera *gallery_cameras(const struct gallery *g, const struct schedule *s)
 {
     struct camera *cams = gallery_cameras_full(g);
     for (size_t i = 0; cams && i < g->n_images; i++)
-        cams[i] = photo_loader_camera(&cams[i], (uint32_t)g->cfg->max_edge_px, s->downsample);
+        cams[i] = gallery_camera(g, i, s);
     return cams;
 }
 

@@ -26,6 +26,7 @@ struct gallery { /* free with gallery_close */
     const struct scene *scene;
     const uint32_t *images; /* [n_images] training photographs, indices into the scene's images */
     size_t n_images;
+    const struct camera_window *windows; /* [n_images] what of them shows the cell; NULL: all */
     struct appearance_train *appearance;
     double near_m; /* near plane of all frames */
     /* -- of gallery.c -- */
@@ -57,6 +58,8 @@ enum err_code gallery_value(struct gallery *g, const struct photo *p, struct err
  * _full: at the size of the scene's photographs; the other at the size of a level. */
 struct camera *gallery_cameras_full(const struct gallery *g);
 struct camera *gallery_cameras(const struct gallery *g, const struct schedule *s);
+/* The camera of photograph `nth` of the list, as it is drawn at a level. */
+struct camera gallery_camera(const struct gallery *g, size_t nth, const struct schedule *s);
 /* With Mip-Splatting, computes the model's 3-D filter for the photographs of the current level, if
  * the Gaussians have changed. Without, it does nothing. ERR_MEM, ERR_DEVICE. */
 enum err_code gallery_filter(const struct gallery *g, const struct stage *at, struct model *m,

@@ -257,12 +257,15 @@ enum err_code init_count_points(const struct scene *s, const uint32_t *images, s
 
 /* ---- ground without points ---- */
 
-static bool init_is_seen(const struct scene *s, const uint32_t *images, size_t n_images,
-                         const double x[3])
+static bool init_is_seen(const struct scene *s, const uint32_t *images,
+                         const struct camera_window *windows, size_t n_images, const double x[3])
 {
-    for (size_t i = 0; i < n_images; i++)
-        if (camera_frames(&s->images[images[i]].cam, x, 0.0, NULL))
+    for (size_t i = 0; i < n_images; i++) {
+        const struct camera *full = &s->images[images[i]].cam;
+        struct camera part = windows ? camera_crop(full, &windows[i]) : *full;
+        if (camera_frames(&part, x, 0.0, NULL))
             return true;
+    }
     return false;
 }
 
@@ -277,7 +280,7 @@ static size_t init_ground_places(const struct init_input *in, double *out_enu_m)
                        f->corner_m[1] + ((double)(i / f->nx) + 0.5) * f->cell_m,
                        (double)f->ground_m[i]};
         if (f->has_points[i] || !f->views[i] || !isfinite(x[2]) ||
-            !init_is_seen(in->scene, in->images, in->n_images, x) ||
+            !init_is_seen(in->scene, in->images, in->windows, in->n_images, x) ||
             (!in->cell->whole && cell_distance(in->cell, x[0], x[1]) > in->cell->edge_m))
             continue;
         memcpy(out_enu_m + 3 * n++, x, sizeof x);
@@ -447,22 +450,24 @@ enum err_code init_gauss(const struct init_input *in, struct gauss *out, struct 
 enum init_part { INIT_INSIDE, INIT_AROUND_IT, INIT_UNSEEN };
 
 static enum init_part init_part(const struct gauss *coarse, size_t row, const struct scene *s,
-                                const uint32_t *images, size_t n_images, const struct cell *cell)
+                                const uint32_t *images, const struct camera_window *windows,
+                                size_t n_images, const struct cell *cell)
 {
     double x[3];
     for (int k = 0; k < 3; k++)
         x[k] = coarse->origin_enu_m[k] + (double)coarse->mean_m[3 * row + k];
     if (cell_distance(cell, x[0], x[1]) <= 0.0)
         return INIT_INSIDE;
-    return init_is_seen(s, images, n_images, x) ? INIT_AROUND_IT : INIT_UNSEEN;
+    return init_is_seen(s, images, windows, n_images, x) ? INIT_AROUND_IT : INIT_UNSEEN;
 }
 
 size_t init_count_around(const struct gauss *coarse, const struct scene *s, const uint32_t *images,
-                         size_t n_images, const struct cell *cell)
+                         const struct camera_window *windows, size_t n_images,
+                         const struct cell *cell)
 {
     size_t n = 0;
     for (size_t i = 0; i < coarse->n; i++)
-        n += init_part(coarse, i, s, images, n_images, cell) == INIT_AROUND_IT;
+        n += init_part(coarse, i, s, images, windows, n_images, cell) == INIT_AROUND_IT;
     return n;
 }
 
@@ -495,7 +500,8 @@ enum err_code init_coarse(const struct init_input *in, const struct gauss *coars
         goto end;
     }
     for (size_t i = 0; i < coarse->n; i++) {
-        enum init_part part = init_part(coarse, i, in->scene, in->images, in->n_images, in->cell);
+        enum init_part part =
+            init_part(coarse, i, in->scene, in->images, in->windows, in->n_images, in->cell);
         if (part == INIT_INSIDE)
             rows[n++] = (uint32_t)i;
         else if (part == INIT_AROUND_IT)

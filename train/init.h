@@ -17,7 +17,8 @@ struct scene;
 
 struct init_input { /* all borrowed */
     const struct scene *scene;
-    const uint32_t *images; /* [n_images] training photographs */
+    const uint32_t *images;              /* [n_images] training photographs */
+    const struct camera_window *windows; /* [n_images] their parts that count; NULL: all */
     size_t n_images;
     const struct cell *cell;
     const struct footprint *ground; /* NULL: Gaussians only at points */
@@ -51,7 +52,8 @@ enum err_code init_neighbour_dist2(const float *xyz, size_t n, float *dist2, str
 enum err_code init_coarse(const struct init_input *in, const struct gauss *coarse,
                           struct gauss *out, struct err *e) ERR_USE;
 size_t init_count_around(const struct gauss *coarse, const struct scene *s, const uint32_t *images,
-                         size_t n_images, const struct cell *cell);
+                         const struct camera_window *windows, size_t n_images,
+                         const struct cell *cell);
 /* The squared size of the first Gaussians [n], as in init_gauss. It is limited to three times the
  * median size of the nine nearest points, so that an isolated point does not become huge. ERR_MEM,
  * ERR_LIMIT as in knn_build. */

@@ -115,6 +115,8 @@ static enum err_code inputs_read_all(struct inputs_reader *r, const char *depths
     enum err_code rc = file_join(points, job->scene->dir, "points.bin", e);
     if (!rc)
         rc = inputs_add_file(r, INPUTS_POSES, "points", points, e);
+    if (job->cell.cut) /* which parts of photographs train follows from the cell and the points */
+        inputs_add(r, INPUTS_PHOTOGRAPHS, "cut", sizeof "cut");
     for (size_t i = 0; !rc && i < job->n_images; i++)
         rc = inputs_add_photograph(r, &job->scene->images[job->images[i]], e);
     return rc || !depths[0] ? rc : inputs_add_depths(r, depths, e);

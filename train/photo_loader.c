@@ -109,19 +109,48 @@ static void photo_loader_evict(struct photo_loader *f, size_t need, bool even_wa
     }
 }
 
+/* Cuts a picture to a part of it, in place. */
+static void photo_loader_cut(struct image *img, const uint32_t part[4])
+{
+    size_t row = (size_t)part[2] * img->channels;
+    if (!img->px)
+        return;
+    for (size_t y = 0; y < part[3]; y++)
+        memmove(img->px + y * row,
+                img->px + ((part[1] + y) * img->width_px + part[0]) * img->channels, row);
+    img->width_px = part[2];
+    img->height_px = part[3];
+}
+
+/* Reads the photograph of a slot, and cuts it to what is used of it. */
+static enum err_code photo_loader_read(const struct photo_loader *f, size_t slot,
+                                       struct scene_photo *out, struct err *e)
+{
+    const struct camera *full = &f->cfg.scene->images[f->cfg.images[slot]].cam;
+    const struct camera cam = photo_loader_camera(full, f->cfg.max_edge_px, f->cfg.downsample);
+    const struct scene_photo_form form = {.width_px = cam.width_px,
+                                          .height_px = cam.height_px,
+                                          .to_mean = f->cfg.exposure == PHOTO_LOADER_TO_MEAN,
+                                          .masks = f->masks[slot]};
+    enum err_code rc = scene_photo_read(f->cfg.scene, f->cfg.images[slot], &form, out, e);
+    uint32_t part[4];
+    if (rc || !f->cfg.windows)
+        return rc;
+    camera_window_px(&cam, &f->cfg.windows[slot], part);
+    photo_loader_cut(&out->img, part);
+    photo_loader_cut(&out->mask, part);
+    return ERR_OK;
+}
+
 /* Lock held on entry and exit, released while decoding. */
 static void photo_loader_load(struct photo_loader *f, size_t slot)
 {
     struct scene_photo photo = {0};
-    const struct scene_photo_form form = {.width_px = f->cams[slot].width_px,
-                                          .height_px = f->cams[slot].height_px,
-                                          .to_mean = f->cfg.exposure == PHOTO_LOADER_TO_MEAN,
-                                          .masks = f->masks[slot]};
     struct err e = {0};
     f->slots[slot].state = PHOTO_LOADER_LOADING;
     f->bytes += photo_loader_size(f, slot);
     pthread_mutex_unlock(&f->lock);
-    enum err_code rc = scene_photo_read(f->cfg.scene, f->cfg.images[slot], &form, &photo, &e);
+    enum err_code rc = photo_loader_read(f, slot, &photo, &e);
     pthread_mutex_lock(&f->lock);
     f->slots[slot].state = rc ? PHOTO_LOADER_FAILED : PHOTO_LOADER_READY;
     f->slots[slot].photo = photo;
@@ -270,6 +299,8 @@ enum err_code photo_loader_open(const struct photo_loader_config *cfg, struct ph
     for (size_t i = 0; !rc && i < cfg->n_images; i++) {
         f->cams[i] = photo_loader_camera(&cfg->scene->images[cfg->images[i]].cam, cfg->max_edge_px,
                                          cfg->downsample);
+        if (cfg->windows)
+            f->cams[i] = camera_crop(&f->cams[i], &cfg->windows[i]);
         rc = scene_photo_masks(cfg->scene, cfg->images[i], !cfg->no_masks,
                                cfg->exposure == PHOTO_LOADER_TO_MEAN, &f->masks[i], e);
     }

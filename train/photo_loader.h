@@ -32,7 +32,8 @@ struct photo_loader_config {
     const struct scene *scene; /* borrowed while the loader is open, as is images */
     const uint32_t *images;
     size_t n_images;
-    uint32_t max_edge_px; /* 0 = as ingested */
+    const struct camera_window *windows; /* [n_images] parts to use; borrowed; NULL: all of each */
+    uint32_t max_edge_px;                /* 0 = as ingested */
     double downsample;
     enum photo_loader_exposure exposure;
     bool no_masks;      /* ignore masks of the scene */

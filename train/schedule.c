@@ -143,9 +143,9 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
     double total = 0.0, kappa = schedule_kappa(cfg, n_photos);
     for (uint32_t l = first; l < TRAIN_LEVELS_MAX; l++)
         total += (double)base[l].steps;
-    if (cfg->iterations.one > 0)
-        kappa = (double)cfg->iterations.one / total;
-    int64_t left = cfg->iterations.one;
+    double share = cell->steps_share > 0.0 ? cell->steps_share : 1.0;
+    int64_t left = (int64_t)fmax(floor((double)cfg->iterations.one * share + 0.5), 1.0);
+    kappa = cfg->iterations.one > 0 ? (double)left / total : kappa * share;
     for (uint32_t l = 0; l < n; l++) {
         const struct schedule_base *b = &base[first + l];
         struct schedule *s = &out[l];

@@ -669,6 +669,24 @@ static void maps_are_read_aligned_and_left_out(void **state)
             }
     }
     error /= (double)compared;
+    /* A part of a photograph has the same part of its map. */
+    const struct camera *full = &s.images[images[n - 1]].cam;
+    const struct camera_window window = {0.21, 0.4, 0.83, 0.9};
+    const struct camera part = camera_crop(full, &window);
+    uint32_t at[4];
+    camera_window_px(full, &window, at);
+    struct depth_target whole;
+    kit_ok(depth_map_target(maps, images[n - 1], full, NULL, &whole, &e), e);
+    for (size_t p = 0; p < pixels; p++)
+        truth[p] = (double)whole.t[p] / whole.unit_m;
+    kit_ok(depth_map_target(maps, images[n - 1], &part, NULL, &target, &e), e);
+    assert_int_equal(target.n_known, at[2] * at[3]);
+    for (uint32_t y = 0; y < at[3]; y++)
+        for (uint32_t x = 0; x < at[2]; x++) {
+            double is = (double)target.t[y * at[2] + x] / target.unit_m,
+                   was = truth[(at[1] + y) * full->width_px + at[0] + x];
+            assert_true(fabs(is / was - 1.0) < 1e-5);
+        }
     uint8_t *mask = mem_array(pixels, 1); /* all but a corner is a car */
     assert_non_null(mask);
     memset(mask, 255, 40);
