@@ -5,6 +5,8 @@
 #include "codec/video.h"
 
 #ifdef CITYSPLAT_VPX
+#include <math.h>
+
 #include <vpx/vp8dx.h>
 #include <vpx/vpx_decoder.h>
 
@@ -26,7 +28,7 @@ enum err_code video_decoder_open(struct video_decoder **out, struct err *e)
 
 static uint8_t video_byte(double v)
 {
-    return v <= 0 ? 0 : v >= 255 ? 255 : (uint8_t)(v + 0.5);
+    return (uint8_t)lrint(fmin(fmax(v, 0.0), 255.0));
 }
 
 static void video_colours(const vpx_image_t *img, struct image *out)

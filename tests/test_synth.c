@@ -477,7 +477,7 @@ static void test_splats_cover(void **state)
                               hit.pos[2]};
         near += nearest_m(&g, at) < 1.2 * spacing;
     }
-    if (near < 0.97 * PLACES)
+    if ((double)near < 0.97 * PLACES)
         fail_msg("%zu of %d places have a Gaussian within %.2f m", near, PLACES, 1.2 * spacing);
     for (size_t i = 0; i < N; i++)
         dark += g.sh[12 * i] < -1.2f;
