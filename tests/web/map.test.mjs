@@ -43,8 +43,9 @@ test("a click tells latitude, longitude and height of what is seen there", skip,
     const roof = [RED_TOP[0], RED_TOP[1], RED_TOP[2] + 0.5];
     await clickOn(roof);
     const text = await page.textContent("#place-text");
-    assert.match(text, /^lat [\d.]+°, lon [\d.]+°, [\d.]+ m above the ellipsoid$/);
-    const [lat, lon, h] = text.match(/[\d.]+/g).map(Number);
+    assert.match(text, /^lat [\d.]+°, lon [\d.]+°, [\d.]+ m above the ellipsoid, about \d+ m above the ground$/);
+    const [lat, lon, h, above] = text.match(/[\d.]+/g).map(Number);
+    assert.ok(Math.abs(above - roof[2]) < 5, `${above} m above the ground, the roof is ${roof[2]} m high`);
     const want = placeOfEnu(ORIGIN, roof);
     const east = (lon - want.lon) * M_PER_DEG * Math.cos((want.lat * Math.PI) / 180);
     const north = (lat - want.lat) * M_PER_DEG;

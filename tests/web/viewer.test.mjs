@@ -132,6 +132,8 @@ test("the ground goes on around the city, whose edge fades into it, below a sky"
         return address.includes("{z}") ? viewer.basemapCredit : told;
     }, tiles);
     assert.equal(await lay(`${map.url}/tiles.png`), "badBasemap");
+    assert.equal(await page.isVisible("#problem"), false); // a notice, which somebody closes
+    await page.click("#banner-notice button");
     assert.equal(await lay(`${map.url}/{z}/{x}/{y}.png`), new URL(map.url).host);
     await page.waitForFunction(() => window.citysplat.viewer.city.backdrop.haze.baseAt.value.w > 0);
     await waitForViewer(page);

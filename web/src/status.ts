@@ -162,7 +162,8 @@ export class Status {
     const kind = error instanceof Problem ? error.kind : null;
     if (kind === "no3d") return toast(error.message); // the server's pictures come
     if (kind === "noAnswer") return; // a banner says that
-    if (kind === "noAppearance") return banner("notice", error.message, [{ label: text("banner.close"), run: () => {} }]);
+    if (kind === "noAppearance" || kind === "badBasemap") // the city is shown all the same
+      return banner("notice", error.message, [{ label: text("banner.close"), run: () => {} }]);
     // Of a link to a scene that is not there: those that are.
     const others = kind === "noScene" ? this.viewer.scenes : [];
     element("problem-scenes").replaceChildren(...others.map((scene) => this.linkTo(scene)));
