@@ -23,7 +23,6 @@
 #include "cells/trim.h"
 #include "core/gauss.h"
 #include "core/sample.h"
-#include "core/sort.h"
 #include "render/permute.h"
 #include "render/render.h"
 #include "train/config.h"
@@ -250,43 +249,16 @@ static bool densify_take(const struct densify_params *p, const struct densify_in
     return true;
 }
 
-/* The Gaussians that are to be cut, the longest first. Free *out with mem_free. */
-static enum err_code densify_longest_first(const struct densify_input *in,
-                                           const struct densify_lists *w, struct sort_item **out,
-                                           size_t *n, struct err *e)
-{
-    size_t found = 0;
-    *n = 0;
-    for (size_t i = 0; i < in->n; i++)
-        found += w->class[i] == CLASS_CUT;
-    *out = mem_array(2 * found + 1, sizeof **out); /* and scratch to sort them */
-    if (!*out)
-        return err_set(e, ERR_MEM, "densify: out of memory to sort %zu Gaussians", found);
-    for (size_t i = 0; i < in->n; i++) {
-        if (w->class[i] != CLASS_CUT)
-            continue;
-        uint32_t axis = densify_longest(in->params, in->planes, i);
-        float sigma_log = in->params[densify_at(i, in->planes, LAYOUT_PLANE_SCALE + axis)];
-        (*out)[(*n)++] = (struct sort_item){.key = ~sort_key_float(sigma_log), .row = (uint32_t)i};
-    }
-    sort_items(*out, *out + found, found);
-    return ERR_OK;
-}
-
 /* What sticks out is halved first, in a part of the room: there is a next time. */
-static enum err_code densify_cut(const struct densify_params *p, const struct densify_input *in,
-                                 struct densify_lists *w, size_t *out, struct err *e)
+static size_t densify_cut(const struct densify_params *p, const struct densify_input *in,
+                          struct densify_lists *w)
 {
-    size_t found, n = 0, room = p->cap_inside > w->n_in ? p->cap_inside - w->n_in : 0;
-    struct sort_item *items = NULL;
+    size_t n = 0, room = p->cap_inside > w->n_in ? p->cap_inside - w->n_in : 0;
     if (!p->cell->whole && p->cap_outside > w->n_out)
         room += p->cap_outside - w->n_out;
-    enum err_code rc = densify_longest_first(in, w, &items, &found, e);
-    for (size_t i = 0; !rc && i < found && n < room / DENSIFY_CUT_SHARE; i++)
-        n += densify_take(p, in, w, items[i].row);
-    mem_free(items);
-    *out = n;
-    return rc;
+    for (size_t i = 0; i < in->n && n < room / DENSIFY_CUT_SHARE; i++)
+        n += w->class[i] == CLASS_CUT && densify_take(p, in, w, (uint32_t)i);
+    return n;
 }
 
 /* Draw `quota` of one class and mark them, keeping to both ceilings. */
@@ -419,8 +391,7 @@ static enum err_code densify_fill(const struct densify_params *p, const struct d
     struct densify_report *r = &out->report;
     struct densify_side *inside = &w->side[1], *outside = &w->side[0];
     densify_classify_all(p, in, w);
-    size_t pruned = in->n - w->n_in - w->n_out, cut = 0;
-    enum err_code rc = densify_cut(p, in, w, &cut, e);
+    size_t pruned = in->n - w->n_in - w->n_out, cut = densify_cut(p, in, w);
     bool border = !p->cell->whole;
     bool binds = densify_room(inside, w->n_in, p->cap_inside, border);
     binds |= densify_room(outside, w->n_out, p->cap_outside, border);
@@ -431,13 +402,13 @@ static enum err_code densify_fill(const struct densify_params *p, const struct d
                                  .clone_candidates = inside->n_clones + outside->n_clones,
                                  .split_candidates = inside->n_splits + outside->n_splits,
                                  .room = inside->room + outside->room};
-    if (rc || p->strategy == DENSIFY_STRATEGY_MCMC)
-        return rc ? rc : densify_relocate(p, in, w, out, e);
+    if (p->strategy == DENSIFY_STRATEGY_MCMC)
+        return densify_relocate(p, in, w, out, e);
     if (!in->score && binds) {
         r->needs_importance = true;
         return ERR_OK;
     }
-    rc = densify_draw_side(p, in, w, inside, r, e);
+    enum err_code rc = densify_draw_side(p, in, w, inside, r, e);
     if (!rc)
         rc = densify_draw_side(p, in, w, outside, r, e);
     r->inside = w->n_in;
