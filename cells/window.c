@@ -107,25 +107,12 @@ bool window_of(struct window_points *p, const struct camera *cam, struct camera_
     return true;
 }
 
-/* First observation of an image, by bisection: they are sorted by image. */
-static size_t window_first(const struct scene *s, uint32_t image)
-{
-    size_t lo = 0, hi = s->n_tracks;
-    while (lo < hi) {
-        size_t mid = lo + (hi - lo) / 2;
-        if (s->tracks[mid].image < image)
-            lo = mid + 1;
-        else
-            hi = mid;
-    }
-    return lo;
-}
-
 double window_share(struct window_points *p, const struct cell *cell, uint32_t image)
 {
     const struct scene *s = p->scene;
     size_t n = 0, inside = 0;
-    for (size_t i = window_first(s, image); i < s->n_tracks && s->tracks[i].image == image; i++) {
+    size_t first = scene_first_track(s, image);
+    for (size_t i = first; i < s->n_tracks && s->tracks[i].image == image; i++) {
         const double *at = s->points[s->tracks[i].point].enu_m;
         inside += cell_owned_distance(cell, at[0], at[1]) <= 0.0;
         n++;

@@ -61,20 +61,6 @@ enum err_code mask_resize(const struct image *in, uint32_t width_px, uint32_t he
     return ERR_OK;
 }
 
-/* Tracks are sorted by photograph. */
-static size_t mask_first_track(const struct scene *s, uint32_t image)
-{
-    size_t lo = 0, hi = s->n_tracks;
-    while (lo < hi) {
-        size_t mid = lo + (hi - lo) / 2;
-        if (s->tracks[mid].image < image)
-            lo = mid + 1;
-        else
-            hi = mid;
-    }
-    return lo;
-}
-
 enum err_code mask_points(const struct scene *s, const uint32_t *images, size_t n_images,
                           uint8_t *use, struct err *e)
 {
@@ -89,7 +75,7 @@ enum err_code mask_points(const struct scene *s, const uint32_t *images, size_t 
         if (rc || !file_exists(path))
             continue;
         rc = mask_read(path, im->cam.width_px, im->cam.height_px, &mask, e);
-        for (size_t t = mask_first_track(s, images[i]);
+        for (size_t t = scene_first_track(s, images[i]);
              !rc && t < s->n_tracks && s->tracks[t].image == images[i]; t++) {
             float x = s->tracks[t].x_px, y = s->tracks[t].y_px;
             if (x >= 0.0f && y >= 0.0f && x < (float)mask.width_px && y < (float)mask.height_px &&

@@ -24,6 +24,19 @@
 enum { SCENE_VERSION = 1, POINTS_HEAD = 24, POINT_SIZE = 36, TRACK_SIZE = 16, POINTS_TAIL = 16 };
 static const char points_magic[4] = {'C', 'S', 'P', 'T'};
 
+size_t scene_first_track(const struct scene *s, uint32_t image)
+{
+    size_t lo = 0, hi = s->n_tracks;
+    while (lo < hi) {
+        size_t mid = lo + (hi - lo) / 2;
+        if (s->tracks[mid].image < image)
+            lo = mid + 1;
+        else
+            hi = mid;
+    }
+    return lo;
+}
+
 void scene_free(struct scene *s)
 {
     arena_free(&s->arena);

@@ -57,6 +57,8 @@ struct scene { /* {0} is empty */
 enum err_code scene_read(const char *dir, struct scene *out, struct err *e) ERR_USE;
 enum err_code scene_write(const char *dir, const struct scene *s, struct err *e) ERR_USE;
 void scene_free(struct scene *s);
+/* Index of an image's first track, or of the first of a later image: tracks are sorted by image. */
+size_t scene_first_track(const struct scene *s, uint32_t image);
 /* Converts EXIF's "2024:06:01 10:00:00" to the form of a scene. Anything else becomes "". */
 void scene_time(const char *exif, char out[20]);
 #endif

@@ -359,6 +359,19 @@ static void city_build(struct builder *b)
             city_line_street(b, axis, i);
 }
 
+/* The grid of what was built; after an error nothing is left. */
+static enum err_code city_finish(struct builder *b, struct synth_city *out)
+{
+    struct synth_city *c = b->city;
+    if (b->rc == ERR_OK)
+        b->rc = synth_grid_make(c->solids, c->n_solids, &c->grid, b->e);
+    if (b->rc == ERR_OK)
+        *out = *c;
+    else
+        synth_city_free(c);
+    return b->rc;
+}
+
 enum err_code synth_city_make(const struct synth_config *cfg, struct synth_city *out, struct err *e)
 {
     struct synth_city c = {.seed = (uint32_t)cfg->seed, .half_m = 0.5 * cfg->extent_m};
@@ -369,13 +382,7 @@ enum err_code synth_city_make(const struct synth_config *cfg, struct synth_city 
     city_lay_streets(&c, cfg->extent_m);
     city_build(&b);
     city_plant_fields(&b, cfg->extent_m);
-    if (b.rc == ERR_OK)
-        b.rc = synth_grid_make(c.solids, c.n_solids, &c.grid, e);
-    if (b.rc == ERR_OK)
-        *out = c;
-    else
-        synth_city_free(&c);
-    return b.rc;
+    return city_finish(&b, out);
 }
 
 /* Streets of a district. A street of the whole city has one number, so it goes on next door. */
@@ -411,13 +418,7 @@ enum err_code synth_city_district(uint32_t seed, int64_t column, int64_t row,
         if (fmax(fabs(c.solids[i].center_m[0]), fabs(c.solids[i].center_m[1])) < c.half_m)
             c.solids[n++] = c.solids[i];
     c.n_solids = n;
-    if (b.rc == ERR_OK)
-        b.rc = synth_grid_make(c.solids, c.n_solids, &c.grid, e);
-    if (b.rc == ERR_OK)
-        *out = c;
-    else
-        synth_city_free(&c);
-    return b.rc;
+    return city_finish(&b, out);
 }
 
 void synth_city_free(struct synth_city *c)

@@ -2,7 +2,8 @@
  * continues as if it had not been stopped, and broken scenes give one clear error.
  *
  * The toy is coloured blobs on a patch of ground, photographed from above by cameras on a ring. The
- * renderer draws the photographs, so a perfect fit exists.
+ * renderer draws the photographs, so a perfect fit exists. It is one long file, because all of it
+ * trains that toy.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,6 @@
 // The viewer that others put into their pages: a container, a URL, a camera, events. The page of
-// this folder is one of its users.
+// this folder is one of its users. It is one long file, because it is one class: what pages may call, and the loop
+// that serves it.
 //
 // SPDX-License-Identifier: Apache-2.0
 import { Box3, Ray, Vector3 } from "three";
