@@ -10,16 +10,19 @@
 enum { OPTIONS_HELP_COLUMN = 34, OPTIONS_HELP_WIDTH = 100, OPTIONS_HELP_MDOC_WIDTH = 76 };
 
 static const struct options_help_always {
+    enum options_tier tier;
     const char *flag, *value, *about;
 } options_help_always[] = {
-    {"--config", "FILE", "read options from a .jsonc file; later files and flags win"},
-    {"--print-config", "", "print the resolved options as JSON and stop"},
-    {"-v", "", "print more log lines"},
-    {"-q", "", "print no progress, only warnings and errors"},
-    {"-h, --help", "", "print the everyday options"},
-    {"--help=all", "", "print all options"},
+    {OPTIONS_EVERYDAY, "--config", "FILE",
+     "read options from a .jsonc file; later files and flags win"},
+    {OPTIONS_MORE, "--print-config", "", "print the resolved options as JSON and stop"},
+    {OPTIONS_MORE, "-v", "", "print more log lines"},
+    {OPTIONS_EVERYDAY, "-q", "", "print no progress, only warnings and errors"},
+    {OPTIONS_MORE, "-h, --help", "", "print the everyday options"},
+    {OPTIONS_MORE, "--help=all", "", "print all options"},
 };
 enum { OPTIONS_HELP_ALWAYS = sizeof options_help_always / sizeof *options_help_always };
+static const char options_help_always_title[] = "of every command";
 
 void options_help_flag(const char *key, char out[OPTIONS_NAME_MAX])
 {
@@ -103,31 +106,46 @@ static size_t options_help_count(const struct options_spec *spec, size_t at, enu
     return n;
 }
 
-/* "81 more: optimizer 14, appearance 9; `citysplat train --help=all` shows them" */
+/* "81 more: optimizer 14, of every command 4; `citysplat train --help=all` shows them" */
 static void options_help_more(FILE *f, const struct options_spec *spec)
 {
     char text[1600];
-    size_t n = 0, at = 0;
+    size_t n = 0, always = 0, at = 0;
     for (size_t i = 0; i < spec->n_defs; i++)
         n += spec->defs[i].type != OPTIONS_GROUP && spec->defs[i].tier == OPTIONS_MORE;
-    if (!n)
-        return;
-    at += (size_t)snprintf(text, sizeof text, "%zu more", n);
+    for (size_t i = 0; i < OPTIONS_HELP_ALWAYS; i++)
+        always += options_help_always[i].tier == OPTIONS_MORE;
+    at += (size_t)snprintf(text, sizeof text, "%zu more", n + always);
     const char *before = ": ";
     for (size_t i = 0; i < spec->n_defs; i++) {
         const struct options_def *d = &spec->defs[i];
-        size_t more = d->type == OPTIONS_GROUP ? options_help_count(spec, i, OPTIONS_MORE) : 0;
+        bool heads = d->type == OPTIONS_GROUP;
+        size_t more = heads || !i ? options_help_count(spec, i, OPTIONS_MORE) : 0;
+        const char *title = heads ? d->help : "of this command";
         if (!more || at >= sizeof text)
             continue;
         at += (size_t)snprintf(text + at, sizeof text - at, "%s%.*s %zu", before,
-                               (int)strcspn(d->help, "(:"), d->help, more);
+                               (int)strcspn(title, "(:"), title, more);
         before = ", ";
     }
     if (at < sizeof text)
-        snprintf(text + at, sizeof text - at, "; `citysplat %s --help=all` shows them",
-                 spec->command);
+        snprintf(text + at, sizeof text - at, "%s%s %zu; `citysplat %s --help=all` shows them",
+                 before, options_help_always_title, always, spec->command);
     putc('\n', f);
     options_help_wrapped(f, text, 0, 0);
+}
+
+static void options_help_text_always(FILE *f, bool all)
+{
+    fprintf(f, "\n%s:\n", options_help_always_title);
+    for (size_t i = 0; i < OPTIONS_HELP_ALWAYS; i++) {
+        const struct options_help_always *a = &options_help_always[i];
+        char head[80];
+        if (!all && a->tier == OPTIONS_MORE)
+            continue;
+        snprintf(head, sizeof head, "  %s %s", a->flag, a->value);
+        fprintf(f, "%-*s%s\n", OPTIONS_HELP_COLUMN, head, a->about);
+    }
 }
 
 static void options_help_text(FILE *f, const struct options_spec *spec, bool all)
@@ -142,15 +160,9 @@ static void options_help_text(FILE *f, const struct options_spec *spec, bool all
                 fprintf(f, "\n%s:\n", spec->defs[i].help);
         } else if (all || spec->defs[i].tier == OPTIONS_EVERYDAY)
             options_help_text_one(f, &spec->defs[i]);
+    options_help_text_always(f, all);
     if (!all)
         options_help_more(f, spec);
-    fprintf(f, "\nof every command:\n");
-    for (size_t i = 0; i < OPTIONS_HELP_ALWAYS; i++) {
-        char head[80];
-        snprintf(head, sizeof head, "  %s %s", options_help_always[i].flag,
-                 options_help_always[i].value);
-        fprintf(f, "%-*s%s\n", OPTIONS_HELP_COLUMN, head, options_help_always[i].about);
-    }
     if (!spec->example)
         return;
     fprintf(f, "\nexample:\n");
