@@ -16,12 +16,12 @@ enum { BLOCKS_BYTES = 65536 };
 
 struct blocks; /* an open file; threads may share it */
 
-/* Folder of the files (NULL: XDG_CACHE_HOME/citysplat/stores, or ~/.cache/citysplat/stores), and
- * how much one file may hold. Call it before threads start. */
+/* Sets the folder of the files, and how much one file may hold. Where dir is NULL the folder is
+ * XDG_CACHE_HOME/citysplat/stores or ~/.cache/citysplat/stores. Call it before threads start. */
 void blocks_configure(const char *dir, uint64_t limit_bytes);
-/* Opens the file of an object, or makes it. Where no folder can be written, it is an unnamed file
- * in TMPDIR or /tmp. Files of other states of the object are removed. The caller closes *fd.
- * ERR_IO, ERR_LIMIT, ERR_MEM. */
+/* Opens the file of an object, or makes it. If the folder cannot be written, the file has no name
+ * and lies in TMPDIR or /tmp. Files of other states of the object are removed. The caller closes
+ * *fd. ERR_IO, ERR_LIMIT, ERR_MEM. */
 enum err_code blocks_make(const char *url, const struct range_object *o, int *fd,
                           struct err *e) ERR_USE;
 /* Returns whether fd is such a file. */

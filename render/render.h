@@ -81,8 +81,8 @@ struct render_model {
     cl_mem params; /* float [groups][planes][16] */
     /* may be NULL: float [groups][16], m: sigma f of the 3-D smoothing filter of each Gaussian
      * (Mip-Splatting, Yu et al. 2024). A Gaussian is drawn with sqrt(sigma^2 + f^2) and opacity
-     * times prod sigma / sigma'. Gradients are of the raw parameters; f has none. The caller sets
-     * it, render_model_free frees it. */
+     * times prod sigma / sigma'. Gradients are those of the raw parameters. f gets no gradient. The
+     * caller sets it, render_model_free frees it. */
     cl_mem filter;
     /* may be NULL: uint [groups], see render_model_list; the backward pass refuses such a model
      * (ERR_ARG) */

@@ -1,10 +1,12 @@
-/* Depth maps of a scene's photographs: a sweep each, and what neighbours agree on.
+/* Depth maps of a scene's photographs. Each photograph is swept, and then compared with the maps of
+ * its neighbours.
  *
- * A pixel is kept if the maps of at least `agree` neighbours have the same height where its place
- * falls in them, within `tolerance` planes; its height is then the mean of these. This is the
- * left-right check of stereo, for many views (Merrell et al. 2007).
+ * The place of a pixel is looked up in each neighbour's map. A neighbour agrees if its map has the
+ * same height there, within `tolerance` planes. A pixel is kept if at least `agree` neighbours
+ * agree, and its height becomes the mean of theirs and its own. This is the left-right check of
+ * stereo, for many views (Merrell et al. 2007).
  *
- * Samples of all maps are fused into points (stereo/fuse.h), of which training begins.
+ * Samples of all maps are fused into points (stereo/fuse.h). Training begins with these.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -60,9 +60,9 @@ enum {
     SWEEP_WALL_COST = 4
 };
 #define SWEEP_NOISE 4e-5     /* variance of grey values that is not texture */
-#define SWEEP_LIKE 0.1       /* difference of grey values at which a pixel counts a quarter */
-#define SWEEP_DOWN 0.05      /* least downward part of a ray a unit of forward: below, no height */
-#define SWEEP_WALL_SLOPE 0.2 /* least horizontal part of a ray a unit down that shows walls */
+#define SWEEP_LIKE 0.1       /* a pixel that differs so much in grey has a quarter of the weight */
+#define SWEEP_DOWN 0.05      /* rays that fall less than this a unit forward get no height */
+#define SWEEP_WALL_SLOPE 0.2 /* rays that go less than this sideways a unit down show no walls */
 #define SWEEP_EDGE 25.0      /* a change of grey by 1 / SWEEP_EDGE halves what a jump may save */
 
 struct sweep_view {

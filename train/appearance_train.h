@@ -114,7 +114,8 @@ size_t appearance_train_nearest(const struct appearance *a, const struct scene *
  */
 enum err_code appearance_train_rows(const struct appearance *a, const struct scene *s,
                                     uint32_t *row, struct err *e) ERR_USE;
-/* Distance that the cameras look: their mean height above the scene's points, at least 1 m. */
+/* Typical distance from a camera to what it sees: the cameras' mean height above the scene's
+ * points, at least 1 m. */
 double appearance_train_reach(const struct scene *s);
 
 /* ---- reading and writing checkpoints ---- */
