@@ -19,8 +19,8 @@ struct eval_half_image { /* {0}: no appearance; free with eval_half_image_clear 
 };
 void eval_half_image_clear(struct eval_half_image *h);
 /* Takes the appearance model of a checkpoint, if it has one. All checkpoints since the last
- * eval_half_image_clear must have the same model. `first`: this is the first of them. ERR_DATA
- * names a checkpoint with another model. ERR_MEM. */
+ * eval_half_image_clear must have the same model. `first` is true for the first checkpoint after
+ * it. ERR_DATA names a checkpoint with another model. ERR_MEM. */
 enum err_code eval_half_image_take(struct eval_half_image *h, bool first, const struct ckpt *c,
                                    const char *path, const struct scene *s, struct err *e) ERR_USE;
 /* As eval_half_image_take, for a store. */

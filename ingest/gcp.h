@@ -52,14 +52,14 @@ enum err_code gcp_read(const char *path, struct gcp_list *out, struct err *e) ER
  * px, py and image, or with nothing in them. There may be no point at all. */
 enum err_code gcp_read_points(const char *path, struct gcp_list *out, struct err *e) ERR_USE;
 void gcp_free(struct gcp_list *l);
-/* Adds a point of the file `path` by its name, unless it is there. ERR_FORMAT: it lies elsewhere
- * there. ERR_DATA (too many), ERR_MEM. */
+/* Adds a point of the file `path`, unless the list has one of that name. ERR_FORMAT: the list has
+ * it at another place. ERR_DATA (too many), ERR_MEM. */
 enum err_code gcp_add_point(const char *path, struct gcp_list *l, const struct gcp *g,
                             struct err *e) ERR_USE;
 /* Appends a mark. ERR_MEM. */
 enum err_code gcp_add_mark(struct gcp_list *l, const struct gcp_mark *m, struct err *e) ERR_USE;
-/* Makes check points of those with these names, separated by commas. ERR_ARG: there is no such
- * name. */
+/* Turns the points with these names (separated by commas) into check points. ERR_ARG: there is no
+ * point of such a name. */
 enum err_code gcp_keep_out(struct gcp_list *l, const char *names, struct err *e) ERR_USE;
 
 #endif

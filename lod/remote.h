@@ -36,9 +36,10 @@ bool remote_changed(const struct remote *r);
 /* Asks the server. ERR_DATA: it has another object; else as range_get. */
 enum err_code remote_check(struct remote *r, double wait_s, struct err *e) ERR_USE;
 
-/* How long a read may take. For every thread; call it before threads start. Default: 15 s. */
+/* Sets how long a read may take, for all threads. Default: 15 s. Call it before threads start. */
 void remote_patience(double wait_s);
-/* For this thread: until this time of clock_s(), at most. 0: no such time. */
+/* Sets the time (clock_s()) at which reads of this thread end, if patience does not end them
+ * earlier. 0: there is no such time. */
 void remote_until(double until_s);
 
 #endif

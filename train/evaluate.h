@@ -34,9 +34,10 @@ struct evaluate_source {
     enum err_code (*draw)(void *user, const struct camera *cam, float *rgb, double *gaussians,
                           struct err *e);
     void *user;
-    /* `user` of the same source without supersampling, for maps of the surface; NULL: `user` */
+    /* passed instead of `user` to draw without supersampling, for maps of the surface; NULL: `user`
+     * itself */
     void *own_size;
-    void *above; /* `user` of the same source, drawn orthographically; NULL: there is none */
+    void *above; /* passed instead of `user` to draw orthographically; NULL: it cannot */
     /* folder for NAME.png with photograph left and drawing right; NULL: none */
     const char *pictures;
     double bytes;                   /* size of the source's files, copied to the score */
