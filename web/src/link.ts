@@ -10,7 +10,8 @@ const PROBE_FIRST_MS = 500;
 const PROBE_MOST_MS = 10_000;
 const PROBE_TIMEOUT_MS = 8000;
 const SILENCE_MS = 20_000; // without a byte
-const BUSY = new Set([429, 502, 503, 504]);
+/** @internal */
+export const BUSY = new Set([429, 502, 503, 504]);
 const WINDOW_MS = 4000; // of the speed measured
 const TELLING_BYTES = 50_000; // fewer say nothing of a line's speed
 const ENOUGH_BYTES = 500_000; // after these our own answers say it best
@@ -193,7 +194,8 @@ export class Link {
     if (--this.running === 0) this.busyMs += performance.now() - this.busySince;
   }
 
-  private count(bytes: number) {
+  // Bytes of an answer.
+  count(bytes: number) {
     this.received += bytes;
     const now = performance.now();
     this.marks.push({ at: now, bytes });

@@ -1,8 +1,9 @@
-// The server's own rendering of the camera, asked for over and over: small pictures while the camera
-// moves, one request on its way at most and always for the newest pose; the full one when it rests.
-// The last picture stays until the next one can be shown.
+// The server's own rendering of the camera: a stream of video while it moves and a while longer (film.ts). Where that
+// cannot be had it is asked for over and over: small pictures while the camera moves, one request on its way at most and
+// always for the newest pose; the full one when it rests. The last picture stays until the next one can be shown.
 //
 // SPDX-License-Identifier: Apache-2.0
+import { Film, type FilmPicture } from "./film";
 import type { Pose } from "./geo";
 import type { Link } from "./link";
 import { pictureUrl, type SceneEntry } from "./source";
@@ -14,6 +15,7 @@ const MOVING_AREA_LEAST_PX = 20_000;
 const MOVING_AREA_MOST_PX = 500_000;
 const MOVING_MS = 100; // an answer's time to keep to while moving
 const REST_MS = 180;
+const FILM_PAUSE_MS = 10_000; // after a stream that showed nothing, before another one
 
 export interface PictureInfo {
   width: number;
@@ -21,6 +23,7 @@ export interface PictureInfo {
   bytes: number;
   milliseconds: number;
   moving: boolean;
+  video: boolean; // a frame of a stream
 }
 
 interface Wish {
@@ -36,6 +39,7 @@ export class Pictures {
   onPicture: (info: PictureInfo) => void = () => {};
   onProblem: (error: unknown) => void = () => {};
   onStart: () => void = () => {};
+  onNoVideo: (why: string) => void = () => {}; // once: pictures come one by one
   shownKey = ""; // of the full picture on the screen
   private shownSmall = ""; // of the small one
   drawn = 0;
@@ -48,6 +52,8 @@ export class Pictures {
   private timer = 0;
   private area = MOVING_AREA_PX;
   private failedKey = "";
+  private film: Film | null = null;
+  private filmFrom = 0; // when one may be opened
 
   sky: boolean; // with sky and ground behind the city
   // moving: draw pictures while the camera moves; else only those of a resting one.
@@ -62,14 +68,15 @@ export class Pictures {
   // What is to be seen now; called in every frame. moves: the camera does, so another pose follows, be it after a
   // long frame: the full picture waits for a frame in which it rests.
   want(entry: SceneEntry, appearance: string, pose: Pose, width: number, height: number, moves = false) {
-    const rests = this.moves && !moves;
+    const moved = this.moves;
     this.moves = moves;
+    if (entry.id !== this.wish?.entry.id) this.closeFilm();
     const { lon, lat, h, heading, pitch, fov } = pose;
     const digits = [lon, lat].map((v) => v.toFixed(8));
     const turn = [h, heading, pitch, fov].map((v) => v.toFixed(3));
     const key = [entry.id, appearance, ...digits, ...turn, width, height, this.sky].join(" ");
     if (key === this.wishKey) {
-      if (rests) this.next();
+      if (moved && !moves) this.next();
       return;
     }
     this.wish = { entry, appearance, pose, width, height };
@@ -77,6 +84,7 @@ export class Pictures {
     this.changedAt = performance.now();
     // A full picture of a pose that is no longer the newest is not worth its time.
     if (this.requestFull) this.request?.abort();
+    if (moved && moves) this.openFilm(entry); // a jump is no film
     this.next();
   }
 
@@ -95,7 +103,14 @@ export class Pictures {
     this.next();
   }
 
+  // Nobody looks; retry() goes on.
+  pause() {
+    this.closeFilm();
+    this.moves = false;
+  }
+
   stop() {
+    this.closeFilm();
     clearTimeout(this.timer);
     this.request?.abort();
     this.request = null;
@@ -104,9 +119,47 @@ export class Pictures {
     this.moves = false;
   }
 
+  private openFilm({ questions }: SceneEntry) {
+    const may = this.moving && this.link.state !== "away" && performance.now() >= this.filmFrom;
+    if (this.film || !questions || !may) return;
+    const film = new Film(questions, this.link, (picture) => this.take(picture));
+    film.onEnd = (never) => {
+      this.film = null;
+      if (never) this.filmFrom = Infinity;
+      else if (!film.shown) this.filmFrom = performance.now() + FILM_PAUSE_MS;
+      if (never) this.onNoVideo(never);
+      this.next();
+    };
+    this.film = film;
+  }
+
+  private closeFilm() {
+    this.film?.close();
+    this.film = null;
+  }
+
+  private take({ image, key, full, ...info }: FilmPicture) {
+    this.show(image, info.width, info.height);
+    this.tell(key, full, info);
+  }
+
+  // A picture is on the screen.
+  private tell(key: string, full: boolean, info: Omit<PictureInfo, "moving">) {
+    this.shownKey = full ? key : "";
+    this.shownSmall = full ? "" : key;
+    this.drawn++;
+    this.onPicture({ ...info, moving: !full });
+  }
+
   private next() {
     clearTimeout(this.timer);
-    if (this.request || !this.wish || this.settled || this.failedKey === this.wishKey) return;
+    if (!this.wish || this.settled || this.failedKey === this.wishKey) return;
+    if (this.film) {
+      const [width, height] = this.sizeOf(this.wish, true);
+      const { appearance, pose } = this.wish;
+      return this.film.want({ key: this.wishKey, appearance, pose, width, height, sky: this.sky });
+    }
+    if (this.request) return;
     const rested = performance.now() - this.changedAt;
     const full = rested >= REST_MS && !this.moves;
     if (!full && (!this.moving || this.shownSmall === this.wishKey)) {
@@ -129,13 +182,12 @@ export class Pictures {
       const { body } = await this.link.get(url, request.signal);
       const milliseconds = performance.now() - started;
       const bitmap = await createImageBitmap(new Blob([body]));
-      if (request.signal.aborted) return;
-      this.show(bitmap);
-      if (full) this.shownKey = key;
-      else this.adapt(milliseconds);
-      this.shownSmall = full ? "" : key;
-      this.drawn++;
-      this.onPicture({ width, height, bytes: body.byteLength, milliseconds, moving: !full });
+      if (!request.signal.aborted && !this.film?.shown) {
+        this.show(bitmap, bitmap.width, bitmap.height);
+        if (!full) this.adapt(milliseconds);
+        this.tell(key, full, { width, height, bytes: body.byteLength, milliseconds, video: false });
+      }
+      bitmap.close();
     } catch (error) {
       if (request.signal.aborted) return;
       this.failedKey = key;
@@ -171,13 +223,12 @@ export class Pictures {
     return [Math.max(16, Math.round(width * shrink)), Math.max(16, Math.round(height * shrink))];
   }
 
-  private show(bitmap: ImageBitmap) {
+  private show(image: CanvasImageSource, width: number, height: number) {
     const { canvas } = this;
-    if (canvas.width !== bitmap.width || canvas.height !== bitmap.height) {
-      canvas.width = bitmap.width;
-      canvas.height = bitmap.height;
+    if (canvas.width !== width || canvas.height !== height) {
+      canvas.width = width;
+      canvas.height = height;
     }
-    canvas.getContext("2d")!.drawImage(bitmap, 0, 0);
-    bitmap.close();
+    canvas.getContext("2d")!.drawImage(image, 0, 0);
   }
 }

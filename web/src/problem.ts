@@ -12,6 +12,7 @@ export type ProblemKind =
   | "noPictures"
   | "no3d" // this browser does not draw, and the server may
   | "nothingDraws" // nor does the server
+  | "noVideo" // the server's pictures come one by one
   | "badView"
   | "badBasemap"
   | "noAppearance" // the default light is shown

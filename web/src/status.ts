@@ -160,7 +160,7 @@ export class Status {
 
   private showProblem(error: Error) {
     const kind = error instanceof Problem ? error.kind : null;
-    if (kind === "no3d") return toast(error.message); // the server's pictures come
+    if (kind === "no3d" || kind === "noVideo") return toast(error.message); // the server's pictures come
     if (kind === "noAnswer") return; // a banner says that
     if (kind === "noAppearance" || kind === "badBasemap") // the city is shown all the same
       return banner("notice", error.message, [{ label: text("banner.close"), run: () => {} }]);

@@ -254,6 +254,8 @@ export const de: Partial<Record<TextKey, string>> = {
   "problem.no3d.text": "Dieser Browser kann die Stadt nicht zeichnen: {why}.",
   "problem.nothingDraws.title": "Hier kein 3D",
   "problem.nothingDraws.text": "Dieser Browser kann die Stadt nicht zeichnen: {why}. Ein Dateiserver zeichnet keine Bilder.",
+  "problem.noVideo.title": "Kein Video",
+  "problem.noVideo.text": "Kein Video hier ({why}): die Bilder des Servers kommen einzeln.",
   "problem.noAppearance.title": "Übliches Licht",
   "problem.noAppearance.text": "Die Szene hat kein Licht und Wetter „{name}“.",
   "problem.nothingHere.title": "Keine Stadt neben dieser Seite",

@@ -257,6 +257,8 @@ export const en = {
   "problem.no3d.text": "This browser cannot draw the city: {why}.",
   "problem.nothingDraws.title": "No 3D here",
   "problem.nothingDraws.text": "This browser cannot draw the city: {why}. A file server draws no pictures.",
+  "problem.noVideo.title": "No video",
+  "problem.noVideo.text": "No video here ({why}): the server's pictures come one by one.",
   "problem.noAppearance.title": "Default light",
   "problem.noAppearance.text": "The scene has no light and weather \"{name}\".",
   "problem.nothingHere.title": "No city beside this page",

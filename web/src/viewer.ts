@@ -164,6 +164,7 @@ export class Viewer {
       this.events.emit("picture", info);
     };
     this.pictures.onProblem = (error) => this.fail(error);
+    this.pictures.onNoVideo = (why) => this.events.emit("problem", new Problem("noVideo", { why }));
     this.link.onState = (state, before) => {
       this.events.emit("link", state);
       if (before === "away") this.comeBack();
@@ -175,7 +176,7 @@ export class Viewer {
     this.resizing = new ResizeObserver(() => this.resize());
     this.resizing.observe(container);
     this.resize();
-    this.listenForPads();
+    this.listen();
     this.wake();
     void this.book.start();
   }
@@ -727,9 +728,11 @@ export class Viewer {
     if (wait && !this.timer && !this.closed) this.timer = window.setTimeout(() => this.run(), wait);
   }
 
-  private listenForPads() {
+  private listen() {
     const { signal } = this.listening;
     window.addEventListener("gamepadconnected", () => this.wake(false), { signal });
+    const look = () => (document.hidden ? this.pictures.pause() : this.pictures.retry());
+    document.addEventListener("visibilitychange", look, { signal });
   }
 
   private drawPictures(now: number, moved: boolean) {

@@ -63,8 +63,8 @@ async function endBrowser() {
 if (testing) after(endBrowser);
 
 // Opens url in a fresh profile. { page, log, close }: log collects console errors and uncaught
-// exceptions.
-export async function openPage(url, { width = 800, height = 600, ...more } = {}) {
+// exceptions. init: a function that runs in the page before its scripts.
+export async function openPage(url, { width = 800, height = 600, init = null, ...more } = {}) {
     const browser = await takeBrowser();
     const context = await browser.newContext({
         viewport: { width, height },
@@ -73,6 +73,7 @@ export async function openPage(url, { width = 800, height = 600, ...more } = {})
     });
     context.setDefaultTimeout(PATIENCE_MS);
     const page = await context.newPage();
+    if (init) await page.addInitScript(init);
     const close = async () => {
         if (shared) await context.close(); // else it went with the browser
         await leaveBrowser();

@@ -60,8 +60,13 @@ export class Proxy {
         const entry = { path: request.url, bytes: 0, began: Date.now(), ended: 0, aborted: false };
         this.log.push(entry);
         if (entry.path.includes("/t/")) this.onTile();
-        response.on("close", () => (entry.aborted = !entry.ended));
+        let onward = null;
+        response.on("close", () => {
+            entry.aborted = !entry.ended;
+            if (entry.aborted) onward?.destroy(); // nobody reads it
+        });
         if (this.latencyMs) await new Promise((done) => setTimeout(done, this.latencyMs));
+        if (entry.aborted) return;
         const own = this.rule(request.url);
         if (own) {
             entry.ended = Date.now();
@@ -71,20 +76,24 @@ export class Proxy {
         }
         const { hostname, port } = this.#target;
         const { method, url: path, headers } = request;
-        const onward = ask({ hostname, port, method, path, headers }, async (answer) => {
-            response.writeHead(answer.statusCode, answer.headers);
-            for await (const part of answer)
-                for (let at = 0; at < part.length && !entry.aborted; at += CHUNK) {
-                    const piece = part.subarray(at, at + CHUNK);
-                    if (this.slow(path)) await this.#wait(piece.length);
-                    response.write(piece);
-                    entry.bytes += piece.length;
-                }
-            if (!entry.aborted) entry.ended = Date.now();
-            response.end();
-        });
+        onward = ask({ hostname, port, method, path, headers }, (answer) =>
+            this.#pass(entry, answer, response).catch(() => response.destroy()),
+        );
         onward.on("error", () => response.destroy());
         request.pipe(onward);
+    }
+
+    async #pass(entry, answer, response) {
+        response.writeHead(answer.statusCode, answer.headers);
+        for await (const part of answer)
+            for (let at = 0; at < part.length && !entry.aborted; at += CHUNK) {
+                const piece = part.subarray(at, at + CHUNK);
+                if (this.slow(entry.path)) await this.#wait(piece.length);
+                response.write(piece);
+                entry.bytes += piece.length;
+            }
+        if (!entry.aborted) entry.ended = Date.now();
+        response.end();
     }
 
     async #wait(bytes) {
