@@ -1,12 +1,15 @@
 /* What a thin client sees while its camera turns: one request a picture, against a stream of JPEG
- * and a stream of video (server/motion.c), for several round-trip times. A relay delays both
- * directions; it models nothing else of the line. The camera turns at 20 degrees a second for a few
- * seconds.
+ * and a stream of video (server/motion.c), for two sizes and several round-trip times. A relay
+ * delays both directions; it models nothing else of the line. The camera turns at 20 degrees a
+ * second for a few seconds. A picture counts as seen when its last byte has come: decoding is the
+ * client's.
  *
- * Checked before timing: both answer with JPEG.
+ * A busy machine is waited for as long as the server waits itself. What came until then is
+ * reported, beside the load, and so is what was refused or did not come.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#define _DEFAULT_SOURCE // NOLINT(cert-dcl51-cpp): getloadavg
 #include "bench/bench.h"
 #include "bench/load.h"
 
@@ -28,9 +31,10 @@
 #include "server/server.h"
 #include "server/services.h"
 
-enum { MOTION_W = 1280, MOTION_H = 720, MOTION_PICTURES = 2000, MOTION_PAIRS = 8 };
+enum { MOTION_PICTURES = 2000, MOTION_PAIRS = 8, MOTION_WORD = 64 };
 enum { MOTION_PIECES = 4096, MOTION_PIECE = 16384 };
-static const double MOTION_RUN_S = 6, MOTION_POSE_S = 0.033;
+static const double MOTION_RUN_S = 6, MOTION_POSE_S = 0.033, MOTION_AGAIN_S = 0.25,
+                    MOTION_LATE_S = 2; /* after the server's deadline */
 /* As the viewer's pictures.ts. */
 static const double MOTION_AREA = 60000, MOTION_LEAST = 20000, MOTION_MOST = 500000,
                     MOTION_MS = 100;
@@ -162,7 +166,8 @@ struct seen {
     size_t n;
     double posed_s[MOTION_PICTURES], shown_s[MOTION_PICTURES];
     double pixels;
-    size_t down, up; /* bytes */
+    size_t down, up;      /* bytes */
+    size_t refused, lost; /* answers of 429, 503, 504; ends of the line, or silence */
 };
 
 static void motion_seen_add(struct seen *s, double posed_s, double pixels)
@@ -174,11 +179,25 @@ static void motion_seen_add(struct seen *s, double posed_s, double pixels)
     s->pixels += pixels;
 }
 
-static void motion_seen_report(struct bench *b, const char *how, double delay_s,
-                               const struct seen *s)
+/* A row of the client `how`. */
+static void motion_seen_row(struct bench *b, const char *how, const char *what, double value,
+                            const char *unit)
 {
-    double late[MOTION_PICTURES], age = 0, over;
-    char name[96];
+    char name[2 * MOTION_WORD];
+    snprintf(name, sizeof name, "%s: %s", how, what);
+    bench_report(b, name, value, unit, 0, NULL);
+}
+
+static void motion_seen_report(struct bench *b, const char *how, const struct seen *s)
+{
+    double late[MOTION_PICTURES], age = 0, over, load = 0;
+    if (getloadavg(&load, 1) == 1)
+        motion_seen_row(b, how, "load of the machine", load, "");
+    motion_seen_row(b, how, "pictures that came", (double)s->n, "");
+    if (s->refused || s->lost) {
+        motion_seen_row(b, how, "refused", (double)s->refused, "");
+        motion_seen_row(b, how, "lost", (double)s->lost, "");
+    }
     if (s->n < 2)
         return;
     for (size_t i = 0; i < s->n; i++)
@@ -202,10 +221,8 @@ static void motion_seen_report(struct bench *b, const char *how, double delay_s,
         {"down", "kB/s", (double)s->down / over / 1e3},
         {"up", "kB/s", (double)s->up / over / 1e3},
     };
-    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
-        snprintf(name, sizeof name, "%s, round trip %.0f ms: %s", how, 2e3 * delay_s, rows[i].what);
-        bench_report(b, name, rows[i].value, rows[i].unit, 0, NULL);
-    }
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
+        motion_seen_row(b, how, rows[i].what, rows[i].value, rows[i].unit);
 }
 
 /* ---- the two clients ---- */
@@ -214,6 +231,8 @@ struct thin {
     uint16_t port;
     const char *ds;
     double lon, lat, h;
+    uint32_t width_px, height_px; /* of a full picture */
+    double wait_s;                /* for bytes */
 };
 
 static size_t motion_thin_post(const struct thin *t, const char *path, double at_s, int number,
@@ -236,12 +255,12 @@ static size_t motion_thin_post(const struct thin *t, const char *path, double at
     return out->size;
 }
 
-/* Bytes until `have` says that a whole thing is there. */
-static bool motion_thin_more(int fd, struct buf *b)
+/* Some more bytes. False: there are none in time, or the line is cut. */
+static bool motion_thin_more(const struct thin *t, int fd, struct buf *b)
 {
     uint8_t bytes[65536];
     struct pollfd p = {.fd = fd, .events = POLLIN};
-    ssize_t n = poll(&p, 1, 5000) == 1 ? recv(fd, bytes, sizeof bytes, 0) : -1;
+    ssize_t n = poll(&p, 1, (int)(1e3 * t->wait_s)) == 1 ? recv(fd, bytes, sizeof bytes, 0) : -1;
     if (n > 0)
         buf_add(b, bytes, (size_t)n);
     buf_add(b, "", 1);
@@ -249,33 +268,59 @@ static bool motion_thin_more(int fd, struct buf *b)
     return n > 0;
 }
 
+static bool motion_thin_is(const struct buf *answer, const char *status)
+{
+    return answer->size > 12 && !strncmp((const char *)answer->data + 9, status, 3);
+}
+
+/* A whole answer. False: it does not come. */
+static bool motion_thin_answer(const struct thin *t, int fd, struct buf *out)
+{
+    out->size = 0;
+    for (size_t want = 0; !want || out->size < want;) {
+        if (!motion_thin_more(t, fd, out))
+            return false;
+        const char *head = (const char *)out->data, *end = strstr(head, "\r\n\r\n");
+        const char *length = end ? strstr(head, "Content-Length: ") : NULL;
+        if (length)
+            want = (size_t)(end + 4 - head) + strtoul(length + 16, NULL, 10);
+    }
+    return true;
+}
+
+static void motion_nap(double s)
+{
+    const struct timespec nap = {.tv_nsec = (long)(s * 1e9)};
+    nanosleep(&nap, NULL);
+}
+
 static enum err_code motion_thin_by_request(const struct thin *t, struct seen *s, struct err *e)
 {
     struct buf q = {0}, a = {0};
     double area = MOTION_AREA, start_s = clock_s();
+    const double full = (double)t->width_px * t->height_px;
     int fd = motion_line_dial(t->port);
     enum err_code rc = fd < 0 ? err_set(e, ERR_IO, "bench_motion: cannot connect") : ERR_OK;
-    while (!rc && clock_s() - start_s < MOTION_RUN_S) {
-        double f = fmin(1, sqrt(area / (MOTION_W * MOTION_H))), posed_s = clock_s();
-        uint32_t w = (uint32_t)(MOTION_W * f), h = (uint32_t)(MOTION_H * f);
+    while (!rc && !s->lost && clock_s() - start_s < MOTION_RUN_S) {
+        double f = fmin(1, sqrt(area / full)), posed_s = clock_s();
+        uint32_t w = (uint32_t)(t->width_px * f), h = (uint32_t)(t->height_px * f);
         s->up += motion_thin_post(t, "render", posed_s - start_s, -1, w, h, &q);
-        if (send(fd, q.data, q.size, MSG_NOSIGNAL) != (ssize_t)q.size)
-            rc = err_set(e, ERR_IO, "bench_motion: the connection broke");
-        a.size = 0;
-        for (size_t want = 0; !rc && (!want || a.size < want);) {
-            if (!motion_thin_more(fd, &a))
-                rc = err_set(e, ERR_IO, "bench_motion: no answer");
-            const char *head = (const char *)a.data, *end = rc ? NULL : strstr(head, "\r\n\r\n");
-            const char *length = end ? strstr(head, "Content-Length: ") : NULL;
-            if (length)
-                want = (size_t)(end + 4 - head) + strtoul(length + 16, NULL, 10);
-        }
-        if (!rc && strncmp((const char *)a.data + 9, "200", 3) != 0)
+        if (send(fd, q.data, q.size, MSG_NOSIGNAL) != (ssize_t)q.size ||
+            !motion_thin_answer(t, fd, &a)) {
+            s->lost++;
+        } else if (motion_thin_is(&a, "503") || motion_thin_is(&a, "504") ||
+                   motion_thin_is(&a, "429")) {
+            s->refused++;
+            motion_nap(MOTION_AGAIN_S);
+        } else if (!motion_thin_is(&a, "200")) {
             rc = err_set(e, ERR_IO, "bench_motion: %.60s", (const char *)a.data);
+        } else {
+            motion_seen_add(s, posed_s, (double)w * h);
+            double ms = (clock_s() - posed_s) * 1e3;
+            area *= fmin(1.3, fmax(0.5, MOTION_MS / ms));
+            area = fmin(MOTION_MOST, fmax(MOTION_LEAST, area));
+        }
         s->down += a.size;
-        motion_seen_add(s, posed_s, (double)w * h);
-        double ms = (clock_s() - posed_s) * 1e3;
-        area = fmin(MOTION_MOST, fmax(MOTION_LEAST, area * fmin(1.3, fmax(0.5, MOTION_MS / ms))));
     }
     close(fd);
     buf_free(&q);
@@ -301,13 +346,12 @@ static void motion_thin_steer(void *user)
     uint8_t bytes[4096];
     for (int i = 0; i < MOTION_PICTURES && !atomic_load(&st->stop); i++) {
         st->posed_s[i] = clock_s();
-        st->up += motion_thin_post(st->thin, st->path, st->posed_s[i] - st->start_s, i, MOTION_W,
-                                   MOTION_H, &q);
+        st->up += motion_thin_post(st->thin, st->path, st->posed_s[i] - st->start_s, i,
+                                   st->thin->width_px, st->thin->height_px, &q);
         (void)!send(st->fd, q.data, q.size, MSG_NOSIGNAL);
         while (recv(st->fd, bytes, sizeof bytes, MSG_DONTWAIT) > 0)
             continue;
-        const struct timespec nap = {.tv_nsec = (long)(MOTION_POSE_S * 1e9)};
-        nanosleep(&nap, NULL);
+        motion_nap(MOTION_POSE_S);
     }
     buf_free(&q);
 }
@@ -321,6 +365,22 @@ static const char *motion_thin_part_end(const struct buf *b, size_t at)
         if (b->data[i] == '\r' && !memcmp(b->data + i, mark, sizeof mark - 1))
             return (const char *)b->data + i + sizeof mark - 1;
     return NULL;
+}
+
+/* What has come whole of the stream in a, from *at on. */
+static void motion_thin_look(const struct buf *a, size_t *at, const struct steering *st,
+                             struct seen *s)
+{
+    for (const char *end; (end = motion_thin_part_end(a, *at));) {
+        const char *text = (const char *)a->data + *at, *pose = strstr(text, "Pose: "),
+                   *size = strstr(text, "Size: ");
+        unsigned w = 0, h = 0;
+        int number = pose && pose < end ? atoi(pose + 6) : -1;
+        if (size && size < end && number >= 0 && number < MOTION_PICTURES &&
+            sscanf(size, "Size: %ux%u", &w, &h) == 2)
+            motion_seen_add(s, st->posed_s[number], (double)w * h);
+        *at = (size_t)(end - (const char *)a->data);
+    }
 }
 
 static enum err_code motion_thin_by_stream(const struct thin *t, const char *query, struct seen *s,
@@ -339,26 +399,15 @@ static enum err_code motion_thin_by_stream(const struct thin *t, const char *que
     enum err_code rc = fd < 0 || st.fd < 0 || send(fd, q, strlen(q), MSG_NOSIGNAL) < 0
                            ? err_set(e, ERR_IO, "bench_motion: cannot connect")
                            : ERR_OK;
-    if (!rc && !motion_thin_more(fd, &a)) /* the stream is open: it may be steered */
-        rc = err_set(e, ERR_IO, "bench_motion: no stream");
-    if (!rc && strncmp((const char *)a.data + 9, "200", 3) != 0)
+    s->lost = !rc && !motion_thin_more(t, fd, &a); /* else it is open: it may be steered */
+    if (!rc && !s->lost && !motion_thin_is(&a, "200"))
         rc = err_set(e, ERR_IO, "bench_motion: %.60s", (const char *)a.data);
     if (!rc)
         rc = pool_start(motion_thin_steer, &st, &thread, e);
     size_t at = a.size;
-    while (!rc && clock_s() - st.start_s < MOTION_RUN_S) {
-        if (!motion_thin_more(fd, &a))
-            rc = err_set(e, ERR_IO, "bench_motion: the stream broke");
-        for (const char *end; !rc && (end = motion_thin_part_end(&a, at));) {
-            const char *text = (const char *)a.data + at, *pose = strstr(text, "Pose: "),
-                       *size = strstr(text, "Size: ");
-            unsigned w = 0, h = 0;
-            int number = pose && pose < end ? atoi(pose + 6) : -1;
-            if (size && size < end && number >= 0 && number < MOTION_PICTURES &&
-                sscanf(size, "Size: %ux%u", &w, &h) == 2)
-                motion_seen_add(s, st.posed_s[number], (double)w * h);
-            at = (size_t)(end - (const char *)a.data);
-        }
+    while (!rc && !s->lost && clock_s() - st.start_s < MOTION_RUN_S) {
+        s->lost += !motion_thin_more(t, fd, &a);
+        motion_thin_look(&a, &at, &st, s);
     }
     s->down = a.size;
     atomic_store(&st.stop, true);
@@ -371,29 +420,60 @@ static enum err_code motion_thin_by_stream(const struct thin *t, const char *que
     return rc;
 }
 
+/* b NULL: nothing is reported. */
 static enum err_code motion_case(struct bench *b, struct thin *t, uint16_t port, double delay_s,
                                  struct err *e)
 {
+    static const struct {
+        const char *name, *query; /* query NULL: a request a picture */
+    } clients[] = {{"request a picture", NULL}, {"stream", ""}, {"video", "?video=vp9"}};
+    const size_t n = video_can() ? 3 : 2;
+    char how[MOTION_WORD];
     struct line l;
-    struct seen *s = mem_array(3, sizeof *s);
-    enum err_code rc = s ? motion_line_open(&l, port, delay_s, e)
-                         : err_set(e, ERR_MEM, "bench_motion: out of memory");
+    struct seen *s = mem_array(1, sizeof *s);
     if (!s)
-        return rc;
+        return err_set(e, ERR_MEM, "bench_motion: out of memory");
+    enum err_code rc = motion_line_open(&l, port, delay_s, e);
     t->port = l.port;
-    if (!rc)
-        rc = motion_thin_by_request(t, &s[0], e);
-    if (!rc)
-        rc = motion_thin_by_stream(t, "", &s[1], e);
-    if (!rc && video_can())
-        rc = motion_thin_by_stream(t, "?video=vp9", &s[2], e);
-    motion_line_close(&l);
-    if (!rc) {
-        motion_seen_report(b, "request a picture", delay_s, &s[0]);
-        motion_seen_report(b, "stream", delay_s, &s[1]);
-        motion_seen_report(b, "video", delay_s, &s[2]);
+    for (size_t i = 0; i < n && !rc; i++) {
+        *s = (struct seen){0};
+        rc = clients[i].query ? motion_thin_by_stream(t, clients[i].query, s, e)
+                              : motion_thin_by_request(t, s, e);
+        snprintf(how, sizeof how, "%s, %u x %u px, round trip %.0f ms", clients[i].name,
+                 (unsigned)t->width_px, (unsigned)t->height_px, 2e3 * delay_s);
+        if (!rc && b)
+            motion_seen_report(b, how, s);
     }
+    motion_line_close(&l);
     mem_free(s);
+    return rc;
+}
+
+static enum err_code motion_cases(struct bench *b, struct server *server, double wait_s,
+                                  struct err *e)
+{
+    static const struct {
+        uint32_t width_px, height_px;
+        double delay_s;
+    } cases[] = {{1280, 720, 0},   {1280, 720, 0.025}, {1280, 720, 0.05},
+                 {1280, 720, 0.1}, {640, 360, 0},      {640, 360, 0.05}};
+    struct catalog *c = services_catalog(server_services(server));
+    const struct dataset *d = c->ds[0];
+    const uint16_t port = (uint16_t)atoi(strrchr(server_url(server), ':') + 1);
+    struct thin t = {.ds = d->meta.name,
+                     .lon = (d->bbox[0] + d->bbox[3]) / 2,
+                     .lat = (d->bbox[1] + d->bbox[4]) / 2,
+                     .h = d->bbox[2],
+                     .width_px = cases[0].width_px,
+                     .height_px = cases[0].height_px,
+                     .wait_s = wait_s};
+    enum err_code rc = motion_case(NULL, &t, port, 0, e); /* fills the caches */
+    for (size_t i = 0; i < sizeof cases / sizeof *cases && !rc; i++) {
+        t.width_px = cases[i].width_px;
+        t.height_px = cases[i].height_px;
+        rc = motion_case(b, &t, port, cases[i].delay_s, e);
+    }
+    catalog_drop(&c);
     return rc;
 }
 
@@ -403,7 +483,6 @@ enum err_code bench_motion(struct bench *b, struct err *e)
     struct server_config cfg;
     struct arena arena = {0};
     struct server *server = NULL;
-    struct thin t = {0};
     const char *const paths[] = {b->tiles ? b->tiles : path};
     enum err_code rc = file_join(path, bench_tmpdir(b), "motion.tiles", e);
     if (!rc && !b->tiles)
@@ -415,21 +494,8 @@ enum err_code bench_motion(struct bench *b, struct err *e)
     cfg.client_views_s = 0;
     if (!rc)
         rc = server_start(&cfg, paths, 1, &server, e);
-    if (!rc) {
-        struct catalog *c = services_catalog(server_services(server));
-        const struct dataset *d = c->ds[0];
-        uint16_t port = (uint16_t)atoi(strrchr(server_url(server), ':') + 1);
-        t.ds = d->meta.name;
-        t.lon = (d->bbox[0] + d->bbox[3]) / 2;
-        t.lat = (d->bbox[1] + d->bbox[4]) / 2;
-        t.h = d->bbox[2];
-        static const double delays_s[] = {0, 0, 0.025, 0.05, 0.1};
-        for (size_t i = 0; i < 5 && !rc; i++) { /* the first one fills the caches */
-            struct bench quiet = *b;
-            rc = motion_case(i ? b : &quiet, &t, port, delays_s[i], e);
-        }
-        catalog_drop(&c);
-    }
+    if (!rc)
+        rc = motion_cases(b, server, cfg.deadline_s + MOTION_LATE_S, e);
     server_stop(&server);
     arena_free(&arena);
     return rc;
