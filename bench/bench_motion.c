@@ -34,7 +34,8 @@
 enum { MOTION_PICTURES = 2000, MOTION_PAIRS = 8, MOTION_WORD = 64 };
 enum { MOTION_PIECES = 4096, MOTION_PIECE = 16384 };
 static const double MOTION_RUN_S = 6, MOTION_POSE_S = 0.033, MOTION_AGAIN_S = 0.25,
-                    MOTION_LATE_S = 2; /* after the server's deadline */
+                    MOTION_LATE_S = 2;    /* after the server's deadline */
+static const double MOTION_ABOVE_M = 100; /* the city fills most of the picture */
 /* As the viewer's pictures.ts. */
 static const double MOTION_AREA = 60000, MOTION_LEAST = 20000, MOTION_MOST = 500000,
                     MOTION_MS = 100;
@@ -166,6 +167,8 @@ struct seen {
     size_t n;
     double posed_s[MOTION_PICTURES], shown_s[MOTION_PICTURES];
     double pixels;
+    double quantizers; /* their sum, of frames of video */
+    size_t frames;
     size_t down, up;      /* bytes */
     size_t refused, lost; /* answers of 429, 503, 504; ends of the line, or silence */
 };
@@ -218,9 +221,12 @@ static void motion_seen_report(struct bench *b, const char *how, const struct se
         {"pose to picture, 95 of 100", "ms", late[s->n * 95 / 100]},
         {"age of what is seen, mean", "ms", age / over * 1e3},
         {"size", "kpx", s->pixels / (double)s->n / 1e3},
+        {"a picture", "kB", (double)s->down / (double)s->n / 1e3},
         {"down", "kB/s", (double)s->down / over / 1e3},
         {"up", "kB/s", (double)s->up / over / 1e3},
     };
+    if (s->frames)
+        motion_seen_row(b, how, "quantizer, mean", s->quantizers / (double)s->frames, "");
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
         motion_seen_row(b, how, rows[i].what, rows[i].value, rows[i].unit);
 }
@@ -246,7 +252,8 @@ static size_t motion_thin_post(const struct thin *t, const char *path, double at
         &body,
         "{\"pose\":{\"lon\":%.7f,\"lat\":%.7f,\"height\":%.2f,\"heading\":%.3f,\"pitch\":-35},"
         "\"width\":%u,\"height\":%u,\"quality\":60%s}",
-        t->lon, t->lat, t->h + 250, fmod(20 * at_s, 360), (unsigned)width, (unsigned)height, extra);
+        t->lon, t->lat, t->h + MOTION_ABOVE_M, fmod(20 * at_s, 360), (unsigned)width,
+        (unsigned)height, extra);
     out->size = 0;
     buf_printf(out, "POST /d/%s/%s HTTP/1.1\r\nHost: bench\r\nContent-Length: %zu\r\n\r\n", t->ds,
                path, body.size);
@@ -373,12 +380,16 @@ static void motion_thin_look(const struct buf *a, size_t *at, const struct steer
 {
     for (const char *end; (end = motion_thin_part_end(a, *at));) {
         const char *text = (const char *)a->data + *at, *pose = strstr(text, "Pose: "),
-                   *size = strstr(text, "Size: ");
+                   *size = strstr(text, "Size: "), *quantizer = strstr(text, "Quantizer: ");
         unsigned w = 0, h = 0;
         int number = pose && pose < end ? atoi(pose + 6) : -1;
         if (size && size < end && number >= 0 && number < MOTION_PICTURES &&
             sscanf(size, "Size: %ux%u", &w, &h) == 2)
             motion_seen_add(s, st->posed_s[number], (double)w * h);
+        if (quantizer && quantizer < end) {
+            s->quantizers += atoi(quantizer + 11);
+            s->frames++;
+        }
         *at = (size_t)(end - (const char *)a->data);
     }
 }
@@ -461,9 +472,9 @@ static enum err_code motion_cases(struct bench *b, struct server *server, double
     const struct dataset *d = c->ds[0];
     const uint16_t port = (uint16_t)atoi(strrchr(server_url(server), ':') + 1);
     struct thin t = {.ds = d->meta.name,
-                     .lon = (d->bbox[0] + d->bbox[3]) / 2,
-                     .lat = (d->bbox[1] + d->bbox[4]) / 2,
-                     .h = d->bbox[2],
+                     .lon = d->meta.origin.lon_deg,
+                     .lat = d->meta.origin.lat_deg,
+                     .h = d->meta.origin.h_m,
                      .width_px = cases[0].width_px,
                      .height_px = cases[0].height_px,
                      .wait_s = wait_s};

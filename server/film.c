@@ -32,7 +32,7 @@ struct film {
     struct film_room *room;
     _Atomic int refs;
     /* of the streams */
-    int quantizer;
+    int quantizer, last_quantizer;  /* of the next frame, by the line alone; of the newest */
     unsigned step, larger, smaller; /* the size, and how often another one was better */
     double area_px;                 /* that is made in time; 0: not known yet */
     double line_px;                 /* that the line takes */
@@ -153,6 +153,7 @@ bool film_next(struct film *f, uint32_t width_px, uint32_t height_px, double are
         !film_reserve(f, out->width_px, out->height_px))
         return false;
     f->last_px = (double)out->width_px * out->height_px;
+    f->last_quantizer = out->quantizer;
     f->need_key = true; /* until it is known that the reader gets this one */
     return true;
 }
@@ -164,7 +165,7 @@ double film_shown(struct film *f, double draw_s, double wanted_s, struct film_to
     f->area_px = f->area_px > 0 ? f->area_px + FILM_LEARN * (area - f->area_px) : area;
     f->area_px = fmin(FILM_MOST_PX, fmax(FILM_LEAST_PX, f->area_px));
     f->need_key = false;
-    *out = (struct film_told){told & 1, (double)(told >> 1) * 1e-6};
+    *out = (struct film_told){f->last_quantizer, told & 1, (double)(told >> 1) * 1e-6};
     return f->area_px;
 }
 

@@ -26,6 +26,7 @@ struct film_shot {
     bool key;      /* the reader lacks what other frames refer to */
 };
 struct film_told { /* of the newest frame */
+    int quantizer;
     bool key;
     double encode_s;
 };

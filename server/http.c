@@ -5,6 +5,7 @@
  */
 #include "server/http.h"
 
+#include <netinet/in.h>
 #include <stdio.h>
 #include <string.h>
 #include <sys/random.h>
@@ -16,6 +17,7 @@
 #include "server/exchange.h"
 #include "server/listen.h"
 #include "server/motion.h"
+#include "server/screen.h"
 #include "server/supervisor.h"
 
 enum { HTTP_ADMIN_CONNECTIONS = 32 };
@@ -105,6 +107,58 @@ static enum err_code http_start_daemon(struct http *h, int fd, struct err *e)
     return ERR_OK;
 }
 
+/* ---- the contract of screen.c ---- */
+
+/* NOLINTBEGIN(readability-non-const-parameter): the library's type of a function */
+static enum MHD_Result http_refuse(void *cls, struct MHD_Connection *c, const char *url,
+                                   const char *method, const char *version, const char *upload,
+                                   size_t *n_upload, void **con_cls)
+/* NOLINTEND(readability-non-const-parameter) */
+{
+    (void)cls, (void)c, (void)url, (void)method, (void)version, (void)upload, (void)n_upload;
+    (void)con_cls;
+    return MHD_NO;
+}
+
+/* A request on a pair of sockets to a daemon that refuses it. True: the daemon has read it by the
+ * recv() of screen.c, which counts requests. False: it has not, or something is used up. */
+static bool http_reads_screened(void)
+{
+    static const char ask[] = "GET / HTTP/1.1\r\nHost: a\r\n\r\n";
+    const struct sockaddr_in from = {.sin_family = AF_INET};
+    struct screen s = {0};
+    struct err e;
+    int pair[2];
+    if (socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0, pair) != 0)
+        return false;
+    struct MHD_Daemon *d = MHD_start_daemon(MHD_USE_EPOLL | MHD_USE_NO_LISTEN_SOCKET, 0, NULL, NULL,
+                                            http_refuse, NULL, MHD_OPTION_END);
+    bool well = d && write(pair[0], ask, sizeof ask - 1) == sizeof ask - 1 &&
+                !screen_attach(&s, pair[1], NULL, sizeof ask, &e);
+    if (well)
+        well = MHD_add_connection(d, pair[1], (const struct sockaddr *)&from, sizeof from);
+    else
+        close(pair[1]);                                /* else it is the daemon's */
+    for (int i = 0; i < 4 && well && !s.requests; i++) /* accepts, reads */
+        well = MHD_run(d);
+    well = well && s.requests == 1;
+    screen_detach(&s, pair[1]);
+    if (d)
+        MHD_stop_daemon(d);
+    close(pair[0]);
+    return well;
+}
+
+static enum err_code http_check_reads(struct err *e)
+{
+    return http_reads_screened()
+               ? ERR_OK
+               : err_set(e, ERR_INTERNAL,
+                         "libmicrohttpd %s does not read requests by this program's recv(), so "
+                         "nothing would check them: link it as a shared library, in version 0.9.75",
+                         MHD_get_version());
+}
+
 /* ---- listening ---- */
 
 static enum err_code http_listen(struct http *h, struct err *e)
@@ -141,7 +195,9 @@ enum err_code http_check(const struct server_config *cfg, struct err *e)
     struct address_nets nets;
     size_t n;
     enum err_code rc = address_read_nets(cfg->trusted_proxy, &nets, e);
-    return !rc ? http_check_base(cfg->base_path, &n, e) : rc;
+    if (!rc)
+        rc = http_check_base(cfg->base_path, &n, e);
+    return !rc ? http_check_reads(e) : rc;
 }
 
 enum err_code http_open(struct services *s, enum http_side side, struct http **out, struct err *e)
@@ -153,7 +209,9 @@ enum err_code http_open(struct services *s, enum http_side side, struct http **o
     h->front.s = s;
     h->front.admin = side == HTTP_ADMIN;
     atomic_flag_clear(&h->front.proxy_told);
-    enum err_code rc = address_read_nets(s->cfg->trusted_proxy, &h->front.proxies, e);
+    enum err_code rc = http_check_reads(e);
+    if (!rc)
+        rc = address_read_nets(s->cfg->trusted_proxy, &h->front.proxies, e);
     if (!rc && getrandom(&h->front.secret, sizeof h->front.secret, 0) != sizeof h->front.secret)
         rc = err_errno(e, ERR_IO, "the system has no random numbers");
     if (!rc)

@@ -10,10 +10,11 @@
 enum http_side { HTTP_PUBLIC, HTTP_ADMIN }; /* HTTP_ADMIN: the listener for operators */
 struct http;
 /* Opens the port of cfg, or takes over the socket of a supervisor, before slow parts of the server
- * start. Clients wait in the backlog. The errors of listen_open, ERR_MEM. */
+ * start. Clients wait in the backlog. The errors of listen_open, ERR_MEM; ERR_INTERNAL:
+ * libmicrohttpd does not read through screen.c. */
 enum err_code http_open(struct services *s, enum http_side side, struct http **out,
                         struct err *e) ERR_USE;
-/* Checks the options that http_open reads, without listening. ERR_ARG. */
+/* Checks the options that http_open reads, without listening. ERR_ARG, ERR_INTERNAL. */
 enum err_code http_check(const struct server_config *cfg, struct err *e) ERR_USE;
 /* Begins to answer; it needs s->jobs. ERR_IO, ERR_MEM. */
 enum err_code http_start(struct http *h, struct err *e) ERR_USE;

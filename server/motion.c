@@ -262,8 +262,8 @@ static void motion_show(struct motion_stream *st, const struct job_result *r)
     char frame[64] = "";
     motion_adapt(st, r, &told);
     if (st->flight_film)
-        snprintf(frame, sizeof frame, ", encode;dur=%.1f\r\nKey: %d", told.encode_s * 1e3,
-                 told.key);
+        snprintf(frame, sizeof frame, ", encode;dur=%.1f\r\nKey: %d\r\nQuantizer: %d",
+                 told.encode_s * 1e3, told.key, told.quantizer);
     multipart_put(&st->parts, r->body,
                   "Content-Type: %s\r\nContent-Length: %zu\r\nPose: %lld\r\nSize: %ux%u\r\n"
                   "Rest: %d\r\nServer-Timing: queue;dur=%.1f, job;dur=%.1f%s\r\n\r\n",

@@ -18,7 +18,7 @@ struct part {
     char type[32];
     long long pose;
     unsigned width, height;
-    int rest, key;
+    int rest, key, quantizer;
     size_t bytes, at; /* at: in the body of the reader */
     double at_s;
 };
@@ -109,6 +109,7 @@ static inline bool reader_next(struct reader *r, double wait_s, struct part *out
             out->rest = atoi(strstr(text, "Rest: ") + 6);
             const char *key = strstr(text, "\r\nKey: ");
             out->key = key && key < end ? atoi(key + 7) : -1;
+            out->quantizer = key && key < end ? atoi(strstr(key, "Quantizer: ") + 11) : -1;
             out->at = r->at + head;
             assert_int_equal(
                 sscanf(strstr(text, "Size: "), "Size: %ux%u", &out->width, &out->height), 2);

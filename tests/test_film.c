@@ -246,6 +246,7 @@ static void test_frames_are_what_is_drawn(void **state)
     watch_begin(&w);
     turn(&w, 1, 20, 640, &p);
     assert_true(w.frames >= 2 && p.key >= 0);
+    assert_in_range(p.quantizer, 22, 54);
     assert_true(w.keys >= 1 && w.keys < w.frames); /* the first, and one where the size changes */
     const double same = likeness(&w, &p, (double)p.pose),
                  other = likeness(&w, &p, (double)p.pose + 20);
