@@ -704,8 +704,8 @@ import_row() {
   rm "$OUT/import.ply"
   awk -v m="$m" -v bytes="$(stat -c %s "$OUT/import.tiles")" -v device="$(sed -n 's/.*"device":"\([^"]*\)".*/\1/p' "$OUT/ceilings.jsonl" | head -1)" '{
     for (i = 1; i <= NF; i++) if (split($i, kv, "=") == 2) v[kv[1]] = kv[2]
-    printf "{\"bench\":\"growth\",\"case\":\"import: %d Gaussians\",\"value\":%s,\"unit\":\"s\",\"gaussians\":%d,\"gaussians_per_s\":%.0f,\"cpu_s\":%s,", m * 1e6, v["seconds"], m * 1e6, m * 1e6 / v["seconds"], v["cpu_s"]
-    printf "\"read_s\":%s,\"plan_s\":%s,\"write_s\":%s,\"peak_bytes\":%s,\"bytes\":%d,\"device\":\"%s\"}\n", v["read_s"], v["plan_s"], v["write_s"], v["peak_bytes"], bytes, device
+    printf "{\"bench\":\"growth\",\"case\":\"import: %.0f Gaussians\",\"value\":%s,\"unit\":\"s\",\"gaussians\":%.0f,\"gaussians_per_s\":%.0f,\"cpu_s\":%s,", m * 1e6, v["seconds"], m * 1e6, m * 1e6 / v["seconds"], v["cpu_s"]
+    printf "\"read_s\":%s,\"plan_s\":%s,\"write_s\":%s,\"peak_bytes\":%s,\"bytes\":%.0f,\"device\":\"%s\"}\n", v["read_s"], v["plan_s"], v["write_s"], v["peak_bytes"], bytes, device
   }' <<<"$line" >"$OUT/import.jsonl"
   rm "$OUT/import.tiles"
   record growth "import $m M" "$command" --dataset "city of Gaussians" --commit "$COMMIT" --bench "$OUT/import.jsonl" \
