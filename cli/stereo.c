@@ -28,6 +28,7 @@ static enum err_code stereo_make(const struct stereo_options *o, const char *dir
     const struct depths_config cfg = {.max_edge_px = (uint32_t)o->max_edge_px,
                                       .near = (size_t)o->neighbours,
                                       .agree = (size_t)o->agree,
+                                      .sure = o->sure,
                                       .tolerance = o->tolerance,
                                       .spacing_px = o->spacing_px,
                                       .edge = o->edge,

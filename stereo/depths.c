@@ -26,7 +26,7 @@ enum { DEPTHS_SAMPLES_MAX = 16 << 20 };
 struct depths_view { /* of a photograph of the scene */
     struct camera cam;
     struct image rgb;
-    uint8_t *grey;          /* [h][w], as height_m */
+    uint8_t *grey, *sure;   /* [h][w], as height_m; sure: correlation there, 1 is 255 */
     float *height_m, *kept; /* kept: what is written */
     double step_m;
 };
@@ -44,6 +44,7 @@ static void depths_close(struct depths *d)
 {
     for (size_t i = 0; d->views && i < d->scene->n_images; i++) {
         mem_free(d->views[i].grey);
+        mem_free(d->views[i].sure);
         image_free(&d->views[i].rgb);
         mem_free(d->views[i].height_m);
         mem_free(d->views[i].kept);
@@ -141,23 +142,29 @@ static enum err_code depths_sweep(struct depths *d, struct sweep *s, size_t i, f
     if (!depths_input(d, i, &in))
         return ERR_OK;
     v->height_m = mem_array(n, sizeof *v->height_m);
-    if (!v->height_m)
+    v->sure = mem_array(n, 1);
+    if (!v->height_m || !v->sure)
         return err_set(e, ERR_MEM, "stereo: out of memory for %zu px", n);
     v->step_m = in.step_m;
     enum err_code rc = sweep_run(s, &in, v->height_m, score, e);
-    for (size_t p = 0; !rc && p < n; p++)
+    for (size_t p = 0; !rc && p < n; p++) {
         v->height_m[p] = (float)(in.low_m + in.step_m * (double)v->height_m[p]);
+        v->sure[p] = (uint8_t)(255.0F * score[p]);
+    }
     return rc;
 }
 
 /* ---- agreement ---- */
 
-/* Height at which the others agree with height z of pixel (x, y) of view i; NaN: too few do. */
-static double depths_agreed(const struct depths *d, size_t i, double x, double y, double z)
+/* Height at which the others agree with the height of pixel p of view i; NaN: too few do. A map
+ * with another surface in front says nothing. One that sees lower ground through the place speaks
+ * against it (Merrell et al. 2007). */
+static double depths_agreed(const struct depths *d, size_t i, size_t p)
 {
     const struct depths_view *v = &d->views[i];
-    double at[3], depth, sum = z;
-    size_t n = 0;
+    double x = (double)(p % v->cam.width_px) + 0.5, y = (double)(p / v->cam.width_px) + 0.5;
+    double z = (double)v->height_m[p], at[3], depth, sum = z;
+    size_t n = 0, through = 0;
     if (!depths_point(&v->cam, x, y, z, at, &depth))
         return (double)NAN;
     for (size_t k = 0; k < d->pairs.n_near[i]; k++) {
@@ -167,12 +174,15 @@ static double depths_agreed(const struct depths *d, size_t i, double x, double y
             px[1] < 0.0 || px[0] >= o->cam.width_px || px[1] >= o->cam.height_px)
             continue;
         double other = (double)o->height_m[(size_t)px[1] * o->cam.width_px + (size_t)px[0]];
-        if (fabs(other - z) <= d->cfg->tolerance * fmax(v->step_m, o->step_m)) {
+        double most = d->cfg->tolerance * fmax(v->step_m, o->step_m);
+        if (fabs(other - z) <= most) {
             sum += other;
             n++;
-        }
+        } else
+            through += other < z;
     }
-    return n >= d->cfg->agree ? sum / (double)(n + 1) : (double)NAN;
+    bool one = n && !through && v->sure[p] >= 255.0 * d->cfg->sure;
+    return n >= d->cfg->agree || one ? sum / (double)(n + 1) : (double)NAN;
 }
 
 /* Writes 1 for the pixels behind an edge: deeper than one beside them by DEPTHS_JUMP footprints. */
@@ -231,7 +241,7 @@ static enum err_code depths_write(void *user, size_t i, struct err *e)
     depths_behind(v, behind);
     for (size_t p = 0; p < n; p++) {
         double x = (double)(p % shape[1]) + 0.5, y = (double)(p / shape[1]) + 0.5, at[3], depth;
-        double z = depths_agreed(d, i, x, y, (double)v->height_m[p]);
+        double z = depths_agreed(d, i, p);
         bool good = isfinite(z) && !depths_overhangs(d, i, p, behind) &&
                     depths_point(&v->cam, x, y, z, at, &depth);
         inverse[p] = good ? (float)(1.0 / depth) : NAN;
@@ -370,11 +380,11 @@ static enum err_code depths_tell(const struct depths *d, struct depths_result *o
     if (rc)
         return rc;
     json_t *j =
-        json_pack("{s:s, s:I, s:I, s:I, s:I, s:i, s:i, s:i, s:f}", "depth", "inverse, 1/m",
+        json_pack("{s:s, s:I, s:I, s:I, s:I, s:i, s:i, s:i, s:f, s:f}", "depth", "inverse, 1/m",
                   "photographs", (json_int_t)out->photographs, "maps", (json_int_t)out->maps,
                   "pixels", (json_int_t)out->pixels, "known", (json_int_t)out->known, "max_edge_px",
                   (int)d->cfg->max_edge_px, "neighbours", (int)d->cfg->near, "agree",
-                  (int)d->cfg->agree, "tolerance", d->cfg->tolerance);
+                  (int)d->cfg->agree, "tolerance", d->cfg->tolerance, "sure", d->cfg->sure);
     rc = j ? jsonc_write(path, j, e) : err_set(e, ERR_MEM, "%s: out of memory", path);
     json_decref(j);
     return rc;

@@ -4,7 +4,9 @@
  * The place of a pixel is looked up in each neighbour's map. A neighbour agrees if its map has the
  * same height there, within `tolerance` planes. A pixel is kept if at least `agree` neighbours
  * agree, and its height becomes the mean of theirs and its own. This is the left-right check of
- * stereo, for many views (Merrell et al. 2007).
+ * stereo, for many views (Merrell et al. 2007). Few photographs look into a court, or at the foot
+ * of a wall. So one neighbour is enough where windows correlate by `sure` and no neighbour sees
+ * lower ground through the place.
  *
  * Samples of all maps are fused into points (stereo/fuse.h). Training begins with these.
  *
@@ -26,6 +28,7 @@ struct depths_config {
     uint32_t max_edge_px; /* of maps */
     size_t near;          /* neighbours of a photograph */
     size_t agree;
+    double sure;      /* 0..1 */
     double tolerance; /* planes */
     double edge; /* planes: a window that reaches ground so much lower over an edge is not kept */
     double spacing_px; /* edge of the cubes of fused points, in footprints of a pixel */

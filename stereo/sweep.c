@@ -70,9 +70,10 @@ static enum err_code sweep_build(struct sweep *s, struct err *e)
     snprintf(flags, sizeof flags,
              "-DPLANES=%u -DRADIUS=%d -DSLAB=%d -DCOST_MOST=%d.0f -DSTEP_COST=%d "
              "-DNOISE=%.9ef -DLIKE=%.9ef -DTILE_W=%d -DTILE_H=%d -DWALL_MORE=%d -DWALL_COST=%d "
-             "-DDOWN=%.9ef",
+             "-DWALL_EVERY=%d.0f -DDOWN=%.9ef",
              s->planes, SWEEP_RADIUS, SWEEP_SLAB, SWEEP_COST_MOST, SWEEP_STEP_COST, SWEEP_NOISE,
-             SWEEP_LIKE, SWEEP_TILE_W, SWEEP_TILE_H, SWEEP_WALL_MORE, SWEEP_WALL_COST, SWEEP_DOWN);
+             SWEEP_LIKE, SWEEP_TILE_W, SWEEP_TILE_H, SWEEP_WALL_MORE, SWEEP_WALL_COST, SWEEP_WALL_EVERY,
+             SWEEP_DOWN);
     enum err_code rc = dev_build(s->dev, sources, 2, flags, &s->program, e);
     if (!rc)
         rc = dev_kernel(s->program, "sweep_cost", &s->cost, e);
@@ -173,14 +174,14 @@ static bool sweep_wall_span(const struct sweep_input *in, const struct sweep_wal
     camera_center(&in->ref.cam, c);
     double scale = (w->direction[0] * d[0] + w->direction[1] * d[1]) / d[2] / w->rho,
            from = (c[2] - in->low_m) / in->step_m * (1.0 - scale);
-    *low = fmin(*low, from);
-    *high = fmax(*high, from + scale * (in->planes - 1.0));
+    *low = fmin(*low, from / SWEEP_WALL_EVERY);
+    *high = fmax(*high, (from + scale * (in->planes - 1.0)) / SWEEP_WALL_EVERY);
     return d[2] < -SWEEP_DOWN && scale > 0.0;
 }
 
 bool sweep_wall(const struct sweep_input *in, uint32_t x0, uint32_t y0, struct sweep_wall *out)
 {
-    const int least = -SWEEP_WALL_MORE, most = (int)in->planes + SWEEP_WALL_MORE;
+    const int least = -SWEEP_WALL_MORE, most = (int)sweep_upright_planes(in) - SWEEP_WALL_MORE;
     uint32_t x1 = x0 + SWEEP_TILE_W, y1 = y0 + SWEEP_TILE_H;
     double d[3], low = (double)INFINITY, high = -low;
     sweep_ray(in, 0.5 * (x0 + x1), 0.5 * (y0 + y1), d);
@@ -198,11 +199,11 @@ bool sweep_wall(const struct sweep_input *in, uint32_t x0, uint32_t y0, struct s
     return out->first < out->end;
 }
 
-struct sweep_plane sweep_upright(const struct sweep_input *in, const struct sweep_wall *w, int p)
+struct sweep_plane sweep_upright(const struct sweep_input *in, const struct sweep_wall *w, int q)
 {
     double c[3];
     camera_center(&in->ref.cam, c);
-    double far_m = (in->low_m + in->step_m * p - c[2]) * w->rho;
+    double far_m = (in->low_m + in->step_m * SWEEP_WALL_EVERY * q - c[2]) * w->rho;
     return (struct sweep_plane){{w->direction[0], w->direction[1], 0.0},
                                 w->direction[0] * c[0] + w->direction[1] * c[1] + far_m};
 }

@@ -358,7 +358,7 @@ struct sweep_rays {
     float m[9], from;
 };
 
-// Plane p' of a pixel is scale p + shift; scale 0: there is none.
+// Upright plane of a pixel for height p: scale p + shift; scale 0: there is none.
 INLINE float2 upright_at(struct sweep_rays k, __global const float *tile, float px, float py)
 {
     float d[3];
@@ -367,7 +367,7 @@ INLINE float2 upright_at(struct sweep_rays k, __global const float *tile, float 
     float scale = (tile[0] * d[0] + tile[1] * d[1]) / d[2] * tile[2];
     if (!(d[2] < -DOWN) | !(scale > 0.0f))
         return (float2)(0.0f);
-    return (float2)(scale, k.from * (1.0f - scale) + WALL_MORE);
+    return (float2)(scale, k.from * (1.0f - scale)) / WALL_EVERY + (float2)(0.0f, WALL_MORE);
 }
 
 // The cost of a pixel between two upright planes, costs [planes][h][w]; COST_MOST outside of them.

@@ -20,10 +20,11 @@
  *
  * A window on a wall is not level. So windows are compared in upright planes too (Gallup et al.
  * 2007, sweeps in several directions), which face the reference: in a tile of pixels n is the
- * horizontal part of the ray through its middle, and plane p goes through that ray at height z_p, p
- * from -SWEEP_WALL_MORE on. With d = M x and rho = n^T d / d_z, a pixel at height z lies in plane
+ * horizontal part of the ray through its middle, and plane q goes through that ray at height z_p, p
+ * = SWEEP_WALL_EVERY q, q from -SWEEP_WALL_MORE on. With d = M x and rho = n^T d / d_z, a pixel at
+ * height z lies in plane
  *
- *     p' = (c_z - low + (z - c_z) rho / rho_middle) / step
+ *     q = (c_z - low + (z - c_z) rho / rho_middle) / step / SWEEP_WALL_EVERY
  *
  * between two planes, whose costs are interpolated. The cost of a height is the lesser of the two
  * directions; upright costs SWEEP_WALL_COST more.
@@ -56,7 +57,8 @@ enum {
     SWEEP_JUMP_HIGH = 120,
     SWEEP_TILE_W = 64, /* px */
     SWEEP_TILE_H = 32,
-    SWEEP_WALL_MORE = 24, /* upright planes below and above the heights */
+    SWEEP_WALL_EVERY = 2, /* level planes from one upright plane to the next */
+    SWEEP_WALL_MORE = 12, /* upright planes below and above the heights */
     SWEEP_WALL_COST = 4
 };
 #define SWEEP_NOISE 4e-5     /* variance of grey values that is not texture */
@@ -103,11 +105,11 @@ struct sweep_wall {
 };
 /* x0, y0: the tile's first pixel. False: it sees no walls. */
 bool sweep_wall(const struct sweep_input *in, uint32_t x0, uint32_t y0, struct sweep_wall *out);
-struct sweep_plane sweep_upright(const struct sweep_input *in, const struct sweep_wall *w, int p);
+struct sweep_plane sweep_upright(const struct sweep_input *in, const struct sweep_wall *w, int q);
 /* How many there are, of all tiles. */
 static inline size_t sweep_upright_planes(const struct sweep_input *in)
 {
-    return in->planes + 2 * (size_t)SWEEP_WALL_MORE;
+    return in->planes / SWEEP_WALL_EVERY + 1 + 2 * (size_t)SWEEP_WALL_MORE;
 }
 
 /* Reference in double on the host. cost [h][w][planes]. ERR_MEM. */

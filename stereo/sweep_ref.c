@@ -102,7 +102,7 @@ static void sweep_ref_walls(const struct sweep_input *in, int x, int y, double *
         return;
     for (uint32_t p = 0; p < in->planes; p++) {
         double z_m = in->low_m + in->step_m * p;
-        double to = (c[2] - in->low_m + (z_m - c[2]) * scale) / in->step_m;
+        double to = (c[2] - in->low_m + (z_m - c[2]) * scale) / in->step_m / SWEEP_WALL_EVERY;
         int low = (int)floor(to);
         if (low < w.first || low + 1 >= w.end)
             continue;

@@ -30,7 +30,7 @@ for f in core/*.cl render/*.cl loss/*.cl stereo/*.cl bench/*.cl; do
                     prelude="$prelude -include core/vector.cl -include loss/lanes.cl" ;;
                 stereo/sweep.cl)
                     prelude="-DPLANES=192 -DRADIUS=3 -DSLAB=16 -DCOST_MOST=200.0f -DSTEP_COST=4 -DNOISE=1e-3f \
-                        -DLIKE=0.1f -DTILE_W=64 -DTILE_H=32 -DWALL_MORE=24 -DWALL_COST=4 -DDOWN=0.05f $prelude -include core/vector.cl" ;;
+                        -DLIKE=0.1f -DTILE_W=64 -DTILE_H=32 -DWALL_MORE=12 -DWALL_COST=4 -DWALL_EVERY=2.0f -DDOWN=0.05f $prelude -include core/vector.cl" ;;
             esac
             case $f:$vw in # compiled after others, see their heads
                 render/blend_cpu.cl:1) continue ;; # the CPU shape alone
