@@ -50,6 +50,7 @@ struct line_piece {
 struct line_way { /* one direction: a ring of what is under way */
     struct line_piece *piece;
     size_t first, n, sent;
+    bool ends, ended; /* no more will come; so the other side was told */
 };
 struct line {
     int listener;
@@ -97,6 +98,7 @@ static void motion_line_move(struct line *l, size_t i, int k, double now_s)
     while (w->n < MOTION_PIECES) {
         struct line_piece *p = &w->piece[(w->first + w->n) % MOTION_PIECES];
         ssize_t n = recv(l->fd[i][k], p->bytes, sizeof p->bytes, MSG_DONTWAIT);
+        w->ends |= n == 0;
         if (n <= 0)
             break;
         p->n = (size_t)n;
@@ -115,6 +117,10 @@ static void motion_line_move(struct line *l, size_t i, int k, double now_s)
         w->sent = 0;
         w->first = (w->first + 1) % MOTION_PIECES;
         w->n--;
+    }
+    if (w->ends && !w->n && !w->ended) { /* else a stream that is left goes on being drawn */
+        (void)shutdown(l->fd[i][!k], SHUT_WR);
+        w->ended = true;
     }
 }
 

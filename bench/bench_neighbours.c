@@ -30,7 +30,8 @@
 enum { CLIENTS = 100, HEAVY = 4, FLOOD = 8, TILES = 40, WIDTH = 1280, HEIGHT = 720 };
 enum { HOST_OWN = 2, HOST_OTHER = 3, HOST_FIRST = 10 }; /* last numbers of addresses */
 static const double STREAM_RUN_S = 8, POSE_S = 0.033, WAIT_S = 70,
-                    DEADLINE_S = 60; /* enough for all pictures on a busy machine */
+                    ABOVE_M = 100, /* the city fills most of the picture */
+    DEADLINE_S = 60;               /* enough for all pictures on a busy machine */
 
 struct place {
     uint16_t port;
@@ -81,7 +82,7 @@ static void neighbours_post(const struct place *p, const char *path, double head
     int n = snprintf(body, sizeof body,
                      "{\"pose\":{\"lon\":%.7f,\"lat\":%.7f,\"height\":%.2f,\"heading\":%.3f,"
                      "\"pitch\":-35}%s}",
-                     p->lon, p->lat, p->height_m + 250, fmod(heading, 360), more);
+                     p->lon, p->lat, p->height_m + ABOVE_M, fmod(heading, 360), more);
     snprintf(out, room, "POST /d/%s/%s HTTP/1.1\r\nHost: bench\r\nContent-Length: %d\r\n\r\n%s",
              p->ds, path, n, body);
 }
@@ -380,9 +381,9 @@ enum err_code bench_neighbours(struct bench *b, struct err *e)
         const struct place p = {.port = (uint16_t)atoi(strrchr(server_url(server), ':') + 1),
                                 .ds = d->meta.name,
                                 .revision = d->meta.revision,
-                                .lon = (d->bbox[0] + d->bbox[3]) / 2,
-                                .lat = (d->bbox[1] + d->bbox[4]) / 2,
-                                .height_m = d->bbox[2],
+                                .lon = d->meta.origin.lon_deg,
+                                .lat = d->meta.origin.lat_deg,
+                                .height_m = d->meta.origin.h_m,
                                 .west = d->bbox[0],
                                 .south = d->bbox[1],
                                 .east = d->bbox[3],
