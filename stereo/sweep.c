@@ -72,8 +72,8 @@ static enum err_code sweep_build(struct sweep *s, struct err *e)
              "-DNOISE=%.9ef -DLIKE=%.9ef -DTILE_W=%d -DTILE_H=%d -DWALL_MORE=%d -DWALL_COST=%d "
              "-DWALL_EVERY=%d.0f -DDOWN=%.9ef",
              s->planes, SWEEP_RADIUS, SWEEP_SLAB, SWEEP_COST_MOST, SWEEP_STEP_COST, SWEEP_NOISE,
-             SWEEP_LIKE, SWEEP_TILE_W, SWEEP_TILE_H, SWEEP_WALL_MORE, SWEEP_WALL_COST, SWEEP_WALL_EVERY,
-             SWEEP_DOWN);
+             SWEEP_LIKE, SWEEP_TILE_W, SWEEP_TILE_H, SWEEP_WALL_MORE, SWEEP_WALL_COST,
+             SWEEP_WALL_EVERY, SWEEP_DOWN);
     enum err_code rc = dev_build(s->dev, sources, 2, flags, &s->program, e);
     if (!rc)
         rc = dev_kernel(s->program, "sweep_cost", &s->cost, e);
