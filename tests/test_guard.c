@@ -59,6 +59,19 @@ static void test_malformed_requests(void **state)
         {"length beyond 64 bits", POST "Content-Length: 99999999999999999999\r\n\r\nhello", 413,
          true},
         {"length beyond the limit", POST "Content-Length: 1000000\r\n\r\nhello", 413, true},
+        /* what is refused by its head is not told to go on */
+        {"expected length beyond the limit",
+         POST "Expect: 100-continue\r\nContent-Length: 1000000\r\n\r\n", 413, true},
+        {"expected length twice",
+         POST "Expect: 100-continue\r\nContent-Length: 5\r\nContent-Length: 5\r\n\r\n", 400, true},
+        {"expected by an unknown method",
+         "FOO /d/toy/render HTTP/1.1\r\n" H "Expect: 100-continue\r\nContent-Length: 2\r\n\r\n",
+         501, true},
+        {"expected in 1.0",
+         "POST /d/toy/render HTTP/1.0\r\n" H "Expect: 100-continue\r\nContent-Length: 2\r\n\r\n{}",
+         422, false},
+        {"expects something else", "GET /healthz HTTP/1.1\r\n" H "Expect: 200-maybe\r\n\r\n", 200,
+         false},
         {"two codings", POST "Transfer-Encoding: gzip, chunked\r\n\r\n0\r\n\r\n", 501, true},
         {"coding twice",
          POST "Transfer-Encoding: chunked\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\n", 400,
@@ -134,6 +147,24 @@ static void test_malformed_requests(void **state)
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
         probe(rows[i].what, rows[i].bytes, strlen(rows[i].bytes), rows[i].status, rows[i].close);
     assert_int_equal(status_of("GET", "/healthz", ""), 200);
+}
+
+/* A client that waits is told to go on when its head is sound, and then answered. */
+static void test_expect(void **state)
+{
+    struct reply r;
+    (void)state;
+    start();
+    int fd = dial(t.port);
+    say(fd, POST "Expect: 100-continue\r\nContent-Length: 2\r\n\r\n");
+    hear(fd, false, NULL, &r);
+    assert_int_equal(r.status, 100);
+    buf_free(&r.raw);
+    say(fd, "{}");
+    hear(fd, true, NULL, &r);
+    assert_int_equal(r.status, 422);
+    buf_free(&r.raw);
+    close(fd);
 }
 
 /* A NUL in each part of a request; the C library's text functions stop at it, a proxy does not. */
@@ -358,10 +389,15 @@ static void test_a_client_that_does_not_read(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        HTTP_TEST(test_malformed_requests),   HTTP_TEST(test_nul_bytes),
-        HTTP_TEST(test_cut_and_pipelined),    HTTP_TEST(test_many_keys),
-        HTTP_TEST(test_oversized_requests),   HTTP_TEST(test_any_bytes),
-        HTTP_TEST(test_slow_clients_are_cut), HTTP_TEST(test_a_client_that_does_not_read),
+        HTTP_TEST(test_malformed_requests),
+        HTTP_TEST(test_expect),
+        HTTP_TEST(test_nul_bytes),
+        HTTP_TEST(test_cut_and_pipelined),
+        HTTP_TEST(test_many_keys),
+        HTTP_TEST(test_oversized_requests),
+        HTTP_TEST(test_any_bytes),
+        HTTP_TEST(test_slow_clients_are_cut),
+        HTTP_TEST(test_a_client_that_does_not_read),
     };
     return cmocka_run_group_tests(tests, setup_all, teardown_all);
 }
