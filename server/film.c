@@ -20,6 +20,7 @@ enum {
     FILM_LARGER = 8, /* frames after which a larger size is taken */
     FILM_SMALLER = 3
 };
+enum { FILM_TOLD_KEY = 1, FILM_TOLD_OPENED = 2, FILM_TOLD_BITS = 2 };
 static const double FILM_SEND_S = 0.05;
 static const double FILM_LEAST_PX = 20000, FILM_MOST_PX = 1e6;
 static const double FILM_LEARN = 0.2; /* part of a new frame in the mean */
@@ -43,7 +44,7 @@ struct film {
     /* of the thread that draws */
     struct video *video;
     uint32_t width_px, height_px; /* of the encoder */
-    _Atomic uint64_t told;        /* microseconds, and in the lowest bit key */
+    _Atomic uint64_t told;        /* microseconds, above FILM_TOLD_* */
 };
 
 struct film *film_begin(struct film_room *room)
@@ -162,11 +163,16 @@ double film_shown(struct film *f, double draw_s, double wanted_s, struct film_to
 {
     const uint64_t told = atomic_load(&f->told);
     const double area = f->last_px * fmin(4, wanted_s / fmax(draw_s, 1e-3));
-    f->area_px = f->area_px > 0 ? f->area_px + FILM_LEARN * (area - f->area_px) : area;
-    f->area_px = fmin(FILM_MOST_PX, fmax(FILM_LEAST_PX, f->area_px));
     f->need_key = false;
-    *out = (struct film_told){f->last_quantizer, told & 1, (double)(told >> 1) * 1e-6};
-    return f->area_px;
+    *out = (struct film_told){f->last_quantizer, told & FILM_TOLD_KEY,
+                              (double)(told >> FILM_TOLD_BITS) * 1e-6};
+    /* To open an encoder takes a busy machine as long as many frames. If that counted, one change
+     * of size would be followed by others, to smaller ones. */
+    if (!(told & FILM_TOLD_OPENED))
+        f->area_px = f->area_px > 0 ? f->area_px + FILM_LEARN * (area - f->area_px) : area;
+    if (f->area_px > 0)
+        f->area_px = fmin(FILM_MOST_PX, fmax(FILM_LEAST_PX, f->area_px));
+    return f->area_px > 0 ? f->area_px : f->last_px;
 }
 
 void film_sent(struct film *f, double sent_s)
@@ -207,7 +213,7 @@ enum err_code film_encode(struct film *f, const struct film_shot *shot, const vo
                           size_t n, struct buf *out, struct err *e)
 {
     const double start_s = clock_s();
-    bool key = shot->key;
+    bool key = shot->key, opened = false;
     if (n != video_planes_bytes(shot->width_px, shot->height_px))
         return err_set(e, ERR_FORMAT, "a picture of %zu bytes, not of %u x %u px", n,
                        (unsigned)shot->width_px, (unsigned)shot->height_px);
@@ -215,6 +221,7 @@ enum err_code film_encode(struct film *f, const struct film_shot *shot, const vo
         enum err_code rc = film_open(f, shot, e);
         if (rc)
             return rc;
+        opened = true;
     }
     enum err_code rc = video_encode(f->video, planes, shot->quantizer, &key, out, e);
     if (rc) { /* it may have lost track of its frames */
@@ -222,7 +229,8 @@ enum err_code film_encode(struct film *f, const struct film_shot *shot, const vo
         return rc;
     }
     const uint64_t us = (uint64_t)((clock_s() - start_s) * 1e6);
-    atomic_store(&f->told, us << 1 | key);
+    atomic_store(&f->told, us << FILM_TOLD_BITS | (key ? FILM_TOLD_KEY : 0) |
+                               (opened ? FILM_TOLD_OPENED : 0));
     atomic_fetch_add(&f->room->frames, 1);
     atomic_fetch_add(&f->room->encode_us, us);
     return ERR_OK;

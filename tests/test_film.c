@@ -92,6 +92,35 @@ static void test_size_follows_the_time(void **state)
     film_drop(&f);
 }
 
+/* The time in which an encoder was opened says nothing about the next frames. */
+static void test_opening_does_not_count(void **state)
+{
+    struct film_room room = {.limit_bytes = SIZE_MAX, .threads = 1};
+    struct film_told told;
+    struct film_shot shot;
+    struct buf out = {0};
+    struct err e = {0};
+    (void)state;
+    if (!video_can())
+        skip();
+    struct film *f = film_begin(&room);
+    const size_t n = video_planes_bytes(640, 360);
+    uint8_t *planes = mem_array(n, 1);
+    assert_non_null(planes);
+    for (int i = 0; i < 2; i++) {
+        assert_true(film_next(f, 640, 360, 1e6, 60, &shot));
+        assert_int_equal(shot.width_px, 640);
+        kit_ok(film_encode(f, &shot, planes, n, &out, &e), e);
+        const double area = film_shown(f, 1, 0.04, &told);
+        assert_int_equal(told.key, i == 0);
+        assert_int_equal(told.quantizer, shot.quantizer);
+        assert_true(i ? area < 640 * 360 / 2 : area == 640 * 360);
+    }
+    mem_free(planes);
+    buf_free(&out);
+    film_drop(&f);
+}
+
 /* ---- planes ---- */
 
 static void test_planes(void **state)
@@ -366,6 +395,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(test_memory_for_encoders),
         cmocka_unit_test(test_quality_follows_the_line),
         cmocka_unit_test(test_size_follows_the_time),
+        cmocka_unit_test(test_opening_does_not_count),
         cmocka_unit_test(test_planes),
         HTTP_TEST(test_frames_are_what_is_drawn),
         HTTP_TEST(test_slow_reader),
