@@ -9,6 +9,7 @@
 #include "cells/footprint.h"
 #include "cli/cli.h"
 #include "codec/scene.h"
+#include "core/trace.h"
 #include "train/config.h"
 #include "train/jobs.h"
 #include "train/timing.h"
@@ -126,6 +127,38 @@ static enum err_code train_all(const char *scene_dir, const struct train_config 
                  : train_run(scene_dir, cfg, out, e);
 }
 
+static enum err_code train_trace_end(enum err_code rc, const char *path, struct err *e)
+{
+    struct trace_result t;
+    struct err why = {0};
+    if (trace_end(&t, rc ? &why : e)) {
+        if (!rc)
+            return ERR_IO;
+        log_warn("train", "%s", why.msg);
+    } else {
+        printf("trace: %s: %zu spans, %zu dropped; kernels ran %.0f %% of %.1f s, %.2f cores were "
+               "busy\n",
+               path, t.spans, t.dropped, 100.0 * t.device, t.seconds, t.cores);
+    }
+    return rc;
+}
+
+/* train_all, with a trace of it where one is asked for. */
+static enum err_code train_traced(const char *scene_dir, const struct train_config *cfg,
+                                  struct train_result *out, struct err *e)
+{
+    if (!cfg->trace)
+        return train_all(scene_dir, cfg, out, e);
+    if (cfg->jobs != 1)
+        return err_set(e, ERR_ARG,
+                       "--trace records one process, and --jobs %d starts others: leave one out",
+                       (int)cfg->jobs);
+    enum err_code rc = trace_begin(cfg->trace, e);
+    if (rc)
+        return rc;
+    return train_trace_end(train_all(scene_dir, cfg, out, e), cfg->trace, e);
+}
+
 enum err_code cli_train(int argc, char **argv, struct err *e)
 {
     struct train_config cfg;
@@ -136,7 +169,7 @@ enum err_code cli_train(int argc, char **argv, struct err *e)
     if (!rc && !args.done && cfg.list) {
         rc = train_print_list(args.arg[0], &cfg, e);
     } else if (!rc && !args.done) {
-        rc = train_all(args.arg[0], &cfg, &result, e);
+        rc = train_traced(args.arg[0], &cfg, &result, e);
         if (!rc)
             rc = train_footprint(args.arg[0], &cfg, e);
         if (!rc || result.n_cells)

@@ -23,10 +23,16 @@
 #include <unistd.h>
 
 #include "core/base.h"
+#include "core/pool.h"
+#include "core/trace.h"
 
 extern const char layout_h[]; /* core/layout.h, made by embed_cl */
 
 enum { PLATFORMS_MAX = 16, DEVICES_MAX = 32, SOURCES_MAX = 16, BUFFER_ROUND = 64 };
+
+static enum err_code dev_trace_begin(struct dev *d, struct err *e) ERR_USE;
+static void dev_trace_drain(struct dev *d);
+static void dev_untime(struct dev *d);
 
 struct found { /* one device of one platform */
     cl_platform_id platform;
@@ -288,6 +294,8 @@ enum err_code dev_open(const char *want, struct dev *out, struct err *e)
         rc = dev_fail(e, code, "dev_open: queue", d.name);
         goto out;
     }
+    if (trace_on())
+        rc = dev_trace_begin(&d, e);
 out:
     if (rc)
         dev_close(&d);
@@ -300,6 +308,9 @@ void dev_close(struct dev *d)
 {
     if (!d)
         return;
+    if (d->timing && trace_on())
+        dev_trace_drain(d);
+    dev_untime(d);
     if (d->queue) {
         clFinish(d->queue);
         clReleaseCommandQueue(d->queue);
@@ -559,6 +570,7 @@ enum err_code dev_unmap(struct dev *d, cl_mem m, void **mapped, struct err *e)
 enum { DEV_TIMED_MAX = 8192 };
 struct dev_timing {
     cl_command_queue plain; /* the device's own, put aside for one that keeps times */
+    double offset_s;        /* of a trace: clock_s() less the device's clock */
     struct dev_timed {
         const char *name;
         cl_event event;
@@ -585,13 +597,30 @@ enum err_code dev_time_begin(struct dev *d, struct err *e)
     return ERR_OK;
 }
 
+/* Back to the queue that keeps no times. */
+static void dev_untime(struct dev *d)
+{
+    if (!d->timing)
+        return;
+    clReleaseCommandQueue(d->queue);
+    d->queue = d->timing->plain;
+    mem_free(d->timing);
+    d->timing = NULL;
+}
+
+static cl_int dev_event_times(cl_event event, cl_ulong *from, cl_ulong *to)
+{
+    cl_int code =
+        clGetEventProfilingInfo(event, CL_PROFILING_COMMAND_START, sizeof *from, from, NULL);
+    return code == CL_SUCCESS
+               ? clGetEventProfilingInfo(event, CL_PROFILING_COMMAND_END, sizeof *to, to, NULL)
+               : code;
+}
+
 static cl_int dev_timed_add(const struct dev_timed *l, struct dev_time *out, size_t max, size_t *n)
 {
     cl_ulong from = 0, to = 0;
-    cl_int code =
-        clGetEventProfilingInfo(l->event, CL_PROFILING_COMMAND_START, sizeof from, &from, NULL);
-    if (code == CL_SUCCESS)
-        code = clGetEventProfilingInfo(l->event, CL_PROFILING_COMMAND_END, sizeof to, &to, NULL);
+    cl_int code = dev_event_times(l->event, &from, &to);
     size_t at = 0;
     while (at < *n && strcmp(out[at].name, l->name) != 0)
         at++;
@@ -616,18 +645,56 @@ enum err_code dev_time_end(struct dev *d, struct dev_time *out, size_t max, size
             code = dev_timed_add(&t->launch[i], out, max, n);
         clReleaseEvent(t->launch[i].event);
     }
-    if (t) {
-        clReleaseCommandQueue(d->queue);
-        d->queue = t->plain;
-    }
-    mem_free(t);
-    d->timing = NULL;
+    dev_untime(d);
     return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_time_end", d->name);
+}
+
+/* ---- a trace (core/trace.h): the time of every kernel, on the host's clock ---- */
+
+/* OpenCL 1.2 has no common clock: a small command ends now, on both. */
+static enum err_code dev_trace_begin(struct dev *d, struct err *e)
+{
+    cl_ulong from = 0, to = 0;
+    cl_event event = NULL;
+    cl_mem m = NULL;
+    const cl_uint zero = 0;
+    enum err_code rc = dev_time_begin(d, e);
+    if (!rc)
+        rc = dev_buffer(d, sizeof zero, NULL, &m, e);
+    if (rc)
+        return rc;
+    cl_int code =
+        clEnqueueWriteBuffer(d->queue, m, CL_TRUE, 0, sizeof zero, &zero, 0, NULL, &event);
+    double now_s = clock_s();
+    if (code == CL_SUCCESS)
+        code = dev_event_times(event, &from, &to);
+    if (event)
+        clReleaseEvent(event);
+    dev_release(&m);
+    d->timing->offset_s = now_s - 1e-9 * (double)to;
+    return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "trace", d->name);
+}
+
+/* Hands what was timed to the trace. Waits for it. */
+static void dev_trace_drain(struct dev *d)
+{
+    struct dev_timing *t = d->timing;
+    (void)clFinish(d->queue); /* a failure shows at the next launch */
+    for (size_t i = 0; i < t->n; i++) {
+        cl_ulong from = 0, to = 0;
+        if (dev_event_times(t->launch[i].event, &from, &to) == CL_SUCCESS)
+            trace_span("device", t->launch[i].name, t->offset_s + 1e-9 * (double)from,
+                       t->offset_s + 1e-9 * (double)to);
+        clReleaseEvent(t->launch[i].event);
+    }
+    t->n = 0;
 }
 
 /* Enqueues a launch; keeps its event if kernels are timed. */
 static cl_int dev_enqueue(struct dev *d, cl_kernel k, const char *name, size_t global, size_t local)
 {
+    if (d->timing && d->timing->n == DEV_TIMED_MAX && trace_on())
+        dev_trace_drain(d);
     struct dev_timing *t = d->timing && d->timing->n < DEV_TIMED_MAX ? d->timing : NULL;
     cl_event *event = t ? &t->launch[t->n].event : NULL;
     cl_int code = clEnqueueNDRangeKernel(d->queue, k, 1, NULL, &global, &local, 0, NULL, event);

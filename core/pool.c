@@ -12,6 +12,7 @@
 #include <unistd.h>
 
 #include "core/base.h"
+#include "core/trace.h"
 
 enum { POOL_THREADS_MAX = 256 };
 
@@ -20,20 +21,37 @@ struct pool_loop {
     enum err_code (*fn)(void *user, size_t i, struct err *e);
     void *user;
     pthread_mutex_t lock; /* guards all below */
-    size_t next;
+    size_t next, workers;
     size_t failed_i; /* lowest failed index, n when none */
     struct err first;
 };
 
+/* Tracks of a trace; workers beyond the last share it. */
+static const char *const pool_tracks[] = {"host 1", "host 2", "host 3", "host 4",
+                                          "host 5", "host 6", "host 7", "host 8"};
+
+static void pool_trace(struct pool_loop *l, double from_s)
+{
+    enum { LAST = sizeof pool_tracks / sizeof *pool_tracks - 1 };
+    pthread_mutex_lock(&l->lock);
+    size_t k = l->workers++;
+    pthread_mutex_unlock(&l->lock);
+    trace_span(pool_tracks[k < LAST ? k : LAST], "loop", from_s, clock_s());
+}
+
 static void *pool_worker(void *arg)
 {
     struct pool_loop *l = arg;
+    double start_s = trace_on() ? clock_s() : 0.0;
     for (;;) {
         pthread_mutex_lock(&l->lock);
         size_t i = l->first.code == ERR_OK && l->next < l->n ? l->next++ : l->n;
         pthread_mutex_unlock(&l->lock);
-        if (i == l->n)
+        if (i == l->n) {
+            if (trace_on())
+                pool_trace(l, start_s);
             return NULL;
+        }
         struct err e = {0};
         enum err_code rc = l->fn(l->user, i, &e);
         if (!rc)

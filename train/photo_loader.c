@@ -17,7 +17,9 @@
 
 #include "codec/scene.h"
 #include "codec/scene_photo.h"
+#include "core/base.h"
 #include "core/pool.h"
+#include "core/trace.h"
 #include "train/config.h"
 #include "train/photo_loader.h"
 
@@ -150,7 +152,9 @@ static void photo_loader_load(struct photo_loader *f, size_t slot)
     f->slots[slot].state = PHOTO_LOADER_LOADING;
     f->bytes += photo_loader_size(f, slot);
     pthread_mutex_unlock(&f->lock);
+    double start_s = clock_s();
     enum err_code rc = photo_loader_read(f, slot, &photo, &e);
+    trace_span("photographs", "read", start_s, clock_s());
     pthread_mutex_lock(&f->lock);
     f->slots[slot].state = rc ? PHOTO_LOADER_FAILED : PHOTO_LOADER_READY;
     f->slots[slot].photo = photo;

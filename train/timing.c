@@ -10,6 +10,7 @@
 #include <jansson.h>
 
 #include "core/base.h"
+#include "core/trace.h"
 
 #define TIMING_SHOWN 0.005 /* of the whole: smaller shares are shown together */
 
@@ -39,6 +40,7 @@ enum timing_on timing_turn(struct timing *c, enum timing_on on)
     c->compiled_s += compiled;
     c->times.s[TIMING_COMPILE] += compiled;
     c->times.s[was] += now - c->since_s - compiled;
+    trace_span("work", timing_names[was].text, c->since_s, now);
     c->since_s = now;
     c->on = on;
     return was;
