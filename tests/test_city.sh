@@ -25,7 +25,7 @@ done
 setsid ./bootstrap city "$work/a/my flight" --no-serve --iterations 600 --max-edge-px 64 >"$work/log" 2>&1 &
 pid=$!
 for _ in $(seq 1200); do
-  compgen -G "$work/out/my-flight/scene/cells/*/metrics.jsonl" >/dev/null && break
+  grep -qs '"event":"step"' "$work"/out/my-flight/scene/cells/*/metrics.jsonl && break # before it no state is worth keeping
   sleep 0.1
 done
 pkill -TERM -g "$pid" citysplat
