@@ -11,7 +11,7 @@ struct json_t;
 
 static const double odm_far = 1e9; /* no translation or point is as far */
 
-struct odm_key { /* a name, sorted by it, and what it stands for */
+struct odm_key { /* a name, and the index of what has it; lists are sorted by name */
     const char *name;
     uint32_t index;
 };

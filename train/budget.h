@@ -49,7 +49,7 @@ void budget_hold_out(const struct train_config *cfg, const uint32_t *images, siz
 struct budget { /* {0}: not automatic. `at` is what a saved state contains of it. */
     const uint32_t *held;
     size_t n_held;
-    const struct camera_window *windows; /* [n_held] their parts; NULL: all of each; borrowed */
+    const struct camera_window *windows; /* [n_held] parts that count; NULL: whole ones; borrowed */
     size_t table[TRAIN_LEVELS_MAX];      /* largest values that budgets can be raised to */
     /* held-out photographs at the size of the level; made on first use */
     struct photo_loader *photos;

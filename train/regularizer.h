@@ -28,7 +28,7 @@ struct regularizer_input { /* input of one step; all borrowed */
     const struct site *site;
     const struct stage *at;
     const struct photo *photo;
-    struct timing *timing; /* runs on embedding smoothness while that is computed */
+    struct timing *timing; /* counts the seconds of embedding smoothness under its own name */
 };
 /* Opens what the options want at any step: kernels, and depth maps. It does nothing if *own is open
  * already; that is NULL at first. Free it with regularizer_free. ERR_MEM, ERR_DEVICE. ERR_DATA: no
