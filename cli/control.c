@@ -29,6 +29,17 @@ static void control_check_area(const struct crs *crs, const struct gcp *g)
                  g->line, g->name, off_deg, crs_epsg(crs));
 }
 
+/* The system as text, for files that have it so. Heights that PROJ does not know are left out here:
+ * ingest refuses them. */
+static enum err_code control_tell_system(struct crs *crs, struct gcp_list *l, struct err *e)
+{
+    if (l->heights_epsg && l->heights_epsg != 4979 && crs_set_vertical(crs, l->heights_epsg, NULL))
+        log_debug("gcp", "EPSG:%d is no system of heights", l->heights_epsg);
+    mem_free(l->wkt);
+    l->wkt = NULL;
+    return crs_wkt(crs, &l->wkt, e);
+}
+
 enum err_code control_unproject(const char *path, int epsg, struct gcp_list *l, struct err *e)
 {
     struct crs *crs = NULL;
@@ -52,6 +63,8 @@ enum err_code control_unproject(const char *path, int epsg, struct gcp_list *l, 
         else
             control_check_area(crs, g);
     }
+    if (!rc && crs)
+        rc = control_tell_system(crs, l, e);
     l->epsg = epsg;
     l->unproject = control_unproject_one;
     crs_close(&crs);

@@ -9,7 +9,7 @@
 #include "cli/cli.h"
 #include "cli/control.h"
 #include "core/heights.h"
-#include "ingest/gcp.h"
+#include "ingest/gcp_read.h"
 #include "ingest/positions.h"
 #include "survey/crs.h"
 

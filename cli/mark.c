@@ -11,6 +11,7 @@
 #include "cli/control.h"
 #include "cli/mark_work.h"
 #include "codec/scene.h"
+#include "ingest/gcp_read.h"
 #include "ingest/ingest.h"
 #include "server/config.h"
 #include "server/static.h"
@@ -31,14 +32,17 @@ static const struct options_def mark_defs[] = {
 
 static const struct options_spec mark_spec = {
     .command = "mark",
-    .usage = "citysplat mark PHOTOGRAPHS MODEL --points FILE [-o gcp_list.txt] [options]",
+    .usage = "citysplat mark SCENE [--points FILE] [-o gcp_list.txt] [options]\n"
+             "citysplat mark PHOTOGRAPHS MODEL --points FILE [-o gcp_list.txt] [options]",
     .about = "Serves a page on which ground control points are marked in photographs, and prints "
-             "its address. Every mark is saved at once. PHOTOGRAPHS and MODEL are those of ingest, "
-             "and `ingest --gcp` reads the list. The command runs until it is interrupted.",
-    .example = "citysplat mark photos/ photos/sparse/0 --points points.csv -o gcp_list.txt",
+             "its address. Every mark is saved at once. A scene knows its photographs, its model "
+             "and its ground control. Without a scene PHOTOGRAPHS and MODEL are those of ingest. "
+             "`ingest --gcp` reads the list. The command runs until it is interrupted.",
+    .example = "citysplat mark scene --points points.csv\n"
+               "citysplat mark photos/ photos/sparse/0 --points points.csv -o gcp_list.txt",
     .defs = mark_defs,
     .n_defs = sizeof mark_defs / sizeof *mark_defs,
-    .min_args = 2,
+    .min_args = 1,
     .max_args = 2};
 
 /* ---- points and marks ---- */
@@ -58,25 +62,28 @@ static enum err_code mark_merge(const char *path, struct gcp_list *l, const stru
     return rc;
 }
 
-static enum err_code mark_read_list(const struct mark_options *o, struct gcp_list *l, struct err *e)
+static enum err_code mark_read_list(const struct mark_options *o, const struct mark_source *from,
+                                    struct gcp_list *l, struct err *e)
 {
     struct gcp_list more = {0};
     const bool there = file_exists(o->output);
-    if (!there && !o->points)
+    const char *points = o->points ? o->points : !there ? from->gcp : NULL;
+    const char *first = there ? o->output : points;
+    if (!first)
         return err_set(e, ERR_ARG,
                        "mark: which points? Give --points FILE, a CSV with columns name, x, y and "
                        "z, or a list to continue with -o");
-    enum err_code rc = gcp_read_points(there ? o->output : o->points, l, e);
-    if (!rc && there && o->points) {
-        rc = gcp_read_points(o->points, &more, e);
+    enum err_code rc = gcp_read_points(first, l, e);
+    if (!rc && there && points) {
+        rc = gcp_read_points(points, &more, e);
         if (!rc)
-            rc = mark_merge(o->points, l, &more, e);
+            rc = mark_merge(points, l, &more, e);
         gcp_free(&more);
     }
     if (!rc && !l->n)
-        rc =
-            err_set(e, ERR_DATA, "%s: no ground control points", o->points ? o->points : o->output);
-    return !rc ? control_unproject(there ? o->output : o->points, (int)o->gcp_epsg, l, e) : rc;
+        rc = err_set(e, ERR_DATA, "%s: no ground control points", first);
+    const int epsg = o->gcp_epsg || o->points ? (int)o->gcp_epsg : from->gcp_epsg;
+    return !rc ? control_unproject(first, epsg, l, e) : rc;
 }
 
 /* ---- photographs ---- */
@@ -97,16 +104,21 @@ static enum err_code mark_take_frame(const char *dir, struct ingest_survey *surv
     return ERR_OK;
 }
 
-static enum err_code mark_look(const struct mark_options *o, const char *images, const char *model,
+static enum err_code mark_look(const struct mark_options *o, const struct mark_source *from,
                                struct ingest_survey *survey, struct arena *a, struct err *e)
 {
     struct ingest_config cfg;
+    const char *scene = o->scene ? o->scene : from->scene;
     enum err_code rc = options_defaults(ingest_options(), &cfg, a, e);
     cfg.skip_missing = true;
+    if (from->scene) {
+        cfg.min_points = from->min_points;
+        cfg.max_reprojection_px = from->max_reprojection_px;
+    }
     if (!rc)
-        rc = ingest_look(images, model, &cfg, survey, e);
-    if (!rc && o->scene)
-        rc = mark_take_frame(o->scene, survey, e);
+        rc = ingest_look(from->photographs, from->model, &cfg, survey, e);
+    if (!rc && scene)
+        rc = mark_take_frame(scene, survey, e);
     if (!rc && !survey->placed)
         log_warn("mark", "the photographs have too little GPS: points are expected in them only "
                          "when three points are marked in two photographs each; --scene SCENE "
@@ -172,6 +184,12 @@ static enum err_code mark_serve(const struct mark_options *o, struct mark_work *
     return server_stop(&sv) ? ERR_OK : err_set(e, ERR_INTERNAL, "a thread does not end");
 }
 
+/* A list that a scene was made with has the scale that ingest was told. */
+static double mark_scale(const struct mark_options *o, const struct mark_source *from)
+{
+    return from->gcp && !o->points && o->gcp_scale == 1 ? from->gcp_scale : o->gcp_scale;
+}
+
 enum err_code cli_mark(int argc, char **argv, struct err *e)
 {
     struct arena a = {0};
@@ -179,29 +197,35 @@ enum err_code cli_mark(int argc, char **argv, struct err *e)
     struct options_args args;
     struct gcp_list list = {0};
     struct ingest_survey survey = {0};
-    struct mark_work w = {.lock = PTHREAD_MUTEX_INITIALIZER};
+    struct mark_source from = {0};
+    struct mark_work w = {.lock = PTHREAD_MUTEX_INITIALIZER,
+                          .album = {.lock = PTHREAD_MUTEX_INITIALIZER}};
     enum err_code rc = options_parse(&mark_spec, argc, argv, &o, &args, &a, e);
     if (rc || args.done)
         goto out;
-    w.images_dir = args.arg[0];
+    rc = mark_scene_find(&args, &from, &a, e);
+    if (rc)
+        goto out;
+    w.images_dir = from.photographs;
     w.output = o.output;
     signals_catch();
     rc = mark_check_page(o.web_dir, e);
     if (!rc)
-        rc = mark_read_list(&o, &list, e);
+        rc = mark_read_list(&o, &from, &list, e);
     if (!rc)
-        rc = mark_look(&o, args.arg[0], args.arg[1], &survey, &a, e);
+        rc = mark_look(&o, &from, &survey, &a, e);
     if (!rc)
         rc = mark_make_token(w.token, e);
     if (!rc) {
         const struct marking_config cfg = {
-            .output = o.output, .px_scale = o.gcp_scale, .mark_px = 0.5, .sigma_m = 0.02};
+            .output = o.output, .px_scale = mark_scale(&o, &from), .mark_px = 0.5, .sigma_m = 0.02};
         rc = marking_open(&cfg, &survey, &list, &w.marking, e);
     }
     if (!rc)
         rc = mark_serve(&o, &w, &a, e);
 out:
     marking_close(&w.marking);
+    mark_album_free(&w.album);
     ingest_survey_free(&survey);
     gcp_free(&list);
     arena_free(&a);

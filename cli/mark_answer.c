@@ -120,10 +120,10 @@ static void mark_answer_survey(struct services *s, const struct request *r, stru
                                                 "width", (int)survey->photos[i].width_px, "height",
                                                 (int)survey->photos[i].height_px));
     json_t *o =
-        json_pack("{s:s,s:I,s:i,s:b,s:I,s:o,s:o}", "output", w->output, "revision",
+        json_pack("{s:s,s:I,s:i,s:b,s:I,s:i,s:o,s:o}", "output", w->output, "revision",
                   (json_int_t)marking_revision(w->marking), "epsg", marking_list(w->marking)->epsg,
                   "placed", survey->placed, "strays", (json_int_t)marking_strays(w->marking),
-                  "photographs", photos, "points", mark_points(w->marking));
+                  "part", MARK_PART_PX, "photographs", photos, "points", mark_points(w->marking));
     pthread_mutex_unlock(&w->lock);
     if (document_make(o, &b, NULL))
         body_drop(&b);
@@ -145,24 +145,24 @@ static void mark_answer_point(struct services *s, const struct request *r, struc
     pthread_mutex_unlock(&w->lock);
 }
 
-static void mark_answer_photo(struct services *s, const struct request *r, struct dataset *d,
-                              const struct target *t, struct response *out)
+/* Any photograph, or a part of it; errors are those of mark_photo_whole. */
+static void mark_picture(struct mark_work *w, const struct target *t, bool part,
+                         const struct request *r, struct response *out)
 {
-    struct mark_work *w = mark_enter(s, r, out);
     char path[FILE_PATH_MAX];
     struct buf b = {0};
     struct err e = {0};
-    (void)d;
-    if (!w)
-        return;
     const struct ingest_survey *survey = marking_survey(w->marking); /* it does not change */
     if (t->row >= survey->n) {
         response_problem(out, 404, "there is no such photograph");
         return;
     }
-    enum err_code rc = file_join(path, w->images_dir, survey->photos[t->row].file, &e);
+    const struct ingest_survey_photo *p = &survey->photos[t->row];
+    const uint32_t longest = p->width_px > p->height_px ? p->width_px : p->height_px;
+    enum err_code rc = file_join(path, w->images_dir, p->file, &e);
     if (!rc)
-        rc = mark_photo_read(path, &b, &e);
+        rc = part ? mark_photo_part(&w->album, path, t->row, t->part.column, t->part.line, &b, &e)
+                  : mark_photo_whole(&w->album, path, t->row, longest, &b, &e);
     if (!rc) {
         response_document(r, "image/jpeg", body_take(&b, NULL), out);
         return;
@@ -171,6 +171,24 @@ static void mark_answer_photo(struct services *s, const struct request *r, struc
     buf_free(&b);
     response_problem(out, rc == ERR_NOENT ? 404 : 500, e.msg);
     out->same_origin = true;
+}
+
+static void mark_answer_photo(struct services *s, const struct request *r, struct dataset *d,
+                              const struct target *t, struct response *out)
+{
+    struct mark_work *w = mark_enter(s, r, out);
+    (void)d;
+    if (w)
+        mark_picture(w, t, false, r, out);
+}
+
+static void mark_answer_part(struct services *s, const struct request *r, struct dataset *d,
+                             const struct target *t, struct response *out)
+{
+    struct mark_work *w = mark_enter(s, r, out);
+    (void)d;
+    if (w)
+        mark_picture(w, t, true, r, out);
 }
 
 /* {"revision": 3, "point": 0, "photo": 12, "at": [1024.5, 330.1]}; at null: the mark goes. */
@@ -253,7 +271,9 @@ const struct route MARK_ROUTES[] = {
     MARK_ROUTE("point", "/mark/points/{row}", 0, GET, mark_answer_point, NULL,
                "200 application/json Document,", "A point in its photographs"),
     MARK_ROUTE("photograph", "/mark/photographs/{row}", 0, GET, mark_answer_photo, NULL,
-               "200 image/jpeg Bytes,", "A photograph"),
+               "200 image/jpeg Bytes,", "A photograph, smaller where it is large"),
+    MARK_ROUTE("part", "/mark/photographs/{row}/{column}/{line}", 0, GET, mark_answer_part, NULL,
+               "200 image/jpeg Bytes,", "A part of a photograph at full size"),
     MARK_ROUTE("change", "/mark/marks", 0, PUT, mark_answer_change, "Document",
                "200 application/json Document,", "Sets or removes a mark"),
 };

@@ -7,17 +7,46 @@
 
 #include <pthread.h>
 
+#include "codec/image.h"
+#include "core/options.h"
 #include "ingest/marking.h"
 #include "server/route.h"
 #include "server/server.h"
 
 enum { MARK_TOKEN = 33 };
+/* A tablet has no room for photographs of 20 megapixels, 80 MB each. */
+enum { MARK_WHOLE_PX = 2048, MARK_PART_PX = 1024, MARK_ALBUM_PAGES = 2 };
+struct mark_album {       /* {.lock = PTHREAD_MUTEX_INITIALIZER}; mark_album_free */
+    pthread_mutex_t lock; /* for all */
+    struct mark_album_page {
+        size_t photo;
+        uint64_t used; /* when, by `now` */
+        struct image image;
+    } pages[MARK_ALBUM_PAGES];
+    uint64_t now;
+};
 struct mark_work {        /* services.own */
     pthread_mutex_t lock; /* for marking */
     struct marking *marking;
+    struct mark_album album;
     const char *images_dir, *output;
     char token[MARK_TOKEN]; /* whoever has it may see photographs and change marks */
 };
+
+struct mark_source {         /* what is marked; lives in an arena */
+    const char *scene;       /* NULL: two folders were given */
+    const char *photographs; /* folder */
+    const char *model;       /* folder */
+    const char *gcp;         /* the list that the scene was made with; NULL: none */
+    int gcp_epsg;            /* 0: as the list says */
+    double gcp_scale;
+    int64_t min_points; /* the next two of a scene alone */
+    double max_reprojection_px;
+};
+/* Finds them by the arguments SCENE or PHOTOGRAPHS MODEL (mark_scene.c). ERR_NOENT: there is no
+ * scene, or its photographs are elsewhere. ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM. */
+enum err_code mark_scene_find(const struct options_args *args, struct mark_source *out,
+                              struct arena *a, struct err *e) ERR_USE;
 
 /* The route table. */
 extern const struct route MARK_ROUTES[];
@@ -25,11 +54,15 @@ extern const size_t MARK_ROUTES_COUNT;
 
 /* ---- mark_photo.c ---- */
 
-/* Reads a photograph for a browser: a JPEG as it is but without EXIF, by which browsers would turn
- * it, and COLMAP does not; others as JPEG. ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
-enum err_code mark_photo_read(const char *path, struct buf *out, struct err *e) ERR_USE;
-/* Removes EXIF, XMP and maker's data (APP1 to APP15 without colour profiles) from a JPEG. False: it
- * is none, or ends within its head. */
-bool mark_photo_strip(const uint8_t *jpeg, size_t n, struct buf *out);
+/* A photograph for a browser: a JPEG as it is but without EXIF; others as JPEG; one whose longest
+ * edge is over MARK_WHOLE_PX as a smaller picture. ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_LIMIT,
+ * ERR_MEM. Any thread. */
+enum err_code mark_photo_whole(struct mark_album *a, const char *path, size_t photo,
+                               uint32_t longest_px, struct buf *out, struct err *e) ERR_USE;
+/* A square of MARK_PART_PX pixels of a photograph at full size, smaller at its right and lower
+ * edge. ERR_NOENT: also, there is no such part. Any thread. */
+enum err_code mark_photo_part(struct mark_album *a, const char *path, size_t photo, uint32_t column,
+                              uint32_t row, struct buf *out, struct err *e) ERR_USE;
+void mark_album_free(struct mark_album *a);
 
 #endif

@@ -1,11 +1,6 @@
 /* Ground control points: places on the ground that were surveyed and marked in photographs.
  *
- * There are two file formats. OpenDroneMap's gcp_list.txt has a line with the coordinate system,
- * then lines "x y z column row photograph [name]", separated by blanks or tabs. CSV, with commas or
- * semicolons, has a line with the names of columns: x, y, z (or easting, northing, height; or lon,
- * lat, height), px, py, image; optionally name, accuracy_xy and accuracy_z in metres, and
- * accuracy_px. A comment "# EPSG:25832" above names its coordinate system. Numbers have decimal
- * points. A decimal comma is refused, and the message names the line.
+ * What reads them from files: gcp_read.h.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -41,17 +36,16 @@ struct gcp_list { /* {0} is empty; gcp_free */
     size_t n_marks, cap_marks;
     int epsg;         /* of the file; 0: not stated, or not understood */
     int heights_epsg; /* of "EPSG:25832+7837"; 0: not stated */
+    char *wkt;        /* of both, where they were understood: control_unproject; NULL: not known */
     /* Converts metres of a projected system to longitude and latitude, in place. It is used to find
      * the cause of errors. NULL: not available. */
     enum err_code (*unproject)(int epsg, double *x, double *y, struct err *e);
 };
-/* Reads a file. Free *out with gcp_free. ERR_NOENT, ERR_FORMAT (names the line and what is
- * expected), ERR_DATA (none, or too many), ERR_IO, ERR_MEM. */
-enum err_code gcp_read(const char *path, struct gcp_list *out, struct err *e) ERR_USE;
-/* As gcp_read, and points may come without marks: "x y z [name]" in a gcp_list.txt, or CSV without
- * px, py and image, or with nothing in them. There may be no point at all. */
-enum err_code gcp_read_points(const char *path, struct gcp_list *out, struct err *e) ERR_USE;
 void gcp_free(struct gcp_list *l);
+/* The point of a name, or without one of these coordinates; new where there is none yet. path and
+ * line are where it was read. Errors as of gcp_add_point. */
+enum err_code gcp_find(const char *path, size_t line, struct gcp_list *l, const char *name,
+                       const double at[3], size_t *out, struct err *e) ERR_USE;
 /* Adds a point of the file `path`, unless the list has one of that name. ERR_FORMAT: the list has
  * it at another place. ERR_DATA (too many), ERR_MEM. */
 enum err_code gcp_add_point(const char *path, struct gcp_list *l, const struct gcp *g,

@@ -453,6 +453,7 @@ static enum err_code ingest_write_scene(struct ingest *g, double start_s, struct
                               .gcp = g->gcps ? &g->gcp : NULL,
                               .unplaced = g->unplaced,
                               .n_unplaced = g->n_unplaced,
+                              .images_dir = g->images_dir,
                               .model_dir = g->model.dir,
                               .n_models = g->model.n_models,
                               .n_second = g->model.n_second,

@@ -91,6 +91,7 @@ struct ingest_result { /* input of ingest_report.c */
     const struct ingest_photo *photos; /* in the order of file names */
     size_t n_photos, n_kept, n_train, n_test, n_gps, n_unplaced;
     char *const *unplaced;     /* [n_unplaced] photographs that the model does not have */
+    const char *images_dir;    /* as they were given */
     const char *model_dir;     /* the model that was read */
     size_t n_models, n_second; /* number of models found, and photographs of the second largest */
     const struct scene *scene;

@@ -3,8 +3,10 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include <jansson.h>
+#include <limits.h>
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "codec/colmap.h"
@@ -537,6 +539,21 @@ static json_t *report_gcp_to_json(const struct gcp_fit *f)
                      list);
 }
 
+/* A path that leads there from everywhere; null: there is none, or JSON cannot hold it. */
+static json_t *report_path(const char *path)
+{
+    char full[PATH_MAX];
+    json_t *o = path && realpath(path, full) ? json_string(full) : NULL;
+    return o ? o : json_null();
+}
+
+/* What the scene was made of, for commands that need the photographs as they came. */
+static json_t *report_source_to_json(const struct ingest_result *r)
+{
+    return json_pack("{s:o, s:o, s:o}", "photographs", report_path(r->images_dir), "model",
+                     report_path(r->model_dir), "ground_control", report_path(r->cfg->gcp));
+}
+
 enum err_code ingest_report_write(const struct ingest_result *r, const char *path, struct err *e)
 {
     json_t *config = NULL;
@@ -562,8 +579,10 @@ enum err_code ingest_report_write(const struct ingest_result *r, const char *pat
         json_object_set_new(root, "unplaced", unplaced);
     else
         json_decref(unplaced);
-    if (root)
+    if (root) {
         json_object_set_new(root, "models", json_integer((json_int_t)r->n_models));
+        json_object_set_new(root, "source", report_source_to_json(r));
+    }
     if (!root)
         return err_set(e, ERR_DATA, "%s: cannot be written: a photograph's name is not UTF-8",
                        path);

@@ -22,7 +22,7 @@ struct marking {
     char output[FILE_PATH_MAX];
     struct ingest_survey survey;
     struct gcp_list list;
-    const char **written;    /* [survey.n] how new marks name the photograph */
+    char **written;          /* [survey.n] how new marks name the photograph */
     struct gcp_view *views;  /* [survey.n] */
     double up[3];            /* in COLMAP's frame; 0 0 0: not known */
     double (*surveyed_m)[3]; /* [list.n] in the frame of `origin` */
@@ -213,9 +213,22 @@ static bool marking_project(const struct ingest_survey_photo *p, const double x[
 
 /* ---- opening ---- */
 
+/* What a file of a form cannot hold. */
+static const struct {
+    const char *file, *photo, *point;
+} marking_form[] = {
+    [GCP_FORM_ODM] = {"a gcp_list.txt",
+                      "it has a blank, a comma, or 256 bytes and more; give -o FILE.csv",
+                      "give -o FILE.csv, which may have blanks"},
+    [GCP_FORM_CSV] = {"a list in CSV", "it has a comma, a semicolon, or 256 bytes and more",
+                      "it has a comma or a semicolon; give -o FILE.xml"},
+    [GCP_FORM_XML] = {"a list in XML", "it has a control character, or 256 bytes and more",
+                      "it has a control character"},
+};
+
 /* Photographs are called as the list calls them: by their file's name, with its folder where two
- * have one name. */
-static enum err_code marking_name_photos(struct marking *m, struct err *e)
+ * have one name. Metashape's labels lack the ending. */
+static enum err_code marking_name_photos(struct marking *m, bool endings, struct err *e)
 {
     const struct ingest_survey *s = &m->survey;
     const enum gcp_form form = gcp_form_of(m->output);
@@ -223,17 +236,18 @@ static enum err_code marking_name_photos(struct marking *m, struct err *e)
         const char *name = s->photos[i].view.image->name, *slash = strrchr(name, '/');
         size_t alike = 0;
         m->views[i] = s->photos[i].view;
-        m->written[i] = slash ? slash + 1 : name;
+        const char *short_name = slash ? slash + 1 : name;
         for (size_t k = 0; k < s->model.n_images; k++)
-            alike += table_alike(s->model.images[k].name, m->written[i]) > 0;
-        if (alike > 1)
-            m->written[i] = name;
+            alike += table_alike(s->model.images[k].name, short_name) > 0;
+        m->written[i] = mem_text(alike > 1 ? name : short_name);
+        if (!m->written[i])
+            return marking_no_memory(e);
+        char *dot = strrchr(m->written[i], '.');
+        if (!endings && dot && dot > m->written[i] && !strchr(dot, '/'))
+            *dot = '\0';
         if (strlen(m->written[i]) >= GCP_IMAGE_MAX || !gcp_name_fits(form, m->written[i]))
             return err_set(e, ERR_DATA, "photograph '%.200s': %s cannot hold this name: %s",
-                           m->written[i], form == GCP_FORM_ODM ? "a gcp_list.txt" : "a list in CSV",
-                           form == GCP_FORM_ODM
-                               ? "it has a blank, a comma, or 256 bytes and more; give -o FILE.csv"
-                               : "it has a comma, a semicolon, or 256 bytes and more");
+                           m->written[i], marking_form[form].file, marking_form[form].photo);
     }
     return ERR_OK;
 }
@@ -244,11 +258,32 @@ static enum err_code marking_check_points(struct marking *m, struct err *e)
     for (size_t i = 0; i < m->list.n; i++)
         if (!gcp_name_fits(form, m->list.gcps[i].name))
             return err_set(e, ERR_DATA,
-                           "ground control point '%s': the output cannot hold this name; "
-                           "%s",
-                           m->list.gcps[i].name,
-                           form == GCP_FORM_ODM ? "give -o FILE.csv, which may have blanks"
-                                                : "it has a comma or a semicolon");
+                           "ground control point '%s': the output cannot hold this name; %s",
+                           m->list.gcps[i].name, marking_form[form].point);
+    return ERR_OK;
+}
+
+/* Are photographs called with their endings? Not in a new file for Metashape, which labels them
+ * without; one of before keeps what it has. */
+static bool marking_has_endings(const struct marking *m)
+{
+    if (gcp_form_of(m->output) != GCP_FORM_XML)
+        return true;
+    return m->there && m->list.n_marks && strchr(m->list.marks[0].image, '.');
+}
+
+/* One photograph has one label in Metashape's file. */
+static enum err_code marking_name_marks(struct marking *m, struct err *e)
+{
+    for (size_t k = 0; k < m->list.n_marks; k++) {
+        const struct colmap_image *im;
+        enum err_code rc = gcp_locate_photo(&m->survey.model, &m->list, &m->list.marks[k], &im, e);
+        if (rc)
+            return rc;
+        for (size_t i = 0; im && i < m->survey.n; i++)
+            if (m->survey.photos[i].view.image == im)
+                memcpy(m->list.marks[k].image, m->written[i], strlen(m->written[i]) + 1);
+    }
     return ERR_OK;
 }
 
@@ -310,15 +345,17 @@ enum err_code marking_open(const struct marking_config *cfg, struct ingest_surve
     if (m->survey.placed)
         memcpy(m->up, m->survey.sim.rot + 6, sizeof m->up);
     if (!rc)
-        rc = marking_name_photos(m, e);
+        rc = marking_look_at_file(m, &m->file, &m->there, e);
+    if (!rc)
+        rc = marking_name_photos(m, marking_has_endings(m), e);
+    if (!rc && gcp_form_of(m->output) == GCP_FORM_XML)
+        rc = marking_name_marks(m, e);
     if (!rc)
         rc = marking_check_points(m, e);
     if (!rc)
         rc = marking_survey_points(m, e);
     if (!rc)
         rc = marking_count_strays(m, e);
-    if (!rc)
-        rc = marking_look_at_file(m, &m->file, &m->there, e);
     if (!rc)
         rc = marking_solve(m, e);
     if (rc)
@@ -335,6 +372,8 @@ void marking_close(struct marking **out)
         return;
     gcp_places_free(&m->places);
     gcp_free(&m->list);
+    for (size_t i = 0; i < m->survey.n && m->written; i++)
+        mem_free(m->written[i]);
     ingest_survey_free(&m->survey);
     mem_free(m->written);
     mem_free(m->views);

@@ -95,7 +95,6 @@ static enum column positions_column(const char *word, int *epsg, char heights[HE
                  {"imagename", COLUMN_IMAGE},
                  {"name", COLUMN_IMAGE},
                  {"label", COLUMN_IMAGE},
-                 {"#label", COLUMN_IMAGE},
                  {"x", COLUMN_X},
                  {"easting", COLUMN_X},
                  {"east", COLUMN_X},
@@ -132,13 +131,8 @@ static enum column positions_column(const char *word, int *epsg, char heights[HE
                  {"sigma_z", COLUMN_HEIGHT},
                  {"accuracy", COLUMN_BOTH},
                  {"sigma", COLUMN_BOTH}};
-    char plain[64];
-    size_t n = 0; /* "Accuracy Horizontal (m)" as accuracy_horizontal */
-    for (const char *p = word; *p && *p != '(' && n + 1 < sizeof plain; p++)
-        plain[n++] = *p == ' ' || *p == '-' ? '_' : *p;
-    while (n && plain[n - 1] == '_')
-        n--;
-    plain[n] = '\0';
+    char plain[TABLE_HEADING];
+    table_heading(word, plain);
     for (size_t w = 0; w < sizeof words / sizeof *words; w++) {
         if (strcasecmp(plain, words[w].word))
             continue;

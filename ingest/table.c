@@ -81,6 +81,19 @@ size_t table_split(char *text, char comma, char *field[TABLE_FIELDS])
     return n;
 }
 
+void table_heading(const char *field, char out[TABLE_HEADING])
+{
+    size_t n = 0;
+    field += *field == '#';
+    if (*field && field[1] == '/')
+        field += 2;
+    for (const char *p = field; *p && *p != '(' && n + 1 < TABLE_HEADING; p++)
+        out[n++] = *p == ' ' || *p == '-' ? '_' : *p;
+    while (n && out[n - 1] == '_')
+        n--;
+    out[n] = '\0';
+}
+
 bool table_number(const char *text, double *out)
 {
     char *end;
@@ -109,9 +122,20 @@ static bool table_is_slash(char c)
     return c == '/' || c == '\\';
 }
 
-size_t table_alike(const char *photo, const char *listed)
+/* Length without the ending of a file's name; as it is if there is none. */
+static size_t table_stem(const char *path)
 {
-    size_t n = strlen(photo), k = strlen(listed), same = 0, least = n < k ? n : k;
+    size_t n = strlen(path), dot = n;
+    for (size_t k = n; k > 0 && !table_is_slash(path[k - 1]); k--)
+        if (path[k - 1] == '.' && dot == n)
+            dot = k - 1;
+    return dot;
+}
+
+/* As table_alike, of the first n and k characters. */
+static size_t table_rate(const char *photo, size_t n, const char *listed, size_t k)
+{
+    size_t same = 0, least = n < k ? n : k;
     while (same < least) {
         char a = photo[n - same - 1], b = listed[k - same - 1];
         if (table_is_slash(a) ? !table_is_slash(b) : strncasecmp(&a, &b, 1) != 0)
@@ -121,5 +145,14 @@ size_t table_alike(const char *photo, const char *listed)
     if ((n > least && !table_is_slash(photo[n - least - 1])) ||
         (k > least && !table_is_slash(listed[k - least - 1])))
         return 0;
-    return 4 * same + 2 * (n == k) + !strcmp(photo, listed);
+    return 4 * same + 2 * (n == k) + (n == k && !strncmp(photo, listed, n));
+}
+
+size_t table_alike(const char *photo, const char *listed)
+{
+    const size_t n = strlen(photo), k = strlen(listed), stem = table_stem(photo);
+    const size_t rate = table_rate(photo, n, listed, k);
+    return rate || stem == n || !stem || table_stem(listed) != k
+               ? rate
+               : table_rate(photo, stem, listed, k);
 }

@@ -14,7 +14,7 @@
 
 struct buf;
 
-enum { TABLE_FIELDS = 32, TABLE_LINE_MAX = 1024 };
+enum { TABLE_FIELDS = 32, TABLE_LINE_MAX = 4096, TABLE_HEADING = 64 };
 struct table { /* {0}, then table_open; table_close it */
     const char *path;
     struct buf *bytes;
@@ -31,6 +31,9 @@ enum err_code table_next(struct table *t, char line[TABLE_LINE_MAX], bool *more,
 /* Splits text in place at `comma`, or if that is 0 at blanks, commas and semicolons. Blanks around
  * fields are removed. Returns the number of fields. */
 size_t table_split(char *text, char comma, char *field[TABLE_FIELDS]);
+/* The name of a column in one form: "Accuracy Horizontal (m)" as accuracy_horizontal, "#Label" as
+ * Label, "X/Easting" as Easting. */
+void table_heading(const char *field, char out[TABLE_HEADING]);
 /* Parses a finite number of at most 1e12 and nothing else. Returns false if it is none. */
 bool table_number(const char *text, double *out);
 /* Finds a decimal comma, as in "634676,12", in a line whose fields are not separated by commas.
@@ -38,7 +41,8 @@ bool table_number(const char *text, double *out);
 size_t table_decimal_comma(const char *line, const char **at);
 /* Rates how well the path of a photograph matches one in a list, from its end. 0: no match. Folders
  * that both have must be equal. Case is ignored, because cameras write .JPG. The whole path is
- * better than a part. */
+ * better than a part, and a name with its ending better than one that has none, as Metashape's
+ * labels. */
 size_t table_alike(const char *photo, const char *listed);
 
 #endif

@@ -92,9 +92,12 @@ struct target {
     uint8_t scale;          /* for map and terrain tiles: 1, or 2 for twice the pixels */
     enum encoding encoding; /* for terrain */
     uint32_t row;           /* for a thumbnail */
-    char stream[64];        /* for motion */
-    uint8_t video;          /* for motion: 1: VP9; 0: pictures by themselves */
-    struct text seal;       /* borrowed from the target's text; for a signed address */
+    struct target_part {
+        uint32_t column, line;
+    } part;           /* of a photograph */
+    char stream[64];  /* for motion */
+    uint8_t video;    /* for motion: 1: VP9; 0: pictures by themselves */
+    struct text seal; /* borrowed from the target's text; for a signed address */
     struct target_search search;
     /* for seed, collections and search: */
     bool has_bbox;

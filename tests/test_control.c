@@ -12,8 +12,8 @@
 
 #include "codec/colmap.h"
 #include "codec/scene.h"
-#include "ingest/gcp.h"
 #include "ingest/gcp_fit.h"
+#include "ingest/gcp_read.h"
 #include "ingest/ingest.h"
 #include "survey/crs.h"
 #include "tests/city_kit.h"

@@ -10,7 +10,7 @@
 
 #include "codec/colmap.h"
 #include "codec/scene.h"
-#include "ingest/gcp.h"
+#include "ingest/gcp_read.h"
 #include "ingest/ingest.h"
 #include "tests/city_kit.h"
 

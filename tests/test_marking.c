@@ -7,8 +7,11 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "ingest/gcp_read.h"
 #include "ingest/ingest.h"
 #include "ingest/marking.h"
+#include "ingest/table.h"
+#include "ingest/wkt.h"
 #include "tests/kit.h"
 
 static char tmp[FILE_PATH_MAX];
@@ -125,6 +128,209 @@ static void lists_are_read_as_they_were_written(void **state)
         gcp_free(&a);
         gcp_free(&b);
     }
+}
+
+/* ---- Metashape ---- */
+
+#define WKT_UTM                                                                                    \
+    "PROJCS[\"ETRS89 / UTM zone 32N\",GEOGCS[\"ETRS89\",DATUM[\"x]\",SPHEROID[\"GRS "              \
+    "1980\",6378137,298.25,AUTHORITY[\"EPSG\",\"7019\"]],AUTHORITY[\"EPSG\",\"6258\"]],"           \
+    "AUTHORITY[\"EPSG\",\"4258\"]],PROJECTION[\"Transverse_Mercator\"],AUTHORITY[\"EPSG\","        \
+    "\"25832\"]]"
+#define WKT_COMPOUND                                                                               \
+    "COMPD_CS[\"ETRS89 / UTM 32N + DHHN2016\"," WKT_UTM                                            \
+    ",VERT_CS[\"DHHN2016\",VERT_DATUM[\"y\",2005,AUTHORITY[\"EPSG\",\"1170\"]],AUTHORITY["         \
+    "\"EPSG\",\"7837\"]],AUTHORITY[\"EPSG\",\"1\"]]"
+
+static void systems_are_known_by_their_text(void **state)
+{
+    static const struct {
+        const char *wkt;
+        bool known;
+        int epsg, heights;
+    } all[] = {
+        {WKT_UTM, true, 25832, 0},
+        {WKT_COMPOUND, true, 25832, 7837},
+        {"GEOGCS[\"WGS 84\",AUTHORITY[\"EPSG\",\"4326\"]]", true, 4326, 0},
+        {"PROJCRS[\"WGS 84 / UTM zone 32N\", BASEGEOGCRS[\"WGS 84\",ID[\"EPSG\",4326]], "
+         "ID[\"EPSG\", 32632]]",
+         true, 32632, 0},
+        {"PROJCS[\"home-made\",GEOGCS[\"WGS 84\",AUTHORITY[\"EPSG\",\"4326\"]]]", true, 0, 0},
+        {"PROJCS[\"a\",AUTHORITY[\"ESRI\",\"102100\"]]", true, 0, 0},
+        {"LOCAL_CS[\"Local Coordinates (m)\"]", true, 0, 0},
+        {"PROJCS[", true, 0, 0},
+        {"PROJCS", false, 0, 0},
+        {"WGS84 UTM 32N", false, 0, 0},
+        {"", false, 0, 0}};
+    (void)state;
+    for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
+        int epsg, heights;
+        assert_true(wkt_epsg(all[i].wkt, &epsg, &heights) == all[i].known);
+        assert_int_equal(epsg, all[i].epsg);
+        assert_int_equal(heights, all[i].heights);
+    }
+}
+
+static const char markers[] =
+    "\xef\xbb\xbf<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n"
+    "<document version=\"1.2.0\">\n"
+    "  <!-- <chunk> of before -->\n"
+    "  <chunk label=\"Chunk &gt; 1\" enabled=\"true\">\n"
+    "    <sensors next_id=\"1\"><sensor id=\"0\" label=\"FC\" type=\"frame\"><resolution "
+    "width=\"4000\" height=\"3000\"/></sensor></sensors>\n"
+    "    <cameras next_id=\"9\">\n"
+    "      <camera id=\"0\" sensor_id=\"0\" label=\"DJI_1\"><reference x=\"1\" y=\"2\" z=\"3\"/>"
+    "</camera>\n"
+    "      <group id=\"0\"><camera id=\"7\" label=\"b/DJI &#228;&amp;2.JPG\"/></group>\n"
+    "    </cameras>\n"
+    "    <markers next_id=\"4\">\n"
+    "      <marker id=\"3\" label=\"point 1\">\n"
+    "        <reference x=\"634676.125\" y=\"5485344.5\" z=\"112.25\" sxy=\"0.03\" sz='0.05' "
+    "enabled=\"true\"/>\n"
+    "      </marker>\n"
+    "      <marker id=\"1\" label=\"off\"><reference x=\"1\" y=\"2\" z=\"3\" enabled=\"false\"/>"
+    "</marker>\n"
+    "      <marker id=\"0\" label=\"nowhere\"><reference enabled=\"true\"/></marker>\n"
+    "    </markers>\n"
+    "    <frames next_id=\"1\"><frame id=\"0\"><markers>\n"
+    "      <marker marker_id=\"3\">\n"
+    "        <location camera_id=\"0\" pinned=\"true\" x=\"1024.5\" y=\"3.125\"/>\n"
+    "        <location camera_id=\"7\" pinned=\"1\" x=\"7\" y=\"8\"/>\n"
+    "      </marker>\n"
+    "      <marker marker_id=\"1\"><location camera_id=\"7\" pinned=\"true\" x=\"5\" y=\"6\"/>"
+    "<location camera_id=\"0\" pinned=\"false\" x=\"5\" y=\"6\"/></marker>\n"
+    "      <marker marker_id=\"0\"><location camera_id=\"7\" pinned=\"true\" x=\"5\" y=\"6\"/>"
+    "</marker>\n"
+    "    </markers></frame><frame id=\"1\"><markers><marker marker_id=\"3\"><location "
+    "camera_id=\"0\" x=\"9\" y=\"9\"/></marker></markers></frame></frames>\n"
+    "    <reference>COMPD_CS[&quot;a&quot;,PROJCS[&quot;b&quot;,AUTHORITY[&quot;EPSG&quot;,"
+    "&quot;25832&quot;]],VERT_CS[&quot;c&quot;,AUTHORITY[&quot;EPSG&quot;,&quot;7837&quot;]]]"
+    "</reference>\n"
+    "  </chunk>\n</document>\n";
+
+static void expect_markers(const struct gcp_list *l)
+{
+    assert_true(l->n == 2 && l->n_marks == 3 && l->epsg == 25832 && l->heights_epsg == 7837);
+    assert_string_equal(l->gcps[0].name, "point 1");
+    assert_true(l->gcps[0].at[0] == 634676.125 && l->gcps[0].at[2] == 112.25);
+    assert_true(l->gcps[0].sigma_m[0] == 0.03 && l->gcps[0].sigma_m[1] == 0.05);
+    assert_true(!l->gcps[0].check && l->gcps[1].check && l->gcps[1].at[1] == 2);
+    assert_string_equal(l->marks[0].image, "DJI_1");
+    assert_string_equal(l->marks[1].image, "b/DJI \xc3\xa4&2.JPG");
+    assert_true(l->marks[0].x_px == 1024.5 && l->marks[0].y_px == 3.125);
+    assert_true(l->marks[2].gcp == 1 && l->marks[2].x_px == 5);
+}
+
+static void markers_of_metashape_are_read_and_written(void **state)
+{
+    struct err e = {0};
+    struct gcp_list a, b;
+    char path[FILE_PATH_MAX];
+    (void)state;
+    put("markers.xml", markers, path);
+    kit_ok(gcp_read(path, &a, &e), e);
+    expect_markers(&a);
+    struct buf out = {0};
+    kit_fails(gcp_write(&a, GCP_FORM_XML, &out, &e), ERR_DATA, e, "no text");
+    buf_free(&out);
+    a.wkt = mem_text(WKT_COMPOUND);
+    write_list(&a, GCP_FORM_XML, "again.xml", path);
+    kit_ok(gcp_read(path, &b, &e), e);
+    expect_markers(&b);
+    gcp_free(&a);
+    gcp_free(&b);
+}
+
+static void bad_markers_are_refused_by_line(void **state)
+{
+    static const struct {
+        const char *in, *out, *says;
+    } bad[] = {{"</group>", "", "line 9: an element ends that is not open"},
+               {"</document>\n", "", "ends within an element"},
+               {"camera_id=\"0\" pinned=\"true\"", "camera_id=\"5\"",
+                "line 19: there is no camera of id 5"},
+               {"x=\"1024.5\"", "x=\"1024,5\"", "line 19: a place in a photograph has no"},
+               {"camera id=\"0\"", "camera ", "line 7: a camera or marker has no id"},
+               {"<chunk label", "<chunk/><chunk label", "a second chunk"},
+               {"<chunk label", "<!DOCTYPE a [<!ENTITY b \"c\">]><chunk label", "document types"},
+               {"label=\"point 1\">", "label=\"point 1\"", "line 11: a tag does not end"},
+               {"of before -->", "of before", "a comment or declaration does not end"},
+               {"label=\"off\"", "label=\"point 1\"", "point 1 lies at"},
+               {"<marker id=\"3\" label=\"point 1\">",
+                "<marker id=\"3\" label=\"0123456789012345678901"
+                "234567890123456789012345678901234567890123456789\">",
+                "has over 63 bytes"},
+               {"camera_id=\"7\" pinned=\"1\"", "camera_id=\"0\" pinned=\"1\"", "both mark"},
+               {"<markers next_id=\"4\">", "<nothing>", "an element ends that is not open"}};
+    (void)state;
+    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
+        struct err e = {0};
+        struct gcp_list l;
+        char path[FILE_PATH_MAX], text[sizeof markers + 256];
+        const char *at = strstr(markers, bad[i].in);
+        assert_non_null(at);
+        snprintf(text, sizeof text, "%.*s%s%s", (int)(at - markers), markers, bad[i].out,
+                 at + strlen(bad[i].in));
+        put("bad.xml", text, path);
+        kit_fails(gcp_read(path, &l, &e), ERR_FORMAT, e, bad[i].says);
+    }
+    for (size_t n = 4; n < sizeof markers - 16; n += 7) { /* cut anywhere */
+        struct gcp_list l;
+        char path[FILE_PATH_MAX], text[sizeof markers];
+        snprintf(text, sizeof text, "%.*s", (int)n, markers);
+        put("cut.xml", text, path);
+        assert_true(gcp_read(path, &l, NULL) != ERR_OK);
+    }
+}
+
+static void tables_of_metashape_are_read(void **state)
+{
+    static const char points[] =
+        "# CoordinateSystem: " WKT_UTM "\n"
+        "#Label,X/Easting,Y/Northing,Z/Altitude,Accuracy_X/Y_(m),Accuracy_Z_(m),Error_(m),X_error\n"
+        "point 1,634676.125,5485344.5,112.25,0.03,0.05,0.1,0.1\n"
+        "point 2,634776.125,5485444.5,113,,,,\n"
+        "not surveyed,,,,,,,\n"
+        "# Total Error,,,,,,0.1,0.1\n";
+    static const char *const marks[] = {
+        "marker,camera,x,y\npoint 2,DJI_1,1024.5,3.125\npoint 1,b/DJI_2.JPG,7,8\nnot "
+        "surveyed,DJI_1,1,1\n",
+        "image_name,gcp_name,image_u,image_v\nDJI_1,point 2,1024.5,3.125\nb/DJI_2.JPG,point "
+        "1,7,8\n"};
+    (void)state;
+    for (size_t i = 0; i < 2; i++) {
+        struct err e = {0};
+        struct gcp_list l;
+        char a[FILE_PATH_MAX], b[FILE_PATH_MAX], both[2 * FILE_PATH_MAX];
+        put("points.csv", points, a);
+        put("marks.csv", marks[i], b);
+        snprintf(both, sizeof both, "%s,%s", a, b);
+        kit_ok(gcp_read(both, &l, &e), e);
+        assert_true(l.n == 2 && l.n_marks == 2 && l.epsg == 25832);
+        assert_true(l.gcps[0].at[0] == 634676.125 && l.gcps[0].sigma_m[0] == 0.03);
+        assert_true(l.gcps[0].sigma_m[1] == 0.05 && l.gcps[1].sigma_m[0] == 0);
+        assert_true(l.marks[0].gcp == 1 && l.marks[0].x_px == 1024.5 && l.marks[1].gcp == 0);
+        assert_string_equal(l.marks[0].image, "DJI_1");
+        gcp_free(&l);
+        kit_fails(gcp_read(b, &l, &e), ERR_FORMAT, e, "has marks and no coordinates");
+        kit_fails(gcp_read(a, &l, &e), ERR_FORMAT, e, "no column for px");
+    }
+}
+
+static void labels_without_endings_are_photographs(void **state)
+{
+    static const struct {
+        const char *photo, *listed;
+        bool alike;
+    } all[] = {{"b/DJI_0001.JPG", "DJI_0001", true},    {"b/DJI_0001.JPG", "b\\dji_0001", true},
+               {"b/DJI_0001.JPG", "c/DJI_0001", false}, {"b/DJI_0001.JPG", "JI_0001", false},
+               {"DJI_0001.JPG", "DJI_0001.JPG", true},  {"DJI_0001.JPG", "DJI_0001.TIF", false},
+               {"DJI_0001.JPG", "DJI_0001.", false},    {"DJI_0001", "DJI_0001.JPG", false},
+               {"a.b/DJI_0001.JPG", "DJI_0001", true},  {".JPG", "", false}};
+    (void)state;
+    for (size_t i = 0; i < sizeof all / sizeof *all; i++)
+        assert_true((table_alike(all[i].photo, all[i].listed) > 0) == all[i].alike);
+    assert_true(table_alike("DJI_1.JPG", "DJI_1.JPG") > table_alike("DJI_1.JPG", "DJI_1"));
 }
 
 /* ---- a survey: six cameras above level ground, 100 m high, that look down ---- */
@@ -310,15 +516,42 @@ static void changes_are_in_the_file(void **state)
     marking_close(&m);
 }
 
+/* For Metashape, which labels photographs without their endings. */
+static void marks_are_in_a_file_for_metashape(void **state)
+{
+    static const double at[2] = {2468.2, 1000.6};
+    struct marking *m;
+    struct gcp_list l;
+    struct err e = {0};
+    char path[FILE_PATH_MAX];
+    (void)state;
+    kit_ok(file_join(path, tmp, "file.xml", &e), e);
+    open_desk(&m, path, true, 0);
+    kit_ok(marking_set(m, 0, 3, at, &e), e);
+    kit_ok(marking_set(m, 1, 3, at, &e), e);
+    kit_ok(gcp_read(path, &l, &e), e);
+    assert_true(l.n == POINTS && l.n_marks == 2 && l.epsg == GCP_LONLAT);
+    assert_string_equal(l.marks[0].image, "b/DJI_1");
+    assert_true(l.marks[1].gcp == 1 && l.marks[1].x_px == 1234.1);
+    gcp_free(&l);
+    marking_close(&m);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(points_come_without_marks),
         cmocka_unit_test(bad_points_are_refused_by_line),
         cmocka_unit_test(lists_are_read_as_they_were_written),
+        cmocka_unit_test(systems_are_known_by_their_text),
+        cmocka_unit_test(markers_of_metashape_are_read_and_written),
+        cmocka_unit_test(bad_markers_are_refused_by_line),
+        cmocka_unit_test(tables_of_metashape_are_read),
+        cmocka_unit_test(labels_without_endings_are_photographs),
         cmocka_unit_test(places_are_expected_through_the_lens),
         cmocka_unit_test(a_wrong_mark_and_a_wrong_point_show),
         cmocka_unit_test(changes_are_in_the_file),
+        cmocka_unit_test(marks_are_in_a_file_for_metashape),
     };
     return cmocka_run_group_tests_name("marking", tests, setup, teardown);
 }

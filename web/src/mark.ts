@@ -6,11 +6,12 @@ import { element, setText } from "./dom";
 import "./style.css";
 import "./mark.css";
 import { Desk, Refused, type Place, type Point, type Spot } from "./markdesk";
+import { Parts } from "./markparts";
 import { PhotoView } from "./markphoto";
 import { say, translateMark } from "./markwords";
 import { getLanguage, setLanguage } from "./strings";
 
-const KEPT_PHOTOS = 3; // decoded: 80 MB each at 20 megapixels
+const KEPT_PHOTOS = 4; // decoded: 13 MB each, also of large photographs
 const DONE_MARKS = 3;
 const AGREE_PX = 3; // residual of marks that agree
 const NUDGE_WAIT_MS = 350; // several presses are one change
@@ -87,7 +88,7 @@ class MarkPage {
     try {
       const bitmap = await this.bitmap(photo);
       if (this.photo !== photo) return;
-      view.show(bitmap, [about.width, about.height]);
+      view.show(bitmap, [about.width, about.height], bitmap.width < about.width ? this.parts(photo) : null);
       this.wait("");
     } catch (error) {
       this.bitmaps.delete(photo);
@@ -127,6 +128,15 @@ class MarkPage {
       void one.then((bitmap) => bitmap.close()).catch(() => undefined);
     }
     return known;
+  }
+
+  private parts(photo: number): Parts {
+    return new Parts(
+      this.desk.part,
+      (column, row) => this.desk.photographPart(photo, column, row),
+      () => this.view.draw(),
+      (error) => banner(say("broken", { photo: this.desk.photographs[photo]!.name, why: error.message })),
+    );
   }
 
   private signs() {

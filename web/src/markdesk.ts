@@ -31,6 +31,7 @@ interface Survey {
   output: string;
   revision: number;
   strays: number;
+  part: number;
   photographs: Photograph[];
   points: Point[];
 }
@@ -59,6 +60,7 @@ export class Refused extends Error {
 export class Desk {
   output = "";
   strays = 0;
+  part = 0;
   photographs: Photograph[] = [];
   points: Point[] = [];
   point = 0;
@@ -85,8 +87,14 @@ export class Desk {
     return this.spots.find((one) => one.photo === photo);
   }
 
+  // Of a large photograph a smaller picture.
   async photograph(index: number): Promise<ImageBitmap> {
     return createImageBitmap(await (await this.ask(`photographs/${index}`)).blob());
+  }
+
+  // At full size: a square of `part` pixels.
+  async photographPart(index: number, column: number, row: number): Promise<ImageBitmap> {
+    return createImageBitmap(await (await this.ask(`photographs/${index}/${column}/${row}`)).blob());
   }
 
   // Sets or removes (null) a mark of the point of now.

@@ -2,11 +2,13 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import type { Place } from "./markdesk";
+import type { Parts } from "./markparts";
 
 const SCALE_MAX = 32; // CSS pixels for one of the photograph
 const LOUPE_SCALE = 5;
 const STILL_PX = 5; // less is a click
 const MARGIN_PX = 60; // of the photograph that stays in view
+const BLUR = 2; // pixels of the screen for one of the smaller picture, from which on full size is asked for
 const COLOURS = { mark: "#ff5ea8", expected: "#ffd23e", edge: "rgb(0 0 0 / 75%)" };
 
 export interface PhotoEvents {
@@ -24,6 +26,7 @@ export class PhotoView {
   expected: Place | null = null;
   aim: Place | null = null; // of the keys, where there is no mark
   private bitmap: ImageBitmap | null = null;
+  private parts: Parts | null = null; // of a bitmap that is smaller than the photograph
   private size: Place = [1, 1];
   private scale = 1;
   private origin: Place = [0, 0]; // CSS pixels, of the photograph's corner
@@ -55,11 +58,18 @@ export class PhotoView {
   }
 
   // bitmap null: it is on its way.
-  show(bitmap: ImageBitmap | null, size: Place) {
+  show(bitmap: ImageBitmap | null, size: Place, parts: Parts | null = null) {
+    if (this.parts !== parts) this.parts?.close();
     this.bitmap = bitmap;
+    this.parts = parts;
     this.size = size;
     this.begin = this.held = this.aim = null;
     this.draw();
+  }
+
+  // What is drawn is as sharp as the photograph is.
+  get sharp(): boolean {
+    return this.bitmap !== null && (this.parts?.complete ?? true);
   }
 
   // So that `share` of the photograph's width is in view about a place.
@@ -216,6 +226,7 @@ export class PhotoView {
     const c = prepare(this.canvas);
     const { clientWidth: w, clientHeight: h } = this.canvas;
     c.clearRect(0, 0, w, h);
+    this.parts?.begin();
     if (this.bitmap) {
       this.copy(c, this.origin, this.scale, w, h);
       this.signs(c, (at) => this.toScreen(at), 1);
@@ -225,7 +236,7 @@ export class PhotoView {
 
   private copy(c: CanvasRenderingContext2D, origin: Place, scale: number, w: number, h: number) {
     const bitmap = this.bitmap!;
-    const unit = bitmap.width / this.size[0]; // a browser may have shrunk it
+    const unit = bitmap.width / this.size[0]; // it may be smaller than the photograph
     const [x0, y0] = [Math.max(-origin[0] / scale, 0), Math.max(-origin[1] / scale, 0)];
     const [x1, y1] = [Math.min((w - origin[0]) / scale, this.size[0]), Math.min((h - origin[1]) / scale, this.size[1])];
     if (x1 <= x0 || y1 <= y0) return;
@@ -238,6 +249,24 @@ export class PhotoView {
       ...([sx * unit, sy * unit, (ex - sx) * unit, (ey - sy) * unit] as const),
       ...([origin[0] + sx * scale, origin[1] + sy * scale, (ex - sx) * scale, (ey - sy) * scale] as const),
     );
+    if (this.parts && scale * window.devicePixelRatio >= BLUR * unit) this.copyParts(c, origin, scale, [sx, sy, ex, ey]);
+  }
+
+  // Over the smaller picture, what is here at full size of the pixels sx, sy to ex, ey.
+  private copyParts(c: CanvasRenderingContext2D, origin: Place, scale: number, [sx, sy, ex, ey]: [number, number, number, number]) {
+    const { size } = this.parts!;
+    for (let row = Math.floor(sy / size); row * size < ey; row++)
+      for (let column = Math.floor(sx / size); column * size < ex; column++) {
+        const part = this.parts!.get(column, row);
+        if (!part) continue;
+        const [x0, y0] = [Math.max(column * size, sx), Math.max(row * size, sy)];
+        const [w, h] = [Math.min(column * size + part.width, ex) - x0, Math.min(row * size + part.height, ey) - y0];
+        c.drawImage(
+          part,
+          ...([x0 - column * size, y0 - row * size, w, h] as const),
+          ...([origin[0] + x0 * scale, origin[1] + y0 * scale, w * scale, h * scale] as const),
+        );
+      }
   }
 
   private signs(c: CanvasRenderingContext2D, where: (at: Place) => Place, size: number) {
