@@ -4,6 +4,8 @@
  */
 #include "cli/control.h"
 
+#include <math.h>
+
 #include "core/base.h"
 #include "survey/crs.h"
 
@@ -27,6 +29,15 @@ static void control_check_area(const struct crs *crs, const struct gcp *g)
                  "line %zu: ground control point %s lies %.0f degrees outside of where EPSG:%d is "
                  "used: another zone, x and y swapped, or feet?",
                  g->line, g->name, off_deg, crs_epsg(crs));
+}
+
+/* What is likely wrong with a point that lies nowhere in its system. */
+static const char *control_suspicion(const struct gcp *g)
+{
+    const double zone = floor(g->file[0] / 1e6), rest = g->file[0] - 1e6 * zone;
+    return zone >= 1 && zone <= 60 && rest > 1e5 && rest < 9e5 && fabs(g->file[1]) < 1e7
+               ? "do the eastings begin with the number of the zone"
+               : "x and y swapped, feet, or millimetres";
 }
 
 /* The system as text, for files that have it so. Heights that PROJ does not know are left out here:
@@ -56,10 +67,8 @@ enum err_code control_unproject(const char *path, int epsg, struct gcp_list *l, 
         struct gcp *g = &l->gcps[i];
         rc = crs_unproject(crs, 1, &g->at[0], &g->at[1], e);
         if (rc)
-            err_add(e,
-                    "%s: line %zu: ground control point %s (x and y swapped, feet, or "
-                    "millimetres?)",
-                    path, g->line, g->name);
+            err_add(e, "%s: line %zu: ground control point %s (%s?)", path, g->line, g->name,
+                    control_suspicion(g));
         else
             control_check_area(crs, g);
     }

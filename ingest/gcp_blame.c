@@ -88,7 +88,7 @@ static bool blame_reading(const struct gcp_list *l, double lon, size_t k, struct
         double scale;
         const char *what;
     } plain[] = {{READ_SWAPPED, 0, "x and y are swapped"},
-                 {READ_SCALED, foot_m, "the coordinates are in feet"},
+                 {READ_SCALED, foot_m, "the coordinates are in feet, international or US survey"},
                  {READ_SCALED, us_foot_m, "the coordinates are in US survey feet"},
                  {READ_SCALED, 0.001, "the coordinates are in millimetres, or lost their point"},
                  {READ_SCALED, 0.01, "the coordinates are in centimetres, or lost their point"},

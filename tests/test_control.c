@@ -168,6 +168,19 @@ static void feet_up(struct row *r, size_t n)
 {
     stretch(r, n, 1, 1 / 0.3048);
 }
+static void us_feet(struct row *r, size_t n)
+{
+    stretch(r, n, 3937.0 / 1200, 3937.0 / 1200);
+}
+static void sign_lost(struct row *r, size_t n)
+{
+    for (size_t i = 0; i < n; i++)
+        r[i].x = -r[i].x;
+}
+static void zone_before(struct row *r, size_t n)
+{
+    shift(r, n, NULL, 32e6, 0, 0);
+}
 static void millimetres(struct row *r, size_t n)
 {
     stretch(r, n, 1000, 1);
@@ -365,6 +378,33 @@ static const struct mistake mistakes[] = {
      false},
     {"latitude first", swapped, 0, "EPSG:4326", FORM_ODM, "", 1, {"x and y are swapped"}, false},
     {"feet", feet, EPSG, "EPSG:32632", FORM_ODM, "", 1, {"coordinates are in feet"}, false},
+    {"US survey feet",
+     us_feet,
+     EPSG,
+     "EPSG:32632",
+     FORM_ODM,
+     "",
+     1,
+     {"km from where GPS", "in feet, international or US survey"},
+     false},
+    {"a sign of longitudes",
+     sign_lost,
+     0,
+     "EPSG:4326",
+     FORM_ODM,
+     "",
+     1,
+     {"km from where GPS", "western longitudes lost their sign"},
+     false},
+    {"zone before the eastings",
+     zone_before,
+     EPSG,
+     "EPSG:32632",
+     FORM_ODM,
+     "",
+     2,
+     {"line 2: ground control point p0", "do the eastings begin with the number of the zone"},
+     false},
     {"millimetres",
      millimetres,
      EPSG,
