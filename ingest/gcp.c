@@ -60,7 +60,7 @@ enum err_code gcp_find(const char *path, size_t line, struct gcp_list *l, const 
 enum err_code gcp_add_point(const char *path, struct gcp_list *l, const struct gcp *g,
                             struct err *e)
 {
-    size_t at;
+    size_t at = 0;
     enum err_code rc = gcp_find(path, g->line, l, g->name, g->file, &at, e);
     if (!rc)
         l->gcps[at].check |= g->check;

@@ -40,13 +40,11 @@ struct gcp_table {
     size_t column[GCP_COLUMNS]; /* which field; SIZE_MAX: not there */
 };
 
-/* What a column of this name holds; GCP_COLUMNS: unknown. */
-static enum gcp_column gcp_column_of(const char *word)
-{
-    static const struct {
-        const char *word;
-        enum gcp_column column;
-    } words[] = {{"x", GCP_X},
+/* Names of columns, without regard to case. */
+static const struct {
+    const char *word;
+    enum gcp_column column;
+} gcp_words[] = {{"x", GCP_X},
                  {"easting", GCP_X},
                  {"east", GCP_X},
                  {"lon", GCP_X},
@@ -99,11 +97,15 @@ static enum gcp_column gcp_column_of(const char *word)
                  {"sigma", GCP_SIGMA},
                  {"accuracy_px", GCP_MARK_SIGMA},
                  {"sigma_px", GCP_MARK_SIGMA}};
+
+/* What a column of this name holds; GCP_COLUMNS: unknown. */
+static enum gcp_column gcp_column_of(const char *word)
+{
     char plain[TABLE_HEADING];
     table_heading(word, plain);
-    for (size_t w = 0; w < sizeof words / sizeof *words; w++)
-        if (!strcasecmp(plain, words[w].word))
-            return words[w].column;
+    for (size_t w = 0; w < sizeof gcp_words / sizeof *gcp_words; w++)
+        if (!strcasecmp(plain, gcp_words[w].word))
+            return gcp_words[w].column;
     return GCP_COLUMNS;
 }
 

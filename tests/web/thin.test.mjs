@@ -340,9 +340,9 @@ test("a slow machine is offered the server's pictures", async (t) => {
     await slow.close();
 });
 
-const STEER_MS = 60_000;
+const STEER_MS = 15_000;
 
-test("a minute of steering leaves nothing behind", async (t) => {
+test("steering leaves nothing behind", async (t) => {
     if (why) return t.skip(why);
     const steered = await openViewer(`${proxy.url}/?thin`, { ...SIZE, init: countVideo });
     const { page } = steered;
@@ -359,7 +359,7 @@ test("a minute of steering leaves nothing behind", async (t) => {
     await waitForViewer(page);
     const [counts, after] = [await countsOf(page), await heap()];
     t.diagnostic(`${JSON.stringify(counts)}, heap ${before.toFixed(2)}, then ${after.toFixed(2)} MB`);
-    assert.ok(counts.frames > 100, `${counts.frames} frames in a minute`);
+    assert.ok(counts.frames > STEER_MS / 600, `${counts.frames} frames in ${STEER_MS} ms`);
     assert.deepEqual([counts.decoders, counts.framesClosed], [1, counts.frames]);
     assert.equal(streams().length, 1);
     assert.ok(after - before < 2, `${after - before} MB more`);
