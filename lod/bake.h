@@ -58,8 +58,8 @@ enum err_code bake_apply(struct store *s, const float *image, struct gauss *g,
  * ERR_NOENT (no such tile), ERR_DATA, ERR_FORMAT, ERR_IO, ERR_MEM. */
 enum err_code bake_read(struct store *s, struct key k, const float *image, struct gauss *out,
                         struct err *e) ERR_USE;
-/* Computes the default appearance, image [len_image], of a model whose Gaussians have embeddings as
- * g has. ERR_DATA (no photographs, no rows, other embeddings), ERR_MEM. Any thread. */
+/* Computes the default appearance, image [len_image], of model a. The Gaussians g have embeddings
+ * for it. ERR_DATA (no photographs, no rows, other embeddings), ERR_MEM. Any thread. */
 enum err_code bake_default(const struct appearance *a, const struct gauss *g, float *image,
                            struct err *e) ERR_USE;
 /* Copies the model and appends the default appearance as a row named BAKE_DEFAULT. A store keeps

@@ -37,10 +37,11 @@ bool blocks_has(const struct blocks *b, uint64_t i);
 size_t blocks_size(const struct blocks *b, uint64_t i);
 /* Reads a block [BLOCKS_BYTES]. False: it is not here. */
 bool blocks_get(struct blocks *b, uint64_t i, uint8_t *out);
-/* Keeps a block. On a full disk it is not kept. The blocks that were used longest ago give way. */
+/* Keeps a block, unless the disk is full. If the file would exceed its limit, the least recently
+ * used blocks are dropped. */
 void blocks_put(struct blocks *b, uint64_t i, const uint8_t *bytes);
-/* What all users of the file know of its object. Changed: the server has another one now. Down: its
- * server did not answer; until then nobody asks it again. */
+/* State of the object, shared by all users of the file. Changed: the server has another object now.
+ * Down: the server did not answer, and nobody asks it again for for_s seconds. */
 void blocks_note_changed(struct blocks *b, bool changed);
 bool blocks_changed(const struct blocks *b);
 void blocks_note_down(struct blocks *b, double for_s);

@@ -1,6 +1,6 @@
-/* Finds the tiles of a store that are not empty after clipping, for documents that list tiles.
- * Boxes decide about tiles completely inside or outside a polygon. Tiles across its border are
- * read, so the answer is exact, up to a limit of Gaussians to read.
+/* Finds the tiles of a store that are not empty after clipping, for documents that list tiles. For
+ * a tile completely inside or outside a polygon its box is enough. Tiles across the border are
+ * read, up to a limit of Gaussians, so the answer is exact below that limit.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -27,9 +27,9 @@ struct crop_node {
     bool any; /* Gaussians are left in it, or may be left in a tile below */
 };
 enum { CROP_READ_MAX = 4000000 /* Gaussians; further tiles across the border count as whole */ };
-/* Computes node [n_nodes of the tree] for `start`, an index into the store's tree, and the nodes
- * below. With one_document it stops where other documents begin, and only boxes decide about those.
- * Free *node with mem_free. ERR_FORMAT, ERR_IO, ERR_MEM as in store_read_gauss; ERR_ARG. */
+/* Computes node [n_nodes of the tree] for node `start` of the store's tree and all nodes below it.
+ * With one_document it stops where other documents begin; there only boxes are compared. Free *node
+ * with mem_free. ERR_FORMAT, ERR_IO, ERR_MEM as in store_read_gauss; ERR_ARG. */
 enum err_code crop_tiles(const struct clip *c, struct store *s, uint32_t start, bool one_document,
                          struct crop_node **node, struct err *e) ERR_USE;
 

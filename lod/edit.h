@@ -16,8 +16,8 @@
 struct edit_tile {
     struct key key;
     uint8_t level;
-    bool carried;   /* a copy of coarser rows; overviews are not made of it */
-    bool whole;     /* rows of a trained level; never thinned because the tile is too full */
+    bool carried;   /* a copy of coarser rows; overviews are not made from it */
+    bool whole;     /* rows of a trained level: never thinned, however full the tile is */
     bool settled;   /* edit_settle was called: the rows are as the store will have them */
     struct gauss g; /* n == 0: the tile is removed */
 };
@@ -58,10 +58,10 @@ enum err_code edit_settle(struct edit *d, struct edit_tile *t, struct err *e) ER
 /* Key of row i at zoom z. ERR_ARG (not finite). */
 enum err_code edit_key(const struct edit *d, const struct gauss *g, size_t i, uint8_t z,
                        struct key *out, struct err *e) ERR_USE;
-/* Settles all edits, writes the store and commits it. It has the edits, copies of the other tiles
- * of `a`, and copies of tiles that only `b` (may be NULL) has. It has the blobs of a, and those of
- * b that a lacks. n_copied may be NULL. It uses all cores. ERR_CANCEL, ERR_DATA (no tiles),
- * ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM. */
+/* Settles all edits, writes the store and commits it. The new store has the edits, copies of the
+ * other tiles of `a`, and copies of tiles that only `b` (may be NULL) has; also the blobs of a, and
+ * those of b that a lacks. n_copied may be NULL. It uses all cores. ERR_CANCEL, ERR_DATA (no
+ * tiles), ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM. */
 enum err_code edit_write(struct edit *d, struct store *a, struct store *b, const char *out_path,
                          size_t *n_copied, size_t *n_written, struct err *e) ERR_USE;
 

@@ -1,9 +1,10 @@
 /* Tests whether a camera can see boxes around splats. Internal to lod/.
  *
- * A box is means widened by 3.33 sigma, the reach of an opaque splat. It is rejected only if it
- * lies completely behind one of five planes, so no splat in it can touch the picture. EWA splatting
- * evaluates its Jacobian at the mean, and draws slightly beyond the true cone. The planes are moved
- * by the largest possible amount of that. There is no far plane.
+ * A box encloses means, each widened by 3.33 sigma, the reach of an opaque splat. A box is rejected
+ * only if it lies completely behind one of five planes, so that no splat in it can touch the
+ * picture. EWA splatting evaluates its Jacobian at the mean, and draws slightly beyond the true
+ * cone. The planes are therefore moved outwards by the largest possible excess. There is no far
+ * plane.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

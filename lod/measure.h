@@ -42,7 +42,7 @@ void measure_climb(const struct measure_sample *s, size_t n, double *climb_m, do
 
 struct measure_area {
     double area_m2, perimeter_m;        /* horizontal */
-    double known_m2;                    /* area with a surface; what follows is for this part */
+    double known_m2;                    /* area with a surface; the rest is for that part alone */
     double surface_m2;                  /* area of the surface itself, with steps and slopes */
     double base_m;                      /* height of the base in the middle of the corners */
     double above_m3, below_m3;          /* volumes between surface and base */
@@ -50,10 +50,10 @@ struct measure_area {
     double pixel_m;
 };
 /* Measures inside a polygon [count][2]. base_m: height of a level base; NAN: the plane through the
- * surface along the rim, by least squares. gsd_m is the pixel size. 0: a fourth of the usual
- * Gaussian; for a large polygon more, up to the size of a Gaussian. ERR_DATA: the polygon is not
- * simple, has too many pixels, or no surface along its rim. ERR_ARG, ERR_CANCEL, ERR_DEVICE,
- * ERR_FORMAT, ERR_LIMIT, ERR_MEM as in measure_plan and nadir_draw. */
+ * surface along the rim, by least squares. gsd_m is the pixel size. 0: a fourth of the usual size
+ * of a Gaussian; for a large polygon more, up to that size. ERR_DATA: the polygon is not simple,
+ * has too many pixels, or no surface along its rim. ERR_ARG, ERR_CANCEL, ERR_DEVICE, ERR_FORMAT,
+ * ERR_LIMIT, ERR_MEM as in measure_plan and nadir_draw. */
 enum err_code measure_polygon(struct nadir *n, const double (*lonlat)[2], size_t count,
                               double base_m, double gsd_m, struct measure_area *out,
                               struct err *e) ERR_USE;
@@ -62,7 +62,7 @@ struct measure_sight {
     double distance_m;
     double light;      /* share of light that arrives */
     bool visible;      /* at least half of it arrives */
-    double blocked_m;  /* distance to the obstacle; NAN if visible, as is the next */
+    double blocked_m;  /* distance to the obstacle; NAN if visible, and so is `blocked` */
     double blocked[3]; /* its longitude, latitude, height */
 };
 /* Computes whether `to` is visible from `from`: longitude, latitude, height. Obstacles within

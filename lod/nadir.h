@@ -28,7 +28,8 @@ struct nadir; /* a store, a renderer and the surveyed area; only one thread may 
 struct nadir_options {
     const char *device;     /* OpenCL device, see dev_open */
     const char *appearance; /* see lod/bake.h; NULL: the store's default */
-    /* ENU; what is higher is not drawn. NAN: half of the survey's own height plus 20 m above it */
+    /* ENU height above which nothing is drawn. NAN: above the survey by half of its own height plus
+     * 20 m */
     double ceiling_m;
     size_t cache_bytes; /* limit of decoded tiles; 0: 256 MiB */
 };
@@ -45,8 +46,8 @@ void nadir_close(struct nadir **n);
 const struct store *nadir_store(const struct nadir *n);
 const struct area *nadir_area(const struct nadir *n);
 
-/* From now on nadir_draw, nadir_look and all that use them call `stop` first, and return ERR_CANCEL
- * if it is true. NULL: never. */
+/* From now on nadir_draw, nadir_look and all functions that use them first call `stop`, and return
+ * ERR_CANCEL if it returns true. NULL: they are never stopped. */
 void nadir_set_stop(struct nadir *n, bool (*stop)(const void *user), const void *user);
 
 /* A piece of ground. Pixel (u, v), with (0, 0) the top left corner, is the vertical line through
@@ -77,8 +78,8 @@ enum err_code nadir_draw(struct nadir *n, const struct nadir_piece *p, float *rg
  * pixel i at height_m[i] has lost half of its light. NAN: nowhere, or height_m[i] is NAN. Rays go
  * down at 45 degrees, away from the edge `way` of the piece: 0 bottom, 1 left, 2 top, 3 right. A
  * pixel of this drawing is `coarse` pixels of the piece. Pieces whose corners differ by a multiple
- * of that have the same rays. ERR_ARG, ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_MEM, ERR_LIMIT as in
- * nadir_draw. */
+ * of such a pixel have the same rays. ERR_ARG, ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_MEM,
+ * ERR_LIMIT as in nadir_draw. */
 enum err_code nadir_slant(struct nadir *n, const struct nadir_piece *p, unsigned way,
                           uint32_t coarse, const float *height_m, float *out,
                           struct err *e) ERR_USE;

@@ -35,7 +35,8 @@ enum err_code photograph_write(const struct photograph *p, struct buf *out, stru
 /* Reads the blob of a photograph. ERR_NOENT: there is none. ERR_FORMAT, ERR_IO, ERR_MEM. */
 enum err_code photograph_read(struct store *s, const char *name, struct photograph *out,
                               struct err *e) ERR_USE;
-/* Reads its JPEG; the caller frees `out`. ERR_NOENT, ERR_FORMAT (not a JPEG), ERR_IO, ERR_MEM. */
+/* Reads the thumbnail; the caller frees `out`. ERR_NOENT, ERR_FORMAT (not a JPEG), ERR_IO, ERR_MEM.
+ */
 enum err_code photograph_thumbnail(struct store *s, const char *name, struct buf *out,
                                    struct err *e) ERR_USE;
 /* Returns whether `name` is the name of such a blob. */

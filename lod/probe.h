@@ -11,7 +11,7 @@ struct probe {
     bool surveyed, found; /* surveyed: the place is in the survey; found: there is a surface */
     double height_m;      /* ellipsoidal; NAN: no surface */
     double sigma_m;       /* its standard deviation */
-    double noise_m;       /* that of a level place: see surface_maps */
+    double noise_m;       /* standard deviation of a level place: see surface_maps */
     /* lowest and highest surface within one pixel on each side: they show how much the exact place
      * matters */
     double height_min_m, height_max_m;

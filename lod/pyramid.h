@@ -44,7 +44,7 @@ struct pyramid_report {
     size_t max_in_tile;
     uint8_t zoom_min, zoom_max;
     char revision[13];
-    double seconds;        /* of all; the rest is writing tiles */
+    double seconds;        /* whole time; writing tiles takes what read_s and plan_s leave */
     double read_s, plan_s; /* reading and sorting rows; choosing zoom and tiles */
 };
 /* Cuts levels [n_levels] into tiles and writes the store. Levels coarser than those given are made

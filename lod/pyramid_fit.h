@@ -22,8 +22,8 @@ enum {
  * all means to 2^-12 m, as they reach 2048 m. */
 #define PYRAMID_REACH_M 2000.0
 #define PYRAMID_ALLOWANCE 1.02 /* factor of the reach */
-/* Overviews may be wider. Their formats have fewer fraction bits, as many as their sigmas need. No
- * sigma is below this share of the reach, so that enough bits are left. */
+/* Overviews may be wider. Their means then have fewer fraction bits, but enough for their sigmas,
+ * because no sigma is below this share of the reach. */
 #define PYRAMID_SIGMA_LEAST 0x1p-18
 
 /* Rows [from, from + n) of g, borrowed. */

@@ -16,7 +16,7 @@
 enum {
     PYRAMID_LEVEL_MAX = STORE_LEVEL_MAX,
     PYRAMID_LONE_ROOTS = 4, /* this many tiles may be side by side at the top */
-    PYRAMID_CLIMB_MAX = 3,  /* if this many zooms higher there are still as many */
+    PYRAMID_CLIMB_MAX = 3,  /* if they do not become fewer within this many zooms above */
 };
 struct pyramid_count { /* a tile, and the number of rows of a level in it */
     uint64_t code;     /* Morton code at its zoom */
@@ -27,7 +27,7 @@ struct pyramid_table { /* sorted by code; {0} is empty */
     size_t n;
 };
 
-struct pyramid_node { /* a tile that exists, or one with tiles below */
+struct pyramid_node { /* a tile that exists, or a place with tiles below it */
     uint64_t code;    /* Morton code at its zoom */
     bool content;
 };
@@ -90,7 +90,8 @@ enum err_code pyramid_choose_zoom(struct pyramid *p, struct err *e) ERR_USE;
  * p->zoom gets the nodes. ERR_MEM. */
 enum err_code pyramid_plan(struct pyramid *p, struct err *e) ERR_USE;
 /* Returns whether tiles side by side at zoom z can be the top. `code` [n] is sorted. They can if
- * they are few, and no fewer within PYRAMID_CLIMB_MAX zooms above. */
+ * there are at most PYRAMID_LONE_ROOTS, which do not become fewer within PYRAMID_CLIMB_MAX zooms
+ * above. */
 bool pyramid_is_top(const uint64_t *code, size_t n, uint8_t z);
 /* Plans the zoom above z, which is simplified from what lies below. Returns false if z is the top.
  */

@@ -10,9 +10,10 @@
 
 struct remote; /* one reader; one thread at a time */
 
-/* Opens the object at an address as it is now, with one request. *fd is the file of its blocks,
- * which stands for this state of the object: other processes may use it as well. The caller closes
- * it. ERR_ARG, ERR_BUSY, ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM: see range_get. */
+/* Opens the object at an address as it is now, with one request. *fd is the file of its blocks
+ * (blocks.h), for this state of the object. Other processes may use that file as well. The caller
+ * closes *fd. ERR_ARG, ERR_BUSY, ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM: see range_get.
+ */
 enum err_code remote_open(const char *url, int *fd, struct err *e) ERR_USE;
 /* Makes a reader of such a file. fd is borrowed during the call. ERR_ARG, ERR_FORMAT, ERR_IO,
  * ERR_LIMIT, ERR_MEM. */
@@ -23,15 +24,15 @@ bool remote_is(int fd);
 const char *remote_shown(const struct remote *r); /* the address for messages; borrowed */
 uint64_t remote_size(const struct remote *r);
 /* Reads n bytes, which must lie within the object. Each failure but ERR_MEM is ERR_BUSY: the bytes
- * cannot be had now, which says nothing of the object. */
+ * are not available now, but the object may be sound. */
 enum err_code remote_read(struct remote *r, uint64_t at, void *out, size_t n,
                           struct err *e) ERR_USE;
-/* What is read next lies together, in so many bytes. 0: not known. */
+/* Announces that the next reads lie together, within this many bytes. 0: not known. */
 void remote_expect(struct remote *r, uint64_t bytes);
 /* The error of the last remote_read that failed; ERR_OK: none failed since remote_forgive. */
 const struct err *remote_failed(const struct remote *r);
 void remote_forgive(struct remote *r);
-/* Returns whether anybody has seen that the server has another object now. */
+/* Returns whether any reader of the file has found that the server has another object now. */
 bool remote_changed(const struct remote *r);
 /* Asks the server. ERR_DATA: it has another object; else as range_get. */
 enum err_code remote_check(struct remote *r, double wait_s, struct err *e) ERR_USE;

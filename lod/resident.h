@@ -3,7 +3,8 @@
  * There are two caches. Decoded tiles stay in memory in the device's layout, up to a number of
  * bytes; the least recently used are dropped first. On the device a block of a tile occupies a
  * page, and stays until the page is needed. A tile is therefore copied only when it comes into
- * view. A picture lists its blocks by tile and block, so its bits do not depend on the pages.
+ * view. A picture lists its blocks in the order of tiles and blocks, so its bits do not depend on
+ * the pages.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

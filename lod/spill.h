@@ -2,9 +2,9 @@
  *
  * A city does not fit into memory, and its rows come in the order of training. Each part that is
  * read is sorted along the Morton curve and written here as one run. A tile is then one slice of
- * each run. Of the codes an index stays in memory, less than a byte a Gaussian: the groups of rows
- * with one code at a zoom that gives groups of 16 rows on average. A slice that begins or ends
- * within a group reads the means of some of its rows.
+ * each run. An index of the codes stays in memory, with less than a byte a Gaussian. It lists
+ * groups of rows that share a code, at a zoom where a group has 16 rows on average. Where a slice
+ * begins or ends within a group, the means of some of its rows are read.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -22,12 +22,12 @@ struct locate;
 struct spill {                   /* made by spill_open; any thread may add and read */
     bool lossless;               /* float32; else as in a payload: float16 except for means */
     int fd;                      /* of an unnamed file, which disappears with the process */
-    const struct locate *locate; /* borrowed; set by the caller, what codes are made with */
+    const struct locate *locate; /* makes the codes; borrowed, set by the caller */
     uint64_t size;               /* guarded by lock */
     pthread_mutex_t lock;
     char near[FILE_PATH_MAX]; /* for messages */
 };
-struct spill_group { /* rows with one code, but for its last `shift` bits */
+struct spill_group { /* rows whose codes differ only in the last `shift` bits */
     uint64_t code;   /* those bits are 0 */
     uint32_t begin;  /* first row */
 };
@@ -65,8 +65,8 @@ void spill_unpack(const struct spill *s, const struct spill_run *r, const void *
 /* Finds the rows with first <= code < last. ERR_IO. */
 enum err_code spill_slice(const struct spill *s, const struct spill_run *r, uint64_t first,
                           uint64_t last, size_t *from, size_t *to, struct err *e) ERR_USE;
-/* The code of row `from` without its last `shift` bits, shifted by them, and the end of the rows
- * that have it. The run has an index. ERR_IO. */
+/* Writes the code of row `from` without its last `shift` bits (shifted right by them) to *code, and
+ * the end of the rows that share it to *to. The run has an index. ERR_IO. */
 enum err_code spill_tile(const struct spill *s, const struct spill_run *r, unsigned shift,
                          size_t from, uint64_t *code, size_t *to, struct err *e) ERR_USE;
 void spill_run_free(struct spill_run *r);

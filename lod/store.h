@@ -87,16 +87,16 @@ enum err_code store_commit(struct store **s, struct err *e) ERR_USE;
 /* ---- reading: store_read.c ---- */
 
 /* Opens a store for reading: a file, or an object at http://, https:// or s3://. Close it with
- * store_close. What a server does not send now is ERR_BUSY, here and below. ERR_NOENT, ERR_FORMAT
- * (not a tile store, another schema version, or damaged; the message says which), ERR_IO,
- * ERR_LIMIT, ERR_MEM. */
+ * store_close. Here and below, ERR_BUSY means that a server does not send the bytes now. ERR_NOENT,
+ * ERR_FORMAT (not a tile store, another schema version, or damaged; the message says which),
+ * ERR_IO, ERR_LIMIT, ERR_MEM. */
 enum err_code store_open(const char *path, struct store **out, struct err *e) ERR_USE;
-/* Opens the file of a store without reading it, for store_open_fd. Of an address it is the file of
- * what was read (remote.h), and stands for the object as it is now. The caller closes *fd. ERR_ARG
+/* Opens the file of a store without reading it, for store_open_fd. For an address, *fd is the file
+ * of the object's blocks (remote.h), for the object as it is now. The caller closes *fd. ERR_ARG
  * (the address), ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_BUSY, ERR_LIMIT, ERR_MEM. */
 enum err_code store_open_file(const char *path, int *fd, struct err *e) ERR_USE;
-/* As store_open, from an open file, even if it was renamed over or removed since. fd is borrowed
- * during the call. `name` is for messages. It needs /proc. ERR_NOENT, ERR_FORMAT, ERR_IO,
+/* As store_open, from an open file, even if it was removed or replaced by a rename since. fd is
+ * borrowed during the call. `name` is for messages. It needs /proc. ERR_NOENT, ERR_FORMAT, ERR_IO,
  * ERR_LIMIT, ERR_MEM. */
 enum err_code store_open_fd(int fd, const char *name, struct store **out, struct err *e) ERR_USE;
 /* Opens another handle, for another thread, on the file fd from which `first` was opened. It uses
@@ -108,12 +108,12 @@ enum err_code store_open_more(int fd, const struct store *first, struct store **
 void store_close(struct store **s);
 /* Borrowed until store_close. */
 const struct store_meta *store_info(const struct store *s);
-/* Where it lies, for messages; an address has no password or signature. Borrowed. */
+/* Path or address of the store, for messages; without password or signature. Borrowed. */
 const char *store_path(const struct store *s);
-/* Returns whether the object of an address was found to be another one now. Any thread. */
+/* Returns whether the object at the store's address was found to be another one now. Any thread. */
 bool store_replaced(const struct store *s);
-/* Asks the server of an address, for wait_s at most. ERR_DATA: the object is another one; ERR_BUSY,
- * ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. A file is never asked. */
+/* Asks the server of an address, for wait_s at most, whether its object is the same. ERR_DATA: it
+ * is another one; ERR_BUSY, ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. A file is never asked. */
 enum err_code store_ask(struct store *s, double wait_s, struct err *e) ERR_USE;
 /* The whole index [*n], sorted by key_compare. Borrowed until store_close. */
 const struct store_tile *store_tiles(const struct store *s, size_t *n);

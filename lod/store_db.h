@@ -83,8 +83,8 @@ struct hash128 store_db_row_hash(const struct store_tile *t);
 int store_db_tile_compare(const void *a, const void *b);
 /* Returns whether a name may stand in URLs and documents unchanged: a-z, 0-9, - and _. */
 bool store_db_name_ok(const char *name);
-/* Reads the rows of all tiles afresh, between the payloads, and counts the damaged ones, which were
- * left out when the store was opened. ERR_FORMAT, ERR_BUSY, ERR_MEM, ERR_IO. */
+/* Reads the index rows of all tiles again, where they lie between the payloads, and counts the
+ * damaged ones. Opening the store left those out. ERR_FORMAT, ERR_BUSY, ERR_MEM, ERR_IO. */
 enum err_code store_check_rows(const struct store *s, size_t *n_bad, struct err *e) ERR_USE;
 
 #endif

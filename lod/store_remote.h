@@ -9,10 +9,10 @@
 
 struct remote;
 
-/* Its name, for sqlite3_open_v2. A path is /proc/self/fd/N, where N is a file of blocks. NULL: out
- * of memory. */
+/* Name of this file system, for sqlite3_open_v2. Its paths are /proc/self/fd/N, where N is a file
+ * of blocks. NULL: out of memory. */
 const char *store_remote_vfs(void);
-/* The reader of a database that was opened so; borrowed. NULL: none. */
+/* The reader of a database that was opened through it; borrowed. NULL: none. */
 struct remote *store_remote_of(sqlite3 *db);
 
 #endif

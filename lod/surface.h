@@ -3,14 +3,14 @@
  * each step.
  *
  * One ray a pixel is noisy where Gaussians are half transparent. Each pixel is therefore seen five
- * times: from straight above, and along slanted rays from four sides (lod/nadir.h). These agree
+ * times: from straight above, and along slanted rays from four sides (lod/nadir.h). The five agree
  * where the surface is, and the height is the median of those that agree. Then each pixel gets the
  * weighted median of 25 pixels around it, over about the size of a Gaussian. Pixels of another
  * colour have less weight, so edges of roofs stay where the orthophoto has them.
  *
  * The uncertainty is one standard deviation. It depends on the differences among the 25, on how
- * many of the five agree, on the size of the Gaussians and, at steps, on their height. A part is
- * common to all: surfaces that training closed lie a little low.
+ * many of the five agree, on the size of the Gaussians and, at steps, on their height. One part is
+ * common to all views and trainings: surfaces that training closed lie a little low.
  *
  * A pixel depends only on its neighbourhood, and pieces are drawn with the margin that this needs.
  * Neighbouring pieces therefore agree.
@@ -28,10 +28,10 @@ struct surface_maps {
     float *rgb;      /* [h][w][3], 0 to 1, as in nadir_draw */
     float *height_m; /* ellipsoidal */
     float *sigma_m;  /* its standard deviation */
-    /* Without the part of steps, and without what all views and all trainings have in common: the
-     * uncertainty of a level place against others. */
+    /* sigma_m without the part of steps, and without the part that all views and all trainings have
+     * in common: the uncertainty of a level place against others. */
     float *noise_m;
-    /* the standard deviation without that common part: of a surface against another of its kind */
+    /* sigma_m without that common part: the uncertainty of a surface against another of its kind */
     float *repeat_m;
 };
 /* Draws a piece. ERR_ARG, ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_MEM, ERR_LIMIT as in nadir_draw.

@@ -1,8 +1,8 @@
 /* Writes tiles in order while many threads encode them. Internal to lod/.
  *
- * The bytes of a store depend on the order of its tiles. Here it is the order of their numbers, for
- * any number of threads. At most TILEWRITER_AHEAD payloads are in memory. Any thread that holds the
- * next tile writes it.
+ * The bytes of a store depend on the order of its tiles. Tiles are written in the order of their
+ * numbers, for any number of threads. At most TILEWRITER_AHEAD payloads are in memory. The thread
+ * that holds the next tile writes it.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

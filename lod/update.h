@@ -32,13 +32,13 @@ struct update_report {
 };
 /* Replaces the rows of one cell and all overviews that depend on them. Other tiles are copied byte
  * by byte. out_path may be store_path: the new store is written under another name and renamed, so
- * a crash leaves the old one intact. The same cell again gives the same revision. Tiling all cells
- * at once gives the same rows in the same tiles. In a lossless store the bytes are the same too,
- * except for tiles that keep a centre which a new store would choose differently, and overviews of
- * those. Photographs that only c->appearance has are added to the store's. report may be NULL. Only
- * one caller at a time may use a path. It uses all cores. ERR_DATA: SH, embedding, appearance
- * model, anti-aliasing or number of levels do not match the store. ERR_ARG (no level, or one
- * missing), ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM, ERR_CANCEL. */
+ * a crash leaves the old one intact. An update with the same cell again gives the same revision.
+ * Tiling all cells at once gives the same rows in the same tiles. In a lossless store the bytes are
+ * the same too, except for tiles that keep a centre which a new store would choose differently, and
+ * overviews of those. Photographs that only c->appearance has are added to the store's. report may
+ * be NULL. Only one caller at a time may use a path. It uses all cores. ERR_DATA: SH, embedding,
+ * appearance model, anti-aliasing or number of levels do not match the store. ERR_ARG (no level, or
+ * one missing), ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM, ERR_CANCEL. */
 enum err_code update_build(const char *store_path, const struct update_config *c,
                            const char *out_path, struct update_report *report,
                            struct err *e) ERR_USE;

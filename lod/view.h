@@ -73,9 +73,9 @@ enum err_code view_render_tiles(struct view *v, const struct view_tiles *tiles,
                                 const struct camera *cam, const struct render_options *ro,
                                 float *rgb, struct view_stats *stats, struct err *e) ERR_USE;
 
-/* The Gaussians of such a picture on the device, until the next call. Tiles are whole. Colours are
- * as trained, with embeddings if the store has appearance. render_backward accepts this model.
- * ERR_ARG, ERR_FORMAT, ERR_IO, ERR_DEVICE, ERR_MEM. */
+/* Brings the Gaussians of such a picture to the device, where they stay until the next call. Tiles
+ * are whole. Colours are as trained, with embeddings if the store has appearance. render_backward
+ * accepts this model. ERR_ARG, ERR_FORMAT, ERR_IO, ERR_DEVICE, ERR_MEM. */
 enum err_code view_model(struct view *v, const struct camera *cam, const struct pick_options *po,
                          const struct render_model **out, struct view_stats *stats,
                          struct err *e) ERR_USE;

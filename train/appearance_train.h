@@ -31,7 +31,7 @@ struct appearance_train { /* {0} is off; free with appearance_train_close */
     bool shared;   /* a shared model: network and photographs do not change */
     uint32_t *row; /* [scene images] row of each photograph; APPEARANCE_TRAIN_ROW_NONE = none */
     size_t n_scene;
-    /* [rows] first row of the same appearance group, which learns for all of it */
+    /* [rows] first row of the same appearance group, which learns for the whole group */
     uint32_t *alike;
     struct appearance_train_moments weights, images;
     uint32_t weight_steps, *image_steps; /* number of updates so far; [rows] */
@@ -89,8 +89,8 @@ struct appearance_view {
     uint32_t *row;        /* [scene images], see appearance_train_rows */
     double reach_m;       /* see appearance_train_nearest */
     float *image, *frame; /* of the last camera */
-    /* photograph whose appearance every camera has, if it has a row; else the nearest photographs'
-     */
+    /* every camera has the appearance of this photograph, if it has a row; else that of the nearest
+     * photographs */
     uint32_t photograph;
 };
 #define APPEARANCE_VIEW_NEAREST UINT32_MAX /* value of `photograph`: none */

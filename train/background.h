@@ -2,9 +2,9 @@
  *
  * A surface of the background's colour can stay transparent, because photographs show no
  * difference. In front of a sky it then has holes. A background of another colour at every step
- * prevents that. It does harm in two places, and there the background keeps its colour. Where
- * photographs do not fix a distance (the sky, or ground that only one photograph sees) it makes
- * fog. Under bright surfaces it makes a second layer.
+ * prevents that. In two places a changing colour does harm, and there the background keeps its
+ * colour. Where photographs do not fix a distance (the sky, or ground that only one photograph
+ * sees), a changing colour makes fog. Under bright surfaces it makes a second layer.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

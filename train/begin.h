@@ -21,9 +21,10 @@ struct begin { /* {.job, .lock_fd = -1} at first; call begin_close, also after a
     bool resumes;            /* a saved state exists and shall be continued */
     uint32_t *images, *held; /* photographs that train, and photographs held out */
     size_t n_images, n_held;
-    /* [n_images + n_held] what of them shows the cell, those held out last; NULL: all of each */
+    /* [n_images + n_held] part of each photograph that shows the cell, held-out ones last; NULL:
+     * all of each */
     struct camera_window *windows;
-    double *shares; /* the same, as a number (cells/window.h) */
+    double *shares; /* sizes of these parts as shares (cells/window.h) */
     struct schedule levels[TRAIN_LEVELS_MAX];
     size_t table[TRAIN_LEVELS_MAX];     /* budgets of the table, before --budget-rule lowers them */
     struct appearance_train appearance; /* {0}: none; the level takes it over */

@@ -24,12 +24,13 @@ enum budget_mode { BUDGET_TABLE, BUDGET_FIT, BUDGET_AUTO }; /* in the order of o
 struct budget_photos {
     const struct scene *scene;
     const uint32_t *images; /* [n] */
-    const double *shares;   /* [n] what of each shows the cell, 0..1; NULL: all of it */
+    const double *shares;   /* [n] share of each that shows the cell, 0..1; NULL: all of it */
     size_t n, n_points;     /* n_points: Gaussians that training starts from */
 };
 /* The budget that n photographs of a level support: density * sum of share * sqrt(w h) px. It is at
- * least n_points, and at most `table`. It grows with the length of edges in a picture, because
- * detail does; not with the area. Shares make the budgets of cells add up to that of the scene. */
+ * least n_points, and at most `table`. It grows with the side of a picture and not with the area,
+ * because detail grows with the length of edges in it. Shares make the budgets of cells add up to
+ * that of the scene. */
 size_t budget_fit(const struct budget_photos *p, const struct train_config *cfg, double downsample,
                   size_t table);
 /* Applies cfg->budget_rule to the budgets of all levels, which come from the table. A level never

@@ -17,7 +17,7 @@ struct photo_loader;
 
 struct evaluate_score { /* means over the photographs */
     size_t n_photos;
-    size_t n_seen; /* number of photographs that show ground which training photographs show */
+    size_t n_seen; /* number of photographs that show ground of training photographs */
     double psnr_db, seen_psnr_db; /* seen: on that ground alone; 0: the ground is not known */
     /* ssim: zero padded, as in the loss; ssim_valid: only windows inside */
     double ssim, ssim_valid;
@@ -46,8 +46,8 @@ struct evaluate_source {
     const struct footprint *ground; /* NULL: no seen_psnr_db */
     struct residual_list *residuals; /* gets a row for each photograph; NULL: none */
 };
-/* Adds the PSNR on ground that training photographs show, if the photograph shows at least a
- * hundredth of it. ERR_MEM. */
+/* Adds the PSNR on ground that training photographs show, if that ground fills at least a hundredth
+ * of the photograph. ERR_MEM. */
 enum err_code evaluate_seen(const struct photo *p, const struct footprint *ground, const float *rgb,
                             struct evaluate_score *sum, struct err *e) ERR_USE;
 /* evaluate_photo adds the scores of one photograph against its drawing to `sum` (PSNR, SSIM, L1).

@@ -1,5 +1,5 @@
 /* Internal to train/: the time that the rest of a run will take. Every kind of work has a cost, in
- * units of one Gaussian of one step. The time of a unit is measured during the run.
+ * units of the work for one Gaussian in one step. The time of a unit is measured during the run.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

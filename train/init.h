@@ -22,10 +22,10 @@ struct init_input { /* all borrowed */
     size_t n_images;
     const struct cell *cell;
     const struct footprint *ground; /* NULL: Gaussians only at points */
-    double ground_share;            /* share of `limit`: most Gaussians on ground without points */
+    double ground_share;            /* largest share of `limit` for ground without points */
     const float *dense; /* [n_dense][6] east, north, up in m, red, green, blue, or NULL */
     size_t n_dense;
-    double dense_share; /* share of `limit`: most Gaussians at dense points */
+    double dense_share; /* largest share of `limit` for Gaussians at dense points */
     bool no_masks;      /* also use points on masked pixels */
     uint32_t sh_degree;
     size_t limit; /* largest number of Gaussians */

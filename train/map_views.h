@@ -56,8 +56,8 @@ struct map_truth { /* {0} is empty; map_truth_free */
 enum err_code map_views_load(const struct map_views *v, size_t i, struct map_truth *out,
                              struct err *e) ERR_USE;
 void map_truth_free(struct map_truth *t);
-/* Computes the depths limit_m [h][w] up to which drawn colour counts as in front of the truth:
- * nearer by the share MAP_VIEWS_HAZE. Sky is infinitely far. */
+/* Computes limit_m [h][w]: colour drawn at smaller depths counts as in front of the truth. The
+ * limit is nearer than the truth by the share MAP_VIEWS_HAZE. Sky is infinitely far. */
 #define MAP_VIEWS_HAZE 0.05
 void map_views_limit(const struct map_truth *t, float *limit_m);
 
@@ -73,7 +73,7 @@ struct map_score {
     double depth_median, depth_95;
     double depth_above; /* share of these errors above MAP_VIEWS_DEPTH */
     double halo;        /* mean alpha where no photograph looked */
-    double fog;         /* the same, at least MAP_VIEWS_EDGE_PX away from where one looked */
+    double fog;         /* the same, only MAP_VIEWS_EDGE_PX or more away from where one looked */
     double gaps; /* mean alpha where something hides the surface in all photographs that looked */
     double haze; /* share of seen pixels whose depth is nearer than the limit */
     double veil; /* share of their colour from depths nearer than the limit */

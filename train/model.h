@@ -38,7 +38,7 @@ struct model {       /* {0} is empty; free with model_close */
 enum err_code model_open(struct model *m, struct dev *dev, struct render *render,
                          const struct gauss *like, size_t most, struct err *e) ERR_USE;
 void model_close(struct model *m);
-/* Fills the parameters from g, the one given to model_open, and sets moments to 0. ERR_DEVICE. */
+/* Fills the parameters from g, the `like` of model_open, and sets moments to 0. ERR_DEVICE. */
 enum err_code model_fill(struct model *m, const struct gauss *g, struct err *e) ERR_USE;
 /* Copies the present Gaussians. The caller sets whether they are anti-aliased. Free *out with
  * gauss_free. ERR_MEM, ERR_DEVICE. */

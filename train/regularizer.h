@@ -30,9 +30,9 @@ struct regularizer_input { /* input of one step; all borrowed */
     const struct photo *photo;
     struct timing *timing; /* counts the seconds of embedding smoothness under its own name */
 };
-/* Opens what the options want at any step: kernels, and depth maps. It does nothing if *own is open
- * already; that is NULL at first. Free it with regularizer_free. ERR_MEM, ERR_DEVICE. ERR_DATA: no
- * depth map can be used. Errors of their files. */
+/* Opens the kernels and depth maps that the options want at any step. *own is NULL at first; if it
+ * is open already, nothing is done. Free it with regularizer_free. ERR_MEM, ERR_DEVICE. ERR_DATA:
+ * no depth map can be used. Errors of the maps' files. */
 enum err_code regularizer_open(struct regularizer **own, const struct gallery *g,
                                const struct site *site, struct err *e) ERR_USE;
 void regularizer_free(struct regularizer **r);

@@ -1,6 +1,6 @@
 /* Photographs that do not fit: the difference between each training photograph and its drawing, and
- * how unusual it is among all photographs. It finds photographs with a wrong pose, of another
- * season, or with a thumb on the lens.
+ * how unusual the difference is among all photographs. This finds photographs with a wrong pose, of
+ * another season, or with a thumb on the lens.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -19,7 +19,7 @@ struct residual {     /* one photograph */
     const char *name; /* borrowed from the scene */
     double mse;       /* mean squared error, colours 0..1 */
     double ssim;      /* zero padded, as in the loss */
-    double coverage;  /* mean log2 of how many photographs show the same; 0: not known */
+    double coverage;  /* mean log2 of the number of photographs of the same places; 0: not known */
     /* set by residual_rank: of ln mse and of 1 - ssim; a larger value fits worse */
     double z_mse, z_ssim;
     double z; /* the larger of the two */

@@ -18,7 +18,7 @@ struct schedule { /* schedule of one level; steps are 1-based and restart at eve
     size_t budget; /* Gaussians inside the cell */
     size_t around; /* Gaussians of the coarse model around the cell */
     bool stopped;  /* --budget-rule auto: growth has ended, with */
-    /* so many Gaussians outside the cell; before, it is half of the budget */
+    /* at most this many Gaussians outside the cell; before: see schedule_cap_outside */
     size_t budget_outside;
     uint32_t interval, densify_from,
         densify_until; /* densify if from < step < until and interval | step */
@@ -31,7 +31,7 @@ struct schedule { /* schedule of one level; steps are 1-based and restart at eve
     /* factor on learning rates of positions (included in those below), sizes and rotations */
     double lr_factor;
     double lr_mean_first, lr_mean_last; /* metres */
-    double kappa; /* factor on lengths: photographs / 600 if above 1, or a short run's share */
+    double kappa; /* factor on step counts: photographs / 600 if above 1, or a short run's share */
 };
 struct cell;
 /* Fills out[0 .. level_count). ERR_ARG: a level would have no steps. */
@@ -39,8 +39,8 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
                             const struct cell *cell, struct schedule out[TRAIN_LEVELS_MAX],
                             struct err *e) ERR_USE;
 /* Largest number of Gaussians inside the cell at densification x of n: a parabola that rises fast
- * first, from `start` at x = 0 to `budget` at x = n - 1. If start >= budget it is start. If n <= 1
- * it is budget. */
+ * at first, from `start` at x = 0 to `budget` at x = n - 1. If start >= budget it is start. If n <=
+ * 1 it is budget. */
 size_t schedule_cap(size_t start, size_t budget, uint32_t x, uint32_t n);
 /* Largest number of Gaussians outside the cell: those that the level began with, and some more. */
 size_t schedule_cap_outside(const struct schedule *s);

@@ -12,7 +12,8 @@
 #include "core/err.h"
 #include "train/surface_rays.h"
 
-/* Points, the first one in each voxel. {0} with voxel_m is empty. Free with surface_cloud_free. */
+/* Points: the first one that was added in each voxel. {0} with voxel_m is empty. Free with
+ * surface_cloud_free. */
 struct surface_cloud {
     double voxel_m;
     float *xyz_m;  /* [n][3] */

@@ -34,7 +34,9 @@ enum surface_class surface_class_base(enum surface_class c);
 uint32_t surface_class_bits(enum surface_class base);
 
 struct surface_ray {
-    float error_m;     /* median depth before the truth, from above height over it; NAN: none */
+    /* how far the median depth lies before the truth, or for rays from above how high over it;
+     * NAN: there is none */
+    float error_m;
     float thickness_m; /* from transmittance 0.9 to 0.1 along the ray; NAN: 0.1 is not reached */
     float left;        /* share of light that passes everything, 0 to 1 */
     float bright;      /* sRGB luma of the truth there, 0 to 1 */
