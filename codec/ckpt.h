@@ -30,15 +30,14 @@ struct ckpt {            /* {0} is empty; free with ckpt_free */
  * name and renamed. ERR_ARG (meta), ERR_LIMIT, ERR_IO, ERR_MEM. */
 enum err_code ckpt_write(const char *path, const struct json_t *meta, const struct gauss *g,
                          const struct ckpt_blob *blobs, size_t n_blobs, struct err *e) ERR_USE;
-/* Gaussians that are not in a container, for ckpt_write_from. It asks for each array in slices,
- * from the first row to the last. */
+/* Gaussians that are not in a struct gauss. ckpt_write_from asks for each array in slices, from the
+ * first row to the last. */
 enum ckpt_field { CKPT_MEAN, CKPT_SCALE, CKPT_QUAT, CKPT_OPACITY, CKPT_SH, CKPT_EMBED };
 struct ckpt_source {
     /* number of rows, SH degree, embedding length and origin; its arrays are not read */
     const struct gauss *like;
+    /* writes rows [first, first + n) of a field to `out`, as in struct gauss */
     enum err_code (*rows)(void *user, enum ckpt_field field, size_t first, size_t n, float *out,
-                          /* writes rows [first, first + n) of a field to `out`, as in struct gauss
-                           */
                           struct err *e);
     void *user;
 };
@@ -52,8 +51,8 @@ enum err_code ckpt_write_from(const char *path, const struct json_t *meta,
 enum err_code ckpt_read(const char *path, struct ckpt *out, struct err *e) ERR_USE;
 const struct ckpt_blob *ckpt_find(const struct ckpt *c, const char *name); /* NULL when absent */
 void ckpt_free(struct ckpt *c);
-/* Reads the Gaussians of a checkpoint in slices, for those larger than memory. Opening reads the
- * file once and checks all hashes. Several threads may then read rows. Close it with
+/* Reads the Gaussians of a checkpoint in slices, for checkpoints larger than memory. Opening reads
+ * the file once and checks all hashes. Several threads may then read rows. Close it with
  * ckpt_rows_close. ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */
 struct ckpt_rows;
 enum err_code ckpt_rows_open(const char *path, struct ckpt_rows **out, struct err *e) ERR_USE;

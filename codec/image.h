@@ -25,9 +25,9 @@ struct image { /* {0} is empty */
     uint32_t width_px, height_px, channels;
     uint8_t *px; /* [h][w][channels], sRGB values as stored */
 };
-/* OpenImageIO is loaded by the first function that needs it, which takes 0.8 s of processor time
- * and may fail with ERR_NOENT (not installed) or ERR_INTERNAL. Plain JPEGs (jpg.h), and
- * .png and .webp that are written, do not need it. Any thread may call these functions. */
+/* The first function that needs OpenImageIO loads it. Loading takes 0.8 s of processor time and may
+ * fail with ERR_NOENT (not installed) or ERR_INTERNAL. Plain JPEGs (jpg.h) and writing .png and
+ * .webp do not need it. Any thread may call these functions. */
 /* Reads a picture as 8-bit RGB. Grey is expanded and alpha dropped. The EXIF orientation is
  * ignored, as in COLMAP. Free it with image_free. ERR_NOENT, ERR_FORMAT (not an image; names the
  * file), ERR_LIMIT, ERR_MEM. */

@@ -1,8 +1,9 @@
 /* Plain JPEG pictures, by libjpeg alone. OpenImageIO uses the same library and needs 250 others:
  * 0.8 s of processor time in each process that reads or writes a photograph.
  *
- * Plain is 8 bits, grey or of three channels, and undamaged. For any other picture these functions
- * return false without a reason: image.c asks OpenImageIO, which does it or says why not.
+ * A plain picture has 8 bits, is grey or has three channels, and is undamaged. For any other
+ * picture these functions return false without a reason. image.c then asks OpenImageIO, which
+ * handles the picture or gives the reason.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -15,12 +16,12 @@
 struct buf;
 struct jpg; /* an open file */
 
-/* Reads the head. The size is as the file states it and unchecked. Returns whether it is plain; if
- * so, the caller closes *out. */
+/* Reads the head. The size is as the file states it and unchecked. Returns whether the file is
+ * plain; if so, the caller closes *out. */
 bool jpg_open(const char *path, struct jpg **out, uint32_t *width_px, uint32_t *height_px);
 /* Returns whether the head has XMP. */
 bool jpg_has_xmp(const struct jpg *j);
-/* Reads the pixels, once, as RGB: px [h][w][3]. Grey is expanded. Returns whether nothing is
+/* Reads the pixels as RGB: px [h][w][3]. Call it once. Grey is expanded. Returns whether nothing is
  * damaged or missing. */
 bool jpg_read(struct jpg *j, uint8_t *px);
 void jpg_close(struct jpg *j); /* NULL is allowed */

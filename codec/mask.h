@@ -22,8 +22,8 @@ struct scene;
 /* Path of a photograph's mask in the folder `dir`. ERR_LIMIT. */
 enum err_code mask_path(const char *dir, const char *photo_name, char out[FILE_PATH_MAX],
                         struct err *e) ERR_USE;
-/* Reads a mask: one channel, 255 = use, 0 = ignore. Free it with image_free. ERR_DATA: its size is
- * not the one given; names the file. ERR_NOENT, ERR_FORMAT, ERR_LIMIT, ERR_MEM as in image_read. */
+/* Reads a mask: one channel, 255 = use, 0 = ignore. Free it with image_free. ERR_DATA names the
+ * file: the mask has another size. ERR_NOENT, ERR_FORMAT, ERR_LIMIT, ERR_MEM as in image_read. */
 enum err_code mask_read(const char *path, uint32_t width_px, uint32_t height_px, struct image *out,
                         struct err *e) ERR_USE;
 /* Changes the size of a mask. An output pixel is ignored if any input pixel under it is. Free *out

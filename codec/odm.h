@@ -13,13 +13,13 @@
 
 #include "codec/colmap.h"
 
-struct odm_place { /* of a photograph, by the project */
+struct odm_place { /* place of a photograph, as the project gives it */
     bool known;
     double lon_deg, lat_deg, h_m;
 };
-enum odm_links {                     /* which photographs see a point */
+enum odm_links {                     /* how the photographs that see a point were found */
                  ODM_LINKS_TRACKS,   /* by tracks.csv */
-                 ODM_LINKS_COMPUTED, /* where it projects, and nothing is nearer */
+                 ODM_LINKS_COMPUTED, /* where the point projects and nothing nearer hides it */
                  ODM_LINKS_NONE      /* there are no points */
 };
 struct odm_project { /* {0} is empty; odm_free */
@@ -32,10 +32,10 @@ struct odm_project { /* {0} is empty; odm_free */
     char from[FILE_PATH_MAX]; /* the file with the poses */
 };
 
-/* Reads a project: the folder of OpenDroneMap, OpenSfM's in it, or a file reconstruction.json or
- * shots.geojson. Of several reconstructions the largest is taken. Free *out with odm_free.
- * ERR_NOENT: there is none of these files. ERR_FORMAT, ERR_DATA: of a file, which the message
- * names; ERR_DATA also for a camera that COLMAP has no model for. ERR_IO, ERR_LIMIT, ERR_MEM. */
+/* Reads a project. path: OpenDroneMap's folder, OpenSfM's folder inside it, or a file
+ * reconstruction.json or shots.geojson. Of several reconstructions the largest is taken. Free *out
+ * with odm_free. ERR_NOENT: there is none of these files. ERR_FORMAT, ERR_DATA: the message names
+ * the file. ERR_DATA also: COLMAP has no model for a camera. ERR_IO, ERR_LIMIT, ERR_MEM. */
 enum err_code odm_read(const char *path, struct odm_project *out, struct err *e) ERR_USE;
 void odm_free(struct odm_project *p);
 

@@ -18,8 +18,8 @@ struct gauss;
 
 /* Read both kinds. Properties are found by name and may have any scalar type; unknown ones are
  * skipped. The SH degree follows from the number of f_rest properties. The comment "citysplat
- * origin lon lat h" gives info->origin and info->has_origin. Means become float32 about
- * origin_enu_m = 0; if the file has doubles, about another origin. info may be NULL. Free *out with
+ * origin lon lat h" gives info->origin and info->has_origin. Means become float32 relative to
+ * origin_enu_m, which is 0 unless the file has doubles. info may be NULL. Free *out with
  * gauss_free; it is empty on errors. ERR_NOENT and ERR_IO (ply_read), ERR_FORMAT names line or
  * property, ERR_DATA, ERR_LIMIT, ERR_MEM. Any thread. */
 enum err_code ply_read(const char *path, const struct codec_limits *lim, struct gauss *out,
@@ -29,8 +29,9 @@ enum err_code ply_decode(const void *bytes, size_t n, const struct codec_limits 
 /* Appends an INRIA .ply to `out`. info may be NULL. ERR_MEM. */
 enum err_code ply_encode(const struct gauss *g, const struct ply_info *info, struct buf *out,
                          struct err *e) ERR_USE;
-/* An INRIA .ply in parts, for one that is larger than memory: the head, then the rows in any order,
- * each at its place. Positions farther than PLY_FLOAT_REACH_M from 0 should be doubles. */
+/* Write an INRIA .ply that is larger than memory in parts: the head, then the rows in any order,
+ * each at its place in the file. Positions farther than PLY_FLOAT_REACH_M from 0 should be doubles.
+ */
 #define PLY_FLOAT_REACH_M 4096.0
 struct ply_rows {
     size_t n; /* of all rows */
@@ -42,12 +43,12 @@ void ply_encode_head(const struct ply_rows *r, const struct ply_info *info, stru
 size_t ply_row_bytes(const struct ply_rows *r);
 /* out [g->n][ply_row_bytes]. Values are not checked. */
 void ply_encode_rows(const struct gauss *g, bool doubles, uint8_t *out);
-/* Reads an INRIA .ply in parts. *out is NULL, without an error, when the file cannot be read that
- * way (text, compressed): ply_read can. Counts are checked against the size of the file. Any thread
- * may read; close it with ply_stream_close, idempotent. Each part has an origin of its own where
- * coordinates are doubles. ply_stream_open: ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_MEM. ply_stream_read
- * (free *out with gauss_free): ERR_IO, ERR_FORMAT (the file became shorter), ERR_DATA names the
- * row, ERR_ARG (rows that are not there), ERR_MEM. */
+/* Reads an INRIA .ply in parts. *out is NULL, without an error, when the file cannot be read in
+ * parts (text, compressed); ply_read reads such files. Counts are checked against the size of the
+ * file. Any thread may read; close it with ply_stream_close, idempotent. Each part has an origin of
+ * its own where coordinates are doubles. ply_stream_open: ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_MEM.
+ * ply_stream_read (free *out with gauss_free): ERR_IO, ERR_FORMAT (the file became shorter),
+ * ERR_DATA names the row, ERR_ARG (rows that are not there), ERR_MEM. */
 struct ply_stream;
 enum err_code ply_stream_open(const char *path, struct ply_stream **out, struct ply_info *info,
                               struct err *e) ERR_USE;

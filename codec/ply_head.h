@@ -48,7 +48,8 @@ struct ply_head { /* {0} is empty */
  * ERR_FORMAT names the line. */
 enum err_code ply_head_read(const void *bytes, size_t n, struct ply_head *out,
                             struct err *e) ERR_USE;
-/* The same from the first n bytes of a file of n_file bytes; rows are not at hand. ERR_FORMAT. */
+/* As ply_head_read, from the first n bytes of a file of n_file bytes. The rows are not given.
+ * ERR_FORMAT. */
 enum err_code ply_head_read_of(const void *bytes, size_t n, size_t n_file, struct ply_head *out,
                                struct err *e) ERR_USE;
 void ply_head_free(struct ply_head *h);

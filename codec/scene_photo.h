@@ -1,5 +1,5 @@
-/* A photograph of a scene in the form that is compared with drawings: at a size, with a mask of the
- * pixels that count, and if wanted at the mean exposure of the survey.
+/* A photograph of a scene, prepared for comparison with drawings: at a given size, with a mask of
+ * the pixels that count, and optionally at the mean exposure of the survey.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -30,8 +30,8 @@ enum {
 /* Which masks photograph `image` has. files: those of scene/masks count. ERR_LIMIT. */
 enum err_code scene_photo_masks(const struct scene *s, uint32_t image, bool files, bool to_mean,
                                 unsigned *out, struct err *e) ERR_USE;
-/* Reads it. Any thread may call it. ERR_DATA: photograph or mask is not as large as the scene says.
- * ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_LIMIT: of the files. ERR_MEM. */
+/* Reads a photograph in this form. Any thread may call it. ERR_DATA: photograph or mask is not as
+ * large as the scene says. ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_LIMIT: of the files. ERR_MEM. */
 enum err_code scene_photo_read(const struct scene *s, uint32_t image,
                                const struct scene_photo_form *form, struct scene_photo *out,
                                struct err *e) ERR_USE;

@@ -1,5 +1,5 @@
 /* Video of pictures that come one by one, as frames of VP9 by libvpx. Each picture is encoded at
- * once: no frame waits for a later one or refers to one. A build without libvpx has none of it.
+ * once: no frame waits for a later one or refers to one. A build without libvpx has no video.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -11,7 +11,7 @@
 /* Quantizers: 0 is finest. */
 enum { VIDEO_QUANTIZER_MOST = 63, VIDEO_SIDE_MAX = 4096 };
 
-struct video; /* an encoder; of one thread at a time */
+struct video; /* an encoder; only one thread at a time may use it */
 
 bool video_can(void); /* whether this build has it */
 /* Upper limit of the memory of an encoder, without that of its output. */
@@ -24,19 +24,19 @@ void video_planes(const struct image *img, uint8_t *out);
  * size, or video_can() is false), ERR_MEM. */
 enum err_code video_open(uint32_t width_px, uint32_t height_px, unsigned threads,
                          struct video **out, struct err *e) ERR_USE;
-/* Appends a frame of a picture in planes. *key: the frame has to be one that refers to no other
- * frame; set if it is one. The first always is. ERR_ARG (quantizer), ERR_MEM, ERR_INTERNAL. */
+/* Encodes a picture in planes and appends the frame. *key: set it to ask for a key frame, which
+ * refers to no other frame. On return it says whether the frame is one; the first always is.
+ * ERR_ARG (quantizer), ERR_MEM, ERR_INTERNAL. */
 enum err_code video_encode(struct video *v, const uint8_t *planes, int quantizer, bool *key,
                            struct buf *out, struct err *e) ERR_USE;
 void video_close(struct video **v);
 
-/* Decodes what was encoded: for tests and benchmarks. Close *out with video_decoder_close. ERR_ARG
- * (video_can() is false), ERR_MEM, ERR_INTERNAL. */
+/* Decodes the frames of video_encode, for tests and benchmarks. Close *out with
+ * video_decoder_close. ERR_ARG (video_can() is false), ERR_MEM, ERR_INTERNAL. */
 struct video_decoder;
 enum err_code video_decoder_open(struct video_decoder **out, struct err *e) ERR_USE;
-/* Decodes the next frame [n] into a picture of 3 channels, which is allocated again where its size
- * is another; {0} is valid. ERR_FORMAT: the frame is damaged, or one before it is missing. ERR_MEM.
- */
+/* Decodes the next frame [n] into a picture of 3 channels, which is allocated again if its size
+ * differs; {0} is valid. ERR_FORMAT: the frame is damaged, or one before it is missing. ERR_MEM. */
 enum err_code video_decode(struct video_decoder *d, const void *frame, size_t n, struct image *out,
                            struct err *e) ERR_USE;
 void video_decoder_close(struct video_decoder **d);

@@ -22,8 +22,8 @@ struct xml {
     const char *p;    /* what comes next; the text ends with 0 */
     size_t line;      /* from 1 */
 };
-/* The next tag; *more: there is one. x->p lies behind it then. Comments and declarations are
- * skipped. ERR_FORMAT names the line. */
+/* Finds the next tag; *more: there is one, and x->p then points behind it. Comments and
+ * declarations are skipped. ERR_FORMAT names the line. */
 enum err_code xml_next(struct xml *x, struct xml_tag *t, bool *more, struct err *e) ERR_USE;
 /* Sets ERR_FORMAT with path and line, and returns it. */
 enum err_code xml_bad(const struct xml *x, const char *why, struct err *e) ERR_USE;

@@ -70,7 +70,7 @@ void appearance_eval(const struct appearance *a, const float *embed, const float
 /* Turns dL/d(constants of a frame) into dL/d(weights) and dL/d(image) [len_image]. frame_grad has
  * the layout of appearance_frame, weights_grad that of appearance_weights. The gradient passes
  * through the normalisation v^ = v / max(|v|, 1e-12): g_v = (g_v^ - v^ (v^ . g_v^)) / |v|. Results
- * overwrite what was there. Either may be NULL. */
+ * overwrite what was there. Either result may be NULL. */
 void appearance_backward(const struct appearance *a, const float *image, const float *frame_grad,
                          float *weights_grad, float *image_grad);
 /* Puts one appearance into the colours and opacities of g for good: DC += (2 y - 1) / C0, opacity =

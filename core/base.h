@@ -33,23 +33,23 @@ char *mem_text(const char *s); /* as strdup; caller frees with mem_free; NULL: o
 void mem_free(void *p);
 void mem_fail_at(size_t k);
 /* From now on, freed blocks of at least 256 KiB go back to the system at once. By default glibc
- * raises that limit as large blocks are freed, and keeps freed blocks in one heap a thread. A cache
- * of photographs that two threads filled took twice its limit that way. With another C library
- * nothing changes. */
+ * raises that threshold as large blocks are freed, and keeps the freed blocks of each thread in a
+ * heap of its own. A cache of photographs that two threads filled therefore took twice its limit.
+ * With another C library nothing changes. */
 void mem_return_large(void);
-/* Gives freed memory back to the system that the C library still holds. It takes milliseconds, in
- * which threads that allocate wait. With another C library nothing happens. */
+/* Gives memory back to the system that was freed but that the C library still holds. This takes
+ * milliseconds, and threads that allocate wait meanwhile. With another C library nothing happens.
+ */
 void mem_give_back(void);
-/* Memory that a process holds and the system cannot drop without swap: anonymous and shared pages,
- * in bytes. pid 0: this process. 0: not known. */
+/* Returns how many bytes a process holds that the system cannot drop without swap: its anonymous
+ * and shared pages. pid 0: this process. 0: not known. */
 size_t mem_held_bytes(int pid);
-/* `yield` is called when an allocation fails, which is then tried once more. It frees what it can
- * do without, and neither allocates nor waits for a lock that an allocating thread may hold. NULL:
- * nothing is called. */
+/* Sets the function that is called when an allocation fails; the allocation is then tried once
+ * more. `yield` frees memory that can be spared. It must neither allocate nor wait for a lock that
+ * an allocating thread may hold. NULL: no function is called. */
 void mem_on_short(void (*yield)(void *user, size_t bytes), void *user);
-/* Asks the system for large pages where these bytes cover whole ones. Scattered reads then miss
- * fewer address translations. Nothing happens for less than 4 MiB, or where the system has no large
- * pages. */
+/* Asks the system for large pages where the block covers whole ones. Scattered reads then cause
+ * fewer TLB misses. Nothing happens for less than 4 MiB, or where the system has no large pages. */
 void mem_prefer_huge(void *p, size_t n_bytes);
 /* Peak resident set of this process, in bytes. 0: not known. */
 size_t mem_peak_bytes(void);
@@ -130,8 +130,9 @@ void file_abort(const char *part);
 /* Makes a folder and its parents. ERR_IO names the folder and the reason. ERR_LIMIT (path too
  * long). */
 enum err_code file_mkdir(const char *path, struct err *e) ERR_USE;
-/* Tells that a file or folder of so many bytes is going to be written at `path`, and how much is
- * free. ERR_IO: the disk has less. Where that is not known, it returns ERR_OK. */
+/* Checks that the disk has room for a file or folder of so many bytes at `path`, and logs how much
+ * is needed and free. ERR_IO: the disk has less room. If the free space is not known, it returns
+ * ERR_OK. */
 enum err_code file_room(const char *path, uint64_t bytes, struct err *e) ERR_USE;
 bool file_exists(const char *path);
 bool file_is_dir(const char *path);
@@ -163,12 +164,13 @@ void log_line(enum log_level level, const char *module, const char *fmt, ...) ER
 size_t log_compose(char *line, size_t room, enum log_level level, const char *module,
                    const char *fmt, ...) ERR_PRINTF(5, 6);
 void log_write(const char *lines, size_t n);
-/* From now on a thread writes the lines, from a bounded queue. A slow reader of stderr then stops
- * nobody. Lines that do not fit are dropped and counted. Call it before other threads start.
- * ERR_MEM. */
+/* From now on a thread of its own writes the log lines, from a bounded queue. A slow reader of
+ * stderr then blocks no other thread. Lines that do not fit are dropped and counted. Call it before
+ * other threads start. ERR_MEM. */
 enum err_code log_start(struct err *e) ERR_USE;
-/* Writes the lines of the queue, and waits for that at most wait_s + 1 seconds. After that log_line
- * writes by itself again, unless stderr still hangs. Call it after other threads have ended. */
+/* Writes the lines that are left in the queue, and waits at most wait_s + 1 seconds for this. Later
+ * calls of log_line write directly again, unless stderr still hangs. Call it after other threads
+ * have ended. */
 void log_stop(double wait_s);
 #define log_error(module, ...) log_line(LOG_ERROR, module, __VA_ARGS__)
 #define log_warn(module, ...) log_line(LOG_WARN, module, __VA_ARGS__)

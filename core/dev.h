@@ -56,18 +56,19 @@ enum err_code dev_build(struct dev *d, const struct dev_source *sources, size_t 
                         const char *options, cl_program *out, struct err *e) ERR_USE;
 enum err_code dev_kernel(cl_program program, const char *name, cl_kernel *out,
                          struct err *e) ERR_USE;
-/* Some drivers (NVIDIA's) take no notice of #line: their logs cite "<kernel>" and lines of all that
- * was handed to the compiler, which is `n_text` pieces. Appends the log with the files and lines
- * that are meant. names[i] is the file of piece 2 i + 1; piece 2 i is the #line before it. */
+/* Appends a build log with the right files and lines. Some drivers (NVIDIA's) ignore #line: their
+ * logs cite "<kernel>" and count lines over all `n_text` pieces that the compiler was given.
+ * names[i] is the file of piece 2 i + 1; piece 2 i is the #line before it. */
 void dev_cite(const char *log, const char *const *text, const char *const *names, size_t n_text,
               struct buf *out);
-/* Allocates a buffer. size_bytes is rounded up to a multiple of 64, 0 to 64. `host` (may be NULL)
- * is copied into it. ERR_MEM and ERR_LIMIT say how much was wanted and what the device allows. */
+/* Allocates a buffer. size_bytes is rounded up to a multiple of 64; 0 becomes 64. `host` (may be
+ * NULL) is copied into it. ERR_MEM and ERR_LIMIT say how much was wanted and what the device
+ * allows. */
 enum err_code dev_buffer(struct dev *d, size_t size_bytes, const void *host, cl_mem *out,
                          struct err *e) ERR_USE;
 void dev_release(cl_mem *m); /* NULL is accepted; leaves NULL */
 /* Makes *m a buffer of at least n_bytes; *room is its size, 0 at first. A buffer that is too small
- * is replaced, and its values are lost. ERR_MEM, ERR_LIMIT: then there is none. */
+ * is replaced, and its values are lost. After ERR_MEM or ERR_LIMIT there is no buffer. */
 enum err_code dev_reserve(struct dev *d, size_t n_bytes, cl_mem *m, size_t *room,
                           struct err *e) ERR_USE;
 /* Read, write or zero the bytes [offset, offset + n) of a buffer. dev_read and dev_write block.
@@ -88,9 +89,9 @@ enum err_code dev_unmap(struct dev *d, cl_mem m, void **mapped, struct err *e) E
 /* Sets argument `index` of a kernel. It returns an OpenCL code: OR the codes of all arguments and
  * check the result once. */
 #define dev_arg(k, index, value) clSetKernelArg((k), (index), sizeof(value), &(value))
-/* Work-items of a group where their number does not matter to the kernel: 1 on CPUs, where a
- * work-item is a piece of work; 64 on GPUs, where fewer leave lanes idle. The kernel must bear
- * items beyond its last, because dev_run rounds up. */
+/* The local size for a kernel that works with any: 1 on CPUs, where a work-item is a whole piece of
+ * work; 64 on GPUs, where a smaller group leaves lanes idle. The kernel must ignore work-items
+ * beyond its last, because dev_run rounds up. */
 size_t dev_local(const struct dev *d);
 /* dev_run enqueues a one-dimensional launch of `global` work-items, rounded up to a multiple of
  * `local`. dev_finish waits until the queue is empty. ERR_DEVICE. */
@@ -98,12 +99,12 @@ enum err_code dev_run(struct dev *d, cl_kernel k, const char *name, size_t globa
                       struct err *e) ERR_USE;
 enum err_code dev_finish(struct dev *d, struct err *e) ERR_USE;
 const char *dev_error_name(cl_int code);
-/* Time that kernels take on the device, by name, of all launches between the two calls. Launches of
- * the same name are added up. dev_time_end gives at most `max` names, in the order of their first
- * launch, and frees what dev_time_begin took. With out NULL it gives nothing. Call it before
- * dev_close. ERR_DEVICE, ERR_MEM. */
+/* Measure how long the kernels that are launched between dev_time_begin and dev_time_end take on
+ * the device. Launches of the same name are added up. dev_time_end gives at most `max` names, in
+ * the order of their first launch, and frees what dev_time_begin allocated. With out NULL it only
+ * frees. Call it before dev_close. ERR_DEVICE, ERR_MEM. */
 struct dev_time {
-    const char *name; /* that was given to dev_run */
+    const char *name; /* the name that dev_run was given */
     size_t launches;
     double ms;
 };

@@ -1,6 +1,7 @@
-/* Exact nearest neighbours in space, by a balanced k-d tree in an array (Bentley 1975). The median
- * of a range is the node, and the two halves are its children, so no pointers are needed. Below the
- * first splits it is built in parallel. The tree does not depend on the number of threads.
+/* Exact nearest neighbours in space, by a balanced k-d tree in an array (Bentley 1975). A node is
+ * the median of a range of the array, and the two halves of the range are its children, so no
+ * pointers are needed. The subtrees below the first splits are built in parallel. The tree does not
+ * depend on the number of threads.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -18,9 +18,9 @@
 #endif
 
 #if defined(__OPENCL_C_VERSION__) && VW == 16
-/* Reads or writes 16 values at p with one instruction; p needs no alignment. PoCL builds vload16
- * and vstore16 of single elements, and its compiler seldom joins them again. `space` is the address
- * space with its qualifiers, such as const __global. */
+/* Reads or writes 16 values at p with one instruction; p needs no alignment. PoCL's vload16 and
+ * vstore16 access single elements, and its compiler seldom joins these accesses. `space` is the
+ * address space with its qualifiers, such as const __global. */
 typedef float16 layout_float16 __attribute__((aligned(4)));
 typedef uint16 layout_uint16 __attribute__((aligned(4)));
 typedef uchar16 layout_uchar16 __attribute__((aligned(1)));
@@ -121,8 +121,8 @@ struct layout_splat {
     LAYOUT_U32 cover;
     LAYOUT_U32 bands[LAYOUT_BANDS / 2];
 };
-/* Only bin reads cover and bands. In a frame with moments of depth they then hold, as floats, the
- * plane of the splat. Its depth at a pixel is
+/* Only bin reads cover and bands. In a frame with moments of depth, the same words later hold the
+ * plane of the splat, as floats. The splat's depth at a pixel is
  *
  *     m = depth + tilt_x d.x + tilt_y d.y,   d = mean - pixel centre
  *
@@ -229,9 +229,9 @@ struct layout_counts {
 #define LAYOUT_LPIPS_MARGIN 16
 #define LAYOUT_LPIPS_ROWS 2
 #define LAYOUT_LPIPS_CHANNELS 8
-/* loss/mip.cl: a camera sees points in its picture that are farther than this */
+/* loss/mip.cl: a camera sees a point that is farther than NEAR_M and lies in the picture */
 #define LAYOUT_MIP_NEAR_M 0.01f
-#define LAYOUT_MIP_GROW 0.15f /* and up to this share of the picture's size outside it */
+#define LAYOUT_MIP_GROW 0.15f /* or outside it by up to this share of its size */
 
 struct layout_scale_piece {
     LAYOUT_U32 n, m; /* n: axes longer than s_max; m: Gaussians whose axis ratio is above r_max */

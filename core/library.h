@@ -1,6 +1,5 @@
 /* Parts of the program that are shared libraries of their own, loaded when they are first needed.
- * They keep large foreign libraries out of the start of the program: OpenImageIO brings 250, GDAL
- * 110.
+ * The start of the program then loads no large foreign libraries: OpenImageIO brings 250, GDAL 110.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

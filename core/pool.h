@@ -21,8 +21,8 @@ enum err_code pool_for(size_t n, size_t threads,
 /* The number of threads that 0 stands for: the limit of pool_limit, else the number of cores that
  * are online. At least 1. */
 size_t pool_cores(void);
-/* Limits the number of threads (0 = no limit), here and in a CPU device that is opened later. Call
- * it before threads start. */
+/* Limits the number of threads (0 = no limit) of pool_for and of a CPU device that is opened later.
+ * Call it before threads start. */
 void pool_limit(size_t threads);
 /* From now on pool_for in this thread makes all calls itself. Use it in threads that together
  * already occupy all cores. */
@@ -35,8 +35,9 @@ enum err_code pool_start(void (*fn)(void *user), void *user, struct pool_thread 
                          struct err *e) ERR_USE;
 void pool_join(struct pool_thread **t);
 
-/* Initialises a condition whose waits use the clock of clock_s(). That clock cannot be set. With
- * the time of day, a wait of a second would last a day if the clock were put back by one. */
+/* Initialises a condition whose waits use the clock of clock_s(). That clock cannot be set. If
+ * waits used the time of day, a wait of a second would last a day when somebody puts the clock back
+ * by a day. */
 void pool_cond_init(pthread_cond_t *c);
 /* Waits until the condition is signalled (true) or clock_s() reaches end_s (false). Like
  * every wait on a condition, it may return before either. */

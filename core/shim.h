@@ -1,5 +1,5 @@
-/* Keeps C++ exceptions inside the C++ files between a library and C. Such a function is a try
- * block:
+/* Keeps C++ exceptions inside the C++ files between a library and C. A function of such a file is a
+ * try block:
  *
  *     extern "C" enum err_code draco_encode(..., struct err *e)
  *     try {

@@ -1,5 +1,6 @@
 /* A record of what ran when, as a file in Chrome's trace event format. chrome://tracing and
- * ui.perfetto.dev show it. There is one for the process, and without one a span costs a comparison.
+ * ui.perfetto.dev show it. A process has at most one trace. Without a trace, a span costs one
+ * comparison.
  *
  * Tracks: "work" is the kind of work of a training run (train/timing.h), "device" its kernels,
  * "photographs" what the loader reads, "host 1" and so on the threads of a parallel loop.
@@ -17,8 +18,8 @@
 enum { TRACE_SPANS_MAX = 1 << 20 }; /* later ones are dropped and counted */
 
 /* From now on spans are kept, for a file at `path` (borrowed until trace_end). Call it before a
- * device is opened and before threads start. ERR_ARG (there is a trace), ERR_MEM, and what writing
- * there would end with: ERR_IO, ERR_LIMIT. */
+ * device is opened and before threads start. ERR_ARG: there is a trace already. ERR_IO, ERR_LIMIT:
+ * no file can be written at `path`. ERR_MEM. */
 enum err_code trace_begin(const char *path, struct err *e) ERR_USE;
 bool trace_on(void);
 /* `track` and `name` are string literals. Times are of clock_s(). Any thread. */
@@ -27,11 +28,11 @@ void trace_span(const char *track, const char *name, double from_s, double to_s)
 struct trace_result {
     size_t spans, dropped;
     double seconds; /* from trace_begin to trace_end */
-    double device;  /* share of the time that kernels ran, 0..1 */
+    double device;  /* share of the time in which kernels ran, 0..1 */
     double cores;   /* processor seconds a second: mean number of busy cores */
 };
-/* Writes the file beside its place, renames it, and keeps no more spans. After an error of the run
- * as well: what was recorded until then is of use. Other threads must have ended. ERR_IO. */
+/* Writes the file under another name, renames it, and stops recording. Call it after a failed run
+ * too, because the spans until the failure are useful. Other threads must have ended. ERR_IO. */
 enum err_code trace_end(struct trace_result *out, struct err *e) ERR_USE;
 
 #endif
