@@ -23,9 +23,9 @@ struct cell {              /* a rectangle of the ground plane; Gaussians outside
      * known beyond those sides where no other cell lies */
     double owned_min_m[2], owned_max_m[2];
     bool cut; /* photographs are cut to what shows the cell (cells/window.h) */
-    /* of the configured steps, those that the cell takes; 0 counts as 1. Where photographs are cut,
-     * it is in proportion to their number, so that every cell uses each equally often. The cell
-     * with most photographs takes all steps. */
+    /* share of the configured steps that the cell takes; 0 counts as 1. Where photographs are cut,
+     * it is in proportion to the cell's number of photographs, so every cell uses each of its
+     * photographs equally often. The cell with most photographs takes all steps. */
     double steps_share;
     /* edge of a cell before merging: unit of learning rates and of the distance ramp */
     double edge_m;

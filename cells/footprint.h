@@ -23,7 +23,7 @@ struct scene;
 
 enum {
     FOOTPRINT_VIEWS = 2,
-    FOOTPRINT_DEEP_VIEWS = 3 /* photographs that see ground well inside, at least */
+    FOOTPRINT_DEEP_VIEWS = 3 /* least number of photographs that see ground well inside */
 };
 #define FOOTPRINT_DEEP 0.2 /* flight heights from the border inwards: well inside */
 

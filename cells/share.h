@@ -1,7 +1,7 @@
 /* Photographs that train a cell because they show it, from wherever they were taken.
  *
- * A photograph's share of a cell is what window.h says. A cell takes the photographs of which it
- * has at least a share of share_min, and training cuts each to the part that shows the cell
+ * window.h defines the share of a photograph that shows a cell. A cell takes every photograph whose
+ * share is at least share_min, and training cuts the photograph to the part that shows the cell
  * (docs/decisions/085-cut-photographs.md).
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -16,10 +16,10 @@
 struct partition;
 struct scene;
 
-/* Gives each trained cell of a partition these photographs instead of those it has, and sets
- * p->share_min. First come those that it had by location. all_images: test photographs too. A cell
- * of which no photograph shows enough keeps what it has. One cell alone keeps all, whole. ERR_MEM.
- */
+/* Replaces the photographs of each trained cell by those that show enough of it, and sets
+ * p->share_min. Photographs that the cell had by location come first. all_images: test photographs
+ * too. A cell that no photograph shows enough of keeps its photographs. If there is only one cell,
+ * it keeps all photographs, uncut. ERR_MEM. */
 enum err_code share_photographs(const struct scene *s, double share_min, bool all_images,
                                 struct partition *p, struct err *e) ERR_USE;
 

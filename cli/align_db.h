@@ -1,4 +1,4 @@
-/* What COLMAP's database holds: how far it is, and why a photograph was not placed.
+/* Reads COLMAP's database: how far COLMAP is, and why a photograph was not placed.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -10,15 +10,15 @@
 
 struct align_seen {    /* of a photograph */
     uint32_t features; /* 0: none were sought yet */
-    uint32_t matches;  /* photographs that it matches, geometry verified */
-    uint32_t part;     /* photographs that matches join have one number */
+    uint32_t matches;  /* number of photographs that it matches, with verified geometry */
+    uint32_t part;     /* photographs that matches connect have the same number */
 };
-/* Rows of a table; 0 as well when there is no database yet. */
+/* Number of rows of a table; 0 also if there is no database yet. */
 uint64_t align_db_count(const char *path, const char *table);
-/* Camera that photographs of a group of the plan have; -1: none has one yet. */
+/* Id of the camera that photographs of a group of the plan have; -1: none has a camera yet. */
 long long align_db_camera(const char *path, const struct align_plan *plan, size_t group);
-/* Fills seen [plan->n]. inliers: least number of a match. largest: photographs of the largest part.
- * ERR_IO: it cannot be read. ERR_MEM. */
+/* Fills seen [plan->n]. inliers: least number of inliers of a match. *largest: number of
+ * photographs in the largest part. ERR_IO: it cannot be read. ERR_MEM. */
 enum err_code align_db_seen(const char *path, const struct align_plan *plan, uint32_t inliers,
                             struct align_seen *seen, size_t *largest, struct err *e) ERR_USE;
 

@@ -1,4 +1,5 @@
-/* Another program as a step of ours: its output goes to a log, how far it is to a progress bar.
+/* Runs another program as a step of a command. Its output goes to a log, and its progress to a
+ * progress bar.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -18,9 +19,9 @@ struct align_run {
 /* Whether there is such a program, in PATH or as a path. ERR_NOENT: no; the message has the package
  * to install. */
 enum err_code align_run_find(const char *program, struct err *e) ERR_USE;
-/* Runs it to its end. It ends with this process. ERR_NOENT: there is no such program. ERR_DATA: it
- * failed; the message has its last line and the log. ERR_CANCEL: we were asked to stop, and it was
- * stopped. ERR_IO, ERR_MEM. */
+/* Runs the program to its end. If this process ends, so does the program. ERR_NOENT: there is no
+ * such program. ERR_DATA: it failed; the message has its last line and the log. ERR_CANCEL: we were
+ * asked to stop, and the program was stopped. ERR_IO, ERR_MEM. */
 enum err_code align_run(const struct align_run *r, struct err *e) ERR_USE;
 
 #endif

@@ -1,8 +1,9 @@
-/* What the parts of `citysplat align` share: the plan, the folder it works in, and how far it is.
+/* What the parts of `citysplat align` share: the plan, the working folder, and the state of the
+ * run.
  *
  *   DIR/sparse/0, 1 ...   models, the largest first
- *   DIR/align.json        what was made how: versions, options, seconds, photographs not placed
- *   DIR/logs/STAGE.log    what COLMAP said
+ *   DIR/align.json        how it was made: versions, options, seconds, photographs not placed
+ *   DIR/logs/STAGE.log    the output of COLMAP
  *   DIR/work/             database, lists, links, state.json
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -22,7 +23,8 @@ struct align_options {
 #undef OPT
 };
 
-enum { ALIGN_SHOWN = 20, ALIGN_INLIERS = 15 }; /* the latter is COLMAP's least of a match */
+/* ALIGN_INLIERS: COLMAP's least number of inliers of a match */
+enum { ALIGN_SHOWN = 20, ALIGN_INLIERS = 15 };
 enum align_stage { ALIGN_LOOK, ALIGN_FEATURES, ALIGN_MATCHES, ALIGN_MODEL, ALIGN_STAGES };
 
 struct align {
@@ -31,9 +33,11 @@ struct align {
     struct align_plan plan;
     struct align_forecast forecast;
     char version[128]; /* what COLMAP calls itself */
-    bool renamed;      /* options that are not SIFT's alone have other names: 3.12 and newer */
+    /* COLMAP 3.12 or newer: options that are not SIFT's alone have other names */
+    bool renamed;
     json_t *state;
-    double slow;             /* times that this machine takes what is usual, measured by the look */
+    /* how many times slower than usual this machine is, measured by the look */
+    double slow;
     struct align_seen *seen; /* [plan.n] */
     uint32_t *model_of;      /* [plan.n] model that holds it, UINT32_MAX: none */
     size_t n_models, placed, *sizes;
@@ -61,21 +65,21 @@ enum err_code align_open(struct align *a, struct err *e) ERR_USE;
 enum err_code align_save(struct align *a, struct err *e) ERR_USE;
 enum err_code align_set_done(struct align *a, enum align_stage s, double seconds,
                              struct err *e) ERR_USE;
-/* From now on the options that decide the result are those of this run. */
+/* Writes the options that decide the result, as this run has them, into the state. */
 void align_set_options(struct align *a);
 
 /* ---- align_colmap.c: calls of COLMAP. Errors are those of align_run. ---- */
 
 enum err_code align_ask_version(struct align *a, struct err *e) ERR_USE;
-/* Links to photographs under names that lists of COLMAP can have. */
+/* Makes links to the photographs, under names that COLMAP's lists can hold. */
 enum err_code align_link_photos(struct align *a, struct err *e) ERR_USE;
-/* Features of all photographs. `log` is the stage, `what` is for the progress bar. */
+/* Extracts the features of all photographs. `log` is the stage, `what` is for the progress bar. */
 enum err_code align_extract(struct align *a, char *db, uint32_t edge_px, long long features,
                             const char *log, const char *what, struct err *e) ERR_USE;
 /* Compares the pairs of the plan. */
 enum err_code align_match(struct align *a, char *db, const char *log, const char *what,
                           struct err *e) ERR_USE;
-/* Models in work/sparse. */
+/* Computes the models, in work/sparse. */
 enum err_code align_map(struct align *a, const char *db, struct err *e) ERR_USE;
 
 /* ---- align_tell.c: what is printed, and align.json ---- */
@@ -86,13 +90,14 @@ void align_print_look(const struct align *a, size_t largest);
 /* Photographs outside the largest model, with the reason. */
 void align_print_unplaced(const struct align *a);
 void align_print_result(const struct align *a);
-/* Writes align.json. `config` is taken over. ERR_DATA, ERR_IO, ERR_LIMIT, ERR_MEM. */
+/* Writes align.json. It takes over the reference to `config`. ERR_DATA, ERR_IO, ERR_LIMIT, ERR_MEM.
+ */
 enum err_code align_write_result(struct align *a, json_t *config, struct err *e) ERR_USE;
 
 /* ---- align_publish.c ---- */
 
-/* COLMAP's models to DIR/sparse, the largest first, with the true names of photographs. ERR_DATA:
- * there is none. ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM. */
+/* Writes COLMAP's models to DIR/sparse, the largest first, with the true names of photographs.
+ * ERR_DATA: there is no model. ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM. */
 enum err_code align_publish(struct align *a, struct err *e) ERR_USE;
 
 #endif

@@ -40,10 +40,10 @@ struct mark_source {         /* what is marked; lives in an arena */
     const char *gcp;         /* the list that the scene was made with; NULL: none */
     int gcp_epsg;            /* 0: as the list says */
     double gcp_scale;
-    int64_t min_points; /* the next two of a scene alone */
+    int64_t min_points; /* this and the next: only for a scene */
     double max_reprojection_px;
 };
-/* Finds them by the arguments SCENE or PHOTOGRAPHS MODEL (mark_scene.c). ERR_NOENT: there is no
+/* Fills *out from the arguments SCENE, or PHOTOGRAPHS MODEL (mark_scene.c). ERR_NOENT: there is no
  * scene, or its photographs are elsewhere. ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM. */
 enum err_code mark_scene_find(const struct options_args *args, struct mark_source *out,
                               struct arena *a, struct err *e) ERR_USE;
@@ -54,13 +54,13 @@ extern const size_t MARK_ROUTES_COUNT;
 
 /* ---- mark_photo.c ---- */
 
-/* A photograph for a browser: a JPEG as it is but without EXIF; others as JPEG; one whose longest
- * edge is over MARK_WHOLE_PX as a smaller picture. ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_LIMIT,
- * ERR_MEM. Any thread. */
+/* Makes a photograph for a browser. A JPEG stays as it is, but without EXIF; other formats become
+ * JPEG. If its longest edge is over MARK_WHOLE_PX, the photograph becomes a smaller picture.
+ * ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_LIMIT, ERR_MEM. Any thread. */
 enum err_code mark_photo_whole(struct mark_album *a, const char *path, size_t photo,
                                uint32_t longest_px, struct buf *out, struct err *e) ERR_USE;
-/* A square of MARK_PART_PX pixels of a photograph at full size, smaller at its right and lower
- * edge. ERR_NOENT: also, there is no such part. Any thread. */
+/* Cuts a square of MARK_PART_PX pixels from a photograph at full size; at its right and lower edge
+ * the part is smaller. ERR_NOENT also: there is no such part. Any thread. */
 enum err_code mark_photo_part(struct mark_album *a, const char *path, size_t photo, uint32_t column,
                               uint32_t row, struct buf *out, struct err *e) ERR_USE;
 void mark_album_free(struct mark_album *a);

@@ -1,4 +1,4 @@
-/* Files that a command writes: they are not replaced unasked.
+/* Output files of a command are not replaced without --overwrite.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -9,8 +9,8 @@
 
 #include "core/err.h"
 
-/* Call it before the work begins. path may be NULL. A pipe or a device is no file that is lost.
- * ERR_ARG: there is such a file, and --overwrite was not given. */
+/* Call it before the work begins. path may be NULL. A pipe or a device is always allowed. ERR_ARG:
+ * there is such a file, and --overwrite was not given. */
 enum err_code output_check(const char *path, bool overwrite, struct err *e) ERR_USE;
 
 #endif

@@ -41,7 +41,7 @@ enum err_code report_map_gsd(const struct scene *s, const struct report_ground *
 enum err_code report_map_residuals(const struct scene *s, const struct report_ground *g,
                                    struct buf *out, struct err *e) ERR_USE;
 /* Draws heights [h][w] (m) as colours with shading. NAN, and heights below `none`, are white.
- * range_m gets 2 and 98 % of the heights. ERR_MEM, ERR_ARG. */
+ * range_m gets the 2 % and 98 % quantiles of the heights. ERR_MEM, ERR_ARG. */
 enum err_code report_map_relief(const float *height_m, uint32_t w, uint32_t h, double pixel_m,
                                 float none, struct image *out, double range_m[2],
                                 struct err *e) ERR_USE;

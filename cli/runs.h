@@ -1,6 +1,6 @@
 /* Recorded runs: results of studies, in the repository as JSON lines (docs/runs/NAME.jsonl).
  *
- * A line is one scored thing:
+ * Each line holds the scores of one thing:
  *
  *     {"study": "budgets", "row": "50 k", "what": "level 3", "dataset": "...", "command": "...",
  *      "commit": "...", "device": "...", "fma_gflops": N, "triad_gbps": N,

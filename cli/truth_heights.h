@@ -9,12 +9,12 @@
 #include "synth/synth.h"
 #include "train/surface_rays.h"
 
-/* How well standard deviations tell errors, over pixels that have one. */
+/* How well the standard deviations of a map predict its errors, over pixels that have one. */
 struct truth_sigma {
     size_t n;
     double median_m;     /* of the standard deviations */
     double within[3];    /* share of errors within 1, 2 and 3 standard deviations */
-    double ratio_middle; /* median of error over standard deviation; 0.674 of a normal one */
+    double ratio_middle; /* median of error / standard deviation; 0.674 if errors are normal */
 };
 struct truth_heights {
     uint64_t inside, none; /* pixels in the built-up square; those without a surface */

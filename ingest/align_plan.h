@@ -1,5 +1,5 @@
-/* What a folder of photographs is like before poses are sought: which cameras took them, which of
- * them may see the same ground, and what speaks against them.
+/* Describes a folder of photographs before poses are computed: which cameras took them, which of
+ * them may see the same ground, and which are broken, blurred or copies.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -38,7 +38,7 @@ struct align_plan {             /* {0} is empty; align_plan_free */
     struct align_photo *photos; /* [n] by folder, time and name */
     size_t n, n_usable, n_gps;  /* usable: neither broken nor a copy */
     size_t n_groups, n_clusters, n_copies, n_blurred, n_broken;
-    double apart_m;           /* of the two largest clusters; 0: one */
+    double apart_m;           /* distance of the two largest clusters; 0: there is one */
     double overlap;           /* of neighbours, by GPS, height and focal length; NAN: not known */
     double megapixels;        /* mean of usable photographs */
     struct align_pair *pairs; /* [n_pairs] */
@@ -48,8 +48,9 @@ struct align_plan {             /* {0} is empty; align_plan_free */
 /* Reads EXIF and pixels of all photographs below a folder. ERR_NOENT, ERR_DATA (fewer than three
  * can be used), ERR_IO, ERR_LIMIT, ERR_CANCEL, ERR_MEM. */
 enum err_code align_plan_read(const char *dir, struct align_plan *out, struct err *e) ERR_USE;
-/* Pairs to compare: each photograph with its nearest by GPS and with the next in order. Without GPS
- * with more of the next, and all with all where they are few. ERR_MEM. */
+/* Chooses the pairs to compare: each photograph with the nearest ones by GPS and with the next ones
+ * in order. Without GPS it takes more of the next ones, or all pairs if there are few photographs.
+ * ERR_MEM. */
 enum err_code align_plan_pairs(struct align_plan *p, size_t neighbours, size_t next,
                                struct err *e) ERR_USE;
 bool align_plan_usable(const struct align_photo *p);
@@ -61,14 +62,14 @@ void align_plan_free(struct align_plan *p);
 
 struct align_forecast {
     uint32_t edge_px;  /* longest edge of pictures for features */
-    uint32_t features; /* most of a photograph */
+    uint32_t features; /* most features of a photograph */
     double features_s, matches_s, model_s;
 };
-/* Seconds on so many cores that are `slow` times slower than usual. */
+/* Forecasts the seconds of the stages on so many cores, each `slow` times slower than usual. */
 struct align_forecast align_plan_forecast(const struct align_plan *p, uint32_t edge_px,
                                           uint32_t features, size_t cores, double slow);
-/* The finest usual choice that takes at most so many seconds, or else the coarsest. edge_px and
- * features that are not 0 are as given. */
+/* Chooses the finest of the usual values of edge_px and features that takes at most so many
+ * seconds, or else the coarsest. An argument edge_px or features that is not 0 is kept. */
 struct align_forecast align_plan_afford(const struct align_plan *p, uint32_t edge_px,
                                         uint32_t features, size_t cores, double slow,
                                         double seconds);

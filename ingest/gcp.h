@@ -1,6 +1,6 @@
 /* Ground control points: places on the ground that were surveyed and marked in photographs.
  *
- * What reads them from files: gcp_read.h.
+ * gcp_read.h reads them from files.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -18,7 +18,7 @@ struct gcp {
     char name[GCP_NAME_MAX];
     double at[3];   /* as in the file; after unprojecting longitude, latitude, height */
     double file[3]; /* as in the file */
-    /* of the survey, of each horizontal axis and of height; 0: not in the file */
+    /* standard deviation of the survey, on each horizontal axis and of height; 0: not given */
     double sigma_m[2];
     size_t line; /* its first line in the file */
     bool check;  /* a check point: not used for the fit */
@@ -36,14 +36,14 @@ struct gcp_list { /* {0} is empty; gcp_free */
     size_t n_marks, cap_marks;
     int epsg;         /* of the file; 0: not stated, or not understood */
     int heights_epsg; /* of "EPSG:25832+7837"; 0: not stated */
-    char *wkt;        /* of both, where they were understood: control_unproject; NULL: not known */
+    char *wkt;        /* well-known text of both systems, by control_unproject; NULL: not known */
     /* Converts metres of a projected system to longitude and latitude, in place. It is used to find
      * the cause of errors. NULL: not available. */
     enum err_code (*unproject)(int epsg, double *x, double *y, struct err *e);
 };
 void gcp_free(struct gcp_list *l);
-/* The point of a name, or without one of these coordinates; new where there is none yet. path and
- * line are where it was read. Errors as of gcp_add_point. */
+/* Finds the point of this name, or if the name is empty, of these coordinates. If there is none
+ * yet, it is added. path and line say where it was read. Errors as of gcp_add_point. */
 enum err_code gcp_find(const char *path, size_t line, struct gcp_list *l, const char *name,
                        const double at[3], size_t *out, struct err *e) ERR_USE;
 /* Adds a point of the file `path`, unless the list has one of that name. ERR_FORMAT: the list has

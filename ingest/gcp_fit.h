@@ -76,9 +76,9 @@ void gcp_fit_free(struct gcp_fit *f);
 
 /* ---- gcp_blame.c ---- */
 
-/* Call it before the fit. It marks points as `far` that lie farther from the GPS of their
- * photographs than these can see. ERR_DATA: half of them do; the message names the likely cause.
- * ERR_MEM. */
+/* Call it before the fit. It marks a point as `far` if it lies farther from the GPS positions of
+ * its photographs than these can see. ERR_DATA: half of the points do; the message names the likely
+ * cause. ERR_MEM. */
 enum err_code gcp_blame_far(struct gcp_fit *f, const struct gcp_view *views, size_t n_views,
                             struct err *e) ERR_USE;
 /* Call it after the fit: computes f->gps. ERR_MEM, ERR_ARG. */

@@ -56,8 +56,9 @@ enum err_code gcp_locate(const struct gcp_list *list, const struct colmap_model 
                          const struct gcp_view *views, size_t n_views, double px_scale,
                          double mark_px, const double up[3], bool use_suspects, double factor_most,
                          struct gcp_places *out, struct err *e) ERR_USE;
-/* Finds the photograph of a mark, NULL: none. Of all that COLMAP knows, also those that were
- * dropped: the mark of one must not go to another of that name. ERR_DATA: the name fits several. */
+/* Finds the photograph of a mark; NULL: there is none. It searches all photographs of the model,
+ * also dropped ones, because the mark of a dropped photograph must not go to another of that name.
+ * ERR_DATA: the name fits several. */
 enum err_code gcp_locate_photo(const struct colmap_model *m, const struct gcp_list *list,
                                const struct gcp_mark *mark, const struct colmap_image **out,
                                struct err *e) ERR_USE;

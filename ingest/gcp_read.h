@@ -19,7 +19,7 @@
  * expected), ERR_DATA (none, or too many), ERR_IO, ERR_MEM. */
 enum err_code gcp_read(const char *path, struct gcp_list *out, struct err *e) ERR_USE;
 /* As gcp_read, and points may come without marks: "x y z [name]" in a gcp_list.txt, or CSV without
- * px, py and image, or with nothing in them. There may be no point at all. */
+ * px, py and image, or with these left empty. There may be no point at all. */
 enum err_code gcp_read_points(const char *path, struct gcp_list *out, struct err *e) ERR_USE;
 
 #endif

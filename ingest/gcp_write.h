@@ -16,12 +16,11 @@ enum gcp_form {
 /* By the ending: .csv is CSV, .xml is Metashape's, all else gcp_list.txt. */
 enum gcp_form gcp_form_of(const char *path);
 /* Returns whether a name of a point or photograph can stand in a list of this form: no separator,
- * no quotation mark, no control character. XML holds all but the last. */
+ * no quotation mark, no control character. XML forbids only control characters. */
 bool gcp_name_fits(enum gcp_form form, const char *name);
-/* Appends the list: coordinates as in its file, points in their order, each with its marks in
- * theirs. Points without marks become comments; XML has them as they are. Numbers have as many
- * digits as they need. ERR_DATA: a name does not fit, or the coordinate system is not known.
- * ERR_MEM. */
+/* Appends the list, with coordinates as in its file. Points keep their order, and so do the marks
+ * of each. Points without marks become comments, except in XML. Numbers have as many digits as they
+ * need. ERR_DATA: a name does not fit, or the coordinate system is not known. ERR_MEM. */
 enum err_code gcp_write(const struct gcp_list *l, enum gcp_form form, struct buf *out,
                         struct err *e) ERR_USE;
 

@@ -46,7 +46,7 @@ enum ingest_altitude { /* source of the altitude that is used: ingest_drone.c */
 enum { INGEST_AUTO, INGEST_EXIF }; /* values of --altitude */
 /* The direction up by the gimbals of the cameras. */
 struct ingest_gimbal {
-    size_t n, used;    /* photographs with that value; without outliers */
+    size_t n, used;    /* number of photographs with that value, and of those without outliers */
     bool known;        /* there are enough, and they agree */
     double up[3];      /* unit, in COLMAP's frame */
     double spread_rad; /* median angle between one photograph and all */

@@ -2,11 +2,12 @@
  * photographs, how well marks agree, and the list as a file. Nothing here knows HTTP.
  *
  * A point is expected where its other marks place it; with one mark, at the depth of the sparse
- * points around it; without marks, where its coordinates lie in the frame. The frame is that of
- * three and more points that are placed by marks, else that of GPS, moved onto those that are.
+ * points around it; without marks, where its coordinates lie in the frame. The frame is fitted to
+ * the points that are placed by marks, if there are three or more. Else it is the frame of GPS,
+ * moved onto the points that are placed.
  *
- * Pixels are those of the photographs' files. In the list they are `px_scale` for each of COLMAP's.
- * One thread at a time.
+ * Pixels are those of the photographs' files. A pixel of COLMAP's photographs is `px_scale` pixels
+ * of the list. Only one thread at a time may use a struct marking.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -19,23 +20,24 @@
 enum marking_source { /* what places a point */
                       MARKING_NOWHERE,
                       MARKING_FRAME,
-                      MARKING_ONE,  /* mark, and the sparse points around it */
+                      MARKING_ONE,  /* one mark, and the sparse points around it */
                       MARKING_MARKS /* two and more */
 };
 struct marking_spot { /* a point in a photograph */
     size_t photo;
-    bool expected, marked, lost; /* lost: its mark does not count, the lens has no such ray */
+    /* lost: its mark does not count, because the lens has no such ray */
+    bool expected, marked, lost;
     double expected_px[2], marked_px[2];
     double middle;      /* distance of the place from the picture's middle, in half diagonals */
     double residual_px; /* of the mark, from the place that all good marks give; NAN: unknown */
     double out_px;      /* from the place that the other marks give; NAN: they give none */
     bool suspect;       /* the mark contradicts the others */
 };
-struct marking_point { /* how a point stands */
+struct marking_point { /* the state of a point */
     size_t marks, suspects;
     enum marking_source source;
     double worst_px; /* largest residual of its marks; NAN: unknown */
-    double off_m[2]; /* plan and height: from where the others put it; NAN: they do not say */
+    double off_m[2]; /* plan and height: distance from where the others put it; NAN: unknown */
 };
 struct marking; /* marking_close */
 
@@ -57,7 +59,7 @@ uint64_t marking_revision(const struct marking *m);
 size_t marking_strays(const struct marking *m);
 struct marking_point marking_point(const struct marking *m, size_t point);
 /* Fills spots [survey.n] with the photographs in which the point is marked or expected, the nearest
- * to their middle first; where nothing is known of it, with all. Returns their number. */
+ * to their middle first; if its place is not known, with all photographs. Returns their number. */
 size_t marking_spots(const struct marking *m, size_t point, struct marking_spot *spots);
 /* Sets the mark of a point in a photograph; at NULL: takes it away. Then writes the file. On
  * failure nothing has changed. ERR_ARG: outside of the photograph. ERR_BUSY: another program has

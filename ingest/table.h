@@ -31,8 +31,8 @@ enum err_code table_next(struct table *t, char line[TABLE_LINE_MAX], bool *more,
 /* Splits text in place at `comma`, or if that is 0 at blanks, commas and semicolons. Blanks around
  * fields are removed. Returns the number of fields. */
 size_t table_split(char *text, char comma, char *field[TABLE_FIELDS]);
-/* The name of a column in one form: "Accuracy Horizontal (m)" as accuracy_horizontal, "#Label" as
- * Label, "X/Easting" as Easting. */
+/* Writes the name of a column in a standard form: "Accuracy Horizontal (m)" as accuracy_horizontal,
+ * "#Label" as Label, "X/Easting" as Easting. */
 void table_heading(const char *field, char out[TABLE_HEADING]);
 /* Parses a finite number of at most 1e12 and nothing else. Returns false if it is none. */
 bool table_number(const char *text, double *out);
@@ -40,9 +40,9 @@ bool table_number(const char *text, double *out);
  * Returns its length; 0: there is none. */
 size_t table_decimal_comma(const char *line, const char **at);
 /* Rates how well the path of a photograph matches one in a list, from its end. 0: no match. Folders
- * that both have must be equal. Case is ignored, because cameras write .JPG. The whole path is
- * better than a part, and a name with its ending better than one that has none, as Metashape's
- * labels. */
+ * that both have must be equal. Case is ignored, because cameras write .JPG. A match of the whole
+ * path rates higher than one of a part, and a name with its ending higher than a name without, such
+ * as Metashape's labels. */
 size_t table_alike(const char *photo, const char *listed);
 
 #endif

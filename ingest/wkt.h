@@ -1,4 +1,4 @@
-/* Which coordinate system a text means.
+/* Finds the coordinate system that a text describes.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -8,7 +8,7 @@
 #include <stdbool.h>
 
 /* The EPSG codes of a system in OGC's well-known text, of versions 1 and 2: its own, and that of
- * its heights if it is compound. 0: it does not say one. Returns false if this is no such text. */
+ * its heights if it is compound. 0: the text gives none. Returns false if this is no such text. */
 bool wkt_epsg(const char *wkt, int *epsg, int *heights);
 
 #endif

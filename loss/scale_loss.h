@@ -16,17 +16,17 @@
  *     L = weight (sum_{s_ik > s_max} s_ik / (n + 1) + sum_{r_i > r_max} r_i / (m + 1))
  *         + flat_weight / (2 N) sum_i log(1 + (min_k s_ik / flat_m)^2)
  *
- * n and m are the numbers of terms, held fixed, and N that of the Gaussians. The last term makes
- * Gaussians flat. Its pull on log s is the same for all that are thicker than flat_m, and goes to 0
- * below (PGSR, Chen et al. 2024, presses the least axis itself). Source of the others: REUrbanGS
- * (2025), section on regularization. Over a part of the ground s_max can be smaller. The last term
- * acts over a part. */
+ * n and m are the numbers of terms of the two sums and are held fixed; N is the number of
+ * Gaussians. The last term makes Gaussians flat. Its pull on log s is the same for all that are
+ * thicker than flat_m, and goes to 0 below (PGSR, Chen et al. 2024, presses the least axis itself).
+ * Source of the others: REUrbanGS (2025), section on regularization. Over a part of the ground
+ * s_max can be smaller, and the last term can be limited to a part (struct scale_loss_ground). */
 enum scale_loss_part { SCALE_LOSS_LIMITED = 1, SCALE_LOSS_FLAT = 2 };
 struct scale_loss_ground { /* borrowed */
     const uint8_t *parts;  /* [ny][nx] of enum scale_loss_part, row 0 is the southernmost */
     size_t nx, ny;
     double corner_m[2], cell_m; /* south-west corner, ENU; edge of a cell */
-    double s_max_m;             /* there; INFINITY: no other than elsewhere */
+    double s_max_m;             /* s_max there; INFINITY: the same as elsewhere */
 };
 struct scale_loss_input {
     double s_max_m, r_max, weight;

@@ -1,6 +1,6 @@
-/* The loss on solid surfaces has four terms. Light stops at one depth (spread), and where that is
- * known, there (prior). The depths of neighbouring pixels lie in planes (bend). No light passes
- * through ground that photographs see (light).
+/* The loss on solid surfaces has four terms. Light stops at one depth (spread), and at the known
+ * depth where there is one (prior). The depths of neighbouring pixels lie in planes (bend). No
+ * light passes through ground that photographs see (light).
  *
  * For a pixel, A = 1 - T, D = sum w m / A and V = sum w m^2 / A - D^2 (render_moments_buffer). zeta
  * = 1 + D is its depth in units of the frame's depth. focal is the focal length in pixels, e =
@@ -15,17 +15,17 @@
  *     light  = 1/n sum of h(T) over the supported pixels; light_known: those of known depth
  *              h = T^2 / (2 t) below t = SOLID_LIGHT_T, T - t/2 above: what is closed is left alone
  *
- * f is 1. In a photograph with known depths it is `unknown` at pixels whose own depth is not known:
- * there photographs do not agree (narrow courts, edges, trees), and what closes and smooths a
- * surface fills courts.
+ * f is 1, except in a photograph with known depths: there it is `unknown` at pixels whose own depth
+ * is not known. At such pixels photographs do not agree (narrow courts, edges, trees), and terms
+ * that close and smooth a surface fill courts.
  *
  * s is the standard deviation of depth along the ray. b is the distance of a pixel's depth from the
  * line between the depths of the pixels `stride` to either side; inverse depth is linear over a
  * plane. s and b are in footprints of a pixel. The terms are A s and b^2 / 2 where r is small, and
- * their slopes fall with 1 / (1 + r^2)^2 (Geman and McClure 1985): they let go of what is large. At
- * an edge two surfaces share the light, and depth bends by many footprints. A loss that still pulls
- * there, if only weakly, lifts the ground of narrow courts. The factors A, focal / zeta and
- * focal zeta are held fixed. Otherwise a Gaussian could lower the loss by moving away.
+ * their slopes fall with 1 / (1 + r^2)^2 (Geman and McClure 1985), so large values have hardly any
+ * pull. At an edge two surfaces share the light, and depth bends by many footprints. A loss that
+ * still pulls there, if only weakly, lifts the ground of narrow courts. The factors A, focal / zeta
+ * and focal zeta are held fixed. Otherwise a Gaussian could lower the loss by moving away.
  *
  * V is the distortion of a ray in 2DGS (Huang et al. 2024; first in Mip-NeRF 360, Barron et al.
  * 2022), without the factor A^2.

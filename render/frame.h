@@ -54,7 +54,7 @@ struct render {
      * see render_stage_project. */
     cl_mem drawn_params, drawn_filter, drawn_list;
     struct layout_view view; /* as uploaded to view_mem */
-    /* size of `view` in pictures' sizes, on each axis; 1: no supersampling */
+    /* how many times larger than the picture `view` is, on each axis; 1: no supersampling */
     uint32_t supersample;
     uint32_t tiles;         /* tiles_x * tiles_y */
     uint64_t intersections; /* number of pairs (splat, tile) in the frame */
@@ -178,9 +178,9 @@ struct render_appearance_call {
  * ERR_LIMIT, ERR_MEM. */
 enum err_code render_appearance_prepare(struct render *r, const struct render_appearance_grad *out,
                                         struct render_appearance_call *c, struct err *e) ERR_USE;
-/* Ends a backward pass, after the kernel. Where the kernel left embeddings to do, it writes their
- * gradients to `grads`, or, if `rates` is not NULL, makes their Adam step in params and moments. If
- * `out` is not NULL it gets the sums. ERR_DEVICE, ERR_INTERNAL. */
+/* Ends a backward pass, after the kernel. If the kernel left the embeddings undone, it writes their
+ * gradients to `grads`; if `rates` is not NULL, it instead makes their Adam step in params and
+ * moments. If `out` is not NULL, it gets the sums. ERR_DEVICE, ERR_INTERNAL. */
 enum err_code render_appearance_finish(struct render *r, const struct render_model *m, cl_mem grads,
                                        const struct render_adam *adam,
                                        const struct layout_adam *rates,

@@ -20,10 +20,10 @@ struct permutation {
     size_t n, n_old;        /* both below 2^31 */
     uint32_t planes;
 };
-/* Row d of `to` becomes row source[d] of `from`. If that has PERMUTE_NEW and `zero_new` is set, it
- * becomes 0. Lanes after the last row become 0. `to` may be `from` if it has room for the larger
- * number of rows; the work then needs only PERMUTE_SPARE more bytes a Gaussian, for any number of
- * planes. It uses all cores. ERR_MEM. */
+/* Row d of `to` becomes row source[d] of `from`. If source[d] has PERMUTE_NEW and `zero_new` is
+ * set, row d becomes 0. Lanes after the last row become 0. `to` may be `from` if it has room for
+ * the larger number of rows; the work then needs only PERMUTE_SPARE more bytes a Gaussian, for any
+ * number of planes. It uses all cores. ERR_MEM. */
 enum { PERMUTE_SPARE = 16 };
 /* See above: ERR_MEM. */
 enum err_code permute_move(const struct permutation *r, bool zero_new, const float *from, float *to,

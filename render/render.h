@@ -40,8 +40,9 @@ struct render_options {
     const uint8_t *background_where;
     float background_there[3];
     double near_m; /* 0: 0.2 m */
-    /* Variance that is added to Gaussians on the picture, in square pixels. 0: what they were
-     * trained with. Less shows edges where they are, and not every thin Gaussian. */
+    /* Variance that is added to Gaussians on the picture, in square pixels. 0: the variance that
+     * they were trained with. A smaller value shows edges in their true place, but not every thin
+     * Gaussian. */
     double kernel_px2;
     int sh_degree; /* highest degree evaluated; -1: the model's */
     /* Rays are parallel to the optical axis, and the camera's fx_px and fy_px are pixels a metre.
@@ -120,10 +121,10 @@ static inline uint32_t render_piece_groups(size_t n_gaussians)
 /* Packs g into `out`, render_piece_groups(g->n) * layout_planes(...) * LAYOUT_LANES floats.
  */
 void render_piece_pack(const struct gauss *g, const double origin_enu_m[3], float *out);
-/* Makes room for n_groups in m. The caller sets sh_degree, embed_len and origin_enu_m before; with
- * {0} elsewhere the model has no memory yet. *kept: false if the buffer had to grow. It grows by at
- * least a quarter more than asked for, and its content is lost. render_model_capacity gives the
- * present room. ERR_MEM, ERR_LIMIT. */
+/* Makes room for n_groups in m. The caller sets sh_degree, embed_len and origin_enu_m before; a
+ * model that is {0} elsewhere has no memory yet. *kept: false if the buffer had to grow. It then
+ * gets at least a quarter more room than asked for, and its content is lost. render_model_capacity
+ * gives the present room. ERR_MEM, ERR_LIMIT. */
 enum err_code render_model_reserve(struct render *r, struct render_model *m, size_t n_groups,
                                    bool *kept, struct err *e) ERR_USE;
 static inline uint32_t render_model_capacity(const struct render_model *m)
@@ -216,8 +217,8 @@ struct render_adam {
     float scale_log_min, scale_log_max; /* limits after the step */
     /* After a frame with appearance all embeddings also make a step, as the other parameters do.
      * embed_step is their step number for bias correction: 1 at the first frame with appearance.
-     * `appearance` gets the frame's part, which waits for the device; NULL: not wanted, and
-     * offset_weight is 0. */
+     * `appearance` gets the gradients of the frame's constants, and the call then waits for the
+     * device; NULL: not wanted, and offset_weight is 0. */
     float lr_embed;
     uint32_t embed_step;
     struct render_appearance_grad *appearance;
