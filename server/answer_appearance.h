@@ -10,7 +10,7 @@
 /* Finds the appearance of pictures that a text names. False: there is none; the problem is set. */
 bool answer_appearance_find(struct services *s, const struct dataset *d, const char *text,
                             struct appearance_choice *out, struct response *res);
-/* As answer_find_appearance, for tiles, which may also have no appearance applied. */
+/* As answer_appearance_find, for tiles, which may also have no appearance applied. */
 bool answer_appearance_find_tile(struct services *s, const struct dataset *d, const char *text,
                                  struct appearance_choice *out, struct response *res);
 /* Replaces a named appearance in t->appearance by its meaning, and sets t->kept to the name. False:

@@ -7,7 +7,8 @@
 
 #include "server/body.h"
 
-/* Makes it from the OpenAPI document (openapi.h). ERR_INTERNAL: that is invalid. ERR_MEM. */
+/* Makes the page from the OpenAPI document (openapi.h). ERR_INTERNAL: the document is invalid.
+ * ERR_MEM. */
 enum err_code api_page_describe(const struct body *openapi, struct body **out,
                                 struct err *e) ERR_USE;
 

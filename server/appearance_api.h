@@ -24,7 +24,7 @@ struct appearance_choice { /* {0} is the default appearance */
  * ERR_ARG: the text is invalid. */
 enum err_code appearance_api_find(const struct dataset *d, const char *text,
                                   struct appearance_choice *out, struct err *e) ERR_USE;
-/* Its embedding; NULL: the default one. */
+/* The embedding of a choice; NULL: the default one. */
 const float *appearance_api_image(const struct appearance_choice *c);
 /* Replaces `text`, if it is a named appearance of t (may be NULL), by its meaning, and sets `name`
  * to the name; else name is "". The name of a photograph is never a named appearance. ERR_NOENT:
@@ -41,8 +41,8 @@ enum err_code appearance_api_find_kept(const struct dataset *d, const struct kep
 enum err_code appearance_api_read_kept(const struct dataset *d, const struct kept_table *t,
                                        const void *body, size_t n, struct kept_row *row,
                                        struct err *e) ERR_USE;
-/* Documents: all appearances of a dataset, with named ones (NULL: none), or one of either kind.
- * ERR_NOENT, ERR_ARG as above; ERR_MEM. */
+/* Make documents: all appearances of a dataset, with the named ones of t (NULL: none), or a single
+ * appearance, named or not. ERR_NOENT, ERR_ARG as above; ERR_MEM. */
 enum err_code appearance_api_list(const struct dataset *d, struct body **out,
                                   struct err *e) ERR_USE;
 enum err_code appearance_api_write_list(const struct dataset *d, const struct kept_table *t,

@@ -7,7 +7,8 @@
 
 #include "core/base.h"
 
-/* A seal is "KEY.EXP.WORD.NAME.SIGNATURE", in characters that no address and no cookie escapes. */
+/* A seal is "KEY.EXP.WORD.NAME.SIGNATURE", in characters that need no escape in an address or a
+ * cookie. */
 enum { AUTH_QUERY_MAX = 512, AUTH_SEAL_MAX = 256 };
 enum auth_need { AUTH_READ, AUTH_RENDER, AUTH_WRITE, AUTH_ADMIN };
 enum auth_answer {
@@ -17,7 +18,7 @@ enum auth_answer {
     AUTH_EXPIRED,
     AUTH_LONG /* it would hold for longer than the file allows */
 };
-/* What a signature opens of a dataset. */
+/* The rights to a dataset that a signature gives. */
 enum auth_scope { AUTH_SCOPE_READ, AUTH_SCOPE_RENDER, AUTH_SCOPE_BOTH };
 struct auth; /* immutable, reference-counted; any thread */
 
@@ -41,14 +42,14 @@ struct auth_request {
     size_t n_seal;
     const char *path, *query; /* [n_path], [n_query] */
     size_t n_path, n_query;
-    bool names_others; /* what is asked for names other addresses */
+    bool names_others; /* the requested document names other addresses */
 };
 /* Checks whether a request may do `need` with dataset ds (NULL with AUTH_ADMIN). A seal or a cookie
  * opens a whole dataset for reading. A signature in the query opens one path alone, and no document
- * that names others. Whoever writes sends a token. */
+ * that names other addresses. Writing needs a token. */
 enum auth_answer auth_check(const struct auth *a, enum auth_need need, const char *ds,
                             const struct auth_request *r, int64_t now_s);
-/* Does a seal [n] of a signed address hold now, whatever it opens? */
+/* Checks whether a seal [n] of a signed address is valid now, whatever it opens. */
 enum auth_answer auth_check_seal(const struct auth *a, const char *seal, size_t n, int64_t now_s);
 
 /* Makes the seal that opens dataset ds until exp_s. key NULL: the only key of the file. ERR_ARG: no
@@ -57,13 +58,14 @@ enum err_code auth_sign(const struct auth *a, const char *key, enum auth_scope s
                         const char *ds, int64_t exp_s, int64_t now_s, char out[AUTH_SEAL_MAX],
                         struct err *e) ERR_USE;
 /* Makes the query "exp=...&key=...&sig=..." that opens one path until exp_s. ERR_ARG as auth_sign,
- * and where the path is none. */
+ * and if `path` is no path. */
 enum err_code auth_sign_path(const struct auth *a, const char *key, const char *path, int64_t exp_s,
                              int64_t now_s, char out[AUTH_QUERY_MAX], struct err *e) ERR_USE;
-/* Makes the seal of a session, which may read and have drawn what the token may, for *for_s.
- * AUTH_OK; AUTH_FORBIDDEN: no such token; AUTH_UNKNOWN: the file has no key to sign with. */
+/* Makes the seal of a session. For *for_s it has the token's rights to read and to request
+ * drawings. AUTH_OK; AUTH_FORBIDDEN: no such token; AUTH_UNKNOWN: the file has no key to sign with.
+ */
 enum auth_answer auth_session(const struct auth *a, const char *token, int64_t now_s,
                               char out[AUTH_SEAL_MAX], int64_t *for_s);
-extern const char AUTH_COOKIE[]; /* the name of the cookie that has it */
+extern const char AUTH_COOKIE[]; /* the name of the cookie with this seal */
 
 #endif

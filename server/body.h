@@ -18,7 +18,7 @@ struct body { /* immutable once shared; reference-counted; body_drop frees it */
     int64_t modified_s;        /* seconds since 1970, for Last-Modified; 0: not known */
     uint8_t *gzip;             /* the same bytes compressed; NULL: that saves too little */
     size_t gzip_size;
-    /* the same bytes as the viewer's build compressed them; NULL except for its files */
+    /* the same bytes, compressed by the viewer's build; NULL except for the viewer's files */
     uint8_t *brotli;
     size_t brotli_size;
     void (*gone)(struct body *b); /* called before it is freed; NULL: none. By flight.c: */

@@ -19,8 +19,9 @@ struct body *cache_get(struct cache *c, struct hash128 key, bool *again);
 /* Adds a body, and takes a reference. A body larger than a shard's budget is not kept. A newer body
  * replaces an older one. */
 void cache_put(struct cache *c, struct hash128 key, struct body *b);
-/* Drops the oldest entries of at least so many bytes, or all. It does not allocate and does not
- * wait: shards that another thread is using are left alone. Returns the bytes. Any thread. */
+/* Drops the oldest entries until they are at least `bytes`, or all. It does not allocate and does
+ * not wait: shards that another thread is using are left alone. Returns the bytes that were
+ * dropped. Any thread. */
 size_t cache_yield(struct cache *c, size_t bytes);
 /* Memory of all its bodies (body_cost). Lock-free. */
 size_t cache_bytes(const struct cache *c);

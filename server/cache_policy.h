@@ -1,4 +1,4 @@
-/* What caches may keep of each dataset, if an operator changed that.
+/* What caches may keep of each dataset, where an operator changed the default.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

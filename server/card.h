@@ -1,5 +1,5 @@
-/* What a link to a scene shows where it is pasted, and the page without scripts: title, text and a
- * picture of the whole scene.
+/* The preview of a link to a scene, and the page without scripts: title, text and a picture of the
+ * whole scene.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -13,9 +13,9 @@
 void card_picture(const struct dataset *d, const char *up, unsigned width_px, unsigned height_px,
                   struct buf *out);
 /* Makes the viewer's page for one dataset from the page for all: title, description, Open Graph and
- * Twitter tags, and what is read without scripts. Texts of the dataset are escaped. origin: where
- * the service is, without '/' at the end; "" (not known) or `pictures` false: no picture. ERR_MEM.
- */
+ * Twitter tags, and the text for readers without scripts. Texts of the dataset are escaped. origin:
+ * where the service is, without '/' at the end; "" (not known) or `pictures` false: no picture.
+ * ERR_MEM. */
 enum err_code card_page(const struct body *page, const struct dataset *d, const char *origin,
                         bool pictures, struct body **out, struct err *e) ERR_USE;
 

@@ -1,4 +1,4 @@
-/* What work will take, learned from what it took.
+/* Predicts the time of work, learned from the time of earlier work.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -16,7 +16,7 @@ struct cost { /* {0} is valid; the caller holds the lock */
 /* Milliseconds for work of a kind that would take expected_ms on the machine that the formulas were
  * fitted to. */
 double cost_predict(const struct cost *c, unsigned kind, double expected_ms);
-/* Such work took so long. */
+/* Learns that such work took took_ms. */
 void cost_learn(struct cost *c, unsigned kind, double expected_ms, double took_ms);
 
 #endif

@@ -12,7 +12,8 @@ struct crowd; /* thread-safe */
 enum { CROWD_MOST = 8 /* parts of a network that are clients of their own at a time */ };
 enum { CROWD_S = 60 /* how long a part counts after its last request */ };
 
-/* secret: strangers who do not know it cannot choose networks that share a place. ERR_MEM. */
+/* secret: strangers who do not know it cannot choose networks that share a place in the table.
+ * ERR_MEM. */
 enum err_code crowd_open(struct hash128 secret, struct crowd **out, struct err *e) ERR_USE;
 void crowd_close(struct crowd **c);
 /* The network that counts as the client at `a`: the /64. If more than CROWD_MOST /64s of a /56 ask

@@ -1,5 +1,5 @@
 /* Requests to the process that draws, and its answers: views, map tiles and questions about the
- * surface. It gets file descriptors of stores. Only this process has the OpenCL device and
+ * surface. That process gets file descriptors of stores. It alone has the OpenCL device and
  * Gaussians on it. worker.h runs the process, picture.h sends the requests.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -18,7 +18,7 @@ enum { DRAW_SLOTS = 4 /* number of stores that it keeps open */ };
 struct draw_hello {                                        /* sent once, at the start */
     char device[128], geoid[64], geoid_dir[FILE_PATH_MAX]; /* as in the options; geoid "": none */
     uint64_t view_cache_bytes, view_gaussians;
-    uint64_t memory_bytes; /* beyond it, what is kept for the next picture goes; 0: no limit */
+    uint64_t memory_bytes; /* beyond it, what is kept for the next picture is freed; 0: no limit */
     uint32_t slots;        /* stores to keep open, at most DRAW_SLOTS */
     int nice;              /* for the thread that draws and the threads that it starts */
     bool log_json;

@@ -1,8 +1,8 @@
-/* The video of one stream (motion.c): its encoder, what memory encoders may hold, and size and
- * quality of frames by what drawing and the line take.
+/* The video of one stream (motion.c): its encoder, the memory that encoders may hold, and the size
+ * and quality of frames, by the time that drawing and sending take.
  *
- * A film has three sides. What is marked [streams] is called with the lock of all streams held,
- * film_encode by the thread that draws, and the counts by any.
+ * Functions marked [streams] are called with the lock of all streams held, film_encode by the
+ * thread that draws. Any thread may read the counts.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -13,8 +13,8 @@
 
 #include "core/base.h"
 
-struct film_room {      /* of all films of a server */
-    size_t limit_bytes; /* that their encoders may hold */
+struct film_room {      /* shared by all films of a server */
+    size_t limit_bytes; /* most that their encoders may hold */
     unsigned threads;   /* of an encoder */
     _Atomic size_t held_bytes;
     _Atomic uint64_t encoders, frames, encode_us, serial;
@@ -31,22 +31,22 @@ struct film_told { /* of the newest frame */
     double encode_s;
 };
 
-/* NULL: out of memory. The room is borrowed, and is there until the last film is dropped. */
+/* NULL: out of memory. The room is borrowed until the last film is dropped. */
 struct film *film_begin(struct film_room *room);
 struct film *film_ref(struct film *f);
 void film_drop(struct film **f);
-/* A name that no other picture has: of a frame that nobody else can use. */
+/* A name that no other picture has, for a frame that nobody else can use. */
 struct hash128 film_id(struct film *f);
 
-/* [streams] The next frame of a wished size, of about area_px; its quality is that of a JPEG of
- * `quality`, or less where the line is slow. Its size changes seldom, because each change costs a
- * key frame. False: there is no memory for an encoder of this size. */
+/* [streams] Plans the next frame for a requested size, with about area_px pixels. Its quality is
+ * that of a JPEG of `quality`, or less where the line is slow. Its size changes seldom, because
+ * each change costs a key frame. False: there is no memory for an encoder of this size. */
 bool film_next(struct film *f, uint32_t width_px, uint32_t height_px, double area_px, int quality,
                struct film_shot *out);
-/* [streams] It was drawn and encoded, in draw_s, and is being read. The result is the area that is
- * made in wanted_s, by the last frames. */
+/* [streams] Notes that the frame was drawn and encoded in draw_s, and is being read. Returns the
+ * area that can be made in wanted_s, judged by the last frames. */
 double film_shown(struct film *f, double draw_s, double wanted_s, struct film_told *out);
-/* [streams] It is in the socket, after sent_s. */
+/* [streams] Notes that the frame is in the socket, after sent_s. */
 void film_sent(struct film *f, double sent_s);
 /* [streams] The next frame has to be a key frame. */
 void film_need_key(struct film *f);

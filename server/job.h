@@ -7,9 +7,9 @@
 
 #include "server/body.h"
 
-/* JOB_MOTION: pictures of streams that follow a camera. A stream requests one at a time, so they
- * do not count against rates of clients. JOB_SLOW: what was submitted as JOB_TILE and takes long.
- * One of several tile threads is left to quick tiles while there are some. JOB_PREFETCH and
+/* JOB_MOTION: pictures of streams that follow a camera. A stream requests one at a time, so they do
+ * not count against rates of clients. JOB_SLOW: work that was submitted as JOB_TILE and takes long.
+ * While there are quick tiles, one of several tile threads is left to them. JOB_PREFETCH and
  * JOB_AHEAD: tiles and pictures that nobody looks at yet; they run when nothing else waits. */
 enum job_class {
     JOB_VIEW,
@@ -57,8 +57,8 @@ struct job_config {
      * client the oldest first) in turns, then JOB_AHEAD */
     bool view_thread;
     size_t queue_limit[JOB_CLASSES]; /* of JOB_SLOW: that of JOB_TILE */
-    /* What work takes by a formula, in ms, and its kind (cost.h); the queue learns from what it
-     * took. Called with the lock held. NULL: 1 ms. */
+    /* Estimates the time of work by a formula, in ms, and gives its kind (cost.h). The queue learns
+     * from the time that it took. Called with the lock held. NULL: 1 ms. */
     double (*cost)(const void *work, unsigned *kind);
     double client_views_s, client_tiles_s; /* new jobs a second for one client; 0: no limit */
     double stop_s; /* how long job_stop waits for the thread that draws; 0 = 10 s */
@@ -87,9 +87,9 @@ enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct e
  * requests too much. A failure that is remembered returns its own code, with end JOB_ERROR. After
  * an error w->result has the reason, and w is not woken. `client`, any number that identifies a
  * client, keeps queues fair: clients have equal parts of the time. Work that would wait longer than
- * timeout_s is refused; of pictures the client's oldest goes. When a queue is full, the client with
- * most items in it loses one. If that is an older picture of the requesting client, the result is
- * ERR_LIMIT. */
+ * timeout_s is refused; if it is a JOB_VIEW and the client has older ones waiting, the oldest is
+ * shed instead. When a queue is full, the client with most items in it loses one. If that is an
+ * older picture of the requesting client, the result is ERR_LIMIT. */
 enum err_code job_submit(struct jobs *js, enum job_class cls, struct hash128 id, void *work,
                          uint64_t client, double timeout_s, struct job_waiter *w) ERR_USE;
 /* Removes a waiter whose client is gone. True: w was still waiting and will not be woken. A queued

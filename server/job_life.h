@@ -9,9 +9,10 @@
  * none either. Prefetched tiles run when nothing else does, and move up when a client requests
  * them.
  *
- * A stream asks for its next picture when the one before was sent. Long work of others would begin
- * in each such moment, and take nearly all the time. So while the stream drawn last is behind with
- * its part, the thread that draws waits for it for a moment before it begins long work (job_run.c).
+ * A stream asks for its next picture when the one before was sent. Long work of other clients would
+ * begin in each such gap, and take nearly all the time. So if the stream that was drawn last has
+ * had less than its part of the time, the thread that draws waits a moment for its next picture
+ * before it begins long work (job_run.c).
  *
  * One mutex guards everything. Of all callbacks only cfg.passing and cfg.cost are called with it
  * held. A waiter is taken off its job with the lock held, by the worker that finished, job_leave,
@@ -68,8 +69,8 @@ struct jobs { /* `lock` guards all except cfg and workers */
     struct failures failures;
     struct cost cost;
     double quick_s; /* when quick work was last asked for: JOB_TILE that is not slow */
-    /* Time that each class had. Classes of one thread have equal parts of it, counted from when one
-     * begins to wait; now_ms: clock of the class that was served last, of tiles and of drawing. */
+    /* Time that each class had, counted from when it begins to wait. Classes of one thread have
+     * equal parts. now_ms: clock of the class that was served last, for tiles and for drawing. */
     double class_ms[JOB_CLASSES], now_ms[2];
     /* The stream that was drawn last, and when. Its next picture is asked for in a moment. */
     uint64_t stream;

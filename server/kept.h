@@ -27,9 +27,9 @@ struct kept; /* any thread */
  * another process uses it. ERR_FORMAT: the file is damaged or belongs to another program. ERR_IO,
  * ERR_LIMIT, ERR_MEM. */
 enum err_code kept_open(const char *dir, struct kept **out, struct err *e) ERR_USE;
-/* Checks whether it could be opened. A server that uses it is not an error. */
+/* Checks whether kept_open would succeed. A server that uses the folder is not an error. */
 enum err_code kept_check(const char *dir, struct err *e) ERR_USE;
-void kept_close(struct kept **k); /* *t may be NULL; sets it to NULL */
+void kept_close(struct kept **k); /* *k may be NULL; sets it to NULL */
 
 /* Returns all present names; free with kept_drop. k NULL: NULL. */
 struct kept_table *kept_now(struct kept *k);

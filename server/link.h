@@ -37,8 +37,8 @@ void link_revision(const struct link *l, struct buf *out);
 /* Writes an address as text to out [room]; "" if it does not fit. */
 const char *link_text(void (*to)(const struct link *l, struct buf *out), const struct link *l,
                       char *out, size_t room);
-/* Copies an address for a log, with '-' for what opens it: a seal, or the signature of a query. Cut
- * where there is no room. */
+/* Copies an address for a log, with '-' in place of what gives access: a seal, or the signature of
+ * a query. It is cut where there is no room. */
 const char *link_mask(const char *address, char *out, size_t room);
 /* Returns the part of a target after the folder of a dataset. */
 const char *link_below_dataset(const char *target);

@@ -1,4 +1,4 @@
-/* One number for the memory of the server: what the machine has, and how --memory is shared out.
+/* The memory of the server: what the machine has, and how the one number --memory is shared out.
  *
  * Memory is what the system cannot drop: anonymous pages of both processes. Pages of the program's
  * file and its libraries come on top, as far as they are used (docs/sizing.md).

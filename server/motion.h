@@ -24,9 +24,10 @@ struct motion_wish { /* the picture that a client wants */
 struct motion_counts {
     /* open now; sent since the start, and those of them at full size */
     uint64_t streams, pictures, full;
-    uint64_t encoders, encoder_bytes; /* of videos, open now; what they may take */
-    uint64_t frames;                  /* of videos, encoded since the start */
-    double encode_s;                  /* sum */
+    /* encoders of videos that are open now; memory that they may take */
+    uint64_t encoders, encoder_bytes;
+    uint64_t frames; /* of videos, encoded since the start */
+    double encode_s; /* sum */
 };
 struct motion_reader { /* who reads a stream */
     const char *ds, *name;
@@ -43,8 +44,8 @@ void motion_close(struct motion **m);
 /* Draws at full size where cameras rest, and ends streams without a recent camera. Call it a few
  * times a second. */
 void motion_tick(struct motion *m, double now_s);
-/* Rights have changed: ends the streams of datasets that are not public. Whoever may read them
- * still can begin them again. */
+/* After a change of rights: ends the streams of datasets that are not public. Clients that may
+ * still read them can begin them again. */
 void motion_recheck(struct motion *m, const struct auth *a);
 /* Ends all streams; pictures that are being read are finished. New streams are refused. */
 void motion_stop(struct motion *m);
@@ -54,10 +55,10 @@ size_t motion_video_bytes(size_t streams);
 
 /* Begins a stream of a dataset's pictures, with a name that the client chose. ready() is called
  * once after each motion_await that returned true, in any thread and without a lock. Call
- * motion_leave when the reader of *out has gone. If there are as many streams as there may be, the
- * one that was not steered for longest ends, if that is a twelfth of stream_idle_s. ERR_ARG (the
- * name is in use), ERR_LIMIT (too many streams of this client), ERR_BUSY (too many streams, or the
- * server is stopping), ERR_MEM. */
+ * motion_leave when the reader of *out has gone. If the limit of streams is reached, the stream
+ * that was not steered for longest ends, if that is at least a twelfth of stream_idle_s. ERR_ARG
+ * (the name is in use), ERR_LIMIT (too many streams of this client), ERR_BUSY (too many streams, or
+ * the server is stopping), ERR_MEM. */
 enum err_code motion_begin(struct motion *m, const struct motion_reader *r,
                            struct motion_stream **out, struct err *e) ERR_USE;
 /* Sets the camera of a stream; only the newest one is drawn. d: the revision of the dataset to

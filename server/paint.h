@@ -19,15 +19,15 @@ struct paint_planes {
     const float *transmittance; /* behind the last Gaussian */
     const float *depth_m;       /* of the visible surface, along the optical axis; 0: none */
 };
-/* Return whether it needs transmittance, or depth. */
+/* Return whether a picture needs transmittance, or depth. */
 bool paint_needs_transmittance(const struct paint *p);
 bool paint_needs_depth(const struct paint *p, enum format f);
 /* Chooses the supersampling of a picture with px pixels, if the request does not. `supersample` is
- * the wish; 0: what suits the view. It is lowered so that at most most_px pixels are drawn. Depth
- * has 1, because it is that of a pixel's middle. */
+ * the wish; 0: what suits the view. It is lowered so that at most most_px pixels are drawn. For
+ * depth it is 1, because depth is that of a pixel's middle. */
 void paint_settle(struct paint *p, enum format f, uint32_t supersample, double px, double most_px);
-/* Checks whether a format can hold it. ERR_DATA: it cannot; the message says what to request
- * instead. */
+/* Checks whether a format can hold the picture. ERR_DATA: it cannot; the message says what to
+ * request instead. */
 enum err_code paint_check(const struct paint *p, enum format f, struct err *e) ERR_USE;
 /* Appends the encoded picture. Depth as PNG is 16-bit grey in the unit of p. 0: nothing is visible;
  * 65535: farther; a text chunk has the unit. Depth as .npy is float32 metres, NaN: nothing is

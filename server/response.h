@@ -34,7 +34,7 @@ struct request {                  /* borrowed from the connection */
     bool from_page;    /* it has Origin: a page of some site made it */
     struct auth *auth; /* as it is while this request is answered; NULL: all is public */
     /* of a signed address: its seal [n_seal], and all that stands before the path [n_prefix]; NULL:
-     * none. target is without it. */
+     * none. target is without this prefix. */
     const char *seal, *prefix;
     size_t n_seal, n_prefix;
     bool local; /* the client is this machine, and nothing indicates another client behind it */
@@ -64,7 +64,7 @@ struct response { /* {0}, then dispatch_answer; free with response_free */
     size_t size;
     uint64_t range_first, range_total; /* for 206 and 416 */
     bool accept_ranges;
-    bool secret;           /* the address opens it: pages of other sites do not learn it */
+    bool secret;           /* the address gives access: pages of other sites do not learn it */
     bool same_origin;      /* pages of other sites may not read it: no CORS fields */
     bool unlogged;         /* one of many small answers: counted, not logged */
     bool unnamed;          /* the bytes have no name: they are not kept and have no entity tag */
@@ -76,7 +76,7 @@ struct response { /* {0}, then dispatch_answer; free with response_free */
     enum work_kind kind; /* of the work */
     double timeout_s;
     char stream[64], stream_of[64]; /* not "": a stream of this dataset begins */
-    bool video;                     /* of moving cameras as frames of a video */
+    bool video;                     /* moving pictures are frames of a video */
 };
 
 extern const char RESPONSE_IMMUTABLE[], RESPONSE_MOVING[], RESPONSE_NO_STORE[]; /* Cache-Control */

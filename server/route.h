@@ -35,7 +35,7 @@ enum {
     SCOPE_RENDER = 8,    /* --auth decides who may request drawings of this dataset */
     SCOPE_MOVES = 16,    /* with --admin the public listener does not answer it */
     SCOPE_FILE = 32,     /* a file of the viewer; without such a file there is no route */
-    SCOPE_SIGNED = 64,   /* what opens the rest of the path, which is a path of its own */
+    SCOPE_SIGNED = 64,   /* the seal that opens the rest of the path, which is a path of its own */
     SCOPE_STATE = 128,   /* PUT and DELETE need --state-dir */
 };
 /* What caches may do with an answer. */
@@ -101,8 +101,8 @@ const struct route_method *route_on(const struct route *r, enum method method);
  * occur together. */
 const char *route_allow(const struct route *r, bool changes);
 const char *route_path(const struct route *r); /* "unmatched" for NULL */
-/* Returns whether a GET answers a document or a redirect, which lead to other addresses, and not
- * bytes alone. */
+/* Returns whether a GET answers with a document or a redirect, which name other addresses, and not
+ * with bytes alone. */
 bool route_names_others(const struct route *r);
 
 #endif

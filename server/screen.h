@@ -3,8 +3,8 @@
  *
  * The parser gets only whole lines that were checked. It never sees a line with a control byte, a
  * field without a valid name, a length that is not digits, a second length or coding, or a bad
- * chunk. Instead of the first such line it gets the shortest end of the request, and after that
- * nothing. The code that answers calls screen_refused, answers with that status and closes the
+ * chunk. Instead of the first such line it gets the shortest text that ends the request, and after
+ * that nothing. The code that answers calls screen_refused, answers with that status and closes the
  * connection.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -51,8 +51,8 @@ struct screen *screen_at(int fd); /* NULL: none is attached */
 /* A short read from a socket means that it is empty. After a TLS record there may be others. */
 enum screen_source { SCREEN_SOCKET, SCREEN_RECORDS };
 /* Reads from a source until `room` is full or nothing comes, and returns checked bytes in `out`.
- * more() returns a number of bytes, 0 at the end, and less for "not now" and for errors. If
- * more() returned 0 or less, *last gets that. */
+ * more() returns a number of bytes, 0 at the end, and less than 0 for "not now" and for errors. If
+ * more() returned 0 or less, *last gets that value. */
 size_t screen_read(struct screen *s, ssize_t (*more)(void *from, char *out, size_t room),
                    void *from, enum screen_source source, char *out, size_t room, ssize_t *last);
 /* The status with which to refuse request n of the connection, counted from 1. 0: it is not

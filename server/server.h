@@ -61,8 +61,8 @@ struct route;
 enum err_code server_start(const struct server_config *cfg, const char *const *paths, size_t n,
                            struct server **out, struct err *e) ERR_USE;
 
-/* Looks at the memory that is held. Beyond --memory, freed memory goes back and caches give way.
- * Call it a few times a second. */
+/* Checks the memory in use. Beyond --memory, it returns freed memory to the system and shrinks
+ * caches. Call it a few times a second. */
 void server_keep_memory(struct server *sv, double now_s);
 /* A service of a command, for one person: no stores, a route table of its own, and the viewer's
  * files. */

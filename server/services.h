@@ -29,7 +29,8 @@ struct motion;
 struct services { /* all are shared and thread-safe */
     const struct server_config *cfg;
     struct geoid *geoid; /* --geoid; NULL: none */
-    /* address of the service: --public-url, else where it listens; NULL: on every address */
+    /* address of the service: --public-url, else where it listens; NULL: it listens on every
+     * address */
     const char *url;
     pthread_mutex_t catalog_lock; /* for catalog, reload_error and auth */
     struct catalog *catalog;
@@ -67,16 +68,16 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
 bool services_free(struct services *s);
 /* Memory that this process and the one that draws hold. */
 size_t services_held_bytes(const struct services *s);
-/* Lets caches give way to a need of so many bytes, and freed memory go back. Any thread; does not
- * allocate. */
+/* Makes room for `bytes`: shrinks caches and returns freed memory to the system. Any thread; does
+ * not allocate. */
 void services_make_room(struct services *s, size_t bytes);
-/* An answer was refused for want of memory: /readyz says so for a minute. */
+/* Notes that an answer was refused for want of memory. /readyz says so for a minute. */
 void services_note_short(struct services *s);
 /* Seconds since then; -1: it never happened. */
 double services_short_s(const struct services *s);
 struct catalog *services_catalog(struct services *s); /* a reference */
 struct auth *services_auth(struct services *s);       /* a reference; NULL: everything is public */
-/* Takes over *a, and gives back in it what counted before. */
+/* Takes over the rights *a, and returns the earlier rights in it. */
 void services_set_auth(struct services *s, struct auth **a);
 /* Seconds since the process that draws first ended unexpectedly. 0: it is well, or has been well
  * again for a while. */

@@ -81,8 +81,8 @@ struct target {
     struct key key;
     struct form form;                       /* for views only the format is used */
     char appearance[TARGET_APPEARANCE_MAX]; /* "": not given */
-    /* for KEPT; elsewhere the name that `appearance` was before it was replaced by its meaning; "":
-     * none */
+    /* for KEPT; elsewhere the name that `appearance` held before its meaning replaced it; "": none
+     */
     char kept[TARGET_KEPT_MAX];
     struct target_clip clip; /* for tiles and documents that list them */
     struct target_pose pose; /* for height only longitude and latitude, if has_place */

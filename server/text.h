@@ -1,5 +1,5 @@
-/* Parses a request's target from left to right. A function that returns false has met something
- * else. Its text is then not defined, so the caller gives up or works on a copy.
+/* Parses a request's target from left to right. A function that returns false has met other text. t
+ * is then undefined, so the caller gives up or works on a copy.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -41,8 +41,8 @@ bool text_is_utf8(const char *text);
 /* Returns whether a text has no control characters except tabs (RFC 9110, section 5.5). */
 bool text_is_clean(const char *p, size_t n);
 
-/* Writes at p and returns the end. There must be room, and no NUL is written. It is for every
- * answer of a tile, where printf would be a tenth of the work. */
+/* Writes at p and returns the end. There must be room, and no NUL is written. Every answer of a
+ * tile uses it, because printf would be a tenth of the work. */
 char *text_put(char *p, const char *word);
 char *text_put_uint(char *p, uint32_t v); /* in decimal, at most TEXT_UINT bytes */
 enum { TEXT_UINT = 10 };

@@ -8,8 +8,8 @@
 #include "lod/tileset.h"
 #include "server/dataset.h"
 
-/* The document that has them: the entry of a revision, a part of it, or the entry of the current
- * revision. */
+/* The document that has the templates: the entry of a revision, a part of it, or the entry of the
+ * current revision. */
 enum tileset_links_of { TILESET_LINKS_ENTRY, TILESET_LINKS_PART, TILESET_LINKS_MOVING };
 /* Makes the templates. query: for each tile, "" or "?...". text holds what *out points to; free it
  * with buf_free. ERR_MEM. */

@@ -22,9 +22,9 @@ struct tls_pair; /* a certificate with its chain, and its key */
 enum err_code tls_open(const char *cert_path, const char *key_path, struct tls **out,
                        struct err *e) ERR_USE;
 void tls_close(struct tls **t);
-/* tls_read reads the files again. tls_use uses the result for new connections; others keep what
- * they began with. tls_use and tls_discard free *pair. tls_read: ERR_ARG, ERR_NOENT, ERR_IO,
- * ERR_FORMAT, ERR_DATA, ERR_MEM as in tls_open. */
+/* tls_read reads the files again. tls_use uses the result for new connections; open ones keep the
+ * pair that they began with. tls_use and tls_discard free *pair. tls_read: ERR_ARG, ERR_NOENT,
+ * ERR_IO, ERR_FORMAT, ERR_DATA, ERR_MEM as in tls_open. */
 enum err_code tls_read(const struct tls *t, struct tls_pair **pair, struct err *e) ERR_USE;
 void tls_use(struct tls *t, struct tls_pair **pair);
 void tls_discard(struct tls_pair **pair);

@@ -37,7 +37,7 @@ struct turn_item *turn_shed(struct turns *q, uint64_t client);
 /* `client` also wants this item. If it has fewer items than the owner, the item counts as its own
  * from now on. */
 void turn_join(struct turns *q, struct turn_item *it, uint64_t client);
-/* An item of `client` took `ms` longer (below 0: shorter) than it was predicted to. */
+/* Notes that an item of `client` took `ms` longer (below 0: shorter) than predicted. */
 void turn_charge(struct turns *q, uint64_t client, double ms);
 /* Time of all that would be served before a new item of `client`, in ms of one thread. */
 double turn_wait_ms(struct turns *q, uint64_t client);

@@ -52,7 +52,8 @@ struct work { /* freed with work_drop */
 /* Upper limit of the result's bytes: its share of --inflight-mb while it is made. */
 enum { WORK_ROOM_HEAD = 4096 }; /* part of it for head and end */
 size_t work_room(const struct work *w);
-/* What it takes by formulas, in ms, and the kind that learns from it: job_config.cost. */
+/* Estimates the time of work by formulas, in ms, and gives the kind that learns from it:
+ * job_config.cost. */
 double work_cost(const void *work, unsigned *kind);
 const char *work_noun(enum work_kind kind); /* "map tile": for messages */
 /* Makes the bytes in a worker thread, from the store. The result is in the cache before the job

@@ -1,4 +1,4 @@
-/* A second process of the same program, for work that must not take this one down. It is started,
+/* A second process of the same program, for work whose crash must not end this one. It is started,
  * gets one request at a time, is killed if it does not answer, and is started again if it ends.
  * Requests are opaque bytes here; draw.h defines them.
  *
@@ -55,9 +55,10 @@ void worker_close(struct worker **w);
 /* Makes calls in progress end soon with ERR_CANCEL. Any thread. */
 void worker_stop(struct worker *w);
 void worker_status(struct worker *w, struct worker_status *out); /* any thread */
-/* Waits until it is ready. *life is another number after each start; a new process knows nothing of
- * earlier messages. Only one thread at a time may call this and worker_ask. ERR_BUSY: it pauses
- * before the next start. ERR_DEVICE: it is off. ERR_CANCEL: `stop` (may be NULL) returned true. */
+/* Waits until it is ready. *life is a new number after each start, because a new process knows
+ * nothing of earlier messages. Only one thread at a time may call this and worker_ask. ERR_BUSY: it
+ * pauses before the next start. ERR_DEVICE: it is off. ERR_CANCEL: `stop` (may be NULL) returned
+ * true. */
 enum err_code worker_ready(struct worker *w, bool (*stop)(const void *user), const void *user,
                            uint64_t *life, struct err *e) ERR_USE;
 /* Sends a request to the process `life`, with the descriptor fd unless that is -1, and appends its

@@ -5,8 +5,8 @@
  * same height there, within `tolerance` planes. A pixel is kept if at least `agree` neighbours
  * agree, and its height becomes the mean of theirs and its own. This is the left-right check of
  * stereo, for many views (Merrell et al. 2007). Few photographs look into a court, or at the foot
- * of a wall. So one neighbour is enough where windows correlate by `sure` and no neighbour sees
- * lower ground through the place.
+ * of a wall. One neighbour is therefore enough where windows correlate by at least `sure` and no
+ * neighbour sees lower ground through the place.
  *
  * Samples of all maps are fused into points (stereo/fuse.h). Training begins with these.
  *
@@ -30,9 +30,10 @@ struct depths_config {
     size_t agree;
     double sure;      /* 0..1 */
     double tolerance; /* planes */
-    double edge; /* planes: a window that reaches ground so much lower over an edge is not kept */
+    /* planes: a pixel is not kept if its window reaches ground this much lower over an edge */
+    double edge;
     double spacing_px; /* edge of the cubes of fused points, in footprints of a pixel */
-    double move_px;    /* by which a plane may move a neighbour's pixel */
+    double move_px;    /* most that a step of one plane may move a neighbour's pixel */
     bool walls;        /* upright planes too (stereo/sweep.h) */
     bool test_split;   /* leave the test photographs out */
     bool overwrite;

@@ -1,17 +1,17 @@
 /* Depth of a photograph from its neighbours, by sweeps of horizontal and of upright planes.
  *
- * In a city most surfaces are level, or stand on level ground: a height is the label that
- * neighbouring pixels share. For every plane at height z_p = low_m + p step_m the neighbours are
- * drawn as the reference would see them if all lay in that plane (Collins 1996). The pixel x of the
- * reference, homogeneous, falls on
+ * In a city most surfaces are level, or stand on level ground, so the labels are heights:
+ * neighbouring pixels share them. For every plane at height z_p = low_m + p step_m the neighbours
+ * are drawn as the reference would see them if everything lay in that plane (Collins 1996). The
+ * pixel x of the reference, homogeneous, falls on
  *
  *     y ~ (K_k (R_k c + t_k) n^T M + (s - n^T c) K_k R_k M) x,   M = R^T K^-1
  *
  * of neighbour k, for a plane n^T X = s whose normal points away from the eye: n = (0, 0, -1), s =
- * -z_p. c is the reference's centre. Windows are compared by normalised correlation of
- * grey values, which light and exposure do not change; NOISE is added to both variances, so that
- * windows without texture correlate with nothing. A pixel of a window counts by how like the middle
- * it is (Yoon and Kweon 2006), because another grey is often another surface:
+ * -z_p. c is the reference's centre. Windows are compared by normalised correlation of grey values,
+ * which light and exposure do not change; NOISE is added to both variances, so that windows without
+ * texture correlate with nothing. A pixel of a window has a larger weight the more it resembles the
+ * middle (Yoon and Kweon 2006), because another grey is often another surface:
  *
  *     w = (1 + (a - a_middle)^2 / LIKE^2)^-2
  *
@@ -26,12 +26,13 @@
  *
  *     q = (c_z - low + (z - c_z) rho / rho_middle) / step / SWEEP_WALL_EVERY
  *
- * between two planes, whose costs are interpolated. The cost of a height is the lesser of the two
- * directions; upright costs SWEEP_WALL_COST more.
+ * between two planes, whose costs are interpolated. The cost of a height is the lesser of those of
+ * the level and the upright plane, after SWEEP_WALL_COST is added to the upright one.
  *
  * Costs are summed along paths in four directions (semi-global matching, Hirschmueller 2008): a
- * change by one plane costs SWEEP_STEP_COST, and one by more a jump, which is cheaper across edges
- * of the picture. A parabola through the sums about the least gives parts of a plane.
+ * change by one plane costs SWEEP_STEP_COST, and a larger change costs a jump, which is cheaper
+ * across edges of the picture. A parabola through the sums about the least gives fractions of a
+ * plane.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -87,12 +88,13 @@ struct sweep; /* compiled kernels and buffers */
 enum err_code sweep_open(struct dev *dev, uint32_t planes, struct sweep **out,
                          struct err *e) ERR_USE;
 void sweep_close(struct sweep **s);
-/* Writes the plane of every pixel, in parts, [h][w], and the correlation there, 0 to 1. It waits.
- * ERR_ARG (no neighbour, or the number of planes), ERR_MEM, ERR_DEVICE. */
+/* Writes the plane of every pixel, with fractions, [h][w], and the correlation there, 0 to 1. It
+ * waits. ERR_ARG (no neighbour, or the number of planes), ERR_MEM, ERR_DEVICE. */
 enum err_code sweep_run(struct sweep *s, const struct sweep_input *in, float *plane, float *score,
                         struct err *e) ERR_USE;
-/* The map from pixels of the reference to those of neighbour k by a plane, row-major. Its third
- * coordinate is above 0 for rays that go with the normal and places before both. */
+/* The map from pixels of the reference to those of neighbour k by a plane, row-major. The third
+ * coordinate of the result is above 0 if the ray goes along the normal and the place lies in front
+ * of both cameras. */
 void sweep_homography(const struct sweep_input *in, size_t k, const struct sweep_plane *plane,
                       double out[9]);
 struct sweep_plane sweep_level(double z_m);
@@ -106,7 +108,7 @@ struct sweep_wall {
 /* x0, y0: the tile's first pixel. False: it sees no walls. */
 bool sweep_wall(const struct sweep_input *in, uint32_t x0, uint32_t y0, struct sweep_wall *out);
 struct sweep_plane sweep_upright(const struct sweep_input *in, const struct sweep_wall *w, int q);
-/* How many there are, of all tiles. */
+/* Number of upright planes, of all tiles. */
 static inline size_t sweep_upright_planes(const struct sweep_input *in)
 {
     return in->planes / SWEEP_WALL_EVERY + 1 + 2 * (size_t)SWEEP_WALL_MORE;

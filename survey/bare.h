@@ -1,11 +1,11 @@
 /* Bare earth under a surface, and what stands on it.
  *
  * Ground is found by progressive morphology (Zhang and others 2003, doi:10.1109/TGRS.2003.810682)
- * on cells of about a metre that hold the lowest surface in them. Openings by growing squares take
- * away what is narrower than the square. A cell that an opening lowers by more than the ground can
- * rise over the square is not ground, unless a gentle slope connects it with ground. The rest is
- * filled between the ground around (Laplace's equation). docs/decisions/064-bare-earth.md gives the
- * reasons.
+ * on cells of about a metre that hold the lowest surface in them. Openings by growing squares
+ * remove what is narrower than the square. A cell that an opening lowers by more than the ground
+ * can rise over the square is not ground, unless a gentle slope connects it with ground. Cells that
+ * are not ground are filled between the ground around them (Laplace's equation).
+ * docs/decisions/064-bare-earth.md gives the reasons.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -50,7 +50,7 @@ struct bare {
 void bare_close(struct bare **g);
 /* Height of the bare earth at the middle of pixel (x, y) of the map. */
 float bare_at(const struct bare *g, uint32_t x, uint32_t y);
-/* The class of a surface so far above the ground, by its colour [3]: plants are green. */
+/* The class of a surface at above_m over the ground, by its colour [3]: plants are green. */
 enum bare_class bare_class_of(float above_m, const float *rgb);
 
 #endif

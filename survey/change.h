@@ -19,7 +19,7 @@ struct change_request {
     double gsd_m;           /* 0: that of the coarser store */
     const double *bbox_deg; /* NULL: where both were surveyed */
     double least_m;         /* a height that differs by more has changed; 0: CHANGE_LEAST_M */
-    double least_m2;        /* of the ground of a change; 0: CHANGE_LEAST_SIGMA2 */
+    double least_m2;        /* smallest ground of a change; 0: CHANGE_LEAST_SIGMA2 */
     const char *polygons;   /* file of what changed, see survey/layer.h; NULL: none */
     bool align;             /* first move and tilt the later store onto the earlier one */
 };
@@ -37,7 +37,7 @@ struct change_report {
     double median_m,
         spread_m;         /* to the centimetre; spread: 1.48 times the median absolute deviation */
     double differs_share; /* of the pixels: by more than least_m */
-    struct changed_report changed; /* what of it is more than the uncertainty of both allows */
+    struct changed_report changed; /* changes beyond the uncertainty of both */
     double color;                  /* root mean square difference of colours, 0 to 1 */
     /* The shift and tilt that best explain the differences below 2 m, by the slopes of the earlier
      * store (Nuth and Kaeaeb 2011). If the median is more than half of 2 m away from 0, up_m is the

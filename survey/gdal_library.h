@@ -24,7 +24,7 @@
 #define GDAL_LIBRARY_SYMBOL "gdal_library_table"
 #define GDAL_LIBRARY_VERSION 1u /* changes with every change of this table */
 
-/* Of ogrsf_frmts.h, which is C++. */
+/* Declared in ogrsf_frmts.h too, but that is C++. */
 void RegisterOGRGeoJSON(void);
 void RegisterOGRGeoPackage(void);
 void RegisterOGRMEM(void);

@@ -39,11 +39,12 @@ enum err_code geotiff_create(const char *path, enum geotiff_kind kind,
  * Pixels that are never written are nodata. ERR_IO. */
 enum err_code geotiff_write(struct geotiff *t, uint32_t x, uint32_t y, uint32_t w, uint32_t h,
                             const void *pixels, struct err *e) ERR_USE;
-/* Reads row y [width] of a band, 1 the first, of what was written. ERR_IO. */
+/* Reads row y [width] of a band (1 is the first) of the pixels that were written. ERR_IO. */
 enum err_code geotiff_row(struct geotiff *t, int band, uint32_t y, float *row,
                           struct err *e) ERR_USE;
-/* Adds polygons of the pixels of one whole number, in pixels from the top left corner, to an
- * OGRLayerH whose first field gets the number. Pixels of no data have none. ERR_IO. */
+/* Adds a polygon for each area of pixels with the same whole number to an OGRLayerH, whose first
+ * field gets the number. Corners are in pixels from the top left corner. Nodata pixels have no
+ * polygon. ERR_IO. */
 enum err_code geotiff_outline(struct geotiff *t, void *ogr_layer, struct err *e) ERR_USE;
 /* Makes the final file; it closes *t in any case. ERR_IO. ERR_CANCEL: the program was told to stop.
  */

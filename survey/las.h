@@ -22,7 +22,7 @@ struct las_info {
 struct las_point {
     double at_m[3];
     float rgb[3];  /* 0 to 1 */
-    uint8_t class; /* of LAS 1.4; 0: 1, which is none */
+    uint8_t class; /* of LAS 1.4; 0 is written as 1, which is none */
 };
 struct las;
 /* Begins a file under another name. End with las_commit or las_close. ERR_IO, ERR_LIMIT (the path

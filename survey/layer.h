@@ -1,5 +1,5 @@
 /* Vector files by GDAL: one layer of lines or polygons, as GeoJSON in longitude and latitude or as
- * a GeoPackage in a projection. Written beside and renamed.
+ * a GeoPackage in a projection. The file is written under another name and renamed.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -20,20 +20,21 @@ struct layer_info {
     size_t n_fields;          /* up to LAYER_FIELDS_MAX */
 };
 struct layer;
-/* Does the name say what file it is? ERR_ARG: it must end in .geojson, .json or .gpkg. */
+/* Checks whether the name says the kind of file. ERR_ARG: it must end in .geojson, .json or .gpkg.
+ */
 enum err_code layer_check(const char *path, struct err *e) ERR_USE;
-/* Begin the file. ERR_ARG, ERR_IO, ERR_LIMIT (a path too long), ERR_MEM. */
+/* Begins the file. ERR_ARG, ERR_IO, ERR_LIMIT (a path too long), ERR_MEM. */
 enum err_code layer_create(const char *path, const struct layer_info *info, struct layer **out,
                            struct err *e) ERR_USE;
-/* A line of n places in the projection; x and y are used as room. ERR_IO. ERR_ARG as in
+/* Adds a line of n places in the projection; x and y are overwritten. ERR_IO. ERR_ARG as in
  * crs_unproject. */
 enum err_code layer_add_line(struct layer *l, int n, double *x, double *y, const double *value,
                              struct err *e) ERR_USE;
-/* A polygon of rings, the first around the others, each of count[i] places and closed. x and y are
- * used as room. ERR_IO. ERR_ARG as in crs_unproject. */
+/* Adds a polygon of rings, the first around the others, each of count[i] places and closed. x and y
+ * are overwritten. ERR_IO. ERR_ARG as in crs_unproject. */
 enum err_code layer_add_polygon(struct layer *l, size_t rings, const int *count, double *x,
                                 double *y, const double *value, struct err *e) ERR_USE;
-/* Make the file; closes in any case. ERR_IO. */
+/* Completes the file; it closes *l in any case. ERR_IO. */
 enum err_code layer_commit(struct layer **l, struct err *e) ERR_USE;
 void layer_close(struct layer **l); /* without a commit: nothing is left behind */
 

@@ -22,7 +22,7 @@ struct map_request {
     int epsg;               /* 0: the UTM zone of the middle */
     double gsd_m;           /* size of a pixel in the projection; 0: that of the photographs, where
                                it is known, else about that of the Gaussians */
-    bool coarse;            /* 0 of gsd_m: about that of the Gaussians in any case */
+    bool coarse;            /* gsd_m 0 means about that of the Gaussians in any case */
     const double *bbox_deg; /* west, south, east, north; NULL: the whole survey */
     uint32_t piece_px;      /* 0: MAP_PIECE_PX */
     const struct geoid *geoid; /* reference of heights; NULL: the ellipsoid */
@@ -39,7 +39,7 @@ struct map_grid { /* pixels in the projection; edges are multiples of a pixel */
 struct map_report {
     struct map_grid grid;
     uint64_t pixels_held; /* number of pixels with a surface */
-    uint64_t more;        /* of points: those on walls */
+    uint64_t more;        /* for points: number of those on walls */
     double off_px;        /* largest distance between a piece's plane and the projection */
     double seconds;
     double height_min_m, height_max_m; /* of a surface model; NAN: none */

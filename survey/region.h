@@ -1,6 +1,6 @@
-/* Connected regions of pixels, found row by row: sums over each, in two passes of the same rows.
- * The first pass finds which labels are one region, the second tells the region of each pixel.
- * Memory holds two rows and the regions.
+/* Finds connected regions of pixels row by row, with sums over each, in two passes of the same
+ * rows. The first pass finds which labels are one region, the second gives the region of each
+ * pixel. Memory holds two rows and the regions.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -13,8 +13,9 @@
 
 enum { REGION_MAX = 1 << 24 }; /* labels */
 
-struct region {  /* 4-connected pixels of one sign */
-    uint32_t of; /* label of the same region, lower; its own: this is the region's sum */
+struct region { /* 4-connected pixels of one sign */
+    /* a lower label of the same region; its own label: the sums here are the region's */
+    uint32_t of;
     uint32_t pixels, seeds;
     double sum, variance; /* of the values; of their noise */
     double edge;          /* sum of what edges add to their standard deviations */
@@ -27,11 +28,12 @@ struct region_map { /* {0}, region_begin; region_free */
     struct region *list; /* [n], 1 on; 0 is not used */
     uint32_t n, cap;
 };
-/* Rows of so many pixels; the second time: from the first row again. ERR_MEM. */
+/* Begins the first pass over rows of `width` pixels; called again, begins the second pass. ERR_MEM.
+ */
 enum err_code region_begin(struct region_map *m, uint32_t width, struct err *e) ERR_USE;
 /* One row of the first pass. kind: 0 outside; 1 or -1 a pixel of that sign; 2 or -2 one that makes
- * its region count, too. sigma: standard deviation of a value, edge: what of it edges add, as the
- * root of a difference of squares. ERR_LIMIT: more than REGION_MAX labels; ERR_MEM. */
+ * its region count, too. sigma: standard deviation of a value, edge: the part of it that edges add,
+ * as the root of a difference of squares. ERR_LIMIT: more than REGION_MAX labels; ERR_MEM. */
 enum err_code region_add(struct region_map *m, const int8_t *kind, const float *value,
                          const float *sigma, const float *edge, struct err *e) ERR_USE;
 /* One row of the second pass, of the same kinds: the region of each pixel, as an index into list.

@@ -17,7 +17,7 @@ enum err_code sheet_open(const char *path, enum geotiff_kind kind, struct sheet 
 void sheet_close(struct sheet **s);
 const struct map_grid *sheet_grid(const struct sheet *s);
 const struct crs *sheet_crs(const struct sheet *s);
-/* Returns what a file of the same pixels begins with; borrowed from the sheet. */
+/* Returns the info with which a file of the same pixels begins; borrowed from the sheet. */
 struct geotiff_info sheet_info(const struct sheet *s);
 /* Reads w x h pixels from (x, y) on, inside the map, as geotiff_write takes them. ERR_FORMAT: the
  * file is damaged. */

@@ -1,6 +1,6 @@
 /* A client for the server's tests, and the server under test. The client blocks and uses loopback;
- * all waits end long after a busy machine would need. The server is started for each test with its
- * own options.
+ * its longest waits are far beyond what a busy machine needs. The server is started for each test
+ * with its own options.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -149,7 +149,7 @@ static inline void ask_port(uint16_t port, const char *method, const char *targe
     close(fd);
 }
 
-/* Posts a text; the status. */
+/* Posts a text. Returns the status. */
 static inline int post_text(const char *target, const char *text, struct reply *r)
 {
     struct buf q = {0};
@@ -327,8 +327,8 @@ static inline void await_no_connections(void)
 #define POST "POST /d/toy/render HTTP/1.1\r\n" H
 #define HTTP_TEST(f) cmocka_unit_test_setup_teardown(f, setup, teardown)
 
-/* Tests one after the other that ask one server, which the first of them starts: a process that
- * draws takes a second of the processor to start. SHARED_LAST stops it. */
+/* Successive tests that share one server, because a process that draws takes a second of processor
+ * time to start. The first test starts the server, and SHARED_LAST stops it. */
 static inline int setup_shared(void **state)
 {
     return t.server ? 0 : setup(state);

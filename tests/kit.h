@@ -57,8 +57,8 @@ int kit_run(struct buf *out, const char *fmt, ...) ERR_PRINTF(2, 3);
 const char *kit_program(void);
 
 /* Checks that digest() gives the same text twice in this process, and in new processes with one,
- * two and three PoCL worker threads. Those are this program with the argument `digest`: main begins
- * with kit_digest, which prints the text and returns true when that is the argument. */
+ * two and three PoCL worker threads. The new processes run this program with the argument `digest`:
+ * main begins with kit_digest, which prints the text and returns true if that is the argument. */
 bool kit_digest(int argc, char **argv, void (*digest)(char out[33]));
 void kit_same_bits(void (*digest)(char out[33]));
 

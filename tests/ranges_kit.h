@@ -1,5 +1,5 @@
-/* Servers of objects for tests: nginx, which is what a store is read from, and one that misbehaves
- * on request.
+/* Servers of objects for tests: nginx, from which stores are read, and a server that misbehaves on
+ * request.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -235,7 +235,7 @@ static void *ranges_run(void *arg)
     return NULL;
 }
 
-/* What it serves from now on, at every path. */
+/* Sets the object that it serves from now on, at every path. */
 static inline void ranges_serve(const char *path, const char *etag)
 {
     struct err e = {0};

@@ -32,7 +32,7 @@ struct reader {
 static inline void reader_open(struct reader *r, const char *target)
 {
     char q[200];
-    const int small = 8192; /* as little waits on the way as may be */
+    const int small = 8192; /* few bytes wait on the way */
     memset(r, 0, sizeof *r);
     r->fd = dial(t.port);
     (void)setsockopt(r->fd, SOL_SOCKET, SO_RCVBUF, &small, sizeof small);
@@ -47,7 +47,7 @@ static inline void reader_close(struct reader *r)
     buf_free(&r->body);
 }
 
-/* Take chunks that are whole out of what came. */
+/* Takes whole chunks out of the bytes that came. */
 static inline void reader_unchunk(struct reader *r)
 {
     buf_add(&r->raw, "", 1);
@@ -75,7 +75,7 @@ static inline void reader_unchunk(struct reader *r)
     }
 }
 
-/* The bytes are a picture of the size that the part's head says. */
+/* Checks that the bytes are a picture of the size in the part's head. */
 static inline void check_picture(const char *bytes, const struct part *p)
 {
     struct err e = {0};
@@ -88,7 +88,7 @@ static inline void check_picture(const char *bytes, const struct part *p)
     assert_int_equal(height, p->height);
 }
 
-/* The next part; false: the stream has ended, or nothing came for wait_s. */
+/* Reads the next part; false: the stream has ended, or no whole part came within wait_s. */
 static inline bool reader_next(struct reader *r, double wait_s, struct part *out)
 {
     static const char mark[] = "--" MULTIPART_BOUNDARY "\r\n";

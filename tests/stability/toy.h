@@ -60,7 +60,7 @@ struct train_config toy_config(struct arena *a, const char *out);
 /* The only device of a test program, so kernels are built once. Use these as group setup and
  * teardown. */
 extern struct dev toy_dev;
-/* A finished level of a run without cells. ckpt_free *out. */
+/* Reads a finished level of a run without cells. Free *out with ckpt_free. */
 void toy_read_level(const char *dir, unsigned level, struct ckpt *out);
 
 int toy_open_device(void **state);
