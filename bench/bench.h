@@ -19,7 +19,8 @@ struct bench {
     const char *name;  /* of the running benchmark */
     struct dev *dev;   /* opened once for all benchmarks; NULL: there is no device */
     double fma_gflops; /* measured in this run: the device's peak of arithmetic */
-    /* measured in this run: a[i] = b[i] + s * c[i], bytes of all three arrays */
+    /* measured in this run: memory bandwidth of a[i] = b[i] + s * c[i], counting the bytes of all
+     * three arrays */
     double triad_gbps;
     int runs;   /* --runs: timed repetitions of each case, of which the median counts */
     bool quick; /* --quick: small sizes, to check that benchmarks work */
@@ -27,8 +28,8 @@ struct bench {
     size_t n_rows;
     struct arena arena;
     struct json_t *baseline; /* --compare FILE, or NULL */
-    /* For the studies `rd` and `pyramid`; NULL: not given. The scene, its store, its checkpoints,
-     * and the file for rows. */
+    /* For the studies `rd` and `pyramid`: the scene, its store, its checkpoints, and the file for
+     * rows. NULL: not given. */
     const char *scene, *tiles, *trained, *record;
     double edge_m; /* for `map`: edge of the only square to draw; 0: all sizes */
     int64_t most;  /* for `sizes`: largest number of Gaussians; 0: no limit */
@@ -42,8 +43,9 @@ void bench_report(struct bench *b, const char *case_name, double value, const ch
 /* Reports a case of a series, for so many Gaussians and pixels. */
 void bench_report_at(struct bench *b, const char *case_name, double value, const char *unit,
                      double gaussians, double pixels);
-/* Calls fn once and then b->runs times, and gives the median of the latter in milliseconds of wall
- * time. spread (may be NULL): half the distance between the quartiles. Errors of fn, ERR_MEM. */
+/* Calls fn once and then b->runs times, and gives the median time of these b->runs calls in
+ * milliseconds of wall time. spread (may be NULL): half the distance between the quartiles. Errors
+ * of fn, ERR_MEM. */
 enum err_code bench_time(struct bench *b, enum err_code (*fn)(void *user, struct err *e),
                          void *user, double *median_ms, double *spread_ms, struct err *e) ERR_USE;
 /* As bench_time, in the CPU time of the process. For work in one thread this is its time on a free
@@ -56,10 +58,10 @@ enum err_code bench_record(struct bench *b, const char *row, const char *what,
                            struct json_t *numbers, struct err *e) ERR_USE;
 /* writes all rows to b->record (NULL: nowhere) and forgets them */
 enum err_code bench_record_write(struct bench *b, struct err *e) ERR_USE;
-/* In bench_step.c: one training iteration of n Gaussians of the city (city.h, SH of degree 3) with
- * a photograph of that size, and a series for the growth benchmark. Both report with
- * bench_report_at. They skip the check of bench_step, whose learning rates suit only its own sizes.
- */
+/* In bench_step.c. bench_step_at measures one training iteration of n Gaussians of the city
+ * (city.h, SH of degree 3) with a photograph of that size, bench_step_growth a series for the
+ * growth benchmark. Both report with bench_report_at. They skip the check of bench_step, whose
+ * learning rates suit only its own sizes. */
 enum err_code bench_step_at(struct bench *b, const char *name, size_t n, uint32_t width_px,
                             uint32_t height_px, struct err *e) ERR_USE;
 enum err_code bench_step_growth(struct bench *b, struct err *e) ERR_USE;

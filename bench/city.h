@@ -13,7 +13,8 @@
  * order, as in trained tiles. Free *out with gauss_free. ERR_MEM. */
 enum err_code city_make(size_t n, struct gauss *out, struct err *e) ERR_USE;
 enum err_code city_sorted(size_t n, struct gauss *out, struct err *e) ERR_USE;
-/* The same with another SH degree. Ten million Gaussians fit into memory with degree 0. ERR_MEM. */
+/* As city_make and city_sorted, with another SH degree. Ten million Gaussians fit into memory with
+ * degree 0. ERR_MEM. */
 enum err_code city_make_degree(size_t n, uint32_t sh_degree, struct gauss *out,
                                struct err *e) ERR_USE;
 enum err_code city_sorted_degree(size_t n, uint32_t sh_degree, struct gauss *out,

@@ -1,4 +1,4 @@
-/* Other layouts for the attributes of a .drc than that of codec/draco_layout.c, to compare with it.
+/* Layouts for the attributes of a .drc, to compare with that of codec/draco_layout.c.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -20,7 +20,7 @@ struct layout { /* {0}: the layout of codec/draco_layout.c */
     enum layout_channels channels;
     enum layout_predict predict;
     bool split_position, split_scale, split_rotation, split_color; /* one attribute a component */
-    bool join_channels;     /* all channels of a band in one attribute, instead of green apart */
+    bool join_channels;     /* all channels of a band in one attribute; false: green apart */
     bool scale_differences; /* second and third sigma minus the first */
 };
 /* Encodes a cloud without names. Low bits that are 0 in all rows are left out first. ERR_MEM,

@@ -12,7 +12,7 @@ struct leaves {         /* {0} is empty */
     size_t n_tiles, n;  /* n: Gaussians of all tiles */
 };
 /* Reads all tiles without children. Call leaves_free afterwards, also after an error. ERR_DATA:
- * there are none. Else as store_open and store_read_gauss. */
+ * there are none. Other errors are those of store_open and store_read_gauss. */
 enum err_code leaves_read(const char *store_path, struct leaves *out, struct err *e) ERR_USE;
 void leaves_free(struct leaves *l);
 

@@ -31,7 +31,7 @@ struct load {
     double cpu_s[LOAD_CLIENTS]; /* CPU time of the clients so far */
 };
 int load_dial(uint16_t port); /* -1: no server listens */
-/* The same from 127.0.0.`host`, which is a client of its own. */
+/* As load_dial, from the address 127.0.0.`host`, which the server counts as a client of its own. */
 int load_dial_from(unsigned host, uint16_t port);
 bool load_send(int fd, const char *text);
 /* Sends one request and keeps the size of the answer, its body and its entity tag (either may be
@@ -40,11 +40,12 @@ enum err_code load_ask(struct load *l, struct buf *body, char etag[64], struct e
 /* Runs all clients until they have all answers. `user` is a struct load. ERR_IO, ERR_MEM. */
 enum err_code load_run(void *user, struct err *e) ERR_USE;
 double load_cpu_of(pid_t pid); /* CPU seconds, in steps of the kernel's clock; 0: not known */
-/* Bind this thread, and threads that it starts later, to one core; and undo that. */
+/* load_pin binds this thread, and threads that it starts later, to one core. load_unpin undoes
+ * that. */
 void load_pin(int core);
 void load_unpin(void);
 
-/* libmicrohttpd, which answers every request with the same bytes from a buffer. */
+/* A server of libmicrohttpd alone, which answers all requests with the same bytes of a buffer. */
 struct load_bare {
     struct MHD_Daemon *daemon;
     struct MHD_Response *response;

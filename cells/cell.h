@@ -19,8 +19,8 @@ struct cell {              /* a rectangle of the ground plane; Gaussians outside
     bool whole;            /* the cell is the whole scene, and the rectangle is not used */
     struct cell_grid grid; /* the axes of the rectangle */
     double min_enu_m[2], max_enu_m[2]; /* east, north; in a turned grid x, y along its axes */
-    /* the ground that it owns (partition_owner), along the same axes: the rectangle, and what is
-     * known beyond those sides where no other cell lies */
+    /* the ground that the cell owns (partition_owner), along the same axes: the rectangle, enlarged
+     * beyond the outermost sparse points on sides where no other cell lies */
     double owned_min_m[2], owned_max_m[2];
     bool cut; /* photographs are cut to what shows the cell (cells/window.h) */
     /* share of the configured steps that the cell takes; 0 counts as 1. Where photographs are cut,
@@ -39,7 +39,7 @@ void cell_whole(const struct scene *s, const uint32_t *images, size_t n_images, 
  * its extent. */
 void cell_planned(const struct scene *s, const struct partition *p, size_t index,
                   const uint32_t *images, size_t n_images, struct cell *out);
-/* Horizontal distance of a place from the rectangle in metres, 0 inside; and from the ground that
+/* Horizontal distance of a place in metres, 0 inside: from the rectangle, and from the ground that
  * the cell owns. */
 double cell_distance(const struct cell *c, double east_m, double north_m);
 double cell_owned_distance(const struct cell *c, double east_m, double north_m);

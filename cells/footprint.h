@@ -25,7 +25,8 @@ enum {
     FOOTPRINT_VIEWS = 2,
     FOOTPRINT_DEEP_VIEWS = 3 /* least number of photographs that see ground well inside */
 };
-#define FOOTPRINT_DEEP 0.2 /* flight heights from the border inwards: well inside */
+/* ground that is this many flight heights inside of the border is well inside */
+#define FOOTPRINT_DEEP 0.2
 
 struct footprint { /* {0} is empty: all ground counts as supported; free with footprint_free */
     double corner_m[2], cell_m; /* south-west corner of the grid, ENU; edge of a cell */
@@ -40,7 +41,7 @@ struct footprint { /* {0} is empty: all ground counts as supported; free with fo
     /* [ny][nx] 1: heights come from its own points, 0: from its neighbours */
     uint8_t *has_points;
     double height_m; /* median height of the flight above the ground */
-    double fade_m;   /* distance from the border at which all has faded */
+    double fade_m;   /* distance from the border at which all Gaussians have faded */
     double margin_m; /* margin in low_m and high_m; a Gaussian may reach this far beyond them */
     double px_per_m; /* resolution of the nearest photograph, median over the ground inside */
 };

@@ -31,11 +31,12 @@ struct partition_config { /* filled by partition_defaults */
     double visibility_min;  /* least ratio of the hulls */
     size_t images_few;      /* cells with fewer photographs are merged where possible */
     size_t images_many;     /* cells with more photographs are divided, down to an edge of P/2 */
-    /* cells that still have fewer are not trained: they are background of a neighbour */
+    /* cells that still have fewer photographs are not trained: they are a neighbour's background */
     size_t images_least;
-    bool use_visibility;   /* false: location alone, for comparison */
-    bool all_images;       /* true: test photographs train as well */
-    struct cell_grid grid; /* {0}: along ENU, centred on the cameras; else its origin is a corner */
+    bool use_visibility; /* false: location alone, for comparison */
+    bool all_images;     /* true: test photographs train as well */
+    /* {0}: along ENU, centred on the cameras; else its origin is a corner of squares */
+    struct cell_grid grid;
 };
 struct partition_config partition_defaults(void);
 
@@ -56,7 +57,7 @@ struct partition { /* {0} is empty; free with partition_free */
     struct partition_cell *cells; /* sorted by y, then x */
     size_t n_cells;
     size_t n_merged, n_divided; /* number of merges and divisions */
-    double share_min;           /* of share_photographs; above 0, photographs are cut */
+    double share_min;           /* as given to share_photographs; above 0, photographs are cut */
     struct arena arena;
 };
 

@@ -24,7 +24,8 @@ struct scene;
 struct trim {                   /* {0} changes nothing; free with trim_free */
     const struct scene *scene;  /* borrowed */
     const struct footprint *at; /* borrowed: the grid */
-    /* [ny][nx] number of cells around that photographs show completely; 0: this cell is not one */
+    /* [ny][nx] number of cells to the nearest one that photographs do not show completely, up to a
+     * limit; 0: this cell is one */
     uint8_t *deep;
     /* [ny nx + 1] index into cams; only cells that are shown in part have entries */
     size_t *first;

@@ -9,15 +9,15 @@
 #include "core/base.h"
 
 struct align_run {
-    const char *const *argv; /* up to NULL; argv[0] is sought in PATH */
+    const char *const *argv; /* NULL after the last; argv[0] is sought in PATH */
     const char *log;         /* appended to */
     const char *what;        /* of the progress bar; NULL: none */
     uint64_t total;
     uint64_t (*count)(void *user); /* how much of it is done; asked every two seconds */
     void *user;
 };
-/* Whether there is such a program, in PATH or as a path. ERR_NOENT: no; the message has the package
- * to install. */
+/* Checks that there is such a program, in PATH or as a path. ERR_NOENT: there is none; the message
+ * has the package to install. */
 enum err_code align_run_find(const char *program, struct err *e) ERR_USE;
 /* Runs the program to its end. If this process ends, so does the program. ERR_NOENT: there is no
  * such program. ERR_DATA: it failed; the message has its last line and the log. ERR_CANCEL: we were

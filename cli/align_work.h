@@ -39,7 +39,7 @@ struct align {
     /* how many times slower than usual this machine is, measured by the look */
     double slow;
     struct align_seen *seen; /* [plan.n] */
-    uint32_t *model_of;      /* [plan.n] model that holds it, UINT32_MAX: none */
+    uint32_t *model_of;      /* [plan.n] model that has the photograph, UINT32_MAX: none */
     size_t n_models, placed, *sizes;
     struct arena arena;
 };
@@ -87,7 +87,7 @@ enum err_code align_map(struct align *a, const char *db, struct err *e) ERR_USE;
 void align_print_plan(const struct align *a);
 void align_print_forecast(const struct align *a);
 void align_print_look(const struct align *a, size_t largest);
-/* Photographs outside the largest model, with the reason. */
+/* Prints the photographs outside the largest model, with the reason. */
 void align_print_unplaced(const struct align *a);
 void align_print_result(const struct align *a);
 /* Writes align.json. It takes over the reference to `config`. ERR_DATA, ERR_IO, ERR_LIMIT, ERR_MEM.

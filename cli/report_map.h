@@ -17,7 +17,7 @@ enum {
 struct report_ground {
     const struct footprint *footprint; /* borrowed */
     float *gsd_m; /* [ny][nx] of the nearest photograph that shows the cell; NAN: none */
-    /* 5, 50 and 95 % of the cells inside; NAN: none */
+    /* quantiles of 5, 50 and 95 % over the cells inside; NAN: none */
     double gsd_m_low, gsd_m_median, gsd_m_high;
     double share[REPORT_VIEWS]; /* share of the ground inside by class of coverage */
     double area_m2;

@@ -43,7 +43,8 @@ void splats_free(struct splats *s);
 enum err_code splats_place(const char *option, const char *text, struct geo_origin *out,
                            struct err *e) ERR_USE;
 /* Gives a store's name: `given`, or if that is NULL, the name of `path` in lower case with '-' for
- * other characters. ERR_ARG: longer than 63 letters. store_create checks everything else. */
+ * other characters. ERR_ARG: the name is longer than 63 letters. store_create checks everything
+ * else. */
 enum err_code splats_name(const char *given, const char *path, char out[64], struct err *e) ERR_USE;
 
 #endif

@@ -19,7 +19,7 @@ struct truth_sigma {
 struct truth_heights {
     uint64_t inside, none; /* pixels in the built-up square; those without a surface */
     double pixel_m, gsd_m; /* of the map; of photographs that look straight down */
-    /* pixels away from edges, near them, and all; above: thickness and light are not known. Of bare
+    /* pixels away from edges, near them, and all. Their thickness and light are not known. Of bare
      * earth (cfg->map_ground): pixels where it is seen, where something stands on it, and all. */
     struct surface_figures level, zone, all;
     struct truth_sigma sigma[3]; /* of the same three; n is 0 if the map has none */

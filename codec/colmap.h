@@ -49,9 +49,10 @@ struct colmap_model {
     size_t n_points;
     struct colmap_track_element *tracks;
     size_t n_tracks;
-    struct arena arena;        /* owns everything above */
-    char dir[FILE_PATH_MAX];   /* set by colmap_read: folder of the files */
-    size_t n_models, n_second; /* number of models found, and photographs of the second largest */
+    struct arena arena;      /* owns everything above */
+    char dir[FILE_PATH_MAX]; /* set by colmap_read: folder of the files */
+    /* number of models found, and of photographs in the second largest */
+    size_t n_models, n_second;
 };
 /* Reads a model from a folder, or from its sparse/ or sparse/0/. Each of the three files may be
  * .bin (preferred) or .txt. Free it with colmap_free. ERR_NOENT names the files that are missing.

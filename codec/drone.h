@@ -17,8 +17,9 @@ struct drone_meta { /* {0}: nothing is known */
     bool has_relative, has_absolute, has_up;
     double relative_m; /* height above take-off, by the barometer */
     double absolute_m;
-    bool ellipsoidal;  /* absolute_m and EXIF's altitude are heights above the ellipsoid */
-    double sigma_m[2]; /* of the position, on each horizontal axis and of height; 0: not given */
+    bool ellipsoidal; /* absolute_m and EXIF's altitude are heights above the ellipsoid */
+    /* accuracy of the position, on each horizontal axis and of height; 0: not given */
+    double sigma_m[2];
     /* unit vector up in camera axes (x right, y down, z forward), from the gimbal */
     double up_cam[3];
 };

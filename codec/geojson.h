@@ -1,4 +1,4 @@
-/* Polygons of a GeoJSON file. Every option that takes an area reads them with this.
+/* Polygons of a GeoJSON file. Every option that takes an area reads it with geojson_read.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

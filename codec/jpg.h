@@ -26,9 +26,9 @@ bool jpg_has_xmp(const struct jpg *j);
 bool jpg_read(struct jpg *j, uint8_t *px);
 void jpg_close(struct jpg *j); /* NULL is allowed */
 
-/* Appends the picture px [h][w][channels] as a file to `out`. quality is 1..100; from
- * 95 on chroma is not subsampled. The bytes are those that OpenImageIO writes. Returns whether it
- * did; if not, `out` is as it was. */
+/* Appends the picture px [h][w][channels] as a file to `out`. quality is 1..100; from 95 on chroma
+ * is not subsampled. The bytes are those that OpenImageIO writes. Returns whether it was encoded;
+ * if not, `out` is as it was. */
 bool jpg_encode(const uint8_t *px, uint32_t width_px, uint32_t height_px, uint32_t channels,
                 int quality, struct buf *out);
 

@@ -2,9 +2,9 @@
  * shots.geojson, cameras.json.
  *
  * OpenSfM's poses are world to camera, x right, y down, z forward, with the rotation as axis times
- * angle. Focal lengths and principal points are in units of the picture's larger side, from its
- * middle. Poses and points stay in the frame of the project. Sources: OpenSfM, doc/geometry and
- * opensfm/io.py; OpenDroneMap, opendm/shots.py.
+ * angle. Focal lengths and principal points are in units of the picture's larger side. Principal
+ * points are relative to the picture's middle. Poses and points stay in the frame of the project.
+ * Sources: OpenSfM, doc/geometry and opensfm/io.py; OpenDroneMap, opendm/shots.py.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -37,7 +37,7 @@ void mem_fail_at(size_t k);
  * heap of its own. A cache of photographs that two threads filled therefore took twice its limit.
  * With another C library nothing changes. */
 void mem_return_large(void);
-/* Gives memory back to the system that was freed but that the C library still holds. This takes
+/* Gives back to the system what the program has freed but the C library still holds. This takes
  * milliseconds, and threads that allocate wait meanwhile. With another C library nothing happens.
  */
 void mem_give_back(void);

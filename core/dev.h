@@ -31,7 +31,8 @@ struct dev { /* made by dev_open; only one thread at a time may use it */
     struct dev_launch { /* kernels and sizes that were launched before */
         cl_kernel kernel;
         size_t local;
-        bool large; /* so many work-items that PoCL compiles another version of the kernel */
+        /* there were so many work-items that PoCL compiles another version of the kernel */
+        bool large;
     } launched[DEV_LAUNCHES_MAX];
     size_t n_launched;
     struct dev_timing *timing; /* dev_time_begin; NULL: no kernel is timed */

@@ -23,13 +23,13 @@ struct align_photo {
     bool has_gps;
     double at_m[2];      /* east and north by GPS, about the first photograph that has it */
     double height_m;     /* above take-off; NAN = not known */
-    double sharp;        /* fine detail over contrast, of the picture shrunk to 800 px */
+    double sharp;        /* fine detail divided by contrast, in the picture shrunk to 800 px */
     struct hash128 hash; /* of the file */
     size_t group;        /* camera, lens and focal length */
     size_t cluster;      /* photographs that lie together by GPS */
     size_t copy_of;      /* an earlier one with the same bytes; SIZE_MAX: none */
     bool blurred;        /* much less sharp than the others */
-    char *fault;         /* it cannot be read: why; NULL: it can */
+    char *fault;         /* why the photograph cannot be read; NULL: it can */
 };
 struct align_pair {
     uint32_t a, b; /* a < b */
@@ -38,8 +38,9 @@ struct align_plan {             /* {0} is empty; align_plan_free */
     struct align_photo *photos; /* [n] by folder, time and name */
     size_t n, n_usable, n_gps;  /* usable: neither broken nor a copy */
     size_t n_groups, n_clusters, n_copies, n_blurred, n_broken;
-    double apart_m;           /* distance of the two largest clusters; 0: there is one */
-    double overlap;           /* of neighbours, by GPS, height and focal length; NAN: not known */
+    double apart_m; /* distance of the two largest clusters; 0: there is one */
+    /* overlap of neighbours, by GPS, height and focal length; NAN: not known */
+    double overlap;
     double megapixels;        /* mean of usable photographs */
     struct align_pair *pairs; /* [n_pairs] */
     size_t n_pairs;

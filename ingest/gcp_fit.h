@@ -20,26 +20,27 @@ enum gcp_suspects { /* treatment of points and marks that contradict the others 
 struct gcp_fit_config {
     double px_scale;           /* pixels of the list in a pixel of COLMAP's photographs */
     double height_offset_m;    /* added to the heights of the list */
-    const struct geoid *geoid; /* its heights are added too; NULL: none */
-    double sigma_m;            /* of surveyed points without accuracy, on each axis */
-    double mark_px;            /* of marks without accuracy, in pixels of the list */
+    const struct geoid *geoid; /* geoid whose heights are added too; NULL: none */
+    double sigma_m;            /* accuracy of surveyed points that state none, on each axis */
+    double mark_px;            /* accuracy of marks that state none, in pixels of the list */
     enum gcp_suspects suspects;
     bool gps_check;
 };
 struct gcp_point {        /* results for a point */
     double residual_m[3]; /* fitted minus surveyed: east, north, up */
     double gsd_m;         /* size on the ground of a pixel of its marks */
-    struct gcp_left left; /* control points: as if it were left out; check points: as they are */
-    double influence_m;   /* largest movement of any located point when this one is left out */
-    double weight;        /* 0 to 1; check points have 0 */
+    /* effect of leaving out a control point; a check point is left out already */
+    struct gcp_left left;
+    double influence_m; /* largest movement of any located point when this one is left out */
+    double weight;      /* 0 to 1; check points have 0 */
     bool suspect;
-    bool far;        /* kilometres from its photographs; it is never used */
-    char cause[160]; /* of a suspect; "" = not known */
+    bool far;        /* lies kilometres from its photographs; it is never used */
+    char cause[160]; /* why a suspect may be wrong; "" = not known */
 };
 struct gcp_gps {             /* GPS minus camera positions that follow from the points */
     size_t n;                /* number of photographs with GPS; 0: nothing is known */
     double plan_m, height_m; /* median, horizontal and vertical */
-    double limit_m[2];       /* a larger difference is warned of; horizontal and vertical */
+    double limit_m[2];       /* larger differences give a warning; horizontal and vertical */
     char cause[200];         /* "" = within the limits */
 };
 struct gcp_fit {                 /* {0} is empty; gcp_fit_free */

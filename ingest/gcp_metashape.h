@@ -14,7 +14,7 @@
 /* Is this file XML? */
 bool gcp_metashape_is(const char *path);
 /* Adds the markers of a file and their marks to a list. Markers without coordinates are left out,
- * and a warning counts them. Those that are switched off are check points. ERR_FORMAT names the
+ * and a warning counts them. Markers that are switched off are check points. ERR_FORMAT names the
  * line. ERR_NOENT, ERR_DATA, ERR_IO, ERR_LIMIT, ERR_MEM. */
 enum err_code gcp_metashape_read(const char *path, struct gcp_list *l, struct err *e) ERR_USE;
 #endif

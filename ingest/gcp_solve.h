@@ -1,5 +1,5 @@
-/* Fits the similarity that moves located points to their surveyed places. Errors of both are known,
- * and some points may be wrong.
+/* Fits the similarity that moves located points to their surveyed places. The errors of both kinds
+ * of places are known, and some points may be wrong.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -44,13 +44,13 @@ enum ingest_altitude { /* source of the altitude that is used: ingest_drone.c */
                        INGEST_ALTITUDES
 };
 enum { INGEST_AUTO, INGEST_EXIF }; /* values of --altitude */
-/* The direction up by the gimbals of the cameras. */
+/* The direction up, by the gimbals of the cameras. */
 struct ingest_gimbal {
     size_t n, used;    /* number of photographs with that value, and of those without outliers */
     bool known;        /* there are enough, and they agree */
     double up[3];      /* unit, in COLMAP's frame */
     double spread_rad; /* median angle between one photograph and all */
-    /* angle between it and the frame's up; its parts to the east and north */
+    /* angle between this direction and the frame's up; its parts to the east and north */
     double tilt_rad, east_rad, north_rad;
 };
 struct ingest_photo {
@@ -58,7 +58,7 @@ struct ingest_photo {
     /* path below the folder of photographs; its case may differ from the name's */
     const char *file;
     char *fault;    /* reason why a photograph is broken; else NULL */
-    char *out_name; /* in images/ of the scene */
+    char *out_name; /* name in images/ of the scene */
     uint32_t width_px, height_px;
     struct image_gps gps; /* its altitude is the one that is used */
     struct drone_meta drone;
@@ -165,7 +165,7 @@ enum err_code ingest_drone_heights(struct ingest *g, struct err *e) ERR_USE;
 /* Computes up from the gimbals of the kept photographs. ERR_MEM. */
 enum err_code ingest_drone_up(const struct ingest *g, struct ingest_gimbal *out,
                               struct err *e) ERR_USE;
-/* Computes the tilt of the frame against it. */
+/* Computes the tilt of the frame against the up of the gimbals. */
 void ingest_drone_check(const struct sim3 *sim, struct ingest_gimbal *io);
 
 /* ---- other steps ---- */

@@ -28,10 +28,12 @@ struct marking_spot { /* a point in a photograph */
     /* lost: its mark does not count, because the lens has no such ray */
     bool expected, marked, lost;
     double expected_px[2], marked_px[2];
-    double middle;      /* distance of the place from the picture's middle, in half diagonals */
-    double residual_px; /* of the mark, from the place that all good marks give; NAN: unknown */
-    double out_px;      /* from the place that the other marks give; NAN: they give none */
-    bool suspect;       /* the mark contradicts the others */
+    double middle; /* distance of the place from the picture's middle, in half diagonals */
+    /* distance of the mark from the place that all good marks give; NAN: unknown */
+    double residual_px;
+    /* distance of the mark from the place that the other marks give; NAN: they give none */
+    double out_px;
+    bool suspect; /* the mark contradicts the others */
 };
 struct marking_point { /* the state of a point */
     size_t marks, suspects;
@@ -42,7 +44,7 @@ struct marking_point { /* the state of a point */
 struct marking; /* marking_close */
 
 struct marking_config {
-    const char *output; /* file that is written; its ending is its form */
+    const char *output; /* file that is written; its ending decides its form */
     double px_scale, mark_px, sigma_m;
 };
 /* Takes over *survey and *list, whose points are in longitude, latitude and height, also on
@@ -58,8 +60,9 @@ uint64_t marking_revision(const struct marking *m);
 /* Number of marks in photographs that the model does not have; they stay in the file. */
 size_t marking_strays(const struct marking *m);
 struct marking_point marking_point(const struct marking *m, size_t point);
-/* Fills spots [survey.n] with the photographs in which the point is marked or expected, the nearest
- * to their middle first; if its place is not known, with all photographs. Returns their number. */
+/* Fills spots [survey.n] with the photographs in which the point is marked or expected; if its
+ * place is not known, with all photographs. Photographs with the point nearest to their middle come
+ * first. Returns their number. */
 size_t marking_spots(const struct marking *m, size_t point, struct marking_spot *spots);
 /* Sets the mark of a point in a photograph; at NULL: takes it away. Then writes the file. On
  * failure nothing has changed. ERR_ARG: outside of the photograph. ERR_BUSY: another program has

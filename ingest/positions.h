@@ -16,7 +16,7 @@ enum { POSITION_IMAGE_MAX = 256, POSITIONS_LONLAT = 4326 };
 enum position_by { POSITION_BY_NAME, POSITION_BY_TIME, POSITION_BY_NUMBER };
 
 struct position {
-    /* by name; for .MRK the beginning of its photographs' names */
+    /* name of the photograph; for .MRK the beginning of its photographs' names */
     char image[POSITION_IMAGE_MAX];
     double time_s;     /* since year 0, in GPS time or universal time; NAN: not given */
     size_t number;     /* for .MRK */

@@ -41,7 +41,7 @@ struct sim3_problem {              /* all borrowed */
     const bool *use;       /* [n] pairs that may be used */
     const uint32_t *group; /* [n] flight, 0 .. n_groups-1; each has its own height offset */
     size_t n, n_groups;
-    /* radians by which the cameras are out of level, in the frame where that is least */
+    /* radians by which the cameras are out of level, in the frame where they are most level */
     double level_sigma;
     double normal[3];    /* ground normal in the frame of x, upwards; 0 0 0 = unknown */
     double normal_sigma; /* its uncertainty in radians; 0: that of ground, about 0.2 */
@@ -50,7 +50,7 @@ struct sim3_problem {              /* all borrowed */
 struct sim3_fit {
     struct sim3 sim;
     double offset_m[SIM3_GROUPS_MAX]; /* y_z = ... + offset of the flight; flight 0 has 0 */
-    /* robust, of each horizontal axis and of heights; 0 = not known yet */
+    /* robust standard deviation, of each horizontal axis and of heights; 0 = not known yet */
     double sigma_h_m, sigma_v_m;
     double share_h,
         share_v;      /* share of positions that are independent, because drifting errors repeat */

@@ -34,7 +34,8 @@ size_t table_split(char *text, char comma, char *field[TABLE_FIELDS]);
 /* Writes the name of a column in a standard form: "Accuracy Horizontal (m)" as accuracy_horizontal,
  * "#Label" as Label, "X/Easting" as Easting. */
 void table_heading(const char *field, char out[TABLE_HEADING]);
-/* Parses a finite number of at most 1e12 and nothing else. Returns false if it is none. */
+/* Parses a finite number of at most 1e12 and nothing else. Returns false if the text is no such
+ * number. */
 bool table_number(const char *text, double *out);
 /* Finds a decimal comma, as in "634676,12", in a line whose fields are not separated by commas.
  * Returns its length; 0: there is none. */
