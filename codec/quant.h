@@ -18,7 +18,8 @@ extern "C" {
 
 /* How fine the integers are (presets.def). */
 struct quant_grid {
-    uint8_t position; /* log2 of steps in the median of the middle sigmas; 0: steps of 2^-12 m */
+    /* log2 of steps in a middle sigma, median of all Gaussians; 0: steps of 2^-12 m */
+    uint8_t position;
     /* number of low bits that are left out, 0..7 */
     uint8_t scale, rotation, alpha, color, sh[3], embed;
     uint8_t sh_degree; /* higher bands are dropped */

@@ -27,11 +27,12 @@ enum {
     SCENE_PHOTO_FILE = 1,   /* there is a mask in scene/masks (codec/mask.h) */
     SCENE_PHOTO_CLIPPED = 2 /* at the mean exposure, clipped pixels are ignored */
 };
-/* Which masks photograph `image` has. files: those of scene/masks count. ERR_LIMIT. */
+/* Finds which masks photograph `image` has. files: those of scene/masks count too. ERR_LIMIT. */
 enum err_code scene_photo_masks(const struct scene *s, uint32_t image, bool files, bool to_mean,
                                 unsigned *out, struct err *e) ERR_USE;
 /* Reads a photograph in this form. Any thread may call it. ERR_DATA: photograph or mask is not as
- * large as the scene says. ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_LIMIT: of the files. ERR_MEM. */
+ * large as the scene says. ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_LIMIT: a file cannot be read.
+ * ERR_MEM. */
 enum err_code scene_photo_read(const struct scene *s, uint32_t image,
                                const struct scene_photo_form *form, struct scene_photo *out,
                                struct err *e) ERR_USE;

@@ -16,7 +16,7 @@ struct codec_limits;
  * ERR_ARG, ERR_LIMIT, ERR_MEM. */
 enum err_code sog_encode(const struct gauss *g, uint32_t sh_degree, struct buf *out,
                          struct err *e) ERR_USE;
-/* Writes the same as files of a folder with meta.json: a chunk of a streamed SOG. Errors as
+/* Writes the same textures and meta.json as files of a folder: a chunk of a streamed SOG. Errors as
  * sog_encode, and ERR_IO, ERR_LIMIT (path). */
 enum err_code sog_write(const struct gauss *g, uint32_t sh_degree, const char *dir,
                         struct err *e) ERR_USE;

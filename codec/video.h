@@ -1,5 +1,6 @@
 /* Video of pictures that come one by one, as frames of VP9 by libvpx. Each picture is encoded at
- * once: no frame waits for a later one or refers to one. A build without libvpx has no video.
+ * once: no frame waits for a later frame or refers to a later one. A build without libvpx has no
+ * video.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* Reads XML by one pass over its tags: no tree, no namespaces, no entities but the five of XML and
- * characters by number. A document type is refused. What lies between tags is left to the caller.
+/* Reads XML by one pass over its tags: no tree, no namespaces, no entities except XML's five and
+ * characters by number. A document type is refused. The caller reads the text between tags.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -27,11 +27,11 @@ struct xml {
 enum err_code xml_next(struct xml *x, struct xml_tag *t, bool *more, struct err *e) ERR_USE;
 /* Sets ERR_FORMAT with path and line, and returns it. */
 enum err_code xml_bad(const struct xml *x, const char *why, struct err *e) ERR_USE;
-/* One character or entity of [p, end) as at most 4 bytes; returns what follows it. */
+/* Reads one character or entity of [p, end) as at most 4 bytes; returns the place behind it. */
 const char *xml_character(const char *p, const char *end, char out[8], size_t *n);
-/* An attribute without its entities. Returns false if there is none, or it is too long. */
+/* Reads an attribute and replaces its entities. Returns false if it is absent or too long. */
 bool xml_attr(const struct xml_tag *t, const char *name, char *out, size_t size);
-/* An attribute that is a finite number, or an integer. Returns false if it is not. */
+/* Read an attribute that must be a finite number, or an integer. Return false if it is not. */
 bool xml_number(const struct xml_tag *t, const char *name, double *out);
 bool xml_id(const struct xml_tag *t, const char *name, long long *out);
 /* Returns whether an attribute is "false" or "0". */

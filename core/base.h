@@ -103,7 +103,8 @@ struct cursor {
 };
 struct cursor cursor_over(const void *bytes, size_t n);
 size_t cursor_left(const struct cursor *c);
-const uint8_t *cursor_take(struct cursor *c, size_t n); /* NULL, and `bad`, when fewer are left */
+/* returns NULL and sets `bad` when fewer bytes are left */
+const uint8_t *cursor_take(struct cursor *c, size_t n);
 uint8_t cursor_u8(struct cursor *c);
 uint16_t cursor_u16(struct cursor *c);
 uint32_t cursor_u32(struct cursor *c);

@@ -42,7 +42,7 @@ struct camera camera_resize(const struct camera *c, uint32_t width_px, uint32_t 
 /* The whole pixels that a part of the picture touches: left, top, width, height; at least one pixel
  * each. */
 void camera_window_px(const struct camera *c, const struct camera_window *w, uint32_t out[4]);
-/* The camera of that part of the picture. */
+/* The camera that shows only this part of the picture. */
 struct camera camera_crop(const struct camera *c, const struct camera_window *w);
 /* A camera at `eye` that looks at `target` (ENU metres), with z up. In a vertical view north is up.
  */

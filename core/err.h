@@ -1,9 +1,10 @@
 /* Errors are values. Every fallible function returns an err_code and takes a struct err last.
  *
  * The code is for programs, the message is for people. A message says what failed, which one, why,
- * and where it helps, what to do: "what : which : why". It is set where the cause is known. Callers
- * add context in front of it with err_add, and never replace it. Wherever a struct err * is taken,
- * NULL is allowed. An error that is returned is not logged as well. Only cli/main.c calls exit().
+ * and where it helps, what to do: "what : which : why". The message is set where the cause is
+ * known. Callers add context in front of it with err_add, and never replace it. Wherever a struct
+ * err * is taken, NULL is allowed. An error that is returned is not logged as well. Only cli/main.c
+ * calls exit().
  *
  * SPDX-License-Identifier: Apache-2.0
  */

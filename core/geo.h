@@ -38,7 +38,7 @@ struct geoid;
  * folder (GEOGRAPHICLIB_GEOID_PATH, or share/GeographicLib/geoids). If there is no file for
  * "egm96", PROJ's grid is used. The file is read whole, so that any thread may use it. Close it
  * with geoid_close. ERR_NOENT: there is no such file or it is no geoid; the message says what to
- * do. ERR_FORMAT, ERR_IO, ERR_LIMIT: of a grid. ERR_MEM. */
+ * do. ERR_FORMAT, ERR_IO, ERR_LIMIT: a grid cannot be read. ERR_MEM. */
 enum err_code geoid_open(const char *name, const char *dir, struct geoid **out,
                          struct err *e) ERR_USE;
 void geoid_close(struct geoid **g);

@@ -141,12 +141,13 @@ struct layout_view {
     float half_max_px; /* a splat larger than this and nearer than 4 near_m is culled */
     float background[3];
     LAYOUT_U32 width, height, tiles_x, tiles_y;
-    LAYOUT_U32 n, groups, planes; /* planes: of a group of parameters, whatever sh_degree is */
-    LAYOUT_U32 sh_degree;         /* degree that is evaluated */
-    LAYOUT_U32 compensate;        /* 1: opacity is multiplied by rho = sqrt(det S0 / det S) */
-    LAYOUT_U32 tile_cull;         /* 1: exact tiles of a splat; 0: all tiles of its bounding box */
-    LAYOUT_U32 smooth;            /* 1: each Gaussian is widened by its 3-D filter */
-    LAYOUT_U32 listed;            /* 1: a list names the groups of parameters to draw */
+    /* planes: number in a group of parameters, whatever sh_degree is */
+    LAYOUT_U32 n, groups, planes;
+    LAYOUT_U32 sh_degree;  /* degree that is evaluated */
+    LAYOUT_U32 compensate; /* 1: opacity is multiplied by rho = sqrt(det S0 / det S) */
+    LAYOUT_U32 tile_cull;  /* 1: exact tiles of a splat; 0: all tiles of its bounding box */
+    LAYOUT_U32 smooth;     /* 1: each Gaussian is widened by its 3-D filter */
+    LAYOUT_U32 listed;     /* 1: a list names the groups of parameters to draw */
     /* 1: fx and fy are pixels a metre, and all rays have direction rot[6..8] */
     LAYOUT_U32 orthographic;
     float depth_unit_m; /* unit of moments of depth; 0: the frame has none */
@@ -163,7 +164,7 @@ struct layout_view {
 #define LAYOUT_SPLAT_Y_OF_X 9
 #define LAYOUT_SPLAT_COVER 10
 #define LAYOUT_SPLAT_BANDS 11
-#define LAYOUT_SPLAT_DEPTH LAYOUT_SPLAT_COVER /* after the tile lists; tilts follow */
+#define LAYOUT_SPLAT_DEPTH LAYOUT_SPLAT_COVER /* used once the tile lists are made; tilts follow */
 #define LAYOUT_SPLAT_WORDS 16
 
 /* Counts that the device finds in a frame. The host reads them once, before the intersections are
@@ -211,8 +212,8 @@ struct layout_counts {
 #define LAYOUT_SURFACE_FAR 4
 #define LAYOUT_SURFACE_MET 5
 #define LAYOUT_SURFACE_MAPS 6
-#define LAYOUT_SURFACE_OPEN 0.9f   /* transmittance where a surface begins, */
-#define LAYOUT_SURFACE_OPAQUE 0.1f /* and where it is opaque */
+#define LAYOUT_SURFACE_OPEN 0.9f   /* transmittance where a surface begins */
+#define LAYOUT_SURFACE_OPAQUE 0.1f /* transmittance where it is opaque */
 #define LAYOUT_SURFACE_TILT 7      /* floats a Gaussian: how its depth varies over its ellipse */
 
 /* Losses sum over Gaussians or pixels in this many fixed pieces. */

@@ -13,8 +13,8 @@
 struct library {
     const char *what;   /* for messages, "images" */
     const char *file;   /* "citysplat-image.so", beside the program or in its library folder */
-    const char *symbol; /* of a table whose first member is a uint32_t, its version */
-    uint32_t version;   /* that the caller knows */
+    const char *symbol; /* name of a table whose first member is its version, a uint32_t */
+    uint32_t version;   /* the version that the caller knows */
 };
 /* Loads a library, which stays loaded. *table is borrowed. ERR_NOENT: the file is missing.
  * ERR_INTERNAL: it cannot be loaded, or is of another version. */

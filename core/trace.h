@@ -15,7 +15,7 @@
 
 #include "core/err.h"
 
-enum { TRACE_SPANS_MAX = 1 << 20 }; /* later ones are dropped and counted */
+enum { TRACE_SPANS_MAX = 1 << 20 }; /* later spans are dropped and counted */
 
 /* From now on spans are kept, for a file at `path` (borrowed until trace_end). Call it before a
  * device is opened and before threads start. ERR_ARG: there is a trace already. ERR_IO, ERR_LIMIT:

@@ -20,7 +20,7 @@ struct gcp {
     double file[3]; /* as in the file */
     /* standard deviation of the survey, on each horizontal axis and of height; 0: not given */
     double sigma_m[2];
-    size_t line; /* its first line in the file */
+    size_t line; /* number of its first line in the file */
     bool check;  /* a check point: not used for the fit */
 };
 struct gcp_mark { /* one point in one photograph */

@@ -42,14 +42,14 @@ void gcp_solve_leave_out(const struct gcp_solution *s, const struct gcp_tie *tie
                          struct gcp_left *out);
 /* Covariance of the frame at a place y in it, without the factor. */
 void gcp_solve_error(const struct gcp_solution *s, const double y[3], double cov[9]);
-/* The shift of a place y by turn [7]. */
+/* How far turn [7] shifts a place y. */
 void gcp_solve_move(const struct gcp_solution *s, const double turn[7], const double y[3],
                     double shift[3]);
 /* The residual of a tie, fitted minus surveyed, and its covariance, which includes survey and
  * marks. */
 void gcp_solve_residual(const struct sim3 *s, const struct gcp_tie *tie, double residual_m[3],
                         double cov[9]);
-/* A residual in standard deviations of cov, over all axes. HUGE_VAL: cov is singular. */
+/* Size of a residual in standard deviations of cov, over all axes. HUGE_VAL: cov is singular. */
 double gcp_solve_sigmas(const double residual_m[3], const double cov[9]);
 
 #endif

@@ -55,7 +55,7 @@ struct ingest_gimbal {
 };
 struct ingest_photo {
     const struct colmap_image *image;
-    /* path below the folder of photographs; its case may differ from the name's */
+    /* path below the folder of photographs; its case may differ from that of the name */
     const char *file;
     char *fault;    /* reason why a photograph is broken; else NULL */
     char *out_name; /* name in images/ of the scene */
@@ -180,13 +180,14 @@ enum err_code ingest_points_filter(const struct ingest_config *cfg, struct scene
                                    size_t count[INGEST_POINT_VERDICTS], struct err *e) ERR_USE;
 
 /* ingest_exposure.c: measures exposure and white balance of the scene's photographs, which are
- * written already. ERR_IO, ERR_NOENT, ERR_FORMAT: of a photograph. ERR_CANCEL, ERR_MEM. */
+ * written already. ERR_IO, ERR_NOENT, ERR_FORMAT: a photograph cannot be read. ERR_CANCEL, ERR_MEM.
+ */
 enum err_code ingest_exposure_find(struct ingest *g, struct err *e) ERR_USE;
 
 /* ---- ingest_mask.c ---- */
 
 /* Converts the mask of a photograph for its pinhole picture, as PNG. ERR_NOENT, ERR_FORMAT,
- * ERR_LIMIT: of the mask. ERR_IO, ERR_MEM. */
+ * ERR_LIMIT: the mask cannot be read. ERR_IO, ERR_MEM. */
 enum err_code ingest_mask_convert(const struct ingest_view *v, const char *from, const char *to,
                                   struct err *e) ERR_USE;
 

@@ -65,8 +65,8 @@ struct marking_point marking_point(const struct marking *m, size_t point);
  * first. Returns their number. */
 size_t marking_spots(const struct marking *m, size_t point, struct marking_spot *spots);
 /* Sets the mark of a point in a photograph; at NULL: takes it away. Then writes the file. On
- * failure nothing has changed. ERR_ARG: outside of the photograph. ERR_BUSY: another program has
- * changed the file. ERR_IO, ERR_MEM. */
+ * failure nothing has changed. ERR_ARG: the mark is outside of the photograph. ERR_BUSY: another
+ * program has changed the file. ERR_IO, ERR_MEM. */
 enum err_code marking_set(struct marking *m, size_t point, size_t photo, const double *at_px,
                           struct err *e) ERR_USE;
 

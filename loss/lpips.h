@@ -19,8 +19,8 @@ enum lpips_range { LPIPS_SIGNED, LPIPS_UNIT };
 
 struct lpips; /* weights and buffers on one device; only one thread may use it */
 /* Loads a .safetensors file with the weights of the network and of LPIPS; the file tells which
- * network it is. Free *out with lpips_close. ERR_NOENT, ERR_IO: of the file. ERR_FORMAT: it has
- * other weights. ERR_DEVICE, ERR_MEM. */
+ * network it is. Free *out with lpips_close. ERR_NOENT, ERR_IO: the file cannot be read.
+ * ERR_FORMAT: it has other weights. ERR_DEVICE, ERR_MEM. */
 enum err_code lpips_open(struct dev *dev, const char *path, enum lpips_range range,
                          struct lpips **out, struct err *e) ERR_USE;
 void lpips_close(struct lpips **l);

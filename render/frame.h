@@ -17,10 +17,11 @@
  * gives the same bits.
  *
  * Slots: Gaussian g owns the slots slot_first[g] .. slot_first[g] + tiles[g] - 1, one for each tile
- * that it touches, in row-major order of the tiles. Gaussians are numbered by index, so a pass over
- * all Gaussians reads the slots from first to last. The backward pass writes the sums of an
- * intersection to its slot. It also writes a mark, because intersections after the stop of a tile
- * are never visited. Then it adds the slots of each Gaussian in their order.
+ * that it touches, in row-major order of the tiles. Slots are in the order of the Gaussians'
+ * indices, so a pass over all Gaussians reads the slots from first to last. The backward pass
+ * writes the sums of an intersection to its slot. It also writes a mark, because intersections
+ * after the stop of a tile are never visited. Then it adds the slots of each Gaussian in their
+ * order.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -106,10 +106,11 @@ enum err_code render_model_download(struct render *r, const struct render_model 
                                     struct err *e) ERR_USE;
 void render_model_free(struct render_model *m);
 
-/* Models of pieces that are packed once and drawn often (blocks of a city's tiles). Drawing them
- * copies memory and computes nothing. A piece is whole groups, [n_groups][planes][16], with means
- * relative to the model's origin; lanes after its last Gaussian are not drawn. Pieces stay where
- * they were placed, in any order. Each picture lists the groups that it draws. */
+/* Models of pieces that are packed once and drawn often (blocks of a city's tiles). To prepare them
+ * for drawing, memory is copied and nothing is computed. A piece is whole groups,
+ * [n_groups][planes][16], with means relative to the model's origin; lanes after its last Gaussian
+ * are not drawn. Pieces stay where they were placed, in any order. Each picture lists the groups
+ * that it draws. */
 struct render_piece {
     const float *groups;
     uint32_t n_groups, at; /* at: first group in params */
@@ -159,8 +160,8 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
  * ERR_ARG (no frame was drawn), ERR_MEM, ERR_DEVICE. */
 enum err_code render_transmittance(struct render *r, float *out, struct err *e) ERR_USE;
 const struct render_stats *render_last_stats(const struct render *r);
-/* Turns times of stages in render_stats on or off. They need a wait after every stage, so they are
- * off at first. */
+/* Turns times of stages in render_stats on or off. These times need a wait after every stage, so
+ * they are off at first. */
 void render_set_timing(struct render *r, bool on);
 /* The colour of the last frame on the device, for the loss: float [3][h][w] planar. Borrowed. */
 cl_mem render_color_buffer(struct render *r);
