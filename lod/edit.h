@@ -42,8 +42,8 @@ struct edit_tile *edit_find(const struct edit *d, struct key k);
  * become invalid. ERR_MEM. */
 enum err_code edit_touch(struct edit *d, struct key k, uint8_t level, struct edit_tile **out,
                          struct err *e) ERR_USE;
-/* Adds the rows that an edit keeps of the store's tile. They are relative to that tile's centre.
- * ERR_MEM. */
+/* Adds the rows that an edit keeps of the store's tile. The rows are relative to that tile's
+ * centre. ERR_MEM. */
 enum err_code edit_keep(struct edit *d, struct edit_tile *t, const struct gauss *g,
                         const uint32_t *index, size_t n, struct err *e) ERR_USE;
 /* Adds rows. The tile keeps its centre, so that rows already in it do not move. It gets a new

@@ -13,7 +13,7 @@
 
 enum { MEASURE_CORNERS_MAX = 256, MEASURE_SAMPLES_MAX = 2000 };
 #define MEASURE_PIXELS_MAX 4e6
-#define MEASURE_CLEAR_M 1.0 /* obstacles nearer to the target than this are part of it */
+#define MEASURE_CLEAR_M 1.0 /* obstacles nearer to the target than this count as part of it */
 
 #define MEASURE_REACH_M 1e5 /* largest distance of places from the first one */
 

@@ -89,9 +89,10 @@ struct nadir_point {
     double at_px[2];
     float height_m, rgb[3]; /* ellipsoidal; 0 to 1, as seen along the ray */
 };
-/* Gives the visitor what the rays of nadir_slant meet, one ray for each pixel of the drawing, as
- * far as it lies inside the piece. height_m [h][w] says how high that is. ERR_ARG, ERR_CANCEL,
- * ERR_DEVICE, ERR_FORMAT, ERR_MEM, ERR_LIMIT as in nadir_draw. Else those of the visitor. */
+/* Calls `visit` with the points inside the piece that the rays of nadir_slant meet, one ray for
+ * each pixel of the drawing. height_m [h][w] says how high the surface there is. ERR_ARG,
+ * ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_MEM, ERR_LIMIT as in nadir_draw. Other errors are those
+ * of `visit`. */
 enum err_code nadir_slant_points(struct nadir *n, const struct nadir_piece *p, unsigned way,
                                  const float *height_m,
                                  enum err_code (*visit)(void *user, const struct nadir_point *at,

@@ -93,8 +93,8 @@ enum err_code pyramid_plan(struct pyramid *p, struct err *e) ERR_USE;
  * there are at most PYRAMID_LONE_ROOTS, which do not become fewer within PYRAMID_CLIMB_MAX zooms
  * above. */
 bool pyramid_is_top(const uint64_t *code, size_t n, uint8_t z);
-/* Plans the zoom above z, which is simplified from what lies below. Returns false if z is the top.
- */
+/* Plans the zoom above z, whose tiles are simplified from those below. Returns false if z is the
+ * top. */
 bool pyramid_plan_up(struct pyramid *p, uint8_t z, enum err_code *rc, struct err *e);
 /* NULL: there is none. */
 const struct pyramid_node *pyramid_find(const struct pyramid *p, uint8_t z, uint64_t code);

@@ -1,4 +1,4 @@
-/* The state of an update, and what it knows of tiles. Internal to lod/. update_build.c replaces
+/* The state of an update, and questions about its tiles. Internal to lod/. update_build.c replaces
  * rows of trained levels, update_over.c makes the overviews. Only one thread uses it.
  *
  * SPDX-License-Identifier: Apache-2.0

@@ -67,8 +67,8 @@ struct view_tiles {
     size_t n;
     bool whole; /* see pick_options.whole_tiles */
 };
-/* As view_render, with tiles that the caller chose. It shows what a change of levels alone does to
- * a picture. ERR_ARG, and the errors of render_forward. */
+/* As view_render, with tiles that the caller chose. Such pictures show the effect of a change of
+ * levels alone. ERR_ARG, and the errors of render_forward. */
 enum err_code view_render_tiles(struct view *v, const struct view_tiles *tiles,
                                 const struct camera *cam, const struct render_options *ro,
                                 float *rgb, struct view_stats *stats, struct err *e) ERR_USE;

@@ -16,7 +16,7 @@ enum auth_answer {
     AUTH_UNKNOWN, /* the request showed no credentials */
     AUTH_FORBIDDEN,
     AUTH_EXPIRED,
-    AUTH_LONG /* it would hold for longer than the file allows */
+    AUTH_LONG /* it would be valid for longer than the file allows */
 };
 /* The rights to a dataset that a signature gives. */
 enum auth_scope { AUTH_SCOPE_READ, AUTH_SCOPE_RENDER, AUTH_SCOPE_BOTH };

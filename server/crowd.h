@@ -17,7 +17,8 @@ enum { CROWD_S = 60 /* how long a part counts after its last request */ };
 enum err_code crowd_open(struct hash128 secret, struct crowd **out, struct err *e) ERR_USE;
 void crowd_close(struct crowd **c);
 /* The network that counts as the client at `a`: the /64. If more than CROWD_MOST /64s of a /56 ask
- * within CROWD_S, the /56 is one client; as many /56s of a /48 likewise. IPv4: the address. */
+ * within CROWD_S, the /56 is one client. The same holds for more than CROWD_MOST /56s of a /48.
+ * IPv4: the address. */
 struct address crowd_client(struct crowd *c, struct address a, double now_s);
 
 #endif

@@ -37,7 +37,7 @@ struct dataset { /* immutable except where a comment says otherwise; reference-c
     struct body *tilejson;
     struct body *collection;
     struct body *appearances;
-    struct body *model, *photographs; /* NULL without appearance, as is search */
+    struct body *model, *photographs; /* NULL without appearance; so is search */
     struct search_index *search;      /* index of its photographs */
     /* number of results that could not be read from its file: the file is damaged */
     _Atomic uint32_t n_failed;

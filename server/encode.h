@@ -22,9 +22,9 @@ enum err_code encode_tile(struct store *s, struct key key, struct form form, con
 /* Estimates the bytes of a tile with `count` Gaussians, from trained cities (docs/formats.md).
  * Equal arguments give equal results. */
 uint64_t encode_bytes(const struct store_meta *meta, struct form form, uint32_t count);
-/* Hash of the encoders' output for a fixed sample with this meta. Entity tags contain it. They
- * therefore change when the encoders or their libraries change, and equal tags mean equal bytes.
- * ERR_MEM, and the errors of the encoders. */
+/* Hash of the encoders' output for a fixed sample with this meta. Entity tags contain this hash.
+ * They therefore change when the encoders or their libraries change, and equal tags mean equal
+ * bytes. ERR_MEM, and the errors of the encoders. */
 enum err_code encode_fingerprint(const struct store_meta *meta, struct hash128 *out,
                                  struct err *e) ERR_USE;
 

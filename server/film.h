@@ -23,7 +23,7 @@ struct film; /* reference-counted */
 struct film_shot {
     uint32_t width_px, height_px;
     int quantizer; /* codec/video.h */
-    bool key;      /* the reader lacks what other frames refer to */
+    bool key;      /* the reader lacks the frame that other frames refer to */
 };
 struct film_told { /* of the newest frame */
     int quantizer;

@@ -15,7 +15,7 @@ struct guard { /* {.req = r}, then guard_field for each header field */
 };
 enum method guard_method(const char *name);
 const char *guard_method_name(enum method m); /* for the log */
-/* Checks one header field, and stores in req what answers need of it (borrowed). */
+/* Checks one header field, and stores in req the values that answers need (borrowed). */
 void guard_field(struct guard *g, const char *name, size_t n_name, const char *value,
                  size_t n_value);
 /* Checks the request after all fields; req has its method and target. Returns 0 if it may go on,

@@ -1,5 +1,5 @@
-/* Link fields (RFC 8288) for what a client will request next: for the viewer's page before its
- * scripts are loaded, and for tilesets and tiles, for caches that prefetch.
+/* Link fields (RFC 8288) for the next requests of a client: on the viewer's page, before its
+ * scripts are loaded, and on tilesets and tiles, for caches that prefetch.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -18,8 +18,8 @@ enum err_code http_open(struct services *s, enum http_side side, struct http **o
 enum err_code http_check(const struct server_config *cfg, struct err *e) ERR_USE;
 /* Begins to answer; it needs s->jobs. ERR_IO, ERR_MEM. */
 enum err_code http_start(struct http *h, struct err *e) ERR_USE;
-/* Number of file descriptors for so many connections, and for those above the limit that are
- * answered 503. */
+/* Number of file descriptors for max_connections connections, and for those above this limit, which
+ * are answered 503. */
 size_t http_descriptors(size_t max_connections);
 uint16_t http_port(const struct http *h);
 /* Stops listening, finishes requests in progress (for at most drain_timeout_s), then closes

@@ -70,8 +70,8 @@ struct job_config {
     enum err_code (*run)(void *user, const struct job *j, void *work, size_t worker,
                          struct body **out, struct err *e);
     void (*drop)(void *user, void *work); /* frees the work */
-    /* Returns whether the result is useful only to those who wait. The job is then cancelled when
-     * they have gone, even while it runs. NULL: only pictures are. */
+    /* Returns whether the result is useful only to the clients that wait. The job is then cancelled
+     * when they have gone, even while it runs. NULL: only pictures are. */
     bool (*passing)(const void *work); /* called with the lock held, so it must not block */
     void (*stop)(void *user); /* called by job_stop to end running work soon; may be NULL */
 };

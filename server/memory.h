@@ -1,7 +1,7 @@
 /* The memory of the server: what the machine has, and how the one number --memory is shared out.
  *
- * Memory is what the system cannot drop: anonymous pages of both processes. Pages of the program's
- * file and its libraries come on top, as far as they are used (docs/sizing.md).
+ * The budget counts memory that the system cannot drop: anonymous pages of both processes. Pages of
+ * the program's file and its libraries come in addition, as far as they are used (docs/sizing.md).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -12,7 +12,7 @@
 
 struct memory_needs { /* sizes in bytes */
     size_t budget;
-    size_t base; /* what this process holds before its caches: program, indexes, documents */
+    size_t base; /* memory of this process without caches: program, indexes, documents */
     size_t workers, connections; /* as asked for */
     size_t largest_tile;         /* the largest tile, decoded */
     bool draws;

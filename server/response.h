@@ -82,8 +82,8 @@ struct response { /* {0}, then dispatch_answer; free with response_free */
 extern const char RESPONSE_IMMUTABLE[], RESPONSE_MOVING[], RESPONSE_NO_STORE[]; /* Cache-Control */
 extern const char RESPONSE_JSON[];                                              /* Content-Type */
 
-/* Editions of a dataset (result_id.h): what determines the bytes and is not in the rest of an
- * address. While nothing can be drawn, the edition of pictures is "". */
+/* Editions of a dataset (result_id.h): hashes of the inputs that determine the bytes and are not in
+ * the rest of an address. While nothing can be drawn, the edition of pictures is "". */
 enum edition { EDITION_TILES, EDITION_PICTURES };
 void response_edition(struct services *s, const struct dataset *d, enum edition of, char out[9]);
 /* The Cache-Control by the cache class of the route. An address with a revision is immutable if it
@@ -107,8 +107,8 @@ void response_body(const struct request *r, struct body *b, struct response *out
 /* As response_body, with type. */
 void response_document(const struct request *r, const char *type, struct body *b,
                        struct response *out);
-/* Answers from what is known about the result `id`: 304, and results in a cache. Returns true if a
- * job must make it; the caller then sets the work (response_work). With out->unnamed it always
+/* Answers at once if possible: with 304 by the name `id`, or with a result in a cache. Returns true
+ * if a job must make it; the caller then sets the work (response_work). With out->unnamed it always
  * returns true. */
 bool response_made(struct services *s, const struct request *r, struct hash128 id,
                    struct response *out);

@@ -31,7 +31,7 @@ enum method {
 enum {
     SCOPE_PUBLIC = 1,    /* the public listener answers */
     SCOPE_OPERATORS = 2, /* the listener of operators answers */
-    SCOPE_DATASET = 4,   /* it belongs to one dataset: --auth decides who may read it */
+    SCOPE_DATASET = 4,   /* the route belongs to one dataset: --auth decides who may read that */
     SCOPE_RENDER = 8,    /* --auth decides who may request drawings of this dataset */
     SCOPE_MOVES = 16,    /* with --admin the public listener does not answer it */
     SCOPE_FILE = 32,     /* a file of the viewer; without such a file there is no route */

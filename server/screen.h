@@ -33,7 +33,7 @@ struct screen {
     enum screen_state state;
     char *in; /* received bytes; [0, n_ok) were checked */
     size_t n_in, n_ok, cap, line_max;
-    const char *feed; /* what the parser gets next, before it gets nothing more */
+    const char *feed; /* bytes that the parser gets next, before it gets nothing more */
     uint64_t left;    /* bytes left of a body or chunk */
     uint64_t length;  /* this and the next two: for the head in progress */
     unsigned n_length, n_coding;

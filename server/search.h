@@ -13,9 +13,9 @@ struct kept_table;
 struct search_index;
 
 /* Builds the index of a dataset with appearance. Free *out with search_index_close. The colour of
- * an appearance is what its network makes of mid grey, averaged over Gaussians of the coarsest
- * tile. It is unknown if that tile cannot be read. ERR_FORMAT, ERR_IO: a blob of the store cannot
- * be read. ERR_ARG (an invalid place), ERR_MEM. */
+ * an appearance is the colour to which its network changes mid grey, averaged over Gaussians of the
+ * coarsest tile. It is unknown if that tile cannot be read. ERR_FORMAT, ERR_IO: a blob of the store
+ * cannot be read. ERR_ARG (an invalid place), ERR_MEM. */
 enum err_code search_open(const struct dataset *d, struct search_index **out,
                           struct err *e) ERR_USE;
 /* Appends a page of JSON with the photographs that match t, and with named appearances (kept NULL:

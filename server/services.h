@@ -42,7 +42,7 @@ struct services { /* all are shared and thread-safe */
     struct kept *kept; /* named appearances; NULL: no --state-dir */
     struct jobs *jobs;
     struct picture *picture; /* NULL: pictures are off */
-    struct motion *motion;   /* streams; whoever opened it closes it, after services_free */
+    struct motion *motion;   /* streams; the code that opened it closes it, after services_free */
     struct access *access;   /* NULL: no access log */
     struct auth *auth;       /* by catalog_lock; NULL: everything is public */
     struct tls *tls;         /* NULL: the first listener has no TLS */

@@ -47,7 +47,7 @@ struct work { /* freed with work_drop */
     struct kept_table *kept;    /* WORK_SEARCH: a reference; NULL: there are no named appearances */
     struct work_change *change; /* WORK_KEEP, owned */
     bool keep;                  /* keep the result in the cache */
-    struct body *made; /* written to the disk after the waiters have it; NULL: nothing is */
+    struct body *made; /* body that is written to the disk after the waiters have it; NULL: none */
 };
 /* Upper limit of the result's bytes: its share of --inflight-mb while it is made. */
 enum { WORK_ROOM_HEAD = 4096 }; /* part of it for head and end */

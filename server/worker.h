@@ -21,7 +21,7 @@ struct worker;
 struct worker_config {
     const void *hello; /* [n_hello], copied: the first message, to get ready */
     size_t n_hello;
-    double start_s; /* longest time to get ready; 0: no limit */
+    double start_s; /* longest time for the process to get ready; 0: no limit */
     double ask_s;   /* longest time for one answer; 0: no limit */
     double pause_s; /* pause before the third start; it doubles up to */
     double pause_most_s;
@@ -35,7 +35,7 @@ enum worker_state {
 };
 struct worker_status {
     enum worker_state state;
-    char about[WORKER_ABOUT]; /* its text when it got ready, kept from then on */
+    char about[WORKER_ABOUT]; /* text that it sent when it got ready, kept from then on */
     bool known;               /* it was ready once */
     double wait_s;            /* until the next start */
     double failing_s;         /* since its first unexpected end, until it is well again */

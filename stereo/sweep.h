@@ -62,9 +62,9 @@ enum {
     SWEEP_WALL_MORE = 12, /* upright planes below and above the heights */
     SWEEP_WALL_COST = 4
 };
-#define SWEEP_NOISE 4e-5     /* variance of grey values that is not texture */
-#define SWEEP_LIKE 0.1       /* a pixel that differs so much in grey has a quarter of the weight */
-#define SWEEP_DOWN 0.05      /* rays that fall less than this a unit forward get no height */
+#define SWEEP_NOISE 4e-5 /* variance of grey values that is not texture */
+#define SWEEP_LIKE 0.1   /* a pixel that differs this much in grey has a quarter of the weight */
+#define SWEEP_DOWN 0.05  /* rays that fall less than this a unit forward get no height */
 #define SWEEP_WALL_SLOPE 0.2 /* rays that go less than this sideways a unit down show no walls */
 #define SWEEP_EDGE 25.0      /* a change of grey by 1 / SWEEP_EDGE halves what a jump may save */
 

@@ -23,7 +23,7 @@ struct bare_rule {
 #define BARE_WIDEST_M 60.0
 #define BARE_SLOPE 0.3
 #define BARE_CELL_M 1.0
-#define BARE_NEAR_M 0.3 /* the surface is ground if it is at most so far above it */
+#define BARE_NEAR_M 0.3 /* a surface at most this far above the bare earth is ground */
 #define BARE_CELLS_MAX 1.0e8
 
 /* Classes of LAS 1.4. */

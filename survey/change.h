@@ -11,7 +11,7 @@
 #include "survey/changed.h"
 #include "survey/map.h"
 
-#define CHANGE_LEAST_SIGMA2 4.0 /* squares of the usual Gaussian that a change covers at least */
+#define CHANGE_LEAST_SIGMA2 4.0 /* smallest ground of a change, in squares of the usual Gaussian */
 #define CHANGE_LEAST_M 0.5      /* default of least_m */
 
 struct change_request {
@@ -33,7 +33,7 @@ struct change_report {
     struct map_grid grid;
     uint64_t pixels; /* number of pixels with a surface in both */
     double pixel_m2; /* area of a pixel on the ground in the middle */
-    double mean_m;   /* later minus earlier, as is all below */
+    double mean_m;   /* later minus earlier, as are all members below */
     double median_m,
         spread_m;         /* to the centimetre; spread: 1.48 times the median absolute deviation */
     double differs_share; /* of the pixels: by more than least_m */

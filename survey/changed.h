@@ -10,10 +10,10 @@
  * uncertain. A region counts if its volume exceeds CHANGED_SIGMAS standard deviations.
  * docs/decisions/063-changes.md has the reasons.
  *
- * Errors of neighbouring pixels are alike. The size of such a patch is measured on ground that did
- * not change; a volume's variance is that of its pixels times the pixels of a patch (Rolstad, Haug
- * and Denby 2009, doi:10.3189/002214309788608950). Edges of a region err alike all around it, so
- * their parts of the standard deviations are summed before they are squared.
+ * Errors of neighbouring pixels are alike. The size of a patch of such pixels is measured on ground
+ * that did not change; a volume's variance is that of its pixels times the pixels of a patch
+ * (Rolstad, Haug and Denby 2009, doi:10.3189/002214309788608950). Edges of a region err alike all
+ * around it, so their parts of the standard deviations are summed before they are squared.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -32,7 +32,8 @@ int crs_vertical(const char *geoid);
 enum err_code crs_set_vertical(struct crs *c, int epsg, struct err *e) ERR_USE;
 /* As crs_handle, with heights if they were set. */
 const void *crs_with_heights(const struct crs *c);
-/* The same as OGC's WKT 1. The caller frees it with mem_free. ERR_MEM. */
+/* The system, with heights if they were set, as OGC's WKT 1. The caller frees it with mem_free.
+ * ERR_MEM. */
 enum err_code crs_wkt(const struct crs *c, char **out, struct err *e) ERR_USE;
 /* Convert n places in place: x, y are longitude and latitude in degrees and become east and north
  * in metres, or the other way. ERR_ARG names the first place that the projection does not cover. */

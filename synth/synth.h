@@ -1,7 +1,7 @@
 /* A procedural city photographed by a drone: photographs, a COLMAP model, and the exact truth.
  *
- * It lets people try the program without a download, and tests know the right answer: poses, depth,
- * clean pictures, and errors of GPS positions. Reading order: synth.c (what is written),
+ * With it people can try the program without a download, and tests know the right answer: poses,
+ * depth, clean pictures, and errors of GPS positions. Reading order: synth.c (what is written),
  * synth_city.c (objects), synth_flight.c (cameras), synth_trace.c (rays), synth_shade.c (colours),
  * synth_draw.c (a picture), synth_map.c (a map), synth_model.c (the COLMAP model), synth_views.c
  * (ground truth at poses that are usual in maps), synth_splats.c (a city of any size as Gaussians)

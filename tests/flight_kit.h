@@ -15,7 +15,7 @@ enum { SIDE = 6, POINTS = 101 }; /* photographs and points along an edge */
 #define HEIGHT 60.0
 #define STEP 20.0 /* between photographs */
 
-/* 6 x 6 photographs, 80 x 60 m of ground each, and 101 x 101 points over 400 m of it. */
+/* 6 x 6 photographs of 80 x 60 m of ground each, and 101 x 101 points over 400 x 400 m. */
 static inline void flight_kit_scene(struct scene *s)
 {
     memset(s, 0, sizeof *s);

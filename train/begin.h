@@ -30,7 +30,7 @@ struct begin { /* {.job, .lock_fd = -1} at first; call begin_close, also after a
     struct appearance_train appearance; /* {0}: none; the level takes it over */
     struct footprint ground;            /* nx 0: not known */
     struct trim rim;
-    struct inputs inputs; /* what the run is made of */
+    struct inputs inputs; /* hashes of the run's inputs */
     int lock_fd;
 };
 

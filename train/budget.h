@@ -47,7 +47,7 @@ void budget_limit(const struct budget_photos *p, const struct train_config *cfg,
 void budget_hold_out(const struct train_config *cfg, const uint32_t *images, size_t n_images,
                      uint32_t *train, size_t *n_train, uint32_t *held, size_t *n_held);
 
-struct budget { /* {0}: not automatic. `at` is what a saved state contains of it. */
+struct budget { /* {0}: not automatic. A saved state contains only `at` of it. */
     const uint32_t *held;
     size_t n_held;
     const struct camera_window *windows; /* [n_held] parts that count; NULL: whole ones; borrowed */

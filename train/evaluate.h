@@ -17,7 +17,7 @@ struct photo_loader;
 
 struct evaluate_score { /* means over the photographs */
     size_t n_photos;
-    size_t n_seen; /* number of photographs that show ground of training photographs */
+    size_t n_seen; /* number of photographs that show ground which training photographs show too */
     double psnr_db, seen_psnr_db; /* seen: on that ground alone; 0: the ground is not known */
     /* ssim: zero padded, as in the loss; ssim_valid: only windows inside */
     double ssim, ssim_valid;

@@ -24,7 +24,7 @@ struct site { /* the cell and its ground */
     struct cell cell;
     const struct footprint *ground; /* borrowed; NULL: not known */
     const struct trim *rim;         /* where the photographs end; borrowed; NULL: not known */
-    const struct inputs *inputs;    /* hashes of what it is made of; borrowed; NULL: not known */
+    const struct inputs *inputs;    /* hashes of the run's inputs; borrowed; NULL: not known */
 };
 
 #endif

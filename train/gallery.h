@@ -26,7 +26,7 @@ struct gallery { /* free with gallery_close */
     const struct scene *scene;
     const uint32_t *images; /* [n_images] training photographs, indices into the scene's images */
     size_t n_images;
-    const struct camera_window *windows; /* [n_images] what of them shows the cell; NULL: all */
+    const struct camera_window *windows; /* [n_images] parts that show the cell; NULL: all */
     struct appearance_train *appearance;
     double near_m; /* near plane of all frames */
     /* -- of gallery.c -- */

@@ -1,9 +1,10 @@
 /* Internal to train/: harmonics in directions that no photograph covers.
  *
  * A survey that looks straight down sees each Gaussian from a narrow cone of directions. The
- * colours in that cone do not determine sixteen harmonics. The rest is noise, which cancels inside
- * the cone and shows outside it. At the end of a level every Gaussian gets the smallest harmonics
- * with the same colours from the places of the training photographs (ridge regression):
+ * colours in that cone do not determine sixteen harmonics. Their undetermined part is noise, which
+ * cancels inside the cone and shows outside it. At the end of a level every Gaussian gets the
+ * smallest harmonics with the same colours from the places of the training photographs (ridge
+ * regression):
  *
  *     minimise sum_k |sum_j Y_j(d_k) (c_j - c0_j)|^2 + weight K sum_{j>0} |c_j|^2
  *

@@ -1,4 +1,4 @@
-/* Internal to train/: what a run was made of, as hashes that its checkpoints keep. A run whose
+/* Internal to train/: hashes of the inputs of a run, which its checkpoints keep. A run whose
  * photographs, masks, poses or known depths have changed since is not the same run.
  *
  * SPDX-License-Identifier: Apache-2.0

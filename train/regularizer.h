@@ -3,8 +3,8 @@
  *
  * regularizer_step runs before the step's colours are drawn. It writes the gradients of mean, size,
  * rotation and opacity into one buffer. The fused backward pass adds that buffer to its own
- * gradients. The statistics of densification do not contain them. Each term has kernels, and a
- * reference in double precision for its test.
+ * gradients. The statistics of densification do not contain these gradients. Each term has kernels,
+ * and a reference in double precision for its test.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -29,7 +29,7 @@ struct timing { /* a running clock; start it with timing_start */
     enum timing_on on;
     double since_s;          /* clock_s at the last turn */
     const double *compile_s; /* the device's seconds of compiling so far; NULL: not known */
-    double compiled_s;       /* part of it that TIMING_COMPILE has counted */
+    double compiled_s;       /* part of *compile_s that TIMING_COMPILE has counted */
 };
 
 void timing_start(struct timing *c, enum timing_on on);

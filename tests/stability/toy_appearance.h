@@ -22,7 +22,7 @@ struct toy toy_appearance(double *strength);
 /* One level of TOY_APPEARANCE_STEPS without densification, because on a toy splits are a matter of
  * chance. */
 struct train_config toy_appearance_config(struct arena *a, const char *out, bool appearance);
-/* Makes a scene folder of it; remove it with kit_rmdir. */
+/* Makes a scene folder of the toy; remove it with kit_rmdir. */
 void toy_appearance_scene(char dir[FILE_PATH_MAX], double strength);
 /* Half-image score of a run's test photographs. */
 struct evaluate_score toy_appearance_score(struct toy_run *r);
