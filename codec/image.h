@@ -21,7 +21,7 @@ extern "C" {
 #endif
 
 struct image { /* {0} is empty */
-    /* 1 or 3; 4 with alpha, not premultiplied: png, webp */
+    /* channels: 1 or 3; for png and webp also 4, with alpha that is not premultiplied */
     uint32_t width_px, height_px, channels;
     uint8_t *px; /* [h][w][channels], sRGB values as stored */
 };

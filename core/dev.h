@@ -26,7 +26,7 @@ struct dev { /* made by dev_open; only one thread at a time may use it */
     uint32_t vector_width; /* VW of the per-Gaussian kernels: 16 on CPUs, 1 on GPUs */
     uint64_t max_alloc_bytes, global_bytes;
     char name[128], driver[64];
-    /* seconds spent on compiling kernels so far: programs, and first launches */
+    /* seconds spent so far on compiling kernels: of programs, and at first launches */
     double compile_s;
     struct dev_launch { /* kernels and sizes that were launched before */
         cl_kernel kernel;

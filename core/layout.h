@@ -84,7 +84,8 @@ typedef uchar16 layout_uchar16 __attribute__((aligned(1)));
 #define LAYOUT_ORDER_BLOCK 2048 /* values that a work-group handles */
 /* bits a pass; seven passes cover a key, and often three are enough */
 #define LAYOUT_ORDER_BITS 5
-#define LAYOUT_TOTAL_INTERSECTIONS 1 /* what the total of a sum_scan counts; 0: nothing */
+/* count in which sum_scan stores its total; 0: in none */
+#define LAYOUT_TOTAL_INTERSECTIONS 1
 #define LAYOUT_TOTAL_VISIBLE 2
 #define LAYOUT_DET_MAX 1e30f    /* px^4: larger 2-D covariances are culled */
 #define LAYOUT_DEPTH_MAX 1e10f  /* m */

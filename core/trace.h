@@ -22,7 +22,7 @@ enum { TRACE_SPANS_MAX = 1 << 20 }; /* later spans are dropped and counted */
  * no file can be written at `path`. ERR_MEM. */
 enum err_code trace_begin(const char *path, struct err *e) ERR_USE;
 bool trace_on(void);
-/* `track` and `name` are string literals. Times are of clock_s(). Any thread. */
+/* `track` and `name` are string literals. Times are those of clock_s(). Any thread. */
 void trace_span(const char *track, const char *name, double from_s, double to_s);
 
 struct trace_result {

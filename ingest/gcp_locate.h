@@ -33,7 +33,7 @@ struct gcp_place {   /* where a ground control point lies */
     size_t first, n; /* slice of sights */
     size_t n_photos; /* number of kept photographs in which it is marked; 0: it is not located */
     bool by_points;  /* only one photograph: the depth comes from sparse points around the mark */
-    double gap_px;   /* in that case: distance to the nearest of them */
+    double gap_px;   /* with one photograph: distance to the nearest of these sparse points */
     double x[3], cov[9]; /* in COLMAP's frame */
     double depth; /* mean depth over the focal length: COLMAP's units in a pixel of the marks */
 };

@@ -54,7 +54,8 @@ struct sim3_fit {
     double sigma_h_m, sigma_v_m;
     double share_h,
         share_v;      /* share of positions that are independent, because drifting errors repeat */
-    double objective; /* of several fits of one problem the smallest is most likely */
+    /* of several fits of one problem, that with the smallest objective is most likely */
+    double objective;
     double scale_rel, tilt_rad, heading_rad, place_m; /* standard errors */
 };
 /* Gauss-Newton with iteratively reweighted residuals (Huber, then cut), from fit->sim and

@@ -19,7 +19,7 @@ enum depth_verdict {
     DEPTH_MAP_MISSING, /* there is no such file */
     DEPTH_MAP_FEW,     /* at most 10 good observations */
     DEPTH_MAP_FLAT,    /* inverse depths of the points, or the map there, hardly differ */
-    /* falls where it should rise, or is off by a factor e^0.3 after alignment */
+    /* the map falls where it should rise, or is off by a factor e^0.3 after alignment */
     DEPTH_MAP_MISFIT,
     DEPTH_MAP_SCALE, /* its scale differs from that of the other photographs' maps */
     DEPTH_VERDICTS
