@@ -53,7 +53,7 @@ struct sim3_fit {
     /* robust standard deviation, of each horizontal axis and of heights; 0 = not known yet */
     double sigma_h_m, sigma_v_m;
     double share_h,
-        share_v;      /* share of positions that are independent, because drifting errors repeat */
+        share_v; /* share of positions that are independent, because drifting errors repeat */
     /* of several fits of one problem, that with the smallest objective is most likely */
     double objective;
     double scale_rel, tilt_rad, heading_rad, place_m; /* standard errors */
