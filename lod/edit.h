@@ -28,7 +28,7 @@ struct edit_part { /* some rows; borrowed */
 };
 struct edit { /* set `locate` and `meta`, {0} elsewhere; free with edit_free */
     struct locate locate;
-    struct store_meta meta; /* of the store to be written */
+    struct store_meta meta; /* metadata of the store to be written */
     uint32_t max_per_tile;
     struct buf appearance; /* replaces the blob "appearance"; empty: keep that of the store */
     struct edit_tile *tile;

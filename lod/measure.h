@@ -61,7 +61,7 @@ enum err_code measure_polygon(struct nadir *n, const double (*lonlat)[2], size_t
 struct measure_sight {
     double distance_m;
     double light;      /* share of light that arrives */
-    bool visible;      /* at least half of it arrives */
+    bool visible;      /* at least half of the light arrives */
     double blocked_m;  /* distance to the obstacle; NAN if visible, and so is `blocked` */
     double blocked[3]; /* its longitude, latitude, height */
 };

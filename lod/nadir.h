@@ -56,7 +56,7 @@ struct nadir_piece {
     double lon_deg, lat_deg;       /* of the centre */
     double turn_rad;               /* of `right`, anticlockwise from east */
     double px_per_m_x, px_per_m_y; /* on the ground */
-    uint32_t width, height;        /* up to NADIR_SIZE_MAX, and margins */
+    uint32_t width, height;        /* up to NADIR_SIZE_MAX plus margins */
     double kernel_px2;             /* as in render_options; 0: of colours */
 };
 /* Places that define a piece: its middle, the middles of its right and lower edges, and its corners

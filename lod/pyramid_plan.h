@@ -90,8 +90,8 @@ enum err_code pyramid_choose_zoom(struct pyramid *p, struct err *e) ERR_USE;
  * p->zoom gets the nodes. ERR_MEM. */
 enum err_code pyramid_plan(struct pyramid *p, struct err *e) ERR_USE;
 /* Returns whether tiles side by side at zoom z can be the top. `code` [n] is sorted. They can if
- * there are at most PYRAMID_LONE_ROOTS, which do not become fewer within PYRAMID_CLIMB_MAX zooms
- * above. */
+ * there are at most PYRAMID_LONE_ROOTS of them, and no fewer within PYRAMID_CLIMB_MAX zooms above.
+ */
 bool pyramid_is_top(const uint64_t *code, size_t n, uint8_t z);
 /* Plans the zoom above z, whose tiles are simplified from those below. Returns false if z is the
  * top. */

@@ -51,7 +51,7 @@ struct store {
     sqlite3_stmt *get, *put, *get_blob;
     bool building;
     struct store_flush flush; /* while building */
-    char path[FILE_PATH_MAX]; /* as the caller gave it */
+    char path[FILE_PATH_MAX]; /* path as the caller gave it */
     char part[FILE_PATH_MAX]; /* while building: the file that is written */
     uint64_t size_bytes;      /* opened: size of the file */
     struct store_meta meta;

@@ -51,7 +51,7 @@ enum err_code view_find_appearance(struct view *v, const char *text, float *imag
 struct view_stats {
     size_t n_tiles;
     uint64_t n_gaussians; /* given to the renderer: in blocks that may be in view */
-    uint64_t n_visible;   /* of these, in the picture; 0 from view_model */
+    uint64_t n_visible;   /* number of these in the picture; 0 from view_model */
     double ms_pick, ms_load, ms_render;
 };
 /* Draws into rgb [h][w][3]. ro->appearance_frame, if set, overrides view_set_appearance. stats may
@@ -63,7 +63,7 @@ enum err_code view_render(struct view *v, const struct camera *cam, const struct
 /* Tiles by index, ascending, and their shares of opacity (NULL: 1). Borrowed. */
 struct view_tiles {
     const uint32_t *tile;
-    const float *weight; /* above 0, to 1; only for stores without appearance */
+    const float *weight; /* above 0, at most 1; only for stores without appearance */
     size_t n;
     bool whole; /* see pick_options.whole_tiles */
 };

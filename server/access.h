@@ -10,7 +10,7 @@
 /* ACCESS_LINE: the form of all other log lines, text or JSON. ACCESS_COMBINED: the combined format
  * of Apache and nginx, for programs that read it. */
 enum access_format { ACCESS_LINE, ACCESS_COMBINED };
-enum { ACCESS_TARGET = 2304 }; /* bytes of an address that are kept */
+enum { ACCESS_TARGET = 2304 }; /* bytes of an address that the log keeps */
 struct access;
 struct access_line {
     const char *method, *route, *target, *client, *id;

@@ -17,7 +17,7 @@ struct address_nets { /* {0}: none */
     size_t n;
     struct {
         struct address base;
-        unsigned bits; /* length of the prefix, of 128 */
+        unsigned bits; /* length of the prefix, at most 128 */
     } net[ADDRESS_NETS];
 };
 

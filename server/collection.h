@@ -17,7 +17,7 @@ struct collection_options {
 };
 
 /* Describes a dataset. With a public_url, `self` and the link to the map's tilesets are absolute.
- * Without, `self` is relative to the document, and the other begins with '/' (ogc_tiles.h).
+ * Without one, `self` is relative to the document, and that link begins with '/' (ogc_tiles.h).
  * ERR_MEM. */
 enum err_code collection_describe(const struct dataset *d, const struct collection_options *opt,
                                   struct body **out, struct err *e) ERR_USE;

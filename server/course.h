@@ -17,7 +17,7 @@ struct course { /* {0}: none */
     struct view_pose pose[COURSE_POSES_MAX];
     uint32_t width_px, height_px;
     double error_px;  /* largest acceptable error of a tile, as 3D Tiles clients measure it */
-    double speed_m_s; /* 0: it does not move */
+    double speed_m_s; /* 0: the camera does not move */
     double horizon_s; /* 0: to the end of the path */
     char path[COURSE_TEXT_MAX]; /* as in the request, percent-decoded */
 };

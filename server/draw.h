@@ -13,7 +13,7 @@
 #include "server/map_tile.h"
 #include "server/worker.h"
 
-enum { DRAW_SLOTS = 4 /* number of stores that it keeps open */ };
+enum { DRAW_SLOTS = 4 /* number of stores that the process keeps open */ };
 
 struct draw_hello {                                        /* sent once, at the start */
     char device[128], geoid[64], geoid_dir[FILE_PATH_MAX]; /* as in the options; geoid "": none */

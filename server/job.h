@@ -9,7 +9,7 @@
 
 /* JOB_MOTION: pictures of streams that follow a camera. A stream requests one at a time, so they do
  * not count against rates of clients. JOB_SLOW: work that was submitted as JOB_TILE and takes long.
- * While there are quick tiles, one of several tile threads is left to them. JOB_PREFETCH and
+ * While there are quick tiles, one of several tile threads is reserved for them. JOB_PREFETCH and
  * JOB_AHEAD: tiles and pictures that nobody looks at yet; they run when nothing else waits. */
 enum job_class {
     JOB_VIEW,
@@ -103,7 +103,7 @@ void job_tick(struct jobs *js, double now_s);
 /* Seconds after which asking again makes sense: 1..10. */
 int job_retry_after(struct jobs *js, enum job_class cls);
 void job_count(struct jobs *js, struct job_stats *out);
-bool job_idle(struct jobs *js); /* nothing is queued or running */
+bool job_idle(struct jobs *js); /* whether nothing is queued or running */
 /* Allows failed work to be repeated at once, because its cause may be gone. */
 void job_forgive(struct jobs *js);
 /* How long the thread that draws has been at its present work, including its start; 0: it waits for

@@ -9,7 +9,7 @@
 #include "server/body.h"
 #include "server/target.h"
 
-enum { KEPT_DATASET_MAX = 1000, KEPT_MAX = 4096 }; /* of one dataset; of all */
+enum { KEPT_DATASET_MAX = 1000, KEPT_MAX = 4096 }; /* most names of one dataset; of all */
 
 struct kept_row {
     char ds[64], name[TARGET_KEPT_MAX];

@@ -16,10 +16,10 @@ struct memory_needs { /* sizes in bytes */
     size_t workers, connections; /* as asked for */
     size_t largest_tile;         /* the largest tile, decoded */
     bool draws;
-    uint64_t gaussians;                 /* of the store with most */
+    uint64_t gaussians;                 /* number in the store that has most */
     uint64_t view_gaussians;            /* most in a picture, as asked for; 0: no limit */
     double view_mpx;                    /* largest picture, as asked for */
-    size_t video;                       /* most that encoders of streams can use */
+    size_t video;                       /* most memory that encoders of streams can use */
     size_t cache, inflight, view_cache; /* set by options; 0: a share */
 };
 struct memory_plan { /* sizes in bytes */
@@ -29,7 +29,7 @@ struct memory_plan { /* sizes in bytes */
     size_t video;                      /* for encoders of streams */
     uint64_t view_gaussians, drawn_px; /* drawn_px: most pixels, before they are filtered down */
     double view_mpx;
-    unsigned slots; /* stores that it keeps open */
+    unsigned slots; /* stores that the drawing process keeps open */
     bool lowered;   /* pictures are smaller or have fewer Gaussians than asked for */
 };
 

@@ -22,7 +22,7 @@ struct motion_wish { /* the picture that a client wants */
     bool key;         /* of a video: the next frame refers to no other */
 };
 struct motion_counts {
-    /* open now; sent since the start, and those of them at full size */
+    /* streams that are open now; pictures sent since the start, and those of them at full size */
     uint64_t streams, pictures, full;
     /* encoders of videos that are open now; memory that they may take */
     uint64_t encoders, encoder_bytes;
@@ -50,15 +50,15 @@ void motion_recheck(struct motion *m, const struct auth *a);
 /* Ends all streams; pictures that are being read are finished. New streams are refused. */
 void motion_stop(struct motion *m);
 void motion_count(struct motion *m, struct motion_counts *out);
-/* Most memory that encoders of so many streams can use. */
+/* Most memory that the encoders of `streams` streams can use. */
 size_t motion_video_bytes(size_t streams);
 
 /* Begins a stream of a dataset's pictures, with a name that the client chose. ready() is called
  * once after each motion_await that returned true, in any thread and without a lock. Call
  * motion_leave when the reader of *out has gone. If the limit of streams is reached, the stream
- * that was not steered for longest ends, if that is at least a twelfth of stream_idle_s. ERR_ARG
- * (the name is in use), ERR_LIMIT (too many streams of this client), ERR_BUSY (too many streams, or
- * the server is stopping), ERR_MEM. */
+ * that was not steered for the longest time ends, unless this time is less than a twelfth of
+ * stream_idle_s. ERR_ARG (the name is in use), ERR_LIMIT (too many streams of this client),
+ * ERR_BUSY (too many streams, or the server is stopping), ERR_MEM. */
 enum err_code motion_begin(struct motion *m, const struct motion_reader *r,
                            struct motion_stream **out, struct err *e) ERR_USE;
 /* Sets the camera of a stream; only the newest one is drawn. d: the revision of the dataset to

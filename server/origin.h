@@ -9,7 +9,7 @@
 
 enum { ORIGIN_MAX = 1024 };
 /* Vary for answers that depend on origin_of. */
-/* without Accept-Encoding, then with it */
+/* the text without Accept-Encoding, then with it */
 extern const char ORIGIN_VARY[], ORIGIN_VARY_ENCODED[];
 /* Writes the origin: --public-url, else "https://HOST/BASE" from the request, and behind it the
  * prefix of a signed address. The request gives Host and the listener's scheme; behind a trusted

@@ -24,7 +24,7 @@ void result_id_clip(struct hash128 *id, const struct target_clip *c);
 /* The edition of a dataset's tiles: a hash of the inputs that determine their bytes and are in
  * neither the revision nor the rest of an address. preset: that of addresses without one. */
 void result_id_tiles_edition(const struct dataset *d, unsigned preset, char out[9]);
-/* The edition of its pictures and maps. */
+/* The edition of a dataset's pictures and maps. */
 void result_id_pictures_edition(const struct dataset *d, const char *device, int quality,
                                 int supersample, double gaussians, char out[9]);
 struct hash128 result_id_seed(const struct dataset *d, const struct target *t,

@@ -24,7 +24,7 @@ enum screen_state {
     SCREEN_CHUNK_DATA,
     SCREEN_CHUNK_END,
     SCREEN_TRAILER,
-    SCREEN_CLOSED, /* refused; the parser has got its end */
+    SCREEN_CLOSED, /* refused; the parser has got the end of the request */
 };
 struct tls;
 /* state of a connection: {0}, screen_attach, screen_detach; only one thread uses it */
@@ -48,7 +48,8 @@ enum err_code screen_attach(struct screen *s, int fd, struct tls *tls, size_t li
                             struct err *e) ERR_USE;
 void screen_detach(struct screen *s, int fd);
 struct screen *screen_at(int fd); /* NULL: none is attached */
-/* A short read from a socket means that it is empty. After a TLS record there may be others. */
+/* A short read from a socket means that the socket is empty. After a TLS record there may be
+ * others. */
 enum screen_source { SCREEN_SOCKET, SCREEN_RECORDS };
 /* Reads from a source until `room` is full or nothing comes, and returns checked bytes in `out`.
  * more() returns a number of bytes, 0 at the end, and less than 0 for "not now" and for errors. If

@@ -20,7 +20,7 @@ enum {
     TARGET_APPEARANCE_MAX = 512,
     TARGET_QUERY_MAX = 3 * TARGET_APPEARANCE_MAX + TARGET_CLIP_TEXT + 96
 };
-enum { TARGET_SIDE_MAX = 1 << 20 }; /* pixels of an edge, far more than is drawn */
+enum { TARGET_SIDE_MAX = 1 << 20 }; /* pixels of an edge, far more than in any picture */
 
 struct target_pose {              /* fixed point, so that equal views have equal keys */
     int32_t lon_e7, lat_e7;       /* 1e-7 degrees */
@@ -96,7 +96,7 @@ struct target {
         uint32_t column, line;
     } part;           /* of a photograph */
     char stream[64];  /* for motion */
-    uint8_t video;    /* for motion: 1: VP9; 0: pictures by themselves */
+    uint8_t video;    /* for motion: 1: VP9; 0: separate pictures */
     struct text seal; /* borrowed from the target's text; for a signed address */
     struct target_search search;
     /* for seed, collections and search: */

@@ -11,7 +11,7 @@ struct turn_client;
 struct turn_item { /* part of each queued thing; {0} until turn_add */
     struct turn_item *newer, *older;
     struct turn_client *client;
-    double ms; /* that it is predicted to take */
+    double ms; /* time that it is predicted to take */
 };
 struct turns; /* one queue; the caller holds the lock */
 

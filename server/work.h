@@ -26,7 +26,7 @@ enum work_kind {
 /* A change of a named appearance. */
 struct work_change {
     bool removes;
-    struct kept_row row;      /* to remove one: only ds and name */
+    struct kept_row row;      /* to remove a name: only ds and name are set */
     char *match, *none_match; /* owned; NULL: absent */
 };
 struct work { /* freed with work_drop */
@@ -50,7 +50,7 @@ struct work { /* freed with work_drop */
     struct body *made; /* body that is written to the disk after the waiters have it; NULL: none */
 };
 /* Upper limit of the result's bytes: its share of --inflight-mb while it is made. */
-enum { WORK_ROOM_HEAD = 4096 }; /* part of it for head and end */
+enum { WORK_ROOM_HEAD = 4096 }; /* part of work_room for head and end */
 size_t work_room(const struct work *w);
 /* Estimates the time of work by formulas, in ms, and gives the kind that learns from it:
  * job_config.cost. */

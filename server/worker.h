@@ -23,7 +23,7 @@ struct worker_config {
     size_t n_hello;
     double start_s; /* longest time for the process to get ready; 0: no limit */
     double ask_s;   /* longest time for one answer; 0: no limit */
-    double pause_s; /* pause before the third start; it doubles up to */
+    double pause_s; /* pause before the third start; it doubles up to pause_most_s */
     double pause_most_s;
     double steady_s; /* after this time without a failure the pause starts anew */
 };

@@ -17,7 +17,7 @@
 
 struct scene;
 
-enum { PAIRS_SHARED_MIN = 8 }; /* points that neighbours share at least */
+enum { PAIRS_SHARED_MIN = 8 }; /* least number of points that neighbours share */
 
 struct pairs {
     size_t n;                         /* images of the scene */

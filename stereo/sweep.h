@@ -66,7 +66,7 @@ enum {
 #define SWEEP_LIKE 0.1   /* a pixel that differs this much in grey has a quarter of the weight */
 #define SWEEP_DOWN 0.05  /* rays that fall less than this a unit forward get no height */
 #define SWEEP_WALL_SLOPE 0.2 /* rays that go less than this sideways a unit down show no walls */
-#define SWEEP_EDGE 25.0      /* a change of grey by 1 / SWEEP_EDGE halves what a jump may save */
+#define SWEEP_EDGE 25.0 /* a grey step of 1 / SWEEP_EDGE halves a jump's cost above its least */
 
 struct sweep_view {
     struct camera cam;

@@ -43,10 +43,9 @@ bool study_same_row(const struct json_t *a, const struct json_t *b);
 
 /* Returns a new array in which all seeds of a row are one record. Numbers become means, times
  * medians. It adds "seeds", "spread_db" (the standard deviation of PSNR), and the text "gain". The
- * gain is PSNR less that of the study's first row, or "none" if that is below twice the spread of
- * the difference. "fma_gflops" and "triad_gbps" become the least of the runs; the same keys with
- * "_most" are the largest. Records with one seed stay unchanged. Release *out with json_decref.
- * ERR_MEM. */
+ * gain is PSNR minus that of the study's first row, or "none" if this difference is below twice its
+ * spread. "fma_gflops" and "triad_gbps" become the least of the runs; the same keys with "_most"
+ * are the largest. Records with one seed stay unchanged. Release *out with json_decref. ERR_MEM. */
 enum err_code study_merge_seeds(const struct json_t *lines, struct json_t **out,
                                 struct err *e) ERR_USE;
 

@@ -26,7 +26,7 @@ struct change_request {
 /* Shift and tilt of the later store against the earlier one. */
 struct change_pose {
     double east_m, north_m, up_m; /* NAN: not known, see change_report */
-    /* rise in metres a metre to the east and north; up_m is that at the middle of the map */
+    /* rise in metres per metre to the east and north; up_m is the shift at the middle of the map */
     double tilt_east, tilt_north;
 };
 struct change_report {

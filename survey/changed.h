@@ -36,7 +36,7 @@ struct changed_request {
 };
 struct changed_report {
     uint64_t pixels;           /* that changed */
-    double gained_m3, lost_m3; /* of them */
+    double gained_m3, lost_m3; /* volumes of these pixels */
     /* half of the interval that holds the true volumes in 95 % of cases */
     double gained_95_m3, lost_95_m3;
     uint32_t regions;

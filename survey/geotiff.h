@@ -19,12 +19,12 @@ struct geotiff_info {
     uint32_t width, height;
     const char *copyright, *source; /* may be NULL */
     const char *heights;            /* reference of heights, "height above the WGS 84 ellipsoid" */
-    bool rows;                      /* it will be read by rows */
+    bool rows;                      /* the file will be read by rows */
 };
 enum geotiff_kind {
     GEOTIFF_COLOR,  /* red, green, blue, alpha: uint8 */
     GEOTIFF_HEIGHT, /* one band of float32, m; nodata GEOTIFF_NODATA */
-    GEOTIFF_SURFACE /* two of them: heights and their standard deviation */
+    GEOTIFF_SURFACE /* two such bands: heights and their standard deviations */
 };
 struct geotiff;
 /* Loads GDAL and starts it with only the GeoTIFF drivers, without files of its own, and with a

@@ -17,7 +17,7 @@ struct region { /* 4-connected pixels of one sign */
     /* a lower label of the same region; its own label: the sums here are the region's */
     uint32_t of;
     uint32_t pixels, seeds;
-    double sum, variance; /* of the values; of their noise */
+    double sum, variance; /* sum of the values; variance of their noise */
     double edge;          /* sum of what edges add to their standard deviations */
     double most;          /* the value farthest from 0 */
 };

@@ -85,9 +85,9 @@ struct synth_city { /* {0} is empty; synth_city_free */
 enum err_code synth_city_make(const struct synth_config *cfg, struct synth_city *out,
                               struct err *e) ERR_USE;
 /* One district of a city without end: a square of SYNTH_DISTRICT_M, whose streets go on in the
- * districts around it. All districts of a seed have one sun and one yaw_rad. Its frame has the
- * district's middle at 0. ERR_MEM. */
-enum { SYNTH_DISTRICT_BLOCKS = 6 }; /* a multiple of 3: no avenue on a border */
+ * districts around it. All districts of a seed have one sun and one yaw_rad. The origin of its
+ * frame is the middle of the district. ERR_MEM. */
+enum { SYNTH_DISTRICT_BLOCKS = 6 }; /* a multiple of 3, so that no avenue lies on a border */
 #define SYNTH_DISTRICT_M (46.0 * SYNTH_DISTRICT_BLOCKS)
 enum err_code synth_city_district(uint32_t seed, int64_t column, int64_t row,
                                   struct synth_city *out, struct err *e) ERR_USE;

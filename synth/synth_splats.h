@@ -15,7 +15,7 @@
 struct synth_splats { /* {0} is empty; synth_splats_free */
     uint32_t seed, sh_degree;
     size_t columns, rows, n_districts;
-    double *area_m2; /* [n_districts + 1] of the surfaces in all districts before this one */
+    double *area_m2; /* [n_districts + 1] surface area in all districts before this one */
     double reach_m;  /* largest coordinate */
 };
 /* Plans a city that about n Gaussians cover with spacing_m between neighbours. ERR_MEM,

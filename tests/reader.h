@@ -25,7 +25,7 @@ struct part {
 struct reader {
     int fd;
     struct buf raw, body; /* as it came; without chunks */
-    size_t at, chunk_at;  /* of body that was read; of raw that was unchunked */
+    size_t at, chunk_at;  /* bytes of body that were read; bytes of raw that were unchunked */
     bool ended, last_chunk;
 };
 

@@ -32,7 +32,7 @@ static inline void tunnel_put(const char *dir, const char *name, gnutls_datum_t 
     gnutls_free(d->data);
 }
 
-/* Writes dir/NAME.crt and dir/NAME.key for the common name `name`, valid for so many days. */
+/* Writes dir/NAME.crt and dir/NAME.key for the common name `name`, valid for `days` days. */
 static inline void tunnel_pair(const char *dir, const char *name, int days,
                                char cert[FILE_PATH_MAX], char key[FILE_PATH_MAX])
 {

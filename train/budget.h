@@ -29,8 +29,8 @@ struct budget_photos {
 };
 /* The budget that n photographs of a level support: density * sum of share * sqrt(w h) px. It is at
  * least n_points, and at most `table`. It grows with the side of a picture and not with the area,
- * because detail grows with the length of edges in it. Shares make the budgets of cells add up to
- * that of the scene. */
+ * because detail grows with the length of edges. Shares make the budgets of cells add up to that of
+ * the scene. */
 size_t budget_fit(const struct budget_photos *p, const struct train_config *cfg, double downsample,
                   size_t table);
 /* Applies cfg->budget_rule to the budgets of all levels, which come from the table. A level never

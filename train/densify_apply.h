@@ -23,7 +23,7 @@ struct densify_run { /* all borrowed */
     const struct stage *at;
     struct importance **importance; /* NULL at first; made when candidates are ranked */
     struct metrics_log *metrics;    /* NULL: none are written */
-    struct timing *timing;          /* runs on importance while that is computed */
+    struct timing *timing;          /* counts for importance while that is computed */
 };
 /* Does densification x of the current level, from 1: it removes, clones and splits under the
  * budget. ERR_DATA: no Gaussian would be left. ERR_LIMIT: more than a cell can hold. ERR_MEM,

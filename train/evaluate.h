@@ -22,8 +22,8 @@ struct evaluate_score { /* means over the photographs */
     /* ssim: zero padded, as in the loss; ssim_valid: only windows inside */
     double ssim, ssim_valid;
     double l1, gmsd, lpips; /* lpips: 0 without weights */
-    double gaussians;       /* given to the renderer, for a frame */
-    double visible;         /* of these, in the picture; 0: not known */
+    double gaussians;       /* number given to the renderer for a frame */
+    double visible;         /* number of these in the picture; 0: not known */
     double ms_frame;
     double bytes; /* size of the source's files; 0: not known */
 };

@@ -41,7 +41,7 @@ struct half_image_config { /* all borrowed */
     struct photometric *loss;
     struct appearance_view *appearance; /* NULL: a model without appearance */
     uint32_t steps;                     /* usually HALF_IMAGE_STEPS */
-    double lr, lr_end;                  /* 0.01 falling to 0.0005, exponentially */
+    double lr, lr_end;                  /* 0.01, falling exponentially to 0.0005 */
     /* measure the photograph's exposure on the half that is learned from; false: use its
      * exposure_ev */
     bool exposure;

@@ -24,7 +24,7 @@ struct inputs {
 /* Reads all files of the cell's photographs once. ERR_NOENT, ERR_IO: a photograph or the points
  * cannot be read. ERR_LIMIT, ERR_MEM. */
 enum err_code inputs_read(const struct run_cell *job, struct inputs *out, struct err *e) ERR_USE;
-/* For the head of a checkpoint. NULL: out of memory. */
+/* Makes JSON for the head of a checkpoint. NULL: out of memory. */
 struct json_t *inputs_to_json(const struct inputs *in);
 /* Compares with the head `meta` of the checkpoint at `path`. A head of an older version has no
  * hashes, and is taken. ERR_DATA names the part that has changed. */

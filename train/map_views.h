@@ -17,8 +17,8 @@ enum { MAP_VIEWS_KINDS_MAX = 16, MAP_VIEWS_NAME = 64 };
 struct map_move {                      /* y = scale rot x + trans between frames */
     double scale, rot[9], trans[3];
 };
-/* Computes the move from the frame of a truth to that of the scene. Both know their relation to one
- * COLMAP model. ERR_FORMAT: a scale is invalid. */
+/* Computes the move from the frame of a truth to that of the scene. The relation of both to one
+ * COLMAP model is known. ERR_FORMAT: a scale is invalid. */
 enum err_code map_views_move(const struct map_move *colmap_to_truth, const struct scene *s,
                              struct map_move *out, struct err *e) ERR_USE;
 struct map_move map_views_move_back(const struct map_move *m);
@@ -28,8 +28,9 @@ void map_views_move_camera(const struct map_move *m, struct camera *c);
 
 struct map_view {
     char name[MAP_VIEWS_NAME], kind[MAP_VIEWS_NAME];
-    uint32_t photograph; /* of the scene, whose light the view has; or MAP_VIEWS_ONE_LIGHT */
-    struct camera cam;   /* in the scene's frame */
+    uint32_t
+        photograph;    /* the scene's photograph whose light the view has; or MAP_VIEWS_ONE_LIGHT */
+    struct camera cam; /* in the scene's frame */
 };
 struct map_views { /* {0} is empty; map_views_free */
     char dir[FILE_PATH_MAX];

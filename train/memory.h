@@ -22,9 +22,9 @@ struct memory_need {
     size_t drawn;        /* records and keys of a frame, lists of intersections and their slots */
     size_t passing;      /* largest temporary need of density control, scores or pruning */
     size_t per_pixel;    /* for the finest level: pictures, loss, scores, evaluation */
-    size_t photo_bytes;  /* decoded photographs in the cache, and those in decoding */
+    size_t photo_bytes;  /* decoded photographs in the cache, and those being decoded */
     size_t group_bytes;  /* with appearance: groups of neighbours whose embeddings are compared */
-    size_t gaussians;    /* largest number, inside the cell and outside */
+    size_t gaussians;    /* largest number of Gaussians, inside the cell and outside */
     size_t pixels;       /* of the largest picture */
     size_t total;        /* all, without the program itself and its OpenCL compiler */
 };

@@ -14,7 +14,8 @@
 
 enum { RELOCATE_MOST = 51 }; /* most Gaussians in one place, as in the published code */
 
-/* Who can be drawn, and how likely. The same seed and stream draw the same. Borrowed. */
+/* The Gaussians that can be drawn, and with which chances. The same seed and stream draw the same.
+ * Borrowed. */
 struct relocate_from {
     const float *weight; /* by id, at least 0 */
     const uint32_t *ids; /* [n] */

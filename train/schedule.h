@@ -17,8 +17,9 @@ struct schedule { /* schedule of one level; steps are 1-based and restart at eve
     double downsample;
     size_t budget; /* Gaussians inside the cell */
     size_t around; /* Gaussians of the coarse model around the cell */
-    bool stopped;  /* --budget-rule auto: growth has ended, with */
-    /* at most this many Gaussians outside the cell; before: see schedule_cap_outside */
+    bool stopped;  /* --budget-rule auto: growth has ended */
+    /* largest number of Gaussians outside the cell once growth has ended; before: see
+     * schedule_cap_outside */
     size_t budget_outside;
     uint32_t interval, densify_from,
         densify_until; /* densify if from < step < until and interval | step */
@@ -31,7 +32,9 @@ struct schedule { /* schedule of one level; steps are 1-based and restart at eve
     /* factor on learning rates of positions (included in those below), sizes and rotations */
     double lr_factor;
     double lr_mean_first, lr_mean_last; /* metres */
-    double kappa; /* factor on step counts: photographs / 600 if above 1, or a short run's share */
+    /* factor on step counts: photographs / 600 if above 1, or the part of the full length that a
+     * short run has */
+    double kappa;
 };
 struct cell;
 /* Fills out[0 .. level_count). ERR_ARG: a level would have no steps. */
