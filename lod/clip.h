@@ -45,7 +45,7 @@ enum err_code clip_rows(const struct clip *c, const struct geo_origin *origin, s
                         struct err *e) ERR_USE;
 
 struct clip_report {
-    size_t n_tiles, n_copied; /* written tiles; those of them that were copied byte by byte */
+    size_t n_tiles, n_copied; /* tiles written; tiles among them that were copied byte by byte */
     size_t n_kept, n_dropped; /* Gaussians of all levels */
     char revision[13];
 };

@@ -16,8 +16,8 @@ struct locate {
  * geo_enu_to_ecef. */
 enum err_code locate_open(const struct geo_origin *origin, struct locate *out,
                           struct err *e) ERR_USE;
-/* The tile of a place at KEY_ZOOM_MAX. It is always equal to key_at(geo_from_enu). ERR_ARG (not
- * finite). */
+/* The tile of a place at KEY_ZOOM_MAX. The result is always equal to key_at(geo_from_enu). ERR_ARG
+ * (not finite). */
 enum err_code locate_key(const struct locate *l, const double enu_m[3], struct key *out,
                          struct err *e) ERR_USE;
 

@@ -42,7 +42,7 @@ struct store_meta {
     uint32_t sh_degree, embed_len;
     bool antialiased;
     bool lossless;              /* payloads have all fields in float32 (imports) */
-    uint8_t zoom_min, zoom_max; /* of the root and of the finest level; set by store_commit */
+    uint8_t zoom_min, zoom_max; /* zooms of the root and of the finest level; set by store_commit */
     char attribution[256];
     char heights[HEIGHTS_MAX]; /* reference of heights: core/heights.h; "": the ellipsoid */
     char revision

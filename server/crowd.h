@@ -9,7 +9,7 @@
 
 struct crowd; /* thread-safe */
 
-enum { CROWD_MOST = 8 /* parts of a network that are clients of their own at a time */ };
+enum { CROWD_MOST = 8 /* most parts of a network that are clients of their own at a time */ };
 enum { CROWD_S = 60 /* how long a part counts after its last request */ };
 
 /* secret: strangers who do not know it cannot choose networks that share a place in the table.

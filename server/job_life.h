@@ -15,10 +15,10 @@
  * before it begins long work (job_run.c).
  *
  * One mutex guards everything. Of all callbacks only cfg.passing and cfg.cost are called with it
- * held. A waiter is taken off its job with the lock held, by the worker that finished, job_leave,
- * job_tick or job_stop. This claims it: waiter->job becomes NULL, and only the claimer wakes it.
- * Each waiter is thus woken exactly once, however these four race. job_finish is the only end of a
- * job, so all waiters get an answer.
+ * held. A waiter is taken off its job with the lock held, by job_leave, job_tick, job_stop or the
+ * worker that finished. This claims the waiter: waiter->job becomes NULL, and only the claimer
+ * wakes it. Each waiter is thus woken exactly once, however these four race. job_finish is the only
+ * end of a job, so all waiters get an answer.
  *
  * job_run.c has the threads, job_ask.c the requests, job_wait.c the waiters.
  *

@@ -106,8 +106,8 @@ uint16_t server_admin_port(const struct server *s); /* 0: there is none */
  * closes it again, and prints what it found to `out` (may be NULL). Errors of server_start. */
 enum err_code server_check(const struct server_config *cfg, const char *const *paths, size_t n,
                            FILE *out, struct err *e) ERR_USE;
-/* Seconds since the process that draws first ended unexpectedly. 0: it is well, or has been well
- * again for a while. */
+/* Seconds since the drawing process first ended unexpectedly. 0: the process is well, or has been
+ * well again for a while. */
 double server_failing_s(struct server *s);
 
 #endif

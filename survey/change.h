@@ -47,9 +47,10 @@ struct change_report {
     uint32_t rounds;         /* rounds of alignment */
     struct change_pose left; /* after alignment: shift and tilt that remain */
 };
-/* Writes later minus earlier as a Cloud Optimized GeoTIFF of heights. ERR_ARG: they have no area in
- * common. ERR_DATA: the later store could not be aligned. ERR_CANCEL, ERR_DEVICE, ERR_FORMAT,
- * ERR_IO, ERR_LIMIT, ERR_MEM as in map_plan, nadir_draw and geotiff.h. */
+/* Writes the heights of the later store minus those of the earlier one, as a Cloud Optimized
+ * GeoTIFF. ERR_ARG: they have no area in common. ERR_DATA: the later store could not be aligned.
+ * ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM as in map_plan, nadir_draw and
+ * geotiff.h. */
 enum err_code change_write(struct nadir *earlier, struct nadir *later,
                            const struct change_request *r, const char *path,
                            struct change_report *report, struct err *e) ERR_USE;

@@ -18,7 +18,7 @@ struct region { /* 4-connected pixels of one sign */
     uint32_t of;
     uint32_t pixels, seeds;
     double sum, variance; /* sum of the values; variance of their noise */
-    double edge;          /* sum of what edges add to their standard deviations */
+    double edge;          /* sum of the parts that edges add to their standard deviations */
     double most;          /* the value farthest from 0 */
 };
 struct region_map { /* {0}, region_begin; region_free */

@@ -226,8 +226,8 @@ static inline void start(void)
 }
 
 /* Starts the server with pictures. If there is no device it prints that and returns false. It waits
- * until the process that draws has started, so that this does not count for the first request's
- * deadline. */
+ * until the process that draws has started, so that the start does not count against the first
+ * request's deadline. */
 static inline bool start_with_device(void)
 {
     const struct timespec nap = {.tv_nsec = 20000000};

@@ -63,8 +63,8 @@ static inline void served_city(const char *path, const char *name, size_t n)
 static const struct catalog_options served_stores = {
     .readers = 1, .keep_s = 86400, .keep_revisions = 8};
 
-/* Number of tiles, polygons and lists that ended so, quick or slow (JOB_SLOW): which of the two
- * depends on the machine. */
+/* Number of tiles, polygons and lists that ended in this way, quick and slow ones (JOB_SLOW)
+ * together: which of the two a job is depends on the machine. */
 static inline uint64_t served_tiles(const struct job_stats *st, enum job_end end)
 {
     return st->ended[JOB_TILE][end] + st->ended[JOB_SLOW][end];

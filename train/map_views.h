@@ -28,8 +28,8 @@ void map_views_move_camera(const struct map_move *m, struct camera *c);
 
 struct map_view {
     char name[MAP_VIEWS_NAME], kind[MAP_VIEWS_NAME];
-    uint32_t
-        photograph;    /* the scene's photograph whose light the view has; or MAP_VIEWS_ONE_LIGHT */
+    /* the scene's photograph whose light the view has; or MAP_VIEWS_ONE_LIGHT */
+    uint32_t photograph;
     struct camera cam; /* in the scene's frame */
 };
 struct map_views { /* {0} is empty; map_views_free */
@@ -66,7 +66,7 @@ struct map_drawing { /* all [h][w], see struct render_surface_maps */
     const float *rgb /*[h][w][3]*/, *median_m, *front, *transmittance;
 };
 struct map_score {
-    /* number of views; of views with PSNR in either mask */
+    /* number of views; numbers of views with PSNR in each of the two masks */
     size_t n_views, n_supported, n_square;
     double psnr_db, ssim, gmsd; /* means over views, inside the mask */
     double square_psnr_db;      /* inside the built-up square, seen or not */

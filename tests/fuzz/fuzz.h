@@ -21,8 +21,8 @@ enum { FUZZ_SEEDS = 3 };
 /* Writes seed i < FUZZ_SEEDS of a target, a small valid file. Returns false: there is no such
  * target. */
 bool fuzz_seed(const char *target, size_t i, struct buf *out);
-/* One function for each target of files.c, which makes seed i of the target, or the one seed of a
- * checkpoint. False: it could not be made. */
+/* Functions of files.c that make seeds, one for each of its targets: seed i, or the one seed of a
+ * checkpoint. False: the seed could not be made. */
 struct gauss;
 bool fuzz_seed_ckpt(const struct gauss *g, struct buf *out);
 bool fuzz_seed_colmap(size_t i, struct buf *out);
