@@ -552,7 +552,7 @@ solid() {
   local study=$1 scene=$2 SURFACE=$3 KEEP=1
   seeded "$study" solid_rows row "$study" "$scene" --iterations "$(steps "$study")"
   solid_rows repeat "$study" "$scene" --iterations "$(steps "$study")"
-  rm -rf "$OUT/trained/$study"-*--seed-*
+  rm -rf "$OUT/trained/$(slug "$study")"-*--seed-*
 }
 study_solid() { MAP_VIEWS=1 solid solid exact city; }
 # Each term alone.

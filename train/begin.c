@@ -248,6 +248,18 @@ static void begin_tell_memory(const struct begin *t)
              m.per_pixel, (double)m.photo_bytes / 1048576.0, (double)m.group_bytes / 1048576.0);
 }
 
+/* Which photographs are not trained on. */
+static void begin_tell_tests(const struct begin *t)
+{
+    const struct run_cell *job = t->job;
+    if (!job->n_test)
+        return;
+    log_info("train",
+             "cell=%s %zu photographs train, %zu are kept for scores: --no-test-split trains with "
+             "all of them and gives no scores",
+             job->cell.id, job->n_images, job->n_test);
+}
+
 /* And how long it is. */
 static void begin_tell_length(const struct begin *t)
 {
@@ -319,6 +331,7 @@ enum err_code begin_run(struct begin *t, struct train_cell_result *out, bool *do
         return rc;
     begin_tell_memory(t);
     begin_tell_length(t);
+    begin_tell_tests(t);
     return begin_ground(t, e);
 }
 
