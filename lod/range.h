@@ -37,7 +37,8 @@ void range_close(struct range **r);
  * requests as it must), ERR_IO (refused: 401, 403 and others), ERR_MEM. */
 enum err_code range_get(struct range *r, struct range_object *o, uint64_t at, size_t n,
                         uint8_t *out, size_t *got, double until_s, struct err *e) ERR_USE;
-/* Asks whether the object is still *o. ERR_DATA: it is another one; else as range_get. */
+/* Asks whether the object is still *o. ERR_DATA: the object is another one now. Other errors are
+ * those of range_get. */
 enum err_code range_check(struct range *r, const struct range_object *o, double until_s,
                           struct err *e) ERR_USE;
 /* Requests that were sent by this process. */
