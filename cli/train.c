@@ -8,6 +8,7 @@
 
 #include "cells/footprint.h"
 #include "cli/cli.h"
+#include "cli/output.h"
 #include "codec/scene.h"
 #include "core/trace.h"
 #include "train/config.h"
@@ -153,6 +154,8 @@ static enum err_code train_traced(const char *scene_dir, const struct train_conf
         return err_set(e, ERR_ARG,
                        "--trace records one process, and --jobs %d starts others: leave one out",
                        (int)cfg->jobs);
+    if (output_check(cfg->trace, cfg->overwrite, e)) /* here --overwrite replaces results as well */
+        return err_set(e, ERR_ARG, "%s: exists; give --trace another name", cfg->trace);
     enum err_code rc = trace_begin(cfg->trace, e);
     if (rc)
         return rc;

@@ -201,6 +201,16 @@ static void training_leaves_a_trace(void **state)
                 "'%s' train scene --iterations 60 --output b -q | grep -q 'complete already'",
                 kit_tmp, bin),
         0);
+    /* a record is not replaced unasked */
+    out.size = 0;
+    assert_int_equal(kit_run(&out,
+                             "cd '%s' && cp t.json kept.json && '%s' train scene --iterations 60 "
+                             "--output c --trace t.json 2>&1; rc=$?; cmp t.json kept.json && exit "
+                             "$rc",
+                             kit_tmp, bin),
+                     2);
+    buf_u8(&out, 0);
+    assert_non_null(strstr((char *)out.data, "another name"));
     out.size = 0;
     assert_int_equal(kit_run(&out,
                              "cd '%s' && '%s' train scene --iterations 60 --output c --jobs 2 "
