@@ -50,21 +50,17 @@ static enum err_code shape_no_memory(struct err *e)
 /* A copy of the corners becomes a ring. */
 static enum err_code shape_add(struct shape *s, const double (*at)[2], size_t n, struct err *e)
 {
-    if (s->n == s->cap) {
-        size_t cap = s->cap ? 2 * s->cap : 8;
-        struct shape_ring *p = mem_resize(s->rings, s->cap, cap, sizeof *p);
-        if (!p)
-            return shape_no_memory(e);
-        s->rings = p;
-        s->cap = cap;
-    }
+    struct shape_ring *p = mem_room(s->rings, s->n, &s->cap, 8, sizeof *p);
+    if (!p)
+        return shape_no_memory(e);
+    s->rings = p;
     struct shape_ring r = {.at = mem_array(n, sizeof *r.at), .n = n};
     if (!r.at)
         return shape_no_memory(e);
     memcpy(r.at, at, n * sizeof *at);
     for (size_t i = 0; i < n; i++) {
-        const double *p = at[i], *q = at[(i + 1) % n];
-        r.area_m2 += 0.5 * (p[0] * q[1] - q[0] * p[1]);
+        const double *a = at[i], *b = at[(i + 1) % n];
+        r.area_m2 += 0.5 * (a[0] * b[1] - b[0] * a[1]);
     }
     s->rings[s->n++] = r;
     return ERR_OK;

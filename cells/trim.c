@@ -303,14 +303,10 @@ struct trim_pieces {
 
 static enum err_code trim_add(struct trim_pieces *p, const struct trim_piece *piece, struct err *e)
 {
-    if (p->n == p->cap) {
-        size_t cap = p->cap ? 2 * p->cap : 256;
-        struct trim_piece *grown = mem_resize(p->all, p->cap, cap, sizeof *grown);
-        if (!grown)
-            return err_set(e, ERR_MEM, "trim: out of memory for %zu pieces", cap);
-        p->all = grown;
-        p->cap = cap;
-    }
+    struct trim_piece *grown = mem_room(p->all, p->n, &p->cap, 256, sizeof *grown);
+    if (!grown)
+        return err_set(e, ERR_MEM, "trim: out of memory for %zu pieces", p->n + 1);
+    p->all = grown;
     p->all[p->n++] = *piece;
     return ERR_OK;
 }

@@ -147,14 +147,10 @@ static enum err_code seed_join(const char *base, const char *relative, char **ou
 
 static struct seed_tile *seed_add(struct seed_run *r)
 {
-    if (r->n == r->room) {
-        size_t room = r->room ? 2 * r->room : 1024;
-        struct seed_tile *more = mem_resize(r->tile, r->room, room, sizeof *more);
-        if (!more)
-            return NULL;
-        r->tile = more;
-        r->room = room;
-    }
+    struct seed_tile *more = mem_room(r->tile, r->n, &r->room, 1024, sizeof *more);
+    if (!more)
+        return NULL;
+    r->tile = more;
     return &r->tile[r->n++];
 }
 

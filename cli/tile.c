@@ -136,15 +136,13 @@ static enum err_code tile_find_cells(struct tile_scene *s, struct err *e)
         }
         if (!any)
             continue;
-        if (s->n_cells == cap) {
-            struct tile_cell *p = mem_resize(s->cells, cap, cap ? 2 * cap : 16, sizeof *p);
-            if (!p)
-                rc = err_set(e, ERR_MEM, "%s: out of memory", dir);
-            s->cells = p ? p : s->cells;
-            cap = p ? (cap ? 2 * cap : 16) : cap;
+        struct tile_cell *p = mem_room(s->cells, s->n_cells, &cap, 16, sizeof *p);
+        if (!p) {
+            rc = err_set(e, ERR_MEM, "%s: out of memory", dir);
+            break;
         }
-        if (!rc)
-            s->cells[s->n_cells++] = c;
+        s->cells = p;
+        s->cells[s->n_cells++] = c;
     }
     if (d)
         closedir(d);

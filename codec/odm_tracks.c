@@ -27,14 +27,10 @@ struct odm_sights {
 
 static enum err_code odm_sight_add(struct odm_sights *s, const struct odm_sight *one, struct err *e)
 {
-    if (s->n == s->cap) {
-        size_t cap = s->cap ? 2 * s->cap : 4096;
-        struct odm_sight *list = mem_resize(s->list, s->cap, cap, sizeof *list);
-        if (!list)
-            return err_set(e, ERR_MEM, "out of memory for %zu observations", cap);
-        s->list = list;
-        s->cap = cap;
-    }
+    struct odm_sight *list = mem_room(s->list, s->n, &s->cap, 4096, sizeof *list);
+    if (!list)
+        return err_set(e, ERR_MEM, "out of memory for %zu observations", s->n + 1);
+    s->list = list;
     s->list[s->n++] = *one;
     return ERR_OK;
 }

@@ -160,14 +160,10 @@ static enum err_code pmtiles_enter(struct pmtiles *p, uint64_t id, uint64_t offs
         last->run++;
         return ERR_OK;
     }
-    if (p->n == p->cap) {
-        const size_t cap = p->cap ? 2 * p->cap : 1024;
-        void *more = mem_resize(p->entry, p->cap, cap, sizeof *p->entry);
-        if (!more)
-            return err_set(e, ERR_MEM, "%s: out of memory for %zu tiles", p->path, cap);
-        p->entry = more;
-        p->cap = cap;
-    }
+    void *more = mem_room(p->entry, p->n, &p->cap, 1024, sizeof *p->entry);
+    if (!more)
+        return err_set(e, ERR_MEM, "%s: out of memory for %zu tiles", p->path, p->n + 1);
+    p->entry = more;
     p->entry[p->n++] = (struct pmtiles_entry){id, offset, length, 1};
     return ERR_OK;
 }

@@ -29,6 +29,10 @@ void *mem_uninit(size_t n, size_t size);
 /* Grows or shrinks a block. Contents are kept up to the smaller size, and new bytes are zeroed. On
  * failure it returns NULL, and the old block stays valid. */
 void *mem_resize(void *p, size_t n_old, size_t n_new, size_t size);
+/* Makes room for one more element in a list of n, which has room for *cap. Returns the list. If it
+ * is full it grows to `first` elements at first, then to twice as many. NULL: out of memory; the
+ * old list and *cap stay valid. */
+void *mem_room(void *p, size_t n, size_t *cap, size_t first, size_t size);
 char *mem_text(const char *s); /* as strdup; caller frees with mem_free; NULL: out of memory */
 void mem_free(void *p);
 void mem_fail_at(size_t k);

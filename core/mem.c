@@ -99,6 +99,17 @@ void *mem_resize(void *p, size_t n_old, size_t n_new, size_t size)
     return q;
 }
 
+void *mem_room(void *p, size_t n, size_t *cap, size_t first, size_t size)
+{
+    if (n < *cap)
+        return p;
+    size_t more = *cap ? (*cap <= SIZE_MAX / 2 ? 2 * *cap : SIZE_MAX) : first;
+    void *q = mem_resize(p, *cap, more, size);
+    if (q)
+        *cap = more;
+    return q;
+}
+
 char *mem_text(const char *s)
 {
     size_t n = strlen(s) + 1;

@@ -398,14 +398,10 @@ struct plan_pairs {
 
 static bool plan_add(struct plan_pairs *l, size_t a, size_t b)
 {
-    if (l->n == l->cap) {
-        size_t cap = l->cap ? 2 * l->cap : 1024;
-        struct align_pair *list = mem_resize(l->list, l->cap, cap, sizeof *list);
-        if (!list)
-            return false;
-        l->list = list;
-        l->cap = cap;
-    }
+    struct align_pair *list = mem_room(l->list, l->n, &l->cap, 1024, sizeof *list);
+    if (!list)
+        return false;
+    l->list = list;
     l->list[l->n++] = (struct align_pair){(uint32_t)(a < b ? a : b), (uint32_t)(a < b ? b : a)};
     return true;
 }

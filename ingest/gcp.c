@@ -39,14 +39,10 @@ enum err_code gcp_find(const char *path, size_t line, struct gcp_list *l, const 
     }
     if (l->n == GCP_MAX)
         return err_set(e, ERR_DATA, "more than %d ground control points", GCP_MAX);
-    if (l->n == l->cap) {
-        size_t cap = l->cap ? 2 * l->cap : 16;
-        struct gcp *p = mem_resize(l->gcps, l->cap, cap, sizeof *p);
-        if (!p)
-            return err_set(e, ERR_MEM, "out of memory for ground control points");
-        l->gcps = p;
-        l->cap = cap;
-    }
+    struct gcp *p = mem_room(l->gcps, l->n, &l->cap, 16, sizeof *p);
+    if (!p)
+        return err_set(e, ERR_MEM, "out of memory for ground control points");
+    l->gcps = p;
     struct gcp *g = &l->gcps[l->n];
     *g = (struct gcp){.at = {at[0], at[1], at[2]}, .file = {at[0], at[1], at[2]}, .line = line};
     if (*name)
@@ -72,14 +68,10 @@ enum err_code gcp_add_point(const char *path, struct gcp_list *l, const struct g
 
 enum err_code gcp_add_mark(struct gcp_list *l, const struct gcp_mark *m, struct err *e)
 {
-    if (l->n_marks == l->cap_marks) {
-        size_t cap = l->cap_marks ? 2 * l->cap_marks : 16;
-        struct gcp_mark *p = mem_resize(l->marks, l->cap_marks, cap, sizeof *p);
-        if (!p)
-            return err_set(e, ERR_MEM, "out of memory for ground control points");
-        l->marks = p;
-        l->cap_marks = cap;
-    }
+    struct gcp_mark *p = mem_room(l->marks, l->n_marks, &l->cap_marks, 16, sizeof *p);
+    if (!p)
+        return err_set(e, ERR_MEM, "out of memory for ground control points");
+    l->marks = p;
     l->marks[l->n_marks++] = *m;
     return ERR_OK;
 }

@@ -33,14 +33,10 @@ struct metashape {
 
 static enum err_code metashape_add(struct named_list *l, const struct named *one, struct err *e)
 {
-    if (l->n == l->cap) {
-        const size_t cap = l->cap ? 2 * l->cap : 64;
-        struct named *p = mem_resize(l->list, l->cap, cap, sizeof *p);
-        if (!p)
-            return err_set(e, ERR_MEM, "out of memory for markers");
-        l->list = p;
-        l->cap = cap;
-    }
+    struct named *p = mem_room(l->list, l->n, &l->cap, 64, sizeof *p);
+    if (!p)
+        return err_set(e, ERR_MEM, "out of memory for markers");
+    l->list = p;
     l->list[l->n++] = *one;
     return ERR_OK;
 }

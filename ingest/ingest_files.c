@@ -44,14 +44,10 @@ bool ingest_files_is_photo(const char *name)
 
 static enum err_code files_add(struct ingest_files *f, const char *name, struct err *e)
 {
-    if (f->n == f->cap) {
-        size_t cap = f->cap ? 2 * f->cap : 256;
-        char **names = mem_resize(f->names, f->cap, cap, sizeof *names);
-        if (!names)
-            return err_set(e, ERR_MEM, "out of memory for a list of photographs");
-        f->names = names;
-        f->cap = cap;
-    }
+    char **names = mem_room(f->names, f->n, &f->cap, 256, sizeof *names);
+    if (!names)
+        return err_set(e, ERR_MEM, "out of memory for a list of photographs");
+    f->names = names;
     f->names[f->n] = mem_text(name);
     return f->names[f->n++] ? ERR_OK
                             : err_set(e, ERR_MEM, "out of memory for a list of photographs");

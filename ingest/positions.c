@@ -41,14 +41,10 @@ void positions_free(struct positions *p)
 
 static enum err_code positions_add(struct positions *p, const struct position *one, struct err *e)
 {
-    if (p->n == p->cap) {
-        size_t cap = p->cap ? 2 * p->cap : 64;
-        struct position *list = mem_resize(p->list, p->cap, cap, sizeof *list);
-        if (!list)
-            return err_set(e, ERR_MEM, "out of memory for positions of photographs");
-        p->list = list;
-        p->cap = cap;
-    }
+    struct position *list = mem_room(p->list, p->n, &p->cap, 64, sizeof *list);
+    if (!list)
+        return err_set(e, ERR_MEM, "out of memory for positions of photographs");
+    p->list = list;
     p->list[p->n] = *one;
     p->list[p->n++].file = p->files;
     return ERR_OK;

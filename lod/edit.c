@@ -49,14 +49,10 @@ enum err_code edit_touch(struct edit *d, struct key k, uint8_t level, struct edi
     *out = edit_find(d, k);
     if (*out)
         return ERR_OK;
-    if (d->n == d->cap) {
-        size_t cap = d->cap ? 2 * d->cap : 64;
-        struct edit_tile *p = mem_resize(d->tile, d->cap, cap, sizeof *p);
-        if (!p)
-            return err_set(e, ERR_MEM, "out of memory for %zu tiles", cap);
-        d->tile = p;
-        d->cap = cap;
-    }
+    struct edit_tile *p = mem_room(d->tile, d->n, &d->cap, 64, sizeof *p);
+    if (!p)
+        return err_set(e, ERR_MEM, "out of memory for %zu tiles", d->n + 1);
+    d->tile = p;
     size_t at = edit_lower(d, k);
     memmove(d->tile + at + 1, d->tile + at, (d->n - at) * sizeof *d->tile);
     d->n++;

@@ -24,14 +24,10 @@ static int pyramid_count_compare(const void *a, const void *b)
 static enum err_code pyramid_table_add(struct pyramid_table *t, size_t *cap,
                                        struct pyramid_count cell, struct err *e)
 {
-    if (t->n == *cap) {
-        size_t more = *cap ? 2 * *cap : 256;
-        struct pyramid_count *p = mem_resize(t->cell, *cap, more, sizeof *p);
-        if (!p)
-            return err_set(e, ERR_MEM, "out of memory for %zu tiles", more);
-        t->cell = p;
-        *cap = more;
-    }
+    struct pyramid_count *p = mem_room(t->cell, t->n, cap, 256, sizeof *p);
+    if (!p)
+        return err_set(e, ERR_MEM, "out of memory for %zu tiles", t->n + 1);
+    t->cell = p;
     t->cell[t->n++] = cell;
     return ERR_OK;
 }
@@ -149,14 +145,10 @@ static enum err_code pyramid_add_node(struct pyramid *p, uint8_t z, uint64_t cod
                                       struct err *e)
 {
     struct pyramid_zoom *l = &p->zoom[z];
-    if (l->n == l->cap) {
-        size_t cap = l->cap ? 2 * l->cap : 64;
-        struct pyramid_node *node = mem_resize(l->node, l->cap, cap, sizeof *node);
-        if (!node)
-            return err_set(e, ERR_MEM, "out of memory for %zu tiles", cap);
-        l->node = node;
-        l->cap = cap;
-    }
+    struct pyramid_node *node = mem_room(l->node, l->n, &l->cap, 64, sizeof *node);
+    if (!node)
+        return err_set(e, ERR_MEM, "out of memory for %zu tiles", l->n + 1);
+    l->node = node;
     l->node[l->n++] = (struct pyramid_node){.code = code, .content = content};
     return ERR_OK;
 }
@@ -208,14 +200,10 @@ static enum err_code pyramid_add_parents(struct pyramid *p, uint8_t z, struct er
 
 enum err_code pyramid_add_job(struct pyramid *p, struct pyramid_job job, struct err *e)
 {
-    if (p->n_jobs == p->cap_jobs) {
-        size_t cap = p->cap_jobs ? 2 * p->cap_jobs : 256;
-        struct pyramid_job *more = mem_resize(p->job, p->cap_jobs, cap, sizeof *more);
-        if (!more)
-            return err_set(e, ERR_MEM, "out of memory for %zu tiles", cap);
-        p->job = more;
-        p->cap_jobs = cap;
-    }
+    struct pyramid_job *more = mem_room(p->job, p->n_jobs, &p->cap_jobs, 256, sizeof *more);
+    if (!more)
+        return err_set(e, ERR_MEM, "out of memory for %zu tiles", p->n_jobs + 1);
+    p->job = more;
     p->job[p->n_jobs++] = job;
     return ERR_OK;
 }

@@ -273,14 +273,10 @@ static enum err_code store_insert(struct store *s, const struct store_tile *t,
 
 static enum err_code store_remember(struct store *s, const struct store_tile *t, struct err *e)
 {
-    if (s->n_tiles == s->cap_tiles) {
-        size_t cap = s->cap_tiles ? 2 * s->cap_tiles : 64;
-        struct store_tile *p = mem_resize(s->tiles, s->cap_tiles, cap, sizeof *p);
-        if (!p)
-            return err_set(e, ERR_MEM, "%s: out of memory for %zu tiles", s->path, cap);
-        s->tiles = p;
-        s->cap_tiles = cap;
-    }
+    struct store_tile *p = mem_room(s->tiles, s->n_tiles, &s->cap_tiles, 64, sizeof *p);
+    if (!p)
+        return err_set(e, ERR_MEM, "%s: out of memory for %zu tiles", s->path, s->n_tiles + 1);
+    s->tiles = p;
     s->tiles[s->n_tiles++] = *t;
     return ERR_OK;
 }

@@ -364,16 +364,12 @@ static enum err_code store_read_index(struct store *s, const char *sql, size_t *
     int code = sqlite3_prepare_v2(s->db, sql, -1, &q, NULL);
     enum err_code rc = code == SQLITE_OK ? ERR_OK : store_db_fail(s, code, "index", e);
     while (!rc && (code = sqlite3_step(q)) == SQLITE_ROW) {
-        if (s->n_tiles == s->cap_tiles) {
-            size_t cap = s->cap_tiles ? 2 * s->cap_tiles : 64;
-            struct store_tile *p = mem_resize(s->tiles, s->cap_tiles, cap, sizeof *p);
-            if (!p) {
-                rc = err_set(e, ERR_MEM, "%s: out of memory for %zu tiles", s->path, cap);
-                break;
-            }
-            s->tiles = p;
-            s->cap_tiles = cap;
+        struct store_tile *p = mem_room(s->tiles, s->n_tiles, &s->cap_tiles, 64, sizeof *p);
+        if (!p) {
+            rc = err_set(e, ERR_MEM, "%s: out of memory for %zu tiles", s->path, s->n_tiles + 1);
+            break;
         }
+        s->tiles = p;
         struct store_tile t = {0};
         if (store_row(q, &t))
             s->tiles[s->n_tiles++] = t;

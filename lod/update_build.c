@@ -56,14 +56,10 @@ static bool update_at_border(const struct update *u, const double at[3], bool ow
 
 static enum err_code update_border_add(struct update_border *b, const double at[3], struct err *e)
 {
-    if (b->n == b->cap) {
-        size_t cap = b->cap ? 2 * b->cap : 64;
-        double *p = mem_resize(b->at, 3 * b->cap, 3 * cap, sizeof *p);
-        if (!p)
-            return err_set(e, ERR_MEM, "out of memory for %zu rows at the border", cap);
-        b->at = p;
-        b->cap = cap;
-    }
+    double *p = mem_room(b->at, b->n, &b->cap, 64, 3 * sizeof *p);
+    if (!p)
+        return err_set(e, ERR_MEM, "out of memory for %zu rows at the border", b->n + 1);
+    b->at = p;
     memcpy(b->at + 3 * b->n++, at, 3 * sizeof *at);
     return ERR_OK;
 }

@@ -24,14 +24,10 @@ struct update_feeds {
 
 static enum err_code update_feeds_add(struct update_feeds *f, struct key k, struct err *e)
 {
-    if (f->n == f->cap) {
-        size_t cap = f->cap ? 2 * f->cap : 16;
-        struct key *p = mem_resize(f->key, f->cap, cap, sizeof *p);
-        if (!p)
-            return err_set(e, ERR_MEM, "out of memory for %zu tiles", cap);
-        f->key = p;
-        f->cap = cap;
-    }
+    struct key *p = mem_room(f->key, f->n, &f->cap, 16, sizeof *p);
+    if (!p)
+        return err_set(e, ERR_MEM, "out of memory for %zu tiles", f->n + 1);
+    f->key = p;
     f->key[f->n++] = k;
     return ERR_OK;
 }

@@ -38,14 +38,10 @@ static bool disk_scan_name(const char *folder, const char *name, struct hash128 
 
 static enum err_code disk_scan_add(struct disk_scan *s, struct disk_scan_file f, struct err *e)
 {
-    if (s->n == s->cap) {
-        const size_t cap = s->cap ? 2 * s->cap : 1024;
-        struct disk_scan_file *more = mem_resize(s->file, s->cap, cap, sizeof *s->file);
-        if (!more)
-            return err_set(e, ERR_MEM, "disk cache: out of memory for its list of files");
-        s->file = more;
-        s->cap = cap;
-    }
+    struct disk_scan_file *more = mem_room(s->file, s->n, &s->cap, 1024, sizeof *s->file);
+    if (!more)
+        return err_set(e, ERR_MEM, "disk cache: out of memory for its list of files");
+    s->file = more;
     s->file[s->n++] = f;
     return ERR_OK;
 }

@@ -118,14 +118,10 @@ static enum err_code static_add_file(const char *dir, const char *url, int64_t m
 {
     char path[FILE_PATH_MAX];
     struct buf b = {0};
-    if (t->n == t->cap) {
-        size_t cap = t->cap ? t->cap * 2 : 32;
-        struct static_file *file = mem_resize(t->file, t->cap, cap, sizeof *file);
-        if (!file)
-            return err_set(e, ERR_MEM, "%s: out of memory", dir);
-        t->file = file;
-        t->cap = cap;
-    }
+    struct static_file *file = mem_room(t->file, t->n, &t->cap, 32, sizeof *file);
+    if (!file)
+        return err_set(e, ERR_MEM, "%s: out of memory", dir);
+    t->file = file;
     if (t->n == FILES_MAX)
         return err_set(e, ERR_LIMIT, "%s: more than %d files", dir, FILES_MAX);
     enum err_code rc = file_join(path, dir, url + 1, e);

@@ -40,8 +40,9 @@ struct change_report {
     struct changed_report changed; /* changes beyond the uncertainty of both */
     double color;                  /* root mean square difference of colours, 0 to 1 */
     /* The shift and tilt that best explain the differences below 2 m, by the slopes of the earlier
-     * store (Nuth and Kaeaeb 2011). If the median is more than half of 2 m away from 0, up_m is the
-     * median, and the others are not known. After alignment: the sum of all rounds. */
+     * store (Nuth and Kaeaeb 2011). If median_m is above 1 m or below -1 m, too few differences are
+     * below 2 m: up_m is the median, and the others are not known. After alignment: the sum of all
+     * rounds. */
     struct change_pose pose;
     bool aligned;
     uint32_t rounds;         /* rounds of alignment */

@@ -66,14 +66,10 @@ static bool edge_crossing(const float *height, size_t w, double x, double level,
 
 static enum err_code edge_add(struct edge_list *l, double offset_px, struct err *e)
 {
-    if (l->n == l->cap) {
-        size_t cap = l->cap ? 2 * l->cap : 256;
-        double *p = mem_resize(l->offset_px, l->cap, cap, sizeof *p);
-        if (!p)
-            return err_set(e, ERR_MEM, "out of memory for %zu edges", cap);
-        l->offset_px = p;
-        l->cap = cap;
-    }
+    double *p = mem_room(l->offset_px, l->n, &l->cap, 256, sizeof *p);
+    if (!p)
+        return err_set(e, ERR_MEM, "out of memory for %zu edges", l->n + 1);
+    l->offset_px = p;
     l->offset_px[l->n++] = offset_px;
     return ERR_OK;
 }

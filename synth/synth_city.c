@@ -45,16 +45,13 @@ static void city_add(struct builder *b, const struct synth_solid *s)
     struct synth_city *c = b->city;
     if (b->rc != ERR_OK)
         return;
-    if (c->n_solids == c->cap_solids) {
-        size_t want = c->cap_solids ? 2 * c->cap_solids : 1024;
-        struct synth_solid *grown = mem_resize(c->solids, c->cap_solids, want, sizeof *grown);
-        if (!grown) {
-            b->rc = err_set(b->e, ERR_MEM, "synth: out of memory for %zu solids", want);
-            return;
-        }
-        c->solids = grown;
-        c->cap_solids = want;
+    struct synth_solid *grown =
+        mem_room(c->solids, c->n_solids, &c->cap_solids, 1024, sizeof *grown);
+    if (!grown) {
+        b->rc = err_set(b->e, ERR_MEM, "synth: out of memory for %zu solids", c->n_solids + 1);
+        return;
     }
+    c->solids = grown;
     c->solids[c->n_solids] = *s;
     c->solids[c->n_solids].seed =
         (uint32_t)rng_u64(c->seed, SYNTH_STREAM_LOTS, 0x10000000u + c->n_solids);

@@ -151,14 +151,10 @@ static bool model_pick_place(const struct maker *m, uint64_t k, double place[3],
 
 static enum err_code model_sighting_add(struct maker *m, const struct sighting *s, struct err *e)
 {
-    if (m->n == m->cap) {
-        size_t want = m->cap ? 2 * m->cap : 4096;
-        struct sighting *grown = mem_resize(m->list, m->cap, want, sizeof *grown);
-        if (!grown)
-            return err_set(e, ERR_MEM, "synth: out of memory for %zu observations", want);
-        m->list = grown;
-        m->cap = want;
-    }
+    struct sighting *grown = mem_room(m->list, m->n, &m->cap, 4096, sizeof *grown);
+    if (!grown)
+        return err_set(e, ERR_MEM, "synth: out of memory for %zu observations", m->n + 1);
+    m->list = grown;
     m->list[m->n++] = *s;
     return ERR_OK;
 }

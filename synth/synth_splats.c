@@ -42,14 +42,10 @@ struct district {
 
 static enum err_code splats_add(struct district *d, struct face f, double area_m2, struct err *e)
 {
-    if (d->n == d->cap) {
-        size_t cap = d->cap ? 2 * d->cap : 4096;
-        struct face *more = mem_resize(d->face, d->cap, cap, sizeof *more);
-        if (!more)
-            return err_set(e, ERR_MEM, "synth: out of memory for %zu faces", cap);
-        d->face = more;
-        d->cap = cap;
-    }
+    struct face *more = mem_room(d->face, d->n, &d->cap, 4096, sizeof *more);
+    if (!more)
+        return err_set(e, ERR_MEM, "synth: out of memory for %zu faces", d->n + 1);
+    d->face = more;
     f.before_m2 = d->area_m2;
     d->area_m2 += area_m2;
     d->face[d->n++] = f;

@@ -492,11 +492,40 @@ static void blocks_are_appended_as_rows_are(void **state)
     gauss_free(&block);
 }
 
+/* A list grows when it is full, keeps what it holds, and stays as it was when memory is short. */
+static void mem_room_doubles_and_keeps(void **state)
+{
+    (void)state;
+    size_t n = 0, cap = 0;
+    uint32_t *list = NULL;
+    for (uint32_t i = 0; i < 13; i++) {
+        uint32_t *more = mem_room(list, n, &cap, 3, sizeof *more);
+        assert_non_null(more);
+        if (n && n != 3 && n != 6 && n != 12)
+            assert_ptr_equal(more, list);
+        list = more;
+        list[n++] = i;
+    }
+    assert_int_equal(cap, 24);
+    for (uint32_t i = 0; i < 13; i++)
+        assert_int_equal(list[i], i);
+    n = cap;
+    mem_fail_at(1);
+    assert_null(mem_room(list, n, &cap, 3, sizeof *list));
+    mem_fail_at(0);
+    assert_int_equal(cap, 24);
+    assert_int_equal(list[12], 12);
+    size_t huge = SIZE_MAX / 2 + 2;
+    assert_null(mem_room(list, huge, &huge, 3, sizeof *list));
+    mem_free(list);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(err_set_keeps_arguments_that_point_into_the_message),
         cmocka_unit_test(mem_array_refuses_overflow_and_fails_on_demand),
+        cmocka_unit_test(mem_room_doubles_and_keeps),
         cmocka_unit_test(arena_keeps_to_its_ceiling),
         cmocka_unit_test(sorts_of_words_and_selection),
         cmocka_unit_test(blocks_are_appended_as_rows_are),

@@ -33,14 +33,10 @@ enum {
 enum err_code residual_add(struct residual_list *l, const char *name, double mse, double ssim,
                            double coverage, struct err *e)
 {
-    if (l->n == l->cap) {
-        size_t cap = l->cap ? 2 * l->cap : RESIDUAL_FIRST;
-        struct residual *rows = mem_resize(l->rows, l->cap, cap, sizeof *rows);
-        if (!rows)
-            return err_set(e, ERR_MEM, "residuals: out of memory for %zu photographs", cap);
-        l->rows = rows;
-        l->cap = cap;
-    }
+    struct residual *rows = mem_room(l->rows, l->n, &l->cap, RESIDUAL_FIRST, sizeof *rows);
+    if (!rows)
+        return err_set(e, ERR_MEM, "residuals: out of memory for %zu photographs", l->n + 1);
+    l->rows = rows;
     l->rows[l->n++] =
         (struct residual){.name = name, .mse = mse, .ssim = ssim, .coverage = coverage};
     return ERR_OK;

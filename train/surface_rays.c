@@ -57,14 +57,10 @@ struct surface_ray surface_ray_make(double median_m, double near_m, double far_m
 
 enum err_code surface_rays_add(struct surface_rays *s, const struct surface_ray *r, struct err *e)
 {
-    if (s->n == s->cap) {
-        size_t want = s->cap ? 2 * s->cap : 65536;
-        struct surface_ray *grown = mem_resize(s->ray, s->cap, want, sizeof *grown);
-        if (!grown)
-            return err_set(e, ERR_MEM, "out of memory for %zu rays", want);
-        s->ray = grown;
-        s->cap = want;
-    }
+    struct surface_ray *grown = mem_room(s->ray, s->n, &s->cap, 65536, sizeof *grown);
+    if (!grown)
+        return err_set(e, ERR_MEM, "out of memory for %zu rays", s->n + 1);
+    s->ray = grown;
     s->ray[s->n++] = *r;
     return ERR_OK;
 }
