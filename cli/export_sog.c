@@ -97,11 +97,12 @@ static size_t export_sog_level(const struct export_sog *x, uint32_t node)
                                                                : level;
 }
 
-static double export_sog_far(const struct tree_node *n, const double enu_m[3])
+static double export_sog_far(const struct export_sog *x, uint32_t node, const double enu_m[3])
 {
+    const struct tree_bounds b = tree_bounds(x->tree, node);
     double sum = 0;
     for (int k = 0; k < 2; k++) {
-        const double d = enu_m[k] - 0.5 * (n->min_enu_m[k] + n->max_enu_m[k]);
+        const double d = enu_m[k] - 0.5 * (b.min_enu_m[k] + b.max_enu_m[k]);
         sum += d * d;
     }
     return sum;
@@ -119,9 +120,8 @@ static uint32_t export_sog_leaf(const struct export_sog *x, uint32_t node, struc
             const uint32_t child = x->tree->children[n->child_first + i];
             const struct key k = x->tiles[x->tree->nodes[child].tile].key;
             const unsigned down = (unsigned)(at.z - k.z);
-            const double d = at.x >> down == k.x && at.y >> down == k.y
-                                 ? -1
-                                 : export_sog_far(&x->tree->nodes[child], enu_m);
+            const double d =
+                at.x >> down == k.x && at.y >> down == k.y ? -1 : export_sog_far(x, child, enu_m);
             if (found == TREE_NONE || d < far) {
                 found = child;
                 far = d;

@@ -198,8 +198,8 @@ static enum err_code info_store(const char *path, bool tiles, json_t *o, struct 
             rc = info_set(o, members[i].key, members[i].value, e);
     }
     if (!rc && n) {
-        const struct tree_node *root = &store_tree(s)->nodes[store_tree(s)->root];
-        rc = info_set(o, "box_enu_m", info_box(root->min_enu_m, root->max_enu_m), e);
+        const struct tree_bounds root = tree_bounds(store_tree(s), store_tree(s)->root);
+        rc = info_set(o, "box_enu_m", info_box(root.min_enu_m, root.max_enu_m), e);
     }
     if (!rc && tiles)
         rc = info_set(o, "tiles", info_tiles(s), e);

@@ -94,8 +94,10 @@ static enum err_code crop_walk(struct crop *c, uint32_t index, enum crop_side si
     const bool elsewhere = c->one_document && v->document && index != c->start;
     struct crop_node *n = &c->node[index];
     enum err_code rc = ERR_OK;
-    if (side == CROP_ACROSS)
-        rc = crop_box(c->clip, origin, v->min_enu_m, v->max_enu_m, &side, e);
+    if (side == CROP_ACROSS) {
+        const struct tree_bounds b = tree_bounds(c->tree, index);
+        rc = crop_box(c->clip, origin, b.min_enu_m, b.max_enu_m, &side, e);
+    }
     if (rc || side == CROP_OUTSIDE)
         return rc;
     if (v->tile != TREE_NONE) {

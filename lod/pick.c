@@ -43,20 +43,22 @@ struct pick {
 };
 
 /* Distance from the eye to where nearly all of the tile is, over the axes [0, n_axes). */
-static double pick_distance(const struct pick *p, const struct tree_node *v, size_t n_axes)
+static double pick_distance(const struct pick *p, uint32_t node, size_t n_axes)
 {
+    const struct tree_bounds b = tree_bounds(p->tree, node);
     double sum = 0.0;
     for (size_t k = 0; k < n_axes; k++) {
         double d =
-            fmax(fmax(v->core_min_enu_m[k] - p->eye[k], p->eye[k] - v->core_max_enu_m[k]), 0.0);
+            fmax(fmax(b.core_min_enu_m[k] - p->eye[k], p->eye[k] - b.core_max_enu_m[k]), 0.0);
         sum += d * d;
     }
     return sqrt(sum);
 }
 
 /* How much the node wants to be refined; above 1 it must be. Leaves never do. */
-static double pick_error(const struct pick *p, const struct tree_node *v)
+static double pick_error(const struct pick *p, uint32_t node)
 {
+    const struct tree_node *v = &p->tree->nodes[node];
     if (v->child_count == 0)
         return 0.0;
     if (v->tile == TREE_NONE || p->o->no_lod)
@@ -64,14 +66,14 @@ static double pick_error(const struct pick *p, const struct tree_node *v)
     if (p->o->orthographic)
         return v->geometric_error_m * p->focal_px / p->limit;
     if (p->o->metric == PICK_SCREEN)
-        return v->geometric_error_m * p->focal_px / (pick_distance(p, v, 3) * p->limit);
+        return v->geometric_error_m * p->focal_px / (pick_distance(p, node, 3) * p->limit);
     /* Threshold i holds for the level i below the finest; past the last one tiles are always
      * refined. */
     uint8_t below = (uint8_t)(p->zoom_max - p->tiles[v->tile].key.z);
     double far = below >= 1 && below <= 8 ? p->o->distance_m[below - 1] : 0.0;
     if (!(far > 0.0))
         return HUGE_VAL;
-    double d = pick_distance(p, v, 2);
+    double d = pick_distance(p, node, 2);
     return d > 0.0 ? far / d : HUGE_VAL;
 }
 
@@ -82,7 +84,7 @@ static bool pick_above(const struct pick_entry *a, const struct pick_entry *b)
 
 static void pick_push(struct pick *p, uint32_t node)
 {
-    struct pick_entry x = {.error = pick_error(p, &p->tree->nodes[node]), .node = node};
+    struct pick_entry x = {.error = pick_error(p, node), .node = node};
     size_t i = p->n_heap++;
     for (; i > 0 && pick_above(&x, &p->heap[(i - 1) / 2]); i = (i - 1) / 2)
         p->heap[i] = p->heap[(i - 1) / 2];
@@ -119,8 +121,8 @@ static void pick_account(const struct pick *p, uint32_t node, int sign, uint64_t
 
 static bool pick_node_visible(const struct pick *p, uint32_t node)
 {
-    const struct tree_node *v = &p->tree->nodes[node];
-    return frustum_sees(&p->frustum, v->min_enu_m, v->max_enu_m, v->sigma_max_m);
+    const struct tree_bounds b = tree_bounds(p->tree, node);
+    return frustum_sees(&p->frustum, b.min_enu_m, b.max_enu_m, b.sigma_max_m);
 }
 
 /* Replace the node by its visible children, unless that would break a budget. */

@@ -395,28 +395,21 @@ static enum err_code store_revision(struct store *s, struct err *e)
 static enum err_code store_write_meta(struct store *s, struct err *e)
 {
     const struct store_meta *m = &s->meta;
-    char num[9][40];
-    const double values[9] = {m->origin.lon_deg, m->origin.lat_deg, m->origin.h_m,
-                              m->sh_degree,      m->embed_len,      m->antialiased,
-                              m->lossless,       m->zoom_min,       m->zoom_max};
-    for (size_t i = 0; i < 9; i++)
+    char num[10][40];
+    const double values[10] = {m->origin.lon_deg, m->origin.lat_deg, m->origin.h_m, m->sh_degree,
+                               m->embed_len,      m->antialiased,    m->lossless,   m->zoom_min,
+                               m->zoom_max,       (double)s->n_tiles};
+    for (size_t i = 0; i < 10; i++)
         snprintf(num[i], sizeof num[i], "%.17g", values[i]);
     const char *const rows[][2] = {
-        {"name", m->name},
-        {"origin_lon_deg", num[0]},
-        {"origin_lat_deg", num[1]},
-        {"origin_h_m", num[2]},
-        {"sh_degree", num[3]},
-        {"embed_len", num[4]},
-        {"antialiased", num[5]},
-        {"lossless", num[6]},
-        {"zoom_min", num[7]},
-        {"zoom_max", num[8]},
-        {"attribution", m->attribution},
-        {"heights", m->heights},
-        {"revision", m->revision},
-        {"created", m->created},
-        {"writer", "citysplat " CITYSPLAT_VERSION},
+        {"name", m->name},          {"origin_lon_deg", num[0]},
+        {"origin_lat_deg", num[1]}, {"origin_h_m", num[2]},
+        {"sh_degree", num[3]},      {"embed_len", num[4]},
+        {"antialiased", num[5]},    {"lossless", num[6]},
+        {"zoom_min", num[7]},       {"zoom_max", num[8]},
+        {"tiles", num[9]},          {"attribution", m->attribution},
+        {"heights", m->heights},    {"revision", m->revision},
+        {"created", m->created},    {"writer", "citysplat " CITYSPLAT_VERSION},
     };
     sqlite3_stmt *q = NULL;
     int code = sqlite3_prepare_v2(s->db, "INSERT INTO meta(key,value) VALUES(?1,?2)", -1, &q, NULL);

@@ -70,10 +70,11 @@ struct hash128 store_db_row_hash(const struct store_tile *t)
                                       t->hash.lo,
                                       t->hash.hi};
     memcpy(word + N_INTS, nums, sizeof nums);
-    uint8_t bytes[sizeof word]; /* little-endian whatever the machine */
-    for (size_t i = 0; i < sizeof bytes; i++)
-        bytes[i] = (uint8_t)(word[i / 8] >> (8 * (i % 8)));
-    return hash_bytes(bytes, sizeof bytes);
+#if __BYTE_ORDER__ == __ORDER_BIG_ENDIAN__ /* little-endian whatever the machine */
+    for (size_t i = 0; i < sizeof word / sizeof *word; i++)
+        word[i] = __builtin_bswap64(word[i]);
+#endif
+    return hash_bytes(word, sizeof word);
 }
 
 int store_db_tile_compare(const void *a, const void *b)

@@ -88,32 +88,34 @@ static void tileset_matrix(struct buf *b, const double m[16])
     buf_printf(b, "],");
 }
 
-static void tileset_box(const struct tileset *t, const struct tree_node *v)
+static void tileset_box(const struct tileset *t, uint32_t node)
 {
+    const struct tree_bounds b = tree_bounds(t->tree, node);
     double center[3];
-    tileset_center(t, v, center);
+    tileset_center(t, &t->tree->nodes[node], center);
     buf_printf(t->out, "\"boundingVolume\":{\"box\":[");
     for (size_t k = 0; k < 3; k++)
-        buf_printf(t->out, "%.6f,", 0.5 * (v->min_enu_m[k] + v->max_enu_m[k]) - center[k]);
+        buf_printf(t->out, "%.6f,", 0.5 * (b.min_enu_m[k] + b.max_enu_m[k]) - center[k]);
     for (size_t i = 0; i < 9; i++) {
         size_t k = i / 3;
         /* Half a micrometre up, so that rounding never cuts. */
-        double half = i % 3 == k ? 0.5 * (v->max_enu_m[k] - v->min_enu_m[k]) + 1e-6 : 0.0;
+        double half = i % 3 == k ? 0.5 * (b.max_enu_m[k] - b.min_enu_m[k]) + 1e-6 : 0.0;
         buf_printf(t->out, "%s%.6f", i ? "," : "", half);
     }
     buf_printf(t->out, "]}");
 }
 
 /* Where nearly all of the tile is, in its frame: the viewer measures distance to it, as pick.c. */
-static void tileset_core(const struct tileset *t, const struct tree_node *v)
+static void tileset_core(const struct tileset *t, uint32_t node)
 {
+    const struct tree_bounds b = tree_bounds(t->tree, node);
     double center[3];
-    tileset_center(t, v, center);
+    tileset_center(t, &t->tree->nodes[node], center);
     buf_printf(t->out, ",\"extras\":{\"core\":[");
     for (size_t k = 0; k < 3; k++)
-        buf_printf(t->out, "%s%.3f", k ? "," : "", v->core_min_enu_m[k] - center[k]);
+        buf_printf(t->out, "%s%.3f", k ? "," : "", b.core_min_enu_m[k] - center[k]);
     for (size_t k = 0; k < 3; k++)
-        buf_printf(t->out, ",%.3f", v->core_max_enu_m[k] - center[k]);
+        buf_printf(t->out, ",%.3f", b.core_max_enu_m[k] - center[k]);
     buf_printf(t->out, "]}");
 }
 
@@ -128,12 +130,12 @@ static void tileset_node(const struct tileset *t, uint32_t index, const double *
     buf_printf(t->out, "{");
     if (m)
         tileset_matrix(t->out, m);
-    tileset_box(t, v);
+    tileset_box(t, index);
     buf_printf(t->out, ",\"geometricError\":%.9g", v->geometric_error_m);
     if (index == t->start)
         buf_printf(t->out, ",\"refine\":\"REPLACE\"");
     if (v->tile != TREE_NONE && v->child_count > 0)
-        tileset_core(t, v);
+        tileset_core(t, index);
     if (v->tile != TREE_NONE && (!t->left || t->left[index].count || elsewhere)) {
         buf_printf(t->out, ",\"content\":{\"uri\":");
         tileset_uri(t->out, elsewhere ? t->links->part : t->links->tile, t->tiles[v->tile].key);
@@ -271,7 +273,7 @@ enum err_code tileset_tilejson(const struct store *s, const char *tiles_template
     const struct store_tile *tiles = store_tiles(s, &n);
     if (n == 0)
         return err_set(e, ERR_DATA, "tilejson: the store has no tiles");
-    const struct tree_node *root = &store_tree(s)->nodes[store_tree(s)->root];
+    const struct tree_bounds root = tree_bounds(store_tree(s), store_tree(s)->root);
     double b[4];
     uint64_t total = 0, bytes = 0;
     uint8_t top = 0;
@@ -301,8 +303,7 @@ enum err_code tileset_tilejson(const struct store *s, const char *tiles_template
         m->sh_degree, m->embed_len, m->antialiased ? "true" : "false", (unsigned long long)total,
         (unsigned long long)bytes);
     for (size_t k = 0; k < 6; k++)
-        buf_printf(out, "%s%.3f", k ? "," : "",
-                   k < 3 ? root->min_enu_m[k] : root->max_enu_m[k - 3]);
+        buf_printf(out, "%s%.3f", k ? "," : "", k < 3 ? root.min_enu_m[k] : root.max_enu_m[k - 3]);
     buf_printf(out, "],\n");
     if (store_footprint(s))
         buf_printf(out, "\"footprint\":%s,\n", store_footprint(s));

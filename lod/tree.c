@@ -31,13 +31,19 @@ uint32_t tree_find(const struct store_tile *tiles, size_t n, struct key k)
     return TREE_NONE;
 }
 
-static uint32_t tree_ancestor(const struct store_tile *tiles, size_t n, struct key k)
+/* *near: what the tile before has. Mostly this one has the same, or the next. */
+static uint32_t tree_ancestor(const struct store_tile *tiles, size_t n, struct key k,
+                              uint32_t *near)
 {
     while (k.z > 0) {
         k = key_parent(k);
-        uint32_t i = tree_find(tiles, n, k);
+        uint32_t i = TREE_NONE;
+        for (size_t at = *near; at < n && at < (size_t)*near + 2 && i == TREE_NONE; at++)
+            i = key_compare(tiles[at].key, k) ? TREE_NONE : (uint32_t)at;
+        if (i == TREE_NONE)
+            i = tree_find(tiles, n, k);
         if (i != TREE_NONE)
-            return i;
+            return *near = i;
     }
     return TREE_NONE;
 }
@@ -63,7 +69,7 @@ static void tree_link(struct tree *t)
 }
 
 /* Unite bounds along the edge from `c` to its parent `p`. */
-static void tree_unite(struct tree_node *p, const struct tree_node *c)
+static void tree_unite(struct tree_bounds *p, const struct tree_bounds *c)
 {
     for (size_t k = 0; k < 3; k++) {
         p->min_enu_m[k] = fmin(p->min_enu_m[k], c->min_enu_m[k]);
@@ -88,8 +94,10 @@ static double tree_error(const struct tree *t, const struct tree_node *v, double
 static void tree_measure(struct tree *t, const struct store_tile *tiles, size_t n)
 {
     for (size_t i = n; i-- > 0;)
-        if (t->nodes[i].parent != TREE_NONE)
-            tree_unite(&t->nodes[t->nodes[i].parent], &t->nodes[i]);
+        if (t->nodes[i].parent != TREE_NONE) {
+            const struct tree_bounds own = tree_bounds(t, (uint32_t)i);
+            tree_unite(&t->bounds[t->nodes[t->nodes[i].parent].bounds], &own);
+        }
     /* A root without content draws nothing, so its own error is that of an empty picture: twice the
      * tiles'. */
     if (t->root == n)
@@ -148,13 +156,47 @@ static enum err_code tree_divide(struct tree *t, size_t n_tiles, struct err *e)
     return ERR_OK;
 }
 
-static void tree_core(struct tree_node *v, const struct store_tile *t)
+/* Of one tile alone; NULL: of none. */
+static struct tree_bounds tree_bounds_of(const struct store_tile *t)
 {
+    struct tree_bounds b = {.sigma_max_m = t ? t->sigma_max_m : 0.0};
     bool known = false;
-    for (size_t k = 0; k < 3; k++)
-        known = known || t->core_min_enu_m[k] != 0.0 || t->core_max_enu_m[k] != 0.0;
-    memcpy(v->core_min_enu_m, known ? t->core_min_enu_m : t->min_enu_m, sizeof v->core_min_enu_m);
-    memcpy(v->core_max_enu_m, known ? t->core_max_enu_m : t->max_enu_m, sizeof v->core_max_enu_m);
+    for (size_t k = 0; k < 3; k++) {
+        known = known || (t && (t->core_min_enu_m[k] != 0.0 || t->core_max_enu_m[k] != 0.0));
+        b.min_enu_m[k] = b.core_min_enu_m[k] = t ? t->min_enu_m[k] : HUGE_VAL;
+        b.max_enu_m[k] = b.core_max_enu_m[k] = t ? t->max_enu_m[k] : -HUGE_VAL;
+    }
+    if (known) {
+        memcpy(b.core_min_enu_m, t->core_min_enu_m, sizeof b.core_min_enu_m);
+        memcpy(b.core_max_enu_m, t->core_max_enu_m, sizeof b.core_max_enu_m);
+    }
+    return b;
+}
+
+struct tree_bounds tree_bounds(const struct tree *t, uint32_t node)
+{
+    const struct tree_node *v = &t->nodes[node];
+    return v->child_count ? t->bounds[v->bounds]
+                          : tree_bounds_of(v->tile == TREE_NONE ? NULL : &t->tiles[v->tile]);
+}
+
+/* Those of their own tiles, for the nodes that have children. */
+static enum err_code tree_add_bounds(struct tree *t, struct err *e)
+{
+    size_t n = 0;
+    for (size_t i = 0; i < t->n_nodes; i++)
+        n += t->nodes[i].child_count > 0;
+    if (!(t->bounds = mem_array(n + 1, sizeof *t->bounds)))
+        return err_set(e, ERR_MEM, "tree: out of memory for %zu tiles", t->n_nodes);
+    n = 0;
+    for (size_t i = 0; i < t->n_nodes; i++) {
+        struct tree_node *v = &t->nodes[i];
+        if (!v->child_count)
+            continue;
+        t->bounds[n] = tree_bounds_of(v->tile == TREE_NONE ? NULL : &t->tiles[v->tile]);
+        v->bounds = (uint32_t)n++;
+    }
+    return ERR_OK;
 }
 
 enum err_code tree_build(const struct store_tile *tiles, size_t n, struct tree *out, struct err *e)
@@ -164,7 +206,8 @@ enum err_code tree_build(const struct store_tile *tiles, size_t n, struct tree *
         return ERR_OK;
     if (n >= TREE_NONE)
         return err_set(e, ERR_LIMIT, "tree: %zu tiles, at most 2^32 - 2", n);
-    struct tree t = {.nodes = mem_array(n + 1, sizeof *t.nodes),
+    struct tree t = {.tiles = tiles,
+                     .nodes = mem_array(n + 1, sizeof *t.nodes),
                      .children = mem_array(n + 1, sizeof *t.children),
                      .n_nodes = n,
                      .root = TREE_NONE};
@@ -173,33 +216,28 @@ enum err_code tree_build(const struct store_tile *tiles, size_t n, struct tree *
         return err_set(e, ERR_MEM, "tree: out of memory for %zu tiles", n);
     }
     size_t roots = 0;
+    uint32_t near = 0;
     for (size_t i = 0; i < n; i++) {
         struct tree_node *v = &t.nodes[i];
         v->tile = (uint32_t)i;
-        v->sigma_max_m = tiles[i].sigma_max_m;
-        v->parent = tree_ancestor(tiles, n, tiles[i].key);
-        memcpy(v->min_enu_m, tiles[i].min_enu_m, sizeof v->min_enu_m);
-        memcpy(v->max_enu_m, tiles[i].max_enu_m, sizeof v->max_enu_m);
-        tree_core(v, &tiles[i]);
+        v->parent = tree_ancestor(tiles, n, tiles[i].key, &near);
         if (v->parent == TREE_NONE && roots++ == 0)
             t.root = (uint32_t)i;
     }
     if (roots > 1) {
         t.root = (uint32_t)n;
         t.n_nodes = n + 1;
-        struct tree_node *r = &t.nodes[n];
-        *r = (struct tree_node){.tile = TREE_NONE, .parent = TREE_NONE};
-        for (size_t k = 0; k < 3; k++) {
-            r->min_enu_m[k] = r->core_min_enu_m[k] = HUGE_VAL;
-            r->max_enu_m[k] = r->core_max_enu_m[k] = -HUGE_VAL;
-        }
+        t.nodes[n] = (struct tree_node){.tile = TREE_NONE, .parent = TREE_NONE};
         for (size_t i = 0; i < n; i++)
             if (t.nodes[i].parent == TREE_NONE)
                 t.nodes[i].parent = t.root;
     }
     tree_link(&t);
-    tree_measure(&t, tiles, n);
-    enum err_code rc = tree_divide(&t, n, e);
+    enum err_code rc = tree_add_bounds(&t, e);
+    if (!rc) {
+        tree_measure(&t, tiles, n);
+        rc = tree_divide(&t, n, e);
+    }
     if (rc)
         tree_free(&t);
     else
@@ -210,6 +248,7 @@ enum err_code tree_build(const struct store_tile *tiles, size_t n, struct tree *
 void tree_free(struct tree *t)
 {
     mem_free(t->nodes);
+    mem_free(t->bounds);
     mem_free(t->children);
     *t = (struct tree){.root = TREE_NONE};
 }

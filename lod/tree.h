@@ -23,9 +23,7 @@ struct tree_node {
     uint32_t tile;                     /* index into the tiles; TREE_NONE: root without content */
     uint32_t parent;                   /* TREE_NONE at the root */
     uint32_t child_first, child_count; /* slice of tree.children */
-    double min_enu_m[3], max_enu_m[3]; /* box around this tile and all below */
-    double core_min_enu_m[3], core_max_enu_m[3]; /* the same of cores */
-    double sigma_max_m;                          /* the same of sigma_max_m */
+    uint32_t bounds;                   /* with children: place in tree.bounds */
     /* 0 at leaves; else the tile's, limited to less than the parent's */
     double geometric_error_m;
     uint32_t n_below; /* number of nodes in its subtree, itself included */
@@ -34,18 +32,27 @@ struct tree_node {
     bool document;
 };
 
-struct tree { /* {0} is empty */
+struct tree_bounds {                             /* of a node and all below it */
+    double min_enu_m[3], max_enu_m[3];           /* box around */
+    double core_min_enu_m[3], core_max_enu_m[3]; /* around cores */
+    double sigma_max_m;
+};
+
+struct tree {                       /* {0} is empty */
+    const struct store_tile *tiles; /* borrowed */
     struct tree_node *nodes;
-    uint32_t *children; /* node indices, ascending within a node */
+    struct tree_bounds *bounds; /* of nodes with children: most have none, and their tile's */
+    uint32_t *children;         /* node indices, ascending within a node */
     size_t n_nodes;
     uint32_t root; /* TREE_NONE when there are no tiles */
 };
 
-/* Builds the tree. `tiles` must be sorted by key_compare, without duplicates. Free *out with
- * tree_free. ERR_LIMIT (2^32 - 1 tiles), ERR_MEM. */
+/* Builds the tree. `tiles` must be sorted by key_compare, without duplicates, and must outlive the
+ * tree. Free *out with tree_free. ERR_LIMIT (2^32 - 1 tiles), ERR_MEM. */
 enum err_code tree_build(const struct store_tile *tiles, size_t n, struct tree *out,
                          struct err *e) ERR_USE;
 void tree_free(struct tree *t);
+struct tree_bounds tree_bounds(const struct tree *t, uint32_t node);
 /* Index of `k` in sorted tiles, or TREE_NONE. */
 uint32_t tree_find(const struct store_tile *tiles, size_t n, struct key k);
 

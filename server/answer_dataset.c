@@ -179,16 +179,15 @@ void answer_dataset_collection(struct services *s, const struct request *r, stru
 void answer_dataset_tilejson(struct services *s, const struct request *r, struct dataset *d,
                              const struct target *t, struct response *out)
 {
-    struct body *b = NULL;
     struct origin_places at;
     (void)t;
-    if (!r->seal) {
-        response_document(r, RESPONSE_JSON, body_ref(d->tilejson), out);
+    origin_read(s, r, &at); /* behind a seal, what is absolute in it must lie below the seal */
+    const char *url = at.public_url && *at.public_url ? at.public_url : NULL;
+    struct hash128 id = result_id_tilejson(d, url);
+    out->type = RESPONSE_JSON;
+    if (!response_made(s, r, id, out))
         return;
-    }
-    origin_read(s, r, &at);
-    if (catalog_tilejson(d, at.public_url, &b, NULL))
+    struct work *w = response_work(d, WORK_TILEJSON, id, (struct form){0}, out);
+    if (w && url && !(w->public_url = mem_text(url)))
         response_no_memory(out);
-    else
-        response_document(r, RESPONSE_JSON, b, out);
 }

@@ -53,8 +53,8 @@ void card_picture(const struct dataset *d, const char *up, unsigned width_px, un
     double at_m[3], lon, lat, h;
     if (tree->root == TREE_NONE)
         return;
-    const struct tree_node *root = &tree->nodes[tree->root];
-    card_stand(root->core_min_enu_m, root->core_max_enu_m, (double)width_px / height_px, at_m);
+    const struct tree_bounds root = tree_bounds(tree, tree->root);
+    card_stand(root.core_min_enu_m, root.core_max_enu_m, (double)width_px / height_px, at_m);
     if (geo_from_enu(&d->meta.origin, at_m, &lon, &lat, &h, NULL))
         return;
     buf_printf(out, "%s%sd/%s/static/%.7f,%.7f,%.2f@%.0f,%.0f,%.0f/%ux%u.jpg", up, *up ? "/" : "",

@@ -40,22 +40,6 @@ static enum err_code catalog_make_tileset(struct dataset *d, enum tileset_links_
     return document_take(rc, &b, out, e);
 }
 
-enum err_code catalog_tilejson(const struct dataset *d, const char *public_url, struct body **out,
-                               struct err *e)
-{
-    struct buf b = {0}, tile = {0};
-    struct link l =
-        link_to(LINK_ROOT, public_url && *public_url ? public_url : "../..", d, d->edition);
-    l.ext = format_ext(FORMAT_GLB);
-    link_tile(&l, &tile);
-    buf_u8(&tile, 0);
-    enum err_code rc = buf_check(&tile, e);
-    if (!rc)
-        rc = tileset_tilejson(d->index, (const char *)tile.data, &b, e);
-    buf_free(&tile);
-    return document_take(rc, &b, out, e);
-}
-
 static enum err_code catalog_make_documents(struct dataset *d, const struct catalog_options *o,
                                             struct err *e)
 {
@@ -63,8 +47,6 @@ static enum err_code catalog_make_documents(struct dataset *d, const struct cata
     enum err_code rc = catalog_make_tileset(d, TILESET_LINKS_ENTRY, &d->tileset, e);
     if (!rc)
         rc = catalog_make_tileset(d, TILESET_LINKS_MOVING, &d->tileset_moving, e);
-    if (!rc)
-        rc = catalog_tilejson(d, o->public_url, &d->tilejson, e);
     if (!rc)
         rc = appearance_api_list(d, &d->appearances, e);
     if (!rc && d->appearance)
@@ -75,9 +57,8 @@ static enum err_code catalog_make_documents(struct dataset *d, const struct cata
         rc = search_open(d, &d->search, e);
     if (!rc)
         rc = collection_describe(d, &collection, &d->collection, e);
-    struct body *const documents[] = {d->tileset,    d->tileset_moving, d->tilejson,
-                                      d->collection, d->appearances,    d->model,
-                                      d->photographs};
+    struct body *const documents[] = {d->tileset,     d->tileset_moving, d->collection,
+                                      d->appearances, d->model,          d->photographs};
     for (size_t i = 0; !rc && i < sizeof documents / sizeof *documents; i++)
         if (documents[i])
             documents[i]->modified_s = (int64_t)time(NULL); /* of options and program, too */

@@ -20,7 +20,7 @@ struct catalog_options {
     const struct clip *clip; /* this part of each store is served; NULL: all */
     /* folder for clipped stores, which are unnamed files; NULL: see clip_open_part */
     const char *clip_dir;
-    const char *public_url; /* for TileJSON and collections; NULL, "": none */
+    const char *public_url; /* for collections; NULL, "": none */
     const char *base_path;  /* for collections; NULL, "": none */
     double keep_s;          /* replaced revisions are served for this time */
     size_t keep_revisions;  /* and at most this many of a dataset */
@@ -38,9 +38,6 @@ enum err_code catalog_open(const char *const *paths, size_t n, const struct cata
  * none. ERR_MEM. */
 enum err_code catalog_expire(const struct catalog *c, const struct catalog_options *o, double now_s,
                              struct catalog **out, struct err *e) ERR_USE;
-/* Makes the TileJSON of a dataset's tiles. public_url NULL: its addresses are relative. ERR_MEM. */
-enum err_code catalog_tilejson(const struct dataset *d, const char *public_url, struct body **out,
-                               struct err *e) ERR_USE;
 struct catalog *catalog_ref(struct catalog *c);
 void catalog_drop(struct catalog **c);
 /* Finds a dataset; borrowed from c. rev "": the current revision. NULL: there is none. */

@@ -174,7 +174,6 @@ void dataset_drop(struct dataset **out)
     mem_free(d->free_store);
     body_drop(&d->tileset);
     body_drop(&d->tileset_moving);
-    body_drop(&d->tilejson);
     body_drop(&d->collection);
     body_drop(&d->appearances);
     body_drop(&d->model);

@@ -31,10 +31,9 @@ struct dataset { /* immutable except where a comment says otherwise; reference-c
     struct area area;                    /* surveyed area; .in NULL: not known */
     double bbox[6];       /* west south hmin east north hmax, in degrees and metres */
     struct hash128 salt;  /* hash of all that determines an encoded tile except its payload */
-    char edition[9];      /* of its tiles (result_id.h); catalog.c sets this and the next seven: */
+    char edition[9];      /* of its tiles (result_id.h); catalog.c sets this and the next six: */
     struct body *tileset; /* with URIs relative to d/NAME/r/REV/ */
     struct body *tileset_moving; /* with URIs relative to d/NAME/ */
-    struct body *tilejson;
     struct body *collection;
     struct body *appearances;
     struct body *model, *photographs; /* NULL without appearance; so is search */

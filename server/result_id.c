@@ -151,6 +151,19 @@ struct hash128 result_id_tileset(const struct dataset *d, const struct target *t
     return id;
 }
 
+struct hash128 result_id_tilejson(const struct dataset *d, const char *public_url)
+{
+    struct {
+        struct hash128 salt, base;
+        char rev[16], edition[16], kind[16];
+    } name = {.salt = d->salt, .kind = "tilejson"};
+    if (public_url)
+        name.base = hash_bytes(public_url, strlen(public_url));
+    memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
+    memcpy(name.edition, d->edition, sizeof d->edition);
+    return hash_bytes(&name, sizeof name);
+}
+
 struct hash128 result_id_thumbnail(const struct dataset *d, const char *name)
 {
     struct {

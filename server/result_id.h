@@ -35,6 +35,8 @@ struct hash128 result_id_search(const struct dataset *d, const struct target *t,
 /* part: the tile that the document begins at; NULL: the entry. */
 struct hash128 result_id_tileset(const struct dataset *d, const struct target *t,
                                  const struct key *part);
+/* public_url: base of its addresses; NULL: they are relative */
+struct hash128 result_id_tilejson(const struct dataset *d, const char *public_url);
 /* Name of a photograph's thumbnail in a revision. */
 struct hash128 result_id_thumbnail(const struct dataset *d, const char *name);
 /* Name of a picture. device: name and driver, because other hardware rounds differently. gaussians:

@@ -20,6 +20,7 @@
 #include "server/appearance_model.h"
 #include "server/cost.h"
 #include "server/encode.h"
+#include "server/link.h"
 #include "server/param_clip.h"
 #include "server/search.h"
 #include "server/seed.h"
@@ -100,6 +101,22 @@ static enum err_code work_make_tileset(const struct work *w, struct buf *out, st
     return rc;
 }
 
+/* A row a tile: 200 bytes and 2 us each, so it is made when it is asked for. */
+static enum err_code work_make_tilejson(const struct work *w, struct buf *out, struct err *e)
+{
+    struct buf tile = {0};
+    struct link l =
+        link_to(LINK_ROOT, w->public_url ? w->public_url : "../..", w->ds, w->ds->edition);
+    l.ext = format_ext(FORMAT_GLB);
+    link_tile(&l, &tile);
+    buf_u8(&tile, 0);
+    enum err_code rc = buf_check(&tile, e);
+    if (!rc)
+        rc = tileset_tilejson(w->ds->index, (const char *)tile.data, out, e);
+    buf_free(&tile);
+    return rc;
+}
+
 /* What the process that draws makes. `room` is that of the result from above; codecs that do not
  * compress add to it. */
 static enum err_code work_make_drawn(struct services *s, const struct job *j, const struct work *w,
@@ -170,6 +187,8 @@ static enum err_code work_make_bytes(struct services *s, const struct job *j, co
         return work_make_seed(w, out, e);
     case WORK_TILESET:
         return work_make_tileset(w, out, e);
+    case WORK_TILEJSON:
+        return work_make_tilejson(w, out, e);
     case WORK_THUMBNAIL:
         return work_make_thumbnail(w, out, e);
     case WORK_SEARCH:
@@ -213,8 +232,9 @@ static size_t work_query_bytes(const struct work *w)
 
 size_t work_room(const struct work *w)
 {
-    enum { HEAD = WORK_ROOM_HEAD, TILESET_ROW = 512 };
+    enum { HEAD = WORK_ROOM_HEAD, TILESET_ROW = 512, TILEJSON_ROW = 384 };
     const struct store_tile *t = NULL;
+    const char *footprint = store_footprint(w->ds->index);
     size_t sh = 3 * gauss_sh_count(w->ds->meta.sh_degree);
     switch (w->kind) {
     case WORK_VIEW:
@@ -227,6 +247,8 @@ size_t work_room(const struct work *w)
         return HEAD + seed_room(w->ds, &w->target, w->course);
     case WORK_TILESET:
         return HEAD + w->ds->n_tiles * (TILESET_ROW + work_query_bytes(w));
+    case WORK_TILEJSON:
+        return HEAD + (footprint ? strlen(footprint) : 0) + w->ds->n_tiles * TILEJSON_ROW;
     case WORK_THUMBNAIL:
         return HEAD + PHOTOGRAPH_BYTES_MAX;
     case WORK_SEARCH:
@@ -272,6 +294,7 @@ double work_cost(const void *work, unsigned *kind)
         return 10;
     case WORK_SEED:
     case WORK_TILESET:
+    case WORK_TILEJSON:
         *kind = clipped ? (unsigned)CLIPPED_LIST : *kind;
         return 1 + (double)w->ds->n_tiles * row_ms * (clipped ? 1000 : 1);
     case WORK_TILE:
@@ -285,12 +308,16 @@ double work_cost(const void *work, unsigned *kind)
 
 const char *work_noun(enum work_kind kind)
 {
-    static const char *const nouns[] = {
-        [WORK_TILE] = "tile",           [WORK_SEED] = "list of tiles",
-        [WORK_TILESET] = "tileset",     [WORK_VIEW] = "picture",
-        [WORK_MAP] = "map tile",        [WORK_QUERY] = "answer",
-        [WORK_THUMBNAIL] = "thumbnail", [WORK_SEARCH] = "list of appearances",
-        [WORK_KEEP] = "change"};
+    static const char *const nouns[] = {[WORK_TILE] = "tile",
+                                        [WORK_SEED] = "list of tiles",
+                                        [WORK_TILESET] = "tileset",
+                                        [WORK_TILEJSON] = "TileJSON",
+                                        [WORK_VIEW] = "picture",
+                                        [WORK_MAP] = "map tile",
+                                        [WORK_QUERY] = "answer",
+                                        [WORK_THUMBNAIL] = "thumbnail",
+                                        [WORK_SEARCH] = "list of appearances",
+                                        [WORK_KEEP] = "change"};
     return nouns[kind];
 }
 
@@ -367,7 +394,7 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
         if (!*out)
             rc = err_set(e, ERR_MEM, "out of memory for the encoded bytes");
     }
-    if (!rc && (w->kind == WORK_TILESET || w->kind == WORK_SEARCH))
+    if (!rc && (w->kind == WORK_TILESET || w->kind == WORK_TILEJSON || w->kind == WORK_SEARCH))
         body_compress(*out);
     if (!rc)
         flight_add(s->flight, w->id, *out);
@@ -408,6 +435,7 @@ void work_drop(void *services, void *work)
     film_drop(&w->film);
     mem_free(w->query);
     mem_free(w->course);
+    mem_free(w->public_url);
     kept_drop(&w->kept);
     if (w->change) {
         mem_free(w->change->match);

@@ -16,6 +16,7 @@ enum work_kind {
     WORK_TILE,
     WORK_SEED,
     WORK_TILESET,
+    WORK_TILEJSON,
     WORK_VIEW,
     WORK_MAP,
     WORK_QUERY,
@@ -43,6 +44,7 @@ struct work { /* freed with work_drop */
     struct film_shot shot;      /* with film */
     struct map_tile map;        /* WORK_MAP */
     struct query *query;        /* WORK_QUERY, owned */
+    char *public_url;           /* WORK_TILEJSON, owned; NULL: its addresses are relative */
     struct course *course;      /* WORK_SEED, owned; NULL: no camera */
     struct kept_table *kept;    /* WORK_SEARCH: a reference; NULL: there are no named appearances */
     struct work_change *change; /* WORK_KEEP, owned */

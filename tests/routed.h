@@ -136,7 +136,7 @@ static inline struct response answer(const struct ask *a)
             result.end = JOB_ERROR;
             snprintf(result.msg, sizeof result.msg, "%.200s", e.msg);
         }
-        assert_true(!result.body || w->kind != WORK_SEED ||
+        assert_true(!result.body || (w->kind != WORK_SEED && w->kind != WORK_TILEJSON) ||
                     result.body->size <= work_room(w) - WORK_ROOM_HEAD);
         work_drop(NULL, w);
         dispatch_finish(&t.s, &r, &result, &out);

@@ -143,9 +143,10 @@ static void every_splat_lies_in_its_boxes(void **state)
             levels |= 1u << t[i].level;
             for (size_t r = 0; r < g.n; r++) {
                 assert_inside("tile", &g, r, t[i].min_enu_m, t[i].max_enu_m);
-                for (uint32_t v = (uint32_t)i; v != TREE_NONE; v = tree->nodes[v].parent)
-                    assert_inside("node", &g, r, tree->nodes[v].min_enu_m,
-                                  tree->nodes[v].max_enu_m);
+                for (uint32_t v = (uint32_t)i; v != TREE_NONE; v = tree->nodes[v].parent) {
+                    const struct tree_bounds b = tree_bounds(tree, v);
+                    assert_inside("node", &g, r, b.min_enu_m, b.max_enu_m);
+                }
                 for (size_t k = 0; k < 3; k++)
                     assert_true(exp((double)g.scale_log[3 * r + k]) <=
                                 t[i].sigma_max_m * (1 + 1e-12));
@@ -171,9 +172,10 @@ static size_t cut(const struct tree *t, const struct store_tile *tiles, uint32_t
                   const double eye[3], double focal_px, double error_px, uint32_t *out, size_t n)
 {
     const struct tree_node *v = &t->nodes[node];
+    const struct tree_bounds b = tree_bounds(t, node);
     double d2 = 0;
     for (size_t k = 0; k < 3; k++) {
-        double d = fmax(fmax(v->core_min_enu_m[k] - eye[k], eye[k] - v->core_max_enu_m[k]), 0.0);
+        double d = fmax(fmax(b.core_min_enu_m[k] - eye[k], eye[k] - b.core_max_enu_m[k]), 0.0);
         d2 += d * d;
     }
     bool refine =

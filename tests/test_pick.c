@@ -271,9 +271,10 @@ static void random_scene(uint64_t seed, struct scene_tiles *s)
     /* Let each tile's own box hold those below, so that an ancestor is visible wherever a leaf is.
      */
     for (size_t i = 0; i < s->n; i++) {
-        memcpy(s->tile[i].min_enu_m, s->tree.nodes[i].min_enu_m, sizeof s->tile[i].min_enu_m);
-        memcpy(s->tile[i].max_enu_m, s->tree.nodes[i].max_enu_m, sizeof s->tile[i].max_enu_m);
-        s->tile[i].sigma_max_m = s->tree.nodes[i].sigma_max_m;
+        const struct tree_bounds b = tree_bounds(&s->tree, (uint32_t)i);
+        memcpy(s->tile[i].min_enu_m, b.min_enu_m, sizeof s->tile[i].min_enu_m);
+        memcpy(s->tile[i].max_enu_m, b.max_enu_m, sizeof s->tile[i].max_enu_m);
+        s->tile[i].sigma_max_m = b.sigma_max_m;
     }
 }
 
@@ -398,9 +399,11 @@ static void errors_fall_strictly_and_boxes_nest(void **state)
             const struct tree_node *v = &s.tree.nodes[i],
                                    *p = v->parent == TREE_NONE ? NULL : &s.tree.nodes[v->parent];
             assert_true(v->child_count ? v->geometric_error_m > 0 : v->geometric_error_m == 0);
-            for (size_t k = 0; p && k < 3; k++)
-                assert_true(p->min_enu_m[k] <= v->min_enu_m[k] &&
-                            p->max_enu_m[k] >= v->max_enu_m[k]);
+            const struct tree_bounds inner = tree_bounds(&s.tree, (uint32_t)i),
+                                     outer = tree_bounds(&s.tree, p ? v->parent : s.tree.root);
+            for (size_t k = 0; k < 3; k++)
+                assert_true(outer.min_enu_m[k] <= inner.min_enu_m[k] &&
+                            outer.max_enu_m[k] >= inner.max_enu_m[k]);
             assert_true(!p || p->geometric_error_m > v->geometric_error_m);
         }
         tree_free(&s.tree);

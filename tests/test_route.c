@@ -318,7 +318,6 @@ static void test_last_modified(void **state)
                                           "/conformance",
                                           "/collections",
                                           "/collections/toy",
-                                          "/collections/toy/tiles.json",
                                           "/d/toy/tileset.json",
                                           "/d/toy/r/REV/tileset.json",
                                           "/d/toy/appearances",
@@ -651,10 +650,10 @@ static void test_words_of_failures(void **state)
     static const struct {
         enum work_kind kind;
         const char *says;
-    } rows[] = {
-        {WORK_VIEW, "the picture could not"},    {WORK_MAP, "the map tile could not"},
-        {WORK_QUERY, "the answer could not"},    {WORK_SEED, "the list of tiles could"},
-        {WORK_TILESET, "the tileset could not"}, {WORK_THUMBNAIL, "the thumbnail could not"}};
+    } rows[] = {{WORK_VIEW, "the picture could not"},       {WORK_MAP, "the map tile could not"},
+                {WORK_QUERY, "the answer could not"},       {WORK_SEED, "the list of tiles could"},
+                {WORK_TILEJSON, "the TileJSON could"},      {WORK_TILESET, "the tileset could not"},
+                {WORK_THUMBNAIL, "the thumbnail could not"}};
     (void)state;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         struct request q = {.target = "/", .target_size = 1};

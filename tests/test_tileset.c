@@ -153,7 +153,9 @@ static void walk_part(struct walk *w, struct key k, const json_t *node, const do
 static void walk_core(const struct walk *w, const struct store_tile *t, const json_t *node)
 {
     size_t n;
-    const struct tree_node *v = &store_tree(w->s)->nodes[t - store_tiles(w->s, &n)];
+    const uint32_t at = (uint32_t)(t - store_tiles(w->s, &n));
+    const struct tree_node *v = &store_tree(w->s)->nodes[at];
+    const struct tree_bounds b = tree_bounds(store_tree(w->s), at);
     const json_t *core = json_object_get(json_object_get(node, "extras"), "core");
     double got[6];
     if (!v->child_count) {
@@ -162,8 +164,8 @@ static void walk_core(const struct walk *w, const struct store_tile *t, const js
     }
     nums(core, 6, got);
     for (size_t k = 0; k < 3; k++) {
-        assert_true(fabs(got[k] + t->center_enu_m[k] - v->core_min_enu_m[k]) < 1e-3);
-        assert_true(fabs(got[3 + k] + t->center_enu_m[k] - v->core_max_enu_m[k]) < 1e-3);
+        assert_true(fabs(got[k] + t->center_enu_m[k] - b.core_min_enu_m[k]) < 1e-3);
+        assert_true(fabs(got[3 + k] + t->center_enu_m[k] - b.core_max_enu_m[k]) < 1e-3);
     }
 }
 
@@ -474,11 +476,11 @@ static bool is_refined(struct store *s, uint32_t node, double distance_m)
     size_t n, n_out;
     const struct store_tile *t = store_tiles(s, &n);
     const struct tree *tree = store_tree(s);
-    const struct tree_node *v = &tree->nodes[node];
     uint32_t *out = mem_array(n, sizeof *out);
-    const double eye[3] = {0.5 * (v->core_min_enu_m[0] + v->core_max_enu_m[0]),
-                           0.5 * (v->core_min_enu_m[1] + v->core_max_enu_m[1]),
-                           v->core_max_enu_m[2] + distance_m};
+    const struct tree_bounds b = tree_bounds(tree, node);
+    const double eye[3] = {0.5 * (b.core_min_enu_m[0] + b.core_max_enu_m[0]),
+                           0.5 * (b.core_min_enu_m[1] + b.core_max_enu_m[1]),
+                           b.core_max_enu_m[2] + distance_m};
     const double down[3] = {eye[0], eye[1] + 1e-3, eye[2] - 1};
     struct camera cam = camera_look_at(eye, down, 2.8, 2000, 2000);
     bool shown = false;

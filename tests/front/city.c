@@ -7,17 +7,24 @@
 
 #include <stdlib.h>
 
+/* A pyramid without gaps: SIDE x SIDE tiles at the finest zoom, and above them all that have one of
+ * these below. */
 static void city_square(const char *path, size_t n, uint32_t side)
 {
     struct err e = {0};
     struct store *s = NULL;
     const struct store_meta meta = {.name = "toy", .origin = served_origin, .sh_degree = 1};
+    uint8_t up = 0;
     kit_ok(store_create(path, &meta, &s, &e), e);
-    served_put(s, served_key(SERVED_ZOOM_MIN), n);
+    while ((side - 1) >> up)
+        up++;
     const struct key at = served_key(SERVED_ZOOM_MAX);
-    for (uint32_t y = 0; y < side; y++)
-        for (uint32_t x = 0; x < side; x++)
-            served_put(s, (struct key){at.z, at.x + x, at.y + y}, n);
+    const uint32_t x0 = at.x >> up << up, y0 = at.y >> up << up; /* below one tile */
+    for (; up < UINT8_MAX; up--)
+        for (uint32_t y = 0; y <= (side - 1) >> up; y++)
+            for (uint32_t x = 0; x <= (side - 1) >> up; x++)
+                served_put(s, (struct key){(uint8_t)(at.z - up), (x0 >> up) + x, (y0 >> up) + y},
+                           n);
     kit_ok(store_commit(&s, &e), e);
 }
 

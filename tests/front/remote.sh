@@ -41,7 +41,7 @@ begin() { # NUMBER WHAT: starts a server; how long until it answers, in how many
     echo "$2 start: $(($(now_ms) - from)) ms, $(($(requests) - before)) requests, $(cpu_s "$1") s of a processor; $(memory_mb "$1")"
 }
 
-printf 'store: %s tiles of %s Gaussians, %.1f MB; round trip %s ms\n' $((side * side + 1)) "$gaussians" \
+printf 'store: %s tiles of %s Gaussians, %.1f MB; round trip %s ms\n' "$("$bin" info "$work/far/far.tiles" | awk '$1 == "tiles_count" { print $2 }')" "$gaussians" \
     "$(stat -c %s "$work/far/far.tiles" | awk '{ print $1 / 1e6 }')" "$round_ms"
 begin 1 cold
 here=http://127.0.0.1:${ports[1]}
