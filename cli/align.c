@@ -42,16 +42,22 @@ static const struct options_spec align_spec = {
     .max_args = 1,
 };
 
+const struct options_spec *align_options(void)
+{
+    return &align_spec;
+}
+
 enum { ALIGN_LOOK_NEAR = 4, ALIGN_LOOK_NEXT = 2, ALIGN_LOOK_FEATURES = 1024 };
 static const double look_share = 0.25, look_least_px = 400;
 static const double look_start_s = 2; /* of COLMAP, before it computes */
-static const double slow_most = 8;
+static const double pace_most = 8;
 
 /* Small pictures, each compared with its neighbours alone: what will match, and how long this
  * machine takes. */
 static enum err_code align_look_run(struct align *a, char *db, struct err *e)
 {
-    double start_s = clock_s(), longest = 1;
+    const struct align_spent start = align_spent_now();
+    double longest = 1;
     for (size_t i = 0; i < a->plan.n; i++)
         longest = fmax(longest, fmax(a->plan.photos[i].width_px, a->plan.photos[i].height_px));
     uint32_t edge = (uint32_t)fmax(look_least_px, look_share * longest);
@@ -62,11 +68,21 @@ static enum err_code align_look_run(struct align *a, char *db, struct err *e)
         rc = align_match(a, db, "look", "look: pairs", e);
     if (rc)
         return rc;
-    struct align_forecast f =
-        align_plan_forecast(&a->plan, edge, ALIGN_LOOK_FEATURES, align_cores(a), 1);
-    double seconds = clock_s() - start_s, usual = f.features_s + f.matches_s + look_start_s;
-    json_object_set_new(a->state, "slow", json_real(seconds / usual));
-    return align_set_done(a, ALIGN_LOOK, seconds, e);
+    const struct align_forecast f = align_plan_forecast(&a->plan, edge, ALIGN_LOOK_FEATURES, 1);
+    struct align_spent now = align_spent_now();
+    double cpu_s = now.cpu_s - start.cpu_s, clock_s = now.clock_s - start.clock_s;
+    json_object_set_new(a->state, "slow",
+                        json_real(cpu_s / (f.features_s + f.matches_s + look_start_s)));
+    if (cpu_s > 0)
+        json_object_set_new(a->state, "load", json_real(clock_s * (double)align_cores(a) / cpu_s));
+    return align_set_done(a, ALIGN_LOOK, &start, e);
+}
+
+/* A factor of the look, within reason; 1 where it was not measured. */
+static double align_factor(const struct align *a, const char *key, double least)
+{
+    double x = json_number_value(json_object_get(a->state, key));
+    return x > 0 ? fmin(fmax(x, least), pace_most) : 1;
 }
 
 static enum err_code align_look(struct align *a, struct err *e)
@@ -76,8 +92,9 @@ static enum err_code align_look(struct align *a, struct err *e)
     enum err_code rc = db ? ERR_OK : align_no_memory(e);
     if (!rc && a->o->look && !align_is_done(a, ALIGN_LOOK))
         rc = align_look_run(a, db, e);
-    double slow = json_number_value(json_object_get(a->state, "slow"));
-    a->slow = slow > 0 ? fmin(fmax(slow, 1 / slow_most), slow_most) : 1;
+    a->pace = (struct align_pace){.cores = align_cores(a),
+                                  .slow = align_factor(a, "slow", 1 / pace_most),
+                                  .load = align_factor(a, "load", 1)};
     if (rc || !align_is_done(a, ALIGN_LOOK))
         return rc;
     rc = align_db_seen(db, &a->plan, ALIGN_INLIERS, a->seen, &largest, e);
@@ -98,7 +115,7 @@ static enum err_code align_choose_size(struct align *a, struct err *e)
     bool known = json_is_integer(edge) && json_is_integer(features);
     a->forecast = align_plan_afford(
         &a->plan, (uint32_t)(known ? json_integer_value(edge) : a->o->max_edge_px),
-        (uint32_t)(known ? json_integer_value(features) : a->o->features), align_cores(a), a->slow,
+        (uint32_t)(known ? json_integer_value(features) : a->o->features), &a->pace,
         60 * a->o->minutes);
     align_print_forecast(a);
     if (a->o->dry_run)
@@ -128,12 +145,12 @@ static enum err_code align_stages(struct align *a, struct err *e)
     size_t largest;
     enum err_code rc = db ? ERR_OK : align_no_memory(e);
     for (enum align_stage s = ALIGN_FEATURES; !rc && s < ALIGN_STAGES; s++) {
-        double start_s = clock_s();
+        const struct align_spent start = align_spent_now();
         if (align_is_done(a, s))
             continue;
         rc = align_stage_run(a, s, db, e);
         if (!rc)
-            rc = align_set_done(a, s, clock_s() - start_s, e);
+            rc = align_set_done(a, s, &start, e);
         if (rc == ERR_DATA && s == ALIGN_MODEL && /* what speaks against each helps now */
             !align_db_seen(db, &a->plan, ALIGN_INLIERS, a->seen, &largest, NULL))
             align_print_unplaced(a);

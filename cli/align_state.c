@@ -59,9 +59,21 @@ enum err_code align_save(struct align *a, struct err *e)
     return path ? jsonc_write(path, a->state, e) : align_no_memory(e);
 }
 
-enum err_code align_set_done(struct align *a, enum align_stage s, double seconds, struct err *e)
+struct align_spent align_spent_now(void)
 {
-    json_object_set_new(json_object_get(a->state, "seconds"), stage_names[s], json_real(seconds));
+    return (struct align_spent){clock_s(), clock_children_s()};
+}
+
+enum err_code align_set_done(struct align *a, enum align_stage s, const struct align_spent *start,
+                             struct err *e)
+{
+    struct align_spent now = align_spent_now();
+    json_object_set_new(json_object_get(a->state, "seconds"), stage_names[s],
+                        json_real(now.clock_s - start->clock_s));
+    if (!json_object_get(a->state, "processor_seconds"))
+        json_object_set_new(a->state, "processor_seconds", json_object());
+    json_object_set_new(json_object_get(a->state, "processor_seconds"), stage_names[s],
+                        json_real(now.cpu_s - start->cpu_s));
     return align_save(a, e);
 }
 
@@ -134,7 +146,8 @@ static enum err_code state_begin(struct align *a, struct err *e)
         align_remove(align_path(a, ours[k]));
     state_photos(a, photos);
     json_decref(a->state);
-    a->state = json_pack("{s:s, s:{}}", "photographs", photos, "seconds");
+    a->state =
+        json_pack("{s:s, s:{}, s:{}}", "photographs", photos, "seconds", "processor_seconds");
     if (!a->state || !work)
         return align_no_memory(e);
     enum err_code rc = file_mkdir(work, e);

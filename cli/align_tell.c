@@ -63,10 +63,18 @@ void align_print_plan(const struct align *a)
 void align_print_forecast(const struct align *a)
 {
     const struct align_forecast *f = &a->forecast;
-    printf("forecast %u px, %u features: features %.1f min, %zu pairs %.1f min, model %.1f min\n",
+    const struct align_pace rest = {.cores = a->pace.cores, .slow = a->pace.slow, .load = 1};
+    printf("forecast %u px, %u features: features %.1f, %zu pairs %.1f, model %.1f minutes of a "
+           "processor\n",
            f->edge_px, f->features, f->features_s / 60, a->plan.n_pairs, f->matches_s / 60,
            f->model_s / 60);
+    printf("         %.1f min on %zu core%s without other programs",
+           align_plan_clock_s(f, &rest) / 60, a->pace.cores, a->pace.cores == 1 ? "" : "s");
+    if (a->pace.load > 1.2)
+        printf("; %.1f min while others are as busy as now", align_plan_clock_s(f, &a->pace) / 60);
+    printf("\n");
 }
+
 /* Which photographs match a neighbour in small pictures: told before the long work. */
 void align_print_look(const struct align *a, size_t largest)
 {
@@ -132,13 +140,14 @@ enum err_code align_write_result(struct align *a, json_t *config, struct err *e)
     for (size_t k = 0; k < a->n_models; k++)
         json_array_append_new(models, json_integer((json_int_t)a->sizes[k]));
     json_t *root = json_pack(
-        "{s:s, s:s, s:s, s:I, s:I, s:I, s:I, s:o, s:I, s:I, s:I, s:O, s:o, s:o}", "citysplat",
+        "{s:s, s:s, s:s, s:I, s:I, s:I, s:I, s:o, s:I, s:I, s:I, s:O, s:O?, s:o, s:o}", "citysplat",
         CITYSPLAT_VERSION, "colmap", a->version, "photographs_in", a->photos, "photographs",
         (json_int_t)a->plan.n, "used", (json_int_t)a->plan.n_usable, "placed",
         (json_int_t)a->placed, "lenses", (json_int_t)a->plan.n_groups, "models", models, "pairs",
         (json_int_t)a->plan.n_pairs, "edge_px", (json_int_t)a->forecast.edge_px, "features",
         (json_int_t)a->forecast.features, "seconds", json_object_get(a->state, "seconds"),
-        "unplaced", align_unplaced_to_json(a), "config", config);
+        "processor_seconds", json_object_get(a->state, "processor_seconds"), "unplaced",
+        align_unplaced_to_json(a), "config", config);
     char *path = align_path(a, "align.json");
     enum err_code rc = root && path ? jsonc_write(path, root, e)
                                     : err_set(e, ERR_DATA,
@@ -166,14 +175,21 @@ void align_print_unplaced(const struct align *a)
         printf("unplaced ... and %zu more\n", left - ALIGN_SHOWN);
 }
 
+/* Of all stages. */
+static double align_sum(const struct align *a, const char *key)
+{
+    double sum = 0;
+    for (enum align_stage s = 0; s < ALIGN_STAGES; s++)
+        sum +=
+            json_number_value(json_object_get(json_object_get(a->state, key), align_stage_name(s)));
+    return sum;
+}
+
 void align_print_result(const struct align *a)
 {
-    double seconds = 0;
-    for (enum align_stage s = 0; s < ALIGN_STAGES; s++)
-        seconds += json_number_value(
-            json_object_get(json_object_get(a->state, "seconds"), align_stage_name(s)));
-    printf("model    %s/sparse/0: %zu of %zu photographs, %.1f min\n", a->dir, a->placed,
-           a->plan.n_usable, seconds / 60);
+    printf("model    %s/sparse/0: %zu of %zu photographs, %.1f min, %.1f of a processor\n", a->dir,
+           a->placed, a->plan.n_usable, align_sum(a, "seconds") / 60,
+           align_sum(a, "processor_seconds") / 60);
     for (size_t k = 1; k < a->n_models; k++)
         printf("model    %s/sparse/%zu: %zu photographs that nothing joins to it\n", a->dir, k,
                a->sizes[k]);

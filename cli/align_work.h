@@ -17,6 +17,8 @@
 #include "core/options.h"
 #include "ingest/align_plan.h"
 
+const struct options_spec *align_options(void);
+
 struct align_options {
 #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/align.def"
@@ -36,8 +38,7 @@ struct align {
     /* COLMAP 3.12 or newer: options that are not SIFT's alone have other names */
     bool renamed;
     json_t *state;
-    /* how many times slower than usual this machine is, measured by the look */
-    double slow;
+    struct align_pace pace;  /* of this machine, measured by the look */
     struct align_seen *seen; /* [plan.n] */
     uint32_t *model_of;      /* [plan.n] model that has the photograph, UINT32_MAX: none */
     size_t n_models, placed, *sizes;
@@ -63,7 +64,13 @@ bool align_is_done(const struct align *a, enum align_stage s);
 enum err_code align_open(struct align *a, struct err *e) ERR_USE;
 /* Writes state.json. ERR_IO, ERR_LIMIT, ERR_MEM. */
 enum err_code align_save(struct align *a, struct err *e) ERR_USE;
-enum err_code align_set_done(struct align *a, enum align_stage s, double seconds,
+/* Times of a stage: by the clock, and of COLMAP's processors. */
+struct align_spent {
+    double clock_s, cpu_s;
+};
+struct align_spent align_spent_now(void);
+/* Notes that a stage is complete, with the times since `start`. */
+enum err_code align_set_done(struct align *a, enum align_stage s, const struct align_spent *start,
                              struct err *e) ERR_USE;
 /* Writes the options that decide the result, as this run has them, into the state. */
 void align_set_options(struct align *a);

@@ -228,6 +228,7 @@ struct eval_settings {
     double steps; /* of training, over all cells */
     enum render_aa aa;
     bool exposure; /* photographs were brought to the mean one */
+    bool all;      /* the finest level trained on with the test photographs too */
 };
 
 static enum err_code eval_read_settings(const struct ckpt *c, const char *path,
@@ -259,6 +260,8 @@ static enum err_code eval_read_settings(const struct ckpt *c, const char *path,
                                    : RENDER_AA_2D;
     if (!(out->near_m > 0.0))
         out->near_m = fmax(RENDER_NEAR_M, edge_m / 1000.0);
+    out->all = json_is_true(json_object_get(config, "final_all")) &&
+               json_equal(json_object_get(c->meta, "level"), json_object_get(c->meta, "levels"));
     out->steps += fmin(fmax(steps, 0.0), 1e9);
     return ERR_OK;
 }
@@ -379,6 +382,11 @@ static enum err_code eval_level(struct eval *v, const char *dir, unsigned level,
                                       .bytes = bytes,
                                       .render = v->render};
         uint32_t edge = v->o.max_edge_px ? (uint32_t)v->o.max_edge_px : (uint32_t)s.max_edge_px;
+        if (s.all && !v->o.views)
+            log_warn("eval",
+                     "%s trained on with the photographs that score it (--final-all): the "
+                     "scores that `train` printed are of before",
+                     what);
         v->trained_steps = s.steps;
         eval_count(v, &g);
         v->exposure = v->exposed && s.exposure;

@@ -202,6 +202,8 @@ void progress_quiet(bool quiet); /* -q: shows nothing; call before threads start
 
 double clock_s(void);     /* monotonic seconds */
 double clock_cpu_s(void); /* CPU seconds of the whole process, all threads */
+/* CPU seconds of child processes that have ended, and of theirs. */
+double clock_children_s(void);
 /* Days from 1970-01-01 to a date of the Gregorian calendar, from the year 1 on. month: 1 to 12. */
 int64_t clock_days(int64_t year, int64_t month, int64_t day);
 

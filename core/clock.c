@@ -4,6 +4,7 @@
  */
 #include <stdatomic.h>
 #include <stddef.h>
+#include <sys/resource.h>
 #include <time.h>
 
 #include "core/base.h"
@@ -28,6 +29,15 @@ double clock_s(void)
 double clock_cpu_s(void)
 {
     return clock_of(CLOCK_PROCESS_CPUTIME_ID);
+}
+
+double clock_children_s(void)
+{
+    struct rusage u;
+    if (getrusage(RUSAGE_CHILDREN, &u))
+        return 0.0;
+    return (double)(u.ru_utime.tv_sec + u.ru_stime.tv_sec) +
+           1e-6 * (double)(u.ru_utime.tv_usec + u.ru_stime.tv_usec);
 }
 
 int64_t clock_days(int64_t year, int64_t month, int64_t day)

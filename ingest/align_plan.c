@@ -471,29 +471,46 @@ enum err_code align_plan_pairs(struct align_plan *p, size_t neighbours, size_t n
  * pictures that are compared, by the square of thousands of features; a photograph in the mapper,
  * by thousands of features. */
 static const double megapixel_s = 0.35, feature_s = 0.0003, pair_s = 0.03, pair_square_s = 0.045,
-                    model_s = 0.6;
+                    model_s = 0.6, model_cores = 1.5, look_pairs = 0.4;
 enum { FEATURES_A_MEGAPIXEL = 6000 };
 
 struct align_forecast align_plan_forecast(const struct align_plan *p, uint32_t edge_px,
-                                          uint32_t features, size_t cores, double slow)
+                                          uint32_t features, double slow)
 {
     double longest = 1;
     for (size_t i = 0; i < p->n; i++)
         if (align_plan_usable(&p->photos[i]))
             longest = fmax(longest, fmax(p->photos[i].width_px, p->photos[i].height_px));
     double shrink = fmin(1, edge_px / longest), mp = p->megapixels * shrink * shrink,
-           n = (double)p->n_usable, c = (double)(cores ? cores : 1) / slow,
-           f = fmin(features, mp * FEATURES_A_MEGAPIXEL), k = f / 1000;
+           n = (double)p->n_usable, f = fmin(features, mp * FEATURES_A_MEGAPIXEL), k = f / 1000;
     return (struct align_forecast){.edge_px = edge_px,
                                    .features = features,
-                                   .features_s = n * (mp * megapixel_s + f * feature_s) / c,
+                                   .features_s = n * (mp * megapixel_s + f * feature_s) * slow,
                                    .matches_s =
-                                       (double)p->n_pairs * (pair_s + k * k * pair_square_s) / c,
-                                   .model_s = n * (0.2 + k) * model_s / c};
+                                       (double)p->n_pairs * (pair_s + k * k * pair_square_s) * slow,
+                                   .model_s = n * (0.2 + k) * model_s * slow};
+}
+
+double align_plan_look_s(const struct align_plan *p, double slow)
+{
+    struct align_forecast f = align_plan_forecast(p, 400, 1024, slow);
+    return f.features_s + look_pairs * f.matches_s;
+}
+
+double align_plan_cpu_s(const struct align_forecast *f)
+{
+    return f->features_s + f->matches_s + f->model_s;
+}
+
+double align_plan_clock_s(const struct align_forecast *f, const struct align_pace *pace)
+{
+    double cores = (double)(pace->cores ? pace->cores : 1);
+    return pace->load *
+           ((f->features_s + f->matches_s) / cores + f->model_s / fmin(cores, model_cores));
 }
 
 struct align_forecast align_plan_afford(const struct align_plan *p, uint32_t edge_px,
-                                        uint32_t features, size_t cores, double slow,
+                                        uint32_t features, const struct align_pace *pace,
                                         double seconds)
 {
     static const uint32_t choices[][2] = {{3200, 8192}, {3200, 6000}, {2400, 4096},
@@ -502,8 +519,8 @@ struct align_forecast align_plan_afford(const struct align_plan *p, uint32_t edg
     struct align_forecast f = {0};
     for (size_t k = 0; k < sizeof choices / sizeof *choices; k++) {
         f = align_plan_forecast(p, edge_px ? edge_px : choices[k][0],
-                                features ? features : choices[k][1], cores, slow);
-        if (f.features_s + f.matches_s + f.model_s <= seconds)
+                                features ? features : choices[k][1], pace->slow);
+        if (align_plan_clock_s(&f, pace) <= seconds)
             break;
     }
     return f;

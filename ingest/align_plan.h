@@ -62,17 +62,30 @@ void align_plan_free(struct align_plan *p);
 /* ---- a forecast ---- */
 
 struct align_forecast {
-    uint32_t edge_px;  /* longest edge of pictures for features */
-    uint32_t features; /* most features of a photograph */
-    double features_s, matches_s, model_s;
+    uint32_t edge_px;                      /* longest edge of pictures for features */
+    uint32_t features;                     /* most features of a photograph */
+    double features_s, matches_s, model_s; /* processor seconds */
 };
-/* Forecasts the seconds of the stages on so many cores, each `slow` times slower than usual. */
+/* How fast a machine is. */
+struct align_pace {
+    size_t cores;
+    double slow; /* processor seconds of a piece of work, relative to the usual machine */
+    double load; /* seconds by the clock, relative to those without other programs; at least 1 */
+};
+/* Forecasts the processor seconds of the stages. They hardly depend on other programs. */
 struct align_forecast align_plan_forecast(const struct align_plan *p, uint32_t edge_px,
-                                          uint32_t features, size_t cores, double slow);
-/* Chooses the finest of the usual values of edge_px and features that takes at most so many
- * seconds, or else the coarsest. An argument edge_px or features that is not 0 is kept. */
+                                          uint32_t features, double slow);
+/* Processor seconds of the look: a quick first comparison in small pictures. The plan's pairs are
+ * those of the whole work, of which the look compares a part. */
+double align_plan_look_s(const struct align_plan *p, double slow);
+/* Sum of the stages. */
+double align_plan_cpu_s(const struct align_forecast *f);
+/* Seconds by the clock. Features and pairs use all cores, the model about one and a half. */
+double align_plan_clock_s(const struct align_forecast *f, const struct align_pace *pace);
+/* Chooses the finest of the usual values of edge_px and features that takes at most so many seconds
+ * by the clock, or else the coarsest. An argument edge_px or features that is not 0 is kept. */
 struct align_forecast align_plan_afford(const struct align_plan *p, uint32_t edge_px,
-                                        uint32_t features, size_t cores, double slow,
+                                        uint32_t features, const struct align_pace *pace,
                                         double seconds);
 
 #endif

@@ -9,7 +9,8 @@
 #include <strings.h>
 #include <sys/stat.h>
 
-#include "ingest/ingest_internal.h"
+#include "core/base.h"
+#include "ingest/ingest_files.h"
 
 enum { FILES_DEEP = 8 };
 

@@ -13,6 +13,7 @@
 #include "core/outdir.h"
 #include "ingest/gcp_fit.h"
 #include "ingest/georef.h"
+#include "ingest/ingest_files.h"
 #include "ingest/ingest_look.h"
 #include "ingest/ingest_photo.h"
 #include "ingest/positions.h"
@@ -72,19 +73,6 @@ struct ingest_photo {
     uint32_t flight, view;
     enum ingest_verdict verdict;
 };
-/* ---- ingest_files.c ---- */
-
-struct ingest_files { /* {0} is empty; ingest_files_free */
-    char **names;     /* [n] paths below the folder, sorted by name without regard to case */
-    size_t n, cap;
-};
-/* Lists the photographs below a folder. Scenes and masks in it are left out. ERR_LIMIT, ERR_MEM. */
-enum err_code ingest_files_list(const char *root, struct ingest_files *out, struct err *e) ERR_USE;
-void ingest_files_free(struct ingest_files *f);
-/* Returns the file of a name. Case may differ if only one file fits. NULL: there is none. */
-const char *ingest_files_find(const struct ingest_files *f, const char *name);
-/* Returns whether a name ends like that of a photograph, and not like that of a mask. */
-bool ingest_files_is_photo(const char *name);
 
 struct ingest_result { /* input of ingest_report.c */
     const struct ingest_config *cfg;

@@ -161,21 +161,24 @@ static void sizes_follow_the_time_there_is(void **state)
     struct align_photo photo = {.width_px = 5472, .height_px = 3648, .copy_of = SIZE_MAX};
     struct align_plan p = {
         .photos = &photo, .n = 1, .n_usable = 300, .megapixels = 20, .n_pairs = 3000};
-    struct align_forecast most = align_plan_afford(&p, 0, 0, 2, 1, 1e9), last = most;
+    const struct align_pace pace = {.cores = 2, .slow = 1, .load = 1}, busy = {2, 1, 3};
+    struct align_forecast most = align_plan_afford(&p, 0, 0, &pace, 1e9), last = most;
     assert_int_equal(most.edge_px, 3200);
     for (int k = 0; k < 17; k++) {
         double s = 1e5 / (double)(1 << k);
-        struct align_forecast f = align_plan_afford(&p, 0, 0, 2, 1, s);
-        double all = f.features_s + f.matches_s + f.model_s;
+        struct align_forecast f = align_plan_afford(&p, 0, 0, &pace, s);
+        double all = align_plan_clock_s(&f, &pace);
+        assert_true(all > align_plan_cpu_s(&f) / 2 && all < align_plan_cpu_s(&f));
+        assert_true(fabs(align_plan_clock_s(&f, &busy) / all - 3) < 1e-9);
         assert_true(f.edge_px <= last.edge_px && f.features <= last.features);
         assert_true(all <= s || f.edge_px == 1000);
         last = f;
     }
     assert_int_equal(last.edge_px, 1000);
-    assert_int_equal(align_plan_afford(&p, 2222, 0, 2, 1, 1).edge_px, 2222);
-    assert_int_equal(align_plan_afford(&p, 0, 777, 2, 1, 1).features, 777);
-    struct align_forecast slow = align_plan_forecast(&p, 1600, 2048, 2, 3),
-                          usual = align_plan_forecast(&p, 1600, 2048, 2, 1);
+    assert_int_equal(align_plan_afford(&p, 2222, 0, &pace, 1).edge_px, 2222);
+    assert_int_equal(align_plan_afford(&p, 0, 777, &pace, 1).features, 777);
+    struct align_forecast slow = align_plan_forecast(&p, 1600, 2048, 3),
+                          usual = align_plan_forecast(&p, 1600, 2048, 1);
     assert_true(fabs(slow.matches_s / usual.matches_s - 3) < 1e-9);
 }
 

@@ -79,6 +79,18 @@ expect "photographs alone again" "the poses are there already"
 expect "photographs alone again" "tiles are there already"
 [ "$(wc -l <"$work/calls")" = 1 ] || fail "photographs alone again: COLMAP was called"
 
+# The forecast: what is known before work, and nothing is made.
+before=$(find "$work/out" | sort)
+./bootstrap city "$work/a/my flight" --dry-run --iterations 600 --max-edge-px 64 >"$work/log" 2>&1 || fail "--dry-run: exit $?"
+expect "--dry-run" "14 train, 2 are kept for scores"
+expect "--dry-run" "^minutes  of a processor"
+grep -Eq '^train +[0-9]+\.[0-9]' "$work/log" || fail "--dry-run: no minutes of training"
+grep -q '^align ' "$work/log" && fail "--dry-run: poses that are there are sought"
+expect "--dry-run" "600 steps; at most"
+[ "$(find "$work/out" | sort)" = "$before" ] || fail "--dry-run made something"
+./bootstrap city "$work/c/photographs alone" --dry-run >"$work/log" 2>&1 || fail "--dry-run of photographs alone: exit $?"
+grep -Eq '^align +[0-9]+\.[0-9]' "$work/log" || fail "--dry-run of photographs alone: no minutes of alignment"
+
 # Paths of options are seen from where the script is called.
 echo "EPSG:4326" >"$work/gcp_list.txt"
 here=$PWD

@@ -353,6 +353,70 @@ static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
     arena_free(&a);
 }
 
+/* The text of a hash of the run's inputs, as a level's file has it. */
+static void level_input(const char *out, const char *key, char hash[64])
+{
+    struct ckpt c;
+    toy_read_level(out, 3, &c);
+    const json_t *inputs = json_object_get(c.meta, "inputs");
+    snprintf(hash, 64, "%s", json_string_value(json_object_get(inputs, key)));
+    ckpt_free(&c);
+}
+
+/* Scores and coarser levels are those of a run without it. It can be stopped and repeats. */
+static void a_last_fit_takes_all_photographs(void **state)
+{
+    (void)state;
+    enum { PLAIN, WHOLE, PARTS, OUTS };
+    struct err e = {0};
+    struct arena a = {0};
+    struct train_result r[2] = {0};
+    struct ckpt level[2];
+    char out[OUTS][FILE_PATH_MAX], hash[2][64];
+    int64_t steps = 0;
+    for (int i = 0; i < OUTS; i++)
+        kit_tmpdir(out[i]);
+    struct train_config c = toy_config(&a, out[PLAIN]);
+    kit_ok(train_again(scene_dir, &c, &r[PLAIN], &e), e);
+    c.final_all = true;
+    c.output = out[WHOLE];
+    kit_ok(train_again(scene_dir, &c, &r[WHOLE], &e), e);
+    for (unsigned i = 0; i < 3; i++) {
+        assert_true(r[PLAIN].cells[0].psnr_db[i] == r[WHOLE].cells[0].psnr_db[i]);
+        toy_read_level(out[PLAIN], i + 1, &level[0]);
+        toy_read_level(out[WHOLE], i + 1, &level[1]);
+        assert_int_equal(level[0].g.n, level[1].g.n);
+        bool same = !memcmp(level[0].g.mean_m, level[1].g.mean_m, level[0].g.n * 12);
+        steps += json_integer_value(json_object_get(level[0].meta, "steps"));
+        assert_true(same == (i < 2));
+        assert_true(json_equal(json_object_get(level[0].meta, "test"),
+                               json_object_get(level[1].meta, "test")));
+        assert_true(json_equal(json_object_get(level[0].meta, "steps"),
+                               json_object_get(level[1].meta, "steps")));
+        ckpt_free(&level[0]);
+        ckpt_free(&level[1]);
+    }
+    level_input(out[PLAIN], "photographs", hash[0]); /* the test photograph counts now */
+    level_input(out[WHOLE], "photographs", hash[1]);
+    assert_string_not_equal(hash[0], hash[1]);
+    kit_ok(train_again(scene_dir, &c, &r[WHOLE], &e), e);
+    assert_true(r[WHOLE].cells[0].was_done);
+
+    c.output = out[PARTS];
+    c.stop_after = steps + 2;
+    kit_fails(train_again(scene_dir, &c, &r[WHOLE], &e), ERR_CANCEL, e,
+              "trains with all photographs");
+    c.stop_after = 0;
+    c.resume = true;
+    kit_ok(train_again(scene_dir, &c, &r[WHOLE], &e), e);
+    assert_same_levels(out[WHOLE], out[PARTS]);
+    for (int i = 0; i < OUTS; i++)
+        kit_rmdir(out[i]);
+    train_result_free(&r[0]);
+    train_result_free(&r[1]);
+    arena_free(&a);
+}
+
 static void a_damaged_state_is_refused(void **state)
 {
     (void)state;
@@ -797,6 +861,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(twenty_steps_give_the_golden_trace),
         cmocka_unit_test(training_improves_keeps_budgets_and_repeats),
         cmocka_unit_test(a_stopped_run_goes_on_as_if_it_had_not_been),
+        cmocka_unit_test(a_last_fit_takes_all_photographs),
         cmocka_unit_test(a_damaged_state_is_refused),
         cmocka_unit_test(what_a_run_was_made_of_may_not_change),
         cmocka_unit_test(a_scene_without_points_starts_from_random_ones),

@@ -173,7 +173,32 @@ enum err_code begin_gauss(const struct begin *t, const struct appearance_train *
     return rc;
 }
 
-/* What the photographs show of the cell, those that train and then those held out. */
+/* Photographs that are kept for scores have no look of their own, which appearance would need. */
+bool begin_wants_last(const struct begin *t)
+{
+    const struct train_config *cfg = t->job->cfg;
+    return cfg->final_all && t->job->n_test && !appearance_train_wanted(cfg);
+}
+
+/* All photographs that any part of the run draws. */
+static enum err_code begin_list_all(struct begin *t, struct err *e)
+{
+    const struct run_cell *job = t->job;
+    size_t n_test = begin_wants_last(t) ? job->n_test : 0;
+    t->n_all = t->n_images + t->n_held + n_test;
+    t->all = mem_array(t->n_all, sizeof *t->all);
+    if (!t->all)
+        return err_set(e, ERR_MEM, "train: out of memory for %zu photographs", t->n_all);
+    for (size_t i = 0; i < t->n_images; i++)
+        t->all[i] = t->images[i];
+    for (size_t i = 0; i < t->n_held; i++)
+        t->all[t->n_images + i] = t->held[i];
+    for (size_t i = 0; i < n_test; i++)
+        t->all[t->n_images + t->n_held + i] = job->test_images[i];
+    return ERR_OK;
+}
+
+/* What the photographs show of the cell. */
 static enum err_code begin_windows(struct begin *t, struct err *e)
 {
     const struct run_cell *job = t->job;
@@ -181,23 +206,21 @@ static enum err_code begin_windows(struct begin *t, struct err *e)
     double area = 0.0;
     if (!job->cell.cut)
         return ERR_OK;
-    size_t n = t->n_images + t->n_held;
-    t->windows = mem_array(n, sizeof *t->windows);
-    t->shares = mem_array(n, sizeof *t->shares);
+    t->windows = mem_array(t->n_all, sizeof *t->windows);
+    t->shares = mem_array(t->n_all, sizeof *t->shares);
     if (!t->windows || !t->shares)
-        return err_set(e, ERR_MEM, "train: out of memory for %zu photographs", n);
+        return err_set(e, ERR_MEM, "train: out of memory for %zu photographs", t->n_all);
     enum err_code rc = window_open(job->scene, &job->cell, &points, e);
-    for (size_t i = 0; !rc && i < n; i++) {
-        uint32_t image = i < t->n_images ? t->images[i] : t->held[i - t->n_images];
+    for (size_t i = 0; !rc && i < t->n_all; i++) {
         struct camera_window *w = &t->windows[i];
-        (void)window_of(&points, &job->scene->images[image].cam, w); /* none: all of it */
-        t->shares[i] = window_share(&points, &job->cell, image);
+        (void)window_of(&points, &job->scene->images[t->all[i]].cam, w); /* none: all of it */
+        t->shares[i] = window_share(&points, &job->cell, t->all[i]);
         area += (w->x1 - w->x0) * (w->y1 - w->y0);
     }
     window_free(&points);
     if (!rc)
         log_info("train", "cell=%s: %zu photographs are cut to %.0f %% of their pixels",
-                 job->cell.id, n, 100.0 * area / (double)n);
+                 job->cell.id, t->n_all, 100.0 * area / (double)t->n_all);
     return rc;
 }
 
@@ -215,7 +238,9 @@ static enum err_code begin_budget(struct begin *t, struct err *e)
     if (cfg->budget_rule == BUDGET_AUTO && !t->n_held)
         log_warn("train", "%zu photographs are too few to hold any out: --budget-rule fit is used",
                  job->n_images);
-    enum err_code rc = begin_windows(t, e);
+    enum err_code rc = begin_list_all(t, e);
+    if (!rc)
+        rc = begin_windows(t, e);
     if (!rc)
         rc = schedule_make(cfg, t->n_images, &job->cell, t->levels, e);
     if (!rc)
@@ -254,10 +279,14 @@ static void begin_tell_tests(const struct begin *t)
     const struct run_cell *job = t->job;
     if (!job->n_test)
         return;
-    log_info("train",
-             "cell=%s %zu photographs train, %zu are kept for scores: --no-test-split trains with "
-             "all of them and gives no scores",
-             job->cell.id, job->n_images, job->n_test);
+    log_info("train", "cell=%s %zu photographs train, %zu are kept for scores: %s", job->cell.id,
+             job->n_images, job->n_test,
+             begin_wants_last(t) ? "after the scores all of them train"
+                                 : "--final-all trains on with all of them after the scores, "
+                                   "--no-test-split trains with all and gives no scores");
+    if (job->cfg->final_all && !begin_wants_last(t))
+        log_warn("train", "--final-all is left out: with --appearance a photograph needs a look "
+                          "that was learned");
 }
 
 /* And how long it is. */
@@ -344,5 +373,6 @@ void begin_close(struct begin *t)
     mem_free(t->windows);
     mem_free(t->shares);
     mem_free(t->images);
-    t->images = NULL;
+    mem_free(t->all);
+    t->images = t->all = NULL;
 }

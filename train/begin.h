@@ -21,8 +21,10 @@ struct begin { /* {.job, .lock_fd = -1} at first; call begin_close, also after a
     bool resumes;            /* a saved state exists and shall be continued */
     uint32_t *images, *held; /* photographs that train, and photographs held out */
     size_t n_images, n_held;
-    /* [n_images + n_held] part of each photograph that shows the cell, held-out ones last; NULL:
-     * all of each */
+    /* those that train, those held out, and with --final-all the test photographs */
+    uint32_t *all;
+    size_t n_all;
+    /* [n_all] part of each that shows the cell; NULL: all of each */
     struct camera_window *windows;
     double *shares; /* sizes of these parts as shares (cells/window.h) */
     struct schedule levels[TRAIN_LEVELS_MAX];
@@ -43,6 +45,8 @@ enum err_code begin_level_path(const struct begin *b, uint32_t level, char *out,
 enum err_code begin_run(struct begin *b, struct train_cell_result *out, bool *done,
                         struct err *e) ERR_USE;
 void begin_close(struct begin *b);
+/* Whether a last fit with all photographs follows the levels (--final-all). */
+bool begin_wants_last(const struct begin *b);
 /* Makes the first Gaussians of a new run. Free *out with gauss_free. ERR_DATA, ERR_MEM. */
 enum err_code begin_gauss(const struct begin *b, const struct appearance_train *appearance,
                           struct gauss *out, struct err *e) ERR_USE;

@@ -70,6 +70,7 @@ static struct train_config coarse_config(const struct train_config *cells, const
     c.absgrad_from = TRAIN_LEVELS_MAX + 1;
     c.appearance_levels = 1;
     c.coarse_only = c.coarse_start = false;
+    c.final_all = false; /* the cells that begin from it are scored */
     c.appearance = coarse_has_appearance(cells);
     c.cell = NULL;
     /* Whatever is complete with the same options is used. */

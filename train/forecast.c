@@ -105,6 +105,12 @@ double forecast_left_s(const struct forecast *f, const struct stage *at, double 
     return f->work > 0.0 ? f->seconds * left / f->work : 0.0;
 }
 
+double forecast_steps_s(const struct forecast *f, const struct stage *at, double gaussians)
+{
+    return f->work > 0.0 ? f->seconds * forecast_steps(f, at, at->at, 0, &gaussians) / f->work
+                         : 0.0;
+}
+
 void forecast_text(double seconds, char *out, size_t size)
 {
     double minutes = floor(seconds / 60.0 + 0.5), hours = floor(minutes / 60.0);

@@ -30,6 +30,8 @@ void forecast_add(struct forecast *f, const struct stage *at, uint32_t first, do
 /* Seconds for the rest of all levels, with the work at their ends. 0: nothing was measured yet. It
  * assumes that Gaussians grow by the schedule. */
 double forecast_left_s(const struct forecast *f, const struct stage *at, double gaussians);
+/* Seconds for the steps of the current level alone, from its first one. 0: nothing was measured. */
+double forecast_steps_s(const struct forecast *f, const struct stage *at, double gaussians);
 /* Writes a time as "40 s", "12 min", "3 h 20 min" or "2 d 4 h". */
 void forecast_text(double seconds, char *out, size_t size);
 

@@ -99,8 +99,10 @@ static enum err_code inputs_add_depths(struct inputs_reader *r, const char *dir,
     enum err_code rc = file_join(path, dir, "points.npy", e);
     if (!rc && file_exists(path))
         rc = inputs_add_file(r, INPUTS_DEPTHS, "points", path, e);
-    for (size_t i = 0; !rc && i < job->n_images; i++) {
-        const char *name = job->scene->images[job->images[i]].name;
+    size_t n_test = job->cfg->final_all ? job->n_test : 0;
+    for (size_t i = 0; !rc && i < job->n_images + n_test; i++) {
+        uint32_t image = i < job->n_images ? job->images[i] : job->test_images[i - job->n_images];
+        const char *name = job->scene->images[image].name;
         rc = depth_map_find(dir, name, &found, path, e);
         if (!rc && found)
             rc = inputs_add_file(r, INPUTS_DEPTHS, name, path, e);
@@ -119,6 +121,8 @@ static enum err_code inputs_read_all(struct inputs_reader *r, const char *depths
         inputs_add(r, INPUTS_PHOTOGRAPHS, "cut", sizeof "cut");
     for (size_t i = 0; !rc && i < job->n_images; i++)
         rc = inputs_add_photograph(r, &job->scene->images[job->images[i]], e);
+    for (size_t i = 0; !rc && job->cfg->final_all && i < job->n_test; i++)
+        rc = inputs_add_photograph(r, &job->scene->images[job->test_images[i]], e);
     return rc || !depths[0] ? rc : inputs_add_depths(r, depths, e);
 }
 

@@ -277,6 +277,42 @@ void level_refit_end(struct level_refit *r, struct level *l)
     l->appearance.shared = r->was_shared;
 }
 
+/* ---- a last fit with all photographs ---- */
+
+/* What was opened for a list of photographs is opened anew for another list. */
+static void level_set_photos(struct level *l, const struct gallery *from)
+{
+    l->gallery.images = from->images;
+    l->gallery.n_images = from->n_images;
+    l->gallery.windows = from->windows;
+    regularizer_free(&l->regularizer);
+    importance_free(&l->importance);
+    solidity_free(&l->solidity);
+}
+
+enum err_code level_last_open(struct level_last *r, struct level *l, const uint32_t *images,
+                              size_t n_images, const struct camera_window *windows, struct err *e)
+{
+    struct stage *s = &l->stage;
+    const struct gallery all = {.images = images, .n_images = n_images, .windows = windows};
+    s->at = s->n_levels - 1;
+    *r = (struct level_last){.was = s->levels[s->at], .gallery = l->gallery};
+    s->step = 0;
+    s->pruned = true;
+    s->levels[s->at] = refit_schedule_last(&r->was, l->cfg->final_share);
+    level_set_photos(l, &all);
+    enum err_code rc = model_zero_moments(&l->model, e);
+    return rc ? rc : level_begin(l, e);
+}
+
+void level_last_end(struct level_last *r, struct level *l)
+{
+    struct stage *s = &l->stage;
+    s->levels[s->at] = r->was;
+    s->step = r->was.steps;
+    level_set_photos(l, &r->gallery);
+}
+
 /* ---- after a step ---- */
 
 /* What follows some steps. The device finishes the step before the clock turns. */

@@ -101,6 +101,19 @@ enum err_code level_refit_open(struct level_refit *r, struct level *l, uint32_t 
 enum err_code level_refit_finish(struct level *l, struct err *e) ERR_USE;
 /* Restores the stage after the level's training, which level_save_result then writes. */
 void level_refit_end(struct level_refit *r, struct level *l);
+
+struct level_last { /* level_last_open, then level_last_end, also after an error */
+    struct schedule was;
+    struct gallery gallery;
+};
+/* Prepares a last fit after all levels: the present Gaussians, which are those of the finest level,
+ * ready for level_step with these photographs. `windows` as in struct gallery; both are borrowed
+ * until level_last_end. ERR_MEM, ERR_LIMIT, and the errors of regularizer_open. */
+enum err_code level_last_open(struct level_last *r, struct level *l, const uint32_t *images,
+                              size_t n_images, const struct camera_window *windows,
+                              struct err *e) ERR_USE;
+/* Restores photographs and stage of the level's training, which level_save_result then writes. */
+void level_last_end(struct level_last *r, struct level *l);
 /* Marks all levels as done. */
 void level_end(struct level *l);
 

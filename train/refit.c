@@ -42,3 +42,11 @@ struct schedule refit_schedule(const struct schedule *level, double share)
     s.lr_mean_first = s.lr_mean_last = 0.0;
     return s;
 }
+
+struct schedule refit_schedule_last(const struct schedule *level, double share)
+{
+    struct schedule s = refit_schedule(level, share);
+    s.lr_mean_first = s.lr_mean_last = level->lr_mean_last;
+    s.last = true;
+    return s;
+}

@@ -29,5 +29,8 @@ enum err_code refit_look(const struct appearance_train *a, const struct ckpt_row
                          struct err *e) ERR_USE;
 /* The schedule of a refit: a share of the level's steps, without movement, growth or resets. */
 struct schedule refit_schedule(const struct schedule *level, double share);
+/* The schedule of a last fit with all photographs: a share of the level's steps, without growth or
+ * resets. Learning rates and weights are those of the level's last step. */
+struct schedule refit_schedule_last(const struct schedule *level, double share);
 
 #endif

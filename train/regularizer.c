@@ -184,7 +184,7 @@ static bool regularizer_has_depth(const struct train_config *c)
 /* From depth_weight down to depth_weight_final over the level, exponentially. */
 static double regularizer_depth_weight(const struct train_config *c, const struct stage *at)
 {
-    double t = fmin((double)at->step / (double)stage_schedule(at)->steps, 1.0);
+    double t = schedule_done(stage_schedule(at), at->step);
     if (!(c->depth_weight_final > 0.0))
         return c->depth_weight * (1.0 - t);
     return c->depth_weight * pow(c->depth_weight_final / c->depth_weight, t);

@@ -39,11 +39,12 @@ struct run {
     struct progress progress;
     struct timing_seconds spent_before; /* when the level in work began */
     struct forecast forecast;
-    double looked_s;         /* when steps were last counted for it */
-    uint32_t looked_step;    /* the step of that look */
-    double looked_compile_s; /* of the device, at that look */
-    uint32_t looks;          /* that counted */
-    uint64_t last_saved;     /* steps of this process when the state was last saved */
+    double looked_s;             /* when steps were last counted for it */
+    uint32_t looked_step;        /* the step of that look */
+    double looked_compile_s;     /* of the device, at that look */
+    uint32_t looks;              /* that counted */
+    uint64_t last_saved;         /* steps of this process when the state was last saved */
+    struct evaluate_score score; /* of the finest level, before a last fit */
     struct train_cell_result *result;
 };
 
@@ -299,6 +300,13 @@ static enum err_code run_prune(struct run *t, struct err *e)
                             e);
 }
 
+/* What follows the levels and can be interrupted. */
+static bool run_goes_on(const struct run *t)
+{
+    return begin_wants_last(&t->begin) ||
+           refit_wanted(&t->level.appearance, t->cfg, &t->level.stage);
+}
+
 /* Score and save the level in work, and remove results of finer levels, which belong to an older
  * run. */
 static enum err_code run_finish_level(struct run *t, struct err *e)
@@ -317,8 +325,8 @@ static enum err_code run_finish_level(struct run *t, struct err *e)
     if (rc == ERR_CANCEL)
         return run_stop(t, e);
     (void)timing_turn(&l->timing, TIMING_CHECKPOINT);
-    if (!rc && k == l->stage.n_levels && refit_wanted(&l->appearance, t->cfg, &l->stage))
-        rc = run_save(t, e); /* what follows can be interrupted, and begins here */
+    if (!rc && k == l->stage.n_levels && run_goes_on(t))
+        rc = run_save(t, e); /* it begins here */
     if (!rc)
         rc = begin_level_path(&t->begin, k, path, e);
     if (!rc)
@@ -332,6 +340,7 @@ static enum err_code run_finish_level(struct run *t, struct err *e)
     if (rc)
         return rc;
     double seconds = run_seconds(t);
+    t->score = score;
     t->result->n_gaussians[l->stage.at] = l->model.gauss.n;
     t->result->psnr_db[l->stage.at] = t->job->n_test ? score.psnr_db : (double)NAN;
     t->result->ssim[l->stage.at] = t->job->n_test ? score.ssim : (double)NAN;
@@ -398,15 +407,13 @@ static enum err_code run_levels(struct run *t, struct err *e)
 
 /* ---- one network for all levels ---- */
 
-static enum err_code run_refit_steps(struct run *t, struct err *e)
+/* The steps of a fit after the levels. The state that was saved before it is where it begins. */
+static enum err_code run_refit_steps(struct run *t, const char *what, struct err *e)
 {
     struct level *l = &t->level;
     struct progress progress = {0};
     uint32_t steps = l->stage.levels[l->stage.at].steps;
     enum err_code rc = ERR_OK;
-    char what[64];
-    snprintf(what, sizeof what, "level %u/%u takes over the network", l->stage.at + 1,
-             l->stage.n_levels);
     progress_start(&progress, what, steps);
     while (!rc && l->stage.step < steps) {
         rc = level_step(l, NULL, e);
@@ -416,9 +423,9 @@ static enum err_code run_refit_steps(struct run *t, struct err *e)
         bool enough = t->cfg->stop_after > 0 && *t->job->steps >= (uint64_t)t->cfg->stop_after;
         if (!rc && (signals_stopping() || enough))
             rc = err_set(e, ERR_CANCEL,
-                         "stopped while level %u of %u takes over the appearance network; the "
-                         "state is saved: the same command with --resume goes on",
-                         l->stage.at + 1, l->stage.n_levels);
+                         "stopped while %s; the state is saved: the same command with --resume "
+                         "goes on",
+                         what);
     }
     if (!rc)
         rc = dev_finish(l->engine.dev, e);
@@ -432,14 +439,16 @@ static enum err_code run_refit_level(struct run *t, uint32_t at, struct err *e)
     struct level *l = &t->level;
     struct level_refit r = {0};
     struct evaluate_score score = {0};
-    char path[FILE_PATH_MAX];
+    char path[FILE_PATH_MAX], what[80];
     enum err_code rc = begin_level_path(&t->begin, at + 1, path, e);
     if (!rc)
         rc = level_refit_open(&r, l, at, path, e);
     if (rc || !r.needed)
         return rc;
     (void)timing_turn(&l->timing, TIMING_STEP);
-    rc = run_refit_steps(t, e);
+    snprintf(what, sizeof what, "level %u of %u takes over the appearance network", at + 1,
+             l->stage.n_levels);
+    rc = run_refit_steps(t, what, e);
     (void)timing_turn(&l->timing, TIMING_PRUNE);
     if (!rc)
         rc = level_refit_finish(l, e);
@@ -475,6 +484,46 @@ static enum err_code run_refit(struct run *t, struct err *e)
     return rc;
 }
 
+/* ---- a last fit with all photographs ---- */
+
+/* The level that is there now was trained without the photographs that score it. Its scores stay
+ * those. */
+static enum err_code run_last(struct run *t, struct err *e)
+{
+    struct level *l = &t->level;
+    const struct begin *b = &t->begin;
+    struct level_last last;
+    char path[FILE_PATH_MAX];
+    if (!begin_wants_last(b))
+        return ERR_OK;
+    enum err_code rc = begin_level_path(b, l->stage.n_levels, path, e);
+    if (rc)
+        return rc;
+    (void)timing_turn(&l->timing, TIMING_STEP);
+    rc = level_last_open(&last, l, b->all, b->n_all, b->windows, e);
+    uint32_t steps = l->stage.levels[l->stage.at].steps;
+    if (!rc)
+        rc = run_refit_steps(t, "the finest level trains with all photographs", e);
+    if (!rc)
+        rc = level_refit_finish(l, e); /* harmonics are held to where all photographs stood */
+    level_last_end(&last, l);
+    (void)timing_turn(&l->timing, TIMING_CHECKPOINT);
+    if (!rc)
+        rc = level_save_result(l, path, &t->score, e);
+    (void)timing_turn(&l->timing, TIMING_OTHER);
+    if (rc)
+        return rc;
+    level_end(l);
+    log_info("train",
+             "level=%u trained %u steps more with all %zu photographs; its scores are of "
+             "before",
+             l->stage.n_levels, steps, b->n_all);
+    return metrics_log_line(l->metrics, "last",
+                            json_pack("{s:i, s:i, s:I}", "level", (int)l->stage.n_levels, "steps",
+                                      (int)steps, "photographs", (json_int_t)b->n_all),
+                            e);
+}
+
 enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out, struct err *e)
 {
     struct run *t = mem_array(1, sizeof *t);
@@ -500,6 +549,8 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
             rc = run_levels(t, e);
         if (!rc)
             rc = run_refit(t, e);
+        if (!rc)
+            rc = run_last(t, e);
         out->seconds = run_seconds(t);
         out->timing = timing_now(&t->level.timing);
         if (!rc)

@@ -234,10 +234,15 @@ uint32_t schedule_sh_degree(const struct schedule *s, uint32_t step)
     return d < s->sh_degree ? d : s->sh_degree;
 }
 
+double schedule_done(const struct schedule *s, uint32_t step)
+{
+    return s->last ? 1.0 : fmin((double)step / (double)s->steps, 1.0);
+}
+
 double schedule_lr_mean(const struct schedule *s, uint32_t step)
 {
     if (!(s->lr_mean_first > 0.0) || !(s->lr_mean_last > 0.0))
         return s->lr_mean_first;
-    double t = fmin((double)step / (double)s->steps, 1.0);
+    double t = schedule_done(s, step);
     return exp((1.0 - t) * log(s->lr_mean_first) + t * log(s->lr_mean_last));
 }

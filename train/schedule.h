@@ -28,6 +28,7 @@ struct schedule { /* schedule of one level; steps are 1-based and restart at eve
     uint32_t sh_interval, sh_degree; /* sh_interval 0: full degree from the start */
     bool absgrad;
     bool mcmc; /* --strategy mcmc: no opacity resets, and positions move for longer */
+    bool last; /* of a last fit: what fades during a level stays as at its end */
     double tau;
     /* factor on learning rates of positions (included in those below), sizes and rotations */
     double lr_factor;
@@ -58,4 +59,6 @@ bool schedule_resets(const struct schedule *s, uint32_t step);
 bool schedule_limits_size(const struct schedule *s, uint32_t step);
 uint32_t schedule_sh_degree(const struct schedule *s, uint32_t step);
 double schedule_lr_mean(const struct schedule *s, uint32_t step);
+/* The part of the level that is done, 0 to 1. */
+double schedule_done(const struct schedule *s, uint32_t step);
 #endif

@@ -90,7 +90,7 @@ enum err_code solidity_step(struct solidity **own, const struct site *site, cons
 {
     static const uint32_t strides[] = {1, 2, 4};
     const struct train_config *c = g->cfg;
-    double t = (double)at->step / (double)stage_schedule(at)->steps, fade = pow(c->solid_final, t);
+    double fade = pow(c->solid_final, schedule_done(stage_schedule(at), at->step));
     double begun = solidity_has_begun(c, at) ? 1.0 : 0.0;
     struct depth_target known = {0};
     enum err_code rc = solidity_open(own, g, e);

@@ -1,0 +1,96 @@
+/* The expectation is what training computes when it starts (train/begin.c, train/forecast.c), for a
+ * scene of equal photographs without points. So a change of schedules or budgets changes it too.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "train/expect.h"
+
+#include <string.h>
+
+#include "cells/cell.h"
+#include "codec/scene.h"
+#include "train/budget.h"
+#include "train/forecast.h"
+#include "train/gallery.h"
+#include "train/memory.h"
+#include "train/refit.h"
+#include "train/stage.h"
+
+/* Processor seconds of a unit of train/forecast.h, without and with known depths. Fitted to runs on
+ * two cores with AVX-512 (docs/sizing.md). */
+static const double unit_s = 1.25e-7, unit_known_s = 1.95e-7;
+static const double program_bytes = 0.15e9; /* of the program and its OpenCL compiler */
+static const double ckpt_bytes = 236;       /* of a Gaussian in a level's checkpoint */
+static const double sparse_share = 0.1;     /* sparse points, of the first level's budget */
+
+struct expect_scene {
+    struct scene scene;
+    uint32_t *train; /* [n_train] */
+};
+
+static enum err_code expect_scene_make(const struct expect_photos *p, struct expect_scene *out,
+                                       struct err *e)
+{
+    struct scene *s = &out->scene;
+    s->images = mem_array(p->n_train, sizeof *s->images);
+    out->train = mem_array(p->n_train, sizeof *out->train);
+    if (!s->images || !out->train)
+        return err_set(e, ERR_MEM, "forecast: out of memory for %zu photographs", p->n_train);
+    s->n_images = p->n_train;
+    for (size_t i = 0; i < p->n_train; i++) {
+        s->images[i].cam = (struct camera){.width_px = p->width_px,
+                                           .height_px = p->height_px,
+                                           .fx_px = p->width_px,
+                                           .fy_px = p->width_px};
+        out->train[i] = (uint32_t)i;
+    }
+    return ERR_OK;
+}
+
+/* Units of work of all levels, and of a last fit. */
+static double expect_work(const struct train_config *cfg, const struct expect_photos *p,
+                          const struct expect_scene *in, struct stage *at)
+{
+    struct forecast f;
+    struct gallery g = {
+        .cfg = cfg, .scene = &in->scene, .images = in->train, .n_images = p->n_train};
+    double first = (double)at->levels[0].budget * (p->depths ? cfg->seed_dense : sparse_share);
+    forecast_open(&f, &g, at, p->n_test);
+    f.work = f.seconds = 1.0;
+    double work = forecast_left_s(&f, at, first);
+    if (cfg->final_all && p->n_test) {
+        at->at = at->n_levels - 1;
+        at->levels[at->at] = refit_schedule_last(&at->levels[at->at], cfg->final_share);
+        work += forecast_steps_s(&f, at, (double)at->levels[at->at].budget);
+    }
+    return work;
+}
+
+enum err_code expect_training(const struct train_config *cfg, const struct expect_photos *p,
+                              struct expect *out, struct err *e)
+{
+    struct expect_scene in = {0};
+    const struct cell cell = {.edge_m = 100, .extent_m = 100, .whole = true};
+    struct stage at = {.n_levels = (uint32_t)cfg->level_count};
+    *out = (struct expect){0};
+    enum err_code rc = expect_scene_make(p, &in, e);
+    if (!rc)
+        rc = schedule_make(cfg, p->n_train, &cell, at.levels, e);
+    if (!rc) {
+        const struct budget_photos photos = {&in.scene, in.train, NULL, p->n_train, 0};
+        budget_limit(&photos, cfg, at.levels);
+        for (uint32_t k = 0; k < at.n_levels; k++) {
+            out->gaussians[k] = at.levels[k].budget;
+            out->steps += at.levels[k].steps;
+            out->checkpoint_bytes += ckpt_bytes * (double)at.levels[k].budget;
+        }
+        struct memory_need m =
+            memory_estimate(cfg, &in.scene, in.train, p->n_train, at.levels, at.n_levels, true);
+        out->memory_bytes = (double)m.total + program_bytes;
+        bool known = p->depths && strcmp(cfg->depth_prior, "none") != 0;
+        out->cpu_s = (known ? unit_known_s : unit_s) * expect_work(cfg, p, &in, &at);
+    }
+    mem_free(in.train);
+    mem_free(in.scene.images);
+    return rc;
+}

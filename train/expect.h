@@ -1,0 +1,31 @@
+/* What a training will take, before there is a scene: the schedule, budgets, memory and forecast of
+ * training, for photographs of which only number and size are known.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef TRAIN_EXPECT_H
+#define TRAIN_EXPECT_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "train/config.h"
+
+struct expect_photos {
+    size_t n_train, n_test;
+    uint32_t width_px, height_px; /* as ingest will store them */
+    bool depths;                  /* depth maps of `citysplat stereo` will be there */
+};
+struct expect {
+    size_t gaussians[TRAIN_LEVELS_MAX]; /* most of each level, coarsest first */
+    uint64_t steps;
+    double cpu_s;            /* processor seconds on the usual machine */
+    double memory_bytes;     /* most, with the program itself */
+    double checkpoint_bytes; /* of all levels */
+};
+/* Fills *out for one cell with these options. ERR_ARG: as schedule_make. ERR_MEM. */
+enum err_code expect_training(const struct train_config *cfg, const struct expect_photos *photos,
+                              struct expect *out, struct err *e) ERR_USE;
+
+#endif
