@@ -1,10 +1,11 @@
-/* Training cells: the rectangle of ground of one job, and its two units of length.
+/* Training cells: the rectangle of ground of one job, and its units of length.
  *
  * edge_m is the side of a cell: the unit of learning rates of positions and of the ramp of
  * thresholds outside. extent_m is 1.1 times the largest distance of a camera from the cameras' mean
- * (the scene extent of 3D Gaussian Splatting): it tells which Gaussians are large. In a whole scene
- * edge_m is the larger side of the box around the cameras, or their height above the points if they
- * hardly move.
+ * (the scene extent of 3D Gaussian Splatting): it tells which Gaussians are split. scene_extent_m
+ * is the same of the whole scene: it tells which Gaussians are too large to be kept. In a whole
+ * scene edge_m is the larger side of the box around the cameras, or their height above the points
+ * if they hardly move.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -18,6 +19,7 @@
 #define CELL_EXTENT_FACTOR 1.1
 #define CELL_SMALLEST_M 1e-3
 
+/* images [n]: NULL for all of the scene. */
 static void cell_camera_box(const struct scene *s, const uint32_t *images, size_t n, double lo[3],
                             double hi[3], double mean[3])
 {
@@ -28,7 +30,7 @@ static void cell_camera_box(const struct scene *s, const uint32_t *images, size_
     }
     for (size_t i = 0; i < n; i++) {
         double c[3];
-        camera_center(&s->images[images[i]].cam, c);
+        camera_center(&s->images[images ? images[i] : i].cam, c);
         for (int k = 0; k < 3; k++) {
             lo[k] = fmin(lo[k], c[k]);
             hi[k] = fmax(hi[k], c[k]);
@@ -49,7 +51,7 @@ static double cell_extent(const struct scene *s, const uint32_t *images, size_t 
     cell_camera_box(s, images, n, lo, hi, mean);
     for (size_t i = 0; i < n; i++) {
         double c[3];
-        camera_center(&s->images[images[i]].cam, c);
+        camera_center(&s->images[images ? images[i] : i].cam, c);
         far = fmax(far, cell_length3(c, mean));
     }
     return CELL_EXTENT_FACTOR * far;
@@ -66,6 +68,7 @@ void cell_whole(const struct scene *s, const uint32_t *images, size_t n_images, 
     double height = s->n_points ? cell_length3(points, mean) : 0.0;
     out->edge_m = fmax(fmax(hi[0] - lo[0], hi[1] - lo[1]), fmax(height, CELL_SMALLEST_M));
     out->extent_m = fmax(cell_extent(s, images, n_images), 0.5 * out->edge_m);
+    out->scene_extent_m = out->extent_m;
     for (int k = 0; k < 2; k++) {
         out->min_enu_m[k] = lo[k];
         out->max_enu_m[k] = hi[k];
@@ -113,7 +116,7 @@ void cell_planned(const struct scene *s, const struct partition *p, size_t index
                   const uint32_t *images, size_t n_images, struct cell *out)
 {
     const struct partition_cell *c = &p->cells[index];
-    *out = (struct cell){.whole = p->n_cells == 1, .grid = p->grid};
+    *out = (struct cell){.whole = p->n_cells == 1, .grid = p->grid, .plan = p, .index = index};
     snprintf(out->id, sizeof out->id, "%s", c->id);
     for (int k = 0; k < 2; k++) {
         out->min_enu_m[k] = c->min_m[k];
@@ -123,6 +126,7 @@ void cell_planned(const struct scene *s, const struct partition *p, size_t index
         p->edge_m > 0.0 ? p->edge_m : fmax(c->max_m[0] - c->min_m[0], c->max_m[1] - c->min_m[1]);
     out->edge_m = fmax(out->edge_m, CELL_SMALLEST_M);
     out->extent_m = fmax(cell_extent(s, images, n_images), 0.5 * out->edge_m);
+    out->scene_extent_m = fmax(cell_extent(s, NULL, s->n_images), out->extent_m);
     cell_own(s, p, c, out);
     out->cut = !out->whole && p->share_min > 0.0;
     size_t most = c->n_images;

@@ -23,14 +23,20 @@ struct cell {              /* a rectangle of the ground plane; Gaussians outside
      * beyond the outermost sparse points on sides where no other cell lies */
     double owned_min_m[2], owned_max_m[2];
     bool cut; /* photographs are cut to what shows the cell (cells/window.h) */
+    const struct partition *plan; /* borrowed; NULL: the cell is of no plan */
+    size_t index;                 /* of the cell in the plan */
     /* share of the configured steps that the cell takes; 0 counts as 1. Where photographs are cut,
      * it is in proportion to the cell's number of photographs, so every cell uses each of its
      * photographs equally often. The cell with most photographs takes all steps. */
     double steps_share;
     /* edge of a cell before merging: unit of learning rates and of the distance ramp */
     double edge_m;
-    /* 1.1 * largest distance of a camera from the cameras' mean: unit of sizes */
+    /* 1.1 * largest distance of a camera from the cameras' mean, of the cameras in the cell: larger
+     * Gaussians are split rather than cloned by this unit */
     double extent_m;
+    /* the same of all cameras of the scene: the unit of Gaussians that are too large. Ground around
+     * a small cell has Gaussians that are large beside the cell, not beside the scene. */
+    double scene_extent_m;
 };
 /* Makes the only cell, "all", of a scene without a plan. `images` lists the training photographs,
  * at least one. */

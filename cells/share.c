@@ -4,21 +4,24 @@
  */
 #include "cells/share.h"
 
-#include "cells/cell.h"
 #include "cells/partition.h"
 #include "cells/window.h"
 #include "codec/scene.h"
 
-/* Whether each photograph shows enough of a cell. */
-static enum err_code share_find(const struct scene *s, const struct cell *cell, double share_min,
+/* Which cells each photograph shows enough of: shows [n_cells][n_images]. */
+static enum err_code share_find(const struct scene *s, const struct partition *p, double share_min,
                                 bool all_images, bool *shows, struct err *e)
 {
-    struct window_points points;
-    enum err_code rc = window_open(s, cell, &points, e);
-    for (size_t i = 0; !rc && i < s->n_images; i++)
-        shows[i] = (all_images || s->images[i].split == SCENE_TRAIN) &&
-                   window_share(&points, cell, (uint32_t)i) >= share_min;
-    window_free(&points);
+    struct window w;
+    enum err_code rc = window_open(s, p, &w, e);
+    for (size_t i = 0; !rc && i < s->n_images; i++) {
+        if (!all_images && s->images[i].split != SCENE_TRAIN)
+            continue;
+        rc = window_look(&w, (uint32_t)i, e);
+        for (size_t k = 0; !rc && k < p->n_cells; k++)
+            shows[k * s->n_images + i] = window_share(&w, k) >= share_min;
+    }
+    window_free(&w);
     return rc;
 }
 
@@ -49,23 +52,21 @@ enum err_code share_photographs(const struct scene *s, double share_min, bool al
 {
     enum err_code rc = ERR_OK;
     p->share_min = p->n_cells > 1 ? share_min : 0.0;
-    bool *shows = mem_array(s->n_images, sizeof *shows);
+    if (!(p->share_min > 0.0))
+        return ERR_OK;
+    bool *shows = mem_array(p->n_cells * s->n_images, sizeof *shows);
     if (!shows)
         return err_set(e, ERR_MEM, "out of memory for %zu photographs", s->n_images);
-    for (size_t i = 0; !rc && p->share_min > 0.0 && i < p->n_cells; i++) {
+    rc = share_find(s, p, share_min, all_images, shows, e);
+    for (size_t i = 0; !rc && i < p->n_cells; i++) {
         struct partition_cell *c = &p->cells[i];
-        struct cell cell;
         if (c->parent >= 0)
             continue;
         uint32_t *list = arena_get(&p->arena, s->n_images + 1, sizeof *list);
-        if (!list) {
+        if (list)
+            share_list(s, shows + i * s->n_images, list, p, c);
+        else
             rc = err_set(e, ERR_MEM, "out of memory for %zu photographs", s->n_images);
-            break;
-        }
-        cell_planned(s, p, i, c->images, c->n_location ? c->n_location : c->n_images, &cell);
-        rc = share_find(s, &cell, share_min, all_images, shows, e);
-        if (!rc)
-            share_list(s, shows, list, p, c);
     }
     mem_free(shows);
     return rc;

@@ -204,8 +204,11 @@ static void look_open(struct look *l)
         look_picture(l->scene.dir, "images", photo_names[i], (uint8_t)(60 + 60 * i), 3);
     }
     look_picture(l->scene.dir, "masks", "a.png.png", 0, 1);
-    l->cell =
-        (struct cell){.min_enu_m = {-50, -50}, .max_enu_m = {0, 50}, .edge_m = 50, .extent_m = 30};
+    l->cell = (struct cell){.min_enu_m = {-50, -50},
+                            .max_enu_m = {0, 50},
+                            .edge_m = 50,
+                            .extent_m = 30,
+                            .scene_extent_m = 30};
     l->gallery = (struct gallery){.cfg = &l->cfg,
                                   .engine = {.dev = &l->dev, .render = l->render},
                                   .scene = &l->scene,
@@ -351,7 +354,8 @@ static void presets_are_the_published_table(void **state)
         struct train_config c;
         struct options_args args;
         struct schedule s[TRAIN_LEVELS_MAX];
-        struct cell cell = {.id = "all", .whole = true, .edge_m = 100.0, .extent_m = 60.0};
+        struct cell cell = {
+            .id = "all", .whole = true, .edge_m = 100.0, .extent_m = 60.0, .scene_extent_m = 60.0};
         char train[] = "train", config[] = "--config", file[64], scene[] = "scene";
         snprintf(file, sizeof file, "%s", table[k].file);
         char *argv[] = {train, scene, config, file, NULL};

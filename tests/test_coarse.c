@@ -19,7 +19,8 @@ static const struct cell corner = {.id = "x0y0",
                                    .min_enu_m = {-0.5, -0.5},
                                    .max_enu_m = {CELL - 0.5, CELL - 0.5},
                                    .edge_m = CELL,
-                                   .extent_m = CELL};
+                                   .extent_m = CELL,
+                                   .scene_extent_m = CELL};
 static const double origin_m[3] = {100.0, -200.0, 3.0};
 
 struct fixture {

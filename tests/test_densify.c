@@ -73,13 +73,14 @@ static void toy_free(struct toy *t)
 }
 
 static const struct cell everything = {
-    .id = "all", .whole = true, .edge_m = 20.0, .extent_m = 20.0};
+    .id = "all", .whole = true, .edge_m = 20.0, .extent_m = 20.0, .scene_extent_m = 20.0};
 static const struct cell western = {/* x < 0 is inside */
                                     .id = "west",
                                     .min_enu_m = {-100.0, -100.0},
                                     .max_enu_m = {0.0, 100.0},
                                     .edge_m = 5.0,
-                                    .extent_m = 20.0};
+                                    .extent_m = 20.0,
+                                    .scene_extent_m = 20.0};
 
 static struct densify_params params_of(const struct cell *cell, size_t inside, size_t outside)
 {

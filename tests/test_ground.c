@@ -12,13 +12,16 @@
 #include "codec/scene.h"
 #include "tests/kit.h"
 #include "train/densify_plan.h"
+#include "train/gallery.h"
 #include "train/init.h"
+#include "train/schedule.h"
+#include "train/stage.h"
 
 enum { SIDE = 5, PLANES = 18 };
 #define HEIGHT_M 50.0
 #define GROUND_M 7.0
 static const struct cell everything = {
-    .id = "all", .whole = true, .edge_m = 200.0, .extent_m = 200.0};
+    .id = "all", .whole = true, .edge_m = 200.0, .extent_m = 200.0, .scene_extent_m = 200.0};
 
 /* A nadir flight over flat ground, 5 x 5 photographs 20 m apart, of 80 x 60 m each. Points every 4
  * m, green in the north and red in the south, and none east of x = 20. */
@@ -123,7 +126,8 @@ static void the_last_place_outside_is_used(void **state)
                               .min_enu_m = {-102, -102},
                               .max_enu_m = {-42, 102},
                               .edge_m = 200.0,
-                              .extent_m = 200.0};
+                              .extent_m = 200.0,
+                              .scene_extent_m = 200.0};
     struct scene s;
     struct footprint f;
     struct err e = {0};
@@ -154,6 +158,32 @@ static void the_last_place_outside_is_used(void **state)
         assert_int_equal(taken, room);
         gauss_free(&g);
     }
+    footprint_free(&f);
+    arena_free(&s.arena);
+}
+
+static void what_is_longer_than_pixels_on_the_ground_is_split(void **state)
+{
+    (void)state;
+    struct scene s;
+    struct footprint f;
+    struct err e = {0};
+    uint32_t first = 0;
+    survey(&s);
+    kit_ok(footprint_of(&s, &f, &e), e);
+    struct train_config cfg = {.split_px = 2.0, .percent_dense = 0.05};
+    struct gallery g = {.cfg = &cfg, .scene = &s, .images = &first, .n_images = 1};
+    struct site site = {.cell = {.extent_m = 40.0}, .ground = &f};
+    const struct schedule fine = {.downsample = 1.0}, coarse = {.downsample = 4.0};
+    double px_m = 1.0 / f.px_per_m;
+    assert_true(fabs(gallery_split_above(&g, &site, &fine) - 2.0 * px_m) < 1e-9 * px_m);
+    /* pictures of a quarter of the size have pixels four times as large, but for rounding */
+    assert_true(fabs(gallery_split_above(&g, &site, &coarse) - 8.0 * px_m) < 0.1 * px_m);
+    cfg.split_px = 0.0;
+    assert_true(fabs(gallery_split_above(&g, &site, &fine) - 2.0) < 1e-12);
+    cfg.split_px = 2.0;
+    site.ground = NULL;
+    assert_true(fabs(gallery_split_above(&g, &site, &fine) - 2.0) < 1e-12);
     footprint_free(&f);
     arena_free(&s.arena);
 }
@@ -266,6 +296,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(ground_without_points_gets_gaussians),
         cmocka_unit_test(the_last_place_outside_is_used),
+        cmocka_unit_test(what_is_longer_than_pixels_on_the_ground_is_split),
         cmocka_unit_test(what_floats_is_removed),
         cmocka_unit_test(what_sticks_out_is_split),
     };

@@ -137,7 +137,8 @@ static void without_masks_all_points_are_used(void **state)
                       .n_points = 3,
                       .tracks = tracks,
                       .n_tracks = 3};
-    const struct cell cell = {.id = "all", .whole = true, .edge_m = 10, .extent_m = 10};
+    const struct cell cell = {
+        .id = "all", .whole = true, .edge_m = 10, .extent_m = 10, .scene_extent_m = 10};
     const uint32_t list[1] = {0};
     struct init_input in = {.scene = &s, .images = list, .n_images = 1, .cell = &cell, .limit = 10};
     kit_tmpdir(s.dir);

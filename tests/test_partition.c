@@ -486,21 +486,25 @@ static void every_photograph_is_shared_out_among_the_cells_that_it_shows(void **
     struct partition p;
     parts_make(&s, &p, 1e-6);
     double sum[36] = {0}, most = 0.0, taken = 0.0;
+    struct window looked;
+    kit_ok(window_open(&s, &p, &looked, &e), e);
     for (size_t i = 0; i < p.n_cells; i++) {
         const struct partition_cell *c = &p.cells[i];
-        struct window_points points;
         struct cell cell;
         cell_planned(&s, &p, i, c->images, c->n_location, &cell);
-        assert_true(cell.cut);
+        assert_true(cell.cut && cell.plan == &p && cell.index == i);
+        /* what is too large is measured by all cameras, not by those in the cell */
+        assert_true(fabs(cell.scene_extent_m - 1.1 * hypot(25.0, 25.0)) < 1e-9);
+        assert_true(cell.extent_m < cell.scene_extent_m);
         most = fmax(most, cell.steps_share);
         taken += cell.steps_share;
-        kit_ok(window_open(&s, &cell, &points, &e), e);
         for (size_t k = 0; k < c->n_images; k++) {
             const struct camera *cam = &s.images[c->images[k]].cam;
             struct camera_window w;
-            assert_true(window_of(&points, cam, &w));
-            sum[c->images[k]] += window_share(&points, &cell, c->images[k]);
-            /* what it frames of the cell is in the part, but for the outermost points */
+            kit_ok(window_look(&looked, c->images[k], &e), e);
+            assert_true(window_part(&looked, i, &w));
+            sum[c->images[k]] += window_share(&looked, i);
+            /* what it frames of the cell is in the part */
             struct camera part = camera_crop(cam, &w);
             size_t framed = 0, in_part = 0;
             for (size_t j = 0; j < s.n_points; j++) {
@@ -512,8 +516,8 @@ static void every_photograph_is_shared_out_among_the_cells_that_it_shows(void **
             assert_true(framed > 0 && in_part == framed);
             assert_true(part.width_px <= cam->width_px && part.height_px <= cam->height_px);
         }
-        window_free(&points);
     }
+    window_free(&looked);
     for (size_t i = 0; i < s.n_images; i++)
         assert_true(fabs(sum[i] - 1.0) < 1e-9);
     assert_true(fabs(most - 1.0) < 1e-12 && taken < 9.0);
@@ -528,15 +532,14 @@ static void a_part_is_much_smaller_than_the_photograph_and_its_camera_is_shifted
     struct scene s;
     struct partition p;
     parts_make(&s, &p, 0.02);
-    struct window_points points;
+    struct window looked;
     struct camera_window w;
-    struct cell cell;
-    cell_planned(&s, &p, 4, p.cells[4].images, p.cells[4].n_location, &cell);
-    kit_ok(window_open(&s, &cell, &points, &e), e);
+    kit_ok(window_open(&s, &p, &looked, &e), e);
+    kit_ok(window_look(&looked, 14, &e), e);
     const struct camera *cam = &s.images[14].cam; /* east 20, north 20: above the cell's middle */
-    assert_true(window_of(&points, cam, &w));
-    /* 20 m and 1 m on each side of 60 m, and 4 % on each side */
-    assert_true(w.x1 - w.x0 > 20.0 / 60.0 && w.x1 - w.x0 < 0.45);
+    assert_true(window_part(&looked, 4, &w));
+    /* 20 m of 60 m, a sample and 4 % on each side */
+    assert_true(w.x1 - w.x0 > 20.0 / 60.0 && w.x1 - w.x0 < 0.48);
     struct camera part = camera_crop(cam, &w);
     const double place[3] = {22.0, 27.0, 0.0};
     uint32_t at[4];
@@ -545,10 +548,12 @@ static void a_part_is_much_smaller_than_the_photograph_and_its_camera_is_shifted
     assert_true(camera_project(cam, place, 0.1, whole, NULL));
     assert_true(camera_project(&part, place, 0.1, cut, NULL));
     assert_true(fabs(whole[0] - at[0] - cut[0]) < 1e-9 && fabs(whole[1] - at[1] - cut[1]) < 1e-9);
-    struct camera away = camera_heading((double[3]){20.0, 20.0, 50.0}, 0.0, 90.0, 1.0, 200, 200);
-    assert_false(window_of(&points, &away, &w)); /* looks up */
+    s.images[14].cam = camera_heading((double[3]){20.0, 20.0, 50.0}, 0.0, 90.0, 1.0, 200, 200);
+    kit_ok(window_look(&looked, 14, &e), e);
+    assert_int_equal(looked.n_owned, 0); /* looks up */
+    assert_false(window_part(&looked, 4, &w));
     assert_true(w.x0 <= 0.0 && w.y0 <= 0.0 && w.x1 >= 1.0 && w.y1 >= 1.0);
-    window_free(&points);
+    window_free(&looked);
     partition_free(&p);
     scene_free(&s);
 }

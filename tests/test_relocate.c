@@ -304,7 +304,8 @@ static void the_dead_move_and_the_number_is_the_ceiling(void **state)
                                      .min_enu_m = {-100.0, -100.0},
                                      .max_enu_m = {0.0, 100.0},
                                      .edge_m = 5.0,
-                                     .extent_m = 20.0};
+                                     .extent_m = 20.0,
+                                     .scene_extent_m = 20.0};
     struct err e = {0};
     float *params = toy_params(), *grad = mem_array(N, sizeof *grad);
     size_t out_before = 0, shared = 0;

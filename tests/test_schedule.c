@@ -10,7 +10,8 @@
 #include <math.h>
 
 #define EDGE_M 100.0
-static const struct cell cell = {.id = "all", .whole = true, .edge_m = EDGE_M, .extent_m = EDGE_M};
+static const struct cell cell = {
+    .id = "all", .whole = true, .edge_m = EDGE_M, .extent_m = EDGE_M, .scene_extent_m = EDGE_M};
 #define LR_TOL 1e-12 /* exp and log of doubles */
 
 static struct train_config defaults(struct arena *a)

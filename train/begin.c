@@ -202,7 +202,7 @@ static enum err_code begin_list_all(struct begin *t, struct err *e)
 static enum err_code begin_windows(struct begin *t, struct err *e)
 {
     const struct run_cell *job = t->job;
-    struct window_points points = {0};
+    struct window looked = {0};
     double area = 0.0;
     if (!job->cell.cut)
         return ERR_OK;
@@ -210,14 +210,17 @@ static enum err_code begin_windows(struct begin *t, struct err *e)
     t->shares = mem_array(t->n_all, sizeof *t->shares);
     if (!t->windows || !t->shares)
         return err_set(e, ERR_MEM, "train: out of memory for %zu photographs", t->n_all);
-    enum err_code rc = window_open(job->scene, &job->cell, &points, e);
+    enum err_code rc = window_open(job->scene, job->cell.plan, &looked, e);
     for (size_t i = 0; !rc && i < t->n_all; i++) {
         struct camera_window *w = &t->windows[i];
-        (void)window_of(&points, &job->scene->images[t->all[i]].cam, w); /* none: all of it */
-        t->shares[i] = window_share(&points, &job->cell, t->all[i]);
+        rc = window_look(&looked, t->all[i], e);
+        if (rc)
+            break;
+        (void)window_part(&looked, job->cell.index, w); /* none: all of it */
+        t->shares[i] = window_share(&looked, job->cell.index);
         area += (w->x1 - w->x0) * (w->y1 - w->y0);
     }
-    window_free(&points);
+    window_free(&looked);
     if (!rc)
         log_info("train", "cell=%s: %zu photographs are cut to %.0f %% of their pixels",
                  job->cell.id, t->n_all, 100.0 * area / (double)t->n_all);

@@ -144,8 +144,9 @@ static enum err_code densify_tell(struct metrics_log *metrics, const struct stag
 static double densify_prune_above(const struct train_config *c, const struct cell *cell,
                                   double spacing_m)
 {
-    return c->prune_size > 0.0 ? fmax(c->prune_size * cell->extent_m, DENSIFY_SPACINGS * spacing_m)
-                               : 0.0;
+    return c->prune_size > 0.0
+               ? fmax(c->prune_size * cell->scene_extent_m, DENSIFY_SPACINGS * spacing_m)
+               : 0.0;
 }
 
 static struct densify_params densify_make_params(const struct model *m, const struct densify_run *r,
@@ -163,7 +164,7 @@ static struct densify_params densify_make_params(const struct model *m, const st
         .strategy = (enum densify_strategy)c->strategy,
         .tau = s->tau,
         .tau_outside = c->tau_outside,
-        .split_above_m = c->percent_dense * site->cell.extent_m,
+        .split_above_m = gallery_split_above(r->gallery, site, s),
         .split = (enum densify_split)c->split,
         .prune_opacity = c->prune_opacity,
         .prune_above_m = limits ? densify_prune_above(c, &site->cell, spacing_m) : 0.0,

@@ -101,6 +101,15 @@ double gallery_size_limit(const struct gallery *g, const struct site *site,
            fmax(site->cell.edge_m / sqrt((double)s->budget), GALLERY_SPACING_PX * footprint_m);
 }
 
+double gallery_split_above(const struct gallery *g, const struct site *site,
+                           const struct schedule *s)
+{
+    double footprint_m = gallery_footprint_m(g, site, s);
+    return g->cfg->split_px > 0.0 && footprint_m > 0.0
+               ? g->cfg->split_px * footprint_m
+               : g->cfg->percent_dense * site->cell.extent_m;
+}
+
 /* ---- how frames are drawn ---- */
 
 struct render_options gallery_options(const struct gallery *g, const struct stage *at)

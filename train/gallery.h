@@ -68,6 +68,11 @@ enum err_code gallery_filter(const struct gallery *g, const struct stage *at, st
  * not known. */
 double gallery_footprint_m(const struct gallery *g, const struct site *site,
                            const struct schedule *s);
+/* The longest sigma in metres of Gaussians that density control clones; longer ones are split. It is
+ * cfg->split_px pixels of the level's photographs on the ground. Where the ground is not known or
+ * split_px is 0, it is cfg->percent_dense of the camera extent (3DGS). */
+double gallery_split_above(const struct gallery *g, const struct site *site,
+                           const struct schedule *s);
 /* The length in metres that no Gaussian should exceed over supported ground. It is cfg->size_limit
  * times the larger of two lengths: the spacing of the level's budget if it covered the cell evenly,
  * and two pixels of the level's photographs on the ground. 0: no limit, or the ground is not known.

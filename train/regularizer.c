@@ -115,13 +115,14 @@ static enum err_code regularizer_scale(struct regularizer *r, const struct model
 {
     const struct train_config *c = in->gallery->cfg;
     const struct cell *cell = &in->site->cell;
+    const struct schedule *s = stage_schedule(in->at);
     double size = c->scale_max_m > 0.0 ? c->scale_max_m : REGULARIZER_SIZE_OF_CELL * cell->edge_m;
     struct scale_loss_input loss = {
-        .s_max_m = fmax(size, REGULARIZER_SPLIT_ROOM * c->percent_dense * cell->extent_m),
+        .s_max_m =
+            fmax(size, REGULARIZER_SPLIT_ROOM * gallery_split_above(in->gallery, in->site, s)),
         .r_max = c->scale_ratio_max,
         .weight = c->scale_weight,
     };
-    const struct schedule *s = stage_schedule(in->at);
     double limit_m = gallery_size_limit(in->gallery, in->site, s),
            footprint_m = gallery_footprint_m(in->gallery, in->site, s);
     struct scale_loss_ground ground = {.s_max_m = limit_m > 0.0 ? limit_m : (double)INFINITY};
