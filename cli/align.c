@@ -202,6 +202,8 @@ static enum err_code align_all(struct align *a, struct err *e)
     if (!rc)
         rc = align_ask_version(a, e);
     if (!rc)
+        rc = align_check_mapper(a, e);
+    if (!rc)
         rc = align_link_photos(a, e);
     if (!rc)
         rc = align_look(a, e);

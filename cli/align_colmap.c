@@ -92,6 +92,8 @@ enum err_code align_ask_version(struct align *a, struct err *e)
     if (!rc && !align_log_has(log, "COLMAP ", a->version, sizeof a->version))
         rc = err_set(e, ERR_DATA, "%s: does not call itself COLMAP; see %s", a->o->colmap, log);
     a->renamed = !rc && align_log_has(log, "--FeatureExtraction.use_gpu", NULL, 0);
+    a->has_prior = !rc && align_log_has(log, "pose_prior_mapper", NULL, 0);
+    a->has_global = !rc && align_log_has(log, "global_mapper", NULL, 0);
     return rc;
 }
 
@@ -238,25 +240,96 @@ static uint64_t align_count_placed(void *user)
     return n;
 }
 
-enum err_code align_map(struct align *a, const char *db, struct err *e)
+enum { ALIGN_AUTO, ALIGN_INCREMENTAL, ALIGN_PRIOR, ALIGN_GLOBAL }; /* option mapper */
+static const char *const mapper_names[] = {NULL, "incremental", "prior", "global"};
+static const char glomap[] = "glomap";
+static const double height_sigmas = 3; /* of GPS in plan; receivers know heights so much worse */
+
+static bool align_gps_will_do(const struct align *a)
+{
+    return a->plan.n_gps >= 3 && 2 * a->plan.n_gps >= a->plan.n_usable;
+}
+
+enum err_code align_check_mapper(struct align *a, struct err *e)
+{
+    if (a->o->mapper == ALIGN_PRIOR && !a->has_prior)
+        return err_set(e, ERR_ARG,
+                       "--mapper prior: %.100s has no pose_prior_mapper, which came with 3.11; "
+                       "--mapper incremental does without, and ingest fits the model to GPS",
+                       a->version);
+    if (a->o->mapper == ALIGN_PRIOR && !align_gps_will_do(a))
+        return err_set(e, ERR_ARG,
+                       "--mapper prior: %zu of %zu photographs have GPS, half is needed",
+                       a->plan.n_gps, a->plan.n_usable);
+    if (a->o->mapper == ALIGN_GLOBAL && !a->has_global && align_run_find(glomap, NULL))
+        return err_set(e, ERR_ARG,
+                       "--mapper global: %.100s has no global_mapper, and there is no program "
+                       "glomap in PATH",
+                       a->version);
+    return ERR_OK;
+}
+
+static void align_mapper_args(struct align *a, int how, const char *db, const char *out,
+                              struct align_args *x)
+{
+    static const char *const axes[] = {"x", "y", "z"};
+    static const char *const commands[] = {NULL, "mapper", "pose_prior_mapper", "global_mapper"};
+    bool own = how == ALIGN_GLOBAL && !a->has_global;
+    align_begin(a, x, own ? "mapper" : commands[how]);
+    if (own)
+        x->argv[0] = glomap;
+    align_text(x, "--database_path", db);
+    align_text(x, "--image_path", align_path(a, "work/.photos"));
+    align_text(x, "--output_path", out);
+    if (how == ALIGN_GLOBAL)
+        return;
+    align_number(x, "--Mapper.num_threads", (long long)align_cores(a));
+    align_text(x, "--Mapper.min_model_size", "3");
+    if (how != ALIGN_PRIOR)
+        return;
+    align_text(x, "--overwrite_priors_covariance", "1");
+    align_text(x, "--use_robust_loss_on_prior_position", "1"); /* some positions are far off */
+    for (size_t k = 0; k < 3; k++)
+        align_text(x, arena_printf(&a->arena, "--prior_position_std_%s", axes[k]),
+                   arena_printf(&a->arena, "%g", (k == 2 ? height_sigmas : 1) * a->o->gps_sigma_m));
+}
+
+static enum err_code align_map_by(struct align *a, int how, const char *db, const char *out,
+                                  char *log, struct err *e)
 {
     struct align_args x;
+    align_remove(out); /* of a run that was killed */
+    remove(log);       /* photographs are counted in it */
+    enum err_code rc = file_mkdir(out, e);
+    if (rc)
+        return rc;
+    align_mapper_args(a, how, db, out, &x);
+    a->mapper = mapper_names[how];
+    return align_call(&x, "model", "model", a->plan.n_usable, align_count_placed, log, e);
+}
+
+enum err_code align_map(struct align *a, const char *db, struct err *e)
+{
+    struct err why = {0};
     char *part = align_path(a, "work/sparse.part"), *done = align_path(a, "work/sparse"),
          *log = align_path(a, "logs/model.log");
     if (!part || !done || !log)
         return align_no_memory(e);
-    align_remove(part); /* of a run that was killed */
     align_remove(done);
-    remove(log); /* photographs are counted in it */
-    enum err_code rc = file_mkdir(part, e);
-    align_begin(a, &x, "mapper");
-    align_text(&x, "--database_path", db);
-    align_text(&x, "--image_path", align_path(a, "work/.photos"));
-    align_text(&x, "--output_path", part);
-    align_number(&x, "--Mapper.num_threads", (long long)align_cores(a));
-    align_text(&x, "--Mapper.min_model_size", "3");
+    int how = a->o->mapper                           ? (int)a->o->mapper
+              : a->has_prior && align_gps_will_do(a) ? ALIGN_PRIOR
+                                                     : ALIGN_INCREMENTAL;
+    bool may_fail = !a->o->mapper && how == ALIGN_PRIOR;
+    enum err_code rc = align_map_by(a, how, db, part, log, may_fail ? &why : e);
+    if (may_fail && rc == ERR_DATA) {
+        log_warn("align", "with GPS as prior there is no model (%s): it is sought without",
+                 why.msg);
+        rc = align_map_by(a, ALIGN_INCREMENTAL, db, part, log, e);
+    } else if (may_fail && rc && e) {
+        *e = why;
+    }
     if (!rc)
-        rc = align_call(&x, "model", "model", a->plan.n_usable, align_count_placed, log, e);
+        json_object_set_new(a->state, "mapper", json_string(a->mapper));
     if (!rc && rename(part, done))
         rc = err_errno(e, ERR_IO, "%s: cannot rename", part);
     return rc;

@@ -92,8 +92,10 @@ static void state_photos(const struct align *a, char out[33])
 static void state_options(const struct align *a, char out[100])
 {
     const struct align_options *o = a->o;
-    snprintf(out, 100, "neighbours %lld, next %lld, lens %d", (long long)o->neighbours,
-             (long long)o->next, (int)o->lens);
+    int n = snprintf(out, 100, "neighbours %lld, next %lld, lens %d", (long long)o->neighbours,
+                     (long long)o->next, (int)o->lens);
+    if (o->mapper && n > 0 && n < 100) /* folders of older versions have no word of it */
+        snprintf(out + n, 100 - (size_t)n, ", mapper %d, sigma %g", (int)o->mapper, o->gps_sigma_m);
 }
 
 void align_set_options(struct align *a)

@@ -140,14 +140,15 @@ enum err_code align_write_result(struct align *a, json_t *config, struct err *e)
     for (size_t k = 0; k < a->n_models; k++)
         json_array_append_new(models, json_integer((json_int_t)a->sizes[k]));
     json_t *root = json_pack(
-        "{s:s, s:s, s:s, s:I, s:I, s:I, s:I, s:o, s:I, s:I, s:I, s:O, s:O?, s:o, s:o}", "citysplat",
-        CITYSPLAT_VERSION, "colmap", a->version, "photographs_in", a->photos, "photographs",
-        (json_int_t)a->plan.n, "used", (json_int_t)a->plan.n_usable, "placed",
+        "{s:s, s:s, s:s, s:I, s:I, s:I, s:I, s:o, s:I, s:I, s:I, s:O, s:O?, s:O?, s:o, s:o}",
+        "citysplat", CITYSPLAT_VERSION, "colmap", a->version, "photographs_in", a->photos,
+        "photographs", (json_int_t)a->plan.n, "used", (json_int_t)a->plan.n_usable, "placed",
         (json_int_t)a->placed, "lenses", (json_int_t)a->plan.n_groups, "models", models, "pairs",
         (json_int_t)a->plan.n_pairs, "edge_px", (json_int_t)a->forecast.edge_px, "features",
         (json_int_t)a->forecast.features, "seconds", json_object_get(a->state, "seconds"),
-        "processor_seconds", json_object_get(a->state, "processor_seconds"), "unplaced",
-        align_unplaced_to_json(a), "config", config);
+        "processor_seconds", json_object_get(a->state, "processor_seconds"), "mapper",
+        json_object_get(a->state, "mapper"), "unplaced", align_unplaced_to_json(a), "config",
+        config);
     char *path = align_path(a, "align.json");
     enum err_code rc = root && path ? jsonc_write(path, root, e)
                                     : err_set(e, ERR_DATA,

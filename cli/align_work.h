@@ -37,6 +37,8 @@ struct align {
     char version[128]; /* what COLMAP calls itself */
     /* COLMAP 3.12 or newer: options that are not SIFT's alone have other names */
     bool renamed;
+    bool has_prior, has_global; /* commands of COLMAP: pose_prior_mapper, global_mapper */
+    const char *mapper;         /* that made the model: incremental, prior or global */
     json_t *state;
     struct align_pace pace;  /* of this machine, measured by the look */
     struct align_seen *seen; /* [plan.n] */
@@ -86,6 +88,8 @@ enum err_code align_extract(struct align *a, char *db, uint32_t edge_px, long lo
 /* Compares the pairs of the plan. */
 enum err_code align_match(struct align *a, char *db, const char *log, const char *what,
                           struct err *e) ERR_USE;
+/* Checks that the mapper that was asked for is there. ERR_ARG: it is not. */
+enum err_code align_check_mapper(struct align *a, struct err *e) ERR_USE;
 /* Computes the models, in work/sparse. */
 enum err_code align_map(struct align *a, const char *db, struct err *e) ERR_USE;
 

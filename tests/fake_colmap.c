@@ -9,8 +9,11 @@
  *   FAKE_ALONE   photographs with this in their name or folder match none
  *   FAKE_BLANK   photographs with this in their name have 12 features
  *   FAKE_SPLIT   photographs with this in their name become a model of their own
+ *   FAKE_NEW     it has what COLMAP 3.12 has: GPS as prior, other names of options; "global" in it:
+ *                a global mapper too
  *
- * Options that COLMAP 3.8 does not have are refused, as it does.
+ * Options that COLMAP 3.8 does not have are refused, as it does. Under the name glomap it has that
+ * program's command and options.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -78,6 +81,12 @@ static void hang(void)
     }
     for (;;)
         pause();
+}
+
+static bool is_new(void)
+{
+    const char *value = getenv("FAKE_NEW");
+    return value && *value;
 }
 
 static void check_options(const char *const *known)
@@ -184,13 +193,24 @@ static int extract(void)
                                         "--ImageReader.single_camera",
                                         "--ImageReader.camera_model",
                                         "--ImageReader.existing_camera_id",
+                                        "--SiftExtraction.max_num_features",
                                         "--SiftExtraction.use_gpu",
                                         "--SiftExtraction.max_image_size",
-                                        "--SiftExtraction.max_num_features",
                                         "--SiftExtraction.num_threads",
                                         NULL};
+    static const char *const known_new[] = {"--database_path",
+                                            "--image_path",
+                                            "--image_list_path",
+                                            "--ImageReader.single_camera",
+                                            "--ImageReader.camera_model",
+                                            "--ImageReader.existing_camera_id",
+                                            "--SiftExtraction.max_num_features",
+                                            "--FeatureExtraction.use_gpu",
+                                            "--FeatureExtraction.max_image_size",
+                                            "--FeatureExtraction.num_threads",
+                                            NULL};
     static char names[FAKE_NAMES][256];
-    check_options(known);
+    check_options(is_new() ? known_new : known);
     sqlite3 *db = open_db();
     const char *folder = needed("--image_path"),
                *given = option("--ImageReader.existing_camera_id");
@@ -232,9 +252,15 @@ static int match(void)
     static const char *const known[] = {
         "--database_path",        "--match_list_path",          "--match_type",
         "--SiftMatching.use_gpu", "--SiftMatching.num_threads", NULL};
+    static const char *const known_new[] = {"--database_path",
+                                            "--match_list_path",
+                                            "--match_type",
+                                            "--FeatureMatching.use_gpu",
+                                            "--FeatureMatching.num_threads",
+                                            NULL};
     static char pairs[FAKE_NAMES][256];
     char folder[4096];
-    check_options(known);
+    check_options(is_new() ? known_new : known);
     sqlite3 *db = open_db();
     /* The list lies beside the links. */
     snprintf(folder, sizeof folder, "%s", needed("--match_list_path"));
@@ -312,11 +338,8 @@ static size_t cut(struct colmap_model *m, sqlite3 *db, const char *folder, int w
     return n;
 }
 
-static int map(void)
+static int map(const char *const *known)
 {
-    static const char *const known[] = {"--database_path",         "--image_path",
-                                        "--output_path",           "--Mapper.num_threads",
-                                        "--Mapper.min_model_size", NULL};
     size_t models = 0;
     check_options(known);
     sqlite3 *db = open_db();
@@ -344,26 +367,63 @@ static int map(void)
     return 0;
 }
 
+static int help(void)
+{
+    printf("COLMAP %s -- Structure-from-Motion and Multi-View Stereo\n", is_new() ? "3.12" : "3.8");
+    printf("  --%s.use_gpu arg (=1)\n", is_new() ? "FeatureExtraction" : "SiftExtraction");
+    if (is_new())
+        printf("  pose_prior_mapper\n");
+    if (is_set("FAKE_NEW", "global"))
+        printf("  global_mapper\n");
+    return 0;
+}
+
+static bool is_glomap(void)
+{
+    const char *slash = strrchr(fake_argv[0], '/');
+    return !strcmp(slash ? slash + 1 : fake_argv[0], "glomap");
+}
+
+static const char *const map_options[] = {"--database_path",         "--image_path",
+                                          "--output_path",           "--Mapper.num_threads",
+                                          "--Mapper.min_model_size", NULL};
+static const char *const prior_options[] = {"--database_path",
+                                            "--image_path",
+                                            "--output_path",
+                                            "--Mapper.num_threads",
+                                            "--Mapper.min_model_size",
+                                            "--overwrite_priors_covariance",
+                                            "--use_robust_loss_on_prior_position",
+                                            "--prior_position_std_x",
+                                            "--prior_position_std_y",
+                                            "--prior_position_std_z",
+                                            NULL};
+static const char *const global_options[] = {"--database_path", "--image_path", "--output_path",
+                                             NULL};
+
 int main(int argc, char **argv)
 {
     const char *command = argc > 1 ? argv[1] : "help";
     fake_argc = argc;
     fake_argv = argv;
     setvbuf(stdout, NULL, _IOLBF, 0);
-    if (!strcmp(command, "help") || (argc > 2 && !strcmp(argv[2], "-h"))) {
-        printf("COLMAP 3.8 -- Structure-from-Motion and Multi-View Stereo\n");
-        printf("  --SiftExtraction.use_gpu arg (=1)\n");
-        return 0;
-    }
+    if (!strcmp(command, "help") || (argc > 2 && !strcmp(argv[2], "-h")))
+        return help();
     log_call();
     if (is_set("FAKE_FAIL", command))
         die("out of luck", command);
+    if (is_glomap())
+        return strcmp(command, "mapper") != 0 ? 1 : map(global_options);
     if (!strcmp(command, "feature_extractor"))
         return extract();
     if (!strcmp(command, "matches_importer"))
         return match();
     if (!strcmp(command, "mapper"))
-        return map();
+        return map(map_options);
+    if (is_new() && !strcmp(command, "pose_prior_mapper"))
+        return map(prior_options);
+    if (is_set("FAKE_NEW", "global") && !strcmp(command, "global_mapper"))
+        return map(global_options);
     die("command not recognised", command);
     return 1;
 }

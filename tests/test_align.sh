@@ -79,6 +79,26 @@ in_second=$(ls "$photos" | grep -c 1)
 least=$((in_second < 12 ? in_second : 24 - in_second))
 [ "$(placed "$work/dry")" = $((24 - least)) ] || fail "two models: placed $(placed "$work/dry"), want $((24 - least))"
 
+# -- mappers -----------------------------------------------------------------------------------------------
+mapper() { sed -n 's/^ *"mapper": "\([a-z]*\)",*$/\1/p' "$1/align.json" | head -1; }
+[ "$(mapper "$work/a")" = incremental ] || fail "COLMAP 3.8: the mapper is $(mapper "$work/a")"
+refused "no prior" "--mapper prior: COLMAP 3.8.* has no pose_prior_mapper" "$work/p0/sparse" "$photos" -o "$work/p0" --colmap "$fake" --mapper prior
+refused "no GLOMAP" "no global_mapper, and there is no program glomap" "$work/p0/sparse" "$photos" -o "$work/p0" --colmap "$fake" --mapper global --overwrite
+: >"$FAKE_LOG"
+FAKE_NEW=1 align "$photos" -o "$work/p1" --no-look --gps-sigma-m 2 || fail "a newer COLMAP: exit $?"
+[ "$(called '^pose_prior_mapper .*--overwrite_priors_covariance 1 --use_robust_loss_on_prior_position 1 --prior_position_std_x 2 --prior_position_std_y 2 --prior_position_std_z 6$')" = 1 ] || fail "GPS is no prior of a newer COLMAP"
+[ "$(called '^feature_extractor .*--FeatureExtraction.use_gpu 0')" = 1 ] || fail "a newer COLMAP: options of older ones"
+[ "$(mapper "$work/p1")" = prior ] && [ "$(placed "$work/p1")" = 24 ] || fail "a newer COLMAP: $(mapper "$work/p1"), $(placed "$work/p1") placed"
+FAKE_NEW=1 FAKE_FAIL=pose_prior_mapper align "$photos" -o "$work/p2" --no-look || fail "a prior that gives no model: exit $?"
+expect "a prior that gives no model" "with GPS as prior there is no model .*sought without"
+[ "$(mapper "$work/p2")" = incremental ] && [ "$(placed "$work/p2")" = 24 ] || fail "a prior that gives no model: $(mapper "$work/p2")"
+FAKE_NEW=1 FAKE_FAIL=pose_prior_mapper align "$photos" -o "$work/p3" --no-look --mapper prior && fail "a prior that was asked for and failed was taken"
+FAKE_NEW=global align "$photos" -o "$work/p4" --no-look --mapper global || fail "a global mapper: exit $?"
+[ "$(called '^global_mapper ')" = 1 ] && [ "$(mapper "$work/p4")" = global ] || fail "a global mapper: $(mapper "$work/p4")"
+mkdir "$work/path" && ln -s "$fake" "$work/path/glomap"
+PATH=$work/path:$PATH align "$photos" -o "$work/p5" --no-look --mapper global || fail "GLOMAP: exit $?"
+[ "$(mapper "$work/p5")" = global ] && [ "$(placed "$work/p5")" = 24 ] || fail "GLOMAP: $(mapper "$work/p5")"
+
 # -- photographs without a place ---------------------------------------------------------------------------
 cp -r "$photos" "$work/mixed"
 cp "$work/mixed/${names[3]}" "$work/mixed/zz double.jpg"
