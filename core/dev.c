@@ -6,8 +6,9 @@
  * buffer may have. A device has one in-order queue, so no other code needs events.
  *
  * PoCL compiles kernels to its cache folder. If it cannot write there it fails late and without a
- * clear message, so the folder is checked before the first OpenCL call. PoCL's worker threads do
- * not survive fork().
+ * clear message, so the folder is checked before the first OpenCL call. Its cache still parses the
+ * source at every start, so programs are kept as binaries too (docs/decisions/091-programs.md).
+ * PoCL's worker threads do not survive fork().
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -24,6 +25,7 @@
 
 #include "core/base.h"
 #include "core/pool.h"
+#include "core/programs.h"
 #include "core/trace.h"
 
 extern const char layout_h[]; /* core/layout.h, made by embed_cl */
@@ -119,13 +121,14 @@ static bool dev_folder_writable(const char *path)
 }
 
 /* PoCL writes compiled kernels to POCL_CACHE_DIR, else $XDG_CACHE_HOME/pocl, else ~/.cache/pocl. A
- * service account may have none of them; then a folder of our own under TMPDIR is used. */
-static enum err_code dev_cache_prepare(struct err *e)
+ * service account may have none of them; then a folder of our own under TMPDIR is used. `path`
+ * [FILE_PATH_MAX] becomes that folder. */
+static enum err_code dev_cache_prepare(char *path, struct err *e)
 {
     const char *given = getenv("POCL_CACHE_DIR"), *xdg = getenv("XDG_CACHE_HOME"),
                *home = getenv("HOME"), *tmp = getenv("TMPDIR");
-    char path[FILE_PATH_MAX];
     if (given && *given) {
+        snprintf(path, FILE_PATH_MAX, "%s", given);
         if (dev_folder_writable(given))
             return ERR_OK;
         return err_set(
@@ -136,12 +139,12 @@ static enum err_code dev_cache_prepare(struct err *e)
     }
     path[0] = '\0';
     if (xdg && *xdg)
-        snprintf(path, sizeof path, "%s/pocl/kcache", xdg);
+        snprintf(path, FILE_PATH_MAX, "%s/pocl/kcache", xdg);
     else if (home && *home)
-        snprintf(path, sizeof path, "%s/.cache/pocl/kcache", home);
+        snprintf(path, FILE_PATH_MAX, "%s/.cache/pocl/kcache", home);
     if (*path && dev_folder_writable(path))
         return ERR_OK;
-    snprintf(path, sizeof path, "%s/citysplat-kernels-%lu", tmp && *tmp ? tmp : "/tmp",
+    snprintf(path, FILE_PATH_MAX, "%s/citysplat-kernels-%lu", tmp && *tmp ? tmp : "/tmp",
              (unsigned long)getuid());
     struct stat st;
     /* The folder holds code that will be run: it must be ours, and nobody else may write to it. */
@@ -154,6 +157,23 @@ static enum err_code dev_cache_prepare(struct err *e)
     if (setenv("POCL_CACHE_DIR", path, 1) != 0)
         return err_errno(e, ERR_DEVICE, "dev_open: POCL_CACHE_DIR");
     return ERR_OK;
+}
+
+/* By default PoCL compiles a kernel once more for each size of work-groups and of launches. Our
+ * kernels gain nothing from that, and the binary of a program would hold none of these versions. */
+static void dev_specialize_not(void)
+{
+    (void)setenv("POCL_WORK_GROUP_SPECIALIZATION", "0", 0);
+}
+
+/* Where compiled programs are kept: beside PoCL's kernels. Other drivers keep programs themselves.
+ * Without a folder nothing is kept. */
+static void dev_programs_prepare(struct dev *d, const char *cache)
+{
+    const char *off = getenv("POCL_KERNEL_CACHE");
+    if (!d->is_pocl || (off && !strcmp(off, "0")) ||
+        file_join(d->programs, cache, "citysplat", NULL) || !programs_folder(d->programs))
+        d->programs[0] = '\0';
 }
 
 static size_t dev_list(struct found *list)
@@ -266,11 +286,13 @@ enum err_code dev_open(const char *want, struct dev *out, struct err *e)
 {
     struct found list[DEVICES_MAX];
     struct dev d = {0};
+    char cache[FILE_PATH_MAX];
     cl_int code = CL_SUCCESS;
-    enum err_code rc = dev_cache_prepare(e);
+    enum err_code rc = dev_cache_prepare(cache, e);
     memset(out, 0, sizeof *out);
     if (rc)
         return rc;
+    dev_specialize_not();
     size_t n = dev_list(list);
     const struct found *f = dev_pick(list, n, want);
     if (!f)
@@ -283,6 +305,7 @@ enum err_code dev_open(const char *want, struct dev *out, struct err *e)
     rc = dev_query(&d, e);
     if (rc)
         goto out;
+    dev_programs_prepare(&d, cache);
     cl_context_properties props[] = {CL_CONTEXT_PLATFORM, (cl_context_properties)d.platform, 0};
     d.context = clCreateContext(props, 1, &d.device, NULL, NULL, &code);
     if (code != CL_SUCCESS) {
@@ -393,13 +416,75 @@ static enum err_code dev_build_error(struct dev *d, cl_program program, const ch
     return rc;
 }
 
+/* All that the binary of a program depends on. Not our own version: most kernels stay the same from
+ * one to the next. */
+static struct hash128 dev_program_key(const struct dev *d, const char *const *text, size_t n_text,
+                                      const char *flags)
+{
+    const char *const more[] = {flags, d->name, d->driver};
+    struct hash_state *h = hash_begin();
+    for (size_t i = 0; i < n_text; i++)
+        hash_add(h, text[i], strlen(text[i]) + 1);
+    for (size_t i = 0; i < sizeof more / sizeof *more; i++)
+        hash_add(h, more[i], strlen(more[i]) + 1);
+    return hash_end(h);
+}
+
+/* The program that was kept, ready to use; NULL: none was, or the driver does not want it. */
+static cl_program dev_program_load(struct dev *d, struct hash128 key, const char *flags)
+{
+    struct buf b = {0};
+    cl_program program = NULL;
+    cl_int code = CL_SUCCESS, status = CL_SUCCESS;
+    if (!*d->programs || !programs_read(d->programs, key, &b))
+        return NULL;
+    const unsigned char *bytes = b.data;
+    program = clCreateProgramWithBinary(d->context, 1, &d->device, &b.size, &bytes, &status, &code);
+    if (program && (code != CL_SUCCESS || status != CL_SUCCESS ||
+                    clBuildProgram(program, 1, &d->device, flags, NULL, NULL) != CL_SUCCESS)) {
+        clReleaseProgram(program);
+        program = NULL;
+    }
+    buf_free(&b);
+    return program;
+}
+
+/* Asked for a binary, PoCL compiles all kernels of the program. A binary that cannot be kept costs
+ * time at the next start, and nothing else. */
+static void dev_program_keep(struct dev *d, struct hash128 key, cl_program program)
+{
+    struct err why = {0};
+    size_t size = 0;
+    if (!*d->programs ||
+        clGetProgramInfo(program, CL_PROGRAM_BINARY_SIZES, sizeof size, &size, NULL) !=
+            CL_SUCCESS ||
+        size == 0)
+        return;
+    unsigned char *bytes = mem_uninit(size, 1);
+    if (bytes &&
+        clGetProgramInfo(program, CL_PROGRAM_BINARIES, sizeof bytes, &bytes, NULL) == CL_SUCCESS &&
+        programs_write(d->programs, key, bytes, size, &why))
+        log_debug("dev", "compiled program is not kept: %s", why.msg);
+    mem_free(bytes);
+}
+
+/* Once: who waits some seconds sees why, and that the next start is faster. */
+static void dev_say_compiling(struct dev *d)
+{
+    if (!d->said_compiling)
+        log_info("dev", "compiling kernels for %s: takes some seconds%s", d->name,
+                 *d->programs ? ", later starts find them on the disk" : "");
+    d->said_compiling = true;
+}
+
 enum err_code dev_build(struct dev *d, const struct dev_source *sources, size_t n_sources,
                         const char *options, cl_program *out, struct err *e)
 {
-    const char *text[2 * (SOURCES_MAX + 1)], *names[SOURCES_MAX + 1];
+    enum { TEXTS_MAX = 2 * (SOURCES_MAX + 1) };
+    const char *text[TEXTS_MAX], *names[SOURCES_MAX + 1];
     char lines[SOURCES_MAX + 1][160], flags[1024];
+    const size_t n_text = 2 * (n_sources + 1);
     cl_int code = CL_SUCCESS;
-    cl_program program = NULL;
     enum err_code rc = ERR_OK;
 
     assert(n_sources > 0 && n_sources <= SOURCES_MAX);
@@ -417,15 +502,21 @@ enum err_code dev_build(struct dev *d, const struct dev_source *sources, size_t 
     if (n < 0 || (size_t)n >= sizeof flags)
         return err_set(e, ERR_LIMIT, "dev_build: %s: options too long",
                        sources[n_sources - 1].name);
-    program =
-        clCreateProgramWithSource(d->context, (cl_uint)(2 * (n_sources + 1)), text, NULL, &code);
-    if (code != CL_SUCCESS)
-        return dev_fail(e, code, "dev_build", sources[n_sources - 1].name);
-    double start_s = clock_s();
-    code = clBuildProgram(program, 1, &d->device, flags, NULL, NULL);
+    const double start_s = clock_s();
+    const struct hash128 key = dev_program_key(d, text, n_text, flags);
+    cl_program program = dev_program_load(d, key, flags);
+    if (!program) {
+        dev_say_compiling(d);
+        program = clCreateProgramWithSource(d->context, (cl_uint)n_text, text, NULL, &code);
+        if (code != CL_SUCCESS)
+            return dev_fail(e, code, "dev_build", sources[n_sources - 1].name);
+        code = clBuildProgram(program, 1, &d->device, flags, NULL, NULL);
+        if (code == CL_SUCCESS)
+            dev_program_keep(d, key, program);
+    }
     d->compile_s += clock_s() - start_s;
     if (code != CL_SUCCESS) {
-        rc = dev_build_error(d, program, text, names, 2 * (n_sources + 1), code, e);
+        rc = dev_build_error(d, program, text, names, n_text, code, e);
         clReleaseProgram(program);
         return rc;
     }
@@ -703,25 +794,20 @@ static cl_int dev_enqueue(struct dev *d, cl_kernel k, const char *name, size_t g
     return code;
 }
 
-enum { DEV_SMALL_GRID = 65535 }; /* PoCL: work-items in a row that its smaller version is for */
-
-/* Was this kernel launched before with such a size? Remembers it. More than DEV_LAUNCHES_MAX count
- * as launched. */
-static bool dev_is_launched(struct dev *d, cl_kernel k, size_t global, size_t local)
+/* Was this kernel launched before? Remembers it. More than DEV_LAUNCHES_MAX count as launched. */
+static bool dev_is_launched(struct dev *d, cl_kernel k)
 {
-    bool large = global > DEV_SMALL_GRID;
     for (size_t i = d->n_launched; i-- > 0;)
-        if (d->launched[i].kernel == k && d->launched[i].local == local &&
-            d->launched[i].large == large)
+        if (d->launched[i] == k)
             return true;
     if (d->n_launched == DEV_LAUNCHES_MAX)
         return true;
-    d->launched[d->n_launched++] = (struct dev_launch){k, local, large};
+    d->launched[d->n_launched++] = k;
     return false;
 }
 
-/* PoCL compiles a kernel for its work-group size when it is launched first: the time of that launch
- * is taken for compiling. It waits for what was enqueued before, and for the launch. */
+/* A driver that keeps no programs compiles a kernel when it is launched first: the time of that
+ * launch is taken for compiling. It waits for what was enqueued before, and for the launch. */
 static cl_int dev_launch_first(struct dev *d, cl_kernel k, const char *name, size_t global,
                                size_t local)
 {
@@ -747,9 +833,8 @@ enum err_code dev_run(struct dev *d, cl_kernel k, const char *name, size_t globa
     if (global == 0)
         return ERR_OK; /* nothing to do is not an error here, though it is in OpenCL 1.2 */
     size_t rounded = (global + local - 1) / local * local;
-    cl_int code = dev_is_launched(d, k, rounded, local)
-                      ? dev_enqueue(d, k, name, rounded, local)
-                      : dev_launch_first(d, k, name, rounded, local);
+    cl_int code = dev_is_launched(d, k) ? dev_enqueue(d, k, name, rounded, local)
+                                        : dev_launch_first(d, k, name, rounded, local);
     return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_run", name);
 }
 

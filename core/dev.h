@@ -12,7 +12,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "core/err.h"
+#include "core/base.h"
 
 struct buf;
 enum { DEV_LAUNCHES_MAX = 256 };
@@ -28,20 +28,17 @@ struct dev { /* made by dev_open; only one thread at a time may use it */
     char name[128], driver[64];
     /* seconds spent so far on compiling kernels: of programs, and at first launches */
     double compile_s;
-    struct dev_launch { /* kernels and sizes that were launched before */
-        cl_kernel kernel;
-        size_t local;
-        /* there were so many work-items that PoCL compiles another version of the kernel */
-        bool large;
-    } launched[DEV_LAUNCHES_MAX];
+    cl_kernel launched[DEV_LAUNCHES_MAX]; /* at least once */
     size_t n_launched;
+    char programs[FILE_PATH_MAX]; /* folder of compiled programs; "": none are kept */
+    bool said_compiling;
     struct dev_timing *timing; /* dev_time_begin; NULL: no kernel is timed */
 };
 
 /* Opens a device. `want` is NULL or "auto" (first GPU, else first CPU), "cpu", "gpu", "gpu:K" (the
  * K-th from 0), or a part of the device's name. Compiled kernels are cached in POCL_CACHE_DIR or
- * XDG_CACHE_HOME. Call it before any fork. Close it with dev_close. ERR_DEVICE lists the devices
- * found; if there are none, it says how to install PoCL. */
+ * XDG_CACHE_HOME. POCL_KERNEL_CACHE=0 turns that off. Call it before any fork. Close it with
+ * dev_close. ERR_DEVICE lists the devices found; if there are none, it says how to install PoCL. */
 enum err_code dev_open(const char *want, struct dev *out, struct err *e) ERR_USE;
 void dev_close(struct dev *d);
 
@@ -50,8 +47,9 @@ struct dev_source {
     const char *name, *text;
 };
 /* dev_build compiles the sources in order, with core/layout.h before them and a #line before each.
- * `options` are added to the fixed ones (-cl-std=CL1.2 -cl-denorms-are-zero -DVW=...). On failure e
- * has the whole build log. The caller releases with clReleaseProgram and clReleaseKernel.
+ * `options` are added to the fixed ones (-cl-std=CL1.2 -cl-denorms-are-zero -DVW=...). On PoCL the
+ * compiled program is kept on the disk for the next start. On failure e has the whole build log.
+ * The caller releases with clReleaseProgram and clReleaseKernel.
  * ERR_DEVICE, ERR_MEM. */
 enum err_code dev_build(struct dev *d, const struct dev_source *sources, size_t n_sources,
                         const char *options, cl_program *out, struct err *e) ERR_USE;

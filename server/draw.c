@@ -82,7 +82,6 @@ static enum err_code draw_open(const void *hello, size_t n, void **user, char ab
         return err_set(e, ERR_INTERNAL, "a greeting of %u stores", d->hello.slots);
     mem_return_large();
     log_set_json(d->hello.log_json);
-    log_set_level(LOG_WARN); /* the server tells what is well */
     if (d->hello.nice)
         setpriority(PRIO_PROCESS, 0, d->hello.nice);
     enum err_code rc = dev_open(d->hello.device[0] ? d->hello.device : NULL, &d->dev, e);
@@ -93,6 +92,8 @@ static enum err_code draw_open(const void *hello, size_t n, void **user, char ab
         rc = geoid_open(d->hello.geoid, d->hello.geoid_dir, &d->geoid, e);
     if (rc)
         return rc;
+    log_set_level(
+        LOG_WARN); /* compiling may have been told; from now on the server tells what is well */
     render_set_stop(d->render, worker_cancelled, NULL);
     remote_patience(REMOTE_WAIT_S);
     snprintf(about, WORKER_ABOUT, "%.100s %.50s", d->dev.name, d->dev.driver);

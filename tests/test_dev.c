@@ -5,13 +5,18 @@
  */
 #include "tests/kit.h"
 
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
+#include <sys/time.h>
 #include <sys/wait.h>
+#include <time.h>
 #include <unistd.h>
 
 #include "core/dev.h"
 #include "core/layout.h"
+#include "core/programs.h"
 
 static const char DOUBLE_CL[] = "__kernel void double_it(__global float *x, uint n)\n"
                                 "{\n"
@@ -228,6 +233,136 @@ static void test_buffer_limits(void **state)
     dev_release(&m);
 }
 
+/* Builds DOUBLE_CL with the folder kit_tmp/programs, runs it on 3; says whether it was compiled. */
+static bool double_it_compiles(const struct dev *with)
+{
+    struct dev d = *with;
+    struct err e = {0};
+    cl_program p = NULL;
+    cl_kernel k = NULL;
+    cl_mem m = NULL;
+    const struct dev_source src = {"tests/double.cl", DOUBLE_CL};
+    const cl_uint n = 1;
+    float x = 3, got = 0;
+    d.said_compiling = false;
+    d.n_launched = 0;
+    kit_ok(file_join(d.programs, kit_tmp, "programs", &e), e);
+    kit_ok(dev_build(&d, &src, 1, NULL, &p, &e), e);
+    kit_ok(dev_kernel(p, "double_it", &k, &e), e);
+    kit_ok(dev_buffer(&d, sizeof x, &x, &m, &e), e);
+    assert_int_equal(dev_arg(k, 0, m) | dev_arg(k, 1, n), CL_SUCCESS);
+    kit_ok(dev_run(&d, k, "double_it", n, 1, &e), e);
+    kit_ok(dev_read(&d, m, 0, sizeof got, &got, &e), e);
+    assert_true(got == 6.0f);
+    dev_release(&m);
+    clReleaseKernel(k);
+    clReleaseProgram(p);
+    return d.said_compiling;
+}
+
+/* Changes the bytes of the only kept program, expects that it is compiled anew, and that the new
+ * one is good. */
+static void damaged_is_compiled(const struct dev *d, const char *path, const struct buf *good,
+                                size_t n_bytes, size_t flip)
+{
+    struct err e = {0};
+    struct buf bad = {0}, again = {0};
+    buf_add(&bad, good->data, n_bytes);
+    if (flip < bad.size)
+        bad.data[flip] ^= 0x10;
+    kit_ok(file_write(path, bad.data, bad.size, &e), e);
+    assert_true(double_it_compiles(d));
+    kit_ok(file_read(path, 0, &again, &e), e);
+    assert_int_equal(again.size, good->size);
+    assert_false(double_it_compiles(d));
+    buf_free(&bad);
+    buf_free(&again);
+}
+
+static void test_programs_are_kept(void **state)
+{
+    const struct dev *d = *state;
+    struct err e = {0};
+    struct arena a = {0};
+    struct buf good = {0}, other = {0};
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], **names;
+    size_t n = 0;
+    kit_ok(file_join(dir, kit_tmp, "programs", &e), e);
+    assert_true(programs_folder(dir));
+    assert_true(double_it_compiles(d));
+    kit_ok(file_list(dir, NULL, &a, &names, &n, &e), e);
+    if (!d->is_pocl && n == 0)
+        skip();
+    assert_int_equal(n, 1);
+    assert_false(double_it_compiles(d));
+
+    kit_ok(file_join(path, dir, names[0], &e), e);
+    kit_ok(file_read(path, 0, &good, &e), e);
+    damaged_is_compiled(d, path, &good, 0, 0);
+    damaged_is_compiled(d, path, &good, 20, 20);
+    damaged_is_compiled(d, path, &good, good.size / 2, good.size);
+    damaged_is_compiled(d, path, &good, good.size, 0);             /* another kind of file */
+    damaged_is_compiled(d, path, &good, good.size, 8);             /* of another key */
+    damaged_is_compiled(d, path, &good, good.size, good.size - 1); /* one bit of the program */
+
+    /* A file that is whole, but no program of this driver. */
+    struct hash128 key;
+    memcpy(&key, good.data + 8, sizeof key);
+    kit_ok(programs_write(dir, key, "not a program", 14, &e), e);
+    assert_true(programs_read(dir, key, &other));
+    assert_string_equal((const char *)other.data, "not a program");
+    assert_true(double_it_compiles(d));
+    assert_false(double_it_compiles(d));
+
+    /* Who else may write there may put any code there. */
+    assert_int_equal(chmod(path, 0666), 0);
+    assert_true(double_it_compiles(d));
+    assert_int_equal(chmod(dir, 0777), 0);
+    assert_false(programs_folder(dir));
+    assert_int_equal(chmod(dir, 0700), 0);
+    assert_true(programs_folder(dir));
+    buf_free(&good);
+    buf_free(&other);
+    arena_free(&a);
+}
+
+static void test_old_programs_are_removed(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    struct buf b = {0};
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], text[33], name[64], **names;
+    const time_t now = time(NULL);
+    size_t n = 0;
+    kit_ok(file_join(dir, kit_tmp, "many", &e), e);
+    assert_true(programs_folder(dir));
+    for (uint64_t i = 1; i <= PROGRAMS_KEPT + 1; i++) {
+        const struct hash128 key = {i, i};
+        struct timeval age[2] = {{.tv_sec = now - 1000 + (time_t)i}};
+        age[1] = age[0];
+        if (i == 5) /* of the month before last */
+            age[0].tv_sec = age[1].tv_sec = now - 60 * 86400;
+        kit_ok(programs_write(dir, key, &i, sizeof i, &e), e);
+        hash_text(key, text);
+        snprintf(name, sizeof name, "%s.program", text);
+        kit_ok(file_join(path, dir, name, &e), e);
+        assert_int_equal(utimes(path, age), 0);
+    }
+    kit_ok(file_list(dir, NULL, &a, &names, &n, &e), e);
+    assert_int_equal(n, PROGRAMS_KEPT); /* without the fifth */
+    assert_false(programs_read(dir, (struct hash128){5, 5}, &b));
+    assert_true(programs_read(dir, (struct hash128){1, 1}, &b));
+    buf_free(&b);
+    for (uint64_t i = 0; i < 2; i++) /* now there are more than are kept: the first goes */
+        kit_ok(programs_write(dir, (struct hash128){i, 1000}, &i, sizeof i, &e), e);
+    assert_false(programs_read(dir, (struct hash128){1, 1}, &b));
+    assert_false(programs_read(dir, (struct hash128){2, 2}, &b));
+    assert_true(programs_read(dir, (struct hash128){3, 3}, &b));
+    buf_free(&b);
+    arena_free(&a);
+}
+
 /* A child process of its own, because the choice of folder is made once, before the first OpenCL
  * call. */
 static void test_reserve_keeps_what_is_large_enough(void **state)
@@ -280,6 +415,9 @@ int main(void)
         cmocka_unit_test(test_kernels_are_timed_by_name),
         cmocka_unit_test(test_buffer_limits),
         cmocka_unit_test(test_reserve_keeps_what_is_large_enough),
+        cmocka_unit_test_setup_teardown(test_programs_are_kept, kit_tmp_make, kit_tmp_remove),
+        cmocka_unit_test_setup_teardown(test_old_programs_are_removed, kit_tmp_make,
+                                        kit_tmp_remove),
         cmocka_unit_test(test_unwritable_cache_is_named),
     };
     return cmocka_run_group_tests_name("dev", tests, setup, teardown);

@@ -17,7 +17,7 @@ cat >"$work/camera.json" <<'JSON'
 JSON
 draw() { # CACHE NAME
     mkdir -p "$1" && env POCL_CACHE_DIR="$1" "$bin" render "$work/two.splat" --camera "$work/camera.json" \
-        --device cpu -o "$work/$2.npy" -q >"$work/log.$2" 2>&1
+        --device cpu -o "$work/$2.npy" >"$work/log.$2" 2>&1
 }
 compiled() { find "$1" -name '*.so' | wc -l; }
 
@@ -29,6 +29,21 @@ find "$work/alone" -name '*.so' -exec md5sum {} + | sort >"$work/before"
 check 'a warm start' draw "$work/alone" warm
 find "$work/alone" -name '*.so' -exec md5sum {} + | sort >"$work/after"
 check 'compiles nothing' cmp "$work/before" "$work/after"
+check 'draws the same' cmp "$work/alone.npy" "$work/warm.npy"
+kept=$(ls "$work"/alone/citysplat/*.program)
+check 'a compiled program is kept' [ -s "$kept" ]
+check 'who waits for the compiler is told' grep -q 'compiling kernels' "$work/log.alone"
+check 'and who does not wait is not' [ "$(grep -c 'compiling kernels' "$work/log.warm")" = 0 ]
+
+# Its kernels are in the program's file as well: without those of PoCL nothing is compiled. Damaged, it is made anew.
+mkdir "$work/moved" && cp -a "$work/alone/citysplat" "$work/moved/"
+check 'a start from the kept program alone' draw "$work/moved" moved
+check 'draws the same' cmp "$work/alone.npy" "$work/moved.npy"
+check 'and compiles nothing' cmp "$kept" "$work"/moved/citysplat/*.program
+printf 'damaged' | dd of="$work/moved/citysplat/${kept##*/}" bs=1 seek=1000 conv=notrunc 2>/dev/null
+check 'with a damaged program' draw "$work/moved" damaged
+check 'draws the same' cmp "$work/alone.npy" "$work/damaged.npy"
+check 'and the program is whole again' cmp -n 2000 "$kept" "$work"/moved/citysplat/*.program
 
 pids=
 for i in 1 2 3; do

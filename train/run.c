@@ -27,7 +27,6 @@
 #include "train/run.h"
 
 #define RUN_COMPILED 0.05 /* of a look: more than that, and the look does not count */
-#define RUN_COLD_S 0.5    /* opening the renderer took so long: the cache of kernels is empty */
 enum { RUN_LOOK_STEPS = 20, RUN_LINE_STEPS = 100, RUN_FORECAST_LOOKS = 5 };
 
 struct run {
@@ -387,9 +386,6 @@ static enum err_code run_levels(struct run *t, struct err *e)
         t->looked_s = clock_s();
         t->looked_step = l->stage.step;
         t->looked_compile_s = l->engine.dev->compile_s;
-        if (!t->looks && t->looked_compile_s > RUN_COLD_S)
-            log_info("train", "cell=%s compiling kernels ... later runs take them from a cache",
-                     l->site.cell.id);
         rc = run_steps(t, e);
         if (!rc)
             rc = dev_finish(l->engine.dev, e);
