@@ -12,6 +12,8 @@
 #include <unistd.h>
 
 #include "cli/cli.h"
+#include "cli/output.h"
+#include "core/trace.h"
 #include "server/server.h"
 #include "server/supervisor.h"
 
@@ -89,6 +91,18 @@ static enum err_code serve_run(struct server *sv, const struct server_config *cf
     return ERR_OK;
 }
 
+/* The trace is written whatever ended the server. */
+static void serve_trace_end(const char *path)
+{
+    struct trace_result t;
+    struct err e = {0};
+    if (trace_end(&t, &e))
+        log_error("serve", "%s", e.msg);
+    else
+        log_info("serve", "trace %s: spans=%zu dropped=%zu seconds=%.1f cores=%.2f", path, t.spans,
+                 t.dropped, t.seconds, t.cores);
+}
+
 enum err_code cli_serve(int argc, char **argv, struct err *e)
 {
     struct server_config cfg;
@@ -109,7 +123,12 @@ enum err_code cli_serve(int argc, char **argv, struct err *e)
     /* Threads inherit the mask, so SIGHUP waits for sigtimedwait below. */
     pthread_sigmask(SIG_BLOCK, &hup, NULL);
     signals_catch();
-    rc = server_start(&cfg, args.arg, args.n, &sv, e);
+    if (cfg.trace)
+        rc = output_check(cfg.trace, false, e);
+    if (!rc && cfg.trace)
+        rc = trace_begin(cfg.trace, e);
+    if (!rc)
+        rc = server_start(&cfg, args.arg, args.n, &sv, e);
     if (rc)
         goto out;
     printf("citysplat serves %zu dataset%s: open %s\n", args.n, args.n == 1 ? "" : "s",
@@ -121,8 +140,11 @@ enum err_code cli_serve(int argc, char **argv, struct err *e)
     rc = serve_run(sv, &cfg, &hup, e);
     supervisor_stopping();
     log_info("serve", "stopping: answers under way are finished first");
-out:
-    if (!server_stop(&sv)) {
+out:;
+    const bool stopped = server_stop(&sv);
+    if (trace_on())
+        serve_trace_end(cfg.trace);
+    if (!stopped) {
         fflush(stdout);
         _exit(rc ? EXIT_FAILURE : EXIT_SUCCESS); /* not through the driver's own end */
     }

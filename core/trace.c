@@ -16,9 +16,10 @@ struct trace_row {
     const char *name;
     double from_s, to_s;
     uint32_t track;
+    bool overlaps;
 };
 static struct trace {
-    const char *path; /* NULL: there is no trace */
+    const char *_Atomic path; /* NULL: there is no trace */
     char part[FILE_PATH_MAX];
     double start_s, start_cpu_s;
     pthread_mutex_t lock; /* guards all below */
@@ -86,20 +87,49 @@ static uint32_t trace_track(const char *name)
     return (uint32_t)k;
 }
 
-void trace_span(const char *track, const char *name, double from_s, double to_s)
+static void trace_add(const char *track, const struct trace_row *row)
 {
     if (!trace.path)
         return;
     pthread_mutex_lock(&trace.lock);
-    uint32_t k = trace_track(track);
-    struct trace_row *last = trace.n ? &trace.rows[trace.n - 1] : NULL;
-    if (last && last->name == name && last->track == k && last->to_s == from_s)
-        last->to_s = to_s; /* it went on */
-    else if (trace_room())
-        trace.rows[trace.n++] = (struct trace_row){name, from_s, to_s, k};
-    else
-        trace.dropped++;
+    if (trace.path) { /* still */
+        struct trace_row r = *row, *last = trace.n ? &trace.rows[trace.n - 1] : NULL;
+        r.track = trace_track(track);
+        if (last && last->name == r.name && last->track == r.track && last->to_s == r.from_s &&
+            !r.overlaps)
+            last->to_s = r.to_s; /* it went on */
+        else if (trace.rows && trace_room())
+            trace.rows[trace.n++] = r;
+        else
+            trace.dropped++;
+    }
     pthread_mutex_unlock(&trace.lock);
+}
+
+void trace_span(const char *track, const char *name, double from_s, double to_s)
+{
+    trace_add(track, &(struct trace_row){.name = name, .from_s = from_s, .to_s = to_s});
+}
+
+void trace_overlap(const char *track, const char *name, double from_s, double to_s)
+{
+    trace_add(track,
+              &(struct trace_row){.name = name, .from_s = from_s, .to_s = to_s, .overlaps = true});
+}
+
+/* Viewers draw spans of one thread as nested. Spans that overlap are pairs of events with a number.
+ */
+static void trace_print_overlap(FILE *f, const struct trace_row *r, size_t number)
+{
+    const char *track = trace.tracks[r->track];
+    fprintf(f,
+            ",\n{\"name\":\"%s\",\"cat\":\"%s\",\"ph\":\"b\",\"id\":%zu,\"pid\":1,\"tid\":%u,"
+            "\"ts\":%.1f}",
+            r->name, track, number, r->track + 1, 1e6 * (r->from_s - trace.start_s));
+    fprintf(f,
+            ",\n{\"name\":\"%s\",\"cat\":\"%s\",\"ph\":\"e\",\"id\":%zu,\"pid\":1,\"tid\":%u,"
+            "\"ts\":%.1f}",
+            r->name, track, number, r->track + 1, 1e6 * (r->to_s - trace.start_s));
 }
 
 /* Names are literals of ours, without characters that JSON would escape. Times are microseconds. */
@@ -115,6 +145,10 @@ static void trace_print(FILE *f)
                 k + 1, trace.tracks[k]);
     for (size_t i = 0; i < trace.n; i++) {
         const struct trace_row *r = &trace.rows[i];
+        if (r->overlaps) {
+            trace_print_overlap(f, r, i);
+            continue;
+        }
         fprintf(
             f, ",\n{\"name\":\"%s\",\"ph\":\"X\",\"pid\":1,\"tid\":%u,\"ts\":%.1f,\"dur\":%.1f}",
             r->name, r->track + 1, 1e6 * (r->from_s - trace.start_s), 1e6 * (r->to_s - r->from_s));
@@ -139,7 +173,11 @@ static void trace_sum(struct trace_result *out)
 enum err_code trace_end(struct trace_result *out, struct err *e)
 {
     *out = (struct trace_result){0};
-    if (!trace.path)
+    pthread_mutex_lock(&trace.lock);
+    const char *path = trace.path;
+    trace.path = NULL;
+    pthread_mutex_unlock(&trace.lock);
+    if (!path)
         return ERR_OK;
     trace_sum(out);
     FILE *f = fopen(trace.part, "w");
@@ -149,12 +187,11 @@ enum err_code trace_end(struct trace_result *out, struct err *e)
         bad = ferror(f) != 0;
         bad = fclose(f) || bad;
     }
-    enum err_code rc = bad ? err_errno(e, ERR_IO, "%s: the trace cannot be written", trace.path)
-                           : file_commit(trace.part, trace.path, e);
+    enum err_code rc = bad ? err_errno(e, ERR_IO, "%s: the trace cannot be written", path)
+                           : file_commit(trace.part, path, e);
     if (rc)
         file_abort(trace.part);
     mem_free(trace.rows);
     trace.rows = NULL;
-    trace.path = NULL;
     return rc;
 }

@@ -2,8 +2,10 @@
  * ui.perfetto.dev show it. A process has at most one trace. Without a trace, a span costs one
  * comparison.
  *
- * Tracks: "work" is the kind of work of a training run (train/timing.h), "device" its kernels,
+ * Tracks of a training: "work" is the kind of work (train/timing.h), "device" its kernels,
  * "photographs" what the loader reads, "host 1" and so on the threads of a parallel loop.
+ * Of a server: "requests", "queue", "tiles 1" and so on the threads that encode, "pictures" the
+ * thread that waits for the process that draws, "drawing" what that process does.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -24,6 +26,8 @@ enum err_code trace_begin(const char *path, struct err *e) ERR_USE;
 bool trace_on(void);
 /* `track` and `name` are string literals. Times are those of clock_s(). Any thread. */
 void trace_span(const char *track, const char *name, double from_s, double to_s);
+/* The same for spans that overlap others of their track. */
+void trace_overlap(const char *track, const char *name, double from_s, double to_s);
 
 struct trace_result {
     size_t spans, dropped;
@@ -32,7 +36,8 @@ struct trace_result {
     double cores;   /* processor seconds a second: mean number of busy cores */
 };
 /* Writes the file under another name, renames it, and stops recording. Call it after a failed run
- * too, because the spans until the failure are useful. Other threads must have ended. ERR_IO. */
+ * too, because the spans until the failure are useful. Spans of threads that go on are ignored from
+ * then on. ERR_IO. */
 enum err_code trace_end(struct trace_result *out, struct err *e) ERR_USE;
 
 #endif

@@ -92,8 +92,7 @@ static enum err_code draw_open(const void *hello, size_t n, void **user, char ab
         rc = geoid_open(d->hello.geoid, d->hello.geoid_dir, &d->geoid, e);
     if (rc)
         return rc;
-    log_set_level(
-        LOG_WARN); /* compiling may have been told; from now on the server tells what is well */
+    log_set_level(LOG_WARN); /* that kernels are compiled was told; the server tells what is well */
     render_set_stop(d->render, worker_cancelled, NULL);
     remote_patience(REMOTE_WAIT_S);
     snprintf(about, WORKER_ABOUT, "%.100s %.50s", d->dev.name, d->dev.driver);
@@ -111,10 +110,12 @@ static enum err_code draw_find(struct draw *d, const struct draw_request *q, int
     for (uint32_t i = 0; i < DRAW_SLOTS; i++)
         if (q->drop >> i & 1)
             draw_empty(&d->slot[i]);
+    const double from_s = clock_s();
     if (q->opens) {
         draw_empty(s);
         rc = view_open_fd(fd, q->name, d->render,
                           (size_t)d->hello.view_cache_bytes / d->hello.slots, &s->view, e);
+        worker_span(DRAW_OPENS, from_s, clock_s());
     }
     if (fd >= 0)
         close(fd);
@@ -139,12 +140,22 @@ static enum err_code draw_measure(struct draw *d, float *transmittance, float *d
     return !rc ? render_surface_run(d->surface, NULL, &maps, e) : rc;
 }
 
+/* Notes the stages of a picture that was drawn from from_s on. */
+static void draw_note(const struct view_stats *st, double from_s)
+{
+    const double load_s = from_s + 1e-3 * st->ms_pick, draw_s = load_s + 1e-3 * st->ms_load;
+    worker_span(DRAW_PICKS, from_s, load_s);
+    worker_span(DRAW_LOADS, load_s, draw_s);
+    worker_span(DRAW_DRAWS, draw_s, draw_s + 1e-3 * st->ms_render);
+}
+
 static enum err_code draw_picture(struct draw *d, const struct draw_request *q, struct draw_slot *s,
                                   struct buf *out, struct err *e)
 {
     const struct draw_view *v = &q->view;
     const struct paint *paint = &v->paint;
     size_t n = (size_t)v->cam.width_px * v->cam.height_px;
+    struct view_stats st;
     bool left = paint_needs_transmittance(paint), depth = paint_needs_depth(paint, v->format);
     struct render_options ro = {.aa = q->antialiased ? RENDER_AA_2D : RENDER_AA_NONE,
                                 .sh_degree = -1};
@@ -158,15 +169,23 @@ static enum err_code draw_picture(struct draw *d, const struct draw_request *q, 
     float *more = rgb ? rgb + 3 * n : NULL;
     const struct paint_planes planes = {rgb, left ? more : NULL,
                                         depth ? more + (left ? n : 0) : NULL};
+    double since_s = clock_s();
     if (!rc)
-        rc = view_render(s->view, &v->cam, &ro, &po, rgb, NULL, e);
+        rc = view_render(s->view, &v->cam, &ro, &po, rgb, &st, e);
+    if (!rc)
+        draw_note(&st, since_s);
     if (!rc && worker_cancelled(NULL))
         rc = err_set(e, ERR_CANCEL, "cancelled");
+    since_s = clock_s();
     if (!rc)
         rc = draw_measure(d, left ? more : NULL, depth ? more + (left ? n : 0) : NULL, e);
+    if (left || depth)
+        worker_span(DRAW_MEASURES, since_s, clock_s());
+    since_s = clock_s();
     if (!rc)
         rc = v->planes ? paint_frame(paint, &v->cam, &planes, out, e)
                        : paint_encode(paint, &v->cam, v->format, v->quality, &planes, out, e);
+    worker_span(DRAW_ENCODES, since_s, clock_s());
     mem_free(rgb);
     return rc;
 }
@@ -204,8 +223,11 @@ static enum err_code draw_run(void *user, const void *request, size_t n, int fd,
         rc = nadir_over(s->view, d->render, (double)NAN, &s->nadir, e);
     if (rc)
         return rc;
-    return q->kind == DRAW_MAP ? map_tile_make(s->nadir, &q->map, out, e)
-                               : draw_answer(d, q, s->nadir, out, e);
+    const double from_s = clock_s();
+    rc = q->kind == DRAW_MAP ? map_tile_make(s->nadir, &q->map, out, e)
+                             : draw_answer(d, q, s->nadir, out, e);
+    worker_span(DRAW_MAKES, from_s, clock_s());
+    return rc;
 }
 
 /* Compilers and drivers leave much behind that is free and not given back. What is then still too

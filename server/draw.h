@@ -46,6 +46,18 @@ struct draw_request {
     };
 };
 
+/* What the process does for an answer, one after the other: worker_span. */
+enum draw_stage {
+    DRAW_OPENS,    /* a store */
+    DRAW_PICKS,    /* tiles */
+    DRAW_LOADS,    /* tiles, from the file to the device */
+    DRAW_DRAWS,    /* Gaussians */
+    DRAW_MEASURES, /* depth, and what is left behind the Gaussians */
+    DRAW_ENCODES,
+    DRAW_MAKES, /* a map tile or an answer, with all of these */
+    DRAW_STAGES
+};
+
 /* hello is a struct draw_hello, request a struct draw_request. */
 extern const struct worker_service draw_service;
 /* Answers requests until `citysplat serve` ends: worker_main. Returns the exit code. */

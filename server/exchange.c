@@ -17,6 +17,7 @@
 #include <strings.h>
 #include <sys/socket.h>
 
+#include "core/trace.h"
 #include "server/dispatch.h"
 #include "server/guard.h"
 #include "server/link.h"
@@ -464,6 +465,7 @@ void exchange_on_completed(void *cls, struct MHD_Connection *c, void **con_cls,
         atomic_fetch_add(&f->s->metrics.client_aborts, 1);
     metrics_request(&f->s->metrics, router_index(f->s->routes, x->res.route), status, seconds,
                     whole ? x->sent : 0);
+    trace_overlap("requests", route_path(x->res.route), x->start_s, now_s);
     if (f->s->access && !(whole && x->res.unlogged))
         exchange_log_access(x, status, seconds);
     if (x->stream) {

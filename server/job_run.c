@@ -8,6 +8,8 @@
 #include <math.h>
 #include <stdio.h>
 
+#include "core/trace.h"
+
 static const double QUICK_S = 1; /* how long a thread is left to quick work after the last of it */
 static const double STREAM_S = 0.05; /* how long long work waits for the next picture of a stream */
 static const double STREAM_PAYS = 0.5; /* part of that wait that counts as the stream's time */
@@ -65,11 +67,22 @@ static void job_finish(struct jobs *js, struct job *j, struct job_result *r, str
     job_free(js, j);
 }
 
+/* Of what waits in the queue, for a trace. */
+static const char *job_noun(enum job_class cls)
+{
+    static const char *const nouns[JOB_CLASSES] = {
+        [JOB_VIEW] = "picture",  [JOB_TILE] = "tile",    [JOB_PREFETCH] = "tile ahead",
+        [JOB_MAP] = "map tile",  [JOB_MOTION] = "frame", [JOB_AHEAD] = "picture ahead",
+        [JOB_SLOW] = "slow work"};
+    return nouns[cls];
+}
+
 static void job_run(struct jobs *js, struct job *j, size_t worker)
 {
     struct err e = {0};
     struct body *body = NULL;
     struct job_result r = {.end = JOB_OK};
+    trace_overlap("queue", job_noun(j->cls), j->queued_s, j->started_s);
     r.code = js->cfg.run(js->cfg.user, j, j->work, worker, &body, &e);
     r.run_s = clock_s() - j->started_s;
     if (r.code == ERR_OK && !body)

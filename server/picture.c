@@ -13,6 +13,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "core/trace.h"
 #include "lod/store.h"
 
 enum { PICTURE_NICE = 5 };
@@ -50,6 +51,16 @@ static void picture_text(char *out, size_t room, const char *text)
     snprintf(out, room, "%s", text ? text : "");
 }
 
+static void picture_span(uint32_t stage, double from_s, double to_s)
+{
+    static const char *const names[DRAW_STAGES] = {
+        [DRAW_OPENS] = "open store", [DRAW_PICKS] = "pick tiles", [DRAW_LOADS] = "load tiles",
+        [DRAW_DRAWS] = "draw",       [DRAW_MEASURES] = "measure", [DRAW_ENCODES] = "encode",
+        [DRAW_MAKES] = "make"};
+    if (stage < DRAW_STAGES)
+        trace_span("drawing", names[stage], from_s, to_s);
+}
+
 enum err_code picture_start(struct picture *p, struct err *e)
 {
     const struct server_config *cfg = p->cfg;
@@ -72,7 +83,8 @@ enum err_code picture_start(struct picture *p, struct err *e)
                                     .ask_s = most_s,
                                     .pause_s = PAUSE_S,
                                     .pause_most_s = PAUSE_MOST_S,
-                                    .steady_s = STEADY_S};
+                                    .steady_s = STEADY_S,
+                                    .span = picture_span};
     enum err_code rc = worker_open(&w, &p->worker, e);
     mem_free(h);
     return rc;

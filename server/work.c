@@ -10,6 +10,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "core/trace.h"
 #include "lod/clip.h"
 #include "lod/crop.h"
 #include "lod/photograph.h"
@@ -26,6 +27,10 @@
 #include "server/seed.h"
 #include "server/target_query.h"
 #include "server/tileset_links.h"
+
+/* Tracks of a trace; threads beyond the last share it. */
+static const char *const work_tracks[] = {"tiles 1", "tiles 2", "tiles 3", "tiles 4",
+                                          "tiles 5", "tiles 6", "tiles 7", "tiles 8"};
 
 static const double REMOTE_PART = 0.8; /* of the time of an answer, for what it reads */
 
@@ -364,6 +369,31 @@ static enum err_code work_change(struct services *s, const struct work *w, struc
     return rc;
 }
 
+static const char *work_track(const struct work *w, size_t worker)
+{
+    enum { LAST = sizeof work_tracks / sizeof *work_tracks - 1 };
+    if (w->kind == WORK_VIEW || w->kind == WORK_MAP || w->kind == WORK_QUERY)
+        return "pictures";
+    return work_tracks[worker < LAST ? worker : LAST];
+}
+
+/* The bytes from the disk, or made. */
+static enum err_code work_fetch(struct services *s, const struct job *j, const struct work *w,
+                                const char *track, bool for_disk, bool *read, struct buf *out,
+                                struct err *e)
+{
+    const double from_s = clock_s();
+    *read = for_disk && disk_get(s->disk, w->id, out);
+    if (for_disk)
+        trace_span(track, "read disk", from_s, clock_s());
+    if (*read)
+        return ERR_OK;
+    const double make_s = clock_s();
+    enum err_code rc = work_make_anyhow(s, j, w, out, e);
+    trace_span(track, work_noun(w->kind), make_s, clock_s());
+    return rc;
+}
+
 enum err_code work_run(void *user, const struct job *j, void *work, size_t worker,
                        struct body **out, struct err *e)
 {
@@ -371,7 +401,7 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
     struct work *w = work;
     struct buf b = {0};
     char etag[BODY_ETAG_SIZE], what[64];
-    (void)worker;
+    bool read = false;
     /* of a store at an address: an answer in time, be it that there is none */
     remote_until(clock_s() + REMOTE_PART * s->cfg->deadline_s);
     if (w->kind == WORK_KEEP)
@@ -383,9 +413,8 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
     enum err_code rc = flight_reserve(s->flight, room, cache_bytes(s->cache), e);
     if (rc)
         return rc;
-    const bool for_disk = work_is_for_disk(s, w), read = for_disk && disk_get(s->disk, w->id, &b);
-    if (!read)
-        rc = work_make_anyhow(s, j, w, &b, e);
+    const bool for_disk = work_is_for_disk(s, w);
+    rc = work_fetch(s, j, w, work_track(w, worker), for_disk, &read, &b, e);
     if (!rc)
         rc = buf_check(&b, e);
     if (!rc) {
@@ -428,8 +457,11 @@ void work_drop(void *services, void *work)
 {
     struct services *s = services;
     struct work *w = work;
-    if (w->made) /* its waiters have it: they did not wait for the disk */
+    const double from_s = clock_s();
+    if (w->made) { /* its waiters have it: they did not wait for the disk */
         disk_put(s->disk, w->id, w->made->data, w->made->size, w->target.clip.n);
+        trace_overlap("disk", "write", from_s, clock_s());
+    }
     body_drop(&w->made);
     dataset_drop(&w->ds);
     film_drop(&w->film);

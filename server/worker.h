@@ -13,7 +13,7 @@
 
 /* the only argument of the program in its second process */
 #define WORKER_ARGUMENT "draw-for-serve"
-enum { WORKER_REQUEST_MAX = 16384, WORKER_ABOUT = 160 };
+enum { WORKER_REQUEST_MAX = 16384, WORKER_ABOUT = 160, WORKER_SPANS = 8 };
 
 /* ---- this process ---- */
 
@@ -26,6 +26,9 @@ struct worker_config {
     double pause_s; /* pause before the third start; it doubles up to pause_most_s */
     double pause_most_s;
     double steady_s; /* after this time without a failure the pause starts anew */
+    /* Called for what an answer says about its making, by the thread that asked; may be NULL. The
+     * process may say anything, but 0 < from_s <= to_s <= now. */
+    void (*span)(uint32_t what, double from_s, double to_s);
 };
 enum worker_state {
     WORKER_STARTING, /* for the first time */
@@ -91,6 +94,9 @@ int worker_main(const struct worker_service *s);
 /* Returns whether nobody wants the present answer any more. Call it from time to time; it takes a
  * microsecond. `user` is ignored. In other processes it returns false. */
 bool worker_cancelled(const void *user);
+/* Notes when a part of the present answer was made, by clock_s(): struct worker_config has `span`.
+ * More than WORKER_SPANS an answer are dropped. */
+void worker_span(uint32_t what, double from_s, double to_s);
 
 /* ---- messages between the two ---- */
 
@@ -102,8 +108,13 @@ struct worker_head { /* before each request; each is one packet */
 struct worker_answer {
     uint32_t magic, code;
     uint32_t leaves; /* the process ends after this answer, and wants to be started again */
+    uint32_t n_spans;
     uint64_t number, n_bytes, peak_bytes;
-    double cpu_s;
+    double cpu_s, sent_s; /* sent_s and the spans: by the clock of that process */
+    struct worker_part {
+        uint32_t what;
+        double from_s, to_s;
+    } span[WORKER_SPANS];
     char text[sizeof((struct err *)NULL)->msg]; /* of the error; in the first answer: about */
 };
 enum { WORKER_MAGIC = 0x43535744, WORKER_FD = 3 };

@@ -97,6 +97,17 @@ enum err_code worker_ready(struct worker *w, bool (*stop)(const void *user), con
     return rc;
 }
 
+/* The clocks of two processes have different zeros: the answer was sent now. */
+static void worker_tell_spans(const struct worker *w, const struct worker_answer *a)
+{
+    const double now_s = clock_s(), later_s = now_s - a->sent_s;
+    for (uint32_t i = 0; w->cfg.span && i < a->n_spans && i < WORKER_SPANS; i++) {
+        const double from_s = a->span[i].from_s + later_s, to_s = a->span[i].to_s + later_s;
+        if (from_s > 0 && from_s <= to_s && to_s <= now_s)
+            w->cfg.span(a->span[i].what, from_s, to_s);
+    }
+}
+
 /* Wait for the answer and take its bytes. ERR_IO, ERR_FORMAT, ERR_BUSY: this life is over. */
 static enum err_code worker_hear(struct worker *w, const struct worker_head *h, size_t limit,
                                  bool (*stop)(const void *user), const void *user, struct buf *out,
@@ -122,6 +133,7 @@ static enum err_code worker_hear(struct worker *w, const struct worker_head *h, 
     }
     if (rc)
         return rc;
+    worker_tell_spans(w, &a);
     pthread_mutex_lock(&w->lock);
     w->now.cpu_s = a.cpu_s;
     w->now.peak_bytes = a.peak_bytes;

@@ -30,6 +30,8 @@ static struct { /* of the one connection that this process has */
     bool there;         /* this process is that one */
     bool cancelled, ended, leaves;
     double start_s;
+    struct worker_part span[WORKER_SPANS]; /* of the answer under way */
+    uint32_t n_spans;
 } worker_child;
 
 bool worker_asked(int argc, char **argv)
@@ -111,15 +113,25 @@ static enum err_code worker_child_put(const struct buf *b, struct err *e)
     return ERR_OK;
 }
 
+void worker_span(uint32_t what, double from_s, double to_s)
+{
+    if (worker_child.there && worker_child.n_spans < WORKER_SPANS)
+        worker_child.span[worker_child.n_spans++] = (struct worker_part){what, from_s, to_s};
+}
+
 static bool worker_child_answer(enum err_code rc, const char *text, size_t n_bytes)
 {
     struct worker_answer a = {.magic = WORKER_MAGIC,
                               .code = rc,
                               .leaves = worker_child.leaves,
+                              .n_spans = worker_child.n_spans,
                               .number = worker_child.number,
                               .n_bytes = n_bytes,
                               .peak_bytes = mem_peak_bytes(),
-                              .cpu_s = clock_cpu_s()};
+                              .cpu_s = clock_cpu_s(),
+                              .sent_s = clock_s()};
+    memcpy(a.span, worker_child.span, sizeof a.span);
+    worker_child.n_spans = 0;
     snprintf(a.text, sizeof a.text, "%s", text);
     return send(WORKER_FD, &a, sizeof a, MSG_NOSIGNAL) == (ssize_t)sizeof a;
 }

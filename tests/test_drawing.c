@@ -6,9 +6,11 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "core/trace.h"
 #include "server/motion.h"
 #include "tests/client.h"
 
+#include <jansson.h>
 #include <pthread.h>
 #include <signal.h>
 
@@ -319,6 +321,80 @@ static void test_giving_up(void **state)
     (void)await_picture(1);
 }
 
+struct seen { /* a span, in seconds */
+    double from_s, to_s;
+};
+
+/* The first span of this name on this track that begins at after_s or later. */
+static struct seen traced(const json_t *trace, const char *track, const char *name, double after_s)
+{
+    struct seen out = {-1, -1};
+    json_int_t id = -1, number = -1;
+    size_t i;
+    const json_t *ev;
+    json_array_foreach(json_object_get(trace, "traceEvents"), i, ev)
+    {
+        const char *ph = json_string_value(json_object_get(ev, "ph")),
+                   *said = json_string_value(json_object_get(ev, "name")),
+                   *of = json_string_value(json_object_get(json_object_get(ev, "args"), "name"));
+        const json_int_t tid = json_integer_value(json_object_get(ev, "tid")),
+                         pair = json_integer_value(json_object_get(ev, "id"));
+        const double at_s = 1e-6 * json_number_value(json_object_get(ev, "ts"));
+        if (!strcmp(ph, "M") && of && !strcmp(of, track))
+            id = tid;
+        if (tid != id || strcmp(said, name) != 0)
+            continue;
+        if (out.from_s < 0 && at_s >= after_s && strcmp(ph, "e") != 0) {
+            out.from_s = at_s;
+            out.to_s = at_s + 1e-6 * json_number_value(json_object_get(ev, "dur"));
+            number = !strcmp(ph, "b") ? pair : -1;
+        } else if (!strcmp(ph, "e") && pair == number) {
+            out.to_s = at_s;
+        }
+    }
+    if (out.from_s < 0)
+        fail_msg("no %s on %s", name, track);
+    return out;
+}
+
+/* serve --trace: a request, its wait, and what both processes did for it, one within the other. */
+static void test_a_picture_is_traced(void **state)
+{
+    static const char VIEW_ROUTE[] = "/d/{ds}/r/{rev}/static/{lon},{lat},{height}@{heading},"
+                                     "{pitch}[,{fov}[,{roll}]]/{w}x{h}[@{s}x].{fmt}";
+    static const char *const stages[] = {"pick tiles", "load tiles", "draw", "encode"};
+    char path[FILE_PATH_MAX], target[256];
+    struct trace_result r;
+    struct err e = {0};
+    const double round_s = 1e-6; /* times are written in tenths of microseconds */
+    (void)state;
+    t.cfg.workers = 1; /* one thread for tiles */
+    if (!start_with_device())
+        skip();
+    (void)await_picture(0);
+    kit_ok(file_join(path, t.dir, "trace.json", &e), e);
+    kit_ok(trace_begin(path, &e), e);
+    assert_int_equal(status_of("GET", view_of(77, "96x64.jpg", target), ""), 200);
+    assert_int_equal(status_of("GET", tile_target(17, "spz", target), ""), 200);
+    nap_ms(50); /* a request ends after its answer */
+    kit_ok(trace_end(&r, &e), e);
+    assert_int_equal(r.dropped, 0);
+    json_t *j = json_load_file(path, 0, NULL);
+    assert_non_null(j);
+    const struct seen asked = traced(j, "requests", VIEW_ROUTE, 0),
+                      waits = traced(j, "queue", "picture", asked.from_s),
+                      made = traced(j, "pictures", "picture", waits.to_s - round_s);
+    assert_true(made.to_s <= asked.to_s + round_s);
+    double last_s = made.from_s;
+    for (size_t i = 0; i < sizeof stages / sizeof *stages; i++) {
+        const struct seen stage = traced(j, "drawing", stages[i], last_s - round_s);
+        assert_true(stage.to_s <= made.to_s + round_s);
+        last_s = stage.to_s;
+    }
+    (void)traced(j, "tiles 1", "tile", traced(j, "queue", "tile", asked.to_s).to_s - round_s);
+    json_decref(j);
+}
+
 #define FAULT_TEST(f) cmocka_unit_test_setup_teardown(f, setup_fault, teardown)
 
 int main(int argc, char **argv)
@@ -329,6 +405,7 @@ int main(int argc, char **argv)
         FAULT_TEST(test_a_kernel_that_reads_wildly), FAULT_TEST(test_a_driver_that_aborts),
         FAULT_TEST(test_a_kernel_that_never_ends),   FAULT_TEST(test_a_driver_that_always_crashes),
         FAULT_TEST(test_stopping_while_it_hangs),    FAULT_TEST(test_giving_up),
+        FAULT_TEST(test_a_picture_is_traced),
     };
     return cmocka_run_group_tests(tests, setup_all, teardown_all);
 }

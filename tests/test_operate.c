@@ -297,6 +297,35 @@ static void hears(struct program *p, const char *what)
     fail_msg("the supervisor does not hear %s", what);
 }
 
+/* A trace that was asked for is there when the program has ended, and replaces no file. */
+static void test_trace_is_written(void **state)
+{
+    char path[FILE_PATH_MAX];
+    const char *args[] = {"--port", "0", "--trace", path, NULL};
+    struct program p;
+    struct reply r;
+    struct err e = {0};
+    bool seen = false;
+    size_t i;
+    const json_t *ev;
+    (void)state;
+    kit_ok(file_join(path, t.dir, "trace.json", &e), e);
+    program_start(&p, NULL, args);
+    ask_port(p.port, "GET", "/d/toy/tileset.json", "", &r);
+    assert_int_equal(r.status, 200);
+    buf_free(&r.raw);
+    assert_false(file_exists(path));
+    assert_int_equal(program_end(&p, SIGTERM), 0);
+    json_t *o = json_load_file(path, 0, NULL);
+    assert_non_null(o);
+    json_array_foreach(json_object_get(o, "traceEvents"), i, ev) seen |=
+        !strcmp(json_string_value(json_object_get(ev, "name")), "/d/{ds}/tileset.json");
+    assert_true(seen);
+    json_decref(o);
+    program_start(&p, NULL, args);
+    assert_true(program_end(&p, 0) != 0);
+}
+
 static void test_supervisor(void **state)
 {
     static const char *const args[] = {"--port", "0", "--log-format", "json", NULL};
@@ -535,10 +564,11 @@ static void test_check_and_exit_codes(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        HTTP_TEST(test_revocation),        HTTP_TEST(test_cache_policies),
-        HTTP_TEST(test_request_ids),       HTTP_TEST(test_base_path),
-        HTTP_TEST(test_admin_listener),    HTTP_TEST(test_supervisor),
-        HTTP_TEST(test_socket_activation), HTTP_TEST(test_check_and_exit_codes),
+        HTTP_TEST(test_revocation),           HTTP_TEST(test_cache_policies),
+        HTTP_TEST(test_request_ids),          HTTP_TEST(test_base_path),
+        HTTP_TEST(test_admin_listener),       HTTP_TEST(test_supervisor),
+        HTTP_TEST(test_trace_is_written),     HTTP_TEST(test_socket_activation),
+        HTTP_TEST(test_check_and_exit_codes),
     };
     return cmocka_run_group_tests(tests, setup_all, teardown_all);
 }

@@ -89,6 +89,45 @@ static void spans_end_in_a_file(void **state)
     kit_ok(trace_end(&r, &e), e); /* nothing to do */
 }
 
+/* Spans that overlap are pairs of events with a number of their own. */
+static void overlapping_spans_are_pairs(void **state)
+{
+    char path[FILE_PATH_MAX];
+    struct err e = {0};
+    struct trace_result r;
+    double begun[2] = {-1, -1}, ended[2] = {-1, -1};
+    json_int_t number[2] = {-1, -1};
+    size_t i, n = 0;
+    const json_t *ev;
+    (void)state;
+    path_of(path, "overlap.json");
+    kit_ok(trace_begin(path, &e), e);
+    const double t = clock_s();
+    trace_overlap("requests", "/a", t, t + 2);
+    trace_overlap("requests", "/a", t + 2, t + 3); /* another one: they are not joined */
+    kit_ok(trace_end(&r, &e), e);
+    assert_int_equal(r.spans, 2);
+    trace_overlap("requests", "/a", t, t + 1); /* of a thread that goes on */
+    json_t *j = trace_read(path);
+    json_array_foreach(json_object_get(j, "traceEvents"), i, ev)
+    {
+        const char *ph = json_string_value(json_object_get(ev, "ph"));
+        const json_int_t id = json_integer_value(json_object_get(ev, "id"));
+        if (!strcmp(ph, "b")) {
+            assert_true(n < 2);
+            number[n] = id;
+            begun[n++] = json_number_value(json_object_get(ev, "ts"));
+        }
+        for (size_t k = 0; !strcmp(ph, "e") && k < n; k++)
+            if (number[k] == id)
+                ended[k] = json_number_value(json_object_get(ev, "ts"));
+    }
+    assert_int_equal(n, 2);
+    assert_true(number[0] != number[1]);
+    assert_true(fabs(ended[0] - begun[0] - 2e6) < 1 && fabs(ended[1] - begun[1] - 1e6) < 1);
+    json_decref(j);
+}
+
 static void what_cannot_be_written_is_told_first(void **state)
 {
     char path[FILE_PATH_MAX];
@@ -226,6 +265,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(spans_end_in_a_file),
+        cmocka_unit_test(overlapping_spans_are_pairs),
         cmocka_unit_test(what_cannot_be_written_is_told_first),
         cmocka_unit_test(kernels_are_on_the_clock_of_the_host),
         cmocka_unit_test(training_leaves_a_trace),
