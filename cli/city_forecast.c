@@ -21,7 +21,6 @@ static const double pace_usual_s = 0.15;
 static const double ingest_read_s = 0.06, ingest_write_s = 0.075; /* of a megapixel */
 static const double stereo_s = 20;                                /* of a megapixel of a map */
 static const double tile_s = 3e-6;                                /* of a Gaussian of all levels */
-static const double train_busy = 0.87; /* of the cores, in a step of training */
 static const double store_bytes = 61, photo_bytes = 0.5, depth_bytes = 4.7, feature_bytes = 180;
 enum { CITY_STEREO_PX = 800, CITY_TEST_EVERY = 8, CITY_STAGES = 5 };
 
@@ -141,7 +140,7 @@ static enum err_code city_expect_train(struct city *c, struct city_need *n, stru
     if (rc)
         return rc;
     double cores = (double)n->pace.cores, cpu = n->pace.slow * n->train.cpu_s;
-    n->stage[3] = (struct city_stage){"train", cpu, cpu / (cores * train_busy)};
+    n->stage[3] = (struct city_stage){"train", cpu, cpu / (cores * EXPECT_BUSY)};
     for (size_t k = 0; k < TRAIN_LEVELS_MAX; k++)
         n->gaussians += (double)n->train.gaussians[k];
     double tile = n->pace.slow * tile_s * n->gaussians;

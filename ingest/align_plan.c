@@ -470,8 +470,8 @@ enum err_code align_plan_pairs(struct align_plan *p, size_t neighbours, size_t n
 /* Core seconds of COLMAP 3.8 on a core of about 2.5 GHz: a megapixel of SIFT and a feature; two
  * pictures that are compared, by the square of thousands of features; a photograph in the mapper,
  * by thousands of features. */
-static const double megapixel_s = 0.35, feature_s = 0.0003, pair_s = 0.03, pair_square_s = 0.045,
-                    model_s = 0.6, model_cores = 1.5, look_pairs = 0.4;
+static const double megapixel_s = 0.35, feature_s = 0.0003, pair_s = 0.04, pair_square_s = 0.06,
+                    model_s = 0.9, model_cores = 1.5, look_pairs = 0.4;
 enum { FEATURES_A_MEGAPIXEL = 6000 };
 
 struct align_forecast align_plan_forecast(const struct align_plan *p, uint32_t edge_px,
