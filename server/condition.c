@@ -16,6 +16,12 @@ static const char *condition_skip_space(const char *p)
     return p + strspn(p, " \t");
 }
 
+/* To the next element of a list: empty ones count for nothing (RFC 9110, section 5.6.1.2). */
+static const char *condition_skip_empty(const char *p)
+{
+    return p + strspn(p, ", \t");
+}
+
 bool condition_none_match(const char *header, const char *etag)
 {
     size_t n = strlen(etag);
@@ -24,6 +30,7 @@ bool condition_none_match(const char *header, const char *etag)
     const char *p = condition_skip_space(header);
     if (*p == '*')
         return !*condition_skip_space(p + 1);
+    p = condition_skip_empty(p);
     while (*p) {
         if (!strncmp(p, "W/", 2)) /* weak comparison: the opaque tags alone */
             p += 2;
@@ -37,7 +44,7 @@ bool condition_none_match(const char *header, const char *etag)
         p = condition_skip_space(close + 1);
         if (*p && *p != ',')
             return false;
-        p += strspn(p, ", \t");
+        p = condition_skip_empty(p);
     }
     return false;
 }
@@ -48,6 +55,7 @@ static bool condition_is_tags(const char *header)
     const char *p = condition_skip_space(header);
     if (*p == '*')
         return !*condition_skip_space(p + 1);
+    p = condition_skip_empty(p);
     while (*p) {
         p += strncmp(p, "W/", 2) ? 0 : 2;
         const char *close = *p == '"' ? strchr(p + 1, '"') : NULL;
@@ -56,7 +64,7 @@ static bool condition_is_tags(const char *header)
         p = condition_skip_space(close + 1);
         if (*p && *p != ',')
             return false;
-        p += strspn(p, ", \t");
+        p = condition_skip_empty(p);
     }
     return true;
 }
@@ -211,4 +219,11 @@ bool condition_not_modified(const char *header, int64_t modified_s)
     int64_t since = 0;
     return header && modified_s && condition_take_date(condition_skip_space(header), &since) &&
            modified_s == since;
+}
+
+bool condition_modified(const char *header, int64_t modified_s)
+{
+    int64_t since = 0;
+    return header && modified_s && condition_take_date(condition_skip_space(header), &since) &&
+           modified_s > since;
 }

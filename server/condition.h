@@ -31,6 +31,9 @@ bool condition_html(const char *header);
  * counts as modified, because a file that was restored from a backup is older and different. False:
  * the header is absent, or not in the date format that RFC 9110, section 5.6.7, prescribes. */
 bool condition_not_modified(const char *header, int64_t modified_s);
+/* Returns whether modified_s is later than the time of If-Unmodified-Since. False: the header is
+ * absent or no date, or modified_s is 0, not known (RFC 9110, section 13.1.4). */
+bool condition_modified(const char *header, int64_t modified_s);
 /* Writes a time in that format. */
 enum { CONDITION_DATE = 32 };
 void condition_date(int64_t at_s, char out[CONDITION_DATE]);

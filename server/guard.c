@@ -65,6 +65,7 @@ static void guard_keep_field(struct request *r, const char *name, size_t n, cons
         {"Cookie", &r->cookie},
         {"Origin", &r->origin},
         {"If-Modified-Since", &r->if_modified_since},
+        {"If-Unmodified-Since", &r->if_unmodified_since},
         {"Referer", &r->referer},
         {"User-Agent", &r->agent},
         {"X-Request-Id", &r->id},

@@ -232,6 +232,10 @@ void response_body(const struct request *r, struct body *b, struct response *out
         response_problem(out, 412, "the resource has another entity tag than If-Match says");
         return;
     }
+    if (read && !r->if_match && condition_modified(r->if_unmodified_since, b->modified_s)) {
+        response_problem(out, 412, "the resource is newer than If-Unmodified-Since says");
+        return;
+    }
     if (read &&
         (condition_none_match(r->if_none_match, out->etag) ||
          (!r->if_none_match && condition_not_modified(r->if_modified_since, b->modified_s)))) {

@@ -27,7 +27,7 @@ struct request {                  /* borrowed from the connection */
     const char *id;              /* id of the request; NULL: none */
     bool id_sent;                /* the client or a proxy sent the id, so the answer repeats it */
     bool admin;                  /* it came to the listener for operators */
-    const char *if_modified_since;
+    const char *if_modified_since, *if_unmodified_since;
     const void *body;
     size_t body_size;
     bool prefetch;     /* Sec-Purpose: prefetch, or a low Priority */

@@ -46,7 +46,9 @@ static void screen_refuse(struct screen *s, int status)
     s->requests += s->state == SCREEN_REQUEST;
     s->refused_at = s->requests;
     s->status = status;
-    s->feed = ends[s->state];
+    const bool head = s->state == SCREEN_REQUEST && s->n_in - s->n_ok >= 5 &&
+                      !memcmp(s->in + s->n_ok, "HEAD ", 5);
+    s->feed = head ? "HEAD / HTTP/1.1\r\n\r\n" : ends[s->state]; /* which has no body */
     s->state = SCREEN_CLOSED;
     s->n_in = s->n_ok; /* the rest is not read by anybody */
 }

@@ -99,7 +99,7 @@ static inline const char *expand(const char *text, char *out, size_t room)
 struct ask { /* a request, in short */
     enum method method;
     const char *target, *accept, *accept_encoding, *if_none_match, *if_range, *range, *body,
-        *if_modified_since, *host;
+        *if_modified_since, *if_unmodified_since, *if_match, *host;
     bool prefetch;
 };
 
@@ -118,6 +118,8 @@ static inline struct response answer(const struct ask *a)
         .if_range = a->if_range,
         .range = a->range,
         .if_modified_since = a->if_modified_since,
+        .if_unmodified_since = a->if_unmodified_since,
+        .if_match = a->if_match,
         .body = a->body,
         .body_size = a->body ? strlen(a->body) : 0,
         .prefetch = a->prefetch,

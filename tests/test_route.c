@@ -366,6 +366,21 @@ static void test_last_modified(void **state)
         r = answer(&a);
         assert_int_equal(r.status, 200);
         response_free(&r);
+        const struct {
+            const char *date, *match;
+            int status;
+        } unmodified[] = {{date, NULL, 200},
+                          {"Thu, 31 Dec 2099 23:59:59 GMT", NULL, 200},
+                          {"Sun, 06 Nov 1994 08:49:37 GMT", NULL, 412},
+                          {"Sun, 06 Nov 1994 08:49:37 GMT", "*", 200}, /* comes first */
+                          {"long ago", NULL, 200}};
+        for (size_t k = 0; k < sizeof unmodified / sizeof *unmodified; k++) {
+            r = answer(&(struct ask){.target = targets[i],
+                                     .if_unmodified_since = unmodified[k].date,
+                                     .if_match = unmodified[k].match});
+            assert_int_equal(r.status, unmodified[k].status);
+            response_free(&r);
+        }
     }
 }
 

@@ -271,6 +271,8 @@ static void test_conditions(void **state)
         {"", "\"a\"", false},
         {"*, \"b\"", "\"a\"", false},
         {"\"b\"\"a\"", "\"a\"", false},
+        {",\"a\"", "\"a\"", true},
+        {", ,\"b\",,W/\"a\"", "\"a\"", true},
     };
     static const struct {
         const char *header;
