@@ -32,7 +32,8 @@ struct bench {
      * rows. NULL: not given. */
     const char *scene, *tiles, *trained, *record;
     double edge_m; /* for `map`: edge of the only square to draw; 0: all sizes */
-    int64_t most;  /* for `sizes`: largest number of Gaussians; 0: no limit */
+    int64_t most;  /* for `sizes`: largest number of Gaussians; 0: no limit; for `tour`: number */
+    uint32_t edge_px; /* for `tour`: longest edge of its pictures; 0: of the photographs */
     const char *dataset, *study, *command, *commit; /* members of every row */
     struct json_t *lines;                           /* rows so far, or NULL */
 };

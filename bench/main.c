@@ -290,6 +290,7 @@ int main(int argc, char **argv)
     b.trained = cfg.trained ? cfg.trained : cfg.scene;
     b.edge_m = cfg.edge_m;
     b.most = cfg.most;
+    b.edge_px = (uint32_t)cfg.edge_px;
     b.record = cfg.record;
     b.dataset = cfg.dataset ? cfg.dataset : "unnamed";
     b.study = cfg.study;

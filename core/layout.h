@@ -264,6 +264,23 @@ struct layout_adam {
 #define LAYOUT_STEP_ABS 8      /* also absolute gradients of positions (AbsGS) */
 #define LAYOUT_STEP_OPACITY 16 /* also the largest opacity that was drawn */
 
+/* render/defer.cl: a row of its table. W of each learning rate; how far means, ln sigma and opacity
+ * logits drift at most, times their speed; powers of both betas. */
+#define LAYOUT_DEFER_MEAN 0
+#define LAYOUT_DEFER_SCALE 1
+#define LAYOUT_DEFER_QUAT 2
+#define LAYOUT_DEFER_OPACITY 3
+#define LAYOUT_DEFER_SH_DC 4
+#define LAYOUT_DEFER_SH_REST 5
+#define LAYOUT_DEFER_RATES 6
+#define LAYOUT_DEFER_DRIFT 6 /* three */
+#define LAYOUT_DEFER_DECAY 9 /* two */
+#define LAYOUT_DEFER_ROW 12
+#define LAYOUT_DEFER_CHUNKS 64
+/* planes of a group's bounds: centre and half-sizes of the box of its means, largest reach, m */
+#define LAYOUT_DEFER_BOUND 7
+#define LAYOUT_DEFER_SIGMAS 3.34f /* a little more than LAYOUT_EXTENT_MAX */
+
 #ifndef __OPENCL_C_VERSION__
 static_assert(sizeof(struct layout_splat) == 64 && LAYOUT_SPLAT_WORDS == 16,
               "one cache line a splat, one vector");

@@ -102,6 +102,8 @@ enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
                              struct err *e)
 {
     cl_uint only = sizes_only, n = m->n, planes = m->planes, groups = m->groups;
+    cl_uint listed = m->list != NULL;
+    cl_mem list = m->list ? m->list : m->params; /* not read without */
     cl_float s_max = (cl_float)in->s_max_m, r_max = (cl_float)in->r_max,
              weight = (cl_float)in->weight, flat = n ? (cl_float)(in->flat_weight / n) : 0.0f,
              per_flat = in->flat_weight > 0.0 ? (cl_float)(1.0 / in->flat_m) : 0.0f;
@@ -120,12 +122,16 @@ enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
         return rc;
     bad |= dev_arg(s->count, 13, per_flat);
     bad |= dev_arg(s->count, 14, s->pieces);
+    bad |= dev_arg(s->count, 15, list);
+    bad |= dev_arg(s->count, 16, listed);
     bad |= dev_arg(s->grad, 13, per_flat);
     bad |= dev_arg(s->grad, 14, weight);
     bad |= dev_arg(s->grad, 15, flat);
     bad |= dev_arg(s->grad, 16, s->pieces);
     bad |= dev_arg(s->grad, 17, only);
     bad |= dev_arg(s->grad, 18, extra);
+    bad |= dev_arg(s->grad, 19, list);
+    bad |= dev_arg(s->grad, 20, listed);
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "scale_loss: arguments: %s", dev_error_name(bad));
     s->weight = in->weight;

@@ -2,6 +2,7 @@
 //   in   params [groups][planes][16]
 //        parts uchar [ny][nx], the grid of the ground: where it has LIMITED the limit is s_near,
 //        elsewhere s_max; where it has FLAT Gaussians shall be flat
+//        list [groups], if listed: which groups of params these are
 //   mid  pieces [LAYOUT_LOSS_PIECES] counts and sums of a piece
 //   out  extra [groups][LAYOUT_PLANES_GEOMETRY][16] or [groups][LAYOUT_PLANES_SCALE][16]; every
 //        plane is written, with 0 where nothing pulls
@@ -27,11 +28,14 @@ struct axes { // sigmas, and the ratio of the largest to the middle one
 };
 
 #if VW == 16
-// Groups lie further apart than the hardware looks ahead.
-inline void axes_ahead(__global const float *params, uint group, uint planes)
+// Which group of params that is. Groups lie further apart than the hardware looks ahead.
+inline uint axes_group(__global const float *params, uint group, uint groups, uint planes,
+                       __global const uint *list, uint listed)
 {
+    uint next = min(group + SCALE_AHEAD, groups - 1), ahead = listed ? list[next] : next;
     for (uint k = 0; k < LAYOUT_PLANES_SCALE; k++)
-        PREFETCH(params + group_at(group, planes) + (LAYOUT_PLANE_SCALE + k) * LAYOUT_LANES);
+        PREFETCH(params + group_at(ahead, planes) + (LAYOUT_PLANE_SCALE + k) * LAYOUT_LANES);
+    return listed ? list[group] : group;
 }
 #endif
 
@@ -167,7 +171,8 @@ INLINE void axes_grad(const struct axes *a, VI real, V s_max, float r_max, float
 
 #if VW == 16
 __kernel void scale_count(__global const float *params, uint n, uint planes, uint groups,
-                          LIMITS_ARGS, __global struct layout_scale_piece *pieces)
+                          LIMITS_ARGS, __global struct layout_scale_piece *pieces,
+                          __global const uint *list, uint listed)
 {
     uint item = (uint)get_global_id(0);
     if (item >= LAYOUT_LOSS_PIECES)
@@ -178,8 +183,8 @@ __kernel void scale_count(__global const float *params, uint n, uint planes, uin
     const struct limits l = LIMITS;
     for (uint group = from; group < to; group++) {
         struct axes a;
-        axes_ahead(params, min(group + SCALE_AHEAD, groups - 1), planes);
-        __global const float *g = params + group_at(group, planes);
+        uint own = axes_group(params, group, groups, planes, list, listed);
+        __global const float *g = params + group_at(own, planes);
         VI real = LANE + (int)(group * LAYOUT_LANES) < (int)n;
         axes_load(g, &a);
         axes_find(&a, real, axes_limit(g, &a, real, &l), r_max, axes_flat(g, real, &l), &f);
@@ -194,7 +199,7 @@ __kernel void scale_count(__global const float *params, uint n, uint planes, uin
 __kernel void scale_grad(__global const float *params, uint n, uint planes, uint groups,
                          LIMITS_ARGS, float weight, float flat,
                          __global const struct layout_scale_piece *pieces, uint only,
-                         __global float *extra)
+                         __global float *extra, __global const uint *list, uint listed)
 {
     uint item = (uint)get_global_id(0), from = item * LAYOUT_PROJECT_GROUPS,
          to = min(from + LAYOUT_PROJECT_GROUPS, groups), all_n = 0, all_m = 0;
@@ -206,8 +211,8 @@ __kernel void scale_grad(__global const float *params, uint n, uint planes, uint
     const struct limits l = LIMITS;
     for (uint group = from; group < to; group++) {
         struct axes a;
-        axes_ahead(params, min(group + SCALE_AHEAD, groups - 1), planes);
-        __global const float *g = params + group_at(group, planes);
+        uint own = axes_group(params, group, groups, planes, list, listed);
+        __global const float *g = params + group_at(own, planes);
         VI real = LANE + (int)(group * LAYOUT_LANES) < (int)n;
         axes_load(g, &a);
         axes_grad(&a, real, axes_limit(g, &a, real, &l), r_max, per_long, per_needle, flat,
@@ -220,7 +225,8 @@ __kernel void scale_grad(__global const float *params, uint n, uint planes, uint
 #define GROUP __attribute__((reqd_work_group_size(ITEMS, 1, 1)))
 
 __kernel GROUP void scale_count(__global const float *params, uint n, uint planes, uint groups,
-                                LIMITS_ARGS, __global struct layout_scale_piece *pieces)
+                                LIMITS_ARGS, __global struct layout_scale_piece *pieces,
+                                __global const uint *list, uint listed)
 {
     __local uint all_n[ITEMS], all_m[ITEMS];
     __local float size[ITEMS], ratio[ITEMS], flat[ITEMS];
@@ -231,7 +237,8 @@ __kernel GROUP void scale_count(__global const float *params, uint n, uint plane
     const struct limits l = LIMITS;
     for (uint i = from + lane; i < to; i += ITEMS) {
         struct axes a;
-        __global const float *g = params + group_at(i / LAYOUT_LANES, planes) + i % LAYOUT_LANES;
+        uint group = i / LAYOUT_LANES, own = listed ? list[group] : group;
+        __global const float *g = params + group_at(own, planes) + i % LAYOUT_LANES;
         axes_load(g, &a);
         axes_find(&a, 1, axes_limit(g, &a, 1, &l), r_max, axes_flat(g, 1, &l), &f);
     }
@@ -262,7 +269,7 @@ __kernel GROUP void scale_count(__global const float *params, uint n, uint plane
 __kernel GROUP void scale_grad(__global const float *params, uint n, uint planes, uint groups,
                                LIMITS_ARGS, float weight, float flat,
                                __global const struct layout_scale_piece *pieces, uint only,
-                               __global float *extra)
+                               __global float *extra, __global const uint *list, uint listed)
 {
     __local uint all_n[ITEMS], all_m[ITEMS];
     uint i = (uint)get_global_id(0), lane = (uint)get_local_id(0);
@@ -285,7 +292,7 @@ __kernel GROUP void scale_grad(__global const float *params, uint n, uint planes
     if (i < groups * LAYOUT_LANES) {
         struct axes a;
         uint group = i / LAYOUT_LANES, in = i % LAYOUT_LANES;
-        __global const float *g = params + group_at(group, planes) + in;
+        __global const float *g = params + group_at(listed ? list[group] : group, planes) + in;
         axes_load(g, &a);
         axes_grad(&a, i < n, axes_limit(g, &a, i < n, &l), r_max, weight / ((float)all_n[0] + 1.0f),
                   weight / ((float)all_m[0] + 1.0f), flat, axes_flat(g, i < n, &l), only,

@@ -44,7 +44,8 @@ struct scale_loss; /* compiled kernels */
 enum err_code scale_loss_open(struct dev *dev, struct scale_loss **out, struct err *e) ERR_USE;
 void scale_loss_close(struct scale_loss **s);
 /* Enqueues: writes dL/d(geometry) to all of extra, float [groups][LAYOUT_PLANES_GEOMETRY][16]. With
- * sizes_only it writes only the sizes' planes, [groups][3][16]. It does not wait for the device.
+ * sizes_only it writes only the sizes' planes, [groups][3][16]. With m->list the loss is that of
+ * the listed groups, and extra is in their order. It does not wait for the device.
  * ERR_DEVICE. */
 enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
                              const struct scale_loss_input *in, bool sizes_only, cl_mem extra,

@@ -59,8 +59,8 @@ INLINE void embed_put(const struct embed_target *to, size_t at, uint first,
                       const V g[APPEARANCE_LEN], bool real)
 {
     if (to->rates) {
-        struct adam a = {to->params + at, to->m1 + at, to->m2 + at, to->rates,
-                         to->rates->inv_bias2};
+        struct adam a = {to->params + at,      to->m1 + at, to->m2 + at, to->rates,
+                         to->rates->inv_bias2, 1.0f,        1.0f};
         adam_embed(&a, first, g, real);
     } else {
         for (uint p = 0; p < APPEARANCE_LEN; p++)

@@ -159,6 +159,10 @@ enum err_code frame_run(struct render *r, cl_kernel k, const char *name,
                         const struct frame_arg *args, size_t n_args, size_t global, size_t local,
                         struct err *e) ERR_USE;
 
+/* Constants of a frame of this view, without supersampling. */
+void render_view_fill(const struct render *r, const struct render_model *m, const struct camera *c,
+                      const struct render_options *o, struct layout_view *v);
+
 /* Appearance: render_appearance.c. render_appearance_begin sets r->appearance for this frame (NULL:
  * no appearance) and uploads the constants. render_appearance_project is for frames with
  * appearance. ERR_ARG (lengths), ERR_DEVICE, ERR_MEM. */

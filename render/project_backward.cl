@@ -2,6 +2,9 @@
 // parameters of every Gaussian, written out (project_backward) or put into Adam at once
 // (project_step).
 //   in   params [groups][planes][16], tiles_of, slot_first, slots, marks (see blend_backward.cl)
+//        list [groups], with view->listed and of project_step alone: which groups of params,
+//        moments, filter and statistics these are; settled and owed are settled and table of
+//        defer.cl, whose steps up to owed_to the moments have not made
 //   out  grads, same layout; or params and both moments in place, and the densification statistics
 // One work-item: LAYOUT_PROJECT_GROUPS groups when VW is 16, one Gaussian when VW is 1. Slots of a
 // Gaussian are added in slot order, so the sum does not depend on who ran when.
@@ -406,13 +409,14 @@ inline uint item_groups(__constant struct layout_view *v, uint *to, uint *lane)
 struct adam {
     __global float *p, *m1, *m2; // of this group
     const struct layout_adam *rates;
-    float inv_bias2; // of the planes at hand
+    float inv_bias2;    // of the planes at hand
+    float owed1, owed2; // what steps that were owed leave of the moments: render/defer.h
 };
 
 // One plane. Lanes outside `keep` stay as they are. Returns the new value.
 inline V adam_plane(const struct adam *a, uint plane, float lr, V g, VI keep)
 {
-    V p = LD(a->p, plane), m1 = LD(a->m1, plane), m2 = LD(a->m2, plane);
+    V p = LD(a->p, plane), m1 = a->owed1 * LD(a->m1, plane), m2 = a->owed2 * LD(a->m2, plane);
     float b1 = a->rates->beta1, b2 = a->rates->beta2;
     V n1 = b1 * m1 + (1.0f - b1) * g, n2 = b2 * m2 + (1.0f - b2) * (g * g);
     V q = p - lr * n1 / (sqrt(n2) * a->inv_bias2 + a->rates->eps);
@@ -612,28 +616,36 @@ __kernel void project_backward(__constant struct layout_view *v, __global const 
 }
 
 __kernel void project_step(__constant struct layout_view *v, __global float *params,
-                           __global const float *filter, __global const struct layout_splat *splats,
+                           __global const float *filter, __global const uint *list,
+                           __global const struct layout_splat *splats,
                            __global const uint *tiles_of, __global const uint *slot_first,
                            __global const float *slots, __global const uchar *marks,
                            __global float *m1, __global float *m2, struct layout_adam rates,
                            __global const float *extra, __global float *stat_grad,
                            __global float *stat_absg, __global float *stat_count,
                            __global float *stat_radius, __global float *stat_opacity,
-                           __global uint *repaired EFFECTIVE_ARG APPEARANCE_ARG)
+                           __global uint *repaired, __global const uint *settled,
+                           __global const float *owed, uint owed_to EFFECTIVE_ARG APPEARANCE_ARG)
 {
     uint to, lane, used = (v->sh_degree + 1) * (v->sh_degree + 1), wants = rates.wants;
     struct stats stats = {stat_grad, stat_absg, stat_count, stat_radius, stat_opacity};
     APPEARANCE_OPEN
     for (uint group = item_groups(v, &to, &lane); group < to; group++) {
-        size_t at = group_at(group, v->planes) + lane;
+        uint own = v->listed ? list[group] : group, row = own * LAYOUT_LANES + lane;
+        size_t at = group_at(own, v->planes) + lane;
         uint i = group * LAYOUT_LANES + lane;
         VI visible = tiles_some(tiles_of + i), real = LANE + (int)i < (int)v->n;
-        struct adam a = {params + at, m1 + at, m2 + at, &rates, rates.inv_bias2};
+        struct adam a = {params + at, m1 + at, m2 + at, &rates, rates.inv_bias2, 1.0f, 1.0f};
+        if (v->listed) {
+            __global const float *left = owed + (size_t)(owed_to - settled[own]) * LAYOUT_DEFER_ROW;
+            a.owed1 = left[LAYOUT_DEFER_DECAY];
+            a.owed2 = left[LAYOUT_DEFER_DECAY + 1];
+        }
         struct left in = {splats + i, tiles_of + i, slot_first + i, slots, marks};
         struct gradient d;
         V dir[3], basis[LAYOUT_SH_MAX];
         if (ANY(visible)) {
-            gradient_all(v, a.p, filter + i, &in, visible, &d EFFECTIVE(i));
+            gradient_all(v, a.p, filter + row, &in, visible, &d EFFECTIVE(i));
             seen_direction(v, a.p, dir); // before the mean moves
             sh_basis(dir, v->sh_degree, basis);
         } else {
@@ -652,7 +664,7 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
 #endif
 #endif
         if ((wants & LAYOUT_STEP_STATS) && ANY(visible))
-            stats_add(&stats, i, &d, &rates, usable & visible);
+            stats_add(&stats, row, &d, &rates, usable & visible);
         VI bad = adam_quat(&a, &d, usable, real);
         adam_geometry(&a, &d, usable);
         adam_sh(&a, &d, basis, used, usable);

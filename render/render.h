@@ -85,9 +85,10 @@ struct render_model {
      * times prod sigma / sigma'. Gradients are those of the raw parameters. f gets no gradient. The
      * caller sets it, render_model_free frees it. */
     cl_mem filter;
-    /* may be NULL: uint [groups], see render_model_list; the backward pass refuses such a model
-     * (ERR_ARG) */
+    /* may be NULL: uint [groups], see render_model_list and render/defer.h. render_backward refuses
+     * such a model (ERR_ARG); render_backward_step steps the listed groups */
     cl_mem list;
+    cl_mem settled, owed; /* with a list of render/defer.h, borrowed: see there; else NULL */
     uint32_t n, cap, groups, planes, sh_degree, embed_len;
     double origin_enu_m[3]; /* origin of the means on the device */
 };

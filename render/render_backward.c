@@ -132,8 +132,6 @@ static enum err_code backward_blend(struct render *r, const struct render_model 
     if (!r->drawn)
         return err_set(e, ERR_ARG,
                        "render_backward: no frame was drawn since the Gaussians changed");
-    if (m->list)
-        return err_set(e, ERR_ARG, "render_backward: a list of groups has no backward pass");
     if (r->view.orthographic)
         return err_set(e, ERR_ARG, "render_backward: an orthographic view has no backward pass");
     if (m->n != r->view.n || m->groups != r->view.groups || m->planes != r->view.planes)
@@ -191,6 +189,9 @@ enum err_code render_backward_appearance(struct render *r, const struct render_m
                                          cl_mem grads, struct render_appearance_grad *a,
                                          struct err *e)
 {
+    if (m->list)
+        return err_set(e, ERR_ARG,
+                       "render_backward: a list of groups has no gradients, only steps");
     if (r->drawn && a && !r->appearance)
         return err_set(e, ERR_ARG, "render_backward: the last frame was drawn without appearance");
     enum err_code rc = backward_blend(r, m, 0, e);
@@ -278,7 +279,10 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
     cl_mem none = s->unused, extra = adam->extra_grad ? adam->extra_grad : none;
     struct render_density_stats d = stats ? *stats : (struct render_density_stats){0};
     cl_mem *const buffers[] = {&d.grad, &d.absg, &d.count, &d.radius, &d.repaired, &d.opacity};
-    cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
+    cl_mem filter = m->filter ? m->filter : m->params; /* not read without, as is the list */
+    cl_mem list = m->list ? m->list : m->params, settled = m->list ? m->settled : m->params,
+           owed = m->list ? m->owed : m->params;
+    cl_uint owed_to = adam->step - 1;
     enum err_code rc = ERR_OK;
     struct render_appearance_call call = {.step = s->step};
     for (size_t i = 0; i < sizeof buffers / sizeof *buffers; i++)
@@ -290,12 +294,28 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
         return rc;
     r->drawn = false; /* the parameters are about to differ from what was drawn */
     const struct frame_arg args[] = {
-        FRAME_ARG(r->view_mem),   FRAME_ARG(m->params),       FRAME_ARG(filter),
-        FRAME_ARG(r->splats.mem), FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->slot_first.mem),
-        FRAME_ARG(r->slots.mem),  FRAME_ARG(s->marks.mem),    FRAME_ARG(adam->m1),
-        FRAME_ARG(adam->m2),      FRAME_ARG(rates),           FRAME_ARG(extra),
-        FRAME_ARG(d.grad),        FRAME_ARG(d.absg),          FRAME_ARG(d.count),
-        FRAME_ARG(d.radius),      FRAME_ARG(d.opacity),       FRAME_ARG(d.repaired),
+        FRAME_ARG(r->view_mem),
+        FRAME_ARG(m->params),
+        FRAME_ARG(filter),
+        FRAME_ARG(list),
+        FRAME_ARG(r->splats.mem),
+        FRAME_ARG(r->tiles_of.mem),
+        FRAME_ARG(r->slot_first.mem),
+        FRAME_ARG(r->slots.mem),
+        FRAME_ARG(s->marks.mem),
+        FRAME_ARG(adam->m1),
+        FRAME_ARG(adam->m2),
+        FRAME_ARG(rates),
+        FRAME_ARG(extra),
+        FRAME_ARG(d.grad),
+        FRAME_ARG(d.absg),
+        FRAME_ARG(d.count),
+        FRAME_ARG(d.radius),
+        FRAME_ARG(d.opacity),
+        FRAME_ARG(d.repaired),
+        FRAME_ARG(settled),
+        FRAME_ARG(owed),
+        FRAME_ARG(owed_to),
     };
     rc = backward_run(r, call.step, "project_step", args, sizeof args / sizeof *args, &call, e);
     if (!rc && r->appearance)
@@ -319,6 +339,10 @@ enum err_code render_backward_step(struct render *r, struct render_model *m,
         return err_set(e, ERR_ARG,
                        "render_backward_step: appearance: embed_step counts from 1, and gradients "
                        "can be had after frames with appearance only");
+    if (m->list && (!m->settled || (r->drawn && r->appearance)))
+        return err_set(e, ERR_ARG,
+                       "render_backward_step: a list of groups has steps only by render/defer.h, "
+                       "and without appearance");
     double since = clock_s();
     enum err_code rc = backward_blend(r, m, stats && stats->absg, e);
     if (!rc)

@@ -164,9 +164,8 @@ static enum err_code render_view_check(const struct camera *c, struct err *e)
 }
 
 /* Everything in double until the origin is out of the numbers. */
-static void render_view_fill(const struct render *r, const struct render_model *m,
-                             const struct camera *c, const struct render_options *o,
-                             struct layout_view *v)
+void render_view_fill(const struct render *r, const struct render_model *m, const struct camera *c,
+                      const struct render_options *o, struct layout_view *v)
 {
     double trans[3], w = c->width_px, h = c->height_px;
     memset(v, 0, sizeof *v);

@@ -315,6 +315,7 @@ static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
     kit_tmpdir(whole);
     kit_tmpdir(parts);
     struct train_config c = toy_config(&a, whole);
+    c.defer_from = 1;
     kit_ok(train_again(scene_dir, &c, &r, &e), e);
     c.output = parts;
     /* pieces of 1, 7, 30, ... steps: in the middle of levels, at their ends, around densifications

@@ -80,6 +80,7 @@ static void level_start_optimiser(struct level *l)
     adam->scale_log_min = (float)log(LEVEL_SIGMA_MIN * l->site.cell.edge_m);
     adam->scale_log_max = (float)log(LEVEL_SIGMA_MAX * l->site.cell.edge_m);
     adam->step = step;
+    adam->lr_mean = (float)schedule_lr_mean(s, step);
     uint32_t warmup = appearance_train_is_on(a) ? appearance_train_warmup(a, c, s) : 0;
     adam->embed_step = appearance_train_is_on(a) && step > warmup ? step - warmup : 0;
 }
@@ -106,12 +107,30 @@ void level_close(struct level *l)
     appearance_train_close(&l->appearance);
 }
 
+/* A model that was owed steps when it was saved learns which steps those were. */
+static enum err_code level_tell_owed(struct level *l, struct err *e)
+{
+    const struct schedule *s = stage_schedule(&l->stage);
+    struct render_adam *adam = &l->model.adam;
+    enum err_code rc = ERR_OK;
+    for (uint32_t step = l->owes_from; !rc && l->owes && step <= l->stage.step; step++) {
+        adam->step = step;
+        adam->lr_mean = (float)schedule_lr_mean(s, step);
+        rc = model_stepped(&l->model, e);
+    }
+    l->owes = false;
+    return rc;
+}
+
 enum err_code level_begin(struct level *l, struct err *e)
 {
     level_start_optimiser(l);
+    enum err_code rc = level_tell_owed(l, e);
+    if (rc)
+        return rc;
     l->loss_mean = l->mse_mean = 0.0;
     l->step_s = clock_s();
-    enum err_code rc = gallery_open(&l->gallery, stage_schedule(&l->stage), e);
+    rc = gallery_open(&l->gallery, stage_schedule(&l->stage), e);
     return rc ? rc : regularizer_open(&l->regularizer, &l->gallery, &l->site, e);
 }
 
@@ -132,6 +151,8 @@ enum err_code level_resume(struct level *l, const char *path, struct err *e)
     enum err_code rc = state_load(&l->model, &l->engine, &s, path, e);
     l->stage = s.at;
     l->seconds = s.seconds;
+    l->owes = s.owes;
+    l->owes_from = s.owes_from;
     return rc;
 }
 
@@ -172,10 +193,10 @@ static enum err_code level_hold_harmonics(struct level *l, struct err *e)
 enum err_code level_prune(struct level *l, struct prune_report *out,
                           struct residual_list *residuals, struct err *e)
 {
-    if (l->stage.pruned)
-        return ERR_OK;
-    enum err_code rc =
-        prune_level(&l->model, &l->gallery, l->site.ground, &l->stage, out, residuals, e);
+    enum err_code rc = model_settle(&l->model, e);
+    if (rc || l->stage.pruned)
+        return rc;
+    rc = prune_level(&l->model, &l->gallery, l->site.ground, &l->stage, out, residuals, e);
     if (!rc)
         rc = level_hold_harmonics(l, e);
     l->stage.pruned = !rc;
@@ -185,7 +206,9 @@ enum err_code level_prune(struct level *l, struct prune_report *out,
 enum err_code level_next(struct level *l, struct err *e)
 {
     struct stage *at = &l->stage;
-    enum err_code rc = model_count_inside(&l->model, &l->site.cell, &at->start, e);
+    enum err_code rc = model_settle(&l->model, e);
+    if (!rc)
+        rc = model_count_inside(&l->model, &l->site.cell, &at->start, e);
     if (rc)
         return rc;
     at->at++;
@@ -264,7 +287,8 @@ enum err_code level_refit_open(struct level_refit *r, struct level *l, uint32_t 
 
 enum err_code level_refit_finish(struct level *l, struct err *e)
 {
-    return level_hold_harmonics(l, e);
+    enum err_code rc = model_settle(&l->model, e);
+    return rc ? rc : level_hold_harmonics(l, e);
 }
 
 void level_refit_end(struct level_refit *r, struct level *l)
@@ -322,6 +346,8 @@ static enum err_code level_control(struct level *l, uint32_t x, struct err *e)
                                     &l->importance, l->metrics, &l->timing};
     enum err_code rc = dev_finish(l->engine.dev, e);
     enum timing_on was = timing_turn(&l->timing, TIMING_BUDGET);
+    if (!rc)
+        rc = model_settle(&l->model, e);
     if (!rc && x)
         rc = budget_look(&l->budget, &l->model, &l->gallery, &l->site.cell, &l->stage, x, e);
     (void)timing_turn(&l->timing, TIMING_DENSIFY);
@@ -405,11 +431,21 @@ static enum err_code level_backward(struct level *l, uint32_t step, uint32_t ima
     level_ask_appearance(l, step, ro, &grad);
     if (!s->absgrad || step >= s->densify_until)
         stats.absg = NULL; /* densification would not look at it: saves a tenth of the pass */
-    enum err_code rc = render_backward_step(l->engine.render, &m->gauss, &m->adam, &stats, e);
+    enum err_code rc = render_backward_step(l->engine.render, &m->seen, &m->adam, &stats, e);
+    if (!rc)
+        rc = model_stepped(m, e);
     if (!rc && m->adam.appearance)
         level_learn_appearance(l, image);
     m->adam.appearance = NULL; /* it lives here */
     return rc;
+}
+
+/* Few Gaussians are moved sooner than chosen. */
+static bool level_defers(const struct level *l)
+{
+    const struct render_model *g = &l->model.gauss;
+    return l->cfg->defer_from > 0 && g->n >= l->cfg->defer_from && !g->embed_len &&
+           !regularizer_reaches_all(&l->gallery, &l->site);
 }
 
 enum err_code level_step(struct level *l, struct photometric_value *value, struct err *e)
@@ -433,11 +469,13 @@ enum err_code level_step(struct level *l, struct photometric_value *value, struc
         m->filter_is_current = false;
     if (!rc)
         rc = gallery_filter(&l->gallery, &l->stage, m, e);
+    if (!rc)
+        rc = model_see(m, level_defers(l), &photo.cam, &ro, e);
     const struct regularizer_input terms = {&l->gallery, &l->site, &l->stage, &photo, &l->timing};
     if (!rc)
         rc = regularizer_step(l->regularizer, m, &terms, e);
     if (!rc)
-        rc = render_forward(l->engine.render, &m->gauss, &photo.cam, &ro, NULL, NULL, e);
+        rc = render_forward(l->engine.render, &m->seen, &photo.cam, &ro, NULL, NULL, e);
     if (!rc)
         rc = gallery_loss(&l->gallery, &photo, e);
     if (!rc && solid)

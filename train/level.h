@@ -35,6 +35,8 @@ struct level { /* level_init, then level_close, also after an error */
     double seconds; /* time of earlier processes in this run */
     /* -- what is trained -- */
     struct model model;
+    bool owes; /* the model needs to know the steps from owes_from on: see level_begin */
+    uint32_t owes_from;
     struct appearance_train appearance; /* {0}: none; opened before level_open */
     /* -- photographs, budget and regularizers -- */
     struct gallery gallery;

@@ -12,6 +12,7 @@
 
 #include "cells/cell.h"
 #include "loss/mip.h"
+#include "render/defer.h"
 
 enum { MODEL_ARRAYS = 3, MODEL_STATS = 5 };
 
@@ -44,6 +45,8 @@ static void model_release_stats(struct model *m)
 
 void model_close(struct model *m)
 {
+    defer_close(&m->defer);
+    m->seen = (struct render_model){0};
     render_model_free(&m->gauss);
     dev_release(&m->adam.m1);
     dev_release(&m->adam.m2);
@@ -75,7 +78,9 @@ static void model_count(struct model *m, size_t n)
 
 enum err_code model_zero_moments(struct model *m, struct err *e)
 {
-    enum err_code rc = dev_zero(m->dev, m->adam.m1, 0, model_bytes(m), e);
+    enum err_code rc = model_settle(m, e);
+    if (!rc)
+        rc = dev_zero(m->dev, m->adam.m1, 0, model_bytes(m), e);
     return rc ? rc : dev_zero(m->dev, m->adam.m2, 0, model_bytes(m), e);
 }
 
@@ -132,6 +137,42 @@ enum err_code model_gauss(const struct model *m, struct gauss *out, struct err *
 {
     *out = (struct gauss){0};
     return render_model_download(m->render, &m->gauss, out, e);
+}
+
+/* ---- steps ---- */
+
+enum err_code model_settle(struct model *m, struct err *e)
+{
+    return m->defer ? defer_settle(m->defer, &m->gauss, &m->adam, e) : ERR_OK;
+}
+
+enum err_code model_see(struct model *m, bool defers, const struct camera *cam,
+                        const struct render_options *o, struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    m->seen = m->gauss;
+    if (!defers)
+        return model_settle(m, e);
+    if (!m->defer)
+        rc = defer_open(m->render, &m->defer, e);
+    return rc ? rc : defer_see(m->defer, &m->gauss, &m->adam, cam, o, &m->seen, e);
+}
+
+enum err_code model_stepped(struct model *m, struct err *e)
+{
+    return defer_owes(m->defer) ? defer_stepped(m->defer, &m->adam, e) : ERR_OK;
+}
+
+enum err_code model_owed(struct model *m, cl_mem *out, struct err *e)
+{
+    *out = NULL;
+    return defer_owes(m->defer) ? defer_save(m->defer, &m->gauss, &m->adam, out, e) : ERR_OK;
+}
+
+enum err_code model_owe(struct model *m, const uint32_t *settled, uint32_t *first, struct err *e)
+{
+    enum err_code rc = m->defer ? ERR_OK : defer_open(m->render, &m->defer, e);
+    return rc ? rc : defer_restore(m->defer, &m->gauss, settled, first, e);
 }
 
 /* ---- moving rows ---- */
@@ -262,7 +303,9 @@ enum err_code model_filter(struct model *m, const struct camera *cams, size_t n_
 {
     if (m->filter_is_current)
         return ERR_OK;
-    enum err_code rc = m->mip ? ERR_OK : mip_open(m->dev, &m->mip, e);
+    enum err_code rc = model_settle(m, e);
+    if (!rc && !m->mip)
+        rc = mip_open(m->dev, &m->mip, e);
     if (!rc)
         rc = mip_run(m->mip, &m->gauss, cams, n_cams, e);
     m->filter_is_current = !rc;

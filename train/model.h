@@ -17,8 +17,10 @@
 
 struct camera;
 struct cell;
+struct defer;
 struct dev;
 struct mip;
+struct render_options;
 
 struct model {       /* {0} is empty; free with model_close */
     struct dev *dev; /* borrowed, as is the renderer */
@@ -26,8 +28,11 @@ struct model {       /* {0} is empty; free with model_close */
     struct render_model gauss;         /* Gaussians to draw; cap may exceed n */
     struct render_adam adam;           /* moments, and learning rates set by level.c */
     struct render_density_stats stats; /* opacity is NULL if Gaussians have no embeddings */
-    struct mip *mip;                   /* made on first use */
-    bool filter_is_current;            /* gauss.filter belongs to the present Gaussians */
+    struct defer *defer;               /* steps that Gaussians are owed; made on first use */
+    struct render_model
+        seen;               /* model_see: what the step at hand draws, borrowed of the two above */
+    struct mip *mip;        /* made on first use */
+    bool filter_is_current; /* gauss.filter belongs to the present Gaussians */
 };
 
 /* Allocates room for like->n Gaussians with like's degree, embedding length and origin. `like`
@@ -45,6 +50,24 @@ enum err_code model_fill(struct model *m, const struct gauss *g, struct err *e) 
 enum err_code model_gauss(const struct model *m, struct gauss *out, struct err *e) ERR_USE;
 /* Bytes in use in each of three arrays: the parameters and the two moments. */
 size_t model_bytes(const struct model *m);
+
+/* Sets m->seen, the Gaussians that a step with this view draws and moves. With `defers` these are
+ * the groups in the frustum, and the others are owed the step (render/defer.h); else all, which
+ * are settled first. After the step's backward pass call model_stepped. ERR_MEM, ERR_DEVICE. */
+enum err_code model_see(struct model *m, bool defers, const struct camera *cam,
+                        const struct render_options *o, struct err *e) ERR_USE;
+enum err_code model_stepped(struct model *m, struct err *e) ERR_USE;
+/* Gaussians make the steps that they are owed. Call it before anything but a step reads or changes
+ * parameters or moments. ERR_MEM, ERR_DEVICE. */
+enum err_code model_settle(struct model *m, struct err *e) ERR_USE;
+
+/* What a state needs to go on as if it had not been saved. model_owed: the last step that each
+ * group has made, uint32_t [gauss.groups] on the device; *out is NULL if none is owed any.
+ * model_owe takes it back, and returns the first step that model_stepped has to be called for with
+ * m->adam of that step, before steps go on after the present one. ERR_MEM, ERR_DEVICE. */
+enum err_code model_owed(struct model *m, cl_mem *out, struct err *e) ERR_USE;
+enum err_code model_owe(struct model *m, const uint32_t *settled, uint32_t *first,
+                        struct err *e) ERR_USE;
 
 /* Replaces the rows by those that r describes. Moments are 0 for PERMUTE_NEW, statistics become 0.
  * Arrays are changed one after another, so at most one of them exists twice when they grow. `most`:
@@ -65,7 +88,8 @@ enum err_code model_reset_opacity(struct model *m, double top, struct err *e) ER
 /* Number of Gaussians inside the cell. ERR_DEVICE. */
 enum err_code model_count_inside(const struct model *m, const struct cell *cell, size_t *out,
                                  struct err *e) ERR_USE;
-/* Computes gauss.filter for these cameras if it is not current. ERR_MEM, ERR_DEVICE. */
+/* Computes gauss.filter for these cameras if it is not current; all are settled then. ERR_MEM,
+ * ERR_DEVICE. */
 enum err_code model_filter(struct model *m, const struct camera *cams, size_t n_cams,
                            struct err *e) ERR_USE;
 

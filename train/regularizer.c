@@ -137,7 +137,7 @@ static enum err_code regularizer_scale(struct regularizer *r, const struct model
         memcpy(ground.corner_m, f->corner_m, sizeof ground.corner_m);
         loss.ground = &ground;
     }
-    return scale_loss_run(r->scale, &m->gauss, &loss, m->adam.extra_sizes, r->extra, e);
+    return scale_loss_run(r->scale, &m->seen, &loss, m->adam.extra_sizes, r->extra, e);
 }
 
 /* What an option of -1 means. */
@@ -249,6 +249,13 @@ static enum err_code regularizer_smoothness(struct regularizer *r, struct model 
         rc = embed_smoothness_step_run(r->smoothness, &m->gauss, &m->adam, &pairs, &loss, e);
     (void)timing_turn(in->timing, was);
     return rc;
+}
+
+bool regularizer_reaches_all(const struct gallery *g, const struct site *site)
+{
+    const struct mcmc_pull pull = regularizer_pull_of(g->cfg, &site->cell);
+    return regularizer_pulls(&pull) || regularizer_shakes(g->cfg) ||
+           regularizer_has_depth(g->cfg) || regularizer_has_smoothness(g);
 }
 
 enum err_code regularizer_step(struct regularizer *r, struct model *m,

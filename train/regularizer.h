@@ -11,6 +11,8 @@
 #ifndef TRAIN_REGULARIZER_H
 #define TRAIN_REGULARIZER_H
 
+#include <stdbool.h>
+
 #include "core/err.h"
 
 struct cell;
@@ -36,6 +38,9 @@ struct regularizer_input { /* input of one step; all borrowed */
 enum err_code regularizer_open(struct regularizer **own, const struct gallery *g,
                                const struct site *site, struct err *e) ERR_USE;
 void regularizer_free(struct regularizer **r);
+/* Whether a term reaches Gaussians that a step's photograph cannot show, other than the loss on
+ * sizes, which is that of the Gaussians in its frustum. */
+bool regularizer_reaches_all(const struct gallery *g, const struct site *site);
 /* Computes the terms that act at the current step, and sets m->adam.extra_grad (NULL: none). It
  * draws frames, so call it before the step's render_forward. ERR_MEM, ERR_DEVICE. ERR_FORMAT,
  * ERR_NOENT, ERR_DATA: a depth map cannot be read. */

@@ -1,8 +1,9 @@
 /* The files of a run: the state to resume from, and the result of each level.
  *
  * A state has the Gaussians, both Adam moments and the densification statistics in the device's
- * layout, and three numbers: level, step, and Gaussians at the level's start. Everything else
- * (order of photographs, schedules, random numbers) follows from these, the options and the cell.
+ * layout, the last step that each group of Gaussians has made, and three numbers: level, step, and
+ * Gaussians at the level's start. Everything else (order of photographs, schedules, random numbers)
+ * follows from these, the options and the cell.
  * Options and cell are stored and compared: a run can be continued only with the options and the
  * plan that it began with.
  *
@@ -27,6 +28,7 @@
 #include "train/model.h"
 
 enum { STATE_STATS = 5, STATE_APPEARANCE = 2, STATE_SLICE = 65536 };
+#define STATE_OWED "settled" /* uint32_t [groups]: see render/defer.h */
 static const char *const state_stat_names[STATE_STATS] = {"stat_grad", "stat_absg", "stat_count",
                                                           "stat_radius", "stat_opacity"};
 
@@ -94,8 +96,8 @@ static json_t *state_meta(const struct model *m, const struct state *st, const c
 struct state_view {
     const struct model *m;
     struct gauss like;
-    cl_mem mem[4 + STATE_STATS];
-    void *at[4 + STATE_STATS]; /* [0]: the parameters */
+    cl_mem mem[5 + STATE_STATS];
+    void *at[5 + STATE_STATS]; /* [0]: the parameters */
     size_t n;
     float *filter; /* [n] to fold in, or NULL */
 };
@@ -246,11 +248,11 @@ static enum err_code state_appearance_blobs(const struct appearance_train *a,
     return rc;
 }
 
-enum err_code state_save(const struct model *m, const struct state *s, const char *path,
-                         struct err *e)
+enum err_code state_save(struct model *m, const struct state *s, const char *path, struct err *e)
 {
     struct state_view v = {0};
-    struct ckpt_blob blobs[3 + STATE_STATS + STATE_APPEARANCE] = {0};
+    struct ckpt_blob blobs[4 + STATE_STATS + STATE_APPEARANCE] = {0};
+    cl_mem owed = NULL;
     const struct render_model *g = &m->gauss;
     size_t n = 0, moments = model_bytes(m), n_appearance = 0;
     json_t *meta = state_meta(m, s, "resume", e);
@@ -262,13 +264,17 @@ enum err_code state_save(const struct model *m, const struct state *s, const cha
         return ERR_MEM;
     cl_mem stats[STATE_STATS];
     state_stat_buffers(m, stats);
-    enum err_code rc = state_view_open(m, s->run.cfg->aa != RENDER_AA_NONE, &v, e);
+    enum err_code rc = model_owed(m, &owed, e);
+    if (!rc)
+        rc = state_view_open(m, s->run.cfg->aa != RENDER_AA_NONE, &v, e);
     if (!rc)
         rc = state_blob(&v, "adam_m1", m->adam.m1, moments, &blobs[n++], e);
     if (!rc)
         rc = state_blob(&v, "adam_m2", m->adam.m2, moments, &blobs[n++], e);
     for (size_t i = 0; !rc && i < STATE_STATS && stats[i]; i++)
         rc = state_blob(&v, state_stat_names[i], stats[i], g->n * sizeof(float), &blobs[n++], e);
+    if (!rc && owed)
+        rc = state_blob(&v, STATE_OWED, owed, g->groups * sizeof(uint32_t), &blobs[n++], e);
     if (!rc && g->filter && m->filter_is_current)
         rc = state_blob(&v, "filter", g->filter, g->n * sizeof(float), &blobs[n++], e);
     if (!rc && appearance_train_is_on(s->appearance)) {
@@ -374,6 +380,28 @@ static enum err_code state_fill_filter(struct model *m, const struct ckpt_rows *
     return rc;
 }
 
+/* Steps that groups of Gaussians were owed. */
+static enum err_code state_fill_owed(struct model *m, struct state *s, const struct ckpt_rows *c,
+                                     const char *path, struct err *e)
+{
+    size_t groups = m->gauss.groups;
+    s->owes = ckpt_rows_has(c, STATE_OWED) && groups;
+    if (!s->owes)
+        return ERR_OK;
+    uint32_t *settled = mem_array(groups, sizeof *settled);
+    enum err_code rc = settled
+                           ? ckpt_rows_blob_to(c, STATE_OWED, settled, groups * sizeof *settled, e)
+                           : err_set(e, ERR_MEM, "%s: out of memory for %zu groups", path, groups);
+    for (size_t i = 0; !rc && i < groups; i++)
+        if (settled[i] > s->at.step)
+            rc = err_set(e, ERR_FORMAT, "%s: group %zu has made step %u of %u", path, i, settled[i],
+                         s->at.step);
+    if (!rc)
+        rc = model_owe(m, settled, &s->owes_from, e);
+    mem_free(settled);
+    return rc;
+}
+
 /* What --budget-rule auto has decided at this level. */
 static enum err_code state_budget(struct budget *budget, struct schedule *s, const json_t *meta,
                                   struct err *e)
@@ -458,6 +486,8 @@ enum err_code state_load(struct model *m, const struct engine *with, struct stat
         rc = state_fill_all(m, s, c, path, e);
     if (!rc && s->run.cfg->aa == RENDER_AA_MIP)
         rc = state_fill_filter(m, c, e);
+    if (!rc)
+        rc = state_fill_owed(m, s, c, path, e);
     json_decref(meta);
     ckpt_rows_close(&c);
     return rc;

@@ -20,10 +20,13 @@ struct state { /* content of a checkpoint besides the Gaussians; all borrowed ex
     struct appearance_train *appearance;
     struct budget *budget;
     double seconds; /* time of the run so far, in all processes */
+    /* state_load: with `owes`, the first step that the model needs to know (model_owe) */
+    bool owes;
+    uint32_t owes_from;
 };
 /* Saves everything that is needed to continue. ERR_IO: it cannot be written. ERR_MEM, ERR_DEVICE.
  */
-enum err_code state_save(const struct model *m, const struct state *s, const char *path,
+enum err_code state_save(struct model *m, const struct state *s, const char *path,
                          struct err *e) ERR_USE;
 /* Restores a state into a model that is not open, and into s. s->run and the schedules must be set;
  * at, appearance, budget and seconds become the saved ones. Call model_close afterwards, also after
