@@ -4,23 +4,15 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
-import { readFileSync } from "node:fs";
-import { createRequire } from "node:module";
 import { test } from "node:test";
-import { fileURLToPath } from "node:url";
 import { gunzipSync } from "node:zlib";
 
+import { importSource } from "./lib/bundle.mjs";
+import { loosen } from "./lib/packed.mjs";
 import { decodeSpz as decodeReference, encodeSpz } from "./lib/spz.mjs";
 
-const SOURCES = fileURLToPath(new URL("../../web/src/", import.meta.url));
-const { transformSync } = createRequire(SOURCES)("esbuild");
-
-function load(name) {
-    const { code } = transformSync(readFileSync(SOURCES + name, "utf8"), { loader: "ts", target: "es2022" });
-    return import(`data:text/javascript,${encodeURIComponent(code)}`);
-}
-const { decodeSpz } = await load("spz.ts");
-const { readDraco } = await load("draco.ts");
+const { decodeSpz } = await importSource("spz.ts");
+const { readDraco } = await importSource("draco.ts");
 
 // A small generator of its own, so that the fixture never changes.
 function makeRandom(seed) {
@@ -57,40 +49,62 @@ for (const degree of [0, 1, 2, 3]) {
         const offset = [1000, -20, 0.5];
         const got = decodeSpz(new Uint8Array(gunzipSync(spz)), offset);
         assert.deepEqual([got.count, got.shDegree, got.antialiased], [3000, degree, degree === 2]);
-        const centres = new Float32Array(got.place.buffer);
-        const bytes = new Uint8Array(got.place.buffer);
-        const sizes = new Uint8Array(got.shape.buffer);
+        const fields = loosen(got);
         for (let i = 0; i < want.count; i++) {
             for (let k = 0; k < 3; k++) {
-                const at = Math.fround(want.position[3 * i + k] / 4096 + offset[k]);
-                assert.equal(centres[4 * i + k], at, `position ${i}`);
-                assert.equal(bytes[16 * i + 12 + k], want.color[3 * i + k], `colour ${i}`);
-                assert.equal(sizes[8 * i + k], want.scale[3 * i + k], `scale ${i}`);
+                const at = want.position[3 * i + k] / 4096 + offset[k];
+                near(fields.centres[3 * i + k], at, 5e-4, `position ${i}`);
+                assert.equal(fields.colors[4 * i + k], want.color[3 * i + k], `colour ${i}`);
+                assert.equal(fields.scales[3 * i + k], want.scale[3 * i + k], `scale ${i}`);
             }
-            assert.equal(bytes[16 * i + 15], want.alpha[i], `opacity ${i}`);
-            assert.equal(sizes[8 * i + 3], degree === 2 ? 1 : 0, `flags ${i}`);
-            assert.equal(got.shape[2 * i + 1], want.rotation[i], `rotation ${i}`);
+            assert.equal(fields.colors[4 * i + 3], want.alpha[i], `opacity ${i}`);
+            assert.equal(fields.rotations[i], want.rotation[i], `rotation ${i}`);
         }
+        assert.ok(got.heads.every((word, n) => n % 8 !== 3 || (word & 1) === Number(degree === 2)), "antialiased");
     });
 
     test(`degree ${degree}: every harmonic is in its place`, () => {
         const spz = encodeSpz(makeSplats(500), degree);
         const want = decodeReference(spz);
         const got = decodeSpz(new Uint8Array(gunzipSync(spz)));
-        const bytes = 3 * ((degree + 1) ** 2 - 1);
-        const planes = got.sh.map((plane) => new Uint8Array(plane.buffer));
-        assert.equal(planes.length, Math.ceil(bytes / 16));
-        for (let i = 0; i < want.count; i++)
-            for (let k = 0; k < bytes; k++)
-                assert.equal(planes[k >> 4][16 * i + (k & 15)], want.sh[bytes * i + k], `${i}, ${k}`);
+        assert.deepEqual([...loosen(got).sh], [...want.sh]);
     });
 }
 
-test("texture rows are whole and what is left of them is empty", () => {
+test("rows are whole and what is left of them is empty", () => {
     const got = decodeSpz(new Uint8Array(gunzipSync(encodeSpz(makeSplats(1500), 1))));
-    assert.equal(got.place.length, 4 * 2048);
-    assert.equal(got.shape.length, 2 * 2048);
-    assert.ok(got.place.slice(4 * 1500).every((v) => v === 0));
+    assert.deepEqual([got.base.length, got.heads.length], [4 * 2048, 8 * 2]);
+    assert.ok(got.base.slice(4 * 1500).every((v) => v === 0));
+});
+
+// Neighbours in space, as tiles have them, and harmonics that a preset has left few steps of.
+test("a Gaussian of a tile takes 36 bytes, and as many more as its row needs", async () => {
+    const { centresOf, pack } = await importSource("pack.ts");
+    const count = 4096;
+    const random = makeRandom(11);
+    const whole = (range) => Math.floor(random() * range);
+    const perGaussian = ({ base, more }) => (4 * (base.length + more.length)) / count;
+    const packed = (reach, most) => {
+        const loose = {
+            ...{ count, shDegree: 3, antialiased: true, unit: 2 ** -6, embedding: null },
+            steps: Int32Array.from({ length: 3 * count }, () => whole(reach)),
+            colors: Uint8Array.from({ length: 4 * count }, () => whole(256)),
+            scales: Uint8Array.from({ length: 3 * count }, () => whole(256)),
+            rotations: Uint32Array.from({ length: count }, () => whole(2 ** 32)),
+            sh: Uint8Array.from({ length: 45 * count }, () => 128 + 4 * (whole(2 * most + 1) - most)),
+        };
+        const out = pack(loose, [100, 200, 300]);
+        const got = loosen(out);
+        for (const name of ["colors", "scales", "rotations", "sh"]) assert.deepEqual(got[name], loose[name], name);
+        assert.deepEqual(got.centres, centresOf(out));
+        got.centres.forEach((v, n) => near(v, loose.steps[n] / 64 + 100 * (1 + (n % 3)), 2e-2 * (reach / 2 ** 24), `${n}`));
+        return perGaussian(out);
+    };
+    assert.equal(packed(2 ** 12, 3), 36);
+    assert.equal(packed(2 ** 12, 0), 16);
+    assert.equal(packed(2 ** 12, 7), 48);
+    assert.equal(packed(2 ** 12, 31), 64);
+    assert.equal(packed(2 ** 24, 0), 20);
 });
 
 test("damaged files are refused", () => {
@@ -122,7 +136,7 @@ test("the extent of a scene leaves its strays out", () => {
 // A point cloud of Draco: its attributes as [id, components], and what follows their heads.
 function makeDraco(count, attributes, rest = []) {
     const counted = [count, count >> 8, count >> 16, count >> 24].map((v) => v & 255);
-    const heads = attributes.flatMap(([id, components]) => [0, 2, components, 0, id]);
+    const heads = attributes.flatMap(([id, components]) => [0, 5, components, 0, id]);
     return Uint8Array.from([
         ...Buffer.from("DRACO"),
         ...[2, 2, 0, 0, 0, 0],

@@ -8,6 +8,7 @@ import { test } from "node:test";
 import { importSource } from "./lib/bundle.mjs";
 
 const { fill, findHeights, HEIGHT_CELLS, isObject, MAP_PX, mapGround, SPAN } = await importSource("groundmap.ts");
+const { pack } = await importSource("pack.ts");
 
 const { piecesOf, tileX, tileY } = await importSource("basemap.ts");
 
@@ -73,13 +74,14 @@ function slope(rise) {
             places.push([x, 100 + rise * x + (roof ? 20 : 0), z]);
         }
     places.push([20, 40, 20]); // the stray
-    const place = new Uint32Array(4 * places.length);
-    const centres = new Float32Array(place.buffer);
-    places.forEach((at, i) => {
-        centres.set(at, 4 * i);
-        place[4 * i + 3] = 0xff000000;
-    });
-    return [{ splats: { count: places.length, place } }];
+    const count = places.length;
+    const loose = {
+        ...{ count, shDegree: 0, antialiased: false, unit: 2 ** -10, embedding: null },
+        steps: Int32Array.from(places.flat(), (v) => Math.round(1024 * v)),
+        colors: new Uint8Array(4 * count).fill(255),
+        ...{ scales: new Uint8Array(3 * count), rotations: new Uint32Array(count), sh: new Uint8Array() },
+    };
+    return [{ splats: pack(loose, [0, 0, 0]) }];
 }
 
 test("terrain follows the lowest Gaussians, passes below roofs, and becomes level", () => {

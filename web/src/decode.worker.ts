@@ -1,9 +1,10 @@
-// Worker: bytes of a tile in, texture rows out (transferred, not copied).
+// Worker: bytes of a tile in, what the card holds out (transferred, not copied).
 //
 // SPDX-License-Identifier: Apache-2.0
 import { decodeDrc } from "./drc";
 import { spzOfGlb } from "./glb";
-import { decodeSpz, type DecodedSplats } from "./spz";
+import type { DecodedSplats } from "./pack";
+import { decodeSpz } from "./spz";
 
 export interface DecodeRequest {
   id: number;
@@ -48,8 +49,8 @@ self.onmessage = async (event: MessageEvent<DecodeRequest>) => {
   const { id, file, offset } = event.data;
   try {
     const splats = await decode(new Uint8Array(file), offset);
-    const { place, shape, sh, embedding } = splats;
-    const buffers = [place, shape, ...sh, ...(embedding?.planes ?? [])].map((a) => a.buffer);
+    const { base, heads, more, embedding } = splats;
+    const buffers = [base, heads, more, ...(embedding?.planes ?? [])].map((a) => a.buffer);
     self.postMessage({ id, splats } satisfies DecodeReply, { transfer: buffers });
   } catch (error) {
     const text = error instanceof Error ? error.message : String(error);

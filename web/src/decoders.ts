@@ -3,7 +3,7 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import type { DecodeReply, DecodeRequest } from "./decode.worker";
-import type { DecodedSplats } from "./spz";
+import type { DecodedSplats } from "./pack";
 import { startWorker } from "./workers";
 
 interface Job {

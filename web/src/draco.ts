@@ -9,6 +9,7 @@ const FLAG_METADATA = 0x8000;
 const PREDICTION_NONE = -2;
 const PREDICTION_DIFFERENCE = 0;
 const TRANSFORM_WRAP = 1;
+const UINT8 = 2;
 const SCHEME_TAGGED = 0;
 const SCHEME_RAW = 1;
 const METADATA_DEPTH_MAX = 4;
@@ -21,7 +22,7 @@ export type Metadata = Map<string, Uint8Array>;
 export interface DracoAttribute {
   id: number;
   components: number;
-  values: Int32Array<ArrayBuffer>; // [point][component]
+  values: Int32Array | Uint8Array; // [point][component]
   metadata: Metadata;
 }
 export interface DracoCloud {
@@ -253,12 +254,13 @@ export function readDraco(bytes: Uint8Array, mostPoints: number): DracoCloud {
   const number = from.varint();
   if (number < 1 || number > ATTRIBUTES_MAX) throw new Error(`Draco: ${number} attributes`);
   const heads = Array.from({ length: number }, () => {
-    from.take(2); // kind, type: known by the id
+    from.take(1); // kind: known by the id
+    const narrow = from.u8() === UINT8;
     const components = from.u8();
     from.take(1); // normalised
     if (components < 1 || components > COMPONENTS_MAX)
       throw new Error(`Draco: an attribute of ${components} components`);
-    return { components, id: from.varint() };
+    return { components, narrow, id: from.varint() };
   });
   const width = heads.reduce((sum, { components }) => sum + components, 0);
   if (count * width > VALUES_PER_BYTE_MAX * bytes.length)
@@ -266,9 +268,10 @@ export function readDraco(bytes: Uint8Array, mostPoints: number): DracoCloud {
   for (let i = 0; i < number; i++)
     if (from.u8() !== 1) throw new Error("Draco: an attribute that is not of integers");
   const attributes = new Map<number, DracoAttribute>();
-  for (const { id, components } of heads) {
+  for (const { id, components, narrow } of heads) {
     if (attributes.has(id)) throw new Error(`Draco: attribute ${id} twice`);
-    const values = readValues(from, count, components);
+    const read = readValues(from, count, components);
+    const values = narrow ? new Uint8Array(read) : read;
     attributes.set(id, { id, components, values, metadata: byAttribute.get(id) ?? new Map() });
   }
   return { count, attributes, metadata };

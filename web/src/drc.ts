@@ -1,9 +1,9 @@
-// Our .drc (docs/formats.md) -> the integers that the graphics card draws from. The same rows that an
+// Our .drc (docs/formats.md) -> the integers that the graphics card draws from (pack.ts). The same that an
 // .spz of the tile gives, and the embeddings, which only this format has. Runs in a worker.
 //
 // SPDX-License-Identifier: Apache-2.0
 import { readDraco, type DracoAttribute, type Metadata } from "./draco";
-import { findCore, MAX_GAUSSIANS, ROW, SH_NONE, type DecodedSplats } from "./spz";
+import { MAX_GAUSSIANS, pack, ROW, type DecodedSplats } from "./pack";
 
 const ID = {
   position: 0,
@@ -84,38 +84,29 @@ function triples(
     }
 }
 
-function readShapes(all: Map<number, DracoAttribute>, shape: Uint32Array, flags: number) {
-  const scale = bytes(all, ID.scale, 3);
+function readRotations(all: Map<number, DracoAttribute>): Uint32Array {
   const { values, shift } = field(all, ID.rotation, 3, 8);
   const largest = field(all, ID.rotationIndex, 1, 0).values;
   const zero = (MAGNITUDE_MAX + (1 << shift) - 1) >> shift;
-  for (let i = 0; i < largest.length; i++) {
+  const out = new Uint32Array(largest.length);
+  for (let i = 0; i < out.length; i++) {
     let packed = largest[i]! & 3;
     for (let k = 0; k < 3; k++) {
       const v = values[3 * i + k]!;
       const size = Math.min(MAGNITUDE_MAX, Math.abs(v - zero) << shift);
       packed = (packed << 10) | (v < zero ? 512 : 0) | size;
     }
-    shape[2 * i] =
-      (scale[3 * i]! | (scale[3 * i + 1]! << 8) | (scale[3 * i + 2]! << 16) | (flags << 24)) >>> 0;
-    shape[2 * i + 1] = packed >>> 0;
+    out[i] = packed;
   }
+  return out;
 }
 
-// Planes of 16 bytes a Gaussian.
-function planes(width: number, rows: number): Uint32Array<ArrayBuffer>[] {
-  return Array.from({ length: Math.ceil(width / 16) }, () => new Uint32Array(4 * rows));
-}
-
-function readHarmonics(all: Map<number, DracoAttribute>, degree: number, rows: number) {
-  const out = planes(3 * ((degree + 1) ** 2 - 1), rows);
-  for (const plane of out) plane.fill(SH_NONE);
-  const views = out.map((plane) => new Uint8Array(plane.buffer));
+function readHarmonics(all: Map<number, DracoAttribute>, degree: number, count: number): Uint8Array {
+  const width = 3 * ((degree + 1) ** 2 - 1);
+  const out = new Uint8Array(width * count);
   for (let band = 1, first = 0; band <= degree; first += 3 * (2 * band + 1), band++) {
     const at = first;
-    triples(all, ID.sh1G + 2 * (band - 1), 2 * band + 1, (row, k, value) => {
-      views[(at + k) >> 4]![16 * row + ((at + k) & 15)] = value;
-    });
+    triples(all, ID.sh1G + 2 * (band - 1), 2 * band + 1, (row, k, value) => (out[width * row + at + k] = value));
   }
   return out;
 }
@@ -127,7 +118,7 @@ function readEmbedding(all: Map<number, DracoAttribute>, metadata: Metadata, row
   const values = bytes(all, ID.embedding, length);
   const least = numbersOf(metadata, "embed_min", length);
   const most = numbersOf(metadata, "embed_max", length);
-  const out = planes(length, rows);
+  const out = Array.from({ length: Math.ceil(length / 16) }, () => new Uint32Array(4 * rows));
   out.forEach((plane, k) => {
     const view = new Uint8Array(plane.buffer);
     const width = Math.min(16, length - 16 * k);
@@ -137,7 +128,7 @@ function readEmbedding(all: Map<number, DracoAttribute>, metadata: Metadata, row
   return { length, least, step: most.map((v, d) => (v - least[d]!) / 255), planes: out };
 }
 
-// A whole file -> texture rows; `offset` is added to the positions. Throws with what is wrong.
+// A whole file -> what the card holds; `offset` is added to the positions. Throws with what is wrong.
 export function decodeDrc(
   file: Uint8Array,
   offset: readonly number[] = [0, 0, 0],
@@ -152,23 +143,17 @@ export function decodeDrc(
   const shDegree = intOf(metadata, "sh_degree");
   if (shDegree < 0 || shDegree > 3) throw new Error(`.drc: harmonics of degree ${shDegree}`);
   const antialiased = intOf(metadata, "antialiased") !== 0;
-  const rows = Math.ceil(count / ROW) * ROW;
-
-  const place = new Uint32Array(4 * rows);
-  const centres = new Float32Array(place.buffer);
   const position = field(attributes, ID.position, 3, 22);
   const unit = 2 ** (position.shift - intOf(metadata, "frac_bits"));
-  for (let i = 0; i < count; i++)
-    for (let axis = 0; axis < 3; axis++)
-      centres[4 * i + axis] =
-        (position.values[3 * i + axis]! - POSITION_OFFSET) * unit + offset[axis]!;
-  const colors = new Uint8Array(place.buffer);
-  triples(attributes, ID.colorG, 1, (row, k, value) => (colors[16 * row + 12 + k] = value));
+  const steps = Int32Array.from(position.values, (v) => v - POSITION_OFFSET);
+  const colors = new Uint8Array(4 * count);
+  triples(attributes, ID.colorG, 1, (row, k, value) => (colors[4 * row + k] = value));
   const opacity = bytes(attributes, ID.opacity, 1);
-  for (let i = 0; i < count; i++) colors[16 * i + 15] = opacity[i]!;
-  const shape = new Uint32Array(2 * rows);
-  readShapes(attributes, shape, Number(antialiased));
-  const sh = readHarmonics(attributes, shDegree, rows);
-  const embedding = readEmbedding(attributes, metadata, rows);
-  return { count, shDegree, antialiased, place, shape, sh, embedding, core: findCore(place, count) };
+  for (let i = 0; i < count; i++) colors[4 * i + 3] = opacity[i]!;
+  const scales = bytes(attributes, ID.scale, 3);
+  const rotations = readRotations(attributes);
+  const sh = readHarmonics(attributes, shDegree, count);
+  const embedding = readEmbedding(attributes, metadata, Math.ceil(count / ROW) * ROW);
+  const fields = { steps, colors, scales, rotations, sh };
+  return pack({ count, shDegree, antialiased, unit, ...fields, embedding }, offset);
 }

@@ -1,4 +1,4 @@
-// Draws Gaussians with WebGL 2: the integers of the tiles lie in a few large textures, a worker
+// Draws Gaussians with WebGL 2: the integers of the tiles (pack.ts) lie in a few large textures, a worker
 // sorts the wanted ones from far to near, one pass evaluates their colours for this eye, a second
 // one draws a quad for each.
 //
@@ -20,7 +20,6 @@ import {
   RawShaderMaterial,
   RedIntegerFormat,
   RGBAIntegerFormat,
-  RGIntegerFormat,
   Scene,
   ShortType,
   UnsignedIntType,
@@ -29,6 +28,7 @@ import {
   Vector3,
   WebGLRenderTarget,
   type InstancedBufferGeometry,
+  type IUniform,
   type PerspectiveCamera,
   type PixelFormat,
   type TextureDataType,
@@ -37,6 +37,7 @@ import {
 
 import type { Block, Piece } from "./block";
 import { Fade, fadeShare } from "./fade";
+import { centresOf, HEAD_WORDS, LANES, ROW, stripesOf, type DecodedSplats } from "./pack";
 import { ORDER_ROW, Projection, Projector, type Edge } from "./projection";
 import { makeQuads, makeStripes, QUADS } from "./quads";
 import {
@@ -47,7 +48,6 @@ import {
   SPLAT_VERTEX,
 } from "./shaders";
 import type { Rectangle, SortMessage, SortReply } from "./sort.worker";
-import { ROW, SH_NONE, type DecodedSplats } from "./spz";
 import type { Tint } from "./tint";
 import { startWorker, WORKER_NEEDS } from "./workers";
 
@@ -55,9 +55,9 @@ const ROWS_FIRST = 128;
 const EVERYWHERE: Rectangle[] = [[-Infinity, Infinity, -Infinity, Infinity]];
 
 interface Planes {
-  place: DataTexture;
-  shape: DataTexture;
-  sh: DataTexture[];
+  base: DataTexture;
+  heads: DataTexture;
+  more: DataTexture;
   embed: DataTexture[];
   sides: Side[]; // the second one while the picture is divided
 }
@@ -81,8 +81,8 @@ function makeTarget(type: TextureDataType, internal: string, rows: number): WebG
   return target;
 }
 
-function makeTexture(format: PixelFormat, internal: string, rows: number): DataTexture {
-  const texture = new DataTexture(null, ROW, rows, format, UnsignedIntType);
+function makeTexture(format: PixelFormat, internal: string, rows: number, width = ROW): DataTexture {
+  const texture = new DataTexture(null, width, rows, format, UnsignedIntType);
   texture.internalFormat = internal as "RGBA32UI";
   texture.minFilter = texture.magFilter = NearestFilter;
   texture.needsUpdate = true;
@@ -104,8 +104,8 @@ export class Gaussians {
   private shown: Block[] = []; // those of the order on the screen
   private planes: Planes | null = null;
   private rows = 0;
+  private lines = 0; // of `more`
   private tested = false; // against what the depth buffer holds already: models, others' maps
-  private shPlanes = 0;
   private embedPlanes = 0;
   private order: DataTexture | null = null;
   private spare: Uint32Array<ArrayBuffer> | null = null;
@@ -121,6 +121,16 @@ export class Gaussians {
   private contentVersion = 0;
   private readonly colorScene = new Scene();
   private readonly colorMesh: Mesh<BufferGeometry, RawShaderMaterial>;
+  private readonly colorMaterials = new Map<number, RawShaderMaterial>(); // by kind of harmonics
+  private readonly colorUniforms: Record<string, IUniform> = {
+    base: { value: null },
+    heads: { value: null },
+    more: { value: null },
+    tints: { value: null },
+    tinted: { value: false },
+    eye: { value: new Vector3() },
+    rowCount: { value: 1 },
+  };
   private readonly plainMesh: Mesh<BufferGeometry, RawShaderMaterial>; // writes "adds nothing"
   private readonly flat = new OrthographicCamera();
   private readonly projector: Projector;
@@ -151,39 +161,9 @@ export class Gaussians {
     this.mesh.frustumCulled = false;
     this.mesh.visible = false;
     this.mesh.renderOrder = 1;
-    this.colorMesh = new Mesh(
-      new BufferGeometry(),
-      new RawShaderMaterial({
-        glslVersion: GLSL3,
-        vertexShader: COLOR_VERTEX,
-        fragmentShader: colorFragment(0),
-        uniforms: {
-          place: { value: null },
-          sh0: { value: null },
-          sh1: { value: null },
-          sh2: { value: null },
-          tints: { value: null },
-          tinted: { value: false },
-          eye: { value: new Vector3() },
-          rowCount: { value: 1 },
-        },
-        depthTest: false,
-        depthWrite: false,
-        blending: NoBlending,
-      }),
-    );
-    this.plainMesh = new Mesh(
-      new BufferGeometry(),
-      new RawShaderMaterial({
-        glslVersion: GLSL3,
-        vertexShader: COLOR_VERTEX,
-        fragmentShader: PLAIN_FRAGMENT,
-        uniforms: { rowCount: this.colorMesh.material.uniforms["rowCount"]! },
-        depthTest: false,
-        depthWrite: false,
-        blending: NoBlending,
-      }),
-    );
+    this.colorMesh = new Mesh(new BufferGeometry(), this.rowMaterial(colorFragment(0)));
+    this.colorMaterials.set(0, this.colorMesh.material);
+    this.plainMesh = new Mesh(new BufferGeometry(), this.rowMaterial(PLAIN_FRAGMENT));
     this.noTints = new DataTexture(new Int16Array(4), 1, 1, RGBAIntegerFormat, ShortType);
     this.noTints.internalFormat = "RGBA16I";
     this.noTints.needsUpdate = true;
@@ -195,26 +175,41 @@ export class Gaussians {
       this.onFailure(new Error(message ? `sorting: ${message}` : `no worker starts; the page's policy must allow ${WORKER_NEEDS}`));
   }
 
+  // Of a pass over rows of the textures.
+  private rowMaterial(fragmentShader: string): RawShaderMaterial {
+    return new RawShaderMaterial({
+      glslVersion: GLSL3,
+      vertexShader: COLOR_VERTEX,
+      fragmentShader,
+      uniforms: this.colorUniforms,
+      depthTest: false,
+      depthWrite: false,
+      blending: NoBlending,
+    });
+  }
+
   // ---- blocks ----
 
   // tint: computes colours from the embeddings of the tile; null where they are what it says.
   add(splats: DecodedSplats, tint: Tint | null = null): Block {
     const rows = Math.ceil(splats.count / ROW);
+    const lines = splats.more.length / (LANES * ROW);
     const own = splats.embedding ? tint : null;
+    const centres = centresOf(splats);
     const block: Block = {
-      ...{ id: this.nextId++, splats, row: -1, rows, tint: own },
-      ...{ area: areaOf(splats), tinted: [-1, -1] },
+      ...{ id: this.nextId++, splats, row: -1, rows, line: -1, lines, stripes: stripesOf(splats) },
+      ...{ tint: own, area: areaOf(centres), tinted: [-1, -1] },
     };
     const embed = own ? (splats.embedding?.planes.length ?? 0) : 0;
-    if (splats.sh.length > this.shPlanes || embed > this.embedPlanes) {
-      this.shPlanes = Math.max(this.shPlanes, splats.sh.length);
-      this.embedPlanes = Math.max(this.embedPlanes, embed);
-      this.rebuild(this.rows);
+    if (embed > this.embedPlanes) {
+      this.embedPlanes = embed;
+      this.rebuild();
     }
-    block.row = this.findRows(rows);
+    this.findRoom(block);
     this.blocks.add(block);
     this.upload(block);
-    this.tellSorter(block);
+    const first = block.row * ROW;
+    this.post({ kind: "add", block: block.id, first, centres }, [centres.buffer]);
     return block;
   }
 
@@ -252,7 +247,7 @@ export class Gaussians {
   // What a Gaussian takes: on the card, and once more in the page's own memory.
   static bytesOf(splats: DecodedSplats): number {
     const embed = splats.embedding?.planes ?? [];
-    const arrays = [splats.place, splats.shape, ...splats.sh, ...embed];
+    const arrays = [splats.base, splats.heads, splats.more, ...embed];
     const texels = arrays.reduce((sum, a) => sum + a.byteLength, 0); // colours, centres, order, place on the screen
     return 2 * texels + splats.count * (8 + 12 + 4 + 32 + (embed.length ? 8 : 0));
   }
@@ -262,8 +257,9 @@ export class Gaussians {
   get cardBytes(): number {
     const sides = this.planes?.sides.length ?? 0;
     const tints = this.embedPlanes ? 8 : 0;
-    const each = 16 + 8 + 16 * (this.shPlanes + this.embedPlanes) + sides * (8 + tints);
-    return this.rows * ROW * each + (this.order?.image.data?.byteLength ?? 0);
+    const each = 16 + 16 * this.embedPlanes + sides * (8 + tints);
+    const packed = 4 * HEAD_WORDS * this.rows + 4 * LANES * ROW * this.lines;
+    return this.rows * ROW * each + packed + (this.order?.image.data?.byteLength ?? 0);
   }
 
   // The order on the screen is the one for this camera and for the wanted blocks.
@@ -280,53 +276,46 @@ export class Gaussians {
       if (this.shown.includes(block) || this.sorting?.blocks.includes(block)) continue;
       this.leaving.delete(block);
       this.blocks.delete(block);
-      block.row = -1;
+      block.row = block.line = -1;
       this.post({ kind: "remove", block: block.id });
     }
   }
 
-  // First-fit among the rows in use; the textures grow by half where nothing fits.
-  private findRows(rows: number): number {
-    const used = [...this.blocks].sort((a, b) => a.row - b.row);
-    let at = 0;
-    for (const block of used) {
-      if (block.row - at >= rows) return at;
-      at = block.row + block.rows;
-    }
-    if (at + rows > this.rows) {
-      const most = this.renderer.capabilities.maxTextureSize;
-      if (at + rows > most) throw new Error("the graphics card has no room for more Gaussians");
-      this.rebuild(Math.min(most, Math.max(ROWS_FIRST, at + rows, Math.ceil(this.rows * 1.5))));
-    }
-    return at;
+  // First-fit among the rows and lines in use; the textures grow by half where nothing fits.
+  private findRoom(block: Block) {
+    const all = [...this.blocks];
+    block.row = firstFit(all.map((other) => [other.row, other.rows]), block.rows);
+    block.line = firstFit(all.map((other) => [other.line, other.lines]), block.lines);
+    const most = this.renderer.capabilities.maxTextureSize;
+    const grown = (size: number, end: number, least: number) => {
+      if (end <= size) return size;
+      if (end > most) throw new Error("the graphics card has no room for more Gaussians");
+      return Math.min(most, Math.max(least, end, Math.ceil(size * 1.5)));
+    };
+    const rows = grown(this.rows, block.row + block.rows, ROWS_FIRST);
+    const lines = grown(this.lines, block.line + block.lines, ROWS_FIRST);
+    if (rows !== this.rows || lines !== this.lines) this.rebuild(rows, lines);
   }
 
   // ---- textures ----
 
   // Makes the textures anew and fills them: they grew, or the context was lost.
-  rebuild(rows = this.rows) {
+  rebuild(rows = this.rows, lines = this.lines) {
     this.rows = rows;
+    this.lines = lines;
     if (!rows) return;
     this.dropPlanes();
-    const planes = (count: number) =>
-      Array.from({ length: count }, () => makeTexture(RGBAIntegerFormat, "RGBA32UI", rows));
     this.planes = {
-      place: makeTexture(RGBAIntegerFormat, "RGBA32UI", rows),
-      shape: makeTexture(RGIntegerFormat, "RG32UI", rows),
-      sh: planes(this.shPlanes),
-      embed: planes(this.embedPlanes),
+      base: makeTexture(RGBAIntegerFormat, "RGBA32UI", rows),
+      heads: makeTexture(RGBAIntegerFormat, "RGBA32UI", rows, HEAD_WORDS / 4),
+      more: makeTexture(RedIntegerFormat, "R32UI", Math.max(1, lines), LANES * ROW),
+      embed: Array.from({ length: this.embedPlanes }, () => makeTexture(RGBAIntegerFormat, "RGBA32UI", rows)),
       sides: [this.makeSide()],
     };
-    const { place, shape, sh, embed } = this.planes;
-    for (const texture of [place, shape, ...sh, ...embed]) this.renderer.initTexture(texture);
-    const color = this.colorMesh.material.uniforms;
-    color["place"]!.value = place;
-    [0, 1, 2].forEach((k) => (color[`sh${k}`]!.value = sh[k] ?? place));
-    const fragment = colorFragment(this.shPlanes);
-    if (this.colorMesh.material.fragmentShader !== fragment) {
-      this.colorMesh.material.fragmentShader = fragment;
-      this.colorMesh.material.needsUpdate = true;
-    }
+    const { base, heads, more, embed } = this.planes;
+    for (const texture of [base, heads, more, ...embed]) this.renderer.initTexture(texture);
+    const color = this.colorUniforms;
+    [color["base"]!.value, color["heads"]!.value, color["more"]!.value] = [base, heads, more];
     color["rowCount"]!.value = rows;
     for (const block of this.blocks) this.upload(block);
   }
@@ -344,8 +333,8 @@ export class Gaussians {
   }
 
   private dropPlanes() {
-    const { place, shape, sh = [], embed = [], sides = [] } = this.planes ?? {};
-    for (const one of [place, shape, ...sh, ...embed]) one?.dispose();
+    const { base, heads, more, embed = [], sides = [] } = this.planes ?? {};
+    for (const one of [base, heads, more, ...embed]) one?.dispose();
     for (const side of sides) this.dropSide(side);
     this.planes = null;
   }
@@ -353,19 +342,24 @@ export class Gaussians {
   private upload(block: Block) {
     const planes = this.planes;
     if (!planes || block.row < 0) return;
-    const put = (target: DataTexture, data: Uint32Array<ArrayBuffer>) => {
-      const from = new DataTexture(data, ROW, block.rows, target.format as PixelFormat, target.type);
+    const put = (target: DataTexture, data: Uint32Array<ArrayBuffer>, height: number, at: number) => {
+      const width = target.image.width;
+      const from = new DataTexture(data, width, height, target.format as PixelFormat, target.type);
       from.internalFormat = target.internalFormat;
       from.needsUpdate = true;
-      this.renderer.copyTextureToTexture(from, target, null, new Vector2(0, block.row));
+      this.renderer.copyTextureToTexture(from, target, null, new Vector2(0, at));
       from.dispose();
     };
-    put(planes.place, block.splats.place);
-    put(planes.shape, block.splats.shape);
-    // A draft has no harmonics, and the shader reads as many as the best tile has.
-    const none = () => new Uint32Array(4 * ROW * block.rows).fill(SH_NONE);
-    planes.sh.forEach((plane, k) => put(plane, block.splats.sh[k] ?? none()));
-    if (block.tint) block.splats.embedding?.planes.forEach((data, k) => put(planes.embed[k]!, data));
+    const { splats, row, rows, line, lines } = block;
+    put(planes.base, splats.base, rows, row);
+    const heads = splats.heads.slice();
+    for (let i = 4; i < heads.length; i += HEAD_WORDS) {
+      heads[i]! += LANES * line;
+      heads[i + 1]! += LANES * line;
+    }
+    put(planes.heads, heads, rows, row);
+    if (lines) put(planes.more, splats.more, lines, line);
+    if (block.tint) splats.embedding?.planes.forEach((data, k) => put(planes.embed[k]!, data, rows, row));
     block.tinted = [-1, -1];
     this.contentVersion++;
   }
@@ -374,19 +368,6 @@ export class Gaussians {
 
   private post(message: SortMessage, transfer: Transferable[] = []) {
     this.sorter.postMessage(message, transfer);
-  }
-
-  private tellSorter(block: Block) {
-    const { count, place } = block.splats;
-    const from = new Float32Array(place.buffer);
-    const centres = new Float32Array(3 * count);
-    for (let i = 0; i < count; i++) {
-      centres[3 * i] = from[4 * i]!;
-      centres[3 * i + 1] = from[4 * i + 1]!;
-      centres[3 * i + 2] = from[4 * i + 2]!;
-    }
-    const first = block.row * ROW;
-    this.post({ kind: "add", block: block.id, first, centres }, [centres.buffer]);
   }
 
   // Before every frame: asks for an order where the last one is not of this camera and these blocks.
@@ -473,11 +454,11 @@ export class Gaussians {
     const target = renderer.getRenderTarget();
     const clear = renderer.autoClear;
     renderer.autoClear = false;
-    const { place, shape } = planes;
+    const { base, heads, more } = planes;
     const viewport = uniforms["viewport"]!.value as Vector2;
     planes.sides.forEach((side, k) => {
       this.evaluate(planes, side, k as 0 | 1, camera.position);
-      const all = { order, count: this.drawn, place, shape, colors: side.colors.texture, shares };
+      const all = { order, count: this.drawn, base, heads, more, colors: side.colors.texture, shares };
       this.projector.run(side.projection, all, camera, viewport);
     });
     renderer.setRenderTarget(target);
@@ -506,15 +487,25 @@ export class Gaussians {
   }
 
   private evaluateBlocks(side: Side, blocks: readonly Block[], eye: Vector3) {
-    const { uniforms } = this.colorMesh.material;
+    const uniforms = this.colorUniforms;
     (uniforms["eye"]!.value as Vector3).copy(eye);
     uniforms["tints"]!.value = side.tints?.texture ?? this.noTints;
     uniforms["tinted"]!.value = side.tints !== null;
-    this.colorMesh.material.uniformsNeedUpdate = true;
-    this.colorMesh.geometry.dispose();
-    this.colorMesh.geometry = makeStripes(blocks);
+    const stripes = new Map<number, { row: number; rows: number }[]>();
+    for (const block of blocks)
+      for (const { kind, row, rows } of block.stripes) {
+        if (!stripes.has(kind)) stripes.set(kind, []);
+        stripes.get(kind)!.push({ row: block.row + row, rows });
+      }
     this.renderer.setRenderTarget(side.colors);
-    this.renderer.render(this.colorScene, this.flat);
+    for (const [kind, rows] of stripes) {
+      if (!this.colorMaterials.has(kind)) this.colorMaterials.set(kind, this.rowMaterial(colorFragment(kind)));
+      this.colorMesh.material = this.colorMaterials.get(kind)!;
+      this.colorMesh.material.uniformsNeedUpdate = true;
+      this.colorMesh.geometry.dispose();
+      this.colorMesh.geometry = makeStripes(rows);
+      this.renderer.render(this.colorScene, this.flat);
+    }
   }
 
   // What the appearance adds to the tiles on the screen, where that is not there yet.
@@ -564,8 +555,8 @@ export class Gaussians {
     const count = blocks.reduce((sum, block) => sum + block.splats.count, 0);
     const viewport = new Vector2(target.width, target.height);
     const order = this.orderSome(blocks, camera);
-    const { place, shape } = planes;
-    const all = { order, count, place, shape, colors: side.colors.texture, shares: new Vector3(1, 1, 1) };
+    const { base, heads, more } = planes;
+    const all = { order, count, base, heads, more, colors: side.colors.texture, shares: new Vector3(1, 1, 1) };
     this.projector.run(this.someProjection, all, camera, viewport);
     const now = [count, viewport, ...this.someProjection.textures];
     names.forEach((name, i) => (uniforms[name]!.value = now[i]));
@@ -647,17 +638,24 @@ export class Gaussians {
     this.noTints.dispose();
     this.someProjection.dispose();
     this.projector.dispose();
-    for (const mesh of [this.colorMesh, this.plainMesh]) {
-      mesh.geometry.dispose();
-      mesh.material.dispose();
-    }
+    for (const mesh of [this.colorMesh, this.plainMesh]) mesh.geometry.dispose();
+    for (const material of [...this.colorMaterials.values(), this.plainMesh.material]) material.dispose();
   }
 }
 
-function areaOf({ place, count }: DecodedSplats): Rectangle {
-  const centres = new Float32Array(place.buffer);
+// Where a length fits between spans [from, length].
+function firstFit(spans: [number, number][], length: number): number {
+  let at = 0;
+  for (const [from, size] of spans.sort((a, b) => a[0] - b[0])) {
+    if (from - at >= length) break;
+    at = Math.max(at, from + size);
+  }
+  return at;
+}
+
+function areaOf(centres: Float32Array): Rectangle {
   let [left, right, far, near] = [Infinity, -Infinity, Infinity, -Infinity];
-  for (let i = 0; i < 4 * count; i += 4) {
+  for (let i = 0; i < centres.length; i += 3) {
     left = Math.min(left, centres[i]!);
     right = Math.max(right, centres[i]!);
     far = Math.min(far, centres[i + 2]!);
@@ -675,11 +673,11 @@ function sortNow(blocks: readonly Block[], camera: PerspectiveCamera): Uint32Arr
   const ahead = new Vector3(0, 0, -1).applyQuaternion(camera.quaternion);
   let n = 0;
   for (const { splats, row } of blocks) {
-    const centres = new Float32Array(splats.place.buffer);
+    const centres = centresOf(splats);
     for (let i = 0; i < splats.count; i++, n++) {
       at[n] = row * ROW + i;
       far[n] =
-        (centres[4 * i]! - x) * ahead.x + (centres[4 * i + 1]! - y) * ahead.y + (centres[4 * i + 2]! - z) * ahead.z;
+        (centres[3 * i]! - x) * ahead.x + (centres[3 * i + 1]! - y) * ahead.y + (centres[3 * i + 2]! - z) * ahead.z;
     }
   }
   const order = new Uint32Array(Math.ceil(count / ORDER_ROW) * ORDER_ROW);

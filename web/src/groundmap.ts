@@ -3,6 +3,7 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import type { Block } from "./block";
+import { centresOf } from "./pack";
 
 export const MAP_PX = 128; // a side of the picture from above
 export const HEIGHT_CELLS = 64; // a side of the terrain
@@ -179,12 +180,12 @@ export function findHeights(blocks: readonly Block[], square: Square, map: Groun
   const cells: number[][] = Array.from({ length: size * size }, () => []);
   const scale = size / (2 * square.half);
   for (const { splats } of blocks) {
-    const centres = new Float32Array(splats.place.buffer);
+    const centres = centresOf(splats);
     for (let i = 0; i < splats.count; i++) {
-      const x = Math.floor((centres[4 * i]! - square.x + square.half) * scale);
-      const y = Math.floor((square.z - centres[4 * i + 2]! + square.half) * scale);
-      const solid = splats.place[4 * i + 3]! >>> 24 >= SOLID;
-      if (solid && x >= 0 && y >= 0 && x < size && y < size) cells[y * size + x]!.push(centres[4 * i + 1]!);
+      const x = Math.floor((centres[3 * i]! - square.x + square.half) * scale);
+      const y = Math.floor((square.z - centres[3 * i + 2]! + square.half) * scale);
+      const solid = splats.base[4 * i + 3]! >>> 24 >= SOLID;
+      if (solid && x >= 0 && y >= 0 && x < size && y < size) cells[y * size + x]!.push(centres[3 * i + 1]!);
     }
   }
   const lows = cells.map((heights, cell) => {

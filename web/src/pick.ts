@@ -5,6 +5,7 @@
 import { Ray, Vector3 } from "three";
 
 import type { Block } from "./block";
+import { centresOf } from "./pack";
 
 const ALPHA_LEAST = 1 / 255;
 const REACH_SIGMA = 3.33; // where an opaque Gaussian falls below 1/255
@@ -44,30 +45,30 @@ function rotation(packed: number, out: Float64Array) {
 // All Gaussians of a block that the ray meets. A pixel's footprint widens the thin ones, as the
 // low-pass of the picture does.
 function meet(block: Block, ray: Ray, perMetre: number, hits: Hit[]) {
-  const { place, shape, count } = block.splats;
-  const centres = new Float32Array(place.buffer);
+  const { base, count } = block.splats;
+  const centres = centresOf(block.splats);
   const { origin, direction } = ray;
   const [ox, oy, oz] = [origin.x, origin.y, origin.z];
   const [dx, dy, dz] = [direction.x, direction.y, direction.z];
   const r = new Float64Array(9);
   for (let i = 0; i < count; i++) {
-    const px = centres[4 * i]! - ox;
-    const py = centres[4 * i + 1]! - oy;
-    const pz = centres[4 * i + 2]! - oz;
+    const px = centres[3 * i]! - ox;
+    const py = centres[3 * i + 1]! - oy;
+    const pz = centres[3 * i + 2]! - oz;
     const along = px * dx + py * dy + pz * dz;
     if (along <= 0) continue;
     const apart2 = px * px + py * py + pz * pz - along * along;
-    const sizes = shape[2 * i]!;
+    const sizes = base[4 * i + 1]!;
     const pixel = perMetre * along;
-    let a = SIGMA[sizes & 255]!;
-    let b = SIGMA[(sizes >>> 8) & 255]!;
-    let c = SIGMA[(sizes >>> 16) & 255]!;
+    let a = SIGMA[(sizes >>> 8) & 255]!;
+    let b = SIGMA[(sizes >>> 16) & 255]!;
+    let c = SIGMA[sizes >>> 24]!;
     const reach = REACH_SIGMA * (Math.max(a, b, c) + pixel);
     if (apart2 > reach * reach) continue;
     a = Math.hypot(a, 0.55 * pixel);
     b = Math.hypot(b, 0.55 * pixel);
     c = Math.hypot(c, 0.55 * pixel);
-    rotation(shape[2 * i + 1]!, r);
+    rotation(base[4 * i + 2]!, r);
     // In the Gaussian's own axes, in sigmas: the nearest point of the ray and its distance.
     const ux = (r[0]! * px + r[3]! * py + r[6]! * pz) / a;
     const uy = (r[1]! * px + r[4]! * py + r[7]! * pz) / b;
@@ -78,7 +79,7 @@ function meet(block: Block, ray: Ray, perMetre: number, hits: Hit[]) {
     const vv = vx * vx + vy * vy + vz * vz;
     const depth = (ux * vx + uy * vy + uz * vz) / vv;
     const d2 = ux * ux + uy * uy + uz * uz - depth * depth * vv;
-    const alpha = ((place[4 * i + 3]! >>> 24) / 255) * Math.exp(-0.5 * Math.max(0, d2));
+    const alpha = ((base[4 * i + 3]! >>> 24) / 255) * Math.exp(-0.5 * Math.max(0, d2));
     if (alpha >= ALPHA_LEAST && depth > 0) hits.push({ depth, alpha });
   }
 }

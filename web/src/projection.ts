@@ -32,8 +32,9 @@ export const ORDER_ROW = 1024; // Gaussians in a row of an order's texture
 export interface Order {
   order: DataTexture;
   count: number;
-  place: Texture;
-  shape: Texture;
+  base: Texture; // these three as pack.ts says
+  heads: Texture;
+  more: Texture;
   colors: Texture;
   shares: Vector3; // of their opacity: of Gaussians that stay, come and go
 }
@@ -87,8 +88,9 @@ export class Projector {
       uniforms: {
         view: { value: new Matrix4() },
         projection: { value: new Matrix4() },
-        place: { value: null },
-        shape: { value: null },
+        base: { value: null },
+        heads: { value: null },
+        more: { value: null },
         colors: { value: null },
         order: { value: null },
         shares: { value: null },

@@ -4,6 +4,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 import type { Weights } from "./network";
+import { harmonicsOf } from "./pack";
 
 const COMMON = `
 precision highp float;
@@ -11,6 +12,23 @@ precision highp int;
 precision highp usampler2D;
 precision highp isampler2D;
 uvec4 byte4(uint w) { return (uvec4(w) >> uvec4(0u, 8u, 16u, 24u)) & 255u; }
+`;
+
+// Reads what pack.ts writes.
+const PACKED = `
+uniform usampler2D base, heads, more;
+
+uint wordOf(uint row, int x) {
+  return texelFetch(more, ivec2(int(row & 3u) * 1024 + x, int(row >> 2)), 0).x;
+}
+vec3 centreOf(uvec4 own, uvec4 head, ivec2 at) {
+  uvec3 steps = uvec3(own.x & 0x3fffu, (own.x >> 28) | ((own.y & 255u) << 4), (own.x >> 14) & 0x3fffu);
+  if ((head.w & 2u) != 0u) {
+    uint upper = wordOf(texelFetch(heads, ivec2(1, at.y), 0).x, at.x);
+    steps |= uvec3((upper & 1023u) << 14, (upper >> 20) << 12, ((upper >> 10) & 1023u) << 14);
+  }
+  return uintBitsToFloat(head.xyz) + uintBitsToFloat(head.w & 0xff800000u) * vec3(steps);
+}
 `;
 
 export const COLOR_VERTEX = `${COMMON}
@@ -42,41 +60,54 @@ const BASIS = [
 ];
 
 // Colour of a Gaussian seen from the eye, 1/8192 a step, and its opacity, 1/65535 a step. Written out for
-// a degree of harmonics: to find a byte by its number takes longer than to use it.
-export function colorFragment(degree: number): string {
-  const planes = Array.from({ length: degree }, (_, k) => k);
-  const terms = BASIS.slice(0, degree).flat();
-  const words = Math.ceil((3 * terms.length) / 4);
-  const byte = (i: number) => `b${i >> 2}[${i & 3}]`;
-  return `${COMMON}
-uniform usampler2D place${planes.map((k) => `, sh${k}`).join("")};
+// a kind of harmonics: to find one by its number takes longer than to use it.
+export function colorFragment(kind: number): string {
+  const { degree, places } = harmonicsOf(kind);
+  const bands = BASIS.slice(0, degree);
+  const words = Math.ceil((places.at(-1)?.reduce((sum, n) => sum + n) ?? 0) / 32);
+  const code = (i: number) => {
+    const [bit, width] = places[i]!;
+    const [word, by] = [bit >> 5, bit & 31];
+    const high = by + width > 32 ? ` | (w${word + 1} << ${32 - by}u)` : "";
+    return `float(((w${word} >> ${by}u)${high}) & ${2 ** width - 1}u)`;
+  };
+  let next = 0;
+  return `${COMMON}${PACKED}
 uniform isampler2D tints;
 uniform bool tinted;
 uniform vec3 eye;
 out uvec4 result;
 void main() {
   ivec2 at = ivec2(gl_FragCoord.xy);
-  uvec4 p = texelFetch(place, at, 0);
+  uvec4 p = texelFetch(base, at, 0);
+  uvec4 head = texelFetch(heads, ivec2(0, at.y), 0);
   vec3 rgb = 0.5 + 0.28209479177387814 / 0.15 * (vec3(byte4(p.w).xyz) / 255.0 - 0.5);
-  ${planes.map((k) => `uvec4 s${k} = texelFetch(sh${k}, at, 0);`).join("\n  ")}
-  ${Array.from({ length: words }, (_, w) => `vec4 b${w} = vec4(byte4(s${w >> 2}[${w & 3}]));`).join("\n  ")}
-  vec3 d = normalize(uintBitsToFloat(p.xyz) - eye);
+  uvec4 harmonics = texelFetch(heads, ivec2(1, at.y), 0); // of the row
+  ${Array.from({ length: words }, (_, w) => `uint w${w} = wordOf(harmonics.y + ${w}u, at.x);`).join("\n  ")}
+  vec3 d = normalize(centreOf(p, head, at) - eye);
   float x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
-  vec3 more = vec3(0.0);
-  float basis, sum = 0.0;
-  ${terms
-    .map((term, k) => {
-      const v = [0, 1, 2].map((c) => byte(3 * k + c)).join(", ");
-      return `basis = ${term}; sum += basis; more += basis * vec3(${v});`;
+  vec3 codes;
+  float basis, sum, least, size;
+  ${bands
+    .map((terms, band) => {
+      const each = terms.map((term) => {
+        const v = [0, 1, 2].map(() => code(next++)).join(", ");
+        return `basis = ${term}; sum += basis; codes += basis * vec3(${v});`;
+      });
+      return `codes = vec3(0.0);
+  sum = 0.0;
+  ${each.join("\n  ")}
+  least = float((harmonics.z >> ${8 * band}u) & 255u) - 128.0;
+  size = float(1u << ((harmonics.w >> ${4 * band}u) & 15u));
+  rgb += (least * sum + size * codes) / 128.0;`;
     })
     .join("\n  ")}
-  rgb += more / 128.0 - sum;
   float opacity = float(byte4(p.w).w) / 255.0;
   ivec4 tint = tinted ? texelFetch(tints, at, 0) : ivec4(-1);
   if (tint.w >= 0) { // cut once, as in render/project.cl; below 0 when it is stored
-    vec4 more = vec4(tint) / 32767.0;
-    rgb = min(rgb + more.xyz, 1.0);
-    opacity = min(opacity + more.w, 1.0);
+    vec4 added = vec4(tint) / 32767.0;
+    rgb = min(rgb + added.xyz, 1.0);
+    opacity = min(opacity + added.w, 1.0);
   }
   result = uvec4(clamp(vec4(rgb * 8192.0, opacity * 65535.0) + 0.5, 0.0, 65535.0));
 }`;
@@ -134,9 +165,9 @@ void main() { gl_Position = vec4(position, 1.0); }`;
 // out anew. Opacity 0: it is not drawn.
 //   first   centre x, y (of the screen, -1..1), depth along the view (m), larger axis (px, two halves)
 //   second  slope of the depth (m a px, two halves), smaller axis (a half) and opacity, red and green, blue
-export const PROJECT_FRAGMENT = `${COMMON}
+export const PROJECT_FRAGMENT = `${COMMON}${PACKED}
 uniform mat4 view, projection;
-uniform usampler2D place, shape, colors, order;
+uniform usampler2D colors, order;
 uniform int count;
 uniform vec2 viewport;
 uniform float near;
@@ -176,23 +207,22 @@ void main() {
   if (rank.y * 1024 + rank.x >= count) return;
   uint index = texelFetch(order, rank, 0).x;
   ivec2 at = ivec2(int(index & 1023u), int((index >> 10) & 0xfffffu));
-  uvec4 p = texelFetch(place, at, 0);
-  vec3 world = uintBitsToFloat(p.xyz);
+  uvec4 p = texelFetch(base, at, 0);
+  uvec4 head = texelFetch(heads, ivec2(0, at.y), 0);
+  vec3 world = centreOf(p, head, at);
   vec3 t = (view * vec4(world, 1.0)).xyz;
   float depth = -t.z;
   if (depth < near) return;
   uvec4 own = texelFetch(colors, at, 0);
   float opacity = float(own.w) / 65535.0 * shares[index >> 30];
   if (fades) opacity *= texture(map, vec2(world.x - square.x, square.y - world.z) * square.z + 0.5).a;
-  uvec2 s = texelFetch(shape, at, 0).xy;
-  uvec4 bytes = byte4(s.x);
-  vec3 sigma = exp(vec3(bytes.xyz) / 16.0 - 10.0);
+  vec3 sigma = exp(vec3(byte4(p.y).yzw) / 16.0 - 10.0);
   vec2 focal = vec2(projection[0][0], projection[1][1]) * viewport * 0.5;
 
   // The Jacobian of the projection at the centre, which is held near the frustum.
   vec2 limit = 1.3 / vec2(projection[0][0], projection[1][1]);
   vec2 ray = clamp(t.xy / depth, -limit, limit);
-  mat3 turn = mat3(view) * rotation(s.y);
+  mat3 turn = mat3(view) * rotation(p.z);
   vec3 u = focal.x / depth * (vec3(turn[0].x, turn[1].x, turn[2].x) +
                               ray.x * vec3(turn[0].z, turn[1].z, turn[2].z)) * sigma;
   vec3 v = focal.y / depth * (vec3(turn[0].y, turn[1].y, turn[2].y) +
@@ -203,7 +233,7 @@ void main() {
   float det = det0 + 0.3 * (a + c + 0.3);
   a += 0.3;
   c += 0.3;
-  if ((bytes.w & 1u) != 0u) opacity *= sqrt(max(det0 / det, 2.5e-5));
+  if ((head.w & 1u) != 0u) opacity *= sqrt(max(det0 / det, 2.5e-5));
   if (opacity < 1.0 / 255.0) return;
   float reach = sqrt(2.0 * log(255.0 * opacity));
 

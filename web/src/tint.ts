@@ -17,7 +17,7 @@ import {
 
 import { quadsOf, type Network } from "./network";
 import { TINT_VERTEX, tintFragment } from "./shaders";
-import type { Embedding } from "./spz";
+import type { Embedding } from "./pack";
 
 const OTHER_UNIFORMS = 4; // of the fragment shader, beside the network
 
