@@ -16,14 +16,15 @@ import { GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
 
 const FADE = new URL("../../web/src/fade.ts", import.meta.url);
 const { code } = createRequire(FADE)("esbuild").transformSync(readFileSync(FADE, "utf8"), { loader: "ts" });
-const { Fade, fadeShare } = await import(`data:text/javascript,${encodeURIComponent(code)}`);
+const { Fade, FADE_STEP_MOST, FadeClock, fadeShare } = await import(`data:text/javascript,${encodeURIComponent(code)}`);
 const VECTORS = JSON.parse(readFileSync(new URL("../vectors/fade.json", import.meta.url), "utf8"));
 
 const FAR = { ...placeOfEnu(ORIGIN, [0, -1100, 820]), heading: 0, pitch: -36, fov: 45 };
 const SIZE = { width: 480, height: 320 };
 const EDGE_M = 24; // of tiles: several levels between both views
 const FADE_MS = 600_000; // longer than any test: the test moves the clock of fades, by a step each frame
-const STEPS = 16; // as of 280 ms at 60 frames a second
+const STEPS = Math.round(1 / FADE_STEP_MOST); // of slow frames; of 280 ms at 60 frames a second one less
+const POP_MOST = 16; // of 255, in any pixel from frame to frame
 const SAME = 2; // of 255: Gaussians at one depth are drawn in the order in which their tiles came
 const skip = { skip: MOCK || GIVEN_TILES ? "needs the test city" : false };
 
@@ -33,6 +34,22 @@ test("the curve is that of lod/fade.c", () => {
 
 const areaOf = ([z, x, y]) => [x / 2 ** z, (x + 1) / 2 ** z, y / 2 ** z, (y + 1) / 2 ** z];
 const shareIn = (pieces, block) => (pieces.some((piece) => piece.block === block) ? 1 : 0);
+
+test("a slow frame takes a fade no further than a step, and a quick one by its time", () => {
+    const framesOf = (frameMs, fadeMs) => {
+        const clock = new FadeClock();
+        let frames = 0;
+        for (let now = 1000; clock.spent < 1; now += frameMs, frames++) {
+            const before = clock.spent;
+            clock.tick(now, fadeMs);
+            assert.ok(clock.spent - before < FADE_STEP_MOST + 1e-9);
+        }
+            return frames - 1; // the first begins it
+    };
+    assert.equal(framesOf(70, 280), STEPS);
+    assert.ok(Math.abs(framesOf(10, 280) - 28) <= 1);
+    assert.equal(framesOf(5000, 280), STEPS);
+});
 
 for (const { what, tiles, frames, steps } of VECTORS.cases)
     test(`the rule: ${what}`, () => {
@@ -84,7 +101,7 @@ async function jump(more, context = {}) {
     const { page, log, close } = await openPage(`${source.url}/?backdrop=off&ui=off${more}`, { ...SIZE, ...context });
     try {
         await page.waitForFunction(() => window.citysplat?.viewer.city);
-        await page.evaluate(([fadeMs, steps]) => {
+        await page.evaluate((steps) => {
             const { viewer } = window.citysplat;
             const { canvas } = viewer;
             const { clientWidth: width, clientHeight: height } = canvas;
@@ -108,10 +125,9 @@ async function jump(more, context = {}) {
                 window.pose = pose;
                 const { engine } = viewer.city;
                 window.frames.push({ data, fading: engine.fading });
-                if (engine.shownClock)
-                    engine.shownClock.began = performance.now() - (++window.step / steps) * fadeMs;
+                if (engine.shownClock) engine.shownClock.spent = Math.min(1, ++window.step / steps);
             });
-        }, [FADE_MS, STEPS]);
+        }, STEPS);
         await waitForViewer(page);
         await lookViewer(page, SOUTH);
         await lookViewer(page, FAR); // all tiles of both are there now
@@ -138,6 +154,7 @@ async function jump(more, context = {}) {
                         all: differ(a, b),
                         mean: Math.max(...steps.map(({ mean }) => mean)),
                         q99: Math.max(...steps.map(({ q99 }) => q99)),
+                        most: Math.max(...steps.map(({ most }) => most)),
                         stray: Math.max(0, ...strays),
                         last: b,
                     };
@@ -165,8 +182,8 @@ async function jump(more, context = {}) {
     }
 }
 
-const numbers = ({ frames, faded, all, mean, q99, stray }) =>
-    JSON.stringify({ frames, faded, all, mean, q99, stray });
+const numbers = ({ frames, faded, all, mean, q99, most, stray }) =>
+    JSON.stringify({ frames, faded, all, mean, q99, most, stray });
 const differs = (a, b) => Object.keys(a).filter((i) => Math.abs(a[i] - b[i]) > SAME).length;
 
 test("levels fade into each other, and the viewer comes to rest with the same picture", skip, async (t) => {
@@ -180,6 +197,7 @@ test("levels fade into each other, and the viewer comes to rest with the same pi
         assert.ok(other.mean < 0.6 * one.mean, `a frame changes by ${other.mean}, at once ${one.mean}`);
         assert.ok(other.q99 <= 0.6 * one.q99, `a frame changes by ${other.q99}, at once ${one.q99}`);
         assert.ok(other.stray <= 0.6 * one.q99, `a picture on the way is ${other.stray} beyond both`);
+        assert.ok(other.most <= POP_MOST, `a pixel of a frame changes by ${other.most}`);
         assert.equal(differs(one.last, other.last), 0);
         assert.deepEqual([one.tiles, one.gaussians], [other.tiles, other.gaussians]);
     }

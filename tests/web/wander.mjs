@@ -3,7 +3,7 @@
 //   CITYSPLAT_BIN=build/release/citysplat node tests/web/wander.mjs [--seconds 1200] [--every 20] [--memory MB] [--seed N]
 //
 // Serves a small city under changing light, the test city, and 16 copies of it with more Gaussians than the limit of
-// memory (8 MB) holds. A line a sample: MB of tiles as the viewer counts them, of the card's textures, of the page's
+// memory (4 MB) holds. A line a sample: MB of tiles as the viewer counts them, of the card's textures, of the page's
 // heap after a collection, of the processes that hold page and card. Exit 0: within bounds; 1: not.
 //
 // SPDX-License-Identifier: Apache-2.0
@@ -20,7 +20,7 @@ const { values } = parseArgs({
     options: {
         seconds: { type: "string", default: "1200" },
         every: { type: "string", default: "20" },
-        memory: { type: "string", default: "8" },
+        memory: { type: "string", default: "4" },
         seed: { type: "string", default: "1" },
     },
 });

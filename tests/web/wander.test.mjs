@@ -10,7 +10,7 @@ import { makeCity, manyCities } from "./lib/city.mjs";
 import { GIVEN_TILES, MOCK, openScenes } from "./lib/source.mjs";
 import { beyond, growthOf, wander } from "./lib/wander.mjs";
 
-const MEMORY_MB = 8; // less than half of what nine cities take
+const MEMORY_MB = 4; // less than half of what nine cities take
 const SECONDS = 16;
 
 test("memory stays below its limit while somebody wanders", { skip: MOCK || GIVEN_TILES ? "needs test cities" : false }, async (t) => {

@@ -247,7 +247,8 @@ export class City {
     const { camera, engine } = this;
     camera.updateMatrixWorld();
     const calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
-    engine.fadeMs = FADE_FRAMES_LEAST * this.frameMs <= this.fadeMs && !calm ? this.fadeMs : 0;
+    const least = engine.fading ? FADE_FRAMES_LEAST / 2 : FADE_FRAMES_LEAST; // frames of a fade draw both levels
+    engine.fadeMs = least * this.frameMs <= this.fadeMs && !calm ? this.fadeMs : 0;
     for (const tiles of [this.active, this.next]) {
       if (!tiles) continue;
       tiles.setResolutionFromRenderer(camera as Camera, this.renderer);

@@ -7,7 +7,21 @@
 import type { Block, Piece } from "./block";
 
 export const FADE_MS = 280;
-export const FADE_FRAMES_LEAST = 4; // a fade of fewer frames is jerks, and costs more than it shows
+export const FADE_STEP_MOST = 1 / 18; // of a frame: no pixel changes by more than 16 of 255
+export const FADE_FRAMES_LEAST = 4; // in its time; where frames take longer there is none: it would take seconds
+
+// The time of a fade: it stands while no frame is drawn, and a slow frame takes it no further than a step.
+export class FadeClock {
+  spent = 0; // of the fade, from 0 to 1
+  private at = 0; // of the last frame
+
+  // A frame is drawn now.
+  tick(now: number, fadeMs: number) {
+    const step = this.at ? (now - this.at) / Math.max(1, fadeMs) : 0;
+    this.spent = Math.min(1, this.spent + Math.min(step, FADE_STEP_MOST));
+    this.at = now;
+  }
+}
 
 // The share of its opacity that what comes has after the part t of a fade; what goes has the rest.
 export function fadeShare(t: number): number {

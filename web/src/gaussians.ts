@@ -36,7 +36,7 @@ import {
 } from "three";
 
 import type { Block, Piece } from "./block";
-import { Fade, fadeShare } from "./fade";
+import { Fade, FadeClock, fadeShare } from "./fade";
 import { centresOf, HEAD_WORDS, LANES, ROW, stripesOf, type DecodedSplats } from "./pack";
 import { ORDER_ROW, Projection, Projector, type Edge } from "./projection";
 import { makeQuads, makeStripes, QUADS } from "./quads";
@@ -99,8 +99,8 @@ export class Gaussians {
   fadeMs = 0; // that tiles take to fade into others; 0: they change at once
   private wanted: readonly Piece[] = [];
   private readonly fade = new Fade();
-  private clock = { began: 0 }; // of the last fade: performance.now() of its first frame
-  private shownClock: { began: number } | null = null; // of the fade that the order on the screen is of
+  private clock = new FadeClock(); // of the last fade
+  private shownClock: FadeClock | null = null; // of the fade that the order on the screen is of
   private shown: Block[] = []; // those of the order on the screen
   private planes: Planes | null = null;
   private rows = 0;
@@ -111,7 +111,7 @@ export class Gaussians {
   private spare: Uint32Array<ArrayBuffer> | null = null;
   onFailure: (error: Error) => void = () => {}; // nothing new can be drawn any more
   private readonly sorter = startWorker("sort");
-  private sorting: { ticket: number; blocks: Block[]; key: string; clock: { began: number } | null } | null = null;
+  private sorting: { ticket: number; blocks: Block[]; key: string; clock: FadeClock | null } | null = null;
   private ticket = 0;
   private nextId = 0;
   private some: { key: string; texture: DataTexture } | null = null; // the order of drawSome
@@ -230,13 +230,12 @@ export class Gaussians {
   // Ends a fade whose time is over, and begins one where others are wanted than are drawn.
   private step() {
     const { fade, clock } = this;
-    const spent = clock.began && performance.now() - clock.began;
-    const over = fade.from && spent >= this.fadeMs;
+    const over = fade.from && (clock.spent >= 1 || !this.fadeMs);
     if (over) fade.from = null;
     const before = fade.from;
     const changed = fade.want(this.wanted, this.fadeMs > 0);
     if (over || changed) this.version++;
-    if (fade.from && !before) this.clock = { began: 0 };
+    if (fade.from && !before) this.clock = new FadeClock();
   }
 
   // Levels are fading into each other.
@@ -438,9 +437,9 @@ export class Gaussians {
   // the mesh needs; the caller renders the scene, of a divided picture each side after useSide().
   prepare(camera: PerspectiveCamera, divided = false) {
     const { planes, order, shownClock } = this;
-    if (shownClock) shownClock.began ||= performance.now();
+    shownClock?.tick(performance.now(), this.fadeMs);
     if (!planes || !order || !this.mesh.visible) return;
-    const share = shownClock && fadeShare((performance.now() - shownClock.began) / Math.max(1, this.fadeMs));
+    const share = shownClock && fadeShare(shownClock.spent);
     const shares = new Vector3(1, share ?? 1, 1 - (share ?? 1));
     const uniforms = this.mesh.material.uniforms;
     this.renderer.getDrawingBufferSize(uniforms["viewport"]!.value as Vector2);
