@@ -154,8 +154,9 @@ export class CityTiles extends BaseTiles {
     const there = first.internal.loadingState === LOADED || this.broken.has(first);
     if (!there) return true;
     // Of a tile that is wanted for its neighbours' sake, beside the picture, no finer one will come.
+    // A child that the library has not walked to has no traversal yet.
     const finer = tile.children.some(
-      ({ traversal }) => traversal.used && traversal.lastFrameVisited === this.frameCount,
+      ({ traversal }) => traversal?.used && traversal.lastFrameVisited === this.frameCount,
     );
     return finer && tile.traversal.error > this.errorTarget && (!this.halves(tile) || this.comesSoon());
   }
@@ -338,7 +339,7 @@ export class CityTiles extends BaseTiles {
     const finer: Block[] = [];
     if (traversal.error > this.errorTarget)
       for (const child of tile.children) {
-        const { used, lastFrameVisited } = child.traversal;
+        const { used, lastFrameVisited } = child.traversal ?? {};
         if (used && lastFrameVisited === this.frameCount) finer.push(...this.cover(child, news, out));
       }
     const may = news || traversal.visible || (block && this.before.has(block));
