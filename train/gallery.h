@@ -69,8 +69,8 @@ enum err_code gallery_filter(const struct gallery *g, const struct stage *at, st
 double gallery_footprint_m(const struct gallery *g, const struct site *site,
                            const struct schedule *s);
 /* The longest sigma in metres of Gaussians that density control clones; longer ones are split. It
- * is cfg->split_px pixels of the level's photographs on the ground. Where the ground is not known or
- * split_px is 0, it is cfg->percent_dense of the camera extent (3DGS). */
+ * is cfg->split_px pixels of the level's photographs on the ground. Where the ground is not known
+ * or split_px is 0, it is cfg->percent_dense of the camera extent (3DGS). */
 double gallery_split_above(const struct gallery *g, const struct site *site,
                            const struct schedule *s);
 /* The length in metres that no Gaussian should exceed over supported ground. It is cfg->size_limit
