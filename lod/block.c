@@ -23,20 +23,16 @@ static uint8_t block_octave(const float *scale_log)
     return (uint8_t)fmin(fmax(at, 0.0), BLOCK_BINS - 1);
 }
 
-enum err_code block_sort(struct gauss *g, struct err *e)
+enum err_code block_order(const struct gauss *g, uint32_t *order, struct err *e)
 {
-    size_t begin[BLOCK_BINS + 1] = {0}, below = 0, first = 0;
-    struct gauss sorted = {0};
+    size_t begin[BLOCK_BINS + 1] = {0}, count[BLOCK_BINS] = {0}, below = 0, first = 0;
+    for (size_t i = 0; i < g->n; i++)
+        order[i] = (uint32_t)i;
     if (g->n <= BLOCK_ROWS)
         return ERR_OK;
-    uint32_t *order = mem_array(g->n, sizeof *order);
-    uint8_t *octave = mem_array(g->n, sizeof *octave);
-    enum err_code rc = order && octave
-                           ? ERR_OK
-                           : err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", g->n);
-    if (rc)
-        goto out;
-    size_t count[BLOCK_BINS] = {0};
+    uint8_t *octave = mem_uninit(g->n, sizeof *octave);
+    if (!octave)
+        return err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", g->n);
     for (size_t i = 0; i < g->n; i++)
         count[octave[i] = block_octave(g->scale_log + 3 * i)]++;
     /* Up to the median all are one: their boxes are as large as the distances between them. */
@@ -51,22 +47,8 @@ enum err_code block_sort(struct gauss *g, struct err *e)
         begin[k + 1] += begin[k];
     for (size_t i = 0; i < g->n; i++)
         order[begin[octave[i]]++] = (uint32_t)i;
-    rc = gauss_alloc(&sorted, g->n, g->sh_degree, g->embed_len, e);
-    if (rc)
-        goto out;
-    memcpy(sorted.origin_enu_m, g->origin_enu_m, sizeof sorted.origin_enu_m);
-    sorted.antialiased = g->antialiased;
-    rc = gauss_append(&sorted, g, order, g->n, e);
-    if (rc) {
-        gauss_free(&sorted);
-    } else {
-        gauss_free(g);
-        *g = sorted;
-    }
-out:
-    mem_free(order);
     mem_free(octave);
-    return rc;
+    return ERR_OK;
 }
 
 void block_measure(const struct gauss *g, struct block *out)

@@ -20,9 +20,10 @@ static inline uint32_t block_count(size_t n_gaussians)
     return (uint32_t)((n_gaussians + BLOCK_ROWS - 1) / BLOCK_ROWS);
 }
 
-/* Sorts rows by size, in powers of two, and otherwise keeps their order, in which neighbours follow
- * each other. Without this, one large Gaussian would make the box of its block large. ERR_MEM. */
-enum err_code block_sort(struct gauss *g, struct err *e) ERR_USE;
+/* order [g->n] becomes the rows by size, in powers of two, and otherwise in their order, in which
+ * neighbours follow each other. Without this, one large Gaussian would make the box of its block
+ * large. ERR_MEM. */
+enum err_code block_order(const struct gauss *g, uint32_t *order, struct err *e) ERR_USE;
 /* Computes the boxes: out has block_count(g->n) elements. */
 void block_measure(const struct gauss *g, struct block *out);
 

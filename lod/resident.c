@@ -64,20 +64,35 @@ struct resident_batch {
     size_t n;
 };
 
+/* Block by block, in their order: what is sorted stays in the processor's cache. */
 static enum err_code resident_pack(const struct resident *r, const struct gauss *g,
-                                   struct resident_tile *to, struct err *e)
+                                   const uint32_t *order, struct resident_tile *to, struct err *e)
 {
-    size_t floats = (size_t)render_piece_groups(g->n) * LAYOUT_LANES *
-                    layout_planes(g->sh_degree, g->embed_len);
+    const size_t group = (size_t)LAYOUT_LANES * layout_planes(g->sh_degree, g->embed_len),
+                 floats = render_piece_groups(g->n) * group;
+    struct gauss part;
+    enum err_code rc = gauss_uninit(&part, BLOCK_ROWS, g->sh_degree, g->embed_len, e);
+    if (rc)
+        return rc;
     if (!to->block)
         to->block = mem_array(block_count(g->n) + 1, sizeof *to->block);
-    to->packed = mem_array(floats + 1, sizeof(float));
+    to->packed = mem_uninit(floats + 1, sizeof(float));
     if (!to->block || !to->packed)
-        return err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", g->n);
-    block_measure(g, to->block);
-    render_piece_pack(g, r->model.origin_enu_m, to->packed);
+        rc = err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", g->n);
+    memcpy(part.origin_enu_m, g->origin_enu_m, sizeof part.origin_enu_m);
+    part.antialiased = g->antialiased;
+    for (size_t b = 0; !rc && b < block_count(g->n); b++) {
+        const size_t from = b * BLOCK_ROWS, n = g->n - from < BLOCK_ROWS ? g->n - from : BLOCK_ROWS;
+        part.n = 0;
+        rc = gauss_append(&part, g, order + from, n, e);
+        if (rc)
+            break;
+        block_measure(&part, &to->block[b]);
+        render_piece_pack(&part, r->model.origin_enu_m, to->packed + b * BLOCK_GROUPS * group);
+    }
+    gauss_free(&part);
     to->bytes = floats * sizeof(float) + sizeof *to;
-    return ERR_OK;
+    return rc;
 }
 
 static enum err_code resident_decode(void *user, size_t i, struct err *e)
@@ -86,6 +101,7 @@ static enum err_code resident_decode(void *user, size_t i, struct err *e)
     const struct store_tile *t = resident_index(b->r, b->tile[i]);
     const struct render_model *m = &b->r->model;
     struct gauss g = {0};
+    uint32_t *order = NULL;
     enum err_code rc = store_decode(b->r->store, t, &b->payload[i], &g, e);
     if (rc)
         return rc;
@@ -95,10 +111,13 @@ static enum err_code resident_decode(void *user, size_t i, struct err *e)
         rc = err_set(e, ERR_FORMAT,
                      "tile %u/%u/%u: other harmonics or embeddings than the store's others",
                      t->key.z, t->key.x, t->key.y);
+    if (!rc && !(order = mem_uninit(g.n, sizeof *order)))
+        rc = err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", g.n);
     if (!rc)
-        rc = block_sort(&g, e);
+        rc = block_order(&g, order, e);
     if (!rc)
-        rc = resident_pack(b->r, &g, &b->r->tile[b->tile[i]], e);
+        rc = resident_pack(b->r, &g, order, &b->r->tile[b->tile[i]], e);
+    mem_free(order);
     gauss_free(&g);
     return rc;
 }

@@ -98,6 +98,24 @@ static void assert_inside(const char *what, const struct gauss *g, size_t i, con
     }
 }
 
+/* The rows in the order of their blocks, as a picture has them. */
+static enum err_code sort_blocks(struct gauss *g, struct err *e)
+{
+    struct gauss sorted = {0};
+    uint32_t *order = mem_array(g->n, sizeof *order);
+    enum err_code rc = gauss_alloc(&sorted, g->n, g->sh_degree, g->embed_len, e);
+    assert_non_null(order);
+    memcpy(sorted.origin_enu_m, g->origin_enu_m, sizeof sorted.origin_enu_m);
+    if (!rc)
+        rc = block_order(g, order, e);
+    if (!rc)
+        rc = gauss_append(&sorted, g, order, g->n, e);
+    mem_free(order);
+    gauss_free(g);
+    *g = sorted;
+    return rc;
+}
+
 /* Widths of the tile's blocks in a row, before sorting in width[0] and after in [1]. */
 static void check_blocks(struct gauss *g, double width[2])
 {
@@ -110,7 +128,7 @@ static void check_blocks(struct gauss *g, double width[2])
     block_measure(g, b);
     for (size_t i = 0; i < block_count(g->n); i++)
         width[0] += b[i].max_enu_m[0] - b[i].min_enu_m[0];
-    kit_ok(block_sort(g, &e), e);
+    kit_ok(sort_blocks(g, &e), e);
     for (size_t i = 0; i < g->n; i++)
         all += (double)g->mean_m[3 * i] + (double)g->opacity_logit[i];
     assert_true(fabs(sum - all) < 1e-6 * (fabs(sum) + (double)g->n)); /* the same rows */
@@ -205,7 +223,7 @@ static void picture_of_all(struct store *s, const bool *used, const struct camer
         if (!used[i])
             continue;
         kit_ok(store_read_gauss(s, t[i].key, &g, &e), e);
-        kit_ok(block_sort(&g, &e), e); /* rows of one depth are drawn by number */
+        kit_ok(sort_blocks(&g, &e), e); /* rows of one depth are drawn by number */
         kit_ok(gauss_append(&all, &g, NULL, g.n, &e), e);
         gauss_free(&g);
     }
