@@ -351,6 +351,7 @@ static enum err_code query_measure(const struct query_work *w, struct err *e)
     query_m(w->out, "base_m", a.base_m);
     query_m(w->out, "volume_above_m3", a.above_m3);
     query_m(w->out, "volume_below_m3", a.below_m3);
+    query_m(w->out, "volume_error_m3", a.error_m3);
     query_m(w->out, "mean_m", a.mean_m);
     query_m(w->out, "lowest_m", a.lowest_m);
     query_m(w->out, "highest_m", a.highest_m);

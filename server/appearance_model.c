@@ -88,9 +88,22 @@ static json_t *appearance_model_about(const char *name, size_t number, const str
     return o;
 }
 
+/* Days before and after others; times begin with a day, year first. */
+static void appearance_model_span(const char *time, char taken[2][11])
+{
+    char day[11];
+    snprintf(day, sizeof day, "%.10s", time);
+    if (strlen(day) < sizeof day - 1)
+        return;
+    if (!taken[0][0] || strcmp(day, taken[0]) < 0)
+        memcpy(taken[0], day, sizeof day);
+    if (strcmp(day, taken[1]) > 0)
+        memcpy(taken[1], day, sizeof day);
+}
+
 /* One photograph into the list, and its embedding. */
 static enum err_code appearance_model_add(const struct dataset *d, size_t number, float *image,
-                                          json_t *list, struct err *e)
+                                          json_t *list, char taken[2][11], struct err *e)
 {
     const struct appearance *a = d->appearance;
     size_t row = appearance_model_row(a, number);
@@ -100,6 +113,8 @@ static enum err_code appearance_model_add(const struct dataset *d, size_t number
     enum err_code rc = photograph_read(d->stores[0], a->names[row], &p, &why);
     if (rc && rc != ERR_NOENT)
         return err_set(e, rc, "%s", why.msg);
+    if (!rc)
+        appearance_model_span(p.time, taken);
     /* One that is missing would pair all after it with embeddings of others. */
     return json_array_append_new(list,
                                  appearance_model_about(a->names[row], number, rc ? NULL : &p))
@@ -108,7 +123,7 @@ static enum err_code appearance_model_add(const struct dataset *d, size_t number
 }
 
 enum err_code appearance_model_photographs(const struct dataset *d, struct body **out,
-                                           struct err *e)
+                                           char taken[2][11], struct err *e)
 {
     const struct appearance *a = d->appearance;
     size_t n = a->n_images - (appearance_model_default(a) < a->n_images), len = a->len_image;
@@ -116,7 +131,7 @@ enum err_code appearance_model_photographs(const struct dataset *d, struct body 
     json_t *list = json_array();
     enum err_code rc = images ? ERR_OK : err_set(e, ERR_MEM, "photographs: out of memory");
     for (size_t i = 0; !rc && i < n; i++)
-        rc = appearance_model_add(d, i, images + i * len, list, e);
+        rc = appearance_model_add(d, i, images + i * len, list, taken, e);
     if (!rc)
         rc = document_make(json_pack("{s:s,s:i,s:o,s:O}", "format", "citysplat-photographs-1",
                                      "imageLength", (int)len, "embeddings",

@@ -52,7 +52,7 @@ static enum err_code catalog_make_documents(struct dataset *d, const struct cata
     if (!rc && d->appearance)
         rc = appearance_model_describe(d, &d->model, e);
     if (!rc && d->appearance)
-        rc = appearance_model_photographs(d, &d->photographs, e);
+        rc = appearance_model_photographs(d, &d->photographs, d->taken, e);
     if (!rc && d->appearance)
         rc = search_open(d, &d->search, e);
     if (!rc)

@@ -78,6 +78,17 @@ static void collection_add_extents(const struct dataset *d, json_t *o)
                                   "crs", "http://www.opengis.net/def/crs/OGC/0/CRS84h"));
 }
 
+/* When the store was made, and its photographs were taken; what heights are above. */
+static void collection_add_facts(const struct dataset *d, json_t *splats)
+{
+    const char *heights = d->meta.heights;
+    json_object_set_new(splats, "heights", json_string(*heights ? heights : "ellipsoid"));
+    if (d->meta.created[0])
+        json_object_set_new(splats, "created", json_string(d->meta.created));
+    if (d->taken[0][0])
+        json_object_set_new(splats, "taken", json_pack("[s,s]", d->taken[0], d->taken[1]));
+}
+
 /* `up` leads from the document to the service's root: NULL or "..". */
 static json_t *collection_json(const struct dataset *d, const char *up,
                                const struct collection_options *opt)
@@ -129,6 +140,7 @@ static json_t *collection_json(const struct dataset *d, const char *up,
                   format_ext(FORMAT_DRC), format_ext(FORMAT_PLY), format_ext(FORMAT_GLB_PLAIN),
                   format_ext(FORMAT_GLB_PACKED), format_ext(FORMAT_PLY_PACKED),
                   format_ext(FORMAT_SOG)));
+    collection_add_facts(d, json_object_get(o, "splats"));
     return o;
 }
 

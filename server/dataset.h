@@ -28,7 +28,9 @@ struct dataset { /* immutable except where a comment says otherwise; reference-c
     size_t n_tiles;
     const struct store *index; /* stores[0], for parts of a store that threads may share */
     const struct appearance *appearance; /* of the store; NULL: only one appearance */
-    struct area area;                    /* surveyed area; .in NULL: not known */
+    /* days of its first and last photograph, 2024-06-01; "": not known; set with `photographs` */
+    char taken[2][11];
+    struct area area;     /* surveyed area; .in NULL: not known */
     double bbox[6];       /* west south hmin east north hmax, in degrees and metres */
     struct hash128 salt;  /* hash of all that determines an encoded tile except its payload */
     char edition[9];      /* of its tiles (result_id.h); catalog.c sets this and the next six: */

@@ -41,7 +41,8 @@
                 ",'antialiased':{'type':'boolean'},'tiles':" OPENAPI_INTEGER                       \
                 ",'gaussians':" OPENAPI_INTEGER ",'tileTemplate':" OPENAPI_TEXT                    \
                 ",'viewTemplate':" OPENAPI_TEXT ",'formats':{'type':'array','items':" OPENAPI_TEXT \
-                "}}}")                                                                             \
+                "},'heights':" OPENAPI_TEXT ",'created':" OPENAPI_TEXT                             \
+                ",'taken':{'type':'array','items':" OPENAPI_TEXT ",'minItems':2,'maxItems':2}}}")  \
     X("Collection",                                                                                \
       "{'type':'object','required':['id','extent','links'],'properties':{'id':" OPENAPI_TEXT       \
       ",'title':" OPENAPI_TEXT ",'collectionType':" OPENAPI_TEXT ",'attribution':" OPENAPI_TEXT    \

@@ -180,15 +180,17 @@ static void volumes_are_the_citys(void **state)
             most += fmax(z[1] + origin.h_m - base, 0) * step * step;
         }
     o = ask(QUERY_MEASURE, NULL, json_pack("{s:O,s:f}", "polygon", ring, "base", base));
-    printf(
-        "measure: area %.3f m2, above %.1f m3, the city's %.1f, of %.1f to %.1f, surface %.1f m2, "
-        "pixels of %.3f m\n",
-        number(o, "area_m2"), number(o, "volume_above_m3"), truth, least, most,
-        number(o, "surface_area_m2"), number(o, "pixel_m"));
+    printf("measure: area %.3f m2, above %.1f m3 within %.1f, the city's %.1f, of %.1f to %.1f, "
+           "surface %.1f m2, pixels of %.3f m\n",
+           number(o, "area_m2"), number(o, "volume_above_m3"), number(o, "volume_error_m3"), truth,
+           least, most, number(o, "surface_area_m2"), number(o, "pixel_m"));
     assert_true(fabs(number(o, "area_m2") - 900) < 0.05);
     assert_true(fabs(number(o, "perimeter_m") - 120) < 0.01);
     assert_true(fabs(number(o, "known_area_m2") - 900) < 9);
     assert_true(number(o, "volume_above_m3") > least && number(o, "volume_above_m3") < most);
+    /* the error that it states holds the truth, and still says something */
+    assert_true(fabs(number(o, "volume_above_m3") - truth) < number(o, "volume_error_m3"));
+    assert_true(number(o, "volume_error_m3") < 0.2 * truth);
     assert_true(number(o, "surface_area_m2") > 900);
     json_decref(o);
     /* the plane of the rim lies between the lowest and the highest */
@@ -211,6 +213,7 @@ static void volumes_are_the_citys(void **state)
                               origin.h_m + z - 4, "gsd_m", 0.05));
             assert_true(fabs(number(o, "volume_above_m3") - 36) < 0.4);
             assert_true(fabs(number(o, "volume_below_m3")) < 0.01);
+            assert_true(number(o, "volume_error_m3") < 0.4); /* no edge is within */
             boxes++;
             json_decref(o);
         }

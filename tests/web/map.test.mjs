@@ -12,7 +12,7 @@ import { measureContent, rmsDifference, SOUTH } from "./lib/checks.mjs";
 import { ORIGIN, RED_TOP } from "./lib/city.mjs";
 import { placeOfEnu, project } from "./lib/geo.mjs";
 import { decodePng } from "./lib/png.mjs";
-import { GIVEN_TILES, openSource } from "./lib/source.mjs";
+import { MOCK, GIVEN_TILES, openSource } from "./lib/source.mjs";
 
 const SIZE = { width: 1000, height: 640 };
 const skip = { skip: GIVEN_TILES ? "needs the test city" : false };
@@ -76,6 +76,9 @@ test("a length and an area, and both as GeoJSON", skip, async () => {
     const labels = (await page.locator(".citysplat-label").allTextContents()).sort((a, b) => parseFloat(a) - parseFloat(b));
     assert.equal(labels.length, 5, labels.join());
     [25, 25, 35, 35].forEach((want, i) => assert.ok(Math.abs(parseFloat(labels[i]) - want) < 3, `${labels}, want ${want} m`));
+    // The server adds the volume, with what it may be wrong by.
+    if (!MOCK) await page.click("#measure-volume");
+    if (!MOCK) await page.waitForFunction(() => /volume [\d,.]+ m³ above and [\d,.]+ m³ below .*, ± [\d,.]+ m³/.test(document.getElementById("measure-text").textContent));
     const coming = page.waitForEvent("download");
     await page.click("#measure-save");
     const file = await (await coming).path();
@@ -83,6 +86,7 @@ test("a length and an area, and both as GeoJSON", skip, async () => {
     assert.deepEqual([type, features[0].geometry.type], ["FeatureCollection", "Polygon"]);
     assert.equal(features[0].geometry.coordinates[0].length, 5);
     assert.ok(Math.abs(features[0].properties.area_m2 - 875) < 90);
+    if (!MOCK) assert.ok(features[0].properties.volume_error_m3 >= 0);
     await page.click("#measure-close");
     assert.equal(await page.evaluate(() => window.citysplat.viewer.overlay.group.children.length), 0);
 });

@@ -195,7 +195,12 @@ test("the server's picture of a view equals the client's", rendered, async (t) =
     assert.ok(rms < RMS_MAX, `pictures differ by ${rms.toFixed(1)} of 255`);
 });
 
-test("the server view opens and closes", async () => {
+test("the server view is for developers, opens and closes", async () => {
+    assert.equal(await page.isVisible("#server-button"), false);
+    assert.equal(await page.isVisible("#statistics"), false);
+    await page.click("#settings summary");
+    await page.check("#developer");
+    await page.click("#settings summary");
     await page.click("#server-button");
     await page.click("#statistics summary");
     const text = await serverViewText(page);

@@ -5,7 +5,6 @@
 import { LRUCache } from "3d-tiles-renderer/core";
 import { TilesRenderer } from "3d-tiles-renderer/three";
 import {
-  Box3,
   Scene,
   Vector2,
   Vector3,
@@ -16,6 +15,7 @@ import {
 
 import { Backdrop } from "./backdrop";
 import { DecoderPool } from "./decoders";
+import { Extent } from "./extent";
 import { FADE_FRAMES_LEAST, FADE_MS } from "./fade";
 import type { Block } from "./block";
 import { Gaussians } from "./gaussians";
@@ -89,7 +89,7 @@ export class City {
   frameMs = 0; // that they take
   fadeMs = FADE_MS; // that levels take to fade into each other
   onWake: (draw: boolean) => void = () => {}; // something happened; draw: which shows
-  onCore: (core: Box3) => void = () => {}; // where most Gaussians of the scene are
+  onCore: (core: Extent) => void = () => {}; // where most Gaussians of the scene are
   onContext: (lost: boolean) => void = () => {};
   onFailure: (error: Error) => void = () => {};
   onStopped: (error: Error) => void = () => {}; // nothing new can be drawn here
@@ -100,7 +100,7 @@ export class City {
   private active: CityTiles | null = null;
   private next: CityTiles | null = null; // takes the place of the active one when it is complete
   private target = 16;
-  private core = new Box3();
+  private core = new Extent();
   private wakeTimer = 0;
   private lost = false;
   private closed = false;
@@ -211,7 +211,7 @@ export class City {
     } else {
       this.retire(this.active);
       this.active = tiles;
-      this.core.makeEmpty();
+      this.core = new Extent();
       this.ground?.forget();
     }
     this.fresh = false;
@@ -228,9 +228,7 @@ export class City {
   private measure(tile: CityTile, { splats }: Block) {
     this.onWake(false);
     if (tile.internal.depthFromRenderedParent > 1) return;
-    const { min, max } = splats.core;
-    this.core.union(new Box3(new Vector3(...min), new Vector3(...max)));
-    this.onCore(this.core.clone());
+    this.onCore(this.core.add(splats.core));
   }
 
   resize(width: number, height: number, ratio: number) {

@@ -20,6 +20,7 @@ function wordsOf(error: unknown): string {
 
 export class Compare {
   open = false;
+  developer = false; // the server's drawing is offered too
   onChange: () => void = () => {}; // what a link to it says is another thing now
   private swapped = false; // it lies on the left
   private other: Viewer | null = null; // draws another scene
@@ -78,25 +79,21 @@ export class Compare {
     element("compare-close").addEventListener("click", () => this.show(false));
   }
 
-  // In the language of now.
-  translate() {
-    this.fill();
-  }
-
-  // What there is to compare with; what was chosen stays where it can.
-  private fill() {
+  // What there is to compare with, in the language of now; what was chosen stays where it can.
+  fill() {
     const { viewer, list } = this;
     const { scene, scenes } = viewer;
     const others = scenes.filter((one) => one.id !== scene?.id);
     const before = list.value;
+    // A matter of those who work on the programs, and of their links.
+    const drawing = this.developer || this.wish?.scene === SERVER || (this.open && before === SERVER);
     list.replaceChildren(
-      ...(scene?.pictures ? [new Option(text("compare.drawing"), SERVER)] : []),
+      ...(scene?.pictures && drawing ? [new Option(text("compare.drawing"), SERVER)] : []),
       ...others.map((one) => new Option(one.title, one.id)),
     );
     if ([...list.options].some((one) => one.value === before)) list.value = before;
     element("compare-with-field").hidden = list.options.length < 2 && list.value === SERVER;
     element("server-button").hidden = !list.options.length;
-    setText("server-button", text(others.length ? "compare.any" : "compare"));
     if (this.wish && scene) this.grant(this.wish);
     if (!this.open) return;
     if (!list.options.length) this.show(false);

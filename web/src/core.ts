@@ -2,9 +2,10 @@
 // is fetched and decoded for its centres alone.
 //
 // SPDX-License-Identifier: Apache-2.0
-import { Box3, Matrix4, Vector3 } from "three";
+import { Matrix4, Vector3 } from "three";
 
 import { DecoderPool } from "./decoders";
+import { Extent } from "./extent";
 import type { Frame } from "./geo";
 import type { Link } from "./link";
 import type { SceneInfo } from "./source";
@@ -28,7 +29,7 @@ function firstContent(node: Node, above: Matrix4): { uri: string; transform: Mat
   return null;
 }
 
-export async function decodeOnce(link: Link, info: SceneInfo, frame: Frame): Promise<Box3 | null> {
+export async function decodeOnce(link: Link, info: SceneInfo, frame: Frame): Promise<Extent | null> {
   const first = firstContent((info.document as { root: Node }).root, new Matrix4());
   if (!first) return null;
   const up = new Matrix4().makeRotationX(Math.PI / 2);
@@ -39,7 +40,7 @@ export async function decodeOnce(link: Link, info: SceneInfo, frame: Frame): Pro
   try {
     const file = await link.bytes(new URL(first.uri, info.url), stop.signal);
     const { core } = await pool.decode(file, offset, stop.signal);
-    return new Box3(new Vector3(...core.min), new Vector3(...core.max));
+    return new Extent().add(core);
   } finally {
     pool.dispose();
   }

@@ -27,12 +27,13 @@ import "./globe.css";
 import { FOV_DEG, type Pose } from "./pose";
 import "./style.css";
 import { getLanguage, setLanguage, text, translate } from "./strings";
-import { formatPlace } from "./units";
+import { compass, formatPlace } from "./units";
 
 interface Scene {
   id: string;
   title: string;
   folder: URL; // of the scene: its tileset.json, terrain.json and questions
+  heights: string; // above what they are (SceneEntry.heights)
   asks: boolean; // whether somebody answers questions there
 }
 interface Pick {
@@ -72,17 +73,17 @@ async function findScenes(): Promise<Scene[]> {
     const base = new URL(place, location.href);
     if (/\.json$/.test(base.pathname)) {
       const id = decodeURIComponent(base.pathname.split("/").at(-2) ?? "") || "city";
-      return [{ id, title: id, folder: new URL("./", base), asks: false }];
+      return [{ id, title: id, folder: new URL("./", base), heights: "ellipsoid", asks: false }];
     }
     base.pathname = base.pathname.replace(/\/*$/, "/");
     try {
       const body = (await getJson(new URL("collections", base))) as {
-        collections?: { id: string; title?: string }[];
+        collections?: { id: string; title?: string; splats?: { heights?: string } }[];
       };
       if (!body.collections?.length) throw new Error(text("problem.noScenes.text"));
-      return body.collections.map(({ id, title }) => {
+      return body.collections.map(({ id, title, splats }) => {
         const folder = new URL(`d/${encodeURIComponent(id)}/`, base);
-        return { id, title: title || id, folder, asks: true };
+        return { id, title: title || id, folder, heights: splats?.heights ?? "ellipsoid", asks: true };
       });
     } catch (error) {
       first ??= error;
@@ -235,7 +236,7 @@ class Globe {
 
   private showPlace() {
     const { pose } = this;
-    setText("where", `${formatPlace(pose, 6)} · ${pose.heading.toFixed(0)}°`);
+    setText("where", `${formatPlace(pose, this.scene?.heights ?? "", 5)} · ${compass(pose.heading)}`);
     clearTimeout(this.addressTimer);
     this.addressTimer = window.setTimeout(() => {
       if (!this.tileset) return;
@@ -262,7 +263,7 @@ class Globe {
     setText(
       "place-text",
       place.found
-        ? formatPlace({ lat: place.lat!, lon: place.lon!, h: place.height_m! })
+        ? formatPlace({ lat: place.lat!, lon: place.lon!, h: place.height_m! }, scene.heights)
         : text("place.none"),
     );
   }

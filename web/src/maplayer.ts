@@ -319,7 +319,7 @@ export class MapLayer {
     city.errorTarget = PX_PER_SIGMA * (this.options.detail ?? 1);
     city.fadeMs = this.options.fadeMs ?? city.fadeMs;
     city.onWake = () => this.wake();
-    city.onCore = (core) => (this.core = core);
+    city.onCore = ({ box }) => (this.core = box);
     city.onFailure = (error) => this.fail(error);
     city.onStopped = (error) => this.refuse(error);
     city.onCard = (run) => this.atNextFrame(run);

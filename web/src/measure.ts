@@ -3,12 +3,13 @@
 // SPDX-License-Identifier: Apache-2.0
 import { Vector3 } from "three";
 
-import { copy, download, element, setText } from "./dom";
+import { copy, download, element, setText, toast } from "./dom";
 import type { Frame, Place } from "./geo";
 import type { Shape } from "./overlay";
 import { ProfileChart } from "./profile";
 import { text } from "./strings";
-import { formatArea, formatLength, formatPlace } from "./units";
+import { formatArea, formatLength, formatPlace, formatVolume } from "./units";
+import { askVolume, type Volume } from "./volume";
 import type { Viewer } from "./viewer";
 
 type Kind = "path" | "area";
@@ -39,7 +40,7 @@ export function measure(points: Vector3[], kind: Kind): Measures {
 }
 
 // RFC 7946: longitude, latitude, height above the ellipsoid.
-export function toGeoJson(places: Place[], kind: Kind, values: Measures): string {
+export function toGeoJson(places: Place[], kind: Kind, values: Measures, volume: Volume | null = null): string {
   const at = places.map(({ lon, lat, h }) => [
     Number(lon.toFixed(8)),
     Number(lat.toFixed(8)),
@@ -54,6 +55,7 @@ export function toGeoJson(places: Place[], kind: Kind, values: Measures): string
   const rounded = Object.fromEntries(
     Object.entries(values).map(([key, value]) => [`${key}_m${key === "area" ? "2" : ""}`, Number((value as number).toFixed(3))]),
   );
+  for (const [key, value] of Object.entries(volume ?? {})) rounded[`volume_${key}_m3`] = value as number;
   const feature = { type: "Feature", geometry, properties: rounded };
   return JSON.stringify({ type: "FeatureCollection", features: [feature] }, null, 1);
 }
@@ -64,6 +66,8 @@ export class MeasureTool {
   private shapes: number[] = []; // what is measured, and a label for each part of it
   private marker = 0;
   private place: Place | null = null;
+  private volume: Volume | null = null; // of the area, by the server
+  private asking = new AbortController();
   private readonly profile: ProfileChart;
 
   constructor(private readonly viewer: Viewer) {
@@ -77,9 +81,10 @@ export class MeasureTool {
     click("measure-copy", () => void copy(this.summary(), text("place.copied")));
     click("measure-save", () => this.save());
     click("measure-profile", () => void this.profile.show(this.places));
+    click("measure-volume", () => void this.findVolume());
     click("place-close", () => this.tell(null, true));
     click("place-copy", () => {
-      if (this.place) void copy(formatPlace(this.place), text("place.copied"));
+      if (this.place) void copy(this.where(this.place), text("place.copied"));
     });
     for (const radio of document.querySelectorAll('input[name="measure"]'))
       radio.addEventListener("change", () => this.set(this.places));
@@ -118,7 +123,11 @@ export class MeasureTool {
 
   private words(place: Place): string {
     const up = this.viewer.aboveGround(place);
-    return up === null ? formatPlace(place) : text("place.up", { place: formatPlace(place), up: up.toFixed(0) });
+    return up === null ? this.where(place) : text("place.up", { place: this.where(place), up: up.toFixed(0) });
+  }
+
+  private where(place: Place): string {
+    return formatPlace(place, this.viewer.scene?.heights ?? "");
   }
 
   private add(place: Place | null) {
@@ -127,6 +136,8 @@ export class MeasureTool {
 
   private set(places: Place[]) {
     this.places = places;
+    this.asking.abort();
+    this.volume = null;
     const { overlay } = this.viewer;
     for (const shape of this.shapes) overlay.remove(shape);
     this.shapes = places.length ? this.drawn(places).map((shape) => overlay.add(shape)) : [];
@@ -135,6 +146,20 @@ export class MeasureTool {
     if (!line) this.profile.close();
     else if (this.profile.isOpen) void this.profile.show(places);
     setText("measure-text", places.length > 1 ? this.summary() : text("measure.hint"));
+    const area = this.kind === "area" && places.length > 2;
+    element("measure-volume").hidden = !area || !this.viewer.scene?.questions;
+  }
+
+  // Above and below the plane of the rim, by the server.
+  private async findVolume() {
+    this.asking.abort();
+    this.asking = new AbortController();
+    const { signal } = this.asking;
+    const answer = await askVolume(this.viewer, this.places, signal);
+    if (signal.aborted) return;
+    if (typeof answer === "string") return toast(answer);
+    this.volume = answer;
+    setText("measure-text", this.summary());
   }
 
   // The path or area with its sum; of more than one part each with its length, in the middle; every point.
@@ -164,17 +189,22 @@ export class MeasureTool {
     const { length, straight, rise, area } = this.values();
     const closed = this.kind === "area" && this.places.length > 2;
     if (brief) return closed ? formatArea(area) : formatLength(length);
-    return closed
-      ? text("measure.area.text", { area: formatArea(area), length: formatLength(length) })
-      : text("measure.path.text", {
-          length: formatLength(length),
-          straight: formatLength(straight),
-          rise: formatLength(rise),
-        });
+    if (closed) {
+      const plan = text("measure.area.text", { area: formatArea(area), length: formatLength(length) });
+      const { volume } = this;
+      if (!volume) return plan;
+      const [above, below, error] = [volume.above, volume.below, volume.error].map(formatVolume);
+      return `${plan}, ${text("measure.volume.text", { above: above!, below: below!, error: error! })}`;
+    }
+    return text("measure.path.text", {
+      length: formatLength(length),
+      straight: formatLength(straight),
+      rise: formatLength(rise),
+    });
   }
 
   private save() {
     if (!this.places.length) return;
-    download("measure.geojson", "application/geo+json", toGeoJson(this.places, this.kind, this.values()));
+    download("measure.geojson", "application/geo+json", toGeoJson(this.places, this.kind, this.values(), this.volume));
   }
 }

@@ -10,6 +10,7 @@
 //          words of the harmonics
 //
 // SPDX-License-Identifier: Apache-2.0
+import { findOutline, type Outline } from "./outline";
 
 export const ROW = 1024; // Gaussians in a row
 export const MAX_GAUSSIANS = 1 << 22;
@@ -56,7 +57,7 @@ export interface DecodedSplats {
   more: Uint32Array<ArrayBuffer>;
   embedding: Embedding | null; // of tiles whose colours are as they were trained
   // 5th and 95th percentile of the centres along x, y, z: the scene without its strays
-  core: { min: [number, number, number]; max: [number, number, number] };
+  core: { min: [number, number, number]; max: [number, number, number]; outline: Outline };
 }
 
 function bitsOf(degree: number, kind: number): [bit: number, width: number][] {
@@ -233,7 +234,7 @@ function findCore(centres: Float32Array): DecodedSplats["core"] {
     return [at(0.05), at(0.95)];
   };
   const [x, y, z] = [along(0), along(1), along(2)];
-  return { min: [x[0], y[0], z[0]], max: [x[1], y[1], z[1]] };
+  return { min: [x[0], y[0], z[0]], max: [x[1], y[1], z[1]], outline: findOutline(centres) };
 }
 
 // Rows on end whose harmonics one shader reads: its number, and rows from the tile's first.

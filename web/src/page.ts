@@ -1,6 +1,8 @@
 // The page around the viewer: buttons, keys, the address bar, settings.
 //
 // SPDX-License-Identifier: Apache-2.0
+import { Vector3 } from "three";
+
 import {
   formatView,
   parseComparison,
@@ -10,7 +12,7 @@ import {
   writeSecondLight,
 } from "./address";
 import { AppearanceControl } from "./appearance";
-import { store, theme } from "./choices";
+import { store, stored, theme } from "./choices";
 import { Compare } from "./compare";
 import { copy, element, setText, toast } from "./dom";
 import { freePart } from "./free";
@@ -21,12 +23,13 @@ import type { EmbedDialog } from "./embeddialog";
 import type { ShotDialog } from "./shotdialog";
 import type { Walk } from "./pose";
 import { Problem } from "./problem";
+import { sceneCard } from "./scenecard";
 import { isForScene } from "./stage";
 import { banner, Status, unbanner } from "./status";
 import { getLanguage, setLanguage, text, translate } from "./strings";
 import { TOUCH } from "./touch";
 import { Tours } from "./tours";
-import { formatPlace } from "./units";
+import { compass, formatDays, formatPlace } from "./units";
 import type { Mode, Viewer } from "./viewer";
 
 // The slider position at which a typical Gaussian is one pixel. Touch screens begin with a step less. The size of the window
@@ -83,9 +86,10 @@ export class Page {
     this.appearance.translate();
     this.inset.translate();
     this.layers.translate();
-    this.compare.translate();
+    this.compare.fill();
     this.applyDetail();
     this.showTitle();
+    this.showFacts();
     this.showPlace();
   }
 
@@ -97,6 +101,7 @@ export class Page {
       this.showTitle();
       setText("attribution", [viewer.info?.attribution, viewer.basemapCredit].filter(Boolean).join(" · "));
       this.fillChooser();
+      this.showFacts();
       // cesium.html and viewer.js are where a server serves this page.
       element("globe").hidden = element("embed-button").hidden = !scene.catalogue;
       this.showPlace();
@@ -131,8 +136,24 @@ export class Page {
     document.title = `${title} – citysplat`;
   }
 
+  // Where it is, when it was photographed or made, and whose it is.
+  private showFacts() {
+    const { scene, info, stage } = this.viewer;
+    if (!scene) return setText("facts", "");
+    const middle = stage.frame.placeOf(stage.extent.getCenter(new Vector3()));
+    const days = scene.taken ? formatDays(...scene.taken) : formatDays(scene.created);
+    const lines = [
+      text("facts.place", { lat: middle.lat.toFixed(3), lon: middle.lon.toFixed(3) }),
+      days && text(scene.taken ? "facts.taken" : "facts.made", { days }),
+      info?.attribution,
+    ];
+    setText("facts", lines.filter(Boolean).join("\n"));
+  }
+
   private fillChooser() {
     const { scenes, scene } = this.viewer;
+    element("scene-list").replaceChildren(...scenes.map((one) => sceneCard(one, () => void this.viewer.openScene(one.id))));
+    element("scenes-box").hidden = scenes.length < 2;
     const select = element<HTMLSelectElement>("dataset");
     select.replaceChildren(...scenes.map((one) => new Option(one.title, one.id, false, one === scene)));
     select.onchange = () => void this.viewer.openScene(select.value);
@@ -142,7 +163,7 @@ export class Page {
   private showPlace() {
     const { pose, scene } = this.viewer;
     element("north").querySelector("svg")!.style.transform = `rotate(${-pose.heading}deg)`;
-    setText("where", scene ? `${formatPlace(pose, 6)} · ${pose.heading.toFixed(0)}°` : "");
+    setText("where", scene ? `${formatPlace(pose, scene.heights, 5)} · ${compass(pose.heading)}` : "");
   }
 
   // ---- slow machines ----
@@ -252,7 +273,6 @@ export class Page {
   // A step of the slider is a factor of two.
   private applyDetail() {
     const px = 2 ** (DETAIL_MIDDLE - Number(element<HTMLInputElement>("detail").value));
-    setText("detail-text", text("detail.text", { px: Number(px.toPrecision(2)) }));
     this.viewer.detail = px;
   }
 
@@ -275,6 +295,18 @@ export class Page {
       store("language", value);
       void setLanguage(value).then(() => this.translate());
     });
+    const developer = element<HTMLInputElement>("developer");
+    const show = () => {
+      for (const node of document.querySelectorAll<HTMLElement>("[data-developer]")) node.hidden = !developer.checked;
+      this.compare.developer = developer.checked;
+      this.compare.fill();
+    };
+    developer.checked = new URLSearchParams(location.search).has("developer") || stored("developer") === "yes";
+    developer.addEventListener("change", () => {
+      store("developer", developer.checked ? "yes" : "no");
+      show();
+    });
+    show();
     const backdrop = element<HTMLInputElement>("backdrop");
     backdrop.addEventListener("change", () => (viewer.backdrop = backdrop.checked));
   }

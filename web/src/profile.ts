@@ -193,8 +193,9 @@ export class ProfileChart {
     setText("profile-text", text("profile.wait"));
     try {
       this.profile = await findProfile(this.viewer, places, signal);
-    } catch {
-      return; // another path took its place, or it was closed
+    } catch (error) {
+      if (!signal.aborted) setText("profile-text", String(error)); // else another path took its place, or it was closed
+      return;
     }
     this.draw(planLength(this.viewer, places));
   }

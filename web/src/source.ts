@@ -13,6 +13,9 @@ export interface SceneEntry {
   id: string;
   title: string;
   attribution: string;
+  heights: string; // above what: "ellipsoid", "sea", "sea-exif", "EPSG:7837", "unknown"
+  created: string; // day when the scene was made, 2024-06-01; "": not known
+  taken: [string, string] | null; // days of its first and last photograph; null: not known
   catalogue: URL | null; // the folder of the server that lists it; null on a file server
   tileset: URL;
   appearances: URL | null; // null where it was trained without
@@ -70,7 +73,7 @@ interface Collection {
   title?: string;
   attribution?: string;
   links?: { rel?: string; href?: string }[];
-  splats?: { revision?: string; formats?: unknown };
+  splats?: { revision?: string; formats?: unknown; heights?: string; created?: string; taken?: string[] };
 }
 interface TilesetDocument {
   asset?: { tilesetVersion?: string; extras?: { cesium?: { credits?: { html?: string }[] } } };
@@ -98,12 +101,15 @@ function entryOf(collection: Collection, base: URL): SceneEntry {
   const network = href("appearance-model");
   const preview = href("preview");
   const map = collection.links?.find((link) => /\/map\.json$/.test(link.href ?? ""))?.href;
-  const revision = collection.splats?.revision;
+  const { revision, heights = "ellipsoid", created = "", taken } = collection.splats ?? {};
   const folder = `d/${encodeURIComponent(id)}/`;
   return {
     id,
     title: collection.title || id,
     attribution: plainText(collection.attribution ?? ""),
+    heights: String(heights),
+    created: String(created).slice(0, 10),
+    taken: Array.isArray(taken) && taken.length === 2 ? [String(taken[0]), String(taken[1])] : null,
     catalogue: base,
     tileset: new URL(href(VOLUMES) ?? `${folder}tileset.json`, base),
     appearances: appearances ? new URL(appearances, base) : null,
@@ -122,7 +128,8 @@ function entryOfTileset(tileset: URL): SceneEntry {
   const id = folder || "city";
   const absent = { catalogue: null, appearances: null, network: null };
   const unasked = { pictures: null, questions: null, map: null, preview: null, packed: false };
-  return { id, title: id, attribution: "", tileset, ...absent, ...unasked };
+  const unknown = { attribution: "", heights: "ellipsoid", created: "", taken: null };
+  return { id, title: id, tileset, ...unknown, ...absent, ...unasked };
 }
 
 // The scenes at a URL: a server's folder, or a tileset.json.
@@ -193,7 +200,8 @@ async function fetchNetwork(
     const own = named === revision ? url : new URL(`../${revision}/appearance.json`, url);
     const document = own.href === url.href ? await early : null;
     return new Network(document ?? (await link.json(own)), new URL("appearances.json", own), link);
-  } catch {
+  } catch (error) {
+    console.warn(`citysplat: the server computes the colours: ${String(error)}`);
     return null;
   }
 }

@@ -8,14 +8,20 @@
 // SPDX-License-Identifier: Apache-2.0
 import { Box3, Euler, MathUtils, Matrix4, PerspectiveCamera, Plane, Ray, Vector3 } from "three";
 
+import { cornersOf } from "./extent";
 import { Frame } from "./geo";
 import type { Area } from "./free";
 import { FOV_DEG, type Pose, type Walk } from "./pose";
 
 const HOME_HEADING_DEG = 20;
-const HOME_PITCHES_DEG = [-38, -33, -28, -45, -52, -60]; // the first one where others fill not clearly more
-const CLEARLY = 1.15;
-const MARGIN = 0.11; // of the free part, on each side: a tenth of the Gaussians lies outside the box of most
+const HOME_PITCH_DEG = -38;
+const PITCHES_DEG = [0, 5, 10, -7, -14, -22]; // that home may differ from these two,
+const TURNS_DEG = Array.from({ length: 19 }, (_, i) => 5 * i - 45);
+const PITCH_COST = 0.006; // and what each degree costs of the share of the free part that the city fills
+const TURN_COST = 0.003;
+// Of the free part, on each side: a tenth of what is covered lies outside the outline; at the near side it is large.
+const MARGIN = { x: 0.07, y: 0.16 };
+const TALL_CUT = 0.26; // more at the sides of a part that is twice as high as wide: there the edge of the city is cut
 const PITCH_MOST = MathUtils.degToRad(89.9);
 const CLEARANCE_M = 1.7; // eyes above the ground
 
@@ -84,6 +90,7 @@ export class Stage {
   pitch = -0.6; // above the horizon
   private walking: Walk = "orbit";
   private readonly box = new Box3(new Vector3(-50, 0, -50), new Vector3(50, 20, 50));
+  outline: readonly Vector3[] | null = null; // corners of what home shows; null: those of the box
   private readonly held = new Set<string>();
   private readonly pointers = new Map<number, { x: number; y: number }>();
   private readonly last = { place: new Vector3(), heading: 0, pitch: 0, fov: 0 };
@@ -151,6 +158,7 @@ export class Stage {
   // face is ground.
   setExtent(box: Box3) {
     this.box.copy(box);
+    this.outline = null;
     this.adjustPlanes();
     this.onMove();
   }
@@ -163,45 +171,49 @@ export class Stage {
     return this.box.min.y;
   }
 
-  // The whole extent, or a box of the caller's, seen from above at an angle, in the part of the surface that is free. Of some
-  // angles the one that fills most of it.
-  home(box = this.box) {
+  // The whole city, or a box of the caller's, seen from above at an angle, in the part of the surface that is free. Of some
+  // headings and angles the one that fills most of it, if it is not far from the usual one.
+  home(box: Box3 | null = null) {
+    const points = box ? cornersOf(box) : (this.outline ?? cornersOf(this.box));
     this.land();
     this.camera.fov = FOV_DEG;
-    let best = { pitch: 0, position: new Vector3(), share: 0 };
-    for (const degrees of HOME_PITCHES_DEG) {
-      const pitch = degrees * MathUtils.DEG2RAD;
-      this.set(HOME_HEADING_DEG * MathUtils.DEG2RAD, pitch);
-      const fit = this.fit(box);
-      if (fit.share > CLEARLY * best.share) best = { pitch, ...fit };
-    }
-    this.set(HOME_HEADING_DEG * MathUtils.DEG2RAD, best.pitch);
+    let best = { heading: 0, pitch: 0, position: new Vector3(), worth: 0 };
+    for (const tilt of PITCHES_DEG)
+      for (const turn of TURNS_DEG) {
+        const heading = (HOME_HEADING_DEG + turn) * MathUtils.DEG2RAD;
+        const pitch = (HOME_PITCH_DEG + tilt) * MathUtils.DEG2RAD;
+        this.set(heading, pitch);
+        const { position, share } = this.fit(points);
+        const worth = share * (1 - PITCH_COST * Math.abs(tilt)) * (1 - TURN_COST * Math.abs(turn));
+        if (worth > best.worth) best = { heading, pitch, position, worth };
+      }
+    this.set(best.heading, best.pitch);
     this.camera.position.copy(best.position);
     this.halt();
   }
 
-  // The nearest place from which all corners of a box are in the free part, turned as the camera is; and how much of that part
-  // they span.
-  private fit(box: Box3): { position: Vector3; share: number } {
+  // The nearest place from which all points are in the free part, turned as the camera is; and how much of that part they
+  // span.
+  private fit(points: readonly Vector3[]): { position: Vector3; share: number } {
     const ahead = this.ahead();
     const right = new Vector3().crossVectors(ahead, new Vector3(0, 1, 0)).normalize();
     const up = new Vector3().crossVectors(right, ahead);
-    const target = box.getCenter(new Vector3());
-    const corners = Array.from({ length: 8 }, (_, i) => {
-      const { min, max } = box;
-      const corner = new Vector3(i & 1 ? max.x : min.x, i & 2 ? max.y : min.y, i & 4 ? max.z : min.z).sub(target);
+    const target = new Box3().setFromPoints([...points]).getCenter(new Vector3());
+    const corners = points.map((point) => {
+      const corner = point.clone().sub(target);
       return { x: corner.dot(right), y: corner.dot(up), z: corner.dot(ahead) };
     });
     const { left, right: end, top, bottom } = this.free();
     const tanY = Math.tan(MathUtils.degToRad(this.camera.fov / 2));
     const tanX = tanY * this.camera.aspect;
     // From -1 to 1 across the surface, times the tangent: what a corner may have for each metre that it is away.
-    const within = (from: number, to: number, tan: number) => {
-      const gap = MARGIN * (to - from);
+    const within = (from: number, to: number, tan: number, margin: number) => {
+      const gap = margin * (to - from);
       return [tan * (2 * (from + gap) - 1), tan * (2 * (to - gap) - 1)] as const;
     };
-    const [x0, x1] = within(left, end, tanX);
-    const [y0, y1] = within(1 - bottom, 1 - top, tanY);
+    const tall = (bottom - top) / ((end - left) * this.camera.aspect); // 1: as high as wide
+    const [x0, x1] = within(left, end, tanX, MARGIN.x - TALL_CUT * MathUtils.clamp(tall - 1, 0, 1));
+    const [y0, y1] = within(1 - bottom, 1 - top, tanY, MARGIN.y);
     // Where the camera may be across the view so that all corners are within: from the first to the second, if that is a span.
     const span = (axis: "x" | "y", low: number, high: number, away: number) =>
       [

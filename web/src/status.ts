@@ -4,8 +4,9 @@
 // SPDX-License-Identifier: Apache-2.0
 import { element, setText, toast } from "./dom";
 import { Problem } from "./problem";
+import { sceneCard } from "./scenecard";
 import { getLanguage, text } from "./strings";
-import type { Progress, SceneEntry, Viewer, ViewerState } from "./viewer";
+import type { Progress, Viewer, ViewerState } from "./viewer";
 
 const NUMBERS_EVERY_MS = 150;
 const LINE_AFTER_MS = 400; // a wait shorter than this is not worth a line
@@ -166,27 +167,11 @@ export class Status {
       return banner("notice", error.message, [{ label: text("banner.close"), run: () => {} }]);
     // Of a link to a scene that is not there: those that are.
     const others = kind === "noScene" ? this.viewer.scenes : [];
-    element("problem-scenes").replaceChildren(...others.map((scene) => this.linkTo(scene)));
+    element("problem-scenes").replaceChildren(...others.map((scene) => sceneCard(scene, () => void this.viewer.openScene(scene.id))));
     element("problem-title").textContent =
       error instanceof Problem ? error.title : text("problem.other.title");
     element("problem-text").textContent = error.message;
     element("problem").hidden = false;
-  }
-
-  private linkTo({ id, title, preview }: SceneEntry): HTMLElement {
-    const button = document.createElement("button");
-    button.textContent = title;
-    if (preview) {
-      const picture = document.createElement("img");
-      picture.alt = "";
-      picture.onerror = () => picture.remove(); // of a server that draws nothing
-      picture.src = preview.href;
-      button.prepend(picture);
-    }
-    button.onclick = () => void this.viewer.openScene(id);
-    const item = document.createElement("li");
-    item.append(button);
-    return item;
   }
 
   private hideProblem() {

@@ -9,6 +9,7 @@ import { City, NO_STATS, type CityStats } from "./city";
 import { decodeOnce } from "./core";
 import { Events, type Handler } from "./events";
 import type { Area } from "./free";
+import type { Extent } from "./extent";
 import { Frame, type Place, type Pose } from "./geo";
 import { Layers } from "./layers";
 import { HttpError, Link, type LinkState } from "./link";
@@ -450,8 +451,9 @@ export class Viewer {
     if (core && info === this.info) this.setCore(core);
   }
 
-  private setCore(core: Box3) {
-    this.setExtent(core);
+  private setCore({ box, corners }: Extent) {
+    this.setExtent(box);
+    this.stage.outline = corners;
     this.layers.reset();
     this.homeless = false;
     if (!this.touched) this.stage.home();
