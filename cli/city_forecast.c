@@ -135,6 +135,7 @@ static enum err_code city_expect_train(struct city *c, struct city_need *n, stru
     enum err_code rc = options_defaults(train_options(), &cfg, &c->arena, e);
     cfg.iterations.one = c->o->iterations;
     cfg.iterations.n = 1;
+    cfg.final_all = true; /* as city_train */
     if (!rc)
         rc = expect_training(&cfg, &photos, &n->train, e);
     if (rc)

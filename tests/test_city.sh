@@ -36,6 +36,7 @@ made=$(stat -c %Y.%i "$scene/scene.json")
 city "$work/a/my flight" || fail "the second run: exit $?"
 expect "the second run" "the scene is there already"
 expect "the second run" "a training was interrupted: it goes on"
+expect "the second run" "steps more with all 16 photographs"
 [ "$(stat -c %Y.%i "$scene/scene.json")" = "$made" ] || fail "the second run made the scene again"
 [ -f "$work/out/my-flight/my-flight.tiles" ] || fail "no tiles"
 
