@@ -22,7 +22,7 @@ struct cell {              /* a rectangle of the ground plane; Gaussians outside
     /* the ground that the cell owns (partition_owner), along the same axes: the rectangle, enlarged
      * beyond the outermost sparse points on sides where no other cell lies */
     double owned_min_m[2], owned_max_m[2];
-    bool cut; /* photographs are cut to what shows the cell (cells/window.h) */
+    bool cut;                     /* photographs are cut to what shows the cell (cells/window.h) */
     const struct partition *plan; /* borrowed; NULL: the cell is of no plan */
     size_t index;                 /* of the cell in the plan */
     /* share of the configured steps that the cell takes; 0 counts as 1. Where photographs are cut,
