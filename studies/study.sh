@@ -461,15 +461,16 @@ ochota_light_rows() {
 }
 study_ochota_light() { seeded ochota_light ochota_light_rows; }
 
-# The same in cells, with one appearance network for all of them.
-ochota_cells_rows() {
-  local base=(--level-count 1 --iterations "$(steps ochota_cells)" --budget 60000)
-  row ochota_cells "neither" ochota-cells "" "${base[@]}" --no-exposure --eval --half-image on
-  row ochota_cells "exposure" ochota-cells "" "${base[@]}" --eval --half-image on
-  row ochota_cells "appearance" ochota-cells "" "${base[@]}" --no-exposure --appearance --eval --half-image on
-  row ochota_cells "both" ochota-cells "" "${base[@]}" --appearance --eval --half-image on
+# The same in cells, beside one piece in which each photograph is visited as often, coarse model included.
+ochota_cells_rows() { # STUDY TRAIN-OPTIONS
+  local study=$1 n
+  n=$(steps "$study")
+  shift
+  row "$study" "one piece" ochota-400 "" --level-count 1 --iterations $((2 * n)) "$@" --eval --half-image on
+  row "$study" "ten cells" ochota-cells "" --level-count 1 --iterations "$n" "$@" --eval --half-image on
 }
-study_ochota_cells() { seeded ochota_cells ochota_cells_rows; }
+study_ochota_cells() { seeded ochota_cells ochota_cells_rows ochota_cells; }
+study_ochota_cells_light() { seeded ochota_cells_light ochota_cells_rows ochota_cells_light --appearance; }
 
 # What looking at many photographs before a Gaussian is split is worth, where the budget binds: thirty thousand Gaussians
 # for photographs that support 100,000 and more.
@@ -789,7 +790,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_tricky solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ablation ablation_city cells cells_light
+readonly STUDIES=(time full big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_tricky solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ochota_cells_light ablation ablation_city cells cells_light
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {
