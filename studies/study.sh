@@ -461,12 +461,12 @@ ochota_light_rows() {
 }
 study_ochota_light() { seeded ochota_light ochota_light_rows; }
 
-# The same in cells, beside one piece in which each photograph is visited as often, coarse model included.
+# The same in cells, beside one piece: each photograph, or its parts together, is used 29 times in both.
 ochota_cells_rows() { # STUDY TRAIN-OPTIONS
   local study=$1 n
   n=$(steps "$study")
   shift
-  row "$study" "one piece" ochota-400 "" --level-count 1 --iterations $((2 * n)) "$@" --eval --half-image on
+  row "$study" "one piece" ochota-400 "" --level-count 1 --iterations $((n * 15 / 11)) "$@" --eval --half-image on
   row "$study" "ten cells" ochota-cells "" --level-count 1 --iterations "$n" "$@" --eval --half-image on
 }
 study_ochota_cells() { seeded ochota_cells ochota_cells_rows ochota_cells; }
