@@ -8,7 +8,8 @@
  * PoCL compiles kernels to its cache folder. If it cannot write there it fails late and without a
  * clear message, so the folder is checked before the first OpenCL call. Its cache still parses the
  * source at every start, so programs are kept as binaries too (docs/decisions/091-programs.md).
- * PoCL's worker threads do not survive fork().
+ * PoCL's worker threads do not survive fork(). It is one long file, because all of it shares the
+ * device's state and fails in one way.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

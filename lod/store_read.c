@@ -3,7 +3,7 @@
  * The header is checked by hand first, because SQLite silently fills a truncated file with zeros.
  * Each index row has a hash of itself, and each payload one of its bytes. A damaged row is left out
  * with a warning. A damaged payload is an error only when it is read. All other tiles stay
- * available.
+ * available. It is one long file, because opening, index and reading share the handles of a store.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -362,6 +362,7 @@ export class Viewer {
       this.pace.showedRough();
       this.events.emit("preview", appearance);
     } else this.pace.mix();
+    this.run(); // the loop may rest
   }
 
   // Photographs are listed with time, pose and thumbnail where the server knows them.
@@ -388,6 +389,7 @@ export class Viewer {
     if (!this.city || (wanted === null && this.city.split === null)) return;
     this.city.split = wanted;
     this.pace.mix();
+    this.run(); // the loop may rest
   }
 
   // Something of the scene is on the screen.
