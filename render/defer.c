@@ -181,10 +181,10 @@ static enum err_code defer_add_row(struct defer *d, const struct render_adam *a,
 static enum err_code defer_send(struct defer *d, struct err *e)
 {
     const size_t row = LAYOUT_DEFER_ROW * sizeof(float);
-    cl_mem was = d->table.mem;
+    size_t had = d->table.cap_bytes;
     enum err_code rc = frame_reserve(d->r, &d->table, d->cap * row, e);
-    if (!rc && d->table.mem != was)
-        d->n_sent = 0;
+    if (!rc && d->table.cap_bytes != had)
+        d->n_sent = 0; /* a new buffer may lie where the old one was */
     if (!rc && d->n_sent < d->n_rows)
         rc = dev_write(d->r->dev, d->table.mem, d->n_sent * row, (d->n_rows - d->n_sent) * row,
                        d->rows + d->n_sent * LAYOUT_DEFER_ROW, e);
