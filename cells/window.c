@@ -22,18 +22,17 @@ enum err_code window_open(const struct scene *s, const struct partition *plan, s
     double *height_m = mem_array(n + 1, sizeof *height_m);
     *out = (struct window){.scene = s, .plan = plan};
     out->xyz = mem_array(3 * s->n_tracks + 1, sizeof *out->xyz);
-    enum err_code rc = ERR_OK;
-    if (!height_m || !out->xyz)
-        rc = err_set(e, ERR_MEM, "windows: out of memory for %zu observations", s->n_tracks);
-    for (size_t i = 0; !rc && i < n; i++)
-        height_m[i] = s->points[i].enu_m[2];
-    if (!rc && n)
-        sort_doubles(height_m, n);
-    out->ground_m = !rc && n ? height_m[n / 2] : 0.0;
-    mem_free(height_m);
-    if (rc)
+    if (!height_m || !out->xyz) {
+        mem_free(height_m);
         window_free(out);
-    return rc;
+        return err_set(e, ERR_MEM, "windows: out of memory for %zu observations", s->n_tracks);
+    }
+    for (size_t i = 0; i < n; i++)
+        height_m[i] = s->points[i].enu_m[2];
+    sort_doubles(height_m, n);
+    out->ground_m = n ? height_m[n / 2] : 0.0;
+    mem_free(height_m);
+    return ERR_OK;
 }
 
 void window_free(struct window *w)

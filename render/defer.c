@@ -261,13 +261,14 @@ static enum err_code defer_begin(struct defer *d, const struct render_model *m,
 {
     enum err_code rc = defer_reserve(d, m, e);
     size_t groups = m->groups;
-    uint32_t *settled = !rc ? mem_array(groups, sizeof *settled) : NULL;
-    if (!rc && !settled)
-        rc = err_set(e, ERR_MEM, "deferred steps: out of memory for %u Gaussians", m->n);
-    for (size_t i = 0; !rc && i < groups; i++)
+    if (rc)
+        return rc;
+    uint32_t *settled = mem_array(groups, sizeof *settled);
+    if (!settled)
+        return err_set(e, ERR_MEM, "deferred steps: out of memory for %u Gaussians", m->n);
+    for (size_t i = 0; i < groups; i++)
         settled[i] = a->step;
-    if (!rc)
-        rc = dev_write(d->r->dev, d->settled.mem, 0, groups * sizeof *settled, settled, e);
+    rc = dev_write(d->r->dev, d->settled.mem, 0, groups * sizeof *settled, settled, e);
     mem_free(settled);
     d->n = m->n;
     d->base = a->step;

@@ -296,6 +296,28 @@ static void test_listed_make_what_they_are_owed(void **state)
 
 /* ---- states ---- */
 
+/* What is owed after `done` steps is saved, closed, and read again. */
+static void go_on(struct trainer *t, struct defer **d, uint32_t done)
+{
+    struct err e = {0};
+    cl_mem at;
+    uint32_t from;
+    kit_ok(defer_save(*d, &t->m, &t->adam, &at, &e), e);
+    uint32_t *settled = mem_array(t->m.groups, sizeof *settled);
+    assert_non_null(settled);
+    kit_ok(dev_read(dev_get(), at, 0, t->m.groups * sizeof *settled, settled, &e), e);
+    defer_close(d);
+    kit_ok(defer_open(t->r, d, &e), e);
+    kit_ok(defer_restore(*d, &t->m, settled, &from, &e), e);
+    assert_true(from < done);
+    for (t->adam.step = from; t->adam.step <= done; t->adam.step++) {
+        t->adam.lr_mean = lr_mean_at(t->adam.step);
+        kit_ok(defer_stepped(*d, &t->adam, &e), e);
+    }
+    t->adam.step = done;
+    mem_free(settled);
+}
+
 /* Steps 1 to `n` in pieces, saved after `save` of them (0: never). Returns the parameters. */
 static float *in_pieces(uint32_t n, uint32_t save, size_t *words)
 {
@@ -306,24 +328,8 @@ static float *in_pieces(uint32_t n, uint32_t save, size_t *words)
     struct defer *d;
     kit_ok(defer_open(t.r, &d, &e), e);
     for (uint32_t i = 0; i < n; i++) {
-        if (i == save && save) {
-            cl_mem at;
-            uint32_t from;
-            kit_ok(defer_save(d, &t.m, &t.adam, &at, &e), e);
-            uint32_t *settled = mem_array(t.m.groups, sizeof *settled);
-            assert_non_null(settled);
-            kit_ok(dev_read(dev_get(), at, 0, t.m.groups * sizeof *settled, settled, &e), e);
-            defer_close(&d);
-            kit_ok(defer_open(t.r, &d, &e), e);
-            kit_ok(defer_restore(d, &t.m, settled, &from, &e), e);
-            assert_true(from < i);
-            for (t.adam.step = from; t.adam.step <= i; t.adam.step++) {
-                t.adam.lr_mean = lr_mean_at(t.adam.step);
-                kit_ok(defer_stepped(d, &t.adam, &e), e);
-            }
-            t.adam.step = i;
-            mem_free(settled);
-        }
+        if (i == save && save)
+            go_on(&t, &d, i);
         s.cam = turned(&first, 2.0 * 3.14159265 * (i * 5 % TURNS) / TURNS);
         t.adam.lr_mean = lr_mean_at(i + 1);
         (void)step_listed(&t, d, &s, 0, false);

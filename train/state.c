@@ -389,9 +389,9 @@ static enum err_code state_fill_owed(struct model *m, struct state *s, const str
     if (!s->owes)
         return ERR_OK;
     uint32_t *settled = mem_array(groups, sizeof *settled);
-    enum err_code rc = settled
-                           ? ckpt_rows_blob_to(c, STATE_OWED, settled, groups * sizeof *settled, e)
-                           : err_set(e, ERR_MEM, "%s: out of memory for %zu groups", path, groups);
+    if (!settled)
+        return err_set(e, ERR_MEM, "%s: out of memory for %zu groups", path, groups);
+    enum err_code rc = ckpt_rows_blob_to(c, STATE_OWED, settled, groups * sizeof *settled, e);
     for (size_t i = 0; !rc && i < groups; i++)
         if (settled[i] > s->at.step)
             rc = err_set(e, ERR_FORMAT, "%s: group %zu has made step %u of %u", path, i, settled[i],
