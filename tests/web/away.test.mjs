@@ -100,7 +100,7 @@ test("the page says what it waits for, to screen readers in few words", skip, as
 });
 
 test("server lost mid-load and back: full detail without a touch, the picture stays", skip, async (t) => {
-    proxy.bytesPerSecond = 60_000;
+    proxy.bytesPerSecond = 15_000; // seconds for all of it, so that the server goes in the middle
     const page = await open();
     await until(page, () => window.citysplat.state.tiles > 0);
     await proxy.down();
