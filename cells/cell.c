@@ -75,43 +75,6 @@ void cell_whole(const struct scene *s, const uint32_t *images, size_t n_images, 
     }
 }
 
-/* Whether another cell of the plan lies beyond a side of this one. */
-static bool cell_has_beyond(const struct partition *p, const struct partition_cell *c, int axis,
-                            bool above)
-{
-    int other = 1 - axis;
-    for (size_t i = 0; i < p->n_cells; i++) {
-        const struct partition_cell *d = &p->cells[i];
-        bool beside = d->min_m[other] < c->max_m[other] && d->max_m[other] > c->min_m[other];
-        bool beyond = above ? d->min_m[axis] >= c->max_m[axis] : d->max_m[axis] <= c->min_m[axis];
-        if (d->parent < 0 && beside && beyond)
-            return true;
-    }
-    return false;
-}
-
-/* What lies outside of all cells belongs to the nearest one. So a cell owns the ground to the end
- * of what is known where no other lies beyond. */
-static void cell_own(const struct scene *s, const struct partition *p,
-                     const struct partition_cell *c, struct cell *out)
-{
-    double lo[2] = {HUGE_VAL, HUGE_VAL}, hi[2] = {-HUGE_VAL, -HUGE_VAL};
-    for (size_t i = 0; i < s->n_points; i++) {
-        double at[2];
-        cell_grid_from_enu(&p->grid, s->points[i].enu_m[0], s->points[i].enu_m[1], at);
-        for (int k = 0; k < 2; k++) {
-            lo[k] = fmin(lo[k], at[k]);
-            hi[k] = fmax(hi[k], at[k]);
-        }
-    }
-    for (int k = 0; k < 2; k++) {
-        out->owned_min_m[k] =
-            cell_has_beyond(p, c, k, false) ? c->min_m[k] : fmin(c->min_m[k], lo[k] - out->edge_m);
-        out->owned_max_m[k] =
-            cell_has_beyond(p, c, k, true) ? c->max_m[k] : fmax(c->max_m[k], hi[k] + out->edge_m);
-    }
-}
-
 void cell_planned(const struct scene *s, const struct partition *p, size_t index,
                   const uint32_t *images, size_t n_images, struct cell *out)
 {
@@ -127,7 +90,6 @@ void cell_planned(const struct scene *s, const struct partition *p, size_t index
     out->edge_m = fmax(out->edge_m, CELL_SMALLEST_M);
     out->extent_m = fmax(cell_extent(s, images, n_images), 0.5 * out->edge_m);
     out->scene_extent_m = fmax(cell_extent(s, NULL, s->n_images), out->extent_m);
-    cell_own(s, p, c, out);
     out->cut = !out->whole && p->share_min > 0.0;
     size_t most = c->n_images;
     for (size_t i = 0; i < p->n_cells; i++)
@@ -136,24 +98,14 @@ void cell_planned(const struct scene *s, const struct partition *p, size_t index
     out->steps_share = out->cut && most ? (double)c->n_images / (double)most : 1.0;
 }
 
-static double cell_box_distance(const struct cell *c, const double lo[2], const double hi[2],
-                                double east_m, double north_m)
+double cell_distance(const struct cell *c, double east_m, double north_m)
 {
     if (c->whole)
         return 0.0;
+    const double *lo = c->min_enu_m, *hi = c->max_enu_m;
     double at[2];
     cell_grid_from_enu(&c->grid, east_m, north_m, at);
     double dx = fmax(fmax(lo[0] - at[0], at[0] - hi[0]), 0.0);
     double dy = fmax(fmax(lo[1] - at[1], at[1] - hi[1]), 0.0);
     return sqrt(dx * dx + dy * dy);
-}
-
-double cell_distance(const struct cell *c, double east_m, double north_m)
-{
-    return cell_box_distance(c, c->min_enu_m, c->max_enu_m, east_m, north_m);
-}
-
-double cell_owned_distance(const struct cell *c, double east_m, double north_m)
-{
-    return cell_box_distance(c, c->owned_min_m, c->owned_max_m, east_m, north_m);
 }

@@ -19,9 +19,6 @@ struct cell {              /* a rectangle of the ground plane; Gaussians outside
     bool whole;            /* the cell is the whole scene, and the rectangle is not used */
     struct cell_grid grid; /* the axes of the rectangle */
     double min_enu_m[2], max_enu_m[2]; /* east, north; in a turned grid x, y along its axes */
-    /* the ground that the cell owns (partition_owner), along the same axes: the rectangle, enlarged
-     * beyond the outermost sparse points on sides where no other cell lies */
-    double owned_min_m[2], owned_max_m[2];
     bool cut;                     /* photographs are cut to what shows the cell (cells/window.h) */
     const struct partition *plan; /* borrowed; NULL: the cell is of no plan */
     size_t index;                 /* of the cell in the plan */
@@ -45,8 +42,6 @@ void cell_whole(const struct scene *s, const uint32_t *images, size_t n_images, 
  * its extent. */
 void cell_planned(const struct scene *s, const struct partition *p, size_t index,
                   const uint32_t *images, size_t n_images, struct cell *out);
-/* Horizontal distance of a place in metres, 0 inside: from the rectangle, and from the ground that
- * the cell owns. */
+/* Horizontal distance of a place from the rectangle in metres, 0 inside. */
 double cell_distance(const struct cell *c, double east_m, double north_m);
-double cell_owned_distance(const struct cell *c, double east_m, double north_m);
 #endif
