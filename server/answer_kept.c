@@ -21,6 +21,7 @@ static int answer_kept_status(enum err_code rc)
            : rc == ERR_NOENT ? 404
            : rc == ERR_LIMIT ? 507
            : rc == ERR_MEM   ? 503
+           : rc == ERR_BUSY  ? 503
                              : 500;
 }
 
@@ -90,15 +91,17 @@ void answer_kept_read(struct services *s, const struct request *r, struct datase
     struct body *b = NULL;
     struct kept_table *kept = kept_now(s->kept);
     const struct kept_row *row = kept_find(kept, d->meta.name, t->kept);
-    if (!row)
+    if (!row) {
         response_problem(out, 404,
                          s->kept ? "no appearance is kept under this name"
                                  : "no appearance is kept: the server was started without "
-                                   "--state-dir");
-    else if (appearance_api_describe_kept(d, row, &b, &e))
+                                   "--state-dir and --state-url");
+        out->unknown_name = true;
+    } else if (appearance_api_describe_kept(d, row, &b, &e)) {
         response_no_memory(out);
-    else
+    } else {
         response_document(r, RESPONSE_JSON, b, out);
+    }
     kept_drop(&kept);
 }
 
@@ -123,6 +126,7 @@ void answer_kept_change(struct services *s, const struct request *r, struct data
         response_problem(out, 409, e.msg);
     else
         response_refused(out, rc, e.msg);
+    out->unknown_name = rc == ERR_NOENT;
 }
 
 /* ---- when the change was made ---- */
@@ -157,6 +161,9 @@ void answer_kept_finish(struct job_result *result, struct response *out)
     const int status = answer_kept_status(result->code);
     response_problem(out, status,
                      status == 500 ? "the change could not be written; the log says why"
-                                   : result->msg);
+                     : result->code == ERR_BUSY
+                         ? "the server that keeps the names does not answer now, and whether the "
+                           "change was made is not known: ask again"
+                         : result->msg);
     out->retry_after_s = status == 503 ? 1 : 0;
 }

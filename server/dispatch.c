@@ -33,7 +33,8 @@ static const struct route_method *dispatch_method(const struct services *s, cons
         out->cache_control = RESPONSE_NO_STORE;
     } else {
         response_problem(out, 405,
-                         unkept ? "nothing is kept: the server was started without --state-dir"
+                         unkept ? "nothing is kept: the server was started without --state-dir and "
+                                  "--state-url"
                                 : "the method is not one of those in Allow");
     }
     out->allow = route_allow(route, s->kept);

@@ -327,6 +327,8 @@ static enum err_code server_begin(const struct server_config *cfg, const char *c
         rc = disk_open(cfg->cache_dir, (uint64_t)cfg->cache_dir_mb << 20, &s->disk, e);
     if (!rc && cfg->state_dir)
         rc = kept_open(cfg->state_dir, &s->kept, e);
+    if (!rc && cfg->state_url)
+        rc = kept_open_shared(cfg->state_url, cfg->state_refresh_s, &s->kept, e);
     if (!rc)
         rc = http_open(s, HTTP_PUBLIC, &sv->http, e);
     if (!rc && cfg->admin)
@@ -540,8 +542,8 @@ enum err_code server_check(const struct server_config *cfg, const char *const *p
         rc = http_check(cfg, e);
     if (!rc && cfg->cache_dir)
         rc = disk_check(cfg->cache_dir, e);
-    if (!rc && cfg->state_dir)
-        rc = kept_check(cfg->state_dir, e);
+    if (!rc && (cfg->state_dir || cfg->state_url))
+        rc = kept_check(cfg->state_dir, cfg->state_url, e);
     for (size_t i = 0; !rc && out && i < s->catalog->n; i++)
         fprintf(out, "dataset %s revision %s, %zu tiles: %s\n", s->catalog->ds[i]->meta.name,
                 s->catalog->ds[i]->meta.revision, s->catalog->ds[i]->n_tiles,

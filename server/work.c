@@ -351,7 +351,7 @@ static enum err_code work_change(struct services *s, const struct work *w, struc
     bool created = false;
     enum err_code rc = c->removes ? kept_remove(s->kept, c->row.ds, c->row.name, &when, e)
                                   : kept_put(s->kept, &c->row, &when, &created, e);
-    if (rc == ERR_IO || rc == ERR_FORMAT || rc == ERR_MEM)
+    if (rc == ERR_IO || rc == ERR_FORMAT || rc == ERR_MEM || rc == ERR_BUSY)
         log_error("serve", "%s of ds=%s is not %s: %s", c->row.name, c->row.ds,
                   c->removes ? "forgotten" : "kept", e->msg);
     if (rc)

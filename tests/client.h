@@ -149,6 +149,24 @@ static inline void ask_port(uint16_t port, const char *method, const char *targe
     close(fd);
 }
 
+/* One request with a body on a connection of its own; r->raw is the caller's. */
+static inline int say_to(uint16_t port, const char *method, const char *target, const char *extra,
+                         const char *body, struct reply *r)
+{
+    struct buf q = {0};
+    int fd = dial(port);
+    buf_printf(&q, "%s %s HTTP/1.1\r\nHost: localhost\r\n%sConnection: close\r\n", method, target,
+               extra);
+    if (body)
+        buf_printf(&q, "Content-Length: %zu\r\n", strlen(body));
+    buf_printf(&q, "\r\n%s", body ? body : "");
+    say_bytes(fd, (char *)q.data, q.size);
+    hear(fd, true, NULL, r);
+    buf_free(&q);
+    close(fd);
+    return r->status;
+}
+
 /* Posts a text. Returns the status. */
 static inline int post_text(const char *target, const char *text, struct reply *r)
 {

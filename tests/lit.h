@@ -41,4 +41,20 @@ static inline void lit_city(const char *path, const char *name, const struct app
     gauss_free(&g);
 }
 
+enum { LIT_PHOTOS = 5, LIT_LEN = 4, LIT_IMAGE = 6 };
+
+/* The city "toy" in the light of five photographs: dawn, p1.jpg to p4.jpg. seed: of the network. */
+static inline void lit_by_five(const char *path, uint64_t seed)
+{
+    struct err e = {0};
+    struct appearance photos, model;
+    kit_ok(appearance_alloc(&photos, LIT_LEN, LIT_IMAGE, 8, LIT_PHOTOS, &e), e);
+    appearance_init(&photos, seed);
+    for (size_t i = 0; i < LIT_PHOTOS; i++)
+        snprintf(photos.names[i], APPEARANCE_NAME_MAX, i ? "p%zu.jpg" : "dawn", i);
+    lit_city(path, "toy", &photos, NULL, &model);
+    appearance_free(&photos);
+    appearance_free(&model);
+}
+
 #endif

@@ -1,5 +1,5 @@
 /* Servers of objects for tests: nginx, from which stores are read, and a server that misbehaves on
- * request.
+ * request. The latter also takes PUT with conditions, as a bucket does.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -110,7 +110,11 @@ enum ranges_way {
     RANGES_NONE,      /* 404 */
     RANGES_FORBIDDEN, /* 403 */
     RANGES_AROUND,    /* redirected to itself */
-    RANGES_FILE       /* redirected to a file of the client */
+    RANGES_FILE,      /* redirected to a file of the client */
+    RANGES_DEAF,      /* conditions of a PUT are ignored */
+    RANGES_FIXED,     /* a PUT is 403 */
+    RANGES_LOST,      /* every other PUT is done, but not answered */
+    RANGES_BEATEN     /* every other PUT finds that another was quicker */
 };
 
 static struct { /* of the whole test program */
@@ -119,8 +123,9 @@ static struct { /* of the whole test program */
     pthread_t thread;
     pthread_mutex_t lock; /* for the next three */
     struct buf object;
-    char etag[32];
+    char etag[32];    /* "": there is no object */
     struct buf asked; /* the head of the last request */
+    unsigned n_put;   /* PUT */
     _Atomic int way;
     _Atomic unsigned n; /* requests */
     _Atomic bool over;
@@ -140,20 +145,23 @@ static inline void ranges_say(int fd, const void *bytes, size_t n)
 static inline void ranges_part(int fd, int way, unsigned number, const char *head)
 {
     struct buf b = {0};
-    const char *range = strstr(head, "Range: bytes="), *same = strstr(head, "If-Match: "),
+    const char *range = strstr(head, "\nRange: bytes="), *same = strstr(head, "If-Match: "),
                *other = strstr(head, "If-None-Match: ");
     size_t first = 0, last = ranges.object.size - 1;
     char *end = NULL;
     if (range) {
-        first = strtoull(range + 13, &end, 10);
+        first = strtoull(range + 14, &end, 10);
         last = strtoull(end + 1, NULL, 10);
         last = last < ranges.object.size ? last : ranges.object.size - 1;
     }
-    if (same && strncmp(same + 10, ranges.etag, strlen(ranges.etag)))
+    const bool whole = !range || way == RANGES_WHOLE;
+    if (!ranges.etag[0])
+        buf_printf(&b, "HTTP/1.1 404 None\r\nContent-Length: 0\r\n");
+    else if (same && strncmp(same + 10, ranges.etag, strlen(ranges.etag)))
         buf_printf(&b, "HTTP/1.1 412 Precondition Failed\r\nContent-Length: 0\r\n");
     else if (other && !strncmp(other + 15, ranges.etag, strlen(ranges.etag)))
         buf_printf(&b, "HTTP/1.1 304 Not Modified\r\nETag: %s\r\n", ranges.etag);
-    else if (way == RANGES_WHOLE)
+    else if (whole)
         buf_printf(&b, "HTTP/1.1 200 OK\r\nContent-Length: %zu\r\n", ranges.object.size);
     else
         buf_printf(&b, "HTTP/1.1 206 Partial\r\nContent-Length: %zu\r\n", last - first + 1);
@@ -162,17 +170,60 @@ static inline void ranges_part(int fd, int way, unsigned number, const char *hea
         buf_printf(&b, "ETag: %s\r\n", ranges.etag);
     if (body && way == RANGES_CODED)
         buf_printf(&b, "Content-Encoding: gzip\r\n");
-    if (body && way != RANGES_WHOLE)
+    if (body && !whole)
         buf_printf(&b, "Content-Range: bytes %zu-%zu/%zu\r\n", first + (way == RANGES_SHIFTED),
                    last + (way == RANGES_SHIFTED), ranges.object.size);
     buf_printf(&b, "Connection: close\r\n\r\n");
     ranges_say(fd, b.data, b.size);
     buf_free(&b);
     if (body) {
-        size_t n = way == RANGES_WHOLE ? ranges.object.size : last - first + 1;
+        size_t n = whole ? ranges.object.size : last - first + 1;
         n = way == RANGES_CUT && number % 2 ? n / 2 : n;
-        ranges_say(fd, ranges.object.data + (way == RANGES_WHOLE ? 0 : first), n);
+        ranges_say(fd, ranges.object.data + (whole ? 0 : first), n);
     }
+}
+
+/* The rest of a body of which `n` bytes came with the head. */
+static inline void ranges_take(int fd, const char *head, const char *part, size_t n,
+                               struct buf *out)
+{
+    char bytes[4096];
+    const char *length = strstr(head, "\nContent-Length: ");
+    const size_t all = length ? strtoull(length + 17, NULL, 10) : 0;
+    buf_add(out, part, n);
+    for (ssize_t k; out->size < all && (k = recv(fd, bytes, sizeof bytes, 0)) > 0;)
+        buf_add(out, bytes, (size_t)k);
+}
+
+static inline void ranges_put(int fd, int way, const char *head, struct buf *body)
+{
+    const unsigned number = ++ranges.n_put;
+    const char *same = strstr(head, "\nIf-Match: "), *none = strstr(head, "\nIf-None-Match: *");
+    const bool holds =
+        (!same || (ranges.etag[0] && !strncmp(same + 11, ranges.etag, strlen(ranges.etag)))) &&
+        (!none || !ranges.etag[0]);
+    char text[160];
+    const char *say = "412 Precondition Failed";
+    if (way == RANGES_FIXED)
+        say = "403 No";
+    else if (way == RANGES_BUSY && number % 2)
+        say = "503 Busy";
+    else if (way == RANGES_BEATEN && number % 2)
+        snprintf(ranges.etag, sizeof ranges.etag, "\"beaten%u\"", number);
+    else if (holds || way == RANGES_DEAF) {
+        say = ranges.etag[0] ? "204 Done" : "201 Made";
+        buf_free(&ranges.object);
+        ranges.object = *body;
+        *body = (struct buf){0};
+        snprintf(ranges.etag, sizeof ranges.etag, "\"put%u\"", number);
+        if (way == RANGES_LOST && number % 2)
+            return;
+    }
+    ranges_say(fd, text,
+               (size_t)snprintf(text, sizeof text,
+                                "HTTP/1.1 %s\r\nETag: %s\r\nContent-Length: 0\r\n"
+                                "Connection: close\r\n\r\n",
+                                say, ranges.etag));
 }
 
 static inline void ranges_answer(int fd)
@@ -190,10 +241,16 @@ static inline void ranges_answer(int fd)
     const int way = atomic_load(&ranges.way);
     const unsigned number = atomic_fetch_add(&ranges.n, 1);
     const char *say = NULL;
+    const bool puts = !strncmp(head, "PUT ", 4);
+    struct buf body = {0};
+    if (puts) {
+        const char *from = strstr(head, "\r\n\r\n") + 4;
+        ranges_take(fd, head, from, (size_t)(head + n - from), &body);
+    }
     pthread_mutex_lock(&ranges.lock);
     ranges.asked.size = 0;
     buf_add(&ranges.asked, head, n + 1);
-    if (way == RANGES_DOWN || (way == RANGES_BUSY && number % 2))
+    if (way == RANGES_DOWN || (way == RANGES_BUSY && number % 2 && !puts))
         say = "503 Busy\r\nRetry-After: 0";
     else if (way == RANGES_NONE)
         say = "404 None";
@@ -213,10 +270,13 @@ static inline void ranges_answer(int fd)
     } else if (way == RANGES_SILENT) {
         struct pollfd p = {.fd = fd, .events = POLLIN};
         (void)poll(&p, 1, 3000); /* until the client leaves */
+    } else if (puts) {
+        ranges_put(fd, way, head, &body);
     } else {
         ranges_part(fd, way, number, head);
     }
     pthread_mutex_unlock(&ranges.lock);
+    buf_free(&body);
 }
 
 static void *ranges_run(void *arg)
@@ -243,6 +303,15 @@ static inline void ranges_serve(const char *path, const char *etag)
     buf_free(&ranges.object);
     kit_ok(file_read(path, 0, &ranges.object, &e), e);
     snprintf(ranges.etag, sizeof ranges.etag, "\"%s\"", etag);
+    pthread_mutex_unlock(&ranges.lock);
+}
+
+/* From now on there is no object. */
+static inline void ranges_forget(void)
+{
+    pthread_mutex_lock(&ranges.lock);
+    buf_free(&ranges.object);
+    ranges.etag[0] = '\0';
     pthread_mutex_unlock(&ranges.lock);
 }
 

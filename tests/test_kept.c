@@ -17,23 +17,8 @@
 #include "server/condition.h"
 #include "server/kept.h"
 
-enum { PHOTOS = 5, LEN = 4, IMAGE = 6 };
 static const char TOKEN[] = "a token that opens the names of one dataset";
 static char state_dir[FILE_PATH_MAX], state_file[FILE_PATH_MAX];
-
-/* The city under five photographs' light; seed: of the network. */
-static void light_city(uint64_t seed)
-{
-    struct err e = {0};
-    struct appearance photos, model;
-    kit_ok(appearance_alloc(&photos, LEN, IMAGE, 8, PHOTOS, &e), e);
-    appearance_init(&photos, seed);
-    for (size_t i = 0; i < PHOTOS; i++)
-        snprintf(photos.names[i], APPEARANCE_NAME_MAX, i ? "p%zu.jpg" : "dawn", i);
-    lit_city(t.path, "toy", &photos, NULL, &model);
-    appearance_free(&photos);
-    appearance_free(&model);
-}
 
 static int setup_lit(void **state)
 {
@@ -43,31 +28,13 @@ static int setup_lit(void **state)
     kit_ok(file_join(state_file, state_dir, "appearances.sqlite", &e), e);
     if (!access(state_dir, F_OK))
         kit_rmdir(state_dir);
-    light_city(5);
+    lit_by_five(t.path, 5);
     t.cfg.state_dir = state_dir;
     t.cfg.admin = "127.0.0.1:0";
     return 0;
 }
 
-/* One request with a body on a connection of its own; r->raw is the caller's. */
-static int say_to(uint16_t port, const char *method, const char *target, const char *extra,
-                  const char *body, struct reply *r)
-{
-    struct buf q = {0};
-    int fd = dial(port);
-    buf_printf(&q, "%s %s HTTP/1.1\r\nHost: localhost\r\n%sConnection: close\r\n", method, target,
-               extra);
-    if (body)
-        buf_printf(&q, "Content-Length: %zu\r\n", strlen(body));
-    buf_printf(&q, "\r\n%s", body ? body : "");
-    say_bytes(fd, (char *)q.data, q.size);
-    hear(fd, true, NULL, r);
-    buf_free(&q);
-    close(fd);
-    return r->status;
-}
-
-/* The same on the operators' listener; the status alone. */
+/* One request on the operators' listener; the status alone. */
 static int change(const char *method, const char *target, const char *extra, const char *body)
 {
     struct reply r;
@@ -328,7 +295,7 @@ static void test_names_outlive_the_network_or_say_that_they_do_not(void **state)
         201);
     snprintf(target, sizeof target, "/d/toy/appearance?appearance=exact");
     assert_int_equal(status_of("GET", target, ""), 200);
-    light_city(6);
+    lit_by_five(t.path, 6);
     kit_ok(server_reload(t.server, &e), e);
     assert_int_equal(status_of("GET", target, ""), 404);
     assert_int_equal(status_of("GET", "/d/toy/tileset.json?appearance=exact", ""), 404);
@@ -515,7 +482,7 @@ static void test_files_of_others_and_limits(void **state)
         sql(bad[i]);
         kit_fails(kept_open(state_dir, &k, &e), ERR_FORMAT, e, "appearances.sqlite");
         assert_null(k);
-        kit_fails(kept_check(state_dir, &e), ERR_FORMAT, e, "appearances.sqlite");
+        kit_fails(kept_check(state_dir, NULL, &e), ERR_FORMAT, e, "appearances.sqlite");
         kit_rmdir(state_dir);
     }
     kit_ok(file_mkdir(state_dir, &e), e);
@@ -525,7 +492,7 @@ static void test_files_of_others_and_limits(void **state)
 
     kit_ok(kept_open(state_dir, &k, &e), e);
     kit_fails(kept_open(state_dir, &other, &e), ERR_BUSY, e, "another server");
-    kit_ok(kept_check(state_dir, &e), e);
+    kit_ok(kept_check(state_dir, NULL, &e), e);
     kept_close(&k);
     sql("WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i+1 FROM n WHERE i<1000) INSERT INTO "
         "kept SELECT 'toy', 'n'||i, 'p1.jpg', zeroblob(16) FROM n");

@@ -1,9 +1,10 @@
 /* front_city OUT.tiles [GAUSSIANS [SIDE]]: a small city for tests of programs in front of the
- * server, or one of SIDE x SIDE tiles at the finest zoom.
+ * server, or one of SIDE x SIDE tiles at the finest zoom. front_city OUT.tiles lit: one tile with
+ * appearances.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "tests/served.h"
+#include "tests/lit.h"
 
 #include <stdlib.h>
 
@@ -30,6 +31,10 @@ static void city_square(const char *path, size_t n, uint32_t side)
 
 int main(int argc, char **argv)
 {
+    if (argc == 3 && !strcmp(argv[2], "lit")) {
+        lit_by_five(argv[1], 5);
+        return 0;
+    }
     const long n = argc > 2 ? strtol(argv[2], NULL, 10) : 2000,
                side = argc > 3 ? strtol(argv[3], NULL, 10) : 0;
     if (argc < 2 || argc > 4 || n < 1 || n > 1000000 || side < 0 || side > 2000)
