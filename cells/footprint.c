@@ -125,42 +125,57 @@ static ptrdiff_t footprint_cell(const struct footprint *f, double x_m, double y_
 
 /* ---- heights ---- */
 
+/* Mean of the neighbours of cell i that know their heights; false: none does. */
+static bool footprint_mean(const struct footprint *f, float *const v[3], size_t i, float out[3])
+{
+    ptrdiff_t x = (ptrdiff_t)(i % f->nx), y = (ptrdiff_t)(i / f->nx);
+    float sum[3] = {0};
+    int found = 0;
+    for (ptrdiff_t b = y - 1; b <= y + 1; b++)
+        for (ptrdiff_t a = x - 1; a <= x + 1; a++) {
+            size_t j = (size_t)(b * (ptrdiff_t)f->nx + a);
+            if (a < 0 || b < 0 || a >= (ptrdiff_t)f->nx || b >= (ptrdiff_t)f->ny || isnan(v[0][j]))
+                continue;
+            for (int k = 0; k < 3; k++)
+                sum[k] += v[k][j];
+            found++;
+        }
+    for (int k = 0; k < 3 && found; k++)
+        out[k] = sum[k] / (float)found;
+    return found > 0;
+}
+
 /* A cell that has no points takes the mean of its neighbours that know theirs, ring by ring. */
 static enum err_code footprint_fill(const struct footprint *f, float *v[3], struct err *e)
 {
-    size_t n = footprint_count(f), left = 0;
+    size_t n = footprint_count(f), left = 0, before = 0;
     float *next = mem_array(3 * n, sizeof *next);
-    if (!next)
+    uint32_t *cell = mem_array(n, sizeof *cell); /* those that do not know theirs, ascending */
+    if (!next || !cell) {
+        mem_free(next);
+        mem_free(cell);
         return err_set(e, ERR_MEM, "footprint: out of memory");
-    do {
+    }
+    for (size_t i = 0; i < n; i++)
+        if (isnan(v[0][i]))
+            cell[left++] = (uint32_t)i;
+    while (left && left < n && left != before) {
+        before = left;
         left = 0;
-        for (size_t i = 0; i < n; i++) {
-            ptrdiff_t x = (ptrdiff_t)(i % f->nx), y = (ptrdiff_t)(i / f->nx);
-            float sum[3] = {0};
-            int found = 0;
-            for (int k = 0; k < 3; k++)
-                next[3 * i + k] = v[k][i];
-            if (!isnan(v[0][i]))
-                continue;
-            left++;
-            for (ptrdiff_t b = y - 1; b <= y + 1; b++)
-                for (ptrdiff_t a = x - 1; a <= x + 1; a++) {
-                    size_t j = (size_t)(b * (ptrdiff_t)f->nx + a);
-                    if (a < 0 || b < 0 || a >= (ptrdiff_t)f->nx || b >= (ptrdiff_t)f->ny ||
-                        isnan(v[0][j]))
-                        continue;
-                    for (int k = 0; k < 3; k++)
-                        sum[k] += v[k][j];
-                    found++;
-                }
-            for (int k = 0; k < 3 && found; k++)
-                next[3 * i + k] = sum[k] / (float)found;
+        for (size_t k = 0; k < before; k++)
+            if (!footprint_mean(f, v, cell[k], next + 3 * k))
+                next[3 * k] = NAN;
+        for (size_t k = 0; k < before; k++) {
+            size_t i = cell[k];
+            if (isnan(next[3 * k]))
+                cell[left++] = (uint32_t)i;
+            else
+                for (int a = 0; a < 3; a++)
+                    v[a][i] = next[3 * k + (size_t)a];
         }
-        for (size_t i = 0; i < n; i++)
-            for (int k = 0; k < 3; k++)
-                v[k][i] = next[3 * i + k];
-    } while (left && left < n);
+    }
     mem_free(next);
+    mem_free(cell);
     return ERR_OK;
 }
 

@@ -6,22 +6,28 @@
 
 #include <math.h>
 
+#include "core/simd.h"
+
 #define CHOLESKY_DIGITS 1e-13
 
-bool cholesky_factor(double *a, size_t n, size_t stride)
+/* One column after the other; what it explains is taken from the rows below at once, so that the
+ * inner loop runs along rows. */
+SIMD_WIDE bool cholesky_factor(double *a, size_t n, size_t stride)
 {
-    for (size_t j = 0; j < n; j++) {
-        double *row = a + j * stride, pivot = row[j], full = pivot;
-        for (size_t k = 0; k < j; k++)
-            pivot -= row[k] * row[k];
-        if (!(pivot > CHOLESKY_DIGITS * full))
+    double last = n ? a[(n - 1) * stride + n - 1] : 0.0;
+    for (size_t k = 0; k + 1 < n; k++) /* the diagonal as it was, beside its place */
+        a[k * stride + k + 1] = a[k * stride + k];
+    for (size_t k = 0; k < n; k++) {
+        double *row = a + k * stride, full = k + 1 < n ? row[k + 1] : last;
+        if (!(row[k] > CHOLESKY_DIGITS * full))
             return false;
-        row[j] = sqrt(pivot);
-        for (size_t i = j + 1; i < n; i++) {
-            double *below = a + i * stride, v = below[j];
-            for (size_t k = 0; k < j; k++)
-                v -= below[k] * row[k];
-            below[j] = v / row[j];
+        row[k] = sqrt(row[k]);
+        for (size_t i = k + 1; i < n; i++)
+            row[i] = a[i * stride + k] /= row[k];
+        for (size_t i = k + 1; i < n; i++) {
+            double *below = a + i * stride, v = below[k];
+            for (size_t j = k + 1; j <= i; j++)
+                below[j] -= v * row[j];
         }
     }
     return true;

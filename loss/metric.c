@@ -11,9 +11,13 @@
 
 #include "core/base.h"
 #include "loss/metric.h"
-#include "loss/photometric_ref.h"
+#include "loss/ssim.h"
 
-enum { BORDER_PX = 5, GMSD_LEAST_PX = 4 };
+enum {
+    BORDER_PX = 5,
+    GMSD_LEAST_PX = 4,
+    METRIC_WITHIN_PLANES = 5 /* two pictures, and three at half their size, rounded up */
+};
 #define GMSD_T 170.0 /* of the paper, for grey levels 0..255 */
 
 static double metric_clamp(double v)
@@ -54,35 +58,51 @@ enum err_code metric_psnr(const float *rgb, const uint8_t *target, const uint8_t
     return ERR_OK;
 }
 
+/* Mean of a map [3][h][w] over pixels that are `border` from all edges. */
+static double metric_mean(const double *map, size_t w, size_t h, size_t border)
+{
+    double sum = 0;
+    for (size_t c = 0; c < 3; c++)
+        for (size_t r = border; r < h - border; r++)
+            for (size_t q = border; q < w - border; q++)
+                sum += map[(c * h + r) * w + q];
+    return sum / (3.0 * (double)((w - 2 * border) * (h - 2 * border)));
+}
+
+enum err_code metric_ssim_both(const float *rgb, const uint8_t *target, const uint8_t *mask,
+                               uint32_t width_px, uint32_t height_px, double *training,
+                               double *valid, struct err *e)
+{
+    const struct ssim_input in = {rgb, target, mask, false, width_px, height_px};
+    size_t w = width_px, h = height_px, n = w * h;
+    enum err_code rc = metric_check_size("metric_ssim", width_px, height_px, 1, e);
+    if (rc)
+        return rc;
+    double *map = mem_array(n, 3 * sizeof *map);
+    if (!map)
+        return err_set(e, ERR_MEM, "metric_ssim: %u x %u px: out of memory", width_px, height_px);
+    rc = ssim_map(&in, map, e);
+    if (!rc) {
+        bool has_inside = w > 2 * BORDER_PX && h > 2 * BORDER_PX;
+        *training = metric_mean(map, w, h, 0);
+        *valid = has_inside ? metric_mean(map, w, h, BORDER_PX) : (double)NAN;
+    }
+    mem_free(map);
+    return rc;
+}
+
 enum err_code metric_ssim(const float *rgb, const uint8_t *target, const uint8_t *mask,
                           uint32_t width_px, uint32_t height_px, enum metric_window window,
                           double *out, struct err *e)
 {
-    size_t border = window == METRIC_VALID ? BORDER_PX : 0;
-    enum err_code rc =
-        metric_check_size("metric_ssim", width_px, height_px, (uint32_t)(2 * border + 1), e);
-    if (rc)
-        return rc;
-    size_t w = width_px, h = height_px, n = w * h;
-    double *block = mem_array(n, (photometric_ref_scratch_planes() + 3) * sizeof *block);
-    if (!block)
-        return err_set(e, ERR_MEM, "metric_ssim: %u x %u px: out of memory", width_px, height_px);
-    double *x = block, *y = x + n, *map = y + n, *scratch = map + n;
-    double sum = 0;
-    for (size_t c = 0; c < 3; c++) {
-        for (size_t i = 0; i < n; i++) {
-            bool used = !mask || mask[i];
-            x[i] = used ? metric_clamp((double)rgb[3 * i + c]) : 0;
-            y[i] = used ? target[3 * i + c] / 255.0 : 0;
-        }
-        photometric_ref_ssim(x, y, w, h, scratch, map);
-        for (size_t r = border; r < h - border; r++)
-            for (size_t q = border; q < w - border; q++)
-                sum += map[r * w + q];
-    }
-    *out = sum / (3.0 * (double)((w - 2 * border) * (h - 2 * border)));
-    mem_free(block);
-    return ERR_OK;
+    double training = 0, valid = 0;
+    uint32_t least = window == METRIC_VALID ? 2 * BORDER_PX + 1 : 1;
+    enum err_code rc = metric_check_size("metric_ssim", width_px, height_px, least, e);
+    if (!rc)
+        rc = metric_ssim_both(rgb, target, mask, width_px, height_px, &training, &valid, e);
+    if (!rc)
+        *out = window == METRIC_VALID ? valid : training;
+    return rc;
 }
 
 /* ---- GMSD ---- */
@@ -167,23 +187,15 @@ enum err_code metric_gmsd(const float *rgb, const uint8_t *target, const uint8_t
 
 /* ---- within a mask ---- */
 
-static double metric_within_ssim(const float *rgb, const uint8_t *target, const uint8_t *mask,
-                                 size_t w, size_t h, double *block)
+static double metric_within_ssim(const double *map, const uint8_t *mask, size_t n)
 {
-    size_t n = w * h, used = 0;
-    double *x = block, *y = x + n, *map = y + n, *scratch = map + n, sum = 0;
-    for (size_t c = 0; c < 3; c++) {
-        for (size_t i = 0; i < n; i++) {
-            y[i] = target[3 * i + c] / 255.0;
-            x[i] = mask[i] ? metric_clamp((double)rgb[3 * i + c]) : y[i];
+    size_t used = 0;
+    double sum = 0;
+    for (size_t i = 0; i < 3 * n; i++)
+        if (mask[i % n]) {
+            sum += map[i];
+            used++;
         }
-        photometric_ref_ssim(x, y, w, h, scratch, map);
-        for (size_t i = 0; i < n; i++)
-            if (mask[i]) {
-                sum += map[i];
-                used++;
-            }
-    }
     return sum / (double)used;
 }
 
@@ -235,12 +247,16 @@ enum err_code metric_within(const float *rgb, const uint8_t *target, const uint8
         }
     if (!used)
         return err_set(e, ERR_DATA, "metric_within: the mask is empty");
-    double *block = mem_array(n, (photometric_ref_scratch_planes() + 3) * sizeof *block);
+    const struct ssim_input in = {rgb, target, mask, true, w, h};
+    double *block = mem_array(n, METRIC_WITHIN_PLANES * sizeof *block);
     if (!block)
         return err_set(e, ERR_MEM, "metric_within: %u x %u px: out of memory", width_px, height_px);
     out->psnr_db = sum > 0 ? 10 * log10((double)used / sum) : HUGE_VAL;
-    out->ssim = metric_within_ssim(rgb, target, mask, w, h, block);
-    out->gmsd = metric_within_gmsd(rgb, target, mask, w, h, block);
+    rc = ssim_map(&in, block, e);
+    if (!rc) {
+        out->ssim = metric_within_ssim(block, mask, n);
+        out->gmsd = metric_within_gmsd(rgb, target, mask, w, h, block);
+    }
     mem_free(block);
-    return ERR_OK;
+    return rc;
 }

@@ -24,6 +24,10 @@ enum err_code metric_psnr(const float *rgb, const uint8_t *target, const uint8_t
 enum err_code metric_ssim(const float *rgb, const uint8_t *target, const uint8_t *mask,
                           uint32_t width_px, uint32_t height_px, enum metric_window window,
                           double *out, struct err *e) ERR_USE;
+/* SSIM by both windows from one map; *valid is NAN where the picture is too small for it. */
+enum err_code metric_ssim_both(const float *rgb, const uint8_t *target, const uint8_t *mask,
+                               uint32_t width_px, uint32_t height_px, double *training,
+                               double *valid, struct err *e) ERR_USE;
 /* Gradient Magnitude Similarity Deviation of the grey levels (Xue 2014), a perceptual metric
  * without weights. Lower is better; equal pictures have 0. ERR_ARG: less than 4 x 4 pixels.
  * ERR_MEM. */

@@ -17,7 +17,6 @@
 
 #include "core/base.h"
 #include "loss/photometric.h"
-#include "loss/photometric_ref.h"
 
 enum { RADIUS = 5, TAPS = 2 * RADIUS + 1 };
 static const double sigma_px = 1.5;
@@ -34,7 +33,7 @@ static void ref_taps(double taps[TAPS])
         taps[k] /= sum;
 }
 
-void photometric_ref_blur(const double *in, size_t w, size_t h, double *tmp, double *out)
+static void ref_blur(const double *in, size_t w, size_t h, double *tmp, double *out)
 {
     double taps[TAPS];
     ref_taps(taps);
@@ -59,27 +58,21 @@ void photometric_ref_blur(const double *in, size_t w, size_t h, double *tmp, dou
 /* Planes of the scratch block of one channel. */
 enum { M1, M2, Q1, Q2, R12, PRODUCT, TMP, PLANES };
 
-size_t photometric_ref_scratch_planes(void)
-{
-    return PLANES;
-}
-
 static void ref_blur_product(const double *a, const double *b, size_t w, size_t h, double *s,
                              double *out)
 {
     size_t n = w * h;
     for (size_t i = 0; i < n; i++)
         s[PRODUCT * n + i] = a[i] * b[i];
-    photometric_ref_blur(s + PRODUCT * n, w, h, s + TMP * n, out);
+    ref_blur(s + PRODUCT * n, w, h, s + TMP * n, out);
 }
 
-void photometric_ref_ssim(const double *x, const double *y, size_t w, size_t h, double *s,
-                          double *map)
+static void ref_ssim(const double *x, const double *y, size_t w, size_t h, double *s, double *map)
 {
     const double c1 = 0.01 * 0.01, c2 = 0.03 * 0.03;
     size_t n = w * h;
-    photometric_ref_blur(x, w, h, s + TMP * n, s + M1 * n);
-    photometric_ref_blur(y, w, h, s + TMP * n, s + M2 * n);
+    ref_blur(x, w, h, s + TMP * n, s + M1 * n);
+    ref_blur(y, w, h, s + TMP * n, s + M2 * n);
     ref_blur_product(x, x, w, h, s, s + Q1 * n);
     ref_blur_product(y, y, w, h, s, s + Q2 * n);
     ref_blur_product(x, y, w, h, s, s + R12 * n);
@@ -100,18 +93,18 @@ void photometric_ref_ssim(const double *x, const double *y, size_t w, size_t h, 
     }
 }
 
-/* grad += weight * d(sum of SSIM)/dx, from the derivatives photometric_ref_ssim left in s. */
+/* grad += weight * d(sum of SSIM)/dx, from the derivatives ref_ssim left in s. */
 static void ref_add_ssim_grad(const double *x, const double *y, size_t w, size_t h, double *s,
                               double weight, double *grad)
 {
     size_t n = w * h;
-    photometric_ref_blur(s + Q1 * n, w, h, s + TMP * n, s + PRODUCT * n);
+    ref_blur(s + Q1 * n, w, h, s + TMP * n, s + PRODUCT * n);
     for (size_t i = 0; i < n; i++)
         grad[i] += weight * s[PRODUCT * n + i];
-    photometric_ref_blur(s + Q2 * n, w, h, s + TMP * n, s + PRODUCT * n);
+    ref_blur(s + Q2 * n, w, h, s + TMP * n, s + PRODUCT * n);
     for (size_t i = 0; i < n; i++)
         grad[i] += weight * 2 * x[i] * s[PRODUCT * n + i];
-    photometric_ref_blur(s + R12 * n, w, h, s + TMP * n, s + PRODUCT * n);
+    ref_blur(s + R12 * n, w, h, s + TMP * n, s + PRODUCT * n);
     for (size_t i = 0; i < n; i++)
         grad[i] += weight * y[i] * s[PRODUCT * n + i];
 }
@@ -142,7 +135,7 @@ enum err_code photometric_ref_run(const double *rgb, const double *target, const
             out->mse += scale * d * d;
             g[i] = l1_weight * scale * (double)((d > 0) - (d < 0));
         }
-        photometric_ref_ssim(x, y, w, h, scratch, map);
+        ref_ssim(x, y, w, h, scratch, map);
         for (size_t i = 0; i < n; i++)
             out->ssim += scale * map[i];
         ref_add_ssim_grad(x, y, w, h, scratch, -ssim_weight * scale, g);

@@ -1,28 +1,27 @@
-/* See permute.h. A few planes at a time are copied to plain arrays, and from there to their new
- * places. Every cache line of the large array is thus read and written once, as a whole, and random
- * access stays within small arrays. Both copies run over fixed chunks of groups in parallel. Each
- * float is written once, so the result does not depend on threads.
+/* See permute.h. Some planes at a time are laid aside, row by row, and from there go to their new
+ * places. Every cache line of the large array is thus read and written once, as a whole, and a row
+ * that is fetched from its old place is half a line. Both copies run over fixed chunks of groups in
+ * parallel. Each float is written once, so the result does not depend on threads.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "render/permute.h"
 
-#include <string.h>
-
 #include "core/base.h"
 #include "core/pool.h"
+#include "core/simd.h"
 
 enum {
     PERMUTE_LANES = LAYOUT_LANES,
     PERMUTE_CHUNK_GROUPS = 1024,
-    PERMUTE_PLANES = PERMUTE_SPARE / 4
+    PERMUTE_SOON = 64, /* rows ahead that are fetched: their old places are near, and jump */
+    PERMUTE_PLANES = PERMUTE_SPARE / 4 /* floats of a row that is laid aside */
 };
 
 struct permute_work {
     const struct permutation *rows;
     const float *from;
-    float *to, *aside; /* [PERMUTE_PLANES][stride] */
-    size_t stride;
+    float *to, *aside;     /* [groups][lanes][PERMUTE_PLANES] */
     uint32_t first, count; /* planes at hand */
     bool zero_new;
 };
@@ -43,34 +42,63 @@ static size_t permute_rows_end(size_t n, size_t chunk)
     return end < permute_groups(n) ? end : permute_groups(n);
 }
 
-static enum err_code permute_lay_aside(void *user, size_t chunk, struct err *e)
+/* Rows of a group, `count` of their planes. */
+SIMD_INLINE void permute_rows_out(const float *restrict group, uint32_t count, float *restrict rows)
+{
+    for (size_t lane = 0; lane < PERMUTE_LANES; lane++)
+        for (size_t p = 0; p < count; p++)
+            rows[lane * PERMUTE_PLANES + p] = group[p * PERMUTE_LANES + lane];
+}
+
+/* The same back; row[lane] is NULL for zeros. */
+SIMD_INLINE void permute_rows_in(const float *const row[PERMUTE_LANES], uint32_t count,
+                                 float *restrict group)
+{
+    static const float zeros[PERMUTE_PLANES];
+    for (size_t lane = 0; lane < PERMUTE_LANES; lane++) {
+        const float *from = row[lane] ? row[lane] : zeros;
+        for (size_t p = 0; p < count; p++)
+            group[p * PERMUTE_LANES + lane] = from[p];
+    }
+}
+
+SIMD_WIDE static enum err_code permute_lay_aside(void *user, size_t chunk, struct err *e)
 {
     (void)e;
     const struct permute_work *w = user;
-    size_t group_floats = (size_t)w->rows->planes * PERMUTE_LANES;
-    for (size_t g = chunk * PERMUTE_CHUNK_GROUPS; g < permute_rows_end(w->rows->n_old, chunk); g++)
-        for (uint32_t p = 0; p < w->count; p++)
-            memcpy(w->aside + p * w->stride + g * PERMUTE_LANES,
-                   w->from + g * group_floats + (size_t)(w->first + p) * PERMUTE_LANES,
-                   PERMUTE_LANES * sizeof(float));
+    for (size_t g = chunk * PERMUTE_CHUNK_GROUPS; g < permute_rows_end(w->rows->n_old, chunk);
+         g++) {
+        const float *from = w->from + (g * w->rows->planes + w->first) * PERMUTE_LANES;
+        float *rows = w->aside + g * PERMUTE_LANES * PERMUTE_PLANES;
+        if (w->count == PERMUTE_PLANES) /* a number that the compiler knows */
+            permute_rows_out(from, PERMUTE_PLANES, rows);
+        else
+            permute_rows_out(from, w->count, rows);
+    }
     return ERR_OK;
 }
 
-static enum err_code permute_spread(void *user, size_t chunk, struct err *e)
+SIMD_WIDE static enum err_code permute_spread(void *user, size_t chunk, struct err *e)
 {
     (void)e;
     const struct permute_work *w = user;
     const struct permutation *r = w->rows;
     for (size_t g = chunk * PERMUTE_CHUNK_GROUPS; g < permute_rows_end(r->n, chunk); g++) {
+        const float *row[PERMUTE_LANES];
         float *to = w->to + (g * r->planes + w->first) * PERMUTE_LANES;
         for (size_t lane = 0; lane < PERMUTE_LANES; lane++) {
             size_t d = g * PERMUTE_LANES + lane;
             uint32_t s = d < r->n ? r->source[d] : 0;
             bool zero = d >= r->n || (w->zero_new && (s & PERMUTE_NEW));
-            const float *aside = w->aside + (s & ~PERMUTE_NEW);
-            for (uint32_t p = 0; p < w->count; p++)
-                to[p * PERMUTE_LANES + lane] = zero ? 0.0f : aside[p * w->stride];
+            if (d + PERMUTE_SOON < r->n)
+                SIMD_SOON(w->aside +
+                          (size_t)(r->source[d + PERMUTE_SOON] & ~PERMUTE_NEW) * PERMUTE_PLANES);
+            row[lane] = zero ? NULL : w->aside + (size_t)(s & ~PERMUTE_NEW) * PERMUTE_PLANES;
         }
+        if (w->count == PERMUTE_PLANES)
+            permute_rows_in(row, PERMUTE_PLANES, to);
+        else
+            permute_rows_in(row, w->count, to);
     }
     return ERR_OK;
 }
@@ -78,13 +106,9 @@ static enum err_code permute_spread(void *user, size_t chunk, struct err *e)
 enum err_code permute_move(const struct permutation *r, bool zero_new, const float *from, float *to,
                            struct err *e)
 {
-    struct permute_work w = {.rows = r,
-                             .from = from,
-                             .to = to,
-                             .stride = permute_groups(r->n_old) * PERMUTE_LANES,
-                             .zero_new = zero_new};
+    struct permute_work w = {.rows = r, .from = from, .to = to, .zero_new = zero_new};
     enum err_code rc = ERR_OK;
-    w.aside = mem_array(w.stride, PERMUTE_PLANES * sizeof(float));
+    w.aside = mem_uninit(permute_groups(r->n_old) * PERMUTE_LANES, PERMUTE_PLANES * sizeof(float));
     if (!w.aside)
         return err_set(e, ERR_MEM, "out of memory to reorder %zu Gaussians", r->n_old);
     for (; !rc && w.first < r->planes; w.first += w.count) {

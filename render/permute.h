@@ -24,7 +24,7 @@ struct permutation {
  * set, row d becomes 0. Lanes after the last row become 0. `to` may be `from` if it has room for
  * the larger number of rows; the work then needs only PERMUTE_SPARE more bytes a Gaussian, for any
  * number of planes. It uses all cores. ERR_MEM. */
-enum { PERMUTE_SPARE = 16 };
+enum { PERMUTE_SPARE = 32 };
 /* See above: ERR_MEM. */
 enum err_code permute_move(const struct permutation *r, bool zero_new, const float *from, float *to,
                            struct err *e) ERR_USE;

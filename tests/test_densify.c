@@ -143,11 +143,16 @@ static void a_binding_budget_asks_for_scores_and_is_met_exactly(void **state)
         struct densify_plan plan;
         kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
         assert_int_equal(plan.report.needs_importance, cap > 300 && cap < 600);
-        if (plan.report.needs_importance)
-            assert_null(plan.rows);
-        densify_plan_free(&plan);
+        struct densify_plan asked = plan;
         in.score = t.score;
         kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
+        if (asked.report.needs_importance) { /* with the score it becomes the same plan */
+            assert_null(asked.rows);
+            kit_ok(densify_plan_score(&p, &in, &asked, &e), e);
+            assert_int_equal(asked.n, plan.n);
+            assert_memory_equal(asked.rows, plan.rows, plan.n * sizeof *plan.rows);
+        }
+        densify_plan_free(&asked);
         size_t room = cap - 300;
         assert_int_equal(plan.report.room, room);
         assert_int_equal(plan.report.cloned,

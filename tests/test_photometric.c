@@ -184,7 +184,7 @@ static void test_gmsd_by_another_program(void **state)
 static void test_metrics(void **state)
 {
     (void)state;
-    struct picture p = picture_make(40, 21, true, 3);
+    struct picture p = picture_make(40, 71, true, 3);
     struct err e = {0};
     struct photometric_value v;
     double got;

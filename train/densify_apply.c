@@ -206,7 +206,7 @@ static enum err_code densify_decide(struct model *m, const struct densify_run *r
         (void)timing_turn(r->timing, was);
         in.score = c->score;
         if (!rc)
-            rc = densify_plan_make(p, &in, &c->plan, e);
+            rc = densify_plan_score(p, &in, &c->plan, e);
     }
     if (!rc && !c->plan.n)
         rc = err_set(e, ERR_DATA,

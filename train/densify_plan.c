@@ -14,6 +14,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include <assert.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -22,6 +23,7 @@
 #include "cells/footprint.h"
 #include "cells/trim.h"
 #include "core/gauss.h"
+#include "core/pool.h"
 #include "core/sample.h"
 #include "render/permute.h"
 #include "render/render.h"
@@ -30,9 +32,12 @@
 #include "train/relocate.h"
 
 #define DENSIFY_SPLIT_SHRINK 1.6
-#define DENSIFY_AXIS_OFFSET 0.8  /* d, in sigmas of the parent */
-#define DENSIFY_AXIS_SHRINK 0.6  /* sqrt(1 - d^2): the pair keeps the parent's covariance */
-enum { DENSIFY_CUT_SHARE = 4 };  /* of the room, for what sticks out */
+#define DENSIFY_AXIS_OFFSET 0.8 /* d, in sigmas of the parent */
+#define DENSIFY_AXIS_SHRINK 0.6 /* sqrt(1 - d^2): the pair keeps the parent's covariance */
+enum {
+    DENSIFY_CUT_SHARE = 4, /* of the room, for what sticks out */
+    DENSIFY_CHUNK = 4096   /* rows that a thread takes at a time */
+};
 #define DENSIFY_CLEAR_LEAST 1e-6 /* 1 - opacity of what is shared: beyond, it has no root */
 #define DENSIFY_SMALLEST_M 1e-4  /* scene units; smaller Gaussians are removed */
 
@@ -141,11 +146,13 @@ static bool densify_row_inside(const struct densify_params *p, const struct dens
 enum densify_class { CLASS_KEEP, CLASS_PRUNE, CLASS_CLONE, CLASS_SPLIT, CLASS_CUT };
 
 struct densify_lists {
-    uint8_t *class, *inside, *chosen; /* [n] */
-    uint32_t *drawn;                  /* scratch for a draw */
-    uint8_t *copies;                  /* [n] MCMC: how many come to each; otherwise NULL */
-    struct densify_side {             /* 0 outside the cell, 1 inside */
-        uint32_t *clones, *splits;    /* candidates, ascending */
+    uint8_t *class, *inside;       /* [n], of the plan */
+    bool known;                    /* both are filled */
+    uint8_t *chosen;               /* [n] */
+    uint32_t *drawn;               /* scratch for a draw */
+    uint8_t *copies;               /* [n] MCMC: how many come to each; otherwise NULL */
+    struct densify_side {          /* 0 outside the cell, 1 inside */
+        uint32_t *clones, *splits; /* candidates, ascending */
         size_t n_clones, n_splits, room;
     } side[2];
     size_t n_in, n_out;
@@ -199,14 +206,42 @@ static enum densify_class densify_classify(const struct densify_params *p,
     return largest > p->split_above_m ? CLASS_SPLIT : CLASS_CLONE;
 }
 
-static void densify_classify_all(const struct densify_params *p, const struct densify_input *in,
-                                 struct densify_lists *w)
+/* Rows of a chunk, each by itself. */
+struct densify_scan {
+    const struct densify_params *p;
+    const struct densify_input *in;
+    const struct densify_plan *plan;
+    uint8_t *class, *inside; /* densify_classify_chunk */
+    float *mean;             /* densify_mean_chunk */
+};
+
+static size_t densify_chunks(size_t n)
+{
+    return (n + DENSIFY_CHUNK - 1) / DENSIFY_CHUNK;
+}
+
+static size_t densify_chunk_end(size_t n, size_t chunk)
+{
+    return (chunk + 1) * DENSIFY_CHUNK < n ? (chunk + 1) * DENSIFY_CHUNK : n;
+}
+
+static enum err_code densify_classify_chunk(void *user, size_t chunk, struct err *e)
+{
+    const struct densify_scan *s = user;
+    (void)e;
+    for (size_t i = chunk * DENSIFY_CHUNK; i < densify_chunk_end(s->in->n, chunk); i++) {
+        bool inside;
+        s->class[i] = (uint8_t)densify_classify(s->p, s->in, i, &inside);
+        s->inside[i] = inside;
+    }
+    return ERR_OK;
+}
+
+static void densify_list(const struct densify_input *in, struct densify_lists *w)
 {
     for (size_t i = 0; i < in->n; i++) {
-        bool inside;
-        enum densify_class c = densify_classify(p, in, i, &inside);
-        w->class[i] = (uint8_t)c;
-        w->inside[i] = inside;
+        enum densify_class c = (enum densify_class)w->class[i];
+        bool inside = w->inside[i];
         if (c == CLASS_PRUNE)
             continue;
         w->n_in += inside;
@@ -390,7 +425,12 @@ static enum err_code densify_fill(const struct densify_params *p, const struct d
 {
     struct densify_report *r = &out->report;
     struct densify_side *inside = &w->side[1], *outside = &w->side[0];
-    densify_classify_all(p, in, w);
+    struct densify_scan scan = {.p = p, .in = in, .class = w->class, .inside = w->inside};
+    enum err_code rc =
+        w->known ? ERR_OK : pool_for(densify_chunks(in->n), 0, densify_classify_chunk, &scan, e);
+    if (rc)
+        return rc;
+    densify_list(in, w);
     size_t pruned = in->n - w->n_in - w->n_out, cut = densify_cut(p, in, w);
     bool border = !p->cell->whole;
     bool binds = densify_room(inside, w->n_in, p->cap_inside, border);
@@ -408,7 +448,7 @@ static enum err_code densify_fill(const struct densify_params *p, const struct d
         r->needs_importance = true;
         return ERR_OK;
     }
-    enum err_code rc = densify_draw_side(p, in, w, inside, r, e);
+    rc = densify_draw_side(p, in, w, inside, r, e);
     if (!rc)
         rc = densify_draw_side(p, in, w, outside, r, e);
     r->inside = w->n_in;
@@ -417,17 +457,19 @@ static enum err_code densify_fill(const struct densify_params *p, const struct d
     return rc ? rc : densify_rows(in, w, out, e);
 }
 
-enum err_code densify_plan_make(const struct densify_params *p, const struct densify_input *in,
-                                struct densify_plan *out, struct err *e)
+static void densify_forget_classes(struct densify_plan *p)
+{
+    mem_free(p->class);
+    mem_free(p->inside);
+    p->class = p->inside = NULL;
+}
+
+/* `out` has the classes, known or not. */
+static enum err_code densify_choose(const struct densify_params *p, const struct densify_input *in,
+                                    bool known, struct densify_plan *out, struct err *e)
 {
     enum err_code rc = ERR_OK;
-    struct densify_lists w = {0};
-    *out = (struct densify_plan){0};
-    if (in->n > UINT32_MAX / 2)
-        return err_set(e, ERR_LIMIT, "densify: %zu Gaussians are more than one cell can hold",
-                       in->n);
-    w.class = mem_array(in->n, 1);
-    w.inside = mem_array(in->n, 1);
+    struct densify_lists w = {.class = out->class, .inside = out->inside, .known = known};
     w.chosen = mem_array(in->n, 1);
     w.drawn = mem_array(in->n, sizeof *w.drawn);
     bool ok = w.class && w.inside && w.chosen && w.drawn;
@@ -440,8 +482,6 @@ enum err_code densify_plan_make(const struct densify_params *p, const struct den
         rc = err_set(e, ERR_MEM, "densify: out of memory for %zu Gaussians", in->n);
     else
         rc = densify_fill(p, in, &w, out, e);
-    mem_free(w.class);
-    mem_free(w.inside);
     mem_free(w.chosen);
     mem_free(w.drawn);
     mem_free(w.copies);
@@ -451,12 +491,34 @@ enum err_code densify_plan_make(const struct densify_params *p, const struct den
     }
     if (rc)
         densify_plan_free(out);
+    else if (!out->report.needs_importance)
+        densify_forget_classes(out);
     return rc;
+}
+
+enum err_code densify_plan_make(const struct densify_params *p, const struct densify_input *in,
+                                struct densify_plan *out, struct err *e)
+{
+    *out = (struct densify_plan){0};
+    if (in->n > UINT32_MAX / 2)
+        return err_set(e, ERR_LIMIT, "densify: %zu Gaussians are more than one cell can hold",
+                       in->n);
+    out->class = mem_array(in->n, 1);
+    out->inside = mem_array(in->n, 1);
+    return densify_choose(p, in, false, out, e);
+}
+
+enum err_code densify_plan_score(const struct densify_params *p, const struct densify_input *in,
+                                 struct densify_plan *plan, struct err *e)
+{
+    assert(plan->report.needs_importance && in->score);
+    return densify_choose(p, in, true, plan, e);
 }
 
 void densify_plan_free(struct densify_plan *p)
 {
     mem_free(p->rows);
+    densify_forget_classes(p);
     *p = (struct densify_plan){0};
 }
 
@@ -544,6 +606,15 @@ static enum err_code densify_sort(const struct densify_plan *plan, const float *
     return ERR_OK;
 }
 
+static enum err_code densify_mean_chunk(void *user, size_t chunk, struct err *e)
+{
+    const struct densify_scan *s = user;
+    (void)e;
+    for (size_t i = chunk * DENSIFY_CHUNK; i < densify_chunk_end(s->plan->n, chunk); i++)
+        densify_mean(s->p, s->in, s->plan->rows[i], s->mean + 3 * i);
+    return ERR_OK;
+}
+
 enum err_code densify_order(const struct densify_params *p, const struct densify_input *in,
                             const struct densify_plan *plan, struct densify_order *out,
                             struct err *e)
@@ -556,8 +627,9 @@ enum err_code densify_order(const struct densify_params *p, const struct densify
                                                 "Gaussians",
                                                 plan->n);
     *out = (struct densify_order){.rows = {source, plan->n, in->n, in->planes}, .how = p->split};
-    for (size_t i = 0; !rc && i < plan->n; i++)
-        densify_mean(p, in, plan->rows[i], mean + 3 * i);
+    struct densify_scan scan = {.p = p, .in = in, .plan = plan, .mean = mean};
+    if (!rc)
+        rc = pool_for(densify_chunks(plan->n), 0, densify_mean_chunk, &scan, e);
     if (!rc)
         rc = densify_sort(plan, mean, source, out, e);
     mem_free(mean);

@@ -68,12 +68,13 @@ struct densify_input { /* host copies in the device's layout, [groups][planes][1
 struct densify_report {
     size_t before, pruned, clone_candidates, split_candidates, room, cloned, split, after, inside,
         outside, cut;      /* cut: those of `split` that reach out of the photographs */
-    bool needs_importance; /* the budget binds: call again with a score */
+    bool needs_importance; /* the budget binds: call densify_plan_score */
 };
 struct densify_plan { /* {0} is empty; densify_plan_free */
     struct densify_row *rows;
     size_t n;
     struct densify_report report;
+    uint8_t *class, *inside; /* of densify_plan.c, while the plan needs importance */
 };
 /* Makes a plan. If the budget binds and there is no score, it fills only the report, and rows stays
  * NULL. The plan leaves at most cap_inside Gaussians inside the cell, or as many as before if that
@@ -81,6 +82,10 @@ struct densify_plan { /* {0} is empty; densify_plan_free */
  * Gaussians. ERR_MEM. */
 enum err_code densify_plan_make(const struct densify_params *p, const struct densify_input *in,
                                 struct densify_plan *out, struct err *e) ERR_USE;
+/* Completes a plan that needs importance: the same parameters and input, with a score. After an
+ * error the plan is empty. ERR_MEM. */
+enum err_code densify_plan_score(const struct densify_params *p, const struct densify_input *in,
+                                 struct densify_plan *plan, struct err *e) ERR_USE;
 void densify_plan_free(struct densify_plan *p);
 /* The rows of a plan, in the order of their new means along a Morton curve. */
 struct densify_order {       /* {0} is empty; free with densify_order_free */

@@ -20,7 +20,6 @@
 #include "train/residual.h"
 
 enum {
-    EVALUATE_VALID_MIN = 11, /* px: the SSIM window */
     EVALUATE_DRAWS =
         3, /* of a photograph; the quickest counts, so that a busy neighbour does not */
 };
@@ -44,12 +43,10 @@ enum err_code evaluate_photo(const struct photo *p, const float *rgb, struct eva
                              struct err *e)
 {
     uint32_t w = p->cam.width_px, h = p->cam.height_px;
-    double psnr, ssim, gmsd, ssim_valid = (double)NAN;
+    double psnr, ssim, gmsd, ssim_valid;
     enum err_code rc = metric_psnr(rgb, p->px, p->mask, w, h, &psnr, e);
     if (!rc)
-        rc = metric_ssim(rgb, p->px, p->mask, w, h, METRIC_TRAINING, &ssim, e);
-    if (!rc && w >= EVALUATE_VALID_MIN && h >= EVALUATE_VALID_MIN)
-        rc = metric_ssim(rgb, p->px, p->mask, w, h, METRIC_VALID, &ssim_valid, e);
+        rc = metric_ssim_both(rgb, p->px, p->mask, w, h, &ssim, &ssim_valid, e);
     if (!rc)
         rc = metric_gmsd(rgb, p->px, p->mask, w, h, &gmsd, e);
     if (rc)

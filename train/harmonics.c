@@ -13,6 +13,7 @@
 #include "core/cholesky.h"
 #include "core/layout.h"
 #include "core/pool.h"
+#include "core/simd.h"
 #include "render/render_ref.h"
 #include "train/model.h"
 
@@ -34,8 +35,8 @@ struct harmonics_fit { /* of one Gaussian */
 };
 
 /* Sum of Y Y^T over the photographs that see it; their number. */
-static size_t harmonics_gather(const struct harmonics_work *w, const double x[3],
-                               struct harmonics_fit *f)
+SIMD_INLINE size_t harmonics_gather(const struct harmonics_work *w, const double x[3],
+                                    struct harmonics_fit *f)
 {
     size_t seen = 0;
     memset(f->a, 0, sizeof f->a);
@@ -50,8 +51,8 @@ static size_t harmonics_gather(const struct harmonics_work *w, const double x[3]
         for (int i = 0; i < 3; i++)
             dir[i] /= sqrt(length2);
         ref_sh_basis(dir, w->rule->degree, y);
-        for (size_t i = 0; i < f->count; i++)
-            for (size_t j = 0; j <= i; j++)
+        for (size_t i = 0; i < f->count; i++) /* whole rows: y is 0 beyond its degree */
+            for (size_t j = 0; j < LAYOUT_SH_MAX; j++)
                 f->a[i][j] += y[i] * y[j];
         seen++;
     }
@@ -59,13 +60,12 @@ static size_t harmonics_gather(const struct harmonics_work *w, const double x[3]
 }
 
 /* What the photographs see of c0: the right side of the normal equations. */
-static void harmonics_seen(const struct harmonics_fit *f, const double *c0, double *out)
+SIMD_INLINE void harmonics_seen(const struct harmonics_fit *f, const double *c0, double *out)
 {
-    for (size_t i = 0; i < f->count; i++) {
-        out[i] = 0.0;
-        for (size_t j = 0; j < f->count; j++)
-            out[i] += f->a[i > j ? i : j][i > j ? j : i] * c0[j];
-    }
+    memset(out, 0, LAYOUT_SH_MAX * sizeof *out);
+    for (size_t j = 0; j < f->count; j++) /* by columns of what is symmetric */
+        for (size_t i = 0; i < LAYOUT_SH_MAX; i++)
+            out[i] += f->a[j][i] * c0[j];
 }
 
 static float *harmonics_at(float *row, size_t i, size_t channel)
@@ -73,7 +73,7 @@ static float *harmonics_at(float *row, size_t i, size_t channel)
     return row + (LAYOUT_PLANE_SH + HARMONICS_CHANNELS * i + channel) * LAYOUT_LANES;
 }
 
-static void harmonics_row(const struct harmonics_work *w, float *row)
+SIMD_WIDE static void harmonics_row(const struct harmonics_work *w, float *row)
 {
     struct harmonics_fit f = {.count = (size_t)(w->rule->degree + 1) * (w->rule->degree + 1)};
     double x[3], c[LAYOUT_SH_MAX], b[HARMONICS_CHANNELS][LAYOUT_SH_MAX];

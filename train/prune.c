@@ -18,6 +18,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "core/pool.h"
 #include "core/sort.h"
 #include "loss/photometric.h"
 #include "render/permute.h"
@@ -29,10 +30,11 @@
 
 enum { PRUNE_SUMS = 8, PRUNE_PIXELS = 1, PRUNE_SHARE = 2 };
 enum {
-    PRUNE_STEPS = 40, /* of the level for a photograph that measures: together 2 % of its time */
-    PRUNE_LEAST = 16, /* photographs that measure, if there are so many */
-    PRUNE_CHECKS = 8, /* photographs that are drawn again */
-    PRUNE_HALVES = 5  /* bisections: to a 32nd of the candidates */
+    PRUNE_STEPS = 40,   /* of the level for a photograph that measures: together 2 % of its time */
+    PRUNE_LEAST = 16,   /* photographs that measure, if there are so many */
+    PRUNE_CHECKS = 8,   /* photographs that are drawn again */
+    PRUNE_HALVES = 5,   /* bisections: to a 32nd of the candidates */
+    PRUNE_CHUNK = 16384 /* Gaussians that a thread takes at a time */
 };
 
 struct prune {
@@ -43,6 +45,7 @@ struct prune {
     struct render_importance *device;
     cl_mem weight; /* zeros: only alpha T is of interest */
     size_t weight_bytes;
+    const float *sums;               /* [n][PRUNE_SUMS] of the last view, mapped */
     float *total;                    /* [n] */
     double *mse;                     /* [n_images] of photographs as they were drawn first */
     uint16_t *views;                 /* [n] */
@@ -81,6 +84,20 @@ static size_t prune_nth(const struct prune *c, size_t k, size_t m)
     return k * c->gallery->n_images / m;
 }
 
+/* What a view adds to the scores of a chunk of Gaussians. */
+static enum err_code prune_add_chunk(void *user, size_t chunk, struct err *e)
+{
+    const struct prune *c = user;
+    size_t n = c->m->gauss.n, end = (chunk + 1) * PRUNE_CHUNK < n ? (chunk + 1) * PRUNE_CHUNK : n;
+    (void)e;
+    for (size_t i = chunk * PRUNE_CHUNK; i < end; i++) {
+        c->total[i] += c->sums[PRUNE_SUMS * i + PRUNE_SHARE];
+        if (c->sums[PRUNE_SUMS * i + PRUNE_PIXELS] > 0.0f && c->views[i] < UINT16_MAX)
+            c->views[i]++;
+    }
+    return ERR_OK;
+}
+
 static enum err_code prune_measure(struct prune *c, size_t n_views, struct err *e)
 {
     struct model *m = c->m;
@@ -95,16 +112,12 @@ static enum err_code prune_measure(struct prune *c, size_t n_views, struct err *
     if (!rc)
         rc = gallery_filter(g, c->at, m, e);
     for (size_t v = 0; !rc && v < n_views; v++) {
-        const float *sums = NULL;
         size_t nth = prune_nth(c, v, n_views);
         rc = prune_draw(c, nth, &c->mse[nth], e);
         if (!rc)
-            rc = render_importance_run(c->device, &m->gauss, c->weight, &sums, e);
-        for (size_t i = 0; !rc && i < n; i++) {
-            c->total[i] += sums[PRUNE_SUMS * i + PRUNE_SHARE];
-            if (sums[PRUNE_SUMS * i + PRUNE_PIXELS] > 0.0f && c->views[i] < UINT16_MAX)
-                c->views[i]++;
-        }
+            rc = render_importance_run(c->device, &m->gauss, c->weight, &c->sums, e);
+        if (!rc)
+            rc = pool_for((n + PRUNE_CHUNK - 1) / PRUNE_CHUNK, 0, prune_add_chunk, c, e);
         if (!rc && signals_stopping())
             rc = err_set(e, ERR_CANCEL, "stopped while pruning");
     }
