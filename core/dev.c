@@ -3,7 +3,7 @@
  * All that depends on a vendor is decided here: the vector width of kernels (16 lanes on CPUs,
  * where PoCL keeps a float16 in one register; 1 on GPUs, where a work-item is a lane), whether
  * clang builtins may be used (PoCL), where compiled kernels are cached, and how much memory a
- * buffer may have. A device has one in-order queue, so no other code needs events.
+ * buffer may have. A device has one in-order queue, so no other code knows events.
  *
  * PoCL compiles kernels to its cache folder. If it cannot write there it fails late and without a
  * clear message, so the folder is checked before the first OpenCL call. Its cache still parses the
@@ -634,6 +634,44 @@ enum err_code dev_zero(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_by
     cl_int code =
         clEnqueueFillBuffer(d->queue, m, &zero, pattern, offset_bytes, n_bytes, 0, NULL, NULL);
     return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_zero", d->name);
+}
+
+enum err_code dev_write_soon(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes,
+                             const void *in, struct err *e)
+{
+    if (n_bytes == 0)
+        return ERR_OK;
+    cl_int code =
+        clEnqueueWriteBuffer(d->queue, m, CL_FALSE, offset_bytes, n_bytes, in, 0, NULL, NULL);
+    return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_write_soon", d->name);
+}
+
+enum err_code dev_read_soon(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes, void *out,
+                            struct dev_pending *p, struct err *e)
+{
+    p->event = NULL;
+    cl_int code =
+        clEnqueueReadBuffer(d->queue, m, CL_FALSE, offset_bytes, n_bytes, out, 0, NULL, &p->event);
+    return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_read_soon", d->name);
+}
+
+enum err_code dev_wait(struct dev *d, struct dev_pending *p, struct err *e)
+{
+    if (!p->event)
+        return ERR_OK;
+    cl_int code = clWaitForEvents(1, &p->event);
+    clReleaseEvent(p->event);
+    p->event = NULL;
+    return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_wait", d->name);
+}
+
+void dev_abandon(struct dev *d, struct dev_pending *p)
+{
+    (void)clFinish(d->queue);
+    if (p && p->event)
+        clReleaseEvent(p->event);
+    if (p)
+        p->event = NULL;
 }
 
 enum err_code dev_map(struct dev *d, cl_mem m, cl_map_flags flags, size_t n_bytes, void **out,

@@ -78,6 +78,20 @@ enum err_code dev_write(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_b
                         const void *in, struct err *e) ERR_USE;
 enum err_code dev_zero(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes,
                        struct err *e) ERR_USE;
+/* The same without waiting, in the order of the queue. What `in` points to must stay as it is until
+ * the host has waited for something that was enqueued later. *out is filled when dev_wait of *p has
+ * returned; it does not wait for what was enqueued later. Call it once for each dev_read_soon, also
+ * after an error; {0} is accepted. ERR_DEVICE. */
+struct dev_pending {
+    cl_event event;
+};
+enum err_code dev_write_soon(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes,
+                             const void *in, struct err *e) ERR_USE;
+enum err_code dev_read_soon(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes, void *out,
+                            struct dev_pending *p, struct err *e) ERR_USE;
+enum err_code dev_wait(struct dev *d, struct dev_pending *p, struct err *e) ERR_USE;
+/* After a failure: waits until nothing borrowed is in use, and forgets the read (may be NULL). */
+void dev_abandon(struct dev *d, struct dev_pending *p);
 /* dev_map gives the host access to the first n_bytes of a buffer, for reading (CL_MAP_READ),
  * writing or both. Where host and device share memory nothing is copied. It blocks. While a buffer
  * is mapped for reading, kernels may read it. A buffer mapped for writing belongs to the host

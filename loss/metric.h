@@ -24,7 +24,8 @@ enum err_code metric_psnr(const float *rgb, const uint8_t *target, const uint8_t
 enum err_code metric_ssim(const float *rgb, const uint8_t *target, const uint8_t *mask,
                           uint32_t width_px, uint32_t height_px, enum metric_window window,
                           double *out, struct err *e) ERR_USE;
-/* SSIM by both windows from one map; *valid is NAN where the picture is too small for it. */
+/* SSIM by both windows from one map; *valid is NAN where the picture is too small for it. ERR_ARG:
+ * the picture is empty. ERR_MEM. */
 enum err_code metric_ssim_both(const float *rgb, const uint8_t *target, const uint8_t *mask,
                                uint32_t width_px, uint32_t height_px, double *training,
                                double *valid, struct err *e) ERR_USE;

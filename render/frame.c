@@ -55,3 +55,8 @@ enum err_code frame_clock(struct render *r, double *since_s, double *ms, struct 
     *since_s = now;
     return rc;
 }
+
+enum err_code frame_ask_counts(struct render *r, struct err *e)
+{
+    return dev_read_soon(r->dev, r->counts, 0, sizeof r->counted, &r->counted, &r->counting, e);
+}

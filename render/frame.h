@@ -72,6 +72,8 @@ struct render {
         ids[2]; /* uint [n]; depth order ends in ids[0], tile counts in keys[0] */
     struct frame_buffer histogram; /* uint [digits][LAYOUT_SORT_CHUNKS] */
     cl_mem counts;                 /* struct layout_counts[1] */
+    struct layout_counts counted;  /* the host's copy, once `counting` is done */
+    struct dev_pending counting;
 
     /* per tile and per intersection */
     struct frame_buffer expanded_tile, expanded_splat,
@@ -192,6 +194,10 @@ enum err_code render_appearance_finish(struct render *r, const struct render_mod
                                        const struct render_appearance_call *c,
                                        struct render_appearance_grad *out, struct err *e) ERR_USE;
 void render_appearance_close(struct render *r);
+
+/* Enqueues the read of the counts of a frame, once the device has them: within the sort. The device
+ * makes the later passes while the host prepares the lists. ERR_DEVICE. */
+enum err_code frame_ask_counts(struct render *r, struct err *e) ERR_USE;
 
 /* Sort and bin for vector_width 1: order_gpu.c. They leave the same results as the stages for CPUs.
  * ERR_DEVICE, ERR_LIMIT, ERR_MEM. */

@@ -159,6 +159,8 @@ enum err_code order_gpu_sort(struct render *r, struct err *e)
                                .keys_out = r->keys[to].mem,
                                .ids_out = r->ids[to].mem};
         rc = order_pass(r, &p, e);
+        if (!rc && pass == 0)
+            rc = frame_ask_counts(r, e);
     }
     return rc;
 }

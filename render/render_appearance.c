@@ -135,7 +135,7 @@ enum err_code render_appearance_begin(struct render *r, const struct render_mode
     if (!rc)
         rc = frame_reserve(r, &r->effective, (size_t)m->groups * LAYOUT_LANES * sizeof(float), e);
     if (!rc)
-        rc = dev_write(r->dev, r->appearance_frame.mem, 0, bytes, o->appearance_frame, e);
+        rc = dev_write_soon(r->dev, r->appearance_frame.mem, 0, bytes, o->appearance_frame, e);
     if (rc)
         r->appearance = NULL;
     return rc;

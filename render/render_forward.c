@@ -1,9 +1,10 @@
 /* The forward pass on the device: programs, buffers, and the order of launches of a frame.
  *
- * Buffers belong to struct render, grow by half when a frame needs more, and are kept. The host
- * waits once within a frame, to read the number of intersections (splat, tile) before the lists are
- * made. So nothing is written beyond a buffer, and no list is cut short. render/frame.h says what
- * each stage leaves, render_ref.c defines the picture.
+ * Buffers belong to struct render, grow by half when a frame needs more, and are kept. What a frame
+ * gets from the host is enqueued before its first launch. The host waits once within a frame, to
+ * read the number of intersections (splat, tile) before the lists are made; meanwhile the device
+ * goes on with the sort. So nothing is written beyond a buffer, and no list is cut short.
+ * render/frame.h says what each stage leaves, render_ref.c defines the picture.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -286,6 +287,8 @@ static enum err_code render_stage_sort(struct render *r, struct err *e)
                 r, r->k.sort_scan, "sort_scan",
                 FRAME_ARGS(FRAME_ARG(r->histogram.mem), FRAME_ARG(pass), FRAME_ARG(r->counts)), 1,
                 1, e);
+        if (!rc && pass == 0)
+            rc = frame_ask_counts(r, e);
         if (!rc)
             rc = frame_run(r, r->k.sort_scatter, "sort_scatter",
                            FRAME_ARGS(FRAME_ARG(keys->mem), FRAME_ARG(ids->mem),
@@ -303,25 +306,24 @@ static enum err_code render_stage_sort(struct render *r, struct err *e)
 /* How long are the lists? Make room. */
 static enum err_code render_stage_count(struct render *r, struct err *e)
 {
-    struct layout_counts counts;
-    enum err_code rc = dev_read(r->dev, r->counts, 0, sizeof counts, &counts, e);
+    enum err_code rc = dev_wait(r->dev, &r->counting, e);
     if (rc)
         return rc;
-    r->intersections = counts.intersections;
-    r->stats.intersections = counts.intersections;
-    r->stats.visible = counts.visible;
-    if (counts.intersections > r->intersection_max)
+    r->intersections = r->counted.intersections;
+    r->stats.intersections = r->counted.intersections;
+    r->stats.visible = r->counted.visible;
+    if (r->intersections > r->intersection_max)
         return err_set(
             e, ERR_LIMIT,
             "render_forward: %llu intersections of splats and tiles: at most %llu; draw a smaller "
             "picture or fewer Gaussians",
-            (unsigned long long)counts.intersections, (unsigned long long)r->intersection_max);
+            (unsigned long long)r->intersections, (unsigned long long)r->intersection_max);
     struct frame_buffer *lists[] = {&r->expanded_tile, &r->expanded_splat, &r->expanded_slot,
                                     &r->intersection_splat, &r->intersection_slot};
     for (size_t i = 0; !rc && i < sizeof lists / sizeof *lists; i++)
-        rc = frame_reserve(r, lists[i], (size_t)counts.intersections * sizeof(uint32_t), e);
+        rc = frame_reserve(r, lists[i], (size_t)r->intersections * sizeof(uint32_t), e);
     if (!rc)
-        rc = frame_reserve(r, &r->hits, (size_t)counts.intersections * sizeof(uint16_t), e);
+        rc = frame_reserve(r, &r->hits, (size_t)r->intersections * sizeof(uint16_t), e);
     return rc;
 }
 
@@ -395,6 +397,19 @@ static enum err_code render_stage_blend(struct render *r, struct err *e)
                      wide && !moments ? n - 1 : n, r->tiles * local, local, e);
 }
 
+/* What the frame gets from the host; render_stage_count waits for it. */
+static enum err_code render_hand_over(struct render *r, const struct render_options *o,
+                                      struct err *e)
+{
+    size_t pixels = (size_t)r->view.width * r->view.height;
+    enum err_code rc = dev_write_soon(r->dev, r->view_mem, 0, sizeof r->view, &r->view, e);
+    if (!rc && o->background_where)
+        rc = frame_reserve(r, &r->where, pixels, e);
+    return !rc && o->background_where
+               ? dev_write_soon(r->dev, r->where.mem, 0, pixels, o->background_where, e)
+               : rc;
+}
+
 /* Another background behind some pixels. */
 static enum err_code render_stage_background(struct render *r, const struct render_options *o,
                                              struct err *e)
@@ -405,15 +420,11 @@ static enum err_code render_stage_background(struct render *r, const struct rend
         return ERR_OK;
     for (int c = 0; c < 3; c++)
         more[c] = o->background_there[c] - o->background[c];
-    enum err_code rc = frame_reserve(r, &r->where, pixels, e);
-    if (!rc)
-        rc = dev_write(r->dev, r->where.mem, 0, pixels, o->background_where, e);
-    return rc ? rc
-              : frame_run(r, r->k.background, "background",
-                          FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(more[0]), FRAME_ARG(more[1]),
-                                     FRAME_ARG(more[2]), FRAME_ARG(r->where.mem),
-                                     FRAME_ARG(r->transmit.mem), FRAME_ARG(r->color.mem)),
-                          (pixels + local - 1) / local * local, local, e);
+    return frame_run(r, r->k.background, "background",
+                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(more[0]), FRAME_ARG(more[1]),
+                                FRAME_ARG(more[2]), FRAME_ARG(r->where.mem),
+                                FRAME_ARG(r->transmit.mem), FRAME_ARG(r->color.mem)),
+                     (pixels + local - 1) / local * local, local, e);
 }
 
 /* Planes of the device, [n][h][w], interleaved for the caller; mapping costs nothing on CPUs. */
@@ -500,7 +511,7 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
     if (!rc)
         rc = render_appearance_begin(r, m, o, e);
     if (!rc)
-        rc = dev_write(r->dev, r->view_mem, 0, sizeof r->view, &r->view, e);
+        rc = render_hand_over(r, o, e);
     if (!rc)
         rc = render_stage_project(r, m, e);
     if (!rc)
@@ -529,6 +540,8 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
         rc = frame_clock(r, &since, &r->stats.ms_blend, e);
     if (!rc)
         rc = render_frame_output(r, rgb, transmittance, e);
+    if (rc)
+        dev_abandon(r->dev, &r->counting);
     r->drawn = !rc;
     r->stats.ms_total = (clock_s() - start) * 1e3;
     return rc;

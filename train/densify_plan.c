@@ -36,7 +36,8 @@
 #define DENSIFY_AXIS_SHRINK 0.6 /* sqrt(1 - d^2): the pair keeps the parent's covariance */
 enum {
     DENSIFY_CUT_SHARE = 4, /* of the room, for what sticks out */
-    DENSIFY_CHUNK = 4096   /* rows that a thread takes at a time */
+    DENSIFY_CHUNK = 4096,  /* rows that a thread takes at a time */
+    DENSIFY_LISTS = 5      /* of rows: what a draw chose, and the candidates of both sides */
 };
 #define DENSIFY_CLEAR_LEAST 1e-6 /* 1 - opacity of what is shared: beyond, it has no root */
 #define DENSIFY_SMALLEST_M 1e-4  /* scene units; smaller Gaussians are removed */
@@ -468,27 +469,23 @@ static void densify_forget_classes(struct densify_plan *p)
 static enum err_code densify_choose(const struct densify_params *p, const struct densify_input *in,
                                     bool known, struct densify_plan *out, struct err *e)
 {
-    enum err_code rc = ERR_OK;
     struct densify_lists w = {.class = out->class, .inside = out->inside, .known = known};
+    uint32_t *ids = mem_array(in->n, DENSIFY_LISTS * sizeof *ids);
+    enum err_code rc = ERR_OK;
     w.chosen = mem_array(in->n, 1);
-    w.drawn = mem_array(in->n, sizeof *w.drawn);
-    bool ok = w.class && w.inside && w.chosen && w.drawn;
-    for (size_t k = 0; k < 2; k++) {
-        w.side[k].clones = mem_array(in->n, sizeof(uint32_t));
-        w.side[k].splits = mem_array(in->n, sizeof(uint32_t));
-        ok = ok && w.side[k].clones && w.side[k].splits;
-    }
-    if (!ok)
+    if (!w.class || !w.inside || !w.chosen || !ids) {
         rc = err_set(e, ERR_MEM, "densify: out of memory for %zu Gaussians", in->n);
-    else
+    } else {
+        w.drawn = ids;
+        for (size_t k = 0; k < 2; k++) {
+            w.side[k].clones = ids + (1 + 2 * k) * in->n;
+            w.side[k].splits = ids + (2 + 2 * k) * in->n;
+        }
         rc = densify_fill(p, in, &w, out, e);
-    mem_free(w.chosen);
-    mem_free(w.drawn);
-    mem_free(w.copies);
-    for (size_t k = 0; k < 2; k++) {
-        mem_free(w.side[k].clones);
-        mem_free(w.side[k].splits);
     }
+    mem_free(w.chosen);
+    mem_free(w.copies);
+    mem_free(ids);
     if (rc)
         densify_plan_free(out);
     else if (!out->report.needs_importance)
@@ -621,16 +618,14 @@ enum err_code densify_order(const struct densify_params *p, const struct densify
 {
     float *mean = mem_array(3 * plan->n, sizeof *mean);
     uint32_t *source = mem_array(plan->n, sizeof *source);
-    enum err_code rc = mean && source ? ERR_OK
-                                      : err_set(e, ERR_MEM,
-                                                "densify: out of memory for %zu "
-                                                "Gaussians",
-                                                plan->n);
-    *out = (struct densify_order){.rows = {source, plan->n, in->n, in->planes}, .how = p->split};
     struct densify_scan scan = {.p = p, .in = in, .plan = plan, .mean = mean};
-    if (!rc)
+    *out = (struct densify_order){.rows = {source, plan->n, in->n, in->planes}, .how = p->split};
+    enum err_code rc = ERR_OK;
+    if (!mean || !source)
+        rc = err_set(e, ERR_MEM, "densify: out of memory for %zu Gaussians", plan->n);
+    else
         rc = pool_for(densify_chunks(plan->n), 0, densify_mean_chunk, &scan, e);
-    if (!rc)
+    if (!rc && mean && source)
         rc = densify_sort(plan, mean, source, out, e);
     mem_free(mean);
     if (rc)

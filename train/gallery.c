@@ -142,29 +142,35 @@ static enum err_code gallery_upload(struct gallery *g, cl_mem *to, size_t *room,
                                     size_t bytes, struct err *e)
 {
     enum err_code rc = dev_reserve(g->engine.dev, bytes, to, room, e);
-    return rc ? rc : dev_write(g->engine.dev, *to, 0, bytes, from, e);
+    return rc ? rc : dev_write_soon(g->engine.dev, *to, 0, bytes, from, e);
+}
+
+enum err_code gallery_hand_over(struct gallery *g, const struct photo *p, struct err *e)
+{
+    size_t pixels = (size_t)p->cam.width_px * p->cam.height_px;
+    enum err_code rc = gallery_upload(g, &g->target, &g->target_bytes, p->px, 3 * pixels, e);
+    if (!rc && p->mask)
+        rc = gallery_upload(g, &g->mask, &g->mask_bytes, p->mask, pixels, e);
+    if (rc)
+        dev_abandon(g->engine.dev, NULL);
+    return rc;
 }
 
 static enum err_code gallery_run(struct gallery *g, const struct photo *p, bool value_only,
                                  struct err *e)
 {
-    struct photometric_input in = {
+    const struct photometric_input in = {
         .value_only = value_only,
         .color = render_color_buffer(g->engine.render),
+        .target = g->target,
+        .mask = p->mask ? g->mask : NULL,
         .width_px = p->cam.width_px,
         .height_px = p->cam.height_px,
         .l1_weight = (float)g->cfg->l1_weight,
         .ssim_weight = (float)g->cfg->ssim_weight,
     };
-    size_t bytes = (size_t)p->cam.width_px * p->cam.height_px * 3;
-    enum err_code rc = gallery_upload(g, &g->target, &g->target_bytes, p->px, bytes, e);
-    in.target = g->target;
-    if (!rc && p->mask)
-        rc = gallery_upload(g, &g->mask, &g->mask_bytes, p->mask, bytes / 3, e);
-    in.mask = p->mask ? g->mask : NULL;
-    return rc ? rc
-              : photometric_run(g->engine.loss, &in,
-                                value_only ? NULL : render_color_grad_buffer(g->engine.render), e);
+    return photometric_run(g->engine.loss, &in,
+                           value_only ? NULL : render_color_grad_buffer(g->engine.render), e);
 }
 
 enum err_code gallery_loss(struct gallery *g, const struct photo *p, struct err *e)

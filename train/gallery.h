@@ -48,8 +48,11 @@ struct render_options gallery_options(const struct gallery *g, const struct stag
 struct render_options gallery_photo_options(const struct gallery *g, const struct stage *at,
                                             uint32_t image);
 
-/* Uploads a photograph and computes the loss of the last frame against it. The renderer then has
- * the gradient, and photometric_read waits for the value. ERR_MEM, ERR_DEVICE. */
+/* Hands a photograph to the device, without waiting for the device: its frame must be drawn next,
+ * and the photograph must stay until then. ERR_MEM, ERR_DEVICE. */
+enum err_code gallery_hand_over(struct gallery *g, const struct photo *p, struct err *e) ERR_USE;
+/* Computes the loss of the last frame against its photograph, which was handed over. The renderer
+ * then has the gradient, and photometric_read waits for the value. ERR_MEM, ERR_DEVICE. */
 enum err_code gallery_loss(struct gallery *g, const struct photo *p, struct err *e) ERR_USE;
 /* As gallery_loss, without gradients. Only photometric_read may follow. ERR_MEM, ERR_DEVICE. */
 enum err_code gallery_value(struct gallery *g, const struct photo *p, struct err *e) ERR_USE;

@@ -167,6 +167,8 @@ static enum err_code importance_draw(struct importance *s, const struct model *m
     float *color = s->scratch, *error = color + 3 * n, *edge = error + n, *luma = edge + n;
     rc = dev_reserve(g->engine.dev, bytes, &s->weight, &s->weight_bytes, e);
     if (!rc)
+        rc = gallery_hand_over(g, p, e);
+    if (!rc)
         rc = render_forward(g->engine.render, &m->gauss, &p->cam, &ro, NULL, NULL, e);
     if (!rc)
         rc = gallery_value(g, p, e);

@@ -475,6 +475,8 @@ enum err_code level_step(struct level *l, struct photometric_value *value, struc
     if (!rc)
         rc = regularizer_step(l->regularizer, m, &terms, e);
     if (!rc)
+        rc = gallery_hand_over(&l->gallery, &photo, e);
+    if (!rc)
         rc = render_forward(l->engine.render, &m->seen, &photo.cam, &ro, NULL, NULL, e);
     if (!rc)
         rc = gallery_loss(&l->gallery, &photo, e);

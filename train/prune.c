@@ -62,7 +62,9 @@ static enum err_code prune_draw(struct prune *c, size_t nth, double *mse, struct
     if (rc)
         return rc;
     struct render_options ro = gallery_photo_options(g, c->at, p.image);
-    rc = render_forward(g->engine.render, &c->m->gauss, &p.cam, &ro, NULL, NULL, e);
+    rc = gallery_hand_over(g, &p, e);
+    if (!rc)
+        rc = render_forward(g->engine.render, &c->m->gauss, &p.cam, &ro, NULL, NULL, e);
     if (!rc)
         rc = gallery_value(g, &p, e);
     if (!rc)
