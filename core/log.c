@@ -181,8 +181,11 @@ static void log_main(void *user)
 enum err_code log_start(struct err *e)
 {
     enum err_code rc = ERR_OK;
-    if (log_queue.on)
+    pthread_mutex_lock(&log_queue.lock);
+    if (log_queue.on) {
+        pthread_mutex_unlock(&log_queue.lock);
         return ERR_OK;
+    }
     log_queue.fill = mem_array(LOG_QUEUE_BYTES, 1);
     log_queue.spare = mem_array(LOG_QUEUE_BYTES, 1);
     if (!log_queue.fill || !log_queue.spare)
@@ -197,16 +200,15 @@ enum err_code log_start(struct err *e)
         mem_free(log_queue.spare);
         log_queue.fill = log_queue.spare = NULL;
     }
+    pthread_mutex_unlock(&log_queue.lock);
     return rc;
 }
 
 void log_stop(double wait_s)
 {
-    if (!log_queue.on)
-        return;
     const double end_s = clock_s() + wait_s + 1;
     pthread_mutex_lock(&log_queue.lock);
-    bool late = false;
+    bool late = !log_queue.on;
     while ((log_queue.n || log_queue.dropped || log_queue.busy) && !late)
         late = !pool_cond_wait(&log_queue.written, &log_queue.lock, end_s);
     log_queue.stop = !late;
@@ -215,19 +217,23 @@ void log_stop(double wait_s)
     if (late)
         return; /* it hangs in write(): lines go on into the queue, and nobody waits for them */
     pool_join(&log_queue.thread);
+    pthread_mutex_lock(&log_queue.lock);
     log_queue.on = false;
+    log_queue.n = 0; /* of a thread that still writes lines */
     mem_free(log_queue.fill);
     mem_free(log_queue.spare);
     log_queue.fill = log_queue.spare = NULL;
+    pthread_mutex_unlock(&log_queue.lock);
 }
 
 void log_write(const char *lines, size_t n)
 {
+    pthread_mutex_lock(&log_queue.lock);
     if (!log_queue.on) {
+        pthread_mutex_unlock(&log_queue.lock);
         log_put(lines, n);
         return;
     }
-    pthread_mutex_lock(&log_queue.lock);
     if (log_queue.n + n <= LOG_QUEUE_BYTES) {
         memcpy(log_queue.fill + log_queue.n, lines, n);
         log_queue.n += n;

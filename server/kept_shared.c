@@ -97,11 +97,11 @@ static bool kept_shared_take_row(const json_t *o, struct kept_row *row)
            kept_shared_take_hash(o, &row->model) && kept_table_row_ok(row);
 }
 
-static enum err_code kept_shared_parse(const struct kept_shared *k, const struct buf *b,
-                                       struct kept_table **out, struct err *e)
+enum err_code kept_shared_parse(const char *shown, const void *bytes, size_t n_bytes,
+                                struct kept_table **out, struct err *e)
 {
     json_error_t je = {.text = ""};
-    json_t *all = json_loadb((const char *)b->data, b->size, JSON_REJECT_DUPLICATES, &je);
+    json_t *all = json_loadb(bytes, n_bytes, JSON_REJECT_DUPLICATES, &je);
     const json_t *names = json_object_get(all, "names");
     const char *format = json_string_value(json_object_get(all, "format"));
     const size_t n = json_array_size(names);
@@ -111,20 +111,20 @@ static enum err_code kept_shared_parse(const struct kept_shared *k, const struct
         rc = err_set(e, ERR_FORMAT,
                      "%s: is no list of names (\"format\": \"%s\")%s%s: put a copy back, or remove "
                      "it to begin without names",
-                     k->shown, kept_shared_format, je.text[0] ? ": " : "", je.text);
+                     shown, kept_shared_format, je.text[0] ? ": " : "", je.text);
     else if (n > KEPT_MAX)
-        rc = err_set(e, ERR_FORMAT, "%s: more than %d names", k->shown, KEPT_MAX);
+        rc = err_set(e, ERR_FORMAT, "%s: more than %d names", shown, KEPT_MAX);
     else if (!t)
-        rc = err_set(e, ERR_MEM, "%s: out of memory", k->shown);
+        rc = err_set(e, ERR_MEM, "%s: out of memory", shown);
     for (size_t i = 0; t && !rc && i < n; i++, t->n++)
         if (!kept_shared_take_row(json_array_get(names, i), &t->row[i]))
-            rc = err_set(e, ERR_FORMAT, "%s: name %zu: is damaged", k->shown, i);
+            rc = err_set(e, ERR_FORMAT, "%s: name %zu: is damaged", shown, i);
     json_decref(all);
     if (t && !rc)
         kept_table_sort(t);
     for (size_t i = 1; t && !rc && i < n; i++)
         if (!strcmp(t->row[i].ds, t->row[i - 1].ds) && !strcmp(t->row[i].name, t->row[i - 1].name))
-            rc = err_set(e, ERR_FORMAT, "%s: '%s' of %s: is there twice", k->shown, t->row[i].name,
+            rc = err_set(e, ERR_FORMAT, "%s: '%s' of %s: is there twice", shown, t->row[i].name,
                          t->row[i].ds);
     if (rc)
         kept_drop(&t);
@@ -132,7 +132,7 @@ static enum err_code kept_shared_parse(const struct kept_shared *k, const struct
     return rc;
 }
 
-static enum err_code kept_shared_text(const struct kept_table *t, struct buf *out, struct err *e)
+enum err_code kept_shared_text(const struct kept_table *t, struct buf *out, struct err *e)
 {
     json_t *names = json_array();
     for (size_t i = 0; i < t->n; i++) {
@@ -175,7 +175,7 @@ enum err_code kept_shared_read(struct kept_shared *k, const struct kept_table *h
     } else if (rc) {
         rc = err_set(e, rc == ERR_LIMIT ? ERR_FORMAT : rc, "%s", none.msg);
     } else if (!same) {
-        rc = kept_shared_parse(k, &b, newer, e);
+        rc = kept_shared_parse(k->shown, b.data, b.size, newer, e);
         if (!rc)
             memcpy((*newer)->etag, o.etag, sizeof o.etag);
     }

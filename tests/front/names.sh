@@ -77,11 +77,14 @@ check 'without that server what is known is answered' is "$(status "$url/d/toy/t
 check 'of others it is not known whether they are' is "$(status "http://127.0.0.1:${ports[1]}/d/toy/tileset.json?appearance=later")" 503
 check 'with Retry-After' is "$(header "http://127.0.0.1:${ports[1]}/d/toy/tileset.json?appearance=later" Retry-After)" 1
 check 'and none is kept' is "$(keep 3 later)" 503
-start=${EPOCHREALTIME/./}
 kill "${pids[2]}"
 wait "${pids[2]}" 2>/dev/null
+start=${EPOCHREALTIME/./}
+"$bin" serve "$store" --check >/dev/null # what the machine needs for this just now
+base=$(((${EPOCHREALTIME/./} - start) / 1000))
+start=${EPOCHREALTIME/./}
 node_up 2 "${ports[2]}"
-check 'a server starts without it' at_most $(((${EPOCHREALTIME/./} - start) / 1000)) 3000
+check 'a server starts without it' at_most $(((${EPOCHREALTIME/./} - start) / 1000)) $((3 * base + 2000))
 bucket
 again() { for _ in $(seq 60); do [ "$(status "http://127.0.0.1:${ports[2]}/d/toy/tileset.json?appearance=n1")" = 200 ] && return 0; sleep 0.1; done; return 1; }
 check 'when it is back all is as before' again
