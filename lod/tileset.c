@@ -21,6 +21,7 @@
 #include <jansson.h>
 
 #include "lod/crop.h"
+#include "lod/lowpass.h"
 #include "lod/store.h"
 #include "lod/tileset.h"
 #include "lod/tree.h"
@@ -33,12 +34,14 @@ struct tileset {
     const struct tileset_links *links;
     const struct crop_node *left; /* of each node; NULL: all of it */
     uint32_t start;               /* the node that the document begins with */
+    bool lowpass;                 /* tiles are named in their low-pass form */
     struct buf *out;
 };
 
-const struct tileset_links tileset_of_entry = {"t/{z}/{x}/{y}.glb", "tileset/{z}/{x}/{y}.json"};
-const struct tileset_links tileset_of_part = {"../../../t/{z}/{x}/{y}.glb",
-                                              "../../{z}/{x}/{y}.json"};
+const struct tileset_links tileset_of_entry = {.tile = "t/{z}/{x}/{y}.glb",
+                                               .part = "tileset/{z}/{x}/{y}.json"};
+const struct tileset_links tileset_of_part = {.tile = "../../../t/{z}/{x}/{y}.glb",
+                                              .part = "../../{z}/{x}/{y}.json"};
 
 /* A JSON string with everything escaped that must be. */
 static void tileset_text(struct buf *b, const char *text)
@@ -119,28 +122,52 @@ static void tileset_core(const struct tileset *t, uint32_t node)
     buf_printf(t->out, "]}");
 }
 
+static void tileset_content(const struct tileset *t, const char *template, struct key k)
+{
+    buf_printf(t->out, ",\"content\":{\"uri\":");
+    tileset_uri(t->out, template, k);
+    buf_printf(t->out, "}");
+}
+
+/* The child of a leaf in its low-pass form: the tile as it is, for those who are nearer. */
+static void tileset_near(const struct tileset *t, uint32_t index)
+{
+    buf_printf(t->out, ",\"children\":[{");
+    tileset_box(t, index);
+    buf_printf(t->out, ",\"geometricError\":0");
+    tileset_content(t, t->links->tile, t->tiles[t->tree->nodes[index].tile].key);
+    buf_printf(t->out, "}]");
+}
+
 /* A node and those below it, down to where other documents begin. m: NULL where the document that
  * leads here has moved to this frame already. */
 static void tileset_node(const struct tileset *t, uint32_t index, const double *m)
 {
     const struct tree_node *v = &t->tree->nodes[index];
-    bool elsewhere = v->document && index != t->start;
+    const bool elsewhere = v->document && index != t->start;
+    const bool shown = v->tile != TREE_NONE && (!t->left || t->left[index].count || elsewhere);
+    const double pixel_m = shown && t->lowpass ? lowpass_pixel_m(t->tree, index) : 0.0;
+    const bool two = pixel_m > 0.0 && !v->child_count;
     double center[3];
     tileset_center(t, v, center);
     buf_printf(t->out, "{");
     if (m)
         tileset_matrix(t->out, m);
     tileset_box(t, index);
-    buf_printf(t->out, ",\"geometricError\":%.9g", v->geometric_error_m);
+    buf_printf(t->out, ",\"geometricError\":%.9g",
+               two ? TREE_PX_PER_SIGMA * pixel_m : v->geometric_error_m);
     if (index == t->start)
         buf_printf(t->out, ",\"refine\":\"REPLACE\"");
     if (v->tile != TREE_NONE && v->child_count > 0)
         tileset_core(t, index);
-    if (v->tile != TREE_NONE && (!t->left || t->left[index].count || elsewhere)) {
-        buf_printf(t->out, ",\"content\":{\"uri\":");
-        tileset_uri(t->out, elsewhere ? t->links->part : t->links->tile, t->tiles[v->tile].key);
-        buf_printf(t->out, "}");
-    }
+    if (shown)
+        tileset_content(t,
+                        elsewhere       ? t->links->part
+                        : pixel_m > 0.0 ? t->links->lowpass
+                                        : t->links->tile,
+                        t->tiles[v->tile].key);
+    if (two)
+        tileset_near(t, index);
     uint32_t n = elsewhere ? 0 : v->child_count, n_written = 0;
     for (uint32_t i = 0; i < n; i++) {
         uint32_t c = t->tree->children[v->child_first + i];
@@ -184,7 +211,11 @@ enum err_code tileset_write(const struct store *s, const struct tileset_links *l
     static const char names[] =
         "[\"KHR_gaussian_splatting\",\"KHR_gaussian_splatting_compression_spz_2\"]";
     const struct store_meta *m = store_info(s);
-    struct tileset t = {.tree = store_tree(s), .links = links, .left = left, .out = out};
+    struct tileset t = {.tree = store_tree(s),
+                        .links = links,
+                        .left = left,
+                        .lowpass = links->lowpass && m->antialiased,
+                        .out = out};
     double ecef[16];
     size_t n;
     t.tiles = store_tiles(s, &n);

@@ -15,6 +15,8 @@ struct store;
 /* templates with {z}/{x}/{y}, relative to the document; no printf formats */
 struct tileset_links {
     const char *tile; /* "t/{z}/{x}/{y}.glb" */
+    /* "t/{z}/{x}/{y}.lowpass.glb", for stores with anti-aliasing; NULL: only tiles as they are */
+    const char *lowpass;
     const char *part; /* "tileset/{z}/{x}/{y}.json": the document that begins at this tile */
 };
 /* Links in a folder with tileset.json, t/ and tileset/: for the entry document, and for parts. */

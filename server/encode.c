@@ -17,7 +17,9 @@
 #include "codec/sog.h"
 #include "codec/spz.h"
 #include "lod/bake.h"
+#include "lod/lowpass.h"
 #include "lod/store.h"
+#include "lod/tree.h"
 
 enum {
     ENCODE_EMBED_BITS = 3
@@ -25,7 +27,7 @@ enum {
 
 static bool encode_is_quantised(enum format f)
 {
-    return f == FORMAT_GLB || f == FORMAT_SPZ || f == FORMAT_DRC;
+    return f == FORMAT_GLB || f == FORMAT_GLB_LOWPASS || f == FORMAT_SPZ || f == FORMAT_DRC;
 }
 
 struct form encode_form(const struct server_config *cfg, const struct store_meta *meta,
@@ -41,9 +43,9 @@ struct form encode_form(const struct server_config *cfg, const struct store_meta
     return f;
 }
 
-/* g (changed) to bytes of a form. */
+/* g (changed) to bytes of a form. pixel_m: of the low-pass form. */
 static enum err_code encode_gauss(struct gauss *g, const struct store_meta *meta, struct key key,
-                                  struct form form, struct buf *out, struct err *e)
+                                  struct form form, double pixel_m, struct buf *out, struct err *e)
 {
     const enum format format = form.format;
     const char *copyright = meta->attribution[0] ? meta->attribution : NULL;
@@ -54,6 +56,8 @@ static enum err_code encode_gauss(struct gauss *g, const struct store_meta *meta
     enum err_code rc = ERR_OK;
     if (form.trained && grid.embed > ENCODE_EMBED_BITS)
         grid.embed = ENCODE_EMBED_BITS;
+    if (format == FORMAT_GLB_LOWPASS)
+        lowpass_gauss(g, pixel_m);
     if (format != FORMAT_PLY && format != FORMAT_PLY_PACKED)
         axes_enu_to_gltf(g);
     if (encode_is_quantised(format))
@@ -62,6 +66,7 @@ static enum err_code encode_gauss(struct gauss *g, const struct store_meta *meta
         return rc;
     switch (format) {
     case FORMAT_GLB:
+    case FORMAT_GLB_LOWPASS:
         rc = glb_encode_spz(&q, copyright, out, e);
         break;
     case FORMAT_SPZ:
@@ -93,6 +98,13 @@ static enum err_code encode_gauss(struct gauss *g, const struct store_meta *meta
     return rc;
 }
 
+static double encode_pixel_m(const struct store *s, struct key key)
+{
+    const struct store_tile *tile = store_find(s, key);
+    size_t n;
+    return tile ? lowpass_pixel_m(store_tree(s), (uint32_t)(tile - store_tiles(s, &n))) : 0.0;
+}
+
 enum err_code encode_tile(struct store *s, struct key key, struct form form, const float *image,
                           const struct clip *clip, struct buf *out, struct err *e)
 {
@@ -104,7 +116,7 @@ enum err_code encode_tile(struct store *s, struct key key, struct form form, con
     if (!rc && clip && !g.n)
         rc = err_set(e, ERR_NOENT, "no Gaussians of this tile lie within clip");
     if (!rc)
-        rc = encode_gauss(&g, store_info(s), key, form, out, e);
+        rc = encode_gauss(&g, store_info(s), key, form, encode_pixel_m(s, key), out, e);
     gauss_free(&g);
     return rc;
 }
@@ -131,6 +143,7 @@ uint64_t encode_bytes(const struct store_meta *meta, struct form form, uint32_t 
     double each = 0, head = 1200;
     switch (form.format) {
     case FORMAT_GLB:
+    case FORMAT_GLB_LOWPASS:
     case FORMAT_SPZ:
         each = drc[preset][sh] + spz[preset];
         break;
@@ -196,7 +209,7 @@ enum err_code encode_fingerprint(const struct store_meta *meta, struct hash128 *
             continue;
         rc = encode_make_sample(meta, &g, e);
         if (!rc)
-            rc = encode_gauss(&g, meta, (struct key){0}, form, &one, e);
+            rc = encode_gauss(&g, meta, (struct key){0}, form, 0.1, &one, e);
         buf_add(&all, one.data, one.size);
         buf_free(&one);
         gauss_free(&g);

@@ -121,7 +121,7 @@ void hint_tileset(const struct dataset *d, const struct target *t, char out[HINT
         tree->nodes[tree->root].tile == TREE_NONE)
         return;
     l.key = &d->tiles[tree->nodes[tree->root].tile].key;
-    l.ext = format_ext(FORMAT_GLB);
+    l.ext = format_ext(d->meta.antialiased ? FORMAT_GLB_LOWPASS : FORMAT_GLB);
     hint_add(out, link_tile, &l, query);
 }
 

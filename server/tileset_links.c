@@ -16,11 +16,15 @@ enum err_code tileset_links_make(const struct dataset *d, enum tileset_links_of 
     /* A part lies three folders below the entry, in the folder of all parts: tileset/{z}/{x}/. */
     struct link l = link_to(of == TILESET_LINKS_MOVING ? LINK_DATASET : LINK_REVISION,
                             of == TILESET_LINKS_PART ? "../../.." : NULL, d, d->edition);
-    l.ext = format_ext(FORMAT_GLB);
-    link_tile(&l, text);
-    buf_printf(text, "%s", query);
-    buf_u8(text, 0);
-    const size_t at = text->size;
+    size_t at[2];
+    const enum format forms[] = {FORMAT_GLB, FORMAT_GLB_LOWPASS};
+    for (size_t i = 0; i < 2; i++) {
+        l.ext = format_ext(forms[i]);
+        link_tile(&l, text);
+        buf_printf(text, "%s", query);
+        buf_u8(text, 0);
+        at[i] = text->size;
+    }
     if (of == TILESET_LINKS_PART) {
         struct buf part = {0};
         l.up = NULL;
@@ -36,6 +40,7 @@ enum err_code tileset_links_make(const struct dataset *d, enum tileset_links_of 
     if (text->failed)
         return buf_check(text, e);
     out->tile = (const char *)text->data;
-    out->part = (const char *)text->data + at;
+    out->lowpass = (const char *)text->data + at[0];
+    out->part = (const char *)text->data + at[1];
     return ERR_OK;
 }

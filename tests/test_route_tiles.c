@@ -15,6 +15,7 @@ static void test_tiles(void **state)
         {"glb", "model/gltf-binary", "glTF"},
         {"plain.glb", "model/gltf-binary", "glTF"},
         {"packed.glb", "model/gltf-binary", "glTF"},
+        {"lowpass.glb", "model/gltf-binary", "glTF"},
         {"spz", "application/octet-stream", "\x1f\x8b"},
         {"drc", "application/octet-stream", "DRACO"},
         {"ply", "application/octet-stream", "ply\n"},

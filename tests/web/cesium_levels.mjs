@@ -1,18 +1,19 @@
-// What CesiumJS 1.145 draws of a store where geometric errors are multiplied by a factor, against the server's picture: the
-// figures of docs/decisions/073-geometric-error.md. It needs no browser: it selects tiles as Cesium3DTileset does and draws
-// them by the arithmetic of Cesium's PrimitiveGaussianSplatVS and -FS.
+// What CesiumJS 1.145 draws of a store as it is served, or as its tiles are, where geometric errors are multiplied by a factor,
+// against the server's picture: the figures of docs/decisions/073-geometric-error.md and 096-low-pass.md. It needs no browser: it
+// selects tiles as Cesium3DTileset does and draws them by the arithmetic of Cesium's PrimitiveGaussianSplatVS and -FS.
 //
-//   CITYSPLAT_BIN=... node tests/web/cesium_levels.mjs STORE [--half M] [--size WxH] [--factors 0.5,1,2]
+//   CITYSPLAT_BIN=... node tests/web/cesium_levels.mjs STORE [--half M] [--size WxH] [--factors 0.5,1,2] [--unfiltered]
 //
-// --half: half of the city's width, of which the poses are multiples.
+// --unfiltered: without the low-pass form of tiles, as in an exported folder. --half: half of the city's width, of which the poses are multiples.
 //
 // SPDX-License-Identifier: Apache-2.0
 import { execFileSync } from "node:child_process";
 import { mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
-import { join } from "node:path";
+import { join, resolve } from "node:path";
 import { parseArgs } from "node:util";
 
+import { importSource } from "./lib/bundle.mjs";
 import { findSpz } from "./lib/glb.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { decodeSpz, unpackRotation } from "./lib/spz.mjs";
@@ -39,12 +40,14 @@ const { values, positionals } = parseArgs({
     options: {
         half: { type: "string", default: "150" },
         size: { type: "string", default: "480x320" },
+        unfiltered: { type: "boolean", default: false },
         factors: { type: "string", default: "0.5,1,2,4" },
     },
 });
 const [store] = positionals;
 const [width, height] = values.size.split("x").map(Number);
 const focal = height / 2 / Math.tan((FOV_DEG * Math.PI) / 360);
+const { useUnfilteredTiles } = await importSource("source.ts");
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const three = [0, 1, 2];
 
@@ -70,7 +73,7 @@ function select(camera, tile, center, factor, out) {
     const beyond = [([, , z]) => z <= 0, ([x, , z]) => x > z * tx, ([x, , z]) => x < -z * tx, ([, y, z]) => y > z * ty, ([, y, z]) => y < -z * ty];
     if (beyond.some((side) => corners.every(side))) return;
     if (tile.children && (away === 0 || (tile.geometricError * factor * focal) / away > STOCK_PX))
-        for (const child of tile.children) select(camera, child, three.map((k) => center[k] + child.transform[12 + k]), factor, out);
+        for (const child of tile.children) select(camera, child, three.map((k) => center[k] + (child.transform?.[12 + k] ?? 0)), factor, out);
     else if (tile.content) out.push({ uri: tile.content.uri, center });
 }
 
@@ -170,35 +173,40 @@ function drawServed(dir, name, { eye, rows }) {
 }
 
 const dir = mkdtempSync(join(tmpdir(), "citysplat-levels-"));
+process.env.CITYSPLAT_TILES = resolve(store);
+const { getBytes, getJson, openSource } = await import("./lib/source.mjs");
+const source = await openSource();
 try {
-    const city = join(dir, "city");
-    execFileSync(process.env.CITYSPLAT_BIN, ["export", store, "-o", city, "--format", "3dtiles", "-q"]);
-    const { root } = JSON.parse(readFileSync(join(city, "tileset.json")));
-    const { tile_fields: fields, tiles: rows } = JSON.parse(readFileSync(join(city, "tiles.json"))).splats;
+    const { collections } = await getJson(`${source.url}/collections`);
+    const folder = `${source.url}/d/${collections[0].id}/`;
+    const { root } = await getJson(`${folder}tileset.json`);
+    if (values.unfiltered) useUnfilteredTiles({ root });
+    const { tile_fields: fields, tiles: rows } = (await getJson(`${source.url}/collections/${collections[0].id}/tiles.json`)).splats;
     const first = rows.find(([z, x, y]) => root.content.uri.includes(`/${z}/${x}/${y}.`));
     const center = ["center_e", "center_n", "center_u"].map((name) => first[fields.indexOf(name)]);
     const loaded = new Map();
-    const load = (uri) => {
-        if (!loaded.has(uri)) {
-            const bytes = readFileSync(join(city, uri));
-            loaded.set(uri, { ...decodeSpz(findSpz(bytes)), bytes: bytes.length });
-        }
-        return loaded.get(uri);
-    };
+    const load = (uri) => loaded.get(uri);
     for (const [name, pose] of Object.entries(POSES)) {
         const camera = cameraOf(pose);
         const served = drawServed(dir, name, camera);
         for (const factor of values.factors.split(",").map(Number)) {
             const tiles = [];
             select(camera, root, center, factor, tiles);
+            for (const { uri } of tiles)
+                if (!loaded.has(uri)) {
+                    const bytes = await getBytes(new URL(uri, folder));
+                    loaded.set(uri, { ...decodeSpz(findSpz(bytes)), bytes: bytes.length });
+                }
             const picture = draw(camera, tiles, load);
             const { whole, covered } = ssim(picture, served);
-            const zooms = [...new Set(tiles.map(({ uri }) => uri.split("/")[1]))].sort();
+            const zooms = [...new Set(tiles.map(({ uri }) => /\/t\/(\d+)\//.exec(uri)[1]))].sort();
             const bytes = tiles.reduce((sum, { uri }) => sum + load(uri).bytes, 0);
+            const filtered = tiles.filter(({ uri }) => uri.includes(".lowpass.")).length;
             const lost = (100 * picture.lost) / Math.max(1, picture.count);
-            console.log(`${name} ${width}x${height} x ${factor}: zooms ${zooms}, SSIM ${whole.toFixed(4)}, covered ${covered.toFixed(4)}, ${lost.toFixed(1)} % of ${picture.count} lost, ${(bytes / 1e6).toFixed(2)} MB`);
+            console.log(`${name} ${width}x${height} x ${factor}: zooms ${zooms}, ${filtered} of ${tiles.length} tiles filtered, SSIM ${whole.toFixed(4)}, covered ${covered.toFixed(4)}, ${lost.toFixed(1)} % of ${picture.count} lost, ${(bytes / 1e6).toFixed(2)} MB`);
         }
     }
 } finally {
     rmSync(dir, { recursive: true, force: true });
+    await source.close();
 }

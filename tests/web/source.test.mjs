@@ -7,7 +7,7 @@ import { test } from "node:test";
 
 import { importSource } from "./lib/bundle.mjs";
 
-const { openScene } = await importSource("source.ts");
+const { openScene, useUnfilteredTiles } = await importSource("source.ts");
 
 const NEW = "0123456789ab";
 const OLD = "ba9876543210";
@@ -98,4 +98,15 @@ test("a name that the server keeps is asked for, each time; photographs are know
     assert.equal(asked.filter((url) => url === kept).length, 2);
     await assert.rejects(info.network.find("wrong"), /no photograph/);
     await assert.rejects(info.network.find("noon"), /404/);
+});
+
+test("tiles that another client needs filtered are taken as they are", async () => {
+    const leaf = (uri) => ({ geometricError: 4, content: { uri: `${uri}.lowpass.glb?sh=0` }, children: [{ geometricError: 0, content: { uri: `${uri}.glb?sh=0` } }] });
+    const document = { root: { geometricError: 9, content: { uri: "0.lowpass.glb?sh=0" }, children: [leaf("1"), leaf("2")] } };
+    useUnfilteredTiles(document);
+    const plain = (uri) => ({ geometricError: 0, content: { uri: `${uri}.glb?sh=0` } });
+    assert.deepEqual(document.root, { geometricError: 9, content: { uri: "0.glb?sh=0" }, children: [plain("1"), plain("2")] });
+    const before = structuredClone(document);
+    useUnfilteredTiles(document); // a tileset without them stays as it is
+    assert.deepEqual(document, before);
 });

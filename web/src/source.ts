@@ -80,12 +80,14 @@ interface TilesetDocument {
   root?: Node & { transform?: number[]; boundingVolume?: { box?: number[] } };
 }
 interface Node {
+  geometricError?: number;
   content?: { uri?: string };
   children?: Node[];
 }
 
 const ANSWER_MS = 20_000;
 const APPEARANCE_NONE = "none";
+const LOWPASS = /\.lowpass\.glb(?=\?|$)/;
 export const DRAFT = "preset=preview&sh=0"; // letter by letter what server/hint.c says
 const VOLUMES = "http://www.opengis.net/def/rel/ogc/1.0/3d-geovolumes";
 
@@ -170,11 +172,29 @@ function withAppearance(url: URL, appearance: string): URL {
   return out;
 }
 
+// Other clients get tiles with a low-pass filter built in, and below a leaf the tile itself. We filter, and take the tiles.
+/** @internal */
+export function useUnfilteredTiles(document: { root?: Node }) {
+  const visit = (node: Node) => {
+    const { content, children } = node;
+    if (content?.uri && LOWPASS.test(content.uri)) {
+      content.uri = content.uri.replace(LOWPASS, ".glb");
+      if (children?.length === 1 && children[0]!.content?.uri === content.uri) {
+        node.geometricError = 0;
+        delete node.children;
+      }
+    }
+    node.children?.forEach(visit);
+  };
+  if (document.root) visit(document.root);
+}
+
 // Tiles are asked for in their smallest form, which carries embeddings too, in every document of a
 // tileset. drafts: the first tile of each branch comes as one: it is there soon, and mostly gone as soon
 // as finer ones are.
 /** @internal */
 export function usePackedTiles(document: { root?: Node }, drafts = true) {
+  useUnfilteredTiles(document);
   const visit = ({ content, children }: Node, first: boolean) => {
     const tile = content?.uri && /\.glb(?=\?|$)/.test(content.uri);
     if (tile) {
@@ -229,6 +249,7 @@ export async function openScene(
   const url = withAppearance(entry.tileset, appearance);
   const document = (await link.json(url)) as TilesetDocument;
   if (entry.packed) usePackedTiles(document);
+  else useUnfilteredTiles(document);
   return describe(entry, url, document, null, entry.packed);
 }
 

@@ -19,7 +19,7 @@ import type { Block, Piece } from "./block";
 import { Gaussians } from "./gaussians";
 import type { Link } from "./link";
 import { screenError } from "./screenerror";
-import { DRAFT, usePackedTiles } from "./source";
+import { DRAFT, usePackedTiles, useUnfilteredTiles } from "./source";
 import type { Tint } from "./tint";
 import type { Broken } from "./types";
 
@@ -130,6 +130,7 @@ export class CityTiles extends BaseTiles {
   private async part(url: string, signal: AbortSignal | null): Promise<unknown> {
     const document = (await this.link.json(url, signal)) as object;
     if (this.packed) usePackedTiles(document, false);
+    else useUnfilteredTiles(document);
     return document;
   }
 
