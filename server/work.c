@@ -237,7 +237,7 @@ static size_t work_query_bytes(const struct work *w)
 
 size_t work_room(const struct work *w)
 {
-    enum { HEAD = WORK_ROOM_HEAD, TILESET_ROW = 512, TILEJSON_ROW = 384 };
+    enum { HEAD = WORK_ROOM_HEAD, TILESET_ROW = 768, TILEJSON_ROW = 384 };
     const struct store_tile *t = NULL;
     const char *footprint = store_footprint(w->ds->index);
     size_t sh = 3 * gauss_sh_count(w->ds->meta.sh_degree);
@@ -251,7 +251,7 @@ size_t work_room(const struct work *w)
     case WORK_SEED:
         return HEAD + seed_room(w->ds, &w->target, w->course);
     case WORK_TILESET:
-        return HEAD + w->ds->n_tiles * (TILESET_ROW + work_query_bytes(w));
+        return HEAD + w->ds->n_tiles * (TILESET_ROW + 2 * work_query_bytes(w));
     case WORK_TILEJSON:
         return HEAD + (footprint ? strlen(footprint) : 0) + w->ds->n_tiles * TILEJSON_ROW;
     case WORK_THUMBNAIL:
