@@ -215,7 +215,7 @@ static enum err_code codec_tile_requests(struct bench *b, const struct gauss *g,
     if (!rc)
         rc = store_open(path, &t.store, e);
     for (int f = FORMAT_GLB; !rc && f <= FORMAT_SOG; f++) {
-        t.form = (struct form){(enum format)f, QUANT_BALANCED, (uint8_t)g->sh_degree, false};
+        t.form = (struct form){(enum format)f, QUANT_BALANCED, (uint8_t)g->sh_degree, 0, false};
         rc = bench_cpu_time(b, codec_tile_make, &t, &ms, NULL, e);
         snprintf(name, sizeof name, "tile of %zu k from store to .%s", n / 1000,
                  format_ext(t.form.format));

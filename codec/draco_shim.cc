@@ -214,6 +214,8 @@ static void draco_add_metadata(const struct quant *q, const char *tile, draco::P
     m->AddEntryInt("sh_degree", (int32_t)q->sh_degree);
     m->AddEntryInt("antialiased", q->antialiased);
     m->AddEntryString("axes", "gltf");
+    if (q->rest)
+        m->AddEntryInt("rest", (int32_t)q->rest);
     if (tile && *tile) // libdraco cannot read back empty text
         m->AddEntryString("tile", tile);
     if (q->embed_len) {

@@ -46,6 +46,7 @@ struct quant { /* {0} is empty; all arrays are in one allocation */
     uint32_t sh_degree, embed_len;
     uint32_t frac_bits; /* of positions */
     bool antialiased;
+    size_t rest;        /* rows of the tile that follow in another part (part.h) */
     int32_t *position;  /* [n][3], in 2^-frac_bits m, within +-(2^23 - 1) */
     uint8_t *alpha;     /* [n] */
     uint8_t *color;     /* [n][3] */

@@ -7,6 +7,7 @@
 #include <assert.h>
 #include <string.h>
 
+#include "codec/part.h"
 #include "lod/clip.h"
 #include "lod/crop.h"
 #include "lod/store.h"
@@ -65,6 +66,8 @@ void answer_tile(struct services *s, const struct request *r, struct dataset *d,
     if (!answer_appearance_find_tile(s, d, t->appearance, &choice, out))
         return;
     form.trained = choice.trained;
+    if (part_first(tile->count) == tile->count && form.part == 1)
+        form.part = 0; /* the same body under the same tag */
     struct hash128 id = result_id_tile(d, tile, form, &choice);
     bool part = false;
     if (!answer_tile_clip(d, tile, &t->clip, &id, &part, out))

@@ -12,6 +12,7 @@
 #include "codec/axes.h"
 #include "codec/draco.h"
 #include "codec/glb.h"
+#include "codec/part.h"
 #include "codec/ply.h"
 #include "codec/quant.h"
 #include "codec/sog.h"
@@ -34,6 +35,8 @@ struct form encode_form(const struct server_config *cfg, const struct store_meta
                         const struct form *asked)
 {
     struct form f = {.format = asked->format};
+    if (f.format == FORMAT_DRC)
+        f.part = asked->part;
     if (encode_is_quantised(f.format))
         f.preset = asked->preset < QUANT_PRESETS ? asked->preset : (uint8_t)cfg->preset;
     if (encode_is_quantised(f.format) || f.format == FORMAT_SOG || f.format == FORMAT_PLY_PACKED ||
@@ -62,6 +65,12 @@ static enum err_code encode_gauss(struct gauss *g, const struct store_meta *meta
         axes_enu_to_gltf(g);
     if (encode_is_quantised(format))
         rc = quant_from_gauss(g, form.sh_degree, &grid, &q, e);
+    if (!rc && form.part) {
+        struct quant part;
+        rc = part_take(&q, form.part, &part, e);
+        quant_free(&q);
+        q = part;
+    }
     if (rc)
         return rc;
     switch (format) {
@@ -204,7 +213,7 @@ enum err_code encode_fingerprint(const struct store_meta *meta, struct hash128 *
         struct gauss g = {0};
         struct buf one = {0};
         const struct form form = {(enum format)(f / QUANT_PRESETS), (uint8_t)(f % QUANT_PRESETS),
-                                  (uint8_t)meta->sh_degree, k >= n_forms};
+                                  (uint8_t)meta->sh_degree, 0, k >= n_forms};
         if (form.preset && !encode_is_quantised(form.format))
             continue;
         rc = encode_make_sample(meta, &g, e);

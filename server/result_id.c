@@ -29,8 +29,8 @@ struct hash128 result_id_tile(const struct dataset *d, const struct store_tile *
               t->key.z,
               t->key.x,
               t->key.y,
-              (uint32_t)f.trained << 24 | (uint32_t)f.format << 16 | (uint32_t)f.preset << 8 |
-                  f.sh_degree};
+              (uint32_t)f.part << 25 | (uint32_t)f.trained << 24 | (uint32_t)f.format << 16 |
+                  (uint32_t)f.preset << 8 | f.sh_degree};
     struct hash128 id = hash_bytes(&name, sizeof name);
     result_id_mix(&id, a);
     return id;

@@ -68,6 +68,7 @@ enum {
     QUERY_PLACE = 128,
     QUERY_BBOX = 256,
     QUERY_MOTION = 512,
+    QUERY_PART = 1024,
     QUERY_STRICT = QUERY_SEED | QUERY_SEARCH, /* a query with any other key is refused */
 };
 

@@ -20,6 +20,7 @@ enum { /* scopes */
 enum { /* queries */
        BBOX = QUERY_BBOX,
        TILES = QUERY_TILES,
+       TILE = QUERY_TILES | QUERY_PART,
        SEED_TILES = QUERY_SEED | QUERY_TILES,
        PICTURE = QUERY_VIEW | QUERY_APPEARANCE,
        MAP_APPEARANCE = QUERY_MAP | QUERY_APPEARANCE,

@@ -39,13 +39,14 @@ struct paint {                                                    /* {0}: black 
     bool said_background;
     uint32_t supersample; /* pixels drawn for one on each axis; 0: the server chooses */
 };
-/* The form of a tile: its format, and for quantised formats (.glb .spz .drc) a preset and a degree
- * of harmonics. */
+/* The form of a tile: its format, for quantised formats (.glb .spz .drc) a preset and a degree of
+ * harmonics, and for .drc a part. */
 enum { FORM_UNSAID = 255 };
 struct form {
     enum format format;
     uint8_t preset;    /* enum quant_preset; QUANT_PRESETS: not given */
     uint8_t sh_degree; /* highest band; FORM_UNSAID: not given */
+    uint8_t part;      /* of .drc: 1 or 2 (codec/part.h); 0: all of it */
     bool trained;      /* trained colours without an appearance; never set by the parser */
 };
 /* How a picture codes heights in its colours. */

@@ -17,6 +17,8 @@ void target_query_tiles(const struct target *t, char out[TARGET_QUERY_MAX])
         p = text_put(text_put(p, "&preset="), quant_preset_name((enum quant_preset)f->preset));
     if (f->sh_degree <= GAUSS_SH_DEGREE_MAX)
         p = text_put_uint(text_put(p, "&sh="), f->sh_degree);
+    if (f->part)
+        p = text_put_uint(text_put(p, "&part="), f->part);
     if (t->clip.n)
         p = param_clip_text(&t->clip, text_put(p, "&clip="));
     *p = '\0';

@@ -432,8 +432,8 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
         cache_put(s->cache, w->id, *out);
     if (!rc && for_disk && !read)
         w->made = body_ref(*out);
-    bool none = (w->kind == WORK_QUERY && rc == ERR_DATA) ||
-                ((w->kind == WORK_THUMBNAIL || w->target.clip.n) && rc == ERR_NOENT);
+    const bool may_lack = w->kind == WORK_THUMBNAIL || w->target.clip.n || w->form.part;
+    bool none = (w->kind == WORK_QUERY && rc == ERR_DATA) || (may_lack && rc == ERR_NOENT);
     if (rc == ERR_MEM)
         services_note_short(s);
     if (rc && rc != ERR_CANCEL && !none) {

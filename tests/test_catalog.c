@@ -32,7 +32,7 @@ static void test_reload(void **state)
     struct buf b = {
         0}; /* the older revision's tiles are read from the file that was renamed over */
     struct store *s = dataset_borrow(old);
-    const struct form form = {FORMAT_SPZ, QUANT_BALANCED, 3, false};
+    const struct form form = {FORMAT_SPZ, QUANT_BALANCED, 3, 0, false};
     kit_ok(encode_tile(s, served_key(17), form, NULL, NULL, &b, &e), e);
     dataset_return(old, s);
     buf_free(&b);

@@ -412,6 +412,8 @@ static void test_presets(void **state)
         {"spz", "spz?v=17", true},
         {"spz?sh=0", "spz?sh=1", false},
         {"spz?sh=3", "spz", true},
+        {"drc?part=1", "drc", true}, /* a small tile is one part */
+        {"glb?part=2", "glb", true},
         {"ply", "ply?preset=preview&sh=0", true},
         {"plain.glb", "plain.glb?preset=preview", true},
         {"packed.glb", "packed.glb?preset=preview", true},
@@ -442,6 +444,19 @@ static void test_presets(void **state)
     struct response r = get("/d/toy/t/KEY17.drc?preset=preview&sh=0");
     assert_int_equal(r.status, 307);
     assert_non_null(strstr(r.location, ".drc?preset=preview&sh=0"));
+    response_free(&r);
+    r = get("/d/toy/t/KEY17.drc?part=2&sh=0");
+    assert_int_equal(r.status, 307);
+    assert_non_null(strstr(r.location, ".drc?part=2&sh=0"));
+    response_free(&r);
+    r = get("/d/toy/r/REV/t/KEY17.drc?part=2");
+    assert_int_equal(r.status, 404);
+    response_free(&r);
+    r = get("/d/toy/r/REV/t/KEY17.drc?part=3");
+    assert_int_equal(r.status, 400);
+    response_free(&r);
+    r = get("/d/toy/r/REV/tileset.json?part=2"); /* it is no tile */
+    assert_false(says(&r, "part="));
     response_free(&r);
     r = get("/d/toy/r/REV/t/KEY17.drc?preset=best");
     assert_int_equal(r.status, 400);

@@ -217,6 +217,10 @@ static void test_target_numbers(void **state)
     kit_ok(router_read(routes, tile, strlen(tile), &g, &e), e);
     assert_int_equal(g.form.preset, QUANT_NEAR_LOSSLESS);
     assert_int_equal(g.form.sh_degree, 1);
+    assert_int_equal(g.form.part, 0);
+    tile = "/d/toy/t/17/70406/42987.drc?part=2";
+    kit_ok(router_read(routes, tile, strlen(tile), &g, &e), e);
+    assert_int_equal(g.form.part, 2);
     const char *seed = "/d/toy/seed.ndjson?z=16&bbox=-1.5,2,3.25,4";
     kit_ok(router_read(routes, seed, strlen(seed), &g, &e), e);
     assert_int_equal(g.z_min, 16);

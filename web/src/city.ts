@@ -249,11 +249,12 @@ export class City {
     engine.fadeMs = least * this.frameMs <= this.fadeMs && !calm ? this.fadeMs : 0;
     for (const tiles of [this.active, this.next]) {
       if (!tiles) continue;
+      tiles.gathers = this.takesLong;
       tiles.setResolutionFromRenderer(camera as Camera, this.renderer);
       tiles.update();
       this.wakeFor(tiles);
     }
-    (this.next ?? this.active)?.finishDrafts();
+    (this.next ?? this.active)?.finishTiles();
     if (this.next?.root && !this.next.loading && this.next.shows) {
       this.retire(this.active);
       this.active = this.next;
@@ -461,9 +462,9 @@ export class City {
       bytes: (this.active?.bytes ?? 0) + (this.next?.bytes ?? 0),
       pending: queued + downloading + parsing + (on?.finishingCount ?? 0),
       parsing,
-      came: on?.count ?? 0,
+      came: on?.came ?? 0,
       memory: (this.cache as unknown as { cachedBytes: number }).cachedBytes,
-      heldBack: (stats["refused"] ?? 0) > 0,
+      heldBack: (stats["refused"] ?? 0) > 0 || (this.active?.heldBack ?? false),
       broken: broken.map(([, one]) => one),
     };
   }

@@ -14,6 +14,7 @@ const SILENCE_MS = 20_000; // without a byte
 export const BUSY = new Set([429, 502, 503, 504]);
 const WINDOW_MS = 4000; // of the speed measured
 const TELLING_BYTES = 50_000; // fewer say nothing of a line's speed
+const SLOW_BYTES_S = 400_000;
 const ENOUGH_BYTES = 500_000; // after these our own answers say it best
 
 // An answer that is not there and will not come by waiting.
@@ -63,15 +64,15 @@ export function isGone(error: unknown): boolean {
 // Of the larger answers that the page got so far, its scripts too, while they flowed: what the line
 // carries is known before the first tile. 0 where all came from the browser's store.
 function speedOfPage(): number {
-  let bytes = 0;
-  let ms = 0;
-  for (const entry of performance.getEntriesByType("resource")) {
-    const { transferSize, responseStart, responseEnd } = entry as PerformanceResourceTiming;
-    if (transferSize < TELLING_BYTES || !responseStart) continue;
+  const all = performance.getEntriesByType("resource") as PerformanceResourceTiming[];
+  const large = all.filter(({ transferSize, responseStart }) => transferSize >= TELLING_BYTES && responseStart);
+  let [bytes, ms, end] = [0, 0, 0];
+  for (const { transferSize, responseStart, responseEnd } of large.sort((a, b) => a.responseStart - b.responseStart)) {
     bytes += transferSize;
-    ms += Math.max(1, responseEnd - responseStart);
+    ms += Math.max(0, responseEnd - Math.max(responseStart, end)); // answers side by side share the line
+    end = Math.max(end, responseEnd);
   }
-  return ms ? (1000 * bytes) / ms : 0;
+  return bytes && (1000 * bytes) / Math.max(1, ms);
 }
 
 export class Link {
@@ -103,6 +104,12 @@ export class Link {
     const ms = this.busyMs + (this.running ? performance.now() - this.busySince : 0);
     const own = bytes > TELLING_BYTES && ms > 0 ? (1000 * bytes) / ms : 0;
     return this.received > ENOUGH_BYTES ? own : Math.max(own, speedOfPage());
+  }
+
+  // Whether it carries little. What the page had fetched ahead comes at once: only later answers tell by themselves.
+  get slow(): boolean {
+    const speed = this.received > ENOUGH_BYTES ? this.speed : speedOfPage();
+    return speed > 0 && speed < SLOW_BYTES_S;
   }
 
   async bytes(url: string | URL, signal: AbortSignal | null): Promise<ArrayBuffer> {

@@ -1,4 +1,4 @@
-// Which tiles to have: 3d-tiles-renderer's choice of level with six rules of our own.
+// Which tiles to have: 3d-tiles-renderer's choice of level with seven rules of our own.
 //
 // - How coarse a tile is on the screen is measured as the server does.
 // - A tile that failed is not "there": the coarser one stays in its place, and it is asked for again
@@ -6,6 +6,7 @@
 // - The coarsest tiles come before all others.
 // - A tile that no view wants any more is given up, also when it is on its way.
 // - A coarsest tile comes as a draft; where the view ends with it, the whole tile follows.
+// - On a slow line a tile comes in two parts: the Gaussians that show most, of all tiles, before the rest of any.
 // - A level between the coarsest and the wanted one is left out when the wanted one comes soon, or when it is
 //   hardly finer than what is there.
 //
@@ -18,6 +19,7 @@ import type { DecoderPool } from "./decoders";
 import type { Block, Piece } from "./block";
 import { Gaussians } from "./gaussians";
 import type { Link } from "./link";
+import { join, type DecodedSplats } from "./pack";
 import { screenError } from "./screenerror";
 import { DRAFT, usePackedTiles, useUnfilteredTiles } from "./source";
 import type { Tint } from "./tint";
@@ -33,6 +35,7 @@ const AGAIN_FIRST_MS = 2000;
 const AGAIN_MOST_MS = 60_000;
 const SOON_S = 6; // levels between are left out when the whole view comes within this time
 const TILE_BYTES_FIRST = 200_000; // a tile's size until some have come
+const FINISHING_MOST = 3; // asked for at a time where the picture gets better with each
 
 export interface CityTile extends Tile {
   parent: CityTile | null;
@@ -77,6 +80,8 @@ interface Base {
 const BaseTiles = TilesRenderer as unknown as new (url: string) => Omit<TilesRenderer, keyof Base> &
   Base;
 
+const withQuery = (url: string, query: string) => url + (url.includes("?") ? "&" : "?") + query;
+
 function nameOf(tile: CityTile): string {
   return /(\d+\/\d+\/\d+)\.\w+(\?|$)/.exec(tile.content?.uri ?? "")?.[1] ?? tile.content?.uri ?? "?";
 }
@@ -92,7 +97,10 @@ export class CityTiles extends BaseTiles {
   private before = new Set<Block>(); // on the screen
   private readonly unwanted = new Map<CityTile, number>();
   private readonly drafts = new Set<CityTile>();
+  private readonly halves = new Set<CityTile>(); // of which the first part is there
   private readonly finishing = new Map<CityTile, AbortController>();
+  private readonly decoded = new Map<CityTile, () => void>(); // of them: they wait for the others
+  gathers = false; // frames take long: all that is finished is drawn at once
   private document: unknown;
 
   // document: the parsed tileset of this URL, so that it is not fetched twice.
@@ -123,7 +131,11 @@ export class CityTiles extends BaseTiles {
     }
     const signal = options.signal ?? null;
     if (/\.json($|\?)/.test(url)) return this.part(url, signal);
-    return this.link.bytes(url, signal);
+    return this.link.bytes(this.comesInParts(url) ? withQuery(url, "part=1") : url, signal);
+  }
+
+  private comesInParts(url: string): boolean {
+    return this.packed && !url.includes(DRAFT) && this.link.slow;
   }
 
   // The rest of a large tileset, an external one.
@@ -155,15 +167,11 @@ export class CityTiles extends BaseTiles {
     const there = first.internal.loadingState === LOADED || this.broken.has(first);
     if (!there) return true;
     // Of a tile that is wanted for its neighbours' sake, beside the picture, no finer one will come.
-    // A child that the library has not walked to has no traversal yet.
-    const finer = tile.children.some(
-      ({ traversal }) => traversal?.used && traversal.lastFrameVisited === this.frameCount,
-    );
-    return finer && tile.traversal.error > this.errorTarget && (!this.halves(tile) || this.comesSoon());
+    return this.wantedOf(tile).length > 0 && tile.traversal.error > this.errorTarget && (!this.isMuchFiner(tile) || this.comesSoon());
   }
 
   // Whether it is at least twice as fine as what stands there: a level that is hardly finer only delays the wanted one.
-  private halves(tile: CityTile): boolean {
+  private isMuchFiner(tile: CityTile): boolean {
     let up = tile.parent;
     while (up && up.internal.loadingState === UNLOADED) up = up.parent;
     return !up || tile.geometricError <= 0.5 * up.geometricError;
@@ -184,7 +192,7 @@ export class CityTiles extends BaseTiles {
 
   override removeUnusedPendingTiles() {
     const now = performance.now();
-    const coming = [...this.loadingTiles];
+    const coming = [...this.loadingTiles, ...this.finishing.keys()];
     // Where nothing of it is wanted the camera has jumped, and nobody will turn back.
     const patience = coming.some((tile) => this.lruCache.isUsed(tile)) ? GIVE_UP_MS : 0;
     for (const tile of coming) {
@@ -193,17 +201,18 @@ export class CityTiles extends BaseTiles {
         this.unwanted.delete(tile);
       } else if (state === QUEUED) {
         this.lruCache.remove(tile);
-      } else if (state <= LOADING) {
+      } else if (state <= LOADING || this.finishing.has(tile)) {
         const since = this.unwanted.get(tile) ?? now;
         this.unwanted.set(tile, since);
         if (now - since >= patience) {
           this.unwanted.delete(tile);
-          this.lruCache.remove(tile); // aborts the request
+          if (state <= LOADING) this.lruCache.remove(tile); // aborts the request
+          this.finishing.get(tile)?.abort();
         }
       }
     }
     for (const tile of this.unwanted.keys())
-      if (!this.loadingTiles.has(tile)) this.unwanted.delete(tile);
+      if (!this.loadingTiles.has(tile) && !this.finishing.has(tile)) this.unwanted.delete(tile);
   }
 
   // Requests that may be given up soon: somebody has to look again.
@@ -245,15 +254,16 @@ export class CityTiles extends BaseTiles {
     _url: string,
     signal: AbortSignal,
   ) {
-    const block = await this.decode(buffer, tile, signal);
+    const { byteLength } = buffer;
+    const block = await this.put(await this.read(buffer, tile, signal), byteLength, tile, signal);
     if (!block) return;
     if (tile.content?.uri.includes(DRAFT)) this.drafts.add(tile);
+    if (block.splats.rest) this.halves.add(tile);
     this.count++;
     this.onBlock(tile, block);
   }
 
-  private async decode(file: ArrayBuffer, tile: CityTile, signal: AbortSignal): Promise<Block | null> {
-    const size = file.byteLength;
+  private read(file: ArrayBuffer, tile: CityTile, signal: AbortSignal): Promise<DecodedSplats> {
     const toWorld = this.worldFromEcef
       .clone()
       .multiply(tile.engineData.transform)
@@ -262,7 +272,10 @@ export class CityTiles extends BaseTiles {
     const turned = [e[0]! - 1, e[5]! - 1, e[10]! - 1].some((v) => Math.abs(v) > 1e-6);
     if (turned) throw new Error("is turned or scaled against its tileset");
     const offset = new Vector3().setFromMatrixPosition(toWorld).toArray();
-    const splats = await this.decoders.decode(file, offset, signal);
+    return this.decoders.decode(file, offset, signal);
+  }
+
+  private async put(splats: DecodedSplats, size: number, tile: CityTile, signal: AbortSignal): Promise<Block | null> {
     let block = null as Block | null;
     await this.onCard(() => {
       if (signal.aborted) return;
@@ -274,31 +287,89 @@ export class CityTiles extends BaseTiles {
     return block;
   }
 
-  // Where nothing finer comes for this view, drafts on the screen are replaced.
-  finishDrafts() {
-    if (this.frozen || !this.drafts.size || this.coming) return;
+  // Where nothing else comes for this view, drafts and halves of tiles on the screen are made whole.
+  finishTiles() {
+    if (this.frozen || this.missing) return;
+    const room = this.gathers ? Infinity : Math.max(0, FINISHING_MOST - this.finishing.size);
+    for (const tile of this.unfinished.slice(0, room)) void this.finish(tile);
+  }
+
+  // Those that may be made whole now: what has most Gaussians comes first.
+  private get unfinished(): CityTile[] {
+    if (!this.drafts.size && !this.halves.size) return [];
     const now = performance.now();
-    for (const tile of this.visibleTiles) {
-      if (!this.drafts.has(tile) || this.finishing.has(tile)) continue;
-      if (now >= (this.broken.get(tile)?.again ?? 0)) void this.finish(tile);
-    }
+    const may = (tile: CityTile) =>
+      ((this.drafts.has(tile) && !this.coming) || (this.halves.has(tile) && this.hasRoom(tile))) &&
+      !this.finishing.has(tile) &&
+      now >= (this.broken.get(tile)?.again ?? 0);
+    const size = (tile: CityTile) => this.blocks.get(tile)?.splats.count ?? 0;
+    return this.standing.filter(may).sort((a, b) => size(b) - size(a));
+  }
+
+  // Tiles of this view, and the finer ones that are drawn in the place of some of them.
+  private get standing(): CityTile[] {
+    const out: CityTile[] = [];
+    const visit = (tile: CityTile) => {
+      out.push(tile);
+      if (tile.traversal.error > this.errorTarget) this.wantedOf(tile).forEach(visit);
+    };
+    this.visibleTiles.forEach(visit);
+    return out;
+  }
+
+  // Whether memory holds the whole of a tile of which a part is there.
+  private hasRoom(tile: CityTile): boolean {
+    const { count, rest } = this.blocks.get(tile)!.splats;
+    const { cachedBytes, maxBytesSize } = this.lruCache as LRUCache & { cachedBytes: number };
+    return cachedBytes + (this.calculateBytesUsed(tile) * rest) / count <= maxBytesSize;
+  }
+
+  // Parts of tiles of this view that memory has no room for.
+  get heldBack(): boolean {
+    return this.halves.size > 0 && this.standing.some((tile) => this.halves.has(tile) && !this.hasRoom(tile));
+  }
+
+  // Where frames take long, all that is finished is put on the screen at once: resolves when all others are decoded.
+  private together(tile: CityTile): Promise<void> {
+    if (!this.gathers) return Promise.resolve();
+    return new Promise((resolve) => {
+      this.decoded.set(tile, resolve);
+      this.release();
+    });
+  }
+
+  private release() {
+    if (this.decoded.size < this.finishing.size) return;
+    const waiting = [...this.decoded.values()];
+    this.decoded.clear();
+    for (const resolve of waiting) resolve();
   }
 
   private async finish(tile: CityTile) {
     const stop = new AbortController();
-    const draft = this.blocks.get(tile);
+    const before = this.blocks.get(tile)!;
+    const { uri } = tile.content!;
+    const half = this.halves.has(tile);
+    const own = half ? withQuery(uri, "part=2") : uri.replace(new RegExp(`[?&]${DRAFT}`), "");
     this.finishing.set(tile, stop);
     try {
-      const url = tile.content!.uri.replace(new RegExp(`[?&]${DRAFT}`), "");
-      const file = await this.link.bytes(new URL(url, `${tile.internal.basePath}/`), stop.signal);
-      if (!(await this.decode(file, tile, stop.signal))) return;
+      const file = await this.link.bytes(new URL(own, `${tile.internal.basePath}/`), stop.signal);
+      const { byteLength } = file;
+      const read = await this.read(file, tile, stop.signal);
+      const splats = half ? join(before.splats, read) : read;
+      await this.together(tile);
+      if (!(await this.put(splats, byteLength, tile, stop.signal))) return;
       this.drafts.delete(tile);
-      if (draft) this.engine.remove(draft);
+      this.halves.delete(tile);
+      this.engine.remove(before);
       this.lruCache.setMemoryUsage(tile, this.calculateBytesUsed(tile));
     } catch (error) {
       if (!stop.signal.aborted) this.remember(tile, error as Error);
     } finally {
       this.finishing.delete(tile);
+      this.decoded.delete(tile);
+      this.release();
+      this.finishTiles(); // frames may take long, and the line is free
       this.dispatchEvent({ type: "needs-update" });
     }
   }
@@ -307,6 +378,7 @@ export class CityTiles extends BaseTiles {
     super.disposeTile(tile);
     this.finishing.get(tile)?.abort();
     this.drafts.delete(tile);
+    this.halves.delete(tile);
     const block = this.blocks.get(tile);
     if (block) this.engine.remove(block);
     this.blocks.delete(tile);
@@ -333,16 +405,18 @@ export class CityTiles extends BaseTiles {
     return out;
   }
 
+  // Children that this view wants. One that the library has not walked to has no traversal yet.
+  private wantedOf({ children }: CityTile): CityTile[] {
+    return children.filter(({ traversal }) => traversal?.used && traversal.lastFrameVisited === this.frameCount);
+  }
+
   // Returns the blocks that now lie where this tile is.
   private cover(tile: CityTile, news: boolean, out: Piece[]): Block[] {
     const block = this.blocks.get(tile);
     const { traversal } = tile;
     const finer: Block[] = [];
     if (traversal.error > this.errorTarget)
-      for (const child of tile.children) {
-        const { used, lastFrameVisited } = child.traversal ?? {};
-        if (used && lastFrameVisited === this.frameCount) finer.push(...this.cover(child, news, out));
-      }
+      for (const child of this.wantedOf(tile)) finer.push(...this.cover(child, news, out));
     const may = news || traversal.visible || (block && this.before.has(block));
     if (!block || !may || !traversal.inFrustum) return finer;
     out.push({ block, without: finer });
@@ -356,7 +430,7 @@ export class CityTiles extends BaseTiles {
 
   // Something that this view needs is not there yet, and is on its way or queued.
   get loading(): boolean {
-    return !this.root || this.coming || this.isLoading || this.finishing.size > 0;
+    return !this.root || this.coming || this.isLoading || this.finishing.size > 0 || this.unfinished.length > 0;
   }
 
   private get coming(): boolean {
@@ -364,8 +438,14 @@ export class CityTiles extends BaseTiles {
     return queued + downloading + parsing > 0;
   }
 
-  // Tiles that are there as drafts, and are being replaced.
+  // Tiles of this view that are there, and not whole: on their way, or parts that will be.
   get finishingCount(): number {
-    return this.finishing.size;
+    const waiting = this.halves.size ? this.unfinished.filter((tile) => this.halves.has(tile)) : [];
+    return this.finishing.size + waiting.length;
+  }
+
+  // Tiles that came, whole ones.
+  get came(): number {
+    return this.count - this.halves.size;
   }
 }
