@@ -1,5 +1,5 @@
-/* The OpenCL device: choice, context, queue, programs, buffers. Only core/dev.c knows how devices
- * of different vendors differ.
+/* The OpenCL device: choice, context, queue, programs, buffers. Only core/dev.c and
+ * dev_build.c know how devices of different vendors differ.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
 /* Compiled OpenCL programs that are kept as files, so that a later start does not compile or parse
- * them. Only core/dev.c uses it.
+ * them. Only the device uses it.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

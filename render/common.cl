@@ -1,6 +1,19 @@
 // Behind core/vector.cl in every program of render/: the maths that forward and backward must agree
 // on to the last bit (what a splat is on the screen, and what it does to a pixel).
 
+// How many lanes are set.
+INLINE uint lanes_count(VI mask)
+{
+#if VW == 16
+    int16 one = mask & (VI)(1);
+    int8 a = one.lo + one.hi;
+    int4 b = a.lo + a.hi;
+    return (uint)((b.x + b.y) + (b.z + b.w));
+#else
+    return mask ? 1 : 0;
+#endif
+}
+
 #if VW == 16
 // 16 words of 16 lanes <-> 16 records of 16 words: four perfect shuffles.
 INLINE void transpose_16(V w[16])

@@ -14,25 +14,12 @@ INLINE float defer_most(V x)
     float2 c = MAX_(b.lo, b.hi);
     return MAX_(c.x, c.y);
 }
-
-INLINE uint defer_bits(VI mask)
-{
-    int16 one = mask & (VI)(1);
-    int8 a = one.lo + one.hi;
-    int4 b = a.lo + a.hi;
-    return (uint)((b.x + b.y) + (b.z + b.w));
-}
 #else
 #define DEFER_EACH(lane) for (uint lane = 0; lane < LAYOUT_LANES; lane++)
 
 INLINE float defer_most(V x)
 {
     return x;
-}
-
-INLINE uint defer_bits(VI mask)
-{
-    return mask ? 1 : 0;
 }
 #endif
 
@@ -104,11 +91,11 @@ __kernel void defer_count(__constant struct layout_view *view, __global const fl
         {
             uint first = i * LAYOUT_LANES + lane;
             VI seen = defer_seen(view, bounds, first, groups);
-            n += defer_bits(seen);
+            n += lanes_count(seen);
             if (i + 1 == vectors && first / LAYOUT_LANES == (groups - 1) / LAYOUT_LANES) {
                 VI last = seen & (LANE + (int)first == (int)groups - 1);
                 if (VW == 16 || first == groups - 1)
-                    counts[LAYOUT_DEFER_CHUNKS] = defer_bits(last);
+                    counts[LAYOUT_DEFER_CHUNKS] = lanes_count(last);
             }
         }
     counts[chunk] = n;

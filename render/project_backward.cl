@@ -479,21 +479,6 @@ inline void adam_sh(const struct adam *a, const struct gradient *d, const V basi
     }
 }
 
-#if VW == 16
-inline uint lanes_count(VI mask)
-{
-    int16 one = mask & (VI)(1);
-    int8 a = one.lo + one.hi;
-    int4 b = a.lo + a.hi;
-    return (uint)((b.x + b.y) + (b.z + b.w));
-}
-#else
-inline uint lanes_count(VI mask)
-{
-    return mask ? 1 : 0;
-}
-#endif
-
 // Densification statistics of all Gaussians: struct render_density_stats.
 struct stats {
     __global float *grad, *absg, *count, *radius, *opacity;

@@ -212,6 +212,49 @@ static void test_kernels_are_timed_by_name(void **state)
     clReleaseProgram(p);
 }
 
+/* Without waiting, commands still act in their order, and a read waits for its own turn alone. */
+static void test_hand_over_without_waiting(void **state)
+{
+    struct dev *d = *state;
+    struct err e = {0};
+    cl_program p = NULL;
+    cl_kernel k = NULL;
+    cl_mem m = NULL;
+    const struct dev_source src = {"tests/double.cl", DOUBLE_CL};
+    const cl_uint n = 1;
+    const float in[2] = {3, 10};
+    float got[2] = {0}, last = 0;
+    struct dev_pending first = {0}, second = {0}, bad = {0};
+    kit_ok(dev_build(d, &src, 1, NULL, &p, &e), e);
+    kit_ok(dev_kernel(p, "double_it", &k, &e), e);
+    kit_ok(dev_buffer(d, sizeof *in, NULL, &m, &e), e);
+    assert_int_equal(dev_arg(k, 0, m) | dev_arg(k, 1, n), CL_SUCCESS);
+    kit_ok(dev_wait(d, &first, &e), e); /* nothing is pending */
+    kit_ok(dev_write_soon(d, m, 0, sizeof *in, &in[0], &e), e);
+    kit_ok(dev_run(d, k, "double_it", n, 1, &e), e);
+    kit_ok(dev_read_soon(d, m, 0, sizeof *got, &got[0], &first, &e), e);
+    kit_ok(dev_write_soon(d, m, 0, sizeof *in, &in[1], &e), e);
+    kit_ok(dev_run(d, k, "double_it", n, 1, &e), e);
+    kit_ok(dev_read_soon(d, m, 0, sizeof *got, &got[1], &second, &e), e);
+    kit_ok(dev_run(d, k, "double_it", n, 1, &e), e);
+    kit_ok(dev_wait(d, &second, &e), e);
+    kit_ok(dev_wait(d, &first, &e), e);
+    kit_ok(dev_wait(d, &first, &e), e);
+    assert_true(got[0] == 6.0f && got[1] == 20.0f);
+    kit_ok(dev_read(d, m, 0, sizeof last, &last, &e), e);
+    assert_true(last == 40.0f);
+    assert_int_equal(dev_read_soon(d, m, 1024, sizeof last, &last, &bad, &e), ERR_DEVICE);
+    assert_int_equal(dev_write_soon(d, m, 1024, sizeof last, &last, &e), ERR_DEVICE);
+    kit_ok(dev_wait(d, &bad, &e), e);
+    kit_ok(dev_read_soon(d, m, 0, sizeof last, &last, &first, &e), e);
+    dev_abandon(d, &first);
+    assert_null(first.event);
+    dev_abandon(d, NULL);
+    dev_release(&m);
+    clReleaseKernel(k);
+    clReleaseProgram(p);
+}
+
 static void test_buffer_limits(void **state)
 {
     struct dev *d = *state;
@@ -413,6 +456,7 @@ int main(void)
         cmocka_unit_test(test_build_error_cites_file_and_line),
         cmocka_unit_test(test_lines_of_all_pieces_are_those_of_files),
         cmocka_unit_test(test_kernels_are_timed_by_name),
+        cmocka_unit_test(test_hand_over_without_waiting),
         cmocka_unit_test(test_buffer_limits),
         cmocka_unit_test(test_reserve_keeps_what_is_large_enough),
         cmocka_unit_test_setup_teardown(test_programs_are_kept, kit_tmp_make, kit_tmp_remove),
