@@ -47,3 +47,22 @@ void cholesky_solve(const double *l, size_t n, size_t stride, const double *b, d
         x[i] /= l[i * stride + i];
     }
 }
+
+SIMD_WIDE void cholesky_solve_sides(const double *l, size_t n, size_t stride,
+                                    double (*x)[CHOLESKY_SIDES])
+{
+    for (size_t i = 0; i < n; i++) {
+        for (size_t k = 0; k < i; k++)
+            for (size_t side = 0; side < CHOLESKY_SIDES; side++)
+                x[i][side] -= l[i * stride + k] * x[k][side];
+        for (size_t side = 0; side < CHOLESKY_SIDES; side++)
+            x[i][side] /= l[i * stride + i];
+    }
+    for (size_t i = n; i-- > 0;) {
+        for (size_t k = i + 1; k < n; k++)
+            for (size_t side = 0; side < CHOLESKY_SIDES; side++)
+                x[i][side] -= l[k * stride + i] * x[k][side];
+        for (size_t side = 0; side < CHOLESKY_SIDES; side++)
+            x[i][side] /= l[i * stride + i];
+    }
+}

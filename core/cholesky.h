@@ -14,5 +14,8 @@
 bool cholesky_factor(double *a, size_t n, size_t stride);
 /* Solves L L^T x = b for x [n]. x may be b. */
 void cholesky_solve(const double *l, size_t n, size_t stride, const double *b, double *x);
+/* The same for several right sides at once, in place, with the same bits. */
+enum { CHOLESKY_SIDES = 4 };
+void cholesky_solve_sides(const double *l, size_t n, size_t stride, double (*x)[CHOLESKY_SIDES]);
 
 #endif

@@ -11,6 +11,7 @@
 
 #include <jansson.h>
 
+#include "core/cholesky.h"
 #include "core/options.h"
 #include "core/pool.h"
 #include "core/sort.h"
@@ -520,6 +521,52 @@ static void mem_room_doubles_and_keeps(void **state)
     mem_free(list);
 }
 
+/* A factor gives its matrix again, sides that are solved together have the bits of one alone, and a
+ * matrix that is singular in its last row is refused. */
+static void small_systems_are_factored_and_solved(void **state)
+{
+    enum { N = 7, STRIDE = 9 };
+    double a[N][STRIDE] = {{0}}, l[N][STRIDE], x[N][CHOLESKY_SIDES];
+    (void)state;
+    for (size_t k = 0; k < 2 * N; k++)
+        for (size_t i = 0; i < N; i++)
+            for (size_t j = 0; j < N; j++)
+                a[i][j] += (rng_unit(1, k, i) - 0.5) * (rng_unit(1, k, j) - 0.5);
+    memcpy(l, a, sizeof l);
+    for (size_t i = 0; i < N; i++)
+        for (size_t j = i + 1; j < N; j++)
+            l[i][j] = 99.0; /* not read */
+    assert_true(cholesky_factor(&l[0][0], N, STRIDE));
+    for (size_t i = 0; i < N; i++)
+        for (size_t j = 0; j <= i; j++) {
+            double sum = 0.0;
+            for (size_t k = 0; k <= j; k++)
+                sum += l[i][k] * l[j][k];
+            assert_true(fabs(sum - a[i][j]) < 1e-12);
+            assert_true(l[i][j] == l[j][i]);
+        }
+    for (size_t side = 0; side < CHOLESKY_SIDES; side++)
+        for (size_t i = 0; i < N; i++)
+            x[i][side] = rng_unit(2, side, i);
+    cholesky_solve_sides(&l[0][0], N, STRIDE, x);
+    for (size_t side = 0; side < CHOLESKY_SIDES; side++) {
+        double one[N];
+        for (size_t i = 0; i < N; i++)
+            one[i] = rng_unit(2, side, i);
+        cholesky_solve(&l[0][0], N, STRIDE, one, one);
+        for (size_t i = 0; i < N; i++) {
+            double sum = -rng_unit(2, side, i);
+            for (size_t j = 0; j < N; j++)
+                sum += a[i][j] * one[j];
+            assert_true(fabs(sum) < 1e-10);
+            assert_true(x[i][side] == one[i]);
+        }
+    }
+    for (size_t j = 0; j < N; j++) /* the last row is the one before */
+        a[N - 1][j] = j + 1 < N ? a[N - 2][j] : a[N - 2][N - 2];
+    assert_false(cholesky_factor(&a[0][0], N, STRIDE));
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -528,6 +575,7 @@ int main(void)
         cmocka_unit_test(mem_room_doubles_and_keeps),
         cmocka_unit_test(arena_keeps_to_its_ceiling),
         cmocka_unit_test(sorts_of_words_and_selection),
+        cmocka_unit_test(small_systems_are_factored_and_solved),
         cmocka_unit_test(blocks_are_appended_as_rows_are),
         cmocka_unit_test(buf_and_cursor_round_trip_little_endian),
         cmocka_unit_test(buf_markup_leaves_nothing_that_opens_or_ends_markup),

@@ -17,7 +17,11 @@
 #include "render/render_ref.h"
 #include "train/model.h"
 
-enum { HARMONICS_ROWS = 1024, HARMONICS_CHANNELS = 3 }; /* rows that a thread takes at a time */
+enum {
+    HARMONICS_ROWS = 1024, /* that a thread takes at a time */
+    HARMONICS_CHANNELS = 3,
+    HARMONICS_WIDE = 4 /* doubles of a vector */
+};
 #define HARMONICS_NEAR_M 1e-6
 
 struct harmonics_work {
@@ -51,21 +55,28 @@ SIMD_INLINE size_t harmonics_gather(const struct harmonics_work *w, const double
         for (int i = 0; i < 3; i++)
             dir[i] /= sqrt(length2);
         ref_sh_basis(dir, w->rule->degree, y);
-        for (size_t i = 0; i < f->count; i++) /* whole rows: y is 0 beyond its degree */
-            for (size_t j = 0; j < LAYOUT_SH_MAX; j++)
-                f->a[i][j] += y[i] * y[j];
+        for (size_t i = 0; i < LAYOUT_SH_MAX; i++) /* y is 0 beyond its degree */
+            for (size_t block = 0; block <= i / HARMONICS_WIDE; block++)
+                for (size_t j = 0; j < HARMONICS_WIDE; j++)
+                    f->a[i][HARMONICS_WIDE * block + j] += y[i] * y[HARMONICS_WIDE * block + j];
         seen++;
     }
+    for (size_t i = 0; i < f->count; i++)
+        for (size_t j = 0; j < i; j++)
+            f->a[j][i] = f->a[i][j];
     return seen;
 }
 
 /* What the photographs see of c0: the right side of the normal equations. */
-SIMD_INLINE void harmonics_seen(const struct harmonics_fit *f, const double *c0, double *out)
+SIMD_INLINE void harmonics_seen(const struct harmonics_fit *f,
+                                double c0[LAYOUT_SH_MAX][CHOLESKY_SIDES],
+                                double out[LAYOUT_SH_MAX][CHOLESKY_SIDES])
 {
     memset(out, 0, LAYOUT_SH_MAX * sizeof *out);
-    for (size_t j = 0; j < f->count; j++) /* by columns of what is symmetric */
-        for (size_t i = 0; i < LAYOUT_SH_MAX; i++)
-            out[i] += f->a[j][i] * c0[j];
+    for (size_t i = 0; i < f->count; i++)
+        for (size_t j = 0; j < f->count; j++)
+            for (size_t ch = 0; ch < CHOLESKY_SIDES; ch++)
+                out[i][ch] += f->a[i][j] * c0[j][ch];
 }
 
 static float *harmonics_at(float *row, size_t i, size_t channel)
@@ -76,25 +87,24 @@ static float *harmonics_at(float *row, size_t i, size_t channel)
 SIMD_WIDE static void harmonics_row(const struct harmonics_work *w, float *row)
 {
     struct harmonics_fit f = {.count = (size_t)(w->rule->degree + 1) * (w->rule->degree + 1)};
-    double x[3], c[LAYOUT_SH_MAX], b[HARMONICS_CHANNELS][LAYOUT_SH_MAX];
+    /* a side of the equations is a channel; the last is not used */
+    double x[3], c[LAYOUT_SH_MAX][CHOLESKY_SIDES] = {{0}}, b[LAYOUT_SH_MAX][CHOLESKY_SIDES];
     for (size_t k = 0; k < 3; k++)
         x[k] = w->origin_enu_m[k] + (double)row[(LAYOUT_PLANE_MEAN + k) * LAYOUT_LANES];
     size_t seen = harmonics_gather(w, x, &f);
-    for (size_t ch = 0; ch < HARMONICS_CHANNELS; ch++) {
-        for (size_t i = 0; i < f.count; i++)
-            c[i] = (double)*harmonics_at(row, i, ch);
-        harmonics_seen(&f, c, b[ch]);
-    }
+    for (size_t i = 0; i < f.count; i++)
+        for (size_t ch = 0; ch < HARMONICS_CHANNELS; ch++)
+            c[i][ch] = (double)*harmonics_at(row, i, ch);
+    harmonics_seen(&f, c, b);
     for (size_t i = 1; i < f.count; i++)
         f.a[i][i] += w->rule->weight * (double)seen;
     if (seen && !cholesky_factor(&f.a[0][0], f.count, LAYOUT_SH_MAX))
         return; /* not finite: left as it is */
-    for (size_t ch = 0; ch < HARMONICS_CHANNELS; ch++) {
-        if (seen)
-            cholesky_solve(&f.a[0][0], f.count, LAYOUT_SH_MAX, b[ch], b[ch]);
-        for (size_t i = seen ? 0 : 1; i < f.count; i++)
-            *harmonics_at(row, i, ch) = (float)b[ch][i]; /* nobody saw it: b is 0 */
-    }
+    if (seen)
+        cholesky_solve_sides(&f.a[0][0], f.count, LAYOUT_SH_MAX, b);
+    for (size_t i = seen ? 0 : 1; i < f.count; i++)
+        for (size_t ch = 0; ch < HARMONICS_CHANNELS; ch++)
+            *harmonics_at(row, i, ch) = (float)b[i][ch]; /* nobody saw it: b is 0 */
 }
 
 static enum err_code harmonics_rows(void *user, size_t part, struct err *e)

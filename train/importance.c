@@ -33,7 +33,7 @@ enum {
     IMPORTANCE_FIELDS = 9,
     IMPORTANCE_MEDIAN_SAMPLE = 65536,
     IMPORTANCE_CHUNK = 16384,
-    IMPORTANCE_PICTURES = 6
+    IMPORTANCE_PICTURES = 3
 };
 enum importance_field {
     IMPORTANCE_GRADIENT,
@@ -122,20 +122,63 @@ void importance_edges(const uint8_t *px, uint32_t w, uint32_t h, float *luma, fl
     importance_stretch(out, n);
 }
 
-/* color: planar [3][n]. */
-static void importance_errors(const float *color, const uint8_t *px, const uint8_t *mask, size_t n,
-                              float *out)
+/* The pixels of a view, some at a time: first their errors, then their weights. */
+struct importance_picture {
+    const float *color; /* planar [3][n], mapped */
+    const uint8_t *px, *mask;
+    const float *edge;
+    float *weight; /* [n]: errors at first */
+    size_t n;
+};
+
+static enum err_code importance_error_chunk(void *user, size_t chunk, struct err *e)
 {
-    for (size_t i = 0; i < n; i++) {
-        out[i] = 0.0f;
-        if (mask && !mask[i])
+    (void)e;
+    const struct importance_picture *p = user;
+    size_t n = p->n, end = (chunk + 1) * IMPORTANCE_CHUNK < n ? (chunk + 1) * IMPORTANCE_CHUNK : n;
+    for (size_t i = chunk * IMPORTANCE_CHUNK; i < end; i++) {
+        p->weight[i] = 0.0f;
+        if (p->mask && !p->mask[i])
             continue;
         float sum = 0.0f;
         for (size_t c = 0; c < 3; c++)
-            sum += fabsf(color[c * n + i] - (float)px[3 * i + c] / 255.0f);
-        out[i] = sum / 3.0f;
+            sum += fabsf(p->color[c * n + i] - (float)p->px[3 * i + c] / 255.0f);
+        p->weight[i] = sum / 3.0f;
     }
-    importance_stretch(out, n);
+    return ERR_OK;
+}
+
+static enum err_code importance_weight_chunk(void *user, size_t chunk, struct err *e)
+{
+    (void)e;
+    const struct importance_picture *p = user;
+    size_t n = p->n, end = (chunk + 1) * IMPORTANCE_CHUNK < n ? (chunk + 1) * IMPORTANCE_CHUNK : n;
+    for (size_t i = chunk * IMPORTANCE_CHUNK; i < end; i++)
+        p->weight[i] = p->mask && !p->mask[i]
+                           ? 0.0f
+                           : IMPORTANCE_ERROR * p->weight[i] + IMPORTANCE_EDGE * p->edge[i];
+    return ERR_OK;
+}
+
+/* Weights of the frame that was drawn; p has all but its colours. */
+static enum err_code importance_weigh(const struct engine *engine, struct importance_picture p,
+                                      struct err *e)
+{
+    size_t chunks = (p.n + IMPORTANCE_CHUNK - 1) / IMPORTANCE_CHUNK;
+    cl_mem drawn = render_color_buffer(engine->render);
+    struct err why = {0};
+    void *color = NULL;
+    enum err_code rc = dev_map(engine->dev, drawn, CL_MAP_READ, 3 * p.n * sizeof(float), &color, e);
+    if (rc)
+        return rc;
+    p.color = color;
+    rc = pool_for(chunks, 0, importance_error_chunk, &p, e);
+    if (!rc)
+        importance_stretch(p.weight, p.n);
+    if (!rc)
+        rc = pool_for(chunks, 0, importance_weight_chunk, &p, e);
+    enum err_code done = dev_unmap(engine->dev, drawn, &color, &why);
+    return !rc && done ? err_set(e, done, "%s", why.msg) : rc;
 }
 
 /* ---- one view ---- */
@@ -164,7 +207,9 @@ static enum err_code importance_draw(struct importance *s, const struct model *m
     enum err_code rc = importance_alloc_all(s, n, e);
     if (rc)
         return rc;
-    float *color = s->scratch, *error = color + 3 * n, *edge = error + n, *luma = edge + n;
+    float *weight = s->scratch, *edge = weight + n, *luma = edge + n;
+    const struct importance_picture picture = {
+        .px = p->px, .mask = p->mask, .edge = edge, .weight = weight, .n = n};
     rc = dev_reserve(g->engine.dev, bytes, &s->weight, &s->weight_bytes, e);
     if (!rc)
         rc = gallery_hand_over(g, p, e);
@@ -177,15 +222,9 @@ static enum err_code importance_draw(struct importance *s, const struct model *m
     if (!rc)
         rc = photometric_read(g->engine.loss, &v, e);
     if (!rc)
-        rc = dev_read(g->engine.dev, render_color_buffer(g->engine.render), 0, 3 * bytes, color, e);
-    if (!rc) {
-        importance_errors(color, p->px, p->mask, n, error);
-        for (size_t i = 0; i < n; i++)
-            error[i] = p->mask && !p->mask[i]
-                           ? 0.0f
-                           : IMPORTANCE_ERROR * error[i] + IMPORTANCE_EDGE * edge[i];
-        rc = dev_write(g->engine.dev, s->weight, 0, bytes, error, e);
-    }
+        rc = importance_weigh(&g->engine, picture, e);
+    if (!rc)
+        rc = dev_write(g->engine.dev, s->weight, 0, bytes, weight, e);
     *view_loss = isfinite(v.total) ? v.total : 0.0;
     return rc;
 }
