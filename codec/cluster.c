@@ -44,7 +44,8 @@ static struct cluster_cell cluster_cell(const double *sum, const double *square,
 }
 
 /* The cell with the largest spread is divided at its mean until there are enough: cells are small
- * where most of v is, and those far away have theirs. */
+ * where most of v is, and those far away have theirs. Where v has fewer values than the book, each
+ * stands in it several times. */
 static void cluster_start(const float *v, size_t n, const double *sum, const double *square,
                           double *book)
 {
@@ -68,7 +69,7 @@ static void cluster_start(const float *v, size_t n, const double *sum, const dou
         cell[at + 1] = cluster_cell(sum, square, mid, to);
     }
     for (size_t k = 0; k < CLUSTER_BOOK; k++) {
-        const struct cluster_cell *c = &cell[k < n_cells ? k : n_cells - 1];
+        const struct cluster_cell *c = &cell[k * n_cells / CLUSTER_BOOK];
         book[k] = (sum[c->to] - sum[c->from]) / (double)(c->to - c->from);
     }
 }
@@ -93,6 +94,8 @@ static void cluster_settle(const float *v, size_t n, const double *sum, double *
     }
 }
 
+/* Of equal ones the middle: clients that read textures through a canvas, as Babylon.js, get indices
+ * that are off by one where alpha is not 255. */
 static uint8_t cluster_nearest(const float book[CLUSTER_BOOK], float x)
 {
     size_t lo = 0, hi = CLUSTER_BOOK - 1;
@@ -103,7 +106,9 @@ static uint8_t cluster_nearest(const float book[CLUSTER_BOOK], float x)
         else
             hi = mid;
     }
-    return (uint8_t)lo;
+    for (hi = lo; hi + 1 < CLUSTER_BOOK && book[hi + 1] == book[lo];)
+        hi++;
+    return (uint8_t)((lo + hi) / 2);
 }
 
 /* Ascending, in time linear in n. ERR_MEM. */

@@ -11,7 +11,8 @@
 enum { CLUSTER_BOOK = 256 };
 
 /* Finds 256 values, ascending, that approximate v [n] best (Lloyd's algorithm in one dimension),
- * and the index of the nearest one for each v. n >= 1, and v is finite. ERR_MEM. */
+ * and the index of the nearest one for each v. If v has few values, each stands in the book several
+ * times, and the index is that of the middle one. n >= 1, and v is finite. ERR_MEM. */
 enum err_code cluster_values(const float *v, size_t n, float book[CLUSTER_BOOK], uint8_t *index,
                              struct err *e) ERR_USE;
 /* Divides the n rows of v [n][d] into at most `most` groups (1 to 65536). In each step the group

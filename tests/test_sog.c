@@ -184,6 +184,12 @@ static void test_codebook(void **state)
         v[i] = 3;
     kit_ok(cluster_values(v, N, book, index, &e), e);
     assert_true(book[index[0]] == 3);
+    for (size_t i = 0; i < N; i++)
+        v[i] = (float)(i % 80);
+    kit_ok(cluster_values(v, N, book, index, &e), e);
+    for (size_t i = 0; i < N; i++)
+        for (int off_by = -1; off_by <= 1; off_by++) /* as some clients read it */
+            assert_true(book[index[i] + off_by] == v[i]);
 }
 
 /* ---- hostile ---- */
