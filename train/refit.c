@@ -37,7 +37,7 @@ struct schedule refit_schedule(const struct schedule *level, double share)
     double steps = floor((double)s.steps * share + 0.5);
     s.steps = steps >= 1.0 ? (uint32_t)steps : 1;
     s.densify_until = 0;
-    s.reset_interval = s.steps + 1;
+    s.reset_interval = 0;
     s.sh_interval = 0;
     s.lr_mean_first = s.lr_mean_last = 0.0;
     return s;

@@ -16,6 +16,7 @@
 
 #define SCHEDULE_PHOTOS 600.0           /* photographs at which lengths begin to stretch */
 #define SCHEDULE_MCMC_UNTIL (5.0 / 6.0) /* of a level: 25,000 of 30,000 steps, as published */
+#define SCHEDULE_SIZE_FROM 3000.0       /* first step at which sizes are limited, 3DGS */
 enum { SCHEDULE_STEPS_MAX = 1 << 30 };
 
 /* Half up, as counts are rounded everywhere here. */
@@ -113,10 +114,12 @@ static void schedule_fill(const struct train_config *cfg, const struct schedule_
     double until = s->mcmc ? fmax(b->until, SCHEDULE_MCMC_UNTIL) : b->until;
     s->densify_until = (uint32_t)floor((double)s->steps * until + 0.5);
     /* Not shrunk: a run shorter than the interval is better without resets than with hasty ones. */
-    s->reset_interval = schedule_round((double)cfg->reset_interval * fmax(kappa, 1.0));
+    s->reset_interval = cfg->reset_interval > 0
+                            ? schedule_round((double)cfg->reset_interval * fmax(kappa, 1.0))
+                            : 0;
     /* The first Gaussians may be as large as the gaps between points; later levels begin without
      * such. Shrinks with the run, which need not have a reset. */
-    s->size_from = s->level == 1 ? schedule_round((double)cfg->reset_interval * kappa) : 0;
+    s->size_from = s->level == 1 ? schedule_round(SCHEDULE_SIZE_FROM * kappa) : 0;
     s->sh_degree = (uint32_t)cfg->sh_degree;
     s->sh_interval = s->level == 1 ? schedule_round((double)cfg->sh_interval * shrink) : 0;
     s->tau = b->tau;
@@ -218,7 +221,8 @@ static uint32_t schedule_last_reset(const struct schedule *s)
 
 bool schedule_resets(const struct schedule *s, uint32_t step)
 {
-    return !s->mcmc && step > 0 && step % s->reset_interval == 0 && step <= schedule_last_reset(s);
+    return !s->mcmc && s->reset_interval > 0 && step > 0 && step % s->reset_interval == 0 &&
+           step <= schedule_last_reset(s);
 }
 
 bool schedule_limits_size(const struct schedule *s, uint32_t step)
