@@ -46,7 +46,8 @@ typedef uchar16 layout_uchar16 __attribute__((aligned(1)));
 #define LAYOUT_PLANE_SH 11
 #define LAYOUT_PLANES_GEOMETRY LAYOUT_PLANE_SH /* planes before the SH planes */
 #define LAYOUT_PLANES_SCALE 3
-#define LAYOUT_SH_MAX 16 /* coefficients of degree 3 */
+#define LAYOUT_PLANES_SHAPE 7 /* sizes and rotation, from LAYOUT_PLANE_SCALE on */
+#define LAYOUT_SH_MAX 16      /* coefficients of degree 3 */
 
 /* Limits of blending (Kerbl et al. 2023). alpha is cut to LAYOUT_ALPHA_MAX. A splat whose alpha is
  * below LAYOUT_ALPHA_MIN is skipped. A pixel stops when its transmittance is
@@ -237,7 +238,8 @@ struct layout_counts {
 
 struct layout_scale_piece {
     LAYOUT_U32 n, m; /* n: axes longer than s_max; m: Gaussians whose axis ratio is above r_max */
-    float size, ratio, flat; /* flat: sum of log(1 + (least axis / flat_m)^2) */
+    float size, ratio;
+    float flat, tilt; /* sums of log(1 + (least axis / flat_m)^2), and of 1 - n_z^2 */
 };
 
 struct layout_mip_camera { /* trans is relative to the model's origin */
@@ -258,8 +260,8 @@ struct layout_adam {
     LAYOUT_U32 wants; /* LAYOUT_STEP_*; buffers for other tasks are not read */
 };
 #define LAYOUT_STEP_EXTRA 1 /* add extra gradients, [groups][LAYOUT_PLANES_GEOMETRY][16] */
-/* add extra gradients of scales alone, [groups][LAYOUT_PLANES_SCALE][16] */
-#define LAYOUT_STEP_EXTRA_SCALE 2
+/* add extra gradients of sizes and rotation alone, [groups][LAYOUT_PLANES_SHAPE][16] */
+#define LAYOUT_STEP_EXTRA_SHAPE 2
 #define LAYOUT_STEP_STATS 4    /* collect densification statistics; the next two need it */
 #define LAYOUT_STEP_ABS 8      /* also absolute gradients of positions (AbsGS) */
 #define LAYOUT_STEP_OPACITY 16 /* also the largest opacity that was drawn */

@@ -8,6 +8,7 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include <math.h>
+#include <string.h>
 
 #include "core/base.h"
 #include "core/layout.h"
@@ -22,9 +23,9 @@ struct scale_loss {
     cl_program program;
     cl_kernel count, grad;
     cl_mem pieces;
-    cl_mem parts;        /* uint8 [ny][nx] of the ground of the first run */
-    double weight, flat; /* of the last run; flat: over 2 N */
-    bool wide;           /* the shape of the kernels: VW 16 */
+    cl_mem parts;               /* uint8 [ny][nx] of the ground of the first run */
+    double weight, flat, level; /* of the last run; flat: over 2 N, level: over N */
+    bool wide;                  /* the shape of the kernels: VW 16 */
 };
 
 void scale_loss_close(struct scale_loss **p)
@@ -98,15 +99,16 @@ static enum err_code scale_set_ground(struct scale_loss *s, const struct render_
 }
 
 enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
-                             const struct scale_loss_input *in, bool sizes_only, cl_mem extra,
+                             const struct scale_loss_input *in, bool shapes_only, cl_mem extra,
                              struct err *e)
 {
-    cl_uint only = sizes_only, n = m->n, planes = m->planes, groups = m->groups;
+    cl_uint only = shapes_only, n = m->n, planes = m->planes, groups = m->groups;
     cl_uint listed = m->list != NULL;
     cl_mem list = m->list ? m->list : m->params; /* not read without */
     cl_float s_max = (cl_float)in->s_max_m, r_max = (cl_float)in->r_max,
              weight = (cl_float)in->weight, flat = n ? (cl_float)(in->flat_weight / n) : 0.0f,
-             per_flat = in->flat_weight > 0.0 ? (cl_float)(1.0 / in->flat_m) : 0.0f;
+             per_flat = in->flat_weight > 0.0 ? (cl_float)(1.0 / in->flat_m) : 0.0f,
+             level = n ? (cl_float)(in->level_weight / n) : 0.0f;
     cl_int bad = CL_SUCCESS;
     cl_kernel both[2] = {s->count, s->grad};
     for (size_t i = 0; i < 2; i++) {
@@ -116,26 +118,27 @@ enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
         bad |= dev_arg(both[i], 3, groups);
         bad |= dev_arg(both[i], 4, s_max);
         bad |= dev_arg(both[i], 5, r_max);
+        bad |= dev_arg(both[i], 13, per_flat);
+        bad |= dev_arg(both[i], 14, level);
     }
     enum err_code rc = scale_set_ground(s, m, in->ground, &bad, e);
     if (rc)
         return rc;
-    bad |= dev_arg(s->count, 13, per_flat);
-    bad |= dev_arg(s->count, 14, s->pieces);
-    bad |= dev_arg(s->count, 15, list);
-    bad |= dev_arg(s->count, 16, listed);
-    bad |= dev_arg(s->grad, 13, per_flat);
-    bad |= dev_arg(s->grad, 14, weight);
-    bad |= dev_arg(s->grad, 15, flat);
-    bad |= dev_arg(s->grad, 16, s->pieces);
-    bad |= dev_arg(s->grad, 17, only);
-    bad |= dev_arg(s->grad, 18, extra);
-    bad |= dev_arg(s->grad, 19, list);
-    bad |= dev_arg(s->grad, 20, listed);
+    bad |= dev_arg(s->count, 15, s->pieces);
+    bad |= dev_arg(s->count, 16, list);
+    bad |= dev_arg(s->count, 17, listed);
+    bad |= dev_arg(s->grad, 15, weight);
+    bad |= dev_arg(s->grad, 16, flat);
+    bad |= dev_arg(s->grad, 17, s->pieces);
+    bad |= dev_arg(s->grad, 18, only);
+    bad |= dev_arg(s->grad, 19, extra);
+    bad |= dev_arg(s->grad, 20, list);
+    bad |= dev_arg(s->grad, 21, listed);
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "scale_loss: arguments: %s", dev_error_name(bad));
     s->weight = in->weight;
     s->flat = n ? 0.5 * in->flat_weight / n : 0.0;
+    s->level = n ? in->level_weight / n : 0.0;
     size_t local = s->wide ? 1 : LAYOUT_SCALE_ITEMS;
     size_t of_group = s->wide ? LAYOUT_PROJECT_GROUPS : LAYOUT_SCALE_ITEMS / LAYOUT_LANES;
     size_t items = (groups + of_group - 1) / of_group * local;
@@ -147,7 +150,7 @@ enum err_code scale_loss_read(struct scale_loss *s, struct scale_loss_value *out
 {
     struct layout_scale_piece pieces[LAYOUT_LOSS_PIECES];
     struct {
-        double n, m, size, ratio, flat;
+        double n, m, size, ratio, flat, tilt;
     } t = {0};
     enum err_code rc = dev_read(s->dev, s->pieces, 0, sizeof pieces, pieces, e);
     if (rc)
@@ -158,11 +161,13 @@ enum err_code scale_loss_read(struct scale_loss *s, struct scale_loss_value *out
         t.size += (double)pieces[i].size;
         t.ratio += (double)pieces[i].ratio;
         t.flat += (double)pieces[i].flat;
+        t.tilt += (double)pieces[i].tilt;
     }
-    *out = (struct scale_loss_value){
-        .total = s->weight * (t.size / (t.n + 1.0) + t.ratio / (t.m + 1.0)) + s->flat * t.flat,
-        .n = (uint32_t)t.n,
-        .m = (uint32_t)t.m};
+    *out = (struct scale_loss_value){.total = s->weight *
+                                                  (t.size / (t.n + 1.0) + t.ratio / (t.m + 1.0)) +
+                                              s->flat * t.flat + s->level * t.tilt,
+                                     .n = (uint32_t)t.n,
+                                     .m = (uint32_t)t.m};
     return ERR_OK;
 }
 
@@ -225,39 +230,67 @@ static double scale_thick(const struct scale_loss_input *in, const double *mean,
                : 0.0;
 }
 
-struct scale_loss_value scale_loss_ref_run(const double *mean, const double *scale_log, size_t n,
+/* n_z of the least axis and its derivatives on the rotation; 0 where Gaussians need not lie. */
+static double scale_upright(const struct scale_loss_input *in, const double *mean, const double *q,
+                            const struct scale_axes *a, double d[4])
+{
+    memset(d, 0, 4 * sizeof *d);
+    if (!(in->level_weight > 0.0) || !scale_inside(in, mean, SCALE_LOSS_LEVEL))
+        return 0.0;
+    double w = q[0], x = q[1], y = q[2], z = q[3], per = 1.0 / (w * w + x * x + y * y + z * z);
+    const double up[3] = {2.0 * (x * z - w * y), 2.0 * (y * z + w * x),
+                          w * w - x * x - y * y + z * z};
+    const double of[3][4] = {{-2.0 * y, 2.0 * z, -2.0 * w, 2.0 * x},
+                             {2.0 * x, 2.0 * w, 2.0 * z, 2.0 * y},
+                             {2.0 * w, -2.0 * x, -2.0 * y, 2.0 * z}};
+    double n_z = up[a->least] * per;
+    for (int k = 0; k < 4; k++)
+        d[k] = (of[a->least][k] - 2.0 * n_z * q[k]) * per;
+    return n_z;
+}
+
+struct scale_loss_value scale_loss_ref_run(const struct scale_loss_gauss *g,
                                            const struct scale_loss_input *in, double *grad)
 {
     struct scale_loss_value v = {0};
-    double size = 0.0, ratio = 0.0, flat = 0.0;
-    double pull = n ? in->flat_weight / (double)n : 0.0;
-    for (size_t i = 0; i < n; i++) {
-        struct scale_axes a = scale_axes_of(scale_log + 3 * i);
-        double s_max = scale_limit(in, mean ? mean + 3 * i : NULL);
+    double size = 0.0, ratio = 0.0, flat = 0.0, tilt = 0.0, d[4];
+    double pull = g->n ? in->flat_weight / (double)g->n : 0.0,
+           level = g->n ? in->level_weight / (double)g->n : 0.0;
+    for (size_t i = 0; i < g->n; i++) {
+        struct scale_axes a = scale_axes_of(g->scale_log + 3 * i);
+        const double *mean = g->mean ? g->mean + 3 * i : NULL;
+        double s_max = scale_limit(in, mean);
         for (int k = 0; k < 3; k++)
             if (a.s[k] > s_max) {
                 v.n++;
                 size += a.s[k];
             }
-        flat += log1p(pow(scale_thick(in, mean ? mean + 3 * i : NULL, &a), 2.0));
+        flat += log1p(pow(scale_thick(in, mean, &a), 2.0));
+        if (in->level_weight > 0.0 && scale_inside(in, mean, SCALE_LOSS_LEVEL))
+            tilt += 1.0 - pow(scale_upright(in, mean, g->quat + 4 * i, &a, d), 2.0);
         if (a.ratio > in->r_max) {
             v.m++;
             ratio += a.ratio;
         }
     }
-    v.total = in->weight * (size / (v.n + 1.0) + ratio / (v.m + 1.0)) + 0.5 * pull * flat;
-    for (size_t i = 0; grad && i < n; i++) {
-        struct scale_axes a = scale_axes_of(scale_log + 3 * i);
-        double s_max = scale_limit(in, mean ? mean + 3 * i : NULL);
+    v.total =
+        in->weight * (size / (v.n + 1.0) + ratio / (v.m + 1.0)) + 0.5 * pull * flat + level * tilt;
+    for (size_t i = 0; grad && i < g->n; i++) {
+        struct scale_axes a = scale_axes_of(g->scale_log + 3 * i);
+        const double *mean = g->mean ? g->mean + 3 * i : NULL;
+        double s_max = scale_limit(in, mean), *out = grad + 7 * i;
         double per_m = in->weight / (v.m + 1.0), q = a.s[a.middle] + SCALE_RATIO_EPS;
         for (int k = 0; k < 3; k++)
-            grad[3 * i + k] = a.s[k] > s_max ? in->weight / (v.n + 1.0) * a.s[k] : 0.0;
-        double thick = scale_thick(in, mean ? mean + 3 * i : NULL, &a);
-        grad[3 * i + a.least] += pull * thick * thick / (1.0 + thick * thick);
+            out[k] = a.s[k] > s_max ? in->weight / (v.n + 1.0) * a.s[k] : 0.0;
+        double thick = scale_thick(in, mean, &a);
+        out[a.least] += pull * thick * thick / (1.0 + thick * thick);
+        double up = scale_upright(in, mean, g->quat ? g->quat + 4 * i : NULL, &a, d);
+        for (int k = 0; k < 4; k++)
+            out[3 + k] = -2.0 * level * up * d[k];
         if (!(a.ratio > in->r_max))
             continue;
-        grad[3 * i + a.largest] += per_m * a.ratio;
-        grad[3 * i + a.middle] -= per_m * a.ratio * a.s[a.middle] / q;
+        out[a.largest] += per_m * a.ratio;
+        out[a.middle] -= per_m * a.ratio * a.s[a.middle] / q;
     }
     return v;
 }

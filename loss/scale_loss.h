@@ -15,13 +15,15 @@
  *
  *     L = weight (sum_{s_ik > s_max} s_ik / (n + 1) + sum_{r_i > r_max} r_i / (m + 1))
  *         + flat_weight / (2 N) sum_i log(1 + (min_k s_ik / flat_m)^2)
+ *         + level_weight / N sum_i (1 - n_iz^2)
  *
  * n and m are the numbers of terms of the two sums and are held fixed; N is the number of
- * Gaussians. The last term makes Gaussians flat. Its pull on log s is the same for all that are
- * thicker than flat_m, and goes to 0 below (PGSR, Chen et al. 2024, presses the least axis itself).
- * Source of the others: REUrbanGS (2025), section on regularization. Over a part of the ground
- * s_max can be smaller, and the last term can be limited to a part (struct scale_loss_ground). */
-enum scale_loss_part { SCALE_LOSS_LIMITED = 1, SCALE_LOSS_FLAT = 2 };
+ * Gaussians, n_i the direction of the least axis. The third term makes Gaussians flat. Its pull on
+ * log s is the same for all that are thicker than flat_m, and goes to 0 below (PGSR, Chen et al.
+ * 2024, presses the least axis itself). The last term turns flat Gaussians level, and acts on their
+ * rotations alone. Source of the others: REUrbanGS (2025), section on regularization. Each applies
+ * to a part of the ground (struct scale_loss_ground): a smaller s_max, the third term, the last. */
+enum scale_loss_part { SCALE_LOSS_LIMITED = 1, SCALE_LOSS_FLAT = 2, SCALE_LOSS_LEVEL = 4 };
 struct scale_loss_ground { /* borrowed */
     const uint8_t *parts;  /* [ny][nx] of enum scale_loss_part, row 0 is the southernmost */
     size_t nx, ny;
@@ -31,8 +33,9 @@ struct scale_loss_ground { /* borrowed */
 struct scale_loss_input {
     double s_max_m, r_max, weight;
     double flat_weight, flat_m; /* flat_m is read where flat_weight > 0 */
-    /* NULL: the outer s_max_m applies everywhere, and so does flat_weight; the first run fixes the
-     * grid */
+    double level_weight;
+    /* NULL: the outer s_max_m applies everywhere, flat_weight too, and level_weight nowhere; the
+     * first run fixes the grid */
     const struct scale_loss_ground *ground;
 };
 struct scale_loss_value {
@@ -44,17 +47,23 @@ struct scale_loss; /* compiled kernels */
 enum err_code scale_loss_open(struct dev *dev, struct scale_loss **out, struct err *e) ERR_USE;
 void scale_loss_close(struct scale_loss **s);
 /* Enqueues: writes dL/d(geometry) to all of extra, float [groups][LAYOUT_PLANES_GEOMETRY][16]. With
- * sizes_only it writes only the sizes' planes, [groups][3][16]. With m->list the loss is that of
- * the listed groups, and extra is in their order. It does not wait for the device.
+ * shapes_only it writes only the planes of sizes and rotations, [groups][LAYOUT_PLANES_SHAPE][16].
+ * With m->list the loss is that of the listed groups, and extra is in their order. It does not wait
+ * for the device.
  * ERR_DEVICE. */
 enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
-                             const struct scale_loss_input *in, bool sizes_only, cl_mem extra,
+                             const struct scale_loss_input *in, bool shapes_only, cl_mem extra,
                              struct err *e) ERR_USE;
 /* Waits, and reads the value of the last run. ERR_DEVICE. */
 enum err_code scale_loss_read(struct scale_loss *s, struct scale_loss_value *out,
                               struct err *e) ERR_USE;
-/* Reference in double. mean [n][3] is in ENU metres, NULL if in->ground is. scale_log [n][3]. grad
- * [n][3] (may be NULL) is overwritten. */
-struct scale_loss_value scale_loss_ref_run(const double *mean, const double *scale_log, size_t n,
+struct scale_loss_gauss {    /* for the reference */
+    const double *mean;      /* [n][3] ENU metres; NULL if there is no ground */
+    const double *scale_log; /* [n][3] */
+    const double *quat;      /* [n][4] w x y z of any length; NULL if there is no level_weight */
+    size_t n;
+};
+/* Reference in double. grad [n][7] (may be NULL), sizes and then rotations, is overwritten. */
+struct scale_loss_value scale_loss_ref_run(const struct scale_loss_gauss *g,
                                            const struct scale_loss_input *in, double *grad);
 #endif

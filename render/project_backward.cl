@@ -368,10 +368,10 @@ inline void gradient_extra(struct gradient *d, __global const float *extra, uint
     if (wants & LAYOUT_STEP_EXTRA)
         for (uint k = 0; k < LAYOUT_PLANES_GEOMETRY; k++)
             d->geometry[k] += LD(extra + group_at(group, LAYOUT_PLANES_GEOMETRY) + lane, k);
-    else if (wants & LAYOUT_STEP_EXTRA_SCALE)
-        for (uint k = 0; k < LAYOUT_PLANES_SCALE; k++)
+    else if (wants & LAYOUT_STEP_EXTRA_SHAPE)
+        for (uint k = 0; k < LAYOUT_PLANES_SHAPE; k++)
             d->geometry[LAYOUT_PLANE_SCALE + k] +=
-                LD(extra + group_at(group, LAYOUT_PLANES_SCALE) + lane, k);
+                LD(extra + group_at(group, LAYOUT_PLANES_SHAPE) + lane, k);
 }
 
 // Lanes whose gradient is usable: finite, and small enough to be squared.

@@ -227,8 +227,8 @@ struct render_adam {
     /* may be NULL: float [groups][LAYOUT_PLANES_GEOMETRY][16], added to the gradients of these
      * planes of every Gaussian, visible or not (regularizers) */
     cl_mem extra_grad;
-    /* extra_grad is float [groups][LAYOUT_PLANES_SCALE][16] instead, of scales alone */
-    bool extra_sizes;
+    /* extra_grad is float [groups][LAYOUT_PLANES_SHAPE][16] instead, of sizes and rotation */
+    bool extra_shape;
 };
 /* Statistics of each Gaussian for densification, accumulated by render_backward_step:
  *

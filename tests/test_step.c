@@ -90,8 +90,8 @@ static void check_adam(bool with_extra, int sh_degree, uint32_t width)
         d->vector_width = width ? width : own;
         kit_ok(render_backward(t.r, &t.m, grads, &e), e);
         float *g = floats_read(grads, words);
-        t.adam.extra_sizes = t.adam.step >= 2; /* the same floats as three planes a group */
-        size_t first = t.adam.extra_sizes ? 3 : 0, planes = t.adam.extra_sizes ? 3 : 11;
+        t.adam.extra_shape = t.adam.step >= 2; /* the same floats as seven planes a group */
+        size_t first = t.adam.extra_shape ? 3 : 0, planes = t.adam.extra_shape ? 7 : 11;
         for (size_t i = 0; extra && i < words; i++) {
             size_t plane = i / 16 % t.m.planes;
             if (plane >= first && plane < first + planes)

@@ -78,7 +78,7 @@ struct memory_need memory_estimate(const struct train_config *cfg, const struct 
     double photos =
         memory_photos(cfg, s, images, n_images, downsample, &pixels, &photometric_pixels);
     bool depth = (cfg->depth_dir || cfg->depth_sparse) && cfg->depth_weight > 0.0;
-    bool extra = depth || cfg->scale_weight > 0.0 || cfg->solid_flat > 0.0;
+    bool extra = depth || cfg->scale_weight > 0.0 || cfg->solid_flat > 0.0 || cfg->solid_rim > 0.0;
     double words = MEMORY_STATS + 2.0 * light + (cfg->aa == RENDER_AA_MIP) +
                    MEMORY_EXTRA * (double)extra + MEMORY_DEPTH * (double)depth;
     double trained = 3.0 * row + MEMORY_WORD * words;

@@ -82,24 +82,27 @@ static enum err_code regularizer_clear(struct regularizer *r, const struct model
     return dev_zero(m->dev, r->extra, 0, floats * sizeof(float), e);
 }
 
-/* Supported ground has the limit. Gaussians are flat well inside of it. */
-static enum err_code regularizer_parts(struct regularizer *r, const struct site *site,
-                                       struct err *e)
+/* Supported ground has the limit. Gaussians are flat well inside of it. At the rim few photographs
+ * see a place, and all from one side: there flat Gaussians lie level, or they would stand askew
+ * (docs/decisions/099-level-rim.md). */
+static enum err_code regularizer_parts(struct regularizer *r, const struct train_config *c,
+                                       const struct site *site, struct err *e)
 {
     const struct footprint *f = site->ground;
     size_t n = f ? f->nx * f->ny : 0;
     r->parts = mem_array(n, sizeof *r->parts);
     if (n && !r->parts)
         return err_set(e, ERR_MEM, "regularizers: out of memory for %zu cells of ground", n);
+    const uint8_t rim = c->solid_rim > 0.0 ? SCALE_LOSS_FLAT | SCALE_LOSS_LEVEL : 0;
     for (size_t i = 0; i < n; i++)
         r->parts[i] = (f->inside[i] ? SCALE_LOSS_LIMITED : 0) |
-                      (footprint_is_deep(f, i) ? SCALE_LOSS_FLAT : 0);
+                      (footprint_is_deep(f, i) ? SCALE_LOSS_FLAT : rim);
     return ERR_OK;
 }
 
 static bool regularizer_has_scale(const struct train_config *c)
 {
-    return c->scale_weight > 0.0 || c->solid_flat > 0.0;
+    return c->scale_weight > 0.0 || c->solid_flat > 0.0 || c->solid_rim > 0.0;
 }
 
 /* From the first opacity reset and one densification after it; later levels go on with it. */
@@ -129,6 +132,7 @@ static enum err_code regularizer_scale(struct regularizer *r, const struct model
     if (footprint_m > 0.0) {
         loss.flat_weight = c->solid_flat;
         loss.flat_m = REGULARIZER_FLAT_PX * footprint_m;
+        loss.level_weight = c->solid_rim;
         const struct footprint *f = in->site->ground;
         ground.parts = r->parts;
         ground.nx = f->nx;
@@ -137,7 +141,7 @@ static enum err_code regularizer_scale(struct regularizer *r, const struct model
         memcpy(ground.corner_m, f->corner_m, sizeof ground.corner_m);
         loss.ground = &ground;
     }
-    return scale_loss_run(r->scale, &m->seen, &loss, m->adam.extra_sizes, r->extra, e);
+    return scale_loss_run(r->scale, &m->seen, &loss, m->adam.extra_shape, r->extra, e);
 }
 
 /* What an option of -1 means. */
@@ -273,7 +277,7 @@ enum err_code regularizer_step(struct regularizer *r, struct model *m,
     if (rc || !(scale || depth || pulls)) /* those that share the buffer */
         return rc;
     rc = regularizer_reserve(r, m, e);
-    m->adam.extra_sizes = scale && !depth && !pulls; /* fewer planes to pass through memory */
+    m->adam.extra_shape = scale && !depth && !pulls; /* fewer planes to pass through memory */
     if (!rc)
         rc = scale ? regularizer_scale(r, m, in, e) : regularizer_clear(r, m, e);
     if (!rc && pulls)
@@ -311,7 +315,7 @@ enum err_code regularizer_open(struct regularizer **own, const struct gallery *g
     if (!rc && regularizer_has_scale(c))
         rc = scale_loss_open(g->engine.dev, &r->scale, e);
     if (!rc && regularizer_has_scale(c))
-        rc = regularizer_parts(r, site, e);
+        rc = regularizer_parts(r, c, site, e);
     if (!rc && (regularizer_pulls(&pull) || regularizer_shakes(c)))
         rc = mcmc_open(g->engine.dev, &r->mcmc, e);
     if (!rc && regularizer_has_depth(c))

@@ -22,7 +22,7 @@ struct schedule { /* schedule of one level; steps are 1-based and restart at eve
      * schedule_cap_outside */
     size_t budget_outside;
     uint32_t interval, densify_from,
-        densify_until; /* densify if from < step < until and interval | step */
+        densify_until;               /* densify if from < step < until and interval | step */
     uint32_t reset_interval;         /* 0: never */
     uint32_t size_from;              /* Gaussians that are too large are removed after this step */
     uint32_t sh_interval, sh_degree; /* sh_interval 0: full degree from the start */
