@@ -534,7 +534,7 @@ solid_rows() { # CALL STUDY SCENE TRAIN-OPTIONS
       stereo) "$call" "$study" stereo "$scene" "" "$@" --depth-prior "$OUT/$scene-depth" ;;
       default) "$call" "$study" default "$scene" "" "$@" ;;
       off) "$call" "$study" off "$scene" "" "$@" --solid-spread 0 --solid-bend 0 --solid-light 0 \
-      --solid-flat 0 ;;
+      --solid-flat 0 --solid-rim 0 ;;
       *) die "STUDY_ROWS: no row '$name' of stereo, default, off" ;;
     esac
   done
@@ -542,10 +542,11 @@ solid_rows() { # CALL STUDY SCENE TRAIN-OPTIONS
 solid_terms_rows() { # STUDY SCENE TRAIN-OPTIONS
   local study=$1 scene=$2
   shift 2
-  row "$study" "spread alone" "$scene" "" "$@" --solid-bend 0 --solid-light 0 --solid-flat 0
-  row "$study" "bend alone" "$scene" "" "$@" --solid-spread 0 --solid-light 0 --solid-flat 0
-  row "$study" "light alone" "$scene" "" "$@" --solid-spread 0 --solid-bend 0 --solid-flat 0
-  row "$study" "flat alone" "$scene" "" "$@" --solid-spread 0 --solid-bend 0 --solid-light 0
+  row "$study" "spread alone" "$scene" "" "$@" --solid-bend 0 --solid-light 0 --solid-flat 0 --solid-rim 0
+  row "$study" "bend alone" "$scene" "" "$@" --solid-spread 0 --solid-light 0 --solid-flat 0 --solid-rim 0
+  row "$study" "light alone" "$scene" "" "$@" --solid-spread 0 --solid-bend 0 --solid-flat 0 --solid-rim 0
+  row "$study" "flat alone" "$scene" "" "$@" --solid-spread 0 --solid-bend 0 --solid-light 0 --solid-rim 0
+  row "$study" "flat and rim alone" "$scene" "" "$@" --solid-spread 0 --solid-bend 0 --solid-light 0
 }
 # solid STUDY SCENE SURFACE: all rows with their seeds, then two trainings of each against each other.
 solid() {
