@@ -67,6 +67,7 @@ seeded() {
 # What a scene is, for the tables.
 scene_about() {
   case $1 in
+    caliterra-200) echo "caliterra, 200 x 150 px" ;;
     caliterra-400) echo "caliterra, 400 x 300 px" ;;
     caliterra-800) echo "caliterra, 800 x 600 px" ;;
     ochota-400) echo "ochota, 400 x 300 px" ;;
@@ -110,6 +111,7 @@ scene_ingest_city() { # FOLDER synth options
 
 scene_build() { # NAME FOLDER
   case $1 in
+    caliterra-200) scene_ingest_caliterra "$2" 200 ;;
     caliterra-400) scene_ingest_caliterra "$2" 400 ;;
     caliterra-800) scene_ingest_caliterra "$2" 800 ;;
     ochota-cells) scene_build ochota-400 "$2"; citysplat plan "$2" --edge-m 150 --images-few 16 --images-least 8 ;;
@@ -355,6 +357,16 @@ study_time() { # accuracy against training time, with the finest level alone and
   for n in 500 1000 2000; do # photographs as they came, as other trainers take them
     row time "one level, as taken: $n steps" caliterra-400 "steps=$n" --level-count 1 --iterations "$n" --budget 200000 --no-exposure
   done
+}
+
+study_long() { # what going on does to photographs, and what takes it away
+  local n base=(caliterra-200 "" --level-count 1)
+  for n in 2000 8000 30000; do
+    row long "$n steps" "${base[@]}" --iterations "$n"
+  done
+  row long "30000 steps, no resets" "${base[@]}" --iterations 30000 --reset-interval 0
+  row long "30000 steps, no resets, degree 1" "${base[@]}" --iterations 30000 --reset-interval 0 --sh-degree 1
+  row long "30000 steps, no resets, half the Gaussians" "${base[@]}" --iterations 30000 --reset-interval 0 --budget 50000
 }
 
 study_budgets() { # accuracy against the number of Gaussians
@@ -790,7 +802,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_tricky solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ablation ablation_city cells cells_light
+readonly STUDIES=(time full long big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_tricky solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ablation ablation_city cells cells_light
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {
