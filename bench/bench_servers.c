@@ -253,7 +253,7 @@ static enum err_code servers_size(struct servers *s, size_t n_gaussians, size_t 
 {
     bool is = true;
     char path[FILE_PATH_MAX], etag[64] = "", text[96];
-    struct server_config cfg;
+    struct server_config cfg = {0};
     struct arena arena = {0};
     struct server *server = NULL;
     struct buf tile = {0};

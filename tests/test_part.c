@@ -76,7 +76,7 @@ static void test_parts_are_the_tile(void **state)
         memcpy(all.embed_min, part[0].embed_min, sizeof all.embed_min);
         memcpy(all.embed_max, part[1].embed_max, sizeof all.embed_max);
         quant_kit_same(&q, &all);
-        double least = INFINITY, most = 0;
+        double least = HUGE_VAL, most = 0.0;
         for (size_t i = 0; i < part[0].n; i++)
             least = fmin(least, shows(&part[0], i));
         for (size_t i = 0; i < part[1].n; i++)
