@@ -79,11 +79,12 @@ enum err_code part_take(const struct quant *q, uint32_t part, struct quant *out,
         return err_set(e, ERR_NOENT, "a tile of %zu Gaussians is one part", q->n);
     float *weight = mem_array(q->n + !q->n, 2 * sizeof *weight);
     uint32_t *rows = mem_array(n + !n, sizeof *rows);
-    enum err_code rc = ERR_OK;
-    if (!weight || !rows)
-        rc = err_set(e, ERR_MEM, "part: %zu Gaussians: out of memory", q->n);
-    if (!rc)
-        rc = quant_alloc(out, n, q->sh_degree, q->embed_len, e);
+    if (!weight || !rows) {
+        mem_free(weight);
+        mem_free(rows);
+        return err_set(e, ERR_MEM, "part: %zu Gaussians: out of memory", q->n);
+    }
+    enum err_code rc = quant_alloc(out, n, q->sh_degree, q->embed_len, e);
     if (!rc && first == q->n)
         for (size_t i = 0; i < n; i++)
             rows[i] = (uint32_t)i;

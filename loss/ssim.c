@@ -126,8 +126,8 @@ static enum err_code ssim_band(void *user, size_t i, struct err *e)
 
 enum err_code ssim_map(const struct ssim_input *in, double *map, struct err *e)
 {
-    struct ssim_work s = {
-        .in = in, .map = map, .bands = (in->height_px + SSIM_BAND - 1) / SSIM_BAND};
+    struct ssim_work s = {.in = in, .bands = (in->height_px + SSIM_BAND - 1) / SSIM_BAND};
+    s.map = map;
     ssim_taps(s.taps);
     return pool_for(3 * s.bands, 0, ssim_band, &s, e);
 }

@@ -247,7 +247,7 @@ static void densify_list(const struct densify_input *in, struct densify_lists *w
             continue;
         w->n_in += inside;
         w->n_out += !inside;
-        struct densify_side *side = &w->side[inside];
+        struct densify_side *side = inside ? &w->side[1] : &w->side[0];
         if (c == CLASS_CLONE)
             side->clones[side->n_clones++] = (uint32_t)i;
         else if (c == CLASS_SPLIT)
