@@ -418,14 +418,25 @@ enum err_code dev_read(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_by
     return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_read", d->name);
 }
 
-enum err_code dev_write(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes,
-                        const void *in, struct err *e)
+static enum err_code dev_hand_over(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes,
+                                   const void *in, cl_bool wait, struct err *e)
 {
     if (n_bytes == 0)
         return ERR_OK;
-    cl_int code =
-        clEnqueueWriteBuffer(d->queue, m, CL_TRUE, offset_bytes, n_bytes, in, 0, NULL, NULL);
+    cl_int code = clEnqueueWriteBuffer(d->queue, m, wait, offset_bytes, n_bytes, in, 0, NULL, NULL);
     return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_write", d->name);
+}
+
+enum err_code dev_write(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes,
+                        const void *in, struct err *e)
+{
+    return dev_hand_over(d, m, offset_bytes, n_bytes, in, CL_TRUE, e);
+}
+
+enum err_code dev_write_soon(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes,
+                             const void *in, struct err *e)
+{
+    return dev_hand_over(d, m, offset_bytes, n_bytes, in, CL_FALSE, e);
 }
 
 enum err_code dev_zero(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes, struct err *e)
@@ -439,16 +450,6 @@ enum err_code dev_zero(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_by
     cl_int code =
         clEnqueueFillBuffer(d->queue, m, &zero, pattern, offset_bytes, n_bytes, 0, NULL, NULL);
     return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_zero", d->name);
-}
-
-enum err_code dev_write_soon(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes,
-                             const void *in, struct err *e)
-{
-    if (n_bytes == 0)
-        return ERR_OK;
-    cl_int code =
-        clEnqueueWriteBuffer(d->queue, m, CL_FALSE, offset_bytes, n_bytes, in, 0, NULL, NULL);
-    return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_write_soon", d->name);
 }
 
 enum err_code dev_read_soon(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes, void *out,

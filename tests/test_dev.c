@@ -171,6 +171,17 @@ static void test_lines_of_all_pieces_are_those_of_files(void **state)
     buf_free(&got);
 }
 
+/* double_it on n floats. */
+static void open_double(struct dev *d, cl_uint n, cl_program *p, cl_kernel *k, cl_mem *m)
+{
+    struct err e = {0};
+    const struct dev_source src = {"tests/double.cl", DOUBLE_CL};
+    kit_ok(dev_build(d, &src, 1, NULL, p, &e), e);
+    kit_ok(dev_kernel(*p, "double_it", k, &e), e);
+    kit_ok(dev_buffer(d, n * sizeof(float), NULL, m, &e), e);
+    assert_int_equal(dev_arg(*k, 0, *m) | dev_arg(*k, 1, n), CL_SUCCESS);
+}
+
 /* Launches are counted by name, on the device's clock, and the queue is as before afterwards. */
 static void test_kernels_are_timed_by_name(void **state)
 {
@@ -179,17 +190,13 @@ static void test_kernels_are_timed_by_name(void **state)
     cl_program p = NULL;
     cl_kernel k = NULL;
     cl_mem m = NULL;
-    const struct dev_source src = {"tests/double.cl", DOUBLE_CL};
     const cl_uint n = 1 << 16;
     float x = 1, got = 0;
     struct dev_time times[2];
     size_t n_times = 0;
     cl_command_queue plain = d->queue;
-    kit_ok(dev_build(d, &src, 1, NULL, &p, &e), e);
-    kit_ok(dev_kernel(p, "double_it", &k, &e), e);
-    kit_ok(dev_buffer(d, n * sizeof x, NULL, &m, &e), e);
+    open_double(d, n, &p, &k, &m);
     kit_ok(dev_write(d, m, 0, sizeof x, &x, &e), e);
-    assert_int_equal(dev_arg(k, 0, m) | dev_arg(k, 1, n), CL_SUCCESS);
     kit_ok(dev_run(d, k, "before", n, 64, &e), e);
     kit_ok(dev_time_begin(d, &e), e);
     kit_ok(dev_run(d, k, "one", n, 64, &e), e);
@@ -220,15 +227,11 @@ static void test_hand_over_without_waiting(void **state)
     cl_program p = NULL;
     cl_kernel k = NULL;
     cl_mem m = NULL;
-    const struct dev_source src = {"tests/double.cl", DOUBLE_CL};
     const cl_uint n = 1;
     const float in[2] = {3, 10};
     float got[2] = {0}, last = 0;
     struct dev_pending first = {0}, second = {0}, bad = {0};
-    kit_ok(dev_build(d, &src, 1, NULL, &p, &e), e);
-    kit_ok(dev_kernel(p, "double_it", &k, &e), e);
-    kit_ok(dev_buffer(d, sizeof *in, NULL, &m, &e), e);
-    assert_int_equal(dev_arg(k, 0, m) | dev_arg(k, 1, n), CL_SUCCESS);
+    open_double(d, n, &p, &k, &m);
     kit_ok(dev_wait(d, &first, &e), e); /* nothing is pending */
     kit_ok(dev_write_soon(d, m, 0, sizeof *in, &in[0], &e), e);
     kit_ok(dev_run(d, k, "double_it", n, 1, &e), e);

@@ -120,8 +120,16 @@ static void scale_reference_matches_differences(void **state)
     assert_true(n[1] > n[0] + 20); /* the board has some of them */
     double part = total[3] - total[1], whole = total[2] - total[0];
     assert_true(part > 0.1 * whole && part < 0.9 * whole); /* and some of the thick ones */
-    double tilt = (total[4] - total[3]) / scale_in[4].level_weight;
-    assert_true(tilt > 0.05 && tilt < 0.5); /* of random directions 2/3 on the part that is level */
+    size_t lying = 0;
+    for (size_t i = 0; i < SIZES; i++) {
+        double column = floor((mean[3 * i] - scale_ground.corner_m[0]) / scale_ground.cell_m),
+               row = floor((mean[3 * i + 1] - scale_ground.corner_m[1]) / scale_ground.cell_m);
+        bool on = column >= 0 && row >= 0 && column < BOARD && row < BOARD;
+        lying += on && board[(size_t)row * BOARD + (size_t)column] & SCALE_LOSS_LEVEL;
+    }
+    double tilt = (total[4] - total[3]) * SIZES / scale_in[4].level_weight;
+    assert_true(lying > 20 && lying < SIZES / 2);
+    assert_true(tilt > 0.5 * (double)lying && tilt < 0.85 * (double)lying); /* by chance 2/3 */
 }
 
 static void gauss_of_sizes(const double *scale_log, struct gauss *g)
