@@ -95,14 +95,14 @@ function signedUrl(dir, url, name = "fcity") {
 }
 
 // { url, city, dir, close, said }: a running server; city tells whether it holds the test city, in tiles of
-// edgeM; dir has it as city.tiles. signed: the city is private, and url is a signed address.
-export async function openSource({ edgeM, signed = false } = {}) {
+// edgeM; dir has it as city.tiles. signed: the city is private, and url is a signed address. gaussians: others than its own.
+export async function openSource({ edgeM, signed = false, gaussians } = {}) {
     if (MOCK) return { ...(await startMock()), city: true };
     if (GIVEN_TILES) return { ...(await serve(GIVEN_TILES)), city: false };
     const dir = mkdtempSync(join(tmpdir(), "citysplat-web-"));
     const clean = () => rmSync(dir, { recursive: true, force: true });
     try {
-        const server = await serve(importCity(dir, edgeM), ...(signed ? privateOptions(dir) : []));
+        const server = await serve(importCity(dir, edgeM, undefined, gaussians), ...(signed ? privateOptions(dir) : []));
         const url = signed ? signedUrl(dir, server.url) : server.url;
         return { ...server, url, city: true, dir, close: () => server.close().finally(clean) };
     } catch (error) {

@@ -1,0 +1,325 @@
+// Every block of code of docs/clients.md, as it is printed: a page of another origin than the server's draws what the server
+// draws from the same camera, and a command ends well. Only the words in braces are filled in.
+//
+// SPDX-License-Identifier: Apache-2.0
+import assert from "node:assert/strict";
+import { spawnSync } from "node:child_process";
+import { mkdirSync, readdirSync, readFileSync, statSync, symlinkSync, writeFileSync } from "node:fs";
+import { createServer } from "node:http";
+import { createRequire } from "node:module";
+import { dirname, extname, join, normalize, resolve } from "node:path";
+import { after, before, test } from "node:test";
+import { fileURLToPath } from "node:url";
+
+import { openPage, useWholeBrowser } from "./lib/browser.mjs";
+import { rmsDifference } from "./lib/checks.mjs";
+import { makeCity, ORIGIN } from "./lib/city.mjs";
+import { applyMatrix, ecefFrom, enuToEcef, placeFrom, placeOfEnu } from "./lib/geo.mjs";
+import { decodePng } from "./lib/png.mjs";
+import { blocks, snippets } from "./lib/snippets.mjs";
+import { BIN, firstDataSet, getBytes, getJson, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
+import { ssim } from "./lib/ssim.mjs";
+import { listContents } from "./lib/tileset.mjs";
+
+useWholeBrowser();
+
+const HERE = dirname(fileURLToPath(import.meta.url));
+const DOC = "clients.md";
+const SIZE = { width: 320, height: 240 };
+const TIMEOUT_MS = 120000;
+const LEAST = { city: 0.95, map: 0.98 }; // SSIM of what is not background, to the server's picture
+const SHARE_LEAST = 0.05; // of the picture: something is in sight
+const skip = { skip: MOCK || GIVEN_TILES ? "needs the test city" : false };
+const NPM = ["node_modules", "../../web/node_modules"].map((name) => join(HERE, name));
+const TYPES = { ".html": "text/html", ".js": "text/javascript", ".mjs": "text/javascript", ".css": "text/css", ".json": "application/json" };
+const NORTH_M = 70; // so far from the origin the city lies in one tile
+const CAMERA = { from: [60, 90, 160 - NORTH_M], to: [0, 5, -NORTH_M] }; // metres east, up, south
+const FOV = 50; // as the recipes have it
+const ZOOM = 18; // of the map tiles that the recipes show
+const TILE = 256;
+const BOX = 512; // pixels of what GDAL is asked for
+
+let source;
+let pages;
+let dir; // the files of the other origin, and where commands run
+let words; // in braces
+let tile; // { url, transform } of the tile that holds the whole city
+
+before(async () => {
+    if (skip.skip) return;
+    const gaussians = makeCity().map(({ pos: [e, n, u], ...more }) => ({ ...more, pos: [e, n + NORTH_M, u] }));
+    source = await openSource({ edgeM: 400, gaussians });
+    dir = join(source.dir, "recipes");
+    mkdirSync(dir);
+    pages = createServer(answer);
+    await new Promise((done) => pages.listen(0, "127.0.0.1", done));
+    const ds = await firstDataSet(source.url);
+    const contents = await listContents(`${source.url}/d/${ds}/tileset.json`, getJson);
+    const { url, transform } = contents.at(-1);
+    tile = { url: url.replace(/(\.lowpass)?\.glb$/, ""), transform };
+    const files = `http://127.0.0.1:${pages.address().port}`;
+    words = { host: source.url, ds, tile: tile.url, npm: `${files}/npm`, files };
+    // Commands: the program, its store and npm's programs are at hand.
+    mkdirSync(join(dir, "bin"));
+    symlinkSync(resolve(BIN), join(dir, "bin/citysplat"));
+    symlinkSync(NPM[0], join(dir, "node_modules"));
+    symlinkSync(join(source.dir, "city.tiles"), join(dir, "city.tiles"));
+});
+after(async () => {
+    pages?.close();
+    await source?.close();
+});
+
+// A file of npm's packages or of dir, or a range of it.
+function answer(request, response) {
+    const path = normalize(decodeURIComponent(new URL(request.url, "http://x").pathname));
+    const candidates = path.startsWith("/npm/") ? NPM.map((root) => join(root, path.slice(5))) : [join(dir, path)];
+    const file = candidates.find((one) => statSync(one, { throwIfNoEntry: false })?.isFile());
+    if (!file) return response.writeHead(404).end();
+    const bytes = readFileSync(file);
+    response.setHeader("Content-Type", TYPES[extname(file)] ?? "application/octet-stream");
+    const range = /^bytes=(\d+)-(\d+)$/.exec(request.headers.range ?? "");
+    if (!range) return response.end(bytes);
+    const [from, to] = [Number(range[1]), Math.min(Number(range[2]), bytes.length - 1)];
+    response.writeHead(206, { "Content-Range": `bytes ${from}-${to}/${bytes.length}` });
+    response.end(bytes.subarray(from, to + 1));
+}
+
+const used = new Set();
+// The blocks of one kind below a heading.
+function printed(heading, kind) {
+    const found = snippets(DOC, `## ${heading}`, kind);
+    for (const one of found) used.add(one);
+    return found;
+}
+
+// As a reader fills it in.
+function fill(text, more = {}) {
+    const known = { ...words, ...more };
+    return text.replace(/\{(\w+)\}/g, (word, name) => known[name] ?? word);
+}
+
+const degrees = (radians) => (radians * 180) / Math.PI;
+
+// Where a camera stands whose numbers are metres east, up, south of a frame.
+function poseIn(transform, { from, to }) {
+    const ecef = ([x, y, z]) => applyMatrix(transform, [x, -z, y]);
+    const place = placeFrom(ecef(from));
+    const frame = enuToEcef(place);
+    const ahead = ecef(to).map((v, i) => v - ecefFrom(place)[i]);
+    const [e, n, u] = [0, 1, 2].map((axis) => [0, 1, 2].reduce((sum, i) => sum + frame[4 * axis + i] * ahead[i], 0));
+    return { ...place, heading: (degrees(Math.atan2(e, n)) + 360) % 360, pitch: degrees(Math.atan2(u, Math.hypot(e, n))) };
+}
+
+async function servedView({ lon, lat, h, heading, pitch }, fov) {
+    const place = `${lon.toFixed(9)},${lat.toFixed(9)},${h.toFixed(4)}@${heading.toFixed(6)},${pitch.toFixed(6)},${fov.toFixed(6)}`;
+    return decodePng(await getBytes(`${source.url}/d/${words.ds}/static/${place}/${SIZE.width}x${SIZE.height}.png`));
+}
+
+const pixelOf = ({ lon, lat }, zoom) => {
+    const n = TILE * 2 ** zoom;
+    const y = 0.5 - Math.asinh(Math.tan((lat * Math.PI) / 180)) / (2 * Math.PI);
+    return [n * (lon / 360 + 0.5), n * y].map(Math.round);
+};
+const placeAt = ([x, y], zoom) => {
+    const n = TILE * 2 ** zoom;
+    return { lon: (x / n - 0.5) * 360, lat: degrees(Math.atan(Math.sinh(Math.PI * (1 - (2 * y) / n)))) };
+};
+
+// Pictures of a kind that the browser reads.
+async function decode(bytes, type) {
+    if (type === "png") return decodePng(bytes);
+    const { page, close } = await openPage("about:blank", SIZE);
+    const png = await page.evaluate(async (url) => {
+        const bitmap = await createImageBitmap(await (await fetch(url)).blob());
+        const canvas = Object.assign(document.createElement("canvas"), { width: bitmap.width, height: bitmap.height });
+        canvas.getContext("2d").drawImage(bitmap, 0, 0);
+        return canvas.toDataURL("image/png").split(",")[1];
+    }, `data:image/${type};base64,${bytes.toString("base64")}`);
+    await close();
+    return decodePng(Buffer.from(png, "base64"));
+}
+
+// The server's map about a pixel, of the tiles themselves, in the form that the client takes: what it does is judged, not
+// what WebP does (0.977 to PNG here).
+async function servedMap([x, y], zoom, type, { width, height } = SIZE) {
+    const [west, north] = [x - width / 2, y - height / 2];
+    const tiles = new Map();
+    for (let i = Math.floor(west / TILE); i <= Math.floor((west + width - 1) / TILE); i++)
+        for (let j = Math.floor(north / TILE); j <= Math.floor((north + height - 1) / TILE); j++) {
+            const bytes = await getBytes(`${source.url}/d/${words.ds}/map/${zoom}/${i}/${j}.${type}`);
+            tiles.set(`${i}/${j}`, bytes.length ? await decode(bytes, type) : null); // 204: nothing is there
+        }
+    const at = (px, py) => {
+        const [gx, gy] = [west + px, north + py];
+        const of = tiles.get(`${Math.floor(gx / TILE)}/${Math.floor(gy / TILE)}`);
+        const [tx, ty] = [gx % TILE, gy % TILE];
+        return of && of.alpha(tx, ty) ? of.at(tx, ty) : [0, 0, 0];
+    };
+    return { width, height, at };
+}
+
+// The picture that a page comes to rest at, and the bytes that it had of the city. What it says is an error.
+async function show(name, recipe, { hide = "" } = {}) {
+    const [frame] = printed("The page of a recipe", "html");
+    writeFileSync(join(dir, `${name}.html`), fill(frame, { recipe }).replace("<meta", '<link rel="icon" href="data:,"><meta'));
+    const { page, log, close } = await openPage("about:blank", SIZE);
+    try {
+        const sizes = [];
+        const faults = () => log.filter((line) => !line.endsWith("net::ERR_ABORTED")); // MapLibre takes requests back
+        page.on("console", (m) => m.type() === "warning" && m.text().includes(source.url) && log.push(m.text()));
+        const data = (url) => url.startsWith(source.url) || /\/(public\/city\/|city\.pmtiles)/.test(url);
+        page.on("requestfinished", (request) => {
+            if (data(request.url())) sizes.push(request.sizes());
+        });
+        await page.goto(`${words.files}/${name}.html`);
+        if (hide) await page.addStyleTag({ content: `${hide} { display: none !important }` });
+        let [last, same] = [null, 0];
+        const end = Date.now() + TIMEOUT_MS;
+        while (same < 3 && Date.now() < end && !faults().length) {
+            await page.waitForTimeout(250);
+            const path = process.env.RECIPES_SHOTS && join(process.env.RECIPES_SHOTS, `${name}.png`);
+            const picture = decodePng(await page.screenshot({ timeout: TIMEOUT_MS, ...(path && { path }) }));
+            const lit = picture.mean(SIZE.width / 2, SIZE.height / 2, 20).some((v) => v > 8);
+            same = last && lit && rmsDifference(picture, last) === 0 ? same + 1 : 0;
+            last = picture;
+        }
+        assert.deepEqual(faults(), [], `${name}'s console`);
+        assert.ok(same >= 3, `${name}: no picture that stays`);
+        const bytes = (await Promise.all(sizes)).reduce((sum, { responseBodySize }) => sum + responseBodySize, 0);
+        return { picture: last, bytes };
+    } finally {
+        await close();
+    }
+}
+
+function score(t, name, form, { picture, bytes }, want, least) {
+    const { covered, share } = ssim(picture, want);
+    const of = bytes ? `${(bytes / 1000).toFixed(0)} kB` : "";
+    t.diagnostic(`| ${name} | ${form} | ${covered.toFixed(3)} | ${of} |`);
+    assert.ok(share > SHARE_LEAST, `${name}: nothing is in sight`);
+    assert.ok(covered >= least, `${name}: ${covered}`);
+}
+
+const numbers = (list) => list.join(", ");
+const CAMERA_WORDS = { from: numbers(CAMERA.from), to: numbers(CAMERA.to) };
+
+test("CesiumJS", skip, async (t) => {
+    const [recipe] = printed("CesiumJS", "html");
+    const pose = poseIn(enuToEcef(ORIGIN), CAMERA);
+    const fov = degrees(2 * Math.atan((Math.tan(Math.PI / 6) * SIZE.height) / SIZE.width)); // Cesium's own: 60 across
+    const shown = await show("cesium", fill(recipe, pose), { hide: ".cesium-widget-credits" });
+    score(t, "CesiumJS", "tileset", shown, await servedView(pose, fov), LEAST.city);
+});
+
+// three.js r187 ends each Gaussian at 2 sigma, where it still has 13 % of its opacity.
+const FILES = [
+    ["three.js", "three.js", ".plain.glb", 0.93],
+    ["Spark", "Spark", ".spz", LEAST.city],
+    ["PlayCanvas", "PlayCanvas and SuperSplat", ".sog", LEAST.city],
+];
+for (const [name, heading, form, least] of FILES)
+    test(name, skip, async (t) => {
+        const [recipe] = printed(heading, "html");
+        const shown = await show(name, fill(recipe, CAMERA_WORDS));
+        score(t, name, form, shown, await servedView(poseIn(tile.transform, CAMERA), FOV), least);
+    });
+
+test("Babylon.js", skip, async (t) => {
+    const [[script], [recipe]] = [printed("Babylon.js", "js"), printed("Babylon.js", "html")];
+    const { buildSync } = createRequire(join(HERE, "../../web/package.json"))("esbuild");
+    const stdin = { contents: fill(script, CAMERA_WORDS), resolveDir: HERE };
+    buildSync({ stdin, bundle: true, format: "esm", logLevel: "error", outfile: join(dir, "city.js") });
+    const shown = await show("babylon", recipe);
+    score(t, "Babylon.js", ".spz", shown, await servedView(poseIn(tile.transform, CAMERA), FOV), LEAST.city);
+});
+
+// A command as printed, in a folder with the store.
+function runCommands(text, more = {}) {
+    const env = { ...process.env, PATH: `${join(dir, "bin")}:${process.env.PATH}`, npm_config_offline: "true" };
+    const run = spawnSync("sh", ["-e", "-c", fill(text, more)], { cwd: dir, env, encoding: "utf8" });
+    assert.equal(run.status, 0, `${text}\n${run.stdout}${run.stderr}`);
+}
+
+test("PlayCanvas' streamed SOG, and splat-transform", skip, async (t) => {
+    const heading = "PlayCanvas and SuperSplat";
+    const [stream, transform] = printed(heading, "sh");
+    runCommands(stream);
+    const [page] = printed(heading, "html");
+    const lines = printed(heading, "js")[0].trim().split("\n");
+    const recipe = lines.reduce((text, line) => {
+        const [start] = /^(const asset =|asset\.ready\()/.exec(line);
+        return text.split("\n").map((one) => (one.startsWith(start) ? line : one)).join("\n");
+    }, page);
+    assert.ok(lines.every((line) => recipe.includes(line)));
+    const shown = await show("streamed", fill(recipe, { ...CAMERA_WORDS, files: `${words.files}/public/city` }));
+    score(t, "PlayCanvas", "streamed SOG", shown, await servedView(poseIn(enuToEcef(ORIGIN), CAMERA), FOV), LEAST.city);
+    runCommands(transform);
+    assert.ok(statSync(join(dir, "city.ply")).size > 0);
+});
+
+// Maps: about a pixel, so that theirs are the server's.
+const CITY = placeOfEnu(ORIGIN, [0, NORTH_M, 0]);
+const MIDDLE = pixelOf(CITY, ZOOM);
+
+test("MapLibre, with a style of one's own", skip, async (t) => {
+    const recipe = printed("MapLibre", "html")[1];
+    const shown = await show("maplibre", fill(recipe, placeAt(MIDDLE, ZOOM)), { hide: ".maplibregl-control-container" });
+    score(t, "MapLibre", "`map.json`", shown, await servedMap(MIDDLE, ZOOM, "webp"), LEAST.map);
+});
+
+test("MapLibre, by one address, and raised by its terrain", skip, async () => {
+    const [style, flat] = printed("MapLibre", "html");
+    const [terrain] = printed("MapLibre", "js");
+    for (const [name, recipe] of [["style", style], ["terrain", flat.replace("</script>", `${terrain}</script>`)]])
+        await show(`maplibre-${name}`, fill(recipe, placeAt(MIDDLE, ZOOM))); // what lies where: the test raster
+});
+
+test("PMTiles in MapLibre", skip, async (t) => {
+    const [commands] = printed("PMTiles", "sh");
+    runCommands(commands);
+    const [recipe] = printed("PMTiles", "html");
+    const shown = await show("pmtiles", fill(recipe, placeAt(MIDDLE, ZOOM)), { hide: ".maplibregl-control-container" });
+    score(t, "MapLibre", "PMTiles", shown, await servedMap(MIDDLE, ZOOM, "webp"), LEAST.map);
+});
+
+const MAPS = [
+    ["Leaflet", "`map.json`", "webp", ".leaflet-control-container"],
+    ["OpenLayers", "`map.json`", "webp", ".ol-control"],
+    ["OpenLayers", "`wmts.xml`", "png", ".ol-control"],
+];
+for (const [i, [name, form, type, hide]] of MAPS.entries())
+    test(`${name} by ${form}`, skip, async (t) => {
+        const recipe = printed("Leaflet and OpenLayers", "html")[i];
+        const shown = await show(`map-${i}`, fill(recipe, placeAt(MIDDLE, ZOOM)), { hide });
+        score(t, name, form, shown, await servedMap(MIDDLE, ZOOM, type), LEAST.map);
+    });
+
+test("GDAL", skip, async (t) => {
+    const { maxzoom } = await getJson(`${source.url}/d/${words.ds}/map.json`);
+    const [x, y] = pixelOf(CITY, maxzoom);
+    const metres = 40075016.685578488 / (TILE * 2 ** maxzoom); // EPSG:3857's, of a pixel
+    const half = BOX / 2;
+    const at = (px, of) => metres * (px - (TILE * 2 ** maxzoom) / 2) * of;
+    const box = { west: at(x - half, 1), east: at(x + half, 1), north: at(y - half, -1), south: at(y + half, -1) };
+    const want = await servedMap([x, y], maxzoom, "png", { width: BOX, height: BOX });
+    for (const [commands, file, form] of printed("GDAL and QGIS", "sh").map((text, i) => [text, ["city", "box"][i], ["`wmts.xml`", "OGC API"][i]])) {
+        runCommands(commands, box);
+        runCommands(`gdal_translate -q -of PNG -b 1 -b 2 -b 3 ${file}.tif ${file}.png`);
+        score(t, "GDAL", form, { picture: decodePng(readFileSync(join(dir, `${file}.png`))) }, want, LEAST.map);
+    }
+});
+
+test("3d-tiles-tools", skip, () => {
+    const [commands] = printed("3d-tiles-tools", "sh");
+    const [z, x, y] = tile.url.split("/").slice(-3);
+    runCommands(commands, { z, x, y });
+    assert.deepEqual(readdirSync(join(dir, "city")).sort(), ["t", "tiles.json", "tileset.json"]);
+    for (const name of ["again.3tz", "analysed"]) assert.ok(statSync(join(dir, name)).size > 0, name);
+});
+
+test("no block of the page is left", skip, () => {
+    const left = blocks(DOC).filter(({ code }) => !used.has(code)).map(({ code }) => code);
+    // Its licence allows no copy here.
+    assert.deepEqual(left.filter((code) => !code.includes("GaussianSplatLayer")), []);
+});
