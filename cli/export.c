@@ -30,6 +30,7 @@
 #include "core/pool.h"
 #include "lod/bake.h"
 #include "lod/clip.h"
+#include "lod/lowpass.h"
 #include "lod/store.h"
 #include "lod/tileset.h"
 #include "lod/tree.h"
@@ -239,35 +240,57 @@ static enum err_code export_file(struct store *s, const struct export_options *o
 
 /* ---- a folder of 3D Tiles ---- */
 
-static enum err_code export_glb(struct store *s, const struct store_tile *t,
-                                const struct quant_grid *grid, const char *dir, const float *image,
-                                struct err *e)
+/* Metres of the pixels of a tile's low-pass form (lod/lowpass.h). 0: the folder has no such form. */
+static double export_pixel_m(const struct store *s, bool lowpass, uint32_t index)
 {
-    struct gauss g = {0};
+    return lowpass && store_info(s)->antialiased ? lowpass_pixel_m(store_tree(s), index) : 0.0;
+}
+
+/* A tile as it is, or in its low-pass form: g (in glTF axes) is changed for pixels of pixel_m. */
+static enum err_code export_form(struct gauss *g, double pixel_m, const struct store_meta *m,
+                                 const struct quant_grid *grid, const char *path, struct err *e)
+{
     struct quant q = {0};
     struct buf b = {0};
-    char path[FILE_PATH_MAX];
-    const struct store_meta *m = store_info(s);
-    int n = snprintf(path, sizeof path, "%s/t/%u/%u", dir, t->key.z, t->key.x);
-    enum err_code rc = n > 0 && n + 16 < FILE_PATH_MAX
-                           ? file_mkdir(path, e)
-                           : err_set(e, ERR_LIMIT, "%s: path too long", dir);
-    if (!rc)
-        snprintf(path + n, sizeof path - (size_t)n, "/%u.glb", t->key.y);
-    if (!rc)
-        rc = bake_read(s, t->key, image, &g, e);
-    if (!rc) {
-        axes_enu_to_gltf(&g);
-        rc = quant_from_gauss(&g, m->sh_degree, grid, &q, e);
-    }
+    lowpass_gauss(g, pixel_m);
+    enum err_code rc = quant_from_gauss(g, m->sh_degree, grid, &q, e);
     if (!rc)
         rc = glb_encode_spz(&q, m->attribution[0] ? m->attribution : NULL, &b, e);
     if (!rc)
         rc = file_write(path, b.data, b.size, e);
-    else
-        err_add(e, "tile %u/%u/%u", t->key.z, t->key.x, t->key.y);
     buf_free(&b);
     quant_free(&q);
+    return rc;
+}
+
+/* Both forms of a tile that the folder's tileset names, as `citysplat serve` sends them. */
+static enum err_code export_glb(struct store *s, uint32_t index, const struct export_options *o,
+                                const char *dir, const float *image, struct err *e)
+{
+    const struct quant_grid *grid = quant_preset_grid((enum quant_preset)o->preset);
+    const struct store_meta *m = store_info(s);
+    struct gauss g = {0};
+    char path[FILE_PATH_MAX];
+    size_t n_tiles;
+    const struct key k = store_tiles(s, &n_tiles)[index].key;
+    const double pixel_m = export_pixel_m(s, o->lowpass, index);
+    int n = snprintf(path, sizeof path, "%s/t/%u/%u", dir, k.z, k.x);
+    enum err_code rc = n > 0 && n + 24 < FILE_PATH_MAX
+                           ? file_mkdir(path, e)
+                           : err_set(e, ERR_LIMIT, "%s: path too long", dir);
+    if (!rc)
+        rc = bake_read(s, k, image, &g, e);
+    if (!rc) {
+        axes_enu_to_gltf(&g);
+        snprintf(path + n, sizeof path - (size_t)n, "/%u.glb", k.y);
+        rc = export_form(&g, 0.0, m, grid, path, e);
+    }
+    if (!rc && pixel_m > 0.0) {
+        snprintf(path + n, sizeof path - (size_t)n, "/%u.lowpass.glb", k.y);
+        rc = export_form(&g, pixel_m, m, grid, path, e);
+    }
+    if (rc)
+        err_add(e, "tile %u/%u/%u", k.z, k.x, k.y);
     gauss_free(&g);
     return rc;
 }
@@ -286,11 +309,14 @@ static enum err_code export_tilejson(const struct store *s, const char *dir, str
 }
 
 /* tileset.json (part NULL), or the document that begins at a tile: tileset/z/x/y.json. */
-static enum err_code export_tileset(const struct store *s, const struct key *part, const char *dir,
-                                    struct err *e)
+static enum err_code export_tileset(const struct store *s, bool lowpass, const struct key *part,
+                                    const char *dir, struct err *e)
 {
+    struct tileset_links links = part ? tileset_of_part : tileset_of_entry;
     struct buf b = {0};
     char name[64] = "tileset.json", path[FILE_PATH_MAX];
+    if (!lowpass)
+        links.lowpass = NULL;
     if (part)
         snprintf(name, sizeof name, "tileset/%u/%u", part->z, part->x);
     enum err_code rc = file_join(path, dir, name, e);
@@ -301,21 +327,22 @@ static enum err_code export_tileset(const struct store *s, const struct key *par
         rc = file_join(path, dir, name, e);
     }
     if (!rc)
-        rc = tileset_write(s, part ? &tileset_of_part : &tileset_of_entry, part, NULL, &b, e);
+        rc = tileset_write(s, &links, part, NULL, &b, e);
     if (!rc)
         rc = file_write(path, b.data, b.size, e);
     buf_free(&b);
     return rc;
 }
 
-static enum err_code export_documents(const struct store *s, const char *dir, struct err *e)
+static enum err_code export_documents(const struct store *s, bool lowpass, const char *dir,
+                                      struct err *e)
 {
     size_t n;
     const struct store_tile *t = store_tiles(s, &n);
-    enum err_code rc = export_tileset(s, NULL, dir, e);
+    enum err_code rc = export_tileset(s, lowpass, NULL, dir, e);
     for (size_t i = 0; !rc && i < n; i++)
         if (store_tree(s)->nodes[i].document)
-            rc = export_tileset(s, &t[i].key, dir, e);
+            rc = export_tileset(s, lowpass, &t[i].key, dir, e);
     return !rc ? export_tilejson(s, dir, e) : rc;
 }
 
@@ -323,20 +350,19 @@ static enum err_code export_documents(const struct store *s, const char *dir, st
 static enum err_code export_folder(struct store *s, const struct export_options *o,
                                    const float *image, const char *dir, struct err *e)
 {
-    const struct quant_grid *grid = quant_preset_grid((enum quant_preset)o->preset);
     struct progress p;
     size_t n;
     enum err_code rc = ERR_OK;
-    const struct store_tile *t = store_tiles(s, &n);
+    (void)store_tiles(s, &n);
     progress_start(&p, "export", n);
     for (size_t i = 0; !rc && i < n; i++) {
-        rc = export_glb(s, &t[i], grid, dir, image, e);
+        rc = export_glb(s, (uint32_t)i, o, dir, image, e);
         progress_step(&p, i + 1, NULL);
         if (!rc && signals_stopping())
             rc = err_set(e, ERR_CANCEL, "stopped");
     }
     progress_end(&p, NULL);
-    return !rc ? export_documents(s, dir, e) : rc;
+    return !rc ? export_documents(s, o->lowpass, dir, e) : rc;
 }
 
 static enum err_code export_3dtiles(struct store *s, const struct export_options *o,
@@ -357,17 +383,18 @@ static enum err_code export_3dtiles(struct store *s, const struct export_options
 }
 
 /* What export_folder writes, tileset.json first; names live in the arena. */
-static enum err_code export_names(const struct store *s, struct arena *a, char ***names, size_t *n,
-                                  struct err *e)
+static enum err_code export_names(const struct store *s, bool lowpass, struct arena *a,
+                                  char ***names, size_t *n, struct err *e)
 {
     enum { NAME = 48 };
     size_t n_tiles, at = 0;
     const struct store_tile *t = store_tiles(s, &n_tiles);
-    char **list = arena_get(a, 2 * n_tiles + 2, sizeof *list);
-    char *text = arena_get(a, 2 * n_tiles + 2, NAME);
+    const size_t n_max = 3 * n_tiles + 2;
+    char **list = arena_get(a, n_max, sizeof *list);
+    char *text = arena_get(a, n_max, NAME);
     if (!list || !text)
         return err_set(e, ERR_MEM, "export: out of memory for %zu names", n_tiles);
-    for (size_t i = 0; i < 2 * n_tiles + 2; i++)
+    for (size_t i = 0; i < n_max; i++)
         list[i] = text + i * NAME;
     snprintf(list[at++], NAME, "tileset.json");
     snprintf(list[at++], NAME, "tiles.json");
@@ -376,6 +403,8 @@ static enum err_code export_names(const struct store *s, struct arena *a, char *
         if (store_tree(s)->nodes[i].document)
             snprintf(list[at++], NAME, "tileset/%u/%u/%u.json", k.z, k.x, k.y);
         snprintf(list[at++], NAME, "t/%u/%u/%u.glb", k.z, k.x, k.y);
+        if (export_pixel_m(s, lowpass, (uint32_t)i) > 0.0)
+            snprintf(list[at++], NAME, "t/%u/%u/%u.lowpass.glb", k.z, k.x, k.y);
     }
     *names = list;
     *n = at;
@@ -398,7 +427,7 @@ static enum err_code export_3tz(struct store *s, const struct export_options *o,
     if (!rc)
         rc = export_folder(s, o, image, d.part, e);
     if (!rc)
-        rc = export_names(s, &a, &names, &n, e);
+        rc = export_names(s, o->lowpass, &a, &names, &n, e);
     if (!rc)
         rc = package_write(d.part, names, n, o->output, e);
     outdir_abort(&d);

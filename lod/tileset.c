@@ -39,8 +39,10 @@ struct tileset {
 };
 
 const struct tileset_links tileset_of_entry = {.tile = "t/{z}/{x}/{y}.glb",
+                                               .lowpass = "t/{z}/{x}/{y}.lowpass.glb",
                                                .part = "tileset/{z}/{x}/{y}.json"};
 const struct tileset_links tileset_of_part = {.tile = "../../../t/{z}/{x}/{y}.glb",
+                                              .lowpass = "../../../t/{z}/{x}/{y}.lowpass.glb",
                                               .part = "../../{z}/{x}/{y}.json"};
 
 /* A JSON string with everything escaped that must be. */

@@ -2,9 +2,10 @@
 // against the server's picture: the figures of docs/decisions/073-geometric-error.md and 096-low-pass.md. It needs no browser: it
 // selects tiles as Cesium3DTileset does and draws them by the arithmetic of Cesium's PrimitiveGaussianSplatVS and -FS.
 //
-//   CITYSPLAT_BIN=... node tests/web/cesium_levels.mjs STORE [--half M] [--size WxH] [--factors 0.5,1,2] [--unfiltered]
+//   CITYSPLAT_BIN=... node tests/web/cesium_levels.mjs STORE [--half M] [--size WxH] [--factors 0.5,1,2] [--unfiltered] [--exported]
 //
-// --unfiltered: without the low-pass form of tiles, as in an exported folder. --half: half of the city's width, of which the poses are multiples.
+// --unfiltered: without the low-pass form of tiles. --exported: from a folder of `citysplat export`. --half: half of the city's
+// width, of which the poses are multiples.
 //
 // SPDX-License-Identifier: Apache-2.0
 import { execFileSync } from "node:child_process";
@@ -41,6 +42,7 @@ const { values, positionals } = parseArgs({
         half: { type: "string", default: "150" },
         size: { type: "string", default: "480x320" },
         unfiltered: { type: "boolean", default: false },
+        exported: { type: "boolean", default: false },
         factors: { type: "string", default: "0.5,1,2,4" },
     },
 });
@@ -179,7 +181,10 @@ const source = await openSource();
 try {
     const { collections } = await getJson(`${source.url}/collections`);
     const folder = `${source.url}/d/${collections[0].id}/`;
-    const { root } = await getJson(`${folder}tileset.json`);
+    const exported = join(dir, "exported");
+    if (values.exported) execFileSync(process.env.CITYSPLAT_BIN, ["export", store, "-q", "-o", exported, "--format", "3dtiles"]);
+    const read = (uri) => (values.exported ? readFileSync(join(exported, uri)) : getBytes(new URL(uri, folder)));
+    const { root } = JSON.parse(await read("tileset.json"));
     if (values.unfiltered) useUnfilteredTiles({ root });
     const { tile_fields: fields, tiles: rows } = (await getJson(`${source.url}/collections/${collections[0].id}/tiles.json`)).splats;
     const first = rows.find(([z, x, y]) => root.content.uri.includes(`/${z}/${x}/${y}.`));
@@ -194,12 +199,12 @@ try {
             select(camera, root, center, factor, tiles);
             for (const { uri } of tiles)
                 if (!loaded.has(uri)) {
-                    const bytes = await getBytes(new URL(uri, folder));
+                    const bytes = await read(uri);
                     loaded.set(uri, { ...decodeSpz(findSpz(bytes)), bytes: bytes.length });
                 }
             const picture = draw(camera, tiles, load);
             const { whole, covered } = ssim(picture, served);
-            const zooms = [...new Set(tiles.map(({ uri }) => /\/t\/(\d+)\//.exec(uri)[1]))].sort();
+            const zooms = [...new Set(tiles.map(({ uri }) => /\bt\/(\d+)\//.exec(uri)[1]))].sort();
             const bytes = tiles.reduce((sum, { uri }) => sum + load(uri).bytes, 0);
             const filtered = tiles.filter(({ uri }) => uri.includes(".lowpass.")).length;
             const lost = (100 * picture.lost) / Math.max(1, picture.count);

@@ -25,6 +25,7 @@ const MODULE_GZIP_MAX = 320_000;
 const skip = { skip: MOCK || GIVEN_TILES ? "needs the test city" : false };
 
 let dir;
+const asked = []; // paths
 let server;
 let url;
 before(async () => {
@@ -32,12 +33,12 @@ before(async () => {
     dir = mkdtempSync(join(tmpdir(), "citysplat-embed-"));
     const site = join(dir, "some/where");
     mkdirSync(site, { recursive: true });
-    const args = ["export", importCity(dir), "-o", join(site, "city"), "--format", "3dtiles"];
+    const args = ["export", importCity(dir, 60, "fcity", makeCity(), true), "-o", join(site, "city"), "--format", "3dtiles"];
     const run = spawnSync(BIN, args, { encoding: "utf8" });
     if (run.status !== 0) throw new Error(run.stderr);
     for (const part of ["index.html", "assets", "viewer.js", "icon.svg", "examples"])
         cpSync(join(DIST, part), join(site, "app", part), { recursive: true });
-    server = await serveFiles((path) => join(dir, normalize(path.endsWith("/") ? `${path}index.html` : path)));
+    server = await serveFiles((path) => (asked.push(path), join(dir, normalize(path.endsWith("/") ? `${path}index.html` : path))));
     url = `${server.url}/some/where`;
 });
 after(() => {
@@ -51,6 +52,10 @@ test("the page draws an export from a plain file server in a sub-folder", skip, 
     const state = await page.evaluate(() => window.citysplat.state);
     assert.deepEqual([state.scene, state.ready], ["city", true]);
     assert.equal(state.gaussians, makeCity().length);
+    // It filters by itself, and takes no tile that is filtered already.
+    assert.match(readFileSync(join(dir, "some/where/city/tileset.json"), "utf8"), /\.lowpass\.glb/);
+    assert.deepEqual(asked.filter((path) => /\.lowpass\./.test(path)), []);
+    assert.ok(asked.some((path) => path.endsWith(".glb")));
     assert.equal(await page.isVisible("#server-button"), false, "no server, no server view");
     assert.deepEqual(log, []);
     await close();

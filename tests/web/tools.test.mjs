@@ -19,11 +19,12 @@ import { listContents } from "./lib/tileset.mjs";
 const require = createRequire(import.meta.url);
 const TOOLS = join(dirname(fileURLToPath(import.meta.url)), "node_modules/3d-tiles-tools/build/src/cli.mjs");
 
+const SERVED = "balanced"; // the server's own preset
 let source;
 let dir;
 let tiles; // paths below the folder
 before(async () => {
-    source = await openSource();
+    source = await openSource({ antialiased: true });
     dir = mkdtempSync(join(tmpdir(), "citysplat-tools-"));
     const url = `${source.url}/d/${await firstDataSet(source.url)}/tileset.json`;
     mkdirSync(join(dir, "served"));
@@ -64,14 +65,35 @@ test("into a .3tz and out again: the same files", async (t) => {
     t.diagnostic(`${tiles.length} tiles, ${statSync(packed).size} bytes as .3tz`);
 });
 
+function exportCity(name, ...more) {
+    const out = join(dir, name);
+    const run = spawnSync(BIN, ["export", join(source.dir, "city.tiles"), "-o", out, ...more], { encoding: "utf8" });
+    assert.equal(run.status, 0, run.stderr);
+    return out;
+}
+
+test("an exported folder has the tiles that the server sends, also filtered for CesiumJS", { skip: MOCK || GIVEN_TILES }, (t) => {
+    const files = filesOf(exportCity("as-served", "--format", "3dtiles", "--preset", SERVED));
+    const named = [...files].filter(([name]) => name.endsWith(".json")).map(([, bytes]) => bytes.toString()).join();
+    const inFolder = (path) => path.slice(path.lastIndexOf("t/", path.search(/\d+\/\d+\/\d+\./)));
+    for (const path of tiles) {
+        const name = inFolder(path);
+        assert.ok(named.includes(name), `no document names ${name}`);
+        assert.deepEqual(files.get(name), readFileSync(join(dir, "served", path)), name);
+    }
+    const filtered = (all) => [...all.keys()].filter((name) => name.endsWith(".lowpass.glb"));
+    assert.ok(filtered(files).length > 0);
+    for (const name of filtered(files)) assert.ok(files.has(name.replace(".lowpass", "")), `${name}: not as it is`);
+    const bare = filesOf(exportCity("bare", "--format", "3dtiles", "--no-lowpass"));
+    assert.deepEqual([...bare.keys()], [...files.keys()].filter((name) => !name.endsWith(".lowpass.glb")));
+    assert.ok(!bare.get("tileset.json").includes(".lowpass"));
+    t.diagnostic(`${filtered(files).length} of ${files.size} files are filtered tiles`);
+});
+
 test("a .3tz of the program is the folder that it exports", { skip: MOCK || GIVEN_TILES }, async (t) => {
     const { TilesetConverter, TilesetSource3tz } = require("3d-tiles-tools");
-    const [folder, packed, back] = ["exported", "exported.3tz", "unpacked"].map((name) => join(dir, name));
-    for (const [out, format] of [[folder, "3dtiles"], [packed, "3tz"]]) {
-        const args = ["export", join(source.dir, "city.tiles"), "-o", out, "--format", format];
-        const run = spawnSync(BIN, args, { encoding: "utf8" });
-        assert.equal(run.status, 0, run.stderr);
-    }
+    const folder = exportCity("exported", "--format", "3dtiles");
+    const [packed, back] = [exportCity("exported.3tz", "--format", "3tz"), join(dir, "unpacked")];
     const files = filesOf(folder);
     const archive = new TilesetSource3tz(); // by the index alone
     await archive.open(packed);

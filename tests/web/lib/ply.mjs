@@ -6,7 +6,7 @@
 const SH_C0 = 0.28209479177387814;
 
 // Gaussians of city.mjs -> bytes. Degree is 1 when any of them has sh1, else 0.
-export function writePly(splats, origin) {
+export function writePly(splats, origin, antialiased = false) {
     const rest = splats.some((s) => s.sh1) ? 9 : 0;
     const names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"];
     for (let k = 0; k < rest; k++) names.push(`f_rest_${k}`);
@@ -14,6 +14,7 @@ export function writePly(splats, origin) {
     const head =
         "ply\nformat binary_little_endian 1.0\n" +
         `comment citysplat origin ${origin.lon} ${origin.lat} ${origin.h}\ncomment axes ENU\n` +
+        (antialiased ? "comment antialiased 1\n" : "") +
         `element vertex ${splats.length}\n` +
         names.map((n) => `property float ${n}\n`).join("") +
         "end_header\n";

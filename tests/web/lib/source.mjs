@@ -22,12 +22,12 @@ export const BIN = process.env.CITYSPLAT_BIN;
 export const GIVEN_TILES = process.env.CITYSPLAT_TILES;
 export const MOCK = process.env.CITYSPLAT_MOCK === "1";
 
-// edgeM: of the finest tiles. city: Gaussians about ORIGIN.
-export function importCity(dir, edgeM = 60, name = "fcity", city = makeCity()) {
+// edgeM: of the finest tiles. city: Gaussians about ORIGIN. antialiased: as trained with a low-pass filter.
+export function importCity(dir, edgeM = 60, name = "fcity", city = makeCity(), antialiased = false) {
     const file = name === "fcity" ? "city" : name;
     const ply = join(dir, `${file}.ply`);
     const tiles = join(dir, `${file}.tiles`);
-    writeFileSync(ply, writePly(city, ORIGIN));
+    writeFileSync(ply, writePly(city, ORIGIN, antialiased));
     const args = [
         "import",
         ply,
@@ -96,13 +96,13 @@ function signedUrl(dir, url, name = "fcity") {
 
 // { url, city, dir, close, said }: a running server; city tells whether it holds the test city, in tiles of
 // edgeM; dir has it as city.tiles. signed: the city is private, and url is a signed address. gaussians: others than its own.
-export async function openSource({ edgeM, signed = false, gaussians } = {}) {
+export async function openSource({ edgeM, signed = false, gaussians, antialiased } = {}) {
     if (MOCK) return { ...(await startMock()), city: true };
     if (GIVEN_TILES) return { ...(await serve(GIVEN_TILES)), city: false };
     const dir = mkdtempSync(join(tmpdir(), "citysplat-web-"));
     const clean = () => rmSync(dir, { recursive: true, force: true });
     try {
-        const server = await serve(importCity(dir, edgeM, undefined, gaussians), ...(signed ? privateOptions(dir) : []));
+        const server = await serve(importCity(dir, edgeM, undefined, gaussians, antialiased), ...(signed ? privateOptions(dir) : []));
         const url = signed ? signedUrl(dir, server.url) : server.url;
         return { ...server, url, city: true, dir, close: () => server.close().finally(clean) };
     } catch (error) {
