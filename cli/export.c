@@ -240,7 +240,7 @@ static enum err_code export_file(struct store *s, const struct export_options *o
 
 /* ---- a folder of 3D Tiles ---- */
 
-/* Metres of the pixels of a tile's low-pass form (lod/lowpass.h). 0: the folder has no such form. */
+/* Metres of the pixels of a tile's low-pass form (lod/lowpass.h). 0: the folder has none. */
 static double export_pixel_m(const struct store *s, bool lowpass, uint32_t index)
 {
     return lowpass && store_info(s)->antialiased ? lowpass_pixel_m(store_tree(s), index) : 0.0;
