@@ -126,7 +126,7 @@ static bool depths_input(const struct depths *d, size_t i, struct sweep_input *i
 {
     const struct depths_view *v = &d->views[i];
     *in = (struct sweep_input){.ref = {v->cam, v->grey}, .walls = d->cfg->walls};
-    for (size_t k = 0; k < d->pairs.n_near[i]; k++) {
+    for (size_t k = 0; k < d->pairs.n_swept[i]; k++) {
         const struct depths_view *other = &d->views[d->pairs.near[i][k]];
         in->near[in->n_near++] = (struct sweep_view){other->cam, other->grey};
     }

@@ -16,21 +16,30 @@
 #define PAIRS_ABOVE 10.0
 #define PAIRS_OUTSIDE 0.002 /* share of the points that lie below, and above, the heights */
 #define PAIRS_MARGIN 0.05   /* of their range */
+#define PAIRS_LESS 8.0
 #define PAIRS_DEG 57.29577951308232
+
+enum { PAIRS_COLUMNS = 16, PAIRS_ROWS = 12, PAIRS_PLACES = PAIRS_COLUMNS * PAIRS_ROWS };
 
 struct pairs_work {
     const struct scene *scene;
     size_t *first;  /* [n_points + 1] into seen */
     uint32_t *seen; /* [n_tracks] images, by point */
-    double *score;  /* [n_images] of one photograph */
-    uint32_t *shared;
     double (*center)[3];
+    double *height; /* [n_tracks] */
+    /* of one photograph: */
+    uint32_t *shared; /* [n_images] points that both observe */
+    float *weight;    /* [n_images][PAIRS_PLACES] */
+    double place_m[PAIRS_PLACES][3];
+    bool is_down[PAIRS_PLACES]; /* the ray meets ground */
+    double covered[PAIRS_PLACES];
 };
 
 void pairs_free(struct pairs *p)
 {
     mem_free(p->near);
     mem_free(p->n_near);
+    mem_free(p->n_swept);
     *p = (struct pairs){0};
 }
 
@@ -38,7 +47,8 @@ static void pairs_close(struct pairs_work *w)
 {
     mem_free(w->first);
     mem_free(w->seen);
-    mem_free(w->score);
+    mem_free(w->weight);
+    mem_free(w->height);
     mem_free(w->shared);
     mem_free(w->center);
 }
@@ -49,10 +59,11 @@ static enum err_code pairs_open(const struct scene *s, struct pairs_work *w, str
     *w = (struct pairs_work){.scene = s};
     w->first = mem_array(s->n_points + 2, sizeof *w->first);
     w->seen = mem_array(s->n_tracks + 1, sizeof *w->seen);
-    w->score = mem_array(s->n_images + 1, sizeof *w->score);
+    w->height = mem_array(s->n_tracks + 1, sizeof *w->height);
+    w->weight = mem_array((s->n_images + 1) * PAIRS_PLACES, sizeof *w->weight);
     w->shared = mem_array(s->n_images + 1, sizeof *w->shared);
     w->center = mem_array(s->n_images + 1, sizeof *w->center);
-    if (!w->first || !w->seen || !w->score || !w->shared || !w->center)
+    if (!w->first || !w->seen || !w->weight || !w->height || !w->shared || !w->center)
         return err_set(e, ERR_MEM, "stereo: out of memory for %zu points", s->n_points);
     for (size_t i = 0; i < s->n_tracks; i++)
         w->first[s->tracks[i].point + 2]++;
@@ -81,36 +92,133 @@ static double pairs_weight(const double x[3], const double a[3], const double b[
     return exp(-0.5 * r * r);
 }
 
-static void pairs_of(const struct pairs_work *w, uint32_t image, size_t first, size_t last,
-                     const uint8_t *use, size_t most, struct pairs *out)
+/* Part of the picture that a point falls into, PAIRS_PLACES: none. */
+static size_t pairs_part(const struct camera *c, const double x_m[3])
 {
-    const struct scene *s = w->scene;
-    memset(w->score, 0, s->n_images * sizeof *w->score);
-    memset(w->shared, 0, s->n_images * sizeof *w->shared);
-    for (size_t i = first; i < last; i++) {
-        uint32_t point = s->tracks[i].point;
-        for (size_t k = w->first[point]; k < w->first[point + 1]; k++) {
-            uint32_t other = w->seen[k];
-            if (other == image || !use[other])
-                continue;
-            w->shared[other]++;
-            w->score[other] +=
-                pairs_weight(s->points[point].enu_m, w->center[image], w->center[other]);
+    double px[2];
+    if (!camera_project(c, x_m, 0.0, px, NULL) || !(px[0] >= 0.0) || !(px[1] >= 0.0) ||
+        !(px[0] < c->width_px) || !(px[1] < c->height_px))
+        return PAIRS_PLACES;
+    size_t column = (size_t)(px[0] * PAIRS_COLUMNS / c->width_px),
+           row = (size_t)(px[1] * PAIRS_ROWS / c->height_px);
+    return row * PAIRS_COLUMNS + column;
+}
+
+/* Gives parts without a height the mean of those around that have one, ring by ring. */
+static void pairs_fill(double height_m[PAIRS_PLACES])
+{
+    static const ptrdiff_t beside[4] = {-1, 1, -PAIRS_COLUMNS, PAIRS_COLUMNS};
+    for (bool more = true; more;) {
+        double before[PAIRS_PLACES];
+        memcpy(before, height_m, sizeof before);
+        more = false;
+        for (size_t at = 0; at < PAIRS_PLACES; at++) {
+            size_t x = at % PAIRS_COLUMNS, y = at / PAIRS_COLUMNS, n = 0;
+            const bool is_there[4] = {x > 0, x + 1 < PAIRS_COLUMNS, y > 0, y + 1 < PAIRS_ROWS};
+            double sum = 0.0;
+            for (int k = 0; k < 4 && isnan(before[at]); k++) {
+                double other = is_there[k] ? before[(ptrdiff_t)at + beside[k]] : (double)NAN;
+                if (!isnan(other)) {
+                    sum += other;
+                    n++;
+                }
+            }
+            if (n) {
+                height_m[at] = sum / (double)n;
+                more = true;
+            }
         }
     }
+}
+
+/* Median heights of the points that the photograph of the tracks first to last observes, in each
+ * part of its picture. */
+static void pairs_ground(const struct pairs_work *w, uint32_t image, size_t first, size_t last,
+                         double height_m[PAIRS_PLACES])
+{
+    const struct scene *s = w->scene;
+    size_t start[PAIRS_PLACES + 2] = {0};
+    for (size_t i = first; i < last; i++)
+        start[pairs_part(&s->images[image].cam, s->points[s->tracks[i].point].enu_m) + 1]++;
+    for (size_t at = 0; at <= PAIRS_PLACES; at++)
+        start[at + 1] += start[at];
+    for (size_t i = first; i < last; i++) {
+        const double *x = s->points[s->tracks[i].point].enu_m;
+        w->height[start[pairs_part(&s->images[image].cam, x)]++] = x[2];
+    }
+    for (size_t at = 0, from = 0; at < PAIRS_PLACES; from = start[at++])
+        height_m[at] =
+            start[at] > from ? sort_median(w->height + from, start[at] - from) : (double)NAN;
+    pairs_fill(height_m);
+}
+
+/* The ground that a photograph shows. */
+static void pairs_places(struct pairs_work *w, uint32_t image, size_t first, size_t last)
+{
+    const struct camera *c = &w->scene->images[image].cam;
+    double height_m[PAIRS_PLACES];
+    pairs_ground(w, image, first, last, height_m);
+    for (size_t at = 0; at < PAIRS_PLACES; at++) {
+        double x = ((double)(at % PAIRS_COLUMNS) + 0.5) / PAIRS_COLUMNS * c->width_px,
+               y = ((double)(at / PAIRS_COLUMNS) + 0.5) / PAIRS_ROWS * c->height_px,
+               a = (x - c->cx_px) / c->fx_px, b = (y - c->cy_px) / c->fy_px, ray[3];
+        const double *eye = w->center[image];
+        for (int k = 0; k < 3; k++)
+            ray[k] = c->rot[k] * a + c->rot[3 + k] * b + c->rot[6 + k];
+        double depth = (height_m[at] - eye[2]) / ray[2];
+        w->is_down[at] = ray[2] < -SWEEP_DOWN && depth > 0.0;
+        for (int k = 0; k < 3; k++)
+            w->place_m[at][k] = eye[k] + depth * ray[k];
+    }
+}
+
+/* The candidate that adds most; n_images: none adds anything. */
+static size_t pairs_best(const struct pairs_work *w)
+{
+    size_t n = w->scene->n_images, best = n;
+    double need[PAIRS_PLACES], most = 0.0;
+    for (size_t at = 0; at < PAIRS_PLACES; at++)
+        need[at] = pow(1.0 + w->covered[at], -PAIRS_LESS);
+    for (size_t j = 0; j < n; j++) {
+        double gain = 0.0;
+        for (size_t at = 0; at < PAIRS_PLACES && w->shared[j] >= PAIRS_SHARED_MIN; at++)
+            gain += (double)w->weight[j * PAIRS_PLACES + at] * need[at];
+        if (gain > most) {
+            most = gain;
+            best = j;
+        }
+    }
+    return best;
+}
+
+static void pairs_of(struct pairs_work *w, uint32_t image, size_t first, size_t last,
+                     const uint8_t *use, size_t swept, struct pairs *out)
+{
+    const struct scene *s = w->scene;
+    memset(w->shared, 0, s->n_images * sizeof *w->shared);
+    memset(w->covered, 0, sizeof w->covered);
+    for (size_t i = first; i < last; i++)
+        for (size_t p = s->tracks[i].point, k = w->first[p]; k < w->first[p + 1]; k++)
+            w->shared[w->seen[k]] += use[w->seen[k]] && w->seen[k] != image;
+    pairs_places(w, image, first, last);
+    for (size_t j = 0; j < s->n_images; j++)
+        for (size_t at = 0; at < PAIRS_PLACES && w->shared[j] >= PAIRS_SHARED_MIN; at++) {
+            double depth;
+            bool is_seen =
+                w->is_down[at] && camera_frames(&s->images[j].cam, w->place_m[at], 0.0, &depth);
+            w->weight[j * PAIRS_PLACES + at] =
+                is_seen ? (float)pairs_weight(w->place_m[at], w->center[image], w->center[j])
+                        : 0.0F;
+        }
     size_t n = 0;
-    for (; n < most; n++) {
-        size_t best = s->n_images;
-        for (size_t j = 0; j < s->n_images; j++)
-            if (w->shared[j] >= PAIRS_SHARED_MIN && w->score[j] > 0.0 &&
-                (best == s->n_images || w->score[j] > w->score[best]))
-                best = j;
-        if (best == s->n_images)
-            break;
+    for (size_t best; n < PAIRS_NEAR_MAX && (best = pairs_best(w)) < s->n_images; n++) {
         out->near[image][n] = (uint32_t)best;
-        w->score[best] = 0.0;
+        for (size_t at = 0; at < PAIRS_PLACES; at++)
+            w->covered[at] += (double)w->weight[best * PAIRS_PLACES + at];
+        w->shared[best] = 0;
     }
     out->n_near[image] = (uint8_t)n;
+    out->n_swept[image] = (uint8_t)(n < swept ? n : swept);
 }
 
 static enum err_code pairs_heights(const struct scene *s, struct pairs *out, struct err *e)
@@ -130,7 +238,7 @@ static enum err_code pairs_heights(const struct scene *s, struct pairs *out, str
     return ERR_OK;
 }
 
-enum err_code pairs_find(const struct scene *s, const uint8_t *use, size_t most, struct pairs *out,
+enum err_code pairs_find(const struct scene *s, const uint8_t *use, size_t swept, struct pairs *out,
                          struct err *e)
 {
     struct pairs_work w = {0};
@@ -142,8 +250,9 @@ enum err_code pairs_find(const struct scene *s, const uint8_t *use, size_t most,
                        s->dir);
     out->near = mem_array(s->n_images, sizeof *out->near);
     out->n_near = mem_array(s->n_images, 1);
+    out->n_swept = mem_array(s->n_images, 1);
     enum err_code rc =
-        out->near && out->n_near
+        out->near && out->n_near && out->n_swept
             ? ERR_OK
             : err_set(e, ERR_MEM, "stereo: out of memory for %zu photographs", s->n_images);
     if (!rc)
@@ -153,7 +262,7 @@ enum err_code pairs_find(const struct scene *s, const uint8_t *use, size_t most,
         while (last < s->n_tracks && s->tracks[last].image == i)
             last++;
         if (use[i])
-            pairs_of(&w, (uint32_t)i, first, last, use, most, out);
+            pairs_of(&w, (uint32_t)i, first, last, use, swept, out);
         first = last;
     }
     if (!rc)
