@@ -92,10 +92,8 @@ void answer_map_terrain(struct services *s, const struct request *r, struct data
 
 /* ---- documents ---- */
 
-/* A document with addresses that begin with the host that was asked, where --public-url does not
- * say which. */
-static void answer_map_document(const struct services *s, const struct request *r, const char *type,
-                                struct body *b, struct response *out)
+void answer_map_document(const struct services *s, const struct request *r, const char *type,
+                         struct body *b, struct response *out)
 {
     response_document(r, type, b, out);
     if (out->status < 400 && !(s->cfg->public_url && *s->cfg->public_url))

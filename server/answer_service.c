@@ -27,7 +27,7 @@ static bool answer_service_shows(const struct request *r, const struct target *t
 static enum err_code answer_service_about(struct services *s, const struct request *r,
                                           const struct target *t, struct body **out, struct err *e)
 {
-    char about[160] = "off: started with --device none";
+    char about[160] = "off: started with --device none, or with exported files alone";
     static const char *const states[] = {"starting", "ready", "off"};
     const char *state = s->picture ? states[picture_state(s->picture)] : states[PICTURE_OFF];
     if (s->picture)
@@ -55,7 +55,7 @@ static struct body *answer_service_card(struct services *s, const struct request
     char origin[ORIGIN_MAX];
     if (!d || !right_is_public(r, d->meta.name))
         return NULL;
-    const bool pictures = s->picture && picture_state(s->picture) != PICTURE_OFF;
+    const bool pictures = s->picture && picture_state(s->picture) != PICTURE_OFF && !d->packed;
     if (card_page(index, d, origin_of(s, r, origin), pictures, &page, NULL))
         body_drop(&page);
     return page;

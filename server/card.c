@@ -49,9 +49,9 @@ static void card_stand(const double lo[3], const double hi[3], double aspect, do
 void card_picture(const struct dataset *d, const char *up, unsigned width_px, unsigned height_px,
                   struct buf *out)
 {
-    const struct tree *tree = store_tree(d->index);
+    const struct tree *tree = d->index ? store_tree(d->index) : NULL;
     double at_m[3], lon, lat, h;
-    if (tree->root == TREE_NONE)
+    if (!tree || tree->root == TREE_NONE)
         return;
     const struct tree_bounds root = tree_bounds(tree, tree->root);
     card_stand(root.core_min_enu_m, root.core_max_enu_m, (double)width_px / height_px, at_m);

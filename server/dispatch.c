@@ -13,6 +13,7 @@
 
 #include "server/answer_appearance.h"
 #include "server/answer_kept.h"
+#include "server/answer_packed.h"
 #include "server/right.h"
 
 static bool dispatch_changes(const struct request *r)
@@ -121,7 +122,11 @@ static void dispatch_dataset(struct services *s, const struct request *r,
 {
     struct catalog *c = services_catalog(s);
     struct dataset *d = catalog_find(c, t->ds, t->rev);
-    if (d) {
+    if (d && d->packed) {
+        out->cache_control = response_cache_control(s, d, t);
+        answer_packed(s, r, d, t, on->answer, out);
+        dispatch_cached(s, r, d, t, out);
+    } else if (d) {
         if (answer_appearance_resolve(s, d, t, out)) {
             out->cache_control = response_cache_control(s, d, t);
             on->answer(s, r, d, t, out);

@@ -41,6 +41,16 @@ struct server {
     char url[128], memory[256];
 };
 
+/* Pictures are drawn from stores: who serves exported files alone needs no device. */
+static bool server_draws(const struct server *sv)
+{
+    size_t n_packed = 0;
+    for (size_t i = 0; i < sv->n_paths; i++)
+        n_packed += packed_kind_of(sv->paths[i]) != PACKED_NONE;
+    return (!sv->cfg.device || strcmp(sv->cfg.device, "none") != 0) &&
+           (!n_packed || n_packed < sv->n_paths);
+}
+
 static void server_stop_drawing(void *user)
 {
     picture_stop(((struct services *)user)->picture);
@@ -50,7 +60,7 @@ static enum err_code server_start_jobs(struct server *sv, struct err *e)
 {
     struct services *s = &sv->services;
     const struct server_config *cfg = &sv->cfg;
-    bool views = !cfg->device || strcmp(cfg->device, "none") != 0;
+    const bool views = server_draws(sv);
     const struct job_config jobs = {
         .tile_threads = sv->workers,
         .view_thread = views,
@@ -165,6 +175,8 @@ static void server_needs(const struct catalog *c, struct memory_needs *n)
         const size_t row =
             (11 + 3 * gauss_sh_count(d->meta.sh_degree) + d->meta.embed_len) * sizeof(float);
         uint64_t of_zoom[KEY_ZOOM_MAX + 1] = {0};
+        const size_t part = d->packed ? packed_about(d->packed)->largest_bytes : 0;
+        n->largest_tile = part > n->largest_tile ? part : n->largest_tile;
         for (size_t k = 0; k < d->n_tiles; k++) {
             const struct store_tile *t = &d->tiles[k];
             of_zoom[t->key.z] += t->count;
@@ -183,7 +195,7 @@ static enum err_code server_plan(struct server *sv, const struct catalog *c,
     struct memory_needs n = {.base = mem_held_bytes(0),
                              .workers = sv->workers,
                              .connections = (size_t)cfg->max_connections,
-                             .draws = !cfg->device || strcmp(cfg->device, "none") != 0,
+                             .draws = server_draws(sv),
                              .view_gaussians = (uint64_t)cfg->view_gaussians,
                              .view_mpx = cfg->max_view_mpx,
                              .video = motion_video_bytes((size_t)cfg->streams),
@@ -293,8 +305,9 @@ static void server_log_start(const struct server *sv)
     log_info("serve", "%s", sv->memory);
     server_log_disk(sv);
     for (size_t i = 0; i < c->n; i++)
-        log_info("serve", "dataset name=%s revision=%s tiles=%zu file=%s", c->ds[i]->meta.name,
-                 c->ds[i]->meta.revision, c->ds[i]->n_tiles, store_path(c->ds[i]->index));
+        log_info("serve", "dataset name=%s revision=%s tiles=%llu file=%s", c->ds[i]->meta.name,
+                 c->ds[i]->meta.revision, (unsigned long long)dataset_count(c->ds[i]),
+                 dataset_shown(c->ds[i]));
 }
 
 static enum err_code server_begin(const struct server_config *cfg, const char *const *paths,
@@ -435,10 +448,9 @@ void server_look(struct server *sv, double now_s)
     for (size_t i = 0; i < c->n_current; i++) {
         struct err e = {0};
         struct dataset *d = c->ds[i];
-        if (asks && !store_replaced(d->index) && store_ask(d->stores[0], ask_s, &e) &&
-            e.code != ERR_DATA)
+        if (asks && !dataset_replaced(d) && dataset_ask(d, ask_s, &e) && e.code != ERR_DATA)
             log_warn("serve", "not known whether ds=%s is as it was: %s", d->meta.name, e.msg);
-        replaced |= store_replaced(d->index);
+        replaced |= dataset_replaced(d);
     }
     catalog_drop(&c);
     if (asks)
@@ -545,9 +557,10 @@ enum err_code server_check(const struct server_config *cfg, const char *const *p
     if (!rc && (cfg->state_dir || cfg->state_url))
         rc = kept_check(cfg->state_dir, cfg->state_url, e);
     for (size_t i = 0; !rc && out && i < s->catalog->n; i++)
-        fprintf(out, "dataset %s revision %s, %zu tiles: %s\n", s->catalog->ds[i]->meta.name,
-                s->catalog->ds[i]->meta.revision, s->catalog->ds[i]->n_tiles,
-                store_path(s->catalog->ds[i]->index));
+        fprintf(out, "dataset %s revision %s, %llu tiles: %s\n", s->catalog->ds[i]->meta.name,
+                s->catalog->ds[i]->meta.revision,
+                (unsigned long long)dataset_count(s->catalog->ds[i]),
+                dataset_shown(s->catalog->ds[i]));
     if (!rc && out && s->tls) {
         char text[256];
         tls_about(s->tls, text, sizeof text);

@@ -48,7 +48,7 @@ export function importCity(dir, edgeM = 60, name = "fcity", city = makeCity(), a
 }
 
 // Starts `citysplat serve` on a free port; resolves with its address and a function that ends it.
-function serve(...argv) {
+export function serve(...argv) {
     const args = ["serve", ...argv, "--port", "0", "--web-dir", WEB_DIST, "--deadline-s", String(DEADLINE_S)];
     const child = spawn(BIN, args, { stdio: ["ignore", "pipe", "pipe"] });
     let said = "";
@@ -92,6 +92,12 @@ function signedUrl(dir, url, name = "fcity") {
     const run = spawnSync(BIN, args, { encoding: "utf8" });
     if (run.status !== 0) throw new Error(`citysplat ${args.join(" ")}\n${run.stderr}`);
     return run.stdout.trim().replace(/\/$/, "");
+}
+
+// A server whose data sets are private: urls has the address that opens each.
+export async function serveSigned(dir, files, names) {
+    const server = await serve(...files, ...privateOptions(dir));
+    return { ...server, urls: Object.fromEntries(names.map((name) => [name, signedUrl(dir, server.url, name)])) };
 }
 
 // { url, city, dir, close, said }: a running server; city tells whether it holds the test city, in tiles of
