@@ -252,6 +252,44 @@ static void long_ones_over_supported_ground_are_halved(void **state)
     toy_free(&t);
 }
 
+/* Where there is room for a few of them only, the longest are halved, wherever they stand. */
+static void the_longest_are_cut_first(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    enum { N = 40, ROOM = 20, CUTS = ROOM / 4 };
+    uint8_t inside[1] = {1};
+    float low[1] = {-100}, high[1] = {100};
+    const struct footprint ground = {.corner_m = {-1000.0, -1000.0},
+                                     .cell_m = 2000.0,
+                                     .nx = 1,
+                                     .ny = 1,
+                                     .inside = inside,
+                                     .low_m = low,
+                                     .high_m = high};
+    struct toy t = toy_make(N);
+    struct densify_params p = params_of(&everything, N + ROOM, 0);
+    p.ground = &ground;
+    p.free_space_m = HUGE_VAL;
+    p.size_limit_m = 2.0;
+    for (size_t i = 0; i < N; i++) {
+        t.grad[i] = 0.0f;
+        for (uint32_t k = 3; k < 6; k++) /* longer and longer, the last of them not */
+            *at(t.params, i, k) = logf(i + CUTS < N ? 2.5f + 0.1f * (float)i : 2.1f);
+    }
+    struct densify_input in = input_of(&t, false);
+    struct densify_plan plan;
+    kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
+    assert_int_equal(plan.report.cut, CUTS);
+    assert_int_equal(plan.n, N + CUTS);
+    for (size_t k = 0; k < plan.n; k++) {
+        size_t i = plan.rows[k].source;
+        assert_true((plan.rows[k].kind != DENSIFY_KEEP) == (i >= N - 2 * CUTS && i < N - CUTS));
+    }
+    densify_plan_free(&plan);
+    toy_free(&t);
+}
+
 struct arrays {
     float *params, *m1, *m2;
 };
@@ -658,6 +696,7 @@ int main(void)
         cmocka_unit_test(more_than_the_budget_neither_grows_nor_is_cut),
         cmocka_unit_test(transparent_huge_tiny_and_broken_ones_are_removed),
         cmocka_unit_test(long_ones_over_supported_ground_are_halved),
+        cmocka_unit_test(the_longest_are_cut_first),
         cmocka_unit_test(both_ceilings_hold_where_children_cross_the_border),
         cmocka_unit_test(many_candidates_outside_take_no_room_inside),
         cmocka_unit_test(the_threshold_rises_outside_the_cell),

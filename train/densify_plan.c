@@ -25,6 +25,7 @@
 #include "core/gauss.h"
 #include "core/pool.h"
 #include "core/sample.h"
+#include "core/sort.h"
 #include "render/permute.h"
 #include "render/render.h"
 #include "train/config.h"
@@ -285,16 +286,43 @@ static bool densify_take(const struct densify_params *p, const struct densify_in
     return true;
 }
 
-/* What sticks out is halved first, in a part of the room: there is a next time. */
-static size_t densify_cut(const struct densify_params *p, const struct densify_input *in,
-                          struct densify_lists *w)
+/* The candidates that stick out or are too long, the longest first; equal ones in their order. */
+static enum err_code densify_cut_order(const struct densify_input *in, struct densify_lists *w,
+                                       size_t *n_cut, struct err *e)
 {
-    size_t n = 0, room = p->cap_inside > w->n_in ? p->cap_inside - w->n_in : 0;
+    size_t n = 0;
+    for (size_t i = 0; i < in->n; i++)
+        if (w->class[i] == CLASS_CUT)
+            w->drawn[n++] = (uint32_t)i;
+    *n_cut = n;
+    struct sort_item *rank = mem_array(2 * n, sizeof *rank);
+    if (!rank)
+        return err_set(e, ERR_MEM, "densify: out of memory for %zu cuts", n);
+    for (size_t k = 0; k < n; k++) {
+        uint32_t axis = densify_longest(in->params, in->planes, w->drawn[k]);
+        float size = in->params[densify_at(w->drawn[k], in->planes, LAYOUT_PLANE_SCALE + axis)];
+        rank[k] = (struct sort_item){UINT32_MAX - sort_key_float(size), w->drawn[k]};
+    }
+    sort_items(rank, rank + n, n);
+    for (size_t k = 0; k < n; k++)
+        w->drawn[k] = rank[k].row;
+    mem_free(rank);
+    return ERR_OK;
+}
+
+/* What sticks out is halved first, in a part of the room: there is a next time. Where that is not
+ * room enough, the longest go first: they are the widest veils, and need the most halvings. */
+static enum err_code densify_cut(const struct densify_params *p, const struct densify_input *in,
+                                 struct densify_lists *w, size_t *taken, struct err *e)
+{
+    size_t n_cut = 0, room = p->cap_inside > w->n_in ? p->cap_inside - w->n_in : 0;
     if (!p->cell->whole && p->cap_outside > w->n_out)
         room += p->cap_outside - w->n_out;
-    for (size_t i = 0; i < in->n && n < room / DENSIFY_CUT_SHARE; i++)
-        n += w->class[i] == CLASS_CUT && densify_take(p, in, w, (uint32_t)i);
-    return n;
+    *taken = 0;
+    enum err_code rc = densify_cut_order(in, w, &n_cut, e);
+    for (size_t k = 0; !rc && k < n_cut && *taken < room / DENSIFY_CUT_SHARE; k++)
+        *taken += densify_take(p, in, w, w->drawn[k]);
+    return rc;
 }
 
 /* Draw `quota` of one class and mark them, keeping to both ceilings. */
@@ -432,7 +460,10 @@ static enum err_code densify_fill(const struct densify_params *p, const struct d
     if (rc)
         return rc;
     densify_list(in, w);
-    size_t pruned = in->n - w->n_in - w->n_out, cut = densify_cut(p, in, w);
+    size_t pruned = in->n - w->n_in - w->n_out, cut = 0;
+    rc = densify_cut(p, in, w, &cut, e);
+    if (rc)
+        return rc;
     bool border = !p->cell->whole;
     bool binds = densify_room(inside, w->n_in, p->cap_inside, border);
     binds |= densify_room(outside, w->n_out, p->cap_outside, border);
