@@ -9,6 +9,12 @@
 //        0 where invisible
 // A slot has one writer and the order is fixed: the same input gives the same bits. The sums are
 // those of Taming 3DGS, Mallick et al. 2024.
+//
+// removal_tiles has the frame's color [3][h][w] as well, and in place of the weight and the
+// distance sums weight d.d, the squared change of a pixel if this Gaussian alone were not there:
+//     d = alpha T rgb - rest alpha / (1 - alpha),   rest: the colour of the pixel from behind it,
+// which is what the frame has less what was summed up to here. Nothing walks back through small T.
+// Reference: tests/test_importance.c draws without it.
 
 #if VW == 16
 
@@ -92,6 +98,95 @@ __kernel void importance_tiles(__constant struct layout_view *view,
     }
 }
 
+struct removal_state { // as importance_state; rest: colour from behind what was blended so far
+    float16 t[16], weight[16], rest[16][3];
+};
+
+inline void removal_load(struct removal_state *s, __constant struct layout_view *view,
+                         __global const float *weight, __global const float *color, uint px,
+                         uint py)
+{
+    uint w = view->width, h = view->height;
+    for (uint k = 0; k < 16; k++) {
+        uint bx = px + 4 * (k & 3), by = py + 4 * (k >> 2);
+        float16 x = (float)bx + BLOCK_X[0], y = (float)by + BLOCK_Y[0];
+        int16 inside = (x < (float)w) & (y < (float)h);
+        s->weight[k] = backward_block(weight, w, h, bx, by);
+        for (uint c = 0; c < 3; c++)
+            s->rest[k][c] = backward_block(color + c * (size_t)w * h, w, h, bx, by);
+        s->t[k] = inside ? (float16)(1.0f) : (float16)(0.0f);
+    }
+}
+
+inline void removal_splat(struct removal_state *s, const float *w, float x0, float y0, uint blocks,
+                          __global float *slot)
+{
+    float16 rise = 0.0f, count = 0.0f, shares = 0.0f;
+    struct record e = record_of(w, x0, y0);
+    while (blocks) {
+        uint k = 31 - clz(blocks);
+        blocks ^= 1u << k;
+        float16 dx = block_dx(e.mx, k), dy = block_dy(e.my, k);
+        float16 raw = splat_raw(dx, dy, e.p, e.x_of_y, e.r, e.opacity_log2), t = s->t[k];
+        int16 hit = (t > LAYOUT_TRANSMITTANCE_MIN) & (raw > 0.0f);
+        float16 one = hit ? (float16)(1.0f) : (float16)(0.0f);
+        float16 a = one * MIN_(raw, LAYOUT_ALPHA_MAX), share = a * t, odds = a / (1.0f - a);
+        float16 sum = 0.0f;
+        s->t[k] = t - share;
+        for (uint c = 0; c < 3; c++) {
+            float16 own = share * w[LAYOUT_SPLAT_RGB + c], rest = s->rest[k][c] - own;
+            float16 d = own - rest * odds;
+            s->rest[k][c] = rest;
+            sum = d * d + sum;
+        }
+        rise += s->weight[k] * sum;
+        count += one;
+        shares += share;
+    }
+    float16 sums = fold_4(fold_8(rise, count), fold_8(shares, (float16)(0.0f)));
+    sums = fold_2(sums, sums);
+    vstore4(fold_1(sums, sums).s0123, 0, slot);
+}
+
+__kernel void removal_tiles(__constant struct layout_view *view,
+                            __global const struct layout_splat *splats,
+                            __global const uint *tile_start,
+                            __global const uint *intersection_splat,
+                            __global const uint *intersection_slot, __global const float *weight,
+                            __global float *slots, __global const float *color)
+{
+    uint tile = (uint)get_global_id(0);
+    if (tile >= view->tiles_x * view->tiles_y)
+        return;
+    uint px = (tile % view->tiles_x) * LAYOUT_TILE, py = (tile / view->tiles_x) * LAYOUT_TILE;
+    float x0 = (float)px + 0.5f, y0 = (float)py + 0.5f;
+    uint at = tile_start[tile], end = tile_start[tile + 1];
+    float staged[BATCH * LAYOUT_SPLAT_WORDS];
+    uint mask[BATCH];
+    struct removal_state s;
+    removal_load(&s, view, weight, color, px, py);
+    uint active = blend_active(s.t, 0xFFFF);
+    for (uint j = 0; j < BATCH * LAYOUT_SPLAT_WORDS; j += 16)
+        vstore16((float16)(0.0f), 0, staged + j);
+    while (at < end && active) {
+        uint n = min(end - at, (uint)BATCH);
+        for (uint j = 0; j < n; j++)
+            LAYOUT_WIDE(__private, float, staged + LAYOUT_SPLAT_WORDS * j) =
+                LAYOUT_WIDE(const __global, float, splats + intersection_splat[at + j]);
+        for (uint j = 0; j < n; j += 16)
+            blend_masks(staged + LAYOUT_SPLAT_WORDS * j, x0, y0, view->tile_cull, mask + j);
+        for (uint j = 0; j < n && active; j++) {
+            uint blocks = mask[j] & active;
+            if (blocks)
+                removal_splat(&s, staged + LAYOUT_SPLAT_WORDS * j, x0, y0, blocks,
+                              slots + LAYOUT_IMPORTANCE_SLOT * (size_t)intersection_slot[at + j]);
+            if (j % CHECK_EVERY == CHECK_EVERY - 1)
+                active = blend_active(s.t, active);
+        }
+        at += n;
+    }
+}
+
 #else
 
 // GPU shape: one work-group is one tile, one work-item one pixel; an intersection is summed by a
@@ -117,6 +212,44 @@ importance_tiles(__constant struct layout_view *v, __global const struct layout_
         int hit = t > LAYOUT_TRANSMITTANCE_MIN && raw > 0.0f;
         part[lane] = hit ? (float4)(own, 1.0f, alpha * t, sqrt(dx * dx + dy * dy)) : (float4)(0.0f);
         t = hit ? t - alpha * t : t;
+        for (uint half_n = LAYOUT_TILE_PIXELS / 2; half_n; half_n /= 2) {
+            barrier(CLK_LOCAL_MEM_FENCE);
+            if (lane < half_n)
+                part[lane] += part[lane + half_n];
+        }
+        if (lane == 0)
+            vstore4(part[0], 0, slots + LAYOUT_IMPORTANCE_SLOT * (size_t)intersection_slot[at]);
+        barrier(CLK_LOCAL_MEM_FENCE);
+    }
+}
+
+__kernel __attribute__((reqd_work_group_size(LAYOUT_TILE_PIXELS, 1, 1))) void
+removal_tiles(__constant struct layout_view *v, __global const struct layout_splat *splats,
+              __global const uint *tile_start, __global const uint *intersection_splat,
+              __global const uint *intersection_slot, __global const float *weight,
+              __global float *slots, __global const float *color)
+{
+    uint tile = get_group_id(0), lane = get_local_id(0);
+    uint x = tile % v->tiles_x * LAYOUT_TILE + lane % LAYOUT_TILE;
+    uint y = tile / v->tiles_x * LAYOUT_TILE + lane / LAYOUT_TILE;
+    int in = tile < v->tiles_x * v->tiles_y && x < v->width && y < v->height;
+    size_t pixel = (size_t)y * v->width + x, plane = (size_t)v->width * v->height;
+    float t = in ? 1.0f : 0.0f, own = in ? weight[pixel] : 0.0f;
+    float3 rest = in ? (float3)(color[pixel], color[pixel + plane], color[pixel + 2 * plane])
+                     : (float3)(0.0f);
+    uint begin = tile_start[tile], end = tile_start[tile + 1];
+    __local float4 part[LAYOUT_TILE_PIXELS];
+    for (uint at = begin; at < end; at++) {
+        __global const struct layout_splat *e = splats + intersection_splat[at];
+        float dx = e->mean_x - (float)x - 0.5f, dy = e->mean_y - (float)y - 0.5f;
+        float raw = splat_raw(dx, dy, e->p, e->x_of_y, e->r, e->opacity_log2);
+        float a = MIN_(raw, LAYOUT_ALPHA_MAX), share = a * t;
+        int hit = t > LAYOUT_TRANSMITTANCE_MIN && raw > 0.0f;
+        float3 rgb = share * (float3)(e->rgb[0], e->rgb[1], e->rgb[2]);
+        float3 behind = rest - rgb, d = rgb - behind * (a / (1.0f - a));
+        part[lane] = hit ? (float4)(own * dot(d, d), 1.0f, share, 0.0f) : (float4)(0.0f);
+        t = hit ? t - share : t;
+        rest = hit ? behind : rest;
         for (uint half_n = LAYOUT_TILE_PIXELS / 2; half_n; half_n /= 2) {
             barrier(CLK_LOCAL_MEM_FENCE);
             if (lane < half_n)

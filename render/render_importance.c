@@ -14,7 +14,7 @@ enum { IMPORTANCE_LOCAL = 64 };
 struct render_importance {
     struct render *render; /* borrowed */
     cl_program program;
-    cl_kernel tiles, gather;
+    cl_kernel tiles, removal, gather;
     struct frame_buffer sums;
     void *seen; /* sums, mapped for the caller */
 };
@@ -36,6 +36,8 @@ enum err_code render_importance_open(struct render *r, struct render_importance 
     enum err_code rc = dev_build(r->dev, wide ? cpu : gpu, wide ? 5 : 3, NULL, &s->program, e);
     if (!rc)
         rc = dev_kernel(s->program, "importance_tiles", &s->tiles, e);
+    if (!rc)
+        rc = dev_kernel(s->program, "removal_tiles", &s->removal, e);
     if (!rc)
         rc = dev_kernel(s->program, "importance_gather", &s->gather, e);
     if (rc)
@@ -60,6 +62,8 @@ void render_importance_close(struct render_importance **p)
         return;
     if (s->tiles)
         clReleaseKernel(s->tiles);
+    if (s->removal)
+        clReleaseKernel(s->removal);
     if (s->gather)
         clReleaseKernel(s->gather);
     if (s->program)
@@ -69,24 +73,28 @@ void render_importance_close(struct render_importance **p)
     *p = NULL;
 }
 
-static enum err_code render_importance_tiles(struct render_importance *s, cl_mem weight,
-                                             struct err *e)
+/* Either kernel over the tiles; only that of removal asks for the colours, which come last. */
+static enum err_code render_importance_tiles(struct render_importance *s, cl_kernel tiles,
+                                             const char *name, cl_mem weight, struct err *e)
 {
     struct render *r = s->render;
     size_t group = r->dev->vector_width == 1 ? LAYOUT_TILE_PIXELS : 1;
+    cl_mem color = render_color_buffer(r);
     cl_mem args[] = {r->view_mem,
                      r->splats.mem,
                      r->tile_start.mem,
                      r->intersection_splat.mem,
                      r->intersection_slot.mem,
                      weight,
-                     r->slots.mem};
+                     r->slots.mem,
+                     color};
+    cl_uint n = sizeof args / sizeof args[0] - (tiles != s->removal);
     cl_int bad = CL_SUCCESS;
-    for (cl_uint i = 0; i < sizeof args / sizeof args[0]; i++)
-        bad |= dev_arg(s->tiles, i, args[i]);
+    for (cl_uint i = 0; i < n; i++)
+        bad |= dev_arg(tiles, i, args[i]);
     if (bad)
-        return err_set(e, ERR_DEVICE, "render_importance: arguments of importance_tiles");
-    return dev_run(r->dev, s->tiles, "importance_tiles", r->tiles * group, group, e);
+        return err_set(e, ERR_DEVICE, "render_importance: arguments of %s", name);
+    return dev_run(r->dev, tiles, name, r->tiles * group, group, e);
 }
 
 static enum err_code render_importance_gather(struct render_importance *s, uint32_t n,
@@ -104,8 +112,9 @@ static enum err_code render_importance_gather(struct render_importance *s, uint3
     return dev_run(r->dev, s->gather, "importance_gather", n, IMPORTANCE_LOCAL, e);
 }
 
-enum err_code render_importance_run(struct render_importance *s, const struct render_model *m,
-                                    cl_mem weight, const float **sums, struct err *e)
+static enum err_code render_importance_sum(struct render_importance *s, cl_kernel tiles,
+                                           const char *name, const struct render_model *m,
+                                           cl_mem weight, const float **sums, struct err *e)
 {
     struct render *r = s->render;
     *sums = NULL;
@@ -123,11 +132,23 @@ enum err_code render_importance_run(struct render_importance *s, const struct re
     if (!rc && slots_bytes)
         rc = dev_zero(r->dev, r->slots.mem, 0, slots_bytes, e);
     if (!rc && r->intersections)
-        rc = render_importance_tiles(s, weight, e);
+        rc = render_importance_tiles(s, tiles, name, weight, e);
     if (!rc)
         rc = render_importance_gather(s, m->n, e);
     if (!rc)
         rc = dev_map(r->dev, s->sums.mem, CL_MAP_READ, sums_bytes, &s->seen, e);
     *sums = s->seen;
     return rc;
+}
+
+enum err_code render_importance_run(struct render_importance *s, const struct render_model *m,
+                                    cl_mem weight, const float **sums, struct err *e)
+{
+    return render_importance_sum(s, s->tiles, "importance_tiles", m, weight, sums, e);
+}
+
+enum err_code render_removal_run(struct render_importance *s, const struct render_model *m,
+                                 cl_mem weight, const float **sums, struct err *e)
+{
+    return render_importance_sum(s, s->removal, "removal_tiles", m, weight, sums, e);
 }

@@ -372,7 +372,7 @@ study_long() { # what going on does to photographs, and what takes it away
 study_budgets() { # accuracy against the number of Gaussians
   local b
   for b in 25000 50000 100000 200000 400000; do
-    row budgets "$((b / 1000)) k" caliterra-400 "budget=$b" --level-count 1 --iterations "$(steps budgets)" --budget-rule table --budget "$b" --tau 1e-4
+    row budgets "$((b / 1000)) k" caliterra-400 "budget=$b" --level-count 1 --iterations "$(steps budgets)" --budget-rule table --budget "$b" --tau 1e-4 --thin-db 0
   done
 }
 
@@ -493,15 +493,17 @@ importance_rows() {
 }
 study_importance() { seeded importance importance_rows; }
 
-# What map views have for how many Gaussians, bytes, seconds and milliseconds, by fixed budgets, those the trainer chooses,
-# and with the other strategy of density control.
+# What map views have for how many Gaussians, bytes, seconds and milliseconds, by fixed budgets, those the trainer chooses
+# without and with thinning, and with the other strategy of density control.
 pareto_rows() {
   local b base=(--iterations "$(steps pareto)") MAP_VIEWS=1
-  row pareto "split: fit" demo "" "${base[@]}" --budget-rule fit
+  row pareto "split: fit" demo "" "${base[@]}" --budget-rule fit --thin-db 0
   for b in 40000 80000 160000 320000; do
-    row pareto "split: $((b / 1000)) k" demo "budget=$b" "${base[@]}" --budget-rule table --budget "$((b / 4))","$((b / 2))","$b"
+    row pareto "split: $((b / 1000)) k" demo "budget=$b" "${base[@]}" --budget-rule table --budget "$((b / 4))","$((b / 2))","$b" --thin-db 0
   done
-  row pareto "split: auto" demo "" "${base[@]}" --budget-rule auto
+  for b in 0.05 0.1 0.2; do
+    row pareto "split: fit, thinned by $b dB" demo "thin_db=$b" "${base[@]}" --thin-db "$b"
+  done
   for b in 80000 160000; do
     row pareto "mcmc: $((b / 1000)) k" demo "budget=$b" "${base[@]}" --strategy mcmc --budget-rule table --budget "$((b / 4))","$((b / 2))","$b"
   done

@@ -25,7 +25,11 @@ static struct camera camera(void)
     return camera_look_at(eye, target, 0.9, WIDTH, HEIGHT);
 }
 
-static struct frame_sums run(const struct gauss *g, const float *weight)
+typedef enum err_code (*sum_function)(struct render_importance *s, const struct render_model *m,
+                                      cl_mem weight, const float **sums, struct err *e);
+
+static struct frame_sums run_by(sum_function sum, const struct render_options *o,
+                                const struct gauss *g, const float *weight)
 {
     struct err e = {0};
     struct render_model m = {0};
@@ -40,17 +44,22 @@ static struct frame_sums run(const struct gauss *g, const float *weight)
     kit_ok(render_importance_open(render, &s, &e), e);
     kit_ok(render_model_upload(render, g, &m, &e), e);
     const float *sums;
-    kit_fails(render_importance_run(s, &(struct render_model){.n = 12345}, weights, &sums, &e),
-              ERR_ARG, e, "no frame");
-    kit_ok(render_forward(render, &m, &cam, &options, rgb, out.transmittance, &e), e);
+    kit_fails(sum(s, &(struct render_model){.n = 12345}, weights, &sums, &e), ERR_ARG, e,
+              "no frame");
+    kit_ok(render_forward(render, &m, &cam, o, rgb, out.transmittance, &e), e);
     for (int again = 0; again < 2; again++) /* the first sums are given back by the second call */
-        kit_ok(render_importance_run(s, &m, weights, &sums, &e), e);
+        kit_ok(sum(s, &m, weights, &sums, &e), e);
     if (g->n)
         memcpy(out.sums, sums, g->n * SUMS * sizeof *sums);
     render_importance_close(&s);
     render_model_free(&m);
     dev_release(&weights);
     return out;
+}
+
+static struct frame_sums run(const struct gauss *g, const float *weight)
+{
+    return run_by(render_importance_run, &options, g, weight);
 }
 
 static void one_gaussian_is_counted_pixel_by_pixel(void **state)
@@ -186,6 +195,73 @@ static void an_empty_view_gives_zeros(void **state)
     gauss_free(&g);
 }
 
+/* The reference draws the picture again in double, without the Gaussian. Pixels behind full
+ * transmittance are not visited by the device, and have at most that much of the colour. */
+static void check_removal(const struct render_options *o)
+{
+    struct err e = {0};
+    struct gauss g = {0};
+    struct camera cam = camera();
+    float weight[PIXELS];
+    double *all = mem_array((size_t)PIXELS * 3, sizeof *all),
+           *less = mem_array((size_t)PIXELS * 3, sizeof *less);
+    assert_true(all && less);
+    kit_gauss(7, 120, 3.0, 1, 0, &g);
+    for (size_t i = 0; i < g.n; i += 6)
+        g.opacity_logit[i] = 4.0f;
+    for (int i = 0; i < PIXELS; i++)
+        weight[i] = (float)(i % 3);
+    struct frame_sums f = run_by(render_removal_run, o, &g, weight);
+    kit_ok(render_ref_forward(&g, &cam, o, all, NULL, &e), e);
+    size_t counted = 0;
+    for (size_t i = 0; i < g.n; i++) {
+        const float *s = f.sums + SUMS * i, was = g.opacity_logit[i];
+        double want = 0.0;
+        g.opacity_logit[i] = -30.0f;
+        kit_ok(render_ref_forward(&g, &cam, o, less, NULL, &e), e);
+        g.opacity_logit[i] = was;
+        for (size_t k = 0; k < (size_t)PIXELS * 3; k++)
+            want += (double)weight[k / 3] * (all[k] - less[k]) * (all[k] - less[k]);
+        kit_near("what a frame loses", s, &want, 1, 1e-6, 1e-3);
+        counted += want > 1e-3;
+        assert_true(s[3] == 0.0f);
+    }
+    assert_true(counted > g.n / 4);
+    mem_free(f.sums);
+    gauss_free(&g);
+    mem_free(all);
+    mem_free(less);
+}
+
+static void a_removal_changes_the_picture_as_predicted(void **state)
+{
+    (void)state;
+    uint8_t where[PIXELS];
+    struct render_options o = options;
+    check_removal(&o);
+    for (int i = 0; i < PIXELS; i++)
+        where[i] = i % WIDTH < WIDTH / 2;
+    o.background[0] = 0.4f;
+    o.background_where = where;
+    o.background_there[1] = 0.9f;
+    check_removal(&o);
+}
+
+static void the_other_shape_predicts_the_same(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct dev other = dev;
+    struct render *own = render;
+    struct render_options o = options;
+    o.background[2] = 0.7f;
+    other.vector_width = dev.vector_width == 1 ? LAYOUT_LANES : 1;
+    kit_ok(render_open(&other, &render, &e), e);
+    check_removal(&o);
+    render_close(&render);
+    render = own;
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -193,6 +269,8 @@ int main(void)
         cmocka_unit_test(shares_of_all_add_up_to_what_the_picture_lost),
         cmocka_unit_test(the_other_shape_of_the_kernels_gives_the_same_sums),
         cmocka_unit_test(an_empty_view_gives_zeros),
+        cmocka_unit_test(a_removal_changes_the_picture_as_predicted),
+        cmocka_unit_test(the_other_shape_predicts_the_same),
     };
     return cmocka_run_group_tests_name("score", tests, render_kit_open, render_kit_close);
 }

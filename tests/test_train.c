@@ -305,6 +305,66 @@ static void training_improves_keeps_budgets_and_repeats(void **state)
     arena_free(&a);
 }
 
+/* The number of "thin" lines of a run's metrics, and the smallest and the largest number of
+ * Gaussians that its lines name. */
+static size_t thinnings(const char *out, size_t *least, size_t *most)
+{
+    char path[FILE_PATH_MAX + 64], line[4096];
+    size_t n = 0;
+    snprintf(path, sizeof path, "%s/cells/all/metrics.jsonl", out);
+    FILE *f = fopen(path, "r");
+    assert_non_null(f);
+    *least = SIZE_MAX;
+    *most = 0;
+    while (fgets(line, sizeof line, f)) {
+        json_t *o = json_loads(line, 0, NULL);
+        const char *event = json_string_value(json_object_get(o, "event"));
+        if (event && strcmp(event, "thin") == 0) {
+            size_t before = (size_t)json_integer_value(json_object_get(o, "before"));
+            size_t left = before - (size_t)json_integer_value(json_object_get(o, "removed"));
+            *most = before > *most ? before : *most;
+            *least = left < *least ? left : *least;
+            n++;
+        }
+        json_decref(o);
+    }
+    (void)fclose(f);
+    return n;
+}
+
+/* From nothing to all that can go: a run ends, and never has more than its budget. More dB leave
+ * fewer, at most a third goes at a time, and no Gaussian is added afterwards. */
+static void thinning_leaves_what_the_option_says(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    static const double db[] = {0.0, 0.02, 0.05, 100.0};
+    enum { RUNS = sizeof db / sizeof db[0], BUDGET = 150 };
+    size_t left[RUNS];
+    for (size_t i = 0; i < RUNS; i++) {
+        struct train_result r = {0};
+        char out[FILE_PATH_MAX];
+        size_t least, most;
+        kit_tmpdir(out);
+        struct train_config c = toy_config(&a, out);
+        c.thin_db = db[i];
+        c.prune_contribution = 0.0;
+        c.prune_support = 0;
+        kit_ok(train_again(scene_dir, &c, &r, &e), e);
+        assert_int_equal(thinnings(out, &least, &most), db[i] > 0.0 ? 3 : 0);
+        left[i] = r.cells[0].n_gaussians[2];
+        if (db[i] > 0.0)
+            assert_true(most <= BUDGET && left[i] == least);
+        assert_true(left[i] <= BUDGET && (i == 0 || left[i] < left[i - 1]));
+        kit_rmdir(out);
+        train_result_free(&r);
+    }
+    printf("thinned: %zu, %zu, %zu and %zu Gaussians\n", left[0], left[1], left[2], left[3]);
+    assert_int_equal(left[RUNS - 1], 45); /* of 150: 100, 67, 45 */
+    arena_free(&a);
+}
+
 static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
 {
     (void)state;
@@ -319,8 +379,8 @@ static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
     kit_ok(train_again(scene_dir, &c, &r, &e), e);
     c.output = parts;
     /* pieces of 1, 7, 30, ... steps: in the middle of levels, at their ends, around densifications
-     */
-    static const int64_t pieces[] = {1, 7, 67, 2, 73, 40, 40};
+     * and between thinnings */
+    static const int64_t pieces[] = {1, 7, 67, 2, 73, 40, 40, 8};
     for (size_t i = 0; i < sizeof pieces / sizeof pieces[0]; i++) {
         c.stop_after = pieces[i];
         c.resume = i > 0;
@@ -861,6 +921,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(the_feed_cuts_photographs_to_their_windows),
         cmocka_unit_test(twenty_steps_give_the_golden_trace),
         cmocka_unit_test(training_improves_keeps_budgets_and_repeats),
+        cmocka_unit_test(thinning_leaves_what_the_option_says),
         cmocka_unit_test(a_stopped_run_goes_on_as_if_it_had_not_been),
         cmocka_unit_test(a_last_fit_takes_all_photographs),
         cmocka_unit_test(a_damaged_state_is_refused),

@@ -69,7 +69,7 @@ static enum err_code begin_is_done(const struct begin *t, struct train_cell_resu
 {
     char path[FILE_PATH_MAX];
     const struct train_config *cfg = t->job->cfg;
-    const struct state_run run = {cfg, &t->job->cell, t->n_images, &t->inputs};
+    const struct state_run run = {cfg, &t->job->cell, t->job->n_images, &t->inputs};
     struct train_cell_result was;
     struct err why = {0};
     *done = false;
@@ -150,9 +150,9 @@ enum err_code begin_gauss(const struct begin *t, const struct appearance_train *
     const struct train_config *cfg = job->cfg;
     float *dense = NULL;
     struct init_input first = {.scene = job->scene,
-                               .images = t->images,
+                               .images = job->images,
                                .windows = t->windows,
-                               .n_images = t->n_images,
+                               .n_images = job->n_images,
                                .cell = &job->cell,
                                .ground = t->ground.nx ? &t->ground : NULL,
                                .ground_share = cfg->seed_ground,
@@ -185,16 +185,14 @@ static enum err_code begin_list_all(struct begin *t, struct err *e)
 {
     const struct run_cell *job = t->job;
     size_t n_test = begin_wants_last(t) ? job->n_test : 0;
-    t->n_all = t->n_images + t->n_held + n_test;
+    t->n_all = job->n_images + n_test;
     t->all = mem_array(t->n_all, sizeof *t->all);
     if (!t->all)
         return err_set(e, ERR_MEM, "train: out of memory for %zu photographs", t->n_all);
-    for (size_t i = 0; i < t->n_images; i++)
-        t->all[i] = t->images[i];
-    for (size_t i = 0; i < t->n_held; i++)
-        t->all[t->n_images + i] = t->held[i];
+    for (size_t i = 0; i < job->n_images; i++)
+        t->all[i] = job->images[i];
     for (size_t i = 0; i < n_test; i++)
-        t->all[t->n_images + t->n_held + i] = job->test_images[i];
+        t->all[job->n_images + i] = job->test_images[i];
     return ERR_OK;
 }
 
@@ -227,37 +225,28 @@ static enum err_code begin_windows(struct begin *t, struct err *e)
     return rc;
 }
 
-/* Which photographs train, and how many Gaussians each level may have. */
+/* How many Gaussians each level may have. */
 static enum err_code begin_budget(struct begin *t, struct err *e)
 {
     const struct run_cell *job = t->job;
     const struct train_config *cfg = job->cfg;
-    size_t n_points = 0, around = 0, n_levels = (size_t)cfg->level_count;
-    t->images = mem_array(2 * job->n_images, sizeof *t->images);
-    if (!t->images)
-        return err_set(e, ERR_MEM, "train: out of memory for %zu photographs", job->n_images);
-    t->held = t->images + job->n_images;
-    budget_hold_out(cfg, job->images, job->n_images, t->images, &t->n_images, t->held, &t->n_held);
-    if (cfg->budget_rule == BUDGET_AUTO && !t->n_held)
-        log_warn("train", "%zu photographs are too few to hold any out: --budget-rule fit is used",
-                 job->n_images);
+    size_t n_points = 0, around = 0;
     enum err_code rc = begin_list_all(t, e);
     if (!rc)
         rc = begin_windows(t, e);
     if (!rc)
-        rc = schedule_make(cfg, t->n_images, &job->cell, t->levels, e);
+        rc = schedule_make(cfg, job->n_images, &job->cell, t->levels, e);
     if (!rc)
-        rc = init_count_points(job->scene, t->images, t->n_images, &job->cell, &n_points, e);
+        rc = init_count_points(job->scene, job->images, job->n_images, &job->cell, &n_points, e);
     if (!rc && job->coarse)
-        around = init_count_around(job->coarse, job->scene, t->images, t->windows, t->n_images,
+        around = init_count_around(job->coarse, job->scene, job->images, t->windows, job->n_images,
                                    &job->cell);
     if (t->shares && job->coarse)
         n_points = 0; /* it begins with as many of the coarse model as are allowed */
-    for (size_t i = 0; i < n_levels; i++) {
-        t->table[i] = t->levels[i].budget;
+    for (int64_t i = 0; i < cfg->level_count; i++)
         t->levels[i].around = around;
-    }
-    const struct budget_photos photos = {job->scene, t->images, t->shares, t->n_images, n_points};
+    const struct budget_photos photos = {job->scene, job->images, t->shares, job->n_images,
+                                         n_points};
     if (!rc)
         budget_limit(&photos, cfg, t->levels);
     return rc;
@@ -267,8 +256,9 @@ static enum err_code begin_budget(struct begin *t, struct err *e)
 static void begin_tell_memory(const struct begin *t)
 {
     const struct run_cell *job = t->job;
-    struct memory_need m = memory_estimate(job->cfg, job->scene, t->images, t->n_images, t->levels,
-                                           (uint32_t)job->cfg->level_count, job->cell.whole);
+    struct memory_need m =
+        memory_estimate(job->cfg, job->scene, job->images, job->n_images, t->levels,
+                        (uint32_t)job->cfg->level_count, job->cell.whole);
     log_info("train",
              "cell=%s memory_mib<=%.0f beside the program: %zu Gaussians of %zu B, %zu pixels of "
              "%zu B, photographs %.0f MiB, neighbours %.0f MiB",
@@ -375,7 +365,6 @@ void begin_close(struct begin *t)
     appearance_train_close(&t->appearance);
     mem_free(t->windows);
     mem_free(t->shares);
-    mem_free(t->images);
     mem_free(t->all);
-    t->images = t->all = NULL;
+    t->all = NULL;
 }

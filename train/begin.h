@@ -18,17 +18,14 @@ struct train_cell_result;
 struct begin { /* {.job, .lock_fd = -1} at first; call begin_close, also after an error */
     const struct run_cell *job; /* borrowed */
     char dir[FILE_PATH_MAX], resume_path[FILE_PATH_MAX];
-    bool resumes;            /* a saved state exists and shall be continued */
-    uint32_t *images, *held; /* photographs that train, and photographs held out */
-    size_t n_images, n_held;
-    /* those that train, those held out, and with --final-all the test photographs */
+    bool resumes; /* a saved state exists and shall be continued */
+    /* those that train, then with --final-all the test photographs */
     uint32_t *all;
     size_t n_all;
     /* [n_all] part of each that shows the cell; NULL: all of each */
     struct camera_window *windows;
     double *shares; /* sizes of these parts as shares (cells/window.h) */
     struct schedule levels[TRAIN_LEVELS_MAX];
-    size_t table[TRAIN_LEVELS_MAX];     /* budgets of the table, before --budget-rule lowers them */
     struct appearance_train appearance; /* {0}: none; the level takes it over */
     struct footprint ground;            /* nx 0: not known */
     struct trim rim;
@@ -39,7 +36,7 @@ struct begin { /* {.job, .lock_fd = -1} at first; call begin_close, also after a
 /* The file of a level's result; levels count from 1. ERR_LIMIT: the path is too long. */
 enum err_code begin_level_path(const struct begin *b, uint32_t level, char *out,
                                struct err *e) ERR_USE;
-/* Prepares a run. It locks the folder, chooses photographs and budgets, computes the known ground,
+/* Prepares a run. It locks the folder, chooses budgets, computes the known ground,
  * and logs what the run needs. *done: the run is complete already, and *out has its result.
  * ERR_BUSY, ERR_ARG, ERR_DATA, ERR_LIMIT, ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_MEM as in run_cell. */
 enum err_code begin_run(struct begin *b, struct train_cell_result *out, bool *done,

@@ -15,6 +15,8 @@
 
 #include <math.h>
 
+#include <jansson.h>
+
 #include "codec/ckpt.h"
 #include "codec/scene.h"
 #include "loss/photometric.h"
@@ -23,6 +25,7 @@
 #include "train/densify_apply.h"
 #include "train/harmonics.h"
 #include "train/importance.h"
+#include "train/metrics_log.h"
 #include "train/photo_loader.h"
 #include "train/prune.h"
 #include "train/refit.h"
@@ -30,6 +33,7 @@
 #include "train/run_cell.h"
 #include "train/solidity.h"
 #include "train/state.h"
+#include "train/thin.h"
 
 /* Of the cell's edge: beyond, exp() and determinants lose their digits. */
 #define LEVEL_SIGMA_MIN 1e-6
@@ -97,7 +101,6 @@ enum err_code level_open(struct level *l, const struct gauss *g, struct err *e)
 
 void level_close(struct level *l)
 {
-    budget_close(&l->budget);
     importance_free(&l->importance);
     regularizer_free(&l->regularizer);
     background_free(&l->background);
@@ -141,7 +144,6 @@ static struct state level_state(struct level *l, double seconds)
     return (struct state){.run = {l->cfg, &l->site.cell, l->gallery.n_images, l->site.inputs},
                           .at = l->stage,
                           .appearance = &l->appearance,
-                          .budget = &l->budget,
                           .seconds = seconds};
 }
 
@@ -214,8 +216,6 @@ enum err_code level_next(struct level *l, struct err *e)
     at->at++;
     at->step = 0;
     at->pruned = false;
-    budget_close(&l->budget);
-    l->budget.at = (struct budget_point){0};
     l->model.filter_is_current = false;
     appearance_train_restart(&l->appearance);
     rc = model_zero_moments(&l->model, e);
@@ -223,7 +223,6 @@ enum err_code level_next(struct level *l, struct err *e)
         rc = model_zero_stats(&l->model, e);
     if (rc || at->at == at->n_levels)
         return rc;
-    budget_next(&l->budget, at);
     const struct schedule *s = stage_schedule(at);
     if (at->start > s->budget)
         log_warn("train",
@@ -339,22 +338,49 @@ void level_last_end(struct level_last *r, struct level *l)
 
 /* ---- after a step ---- */
 
+static bool level_thins(const struct level *l)
+{
+    return l->cfg->thin_db > 0.0 && schedule_thins(stage_schedule(&l->stage), l->stage.step);
+}
+
+/* No more than the scene needs. */
+static enum err_code level_thin(struct level *l, struct err *e)
+{
+    struct thin_report r;
+    uint32_t level = stage_schedule(&l->stage)->level, step = l->stage.step;
+    (void)timing_turn(&l->timing, TIMING_THIN);
+    enum err_code rc = thin_run(&l->model, &l->gallery, &l->background, &l->site, &l->stage, &r, e);
+    if (rc)
+        return rc;
+    log_info("train",
+             "level=%u step=%u thinned before=%zu removed=%zu unseen=%zu train_psnr_db=%.3f "
+             "predicted_rise=%.3f",
+             level, step, r.before, r.removed, r.unseen, r.psnr_db, r.rise);
+    if (!l->metrics)
+        return ERR_OK;
+    return metrics_log_line(l->metrics, "thin",
+                            json_pack("{s:i, s:i, s:I, s:I, s:I, s:o, s:f}", "level", (int)level,
+                                      "step", (int)step, "before", (json_int_t)r.before, "removed",
+                                      (json_int_t)r.removed, "unseen", (json_int_t)r.unseen,
+                                      "psnr_db", jsonc_real(r.psnr_db), "rise", r.rise),
+                            e);
+}
+
 /* What follows some steps. The device finishes the step before the clock turns. */
 static enum err_code level_control(struct level *l, uint32_t x, struct err *e)
 {
     const struct densify_run run = {&l->gallery,    &l->site,   &l->stage,
                                     &l->importance, l->metrics, &l->timing};
     enum err_code rc = dev_finish(l->engine.dev, e);
-    enum timing_on was = timing_turn(&l->timing, TIMING_BUDGET);
+    enum timing_on was = timing_turn(&l->timing, TIMING_DENSIFY);
     if (!rc)
         rc = model_settle(&l->model, e);
-    if (!rc && x)
-        rc = budget_look(&l->budget, &l->model, &l->gallery, &l->site.cell, &l->stage, x, e);
-    (void)timing_turn(&l->timing, TIMING_DENSIFY);
     if (!rc && x)
         rc = densify_apply(&l->model, &run, x, e);
     if (!rc && schedule_resets(stage_schedule(&l->stage), l->stage.step))
         rc = model_reset_opacity(&l->model, l->cfg->reset_opacity, e);
+    if (!rc && level_thins(l))
+        rc = level_thin(l, e);
     (void)timing_turn(&l->timing, was);
     return rc;
 }
@@ -490,5 +516,5 @@ enum err_code level_step(struct level *l, struct photometric_value *value, struc
         rc = level_read_loss(l, value, e);
     const struct schedule *s = stage_schedule(&l->stage);
     uint32_t x = schedule_densify_index(s, step);
-    return !rc && (x || schedule_resets(s, step)) ? level_control(l, x, e) : rc;
+    return !rc && (x || schedule_resets(s, step) || level_thins(l)) ? level_control(l, x, e) : rc;
 }

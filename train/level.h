@@ -8,7 +8,6 @@
 
 #include "train/appearance_train.h"
 #include "train/background.h"
-#include "train/budget.h"
 #include "train/fixed.h"
 #include "train/gallery.h"
 #include "train/model.h"
@@ -38,9 +37,8 @@ struct level { /* level_init, then level_close, also after an error */
     bool owes; /* the model needs to know the steps from owes_from on: see level_begin */
     uint32_t owes_from;
     struct appearance_train appearance; /* {0}: none; opened before level_open */
-    /* -- photographs, budget and regularizers -- */
+    /* -- photographs and regularizers -- */
     struct gallery gallery;
-    struct budget budget; /* decisions of --budget-rule auto */
     struct background background;
     struct regularizer *regularizer; /* opened by level_begin */
     struct solidity *solidity;       /* this and the next: made on first use */

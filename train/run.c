@@ -80,17 +80,13 @@ static void run_make_level(struct run *t, const struct timing *clock)
 {
     struct begin *b = &t->begin;
     struct level *l = &t->level;
-    level_init(l, t->job, b->images, b->n_images);
+    level_init(l, t->job, t->job->images, t->job->n_images);
     l->gallery.windows = b->windows;
     l->timing = *clock;
     timing_compiles(&l->timing, &l->engine.dev->compile_s);
     l->site.inputs = &b->inputs;
     l->site.ground = b->ground.nx ? &b->ground : NULL;
     l->site.rim = b->ground.nx && t->cfg->trim_rim ? &b->rim : NULL;
-    l->budget.held = b->held;
-    l->budget.n_held = b->n_held;
-    l->budget.windows = b->windows ? b->windows + b->n_images : NULL;
-    memcpy(l->budget.table, b->table, sizeof b->table);
     memcpy(l->stage.levels, b->levels, sizeof b->levels);
     l->appearance = b->appearance;
     b->appearance = (struct appearance_train){0};

@@ -95,6 +95,8 @@ static double schedule_budget_factor(const struct cell *cell)
  * ones: kappa^-0.4 times the published rates of positions, sizes and rotations, at most `most`
  * times. Measured at 1/20 (docs/decisions/044-short-runs.md). */
 #define SCHEDULE_LR_EXPONENT 0.4
+/* Thinnings, and the parts of the steps after densification that they stand at the ends of. */
+enum { SCHEDULE_THIN_PARTS = 6, SCHEDULE_THINNINGS = 3 };
 static double schedule_lr_factor(double most, double kappa)
 {
     return fmin(fmax(pow(kappa, -SCHEDULE_LR_EXPONENT), 1.0), most);
@@ -184,7 +186,7 @@ size_t schedule_cap(size_t start, size_t budget, uint32_t x, uint32_t n)
 
 size_t schedule_cap_outside(const struct schedule *s)
 {
-    return s->stopped ? s->budget_outside : s->budget / 2 + s->around;
+    return s->budget / 2 + s->around;
 }
 
 /* Last step at which densification is allowed: before both `until` and the end. */
@@ -223,6 +225,14 @@ bool schedule_resets(const struct schedule *s, uint32_t step)
 {
     return !s->mcmc && s->reset_interval > 0 && step > 0 && step % s->reset_interval == 0 &&
            step <= schedule_last_reset(s);
+}
+
+bool schedule_thins(const struct schedule *s, uint32_t step)
+{
+    uint32_t from = s->densify_until, rest = s->steps > from ? s->steps - from : 0;
+    uint32_t every = rest / SCHEDULE_THIN_PARTS;
+    return !s->mcmc && from > 0 && every > 0 && s->level == s->n_levels && step >= from &&
+           (step - from) % every == 0 && (step - from) / every < SCHEDULE_THINNINGS;
 }
 
 bool schedule_limits_size(const struct schedule *s, uint32_t step)

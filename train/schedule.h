@@ -17,10 +17,6 @@ struct schedule { /* schedule of one level; steps are 1-based and restart at eve
     double downsample;
     size_t budget; /* Gaussians inside the cell */
     size_t around; /* Gaussians of the coarse model around the cell */
-    bool stopped;  /* --budget-rule auto: growth has ended */
-    /* largest number of Gaussians outside the cell once growth has ended; before: see
-     * schedule_cap_outside */
-    size_t budget_outside;
     uint32_t interval, densify_from,
         densify_until;               /* densify if from < step < until and interval | step */
     uint32_t reset_interval;         /* 0: never */
@@ -54,6 +50,9 @@ size_t schedule_most(const struct schedule *s, const struct cell *cell);
 uint32_t schedule_densify_count(const struct schedule *s);
 /* The x of this step, or 0 if it does not densify. */
 uint32_t schedule_densify_index(const struct schedule *s, uint32_t step);
+/* Whether the level is thinned out after this step (train/thin.h): three times at the finest level,
+ * in the first half of the steps after its densification. */
+bool schedule_thins(const struct schedule *s, uint32_t step);
 bool schedule_resets(const struct schedule *s, uint32_t step);
 /* Returns whether a densification at this step may remove Gaussians for their size. */
 bool schedule_limits_size(const struct schedule *s, uint32_t step);

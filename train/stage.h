@@ -1,5 +1,4 @@
 /* Internal to train/: where a run stands. Only level.c advances it; other modules read it.
- * train/budget.c writes a level's budget while the level grows.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

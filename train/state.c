@@ -20,7 +20,6 @@
 #include "core/layout.h"
 #include "loss/mip.h"
 #include "train/appearance_train.h"
-#include "train/budget.h"
 #include "train/config.h"
 #include "train/evaluate.h"
 #include "train/fixed.h"
@@ -72,15 +71,6 @@ static json_t *state_meta(const struct model *m, const struct state *st, const c
         o = NULL;
     }
     if (o && st->run.inputs && json_object_set_new(o, "inputs", inputs_to_json(st->run.inputs))) {
-        json_decref(o);
-        o = NULL;
-    }
-    const struct budget_point *b = &st->budget->at;
-    if (o && st->budget->n_held &&
-        json_object_set_new(o, "budget",
-                            json_pack("{s:I, s:f, s:f, s:b, s:I}", "budget", (json_int_t)s->budget,
-                                      "gaussians", b->n, "psnr_db", b->psnr_db, "stopped",
-                                      (int)b->stopped, "outside", (json_int_t)s->budget_outside))) {
         json_decref(o);
         o = NULL;
     }
@@ -402,32 +392,6 @@ static enum err_code state_fill_owed(struct model *m, struct state *s, const str
     return rc;
 }
 
-/* What --budget-rule auto has decided at this level. */
-static enum err_code state_budget(struct budget *budget, struct schedule *s, const json_t *meta,
-                                  struct err *e)
-{
-    double most, outside = 0.0;
-    struct budget_point *b = &budget->at;
-    const json_t *o = json_object_get(meta, "budget");
-    if (!budget->n_held)
-        return ERR_OK;
-    enum err_code rc = jsonc_num(o, "budget", &most, e);
-    if (!rc)
-        rc = jsonc_num(o, "gaussians", &b->n, e);
-    if (!rc)
-        rc = jsonc_num(o, "psnr_db", &b->psnr_db, e);
-    if (!rc)
-        rc = jsonc_num(o, "outside", &outside, e);
-    if (!rc && !(most >= 1.0 && most <= 1e9 && outside >= 0.0 && outside <= 4e9))
-        rc = err_set(e, ERR_FORMAT, "a budget of %g, and %g outside of the cell", most, outside);
-    if (rc)
-        return rc;
-    b->stopped = s->stopped = json_is_true(json_object_get(o, "stopped"));
-    s->budget = (size_t)most;
-    s->budget_outside = (size_t)outside;
-    return ERR_OK;
-}
-
 /* Is this a state of the same run? Then take over where it stood. */
 static enum err_code state_apply(struct state *s, const json_t *meta, const struct gauss *like,
                                  const char *path, struct err *e)
@@ -465,8 +429,7 @@ static enum err_code state_apply(struct state *s, const json_t *meta, const stru
     at->pruned = json_is_true(json_object_get(meta, "pruned"));
     double seconds = json_number_value(json_object_get(meta, "seconds")); /* older ones have none */
     s->seconds = seconds > 0.0 ? seconds : 0.0;
-    rc = state_budget(s->budget, &at->levels[at->at], meta, e);
-    return rc ? err_add(e, "%s", path) : ERR_OK;
+    return ERR_OK;
 }
 
 enum err_code state_load(struct model *m, const struct engine *with, struct state *s,

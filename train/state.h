@@ -8,7 +8,6 @@
 #include "train/stage.h"
 #include "train/state_check.h"
 
-struct budget;
 struct ckpt_rows;
 struct engine;
 struct evaluate_score;
@@ -18,7 +17,6 @@ struct state { /* content of a checkpoint besides the Gaussians; all borrowed ex
     struct state_run run;
     struct stage at;
     struct appearance_train *appearance;
-    struct budget *budget;
     double seconds; /* time of the run so far, in all processes */
     /* state_load: with `owes`, the first step that the model needs to know (model_owe) */
     bool owes;
@@ -29,7 +27,7 @@ struct state { /* content of a checkpoint besides the Gaussians; all borrowed ex
 enum err_code state_save(struct model *m, const struct state *s, const char *path,
                          struct err *e) ERR_USE;
 /* Restores a state into a model that is not open, and into s. s->run and the schedules must be set;
- * at, appearance, budget and seconds become the saved ones. Call model_close afterwards, also after
+ * at, appearance and seconds become the saved ones. Call model_close afterwards, also after
  * an error. ERR_ARG names the first option that differs from the saved run. ERR_DATA: another cell
  * or other photographs. ERR_FORMAT: it is no such file. ERR_NOENT. ERR_IO: it cannot be read.
  * ERR_MEM, ERR_DEVICE. */

@@ -14,6 +14,7 @@
 #include "train/photo_loader.h"
 #include "train/prune.h"
 #include "train/residual.h"
+#include "train/thin.h"
 #include "train/train.h"
 
 #include <math.h>
@@ -359,7 +360,7 @@ static void coarser_levels_take_over_the_network(void **state)
     arena_free(&a);
 }
 
-/* ---- pruning and budgets ---- */
+/* ---- pruning and thinning ---- */
 
 #define OWN_GAIN_DB 1.0 /* of a photograph's own appearance over none */
 
@@ -386,7 +387,7 @@ static double psnr_of_training(struct toy_run *r, bool own)
     return -10.0 * log10(mse);
 }
 
-static void pruning_and_budgets_look_at_photographs_in_their_own_appearance(void **state)
+static void pruning_and_thinning_look_at_photographs_in_their_own_appearance(void **state)
 {
     (void)state;
     struct err e = {0};
@@ -400,32 +401,22 @@ static void pruning_and_budgets_look_at_photographs_in_their_own_appearance(void
     c.prune_contribution = 0.02;
     c.prune_support = 0;
     c.prune_loss_db = 100.0;
-    c.budget_gain_db = 0.0;
+    c.thin_db = 0.0; /* not by itself */
     toy_run_open(&r, dir, &c);
     struct level *l = &r.level;
     struct gallery *g = &l->gallery;
-    uint32_t held = g->images[g->n_images - 1]; /* carries no gradient */
-    g->n_images--;
     kit_ok(level_begin(&r.level, &e), e);
     toy_run_steps(&r, TOY_APPEARANCE_STEPS / 2);
-    struct budget b = {.held = &held, .n_held = 1, .table = {1000}};
-    double first = 0.0;
-    for (int look = 0; look < 10; look++) {
-        b.at = (struct budget_point){0};
-        kit_ok(budget_look(&b, &l->model, g, &l->site.cell, &l->stage, 1, &e), e);
-        first = look ? first : b.at.psnr_db;
-    }
-    budget_close(&b);
-    double last = b.at.psnr_db;
+    struct thin_report thin;
     double own = psnr_of_training(&r, true), none = psnr_of_training(&r, false);
+    kit_ok(thin_run(&l->model, g, &l->background, &l->site, &l->stage, &thin, &e), e);
     kit_ok(prune_level(&l->model, g, l->site.ground, &l->stage, &report, &residuals, &e), e);
-    toy_figure("F6",
-               "own_db=%.3f none_db=%.3f pruning_db=%.3f held_first_db=%.3f held_last_db=%.3f", own,
-               none, report.psnr_before_db, first, last);
+    toy_figure("F6", "own_db=%.3f none_db=%.3f pruning_db=%.3f thinning_db=%.3f", own, none,
+               report.psnr_before_db, thin.psnr_db);
     assert_true(own > none + OWN_GAIN_DB);
     assert_true(report.faint > 0 && fabs(report.psnr_before_db - own) < 1e-3);
     assert_int_equal(residuals.n, g->n_images);
-    assert_true(last > first + OWN_GAIN_DB); /* its embedding learns from look to look */
+    assert_true(fabs(thin.psnr_db - own) < 1e-3 && thin.removed == 0);
     residual_free(&residuals);
     toy_run_close(&r);
     kit_rmdir(dir);
@@ -443,7 +434,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(embeddings_of_what_is_seen_move),
         cmocka_unit_test(a_run_with_appearance_resumes_bit_by_bit),
         cmocka_unit_test(coarser_levels_take_over_the_network),
-        cmocka_unit_test(pruning_and_budgets_look_at_photographs_in_their_own_appearance),
+        cmocka_unit_test(pruning_and_thinning_look_at_photographs_in_their_own_appearance),
     };
     return cmocka_run_group_tests_name("appearance in training", tests, toy_open_device,
                                        toy_close_device);
