@@ -140,12 +140,14 @@ test("views are saved, kept, exported, and played in order", skip, async () => {
         await lookViewer(page, at(heading));
         await page.click("#tour-add");
     }
+    await page.waitForFunction(() => document.querySelectorAll("#tour li").length === 2);
     const coming = page.waitForEvent("download");
     await page.click("#tour-export");
     const tour = JSON.parse(readFileSync(await (await coming).path(), "utf8"));
     assert.deepEqual([tour.type, tour.views.length], ["citysplat-tour", 2]);
     await page.reload();
     await waitForViewer(page);
+    await page.locator("#tour li").nth(1).waitFor({ state: "attached" });
     assert.equal(await page.locator("#tour li").count(), 2);
     await lookViewer(page, at(300));
     await page.click("#tour-box summary");
@@ -160,6 +162,7 @@ test("views are saved, kept, exported, and played in order", skip, async () => {
         seen.push(heading);
     }
     assert.deepEqual(seen, [10, 40]);
+    await page.click("#tour-close");
 });
 
 test("sky and ground instead of a void", skip, async () => {

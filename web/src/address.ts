@@ -1,4 +1,4 @@
-// A view as text: "lon,lat,h,heading,pitch,appearance", what the address bar holds behind the "#".
+// A view as text: "lon,lat,h,heading,pitch,appearance", what the address bar holds behind the "#", before any "&".
 // Links with "#camera=lon,lat,h@heading,pitch,fov" keep working.
 //
 // SPDX-License-Identifier: Apache-2.0
@@ -74,7 +74,7 @@ export function formatView({ pose, appearance }: View): string {
 
 // null when the text is not a view. A view of the open sky, from below the ground or far away is one.
 export function parseView(hash: string): View | null {
-  const text = hash.replace(/^#/, "");
+  const text = hash.replace(/^#/, "").split("&")[0]!;
   const old = /^camera=(.+)$/.exec(decode(text));
   if (old) {
     const pose = parsePose(old[1]!);

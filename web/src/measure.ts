@@ -62,6 +62,7 @@ export function toGeoJson(places: Place[], kind: Kind, values: Measures, volume:
 
 export class MeasureTool {
   open = false;
+  asleep = false; // clicks are for somebody else
   private places: Place[] = [];
   private shapes: number[] = []; // what is measured, and a label for each part of it
   private marker = 0;
@@ -72,7 +73,7 @@ export class MeasureTool {
 
   constructor(private readonly viewer: Viewer) {
     this.profile = new ProfileChart(viewer);
-    viewer.on("click", ({ place }) => (this.open ? this.add(place) : this.tell(place)));
+    viewer.on("click", ({ place }) => this.asleep || (this.open ? this.add(place) : this.tell(place)));
     const click = (id: string, run: () => void) => element(id).addEventListener("click", run);
     click("measure-button", () => this.show(!this.open));
     click("measure-close", () => this.show(false));

@@ -154,7 +154,7 @@ export class Overlay {
       label = document.createElement("span");
       label.className = "citysplat-label";
       label.textContent = shape.label;
-      Object.assign(label.style, { position: "absolute", left: "0", top: "0", whiteSpace: "nowrap" });
+      Object.assign(label.style, { position: "absolute", left: "0", top: "0", width: "max-content", maxWidth: "min(260px, 60vw)", overflowWrap: "anywhere" });
       this.labels.append(label);
     }
     return { shape, object, label, anchor };

@@ -27,8 +27,9 @@ import { sceneCard } from "./scenecard";
 import { isForScene } from "./stage";
 import { banner, Status, unbanner } from "./status";
 import { getLanguage, setLanguage, text, translate } from "./strings";
+import type { StoryBox } from "./storybox";
+import { isStoryKept, storyOf } from "./storylink";
 import { TOUCH } from "./touch";
-import { Tours } from "./tours";
 import { compass, formatDays, formatPlace } from "./units";
 import type { Mode, Viewer } from "./viewer";
 
@@ -45,6 +46,8 @@ export class Page {
   private readonly measure: MeasureTool;
   private shots: ShotDialog | null = null;
   private embeds: EmbedDialog | null = null;
+  private stories: Promise<StoryBox> | null = null;
+  private story = storyOf(location.hash) ?? ""; // what the link carries besides the view
   private addressTimer = 0;
   private offered = false;
   private problem: Error | null = null; // why no scene is open
@@ -56,7 +59,6 @@ export class Page {
     this.appearance = new AppearanceControl(viewer, parseSecondLight(query));
     this.appearance.onChange = () => this.address();
     this.appearance.onList = () => this.frame();
-    new Tours(viewer);
     this.layers = new LayerPanel(viewer);
     this.compare = new Compare(viewer, parseComparison(query));
     this.compare.onChange = () => this.address();
@@ -87,6 +89,7 @@ export class Page {
     this.inset.translate();
     this.layers.translate();
     this.compare.fill();
+    void this.stories?.then((stories) => stories.translate());
     this.applyDetail();
     this.showTitle();
     this.showFacts();
@@ -107,6 +110,7 @@ export class Page {
       this.showPlace();
       this.frame();
       this.address();
+      if (this.story || isStoryKept(viewer)) void this.openStories();
     });
     viewer.on("move", () => {
       this.showPlace();
@@ -196,18 +200,18 @@ export class Page {
     for (const layer of this.layers.links) url.searchParams.append("overlay", layer);
     writeComparison(url.searchParams, this.compare.link);
     writeSecondLight(url.searchParams, this.appearance.link);
-    if (viewer.scene) url.hash = formatView({ pose: viewer.pose, appearance: viewer.state.wanted });
+    if (viewer.scene) url.hash = formatView({ pose: viewer.pose, appearance: viewer.state.wanted }) + (this.story && `&story=${this.story}`);
     return url;
   }
 
-  private address() {
+  private address(ms = ADDRESS_MS) {
     clearTimeout(this.addressTimer);
     this.addressTimer = window.setTimeout(() => {
       if (!this.viewer.scene) return;
       const url = this.url();
       history.replaceState(null, "", url);
       element<HTMLAnchorElement>("globe").href = `./cesium.html${url.search}${url.hash}`;
-    }, ADDRESS_MS);
+    }, ms);
   }
 
   private async share() {
@@ -232,6 +236,22 @@ export class Page {
     this.embeds.open();
   }
 
+  // Tours and notes, with the first of them: of the link, of this browser, or when somebody opens their list.
+  private openStories(): Promise<StoryBox> {
+    const host = {
+      changed: (link: string) => {
+        this.story = link;
+        this.address(0); // a page that is loaded again has what was kept
+      },
+      placing: (on: boolean) => (this.measure.asleep = on),
+      clear: () => {
+        if (TOUCH || innerWidth < 700) this.fold(true);
+      },
+    };
+    this.stories ??= import("./storybox").then(({ StoryBox }) => new StoryBox(this.viewer, host, this.story || null));
+    return this.stories;
+  }
+
   // ---- controls ----
 
   private wireTools() {
@@ -246,6 +266,9 @@ export class Page {
     click("share", () => void this.share());
     click("embed-button", () => void this.embed());
     click("shot-button", () => void this.shot());
+    element("tour-box").addEventListener("toggle", () => void this.openStories());
+    click("tour-add", () => void this.openStories().then((stories) => stories.addView()));
+    click("note-add", () => void this.openStories().then((stories) => stories.beginNote()));
     element("full").hidden = !document.fullscreenEnabled;
     click("full", () => void (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen()));
     click("fold", () => this.fold(!element("panel").classList.contains("folded")));
@@ -326,6 +349,7 @@ export class Page {
       KeyI: () => void this.shot(),
       KeyL: () => void this.share(),
       KeyO: () => this.inset.toggle(),
+      KeyT: () => void this.openStories().then((stories) => stories.toggle()),
       Escape: () => this.measure.show(false),
     };
     window.addEventListener("keydown", (event) => {
@@ -338,6 +362,8 @@ export class Page {
       if (!view) return;
       viewer.lookAt(view.pose);
       void viewer.setAppearance(view.appearance);
+      const story = storyOf(location.hash);
+      if (story && story !== this.story) void this.openStories().then((stories) => stories.open(story));
     });
   }
 }

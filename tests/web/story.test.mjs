@@ -1,0 +1,157 @@
+// A tour and notes, at a desk and on a phone: made by what is visible, by hand and by keys, carried by the link to somebody else,
+// played and paused there. Links that somebody made to do harm.
+//
+// SPDX-License-Identifier: Apache-2.0
+import assert from "node:assert/strict";
+import { join } from "node:path";
+import { after, before, test } from "node:test";
+import { deflateRawSync } from "node:zlib";
+
+import { closeAll, lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
+import { importSource } from "./lib/bundle.mjs";
+import { SOUTH } from "./lib/checks.mjs";
+import { BLUE_TOP, ORIGIN } from "./lib/city.mjs";
+import { placeOfEnu, project } from "./lib/geo.mjs";
+import { GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
+
+const SCREENS = {
+    desk: { width: 1000, height: 640 },
+    phone: { width: 390, height: 844, hasTouch: true, isMobile: true },
+};
+const skip = { skip: MOCK || GIVEN_TILES ? "needs the test city" : false };
+const HOSTILE = '<img src=x onerror="window.harmed=1">';
+const STORY_MAX = 4000; // characters, as docs/viewer.md says
+const TOP = [0, 0, BLUE_TOP[2] + 0.5];
+
+let source;
+before(async () => {
+    if (!skip.skip) source = await openSource();
+});
+after(() => closeAll(source));
+
+async function openAt(screen, address = source.url) {
+    const opened = await openPage("about:blank", { ...SCREENS[screen], permissions: ["clipboard-read", "clipboard-write"] });
+    await opened.page.goto(address);
+    await waitForViewer(opened.page);
+    return opened;
+}
+
+async function picture(page, name) {
+    if (process.env.STORY_SHOTS) await page.screenshot({ path: join(process.env.STORY_SHOTS, `${name}.png`) });
+}
+
+const packed = (value) => deflateRawSync(JSON.stringify(value)).toString("base64url");
+const labels = (page) => page.locator(".citysplat-label").allTextContents();
+const headingOf = (page) => page.evaluate(() => window.citysplat.pose().heading);
+const at = (heading) => ({ ...SOUTH, heading });
+
+for (const screen of Object.keys(SCREENS))
+    test(`a tour and notes go to somebody else by a link: ${screen}`, skip, async (t) => {
+        const phone = screen === "phone";
+        const { page, log, close } = await openAt(screen);
+        const press = (what) => (phone ? page.tap(what) : page.click(what));
+        const openBox = async () => {
+            if (phone && (await page.locator("#panel.folded").count())) await press("#fold");
+            if (!(await page.locator("#tour-box[open]").count())) await press("#tour-box summary");
+        };
+        const write = async (words) => {
+            await page.waitForSelector("#note-form:not([hidden])");
+            await page.fill("#note-text", words);
+            await page.keyboard.press("Enter");
+            await page.waitForSelector("#note[hidden]", { state: "attached" });
+        };
+        await openBox();
+        for (const heading of [10, 340]) {
+            await lookViewer(page, at(heading));
+            await press("#tour-add");
+        }
+        await page.locator("#tour li").nth(1).locator("button").nth(1).press("Enter"); // by keys
+        await write("The needle, from the south");
+        // A note, by hand; on a phone the panel makes way. Nothing else happens at this press.
+        await lookViewer(page, SOUTH);
+        await openBox();
+        await press("#note-add");
+        const [x, y] = project(ORIGIN, SOUTH, TOP, SCREENS[screen].width, SCREENS[screen].height);
+        await (phone ? page.touchscreen.tap(x, y) : page.mouse.click(x, y));
+        await write(HOSTILE);
+        assert.equal(await page.isVisible("#place"), false);
+        // Another in the middle of the picture, by keys alone.
+        await openBox();
+        await page.locator("#note-add").press("Enter");
+        await page.keyboard.press("Enter"); // "In the middle" has the focus
+        await write("Middle");
+        await openBox();
+        await picture(page, `${screen}-made`);
+        assert.deepEqual(await page.locator("#tour li > button:first-child").allTextContents(), ["View 1", "The needle, from the south"]);
+        await press("#share");
+        await page.waitForFunction(() => navigator.clipboard.readText().then((text) => text.includes("&story=")));
+        const link = await page.evaluate(() => navigator.clipboard.readText());
+        t.diagnostic(`${link.length} characters`);
+        assert.deepEqual(log, []);
+        await close();
+
+        const other = await openAt(screen, link);
+        const there = other.page;
+        await there.waitForSelector("#tour-card:not([hidden])");
+        assert.deepEqual((await labels(there)).sort(), [HOSTILE, "Middle"].sort());
+        assert.equal(await there.evaluate(() => window.harmed), undefined);
+        // The note lies where it was put.
+        await lookViewer(there, SOUTH);
+        const box = await there.locator(".citysplat-label", { hasText: "<img" }).boundingBox();
+        assert.ok(Math.abs(box.x + box.width / 2 - x) < 12 && box.y < y && y - box.y < 120, JSON.stringify({ box, x, y }));
+        await (phone ? there.tap("#tour-pause") : there.click("#tour-pause"));
+        await there.waitForFunction(() => Math.abs(window.citysplat.pose().heading - 10) < 0.05);
+        await picture(there, `${screen}-played`);
+        assert.equal(await there.textContent("#tour-caption"), "View 1");
+        // Paused on the way by its key; then on from there.
+        await there.waitForFunction(() => document.getElementById("tour-caption").textContent.startsWith("The needle"));
+        await there.keyboard.press("t");
+        const stopped = await there.textContent("#tour-pause");
+        assert.equal(stopped, "Play");
+        await there.keyboard.press("t");
+        await there.waitForFunction(() => Math.abs(window.citysplat.pose().heading - 340) < 0.05);
+        await there.waitForFunction(() => document.getElementById("tour-pause").textContent === "Play"); // its end
+        // What the other one has of his own is not touched by it.
+        assert.equal(await there.evaluate(() => Object.keys(localStorage).some((key) => key.startsWith("citysplat.tour"))), false);
+        assert.deepEqual(other.log, []);
+        await other.close();
+    });
+
+test("links that do harm open the view, and say what is wrong", skip, async () => {
+    const hash = `#${placeOfEnu(ORIGIN, [0, -200, 160]).lon.toFixed(7)},52.498,240,20,-36`;
+    const bad = {
+        "not deflated": "abcdef",
+        "no list": packed({ a: 1 }),
+        "a view that is none": packed([[["x", "javascript:alert(1)", 3]], []]),
+        "a note on no place": packed([[], [[900, 0, 0, "x"]]]),
+        "a bomb": packed([[["x".repeat(1_000_000), "13.4,52.5,300,0,-30", 3]], []]),
+    };
+    const { page, log, close } = await openAt("desk");
+    for (const [what, story] of Object.entries(bad)) {
+        await page.goto("about:blank");
+        await page.goto(`${source.url}/${hash}&story=${story}`);
+        await waitForViewer(page);
+        await page.waitForFunction(() => /cannot be read/.test(document.getElementById("toast").textContent), null, { timeout: 20000 }).catch(() => assert.fail(what));
+        assert.ok(Math.abs((await headingOf(page)) - 20) < 0.05, what);
+        await page.waitForFunction(() => !location.hash.includes("story"));
+        assert.equal(await page.isVisible("#tour-card"), false, what);
+    }
+    assert.deepEqual(log.filter((line) => !line.endsWith("net::ERR_ABORTED")), []);
+    await close();
+});
+
+test("what a link carries is bounded, and comes back as it was", skip, async () => {
+    const { LINK_MAX, makeNote, makeStop, packStory, parseStory, formatStory, unpackStory } = await importSource("story.ts");
+    assert.equal(LINK_MAX, STORY_MAX);
+    const views = [makeStop("One\u0000 \n two", "13.4,52.5,300,0,-30"), makeStop("x".repeat(999), "13.4,52.5,300,0,-30", 1e9)];
+    assert.deepEqual([views[0].name, views[1].name.length, views[1].seconds], ["One two", 200, 60]);
+    const story = { views, notes: [makeNote(13.4, 52.5, 80, "Straße 🚲 <b>")] };
+    assert.deepEqual(await unpackStory(await packStory(story)), story);
+    assert.deepEqual(parseStory(formatStory(story)), story);
+    assert.equal(await packStory({ views: [], notes: [] }), "");
+    let seed = 1;
+    const noise = () => Array.from({ length: 200 }, () => String.fromCharCode(97 + ((seed = (seed * 48271) % 2147483647) % 26))).join("");
+    const notes = Array.from({ length: 100 }, () => makeNote(13.4, 52.5, 80, noise()));
+    assert.equal(await packStory({ views: [], notes }), null);
+    for (const source of ["1", "null", "{}", '{"type":"citysplat-tour","views":3}']) assert.throws(() => parseStory(source));
+});
