@@ -67,10 +67,10 @@ export function serve(...argv) {
         };
         const listen = (chunk) => {
             said += chunk;
-            const match = /http:\/\/[\w.[\]:]+:\d+/.exec(said);
+            const match = /: open (http:\/\/[\w.[\]:]+:\d+)/.exec(said); // the log may name a store's address before
             if (!match) return;
             clearTimeout(timer);
-            resolve({ url: match[0], close, said: () => said });
+            resolve({ url: match[1], close, said: () => said });
         };
         child.stdout.on("data", listen);
         child.stderr.on("data", listen);
