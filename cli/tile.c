@@ -18,6 +18,7 @@
 #include "cells/cell_plan.h"
 #include "cells/footprint.h"
 #include "cells/partition.h"
+#include "cells/support.h"
 #include "cells/trim.h"
 #include "cli/cli.h"
 #include "cli/output.h"
@@ -25,6 +26,7 @@
 #include "cli/splats.h"
 #include "codec/ckpt.h"
 #include "codec/scene.h"
+#include "codec/seen.h"
 #include "core/appearance.h"
 #include "lod/bake.h"
 #include "lod/clip.h"
@@ -570,10 +572,11 @@ static enum err_code tile_describe(const struct tile_options *o, const struct sc
 /* What the store keeps besides tiles; empty ones are left out. The blobs borrow the bytes; *out:
  * caller frees with mem_free. */
 static enum err_code tile_blobs(const struct photographs *photographs, const struct buf *appearance,
-                                const struct buf *ground, const struct buf *clip,
-                                struct store_blob **out, size_t *n, struct err *e)
+                                const struct buf *ground, const struct buf *seen,
+                                const struct buf *clip, struct store_blob **out, size_t *n,
+                                struct err *e)
 {
-    struct store_blob *blobs = mem_array(photographs->n_blobs + 3, sizeof *blobs);
+    struct store_blob *blobs = mem_array(photographs->n_blobs + 4, sizeof *blobs);
     if (!blobs)
         return err_set(e, ERR_MEM, "out of memory for %zu blobs", photographs->n_blobs);
     *n = 0;
@@ -583,10 +586,39 @@ static enum err_code tile_blobs(const struct photographs *photographs, const str
         blobs[(*n)++] = (struct store_blob){BAKE_BLOB, appearance->data, appearance->size};
     if (ground->size)
         blobs[(*n)++] = (struct store_blob){STORE_FOOTPRINT, ground->data, ground->size};
+    if (seen->size)
+        blobs[(*n)++] = (struct store_blob){SEEN_BLOB, seen->data, seen->size};
     if (clip->size)
         blobs[(*n)++] = (struct store_blob){STORE_CLIP, clip->data, clip->size};
     *out = blobs;
     return ERR_OK;
+}
+
+/* Counts the photographs that see each place of the finest level. */
+static enum err_code tile_count_views(struct tile_scene *s, const struct scene *scene,
+                                      const struct pyramid_level *finest, struct buf *out,
+                                      struct err *e)
+{
+    struct support support;
+    enum err_code rc = support_open(&s->footprint, &support, e);
+    for (size_t part = 0; !rc && support.nx && part < finest->n_parts; part++) {
+        struct gauss g = {0};
+        rc = finest->load(finest->user, part, &g, e);
+        for (size_t i = 0; !rc && i < g.n; i++) {
+            const double mean[3] = {(double)g.mean_m[3 * i] + g.origin_enu_m[0],
+                                    (double)g.mean_m[3 * i + 1] + g.origin_enu_m[1],
+                                    (double)g.mean_m[3 * i + 2] + g.origin_enu_m[2]};
+            support_add(&support, mean, 1.0 / (1.0 + exp(-(double)g.opacity_logit[i])));
+        }
+        gauss_free(&g);
+    }
+    atomic_store(s->cropped, 0); /* the store loads these rows once more */
+    if (!rc && support.nx)
+        rc = support_count(&support, scene, e);
+    if (!rc && support.nx)
+        rc = support_write(&support, out, e);
+    support_free(&support);
+    return rc;
 }
 
 /* Levels, blobs and the store of a scene that was looked at. */
@@ -600,7 +632,7 @@ static enum err_code tile_build(struct tile_scene *s, const struct scene *scene,
                                  .lossless = o->lossless};
     struct pyramid_report report;
     struct photographs photographs = {0};
-    struct buf appearance = {0}, ground = {0}, clip = {0};
+    struct buf appearance = {0}, ground = {0}, seen = {0}, clip = {0};
     struct store_blob *blobs = NULL;
     size_t n_blobs = 0;
     enum err_code rc = tile_describe(o, scene, &cfg, e);
@@ -616,12 +648,14 @@ static enum err_code tile_build(struct tile_scene *s, const struct scene *scene,
         rc = tile_make_appearance(s, &level[s->n_levels - 1], &appearance, e);
     if (!rc && s->footprint.nx)
         rc = footprint_write(&s->footprint, &scene->origin, &ground, e);
+    if (!rc && s->footprint.nx)
+        rc = tile_count_views(s, scene, &levels[s->n_levels - 1], &seen, e);
     if (!rc && s->clip.area.n)
         rc = clip_describe(&s->clip, NULL, &clip, e);
     if (!rc && appearance.size)
         rc = tile_photographs(scene, &appearance, o->thumbnails, &photographs, e);
     if (!rc)
-        rc = tile_blobs(&photographs, &appearance, &ground, &clip, &blobs, &n_blobs, e);
+        rc = tile_blobs(&photographs, &appearance, &ground, &seen, &clip, &blobs, &n_blobs, e);
     if (!rc)
         rc = pyramid_build(&scene->origin, levels, s->n_levels, &cfg, blobs, n_blobs, o->output,
                            &report, e);
@@ -636,6 +670,7 @@ static enum err_code tile_build(struct tile_scene *s, const struct scene *scene,
     photographs_free(&photographs);
     buf_free(&appearance);
     buf_free(&ground);
+    buf_free(&seen);
     buf_free(&clip);
     return rc;
 }

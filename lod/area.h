@@ -12,6 +12,7 @@
 #ifndef LOD_AREA_H
 #define LOD_AREA_H
 
+#include "codec/seen.h"
 #include "lod/store.h"
 
 enum { AREA_LAYERS_MAX = 8 };
@@ -35,8 +36,9 @@ struct area {                  /* {0} is empty; free with area_free */
     double west_deg, south_deg, east_deg, north_deg; /* box around the survey */
     /* ENU: nearly all Gaussians of the survey lie between these heights */
     double floor_m, ceiling_m;
-    double gsd_m;   /* pixel of the nearest photographs, median over the ground; 0: not known */
-    double sigma_m; /* usual median sigma: half of all Gaussians are in finer tiles */
+    struct seen_grid seen; /* how many photographs see a place; {0}: not known */
+    double gsd_m;     /* pixel of the nearest photographs, median over the ground; 0: not known */
+    double sigma_m;   /* usual median sigma: half of all Gaussians are in finer tiles */
 };
 /* Computes the area. Free *out with area_free. ERR_DATA: the store has no tiles. ERR_MEM. */
 enum err_code area_make(const struct store *s, struct area *out, struct err *e) ERR_USE;

@@ -8,6 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "codec/seen.h"
 #include "lod/bake.h"
 #include "lod/key.h"
 #include "lod/pyramid_fit.h"
@@ -233,7 +234,8 @@ static enum err_code edit_copy_blobs(const struct edit *d, struct store *from, s
     for (size_t i = 0; !rc && i < n; i++) {
         if (before && !store_get_blob(before, names[i], &b, NULL))
             continue;
-        if (other && (!strcmp(names[i], STORE_FOOTPRINT) || !strcmp(names[i], STORE_CLIP)))
+        if (other && (!strcmp(names[i], STORE_FOOTPRINT) || !strcmp(names[i], STORE_CLIP) ||
+                      !strcmp(names[i], SEEN_BLOB)))
             continue;
         rc = store_get_blob(from, names[i], &b, e);
         if (!rc && !strcmp(names[i], BAKE_BLOB) && d->appearance.size)

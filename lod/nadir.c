@@ -257,6 +257,21 @@ static void nadir_place(const struct nadir_piece *p, size_t x, size_t y, double 
     at[1] = ((double)y + 0.5 - 0.5 * p->height) / p->px_per_m_y;
 }
 
+enum err_code nadir_seen(const struct nadir *n, const struct nadir_piece *p, float *views,
+                         struct err *e)
+{
+    struct nadir_frame f;
+    enum err_code rc = nadir_frame(n, p, &f, e);
+    for (size_t i = 0; !rc && i < (size_t)p->width * p->height; i++) {
+        double at[2], enu[2];
+        nadir_place(p, i % p->width, i / p->width, at);
+        for (size_t k = 0; k < 2; k++)
+            enu[k] = f.eye[k] + at[0] * f.axis[0][k] + at[1] * f.axis[1][k];
+        views[i] = (float)seen_at(&nadir_area(n)->seen, enu[0], enu[1]);
+    }
+    return rc;
+}
+
 /* The ellipsoid falls away from its tangent plane by r^2 / 2 R. */
 static double nadir_fall(const double at[2])
 {

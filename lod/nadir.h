@@ -74,6 +74,11 @@ enum err_code nadir_fit(const struct nadir *n, const double lon_deg[NADIR_PLACES
 enum err_code nadir_draw(struct nadir *n, const struct nadir_piece *p, float *rgb, float *height_m,
                          struct err *e) ERR_USE;
 
+/* Writes how many photographs see each pixel, [h][w], 0 to SEEN_VIEWS_MAX (codec/seen.h). Where the
+ * store does not know, SEEN_VIEWS_MAX. ERR_ARG (size or place). */
+enum err_code nadir_seen(const struct nadir *n, const struct nadir_piece *p, float *views,
+                         struct err *e) ERR_USE;
+
 /* Computes heights along slanted rays. out [h][w]: the ellipsoidal height at which the ray through
  * pixel i at height_m[i] has lost half of its light. NAN: nowhere, or height_m[i] is NAN. Rays go
  * down at 45 degrees, away from the edge `way` of the piece: 0 bottom, 1 left, 2 top, 3 right. A

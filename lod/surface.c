@@ -25,6 +25,9 @@ static const double surface_step = 1.5;        /* what differs by more around a 
 static const double surface_edge_share = 0.33; /* of its height, beyond that, is uncertain */
 /* Of a pixel at which so many of the five agree. */
 static const double surface_few[NADIR_WAYS + 2] = {0, 1, 0.36, 0.08, 0, 0};
+/* Of a place that so many photographs see, 0 to SEEN_VIEWS_MAX: decision 104. */
+static const double surface_seen[SEEN_VIEWS_MAX + 1] = {1.5,  0.8,  0.47, 0.38, 0.2,
+                                                        0.15, 0.08, 0.06, 0};
 static const float surface_color = 0.15f; /* standard deviation of colours that weigh alike */
 static const float surface_least_weight = 1e-6f;
 static const float surface_normal = 1.4826f; /* median absolute difference to standard deviation */
@@ -60,6 +63,7 @@ struct surface_job {
     struct surface_window window;
     float *rgb, *height, *slant[NADIR_WAYS], *smooth, *spread;
     uint8_t *agree; /* how many of the five */
+    float *seen;    /* of the piece without its margin: photographs */
     void *room;
 };
 
@@ -88,7 +92,8 @@ static enum err_code surface_room(struct surface_job *j, struct err *e)
     size_t n = surface_pixels(j), planes = 3 + 1 + NADIR_WAYS + 2;
     float *at = j->room = mem_array(n, planes * sizeof *at);
     j->agree = mem_array(n, 1);
-    if (!at || !j->agree)
+    j->seen = mem_array(n, sizeof *j->seen);
+    if (!at || !j->agree || !j->seen)
         return err_set(e, ERR_MEM, "out of memory for a surface of %u x %u px", j->piece.width,
                        j->piece.height);
     j->rgb = at;
@@ -241,6 +246,14 @@ static float surface_range(const struct surface_job *j, size_t x, size_t y)
     return hi - lo;
 }
 
+/* Of a place that this many photographs see. */
+static double surface_unseen(double views)
+{
+    size_t low = (size_t)fmin(fmax(views, 0), SEEN_VIEWS_MAX - 1);
+    double part = views - (double)low;
+    return (1 - part) * surface_seen[low] + part * surface_seen[low + 1];
+}
+
 static void surface_tell(const struct surface_job *j, const struct nadir_piece *p,
                          const struct surface_maps *out)
 {
@@ -256,7 +269,8 @@ static void surface_tell(const struct surface_job *j, const struct nadir_piece *
                    step = (double)surface_range(j, x + j->margin, y + j->margin) -
                           surface_step * j->sigma_m,
                    edge = surface_edge_share * fmax(step, 0), common = surface_common * j->sigma_m,
-                   noise2 = least * least + spread * spread + few * few;
+                   unseen = surface_unseen((double)j->seen[to]) * j->sigma_m,
+                   noise2 = least * least + spread * spread + few * few + unseen * unseen;
             if (out->noise_m)
                 out->noise_m[to] = (float)sqrt(noise2); /* NAN where spread is */
             if (out->sigma_m)
@@ -298,10 +312,13 @@ enum err_code surface_draw(struct nadir *n, const struct nadir_piece *p,
         rc = surface_smooth(j.height, j.rgb, j.piece.width, j.piece.height, j.window, j.smooth,
                             j.spread, e);
     if (!rc)
+        rc = nadir_seen(n, p, j.seen, e);
+    if (!rc)
         surface_tell(&j, p, out);
     if (!rc && out->rgb)
         rc = surface_colors(n, &j, p, out->rgb, e);
     mem_free(j.room);
     mem_free(j.agree);
+    mem_free(j.seen);
     return rc;
 }

@@ -5,6 +5,7 @@
  */
 #include "tests/survey_kit.h"
 
+#include "codec/seen.h"
 #include "core/base.h"
 #include "core/pool.h"
 #include "lod/surface.h"
@@ -153,6 +154,30 @@ static void slanted_rays_meet_the_surface(void **state)
     }
 }
 
+/* A store of Gaussians that scatter by scatter_m about the city's surface. */
+static void loose_store(const char *name, double scatter_m, const struct store_blob *blobs,
+                        size_t n_blobs, char path[FILE_PATH_MAX])
+{
+    struct err e = {0};
+    struct gauss g;
+    size_t side = (size_t)(EXTENT_M / SPACING_M);
+    kit_ok(gauss_alloc(&g, side * side, 0, 0, &e), e);
+    g.antialiased = true;
+    g.n = 0;
+    for (size_t i = 0; i < side * side; i++) {
+        double x = ((double)(i % side) + rng_unit(3, 1, i)) * SPACING_M - 0.5 * EXTENT_M,
+               y = ((double)(i / side) + rng_unit(3, 2, i)) * SPACING_M - 0.5 * EXTENT_M;
+        if (x > 0.4 * PIECE * PIECE_GSD_M && rng_unit(3, 4, i) < 0.7)
+            continue; /* a strip with holes */
+        put(&g, x, y, truth_z(x, y) + scatter_m * rng_normal(3, 3, i), 0.7 * SPACING_M, 0.02, 0.95);
+    }
+    kit_ok(file_join(path, f.dir, name, &e), e);
+    const struct pyramid_config cfg = {.tile_edge_m = 30, .name = "loose", .attribution = "ours"};
+    const struct pyramid_level level = {.g = &g, .level = 3};
+    kit_ok(pyramid_build(&origin, &level, 1, &cfg, blobs, n_blobs, path, NULL, &e), e);
+    gauss_free(&g);
+}
+
 /* The cover of the city with discs that scatter in height: errors on level ground are about as
  * large as the uncertainty says, and smaller than those of one ray. Of overlapping discs the upper
  * ones are seen, which lifts all: errors are taken from their mean, and the uncertainty is that
@@ -164,27 +189,12 @@ static void uncertainty_is_that_of_the_errors(void **state)
     static float height[PIECE * PIECE], sigma[PIECE * PIECE], noise[PIECE * PIECE],
         repeat[PIECE * PIECE], single[PIECE * PIECE], rgb[3 * PIECE * PIECE];
     struct err e = {0};
-    struct gauss g;
     struct nadir *n;
     char path[FILE_PATH_MAX];
-    size_t side = (size_t)(EXTENT_M / SPACING_M), known = 0;
+    size_t known = 0;
     double sum[2] = {0}, sum2[2] = {0}, sigma2 = 0;
     (void)state;
-    kit_ok(gauss_alloc(&g, side * side, 0, 0, &e), e);
-    g.antialiased = true;
-    g.n = 0;
-    for (size_t i = 0; i < side * side; i++) {
-        double x = ((double)(i % side) + rng_unit(3, 1, i)) * SPACING_M - 0.5 * EXTENT_M,
-               y = ((double)(i / side) + rng_unit(3, 2, i)) * SPACING_M - 0.5 * EXTENT_M;
-        if (x > 0.4 * PIECE * PIECE_GSD_M && rng_unit(3, 4, i) < 0.7)
-            continue; /* a strip with holes */
-        put(&g, x, y, truth_z(x, y) + scatter_m * rng_normal(3, 3, i), 0.7 * SPACING_M, 0.02, 0.95);
-    }
-    kit_ok(file_join(path, f.dir, "loose.tiles", &e), e);
-    const struct pyramid_config cfg = {.tile_edge_m = 30, .name = "loose", .attribution = "ours"};
-    const struct pyramid_level level = {.g = &g, .level = 3};
-    kit_ok(pyramid_build(&origin, &level, 1, &cfg, NULL, 0, path, NULL, &e), e);
-    gauss_free(&g);
+    loose_store("loose.tiles", scatter_m, NULL, 0, path);
     kit_ok(nadir_open(path, &no, &n, &e), e);
     const struct nadir_piece p = piece_at(PIECE_GSD_M);
     const struct surface_maps maps = {
@@ -301,6 +311,57 @@ static void slanted_rays_find_walls(void **state)
     nadir_close(&n);
 }
 
+/* Where the west is seen by two photographs and the east by many, the west is uncertain by the same
+ * part more, and the east as if the store did not know. */
+static void few_photographs_are_uncertain(void **state)
+{
+    static const struct nadir_options no = {.ceiling_m = (double)NAN};
+    static float repeat[2][PIECE * PIECE], height[2][PIECE * PIECE];
+    struct err e = {0};
+    struct buf blob = {0};
+    enum { CELLS = 20 };
+    uint8_t views[CELLS * CELLS];
+    const struct seen_grid seen = {
+        .corner_m = {-100, -100}, .cell_m = 10, .nx = CELLS, .ny = CELLS, .views = views};
+    for (size_t i = 0; i < CELLS * CELLS; i++)
+        views[i] = i % CELLS < CELLS / 2 ? 2 : SEEN_VIEWS_MAX;
+    size_t west = 0, east = 0;
+    (void)state;
+    kit_ok(seen_encode(&seen, &blob, &e), e);
+    const struct store_blob kept = {SEEN_BLOB, blob.data, blob.size};
+    for (size_t k = 0; k < 2; k++) {
+        struct nadir *n;
+        char path[FILE_PATH_MAX];
+        loose_store(k ? "seen.tiles" : "unseen.tiles", 0.2, &kept, k, path);
+        kit_ok(nadir_open(path, &no, &n, &e), e);
+        const struct nadir_piece p = piece_at(PIECE_GSD_M);
+        const struct surface_maps maps = {.height_m = height[k], .repeat_m = repeat[k]};
+        kit_ok(surface_draw(n, &p, &maps, &e), e);
+        nadir_close(&n);
+    }
+    double least = INFINITY, most = 0;
+    for (size_t i = 0; i < PIECE * PIECE; i++) {
+        double at[2], before = (double)repeat[0][i], now = (double)repeat[1][i];
+        pixel_at(i, PIECE_GSD_M, at);
+        assert_int_equal(isfinite(before) != 0, isfinite(now) != 0);
+        if (!isfinite(before))
+            continue;
+        assert_true(height[0][i] == height[1][i]);
+        if (at[0] > 5) { /* middles of cells: values between them are interpolated */
+            assert_true(now == before);
+            east++;
+        } else if (at[0] < -5) {
+            double part = sqrt(fmax(now * now - before * before, 0));
+            least = fmin(least, part);
+            most = fmax(most, part);
+            west++;
+        }
+    }
+    assert_true(west > 1000 && east > 1000);
+    assert_true(least > 0.05 && most < 1.01 * least);
+    buf_free(&blob);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -311,6 +372,7 @@ int main(void)
         cmocka_unit_test(threads_change_nothing),
         cmocka_unit_test(slanted_rays_meet_the_surface),
         cmocka_unit_test(uncertainty_is_that_of_the_errors),
+        cmocka_unit_test(few_photographs_are_uncertain),
         cmocka_unit_test(slanted_rays_find_walls),
     };
     return cmocka_run_group_tests(tests, survey_setup, survey_teardown);

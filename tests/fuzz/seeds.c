@@ -9,6 +9,7 @@
 #include "codec/payload.h"
 #include "codec/ply.h"
 #include "codec/quant.h"
+#include "codec/seen.h"
 #include "codec/sog.h"
 #include "codec/spz.h"
 #include "core/appearance.h"
@@ -49,6 +50,13 @@ static enum err_code npy_seed(size_t i, struct buf *out)
     for (int k = 0; k < 6; k++)
         buf_f32(out, (float)k);
     return buf_check(out, NULL);
+}
+
+static enum err_code seen_seed(size_t i, struct buf *out)
+{
+    uint8_t views[6] = {0, 1, 2, 3, 5, 8};
+    const struct seen_grid s = {{-10, 5}, 1.5, i ? 3 : 1, 2, views};
+    return seen_encode(&s, out, NULL);
 }
 
 static enum err_code tensors_seed(size_t i, struct buf *out)
@@ -154,6 +162,8 @@ bool fuzz_seed(const char *target, size_t i, struct buf *out)
         return fuzz_seed_geojson(i, out);
     if (!strcmp(target, "tensors"))
         return tensors_seed(i, out) == ERR_OK;
+    if (!strcmp(target, "seen"))
+        return seen_seed(i, out) == ERR_OK;
     if (!strcmp(target, "npy"))
         return npy_seed(i, out) == ERR_OK;
     if (!strcmp(target, "exif"))

@@ -12,6 +12,7 @@
 #include "codec/payload.h"
 #include "codec/ply.h"
 #include "codec/quant.h"
+#include "codec/seen.h"
 #include "codec/sog.h"
 #include "codec/splat.h"
 #include "codec/spz.h"
@@ -134,6 +135,16 @@ void fuzz_npy(const uint8_t *bytes, size_t n)
         }
         mem_free(data);
     }
+}
+
+void fuzz_seen(const uint8_t *bytes, size_t n)
+{
+    struct seen_grid s;
+    if (seen_decode(bytes, n, &s, NULL) == ERR_OK) {
+        double at = seen_at(&s, s.corner_m[0] + 0.3 * s.nx * s.cell_m, s.corner_m[1]);
+        assert(at >= 0.0 && at <= SEEN_VIEWS_MAX);
+    }
+    seen_free(&s);
 }
 
 void fuzz_tensors(const uint8_t *bytes, size_t n)
