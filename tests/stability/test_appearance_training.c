@@ -401,7 +401,6 @@ static void pruning_and_thinning_look_at_photographs_in_their_own_appearance(voi
     c.prune_contribution = 0.02;
     c.prune_support = 0;
     c.prune_loss_db = 100.0;
-    c.thin_db = 0.0; /* not by itself */
     toy_run_open(&r, dir, &c);
     struct level *l = &r.level;
     struct gallery *g = &l->gallery;

@@ -70,7 +70,7 @@ static size_t peak_of(const char *program, size_t n, size_t budget, bool appeara
         &said,
         "%s train %s --iterations %d --level-count 2 --budget-rule table --budget %zu,%zu "
         "--densify-from 2 --densify-interval-min 5 --tau 1e-7 --prune-contribution 0 "
-        "--prune-support 0 --thin-db 0 "
+        "--prune-support 0 "
         "--importance-views 2 --checkpoint-interval 25 %s -q",
         program, dir, MEMORY_STEPS, budget / 2, budget,
         appearance ? "--appearance --embed-smoothness-interval 5 --embed-smoothness-samples 400"

@@ -179,7 +179,6 @@ static void giants_and_needles_shrink(void **state)
     struct toy t = ground_spec();
     double size[4], ratio[4], psnr[4];
     struct train_config c = plain_config(&a, F4_STEPS);
-    c.thin_db = 0.0; /* it would remove some of them */
     c.scale_max_m = F4_S_MAX_M;
     c.scale_from = 0;
     c.percent_dense = 1e-3; /* splitting must not want Gaussians larger than s_max */
