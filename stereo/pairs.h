@@ -1,10 +1,10 @@
 /* Chooses the neighbours that each photograph is compared with, and the heights.
  *
- * Each part of a picture needs neighbours that show its ground, at a good angle. A neighbour shows a
- * part with weight exp(-(a - a0)^2 / (2 s^2)), where a is the angle between both rays at the ground,
- * a0 = 12 degrees, s = 4 degrees below and 10 above (after Yao et al. 2018, MVSNet). A part that
- * chosen neighbours show with weights of sum c counts (1 + c)^-8 for the next one. Otherwise corners
- * of a picture at the rim of the survey, which few photographs show, had no neighbour
+ * Each part of a picture needs neighbours that show its ground, at a good angle. A neighbour shows
+ * a part with weight exp(-(a - a0)^2 / (2 s^2)), where a is the angle between both rays at the
+ * ground, a0 = 12 degrees, s = 4 degrees below and 10 above (after Yao et al. 2018, MVSNet). A part
+ * that chosen neighbours show with weights of sum c counts (1 + c)^-8 for the next one. Otherwise
+ * corners of a picture at the rim of the survey, which few photographs show, had no neighbour
  * (docs/decisions/100-neighbours-cover.md).
  *
  * SPDX-License-Identifier: Apache-2.0

@@ -408,6 +408,7 @@ static void neighbours_cover_the_picture(void **state)
     char dir[FILE_PATH_MAX];
     size_t places[2] = {0}, covered[2] = {0}; /* shown by 2 to 4 others; by more */
     (void)state;
+    (void)kit_program(); /* the scene of the test above */
     kit_ok(file_join(dir, kit_tmp, "scene", &e), e);
     kit_ok(scene_read(dir, &scene, &e), e);
     uint8_t *use = mem_array(scene.n_images, 1);
