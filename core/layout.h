@@ -201,7 +201,7 @@ struct layout_counts {
 #define LAYOUT_IMPORTANCE_PIXELS 1
 #define LAYOUT_IMPORTANCE_SHARE 2    /* alpha T */
 #define LAYOUT_IMPORTANCE_DISTANCE 3 /* distance of the pixel from the mean, px */
-#define LAYOUT_REMOVAL_RISE 0 /* of render_removal_run, in the place of the weight */
+#define LAYOUT_REMOVAL_RISE 0        /* of render_removal_run, in the place of the weight */
 #define LAYOUT_IMPORTANCE_SLOT 4
 #define LAYOUT_IMPORTANCE_DEPTH 4  /* m */
 #define LAYOUT_IMPORTANCE_RADIUS 5 /* px */

@@ -37,8 +37,8 @@ struct area {                  /* {0} is empty; free with area_free */
     /* ENU: nearly all Gaussians of the survey lie between these heights */
     double floor_m, ceiling_m;
     struct seen_grid seen; /* how many photographs see a place; {0}: not known */
-    double gsd_m;     /* pixel of the nearest photographs, median over the ground; 0: not known */
-    double sigma_m;   /* usual median sigma: half of all Gaussians are in finer tiles */
+    double gsd_m;   /* pixel of the nearest photographs, median over the ground; 0: not known */
+    double sigma_m; /* usual median sigma: half of all Gaussians are in finer tiles */
 };
 /* Computes the area. Free *out with area_free. ERR_DATA: the store has no tiles. ERR_MEM. */
 enum err_code area_make(const struct store *s, struct area *out, struct err *e) ERR_USE;
