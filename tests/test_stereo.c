@@ -371,9 +371,9 @@ static void a_city_from_its_photographs(void **state)
     /* what windows make wider is known to all views alike, and wrong */
     assert_true(edges.known > s.known);
     assert_true(edges.far - s.far > (edges.known - s.known) / 10);
-    /* One neighbour is enough for 10 % more of the pixels. 4 % of these were off by more than 2 %
+    /* One neighbour is enough for 2 % more of the pixels. 4 % of these were off by more than 2 %
      * when this was written, and 2 % of those that two agree on. */
-    assert_true(s.known > two.known + s.truth / 50);
+    assert_true(s.known > two.known + s.truth / 100);
     assert_true(s.far - two.far < (s.known - two.known) / 8);
     /* the same bytes with one thread */
     assert_int_equal(kit_run(&out,

@@ -339,7 +339,7 @@ static void few_photographs_are_uncertain(void **state)
         kit_ok(surface_draw(n, &p, &maps, &e), e);
         nadir_close(&n);
     }
-    double least = INFINITY, most = 0;
+    double least = HUGE_VAL, most = 0;
     for (size_t i = 0; i < PIECE * PIECE; i++) {
         double at[2], before = (double)repeat[0][i], now = (double)repeat[1][i];
         pixel_at(i, PIECE_GSD_M, at);
