@@ -117,7 +117,10 @@ static bool support_is_clear(const struct support_work *w, const double x_m[3],
     double rise = (eye_m[2] - x_m[2]) / far, step = SUPPORT_STEP * s->cell_m;
     if (!(rise > 0.0))
         return !(far > 0.0); /* straight above */
-    for (double at = 1.5 * s->cell_m; at < far; at += step) {
+    for (size_t k = 0;; k++) {
+        double at = 1.5 * s->cell_m + (double)k * step;
+        if (at >= far)
+            return true;
         double z = x_m[2] + at * rise;
         if (z > w->highest_m)
             return true;
@@ -127,7 +130,6 @@ static bool support_is_clear(const struct support_work *w, const double x_m[3],
         if ((double)s->top_m[cell] > z + SUPPORT_CLEAR * s->cell_m)
             return false;
     }
-    return true;
 }
 
 static enum err_code support_row(void *user, size_t row, struct err *e)

@@ -104,30 +104,35 @@ static size_t pairs_part(const struct camera *c, const double x_m[3])
     return row * PAIRS_COLUMNS + column;
 }
 
-/* Gives parts without a height the mean of those around that have one, ring by ring. */
+/* The mean of the parts beside that have a height; NAN: none has. */
+static double pairs_beside(const double height_m[PAIRS_PLACES], size_t at)
+{
+    size_t x = at % PAIRS_COLUMNS, y = at / PAIRS_COLUMNS;
+    const double beside[4] = {x > 0 ? height_m[at - 1] : (double)NAN,
+                              x + 1 < PAIRS_COLUMNS ? height_m[at + 1] : (double)NAN,
+                              y > 0 ? height_m[at - PAIRS_COLUMNS] : (double)NAN,
+                              y + 1 < PAIRS_ROWS ? height_m[at + PAIRS_COLUMNS] : (double)NAN};
+    double sum = 0.0, n = 0.0;
+    for (int k = 0; k < 4; k++)
+        if (!isnan(beside[k])) {
+            sum += beside[k];
+            n += 1.0;
+        }
+    return n > 0.0 ? sum / n : (double)NAN;
+}
+
+/* Gives parts without a height the mean of those beside that have one, ring by ring. */
 static void pairs_fill(double height_m[PAIRS_PLACES])
 {
-    static const ptrdiff_t beside[4] = {-1, 1, -PAIRS_COLUMNS, PAIRS_COLUMNS};
     for (bool more = true; more;) {
         double before[PAIRS_PLACES];
         memcpy(before, height_m, sizeof before);
         more = false;
-        for (size_t at = 0; at < PAIRS_PLACES; at++) {
-            size_t x = at % PAIRS_COLUMNS, y = at / PAIRS_COLUMNS, n = 0;
-            const bool is_there[4] = {x > 0, x + 1 < PAIRS_COLUMNS, y > 0, y + 1 < PAIRS_ROWS};
-            double sum = 0.0;
-            for (int k = 0; k < 4 && isnan(before[at]); k++) {
-                double other = is_there[k] ? before[(ptrdiff_t)at + beside[k]] : (double)NAN;
-                if (!isnan(other)) {
-                    sum += other;
-                    n++;
-                }
+        for (size_t at = 0; at < PAIRS_PLACES; at++)
+            if (isnan(before[at])) {
+                height_m[at] = pairs_beside(before, at);
+                more = more || !isnan(height_m[at]);
             }
-            if (n) {
-                height_m[at] = sum / (double)n;
-                more = true;
-            }
-        }
     }
 }
 
