@@ -124,6 +124,8 @@ test("the element tells what happens, and follows its attributes", async (t) => 
     }), true);
     await page.evaluate(() => document.getElementById("city").remove());
     await page.waitForFunction(() => document.getElementById("city") === null);
+    // The browser tells of their end a moment later.
+    for (let i = 0; page.workers().length && i < 50; i++) await page.waitForTimeout(100);
     assert.equal(page.workers().length, 0, "workers are left");
     assert.deepEqual(log, []);
 });
