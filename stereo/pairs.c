@@ -161,13 +161,13 @@ static void pairs_ground(const struct pairs_work *w, uint32_t image, size_t firs
 static void pairs_places(struct pairs_work *w, uint32_t image, size_t first, size_t last)
 {
     const struct camera *c = &w->scene->images[image].cam;
-    double height_m[PAIRS_PLACES];
+    double height_m[PAIRS_PLACES], eye[3];
+    camera_center(c, eye);
     pairs_ground(w, image, first, last, height_m);
     for (size_t at = 0; at < PAIRS_PLACES; at++) {
         double x = ((double)(at % PAIRS_COLUMNS) + 0.5) / PAIRS_COLUMNS * c->width_px,
                y = ((double)(at / PAIRS_COLUMNS) + 0.5) / PAIRS_ROWS * c->height_px,
                a = (x - c->cx_px) / c->fx_px, b = (y - c->cy_px) / c->fy_px, ray[3];
-        const double *eye = w->center[image];
         for (int k = 0; k < 3; k++)
             ray[k] = c->rot[k] * a + c->rot[3 + k] * b + c->rot[6 + k];
         double depth = (height_m[at] - eye[2]) / ray[2];
@@ -256,12 +256,11 @@ enum err_code pairs_find(const struct scene *s, const uint8_t *use, size_t swept
     out->near = mem_array(s->n_images, sizeof *out->near);
     out->n_near = mem_array(s->n_images, 1);
     out->n_swept = mem_array(s->n_images, 1);
-    enum err_code rc =
-        out->near && out->n_near && out->n_swept
-            ? ERR_OK
-            : err_set(e, ERR_MEM, "stereo: out of memory for %zu photographs", s->n_images);
-    if (!rc)
-        rc = pairs_open(s, &w, e);
+    if (!out->near || !out->n_near || !out->n_swept) {
+        pairs_free(out);
+        return err_set(e, ERR_MEM, "stereo: out of memory for %zu photographs", s->n_images);
+    }
+    enum err_code rc = pairs_open(s, &w, e);
     for (size_t i = 0, first = 0; !rc && i < s->n_images; i++) {
         size_t last = first;
         while (last < s->n_tracks && s->tracks[last].image == i)
