@@ -76,6 +76,21 @@ void support_add(struct support *s, const double mean_m[3], double opacity)
         s->top_m[at] = fmaxf(s->top_m[at], (float)mean_m[2]); /* takes no notice of NAN */
 }
 
+static void support_smooth_at(struct support *s, const float *from, size_t x, size_t y)
+{
+    double around[9];
+    size_t at = y * s->nx + x, k = 0, higher = 0;
+    for (size_t b = y ? y - 1 : 0; b <= y + 1 && b < s->ny; b++)
+        for (size_t a = x ? x - 1 : 0; a <= x + 1 && a < s->nx; a++) {
+            float z = from[b * s->nx + a];
+            if (isfinite(z))
+                around[k++] = (double)z;
+            higher += z >= from[at] - (float)s->cell_m; /* itself too */
+        }
+    if (k && (!isfinite(from[at]) || higher == 1))
+        s->top_m[at] = (float)sort_median(around, k);
+}
+
 /* A column that stands alone, and a cell without a Gaussian, take the median of the nine around. */
 static enum err_code support_smooth(struct support *s, struct err *e)
 {
@@ -84,19 +99,9 @@ static enum err_code support_smooth(struct support *s, struct err *e)
     if (!from)
         return err_set(e, ERR_MEM, "out of memory for %zu places that photographs see", n);
     memcpy(from, s->top_m, n * sizeof *from);
-    for (size_t i = 0; i < n; i++) {
-        double around[9];
-        size_t x = i % s->nx, y = i / s->nx, k = 0, higher = 0;
-        for (size_t b = y ? y - 1 : 0; b <= y + 1 && b < s->ny; b++)
-            for (size_t a = x ? x - 1 : 0; a <= x + 1 && a < s->nx; a++) {
-                float z = from[b * s->nx + a];
-                if (isfinite(z))
-                    around[k++] = (double)z;
-                higher += z >= from[i] - (float)s->cell_m; /* itself too */
-            }
-        if (k && (!isfinite(from[i]) || higher == 1))
-            s->top_m[i] = (float)sort_median(around, k);
-    }
+    for (size_t y = 0; y < s->ny; y++)
+        for (size_t x = 0; x < s->nx; x++)
+            support_smooth_at(s, from, x, y);
     mem_free(from);
     return ERR_OK;
 }

@@ -262,11 +262,12 @@ static enum err_code pmtiles_read_head(const struct pmtiles_read_from *f, struct
     for (size_t i = 0; i < 4; i++) {
         parts[i]->at = cursor_u64(&c);
         parts[i]->size = cursor_u64(&c);
+        const uint64_t least = parts[i]->at + parts[i]->size;
         if (parts[i]->at > from->size_bytes || parts[i]->size > from->size_bytes - parts[i]->at)
             return err_set(e, ERR_FORMAT,
                            "%s: not all of it is there, or it is damaged: it should have %llu "
                            "bytes or more",
-                           from->name, (unsigned long long)(parts[i]->at + parts[i]->size));
+                           from->name, (unsigned long long)least);
     }
     (void)cursor_take(&c, 24); /* counts */
     const uint8_t *kinds = cursor_take(&c, 6);
