@@ -66,7 +66,7 @@ struct store {
     char *footprint;       /* opened: GeoJSON; NULL: none */
     struct buf seen;       /* opened: blob; empty: none */
     char *clip;            /* opened: GeoJSON; NULL: none */
-    bool borrows;          /* opened: tiles, tree, footprint and clip belong to another handle */
+    bool borrows;          /* opened: tiles, tree and what the blobs say belong to another handle */
     struct remote *remote; /* opened from an address: its reader, which belongs to db; else NULL */
     /* building: the store that will be replaced, for tile versions; may be NULL */
     struct store *before;
