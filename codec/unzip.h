@@ -8,8 +8,9 @@
 
 #include "codec/read_at.h"
 
-enum { UNZIP_FILES_MAX = 1 << 22, UNZIP_BYTES_MAX = 256 << 20 /* of one file */ };
-struct unzip; /* immutable; any thread */
+enum { UNZIP_FILES_MAX = 1 << 22 };
+enum { UNZIP_BYTES_MAX = 256 << 20 }; /* of one file */
+struct unzip;                         /* immutable; any thread */
 struct unzip_file {
     struct hash128 name;           /* hash of it */
     uint64_t at;                   /* of its local header */

@@ -58,6 +58,17 @@ inline void importance_splat(struct importance_state *s, const float *w, float x
     vstore4(fold_1(sums, sums).s0123, 0, slot);
 }
 
+// The next n splats of a tile, and the blocks of pixels that each may touch.
+inline void importance_stage(__global const struct layout_splat *splats, __global const uint *which,
+                             uint n, float x0, float y0, uint cull, float *staged, uint *mask)
+{
+    for (uint j = 0; j < n; j++)
+        LAYOUT_WIDE(__private, float, staged + LAYOUT_SPLAT_WORDS * j) =
+            LAYOUT_WIDE(const __global, float, splats + which[j]);
+    for (uint j = 0; j < n; j += 16)
+        blend_masks(staged + LAYOUT_SPLAT_WORDS * j, x0, y0, cull, mask + j);
+}
+
 __kernel void importance_tiles(__constant struct layout_view *view,
                                __global const struct layout_splat *splats,
                                __global const uint *tile_start,
@@ -80,11 +91,7 @@ __kernel void importance_tiles(__constant struct layout_view *view,
         vstore16((float16)(0.0f), 0, staged + j);
     while (at < end && active) {
         uint n = min(end - at, (uint)BATCH);
-        for (uint j = 0; j < n; j++)
-            LAYOUT_WIDE(__private, float, staged + LAYOUT_SPLAT_WORDS * j) =
-                LAYOUT_WIDE(const __global, float, splats + intersection_splat[at + j]);
-        for (uint j = 0; j < n; j += 16)
-            blend_masks(staged + LAYOUT_SPLAT_WORDS * j, x0, y0, view->tile_cull, mask + j);
+        importance_stage(splats, intersection_splat + at, n, x0, y0, view->tile_cull, staged, mask);
         for (uint j = 0; j < n && active; j++) {
             uint blocks = mask[j] & active;
             if (blocks)
@@ -170,11 +177,7 @@ __kernel void removal_tiles(__constant struct layout_view *view,
         vstore16((float16)(0.0f), 0, staged + j);
     while (at < end && active) {
         uint n = min(end - at, (uint)BATCH);
-        for (uint j = 0; j < n; j++)
-            LAYOUT_WIDE(__private, float, staged + LAYOUT_SPLAT_WORDS * j) =
-                LAYOUT_WIDE(const __global, float, splats + intersection_splat[at + j]);
-        for (uint j = 0; j < n; j += 16)
-            blend_masks(staged + LAYOUT_SPLAT_WORDS * j, x0, y0, view->tile_cull, mask + j);
+        importance_stage(splats, intersection_splat + at, n, x0, y0, view->tile_cull, staged, mask);
         for (uint j = 0; j < n && active; j++) {
             uint blocks = mask[j] & active;
             if (blocks)

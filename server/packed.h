@@ -46,8 +46,9 @@ const char *packed_shown(const struct packed *p);                /* path or addr
 /* Appends the entry of a 3TZ, tileset.json, in which addresses begin with `prefix`. ERR_MEM. */
 enum err_code packed_entry(const struct packed *p, const char *prefix, struct buf *out,
                            struct err *e) ERR_USE;
-/* A file of a 3TZ by its name [n], or a tile of a map. False: there is none. */
+/* Finds a file of a 3TZ by its name [n]. False: there is none. */
 bool packed_find_file(const struct packed *p, const char *name, size_t n, struct packed_part *out);
+/* Finds a tile of a map. False: there is none. */
 bool packed_find_tile(const struct packed *p, struct key k, struct packed_part *out);
 /* Reads a part; the caller frees `out`. ERR_BUSY: its server does not send it now. ERR_FORMAT,
  * ERR_IO, ERR_MEM. */

@@ -58,16 +58,22 @@ static void document(struct buf *b)
     buf_printf(b, ",{\"content\":{\"uri\":\"tileset/17/1/2.json\"}}]}}\n");
 }
 
+/* What file i of the tileset holds. */
+static void file_bytes(size_t i, struct buf *b)
+{
+    if (i == 0 || i == TILES + 1)
+        document(b);
+    else
+        tile_bytes(i - 1, b);
+}
+
 static void make_tiles(const char *path)
 {
     struct err e = {0};
     char at[FILE_PATH_MAX];
     for (size_t i = 0; i < TILES + 2; i++) {
         struct buf b = {0};
-        if (i == 0 || i == TILES + 1)
-            document(&b);
-        else
-            tile_bytes(i - 1, &b);
+        file_bytes(i, &b);
         kit_ok(file_join(at, p.files, p.names[i], &e), e);
         *strrchr(at, '/') = '\0';
         kit_ok(file_mkdir(at, &e), e);
@@ -225,10 +231,7 @@ static void assert_all_files(void)
 {
     for (size_t i = 0; i < TILES + 2; i++) {
         struct buf b = {0};
-        if (i == 0 || i == TILES + 1)
-            document(&b);
-        else
-            tile_bytes(i - 1, &b);
+        file_bytes(i, &b);
         assert_body(address(p.names[i]),
                     strstr(p.names[i], ".glb") ? "model/gltf-binary" : "application/json", &b);
         buf_free(&b);

@@ -440,9 +440,9 @@ static void neighbours_cover_the_picture(void **state)
             places[all > 4] += all >= 2;
             covered[all > 4] += all >= 2 && chosen;
         }
-    /* all, when this was written; neighbours that share most points left FIXME */
+    /* All, when this was written. The neighbours that show the most left 14 of 559 out. */
     assert_true(places[0] > 300 && places[1] > 300);
-    if (covered[0] * 100 < places[0] * 98 || covered[1] * 100 < places[1] * 98)
+    if (covered[0] * 100 < places[0] * 99 || covered[1] * 100 < places[1] * 99)
         fail_msg(
             "of places that 2 to 4 others show %zu of %zu are covered, of those that more show "
             "%zu of %zu",

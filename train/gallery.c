@@ -182,3 +182,15 @@ enum err_code gallery_value(struct gallery *g, const struct photo *p, struct err
 {
     return gallery_run(g, p, true, e);
 }
+
+enum err_code gallery_score(struct gallery *g, const struct photo *p, const struct render_model *m,
+                            const struct render_options *ro, struct photometric_value *out,
+                            struct err *e)
+{
+    enum err_code rc = gallery_hand_over(g, p, e);
+    if (!rc)
+        rc = render_forward(g->engine.render, m, &p->cam, ro, NULL, NULL, e);
+    if (!rc)
+        rc = gallery_value(g, p, e);
+    return rc ? rc : photometric_read(g->engine.loss, out, e);
+}

@@ -62,13 +62,7 @@ static enum err_code prune_draw(struct prune *c, size_t nth, double *mse, struct
     if (rc)
         return rc;
     struct render_options ro = gallery_photo_options(g, c->at, p.image);
-    rc = gallery_hand_over(g, &p, e);
-    if (!rc)
-        rc = render_forward(g->engine.render, &c->m->gauss, &p.cam, &ro, NULL, NULL, e);
-    if (!rc)
-        rc = gallery_value(g, &p, e);
-    if (!rc)
-        rc = photometric_read(g->engine.loss, &v, e);
+    rc = gallery_score(g, &p, &c->m->gauss, &ro, &v, e);
     *mse = v.mse;
     if (!rc && c->residuals)
         rc = residual_add(c->residuals, p.name, residual_mse(&p, v.mse), residual_ssim(&p, v.ssim),

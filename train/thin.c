@@ -91,13 +91,7 @@ static enum err_code thin_draw(struct thin *c, size_t nth, struct err *e)
     if (rc)
         return rc;
     background_choose(c->background, g->cfg, supported, c->at, &p, &ro);
-    rc = gallery_hand_over(g, &p, e);
-    if (!rc)
-        rc = render_forward(g->engine.render, &c->m->gauss, &p.cam, &ro, NULL, NULL, e);
-    if (!rc)
-        rc = gallery_value(g, &p, e);
-    if (!rc)
-        rc = photometric_read(g->engine.loss, &v, e);
+    rc = gallery_score(g, &p, &c->m->gauss, &ro, &v, e);
     c->error += isfinite(v.mse) ? v.mse : 0.0;
     return rc ? rc : thin_weigh(c, &p, e);
 }
