@@ -57,8 +57,8 @@ enum err_code gallery_hand_over(struct gallery *g, const struct photo *p, struct
 enum err_code gallery_loss(struct gallery *g, const struct photo *p, struct err *e) ERR_USE;
 /* As gallery_loss, without gradients. Only photometric_read may follow. ERR_MEM, ERR_DEVICE. */
 enum err_code gallery_value(struct gallery *g, const struct photo *p, struct err *e) ERR_USE;
-/* Hands a photograph over, draws Gaussians as it shows them, and reads the value. It waits. ERR_MEM,
- * ERR_DEVICE. */
+/* Hands a photograph over, draws Gaussians as it shows them, and reads the value. It waits.
+ * ERR_MEM, ERR_DEVICE. */
 enum err_code gallery_score(struct gallery *g, const struct photo *p, const struct render_model *m,
                             const struct render_options *ro, struct photometric_value *out,
                             struct err *e) ERR_USE;
