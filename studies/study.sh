@@ -78,6 +78,8 @@ scene_about() {
     cells-light) echo "procedural city 200 m, 150 photographs of 400 x 300 px under changing light, 11 cells of 66 m" ;;
     cells-location) echo "procedural city 200 m, 150 photographs of 400 x 300 px, 6 cells of 70 m, without visibility selection, 24 map views" ;;
     exact) echo "city of the demo's size, seed 7, exact GPS, 84 photographs of 480 x 360 px, 24 map views" ;;
+    block) echo "the same city and one with a block of 400 m3 on a street" ;;
+    fine) echo "the same city, 84 photographs of 960 x 720 px, 24 map views" ;;
     tricky) echo "the same city in paint that says little of shape" ;;
     demo) echo "demo city 120 m, 84 photographs of 480 x 360 px, 24 map views" ;;
     gloss) echo "the demo city with surfaces that shine, 84 photographs of 480 x 360 px, 24 map views" ;;
@@ -128,10 +130,14 @@ scene_build() { # NAME FOLDER
       citysplat synth --config configs/demo-synth.jsonc --map-views 24 -o "$2-photos" --overwrite -q
       citysplat ingest "$2-photos/images" "$2-photos/sparse" --config configs/demo-ingest.jsonc -o "$2" -q
       ;;
-    exact | tricky)
-      local paint=rich
-      [ "$1" = exact ] || paint=tricky
-      citysplat synth --config configs/demo-synth.jsonc --seed 7 --gps-sigma-m 0 --gps-outlier-share 0 --paint "$paint" --map-views 24 -o "$2-photos" --overwrite -q
+    exact | tricky | fine | block)
+      local city=(--seed 7 --gps-sigma-m 0 --gps-outlier-share 0)
+      case $1 in
+        tricky) city+=(--paint tricky) ;;
+        fine) city+=(--width-px 960 --height-px 720) ;;
+        block) city+=(--block-m3 400) ;;
+      esac
+      citysplat synth --config configs/demo-synth.jsonc "${city[@]}" --map-views 24 -o "$2-photos" --overwrite -q
       citysplat ingest "$2-photos/images" "$2-photos/sparse" --config configs/demo-ingest.jsonc -o "$2" -q
       ;;
     gloss)
@@ -210,7 +216,7 @@ model_errors() {
   local scene=$1 folder=$2
   [ -f "$folder/city.tiles" ] || citysplat tile "$OUT/$scene" --trained "$folder" -o "$folder/city.tiles" >&2
   rm -f "$folder/dsm.tif"
-  citysplat dsm "$folder/city.tiles" --gsd-m 0.192 -o "$folder/dsm.tif" --overwrite >&2
+  citysplat dsm "$folder/city.tiles" --gsd-m "${GSD_M:-0.192}" -o "$folder/dsm.tif" --overwrite >&2
   citysplat synth --city "$OUT/$scene-photos" --map "$folder/dsm.tif" | awk '
     $1 == "level" { printf "dsm_level_off_m=%s,dsm_level_rmse_m=%s,dsm_level_le90_m=%s,", $4, $5, $7 }
     $1 == "edges" { printf "dsm_edges_median_m=%s,", $3 }
@@ -243,7 +249,7 @@ row() {
   [ -z "${MAP_VIEWS:-}" ] || command+="; citysplat eval $scene --views $scene-photos/map-views"
   case ${SURFACE:-} in
     city)
-      command+="; citysplat eval $scene --surface $scene-photos; citysplat tile $scene; citysplat dsm CITY.tiles --gsd-m 0.192; citysplat synth --city $scene-photos --map DSM"
+      command+="; citysplat eval $scene --surface $scene-photos; citysplat tile $scene; citysplat dsm CITY.tiles --gsd-m ${GSD_M:-0.192}; citysplat synth --city $scene-photos --map DSM"
       surface=$OUT/$scene-photos
       ;;
     points) command+="; citysplat eval $scene --surface points" surface=points ;;
@@ -282,6 +288,9 @@ depths() {
   [[ $2 != *"--depth-prior $1-depth"* ]] || [ -d "$OUT/$1-depth" ] || citysplat stereo "$OUT/$1" -o "$OUT/$1-depth" >&2
 }
 
+# json_numbers FILE: the numbers of a JSON object, as `record --set` takes them.
+json_numbers() { sed -n 's/^  "\([a-z0-9_]*\)": \(-\{0,1\}[0-9][-+.0-9e]*\),\{0,1\}$/\1=\2/p' "$1" | paste -sd, -; }
+
 # repeat STUDY ROW SCENE SET OPTIONS...: what `compare` makes of two trainings of the same photographs, which should be
 # nothing, recorded as STUDY_repeat. They are those of `row STUDY ROW` with seeds 1 and 2 where KEEP=1 has left them.
 repeat() {
@@ -300,7 +309,31 @@ repeat() {
   citysplat compare "${tiles[@]}" -o "$folder/change.tif" --overwrite >"$folder/change.json"
   cat "$folder/change.json" >&2
   record solid_repeat "$study: $name" "$command" --dataset "$(scene_about "$scene")" --commit "$COMMIT" \
-    --set "$(sed -n 's/^  "\([a-z0-9_]*\)": \(-\{0,1\}[0-9][-+.0-9e]*\),\{0,1\}$/\1=\2/p' "$folder/change.json" | paste -sd, -)"
+    --set "$(json_numbers "$folder/change.json")"
+}
+
+# changed RUNS ROW EARLIER LATER SEED OPTIONS...: what `compare` makes of a training of one scene with seed 1 and one of another
+# with SEED, recorded in RUNS. The last option takes the depth maps of each scene.
+changed() {
+  local runs=$1 name=$2 earlier=$3 later=$4 seed=$5 k scene folder command="" tiles=()
+  shift 5
+  for scene in "$earlier" "$later"; do
+    command+="citysplat stereo $scene -o $scene-depth; citysplat train $scene --seed $([ "$scene" = "$earlier" ] && echo 1 || echo "$seed") $* $scene-depth; citysplat tile $scene; "
+  done
+  command+="citysplat compare $earlier.tiles $later.tiles"
+  wanted "$runs" "$name" "$command" || return 0
+  for scene in "$earlier" "$later"; do
+    k=$([ "$scene" = "$earlier" ] && echo 1 || echo "$seed")
+    scene "$scene" || return 0
+    depths "$scene" "$* $scene-depth"
+    folder=$OUT/trained/$(slug solid_block "$scene" "$k")
+    trained "$folder" "$scene" --seed "$k" "$@" "$OUT/$scene-depth"
+    tiles+=("$folder/city.tiles")
+    [ -f "$folder/city.tiles" ] || citysplat tile "$OUT/$scene" --trained "$folder" -o "$folder/city.tiles" >&2
+  done
+  citysplat compare "${tiles[@]}" -o "$folder/change.tif" --polygons "$folder/change.geojson" --overwrite >"$folder/change.json"
+  cat "$folder/change.json" >&2
+  record "$runs" "$name" "$command" --dataset "$(scene_about "$later")" --commit "$COMMIT" --set "$(json_numbers "$folder/change.json")"
 }
 
 # tile_row STUDY ROW SCENE SET TILE-OPTIONS --eval EVAL-OPTIONS -- TRAIN-OPTIONS: score tiles of a scene that is
@@ -576,6 +609,20 @@ study_solid_terms() {
   seeded solid_terms solid_terms_rows solid_terms exact --iterations "$(steps solid_terms)"
 }
 study_solid_tricky() { MAP_VIEWS=1 solid solid_tricky tricky city; }
+# Photographs of twice as many pixels across: half the footprint of a pixel.
+fine_rows() {
+  local MAP_VIEWS=1 SURFACE=city GSD_M=0.096 STUDY_ROWS=${STUDY_ROWS:-stereo}
+  solid_rows row solid_fine fine --iterations "$(steps solid_fine)"
+}
+study_solid_fine() { seeded solid_fine fine_rows; }
+# Two surveys of a place where a block was built: the volume that `compare` finds, of three later trainings.
+study_solid_block() {
+  local k
+  for k in 2 3 4; do
+    changed solid_repeat "solid_block: stereo (seeds 1 and $k)" exact block "$k" --iterations "$(steps solid_block)" --depth-prior
+  done
+  rm -rf "$OUT/trained/solid-block"*
+}
 study_solid_caliterra() { solid solid_caliterra caliterra-400 points; }
 study_solid_ochota() { solid solid_ochota ochota-400 points; }
 
@@ -804,7 +851,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full long big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_tricky solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ablation ablation_city cells cells_light
+readonly STUDIES=(time full long big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_tricky solid_fine solid_block solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ablation ablation_city cells cells_light
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {

@@ -215,6 +215,8 @@ static enum err_code synth_write_truth(const struct job *j, const struct synth_s
     json_object_del(config, "map_blur_px");
     if (cfg->paint == SYNTH_PAINT_RICH) /* cities had it before there was another */
         json_object_del(config, "paint");
+    if (cfg->block_m3 == 0) /* likewise */
+        json_object_del(config, "block_m3");
     json_t *root = json_pack(
         "{s:s, s:o, s:{s:f, s:f, s:f}, s:{s:f, s:o, s:o}, s:{s:s, s:i, s:i, s:o}, s:o}", "format",
         "citysplat-truth", "config", config ? config : json_object(), "origin", "lon_deg",

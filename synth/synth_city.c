@@ -8,6 +8,7 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "synth/synth.h"
@@ -38,7 +39,9 @@ struct rect {
 };
 
 static const double street_half_m = 4.6, avenue_half_m = 6.4, sidewalk_m = 2.4, block_m = 46;
-static const double lane_m = 2.1; /* from the centre line to the middle of a lane */
+static const double block_slope = 0.4;   /* height of a block by its edge */
+static const double block_clear_m = 0.5; /* open ground around it */
+static const double lane_m = 2.1;        /* from the centre line to the middle of a lane */
 
 static void city_add(struct builder *b, const struct synth_solid *s)
 {
@@ -318,6 +321,48 @@ static void city_plant_fields(struct builder *b, double extent_m)
     }
 }
 
+/* Whether no solid reaches into the square. Yaw is covered by the solid's circle. */
+static bool city_is_open(const struct synth_city *c, const double at[2], double half_m)
+{
+    for (size_t i = 0; i < c->n_solids; i++) {
+        const struct synth_solid *s = &c->solids[i];
+        double reach = half_m + hypot(s->half_m[0], s->half_m[1]);
+        if (fmax(fabs(s->center_m[0] - at[0]), fabs(s->center_m[1] - at[1])) < reach)
+            return false;
+    }
+    return true;
+}
+
+/* The open place nearest to the middle, on rings of a raster. It depends on the solids alone, so
+ * a block of another size changes nothing else of the city. */
+static void city_add_block(struct builder *b, double volume_m3)
+{
+    const struct synth_city *c = b->city;
+    const double step = 0.5, edge = cbrt(volume_m3 / block_slope), half = 0.5 * edge;
+    const int rings = (int)((c->half_m - half) / step);
+    struct synth_solid block = {.kind = SYNTH_BOX,
+                                .material = SYNTH_SHED,
+                                .cos_yaw = 1,
+                                .half_m = {half, half},
+                                .z1_m = block_slope * edge,
+                                .color = {.46f, .40f, .34f}};
+    for (int r = 0; r <= rings; r++)
+        for (int y = -r; y <= r; y++)
+            for (int x = -r; x <= r; x += abs(y) == r || r == 0 ? 1 : 2 * r) {
+                block.center_m[0] = step * x;
+                block.center_m[1] = step * y;
+                if (city_is_open(c, block.center_m, half + block_clear_m)) {
+                    city_add(b, &block);
+                    return;
+                }
+            }
+    if (b->rc == ERR_OK)
+        b->rc = err_set(b->e, ERR_ARG,
+                        "synth: no open ground of %.1f m x %.1f m for a block of %g m3; choose a "
+                        "smaller --block-m3, a larger --extent-m or another --seed",
+                        edge, edge, volume_m3);
+}
+
 /* Axes and sun: those of a seed. */
 static void city_orient(struct synth_city *c, uint32_t seed)
 {
@@ -379,6 +424,8 @@ enum err_code synth_city_make(const struct synth_config *cfg, struct synth_city 
     city_lay_streets(&c, cfg->extent_m);
     city_build(&b);
     city_plant_fields(&b, cfg->extent_m);
+    if (cfg->block_m3 > 0)
+        city_add_block(&b, cfg->block_m3);
     return city_finish(&b, out);
 }
 

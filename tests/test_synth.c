@@ -451,6 +451,49 @@ static double nearest_m(const struct gauss *g, const double at[3])
 }
 
 /* What is seen from straight above has a Gaussian near it, whatever their number. */
+/* A block is put on open ground, nothing else moves, and straight rays measure its volume. */
+static void test_block(void **state)
+{
+    (void)state;
+    enum { RASTER = 900 };
+    const double step = 0.1;
+    struct synth_config cfg;
+    struct arena arena = {0};
+    struct synth_city before, after;
+    struct err e = {0};
+    double volume = 0;
+    kit_ok(options_defaults(synth_options(), &cfg, &arena, &e), e);
+    cfg.extent_m = 120;
+    kit_ok(synth_city_make(&cfg, &before, &e), e);
+    cfg.block_m3 = 400;
+    kit_ok(synth_city_make(&cfg, &after, &e), e);
+    assert_int_equal(after.n_solids, before.n_solids + 1);
+    for (size_t i = 0; i < before.n_solids; i++) {
+        const struct synth_solid *a = &before.solids[i], *b = &after.solids[i];
+        assert_memory_equal(a->center_m, b->center_m, sizeof a->center_m);
+        assert_true(a->seed == b->seed && a->z1_m == b->z1_m);
+    }
+    for (int y = 0; y < RASTER; y++)
+        for (int x = 0; x < RASTER; x++) {
+            const double from[3] = {step * (x + 0.5 - RASTER / 2), step * (y + 0.5 - RASTER / 2),
+                                    60},
+                         down[3] = {0, 0, -1};
+            struct synth_hit a, b;
+            synth_trace_ray(&before, NULL, from, down, &a);
+            synth_trace_ray(&after, NULL, from, down, &b);
+            volume += step * step * (a.t_m - b.t_m);
+            if (b.solid == after.solids + before.n_solids && a.solid)
+                fail_msg("the block stands on a solid at %.1f, %.1f m", from[0], from[1]);
+        }
+    if (fabs(volume - 400) > 0.02 * 400)
+        fail_msg("the block has %.1f m3, not 400", volume);
+    cfg.block_m3 = 1e5;
+    synth_city_free(&after);
+    kit_fails(synth_city_make(&cfg, &after, &e), ERR_ARG, e, "--block-m3");
+    synth_city_free(&before);
+    arena_free(&arena);
+}
+
 static void test_splats_cover(void **state)
 {
     (void)state;
@@ -593,6 +636,7 @@ int main(void)
         cmocka_unit_test(test_knobs),
         cmocka_unit_test(test_gloss),
         cmocka_unit_test(test_tricky),
+        cmocka_unit_test(test_block),
         cmocka_unit_test(test_splats_cover),
         cmocka_unit_test(test_splats_districts),
         cmocka_unit_test(test_splats_files),
