@@ -28,8 +28,7 @@ enum err_code maps_number(const char *option, const char *text, double *out, str
                : err_set(e, ERR_ARG, "%s: '%s': a number is expected", option, text);
 }
 
-/* west,south,east,north of --bbox. ERR_ARG. */
-static enum err_code maps_bbox(const char *text, double out[4], struct err *e)
+enum err_code maps_bbox(const char *text, double out[4], struct err *e)
 {
     const char *p = text;
     for (size_t i = 0; i < 4; i++) {

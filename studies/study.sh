@@ -211,17 +211,22 @@ trained() {
   touch "$folder/done"
 }
 
-# model_errors SCENE FOLDER: errors of the surface model of a city's training, as numbers for `record`.
+# map_errors SCENE DSM: errors of a surface model of a city, as numbers for `record`.
+map_errors() {
+  citysplat synth --city "$OUT/$1-photos" --map "$2" | awk '
+    $1 == "level" { printf "dsm_level_median_m=%s,dsm_level_off_m=%s,dsm_level_rmse_m=%s,dsm_level_le90_m=%s,dsm_level_1_gsd_percent=%s,", $3, $4, $5, $7, $10 }
+    $1 == "edges" { printf "dsm_edges_median_m=%s,dsm_edges_1_gsd_percent=%s,", $3, $10 }
+    $1 == "all" { printf "dsm_rmse_m=%s,dsm_above_1_m_percent=%s,", $5, $9 }
+    / without a surface;/ { printf "dsm_pixels=%s,dsm_missing=%s,", $2, $(NF - 9) }
+    $1 == "walls" { sub(/.*px \(/, ""); printf "dsm_roofs_out_m=%s", $1 + 0 }'
+}
+
+# model_errors SCENE FOLDER: those of a city's training.
 model_errors() {
   local scene=$1 folder=$2
   [ -f "$folder/city.tiles" ] || citysplat tile "$OUT/$scene" --trained "$folder" -o "$folder/city.tiles" >&2
-  rm -f "$folder/dsm.tif"
   citysplat dsm "$folder/city.tiles" --gsd-m "${GSD_M:-0.192}" -o "$folder/dsm.tif" --overwrite >&2
-  citysplat synth --city "$OUT/$scene-photos" --map "$folder/dsm.tif" | awk '
-    $1 == "level" { printf "dsm_level_off_m=%s,dsm_level_rmse_m=%s,dsm_level_le90_m=%s,", $4, $5, $7 }
-    $1 == "edges" { printf "dsm_edges_median_m=%s,", $3 }
-    $1 == "all" { printf "dsm_rmse_m=%s,dsm_above_1_m_percent=%s,", $5, $9 }
-    $1 == "walls" { sub(/.*px \(/, ""); printf "dsm_roofs_out_m=%s", $1 + 0 }'
+  map_errors "$scene" "$folder/dsm.tif"
 }
 
 # row STUDY ROW SCENE SET OPTIONS...: train with OPTIONS, score every level at its own size, record with the
@@ -615,6 +620,25 @@ fine_rows() {
   solid_rows row solid_fine fine --iterations "$(steps solid_fine)"
 }
 study_solid_fine() { seeded solid_fine fine_rows; }
+# What is known without training: the depth maps of `stereo`, brought together as a map. The study's rows are beside those of solid.
+study_solid_mvs() {
+  local scene=exact name="known depths alone" folder=$OUT/mvs command TIMEFORMAT="%U %S"
+  command="citysplat stereo exact -o exact-depth; citysplat dsm exact --depths exact-depth --gsd-m 0.192; citysplat synth --city exact-photos --map DSM"
+  wanted solid_mvs "$name" "$command" || return 0
+  scene $scene
+  rm -rf "$folder"
+  mkdir -p "$folder"
+  ceilings
+  { # processor seconds of all cores
+    time {
+      citysplat stereo "$OUT/$scene" -o "$folder/depth"
+      citysplat dsm "$OUT/$scene" --depths "$folder/depth" --gsd-m 0.192 -o "$folder/dsm.tif"
+    } >"$folder/log" 2>&1
+  } 2>"$folder/time"
+  record solid_mvs "$name" "$command" --dataset "$(scene_about $scene)" --commit "$COMMIT" --ceilings "$OUT/ceilings.jsonl" \
+    --set "$(map_errors $scene "$folder/dsm.tif"),cpu_s=$(awk '{ print $1 + $2 }' "$folder/time")"
+  rm -rf "$folder"
+}
 # Two surveys of a place where a block was built: the volume that `compare` finds, of three later trainings.
 study_solid_block() {
   local k
@@ -851,7 +875,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full long big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_tricky solid_fine solid_block solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ablation ablation_city cells cells_light
+readonly STUDIES=(time full long big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ablation ablation_city cells cells_light
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {

@@ -72,7 +72,7 @@ static double map_gsd(double sigma_m)
     return ten * (of < 1.5 ? 1 : of < 3.5 ? 2 : of < 7.5 ? 5 : 10);
 }
 
-static enum err_code map_size(const double box[4], double gsd, struct map_grid *g, struct err *e)
+enum err_code map_grid_make(const double box[4], double gsd, struct map_grid *g, struct err *e)
 {
     double west = floor(box[0] / gsd), south = floor(box[1] / gsd), east = ceil(box[2] / gsd),
            north = ceil(box[3] / gsd), w = east - west, h = north - south;
@@ -113,7 +113,7 @@ enum err_code map_plan(const struct nadir *n, const struct map_request *r, struc
     if (!rc)
         rc = map_box(*crs, deg, box, e);
     if (!rc)
-        rc = map_size(box, gsd, out, e);
+        rc = map_grid_make(box, gsd, out, e);
     out->epsg = epsg;
     int vertical =
         r->geoid ? crs_vertical(geoid_name(r->geoid)) : heights_epsg(map_stored_heights(n));

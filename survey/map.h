@@ -60,6 +60,10 @@ struct map_visitor {
      * surface; there is no uncertainty. Drawing is several times as fast. */
     bool colors_alone;
 };
+/* Pixels of an area: box is west, south, east, north in the projection. epsg is left 0. ERR_ARG:
+ * too many pixels; the message says what fits. */
+enum err_code map_grid_make(const double box[4], double gsd_m, struct map_grid *out,
+                            struct err *e) ERR_USE;
 /* Computes the pixels of a request. ERR_ARG: an invalid EPSG code, an empty area, or too many
  * pixels; the message says what is allowed. ERR_IO: PROJ's database lacks the geoid's heights.
  * ERR_MEM. */
