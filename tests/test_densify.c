@@ -252,8 +252,9 @@ static void long_ones_over_supported_ground_are_halved(void **state)
     toy_free(&t);
 }
 
-/* Where there is room for a few of them only, the longest are halved, wherever they stand. */
-static void the_longest_are_cut_first(void **state)
+/* Where there is room for a few of them only, those with the largest gradients are halved,
+ * wherever they stand. */
+static void the_most_wanted_are_cut_first(void **state)
 {
     (void)state;
     struct err e = {0};
@@ -273,9 +274,10 @@ static void the_longest_are_cut_first(void **state)
     p.free_space_m = HUGE_VAL;
     p.size_limit_m = 2.0;
     for (size_t i = 0; i < N; i++) {
-        t.grad[i] = 0.0f;
-        for (uint32_t k = 3; k < 6; k++) /* longer and longer, the last of them not */
-            *at(t.params, i, k) = logf(i + CUTS < N ? 2.5f + 0.1f * (float)i : 2.1f);
+        t.grad[i] =
+            i + CUTS < N ? 1e-9f * (float)i : 0.0f; /* more and more, the last of them not */
+        for (uint32_t k = 3; k < 6; k++)
+            *at(t.params, i, k) = logf(2.5f);
     }
     struct densify_input in = input_of(&t, false);
     struct densify_plan plan;
@@ -696,7 +698,7 @@ int main(void)
         cmocka_unit_test(more_than_the_budget_neither_grows_nor_is_cut),
         cmocka_unit_test(transparent_huge_tiny_and_broken_ones_are_removed),
         cmocka_unit_test(long_ones_over_supported_ground_are_halved),
-        cmocka_unit_test(the_longest_are_cut_first),
+        cmocka_unit_test(the_most_wanted_are_cut_first),
         cmocka_unit_test(both_ceilings_hold_where_children_cross_the_border),
         cmocka_unit_test(many_candidates_outside_take_no_room_inside),
         cmocka_unit_test(the_threshold_rises_outside_the_cell),

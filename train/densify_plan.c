@@ -286,7 +286,8 @@ static bool densify_take(const struct densify_params *p, const struct densify_in
     return true;
 }
 
-/* The candidates that stick out or are too long, the longest first; equal ones in their order. */
+/* The candidates that stick out or are too long, those with the largest gradients first; equal ones
+ * in their order. */
 static enum err_code densify_cut_order(const struct densify_input *in, struct densify_lists *w,
                                        size_t *n_cut, struct err *e)
 {
@@ -298,11 +299,9 @@ static enum err_code densify_cut_order(const struct densify_input *in, struct de
     struct sort_item *rank = mem_array(2 * n, sizeof *rank);
     if (!rank)
         return err_set(e, ERR_MEM, "densify: out of memory for %zu cuts", n);
-    for (size_t k = 0; k < n; k++) {
-        uint32_t axis = densify_longest(in->params, in->planes, w->drawn[k]);
-        float size = in->params[densify_at(w->drawn[k], in->planes, LAYOUT_PLANE_SCALE + axis)];
-        rank[k] = (struct sort_item){UINT32_MAX - sort_key_float(size), w->drawn[k]};
-    }
+    for (size_t k = 0; k < n; k++)
+        rank[k] = (struct sort_item){UINT32_MAX - sort_key_float(in->mean_grad[w->drawn[k]]),
+                                     w->drawn[k]};
     sort_items(rank, rank + n, n);
     for (size_t k = 0; k < n; k++)
         w->drawn[k] = rank[k].row;
@@ -311,7 +310,7 @@ static enum err_code densify_cut_order(const struct densify_input *in, struct de
 }
 
 /* What sticks out is halved first, in a part of the room: there is a next time. Where that is not
- * room enough, the longest go first: they are the widest veils, and need the most halvings. */
+ * room enough, those go first that photographs want to move most (decision 103). */
 static enum err_code densify_cut(const struct densify_params *p, const struct densify_input *in,
                                  struct densify_lists *w, size_t *taken, struct err *e)
 {
