@@ -193,20 +193,6 @@ static enum err_code area_read_clip(struct area *a, const char *text, struct err
     return rc;
 }
 
-/* What `tile` counted. */
-static enum err_code area_read_seen(struct area *a, const struct store *s, struct err *e)
-{
-    struct err why = {0};
-    size_t n;
-    const void *bytes = store_seen(s, &n);
-    enum err_code rc = bytes ? seen_decode(bytes, n, &a->seen, &why) : ERR_OK;
-    if (rc == ERR_MEM)
-        return err_set(e, rc, "%s", why.msg);
-    if (rc)
-        log_warn("store", "%s: heights are said to be as certain everywhere", why.msg);
-    return ERR_OK;
-}
-
 enum err_code area_make(const struct store *s, struct area *out, struct err *e)
 {
     struct area a = {.store = s};
@@ -225,8 +211,6 @@ enum err_code area_make(const struct store *s, struct area *out, struct err *e)
         rc = area_read_footprint(&a, store_footprint(s), e);
     if (!rc)
         rc = area_read_clip(&a, store_clip(s), e);
-    if (!rc)
-        rc = area_read_seen(&a, s, e);
     if (!rc && !a.n_edges) { /* of outlines that made no sense */
         mem_free(a.edges);
         a.edges = NULL;
@@ -241,7 +225,6 @@ void area_free(struct area *a)
 {
     mem_free(a->in);
     mem_free(a->edges);
-    seen_free(&a->seen);
     *a = (struct area){0};
 }
 

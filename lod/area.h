@@ -12,7 +12,6 @@
 #ifndef LOD_AREA_H
 #define LOD_AREA_H
 
-#include "codec/seen.h"
 #include "lod/store.h"
 
 enum { AREA_LAYERS_MAX = 8 };
@@ -36,7 +35,6 @@ struct area {                  /* {0} is empty; free with area_free */
     double west_deg, south_deg, east_deg, north_deg; /* box around the survey */
     /* ENU: nearly all Gaussians of the survey lie between these heights */
     double floor_m, ceiling_m;
-    struct seen_grid seen; /* how many photographs see a place; {0}: not known */
     double gsd_m;   /* pixel of the nearest photographs, median over the ground; 0: not known */
     double sigma_m; /* usual median sigma: half of all Gaussians are in finer tiles */
 };

@@ -11,6 +11,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "codec/seen.h"
 #include "core/appearance.h"
 #include "core/base.h"
 #include "core/camera.h"
@@ -36,6 +37,8 @@ struct nadir {
     struct view *view;
     struct render_surface *surface;
     struct area area;
+    struct seen_grid seen; /* how many photographs see a place; {0}: not known */
+    bool seen_read;
     double ceiling_m; /* ENU */
     float *rgb, *depth, *transmittance;
     size_t pixels;                  /* room in them */
@@ -111,6 +114,7 @@ void nadir_close(struct nadir **np)
     if (!n)
         return;
     area_free(&n->area);
+    seen_free(&n->seen);
     render_surface_close(&n->surface);
     view_close(&n->own_view);
     render_close(&n->own_render);
@@ -257,17 +261,38 @@ static void nadir_place(const struct nadir_piece *p, size_t x, size_t y, double 
     at[1] = ((double)y + 0.5 - 0.5 * p->height) / p->px_per_m_y;
 }
 
-enum err_code nadir_seen(const struct nadir *n, const struct nadir_piece *p, float *views,
-                         struct err *e)
+/* What `tile` counted. Pictures and most commands have no use for it, so it is read only here. A
+ * damaged one is left out: verify finds it. */
+static enum err_code nadir_read_seen(struct nadir *n, struct err *e)
+{
+    struct err why = {0};
+    struct buf b = {0};
+    if (n->seen_read)
+        return ERR_OK;
+    enum err_code rc = view_get_blob(n->view, SEEN_BLOB, &b, &why);
+    if (!rc)
+        rc = seen_decode(b.data, b.size, &n->seen, &why);
+    buf_free(&b);
+    if (rc == ERR_BUSY || rc == ERR_MEM)
+        return err_set(e, rc, "%s", why.msg);
+    if (rc && rc != ERR_NOENT)
+        log_warn("store", "%s: heights are said to be as certain everywhere", why.msg);
+    n->seen_read = true;
+    return ERR_OK;
+}
+
+enum err_code nadir_seen(struct nadir *n, const struct nadir_piece *p, float *views, struct err *e)
 {
     struct nadir_frame f;
     enum err_code rc = nadir_frame(n, p, &f, e);
+    if (!rc)
+        rc = nadir_read_seen(n, e);
     for (size_t i = 0; !rc && i < (size_t)p->width * p->height; i++) {
         double at[2], enu[2];
         nadir_place(p, i % p->width, i / p->width, at);
         for (size_t k = 0; k < 2; k++)
             enu[k] = f.eye[k] + at[0] * f.axis[0][k] + at[1] * f.axis[1][k];
-        views[i] = (float)seen_at(&nadir_area(n)->seen, enu[0], enu[1]);
+        views[i] = (float)seen_at(&n->seen, enu[0], enu[1]);
     }
     return rc;
 }

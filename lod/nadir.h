@@ -75,8 +75,9 @@ enum err_code nadir_draw(struct nadir *n, const struct nadir_piece *p, float *rg
                          struct err *e) ERR_USE;
 
 /* Writes how many photographs see each pixel, [h][w], 0 to SEEN_VIEWS_MAX (codec/seen.h). Where the
- * store does not know, SEEN_VIEWS_MAX. ERR_ARG (size or place). */
-enum err_code nadir_seen(const struct nadir *n, const struct nadir_piece *p, float *views,
+ * store does not know, SEEN_VIEWS_MAX. The first call reads it. ERR_ARG (size or place), ERR_BUSY
+ * (a store at an address), ERR_MEM. */
+enum err_code nadir_seen(struct nadir *n, const struct nadir_piece *p, float *views,
                          struct err *e) ERR_USE;
 
 /* Computes heights along slanted rays. out [h][w]: the ellipsoidal height at which the ray through

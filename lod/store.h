@@ -139,8 +139,6 @@ enum err_code store_get_blob(struct store *s, const char *name, struct buf *out,
  * NULL: none was stored. Borrowed until store_close. */
 #define STORE_FOOTPRINT "footprint" /* name of its blob */
 const char *store_footprint(const struct store *s);
-/* The blob SEEN_BLOB (codec/seen.h), n bytes, which the store owns. NULL: none. */
-const void *store_seen(const struct store *s, size_t *n);
 /* The polygons that the store was clipped to (lod/clip.h), as a GeoJSON FeatureCollection in one
  * line. All Gaussians lie within every feature. NULL: it was not clipped. Borrowed until
  * store_close. */

@@ -64,7 +64,6 @@ struct store {
     bool bake_known;
     void (*bake_free)(struct store *s);
     char *footprint;       /* opened: GeoJSON; NULL: none */
-    struct buf seen;       /* opened: blob; empty: none */
     char *clip;            /* opened: GeoJSON; NULL: none */
     bool borrows;          /* opened: tiles, tree and what the blobs say belong to another handle */
     struct remote *remote; /* opened from an address: its reader, which belongs to db; else NULL */

@@ -21,7 +21,6 @@
 
 #include "codec/limits.h"
 #include "codec/payload.h"
-#include "codec/seen.h"
 #include "lod/remote.h"
 #include "lod/store.h"
 #include "lod/store_db.h"
@@ -482,29 +481,9 @@ const char *store_footprint(const struct store *s)
     return s->footprint;
 }
 
-const void *store_seen(const struct store *s, size_t *n)
-{
-    *n = s->seen.size;
-    return s->seen.data;
-}
-
 const char *store_clip(const struct store *s)
 {
     return s->clip;
-}
-
-/* Reads how many photographs see each place. */
-static enum err_code store_read_seen(struct store *s, struct err *e)
-{
-    struct err why = {0};
-    enum err_code rc = store_get_blob(s, SEEN_BLOB, &s->seen, &why);
-    if (rc == ERR_BUSY)
-        return err_set(e, rc, "%s", why.msg);
-    if (rc && rc != ERR_NOENT)
-        log_warn("store", "%s: its %s cannot be read: it is left out", s->path, SEEN_BLOB);
-    if (rc)
-        buf_free(&s->seen);
-    return ERR_OK;
 }
 
 static enum err_code store_far_header(struct remote *far, uint8_t h[STORE_HEADER_BYTES],
@@ -550,8 +529,6 @@ static enum err_code store_open_at(const char *at, const char *path, const char 
         rc = store_read_outline(s, STORE_FOOTPRINT, &s->footprint, e);
         if (!rc)
             rc = store_read_outline(s, STORE_CLIP, &s->clip, e);
-        if (!rc)
-            rc = store_read_seen(s, e);
     }
     if (rc)
         store_close(&s);
@@ -625,7 +602,6 @@ enum err_code store_open_more(int fd, const struct store *first, struct store **
     s->n_tiles = first->n_tiles;
     s->tree = first->tree;
     s->footprint = first->footprint;
-    s->seen = first->seen;
     s->clip = first->clip;
     s->borrows = true;
     enum err_code rc = store_connect(s, at, vfs, e);
@@ -664,7 +640,6 @@ void store_close(struct store **sp)
         tree_free(&s->tree);
         mem_free(s->tiles);
         free(s->footprint); /* jansson's */
-        buf_free(&s->seen);
         free(s->clip);
     }
     mem_free(s);

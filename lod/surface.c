@@ -7,6 +7,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "codec/seen.h"
 #include "core/base.h"
 #include "core/pool.h"
 

@@ -100,6 +100,11 @@ const struct store *view_store(const struct view *v)
     return v->store;
 }
 
+enum err_code view_get_blob(struct view *v, const char *name, struct buf *out, struct err *e)
+{
+    return store_get_blob(v->store, name, out, e);
+}
+
 const struct appearance *view_appearance(const struct view *v)
 {
     return v->appearance;

@@ -37,6 +37,9 @@ void view_close(struct view **v);
 void view_shrink(struct view *v);
 /* Borrowed until view_close. */
 const struct store *view_store(const struct view *v);
+/* As store_get_blob. ERR_BUSY (a store at an address), ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */
+enum err_code view_get_blob(struct view *v, const char *name, struct buf *out,
+                            struct err *e) ERR_USE;
 /* that of the store; NULL: none */
 const struct appearance *view_appearance(const struct view *v);
 /* Sets the appearance of pictures, if the store has one: an embedding [len_image], which is copied,

@@ -8,6 +8,7 @@
 #include <stdio.h>
 #include <sys/stat.h>
 
+#include "codec/seen.h"
 #include "lod/clip.h"
 
 static void test_reload(void **state)
@@ -96,6 +97,42 @@ static void test_a_start_reads_no_tiles(void **state)
         assert_true(i == 0 || (uint64_t)st.st_size > 8 * took[i]);
     }
     assert_true(took[1] < 2 * took[0] + 65536);
+}
+
+/* Nor does it read how many photographs see each place: only heights need it. */
+static void test_a_start_reads_no_counts(void **state)
+{
+    enum { COUNTS = 1 << 20 };
+    struct err e = {0};
+    char path[FILE_PATH_MAX];
+    struct store *s = NULL;
+    struct buf counts = {0};
+    const struct store_meta meta = {.name = "seen",
+                                    .origin = served_origin,
+                                    .sh_degree = 1,
+                                    .zoom_min = SERVED_ZOOM_MIN,
+                                    .zoom_max = SERVED_ZOOM_MAX};
+    (void)state;
+    if (!bytes_read())
+        skip();
+    kit_ok(file_join(path, t.dir, "seen.tiles", &e), e);
+    kit_ok(store_create(path, &meta, &s, &e), e);
+    served_put(s, served_key(SERVED_ZOOM_MIN), 10);
+    uint8_t *bytes = mem_array(COUNTS, 1);
+    assert_non_null(bytes);
+    for (size_t i = 0; i < COUNTS; i++)
+        bytes[i] = (uint8_t)(i * 2654435761u >> 13);
+    kit_ok(store_put_blob(s, SEEN_BLOB, bytes, COUNTS, &e), e);
+    kit_ok(store_commit(&s, &e), e);
+    const uint64_t before = bytes_read();
+    kit_ok(store_open(path, &s, &e), e);
+    assert_true(bytes_read() - before < COUNTS / 4);
+    kit_ok(store_get_blob(s, SEEN_BLOB, &counts, &e), e);
+    assert_true(bytes_read() - before > COUNTS);
+    assert_memory_equal(counts.data, bytes, COUNTS);
+    store_close(&s);
+    buf_free(&counts);
+    mem_free(bytes);
 }
 
 /* A revision has one index, however many handles: each reads tiles by itself. */
@@ -193,6 +230,7 @@ int main(void)
         cmocka_unit_test(test_reload),
         cmocka_unit_test(test_a_part_is_served),
         cmocka_unit_test(test_a_start_reads_no_tiles),
+        cmocka_unit_test(test_a_start_reads_no_counts),
         cmocka_unit_test(test_handles_share_the_index),
         cmocka_unit_test(test_a_reload_that_fails_late),
     };
