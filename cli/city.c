@@ -25,6 +25,7 @@
 
 #include "cli/city.h"
 #include "cli/cli.h"
+#include "codec/image.h"
 #include "ingest/ingest_files.h"
 
 enum { CITY_ARGS = 48, CITY_NAP_MS = 50 };
@@ -174,6 +175,39 @@ static enum err_code city_has_poses(struct city *c, const char *result, bool *ha
     return rc;
 }
 
+/* Without GPS nobody knows where the city lies. Ingest says so too, but after the poses. */
+static enum err_code city_has_place(const struct city *c, struct err *e)
+{
+    struct ingest_files files;
+    char path[FILE_PATH_MAX];
+    const struct city_options *o = c->o;
+    size_t n = 0, n_gps = 0;
+    if (o->gcp || o->positions || (o->origin && o->metres_per_unit))
+        return ERR_OK;
+    enum err_code rc = ingest_files_list(c->images, &files, e);
+    for (size_t i = 0; !rc && i < files.n; i++) {
+        struct image_gps gps = {0};
+        struct drone_meta drone;
+        uint32_t size[2];
+        rc = file_join(path, c->images, files.names[i], e);
+        if (rc || image_read_info(path, &size[0], &size[1], &gps, &drone, NULL))
+            continue; /* align names it */
+        n++;
+        n_gps += gps.has_position && gps.has_altitude;
+    }
+    ingest_files_free(&files);
+    if (!rc && n && 2 * n_gps < n)
+        rc = err_set(
+            e, ERR_DATA,
+            "%s: %zu of %zu photographs have a GPS position with altitude, so the city has no "
+            "place: "
+            "give ground control points (--gcp) or positions of the photographs "
+            "(--positions), or place it by hand with --origin LON,LAT,H and "
+            "--metres-per-unit",
+            c->images, n_gps, n);
+    return rc;
+}
+
 static enum err_code city_align(struct city *c, struct err *e)
 {
     struct city_step s;
@@ -190,6 +224,8 @@ static enum err_code city_align(struct city *c, struct err *e)
         city_say("1/5 the poses are there already: ", model);
         return ERR_OK;
     }
+    if ((rc = city_has_place(c, e)))
+        return rc;
     city_say("1/5 align: poses of the photographs, by COLMAP", "");
     city_begin(&s, "align");
     city_word(&s, c->images);
@@ -239,6 +275,7 @@ static enum err_code city_ingest(struct city *c, struct err *e)
     city_word(&s, c->sparse);
     city_add(&s, "--max-edge-px", edge);
     city_add(&s, "--origin", o->origin);
+    city_add(&s, "--metres-per-unit", o->metres_per_unit);
     city_add(&s, "--gcp", o->gcp);
     city_add(&s, "--gcp-epsg", o->gcp_epsg);
     city_add(&s, "--check", o->check);

@@ -122,7 +122,8 @@ static enum err_code plan_photo_task(void *user, size_t i, struct err *e)
     enum err_code rc = file_join(path, r->dir, p->name, e);
     if (!rc)
         rc = plan_photo(path, p, &gps, e);
-    if (rc == ERR_FORMAT || rc == ERR_LIMIT) { /* also one that is too large to decode */
+    /* Also one that is too large to decode, that we may not read, or whose link leads nowhere. */
+    if (rc == ERR_FORMAT || rc == ERR_LIMIT || rc == ERR_NOENT || rc == ERR_IO) {
         p->fault = mem_text(e ? e->msg : "cannot be read");
         if (e)
             *e = (struct err){0};

@@ -71,8 +71,12 @@ static enum err_code files_walk(struct ingest_files *f, const char *root, const 
             memcpy(name, t->d_name, strlen(t->d_name) + 1);
         if (!rc)
             rc = file_join(path, root, name, e);
-        if (rc || stat(path, &st))
+        if (rc)
             continue;
+        if (stat(path, &st)) { /* a link that leads nowhere: whoever reads it says so */
+            rc = ingest_files_is_photo(t->d_name) ? files_add(f, name, e) : ERR_OK;
+            continue;
+        }
         if (S_ISDIR(st.st_mode) && deep && !files_skip_folder(path, t->d_name))
             rc = files_walk(f, root, name, deep - 1, e);
         else if (S_ISREG(st.st_mode) && ingest_files_is_photo(t->d_name))

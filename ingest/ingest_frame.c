@@ -285,9 +285,8 @@ static enum err_code frame_by_hand(struct ingest *g, size_t n_gps, size_t n_kept
         return err_set(
             e, ERR_DATA,
             "%zu of %zu photographs have a GPS position with altitude: too few to georeference. "
-            "Give "
-            "photographs with EXIF GPS, or place the scene by hand with --origin LON,LAT,H and "
-            "--metres-per-unit%s",
+            "Give ground control points (--gcp) or positions of the photographs (--positions), or "
+            "place the scene by hand with --origin LON,LAT,H and --metres-per-unit%s",
             n_gps, n_kept, n_gps >= 3 ? ", or accept fewer with --min-gps-share" : "");
     log_warn("ingest",
              "frame by hand: %zu of %zu photographs have GPS; no positions were checked, north is "
@@ -408,6 +407,8 @@ static enum err_code frame_from_gcp(struct ingest *g, struct sim3 *sim, struct e
             frame_view(g, &g->photos[i], &views[n++]);
     if (!rc)
         rc = gcp_fit_make(g->gcps, &g->model, views, n, &cfg, up, &g->gcp, e);
+    if (rc)
+        err_add(e, "%s", g->cfg->gcp);
     for (size_t k = 0; !rc && k < g->gcp.at.n_sights; k++)
         g->gcp.at.sights[k].view = NULL; /* they go now */
     mem_free(views);

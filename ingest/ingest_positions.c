@@ -51,9 +51,9 @@ enum err_code ingest_positions_apply(struct ingest *g, struct err *e)
     mem_free(photos);
     if (!rc && !g->n_positioned)
         rc = err_set(e, ERR_DATA,
-                     "--positions: none of %zu positions is of one of the %zu photographs; the "
-                     "first of these is %s",
-                     g->positions->n, g->n, g->photos[0].image->name);
+                     "--positions %s: none of %zu positions is of one of the %zu photographs; "
+                     "the first of these is %s",
+                     g->cfg->positions, g->positions->n, g->n, g->photos[0].image->name);
     if (!rc && g->n_positioned < g->n)
         log_warn("ingest", "--positions has none of %zu of %zu photographs: they have no position",
                  g->n - g->n_positioned, g->n);

@@ -41,6 +41,7 @@ if command -v dpkg-query >/dev/null && grep -q 'VERSION_ID="12"' /etc/os-release
     check 'configs/Containerfile has the libraries that the program needs' is "$lacks" ''
     unknown=$(comm -23 <(echo "$image") <(dpkg-query -W -f '${Package}\n' | sort -u) | xargs -r apt-cache show 2>&1 >/dev/null | tr '\n' ' ')
     check 'configs/Containerfile: its packages are those of Debian' is "$unknown" ''
+    # .ci/nightly container builds it.
     check 'configs/Containerfile builds by bootstrap' grep -q '\./bootstrap build' "$root/configs/Containerfile"
 fi
 if command -v hadolint >/dev/null; then
