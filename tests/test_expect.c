@@ -10,9 +10,10 @@
 #include "train/expect.h"
 
 /* Runs on two cores: processor seconds (0: not known) and seconds by the clock of a machine without
- * other programs (0: not known). One level: the mean of four runs of docs/alignment.md. caliterra,
- * ochota: docs/runs, solid_caliterra (the seed that had the machine for itself) and solid_ochota
- * (means of three seeds). demo: configs/demo-train.jsonc with --final-all. */
+ * or with little other work (0: not known). One level: the mean of four runs of docs/alignment.md.
+ * caliterra, ochota: means of three seeds of the studies solid_caliterra (commit 07db1499) and
+ * solid_ochota (f043e720). The city: two seeds of the study solid (07db1499); the third had other
+ * programs beside it. demo: configs/demo-train.jsonc with --final-all. */
 static const struct run {
     const char *name;
     struct expect_photos photos;
@@ -36,8 +37,26 @@ static const struct run {
      {409600, 819200, 2048000},
      false,
      0,
-     99.7,
-     212722},
+     87.5,
+     217859},
+    {"caliterra, no depths",
+     {65, 10, 400, 300, false},
+     3,
+     3000,
+     {409600, 819200, 2048000},
+     false,
+     0,
+     76.0,
+     208579},
+    {"a city of the demo's size",
+     {73, 11, 480, 360, true},
+     3,
+     3000,
+     {409600, 819200, 2048000},
+     false,
+     0,
+     104.3,
+     260911},
     {"ochota",
      {105, 15, 400, 300, true},
      3,

@@ -18,7 +18,7 @@
 
 /* Processor seconds of a unit of train/forecast.h, without and with known depths. Fitted to runs on
  * two cores with AVX-512 (docs/sizing.md). */
-static const double unit_s = 1.17e-7, unit_known_s = 1.6e-7;
+static const double unit_s = 1.17e-7, unit_known_s = 1.45e-7;
 static const double program_bytes = 0.15e9; /* of the program and its OpenCL compiler */
 static const double ckpt_bytes = 236;       /* of a Gaussian in a level's checkpoint */
 static const double sparse_share = 0.1;     /* sparse points, of the first level's budget */
