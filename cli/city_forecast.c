@@ -19,7 +19,7 @@ enum { PACE_FLOATS = 4096, PACE_ROUNDS = 20000, PACE_TASKS = 8, PACE_RUNS = 3 };
 /* Processor seconds of a run of all tasks, on the machine of docs/sizing.md. */
 static const double pace_usual_s = 0.15;
 static const double ingest_read_s = 0.06, ingest_write_s = 0.075; /* of a megapixel */
-static const double stereo_s = 20;                                /* of a megapixel of a map */
+static const double stereo_s = 16;                                /* of a megapixel of a map */
 static const double tile_s = 3e-6;                                /* of a Gaussian of all levels */
 static const double store_bytes = 61, photo_bytes = 0.5, depth_bytes = 4.7, feature_bytes = 180;
 enum { CITY_STEREO_PX = 800, CITY_TEST_EVERY = 8, CITY_STAGES = 5 };
