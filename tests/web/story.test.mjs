@@ -117,6 +117,32 @@ for (const screen of Object.keys(SCREENS))
         await other.close();
     });
 
+test("a note is whole inside of the picture, and goes where the city is in front of it", skip, async () => {
+    const words = "A long note that is wider than what is left of the picture at its edge";
+    const { width, height } = SCREENS.desk;
+    const link = (...enu) => `&story=${packed([[], enu.map((p, i) => [...["lon", "lat", "h"].map((k) => placeOfEnu(ORIGIN, p)[k]), `${i} ${words}`])])}`;
+    const { page, log, close } = await openAt("desk", `${source.url}/#13.4,52.5,300,0,-30${link(TOP, [TOP[0], TOP[1], -40])}`);
+    await lookViewer(page, SOUTH);
+    // One is on a roof, the other is deep below it.
+    await page.waitForFunction(() => [...document.querySelectorAll(".citysplat-label")].map((one) => one.hidden).join() === "false,true");
+    // Turned until the label is at the right edge.
+    const edge = await page.evaluate(async ([pose, w]) => {
+        const { viewer } = window.citysplat;
+        for (let heading = pose.heading; heading > pose.heading - 60; heading -= 0.25) {
+            viewer.lookAt({ ...pose, heading });
+            await new Promise((done) => { const end = viewer.on("frame", () => (end(), done())); });
+            const [note] = document.querySelectorAll(".citysplat-label");
+            const box = note.getBoundingClientRect();
+            if (note.hidden) return { none: heading };
+            if (box.right >= w - 5) return { left: box.left, right: box.right, top: box.top, bottom: box.bottom };
+        }
+        return null;
+    }, [SOUTH, width]);
+    assert.ok(edge && edge.right <= width - 3 && edge.left > 0 && edge.top > 0 && edge.bottom < height, JSON.stringify(edge));
+    assert.deepEqual(log, []);
+    await close();
+});
+
 test("links that do harm open the view, and say what is wrong", skip, async () => {
     const hash = `#${placeOfEnu(ORIGIN, [0, -200, 160]).lon.toFixed(7)},52.498,240,20,-36`;
     const bad = {

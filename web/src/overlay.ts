@@ -1,5 +1,5 @@
 // Lines, areas and labels over the city, in places of the map. Lines hide behind the city where they
-// are asked to; labels are HTML and always legible.
+// are asked to. Labels are HTML, whole inside of the picture; notes go where the city is in front of them.
 //
 // SPDX-License-Identifier: Apache-2.0
 import {
@@ -10,6 +10,7 @@ import {
   Group,
   Mesh,
   MeshBasicMaterial,
+  Ray,
   ShapeUtils,
   Vector2,
   Vector3,
@@ -29,6 +30,7 @@ export interface Shape {
   color?: string;
   label?: string; // at its middle
   behind?: boolean; // hidden where the city is in front of it; default false
+  note?: boolean; // shown whole or not at all: not where the city is in front of its place
 }
 
 interface Entry {
@@ -36,7 +38,15 @@ interface Entry {
   object: Group;
   label: HTMLElement | null;
   anchor: Vector3;
+  covered: boolean; // of a note: the city is in front of it
 }
+
+const EDGE_PX = 4; // between a label and the edge of the picture
+const COVER_MS = 150; // after the last frame: what notes are hidden by is looked up
+const COVER_BUSY_MS = 12; // of that, at a time: each note is a walk over all Gaussians
+const RAISED_M = 1; // a note is looked for so far above its foot
+const COVER_M = 2; // nearer to a note than this, or than this part of the way, the city does not hide it
+const COVER_SHARE = 0.02;
 
 export class Overlay {
   /** @internal */
@@ -46,6 +56,7 @@ export class Overlay {
   private readonly labels: HTMLElement;
   private readonly size = new Vector2(1, 1);
   private next = 1;
+  private coverTimer = 0;
 
   /** @internal */
   constructor(
@@ -100,19 +111,47 @@ export class Overlay {
   // Labels to where their places are on the screen; after every change of the camera.
   update() {
     const { camera } = this.stage;
-    for (const { label, anchor } of this.entries.values()) {
+    let notes = false;
+    for (const { label, anchor, shape, covered } of this.entries.values()) {
       if (!label) continue;
+      notes ||= shape.note ?? false;
       const at = anchor.clone().project(camera);
-      const seen = at.z > -1 && at.z < 1 && Math.abs(at.x) < 1.1 && Math.abs(at.y) < 1.1;
-      label.hidden = !seen;
-      if (!seen) continue;
-      const x = Math.round(((at.x + 1) / 2) * this.size.x);
-      const y = Math.round(((1 - at.y) / 2) * this.size.y);
-      label.style.transform = `translate(${x}px, ${y}px) translate(-50%, -140%)`;
+      label.hidden = covered || !(at.z > -1 && at.z < 1 && Math.abs(at.x) < 1 && Math.abs(at.y) < 1);
+      if (label.hidden) continue;
+      const { offsetWidth: width, offsetHeight: height } = label;
+      const inside = (start: number, length: number, whole: number) => Math.round(Math.max(EDGE_PX, Math.min(start, whole - length - EDGE_PX)));
+      const x = inside(((at.x + 1) / 2) * this.size.x - width / 2, width, this.size.x);
+      const y = inside(((1 - at.y) / 2) * this.size.y - 1.4 * height, height, this.size.y);
+      label.style.transform = `translate(${x}px, ${y}px)`;
     }
+    if (!notes) return;
+    clearTimeout(this.coverTimer);
+    this.coverTimer = window.setTimeout(() => this.lookUp([...this.entries.values()]), COVER_MS);
+  }
+
+  // Which notes the city is in front of, once the picture rests.
+  private lookUp(left: Entry[], changed = false) {
+    const end = performance.now() + COVER_BUSY_MS;
+    const { camera } = this.stage;
+    for (let one = left.pop(); one; one = left.pop()) {
+      if (!one.shape.note) continue;
+      const to = one.anchor.clone().setY(one.anchor.y + RAISED_M).sub(camera.position);
+      const far = to.length();
+      const hit = this.stage.surfaceOn(new Ray(camera.position.clone(), to.normalize()));
+      const covered = hit !== null && hit.distanceTo(camera.position) < far - Math.max(COVER_M, COVER_SHARE * far);
+      changed ||= covered !== one.covered;
+      one.covered = covered;
+      one.object.visible = !covered;
+      if (performance.now() > end && left.length) {
+        this.coverTimer = window.setTimeout(() => this.lookUp(left, changed), 0);
+        return;
+      }
+    }
+    if (changed) this.onWake();
   }
 
   dispose() {
+    clearTimeout(this.coverTimer);
     for (const id of [...this.entries.keys()]) this.drop(id);
     this.entries.clear();
     this.labels.remove();
@@ -157,7 +196,7 @@ export class Overlay {
       Object.assign(label.style, { position: "absolute", left: "0", top: "0", width: "max-content", maxWidth: "min(260px, 60vw)", overflowWrap: "anywhere" });
       this.labels.append(label);
     }
-    return { shape, object, label, anchor };
+    return { shape, object, label, anchor, covered: false };
   }
 
   private line(points: Vector3[], color: Color, behind: boolean): LineSegments2 {

@@ -138,7 +138,7 @@ export class StoryBox {
     const { views, notes } = this.story;
     const { overlay } = this.viewer;
     for (const shape of this.shapes) overlay.remove(shape);
-    this.shapes = notes.map(({ place, text: label }) => overlay.add({ kind: "point", places: [place], label, color: NOTE_COLOR }));
+    this.shapes = notes.map(({ place, text: label }) => overlay.add({ kind: "point", places: [place], label, color: NOTE_COLOR, note: true }));
     const button = (key: TextKey, sign: string, name: string, run: () => void) => {
       const one = document.createElement("button");
       one.textContent = sign;
