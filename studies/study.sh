@@ -217,7 +217,7 @@ map_errors() {
     $1 == "level" { printf "dsm_level_median_m=%s,dsm_level_off_m=%s,dsm_level_rmse_m=%s,dsm_level_le90_m=%s,dsm_level_1_gsd_percent=%s,", $3, $4, $5, $7, $10 }
     $1 == "edges" { printf "dsm_edges_median_m=%s,dsm_edges_1_gsd_percent=%s,", $3, $10 }
     $1 == "all" { printf "dsm_rmse_m=%s,dsm_above_1_m_percent=%s,", $5, $9 }
-    / without a surface;/ { printf "dsm_pixels=%s,dsm_missing=%s,", $2, $(NF - 9) }
+    / without a surface;/ { sub(/.*square, /, ""); printf "dsm_missing=%s,", $1 }
     $1 == "walls" { sub(/.*px \(/, ""); printf "dsm_roofs_out_m=%s", $1 + 0 }'
 }
 
