@@ -14,6 +14,7 @@
 #include "core/err.h"
 
 struct appearance;
+struct buf;
 struct camera;
 struct geo_origin;
 struct pick_options;
