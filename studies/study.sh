@@ -643,7 +643,7 @@ study_solid_mvs() {
 study_solid_block() {
   local k
   for k in 2 3 4; do
-    changed solid_repeat "solid_block: stereo (seeds 1 and $k)" exact block "$k" --iterations "$(steps solid_block)" --depth-prior
+    changed solid_block "stereo (seeds 1 and $k)" exact block "$k" --iterations "$(steps solid_block)" --depth-prior
   done
   rm -rf "$OUT/trained/solid-block"*
 }
