@@ -113,7 +113,8 @@ curl -fsS "http://127.0.0.1:$port$tile" >"$work/tile.glb"
 curl -fsS -H 'Accept: text/html' -o "$work/page.html" "http://127.0.0.1:$port/"
 grep -q '<html' "$work/page.html" || fail 'no viewer'
 curl -fsSL -o "$work/view.jpg" "http://127.0.0.1:$port/d/city/static/7.5733,47.5570,430@0,-50/64x48.jpg"
-kill -TERM "$(cat /proc/$pid/task/$pid/children)" # to tini, as podman stop
+outer=$(cat "/proc/$pid/task/$pid/children") && outer=${outer// /}       # unshare, which ignores SIGTERM
+inner=$(cat "/proc/$outer/task/$outer/children") && kill -TERM "${inner// /}" # tini, as podman stop
 wait $pid || fail "stopped, it exits with $?"
 pid=
 echo "used, read-only and as nobody: a tile of $(wc -c <"$work/tile.glb") bytes, a view of $(wc -c <"$work/view.jpg") bytes"
