@@ -26,7 +26,7 @@ enum {
     SAMPLES = 8 << 20, /* in memory at a time */
     OUTLINE_SAMPLES = 4 << 20,
     HEIGHT_BITS = 24,   /* of a key, in millimetres */
-    OUTLINE_EVERY = 61, /* samples from which the outline is taken */
+    OUTLINE_EVERY = 61, /* of the samples, at first, that the outline is taken from */
     DEEP = 100,         /* least number of them */
     LAYER_SHARE = 3,    /* a dense layer has a third of the densest */
     LAYER_LEAST = 2,
@@ -127,8 +127,8 @@ static enum err_code heights_walk(const struct heights_job *j, const uint32_t ba
 
 /* ---- the map's area ---- */
 
-struct outline { /* every OUTLINE_EVERY-th sample */
-    uint64_t seen;
+struct outline { /* every `every`-th sample; that doubles when there would be too many */
+    uint64_t seen, every;
     double *axis[4]; /* east, north, up, footprint */
     size_t n;
 };
@@ -137,8 +137,15 @@ static void outline_take(void *user, size_t image, const double enu_m[3], double
 {
     struct outline *o = user;
     (void)image;
-    if (o->seen++ % OUTLINE_EVERY || o->n == OUTLINE_SAMPLES)
+    if (o->seen++ % o->every)
         return;
+    if (o->n == OUTLINE_SAMPLES) { /* every second of those that are there, and from now on */
+        o->n /= 2;
+        o->every *= 2;
+        for (size_t i = 0; i < o->n; i++)
+            for (int k = 0; k < 4; k++)
+                o->axis[k][i] = o->axis[k][2 * i];
+    }
     for (int k = 0; k < 3; k++)
         o->axis[k][o->n] = enu_m[k];
     o->axis[3][o->n++] = footprint_m;
@@ -149,8 +156,8 @@ static double outline_at(const double *sorted, size_t n, double share)
     return sorted[(size_t)(share * (double)(n - 1) + 0.5)];
 }
 
-/* The table of places: the projection bends so little over a survey that lines between 17 places an
- * axis are exact to a millimetre. */
+/* The table of places. Between 17 places an axis the earth bends by less than a millimetre over a
+ * survey of 3 km, and by 3 cm over one of 20 km. */
 static enum err_code heights_table(struct heights_job *j, double up_m, struct err *e)
 {
     for (size_t v = 0; v < NODES; v++)
@@ -200,12 +207,6 @@ static bool heights_place(const struct heights_job *j, const double enu_m[3], ui
     return mm >= 0.0 && mm < (double)(1 << HEIGHT_BITS);
 }
 
-static double heights_two_digits(double gsd_m)
-{
-    double unit = pow(10, floor(log10(gsd_m)) - 1);
-    return unit * floor(gsd_m / unit + 0.5);
-}
-
 /* Where the map lies: the box of the samples without the outermost. */
 static enum err_code heights_box(struct heights_job *j, const struct outline *o, double up_m,
                                  double box[4], struct err *e)
@@ -252,7 +253,7 @@ static enum err_code heights_grid(struct heights_job *j, struct outline *o, stru
         sort_doubles(o->axis[k], o->n);
     up_m = outline_at(o->axis[2], o->n, 0.5);
     if (!(gsd_m > 0))
-        gsd_m = heights_two_digits(outline_at(o->axis[3], o->n, 0.5));
+        gsd_m = map_fine(outline_at(o->axis[3], o->n, 0.5));
     enum err_code rc = heights_box(j, o, up_m, box, e);
     int epsg = j->grid.epsg, vertical = j->r->geoid ? crs_vertical(geoid_name(j->r->geoid))
                                                     : heights_epsg(j->scene->heights);
@@ -270,7 +271,7 @@ static enum err_code heights_grid(struct heights_job *j, struct outline *o, stru
 
 static enum err_code heights_plan(struct heights_job *j, struct err *e)
 {
-    struct outline o = {0};
+    struct outline o = {.every = OUTLINE_EVERY};
     const struct heights_visitor take = {outline_take, &o};
     size_t maps;
     double *all = mem_array(4 * (size_t)OUTLINE_SAMPLES, sizeof *all);

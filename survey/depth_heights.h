@@ -1,11 +1,11 @@
 /* A surface model of known depths alone, without training: what `citysplat stereo` knows of each
- * photograph, brought together on a map. It is there minutes after the photographs, and it is what
- * a trained surface is measured against.
+ * photograph, brought together on a map. It is there minutes after the photographs. A trained
+ * surface is measured against it.
  *
- * A pixel of the map gathers all heights that fall into it. On a wall these are of many floors, and
- * a map shows the topmost surface. So the pixel takes the highest of the layers that are dense: a
- * layer is what lies within two pixels' size, and it is dense if it has two heights and a third as
- * many as the densest layer of the pixel. Its height is the median of the layer.
+ * A pixel of the map gathers all heights that fall into it. On a wall they are of many floors, and
+ * a map shows the topmost surface. A layer is the heights within two pixels' size of each other. It
+ * is dense if it has at least two heights, and at least a third as many as the fullest layer of the
+ * pixel. The pixel's height is the median of its highest dense layer.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -58,8 +58,7 @@ static enum err_code map_area(const struct area *a, const double *bbox, double o
     return ERR_OK;
 }
 
-/* As fine as the photographs are, to two digits. */
-static double map_fine(double gsd_m)
+double map_fine(double gsd_m)
 {
     double unit = pow(10, floor(log10(gsd_m)) - 1);
     return unit * floor(gsd_m / unit + 0.5);

@@ -60,6 +60,8 @@ struct map_visitor {
      * surface; there is no uncertainty. Drawing is several times as fast. */
     bool colors_alone;
 };
+/* A pixel as fine as the photographs are, to two digits. */
+double map_fine(double gsd_m);
 /* Pixels of an area: box is west, south, east, north in the projection. epsg is left 0. ERR_ARG:
  * too many pixels; the message says what fits. */
 enum err_code map_grid_make(const double box[4], double gsd_m, struct map_grid *out,

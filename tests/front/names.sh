@@ -22,12 +22,7 @@ bucket() {
 }
 node_up() { # NUMBER PORT
     serve "$1" "$2" --admin 127.0.0.1:0 --cache-policy '*=1' --state-url "http://127.0.0.1:$bucket_port/names.json" --state-refresh-s 1
-    for _ in $(seq 50); do
-        admin[$1]=$(sed -n 's|^operators: port ||p' "$work/$1.out")
-        [ -z "${admin[$1]}" ] || return 0
-        sleep 0.05
-    done
-    exit 1
+    operators "$1"
 }
 admin=()
 check 'the server of the object answers' bucket

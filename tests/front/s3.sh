@@ -77,12 +77,7 @@ began=$(wc -l <"$c/client.rgw.log")
 admin=()
 node_up() { # NUMBER
     XDG_CACHE_HOME=$work/cache$1 store=s3://maps/toy.tiles serve "$1" 0 --admin 127.0.0.1:0 --state-url s3://maps/names.json --state-refresh-s 1
-    for _ in $(seq 50); do
-        admin[$1]=$(sed -n 's|^operators: port ||p' "$work/$1.out")
-        [ -z "${admin[$1]}" ] || return 0
-        sleep 0.05
-    done
-    exit 1
+    operators "$1"
 }
 node_up 1
 node_up 2
