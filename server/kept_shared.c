@@ -9,6 +9,10 @@
  *
  * Its entity tag is the version of a table. A change replaces the object if it still has that tag.
  *
+ * Ceph's gateway compares If-Match of a PUT with the tag without its quotes, so that what RFC 9110
+ * asks for is always 412 there. If a tag is refused that a read then finds unchanged, it is sent
+ * bare from then on.
+ *
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "server/kept_shared.h"
@@ -29,6 +33,8 @@ static const char kept_shared_format[] = "citysplat-names-1";
 struct kept_shared {
     struct range *range;
     char shown[RANGE_URL_MAX];
+    char refused[RANGE_TAG_MAX]; /* tag of the last write that was refused; "": it was not */
+    bool bare;                   /* tags are sent without their quotes */
 };
 
 enum err_code kept_shared_open(const char *url, struct kept_shared **out, struct err *e)
@@ -183,15 +189,59 @@ enum err_code kept_shared_read(struct kept_shared *k, const struct kept_table *h
     return rc;
 }
 
+/* What If-Match is to be: the tag, or the tag without its quotes, unless it then looked weak. */
+static void kept_shared_condition(const struct kept_shared *k, const char *etag,
+                                  struct range_object *o)
+{
+    const size_t n = strlen(etag);
+    const bool bare = k->bare && n > 2 && etag[1] != 'W';
+    *o = (struct range_object){0};
+    memcpy(o->etag, etag + bare, bare ? n - 2 : n);
+}
+
+/* Tries a condition that cannot hold. ERR_FORMAT: the server ignores it. */
+static enum err_code kept_shared_refuses(struct kept_shared *k, const char *etag,
+                                         const struct buf *text, double until_s, struct err *e)
+{
+    struct range_object o;
+    kept_shared_condition(k, etag, &o);
+    const enum err_code rc = range_put(k->range, &o, text->data, text->size, until_s, e);
+    if (rc)
+        return rc == ERR_DATA ? ERR_OK : rc;
+    return err_set(e, ERR_FORMAT,
+                   "%s: its server ignores %s of a PUT, so changes of two servers would overwrite "
+                   "each other: use a bucket, or a server that heeds it",
+                   k->shown, etag[0] ? "If-Match" : "If-None-Match");
+}
+
+static const char kept_shared_no_tag[] = "\"of-no-state\"";
+
+/* A tag was refused, and a read after that found it unchanged: the other way to write it. */
+static enum err_code kept_shared_turn(struct kept_shared *k, const struct buf *text, double until_s,
+                                      struct err *e)
+{
+    k->refused[0] = '\0';
+    k->bare = !k->bare;
+    enum err_code rc =
+        k->bare ? kept_shared_refuses(k, kept_shared_no_tag, text, until_s, e) : ERR_OK;
+    if (rc)
+        k->bare = false;
+    return rc;
+}
+
 enum err_code kept_shared_write(struct kept_shared *k, const char *etag, struct kept_table *t,
                                 double until_s, struct err *e)
 {
-    struct range_object o = {0};
+    struct range_object o;
     struct buf b = {0};
-    snprintf(o.etag, sizeof o.etag, "%s", etag);
     enum err_code rc = kept_shared_text(t, &b, e);
-    if (!rc)
+    if (!rc && etag[0] && !strcmp(etag, k->refused))
+        rc = kept_shared_turn(k, &b, until_s, e);
+    kept_shared_condition(k, etag, &o);
+    if (!rc) {
         rc = range_put(k->range, &o, b.data, b.size, until_s, e);
+        snprintf(k->refused, sizeof k->refused, "%s", rc == ERR_DATA ? etag : "");
+    }
     if (!rc)
         memcpy(t->etag, o.etag, sizeof o.etag);
     buf_free(&b);
@@ -203,19 +253,10 @@ enum err_code kept_shared_probe(struct kept_shared *k, const struct kept_table *
 {
     struct buf b = {0};
     enum err_code rc = kept_shared_text(have, &b, e);
-    for (int i = 0; !rc && i < (have->etag[0] ? 2 : 1); i++) {
-        struct range_object o = {.etag = "\"of-no-state\""};
-        if (i)
-            o.etag[0] = '\0'; /* and it is there already */
-        rc = range_put(k->range, &o, b.data, b.size, until_s, e);
-        if (rc == ERR_DATA)
-            rc = ERR_OK;
-        else if (!rc)
-            rc = err_set(e, ERR_FORMAT,
-                         "%s: its server ignores %s of a PUT, so changes of two servers would "
-                         "overwrite each other: use a bucket, or a server that heeds it",
-                         k->shown, i ? "If-None-Match" : "If-Match");
-    }
+    if (!rc)
+        rc = kept_shared_refuses(k, kept_shared_no_tag, &b, until_s, e);
+    if (!rc && have->etag[0]) /* and it is there already */
+        rc = kept_shared_refuses(k, "", &b, until_s, e);
     buf_free(&b);
     return rc;
 }
