@@ -243,15 +243,21 @@ static enum err_code changed_kinds(struct changed *c, struct geotiff *map, uint3
     if (!rc)
         rc = geotiff_row(c->noise, 1, y, noise, e);
     for (uint32_t x = 0; !rc && x < c->info.width; x++) {
-        float far = fabsf(d[x]), around = (float)changed_around_at(c, x, y);
+        float far = fabsf(d[x]), around = (float)changed_around_at(c, x, y),
+              level = hypotf(noise[x], around);
+        int kind = REGION_PIXEL;
         c->kind[x] = 0;
         if (!(sigma[x] > 0))
             continue;
         edge[x] = sqrtf(fmaxf(sigma[x] * sigma[x] - noise[x] * noise[x], 0));
         sigma[x] = hypotf(sigma[x], around);
-        if (far > (float)c->request.least_m && far > (float)CHANGED_GROW * hypotf(noise[x], around))
-            c->kind[x] =
-                (int8_t)((d[x] > 0 ? 1 : -1) * (far > (float)CHANGED_SIGMAS * sigma[x] ? 2 : 1));
+        if (!(far > (float)c->request.least_m && far > (float)CHANGED_GROW * level))
+            continue;
+        if (far > (float)CHANGED_SIGMAS * sigma[x])
+            kind |= REGION_SEED;
+        if (far > (float)CHANGED_FIRM * level)
+            kind |= REGION_FIRM;
+        c->kind[x] = (int8_t)(d[x] > 0 ? kind : -kind);
     }
     return rc || !signals_stopping() ? rc : err_set(e, ERR_CANCEL, "stopped");
 }
@@ -265,10 +271,11 @@ static double changed_variance(const struct region *r, double patch)
     return r->variance * fmin(patch, r->pixels) + edge * edge;
 }
 
-/* Is enough of it sure, and is its volume more than uncertain? */
+/* Is enough of it sure, most of it beyond doubt, and its volume more than uncertain? */
 static bool changed_counts(const struct changed *c, const struct region *r)
 {
     return r->seeds > 0 && r->seeds * c->pixel_m2 >= c->request.least_m2 &&
+           r->firm >= CHANGED_MOST * r->pixels &&
            fabs(r->sum) > CHANGED_SIGMAS * sqrt(changed_variance(r, c->patch));
 }
 

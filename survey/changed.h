@@ -7,7 +7,9 @@
  * CHANGED_SIGMAS standard deviations are seeds. A region has the pixels of one sign that are
  * connected to seeds and differ by more than the least difference and CHANGED_GROW standard
  * deviations of a level place. The rim of a new house thus belongs to its region although edges are
- * uncertain. A region counts if its volume exceeds CHANGED_SIGMAS standard deviations.
+ * uncertain. A region counts if its volume exceeds CHANGED_SIGMAS standard deviations, and if at
+ * least CHANGED_MOST of its pixels differ by more than CHANGED_FIRM of those of a level place:
+ * where few photographs look, one pixel in forty errs by three.
  * docs/decisions/063-changes.md has the reasons.
  *
  * Errors of neighbouring pixels are alike. The size of a patch of such pixels is measured on ground
@@ -25,6 +27,8 @@
 #define CHANGED_SIGMAS 3.0
 #define CHANGED_GROW 2.0
 #define CHANGED_AROUND 2.5
+#define CHANGED_FIRM 4.0
+#define CHANGED_MOST 0.5
 
 struct changed_request {
     const char *path;     /* temporary files are made beside it */

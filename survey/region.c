@@ -5,6 +5,7 @@
 #include "survey/region.h"
 
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "core/base.h"
@@ -47,6 +48,7 @@ static void region_join(struct region_map *m, uint32_t a, uint32_t b)
     from->of = to->of;
     to->pixels += from->pixels;
     to->seeds += from->seeds;
+    to->firm += from->firm;
     to->sum += from->sum;
     to->variance += from->variance;
     to->edge += from->edge;
@@ -103,7 +105,8 @@ enum err_code region_add(struct region_map *m, const int8_t *kind, const float *
             continue;
         struct region *r = &m->list[region_root(m, label)];
         r->pixels++;
-        r->seeds += kind[x] == 2 || kind[x] == -2;
+        r->seeds += (abs(kind[x]) & REGION_SEED) != 0;
+        r->firm += (abs(kind[x]) & REGION_FIRM) != 0;
         r->sum += (double)value[x];
         r->variance +=
             fmax((double)sigma[x] * (double)sigma[x] - (double)edge[x] * (double)edge[x], 0);

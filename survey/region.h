@@ -12,11 +12,16 @@
 #include "core/err.h"
 
 enum { REGION_MAX = 1 << 24 }; /* labels */
+enum {                         /* of a pixel: 0 outside, else these, negative for a loss */
+       REGION_PIXEL = 1,
+       REGION_SEED = 2, /* besides */
+       REGION_FIRM = 4
+};
 
 struct region { /* 4-connected pixels of one sign */
     /* a lower label of the same region; its own label: the sums here are the region's */
     uint32_t of;
-    uint32_t pixels, seeds;
+    uint32_t pixels, seeds, firm;
     double sum, variance; /* sum of the values; variance of their noise */
     double edge;          /* sum of the parts that edges add to their standard deviations */
     double most;          /* the value farthest from 0 */
@@ -31,8 +36,8 @@ struct region_map { /* {0}, region_begin; region_free */
 /* Begins the first pass over rows of `width` pixels; called again, begins the second pass. ERR_MEM.
  */
 enum err_code region_begin(struct region_map *m, uint32_t width, struct err *e) ERR_USE;
-/* One row of the first pass. kind: 0 outside; 1 or -1: a pixel of that sign; 2 or -2: a seed, also
- * of that sign, which makes its region count. sigma: standard deviation of a value, edge: the part
+/* One row of the first pass. kind: 0 outside; REGION_PIXEL and what it is besides, times the sign
+ * of the value. sigma: standard deviation of a value, edge: the part
  * of it that edges add, as the root of a difference of squares. ERR_LIMIT: more than REGION_MAX
  * labels; ERR_MEM. */
 enum err_code region_add(struct region_map *m, const int8_t *kind, const float *value,

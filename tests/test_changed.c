@@ -204,12 +204,32 @@ static void large_changes_are_not_hidden(void **state)
     assert_true(fabs(r.lost_m3 - want) < 0.05 * want);
 }
 
+/* Where few photographs look, a surface errs by three standard deviations now and then: a bump of
+ * that height is none, a house is one. */
+static void doubtful_ground_needs_more(void **state)
+{
+    struct changed_report r;
+    (void)state;
+    f.errs = 0.3;
+    field_make(&f, 0.5, cone, 6, 5); /* 3.7 standard deviations, those around among them */
+    field_draw(&f, 3);
+    find(&f, NULL, &r);
+    assert_int_equal(r.regions, 0);
+    field_make(&f, 0.5, block, 6, 7);
+    field_draw(&f, 3);
+    find(&f, NULL, &r);
+    printf("changed on doubtful ground: %.1f +- %.1f of 252 m3\n", r.gained_m3, r.gained_95_m3);
+    assert_int_equal(r.regions, 1);
+    assert_true(fabs(r.gained_m3 - 252) < r.gained_95_m3);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(a_block_is_measured),
         cmocka_unit_test(noise_is_no_change),
         cmocka_unit_test(large_changes_are_not_hidden),
+        cmocka_unit_test(doubtful_ground_needs_more),
     };
     return cmocka_run_group_tests_name("changed", tests, kit_tmp_make, kit_tmp_remove);
 }

@@ -48,9 +48,10 @@ static void arms_of_a_u_are_one_region(void **state)
                 p.sigma[y * WIDE + x] = 0.5f;
             }
     p.edge[10 * WIDE + 5] = 0.3f;
-    p.kind[10 * WIDE + 5] = 2;
+    p.kind[10 * WIDE + 5] = REGION_PIXEL | REGION_SEED | REGION_FIRM;
+    p.kind[6 * WIDE + 5] = REGION_PIXEL | REGION_FIRM;
     p.value[10 * WIDE + 5] = 7;
-    p.kind[10 * WIDE + 7] = -2; /* touches it */
+    p.kind[10 * WIDE + 7] = -(REGION_PIXEL | REGION_SEED); /* touches it */
     p.value[10 * WIDE + 7] = -3;
     find(&p, &m);
     size_t pixels = 15 * 15 - 11 * 13;
@@ -59,11 +60,12 @@ static void arms_of_a_u_are_one_region(void **state)
     assert_int_equal(p.region[5 * WIDE + 5], p.region[5 * WIDE + 19]);
     assert_int_equal(u->pixels, pixels);
     assert_int_equal(u->seeds, 1);
+    assert_int_equal(u->firm, 2);
     assert_true(fabs(u->sum - (2.0 * (double)pixels + 5)) < 1e-9 && u->most == 7);
     assert_true(fabs(u->variance - (0.25 * (double)pixels - 0.09)) < 1e-6);
     assert_true(fabs(u->edge - 0.3) < 1e-6);
     assert_int_equal(lost->pixels, 1);
-    assert_true(lost->sum == -3 && lost->seeds == 1);
+    assert_true(lost->sum == -3 && lost->seeds == 1 && !lost->firm);
     assert_int_equal(p.region[0], 0);
     region_free(&m);
     region_free(&m); /* idempotent */
@@ -104,7 +106,7 @@ static void random_pictures_are_as_flooded(void **state)
         size_t regions = 0, roots = 0;
         for (size_t i = 0; i < PIXELS; i++) {
             double u = rng_unit(9, round, i);
-            p.kind[i] = u < 0.2 ? 0 : u < 0.6 ? 1 : u < 0.63 ? 2 : -1;
+            p.kind[i] = u < 0.2 ? 0 : u < 0.6 ? 1 : u < 0.63 ? REGION_PIXEL | REGION_SEED : -1;
             p.value[i] = (float)(p.kind[i] * rng_unit(10, round, i));
             p.sigma[i] = 1;
         }
