@@ -1,8 +1,8 @@
 /* Drawing: whole frames of the procedural city (city.h), the stages of a frame, and the gain of
  * Morton order and exact tile culling. Harmonics have degree 3 unless a case says otherwise.
  *
- * Checked before timing: a frame drawn twice has the same bits, and exact culling changes none of
- * them.
+ * Checked before timing: a frame drawn twice has the same bits; exact culling and the lists that a
+ * training step needs change none of them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -22,6 +22,7 @@ struct frame_case {
     struct camera cam;
     float *rgb, *again;
     const float *appearance_frame; /* constants of an appearance, or NULL; borrowed */
+    bool lists;                    /* as a step needs them, not for the picture alone */
 };
 
 static enum err_code frame_once(void *user, struct err *e)
@@ -29,6 +30,7 @@ static enum err_code frame_once(void *user, struct err *e)
     struct frame_case *c = user;
     const struct render_options o = {.aa = RENDER_AA_2D,
                                      .sh_degree = -1,
+                                     .picture = !c->lists,
                                      .appearance_frame = c->appearance_frame,
                                      .appearance_hidden = APPEARANCE_HIDDEN};
     return render_forward(c->render, &c->model, &c->cam, &o, c->rgb, NULL, e);
@@ -37,15 +39,17 @@ static enum err_code frame_once(void *user, struct err *e)
 static enum err_code frame_check(struct frame_case *c, struct err *e)
 {
     size_t bytes = 3 * (size_t)c->cam.width_px * c->cam.height_px * sizeof *c->rgb;
+    static const char *const what[] = {"drawing again", "drawing without tile culling",
+                                       "drawing with a step's lists"};
     enum err_code rc = frame_once(c, e);
-    for (int boxes = 0; !rc && boxes < 2; boxes++) {
+    for (int i = 0; !rc && i < 3; i++) {
         memcpy(c->again, c->rgb, bytes);
-        c->render->box_tiles = boxes == 1;
+        c->render->box_tiles = i == 1;
+        c->lists = i == 2;
         rc = frame_once(c, e);
-        c->render->box_tiles = false;
+        c->render->box_tiles = c->lists = false;
         if (!rc && memcmp(c->rgb, c->again, bytes) != 0)
-            rc = err_set(e, ERR_INTERNAL, "bench_frame: check: %s gives another picture",
-                         boxes ? "drawing without tile culling" : "drawing again");
+            rc = err_set(e, ERR_INTERNAL, "bench_frame: check: %s gives another picture", what[i]);
     }
     if (!rc && render_last_stats(c->render)->visible == 0)
         rc = err_set(e, ERR_INTERNAL, "bench_frame: check: nothing is visible");
@@ -186,6 +190,14 @@ enum err_code bench_frame(struct bench *b, struct err *e)
         c.render->box_tiles = true;
         rc = frame_report(b, &c, name, &ms, hd_ms, "exact tile culling", e);
         c.render->box_tiles = false;
+    }
+    if (!rc) {
+        snprintf(name, sizeof name, "%zu k, a step's lists", n / 1000);
+        c.lists = true;
+        rc = frame_report(b, &c, name, &ms, hd_ms, "the picture alone", e);
+        if (!rc)
+            rc = frame_stages(b, &c, name, e);
+        c.lists = false;
     }
     if (!rc)
         rc = frame_appearance(b, &sorted, hd_ms, e);

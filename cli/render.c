@@ -202,6 +202,7 @@ static enum err_code render_file(struct render_job *job, const char *path, struc
     if (!rc)
         rc = render_camera(o, s.info.has_origin ? &s.info.origin : NULL, &job->cam, e);
     job->ro.aa = render_aa_of(o, s.g.antialiased);
+    job->ro.picture = true;
     if (!rc)
         rc = render_buffer(job, e);
     double t0 = clock_s();

@@ -153,6 +153,8 @@ struct layout_view {
     /* 1: fx and fy are pixels a metre, and all rays have direction rot[6..8] */
     LAYOUT_U32 orthographic;
     float depth_unit_m; /* unit of moments of depth; 0: the frame has none */
+    /* 1: a frame that no gradients or scores follow. Intersections have no slots and no hits */
+    LAYOUT_U32 picture;
 };
 
 /* Word numbers in struct layout_splat, for kernels that move records as vectors. */
@@ -296,7 +298,7 @@ static_assert(LAYOUT_PLANES_GEOMETRY == LAYOUT_PLANE_OPACITY + 1, "opacity is th
 static_assert(sizeof(struct layout_adam) == 17 * 4, "no padding: an argument of a kernel");
 static_assert(sizeof(struct layout_counts) == 8 * (2 + LAYOUT_SORT_CHUNKS) + 4 * LAYOUT_BIN_CHUNKS,
               "no padding");
-static_assert(sizeof(struct layout_view) == 43 * 4, "no padding: kernels read the same words");
+static_assert(sizeof(struct layout_view) == 44 * 4, "no padding: kernels read the same words");
 
 /* Number of planes of a group of parameters. Embeddings begin at plane layout_planes(sh_degree, 0).
  */

@@ -197,6 +197,7 @@ enum err_code view_render_tiles(struct view *v, const struct view_tiles *tiles,
     double t1 = clock_s();
     st.ms_load = 1e3 * (t1 - t0);
     struct render_options o = *ro;
+    o.picture = true;
     if (o.supersample == VIEW_SUPERSAMPLE_AUTO)
         o.supersample = view_supersample(v, cam, tiles, ro);
     if (v->frame && !o.appearance_frame) {

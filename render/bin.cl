@@ -1,6 +1,7 @@
 // Stage: bin. Splats in depth order -> the list of each tile, in depth order.
 //   in   order [visible], keys [visible] (tile counts, see sort.cl), splats, slot_first, tiles_of
-//   out  tile_start [tiles + 1], intersection_splat and intersection_slot [intersections]
+//   out  tile_start [tiles + 1], intersection_splat and intersection_slot [intersections]; no slots
+//        for a frame that is only a picture
 // It is a counting sort by tile. First bin_expand writes the intersections in depth order, one row
 // of tiles after another. Only this pass reads records, at random, and only it has short loops.
 // Then two linear passes count and place the intersections. LAYOUT_BIN_CHUNKS fixed chunks of the
@@ -51,7 +52,7 @@ __kernel void bin_expand(__constant struct layout_view *view, __global const uin
                          __global uint *expanded_tile, __global uint *expanded_splat,
                          __global uint *expanded_slot, __global uint *bin_offset)
 {
-    uint chunk = (uint)get_global_id(0), tiles_x = view->tiles_x;
+    uint chunk = (uint)get_global_id(0), tiles_x = view->tiles_x, slots = !view->picture;
     uint2 range = bin_range(counts->visible, chunk), span = bin_span(counts, chunk, cap);
     const uint8 burst = (uint8)(0, 1, 2, 3, 4, 5, 6, 7);
     uint k = span.x;
@@ -78,12 +79,14 @@ __kernel void bin_expand(__constant struct layout_view *view, __global const uin
             if (n <= BURST && k + BURST <= span.y) {
                 vstore8(tile + burst, 0, expanded_tile + k);
                 vstore8((uint8)(id), 0, expanded_splat + k);
-                vstore8(slot + burst, 0, expanded_slot + k);
+                if (slots)
+                    vstore8(slot + burst, 0, expanded_slot + k);
             } else {
                 for (uint j = 0; j < n && k + j < span.y; j++) {
                     expanded_tile[k + j] = tile + j;
                     expanded_splat[k + j] = id;
-                    expanded_slot[k + j] = slot + j;
+                    if (slots)
+                        expanded_slot[k + j] = slot + j;
                 }
             }
             k += n;
@@ -126,7 +129,8 @@ __kernel void bin_scan(uint tiles, __global uint *tile_start)
     tile_start[tiles] = sum;
 }
 
-__kernel void bin_scatter(__global const struct layout_counts *counts, uint cap, uint stride,
+__kernel void bin_scatter(__constant struct layout_view *view,
+                          __global const struct layout_counts *counts, uint cap, uint stride,
                           __global const uint *expanded_tile, __global const uint *expanded_splat,
                           __global const uint *expanded_slot, __global const uint *tile_start,
                           __global uint *bin_offset, __global uint *intersection_splat,
@@ -137,6 +141,11 @@ __kernel void bin_scatter(__global const struct layout_counts *counts, uint cap,
     __global uint *next = bin_offset + (size_t)chunk * stride;
     for (uint t = 0; t < stride; t += 16)
         vstore16(vload16(0, next + t) + vload16(0, tile_start + t), 0, next + t);
+    if (view->picture) {
+        for (uint k = span.x; k < span.y; k++)
+            intersection_splat[next[expanded_tile[k]]++] = expanded_splat[k];
+        return;
+    }
     for (uint k = span.x; k < span.y; k++) {
         uint at = next[expanded_tile[k]]++;
         intersection_splat[at] = expanded_splat[k];

@@ -2,7 +2,8 @@
 //   in   tile_start, intersection_splat, splats
 //   out  color [3][h][w] with background, transmit [h][w]; of blend_moments also the two moments
 //        [2][h][w]
-//        hits [intersections]: bit k is set when the splat was drawn into block k,
+//        hits [intersections]: bit k is set when the splat was drawn into block k (not of a frame
+//        that is only a picture),
 //        tile_stop [tiles]: intersections from there on were not visited. The backward pass visits
 //        these and nothing else.
 // The tile is 16 blocks of 4x4 pixels, a block is one float16. Splats come in batches of 64: their
@@ -183,7 +184,7 @@ INLINE void blend_tile(__constant struct layout_view *view,
         return;
     uint px = (tile % view->tiles_x) * LAYOUT_TILE, py = (tile / view->tiles_x) * LAYOUT_TILE;
     float x0 = (float)px + 0.5f, y0 = (float)py + 0.5f;
-    uint at = tile_start[tile], end = tile_start[tile + 1], active = 0xFFFF;
+    uint at = tile_start[tile], end = tile_start[tile + 1], active = 0xFFFF, hit = !view->picture;
     float staged[BATCH * LAYOUT_SPLAT_WORDS];
     uint mask[BATCH];
     struct blend_state s;
@@ -213,7 +214,8 @@ INLINE void blend_tile(__constant struct layout_view *view,
             uint blocks = mask[j] & active;
             if (blocks)
                 blend_splat(&s, staged + LAYOUT_SPLAT_WORDS * j, x0, y0, blocks, moments);
-            hits[at + j] = (ushort)blocks;
+            if (hit)
+                hits[at + j] = (ushort)blocks;
             if (j % CHECK_EVERY == CHECK_EVERY - 1)
                 active = blend_active(s.t, active);
         }

@@ -209,6 +209,7 @@ void render_view_fill(const struct render *r, const struct render_model *m, cons
     v->smooth = m->filter != NULL;
     v->listed = m->list != NULL;
     v->orthographic = o->orthographic;
+    v->picture = o->picture;
     v->depth_unit_m = (float)o->depth_unit_m;
 }
 
@@ -351,14 +352,14 @@ static enum err_code render_stage_bin(struct render *r, struct err *e)
         rc = frame_run(r, r->k.bin_scan, "bin_scan",
                        FRAME_ARGS(FRAME_ARG(tiles), FRAME_ARG(r->tile_start.mem)), 1, 1, e);
     if (!rc)
-        rc =
-            frame_run(r, r->k.bin_scatter, "bin_scatter",
-                      FRAME_ARGS(FRAME_ARG(r->counts), FRAME_ARG(cap), FRAME_ARG(stride),
-                                 FRAME_ARG(r->expanded_tile.mem), FRAME_ARG(r->expanded_splat.mem),
-                                 FRAME_ARG(r->expanded_slot.mem), FRAME_ARG(r->tile_start.mem),
-                                 FRAME_ARG(r->bin_offset.mem), FRAME_ARG(r->intersection_splat.mem),
-                                 FRAME_ARG(r->intersection_slot.mem)),
-                      LAYOUT_BIN_CHUNKS, 1, e);
+        rc = frame_run(r, r->k.bin_scatter, "bin_scatter",
+                       FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->counts), FRAME_ARG(cap),
+                                  FRAME_ARG(stride), FRAME_ARG(r->expanded_tile.mem),
+                                  FRAME_ARG(r->expanded_splat.mem), FRAME_ARG(r->expanded_slot.mem),
+                                  FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->bin_offset.mem),
+                                  FRAME_ARG(r->intersection_splat.mem),
+                                  FRAME_ARG(r->intersection_slot.mem)),
+                       LAYOUT_BIN_CHUNKS, 1, e);
     return rc;
 }
 

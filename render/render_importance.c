@@ -120,6 +120,8 @@ static enum err_code render_importance_sum(struct render_importance *s, cl_kerne
     *sums = NULL;
     if (!r->drawn || r->view.n != m->n)
         return err_set(e, ERR_ARG, "render_importance: no frame of this model was drawn");
+    if (r->view.picture)
+        return err_set(e, ERR_ARG, "render_importance: the frame was only a picture");
     if (m->n == 0)
         return ERR_OK;
     size_t slots_bytes = (size_t)r->intersections * LAYOUT_IMPORTANCE_SLOT * sizeof(float);

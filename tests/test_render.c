@@ -337,6 +337,30 @@ static void test_culling_changes_nothing(void **state)
     gauss_free(&g);
 }
 
+/* Lists without slots and hits draw the same bits; nothing that needs those may follow. */
+static void test_picture_alone(void **state)
+{
+    struct gauss g;
+    struct render_model m;
+    struct render_options alone = PLAIN;
+    struct err e = {0};
+    (void)state;
+    kit_gauss(103, 3000, 4.0, 1, 0, &g);
+    for (size_t i = 0; i < g.n; i += 50)
+        g.scale_log[3 * i] += 3.0f; /* rows of more tiles than are written at once */
+    struct camera cam = view_from(8, -5, 5, 330, 170);
+    alone.picture = true;
+    struct picture full = draw(&g, &cam, &PLAIN), picture = draw(&g, &cam, &alone);
+    expect_same_bits("the picture alone", &full, &picture);
+    picture_free(&full);
+    picture_free(&picture);
+    kit_ok(render_model_upload(render, &g, &m, &e), e);
+    kit_ok(render_forward(render, &m, &cam, &alone, NULL, NULL, &e), e);
+    kit_fails(render_backward(render, &m, m.params, &e), ERR_ARG, e, "only a picture");
+    render_model_free(&m);
+    gauss_free(&g);
+}
+
 static void test_repeatable(void **state)
 {
     struct gauss g;
@@ -849,6 +873,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(test_large_splats),
         cmocka_unit_test(test_ties_are_by_index),
         cmocka_unit_test(test_culling_changes_nothing),
+        cmocka_unit_test(test_picture_alone),
         cmocka_unit_test(test_repeatable),
         cmocka_unit_test(test_far_from_origin),
         cmocka_unit_test(test_background),

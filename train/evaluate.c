@@ -228,6 +228,7 @@ enum err_code evaluate_draw_model(void *user, const struct camera *cam, float *r
 {
     const struct evaluate_model *m = user;
     struct render_options ro = m->options;
+    ro.picture = true;
     *gaussians = m->model->n;
     if (m->appearance) {
         ro.appearance_frame = appearance_view_frame(m->appearance, cam);
