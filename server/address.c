@@ -169,6 +169,8 @@ bool address_host_is_loopback(const char *host)
     size_t n = strcspn(host, ":");
     if (n == strlen("localhost") && !strncasecmp(host, "localhost", n))
         return true;
+    if (*host != '[' && *host != ':' && (*host < '0' || *host > '9'))
+        return false; /* a name */
     return address_parse(host, strlen(host), &a) && address_is_loopback(a);
 }
 

@@ -29,8 +29,12 @@ bool answer_appearance_find_tile(struct services *s, const struct dataset *d, co
     struct err e = {0};
     char is[TARGET_APPEARANCE_MAX], name[TARGET_KEPT_MAX];
     struct kept_table *kept = *text ? kept_now(s->kept) : NULL;
-    snprintf(is, sizeof is, "%s", text);
-    enum err_code rc = appearance_api_resolve(d, kept, is, name, &e);
+    is[0] = '\0';
+    enum err_code rc = ERR_OK;
+    if (*text) { /* most tiles have none */
+        snprintf(is, sizeof is, "%s", text);
+        rc = appearance_api_resolve(d, kept, is, name, &e);
+    }
     if (!rc)
         rc = appearance_api_find(d, is, out, &e);
     if (rc)

@@ -51,9 +51,11 @@ static void headers_add_numbers(const struct response *r, struct headers *h)
 
 void headers_make(const struct response *r, bool last, struct headers *h)
 {
+    const bool known =
+        r->status == 304; /* the client has what describes the bytes (RFC 9110, 15.4.5) */
     h->n = 0;
     h->range[0] = h->retry[0] = h->timing[0] = '\0';
-    headers_add(h, "Content-Type", r->type);
+    headers_add(h, "Content-Type", known ? NULL : r->type);
     headers_add(h, "Cache-Control", r->cache_control);
     headers_add(h, "ETag", r->etag);
     if (r->modified_s) {
@@ -65,21 +67,22 @@ void headers_make(const struct response *r, bool last, struct headers *h)
     headers_add(h, "Allow", r->allow);
     headers_add(h, "Location", r->location);
     headers_add(h, "Set-Cookie", r->set_cookie);
-    headers_add(h, "Link", r->hints);
+    headers_add(h, "Link", known ? NULL : r->hints);
     headers_add(h, r->tag_header, r->surrogate);
     headers_add(h, "Cache-Status", headers_cache_status(r));
     if (r->id && (r->id_sent || r->status >= 400))
         headers_add(h, "X-Request-Id", r->id);
     if (r->unauthorized)
         headers_add(h, "WWW-Authenticate", "Bearer");
-    if (r->accept_ranges)
+    if (r->accept_ranges && !known)
         headers_add(h, "Accept-Ranges", "bytes");
     headers_add_numbers(r, h);
     if (r->stream[0]) /* nginx would gather pictures until its buffer is full */
         headers_add(h, "X-Accel-Buffering", "no");
     if (!r->same_origin)
         headers_add(h, "Access-Control-Allow-Origin", "*");
-    headers_add(h, "X-Content-Type-Options", "nosniff");
+    if (!known)
+        headers_add(h, "X-Content-Type-Options", "nosniff");
     if (r->secret)
         headers_add(h, "Referrer-Policy", "strict-origin");
     if (r->same_origin) { /* what operators ask is for no page */
@@ -91,8 +94,9 @@ void headers_make(const struct response *r, bool last, struct headers *h)
         headers_add(h, "Access-Control-Max-Age", "86400");
     } else {
         headers_add(h, "Access-Control-Expose-Headers",
-                    "ETag, Content-Length, Content-Range, Retry-After, Server-Timing, "
-                    "X-Request-Id");
+                    known ? NULL
+                          : "ETag, Content-Length, Content-Range, Retry-After, Server-Timing, "
+                            "X-Request-Id");
         headers_add(h, "Cross-Origin-Resource-Policy", "cross-origin");
         headers_add(h, "Timing-Allow-Origin", "*");
     }

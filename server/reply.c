@@ -27,7 +27,8 @@ struct reply { /* one place; everything by `lock` */
     size_t size, n;
     uint64_t seen; /* name of the last answer that was not the one kept; 0: none since that was */
     const char *name[HEADERS_MAX]; /* [n], constants */
-    char *values;                  /* [n], each with its NUL */
+    char *values;                  /* each with its NUL */
+    uint16_t value[HEADERS_MAX];   /* [n], where it begins in `values` */
 };
 struct replies {
     struct reply place[REPLY_PLACES];
@@ -94,13 +95,10 @@ static bool reply_is(const struct reply *p, const struct response *r, const stru
     if (!p->made || p->data != r->data || p->status != r->status || p->size != r->size ||
         p->n != h->n)
         return false;
-    const char *value = p->values;
-    for (size_t i = 0; i < h->n; i++) {
-        size_t n = strlen(h->field[i].value) + 1;
-        if (p->name[i] != h->field[i].name || memcmp(value, h->field[i].value, n) != 0)
+    for (size_t i = 0; i < h->n; i++)
+        if (p->name[i] != h->field[i].name ||
+            strcmp(p->values + p->value[i], h->field[i].value) != 0)
             return false;
-        value += n;
-    }
     return true;
 }
 
@@ -128,6 +126,7 @@ static void reply_keep(struct reply *p, const struct response *r, const struct h
     for (size_t i = 0; i < h->n; i++) {
         size_t n = strlen(h->field[i].value) + 1;
         p->name[i] = h->field[i].name;
+        p->value[i] = (uint16_t)(at - p->values);
         memcpy(at, h->field[i].value, n);
         at += n;
     }

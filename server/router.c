@@ -7,6 +7,10 @@
  * row of the viewer's files takes any path, so it is asked last. A bracket of a template is entered
  * where the path has its first character.
  *
+ * The path is cut at its slashes once. A row whose template has another number of parts, or another
+ * word in one of them, cannot match, so only rows with that number are looked at. Where none of
+ * them matches, all are compared, for what they say about a path that is nearly theirs.
+ *
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "server/router.h"
@@ -15,18 +19,25 @@
 
 #include "codec/quant.h"
 
-enum { ROUTER_PARAMS = 20 };
+enum { ROUTER_PARAMS = 20, ROUTER_PARTS = 10 };
 
 struct router_row {   /* what params.def says of a row of the table */
     uint8_t n[2];     /* parameters of the path, and of the query */
     uint8_t anchor;   /* in the template, the end of the last word between slashes, "/t/" */
     const char *form; /* the message about a path that fails behind the anchor; NULL: none */
+    uint8_t n_parts;  /* of the template, between slashes; 0: any number */
+    struct text word[ROUTER_PARTS]; /* [n_parts], p NULL: the part has a parameter */
     const struct param *param[2][ROUTER_PARAMS];
 };
 struct router {
     const struct route *rows;
     size_t n;
     struct router_row *row; /* [n] */
+    /* Of each number of parts, 0: of all others, the rows that can match; in the table's order. */
+    struct router_list {
+        size_t n;
+        uint16_t *row;
+    } with[ROUTER_PARTS + 1];
 };
 
 /* ---- opening ---- */
@@ -44,6 +55,29 @@ static const struct param *router_param(const char *name, size_t n, unsigned gro
             found = p;
     }
     return found;
+}
+
+/* The parts of a template and their words. Where a parameter or a bracket may hold a slash, there
+ * is no fixed number of them. */
+static void router_cut(struct router_row *row, const struct route *r)
+{
+    size_t n = 0;
+    for (const char *p = r->path, *end; *p; p = end, n++) {
+        const size_t size = strcspn(++p, "/");
+        end = p + size;
+        if (n == ROUTER_PARTS)
+            return;
+        if (!memchr(p, '{', size) && !memchr(p, '[', size))
+            row->word[n] = (struct text){p, end};
+        const char *open = memchr(p, '[', size), *close = memchr(p, ']', size);
+        if (!open != !close)
+            return;
+    }
+    for (uint8_t i = 0; i < row->n[0]; i++)
+        if (row->param[0][i]->type == PARAM_SPAN || row->param[0][i]->type == PARAM_REST ||
+            row->param[0][i]->type == PARAM_TEXT)
+            return;
+    row->n_parts = (uint8_t)n;
 }
 
 static enum err_code router_compile(struct router_row *row, const struct route *r, struct err *e)
@@ -71,6 +105,20 @@ static enum err_code router_compile(struct router_row *row, const struct route *
     for (const struct param *q = PARAMS; q < PARAMS + PARAMS_COUNT; q++)
         if (q->groups & r->query && !(q->groups & PARAM_PATH) && row->n[1] < ROUTER_PARAMS)
             row->param[1][row->n[1]++] = q;
+    router_cut(row, r);
+    return ERR_OK;
+}
+
+static enum err_code router_sort(struct router *r, struct err *e)
+{
+    for (size_t k = 0; k <= ROUTER_PARTS; k++) {
+        struct router_list *l = &r->with[k];
+        if (!(l->row = mem_array(r->n, sizeof *l->row)))
+            return err_set(e, ERR_MEM, "routes: out of memory");
+        for (size_t i = 0; i < r->n; i++)
+            if (!(r->rows[i].scope & SCOPE_FILE) && (!r->row[i].n_parts || r->row[i].n_parts == k))
+                l->row[l->n++] = (uint16_t)i;
+    }
     return ERR_OK;
 }
 
@@ -79,10 +127,12 @@ enum err_code router_open(const struct route *rows, size_t n, struct router **ou
     struct router *r = mem_array(1, sizeof *r);
     *out = r;
     if (r)
-        *r = (struct router){rows, n, mem_array(n, sizeof *r->row)};
+        *r = (struct router){.rows = rows, .n = n, .row = mem_array(n, sizeof *r->row)};
     enum err_code rc = r && r->row ? ERR_OK : err_set(e, ERR_MEM, "routes: out of memory");
     for (size_t i = 0; !rc && i < n; i++)
         rc = router_compile(&r->row[i], &rows[i], e);
+    if (!rc)
+        rc = router_sort(r, e);
     if (rc)
         router_close(out);
     return rc;
@@ -90,6 +140,8 @@ enum err_code router_open(const struct route *rows, size_t n, struct router **ou
 
 void router_close(struct router **r)
 {
+    for (size_t k = 0; *r && k <= ROUTER_PARTS; k++)
+        mem_free((*r)->with[k].row);
     if (*r)
         mem_free((*r)->row);
     mem_free(*r);
@@ -117,23 +169,44 @@ size_t router_params(const struct router *r, const struct route *row, bool of_qu
 
 /* ---- paths ---- */
 
-/* A letter, a digit, or one of /_.,@:- which stand beside them in ASCII. */
-static bool router_is_of_path(char c)
-{
-    return (c >= ',' && c <= ':') || (c >= '@' && c <= 'Z') || (c >= 'a' && c <= 'z') || c == '_';
-}
+/* A letter, a digit, or one of _.,@:- */
+static const bool router_of_part[256] = {
+    [','] = 1, ['-'] = 1, ['.'] = 1, ['0'] = 1, ['1'] = 1, ['2'] = 1, ['3'] = 1, ['4'] = 1,
+    ['5'] = 1, ['6'] = 1, ['7'] = 1, ['8'] = 1, ['9'] = 1, [':'] = 1, ['@'] = 1, ['A'] = 1,
+    ['B'] = 1, ['C'] = 1, ['D'] = 1, ['E'] = 1, ['F'] = 1, ['G'] = 1, ['H'] = 1, ['I'] = 1,
+    ['J'] = 1, ['K'] = 1, ['L'] = 1, ['M'] = 1, ['N'] = 1, ['O'] = 1, ['P'] = 1, ['Q'] = 1,
+    ['R'] = 1, ['S'] = 1, ['T'] = 1, ['U'] = 1, ['V'] = 1, ['W'] = 1, ['X'] = 1, ['Y'] = 1,
+    ['Z'] = 1, ['_'] = 1, ['a'] = 1, ['b'] = 1, ['c'] = 1, ['d'] = 1, ['e'] = 1, ['f'] = 1,
+    ['g'] = 1, ['h'] = 1, ['i'] = 1, ['j'] = 1, ['k'] = 1, ['l'] = 1, ['m'] = 1, ['n'] = 1,
+    ['o'] = 1, ['p'] = 1, ['q'] = 1, ['r'] = 1, ['s'] = 1, ['t'] = 1, ['u'] = 1, ['v'] = 1,
+    ['w'] = 1, ['x'] = 1, ['y'] = 1, ['z'] = 1,
+};
+
+struct router_parts { /* of a path */
+    size_t n;         /* more than ROUTER_PARTS: only the first are there */
+    struct text part[ROUTER_PARTS];
+};
 
 /* Bytes no legal path needs, and no legal query: it is logged and repeated in Location. */
-static enum err_code router_check(const char *p, size_t n_path, size_t n, struct err *e)
+static enum err_code router_check(const char *p, size_t n_path, size_t n,
+                                  struct router_parts *parts, struct err *e)
 {
+    const char *end = p + n_path, *slash = p;
+    parts->n = 0;
     if (!n_path || p[0] != '/')
         return err_set(e, ERR_FORMAT, "the request target must be a path");
-    for (size_t i = 0; i < n_path; i++) {
-        if (!router_is_of_path(p[i]))
-            return err_set(e, ERR_FORMAT, "the path holds a byte that no path of this server has");
-        if (p[i] == '/' && i + 1 < n_path && (p[i + 1] == '/' || p[i + 1] == '.'))
+    while (slash < end) {
+        const char *at = slash + 1;
+        if (at < end && (*at == '/' || *at == '.'))
             return err_set(e, ERR_FORMAT,
                            "the path holds an empty segment or one that begins with a dot");
+        while (at < end && router_of_part[(unsigned char)*at])
+            at++;
+        if (at < end && *at != '/')
+            return err_set(e, ERR_FORMAT, "the path holds a byte that no path of this server has");
+        if (parts->n++ < ROUTER_PARTS)
+            parts->part[parts->n - 1] = (struct text){slash + 1, at};
+        slash = at;
     }
     for (size_t i = n_path; i < n; i++)
         if (p[i] <= 0x20 || p[i] >= 0x7f)
@@ -209,27 +282,63 @@ static enum err_code router_match(const struct route *r, const struct router_row
     return ERR_NOENT;
 }
 
-static enum err_code router_find(const struct router *r, struct text t, struct target *out,
+/* False: the row's words are not those of the path, so they cannot match. */
+static bool router_may_match(const struct router_row *row, const struct router_parts *parts)
+{
+    for (size_t i = 0; i < row->n_parts; i++) {
+        const struct text word = row->word[i], part = parts->part[i];
+        const size_t n = (size_t)(word.end - word.p);
+        if (word.p && ((size_t)(part.end - part.p) != n || memcmp(part.p, word.p, n) != 0))
+            return false;
+    }
+    return true;
+}
+
+static enum err_code router_try(const struct router *r, size_t i, struct text t,
+                                struct router_walk *w, struct target *out, struct err *e)
+{
+    enum err_code rc = router_match(&r->rows[i], &r->row[i], t, w, out, e);
+    if (rc != ERR_NOENT)
+        out->route = rc ? NULL : &r->rows[i];
+    return rc;
+}
+
+/* No row matches: the file's does, or what a row says about its form is the message. */
+static enum err_code router_miss(const struct router *r, struct text t, struct target *out,
                                  struct err *e)
 {
     const struct route *file = NULL;
     struct router_walk w = {.code = ERR_NOENT};
-    for (const struct route *row = r->rows; row < r->rows + r->n; row++) {
-        if (row->scope & SCOPE_FILE) {
-            file = row;
+    for (size_t i = 0; i < r->n; i++) {
+        if (r->rows[i].scope & SCOPE_FILE) {
+            file = &r->rows[i];
             continue;
         }
-        enum err_code rc = router_match(row, &r->row[row - r->rows], t, &w, out, e);
-        if (rc != ERR_NOENT) {
-            out->route = rc ? NULL : row;
+        enum err_code rc = router_try(r, i, t, &w, out, e);
+        if (rc != ERR_NOENT)
             return rc;
-        }
     }
     if (file && !w.named) {
         out->route = file;
         return ERR_OK;
     }
     return err_set(e, w.code, "%s", w.says ? w.says : "there is nothing at this path");
+}
+
+static enum err_code router_find(const struct router *r, const struct router_parts *parts,
+                                 struct text t, struct target *out, struct err *e)
+{
+    struct router_walk w = {.code = ERR_NOENT};
+    const struct router_list *with = &r->with[parts->n <= ROUTER_PARTS ? parts->n : 0];
+    for (size_t i = 0; i < with->n; i++) {
+        const struct router_row *row = &r->row[with->row[i]];
+        enum err_code rc = row->n_parts && !router_may_match(row, parts)
+                               ? ERR_NOENT
+                               : router_try(r, with->row[i], t, &w, out, e);
+        if (rc != ERR_NOENT)
+            return rc;
+    }
+    return router_miss(r, t, out, e);
 }
 
 /* ---- queries ---- */
@@ -339,9 +448,10 @@ enum err_code router_read(const struct router *r, const char *text, size_t n, st
     out->scale = 1;
     const char *mark = n ? memchr(text, '?', n) : NULL, *end = mark ? mark : text + n;
     out->path_size = (size_t)(end - text);
-    enum err_code rc = router_check(text, out->path_size, n, e);
+    struct router_parts parts;
+    enum err_code rc = router_check(text, out->path_size, n, &parts, e);
     if (!rc)
-        rc = router_find(r, (struct text){text, end}, out, e);
+        rc = router_find(r, &parts, (struct text){text, end}, out, e);
     if (rc)
         return rc;
     if (!key_valid(out->key))
