@@ -358,6 +358,36 @@ static void dev_prefer_huge(struct dev *d, cl_mem m, size_t n_bytes)
     (void)clEnqueueUnmapMemObject(d->queue, m, p, 0, NULL, NULL);
 }
 
+static enum err_code dev_too_large(const struct dev *d, size_t size_bytes, struct err *e)
+{
+    return err_set(
+        e, ERR_LIMIT,
+        "dev_buffer: %zu bytes: %s allows %llu in one buffer; use smaller cells or images",
+        size_bytes, d->name, (unsigned long long)d->max_alloc_bytes);
+}
+
+/* PoCL's CPU devices use a buffer of the host where it is. */
+bool dev_shares_memory(const struct dev *d)
+{
+    return d->is_cpu && d->is_pocl;
+}
+
+enum err_code dev_buffer_over(struct dev *d, void *at, size_t size_bytes, cl_mem *out,
+                              struct err *e)
+{
+    cl_int code = CL_SUCCESS;
+    *out = NULL;
+    assert(dev_shares_memory(d) && size_bytes % BUFFER_ROUND == 0);
+    if (size_bytes > d->max_alloc_bytes)
+        return dev_too_large(d, size_bytes, e);
+    *out =
+        clCreateBuffer(d->context, CL_MEM_READ_WRITE | CL_MEM_USE_HOST_PTR, size_bytes, at, &code);
+    if (code == CL_SUCCESS)
+        return ERR_OK;
+    *out = NULL;
+    return dev_fail(e, code, "dev_buffer_over", d->name);
+}
+
 enum err_code dev_buffer(struct dev *d, size_t size_bytes, const void *host, cl_mem *out,
                          struct err *e)
 {
@@ -365,10 +395,7 @@ enum err_code dev_buffer(struct dev *d, size_t size_bytes, const void *host, cl_
     *out = NULL;
     if (size_bytes > SIZE_MAX - BUFFER_ROUND ||
         (size_bytes + BUFFER_ROUND - 1) / BUFFER_ROUND * BUFFER_ROUND > d->max_alloc_bytes)
-        return err_set(
-            e, ERR_LIMIT,
-            "dev_buffer: %zu bytes: %s allows %llu in one buffer; use smaller cells or images",
-            size_bytes, d->name, (unsigned long long)d->max_alloc_bytes);
+        return dev_too_large(d, size_bytes, e);
     size_t rounded = (size_bytes + BUFFER_ROUND - 1) / BUFFER_ROUND * BUFFER_ROUND;
     if (rounded == 0)
         rounded = BUFFER_ROUND;

@@ -22,7 +22,8 @@ enum {
 #define DEFER_DRIFT_ROOM 1.05 /* drift is a bound: roundings, and rates that grow a little */
 
 struct defer {
-    struct render *r; /* borrowed */
+    struct render *r;         /* borrowed */
+    struct defer_watch watch; /* part 0: there is none */
     cl_program program;
     cl_kernel count, list, settle, bound;
     cl_mem view, counts;
@@ -89,6 +90,11 @@ enum err_code defer_open(struct render *r, struct defer **out, struct err *e)
     if (rc)
         defer_close(out);
     return rc;
+}
+
+void defer_set_watch(struct defer *d, const struct defer_watch *w)
+{
+    d->watch = *w;
 }
 
 /* ---- the table ---- */
@@ -206,39 +212,64 @@ static enum err_code defer_reserve(struct defer *d, const struct render_model *m
     return rc ? err_add(e, "deferred steps of %u Gaussians", m->n) : ERR_OK;
 }
 
-/* Bounds of the listed groups, which have just made `step`, or of all. */
+/* Groups of the list, or [from, end) of all. */
+struct defer_range {
+    cl_uint listed, from, end;
+};
+
+/* Their bounds. step: they have just made it. */
 static enum err_code defer_run_bound(struct defer *d, const struct render_model *m,
-                                     const struct render_adam *a, bool all, cl_uint step,
-                                     struct err *e)
+                                     const struct render_adam *a, struct defer_range g,
+                                     cl_uint step, struct err *e)
 {
-    cl_uint listed = !all, groups = all ? m->groups : d->n_listed, smooth = m->filter != NULL;
+    cl_uint smooth = m->filter != NULL;
     cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
-    size_t local, items = frame_items(d->r, groups, &local);
+    size_t local, items = frame_items(d->r, g.end - g.from, &local);
     if (d->r->dev->vector_width == 1)
-        items = (groups + local - 1) / local * local;
+        items = (g.end - g.from + local - 1) / local * local;
     return frame_run(d->r, d->bound, "defer_bound",
-                     FRAME_ARGS(FRAME_ARG(d->listed.mem), FRAME_ARG(listed), FRAME_ARG(groups),
-                                FRAME_ARG(m->n), FRAME_ARG(m->planes), FRAME_ARG(step),
-                                FRAME_ARG(d->base), FRAME_ARG(a->eps), FRAME_ARG(smooth),
-                                FRAME_ARG(d->table.mem), FRAME_ARG(filter), FRAME_ARG(m->params),
-                                FRAME_ARG(a->m1), FRAME_ARG(a->m2), FRAME_ARG(d->settled.mem),
-                                FRAME_ARG(d->bounds.mem)),
+                     FRAME_ARGS(FRAME_ARG(d->listed.mem), FRAME_ARG(g.listed), FRAME_ARG(g.from),
+                                FRAME_ARG(g.end), FRAME_ARG(m->n), FRAME_ARG(m->planes),
+                                FRAME_ARG(step), FRAME_ARG(d->base), FRAME_ARG(a->eps),
+                                FRAME_ARG(smooth), FRAME_ARG(d->table.mem), FRAME_ARG(filter),
+                                FRAME_ARG(m->params), FRAME_ARG(a->m1), FRAME_ARG(a->m2),
+                                FRAME_ARG(d->settled.mem), FRAME_ARG(d->bounds.mem)),
                      items, local, e);
 }
 
 static enum err_code defer_run_settle(struct defer *d, const struct render_model *m,
-                                      const struct render_adam *a, bool all, struct err *e)
+                                      const struct render_adam *a, struct defer_range g,
+                                      struct err *e)
 {
-    cl_uint listed = !all, groups = all ? m->groups : d->n_listed;
-    size_t local, items = frame_items(d->r, groups, &local);
+    size_t local, items = frame_items(d->r, g.end - g.from, &local);
     return frame_run(d->r, d->settle, "defer_settle",
-                     FRAME_ARGS(FRAME_ARG(d->listed.mem), FRAME_ARG(listed), FRAME_ARG(groups),
-                                FRAME_ARG(m->n), FRAME_ARG(m->planes), FRAME_ARG(a->step),
-                                FRAME_ARG(d->base), FRAME_ARG(a->eps), FRAME_ARG(a->scale_log_min),
-                                FRAME_ARG(a->scale_log_max), FRAME_ARG(d->settled.mem),
-                                FRAME_ARG(d->table.mem), FRAME_ARG(m->params), FRAME_ARG(a->m1),
-                                FRAME_ARG(a->m2)),
+                     FRAME_ARGS(FRAME_ARG(d->listed.mem), FRAME_ARG(g.listed), FRAME_ARG(g.from),
+                                FRAME_ARG(g.end), FRAME_ARG(m->n), FRAME_ARG(m->planes),
+                                FRAME_ARG(a->step), FRAME_ARG(d->base), FRAME_ARG(a->eps),
+                                FRAME_ARG(a->scale_log_min), FRAME_ARG(a->scale_log_max),
+                                FRAME_ARG(d->settled.mem), FRAME_ARG(d->table.mem),
+                                FRAME_ARG(m->params), FRAME_ARG(a->m1), FRAME_ARG(a->m2)),
                      items, local, e);
+}
+
+/* All groups, in one launch or part by part: bounds, or the steps that they are owed. */
+static enum err_code defer_run_all(struct defer *d, const struct render_model *m,
+                                   const struct render_adam *a, bool settles, struct err *e)
+{
+    uint32_t part = d->watch.part ? d->watch.part : m->groups;
+    enum err_code rc = ERR_OK;
+    for (uint32_t from = 0; !rc && from < m->groups; from += part) {
+        uint32_t end = m->groups - from < part ? m->groups : from + part;
+        struct defer_range g = {false, from, end};
+        rc = settles ? defer_run_settle(d, m, a, g, e) : defer_run_bound(d, m, a, g, 0, e);
+        if (!rc && d->watch.part)
+            rc = dev_finish(d->r->dev, e);
+        if (!rc && d->watch.part)
+            d->watch.passed(d->watch.user, from, end);
+        if (end == m->groups)
+            break;
+    }
+    return rc;
 }
 
 /* settled and bounds as they are after the last step. */
@@ -247,10 +278,10 @@ static enum err_code defer_catch_up(struct defer *d, const struct render_model *
 {
     enum err_code rc = defer_send(d, e);
     if (!rc && !d->bounded)
-        rc = defer_run_bound(d, m, a, true, 0, e);
+        rc = defer_run_all(d, m, a, false, e);
     d->bounded = true;
     if (!rc && d->pending)
-        rc = defer_run_bound(d, m, a, false, d->step, e);
+        rc = defer_run_bound(d, m, a, (struct defer_range){true, 0, d->n_listed}, d->step, e);
     d->pending = false;
     return rc;
 }
@@ -313,6 +344,19 @@ static enum err_code defer_find(struct defer *d, const struct render_model *m,
     return ERR_OK;
 }
 
+/* The watch gets the list. */
+static enum err_code defer_tell(struct defer *d, struct err *e)
+{
+    void *listed = NULL;
+    if (!d->watch.part)
+        return ERR_OK;
+    enum err_code rc =
+        dev_map(d->r->dev, d->listed.mem, CL_MAP_READ, d->n_listed * sizeof(uint32_t), &listed, e);
+    if (!rc)
+        d->watch.listed(d->watch.user, listed, d->n_listed);
+    return rc ? rc : dev_unmap(d->r->dev, d->listed.mem, &listed, e);
+}
+
 enum err_code defer_see(struct defer *d, const struct render_model *m,
                         const struct render_adam *adam, const struct camera *cam,
                         const struct render_options *o, struct render_model *seen, struct err *e)
@@ -327,7 +371,9 @@ enum err_code defer_see(struct defer *d, const struct render_model *m,
     if (!rc)
         rc = defer_find(d, m, cam, o, &has_last, e);
     if (!rc)
-        rc = defer_run_settle(d, m, adam, false, e);
+        rc = defer_tell(d, e);
+    if (!rc)
+        rc = defer_run_settle(d, m, adam, (struct defer_range){true, 0, d->n_listed}, e);
     d->pending = !rc;
     d->step = adam->step;
     seen->list = d->listed.mem;
@@ -352,7 +398,7 @@ enum err_code defer_settle(struct defer *d, const struct render_model *m,
     assert(m->n == d->n);
     enum err_code rc = defer_catch_up(d, m, adam, e);
     if (!rc)
-        rc = defer_run_settle(d, m, adam, true, e);
+        rc = defer_run_all(d, m, adam, true, e);
     d->known = false;
     return rc;
 }

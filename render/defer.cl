@@ -150,19 +150,20 @@ INLINE V owed_plane(const struct owed *o, uint plane, float w, VI real)
     return real ? q : p;
 }
 
-// Steps that were owed up to `to`, of the groups of a list or of all. The moments of listed groups
-// are left to project_step, which passes them through memory anyway.
-__kernel void defer_settle(__global const uint *list, uint listed, uint groups, uint n, uint planes,
-                           uint to, uint base, float eps, float scale_log_min, float scale_log_max,
-                           __global const uint *settled, __global const float *table,
-                           __global float *params, __global float *m1, __global float *m2)
+// Steps that were owed up to `to`, of `groups` groups of a list, or of [from, groups) of all. The
+// moments of listed groups are left to project_step, which passes them through memory anyway.
+__kernel void defer_settle(__global const uint *list, uint listed, uint from, uint groups, uint n,
+                           uint planes, uint to, uint base, float eps, float scale_log_min,
+                           float scale_log_max, __global const uint *settled,
+                           __global const float *table, __global float *params, __global float *m1,
+                           __global float *m2)
 {
     uint id = (uint)get_global_id(0);
 #if VW == 16
-    uint lane = 0, first = id * LAYOUT_PROJECT_GROUPS,
+    uint lane = 0, first = from + id * LAYOUT_PROJECT_GROUPS,
          end = min(first + LAYOUT_PROJECT_GROUPS, groups);
 #else
-    uint lane = id % LAYOUT_LANES, first = id / LAYOUT_LANES, end = min(first + 1, groups);
+    uint lane = id % LAYOUT_LANES, first = from + id / LAYOUT_LANES, end = min(first + 1, groups);
 #endif
     for (uint i = first; i < end; i++) {
         uint group = listed ? list[i] : i, since = settled[group];
@@ -216,18 +217,20 @@ INLINE V defer_reach(__global const float *g, __global const float *a1, __global
     return sqrt(2.0f * MAX_(over, 0.01f)) * sigma;
 }
 
-// Where the groups of a list, or all, can draw. step: it was just made; 0: settled says.
-__kernel void defer_bound(__global const uint *list, uint listed, uint groups, uint n, uint planes,
-                          uint step, uint base, float eps, uint smooth, __global const float *table,
-                          __global const float *filter, __global const float *params,
-                          __global const float *m1, __global const float *m2,
-                          __global uint *settled, __global float *bounds)
+// Where the groups of a list, or [from, groups) of all, can draw. step: it was just made; 0:
+// settled says.
+__kernel void defer_bound(__global const uint *list, uint listed, uint from, uint groups, uint n,
+                          uint planes, uint step, uint base, float eps, uint smooth,
+                          __global const float *table, __global const float *filter,
+                          __global const float *params, __global const float *m1,
+                          __global const float *m2, __global uint *settled, __global float *bounds)
 {
     uint id = (uint)get_global_id(0);
 #if VW == 16
-    uint first = id * LAYOUT_PROJECT_GROUPS, end = min(first + LAYOUT_PROJECT_GROUPS, groups);
+    uint first = from + id * LAYOUT_PROJECT_GROUPS,
+         end = min(first + LAYOUT_PROJECT_GROUPS, groups);
 #else
-    uint first = id, end = min(first + 1, groups);
+    uint first = from + id, end = min(first + 1, groups);
 #endif
     for (uint i = first; i < end; i++) {
         uint group = listed ? list[i] : i, last = step ? step : settled[group];

@@ -35,6 +35,17 @@ struct defer;
 enum err_code defer_open(struct render *r, struct defer **out, struct err *e) ERR_USE;
 void defer_close(struct defer **d);
 
+/* For arrays that do not fit in memory. `listed` is told the groups that a step is about to touch,
+ * ascending; nothing else uses the arrays then. A pass over all groups goes by parts of `part`
+ * groups, and `passed` is told after each; the device has finished it. */
+struct defer_watch {
+    void *user;
+    void (*listed)(void *user, const uint32_t *groups, size_t n);
+    void (*passed)(void *user, size_t from, size_t to);
+    uint32_t part;
+};
+void defer_set_watch(struct defer *d, const struct defer_watch *w);
+
 /* Lists in *seen, a copy of *m, the groups that this view may show, and lets them make what steps
  * they are owed. If nothing is known of the groups, all count as settled at adam->step. *seen has
  * d's list: do not free it, and draw it before the next call. Then call render_backward_step with

@@ -120,3 +120,48 @@ enum err_code permute_move(const struct permutation *r, bool zero_new, const flo
     mem_free(w.aside);
     return rc;
 }
+
+/* ---- parts ---- */
+
+struct permute_some {
+    const struct permutation *rows;
+    const float *from;
+    float *to;
+    size_t first, end; /* groups */
+    bool zero_new;
+};
+
+static enum err_code permute_gather(void *user, size_t chunk, struct err *e)
+{
+    (void)e;
+    const struct permute_some *w = user;
+    const struct permutation *r = w->rows;
+    const size_t first = w->first + chunk * PERMUTE_CHUNK_GROUPS,
+                 end =
+                     w->end - first < PERMUTE_CHUNK_GROUPS ? w->end : first + PERMUTE_CHUNK_GROUPS;
+    for (size_t g = first; g < end; g++) {
+        const float *row[PERMUTE_LANES];
+        float *to = w->to + g * r->planes * PERMUTE_LANES;
+        for (size_t lane = 0; lane < PERMUTE_LANES; lane++) {
+            size_t d = g * PERMUTE_LANES + lane;
+            uint32_t s = d < r->n ? r->source[d] : 0;
+            bool zero = d >= r->n || (w->zero_new && (s & PERMUTE_NEW));
+            row[lane] = zero ? NULL : w->from + layout_at(s & ~PERMUTE_NEW, r->planes);
+        }
+        for (size_t p = 0; p < r->planes; p++)
+            for (size_t lane = 0; lane < PERMUTE_LANES; lane++)
+                to[p * PERMUTE_LANES + lane] = row[lane] ? row[lane][p * PERMUTE_LANES] : 0.0f;
+    }
+    return ERR_OK;
+}
+
+enum err_code permute_part(const struct permutation *r, bool zero_new, size_t first, size_t end,
+                           const float *from, float *to, struct err *e)
+{
+    struct permute_some w = {.rows = r, .from = from, .to = to, .zero_new = zero_new};
+    w.first = first / PERMUTE_LANES;
+    w.end = permute_groups(end);
+    size_t n = w.end - w.first;
+    return pool_for((n + PERMUTE_CHUNK_GROUPS - 1) / PERMUTE_CHUNK_GROUPS, 0, permute_gather, &w,
+                    e);
+}

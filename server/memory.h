@@ -1,4 +1,4 @@
-/* The memory of the server: what the machine has, and how the one number --memory is shared out.
+/* The memory of the server: how the one number --memory (core/machine.h) is shared out.
  *
  * The budget counts memory that the system cannot drop: anonymous pages of both processes. Pages of
  * the program's file and its libraries come in addition, as far as they are used (docs/sizing.md).
@@ -33,13 +33,6 @@ struct memory_plan { /* sizes in bytes */
     bool lowered;   /* pictures are smaller or have fewer Gaussians than asked for */
 };
 
-/* Parses "auto" (half of `machine`), or a number with k, M or G: 512M. ERR_ARG. */
-enum err_code memory_parse(const char *text, size_t machine, size_t *out, struct err *e) ERR_USE;
-/* Memory of this machine, or of the tightest control group that this process is in. */
-size_t memory_machine(void);
-/* The same from a file like /proc/self/cgroup and a folder like /sys/fs/cgroup, of version 1 or 2
- * of control groups. */
-size_t memory_limit(size_t physical, const char *cgroup, const char *root);
 /* Shares the budget out. ERR_LIMIT: it is too small; the message says what is enough. */
 enum err_code memory_plan(const struct memory_needs *n, struct memory_plan *out,
                           struct err *e) ERR_USE;

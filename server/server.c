@@ -16,6 +16,7 @@
 #include <sys/time.h>
 #include <unistd.h>
 
+#include "core/machine.h"
 #include "core/pool.h"
 #include "lod/blocks.h"
 #include "lod/clip.h"
@@ -202,8 +203,8 @@ static enum err_code server_plan(struct server *sv, const struct catalog *c,
                              .cache = (size_t)cfg->cache_mb << 20,
                              .inflight = (size_t)cfg->inflight_mb << 20,
                              .view_cache = (size_t)cfg->view_cache_mb << 20};
-    const size_t machine = memory_machine();
-    enum err_code rc = memory_parse(cfg->memory, machine, &n.budget, e);
+    const size_t machine = machine_memory();
+    enum err_code rc = machine_memory_parse(cfg->memory, machine, &n.budget, e);
     server_needs(c, &n);
     if (!rc)
         rc = memory_plan(&n, plan, e);

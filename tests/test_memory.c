@@ -5,6 +5,7 @@
  */
 #include "tests/client.h"
 
+#include "core/machine.h"
 #include "server/memory.h"
 #include "server/services.h"
 #include "server/work.h"
@@ -17,7 +18,7 @@ static void check_size(const char *text, size_t want)
 {
     struct err e = {0};
     size_t got = 0;
-    enum err_code rc = memory_parse(text, 2000u * MB, &got, &e);
+    enum err_code rc = machine_memory_parse(text, 2000u * MB, &got, &e);
     if (!want) {
         kit_fails(rc, ERR_ARG, e, "--memory");
         return;
@@ -70,16 +71,16 @@ static void test_groups(void **state)
     put(dir, "one/memory/memory.limit_in_bytes", "9223372036854771712\n", path);
     put(dir, "one/memory/x/memory.limit_in_bytes", "200000000\n", path);
     put(dir, "groups", "0::/a/b\n", path);
-    assert_int_equal(memory_limit(1000000000, path, two), 300000000);
-    assert_int_equal(memory_limit(100000000, path, two), 100000000);
+    assert_int_equal(machine_memory_limit(1000000000, path, two), 300000000);
+    assert_int_equal(machine_memory_limit(100000000, path, two), 100000000);
     put(dir, "groups", "9:cpu:/y\n4:memory:/x\n0::/\n", path);
-    assert_int_equal(memory_limit(1000000000, path, one), 200000000);
+    assert_int_equal(machine_memory_limit(1000000000, path, one), 200000000);
     put(dir, "groups", "4:memory:/elsewhere/docker/7\n", path);
-    assert_int_equal(memory_limit(1000000000, path, one), 1000000000);
+    assert_int_equal(machine_memory_limit(1000000000, path, one), 1000000000);
     put(dir, "one/memory/memory.limit_in_bytes", "500000000\n", two);
-    assert_int_equal(memory_limit(1000000000, path, one), 500000000);
-    assert_int_equal(memory_limit(1000000000, "/nonexistent", one), 1000000000);
-    assert_true(memory_machine() > 64u * MB);
+    assert_int_equal(machine_memory_limit(1000000000, path, one), 500000000);
+    assert_int_equal(machine_memory_limit(1000000000, "/nonexistent", one), 1000000000);
+    assert_true(machine_memory() > 64u * MB);
     kit_rmdir(dir);
 }
 

@@ -4,6 +4,8 @@
  */
 #include "tests/kit.h"
 
+#include <string.h>
+
 #include "render/permute.h"
 
 enum { PLANES = 11 /* no multiple of those moved at a time */, MANY = 40000, FEW = 35000 };
@@ -49,6 +51,11 @@ static void check(size_t n_old, size_t n, bool zero_new)
         source[d] = (uint32_t)(rng_unit(5, n, d) * (double)n_old) | (d % 3 ? 0 : PERMUTE_NEW);
     const struct permutation r = {source, n, n_old, PLANES};
     kit_ok(permute_move(&r, zero_new, from, to, &e), e);
+    expect_rows(to, &r, zero_new);
+    size_t third = n / 3 / LAYOUT_LANES * LAYOUT_LANES;
+    memset(to, 0xff, layout_floats(n, PLANES) * sizeof *to);
+    kit_ok(permute_part(&r, zero_new, third, n, from, to, &e), e);
+    kit_ok(permute_part(&r, zero_new, 0, third, from, to, &e), e);
     expect_rows(to, &r, zero_new);
     kit_ok(permute_move(&r, zero_new, from, from, &e), e);
     expect_rows(from, &r, zero_new);

@@ -12,6 +12,7 @@
 #include "cells/partition.h"
 #include "cells/share.h"
 #include "codec/image.h"
+#include "core/scratch.h"
 #include "loss/photometric.h"
 #include "render/render.h"
 #include "tests/stability/toy.h"
@@ -410,6 +411,63 @@ static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
     assert_true(r.cells[0].seconds > now); /* and the time that they took */
     kit_rmdir(whole);
     kit_rmdir(parts);
+    train_result_free(&r);
+    arena_free(&a);
+}
+
+/* Whether the newest line about a start says that the model lies in files. */
+static bool lies_in_files(const char *out)
+{
+    char path[FILE_PATH_MAX], line[4096];
+    struct err e = {0};
+    bool files = false;
+    kit_ok(file_join(path, out, "cells/all/metrics.jsonl", &e), e);
+    FILE *f = fopen(path, "re");
+    assert_non_null(f);
+    while (fgets(line, sizeof line, f))
+        if (strstr(line, "\"paged_bytes\""))
+            files = !strstr(line, "\"paged_bytes\":0,") && !strstr(line, "\"paged_bytes\": 0,");
+    fclose(f);
+    return files;
+}
+
+/* Where parameters and moments lie changes no byte, and may change when a run goes on. */
+static void a_model_in_files_trains_to_the_same_bytes(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    struct train_result r = {0};
+    char memory[FILE_PATH_MAX], files[FILE_PATH_MAX];
+    kit_tmpdir(memory);
+    kit_tmpdir(files);
+    struct train_config c = toy_config(&a, memory);
+    c.defer_from = 1;
+    c.thin_db = 0.02;
+    kit_ok(train_again(scene_dir, &c, &r, &e), e);
+    assert_false(lies_in_files(memory));
+    c.output = files;
+    static const int64_t pieces[] = {60, 9, 90, 0};
+    for (size_t i = 0; i < sizeof pieces / sizeof pieces[0]; i++) {
+        c.memory = i % 3 == 2 ? "auto" : "1M";
+        c.stop_after = pieces[i];
+        c.resume = i > 0;
+        if (pieces[i])
+            kit_fails(train_again(scene_dir, &c, &r, &e), ERR_CANCEL, e, "--resume goes on");
+        else
+            kit_ok(train_again(scene_dir, &c, &r, &e), e);
+        assert_true(lies_in_files(files) == (i % 3 != 2 && !scratch_is_memory(files)));
+    }
+    assert_same_levels(memory, files);
+    c.appearance = c.overwrite = true; /* every step moves all: it trains in memory */
+    c.resume = false;
+    kit_ok(train_again(scene_dir, &c, &r, &e), e);
+    assert_false(lies_in_files(files));
+    c.memory = "half";
+    c.seed++;
+    kit_fails(train_again(scene_dir, &c, &r, &e), ERR_ARG, e, "--memory half");
+    kit_rmdir(memory);
+    kit_rmdir(files);
     train_result_free(&r);
     arena_free(&a);
 }
@@ -923,6 +981,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(training_improves_keeps_budgets_and_repeats),
         cmocka_unit_test(thinning_leaves_what_the_option_says),
         cmocka_unit_test(a_stopped_run_goes_on_as_if_it_had_not_been),
+        cmocka_unit_test(a_model_in_files_trains_to_the_same_bytes),
         cmocka_unit_test(a_last_fit_takes_all_photographs),
         cmocka_unit_test(a_damaged_state_is_refused),
         cmocka_unit_test(what_a_run_was_made_of_may_not_change),

@@ -14,6 +14,7 @@
 
 #include "cells/window.h"
 #include "codec/scene.h"
+#include "core/machine.h"
 #include "train/appearance_train.h"
 #include "train/budget.h"
 #include "train/config.h"
@@ -21,12 +22,19 @@
 #include "train/done.h"
 #include "train/init.h"
 #include "train/memory.h"
+#include "train/paged.h"
+#include "train/regularizer.h"
 #include "train/result.h"
 #include "train/run_cell.h"
 #include "train/state.h"
 #include "train/state_check.h"
 
-enum { BEGIN_SURE = 5 }; /* photographs that know how far away a thing is */
+enum {
+    BEGIN_SURE = 5, /* photographs that know how far away a thing is */
+    /* of a model in files, at least one part of so many may be in memory */
+    BEGIN_PAGED_LEAST = 8
+};
+#define BEGIN_PROGRAM ((size_t)250000000) /* the program and its compiler of kernels */
 
 enum err_code begin_level_path(const struct begin *t, uint32_t level, char *out, struct err *e)
 {
@@ -252,8 +260,63 @@ static enum err_code begin_budget(struct begin *t, struct err *e)
     return rc;
 }
 
+/* Why the arrays of the model cannot lie in files; NULL: they can. */
+static const char *begin_no_paged(const struct begin *t, const struct memory_need *m)
+{
+    const struct run_cell *job = t->job;
+    if (!dev_shares_memory(job->dev))
+        return "the device has memory of its own";
+    if (job->dev->max_alloc_bytes < m->arrays / PAGED_ARRAYS + PAGED_ARRAYS)
+        return "the device allows no buffer as large as one of them";
+    if (appearance_train_is_on(&t->appearance) || !(job->cfg->defer_from > 0) ||
+        regularizer_moves_all(job->cfg, &job->cell))
+        return "with --appearance, --strategy mcmc, --depth-dir, --depth-sparse and "
+               "--defer-from 0 every step moves all Gaussians";
+    return scratch_is_memory(t->dir) ? "the output folder lies in memory" : NULL;
+}
+
+/* How many bytes of the model may be in memory, where it does not fit: see paged_bytes. */
+static enum err_code begin_paged(struct begin *t, const struct memory_need *m, struct err *e)
+{
+    const struct train_config *cfg = t->job->cfg;
+    const char *id = t->job->cell.id, *why = begin_no_paged(t, m);
+    const size_t machine = machine_memory(), total = m->total + BEGIN_PROGRAM,
+                 rest = m->beside + BEGIN_PROGRAM, least = m->arrays / BEGIN_PAGED_LEAST + 1;
+    size_t memory;
+    char scratch[FILE_PATH_MAX];
+    struct err room = {0};
+    enum err_code rc = machine_memory_parse(cfg->memory, machine, &memory, e);
+    if (!rc)
+        rc = file_join(scratch, t->dir, "scratch", e); /* for messages: it has no name */
+    if (rc || total <= memory)
+        return rc;
+    uint64_t disk = paged_disk_bytes(m->gaussians, layout_planes((uint32_t)cfg->sh_degree, 0));
+    if (!why && file_room(scratch, disk, &room)) {
+        if (total > machine)
+            return err_set(e, ERR_IO, "a model that does not fit in --memory %s: %s", cfg->memory,
+                           room.msg);
+        why = room.msg;
+    }
+    if (why) {
+        log_warn("train",
+                 "cell=%s may need %.2f GB, --memory is %.2f GB, and parameters and moments cannot "
+                 "lie in files: %s",
+                 id, 1e-9 * (double)total, 1e-9 * (double)memory, why);
+        return ERR_OK;
+    }
+    t->paged_bytes = memory > rest + least ? memory - rest : least;
+    log_info("train",
+             "cell=%s may need %.2f GB, --memory is %.2f GB: parameters and moments lie in files, "
+             "%.2f of their %.2f GB in memory at a time, beside %.2f GB",
+             id, 1e-9 * (double)total, 1e-9 * (double)memory, 1e-9 * (double)t->paged_bytes,
+             1e-9 * (double)m->arrays, 1e-9 * (double)rest);
+    if (rest + t->paged_bytes > memory)
+        log_warn("train", "cell=%s: that is more than --memory; a smaller --budget needs less", id);
+    return ERR_OK;
+}
+
 /* What people need to know before days of computing. */
-static void begin_tell_memory(const struct begin *t)
+static enum err_code begin_memory(struct begin *t, struct err *e)
 {
     const struct run_cell *job = t->job;
     struct memory_need m =
@@ -264,6 +327,7 @@ static void begin_tell_memory(const struct begin *t)
              "%zu B, photographs %.0f MiB, neighbours %.0f MiB",
              job->cell.id, (double)m.total / 1048576.0, m.gaussians, m.per_gaussian, m.pixels,
              m.per_pixel, (double)m.photo_bytes / 1048576.0, (double)m.group_bytes / 1048576.0);
+    return begin_paged(t, &m, e);
 }
 
 /* Which photographs are not trained on. */
@@ -351,7 +415,9 @@ enum err_code begin_run(struct begin *t, struct train_cell_result *out, bool *do
     rc = begin_forget_done(t, e);
     if (rc)
         return rc;
-    begin_tell_memory(t);
+    rc = begin_memory(t, e);
+    if (rc)
+        return rc;
     begin_tell_length(t);
     begin_tell_tests(t);
     return begin_ground(t, e);

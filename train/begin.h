@@ -30,6 +30,9 @@ struct begin { /* {.job, .lock_fd = -1} at first; call begin_close, also after a
     struct footprint ground;            /* nx 0: not known */
     struct trim rim;
     struct inputs inputs; /* hashes of the run's inputs */
+    /* of parameters and moments, so many bytes may be in memory: they lie in files in dir; 0: all
+     * is in memory */
+    size_t paged_bytes;
     int lock_fd;
 };
 

@@ -24,6 +24,7 @@
 
 #include <jansson.h>
 
+#include "core/machine.h"
 #include "core/pool.h"
 #include "train/config.h"
 #include "train/done.h"
@@ -369,15 +370,21 @@ static void jobs_loop(struct jobs *j)
 /* The resolved options for all children; what each needs of its own comes after it on the line. */
 static enum err_code jobs_write_config(struct jobs *j, struct err *e)
 {
-    char dir[FILE_PATH_MAX];
+    char dir[FILE_PATH_MAX], share[32];
+    struct train_config cfg = *j->cfg;
     json_t *o = NULL;
-    enum err_code rc = jobs_dir(j->scene_dir, j->cfg, "", dir, e);
+    size_t memory = 0, slots = j->slots ? j->slots : 1;
+    enum err_code rc = machine_memory_parse(cfg.memory, machine_memory(), &memory, e);
+    snprintf(share, sizeof share, "%zuM", memory / slots >> 20);
+    cfg.memory = memory >> 20 < slots ? "1M" : share;
+    if (!rc)
+        rc = jobs_dir(j->scene_dir, j->cfg, "", dir, e);
     if (!rc)
         rc = file_mkdir(dir, e);
     if (!rc)
         rc = file_join(j->config_path, dir, "jobs.jsonc", e);
     if (!rc)
-        rc = options_to_json(train_options(), j->cfg, &o, e);
+        rc = options_to_json(train_options(), &cfg, &o, e);
     if (!rc)
         rc = jsonc_write(j->config_path, o, e);
     json_decref(o);

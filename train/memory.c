@@ -36,6 +36,9 @@ enum {
 #define MEMORY_INTERSECTIONS 3.0 /* a Gaussian of the cell, in the fullest view */
 #define MEMORY_MARGIN_PX 128.0   /* of a row of the loss's maps */
 #define MEMORY_OUTSIDE 1.5       /* budget inside, half of it outside */
+/* Where a step has a list of groups: those in the frustum of a photograph, of all. */
+#define MEMORY_LISTED 0.25
+#define MEMORY_DEFERRED 2.5 /* bytes a Gaussian: bounds, last steps, list, when it was seen */
 
 static double memory_photos(const struct train_config *cfg, const struct scene *s,
                             const uint32_t *images, size_t n, double downsample, double *pixels,
@@ -90,15 +93,21 @@ struct memory_need memory_estimate(const struct train_config *cfg, const struct 
                        MEMORY_HOST_PX + MEMORY_EVALUATE_PX +
                        MEMORY_FRAME_ROOM * 2.0 * MEMORY_INTERSECTION; /* large splats: 2 a pixel */
     double per_gaussian = trained + drawn + passing;
-    return (struct memory_need){
-        .per_gaussian = (size_t)per_gaussian,
-        .trained = (size_t)trained,
-        .drawn = (size_t)drawn,
-        .passing = (size_t)passing,
-        .per_pixel = (size_t)per_pixel,
-        .photo_bytes = (size_t)photos,
-        .group_bytes = (size_t)groups,
-        .gaussians = (size_t)n,
-        .pixels = (size_t)pixels,
-        .total = (size_t)(n * per_gaussian + pixels * per_pixel + photos + groups)};
+    /* Scores draw all Gaussians: records and keys of all, but intersections of what is shown. */
+    double records = MEMORY_FRAME_ROOM * (sizeof(struct layout_splat) + MEMORY_WORD * MEMORY_KEYS);
+    double beside = trained - 3.0 * row + records + MEMORY_LISTED * (drawn - records) + passing +
+                    MEMORY_DEFERRED;
+    double others = pixels * per_pixel + photos + groups;
+    return (struct memory_need){.per_gaussian = (size_t)per_gaussian,
+                                .trained = (size_t)trained,
+                                .drawn = (size_t)drawn,
+                                .passing = (size_t)passing,
+                                .per_pixel = (size_t)per_pixel,
+                                .photo_bytes = (size_t)photos,
+                                .group_bytes = (size_t)groups,
+                                .gaussians = (size_t)n,
+                                .pixels = (size_t)pixels,
+                                .total = (size_t)(n * per_gaussian + others),
+                                .arrays = (size_t)(n * 3.0 * row),
+                                .beside = (size_t)(n * beside + others)};
 }

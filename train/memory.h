@@ -27,6 +27,8 @@ struct memory_need {
     size_t gaussians;    /* largest number of Gaussians, inside the cell and outside */
     size_t pixels;       /* of the largest picture */
     size_t total;        /* all, without the program itself and its OpenCL compiler */
+    size_t arrays;       /* of the total: parameters and both Adam moments */
+    size_t beside; /* what is in memory besides these where they lie in files (train/paged.h) */
 };
 /* Estimates the memory. Budgets are levels[0 .. n_levels - 1].budget and .around. `whole`: the cell
  * has no outside. */

@@ -50,6 +50,7 @@ void model_close(struct model *m)
     render_model_free(&m->gauss);
     dev_release(&m->adam.m1);
     dev_release(&m->adam.m2);
+    paged_close(&m->paged);
     model_release_stats(m);
     dev_release(&m->stats.repaired);
     mip_close(&m->mip);
@@ -62,10 +63,11 @@ size_t model_bytes(const struct model *m)
 
 /* Room for n Gaussians that are there, and for those to come. Memory that is reserved and not
  * touched costs a CPU device nothing, but a buffer that has become too small takes a copy: when all
- * that there may be is no more than twice as many, that is the size. */
-static size_t model_room(size_t n, size_t most)
+ * that there may be is no more than twice as many, that is the size. Files have it at once. */
+static size_t model_room(const struct model *m, size_t n, size_t most)
 {
-    size_t cap = most >= n && most / 2 <= n ? most : n + n / 4;
+    bool all = most >= n && (most / 2 <= n || m->paged.dir);
+    size_t cap = all ? most : n + n / 4;
     return (cap + LAYOUT_LANES - 1) / LAYOUT_LANES * LAYOUT_LANES;
 }
 
@@ -79,6 +81,10 @@ static void model_count(struct model *m, size_t n)
 enum err_code model_zero_moments(struct model *m, struct err *e)
 {
     enum err_code rc = model_settle(m, e);
+    if (m->paged.dir) {
+        rc = rc ? rc : paged_zero(&m->paged, 1, e);
+        return rc ? rc : paged_zero(&m->paged, 2, e);
+    }
     if (!rc)
         rc = dev_zero(m->dev, m->adam.m1, 0, model_bytes(m), e);
     return rc ? rc : dev_zero(m->dev, m->adam.m2, 0, model_bytes(m), e);
@@ -101,7 +107,7 @@ enum err_code model_open(struct model *m, struct dev *dev, struct render *render
                          const struct gauss *like, size_t most, struct err *e)
 {
     struct render_model *g = &m->gauss;
-    size_t cap = model_room(like->n, most);
+    size_t cap = model_room(m, like->n, most);
     if (cap > UINT32_MAX)
         return err_set(e, ERR_LIMIT, "%zu Gaussians are more than the renderer counts", like->n);
     m->dev = dev;
@@ -116,7 +122,9 @@ enum err_code model_open(struct model *m, struct dev *dev, struct render *render
     model_arrays(m, arrays);
     size_t bytes = layout_floats(cap, g->planes) * sizeof(float);
     enum err_code rc = ERR_OK;
-    for (size_t i = 0; !rc && i < MODEL_ARRAYS; i++)
+    if (m->paged.dir)
+        rc = paged_open(&m->paged, dev, cap / LAYOUT_LANES, g->planes, arrays, e);
+    for (size_t i = 0; !rc && !m->paged.dir && i < MODEL_ARRAYS; i++)
         rc = dev_buffer(dev, bytes, NULL, arrays[i], e);
     if (!rc)
         rc = dev_buffer(dev, sizeof(uint32_t), NULL, &m->stats.repaired, e);
@@ -146,6 +154,16 @@ enum err_code model_settle(struct model *m, struct err *e)
     return m->defer ? defer_settle(m->defer, &m->gauss, &m->adam, e) : ERR_OK;
 }
 
+/* Files are told which groups are about to be touched. */
+static enum err_code model_open_defer(struct model *m, struct err *e)
+{
+    const struct defer_watch watch = {&m->paged, paged_listed, paged_passed, PAGED_PART};
+    enum err_code rc = defer_open(m->render, &m->defer, e);
+    if (!rc && m->paged.dir)
+        defer_set_watch(m->defer, &watch);
+    return rc;
+}
+
 enum err_code model_see(struct model *m, bool defers, const struct camera *cam,
                         const struct render_options *o, struct err *e)
 {
@@ -154,7 +172,7 @@ enum err_code model_see(struct model *m, bool defers, const struct camera *cam,
     if (!defers)
         return model_settle(m, e);
     if (!m->defer)
-        rc = defer_open(m->render, &m->defer, e);
+        rc = model_open_defer(m, e);
     return rc ? rc : defer_see(m->defer, &m->gauss, &m->adam, cam, o, &m->seen, e);
 }
 
@@ -171,11 +189,23 @@ enum err_code model_owed(struct model *m, cl_mem *out, struct err *e)
 
 enum err_code model_owe(struct model *m, const uint32_t *settled, uint32_t *first, struct err *e)
 {
-    enum err_code rc = m->defer ? ERR_OK : defer_open(m->render, &m->defer, e);
+    enum err_code rc = m->defer ? ERR_OK : model_open_defer(m, e);
     return rc ? rc : defer_restore(m->defer, &m->gauss, settled, first, e);
 }
 
 /* ---- moving rows ---- */
+
+/* Arrays in files, one after another into a spare one. */
+static enum err_code model_move_paged(struct model *m, const struct permutation *r, size_t cap,
+                                      struct err *e)
+{
+    cl_mem *arrays[MODEL_ARRAYS];
+    enum err_code rc = ERR_OK;
+    model_arrays(m, arrays);
+    for (size_t k = 0; !rc && k < MODEL_ARRAYS; k++)
+        rc = paged_move(&m->paged, k, r, cap / LAYOUT_LANES, arrays[k], e);
+    return rc ? rc : paged_moved(&m->paged, cap / LAYOUT_LANES, e);
+}
 
 /* One of the arrays, in place or into a new one of `cap`, which takes its place. */
 static enum err_code model_move_array(struct model *m, size_t nth, const struct permutation *r,
@@ -217,7 +247,7 @@ static enum err_code model_move_array(struct model *m, size_t nth, const struct 
 
 enum err_code model_move(struct model *m, const struct permutation *r, size_t most, struct err *e)
 {
-    size_t cap = r->n > m->gauss.cap ? model_room(r->n, most) : m->gauss.cap;
+    size_t cap = r->n > m->gauss.cap ? model_room(m, r->n, most) : m->gauss.cap;
     enum err_code rc = ERR_OK;
     if (cap > UINT32_MAX)
         return err_set(e, ERR_LIMIT, "%zu Gaussians are more than the renderer counts", r->n);
@@ -225,7 +255,9 @@ enum err_code model_move(struct model *m, const struct permutation *r, size_t mo
         model_release_stats(m);
         dev_release(&m->gauss.filter);
     }
-    for (size_t k = 0; !rc && k < MODEL_ARRAYS; k++)
+    if (m->paged.dir)
+        rc = model_move_paged(m, r, cap, e);
+    for (size_t k = 0; !rc && !m->paged.dir && k < MODEL_ARRAYS; k++)
         rc = model_move_array(m, k, r, cap, e);
     if (rc)
         return err_add(e, "training %zu Gaussians", r->n);

@@ -14,6 +14,7 @@
 
 #include "render/permute.h"
 #include "render/render.h"
+#include "train/paged.h"
 
 struct camera;
 struct cell;
@@ -28,6 +29,7 @@ struct model {       /* {0} is empty; free with model_close */
     struct render_model gauss;         /* Gaussians to draw; cap may exceed n */
     struct render_adam adam;           /* moments, and learning rates set by level.c */
     struct render_density_stats stats; /* opacity is NULL if Gaussians have no embeddings */
+    struct paged paged;                /* where parameters and moments lie; see there */
     struct defer *defer;               /* steps that Gaussians are owed; made on first use */
     struct render_model
         seen;               /* model_see: what the step at hand draws, borrowed of the two above */
@@ -36,10 +38,12 @@ struct model {       /* {0} is empty; free with model_close */
 };
 
 /* Allocates room for like->n Gaussians with like's degree, embedding length and origin. `like`
- * needs no arrays. Parameters and moments are not filled, statistics are 0. `most` is the largest
+ * needs no arrays. With m->paged.dir parameters and moments lie in files, which are made for `most`
+ * at once. Parameters and moments are not filled, statistics are 0. `most` is the largest
  * number expected now; room for it is allocated at once if it is less than twice n. Call
- * model_close afterwards, also after an error. ERR_LIMIT: more than the renderer can count.
- * ERR_MEM, ERR_DEVICE: the device has no room. */
+ * model_close afterwards, also after an error; the model can be opened again then. ERR_LIMIT: more
+ * than the renderer can count. ERR_MEM, ERR_DEVICE: the device has no room. ERR_IO: the disk has
+ * none. */
 enum err_code model_open(struct model *m, struct dev *dev, struct render *render,
                          const struct gauss *like, size_t most, struct err *e) ERR_USE;
 void model_close(struct model *m);

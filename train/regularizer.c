@@ -255,11 +255,15 @@ static enum err_code regularizer_smoothness(struct regularizer *r, struct model 
     return rc;
 }
 
+bool regularizer_moves_all(const struct train_config *cfg, const struct cell *cell)
+{
+    const struct mcmc_pull pull = regularizer_pull_of(cfg, cell);
+    return regularizer_pulls(&pull) || regularizer_shakes(cfg) || regularizer_has_depth(cfg);
+}
+
 bool regularizer_reaches_all(const struct gallery *g, const struct site *site)
 {
-    const struct mcmc_pull pull = regularizer_pull_of(g->cfg, &site->cell);
-    return regularizer_pulls(&pull) || regularizer_shakes(g->cfg) ||
-           regularizer_has_depth(g->cfg) || regularizer_has_smoothness(g);
+    return regularizer_moves_all(g->cfg, &site->cell) || regularizer_has_smoothness(g);
 }
 
 enum err_code regularizer_step(struct regularizer *r, struct model *m,

@@ -41,6 +41,8 @@ void regularizer_free(struct regularizer **r);
 /* Whether a term reaches Gaussians that a step's photograph cannot show, other than the loss on
  * sizes, which is that of the Gaussians in its frustum. */
 bool regularizer_reaches_all(const struct gallery *g, const struct site *site);
+/* The same without what appearance adds. */
+bool regularizer_moves_all(const struct train_config *cfg, const struct cell *cell);
 /* Computes the terms that act at the current step, and sets m->adam.extra_grad (NULL: none). It
  * draws frames, so call it before the step's render_forward. ERR_MEM, ERR_DEVICE. ERR_FORMAT,
  * ERR_NOENT, ERR_DATA: a depth map cannot be read. */

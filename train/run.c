@@ -67,10 +67,11 @@ static enum err_code run_open_metrics(struct run *t, struct err *e)
         return rc;
     return metrics_log_line(
         l->metrics, t->cfg->resume ? "resume" : "start",
-        json_pack("{s:s, s:s, s:I, s:I, s:I, s:i, s:i, s:f, s:f}", "cell", cell->id, "device",
+        json_pack("{s:s, s:s, s:I, s:I, s:I, s:I, s:i, s:i, s:f, s:f}", "cell", cell->id, "device",
                   l->engine.dev->name, "photographs", (json_int_t)l->gallery.n_images,
                   "test_photographs", (json_int_t)t->job->n_test, "gaussians",
-                  (json_int_t)l->model.gauss.n, "level", (int)l->stage.at + 1, "step",
+                  (json_int_t)l->model.gauss.n, "paged_bytes",
+                  (json_int_t)l->model.paged.most_bytes, "level", (int)l->stage.at + 1, "step",
                   (int)l->stage.step, "edge_m", cell->edge_m, "extent_m", cell->extent_m),
         e);
 }
@@ -82,6 +83,10 @@ static void run_make_level(struct run *t, const struct timing *clock)
     struct level *l = &t->level;
     level_init(l, t->job, t->job->images, t->job->n_images);
     l->gallery.windows = b->windows;
+    if (b->paged_bytes) {
+        l->model.paged.dir = b->dir;
+        l->model.paged.most_bytes = b->paged_bytes;
+    }
     l->timing = *clock;
     timing_compiles(&l->timing, &l->engine.dev->compile_s);
     l->site.inputs = &b->inputs;

@@ -24,7 +24,7 @@ static const char *const state_check_free[] = {
     "jobs",       "threads",   "list",
     "resume",     "overwrite", "checkpoint_interval",
     "stop_after", "cache_mib", "coarse_only",
-    "trace",      NULL,
+    "trace",      "memory",    NULL,
 };
 
 void state_check_drop_free(json_t *config)
