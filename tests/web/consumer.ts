@@ -4,7 +4,9 @@
 // SPDX-License-Identifier: Apache-2.0
 import {
     createMapLayer,
+    createTour,
     createViewer,
+    loadStory,
     version,
     type Appearance,
     type MapLayer,
@@ -12,6 +14,9 @@ import {
     type Place,
     type Pose,
     type Problem,
+    type Story,
+    type Tour,
+    type TourState,
     type Viewer,
     type ViewerOptions,
     type ViewerState,
@@ -95,5 +100,19 @@ export function asElement(): string {
     const city = document.querySelector("city-splat")!;
     city.view = "13.4,52.5,200,0,-40";
     city.viewer?.on("problem", (problem) => (problem as Problem).kind === "no3d");
+    city.tour = "tour.json";
+    void city.player?.step(1);
     return [city.src, city.scene, city.appearance, city.viewer?.mode].join();
+}
+
+export async function tell(): Promise<TourState> {
+    const story: Story = await loadStory("tour.json");
+    const tour: Tour = createTour(viewer, story);
+    tour.onChange = () => tour.state.name.length;
+    await tour.play();
+    tour.pause();
+    await tour.visit(0);
+    for (const note of story.notes) await tour.visitNote(note);
+    tour.dispose();
+    return tour.state;
 }

@@ -1,9 +1,11 @@
 // A tour and notes, at a desk and on a phone: made by what is visible, by hand and by keys, carried by the link to somebody else,
-// played and paused there. Links that somebody made to do harm.
+// played and paused there, and in a page of another host by the element. Links that somebody made to do harm.
 //
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
-import { join } from "node:path";
+import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join, normalize } from "node:path";
 import { after, before, test } from "node:test";
 import { deflateRawSync } from "node:zlib";
 
@@ -11,7 +13,9 @@ import { closeAll, lookViewer, openPage, waitForViewer } from "./lib/browser.mjs
 import { importSource } from "./lib/bundle.mjs";
 import { SOUTH } from "./lib/checks.mjs";
 import { BLUE_TOP, ORIGIN } from "./lib/city.mjs";
+import { serveFiles } from "./lib/files.mjs";
 import { placeOfEnu, project } from "./lib/geo.mjs";
+import { hostedBy, snippets } from "./lib/snippets.mjs";
 import { GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
 
 const SCREENS = {
@@ -142,6 +146,95 @@ test("a note is whole inside of the picture, and goes where the city is in front
     assert.deepEqual(log, []);
     await close();
 });
+
+const noteAt = (enu, text) => [...["lon", "lat", "h"].map((k) => placeOfEnu(ORIGIN, enu)[k]), text];
+
+test("a note keeps out of the panel, and goes when the panel is in front of it", skip, async () => {
+    const { height } = SCREENS.desk;
+    const { page, log, close } = await openAt("desk", `${source.url}/#13.4,52.5,300,0,-30&story=${packed([[], [noteAt(TOP, "A note that is wide enough to reach below the panel")]])}`);
+    const panel = await page.locator("#panel").boundingBox();
+    const note = () => page.evaluate(() => {
+        const label = document.querySelector(".citysplat-label");
+        const { left, right } = label.getBoundingClientRect();
+        return { hidden: label.hidden, left, right };
+    });
+    // The place beside the panel, then below it: turned so that it is there.
+    const turnTo = async (x) => {
+        for (let heading = SOUTH.heading; heading < SOUTH.heading + 60; heading += 0.5) {
+            if (project(ORIGIN, { ...SOUTH, heading }, TOP, SCREENS.desk.width, height)[0] > x) continue;
+            await lookViewer(page, { ...SOUTH, heading });
+            return;
+        }
+        assert.fail(`the needle does not come to ${x}`);
+    };
+    await turnTo(panel.x + panel.width + 30);
+    const beside = await note();
+    assert.ok(!beside.hidden && beside.left >= panel.x + panel.width, JSON.stringify({ beside, panel }));
+    await picture(page, "beside");
+    await turnTo(panel.x + panel.width / 2);
+    await page.waitForFunction(() => document.querySelector(".citysplat-label").hidden);
+    await picture(page, "below");
+    await page.click("#fold");
+    await page.waitForFunction(() => !document.querySelector(".citysplat-label").hidden);
+    await picture(page, "folded");
+    assert.deepEqual(log, []);
+    await close();
+});
+
+// The tour of the documents' example, which the other host has as a file.
+const TOUR = {
+    type: "citysplat-tour",
+    views: [10, 340].map((heading, i) => {
+        const { lon, lat, h, pitch } = SOUTH;
+        return { name: ["From the south-west", "The needle, from the south-east"][i], view: [lon, lat, h, heading, pitch].join(), seconds: 1 };
+    }),
+    notes: [{ ...placeOfEnu(ORIGIN, TOP), text: HOSTILE }],
+};
+
+for (const [screen, shape] of Object.entries(SCREENS))
+    test(`the element plays a tour and shows notes in a page of another host: ${screen}`, skip, async (t) => {
+        const dir = mkdtempSync(join(tmpdir(), "citysplat-story-"));
+        const other = await serveFiles((path) => join(dir, normalize(path)));
+        t.after(() => (other.close(), rmSync(dir, { recursive: true, force: true })));
+        const example = snippets("viewer.md", "### The element", "html")[1];
+        const head = '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>x</title><link rel="icon" href="data:,">';
+        writeFileSync(join(dir, "index.html"), head + hostedBy(example, source.url));
+        writeFileSync(join(dir, "tour.json"), JSON.stringify(TOUR));
+        const { page, log, close } = await openPage(`${other.url}/index.html`, shape);
+        await page.waitForFunction(() => document.getElementById("city").viewer?.state.ready);
+        const press = (label) => page.locator("city-splat").getByRole("button", { name: label })[shape.hasTouch ? "tap" : "click"]();
+        const heading = (to) => page.waitForFunction((to) => Math.abs(document.getElementById("city").viewer.pose.heading - to) < 0.05, to);
+        const out = (words) => page.waitForFunction((words) => document.getElementById("out").textContent === words, words);
+        assert.deepEqual(await page.locator("city-splat .citysplat-label").allTextContents(), [HOSTILE]);
+        await out("1 of 2: From the south-west");
+        await page.evaluate(() => {
+            window.clicks = 0;
+            document.getElementById("city").addEventListener("click", () => window.clicks++);
+        });
+        await press("Play");
+        await heading(10);
+        await out("2 of 2: The needle, from the south-east");
+        await press("Pause");
+        await picture(page, `${screen}-element`);
+        await press("View before");
+        await heading(10);
+        await press("Play");
+        await heading(340);
+        await page.waitForFunction(() => !document.getElementById("city").player.state.playing);
+        assert.equal(await page.evaluate(() => window.clicks), 0, "a press on the card is no click of the city");
+        assert.equal(await page.evaluate(() => window.harmed), undefined);
+        // By a link's text; then none; then one that cannot be read.
+        const set = (text) => page.evaluate((text) => (document.getElementById("city").tour = text), text);
+        await set(packed([[["Link", TOUR.views[0].view, 0]], []]));
+        await out("1 of 1: Link");
+        assert.equal(await page.locator("city-splat .citysplat-label").count(), 0);
+        await page.evaluate(() => document.getElementById("city").addEventListener("problem", ({ detail }) => (window.told = detail.kind)));
+        await set("nonsense");
+        await page.waitForFunction(() => window.told === "badTour");
+        assert.equal(await page.locator("city-splat").getByRole("button", { name: "Play" }).count(), 0);
+        assert.deepEqual(log, []);
+        await close();
+    });
 
 test("links that do harm open the view, and say what is wrong", skip, async () => {
     const hash = `#${placeOfEnu(ORIGIN, [0, -200, 160]).lon.toFixed(7)},52.498,240,20,-36`;

@@ -2,18 +2,20 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import { parseView } from "./address";
-import { Problem } from "./problem";
+import { Problem, type ProblemKind } from "./problem";
+import { loadStory, Tour, type TourState } from "./tour";
+import { TOUR_STYLE, TourCard } from "./tourcard";
 import type { Mode, ViewerEvents, ViewerOptions } from "./types";
 import { createViewer, type Viewer } from "./viewer";
 
 const EVENTS = ["ready", "scene", "problem", "move", "click", "appearance", "link"] as const;
 type EventName = (typeof EVENTS)[number];
-export type CitySplatEvents = { [Name in EventName]: CustomEvent<ViewerEvents[Name]> };
+export type CitySplatEvents = { [Name in EventName]: CustomEvent<ViewerEvents[Name]> } & { tour: CustomEvent<TourState> };
 
-const ATTRIBUTES = ["src", "scene", "view", "appearance", "mode", "theme", "detail", "memory", "backdrop", "basemap", "basemap-credit"] as const;
+const ATTRIBUTES = ["src", "scene", "view", "appearance", "mode", "theme", "detail", "memory", "backdrop", "basemap", "basemap-credit", "tour"] as const;
 type Attribute = (typeof ATTRIBUTES)[number];
 
-const STYLE = ":host{display:block;position:relative;aspect-ratio:16/9;overflow:hidden}:host([hidden]){display:none}div{position:absolute;inset:0}";
+const STYLE = ":host{display:block;position:relative;aspect-ratio:16/9;overflow:hidden}:host([hidden]){display:none}div{position:absolute;inset:0}" + TOUR_STYLE;
 
 // A page that is made on a server imports this, too, and has no elements there.
 const Base = typeof HTMLElement === "function" ? HTMLElement : (class {} as unknown as typeof HTMLElement);
@@ -21,7 +23,10 @@ const Base = typeof HTMLElement === "function" ? HTMLElement : (class {} as unkn
 export class CitySplatElement extends Base {
   static readonly observedAttributes: readonly string[] = ATTRIBUTES;
   private own: Viewer | null = null;
+  private tours: Tour | null = null;
+  private reading = 0; // the newest text of a tour counts
   private readonly box: HTMLDivElement;
+  private readonly card = new TourCard();
 
   constructor() {
     super();
@@ -30,14 +35,19 @@ export class CitySplatElement extends Base {
     sheet.replaceSync(STYLE);
     root.adoptedStyleSheets = [sheet];
     this.box = document.createElement("div");
+    root.append(this.box, this.card.node);
     // The element has a click of its own, with the place.
-    this.box.addEventListener("click", (event) => event.stopPropagation());
-    root.append(this.box);
+    for (const node of [this.box, this.card.node]) node.addEventListener("click", (event) => event.stopPropagation());
   }
 
   // All that the module can do; null while the element is in no document.
   get viewer(): Viewer | null {
     return this.own;
+  }
+
+  // The tour and the notes of the attribute `tour`; null until they are read.
+  get player(): Tour | null {
+    return this.tours;
   }
 
   connectedCallback() {
@@ -70,6 +80,7 @@ export class CitySplatElement extends Base {
     else if (name === "memory" && Number(now) > 0) viewer.memoryMb = Number(now);
     else if (name === "backdrop") viewer.backdrop = now !== "off";
     else if (name === "basemap" || name === "basemap-credit") viewer.setBasemap(this.basemap);
+    else if (name === "tour") void this.readTour(viewer);
   }
 
   private start(): Viewer {
@@ -90,16 +101,48 @@ export class CitySplatElement extends Base {
     };
     const viewer = createViewer(this.box, options);
     for (const name of EVENTS) viewer.on(name, (value) => this.tell(name, value));
+    if (text("tour")) void this.readTour(viewer);
     return viewer;
   }
 
   private stop() {
+    this.endTour();
     this.own?.dispose();
     this.own = null;
   }
 
+  private endTour() {
+    this.reading++;
+    this.tours?.dispose();
+    this.tours = null;
+    this.card.show(null);
+  }
+
+  private async readTour(viewer: Viewer) {
+    this.endTour();
+    const ticket = this.reading;
+    try {
+      const story = await loadStory(this.tour);
+      if (ticket !== this.reading) return;
+      const tour = (this.tours = new Tour(viewer, story));
+      tour.onChange = () => {
+        this.card.show(tour);
+        this.tell("tour", tour.state);
+      };
+      tour.onChange();
+    } catch (error) {
+      if (ticket === this.reading) this.warn("badTour", { why: error instanceof Error ? error.message : String(error) });
+    }
+  }
+
+  private warn(kind: ProblemKind, values: Record<string, string>) {
+    const problem = new Problem(kind, values);
+    console.warn(`citysplat: ${problem.message}`);
+    queueMicrotask(() => this.tell("problem", problem));
+  }
+
   // A click rises through the document, as clicks do; what the viewer tells besides does not.
-  private tell(name: EventName, detail: unknown) {
+  private tell(name: EventName | "tour", detail: unknown) {
     const rises = name === "click";
     this.dispatchEvent(new CustomEvent(name, { detail, bubbles: rises, composed: rises }));
   }
@@ -109,11 +152,7 @@ export class CitySplatElement extends Base {
     const { view } = this;
     if (!view) return null;
     const parsed = parseView(view);
-    if (!parsed) {
-      const problem = new Problem("badView", { view });
-      console.warn(`citysplat: ${problem.message}`);
-      queueMicrotask(() => this.tell("problem", problem));
-    }
+    if (!parsed) this.warn("badView", { view });
     return parsed?.pose ?? null;
   }
 
@@ -152,6 +191,12 @@ export class CitySplatElement extends Base {
   }
   set appearance(value: string) {
     this.setAttribute("appearance", value);
+  }
+  get tour(): string {
+    return this.getAttribute("tour") ?? "";
+  }
+  set tour(value: string) {
+    this.setAttribute("tour", value);
   }
 }
 

@@ -1,5 +1,6 @@
 // Lines, areas and labels over the city, in places of the map. Lines hide behind the city where they
-// are asked to. Labels are HTML, whole inside of the picture; notes go where the city is in front of them.
+// are asked to. Labels are HTML, whole inside of the picture; notes keep out of panels, and go where the city or a panel is in
+// front of them.
 //
 // SPDX-License-Identifier: Apache-2.0
 import {
@@ -38,7 +39,8 @@ interface Entry {
   object: Group;
   label: HTMLElement | null;
   anchor: Vector3;
-  covered: boolean; // of a note: the city is in front of it
+  covered: boolean; // of a note: the city is in front of it, or a panel
+  box: { left: number; right: number; middle: number }; // of the label, as it is or would be, in CSS pixels
 }
 
 const EDGE_PX = 4; // between a label and the edge of the picture
@@ -53,6 +55,7 @@ export class Overlay {
   readonly group = new Group();
   onWake: () => void = () => {};
   private readonly entries = new Map<number, Entry>();
+  private readonly surface: HTMLElement;
   private readonly labels: HTMLElement;
   private readonly size = new Vector2(1, 1);
   private next = 1;
@@ -63,6 +66,7 @@ export class Overlay {
     surface: HTMLElement,
     private readonly stage: Stage,
   ) {
+    this.surface = surface;
     this.group.renderOrder = 5;
     this.labels = document.createElement("div");
     this.labels.className = "citysplat-labels";
@@ -111,25 +115,47 @@ export class Overlay {
   // Labels to where their places are on the screen; after every change of the camera.
   update() {
     const { camera } = this.stage;
-    let notes = false;
-    for (const { label, anchor, shape, covered } of this.entries.values()) {
+    const whole = { left: 0, right: this.size.x, top: 0, bottom: this.size.y };
+    let free: typeof whole | null = null; // what panels leave
+    for (const entry of this.entries.values()) {
+      const { label, anchor, shape, covered } = entry;
       if (!label) continue;
-      notes ||= shape.note ?? false;
+      if (shape.note) free ??= this.free();
       const at = anchor.clone().project(camera);
-      label.hidden = covered || !(at.z > -1 && at.z < 1 && Math.abs(at.x) < 1 && Math.abs(at.y) < 1);
+      label.hidden = !(at.z > -1 && at.z < 1 && Math.abs(at.x) < 1 && Math.abs(at.y) < 1);
       if (label.hidden) continue;
       const { offsetWidth: width, offsetHeight: height } = label;
-      const inside = (start: number, length: number, whole: number) => Math.round(Math.max(EDGE_PX, Math.min(start, whole - length - EDGE_PX)));
-      const x = inside(((at.x + 1) / 2) * this.size.x - width / 2, width, this.size.x);
-      const y = inside(((1 - at.y) / 2) * this.size.y - 1.4 * height, height, this.size.y);
+      const [px, py] = [((at.x + 1) / 2) * this.size.x, ((1 - at.y) / 2) * this.size.y];
+      const among = free && shape.note && px > free.left && px < free.right && py > free.top && py < free.bottom;
+      const { left, right, top, bottom } = among ? free! : whole;
+      const inside = (start: number, length: number, from: number, to: number) => Math.round(Math.max(from + EDGE_PX, Math.min(start, to - length - EDGE_PX)));
+      const x = inside(px - width / 2, width, left, right);
+      const y = inside(py - 1.4 * height, height, top, bottom);
       label.style.transform = `translate(${x}px, ${y}px)`;
+      entry.box = { left: x, right: x + width, middle: y + height / 2 };
+      label.hidden = covered;
     }
+    const notes = free !== null;
     if (!notes) return;
     clearTimeout(this.coverTimer);
     this.coverTimer = window.setTimeout(() => this.lookUp([...this.entries.values()]), COVER_MS);
   }
 
-  // Which notes the city is in front of, once the picture rests.
+  private free() {
+    const { left, right, top, bottom } = this.stage.free();
+    const { x, y } = this.size;
+    return { left: left * x, right: right * x, top: top * y, bottom: bottom * y };
+  }
+
+  // Whether something of the page lies over an end of a note's label.
+  private isUnder({ left, right, middle }: Entry["box"]): boolean {
+    const root = this.surface.getRootNode() as Document | ShadowRoot;
+    const { x, y } = this.surface.getBoundingClientRect();
+    const hits = [left, right].map((at) => root.elementFromPoint(x + at, y + middle));
+    return hits.some((hit) => hit !== null && !this.surface.contains(hit) && !hit.contains(this.surface));
+  }
+
+  // Which notes the city or a panel is in front of, once the picture rests.
   private lookUp(left: Entry[], changed = false) {
     const end = performance.now() + COVER_BUSY_MS;
     const { camera } = this.stage;
@@ -138,7 +164,8 @@ export class Overlay {
       const to = one.anchor.clone().setY(one.anchor.y + RAISED_M).sub(camera.position);
       const far = to.length();
       const hit = this.stage.surfaceOn(new Ray(camera.position.clone(), to.normalize()));
-      const covered = hit !== null && hit.distanceTo(camera.position) < far - Math.max(COVER_M, COVER_SHARE * far);
+      const behind = hit !== null && hit.distanceTo(camera.position) < far - Math.max(COVER_M, COVER_SHARE * far);
+      const covered = behind || this.isUnder(one.box);
       changed ||= covered !== one.covered;
       one.covered = covered;
       one.object.visible = !covered;
@@ -196,7 +223,7 @@ export class Overlay {
       Object.assign(label.style, { position: "absolute", left: "0", top: "0", width: "max-content", maxWidth: "min(260px, 60vw)", overflowWrap: "anywhere" });
       this.labels.append(label);
     }
-    return { shape, object, label, anchor, covered: false };
+    return { shape, object, label, anchor, covered: false, box: { left: 0, right: 0, middle: 0 } };
   }
 
   private line(points: Vector3[], color: Color, behind: boolean): LineSegments2 {

@@ -233,7 +233,7 @@ export class Page {
     if (!this.viewer.scene) return;
     const { EmbedDialog } = await import("./embeddialog");
     this.embeds ??= new EmbedDialog(this.viewer);
-    this.embeds.open();
+    this.embeds.open(this.story);
   }
 
   // Tours and notes, with the first of them: of the link, of this browser, or when somebody opens their list.

@@ -2,19 +2,14 @@
 // kept in this browser, for each scene. A link's are shown instead, and do not touch what is kept.
 //
 // SPDX-License-Identifier: Apache-2.0
-import { formatView, parseView } from "./address";
+import { formatView } from "./address";
 import { download, element, setText, toast } from "./dom";
 import type { Place } from "./geo";
 import { formatStory, isEmpty, makeNote, makeStop, packStory, parseStory, TEXT_MAX, unpackStory, type Note, type Stop, type Story } from "./story";
 import { storyKey } from "./storylink";
 import { text, type TextKey } from "./strings";
+import { Tour } from "./tour";
 import type { Viewer } from "./viewer";
-
-const STAY_MS = 1500;
-const STAY_CHARACTER_MS = 45; // a caption is read
-const NOTE_M = 70; // from a note, when it is visited
-const M_PER_DEG = 111_200;
-const NOTE_COLOR = "#ff9f43";
 
 // What the page does for it.
 export interface StoryHost {
@@ -23,15 +18,9 @@ export interface StoryHost {
   clear(): void; // the picture is to be seen: on a phone the panel goes
 }
 
-const wait = (ms: number) => new Promise<void>((done) => setTimeout(done, ms));
-
 export class StoryBox {
-  private story: Story = { views: [], notes: [] };
+  private readonly tour: Tour;
   private foreign = false; // of a link: what this browser keeps is another
-  private shapes: number[] = [];
-  private at = 0; // the stop that is shown, or is next
-  private playing = false;
-  private run = 0; // counts, so that a pause ends the run that it belongs to
   private packing = 0;
   private placing = false;
   private place: Place | null = null; // of the note that is written
@@ -43,14 +32,16 @@ export class StoryBox {
     private readonly host: StoryHost,
     link: string | null,
   ) {
+    this.tour = new Tour(viewer);
+    this.tour.onChange = () => this.list();
     const click = (id: string, run: () => void) => element(id).addEventListener("click", run);
     const file = element<HTMLInputElement>("tour-file");
     click("tour-play", () => this.toggle());
     click("tour-export", () => download("tour.json", "application/json", formatStory(this.story)));
     click("tour-import", () => file.click());
     click("tour-pause", () => this.toggle());
-    click("tour-back", () => void this.step(-1));
-    click("tour-next", () => void this.step(1));
+    click("tour-back", () => this.visit(this.tour.state.at - 1));
+    click("tour-next", () => this.visit(this.tour.state.at + 1));
     click("tour-close", () => this.closeTour());
     click("note-middle", () => this.putMiddle());
     click("note-close", () => this.endNote());
@@ -64,7 +55,6 @@ export class StoryBox {
     element<HTMLInputElement>("note-text").maxLength = TEXT_MAX;
     file.addEventListener("change", () => void this.read(file));
     viewer.on("click", ({ place }) => this.put(place));
-    viewer.on("touch", () => this.pause());
     let scene = viewer.scene?.id; // another light of it is the same scene
     viewer.on("scene", ({ id }) => {
       if (id !== scene) void this.open(scene === undefined ? link : null);
@@ -73,15 +63,21 @@ export class StoryBox {
     if (scene !== undefined) void this.open(link);
   }
 
+  private get story(): Story {
+    return this.tour.story;
+  }
+
   translate() {
     this.list();
-    this.showTour();
   }
 
   // The tour of the page, by a key: from where it is, or a pause.
   toggle() {
-    if (this.playing) this.pause();
-    else void this.play();
+    if (this.tour.state.playing) return this.tour.pause();
+    if (!this.story.views.length) return;
+    this.host.clear();
+    element("tour-card").hidden = false;
+    void this.tour.play();
   }
 
   // What a link carries, or what this browser keeps of the scene.
@@ -101,12 +97,10 @@ export class StoryBox {
       toast(text("story.bad"));
     }
     this.foreign = given !== null && (await packStory(kept)) !== link;
-    this.story = given ?? kept;
-    this.at = 0;
-    this.list();
+    const story = given ?? kept;
+    if (this.foreign && story.views.length) element("tour-card").hidden = false;
+    this.tour.show(story);
     this.tell();
-    if (this.foreign && this.story.views.length) element("tour-card").hidden = false;
-    this.showTour();
   }
 
   private change() {
@@ -116,10 +110,8 @@ export class StoryBox {
       } catch {
         // no storage: it lives as long as the page
       }
-    this.at = Math.min(this.at, Math.max(0, this.story.views.length - 1));
-    this.list();
+    this.tour.refresh();
     this.tell();
-    this.showTour();
   }
 
   // The link follows.
@@ -136,9 +128,7 @@ export class StoryBox {
 
   private list() {
     const { views, notes } = this.story;
-    const { overlay } = this.viewer;
-    for (const shape of this.shapes) overlay.remove(shape);
-    this.shapes = notes.map(({ place, text: label }) => overlay.add({ kind: "point", places: [place], label, color: NOTE_COLOR, note: true }));
+    const { at } = this.tour.state;
     const button = (key: TextKey, sign: string, name: string, run: () => void) => {
       const one = document.createElement("button");
       one.textContent = sign;
@@ -168,8 +158,8 @@ export class StoryBox {
           views.splice(i, 1);
           this.change();
         });
-        const item = row(stop.name, () => void this.visit(i), edit, up, drop);
-        if (i === this.at && !element("tour-card").hidden) item.setAttribute("aria-current", "step");
+        const item = row(stop.name, () => this.visit(i), edit, up, drop);
+        if (i === at && !element("tour-card").hidden) item.setAttribute("aria-current", "step");
         return item;
       }),
     );
@@ -180,11 +170,16 @@ export class StoryBox {
           notes.splice(i, 1);
           this.change();
         });
-        return row(note.text, () => this.visitNote(note), edit, drop);
+        const visit = () => {
+          this.host.clear();
+          void this.tour.visitNote(note);
+        };
+        return row(note.text, visit, edit, drop);
       }),
     );
     element<HTMLButtonElement>("tour-play").disabled = views.length === 0;
     element<HTMLButtonElement>("tour-export").disabled = isEmpty(this.story);
+    this.showTour();
   }
 
   addView() {
@@ -196,76 +191,33 @@ export class StoryBox {
 
   // ---- the tour ----
 
-  private goTo(stop: Stop): Promise<void> {
-    const view = parseView(stop.view)!;
-    void this.viewer.setAppearance(view.appearance);
-    return this.viewer.flyTo(view.pose, stop.seconds);
-  }
-
-  private async play() {
-    const { views } = this.story;
-    if (!views.length) return;
-    const run = ++this.run;
-    this.playing = true;
+  private visit(i: number) {
     this.host.clear();
-    for (let i = this.at; i < views.length; i++) {
-      this.show(i);
-      await this.goTo(views[i]!);
-      if (run !== this.run) return;
-      await wait(STAY_MS + STAY_CHARACTER_MS * views[i]!.name.length);
-      if (run !== this.run) return;
-    }
-    this.pause();
-    this.at = 0; // next time from the beginning
-  }
-
-  private pause() {
-    if (!this.playing) return;
-    this.run++;
-    this.playing = false;
-    this.showTour();
-  }
-
-  private async visit(i: number) {
-    this.pause();
-    this.host.clear();
-    this.show(i);
-    await this.goTo(this.story.views[i]!);
-  }
-
-  private async step(by: number) {
-    const i = this.at + by;
-    if (this.story.views[i]) await this.visit(i);
-  }
-
-  private show(i: number) {
-    this.at = i;
     element("tour-card").hidden = false;
-    this.showTour();
-    this.list();
+    void this.tour.visit(i);
   }
 
   private closeTour() {
-    this.pause();
+    this.tour.pause();
     element("tour-card").hidden = true;
+    this.list();
   }
 
   private showTour() {
-    const { views } = this.story;
-    const stop = views[this.at];
-    if (!stop) element("tour-card").hidden = true;
-    setText("tour-caption", stop?.name ?? "");
-    setText("tour-at", stop ? text("tour.at", { number: this.at + 1, count: views.length }) : "");
-    element<HTMLButtonElement>("tour-back").disabled = this.at === 0;
-    element<HTMLButtonElement>("tour-next").disabled = this.at >= views.length - 1;
-    for (const id of ["tour-play", "tour-pause"]) setText(id, text(this.playing ? "tour.stop" : "tour.play"));
+    const { at, count, name, playing } = this.tour.state;
+    if (!count) element("tour-card").hidden = true;
+    setText("tour-caption", name);
+    setText("tour-at", count ? text("tour.at", { number: at + 1, count }) : "");
+    element<HTMLButtonElement>("tour-back").disabled = at === 0;
+    element<HTMLButtonElement>("tour-next").disabled = at >= count - 1;
+    for (const id of ["tour-play", "tour-pause"]) setText(id, text(playing ? "tour.stop" : "tour.play"));
   }
 
   // ---- notes ----
 
   beginNote() {
     this.endNote();
-    this.pause();
+    this.tour.pause();
     this.host.clear();
     this.placing = true;
     this.host.placing(true);
@@ -324,18 +276,6 @@ export class StoryBox {
     if (element("note").contains(document.activeElement)) (document.activeElement as HTMLElement).blur();
   }
 
-  // From aside and above, as it is looked at now.
-  private visitNote({ place }: Note) {
-    this.pause();
-    this.host.clear();
-    const { heading, fov } = this.viewer.pose;
-    const turn = (heading * Math.PI) / 180;
-    const back = NOTE_M / M_PER_DEG;
-    const lat = place.lat - back * Math.cos(turn);
-    const lon = place.lon - (back * Math.sin(turn)) / Math.cos((place.lat * Math.PI) / 180);
-    void this.viewer.flyTo({ lon, lat, h: place.h + NOTE_M * Math.tan(Math.PI / 6), heading, pitch: -30, fov });
-  }
-
   // ---- files ----
 
   private async read(input: HTMLInputElement) {
@@ -343,7 +283,7 @@ export class StoryBox {
     input.value = "";
     if (!file) return;
     try {
-      this.story = parseStory(await file.text());
+      this.tour.show(parseStory(await file.text()));
       this.foreign = false;
       this.change();
     } catch {

@@ -294,6 +294,8 @@ export const de: Partial<Record<TextKey, string>> = {
   "problem.badView.text": "\"{view}\" ist nicht Länge,Breite,Höhe,Richtung,Neigung.",
   "problem.badBasemap.title": "Keine Karte auf dem Boden",
   "problem.badBasemap.text": "\"{tiles}\" ist keine Adresse von Kartenkacheln: {z}, {x} und {y} fehlen.",
+  "problem.badTour.title": "Unlesbarer Rundgang",
+  "problem.badTour.text": "Der Rundgang ist nicht zu lesen: {why}.",
   "problem.http.title": "Fehler {status}",
   "problem.other.title": "Etwas ging schief",
 };

@@ -297,6 +297,8 @@ export const en = {
   "problem.badView.text": "\"{view}\" is not longitude,latitude,height,heading,pitch.",
   "problem.badBasemap.title": "No map on the ground",
   "problem.badBasemap.text": "\"{tiles}\" is no address of map tiles: it needs {z}, {x} and {y}.",
+  "problem.badTour.title": "Unreadable tour",
+  "problem.badTour.text": "The tour cannot be read: {why}.",
   "problem.http.title": "Error {status}",
   "problem.http.text": "{text}",
   "problem.other.title": "Something went wrong",

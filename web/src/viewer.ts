@@ -294,6 +294,7 @@ export class Viewer {
   fitInto(free: () => Area) {
     this.stage.free = free;
     if (!this.touched && !this.homeless) this.stage.home();
+    this.wake(); // notes make way
   }
 
   // Where the city is at a point of the container, in CSS pixels from its corner; null for the sky.
