@@ -108,7 +108,7 @@ enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
     cl_float s_max = (cl_float)in->s_max_m, r_max = (cl_float)in->r_max,
              weight = (cl_float)in->weight, flat = n ? (cl_float)(in->flat_weight / n) : 0.0f,
              per_flat = in->flat_weight > 0.0 ? (cl_float)(1.0 / in->flat_m) : 0.0f,
-             level = n ? (cl_float)(in->level_weight / n) : 0.0f;
+             level = n ? (cl_float)(in->level_weight / n) : 0.0f, none = 0.0f;
     cl_int bad = CL_SUCCESS;
     cl_kernel both[2] = {s->count, s->grad};
     for (size_t i = 0; i < 2; i++) {
@@ -118,9 +118,12 @@ enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
         bad |= dev_arg(both[i], 3, groups);
         bad |= dev_arg(both[i], 4, s_max);
         bad |= dev_arg(both[i], 5, r_max);
-        bad |= dev_arg(both[i], 13, per_flat);
-        bad |= dev_arg(both[i], 14, level);
     }
+    /* What presses on the least axis is counted by nothing but the value. */
+    bad |= dev_arg(s->count, 13, *(in->value ? &per_flat : &none));
+    bad |= dev_arg(s->count, 14, *(in->value ? &level : &none));
+    bad |= dev_arg(s->grad, 13, per_flat);
+    bad |= dev_arg(s->grad, 14, level);
     enum err_code rc = scale_set_ground(s, m, in->ground, &bad, e);
     if (rc)
         return rc;

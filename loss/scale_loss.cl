@@ -155,7 +155,8 @@ INLINE void axes_find(__global const float *g, const struct axes *a, VI real,
 {
     struct press p = axes_press(g, real, l);
     V thick = a->least * p.per_flat, s_max = axes_limit(g, a, real, l), d[4];
-    f->flat += log(1.0f + thick * thick);
+    if (l->per_flat > 0.0f)
+        f->flat += log(1.0f + thick * thick);
     if (l->level > 0.0f) {
         V up = axes_upright(g, a, d);
         f->tilt += p.level > 0.0f ? 1.0f - up * up : (V)(0.0f);

@@ -37,6 +37,7 @@ struct scale_loss_input {
     /* NULL: the outer s_max_m applies everywhere, flat_weight too, and level_weight nowhere; the
      * first run fixes the grid */
     const struct scale_loss_ground *ground;
+    bool value; /* scale_loss_read is wanted; without it the first pass only counts */
 };
 struct scale_loss_value {
     double total;  /* weighted */
@@ -54,7 +55,7 @@ void scale_loss_close(struct scale_loss **s);
 enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
                              const struct scale_loss_input *in, bool shapes_only, cl_mem extra,
                              struct err *e) ERR_USE;
-/* Waits, and reads the value of the last run. ERR_DEVICE. */
+/* Waits, and reads the value of the last run, which had `value`. ERR_DEVICE. */
 enum err_code scale_loss_read(struct scale_loss *s, struct scale_loss_value *out,
                               struct err *e) ERR_USE;
 struct scale_loss_gauss {    /* for the reference */
