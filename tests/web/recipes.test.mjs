@@ -13,8 +13,8 @@ import { fileURLToPath } from "node:url";
 
 import { openPage, useWholeBrowser } from "./lib/browser.mjs";
 import { rmsDifference } from "./lib/checks.mjs";
-import { makeCity, ORIGIN } from "./lib/city.mjs";
-import { applyMatrix, ecefFrom, enuToEcef, placeFrom, placeOfEnu } from "./lib/geo.mjs";
+import { BLUE_TOP, makeCity, ORIGIN } from "./lib/city.mjs";
+import { applyMatrix, ecefFrom, enuToEcef, placeFrom, placeOfEnu, project } from "./lib/geo.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { blocks, snippets } from "./lib/snippets.mjs";
 import { BIN, firstDataSet, getBytes, getJson, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
@@ -160,7 +160,8 @@ async function servedMap([x, y], zoom, type, { width, height } = SIZE) {
 }
 
 // The picture that a page comes to rest at, and the bytes that it had of the city. What it says is an error.
-async function show(name, recipe, { hide = "" } = {}) {
+// prepare: in the page, once it has a picture.
+async function show(name, recipe, { hide = "", prepare = null } = {}) {
     const [frame] = printed("The page of a recipe", "html");
     writeFileSync(join(dir, `${name}.html`), fill(frame, { recipe }).replace("<meta", '<link rel="icon" href="data:,"><meta'));
     const { page, log, close } = await openPage("about:blank", SIZE);
@@ -173,6 +174,7 @@ async function show(name, recipe, { hide = "" } = {}) {
             if (data(request.url())) sizes.push(request.sizes());
         });
         await page.goto(`${words.files}/${name}.html`);
+        if (prepare) await prepare(page);
         if (hide) await page.addStyleTag({ content: `${hide} { display: none !important }` });
         let [last, same] = [null, 0];
         const end = Date.now() + TIMEOUT_MS;
@@ -225,11 +227,16 @@ for (const [name, heading, form, least] of FILES)
         score(t, name, form, shown, await servedView(poseIn(tile.transform, CAMERA), FOV), least);
     });
 
+// city.js of a page, as its readers build it.
+function build(script) {
+    const { buildSync } = createRequire(join(HERE, "../../web/package.json"))("esbuild");
+    const stdin = { contents: script, resolveDir: HERE };
+    buildSync({ stdin, bundle: true, format: "esm", external: ["http://*"], logLevel: "error", outfile: join(dir, "city.js") });
+}
+
 test("Babylon.js", skip, async (t) => {
     const [[script], [recipe]] = [printed("Babylon.js", "js"), printed("Babylon.js", "html")];
-    const { buildSync } = createRequire(join(HERE, "../../web/package.json"))("esbuild");
-    const stdin = { contents: fill(script, CAMERA_WORDS), resolveDir: HERE };
-    buildSync({ stdin, bundle: true, format: "esm", logLevel: "error", outfile: join(dir, "city.js") });
+    build(fill(script, CAMERA_WORDS));
     const shown = await show("babylon", recipe);
     score(t, "Babylon.js", ".spz", shown, await servedView(poseIn(tile.transform, CAMERA), FOV), LEAST.city);
 });
@@ -268,11 +275,60 @@ test("MapLibre, with a style of one's own", skip, async (t) => {
     score(t, "MapLibre", "`map.json`", shown, await servedMap(MIDDLE, ZOOM, "webp"), LEAST.map);
 });
 
-test("MapLibre, by one address, and raised by its terrain", skip, async () => {
-    const [style, flat] = printed("MapLibre", "html");
+// A style has a view, a relief and a background of its own: flat, from straight above, before black, it is the server's map. What
+// the relief raises where: the test raster.
+test("MapLibre, by one address", skip, async (t) => {
+    const recipe = printed("MapLibre", "html")[0].replace("new maplibregl.Map(", "window.shown = new maplibregl.Map(");
+    const flatten = async (page) => {
+        await page.waitForFunction(() => window.shown?.isStyleLoaded());
+        await page.evaluate((view) => {
+            const map = window.shown;
+            map.setPaintProperty("background", "background-color", "#000");
+            map.removeLayer("hillshade");
+            map.setTerrain(null);
+            map.jumpTo(view);
+        }, { center: placeAt(MIDDLE, ZOOM), zoom: ZOOM - 1, pitch: 0, bearing: 0 }); // its zooms count tiles of 512 pixels
+    };
+    const hide = ".maplibregl-control-container";
+    const flat = await show("style-flat", fill(recipe), { hide, prepare: flatten });
+    score(t, "MapLibre", "`style.json`", flat, await servedMap(MIDDLE, ZOOM, "webp"), LEAST.map);
+    await show("style", fill(recipe), { hide }); // in its own view
+});
+
+test("MapLibre, raised by its terrain", skip, async () => {
     const [terrain] = printed("MapLibre", "js");
-    for (const [name, recipe] of [["style", style], ["terrain", flat.replace("</script>", `${terrain}</script>`)]])
-        await show(`maplibre-${name}`, fill(recipe, placeAt(MIDDLE, ZOOM))); // what lies where: the test raster
+    const recipe = printed("MapLibre", "html")[1].replace("</script>", `${terrain}</script>`);
+    await show("maplibre-terrain", fill(recipe, placeAt(MIDDLE, ZOOM))); // what lies where: the test raster
+});
+
+// A column behind the blue tower: what is above the tower is seen, what is below its roof is not. Then the city alone.
+const TOWER = [BLUE_TOP[0], BLUE_TOP[1] + NORTH_M];
+test("deck.gl", skip, async (t) => {
+    const [east, , south] = CAMERA.from;
+    const away = Math.hypot(TOWER[0] - east, TOWER[1] + south);
+    const column = [0, 1].map((i) => TOWER[i] + (25 / away) * (TOWER[i] - [east, -south][i]));
+    const [[script], [recipe]] = [printed("deck.gl", "js"), printed("deck.gl", "html")];
+    const shown = script.replace(/const (map|city|overlay) =/g, "const $1 = window.$1 =");
+    build(fill(shown, placeOfEnu(ORIGIN, [...column, 0])));
+    const pose = { ...poseIn(enuToEcef(ORIGIN), CAMERA), fov: FOV };
+    const look = (without) => async (page) => {
+        await page.waitForFunction(() => window.overlay && window.city.state.ready);
+        await page.evaluate(([p, without]) => {
+            const { map, city, overlay } = window;
+            map.setMaxPitch(80); // or it stops at 60
+            map.setVerticalFieldOfView(p.fov);
+            map.jumpTo(map.calculateCameraOptionsFromCameraLngLatAltRotation([p.lon, p.lat], p.h - city.lower, p.heading, 90 + p.pitch));
+            if (without) overlay.setProps({ layers: [] });
+        }, [pose, without]);
+    };
+    const hide = ".maplibregl-control-container";
+    const both = await show("deck", fill(recipe), { hide, prepare: look(false) });
+    const at = (up) => both.picture.mean(...project(ORIGIN, pose, [...column, up], SIZE.width, SIZE.height), 1);
+    const [[r, g, b], [dr, dg, db]] = [at(52), at(20)];
+    assert.ok(g > r + 60 && b > r + 60, `the column above the tower: ${[r, g, b]}`);
+    assert.ok(db > dr + 60 && db > dg + 60, `the tower in front of it: ${[dr, dg, db]}`);
+    const alone = await show("deck-alone", fill(recipe), { hide, prepare: look(true) });
+    score(t, "deck.gl over MapLibre", "our module", alone, await servedView(pose, FOV), LEAST.city);
 });
 
 test("PMTiles in MapLibre", skip, async (t) => {
