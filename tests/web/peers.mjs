@@ -65,7 +65,7 @@ const ENGINES = [
     ["this viewer, fewer pixels while moving", "ours", {}],
     ["PlayCanvas", "playcanvas", { antiAlias: false }],
     ["PlayCanvas, `antiAlias`", "playcanvas", { antiAlias: true }],
-    ["PlayCanvas, `antiAlias`, `minPixelSize` 0", "playcanvas", { antiAlias: true, minPixelSize: 0 }],
+    ["PlayCanvas, `antiAlias`, whole Gaussians", "playcanvas", { antiAlias: true, whole: true }],
     ["Spark", "spark", {}],
 ].filter(([name]) => !values.only || values.only.split(",").some((one) => name.toLowerCase().startsWith(one.toLowerCase())));
 

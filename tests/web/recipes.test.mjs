@@ -255,7 +255,7 @@ test("PlayCanvas' streamed SOG, and splat-transform", skip, async (t) => {
     const [page] = printed(heading, "html");
     const lines = printed(heading, "js")[0].trim().split("\n");
     const recipe = lines.reduce((text, line) => {
-        const [start] = /^(const asset =|asset\.ready\()/.exec(line);
+        const [start] = /^const asset =/.exec(line);
         return text.split("\n").map((one) => (one.startsWith(start) ? line : one)).join("\n");
     }, page);
     assert.ok(lines.every((line) => recipe.includes(line)));
