@@ -103,6 +103,7 @@ SIMD_WIDE static enum err_code permute_spread(void *user, size_t chunk, struct e
     return ERR_OK;
 }
 
+// NOLINTNEXTLINE(readability-non-const-parameter): threads write to it
 enum err_code permute_move(const struct permutation *r, bool zero_new, const float *from, float *to,
                            struct err *e)
 {
@@ -156,7 +157,9 @@ static enum err_code permute_gather(void *user, size_t chunk, struct err *e)
 }
 
 enum err_code permute_part(const struct permutation *r, bool zero_new, size_t first, size_t end,
-                           const float *from, float *to, struct err *e)
+                           const float *from,
+                           float *to, // NOLINT(readability-non-const-parameter): threads write
+                           struct err *e)
 {
     struct permute_some w = {.rows = r, .from = from, .to = to, .zero_new = zero_new};
     w.first = first / PERMUTE_LANES;

@@ -30,6 +30,7 @@ enum err_code gallery_open(struct gallery *g, const struct schedule *s, struct e
         .no_masks = !g->cfg->masks,
         .seed = (uint64_t)g->cfg->seed,
         .level = s->level,
+        .near = (uint32_t)g->cfg->near_photos,
     };
     photo_loader_close(&g->photos);
     return photo_loader_open(&f, &g->photos, e);
