@@ -53,14 +53,15 @@ static enum err_code train_print_list(const char *scene_dir, const struct train_
                                       struct err *e)
 {
     struct jobs_list list;
-    enum err_code rc = jobs_list(scene_dir, cfg, &list, e);
+    log_set_level(LOG_WARN); /* what each job is told when it starts */
+    enum err_code rc = jobs_list(scene_dir, cfg, true, &list, e);
     for (size_t i = 0; i < list.n_cells; i++) {
         const struct jobs_cell *c = &list.cells[i];
         uint64_t steps = 0;
         for (uint32_t l = 0; l < c->n_levels; l++)
             steps += c->steps[l];
-        printf("%s\t%s\t%zu\t%llu\n", c->id, jobs_state_name(c->state), c->photos,
-               (unsigned long long)steps);
+        printf("%s\t%s\t%zu\t%llu\t%.0f\t%.0f\n", c->id, jobs_state_name(c->state), c->photos,
+               (unsigned long long)steps, ceil(c->memory_bytes / 1048576.0), ceil(c->cpu_s));
     }
     jobs_list_free(&list);
     return rc;
@@ -117,12 +118,14 @@ static enum err_code train_all(const char *scene_dir, const struct train_config 
     signals_catch();
     if (cfg->jobs == 1)
         return train_run(scene_dir, cfg, out, e);
-    enum err_code rc = jobs_list(scene_dir, cfg, &list, e);
+    if (cfg->coarse_only)
+        return train_coarse_first(scene_dir, cfg, out, e);
+    enum err_code rc = jobs_list(scene_dir, cfg, false, &list, e);
     size_t n = list.n_cells;
     jobs_list_free(&list);
     if (!rc && n > 1)
         rc = train_coarse_first(scene_dir, cfg, out, e);
-    if (rc || cfg->coarse_only)
+    if (rc)
         return rc;
     return n > 1 ? jobs_run("/proc/self/exe", scene_dir, cfg, out, e)
                  : train_run(scene_dir, cfg, out, e);

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Cells as jobs, through the program: one process, several processes, job array with a dependent merge; what
+# Cells as jobs, through the program: one process, several processes, jobs with a dependent merge; what
 # happens when a job fails, is stopped, or is started twice. Results must be the same bytes whichever way.
 #
 # SPDX-License-Identifier: Apache-2.0
@@ -28,6 +28,12 @@ check 'the picture of the plan shows cells, cameras and points' sh -c \
 n=$(wc -l <"$work/list")
 check 'the list has a line a cell' [ "$n" = 5 ]
 check 'all are new' [ "$(cut -f2 "$work/list" | sort -u)" = new ]
+check 'each has a bound of memory and a time' [ "$(awk -F'\t' 'NF == 6 && $5 > 100 && $5 < 1000 && $6 > 0' "$work/list" | wc -l)" = "$n" ]
+"$bin" train "$work/scene" --budget-rule table --list 2>>"$work/log" >"$work/full"
+check 'the full method takes much more of both' [ "$(paste "$work/list" "$work/full" | awk -F'\t' '$11 > 10 * $5 && $12 > 100 * $6' | wc -l)" = "$n" ]
+"$bin" train "$work/scene" $short --list --coarse-only >"$work/first" 2>>"$work/log"
+check 'the coarse model has a line of its own' [ "$(cut -f1,2,4 "$work/first")" = "$(printf 'coarse\tnew\t20')" ]
+check 'where the cells need it' [ -z "$("$bin" train "$work/scene" $short --list --coarse-only --no-coarse-start)" ]
 second=$(sed -n 2p "$work/list" | cut -f1)
 
 train -o "$work/early" --cell "$second"
@@ -72,30 +78,29 @@ check 'a stop ends it' said 'error: stopped: 0 of 5 cells are complete; .*--resu
 check 'with states saved' [ "$(ls "$work"/stop/cells/*/resume.ckpt | wc -l)" = 2 ]
 check 'and no process left' sh -c "! ps ax -o args | grep -v grep | grep -q '$work/stop'"
 
-# The job array of configs/slurm on a make-believe Slurm that runs jobs at once, one of them twice at a time.
+# The jobs of configs/slurm on a make-believe Slurm that runs them at once; tests/machines/slurm.sh has a real one.
 mkdir "$work/path"
 ln -s "$bin" "$work/path/citysplat"
 cat >"$work/path/sbatch" <<'SBATCH'
 #!/bin/sh
-array=0 dep=
+dep= mem=
 while :; do
     case $1 in
-        --parsable) ;;
-        --array=*) array=${1#--array=} ;;
-        --dependency=afterok:7) dep=ok ;;
+        --dependency=afterok:7*) dep=ok ;;
+        --cpus-per-task=*) cores=${1#*=} ;;
+        --mem=*M) mem=${1#*=} ;;
+        --*) ;;
         *) break ;;
     esac
     shift
 done
 case $1 in *coarse.sbatch) ;; *) [ "$dep" ] || exit 1 ;; esac
-for i in $(seq "${array%-*}" "${array#*-}"); do
-    SLURM_ARRAY_TASK_ID=$i SLURM_CPUS_PER_TASK=1 sh "$@" >&2 || exit 1
-done
+SLURM_CPUS_PER_TASK=$cores SLURM_MEM_PER_NODE=${mem%M} sh "$@" >&2 || exit 1
 echo '7;cluster'
 SBATCH
 chmod +x "$work/path/sbatch"
-PATH="$work/path:$PATH" "$top/configs/slurm/submit.sh" "$work/scene" "$work/out.tiles" $short >"$work/log" 2>&1
-check 'job array and merge' [ $? = 0 ]
+PATH="$work/path:$PATH" "$top/configs/slurm/submit.sh" --cores 1 "$work/scene" "$work/out.tiles" $short >"$work/log" 2>&1
+check 'a job for each cell and a merge' [ $? = 0 ]
 check 'the same bytes as one process' same_levels "$work/serial" "$work/scene"
 check 'tiles were cut' "$bin" verify "$work/out.tiles"
 flock "$work/fail/cells/$second/lock" "$bin" train "$work/scene" $short -o "$work/fail" --cell "$second" >"$work/log" 2>&1

@@ -234,7 +234,7 @@ static enum err_code begin_windows(struct begin *t, struct err *e)
 }
 
 /* How many Gaussians each level may have. */
-static enum err_code begin_budget(struct begin *t, struct err *e)
+enum err_code begin_budget(struct begin *t, struct err *e)
 {
     const struct run_cell *job = t->job;
     const struct train_config *cfg = job->cfg;

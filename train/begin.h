@@ -39,6 +39,9 @@ struct begin { /* {.job, .lock_fd = -1} at first; call begin_close, also after a
 /* The file of a level's result; levels count from 1. ERR_LIMIT: the path is too long. */
 enum err_code begin_level_path(const struct begin *b, uint32_t level, char *out,
                                struct err *e) ERR_USE;
+/* Chooses photographs, windows and budgets, and touches no file. ERR_ARG, ERR_DATA, ERR_LIMIT,
+ * ERR_MEM. */
+enum err_code begin_budget(struct begin *b, struct err *e) ERR_USE;
 /* Prepares a run. It locks the folder, chooses budgets, computes the known ground,
  * and logs what the run needs. *done: the run is complete already, and *out has its result.
  * ERR_BUSY, ERR_ARG, ERR_DATA, ERR_LIMIT, ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_MEM as in run_cell. */

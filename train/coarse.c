@@ -123,12 +123,26 @@ void coarse_free(struct coarse *s)
     gauss_free(&s->gauss);
 }
 
+void coarse_job(const struct run_cell *job, const char *resume_path, struct train_config *cfg,
+                struct run_cell *out)
+{
+    *cfg = coarse_config(job->cfg, resume_path);
+    *out = *job;
+    out->cfg = cfg;
+    out->shared = NULL;
+    out->coarse = NULL;
+    out->reuse = true;
+    cell_whole(job->scene, job->images, job->n_images, &out->cell);
+    memcpy(out->cell.id, TRAIN_COARSE_ID, sizeof(TRAIN_COARSE_ID));
+}
+
 enum err_code coarse_get(const struct run_cell *job, bool may_train, struct coarse *out,
                          struct err *e)
 {
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], resume[FILE_PATH_MAX];
     struct train_cell_result result;
-    struct run_cell whole = *job;
+    struct run_cell whole;
+    struct train_config cfg;
     *out = (struct coarse){0};
     enum err_code rc = file_join(dir, job->base_dir, "cells/" TRAIN_COARSE_ID, e);
     if (!rc)
@@ -143,13 +157,7 @@ enum err_code coarse_get(const struct run_cell *job, bool may_train, struct coar
                        "--coarse-iterations of at least %lld, or lower --coarse-iterations-min",
                        (long long)job->cfg->coarse_iterations,
                        (long long)job->cfg->coarse_iterations_min);
-    struct train_config cfg = coarse_config(job->cfg, resume);
-    whole.cfg = &cfg;
-    whole.shared = NULL;
-    whole.coarse = NULL;
-    whole.reuse = true;
-    cell_whole(job->scene, job->images, job->n_images, &whole.cell);
-    memcpy(whole.cell.id, TRAIN_COARSE_ID, sizeof(TRAIN_COARSE_ID));
+    coarse_job(job, resume, &cfg, &whole);
     if (!may_train && (!file_exists(path) || file_exists(resume)))
         return err_set(e, ERR_NOENT,
                        "%s: the coarse model that all cells share is not trained yet: run "

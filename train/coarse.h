@@ -29,6 +29,10 @@ struct coarse {                   /* {0} is empty */
 
 /* Returns whether these options need a coarse run, if n_cells are trained. */
 bool coarse_wanted(const struct train_config *cfg, size_t n_cells);
+/* Fills the coarse model's run: *cfg with its options, and *out, which borrows cfg. `job` has the
+ * options of the cells and all photographs. resume_path: of the run's saved state. */
+void coarse_job(const struct run_cell *job, const char *resume_path, struct train_config *cfg,
+                struct run_cell *out);
 /* Reads the coarse model. If it is missing, or was made with other options, it is trained first.
  * job: as for run_cell, with all training and test photographs of the scene; its cfg is that of the
  * cells. Free *out with coarse_free. ERR_NOENT: it is missing and may_train is false; the message

@@ -9,11 +9,14 @@
 
 #include "cells/cell.h"
 #include "codec/scene.h"
+#include "train/begin.h"
 #include "train/budget.h"
+#include "train/depth_prior.h"
 #include "train/forecast.h"
 #include "train/gallery.h"
 #include "train/memory.h"
 #include "train/refit.h"
+#include "train/run_cell.h"
 #include "train/stage.h"
 
 /* Processor seconds of a unit of train/forecast.h, without and with known depths. Fitted to runs on
@@ -47,23 +50,34 @@ static enum err_code expect_scene_make(const struct expect_photos *p, struct exp
     return ERR_OK;
 }
 
-/* Units of work of all levels, and of a last fit. */
-static double expect_work(const struct train_config *cfg, const struct expect_photos *p,
-                          const struct expect_scene *in, struct stage *at)
+/* Units of work of all levels, and of a last fit. first: Gaussians that it begins with. */
+static double expect_work(const struct gallery *g, size_t n_test, double first, struct stage *at)
 {
     struct forecast f;
-    struct gallery g = {
-        .cfg = cfg, .scene = &in->scene, .images = in->train, .n_images = p->n_train};
-    double first = (double)at->levels[0].budget * (p->depths ? cfg->seed_dense : sparse_share);
-    forecast_open(&f, &g, at, p->n_test);
+    forecast_open(&f, g, at, n_test);
     f.work = f.seconds = 1.0;
     double work = forecast_left_s(&f, at, first);
-    if (cfg->final_all && p->n_test) {
+    if (g->cfg->final_all && n_test) {
         at->at = at->n_levels - 1;
-        at->levels[at->at] = refit_schedule_last(&at->levels[at->at], cfg->final_share);
+        at->levels[at->at] = refit_schedule_last(&at->levels[at->at], g->cfg->final_share);
         work += forecast_steps_s(&f, at, (double)at->levels[at->at].budget);
     }
     return work;
+}
+
+/* From budgets that are known. known: depths are. */
+static void expect_sum(const struct gallery *g, size_t n_test, bool whole, bool known, double first,
+                       struct stage *at, struct expect *out)
+{
+    for (uint32_t k = 0; k < at->n_levels; k++) {
+        out->gaussians[k] = at->levels[k].budget;
+        out->steps += at->levels[k].steps;
+        out->checkpoint_bytes += ckpt_bytes * (double)at->levels[k].budget;
+    }
+    struct memory_need m =
+        memory_estimate(g->cfg, g->scene, g->images, g->n_images, at->levels, at->n_levels, whole);
+    out->memory_bytes = (double)m.total + program_bytes;
+    out->cpu_s = (known ? unit_known_s : unit_s) * expect_work(g, n_test, first, at);
 }
 
 enum err_code expect_training(const struct train_config *cfg, const struct expect_photos *p,
@@ -78,19 +92,42 @@ enum err_code expect_training(const struct train_config *cfg, const struct expec
         rc = schedule_make(cfg, p->n_train, &cell, at.levels, e);
     if (!rc) {
         const struct budget_photos photos = {&in.scene, in.train, NULL, p->n_train, 0};
-        budget_limit(&photos, cfg, at.levels);
-        for (uint32_t k = 0; k < at.n_levels; k++) {
-            out->gaussians[k] = at.levels[k].budget;
-            out->steps += at.levels[k].steps;
-            out->checkpoint_bytes += ckpt_bytes * (double)at.levels[k].budget;
-        }
-        struct memory_need m =
-            memory_estimate(cfg, &in.scene, in.train, p->n_train, at.levels, at.n_levels, true);
-        out->memory_bytes = (double)m.total + program_bytes;
+        const struct gallery g = {
+            .cfg = cfg, .scene = &in.scene, .images = in.train, .n_images = p->n_train};
         bool known = p->depths && strcmp(cfg->depth_prior, "none") != 0;
-        out->cpu_s = (known ? unit_known_s : unit_s) * expect_work(cfg, p, &in, &at);
+        budget_limit(&photos, cfg, at.levels);
+        double first = (double)at.levels[0].budget * (p->depths ? cfg->seed_dense : sparse_share);
+        expect_sum(&g, p->n_test, true, known, first, &at, out);
     }
     mem_free(in.train);
     mem_free(in.scene.images);
+    return rc;
+}
+
+enum err_code expect_cell(const struct run_cell *job, size_t n_around, struct expect *out,
+                          struct err *e)
+{
+    const struct train_config *cfg = job->cfg;
+    struct begin b = {.job = job, .lock_fd = -1};
+    struct stage at = {.n_levels = (uint32_t)cfg->level_count};
+    char depths[FILE_PATH_MAX] = "";
+    *out = (struct expect){0};
+    enum err_code rc = depth_prior_dir(cfg, job->scene, depths, e);
+    if (!rc)
+        rc = begin_budget(&b, e);
+    if (!rc) {
+        const struct gallery g = {.cfg = cfg,
+                                  .scene = job->scene,
+                                  .images = job->images,
+                                  .n_images = job->n_images,
+                                  .windows = b.windows};
+        memcpy(at.levels, b.levels, sizeof b.levels);
+        for (uint32_t k = 0; k < at.n_levels; k++)
+            at.levels[k].around = n_around;
+        double share = n_around ? 1.0 : depths[0] ? cfg->seed_dense : sparse_share;
+        double first = (double)at.levels[0].budget * share;
+        expect_sum(&g, job->n_test, job->cell.whole, depths[0], first, &at, out);
+    }
+    begin_close(&b);
     return rc;
 }

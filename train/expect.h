@@ -12,6 +12,8 @@
 
 #include "train/config.h"
 
+struct run_cell;
+
 /* Share of the cores that a training keeps busy: with it, recorded times by the clock agree with
  * processor seconds of other runs. */
 #define EXPECT_BUSY 0.72
@@ -31,5 +33,10 @@ struct expect {
 /* Fills *out for one cell with these options. ERR_ARG: as schedule_make. ERR_MEM. */
 enum err_code expect_training(const struct train_config *cfg, const struct expect_photos *photos,
                               struct expect *out, struct err *e) ERR_USE;
+/* The same for a cell of a scene: its own photographs and points, the parts of them that show the
+ * cell, and its share of the steps. n_around: most Gaussians of a coarse model that it begins from;
+ * 0: from points. ERR_ARG, ERR_DATA, ERR_LIMIT: as when it is trained. ERR_MEM. */
+enum err_code expect_cell(const struct run_cell *job, size_t n_around, struct expect *out,
+                          struct err *e) ERR_USE;
 
 #endif

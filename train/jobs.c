@@ -26,8 +26,10 @@
 
 #include "core/machine.h"
 #include "core/pool.h"
+#include "train/coarse.h"
 #include "train/config.h"
 #include "train/done.h"
+#include "train/expect.h"
 #include "train/result.h"
 #include "train/run.h"
 #include "train/schedule.h"
@@ -51,24 +53,21 @@ static enum err_code jobs_dir(const char *scene_dir, const struct train_config *
     return rc ? rc : file_join(out, cells, id, e);
 }
 
-static enum err_code jobs_fill(struct train_scene *s, size_t index, struct jobs_cell *out,
-                               struct err *e)
+static enum err_code jobs_fill(const struct train_scene *s, const struct run_cell *job,
+                               struct jobs_cell *out, struct err *e)
 {
-    struct run_cell job = {.cfg = s->cfg, .scene = &s->scene};
     struct schedule schedule[TRAIN_LEVELS_MAX];
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
-    enum err_code rc = train_scene_cell(s, index, &job, e);
+    enum err_code rc = schedule_make(job->cfg, job->n_images, &job->cell, schedule, e);
     if (!rc)
-        rc = schedule_make(s->cfg, job.n_images, &job.cell, schedule, e);
-    if (!rc)
-        rc = jobs_dir(s->dir, s->cfg, job.cell.id, dir, e);
+        rc = jobs_dir(s->dir, s->cfg, job->cell.id, dir, e);
     if (!rc)
         rc = file_join(path, dir, "done.json", e);
     if (rc)
         return rc;
-    memcpy(out->id, job.cell.id, sizeof out->id);
-    out->photos = job.n_images;
-    out->n_levels = (uint32_t)s->cfg->level_count;
+    memcpy(out->id, job->cell.id, sizeof out->id);
+    out->photos = job->n_images;
+    out->n_levels = (uint32_t)job->cfg->level_count;
     for (uint32_t l = 0; l < out->n_levels; l++)
         out->steps[l] = schedule[l].steps;
     out->state = file_exists(path) ? JOBS_DONE : JOBS_NEW;
@@ -78,19 +77,69 @@ static enum err_code jobs_fill(struct train_scene *s, size_t index, struct jobs_
     return rc;
 }
 
-enum err_code jobs_list(const char *scene_dir, const struct train_config *cfg,
+/* A list in the making. */
+struct jobs_listing {
+    struct train_scene scene;
+    bool needs;
+    size_t n_around; /* most Gaussians of the coarse model that the cells begin from */
+    struct jobs_list *out;
+};
+
+static enum err_code jobs_add(struct jobs_listing *l, const struct run_cell *job, struct err *e)
+{
+    struct jobs_cell *c = &l->out->cells[l->out->n_cells++];
+    struct expect x;
+    enum err_code rc = jobs_fill(&l->scene, job, c, e);
+    if (rc || !l->needs)
+        return rc;
+    rc = expect_cell(job, l->n_around, &x, e);
+    if (rc)
+        return err_add(e, "cell %s", c->id);
+    c->memory_bytes = x.memory_bytes;
+    c->cpu_s = x.cpu_s;
+    return ERR_OK;
+}
+
+/* The coarse model: in the list where that is asked for, else what the cells get of it. */
+static enum err_code jobs_coarse(struct jobs_listing *l, struct err *e)
+{
+    const struct train_config *cells = l->scene.cfg;
+    struct run_cell all = {.cfg = cells, .scene = &l->scene.scene}, job;
+    struct train_config cfg;
+    struct expect x;
+    if (!coarse_wanted(cells, l->scene.n_planned) || !(l->needs || cells->coarse_only))
+        return ERR_OK;
+    enum err_code rc = train_scene_whole(&l->scene, &all, e);
+    if (rc)
+        return rc;
+    coarse_job(&all, "", &cfg, &job);
+    if (cells->coarse_only)
+        return jobs_add(l, &job, e);
+    rc = expect_cell(&job, 0, &x, e);
+    l->n_around = cells->coarse_start ? x.gaussians[0] : 0;
+    return rc;
+}
+
+enum err_code jobs_list(const char *scene_dir, const struct train_config *cfg, bool needs,
                         struct jobs_list *out, struct err *e)
 {
-    struct train_scene s;
+    struct jobs_listing l = {.needs = needs, .out = out};
+    struct train_scene *s = &l.scene;
     *out = (struct jobs_list){0};
-    enum err_code rc = train_scene_open(scene_dir, cfg, &s, e);
+    enum err_code rc = train_scene_open(scene_dir, cfg, s, e);
     if (!rc)
-        out->cells = mem_array(s.n_cells, sizeof *out->cells);
+        out->cells = mem_array(s->n_cells, sizeof *out->cells);
     if (!rc && !out->cells)
-        rc = err_set(e, ERR_MEM, "train: out of memory for %zu cells", s.n_cells);
-    for (size_t i = 0; !rc && i < s.n_cells; i++)
-        rc = jobs_fill(&s, s.cells[i], &out->cells[out->n_cells++], e);
-    train_scene_close(&s);
+        rc = err_set(e, ERR_MEM, "train: out of memory for %zu cells", s->n_cells);
+    if (!rc)
+        rc = jobs_coarse(&l, e);
+    for (size_t i = 0; !rc && !cfg->coarse_only && i < s->n_cells; i++) {
+        struct run_cell job = {.cfg = cfg, .scene = &s->scene};
+        rc = train_scene_cell(s, s->cells[i], &job, e);
+        if (!rc)
+            rc = jobs_add(&l, &job, e);
+    }
+    train_scene_close(s);
     if (rc)
         jobs_list_free(out);
     return rc;
@@ -437,7 +486,7 @@ enum err_code jobs_run(const char *program, const char *scene_dir, const struct 
     j->program = program;
     j->scene_dir = scene_dir;
     j->cfg = cfg;
-    enum err_code rc = jobs_list(scene_dir, cfg, &list, e);
+    enum err_code rc = jobs_list(scene_dir, cfg, false, &list, e);
     if (!rc)
         rc = jobs_prepare(j, &list, e);
     if (rc)

@@ -53,16 +53,12 @@ static enum err_code train_coarse(struct train *t, struct err *e)
 {
     struct train_scene *s = &t->scene;
     const struct train_config *cfg = s->cfg;
-    uint32_t *images;
-    size_t n = 0;
-    for (size_t i = 0; i < s->plan.n_cells; i++)
-        n += s->plan.cells[i].parent < 0;
-    if (!coarse_wanted(cfg, n)) {
+    if (!coarse_wanted(cfg, s->n_planned)) {
         if (cfg->coarse_only)
             log_info("train",
                      "no coarse model is needed: %zu cells, and with these options each begins on "
                      "its own",
-                     n ? n : (size_t)1);
+                     s->n_planned ? s->n_planned : (size_t)1);
         return ERR_OK;
     }
     struct run_cell job = {
@@ -74,16 +70,8 @@ static enum err_code train_coarse(struct train *t, struct err *e)
         .loss = t->loss,
         .steps = &t->steps,
     };
-    enum err_code rc = train_scene_images(&s->scene, SCENE_TEST, cfg->test_split, &job.test_images,
-                                          &job.n_test, e);
-    if (!rc)
-        rc = train_scene_images(&s->scene, SCENE_TRAIN, cfg->test_split, &images, &job.n_images, e);
-    if (!rc && !job.n_images)
-        rc = err_set(e, ERR_DATA, "%s: no photographs to train on", s->dir);
-    if (rc)
-        return rc;
-    job.images = images;
-    return coarse_get(&job, !cfg->cell, &t->coarse, e);
+    enum err_code rc = train_scene_whole(s, &job, e);
+    return rc ? rc : coarse_get(&job, !cfg->cell, &t->coarse, e);
 }
 
 static enum err_code train_cell(struct train *t, size_t index, struct train_cell_result *out,

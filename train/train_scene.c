@@ -46,6 +46,7 @@ enum err_code train_scene_open(const char *dir, const struct train_config *cfg,
         return err_set(e, ERR_MEM, "train: out of memory for %zu cells", n);
     for (size_t i = 0; i < n; i++) {
         const struct partition_cell *c = out->plan.n_cells ? &out->plan.cells[i] : NULL;
+        out->n_planned += c && c->parent < 0;
         if (!c || (c->parent < 0 && (!cfg->cell || !strcmp(cfg->cell, c->id))))
             out->cells[out->n_cells++] = i;
     }
@@ -93,21 +94,35 @@ static enum err_code train_scene_planned(struct train_scene *s, size_t index, st
     return ERR_OK;
 }
 
-enum err_code train_scene_cell(struct train_scene *s, size_t index, struct run_cell *job,
-                               struct err *e)
+enum err_code train_scene_whole(struct train_scene *s, struct run_cell *job, struct err *e)
 {
     uint32_t *images;
     enum err_code rc = train_scene_images(&s->scene, SCENE_TEST, s->cfg->test_split,
                                           &job->test_images, &job->n_test, e);
-    if (!rc && s->plan.n_cells) {
-        rc = train_scene_planned(s, index, job, e);
-    } else if (!rc) {
+    if (!rc)
         rc = train_scene_images(&s->scene, SCENE_TRAIN, s->cfg->test_split, &images, &job->n_images,
                                 e);
+    if (!rc && !job->n_images)
+        rc = err_set(e, ERR_DATA, "%s: no photographs to train on", s->dir);
+    if (!rc)
         job->images = images;
-        if (!rc && job->n_images)
-            cell_whole(&s->scene, images, job->n_images, &job->cell);
+    return rc;
+}
+
+enum err_code train_scene_cell(struct train_scene *s, size_t index, struct run_cell *job,
+                               struct err *e)
+{
+    enum err_code rc;
+    if (!s->plan.n_cells) {
+        rc = train_scene_whole(s, job, e);
+        if (!rc)
+            cell_whole(&s->scene, job->images, job->n_images, &job->cell);
+        return rc;
     }
+    rc = train_scene_images(&s->scene, SCENE_TEST, s->cfg->test_split, &job->test_images,
+                            &job->n_test, e);
+    if (!rc)
+        rc = train_scene_planned(s, index, job, e);
     if (!rc && !job->n_images)
         rc = err_set(e, ERR_DATA, "%s: no photographs to train on", s->dir);
     return rc && s->plan.n_cells > 1 ? err_add(e, "cell %s", s->plan.cells[index].id) : rc;

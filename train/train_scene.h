@@ -21,6 +21,7 @@ struct train_scene { /* call train_scene_close, also after an error */
     struct partition plan; /* n_cells 0: there is none, and the scene is one cell */
     size_t *cells;         /* indices into plan.cells of the cells to train; {0} without a plan */
     size_t n_cells;
+    size_t n_planned; /* cells of the plan that are trained, with or without --cell */
 };
 /* Reads the scene in `dir`, its plan.json if there is one, and selects the cells that cfg names.
  * ERR_NOENT: no scene, or --cell without a plan. ERR_ARG: no such cell. ERR_DATA: no cell can be
@@ -32,6 +33,9 @@ void train_scene_close(struct train_scene *s);
  * s->cells. ERR_DATA: there are no photographs to train on. ERR_MEM. */
 enum err_code train_scene_cell(struct train_scene *s, size_t index, struct run_cell *job,
                                struct err *e) ERR_USE;
+/* Fills images and test_images of `job` with all of the scene, for a model of the whole; they live
+ * in the scene's arena. ERR_DATA: there are no photographs to train on. ERR_MEM. */
+enum err_code train_scene_whole(struct train_scene *s, struct run_cell *job, struct err *e) ERR_USE;
 /* Lists the photographs to train on, or with SCENE_TEST to score, in the scene's arena. Without
  * test_split all of them train. ERR_MEM. */
 enum err_code train_scene_images(struct scene *s, enum scene_split split, bool test_split,
