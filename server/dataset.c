@@ -203,9 +203,9 @@ struct dataset *dataset_ref(struct dataset *d)
     return d;
 }
 
-bool dataset_is_last(const struct dataset *d)
+bool dataset_is_last(const struct dataset *d, unsigned held)
 {
-    return atomic_load_explicit(&d->refs, memory_order_acquire) == 1;
+    return (unsigned)atomic_load_explicit(&d->refs, memory_order_acquire) == held;
 }
 
 void dataset_drop(struct dataset **out)

@@ -66,8 +66,8 @@ bool dataset_has_tiles(const struct dataset *d);
 bool dataset_replaced(const struct dataset *d);
 enum err_code dataset_ask(struct dataset *d, double wait_s, struct err *e) ERR_USE;
 void dataset_drop(struct dataset **d);
-/* Returns whether the caller has the only reference. No other thread can then take one. */
-bool dataset_is_last(const struct dataset *d);
+/* Returns whether the caller has all references, `held`. No other thread can then take one. */
+bool dataset_is_last(const struct dataset *d, unsigned held);
 /* Borrows a handle for this thread until dataset_return. NULL: more threads borrow than `readers`.
  */
 struct store *dataset_borrow(struct dataset *d);

@@ -53,20 +53,24 @@ struct job; /* one run; passed to the functions below */
 struct job_config {
     /* threads for JOB_TILE, then JOB_PREFETCH; of each client the oldest first */
     size_t tile_threads;
-    /* one thread draws: JOB_VIEW (of each client the newest first), JOB_MAP and JOB_MOTION (of each
-     * client the oldest first) in turns, then JOB_AHEAD */
-    bool view_thread;
+    /* threads that draw: JOB_VIEW (of each client the newest first), JOB_MAP and JOB_MOTION (of
+     * each client the oldest first) in turns, then JOB_AHEAD. While there is quick work, one of
+     * several begins nothing that takes long. */
+    size_t draw_threads;
+    /* Returns whether this thread that draws (0..n-1) leaves work to the others now. Called with
+     * the lock held, so it must not block. NULL: none does. */
+    bool (*rests)(void *user, size_t drawer);
     size_t queue_limit[JOB_CLASSES]; /* of JOB_SLOW: that of JOB_TILE */
     /* Estimates the time of work by a formula, in ms, and gives its kind (cost.h). The queue learns
      * from the time that it took. Called with the lock held. NULL: 1 ms. */
     double (*cost)(const void *work, unsigned *kind);
     double client_views_s, client_tiles_s; /* new jobs a second for one client; 0: no limit */
-    double stop_s; /* how long job_stop waits for the thread that draws; 0 = 10 s */
+    double stop_s; /* how long job_stop waits for the threads that draw; 0 = 10 s */
     /* a failed job is not repeated for this time, which doubles up to 60 s; 0 = 2 s */
     double slow_s;
     void *user;
     /* Makes the body of `work`. It should call job_cancelled where that is cheap. Tile threads pass
-     * worker 0..n-1. */
+     * worker 0..n-1, those that draw the numbers behind. */
     enum err_code (*run)(void *user, const struct job *j, void *work, size_t worker,
                          struct body **out, struct err *e);
     void (*drop)(void *user, void *work); /* frees the work */
@@ -98,6 +102,7 @@ enum err_code job_submit(struct jobs *js, enum job_class cls, struct hash128 id,
 bool job_leave(struct jobs *js, struct job_waiter *w);
 enum job_class job_class_of(struct jobs *js, const struct job_waiter *w); /* while w waits */
 bool job_cancelled(const struct job *j);
+size_t job_drawer(const struct job *j); /* 0..n-1: the thread that draws it */
 /* Wakes waiters whose deadline has passed. Call it a few times a second. */
 void job_tick(struct jobs *js, double now_s);
 /* Seconds after which asking again makes sense: 1..10. */
@@ -106,12 +111,12 @@ void job_count(struct jobs *js, struct job_stats *out);
 bool job_idle(struct jobs *js); /* whether nothing is queued or running */
 /* Allows failed work to be repeated at once, because its cause may be gone. */
 void job_forgive(struct jobs *js);
-/* How long the thread that draws has been at its present work, including its start; 0: it waits for
- * work. */
+/* How long a thread that draws has been at its present work, including its start, at most; 0: they
+ * wait for work. */
 double job_drawing_s(struct jobs *js);
 /* Refuses new work, wakes every waiter with JOB_SHED, cancels running jobs, waits for them and
- * joins the threads. False: the thread that draws did not end within stop_s, because a driver
- * hangs. Nothing that it uses may then be freed. */
+ * joins the threads. False: a thread that draws did not end within stop_s, because a driver hangs.
+ * Nothing that it uses may then be freed. */
 bool job_stop(struct jobs *js);
 /* As job_stop, then frees. False: as job_stop; *js remains, and the call may be repeated. */
 bool job_close(struct jobs **js);

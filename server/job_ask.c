@@ -41,13 +41,13 @@ static void job_join(struct jobs *js, struct job *j, enum job_class cls, uint64_
  * that have work share its time. */
 static double job_wait_s(const struct jobs *js, enum job_class cls, uint64_t client)
 {
-    size_t sharing = 1, threads = 1;
+    size_t sharing = 1, threads = job_is_drawn(cls) ? js->cfg.draw_threads : 1;
     for (int c = 0; c < JOB_CLASSES; c++)
         sharing += c != (int)cls && c != JOB_PREFETCH && c != JOB_AHEAD &&
                    job_is_drawn((enum job_class)c) == job_is_drawn(cls) && turn_count(js->queue[c]);
     if (!job_is_drawn(cls) && js->cfg.tile_threads > 1)
         threads = js->cfg.tile_threads - (cls == JOB_SLOW);
-    return turn_wait_ms(js->queue[cls], client) * 1e-3 * (double)sharing / (double)threads;
+    return turn_wait_ms(js->queue[cls], client) * 1e-3 * (double)sharing / fmax(1, (double)threads);
 }
 
 static int job_seconds(double wait_s)
@@ -199,7 +199,8 @@ int job_retry_after(struct jobs *js, enum job_class cls)
     pthread_mutex_lock(&js->lock);
     uint64_t n = js->stats.ended[cls][JOB_OK] + js->stats.ended[cls][JOB_ERROR];
     double mean_s = n ? js->stats.run_s[cls] / (double)n : 1;
-    double threads = job_is_drawn(cls) ? 1 : fmax(1, (double)js->cfg.tile_threads);
+    double threads =
+        fmax(1, (double)(job_is_drawn(cls) ? js->cfg.draw_threads : js->cfg.tile_threads));
     double wait_s = ceil((double)turn_count(js->queue[cls]) * mean_s / threads);
     pthread_mutex_unlock(&js->lock);
     return wait_s < 1 ? 1 : wait_s > 10 ? 10 : (int)wait_s;

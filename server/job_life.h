@@ -12,7 +12,8 @@
  * A stream asks for its next picture when the one before was sent. Long work of other clients would
  * begin in each such gap, and take nearly all the time. So if the stream that was drawn last has
  * had less than its part of the time, the thread that draws waits a moment for its next picture
- * before it begins long work (job_run.c).
+ * before it begins long work. Where several draw, one of them is left to what is quick instead
+ * (job_run.c).
  *
  * One mutex guards everything. Of all callbacks only cfg.passing and cfg.cost are called with it
  * held. A waiter is taken off its job with the lock held, by job_leave, job_tick, job_stop or the
@@ -37,12 +38,16 @@
 #include "server/turn.h"
 
 enum { JOB_TABLE = 1024 };
+#define JOB_LONG_MS 40.0 /* predicted */
+#define JOB_QUICK_S 1.0  /* quick work is waited for so long after the last of it */
 
 struct job {
     struct hash128 id;
     enum job_class cls;
     void *work;
     bool running;
+    size_t drawer;    /* while it is drawn */
+    bool counts_long; /* in jobs.long_drawn */
     _Atomic bool cancel;
     struct job_waiter *waiters;
     struct job *table_next;
@@ -54,12 +59,15 @@ struct job {
 };
 struct job_thread {
     struct jobs *js;
-    size_t index;
+    bool draws;
+    size_t index; /* of those for tiles, or of those that draw */
     struct pool_thread *thread;
+    double since_s; /* when it began its work, or its start; 0: it waits for work */
+    bool ended;
 };
-struct jobs { /* `lock` guards all except cfg and workers */
+struct jobs { /* `lock` guards all except cfg */
     struct job_config cfg;
-    struct job_thread *workers; /* tile threads, then the view thread */
+    struct job_thread *workers; /* tile threads, then those that draw */
     size_t n_workers;
     pthread_mutex_t lock;
     pthread_cond_t tile_ready, view_ready;
@@ -69,15 +77,18 @@ struct jobs { /* `lock` guards all except cfg and workers */
     struct failures failures;
     struct cost cost;
     double quick_s; /* when quick work was last asked for: JOB_TILE that is not slow */
+    /* Of what is drawn: when quick work was last asked for, and the quickest of it. What takes
+     * several times as long is long for the others, however slow the machine is now. */
+    double quick_drawn_s, quickest_ms;
+    size_t long_drawn; /* long work that is being drawn */
     /* Time that each class had, counted from when it begins to wait. Classes of one thread have
      * equal parts. now_ms: clock of the class that was served last, for tiles and for drawing. */
     double class_ms[JOB_CLASSES], now_ms[2];
     /* The stream that was drawn last, and when. Its next picture is asked for in a moment. */
     uint64_t stream;
     double stream_s;
-    bool stopping, drawer_ended;
-    bool drawer_hangs;      /* set by job_stop: waiting for it failed */
-    double drawing_since_s; /* 0: the thread that draws waits for work */
+    bool stopping;
+    bool drawer_hangs; /* set by job_stop: waiting for them failed */
     pthread_cond_t ended;
     struct job_stats stats;
 };
@@ -89,6 +100,8 @@ struct job **job_table_find(struct jobs *js, struct hash128 id);
 void job_table_remove(struct jobs *js, struct job *j);
 struct job *job_at(struct turn_item *it); /* NULL: `it` is NULL */
 bool job_is_drawn(enum job_class cls);
+/* Of what is drawn: work that is predicted to take so long is left to the other threads. */
+double job_long_ms(const struct jobs *js);
 void job_queue_add(struct jobs *js, struct job *j, uint64_t client);
 /* Takes *p off its job and adds it to the caller's list. */
 void job_claim(struct job *j, struct job_waiter **p, const struct job_result *r,

@@ -10,11 +10,11 @@
 
 #include "core/trace.h"
 
-static const double QUICK_S = 1; /* how long a thread is left to quick work after the last of it */
 static const double STREAM_S = 0.05; /* how long long work waits for the next picture of a stream */
 static const double STREAM_PAYS = 0.5; /* part of that wait that counts as the stream's time */
-static const double HELD_MS = 40;      /* predicted: work that waits so */
-/* Nothing can be drawn while a long picture is, so it counts for more than its time. */
+static const double AGAIN_S = 0.1;     /* how often a thread without work that it may begin looks */
+/* Where one thread draws, nothing can be drawn while a long picture is, so it counts for more than
+ * its time. */
 static const double LONG_MS = 100, LONG_PAYS = 2;
 
 /* ---- under the lock ---- */
@@ -32,8 +32,8 @@ static void job_note(struct jobs *js, const struct job *j, const struct job_resu
 static void job_settle(struct jobs *js, const struct job *j, const struct job_result *r)
 {
     const double ms = r->run_s * 1e3;
-    const double more =
-        ms * (job_is_drawn(j->cls) && ms > LONG_MS ? LONG_PAYS : 1) - j->predicted_ms;
+    const bool alone = job_is_drawn(j->cls) && ms > LONG_MS && js->cfg.draw_threads == 1;
+    const double more = ms * (alone ? LONG_PAYS : 1) - j->predicted_ms;
     turn_charge(js->queue[j->cls], j->client, more);
     js->class_ms[j->cls] += more;
     if (r->end == JOB_OK)
@@ -53,6 +53,7 @@ static void job_finish(struct jobs *js, struct job *j, struct job_result *r, str
     pthread_mutex_lock(&js->lock);
     job_table_remove(js, j);
     js->stats.running[j->cls]--;
+    js->long_drawn -= j->counts_long;
     js->stats.ended[j->cls][r->end]++;
     js->stats.run_s[j->cls] += r->run_s;
     job_note(js, j, r);
@@ -101,23 +102,33 @@ static double job_class_ms(const struct jobs *js, enum job_class c)
     return fmax(js->class_ms[c], js->now_ms[job_is_drawn(c)]);
 }
 
+/* Of a class the work of the client that had least time, of quick work if long work may not begin.
+ * NULL: none. */
+static struct turn_item *job_next(const struct jobs *js, enum job_class c, bool quick)
+{
+    return quick ? turn_first_below(js->queue[c], job_long_ms(js)) : turn_first(js->queue[c]);
+}
+
 /* Of these classes the one with work that had least time; JOB_CLASSES: none has work. */
-static enum job_class job_least(const struct jobs *js, const enum job_class *order, size_t n)
+static enum job_class job_least(const struct jobs *js, const enum job_class *order, size_t n,
+                                bool quick)
 {
     enum job_class least = JOB_CLASSES;
     for (size_t i = 0; i < n; i++)
-        if (turn_count(js->queue[order[i]]) &&
+        if (job_next(js, order[i], quick) &&
             (least == JOB_CLASSES || job_class_ms(js, order[i]) < job_class_ms(js, least)))
             least = order[i];
     return least;
 }
 
 /* Of a class the work of the client that had least time. NULL: JOB_CLASSES. */
-static struct job *job_take(struct jobs *js, enum job_class c)
+static struct job *job_take(struct jobs *js, enum job_class c, bool quick)
 {
     if (c == JOB_CLASSES)
         return NULL;
-    struct job *j = job_at(turn_next(js->queue[c]));
+    struct turn_item *next = job_next(js, c, quick);
+    struct job *j = job_at(next);
+    turn_take(js->queue[c], next);
     js->now_ms[job_is_drawn(c)] = job_class_ms(js, c);
     js->class_ms[c] = job_class_ms(js, c) + j->predicted_ms;
     return j;
@@ -127,8 +138,8 @@ static struct job *job_take(struct jobs *js, enum job_class c)
 static double job_begins_s(struct jobs *js, enum job_class c)
 {
     const double until_s = js->stream_s > 0 ? js->stream_s + STREAM_S : 0;
-    if (c == JOB_CLASSES || clock_s() >= until_s ||
-        job_at(turn_first(js->queue[c]))->predicted_ms < HELD_MS)
+    if (c == JOB_CLASSES || js->cfg.draw_threads > 1 || clock_s() >= until_s ||
+        turn_first(js->queue[c])->ms < JOB_LONG_MS)
         return 0;
     const bool due = turn_is_due(js->queue[JOB_MOTION], js->stream) &&
                      (c == JOB_MOTION || job_class_ms(js, JOB_MOTION) < job_class_ms(js, c));
@@ -145,18 +156,36 @@ static void job_await_stream(struct jobs *js, double until_s)
     js->class_ms[JOB_MOTION] = job_class_ms(js, JOB_MOTION) + ms;
 }
 
-/* What the thread that draws begins next: streams, pictures and map tiles in turns. NULL: nothing
- * is to be done, or the server stops. */
-static struct job *job_next_drawn(struct jobs *js)
+/* Long work is on all threads that may draw it: the last is left to what is quick. */
+static bool job_draws_quick(const struct jobs *js)
+{
+    return js->cfg.draw_threads > 1 && js->long_drawn + 1 >= js->cfg.draw_threads &&
+           clock_s() - js->quick_drawn_s < JOB_QUICK_S;
+}
+
+/* What a thread that draws begins next: streams, pictures and map tiles in turns. NULL: nothing is
+ * to be done, or the server stops. */
+static struct job *job_next_drawn(struct jobs *js, size_t drawer)
 {
     static const enum job_class order[] = {JOB_VIEW, JOB_MAP, JOB_MOTION};
-    enum job_class c = job_least(js, order, sizeof order / sizeof *order);
+    enum { N = sizeof order / sizeof *order };
+    if (js->cfg.rests && js->cfg.rests(js->cfg.user, drawer))
+        return NULL;
+    const bool quick = job_draws_quick(js);
+    enum job_class c = job_least(js, order, N, quick);
     for (double until_s; !js->stopping && (until_s = job_begins_s(js, c)) > 0;) {
         job_await_stream(js, until_s);
-        c = job_least(js, order, sizeof order / sizeof *order);
+        c = job_least(js, order, N, quick);
     }
-    struct job *j = js->stopping ? NULL : job_take(js, c);
-    return j || js->stopping ? j : job_at(turn_next(js->queue[JOB_AHEAD]));
+    struct job *j = js->stopping ? NULL : job_take(js, c, quick);
+    if (!j && !js->stopping && job_next(js, JOB_AHEAD, quick)) {
+        struct turn_item *ahead = job_next(js, JOB_AHEAD, quick);
+        turn_take(js->queue[JOB_AHEAD], ahead);
+        j = job_at(ahead);
+    }
+    if (j)
+        js->long_drawn += j->counts_long = j->predicted_ms >= job_long_ms(js);
+    return j;
 }
 
 /* One of several threads is left to what is quick, while such work comes. */
@@ -164,42 +193,47 @@ static struct job *job_next_tile(struct jobs *js)
 {
     static const enum job_class order[] = {JOB_TILE, JOB_SLOW};
     const bool slow = js->stats.running[JOB_SLOW] + 1 < js->cfg.tile_threads ||
-                      clock_s() - js->quick_s > QUICK_S || js->cfg.tile_threads == 1;
-    struct job *j = job_take(js, job_least(js, order, 1 + slow));
+                      clock_s() - js->quick_s > JOB_QUICK_S || js->cfg.tile_threads == 1;
+    struct job *j = job_take(js, job_least(js, order, 1 + slow, false), false);
     return j ? j : job_at(turn_next(js->queue[JOB_PREFETCH]));
+}
+
+/* Until there may be work. Of several threads that draw one looks again if it left work. */
+static void job_await_work(struct jobs *js, const struct job_thread *w)
+{
+    if (!w->draws)
+        pthread_cond_wait(&js->tile_ready, &js->lock);
+    else if (js->cfg.draw_threads > 1)
+        (void)pool_cond_wait(&js->view_ready, &js->lock, clock_s() + AGAIN_S);
+    else
+        pthread_cond_wait(&js->view_ready, &js->lock);
 }
 
 static void job_worker_main(void *user)
 {
     struct job_thread *w = user;
     struct jobs *js = w->js;
-    bool view = w->index == js->cfg.tile_threads;
-    if (!view)
+    if (!w->draws)
         pool_alone(); /* --workers says how many threads tiles have */
     pthread_mutex_lock(&js->lock);
-    if (view)
-        js->drawing_since_s = 0;
+    w->since_s = 0;
     while (!js->stopping) {
-        struct job *j = view ? job_next_drawn(js) : job_next_tile(js);
+        struct job *j = w->draws ? job_next_drawn(js, w->index) : job_next_tile(js);
         if (!j) {
             if (!js->stopping)
-                pthread_cond_wait(view ? &js->view_ready : &js->tile_ready, &js->lock);
+                job_await_work(js, w);
             continue;
         }
         j->running = true;
-        j->started_s = clock_s();
-        if (view)
-            js->drawing_since_s = j->started_s;
+        j->drawer = w->index;
+        j->started_s = w->since_s = clock_s();
         js->stats.running[j->cls]++;
         pthread_mutex_unlock(&js->lock);
-        job_run(js, j, w->index);
+        job_run(js, j, w->index + (w->draws ? js->cfg.tile_threads : 0));
         pthread_mutex_lock(&js->lock);
-        if (view)
-            js->drawing_since_s = 0;
+        w->since_s = 0;
     }
-    pthread_mutex_unlock(&js->lock);
-    pthread_mutex_lock(&js->lock);
-    js->drawer_ended |= view;
+    w->ended = true;
     pthread_cond_broadcast(&js->ended);
     pthread_mutex_unlock(&js->lock);
 }
@@ -209,7 +243,7 @@ static void job_worker_main(void *user)
 enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct err *e)
 {
     struct jobs *js = mem_array(1, sizeof *js);
-    size_t n = cfg->tile_threads + cfg->view_thread;
+    size_t n = cfg->tile_threads + cfg->draw_threads;
     enum err_code rc = ERR_OK;
     *out = js;
     if (!js || !(js->workers = mem_array(n, sizeof *js->workers))) {
@@ -223,8 +257,6 @@ enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct e
     pthread_cond_init(&js->tile_ready, NULL);
     pool_cond_init(&js->view_ready);
     pool_cond_init(&js->ended);
-    js->drawing_since_s = cfg->view_thread ? clock_s() : 0;
-    js->drawer_ended = !cfg->view_thread;
     for (int c = 0; c < JOB_CLASSES && !rc; c++)
         rc = turn_open(c == JOB_VIEW, &js->queue[c], e);
     if (!rc)
@@ -234,13 +266,19 @@ enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct e
     for (; js->n_workers < n && !rc; js->n_workers += !rc) {
         struct job_thread *w = &js->workers[js->n_workers];
         w->js = js;
-        w->index = js->n_workers;
+        w->draws = js->n_workers >= cfg->tile_threads;
+        w->index = js->n_workers - (w->draws ? cfg->tile_threads : 0);
+        w->since_s = clock_s();
         rc = pool_start(job_worker_main, w, &w->thread, e);
     }
-    js->drawer_ended |= js->n_workers < n; /* it was never started */
     if (rc)
         (void)job_close(out);
     return rc;
+}
+
+size_t job_drawer(const struct job *j)
+{
+    return j->drawer;
 }
 
 void job_count(struct jobs *js, struct job_stats *out)
@@ -272,14 +310,27 @@ bool job_idle(struct jobs *js)
 double job_drawing_s(struct jobs *js)
 {
     pthread_mutex_lock(&js->lock);
-    double since_s = js->drawing_since_s;
+    const double now_s = clock_s();
+    double most_s = 0;
+    for (size_t i = js->cfg.tile_threads; i < js->n_workers; i++)
+        if (js->workers[i].since_s > 0)
+            most_s = fmax(most_s, now_s - js->workers[i].since_s);
     pthread_mutex_unlock(&js->lock);
-    return since_s > 0 ? clock_s() - since_s : 0;
+    return most_s;
 }
 
-/* Wait for the thread that draws, as long as that may take; whoever asks again has waited
+/* Under the lock. */
+static bool job_drawers_ended(const struct jobs *js)
+{
+    for (size_t i = js->cfg.tile_threads; i < js->n_workers; i++)
+        if (!js->workers[i].ended)
+            return false;
+    return true;
+}
+
+/* Wait for the threads that draw, as long as that may take; whoever asks again has waited
  * already. */
-static bool job_await_drawer(struct jobs *js)
+static bool job_await_drawers(struct jobs *js)
 {
     const double again_s = 0.5;
     double wait_s = js->cfg.stop_s > 0 ? js->cfg.stop_s : 10;
@@ -287,9 +338,9 @@ static bool job_await_drawer(struct jobs *js)
         wait_s = fmin(wait_s, again_s);
     const double end_s = clock_s() + wait_s;
     pthread_mutex_lock(&js->lock);
-    while (!js->drawer_ended && pool_cond_wait(&js->ended, &js->lock, end_s))
+    while (!job_drawers_ended(js) && pool_cond_wait(&js->ended, &js->lock, end_s))
         continue;
-    bool ended = js->drawer_ended;
+    bool ended = job_drawers_ended(js);
     js->drawer_hangs = !ended;
     pthread_mutex_unlock(&js->lock);
     return ended;
@@ -307,7 +358,7 @@ bool job_stop(struct jobs *js)
     job_claim_where(js, 0, &stop, true);
     if (js->cfg.stop)
         js->cfg.stop(js->cfg.user);
-    bool ended = job_await_drawer(js);
+    bool ended = job_await_drawers(js);
     for (size_t i = 0; i < js->n_workers; i++)
         if (js->workers[i].thread && (ended || i < js->cfg.tile_threads))
             pool_join(&js->workers[i].thread);

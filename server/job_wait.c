@@ -5,6 +5,7 @@
 #include "server/job_life.h"
 
 #include <assert.h>
+#include <math.h>
 
 /* ---- under the lock ---- */
 
@@ -36,12 +37,35 @@ bool job_is_picture(enum job_class cls)
     return cls == JOB_VIEW || cls == JOB_AHEAD;
 }
 
+double job_long_ms(const struct jobs *js)
+{
+    static const double times = 3;
+    return fmax(JOB_LONG_MS, times * js->quickest_ms);
+}
+
+/* Quick work keeps a thread from long work for a while. */
+static void job_note_quick(struct jobs *js, const struct job *j)
+{
+    const double now_s = clock_s();
+    const bool over = now_s - js->quick_drawn_s > JOB_QUICK_S;
+    if (over || j->predicted_ms < js->quickest_ms)
+        js->quickest_ms = j->predicted_ms;
+    if (over || j->predicted_ms < job_long_ms(js))
+        js->quick_drawn_s = now_s;
+}
+
 void job_queue_add(struct jobs *js, struct job *j, uint64_t client)
 {
     j->client = client;
     j->predicted_ms = cost_predict(&js->cost, j->kind, j->expected_ms);
     turn_add(js->queue[j->cls], &j->place, client, j->predicted_ms);
-    pthread_cond_signal(job_is_drawn(j->cls) ? &js->view_ready : &js->tile_ready);
+    if (!job_is_drawn(j->cls)) {
+        pthread_cond_signal(&js->tile_ready);
+        return;
+    }
+    if (j->cls != JOB_AHEAD)
+        job_note_quick(js, j);
+    pthread_cond_broadcast(&js->view_ready); /* one of them may rest, or not begin this */
 }
 
 /* Take w off its job and put it on the caller's list. */

@@ -44,14 +44,21 @@ static size_t memory_max(size_t a, size_t b)
 
 struct memory_parts { /* bytes */
     size_t fixed;     /* of this process */
-    size_t cache, inflight, drawing, view_cache, gaussians, others, pixels, video;
+    size_t cache, inflight, video;
+    unsigned drawers;
+    size_t drawing, view_cache, gaussians, others, pixels; /* of each */
     unsigned slots;
 };
 
+/* Of one process that draws. */
+static size_t memory_drawer(const struct memory_parts *p)
+{
+    return p->drawing + p->view_cache + p->gaussians + p->others + p->pixels;
+}
+
 static size_t memory_sum(const struct memory_parts *p)
 {
-    return p->fixed + p->cache + p->inflight + p->drawing + p->view_cache + p->gaussians +
-           p->pixels;
+    return p->fixed + p->cache + p->inflight + p->drawers * memory_drawer(p);
 }
 
 static uint64_t memory_drawn_gaussians(const struct memory_needs *n)
@@ -60,8 +67,8 @@ static uint64_t memory_drawn_gaussians(const struct memory_needs *n)
 }
 
 /* The least that works, with as many workers and connections as a budget allows. */
-static void memory_least_parts(const struct memory_needs *n, bool draws, struct memory_plan *plan,
-                               struct memory_parts *p)
+static void memory_least_parts(const struct memory_needs *n, unsigned drawers,
+                               struct memory_plan *plan, struct memory_parts *p)
 {
     const size_t part = n->budget / MEMORY_PARTS, each = n->largest_tile * MEMORY_ENCODING;
     memset(p, 0, sizeof *p);
@@ -72,7 +79,8 @@ static void memory_least_parts(const struct memory_needs *n, bool draws, struct 
                plan->connections * MEMORY_CONNECTION;
     p->cache = n->cache ? n->cache : MEMORY_CACHE_MIN;
     p->inflight = n->inflight ? n->inflight : memory_max(MEMORY_INFLIGHT_MIN, n->largest_tile);
-    if (!draws)
+    p->drawers = drawers;
+    if (!drawers)
         return;
     p->drawing = MEMORY_DRAWING;
     p->view_cache = n->view_cache ? n->view_cache : MEMORY_VIEW_CACHE_MIN;
@@ -88,7 +96,7 @@ static size_t memory_enough(const struct memory_needs *n, bool draws)
     struct memory_plan plan;
     struct memory_parts p;
     for (more.budget = MEMORY_MB; more.budget < SIZE_MAX / 4; more.budget += 4 * MEMORY_MB) {
-        memory_least_parts(&more, draws, &plan, &p);
+        memory_least_parts(&more, draws, &plan, &p); /* one that draws, or none */
         if (memory_sum(&p) <= more.budget)
             break;
     }
@@ -123,7 +131,7 @@ static void memory_grow(size_t *part, size_t most, size_t share, size_t *rest)
  * picture come before tiles kept for the next. */
 static void memory_share_drawing(const struct memory_needs *n, struct memory_parts *p, size_t *rest)
 {
-    const size_t share = *rest / 5 * 2;
+    const size_t share = *rest / 5 * 2 / p->drawers;
     size_t own = share;
     const uint64_t drawn = memory_drawn_gaussians(n);
     memory_grow(&p->gaussians, (size_t)drawn * MEMORY_GAUSSIAN, own / 2, &own);
@@ -137,22 +145,23 @@ static void memory_share_drawing(const struct memory_needs *n, struct memory_par
     }
     if (!n->view_cache)
         memory_grow(&p->view_cache, (size_t)n->gaussians * MEMORY_GAUSSIAN, own, &own);
-    *rest -= share - own;
+    *rest -= (share - own) * p->drawers;
 }
 
-enum err_code memory_plan(const struct memory_needs *n, struct memory_plan *out, struct err *e)
+static enum err_code memory_plan_with(const struct memory_needs *n, unsigned drawers,
+                                      struct memory_plan *out, struct err *e)
 {
     struct memory_parts p;
     memset(out, 0, sizeof *out);
-    memory_least_parts(n, n->draws, out, &p);
+    memory_least_parts(n, drawers, out, &p);
     const size_t least = memory_sum(&p);
     if (least > n->budget)
         return memory_too_little(n, e);
     size_t rest = n->budget - least;
     out->budget = n->budget;
-    if (n->draws)
+    if (drawers)
         memory_share_drawing(n, &p, &rest);
-    if (n->draws)
+    if (drawers)
         memory_grow(&p.video, n->video, rest / MEMORY_VIDEO_PART, &rest);
     if (!n->inflight)
         memory_grow(&p.inflight, SIZE_MAX, rest / 3, &rest);
@@ -160,7 +169,7 @@ enum err_code memory_plan(const struct memory_needs *n, struct memory_plan *out,
         memory_grow(&p.cache, SIZE_MAX, rest, &rest);
     out->cache = p.cache;
     out->inflight = p.inflight;
-    if (!n->draws)
+    if (!drawers)
         return ERR_OK;
     out->view_cache = p.view_cache;
     out->video = p.video;
@@ -170,6 +179,16 @@ enum err_code memory_plan(const struct memory_needs *n, struct memory_plan *out,
     out->view_mpx = fmin(n->view_mpx, (double)out->drawn_px * 1e-6);
     out->lowered = fits < drawn || out->view_mpx < n->view_mpx;
     out->slots = p.slots;
-    out->drawing = p.drawing + p.view_cache + p.gaussians + p.others + p.pixels;
+    out->drawers = drawers;
+    out->drawing = drawers * memory_drawer(&p);
     return ERR_OK;
+}
+
+enum err_code memory_plan(const struct memory_needs *n, struct memory_plan *out, struct err *e)
+{
+    struct err none;
+    for (unsigned drawers = n->draws ? n->drawers : 0; drawers > 1; drawers--)
+        if (!memory_plan_with(n, drawers, out, &none) && !out->lowered)
+            return ERR_OK;
+    return memory_plan_with(n, n->draws, out, e);
 }

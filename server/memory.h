@@ -16,6 +16,7 @@ struct memory_needs { /* sizes in bytes */
     size_t workers, connections; /* as asked for */
     size_t largest_tile;         /* the largest tile, decoded */
     bool draws;
+    unsigned drawers;                   /* processes that draw, as asked for; 0: 1 */
     uint64_t gaussians;                 /* number in the store that has most */
     uint64_t view_gaussians;            /* most in a picture, as asked for; 0: no limit */
     double view_mpx;                    /* largest picture, as asked for */
@@ -24,13 +25,14 @@ struct memory_needs { /* sizes in bytes */
 };
 struct memory_plan { /* sizes in bytes */
     size_t budget, cache, inflight, workers, connections;
-    /* for the process that draws; 0: there is none */
+    /* for all processes that draw, 0: there is none; and what each keeps for the next picture */
     size_t drawing, view_cache;
     size_t video;                      /* for encoders of streams */
     uint64_t view_gaussians, drawn_px; /* drawn_px: most pixels, before they are filtered down */
     double view_mpx;
-    unsigned slots; /* stores that the drawing process keeps open */
-    bool lowered;   /* pictures are smaller or have fewer Gaussians than asked for */
+    unsigned drawers; /* no more than have room for the pictures that were asked for */
+    unsigned slots;   /* stores that each of them keeps open */
+    bool lowered;     /* pictures are smaller or have fewer Gaussians than asked for */
 };
 
 /* Shares the budget out. ERR_LIMIT: it is too small; the message says what is enough. */

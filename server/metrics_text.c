@@ -110,10 +110,9 @@ static void metrics_text_jobs(struct jobs *jobs, struct buf *out)
 static void metrics_text_drawing(struct services *s, struct buf *out)
 {
     struct worker_status st;
-    picture_status(s->picture, &st);
-    metrics_text_one(out, "drawing_up", "gauge", "1: the process that draws is ready.",
-                     st.state == WORKER_READY);
-    metrics_text_one(out, "drawing_starts_total", "counter", "Its starts.", st.starts);
+    const size_t n_ready = picture_status(s->picture, &st);
+    metrics_text_one(out, "drawing_up", "gauge", "Processes that are ready to draw.", n_ready);
+    metrics_text_one(out, "drawing_starts_total", "counter", "Their starts.", st.starts);
     metrics_text_one(out, "drawing_crashes_total", "counter", "Ends that nobody asked for.",
                      st.crashes);
     metrics_text_one(out, "drawing_kills_total", "counter",
@@ -122,11 +121,12 @@ static void metrics_text_drawing(struct services *s, struct buf *out)
                      "Ends because it held more memory than its share.", st.renewals);
     metrics_text_one(out, "drawing_cancels_total", "counter",
                      "Pictures that it gave up because nobody waited any more.", st.cancels);
-    metrics_text_head(out, "drawing_seconds", "gauge", "Time that the picture under way takes.");
+    metrics_text_head(out, "drawing_seconds", "gauge", "Time that a picture under way takes.");
     buf_printf(out, "citysplat_drawing_seconds %.3f\n", s->jobs ? job_drawing_s(s->jobs) : 0);
-    metrics_text_head(out, "drawing_cpu_seconds_total", "counter", "CPU time of the process.");
+    metrics_text_head(out, "drawing_cpu_seconds_total", "counter", "Their CPU time.");
     buf_printf(out, "citysplat_drawing_cpu_seconds_total %.3f\n", st.cpu_s);
-    metrics_text_one(out, "drawing_peak_bytes", "gauge", "Its peak resident set.", st.peak_bytes);
+    metrics_text_one(out, "drawing_peak_bytes", "gauge", "Peak resident set of one.",
+                     st.peak_bytes);
 }
 
 static void metrics_text_disk(struct services *s, struct buf *out)

@@ -57,6 +57,11 @@ static void server_stop_drawing(void *user)
     picture_stop(((struct services *)user)->picture);
 }
 
+static bool server_drawer_rests(void *user, size_t drawer)
+{
+    return picture_rests(((struct services *)user)->picture, drawer);
+}
+
 static enum err_code server_start_jobs(struct server *sv, struct err *e)
 {
     struct services *s = &sv->services;
@@ -64,7 +69,10 @@ static enum err_code server_start_jobs(struct server *sv, struct err *e)
     const bool views = server_draws(sv);
     const struct job_config jobs = {
         .tile_threads = sv->workers,
-        .view_thread = views,
+        .draw_threads = !views            ? 0
+                        : s->plan.drawers ? s->plan.drawers
+                                          : 1,
+        .rests = views ? server_drawer_rests : NULL,
         .queue_limit = {(size_t)cfg->queue_views, (size_t)cfg->queue_tiles,
                         (size_t)cfg->queue_prefetch, (size_t)cfg->queue_maps, (size_t)cfg->streams,
                         (size_t)cfg->queue_views},
@@ -188,6 +196,13 @@ static void server_needs(const struct catalog *c, struct memory_needs *n)
     }
 }
 
+/* Processes that draw, if there is memory for them. On two cores one draws as much as two. */
+static unsigned server_drawers(const struct server_config *cfg)
+{
+    enum { CORES = 4 };
+    return cfg->drawers ? (unsigned)cfg->drawers : pool_cores() < CORES ? 1 : 2;
+}
+
 /* Options that say how much become what --memory allows. */
 static enum err_code server_plan(struct server *sv, const struct catalog *c,
                                  struct memory_plan *plan, struct err *e)
@@ -197,6 +212,7 @@ static enum err_code server_plan(struct server *sv, const struct catalog *c,
                              .workers = sv->workers,
                              .connections = (size_t)cfg->max_connections,
                              .draws = server_draws(sv),
+                             .drawers = server_drawers(cfg),
                              .view_gaussians = (uint64_t)cfg->view_gaussians,
                              .view_mpx = cfg->max_view_mpx,
                              .video = motion_video_bytes((size_t)cfg->streams),
@@ -218,10 +234,13 @@ static enum err_code server_plan(struct server *sv, const struct catalog *c,
     }
     snprintf(sv->memory, sizeof sv->memory,
              "memory budget_mb=%zu of=%zu base_mb=%zu cache_mb=%zu inflight_mb=%zu drawing_mb=%zu "
-             "view_cache_mb=%zu video_mb=%zu workers=%zu connections=%zu",
+             "drawers=%u view_cache_mb=%zu video_mb=%zu workers=%zu connections=%zu",
              plan->budget >> 20, machine >> 20, n.base >> 20, plan->cache >> 20,
-             plan->inflight >> 20, plan->drawing >> 20, plan->view_cache >> 20, plan->video >> 20,
-             plan->workers, plan->connections);
+             plan->inflight >> 20, plan->drawing >> 20, plan->drawers, plan->view_cache >> 20,
+             plan->video >> 20, plan->workers, plan->connections);
+    if (n.draws && cfg->drawers > plan->drawers)
+        log_warn("serve", "--memory has room for %u of %u processes that draw", plan->drawers,
+                 (unsigned)cfg->drawers);
     if (plan->lowered)
         log_warn("serve",
                  "--memory holds pictures to %llu Gaussians and %.2f megapixels, %.2f of them "

@@ -127,10 +127,7 @@ bool services_free(struct services *s)
 
 size_t services_held_bytes(const struct services *s)
 {
-    struct worker_status st = {0};
-    if (s->picture)
-        picture_status(s->picture, &st);
-    return mem_held_bytes(0) + (st.pid > 0 ? mem_held_bytes((int)st.pid) : 0);
+    return mem_held_bytes(0) + (s->picture ? picture_held_bytes(s->picture) : 0);
 }
 
 void services_make_room(struct services *s, size_t bytes)

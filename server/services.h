@@ -66,7 +66,7 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
                             struct err *e) ERR_USE;
 /* False: a thread does not end, and nothing was freed (job_close). */
 bool services_free(struct services *s);
-/* Memory that this process and the drawing process hold. */
+/* Memory that this process and those that draw hold. */
 size_t services_held_bytes(const struct services *s);
 /* Makes room for `bytes`: shrinks caches and returns freed memory to the system. Any thread; does
  * not allocate. */
@@ -79,8 +79,8 @@ struct catalog *services_catalog(struct services *s); /* a reference */
 struct auth *services_auth(struct services *s);       /* a reference; NULL: everything is public */
 /* Takes over the rights *a, and returns the earlier rights in it. */
 void services_set_auth(struct services *s, struct auth **a);
-/* Seconds since the drawing process first ended unexpectedly. 0: the process is well, or has been
- * well again for a while. */
+/* Seconds since the drawing process first ended unexpectedly, of several since all of them did. 0:
+ * a process is well, or has been well again for a while. */
 double services_failing_s(struct services *s);
 /* Sets the catalog (its reference is taken over; NULL: keep the present one) and reload_error
  * (NULL: keep). */

@@ -129,10 +129,22 @@ static void turn_set_clock(struct turns *q, struct turn_client *c, double clock_
         turn_row_add(q, c);
 }
 
+static struct turn_item *turn_of(const struct turns *q, const struct turn_client *c)
+{
+    return !c ? NULL : q->newest_first ? c->newest : c->oldest;
+}
+
 struct turn_item *turn_first(struct turns *q)
 {
+    return turn_of(q, q->first);
+}
+
+struct turn_item *turn_first_below(struct turns *q, double ms)
+{
     const struct turn_client *c = q->first;
-    return !c ? NULL : q->newest_first ? c->newest : c->oldest;
+    while (c && turn_of(q, c)->ms >= ms)
+        c = c->later;
+    return turn_of(q, c);
 }
 
 bool turn_is_due(struct turns *q, uint64_t client)
@@ -141,16 +153,21 @@ bool turn_is_due(struct turns *q, uint64_t client)
     return c && !c->n && (!q->first || fmax(c->clock_ms, q->now_ms) < q->first->clock_ms);
 }
 
+void turn_take(struct turns *q, struct turn_item *it)
+{
+    struct turn_client *c = it->client;
+    const double ms = fmax(it->ms, TURN_LEAST_MS);
+    /* whoever begins to wait does not come behind a client that was passed over */
+    q->now_ms = fmax(q->now_ms, q->first->clock_ms);
+    turn_remove(q, it);
+    turn_set_clock(q, c, c->clock_ms + ms);
+}
+
 struct turn_item *turn_next(struct turns *q)
 {
-    struct turn_client *c = q->first;
     struct turn_item *it = turn_first(q);
-    if (!it)
-        return NULL;
-    const double ms = fmax(it->ms, TURN_LEAST_MS);
-    turn_remove(q, it);
-    q->now_ms = fmax(q->now_ms, c->clock_ms);
-    turn_set_clock(q, c, c->clock_ms + ms);
+    if (it)
+        turn_take(q, it);
     return it;
 }
 

@@ -24,8 +24,12 @@ void turn_add(struct turns *q, struct turn_item *it, uint64_t client, double ms)
 void turn_remove(struct turns *q, struct turn_item *it);
 /* Returns the next item and leaves it in the queue. NULL: the queue is empty. */
 struct turn_item *turn_first(struct turns *q);
+/* As turn_first, of the clients whose next item takes less than `ms`. */
+struct turn_item *turn_first_below(struct turns *q, double ms);
 /* Returns whether `client`, which has no item in the queue, would be served next if it had one. */
 bool turn_is_due(struct turns *q, uint64_t client);
+/* Removes an item that turn_first or turn_first_below returned. Its client's time goes on. */
+void turn_take(struct turns *q, struct turn_item *it);
 /* Removes and returns the next item. It belongs to the client that had least time, counted from
  * when it began to wait. NULL: the queue is empty. */
 struct turn_item *turn_next(struct turns *q);

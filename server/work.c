@@ -137,7 +137,7 @@ static enum err_code work_make_drawn(struct services *s, const struct job *j, co
         q.map = w->map;
     else
         q.query = *w->query;
-    return picture_make(s->picture, j, w->ds, &q, 2 * work_room(w), out, e);
+    return picture_make(s->picture, job_drawer(j), j, w->ds, &q, 2 * work_room(w), out, e);
 }
 
 static enum err_code work_make_thumbnail(const struct work *w, struct buf *out, struct err *e)

@@ -65,7 +65,7 @@ static void clock_wake(struct job_waiter *w)
  * read then is a day ahead of the kernel's. */
 static void test_stopping(void **state)
 {
-    const struct job_config cfg = {.view_thread = true,
+    const struct job_config cfg = {.draw_threads = 1,
                                    .queue_limit = {4, 4, 4, 4, 4, 4},
                                    .stop_s = 0.2,
                                    .run = clock_run,

@@ -264,6 +264,55 @@ static void test_a_driver_that_always_crashes(void **state)
     (void)await_picture(0);
 }
 
+/* Of two processes that draw, one hangs: its picture alone is lost, and the other one draws
+ * meanwhile. */
+static void test_one_of_two_hangs(void **state)
+{
+    char target[256], request[400];
+    struct worker_status st;
+    struct reply r;
+    bool alone = false;
+    (void)state;
+    t.cfg.device_timeout_s = 6;
+    t.cfg.drawers = 2;
+    t.cfg.memory = "3G";
+    if (!start_with_device())
+        skip();
+    (void)await_picture(0);
+    const struct picture *p = server_services(t.server)->picture;
+    for (double end_s = clock_s() + PATIENCE_S; picture_status(p, &st) < 2;) {
+        assert_true(clock_s() < end_s);
+        nap_ms(10);
+    }
+    fault_set("ever");
+    snprintf(request, sizeof request, "GET %s HTTP/1.1\r\n" H "\r\n",
+             view_of(1, "64x64.jpg", target));
+    int fd = dial(t.port);
+    say(fd, request);
+    for (double end_s = clock_s() + PATIENCE_S; !access(fault_path, F_OK);) {
+        assert_true(clock_s() < end_s);
+        nap_ms(1);
+    }
+    for (int i = 0; drawing().kills == 0; i++) {
+        assert_int_equal(status_of("GET", view_of(2 + i % 300, "64x64.jpg", target), ""), 200);
+        alone = alone || drawing().kills == 0;
+    }
+    hear(fd, true, NULL, &r);
+    assert_int_equal(r.status, 503);
+    buf_free(&r.raw);
+    close(fd);
+    assert_true(alone);
+    assert_true(drawing().failing_s <= 0); /* one was well all the time */
+    assert_true(readyz_says("\"ready\""));
+    for (double end_s = clock_s() + PATIENCE_S; picture_status(p, &st) < 2;) {
+        assert_true(clock_s() < end_s);
+        nap_ms(10);
+    }
+    assert_int_equal(st.starts, 3);
+    assert_int_equal(st.kills, 1);
+    (void)await_picture(3);
+}
+
 /* Stopping does not wait for a driver that hangs. */
 static void test_stopping_while_it_hangs(void **state)
 {
@@ -402,9 +451,13 @@ int main(int argc, char **argv)
     if (worker_asked(argc, argv))
         return draw_main();
     const struct CMUnitTest tests[] = {
-        FAULT_TEST(test_a_kernel_that_reads_wildly), FAULT_TEST(test_a_driver_that_aborts),
-        FAULT_TEST(test_a_kernel_that_never_ends),   FAULT_TEST(test_a_driver_that_always_crashes),
-        FAULT_TEST(test_stopping_while_it_hangs),    FAULT_TEST(test_giving_up),
+        FAULT_TEST(test_a_kernel_that_reads_wildly),
+        FAULT_TEST(test_a_driver_that_aborts),
+        FAULT_TEST(test_a_kernel_that_never_ends),
+        FAULT_TEST(test_a_driver_that_always_crashes),
+        FAULT_TEST(test_one_of_two_hangs),
+        FAULT_TEST(test_stopping_while_it_hangs),
+        FAULT_TEST(test_giving_up),
         FAULT_TEST(test_a_picture_is_traced),
     };
     return cmocka_run_group_tests(tests, setup_all, teardown_all);

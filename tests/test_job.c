@@ -132,7 +132,15 @@ static double item_cost(const void *work, unsigned *kind)
     return *kind ? 1000 : 10;
 }
 
-static void bench_open(struct bench *b, size_t threads, bool view, size_t view_limit,
+static bool (*bench_rests)(void *user, size_t drawer);
+
+static bool first_rests(void *user, size_t drawer)
+{
+    (void)user;
+    return drawer == 0;
+}
+
+static void bench_open(struct bench *b, size_t threads, size_t draws, size_t view_limit,
                        size_t tile_limit)
 {
     struct err e = {0};
@@ -142,7 +150,8 @@ static void bench_open(struct bench *b, size_t threads, bool view, size_t view_l
     pthread_cond_init(&b->changed, NULL);
     const struct job_config cfg = {
         .tile_threads = threads,
-        .view_thread = view,
+        .draw_threads = draws,
+        .rests = bench_rests,
         .queue_limit = {view_limit, tile_limit, tile_limit, tile_limit, tile_limit, view_limit},
         .slow_s = 0.2,
         .user = b,
@@ -365,6 +374,82 @@ static void test_long_work_waits_for_a_stream(void **state)
     }
     assert_true(held);
     bench_cost = NULL;
+}
+
+/* Several threads draw at the same time. Of what takes long one of them begins nothing, as long as
+ * quick work comes; then all do. */
+static void test_several_draw(void **state)
+{
+    enum { DRAW = 2, LONG = 4, TICK_MS = 100 };
+    struct bench b;
+    struct job_stats st = {0};
+    (void)state;
+    bench_cost = item_cost;
+    bench_open(&b, 0, DRAW, 100, 100);
+    submit(&b, 0, JOB_VIEW, 1000);
+    submit(&b, 1, JOB_MAP, 2000);
+    await(&b, &b.runs, DRAW); /* both, at a closed gate */
+    gate(&b, true);
+    await(&b, &b.woken, DRAW);
+    bool left = false;
+    for (int i = 0; i < 20 && !left; i++) {
+        gate(&b, false);
+        b.runs = b.woken = 0;
+        memset(b.c, 0, sizeof b.c);
+        submit(&b, 0, JOB_MOTION, 50000 + 10 * i);
+        const double since_s = clock_s();
+        await(&b, &b.runs, 1);
+        struct item *first = item_new(&b, 9000 + 100 * i + 9, ERR_OK, true); /* until it is left */
+        assert_int_equal(ask(&b, &b.c[1], JOB_VIEW, first, 60), ERR_OK);
+        await(&b, &b.runs, 2);
+        for (int k = 2; k <= LONG; k++)
+            submit(&b, k, JOB_VIEW, 1000 * k + 100 * i + 9);
+        submit(&b, LONG + 1, JOB_VIEW, 60000 + 10 * i);
+        gate(&b, true);
+        await(&b, &b.runs, 3);
+        const bool early = clock_s() - since_s < 0.9; /* else long work may begin: again */
+        left = early && b.order[2] % 10 == 0;
+        assert_true(left || !early);
+        assert_true(job_leave(b.jobs, &b.c[1].w));
+        await(&b, &b.woken, LONG + 1);
+        for (int k = 0; k < LONG + 2; k++)
+            body_drop(&b.c[k].w.result.body);
+    }
+    assert_true(left);
+    gate(&b, false);
+    b.runs = b.woken = 0;
+    for (int i = 0; i < DRAW; i++)
+        submit(&b, i, JOB_VIEW, 70009 + 1000 * i);
+    for (int i = 0; i < 50 && st.running[JOB_VIEW] < DRAW; i++) {
+        nap_ms(TICK_MS);
+        job_count(b.jobs, &st);
+    }
+    assert_int_equal(st.running[JOB_VIEW], DRAW);
+    gate(&b, true);
+    await(&b, &b.woken, DRAW);
+    bench_close(&b);
+    bench_cost = NULL;
+}
+
+/* A thread that rests leaves all work to the others. */
+static void test_a_drawer_rests(void **state)
+{
+    enum { PICTURES = 6 };
+    struct bench b;
+    struct job_stats st;
+    (void)state;
+    bench_rests = first_rests;
+    bench_open(&b, 0, 2, 100, 100);
+    for (int i = 0; i < PICTURES; i++)
+        submit(&b, i, JOB_VIEW, i);
+    await(&b, &b.runs, 1);
+    nap_ms(250); /* the other one has looked again */
+    job_count(b.jobs, &st);
+    assert_int_equal(st.running[JOB_VIEW], 1);
+    gate(&b, true);
+    await(&b, &b.woken, PICTURES);
+    bench_close(&b);
+    bench_rests = NULL;
 }
 
 /* A failure is remembered for a moment, then tried again; one that memory caused is not remembered.
@@ -637,7 +722,7 @@ static void test_a_device_that_hangs(void **state)
     bench_open(&b, 1, false, 4, 8); /* for its locks */
     assert_true(job_close(&b.jobs));
     const struct job_config cfg = {.tile_threads = 1,
-                                   .view_thread = true,
+                                   .draw_threads = 1,
                                    .queue_limit = {4, 4, 4, 4},
                                    .stop_s = 1,
                                    .user = &b,
@@ -725,6 +810,8 @@ int main(void)
         cmocka_unit_test(test_errors_reach_every_waiter),
         cmocka_unit_test(test_the_wait_decides),
         cmocka_unit_test(test_slow_work_leaves_a_thread),
+        cmocka_unit_test(test_several_draw),
+        cmocka_unit_test(test_a_drawer_rests),
         cmocka_unit_test(test_long_work_waits_for_a_stream),
         cmocka_unit_test(test_failures_are_remembered),
         cmocka_unit_test(test_a_full_queue_refuses),

@@ -202,6 +202,33 @@ static void test_lowered(void **state)
     assert_true(p.view_mpx >= 1 && p.slots == 1);
 }
 
+/* As many processes draw as have room for pictures that are not lowered, and one in any case. */
+static void test_drawers(void **state)
+{
+    struct err e = {0};
+    struct memory_plan p, one;
+    struct memory_needs n = needs(400);
+    unsigned last = 1;
+    (void)state;
+    n.drawers = 4;
+    for (size_t mb = 400; mb <= 8000; mb += 100) {
+        n.budget = mb * MB;
+        kit_ok(memory_plan(&n, &p, &e), e);
+        assert_in_range(p.drawers, last, 4);
+        assert_true(sum_of(&p) <= n.budget);
+        assert_true(p.drawers == 1 || !p.lowered);
+        last = p.drawers;
+    }
+    assert_int_equal(last, 4);
+    n.drawers = 1;
+    kit_ok(memory_plan(&n, &one, &e), e);
+    assert_true(p.drawing > one.drawing);
+    n.budget = 400 * MB;
+    n.drawers = 4;
+    kit_ok(memory_plan(&n, &p, &e), e);
+    assert_int_equal(p.drawers, 1);
+}
+
 /* ---- a server ---- */
 
 static void expect_body(const char *target, const char *text, bool there)
@@ -305,6 +332,7 @@ int main(void)
         cmocka_unit_test(test_shares),
         cmocka_unit_test(test_overrides),
         cmocka_unit_test(test_lowered),
+        cmocka_unit_test(test_drawers),
         cmocka_unit_test_setup_teardown(test_too_small, setup, teardown),
         cmocka_unit_test_setup_teardown(test_yields, setup, teardown),
         cmocka_unit_test_setup_teardown(test_makes_room, setup, teardown),
