@@ -376,6 +376,6 @@ test("3d-tiles-tools", skip, () => {
 
 test("no block of the page is left", skip, () => {
     const left = blocks(DOC).filter(({ code }) => !used.has(code)).map(({ code }) => code);
-    // Its licence allows no copy here.
+    // Its package is not among those of the tests: arcgis.mjs runs it.
     assert.deepEqual(left.filter((code) => !code.includes("GaussianSplatLayer")), []);
 });

@@ -12,6 +12,7 @@ const TYPES = {
     ".css": "text/css",
     ".json": "application/json",
     ".svg": "image/svg+xml",
+    ".wasm": "application/wasm",
 };
 
 // fileOf: from the path of a URL to a file's name. { url, close }; what is not there is 404.
