@@ -8,6 +8,7 @@
 bin=$(realpath "${CITYSPLAT_BIN:?set it to the citysplat program}")
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)
 work=$(mktemp -d "${TMPDIR:-/tmp}/citysplat-machines-XXXXXX") || exit 1
+trap 'rm -rf "$work"' EXIT
 # shellcheck source=tests/check.sh
 . "$root/tests/check.sh"
 # Two levels of tens of steps; a state is saved often, so that a killed job has something to go on from.
