@@ -124,9 +124,9 @@ static struct { /* of the whole test program */
     pthread_t thread;
     pthread_mutex_t lock; /* for the next three */
     struct buf object;
-    char etag[32];    /* "": there is no object */
-    struct buf asked; /* the head of the last request */
-    unsigned n_put;   /* PUT */
+    char etag[32];          /* "": there is no object */
+    struct buf asked;       /* the head of the last request */
+    _Atomic unsigned n_put; /* PUT */
     _Atomic int way;
     _Atomic unsigned n; /* requests */
     _Atomic bool over;
@@ -198,7 +198,7 @@ static inline void ranges_take(int fd, const char *head, const char *part, size_
 
 static inline void ranges_put(int fd, int way, const char *head, struct buf *body)
 {
-    const unsigned number = ++ranges.n_put;
+    const unsigned number = atomic_fetch_add(&ranges.n_put, 1) + 1;
     const char *same = strstr(head, "\nIf-Match: "), *none = strstr(head, "\nIf-None-Match: *");
     const size_t n_etag = strlen(ranges.etag), bare = way == RANGES_BARE && n_etag > 2;
     const bool holds =
