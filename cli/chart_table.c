@@ -138,8 +138,12 @@ void chart_source(const struct chart_def *d, const json_t *lines, struct buf *ou
     table_distinct(d, lines, "dataset", out);
     buf_printf(out, ". `studies/study.sh %.*s`, commit ", (int)strcspn(d->study, "/"), d->study);
     table_distinct(d, lines, "commit", out);
+    const size_t before = out->size;
     buf_printf(out, ", on ");
+    const size_t begun = out->size;
     table_distinct(d, lines, "device", out);
+    if (out->size == begun) /* no device drew, or none is told */
+        out->size = before;
     table_range(d, lines, "fma_gflops", "FMA", "GFLOP/s", out);
     table_range(d, lines, "triad_gbps", "triad", "GB/s", out);
     buf_printf(out, ".</sub>\n");
