@@ -125,10 +125,14 @@ static enum err_code router_sort(struct router *r, struct err *e)
 enum err_code router_open(const struct route *rows, size_t n, struct router **out, struct err *e)
 {
     struct router *r = mem_array(1, sizeof *r);
+    enum err_code rc = ERR_OK;
     *out = r;
-    if (r)
-        *r = (struct router){.rows = rows, .n = n, .row = mem_array(n, sizeof *r->row)};
-    enum err_code rc = r && r->row ? ERR_OK : err_set(e, ERR_MEM, "routes: out of memory");
+    if (!r || !(r->row = mem_array(n, sizeof *r->row))) {
+        router_close(out);
+        return err_set(e, ERR_MEM, "routes: out of memory");
+    }
+    r->rows = rows;
+    r->n = n;
     for (size_t i = 0; !rc && i < n; i++)
         rc = router_compile(&r->row[i], &rows[i], e);
     if (!rc)

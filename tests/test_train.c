@@ -209,46 +209,51 @@ static void the_feed_shows_every_photograph_once_an_epoch_within_its_cache(void 
     scene_free(&s);
 }
 
+/* How far it is from photograph to photograph in EPOCHS epochs, m, each of which has every one. */
+static double feed_way(const struct scene *s, const uint32_t *images, size_t n, uint32_t near)
+{
+    enum { EPOCHS = 40 };
+    struct err e = {0};
+    struct photo_loader *f = NULL;
+    struct photo_loader_config cfg = {.scene = s,
+                                      .images = images,
+                                      .n_images = n,
+                                      .downsample = 1.0,
+                                      .cache_bytes = 1 << 20,
+                                      .seed = 5,
+                                      .level = 1,
+                                      .near = near};
+    double from[3], to[3], way_m = 0.0;
+    unsigned seen = 0;
+    kit_ok(photo_loader_open(&cfg, &f, &e), e);
+    for (uint32_t t = 0; t < EPOCHS * n; t++) {
+        struct photo p;
+        kit_ok(photo_loader_get(f, t + 1, &p, &e), e);
+        seen = t % n ? seen | 1u << p.image : 1u << p.image;
+        assert_true(t % n < n - 1 || seen == 0x1fe);
+        camera_center(&p.cam, to);
+        way_m += t ? hypot(to[0] - from[0], to[1] - from[1]) : 0.0;
+        memcpy(from, to, sizeof from);
+    }
+    photo_loader_close(&f);
+    return way_m;
+}
+
 /* Groups of neighbours on end: every photograph once an epoch, and shorter ways from one to the
  * next. */
 static void the_feed_keeps_neighbours_together(void **state)
 {
     (void)state;
-    enum { EPOCHS = 40 };
     struct err e = {0};
     struct scene s;
     uint32_t *images;
     size_t n;
-    double way_m[3] = {0.0};
-    static const uint32_t near[3] = {1, 3, 100};
     kit_ok(scene_read(scene_dir, &s, &e), e);
     kit_ok(train_scene_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
-    for (int k = 0; k < 3; k++) {
-        struct photo_loader *f = NULL;
-        struct photo_loader_config cfg = {.scene = &s,
-                                          .images = images,
-                                          .n_images = n,
-                                          .downsample = 1.0,
-                                          .cache_bytes = 1 << 20,
-                                          .seed = 5,
-                                          .level = 1,
-                                          .near = near[k]};
-        double from[3], to[3];
-        unsigned seen = 0;
-        kit_ok(photo_loader_open(&cfg, &f, &e), e);
-        for (uint32_t t = 0; t < EPOCHS * n; t++) {
-            struct photo p;
-            kit_ok(photo_loader_get(f, t + 1, &p, &e), e);
-            seen = t % n ? seen | 1u << p.image : 1u << p.image;
-            assert_true(t % n < n - 1 || seen == 0x1fe);
-            camera_center(&p.cam, to);
-            way_m[k] += t ? hypot(to[0] - from[0], to[1] - from[1]) : 0.0;
-            memcpy(from, to, sizeof from);
-        }
-        photo_loader_close(&f);
-    }
-    assert_true(way_m[1] < 0.9 * way_m[0]);
-    assert_in_range(1000.0 * way_m[2] / way_m[0], 900, 1100); /* one group is any order */
+    const double alone_m = feed_way(&s, images, n, 1);
+    assert_true(feed_way(&s, images, n, 3) < 0.9 * alone_m);
+    /* one group is any order */
+    assert_in_range(1000.0 * feed_way(&s, images, n, 100) / alone_m, 900, 1100);
     scene_free(&s);
 }
 
