@@ -1,5 +1,6 @@
 /* Jobs: one run for identical requests, bounded queues, and every waiter is woken exactly once in
- * all cases. Workers wait at a gate, so the test decides the order of events, not the scheduler.
+ * all cases. Workers wait at a gate, so the test decides the order of events, not the scheduler. It
+ * is one long file, because all of it uses that gate.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
