@@ -282,7 +282,7 @@ static enum err_code codec_trained_rows(const char *path, size_t most, struct ga
         rc = gauss_alloc(out, most, store_info(s)->sh_degree, store_info(s)->embed_len, e);
     for (size_t i = 0; !rc && i < n && out->n < most; i++) {
         struct gauss g = {0};
-        if (store_tree(s)->nodes[i].child_count)
+        if (!tree_leaf(store_tree(s), i))
             continue;
         rc = store_read_gauss(s, t[i].key, &g, e);
         memset(g.origin_enu_m, 0, sizeof g.origin_enu_m);

@@ -18,7 +18,7 @@ enum err_code leaves_read(const char *store_path, struct leaves *out, struct err
     if (!rc && !out->tile)
         rc = err_set(e, ERR_MEM, "out of memory for %zu tiles", n);
     for (size_t i = 0; !rc && i < n; i++) {
-        if (store_tree(s)->nodes[i].child_count)
+        if (!tree_leaf(store_tree(s), i))
             continue;
         rc = store_read_gauss(s, t[i].key, &out->tile[out->n_tiles], e);
         if (!rc)

@@ -111,7 +111,7 @@ static enum err_code export_gather(struct store *s, uint8_t zoom, const float *i
     out->antialiased = m->antialiased;
     progress_start(&p, "export", n);
     for (size_t i = 0; !rc && i < n; i++) {
-        bool leaf = store_tree(s)->nodes[i].child_count == 0;
+        bool leaf = tree_leaf(store_tree(s), i);
         progress_step(&p, i + 1, NULL);
         if (t[i].key.z != zoom && !(leaf && t[i].key.z < zoom))
             continue;
@@ -341,7 +341,7 @@ static enum err_code export_documents(const struct store *s, bool lowpass, const
     const struct store_tile *t = store_tiles(s, &n);
     enum err_code rc = export_tileset(s, lowpass, NULL, dir, e);
     for (size_t i = 0; !rc && i < n; i++)
-        if (store_tree(s)->nodes[i].document)
+        if (tree_node(store_tree(s), i).document)
             rc = export_tileset(s, lowpass, &t[i].key, dir, e);
     return !rc ? export_tilejson(s, dir, e) : rc;
 }
@@ -400,7 +400,7 @@ static enum err_code export_names(const struct store *s, bool lowpass, struct ar
     snprintf(list[at++], NAME, "tiles.json");
     for (size_t i = 0; i < n_tiles; i++) {
         const struct key k = t[i].key;
-        if (store_tree(s)->nodes[i].document)
+        if (tree_node(store_tree(s), i).document)
             snprintf(list[at++], NAME, "tileset/%u/%u/%u.json", k.z, k.x, k.y);
         snprintf(list[at++], NAME, "t/%u/%u/%u.glb", k.z, k.x, k.y);
         if (export_pixel_m(s, lowpass, (uint32_t)i) > 0.0)

@@ -59,27 +59,27 @@ struct export_sog {
 
 static bool export_sog_is_leaf(const struct export_sog *x, uint32_t node)
 {
-    return x->tree->nodes[node].child_count == 0;
+    return tree_leaf(x->tree, node);
 }
 
 /* Number the leaves below a node. */
 static void export_sog_number(struct export_sog *x, uint32_t node)
 {
-    const struct tree_node *n = &x->tree->nodes[node];
+    const struct tree_node n = tree_node(x->tree, node);
     x->first[node] = (uint32_t)x->n_leaves;
-    x->n_leaves += !n->child_count;
-    for (uint32_t i = 0; i < n->child_count; i++)
-        export_sog_number(x, x->tree->children[n->child_first + i]);
+    x->n_leaves += !n.child_count;
+    for (uint32_t i = 0; i < n.child_count; i++)
+        export_sog_number(x, x->tree->children[n.child_first + i]);
 }
 
 static size_t export_sog_count_levels(const struct export_sog *x)
 {
     const uint8_t finest = store_info(x->s)->zoom_max;
-    const struct tree_node *root = &x->tree->nodes[x->tree->root];
-    uint8_t top = root->tile == TREE_NONE ? 0 : x->tiles[root->tile].key.z;
-    for (uint32_t i = 0; root->tile == TREE_NONE && i < root->child_count; i++) {
-        const struct tree_node *n = &x->tree->nodes[x->tree->children[root->child_first + i]];
-        const uint8_t z = x->tiles[n->tile].key.z;
+    const struct tree_node root = tree_node(x->tree, x->tree->root);
+    uint8_t top = root.tile == TREE_NONE ? 0 : x->tiles[root.tile].key.z;
+    for (uint32_t i = 0; root.tile == TREE_NONE && i < root.child_count; i++) {
+        const struct tree_node n = tree_node(x->tree, x->tree->children[root.child_first + i]);
+        const uint8_t z = x->tiles[n.tile].key.z;
         top = z > top ? z : top;
     }
     return (size_t)(finest - top) + 1;
@@ -88,7 +88,7 @@ static size_t export_sog_count_levels(const struct export_sog *x)
 /* Its level, or n_levels: it is above all of them. A leaf above is of the coarsest. */
 static size_t export_sog_level(const struct export_sog *x, uint32_t node)
 {
-    const uint32_t tile = x->tree->nodes[node].tile;
+    const uint32_t tile = tree_node(x->tree, node).tile;
     if (tile == TREE_NONE)
         return x->n_levels;
     const size_t level = (size_t)(store_info(x->s)->zoom_max - x->tiles[tile].key.z);
@@ -113,12 +113,12 @@ static uint32_t export_sog_leaf(const struct export_sog *x, uint32_t node, struc
                                 const double enu_m[3])
 {
     while (!export_sog_is_leaf(x, node)) {
-        const struct tree_node *n = &x->tree->nodes[node];
+        const struct tree_node n = tree_node(x->tree, node);
         uint32_t found = TREE_NONE;
         double far = (double)INFINITY;
-        for (uint32_t i = 0; i < n->child_count; i++) {
-            const uint32_t child = x->tree->children[n->child_first + i];
-            const struct key k = x->tiles[x->tree->nodes[child].tile].key;
+        for (uint32_t i = 0; i < n.child_count; i++) {
+            const uint32_t child = x->tree->children[n.child_first + i];
+            const struct key k = x->tiles[tree_node(x->tree, child).tile].key;
             const unsigned down = (unsigned)(at.z - k.z);
             const double d =
                 at.x >> down == k.x && at.y >> down == k.y ? -1 : export_sog_far(x, child, enu_m);
@@ -217,10 +217,10 @@ static enum err_code export_sog_sort(const struct export_sog *x, uint32_t node,
 
 static size_t export_sog_leaves(const struct export_sog *x, uint32_t node)
 {
-    const struct tree_node *n = &x->tree->nodes[node];
-    if (!n->child_count)
+    const struct tree_node n = tree_node(x->tree, node);
+    if (!n.child_count)
         return 1;
-    const uint32_t last = x->tree->children[n->child_first + n->child_count - 1];
+    const uint32_t last = x->tree->children[n.child_first + n.child_count - 1];
     return x->first[last] + export_sog_leaves(x, last) - x->first[node];
 }
 
@@ -228,7 +228,8 @@ static enum err_code export_sog_tile(struct export_sog *x, uint32_t node, struct
 {
     struct gauss g = {0};
     const size_t n = export_sog_leaves(x, node);
-    enum err_code rc = bake_read(x->s, x->tiles[x->tree->nodes[node].tile].key, x->image, &g, e);
+    enum err_code rc =
+        bake_read(x->s, x->tiles[tree_node(x->tree, node).tile].key, x->image, &g, e);
     uint32_t *leaf = mem_array(g.n + 1, sizeof *leaf), *order = mem_array(g.n + 1, sizeof *order);
     size_t *begin = mem_array(n + 1, sizeof *begin);
     if (!rc && (!leaf || !order || !begin))
@@ -250,7 +251,7 @@ static enum err_code export_sog_tile(struct export_sog *x, uint32_t node, struct
 static enum err_code export_sog_walk(struct export_sog *x, uint32_t node, struct progress *p,
                                      size_t *done, struct err *e)
 {
-    const struct tree_node *n = &x->tree->nodes[node];
+    const struct tree_node n = tree_node(x->tree, node);
     enum err_code rc = ERR_OK;
     if (export_sog_level(x, node) == x->level) {
         rc = export_sog_tile(x, node, e);
@@ -258,8 +259,8 @@ static enum err_code export_sog_walk(struct export_sog *x, uint32_t node, struct
     }
     if (!rc && signals_stopping())
         rc = err_set(e, ERR_CANCEL, "stopped");
-    for (uint32_t i = 0; !rc && i < n->child_count; i++)
-        rc = export_sog_walk(x, x->tree->children[n->child_first + i], p, done, e);
+    for (uint32_t i = 0; !rc && i < n.child_count; i++)
+        rc = export_sog_walk(x, x->tree->children[n.child_first + i], p, done, e);
     return rc;
 }
 
@@ -274,16 +275,16 @@ static json_t *export_sog_box(const double box[6])
 /* NULL where nothing is below. box: around it. */
 static json_t *export_sog_node(const struct export_sog *x, uint32_t node, double box[6])
 {
-    const struct tree_node *n = &x->tree->nodes[node];
-    json_t *list = n->child_count ? json_array() : json_object();
+    const struct tree_node n = tree_node(x->tree, node);
+    json_t *list = n.child_count ? json_array() : json_object();
     const uint32_t leaf = x->first[node];
     for (int k = 0; k < 3; k++) {
-        box[k] = n->child_count ? (double)INFINITY : x->box[leaf][k];
-        box[3 + k] = n->child_count ? -(double)INFINITY : x->box[leaf][3 + k];
+        box[k] = n.child_count ? (double)INFINITY : x->box[leaf][k];
+        box[3 + k] = n.child_count ? -(double)INFINITY : x->box[leaf][3 + k];
     }
-    for (uint32_t i = 0; i < n->child_count; i++) {
+    for (uint32_t i = 0; i < n.child_count; i++) {
         double own[6];
-        json_t *child = export_sog_node(x, x->tree->children[n->child_first + i], own);
+        json_t *child = export_sog_node(x, x->tree->children[n.child_first + i], own);
         if (!child)
             continue;
         json_array_append_new(list, child);
@@ -292,7 +293,7 @@ static json_t *export_sog_node(const struct export_sog *x, uint32_t node, double
             box[3 + k] = fmax(box[3 + k], own[3 + k]);
         }
     }
-    for (size_t level = 0; !n->child_count && level < x->n_levels; level++) {
+    for (size_t level = 0; !n.child_count && level < x->n_levels; level++) {
         const struct export_sog_run *run = &x->run[leaf * x->n_levels + level];
         char name[24];
         snprintf(name, sizeof name, "%zu", level);
@@ -306,8 +307,8 @@ static json_t *export_sog_node(const struct export_sog *x, uint32_t node, double
         json_decref(list);
         return NULL;
     }
-    return json_pack("{s:o,s:o}", "bound", export_sog_box(box),
-                     n->child_count ? "children" : "lods", list);
+    return json_pack("{s:o,s:o}", "bound", export_sog_box(box), n.child_count ? "children" : "lods",
+                     list);
 }
 
 static enum err_code export_sog_describe(struct export_sog *x, struct err *e)

@@ -103,11 +103,11 @@ static json_t *info_tiles(const struct store *s)
         char hash[33], key[48];
         hash_text(t[i].hash, hash);
         snprintf(key, sizeof key, "%u/%u/%u", t[i].key.z, t[i].key.x, t[i].key.y);
-        json_t *o =
-            json_pack("{s:s,s:i,s:I,s:I,s:I,s:f,s:f,s:s}", "tile", key, "level", (int)t[i].level,
-                      "gaussians", (json_int_t)t[i].count, "bytes", (json_int_t)t[i].bytes,
-                      "version", (json_int_t)t[i].version, "sigma_median_m", t[i].sigma_median_m,
-                      "geometric_error_m", store_tree(s)->nodes[i].geometric_error_m, "hash", hash);
+        json_t *o = json_pack("{s:s,s:i,s:I,s:I,s:I,s:f,s:f,s:s}", "tile", key, "level",
+                              (int)t[i].level, "gaussians", (json_int_t)t[i].count, "bytes",
+                              (json_int_t)t[i].bytes, "version", (json_int_t)t[i].version,
+                              "sigma_median_m", t[i].sigma_median_m, "geometric_error_m",
+                              tree_node(store_tree(s), i).geometric_error_m, "hash", hash);
         json_object_set_new(o, "box_enu_m", info_box(t[i].min_enu_m, t[i].max_enu_m));
         json_array_append_new(list, o);
     }
@@ -159,7 +159,7 @@ static enum err_code info_store(const char *path, bool tiles, json_t *o, struct 
     uint64_t bytes = 0, leaves = 0;
     for (size_t i = 0; i < n; i++) {
         bytes += t[i].bytes;
-        leaves += store_tree(s)->nodes[i].child_count ? 0 : t[i].count;
+        leaves += tree_leaf(store_tree(s), i) ? t[i].count : 0;
     }
     const struct appearance *appearance = NULL;
     rc = bake_of(s, &appearance, e);

@@ -26,7 +26,7 @@ static int area_compare(const void *a, const void *b)
 
 static bool area_leaf(const struct tree *t, size_t i)
 {
-    return t->nodes[i].child_count == 0;
+    return tree_leaf(t, i);
 }
 
 /* The median over leaves, each counted by its Gaussians. */

@@ -89,9 +89,9 @@ static enum err_code crop_read(struct crop *c, const struct store_tile *tile, ui
 /* side: where the node above lies, and this one with it unless that lies across. */
 static enum err_code crop_walk(struct crop *c, uint32_t index, enum crop_side side, struct err *e)
 {
-    const struct tree_node *v = &c->tree->nodes[index];
+    const struct tree_node v = tree_node(c->tree, index);
     const struct geo_origin *origin = &store_info(c->store)->origin;
-    const bool elsewhere = c->one_document && v->document && index != c->start;
+    const bool elsewhere = c->one_document && v.document && index != c->start;
     struct crop_node *n = &c->node[index];
     enum err_code rc = ERR_OK;
     if (side == CROP_ACROSS) {
@@ -100,8 +100,8 @@ static enum err_code crop_walk(struct crop *c, uint32_t index, enum crop_side si
     }
     if (rc || side == CROP_OUTSIDE)
         return rc;
-    if (v->tile != TREE_NONE) {
-        const struct store_tile *tile = &c->tiles[v->tile];
+    if (v.tile != TREE_NONE) {
+        const struct store_tile *tile = &c->tiles[v.tile];
         enum crop_side own = side;
         if (side == CROP_ACROSS)
             rc = crop_box(c->clip, origin, tile->min_enu_m, tile->max_enu_m, &own, e);
@@ -111,8 +111,8 @@ static enum err_code crop_walk(struct crop *c, uint32_t index, enum crop_side si
             rc = crop_read(c, tile, &n->count, e);
     }
     n->any = n->count > 0 || elsewhere;
-    for (uint32_t i = 0; !rc && !elsewhere && i < v->child_count; i++) {
-        const uint32_t child = c->tree->children[v->child_first + i];
+    for (uint32_t i = 0; !rc && !elsewhere && i < v.child_count; i++) {
+        const uint32_t child = c->tree->children[v.child_first + i];
         rc = crop_walk(c, child, side, e); /* at most KEY_ZOOM_MAX + 1 deep */
         n->any = n->any || c->node[child].any;
     }

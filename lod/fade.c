@@ -39,7 +39,7 @@ void fade_close(struct fade *f)
 /* Notes in f->above what lies above the tiles of a set. */
 static void fade_look_up(struct fade *f, const bool *set)
 {
-    const struct tree_node *node = f->tree->nodes;
+    const struct tree_place *node = f->tree->places;
     memset(f->above, 0, f->tree->n_nodes);
     for (size_t i = 0; i < f->tree->n_nodes; i++)
         if (set[i])
@@ -51,7 +51,7 @@ static void fade_look_up(struct fade *f, const bool *set)
 static bool fade_meets(const struct fade *f, const bool *set, size_t i)
 {
     bool met = set[i] || f->above[i];
-    const struct tree_node *node = f->tree->nodes;
+    const struct tree_place *node = f->tree->places;
     for (uint32_t p = node[i].parent; !met && p != TREE_NONE; p = node[p].parent)
         met = set[p];
     return met;

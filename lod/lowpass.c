@@ -17,15 +17,15 @@
 
 double lowpass_pixel_m(const struct tree *t, uint32_t node)
 {
-    const struct tree_node *v = &t->nodes[node];
-    if (v->tile == TREE_NONE)
+    const struct tree_node v = tree_node(t, node);
+    if (v.tile == TREE_NONE)
         return 0.0;
-    if (v->child_count)
-        return v->geometric_error_m / TREE_PX_PER_SIGMA;
-    const double own_m = LOWPASS_LEAF * t->tiles[v->tile].sigma_median_m;
-    if (v->parent == TREE_NONE)
+    if (v.child_count)
+        return v.geometric_error_m / TREE_PX_PER_SIGMA;
+    const double own_m = LOWPASS_LEAF * t->tiles[v.tile].sigma_median_m;
+    if (v.parent == TREE_NONE)
         return own_m;
-    const double above_m = t->nodes[v->parent].geometric_error_m / TREE_PX_PER_SIGMA;
+    const double above_m = tree_node(t, v.parent).geometric_error_m / TREE_PX_PER_SIGMA;
     return fmin(own_m, above_m / TREE_ERROR_GROWTH);
 }
 

@@ -190,7 +190,7 @@ static bool merge_has_below(const struct store *s, struct key k)
     size_t n;
     const struct store_tile *t = store_tiles(s, &n);
     uint32_t i = tree_find(t, n, k);
-    return i != TREE_NONE && store_tree(s)->nodes[i].child_count > 0;
+    return i != TREE_NONE && !tree_leaf(store_tree(s), i);
 }
 
 /* Append a store's tile to the edit of its key, opening the edit with the first's. */

@@ -58,18 +58,18 @@ static double pick_distance(const struct pick *p, uint32_t node, size_t n_axes)
 /* How much the node wants to be refined; above 1 it must be. Leaves never do. */
 static double pick_error(const struct pick *p, uint32_t node)
 {
-    const struct tree_node *v = &p->tree->nodes[node];
-    if (v->child_count == 0)
+    const struct tree_node v = tree_node(p->tree, node);
+    if (v.child_count == 0)
         return 0.0;
-    if (v->tile == TREE_NONE || p->o->no_lod)
+    if (v.tile == TREE_NONE || p->o->no_lod)
         return HUGE_VAL;
     if (p->o->orthographic)
-        return v->geometric_error_m * p->focal_px / p->limit;
+        return v.geometric_error_m * p->focal_px / p->limit;
     if (p->o->metric == PICK_SCREEN)
-        return v->geometric_error_m * p->focal_px / (pick_distance(p, node, 3) * p->limit);
+        return v.geometric_error_m * p->focal_px / (pick_distance(p, node, 3) * p->limit);
     /* Threshold i holds for the level i below the finest; past the last one tiles are always
      * refined. */
-    uint8_t below = (uint8_t)(p->zoom_max - p->tiles[v->tile].key.z);
+    uint8_t below = (uint8_t)(p->zoom_max - p->tiles[v.tile].key.z);
     double far = below >= 1 && below <= 8 ? p->o->distance_m[below - 1] : 0.0;
     if (!(far > 0.0))
         return HUGE_VAL;
@@ -112,7 +112,7 @@ static struct pick_entry pick_pop(struct pick *p)
 static void pick_account(const struct pick *p, uint32_t node, int sign, uint64_t *total,
                          uint64_t *bytes)
 {
-    uint32_t tile = p->tree->nodes[node].tile;
+    uint32_t tile = tree_node(p->tree, node).tile;
     if (tile == TREE_NONE)
         return;
     *total += sign > 0 ? p->tiles[tile].count : 0 - (uint64_t)p->tiles[tile].count;
@@ -128,21 +128,21 @@ static bool pick_node_visible(const struct pick *p, uint32_t node)
 /* Replace the node by its visible children, unless that would break a budget. */
 static bool pick_refine(struct pick *p, uint32_t node)
 {
-    const struct tree_node *v = &p->tree->nodes[node];
-    const uint32_t *child = p->tree->children + v->child_first;
+    const struct tree_node v = tree_node(p->tree, node);
+    const uint32_t *child = p->tree->children + v.child_first;
     struct pick_entry *seen = p->heap + p->n_heap; /* behind the heap there is room for all */
     size_t n = 0;
     uint64_t total = p->total, bytes = p->bytes;
     pick_account(p, node, -1, &total, &bytes);
-    for (uint32_t i = 0; i < v->child_count; i++) {
+    for (uint32_t i = 0; i < v.child_count; i++) {
         if (!pick_node_visible(p, child[i]))
             continue;
         seen[n++].node = child[i];
         pick_account(p, child[i], 1, &total, &bytes);
     }
     uint64_t most = p->o->max_gaussians, most_bytes = p->o->max_bytes;
-    if (v->tile != TREE_NONE && ((most && total > most && total > p->total) ||
-                                 (most_bytes && bytes > most_bytes && bytes > p->bytes)))
+    if (v.tile != TREE_NONE && ((most && total > most && total > p->total) ||
+                                (most_bytes && bytes > most_bytes && bytes > p->bytes)))
         return false;
     for (size_t i = 0; i < n; i++) /* each takes the place that it stood in, or one before */
         pick_push(p, seen[i].node);
@@ -166,7 +166,8 @@ static enum err_code pick_remember(struct pick *p, size_t n_tiles, struct err *e
         uint32_t at = p->o->before[i];
         if (at >= n_tiles)
             return err_set(e, ERR_ARG, "pick: the cut before has tile %u of %zu", at, n_tiles);
-        for (at = t->nodes[at].parent; at != TREE_NONE && !p->refined[at]; at = t->nodes[at].parent)
+        for (at = tree_node(t, at).parent; at != TREE_NONE && !p->refined[at];
+             at = tree_node(t, at).parent)
             p->refined[at] = true;
     }
     return ERR_OK;
@@ -214,7 +215,7 @@ enum err_code pick_select(const struct store_tile *tiles, const struct tree *t,
     camera_center(cam, p.eye);
     p.focal_px = fmax(cam->fx_px, cam->fy_px);
     /* Nodes ascend with zoom but for a root without content, which stands last. */
-    size_t last = t->nodes[t->n_nodes - 1].tile == TREE_NONE ? t->n_nodes - 2 : t->n_nodes - 1;
+    size_t last = tree_node(t, t->n_nodes - 1).tile == TREE_NONE ? t->n_nodes - 2 : t->n_nodes - 1;
     p.zoom_max = tiles[last].key.z;
     enum err_code rc = pick_remember(&p, last + 1, e);
     if (!rc && pick_node_visible(&p, t->root)) {
@@ -223,12 +224,12 @@ enum err_code pick_select(const struct store_tile *tiles, const struct tree *t,
     }
     while (p.n_heap > 0) {
         struct pick_entry top = pick_pop(&p);
-        const struct tree_node *v = &t->nodes[top.node];
-        if (v->child_count > 0 && pick_too_coarse(&p, &top) && pick_refine(&p, top.node))
+        const struct tree_node v = tree_node(t, top.node);
+        if (v.child_count > 0 && pick_too_coarse(&p, &top) && pick_refine(&p, top.node))
             continue;
-        const struct store_tile *tile = v->tile == TREE_NONE ? NULL : &tiles[v->tile];
+        const struct store_tile *tile = v.tile == TREE_NONE ? NULL : &tiles[v.tile];
         if (tile && frustum_sees(&p.frustum, tile->min_enu_m, tile->max_enu_m, tile->sigma_max_m))
-            set[v->tile / 64] |= UINT64_C(1) << v->tile % 64;
+            set[v.tile / 64] |= UINT64_C(1) << v.tile % 64;
         else if (tile)
             pick_account(&p, top.node, -1, &p.total, &p.bytes);
     }

@@ -79,10 +79,10 @@ static void tileset_uri(struct buf *b, const char *template, struct key k)
     buf_free(&uri);
 }
 
-static void tileset_center(const struct tileset *t, const struct tree_node *v, double center[3])
+static void tileset_center(const struct tileset *t, uint32_t node, double center[3])
 {
     for (size_t k = 0; k < 3; k++)
-        center[k] = v->tile == TREE_NONE ? 0.0 : t->tiles[v->tile].center_enu_m[k];
+        center[k] = node < t->tree->n_tiles ? t->tiles[node].center_enu_m[k] : 0.0;
 }
 
 static void tileset_matrix(struct buf *b, const double m[16])
@@ -97,7 +97,7 @@ static void tileset_box(const struct tileset *t, uint32_t node)
 {
     const struct tree_bounds b = tree_bounds(t->tree, node);
     double center[3];
-    tileset_center(t, &t->tree->nodes[node], center);
+    tileset_center(t, node, center);
     buf_printf(t->out, "\"boundingVolume\":{\"box\":[");
     for (size_t k = 0; k < 3; k++)
         buf_printf(t->out, "%.6f,", 0.5 * (b.min_enu_m[k] + b.max_enu_m[k]) - center[k]);
@@ -115,7 +115,7 @@ static void tileset_core(const struct tileset *t, uint32_t node)
 {
     const struct tree_bounds b = tree_bounds(t->tree, node);
     double center[3];
-    tileset_center(t, &t->tree->nodes[node], center);
+    tileset_center(t, node, center);
     buf_printf(t->out, ",\"extras\":{\"core\":[");
     for (size_t k = 0; k < 3; k++)
         buf_printf(t->out, "%s%.3f", k ? "," : "", b.core_min_enu_m[k] - center[k]);
@@ -137,7 +137,7 @@ static void tileset_near(const struct tileset *t, uint32_t index)
     buf_printf(t->out, ",\"children\":[{");
     tileset_box(t, index);
     buf_printf(t->out, ",\"geometricError\":0");
-    tileset_content(t, t->links->tile, t->tiles[t->tree->nodes[index].tile].key);
+    tileset_content(t, t->links->tile, t->tiles[tree_node(t->tree, index).tile].key);
     buf_printf(t->out, "}]");
 }
 
@@ -145,38 +145,38 @@ static void tileset_near(const struct tileset *t, uint32_t index)
  * leads here has moved to this frame already. */
 static void tileset_node(const struct tileset *t, uint32_t index, const double *m)
 {
-    const struct tree_node *v = &t->tree->nodes[index];
-    const bool elsewhere = v->document && index != t->start;
-    const bool shown = v->tile != TREE_NONE && (!t->left || t->left[index].count || elsewhere);
+    const struct tree_node v = tree_node(t->tree, index);
+    const bool elsewhere = v.document && index != t->start;
+    const bool shown = v.tile != TREE_NONE && (!t->left || t->left[index].count || elsewhere);
     const double pixel_m = shown && t->lowpass ? lowpass_pixel_m(t->tree, index) : 0.0;
-    const bool two = pixel_m > 0.0 && !v->child_count;
+    const bool two = pixel_m > 0.0 && !v.child_count;
     double center[3];
-    tileset_center(t, v, center);
+    tileset_center(t, index, center);
     buf_printf(t->out, "{");
     if (m)
         tileset_matrix(t->out, m);
     tileset_box(t, index);
     buf_printf(t->out, ",\"geometricError\":%.9g",
-               two ? TREE_PX_PER_SIGMA * pixel_m : v->geometric_error_m);
+               two ? TREE_PX_PER_SIGMA * pixel_m : v.geometric_error_m);
     if (index == t->start)
         buf_printf(t->out, ",\"refine\":\"REPLACE\"");
-    if (v->tile != TREE_NONE && v->child_count > 0)
+    if (v.tile != TREE_NONE && v.child_count > 0)
         tileset_core(t, index);
     if (shown)
         tileset_content(t,
                         elsewhere       ? t->links->part
                         : pixel_m > 0.0 ? t->links->lowpass
                                         : t->links->tile,
-                        t->tiles[v->tile].key);
+                        t->tiles[v.tile].key);
     if (two)
         tileset_near(t, index);
-    uint32_t n = elsewhere ? 0 : v->child_count, n_written = 0;
+    uint32_t n = elsewhere ? 0 : v.child_count, n_written = 0;
     for (uint32_t i = 0; i < n; i++) {
-        uint32_t c = t->tree->children[v->child_first + i];
+        uint32_t c = t->tree->children[v.child_first + i];
         if (t->left && !t->left[c].any)
             continue;
         double at[3], move[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
-        tileset_center(t, &t->tree->nodes[c], at);
+        tileset_center(t, c, at);
         for (size_t k = 0; k < 3; k++)
             move[12 + k] = at[k] - center[k];
         buf_printf(t->out, "%s", n_written++ ? "," : ",\"children\":[");
@@ -193,7 +193,7 @@ static enum err_code tileset_frame(const struct tileset *t, const struct store_m
     enum err_code rc = geo_enu_to_ecef(&m->origin, ecef, e);
     if (rc)
         return rc;
-    tileset_center(t, &t->tree->nodes[t->tree->root], center);
+    tileset_center(t, t->tree->root, center);
     for (size_t r = 0; r < 3; r++)
         ecef[12 + r] += ecef[r] * center[0] + ecef[4 + r] * center[1] + ecef[8 + r] * center[2];
     return ERR_OK;
@@ -203,7 +203,7 @@ bool tileset_has_part(const struct store *s, struct key k)
 {
     const struct store_tile *found = store_find(s, k);
     size_t n;
-    return found && store_tree(s)->nodes[found - store_tiles(s, &n)].document;
+    return found && tree_node(store_tree(s), (size_t)(found - store_tiles(s, &n))).document;
 }
 
 enum err_code tileset_write(const struct store *s, const struct tileset_links *links,
@@ -227,8 +227,8 @@ enum err_code tileset_write(const struct store *s, const struct tileset_links *l
         return err_set(e, ERR_NOENT, "tileset: no document begins at tile %u/%u/%u", part->z,
                        part->x, part->y);
     t.start = part ? (uint32_t)(store_find(s, *part) - t.tiles) : t.tree->root;
-    const struct tree_node *first = &t.tree->nodes[t.start];
-    double error_m = first->geometric_error_m;
+    const struct tree_node first = tree_node(t.tree, t.start);
+    double error_m = first.geometric_error_m;
     if (!part) {
         enum err_code rc = tileset_frame(&t, m, ecef, e);
         if (rc)
@@ -262,7 +262,7 @@ static void tileset_bounds(const struct store *s, double out[4])
     out[0] = out[1] = HUGE_VAL;
     out[2] = out[3] = -HUGE_VAL;
     for (size_t i = 0; i < n; i++) {
-        if (t->nodes[i].child_count > 0)
+        if (!tree_leaf(t, i))
             continue;
         double w, so, ea, no;
         key_bounds(tiles[i].key, &w, &so, &ea, &no);
@@ -286,7 +286,7 @@ static void tileset_rows(const struct store *s, struct buf *out)
         const struct store_tile *x = &tiles[i];
         buf_printf(out, "%s\n[%u,%u,%u,%u,%u,%u,%llu,%.7g,%.7g", i ? "," : "", x->key.z, x->key.x,
                    x->key.y, x->level, x->version, x->count, (unsigned long long)x->bytes,
-                   t->nodes[i].geometric_error_m, x->sigma_max_m);
+                   tree_node(t, i).geometric_error_m, x->sigma_max_m);
         for (size_t k = 0; k < 3; k++)
             buf_printf(out, ",%.17g", x->center_enu_m[k]);
         for (size_t k = 0; k < 3; k++)
@@ -311,7 +311,7 @@ enum err_code tileset_tilejson(const struct store *s, const char *tiles_template
     uint64_t total = 0, bytes = 0;
     uint8_t top = 0;
     for (size_t i = 0; i < n; i++) {
-        total += store_tree(s)->nodes[i].child_count ? 0 : tiles[i].count;
+        total += tree_leaf(store_tree(s), i) ? tiles[i].count : 0;
         bytes += tiles[i].bytes;
         top = tiles[i].level > top ? tiles[i].level : top;
     }

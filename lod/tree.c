@@ -48,24 +48,60 @@ static uint32_t tree_ancestor(const struct store_tile *tiles, size_t n, struct k
     return TREE_NONE;
 }
 
-/* Fill the child slices from the parents; children come out ascending. */
-static void tree_link(struct tree *t)
+struct tree_node tree_node(const struct tree *t, size_t node)
 {
+    const struct tree_place *p = &t->places[node];
+    struct tree_node v = {
+        .tile = node < t->n_tiles ? (uint32_t)node : TREE_NONE, .parent = p->parent, .n_below = 1};
+    if (p->inner == TREE_NONE)
+        return v;
+    const struct tree_inner *in = &t->inner[p->inner];
+    v.child_first = in->child_first;
+    v.child_count = in->child_count;
+    v.n_below = in->n_below;
+    v.geometric_error_m = in->geometric_error_m;
+    v.document = in->document;
+    return v;
+}
+
+bool tree_leaf(const struct tree *t, size_t node)
+{
+    return t->places[node].inner == TREE_NONE;
+}
+
+/* Of a node with children. */
+static struct tree_inner *tree_inner(const struct tree *t, uint32_t node)
+{
+    return &t->inner[t->places[node].inner];
+}
+
+/* Fill the child slices from the parents; children come out ascending. Until a node's place among
+ * those with children is known, `inner` counts them. */
+static enum err_code tree_link(struct tree *t, struct err *e)
+{
+    size_t n = 0;
     for (size_t i = 0; i < t->n_nodes; i++)
-        if (t->nodes[i].parent != TREE_NONE)
-            t->nodes[t->nodes[i].parent].child_count++;
+        if (t->places[i].parent != TREE_NONE)
+            n += t->places[t->places[i].parent].inner++ == 0;
+    if (!(t->inner = mem_array(n + 1, sizeof *t->inner)))
+        return err_set(e, ERR_MEM, "tree: out of memory for %zu tiles", t->n_tiles);
+    n = 0;
     uint32_t at = 0;
     for (size_t i = 0; i < t->n_nodes; i++) {
-        t->nodes[i].child_first = at;
-        at += t->nodes[i].child_count;
-        t->nodes[i].child_count = 0;
+        struct tree_place *p = &t->places[i];
+        const uint32_t count = p->inner;
+        p->inner = count ? (uint32_t)n : TREE_NONE;
+        if (count)
+            t->inner[n++].child_first = at;
+        at += count;
     }
     for (size_t i = 0; i < t->n_nodes; i++) {
-        if (t->nodes[i].parent == TREE_NONE)
+        if (t->places[i].parent == TREE_NONE)
             continue;
-        struct tree_node *p = &t->nodes[t->nodes[i].parent];
+        struct tree_inner *p = tree_inner(t, t->places[i].parent);
         t->children[p->child_first + p->child_count++] = (uint32_t)i;
     }
+    return ERR_OK;
 }
 
 /* Unite bounds along the edge from `c` to its parent `p`. */
@@ -84,35 +120,41 @@ static void tree_unite(struct tree_bounds *p, const struct tree_bounds *c)
  * parent's, never because a parent's is raised. A few tiles at the border of a scene hold a handful
  * of background Gaussians of many metres; raised by those, everything above them would be refined
  * from kilometres away, and the dense tiles beside them with it. */
-static double tree_error(const struct tree *t, const struct tree_node *v, double own_m)
+static double tree_error(const struct tree *t, uint32_t parent, double own_m)
 {
-    if (v->parent == TREE_NONE)
+    if (parent == TREE_NONE)
         return own_m;
-    return fmin(own_m, t->nodes[v->parent].geometric_error_m / TREE_ERROR_GROWTH);
+    return fmin(own_m, tree_inner(t, parent)->geometric_error_m / TREE_ERROR_GROWTH);
 }
 
-static void tree_measure(struct tree *t, const struct store_tile *tiles, size_t n)
+static void tree_measure(struct tree *t)
 {
-    for (size_t i = n; i-- > 0;)
-        if (t->nodes[i].parent != TREE_NONE) {
-            const struct tree_bounds own = tree_bounds(t, (uint32_t)i);
-            tree_unite(&t->bounds[t->nodes[t->nodes[i].parent].bounds], &own);
-        }
+    const size_t n = t->n_tiles;
+    for (size_t i = n; i-- > 0;) {
+        const uint32_t up = t->places[i].parent;
+        const uint32_t to = up == TREE_NONE ? TREE_NONE : tree_inner(t, up)->bounds;
+        if (to == TREE_NONE)
+            continue;
+        const struct tree_bounds own = tree_bounds(t, (uint32_t)i);
+        tree_unite(&t->bounds[to], &own);
+    }
     /* A root without content draws nothing, so its own error is that of an empty picture: twice the
      * tiles'. */
-    if (t->root == n)
-        for (size_t i = 0; i < n; i++)
-            if (t->nodes[i].parent == n)
-                t->nodes[n].geometric_error_m =
-                    fmax(t->nodes[n].geometric_error_m, 2.0 * tiles[i].geometric_error_m);
-    for (size_t i = 0; i < n; i++)
-        t->nodes[i].geometric_error_m = tree_error(t, &t->nodes[i], tiles[i].geometric_error_m);
-    for (size_t i = 0; i < n; i++)
-        if (t->nodes[i].child_count == 0)
-            t->nodes[i].geometric_error_m = 0.0;
+    if (t->root == n) {
+        struct tree_inner *root = tree_inner(t, t->root);
+        for (uint32_t c = 0; c < root->child_count; c++)
+            root->geometric_error_m =
+                fmax(root->geometric_error_m,
+                     2.0 * t->tiles[t->children[root->child_first + c]].geometric_error_m);
+    }
+    for (uint32_t i = 0; i < n; i++)
+        if (!tree_leaf(t, i))
+            tree_inner(t, i)->geometric_error_m =
+                tree_error(t, t->places[i].parent, t->tiles[i].geometric_error_m);
 }
 
-/* End the document that begins at `root`: mark the nodes at which others begin. queue [n_nodes]. */
+/* End the document that begins at `root`: mark the nodes at which others begin. The queue has room
+ * for TREE_DOCUMENT_NODES, and for a node with its children. */
 static void tree_divide_at(struct tree *t, uint32_t root, uint32_t *queue)
 {
     size_t lo = 0, hi = 1; /* of the deepest level that is in */
@@ -120,38 +162,53 @@ static void tree_divide_at(struct tree *t, uint32_t root, uint32_t *queue)
     for (;;) {
         size_t n_next = 0, largest = 0;
         for (size_t i = lo; i < hi; i++) {
-            n_next += t->nodes[queue[i]].child_count;
-            largest = t->nodes[queue[i]].n_below > largest ? t->nodes[queue[i]].n_below : largest;
+            const struct tree_node v = tree_node(t, queue[i]);
+            n_next += v.child_count;
+            largest = v.n_below > largest ? v.n_below : largest;
         }
         if (lo && (largest <= TREE_DOCUMENT_NODES || hi + n_next > TREE_DOCUMENT_NODES))
             break;
         size_t end = hi;
-        for (size_t i = lo; i < hi; i++)
-            for (uint32_t c = 0; c < t->nodes[queue[i]].child_count; c++)
-                queue[end++] = t->children[t->nodes[queue[i]].child_first + c];
+        for (size_t i = lo; i < hi; i++) {
+            const struct tree_node v = tree_node(t, queue[i]);
+            for (uint32_t c = 0; c < v.child_count; c++)
+                queue[end++] = t->children[v.child_first + c];
+        }
         lo = hi;
         hi = end;
     }
     for (size_t i = lo; i < hi; i++)
-        t->nodes[queue[i]].document = t->nodes[queue[i]].n_below > TREE_DOCUMENT_FEW;
+        if (!tree_leaf(t, queue[i])) {
+            struct tree_inner *in = tree_inner(t, queue[i]);
+            in->document = in->n_below > TREE_DOCUMENT_FEW;
+        }
 }
 
-static enum err_code tree_divide(struct tree *t, size_t n_tiles, struct err *e)
+static enum err_code tree_divide(struct tree *t, struct err *e)
 {
+    size_t widest = TREE_DOCUMENT_NODES;
     for (size_t i = 0; i < t->n_nodes; i++)
-        t->nodes[i].n_below = 1;
-    for (size_t i = n_tiles; i-- > 0;) /* children come after their parents, but for a root's */
-        if (t->nodes[i].parent != TREE_NONE)
-            t->nodes[t->nodes[i].parent].n_below += t->nodes[i].n_below;
+        if (t->places[i].inner != TREE_NONE) {
+            struct tree_inner *in = &t->inner[t->places[i].inner];
+            in->n_below = 1;
+            widest = in->child_count > widest ? in->child_count : widest;
+        }
+    for (size_t i = t->n_tiles; i-- > 0;) /* children come after their parents, but for a root's */
+        if (t->places[i].parent != TREE_NONE) {
+            struct tree_inner *up = tree_inner(t, t->places[i].parent);
+            up->n_below = (up->n_below + tree_node(t, (uint32_t)i).n_below) & INT32_MAX;
+        }
     if (t->n_nodes <= TREE_DOCUMENT_NODES)
         return ERR_OK;
-    uint32_t *queue = mem_array(t->n_nodes, sizeof *queue);
+    uint32_t *queue = mem_array(widest + 1, sizeof *queue);
     if (!queue)
-        return err_set(e, ERR_MEM, "tree: out of memory for %zu tiles", n_tiles);
+        return err_set(e, ERR_MEM, "tree: out of memory for %zu tiles", t->n_tiles);
     tree_divide_at(t, t->root, queue);
-    for (size_t i = 0; i < n_tiles; i++)
-        if (t->nodes[i].document && t->nodes[i].n_below > TREE_DOCUMENT_NODES)
-            tree_divide_at(t, (uint32_t)i, queue);
+    for (uint32_t i = 0; i < t->n_tiles; i++) {
+        const struct tree_node v = tree_node(t, i);
+        if (v.document && v.n_below > TREE_DOCUMENT_NODES)
+            tree_divide_at(t, i, queue);
+    }
     mem_free(queue);
     return ERR_OK;
 }
@@ -173,28 +230,51 @@ static struct tree_bounds tree_bounds_of(const struct store_tile *t)
     return b;
 }
 
-struct tree_bounds tree_bounds(const struct tree *t, uint32_t node)
+static struct tree_bounds tree_bounds_alone(const struct tree *t, uint32_t node)
 {
-    const struct tree_node *v = &t->nodes[node];
-    return v->child_count ? t->bounds[v->bounds]
-                          : tree_bounds_of(v->tile == TREE_NONE ? NULL : &t->tiles[v->tile]);
+    return tree_bounds_of(node < t->n_tiles ? &t->tiles[node] : NULL);
 }
 
-/* Those of their own tiles, for the nodes that have children. */
+struct tree_bounds tree_bounds(const struct tree *t, uint32_t node)
+{
+    const struct tree_place *p = &t->places[node];
+    const struct tree_inner *in = p->inner == TREE_NONE ? NULL : &t->inner[p->inner];
+    if (in && in->bounds != TREE_NONE)
+        return t->bounds[in->bounds];
+    struct tree_bounds b = tree_bounds_alone(t, node);
+    for (uint32_t c = in ? in->child_count : 0; c-- > 0;) {
+        const struct tree_bounds below = tree_bounds_alone(t, t->children[in->child_first + c]);
+        tree_unite(&b, &below);
+    }
+    return b;
+}
+
+/* Are the node's bounds cheap to unite: has it few children, none of which has any? */
+static bool tree_is_low(const struct tree *t, const struct tree_inner *in)
+{
+    enum { FEW = 4 };
+    bool low = in->child_count <= FEW;
+    for (uint32_t c = 0; low && c < in->child_count; c++)
+        low = tree_leaf(t, t->children[in->child_first + c]);
+    return low;
+}
+
+/* Those of their own tiles, for the nodes that keep some. */
 static enum err_code tree_add_bounds(struct tree *t, struct err *e)
 {
     size_t n = 0;
-    for (size_t i = 0; i < t->n_nodes; i++)
-        n += t->nodes[i].child_count > 0;
-    if (!(t->bounds = mem_array(n + 1, sizeof *t->bounds)))
+    for (uint32_t i = 0; i < t->n_nodes; i++)
+        n += !tree_leaf(t, i) && !tree_is_low(t, tree_inner(t, i));
+    if (!(t->bounds = mem_uninit(n + 1, sizeof *t->bounds)))
         return err_set(e, ERR_MEM, "tree: out of memory for %zu tiles", t->n_nodes);
     n = 0;
-    for (size_t i = 0; i < t->n_nodes; i++) {
-        struct tree_node *v = &t->nodes[i];
-        if (!v->child_count)
+    for (uint32_t i = 0; i < t->n_nodes; i++) {
+        if (tree_leaf(t, i))
             continue;
-        t->bounds[n] = tree_bounds_of(v->tile == TREE_NONE ? NULL : &t->tiles[v->tile]);
-        v->bounds = (uint32_t)n++;
+        struct tree_inner *in = tree_inner(t, i);
+        in->bounds = tree_is_low(t, in) ? TREE_NONE : (uint32_t)n++;
+        if (in->bounds != TREE_NONE)
+            t->bounds[in->bounds] = tree_bounds_alone(t, i);
     }
     return ERR_OK;
 }
@@ -204,39 +284,39 @@ enum err_code tree_build(const struct store_tile *tiles, size_t n, struct tree *
     *out = (struct tree){.root = TREE_NONE};
     if (n == 0)
         return ERR_OK;
-    if (n >= TREE_NONE)
-        return err_set(e, ERR_LIMIT, "tree: %zu tiles, at most 2^32 - 2", n);
+    if (n >= INT32_MAX)
+        return err_set(e, ERR_LIMIT, "tree: %zu tiles, at most 2^31 - 2", n);
     struct tree t = {.tiles = tiles,
-                     .nodes = mem_array(n + 1, sizeof *t.nodes),
-                     .children = mem_array(n + 1, sizeof *t.children),
+                     .places = mem_array(n + 1, sizeof *t.places),
+                     .children = mem_uninit(n + 1, sizeof *t.children),
+                     .n_tiles = n,
                      .n_nodes = n,
                      .root = TREE_NONE};
-    if (!t.nodes || !t.children) {
+    if (!t.places || !t.children) {
         tree_free(&t);
         return err_set(e, ERR_MEM, "tree: out of memory for %zu tiles", n);
     }
     size_t roots = 0;
     uint32_t near = 0;
     for (size_t i = 0; i < n; i++) {
-        struct tree_node *v = &t.nodes[i];
-        v->tile = (uint32_t)i;
-        v->parent = tree_ancestor(tiles, n, tiles[i].key, &near);
-        if (v->parent == TREE_NONE && roots++ == 0)
+        t.places[i].parent = tree_ancestor(tiles, n, tiles[i].key, &near);
+        if (t.places[i].parent == TREE_NONE && roots++ == 0)
             t.root = (uint32_t)i;
     }
     if (roots > 1) {
         t.root = (uint32_t)n;
         t.n_nodes = n + 1;
-        t.nodes[n] = (struct tree_node){.tile = TREE_NONE, .parent = TREE_NONE};
+        t.places[n].parent = TREE_NONE;
         for (size_t i = 0; i < n; i++)
-            if (t.nodes[i].parent == TREE_NONE)
-                t.nodes[i].parent = t.root;
+            if (t.places[i].parent == TREE_NONE)
+                t.places[i].parent = t.root;
     }
-    tree_link(&t);
-    enum err_code rc = tree_add_bounds(&t, e);
+    enum err_code rc = tree_link(&t, e);
+    if (!rc)
+        rc = tree_add_bounds(&t, e);
     if (!rc) {
-        tree_measure(&t, tiles, n);
-        rc = tree_divide(&t, n, e);
+        tree_measure(&t);
+        rc = tree_divide(&t, e);
     }
     if (rc)
         tree_free(&t);
@@ -247,7 +327,8 @@ enum err_code tree_build(const struct store_tile *tiles, size_t n, struct tree *
 
 void tree_free(struct tree *t)
 {
-    mem_free(t->nodes);
+    mem_free(t->places);
+    mem_free(t->inner);
     mem_free(t->bounds);
     mem_free(t->children);
     *t = (struct tree){.root = TREE_NONE};

@@ -118,9 +118,9 @@ void hint_tileset(const struct dataset *d, const struct target *t, char out[HINT
     target_query_tiles(t, query);
     out[0] = '\0';
     if (t->clip.n || strlen(query) > HINT_QUERY || tree->root == TREE_NONE ||
-        tree->nodes[tree->root].tile == TREE_NONE)
+        tree_node(tree, tree->root).tile == TREE_NONE)
         return;
-    l.key = &d->tiles[tree->nodes[tree->root].tile].key;
+    l.key = &d->tiles[tree_node(tree, tree->root).tile].key;
     l.ext = format_ext(d->meta.antialiased ? FORMAT_GLB_LOWPASS : FORMAT_GLB);
     hint_add(out, link_tile, &l, query);
 }
@@ -130,16 +130,16 @@ void hint_tile(const struct dataset *d, const struct store_tile *tile, const str
 {
     enum { NUMBERS = 3 * TEXT_UINT + 48 /* and the words between */ };
     const struct tree *tree = store_tree(d->index);
-    const struct tree_node *v = &tree->nodes[tile - d->tiles];
+    const struct tree_node v = tree_node(tree, (size_t)(tile - d->tiles));
     char query[TARGET_QUERY_MAX], *p = out;
     *p = '\0';
-    if (!v->child_count || t->clip.n) /* what is left of the others is not known here */
+    if (!v.child_count || t->clip.n) /* what is left of the others is not known here */
         return;
     target_query_tiles(t, query);
     const char *ext = format_ext(t->form.format);
     const size_t each = NUMBERS + strlen(ext) + strlen(query);
-    for (uint32_t i = 0; i < v->child_count && strlen(query) <= HINT_QUERY; i++) {
-        const struct key k = d->tiles[tree->children[v->child_first + i]].key;
+    for (uint32_t i = 0; i < v.child_count && strlen(query) <= HINT_QUERY; i++) {
+        const struct key k = d->tiles[tree->children[v.child_first + i]].key;
         if ((size_t)(p - out) + each > HINT_SIZE)
             break;
         p = text_put(p, i ? ", <../../" : "<../../"); /* a tile lies in {z}/{x}/ */

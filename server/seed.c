@@ -88,8 +88,8 @@ static enum err_code seed_take_view(struct seed *s, const struct camera *cam, do
     camera_center(cam, eye);
     enum err_code rc = pick_tiles(s->d->index, cam, &o, pick, &n, e);
     for (size_t i = 0; !rc && i < n; i++)
-        for (uint32_t v = pick[i]; v != TREE_NONE; v = tree->nodes[v].parent)
-            if (tree->nodes[v].tile != TREE_NONE)
+        for (uint32_t v = pick[i]; v != TREE_NONE; v = tree_node(tree, v).parent)
+            if (tree_node(tree, v).tile != TREE_NONE)
                 seed_take(s, v, at_s, seed_far(&s->d->tiles[v], eye));
     return rc;
 }

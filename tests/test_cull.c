@@ -161,7 +161,7 @@ static void every_splat_lies_in_its_boxes(void **state)
             levels |= 1u << t[i].level;
             for (size_t r = 0; r < g.n; r++) {
                 assert_inside("tile", &g, r, t[i].min_enu_m, t[i].max_enu_m);
-                for (uint32_t v = (uint32_t)i; v != TREE_NONE; v = tree->nodes[v].parent) {
+                for (uint32_t v = (uint32_t)i; v != TREE_NONE; v = tree_node(tree, v).parent) {
                     const struct tree_bounds b = tree_bounds(tree, v);
                     assert_inside("node", &g, r, b.min_enu_m, b.max_enu_m);
                 }
@@ -189,22 +189,21 @@ static void every_splat_lies_in_its_boxes(void **state)
 static size_t cut(const struct tree *t, const struct store_tile *tiles, uint32_t node,
                   const double eye[3], double focal_px, double error_px, uint32_t *out, size_t n)
 {
-    const struct tree_node *v = &t->nodes[node];
+    const struct tree_node v = tree_node(t, node);
     const struct tree_bounds b = tree_bounds(t, node);
     double d2 = 0;
     for (size_t k = 0; k < 3; k++) {
         double d = fmax(fmax(b.core_min_enu_m[k] - eye[k], eye[k] - b.core_max_enu_m[k]), 0.0);
         d2 += d * d;
     }
-    bool refine =
-        v->child_count > 0 && (v->tile == TREE_NONE || d2 == 0 ||
-                               v->geometric_error_m * focal_px / sqrt(d2) > 16 * error_px);
+    bool refine = v.child_count > 0 && (v.tile == TREE_NONE || d2 == 0 ||
+                                        v.geometric_error_m * focal_px / sqrt(d2) > 16 * error_px);
     if (!refine) {
-        out[n] = v->tile;
+        out[n] = v.tile;
         return n + 1;
     }
-    for (uint32_t i = 0; i < v->child_count; i++)
-        n = cut(t, tiles, t->children[v->child_first + i], eye, focal_px, error_px, out, n);
+    for (uint32_t i = 0; i < v.child_count; i++)
+        n = cut(t, tiles, t->children[v.child_first + i], eye, focal_px, error_px, out, n);
     return n;
 }
 

@@ -326,7 +326,7 @@ static void a_trembling_camera_does_not_flap(void **state)
 static size_t picked_above(const struct scene_tiles *s, const bool *picked, uint32_t node)
 {
     size_t n = 0;
-    for (uint32_t v = node; v != TREE_NONE; v = s->tree.nodes[v].parent)
+    for (uint32_t v = node; v != TREE_NONE; v = tree_node(&s->tree, v).parent)
         n += v < s->n && picked[v];
     return n;
 }
@@ -357,7 +357,7 @@ static void a_pick_is_a_cut(void **state)
         const struct pick_options all = {.no_lod = true};
         kit_ok(pick_select(s.tile, &s.tree, &cam, &all, leaves, &n_leaves, &e), e);
         for (size_t i = 0; i < n_leaves; i++) {
-            assert_int_equal(s.tree.nodes[leaves[i]].child_count, 0);
+            assert_true(tree_leaf(&s.tree, leaves[i]));
             assert_int_equal(picked_above(&s, picked, leaves[i]), 1);
         }
         tree_free(&s.tree);
@@ -396,15 +396,16 @@ static void errors_fall_strictly_and_boxes_nest(void **state)
         struct scene_tiles s;
         random_scene(seed, &s);
         for (size_t i = 0; i < s.tree.n_nodes; i++) {
-            const struct tree_node *v = &s.tree.nodes[i],
-                                   *p = v->parent == TREE_NONE ? NULL : &s.tree.nodes[v->parent];
-            assert_true(v->child_count ? v->geometric_error_m > 0 : v->geometric_error_m == 0);
+            const struct tree_node v = tree_node(&s.tree, i);
+            const bool top = v.parent == TREE_NONE;
+            assert_true(v.child_count ? v.geometric_error_m > 0 : v.geometric_error_m == 0);
             const struct tree_bounds inner = tree_bounds(&s.tree, (uint32_t)i),
-                                     outer = tree_bounds(&s.tree, p ? v->parent : s.tree.root);
+                                     outer = tree_bounds(&s.tree, top ? s.tree.root : v.parent);
             for (size_t k = 0; k < 3; k++)
                 assert_true(outer.min_enu_m[k] <= inner.min_enu_m[k] &&
                             outer.max_enu_m[k] >= inner.max_enu_m[k]);
-            assert_true(!p || p->geometric_error_m > v->geometric_error_m);
+            assert_true(top ||
+                        tree_node(&s.tree, v.parent).geometric_error_m > v.geometric_error_m);
         }
         tree_free(&s.tree);
     }

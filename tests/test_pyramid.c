@@ -105,7 +105,7 @@ static void assert_no_holes(struct store *s)
             for (struct key k = fine; deepest == TREE_NONE; k = key_parent(k))
                 deepest = tree_find(t, n, k);
             assert_true(is_child(t[i].key, t[deepest].key));
-            assert_int_equal(tree->nodes[deepest].child_count, 0);
+            assert_true(tree_leaf(tree, deepest));
         }
         gauss_free(&g);
     }
@@ -386,8 +386,8 @@ static void a_scene_across_the_equator(void **state)
     assert_true(rep.zoom_min > 12);
     kit_ok(store_open(f->path, &s, &e), e);
     const struct tree *t = store_tree(s);
-    assert_int_equal(t->nodes[t->root].tile, TREE_NONE);
-    assert_in_range(t->nodes[t->root].child_count, 2, 4);
+    assert_int_equal(tree_node(t, t->root).tile, TREE_NONE);
+    assert_in_range(tree_node(t, t->root).child_count, 2, 4);
     store_close(&s);
     gauss_free(&g);
 }
@@ -438,7 +438,7 @@ static void one_tile_or_a_corner_holds_the_scene(void **state)
                 kit_ok(quant_from_gauss(&x, 3, NULL, &q, &e), e);
                 quant_free(&q);
                 gauss_free(&x);
-                leaves += store_tree(s)->nodes[r].child_count ? 0 : t[r].count;
+                leaves += tree_leaf(store_tree(s), r) ? t[r].count : 0;
                 if (t[r].key.z != rep.zoom_min)
                     continue;
                 struct key at = t[r].key;

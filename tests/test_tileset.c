@@ -154,11 +154,11 @@ static void walk_core(const struct walk *w, const struct store_tile *t, const js
 {
     size_t n;
     const uint32_t at = (uint32_t)(t - store_tiles(w->s, &n));
-    const struct tree_node *v = &store_tree(w->s)->nodes[at];
+    const struct tree_node v = tree_node(store_tree(w->s), at);
     const struct tree_bounds b = tree_bounds(store_tree(w->s), at);
     const json_t *core = json_object_get(json_object_get(node, "extras"), "core");
     double got[6];
-    if (!v->child_count) {
+    if (!v.child_count) {
         assert_null(core);
         return;
     }
@@ -409,9 +409,9 @@ static void documents_of_a_large_city(void **state)
     assert_int_equal(n, 87381);
     kit_ok(tree_build(t, n, &tree, &e), e);
     for (size_t i = 0; i < n; i++) {
-        documents += tree.nodes[i].document;
-        assert_int_equal(tree.nodes[i].document, t[i].key.z == 14);
-        assert_true(!tree.nodes[i].document || tree.nodes[i].n_below == 341);
+        documents += tree_node(&tree, i).document;
+        assert_int_equal(tree_node(&tree, i).document, t[i].key.z == 14);
+        assert_true(!tree_node(&tree, i).document || tree_node(&tree, i).n_below == 341);
     }
     assert_int_equal(documents, 256);
     tree_free(&tree);
@@ -460,9 +460,9 @@ static void compare_errors(struct errors_found *f, const json_t *node)
         struct key k;
         assert_true(key_of_uri(json_string_value(json_object_get(content, "uri")), false, &k));
         const struct store_tile *first = store_tiles(f->s, &n);
-        const struct tree_node *v = &f->tree->nodes[store_find(f->s, k) - first];
+        const struct tree_node v = tree_node(f->tree, (size_t)(store_find(f->s, k) - first));
         double got = json_number_value(json_object_get(node, "geometricError"));
-        assert_true(fabs(got - v->geometric_error_m) <= 1e-8 * v->geometric_error_m);
+        assert_true(fabs(got - v.geometric_error_m) <= 1e-8 * v.geometric_error_m);
         f->n++;
     }
     json_array_foreach(json_object_get(node, "children"), i, child) compare_errors(f, child);
@@ -486,7 +486,7 @@ static bool is_refined(struct store *s, uint32_t node, double distance_m)
     bool shown = false;
     kit_ok(pick_select(t, tree, &cam, NULL, out, &n_out, &e), e);
     for (size_t i = 0; i < n_out; i++)
-        for (uint32_t up = node; up != TREE_NONE; up = tree->nodes[up].parent)
+        for (uint32_t up = node; up != TREE_NONE; up = tree_node(tree, up).parent)
             shown = shown || out[i] == up;
     mem_free(out);
     return !shown;
@@ -510,41 +510,41 @@ static void errors_are_what_is_documented(void **state)
     size_t n, cut = 0;
     const struct store_tile *t = store_tiles(f->s, &n);
     const struct tree *tree = store_tree(f->s);
-    assert_true(tree->nodes[tree->root].tile != TREE_NONE && n > 10);
+    assert_true(tree_node(tree, tree->root).tile != TREE_NONE && n > 10);
     for (size_t i = 0; i < n; i++) {
-        const struct tree_node *v = &tree->nodes[i];
+        const struct tree_node v = tree_node(tree, i);
         double own = defined_error(f->s, t[i].key), want = own;
         /* In the store: of the rows alone. */
         assert_true(fabs(t[i].geometric_error_m - own) <= 1e-6 * own);
         assert_true(fabs(t[i].sigma_median_m - own / 16) <= 1e-6 * own);
         /* In the tree: 0 at the near end, elsewhere the tile's own, cut to less than the parent's.
          */
-        if (v->parent != TREE_NONE)
-            want = fmin(own, tree->nodes[v->parent].geometric_error_m / 1.01);
-        want = v->child_count ? want : 0.0;
-        cut += v->child_count > 0 && want < own;
-        assert_true(fabs(v->geometric_error_m - want) <= 1e-6 * want);
-        if (v->parent != TREE_NONE)
-            assert_true(tree->nodes[v->parent].geometric_error_m > v->geometric_error_m);
-        if (!v->child_count)
+        if (v.parent != TREE_NONE)
+            want = fmin(own, tree_node(tree, v.parent).geometric_error_m / 1.01);
+        want = v.child_count ? want : 0.0;
+        cut += v.child_count > 0 && want < own;
+        assert_true(fabs(v.geometric_error_m - want) <= 1e-6 * want);
+        if (v.parent != TREE_NONE)
+            assert_true(tree_node(tree, v.parent).geometric_error_m > v.geometric_error_m);
+        if (!v.child_count)
             continue;
         /* Selection switches where error f / d is 16 px: 1 px of sigma. */
         struct camera cam =
             camera_look_at((double[3]){0, 0, 1}, (double[3]){0, 1e-3, 0}, 2.8, 2000, 2000);
-        double at = v->geometric_error_m * cam.fy_px / 16;
+        double at = v.geometric_error_m * cam.fy_px / 16;
         assert_true(is_refined(f->s, (uint32_t)i, 0.999 * at));
         assert_false(is_refined(f->s, (uint32_t)i, 1.001 * at));
     }
     assert_true(cut > 0); /* or nothing would have tested that */
-    double root_own = defined_error(f->s, t[tree->nodes[tree->root].tile].key);
-    assert_true(fabs(tree->nodes[tree->root].geometric_error_m - root_own) <= 1e-6 * root_own);
+    double root_own = defined_error(f->s, t[tree_node(tree, tree->root).tile].key);
+    assert_true(fabs(tree_node(tree, tree->root).geometric_error_m - root_own) <= 1e-6 * root_own);
     /* The far end: the error above all of them is beyond the root's. */
     json_t *j = tileset_of(f);
     struct errors_found found = {.tree = tree, .s = f->s};
     compare_errors(&found, json_object_get(j, "root"));
     assert_int_equal(found.n, n);
     assert_true(json_number_value(json_object_get(j, "geometricError")) >=
-                2 * tree->nodes[tree->root].geometric_error_m);
+                2 * tree_node(tree, tree->root).geometric_error_m);
     json_decref(j);
 }
 

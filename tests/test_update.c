@@ -96,7 +96,7 @@ static void assert_no_holes(struct store *s)
             struct key k = key_of(&store_info(s)->origin, &g, r, KEY_ZOOM_MAX);
             for (; deepest == TREE_NONE; k = key_parent(k))
                 deepest = tree_find(t, n, k);
-            assert_int_equal(store_tree(s)->nodes[deepest].child_count, 0);
+            assert_true(tree_leaf(store_tree(s), deepest));
         }
         gauss_free(&g);
     }
@@ -572,7 +572,7 @@ static void two_areas_become_one(void **state)
     size_t n, leaves = 0;
     const struct store_tile *t = store_tiles(s, &n);
     for (size_t i = 0; i < n; i++)
-        leaves += store_tree(s)->nodes[i].child_count ? 0 : t[i].count;
+        leaves += tree_leaf(store_tree(s), i) ? t[i].count : 0;
     assert_int_equal(leaves, ga.n + gb.n);
     /* A row of b stands where it stood. */
     double want[3], lon, lat, h,
@@ -582,7 +582,7 @@ static void two_areas_become_one(void **state)
     double best = HUGE_VAL;
     for (size_t i = 0; i < n; i++) {
         struct gauss g;
-        if (store_tree(s)->nodes[i].child_count)
+        if (!tree_leaf(store_tree(s), i))
             continue;
         kit_ok(store_read_gauss(s, t[i].key, &g, &e), e);
         for (size_t r = 0; r < g.n; r++) {
