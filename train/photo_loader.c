@@ -246,6 +246,17 @@ static size_t photo_loader_slot_of(struct photo_loader *f, uint64_t step)
     return f->shuffle[(step - 1) % n];
 }
 
+/* Lock held. Is there something for the thread to do? Where all is there it sleeps on: woken at
+ * every step it would hold the lock while it waits for a core, and the next step would wait for it.
+ */
+static bool photo_loader_has_work(const struct photo_loader *f)
+{
+    for (size_t i = 0; i < f->n_want; i++)
+        if (f->slots[f->want[i]].state == PHOTO_LOADER_EMPTY)
+            return true;
+    return false;
+}
+
 /* Wait for a slot, loading it here when the thread has not begun. */
 static enum err_code photo_loader_take(struct photo_loader *f, size_t slot, const size_t *ahead,
                                        size_t n_ahead, struct photo *out, struct err *e)
@@ -265,7 +276,8 @@ static enum err_code photo_loader_take(struct photo_loader *f, size_t slot, cons
             pthread_cond_wait(&f->changed, &f->lock);
     }
     f->slots[slot].used = ++f->clock;
-    pthread_cond_broadcast(&f->changed);
+    if (photo_loader_has_work(f))
+        pthread_cond_broadcast(&f->changed);
     pthread_mutex_unlock(&f->lock);
     if (rc)
         return rc;

@@ -62,6 +62,7 @@ static enum err_code prune_draw(struct prune *c, size_t nth, double *mse, struct
     if (rc)
         return rc;
     struct render_options ro = gallery_photo_options(g, c->at, p.image);
+    ro.picture = !c->device; /* of those that are drawn again nobody sums weights */
     rc = gallery_score(g, &p, &c->m->gauss, &ro, &v, e);
     *mse = v.mse;
     if (!rc && c->residuals)
