@@ -399,12 +399,11 @@ study_time() { # accuracy against training time, with the finest level alone and
 
 study_long() { # what going on does to photographs, and what takes it away
   local n base=(caliterra-200 "" --level-count 1)
-  for n in 2000 8000 30000; do
+  for n in 2000 8000; do
     row long "$n steps" "${base[@]}" --iterations "$n"
   done
+  row long "2000 steps, goes on" "${base[@]}" --iterations 2000 --go-on-db 0.05
   row long "30000 steps, no resets" "${base[@]}" --iterations 30000 --reset-interval 0
-  row long "30000 steps, no resets, degree 1" "${base[@]}" --iterations 30000 --reset-interval 0 --sh-degree 1
-  row long "30000 steps, no resets, half the Gaussians" "${base[@]}" --iterations 30000 --reset-interval 0 --budget 50000
 }
 
 study_budgets() { # accuracy against the number of Gaussians
@@ -684,6 +683,32 @@ rates_caliterra_rows() {
 study_rates() { seeded rates rates_city_rows; }
 study_rates_caliterra() { seeded rates_caliterra rates_caliterra_rows; }
 
+# Rates that fall at the end of a run, and that stay; with known depths. And a run
+# that chooses its length.
+fall_rows() { # STUDY SCENE TRAIN-OPTIONS
+  local study=$1 scene=$2
+  shift 2
+  row "$study" "rates fall" "$scene" "" --iterations "$(steps "$study")" --depth-prior "$OUT/$scene-depth" "$@"
+  row "$study" "rates stay" "$scene" "" --iterations "$(steps "$study")" --depth-prior "$OUT/$scene-depth" --lr-end 1 "$@"
+}
+goes_on_row() { # STUDY SCENE: one seed
+  local SEED=
+  row "$1" "goes on" "$2" "" --iterations "$(steps "$1")" --go-on-db 0.05 --depth-prior "$OUT/$2-depth"
+}
+study_fall() {
+  local MAP_VIEWS=1 SURFACE=city
+  seeded fall fall_rows fall exact
+  goes_on_row fall exact
+}
+study_fall_caliterra() {
+  seeded fall_caliterra fall_rows fall_caliterra caliterra-400
+  goes_on_row fall_caliterra caliterra-400
+}
+study_fall_ochota() {
+  seeded fall_ochota fall_rows fall_ochota ochota-400
+  goes_on_row fall_ochota ochota-400
+}
+
 # The whole method at a length at which opacities are reset and sizes pruned: half of the paper's steps.
 study_full() {
   row full caliterra caliterra-800 "" --iterations "$(steps full)"
@@ -875,7 +900,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full long big lod far budgets pareto importance rates rates_caliterra side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ablation ablation_city cells cells_light
+readonly STUDIES=(time full long big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ablation ablation_city cells cells_light
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {

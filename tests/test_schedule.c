@@ -287,6 +287,52 @@ static void short_runs_take_larger_steps(void **state)
     }
 }
 
+/* In the last fifth of the finest level. A level that goes on has the rates of a run as long as it
+ * has become, and ends as others do. */
+static void rates_fall_at_the_end(void **state)
+{
+    (void)state;
+    struct arena a = {0};
+    struct err e = {0};
+    struct train_config c = defaults(&a);
+    struct schedule s[3], longer[3];
+    c.iterations.one = 3000;
+    kit_ok(schedule_make(&c, 60, &cell, s, &e), e);
+    for (uint32_t t = 1; t <= 1200; t++)
+        assert_true(schedule_fade(&s[2], t) == 1.0 && schedule_fade(&s[0], t) == 1.0);
+    for (uint32_t t = 1201; t <= 1500; t++)
+        assert_true(schedule_fade(&s[2], t) < schedule_fade(&s[2], t - 1));
+    assert_true(fabs(schedule_fade(&s[2], 1350) - sqrt(0.1)) < 1e-12);
+    assert_true(fabs(schedule_fade(&s[2], 1500) - 0.1) < 1e-12);
+    assert_true(schedule_fade(&s[0], 750) == 1.0 && schedule_fade(&s[1], 750) == 1.0);
+    c.go_on_db = 0.05;
+    kit_ok(schedule_make(&c, 60, &cell, s, &e), e);
+    assert_true(schedule_fade(&s[2], 1500) == 1.0);
+    assert_int_equal(schedule_next_look(&s[2]), 1800); /* a tenth of 3,000 later */
+    c.iterations.one = 3300;
+    kit_ok(schedule_make(&c, 60, &cell, longer, &e), e);
+    struct schedule on = schedule_go_on(&s[2], &c, &cell, 1800, 1800);
+    assert_true(schedule_total(&on) == 3300.0);
+    assert_true(fabs(on.lr_factor - longer[2].lr_factor) < 1e-12);
+    assert_true(fabs(schedule_lr_mean(&on, 1700) - longer[2].lr_mean_last) < 1e-15);
+    assert_true(schedule_fade(&on, 1800) == 1.0 && schedule_done(&on, 1501) == 1.0);
+    for (uint32_t t = 1501; t <= 1800; t++)
+        assert_true(!schedule_densify_index(&on, t) && !schedule_resets(&on, t) &&
+                    !schedule_thins(&on, t));
+    assert_int_equal(schedule_end(&on, &c), 2250);
+    on = schedule_go_on(&on, &c, &cell, 2250, 1800);
+    assert_true(schedule_fade(&on, 1800) == 1.0);
+    assert_true(fabs(schedule_fade(&on, 2250) - 0.1) < 1e-12);
+    /* at most as long as the full method */
+    on = s[2];
+    while (schedule_next_look(&on) > on.steps)
+        on = schedule_go_on(&on, &c, &cell, schedule_next_look(&on), schedule_next_look(&on));
+    assert_int_equal(schedule_end(&on, &c), 58500);
+    c.lr_end = 1.0;
+    assert_int_equal(schedule_end(&on, &c), on.steps);
+    arena_free(&a);
+}
+
 /* Logits of 0 and 1 are infinite: nothing is learnt from them. */
 static void opacities_are_reset_to_what_can_be_learnt_from(void **state)
 {
@@ -309,6 +355,7 @@ static void opacities_are_reset_to_what_can_be_learnt_from(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(rates_fall_at_the_end),
         cmocka_unit_test(opacities_are_reset_to_what_can_be_learnt_from),
         cmocka_unit_test(short_runs_take_larger_steps),
         cmocka_unit_test(cap_rises_from_start_to_exactly_the_budget),

@@ -302,9 +302,9 @@ static void the_feed_cuts_photographs_to_their_windows(void **state)
 
 /* ---- whole runs ---- */
 
-static void assert_same_levels(const char *a, const char *b)
+static void assert_same_levels_to(unsigned finest, const char *a, const char *b)
 {
-    for (unsigned level = 1; level <= 3; level++) {
+    for (unsigned level = 1; level <= finest; level++) {
         struct ckpt x, y;
         toy_read_level(a, level, &x);
         toy_read_level(b, level, &y);
@@ -317,6 +317,11 @@ static void assert_same_levels(const char *a, const char *b)
         ckpt_free(&x);
         ckpt_free(&y);
     }
+}
+
+static void assert_same_levels(const char *a, const char *b)
+{
+    assert_same_levels_to(3, a, b);
 }
 
 static void training_improves_keeps_budgets_and_repeats(void **state)
@@ -516,6 +521,65 @@ static void a_model_in_files_trains_to_the_same_bytes(void **state)
     kit_fails(train_again(scene_dir, &c, &r, &e), ERR_ARG, e, "--memory half");
     kit_rmdir(memory);
     kit_rmdir(files);
+    train_result_free(&r);
+    arena_free(&a);
+}
+
+/* The number of steps that a finished level of a run says it has made. */
+static int steps_of(const char *out, unsigned level)
+{
+    struct ckpt c;
+    toy_read_level(out, level, &c);
+    int steps = (int)json_integer_value(json_object_get(c.meta, "steps"));
+    ckpt_free(&c);
+    return steps;
+}
+
+static void a_run_goes_on_while_that_gains(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    struct train_result r = {0};
+    char whole[FILE_PATH_MAX], parts[FILE_PATH_MAX];
+    kit_tmpdir(whole);
+    kit_tmpdir(parts);
+    struct train_config c = toy_config(&a, parts);
+    c.level_count = 1;
+    c.budget.one = 80;
+    c.budget.n = 1;
+    c.defer_from = 1;
+    c.iterations.one = 40;
+    c.go_on_db = 99; /* more than a tenth can gain: the rates fall after the first look but one */
+    kit_ok(train_again(scene_dir, &c, &r, &e), e);
+    assert_int_equal(steps_of(parts, 1), 55); /* 44 / (1 - 0.2) */
+    c.overwrite = true;
+    c.lr_end = 1; /* rates that do not fall: nothing follows the look */
+    kit_ok(train_again(scene_dir, &c, &r, &e), e);
+    assert_int_equal(steps_of(parts, 1), 44);
+    c.lr_end = 0.1;
+    c.output = whole;
+    c.go_on_db = 0.05;
+    kit_ok(train_again(scene_dir, &c, &r, &e), e);
+    assert_true(steps_of(whole, 1) > 55 && steps_of(whole, 1) <= 30000);
+    c.output = parts; /* in the steps planned, at looks, between them, and while rates fall */
+    const int64_t pieces[] = {20, 20, 2, 2, 3, steps_of(whole, 1) - 47 - 4};
+    for (size_t i = 0; i < sizeof pieces / sizeof pieces[0]; i++) {
+        c.stop_after = pieces[i];
+        c.resume = i > 0;
+        c.overwrite = i == 0;
+        kit_fails(train_again(scene_dir, &c, &r, &e), ERR_CANCEL, e, "--resume goes on");
+    }
+    c.stop_after = 0;
+    kit_ok(train_again(scene_dir, &c, &r, &e), e);
+    assert_int_equal(steps_of(parts, 1), steps_of(whole, 1));
+    assert_same_levels_to(1, whole, parts);
+    c.iterations.one = 0;
+    c.overwrite = true;
+    c.resume = false;
+    kit_fails(train_again(scene_dir, &c, &r, &e), ERR_ARG, e, "--go-on-db needs one value");
+    kit_rmdir(whole);
+    kit_rmdir(parts);
     train_result_free(&r);
     arena_free(&a);
 }
@@ -1031,6 +1095,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(thinning_leaves_what_the_option_says),
         cmocka_unit_test(a_stopped_run_goes_on_as_if_it_had_not_been),
         cmocka_unit_test(a_model_in_files_trains_to_the_same_bytes),
+        cmocka_unit_test(a_run_goes_on_while_that_gains),
         cmocka_unit_test(a_last_fit_takes_all_photographs),
         cmocka_unit_test(a_damaged_state_is_refused),
         cmocka_unit_test(what_a_run_was_made_of_may_not_change),

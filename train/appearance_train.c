@@ -271,7 +271,9 @@ double appearance_train_lr(const struct appearance_train *k, const struct train_
     double last = fmin(cfg->lr_appearance_final, first);
     if (step <= from || !(first > 0.0))
         return 0.0;
-    double t = s->steps > from ? (double)(step - from) / (double)(s->steps - from) : 1.0;
+    double t = 1.0;
+    if (!s->last && s->steps > from)
+        t = (double)(step - from) / (double)(s->steps - from);
     return last > 0.0 ? exp((1.0 - t) * log(first) + t * log(last)) : first;
 }
 

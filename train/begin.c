@@ -357,9 +357,16 @@ static void begin_tell_length(const struct begin *t)
         at += (size_t)snprintf(parts + at, sizeof parts - at, "%s%u", i ? " + " : "",
                                t->levels[i].steps);
     }
+    bool goes_on = t->job->cfg->go_on_db > 0.0 && t->job->n_test;
     log_info("train", "cell=%s %.0f steps, by level %s%s", t->job->cell.id, steps, parts,
-             t->job->cfg->iterations.one ? ""
-                                         : ": the full method; --iterations N makes it shorter");
+             goes_on                       ? ", and more while they gain"
+             : t->job->cfg->iterations.one ? ""
+                                           : ": the full method; --iterations N makes it shorter");
+    if (t->job->cfg->go_on_db > 0.0 && !goes_on)
+        log_warn("train",
+                 "cell=%s has no test photographs, which would say when to stop: it does "
+                 "not go on (--go-on-db)",
+                 t->job->cell.id);
 }
 
 /* A network that is warmed up for longer than its level learns nothing. */

@@ -56,6 +56,7 @@ static struct train_config coarse_config(const struct train_config *cells, const
         c.iterations.one = (int64_t)fmax(
             floor((double)cells->coarse_iterations * (double)cells->iterations.one / total + 0.5),
             (double)cells->coarse_iterations_min);
+    c.go_on_db = 0.0;
     c.level_count = 1;
     coarse_first(&c.densify_interval, cells->level_count);
     coarse_first_num(&c.densify_until, cells->level_count);

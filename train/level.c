@@ -66,6 +66,21 @@ void level_init(struct level *l, const struct run_cell *job, const uint32_t *ima
             c->near_m > 0.0 ? c->near_m : fmax(RENDER_NEAR_M, job->cell.edge_m / LEVEL_NEAR_SHARE)};
 }
 
+/* The learning rates of a step. */
+static void level_set_rates(struct level *l, uint32_t step)
+{
+    const struct train_config *c = l->cfg;
+    const struct schedule *s = stage_schedule(&l->stage);
+    struct render_adam *adam = &l->model.adam;
+    double fade = schedule_fade(s, step), shape = s->still ? 0.0 : fade;
+    adam->lr_mean = (float)(schedule_lr_mean(s, step) * fade);
+    adam->lr_scale = (float)(c->lr_scale * s->lr_factor * shape);
+    adam->lr_quat = (float)(c->lr_quat * s->lr_factor * shape);
+    adam->lr_opacity = (float)(c->lr_opacity * shape);
+    adam->lr_sh_dc = (float)(c->lr_sh_dc * fade);
+    adam->lr_sh_rest = (float)(c->lr_sh_rest * fade);
+}
+
 static void level_start_optimiser(struct level *l)
 {
     const struct train_config *c = l->cfg;
@@ -73,18 +88,13 @@ static void level_start_optimiser(struct level *l)
     const struct appearance_train *a = &l->appearance;
     uint32_t step = l->stage.step;
     struct render_adam *adam = &l->model.adam;
-    adam->lr_scale = (float)(c->lr_scale * s->lr_factor);
-    adam->lr_quat = (float)(c->lr_quat * s->lr_factor);
-    adam->lr_opacity = (float)c->lr_opacity;
-    adam->lr_sh_dc = (float)c->lr_sh_dc;
-    adam->lr_sh_rest = (float)c->lr_sh_rest;
     adam->beta1 = LEVEL_BETA1;
     adam->beta2 = LEVEL_BETA2;
     adam->eps = LEVEL_EPS;
     adam->scale_log_min = (float)log(LEVEL_SIGMA_MIN * l->site.cell.edge_m);
     adam->scale_log_max = (float)log(LEVEL_SIGMA_MAX * l->site.cell.edge_m);
     adam->step = step;
-    adam->lr_mean = (float)schedule_lr_mean(s, step);
+    level_set_rates(l, step);
     uint32_t warmup = appearance_train_is_on(a) ? appearance_train_warmup(a, c, s) : 0;
     adam->embed_step = appearance_train_is_on(a) && step > warmup ? step - warmup : 0;
 }
@@ -113,12 +123,10 @@ void level_close(struct level *l)
 /* A model that was owed steps when it was saved learns which steps those were. */
 static enum err_code level_tell_owed(struct level *l, struct err *e)
 {
-    const struct schedule *s = stage_schedule(&l->stage);
-    struct render_adam *adam = &l->model.adam;
     enum err_code rc = ERR_OK;
     for (uint32_t step = l->owes_from; !rc && l->owes && step <= l->stage.step; step++) {
-        adam->step = step;
-        adam->lr_mean = (float)schedule_lr_mean(s, step);
+        l->model.adam.step = step;
+        level_set_rates(l, step);
         rc = model_stepped(&l->model, e);
     }
     l->owes = false;
@@ -172,6 +180,16 @@ enum err_code level_save_result(struct level *l, const char *path,
     return rc ? rc : state_save_level(&l->model, &s, path, score, e);
 }
 
+/* ---- a level that goes on ---- */
+
+enum err_code level_go_on(struct level *l, uint32_t steps, uint32_t fade_from, struct err *e)
+{
+    struct schedule *s = &l->stage.levels[l->stage.at];
+    enum err_code rc = model_settle(&l->model, e); /* owed steps were made at the rates of before */
+    *s = schedule_go_on(s, l->cfg, &l->site.cell, steps, fade_from);
+    return rc;
+}
+
 /* ---- between levels ---- */
 
 /* The smallest harmonics that look alike from where photographs stood (option sh_ridge). */
@@ -216,6 +234,7 @@ enum err_code level_next(struct level *l, struct err *e)
     at->at++;
     at->step = 0;
     at->pruned = false;
+    at->held_db = 0.0;
     l->model.filter_is_current = false;
     appearance_train_restart(&l->appearance);
     rc = model_zero_moments(&l->model, e);
@@ -266,7 +285,6 @@ static enum err_code level_refit_begin(struct level *l, uint32_t at, const struc
     enum err_code rc = level_refit_load(l, c, e);
     if (!rc)
         rc = level_begin(l, e);
-    l->model.adam.lr_scale = l->model.adam.lr_quat = l->model.adam.lr_opacity = 0.0f;
     return rc;
 }
 
@@ -453,7 +471,7 @@ static enum err_code level_backward(struct level *l, uint32_t step, uint32_t ima
     struct render_appearance_grad grad;
     struct render_density_stats stats = m->stats;
     m->adam.step = step;
-    m->adam.lr_mean = (float)schedule_lr_mean(s, step);
+    level_set_rates(l, step);
     level_ask_appearance(l, step, ro, &grad);
     if (!s->absgrad || step >= s->densify_until)
         stats.absg = NULL; /* densification would not look at it: saves a tenth of the pass */

@@ -70,6 +70,10 @@ enum err_code level_begin(struct level *l, struct err *e) ERR_USE;
  * (may be NULL) gets the loss, which waits for the device. ERR_DATA: the loss is not finite, or no
  * Gaussian is left. Else the errors of photographs and device. */
 enum err_code level_step(struct level *l, struct photometric_value *value, struct err *e) ERR_USE;
+/* After its last step the finest level goes on until `steps`; see schedule_go_on. ERR_MEM,
+ * ERR_DEVICE. */
+enum err_code level_go_on(struct level *l, uint32_t steps, uint32_t fade_from,
+                          struct err *e) ERR_USE;
 /* Ends a level after its last step: removes Gaussians that contribute nothing (train/prune.h) and
  * reduces harmonics (train/harmonics.h). If that was done before, it does nothing. ERR_CANCEL:
  * stopped by a signal. ERR_MEM, ERR_DEVICE, and the errors of photo_loader_get_nth. */

@@ -40,6 +40,8 @@ struct schedule refit_schedule(const struct schedule *level, double share)
     s.reset_interval = 0;
     s.sh_interval = 0;
     s.lr_mean_first = s.lr_mean_last = 0.0;
+    s.fade_from = s.steps;
+    s.still = true;
     return s;
 }
 
@@ -48,5 +50,6 @@ struct schedule refit_schedule_last(const struct schedule *level, double share)
     struct schedule s = refit_schedule(level, share);
     s.lr_mean_first = s.lr_mean_last = level->lr_mean_last;
     s.last = true;
+    s.still = false;
     return s;
 }

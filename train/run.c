@@ -241,7 +241,8 @@ static enum err_code run_score(struct run *t, struct evaluate_score *out, struct
     struct evaluate_model model = {l->engine.render, &l->model.gauss,
                                    gallery_options(&l->gallery, &l->stage),
                                    appearance_train_is_on(&l->appearance) ? &appearance : NULL};
-    struct evaluate_source source = {.draw = evaluate_draw_model, .user = &model};
+    struct evaluate_source source = {
+        .draw = evaluate_draw_model, .user = &model, .ground = l->site.ground};
     enum err_code rc = photo_loader_open(&f, &photos, e);
     if (!rc && model.appearance)
         rc = appearance_view_open(&appearance, &l->appearance.model, l->gallery.scene, e);
@@ -376,23 +377,98 @@ static enum err_code run_report_spent(struct run *t, struct err *e)
                             e);
 }
 
+/* The steps that the level in work has left. */
+static enum err_code run_steps_left(struct run *t, struct err *e)
+{
+    struct level *l = &t->level;
+    char what[48];
+    snprintf(what, sizeof what, "train level %u/%u", l->stage.at + 1, l->stage.n_levels);
+    progress_start(&t->progress, what, l->stage.levels[l->stage.at].steps);
+    (void)timing_turn(&l->timing, TIMING_STEP);
+    t->looked_s = clock_s();
+    t->looked_step = l->stage.step;
+    t->looked_compile_s = l->engine.dev->compile_s;
+    enum err_code rc = run_steps(t, e);
+    if (!rc)
+        rc = dev_finish(l->engine.dev, e);
+    (void)timing_turn(&l->timing, TIMING_OTHER);
+    progress_end(&t->progress, NULL);
+    return rc;
+}
+
+/* ---- a finest level that goes on ---- */
+
+/* Whether a look follows the steps of the level. The rates of one that ends fall already. */
+static bool run_looks(const struct run *t)
+{
+    const struct stage *at = &t->level.stage;
+    const struct schedule *s = stage_schedule(at);
+    bool fades = s->last && s->fade_from < s->steps;
+    return t->cfg->go_on_db > 0.0 && s->level == s->n_levels && !fades && !at->pruned;
+}
+
+/* Scores the test photographs, on the ground that training photographs show too if it is known:
+ * what nobody photographed is a guess, and changes by more than what is looked for. */
+static enum err_code run_look(struct run *t, bool *more, struct err *e)
+{
+    struct level *l = &t->level;
+    struct stage *at = &l->stage;
+    struct evaluate_score score = {0};
+    enum timing_on was = timing_turn(&l->timing, TIMING_EVALUATE);
+    enum err_code rc = model_settle(&l->model, e);
+    if (!rc)
+        rc = gallery_filter(&l->gallery, at, &l->model, e);
+    if (!rc)
+        rc = run_score(t, &score, e);
+    (void)timing_turn(&l->timing, was);
+    if (rc)
+        return rc == ERR_CANCEL ? run_stop(t, e) : rc;
+    const struct schedule *s = stage_schedule(at);
+    double now = score.n_seen ? score.seen_psnr_db : score.psnr_db, gain = now - at->held_db;
+    bool first = !(at->held_db > 0.0), room = schedule_next_look(s) > s->steps;
+    *more = room && (first || gain >= t->cfg->go_on_db);
+    at->held_db = now;
+    log_info("train", "cell=%s steps=%.0f look test_psnr_db=%.3f%s gain=%.3f: %s", l->site.cell.id,
+             schedule_total(s), now, score.n_seen ? " (seen ground)" : "", first ? 0.0 : gain,
+             *more  ? "goes on"
+             : room ? "a tenth more gains too little, it ends"
+                    : "this is the full length, it ends");
+    return metrics_log_line(l->metrics, "look",
+                            json_pack("{s:i, s:i, s:o, s:o, s:o, s:b}", "level", (int)s->level,
+                                      "step", (int)at->step, "psnr_db", jsonc_real(score.psnr_db),
+                                      "seen_psnr_db", jsonc_real(score.seen_psnr_db), "ssim",
+                                      jsonc_real(score.ssim), "more", *more),
+                            e);
+}
+
+/* By tenths of the run, while a tenth gains enough; then the rates fall. */
+static enum err_code run_go_on(struct run *t, struct err *e)
+{
+    struct level *l = &t->level;
+    enum err_code rc = ERR_OK;
+    while (!rc && run_looks(t)) {
+        const struct schedule *s = stage_schedule(&l->stage);
+        bool more = false;
+        if (t->job->n_test)
+            rc = run_look(t, &more, e);
+        uint32_t end = more ? schedule_next_look(s) : schedule_end(s, t->cfg);
+        if (rc || end <= s->steps) /* rates that do not fall: nothing is left */
+            return rc;
+        rc = level_go_on(l, end, more ? end : s->steps, e);
+        if (!rc)
+            rc = run_steps_left(t, e);
+    }
+    return rc;
+}
+
 static enum err_code run_levels(struct run *t, struct err *e)
 {
     struct level *l = &t->level;
     enum err_code rc = level_begin(l, e);
     while (!rc && l->stage.at < l->stage.n_levels) {
-        char what[48];
-        snprintf(what, sizeof what, "train level %u/%u", l->stage.at + 1, l->stage.n_levels);
-        progress_start(&t->progress, what, l->stage.levels[l->stage.at].steps);
-        (void)timing_turn(&l->timing, TIMING_STEP);
-        t->looked_s = clock_s();
-        t->looked_step = l->stage.step;
-        t->looked_compile_s = l->engine.dev->compile_s;
-        rc = run_steps(t, e);
+        rc = run_steps_left(t, e);
         if (!rc)
-            rc = dev_finish(l->engine.dev, e);
-        (void)timing_turn(&l->timing, TIMING_OTHER);
-        progress_end(&t->progress, NULL);
+            rc = run_go_on(t, e);
         if (!rc)
             rc = run_finish_level(t, e);
         if (!rc)

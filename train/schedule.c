@@ -17,6 +17,7 @@
 #define SCHEDULE_PHOTOS 600.0           /* photographs at which lengths begin to stretch */
 #define SCHEDULE_MCMC_UNTIL (5.0 / 6.0) /* of a level: 25,000 of 30,000 steps, as published */
 #define SCHEDULE_SIZE_FROM 3000.0       /* first step at which sizes are limited, 3DGS */
+#define SCHEDULE_LOOK 0.1 /* of the steps so far, between looks at a level that goes on */
 enum { SCHEDULE_STEPS_MAX = 1 << 30 };
 
 /* Half up, as counts are rounded everywhere here. */
@@ -102,6 +103,18 @@ static double schedule_lr_factor(double most, double kappa)
     return fmin(fmax(pow(kappa, -SCHEDULE_LR_EXPONENT), 1.0), most);
 }
 
+static void schedule_rates(const struct train_config *cfg, const struct cell *cell,
+                           struct schedule *s)
+{
+    double unit_m = 0.5 * cell->edge_m;
+    s->lr_factor = schedule_lr_factor(cfg->lr_short, s->kappa);
+    s->lr_mean_first =
+        cfg->lr_mean * s->lr_factor * unit_m * (s->level > 1 ? cfg->lr_mean_restart : 1.0);
+    /* over kappa: a short run has more left to go at its end */
+    double last = cfg->lr_mean_final * pow(s->lr_factor, 1.0 / SCHEDULE_LR_EXPONENT);
+    s->lr_mean_last = fmin(last * unit_m, s->lr_mean_first);
+}
+
 static void schedule_fill(const struct train_config *cfg, const struct schedule_base *b,
                           double kappa, const struct cell *cell, struct schedule *s)
 {
@@ -125,13 +138,57 @@ static void schedule_fill(const struct train_config *cfg, const struct schedule_
     s->sh_degree = (uint32_t)cfg->sh_degree;
     s->sh_interval = s->level == 1 ? schedule_round((double)cfg->sh_interval * shrink) : 0;
     s->tau = b->tau;
-    double unit_m = 0.5 * cell->edge_m;
-    s->lr_factor = schedule_lr_factor(cfg->lr_short, kappa);
-    s->lr_mean_first =
-        cfg->lr_mean * s->lr_factor * unit_m * (s->level > 1 ? cfg->lr_mean_restart : 1.0);
-    /* over kappa: a short run has more left to go at its end */
-    double last = cfg->lr_mean_final * pow(s->lr_factor, 1.0 / SCHEDULE_LR_EXPONENT);
-    s->lr_mean_last = fmin(last * unit_m, s->lr_mean_first);
+    schedule_rates(cfg, cell, s);
+}
+
+/* Part of the finest level in which rates fall. */
+static double schedule_fade_share(const struct train_config *cfg)
+{
+    return cfg->lr_end < 1.0 ? cfg->lr_end_share : 0.0;
+}
+
+/* How the finest level ends: its rates fall, or, with --go-on-db, it goes on before they do. */
+static void schedule_fill_end(const struct train_config *cfg, double longest, struct schedule *s)
+{
+    s->fade_from = s->steps;
+    s->fade_to = cfg->lr_end;
+    if (s->level < s->n_levels)
+        return;
+    double stays = 1.0 - schedule_fade_share(cfg);
+    if (!(cfg->go_on_db > 0.0))
+        s->fade_from = (uint32_t)floor((double)s->steps * stays + 0.5);
+    else if (longest > s->kappa)
+        s->most = schedule_round(((double)s->steps + s->full * (longest - s->kappa)) * stays);
+}
+
+double schedule_total(const struct schedule *s)
+{
+    return s->total + (double)s->steps - (double)s->planned;
+}
+
+uint32_t schedule_next_look(const struct schedule *s)
+{
+    double next = ceil((double)s->steps + SCHEDULE_LOOK * schedule_total(s));
+    return next < (double)s->most ? (uint32_t)next : s->most > s->steps ? s->most : s->steps;
+}
+
+uint32_t schedule_end(const struct schedule *s, const struct train_config *cfg)
+{
+    return schedule_round((double)s->steps / (1.0 - schedule_fade_share(cfg)));
+}
+
+struct schedule schedule_go_on(const struct schedule *s, const struct train_config *cfg,
+                               const struct cell *cell, uint32_t steps, uint32_t fade_from)
+{
+    struct schedule on = *s;
+    on.steps = steps;
+    on.kappa = schedule_total(&on) / on.full;
+    on.fade_from = fade_from;
+    on.reset_interval = 0;
+    on.last = true;
+    schedule_rates(cfg, cell, &on);
+    on.lr_mean_first = on.lr_mean_last;
+    return on;
 }
 
 enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
@@ -142,10 +199,14 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
     enum err_code rc = schedule_check_lists(cfg, e);
     if (rc)
         return rc;
+    if (cfg->go_on_db > 0.0 && cfg->iterations.one <= 0)
+        return err_set(e, ERR_ARG,
+                       "--go-on-db needs one value of --iterations, the length from which training "
+                       "goes on: 3000 suits most scenes");
     for (size_t l = 0; l < TRAIN_LEVELS_MAX; l++)
         base[l] = schedule_base_at(cfg, l);
     uint32_t n = (uint32_t)cfg->level_count, first = TRAIN_LEVELS_MAX - n;
-    double total = 0.0, kappa = schedule_kappa(cfg, n_photos);
+    double total = 0.0, kappa = schedule_kappa(cfg, n_photos), longest = kappa;
     for (uint32_t l = first; l < TRAIN_LEVELS_MAX; l++)
         total += (double)base[l].steps;
     double share = cell->steps_share > 0.0 ? cell->steps_share : 1.0;
@@ -163,8 +224,11 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
             return err_set(e, ERR_ARG,
                            "level %u of %u would have %.0f steps: change --iterations or %s", l + 1,
                            n, steps, "--level-count");
-        s->steps = (uint32_t)steps;
+        s->steps = s->planned = s->most = (uint32_t)steps;
+        s->full = total;
+        s->total = total * kappa;
         schedule_fill(cfg, b, kappa, cell, s);
+        schedule_fill_end(cfg, longest * share, s);
         s->absgrad = (int64_t)(first + l + 1) >= cfg->absgrad_from;
         if (l > 0 && s->budget < out[l - 1].budget)
             return err_set(e, ERR_ARG,
@@ -231,8 +295,9 @@ bool schedule_thins(const struct schedule *s, uint32_t step)
 {
     uint32_t from = s->densify_until, rest = s->steps > from ? s->steps - from : 0;
     uint32_t every = rest / SCHEDULE_THIN_PARTS;
-    return !s->mcmc && from > 0 && every > 0 && s->level == s->n_levels && step >= from &&
-           (step - from) % every == 0 && (step - from) / every < SCHEDULE_THINNINGS;
+    bool wanted = !s->mcmc && !s->last && s->level == s->n_levels;
+    return wanted && from > 0 && every > 0 && step >= from && (step - from) % every == 0 &&
+           (step - from) / every < SCHEDULE_THINNINGS;
 }
 
 bool schedule_limits_size(const struct schedule *s, uint32_t step)
@@ -251,6 +316,13 @@ uint32_t schedule_sh_degree(const struct schedule *s, uint32_t step)
 double schedule_done(const struct schedule *s, uint32_t step)
 {
     return s->last ? 1.0 : fmin((double)step / (double)s->steps, 1.0);
+}
+
+double schedule_fade(const struct schedule *s, uint32_t step)
+{
+    if (step <= s->fade_from || s->fade_from >= s->steps)
+        return 1.0;
+    return pow(s->fade_to, (double)(step - s->fade_from) / (double)(s->steps - s->fade_from));
 }
 
 double schedule_lr_mean(const struct schedule *s, uint32_t step)

@@ -14,6 +14,8 @@
 struct schedule { /* schedule of one level; steps are 1-based and restart at every level */
     uint32_t level, n_levels; /* 1 .. n_levels, 1 = coarsest */
     uint32_t steps;
+    uint32_t planned; /* steps before the level goes on (schedule_go_on); else equal to steps */
+    uint32_t most;    /* steps to which it may go on */
     double downsample;
     size_t budget; /* Gaussians inside the cell */
     size_t around; /* Gaussians of the coarse model around the cell */
@@ -23,21 +25,38 @@ struct schedule { /* schedule of one level; steps are 1-based and restart at eve
     uint32_t size_from;              /* Gaussians that are too large are removed after this step */
     uint32_t sh_interval, sh_degree; /* sh_interval 0: full degree from the start */
     bool absgrad;
-    bool mcmc; /* --strategy mcmc: no opacity resets, and positions move for longer */
-    bool last; /* of a last fit: what fades during a level stays as at its end */
+    bool mcmc;  /* --strategy mcmc: no opacity resets, and positions move for longer */
+    bool last;  /* after the level's own steps: what fades during a level stays as at its end */
+    bool still; /* positions, sizes, rotations and opacities stay; only colours learn */
     double tau;
     /* factor on learning rates of positions (included in those below), sizes and rotations */
     double lr_factor;
     double lr_mean_first, lr_mean_last; /* metres */
+    /* after this step all rates fall, to the part fade_to at the end */
+    uint32_t fade_from;
+    double fade_to;
     /* factor on step counts: photographs / 600 if above 1, or the part of the full length that a
      * short run has */
     double kappa;
+    double total, full; /* steps of all levels: as planned; of a run of full length */
 };
 struct cell;
 /* Fills out[0 .. level_count). ERR_ARG: a level would have no steps. */
 enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
                             const struct cell *cell, struct schedule out[TRAIN_LEVELS_MAX],
                             struct err *e) ERR_USE;
+/* The finest level as it goes on after its own steps until `steps`, without growth. Its rates are
+ * those at the end of a run that is as long, and fall after the step fade_from (>= steps: never).
+ * `s`: of schedule_make, or of this. */
+struct schedule schedule_go_on(const struct schedule *s, const struct train_config *cfg,
+                               const struct cell *cell, uint32_t steps, uint32_t fade_from);
+/* Where the next look stands at a level that goes on: a tenth of the run's steps later, at most at
+ * s->most. */
+uint32_t schedule_next_look(const struct schedule *s);
+/* Where a level ends whose rates fall from here on. */
+uint32_t schedule_end(const struct schedule *s, const struct train_config *cfg);
+/* Steps of all levels that a run has made when this level, its finest, is at its end. */
+double schedule_total(const struct schedule *s);
 /* Largest number of Gaussians inside the cell at densification x of n: a parabola that rises fast
  * at first, from `start` at x = 0 to `budget` at x = n - 1. If start >= budget it is start. If n <=
  * 1 it is budget. */
@@ -58,6 +77,8 @@ bool schedule_resets(const struct schedule *s, uint32_t step);
 bool schedule_limits_size(const struct schedule *s, uint32_t step);
 uint32_t schedule_sh_degree(const struct schedule *s, uint32_t step);
 double schedule_lr_mean(const struct schedule *s, uint32_t step);
+/* Factor on all rates, those of schedule_lr_mean too: 1 to fade_to. */
+double schedule_fade(const struct schedule *s, uint32_t step);
 /* The part of the level that is done, 0 to 1. */
 double schedule_done(const struct schedule *s, uint32_t step);
 #endif

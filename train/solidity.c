@@ -42,7 +42,7 @@ void solidity_free(struct solidity **p)
 static bool solidity_has_begun(const struct train_config *c, const struct stage *at)
 {
     const struct schedule *s = stage_schedule(at);
-    double from = s->level == 1 ? c->solid_from * (double)s->steps : 0.0;
+    double from = s->level == 1 && !s->last ? c->solid_from * (double)s->steps : 0.0;
     if (s->n_levels == 1)
         from *= SOLIDITY_SINGLE;
     return (double)at->step > from;

@@ -66,6 +66,12 @@ static json_t *state_meta(const struct model *m, const struct state *st, const c
         json_decref(o);
         o = NULL;
     }
+    if (o && s->last && /* a level that goes on */
+        json_object_set_new(o, "go_on",
+                            json_pack("[i,i,f]", (int)s->steps, (int)s->fade_from, at->held_db))) {
+        json_decref(o);
+        o = NULL;
+    }
     if (o && json_object_set_new(o, "pruned", json_boolean(at->pruned))) {
         json_decref(o);
         o = NULL;
@@ -392,6 +398,28 @@ static enum err_code state_fill_owed(struct model *m, struct state *s, const str
     return rc;
 }
 
+/* A level that went on has other steps than were planned. */
+static enum err_code state_apply_go_on(struct state *s, struct schedule *level, const json_t *meta,
+                                       const char *path, struct err *e)
+{
+    const json_t *o = json_object_get(meta, "go_on");
+    if (!o)
+        return ERR_OK;
+    double steps = json_number_value(json_array_get(o, 0));
+    double fade_from = json_number_value(json_array_get(o, 1));
+    double held_db = json_number_value(json_array_get(o, 2));
+    double most = schedule_end(level, s->run.cfg);
+    if (level->most > level->steps)
+        most = (double)level->most / (1.0 - s->run.cfg->lr_end_share) + 1.0;
+    if (!(steps >= level->steps && steps <= most && fade_from >= level->steps &&
+          fade_from <= steps && held_db >= 0.0 && isfinite(held_db)))
+        return err_set(e, ERR_FORMAT, "%s: \"go_on\" is not that of a level of %u steps", path,
+                       level->steps);
+    *level = schedule_go_on(level, s->run.cfg, s->run.cell, (uint32_t)steps, (uint32_t)fade_from);
+    s->at.held_db = held_db;
+    return ERR_OK;
+}
+
 /* Is this a state of the same run? Then take over where it stood. */
 static enum err_code state_apply(struct state *s, const json_t *meta, const struct gauss *like,
                                  const char *path, struct err *e)
@@ -413,6 +441,8 @@ static enum err_code state_apply(struct state *s, const json_t *meta, const stru
         return err_set(e, rc, "%s: go back to that, or begin anew with --overwrite", why.msg);
     if (!rc)
         rc = state_integer(meta, path, "level", 1, at->n_levels, &level, e);
+    if (!rc)
+        rc = state_apply_go_on(s, &at->levels[(int)level - 1], meta, path, e);
     if (!rc)
         rc = state_integer(meta, path, "step", 0, at->levels[(int)level - 1].steps, &step, e);
     if (!rc)
