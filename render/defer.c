@@ -30,6 +30,7 @@ struct defer {
     /* -- of the groups -- */
     bool known; /* settled, and with `bounded` also bounds, are those of the model */
     bool bounded;
+    bool still; /* none is owed any, and bounds are those of the model: for defer_look */
     uint32_t n; /* Gaussians that are known */
     struct frame_buffer settled, bounds, listed;
     /* -- the groups that are listed -- */
@@ -252,7 +253,8 @@ static enum err_code defer_run_settle(struct defer *d, const struct render_model
                      items, local, e);
 }
 
-/* All groups, in one launch or part by part: bounds, or the steps that they are owed. */
+/* All groups, in one launch or part by part: bounds, or the steps that they are owed. A part that
+ * is in memory gets its bounds as well: who looks at the model then need not read it again. */
 static enum err_code defer_run_all(struct defer *d, const struct render_model *m,
                                    const struct render_adam *a, bool settles, struct err *e)
 {
@@ -261,7 +263,10 @@ static enum err_code defer_run_all(struct defer *d, const struct render_model *m
     for (uint32_t from = 0; !rc && from < m->groups; from += part) {
         uint32_t end = m->groups - from < part ? m->groups : from + part;
         struct defer_range g = {false, from, end};
-        rc = settles ? defer_run_settle(d, m, a, g, e) : defer_run_bound(d, m, a, g, 0, e);
+        if (settles)
+            rc = defer_run_settle(d, m, a, g, e);
+        if (!rc && (!settles || d->watch.part))
+            rc = defer_run_bound(d, m, a, g, 0, e);
         if (!rc && d->watch.part)
             rc = dev_finish(d->r->dev, e);
         if (!rc && d->watch.part)
@@ -304,7 +309,7 @@ static enum err_code defer_begin(struct defer *d, const struct render_model *m,
     d->n = m->n;
     d->base = a->step;
     d->n_rows = d->n_sent = 0;
-    d->pending = d->bounded = false;
+    d->pending = d->bounded = d->still = false;
     if (!rc)
         rc = defer_add_row(d, a, e);
     d->known = !rc;
@@ -357,6 +362,15 @@ static enum err_code defer_tell(struct defer *d, struct err *e)
     return rc ? rc : dev_unmap(d->r->dev, d->listed.mem, &listed, e);
 }
 
+/* Of a copy of the model, the groups that were found. */
+static void defer_show(const struct defer *d, bool has_last, struct render_model *seen)
+{
+    const uint32_t empty = seen->groups * LAYOUT_LANES - seen->n; /* lanes of the last group */
+    seen->list = d->listed.mem;
+    seen->groups = d->n_listed;
+    seen->n = d->n_listed * LAYOUT_LANES - (has_last ? empty : 0);
+}
+
 enum err_code defer_see(struct defer *d, const struct render_model *m,
                         const struct render_adam *adam, const struct camera *cam,
                         const struct render_options *o, struct render_model *seen, struct err *e)
@@ -376,11 +390,41 @@ enum err_code defer_see(struct defer *d, const struct render_model *m,
         rc = defer_run_settle(d, m, adam, (struct defer_range){true, 0, d->n_listed}, e);
     d->pending = !rc;
     d->step = adam->step;
-    seen->list = d->listed.mem;
     seen->settled = d->settled.mem;
     seen->owed = d->table.mem;
-    seen->groups = d->n_listed;
-    seen->n = d->n_listed * LAYOUT_LANES - (has_last ? m->groups * LAYOUT_LANES - m->n : 0);
+    defer_show(d, has_last, seen);
+    return rc;
+}
+
+/* All have made adam->step, and keep still from now on. */
+static enum err_code defer_keep_still(struct defer *d, const struct render_model *m,
+                                      const struct render_adam *adam, struct err *e)
+{
+    enum err_code rc = defer_begin(d, m, adam, e);
+    if (!rc)
+        rc = defer_catch_up(d, m, adam, e);
+    d->known = false;
+    d->still = !rc;
+    return rc;
+}
+
+enum err_code defer_look(struct defer *d, const struct render_model *m,
+                         const struct render_adam *adam, const struct camera *cam,
+                         const struct render_options *o, struct render_model *seen, struct err *e)
+{
+    bool has_last = false;
+    enum err_code rc = ERR_OK;
+    *seen = *m;
+    if (!m->groups)
+        return ERR_OK;
+    assert(!d->known && !m->list && !m->embed_len);
+    if (!d->still || m->n > d->n)
+        rc = defer_keep_still(d, m, adam, e);
+    if (!rc)
+        rc = defer_find(d, m, cam, o, &has_last, e);
+    if (!rc)
+        rc = defer_tell(d, e);
+    defer_show(d, has_last, seen);
     return rc;
 }
 
@@ -400,7 +444,13 @@ enum err_code defer_settle(struct defer *d, const struct render_model *m,
     if (!rc)
         rc = defer_run_all(d, m, adam, true, e);
     d->known = false;
+    d->still = !rc && d->watch.part;
     return rc;
+}
+
+void defer_moved(struct defer *d)
+{
+    d->still = false;
 }
 
 bool defer_owes(const struct defer *d)
@@ -430,7 +480,7 @@ enum err_code defer_restore(struct defer *d, const struct render_model *m, const
     d->n = m->n;
     d->base = *first;
     d->n_rows = d->n_sent = 0;
-    d->pending = d->bounded = false;
+    d->pending = d->bounded = d->still = false;
     d->known = !rc;
     return rc;
 }

@@ -61,6 +61,17 @@ enum err_code defer_stepped(struct defer *d, const struct render_adam *adam, str
  * rows may be moved and changed. Does nothing if nothing is known. ERR_MEM, ERR_DEVICE. */
 enum err_code defer_settle(struct defer *d, const struct render_model *m,
                            const struct render_adam *adam, struct err *e) ERR_USE;
+/* Lists in *seen the groups of a model that is owed nothing, for a frame that is only drawn: then
+ * call neither render_backward_step nor defer_stepped. The first such call after steps or
+ * defer_moved finds the bounds of all groups, unless defer_settle has just found them, as it does
+ * where there is a watch. m may have fewer rows than then. Draw *seen before the next call. ERR_ARG
+ * (camera), ERR_MEM, ERR_LIMIT, ERR_DEVICE. */
+enum err_code defer_look(struct defer *d, const struct render_model *m,
+                         const struct render_adam *adam, const struct camera *cam,
+                         const struct render_options *o, struct render_model *seen,
+                         struct err *e) ERR_USE;
+/* Rows have changed or moved: bounds that were found for defer_look no longer hold. */
+void defer_moved(struct defer *d);
 /* Whether groups may be owed steps. NULL is accepted. */
 bool defer_owes(const struct defer *d);
 

@@ -294,6 +294,121 @@ static void test_listed_make_what_they_are_owed(void **state)
     mem_free(want);
 }
 
+/* ---- frames that are only drawn ---- */
+
+/* The frame of a look, and its sums of each Gaussian, have the bits of a frame of all. Returns the
+ * share of groups that it shows. */
+static double check_look(struct trainer *t, struct defer *d, const struct view_case *s,
+                         struct render_importance *of)
+{
+    struct err e = {0};
+    struct render_model seen;
+    size_t bytes = (size_t)PX_W * PX_H * 3 * sizeof(float), n = t->m.n, shown = 0;
+    float *all = mem_array(1, bytes), *some = mem_array(1, bytes);
+    float *want = mem_array(n, LAYOUT_IMPORTANCE_SUMS * sizeof *want);
+    const float *sums;
+    cl_mem weight = NULL;
+    assert_true(all && some && want);
+    kit_ok(dev_buffer(dev_get(), bytes / 3, all, &weight, &e), e); /* zeros */
+    kit_ok(render_forward(t->r, &t->m, &s->cam, &s->o, all, NULL, &e), e);
+    kit_ok(render_importance_run(of, &t->m, weight, &sums, &e), e);
+    memcpy(want, sums, n * LAYOUT_IMPORTANCE_SUMS * sizeof *want);
+    kit_ok(defer_look(d, &t->m, &t->adam, &s->cam, &s->o, &seen, &e), e);
+    assert_false(defer_owes(d));
+    kit_ok(render_forward(t->r, &seen, &s->cam, &s->o, some, NULL, &e), e);
+    assert_memory_equal(all, some, bytes);
+    kit_ok(render_importance_run(of, &seen, weight, &sums, &e), e);
+    uint32_t *groups = mem_array(seen.groups, sizeof *groups);
+    assert_non_null(groups);
+    kit_ok(dev_read(dev_get(), seen.list, 0, seen.groups * sizeof *groups, groups, &e), e);
+    for (size_t i = 0; i < seen.n; i++) {
+        float *own = want + LAYOUT_IMPORTANCE_SUMS *
+                                (groups[i / LAYOUT_LANES] * LAYOUT_LANES + i % LAYOUT_LANES);
+        shown += own[LAYOUT_IMPORTANCE_PIXELS] > 0.0f;
+        assert_memory_equal(sums + LAYOUT_IMPORTANCE_SUMS * i, own,
+                            LAYOUT_IMPORTANCE_SUMS * sizeof *own);
+        memset(own, 0, LAYOUT_IMPORTANCE_SUMS * sizeof *own);
+    }
+    for (size_t i = 0; i < LAYOUT_IMPORTANCE_SUMS * n; i++)
+        assert_true(want[i] == 0.0f); /* what is not listed shows nothing */
+    assert_true(shown > 0);
+    mem_free(groups);
+    mem_free(all);
+    mem_free(some);
+    mem_free(want);
+    dev_release(&weight);
+    return (double)seen.groups / t->m.groups;
+}
+
+struct told {
+    size_t listed, passed;
+};
+static void told_listed(void *user, const uint32_t *groups, size_t n)
+{
+    struct told *t = user;
+    t->listed++;
+    assert_true(n && groups[0] == 0);
+}
+static void told_passed(void *user, size_t from, size_t to)
+{
+    struct told *t = user;
+    t->passed += to - from;
+}
+
+/* Looks between steps; `watched`: the pass that settles all finds the bounds of all. */
+static void check_looks(bool watched)
+{
+    struct err e = {0};
+    struct view_case s = around(56);
+    const struct camera first = s.cam;
+    struct trainer t = trainer_make(&s.g);
+    struct defer *d;
+    struct render_importance *of;
+    struct told told = {0};
+    double sum = 0.0;
+    kit_ok(defer_open(t.r, &d, &e), e);
+    kit_ok(render_importance_open(t.r, &of, &e), e);
+    if (watched)
+        defer_set_watch(d, &(struct defer_watch){&told, told_listed, told_passed, 64});
+    for (uint32_t i = 0; i < TURNS; i++) {
+        s.cam = turned(&first, 2.0 * 3.14159265 * (i * 5 % TURNS) / TURNS);
+        sum += check_look(&t, d, &s, of); /* the first looks at what has made no step */
+        for (uint32_t k = 0; k < 3; k++)
+            (void)step_listed(&t, d, &s, 0, false);
+        kit_ok(defer_settle(d, &t.m, &t.adam, &e), e);
+        const size_t passed = told.passed;
+        sum += check_look(&t, d, &s, of);
+        assert_int_equal(told.passed, passed); /* no pass but that which settled */
+    }
+    assert_true(sum / (2 * TURNS) < 0.6);
+    assert_true(watched == (told.listed > 0));
+    /* Fewer rows are those that are known; what has moved is not. */
+    t.m.n -= 5 * LAYOUT_LANES + 3;
+    t.m.groups = (t.m.n + LAYOUT_LANES - 1) / LAYOUT_LANES;
+    (void)check_look(&t, d, &s, of);
+    float *params = floats_read(t.m.params, (size_t)t.m.groups * t.m.planes * LAYOUT_LANES);
+    for (size_t i = 0; i < t.m.n; i++) /* to the other side */
+        for (size_t k = 0; k < 2; k++)
+            params[layout_at(i, t.m.planes) + k * LAYOUT_LANES] *= -1.0f;
+    kit_ok(dev_write(dev_get(), t.m.params, 0,
+                     (size_t)t.m.groups * t.m.planes * LAYOUT_LANES * sizeof *params, params, &e),
+           e);
+    defer_moved(d);
+    (void)check_look(&t, d, &s, of);
+    mem_free(params);
+    render_importance_close(&of);
+    defer_close(&d);
+    trainer_free(&t);
+    view_case_free(&s);
+}
+
+static void test_looks_show_all_there_is(void **state)
+{
+    (void)state;
+    check_looks(false);
+    check_looks(true);
+}
+
 /* ---- states ---- */
 
 /* What is owed after `done` steps is saved, closed, and read again. */
@@ -362,6 +477,7 @@ int main(void)
         cmocka_unit_test(test_lists_what_shows),
         cmocka_unit_test(test_owed_is_single_steps),
         cmocka_unit_test(test_listed_make_what_they_are_owed),
+        cmocka_unit_test(test_looks_show_all_there_is),
         cmocka_unit_test(test_goes_on_with_the_same_bytes),
     };
     int failed = cmocka_run_group_tests(tests, NULL, NULL);

@@ -183,6 +183,20 @@ static enum err_code importance_weigh(const struct engine *engine, struct import
 
 /* ---- one view ---- */
 
+struct importance_work {
+    struct importance *made;
+    struct model *m;
+    struct gallery *gallery;
+    const struct stage *at;
+    struct model_look look;     /* what the view shows of the model */
+    const float *params, *sums; /* mapped; sums [look.shown.n][LAYOUT_IMPORTANCE_SUMS] */
+    const float *own[IMPORTANCE_WEIGHT]; /* [n] fields that no view changes */
+    float *opacity, *volume;             /* two of them */
+    float *total, inverse[IMPORTANCE_FIELDS]; /* [n] */
+    size_t n;
+    float view_factor;
+};
+
 static enum err_code importance_alloc_all(struct importance *s, size_t n_px, struct err *e)
 {
     if (n_px <= s->scratch_px)
@@ -197,12 +211,13 @@ static enum err_code importance_alloc_all(struct importance *s, size_t n_px, str
 }
 
 /* Draw the view, find its loss, weigh its pixels on the device. */
-static enum err_code importance_draw(struct importance *s, const struct model *m, struct gallery *g,
-                                     const struct stage *at, const struct photo *p,
+static enum err_code importance_draw(struct importance_work *w, const struct photo *p,
                                      double *view_loss, struct err *e)
 {
+    struct importance *s = w->made;
+    struct gallery *g = w->gallery;
     size_t n = (size_t)p->cam.width_px * p->cam.height_px, bytes = n * sizeof(float);
-    struct render_options ro = gallery_photo_options(g, at, p->image);
+    struct render_options ro = gallery_photo_options(g, w->at, p->image);
     struct photometric_value v = {0};
     enum err_code rc = importance_alloc_all(s, n, e);
     if (rc)
@@ -214,7 +229,9 @@ static enum err_code importance_draw(struct importance *s, const struct model *m
     if (!rc)
         rc = gallery_hand_over(g, p, e);
     if (!rc)
-        rc = render_forward(g->engine.render, &m->gauss, &p->cam, &ro, NULL, NULL, e);
+        rc = model_look(w->m, &p->cam, &ro, &w->look, e);
+    if (!rc)
+        rc = render_forward(g->engine.render, &w->look.shown, &p->cam, &ro, NULL, NULL, e);
     if (!rc)
         rc = gallery_value(g, p, e);
     if (!rc) /* while the device works */
@@ -231,43 +248,56 @@ static enum err_code importance_draw(struct importance *s, const struct model *m
 
 /* ---- adding up ---- */
 
-/* 1 / median of the finite values above 0, from an even sample of them; 0 when there are none. */
-enum err_code importance_inverse_median(const float *x, size_t n, size_t stride, float *out,
-                                        struct err *e)
+struct importance_column { /* one number of each Gaussian of a view, or of all */
+    const float *x;
+    size_t n, stride;
+    const struct model_look *look; /* NULL: of all */
+};
+
+/* The finite values above 0 of every step-th row of the model, of those that the view shows: their
+ * number; sample may be NULL. Rows that it does not show have none. */
+static size_t importance_sample(const struct importance_column *c, size_t step, float *sample)
 {
-    size_t step = n / IMPORTANCE_MEDIAN_SAMPLE + 1, k = 0;
+    size_t k = 0;
+    const bool all = !c->look || !c->look->groups;
+    for (size_t i = 0; i < c->n; i += all ? step : 1) {
+        const float x = c->x[c->stride * i];
+        if (!(x > 0.0f) || !isfinite(x) || (!all && model_look_row(c->look, i) % step))
+            continue;
+        if (sample)
+            sample[k] = x;
+        k++;
+    }
+    return k;
+}
+
+/* 1 / median of them, from an even sample of n_rows; 0 when there are none. */
+static enum err_code importance_column_median(const struct importance_column *c, size_t n_rows,
+                                              float *out, struct err *e)
+{
+    size_t step = n_rows / IMPORTANCE_MEDIAN_SAMPLE + 1, k = 0;
     *out = 0.0f;
     for (int pass = 0; !k && pass < 2; pass++, step = 1) { /* few have it: look at all */
         float *sample;
-        for (size_t i = 0; i < n; i += step)
-            k += x[stride * i] > 0.0f && isfinite(x[stride * i]);
+        k = importance_sample(c, step, NULL);
         if (!k)
             continue;
         sample = mem_array(k, sizeof *sample);
         if (!sample)
             return err_set(e, ERR_MEM, "importance: out of memory for a median of %zu values", k);
-        k = 0;
-        for (size_t i = 0; i < n; i += step)
-            if (x[stride * i] > 0.0f && isfinite(x[stride * i]))
-                sample[k++] = x[stride * i];
+        (void)importance_sample(c, step, sample);
         *out = 1.0f / sort_select(sample, k, k / 2);
         mem_free(sample);
     }
     return ERR_OK;
 }
 
-struct importance_work {
-    struct importance *made;
-    const struct model *m;
-    struct gallery *gallery;
-    const struct stage *at;
-    const float *params, *sums;          /* mapped; sums [n][LAYOUT_IMPORTANCE_SUMS] of the view */
-    const float *own[IMPORTANCE_WEIGHT]; /* [n] fields that no view changes */
-    float *opacity, *volume;             /* two of them */
-    float *total, inverse[IMPORTANCE_FIELDS]; /* [n] */
-    size_t n;
-    float view_factor;
-};
+enum err_code importance_inverse_median(const float *x, size_t n, size_t stride, float *out,
+                                        struct err *e)
+{
+    const struct importance_column c = {.x = x, .n = n, .stride = stride};
+    return importance_column_median(&c, n, out, e);
+}
 
 static enum err_code importance_static_chunk(void *user, size_t chunk, struct err *e)
 {
@@ -296,27 +326,30 @@ static enum err_code importance_own_field(void *user, size_t f, struct err *e)
 static enum err_code importance_view_field(void *user, size_t k, struct err *e)
 {
     struct importance_work *w = user;
-    return importance_inverse_median(w->sums + k, w->n, LAYOUT_IMPORTANCE_SUMS,
-                                     &w->inverse[IMPORTANCE_WEIGHT + k], e);
+    const struct importance_column c = {w->sums + k, w->look.shown.n, LAYOUT_IMPORTANCE_SUMS,
+                                        &w->look};
+    return importance_column_median(&c, w->n, &w->inverse[IMPORTANCE_WEIGHT + k], e);
 }
 
 static enum err_code importance_add_chunk(void *user, size_t chunk, struct err *e)
 {
     (void)e;
     struct importance_work *w = user;
-    size_t end = (chunk + 1) * IMPORTANCE_CHUNK < w->n ? (chunk + 1) * IMPORTANCE_CHUNK : w->n;
+    size_t n = w->look.shown.n,
+           end = (chunk + 1) * IMPORTANCE_CHUNK < n ? (chunk + 1) * IMPORTANCE_CHUNK : n;
     for (size_t i = chunk * IMPORTANCE_CHUNK; i < end; i++) {
         const float *view = w->sums + LAYOUT_IMPORTANCE_SUMS * i;
+        const size_t row = model_look_row(&w->look, i);
         float sum = 0.0f;
         if (!(view[IMPORTANCE_DEPTH - IMPORTANCE_WEIGHT] > 0.0f)) /* not visible */
             continue;
         for (size_t f = 0; f < IMPORTANCE_WEIGHT; f++)
-            sum += importance_coefficient[f] * w->own[f][i] * w->inverse[f];
+            sum += importance_coefficient[f] * w->own[f][row] * w->inverse[f];
         for (size_t f = IMPORTANCE_WEIGHT; f < IMPORTANCE_FIELDS; f++)
             sum += importance_coefficient[f] * view[f - IMPORTANCE_WEIGHT] * w->inverse[f];
         sum *= w->view_factor;
         if (sum > 0.0f && isfinite(sum))
-            w->total[i] += sum;
+            w->total[row] += sum;
     }
     return ERR_OK;
 }
@@ -336,16 +369,23 @@ static enum err_code importance_view(struct importance_work *w, size_t nth, stru
 {
     struct photo photo;
     double loss = 0.0;
-    size_t chunks = (w->n + IMPORTANCE_CHUNK - 1) / IMPORTANCE_CHUNK;
     enum err_code rc = photo_loader_get_nth(w->gallery->photos, nth, &photo, e);
     if (!rc)
-        rc = importance_draw(w->made, w->m, w->gallery, w->at, &photo, &loss, e);
+        rc = importance_draw(w, &photo, &loss, e);
     if (!rc)
-        rc = render_importance_run(w->made->device, &w->m->gauss, w->made->weight, &w->sums, e);
+        rc = render_importance_run(w->made->device, &w->look.shown, w->made->weight, &w->sums, e);
+    if (!rc)
+        rc = model_look_map(w->m, &w->look, e);
+    if (rc)
+        return rc;
+    const size_t chunks = (w->look.shown.n + IMPORTANCE_CHUNK - 1) / IMPORTANCE_CHUNK;
+    struct err why = {0};
     w->view_factor = (float)(IMPORTANCE_VIEW * loss);
+    rc = pool_for(IMPORTANCE_FIELDS - IMPORTANCE_WEIGHT, 0, importance_view_field, w, e);
     if (!rc)
-        rc = pool_for(IMPORTANCE_FIELDS - IMPORTANCE_WEIGHT, 0, importance_view_field, w, e);
-    return rc ? rc : pool_for(chunks, 0, importance_add_chunk, w, e);
+        rc = pool_for(chunks, 0, importance_add_chunk, w, e);
+    enum err_code done = model_look_unmap(w->m, &w->look, &why);
+    return !rc && done ? err_set(e, done, "%s", why.msg) : rc;
 }
 
 static enum err_code importance_make(struct importance **out, struct render *render, struct err *e)
@@ -369,7 +409,7 @@ static void importance_forget(struct importance *s)
         render_importance_forget(s->device);
 }
 
-enum err_code importance_run(struct importance **own, const struct model *m, struct gallery *g,
+enum err_code importance_run(struct importance **own, struct model *m, struct gallery *g,
                              const struct stage *at, const float *params, const float *mean_grad,
                              float *score, struct err *e)
 {

@@ -20,7 +20,7 @@ void importance_free(struct importance **s);
  * score [n], finite and >= 0. params: host view of the model's parameters; mean_grad [n]. *own
  * keeps kernels and buffers between calls; it is NULL at first, free it with importance_free.
  * ERR_MEM, ERR_DEVICE, and the errors of photo_loader_get_nth. */
-enum err_code importance_run(struct importance **own, const struct model *m, struct gallery *g,
+enum err_code importance_run(struct importance **own, struct model *m, struct gallery *g,
                              const struct stage *at, const float *params, const float *mean_grad,
                              float *score, struct err *e) ERR_USE;
 /* Parts, for tests. importance_stretch maps x to 0..1, or to 0 if all are equal. importance_edges

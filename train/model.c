@@ -169,11 +169,37 @@ enum err_code model_see(struct model *m, bool defers, const struct camera *cam,
 {
     enum err_code rc = ERR_OK;
     m->seen = m->gauss;
-    if (!defers)
-        return model_settle(m, e);
+    if (!defers) {
+        rc = model_settle(m, e);
+        if (m->defer)
+            defer_moved(m->defer); /* all are about to make a step */
+        return rc;
+    }
     if (!m->defer)
         rc = model_open_defer(m, e);
     return rc ? rc : defer_see(m->defer, &m->gauss, &m->adam, cam, o, &m->seen, e);
+}
+
+enum err_code model_look(struct model *m, const struct camera *cam, const struct render_options *o,
+                         struct model_look *out, struct err *e)
+{
+    *out = (struct model_look){.shown = m->gauss};
+    if (!m->paged.dir)
+        return ERR_OK;
+    enum err_code rc = m->defer ? ERR_OK : model_open_defer(m, e);
+    return rc ? rc : defer_look(m->defer, &m->gauss, &m->adam, cam, o, &out->shown, e);
+}
+
+enum err_code model_look_map(const struct model *m, struct model_look *l, struct err *e)
+{
+    size_t bytes = l->shown.groups * sizeof(uint32_t);
+    return l->shown.list ? dev_map(m->dev, l->shown.list, CL_MAP_READ, bytes, &l->groups, e)
+                         : ERR_OK;
+}
+
+enum err_code model_look_unmap(const struct model *m, struct model_look *l, struct err *e)
+{
+    return l->shown.list ? dev_unmap(m->dev, l->shown.list, &l->groups, e) : ERR_OK;
 }
 
 enum err_code model_stepped(struct model *m, struct err *e)
@@ -261,6 +287,8 @@ enum err_code model_move(struct model *m, const struct permutation *r, size_t mo
         rc = model_move_array(m, k, r, cap, e);
     if (rc)
         return err_add(e, "training %zu Gaussians", r->n);
+    if (m->defer)
+        defer_moved(m->defer);
     m->gauss.cap = (uint32_t)cap;
     model_count(m, r->n);
     return model_zero_stats(m, e);
@@ -340,6 +368,8 @@ enum err_code model_filter(struct model *m, const struct camera *cams, size_t n_
         rc = mip_open(m->dev, &m->mip, e);
     if (!rc)
         rc = mip_run(m->mip, &m->gauss, cams, n_cams, e);
+    if (m->defer)
+        defer_moved(m->defer); /* bounds have the filter in them */
     m->filter_is_current = !rc;
     return rc;
 }

@@ -65,6 +65,26 @@ enum err_code model_stepped(struct model *m, struct err *e) ERR_USE;
  * parameters or moments. ERR_MEM, ERR_DEVICE. */
 enum err_code model_settle(struct model *m, struct err *e) ERR_USE;
 
+/* What a frame shows that is only drawn: all Gaussians, or where they lie in files the groups in
+ * its frustum. The frame has the same bits. */
+struct model_look {
+    struct render_model shown; /* borrowed of the model; draw it before it looks again */
+    void *groups; /* model_look_map: [shown.groups], mapped; NULL: all, in their order */
+};
+/* Looks at a model that is owed no steps (model_settle). ERR_ARG (camera), ERR_MEM, ERR_LIMIT,
+ * ERR_DEVICE. */
+enum err_code model_look(struct model *m, const struct camera *cam, const struct render_options *o,
+                         struct model_look *out, struct err *e) ERR_USE;
+/* Shows the host which groups these are, until model_look_unmap. ERR_DEVICE. */
+enum err_code model_look_map(const struct model *m, struct model_look *l, struct err *e) ERR_USE;
+enum err_code model_look_unmap(const struct model *m, struct model_look *l, struct err *e) ERR_USE;
+/* The model's row of a Gaussian in the frame. */
+static inline size_t model_look_row(const struct model_look *l, size_t i)
+{
+    const uint32_t *groups = l->groups;
+    return groups ? (size_t)groups[i / LAYOUT_LANES] * LAYOUT_LANES + i % LAYOUT_LANES : i;
+}
+
 /* What a state needs to go on as if it had not been saved. model_owed: the last step that each
  * group has made, uint32_t [gauss.groups] on the device; *out is NULL if none is owed any.
  * model_owe takes it back, and returns the first step that model_stepped has to be called for with

@@ -45,7 +45,8 @@ struct prune {
     struct render_importance *device;
     cl_mem weight; /* zeros: only alpha T is of interest */
     size_t weight_bytes;
-    const float *sums;               /* [n][PRUNE_SUMS] of the last view, mapped */
+    struct model_look look;          /* what the last view shows of the model */
+    const float *sums;               /* [look.shown.n][PRUNE_SUMS] of that view, mapped */
     float *total;                    /* [n] */
     double *mse;                     /* [n_images] of photographs as they were drawn first */
     uint16_t *views;                 /* [n] */
@@ -63,7 +64,9 @@ static enum err_code prune_draw(struct prune *c, size_t nth, double *mse, struct
         return rc;
     struct render_options ro = gallery_photo_options(g, c->at, p.image);
     ro.picture = !c->device; /* of those that are drawn again nobody sums weights */
-    rc = gallery_score(g, &p, &c->m->gauss, &ro, &v, e);
+    rc = model_look(c->m, &p.cam, &ro, &c->look, e);
+    if (!rc)
+        rc = gallery_score(g, &p, &c->look.shown, &ro, &v, e);
     *mse = v.mse;
     if (!rc && c->residuals)
         rc = residual_add(c->residuals, p.name, residual_mse(&p, v.mse), residual_ssim(&p, v.ssim),
@@ -85,14 +88,27 @@ static size_t prune_nth(const struct prune *c, size_t k, size_t m)
 static enum err_code prune_add_chunk(void *user, size_t chunk, struct err *e)
 {
     const struct prune *c = user;
-    size_t n = c->m->gauss.n, end = (chunk + 1) * PRUNE_CHUNK < n ? (chunk + 1) * PRUNE_CHUNK : n;
+    size_t n = c->look.shown.n, end = (chunk + 1) * PRUNE_CHUNK < n ? (chunk + 1) * PRUNE_CHUNK : n;
     (void)e;
     for (size_t i = chunk * PRUNE_CHUNK; i < end; i++) {
-        c->total[i] += c->sums[PRUNE_SUMS * i + PRUNE_SHARE];
-        if (c->sums[PRUNE_SUMS * i + PRUNE_PIXELS] > 0.0f && c->views[i] < UINT16_MAX)
-            c->views[i]++;
+        const size_t row = model_look_row(&c->look, i);
+        c->total[row] += c->sums[PRUNE_SUMS * i + PRUNE_SHARE];
+        if (c->sums[PRUNE_SUMS * i + PRUNE_PIXELS] > 0.0f && c->views[row] < UINT16_MAX)
+            c->views[row]++;
     }
     return ERR_OK;
+}
+
+/* What the frame that was drawn adds. */
+static enum err_code prune_add(struct prune *c, struct err *e)
+{
+    enum err_code rc =
+        render_importance_run(c->device, &c->look.shown, c->weight, &c->sums, e);
+    if (!rc)
+        rc = model_look_map(c->m, &c->look, e);
+    if (!rc)
+        rc = pool_for((c->look.shown.n + PRUNE_CHUNK - 1) / PRUNE_CHUNK, 0, prune_add_chunk, c, e);
+    return rc ? rc : model_look_unmap(c->m, &c->look, e);
 }
 
 static enum err_code prune_measure(struct prune *c, size_t n_views, struct err *e)
@@ -112,9 +128,7 @@ static enum err_code prune_measure(struct prune *c, size_t n_views, struct err *
         size_t nth = prune_nth(c, v, n_views);
         rc = prune_draw(c, nth, &c->mse[nth], e);
         if (!rc)
-            rc = render_importance_run(c->device, &m->gauss, c->weight, &c->sums, e);
-        if (!rc)
-            rc = pool_for((n + PRUNE_CHUNK - 1) / PRUNE_CHUNK, 0, prune_add_chunk, c, e);
+            rc = prune_add(c, e);
         if (!rc && signals_stopping())
             rc = err_set(e, ERR_CANCEL, "stopped while pruning");
     }

@@ -224,6 +224,25 @@ static enum err_code run_steps(struct run *t, struct err *e)
     return ERR_OK;
 }
 
+struct run_drawing {
+    struct model *of;
+    struct evaluate_model model; /* what a photograph shows of it */
+};
+
+static enum err_code run_draw(void *user, const struct camera *cam, float *rgb, double *gaussians,
+                              struct err *e)
+{
+    struct run_drawing *d = user;
+    struct model_look look;
+    enum err_code rc = model_look(d->of, cam, &d->model.options, &look, e);
+    d->model.model = &look.shown;
+    if (!rc)
+        rc = evaluate_draw_model(&d->model, cam, rgb, gaussians, e);
+    d->model.model = NULL;
+    *gaussians = d->of->gauss.n;
+    return rc;
+}
+
 static enum err_code run_score(struct run *t, struct evaluate_score *out, struct err *e)
 {
     struct level *l = &t->level;
@@ -238,13 +257,14 @@ static enum err_code run_score(struct run *t, struct evaluate_score *out, struct
         .exposure = t->cfg->exposure ? PHOTO_LOADER_TOLD : PHOTO_LOADER_AS_TAKEN,
     };
     struct appearance_view appearance = {0};
-    struct evaluate_model model = {l->engine.render, &l->model.gauss,
-                                   gallery_options(&l->gallery, &l->stage),
-                                   appearance_train_is_on(&l->appearance) ? &appearance : NULL};
+    struct run_drawing drawing = {
+        &l->model,
+        {l->engine.render, NULL, gallery_options(&l->gallery, &l->stage),
+         appearance_train_is_on(&l->appearance) ? &appearance : NULL}};
     struct evaluate_source source = {
-        .draw = evaluate_draw_model, .user = &model, .ground = l->site.ground};
+        .draw = run_draw, .user = &drawing, .ground = l->site.ground};
     enum err_code rc = photo_loader_open(&f, &photos, e);
-    if (!rc && model.appearance)
+    if (!rc && drawing.model.appearance)
         rc = appearance_view_open(&appearance, &l->appearance.model, l->gallery.scene, e);
     if (!rc)
         rc = evaluate_run(photos, t->job->n_test, &source, out, e);

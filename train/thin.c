@@ -49,7 +49,8 @@ struct thin {
     size_t weight_bytes;
     float *pixels; /* its copy here */
     size_t pixels_cap;
-    const float *sums; /* [n][LAYOUT_IMPORTANCE_SUMS] of the last photograph, mapped */
+    struct model_look look; /* what the last photograph shows of the model */
+    const float *sums; /* [look.shown.n][LAYOUT_IMPORTANCE_SUMS] of it, mapped */
     float *rise;       /* [n] */
     uint16_t *views;   /* [n] photographs that show it */
     float scale;       /* of the last photograph's sums: to a mean over pixels and channels */
@@ -91,7 +92,9 @@ static enum err_code thin_draw(struct thin *c, size_t nth, struct err *e)
     if (rc)
         return rc;
     background_choose(c->background, g->cfg, supported, c->at, &p, &ro);
-    rc = gallery_score(g, &p, &c->m->gauss, &ro, &v, e);
+    rc = model_look(c->m, &p.cam, &ro, &c->look, e);
+    if (!rc)
+        rc = gallery_score(g, &p, &c->look.shown, &ro, &v, e);
     c->error += isfinite(v.mse) ? v.mse : 0.0;
     return rc ? rc : thin_weigh(c, &p, e);
 }
@@ -99,30 +102,39 @@ static enum err_code thin_draw(struct thin *c, size_t nth, struct err *e)
 static enum err_code thin_add_chunk(void *user, size_t chunk, struct err *e)
 {
     const struct thin *c = user;
-    size_t n = c->m->gauss.n, end = (chunk + 1) * THIN_CHUNK < n ? (chunk + 1) * THIN_CHUNK : n;
+    size_t n = c->look.shown.n, end = (chunk + 1) * THIN_CHUNK < n ? (chunk + 1) * THIN_CHUNK : n;
     (void)e;
     for (size_t i = chunk * THIN_CHUNK; i < end; i++) {
         const float *sums = c->sums + LAYOUT_IMPORTANCE_SUMS * i;
-        c->rise[i] += c->scale * sums[LAYOUT_REMOVAL_RISE];
-        if (sums[LAYOUT_IMPORTANCE_PIXELS] > 0.0f && c->views[i] < UINT16_MAX)
-            c->views[i]++;
+        const size_t row = model_look_row(&c->look, i);
+        c->rise[row] += c->scale * sums[LAYOUT_REMOVAL_RISE];
+        if (sums[LAYOUT_IMPORTANCE_PIXELS] > 0.0f && c->views[row] < UINT16_MAX)
+            c->views[row]++;
     }
     return ERR_OK;
+}
+
+/* What the frame that was drawn adds. */
+static enum err_code thin_add(struct thin *c, struct err *e)
+{
+    enum err_code rc = render_removal_run(c->device, &c->look.shown, c->weight, &c->sums, e);
+    if (!rc)
+        rc = model_look_map(c->m, &c->look, e);
+    if (!rc)
+        rc = pool_for((c->look.shown.n + THIN_CHUNK - 1) / THIN_CHUNK, 0, thin_add_chunk, c, e);
+    return rc ? rc : model_look_unmap(c->m, &c->look, e);
 }
 
 static enum err_code thin_measure(struct thin *c, size_t n_views, struct err *e)
 {
     struct gallery *g = c->gallery;
-    size_t n = c->m->gauss.n;
     enum err_code rc = render_importance_open(g->engine.render, &c->device, e);
     if (!rc)
         rc = gallery_filter(g, c->at, c->m, e);
     for (size_t v = 0; !rc && v < n_views; v++) {
         rc = thin_draw(c, v * g->n_images / n_views, e);
         if (!rc)
-            rc = render_removal_run(c->device, &c->m->gauss, c->weight, &c->sums, e);
-        if (!rc)
-            rc = pool_for((n + THIN_CHUNK - 1) / THIN_CHUNK, 0, thin_add_chunk, c, e);
+            rc = thin_add(c, e);
         if (!rc && signals_stopping())
             rc = err_set(e, ERR_CANCEL, "stopped while thinning");
     }
