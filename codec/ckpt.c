@@ -37,7 +37,8 @@ enum {
     CKPT_OWN = 8, /* #meta, #gauss and the six arrays */
     CKPT_SECTIONS_MAX = 4096,
     CKPT_GAUSS_BYTES = 48,
-    CKPT_SLICE = 4096, /* rows at a time */
+    CKPT_SLICE = 4096,    /* rows at a time */
+    CKPT_PIECE = 1 << 22, /* bytes of a blob at a time */
 };
 static const char ckpt_magic[8] = {'C', 'S', 'P', 'L', 'C', 'K', 'P', 'T'};
 static const size_t ckpt_limit_bytes = (size_t)64 << 30;
@@ -178,6 +179,23 @@ static enum err_code ckpt_put_rows(struct ckpt_writer *w, enum ckpt_field field,
     return rc;
 }
 
+/* What lies in memory already, in pieces: who gave it may let each of them go. */
+static enum err_code ckpt_put_blob(struct ckpt_writer *w, struct ckpt_entry *t, struct err *e)
+{
+    const struct ckpt_source *from = w->from;
+    struct hash_state *h = hash_begin();
+    enum err_code rc = h ? ERR_OK : err_set(e, ERR_MEM, "ckpt_write: %s: out of memory", w->path);
+    for (size_t at = 0, n; !rc && at < t->size; at += n) {
+        n = t->size - at < CKPT_PIECE ? (size_t)t->size - at : CKPT_PIECE;
+        hash_add(h, (const uint8_t *)t->data + at, n);
+        rc = ckpt_put(w, (const uint8_t *)t->data + at, n, e);
+        if (from->wrote)
+            from->wrote(from->user, t->data, at, at + n);
+    }
+    t->hash = hash_end(h);
+    return rc;
+}
+
 static enum err_code ckpt_put_sections(struct ckpt_writer *w, struct err *e)
 {
     struct ckpt_array arrays[CKPT_ARRAYS];
@@ -193,8 +211,7 @@ static enum err_code ckpt_put_sections(struct ckpt_writer *w, struct err *e)
         if (!rc && array < CKPT_ARRAYS) {
             rc = ckpt_put_rows(w, (enum ckpt_field)array, arrays[array].per_row, &t->hash, e);
         } else if (!rc) {
-            t->hash = hash_bytes(t->data, t->size);
-            rc = ckpt_put(w, t->data, (size_t)t->size, e);
+            rc = ckpt_put_blob(w, t, e);
         }
     }
     return rc;
@@ -641,11 +658,20 @@ enum err_code ckpt_rows_read(const struct ckpt_rows *r, size_t from, size_t n, s
 
 /* A section's bytes to where there is room for them, against its hash. */
 static enum err_code ckpt_read_section(const struct ckpt_rows *r, const struct ckpt_entry *s,
-                                       void *to, struct err *e)
+                                       const struct ckpt_target *to, struct err *e)
 {
-    enum err_code rc = ckpt_pread(r, to, (size_t)s->size, s->offset, e);
-    struct hash128 h = rc ? (struct hash128){0} : hash_bytes(to, (size_t)s->size);
-    if (!rc && (h.lo != s->hash.lo || h.hi != s->hash.hi))
+    uint8_t *out = to->at;
+    struct hash_state *h = hash_begin();
+    enum err_code rc = h ? ERR_OK : err_set(e, ERR_MEM, "%s: out of memory", r->path);
+    for (size_t at = 0, n; !rc && at < s->size; at += n) {
+        n = s->size - at < CKPT_PIECE ? (size_t)s->size - at : CKPT_PIECE;
+        rc = ckpt_pread(r, out + at, n, s->offset + at, e);
+        hash_add(h, out + at, rc ? 0 : n);
+        if (to->passed)
+            to->passed(to->user, out, at, at + n);
+    }
+    const struct hash128 got = hash_end(h);
+    if (!rc && (got.lo != s->hash.lo || got.hi != s->hash.hi))
         rc = err_set(e, ERR_FORMAT, "%s: damaged: the hash of section '%s' differs", r->path,
                      s->name);
     return rc;
@@ -658,7 +684,8 @@ enum err_code ckpt_rows_blob(const struct ckpt_rows *r, const char *name, struct
     if (!s)
         return ERR_OK;
     uint8_t *to = buf_grow(out, s->size);
-    enum err_code rc = to ? ckpt_read_section(r, s, to, e)
+    const struct ckpt_target all = {.at = to};
+    enum err_code rc = to ? ckpt_read_section(r, s, &all, e)
                           : err_set(e, ERR_MEM, "%s: out of memory for '%s'", r->path, name);
     if (rc)
         buf_free(out);
@@ -670,13 +697,14 @@ bool ckpt_rows_has(const struct ckpt_rows *r, const char *name)
     return ckpt_section(r->entry, r->n_entries, name) != NULL;
 }
 
-enum err_code ckpt_rows_blob_to(const struct ckpt_rows *r, const char *name, void *out,
-                                size_t n_bytes, struct err *e)
+enum err_code ckpt_rows_blob_to(const struct ckpt_rows *r, const char *name,
+                                const struct ckpt_target *to, struct err *e)
 {
     const struct ckpt_entry *s = ckpt_section(r->entry, r->n_entries, name);
-    if (!s || s->size != n_bytes)
-        return err_set(e, ERR_FORMAT, "%s: '%s' does not hold %zu bytes", r->path, name, n_bytes);
-    return ckpt_read_section(r, s, out, e);
+    if (!s || s->size != to->n_bytes)
+        return err_set(e, ERR_FORMAT, "%s: '%s' does not hold %zu bytes", r->path, name,
+                       to->n_bytes);
+    return ckpt_read_section(r, s, to, e);
 }
 
 void ckpt_rows_close(struct ckpt_rows **rp)

@@ -173,19 +173,22 @@ void gauss_recenter(struct gauss *g, const double origin_enu_m[3])
     }
 }
 
-static void gauss_extent(const struct gauss *g, float lo[3], float hi[3])
+struct gauss_extent {
+    float lo[3], hi[3];
+};
+
+static void gauss_extend(struct gauss_extent *x, const float *mean, size_t n)
 {
-    for (size_t k = 0; k < 3; k++) {
-        lo[k] = INFINITY;
-        hi[k] = -INFINITY;
-    }
-    for (size_t i = 0; i < g->n; i++)
+    for (size_t i = 0; i < n; i++)
         for (size_t k = 0; k < 3; k++) {
-            float x = g->mean_m[3 * i + k];
-            lo[k] = x < lo[k] ? x : lo[k];
-            hi[k] = x > hi[k] ? x : hi[k];
+            float at = mean[3 * i + k];
+            x->lo[k] = at < x->lo[k] ? at : x->lo[k];
+            x->hi[k] = at > x->hi[k] ? at : x->hi[k];
         }
 }
+
+static const struct gauss_extent gauss_nowhere = {{INFINITY, INFINITY, INFINITY},
+                                                  {-INFINITY, -INFINITY, -INFINITY}};
 
 /* 0 .. 2^21 - 1 along an axis; NaN goes first. */
 static uint32_t gauss_cell(float x, float lo, double span)
@@ -195,12 +198,12 @@ static uint32_t gauss_cell(float x, float lo, double span)
     return t >= 0.0 && t <= 1.0 ? (uint32_t)(t * top) : 0;
 }
 
-static enum err_code gauss_order_rows(const struct gauss *g, struct sort_item **item, struct err *e)
+static enum err_code gauss_order_rows(size_t n, struct sort_item **item, struct err *e)
 {
-    if (g->n > UINT32_MAX)
-        return err_set(e, ERR_LIMIT, "%zu Gaussians, at most 2^32 - 1 can be ordered", g->n);
-    *item = mem_array(g->n, 2 * sizeof **item);
-    return *item ? ERR_OK : err_set(e, ERR_MEM, "out of memory to order %zu Gaussians", g->n);
+    if (n > UINT32_MAX)
+        return err_set(e, ERR_LIMIT, "%zu Gaussians, at most 2^32 - 1 can be ordered", n);
+    *item = mem_array(n, 2 * sizeof **item);
+    return *item ? ERR_OK : err_set(e, ERR_MEM, "out of memory to order %zu Gaussians", n);
 }
 
 static void gauss_order_sort(struct sort_item *item, size_t n, uint32_t *order)
@@ -211,42 +214,74 @@ static void gauss_order_sort(struct sort_item *item, size_t n, uint32_t *order)
     mem_free(item);
 }
 
+/* Rows from `first` on. */
+static void gauss_morton_keys(const struct gauss_extent *x, const float *mean, size_t first,
+                              size_t n, struct sort_item *item)
+{
+    for (size_t i = 0; i < n; i++) {
+        item[i] = (struct sort_item){0, (uint32_t)(first + i)};
+        for (size_t k = 0; k < 3; k++)
+            item[i].key |= sort_spread3(gauss_cell(mean[3 * i + k], x->lo[k],
+                                                   (double)x->hi[k] - (double)x->lo[k]))
+                           << k;
+    }
+}
+
 enum err_code gauss_morton_order(const struct gauss *g, uint32_t *order, struct err *e)
 {
     struct sort_item *item;
-    float lo[3], hi[3];
-    enum err_code rc = gauss_order_rows(g, &item, e);
+    struct gauss_extent x = gauss_nowhere;
+    enum err_code rc = gauss_order_rows(g->n, &item, e);
     if (rc)
         return rc;
-    gauss_extent(g, lo, hi);
-    for (size_t i = 0; i < g->n; i++) {
-        item[i].row = (uint32_t)i;
-        for (size_t k = 0; k < 3; k++)
-            item[i].key |=
-                sort_spread3(gauss_cell(g->mean_m[3 * i + k], lo[k], (double)hi[k] - (double)lo[k]))
-                << k;
-    }
+    gauss_extend(&x, g->mean_m, g->n);
+    gauss_morton_keys(&x, g->mean_m, 0, g->n, item);
     gauss_order_sort(item, g->n, order);
     return ERR_OK;
+}
+
+enum err_code gauss_morton_order_of(const struct gauss_places *p, uint32_t *order, struct err *e)
+{
+    struct sort_item *item = NULL;
+    struct gauss_extent x = gauss_nowhere;
+    float *mean = mem_array(p->n < GAUSS_SLICE ? p->n : GAUSS_SLICE, 3 * sizeof *mean);
+    enum err_code rc = mean ? gauss_order_rows(p->n, &item, e)
+                            : err_set(e, ERR_MEM, "out of memory to order %zu Gaussians", p->n);
+    for (int pass = 0; !rc && pass < 2; pass++)
+        for (size_t i = 0; !rc && i < p->n; i += GAUSS_SLICE) {
+            const size_t n = p->n - i < GAUSS_SLICE ? p->n - i : GAUSS_SLICE;
+            rc = p->means(p->user, i, i + n, mean, e);
+            if (!rc && pass)
+                gauss_morton_keys(&x, mean, i, n, item + i);
+            else if (!rc)
+                gauss_extend(&x, mean, n);
+        }
+    mem_free(mean);
+    if (rc)
+        mem_free(item);
+    else
+        gauss_order_sort(item, p->n, order);
+    return rc;
 }
 
 enum err_code gauss_hilbert_order(const struct gauss *g, uint32_t *order, struct err *e)
 {
     struct sort_item *item;
     struct sort_hilbert curve;
-    float lo[3], hi[3];
+    struct gauss_extent x = gauss_nowhere;
     double span = 0.0;
-    enum err_code rc = gauss_order_rows(g, &item, e);
+    enum err_code rc = gauss_order_rows(g->n, &item, e);
     if (rc)
         return rc;
     sort_hilbert_init(&curve);
-    gauss_extent(g, lo, hi);
+    gauss_extend(&x, g->mean_m, g->n);
     for (size_t k = 0; k < 3; k++)
-        span = fmax(span, (double)hi[k] - (double)lo[k]);
+        span = fmax(span, (double)x.hi[k] - (double)x.lo[k]);
     for (size_t i = 0; i < g->n; i++) {
         const float *at = g->mean_m + 3 * i;
-        const uint32_t cell[3] = {gauss_cell(at[0], lo[0], span), gauss_cell(at[1], lo[1], span),
-                                  gauss_cell(at[2], lo[2], span)};
+        const uint32_t cell[3] = {gauss_cell(at[0], x.lo[0], span),
+                                  gauss_cell(at[1], x.lo[1], span),
+                                  gauss_cell(at[2], x.lo[2], span)};
         item[i] = (struct sort_item){sort_hilbert_key(&curve, cell), (uint32_t)i};
     }
     gauss_order_sort(item, g->n, order);

@@ -64,6 +64,16 @@ void gauss_recenter(struct gauss *g, const double origin_enu_m[3]);
 /* Sorts rows by the Morton code of their means, with 21 bits an axis over the bounding box. Equal
  * codes keep the order of rows. order [n] gets the row numbers. ERR_MEM, ERR_LIMIT (2^32 rows). */
 enum err_code gauss_morton_order(const struct gauss *g, uint32_t *order, struct err *e) ERR_USE;
+/* The same of rows whose means are computed when they are asked for, twice, some at a time: rows
+ * [from, to) into out [to - from][3]. ERR_MEM, ERR_LIMIT, and what `means` returns. */
+enum { GAUSS_SLICE = 65536 };
+struct gauss_places {
+    size_t n;
+    enum err_code (*means)(void *user, size_t from, size_t to, float *out, struct err *e);
+    void *user;
+};
+enum err_code gauss_morton_order_of(const struct gauss_places *p, uint32_t *order,
+                                    struct err *e) ERR_USE;
 /* As gauss_morton_order, along a Hilbert curve through a cube. Files use it: rows that are close in
  * space then lie together, which compresses better. ERR_MEM, ERR_LIMIT. */
 enum err_code gauss_hilbert_order(const struct gauss *g, uint32_t *order, struct err *e) ERR_USE;

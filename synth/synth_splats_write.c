@@ -238,7 +238,7 @@ static enum err_code write_level(const struct synth_splats *city, const char *di
     char path[FILE_PATH_MAX];
     struct splats_level l = {.city = city, .n = n};
     const struct gauss like = {.n = n, .sh_degree = city->sh_degree};
-    const struct ckpt_source from = {&like, write_level_rows, &l};
+    const struct ckpt_source from = {.like = &like, .rows = write_level_rows, .user = &l};
     json_t *meta = json_pack("{s:i, s:s}", "level", level, "made_by", "citysplat synth --splats");
     int len = snprintf(path, sizeof path, "%s/cells/all/level%d.ckpt", dir, level);
     enum err_code rc = len > 0 && (size_t)len < sizeof path

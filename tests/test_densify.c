@@ -310,7 +310,7 @@ static struct arrays apply(const struct densify_params *p, const struct toy *t,
     kit_ok(permute_move(&order.rows, false, t->params, to.params, &e), e);
     kit_ok(permute_move(&order.rows, true, t->m1, to.m1, &e), e);
     kit_ok(permute_move(&order.rows, true, t->m2, to.m2, &e), e);
-    densify_halve(&order, to.params);
+    densify_halve(&order, &in, to.params);
     densify_order_free(&order);
     return to;
 }

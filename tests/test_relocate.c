@@ -340,7 +340,7 @@ static void the_dead_move_and_the_number_is_the_ceiling(void **state)
     float *to = mem_array(layout_floats(plan.n, PLANES), sizeof *to);
     assert_non_null(to);
     kit_ok(permute_move(&order.rows, false, params, to, &e), e);
-    densify_halve(&order, to);
+    densify_halve(&order, &in, to);
     size_t of_source[N] = {0};
     for (size_t d = 0; d < plan.n; d++)
         of_source[(size_t)*plane_of(to, d, 11)]++;

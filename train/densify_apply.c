@@ -39,6 +39,13 @@
 #define DENSIFY_CUT_SPACINGS 1.0
 #define DENSIFY_CUT_LEAST 2.5
 
+static_assert((int)DENSIFY_PART == (int)MODEL_PART, "parts that are told leave memory");
+
+static void densify_passed(void *user, size_t from, size_t to)
+{
+    model_walked(user, false, from, to);
+}
+
 struct densify_work {
     void *params; /* mapped */
     float *mean_grad, *score, *opacity;
@@ -194,7 +201,9 @@ static enum err_code densify_decide(struct model *m, const struct densify_run *r
                                .n = m->gauss.n,
                                .planes = m->gauss.planes,
                                .mean_grad = c->mean_grad,
-                               .opacity = c->opacity};
+                               .opacity = c->opacity,
+                               .passed = densify_passed,
+                               .user = m};
     if (!rc)
         rc = densify_plan_make(p, &in, &c->plan, e);
     if (!rc && c->plan.report.needs_importance) {
@@ -228,7 +237,7 @@ static enum err_code densify_commit(struct model *m, size_t most, const struct d
     rc = dev_map(m->dev, m->gauss.params, CL_MAP_READ | CL_MAP_WRITE, model_bytes(m), &params, e);
     if (rc)
         return rc;
-    densify_halve(&c->order, params);
+    densify_halve(&c->order, &(struct densify_input){.passed = densify_passed, .user = m}, params);
     return dev_unmap(m->dev, m->gauss.params, &params, e);
 }
 

@@ -37,9 +37,9 @@
 #define DENSIFY_AXIS_SHRINK 0.6 /* sqrt(1 - d^2): the pair keeps the parent's covariance */
 enum {
     DENSIFY_CUT_SHARE = 4, /* of the room, for what sticks out */
-    DENSIFY_CHUNK = 4096,  /* rows that a thread takes at a time */
-    DENSIFY_LISTS = 5      /* of rows: what a draw chose, and the candidates of both sides */
+    DENSIFY_CHUNK = 4096   /* rows that a thread takes at a time */
 };
+static_assert((int)DENSIFY_PART == (int)GAUSS_SLICE, "means are asked for in parts that are told");
 #define DENSIFY_CLEAR_LEAST 1e-6 /* 1 - opacity of what is shared: beyond, it has no root */
 #define DENSIFY_SMALLEST_M 1e-4  /* scene units; smaller Gaussians are removed */
 
@@ -151,7 +151,7 @@ struct densify_lists {
     uint8_t *class, *inside;       /* [n], of the plan */
     bool known;                    /* both are filled */
     uint8_t *chosen;               /* [n] */
-    uint32_t *drawn;               /* scratch for a draw */
+    uint32_t *drawn;               /* scratch for a draw, and the candidates behind it */
     uint8_t *copies;               /* [n] MCMC: how many come to each; otherwise NULL */
     struct densify_side {          /* 0 outside the cell, 1 inside */
         uint32_t *clones, *splits; /* candidates, ascending */
@@ -213,8 +213,9 @@ struct densify_scan {
     const struct densify_params *p;
     const struct densify_input *in;
     const struct densify_plan *plan;
+    size_t first, end;       /* rows of the part at hand */
     uint8_t *class, *inside; /* densify_classify_chunk */
-    float *mean;             /* densify_mean_chunk */
+    float *mean;             /* densify_mean_chunk: [end - first][3] */
 };
 
 static size_t densify_chunks(size_t n)
@@ -222,19 +223,59 @@ static size_t densify_chunks(size_t n)
     return (n + DENSIFY_CHUNK - 1) / DENSIFY_CHUNK;
 }
 
-static size_t densify_chunk_end(size_t n, size_t chunk)
+static size_t densify_chunk_end(const struct densify_scan *s, size_t chunk)
 {
-    return (chunk + 1) * DENSIFY_CHUNK < n ? (chunk + 1) * DENSIFY_CHUNK : n;
+    const size_t end = s->first + (chunk + 1) * DENSIFY_CHUNK;
+    return end < s->end ? end : s->end;
 }
 
 static enum err_code densify_classify_chunk(void *user, size_t chunk, struct err *e)
 {
     const struct densify_scan *s = user;
     (void)e;
-    for (size_t i = chunk * DENSIFY_CHUNK; i < densify_chunk_end(s->in->n, chunk); i++) {
+    for (size_t i = s->first + chunk * DENSIFY_CHUNK; i < densify_chunk_end(s, chunk); i++) {
         bool inside;
         s->class[i] = (uint8_t)densify_classify(s->p, s->in, i, &inside);
         s->inside[i] = inside;
+    }
+    return ERR_OK;
+}
+
+static enum err_code densify_classify_all(struct densify_scan *s, struct err *e)
+{
+    const struct densify_input *in = s->in;
+    enum err_code rc = ERR_OK;
+    for (s->first = 0; !rc && s->first < in->n; s->first = s->end) {
+        s->end = in->n - s->first < DENSIFY_PART ? in->n : s->first + DENSIFY_PART;
+        rc = pool_for(densify_chunks(s->end - s->first), 0, densify_classify_chunk, s, e);
+        if (in->passed)
+            in->passed(in->user, s->first, s->end);
+    }
+    return rc;
+}
+
+/* Room for as many candidates as there are. Relocation draws from all that live. */
+static enum err_code densify_alloc(const struct densify_params *p, const struct densify_input *in,
+                                   struct densify_lists *w, struct err *e)
+{
+    size_t n[CLASS_CUT + 1][2] = {{0}}, drawn = 0, all = 0;
+    for (size_t i = 0; i < in->n; i++)
+        n[w->class[i]][w->inside[i]]++;
+    drawn = n[CLASS_CUT][0] + n[CLASS_CUT][1];
+    for (size_t side = 0; side < 2; side++)
+        for (size_t c = CLASS_CLONE; c <= CLASS_SPLIT; c++) {
+            all += n[c][side];
+            drawn = n[c][side] > drawn ? n[c][side] : drawn;
+        }
+    drawn = p->strategy == DENSIFY_STRATEGY_MCMC ? in->n : drawn;
+    w->drawn = mem_array(drawn + all, sizeof *w->drawn);
+    if (!w->drawn)
+        return err_set(e, ERR_MEM, "densify: out of memory for %zu candidates", all);
+    uint32_t *to = w->drawn + drawn;
+    for (size_t side = 0; side < 2; side++) {
+        w->side[side].clones = to;
+        w->side[side].splits = to + n[CLASS_CLONE][side];
+        to += n[CLASS_CLONE][side] + n[CLASS_SPLIT][side];
     }
     return ERR_OK;
 }
@@ -454,8 +495,9 @@ static enum err_code densify_fill(const struct densify_params *p, const struct d
     struct densify_report *r = &out->report;
     struct densify_side *inside = &w->side[1], *outside = &w->side[0];
     struct densify_scan scan = {.p = p, .in = in, .class = w->class, .inside = w->inside};
-    enum err_code rc =
-        w->known ? ERR_OK : pool_for(densify_chunks(in->n), 0, densify_classify_chunk, &scan, e);
+    enum err_code rc = w->known ? ERR_OK : densify_classify_all(&scan, e);
+    if (!rc)
+        rc = densify_alloc(p, in, w, e);
     if (rc)
         return rc;
     densify_list(in, w);
@@ -500,22 +542,15 @@ static enum err_code densify_choose(const struct densify_params *p, const struct
                                     bool known, struct densify_plan *out, struct err *e)
 {
     struct densify_lists w = {.class = out->class, .inside = out->inside, .known = known};
-    uint32_t *ids = mem_array(in->n, DENSIFY_LISTS * sizeof *ids);
     enum err_code rc = ERR_OK;
     w.chosen = mem_array(in->n, 1);
-    if (!w.class || !w.inside || !w.chosen || !ids) {
+    if (!w.class || !w.inside || !w.chosen)
         rc = err_set(e, ERR_MEM, "densify: out of memory for %zu Gaussians", in->n);
-    } else {
-        w.drawn = ids;
-        for (size_t k = 0; k < 2; k++) {
-            w.side[k].clones = ids + (1 + 2 * k) * in->n;
-            w.side[k].splits = ids + (2 + 2 * k) * in->n;
-        }
+    else
         rc = densify_fill(p, in, &w, out, e);
-    }
     mem_free(w.chosen);
     mem_free(w.copies);
-    mem_free(ids);
+    mem_free(w.drawn);
     if (rc)
         densify_plan_free(out);
     else if (!out->report.needs_importance)
@@ -583,12 +618,18 @@ static void densify_share_row(uint32_t planes, float *params, size_t d, unsigned
         params[densify_at(d, planes, LAYOUT_PLANE_SCALE + k)] += (float)log(s.shrink);
 }
 
-void densify_halve(const struct densify_order *o, float *params)
+void densify_halve(const struct densify_order *o, const struct densify_input *in, float *params)
 {
-    for (size_t i = 0; i < o->n_split; i++)
-        densify_halve_row(o, params, o->split[i], o->mean + 3 * i);
-    for (size_t i = 0; i < o->n_shared; i++)
-        densify_share_row(o->rows.planes, params, o->shared[i], o->parts[i]);
+    size_t i = 0, k = 0;
+    for (size_t from = 0; from < o->rows.n; from += DENSIFY_PART) {
+        const size_t to = o->rows.n - from < DENSIFY_PART ? o->rows.n : from + DENSIFY_PART;
+        for (; i < o->n_split && o->split[i] < to; i++)
+            densify_halve_row(o, params, o->split[i], o->mean + 3 * i);
+        for (; k < o->n_shared && o->shared[k] < to; k++)
+            densify_share_row(o->rows.planes, params, o->shared[k], o->parts[k]);
+        if (in->passed)
+            in->passed(in->user, from, to);
+    }
 }
 
 static bool densify_is_half(struct densify_row row)
@@ -596,14 +637,38 @@ static bool densify_is_half(struct densify_row row)
     return row.kind == DENSIFY_SPLIT_A || row.kind == DENSIFY_SPLIT_B;
 }
 
+static enum err_code densify_mean_chunk(void *user, size_t chunk, struct err *e)
+{
+    const struct densify_scan *s = user;
+    (void)e;
+    for (size_t i = s->first + chunk * DENSIFY_CHUNK; i < densify_chunk_end(s, chunk); i++)
+        densify_mean(s->p, s->in, s->plan->rows[i], s->mean + 3 * (i - s->first));
+    return ERR_OK;
+}
+
+/* Means of rows [from, to) of the plan, whose sources ascend. */
+static enum err_code densify_means(void *user, size_t from, size_t to, float *out, struct err *e)
+{
+    struct densify_scan *s = user;
+    const struct densify_row *rows = s->plan->rows;
+    s->first = from;
+    s->end = to;
+    s->mean = out;
+    enum err_code rc = pool_for(densify_chunks(to - from), 0, densify_mean_chunk, s, e);
+    if (s->in->passed)
+        s->in->passed(s->in->user, rows[from].source, to < s->plan->n ? rows[to].source : s->in->n);
+    return rc;
+}
+
 /* Along the curve; which row of the plan comes where is forgotten once rows and halves are known.
  */
-static enum err_code densify_sort(const struct densify_plan *plan, const float *mean,
-                                  uint32_t *source, struct densify_order *o, struct err *e)
+static enum err_code densify_sort(struct densify_scan *s, uint32_t *source, struct densify_order *o,
+                                  struct err *e)
 {
-    struct gauss shape = {.n = plan->n, .mean_m = (float *)(uintptr_t)mean};
+    const struct densify_plan *plan = s->plan;
+    const struct gauss_places places = {plan->n, densify_means, s};
     size_t n = 0, shared = 0;
-    enum err_code rc = gauss_morton_order(&shape, source, e);
+    enum err_code rc = gauss_morton_order_of(&places, source, e);
     if (rc)
         return rc;
     for (size_t d = 0; d < plan->n; d++) {
@@ -628,17 +693,8 @@ static enum err_code densify_sort(const struct densify_plan *plan, const float *
         if (!densify_is_half(row))
             continue;
         o->split[n] = (uint32_t)d;
-        memcpy(o->mean + 3 * n++, mean + 3 * (size_t)at, 3 * sizeof *mean);
+        densify_mean(s->p, s->in, row, o->mean + 3 * n++);
     }
-    return ERR_OK;
-}
-
-static enum err_code densify_mean_chunk(void *user, size_t chunk, struct err *e)
-{
-    const struct densify_scan *s = user;
-    (void)e;
-    for (size_t i = chunk * DENSIFY_CHUNK; i < densify_chunk_end(s->plan->n, chunk); i++)
-        densify_mean(s->p, s->in, s->plan->rows[i], s->mean + 3 * i);
     return ERR_OK;
 }
 
@@ -646,18 +702,12 @@ enum err_code densify_order(const struct densify_params *p, const struct densify
                             const struct densify_plan *plan, struct densify_order *out,
                             struct err *e)
 {
-    float *mean = mem_array(3 * plan->n, sizeof *mean);
     uint32_t *source = mem_array(plan->n, sizeof *source);
-    struct densify_scan scan = {.p = p, .in = in, .plan = plan, .mean = mean};
+    struct densify_scan scan = {.p = p, .in = in, .plan = plan};
     *out = (struct densify_order){.rows = {source, plan->n, in->n, in->planes}, .how = p->split};
-    enum err_code rc = ERR_OK;
-    if (!mean || !source)
-        rc = err_set(e, ERR_MEM, "densify: out of memory for %zu Gaussians", plan->n);
-    else
-        rc = pool_for(densify_chunks(plan->n), 0, densify_mean_chunk, &scan, e);
-    if (!rc && mean && source)
-        rc = densify_sort(plan, mean, source, out, e);
-    mem_free(mean);
+    enum err_code rc =
+        source ? densify_sort(&scan, source, out, e)
+               : err_set(e, ERR_MEM, "densify: out of memory for %zu Gaussians", plan->n);
     if (rc)
         densify_order_free(out);
     return rc;

@@ -64,7 +64,12 @@ struct densify_input { /* host copies in the device's layout, [groups][planes][1
     const float *mean_grad;
     const float *opacity; /* [n] compared with prune_opacity; NULL: use the opacity in `params` */
     const float *score;   /* [n] importance, >= 0; NULL if the budget does not bind: all equal */
+    /* May be NULL: who goes through the parameters from start to end tells which rows it has
+     * passed, about DENSIFY_PART of them at a time, up to the last. */
+    void (*passed)(void *user, size_t from, size_t to);
+    void *user;
 };
+enum { DENSIFY_PART = 65536 };
 struct densify_report {
     size_t before, pruned, clone_candidates, split_candidates, room, cloned, split, after, inside,
         outside, cut;      /* cut: those of `split` that reach out of the photographs */
@@ -104,6 +109,6 @@ enum err_code densify_order(const struct densify_params *p, const struct densify
                             struct err *e) ERR_USE;
 void densify_order_free(struct densify_order *o);
 /* Call it after permute_move of the parameters. Copies of split parents become halves, and copies
- * that share a place become parts. */
-void densify_halve(const struct densify_order *o, float *params);
+ * that share a place become parts. in: of its members only `passed` is used, for the new rows. */
+void densify_halve(const struct densify_order *o, const struct densify_input *in, float *params);
 #endif

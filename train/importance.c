@@ -188,12 +188,12 @@ struct importance_work {
     struct model *m;
     struct gallery *gallery;
     const struct stage *at;
-    struct model_look look;     /* what the view shows of the model */
-    const float *params, *sums; /* mapped; sums [look.shown.n][LAYOUT_IMPORTANCE_SUMS] */
+    struct model_look look;              /* what the view shows of the model */
+    const float *params, *sums;          /* mapped; sums [look.shown.n][LAYOUT_IMPORTANCE_SUMS] */
     const float *own[IMPORTANCE_WEIGHT]; /* [n] fields that no view changes */
     float *opacity, *volume;             /* two of them */
     float *total, inverse[IMPORTANCE_FIELDS]; /* [n] */
-    size_t n;
+    size_t n, first;                          /* first: of the part at hand */
     float view_factor;
 };
 
@@ -304,8 +304,9 @@ static enum err_code importance_static_chunk(void *user, size_t chunk, struct er
     (void)e;
     struct importance_work *w = user;
     uint32_t planes = w->m->gauss.planes;
-    size_t end = (chunk + 1) * IMPORTANCE_CHUNK < w->n ? (chunk + 1) * IMPORTANCE_CHUNK : w->n;
-    for (size_t i = chunk * IMPORTANCE_CHUNK; i < end; i++) {
+    const size_t from = w->first + chunk * IMPORTANCE_CHUNK,
+                 end = w->n - from < IMPORTANCE_CHUNK ? w->n : from + IMPORTANCE_CHUNK;
+    for (size_t i = from; i < end; i++) {
         const float *p = w->params + layout_at(i, planes);
         float volume = 0.0f;
         for (size_t k = 0; k < 3; k++)
@@ -314,6 +315,19 @@ static enum err_code importance_static_chunk(void *user, size_t chunk, struct er
         w->volume[i] = expf(volume);
     }
     return ERR_OK;
+}
+
+static enum err_code importance_static(struct importance_work *w, struct err *e)
+{
+    static_assert((int)MODEL_PART % (int)IMPORTANCE_CHUNK == 0, "parts are whole chunks");
+    enum err_code rc = ERR_OK;
+    for (w->first = 0; !rc && w->first < w->n; w->first += MODEL_PART) {
+        const size_t n = w->n - w->first < MODEL_PART ? w->n - w->first : MODEL_PART;
+        rc = pool_for((n + IMPORTANCE_CHUNK - 1) / IMPORTANCE_CHUNK, 0, importance_static_chunk, w,
+                      e);
+        model_walked(w->m, false, w->first, w->first + n);
+    }
+    return rc;
 }
 
 static enum err_code importance_own_field(void *user, size_t f, struct err *e)
@@ -432,8 +446,7 @@ enum err_code importance_run(struct importance **own, struct model *m, struct ga
     rc = sample_race(NULL, all, g->n_images, n_views, (uint64_t)g->cfg->seed,
                      train_stream(TRAIN_STREAM_VIEWS, at->at + 1, at->step), views, e);
     if (!rc)
-        rc = pool_for((w.n + IMPORTANCE_CHUNK - 1) / IMPORTANCE_CHUNK, 0, importance_static_chunk,
-                      &w, e);
+        rc = importance_static(&w, e);
     if (!rc)
         rc = pool_for(IMPORTANCE_WEIGHT, 0, importance_own_field, &w, e);
     for (size_t v = 0; !rc && v < n_views; v++)

@@ -10,6 +10,7 @@
 #include <math.h>
 
 #include "codec/scene.h"
+#include "core/base.h"
 #include "core/layout.h"
 #include "render/render.h"
 #include "train/config.h"
@@ -23,22 +24,27 @@ enum {
     MEMORY_INTERSECTION = 5 * 4 + 2 /* lists, hits */ + LAYOUT_SLOT_FLOATS * 4 + 1 /* slot, mark */,
     MEMORY_EXTRA = LAYOUT_PLANES_GEOMETRY, /* words: gradients of regularizers of size and depth */
     MEMORY_DEPTH = LAYOUT_DEPTH_PLANES,    /* words: the depth picture's own model */
-    MEMORY_CHOICE = 64, /* plan's rows, classes, candidates, Morton order, new means, spare rows */
-    MEMORY_SUMS = LAYOUT_IMPORTANCE_SUMS * 4 /* of a view */ +
-                  5 * 4 /* opacity, volume, mean gradient, score */,
-    MEMORY_FRAME_PX = 7 * 4,          /* colour, transmittance, gradient of the colour */
-    MEMORY_LOSS_PX = 9 * 4,           /* derivative maps of SSIM, less margins */
-    MEMORY_HOST_PX = 3 + 1 + 3 * 4,   /* photograph, mask, weights and edges of the score */
-    MEMORY_EVALUATE_PX = 12 + 12 * 8, /* drawing, and planes of doubles of SSIM and GMSD */
-    MEMORY_DECODERS = 2,              /* photo_loader's thread and the training's */
+    MEMORY_CHOICE = 44, /* the plan's rows and their Morton order; its lists need less */
+    MEMORY_MOVE = 52,   /* sources of rows, halves and their means, spare rows */
+    MEMORY_SUMS = LAYOUT_IMPORTANCE_SUMS * 4, /* of a view */
+    MEMORY_SCORES = 4 * 4 + 2,                /* opacity, volume, mean gradient, score; classes */
+    MEMORY_FRAME_PX = 7 * 4,                  /* colour, transmittance, gradient of the colour */
+    MEMORY_LOSS_PX = 9 * 4,                   /* derivative maps of SSIM, less margins */
+    MEMORY_HOST_PX = 3 + 1 + 3 * 4,           /* photograph, mask, weights and edges of the score */
+    MEMORY_EVALUATE_PX = 12 + 12 * 8,         /* drawing, and planes of doubles of SSIM and GMSD */
+    MEMORY_DECODERS = 2,                      /* photo_loader's thread and the training's */
 };
 #define MEMORY_FRAME_ROOM 1.5    /* of a frame's */
 #define MEMORY_INTERSECTIONS 3.0 /* a Gaussian of the cell, in the fullest view */
 #define MEMORY_MARGIN_PX 128.0   /* of a row of the loss's maps */
 #define MEMORY_OUTSIDE 1.5       /* budget inside, half of it outside */
-/* Where a step has a list of groups: those in the frustum of a photograph, of all. */
-#define MEMORY_LISTED 0.25
+/* Where frames show the groups in their frustum: of the sparse points that the photographs frame,
+ * the largest share that one of them does, and this much more, because Gaussians are not spread as
+ * points are and groups reach over the rim. */
+#define MEMORY_SHOWN_ROOM 1.5
+#define MEMORY_SHOWN_LEAST 0.02
 #define MEMORY_DEFERRED 2.5 /* bytes a Gaussian: bounds, last steps, list, when it was seen */
+enum { MEMORY_POINTS = 8192 /* sparse points that are looked at */ };
 
 static double memory_photos(const struct train_config *cfg, const struct scene *s,
                             const uint32_t *images, size_t n, double downsample, double *pixels,
@@ -57,6 +63,35 @@ static double memory_photos(const struct train_config *cfg, const struct scene *
         decoding = fmax(decoding, 2.0 * 3.0 * full->width_px * full->height_px);
     }
     return fmin(kept, (double)cfg->cache_mib * 1048576.0) + MEMORY_DECODERS * decoding;
+}
+
+/* The largest temporary need a Gaussian, where a view shows this share of them. */
+static double memory_passing(double shown)
+{
+    return fmax(MEMORY_CHOICE, MEMORY_SCORES + MEMORY_SUMS * fmin(MEMORY_FRAME_ROOM * shown, 1.0));
+}
+
+/* The largest share of all Gaussians that a photograph shows; 1 where too few points tell. */
+static double memory_shown(const struct scene *s, const uint32_t *images, size_t n)
+{
+    const size_t every = s->n_points / MEMORY_POINTS + 1;
+    size_t framed = 0, most = 0;
+    uint8_t *seen = mem_array(MEMORY_POINTS, 1);
+    for (size_t i = 0; seen && i < n; i++) {
+        size_t own = 0;
+        for (size_t k = 0, at = 0; at < s->n_points; k++, at += every) {
+            const bool in =
+                camera_frames(&s->images[images[i]].cam, s->points[at].enu_m, RENDER_NEAR_M, NULL);
+            framed += in && !seen[k];
+            seen[k] |= in;
+            own += in;
+        }
+        most = own > most ? own : most;
+    }
+    mem_free(seen);
+    return framed > 0
+               ? fmin(MEMORY_SHOWN_ROOM * (double)most / (double)framed + MEMORY_SHOWN_LEAST, 1.0)
+               : 1.0;
 }
 
 struct memory_need memory_estimate(const struct train_config *cfg, const struct scene *s,
@@ -87,16 +122,16 @@ struct memory_need memory_estimate(const struct train_config *cfg, const struct 
     double trained = 3.0 * row + MEMORY_WORD * words;
     double drawn = MEMORY_FRAME_ROOM * (sizeof(struct layout_splat) + MEMORY_WORD * MEMORY_KEYS +
                                         MEMORY_INTERSECTIONS * MEMORY_INTERSECTION);
-    double passing = fmax(MEMORY_CHOICE, MEMORY_SUMS);
+    double passing = fmax(memory_passing(1.0), MEMORY_MOVE);
     double per_pixel = MEMORY_FRAME_ROOM * MEMORY_FRAME_PX +
                        (pixels > 0.0 ? MEMORY_LOSS_PX * photometric_pixels / pixels : 0.0) +
                        MEMORY_HOST_PX + MEMORY_EVALUATE_PX +
                        MEMORY_FRAME_ROOM * 2.0 * MEMORY_INTERSECTION; /* large splats: 2 a pixel */
     double per_gaussian = trained + drawn + passing;
-    /* Scores draw all Gaussians: records and keys of all, but intersections of what is shown. */
-    double records = MEMORY_FRAME_ROOM * (sizeof(struct layout_splat) + MEMORY_WORD * MEMORY_KEYS);
-    double beside = trained - 3.0 * row + records + MEMORY_LISTED * (drawn - records) + passing +
-                    MEMORY_DEFERRED;
+    double shown = memory_shown(s, images, n_images);
+    double regularized = MEMORY_WORD * MEMORY_EXTRA * (double)extra;
+    double beside = trained - 3.0 * row - regularized + shown * (drawn + regularized) +
+                    memory_passing(shown) + MEMORY_DEFERRED;
     double others = pixels * per_pixel + photos + groups;
     return (struct memory_need){.per_gaussian = (size_t)per_gaussian,
                                 .trained = (size_t)trained,

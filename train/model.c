@@ -221,6 +221,13 @@ enum err_code model_owe(struct model *m, const uint32_t *settled, uint32_t *firs
 
 /* ---- moving rows ---- */
 
+void model_walked(struct model *m, bool all, size_t from, size_t to)
+{
+    const size_t rounds = to == m->gauss.n ? LAYOUT_LANES - 1 : 0;
+    if (m->paged.dir && m->gauss.n)
+        paged_walked(&m->paged, all, from / LAYOUT_LANES, (to + rounds) / LAYOUT_LANES);
+}
+
 /* Arrays in files, one after another into a spare one. */
 static enum err_code model_move_paged(struct model *m, const struct permutation *r, size_t cap,
                                       struct err *e)
@@ -320,6 +327,13 @@ enum err_code model_forget(struct model *m, struct err *e)
 
 /* ---- looking at it and changing it in place ---- */
 
+/* Row i was passed. */
+static void model_pass(struct model *m, bool all, size_t i)
+{
+    if ((i + 1) % MODEL_PART == 0 || i + 1 == m->gauss.n)
+        model_walked(m, all, i / MODEL_PART * MODEL_PART, i + 1);
+}
+
 enum err_code model_reset_opacity(struct model *m, double top, struct err *e)
 {
     const struct render_model *g = &m->gauss;
@@ -334,6 +348,7 @@ enum err_code model_reset_opacity(struct model *m, double top, struct err *e)
             float *o = (float *)mapped + layout_at(i, g->planes) +
                        (size_t)LAYOUT_PLANE_OPACITY * LAYOUT_LANES;
             *o = k ? 0.0f : fminf(*o, logit);
+            model_pass(m, true, i);
         }
         if (!rc)
             rc = dev_unmap(m->dev, *arrays[k], &mapped, e);
@@ -341,7 +356,7 @@ enum err_code model_reset_opacity(struct model *m, double top, struct err *e)
     return rc;
 }
 
-enum err_code model_count_inside(const struct model *m, const struct cell *cell, size_t *out,
+enum err_code model_count_inside(struct model *m, const struct cell *cell, size_t *out,
                                  struct err *e)
 {
     const struct render_model *g = &m->gauss;
@@ -354,6 +369,7 @@ enum err_code model_count_inside(const struct model *m, const struct cell *cell,
         const float *mean = (const float *)params + layout_at(i, g->planes);
         n += cell_distance(cell, g->origin_enu_m[0] + (double)mean[0],
                            g->origin_enu_m[1] + (double)mean[LAYOUT_LANES]) <= 0.0;
+        model_pass(m, false, i);
     }
     *out = n;
     return dev_unmap(m->dev, g->params, &params, e);

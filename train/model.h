@@ -93,6 +93,12 @@ enum err_code model_owed(struct model *m, cl_mem *out, struct err *e) ERR_USE;
 enum err_code model_owe(struct model *m, const uint32_t *settled, uint32_t *first,
                         struct err *e) ERR_USE;
 
+/* Who goes through the parameters of all Gaussians on the host, from the first to the last, tells
+ * which rows it has passed, after every MODEL_PART of them or so; with `all` also of the moments.
+ * Where arrays lie in files, rows that were passed leave memory. */
+enum { MODEL_PART = PAGED_PART * LAYOUT_LANES };
+void model_walked(struct model *m, bool all, size_t from, size_t to);
+
 /* Replaces the rows by those that r describes. Moments are 0 for PERMUTE_NEW, statistics become 0.
  * Arrays are changed one after another, so at most one of them exists twice when they grow. `most`:
  * as in model_open. ERR_LIMIT: more than the renderer can count. ERR_MEM, ERR_DEVICE. */
@@ -110,7 +116,7 @@ enum err_code model_zero_stats(struct model *m, struct err *e) ERR_USE;
 /* Lowers opacities above `top` (0..1) to it and sets their moments to 0. ERR_DEVICE. */
 enum err_code model_reset_opacity(struct model *m, double top, struct err *e) ERR_USE;
 /* Number of Gaussians inside the cell. ERR_DEVICE. */
-enum err_code model_count_inside(const struct model *m, const struct cell *cell, size_t *out,
+enum err_code model_count_inside(struct model *m, const struct cell *cell, size_t *out,
                                  struct err *e) ERR_USE;
 /* Computes gauss.filter for these cameras if it is not current; all are settled then. ERR_MEM,
  * ERR_DEVICE. */

@@ -43,7 +43,7 @@ static enum err_code paged_forget(struct paged *s, size_t n_groups, struct err *
     } else {
         memset(s->seen, 0, n_groups * sizeof *s->seen);
     }
-    s->n_held = 0;
+    s->n_held = s->walked = 0;
     s->clock = 0;
     return s->seen ? ERR_OK
                    : err_set(e, ERR_MEM, "out of memory for %zu groups of Gaussians", n_groups);
@@ -177,6 +177,31 @@ void paged_passed(void *user, size_t from, size_t to)
     if (to < s->n_groups && to - from == PAGED_PART)
         return;
     paged_drop_all(s); /* the last part */
+}
+
+/* Those of [from, to) that no step holds leave memory. */
+static void paged_drop_passed(struct paged *s, size_t n_arrays, size_t from, size_t to)
+{
+    for (size_t i = from; i < to; i++) {
+        from = i;
+        for (; i < to && !s->seen[i]; i++)
+            ;
+        for (size_t k = 0; i > from && k < n_arrays; k++)
+            scratch_drop(&s->file[k], from * s->group_bytes, i * s->group_bytes);
+    }
+}
+
+/* Written at once, and waited for when the next part has been passed. */
+void paged_walked(struct paged *s, bool all, size_t from, size_t to)
+{
+    const size_t n_arrays = all ? PAGED_ARRAYS : 1;
+    paged_stream(s, true);
+    if (from < s->walked)
+        s->walked = from; /* a walk begins */
+    for (size_t k = 0; k < n_arrays; k++)
+        scratch_flush(&s->file[k], from * s->group_bytes, to * s->group_bytes);
+    paged_drop_passed(s, n_arrays, s->walked, from);
+    s->walked = from;
 }
 
 void paged_drop_all(struct paged *s)

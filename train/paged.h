@@ -13,7 +13,7 @@
 
 struct permutation;
 
-enum { PAGED_ARRAYS = 3 };
+enum { PAGED_ARRAYS = 3, PAGED_PART = 4096 }; /* a pass over all takes so many groups at a time */
 
 struct paged { /* {0}: arrays are buffers of the device as always; free with paged_close */
     /* -- set by the owner of the model before model_open, and kept by paged_close -- */
@@ -27,6 +27,7 @@ struct paged { /* {0}: arrays are buffers of the device as always; free with pag
     uint32_t *seen;       /* [n_groups] step when a group was listed last; 0: not in memory */
     size_t n_groups, n_held;
     uint32_t clock;
+    size_t walked;             /* groups below have left memory in the walk at hand */
     bool streams;              /* passes over all go from start to end */
     uint64_t fetched, dropped; /* groups, so far */
 };
@@ -46,9 +47,12 @@ enum err_code paged_move(struct paged *s, size_t nth, const struct permutation *
 enum err_code paged_moved(struct paged *s, size_t n_groups, struct err *e) ERR_USE;
 
 /* For struct defer_watch; `user` is the paged. */
-enum { PAGED_PART = 4096 };
 void paged_listed(void *user, const uint32_t *groups, size_t n);
 void paged_passed(void *user, size_t from, size_t to);
+/* Someone goes through parameters, or with `all` also through moments, from the first row to the
+ * last, and has passed groups [from, to). They leave memory unless steps hold them, written where
+ * they have changed. No one else uses them. */
+void paged_walked(struct paged *s, bool all, size_t from, size_t to);
 /* Everything leaves memory. The device must be idle. */
 void paged_drop_all(struct paged *s);
 /* Bytes on the disk that a model of n Gaussians takes, with what moves need. */

@@ -102,8 +102,7 @@ static enum err_code prune_add_chunk(void *user, size_t chunk, struct err *e)
 /* What the frame that was drawn adds. */
 static enum err_code prune_add(struct prune *c, struct err *e)
 {
-    enum err_code rc =
-        render_importance_run(c->device, &c->look.shown, c->weight, &c->sums, e);
+    enum err_code rc = render_importance_run(c->device, &c->look.shown, c->weight, &c->sums, e);
     if (!rc)
         rc = model_look_map(c->m, &c->look, e);
     if (!rc)

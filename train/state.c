@@ -89,8 +89,14 @@ static json_t *state_meta(const struct model *m, const struct state *st, const c
 
 /* Buffers of the device that the host looks at while a file is written: on CPU devices nothing is
  * copied, however large the level. */
+struct state_moments {
+    struct model *m;
+    const void *at[2];
+};
+
 struct state_view {
-    const struct model *m;
+    struct state_moments moments; /* first: state_passed takes a view for it */
+    struct model *m;
     struct gauss like;
     cl_mem mem[5 + STATE_STATS];
     void *at[5 + STATE_STATS]; /* [0]: the parameters */
@@ -106,7 +112,7 @@ static enum err_code state_view_map(struct state_view *v, cl_mem mem, size_t byt
     return rc;
 }
 
-static enum err_code state_view_open(const struct model *m, bool antialiased, struct state_view *v,
+static enum err_code state_view_open(struct model *m, bool antialiased, struct state_view *v,
                                      struct err *e)
 {
     const struct render_model *g = &m->gauss;
@@ -167,7 +173,19 @@ static enum err_code state_rows(void *user, enum ckpt_field field, size_t first,
         for (size_t k = 0; !fold && k < count; k++)
             out[i * count + k] = p[k * LAYOUT_LANES];
     }
+    model_walked(v->m, false, first, first + n);
     return ERR_OK;
+}
+
+/* Bytes [from, to) of an array of moments have been passed; other blobs are small. */
+static void state_passed(void *user, const void *data, size_t from, size_t to)
+{
+    const struct state_moments *s = user;
+    const size_t group = (size_t)s->m->gauss.planes * LAYOUT_LANES * sizeof(float);
+    for (size_t k = 0; k < 2; k++)
+        if (data == s->at[k])
+            model_walked(s->m, true, from / group * LAYOUT_LANES,
+                         to == model_bytes(s->m) ? s->m->gauss.n : to / group * LAYOUT_LANES);
 }
 
 static enum err_code state_view_filter(struct state_view *v, const struct model *m, struct err *e)
@@ -180,7 +198,7 @@ static enum err_code state_view_filter(struct state_view *v, const struct model 
               : dev_read(m->dev, m->gauss.filter, 0, m->gauss.n * sizeof *v->filter, v->filter, e);
 }
 
-enum err_code state_save_level(const struct model *m, const struct state *s, const char *path,
+enum err_code state_save_level(struct model *m, const struct state *s, const char *path,
                                const struct evaluate_score *score, struct err *e)
 {
     struct state_view v = {0};
@@ -206,7 +224,7 @@ enum err_code state_save_level(const struct model *m, const struct state *s, con
         rc = state_view_open(m, s->run.cfg->aa != RENDER_AA_NONE, &v, e);
         if (!rc && s->run.cfg->aa == RENDER_AA_MIP)
             rc = state_view_filter(&v, m, e);
-        const struct ckpt_source from = {&v.like, state_rows, &v};
+        const struct ckpt_source from = {.like = &v.like, .rows = state_rows, .user = &v};
         if (!rc)
             rc = ckpt_write_from(path, meta, &from, &blob, with, e);
         rc = state_view_close(&v, rc, e);
@@ -277,7 +295,9 @@ enum err_code state_save(struct model *m, const struct state *s, const char *pat
         rc = state_appearance_blobs(s->appearance, blobs + n, e);
         n_appearance = STATE_APPEARANCE;
     }
-    const struct ckpt_source from = {&v.like, state_rows, &v};
+    v.moments = (struct state_moments){m, {blobs[0].data, blobs[1].data}};
+    const struct ckpt_source from = {
+        .like = &v.like, .rows = state_rows, .wrote = state_passed, .user = &v};
     if (!rc)
         rc = ckpt_write_from(path, meta, &from, blobs, n + n_appearance, e);
     for (size_t i = 0; i < n_appearance; i++)
@@ -301,14 +321,17 @@ static enum err_code state_integer(const json_t *meta, const char *path, const c
 }
 
 /* A blob straight into a buffer of the device. */
-static enum err_code state_fill(const struct model *m, const struct ckpt_rows *c, const char *name,
+static enum err_code state_fill(struct model *m, const struct ckpt_rows *c, const char *name,
                                 cl_mem to, size_t bytes, struct err *e)
 {
     void *at = NULL;
     struct err why = {0};
     enum err_code rc = dev_map(m->dev, to, CL_MAP_WRITE, bytes, &at, e);
+    struct state_moments moments = {m, {at, NULL}};
+    const bool large = to == m->adam.m1 || to == m->adam.m2;
+    const struct ckpt_target target = {at, bytes, large ? state_passed : NULL, &moments};
     if (!rc)
-        rc = ckpt_rows_blob_to(c, name, at, bytes, e);
+        rc = ckpt_rows_blob_to(c, name, &target, e);
     enum err_code done = dev_unmap(m->dev, to, &at, &why);
     return !rc && done ? err_set(e, done, "%s", why.msg) : rc;
 }
@@ -340,6 +363,7 @@ enum err_code state_fill_rows(struct model *m, const struct ckpt_rows *c, struct
                             e);
         if (!rc)
             rc = render_model_write(m->render, &m->gauss, i, &g, e);
+        model_walked(m, false, i, rc ? i : i + g.n);
         gauss_free(&g);
     }
     return rc;
@@ -387,7 +411,8 @@ static enum err_code state_fill_owed(struct model *m, struct state *s, const str
     uint32_t *settled = mem_array(groups, sizeof *settled);
     if (!settled)
         return err_set(e, ERR_MEM, "%s: out of memory for %zu groups", path, groups);
-    enum err_code rc = ckpt_rows_blob_to(c, STATE_OWED, settled, groups * sizeof *settled, e);
+    const struct ckpt_target to = {.at = settled, .n_bytes = groups * sizeof *settled};
+    enum err_code rc = ckpt_rows_blob_to(c, STATE_OWED, &to, e);
     for (size_t i = 0; !rc && i < groups; i++)
         if (settled[i] > s->at.step)
             rc = err_set(e, ERR_FORMAT, "%s: group %zu has made step %u of %u", path, i, settled[i],

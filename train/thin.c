@@ -50,11 +50,11 @@ struct thin {
     float *pixels; /* its copy here */
     size_t pixels_cap;
     struct model_look look; /* what the last photograph shows of the model */
-    const float *sums; /* [look.shown.n][LAYOUT_IMPORTANCE_SUMS] of it, mapped */
-    float *rise;       /* [n] */
-    uint16_t *views;   /* [n] photographs that show it */
-    float scale;       /* of the last photograph's sums: to a mean over pixels and channels */
-    double error;      /* sum of the mean squared errors of the photographs */
+    const float *sums;      /* [look.shown.n][LAYOUT_IMPORTANCE_SUMS] of it, mapped */
+    float *rise;            /* [n] */
+    uint16_t *views;        /* [n] photographs that show it */
+    float scale;            /* of the last photograph's sums: to a mean over pixels and channels */
+    double error;           /* sum of the mean squared errors of the photographs */
 };
 
 /* Weights of the photograph's pixels, on the device. */
