@@ -177,7 +177,8 @@ struct layout_counts {
     LAYOUT_U64 intersections;
     /* counts of chunks of Gaussians, later where each chunk starts */
     LAYOUT_U64 chunk_intersections[LAYOUT_SORT_CHUNKS];
-    LAYOUT_U32 visible, unused;
+    LAYOUT_U32 visible;
+    LAYOUT_U32 next_tile; /* VW 16: tiles that blend has begun; nothing depends on who drew one */
     LAYOUT_U32 bin_intersections[LAYOUT_BIN_CHUNKS]; /* counts of chunks of the depth order */
 };
 

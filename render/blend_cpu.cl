@@ -1,4 +1,5 @@
-// Stage: blend, CPU shape. One work-item draws one tile of 16x16 pixels.
+// Stage: blend, CPU shape. One work-item draws one tile of 16x16 pixels. Which one, it takes from a
+// counter: a device hands out work-items in long runs, and a city seen from afar lies in few tiles.
 //   in   tile_start, intersection_splat, splats
 //   out  color [3][h][w] with background, transmit [h][w]; of blend_moments also the two moments
 //        [2][h][w]
@@ -152,24 +153,50 @@ inline uint blend_active(const float16 t[16], uint active)
     return active;
 }
 
-// Planes of the picture from blocks; pixels beyond its edge are skipped.
+// Rows of pixels, each of 16, from the blocks of a row of blocks.
+inline void blend_rows(const float16 b[4], float16 row[4])
+{
+    row[0] = (float16)(b[0].lo.lo, b[1].lo.lo, b[2].lo.lo, b[3].lo.lo);
+    row[1] = (float16)(b[0].lo.hi, b[1].lo.hi, b[2].lo.hi, b[3].lo.hi);
+    row[2] = (float16)(b[0].hi.lo, b[1].hi.lo, b[2].hi.lo, b[3].hi.lo);
+    row[3] = (float16)(b[0].hi.hi, b[1].hi.hi, b[2].hi.hi, b[3].hi.hi);
+}
+
+// A row of a tile; pixels beyond the picture's edge are skipped.
+inline void blend_row(uint width, uint px, float16 row, __global float *out)
+{
+    if (px + LAYOUT_TILE <= width) {
+        LAYOUT_WIDE(__global, float, out) = row;
+        return;
+    }
+    float v[LAYOUT_TILE];
+    vstore16(row, 0, v);
+    for (uint i = 0; px + i < width; i++)
+        out[i] = v[i];
+}
+
+// A plane of the picture from blocks.
 inline void blend_store(__constant struct layout_view *view, const float16 blocks[16], uint px,
                         uint py, __global float *plane)
 {
     uint width = view->width, height = view->height;
-    for (uint k = 0; k < 16; k++) {
-        uint x = px + 4 * (k & 3), y = py + 4 * (k >> 2);
-        float v[16];
-        vstore16(blocks[k], 0, v);
-        for (uint row = 0; row < 4 && y + row < height; row++) {
-            __global float *out = plane + (size_t)(y + row) * width + x;
-            if (x + 4 <= width)
-                vstore4(vload4(row, v), 0, out);
-            else
-                for (uint i = 0; x + i < width; i++)
-                    out[i] = v[4 * row + i];
-        }
+    for (uint k = 0; k < 4 && py + 4 * k < height; k++) {
+        float16 rows[4];
+        blend_rows(blocks + 4 * k, rows);
+#pragma unroll
+        for (uint i = 0; i < 4; i++)
+            if (py + 4 * k + i < height)
+                blend_row(width, px, rows[i], plane + (size_t)(py + 4 * k + i) * width + px);
     }
+}
+
+// A plane of the picture where nothing is drawn.
+inline void blend_fill(__constant struct layout_view *view, float value, uint px, uint py,
+                       __global float *plane)
+{
+    uint end = min(py + LAYOUT_TILE, view->height);
+    for (uint y = py; y < end; y++)
+        blend_row(view->width, px, (float16)(value), plane + (size_t)y * view->width + px);
 }
 
 // moments is a literal: 0 leaves `moment_maps` alone.
@@ -177,14 +204,25 @@ INLINE void blend_tile(__constant struct layout_view *view,
                        __global const struct layout_splat *splats, __global const uint *tile_start,
                        __global const uint *intersection_splat, __global float *color,
                        __global float *transmit, __global ushort *hits, __global uint *tile_stop,
-                       __global float *moment_maps, const int moments)
+                       __global struct layout_counts *counts, __global float *moment_maps,
+                       const int moments)
 {
-    uint tile = (uint)get_global_id(0);
+    uint tile = atomic_inc(&counts->next_tile);
     if (tile >= view->tiles_x * view->tiles_y)
         return;
     uint px = (tile % view->tiles_x) * LAYOUT_TILE, py = (tile / view->tiles_x) * LAYOUT_TILE;
     float x0 = (float)px + 0.5f, y0 = (float)py + 0.5f;
     uint at = tile_start[tile], end = tile_start[tile + 1], active = 0xFFFF, hit = !view->picture;
+    size_t plane = (size_t)view->width * view->height;
+    if (at == end) {
+        tile_stop[tile] = at;
+        for (uint c = 0; c < 3; c++)
+            blend_fill(view, view->background[c], px, py, color + c * plane);
+        blend_fill(view, 1.0f, px, py, transmit);
+        for (uint c = 0; moments && c < 2; c++)
+            blend_fill(view, 0.0f, px, py, moment_maps + c * plane);
+        return;
+    }
     float staged[BATCH * LAYOUT_SPLAT_WORDS];
     uint mask[BATCH];
     struct blend_state s;
@@ -222,7 +260,6 @@ INLINE void blend_tile(__constant struct layout_view *view,
         at += j;
     }
     tile_stop[tile] = at;
-    size_t plane = (size_t)view->width * view->height;
     for (uint k = 0; k < 16; k++) {
         s.r[k] = s.t[k] * view->background[0] + s.r[k];
         s.g[k] = s.t[k] * view->background[1] + s.g[k];
@@ -241,10 +278,10 @@ INLINE void blend_tile(__constant struct layout_view *view,
 __kernel void blend(__constant struct layout_view *view, __global const struct layout_splat *splats,
                     __global const uint *tile_start, __global const uint *intersection_splat,
                     __global float *color, __global float *transmit, __global ushort *hits,
-                    __global uint *tile_stop)
+                    __global uint *tile_stop, __global struct layout_counts *counts)
 {
     blend_tile(view, splats, tile_start, intersection_splat, color, transmit, hits, tile_stop,
-               color, 0);
+               counts, color, 0);
 }
 
 __kernel void blend_moments(__constant struct layout_view *view,
@@ -252,8 +289,9 @@ __kernel void blend_moments(__constant struct layout_view *view,
                             __global const uint *tile_start,
                             __global const uint *intersection_splat, __global float *color,
                             __global float *transmit, __global ushort *hits,
-                            __global uint *tile_stop, __global float *moment_maps)
+                            __global uint *tile_stop, __global struct layout_counts *counts,
+                            __global float *moment_maps)
 {
     blend_tile(view, splats, tile_start, intersection_splat, color, transmit, hits, tile_stop,
-               moment_maps, 1);
+               counts, moment_maps, 1);
 }

@@ -45,12 +45,17 @@ enum err_code frame_run(struct render *r, cl_kernel k, const char *name,
     return dev_run(r->dev, k, name, global, local, e);
 }
 
+double frame_now(const struct render *r)
+{
+    return r->timing_cpu ? clock_cpu_s() : clock_s();
+}
+
 enum err_code frame_clock(struct render *r, double *since_s, double *ms, struct err *e)
 {
     if (!r->timing)
         return ERR_OK;
     enum err_code rc = dev_finish(r->dev, e);
-    double now = clock_s();
+    double now = frame_now(r);
     *ms = (now - *since_s) * 1e3;
     *since_s = now;
     return rc;

@@ -130,6 +130,8 @@ struct render {
 
     struct render_stats stats;
     bool timing; /* wait after every stage and fill stats.ms_*: render_set_timing */
+    /* ... with processor time of the process, which other programs disturb less */
+    bool timing_cpu;
     /* use all tiles of the bounding box, for comparison and for the test of exact culling */
     bool box_tiles;
     uint64_t
@@ -214,6 +216,8 @@ extern const char vector_cl[], common_cl[];
         "render/common.cl", common_cl                                                              \
     }
 
+/* The clock that times stages, in seconds. */
+double frame_now(const struct render *r);
 /* With timing on it waits for the queue, gives the milliseconds since *since_s, and sets *since_s
  * to now. ERR_DEVICE. */
 enum err_code frame_clock(struct render *r, double *since_s, double *ms, struct err *e) ERR_USE;

@@ -344,7 +344,7 @@ enum err_code render_backward_step(struct render *r, struct render_model *m,
         return err_set(e, ERR_ARG,
                        "render_backward_step: a list of groups has steps only by render/defer.h, "
                        "and without appearance");
-    double since = clock_s();
+    double since = frame_now(r);
     enum err_code rc = backward_blend(r, m, stats && stats->absg, e);
     if (!rc)
         rc = frame_clock(r, &since, &r->stats.ms_blend_backward, e);

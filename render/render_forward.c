@@ -387,15 +387,16 @@ static enum err_code render_stage_blend(struct render *r, struct err *e)
 {
     bool wide = r->dev->vector_width == LAYOUT_LANES, moments = r->view.depth_unit_m > 0;
     size_t local = wide ? 1 : LAYOUT_TILE_PIXELS;
+    const struct frame_arg counts = FRAME_ARG(r->counts), maps = FRAME_ARG(r->moments.mem);
     const struct frame_arg args[] = {
         FRAME_ARG(r->view_mem),       FRAME_ARG(r->splats.mem),
         FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->intersection_splat.mem),
         FRAME_ARG(r->color.mem),      FRAME_ARG(r->transmit.mem),
         FRAME_ARG(r->hits.mem),       FRAME_ARG(r->tile_stop.mem),
-        FRAME_ARG(r->moments.mem)};
+        wide ? counts : maps,         maps};
     size_t n = sizeof args / sizeof *args;
     return frame_run(r, wide && moments ? r->k.blend_moments : r->k.blend, "blend", args,
-                     wide && !moments ? n - 1 : n, r->tiles * local, local, e);
+                     wide && moments ? n : n - 1, r->tiles * local, local, e);
 }
 
 /* What the frame gets from the host; render_stage_count waits for it. */
@@ -438,14 +439,9 @@ static enum err_code render_planes_out(struct render *r, cl_mem from, size_t n, 
                                              n * pixels * sizeof(float), 0, NULL, NULL, &code);
     if (code != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "render_forward: picture: %s", dev_error_name(code));
-    enum err_code rc = ERR_OK;
-    for (size_t k = 0; !rc && k < n && r->supersample > 1; k++)
-        rc = supersample_reduce(planes + k * pixels, r->view.width / r->supersample,
-                                r->view.height / r->supersample, r->supersample,
-                                (double)r->view.kernel_px2, out + k, n, e);
-    for (size_t i = 0; i < pixels && r->supersample == 1; i++)
-        for (size_t k = 0; k < n; k++)
-            out[n * i + k] = planes[k * pixels + i];
+    enum err_code rc = supersample_reduce(planes, n, r->view.width / r->supersample,
+                                          r->view.height / r->supersample, r->supersample,
+                                          (double)r->view.kernel_px2, out, e);
     code = clEnqueueUnmapMemObject(r->dev->queue, from, (void *)(uintptr_t)planes, 0, NULL, NULL);
     if (!rc && code != CL_SUCCESS)
         rc = err_set(e, ERR_DEVICE, "render_forward: picture: %s", dev_error_name(code));
@@ -495,7 +491,7 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
                              const struct camera *cam, const struct render_options *o, float *rgb,
                              float *transmittance, struct err *e)
 {
-    double start = clock_s(), since = start;
+    double start = frame_now(r), since = start;
     struct camera fine;
     enum err_code rc = render_fine_camera(r, cam, o, &fine, e);
     r->drawn = false;
@@ -544,7 +540,7 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
     if (rc)
         dev_abandon(r->dev, &r->counting);
     r->drawn = !rc;
-    r->stats.ms_total = (clock_s() - start) * 1e3;
+    r->stats.ms_total = (frame_now(r) - start) * 1e3;
     return rc;
 }
 

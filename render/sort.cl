@@ -59,6 +59,7 @@ __kernel void sort_scan(__global uint *histogram, uint pass, __global struct lay
         }
         counts->intersections = at;
         counts->visible = sum;
+        counts->next_tile = 0;
     }
 }
 
