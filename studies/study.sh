@@ -683,30 +683,25 @@ rates_caliterra_rows() {
 study_rates() { seeded rates rates_city_rows; }
 study_rates_caliterra() { seeded rates_caliterra rates_caliterra_rows; }
 
-# Rates that fall at the end of a run, and that stay; with known depths. And a run
-# that chooses its length.
+# Rates that fall at the end of a run, and that stay; with known depths. And runs that choose their length.
 fall_rows() { # STUDY SCENE TRAIN-OPTIONS
   local study=$1 scene=$2
   shift 2
   row "$study" "rates fall" "$scene" "" --iterations "$(steps "$study")" --depth-prior "$OUT/$scene-depth" "$@"
   row "$study" "rates stay" "$scene" "" --iterations "$(steps "$study")" --depth-prior "$OUT/$scene-depth" --lr-end 1 "$@"
 }
-goes_on_row() { # STUDY SCENE: one seed
-  local SEED=
-  row "$1" "goes on" "$2" "" --iterations "$(steps "$1")" --go-on-db 0.05 --depth-prior "$OUT/$2-depth"
-}
 study_fall() {
   local MAP_VIEWS=1 SURFACE=city
   seeded fall fall_rows fall exact
-  goes_on_row fall exact
 }
-study_fall_caliterra() {
-  seeded fall_caliterra fall_rows fall_caliterra caliterra-400
-  goes_on_row fall_caliterra caliterra-400
-}
-study_fall_ochota() {
-  seeded fall_ochota fall_rows fall_ochota ochota-400
-  goes_on_row fall_ochota ochota-400
+study_fall_caliterra() { seeded fall_caliterra fall_rows fall_caliterra caliterra-400; }
+study_fall_ochota() { seeded fall_ochota fall_rows fall_ochota ochota-400; }
+study_goes_on() {
+  local scene MAP_VIEWS
+  for scene in exact caliterra-400 ochota-400; do
+    MAP_VIEWS=$([ $scene != exact ] || echo 1)
+    row goes_on "${scene%-400}" "$scene" "" --iterations "$(steps goes_on)" --go-on-db 0.05 --depth-prior "$OUT/$scene-depth"
+  done
 }
 
 # The whole method at a length at which opacities are reset and sizes pruned: half of the paper's steps.
@@ -900,7 +895,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full long big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ablation ablation_city cells cells_light
+readonly STUDIES=(time full long big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota goes_on side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ablation ablation_city cells cells_light
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {

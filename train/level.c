@@ -235,6 +235,7 @@ enum err_code level_next(struct level *l, struct err *e)
     at->step = 0;
     at->pruned = false;
     at->held_db = 0.0;
+    at->in_vain = 0;
     l->model.filter_is_current = false;
     appearance_train_restart(&l->appearance);
     rc = model_zero_moments(&l->model, e);

@@ -416,6 +416,10 @@ static enum err_code run_steps_left(struct run *t, struct err *e)
 
 /* ---- a finest level that goes on ---- */
 
+/* Tenths in a row without enough gain that end a run. Where the rates stay, scores tremble by about
+ * 0.1 dB: one tenth says little. */
+enum { RUN_IN_VAIN = 2 };
+
 /* Whether a look follows the steps of the level. The rates of one that ends fall already. */
 static bool run_looks(const struct run *t)
 {
@@ -444,12 +448,14 @@ static enum err_code run_look(struct run *t, bool *more, struct err *e)
     const struct schedule *s = stage_schedule(at);
     double now = score.n_seen ? score.seen_psnr_db : score.psnr_db, gain = now - at->held_db;
     bool first = !(at->held_db > 0.0), room = schedule_next_look(s) > s->steps;
-    *more = room && (first || gain >= t->cfg->go_on_db);
-    at->held_db = now;
+    bool gains = first || gain >= t->cfg->go_on_db;
+    at->in_vain = gains ? 0 : at->in_vain + 1;
+    at->held_db = gains ? now : at->held_db;
+    *more = room && at->in_vain < RUN_IN_VAIN;
     log_info("train", "cell=%s steps=%.0f look test_psnr_db=%.3f%s gain=%.3f: %s", l->site.cell.id,
              schedule_total(s), now, score.n_seen ? " (seen ground)" : "", first ? 0.0 : gain,
              *more  ? "goes on"
-             : room ? "a tenth more gains too little, it ends"
+             : room ? "two tenths gain too little, it ends"
                     : "this is the full length, it ends");
     return metrics_log_line(l->metrics, "look",
                             json_pack("{s:i, s:i, s:o, s:o, s:o, s:b}", "level", (int)s->level,

@@ -68,7 +68,8 @@ static json_t *state_meta(const struct model *m, const struct state *st, const c
     }
     if (o && s->last && /* a level that goes on */
         json_object_set_new(o, "go_on",
-                            json_pack("[i,i,f]", (int)s->steps, (int)s->fade_from, at->held_db))) {
+                            json_pack("[i,i,f,i]", (int)s->steps, (int)s->fade_from, at->held_db,
+                                      (int)at->in_vain))) {
         json_decref(o);
         o = NULL;
     }
@@ -433,15 +434,18 @@ static enum err_code state_apply_go_on(struct state *s, struct schedule *level, 
     double steps = json_number_value(json_array_get(o, 0));
     double fade_from = json_number_value(json_array_get(o, 1));
     double held_db = json_number_value(json_array_get(o, 2));
+    double in_vain = json_number_value(json_array_get(o, 3));
     double most = schedule_end(level, s->run.cfg);
     if (level->most > level->steps)
         most = (double)level->most / (1.0 - s->run.cfg->lr_end_share) + 1.0;
     if (!(steps >= level->steps && steps <= most && fade_from >= level->steps &&
-          fade_from <= steps && held_db >= 0.0 && isfinite(held_db)))
+          fade_from <= steps && held_db >= 0.0 && isfinite(held_db) && in_vain >= 0.0 &&
+          in_vain < 100.0))
         return err_set(e, ERR_FORMAT, "%s: \"go_on\" is not that of a level of %u steps", path,
                        level->steps);
     *level = schedule_go_on(level, s->run.cfg, s->run.cell, (uint32_t)steps, (uint32_t)fade_from);
     s->at.held_db = held_db;
+    s->at.in_vain = (uint32_t)in_vain;
     return ERR_OK;
 }
 
