@@ -121,6 +121,9 @@ static enum err_code tour_write(struct tour *t, struct tour_scatter *s, struct e
         rc = pool_for((s->slice.n + TOUR_CHUNK - 1) / TOUR_CHUNK, 0, tour_fill, s, e);
         if (!rc)
             rc = render_model_write(t->render, &t->model, s->first, &s->slice, e);
+        const size_t from = s->first / LAYOUT_LANES;
+        if (!rc && t->b->held_mb > 0)
+            paged_walked(&t->paged, false, from, from + s->slice.n / LAYOUT_LANES);
     }
     gauss_free(&s->slice);
     return rc;
