@@ -196,7 +196,7 @@ static enum err_code codec_tile_requests(struct bench *b, const struct gauss *g,
     const struct store_meta meta = {
         .name = "bench", .origin = {8.6, 50.1, 160}, .sh_degree = g->sh_degree};
     struct tile_request t = {.key = key_at(8.6, 50.1, 16)};
-    struct store_tile entry = {.key = t.key, .level = 1};
+    struct store_entry entry = {.tile = {.key = t.key, .level = 1}};
     struct gauss part = {0};
     char path[FILE_PATH_MAX], name[64];
     double ms = 0;

@@ -163,8 +163,8 @@ static enum err_code tile_large_time(struct bench *b, const struct gauss *g, str
 /* ---- selection over many tiles ---- */
 
 struct pick_case {
-    struct store_tile *tile;
-    size_t n, n_out;
+    struct index index;
+    size_t n_out;
     struct tree tree;
     uint32_t *out;
     struct camera cam;
@@ -174,14 +174,14 @@ struct pick_case {
 static enum err_code tile_pick_once(void *user, struct err *e)
 {
     struct pick_case *c = user;
-    return pick_select(c->tile, &c->tree, &c->cam, &c->o, c->out, &c->n_out, e);
+    return pick_select(&c->tree, &c->cam, &c->o, c->out, &c->n_out, e);
 }
 
 /* A thousand tiles in view and more, with everything on: a cut before, and limits that bind. */
 static enum err_code tile_pick_thousand(struct bench *b, struct pick_case *c, struct err *e)
 {
     double ms = 0.0;
-    uint32_t *before = mem_array(c->n, sizeof *before);
+    uint32_t *before = mem_array(c->index.n, sizeof *before);
     enum err_code rc = before ? ERR_OK : err_set(e, ERR_MEM, "out of memory");
     for (c->o.error_px = 1.0; !rc && (c->n_out < 1100 && c->o.error_px > 1e-3);
          c->o.error_px *= 0.9)
@@ -206,37 +206,36 @@ static enum err_code tile_pick_thousand(struct bench *b, struct pick_case *c, st
 /* A full pyramid over 16 km: zooms 10 to 17. */
 static enum err_code tile_pick_time(struct bench *b, struct err *e)
 {
-    struct pick_case c = {.tile = mem_array(2 * MANY, sizeof *c.tile),
-                          .out = mem_array(2 * MANY, sizeof *c.out)};
+    struct pick_case c = {.out = mem_array(2 * MANY, sizeof *c.out)};
     double ms = 0.0;
-    enum err_code rc = c.tile && c.out ? ERR_OK : err_set(e, ERR_MEM, "out of memory");
+    enum err_code rc = c.out ? ERR_OK : err_set(e, ERR_MEM, "out of memory");
     for (uint8_t z = 0; !rc && z < (b->quick ? 5 : 8); z++)
         for (uint32_t y = 0; y < 1u << z; y++)
             for (uint32_t x = 0; x < 1u << z; x++) {
                 double edge = ldexp(16000, -z);
-                c.tile[c.n++] =
-                    (struct store_tile){.key = {(uint8_t)(10 + z), x, y},
-                                        .count = 50000,
-                                        .bytes = 1000000,
-                                        .sigma_max_m = edge / 50,
-                                        .geometric_error_m = edge / 10,
-                                        .min_enu_m = {x * edge - 8000, 8000 - (y + 1) * edge, 0},
-                                        .max_enu_m = {(x + 1) * edge - 8000, 8000 - y * edge, 60}};
+                const struct store_entry t = {
+                    .tile = {.key = {(uint8_t)(10 + z), x, y}, .count = 50000, .bytes = 1000000},
+                    .shape = {.sigma_max_m = edge / 50,
+                              .geometric_error_m = edge / 10,
+                              .min_enu_m = {x * edge - 8000, 8000 - (y + 1) * edge, 0},
+                              .max_enu_m = {(x + 1) * edge - 8000, 8000 - y * edge, 60}}};
+                if (!rc)
+                    rc = index_add(&c.index, &t, 2 * MANY, e);
             }
     const double eye[3] = {100, -300, 150};
     c.cam = camera_heading(eye, 20, -25, 0.9, 1280, 720);
     if (!rc)
-        rc = tree_build(c.tile, c.n, &c.tree, e);
+        rc = tree_build(&c.index, &c.tree, e);
     if (!rc)
         rc = bench_time(b, tile_pick_once, &c, &ms, NULL, e);
     if (!rc) {
         bench_report(b, "pick", ms, "ms", 0, NULL);
-        bench_report(b, "pick, tiles in the index", (double)c.n, "", 0, NULL);
+        bench_report(b, "pick, tiles in the index", (double)c.index.n, "", 0, NULL);
         bench_report(b, "pick, tiles picked", (double)c.n_out, "", 0, NULL);
         rc = tile_pick_thousand(b, &c, e);
     }
     tree_free(&c.tree);
-    mem_free(c.tile);
+    index_free(&c.index);
     mem_free(c.out);
     return rc;
 }
@@ -335,10 +334,10 @@ static double tile_picture_switch_m(const struct store *s)
     const struct store_tile *t = store_tiles(s, &n);
     for (size_t i = 0; i < n; i++)
         if (t[i].key.z + 1 == store_info(s)->zoom_max) {
-            sum += t[i].geometric_error_m;
+            sum += store_shape(s, &t[i]).geometric_error_m;
             found++;
         }
-    return found ? sum / (double)found * PICTURE_FOCAL_PX / TREE_PX_PER_SIGMA : 100.0;
+    return found ? sum / (double)found * PICTURE_FOCAL_PX / STORE_PX_PER_SIGMA : 100.0;
 }
 
 static enum err_code tile_pictures(struct bench *b, const struct tile_case *c, struct err *e)

@@ -35,7 +35,7 @@ enum err_code load_store(const char *path, size_t n, struct key *key, struct err
     struct store *s = NULL;
     struct gauss g = {0};
     *key = key_at(meta.origin.lon_deg, meta.origin.lat_deg, LOAD_ZOOM);
-    struct store_tile tile = {.key = *key, .level = 3, .geometric_error_m = 1};
+    struct store_entry tile = {.tile = {.key = *key, .level = 3}, .shape.geometric_error_m = 1};
     enum err_code rc = gauss_alloc(&g, n, 1, 0, e);
     if (rc)
         return rc;

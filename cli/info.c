@@ -69,8 +69,10 @@ struct info_zoom {
     double sigma_sum;
 };
 
-static json_t *info_zooms(const struct store_tile *t, size_t n)
+static json_t *info_zooms(const struct store *s)
 {
+    size_t n;
+    const struct store_tile *t = store_tiles(s, &n);
     struct info_zoom z[KEY_ZOOM_MAX + 1] = {{0}};
     json_t *list = json_array();
     for (size_t i = 0; i < n; i++) {
@@ -81,7 +83,7 @@ static json_t *info_zooms(const struct store_tile *t, size_t n)
         x->gaussians += t[i].count;
         x->bytes += t[i].bytes;
         x->most = t[i].count > x->most ? t[i].count : x->most;
-        x->sigma_sum += t[i].sigma_median_m * t[i].count;
+        x->sigma_sum += store_shape(s, &t[i]).sigma_median_m * t[i].count;
     }
     for (int i = 0; i <= KEY_ZOOM_MAX; i++)
         if (z[i].tiles)
@@ -101,14 +103,15 @@ static json_t *info_tiles(const struct store *s)
     json_t *list = json_array();
     for (size_t i = 0; i < n; i++) {
         char hash[33], key[48];
+        const struct store_shape x = store_shape(s, &t[i]);
         hash_text(t[i].hash, hash);
         snprintf(key, sizeof key, "%u/%u/%u", t[i].key.z, t[i].key.x, t[i].key.y);
         json_t *o = json_pack("{s:s,s:i,s:I,s:I,s:I,s:f,s:f,s:s}", "tile", key, "level",
                               (int)t[i].level, "gaussians", (json_int_t)t[i].count, "bytes",
                               (json_int_t)t[i].bytes, "version", (json_int_t)t[i].version,
-                              "sigma_median_m", t[i].sigma_median_m, "geometric_error_m",
+                              "sigma_median_m", x.sigma_median_m, "geometric_error_m",
                               tree_node(store_tree(s), i).geometric_error_m, "hash", hash);
-        json_object_set_new(o, "box_enu_m", info_box(t[i].min_enu_m, t[i].max_enu_m));
+        json_object_set_new(o, "box_enu_m", info_box(x.min_enu_m, x.max_enu_m));
         json_array_append_new(list, o);
     }
     return list;
@@ -185,7 +188,7 @@ static enum err_code info_store(const char *path, bool tiles, json_t *o, struct 
         {"tiles_count", json_integer((json_int_t)n)},
         {"gaussians", json_integer((json_int_t)leaves)},
         {"payload_bytes", json_integer((json_int_t)bytes)},
-        {"zooms", info_zooms(t, n)},
+        {"zooms", info_zooms(s)},
         {"blobs", blobs.others},
         {"photographs", json_integer((json_int_t)blobs.photographs)},
         {"thumbnails", json_integer((json_int_t)blobs.thumbnails)},

@@ -29,29 +29,64 @@ static bool area_leaf(const struct tree *t, size_t i)
     return tree_leaf(t, i);
 }
 
-/* The median over leaves, each counted by its Gaussians. */
+/* Sorts sigmas into bins by their sign, exponent and four bits more. */
+enum { AREA_BINS = 1 << 16 };
+static size_t area_bin(double sigma_m)
+{
+    uint64_t bits;
+    memcpy(&bits, &sigma_m, sizeof bits);
+    return (size_t)(bits >> 63 ? ~bits >> 48 : bits >> 48 | AREA_BINS / 2);
+}
+
+/* The tiles that count, one after the other from *i on; false: no more. */
+static bool area_next(const struct store *s, size_t *i, struct area_weight *w)
+{
+    size_t n;
+    const struct store_tile *tiles = store_tiles(s, &n);
+    for (; *i < n; ++*i)
+        if (area_leaf(store_tree(s), *i) && tiles[*i].count > 0) {
+            *w = (struct area_weight){store_shape(s, &tiles[*i]).sigma_median_m, tiles[*i].count};
+            ++*i;
+            return true;
+        }
+    return false;
+}
+
+/* The median over leaves, each counted by its Gaussians. A million tiles are not sorted for it:
+ * only those in the bin where it is. */
 static enum err_code area_sigma(const struct store *s, double *out, struct err *e)
 {
-    size_t n, used = 0;
+    struct area_bin {
+        uint64_t count;
+        size_t tiles;
+    } *bin = mem_array(AREA_BINS, sizeof *bin);
+    struct area_weight *w = NULL, one;
     uint64_t total = 0, sum = 0;
-    const struct store_tile *tiles = store_tiles(s, &n);
-    struct area_weight *w = mem_array(n, sizeof *w);
-    if (!w)
-        return err_set(e, ERR_MEM, "out of memory for %zu tiles", n);
-    for (size_t i = 0; i < n; i++)
-        if (area_leaf(store_tree(s), i) && tiles[i].count > 0) {
-            w[used++] = (struct area_weight){tiles[i].sigma_median_m, tiles[i].count};
-            total += tiles[i].count;
-        }
-    qsort(w, used, sizeof *w, area_compare);
+    size_t at = 0, used = 0;
     *out = 0.0;
+    for (size_t i = 0; bin && area_next(s, &i, &one); total += one.count) {
+        bin[area_bin(one.sigma_m)].count += one.count;
+        bin[area_bin(one.sigma_m)].tiles++;
+    }
+    if (bin && total) {
+        while (2 * (sum + bin[at].count) < total)
+            sum += bin[at++].count;
+        w = mem_uninit(bin[at].tiles, sizeof *w);
+    }
+    mem_free(bin);
+    if (!bin || (total && !w))
+        return err_set(e, ERR_MEM, "out of memory for the tiles' sizes");
+    if (!total)
+        return err_set(e, ERR_DATA, "the store has no Gaussians: nothing to survey");
+    for (size_t i = 0; area_next(s, &i, &one);)
+        if (area_bin(one.sigma_m) == at)
+            w[used++] = one;
+    qsort(w, used, sizeof *w, area_compare);
     for (size_t i = 0; i < used && 2 * sum < total; i++) {
         sum += w[i].count;
         *out = w[i].sigma_m;
     }
     mem_free(w);
-    if (!used)
-        return err_set(e, ERR_DATA, "the store has no Gaussians: nothing to survey");
     return *out > 0.0 && isfinite(*out)
                ? ERR_OK
                : err_set(e, ERR_DATA,
@@ -59,7 +94,7 @@ static enum err_code area_sigma(const struct store *s, double *out, struct err *
                          *out);
 }
 
-static void area_add(struct area *a, const struct store_tile *t)
+static void area_add(struct area *a, struct key k, const struct store_shape *t)
 {
     double west, south, east, north;
     bool first = a->n_in++ == 0;
@@ -67,7 +102,7 @@ static void area_add(struct area *a, const struct store_tile *t)
     bool core = t->core_max_enu_m[2] > t->core_min_enu_m[2];
     double lo = core ? t->core_min_enu_m[2] : t->min_enu_m[2],
            hi = core ? t->core_max_enu_m[2] : t->max_enu_m[2];
-    key_bounds(t->key, &west, &south, &east, &north);
+    key_bounds(k, &west, &south, &east, &north);
     a->west_deg = first ? west : fmin(a->west_deg, west);
     a->south_deg = first ? south : fmin(a->south_deg, south);
     a->east_deg = first ? east : fmax(a->east_deg, east);
@@ -202,10 +237,11 @@ enum err_code area_make(const struct store *s, struct area *out, struct err *e)
     if (!rc && !(a.in = mem_array(n, sizeof *a.in)))
         rc = err_set(e, ERR_MEM, "out of memory for %zu tiles", n);
     for (size_t i = 0; !rc && i < n; i++) {
+        const struct store_shape x = store_shape(s, &tiles[i]);
         a.in[i] = area_leaf(store_tree(s), i) && tiles[i].count > 0 &&
-                  tiles[i].sigma_median_m <= AREA_COARSE * a.sigma_m;
+                  x.sigma_median_m <= AREA_COARSE * a.sigma_m;
         if (a.in[i])
-            area_add(&a, &tiles[i]);
+            area_add(&a, tiles[i].key, &x);
     }
     if (!rc)
         rc = area_read_footprint(&a, store_footprint(s), e);

@@ -165,13 +165,13 @@ static enum err_code clip_tile(const struct clip *c, struct store *from,
 {
     struct gauss g = {0};
     struct buf payload = {0};
-    struct store_tile t = *tile;
-    enum err_code rc = store_read_gauss(from, t.key, &g, e);
+    struct store_entry t = {*tile, store_shape(from, tile)};
+    enum err_code rc = store_read_gauss(from, tile->key, &g, e);
     size_t n = g.n;
     if (!rc)
         rc = clip_rows(c, &store_info(from)->origin, &g, e);
     if (!rc && g.n == n && n > 0) { /* untouched: not a bit of it changes */
-        rc = store_read(from, t.key, &payload, e);
+        rc = store_read(from, tile->key, &payload, e);
         if (!rc)
             rc = store_add(to, &t, &payload, e);
         r->n_copied += !rc;
@@ -230,8 +230,9 @@ static enum err_code clip_nothing(const struct store *s, struct err *e)
         box[1] = fmin(box[1], south);
         box[2] = fmax(box[2], east);
         box[3] = fmax(box[3], north);
-        low = fmin(low, o->h_m + t[i].min_enu_m[2]);
-        high = fmax(high, o->h_m + t[i].max_enu_m[2]);
+        const struct store_shape x = store_shape(s, &t[i]);
+        low = fmin(low, o->h_m + x.min_enu_m[2]);
+        high = fmax(high, o->h_m + x.max_enu_m[2]);
     }
     return err_set(e, ERR_DATA,
                    "nothing is left: the store lies within west,south,east,north "

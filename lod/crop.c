@@ -102,9 +102,10 @@ static enum err_code crop_walk(struct crop *c, uint32_t index, enum crop_side si
         return rc;
     if (v.tile != TREE_NONE) {
         const struct store_tile *tile = &c->tiles[v.tile];
+        const struct store_shape x = index_bounds(c->tree->index, v.tile);
         enum crop_side own = side;
         if (side == CROP_ACROSS)
-            rc = crop_box(c->clip, origin, tile->min_enu_m, tile->max_enu_m, &own, e);
+            rc = crop_box(c->clip, origin, x.min_enu_m, x.max_enu_m, &own, e);
         n->count = own == CROP_OUTSIDE ? 0 : tile->count;
         n->across = own == CROP_ACROSS;
         if (!rc && own == CROP_ACROSS && !elsewhere)

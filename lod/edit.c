@@ -197,7 +197,7 @@ static enum err_code edit_copy(struct store *from, struct store *to, const struc
                                struct err *e)
 {
     struct buf payload = {0};
-    struct store_tile copy = *t;
+    struct store_entry copy = {*t, store_shape(from, t)};
     enum err_code rc = store_read(from, t->key, &payload, e);
     if (!rc)
         rc = store_add(to, &copy, &payload, e);
@@ -260,7 +260,7 @@ enum err_code edit_write(struct edit *d, struct store *a, struct store *b, const
     enum err_code rc = store_create(out_path, &meta, &to, e);
     for (size_t i = 0; !rc && i < d->n; i++) {
         struct edit_tile *x = &d->tile[i];
-        struct store_tile t = {.key = x->key, .level = x->level};
+        struct store_entry t = {.tile = {.key = x->key, .level = x->level}};
         rc = edit_settle(d, x, e);
         if (!rc && x->g.n > 0) {
             rc = store_put(to, &t, &x->g, e);

@@ -21,11 +21,11 @@ double lowpass_pixel_m(const struct tree *t, uint32_t node)
     if (v.tile == TREE_NONE)
         return 0.0;
     if (v.child_count)
-        return v.geometric_error_m / TREE_PX_PER_SIGMA;
-    const double own_m = LOWPASS_LEAF * t->tiles[v.tile].sigma_median_m;
+        return v.geometric_error_m / STORE_PX_PER_SIGMA;
+    const double own_m = LOWPASS_LEAF * index_shape(t->index, v.tile).sigma_median_m;
     if (v.parent == TREE_NONE)
         return own_m;
-    const double above_m = tree_node(t, v.parent).geometric_error_m / TREE_PX_PER_SIGMA;
+    const double above_m = tree_node(t, v.parent).geometric_error_m / STORE_PX_PER_SIGMA;
     return fmin(own_m, above_m / TREE_ERROR_GROWTH);
 }
 

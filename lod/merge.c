@@ -188,9 +188,8 @@ static enum err_code merge_read(const struct merge *m, bool from_b, struct key k
 static bool merge_has_below(const struct store *s, struct key k)
 {
     size_t n;
-    const struct store_tile *t = store_tiles(s, &n);
-    uint32_t i = tree_find(t, n, k);
-    return i != TREE_NONE && !tree_leaf(store_tree(s), i);
+    const struct store_tile *t = store_tiles(s, &n), *at = store_find(s, k);
+    return at && !tree_leaf(store_tree(s), (size_t)(at - t));
 }
 
 /* Append a store's tile to the edit of its key, opening the edit with the first's. */

@@ -116,7 +116,7 @@ static void pick_account(const struct pick *p, uint32_t node, int sign, uint64_t
     if (tile == TREE_NONE)
         return;
     *total += sign > 0 ? p->tiles[tile].count : 0 - (uint64_t)p->tiles[tile].count;
-    *bytes += sign > 0 ? p->tiles[tile].bytes : 0 - p->tiles[tile].bytes;
+    *bytes += sign > 0 ? p->tiles[tile].bytes : 0 - (uint64_t)p->tiles[tile].bytes;
 }
 
 static bool pick_node_visible(const struct pick *p, uint32_t node)
@@ -189,15 +189,15 @@ static size_t pick_list(const uint64_t *set, size_t n_tiles, uint32_t *out)
     return n;
 }
 
-enum err_code pick_select(const struct store_tile *tiles, const struct tree *t,
-                          const struct camera *cam, const struct pick_options *o, uint32_t *out,
-                          size_t *n_out, struct err *e)
+enum err_code pick_select(const struct tree *t, const struct camera *cam,
+                          const struct pick_options *o, uint32_t *out, size_t *n_out, struct err *e)
 {
     static const struct pick_options defaults = {0};
-    struct pick p = {.tiles = tiles, .tree = t, .o = o ? o : &defaults};
+    struct pick p = {.tree = t, .o = o ? o : &defaults};
     *n_out = 0;
     if (t->n_nodes == 0)
         return ERR_OK;
+    p.tiles = t->index->tiles;
     if (!(cam->fx_px > 0.0 && cam->fy_px > 0.0 && cam->width_px > 0 && cam->height_px > 0))
         return err_set(e, ERR_ARG, "pick: the camera has no focal length or no pixels");
     p.heap = mem_array(t->n_nodes, sizeof *p.heap); /* a node enters at most once */
@@ -207,7 +207,7 @@ enum err_code pick_select(const struct store_tile *tiles, const struct tree *t,
         mem_free(set);
         return err_set(e, ERR_MEM, "pick: out of memory for %zu tiles", t->n_nodes);
     }
-    p.limit = TREE_PX_PER_SIGMA * (p.o->error_px > 0.0 ? p.o->error_px : PICK_ERROR_PX);
+    p.limit = STORE_PX_PER_SIGMA * (p.o->error_px > 0.0 ? p.o->error_px : PICK_ERROR_PX);
     if (p.o->orthographic)
         frustum_make_orthographic(cam, &p.frustum);
     else
@@ -216,7 +216,7 @@ enum err_code pick_select(const struct store_tile *tiles, const struct tree *t,
     p.focal_px = fmax(cam->fx_px, cam->fy_px);
     /* Nodes ascend with zoom but for a root without content, which stands last. */
     size_t last = tree_node(t, t->n_nodes - 1).tile == TREE_NONE ? t->n_nodes - 2 : t->n_nodes - 1;
-    p.zoom_max = tiles[last].key.z;
+    p.zoom_max = p.tiles[last].key.z;
     enum err_code rc = pick_remember(&p, last + 1, e);
     if (!rc && pick_node_visible(&p, t->root)) {
         pick_account(&p, t->root, 1, &p.total, &p.bytes);
@@ -227,10 +227,12 @@ enum err_code pick_select(const struct store_tile *tiles, const struct tree *t,
         const struct tree_node v = tree_node(t, top.node);
         if (v.child_count > 0 && pick_too_coarse(&p, &top) && pick_refine(&p, top.node))
             continue;
-        const struct store_tile *tile = v.tile == TREE_NONE ? NULL : &tiles[v.tile];
-        if (tile && frustum_sees(&p.frustum, tile->min_enu_m, tile->max_enu_m, tile->sigma_max_m))
+        if (v.tile == TREE_NONE)
+            continue;
+        const struct store_shape own = index_bounds(t->index, v.tile);
+        if (frustum_sees(&p.frustum, own.min_enu_m, own.max_enu_m, own.sigma_max_m))
             set[v.tile / 64] |= UINT64_C(1) << v.tile % 64;
-        else if (tile)
+        else
             pick_account(&p, top.node, -1, &p.total, &p.bytes);
     }
     if (!rc)
@@ -244,7 +246,5 @@ enum err_code pick_select(const struct store_tile *tiles, const struct tree *t,
 enum err_code pick_tiles(const struct store *s, const struct camera *cam,
                          const struct pick_options *o, uint32_t *out, size_t *n_out, struct err *e)
 {
-    size_t n;
-    const struct store_tile *tiles = store_tiles(s, &n);
-    return pick_select(tiles, store_tree(s), cam, o, out, n_out, e);
+    return pick_select(store_tree(s), cam, o, out, n_out, e);
 }

@@ -14,7 +14,6 @@
 
 struct camera;
 struct store;
-struct store_tile;
 struct tree;
 
 enum pick_metric { PICK_SCREEN, PICK_DISTANCE };
@@ -47,10 +46,10 @@ struct pick_options {        /* {0} = screen metric with defaults */
 enum err_code pick_tiles(const struct store *s, const struct camera *cam,
                          const struct pick_options *o, uint32_t *out, size_t *n_out,
                          struct err *e) ERR_USE;
-/* As pick_tiles, on an index and its tree (lod/tree.h), for tests without a store. ERR_ARG,
+/* As pick_tiles, on a tree (lod/tree.h) and its index, for tests without a store. ERR_ARG,
  * ERR_MEM. */
-enum err_code pick_select(const struct store_tile *tiles, const struct tree *t,
-                          const struct camera *cam, const struct pick_options *o, uint32_t *out,
-                          size_t *n_out, struct err *e) ERR_USE;
+enum err_code pick_select(const struct tree *t, const struct camera *cam,
+                          const struct pick_options *o, uint32_t *out, size_t *n_out,
+                          struct err *e) ERR_USE;
 
 #endif

@@ -389,7 +389,7 @@ static enum err_code pyramid_write_tile(void *user, size_t i, struct err *e)
     enum err_code rc =
         signals_stopping() ? err_set(e, ERR_CANCEL, "stopped") : pyramid_fill_tile(w, j, &g, e);
     if (!rc) {
-        struct store_tile t = {.key = locate_decode(j->code, j->z), .level = j->level};
+        struct store_entry t = {.tile = {.key = locate_decode(j->code, j->z), .level = j->level}};
         rc = tilewriter_put(w->writer, i, &t, &g, e);
     }
     if (!rc && w->fed && j->feeds)

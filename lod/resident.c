@@ -28,8 +28,10 @@ enum err_code resident_open(struct store *s, struct render *r, uint32_t embed_le
     out->limit_bytes = limit_bytes;
     out->model.sh_degree = store_info(s)->sh_degree;
     out->model.embed_len = embed_len;
-    if (out->n_tiles > 0)
-        memcpy(out->model.origin_enu_m, tiles[0].center_enu_m, sizeof out->model.origin_enu_m);
+    if (out->n_tiles > 0) {
+        const struct store_shape first = store_shape(s, &tiles[0]);
+        memcpy(out->model.origin_enu_m, first.center_enu_m, sizeof out->model.origin_enu_m);
+    }
     out->flat = out->model;
     out->tile = mem_array(out->n_tiles, sizeof *out->tile);
     out->scratch = mem_array(out->n_tiles, sizeof *out->scratch);

@@ -16,12 +16,19 @@
 
 struct gauss;
 
-enum { STORE_LEVEL_MAX = 7 };
-struct store_tile { /* the index entry of one tile */
+/* geometric error over sigma: an error of 16 px is a sigma of 1 px */
+#define STORE_PX_PER_SIGMA 16.0
+
+enum { STORE_LEVEL_MAX = 7, STORE_VERSION_MAX = 0xffffff };
+struct store_tile { /* the row of one tile in the index */
     struct key key;
-    uint8_t level;                     /* 1..STORE_LEVEL_MAX: trained; 0: overview */
-    uint32_t count;                    /* number of Gaussians */
-    uint64_t bytes;                    /* size of the payload */
+    uint32_t count;        /* number of Gaussians */
+    uint32_t bytes;        /* size of the payload */
+    uint32_t version : 24; /* grows by 1 when the tile is replaced */
+    uint32_t level : 8;    /* 1..STORE_LEVEL_MAX: trained; 0: overview */
+    struct hash128 hash;   /* of the payload */
+};
+struct store_shape {                   /* where a tile is */
     double center_enu_m[3];            /* origin of the payload's means */
     double min_enu_m[3], max_enu_m[3]; /* box around the means, each widened by 3.33 sigma */
     /* Box of nearly all Gaussians: from 2 to 98 % of the means along each axis. A few Gaussians
@@ -33,8 +40,10 @@ struct store_tile { /* the index entry of one tile */
     double sigma_max_m;
     /* 16 sigma_median_m: clients that refine at 16 px see a sigma of 1 px */
     double geometric_error_m;
-    struct hash128 hash; /* of the payload */
-    uint32_t version;    /* grows by 1 when the tile is replaced */
+};
+struct store_entry { /* both, as they are written */
+    struct store_tile tile;
+    struct store_shape shape;
 };
 struct store_meta {
     char name[64]; /* [a-z0-9][a-z0-9_-]* */
@@ -60,16 +69,17 @@ struct store;
 enum err_code store_create(const char *path, const struct store_meta *meta, struct store **out,
                            struct err *e) ERR_USE;
 /* Encodes g and adds it as one tile. The caller sets key and level in t. center_enu_m becomes the
- * origin of g, and the other members are computed. ERR_ARG (key, no rows), ERR_DATA (not finite),
- * ERR_LIMIT (2 GiB), ERR_IO, ERR_MEM, ERR_INTERNAL (the store was opened for reading). */
-enum err_code store_put(struct store *s, struct store_tile *t, const struct gauss *g,
+ * origin of g, and the other members are computed; a geometric error that is set stays. ERR_ARG
+ * (key, no rows), ERR_DATA (not finite), ERR_LIMIT (2 GiB), ERR_IO, ERR_MEM, ERR_INTERNAL (the
+ * store was opened for reading). */
+enum err_code store_put(struct store *s, struct store_entry *t, const struct gauss *g,
                         struct err *e) ERR_USE;
 /* store_put in two steps. Any thread may call store_encode, which only reads options of the store;
  * the caller frees `payload`. Only one thread at a time may call store_add, which sets the version.
  * ERR_ARG, ERR_DATA, ERR_LIMIT, ERR_MEM, ERR_INTERNAL; store_add also ERR_IO. */
-enum err_code store_encode(const struct store *s, struct store_tile *t, const struct gauss *g,
+enum err_code store_encode(const struct store *s, struct store_entry *t, const struct gauss *g,
                            struct buf *payload, struct err *e) ERR_USE;
-enum err_code store_add(struct store *s, struct store_tile *t, const struct buf *payload,
+enum err_code store_add(struct store *s, struct store_entry *t, const struct buf *payload,
                         struct err *e) ERR_USE;
 struct store_blob {
     const char *name;
@@ -117,8 +127,10 @@ bool store_replaced(const struct store *s);
 enum err_code store_ask(struct store *s, double wait_s, struct err *e) ERR_USE;
 /* The whole index [*n], sorted by key_compare. Borrowed until store_close. */
 const struct store_tile *store_tiles(const struct store *s, size_t *n);
-/* One entry of the index, or NULL. */
+/* One row of the index, or NULL. */
 const struct store_tile *store_find(const struct store *s, struct key k);
+/* The shape of a tile in store_tiles, or that store_find found. */
+struct store_shape store_shape(const struct store *s, const struct store_tile *t);
 /* Reads the payload of a tile and checks its hash; the caller frees `out`. ERR_NOENT (no such
  * tile), ERR_FORMAT names the tile, ERR_IO, ERR_MEM. */
 enum err_code store_read(struct store *s, struct key k, struct buf *out, struct err *e) ERR_USE;

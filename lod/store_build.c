@@ -151,7 +151,7 @@ enum err_code store_create(const char *path, const struct store_meta *meta, stru
 }
 
 /* Median and largest of the rows' largest sigmas. */
-static enum err_code store_sigmas(struct store_tile *t, const struct gauss *g, struct err *e)
+static enum err_code store_sigmas(struct store_shape *t, const struct gauss *g, struct err *e)
 {
     float *big = mem_array(g->n, sizeof *big), most = -INFINITY;
     if (!big)
@@ -169,7 +169,7 @@ static enum err_code store_sigmas(struct store_tile *t, const struct gauss *g, s
 }
 
 /* 2 and 98 % of the means, from an even sample of them. */
-static enum err_code store_core(struct store_tile *t, const struct gauss *g, struct err *e)
+static enum err_code store_core(struct store_shape *t, const struct gauss *g, struct err *e)
 {
     size_t step = g->n / STORE_CORE_SAMPLE + 1, n = 0;
     float *x = mem_array(g->n / step + 1, sizeof *x);
@@ -201,7 +201,7 @@ static double store_growth(const struct store *s, const struct gauss *g)
 }
 
 /* Bounds and sigmas of the rows. */
-static enum err_code store_measure(const struct store *s, struct store_tile *t,
+static enum err_code store_measure(const struct store *s, struct store_shape *t,
                                    const struct gauss *g, struct err *e)
 {
     double growth = store_growth(s, g);
@@ -218,7 +218,7 @@ static enum err_code store_measure(const struct store *s, struct store_tile *t,
     gauss_bounds(g, STORE_REACH_SIGMA * growth, t->min_enu_m, t->max_enu_m);
     t->sigma_max_m *= growth;
     if (!(t->geometric_error_m > 0.0))
-        t->geometric_error_m = TREE_PX_PER_SIGMA * t->sigma_median_m;
+        t->geometric_error_m = STORE_PX_PER_SIGMA * t->sigma_median_m;
     double sum = t->sigma_median_m + t->sigma_max_m + t->geometric_error_m;
     for (size_t k = 0; k < 3; k++) {
         /* SQLite keeps -0.0 as 0, which would hash differently. */
@@ -234,11 +234,11 @@ static enum err_code store_measure(const struct store *s, struct store_tile *t,
     return ERR_OK;
 }
 
-static enum err_code store_insert(struct store *s, const struct store_tile *t,
+static enum err_code store_insert(struct store *s, const struct store_entry *t,
                                   const struct buf *payload, struct err *e)
 {
     uint8_t hash[STORE_HASH_BYTES], row_hash[STORE_HASH_BYTES];
-    store_db_hash_out(t->hash, hash);
+    store_db_hash_out(t->tile.hash, hash);
     store_db_hash_out(store_db_row_hash(t), row_hash);
     if (!s->put) {
         int code = sqlite3_prepare_v2(s->db, store_put_sql, -1, &s->put, NULL);
@@ -246,21 +246,26 @@ static enum err_code store_insert(struct store *s, const struct store_tile *t,
             return store_db_fail(s, code, "cannot write", e);
     }
     sqlite3_stmt *q = s->put;
-    const sqlite3_int64 ints[] = {
-        store_db_id(t->key),     t->key.z,  t->key.x, t->key.y, t->level, t->count,
-        (sqlite3_int64)t->bytes, t->version};
+    const sqlite3_int64 ints[] = {store_db_id(t->tile.key),
+                                  t->tile.key.z,
+                                  t->tile.key.x,
+                                  t->tile.key.y,
+                                  t->tile.level,
+                                  t->tile.count,
+                                  (sqlite3_int64)t->tile.bytes,
+                                  t->tile.version};
     for (int i = 0; i < 8; i++)
         sqlite3_bind_int64(q, 1 + i, ints[i]);
     for (int k = 0; k < 3; k++) {
-        sqlite3_bind_double(q, 9 + k, t->center_enu_m[k]);
-        sqlite3_bind_double(q, 12 + k, t->min_enu_m[k]);
-        sqlite3_bind_double(q, 15 + k, t->max_enu_m[k]);
-        sqlite3_bind_double(q, 18 + k, t->core_min_enu_m[k]);
-        sqlite3_bind_double(q, 21 + k, t->core_max_enu_m[k]);
+        sqlite3_bind_double(q, 9 + k, t->shape.center_enu_m[k]);
+        sqlite3_bind_double(q, 12 + k, t->shape.min_enu_m[k]);
+        sqlite3_bind_double(q, 15 + k, t->shape.max_enu_m[k]);
+        sqlite3_bind_double(q, 18 + k, t->shape.core_min_enu_m[k]);
+        sqlite3_bind_double(q, 21 + k, t->shape.core_max_enu_m[k]);
     }
-    sqlite3_bind_double(q, 24, t->sigma_median_m);
-    sqlite3_bind_double(q, 25, t->sigma_max_m);
-    sqlite3_bind_double(q, 26, t->geometric_error_m);
+    sqlite3_bind_double(q, 24, t->shape.sigma_median_m);
+    sqlite3_bind_double(q, 25, t->shape.sigma_max_m);
+    sqlite3_bind_double(q, 26, t->shape.geometric_error_m);
     sqlite3_bind_blob(q, 27, hash, sizeof hash, SQLITE_STATIC);
     sqlite3_bind_blob(q, 28, row_hash, sizeof row_hash, SQLITE_STATIC);
     sqlite3_bind_blob64(q, 29, payload->data, payload->size, SQLITE_STATIC);
@@ -271,54 +276,49 @@ static enum err_code store_insert(struct store *s, const struct store_tile *t,
     return rc;
 }
 
-static enum err_code store_remember(struct store *s, const struct store_tile *t, struct err *e)
-{
-    struct store_tile *p = mem_room(s->tiles, s->n_tiles, &s->cap_tiles, 64, sizeof *p);
-    if (!p)
-        return err_set(e, ERR_MEM, "%s: out of memory for %zu tiles", s->path, s->n_tiles + 1);
-    s->tiles = p;
-    s->tiles[s->n_tiles++] = *t;
-    return ERR_OK;
-}
-
-enum err_code store_encode(const struct store *s, struct store_tile *t, const struct gauss *g,
+enum err_code store_encode(const struct store *s, struct store_entry *t, const struct gauss *g,
                            struct buf *payload, struct err *e)
 {
     if (!s->building)
         return err_set(e, ERR_INTERNAL, "%s: a published store is never changed", s->path);
-    if (!key_valid(t->key) || g->n == 0 || g->n > UINT32_MAX)
+    if (!key_valid(t->tile.key) || g->n == 0 || g->n > UINT32_MAX)
         return err_set(e, ERR_ARG, "%s: tile %u/%u/%u with %zu Gaussians cannot be stored", s->path,
-                       t->key.z, t->key.x, t->key.y, g->n);
-    t->count = (uint32_t)g->n;
-    enum err_code rc = store_measure(s, t, g, e);
+                       t->tile.key.z, t->tile.key.x, t->tile.key.y, g->n);
+    t->tile.count = (uint32_t)g->n;
+    enum err_code rc = store_measure(s, &t->shape, g, e);
     if (!rc)
         rc = payload_encode(g, s->meta.lossless, payload, e);
     if (!rc && payload->size > INT32_MAX)
         rc = err_set(e, ERR_LIMIT, "payload of %zu bytes, at most 2 GiB; use smaller tiles",
                      payload->size);
     if (rc)
-        return err_add(e, "tile %u/%u/%u", t->key.z, t->key.x, t->key.y);
-    t->bytes = payload->size;
-    t->hash = hash_bytes(payload->data, payload->size);
+        return err_add(e, "tile %u/%u/%u", t->tile.key.z, t->tile.key.x, t->tile.key.y);
+    t->tile.bytes = (uint32_t)payload->size;
+    t->tile.hash = hash_bytes(payload->data, payload->size);
     return ERR_OK;
 }
 
-enum err_code store_add(struct store *s, struct store_tile *t, const struct buf *payload,
+enum err_code store_add(struct store *s, struct store_entry *t, const struct buf *payload,
                         struct err *e)
 {
     if (!s->building)
         return err_set(e, ERR_INTERNAL, "%s: a published store is never changed", s->path);
-    const struct store_tile *old = s->before ? store_find(s->before, t->key) : NULL;
-    bool same = old && old->hash.lo == t->hash.lo && old->hash.hi == t->hash.hi;
-    t->version = old ? old->version + (same ? 0 : 1) : 1;
+    const struct store_tile *old = s->before ? store_find(s->before, t->tile.key) : NULL;
+    bool same = old && old->hash.lo == t->tile.hash.lo && old->hash.hi == t->tile.hash.hi;
+    t->tile.version = 1;
+    if (old) /* at most STORE_VERSION_MAX */
+        t->tile.version = (old->version + (same || old->version == STORE_VERSION_MAX ? 0U : 1U)) &
+                          STORE_VERSION_MAX;
     enum err_code rc = store_insert(s, t, payload, e);
     if (rc)
-        return err_add(e, "tile %u/%u/%u", t->key.z, t->key.x, t->key.y);
+        return err_add(e, "tile %u/%u/%u", t->tile.key.z, t->tile.key.x, t->tile.key.y);
     store_flush_wrote(&s->flush, payload->size);
-    return store_remember(s, t, e);
+    enum { FIRST = 64 };
+    return index_add(&s->index, t, FIRST, e);
 }
 
-enum err_code store_put(struct store *s, struct store_tile *t, const struct gauss *g, struct err *e)
+enum err_code store_put(struct store *s, struct store_entry *t, const struct gauss *g,
+                        struct err *e)
 {
     struct buf payload = {0};
     enum err_code rc = store_encode(s, t, g, &payload, e);
@@ -363,9 +363,9 @@ static enum err_code store_revision(struct store *s, struct err *e)
     if (!heights_ellipsoidal(s->meta.heights))
         buf_printf(&b, "heights %s\n", s->meta.heights);
     enum err_code rc = ERR_OK;
-    for (size_t i = 0; i < s->n_tiles; i++) {
-        struct store_tile t = s->tiles[i];
-        t.version = 0; /* a history is not content */
+    for (size_t i = 0; i < s->index.n; i++) {
+        struct store_entry t = {s->index.tiles[i], index_shape(&s->index, i)};
+        t.tile.version = 0; /* a history is not content */
         struct hash128 row = store_db_row_hash(&t);
         buf_u64(&b, row.lo);
         buf_u64(&b, row.hi);
@@ -398,7 +398,7 @@ static enum err_code store_write_meta(struct store *s, struct err *e)
     char num[10][40];
     const double values[10] = {m->origin.lon_deg, m->origin.lat_deg, m->origin.h_m, m->sh_degree,
                                m->embed_len,      m->antialiased,    m->lossless,   m->zoom_min,
-                               m->zoom_max,       (double)s->n_tiles};
+                               m->zoom_max,       (double)s->index.n};
     for (size_t i = 0; i < 10; i++)
         snprintf(num[i], sizeof num[i], "%.17g", values[i]);
     const char *const rows[][2] = {
@@ -426,15 +426,16 @@ static enum err_code store_write_meta(struct store *s, struct err *e)
     return rc;
 }
 
-static void store_finish_meta(struct store *s)
+static enum err_code store_finish_meta(struct store *s, struct err *e)
 {
-    qsort(s->tiles, s->n_tiles, sizeof *s->tiles, store_db_tile_compare);
-    s->meta.zoom_min = s->n_tiles ? s->tiles[0].key.z : 0;
-    s->meta.zoom_max = s->n_tiles ? s->tiles[s->n_tiles - 1].key.z : 0;
+    enum err_code rc = index_sort(&s->index, e);
+    s->meta.zoom_min = s->index.tiles[0].key.z;
+    s->meta.zoom_max = s->index.tiles[s->index.n - 1].key.z;
     time_t now = time(NULL);
     struct tm tm;
     if (!s->meta.created[0] && gmtime_r(&now, &tm))
         strftime(s->meta.created, sizeof s->meta.created, "%Y-%m-%dT%H:%M:%SZ", &tm);
+    return rc;
 }
 
 enum err_code store_commit(struct store **sp, struct err *e)
@@ -446,12 +447,13 @@ enum err_code store_commit(struct store **sp, struct err *e)
         rc = err_set(e, ERR_INTERNAL, "%s: a published store is never changed", s->path);
         goto out;
     }
-    if (s->n_tiles == 0) {
+    if (s->index.n == 0) {
         rc = err_set(e, ERR_DATA, "%s: no tiles, nothing to write", s->path);
         goto out;
     }
-    store_finish_meta(s);
-    rc = store_revision(s, e);
+    rc = store_finish_meta(s, e);
+    if (!rc)
+        rc = store_revision(s, e);
     if (!rc)
         rc = store_write_meta(s, e);
     if (!rc)

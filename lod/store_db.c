@@ -53,34 +53,29 @@ void store_db_hash_out(struct hash128 h, uint8_t out[STORE_HASH_BYTES])
     }
 }
 
-struct hash128 store_db_row_hash(const struct store_tile *t)
+struct hash128 store_db_row_hash(const struct store_entry *t)
 {
-    const double nums[] = {t->center_enu_m[0],   t->center_enu_m[1],   t->center_enu_m[2],
-                           t->min_enu_m[0],      t->min_enu_m[1],      t->min_enu_m[2],
-                           t->max_enu_m[0],      t->max_enu_m[1],      t->max_enu_m[2],
-                           t->core_min_enu_m[0], t->core_min_enu_m[1], t->core_min_enu_m[2],
-                           t->core_max_enu_m[0], t->core_max_enu_m[1], t->core_max_enu_m[2],
-                           t->sigma_median_m,    t->sigma_max_m,       t->geometric_error_m};
+    const struct store_shape *x = &t->shape;
+    const double nums[] = {x->center_enu_m[0],   x->center_enu_m[1],   x->center_enu_m[2],
+                           x->min_enu_m[0],      x->min_enu_m[1],      x->min_enu_m[2],
+                           x->max_enu_m[0],      x->max_enu_m[1],      x->max_enu_m[2],
+                           x->core_min_enu_m[0], x->core_min_enu_m[1], x->core_min_enu_m[2],
+                           x->core_max_enu_m[0], x->core_max_enu_m[1], x->core_max_enu_m[2],
+                           x->sigma_median_m,    x->sigma_max_m,       x->geometric_error_m};
     enum { N_NUMS = sizeof nums / sizeof *nums, N_INTS = 7 };
-    uint64_t word[N_INTS + N_NUMS] = {(uint64_t)store_db_id(t->key),
-                                      t->level,
-                                      t->count,
-                                      t->bytes,
-                                      t->version,
-                                      t->hash.lo,
-                                      t->hash.hi};
+    uint64_t word[N_INTS + N_NUMS] = {(uint64_t)store_db_id(t->tile.key),
+                                      t->tile.level,
+                                      t->tile.count,
+                                      t->tile.bytes,
+                                      t->tile.version,
+                                      t->tile.hash.lo,
+                                      t->tile.hash.hi};
     memcpy(word + N_INTS, nums, sizeof nums);
 #if __BYTE_ORDER__ == __ORDER_BIG_ENDIAN__ /* little-endian whatever the machine */
     for (size_t i = 0; i < sizeof word / sizeof *word; i++)
         word[i] = __builtin_bswap64(word[i]);
 #endif
     return hash_bytes(word, sizeof word);
-}
-
-int store_db_tile_compare(const void *a, const void *b)
-{
-    const struct store_tile *x = a, *y = b;
-    return key_compare(x->key, y->key);
 }
 
 bool store_db_name_ok(const char *name)

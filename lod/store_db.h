@@ -23,6 +23,7 @@
 
 #include <sqlite3.h>
 
+#include "lod/index.h"
 #include "lod/store.h"
 #include "lod/tree.h"
 
@@ -55,9 +56,8 @@ struct store {
     char part[FILE_PATH_MAX]; /* while building: the file that is written */
     uint64_t size_bytes;      /* opened: size of the file */
     struct store_meta meta;
-    struct store_tile *tiles; /* opened: sorted by key; building: in the order of store_put */
-    size_t n_tiles, cap_tiles;
-    struct tree tree; /* only when opened */
+    struct index index; /* opened: sorted by key; building: in the order of store_put */
+    struct tree tree;   /* only when opened */
     /* Opened: the appearance, which bake.c reads on first use; NULL: none. store_close frees it
      * with bake_free, which is NULL until then. */
     struct bake *bake;
@@ -65,7 +65,7 @@ struct store {
     void (*bake_free)(struct store *s);
     char *footprint;       /* opened: GeoJSON; NULL: none */
     char *clip;            /* opened: GeoJSON; NULL: none */
-    bool borrows;          /* opened: tiles, tree and what the blobs say belong to another handle */
+    bool borrows;          /* opened: index, tree and what the blobs say belong to another handle */
     struct remote *remote; /* opened from an address: its reader, which belongs to db; else NULL */
     /* building: the store that will be replaced, for tile versions; may be NULL */
     struct store *before;
@@ -78,9 +78,7 @@ enum err_code store_db_fail(const struct store *s, int code, const char *what, s
 int64_t store_db_id(struct key k);
 void store_db_hash_out(struct hash128 h, uint8_t out[STORE_HASH_BYTES]);
 /* Hash over all members of t, to detect damaged index rows. */
-struct hash128 store_db_row_hash(const struct store_tile *t);
-/* Compares keys, for qsort. */
-int store_db_tile_compare(const void *a, const void *b);
+struct hash128 store_db_row_hash(const struct store_entry *t);
 /* Returns whether a name may stand in URLs and documents unchanged: a-z, 0-9, - and _. */
 bool store_db_name_ok(const char *name);
 /* Reads the index rows of all tiles again, where they lie between the payloads, and counts the

@@ -327,68 +327,33 @@ static struct hash128 store_column_hash(sqlite3_stmt *q, int column, bool *ok)
 }
 
 /* One row; false when its hash says that it is damaged. */
-static bool store_row(sqlite3_stmt *q, struct store_tile *t)
+static bool store_row(sqlite3_stmt *q, struct store_entry *out)
 {
     bool ok = true;
     int64_t id = sqlite3_column_int64(q, 0);
+    struct store_tile *t = &out->tile;
+    struct store_shape *x = &out->shape;
     t->key.z = (uint8_t)store_column_u(q, 1, KEY_ZOOM_MAX, &ok);
     t->key.x = (uint32_t)store_column_u(q, 2, UINT32_MAX, &ok);
     t->key.y = (uint32_t)store_column_u(q, 3, UINT32_MAX, &ok);
     t->level = (uint8_t)store_column_u(q, 4, STORE_LEVEL_MAX, &ok);
     t->count = (uint32_t)store_column_u(q, 5, UINT32_MAX, &ok);
-    t->bytes = store_column_u(q, 6, INT32_MAX, &ok);
-    t->version = (uint32_t)store_column_u(q, 7, UINT32_MAX, &ok);
+    t->bytes = (uint32_t)store_column_u(q, 6, INT32_MAX, &ok);
+    t->version = store_column_u(q, 7, STORE_VERSION_MAX, &ok) & STORE_VERSION_MAX;
     for (int k = 0; k < 3; k++) {
-        t->center_enu_m[k] = sqlite3_column_double(q, 8 + k);
-        t->min_enu_m[k] = sqlite3_column_double(q, 11 + k);
-        t->max_enu_m[k] = sqlite3_column_double(q, 14 + k);
-        t->core_min_enu_m[k] = sqlite3_column_double(q, 17 + k);
-        t->core_max_enu_m[k] = sqlite3_column_double(q, 20 + k);
+        x->center_enu_m[k] = sqlite3_column_double(q, 8 + k);
+        x->min_enu_m[k] = sqlite3_column_double(q, 11 + k);
+        x->max_enu_m[k] = sqlite3_column_double(q, 14 + k);
+        x->core_min_enu_m[k] = sqlite3_column_double(q, 17 + k);
+        x->core_max_enu_m[k] = sqlite3_column_double(q, 20 + k);
     }
-    t->sigma_median_m = sqlite3_column_double(q, 23);
-    t->sigma_max_m = sqlite3_column_double(q, 24);
-    t->geometric_error_m = sqlite3_column_double(q, 25);
+    x->sigma_median_m = sqlite3_column_double(q, 23);
+    x->sigma_max_m = sqlite3_column_double(q, 24);
+    x->geometric_error_m = sqlite3_column_double(q, 25);
     t->hash = store_column_hash(q, 26, &ok);
-    struct hash128 want = store_column_hash(q, 27, &ok), have = store_db_row_hash(t);
+    struct hash128 want = store_column_hash(q, 27, &ok), have = store_db_row_hash(out);
     return ok && key_valid(t->key) && store_db_id(t->key) == id && have.lo == want.lo &&
            have.hi == want.hi;
-}
-
-struct store_place {
-    struct key key;
-    uint32_t at;
-};
-
-static int store_place_compare(const void *a, const void *b)
-{
-    const struct store_place *x = a, *y = b;
-    return key_compare(x->key, y->key);
-}
-
-/* Sorts places, not tiles, which are twelve times as large: a million take a second otherwise. Then
- * each circle of tiles that change places is gone through once. */
-static enum err_code store_sort(struct store *s, struct err *e)
-{
-    struct store_place *place = mem_array(s->n_tiles + 1, sizeof *place);
-    if (!place)
-        return err_set(e, ERR_MEM, "%s: out of memory for %zu tiles", s->path, s->n_tiles);
-    for (size_t i = 0; i < s->n_tiles; i++)
-        place[i] = (struct store_place){s->tiles[i].key, (uint32_t)i};
-    qsort(place, s->n_tiles, sizeof *place, store_place_compare);
-    for (size_t i = 0; i < s->n_tiles; i++) {
-        if (place[i].at == i)
-            continue;
-        struct store_tile first = s->tiles[i];
-        size_t to = i;
-        for (size_t from; (from = place[to].at) != i; to = from) {
-            s->tiles[to] = s->tiles[from];
-            place[to].at = (uint32_t)to;
-        }
-        s->tiles[to] = first;
-        place[to].at = (uint32_t)to;
-    }
-    mem_free(place);
-    return ERR_OK;
 }
 
 /* How many tiles there are, as the file says, but no more than fit into it. Older files do not say
@@ -418,18 +383,14 @@ static enum err_code store_read_index(struct store *s, const char *sql, size_t *
     enum err_code rc = code == SQLITE_OK ? ERR_OK : store_db_fail(s, code, "index", e);
     const size_t expected = rc ? 0 : store_expected(s);
     while (!rc && (code = sqlite3_step(q)) == SQLITE_ROW) {
-        struct store_tile *p = mem_room(s->tiles, s->n_tiles, &s->cap_tiles, expected, sizeof *p);
-        if (!p) {
-            rc = err_set(e, ERR_MEM, "%s: out of memory for %zu tiles", s->path, s->n_tiles + 1);
-            break;
-        }
-        s->tiles = p;
-        struct store_tile t = {0};
+        struct store_entry t = {0};
         if (store_row(q, &t))
-            s->tiles[s->n_tiles++] = t;
+            rc = index_add(&s->index, &t, expected, e);
         else if (!(*n_bad)++)
-            first = t.key;
-        if (s->n_tiles + *n_bad > s->size_bytes / STORE_ROW_BYTES)
+            first = t.tile.key;
+        if (rc)
+            err_add(e, "%s", s->path);
+        else if (s->index.n + *n_bad > s->size_bytes / STORE_ROW_BYTES)
             rc = err_set(e, ERR_FORMAT, "%s: damaged: more index rows than fit into the file",
                          s->path);
     }
@@ -441,7 +402,7 @@ static enum err_code store_read_index(struct store *s, const char *sql, size_t *
             "%s: damaged index rows: %zu, that of tile %u/%u/%u first: these tiles are left out",
             s->path, *n_bad, first.z, first.x, first.y);
     sqlite3_finalize(q);
-    return rc ? rc : store_sort(s, e);
+    return rc ? rc : index_sort(&s->index, e);
 }
 
 enum err_code store_check_rows(const struct store *s, size_t *n_bad, struct err *e)
@@ -449,7 +410,7 @@ enum err_code store_check_rows(const struct store *s, size_t *n_bad, struct err 
     struct store again = {.db = s->db, .size_bytes = s->size_bytes, .remote = s->remote};
     memcpy(again.path, s->path, sizeof again.path);
     enum err_code rc = store_read_index(&again, STORE_ROWS_SQL, n_bad, e);
-    mem_free(again.tiles);
+    index_free(&again.index);
     return rc;
 }
 
@@ -524,7 +485,7 @@ static enum err_code store_open_at(const char *at, const char *path, const char 
     if (!rc)
         rc = store_read_index(s, STORE_INDEX_SQL, &n_bad, e);
     if (!rc)
-        rc = tree_build(s->tiles, s->n_tiles, &s->tree, e);
+        rc = tree_build(&s->index, &s->tree, e);
     if (!rc) {
         rc = store_read_outline(s, STORE_FOOTPRINT, &s->footprint, e);
         if (!rc)
@@ -598,8 +559,7 @@ enum err_code store_open_more(int fd, const struct store *first, struct store **
     memcpy(s->path, first->path, sizeof s->path);
     s->size_bytes = first->size_bytes;
     s->meta = first->meta;
-    s->tiles = first->tiles;
-    s->n_tiles = first->n_tiles;
+    s->index = first->index;
     s->tree = first->tree;
     s->footprint = first->footprint;
     s->clip = first->clip;
@@ -638,7 +598,7 @@ void store_close(struct store **sp)
         s->bake_free(s);
     if (!s->borrows) {
         tree_free(&s->tree);
-        mem_free(s->tiles);
+        index_free(&s->index);
         free(s->footprint); /* jansson's */
         free(s->clip);
     }
@@ -668,8 +628,8 @@ enum err_code store_ask(struct store *s, double wait_s, struct err *e)
 
 const struct store_tile *store_tiles(const struct store *s, size_t *n)
 {
-    *n = s->n_tiles;
-    return s->tiles;
+    *n = s->index.n;
+    return s->index.tiles;
 }
 
 const struct tree *store_tree(const struct store *s)
@@ -680,13 +640,18 @@ const struct tree *store_tree(const struct store *s)
 const struct store_tile *store_find(const struct store *s, struct key k)
 {
     if (!s->building) {
-        uint32_t i = tree_find(s->tiles, s->n_tiles, k);
-        return i == TREE_NONE ? NULL : &s->tiles[i];
+        uint32_t i = index_find(&s->index, k);
+        return i == INDEX_NONE ? NULL : &s->index.tiles[i];
     }
-    for (size_t i = 0; i < s->n_tiles; i++)
-        if (key_compare(s->tiles[i].key, k) == 0)
-            return &s->tiles[i];
+    for (size_t i = 0; i < s->index.n; i++)
+        if (key_compare(s->index.tiles[i].key, k) == 0)
+            return &s->index.tiles[i];
     return NULL;
+}
+
+struct store_shape store_shape(const struct store *s, const struct store_tile *t)
+{
+    return index_shape(&s->index, (size_t)(t - s->index.tiles));
 }
 
 /* ---- payloads and blobs ---- */
@@ -765,7 +730,8 @@ enum err_code store_decode(const struct store *s, const struct store_tile *t,
         rc = err_set(e, ERR_FORMAT,
                      "other harmonics, embeddings or number of Gaussians than the index says");
     if (!rc) {
-        memcpy(out->origin_enu_m, t->center_enu_m, sizeof out->origin_enu_m);
+        const struct store_shape x = store_shape(s, t);
+        memcpy(out->origin_enu_m, x.center_enu_m, sizeof out->origin_enu_m);
         return ERR_OK;
     }
     return err_add(e, "%s: tile %u/%u/%u", s->path, t->key.z, t->key.x, t->key.y);

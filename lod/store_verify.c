@@ -40,9 +40,9 @@ static void store_verify_pages(struct store *s, struct err *first, size_t *n_bad
 static void store_verify_tiles(struct store *s, struct err *first, size_t *n_bad)
 {
     struct progress p;
-    progress_start(&p, "verify tiles", s->n_tiles);
-    for (size_t i = 0; i < s->n_tiles && first->code != ERR_BUSY; i++) {
-        const struct store_tile *t = &s->tiles[i];
+    progress_start(&p, "verify tiles", s->index.n);
+    for (size_t i = 0; i < s->index.n && first->code != ERR_BUSY; i++) {
+        const struct store_tile *t = &s->index.tiles[i];
         struct gauss g = {0};
         struct err e = {0};
         if (!store_read_gauss(s, t->key, &g, &e) && (g.n != t->count || gauss_count_bad(&g, NULL)))

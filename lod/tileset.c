@@ -81,8 +81,9 @@ static void tileset_uri(struct buf *b, const char *template, struct key k)
 
 static void tileset_center(const struct tileset *t, uint32_t node, double center[3])
 {
-    for (size_t k = 0; k < 3; k++)
-        center[k] = node < t->tree->n_tiles ? t->tiles[node].center_enu_m[k] : 0.0;
+    const struct store_shape x =
+        node < t->tree->n_tiles ? index_bounds(t->tree->index, node) : (struct store_shape){0};
+    memcpy(center, x.center_enu_m, sizeof x.center_enu_m);
 }
 
 static void tileset_matrix(struct buf *b, const double m[16])
@@ -157,7 +158,7 @@ static void tileset_node(const struct tileset *t, uint32_t index, const double *
         tileset_matrix(t->out, m);
     tileset_box(t, index);
     buf_printf(t->out, ",\"geometricError\":%.9g",
-               two ? TREE_PX_PER_SIGMA * pixel_m : v.geometric_error_m);
+               two ? STORE_PX_PER_SIGMA * pixel_m : v.geometric_error_m);
     if (index == t->start)
         buf_printf(t->out, ",\"refine\":\"REPLACE\"");
     if (v.tile != TREE_NONE && v.child_count > 0)
@@ -233,7 +234,8 @@ enum err_code tileset_write(const struct store *s, const struct tileset_links *l
         enum err_code rc = tileset_frame(&t, m, ecef, e);
         if (rc)
             return rc;
-        error_m = TILESET_TOP_ERROR * fmax(error_m, t.tiles[0].geometric_error_m);
+        error_m =
+            TILESET_TOP_ERROR * fmax(error_m, index_shape(t.tree->index, 0).geometric_error_m);
     }
     buf_printf(out, "{\"asset\":{\"version\":\"1.1\",\"tilesetVersion\":\"%s\"", m->revision);
     if (!part && m->attribution[0]) {
@@ -284,15 +286,16 @@ static void tileset_rows(const struct store *s, struct buf *out)
                     "\"min_e\",\"min_n\",\"min_u\",\"max_e\",\"max_n\",\"max_u\"],\n\"tiles\":[");
     for (size_t i = 0; i < n; i++) {
         const struct store_tile *x = &tiles[i];
+        const struct store_shape at = index_bounds(t->index, i);
         buf_printf(out, "%s\n[%u,%u,%u,%u,%u,%u,%llu,%.7g,%.7g", i ? "," : "", x->key.z, x->key.x,
                    x->key.y, x->level, x->version, x->count, (unsigned long long)x->bytes,
-                   tree_node(t, i).geometric_error_m, x->sigma_max_m);
+                   tree_node(t, i).geometric_error_m, at.sigma_max_m);
         for (size_t k = 0; k < 3; k++)
-            buf_printf(out, ",%.17g", x->center_enu_m[k]);
+            buf_printf(out, ",%.17g", at.center_enu_m[k]);
         for (size_t k = 0; k < 3; k++)
-            buf_printf(out, ",%.4f", x->min_enu_m[k] - 1e-4); /* outwards, whatever the rounding */
+            buf_printf(out, ",%.4f", at.min_enu_m[k] - 1e-4); /* outwards, whatever the rounding */
         for (size_t k = 0; k < 3; k++)
-            buf_printf(out, ",%.4f", x->max_enu_m[k] + 1e-4);
+            buf_printf(out, ",%.4f", at.max_enu_m[k] + 1e-4);
         buf_printf(out, "]");
     }
     buf_printf(out, "]");

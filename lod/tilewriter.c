@@ -12,7 +12,7 @@
 
 struct tilewriter_slot {
     bool full;
-    struct store_tile tile;
+    struct store_entry tile;
     struct buf payload;
 };
 
@@ -73,7 +73,7 @@ static enum err_code tilewriter_drain(struct tilewriter *w, struct err *e)
     return rc;
 }
 
-enum err_code tilewriter_put(struct tilewriter *w, size_t i, struct store_tile *t,
+enum err_code tilewriter_put(struct tilewriter *w, size_t i, struct store_entry *t,
                              const struct gauss *g, struct err *e)
 {
     struct buf payload = {0};

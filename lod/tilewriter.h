@@ -15,7 +15,7 @@
 
 struct gauss;
 struct store;
-struct store_tile;
+struct store_entry;
 
 enum { TILEWRITER_AHEAD = 16 };
 
@@ -28,7 +28,7 @@ void tilewriter_close(struct tilewriter **w);
  * ahead, so low numbers must begin first (as in pool_for). Each number is put once. Any thread may
  * call it. ERR_CANCEL: another thread failed. ERR_DATA, ERR_LIMIT, ERR_IO, ERR_MEM as in store_put.
  */
-enum err_code tilewriter_put(struct tilewriter *w, size_t i, struct store_tile *t,
+enum err_code tilewriter_put(struct tilewriter *w, size_t i, struct store_entry *t,
                              const struct gauss *g, struct err *e) ERR_USE;
 /* A thread failed: the others no longer wait for it. */
 void tilewriter_fail(struct tilewriter *w);

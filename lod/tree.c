@@ -15,33 +15,16 @@
 
 #include "lod/key.h"
 
-uint32_t tree_find(const struct store_tile *tiles, size_t n, struct key k)
-{
-    size_t lo = 0, hi = n;
-    while (lo < hi) {
-        size_t mid = lo + (hi - lo) / 2;
-        int c = key_compare(tiles[mid].key, k);
-        if (c == 0)
-            return (uint32_t)mid;
-        if (c < 0)
-            lo = mid + 1;
-        else
-            hi = mid;
-    }
-    return TREE_NONE;
-}
-
 /* *near: what the tile before has. Mostly this one has the same, or the next. */
-static uint32_t tree_ancestor(const struct store_tile *tiles, size_t n, struct key k,
-                              uint32_t *near)
+static uint32_t tree_ancestor(const struct index *x, struct key k, uint32_t *near)
 {
     while (k.z > 0) {
         k = key_parent(k);
         uint32_t i = TREE_NONE;
-        for (size_t at = *near; at < n && at < (size_t)*near + 2 && i == TREE_NONE; at++)
-            i = key_compare(tiles[at].key, k) ? TREE_NONE : (uint32_t)at;
+        for (size_t at = *near; at < x->n && at < (size_t)*near + 2 && i == TREE_NONE; at++)
+            i = key_compare(x->tiles[at].key, k) ? TREE_NONE : (uint32_t)at;
         if (i == TREE_NONE)
-            i = tree_find(tiles, n, k);
+            i = index_find(x, k);
         if (i != TREE_NONE)
             return *near = i;
     }
@@ -127,6 +110,11 @@ static double tree_error(const struct tree *t, uint32_t parent, double own_m)
     return fmin(own_m, tree_inner(t, parent)->geometric_error_m / TREE_ERROR_GROWTH);
 }
 
+static double tree_own_error(const struct tree *t, size_t i)
+{
+    return index_shape(t->index, i).geometric_error_m;
+}
+
 static void tree_measure(struct tree *t)
 {
     const size_t n = t->n_tiles;
@@ -145,12 +133,12 @@ static void tree_measure(struct tree *t)
         for (uint32_t c = 0; c < root->child_count; c++)
             root->geometric_error_m =
                 fmax(root->geometric_error_m,
-                     2.0 * t->tiles[t->children[root->child_first + c]].geometric_error_m);
+                     2.0 * tree_own_error(t, t->children[root->child_first + c]));
     }
     for (uint32_t i = 0; i < n; i++)
         if (!tree_leaf(t, i))
             tree_inner(t, i)->geometric_error_m =
-                tree_error(t, t->places[i].parent, t->tiles[i].geometric_error_m);
+                tree_error(t, t->places[i].parent, tree_own_error(t, i));
 }
 
 /* End the document that begins at `root`: mark the nodes at which others begin. The queue has room
@@ -214,7 +202,7 @@ static enum err_code tree_divide(struct tree *t, struct err *e)
 }
 
 /* Of one tile alone; NULL: of none. */
-static struct tree_bounds tree_bounds_of(const struct store_tile *t)
+static struct tree_bounds tree_bounds_of(const struct store_shape *t)
 {
     struct tree_bounds b = {.sigma_max_m = t ? t->sigma_max_m : 0.0};
     bool known = false;
@@ -232,7 +220,10 @@ static struct tree_bounds tree_bounds_of(const struct store_tile *t)
 
 static struct tree_bounds tree_bounds_alone(const struct tree *t, uint32_t node)
 {
-    return tree_bounds_of(node < t->n_tiles ? &t->tiles[node] : NULL);
+    if (node >= t->n_tiles)
+        return tree_bounds_of(NULL);
+    const struct store_shape own = index_bounds(t->index, node);
+    return tree_bounds_of(&own);
 }
 
 struct tree_bounds tree_bounds(const struct tree *t, uint32_t node)
@@ -279,14 +270,15 @@ static enum err_code tree_add_bounds(struct tree *t, struct err *e)
     return ERR_OK;
 }
 
-enum err_code tree_build(const struct store_tile *tiles, size_t n, struct tree *out, struct err *e)
+enum err_code tree_build(const struct index *x, struct tree *out, struct err *e)
 {
+    const size_t n = x->n;
     *out = (struct tree){.root = TREE_NONE};
     if (n == 0)
         return ERR_OK;
     if (n >= INT32_MAX)
         return err_set(e, ERR_LIMIT, "tree: %zu tiles, at most 2^31 - 2", n);
-    struct tree t = {.tiles = tiles,
+    struct tree t = {.index = x,
                      .places = mem_array(n + 1, sizeof *t.places),
                      .children = mem_uninit(n + 1, sizeof *t.children),
                      .n_tiles = n,
@@ -299,7 +291,7 @@ enum err_code tree_build(const struct store_tile *tiles, size_t n, struct tree *
     size_t roots = 0;
     uint32_t near = 0;
     for (size_t i = 0; i < n; i++) {
-        t.places[i].parent = tree_ancestor(tiles, n, tiles[i].key, &near);
+        t.places[i].parent = tree_ancestor(x, x->tiles[i].key, &near);
         if (t.places[i].parent == TREE_NONE && roots++ == 0)
             t.root = (uint32_t)i;
     }

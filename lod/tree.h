@@ -10,12 +10,11 @@
 #ifndef LOD_TREE_H
 #define LOD_TREE_H
 
+#include "lod/index.h"
 #include "lod/store.h"
 
-#define TREE_NONE UINT32_MAX
+#define TREE_NONE INDEX_NONE
 #define TREE_ERROR_GROWTH 1.01 /* least factor by which errors fall from a node to its children */
-/* geometric error over sigma: an error of 16 px is a sigma of 1 px */
-#define TREE_PX_PER_SIGMA 16.0
 /* Approximate number of nodes in a tileset document: 350 bytes each, 35 compressed. */
 enum { TREE_DOCUMENT_NODES = 1024, TREE_DOCUMENT_FEW = 8 /* a part has more */ };
 
@@ -49,8 +48,8 @@ struct tree_inner { /* a node with children */
     uint32_t bounds; /* place in tree.bounds; TREE_NONE: few leaves below, and united when asked */
 };
 
-struct tree {                       /* {0} is empty */
-    const struct store_tile *tiles; /* borrowed */
+struct tree {                  /* {0} is empty */
+    const struct index *index; /* borrowed */
     struct tree_place *places;
     struct tree_inner *inner;
     struct tree_bounds *bounds;
@@ -59,16 +58,13 @@ struct tree {                       /* {0} is empty */
     uint32_t root; /* TREE_NONE when there are no tiles */
 };
 
-/* Builds the tree. `tiles` must be sorted by key_compare, without duplicates, and must outlive the
- * tree. Free *out with tree_free. ERR_LIMIT (2^31 - 1 tiles), ERR_MEM. */
-enum err_code tree_build(const struct store_tile *tiles, size_t n, struct tree *out,
-                         struct err *e) ERR_USE;
+/* Builds the tree. The index must be sorted by key_compare, without duplicates, and must outlive
+ * the tree. Free *out with tree_free. ERR_LIMIT (2^31 - 1 tiles), ERR_MEM. */
+enum err_code tree_build(const struct index *x, struct tree *out, struct err *e) ERR_USE;
 void tree_free(struct tree *t);
 struct tree_node tree_node(const struct tree *t, size_t node);
 bool tree_leaf(const struct tree *t, size_t node);
 struct tree_bounds tree_bounds(const struct tree *t, uint32_t node);
-/* Index of `k` in sorted tiles, or TREE_NONE. */
-uint32_t tree_find(const struct store_tile *tiles, size_t n, struct key k);
 
 /* The tree of an opened store; borrowed. */
 const struct tree *store_tree(const struct store *s);

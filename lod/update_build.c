@@ -92,7 +92,8 @@ static enum err_code update_take_out(struct update *u, const struct store_tile *
 {
     struct gauss g;
     struct edit_tile *x;
-    if (!u->c->may_own(u->c->user, t->min_enu_m, t->max_enu_m))
+    const struct store_shape at = store_shape(u->old, t);
+    if (!u->c->may_own(u->c->user, at.min_enu_m, at.max_enu_m))
         return ERR_OK;
     enum err_code rc = store_read_gauss(u->old, t->key, &g, e);
     uint32_t *keep = rc ? NULL : mem_array(g.n, sizeof *keep);

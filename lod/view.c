@@ -164,13 +164,14 @@ static uint32_t view_supersample(const struct view *v, const struct camera *cam,
     camera_center(cam, eye);
     for (size_t i = 0; i < drawn->n; i++) {
         const struct store_tile *t = &tiles[drawn->tile[i]];
+        const struct store_shape x = store_shape(v->store, t);
         double d2 = 0.0;
         for (int k = 0; k < 3; k++) {
-            double d = 0.5 * (t->core_min_enu_m[k] + t->core_max_enu_m[k]) - eye[k];
+            double d = 0.5 * (x.core_min_enu_m[k] + x.core_max_enu_m[k]) - eye[k];
             d2 += d * d;
         }
         count += t->count;
-        sigma_px += t->count * t->sigma_median_m * cam->fx_px /
+        sigma_px += t->count * x.sigma_median_m * cam->fx_px /
                     (ro->orthographic ? 1.0 : fmax(sqrt(d2), RENDER_NEAR_M));
     }
     bool fits = cam->width_px <= RENDER_SIZE_MAX_PX / 2 && cam->height_px <= RENDER_SIZE_MAX_PX / 2;

@@ -36,10 +36,11 @@ static bool answer_tile_clip(const struct dataset *d, const struct store_tile *t
 {
     struct err e = {0};
     struct clip clip = {0};
+    const struct store_shape x = store_shape(d->index, tile);
     enum crop_side side = CROP_INSIDE;
     enum err_code rc = c->n ? param_clip_open(c, &clip, &e) : ERR_OK;
     if (!rc && c->n)
-        rc = crop_box(&clip, &d->meta.origin, tile->min_enu_m, tile->max_enu_m, &side, &e);
+        rc = crop_box(&clip, &d->meta.origin, x.min_enu_m, x.max_enu_m, &side, &e);
     clip_free(&clip);
     *part = side == CROP_ACROSS;
     if (*part)

@@ -25,10 +25,11 @@ static enum err_code dataset_find_bbox(struct dataset *d, struct err *e)
         const struct store_tile *t = &d->tiles[i];
         if (t->key.z != d->tiles[0].key.z)
             break;
+        const struct store_shape x = store_shape(d->index, t);
         for (int corner = 0; corner < 8; corner++) {
             double p[3], at[3];
             for (int a = 0; a < 3; a++)
-                p[a] = corner >> a & 1 ? t->max_enu_m[a] : t->min_enu_m[a];
+                p[a] = corner >> a & 1 ? x.max_enu_m[a] : x.min_enu_m[a];
             enum err_code rc = geo_from_enu(&d->meta.origin, p, &at[0], &at[1], &at[2], e);
             if (rc)
                 return rc;

@@ -69,11 +69,12 @@ static void seed_take(struct seed *s, size_t tile, double at_s, double far)
     s->row[s->n++] = (struct seed_row){x, at_s, far};
 }
 
-static double seed_far(const struct store_tile *x, const double eye[3])
+static double seed_far(const struct seed *s, uint32_t tile, const double eye[3])
 {
+    const struct store_shape x = store_shape(s->d->index, &s->d->tiles[tile]);
     double d[3];
     for (int k = 0; k < 3; k++)
-        d[k] = x->center_enu_m[k] - eye[k];
+        d[k] = x.center_enu_m[k] - eye[k];
     return d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
 }
 
@@ -81,7 +82,7 @@ static double seed_far(const struct store_tile *x, const double eye[3])
 static enum err_code seed_take_view(struct seed *s, const struct camera *cam, double error_px,
                                     double at_s, uint32_t *pick, struct err *e)
 {
-    const struct pick_options o = {.error_px = error_px / TREE_PX_PER_SIGMA};
+    const struct pick_options o = {.error_px = error_px / STORE_PX_PER_SIGMA};
     const struct tree *tree = store_tree(s->d->index);
     double eye[3];
     size_t n = 0;
@@ -90,7 +91,7 @@ static enum err_code seed_take_view(struct seed *s, const struct camera *cam, do
     for (size_t i = 0; !rc && i < n; i++)
         for (uint32_t v = pick[i]; v != TREE_NONE; v = tree_node(tree, v).parent)
             if (tree_node(tree, v).tile != TREE_NONE)
-                seed_take(s, v, at_s, seed_far(&s->d->tiles[v], eye));
+                seed_take(s, v, at_s, seed_far(s, v, eye));
     return rc;
 }
 

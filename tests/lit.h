@@ -31,7 +31,7 @@ static inline void lit_city(const char *path, const char *name, const struct app
     kit_ok(bake_with_default(photos, &g, out, &e), e);
     kit_ok(appearance_write(out, &blob, &e), e);
     kit_ok(store_create(path, &meta, &s, &e), e);
-    struct store_tile tile = {.key = served_key(SERVED_ZOOM_MAX), .level = 1};
+    struct store_entry tile = {.tile = {.key = served_key(SERVED_ZOOM_MAX), .level = 1}};
     kit_ok(store_put(s, &tile, &g, &e), e);
     kit_ok(store_put_blob(s, BAKE_BLOB, blob.data, blob.size, &e), e);
     if (beside)

@@ -28,10 +28,10 @@ static inline void served_put(struct store *s, struct key key, size_t n)
     key_center(key, &lon, &lat);
     kit_gauss(key.z * 1000 + key.x % 100 * 10 + key.y % 10, n, 30, 1, 0, &g);
     kit_ok(geo_to_enu(&served_origin, lon, lat, 40, g.origin_enu_m, &e), e);
-    struct store_tile t = {.key = key,
-                           .level =
-                               (uint8_t)(key.z < SERVED_ZOOM_MIN ? 0 : key.z - SERVED_ZOOM_MIN + 1),
-                           .geometric_error_m = SERVED_ZOOM_MAX - key.z};
+    struct store_entry t = {
+        .tile = {.key = key,
+                 .level = (uint8_t)(key.z < SERVED_ZOOM_MIN ? 0 : key.z - SERVED_ZOOM_MIN + 1)},
+        .shape.geometric_error_m = SERVED_ZOOM_MAX - key.z};
     kit_ok(store_put(s, &t, &g, &e), e);
     gauss_free(&g);
 }

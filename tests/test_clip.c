@@ -150,9 +150,9 @@ static void a_part_has_its_own_date(void **state)
     kit_ok(store_create(path, &meta, &old, &e), e);
     const struct store_tile *tiles = store_tiles(all, &n);
     for (size_t i = 0; i < n; i++) {
-        struct store_tile t = tiles[i];
+        struct store_entry t = {tiles[i], store_shape(all, &tiles[i])};
         struct buf payload = {0};
-        kit_ok(store_read(all, t.key, &payload, &e), e);
+        kit_ok(store_read(all, tiles[i].key, &payload, &e), e);
         kit_ok(store_add(old, &t, &payload, &e), e);
         buf_free(&payload);
     }

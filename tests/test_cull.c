@@ -158,20 +158,20 @@ static void every_splat_lies_in_its_boxes(void **state)
             struct gauss g;
             kit_ok(store_read_gauss(s, t[i].key, &g, &e), e);
             assert_int_equal(g.n, t[i].count);
+            const struct store_shape x = store_shape(s, &t[i]);
             levels |= 1u << t[i].level;
             for (size_t r = 0; r < g.n; r++) {
-                assert_inside("tile", &g, r, t[i].min_enu_m, t[i].max_enu_m);
+                assert_inside("tile", &g, r, x.min_enu_m, x.max_enu_m);
                 for (uint32_t v = (uint32_t)i; v != TREE_NONE; v = tree_node(tree, v).parent) {
                     const struct tree_bounds b = tree_bounds(tree, v);
                     assert_inside("node", &g, r, b.min_enu_m, b.max_enu_m);
                 }
                 for (size_t k = 0; k < 3; k++)
-                    assert_true(exp((double)g.scale_log[3 * r + k]) <=
-                                t[i].sigma_max_m * (1 + 1e-12));
+                    assert_true(exp((double)g.scale_log[3 * r + k]) <= x.sigma_max_m * (1 + 1e-12));
             }
             for (size_t k = 0; k < 3; k++)
-                assert_true(t[i].core_min_enu_m[k] >= t[i].min_enu_m[k] &&
-                            t[i].core_max_enu_m[k] <= t[i].max_enu_m[k]);
+                assert_true(x.core_min_enu_m[k] >= x.min_enu_m[k] &&
+                            x.core_max_enu_m[k] <= x.max_enu_m[k]);
             check_blocks(&g, width);
             gauss_free(&g);
         }
@@ -216,7 +216,8 @@ static void picture_of_all(struct store *s, const bool *used, const struct camer
     size_t n;
     const struct store_tile *t = store_tiles(s, &n);
     kit_ok(gauss_alloc(&all, 0, 1, 0, &e), e);
-    memcpy(all.origin_enu_m, t[0].center_enu_m, sizeof all.origin_enu_m);
+    const struct store_shape first = store_shape(s, &t[0]);
+    memcpy(all.origin_enu_m, first.center_enu_m, sizeof all.origin_enu_m);
     for (size_t i = 0; i < n; i++) {
         struct gauss g;
         if (!used[i])

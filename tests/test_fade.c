@@ -35,20 +35,22 @@ static void the_curve(void **state)
     json_decref(root);
 }
 
-static size_t load_tiles(const json_t *rows, struct store_tile *tile)
+static void load_tiles(const json_t *rows, struct index *index)
 {
+    struct err e = {0};
     size_t i;
     json_t *row;
     json_array_foreach(rows, i, row)
     {
         assert_true(i < TILES_MAX);
-        tile[i] = (struct store_tile){.key = {(uint8_t)json_integer_value(json_array_get(row, 0)),
-                                              (uint32_t)json_integer_value(json_array_get(row, 1)),
-                                              (uint32_t)json_integer_value(json_array_get(row, 2))},
-                                      .geometric_error_m = 1.0};
-        assert_true(i == 0 || key_compare(tile[i - 1].key, tile[i].key) < 0);
+        const struct store_entry t = {
+            .tile.key = {(uint8_t)json_integer_value(json_array_get(row, 0)),
+                         (uint32_t)json_integer_value(json_array_get(row, 1)),
+                         (uint32_t)json_integer_value(json_array_get(row, 2))},
+            .shape.geometric_error_m = 1.0};
+        kit_ok(index_add(index, &t, TILES_MAX, &e), e);
+        assert_true(i == 0 || key_compare(index->tiles[i - 1].key, t.tile.key) < 0);
     }
-    return i;
 }
 
 static void check_step(struct fade *f, const json_t *step, const char *what, size_t at)
@@ -79,17 +81,18 @@ static void the_rule(void **state)
     size_t i, k;
     json_array_foreach(json_object_get(root, "cases"), i, c)
     {
-        struct store_tile tile[TILES_MAX];
+        struct index index = {0};
         struct tree tree;
         struct fade f;
-        size_t n = load_tiles(json_object_get(c, "tiles"), tile);
-        kit_ok(tree_build(tile, n, &tree, &e), e);
+        load_tiles(json_object_get(c, "tiles"), &index);
+        kit_ok(tree_build(&index, &tree, &e), e);
         size_t frames = (size_t)json_integer_value(json_object_get(c, "frames"));
         kit_ok(fade_open(&tree, frames, &f, &e), e);
         json_array_foreach(json_object_get(c, "steps"), k, step)
             check_step(&f, step, json_string_value(json_object_get(c, "what")), k);
         fade_close(&f);
         tree_free(&tree);
+        index_free(&index);
     }
     assert_int_equal(i, 5);
     json_decref(root);

@@ -130,7 +130,7 @@ static void put(struct store *s, struct key key, double sigma_m)
     for (size_t i = 0; i < 27; i++)
         g.scale_log[i] = (float)log(sigma_m);
     kit_ok(geo_to_enu(&origin, lon, lat, 160, g.origin_enu_m, &e), e);
-    struct store_tile t = {.key = key, .level = 1};
+    struct store_entry t = {.tile = {.key = key, .level = 1}};
     kit_ok(store_put(s, &t, &g, &e), e);
     gauss_free(&g);
 }
@@ -189,17 +189,18 @@ static void leaves_have_the_tile_itself_below(void **state)
     struct store *s = make_store(dir, true);
     const struct tree *tree = store_tree(s);
     const struct store_tile *t = store_tiles(s, &n);
+    const struct store_shape top = store_shape(s, &t[0]), low = store_shape(s, &t[1]);
     json_t *j = document_of(s, &both);
     const json_t *root = json_object_get(j, "root"), *leaves = json_object_get(root, "children");
     assert_content(root, t[0].key, "lowpass.glb");
-    kit_near_d("root", &(double){error_of(root)}, &t[0].geometric_error_m, 1, 0, 1e-6);
-    kit_near_d("its pixel", &(double){lowpass_pixel_m(tree, 0)}, &t[0].sigma_median_m, 1, 0, 1e-6);
+    kit_near_d("root", &(double){error_of(root)}, &top.geometric_error_m, 1, 0, 1e-6);
+    kit_near_d("its pixel", &(double){lowpass_pixel_m(tree, 0)}, &top.sigma_median_m, 1, 0, 1e-6);
     assert_int_equal(json_array_size(leaves), 2);
     for (size_t i = 0; i < 2; i++) {
         const json_t *leaf = json_array_get(leaves, i), *below = json_object_get(leaf, "children");
         const json_t *near = json_array_get(below, 0);
         /* The coarse one is cut to less than its parent's. */
-        const double want = i ? t[0].sigma_median_m / 1.01 : 0.55 * t[1].sigma_median_m;
+        const double want = i ? top.sigma_median_m / 1.01 : 0.55 * low.sigma_median_m;
         kit_near_d("pixel", &(double){lowpass_pixel_m(tree, (uint32_t)(i + 1))}, &want, 1, 0, 1e-6);
         kit_near_d("error", &(double){error_of(leaf)}, &(double){16 * want}, 1, 0, 1e-6);
         assert_content(leaf, t[i + 1].key, "lowpass.glb");

@@ -21,22 +21,31 @@
 enum { TILES_MAX = 512 };
 
 struct scene_tiles {
-    struct store_tile tile[TILES_MAX];
+    struct store_entry tile[TILES_MAX];
     size_t n;
+    struct index index;
     struct tree tree;
 };
 
 static int compare_tiles(const void *a, const void *b)
 {
-    const struct store_tile *x = a, *y = b;
-    return key_compare(x->key, y->key);
+    const struct store_entry *x = a, *y = b;
+    return key_compare(x->tile.key, y->tile.key);
 }
 
 static void finish(struct scene_tiles *s)
 {
     struct err e = {0};
     qsort(s->tile, s->n, sizeof *s->tile, compare_tiles);
-    kit_ok(tree_build(s->tile, s->n, &s->tree, &e), e);
+    for (size_t i = 0; i < s->n; i++)
+        kit_ok(index_add(&s->index, &s->tile[i], s->n, &e), e);
+    kit_ok(tree_build(&s->index, &s->tree, &e), e);
+}
+
+static void drop(struct scene_tiles *s)
+{
+    tree_free(&s->tree);
+    index_free(&s->index);
 }
 
 /* ---- cases by hand ---- */
@@ -52,13 +61,13 @@ static void load_scene(const json_t *rows, struct scene_tiles *s)
         assert_int_equal(json_array_size(row), 12);
         for (size_t k = 0; k < 12; k++)
             v[k] = json_number_value(json_array_get(row, k));
-        struct store_tile *t = &s->tile[s->n++];
-        t->key = (struct key){(uint8_t)v[0], (uint32_t)v[1], (uint32_t)v[2]};
-        memcpy(t->min_enu_m, v + 3, 3 * sizeof *v);
-        memcpy(t->max_enu_m, v + 6, 3 * sizeof *v);
-        t->sigma_max_m = v[9];
-        t->geometric_error_m = v[10];
-        t->count = (uint32_t)v[11];
+        struct store_entry *t = &s->tile[s->n++];
+        t->tile.key = (struct key){(uint8_t)v[0], (uint32_t)v[1], (uint32_t)v[2]};
+        memcpy(t->shape.min_enu_m, v + 3, 3 * sizeof *v);
+        memcpy(t->shape.max_enu_m, v + 6, 3 * sizeof *v);
+        t->shape.sigma_max_m = v[9];
+        t->shape.geometric_error_m = v[10];
+        t->tile.count = (uint32_t)v[11];
     }
     finish(s);
 }
@@ -106,13 +115,13 @@ static void run_case(const json_t *scenes, const json_t *c)
         o.metric = PICK_DISTANCE;
         o.distance_m[i] = json_number_value(x);
     }
-    kit_ok(pick_select(s.tile, &s.tree, &cam, &o, out, &n, &e), e);
+    kit_ok(pick_select(&s.tree, &cam, &o, out, &n, &e), e);
     const json_t *want = json_object_get(c, "picked");
     char got[TILES_MAX * 16] = "";
     bool same = n == json_array_size(want);
     for (i = 0; i < n; i++) {
         char key[64];
-        struct key k = s.tile[out[i]].key;
+        struct key k = s.tile[out[i]].tile.key;
         snprintf(key, sizeof key, "%u/%u/%u", k.z, k.x, k.y);
         snprintf(got + strlen(got), sizeof got - strlen(got), " %s", key);
         bool found = false;
@@ -122,7 +131,7 @@ static void run_case(const json_t *scenes, const json_t *c)
     }
     if (!same)
         fail_msg("%s: picked%s", name, got);
-    tree_free(&s.tree);
+    drop(&s);
 }
 
 static void cases_by_hand(void **state)
@@ -150,7 +159,7 @@ static void check_picked(const struct scene_tiles *s, const uint32_t *out, size_
         bool found = false;
         size_t j;
         json_t *x;
-        struct key k = s->tile[out[i]].key;
+        struct key k = s->tile[out[i]].tile.key;
         snprintf(key, sizeof key, "%u/%u/%u", k.z, k.x, k.y);
         json_array_foreach(want, j, x) found = found || !strcmp(key, json_string_value(x));
         if (!found)
@@ -190,15 +199,15 @@ static void vector_scene(const json_t *rows, struct scene_tiles *s)
         for (size_t k = 0; k < 19; k++)
             v[k] = json_number_value(json_array_get(row, k));
         s->tile[s->n++] =
-            (struct store_tile){.key = {(uint8_t)v[0], (uint32_t)v[1], (uint32_t)v[2]},
-                                .min_enu_m = {v[3], v[4], v[5]},
-                                .max_enu_m = {v[6], v[7], v[8]},
-                                .core_min_enu_m = {v[9], v[10], v[11]},
-                                .core_max_enu_m = {v[12], v[13], v[14]},
-                                .geometric_error_m = v[15],
-                                .sigma_max_m = v[16],
-                                .count = (uint32_t)v[17],
-                                .bytes = (uint64_t)v[18]};
+            (struct store_entry){.tile = {.key = {(uint8_t)v[0], (uint32_t)v[1], (uint32_t)v[2]},
+                                          .count = (uint32_t)v[17],
+                                          .bytes = (uint32_t)v[18]},
+                                 .shape = {.min_enu_m = {v[3], v[4], v[5]},
+                                           .max_enu_m = {v[6], v[7], v[8]},
+                                           .core_min_enu_m = {v[9], v[10], v[11]},
+                                           .core_max_enu_m = {v[12], v[13], v[14]},
+                                           .geometric_error_m = v[15],
+                                           .sigma_max_m = v[16]}};
     }
     finish(s);
 }
@@ -221,16 +230,16 @@ static void vector_case(const json_t *root, const json_t *c, size_t i)
         kit_ok(jsonc_nums(root, "distance_m", 3, o.distance_m, &e), e);
     }
     struct camera cam = vector_camera(root, c, "eye"), then = vector_camera(root, c, "then");
-    kit_ok(pick_select(s.tile, &s.tree, &cam, &o, first, &n_first, &e), e);
+    kit_ok(pick_select(&s.tree, &cam, &o, first, &n_first, &e), e);
     check_picked(&s, first, n_first, json_object_get(c, "picked"), i);
-    kit_ok(pick_select(s.tile, &s.tree, &then, &o, out, &n, &e), e);
+    kit_ok(pick_select(&s.tree, &then, &o, out, &n, &e), e);
     check_picked(&s, out, n, json_object_get(c, "picked_then"), i);
     o.hysteresis = json_number_value(json_object_get(root, "hysteresis"));
     o.before = first;
     o.n_before = n_first;
-    kit_ok(pick_select(s.tile, &s.tree, &then, &o, out, &n, &e), e);
+    kit_ok(pick_select(&s.tree, &then, &o, out, &n, &e), e);
     check_picked(&s, out, n, json_object_get(c, "picked_then_with_hysteresis"), i);
-    tree_free(&s.tree);
+    drop(&s);
 }
 
 static void vectors(void **state)
@@ -256,26 +265,29 @@ static void random_scene(uint64_t seed, struct scene_tiles *s)
                 if (rng_unit(seed, 0, draw++) < (z == 3 ? 0.2 : 0.45))
                     continue;
                 double edge = ldexp(400, 3 - z), grow = edge * 0.1 * rng_unit(seed, 1, draw);
-                struct store_tile *t = &s->tile[s->n++];
-                t->key = (struct key){z, x, y};
+                struct store_entry *t = &s->tile[s->n++];
+                t->tile.key = (struct key){z, x, y};
                 const double lo[3] = {x * edge - 200 - grow, 200 - (y + 1) * edge - grow, -grow};
                 const double hi[3] = {lo[0] + edge + 2 * grow, lo[1] + edge + 2 * grow,
                                       30 * rng_unit(seed, 2, draw)};
-                memcpy(t->min_enu_m, lo, sizeof lo);
-                memcpy(t->max_enu_m, hi, sizeof hi);
-                t->sigma_max_m = edge / 30;
-                t->geometric_error_m = 16 * edge / 100 * (0.5 + rng_unit(seed, 3, draw));
-                t->count = 1 + (uint32_t)(1000 * rng_unit(seed, 4, draw));
+                memcpy(t->shape.min_enu_m, lo, sizeof lo);
+                memcpy(t->shape.max_enu_m, hi, sizeof hi);
+                t->shape.sigma_max_m = edge / 30;
+                t->shape.geometric_error_m = 16 * edge / 100 * (0.5 + rng_unit(seed, 3, draw));
+                t->tile.count = 1 + (uint32_t)(1000 * rng_unit(seed, 4, draw));
             }
     finish(s);
     /* Let each tile's own box hold those below, so that an ancestor is visible wherever a leaf is.
      */
     for (size_t i = 0; i < s->n; i++) {
         const struct tree_bounds b = tree_bounds(&s->tree, (uint32_t)i);
-        memcpy(s->tile[i].min_enu_m, b.min_enu_m, sizeof s->tile[i].min_enu_m);
-        memcpy(s->tile[i].max_enu_m, b.max_enu_m, sizeof s->tile[i].max_enu_m);
-        s->tile[i].sigma_max_m = b.sigma_max_m;
+        struct store_shape *x = &s->tile[i].shape;
+        memcpy(x->min_enu_m, b.min_enu_m, sizeof x->min_enu_m);
+        memcpy(x->max_enu_m, b.max_enu_m, sizeof x->max_enu_m);
+        x->sigma_max_m = b.sigma_max_m;
     }
+    drop(s);
+    finish(s);
 }
 
 static struct camera random_camera(uint64_t seed)
@@ -307,14 +319,14 @@ static void a_trembling_camera_does_not_flap(void **state)
                                          .hysteresis = with ? PICK_HYSTERESIS : 0,
                                          .before = step ? before : NULL,
                                          .n_before = n_before};
-                kit_ok(pick_select(s.tile, &s.tree, &cam, &o, out, &n, &e), e);
+                kit_ok(pick_select(&s.tree, &cam, &o, out, &n, &e), e);
                 changes[with] +=
                     step > 1 && (n != n_before || memcmp(out, before, n * sizeof *out));
                 memcpy(before, out, n * sizeof *out);
                 n_before = n;
             }
         }
-        tree_free(&s.tree);
+        drop(&s);
     }
     assert_int_equal(changes[1], 0);
     assert_in_range(changes[0], 38, 20 * 38); /* or the test would say nothing */
@@ -347,7 +359,7 @@ static void a_pick_is_a_cut(void **state)
             o.max_gaussians = 1 + (uint64_t)(20000 * rng_unit(seed, 6, 1));
         if (seed % 4 == 2)
             o = (struct pick_options){.metric = PICK_DISTANCE, .distance_m = {20, 60, 150}};
-        kit_ok(pick_select(s.tile, &s.tree, &cam, &o, out, &n, &e), e);
+        kit_ok(pick_select(&s.tree, &cam, &o, out, &n, &e), e);
         for (size_t i = 0; i < n; i++)
             picked[out[i]] = true;
         /* No picked tile above another one. */
@@ -355,12 +367,12 @@ static void a_pick_is_a_cut(void **state)
             assert_int_equal(picked_above(&s, picked, out[i]), 1);
         /* Every visible leaf is shown, by itself or by an ancestor. */
         const struct pick_options all = {.no_lod = true};
-        kit_ok(pick_select(s.tile, &s.tree, &cam, &all, leaves, &n_leaves, &e), e);
+        kit_ok(pick_select(&s.tree, &cam, &all, leaves, &n_leaves, &e), e);
         for (size_t i = 0; i < n_leaves; i++) {
             assert_true(tree_leaf(&s.tree, leaves[i]));
             assert_int_equal(picked_above(&s, picked, leaves[i]), 1);
         }
-        tree_free(&s.tree);
+        drop(&s);
     }
 }
 
@@ -377,7 +389,7 @@ static void tighter_errors_only_refine(void **state)
         struct camera cam = random_camera(seed + 1000);
         for (double px = 16; px > 0.05; px /= 2) {
             struct pick_options o = {.error_px = px};
-            kit_ok(pick_select(s.tile, &s.tree, &cam, &o, out, &n, &e), e);
+            kit_ok(pick_select(&s.tree, &cam, &o, out, &n, &e), e);
             for (size_t i = 0; n_before != SIZE_MAX && i < n; i++)
                 assert_int_equal(picked_above(&s, before, out[i]), 1);
             memset(before, 0, sizeof before);
@@ -385,7 +397,7 @@ static void tighter_errors_only_refine(void **state)
                 before[out[i]] = true;
             n_before = n;
         }
-        tree_free(&s.tree);
+        drop(&s);
     }
 }
 
@@ -407,7 +419,7 @@ static void errors_fall_strictly_and_boxes_nest(void **state)
             assert_true(top ||
                         tree_node(&s.tree, v.parent).geometric_error_m > v.geometric_error_m);
         }
-        tree_free(&s.tree);
+        drop(&s);
     }
 }
 
@@ -436,11 +448,13 @@ static void culled_tiles_contribute_nothing(void **state)
             g.n = EACH;
             g.mean_m += 3 * EACH * i;
             g.scale_log += 3 * EACH * i;
-            struct store_tile *t = &s.tile[s.n++];
-            *t = (struct store_tile){.key = {10, i, 0}, .count = EACH, .geometric_error_m = 1};
-            gauss_bounds(&g, 3.33, t->min_enu_m, t->max_enu_m);
+            struct store_entry *t = &s.tile[s.n++];
+            *t = (struct store_entry){.tile = {.key = {10, i, 0}, .count = EACH},
+                                      .shape.geometric_error_m = 1};
+            struct store_shape *x = &t->shape;
+            gauss_bounds(&g, 3.33, x->min_enu_m, x->max_enu_m);
             for (size_t k = 0; k < 3 * EACH; k++)
-                t->sigma_max_m = fmax(t->sigma_max_m, exp((double)g.scale_log[k]));
+                x->sigma_max_m = fmax(x->sigma_max_m, exp((double)g.scale_log[k]));
         }
         finish(&s);
         double eye[3] = {20 * rng_normal(seed, 7, 0), 20 * rng_normal(seed, 7, 1),
@@ -451,12 +465,12 @@ static void culled_tiles_contribute_nothing(void **state)
         cam.cx_px += 10 * rng_normal(seed, 7, 6);
         const struct pick_options o = {.no_lod = true};
         const struct render_options ro = {.aa = RENDER_AA_2D, .sh_degree = -1};
-        kit_ok(pick_select(s.tile, &s.tree, &cam, &o, out, &n, &e), e);
+        kit_ok(pick_select(&s.tree, &cam, &o, out, &n, &e), e);
         culled += GROUPS - n;
         kit_ok(gauss_alloc(&kept, n * EACH, 1, 0, &e), e);
         for (size_t i = 0; i < n; i++)
             for (uint32_t k = 0; k < EACH; k++) {
-                uint32_t row = EACH * s.tile[out[i]].key.x + k;
+                uint32_t row = EACH * s.tile[out[i]].tile.key.x + k;
                 kit_ok(gauss_append(&kept, &all, &row, 1, &e), e);
             }
         kit_ok(render_ref_forward(&all, &cam, &ro, full, NULL, &e), e);
@@ -464,7 +478,7 @@ static void culled_tiles_contribute_nothing(void **state)
         assert_memory_equal(full, part, sizeof full);
         gauss_free(&all);
         gauss_free(&kept);
-        tree_free(&s.tree);
+        drop(&s);
     }
     assert_in_range(culled, 60 * GROUPS / 4, 60 * GROUPS); /* or the test would say nothing */
 }
@@ -474,17 +488,18 @@ static void nothing_to_pick_from(void **state)
     (void)state;
     struct err e = {0};
     struct tree t;
+    const struct index none = {0};
     uint32_t out[1];
     size_t n = 7;
     struct camera cam = random_camera(1);
-    kit_ok(tree_build(NULL, 0, &t, &e), e);
-    kit_ok(pick_select(NULL, &t, &cam, NULL, out, &n, &e), e);
+    kit_ok(tree_build(&none, &t, &e), e);
+    kit_ok(pick_select(&t, &cam, NULL, out, &n, &e), e);
     assert_int_equal(n, 0);
     struct scene_tiles s;
     random_scene(1, &s);
     cam.fx_px = (double)NAN;
-    kit_fails(pick_select(s.tile, &s.tree, &cam, NULL, out, &n, &e), ERR_ARG, e, "focal");
-    tree_free(&s.tree);
+    kit_fails(pick_select(&s.tree, &cam, NULL, out, &n, &e), ERR_ARG, e, "focal");
+    drop(&s);
 }
 
 int main(void)

@@ -103,7 +103,7 @@ static void assert_no_holes(struct store *s)
             struct key fine = key_of(enu, KEY_ZOOM_MAX);
             uint32_t deepest = TREE_NONE;
             for (struct key k = fine; deepest == TREE_NONE; k = key_parent(k))
-                deepest = tree_find(t, n, k);
+                deepest = index_find(tree->index, k);
             assert_true(is_child(t[i].key, t[deepest].key));
             assert_true(tree_leaf(tree, deepest));
         }

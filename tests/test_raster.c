@@ -260,7 +260,8 @@ static void a_store_of_no_size_has_no_maps(void **state)
     struct area a;
     struct gauss g;
     struct buf payload = {0};
-    struct store_tile t = {.key = key_at(origin.lon_deg, origin.lat_deg, 18), .level = 3};
+    struct store_entry t = {
+        .tile = {.key = key_at(origin.lon_deg, origin.lat_deg, 18), .level = 3}};
     const struct store_meta meta = {.name = "none", .origin = origin};
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
     (void)state;
@@ -269,7 +270,7 @@ static void a_store_of_no_size_has_no_maps(void **state)
     kit_gauss(3, 20, 5, 0, 0, &g);
     kit_ok(store_create(path, &meta, &s, &e), e);
     kit_ok(store_encode(s, &t, &g, &payload, &e), e);
-    t.sigma_median_m = 0;
+    t.shape.sigma_median_m = 0;
     kit_ok(store_add(s, &t, &payload, &e), e);
     kit_ok(store_commit(&s, &e), e);
     kit_ok(store_open(path, &s, &e), e);

@@ -49,11 +49,13 @@ static void make_store(const char *path, uint64_t seed)
     for (size_t i = 0; i < 3; i++) {
         struct gauss g;
         tile_gauss(seed + i, 40 + 10 * i, &g);
-        struct store_tile t = {.key = keys[i], .level = (uint8_t)(keys[i].z - 13)};
+        struct store_entry t = {.tile = {.key = keys[i], .level = (uint8_t)(keys[i].z - 13)}};
+        const struct store_shape *x = &t.shape;
         kit_ok(store_put(s, &t, &g, &e), e);
-        assert_int_equal(t.count, g.n);
-        assert_true(t.bytes > 0 && t.sigma_median_m > 0 && t.sigma_max_m >= t.sigma_median_m);
-        assert_near(t.geometric_error_m, 16 * t.sigma_median_m, 1e-12);
+        assert_int_equal(t.tile.count, g.n);
+        assert_true(t.tile.bytes > 0 && x->sigma_median_m > 0 &&
+                    x->sigma_max_m >= x->sigma_median_m);
+        assert_near(x->geometric_error_m, 16 * x->sigma_median_m, 1e-12);
         gauss_free(&g);
     }
     kit_ok(store_put_blob(s, "appearance.json", "{\"a\":1}", 7, &e), e);
@@ -93,13 +95,13 @@ static void round_trip(void **state)
     assert_near(got.origin_enu_m[0], 200, 0);
     for (size_t i = 0; i < 12 * want.n; i++)
         assert_near((double)got.sh[i], (double)want.sh[i], HALF_TOLERANCE);
-    const struct store_tile *x = store_find(s, (struct key){15, 17154, 11126});
+    const struct store_shape x = store_shape(s, store_find(s, (struct key){15, 17154, 11126}));
     double lo[3], hi[3];
     gauss_bounds(&want, 3.33, lo, hi);
     for (size_t k = 0; k < 3; k++) { /* wider only by what rounding to half floats may add */
-        assert_true(x->min_enu_m[k] <= lo[k] && x->max_enu_m[k] >= hi[k]);
-        assert_near(x->min_enu_m[k], lo[k], BOUNDS_TOLERANCE * (hi[k] - lo[k]));
-        assert_near(x->max_enu_m[k], hi[k], BOUNDS_TOLERANCE * (hi[k] - lo[k]));
+        assert_true(x.min_enu_m[k] <= lo[k] && x.max_enu_m[k] >= hi[k]);
+        assert_near(x.min_enu_m[k], lo[k], BOUNDS_TOLERANCE * (hi[k] - lo[k]));
+        assert_near(x.max_enu_m[k], hi[k], BOUNDS_TOLERANCE * (hi[k] - lo[k]));
     }
     gauss_free(&want);
     gauss_free(&got);
@@ -186,7 +188,7 @@ static void full_disk(void **state)
     kit_gauss(5, 20000, 20, 1, 0, &g);
     kit_ok(store_create(f->path, &meta, &s, &e), e);
     assert_int_equal(setrlimit(RLIMIT_FSIZE, &small), 0);
-    struct store_tile t = {.key = {15, 17154, 11126}, .level = 1};
+    struct store_entry t = {.tile = {.key = {15, 17154, 11126}, .level = 1}};
     enum err_code rc = store_put(s, &t, &g, &e);
     if (!rc)
         rc = store_commit(&s, &e);
@@ -256,9 +258,9 @@ static void a_flipped_index_byte_costs_one_tile(void **state)
     size_t n;
     make_store(f->path, 1);
     kit_ok(store_open(f->path, &s, &e), e);
-    const struct store_tile t = *store_find(s, (struct key){16, 34309, 22253});
+    const struct store_shape x = store_shape(s, store_find(s, (struct key){16, 34309, 22253}));
     store_close(&s);
-    buf_f64(&b, t.sigma_median_m); /* SQLite stores doubles big-endian */
+    buf_f64(&b, x.sigma_median_m); /* SQLite stores doubles big-endian */
     uint8_t big[8];
     for (size_t i = 0; i < 8; i++)
         big[i] = b.data[7 - i];
@@ -273,7 +275,7 @@ static void a_flipped_index_byte_costs_one_tile(void **state)
     kit_ok(store_open(f->path, &s, &e), e);
     store_tiles(s, &n);
     assert_int_equal(n, 2);
-    assert_null(store_find(s, t.key));
+    assert_null(store_find(s, (struct key){16, 34309, 22253}));
     kit_ok(store_read(s, (struct key){16, 34308, 22252}, &b, &e), e);
     kit_fails(store_verify(s, &n, &e), ERR_FORMAT, e, "1 index rows");
     buf_free(&b);
@@ -336,11 +338,12 @@ static void forge(const char *path, struct key k, const struct gauss *g)
     sqlite3 *db = NULL;
     sqlite3_stmt *q = NULL;
     kit_ok(store_open(path, &s, &e), e);
-    struct store_tile t = *store_find(s, k);
+    const struct store_tile *found = store_find(s, k);
+    struct store_entry t = {*found, store_shape(s, found)};
     store_close(&s);
     kit_ok(payload_encode(g, false, &b, &e), e);
-    t.hash = hash_bytes(b.data, b.size);
-    store_db_hash_out(t.hash, hash);
+    t.tile.hash = hash_bytes(b.data, b.size);
+    store_db_hash_out(t.tile.hash, hash);
     store_db_hash_out(store_db_row_hash(&t), row_hash);
     assert_int_equal(sqlite3_open(path, &db), SQLITE_OK);
     assert_int_equal(
@@ -505,8 +508,9 @@ static void a_level_that_there_is_not_costs_one_tile(void **state)
     for (uint32_t i = 0; i < 2; i++) {
         struct gauss g;
         tile_gauss(i, 40, &g);
-        struct store_tile t = {.key = {16, 34308 + i, 22252},
-                               .level = (uint8_t)(i ? STORE_LEVEL_MAX + 1 : STORE_LEVEL_MAX)};
+        struct store_entry t = {
+            .tile = {.key = {16, 34308 + i, 22252},
+                     .level = (uint8_t)(i ? STORE_LEVEL_MAX + 1 : STORE_LEVEL_MAX)}};
         kit_ok(store_put(s, &t, &g, &e), e);
         gauss_free(&g);
     }
@@ -524,7 +528,7 @@ static void gaussians_of_no_size_are_refused(void **state)
     struct err e = {0};
     struct store *s;
     struct gauss g;
-    struct store_tile t = {.key = {15, 17154, 11126}, .level = 1};
+    struct store_entry t = {.tile = {.key = {15, 17154, 11126}, .level = 1}};
     tile_gauss(1, 20, &g);
     for (size_t i = 0; i < 3 * g.n; i++)
         g.scale_log[i] = -1000; /* finite, and exp makes 0 of it */
@@ -545,10 +549,62 @@ static void names_with_odd_characters(void **state)
     kit_ok(store_open(path, &s, &e), e);
     store_close(&s);
     kit_ok(store_open(path, &s, &e), e);
-    struct store_tile t = {.key = {1, 0, 0}};
+    struct store_entry t = {.tile = {.key = {1, 0, 0}}};
     const struct gauss none = {.n = 1};
     kit_fails(store_put(s, &t, &none, &e), ERR_INTERNAL, e, "never changed");
     store_close(&s);
+}
+
+/* A shape as the tiler makes it; odd: one value is as no tiler would make it. */
+static struct store_shape shape_of(size_t i, size_t odd)
+{
+    struct store_shape x;
+    for (size_t k = 0; k < 3; k++) {
+        x.center_enu_m[k] = round(1e4 * rng_normal(1, k, i));
+        x.core_min_enu_m[k] = x.center_enu_m[k] + (double)(float)(-20 * rng_unit(2, k, i));
+        x.core_max_enu_m[k] = x.center_enu_m[k] + (double)(float)(20 * rng_unit(3, k, i));
+        x.min_enu_m[k] = x.core_min_enu_m[k] - rng_unit(4, k, i);
+        x.max_enu_m[k] = x.core_max_enu_m[k] + rng_unit(5, k, i);
+    }
+    x.sigma_median_m = exp((double)(float)rng_normal(6, 0, i));
+    x.sigma_max_m = x.sigma_median_m * (1 + rng_unit(7, 0, i));
+    x.geometric_error_m = 16 * x.sigma_median_m;
+    double *const where[] = {&x.center_enu_m[1], &x.core_min_enu_m[0], &x.core_max_enu_m[2],
+                             &x.sigma_median_m, &x.geometric_error_m};
+    const double what[] = {0.25, -0.0, 1e300, (double)INFINITY, -1};
+    if (odd)
+        *where[odd % 5] = what[odd / 5 % 5];
+    return x;
+}
+
+/* Packed or whole, every bit comes back, and goes with its tile when they are sorted. */
+static void shapes_come_out_as_they_went_in(void **state)
+{
+    struct err e = {0};
+    struct index x = {0};
+    enum { N = 500 };
+    (void)state;
+    for (uint32_t i = 0; i < N; i++) {
+        struct store_entry t = {.tile = {.key = {10, i * 7 % N, i % 11}, .count = i},
+                                .shape = shape_of(i, i % 4 ? 0 : i / 4)};
+        kit_ok(index_add(&x, &t, 0, &e), e);
+    }
+    /* Most are packed, and only what cannot be is kept whole. */
+    assert_in_range(x.n_whole, N / 6, N / 4);
+    kit_ok(index_sort(&x, &e), e);
+    for (size_t i = 0; i < N; i++) {
+        const uint32_t was = x.tiles[i].count;
+        const struct store_shape want = shape_of(was, was % 4 ? 0 : was / 4),
+                                 got = index_shape(&x, i), box = index_bounds(&x, i);
+        assert_true(i == 0 || key_compare(x.tiles[i - 1].key, x.tiles[i].key) < 0);
+        assert_memory_equal(&got, &want, sizeof want);
+        assert_memory_equal(box.min_enu_m, want.min_enu_m, sizeof want.min_enu_m);
+        assert_memory_equal(box.core_max_enu_m, want.core_max_enu_m, sizeof want.core_max_enu_m);
+        assert_true(box.sigma_max_m == want.sigma_max_m);
+        assert_int_equal(index_find(&x, x.tiles[i].key), i);
+    }
+    assert_int_equal(index_find(&x, (struct key){10, N, 0}), INDEX_NONE);
+    index_free(&x);
 }
 
 /* Fail the k-th allocation of writing and reading, for every k: ERR_MEM, nothing leaked
@@ -563,7 +619,7 @@ static void out_of_memory_everywhere(void **state)
     for (size_t k = 1; !done && k < 500; k++) {
         struct store *s = NULL;
         struct gauss back = {0};
-        struct store_tile t = {.key = {15, 17154, 11126}, .level = 1};
+        struct store_entry t = {.tile = {.key = {15, 17154, 11126}, .level = 1}};
         mem_fail_at(k);
         enum err_code rc = store_create(f->path, &meta, &s, &e);
         if (!rc)
@@ -573,7 +629,7 @@ static void out_of_memory_everywhere(void **state)
         if (!rc)
             rc = store_open(f->path, &s, &e);
         if (!rc)
-            rc = store_read_gauss(s, t.key, &back, &e);
+            rc = store_read_gauss(s, t.tile.key, &back, &e);
         mem_fail_at(0);
         store_close(&s);
         gauss_free(&back);
@@ -604,6 +660,7 @@ int main(void)
         CASE(a_level_that_there_is_not_costs_one_tile),
         CASE(gaussians_of_no_size_are_refused),
         CASE(names_with_odd_characters),
+        cmocka_unit_test(shapes_come_out_as_they_went_in),
         CASE(out_of_memory_everywhere),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

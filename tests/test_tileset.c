@@ -156,6 +156,7 @@ static void walk_core(const struct walk *w, const struct store_tile *t, const js
     const uint32_t at = (uint32_t)(t - store_tiles(w->s, &n));
     const struct tree_node v = tree_node(store_tree(w->s), at);
     const struct tree_bounds b = tree_bounds(store_tree(w->s), at);
+    const struct store_shape x = store_shape(w->s, t);
     const json_t *core = json_object_get(json_object_get(node, "extras"), "core");
     double got[6];
     if (!v.child_count) {
@@ -164,8 +165,8 @@ static void walk_core(const struct walk *w, const struct store_tile *t, const js
     }
     nums(core, 6, got);
     for (size_t k = 0; k < 3; k++) {
-        assert_true(fabs(got[k] + t->center_enu_m[k] - b.core_min_enu_m[k]) < 1e-3);
-        assert_true(fabs(got[3 + k] + t->center_enu_m[k] - b.core_max_enu_m[k]) < 1e-3);
+        assert_true(fabs(got[k] + x.center_enu_m[k] - b.core_min_enu_m[k]) < 1e-3);
+        assert_true(fabs(got[3 + k] + x.center_enu_m[k] - b.core_max_enu_m[k]) < 1e-3);
     }
 }
 
@@ -211,15 +212,16 @@ static void walk(struct walk *w, const json_t *node, const double at[3], double 
         assert_non_null(t);
         w->n_tiles++;
         walk_core(w, t, node);
+        const struct store_shape x = store_shape(w->s, t);
         /* The frame stands at the payload's origin: ENU -> ECEF of it by geodesy alone. */
         double lon, lat, h, place[16];
-        kit_ok(geo_from_enu(&store_info(w->s)->origin, t->center_enu_m, &lon, &lat, &h, &e), e);
+        kit_ok(geo_from_enu(&store_info(w->s)->origin, x.center_enu_m, &lon, &lat, &h, &e), e);
         kit_ok(geo_enu_to_ecef(&(struct geo_origin){lon, lat, h}, place, &e), e);
         kit_near_d("frame", here, place + 12, 3, PLACE_TOLERANCE_M, 0);
         for (size_t k3 = 0; k3 < 3; k3++) { /* the box holds the tile's own bounds */
             double c = box[k3], half = box[3 + 4 * k3];
-            assert_true(c - half <= t->min_enu_m[k3] - t->center_enu_m[k3] + 1e-6);
-            assert_true(c + half >= t->max_enu_m[k3] - t->center_enu_m[k3] - 1e-6);
+            assert_true(c - half <= x.min_enu_m[k3] - x.center_enu_m[k3] + 1e-6);
+            assert_true(c + half >= x.max_enu_m[k3] - x.center_enu_m[k3] - 1e-6);
         }
     }
     for (size_t i = 0; i < 9; i++)
@@ -280,7 +282,7 @@ static void put_below(struct store *s, struct key key, int levels, unsigned keep
     key_center(key, &lon, &lat);
     kit_gauss(1, 1, 0.01, 0, 0, &g);
     kit_ok(geo_to_enu(&origin, lon, lat, 160, g.origin_enu_m, &e), e);
-    struct store_tile t = {.key = key, .level = 1};
+    struct store_entry t = {.tile = {.key = key, .level = 1}};
     kit_ok(store_put(s, &t, &g, &e), e);
     gauss_free(&g);
     for (unsigned i = 0; levels && i < 4; i++)
@@ -382,12 +384,13 @@ static void tilejson(void **state)
     assert_int_equal(json_array_size(fields), 18);
     for (size_t i = 0; i < n; i++) {
         double row[18];
+        const struct store_shape x = store_shape(f->s, &t[i]);
         nums(json_array_get(rows, i), 18, row);
         assert_true(row[0] == t[i].key.z && row[1] == t[i].key.x && row[2] == t[i].key.y);
         assert_true(row[5] == t[i].count && row[6] == (double)t[i].bytes);
         for (size_t k = 0; k < 3; k++)
-            assert_true(row[9 + k] == t[i].center_enu_m[k] && row[12 + k] <= t[i].min_enu_m[k] &&
-                        row[15 + k] >= t[i].max_enu_m[k]);
+            assert_true(row[9 + k] == x.center_enu_m[k] && row[12 + k] <= x.min_enu_m[k] &&
+                        row[15 + k] >= x.max_enu_m[k]);
     }
     json_decref(j);
     buf_free(&b);
@@ -399,23 +402,26 @@ static void documents_of_a_large_city(void **state)
     struct err e = {0};
     struct tree tree;
     size_t n = 0, documents = 0;
-    struct store_tile *t = mem_array(87381, sizeof *t);
+    struct index index = {0};
     (void)state;
-    assert_non_null(t);
     for (uint8_t z = 10; z <= 18; z++) /* in the order of key_compare */
         for (uint32_t y = 0; y < 1u << (z - 10); y++)
-            for (uint32_t x = 0; x < 1u << (z - 10); x++)
-                t[n++] = (struct store_tile){.key = {z, x, y}, .geometric_error_m = 1u << (18 - z)};
+            for (uint32_t x = 0; x < 1u << (z - 10); x++) {
+                const struct store_entry t = {.tile.key = {z, x, y},
+                                              .shape.geometric_error_m = 1u << (18 - z)};
+                kit_ok(index_add(&index, &t, 0, &e), e);
+                n++;
+            }
     assert_int_equal(n, 87381);
-    kit_ok(tree_build(t, n, &tree, &e), e);
+    kit_ok(tree_build(&index, &tree, &e), e);
     for (size_t i = 0; i < n; i++) {
         documents += tree_node(&tree, i).document;
-        assert_int_equal(tree_node(&tree, i).document, t[i].key.z == 14);
+        assert_int_equal(tree_node(&tree, i).document, index.tiles[i].key.z == 14);
         assert_true(!tree_node(&tree, i).document || tree_node(&tree, i).n_below == 341);
     }
     assert_int_equal(documents, 256);
     tree_free(&tree);
-    mem_free(t);
+    index_free(&index);
 }
 
 /* ---- geometric errors: against their definition ---- */
@@ -473,10 +479,9 @@ static void compare_errors(struct errors_found *f, const json_t *node)
 static bool is_refined(struct store *s, uint32_t node, double distance_m)
 {
     struct err e = {0};
-    size_t n, n_out;
-    const struct store_tile *t = store_tiles(s, &n);
+    size_t n_out;
     const struct tree *tree = store_tree(s);
-    uint32_t *out = mem_array(n, sizeof *out);
+    uint32_t *out = mem_array(tree->n_tiles, sizeof *out);
     const struct tree_bounds b = tree_bounds(tree, node);
     const double eye[3] = {0.5 * (b.core_min_enu_m[0] + b.core_max_enu_m[0]),
                            0.5 * (b.core_min_enu_m[1] + b.core_max_enu_m[1]),
@@ -484,7 +489,7 @@ static bool is_refined(struct store *s, uint32_t node, double distance_m)
     const double down[3] = {eye[0], eye[1] + 1e-3, eye[2] - 1};
     struct camera cam = camera_look_at(eye, down, 2.8, 2000, 2000);
     bool shown = false;
-    kit_ok(pick_select(t, tree, &cam, NULL, out, &n_out, &e), e);
+    kit_ok(pick_select(tree, &cam, NULL, out, &n_out, &e), e);
     for (size_t i = 0; i < n_out; i++)
         for (uint32_t up = node; up != TREE_NONE; up = tree_node(tree, up).parent)
             shown = shown || out[i] == up;
@@ -513,10 +518,11 @@ static void errors_are_what_is_documented(void **state)
     assert_true(tree_node(tree, tree->root).tile != TREE_NONE && n > 10);
     for (size_t i = 0; i < n; i++) {
         const struct tree_node v = tree_node(tree, i);
+        const struct store_shape x = store_shape(f->s, &t[i]);
         double own = defined_error(f->s, t[i].key), want = own;
         /* In the store: of the rows alone. */
-        assert_true(fabs(t[i].geometric_error_m - own) <= 1e-6 * own);
-        assert_true(fabs(t[i].sigma_median_m - own / 16) <= 1e-6 * own);
+        assert_true(fabs(x.geometric_error_m - own) <= 1e-6 * own);
+        assert_true(fabs(x.sigma_median_m - own / 16) <= 1e-6 * own);
         /* In the tree: 0 at the near end, elsewhere the tile's own, cut to less than the parent's.
          */
         if (v.parent != TREE_NONE)
@@ -572,7 +578,7 @@ static void footprint(void **state)
         kit_ok(store_create(path, &meta, &s, &e), e);
         for (size_t i = 0; i < n; i++) {
             struct gauss g;
-            struct store_tile copy = {.key = t[i].key, .level = t[i].level};
+            struct store_entry copy = {.tile = {.key = t[i].key, .level = t[i].level}};
             kit_ok(store_read_gauss(f->s, t[i].key, &g, &e), e);
             kit_ok(store_put(s, &copy, &g, &e), e);
             gauss_free(&g);

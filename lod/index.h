@@ -1,0 +1,41 @@
+/* The index of a store in memory: a row and a shape for each tile.
+ *
+ * Shapes are most of it, so they are kept packed: what the tiler writes needs 96 of 144 bytes, and
+ * comes out bit by bit as it went in. Shapes for which that is not so are kept whole.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef LOD_INDEX_H
+#define LOD_INDEX_H
+
+#include "lod/store.h"
+
+struct index_shape {
+    double min_enu_m[3], max_enu_m[3], sigma_max_m;
+    float core_min_m[3], core_max_m[3]; /* from the centre */
+    int32_t center_enu_m[3];            /* whole metres; of a whole shape: [0] is its place */
+    float sigma_median_log;             /* not a number: the shape is kept whole */
+};
+
+struct index { /* {0} is empty */
+    struct store_tile *tiles;
+    struct index_shape *shapes;
+    struct store_shape *whole;
+    size_t n, cap, n_whole, cap_whole;
+};
+
+/* Adds a tile. `expected` is how many there will be, as far as it is known. Free with index_free.
+ * ERR_MEM. */
+enum err_code index_add(struct index *x, const struct store_entry *t, size_t expected,
+                        struct err *e) ERR_USE;
+/* Sorts by key_compare. ERR_MEM. */
+enum err_code index_sort(struct index *x, struct err *e) ERR_USE;
+void index_free(struct index *x);
+/* Place of `k` in a sorted index, or INDEX_NONE. */
+#define INDEX_NONE UINT32_MAX
+uint32_t index_find(const struct index *x, struct key k);
+struct store_shape index_shape(const struct index *x, size_t i);
+/* As index_shape, in less time: without the median sigma and the geometric error. */
+struct store_shape index_bounds(const struct index *x, size_t i);
+
+#endif
