@@ -75,8 +75,7 @@ static enum err_code trained_read(const struct bench *b, struct gauss *out, stru
 {
     struct ckpt c = {0};
     if (!b->tiles && !b->trained)
-        return err_set(e, ERR_ARG,
-                       "trained: give --trained FILE, a checkpoint, or --tiles FILE, a store");
+        return err_set(e, ERR_ARG, "give --trained FILE, a checkpoint, or --tiles FILE, a store");
     if (b->tiles)
         return trained_read_store(b->tiles, out, e);
     enum err_code rc = ckpt_read(b->trained, &c, e);
@@ -96,8 +95,8 @@ static enum err_code trained_measure(const struct gauss *g, struct trained *t, s
     double lo[3], hi[3], *v = mem_array(g->n + 1, sizeof *v);
     if (!v || g->n == 0) {
         mem_free(v);
-        return v ? err_set(e, ERR_DATA, "trained: there are no Gaussians")
-                 : err_set(e, ERR_MEM, "trained: out of memory");
+        return v ? err_set(e, ERR_DATA, "there are no Gaussians")
+                 : err_set(e, ERR_MEM, "out of memory");
     }
     for (size_t c = 0; c < 3; c++) {
         for (size_t i = 0; i < g->n; i++)
@@ -141,10 +140,10 @@ static enum err_code trained_check(struct trained *t, struct err *e)
         rc = trained_draw(t, e);
         t->options.picture = true;
         if (!rc && memcmp(t->rgb, t->again, bytes) != 0)
-            rc = err_set(e, ERR_INTERNAL, "trained: check: %s gives another picture", what[i]);
+            rc = err_set(e, ERR_INTERNAL, "check: %s gives another picture", what[i]);
     }
     if (!rc && render_last_stats(t->render)->visible == 0)
-        rc = err_set(e, ERR_INTERNAL, "trained: check: nothing is visible");
+        rc = err_set(e, ERR_INTERNAL, "check: nothing is visible");
     return rc;
 }
 
@@ -157,8 +156,7 @@ static enum err_code trained_visited(const struct trained *t, double *entries, d
     const size_t bytes = r->tiles * sizeof(uint32_t), n = (size_t)r->intersections;
     uint32_t *start = mem_array(r->tiles, sizeof *start), *stop = mem_array(r->tiles, sizeof *stop);
     uint16_t *hits = mem_array(n + 1, sizeof *hits);
-    enum err_code rc =
-        start && stop && hits ? ERR_OK : err_set(e, ERR_MEM, "trained: out of memory");
+    enum err_code rc = start && stop && hits ? ERR_OK : err_set(e, ERR_MEM, "out of memory");
     if (!rc)
         rc = dev_read(t->b->dev, r->tile_start.mem, 0, bytes, start, e);
     if (!rc)
@@ -241,15 +239,14 @@ enum err_code bench_trained(struct bench *b, struct err *e)
     struct trained *t = mem_array(1, sizeof *t);
     struct gauss g = {0};
     char text[96];
-    enum err_code rc = t ? trained_read(b, &g, e) : err_set(e, ERR_MEM, "trained: out of memory");
+    enum err_code rc = t ? trained_read(b, &g, e) : err_set(e, ERR_MEM, "out of memory");
     if (!rc) {
         t->b = b;
         t->options = (struct render_options){
             .aa = g.antialiased ? RENDER_AA_2D : RENDER_AA_NONE, .sh_degree = -1, .picture = true};
         t->rgb = mem_array((size_t)3 * TRAINED_W * TRAINED_H, sizeof *t->rgb);
         t->again = mem_array((size_t)3 * TRAINED_W * TRAINED_H, sizeof *t->again);
-        rc = t->rgb && t->again ? trained_measure(&g, t, e)
-                                : err_set(e, ERR_MEM, "trained: out of memory");
+        rc = t->rgb && t->again ? trained_measure(&g, t, e) : err_set(e, ERR_MEM, "out of memory");
     }
     if (!rc)
         rc = render_open(b->dev, &t->render, e);

@@ -70,7 +70,7 @@ struct render {
     /* scratch of the sort, and its result */
     struct frame_buffer keys[2],
         ids[2]; /* uint [n]; depth order ends in ids[0], tile counts in keys[0] */
-    struct frame_buffer histogram; /* uint [digits][LAYOUT_SORT_CHUNKS] */
+    struct frame_buffer histogram; /* uint [LAYOUT_SORT_CHUNKS + 1][digits] */
     cl_mem counts;                 /* struct layout_counts[1] */
     struct layout_counts counted;  /* the host's copy, once `counting` is done */
     struct dev_pending counting;

@@ -236,7 +236,7 @@ static enum err_code render_frame_buffers(struct render *r, struct err *e)
                  {&r->keys[1], lanes * word},
                  {&r->ids[0], lanes * word},
                  {&r->ids[1], lanes * word},
-                 {&r->histogram, (word << LAYOUT_SORT_BITS) * LAYOUT_SORT_CHUNKS},
+                 {&r->histogram, (word << LAYOUT_SORT_BITS) * (LAYOUT_SORT_CHUNKS + 1)},
                  {&r->bin_offset, LAYOUT_BIN_CHUNKS * stride * word},
                  {&r->tile_start, (stride + 1) * word},
                  {&r->tile_stop, stride * word},

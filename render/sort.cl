@@ -6,7 +6,8 @@
 // LAYOUT_SORT_CHUNKS fixed chunks. Each chunk has its own histogram, so equal keys keep their
 // order, which is by index. The first pass also removes culled Gaussians and numbers the slots.
 // Positive floats sort as integers.
-//   histogram [digit][chunk]: after the scan, where that chunk puts its first key of that digit
+//   histogram [chunk][digit]: after the scan, keys of that digit in the chunks before; one row more
+//   [digit]: where the first key of that digit goes
 // Local size 1: one work-item is one chunk.
 
 #define DIGITS (1 << LAYOUT_SORT_BITS)
@@ -38,17 +39,26 @@ __kernel void sort_count(__global const uint *keys, __global const uint *tiles_o
             count[(keys[i] >> shift) & (DIGITS - 1)]++;
     }
     for (uint d = 0; d < DIGITS; d++)
-        histogram[d * LAYOUT_SORT_CHUNKS + chunk] = count[d];
+        histogram[chunk * DIGITS + d] = count[d];
 }
 
-// One work-item: exclusive sums, digit by digit and chunk by chunk.
+// One work-item: exclusive sums, of 16 digits over the chunks and then over the digits.
 __kernel void sort_scan(__global uint *histogram, uint pass, __global struct layout_counts *counts)
 {
     uint sum = 0;
-    for (uint i = 0; i < DIGITS * LAYOUT_SORT_CHUNKS; i++) {
-        uint here = histogram[i];
-        histogram[i] = sum;
-        sum += here;
+    for (uint d = 0; d < DIGITS; d += 16) {
+        uint16 before = (uint16)(0);
+        for (uint c = 0; c <= LAYOUT_SORT_CHUNKS; c++) {
+            __global uint16 *at = (__global uint16 *)(histogram + c * DIGITS + d);
+            uint16 here = *at;
+            *at = before;
+            before += here;
+        }
+        for (uint i = d; i < d + 16; i++) {
+            uint here = histogram[LAYOUT_SORT_CHUNKS * DIGITS + i];
+            histogram[LAYOUT_SORT_CHUNKS * DIGITS + i] = sum;
+            sum += here;
+        }
     }
     if (pass == 0) {
         ulong at = 0;
@@ -73,7 +83,7 @@ __kernel void sort_scatter(__global const uint *keys, __global const uint *ids,
     uint2 range = sort_range(pass ? counts->visible : n, chunk);
     uint at[DIGITS];
     for (uint d = 0; d < DIGITS; d++)
-        at[d] = histogram[d * LAYOUT_SORT_CHUNKS + chunk];
+        at[d] = histogram[chunk * DIGITS + d] + histogram[LAYOUT_SORT_CHUNKS * DIGITS + d];
     if (pass == 0) {
         uint slot = (uint)counts->chunk_intersections[chunk];
         for (uint i = range.x; i < range.y; i++) {
