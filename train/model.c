@@ -184,7 +184,7 @@ enum err_code model_look(struct model *m, const struct camera *cam, const struct
                          struct model_look *out, struct err *e)
 {
     *out = (struct model_look){.shown = m->gauss};
-    if (!m->paged.dir)
+    if (!m->paged.dir && !m->defer)
         return ERR_OK;
     enum err_code rc = m->defer ? ERR_OK : model_open_defer(m, e);
     return rc ? rc : defer_look(m->defer, &m->gauss, &m->adam, cam, o, &out->shown, e);

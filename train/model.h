@@ -65,8 +65,8 @@ enum err_code model_stepped(struct model *m, struct err *e) ERR_USE;
  * parameters or moments. ERR_MEM, ERR_DEVICE. */
 enum err_code model_settle(struct model *m, struct err *e) ERR_USE;
 
-/* What a frame shows that is only drawn: all Gaussians, or where they lie in files the groups in
- * its frustum. The frame has the same bits. */
+/* What a frame shows that is only drawn: all Gaussians, or where they lie in files or steps were
+ * deferred the groups in its frustum. The frame has the same bits. */
 struct model_look {
     struct render_model shown; /* borrowed of the model; draw it before it looks again */
     void *groups; /* model_look_map: [shown.groups], mapped; NULL: all, in their order */
