@@ -10,14 +10,14 @@
 struct stage {
     struct schedule levels[TRAIN_LEVELS_MAX];
     uint32_t n_levels;
-    uint32_t at;    /* levels[at] is the current level; n_levels: all are done */
-    uint32_t step;  /* of this level: the step in work, or the last one done; 0 at first */
-    bool pruned;    /* level_prune, the end of the level, is done */
+    uint32_t at;   /* levels[at] is the current level; n_levels: all are done */
+    uint32_t step; /* of this level: the step in work, or the last one done; 0 at first */
+    bool pruned;   /* level_prune, the end of the level, is done */
     /* of a level that goes on: score at the last look that showed a gain (0: there was no look),
      * and looks since */
     double held_db;
     uint32_t in_vain;
-    size_t start;   /* Gaussians inside the cell when this level began */
+    size_t start; /* Gaussians inside the cell when this level began */
 };
 /* Schedule of the current level, or of the last one when all are done. */
 static inline const struct schedule *stage_schedule(const struct stage *s)
