@@ -399,11 +399,12 @@ study_time() { # accuracy against training time, with the finest level alone and
 
 study_long() { # what going on does to photographs, and what takes it away
   local n base=(caliterra-200 "" --level-count 1)
-  for n in 2000 8000; do
+  for n in 2000 8000 30000; do
     row long "$n steps" "${base[@]}" --iterations "$n"
   done
-  row long "2000 steps, goes on" "${base[@]}" --iterations 2000 --go-on-db 0.05
   row long "30000 steps, no resets" "${base[@]}" --iterations 30000 --reset-interval 0
+  row long "30000 steps, no resets, degree 1" "${base[@]}" --iterations 30000 --reset-interval 0 --sh-degree 1
+  row long "30000 steps, no resets, half the Gaussians" "${base[@]}" --iterations 30000 --reset-interval 0 --budget 50000
 }
 
 study_budgets() { # accuracy against the number of Gaussians
