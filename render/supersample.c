@@ -72,10 +72,16 @@ SIMD_INLINE void supersample_lace(float v[][SUPERSAMPLE_COLUMNS], size_t columns
             out[n * x + p] = v[p][x];
 }
 
+/* The fine rows of a row: taps first to end - 1, and 1 over the sum of their weights. */
+struct supersample_down {
+    size_t first, end;
+    float share;
+};
+
 /* Some columns of a row: their fine columns down the rows, then along. What is beyond the picture
  * counts as 0, and the weights of a pixel there as not being. `row`: the first fine row. */
 SIMD_INLINE void supersample_columns(const struct supersample *s, const float *row, size_t x0,
-                                     size_t columns, size_t first, size_t end, float share,
+                                     size_t columns, const struct supersample_down down,
                                      const size_t factor, float out[SUPERSAMPLE_COLUMNS])
 {
     float line[SUPERSAMPLE_LINE] = {0}; /* fine pixel x0 * factor - before first */
@@ -83,8 +89,8 @@ SIMD_INLINE void supersample_columns(const struct supersample *s, const float *r
     const size_t fine_width = s->width * factor, left = x0 ? s->before : 0;
     const size_t n = left + columns * factor + s->before, at = x0 * factor - left;
     const size_t inside = n < fine_width - at ? n : fine_width - at;
-    for (size_t k = first; k < end; k++) {
-        const float w = s->weight[k], *from = row + (k - first) * fine_width + at;
+    for (size_t k = down.first; k < down.end; k++) {
+        const float w = s->weight[k], *from = row + (k - down.first) * fine_width + at;
         float *to = line + s->before - left;
         for (size_t i = 0; i < inside; i++)
             to[i] += w * from[i];
@@ -97,27 +103,28 @@ SIMD_INLINE void supersample_columns(const struct supersample *s, const float *r
         for (size_t x = 0; x < SUPERSAMPLE_COLUMNS; x++)
             sum[x] += w * from[x];
     }
-    const float usual = share * (1.0f / s->all);
+    const float usual = down.share * (1.0f / s->all);
     for (size_t x = 0; x < SUPERSAMPLE_COLUMNS; x++)
         out[x] = sum[x] * usual;
     for (size_t x = 0; x < columns; x++) {
         size_t a, b;
         if (x0 + x < s->whole[0] || x0 + x >= s->whole[1])
-            out[x] = sum[x] * (share * supersample_span(s, x0 + x, s->width, &a, &b));
+            out[x] = sum[x] * (down.share * supersample_span(s, x0 + x, s->width, &a, &b));
     }
 }
 
 SIMD_INLINE void supersample_row_of(const struct supersample *s, size_t y, const size_t factor,
                                     const size_t n_planes)
 {
-    size_t first, end, fine_width = s->width * factor, fine = fine_width * s->height * factor;
-    float share = supersample_span(s, y, s->height, &first, &end);
-    const float *row = s->planes + (y * factor + first - s->before) * fine_width;
+    size_t fine_width = s->width * factor, fine = fine_width * s->height * factor;
+    struct supersample_down down;
+    down.share = supersample_span(s, y, s->height, &down.first, &down.end);
+    const float *row = s->planes + (y * factor + down.first - s->before) * fine_width;
     float v[SUPERSAMPLE_PLANES][SUPERSAMPLE_COLUMNS];
     for (size_t x0 = 0; x0 < s->width; x0 += SUPERSAMPLE_COLUMNS) {
         size_t columns = s->width - x0 < SUPERSAMPLE_COLUMNS ? s->width - x0 : SUPERSAMPLE_COLUMNS;
         for (size_t p = 0; p < n_planes; p++)
-            supersample_columns(s, row + p * fine, x0, columns, first, end, share, factor, v[p]);
+            supersample_columns(s, row + p * fine, x0, columns, down, factor, v[p]);
         supersample_lace(v, columns, n_planes, s->out + n_planes * (y * s->width + x0));
     }
 }

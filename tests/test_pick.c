@@ -298,34 +298,40 @@ static struct camera random_camera(uint64_t seed)
                           0.3 + rng_unit(seed, 5, 5), 320, 240);
 }
 
+/* How often the picked tiles of a camera change that goes to and fro. */
+static size_t changes_to_and_fro(const struct scene_tiles *s, double error_px, double hysteresis)
+{
+    struct err e = {0};
+    uint32_t before[TILES_MAX], out[TILES_MAX];
+    size_t n_before = 0, n, changes = 0;
+    for (int step = 0; step < 40; step++) {
+        /* 280 m away at least, and all in view: 8 m are less than the band of 5 %. */
+        const double eye[3] = {0, step % 2 ? -508 : -500, 60};
+        struct camera cam = camera_heading(eye, 0, -5, 1.8, 320, 240);
+        struct pick_options o = {.error_px = error_px,
+                                 .hysteresis = hysteresis,
+                                 .before = step ? before : NULL,
+                                 .n_before = n_before};
+        kit_ok(pick_select(&s->tree, &cam, &o, out, &n, &e), e);
+        changes += step > 1 && (n != n_before || memcmp(out, before, n * sizeof *out));
+        memcpy(before, out, n * sizeof *out);
+        n_before = n;
+    }
+    return changes;
+}
+
 /* A camera that goes to and fro about every limit on its way, by less than the band: each tile
  * changes its level once at most. Without a band it does at every step. */
 static void a_trembling_camera_does_not_flap(void **state)
 {
     (void)state;
-    struct err e = {0};
     size_t changes[2] = {0};
     for (uint64_t seed = 0; seed < 20; seed++) {
         struct scene_tiles s;
         random_scene(seed, &s);
-        for (size_t with = 0; with < 2; with++) {
-            uint32_t before[TILES_MAX], out[TILES_MAX];
-            size_t n_before = 0, n;
-            for (int step = 0; step < 40; step++) {
-                /* 280 m away at least, and all in view: 8 m are less than the band of 5 %. */
-                const double eye[3] = {0, step % 2 ? -508 : -500, 60};
-                struct camera cam = camera_heading(eye, 0, -5, 1.8, 320, 240);
-                struct pick_options o = {.error_px = 0.4 + 0.02 * (double)seed,
-                                         .hysteresis = with ? PICK_HYSTERESIS : 0,
-                                         .before = step ? before : NULL,
-                                         .n_before = n_before};
-                kit_ok(pick_select(&s.tree, &cam, &o, out, &n, &e), e);
-                changes[with] +=
-                    step > 1 && (n != n_before || memcmp(out, before, n * sizeof *out));
-                memcpy(before, out, n * sizeof *out);
-                n_before = n;
-            }
-        }
+        for (size_t with = 0; with < 2; with++)
+            changes[with] +=
+                changes_to_and_fro(&s, 0.4 + 0.02 * (double)seed, with ? PICK_HYSTERESIS : 0);
         drop(&s);
     }
     assert_int_equal(changes[1], 0);
