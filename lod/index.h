@@ -1,7 +1,8 @@
-/* The index of a store in memory: a row and a shape for each tile.
+/* A store's index in memory. Each tile has a row (struct store_tile: key, level, counts) and a
+ * shape (struct store_shape: boxes, centre and sizes).
  *
- * Shapes are most of it, so they are kept packed: what the tiler writes needs 96 of 144 bytes, and
- * comes out bit by bit as it went in. Shapes for which that is not so are kept whole.
+ * Shapes take most of the memory, so they are packed: 96 bytes instead of 144. A shape that would
+ * not come out with the same bits is kept as it is. No shape that the tiler writes is such.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -34,6 +35,7 @@ void index_free(struct index *x);
 /* Place of `k` in a sorted index, or INDEX_NONE. */
 #define INDEX_NONE UINT32_MAX
 uint32_t index_find(const struct index *x, struct key k);
+/* The shape of the tile at place i, below x->n, with the bits that index_add was given. */
 struct store_shape index_shape(const struct index *x, size_t i);
 /* As index_shape, in less time: without the median sigma and the geometric error. */
 struct store_shape index_bounds(const struct index *x, size_t i);

@@ -62,7 +62,9 @@ struct tree {                  /* {0} is empty */
  * the tree. Free *out with tree_free. ERR_LIMIT (2^31 - 1 tiles), ERR_MEM. */
 enum err_code tree_build(const struct index *x, struct tree *out, struct err *e) ERR_USE;
 void tree_free(struct tree *t);
+/* What the tree knows of a node, below t->n_nodes. */
 struct tree_node tree_node(const struct tree *t, size_t node);
+/* Whether a node has no children. */
 bool tree_leaf(const struct tree *t, size_t node);
 struct tree_bounds tree_bounds(const struct tree *t, uint32_t node);
 

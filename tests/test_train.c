@@ -419,6 +419,22 @@ static void thinning_leaves_what_the_option_says(void **state)
     arena_free(&a);
 }
 
+/* A run that is stopped after each of these numbers of steps and resumed, but not to its end. */
+static void train_in_pieces(struct train_config *c, const int64_t *pieces, size_t n)
+{
+    struct err e = {0};
+    struct train_result r = {0};
+    for (size_t i = 0; i < n; i++) {
+        c->stop_after = pieces[i];
+        c->resume = i > 0;
+        c->overwrite = i == 0;
+        kit_fails(train_again(scene_dir, c, &r, &e), ERR_CANCEL, e, "--resume goes on");
+    }
+    c->stop_after = 0;
+    c->resume = true;
+    train_result_free(&r);
+}
+
 static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
 {
     (void)state;
@@ -435,12 +451,7 @@ static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
     /* pieces of 1, 7, 30, ... steps: in the middle of levels, at their ends, around densifications
      * and between thinnings */
     static const int64_t pieces[] = {1, 7, 67, 2, 73, 40, 40, 8};
-    for (size_t i = 0; i < sizeof pieces / sizeof pieces[0]; i++) {
-        c.stop_after = pieces[i];
-        c.resume = i > 0;
-        kit_fails(train_again(scene_dir, &c, &r, &e), ERR_CANCEL, e, "--resume goes on");
-    }
-    c.stop_after = 0;
+    train_in_pieces(&c, pieces, sizeof pieces / sizeof pieces[0]);
     c.resume = false; /* it is not thrown away unasked */
     kit_fails(train_again(scene_dir, &c, &r, &e), ERR_ARG, e, "an unfinished run is there");
     c.resume = true;
@@ -535,6 +546,7 @@ static int steps_of(const char *out, unsigned level)
     return steps;
 }
 
+/* It ends by itself, and in the same bytes when it was stopped on the way. */
 static void a_run_goes_on_while_that_gains(void **state)
 {
     (void)state;
@@ -564,13 +576,7 @@ static void a_run_goes_on_while_that_gains(void **state)
     assert_true(steps_of(whole, 1) > 61 && steps_of(whole, 1) <= 30000);
     c.output = parts; /* in the steps planned, at looks, between them, and while rates fall */
     const int64_t pieces[] = {20, 20, 2, 2, 3, steps_of(whole, 1) - 47 - 4};
-    for (size_t i = 0; i < sizeof pieces / sizeof pieces[0]; i++) {
-        c.stop_after = pieces[i];
-        c.resume = i > 0;
-        c.overwrite = i == 0;
-        kit_fails(train_again(scene_dir, &c, &r, &e), ERR_CANCEL, e, "--resume goes on");
-    }
-    c.stop_after = 0;
+    train_in_pieces(&c, pieces, sizeof pieces / sizeof pieces[0]);
     kit_ok(train_again(scene_dir, &c, &r, &e), e);
     assert_int_equal(steps_of(parts, 1), steps_of(whole, 1));
     assert_same_levels_to(1, whole, parts);

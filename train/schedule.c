@@ -169,7 +169,7 @@ double schedule_total(const struct schedule *s)
 uint32_t schedule_next_look(const struct schedule *s)
 {
     double next = ceil((double)s->steps + SCHEDULE_LOOK * schedule_total(s));
-    return next < (double)s->most ? (uint32_t)next : s->most > s->steps ? s->most : s->steps;
+    return (uint32_t)fmax(fmin(next, (double)s->most), (double)s->steps);
 }
 
 uint32_t schedule_end(const struct schedule *s, const struct train_config *cfg)

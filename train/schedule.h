@@ -50,8 +50,8 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
  * `s`: of schedule_make, or of this. */
 struct schedule schedule_go_on(const struct schedule *s, const struct train_config *cfg,
                                const struct cell *cell, uint32_t steps, uint32_t fade_from);
-/* Where the next look stands at a level that goes on: a tenth of the run's steps later, at most at
- * s->most. */
+/* Step of the next look at a level that goes on: a tenth of the run's steps later, at most s->most.
+ * s->steps: there is no room for one. */
 uint32_t schedule_next_look(const struct schedule *s);
 /* Where a level ends whose rates fall from here on. */
 uint32_t schedule_end(const struct schedule *s, const struct train_config *cfg);
