@@ -705,6 +705,26 @@ study_goes_on() {
   done
 }
 
+# What thinning in the middle of the finest level costs, beside half of the density for which the photographs stand.
+thin_rows() { # STUDY SCENE
+  local study=$1 scene=$2 base
+  base=(--iterations "$(steps "$study")" --depth-prior "$OUT/$scene-depth")
+  row "$study" "not thinned" "$scene" "thin_db=0" "${base[@]}" --thin-db 0
+  row "$study" "thinned by 0.02 dB" "$scene" "thin_db=0.02" "${base[@]}" --thin-db 0.02
+  row "$study" "thinned by 0.05 dB" "$scene" "thin_db=0.05" "${base[@]}" --thin-db 0.05
+  row "$study" "half the density" "$scene" "thin_db=0" "${base[@]}" --thin-db 0 --budget-density 5
+}
+study_thin() {
+  local MAP_VIEWS=1 SURFACE=city
+  seeded thin thin_rows thin exact
+}
+study_thin_tricky() {
+  local MAP_VIEWS=1 SURFACE=city
+  seeded thin_tricky thin_rows thin_tricky tricky
+}
+study_thin_caliterra() { seeded thin_caliterra thin_rows thin_caliterra caliterra-400; }
+study_thin_ochota() { seeded thin_ochota thin_rows thin_ochota ochota-400; }
+
 # The whole method at a length at which opacities are reset and sizes pruned: half of the paper's steps.
 study_full() {
   row full caliterra caliterra-800 "" --iterations "$(steps full)"
@@ -896,7 +916,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full long big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota goes_on side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ablation ablation_city cells cells_light
+readonly STUDIES=(time full long big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota goes_on thin thin_tricky thin_caliterra thin_ochota side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ablation ablation_city cells cells_light
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {
