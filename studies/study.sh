@@ -520,6 +520,7 @@ ochota_cells_rows() { # STUDY TRAIN-OPTIONS
   row "$study" "ten cells" ochota-cells "" --level-count 1 --iterations "$n" "$@" --eval --half-image on
 }
 study_ochota_cells() { seeded ochota_cells ochota_cells_rows ochota_cells; }
+study_ochota_cells_light() { seeded ochota_cells_light ochota_cells_rows ochota_cells_light --appearance; }
 
 # What looking at many photographs before a Gaussian is split is worth, where the budget binds: thirty thousand Gaussians
 # for photographs that support 100,000 and more.
@@ -916,7 +917,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full long big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota goes_on thin thin_tricky thin_caliterra thin_ochota side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ablation ablation_city cells cells_light
+readonly STUDIES=(time full long big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota goes_on thin thin_tricky thin_caliterra thin_ochota side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ochota_cells_light ablation ablation_city cells cells_light
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {
