@@ -727,6 +727,21 @@ study_thin_tricky() {
 study_thin_caliterra() { seeded thin_caliterra thin_rows thin_caliterra caliterra-400; }
 study_thin_ochota() { seeded thin_ochota thin_rows thin_ochota ochota-400; }
 
+# Which level is trained first. Every level on photographs of its own size, and tiles of a store that are picked for
+# photographs made small, as if from farther away.
+order_rows() { # STUDY SCENE
+  local study=$1 scene=$2 order
+  for order in coarse-to-fine fine-to-coarse; do
+    row "$study" "$order" "$scene" "" --iterations "$(steps "$study")" --depth-prior "$OUT/$scene-depth" --level-order "$order" \
+      --tiles --max-edge-px 96 --half-image off
+  done
+}
+study_order() {
+  local MAP_VIEWS=1 SURFACE=city
+  seeded order order_rows order exact
+}
+study_order_caliterra() { seeded order_caliterra order_rows order_caliterra caliterra-400; }
+
 # The whole method at a length at which opacities are reset and sizes pruned: half of the paper's steps.
 study_full() {
   row full caliterra caliterra-800 "" --iterations "$(steps full)"

@@ -129,6 +129,30 @@ static void what_is_done_is_not_left(void **state)
     assert_true(forecast_left_s(&f.forecast, &f.at, 300000.0) == 0.0);
 }
 
+/* The finest level first, whose steps cost most, and then ever less. */
+static void the_order_of_levels_counts(void **state)
+{
+    (void)state;
+    static struct fixture f;
+    double left[LEVELS + 1];
+    open_demo(&f);
+    f.at.fine_first = true;
+    f.at.levels[0].derived = f.at.levels[1].derived = true;
+    for (size_t k = 0; k < 2; k++)
+        f.at.levels[k].densify_until = 0;
+    f.at.at = stage_first(&f.at);
+    assert_int_equal(f.at.at, LEVELS - 1);
+    f.at.step = 100;
+    forecast_add(&f.forecast, &f.at, 0, 20000.0, 2.0);
+    f.at.step = 0;
+    for (size_t i = 0; i <= LEVELS; i++) {
+        left[i] = forecast_left_s(&f.forecast, &f.at, 300000.0 / (double)(1 << i));
+        assert_true(i == 0 || left[i] < left[i - 1]);
+        f.at.at = stage_after(&f.at, f.at.at);
+    }
+    assert_true(left[LEVELS] == 0.0 && left[0] > 3.0 * left[1]);
+}
+
 static void times_are_told_in_words(void **state)
 {
     (void)state;
@@ -149,6 +173,7 @@ int main(void)
         cmocka_unit_test(a_recorded_run_is_forecast_within_a_fifth),
         cmocka_unit_test(a_slower_machine_is_measured),
         cmocka_unit_test(what_is_done_is_not_left),
+        cmocka_unit_test(the_order_of_levels_counts),
         cmocka_unit_test(times_are_told_in_words),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

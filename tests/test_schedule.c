@@ -287,6 +287,50 @@ static void short_runs_take_larger_steps(void **state)
     }
 }
 
+/* The finest level has the schedule of a single one, the others are fine-tuned alone. Steps are as
+ * asked for: all of them together, or a level each. */
+static void the_finest_level_can_be_trained_first(void **state)
+{
+    (void)state;
+    struct arena a = {0};
+    struct err e = {0};
+    struct train_config c = defaults(&a);
+    struct schedule s[3], single[3];
+    c.level_order = SCHEDULE_FINE_TO_COARSE;
+    kit_ok(schedule_make(&c, 60, &cell, s, &e), e);
+    const uint32_t tuned = (uint32_t)(30000 * c.tune_share + 0.5);
+    assert_true(s[0].steps == tuned && s[1].steps == tuned && s[2].steps == 30000);
+    assert_true(schedule_full(&c) == 30000.0 + 2 * tuned);
+    assert_true(s[0].turn == 3 && s[1].turn == 2 && s[2].turn == 1);
+    assert_true(s[0].derived && s[1].derived && !s[2].derived);
+    c.iterations.one = 3000;
+    kit_ok(schedule_make(&c, 60, &cell, s, &e), e);
+    assert_int_equal(s[0].steps + s[1].steps + s[2].steps, 3000);
+    c.iterations.one = s[2].steps;
+    c.level_count = 1;
+    kit_ok(schedule_make(&c, 60, &cell, single, &e), e);
+    assert_true(fabs(single[0].kappa / s[2].kappa - 1.0) < 1e-3);
+    assert_int_equal(single[0].interval, s[2].interval);
+    assert_int_equal(single[0].densify_until, s[2].densify_until);
+    assert_int_equal(schedule_sh_degree(&s[2], 1), schedule_sh_degree(&single[0], 1));
+    assert_true(fabs(single[0].lr_mean_first / s[2].lr_mean_first - 1.0) < 1e-3);
+    for (int l = 0; l < 2; l++) {
+        for (uint32_t t = 1; t <= s[l].steps; t++)
+            assert_true(!schedule_densify_index(&s[l], t) && !schedule_resets(&s[l], t) &&
+                        !schedule_thins(&s[l], t) && schedule_sh_degree(&s[l], t) == 3);
+        assert_true(schedule_done(&s[l], 1) == 1.0); /* weights that fall have fallen */
+        assert_true(schedule_fade(&s[l], 1) == 1.0);
+        assert_true(fabs(schedule_fade(&s[l], s[l].steps) - 0.1) < 1e-12);
+        assert_true(s[l].budget < s[2].budget && s[l].downsample > s[2].downsample);
+    }
+    c = defaults(&a);
+    c.level_order = SCHEDULE_FINE_TO_COARSE;
+    c.iterations = (struct options_ints){.v = {100, 200, 300}, .n = 3};
+    kit_ok(schedule_make(&c, 60, &cell, s, &e), e);
+    assert_true(s[0].steps == 100 && s[1].steps == 200 && s[2].steps == 300);
+    arena_free(&a);
+}
+
 /* In the last fifth of the finest level. A level that goes on has the rates of a run as long as it
  * has become, and ends as others do. */
 static void rates_fall_at_the_end(void **state)
@@ -356,6 +400,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(rates_fall_at_the_end),
+        cmocka_unit_test(the_finest_level_can_be_trained_first),
         cmocka_unit_test(opacities_are_reset_to_what_can_be_learnt_from),
         cmocka_unit_test(short_runs_take_larger_steps),
         cmocka_unit_test(cap_rises_from_start_to_exactly_the_budget),

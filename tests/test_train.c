@@ -435,9 +435,8 @@ static void train_in_pieces(struct train_config *c, const int64_t *pieces, size_
     train_result_free(&r);
 }
 
-static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
+static void stopped_run_goes_on(enum schedule_order order, const int64_t *pieces, size_t n_pieces)
 {
-    (void)state;
     struct err e = {0};
     struct arena a = {0};
     struct train_result r = {0};
@@ -445,13 +444,11 @@ static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
     kit_tmpdir(whole);
     kit_tmpdir(parts);
     struct train_config c = toy_config(&a, whole);
+    c.level_order = order;
     c.defer_from = 1;
     kit_ok(train_again(scene_dir, &c, &r, &e), e);
     c.output = parts;
-    /* pieces of 1, 7, 30, ... steps: in the middle of levels, at their ends, around densifications
-     * and between thinnings */
-    static const int64_t pieces[] = {1, 7, 67, 2, 73, 40, 40, 8};
-    train_in_pieces(&c, pieces, sizeof pieces / sizeof pieces[0]);
+    train_in_pieces(&c, pieces, n_pieces);
     c.resume = false; /* it is not thrown away unasked */
     kit_fails(train_again(scene_dir, &c, &r, &e), ERR_ARG, e, "an unfinished run is there");
     c.resume = true;
@@ -479,6 +476,18 @@ static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
     arena_free(&a);
 }
 
+static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
+{
+    (void)state;
+    /* pieces of 1, 7, 30, ... steps: in the middle of levels, at their ends, around densifications
+     * and between thinnings */
+    static const int64_t up[] = {1, 7, 67, 2, 73, 40, 40, 8};
+    stopped_run_goes_on(SCHEDULE_COARSE_TO_FINE, up, sizeof up / sizeof up[0]);
+    /* 214 steps of the finest level, then 43 and 43 */
+    static const int64_t down[] = {8, 67, 73, 66, 1, 42, 20, 22};
+    stopped_run_goes_on(SCHEDULE_FINE_TO_COARSE, down, sizeof down / sizeof down[0]);
+}
+
 /* Whether the newest line about a start says that the model lies in files. */
 static bool lies_in_files(const char *out)
 {
@@ -496,9 +505,8 @@ static bool lies_in_files(const char *out)
 }
 
 /* Where parameters and moments lie changes no byte, and may change when a run goes on. */
-static void a_model_in_files_trains_to_the_same_bytes(void **state)
+static void in_files_the_same_bytes(enum schedule_order order)
 {
-    (void)state;
     struct err e = {0};
     struct arena a = {0};
     struct train_result r = {0};
@@ -506,12 +514,13 @@ static void a_model_in_files_trains_to_the_same_bytes(void **state)
     kit_tmpdir(memory);
     kit_tmpdir(files);
     struct train_config c = toy_config(&a, memory);
+    c.level_order = order;
     c.defer_from = 1;
     c.thin_db = 0.02;
     kit_ok(train_again(scene_dir, &c, &r, &e), e);
     assert_false(lies_in_files(memory));
     c.output = files;
-    static const int64_t pieces[] = {60, 9, 90, 0};
+    static const int64_t pieces[] = {60, 9, 90, 70, 0}; /* finest first: 214, 43 and 43 */
     for (size_t i = 0; i < sizeof pieces / sizeof pieces[0]; i++) {
         c.memory = i % 3 == 2 ? "auto" : "1M";
         c.stop_after = pieces[i];
@@ -532,6 +541,121 @@ static void a_model_in_files_trains_to_the_same_bytes(void **state)
     kit_fails(train_again(scene_dir, &c, &r, &e), ERR_ARG, e, "--memory half");
     kit_rmdir(memory);
     kit_rmdir(files);
+    train_result_free(&r);
+    arena_free(&a);
+}
+
+static void a_model_in_files_trains_to_the_same_bytes(void **state)
+{
+    (void)state;
+    in_files_the_same_bytes(SCHEDULE_COARSE_TO_FINE);
+    in_files_the_same_bytes(SCHEDULE_FINE_TO_COARSE);
+}
+
+/* PSNR of the training photographs at the last step of a level, by the run's metrics. */
+static double last_psnr(const char *out, unsigned level)
+{
+    char path[FILE_PATH_MAX], line[4096];
+    struct err e = {0};
+    double db = (double)NAN;
+    kit_ok(file_join(path, out, "cells/all/metrics.jsonl", &e), e);
+    FILE *f = fopen(path, "re");
+    assert_non_null(f);
+    while (fgets(line, sizeof line, f)) {
+        json_t *o = json_loads(line, 0, NULL);
+        if (json_is_number(json_object_get(o, "psnr_mean_db")) &&
+            json_integer_value(json_object_get(o, "level")) == (json_int_t)level)
+            db = json_number_value(json_object_get(o, "psnr_mean_db"));
+        json_decref(o);
+    }
+    fclose(f);
+    return db;
+}
+
+/* Levels that are made of the finer one: few enough, better on their own pictures than merging
+ * alone, and the same in every run. */
+static void coarser_levels_are_made_of_the_finest(void **state)
+{
+    (void)state;
+    enum { MERGED, TUNED, AGAIN, RUNS };
+    struct err e = {0};
+    struct arena a = {0};
+    struct train_result r[RUNS] = {{0}};
+    struct ckpt level[2];
+    char out[RUNS][FILE_PATH_MAX], path[FILE_PATH_MAX + 64];
+    for (int i = 0; i < RUNS; i++) {
+        kit_tmpdir(out[i]);
+        struct train_config c = toy_config(&a, out[i]);
+        c.level_order = SCHEDULE_FINE_TO_COARSE;
+        /* 200 steps of the finest level in each, then 200 and 200 or 1 and 1 */
+        c.tune_share = i == MERGED ? 0.005 : 1.0;
+        c.iterations.one = i == MERGED ? 202 : 600;
+        c.budget.v[0] = 30;
+        c.budget.v[1] = 60;
+        kit_ok(train_again(scene_dir, &c, &r[i], &e), e);
+        const struct train_cell_result *cell = &r[i].cells[0];
+        assert_true(cell->n_gaussians[0] <= 30 && cell->n_gaussians[1] <= 60);
+        assert_true(cell->n_gaussians[0] < cell->n_gaussians[1] &&
+                    cell->n_gaussians[1] < cell->n_gaussians[2]);
+        snprintf(path, sizeof path, "%s/cells/all/finest.ckpt", out[i]);
+        assert_false(file_exists(path));
+    }
+    for (unsigned k = 0; k < 2; k++) {
+        double merged = last_psnr(out[MERGED], k + 1), tuned = last_psnr(out[TUNED], k + 1);
+        printf("level %u: merged %.2f dB, fine-tuned %.2f dB\n", k + 1, merged, tuned);
+        assert_true(tuned > merged + 1.0);
+    }
+    assert_true(r[TUNED].cells[0].psnr_db[2] == r[MERGED].cells[0].psnr_db[2]);
+    assert_same_levels(out[TUNED], out[AGAIN]);
+    for (unsigned k = 0; k < 2; k++) {
+        toy_read_level(out[TUNED], k + 1, &level[k]);
+        assert_int_equal(json_integer_value(json_object_get(level[k].meta, "level")), k + 1);
+        assert_int_equal(json_integer_value(json_object_get(level[k].meta, "step")), 200);
+    }
+    assert_true(json_number_value(json_object_get(level[0].meta, "downsample")) == 2.0);
+    for (int k = 0; k < 2; k++)
+        ckpt_free(&level[k]);
+    for (int i = 0; i < RUNS; i++) {
+        kit_rmdir(out[i]);
+        train_result_free(&r[i]);
+    }
+    arena_free(&a);
+}
+
+/* They take over its network, which does not change any more. */
+static void coarser_levels_have_the_finest_network(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    struct train_result r = {0};
+    struct ckpt level[3];
+    char whole[FILE_PATH_MAX], parts[FILE_PATH_MAX];
+    kit_tmpdir(whole);
+    kit_tmpdir(parts);
+    struct train_config c = toy_config(&a, whole);
+    c.level_order = SCHEDULE_FINE_TO_COARSE;
+    c.appearance = true;
+    c.iterations.one = 100;
+    kit_ok(train_again(scene_dir, &c, &r, &e), e);
+    c.output = parts;
+    static const int64_t pieces[] = {30, 41, 2, 20}; /* 72 steps of the finest level, 14 and 14 */
+    train_in_pieces(&c, pieces, sizeof pieces / sizeof pieces[0]);
+    kit_ok(train_again(scene_dir, &c, &r, &e), e);
+    assert_same_levels(whole, parts);
+    const struct ckpt_blob *network[3];
+    for (unsigned k = 0; k < 3; k++) {
+        toy_read_level(parts, k + 1, &level[k]);
+        network[k] = ckpt_find(&level[k], "appearance");
+        assert_non_null(network[k]);
+        assert_int_equal(network[k]->size_bytes, network[0]->size_bytes);
+        assert_memory_equal(network[k]->data, network[0]->data, network[0]->size_bytes);
+        assert_true(level[k].g.embed_len > 0);
+    }
+    for (unsigned k = 0; k < 3; k++)
+        ckpt_free(&level[k]);
+    kit_rmdir(whole);
+    kit_rmdir(parts);
     train_result_free(&r);
     arena_free(&a);
 }
@@ -600,10 +724,8 @@ static void level_input(const char *out, const char *key, char hash[64])
     ckpt_free(&c);
 }
 
-/* Scores and coarser levels are those of a run without it. It can be stopped and repeats. */
-static void a_last_fit_takes_all_photographs(void **state)
+static void last_fit(enum schedule_order order, int64_t go_on_from)
 {
-    (void)state;
     enum { PLAIN, WHOLE, PARTS, OUTS };
     struct err e = {0};
     struct arena a = {0};
@@ -614,6 +736,9 @@ static void a_last_fit_takes_all_photographs(void **state)
     for (int i = 0; i < OUTS; i++)
         kit_tmpdir(out[i]);
     struct train_config c = toy_config(&a, out[PLAIN]);
+    c.level_order = order;
+    c.go_on_db = go_on_from ? 99 : 0;
+    c.iterations.one = go_on_from ? go_on_from : c.iterations.one;
     kit_ok(train_again(scene_dir, &c, &r[PLAIN], &e), e);
     c.final_all = true;
     c.output = out[WHOLE];
@@ -647,11 +772,26 @@ static void a_last_fit_takes_all_photographs(void **state)
     c.resume = true;
     kit_ok(train_again(scene_dir, &c, &r[WHOLE], &e), e);
     assert_same_levels(out[WHOLE], out[PARTS]);
+    for (unsigned i = 0; i < 3; i++) {
+        toy_read_level(out[PARTS], i + 1, &level[0]);
+        assert_true(r[WHOLE].cells[0].psnr_db[i] == r[PLAIN].cells[0].psnr_db[i] &&
+                    r[WHOLE].cells[0].n_gaussians[i] == level[0].g.n);
+        ckpt_free(&level[0]);
+    }
     for (int i = 0; i < OUTS; i++)
         kit_rmdir(out[i]);
     train_result_free(&r[0]);
     train_result_free(&r[1]);
     arena_free(&a);
+}
+
+/* Scores and coarser levels are those of a run without it. It can be stopped and repeats. */
+static void a_last_fit_takes_all_photographs(void **state)
+{
+    (void)state;
+    last_fit(SCHEDULE_COARSE_TO_FINE, 0);
+    last_fit(SCHEDULE_FINE_TO_COARSE, 0);
+    last_fit(SCHEDULE_FINE_TO_COARSE, 150); /* after a level that went on */
 }
 
 static void a_damaged_state_is_refused(void **state)
@@ -1101,6 +1241,8 @@ int main(int argc, char **argv)
         cmocka_unit_test(thinning_leaves_what_the_option_says),
         cmocka_unit_test(a_stopped_run_goes_on_as_if_it_had_not_been),
         cmocka_unit_test(a_model_in_files_trains_to_the_same_bytes),
+        cmocka_unit_test(coarser_levels_are_made_of_the_finest),
+        cmocka_unit_test(coarser_levels_have_the_finest_network),
         cmocka_unit_test(a_run_goes_on_while_that_gains),
         cmocka_unit_test(a_last_fit_takes_all_photographs),
         cmocka_unit_test(a_damaged_state_is_refused),

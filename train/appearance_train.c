@@ -250,15 +250,15 @@ bool appearance_train_learns(const struct appearance_train *k, const struct trai
                              const struct schedule *s)
 {
     /* Checkpoints of Mip-Splatting have its filter folded in: a coarser level could not go on from
-     * its own to take over a later network (refit.c). */
+     * its own to take over a later network (refit.c). One made of a finer level has its network. */
     int64_t levels = cfg->aa == RENDER_AA_MIP ? 1 : cfg->appearance_levels;
-    return !k->shared && (int64_t)s->level <= levels;
+    return !k->shared && !s->derived && (int64_t)s->turn <= levels;
 }
 
 uint32_t appearance_train_warmup(const struct appearance_train *k, const struct train_config *cfg,
                                  const struct schedule *s)
 {
-    if (k->shared || s->level > 1)
+    if (k->shared || s->turn > 1)
         return 0;
     return (uint32_t)floor((double)cfg->appearance_warmup * s->kappa + 0.5);
 }
@@ -267,7 +267,7 @@ double appearance_train_lr(const struct appearance_train *k, const struct train_
                            const struct schedule *s, uint32_t step)
 {
     uint32_t from = appearance_train_warmup(k, cfg, s);
-    double first = cfg->lr_appearance * pow(0.5, (double)s->level - 1.0);
+    double first = cfg->lr_appearance * pow(0.5, (double)s->turn - 1.0);
     double last = fmin(cfg->lr_appearance_final, first);
     if (step <= from || !(first > 0.0))
         return 0.0;

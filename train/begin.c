@@ -36,6 +36,11 @@ enum {
 };
 #define BEGIN_PROGRAM ((size_t)250000000) /* the program and its compiler of kernels */
 
+enum err_code begin_finest_path(const struct begin *t, char *out, struct err *e)
+{
+    return file_join(out, t->dir, BEGIN_FINEST, e);
+}
+
 enum err_code begin_level_path(const struct begin *t, uint32_t level, char *out, struct err *e)
 {
     char name[32];
@@ -114,7 +119,7 @@ static enum err_code begin_ask(const struct begin *t, struct err *e)
 /* What follows will not be what the done-file tells of, nor the residuals of another run. */
 static enum err_code begin_forget_done(const struct begin *t, struct err *e)
 {
-    const char *const names[] = {"done.json", "residuals.json"};
+    const char *const names[] = {"done.json", "residuals.json", BEGIN_FINEST};
     enum err_code rc = ERR_OK;
     for (size_t i = 0; !rc && i < (t->resumes ? 1 : sizeof names / sizeof *names); i++) {
         char path[FILE_PATH_MAX];
@@ -129,8 +134,12 @@ enum err_code begin_earlier_levels(const struct begin *t, uint32_t at,
                                    struct train_cell_result *out, struct err *e)
 {
     enum err_code rc = ERR_OK;
-    for (uint32_t i = 0; !rc && i < at; i++) {
+    const uint32_t n = (uint32_t)t->job->cfg->level_count;
+    const bool fine_first = t->job->cfg->level_order == SCHEDULE_FINE_TO_COARSE;
+    for (uint32_t i = 0; !rc && i < n; i++) {
         char path[FILE_PATH_MAX];
+        if (at < n && (fine_first ? i <= at : i >= at))
+            continue;
         rc = begin_level_path(t, i + 1, path, e);
         if (!rc)
             rc = state_read_level(path, &out->n_gaussians[i], &out->psnr_db[i], &out->ssim[i], e);
@@ -138,6 +147,13 @@ enum err_code begin_earlier_levels(const struct begin *t, uint32_t at,
             err_add(e, "level %u of the run to go on with: --overwrite begins anew", i + 1);
     }
     return rc;
+}
+
+/* Schedule of the level that is trained first. */
+static const struct schedule *begin_first(const struct begin *t)
+{
+    const struct train_config *cfg = t->job->cfg;
+    return &t->levels[cfg->level_order == SCHEDULE_FINE_TO_COARSE ? cfg->level_count - 1 : 0];
 }
 
 /* Points fused from known depths, where the options ask for them. */
@@ -167,7 +183,7 @@ enum err_code begin_gauss(const struct begin *t, const struct appearance_train *
                                .dense_share = cfg->seed_dense,
                                .no_masks = !cfg->masks,
                                .sh_degree = (uint32_t)cfg->sh_degree,
-                               .limit = t->levels[0].budget,
+                               .limit = begin_first(t)->budget,
                                .seed = (uint64_t)cfg->seed};
     enum err_code rc = job->coarse ? init_coarse(&first, job->coarse, out, e) : ERR_OK;
     if (!rc && !out->n) { /* no coarse model, or nothing of it is seen here */
@@ -358,7 +374,8 @@ static void begin_tell_length(const struct begin *t)
                                t->levels[i].steps);
     }
     bool goes_on = t->job->cfg->go_on_db > 0.0 && t->job->n_test;
-    log_info("train", "cell=%s %.0f steps, by level %s%s", t->job->cell.id, steps, parts,
+    log_info("train", "cell=%s %.0f steps, by level %s%s%s", t->job->cell.id, steps, parts,
+             begin_first(t)->level > 1 ? ", the last first" : "",
              goes_on                       ? ", and more while they gain"
              : t->job->cfg->iterations.one ? ""
                                            : ": the full method; --iterations N makes it shorter");
@@ -375,14 +392,15 @@ static enum err_code begin_check_warmup(const struct begin *t, struct err *e)
     const struct appearance_train *a = &t->appearance;
     if (!appearance_train_is_on(a) || a->shared)
         return ERR_OK;
-    uint32_t warmup = appearance_train_warmup(a, t->job->cfg, &t->levels[0]);
-    return warmup < t->levels[0].steps
+    const struct schedule *first = begin_first(t);
+    uint32_t warmup = appearance_train_warmup(a, t->job->cfg, first);
+    return warmup < first->steps
                ? ERR_OK
                : err_set(e, ERR_ARG,
                          "the appearance network would learn nothing: its warm-up of %u steps is "
                          "not shorter than the %u steps of the first level: lower "
                          "--appearance-warmup or take more steps",
-                         warmup, t->levels[0].steps);
+                         warmup, first->steps);
 }
 
 /* What the sparse points and photographs say about where there can be Gaussians. */

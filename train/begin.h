@@ -39,6 +39,10 @@ struct begin { /* {.job, .lock_fd = -1} at first; call begin_close, also after a
 /* The file of a level's result; levels count from 1. ERR_LIMIT: the path is too long. */
 enum err_code begin_level_path(const struct begin *b, uint32_t level, char *out,
                                struct err *e) ERR_USE;
+/* The file of the finest level's state at its end, from which a last fit goes on after coarser
+ * levels were made of it. ERR_LIMIT: the path is too long. */
+#define BEGIN_FINEST "finest.ckpt"
+enum err_code begin_finest_path(const struct begin *b, char *out, struct err *e) ERR_USE;
 /* Chooses photographs, windows and budgets, and touches no file. ERR_ARG, ERR_DATA, ERR_LIMIT,
  * ERR_MEM. */
 enum err_code begin_budget(struct begin *b, struct err *e) ERR_USE;
@@ -53,7 +57,7 @@ bool begin_wants_last(const struct begin *b);
 /* Makes the first Gaussians of a new run. Free *out with gauss_free. ERR_DATA, ERR_MEM. */
 enum err_code begin_gauss(const struct begin *b, const struct appearance_train *appearance,
                           struct gauss *out, struct err *e) ERR_USE;
-/* Reads the scores of the levels before `at` (from 0), which were finished earlier, into *out.
+/* Reads the scores of the levels that come before `at` (from 0), and were finished, into *out.
  * ERR_NOENT, ERR_FORMAT, ERR_IO: of a level's file. ERR_MEM. */
 enum err_code begin_earlier_levels(const struct begin *b, uint32_t at,
                                    struct train_cell_result *out, struct err *e) ERR_USE;

@@ -14,6 +14,7 @@
 #include "train/config.h"
 #include "train/result.h"
 #include "train/run.h"
+#include "train/schedule.h"
 
 static bool coarse_has_appearance(const struct train_config *cfg)
 {
@@ -46,11 +47,7 @@ static void coarse_first_num(struct options_nums *l, int64_t n_levels)
 static struct train_config coarse_config(const struct train_config *cells, const char *resume_path)
 {
     struct train_config c = *cells;
-    double total = 0.0;
-    const int64_t steps[] = {cells->iterations.v[2], cells->iterations.v[1],
-                             cells->iterations.v[0]};
-    for (int64_t i = 0; i < cells->level_count; i++)
-        total += (double)steps[i];
+    const double total = schedule_full(cells);
     c.iterations.v[0] = c.iterations.v[1] = c.iterations.v[2] = cells->coarse_iterations;
     if (cells->iterations.one > 0)
         c.iterations.one = (int64_t)fmax(
@@ -58,6 +55,7 @@ static struct train_config coarse_config(const struct train_config *cells, const
             (double)cells->coarse_iterations_min);
     c.go_on_db = 0.0;
     c.level_count = 1;
+    c.level_order = SCHEDULE_COARSE_TO_FINE; /* of one level there is none */
     coarse_first(&c.densify_interval, cells->level_count);
     coarse_first_num(&c.densify_until, cells->level_count);
     coarse_first_num(&c.tau, cells->level_count);

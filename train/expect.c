@@ -65,6 +65,15 @@ static double expect_work(const struct gallery *g, size_t n_test, double first, 
     return work;
 }
 
+/* Before the first step. */
+static struct stage expect_stage(const struct train_config *cfg)
+{
+    struct stage at = {.n_levels = (uint32_t)cfg->level_count,
+                       .fine_first = cfg->level_order == SCHEDULE_FINE_TO_COARSE};
+    at.at = stage_first(&at);
+    return at;
+}
+
 /* From budgets that are known. known: depths are. */
 static void expect_sum(const struct gallery *g, size_t n_test, bool whole, bool known, double first,
                        struct stage *at, struct expect *out)
@@ -85,7 +94,7 @@ enum err_code expect_training(const struct train_config *cfg, const struct expec
 {
     struct expect_scene in = {0};
     const struct cell cell = {.edge_m = 100, .extent_m = 100, .whole = true};
-    struct stage at = {.n_levels = (uint32_t)cfg->level_count};
+    struct stage at = expect_stage(cfg);
     *out = (struct expect){0};
     enum err_code rc = expect_scene_make(p, &in, e);
     if (!rc)
@@ -96,7 +105,8 @@ enum err_code expect_training(const struct train_config *cfg, const struct expec
             .cfg = cfg, .scene = &in.scene, .images = in.train, .n_images = p->n_train};
         bool known = p->depths && strcmp(cfg->depth_prior, "none") != 0;
         budget_limit(&photos, cfg, at.levels);
-        double first = (double)at.levels[0].budget * (p->depths ? cfg->seed_dense : sparse_share);
+        double first =
+            (double)at.levels[at.at].budget * (p->depths ? cfg->seed_dense : sparse_share);
         expect_sum(&g, p->n_test, true, known, first, &at, out);
     }
     mem_free(in.train);
@@ -109,7 +119,7 @@ enum err_code expect_cell(const struct run_cell *job, size_t n_around, struct ex
 {
     const struct train_config *cfg = job->cfg;
     struct begin b = {.job = job, .lock_fd = -1};
-    struct stage at = {.n_levels = (uint32_t)cfg->level_count};
+    struct stage at = expect_stage(cfg);
     char depths[FILE_PATH_MAX] = "";
     *out = (struct expect){0};
     enum err_code rc = depth_prior_dir(cfg, job->scene, depths, e);
@@ -125,7 +135,7 @@ enum err_code expect_cell(const struct run_cell *job, size_t n_around, struct ex
         for (uint32_t k = 0; k < at.n_levels; k++)
             at.levels[k].around = n_around;
         double share = n_around ? 1.0 : depths[0] ? cfg->seed_dense : sparse_share;
-        double first = (double)at.levels[0].budget * share;
+        double first = (double)at.levels[at.at].budget * share;
         expect_sum(&g, job->n_test, job->cell.whole, depths[0], first, &at, out);
     }
     begin_close(&b);

@@ -19,6 +19,7 @@
 #define FORECAST_DRAW 0.7      /* of a step: drawing a photograph for importance or pruning */
 #define FORECAST_DENSIFY 8.5   /* a Gaussian of a densification, without importance */
 #define FORECAST_SCORE_PX 12.0 /* a pixel of a test photograph */
+#define FORECAST_MERGE 12.0    /* a Gaussian that a coarser level is made of */
 #define FORECAST_KEEP 0.9      /* of what was measured before, a look */
 /* As train/prune.c: photographs that measure at coarser levels, and those that are drawn again. */
 enum { FORECAST_PRUNE_STEPS = 40, FORECAST_PRUNE_LEAST = 16, FORECAST_PRUNE_AGAIN = 48 };
@@ -98,7 +99,11 @@ void forecast_add(struct forecast *f, const struct stage *at, uint32_t first, do
 double forecast_left_s(const struct forecast *f, const struct stage *at, double gaussians)
 {
     double left = 0.0, n = gaussians;
-    for (uint32_t i = at->at; i < at->n_levels; i++) {
+    for (uint32_t i = at->at; i < at->n_levels; i = stage_after(at, i)) {
+        if (i != at->at && at->levels[i].derived) {
+            left += FORECAST_MERGE * n;
+            n *= fmin((double)at->levels[i].budget / (double)at->levels[i + 1].budget, 1.0);
+        }
         left += forecast_steps(f, at, i, i == at->at ? at->step : 0, &n);
         left += forecast_end(f, at, i, n);
     }

@@ -68,6 +68,7 @@ static enum err_code jobs_fill(const struct train_scene *s, const struct run_cel
     memcpy(out->id, job->cell.id, sizeof out->id);
     out->photos = job->n_images;
     out->n_levels = (uint32_t)job->cfg->level_count;
+    out->fine_first = job->cfg->level_order == SCHEDULE_FINE_TO_COARSE;
     for (uint32_t l = 0; l < out->n_levels; l++)
         out->steps[l] = schedule[l].steps;
     out->state = file_exists(path) ? JOBS_DONE : JOBS_NEW;
@@ -272,8 +273,9 @@ static void jobs_look(struct jobs_child *c)
             c->level = (uint32_t)level;
             c->psnr_db = json_number_value(json_object_get(o, "psnr_mean_db"));
             c->steps_done = (uint64_t)json_integer_value(json_object_get(o, "step"));
-            for (uint32_t l = 0; l + 1 < c->level; l++)
-                c->steps_done += c->cell->steps[l];
+            for (uint32_t l = 0; l < c->cell->n_levels; l++)
+                if (c->cell->fine_first ? l >= c->level : l + 1 < c->level)
+                    c->steps_done += c->cell->steps[l];
             json_decref(o);
             return;
         }

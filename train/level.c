@@ -6,8 +6,8 @@
  * says so, density control (densify_apply.c) and opacity reset follow it: first the step, then
  * densification, so that a new Gaussian starts with the parameters it was given.
  *
- * At a hand-over the Gaussians stay and everything of the optimiser starts anew: moments and
- * statistics 0, step 0.
+ * At a hand-over the Gaussians stay, or are merged where a coarser level follows, and everything of
+ * the optimiser starts anew: moments and statistics 0, step 0.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -21,6 +21,7 @@
 #include "codec/scene.h"
 #include "loss/photometric.h"
 #include "loss/solid.h"
+#include "train/coarsen.h"
 #include "train/config.h"
 #include "train/densify_apply.h"
 #include "train/harmonics.h"
@@ -54,7 +55,9 @@ void level_init(struct level *l, const struct run_cell *job, const uint32_t *ima
     *l = (struct level){.cfg = c,
                         .engine = {job->dev, job->render, job->loss},
                         .site = {.cell = job->cell},
-                        .stage = {.n_levels = (uint32_t)c->level_count}};
+                        .stage = {.n_levels = (uint32_t)c->level_count,
+                                  .fine_first = c->level_order == SCHEDULE_FINE_TO_COARSE}};
+    l->stage.at = stage_first(&l->stage);
     l->gallery = (struct gallery){
         .cfg = c,
         .engine = l->engine,
@@ -223,15 +226,43 @@ enum err_code level_prune(struct level *l, struct prune_report *out,
     return rc;
 }
 
+/* The Gaussians of the level in work become those that level `to` begins with. */
+static enum err_code level_coarsen(struct level *l, uint32_t to, struct err *e)
+{
+    const struct schedule *finer = stage_schedule(&l->stage), *s = &l->stage.levels[to];
+    const struct coarsen_rule rule = {.cell = &l->site.cell,
+                                      .budget = s->budget,
+                                      .share = (double)s->budget / (double)finer->budget,
+                                      .around = s->around};
+    const size_t before = l->model.gauss.n;
+    enum timing_on was = timing_turn(&l->timing, TIMING_COARSEN);
+    enum err_code rc = coarsen_model(&l->model, &rule, e);
+    (void)timing_turn(&l->timing, was);
+    if (rc)
+        return rc;
+    log_info("train", "level=%u is made of level %u: gaussians=%zu merged to %u", s->level,
+             finer->level, before, l->model.gauss.n);
+    if (!l->metrics)
+        return ERR_OK;
+    return metrics_log_line(l->metrics, "coarsen",
+                            json_pack("{s:i, s:I, s:I}", "level", (int)s->level, "before",
+                                      (json_int_t)before, "gaussians",
+                                      (json_int_t)l->model.gauss.n),
+                            e);
+}
+
 enum err_code level_next(struct level *l, struct err *e)
 {
     struct stage *at = &l->stage;
+    const uint32_t next = stage_after(at, at->at);
     enum err_code rc = model_settle(&l->model, e);
+    if (!rc && next < at->n_levels && at->levels[next].derived)
+        rc = level_coarsen(l, next, e);
     if (!rc)
         rc = model_count_inside(&l->model, &l->site.cell, &at->start, e);
     if (rc)
         return rc;
-    at->at++;
+    at->at = next;
     at->step = 0;
     at->pruned = false;
     at->held_db = 0.0;
@@ -244,7 +275,7 @@ enum err_code level_next(struct level *l, struct err *e)
     if (rc || at->at == at->n_levels)
         return rc;
     const struct schedule *s = stage_schedule(at);
-    if (at->start > s->budget)
+    if (at->start > s->budget && !s->derived)
         log_warn("train",
                  "level %u starts with %zu Gaussians, its budget is %zu: none will be added",
                  s->level, at->start, s->budget);
@@ -254,6 +285,19 @@ enum err_code level_next(struct level *l, struct err *e)
 void level_end(struct level *l)
 {
     l->stage.at = l->stage.n_levels;
+}
+
+enum err_code level_back(struct level *l, const struct schedule *planned, const char *path,
+                         struct err *e)
+{
+    const double seconds = l->seconds; /* of processes before this one */
+    l->stage.levels[l->stage.n_levels - 1] = *planned;
+    importance_free(&l->importance);
+    regularizer_free(&l->regularizer);
+    model_close(&l->model);
+    enum err_code rc = level_resume(l, path, e);
+    l->seconds = seconds;
+    return rc;
 }
 
 /* ---- one network for all levels ---- */

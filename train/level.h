@@ -79,8 +79,9 @@ enum err_code level_go_on(struct level *l, uint32_t steps, uint32_t fade_from,
  * stopped by a signal. ERR_MEM, ERR_DEVICE, and the errors of photo_loader_get_nth. */
 enum err_code level_prune(struct level *l, struct prune_report *out,
                           struct residual_list *residuals, struct err *e) ERR_USE;
-/* Goes to the next level, which starts from the present Gaussians with a new optimiser. ERR_MEM,
- * ERR_LIMIT, ERR_DEVICE. */
+/* Goes to the next level, which starts from the present Gaussians with a new optimiser. Where it is
+ * a coarser one, these are merged first (train/coarsen.h). ERR_MEM, ERR_LIMIT, ERR_IO, ERR_DEVICE.
+ */
 enum err_code level_next(struct level *l, struct err *e) ERR_USE;
 
 /* Saves the state to continue from. `seconds`: time of all processes so far. ERR_IO, ERR_MEM,
@@ -89,6 +90,12 @@ enum err_code level_save(struct level *l, double seconds, const char *path, stru
 /* Saves the result of the current level; score may be NULL. ERR_IO, ERR_MEM, ERR_DEVICE. */
 enum err_code level_save_result(struct level *l, const char *path,
                                 const struct evaluate_score *score, struct err *e) ERR_USE;
+
+/* Goes back to the end of the finest level, which level_save saved, when coarser ones were made of
+ * it. `planned`: its schedule of schedule_make. ERR_ARG, ERR_DATA, ERR_FORMAT,
+ * ERR_NOENT, ERR_IO, ERR_MEM, ERR_DEVICE as in level_resume. */
+enum err_code level_back(struct level *l, const struct schedule *planned, const char *path,
+                         struct err *e) ERR_USE;
 
 struct level_refit { /* {0} before level_refit_open; end with level_refit_end */
     bool needed;

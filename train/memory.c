@@ -13,6 +13,7 @@
 #include "core/base.h"
 #include "core/layout.h"
 #include "render/render.h"
+#include "train/coarsen.h"
 #include "train/config.h"
 #include "train/photo_loader.h"
 #include "train/schedule.h"
@@ -33,6 +34,8 @@ enum {
     MEMORY_HOST_PX = 3 + 1 + 3 * 4,           /* photograph, mask, weights and edges of the score */
     MEMORY_EVALUATE_PX = 12 + 12 * 8,         /* drawing, and planes of doubles of SSIM and GMSD */
     MEMORY_DECODERS = 2,                      /* photo_loader's thread and the training's */
+    MEMORY_MERGE =
+        176, /* of a row that is merged: clusters, costs, words that are sorted, weights */
 };
 #define MEMORY_FRAME_ROOM 1.5    /* of a frame's */
 #define MEMORY_INTERSECTIONS 3.0 /* a Gaussian of the cell, in the fullest view */
@@ -69,6 +72,14 @@ static double memory_photos(const struct train_config *cfg, const struct scene *
 static double memory_passing(double shown)
 {
     return fmax(MEMORY_CHOICE, MEMORY_SCORES + MEMORY_SUMS * fmin(MEMORY_FRAME_ROOM * shown, 1.0));
+}
+
+/* Of a coarser level that is made of a finer one, at once: rows before and after, and the work. */
+static double memory_merging(const struct train_config *cfg, double n, double row)
+{
+    return cfg->level_order == SCHEDULE_FINE_TO_COARSE && cfg->level_count > 1
+               ? fmin(n, COARSEN_ROWS) * (2.0 * row + MEMORY_MERGE)
+               : 0.0;
 }
 
 /* The largest share of all Gaussians that a photograph shows; 1 where too few points tell. */
@@ -133,6 +144,9 @@ struct memory_need memory_estimate(const struct train_config *cfg, const struct 
     double beside = trained - 3.0 * row - regularized + shown * (drawn + regularized) +
                     memory_passing(shown) + MEMORY_DEFERRED;
     double others = pixels * per_pixel + photos + groups;
+    double merging = memory_merging(cfg, n, row); /* while nothing else passes */
+    double more = fmax(merging - n * passing, 0.0),
+           more_beside = fmax(merging - n * memory_passing(shown), 0.0);
     return (struct memory_need){.per_gaussian = (size_t)per_gaussian,
                                 .trained = (size_t)trained,
                                 .drawn = (size_t)drawn,
@@ -142,7 +156,7 @@ struct memory_need memory_estimate(const struct train_config *cfg, const struct 
                                 .group_bytes = (size_t)groups,
                                 .gaussians = (size_t)n,
                                 .pixels = (size_t)pixels,
-                                .total = (size_t)(n * per_gaussian + others),
+                                .total = (size_t)(n * per_gaussian + others + more),
                                 .arrays = (size_t)(n * 3.0 * row),
-                                .beside = (size_t)(n * beside + others)};
+                                .beside = (size_t)(n * beside + others + more_beside)};
 }

@@ -325,6 +325,17 @@ enum err_code model_forget(struct model *m, struct err *e)
     return rc;
 }
 
+enum err_code model_keep(struct model *m, size_t n, struct err *e)
+{
+    if (m->defer)
+        defer_moved(m->defer);
+    enum err_code rc = model_zero_moments(m, e); /* of the rows that go, too */
+    model_count(m, n);
+    if (!rc)
+        rc = model_forget(m, e);
+    return rc ? rc : model_zero_stats(m, e);
+}
+
 /* ---- looking at it and changing it in place ---- */
 
 /* Row i was passed. */

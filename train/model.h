@@ -109,6 +109,9 @@ enum err_code model_move(struct model *m, const struct permutation *r, size_t mo
 enum err_code model_show(struct model *m, size_t n, struct err *e) ERR_USE;
 /* Removes the hidden rows for good. ERR_DEVICE. */
 enum err_code model_forget(struct model *m, struct err *e) ERR_USE;
+/* The first n rows, which were written over in place, are the model from now on. Moments and
+ * statistics become 0. ERR_IO, ERR_DEVICE. */
+enum err_code model_keep(struct model *m, size_t n, struct err *e) ERR_USE;
 
 /* Set moments, or statistics, to 0. ERR_DEVICE. */
 enum err_code model_zero_moments(struct model *m, struct err *e) ERR_USE;

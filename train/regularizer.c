@@ -109,7 +109,7 @@ static bool regularizer_has_scale(const struct train_config *c)
 static bool regularizer_scale_acts(const struct train_config *c, const struct stage *at)
 {
     const struct schedule *s = stage_schedule(at);
-    double from = s->level == 1 ? (double)c->scale_from * s->kappa : 0.0;
+    double from = s->turn == 1 ? (double)c->scale_from * s->kappa : 0.0;
     return regularizer_has_scale(c) && (double)at->step > from;
 }
 

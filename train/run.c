@@ -38,12 +38,11 @@ struct run {
     struct progress progress;
     struct timing_seconds spent_before; /* when the level in work began */
     struct forecast forecast;
-    double looked_s;             /* when steps were last counted for it */
-    uint32_t looked_step;        /* the step of that look */
-    double looked_compile_s;     /* of the device, at that look */
-    uint32_t looks;              /* that counted */
-    uint64_t last_saved;         /* steps of this process when the state was last saved */
-    struct evaluate_score score; /* of the finest level, before a last fit */
+    double looked_s;         /* when steps were last counted for it */
+    uint32_t looked_step;    /* the step of that look */
+    double looked_compile_s; /* of the device, at that look */
+    uint32_t looks;          /* that counted */
+    uint64_t last_saved;     /* steps of this process when the state was last saved */
     struct train_cell_result *result;
 };
 
@@ -327,8 +326,39 @@ static bool run_goes_on(const struct run *t)
            refit_wanted(&t->level.appearance, t->cfg, &t->level.stage);
 }
 
-/* Score and save the level in work, and remove results of finer levels, which belong to an older
- * run. */
+/* What a fit after the levels begins from: the state at the end of the last level, and, where that
+ * is not the finest one, the state at the end of the finest. */
+static enum err_code run_save_for_last(struct run *t, struct err *e)
+{
+    const struct stage *at = &t->level.stage;
+    const bool last = stage_after(at, at->at) == at->n_levels;
+    char path[FILE_PATH_MAX];
+    enum err_code rc = ERR_OK;
+    if (last && run_goes_on(t))
+        return run_save(t, e);
+    if (last || at->at + 1 < at->n_levels || !begin_wants_last(&t->begin))
+        return ERR_OK;
+    rc = begin_finest_path(&t->begin, path, e);
+    return rc ? rc : level_save(&t->level, run_seconds(t), path, e);
+}
+
+/* Results of levels that are still to come belong to an older run. */
+static enum err_code run_remove_old(const struct run *t, struct err *e)
+{
+    const struct stage *at = &t->level.stage;
+    enum err_code rc = ERR_OK;
+    for (uint32_t j = 0; !rc && j < TRAIN_LEVELS_MAX; j++) {
+        char path[FILE_PATH_MAX];
+        if (j < at->n_levels && (at->fine_first ? j >= at->at : j <= at->at))
+            continue;
+        rc = begin_level_path(&t->begin, j + 1, path, e);
+        if (!rc)
+            (void)unlink(path);
+    }
+    return rc;
+}
+
+/* Score and save the level in work. */
 static enum err_code run_finish_level(struct run *t, struct err *e)
 {
     struct level *l = &t->level;
@@ -345,22 +375,18 @@ static enum err_code run_finish_level(struct run *t, struct err *e)
     if (rc == ERR_CANCEL)
         return run_stop(t, e);
     (void)timing_turn(&l->timing, TIMING_CHECKPOINT);
-    if (!rc && k == l->stage.n_levels && run_goes_on(t))
-        rc = run_save(t, e); /* it begins here */
+    if (!rc)
+        rc = run_save_for_last(t, e);
     if (!rc)
         rc = begin_level_path(&t->begin, k, path, e);
     if (!rc)
         rc = level_save_result(l, path, t->job->n_test ? &score : NULL, e);
     (void)timing_turn(&l->timing, TIMING_OTHER);
-    for (uint32_t j = k + 1; !rc && j <= TRAIN_LEVELS_MAX; j++) {
-        rc = begin_level_path(&t->begin, j, path, e);
-        if (!rc)
-            (void)unlink(path);
-    }
+    if (!rc)
+        rc = run_remove_old(t, e);
     if (rc)
         return rc;
     double seconds = run_seconds(t);
-    t->score = score;
     t->result->n_gaussians[l->stage.at] = l->model.gauss.n;
     t->result->psnr_db[l->stage.at] = t->job->n_test ? score.psnr_db : (double)NAN;
     t->result->ssim[l->stage.at] = t->job->n_test ? score.ssim : (double)NAN;
@@ -584,6 +610,18 @@ static enum err_code run_refit(struct run *t, struct err *e)
 
 /* ---- a last fit with all photographs ---- */
 
+/* The finest level is not the one in work where coarser levels were made of it. */
+static enum err_code run_back_to_finest(struct run *t, struct err *e)
+{
+    struct level *l = &t->level;
+    char path[FILE_PATH_MAX];
+    if (!l->stage.fine_first || l->stage.n_levels == 1)
+        return ERR_OK;
+    (void)timing_turn(&l->timing, TIMING_CHECKPOINT);
+    enum err_code rc = begin_finest_path(&t->begin, path, e);
+    return rc ? rc : level_back(l, &t->begin.levels[l->stage.n_levels - 1], path, e);
+}
+
 /* The level that is there now was trained without the photographs that score it. Its scores stay
  * those. */
 static enum err_code run_last(struct run *t, struct err *e)
@@ -591,10 +629,16 @@ static enum err_code run_last(struct run *t, struct err *e)
     struct level *l = &t->level;
     const struct begin *b = &t->begin;
     struct level_last last;
+    const uint32_t finest = l->stage.n_levels - 1;
+    const struct evaluate_score score = {.n_photos = t->job->n_test,
+                                         .psnr_db = t->result->psnr_db[finest],
+                                         .ssim = t->result->ssim[finest]};
     char path[FILE_PATH_MAX];
     if (!begin_wants_last(b))
         return ERR_OK;
-    enum err_code rc = begin_level_path(b, l->stage.n_levels, path, e);
+    enum err_code rc = run_back_to_finest(t, e);
+    if (!rc)
+        rc = begin_level_path(b, finest + 1, path, e);
     if (rc)
         return rc;
     (void)timing_turn(&l->timing, TIMING_STEP);
@@ -607,7 +651,7 @@ static enum err_code run_last(struct run *t, struct err *e)
     level_last_end(&last, l);
     (void)timing_turn(&l->timing, TIMING_CHECKPOINT);
     if (!rc)
-        rc = level_save_result(l, path, &t->score, e);
+        rc = level_save_result(l, path, &score, e);
     (void)timing_turn(&l->timing, TIMING_OTHER);
     if (rc)
         return rc;
@@ -620,6 +664,16 @@ static enum err_code run_last(struct run *t, struct err *e)
                             json_pack("{s:i, s:i, s:I}", "level", (int)l->stage.n_levels, "steps",
                                       (int)steps, "photographs", (json_int_t)b->n_all),
                             e);
+}
+
+/* Nothing is left to go on from. */
+static void run_remove_states(const struct run *t)
+{
+    char path[FILE_PATH_MAX];
+    struct err ignored = {0};
+    (void)unlink(t->begin.resume_path);
+    if (!begin_finest_path(&t->begin, path, &ignored))
+        (void)unlink(path);
 }
 
 enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out, struct err *e)
@@ -654,7 +708,7 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
         if (!rc)
             rc = done_write(t->begin.dir, out, e);
         if (!rc)
-            (void)unlink(t->begin.resume_path); /* nothing is left to go on from */
+            run_remove_states(t);
     }
     level_close(&t->level);
     metrics_log_close(&t->level.metrics);

@@ -41,6 +41,17 @@ struct schedule_base {
     double downsample, until, tau;
 };
 
+/* Where the finest level is trained first, the others are only fine-tuned: for a part of its steps,
+ * unless a list says for how long. */
+static int64_t schedule_base_steps(const struct train_config *cfg, size_t level)
+{
+    const struct options_ints *n = &cfg->iterations;
+    const size_t last = TRAIN_LEVELS_MAX - 1;
+    if (cfg->level_order == SCHEDULE_COARSE_TO_FINE || n->n > 1 || level == last)
+        return n->v[level];
+    return (int64_t)schedule_round((double)n->v[last] * cfg->tune_share);
+}
+
 /* One value of --budget and --downsample is the finest level's, and the coarser levels keep their
  * proportion to it; one value of the others holds at all levels. */
 static struct schedule_base schedule_base_at(const struct train_config *cfg, size_t level)
@@ -50,7 +61,7 @@ static struct schedule_base schedule_base_at(const struct train_config *cfg, siz
     const struct options_nums *d = &cfg->downsample;
     double part = (double)b->v[level] / (double)b->v[last];
     return (struct schedule_base){
-        .steps = cfg->iterations.v[level],
+        .steps = schedule_base_steps(cfg, level),
         .budget = b->n == 1 ? (int64_t)ceil((double)b->one * part) : b->v[level],
         .interval = every->n == 1 ? every->one : every->v[level],
         .downsample = d->n == 1 ? d->one * d->v[level] / d->v[last] : d->v[level],
@@ -109,7 +120,7 @@ static void schedule_rates(const struct train_config *cfg, const struct cell *ce
     double unit_m = 0.5 * cell->edge_m;
     s->lr_factor = schedule_lr_factor(cfg->lr_short, s->kappa);
     s->lr_mean_first =
-        cfg->lr_mean * s->lr_factor * unit_m * (s->level > 1 ? cfg->lr_mean_restart : 1.0);
+        cfg->lr_mean * s->lr_factor * unit_m * (s->turn > 1 ? cfg->lr_mean_restart : 1.0);
     /* over kappa: a short run has more left to go at its end */
     double last = cfg->lr_mean_final * pow(s->lr_factor, 1.0 / SCHEDULE_LR_EXPONENT);
     s->lr_mean_last = fmin(last * unit_m, s->lr_mean_first);
@@ -134,9 +145,9 @@ static void schedule_fill(const struct train_config *cfg, const struct schedule_
                             : 0;
     /* The first Gaussians may be as large as the gaps between points; later levels begin without
      * such. Shrinks with the run, which need not have a reset. */
-    s->size_from = s->level == 1 ? schedule_round(SCHEDULE_SIZE_FROM * kappa) : 0;
+    s->size_from = s->turn == 1 ? schedule_round(SCHEDULE_SIZE_FROM * kappa) : 0;
     s->sh_degree = (uint32_t)cfg->sh_degree;
-    s->sh_interval = s->level == 1 ? schedule_round((double)cfg->sh_interval * shrink) : 0;
+    s->sh_interval = s->turn == 1 ? schedule_round((double)cfg->sh_interval * shrink) : 0;
     s->tau = b->tau;
     schedule_rates(cfg, cell, s);
 }
@@ -147,18 +158,29 @@ static double schedule_fade_share(const struct train_config *cfg)
     return cfg->lr_end < 1.0 ? cfg->lr_end_share : 0.0;
 }
 
-/* How the finest level ends: its rates fall, or, with --go-on-db, it goes on before they do. */
+/* How a level ends from which no other goes on: its rates fall. With --go-on-db the finest one goes
+ * on before they do. */
 static void schedule_fill_end(const struct train_config *cfg, double longest, struct schedule *s)
 {
     s->fade_from = s->steps;
     s->fade_to = cfg->lr_end;
-    if (s->level < s->n_levels)
+    if (s->level < s->n_levels && !s->derived)
         return;
     double stays = 1.0 - schedule_fade_share(cfg);
-    if (!(cfg->go_on_db > 0.0))
+    if (!(cfg->go_on_db > 0.0) || s->derived)
         s->fade_from = (uint32_t)floor((double)s->steps * stays + 0.5);
     else if (longest > s->kappa)
         s->most = schedule_round(((double)s->steps + s->full * (longest - s->kappa)) * stays);
+}
+
+/* A level that is made of the finer one has all its Gaussians, and what fades during a level is at
+ * its end. */
+static void schedule_derive(struct schedule *s)
+{
+    s->densify_until = 0;
+    s->reset_interval = 0;
+    s->size_from = 0;
+    s->sh_interval = 0;
 }
 
 double schedule_total(const struct schedule *s)
@@ -191,6 +213,14 @@ struct schedule schedule_go_on(const struct schedule *s, const struct train_conf
     return on;
 }
 
+double schedule_full(const struct train_config *cfg)
+{
+    double total = 0.0;
+    for (size_t l = TRAIN_LEVELS_MAX - (size_t)cfg->level_count; l < TRAIN_LEVELS_MAX; l++)
+        total += (double)schedule_base_steps(cfg, l);
+    return total;
+}
+
 enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
                             const struct cell *cell, struct schedule out[TRAIN_LEVELS_MAX],
                             struct err *e)
@@ -206,16 +236,19 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
     for (size_t l = 0; l < TRAIN_LEVELS_MAX; l++)
         base[l] = schedule_base_at(cfg, l);
     uint32_t n = (uint32_t)cfg->level_count, first = TRAIN_LEVELS_MAX - n;
-    double total = 0.0, kappa = schedule_kappa(cfg, n_photos), longest = kappa;
-    for (uint32_t l = first; l < TRAIN_LEVELS_MAX; l++)
-        total += (double)base[l].steps;
+    double total = schedule_full(cfg), kappa = schedule_kappa(cfg, n_photos), longest = kappa;
     double share = cell->steps_share > 0.0 ? cell->steps_share : 1.0;
     int64_t left = (int64_t)fmax(floor((double)cfg->iterations.one * share + 0.5), 1.0);
     kappa = cfg->iterations.one > 0 ? (double)left / total : kappa * share;
     for (uint32_t l = 0; l < n; l++) {
         const struct schedule_base *b = &base[first + l];
         struct schedule *s = &out[l];
-        *s = (struct schedule){.level = l + 1, .n_levels = n, .mcmc = cfg->strategy};
+        const bool fine_first = cfg->level_order == SCHEDULE_FINE_TO_COARSE;
+        *s = (struct schedule){.level = l + 1,
+                               .n_levels = n,
+                               .turn = fine_first ? n - l : l + 1,
+                               .derived = fine_first && l + 1 < n,
+                               .mcmc = cfg->strategy};
         double steps = floor((double)b->steps * kappa + 0.5);
         if (cfg->iterations.one > 0 && l + 1 == n)
             steps = (double)left; /* the last level takes what rounding left */
@@ -229,6 +262,8 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
         s->total = total * kappa;
         schedule_fill(cfg, b, kappa, cell, s);
         schedule_fill_end(cfg, longest * share, s);
+        if (s->derived)
+            schedule_derive(s);
         s->absgrad = (int64_t)(first + l + 1) >= cfg->absgrad_from;
         if (l > 0 && s->budget < out[l - 1].budget)
             return err_set(e, ERR_ARG,
@@ -315,7 +350,7 @@ uint32_t schedule_sh_degree(const struct schedule *s, uint32_t step)
 
 double schedule_done(const struct schedule *s, uint32_t step)
 {
-    return s->last ? 1.0 : fmin((double)step / (double)s->steps, 1.0);
+    return s->last || s->derived ? 1.0 : fmin((double)step / (double)s->steps, 1.0);
 }
 
 double schedule_fade(const struct schedule *s, uint32_t step)
@@ -329,6 +364,6 @@ double schedule_lr_mean(const struct schedule *s, uint32_t step)
 {
     if (!(s->lr_mean_first > 0.0) || !(s->lr_mean_last > 0.0))
         return s->lr_mean_first;
-    double t = schedule_done(s, step);
+    double t = s->last ? 1.0 : fmin((double)step / (double)s->steps, 1.0);
     return exp((1.0 - t) * log(s->lr_mean_first) + t * log(s->lr_mean_last));
 }

@@ -13,6 +13,7 @@
 
 struct schedule { /* schedule of one level; steps are 1-based and restart at every level */
     uint32_t level, n_levels; /* 1 .. n_levels, 1 = coarsest */
+    uint32_t turn;            /* 1 .. n_levels: which of them is trained first, second, third */
     uint32_t steps;
     uint32_t planned; /* steps before the level goes on (schedule_go_on); else equal to steps */
     uint32_t most;    /* steps to which it may go on */
@@ -25,9 +26,10 @@ struct schedule { /* schedule of one level; steps are 1-based and restart at eve
     uint32_t size_from;              /* Gaussians that are too large are removed after this step */
     uint32_t sh_interval, sh_degree; /* sh_interval 0: full degree from the start */
     bool absgrad;
-    bool mcmc;  /* --strategy mcmc: no opacity resets, and positions move for longer */
-    bool last;  /* after the level's own steps: what fades during a level stays as at its end */
-    bool still; /* positions, sizes, rotations and opacities stay; only colours learn */
+    bool derived; /* made of the next finer level, and fine-tuned without growth */
+    bool mcmc;    /* --strategy mcmc: no opacity resets, and positions move for longer */
+    bool last;    /* after the level's own steps: what fades during a level stays as at its end */
+    bool still;   /* positions, sizes, rotations and opacities stay; only colours learn */
     double tau;
     /* factor on learning rates of positions (included in those below), sizes and rotations */
     double lr_factor;
@@ -41,6 +43,10 @@ struct schedule { /* schedule of one level; steps are 1-based and restart at eve
     double total, full; /* steps of all levels: as planned; of a run of full length */
 };
 struct cell;
+/* --level-order, in the order of options.def. */
+enum schedule_order { SCHEDULE_COARSE_TO_FINE, SCHEDULE_FINE_TO_COARSE };
+/* Steps of all levels in a run of full length, before they grow with the photographs. */
+double schedule_full(const struct train_config *cfg);
 /* Fills out[0 .. level_count). ERR_ARG: a level would have no steps. */
 enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
                             const struct cell *cell, struct schedule out[TRAIN_LEVELS_MAX],

@@ -18,7 +18,7 @@
 #include "train/photo_loader.h"
 #include "train/stage.h"
 
-/* A level alone has its coarse part in its own first steps. */
+/* A finest level that begins alone has its coarse part in its own first steps. */
 #define SOLIDITY_SINGLE 0.5
 
 struct solidity {
@@ -42,8 +42,8 @@ void solidity_free(struct solidity **p)
 static bool solidity_has_begun(const struct train_config *c, const struct stage *at)
 {
     const struct schedule *s = stage_schedule(at);
-    double from = s->level == 1 && !s->last ? c->solid_from * (double)s->steps : 0.0;
-    if (s->n_levels == 1)
+    double from = s->turn == 1 && !s->last ? c->solid_from * (double)s->steps : 0.0;
+    if (s->level == s->n_levels)
         from *= SOLIDITY_SINGLE;
     return (double)at->step > from;
 }

@@ -10,16 +10,28 @@
 struct stage {
     struct schedule levels[TRAIN_LEVELS_MAX];
     uint32_t n_levels;
-    uint32_t at;   /* levels[at] is the current level; n_levels: all are done */
-    uint32_t step; /* of this level: the step in work, or the last one done; 0 at first */
-    bool pruned;   /* level_prune, the end of the level, is done */
+    bool fine_first; /* the finest level is trained first (--level-order) */
+    uint32_t at;     /* levels[at] is the current level; n_levels: all are done */
+    uint32_t step;   /* of this level: the step in work, or the last one done; 0 at first */
+    bool pruned;     /* level_prune, the end of the level, is done */
     /* of a level that goes on: score at the last look that showed a gain (0: there was no look),
      * and looks since */
     double held_db;
     uint32_t in_vain;
     size_t start; /* Gaussians inside the cell when this level began */
 };
-/* Schedule of the current level, or of the last one when all are done. */
+/* The level that is trained first, and the one that follows `at`; n_levels: none does. */
+static inline uint32_t stage_first(const struct stage *s)
+{
+    return s->fine_first ? s->n_levels - 1 : 0;
+}
+static inline uint32_t stage_after(const struct stage *s, uint32_t at)
+{
+    if (s->fine_first)
+        return at > 0 ? at - 1 : s->n_levels;
+    return at + 1;
+}
+/* Schedule of the current level, or of the finest one when all are done. */
 static inline const struct schedule *stage_schedule(const struct stage *s)
 {
     return &s->levels[s->at < s->n_levels ? s->at : s->n_levels - 1];

@@ -243,7 +243,7 @@ void toy_run_open(struct toy_run *r, const char *dir, const struct train_config 
                                   .n_images = r->n_images,
                                   .cell = &r->level.site.cell,
                                   .sh_degree = (uint32_t)cfg->sh_degree,
-                                  .limit = r->level.stage.levels[0].budget,
+                                  .limit = stage_schedule(&r->level.stage)->budget,
                                   .seed = (uint64_t)cfg->seed};
     kit_ok(init_gauss(&in, &g, &e), e);
     if (appearance_train_is_on(&r->level.appearance))
