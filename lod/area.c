@@ -45,7 +45,8 @@ static bool area_next(const struct store *s, size_t *i, struct area_weight *w)
     const struct store_tile *tiles = store_tiles(s, &n);
     for (; *i < n; ++*i)
         if (area_leaf(store_tree(s), *i) && tiles[*i].count > 0) {
-            *w = (struct area_weight){store_shape(s, &tiles[*i]).sigma_median_m, tiles[*i].count};
+            *w = (struct area_weight){index_sigma_median_m(store_tree(s)->index, *i),
+                                      tiles[*i].count};
             ++*i;
             return true;
         }
@@ -94,21 +95,49 @@ static enum err_code area_sigma(const struct store *s, double *out, struct err *
                          *out);
 }
 
-static void area_add(struct area *a, struct key k, const struct store_shape *t)
+static void area_add(struct area *a, const struct store_shape *t)
 {
-    double west, south, east, north;
     bool first = a->n_in++ == 0;
     /* A core of zeros is not known: the box then. */
     bool core = t->core_max_enu_m[2] > t->core_min_enu_m[2];
     double lo = core ? t->core_min_enu_m[2] : t->min_enu_m[2],
            hi = core ? t->core_max_enu_m[2] : t->max_enu_m[2];
-    key_bounds(k, &west, &south, &east, &north);
-    a->west_deg = first ? west : fmin(a->west_deg, west);
-    a->south_deg = first ? south : fmin(a->south_deg, south);
-    a->east_deg = first ? east : fmax(a->east_deg, east);
-    a->north_deg = first ? north : fmax(a->north_deg, north);
     a->floor_m = first ? lo : fmin(a->floor_m, lo);
     a->ceiling_m = first ? hi : fmax(a->ceiling_m, hi);
+}
+
+struct area_span { /* the tiles of a zoom */
+    uint32_t west, north, east, south;
+    bool any;
+};
+
+static void area_widen(struct area_span *s, struct key k)
+{
+    s->west = s->any && s->west < k.x ? s->west : k.x;
+    s->north = s->any && s->north < k.y ? s->north : k.y;
+    s->east = s->any && s->east > k.x ? s->east : k.x;
+    s->south = s->any && s->south > k.y ? s->south : k.y;
+    s->any = true;
+}
+
+/* Degrees of the corners only: the sines of a million tiles take a tenth of a second. */
+static void area_bound(struct area *a, const struct area_span span[KEY_ZOOM_MAX + 1])
+{
+    bool first = true;
+    for (size_t z = 0; z <= KEY_ZOOM_MAX; z++) {
+        double west, south, east, north, at[2];
+        if (!span[z].any)
+            continue;
+        const struct key nw = {(uint8_t)z, span[z].west, span[z].north},
+                         se = {(uint8_t)z, span[z].east, span[z].south};
+        key_bounds(nw, &west, &at[0], &at[1], &north);
+        key_bounds(se, &at[0], &south, &east, &at[1]);
+        a->west_deg = first ? west : fmin(a->west_deg, west);
+        a->south_deg = first ? south : fmin(a->south_deg, south);
+        a->east_deg = first ? east : fmax(a->east_deg, east);
+        a->north_deg = first ? north : fmax(a->north_deg, north);
+        first = false;
+    }
 }
 
 /* ---- outlines ---- */
@@ -236,13 +265,18 @@ enum err_code area_make(const struct store *s, struct area *out, struct err *e)
     enum err_code rc = area_sigma(s, &a.sigma_m, e);
     if (!rc && !(a.in = mem_array(n, sizeof *a.in)))
         rc = err_set(e, ERR_MEM, "out of memory for %zu tiles", n);
+    const struct index *x = store_tree(s)->index;
+    struct area_span span[KEY_ZOOM_MAX + 1] = {0};
     for (size_t i = 0; !rc && i < n; i++) {
-        const struct store_shape x = store_shape(s, &tiles[i]);
         a.in[i] = area_leaf(store_tree(s), i) && tiles[i].count > 0 &&
-                  x.sigma_median_m <= AREA_COARSE * a.sigma_m;
-        if (a.in[i])
-            area_add(&a, tiles[i].key, &x);
+                  index_sigma_median_m(x, i) <= AREA_COARSE * a.sigma_m;
+        if (a.in[i]) {
+            const struct store_shape shape = index_bounds(x, i);
+            area_add(&a, &shape);
+            area_widen(&span[tiles[i].key.z], tiles[i].key);
+        }
     }
+    area_bound(&a, span);
     if (!rc)
         rc = area_read_footprint(&a, store_footprint(s), e);
     if (!rc)

@@ -36,10 +36,15 @@ static void index_unpack_bounds(const struct index_shape *p, struct store_shape 
     s->sigma_max_m = p->sigma_max_m;
 }
 
+static double index_unpack_sigma(const struct index_shape *p)
+{
+    return exp((double)p->sigma_median_log);
+}
+
 static void index_unpack(const struct index_shape *p, struct store_shape *s)
 {
     index_unpack_bounds(p, s);
-    s->sigma_median_m = exp((double)p->sigma_median_log);
+    s->sigma_median_m = index_unpack_sigma(p);
     s->geometric_error_m = STORE_PX_PER_SIGMA * s->sigma_median_m;
 }
 
@@ -77,9 +82,8 @@ static void *index_room(void *p, size_t n, size_t cap, size_t size)
     return q;
 }
 
-static enum err_code index_grow(struct index *x, size_t expected, struct err *e)
+enum err_code index_reserve(struct index *x, size_t cap, struct err *e)
 {
-    const size_t cap = x->cap ? 2 * x->cap : expected ? expected : 1;
     struct store_tile *tiles = index_room(x->tiles, x->n, cap, sizeof *tiles);
     x->tiles = tiles ? tiles : x->tiles;
     struct index_shape *shapes = tiles ? index_room(x->shapes, x->n, cap, sizeof *shapes) : NULL;
@@ -105,15 +109,79 @@ static enum err_code index_keep_whole(struct index *x, const struct store_shape 
     return ERR_OK;
 }
 
+bool index_set(struct index *x, size_t i, const struct store_entry *t)
+{
+    x->tiles[i] = t->tile;
+    return index_pack(&t->shape, &x->shapes[i]);
+}
+
 enum err_code index_add(struct index *x, const struct store_entry *t, size_t expected,
                         struct err *e)
 {
-    enum err_code rc = x->n < x->cap ? ERR_OK : index_grow(x, expected, e);
-    if (!rc && !index_pack(&t->shape, &x->shapes[x->n]))
+    enum err_code rc = ERR_OK;
+    if (x->n == x->cap)
+        rc = index_reserve(x, x->cap ? 2 * x->cap : expected ? expected : 1, e);
+    if (!rc && !index_set(x, x->n, t))
         rc = index_keep_whole(x, &t->shape, &x->shapes[x->n], e);
     if (!rc)
-        x->tiles[x->n++] = t->tile;
+        x->n++;
     return rc;
+}
+
+struct index_bins { /* one for each row (or column) of each zoom, from its least to its largest */
+    uint32_t first[UINT8_MAX + 1]; /* of a zoom: its first bin less its least row, modulo 2^32 */
+    uint32_t *next;                /* where the next tile of the bin goes */
+    size_t n;
+};
+
+static uint32_t index_line(struct key k, bool rows)
+{
+    return rows ? k.y : k.x;
+}
+
+/* False: the tiles are so far apart that there would be far more bins than tiles. */
+static bool index_lay_bins(const struct index *x, bool rows, struct index_bins *b)
+{
+    uint32_t lo[UINT8_MAX + 1], hi[UINT8_MAX + 1];
+    const size_t most = 4 * x->n + 1024;
+    memset(lo, 0xff, sizeof lo);
+    memset(hi, 0, sizeof hi);
+    for (size_t i = 0; i < x->n; i++) {
+        const struct key k = x->tiles[i].key;
+        const uint32_t line = index_line(k, rows);
+        lo[k.z] = line < lo[k.z] ? line : lo[k.z];
+        hi[k.z] = line > hi[k.z] ? line : hi[k.z];
+    }
+    b->n = 0;
+    for (size_t z = 0; z <= UINT8_MAX; z++) {
+        b->first[z] = (uint32_t)b->n - lo[z];
+        b->n += lo[z] <= hi[z] ? (size_t)(hi[z] - lo[z]) + 1 : 0;
+        if (b->n > most)
+            return false;
+    }
+    return true;
+}
+
+/* Sorts places by zoom and row (or column); tiles of equal ones stay in order. */
+static void index_sort_lines(const struct index *x, bool rows, const struct index_bins *b,
+                             const uint32_t *from, uint32_t *to)
+{
+    memset(b->next, 0, b->n * sizeof *b->next);
+    for (size_t i = 0; i < x->n; i++) {
+        const struct key k = x->tiles[i].key;
+        b->next[b->first[k.z] + index_line(k, rows)]++;
+    }
+    uint32_t at = 0;
+    for (size_t i = 0; i < b->n; i++) {
+        const uint32_t count = b->next[i];
+        b->next[i] = at;
+        at += count;
+    }
+    for (size_t i = 0; i < x->n; i++) {
+        const uint32_t tile = from ? from[i] : (uint32_t)i;
+        const struct key k = x->tiles[tile].key;
+        to[b->next[b->first[k.z] + index_line(k, rows)]++] = tile;
+    }
 }
 
 struct index_place {
@@ -127,8 +195,60 @@ static int index_place_compare(const void *a, const void *b)
     return key_compare(x->key, y->key);
 }
 
-/* Sorts places, not tiles, which are eight times as large. Then each circle of tiles that change
- * places is gone through once. */
+/* By comparing. Places and not tiles, which are eight times as large. */
+static enum err_code index_order_far(const struct index *x, uint32_t *order, struct err *e)
+{
+    struct index_place *place = mem_uninit(x->n, sizeof *place);
+    if (!place)
+        return err_set(e, ERR_MEM, "out of memory for %zu tiles", x->n);
+    for (size_t i = 0; i < x->n; i++)
+        place[i] = (struct index_place){x->tiles[i].key, (uint32_t)i};
+    qsort(place, x->n, sizeof *place, index_place_compare);
+    for (size_t i = 0; i < x->n; i++)
+        order[i] = place[i].at;
+    mem_free(place);
+    return ERR_OK;
+}
+
+/* By counting, first the columns and then the rows of each zoom. */
+static enum err_code index_order(const struct index *x, uint32_t *order, struct err *e)
+{
+    struct index_bins columns, rows;
+    if (!index_lay_bins(x, false, &columns) || !index_lay_bins(x, true, &rows))
+        return index_order_far(x, order, e);
+    const size_t most = columns.n > rows.n ? columns.n : rows.n;
+    uint32_t *by_column = mem_uninit(x->n, sizeof *by_column);
+    columns.next = rows.next = mem_uninit(most, sizeof *rows.next);
+    const bool room = by_column && rows.next;
+    if (room) {
+        index_sort_lines(x, false, &columns, NULL, by_column);
+        index_sort_lines(x, true, &rows, by_column, order);
+    }
+    mem_free(by_column);
+    mem_free(rows.next);
+    return room ? ERR_OK : err_set(e, ERR_MEM, "out of memory for %zu tiles", x->n);
+}
+
+/* Goes once through each circle of tiles that change places. */
+static void index_move(struct index *x, uint32_t *order)
+{
+    for (size_t i = 0; i < x->n; i++) {
+        if (order[i] == i)
+            continue;
+        const struct store_tile tile = x->tiles[i];
+        const struct index_shape shape = x->shapes[i];
+        size_t to = i;
+        for (size_t from; (from = order[to]) != i; to = from) {
+            x->tiles[to] = x->tiles[from];
+            x->shapes[to] = x->shapes[from];
+            order[to] = (uint32_t)to;
+        }
+        x->tiles[to] = tile;
+        x->shapes[to] = shape;
+        order[to] = (uint32_t)to;
+    }
+}
+
 enum err_code index_sort(struct index *x, struct err *e)
 {
     bool sorted = true;
@@ -136,29 +256,14 @@ enum err_code index_sort(struct index *x, struct err *e)
         sorted = key_compare(x->tiles[i - 1].key, x->tiles[i].key) <= 0;
     if (sorted)
         return ERR_OK;
-    struct index_place *place = mem_uninit(x->n, sizeof *place);
-    if (!place)
+    uint32_t *order = mem_uninit(x->n, sizeof *order);
+    if (!order)
         return err_set(e, ERR_MEM, "out of memory for %zu tiles", x->n);
-    for (size_t i = 0; i < x->n; i++)
-        place[i] = (struct index_place){x->tiles[i].key, (uint32_t)i};
-    qsort(place, x->n, sizeof *place, index_place_compare);
-    for (size_t i = 0; i < x->n; i++) {
-        if (place[i].at == i)
-            continue;
-        const struct store_tile tile = x->tiles[i];
-        const struct index_shape shape = x->shapes[i];
-        size_t to = i;
-        for (size_t from; (from = place[to].at) != i; to = from) {
-            x->tiles[to] = x->tiles[from];
-            x->shapes[to] = x->shapes[from];
-            place[to].at = (uint32_t)to;
-        }
-        x->tiles[to] = tile;
-        x->shapes[to] = shape;
-        place[to].at = (uint32_t)to;
-    }
-    mem_free(place);
-    return ERR_OK;
+    enum err_code rc = index_order(x, order, e);
+    if (!rc)
+        index_move(x, order);
+    mem_free(order);
+    return rc;
 }
 
 void index_free(struct index *x)
@@ -203,4 +308,10 @@ struct store_shape index_bounds(const struct index *x, size_t i)
         return x->whole[p->center_enu_m[0]];
     index_unpack_bounds(p, &s);
     return s;
+}
+
+double index_sigma_median_m(const struct index *x, size_t i)
+{
+    const struct index_shape *p = &x->shapes[i];
+    return index_is_whole(p) ? x->whole[p->center_enu_m[0]].sigma_median_m : index_unpack_sigma(p);
 }

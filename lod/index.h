@@ -29,6 +29,11 @@ struct index { /* {0} is empty */
  * ERR_MEM. */
 enum err_code index_add(struct index *x, const struct store_entry *t, size_t expected,
                         struct err *e) ERR_USE;
+/* Gives room for `cap` tiles, at least x->n. ERR_MEM. */
+enum err_code index_reserve(struct index *x, size_t cap, struct err *e) ERR_USE;
+/* Writes a tile to place i, below x->cap, and leaves x->n to the caller; several threads may write
+ * to different places. False: its shape must be kept whole, which only index_add does. */
+bool index_set(struct index *x, size_t i, const struct store_entry *t);
 /* Sorts by key_compare. ERR_MEM. */
 enum err_code index_sort(struct index *x, struct err *e) ERR_USE;
 void index_free(struct index *x);
@@ -39,5 +44,6 @@ uint32_t index_find(const struct index *x, struct key k);
 struct store_shape index_shape(const struct index *x, size_t i);
 /* As index_shape, in less time: without the median sigma and the geometric error. */
 struct store_shape index_bounds(const struct index *x, size_t i);
+double index_sigma_median_m(const struct index *x, size_t i);
 
 #endif

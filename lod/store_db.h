@@ -1,5 +1,5 @@
-/* Shared by the parts of the tile store: store_read.c reads, store_verify.c checks, store_build.c
- * writes. Internal to lod/.
+/* Shared by the parts of the tile store: store_read.c and store_index.c read, store_build.c writes,
+ * store_verify.c checks. Internal to lod/.
  *
  * The file is an SQLite database:
  *
@@ -77,10 +77,22 @@ enum err_code store_db_fail(const struct store *s, int code, const char *what, s
 /* Row id of a tile. */
 int64_t store_db_id(struct key k);
 void store_db_hash_out(struct hash128 h, uint8_t out[STORE_HASH_BYTES]);
+struct hash128 store_db_hash_in(const uint8_t in[STORE_HASH_BYTES]);
 /* Hash over all members of t, to detect damaged index rows. */
 struct hash128 store_db_row_hash(const struct store_entry *t);
 /* Returns whether a name may stand in URLs and documents unchanged: a-z, 0-9, - and _. */
 bool store_db_name_ok(const char *name);
+/* Opens s->db to read the file `at`, by a file system of SQLite's (NULL: the usual one). s->path is
+ * what messages call it. ERR_FORMAT, ERR_IO, ERR_MEM. */
+enum err_code store_db_connect(struct store *s, const char *at, const char *vfs,
+                               struct err *e) ERR_USE;
+/* Reads s->index of an opened database; `at` and `vfs` are those of store_db_connect. Damaged rows
+ * are left out with a warning. ERR_FORMAT, ERR_BUSY, ERR_MEM, ERR_IO. */
+enum err_code store_read_index(struct store *s, const char *at, const char *vfs,
+                               struct err *e) ERR_USE;
+/* Reads the index in two halves at once, by two handles. False: read it as a whole, which also says
+ * what is wrong with it. For store_read_index, and for tests. */
+bool store_read_halves(struct store *s, const char *at, const char *vfs);
 /* Reads the index rows of all tiles again, where they lie between the payloads, and counts the
  * damaged ones. Opening the store left those out. ERR_FORMAT, ERR_BUSY, ERR_MEM, ERR_IO. */
 enum err_code store_check_rows(const struct store *s, size_t *n_bad, struct err *e) ERR_USE;

@@ -3,7 +3,7 @@
  * The header is checked by hand first, because SQLite silently fills a truncated file with zeros.
  * Each index row has a hash of itself, and each payload one of its bytes. A damaged row is left out
  * with a warning. A damaged payload is an error only when it is read. All other tiles stay
- * available. It is one long file, because opening, index and reading share the handles of a store.
+ * available. store_index.c reads the index.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -26,15 +26,6 @@
 #include "lod/store_db.h"
 #include "lod/store_remote.h"
 #include "lod/tree.h"
-
-static struct hash128 store_hash_in(const uint8_t in[STORE_HASH_BYTES])
-{
-    struct cursor c = cursor_over(in, STORE_HASH_BYTES);
-    struct hash128 h;
-    h.lo = cursor_u64(&c);
-    h.hi = cursor_u64(&c);
-    return h;
-}
 
 /* ---- opening ---- */
 
@@ -89,24 +80,6 @@ static enum err_code store_check_header(const uint8_t h[STORE_HEADER_BYTES], siz
     return ERR_OK;
 }
 
-/* file: URI of a path: SQLite takes options such as immutable only that way. */
-static enum err_code store_uri(const char *path, struct buf *uri, struct err *e)
-{
-    /* "file:a/b" is relative, "file:///a/b" absolute; a leading "//" would be read as a host. */
-    buf_printf(uri, "file:%s", path[0] == '/' ? "//" : "");
-    for (const char *p = path; *p; p++) {
-        char c = *p;
-        bool plain = (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') ||
-                     strchr("/._-~", c);
-        if (plain)
-            buf_u8(uri, (unsigned char)c);
-        else
-            buf_printf(uri, "%%%02X", (unsigned char)c);
-    }
-    buf_printf(uri, "?mode=ro&immutable=1");
-    return buf_check(uri, e);
-}
-
 /* SQLite resolves links in a path first, and opens none; what /proc/self/fd/N is a link to may be
  * another file by now, or none. This file system takes paths as they are, and its open() takes
  * these links. */
@@ -138,32 +111,6 @@ static void store_add_vfs(void)
     store_vfs.xFullPathname = store_as_is;
     store_vfs.xSetSystemCall(&store_vfs, "open", (sqlite3_syscall_ptr)store_open_call);
     sqlite3_vfs_register(&store_vfs, 0);
-}
-
-static enum err_code store_connect(struct store *s, const char *at, const char *vfs, struct err *e)
-{
-    struct buf uri = {0};
-    enum err_code rc = store_uri(at, &uri, e);
-    if (rc)
-        goto out;
-    int flags = SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX;
-    int code = sqlite3_open_v2((const char *)uri.data, &s->db, flags, vfs);
-    if (code == SQLITE_OK) {
-        sqlite3_db_config(s->db, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, NULL);
-        sqlite3_db_config(s->db, SQLITE_DBCONFIG_DEFENSIVE, 1, NULL);
-        s->remote = store_remote_of(s->db);
-        sqlite3_limit(s->db, SQLITE_LIMIT_LENGTH,
-                      s->size_bytes < INT_MAX ? (int)s->size_bytes : INT_MAX);
-        code = sqlite3_exec(s->db,
-                            "PRAGMA mmap_size=0; PRAGMA cell_size_check=ON; PRAGMA query_only=ON;"
-                            "PRAGMA temp_store=MEMORY",
-                            NULL, NULL, NULL);
-    }
-    if (code != SQLITE_OK)
-        rc = store_db_fail(s, code, "cannot open", e);
-out:
-    buf_free(&uri);
-    return rc;
 }
 
 /* What is read are tables of this file: a view may have rows without end, of any length. */
@@ -298,121 +245,7 @@ static enum err_code store_read_meta(struct store *s, struct err *e)
     return rc ? rc : store_check_meta(s, e);
 }
 
-/* ---- index ---- */
-
-/* From the covering index that a store has beside its tiles (store_build.c), where the rows lie
- * together; older stores have none, and the rows are read between the payloads. */
-#define STORE_INDEX_SQL                                                                            \
-    "SELECT id,z,x,y,level,count,bytes,version,center_e,center_n,center_u,min_e,min_n,min_u,"      \
-    "max_e,max_n,max_u,core_min_e,core_min_n,core_min_u,core_max_e,core_max_n,core_max_u,"         \
-    "sigma_median_m,sigma_max_m,geometric_error_m,hash,row_hash FROM tiles"
-#define STORE_ROWS_SQL STORE_INDEX_SQL " NOT INDEXED"
-
-static uint64_t store_column_u(sqlite3_stmt *q, int column, uint64_t limit, bool *ok)
-{
-    sqlite3_int64 v = sqlite3_column_int64(q, column);
-    if (v < 0 || (uint64_t)v > limit)
-        *ok = false;
-    return (uint64_t)v;
-}
-
-static struct hash128 store_column_hash(sqlite3_stmt *q, int column, bool *ok)
-{
-    const void *p = sqlite3_column_blob(q, column);
-    if (!p || sqlite3_column_bytes(q, column) != STORE_HASH_BYTES) {
-        *ok = false;
-        return (struct hash128){0};
-    }
-    return store_hash_in(p);
-}
-
-/* One row; false when its hash says that it is damaged. */
-static bool store_row(sqlite3_stmt *q, struct store_entry *out)
-{
-    bool ok = true;
-    int64_t id = sqlite3_column_int64(q, 0);
-    struct store_tile *t = &out->tile;
-    struct store_shape *x = &out->shape;
-    t->key.z = (uint8_t)store_column_u(q, 1, KEY_ZOOM_MAX, &ok);
-    t->key.x = (uint32_t)store_column_u(q, 2, UINT32_MAX, &ok);
-    t->key.y = (uint32_t)store_column_u(q, 3, UINT32_MAX, &ok);
-    t->level = (uint8_t)store_column_u(q, 4, STORE_LEVEL_MAX, &ok);
-    t->count = (uint32_t)store_column_u(q, 5, UINT32_MAX, &ok);
-    t->bytes = (uint32_t)store_column_u(q, 6, INT32_MAX, &ok);
-    t->version = store_column_u(q, 7, STORE_VERSION_MAX, &ok) & STORE_VERSION_MAX;
-    for (int k = 0; k < 3; k++) {
-        x->center_enu_m[k] = sqlite3_column_double(q, 8 + k);
-        x->min_enu_m[k] = sqlite3_column_double(q, 11 + k);
-        x->max_enu_m[k] = sqlite3_column_double(q, 14 + k);
-        x->core_min_enu_m[k] = sqlite3_column_double(q, 17 + k);
-        x->core_max_enu_m[k] = sqlite3_column_double(q, 20 + k);
-    }
-    x->sigma_median_m = sqlite3_column_double(q, 23);
-    x->sigma_max_m = sqlite3_column_double(q, 24);
-    x->geometric_error_m = sqlite3_column_double(q, 25);
-    t->hash = store_column_hash(q, 26, &ok);
-    struct hash128 want = store_column_hash(q, 27, &ok), have = store_db_row_hash(out);
-    return ok && key_valid(t->key) && store_db_id(t->key) == id && have.lo == want.lo &&
-           have.hi == want.hi;
-}
-
-/* How many tiles there are, as the file says, but no more than fit into it. Older files do not say
- * it. It is where the list begins, and no more than that: it grows where there are more. */
-static size_t store_expected(const struct store *s)
-{
-    enum { UNKNOWN = 64 };
-    sqlite3_stmt *q = NULL;
-    sqlite3_int64 n = UNKNOWN;
-    if (sqlite3_prepare_v2(s->db, "SELECT CAST(value AS INTEGER) FROM meta WHERE key='tiles'", -1,
-                           &q, NULL) == SQLITE_OK &&
-        sqlite3_step(q) == SQLITE_ROW)
-        n = sqlite3_column_int64(q, 0);
-    sqlite3_finalize(q);
-    const sqlite3_int64 most = (sqlite3_int64)(s->size_bytes / STORE_ROW_BYTES);
-    return (size_t)(n < UNKNOWN ? UNKNOWN : n < most ? n : most);
-}
-
-/* Rows come in order of id; the damaged ones are left out and counted. Pages that point to each
- * other in circles give rows for ever: no more are read than the file has room for. */
-static enum err_code store_read_index(struct store *s, const char *sql, size_t *n_bad,
-                                      struct err *e)
-{
-    sqlite3_stmt *q = NULL;
-    struct key first = {0};
-    int code = sqlite3_prepare_v2(s->db, sql, -1, &q, NULL);
-    enum err_code rc = code == SQLITE_OK ? ERR_OK : store_db_fail(s, code, "index", e);
-    const size_t expected = rc ? 0 : store_expected(s);
-    while (!rc && (code = sqlite3_step(q)) == SQLITE_ROW) {
-        struct store_entry t = {0};
-        if (store_row(q, &t))
-            rc = index_add(&s->index, &t, expected, e);
-        else if (!(*n_bad)++)
-            first = t.tile.key;
-        if (rc)
-            err_add(e, "%s", s->path);
-        else if (s->index.n + *n_bad > s->size_bytes / STORE_ROW_BYTES)
-            rc = err_set(e, ERR_FORMAT, "%s: damaged: more index rows than fit into the file",
-                         s->path);
-    }
-    if (!rc && code != SQLITE_DONE)
-        rc = store_db_fail(s, code, "index", e);
-    if (*n_bad)
-        log_warn(
-            "store",
-            "%s: damaged index rows: %zu, that of tile %u/%u/%u first: these tiles are left out",
-            s->path, *n_bad, first.z, first.x, first.y);
-    sqlite3_finalize(q);
-    return rc ? rc : index_sort(&s->index, e);
-}
-
-enum err_code store_check_rows(const struct store *s, size_t *n_bad, struct err *e)
-{
-    struct store again = {.db = s->db, .size_bytes = s->size_bytes, .remote = s->remote};
-    memcpy(again.path, s->path, sizeof again.path);
-    enum err_code rc = store_read_index(&again, STORE_ROWS_SQL, n_bad, e);
-    index_free(&again.index);
-    return rc;
-}
+/* ---- outlines ---- */
 
 /* Kept as text that is known to be JSON, since it goes into documents as it is. */
 static enum err_code store_read_outline(struct store *s, const char *name, char **out,
@@ -476,14 +309,13 @@ static enum err_code store_open_at(const char *at, const char *path, const char 
         return err_set(e, ERR_MEM, "%s: out of memory", path);
     s->size_bytes = size_bytes;
     memcpy(s->path, path, strlen(path) + 1);
-    size_t n_bad = 0;
-    rc = store_connect(s, at, vfs, e);
+    rc = store_db_connect(s, at, vfs, e);
     if (!rc)
         rc = store_check_tables(s, e);
     if (!rc)
         rc = store_read_meta(s, e);
     if (!rc)
-        rc = store_read_index(s, STORE_INDEX_SQL, &n_bad, e);
+        rc = store_read_index(s, at, vfs, e);
     if (!rc)
         rc = tree_build(&s->index, &s->tree, e);
     if (!rc) {
@@ -564,7 +396,7 @@ enum err_code store_open_more(int fd, const struct store *first, struct store **
     s->footprint = first->footprint;
     s->clip = first->clip;
     s->borrows = true;
-    enum err_code rc = store_connect(s, at, vfs, e);
+    enum err_code rc = store_db_connect(s, at, vfs, e);
     /* The pages that lead to tiles are in memory from here on: a file that is cut short later has
      * lost tiles, not the way to all of them. Of more tiles than these, SQLite keeps no pages. */
     int code = SQLITE_OK;
@@ -655,6 +487,16 @@ struct store_shape store_shape(const struct store *s, const struct store_tile *t
 }
 
 /* ---- payloads and blobs ---- */
+
+static struct hash128 store_column_hash(sqlite3_stmt *q, int column, bool *ok)
+{
+    const void *p = sqlite3_column_blob(q, column);
+    if (!p || sqlite3_column_bytes(q, column) != STORE_HASH_BYTES) {
+        *ok = false;
+        return (struct hash128){0};
+    }
+    return store_db_hash_in(p);
+}
 
 /* Copy a (hash, bytes) row into `out`, verified. `what` names it in errors. */
 static enum err_code store_take(struct store *s, sqlite3_stmt *q, const char *what, struct buf *out,

@@ -577,15 +577,16 @@ static struct store_shape shape_of(size_t i, size_t odd)
     return x;
 }
 
-/* Packed or whole, every bit comes back, and goes with its tile when they are sorted. */
-static void shapes_come_out_as_they_went_in(void **state)
+/* Packed or whole, every bit comes back, and goes with its tile when they are sorted: by counting
+ * (a row of `far` 0), or by comparing where rows are far apart. */
+static void shapes_come_out(uint32_t far)
 {
     struct err e = {0};
     struct index x = {0};
     enum { N = 500 };
-    (void)state;
     for (uint32_t i = 0; i < N; i++) {
-        struct store_entry t = {.tile = {.key = {10, i * 7 % N, i % 11}, .count = i},
+        const struct key key = {(uint8_t)(23 + i % 2), i * 7 % N, i % 11 ? i % 11 : far};
+        struct store_entry t = {.tile = {.key = key, .count = i},
                                 .shape = shape_of(i, i % 4 ? 0 : i / 4)};
         kit_ok(index_add(&x, &t, 0, &e), e);
     }
@@ -601,10 +602,96 @@ static void shapes_come_out_as_they_went_in(void **state)
         assert_memory_equal(box.min_enu_m, want.min_enu_m, sizeof want.min_enu_m);
         assert_memory_equal(box.core_max_enu_m, want.core_max_enu_m, sizeof want.core_max_enu_m);
         assert_true(box.sigma_max_m == want.sigma_max_m);
+        const double sigma_m = index_sigma_median_m(&x, i);
+        assert_memory_equal(&sigma_m, &want.sigma_median_m, sizeof sigma_m);
         assert_int_equal(index_find(&x, x.tiles[i].key), i);
     }
-    assert_int_equal(index_find(&x, (struct key){10, N, 0}), INDEX_NONE);
+    assert_int_equal(index_find(&x, (struct key){23, N, 0}), INDEX_NONE);
     index_free(&x);
+}
+
+static void shapes_come_out_as_they_went_in(void **state)
+{
+    (void)state;
+    shapes_come_out(0);
+    shapes_come_out((UINT32_C(1) << 23) - 1);
+}
+
+enum { HALVES_SIDE = 16 };
+
+/* The index of a file in two halves; false: it is to be read as a whole. */
+static bool read_halves(const char *path, const struct store *whole, struct index *out)
+{
+    struct err e = {0};
+    struct store s = {.size_bytes = whole->size_bytes, .meta = whole->meta};
+    snprintf(s.path, sizeof s.path, "%s", path);
+    kit_ok(store_db_connect(&s, path, NULL, &e), e);
+    const bool done = store_read_halves(&s, path, NULL);
+    sqlite3_close(s.db);
+    *out = s.index;
+    return done;
+}
+
+static void make_square(const char *path)
+{
+    struct err e = {0};
+    struct store *s;
+    struct gauss g;
+    tile_gauss(1, 20, &g);
+    kit_ok(store_create(path, &meta, &s, &e), e);
+    for (uint32_t at = 0; at < HALVES_SIDE * HALVES_SIDE; at++)
+        for (uint32_t up = 0; up < 2; up++) {
+            const struct key key = {(uint8_t)(16 - up), 17000 + at % HALVES_SIDE,
+                                    11000 + at / HALVES_SIDE};
+            struct store_entry t = {.tile = {.key = key, .level = 1}};
+            kit_ok(store_put(s, &t, &g, &e), e);
+        }
+    kit_ok(store_commit(&s, &e), e);
+    gauss_free(&g);
+}
+
+/* Two threads read what one reads. */
+static void halves_are_the_whole(void **state)
+{
+    struct store_fixture *f = *state;
+    struct err e = {0};
+    struct store *s;
+    struct index x;
+    make_square(f->path);
+    kit_ok(store_open(f->path, &s, &e), e);
+    assert_true(read_halves(f->path, s, &x));
+    kit_ok(index_sort(&x, &e), e);
+    assert_int_equal(x.n, 2 * HALVES_SIDE * HALVES_SIDE);
+    assert_int_equal(x.n, s->index.n);
+    assert_memory_equal(x.tiles, s->index.tiles, x.n * sizeof *x.tiles);
+    assert_memory_equal(x.shapes, s->index.shapes, x.n * sizeof *x.shapes);
+    index_free(&x);
+    store_close(&s);
+}
+
+/* What is odd is left to one thread, which says what it is. */
+static void odd_rows_are_not_read_in_halves(void **state)
+{
+    static const char *const odd[] = {
+        "UPDATE meta SET value=value-1 WHERE key='tiles'",
+        "UPDATE meta SET value=value+1 WHERE key='tiles'",
+        "UPDATE tiles SET count=count+1 WHERE id=(SELECT max(id) FROM tiles)",
+        "DROP INDEX tiles_index"};
+    struct store_fixture *f = *state;
+    log_set_level(LOG_ERROR);
+    for (size_t i = 0; i < sizeof odd / sizeof *odd; i++) {
+        struct err e = {0};
+        struct store *s;
+        struct index x;
+        make_square(f->path);
+        alter(f->path, odd[i]);
+        kit_ok(store_open(f->path, &s, &e), e);
+        assert_false(read_halves(f->path, s, &x));
+        assert_null(x.tiles);
+        assert_int_equal(s->index.n, 2 * HALVES_SIDE * HALVES_SIDE - (i == 2));
+        store_close(&s);
+    }
+    log_set_level(LOG_INFO);
 }
 
 /* Fail the k-th allocation of writing and reading, for every k: ERR_MEM, nothing leaked
@@ -661,6 +748,8 @@ int main(void)
         CASE(gaussians_of_no_size_are_refused),
         CASE(names_with_odd_characters),
         cmocka_unit_test(shapes_come_out_as_they_went_in),
+        CASE(halves_are_the_whole),
+        CASE(odd_rows_are_not_read_in_halves),
         CASE(out_of_memory_everywhere),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
