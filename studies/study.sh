@@ -706,15 +706,13 @@ study_goes_on() {
   done
 }
 
-# What thinning in the middle of the finest level costs, beside half of the density for which the photographs stand.
+# What thinning in the middle of the finest level costs.
 thin_rows() { # STUDY SCENE
   local study=$1 scene=$2 base
   base=(--iterations "$(steps "$study")" --depth-prior "$OUT/$scene-depth")
   row "$study" "not thinned" "$scene" "thin_db=0" "${base[@]}" --thin-db 0
   row "$study" "thinned by 0.01 dB" "$scene" "thin_db=0.01" "${base[@]}" --thin-db 0.01
   row "$study" "thinned by 0.02 dB" "$scene" "thin_db=0.02" "${base[@]}" --thin-db 0.02
-  row "$study" "thinned by 0.05 dB" "$scene" "thin_db=0.05" "${base[@]}" --thin-db 0.05
-  row "$study" "half the density" "$scene" "thin_db=0" "${base[@]}" --thin-db 0 --budget-density 5
 }
 study_thin() {
   local MAP_VIEWS=1 SURFACE=city
