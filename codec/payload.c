@@ -15,8 +15,10 @@
  */
 #include "codec/payload.h"
 #include "codec/limits.h"
+#include "core/layout.h"
 #include "core/simd.h"
 
+#include <assert.h>
 #include <math.h>
 #include <string.h>
 #include <zstd.h>
@@ -28,7 +30,6 @@ enum {
     FLAG_ANTIALIASED = 2,
     ZSTD_BLOCK_LEAST = 4096, /* below, a table of its own costs more than it saves */
     ZSTD_GROWTH_MAX = 32768, /* 128 KiB out of a block of 4 bytes */
-    N_PLANES = 6,
     BLOCK_ROWS = 128,
     WIDTH_MAX = GAUSS_EMBED_MAX, /* of a plane; SH has 48 */
 };
@@ -39,6 +40,8 @@ enum {
  * store. */
 #define SH_STEP 0x1p-9f
 
+enum { MEAN, SCALE, QUAT, OPACITY, SH, EMBED, N_PLANES };
+
 struct plane {
     float *data; /* [n][width] */
     size_t width, value_bytes;
@@ -48,12 +51,12 @@ struct plane {
 static void payload_planes_of(const struct gauss *g, bool lossless, struct plane out[N_PLANES])
 {
     size_t rest = lossless ? 4 : 2;
-    out[0] = (struct plane){g->mean_m, 3, 4, false};
-    out[1] = (struct plane){g->scale_log, 3, rest, false};
-    out[2] = (struct plane){g->quat_wxyz, 4, rest, false};
-    out[3] = (struct plane){g->opacity_logit, 1, rest, false};
-    out[4] = (struct plane){g->sh, 3 * gauss_sh_count(g->sh_degree), rest, true};
-    out[5] = (struct plane){g->embed, g->embed_len, rest, false};
+    out[MEAN] = (struct plane){g->mean_m, 3, 4, false};
+    out[SCALE] = (struct plane){g->scale_log, 3, rest, false};
+    out[QUAT] = (struct plane){g->quat_wxyz, 4, rest, false};
+    out[OPACITY] = (struct plane){g->opacity_logit, 1, rest, false};
+    out[SH] = (struct plane){g->sh, 3 * gauss_sh_count(g->sh_degree), rest, true};
+    out[EMBED] = (struct plane){g->embed, g->embed_len, rest, false};
 }
 
 static size_t payload_plain_bytes(const struct gauss *g, bool lossless)
@@ -158,50 +161,67 @@ static bool payload_plane_write(const struct plane *p, size_t n, uint8_t *out)
     return (p->value_bytes == 4 ? payload_plane_write4 : payload_plane_write2)(p, n, out);
 }
 
-/* Sums of all bytes before and of each: eight at a time, in a word whose bytes do not carry. */
+typedef uint8_t bytes16 __attribute__((vector_size(16)));
+/* The bytes of x moved up by `by` places, below them those of a vector of zeros. */
+#define BYTES_UP(x, by)                                                                            \
+    __builtin_shufflevector((bytes16){0}, x, 16 - (by), 17 - (by), 18 - (by), 19 - (by),           \
+                            20 - (by), 21 - (by), 22 - (by), 23 - (by), 24 - (by), 25 - (by),      \
+                            26 - (by), 27 - (by), 28 - (by), 29 - (by), 30 - (by), 31 - (by))
+
+/* Sums of all bytes before and of each, sixteen at a time. */
 SIMD_INLINE void sum_bytes(const uint8_t *in, size_t n, uint8_t *last, uint8_t *out)
 {
-    const uint64_t low = UINT64_C(0x7f7f7f7f7f7f7f7f);
-    uint64_t before = *last * UINT64_C(0x0101010101010101);
+    bytes16 before = (bytes16){0} + *last;
     size_t i = 0;
-    for (; i + 8 <= n; i += 8) {
-        uint64_t x = 0;
-        for (int b = 0; b < 8; b++)
-            x |= (uint64_t)in[i + (size_t)b] << 8 * b;
-        for (int shift = 8; shift <= 32; shift *= 2) {
-            uint64_t y = x << shift;
-            x = ((x & low) + (y & low)) ^ ((x ^ y) & ~low);
-        }
-        x = ((x & low) + (before & low)) ^ ((x ^ before) & ~low);
-        for (int b = 0; b < 8; b++)
-            out[i + (size_t)b] = (uint8_t)(x >> 8 * b);
-        before = (x >> 56) * UINT64_C(0x0101010101010101);
+    for (; i + 16 <= n; i += 16) {
+        bytes16 x;
+        memcpy(&x, in + i, sizeof x);
+        x += BYTES_UP(x, 1);
+        x += BYTES_UP(x, 2);
+        x += BYTES_UP(x, 4);
+        x += BYTES_UP(x, 8);
+        x += before;
+        memcpy(out + i, &x, sizeof x);
+        before = __builtin_shufflevector(x, x, 15, 15, 15, 15, 15, 15, 15, 15, 15, 15, 15, 15, 15,
+                                         15, 15, 15);
     }
-    uint8_t v = (uint8_t)before;
+    uint8_t v = before[0];
     for (; i < n; i++)
         out[i] = v = (uint8_t)(v + in[i]);
     *last = v;
 }
 
+/* Some rows of a component, whose bytes of all `n` rows follow each other. last: the bytes of the
+ * row before, then of the last one. */
+SIMD_INLINE void component_read(const uint8_t *bytes, size_t n, size_t rows, uint8_t last[4],
+                                const size_t value_bytes, float v[BLOCK_ROWS])
+{
+    uint8_t byte[4][BLOCK_ROWS];
+    for (size_t b = 0; b < value_bytes; b++, bytes += n) {
+        /* More streams of bytes than the hardware follows. Beyond the last it does no harm. */
+        for (size_t k = 0; k < BLOCK_ROWS; k += 64)
+            SIMD_SOON(bytes + BLOCK_ROWS + k);
+        sum_bytes(bytes, rows, &last[b], byte[b]);
+    }
+    if (value_bytes == 4)
+        for (size_t i = 0; i < rows; i++)
+            v[i] = float_of(byte[0][i] | (uint32_t)byte[1][i] << 8 | (uint32_t)byte[2][i] << 16 |
+                            (uint32_t)byte[3][i] << 24);
+    else
+        for (size_t i = 0; i < rows; i++)
+            v[i] = float16_to_float(byte[0][i] | (uint32_t)byte[1][i] << 8);
+}
+
 SIMD_INLINE void plane_read_of(const struct plane *p, size_t n, const uint8_t *in,
                                const size_t value_bytes)
 {
-    uint8_t last[WIDTH_MAX][4] = {{0}}, byte[4][BLOCK_ROWS];
+    uint8_t last[WIDTH_MAX][4] = {{0}};
     const size_t width = p->width;
     for (size_t at = 0; at < n; at += BLOCK_ROWS) {
         const size_t rows = n - at < BLOCK_ROWS ? n - at : BLOCK_ROWS;
         for (size_t c = 0; c < width; c++) {
             float *out = p->data + at * width + c, v[BLOCK_ROWS];
-            const uint8_t *bytes = in + c * value_bytes * n + at;
-            for (size_t b = 0; b < value_bytes; b++, bytes += n)
-                sum_bytes(bytes, rows, &last[c][b], byte[b]);
-            if (value_bytes == 4)
-                for (size_t i = 0; i < rows; i++)
-                    v[i] = float_of(byte[0][i] | (uint32_t)byte[1][i] << 8 |
-                                    (uint32_t)byte[2][i] << 16 | (uint32_t)byte[3][i] << 24);
-            else
-                for (size_t i = 0; i < rows; i++)
-                    v[i] = float16_to_float(byte[0][i] | (uint32_t)byte[1][i] << 8);
+            component_read(in + c * value_bytes * n + at, n, rows, last[c], value_bytes, v);
             for (size_t i = 0; i < rows; i++)
                 out[i * width] = v[i];
         }
@@ -335,7 +355,7 @@ enum err_code payload_encode(const struct gauss *g, bool lossless, struct buf *o
     if (!rc) {
         payload_planes_of(g, lossless, planes);
         if (quats)
-            planes[2].data = quats;
+            planes[QUAT].data = quats;
         for (int i = 0; i < N_PLANES; i++) {
             good = payload_plane_write(&planes[i], g->n, p) && good;
             p += g->n * planes[i].width * planes[i].value_bytes;
@@ -393,43 +413,214 @@ static enum err_code payload_head_read(struct cursor *c, const struct codec_limi
     return ERR_OK;
 }
 
+static enum err_code payload_unpack(struct payload *p, const struct cursor *c, size_t n_plain,
+                                    struct err *e)
+{
+    p->plain.size = 0;
+    uint8_t *to = buf_grow(&p->plain, n_plain);
+    enum err_code rc = buf_check(&p->plain, e);
+    if (!rc && !p->zstd && !(p->zstd = ZSTD_createDCtx()))
+        rc = err_set(e, ERR_MEM, "payload: zstd: out of memory");
+    if (rc)
+        return rc;
+    size_t got = ZSTD_decompressDCtx(p->zstd, to, n_plain, c->p, cursor_left(c));
+    if (ZSTD_isError(got) || got != n_plain)
+        rc = err_set(e, ERR_FORMAT, "payload: zstd: %s",
+                     ZSTD_isError(got) ? ZSTD_getErrorName(got) : "too short");
+    return rc;
+}
+
+enum err_code payload_open(struct payload *p, const void *bytes, size_t n,
+                           const struct codec_limits *lim, struct err *e)
+{
+    struct gauss head = {0};
+    size_t n_plain = 0;
+    struct cursor c = cursor_over(bytes, n);
+    p->n = 0;
+    enum err_code rc = payload_head_read(&c, lim, &head, &p->lossless, &n_plain, e);
+    if (!rc)
+        rc = payload_unpack(p, &c, n_plain, e);
+    if (rc)
+        return rc;
+    p->n = head.n;
+    p->sh_degree = head.sh_degree;
+    p->embed_len = head.embed_len;
+    p->antialiased = head.antialiased;
+    memcpy(p->origin_enu_m, head.origin_enu_m, sizeof p->origin_enu_m);
+    return ERR_OK;
+}
+
+void payload_free(struct payload *p)
+{
+    buf_free(&p->plain);
+    ZSTD_freeDCtx(p->zstd);
+    *p = (struct payload){0};
+}
+
+enum err_code payload_gauss(const struct payload *p, struct gauss *out, struct err *e)
+{
+    struct plane planes[N_PLANES];
+    const uint8_t *from = p->plain.data;
+    size_t bad = 0;
+    enum err_code rc = gauss_uninit(out, p->n, p->sh_degree, p->embed_len, e);
+    if (rc)
+        return rc;
+    out->n = p->n;
+    out->antialiased = p->antialiased;
+    memcpy(out->origin_enu_m, p->origin_enu_m, sizeof out->origin_enu_m);
+    payload_planes_of(out, p->lossless, planes);
+    for (int i = 0; i < N_PLANES; i++) {
+        payload_plane_read(&planes[i], out->n, from);
+        from += out->n * planes[i].width * planes[i].value_bytes;
+    }
+    if (gauss_count_bad(out, &bad)) {
+        rc = err_set(e, ERR_FORMAT, "payload: row %zu: not finite, or no rotation", bad);
+        gauss_free(out);
+    }
+    return rc;
+}
+
 enum err_code payload_decode(const void *bytes, size_t n, const struct codec_limits *lim,
                              struct gauss *out, struct err *e)
 {
-    struct gauss head = {0};
-    struct buf plain = {0};
-    struct plane planes[N_PLANES];
-    bool lossless = false;
-    size_t n_plain = 0;
-    struct cursor c = cursor_over(bytes, n);
+    struct payload p = {0};
     *out = (struct gauss){0};
-    enum err_code rc = payload_head_read(&c, lim, &head, &lossless, &n_plain, e);
-    uint8_t *p = !rc ? buf_grow(&plain, n_plain) : NULL;
+    enum err_code rc = payload_open(&p, bytes, n, lim, e);
     if (!rc)
-        rc = buf_check(&plain, e);
-    if (!rc) {
-        size_t got = ZSTD_decompress(p, n_plain, c.p, cursor_left(&c));
-        if (ZSTD_isError(got) || got != n_plain)
-            rc = err_set(e, ERR_FORMAT, "payload: zstd: %s",
-                         ZSTD_isError(got) ? ZSTD_getErrorName(got) : "too short");
-    }
-    if (!rc)
-        rc = gauss_uninit(out, head.n, head.sh_degree, head.embed_len, e);
-    if (!rc) {
-        out->n = head.n;
-        out->antialiased = head.antialiased;
-        memcpy(out->origin_enu_m, head.origin_enu_m, sizeof out->origin_enu_m);
-        payload_planes_of(out, lossless, planes);
-        for (int i = 0; i < N_PLANES; i++) {
-            payload_plane_read(&planes[i], out->n, p);
-            p += out->n * planes[i].width * planes[i].value_bytes;
-        }
-        size_t bad = 0;
-        if (gauss_count_bad(out, &bad)) {
-            rc = err_set(e, ERR_FORMAT, "payload: row %zu: not finite, or no rotation", bad);
-            gauss_free(out);
-        }
-    }
-    buf_free(&plain);
+        rc = payload_gauss(&p, out, e);
+    payload_free(&p);
     return rc;
+}
+
+/* ---- straight into drawn rows ---- */
+
+SIMD_INLINE void sizes_of(const uint8_t *in, size_t n, float *out, const size_t value_bytes)
+{
+    uint8_t last[3][4] = {{0}};
+    for (size_t at = 0; at < n; at += BLOCK_ROWS) {
+        const size_t rows = n - at < BLOCK_ROWS ? n - at : BLOCK_ROWS;
+        float v[3][BLOCK_ROWS];
+        for (size_t c = 0; c < 3; c++)
+            component_read(in + c * value_bytes * n + at, n, rows, last[c], value_bytes, v[c]);
+        for (size_t i = 0; i < rows; i++) {
+            float big = v[0][i] > v[1][i] ? v[0][i] : v[1][i];
+            out[at + i] = big > v[2][i] ? big : v[2][i];
+        }
+    }
+}
+
+SIMD_WIDE static void payload_sizes4(const uint8_t *in, size_t n, float *out)
+{
+    sizes_of(in, n, out, 4);
+}
+
+SIMD_WIDE static void payload_sizes2(const uint8_t *in, size_t n, float *out)
+{
+    sizes_of(in, n, out, 2);
+}
+
+void payload_sizes(const struct payload *p, float *out)
+{
+    const size_t means = p->n * 3 * sizeof(float);
+    (p->lossless ? payload_sizes4 : payload_sizes2)(p->plain.data + means, p->n, out);
+}
+
+/* Some rows on their way: those from `at` on. */
+struct placing {
+    size_t n, at, rows;
+    float *to[BLOCK_ROWS]; /* plane 0 of each */
+    float norm2[BLOCK_ROWS];
+    uint32_t most; /* of the bits of float32, without sign */
+};
+
+SIMD_INLINE void placing_rows(struct placing *s, const struct payload_target *t, uint32_t planes)
+{
+    const unsigned shift = (unsigned)__builtin_ctzll(t->block_rows);
+    for (size_t i = 0; i < s->rows; i++) {
+        size_t k = t->place[s->at + i], in_block = k & (t->block_rows - 1);
+        s->to[i] = t->block[k >> shift] + layout_at(in_block, planes);
+    }
+}
+
+SIMD_INLINE void placing_store(const struct placing *s, size_t plane, const float *v)
+{
+    for (size_t i = 0; i < s->rows; i++)
+        s->to[i][plane * LAYOUT_LANES] = v[i];
+}
+
+SIMD_INLINE void placing_look(struct placing *s, const float *v)
+{
+    for (size_t i = 0; i < s->rows; i++) {
+        uint32_t a = bits_of(v[i]) & 0x7fffffff;
+        s->most = a > s->most ? a : s->most;
+    }
+}
+
+/* The planes behind the means. value_bytes: of each of their values. */
+SIMD_INLINE void placing_rest(struct placing *s, const uint8_t *in, size_t width,
+                              uint8_t (*last)[4], const size_t value_bytes)
+{
+    float v[BLOCK_ROWS];
+    for (size_t i = 0; i < s->rows; i++)
+        s->norm2[i] = 0.0f;
+    for (size_t c = 0, plane = LAYOUT_PLANE_SCALE; c < width; c++, plane++) {
+        const uint8_t *bytes = in + c * value_bytes * s->n + s->at;
+        component_read(bytes, s->n, s->rows, last[c], value_bytes, v);
+        if (value_bytes == 4)
+            placing_look(s, v);
+        if (plane >= LAYOUT_PLANE_QUAT && plane < LAYOUT_PLANE_OPACITY)
+            for (size_t i = 0; i < s->rows; i++)
+                s->norm2[i] += v[i] * v[i];
+        placing_store(s, plane, v);
+    }
+}
+
+/* False if a value is not finite or a rotation is 0. */
+SIMD_INLINE bool place_of(const struct payload *p, const struct payload_target *t,
+                          const size_t value_bytes)
+{
+    enum { REST_MAX = LAYOUT_PLANE_SH - LAYOUT_PLANE_SCALE + 3 * LAYOUT_SH_MAX + GAUSS_EMBED_MAX };
+    const uint32_t planes = layout_planes(p->sh_degree, t->embed_len);
+    const uint8_t *in = p->plain.data;
+    uint8_t last_mean[3][4] = {{0}}, last[REST_MAX][4] = {{0}};
+    float v[BLOCK_ROWS], least = INFINITY;
+    struct placing s = {.n = p->n};
+    for (; s.at < s.n; s.at += BLOCK_ROWS) {
+        s.rows = s.n - s.at < BLOCK_ROWS ? s.n - s.at : BLOCK_ROWS;
+        placing_rows(&s, t, planes);
+        for (size_t k = 0; k < 3; k++) {
+            const double shift = p->origin_enu_m[k] - t->origin_enu_m[k];
+            component_read(in + k * 4 * s.n + s.at, s.n, s.rows, last_mean[k], 4, v);
+            placing_look(&s, v);
+            for (size_t i = 0; i < s.rows; i++)
+                v[i] = (float)((double)v[i] + shift);
+            placing_store(&s, LAYOUT_PLANE_MEAN + k, v);
+        }
+        placing_rest(&s, in + 3 * 4 * s.n, planes - LAYOUT_PLANE_SCALE, last, value_bytes);
+        for (size_t i = 0; i < s.rows; i++)
+            least = s.norm2[i] < least ? s.norm2[i] : least;
+    }
+    return s.most < 0x7f800000 && (least > 0.0f || s.n == 0);
+}
+
+SIMD_WIDE static bool payload_place4(const struct payload *p, const struct payload_target *t)
+{
+    return place_of(p, t, 4);
+}
+
+SIMD_WIDE static bool payload_place2(const struct payload *p, const struct payload_target *t)
+{
+    return place_of(p, t, 2);
+}
+
+enum err_code payload_place(const struct payload *p, const struct payload_target *to, struct err *e)
+{
+    struct gauss rows;
+    assert(!to->embed_len || to->embed_len == p->embed_len);
+    assert(to->block_rows % LAYOUT_LANES == 0 && !(to->block_rows & (to->block_rows - 1)));
+    if ((p->lossless ? payload_place4 : payload_place2)(p, to))
+        return ERR_OK;
+    enum err_code rc = payload_gauss(p, &rows, e); /* says which row */
+    gauss_free(&rows);
+    return rc ? rc : err_set(e, ERR_FORMAT, "payload: not finite, or no rotation");
 }

@@ -28,4 +28,37 @@ enum err_code payload_encode(const struct gauss *g, bool lossless, struct buf *o
  * ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
 enum err_code payload_decode(const void *bytes, size_t n, const struct codec_limits *lim,
                              struct gauss *out, struct err *e) ERR_USE;
+
+/* A payload that was unpacked, but not decoded. {0} is valid. It keeps its memory for the next
+ * payload, until payload_free. */
+struct payload {
+    size_t n;
+    uint32_t sh_degree, embed_len;
+    bool lossless, antialiased;
+    double origin_enu_m[3];
+    struct buf plain;         /* the planes */
+    struct ZSTD_DCtx_s *zstd; /* NULL before the first */
+};
+/* Unpacks a payload into *p. Hostile bytes are safe. ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
+enum err_code payload_open(struct payload *p, const void *bytes, size_t n,
+                           const struct codec_limits *lim, struct err *e) ERR_USE;
+void payload_free(struct payload *p);
+/* Its rows. Free *out with gauss_free; it is empty on errors. ERR_FORMAT (a value is not finite, or
+ * a rotation is 0), ERR_LIMIT, ERR_MEM. */
+enum err_code payload_gauss(const struct payload *p, struct gauss *out, struct err *e) ERR_USE;
+/* out [p->n] becomes the logarithm of each row's largest sigma. It may be no number. */
+void payload_sizes(const struct payload *p, float *out);
+/* Where the rows of a payload go, in the layout that is drawn (core/layout.h). */
+struct payload_target {
+    float *const *block;   /* row k goes to block[k / block_rows], which is whole groups */
+    const uint32_t *place; /* [n]: row i becomes row place[i], which is below n */
+    size_t block_rows;     /* a power of two, a multiple of LAYOUT_LANES */
+    uint32_t embed_len;    /* that of the payload, or 0: embeddings are left out */
+    double origin_enu_m[3];
+};
+/* Writes the same values as payload_gauss there, with means about the target's origin, without
+ * other memory. Lanes of a group that get no row are not changed. ERR_FORMAT as payload_gauss; rows
+ * may be written already. ERR_MEM. */
+enum err_code payload_place(const struct payload *p, const struct payload_target *to,
+                            struct err *e) ERR_USE;
 #endif

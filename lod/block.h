@@ -6,7 +6,6 @@
 #ifndef LOD_BLOCK_H
 #define LOD_BLOCK_H
 
-#include "core/gauss.h"
 #include "render/render.h"
 
 enum { BLOCK_GROUPS = 16, BLOCK_ROWS = BLOCK_GROUPS * LAYOUT_LANES };
@@ -20,11 +19,12 @@ static inline uint32_t block_count(size_t n_gaussians)
     return (uint32_t)((n_gaussians + BLOCK_ROWS - 1) / BLOCK_ROWS);
 }
 
-/* order [g->n] becomes the rows by size, in powers of two, and otherwise in their order, in which
- * neighbours follow each other. Without this, one large Gaussian would make the box of its block
- * large. ERR_MEM. */
-enum err_code block_order(const struct gauss *g, uint32_t *order, struct err *e) ERR_USE;
-/* Computes the boxes: out has block_count(g->n) elements. */
-void block_measure(const struct gauss *g, struct block *out);
+/* Orders n rows by size, in powers of two, and otherwise as they are, in which neighbours follow
+ * each other. Without this, one large Gaussian would make the box of its block large. size_log [n]:
+ * the logarithm of each row's largest sigma. place [n] becomes the new number of each row. */
+void block_places(const float *size_log, size_t n, uint32_t *place);
+/* Computes the box of a block from its n rows, as they are drawn: whole groups about the origin. */
+void block_measure(const float *groups, uint32_t planes, size_t n, const double origin_enu_m[3],
+                   struct block *out);
 
 #endif

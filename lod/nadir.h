@@ -31,7 +31,7 @@ struct nadir_options {
     /* ENU height above which nothing is drawn. NAN: above the survey by half of its own height plus
      * 20 m */
     double ceiling_m;
-    size_t cache_bytes; /* limit of decoded tiles; 0: 256 MiB */
+    size_t cache_bytes; /* as of view_open; 0: 256 MiB */
 };
 /* Opens a store. Close *out with nadir_close. ERR_NOENT, ERR_FORMAT, ERR_DATA: no usable store.
  * ERR_DEVICE, ERR_MEM. ERR_NOENT, ERR_ARG: of the appearance. */

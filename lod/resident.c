@@ -1,13 +1,15 @@
-/* Tiles of a store in memory and on the device: see resident.h.
+/* Tiles of a store on the device: see resident.h.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "lod/resident.h"
 
 #include <math.h>
+#include <stdatomic.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "codec/payload.h"
 #include "core/pool.h"
 #include "lod/store.h"
 
@@ -45,7 +47,6 @@ void resident_close(struct resident *r)
     render_model_free(&r->model);
     render_model_free(&r->flat);
     for (size_t i = 0; r->tile && i < r->n_tiles; i++) {
-        mem_free(r->tile[i].packed);
         mem_free(r->tile[i].block);
         mem_free(r->tile[i].page);
     }
@@ -59,135 +60,192 @@ void resident_close(struct resident *r)
 
 /* ---- decoding ---- */
 
-struct resident_batch {
-    struct resident *r;
-    uint32_t tile[RESIDENT_BATCH];
-    struct buf payload[RESIDENT_BATCH];
-    size_t n;
+/* Memory of a thread while it decodes a tile; the next tile gets it again. */
+struct resident_bench {
+    atomic_flag taken;
+    struct payload payload;
+    float *size_log; /* [room] */
+    uint32_t *place; /* [room] */
+    size_t room;
+    float **block; /* [n_blocks] */
+    size_t n_blocks;
 };
 
-/* Block by block, in their order: what is sorted stays in the processor's cache. */
-static enum err_code resident_pack(const struct resident *r, const struct gauss *g,
-                                   const uint32_t *order, struct resident_tile *to, struct err *e)
+/* Tiles on their way into a model, some at a time. */
+struct resident_batch {
+    struct resident *r;
+    struct render_model *to;
+    struct render_piece *piece; /* blocks of these tiles */
+    uint32_t tile[RESIDENT_BATCH];
+    size_t first[RESIDENT_BATCH + 1]; /* piece of each tile */
+    size_t n;
+    struct buf payload[RESIDENT_BATCH];
+    struct resident_bench bench[RESIDENT_BATCH];
+};
+
+/* blocks: of all tiles that will be added. Large, so on the heap; resident_batch_free it. */
+static enum err_code resident_batch_make(struct resident *r, struct render_model *to, size_t blocks,
+                                         struct resident_batch **out, struct err *e)
 {
-    const size_t group = (size_t)LAYOUT_LANES * layout_planes(g->sh_degree, g->embed_len),
-                 floats = render_piece_groups(g->n) * group;
-    struct gauss part;
-    enum err_code rc = gauss_uninit(&part, BLOCK_ROWS, g->sh_degree, g->embed_len, e);
-    if (rc)
-        return rc;
-    if (!to->block)
-        to->block = mem_array(block_count(g->n) + 1, sizeof *to->block);
-    to->packed = mem_uninit(floats + 1, sizeof(float));
-    if (!to->block || !to->packed)
-        rc = err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", g->n);
-    memcpy(part.origin_enu_m, g->origin_enu_m, sizeof part.origin_enu_m);
-    part.antialiased = g->antialiased;
-    for (size_t b = 0; !rc && b < block_count(g->n); b++) {
-        const size_t from = b * BLOCK_ROWS, n = g->n - from < BLOCK_ROWS ? g->n - from : BLOCK_ROWS;
-        part.n = 0;
-        rc = gauss_append(&part, g, order + from, n, e);
-        if (rc)
-            break;
-        block_measure(&part, &to->block[b]);
-        render_piece_pack(&part, r->model.origin_enu_m, to->packed + b * BLOCK_GROUPS * group);
+    struct resident_batch *b = *out = mem_array(1, sizeof *b);
+    if (b)
+        b->piece = mem_array(blocks + 1, sizeof *b->piece);
+    if (!b || !b->piece)
+        return err_set(e, ERR_MEM, "out of memory for %zu blocks of Gaussians", blocks);
+    b->r = r;
+    b->to = to;
+    for (size_t i = 0; i < RESIDENT_BATCH; i++)
+        atomic_flag_clear(&b->bench[i].taken);
+    return ERR_OK;
+}
+
+static void resident_batch_free(struct resident_batch *b)
+{
+    for (size_t i = 0; b && i < RESIDENT_BATCH; i++) {
+        buf_free(&b->payload[i]);
+        payload_free(&b->bench[i].payload);
+        mem_free(b->bench[i].size_log);
+        mem_free(b->bench[i].place);
+        mem_free(b->bench[i].block);
     }
-    gauss_free(&part);
-    to->bytes = floats * sizeof(float) + sizeof *to;
-    return rc;
+    if (b)
+        mem_free(b->piece);
+    mem_free(b);
+}
+
+/* There are as many as tiles in work, so one is free. Few threads use the first few. */
+static struct resident_bench *resident_bench_take(struct resident_batch *b)
+{
+    for (size_t i = 0;; i = (i + 1) % RESIDENT_BATCH)
+        if (!atomic_flag_test_and_set(&b->bench[i].taken))
+            return &b->bench[i];
+}
+
+/* Where the rows of an unpacked tile go: its blocks, and the order of rows in them. */
+static enum err_code resident_bench_lay(struct resident_bench *k, const struct render_piece *piece,
+                                        struct err *e)
+{
+    const size_t n = k->payload.n, blocks = block_count(n);
+    if (n > k->room || !k->size_log) {
+        mem_free(k->size_log);
+        mem_free(k->place);
+        mem_free(k->block);
+        k->size_log = mem_uninit(n, sizeof *k->size_log);
+        k->place = mem_uninit(n, sizeof *k->place);
+        k->block = mem_array(blocks + 1, sizeof *k->block);
+        k->room = n;
+    }
+    if (!k->size_log || !k->place || !k->block) {
+        k->room = 0;
+        return err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", n);
+    }
+    payload_sizes(&k->payload, k->size_log);
+    block_places(k->size_log, n, k->place);
+    for (size_t i = 0; i < blocks; i++)
+        k->block[i] = piece[i].groups;
+    return ERR_OK;
+}
+
+/* Rows of block i of a tile of n. */
+static size_t resident_rows(size_t n, size_t i)
+{
+    const size_t left = n - i * BLOCK_ROWS;
+    return left < BLOCK_ROWS ? left : BLOCK_ROWS;
+}
+
+/* Takes away a share of the opacity of a block. */
+static void resident_faint(const struct resident_tile *t, float *groups, uint32_t planes, size_t n)
+{
+    const double share = 1.0 - (double)t->missing;
+    for (size_t i = 0; i < n; i++) {
+        float *logit = groups + layout_at(i, planes) + LAYOUT_PLANE_OPACITY * LAYOUT_LANES;
+        double o = share / (1.0 + exp(-(double)*logit));
+        *logit = (float)log(o / (1.0 - o));
+    }
+}
+
+/* What is left to do once the rows are in their blocks. */
+static enum err_code resident_finish(struct resident_tile *t, const struct render_model *m,
+                                     float *const *block, size_t n, struct err *e)
+{
+    struct block *box = t->block ? NULL : mem_array(block_count(n) + 1, sizeof *box);
+    if (!t->block && !box)
+        return err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", n);
+    for (size_t i = 0; i < block_count(n); i++) {
+        const size_t rows = resident_rows(n, i);
+        if (box)
+            block_measure(block[i], m->planes, rows, m->origin_enu_m, &box[i]);
+        if (t->missing > 0.0f)
+            resident_faint(t, block[i], m->planes, rows);
+        render_piece_end(block[i], m->planes, rows);
+    }
+    t->block = box ? box : t->block;
+    return ERR_OK;
 }
 
 static enum err_code resident_decode(void *user, size_t i, struct err *e)
 {
     struct resident_batch *b = user;
+    const struct store *s = b->r->store;
     const struct store_tile *t = resident_index(b->r, b->tile[i]);
-    const struct render_model *m = &b->r->model;
-    struct gauss g = {0};
-    uint32_t *order = NULL;
-    enum err_code rc = store_decode(b->r->store, t, &b->payload[i], &g, e);
-    if (rc)
-        return rc;
-    if (!m->embed_len)
-        g.embed_len = 0; /* nothing would say what they mean */
-    if (g.sh_degree != m->sh_degree || g.embed_len != m->embed_len)
+    const struct render_model *m = b->to;
+    struct resident_bench *k = resident_bench_take(b);
+    enum err_code rc = store_unpack(s, t, &b->payload[i], &k->payload, e);
+    /* Without appearance nothing would say what embeddings mean: they are left out. */
+    if (!rc && (k->payload.sh_degree != m->sh_degree ||
+                (m->embed_len && k->payload.embed_len != m->embed_len)))
         rc = err_set(e, ERR_FORMAT,
                      "tile %u/%u/%u: other harmonics or embeddings than the store's others",
                      t->key.z, t->key.x, t->key.y);
-    if (!rc && !(order = mem_uninit(g.n, sizeof *order)))
-        rc = err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", g.n);
     if (!rc)
-        rc = block_order(&g, order, e);
+        rc = resident_bench_lay(k, b->piece + b->first[i], e);
+    if (!rc) {
+        struct payload_target to = {.block = k->block,
+                                    .place = k->place,
+                                    .block_rows = BLOCK_ROWS,
+                                    .embed_len = m->embed_len};
+        memcpy(to.origin_enu_m, m->origin_enu_m, sizeof to.origin_enu_m);
+        if (payload_place(&k->payload, &to, e))
+            rc = store_name_tile(s, t, e);
+    }
     if (!rc)
-        rc = resident_pack(b->r, &g, order, &b->r->tile[b->tile[i]], e);
-    mem_free(order);
-    gauss_free(&g);
+        rc = resident_finish(&b->r->tile[b->tile[i]], m, k->block, k->payload.n, e);
+    atomic_flag_clear(&k->taken);
     return rc;
 }
 
-static enum err_code resident_load_batch(struct resident_batch *b, struct err *e)
+/* Those that were added. On success the batch is empty. */
+static enum err_code resident_load(struct resident_batch *b, struct err *e)
 {
-    enum err_code rc = ERR_OK;
+    struct resident *r = b->r;
+    struct render_placing placing;
+    enum err_code rc = b->n ? render_go(r->render, e) : ERR_OK;
     for (size_t i = 0; !rc && i < b->n; i++)
-        rc = store_read(b->r->store, resident_index(b->r, b->tile[i])->key, &b->payload[i], e);
-    if (!rc)
+        rc = store_read(r->store, resident_index(r, b->tile[i])->key, &b->payload[i], e);
+    if (rc || !b->n)
+        return rc;
+    rc = render_place_open(r->render, b->to, b->piece, b->first[b->n], &placing, e);
+    if (!rc) {
         rc = pool_for(b->n, 0, resident_decode, b, e);
-    for (size_t i = 0; i < b->n; i++) {
-        struct resident_tile *t = &b->r->tile[b->tile[i]];
-        buf_free(&b->payload[i]);
-        if (rc) { /* of all or of none */
-            mem_free(t->packed);
-            t->packed = NULL;
-            t->bytes = 0;
-        }
-        b->r->bytes += t->bytes;
+        rc = render_place_close(r->render, b->to, &placing, rc, e);
     }
-    b->n = 0;
+    b->n = rc ? b->n : 0;
     return rc;
 }
 
-/* Those of the tiles that are neither in memory nor, unless `all`, on the device. */
-static enum err_code resident_load(struct resident *r, const uint32_t *picked, size_t n, bool all,
-                                   struct err *e)
+/* Adds a tile, whose blocks go to pages (NULL: they follow each other, from that group on), and
+ * loads the batch if it is full. */
+static enum err_code resident_add(struct resident_batch *b, uint32_t tile, const uint32_t *page,
+                                  size_t group, struct err *e)
 {
-    struct resident_batch b = {.r = r};
-    enum err_code rc = ERR_OK;
-    for (size_t i = 0; !rc && i < n; i++) {
-        const struct resident_tile *t = &r->tile[picked[i]];
-        if (t->packed || (t->page && !all))
-            continue;
-        b.tile[b.n++] = picked[i];
-        if (b.n == RESIDENT_BATCH)
-            rc = render_go(r->render, e);
-        if (!rc && b.n == RESIDENT_BATCH)
-            rc = resident_load_batch(&b, e);
-    }
-    return !rc && b.n ? resident_load_batch(&b, e) : rc;
-}
-
-static int resident_use_compare(const void *a, const void *b)
-{
-    const struct resident_tile *const *x = a;
-    const struct resident_tile *const *y = b;
-    return (*x)->used < (*y)->used ? -1 : (*x)->used > (*y)->used;
-}
-
-/* Least recently used out until the limit is kept. */
-static void resident_evict(struct resident *r)
-{
-    size_t n = 0;
-    if (r->bytes <= r->limit_bytes)
-        return;
-    for (size_t i = 0; i < r->n_tiles; i++)
-        if (r->tile[i].packed)
-            r->scratch[n++] = &r->tile[i];
-    qsort(r->scratch, n, sizeof(struct resident_tile *), resident_use_compare);
-    for (size_t i = 0; i < n && r->bytes > r->limit_bytes; i++) {
-        struct resident_tile *t = r->scratch[i];
-        r->bytes -= t->bytes;
-        t->bytes = 0;
-        mem_free(t->packed);
-        t->packed = NULL;
-    }
+    const size_t n = resident_index(b->r, tile)->count, first = b->first[b->n];
+    for (size_t i = 0; i < block_count(n); i++)
+        b->piece[first + i] = (struct render_piece){
+            .n_groups = render_piece_groups(resident_rows(n, i)),
+            .at = (uint32_t)(page ? (size_t)page[i] * BLOCK_GROUPS : group + i * BLOCK_GROUPS)};
+    b->tile[b->n++] = tile;
+    b->first[b->n] = first + block_count(n);
+    return b->n == RESIDENT_BATCH ? resident_load(b, e) : ERR_OK;
 }
 
 /* ---- pages ---- */
@@ -201,6 +259,20 @@ static void resident_leave(struct resident *r, struct resident_tile *t)
     t->page = NULL;
 }
 
+/* There are free pages enough. */
+static enum err_code resident_enter(struct resident *r, struct resident_tile *t, struct err *e)
+{
+    size_t blocks = block_count(resident_index(r, (uint32_t)(t - r->tile))->count);
+    t->page = mem_array(blocks + 1, sizeof *t->page);
+    if (!t->page)
+        return err_set(e, ERR_MEM, "out of memory for %zu blocks", blocks);
+    for (size_t i = 0; i < blocks; i++) {
+        t->page[i] = r->free_page[--r->n_free];
+        r->top = t->page[i] < r->top ? r->top : t->page[i] + 1;
+    }
+    return ERR_OK;
+}
+
 void resident_weigh(struct resident *r, uint32_t tile, float share)
 {
     struct resident_tile *t = &r->tile[tile];
@@ -209,24 +281,6 @@ void resident_weigh(struct resident *r, uint32_t tile, float share)
     t->missing = 1.0f - share;
     if (t->page)
         resident_leave(r, t);
-}
-
-/* A copy of what is packed of a tile, with its share of opacity. Caller frees; NULL: no memory. */
-static float *resident_faint(const struct resident *r, const struct resident_tile *t, size_t rows)
-{
-    size_t floats = (size_t)render_piece_groups(rows) * r->model.planes * LAYOUT_LANES;
-    double share = 1.0 - (double)t->missing;
-    float *out = mem_array(floats + 1, sizeof *out);
-    if (!out)
-        return NULL;
-    memcpy(out, t->packed, floats * sizeof *out);
-    for (size_t i = 0; i < rows; i++) {
-        size_t group = i / LAYOUT_LANES * r->model.planes;
-        float *logit = &out[(group + LAYOUT_PLANE_OPACITY) * LAYOUT_LANES + i % LAYOUT_LANES];
-        double o = share / (1.0 + exp(-(double)*logit));
-        *logit = (float)log(o / (1.0 - o));
-    }
-    return out;
 }
 
 static void resident_forget_pages(struct resident *r)
@@ -239,30 +293,8 @@ static void resident_forget_pages(struct resident *r)
     mem_free(r->list);
     mem_free(r->next);
     r->free_page = r->list = r->next = NULL;
-    r->n_pages = r->n_free = r->n_list = 0;
+    r->n_pages = r->n_free = r->top = r->n_list = 0;
     r->list_valid = false;
-}
-
-/* At least so many pages; when there were fewer nothing is on the device any more. */
-static enum err_code resident_reserve(struct resident *r, size_t pages, struct err *e)
-{
-    bool kept;
-    enum err_code rc = render_model_reserve(r->render, &r->model, pages * BLOCK_GROUPS, &kept, e);
-    if (!rc && kept)
-        return ERR_OK;
-    resident_forget_pages(r);
-    r->n_pages = render_model_capacity(&r->model) / BLOCK_GROUPS;
-    r->free_page = mem_array(r->n_pages, sizeof *r->free_page);
-    r->list = mem_array(r->n_pages * BLOCK_GROUPS, sizeof *r->list);
-    r->next = mem_array(r->n_pages * BLOCK_GROUPS, sizeof *r->next);
-    if (!rc && !(r->free_page && r->list && r->next)) {
-        r->n_pages = 0;
-        render_model_free(&r->model);
-        rc = err_set(e, ERR_MEM, "out of memory for %zu blocks of Gaussians", pages);
-    }
-    for (size_t i = r->n_pages; !rc && i-- > 0;)
-        r->free_page[r->n_free++] = (uint32_t)i;
-    return rc;
 }
 
 /* As resident_open left it. */
@@ -276,13 +308,42 @@ static void resident_empty(struct render_model *m)
 
 void resident_shrink(struct resident *r)
 {
-    const size_t limit = r->limit_bytes;
-    r->limit_bytes = 0;
-    resident_evict(r);
-    r->limit_bytes = limit;
     resident_forget_pages(r);
     resident_empty(&r->model);
     resident_empty(&r->flat);
+}
+
+static bool resident_resize(uint32_t **p, size_t n_old, size_t n_new)
+{
+    uint32_t *q = mem_resize(*p, n_old, n_new, sizeof *q);
+    *p = q ? q : *p;
+    return q;
+}
+
+/* At least so many pages; what they hold stays. */
+static enum err_code resident_grow(struct resident *r, size_t pages, struct err *e)
+{
+    const size_t was = r->n_pages;
+    enum err_code rc =
+        render_model_reserve(r->render, &r->model, pages * BLOCK_GROUPS, r->top * BLOCK_GROUPS, e);
+    if (rc)
+        return rc;
+    const size_t now = render_model_capacity(&r->model) / BLOCK_GROUPS;
+    if (!resident_resize(&r->free_page, was, now) ||
+        !resident_resize(&r->list, was * BLOCK_GROUPS, now * BLOCK_GROUPS) ||
+        !resident_resize(&r->next, was * BLOCK_GROUPS, now * BLOCK_GROUPS))
+        return err_set(e, ERR_MEM, "out of memory for %zu blocks of Gaussians", pages);
+    r->n_pages = now;
+    for (size_t i = now; i-- > was;)
+        r->free_page[r->n_free++] = (uint32_t)i;
+    return ERR_OK;
+}
+
+static int resident_use_compare(const void *a, const void *b)
+{
+    const struct resident_tile *const *x = a;
+    const struct resident_tile *const *y = b;
+    return (*x)->used < (*y)->used ? -1 : (*x)->used > (*y)->used;
 }
 
 /* Free pages enough, at the cost of tiles used last before `since`. */
@@ -299,69 +360,62 @@ static void resident_make_room(struct resident *r, size_t pages, uint64_t since)
         resident_leave(r, r->scratch[i]);
 }
 
-/* Copy what is not on the device yet; `pages` of it, which are free. */
-static enum err_code resident_place(struct resident *r, const uint32_t *picked, size_t n,
-                                    size_t pages, struct err *e)
+/* Room for a picture of so many pages, `missing` of which are not there. Nothing leaves as long as
+ * the limit allows more pages. They double, because all that is there is copied. */
+static enum err_code resident_reserve(struct resident *r, size_t pages, size_t missing,
+                                      uint64_t since, struct err *e)
 {
-    size_t block_floats = (size_t)r->model.planes * LAYOUT_LANES * BLOCK_GROUPS, n_pieces = 0;
-    struct render_piece *piece = mem_array(pages + 1, sizeof *piece);
-    float **faint = mem_array(n + 1, sizeof *faint);
-    enum err_code rc =
-        piece && faint ? ERR_OK : err_set(e, ERR_MEM, "out of memory for %zu blocks", pages);
-    for (size_t i = 0; !rc && i < n; i++) {
-        struct resident_tile *t = &r->tile[picked[i]];
-        size_t rows = resident_index(r, picked[i])->count, blocks = block_count(rows);
-        if (t->page)
-            continue;
-        faint[i] = t->missing > 0.0f ? resident_faint(r, t, rows) : NULL;
-        if ((t->missing > 0.0f && !faint[i]) ||
-            !(t->page = mem_array(blocks + 1, sizeof *t->page))) {
-            rc = err_set(e, ERR_MEM, "out of memory for %zu blocks", blocks);
-            break;
-        }
-        for (size_t b = 0; b < blocks; b++) {
-            uint32_t groups = render_piece_groups(rows - b * BLOCK_ROWS);
-            t->page[b] = r->free_page[--r->n_free];
-            piece[n_pieces++] = (struct render_piece){
-                (faint[i] ? faint[i] : t->packed) + b * block_floats,
-                groups < BLOCK_GROUPS ? groups : BLOCK_GROUPS, t->page[b] * BLOCK_GROUPS};
-        }
-        t->used = 0; /* until its blocks are there */
+    const size_t page_bytes =
+        (size_t)layout_planes(r->model.sh_degree, r->model.embed_len) * BLOCK_ROWS * sizeof(float);
+    const size_t limit = r->limit_bytes / page_bytes;
+    struct err why;
+    if (missing <= r->n_free && r->n_pages > 0)
+        return ERR_OK;
+    size_t want = r->n_pages - r->n_free + missing;
+    want = want > 2 * r->n_pages ? want : 2 * r->n_pages;
+    want = want < limit ? want : limit;
+    want = want > pages ? want : pages;
+    if (want > r->n_pages && r->n_pages > 0 && resident_grow(r, want, &why)) {
+        /* No room for the old pages beside the new ones: all tiles are loaded again. */
+        resident_forget_pages(r);
+        resident_empty(&r->model);
+        missing = want = pages;
     }
+    enum err_code rc = want > r->n_pages || !r->n_pages ? resident_grow(r, want, e) : ERR_OK;
     if (!rc)
-        rc = render_model_place(r->render, piece, n_pieces, &r->model, e);
-    for (size_t i = 0; i < n; i++) {
-        struct resident_tile *t = &r->tile[picked[i]];
-        if (rc && t->page && t->used == 0)
-            resident_leave(r, t);
-        t->used = ++r->clock;
-    }
-    for (size_t i = 0; faint && i < n; i++)
-        mem_free(faint[i]);
-    mem_free(faint);
-    mem_free(piece);
+        resident_make_room(r, missing, since);
     return rc;
 }
 
 static enum err_code resident_bring(struct resident *r, const uint32_t *picked, size_t n,
                                     struct err *e)
 {
+    struct resident_batch *b = NULL;
     size_t pages = 0, missing = 0;
     uint64_t since = r->clock;
     for (size_t i = 0; i < n; i++) {
-        pages += block_count(resident_index(r, picked[i])->count);
+        const size_t here = block_count(resident_index(r, picked[i])->count);
+        pages += here;
+        missing += r->tile[picked[i]].page ? 0 : here;
         r->tile[picked[i]].used = ++r->clock;
     }
-    enum err_code rc = resident_reserve(r, pages, e);
-    if (!rc)
-        rc = resident_load(r, picked, n, false, e);
-    for (size_t i = 0; !rc && i < n; i++)
-        missing += r->tile[picked[i]].page ? 0 : block_count(resident_index(r, picked[i])->count);
+    enum err_code rc = resident_reserve(r, pages, missing, since, e);
     if (rc || missing == 0)
         return rc;
-    resident_make_room(r, missing, since);
-    rc = resident_place(r, picked, n, missing, e);
-    resident_evict(r);
+    rc = resident_batch_make(r, &r->model, pages, &b, e);
+    for (size_t i = 0; !rc && i < n; i++) {
+        struct resident_tile *t = &r->tile[picked[i]];
+        if (t->page)
+            continue;
+        rc = resident_enter(r, t, e);
+        if (!rc)
+            rc = resident_add(b, picked[i], t->page, 0, e);
+    }
+    if (!rc)
+        rc = resident_load(b, e);
+    for (size_t i = 0; rc && b && i < b->n; i++) /* of all or of none */
+        resident_leave(r, &r->tile[b->tile[i]]);
+    resident_batch_free(b);
     return rc;
 }
 
@@ -376,7 +430,7 @@ enum err_code resident_show(struct resident *r, const uint32_t *picked, size_t n
         size_t rows = resident_index(r, picked[i])->count;
         for (size_t b = 0; b * BLOCK_ROWS < rows; b++) {
             const struct block *x = &t->block[b];
-            size_t left = rows - b * BLOCK_ROWS, here = left < BLOCK_ROWS ? left : BLOCK_ROWS;
+            const size_t here = resident_rows(rows, b);
             if (f && !frustum_sees(f, x->min_enu_m, x->max_enu_m, x->sigma_max_m))
                 continue;
             *n_gaussians += here;
@@ -399,26 +453,23 @@ enum err_code resident_show(struct resident *r, const uint32_t *picked, size_t n
 
 enum err_code resident_flat(struct resident *r, const uint32_t *picked, size_t n, struct err *e)
 {
-    size_t groups = 0;
-    bool kept;
-    struct render_piece *piece = mem_array(n + 1, sizeof *piece);
-    enum err_code rc = piece ? ERR_OK : err_set(e, ERR_MEM, "out of memory for %zu tiles", n);
-    for (size_t i = 0; i < n; i++)
-        r->tile[picked[i]].used = ++r->clock;
+    struct resident_batch *b = NULL;
+    size_t groups = 0, blocks = 0, at = 0;
+    for (size_t i = 0; i < n; i++) {
+        groups += render_piece_groups(resident_index(r, picked[i])->count);
+        blocks += block_count(resident_index(r, picked[i])->count);
+    }
+    enum err_code rc = render_model_reserve(r->render, &r->flat, groups, 0, e);
     if (!rc)
-        rc = resident_load(r, picked, n, true, e);
+        rc = resident_batch_make(r, &r->flat, blocks, &b, e);
     for (size_t i = 0; !rc && i < n; i++) {
-        uint32_t here = render_piece_groups(resident_index(r, picked[i])->count);
-        piece[i] = (struct render_piece){r->tile[picked[i]].packed, here, (uint32_t)groups};
-        groups += here;
+        rc = resident_add(b, picked[i], NULL, at, e);
+        at += render_piece_groups(resident_index(r, picked[i])->count);
     }
     if (!rc)
-        rc = render_model_reserve(r->render, &r->flat, groups, &kept, e);
-    if (!rc)
-        rc = render_model_place(r->render, piece, n, &r->flat, e);
+        rc = resident_load(b, e);
     if (!rc)
         rc = render_model_list(r->render, NULL, groups, &r->flat, e);
-    mem_free(piece);
-    resident_evict(r);
+    resident_batch_free(b);
     return rc;
 }

@@ -1,10 +1,10 @@
-/* Tiles of a store in memory and on the device. Internal to lod/: view.c draws from them.
+/* Tiles of a store on the device. Internal to lod/: view.c draws from them.
  *
- * There are two caches. Decoded tiles stay in memory in the device's layout, up to a number of
- * bytes; the least recently used are dropped first. On the device a block of a tile occupies a
- * page, and stays until the page is needed. A tile is therefore copied only when it comes into
- * view. A picture lists its blocks in the order of tiles and blocks, so its bits do not depend on
- * the pages.
+ * A block of a tile occupies a page there, and stays until the page is needed. A tile is therefore
+ * read and decoded only when it comes into view, straight to its pages where host and device share
+ * memory. There are as many pages as a picture needs, and more up to a number of bytes; then the
+ * least recently used tiles leave first. A picture lists its blocks in the order of tiles and
+ * blocks, so its bits do not depend on the pages.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -18,11 +18,9 @@
 struct store;
 
 struct resident_tile {   /* by index into store_tiles */
-    float *packed;       /* see render_piece_pack; NULL: not in memory */
-    size_t bytes;        /* of packed */
     struct block *block; /* known after the first decoding */
     uint32_t *page;      /* page of each block; NULL: not on the device */
-    float missing;       /* share of opacity taken away on the device: see resident_weigh */
+    float missing;       /* share of opacity taken away: see resident_weigh */
     uint64_t used;
 };
 struct resident {
@@ -30,12 +28,13 @@ struct resident {
     struct render *render; /* borrowed */
     struct resident_tile *tile;
     size_t n_tiles;
-    size_t bytes, limit_bytes; /* bytes of all `packed` */
+    size_t limit_bytes; /* of pages beyond those that a picture needs */
     uint64_t clock;
     /* model: the pages; flat: tiles one after another, see resident_flat */
     struct render_model model, flat;
     uint32_t *free_page; /* stack, [n_pages] */
     size_t n_free, n_pages;
+    size_t top;            /* pages from here on were never used */
     uint32_t *list, *next; /* groups of the last picture, and scratch: [n_pages * BLOCK_GROUPS] */
     size_t n_list;
     bool list_valid;
@@ -48,7 +47,7 @@ struct resident {
 enum err_code resident_open(struct store *s, struct render *r, uint32_t embed_len,
                             size_t limit_bytes, struct resident *out, struct err *e) ERR_USE;
 void resident_close(struct resident *r);
-/* Frees all tiles, in memory and on the device. */
+/* Frees all tiles. */
 void resident_shrink(struct resident *r);
 /* From now on a tile is drawn with this share of its opacity, above 0 and up to 1. */
 void resident_weigh(struct resident *r, uint32_t tile, float share);

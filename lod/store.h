@@ -15,6 +15,7 @@
 #include "lod/key.h"
 
 struct gauss;
+struct payload;
 
 /* geometric error over sigma: an error of 16 px is a sigma of 1 px */
 #define STORE_PX_PER_SIGMA 16.0
@@ -143,6 +144,14 @@ enum err_code store_read_gauss(struct store *s, struct key k, struct gauss *out,
  * count, degree or embedding differ from index and meta. ERR_MEM. */
 enum err_code store_decode(const struct store *s, const struct store_tile *t,
                            const struct buf *bytes, struct gauss *out, struct err *e) ERR_USE;
+/* As store_decode, but *out is unpacked alone: see codec/payload.h. It keeps its memory from call
+ * to call. ERR_FORMAT, ERR_MEM. */
+enum err_code store_unpack(const struct store *s, const struct store_tile *t,
+                           const struct buf *bytes, struct payload *out, struct err *e) ERR_USE;
+/* Adds the names of the store and of the tile to an error, whose code it returns. ERR_FORMAT,
+ * ERR_MEM. */
+enum err_code store_name_tile(const struct store *s, const struct store_tile *t,
+                              struct err *e) ERR_USE;
 /* Reads a blob and checks its hash; the caller frees `out`. ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM.
  */
 enum err_code store_get_blob(struct store *s, const char *name, struct buf *out,

@@ -350,11 +350,7 @@ enum err_code store_open_file(const char *path, int *fd, struct err *e)
     if (range_is_url(path))
         return remote_open(path, fd, e);
     if (!stat(path, &st) && !S_ISREG(st.st_mode)) /* opening a FIFO would wait for a writer */
-        return err_set(e, ERR_FORMAT,
-                       S_ISDIR(st.st_mode) ? "%s: a folder, and a tile store is a file; `citysplat "
-                                             "tile` makes one of a trained scene"
-                                           : "%s: no file: a tile store is a file",
-                       path);
+        return err_set(e, ERR_FORMAT, "%s: no file: a tile store is a file", path);
     *fd = open(path, O_RDONLY | O_CLOEXEC);
     return *fd < 0 ? err_errno(e, errno == ENOENT ? ERR_NOENT : ERR_IO, "%s", path) : ERR_OK;
 }
@@ -556,22 +552,26 @@ enum err_code store_read(struct store *s, struct key k, struct buf *out, struct 
     return rc;
 }
 
+/* The code of *e, whose message then says which tile it is. */
+enum err_code store_name_tile(const struct store *s, const struct store_tile *t, struct err *e)
+{
+    return err_add(e, "%s: tile %u/%u/%u", s->path, t->key.z, t->key.x, t->key.y);
+}
+
 /* A hash says that the bytes are those that were written, not that whoever wrote them meant
  * well. */
-enum err_code store_decode(const struct store *s, const struct store_tile *t,
-                           const struct buf *bytes, struct gauss *out, struct err *e)
+enum err_code store_unpack(const struct store *s, const struct store_tile *t,
+                           const struct buf *bytes, struct payload *out, struct err *e)
 {
     enum { MEAN_SCALE_QUAT_OPACITY = 11 };
     const struct store_meta *m = &s->meta;
     const size_t row = MEAN_SCALE_QUAT_OPACITY + 3 * gauss_sh_count(m->sh_degree) + m->embed_len;
     const struct codec_limits limits = {.max_gaussians = t->count ? t->count : 1, /* 0: no limit */
                                         .max_bytes = t->count * row * sizeof(float) + 1};
-    enum err_code rc = payload_decode(bytes->data, bytes->size, &limits, out, e);
+    enum err_code rc = payload_open(out, bytes->data, bytes->size, &limits, e);
     if (!rc &&
-        (out->n != t->count || out->sh_degree > m->sh_degree || out->embed_len != m->embed_len)) {
-        gauss_free(out);
+        (out->n != t->count || out->sh_degree > m->sh_degree || out->embed_len != m->embed_len))
         rc = ERR_LIMIT;
-    }
     if (rc == ERR_LIMIT)
         rc = err_set(e, ERR_FORMAT,
                      "other harmonics, embeddings or number of Gaussians than the index says");
@@ -580,7 +580,19 @@ enum err_code store_decode(const struct store *s, const struct store_tile *t,
         memcpy(out->origin_enu_m, x.center_enu_m, sizeof out->origin_enu_m);
         return ERR_OK;
     }
-    return err_add(e, "%s: tile %u/%u/%u", s->path, t->key.z, t->key.x, t->key.y);
+    return store_name_tile(s, t, e);
+}
+
+enum err_code store_decode(const struct store *s, const struct store_tile *t,
+                           const struct buf *bytes, struct gauss *out, struct err *e)
+{
+    struct payload p = {0};
+    *out = (struct gauss){0};
+    enum err_code rc = store_unpack(s, t, bytes, &p, e);
+    if (!rc && payload_gauss(&p, out, e))
+        rc = store_name_tile(s, t, e);
+    payload_free(&p);
+    return rc;
 }
 
 enum err_code store_read_gauss(struct store *s, struct key k, struct gauss *out, struct err *e)

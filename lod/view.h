@@ -1,4 +1,4 @@
-/* Pictures of a store: level selection, tiles in memory and on the device, drawing. view.c.
+/* Pictures of a store: level selection, tiles on the device, drawing. view.c.
  *
  * Only one thread at a time may use a struct view and its renderer.
  *
@@ -24,9 +24,9 @@ struct render_options;
 struct store;
 
 struct view; /* a store, a renderer, and the tiles that are on the device */
-/* Opens a store for drawing. cache_bytes limits decoded tiles in memory; 0 = 1 GiB. r is borrowed
- * until view_close, which frees all else. ERR_NOENT, ERR_FORMAT, ERR_IO as in store_open; ERR_MEM.
- */
+/* Opens a store for drawing. cache_bytes limits the tiles that are kept on the device beside those
+ * of a picture; 0 = 1 GiB. r is borrowed until view_close, which frees all else. ERR_NOENT,
+ * ERR_FORMAT, ERR_IO as in store_open; ERR_MEM. */
 enum err_code view_open(const char *store_path, struct render *r, size_t cache_bytes,
                         struct view **out, struct err *e) ERR_USE;
 /* As view_open, from an open file (store_open_fd), which is borrowed during the call. ERR_NOENT,
@@ -34,7 +34,7 @@ enum err_code view_open(const char *store_path, struct render *r, size_t cache_b
 enum err_code view_open_fd(int fd, const char *name, struct render *r, size_t cache_bytes,
                            struct view **out, struct err *e) ERR_USE;
 void view_close(struct view **v);
-/* Frees the tiles that are kept for the next picture, in memory and on the device. */
+/* Frees the tiles that are kept for the next picture. */
 void view_shrink(struct view *v);
 /* Borrowed until view_close. */
 const struct store *view_store(const struct view *v);

@@ -110,35 +110,46 @@ enum err_code render_model_download(struct render *r, const struct render_model 
                                     struct err *e) ERR_USE;
 void render_model_free(struct render_model *m);
 
-/* Models of pieces that are packed once and drawn often (blocks of a city's tiles). To prepare them
- * for drawing, memory is copied and nothing is computed. A piece is whole groups,
- * [n_groups][planes][16], with means relative to the model's origin; lanes after its last Gaussian
- * are not drawn. Pieces stay where they were placed, in any order. Each picture lists the groups
- * that it draws. */
+/* Models of pieces that are placed once and drawn often (blocks of a city's tiles). A piece is
+ * whole groups, [n_groups][planes][16], with means relative to the model's origin. Pieces stay
+ * where they were placed, in any order. Each picture lists the groups that it draws. */
 struct render_piece {
-    const float *groups;
     uint32_t n_groups, at; /* at: first group in params */
+    float *groups;         /* set by render_place_open: write the piece there */
 };
 static inline uint32_t render_piece_groups(size_t n_gaussians)
 {
     return (uint32_t)((n_gaussians + LAYOUT_LANES - 1) / LAYOUT_LANES);
 }
-/* Packs g into `out`, render_piece_groups(g->n) * layout_planes(...) * LAYOUT_LANES floats.
- */
-void render_piece_pack(const struct gauss *g, const double origin_enu_m[3], float *out);
-/* Makes room for n_groups in m. The caller sets sh_degree, embed_len and origin_enu_m before; a
- * model that is {0} elsewhere has no memory yet. *kept: false if the buffer had to grow. It then
- * gets at least a quarter more room than asked for, and its content is lost. render_model_capacity
- * gives the present room. ERR_MEM, ERR_LIMIT. */
+/* Fills the lanes after the last of n Gaussians in its group, so that they are not drawn. */
+void render_piece_end(float *groups, uint32_t planes, size_t n);
+/* Makes room for n_groups in m, and keeps the first n_kept that are there. The caller sets
+ * sh_degree, embed_len and origin_enu_m before; a model that is {0} elsewhere has no memory yet. A
+ * buffer that has to grow gets a quarter more room than asked for. render_model_capacity gives the
+ * present room. After ERR_MEM, ERR_LIMIT and ERR_DEVICE these first are still there. */
 enum err_code render_model_reserve(struct render *r, struct render_model *m, size_t n_groups,
-                                   bool *kept, struct err *e) ERR_USE;
+                                   size_t n_kept, struct err *e) ERR_USE;
 static inline uint32_t render_model_capacity(const struct render_model *m)
 {
     return m->cap / LAYOUT_LANES;
 }
-/* Copies pieces to their places, which must be reserved. ERR_DEVICE. */
-enum err_code render_model_place(struct render *r, const struct render_piece *pieces,
-                                 size_t n_pieces, struct render_model *m, struct err *e) ERR_USE;
+/* Writing pieces to their places, which must be reserved: render_place_open says where in memory,
+ * the caller writes, from any threads, and render_place_close ends it. On a CPU that memory is the
+ * model's own, so nothing is copied. Between the two the model must not be drawn. `made` is whether
+ * the caller could write; close then returns it if it is an error, and copies nothing. ERR_DEVICE,
+ * ERR_MEM. */
+struct render_placing {
+    struct render_piece *piece; /* borrowed */
+    size_t n;
+    void *mapped; /* the model's memory; NULL: it is copied from `staging` */
+    float *staging;
+};
+enum err_code render_place_open(struct render *r, const struct render_model *m,
+                                struct render_piece *piece, size_t n, struct render_placing *out,
+                                struct err *e) ERR_USE;
+enum err_code render_place_close(struct render *r, const struct render_model *m,
+                                 struct render_placing *p, enum err_code made,
+                                 struct err *e) ERR_USE;
 /* Draws these groups of params from now on, in this order; NULL: the first n groups. ERR_MEM,
  * ERR_LIMIT, ERR_DEVICE. */
 enum err_code render_model_list(struct render *r, const uint32_t *groups, size_t n,

@@ -10,7 +10,6 @@
 #include <string.h>
 
 #include "core/base.h"
-#include "core/pool.h"
 #include "render/frame.h"
 
 enum { LANES = LAYOUT_LANES, GROUPS_AT_ONCE = 4096 };
@@ -147,88 +146,85 @@ enum err_code render_model_download(struct render *r, const struct render_model 
 /* Behind every camera or beyond every far plane, and no appearance changes that. */
 #define NOWHERE_M 1e20f
 
-void render_piece_pack(const struct gauss *g, const double origin_enu_m[3], float *out)
+void render_piece_end(float *groups, uint32_t planes, size_t n)
 {
-    uint32_t planes = layout_planes(g->sh_degree, g->embed_len);
-    size_t groups = render_piece_groups(g->n), lanes = groups * LANES;
-    memset(out, 0, lanes * planes * sizeof *out);
-    model_pack(g, planes, 0, groups, out);
-    for (size_t i = 0; i < lanes; i++)
-        for (size_t k = 0; k < 3; k++) {
-            float *at = out + (i / LANES * planes + LAYOUT_PLANE_MEAN + k) * LANES + i % LANES;
-            *at = i < g->n ? (float)((double)*at + (g->origin_enu_m[k] - origin_enu_m[k]))
-                           : NOWHERE_M;
-        }
+    for (size_t i = n; i % LANES != 0; i++)
+        for (uint32_t p = 0; p < planes; p++)
+            groups[layout_at(i, planes) + p * LANES] = p < LAYOUT_PLANE_MEAN + 3 ? NOWHERE_M : 0.0f;
 }
 
 enum err_code render_model_reserve(struct render *r, struct render_model *m, size_t n_groups,
-                                   bool *kept, struct err *e)
+                                   size_t n_kept, struct err *e)
 {
-    *kept = true;
+    cl_mem params = NULL;
     m->planes = layout_planes(m->sh_degree, m->embed_len);
     if (m->params && n_groups <= render_model_capacity(m))
         return ERR_OK;
-    size_t cap = n_groups + n_groups / 4 + 1;
+    const size_t cap = n_groups + n_groups / 4 + 1, group = m->planes * LANES * sizeof(float);
     if (cap > (size_t)(INT32_MAX / LANES))
         return err_set(e, ERR_LIMIT, "%zu Gaussians in one picture: at most 2^31",
                        n_groups * LANES);
-    *kept = false;
-    dev_release(&m->params);
-    m->cap = m->n = m->groups = 0;
-    enum err_code rc =
-        dev_buffer(r->dev, cap * LANES * m->planes * sizeof(float), NULL, &m->params, e);
-    m->cap = !rc ? (uint32_t)(cap * LANES) : 0;
+    if (!n_kept)
+        dev_release(&m->params);
+    enum err_code rc = dev_buffer(r->dev, cap * group, NULL, &params, e);
+    cl_int code = CL_SUCCESS;
+    if (!rc && n_kept)
+        code = clEnqueueCopyBuffer(r->dev->queue, m->params, params, 0, 0, n_kept * group, 0, NULL,
+                                   NULL);
+    if (code != CL_SUCCESS)
+        rc = err_set(e, ERR_DEVICE, "copying %zu Gaussians: %s", n_kept * LANES,
+                     dev_error_name(code));
+    if (!rc) {
+        dev_release(&m->params);
+        m->params = params;
+        m->cap = (uint32_t)(cap * LANES);
+        return ERR_OK;
+    }
+    dev_release(&params);
+    m->cap = m->params ? m->cap : 0;
     return rc;
 }
 
-struct placing {
-    const struct render_piece *pieces;
-    float *to;
-    size_t group_floats;
-};
-
-static enum err_code model_place_piece(void *user, size_t i, struct err *e)
+enum err_code render_place_open(struct render *r, const struct render_model *m,
+                                struct render_piece *piece, size_t n, struct render_placing *out,
+                                struct err *e)
 {
-    const struct placing *a = user;
-    const struct render_piece *p = &a->pieces[i];
-    (void)e;
-    memcpy(a->to + p->at * a->group_floats, p->groups,
-           p->n_groups * a->group_floats * sizeof(float));
+    const size_t group = (size_t)m->planes * LANES;
+    size_t groups = 0;
+    *out = (struct render_placing){.piece = piece, .n = n};
+    for (size_t i = 0; i < n; i++) {
+        assert((size_t)piece[i].at + piece[i].n_groups <= render_model_capacity(m));
+        groups += piece[i].n_groups;
+    }
+    if (r->dev->is_cpu) {
+        enum err_code rc =
+            dev_map(r->dev, m->params, CL_MAP_READ | CL_MAP_WRITE,
+                    render_model_capacity(m) * group * sizeof(float), &out->mapped, e);
+        for (size_t i = 0; !rc && i < n; i++)
+            piece[i].groups = (float *)out->mapped + piece[i].at * group;
+        return rc;
+    }
+    out->staging = mem_uninit(groups * group, sizeof(float));
+    if (!out->staging)
+        return err_set(e, ERR_MEM, "out of memory for %zu Gaussians", groups * LANES);
+    for (size_t i = 0, at = 0; i < n; at += piece[i++].n_groups)
+        piece[i].groups = out->staging + at * group;
     return ERR_OK;
 }
 
-/* On a CPU the buffer is memory like any other: all cores copy. */
-static enum err_code model_place_mapped(struct render *r, struct placing *a, size_t n,
-                                        cl_mem params, size_t bytes, struct err *e)
+enum err_code render_place_close(struct render *r, const struct render_model *m,
+                                 struct render_placing *p, enum err_code made, struct err *e)
 {
-    cl_int code = CL_SUCCESS;
-    a->to = clEnqueueMapBuffer(r->dev->queue, params, CL_TRUE, CL_MAP_READ | CL_MAP_WRITE, 0, bytes,
-                               0, NULL, NULL, &code);
-    if (code != CL_SUCCESS)
-        return err_set(e, ERR_DEVICE, "placing %zu pieces: %s", n, dev_error_name(code));
-    enum err_code rc = pool_for(n, 0, model_place_piece, a, e);
-    code = clEnqueueUnmapMemObject(r->dev->queue, params, a->to, 0, NULL, NULL);
-    if (!rc && code != CL_SUCCESS)
-        rc = err_set(e, ERR_DEVICE, "placing %zu pieces: %s", n, dev_error_name(code));
-    return rc;
-}
-
-enum err_code render_model_place(struct render *r, const struct render_piece *pieces,
-                                 size_t n_pieces, struct render_model *m, struct err *e)
-{
-    struct placing a = {pieces, NULL, (size_t)m->planes * LANES};
-    size_t bytes = a.group_floats * sizeof(float);
-    enum err_code rc = ERR_OK;
-    if (n_pieces == 0)
-        return ERR_OK;
-    for (size_t i = 0; i < n_pieces; i++)
-        assert((size_t)pieces[i].at + pieces[i].n_groups <= render_model_capacity(m));
-    if (r->dev->is_cpu)
-        return model_place_mapped(r, &a, n_pieces, m->params, render_model_capacity(m) * bytes, e);
-    for (size_t i = 0; !rc && i < n_pieces; i++)
-        rc = dev_write(r->dev, m->params, pieces[i].at * bytes, pieces[i].n_groups * bytes,
-                       pieces[i].groups, e);
-    return rc;
+    const size_t bytes = (size_t)m->planes * LANES * sizeof(float);
+    struct err unmap;
+    enum err_code rc = made;
+    for (size_t i = 0; !rc && p->staging && i < p->n; i++)
+        rc = dev_write(r->dev, m->params, p->piece[i].at * bytes, p->piece[i].n_groups * bytes,
+                       p->piece[i].groups, e);
+    enum err_code ended = dev_unmap(r->dev, m->params, &p->mapped, made ? &unmap : e);
+    mem_free(p->staging);
+    *p = (struct render_placing){0};
+    return rc ? rc : ended;
 }
 
 enum err_code render_model_list(struct render *r, const uint32_t *groups, size_t n,

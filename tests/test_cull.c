@@ -102,18 +102,43 @@ static void assert_inside(const char *what, const struct gauss *g, size_t i, con
 static enum err_code sort_blocks(struct gauss *g, struct err *e)
 {
     struct gauss sorted = {0};
-    uint32_t *order = mem_array(g->n, sizeof *order);
+    uint32_t *place = mem_array(g->n, sizeof *place);
+    float *size_log = mem_array(g->n, sizeof *size_log);
+    assert_true(place && size_log);
     enum err_code rc = gauss_alloc(&sorted, g->n, g->sh_degree, g->embed_len, e);
-    assert_non_null(order);
     memcpy(sorted.origin_enu_m, g->origin_enu_m, sizeof sorted.origin_enu_m);
-    if (!rc)
-        rc = block_order(g, order, e);
-    if (!rc)
-        rc = gauss_append(&sorted, g, order, g->n, e);
-    mem_free(order);
+    for (size_t i = 0; i < g->n; i++)
+        size_log[i] =
+            fmaxf(fmaxf(g->scale_log[3 * i], g->scale_log[3 * i + 1]), g->scale_log[3 * i + 2]);
+    block_places(size_log, g->n, place);
+    for (size_t i = 0; !rc && i < g->n; i++)
+        gauss_copy_row(&sorted, place[i], g, i);
+    sorted.n = g->n;
+    mem_free(place);
+    mem_free(size_log);
     gauss_free(g);
     *g = sorted;
     return rc;
+}
+
+/* Boxes of the blocks of these rows, in the layout that is drawn. */
+static void measure_blocks(const struct gauss *g, struct block *out)
+{
+    const uint32_t planes = layout_planes(g->sh_degree, g->embed_len);
+    float *rows = mem_array(layout_floats(g->n, planes), sizeof *rows);
+    assert_non_null(rows);
+    for (size_t i = 0; i < g->n; i++)
+        for (size_t k = 0; k < 3; k++) {
+            float *row = rows + layout_at(i, planes);
+            row[k * LAYOUT_LANES] = g->mean_m[3 * i + k];
+            row[(LAYOUT_PLANE_SCALE + k) * LAYOUT_LANES] = g->scale_log[3 * i + k];
+        }
+    for (size_t b = 0; b < block_count(g->n); b++) {
+        const size_t left = g->n - b * BLOCK_ROWS;
+        block_measure(rows + layout_at(b * BLOCK_ROWS, planes), planes,
+                      left < BLOCK_ROWS ? left : BLOCK_ROWS, g->origin_enu_m, &out[b]);
+    }
+    mem_free(rows);
 }
 
 /* Widths of the tile's blocks in a row, before sorting in width[0] and after in [1]. */
@@ -125,14 +150,14 @@ static void check_blocks(struct gauss *g, double width[2])
     for (size_t i = 0; i < g->n; i++)
         sum += (double)g->mean_m[3 * i] + (double)g->opacity_logit[i];
     assert_in_range(block_count(g->n), 1, 64);
-    block_measure(g, b);
+    measure_blocks(g, b);
     for (size_t i = 0; i < block_count(g->n); i++)
         width[0] += b[i].max_enu_m[0] - b[i].min_enu_m[0];
     kit_ok(sort_blocks(g, &e), e);
     for (size_t i = 0; i < g->n; i++)
         all += (double)g->mean_m[3 * i] + (double)g->opacity_logit[i];
     assert_true(fabs(sum - all) < 1e-6 * (fabs(sum) + (double)g->n)); /* the same rows */
-    block_measure(g, b);
+    measure_blocks(g, b);
     for (size_t i = 0; i < g->n; i++) {
         const struct block *x = &b[i / BLOCK_ROWS];
         assert_inside("block", g, i, x->min_enu_m, x->max_enu_m);

@@ -4,6 +4,7 @@
  */
 #include "codec/limits.h"
 #include "codec/payload.h"
+#include "core/layout.h"
 #include "tests/kit.h"
 #include "tests/torture.h"
 
@@ -186,6 +187,119 @@ static enum err_code decode_free(const void *user, const void *bytes, size_t n,
 static const struct torture torture = {
     .name = "payload", .decode = decode_free, .errors = TORTURE(ERR_LIMIT)};
 
+enum { PLACED_BLOCK = 32, PLACED_BLOCKS = 10, PLACED_ROWS = PLACED_BLOCK * PLACED_BLOCKS };
+#define PLACED_SPARE 7.0f /* what was there before */
+
+/* Row i of `want` lies in row[], about the target's origin. */
+static void expect_row(const struct gauss *want, size_t i, const struct payload_target *to,
+                       const float *row)
+{
+    const size_t k = 3 * gauss_sh_count(want->sh_degree), embed = want->embed_len;
+    for (size_t a = 0; a < 3; a++) {
+        const double at =
+            (double)want->mean_m[3 * i + a] + (want->origin_enu_m[a] - to->origin_enu_m[a]);
+        assert_true(row[a * LAYOUT_LANES] == (float)at);
+        assert_true(row[(LAYOUT_PLANE_SCALE + a) * LAYOUT_LANES] == want->scale_log[3 * i + a]);
+    }
+    for (size_t a = 0; a < 4; a++)
+        assert_true(row[(LAYOUT_PLANE_QUAT + a) * LAYOUT_LANES] == want->quat_wxyz[4 * i + a]);
+    assert_true(row[LAYOUT_PLANE_OPACITY * LAYOUT_LANES] == want->opacity_logit[i]);
+    for (size_t a = 0; a < k; a++)
+        assert_true(row[(LAYOUT_PLANE_SH + a) * LAYOUT_LANES] == want->sh[k * i + a]);
+    for (size_t a = 0; a < to->embed_len; a++)
+        assert_true(row[(LAYOUT_PLANE_SH + k + a) * LAYOUT_LANES] == want->embed[embed * i + a]);
+}
+
+static void expect_placed(const struct payload *p, const struct gauss *want, uint32_t embed_len)
+{
+    static float rows[PLACED_ROWS * (LAYOUT_PLANE_SH + 3 * LAYOUT_SH_MAX + 8)];
+    float *block[PLACED_BLOCKS], size_log[PLACED_ROWS];
+    uint32_t place[PLACED_ROWS];
+    struct err e = {0};
+    const uint32_t planes = layout_planes(want->sh_degree, embed_len);
+    const struct payload_target to = {.block = block,
+                                      .place = place,
+                                      .block_rows = PLACED_BLOCK,
+                                      .embed_len = embed_len,
+                                      .origin_enu_m = {100.25, -20, 3}};
+    size_t spare = 0;
+    assert_true(want->n <= PLACED_ROWS && want->n % 7 != 0); /* 7 i + 3 is a permutation */
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
+        rows[i] = PLACED_SPARE;
+    for (size_t i = 0; i < PLACED_BLOCKS; i++) /* blocks lie in another order, too */
+        block[i] = rows + (PLACED_BLOCKS - 1 - i) * PLACED_BLOCK * planes;
+    for (size_t i = 0; i < want->n; i++)
+        place[i] = (uint32_t)((i * 7 + 3) % want->n);
+    kit_ok(payload_place(p, &to, &e), e);
+    payload_sizes(p, size_log);
+    for (size_t i = 0; i < want->n; i++) {
+        const float *s = want->scale_log + 3 * i;
+        assert_true(size_log[i] == fmaxf(fmaxf(s[0], s[1]), s[2]));
+        expect_row(want, i, &to,
+                   block[place[i] / PLACED_BLOCK] + layout_at(place[i] % PLACED_BLOCK, planes));
+    }
+    for (size_t i = want->n; i < PLACED_ROWS; i++)
+        for (size_t a = 0; a < planes; a++)
+            spare +=
+                block[i / PLACED_BLOCK][layout_at(i % PLACED_BLOCK, planes) + a * LAYOUT_LANES] ==
+                PLACED_SPARE;
+    assert_int_equal(spare, (PLACED_ROWS - want->n) * planes);
+}
+
+/* In blocks of 32, in another order and about another origin, with embeddings and without: each
+ * value is the one that decoding gives, and no other float is touched. */
+static void test_placed(void **state)
+{
+    (void)state;
+    static const size_t counts[] = {1, 31, 200, 300};
+    struct payload p = {0}; /* used again and again */
+    for (size_t c = 0; c < 16; c++) {
+        struct gauss g, want;
+        struct buf b = {0};
+        struct err e = {0};
+        const uint32_t embed = c & 2 ? 8 : 0;
+        kit_gauss(c, counts[c / 4], 60, (uint32_t)c % 4, embed, &g);
+        kit_ok(payload_encode(&g, c & 4, &b, &e), e);
+        kit_ok(payload_decode(b.data, b.size, NULL, &want, &e), e);
+        kit_ok(payload_open(&p, b.data, b.size, NULL, &e), e);
+        expect_placed(&p, &want, c & 1 ? embed : 0);
+        gauss_free(&g);
+        gauss_free(&want);
+        buf_free(&b);
+    }
+    payload_free(&p);
+}
+
+/* What payload_encode never writes: the planes are patched before they are packed again. */
+static void test_placed_values_are_checked(void **state)
+{
+    (void)state;
+    for (int lossless = 0; lossless < 2; lossless++)
+        for (int kind = 0; kind < 2; kind++) {
+            struct gauss g, back;
+            struct buf b = {0};
+            struct err e = {0};
+            struct payload p = {0};
+            float rows[16 * 14], *block[1] = {rows};
+            const uint32_t place[4] = {0, 1, 2, 3};
+            const struct payload_target to = {.block = block, .place = place, .block_rows = 16};
+            kit_gauss(3, 4, 10, 0, 0, &g);
+            kit_ok(payload_encode(&g, lossless, &b, &e), e);
+            kit_ok(payload_open(&p, b.data, b.size, NULL, &e), e);
+            kit_ok(payload_place(&p, &to, &e), e);
+            const size_t width = lossless ? 4 : 2, mean = 4 * 12, quat = mean + 4 * 3 * width;
+            if (kind) /* the rotation of every row is 0 */
+                memset(p.plain.data + quat, 0, 4 * 4 * width);
+            else /* the two high bytes of row 0, then as before: no number from there on */
+                p.plain.data[3 * 4] = 0x7f, p.plain.data[2 * 4] = 0xff;
+            kit_fails(payload_place(&p, &to, &e), ERR_FORMAT, e, "payload: row 0");
+            kit_fails(payload_gauss(&p, &back, &e), ERR_FORMAT, e, "payload: row 0");
+            payload_free(&p);
+            gauss_free(&g);
+            buf_free(&b);
+        }
+}
+
 static void test_truncation_and_flips(void **state)
 {
     (void)state;
@@ -258,6 +372,8 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_lossless),
+        cmocka_unit_test(test_placed),
+        cmocka_unit_test(test_placed_values_are_checked),
         cmocka_unit_test(test_half_floats),
         cmocka_unit_test(test_all_halves),
         cmocka_unit_test(test_refuses_what_is_not_finite),

@@ -121,6 +121,59 @@ static void drawn_again_it_is_the_same(void **state)
     view_close(&tiny);
 }
 
+/* The view sees more from frame to frame, so its pages grow; what they held stays. Beside it one
+ * that keeps nothing. */
+static void pages_grow_and_keep_their_tiles(void **state)
+{
+    struct store_fixture *f = *state;
+    struct err e = {0};
+    struct view *v, *tiny;
+    struct view_stats st;
+    static float kept[W * H * 3], anew[W * H * 3];
+    const struct pick_options finest = {.no_lod = true};
+    size_t first = 0;
+    kit_ok(view_open(f->path, f->render, 0, &v, &e), e);
+    for (int k = 0; k < 6; k++) {
+        struct camera cam = camera_heading((double[3]){-40.0 + 8 * k, 0, 300}, 0, -90, 0.9, W, H);
+        cam.fx_px *= 6.0 / (1 + k); /* a tele lens that opens */
+        cam.fy_px *= 6.0 / (1 + k);
+        kit_ok(view_render(v, &cam, &draw, &finest, kept, &st, &e), e);
+        first = k ? first : st.n_tiles;
+        kit_ok(view_open(f->path, f->render, 1, &tiny, &e), e);
+        kit_ok(view_render(tiny, &cam, &draw, &finest, anew, NULL, &e), e);
+        assert_memory_equal(kept, anew, sizeof kept);
+        view_close(&tiny);
+    }
+    assert_true(first > 0 && st.n_tiles > 2 * first + 2); /* more than the first room held */
+    view_close(&v);
+}
+
+/* view_model has the Gaussians of the same picture, one tile behind another. */
+static void a_model_of_a_view(void **state)
+{
+    struct store_fixture *f = *state;
+    struct err e = {0};
+    struct view *v;
+    struct view_stats st;
+    const struct render_model *m;
+    static float want[W * H * 3], got[W * H * 3];
+    const double heights[] = {900, 60, 900, 400};
+    kit_ok(view_open(f->path, f->render, 0, &v, &e), e);
+    for (size_t i = 0; i < sizeof heights / sizeof *heights; i++) {
+        const struct camera cam = camera_at(0, heights[i], -50);
+        const struct pick_options whole = {.whole_tiles = true};
+        kit_ok(view_render(v, &cam, &draw, &whole, want, NULL, &e), e);
+        kit_ok(view_model(v, &cam, &whole, &m, &st, &e), e);
+        struct render_options o = draw;
+        o.supersample = 1;
+        o.picture = true;
+        kit_ok(render_forward(f->render, m, &cam, &o, got, NULL, &e), e);
+        assert_true(st.n_tiles > 0 && m->n >= st.n_gaussians);
+        assert_memory_equal(want, got, sizeof want);
+    }
+    view_close(&v);
+}
+
 /* Room for the indices of all tiles; free it. */
 static uint32_t *tiles_of(const struct view *v)
 {
@@ -323,6 +376,8 @@ int main(void)
     progress_quiet(true);
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(drawn_again_it_is_the_same),
+        cmocka_unit_test(pages_grow_and_keep_their_tiles),
+        cmocka_unit_test(a_model_of_a_view),
         cmocka_unit_test(small_splats_are_supersampled),
         cmocka_unit_test(tiles_of_another_camera),
         cmocka_unit_test(tiles_in_part),

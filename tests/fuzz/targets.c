@@ -20,6 +20,7 @@
 #include "codec/tensors.h"
 #include "codec/unzip.h"
 #include "core/appearance.h"
+#include "core/layout.h"
 #include "tests/fuzz/fuzz.h"
 
 #include <assert.h>
@@ -117,12 +118,43 @@ void fuzz_sog(const uint8_t *bytes, size_t n)
     gauss_free(&g);
 }
 
+/* Straight into drawn rows, in their order. It is decoded if and only if payload_decode can. */
+static bool payload_is_placed(const uint8_t *bytes, size_t n)
+{
+    struct payload p = {0};
+    bool good = payload_open(&p, bytes, n, &limits, NULL) == ERR_OK;
+    if (good) {
+        const size_t groups = (p.n + LAYOUT_LANES - 1) / LAYOUT_LANES;
+        const uint32_t planes = layout_planes(p.sh_degree, p.embed_len);
+        float *rows = mem_array(groups * LAYOUT_LANES + 1, planes * sizeof *rows);
+        float **block = mem_array(groups + 1, sizeof *block), *size_log = mem_array(p.n, 4);
+        uint32_t *place = mem_array(p.n + 1, sizeof *place);
+        const struct payload_target to = {
+            .block = block, .place = place, .block_rows = LAYOUT_LANES, .embed_len = p.embed_len};
+        assert(rows && block && place && size_log);
+        for (size_t i = 0; i < groups; i++)
+            block[i] = rows + i * LAYOUT_LANES * planes;
+        for (size_t i = 0; i < p.n; i++)
+            place[i] = (uint32_t)i;
+        payload_sizes(&p, size_log);
+        good = payload_place(&p, &to, NULL) == ERR_OK;
+        mem_free(rows);
+        mem_free(block);
+        mem_free(place);
+        mem_free(size_log);
+    }
+    payload_free(&p);
+    return good;
+}
+
 void fuzz_payload(const uint8_t *bytes, size_t n)
 {
     struct gauss g;
-    if (payload_decode(bytes, n, &limits, &g, NULL) == ERR_OK)
+    const bool good = payload_decode(bytes, n, &limits, &g, NULL) == ERR_OK;
+    if (good)
         check_gauss(&g);
     gauss_free(&g);
+    assert(payload_is_placed(bytes, n) == good);
 }
 
 void fuzz_npy(const uint8_t *bytes, size_t n)
