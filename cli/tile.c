@@ -14,6 +14,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include <jansson.h>
+
 #include "cells/camera_hull.h"
 #include "cells/cell_plan.h"
 #include "cells/footprint.h"
@@ -97,6 +99,7 @@ struct tile_level { /* what load() needs */
     struct tile_file *file; /* one a cell that is not empty */
     size_t n_files;
     size_t *first; /* [n_files + 1] number of the first part of each file */
+    double pixel_m; /* pyramid_level.pixel_m */
 };
 
 static enum err_code tile_path(char path[FILE_PATH_MAX], const struct tile_scene *s, const char *id,
@@ -367,6 +370,20 @@ static enum err_code tile_check_look(struct tile_scene *s, const struct ckpt_row
     return rc;
 }
 
+/* The largest pixel of all cells: none is shown from nearer than its own allows. Checkpoints of
+ * before have none. */
+static enum err_code tile_read_pixel(const struct ckpt_rows *rows, struct tile_level *l,
+                                     struct err *e)
+{
+    struct json_t *meta = NULL;
+    enum err_code rc = ckpt_rows_meta(rows, &meta, e);
+    const double pixel_m = json_number_value(json_object_get(meta, "pixel_m"));
+    json_decref(meta);
+    if (!rc && pixel_m > 0.0 && isfinite(pixel_m))
+        l->pixel_m = fmax(l->pixel_m, pixel_m);
+    return rc;
+}
+
 static enum err_code tile_open_level(struct tile_scene *s, uint8_t level, struct tile_level *l,
                                      struct err *e)
 {
@@ -386,6 +403,8 @@ static enum err_code tile_open_level(struct tile_scene *s, uint8_t level, struct
         if (rc)
             break;
         rc = tile_check_look(s, f->rows, path, e);
+        if (!rc)
+            rc = tile_read_pixel(f->rows, l, e);
         size_t parts = (ckpt_rows_count(f->rows) + TILE_PART_ROWS - 1) / TILE_PART_ROWS;
         l->first[l->n_files + 1] = l->first[l->n_files] + parts;
         l->n_files++;
@@ -640,6 +659,7 @@ static enum err_code tile_build(struct tile_scene *s, const struct scene *scene,
         rc = tile_open_level(s, (uint8_t)(i + 1), &level[i], e);
         levels[i] = (struct pyramid_level){
             .level = level[i].level,
+            .pixel_m = i + 1 < s->n_levels ? level[i].pixel_m : 0.0,
             .load = tile_load,
             .user = &level[i],
             .n_parts = level[i].first ? level[i].first[level[i].n_files] : 0};

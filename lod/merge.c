@@ -459,6 +459,10 @@ static enum err_code merge_open(struct merge *m, const char *path_a, const char 
     if (m->d.meta.sh_degree < b->sh_degree)
         m->d.meta.sh_degree = b->sh_degree;
     m->d.meta.lossless = a->lossless && b->lossless;
+    for (size_t l = 0; l < STORE_LEVEL_MAX; l++) {
+        const double larger_m = fmax(a->pixel_m[l], b->pixel_m[l]);
+        m->d.meta.pixel_m[l] = fmin(a->pixel_m[l], b->pixel_m[l]) > 0.0 ? larger_m : 0.0;
+    }
     m->d.max_per_tile = PYRAMID_PER_TILE_MAX;
     if (model && (rc = bake_join(m->a, model, &m->d.appearance, e)))
         return rc;

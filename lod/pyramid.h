@@ -28,6 +28,9 @@ struct pyramid_config { /* {0} has defaults for all but the name */
 struct pyramid_level {     /* levels must be consecutive: 1, 2, 3, or 3 alone */
     const struct gauss *g; /* borrowed; NULL: load() gives the level in n_parts parts */
     uint8_t level;         /* 1 coarsest .. n finest, at most 7 */
+    /* a pixel, on the ground, of the photographs that trained the level, if a finer level may
+     * replace it; 0: not known (store_meta.pixel_m) */
+    double pixel_m;
     /* Loads part `part`. It is called once for each part, from several threads. The pyramid frees
      * *out. A part should have about 100,000 rows, because each thread holds one. */
     enum err_code (*load)(void *user, size_t part, struct gauss *out, struct err *e);

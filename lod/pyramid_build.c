@@ -561,6 +561,8 @@ enum err_code pyramid_build(const struct geo_origin *origin, const struct pyrami
         memcpy(p.meta.name, cfg->name, sizeof p.meta.name);
         memcpy(p.meta.attribution, cfg->attribution, sizeof p.meta.attribution);
         memcpy(p.meta.heights, cfg->heights, sizeof p.meta.heights);
+        for (size_t i = 0; i < n_levels; i++)
+            p.meta.pixel_m[levels[i].level - 1] = levels[i].pixel_m;
         rc = pyramid_write(&p, blobs, n_blobs, out_path, e);
     }
     if (!rc)

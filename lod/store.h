@@ -19,6 +19,8 @@ struct payload;
 
 /* geometric error over sigma: an error of 16 px is a sigma of 1 px */
 #define STORE_PX_PER_SIGMA 16.0
+/* A level is replaced by the finer one where a pixel is this part of those it was trained on. */
+#define STORE_PIXEL_SHARE 0.75
 
 enum { STORE_LEVEL_MAX = 7, STORE_VERSION_MAX = 0xffffff };
 struct store_tile { /* the row of one tile in the index */
@@ -39,7 +41,8 @@ struct store_shape {                   /* where a tile is */
     double sigma_median_m; /* median over the tile of the largest sigma of each Gaussian */
     /* largest sigma: it limits how far EWA splatting may draw beyond the box */
     double sigma_max_m;
-    /* 16 sigma_median_m: clients that refine at 16 px see a sigma of 1 px */
+    /* 16 sigma_median_m, so that clients that refine at 16 px see a sigma of 1 px; less where the
+     * level was trained on finer pixels (store_meta.pixel_m) */
     double geometric_error_m;
 };
 struct store_entry { /* both, as they are written */
@@ -55,6 +58,9 @@ struct store_meta {
     uint8_t zoom_min, zoom_max; /* zooms of the root and of the finest level; set by store_commit */
     char attribution[256];
     char heights[HEIGHTS_MAX]; /* reference of heights: core/heights.h; "": the ellipsoid */
+    /* of level l at [l - 1]: a pixel, on the ground, of the photographs that trained it; 0: not
+     * known. Errors are at most 16 STORE_PIXEL_SHARE of it (docs/decisions/113-own-pixels.md) */
+    double pixel_m[STORE_LEVEL_MAX];
     char revision
         [13]; /* by store_commit: hash of tiles, blobs, name, origin, attribution, 12 hex digits */
     char created[32]; /* ISO 8601; not part of the revision */

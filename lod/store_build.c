@@ -200,10 +200,22 @@ static double store_growth(const struct store *s, const struct gauss *g)
     return s->meta.lossless ? 1.0 : exp(ldexp((double)most, -11));
 }
 
+/* A level is as good as the finer one at pixels as large as those it was trained on, whatever the
+ * size of its Gaussians. */
+static double store_error_m(const struct store *s, const struct store_entry *t)
+{
+    const uint32_t level = t->tile.level;
+    const double pixel_m = level > 0 ? s->meta.pixel_m[level - 1] : 0.0;
+    const double sigma_m = t->shape.sigma_median_m;
+    return STORE_PX_PER_SIGMA *
+           (pixel_m > 0.0 ? fmin(sigma_m, STORE_PIXEL_SHARE * pixel_m) : sigma_m);
+}
+
 /* Bounds and sigmas of the rows. */
-static enum err_code store_measure(const struct store *s, struct store_shape *t,
+static enum err_code store_measure(const struct store *s, struct store_entry *of,
                                    const struct gauss *g, struct err *e)
 {
+    struct store_shape *t = &of->shape;
     double growth = store_growth(s, g);
     enum err_code rc = store_sigmas(t, g, e);
     if (rc)
@@ -218,7 +230,7 @@ static enum err_code store_measure(const struct store *s, struct store_shape *t,
     gauss_bounds(g, STORE_REACH_SIGMA * growth, t->min_enu_m, t->max_enu_m);
     t->sigma_max_m *= growth;
     if (!(t->geometric_error_m > 0.0))
-        t->geometric_error_m = STORE_PX_PER_SIGMA * t->sigma_median_m;
+        t->geometric_error_m = store_error_m(s, of);
     double sum = t->sigma_median_m + t->sigma_max_m + t->geometric_error_m;
     for (size_t k = 0; k < 3; k++) {
         /* SQLite keeps -0.0 as 0, which would hash differently. */
@@ -285,7 +297,7 @@ enum err_code store_encode(const struct store *s, struct store_entry *t, const s
         return err_set(e, ERR_ARG, "%s: tile %u/%u/%u with %zu Gaussians cannot be stored", s->path,
                        t->tile.key.z, t->tile.key.x, t->tile.key.y, g->n);
     t->tile.count = (uint32_t)g->n;
-    enum err_code rc = store_measure(s, &t->shape, g, e);
+    enum err_code rc = store_measure(s, t, g, e);
     if (!rc)
         rc = payload_encode(g, s->meta.lossless, payload, e);
     if (!rc && payload->size > INT32_MAX)
@@ -392,15 +404,30 @@ static enum err_code store_revision(struct store *s, struct err *e)
     return rc;
 }
 
+enum { STORE_PIXELS_TEXT = 26 * STORE_LEVEL_MAX };
+
+/* Up to the finest level that has one, separated by spaces. */
+static void store_pixels_text(const struct store_meta *m, char out[STORE_PIXELS_TEXT])
+{
+    size_t n = STORE_LEVEL_MAX, at = 0;
+    while (n > 0 && !(m->pixel_m[n - 1] > 0.0))
+        n--;
+    out[0] = '\0';
+    for (size_t l = 0; l < n; l++)
+        at += (size_t)snprintf(&out[at], STORE_PIXELS_TEXT - at, l ? " %.17g" : "%.17g",
+                               m->pixel_m[l]);
+}
+
 static enum err_code store_write_meta(struct store *s, struct err *e)
 {
     const struct store_meta *m = &s->meta;
-    char num[10][40];
+    char num[10][40], pixels[STORE_PIXELS_TEXT];
     const double values[10] = {m->origin.lon_deg, m->origin.lat_deg, m->origin.h_m, m->sh_degree,
                                m->embed_len,      m->antialiased,    m->lossless,   m->zoom_min,
                                m->zoom_max,       (double)s->index.n};
     for (size_t i = 0; i < 10; i++)
         snprintf(num[i], sizeof num[i], "%.17g", values[i]);
+    store_pixels_text(m, pixels);
     const char *const rows[][2] = {
         {"name", m->name},          {"origin_lon_deg", num[0]},
         {"origin_lat_deg", num[1]}, {"origin_h_m", num[2]},
@@ -408,8 +435,9 @@ static enum err_code store_write_meta(struct store *s, struct err *e)
         {"antialiased", num[5]},    {"lossless", num[6]},
         {"zoom_min", num[7]},       {"zoom_max", num[8]},
         {"tiles", num[9]},          {"attribution", m->attribution},
-        {"heights", m->heights},    {"revision", m->revision},
-        {"created", m->created},    {"writer", "citysplat " CITYSPLAT_VERSION},
+        {"heights", m->heights},    {"level_pixel_m", pixels},
+        {"revision", m->revision},  {"created", m->created},
+        {"writer", "citysplat " CITYSPLAT_VERSION},
     };
     sqlite3_stmt *q = NULL;
     int code = sqlite3_prepare_v2(s->db, "INSERT INTO meta(key,value) VALUES(?1,?2)", -1, &q, NULL);

@@ -200,6 +200,34 @@ static enum err_code store_meta_heights(struct store *s, sqlite3_stmt *q, struct
     return ERR_OK;
 }
 
+#define STORE_PIXEL_MOST_M 1e6
+
+/* Older stores do not have them. */
+static enum err_code store_meta_pixels(struct store *s, sqlite3_stmt *q, struct store_meta *m,
+                                       struct err *e)
+{
+    sqlite3_reset(q);
+    sqlite3_bind_text(q, 1, "level_pixel_m", -1, SQLITE_STATIC);
+    int code = sqlite3_step(q);
+    if (code != SQLITE_ROW && code != SQLITE_DONE)
+        return store_db_fail(s, code, "meta", e);
+    const char *text = code == SQLITE_ROW ? (const char *)sqlite3_column_text(q, 0) : "";
+    size_t n = 0;
+    while (text && *text && n < STORE_LEVEL_MAX) {
+        char *end = NULL;
+        const double v = strtod(text, &end);
+        if (end == text || !(v >= 0.0 && v < STORE_PIXEL_MOST_M))
+            break;
+        m->pixel_m[n++] = v;
+        text = end + (*end == ' ');
+    }
+    return text && !*text ? ERR_OK
+                          : err_set(e, ERR_FORMAT,
+                                    "%s: meta: level_pixel_m is no list of at most %d lengths in "
+                                    "metres",
+                                    s->path, STORE_LEVEL_MAX);
+}
+
 static enum err_code store_read_meta(struct store *s, struct err *e)
 {
     struct store_meta *m = &s->meta;
@@ -231,6 +259,8 @@ static enum err_code store_read_meta(struct store *s, struct err *e)
         rc = store_meta_text(s, q, "attribution", m->attribution, sizeof m->attribution, e);
     if (!rc)
         rc = store_meta_heights(s, q, m, e);
+    if (!rc)
+        rc = store_meta_pixels(s, q, m, e);
     if (!rc)
         rc = store_meta_text(s, q, "revision", m->revision, sizeof m->revision, e);
     if (!rc)

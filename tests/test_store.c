@@ -125,6 +125,67 @@ static void round_trip(void **state)
     store_close(&s);
 }
 
+static void alter(const char *path, const char *sql)
+{
+    sqlite3 *db = NULL;
+    char *why = NULL;
+    assert_int_equal(sqlite3_open(path, &db), SQLITE_OK);
+    if (sqlite3_exec(db, sql, NULL, NULL, &why) != SQLITE_OK)
+        fail_msg("%s: %s", sql, why);
+    sqlite3_close(db);
+}
+
+/* A level is replaced by the finer one where pixels are as fine as three quarters of those it was
+ * trained on, or before, if its Gaussians are small. Levels of which that is not known go by their
+ * Gaussians alone. */
+static void errors_are_of_the_levels_pixels(void **state)
+{
+    struct store_fixture *f = *state;
+    struct err e = {0};
+    struct store *s;
+    struct store_meta m = meta;
+    enum { LEVELS = 4 };
+    const struct key keys[LEVELS] = {
+        {15, 17154, 11126}, {16, 34308, 22252}, {17, 68616, 44504}, {18, 137232, 89008}};
+    double error_m[LEVELS];
+    m.pixel_m[0] = 0.1; /* level 1: its sigmas are larger */
+    m.pixel_m[1] = 1e5; /* level 2: much smaller */
+    kit_ok(store_create(f->path, &m, &s, &e), e);
+    for (uint32_t l = 0; l < LEVELS; l++) { /* an overview, 1, 2, and a level without */
+        struct gauss g;
+        tile_gauss(1 + l, 40, &g);
+        struct store_entry t = {.tile = {.key = keys[l], .level = l & 0xff}};
+        kit_ok(store_put(s, &t, &g, &e), e);
+        error_m[l] = t.shape.geometric_error_m;
+        const double of_sigma_m = 16.0 * t.shape.sigma_median_m;
+        if (l == 1) {
+            assert_near(error_m[l], 16.0 * 0.75 * 0.1, 1e-12);
+            assert_true(error_m[l] < 0.9 * of_sigma_m);
+        } else {
+            assert_near(error_m[l], of_sigma_m, 1e-12);
+        }
+        gauss_free(&g);
+    }
+    kit_ok(store_commit(&s, &e), e);
+    kit_ok(store_open(f->path, &s, &e), e);
+    assert_memory_equal(store_info(s)->pixel_m, m.pixel_m, sizeof m.pixel_m);
+    for (size_t l = 0; l < LEVELS; l++)
+        assert_near(store_shape(s, store_find(s, keys[l])).geometric_error_m, error_m[l], 0.0);
+    store_close(&s);
+    alter(f->path, "DELETE FROM meta WHERE key='level_pixel_m'"); /* as stores of before */
+    kit_ok(store_open(f->path, &s, &e), e);
+    assert_near(store_info(s)->pixel_m[0], 0.0, 0.0);
+    store_close(&s);
+    static const char *const no_lists[] = {"1 x", "-1", "nan", "1e9", "1 2 3 4 5 6 7 8", "1,2"};
+    for (size_t i = 0; i < sizeof no_lists / sizeof *no_lists; i++) {
+        char sql[128];
+        snprintf(sql, sizeof sql, "INSERT OR REPLACE INTO meta VALUES('level_pixel_m','%s')",
+                 no_lists[i]);
+        alter(f->path, sql);
+        kit_fails(store_open(f->path, &s, &e), ERR_FORMAT, e, "level_pixel_m");
+    }
+}
+
 static void revision_and_versions_follow_the_content(void **state)
 {
     struct store_fixture *f = *state;
@@ -447,16 +508,6 @@ static void files_that_are_no_stores(void **state)
 }
 
 /* Change a store behind the back of its writer. */
-static void alter(const char *path, const char *sql)
-{
-    sqlite3 *db = NULL;
-    char *why = NULL;
-    assert_int_equal(sqlite3_open(path, &db), SQLITE_OK);
-    if (sqlite3_exec(db, sql, NULL, NULL, &why) != SQLITE_OK)
-        fail_msg("%s: %s", sql, why);
-    sqlite3_close(db);
-}
-
 /* Files that are small and would give rows without end, or of any length. */
 static void what_is_read_is_bounded_by_the_file(void **state)
 {
@@ -734,6 +785,7 @@ int main(void)
     cmocka_unit_test_setup_teardown(name, store_fixture_setup, store_fixture_teardown)
     const struct CMUnitTest tests[] = {
         CASE(round_trip),
+        CASE(errors_are_of_the_levels_pixels),
         CASE(revision_and_versions_follow_the_content),
         CASE(nothing_is_left_of_an_unfinished_store),
         CASE(full_disk),

@@ -613,6 +613,11 @@ static void coarser_levels_are_made_of_the_finest(void **state)
         assert_int_equal(json_integer_value(json_object_get(level[k].meta, "step")), 200);
     }
     assert_true(json_number_value(json_object_get(level[0].meta, "downsample")) == 2.0);
+    /* Pixels of the coarser level are twice as large on the ground. */
+    const double pixel_m = json_number_value(json_object_get(level[1].meta, "pixel_m"));
+    assert_true(pixel_m > 0.0);
+    const double coarser_m = json_number_value(json_object_get(level[0].meta, "pixel_m"));
+    assert_true(fabs(coarser_m - 2.0 * pixel_m) < 1e-9 * pixel_m);
     for (int k = 0; k < 2; k++)
         ckpt_free(&level[k]);
     for (int i = 0; i < RUNS; i++) {

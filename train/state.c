@@ -207,7 +207,9 @@ enum err_code state_save_level(struct model *m, const struct state *s, const cha
     if (!meta)
         return ERR_MEM;
     enum err_code rc = ERR_OK;
-    if (score) {
+    if (json_object_set_new(meta, "pixel_m", json_real(s->pixel_m)))
+        rc = err_set(e, ERR_MEM, "%s: out of memory", path);
+    if (!rc && score) {
         json_t *test =
             json_pack("{s:I, s:o, s:o}", "photographs", (json_int_t)score->n_photos, "psnr_db",
                       jsonc_real(score->psnr_db), "ssim", jsonc_real(score->ssim));

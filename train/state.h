@@ -18,6 +18,7 @@ struct state { /* content of a checkpoint besides the Gaussians; all borrowed ex
     struct stage at;
     struct appearance_train *appearance;
     double seconds; /* time of the run so far, in all processes */
+    double pixel_m; /* of the level's photographs, on the ground; 0: not known */
     /* state_load: with `owes`, the first step that the model needs to know (model_owe) */
     bool owes;
     uint32_t owes_from;

@@ -68,7 +68,7 @@ export interface MapFrame {
 }
 
 const MEMORY_MB = 512;
-const PX_PER_SIGMA = 16; // a tile's geometric error is 16 times its typical Gaussian
+const PX_PER_SIGMA = 16; // a tile's geometric error is at most 16 times its typical Gaussian
 const RADIUS_M = 6_371_008.8; // MapLibre's Earth is a ball
 
 // East, up, south in metres about a place -> MapLibre's flat world, 1 wide, y to the south, z up.

@@ -62,7 +62,7 @@ export { Problem, type ProblemKind } from "./problem";
 
 const MEMORY_MB = TOUCH ? 384 : 1536;
 const PIXEL_RATIO_MAX = TOUCH ? 1.5 : 2;
-const PX_PER_SIGMA = 16; // a tile's geometric error is 16 times its typical Gaussian
+const PX_PER_SIGMA = 16; // a tile's geometric error is at most 16 times its typical Gaussian
 const ABOVE_M = 200; // over most of the city: where one looks down from
 const FINE_M = 0.25; // how finely
 const LOOK_MS = 100; // between two looks at what is on its way, while nothing happens
