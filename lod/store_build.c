@@ -429,14 +429,22 @@ static enum err_code store_write_meta(struct store *s, struct err *e)
         snprintf(num[i], sizeof num[i], "%.17g", values[i]);
     store_pixels_text(m, pixels);
     const char *const rows[][2] = {
-        {"name", m->name},          {"origin_lon_deg", num[0]},
-        {"origin_lat_deg", num[1]}, {"origin_h_m", num[2]},
-        {"sh_degree", num[3]},      {"embed_len", num[4]},
-        {"antialiased", num[5]},    {"lossless", num[6]},
-        {"zoom_min", num[7]},       {"zoom_max", num[8]},
-        {"tiles", num[9]},          {"attribution", m->attribution},
-        {"heights", m->heights},    {"level_pixel_m", pixels},
-        {"revision", m->revision},  {"created", m->created},
+        {"name", m->name},
+        {"origin_lon_deg", num[0]},
+        {"origin_lat_deg", num[1]},
+        {"origin_h_m", num[2]},
+        {"sh_degree", num[3]},
+        {"embed_len", num[4]},
+        {"antialiased", num[5]},
+        {"lossless", num[6]},
+        {"zoom_min", num[7]},
+        {"zoom_max", num[8]},
+        {"tiles", num[9]},
+        {"attribution", m->attribution},
+        {"heights", m->heights},
+        {"level_pixel_m", pixels},
+        {"revision", m->revision},
+        {"created", m->created},
         {"writer", "citysplat " CITYSPLAT_VERSION},
     };
     sqlite3_stmt *q = NULL;
