@@ -152,12 +152,12 @@ enum err_code level_begin(struct level *l, struct err *e)
 
 static struct state level_state(struct level *l, double seconds)
 {
-    return (struct state){.run = {l->cfg, &l->site.cell, l->gallery.n_images, l->site.inputs},
-                          .at = l->stage,
-                          .appearance = &l->appearance,
-                          .seconds = seconds,
-                          .pixel_m = gallery_footprint_m(&l->gallery, &l->site,
-                                                         stage_schedule(&l->stage))};
+    return (struct state){
+        .run = {l->cfg, &l->site.cell, l->gallery.n_images, l->site.inputs},
+        .at = l->stage,
+        .appearance = &l->appearance,
+        .seconds = seconds,
+        .pixel_m = gallery_footprint_m(&l->gallery, &l->site, stage_schedule(&l->stage))};
 }
 
 enum err_code level_resume(struct level *l, const char *path, struct err *e)
