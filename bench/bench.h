@@ -35,8 +35,9 @@ struct bench {
     int64_t most;  /* for `sizes`: largest number of Gaussians; 0: no limit; for `tour`: number */
     /* for `tour`: most megabytes of a model in files that may be in memory; 0: it is no file */
     int64_t held_mb;
-    int64_t near;     /* for `tour`: photographs on end, at least 1 */
-    uint32_t edge_px; /* for `tour`: longest edge of its pictures; 0: of the photographs */
+    int64_t near;         /* for `tour`: photographs on end, at least 1 */
+    uint32_t edge_px;     /* for `tour`: longest edge of its pictures; 0: of the photographs */
+    double round_trip_ms; /* for `motion`: the only one; below 0: all */
     const char *dataset, *study, *command, *commit; /* members of every row */
     struct json_t *lines;                           /* rows so far, or NULL */
 };

@@ -159,7 +159,15 @@ static int print_man(const struct command *c)
 
 static int no_command(const char *name)
 {
-    fprintf(stderr, "citysplat: error: no command '%s'; `citysplat help` lists them\n", name);
+    const char *near = NULL;
+    size_t best = strlen(name) / 2 + 1; /* as of options */
+    for (const struct command *c = commands; c->name; c++) {
+        size_t far = options_distance(name, c->name);
+        if (far <= best && (!near || far < best))
+            near = c->name, best = far;
+    }
+    fprintf(stderr, "citysplat: error: no command '%s'%s%s%s; `citysplat help` lists them\n", name,
+            near ? "; did you mean '" : "", near ? near : "", near ? "'?" : "");
     return 2;
 }
 

@@ -139,8 +139,8 @@ enum err_code splats_read(const char *path, const struct codec_limits *lim, stru
     case SPLATS_STORE:
     case SPLATS_SCENE:
         rc = err_set(e, ERR_FORMAT,
-                     "%s: %s; .ply, .spz, .glb, .drc, .splat or .ckpt is expected here", path,
-                     out->kind == SPLATS_UNKNOWN ? "not a file of Gaussians that is known"
+                     "%s: %s; .ply, .spz, .glb, .drc, .sog, .splat or .ckpt is expected here", path,
+                     out->kind == SPLATS_UNKNOWN ? "no tile store, and no file of Gaussians"
                                                  : splats_kind_name(out->kind));
         break;
     }

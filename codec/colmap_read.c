@@ -282,7 +282,7 @@ static enum err_code colmap_model_find(const char *dir, char *out, enum layout *
     return err_set(e, ERR_NOENT,
                    "%.300s: no COLMAP model: looked for cameras, images and points3D as .bin or "
                    ".txt there, in sparse/ and in sparse/0/, sparse/1/ ...%s",
-                   dir, partial);
+                   dir, *partial ? partial : "; `citysplat align PHOTOS -o MODEL` makes one");
 }
 
 static enum err_code colmap_model_read_part(const char *dir, int part, enum layout layout,

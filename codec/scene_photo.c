@@ -47,6 +47,8 @@ static enum err_code scene_photo_image(const struct scene *s, const struct scene
         rc = file_join(path, dir, im->name, e);
     if (!rc)
         rc = image_read(path, NULL, &full, e);
+    if (rc == ERR_FORMAT || rc == ERR_NOENT || rc == ERR_IO)
+        return err_add(e, "a photograph of the scene is gone or broken: ingest the scene again");
     if (rc)
         return rc;
     if (full.channels != 3 || full.width_px != im->cam.width_px ||

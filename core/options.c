@@ -249,10 +249,9 @@ enum err_code options_defaults(const struct options_spec *spec, void *config, st
     return rc;
 }
 
-/* Levenshtein distance, for "did you mean". Names are short; two rows suffice. */
-static size_t options_distance(const char *a, const char *b)
+size_t options_distance(const char *a, const char *b)
 {
-    size_t row[OPTIONS_NAME_MAX + 1];
+    size_t row[OPTIONS_NAME_MAX + 1]; /* names are short: a row and a diagonal do */
     size_t n = strlen(b);
     if (n > OPTIONS_NAME_MAX)
         return SIZE_MAX;

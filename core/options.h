@@ -68,4 +68,7 @@ enum err_code options_to_json(const struct options_spec *spec, const void *confi
 enum err_code options_from_json(const struct options_spec *spec, const struct json_t *o,
                                 void *config, struct arena *a, struct err *e) ERR_USE;
 
+/* Levenshtein distance of two names, for "did you mean". SIZE_MAX where b is longer than a name. */
+size_t options_distance(const char *a, const char *b);
+
 #endif

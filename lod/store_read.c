@@ -380,7 +380,11 @@ enum err_code store_open_file(const char *path, int *fd, struct err *e)
     if (range_is_url(path))
         return remote_open(path, fd, e);
     if (!stat(path, &st) && !S_ISREG(st.st_mode)) /* opening a FIFO would wait for a writer */
-        return err_set(e, ERR_FORMAT, "%s: no file: a tile store is a file", path);
+        return err_set(e, ERR_FORMAT,
+                       S_ISDIR(st.st_mode) ? "%s: a folder, and a tile store is a file; `citysplat "
+                                             "tile` makes one of a trained scene"
+                                           : "%s: no file: a tile store is a file",
+                       path);
     *fd = open(path, O_RDONLY | O_CLOEXEC);
     return *fd < 0 ? err_errno(e, errno == ENOENT ? ERR_NOENT : ERR_IO, "%s", path) : ERR_OK;
 }

@@ -248,6 +248,17 @@ void answer_service_collections(struct services *s, const struct request *r, str
 
 /* ---- what never changes ---- */
 
+/* Of a file of which only compressed forms are in memory, for a client that takes none of them: few
+ * do, so it is unpacked here, 10 ms for the largest, and kept as results are. */
+static struct body *answer_service_plain(struct services *s, const struct static_file *file)
+{
+    const struct hash128 id = hash_bytes(file->body->etag, strlen(file->body->etag));
+    struct body *b = cache_get(s->cache, id, NULL);
+    if (!b && (b = static_plain(file)))
+        cache_put(s->cache, id, b);
+    return b;
+}
+
 void answer_service_file(struct services *s, const struct request *r, struct dataset *d,
                          const struct target *t, struct response *out)
 {
@@ -255,7 +266,11 @@ void answer_service_file(struct services *s, const struct request *r, struct dat
     const struct static_file *file = static_find(&s->web, r->target, t->path_size);
     if (file->immutable)
         out->cache_control = RESPONSE_IMMUTABLE;
-    response_document(r, file->type, body_ref(file->body), out);
+    const struct body *b = file->body;
+    const bool there = b->data || (b->brotli && condition_brotli(r->accept_encoding)) ||
+                       (b->gzip && condition_gzip(r->accept_encoding));
+    response_document(r, file->type, there ? body_ref(file->body) : answer_service_plain(s, file),
+                      out);
 }
 
 void answer_service_conformance(struct services *s, const struct request *r, struct dataset *d,

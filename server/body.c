@@ -75,7 +75,7 @@ bool body_revive(struct body *b)
 size_t body_cost(const struct body *b)
 {
     enum { OVERHEAD = 256 };
-    return b->size + b->gzip_size + b->brotli_size + OVERHEAD;
+    return (b->data ? b->size : 0) + b->gzip_size + b->brotli_size + OVERHEAD;
 }
 
 void body_drop(struct body **b)
@@ -106,5 +106,6 @@ void body_compress(struct body *b)
         b->gzip = out;
     else
         mem_free(out);
+    b->coded = b->coded || b->gzip;
     libdeflate_free_compressor(c);
 }

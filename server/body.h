@@ -12,8 +12,9 @@
 enum { BODY_ETAG_SIZE = 32 };
 struct body { /* immutable once shared; reference-counted; body_drop frees it */
     _Atomic uint32_t refs;
-    uint8_t *data;
+    uint8_t *data; /* NULL: only the gzip form is there (static.h) */
     size_t size;
+    bool coded;                /* it has other forms, whether they are here or not */
     char etag[BODY_ETAG_SIZE]; /* with quotation marks */
     int64_t modified_s;        /* seconds since 1970, for Last-Modified; 0: not known */
     uint8_t *gzip;             /* the same bytes compressed; NULL: that saves too little */

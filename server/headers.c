@@ -63,7 +63,7 @@ void headers_make(const struct response *r, bool last, struct headers *h)
         headers_add(h, "Last-Modified", h->modified);
     }
     headers_add(h, "Vary", r->vary);
-    headers_add(h, "Content-Encoding", r->encoding);
+    headers_add(h, "Content-Encoding", known ? NULL : r->encoding);
     headers_add(h, "Allow", r->allow);
     headers_add(h, "Location", r->location);
     headers_add(h, "Set-Cookie", r->set_cookie);

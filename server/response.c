@@ -188,7 +188,7 @@ static void response_etag_coding(char *etag, const char suffix[static 5])
 /* The coding of b that the client likes best. */
 static void response_encode(const struct request *r, const struct body *b, struct response *out)
 {
-    if (!b->gzip && !b->brotli)
+    if (!b->coded)
         return;
     out->vary = out->vary ? "Accept, Accept-Encoding" : "Accept-Encoding";
     if (b->brotli && condition_brotli(r->accept_encoding)) {
@@ -224,7 +224,7 @@ void response_body(const struct request *r, struct body *b, struct response *out
     out->data = b->data;
     out->size = b->size;
     memcpy(out->etag, b->etag, BODY_ETAG_SIZE);
-    out->accept_ranges = !b->gzip && !b->brotli;
+    out->accept_ranges = !b->coded;
     response_encode(r, b, out);
     out->modified_s = b->modified_s;
     bool read = r->method == METHOD_GET || r->method == METHOD_HEAD;

@@ -196,13 +196,6 @@ static void server_needs(const struct catalog *c, struct memory_needs *n)
     }
 }
 
-/* Processes that draw, if there is memory for them. On two cores one draws as much as two. */
-static unsigned server_drawers(const struct server_config *cfg)
-{
-    enum { CORES = 4 };
-    return cfg->drawers ? (unsigned)cfg->drawers : pool_cores() < CORES ? 1 : 2;
-}
-
 /* Options that say how much become what --memory allows. */
 static enum err_code server_plan(struct server *sv, const struct catalog *c,
                                  struct memory_plan *plan, struct err *e)
@@ -212,7 +205,7 @@ static enum err_code server_plan(struct server *sv, const struct catalog *c,
                              .workers = sv->workers,
                              .connections = (size_t)cfg->max_connections,
                              .draws = server_draws(sv),
-                             .drawers = server_drawers(cfg),
+                             .drawers = (unsigned)cfg->drawers,
                              .view_gaussians = (uint64_t)cfg->view_gaussians,
                              .view_mpx = cfg->max_view_mpx,
                              .video = motion_video_bytes((size_t)cfg->streams),

@@ -2,20 +2,22 @@
  * names that were read from disk before, and never reaches the file system. Names with a hash
  * (Vite's assets/) are immutable. Text is also kept as brotli and gzip, from x.js.br and x.js.gz of
  * the viewer's build, because making them would delay the start. If there is no x.js.gz, it is
- * made.
+ * made. Of large text only these forms are kept: nearly all clients take one of them, and without
+ * them the viewer is three times as large.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "server/static.h"
 
 #include <dirent.h>
+#include <libdeflate.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
-enum { FILES_MAX = 4096, DEPTH_MAX = 8 };
+enum { FILES_MAX = 4096, DEPTH_MAX = 8, PLAIN_MAX = 64 << 10 };
 static const size_t BYTES_MAX = (size_t)256 << 20;
 
 static const struct {
@@ -102,7 +104,29 @@ static enum err_code static_add_coded(const char *path, const struct static_file
         rc = static_read_coded(path, ".gz", f, &b->gzip, &b->gzip_size, bytes, e);
     if (!rc && !b->gzip)
         body_compress(b);
+    b->coded = b->gzip || b->brotli;
     return rc;
+}
+
+/* Does the gzip form end with the checksum and the size of the plain one (RFC 1952)? */
+static bool static_is_of(const struct body *b)
+{
+    enum { END = 8 };
+    if (b->gzip_size < END)
+        return false;
+    struct cursor end = cursor_over(b->gzip + b->gzip_size - END, END);
+    const uint32_t crc = cursor_u32(&end), size = cursor_u32(&end);
+    return size == (uint32_t)b->size && crc == libdeflate_crc32(0, b->data, b->size);
+}
+
+/* Pages stay: they are made again with a card of their scene. */
+static void static_leave_plain(const struct static_file *f)
+{
+    struct body *b = f->body;
+    if (b->size < PLAIN_MAX || !strncmp(f->type, "text/html", 9) || !static_is_of(b))
+        return;
+    mem_free(b->data);
+    b->data = NULL;
 }
 
 /* Vite's names: /assets/NAME-HASH.EXT, 8 of A-Z a-z 0-9 _ -; other files of a folder of one's own
@@ -148,6 +172,7 @@ static enum err_code static_add_file(const char *dir, const char *url, int64_t m
         rc = static_add_coded(path, &f, bytes, e);
         if (rc)
             return rc;
+        static_leave_plain(&f);
     }
     return *bytes > BYTES_MAX ? err_set(e, ERR_LIMIT, "%s: more than %zu bytes", dir, BYTES_MAX)
                               : ERR_OK;
@@ -228,6 +253,26 @@ const struct static_file *static_find(const struct static_table *t, const char *
             hi = mid;
     }
     return NULL;
+}
+
+struct body *static_plain(const struct static_file *f)
+{
+    const struct body *b = f->body;
+    struct libdeflate_decompressor *d = libdeflate_alloc_decompressor();
+    struct buf plain = {.data = mem_uninit(b->size, 1), .size = b->size, .cap = b->size};
+    bool whole = d && plain.data &&
+                 libdeflate_gzip_decompress(d, b->gzip, b->gzip_size, plain.data, plain.size,
+                                            NULL) == LIBDEFLATE_SUCCESS;
+    libdeflate_free_decompressor(d);
+    struct body *out = whole ? body_take(&plain, NULL) : NULL;
+    buf_free(&plain);
+    if (out && strcmp(out->etag, b->etag) != 0)
+        body_drop(&out); /* the form is of other bytes */
+    if (!out)
+        return NULL;
+    out->coded = true;
+    out->modified_s = b->modified_s;
+    return out;
 }
 
 bool static_default_dir(char out[FILE_PATH_MAX])

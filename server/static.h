@@ -22,6 +22,9 @@ struct static_table {         /* {0} is empty */
 enum err_code static_load(const char *dir, struct static_table *out, struct err *e) ERR_USE;
 void static_free(struct static_table *t);
 const struct static_file *static_find(const struct static_table *t, const char *path, size_t n);
+/* The bytes of a file of which only compressed forms are there (its body has no data). NULL: out of
+ * memory. */
+struct body *static_plain(const struct static_file *f);
 /* Finds the viewer if --web-dir is not given: ../../web/dist (a build folder), ../web/dist or
  * ../share/citysplat/web beside the running program. False: it is in none of them. */
 bool static_default_dir(char out[FILE_PATH_MAX]);

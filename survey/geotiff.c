@@ -15,6 +15,7 @@
 #include "survey/gdal_library.h"
 
 #define GEOTIFF_CACHE_MB "128"
+#define GEOTIFF_ROOM ((uint64_t)1 << 20) /* one block of four bands: with less, writing it failed */
 
 struct geotiff {
     char path[FILE_PATH_MAX], part[FILE_PATH_MAX], base[FILE_PATH_MAX];
@@ -41,8 +42,11 @@ static int geotiff_bands(enum geotiff_kind kind)
     return kind == GEOTIFF_COLOR ? 4 : kind == GEOTIFF_SURFACE ? 2 : 1;
 }
 
+/* GDAL does not say that a disk is full. */
 static enum err_code geotiff_fail(const struct geotiff *t, const char *what, struct err *e)
 {
+    if (file_room(t->path, GEOTIFF_ROOM, e))
+        return err_add(e, "%s", what);
     return err_set(e, ERR_IO, "%s: %s: %s", t->path, what, gdal->CPLGetLastErrorMsg());
 }
 

@@ -42,7 +42,7 @@ for f in cameras images points3D; do
     refuse "truncated $f.bin" 1 "$f\.bin" "$work/scene" \
         "$bin" ingest "$work/bad/images" "$work/bad/sparse" -o "$work/scene" -q
 done
-refuse "no COLMAP model" 1 "cameras|sparse" "$work/scene" \
+refuse "no COLMAP model" 1 "cameras.*sparse.*citysplat align" "$work/scene" \
     "$bin" ingest "$work/city/images" "$work/city/truth" -o "$work/scene" -q
 
 # -- photographs -------------------------------------------------------------------------------------------
@@ -153,6 +153,14 @@ for map in "ortho a.tif" "dsm a.TIF" "contour a.gpkg" "points a.las"; do
 done
 keep compare a.tif "$bin" compare "$work/a.tiles" "$work/a.tiles" -o "$work/kept/a.tif" -q
 
+if unshare -rm true 2>/dev/null; then
+    "$bin" import "$work/one.splat" --origin 7.5,47.5,300 -o "$work/one.tiles" -q || exit 1
+    # shellcheck disable=SC2016
+    refuse "full disk, a map" 1 "are needed on the disk, .* free; make room" "" \
+        unshare -rm sh -c 'mount -t tmpfs -o size=4k none "$1/tiny" && "$2" dsm "$1/one.tiles" -o "$1/tiny/a.tif" -q; rc=$?; ls "$1/tiny" | grep . && rc=99; exit $rc' \
+        sh "$work" "$bin"
+fi
+
 # -- endings that say what nobody writes ---------------------------------------------------------------------------
 for asked in "ortho a.png .tif or .tiff" "dsm a.jpg .tif or .tiff" "points a.laz pdal.translate" "points a.csv .las" \
     "contour a.shp .geojson or .gpkg" "export a.laz .ply" "export a.png .ply"; do
@@ -162,9 +170,18 @@ for asked in "ortho a.png .tif or .tiff" "dsm a.jpg .tif or .tiff" "points a.laz
     refuse "$command -o $file" 2 "$*" "$work/none-$file" "$bin" "$command" "$work/a.tiles" -o "$work/none-$file" -q
 done
 
+# -- what is something else ---------------------------------------------------------------------------------------
+refuse "a folder as a store" 65 "a folder, and a tile store is a file; .citysplat tile" "" "$bin" serve "$work/good" --port 0
+cp -r "$work/good" "$work/hurt"
+hurt=$(ls "$work/hurt/images" | head -1)
+head -c 400 "$work/good/images/$hurt" >"$work/hurt/images/$hurt"
+refuse "a photograph that broke after ingest" 1 "ingest the scene again: .*$hurt" "$work/hurt/cells/all/level1.ckpt" \
+    "$bin" train "$work/hurt" --iterations 10 --budget 100 -q
+
 # -- the command line -----------------------------------------------------------------------------------------------
 refuse "unknown option" 2 "did you mean --output" "" "$bin" ingest a b --ouput x
-refuse "unknown command" 2 "no command 'trian'" "" "$bin" trian
+refuse "unknown command" 2 "no command 'trian'; did you mean 'train'" "" "$bin" trian
+refuse "a command like no other" 2 "no command 'q'; .citysplat help" "" "$bin" q
 refuse "a value out of range" 64 "from" "" "$bin" serve x.tiles --port 70000
 refuse "missing argument" 2 "too few" "" "$bin" train
 

@@ -485,6 +485,59 @@ static void test_coded_of_other_bytes(void **state)
     kit_rmdir(dir);
 }
 
+/* Of large text only the compressed forms are in memory; who takes none gets the file's bytes. */
+static void test_plain_of_coded(void **state)
+{
+    enum { LINES = 20000 };
+    static const char gz[] = "viewer.js.gz";
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    struct static_table table = {0}, before = t.s.web;
+    struct err e = {0};
+    struct buf text = {0};
+    (void)state;
+    for (int i = 0; i < LINES; i++)
+        buf_printf(&text, "draw(%d);\n", i);
+    kit_tmpdir(dir);
+    kit_ok(file_join(path, dir, "viewer.js", &e), e);
+    kit_ok(file_write(path, text.data, text.size, &e), e);
+    kit_ok(static_load(dir, &table, &e), e);
+    const struct static_file *f = static_find(&table, "/viewer.js", strlen("/viewer.js"));
+    assert_null(f->body->data);
+    t.s.web = table;
+    char etag[BODY_ETAG_SIZE] = "";
+    for (int i = 0; i < 2; i++) { /* unpacked, and then from the cache */
+        struct response r = get("/viewer.js");
+        assert_int_equal(r.status, 200);
+        assert_int_equal(r.size, text.size);
+        assert_memory_equal(r.data, text.data, text.size);
+        expect("Vary", r.vary, "Accept-Encoding");
+        expect("Content-Encoding", r.encoding, NULL);
+        assert_false(r.accept_ranges);
+        assert_true(r.modified_s > 0);
+        memcpy(etag, r.etag, sizeof etag);
+        expect("ETag", etag, f->body->etag);
+        response_free(&r);
+    }
+    struct response r = answer(&(struct ask){.target = "/viewer.js", .if_none_match = etag});
+    assert_int_equal(r.status, 304);
+    response_free(&r);
+    r = answer(&(struct ask){.target = "/viewer.js", .accept_encoding = "gzip"});
+    expect("Content-Encoding", r.encoding, "gzip");
+    assert_ptr_equal(r.data, f->body->gzip);
+    response_free(&r);
+    static_free(&table);
+
+    kit_ok(file_join(path, dir, gz, &e), e); /* what cannot be unpacked to the file */
+    kit_ok(file_write(path, "no gzip at all", 14, &e), e);
+    kit_ok(static_load(dir, &table, &e), e);
+    f = static_find(&table, "/viewer.js", strlen("/viewer.js"));
+    assert_non_null(f->body->data);
+    static_free(&table);
+    t.s.web = before;
+    buf_free(&text);
+    kit_rmdir(dir);
+}
+
 /* What the page will ask for, by its query. */
 static void test_hints(void **state)
 {
@@ -743,6 +796,7 @@ int main(void)
         cmocka_unit_test(test_redirects),
         cmocka_unit_test(test_viewer_files),
         cmocka_unit_test(test_coded_of_other_bytes),
+        cmocka_unit_test(test_plain_of_coded),
         cmocka_unit_test(test_hints),
         cmocka_unit_test(test_card),
         cmocka_unit_test(test_basemap),

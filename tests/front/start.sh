@@ -11,8 +11,8 @@ set -u
 # shellcheck source=tests/front/front.sh
 . "$(dirname "$0")/front.sh"
 side=${1:-866}
-most_bytes=190 # of a tile: 136 of its index entry, 12 of its node, 24 to 128 of each node with children, and a copy while it sorts
-base_mb=40     # of the server without tiles
+most_bytes=160 # of a tile: 136 of its index entry, 12 of its node, 24 to 128 of each node with children
+base_mb=40     # of the server without tiles, with the viewer
 
 "$city" "$work/many.tiles" 1 "$side" || exit 1
 tiles=$("$bin" info "$work/many.tiles" | awk '$1 == "tiles_count" { print $2 }')

@@ -18,11 +18,20 @@
 #include <stdio.h>
 #include <string.h>
 
-#define F9_SEAM (2.0 / 255.0)
+/* Between the two: of three seeds 0.0038 to 0.0043 with a shared network, 0.0077 to 0.0086 without. */
+#define F9_SEAM (1.5 / 255.0)
 
 /* ---- F9 ---- */
 
-enum { SEAM_STEPS = 800, SEAM_PX = 96, STRIP_PX = 8, SEAM_APPEARANCES = 12 };
+/* Cells take half of the steps of the coarse model: with as many, each alone learns the light as
+ * well, and the feature under test shows nothing. */
+enum {
+    SEAM_COARSE_STEPS = 800,
+    SEAM_STEPS = 400,
+    SEAM_PX = 96,
+    STRIP_PX = 8,
+    SEAM_APPEARANCES = 12
+};
 
 /* Two cells, divided at x = 0, both trained from all photographs. */
 static void toy_appearance_plan(const char *dir)
@@ -158,7 +167,7 @@ static void cells_agree_on_appearance_at_their_border(void **state)
         c.iterations.one = 0;
         c.iterations.v[2] = SEAM_STEPS;
         c.scale_by_images = false;
-        c.coarse_iterations = SEAM_STEPS;
+        c.coarse_iterations = SEAM_COARSE_STEPS;
         c.appearance_shared = shared;
         c.overwrite = shared;
         train_result_free(&result);
@@ -169,6 +178,7 @@ static void cells_agree_on_appearance_at_their_border(void **state)
     assert_true(file_exists(path));
     toy_figure("F9", "seam_shared=%.5f seam_own=%.5f limit=%.5f", seam[1], seam[0], F9_SEAM);
     assert_true(seam[1] < F9_SEAM);
+    assert_true(seam[0] > F9_SEAM); /* else the limit tests nothing */
     train_result_free(&result);
     gauss_free(&truth);
     kit_rmdir(dir);

@@ -221,3 +221,31 @@ test("the picture returns when the graphics card comes back", skip, async () => 
     const rms = rmsDifference(before, await barePicture(page));
     assert.ok(rms < 1, `the picture differs by ${rms}`);
 });
+
+test("a part of the page that does not come is said, and comes with the next press", skip, async () => {
+    let away = true;
+    proxy.rule = (path) => (away && /assets\/(shotdialog|embeddialog|storybox|minimap)/.test(path) ? { status: 503 } : null);
+    const page = await open("?lang=en");
+    await waitForViewer(page);
+    const presses = {
+        "#shot-button": "#shot[open]",
+        "#embed-button": "#embed[open]",
+        "#note-add": "#note:not([hidden])",
+        "#map-button": "#inset .leaflet-pane",
+    };
+    const press = (what) => page.evaluate((one) => document.querySelector(one).click(), what);
+    for (const what of Object.keys(presses)) {
+        await page.evaluate(() => (document.getElementById("toast").hidden = true));
+        await press(what);
+        await page.waitForSelector("#toast:not([hidden])", { timeout: 20000 }).catch(() => assert.fail(`${what} says nothing`));
+        assert.match(await page.textContent("#toast"), /did not come from the server/);
+    }
+    assert.equal(await page.isVisible("#inset"), false, "an empty map");
+    assert.deepEqual(viewer.log.filter((line) => line.startsWith("uncaught")), []);
+    away = false;
+    for (const [what, shown] of Object.entries(presses)) {
+        await press(what);
+        await page.waitForSelector(shown, { timeout: 20000, state: "attached" }).catch(() => assert.fail(`${what} does not come`));
+        await page.evaluate(() => document.querySelector("dialog[open]")?.close());
+    }
+});

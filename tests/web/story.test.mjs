@@ -236,6 +236,55 @@ for (const [screen, shape] of Object.entries(SCREENS))
         await close();
     });
 
+// From the highest card down to the edge, of the picture's height; nothing of the page may lie over a card or a tool.
+const COVERED_MOST = 0.28;
+const LONG = "A caption as long as one may be. ".repeat(9).slice(0, 200);
+const PHONES = { upright: SCREENS.phone, across: { ...SCREENS.phone, width: 844, height: 390 } };
+for (const [name, screen] of Object.entries(PHONES))
+    test(`on a phone the longest caption leaves the picture free, and so does a note: ${name}`, skip, async (t) => {
+        const view = [SOUTH.lon, SOUTH.lat, SOUTH.h, SOUTH.heading, SOUTH.pitch].join();
+        const { page, log, close } = await openPage(`${source.url}/#${view}&story=${packed([[[LONG, view, 0], [LONG, view, 0]], []])}`, screen);
+        t.after(close);
+        await waitForViewer(page);
+        await page.waitForSelector("#tour-card:not([hidden])");
+        const seen = () => page.evaluate(() => {
+            const shown = [...document.querySelectorAll("#dock > .card, #tools, footer, #toast, .banner, #progress-text")]
+                .filter((node) => node.checkVisibility() && node.getBoundingClientRect().height > 0)
+                .filter((node, _, all) => !all.some((other) => other !== node && other.contains(node)))
+                .map((node) => ({ what: node.id || node.localName, box: node.getBoundingClientRect() }));
+            const over = shown.flatMap((a, i) => shown.slice(i + 1).filter(({ box: b }) =>
+                a.box.left < b.right && a.box.right > b.left && a.box.top < b.bottom - 0.5 && a.box.bottom > b.top + 0.5).map((b) => `${a.what} over ${b.what}`));
+            const cards = shown.filter(({ what }) => !["tools", "toast"].includes(what)).map(({ box }) => box.top);
+            return { over, covered: 1 - Math.min(...cards) / innerHeight };
+        });
+        const check = async (what) => {
+            const { over, covered } = await seen();
+            t.diagnostic(`${what}: ${(100 * covered).toFixed(0)} % of the height`);
+            assert.deepEqual(over, [], what);
+            assert.ok(covered <= COVERED_MOST, `${what}: ${(100 * covered).toFixed(0)} % of the height is covered`);
+        };
+        await picture(page, `longest-${name}`);
+        await check("the tour");
+        // All of the caption can be read.
+        const [all, room] = await page.$eval("#tour-caption", (node) => {
+            node.scrollTop = 1e6;
+            return [node.scrollHeight, node.scrollTop + node.clientHeight];
+        });
+        assert.ok(room >= all - 1, `${room} of ${all} px of the caption`);
+        // A note is written in the place of the tour, and what is told does not lie over it.
+        await page.evaluate(() => document.getElementById("note-add").click());
+        await page.waitForSelector("#note:not([hidden])");
+        await page.evaluate((p) => window.citysplat.look({ ...p, pitch: 60 }), SOUTH); // into the sky
+        await page.tap("#note-middle");
+        await page.waitForSelector("#toast:not([hidden])");
+        await picture(page, `note-${name}`);
+        await check("a note");
+        await page.tap("#note-close");
+        await page.tap("#tour-close");
+        assert.ok(await page.isVisible("#tools"));
+        assert.deepEqual(log, []);
+    });
+
 test("links that do harm open the view, and say what is wrong", skip, async () => {
     const hash = `#${placeOfEnu(ORIGIN, [0, -200, 160]).lon.toFixed(7)},52.498,240,20,-36`;
     const bad = {

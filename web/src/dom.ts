@@ -1,6 +1,8 @@
 // The page's elements, and small things that are done to them.
 //
 // SPDX-License-Identifier: Apache-2.0
+import { text } from "./strings";
+
 export function element<T extends HTMLElement = HTMLElement>(id: string): T {
   const found = document.getElementById(id);
   if (!found) throw new Error(`no #${id}`);
@@ -20,6 +22,17 @@ export function toast(value: string) {
   box.hidden = false;
   clearTimeout(toastTimer);
   toastTimer = window.setTimeout(() => (box.hidden = true), 4000);
+}
+
+// A part of the page that comes when it is wanted; null, with words to the person, where it does not come.
+export async function later<T>(part: Promise<T>): Promise<T | null> {
+  try {
+    return await part;
+  } catch (error) {
+    console.warn("citysplat: a part of the page did not come", error);
+    toast(text("part.missing"));
+    return null;
+  }
 }
 
 // Where there is no clipboard (outside of secure contexts) the text itself is shown.

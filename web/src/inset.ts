@@ -4,7 +4,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { Vector3 } from "three";
 
-import { element } from "./dom";
+import { element, later } from "./dom";
 import type { Place } from "./geo";
 import type { MapSource, MiniMap } from "./minimap";
 import { text } from "./strings";
@@ -56,12 +56,10 @@ export class Inset {
     this.close();
     const ticket = this.ticket;
     const { viewer } = this;
-    const [module, own, base] = await Promise.all([
-      import("./minimap"),
-      this.ownTiles(),
-      viewer.basemap(),
-    ]);
+    const parts = await later(Promise.all([import("./minimap"), this.ownTiles(), viewer.basemap()]));
     if (ticket !== this.ticket || !viewer.scene) return;
+    if (!parts) return this.toggle(); // an empty map says nothing
+    const [module, own, base] = parts;
     this.module = module;
     this.map = new module.MiniMap(element("inset-map"), {
       bounds: own?.bounds ?? this.extent(),

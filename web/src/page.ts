@@ -14,7 +14,7 @@ import {
 import { AppearanceControl } from "./appearance";
 import { store, stored, theme } from "./choices";
 import { Compare } from "./compare";
-import { copy, element, setText, toast } from "./dom";
+import { copy, element, later, setText, toast } from "./dom";
 import { freePart } from "./free";
 import { Inset } from "./inset";
 import { LayerPanel } from "./layerpanel";
@@ -89,7 +89,7 @@ export class Page {
     this.inset.translate();
     this.layers.translate();
     this.compare.fill();
-    void this.stories?.then((stories) => stories.translate());
+    if (this.stories) void this.openStories((stories) => stories.translate());
     this.applyDetail();
     this.showTitle();
     this.showFacts();
@@ -167,7 +167,8 @@ export class Page {
   private showPlace() {
     const { pose, scene } = this.viewer;
     element("north").querySelector("svg")!.style.transform = `rotate(${-pose.heading}deg)`;
-    setText("where", scene ? `${formatPlace(pose, scene.heights, 5)} · ${compass(pose.heading)}` : "");
+    setText("where", scene ? formatPlace(pose, scene.heights, 5) : "");
+    setText("bearing", scene ? ` · ${compass(pose.heading)}` : "");
   }
 
   // ---- slow machines ----
@@ -224,20 +225,22 @@ export class Page {
 
   private async shot() {
     if (!this.viewer.scene) return;
-    const { ShotDialog } = await import("./shotdialog");
-    this.shots ??= new ShotDialog(this.viewer);
+    const module = await later(import("./shotdialog"));
+    if (!module) return;
+    this.shots ??= new module.ShotDialog(this.viewer);
     this.shots.open();
   }
 
   private async embed() {
     if (!this.viewer.scene) return;
-    const { EmbedDialog } = await import("./embeddialog");
-    this.embeds ??= new EmbedDialog(this.viewer);
+    const module = await later(import("./embeddialog"));
+    if (!module) return;
+    this.embeds ??= new module.EmbedDialog(this.viewer);
     this.embeds.open(this.story);
   }
 
   // Tours and notes, with the first of them: of the link, of this browser, or when somebody opens their list.
-  private openStories(): Promise<StoryBox> {
+  private async openStories(run: (stories: StoryBox) => void = () => {}) {
     const host = {
       changed: (link: string) => {
         this.story = link;
@@ -249,7 +252,9 @@ export class Page {
       },
     };
     this.stories ??= import("./storybox").then(({ StoryBox }) => new StoryBox(this.viewer, host, this.story || null));
-    return this.stories;
+    const stories = await later(this.stories);
+    if (stories) run(stories);
+    else this.stories = null; // asked for again the next time
   }
 
   // ---- controls ----
@@ -267,8 +272,8 @@ export class Page {
     click("embed-button", () => void this.embed());
     click("shot-button", () => void this.shot());
     element("tour-box").addEventListener("toggle", () => void this.openStories());
-    click("tour-add", () => void this.openStories().then((stories) => stories.addView()));
-    click("note-add", () => void this.openStories().then((stories) => stories.beginNote()));
+    click("tour-add", () => void this.openStories((stories) => stories.addView()));
+    click("note-add", () => void this.openStories((stories) => stories.beginNote()));
     element("full").hidden = !document.fullscreenEnabled;
     click("full", () => void (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen()));
     click("fold", () => this.fold(!element("panel").classList.contains("folded")));
@@ -349,7 +354,7 @@ export class Page {
       KeyI: () => void this.shot(),
       KeyL: () => void this.share(),
       KeyO: () => this.inset.toggle(),
-      KeyT: () => void this.openStories().then((stories) => stories.toggle()),
+      KeyT: () => void this.openStories((stories) => stories.toggle()),
       Escape: () => this.measure.show(false),
     };
     window.addEventListener("keydown", (event) => {
@@ -363,7 +368,7 @@ export class Page {
       viewer.lookAt(view.pose);
       void viewer.setAppearance(view.appearance);
       const story = storyOf(location.hash);
-      if (story && story !== this.story) void this.openStories().then((stories) => stories.open(story));
+      if (story && story !== this.story) void this.openStories((stories) => void stories.open(story));
     });
   }
 }

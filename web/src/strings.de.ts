@@ -7,6 +7,7 @@ export const de: Partial<Record<TextKey, string>> = {
   "surface.label":
     "Stadtansicht. Pfeiltasten bewegen, Q und E drehen, R und F neigen, Plus und Minus zoomen, Fragezeichen zeigt die Hilfe.",
   "loading": "Lädt …",
+  "part.missing": "Dieser Teil der Seite kam nicht vom Server. Noch einmal versuchen, oder die Seite neu laden.",
   "progress.catalogue": "Der Server wird gefragt, was er hat",
   "progress.tileset": "Die Liste der Kacheln wird gelesen",
   "progress.tiles": "Kacheln: {done} von {total}",

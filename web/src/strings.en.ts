@@ -5,6 +5,7 @@ export const en = {
   "surface.label":
     "City view. Arrow keys move, Q and E turn, R and F tilt, plus and minus zoom, question mark shows help.",
   "loading": "Loading …",
+  "part.missing": "This part of the page did not come from the server. Try again, or load the page again.",
   "progress.catalogue": "Asking the server what it has",
   "progress.tileset": "Reading the list of tiles",
   "progress.tiles": "Tiles: {done} of {total}",

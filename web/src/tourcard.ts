@@ -7,7 +7,7 @@ import type { Tour } from "./tour";
 export const TOUR_STYLE =
   "section{position:absolute;left:8px;right:8px;bottom:8px;max-width:420px;margin:auto;display:flex;flex-wrap:wrap;gap:4px 6px;align-items:center;" +
   "box-sizing:border-box;padding:8px 10px;border-radius:10px;background:rgb(8 11 16/82%);color:#fff;font:14px/1.4 system-ui,sans-serif}" +
-  "section[hidden]{display:none}p{flex:1 0 100%;margin:0;max-height:4.2em;overflow:auto;overflow-wrap:anywhere}" +
+  "section[hidden]{display:none}p{flex:1 1 130px;margin:0;max-height:4.2em;overflow:auto;overflow-wrap:anywhere}" +
   "small{margin-right:auto;color:#b9c0cb}" +
   "button{min-width:36px;min-height:32px;padding:0 10px;border:0;border-radius:6px;background:rgb(255 255 255/16%);color:inherit;font:inherit;cursor:pointer}" +
   "button:disabled{opacity:.4;cursor:default}@media(pointer:coarse){button{min-width:44px;min-height:44px}}" +
