@@ -98,7 +98,7 @@ struct tile_level { /* what load() needs */
     uint8_t level;
     struct tile_file *file; /* one a cell that is not empty */
     size_t n_files;
-    size_t *first; /* [n_files + 1] number of the first part of each file */
+    size_t *first;  /* [n_files + 1] number of the first part of each file */
     double pixel_m; /* pyramid_level.pixel_m */
 };
 
