@@ -75,9 +75,10 @@ void answer_tile(struct services *s, const struct request *r, struct dataset *d,
         return;
     out->type = format_type(form.format);
     answer_tile_tags(d, t->key.z, out->surrogate);
-    if (right_is_public(r, d->meta.name))
+    const bool job = response_made(s, r, id, out);
+    if (out->status < 300 && right_is_public(r, d->meta.name)) /* a 304 has none */
         hint_tile(d, tile, t, out->hints);
-    if (!response_made(s, r, id, out))
+    if (!job)
         return;
     struct work *w = response_work(d, WORK_TILE, id, form, out);
     if (w) {

@@ -134,9 +134,11 @@ enum err_code param_read(const struct param *p, struct text *t, struct target *o
 static bool param_take_hex(struct text *t, int n, char *out)
 {
     for (int i = 0; i < n; i++) {
-        if (t->p == t->end || !(text_is_digit(t) || (*t->p >= 'a' && *t->p <= 'f')))
+        const char c = t->p < t->end ? *t->p : 0;
+        if (!((c >= '0' && c <= '9') || (c >= 'a' && c <= 'f')))
             return false;
-        out[i] = *t->p++;
+        out[i] = c;
+        t->p++;
     }
     out[n] = 0;
     return true;

@@ -289,7 +289,8 @@ static enum err_code router_match(const struct route *r, const struct router_row
 /* False: the row's words are not those of the path, so they cannot match. */
 static bool router_may_match(const struct router_row *row, const struct router_parts *parts)
 {
-    for (size_t i = 0; i < row->n_parts && i < parts->n; i++) {
+    size_t i = row->n_parts < parts->n ? row->n_parts : parts->n;
+    while (i-- > 0) { /* the first words, d and r, are those of most rows */
         const struct text word = row->word[i], part = parts->part[i];
         const size_t n = (size_t)(word.end - word.p);
         if (word.p && ((size_t)(part.end - part.p) != n || memcmp(part.p, word.p, n) != 0))

@@ -142,8 +142,9 @@ static size_t screen_keys(const char *p, size_t n)
 /* Two spaces one behind the other: one stands between the parts of a request line. */
 static bool screen_has_gap(const char *p, size_t n)
 {
-    for (size_t i = 1; i < n; i++)
-        if (p[i] == ' ' && p[i - 1] == ' ')
+    const char *end = p + n;
+    for (; (p = memchr(p, ' ', (size_t)(end - p))) && p + 1 < end; p++)
+        if (p[1] == ' ')
             return true;
     return false;
 }

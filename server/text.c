@@ -131,20 +131,31 @@ static bool text_is_control(unsigned char c)
     return (c < 0x20 && c != '\t') || c == 0x7f;
 }
 
-/* Eight bytes at a time: which are below 0x20 or 0x7f shows in their highest bits; a false alarm
- * (tabs, or a byte above a hit) costs a closer look. */
-bool text_is_clean(const char *p, size_t n)
+enum { TEXT_WORD = 8 };
+
+/* Eight bytes: which are below 0x20 or 0x7f shows in their highest bits; a false alarm (tabs, or a
+ * byte above a hit) costs a closer look. */
+static bool text_word_is_clean(const char *p)
 {
     const uint64_t ones = 0x0101010101010101u, high = 0x80 * ones;
-    for (; n >= sizeof ones; p += sizeof ones, n -= sizeof ones) {
-        uint64_t x, del;
-        memcpy(&x, p, sizeof x);
-        del = x ^ 0x7f * ones;
-        if (!((((x - 0x20 * ones) & ~x) | ((del - ones) & ~del)) & high))
-            continue;
-        for (size_t i = 0; i < sizeof x; i++)
-            if (text_is_control((unsigned char)p[i]))
+    uint64_t x;
+    memcpy(&x, p, sizeof x);
+    const uint64_t del = x ^ 0x7f * ones;
+    if (!((((x - 0x20 * ones) & ~x) | ((del - ones) & ~del)) & high))
+        return true;
+    for (size_t i = 0; i < TEXT_WORD; i++)
+        if (text_is_control((unsigned char)p[i]))
+            return false;
+    return true;
+}
+
+bool text_is_clean(const char *p, size_t n)
+{
+    if (n >= TEXT_WORD) { /* the last word begins within the one before it */
+        for (; n > TEXT_WORD; p += TEXT_WORD, n -= TEXT_WORD)
+            if (!text_word_is_clean(p))
                 return false;
+        return text_word_is_clean(p + n - TEXT_WORD);
     }
     for (; n; p++, n--)
         if (text_is_control((unsigned char)*p))

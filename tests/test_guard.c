@@ -5,6 +5,8 @@
  */
 #include "tests/client.h"
 
+#include "server/text.h"
+
 /* ---- malformed requests ---- */
 
 /* There must be one status line, and it must say `status` (0: no answer at all), and if `close`,
@@ -386,9 +388,27 @@ static void test_a_client_that_does_not_read(void **state)
     close(fd);
 }
 
+/* Words of eight bytes and what is left of them: each byte at each place of each length. */
+static void test_control_bytes(void **state)
+{
+    enum { LONGEST = 26 };
+    char text[LONGEST];
+    (void)state;
+    for (size_t n = 0; n <= LONGEST; n++)
+        for (size_t at = 0; at < n; at++)
+            for (int byte = 0; byte < 256; byte++) {
+                memset(text, at % 2 ? '\t' : 'a', sizeof text);
+                text[at] = (char)byte;
+                if (text_is_clean(text, n) != ((byte >= 0x20 && byte != 0x7f) || byte == '\t'))
+                    fail_msg("byte %d at %zu of %zu", byte, at, n);
+            }
+    assert_true(text_is_clean("\n", 0));
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_control_bytes),
         HTTP_TEST(test_malformed_requests),
         HTTP_TEST(test_expect),
         HTTP_TEST(test_nul_bytes),
