@@ -1,8 +1,9 @@
 /* The index of a store in memory: see index.h.
  *
- * The tiler's centres are whole metres, its cores are means in float from there, its median sigma
- * is the exponential of a float, and the geometric error 16 times that. Only boxes and the largest
- * sigma need all bits of a double. Each shape is unpacked at once and compared.
+ * The tiler's centres are whole metres, its cores are means in float from there, and its median
+ * sigma is the exponential of a float. The geometric error is 16 times that, or what the level's
+ * pixels say. Only boxes and the largest sigma need all bits of a double. Each shape is unpacked at
+ * once and compared.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -41,16 +42,25 @@ static double index_unpack_sigma(const struct index_shape *p)
     return exp((double)p->sigma_median_log);
 }
 
-static void index_unpack(const struct index_shape *p, struct store_shape *s)
+double index_error_m(const double pixel_m[STORE_LEVEL_MAX], uint32_t level, double sigma_median_m)
+{
+    const double own_m = level > 0 && level <= STORE_LEVEL_MAX ? pixel_m[level - 1] : 0.0;
+    return STORE_PX_PER_SIGMA *
+           (own_m > 0.0 ? fmin(sigma_median_m, STORE_PIXEL_SHARE * own_m) : sigma_median_m);
+}
+
+static void index_unpack(const struct index *x, uint32_t level, const struct index_shape *p,
+                         struct store_shape *s)
 {
     index_unpack_bounds(p, s);
     s->sigma_median_m = index_unpack_sigma(p);
-    s->geometric_error_m = STORE_PX_PER_SIGMA * s->sigma_median_m;
+    s->geometric_error_m = index_error_m(x->pixel_m, level, s->sigma_median_m);
 }
 
 /* False: it would not come out as it is. */
-static bool index_pack(const struct store_shape *s, struct index_shape *p)
+static bool index_pack(const struct index *x, const struct store_entry *t, struct index_shape *p)
 {
+    const struct store_shape *s = &t->shape;
     memcpy(p->min_enu_m, s->min_enu_m, sizeof p->min_enu_m);
     memcpy(p->max_enu_m, s->max_enu_m, sizeof p->max_enu_m);
     for (size_t k = 0; k < 3; k++) {
@@ -67,7 +77,7 @@ static bool index_pack(const struct store_shape *s, struct index_shape *p)
         return false;
     p->sigma_median_log = (float)log(s->sigma_median_m);
     struct store_shape again;
-    index_unpack(p, &again);
+    index_unpack(x, t->tile.level, p, &again);
     return !memcmp(&again, s, sizeof again);
 }
 
@@ -112,7 +122,7 @@ static enum err_code index_keep_whole(struct index *x, const struct store_shape 
 bool index_set(struct index *x, size_t i, const struct store_entry *t)
 {
     x->tiles[i] = t->tile;
-    return index_pack(&t->shape, &x->shapes[i]);
+    return index_pack(x, t, &x->shapes[i]);
 }
 
 enum err_code index_add(struct index *x, const struct store_entry *t, size_t expected,
@@ -296,7 +306,7 @@ struct store_shape index_shape(const struct index *x, size_t i)
     struct store_shape s;
     if (index_is_whole(p))
         return x->whole[p->center_enu_m[0]];
-    index_unpack(p, &s);
+    index_unpack(x, x->tiles[i].level, p, &s);
     return s;
 }
 

@@ -18,13 +18,17 @@ struct index_shape {
     float sigma_median_log;             /* not a number: the shape is kept whole */
 };
 
-struct index { /* {0} is empty */
+struct index {                       /* {0} is empty */
+    double pixel_m[STORE_LEVEL_MAX]; /* of store_meta: what limits errors; set before tiles come */
     struct store_tile *tiles;
     struct index_shape *shapes;
     struct store_shape *whole;
     size_t n, cap, n_whole, cap_whole;
 };
 
+/* The geometric error of a tile of a level (0: an overview), by its sigma. A level is as good as
+ * the finer one at pixels as large as those it was trained on, whatever its Gaussians' size. */
+double index_error_m(const double pixel_m[STORE_LEVEL_MAX], uint32_t level, double sigma_median_m);
 /* Adds a tile. `expected` is how many there will be, as far as it is known. Free with index_free.
  * ERR_MEM. */
 enum err_code index_add(struct index *x, const struct store_entry *t, size_t expected,

@@ -137,6 +137,7 @@ enum err_code store_create(const char *path, const struct store_meta *meta, stru
         return err_set(e, ERR_MEM, "%s: out of memory", path);
     memcpy(s->path, path, strlen(path) + 1);
     s->meta = *meta;
+    memcpy(s->index.pixel_m, s->meta.pixel_m, sizeof s->index.pixel_m);
     s->building = true;
     s->flush.fd = -1;
     enum err_code rc = store_start(s, e);
@@ -200,17 +201,6 @@ static double store_growth(const struct store *s, const struct gauss *g)
     return s->meta.lossless ? 1.0 : exp(ldexp((double)most, -11));
 }
 
-/* A level is as good as the finer one at pixels as large as those it was trained on, whatever the
- * size of its Gaussians. */
-static double store_error_m(const struct store *s, const struct store_entry *t)
-{
-    const uint32_t level = t->tile.level;
-    const double pixel_m = level > 0 ? s->meta.pixel_m[level - 1] : 0.0;
-    const double sigma_m = t->shape.sigma_median_m;
-    return STORE_PX_PER_SIGMA *
-           (pixel_m > 0.0 ? fmin(sigma_m, STORE_PIXEL_SHARE * pixel_m) : sigma_m);
-}
-
 /* Bounds and sigmas of the rows. */
 static enum err_code store_measure(const struct store *s, struct store_entry *of,
                                    const struct gauss *g, struct err *e)
@@ -230,7 +220,7 @@ static enum err_code store_measure(const struct store *s, struct store_entry *of
     gauss_bounds(g, STORE_REACH_SIGMA * growth, t->min_enu_m, t->max_enu_m);
     t->sigma_max_m *= growth;
     if (!(t->geometric_error_m > 0.0))
-        t->geometric_error_m = store_error_m(s, of);
+        t->geometric_error_m = index_error_m(s->meta.pixel_m, of->tile.level, t->sigma_median_m);
     double sum = t->sigma_median_m + t->sigma_max_m + t->geometric_error_m;
     for (size_t k = 0; k < 3; k++) {
         /* SQLite keeps -0.0 as 0, which would hash differently. */

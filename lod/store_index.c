@@ -149,6 +149,7 @@ static void store_take_row(sqlite3_context *c, int n, sqlite3_value **v)
 static enum err_code store_read_rows(struct store *s, const char *sql, size_t *n_bad, struct err *e)
 {
     struct store_taken t = {.s = s, .expected = store_expected(s), .e = e};
+    memcpy(s->index.pixel_m, s->meta.pixel_m, sizeof s->index.pixel_m);
     const int code = store_each_row(s->db, sql, (struct key){0}, store_take_row, &t);
     if (!t.rc && code != SQLITE_DONE)
         t.rc = store_db_fail(s, code, "index", e);
@@ -223,6 +224,7 @@ bool store_read_halves(struct store *s, const char *at, const char *vfs)
     const size_t n = store_expected(s);
     atomic_size_t left;
     memcpy(other.path, s->path, sizeof other.path);
+    memcpy(x.pixel_m, s->meta.pixel_m, sizeof x.pixel_m);
     atomic_init(&left, n);
     bool whole = store_find_half(s, &from) && !store_db_connect(&other, at, vfs, &e) &&
                  !index_reserve(&x, n, &e);
@@ -254,7 +256,8 @@ enum err_code store_read_index(struct store *s, const char *at, const char *vfs,
 
 enum err_code store_check_rows(const struct store *s, size_t *n_bad, struct err *e)
 {
-    struct store again = {.db = s->db, .size_bytes = s->size_bytes, .remote = s->remote};
+    struct store again = {
+        .db = s->db, .size_bytes = s->size_bytes, .meta = s->meta, .remote = s->remote};
     memcpy(again.path, s->path, sizeof again.path);
     enum err_code rc = store_read_rows(&again, STORE_ROWS_SQL, n_bad, e);
     index_free(&again.index);

@@ -18,7 +18,8 @@
 #include <stdio.h>
 #include <string.h>
 
-/* Between the two: of three seeds 0.0038 to 0.0043 with a shared network, 0.0077 to 0.0086 without. */
+/* Between the two: of three seeds 0.0038 to 0.0043 with a shared network, 0.0077 to 0.0086
+ * without. */
 #define F9_SEAM (1.5 / 255.0)
 
 /* ---- F9 ---- */
