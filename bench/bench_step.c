@@ -1,22 +1,27 @@
-/* Training: whole iterations (draw, loss, backward pass, Adam of 59 parameters) and their parts.
+/* Training: whole iterations (draw, loss, backward pass, Adam of 59 parameters) and their parts: of
+ * all Gaussians, with appearance, and as a run makes them from --defer-from Gaussians on: those in
+ * the frustum, from one of several cameras in turn, with what they were owed (render/defer.h).
  *
  * The photograph is a picture of the city. The model is the city with all parameters disturbed, so
  * gradients and list lengths are as in real training. Learning rates are 0, so that every timed
  * iteration does the same work. Checked before timing: one iteration at real learning rates must
- * lower the loss.
+ * lower the loss; a frame of those in the frustum has the bits of a frame of all.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "bench/bench.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 
 #include "bench/city.h"
 #include "loss/photometric.h"
+#include "render/defer.h"
 #include "render/render.h"
 
-enum { SEED = 7, STEP_KERNELS_MAX = 64 };
+enum { SEED = 7, STEP_KERNELS_MAX = 64, STEP_CAMERAS = 6 };
+enum step_kind { STEP_ALL, STEP_FRUSTUM, STEP_APPEARANCE };
 
 struct step_case {
     struct dev *dev; /* borrowed */
@@ -27,6 +32,11 @@ struct step_case {
     struct render_density_stats stats;
     struct camera cam;
     cl_mem target;
+    /* cameras in turn; defer NULL: one camera. all: nothing is deferred */
+    struct defer *defer;
+    bool all;
+    struct camera turn[STEP_CAMERAS];
+    struct render_model seen;
     /* with appearance; frame NULL: without */
     struct appearance appearance;
     float *frame, *frame_grad;
@@ -39,6 +49,7 @@ static void step_free(struct step_case *c)
                             &c->stats.count, &c->stats.radius, &c->stats.repaired, &c->target};
     for (size_t i = 0; i < sizeof mems / sizeof *mems; i++)
         dev_release(mems[i]);
+    defer_close(&c->defer);
     render_model_free(&c->model);
     photometric_close(&c->loss);
     render_close(&c->render);
@@ -59,6 +70,11 @@ static void step_rates(struct step_case *c, float scale)
     a->lr_embed = 1e-2f * scale;
 }
 
+static struct render_model *step_model(struct step_case *c)
+{
+    return c->defer && !c->all ? &c->seen : &c->model;
+}
+
 static enum err_code step_draw(void *user, struct err *e)
 {
     struct step_case *c = user;
@@ -66,7 +82,13 @@ static enum err_code step_draw(void *user, struct err *e)
                                      .sh_degree = -1,
                                      .appearance_frame = c->frame,
                                      .appearance_hidden = APPEARANCE_HIDDEN};
-    enum err_code rc = render_forward(c->render, &c->model, &c->cam, &o, NULL, NULL, e);
+    enum err_code rc = ERR_OK;
+    if (c->defer)
+        c->cam = c->turn[c->adam.step % STEP_CAMERAS];
+    if (c->defer && !c->all)
+        rc = defer_see(c->defer, &c->model, &c->adam, &c->cam, &o, &c->seen, e);
+    if (!rc)
+        rc = render_forward(c->render, step_model(c), &c->cam, &o, NULL, NULL, e);
     return !rc ? dev_finish(c->dev, e) : rc;
 }
 
@@ -92,8 +114,21 @@ static enum err_code step_once(void *user, struct err *e)
     c->adam.step++;
     c->adam.embed_step = c->adam.step;
     if (!rc)
-        rc = render_backward_step(c->render, &c->model, &c->adam, &c->stats, e);
+        rc = render_backward_step(c->render, step_model(c), &c->adam, &c->stats, e);
+    if (!rc && c->defer && !c->all)
+        rc = defer_stepped(c->defer, &c->adam, e);
     return !rc ? dev_finish(c->dev, e) : rc;
+}
+
+/* As photographs of a survey: from around the middle, each across a part of the city. */
+static void step_turn(struct step_case *c, uint32_t w, uint32_t h)
+{
+    for (int k = 0; k < STEP_CAMERAS; k++) {
+        const double turn = 2.0 * 3.14159265358979323846 * k / STEP_CAMERAS;
+        const double eye[3] = {40.0 * cos(turn), 40.0 * sin(turn), 95.0},
+                     target[3] = {110.0 * cos(turn), 110.0 * sin(turn), 5.0};
+        c->turn[k] = camera_look_at(eye, target, 0.75, w, h);
+    }
 }
 
 /* The photograph: the undisturbed city as it is drawn. */
@@ -147,8 +182,8 @@ static enum err_code step_look(struct step_case *c, struct gauss *g, struct err 
     return rc;
 }
 
-static enum err_code step_open(struct bench *b, size_t n, uint32_t w, uint32_t h, bool appearance,
-                               struct step_case *c, struct err *e)
+static enum err_code step_open(struct bench *b, size_t n, uint32_t w, uint32_t h,
+                               enum step_kind kind, struct step_case *c, struct err *e)
 {
     struct gauss g = {0};
     memset(c, 0, sizeof *c);
@@ -168,7 +203,7 @@ static enum err_code step_open(struct bench *b, size_t n, uint32_t w, uint32_t h
         rc = step_target(c, &g, e);
     if (!rc)
         step_disturb(&g);
-    if (!rc && appearance)
+    if (!rc && kind == STEP_APPEARANCE)
         rc = step_look(c, &g, e);
     if (!rc)
         rc = render_model_upload(c->render, &g, &c->model, e);
@@ -181,6 +216,9 @@ static enum err_code step_open(struct bench *b, size_t n, uint32_t w, uint32_t h
         if (!rc)
             rc = dev_zero(b->dev, *mems[i], 0, bytes, e);
     }
+    step_turn(c, w, h);
+    if (!rc && kind == STEP_FRUSTUM)
+        rc = defer_open(c->render, &c->defer, e);
     gauss_free(&g);
     return rc;
 }
@@ -201,6 +239,32 @@ static enum err_code step_check(struct step_case *c, struct err *e)
     if (!rc && !(after.total < before.total))
         rc = err_set(e, ERR_INTERNAL, "bench_step: the loss rose from %.6f to %.6f in one step",
                      before.total, after.total);
+    return rc;
+}
+
+/* Each camera's frame of the frustum, a step later each, against that of all. *share: of all groups
+ * that are listed, in the mean. */
+static enum err_code step_check_frustum(struct step_case *c, double *share, struct err *e)
+{
+    const struct render_options o = {.aa = RENDER_AA_2D, .sh_degree = -1};
+    const size_t n = (size_t)c->cam.width_px * c->cam.height_px * 3;
+    float *all = mem_array(n, sizeof *all), *seen = mem_array(n, sizeof *seen);
+    enum err_code rc = all && seen ? ERR_OK : err_set(e, ERR_MEM, "bench_step: picture");
+    *share = 0.0;
+    for (int k = 0; !rc && k < STEP_CAMERAS; k++) {
+        rc = step_draw(c, e);
+        *share += (double)c->seen.groups / (double)c->model.groups / STEP_CAMERAS;
+        if (!rc)
+            rc = render_forward(c->render, &c->model, &c->cam, &o, all, NULL, e);
+        if (!rc)
+            rc = render_forward(c->render, &c->seen, &c->cam, &o, seen, NULL, e);
+        if (!rc && memcmp(all, seen, n * sizeof *all) != 0)
+            rc = err_set(e, ERR_INTERNAL, "bench_step: the frustum draws another picture");
+        if (!rc)
+            rc = step_once(c, e);
+    }
+    mem_free(all);
+    mem_free(seen);
     return rc;
 }
 
@@ -229,34 +293,49 @@ static enum err_code step_stages(struct bench *b, struct step_case *c, const cha
     return rc;
 }
 
-/* *total_ms: of the iteration; with appearance it is read as well, as what to compare against. */
+/* *total_ms: of the iteration of all, which that with appearance is compared with. That of the
+ * frustum is compared with one of all from the same cameras. */
 static enum err_code step_measure(struct bench *b, size_t n, uint32_t w, uint32_t h,
-                                  bool appearance, double *total_ms, struct err *e)
+                                  enum step_kind kind, double *total_ms, struct err *e)
 {
+    static const char *const names[] = {"", ", in the frustum", ", appearance"},
+                             *const against[] = {NULL, "all, same cameras", "without appearance"};
     struct step_case c;
     char name[64], text[128];
-    double ms = 0, draw_ms = 0, loss_ms = 0, spread = 0;
-    enum err_code rc = step_open(b, n, w, h, appearance, &c, e);
+    double ms = 0, draw_ms = 0, loss_ms = 0, spread = 0, share = 0, core_ms = 0, all_core_ms = 0;
+    enum err_code rc = step_open(b, n, w, h, kind, &c, e);
+    c.all = kind == STEP_FRUSTUM;
+    if (!rc && c.all)
+        rc = bench_time(b, step_once, &c, total_ms, &spread, e);
+    if (!rc && c.all)
+        rc = bench_cpu_time(b, step_once, &c, &all_core_ms, &spread, e);
+    c.all = false;
     if (!rc)
-        rc = step_check(&c, e);
+        rc = kind == STEP_FRUSTUM ? step_check_frustum(&c, &share, e) : step_check(&c, e);
     if (!rc)
         rc = bench_time(b, step_once, &c, &ms, &spread, e);
+    if (!rc)
+        rc = bench_cpu_time(b, step_once, &c, &core_ms, &spread, e);
     if (!rc)
         rc = bench_time(b, step_draw, &c, &draw_ms, &spread, e);
     if (!rc)
         rc = bench_time(b, step_loss, &c, &loss_ms, &spread, e);
     if (!rc) {
-        snprintf(name, sizeof name, "%zu k, %ux%u%s", n / 1000, w, h,
-                 appearance ? ", appearance" : "");
-        bench_report(b, name, ms, "ms", appearance ? ms / *total_ms : 0,
-                     appearance ? "without appearance" : NULL);
-        *total_ms = ms;
+        *total_ms = kind == STEP_ALL ? ms : *total_ms;
+        snprintf(name, sizeof name, "%zu k, %ux%u%s", n / 1000, w, h, names[kind]);
+        bench_report(b, name, ms, "ms", kind == STEP_ALL ? 0 : ms / *total_ms, against[kind]);
+        snprintf(text, sizeof text, "%s: processor time", name);
+        bench_report(b, text, core_ms, "core ms", kind == STEP_FRUSTUM ? core_ms / all_core_ms : 0,
+                     kind == STEP_FRUSTUM ? against[kind] : NULL);
         snprintf(text, sizeof text, "%s: draw", name);
         bench_report(b, text, draw_ms, "ms", 0, NULL);
         snprintf(text, sizeof text, "%s: loss", name);
         bench_report(b, text, loss_ms, "ms", 0, NULL);
         snprintf(text, sizeof text, "%s: backward and Adam", name);
         bench_report(b, text, ms - draw_ms - loss_ms, "ms", 0, NULL);
+        snprintf(text, sizeof text, "%s: share of groups", name);
+        if (kind == STEP_FRUSTUM)
+            bench_report(b, text, 100.0 * share, "%", 0, NULL);
         rc = step_stages(b, &c, name, e);
     }
     step_free(&c);
@@ -275,9 +354,12 @@ enum err_code bench_step(struct bench *b, struct err *e)
         double ms = 0;
         size_t n = b->quick ? quick[i].n : cases[i].n;
         uint32_t w = b->quick ? quick[i].w : cases[i].w, h = b->quick ? quick[i].h : cases[i].h;
-        rc = step_measure(b, n, w, h, false, &ms, e);
+        double turn_ms = 0;
+        rc = step_measure(b, n, w, h, STEP_ALL, &ms, e);
         if (!rc)
-            rc = step_measure(b, n, w, h, true, &ms, e);
+            rc = step_measure(b, n, w, h, STEP_FRUSTUM, &turn_ms, e);
+        if (!rc)
+            rc = step_measure(b, n, w, h, STEP_APPEARANCE, &ms, e);
     }
     return rc;
 }
@@ -287,7 +369,7 @@ enum err_code bench_step_at(struct bench *b, const char *name, size_t n, uint32_
 {
     struct step_case c;
     double ms = 0;
-    enum err_code rc = step_open(b, n, width_px, height_px, false, &c, e);
+    enum err_code rc = step_open(b, n, width_px, height_px, STEP_ALL, &c, e);
     if (!rc)
         rc = bench_time(b, step_once, &c, &ms, NULL, e);
     if (!rc)
@@ -298,14 +380,15 @@ enum err_code bench_step_at(struct bench *b, const char *name, size_t n, uint32_
 
 /* What of an iteration each kernel takes, on the device's own clock, and what is left of it: gaps
  * between launches, the host's work and its waiting. */
-static enum err_code step_kernels(struct bench *b, size_t n, uint32_t w, uint32_t h, struct err *e)
+static enum err_code step_kernels(struct bench *b, size_t n, uint32_t w, uint32_t h,
+                                  enum step_kind kind, struct err *e)
 {
     struct step_case c;
     struct dev_time times[STEP_KERNELS_MAX];
     size_t n_times = 0;
     double all_ms = 0, kernels_ms = 0;
     char text[128];
-    enum err_code rc = step_open(b, n, w, h, false, &c, e), ended;
+    enum err_code rc = step_open(b, n, w, h, kind, &c, e), ended;
     if (!rc)
         rc = bench_time(b, step_once, &c, &all_ms, NULL, e);
     if (!rc)
@@ -319,8 +402,9 @@ static enum err_code step_kernels(struct bench *b, size_t n, uint32_t w, uint32_
     for (size_t i = 0; !rc && i < n_times; i++) {
         double ms = times[i].ms / b->runs;
         kernels_ms += ms;
-        snprintf(text, sizeof text, "%s (%.3g launches)", times[i].name,
-                 (double)times[i].launches / b->runs);
+        snprintf(text, sizeof text, "%s (%.3g launches%s)", times[i].name,
+                 (double)times[i].launches / b->runs,
+                 kind == STEP_FRUSTUM ? ", in the frustum" : "");
         bench_report_at(b, text, ms, "ms", (double)n, (double)w * h);
     }
     if (!rc) {
@@ -329,7 +413,9 @@ static enum err_code step_kernels(struct bench *b, size_t n, uint32_t w, uint32_
         bench_report_at(b, "intersections", (double)s->intersections, "intersections", (double)n,
                         (double)w * h);
         bench_report_at(b, "all but kernels", all_ms - kernels_ms, "ms", (double)n, (double)w * h);
-        bench_report_at(b, "training iteration", all_ms, "ms", (double)n, (double)w * h);
+        bench_report_at(
+            b, kind == STEP_FRUSTUM ? "training iteration, in the frustum" : "training iteration",
+            all_ms, "ms", (double)n, (double)w * h);
     }
     step_free(&c);
     return rc;
@@ -337,10 +423,16 @@ static enum err_code step_kernels(struct bench *b, size_t n, uint32_t w, uint32_
 
 enum err_code bench_kernels(struct bench *b, struct err *e)
 {
-    enum err_code rc = step_kernels(b, b->quick ? 5000 : 100000, 400, 300, e);
-    if (!rc && !b->quick)
-        rc = step_kernels(b, 1000000, 1280, 720, e);
-    return rc || b->quick || b->dev->is_cpu ? rc : step_kernels(b, 6840000, 1600, 1200, e);
+    enum err_code rc = ERR_OK;
+    for (int kind = STEP_ALL; !rc && kind <= STEP_FRUSTUM; kind++) {
+        const enum step_kind k = (enum step_kind)kind;
+        rc = step_kernels(b, b->quick ? 5000 : 100000, 400, 300, k, e);
+        if (!rc && !b->quick)
+            rc = step_kernels(b, 1000000, 1280, 720, k, e);
+        if (!rc && !b->quick && !b->dev->is_cpu)
+            rc = step_kernels(b, 6840000, 1600, 1200, k, e);
+    }
+    return rc;
 }
 
 /* Whole iterations against Gaussians at 1280 x 720, and against pixels with 100,000 Gaussians. */

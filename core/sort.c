@@ -4,8 +4,6 @@
  */
 #include "core/sort.h"
 
-#include <stdlib.h>
-
 #include <string.h>
 
 enum { SORT_BITS = 11, SORT_BINS = 1 << SORT_BITS, SORT_FEW = 48 };
@@ -92,18 +90,83 @@ void sort_words(uint64_t *words, uint64_t *scratch, size_t n)
         memcpy(words, from, n * sizeof *words);
 }
 
-static int sort_double_compare(const void *a, const void *b)
+/* Bits that grow with x as an unsigned number, and back. */
+static uint64_t sort_key_double(uint64_t bits)
 {
-    double x, y;
-    memcpy(&x, a, sizeof x);
-    memcpy(&y, b, sizeof y);
-    return (x > y) - (x < y);
+    return bits ^ (bits >> 63 ? UINT64_MAX : UINT64_C(1) << 63);
+}
+
+static uint64_t sort_double_of_key(uint64_t key)
+{
+    return key ^ (key >> 63 ? UINT64_C(1) << 63 : UINT64_MAX);
+}
+
+/* While they are sorted, the doubles' memory holds keys. */
+static uint64_t sort_get(const double *v)
+{
+    uint64_t key;
+    memcpy(&key, v, sizeof key);
+    return key;
+}
+
+static void sort_put(double *v, uint64_t key)
+{
+    memcpy(v, &key, sizeof key);
+}
+
+static void sort_few_keys(double *v, size_t n)
+{
+    for (size_t i = 1; i < n; i++) {
+        const uint64_t x = sort_get(v + i);
+        size_t at = i;
+        for (; at > 0 && sort_get(v + at - 1) > x; at--)
+            sort_put(v + at, sort_get(v + at - 1));
+        sort_put(v + at, x);
+    }
+}
+
+/* In place, highest digit first ("American flag", McIlroy and others 1993): each key is swapped
+ * into its bin until the bins are full, then each bin is sorted by the next digit. */
+static void sort_keys(double *v, size_t n, unsigned shift)
+{
+    enum { BITS = 8, BINS = 1 << BITS };
+    size_t next[BINS], end[BINS] = {0}, sum = 0;
+    if (n <= SORT_FEW) {
+        sort_few_keys(v, n);
+        return;
+    }
+    for (size_t i = 0; i < n; i++)
+        end[sort_get(v + i) >> shift & (BINS - 1)]++;
+    for (size_t b = 0; b < BINS; b++) {
+        next[b] = sum;
+        sum += end[b];
+        end[b] = sum;
+    }
+    for (size_t b = 0; b < BINS; b++)
+        while (next[b] < end[b]) {
+            uint64_t key = sort_get(v + next[b]);
+            size_t to = key >> shift & (BINS - 1);
+            for (; to != b; to = key >> shift & (BINS - 1)) {
+                const uint64_t other = sort_get(v + next[to]);
+                sort_put(v + next[to]++, key);
+                key = other;
+            }
+            sort_put(v + next[b]++, key);
+        }
+    for (size_t b = 0; shift && b < BINS; b++) {
+        const size_t from = b ? end[b - 1] : 0;
+        if (end[b] - from > 1)
+            sort_keys(v + from, end[b] - from, shift - BITS);
+    }
 }
 
 void sort_doubles(double *v, size_t n)
 {
-    if (n)
-        qsort(v, n, sizeof *v, sort_double_compare);
+    for (size_t i = 0; i < n; i++)
+        sort_put(v + i, sort_key_double(sort_get(v + i)));
+    sort_keys(v, n, 56);
+    for (size_t i = 0; i < n; i++)
+        sort_put(v + i, sort_double_of_key(sort_get(v + i)));
 }
 
 double sort_median(double *v, size_t n)

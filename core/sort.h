@@ -20,7 +20,7 @@ void sort_items(struct sort_item *items, struct sort_item *scratch, size_t n);
 /* Sorts words by their upper 32 bits, ascending and stable. The lower 32 bits are free for the
  * caller. A word takes half the memory of a struct sort_item. `scratch` has room for n words. */
 void sort_words(uint64_t *words, uint64_t *scratch, size_t n);
-/* Sorts values, ascending. */
+/* Sorts values, ascending, without other memory: -0 before 0, NaN first or last by its sign. */
 void sort_doubles(double *v, size_t n);
 /* The median. For an even n it is the mean of the middle two, for n = 0 it is 0. It sorts v. */
 double sort_median(double *v, size_t n);

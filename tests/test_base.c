@@ -435,6 +435,44 @@ static int float_compare(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
+static int double_compare(const void *a, const void *b)
+{
+    const double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+/* As qsort sorts them, few and many: of both signs, of all sizes, floats, equal ones, 0 of both
+ * signs, infinities. */
+static void sorts_of_doubles(void **state)
+{
+    (void)state;
+    enum { MANY = 20000 };
+    static double v[MANY], want[MANY];
+    static const size_t counts[] = {0, 1, 2, 48, 1000, MANY};
+    for (size_t c = 0; c < sizeof counts / sizeof *counts; c++)
+        for (size_t kind = 0; kind < 5; kind++) {
+            const size_t n = counts[c];
+            for (size_t i = 0; i < n; i++) {
+                double x = rng_normal(7, kind, i);
+                v[i] = kind == 0   ? x
+                       : kind == 1 ? ldexp(x, (int)(rng_unit(7, 8, i) * 2000) - 1000)
+                       : kind == 2 ? (double)(float)x
+                       : kind == 3 ? floor(3 * x)
+                                   : (i % 5 == 0   ? -HUGE_VAL
+                                      : i % 7 == 0 ? HUGE_VAL
+                                                   : x);
+                if (kind == 3 && v[i] == 0 && i % 2)
+                    v[i] = -0.0;
+                want[i] = v[i];
+            }
+            if (n)
+                qsort(want, n, sizeof *want, double_compare);
+            sort_doubles(v, n);
+            for (size_t i = 0; i < n; i++)
+                assert_true(v[i] == want[i]);
+        }
+}
+
 /* Words by their upper half, equal ones in the order they came; selection as sorting would. */
 static void sorts_of_words_and_selection(void **state)
 {
@@ -574,6 +612,7 @@ int main(void)
         cmocka_unit_test(mem_array_refuses_overflow_and_fails_on_demand),
         cmocka_unit_test(mem_room_doubles_and_keeps),
         cmocka_unit_test(arena_keeps_to_its_ceiling),
+        cmocka_unit_test(sorts_of_doubles),
         cmocka_unit_test(sorts_of_words_and_selection),
         cmocka_unit_test(small_systems_are_factored_and_solved),
         cmocka_unit_test(blocks_are_appended_as_rows_are),
