@@ -17,6 +17,7 @@ struct stage;
 struct forecast {                    /* {0} at first, then forecast_open */
     double pixels[TRAIN_LEVELS_MAX]; /* mean pixels of a training photograph, by level */
     double views;                    /* photographs that a densification draws for importance */
+    double seen_from; /* Gaussians from which on a step moves those in the frustum alone */
     size_t n_images, n_tests;
     double work, seconds; /* units done and their time; older work counts less */
 };
