@@ -57,6 +57,14 @@ static bool chart_same_row(const json_t *a, const json_t *b)
            !strcmp(runs_text(a, "row"), runs_text(b, "row"));
 }
 
+/* "level 3" and "level 3, half image" are scored against photographs; "level 3, surface" and map
+ * views are not. */
+static bool chart_of_photographs(const json_t *line)
+{
+    const char *what = runs_text(line, "what"), *rest = strchr(what, ',');
+    return !strncmp(what, "level ", 6) && (!rest || !strcmp(rest, ", half image"));
+}
+
 bool chart_takes(const struct chart_def *d, const json_t *line, const json_t *lines)
 {
     size_t i;
@@ -72,7 +80,7 @@ bool chart_takes(const struct chart_def *d, const json_t *line, const json_t *li
     if (strncmp(d->what, "finest", 6))
         return !strncmp(runs_text(line, "what"), d->what, strlen(d->what));
     double level = runs_number(line, "level");
-    if (!(level > 0.0) || isfinite(runs_number(line, "views"))) /* map views have a name each */
+    if (!(level > 0.0) || !chart_of_photographs(line))
         return false;
     json_array_foreach(lines, i, other)
     {

@@ -41,6 +41,11 @@ scores 25 0.76 4000; add budgets "2 k" budget=2000
 [ "$(wc -l <"$runs/budgets.jsonl")" = 6 ] || fail "a run recorded again is not replaced"
 sed -n 4p "$runs/budgets.jsonl" | grep -q '"psnr_db":25' || fail "a replaced run changes its place"
 
+# What else was scored of the finest level is not its score against photographs.
+sed -n '4s/"what": *"level 2"/"what":"level 2, surface"/p' "$runs/budgets.jsonl" >"$work/surface"
+[ -s "$work/surface" ] || fail "no line of the finest level"
+cat "$work/surface" >>"$runs/budgets.jsonl"
+
 # Refusals.
 refuse() { # PATTERN COMMAND...
     pattern=$1
@@ -81,6 +86,7 @@ expect 'odd HOME x' "$work/docs/charts/ablation.svg" # what gnuplot would interp
 grep -q "$(basename "$HOME")/" "$work/docs/charts/ablation.svg" && fail "a variable was expanded"
 expect '^!\[.*\](charts/budgets.svg)$' "$doc"
 expect '^| 2 k | 4.0 | 25.00 | 0.7600 |' "$doc"
+[ "$(grep -c '^| 2 k | 4.0 |' "$doc")" = 1 ] || fail "the surface is in the table of photographs"
 expect 'Not recorded: `studies/study.sh lod`' "$doc"
 expect 'abc, on a device, FMA 80 GFLOP/s, triad 20 GB/s' "$doc"
 for text in Before Between After; do expect "^$text" "$doc"; done
