@@ -7,12 +7,18 @@
 
 #include "cli/mark_work.h"
 
-/* A path of the report that is still there; NULL: it is not said, or not there. */
-static const char *mark_scene_path(const json_t *report, const char *key, struct arena *a)
+/* A path of the report, as seen from the scene, that is still there; NULL: it is not said, or not
+ * there. Older reports have absolute ones. */
+static const char *mark_scene_path(const json_t *report, const char *scene, const char *key,
+                                   struct arena *a)
 {
+    char path[FILE_PATH_MAX];
+    struct err ignored;
     const json_t *v = json_object_get(json_object_get(report, "source"), key);
-    const char *path = json_string_value(v);
-    return path && (file_exists(path) || file_is_dir(path)) ? arena_text(a, path) : NULL;
+    const char *said = json_string_value(v);
+    if (!said || file_join(path, *said == '/' ? "" : scene, said, &ignored))
+        return NULL;
+    return file_exists(path) || file_is_dir(path) ? arena_text(a, path) : NULL;
 }
 
 static double mark_scene_number(const json_t *report, const char *key, double standard)
@@ -38,9 +44,9 @@ static enum err_code mark_scene_read(const char *scene, struct mark_source *out,
     if (rc)
         return rc;
     *out = (struct mark_source){.scene = scene,
-                                .photographs = mark_scene_path(report, "photographs", a),
-                                .model = mark_scene_path(report, "model", a),
-                                .gcp = mark_scene_path(report, "ground_control", a),
+                                .photographs = mark_scene_path(report, scene, "photographs", a),
+                                .model = mark_scene_path(report, scene, "model", a),
+                                .gcp = mark_scene_path(report, scene, "ground_control", a),
                                 .gcp_epsg = (int)mark_scene_number(report, "gcp_epsg", 0),
                                 .gcp_scale = mark_scene_number(report, "gcp_scale", 1),
                                 .min_points = (int64_t)mark_scene_number(report, "min_points", 128),

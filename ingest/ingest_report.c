@@ -539,19 +539,44 @@ static json_t *report_gcp_to_json(const struct gcp_fit *f)
                      list);
 }
 
-/* A path that leads there from everywhere; null: there is none, or JSON cannot hold it. */
-static json_t *report_path(const char *path)
+/* `to` as seen from the folder `from`, both without links. */
+static void report_relative(const char *from, const char *to, char *out, size_t room)
 {
-    char full[PATH_MAX];
-    json_t *o = path && realpath(path, full) ? json_string(full) : NULL;
+    size_t same = 0, n = 0, i = 0;
+    for (; from[i] && from[i] == to[i]; i++)
+        if (from[i] == '/')
+            same = i + 1;
+    if (!from[i] && to[i] == '/') /* below it */
+        same = i + 1;
+    out[0] = '\0';
+    for (const char *c = from + (same < i ? same : i); *c && n + 4 < room; c++)
+        if (c == from + same || c[-1] == '/')
+            n += (size_t)snprintf(out + n, room - n, "../");
+    snprintf(out + n, room - n, "%s", to + same);
+}
+
+/* A path as seen from the report's folder, so that scene and photographs can be moved together and
+ * the report tells nobody where they lie; null: there is none, or JSON cannot hold it. */
+static json_t *report_path(const char *path, const char *report)
+{
+    char full[PATH_MAX], dir[PATH_MAX], seen[2 * PATH_MAX];
+    snprintf(seen, sizeof seen, "%s", report);
+    char *slash = strrchr(seen, '/');
+    if (slash)
+        slash[slash == seen] = '\0';
+    if (!path || !realpath(path, full) || !realpath(slash ? seen : ".", dir))
+        return json_null();
+    report_relative(dir, full, seen, sizeof seen);
+    json_t *o = json_string(seen);
     return o ? o : json_null();
 }
 
 /* What the scene was made of, for commands that need the photographs as they came. */
-static json_t *report_source_to_json(const struct ingest_result *r)
+static json_t *report_source_to_json(const struct ingest_result *r, const char *report)
 {
-    return json_pack("{s:o, s:o, s:o}", "photographs", report_path(r->images_dir), "model",
-                     report_path(r->model_dir), "ground_control", report_path(r->cfg->gcp));
+    return json_pack("{s:o, s:o, s:o}", "photographs", report_path(r->images_dir, report), "model",
+                     report_path(r->model_dir, report), "ground_control",
+                     report_path(r->cfg->gcp, report));
 }
 
 enum err_code ingest_report_write(const struct ingest_result *r, const char *path, struct err *e)
@@ -581,7 +606,7 @@ enum err_code ingest_report_write(const struct ingest_result *r, const char *pat
         json_decref(unplaced);
     if (root) {
         json_object_set_new(root, "models", json_integer((json_int_t)r->n_models));
-        json_object_set_new(root, "source", report_source_to_json(r));
+        json_object_set_new(root, "source", report_source_to_json(r, path));
     }
     if (!root)
         return err_set(e, ERR_DATA, "%s: cannot be written: a photograph's name is not UTF-8",

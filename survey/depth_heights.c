@@ -30,7 +30,7 @@ enum {
     DEEP = 100,         /* least number of them */
     LAYER_SHARE = 3,    /* a dense layer has a third of the densest */
     LAYER_LEAST = 2,
-    BAND_ROWS = 1024,
+    BAND_PX = 2, /* pixels of a band for each of its samples, at most; one row is always taken */
 };
 static const double outline_share = 0.002; /* of samples that lie beyond each edge of the map */
 static const double below_m = 100.0; /* heights begin so far below the lowest of the outline */
@@ -423,6 +423,14 @@ static enum err_code band_run(struct heights_job *j, struct band *b, struct geot
     return rc;
 }
 
+/* For another row; memory then grows neither with the samples nor with the width of the map. */
+static bool band_has_room(const struct band *b, uint32_t row, size_t most)
+{
+    const struct heights_job *j = b->job;
+    return b->cap + j->row_samples[row] <= most &&
+           (uint64_t)(row + 1 - b->rows[0]) * j->grid.width <= BAND_PX * most;
+}
+
 static enum err_code heights_bands(struct heights_job *j, struct geotiff *file, struct err *e)
 {
     const struct heights_visitor count = {heights_count, j};
@@ -437,8 +445,7 @@ static enum err_code heights_bands(struct heights_job *j, struct geotiff *file, 
     enum err_code rc = heights_walk(j, NULL, &count, &maps, e);
     for (uint32_t y = 0; !rc && y < j->grid.height;) {
         struct band b = {.job = j, .rows = {y, y}};
-        while (y < j->grid.height && (y == b.rows[0] || b.cap + j->row_samples[y] <= most) &&
-               y - b.rows[0] < BAND_ROWS)
+        while (y < j->grid.height && (y == b.rows[0] || band_has_room(&b, y, most)))
             b.cap += j->row_samples[y++];
         b.rows[1] = y;
         rc = band_run(j, &b, file, e);

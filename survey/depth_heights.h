@@ -22,7 +22,7 @@ struct depth_heights_request {
     double gsd_m; /* 0: the median footprint of the maps' pixels, to two digits */
     const double *bbox_deg;    /* west, south, east, north; NULL: what is known */
     const struct geoid *geoid; /* reference of heights; NULL: that of the scene */
-    size_t most_samples;       /* in memory at a time, 32 bytes each; 0: 8 million */
+    size_t most_samples; /* in memory at a time, 32 bytes each, and 16 of pixels; 0: 8 million */
 };
 /* Writes a GEOTIFF_SURFACE: heights and their scatter (1.48 MAD of the layer) in metres, nodata
  * where no layer is dense. It is written beside `path` and renamed. words says what heights count

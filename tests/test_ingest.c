@@ -3,6 +3,7 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include <jansson.h>
+#include <limits.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -215,6 +216,16 @@ static void test_everything_wrong(void **state)
     kit_ok(ingest_city(city, &ic, &e), e);
     json_t *truth = read_json(city, "truth/truth.json"), *report = read_json(out, "report.json");
     const json_t *photos = json_object_get(report, "photos");
+    /* Where they lie, as seen from the scene. */
+    const char *images =
+        json_string_value(json_object_get(json_object_get(report, "source"), "photographs"));
+    char seen[FILE_PATH_MAX], there[PATH_MAX], want[PATH_MAX];
+    assert_true(images && images[0] == '.');
+    kit_ok(file_join(seen, out, images, &e), e);
+    assert_non_null(realpath(seen, there));
+    kit_ok(file_join(seen, city, "images", &e), e);
+    assert_non_null(realpath(seen, want));
+    assert_string_equal(there, want);
     size_t bad = 0;
     for (size_t i = 0; i < json_array_size(photos); i++) {
         const json_t *t = json_array_get(json_object_get(truth, "photographs"), i),
