@@ -58,8 +58,8 @@ static enum err_code train_print_list(const char *scene_dir, const struct train_
     for (size_t i = 0; i < list.n_cells; i++) {
         const struct jobs_cell *c = &list.cells[i];
         uint64_t steps = 0;
-        for (uint32_t l = 0; l < c->n_levels; l++)
-            steps += c->steps[l];
+        for (uint32_t k = 0; k < c->n_turns; k++)
+            steps += c->steps[k];
         printf("%s\t%s\t%zu\t%llu\t%.0f\t%.0f\n", c->id, jobs_state_name(c->state), c->photos,
                (unsigned long long)steps, ceil(c->memory_bytes / 1048576.0), ceil(c->cpu_s));
     }

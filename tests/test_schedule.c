@@ -6,8 +6,10 @@
 #include "tests/kit.h"
 #include "train/config.h"
 #include "train/schedule.h"
+#include "train/stage.h"
 
 #include <math.h>
+#include <string.h>
 
 #define EDGE_M 100.0
 static const struct cell cell = {
@@ -331,6 +333,51 @@ static void the_finest_level_can_be_trained_first(void **state)
     arena_free(&a);
 }
 
+/* The levels go on from each other as from coarse to fine, and the steps that the coarser ones have
+ * less come when these are made again. */
+static void coarser_levels_can_be_made_again(void **state)
+{
+    (void)state;
+    struct arena a = {0};
+    struct err e = {0};
+    struct train_config c = defaults(&a);
+    struct schedule s[3], plain[3];
+    c.iterations.one = 3000;
+    kit_ok(schedule_make(&c, 60, &cell, plain, &e), e);
+    c.level_order = SCHEDULE_BOTH;
+    kit_ok(schedule_make(&c, 60, &cell, s, &e), e);
+    assert_int_equal(s[2].tuned, 0);
+    assert_int_equal(s[2].steps, plain[2].steps);
+    assert_int_equal(s[2].densify_until, plain[2].densify_until);
+    struct stage at = {.n_levels = 3, .again = true};
+    memcpy(at.levels, s, sizeof s);
+    uint32_t turn = 0, steps = 0;
+    for (at.at = stage_first(&at); at.at < at.n_levels; at.at = stage_after(&at, at.at)) {
+        const struct schedule *now = stage_schedule(&at);
+        assert_int_equal(now->turn, ++turn);
+        assert_int_equal(now->level, at.at + 1);
+        assert_true(now->derived == (turn > 3));
+        steps += now->steps;
+        if (turn < 3)
+            assert_true(now->steps < plain[at.at].steps && now->fade_from == now->steps);
+        if (turn > 3) {
+            assert_int_equal(now->steps, s[at.at].tuned);
+            assert_int_equal(s[at.at].steps + s[at.at].tuned, plain[at.at].steps);
+            assert_true(fabs(schedule_fade(now, now->steps) - 0.1) < 1e-12);
+            for (uint32_t t = 1; t <= now->steps; t++)
+                assert_true(!schedule_densify_index(now, t) && !schedule_resets(now, t));
+        }
+        if (turn == 3)
+            stage_turn(&at, &c);
+    }
+    assert_int_equal(turn, 5);
+    assert_int_equal(steps, 3000);
+    c.iterations = (struct options_ints){.v = {3, 200, 300}, .n = 3};
+    kit_ok(schedule_make(&c, 60, &cell, s, &e), e);
+    assert_true(s[0].steps == 2 && s[0].tuned == 1 && s[1].steps == 140 && s[1].tuned == 60);
+    arena_free(&a);
+}
+
 /* In the last fifth of the finest level. A level that goes on has the rates of a run as long as it
  * has become, and ends as others do. */
 static void rates_fall_at_the_end(void **state)
@@ -400,6 +447,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(rates_fall_at_the_end),
+        cmocka_unit_test(coarser_levels_can_be_made_again),
         cmocka_unit_test(the_finest_level_can_be_trained_first),
         cmocka_unit_test(opacities_are_reset_to_what_can_be_learnt_from),
         cmocka_unit_test(short_runs_take_larger_steps),

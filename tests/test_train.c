@@ -486,6 +486,9 @@ static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
     /* 214 steps of the finest level, then 43 and 43 */
     static const int64_t down[] = {8, 67, 73, 66, 1, 42, 20, 22};
     stopped_run_goes_on(SCHEDULE_FINE_TO_COARSE, down, sizeof down / sizeof down[0]);
+    /* 45, 45 and 150 steps, then 30 and 30 */
+    static const int64_t both[] = {1, 44, 20, 100, 60, 30, 30, 8};
+    stopped_run_goes_on(SCHEDULE_BOTH, both, sizeof both / sizeof both[0]);
 }
 
 /* Whether the newest line about a start says that the model lies in files. */
@@ -550,6 +553,7 @@ static void a_model_in_files_trains_to_the_same_bytes(void **state)
     (void)state;
     in_files_the_same_bytes(SCHEDULE_COARSE_TO_FINE);
     in_files_the_same_bytes(SCHEDULE_FINE_TO_COARSE);
+    in_files_the_same_bytes(SCHEDULE_BOTH);
 }
 
 /* PSNR of the training photographs at the last step of a level, by the run's metrics. */
@@ -729,6 +733,16 @@ static void level_input(const char *out, const char *key, char hash[64])
     ckpt_free(&c);
 }
 
+/* With --level-order both, levels' files say nothing of the steps before they were made again. */
+static int64_t steps_before_again(const struct train_config *c)
+{
+    struct err e = {0};
+    const struct cell cell = {.edge_m = 100, .extent_m = 100, .whole = true};
+    struct schedule s[TRAIN_LEVELS_MAX];
+    kit_ok(schedule_make(c, PHOTOS, &cell, s, &e), e);
+    return c->level_order == SCHEDULE_BOTH ? (int64_t)s[0].steps + s[1].steps : 0;
+}
+
 static void last_fit(enum schedule_order order, int64_t go_on_from)
 {
     enum { PLAIN, WHOLE, PARTS, OUTS };
@@ -763,6 +777,7 @@ static void last_fit(enum schedule_order order, int64_t go_on_from)
         ckpt_free(&level[0]);
         ckpt_free(&level[1]);
     }
+    steps += steps_before_again(&c);
     level_input(out[PLAIN], "photographs", hash[0]); /* the test photograph counts now */
     level_input(out[WHOLE], "photographs", hash[1]);
     assert_string_not_equal(hash[0], hash[1]);
@@ -797,6 +812,8 @@ static void a_last_fit_takes_all_photographs(void **state)
     last_fit(SCHEDULE_COARSE_TO_FINE, 0);
     last_fit(SCHEDULE_FINE_TO_COARSE, 0);
     last_fit(SCHEDULE_FINE_TO_COARSE, 150); /* after a level that went on */
+    last_fit(SCHEDULE_BOTH, 0);
+    last_fit(SCHEDULE_BOTH, 150);
 }
 
 static void a_damaged_state_is_refused(void **state)

@@ -130,15 +130,13 @@ static enum err_code begin_forget_done(const struct begin *t, struct err *e)
     return rc;
 }
 
-enum err_code begin_earlier_levels(const struct begin *t, uint32_t at,
+enum err_code begin_earlier_levels(const struct begin *t, const struct stage *at,
                                    struct train_cell_result *out, struct err *e)
 {
     enum err_code rc = ERR_OK;
-    const uint32_t n = (uint32_t)t->job->cfg->level_count;
-    const bool fine_first = t->job->cfg->level_order == SCHEDULE_FINE_TO_COARSE;
-    for (uint32_t i = 0; !rc && i < n; i++) {
+    for (uint32_t i = 0; !rc && i < at->n_levels; i++) {
         char path[FILE_PATH_MAX];
-        if (at < n && (fine_first ? i <= at : i >= at))
+        if (at->at < at->n_levels && (at->fine_first ? i <= at->at : i >= at->at))
             continue;
         rc = begin_level_path(t, i + 1, path, e);
         if (!rc)

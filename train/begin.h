@@ -13,6 +13,7 @@
 #include "train/schedule.h"
 
 struct run_cell;
+struct stage;
 struct train_cell_result;
 
 struct begin { /* {.job, .lock_fd = -1} at first; call begin_close, also after an error */
@@ -57,9 +58,9 @@ bool begin_wants_last(const struct begin *b);
 /* Makes the first Gaussians of a new run. Free *out with gauss_free. ERR_DATA, ERR_MEM. */
 enum err_code begin_gauss(const struct begin *b, const struct appearance_train *appearance,
                           struct gauss *out, struct err *e) ERR_USE;
-/* Reads the scores of the levels that come before `at` (from 0), and were finished, into *out.
- * ERR_NOENT, ERR_FORMAT, ERR_IO: of a level's file. ERR_MEM. */
-enum err_code begin_earlier_levels(const struct begin *b, uint32_t at,
+/* Reads the scores of the levels that were finished before the one in work into *out. ERR_NOENT,
+ * ERR_FORMAT, ERR_IO: of a level's file. ERR_MEM. */
+enum err_code begin_earlier_levels(const struct begin *b, const struct stage *at,
                                    struct train_cell_result *out, struct err *e) ERR_USE;
 /* Writes config.jsonc beside the results. --config with this file repeats the run. ERR_IO, ERR_MEM.
  */

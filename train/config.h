@@ -9,7 +9,7 @@
 
 #include "core/options.h"
 
-enum { TRAIN_LEVELS_MAX = 3 };
+enum { TRAIN_LEVELS_MAX = 3, TRAIN_TURNS_MAX = 2 * TRAIN_LEVELS_MAX - 1 };
 /* Folder in cells/ of the coarse model that all cells begin from. It is no cell of the plan. */
 #define TRAIN_COARSE_ID "coarse"
 

@@ -69,7 +69,8 @@ static double expect_work(const struct gallery *g, size_t n_test, double first, 
 static struct stage expect_stage(const struct train_config *cfg)
 {
     struct stage at = {.n_levels = (uint32_t)cfg->level_count,
-                       .fine_first = cfg->level_order == SCHEDULE_FINE_TO_COARSE};
+                       .fine_first = cfg->level_order == SCHEDULE_FINE_TO_COARSE,
+                       .again = cfg->level_order == SCHEDULE_BOTH};
     at.at = stage_first(&at);
     return at;
 }
@@ -80,7 +81,7 @@ static void expect_sum(const struct gallery *g, size_t n_test, bool whole, bool 
 {
     for (uint32_t k = 0; k < at->n_levels; k++) {
         out->gaussians[k] = at->levels[k].budget;
-        out->steps += at->levels[k].steps;
+        out->steps += at->levels[k].steps + at->levels[k].tuned;
         out->checkpoint_bytes += ckpt_bytes * (double)at->levels[k].budget;
     }
     struct memory_need m =

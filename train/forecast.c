@@ -33,7 +33,8 @@ void forecast_open(struct forecast *f, const struct gallery *g, const struct sta
     const struct train_config *c = g->cfg;
     const bool all = c->defer_from <= 0 || c->appearance || at->levels[0].mcmc || c->depth_dir ||
                      c->depth_sparse; /* as begin_no_paged says */
-    *f = (struct forecast){.views = (double)c->importance_views,
+    *f = (struct forecast){.cfg = c,
+                           .views = (double)c->importance_views,
                            .seen_from = all ? HUGE_VAL : (double)c->defer_from,
                            .n_images = g->n_images,
                            .n_tests = n_tests};
@@ -105,16 +106,20 @@ void forecast_add(struct forecast *f, const struct stage *at, uint32_t first, do
     f->seconds = FORECAST_KEEP * f->seconds + seconds;
 }
 
-double forecast_left_s(const struct forecast *f, const struct stage *at, double gaussians)
+double forecast_left_s(const struct forecast *f, const struct stage *now, double gaussians)
 {
+    struct stage copy = *now, *at = &copy;
     double left = 0.0, n = gaussians;
     for (uint32_t i = at->at; i < at->n_levels; i = stage_after(at, i)) {
-        if (i != at->at && at->levels[i].derived) {
+        const bool here = i == now->at && at->fine_first == now->fine_first;
+        if (!here && at->levels[i].derived) {
             left += FORECAST_MERGE * n;
             n *= fmin((double)at->levels[i].budget / (double)at->levels[i + 1].budget, 1.0);
         }
-        left += forecast_steps(f, at, i, i == at->at ? at->step : 0, &n);
+        left += forecast_steps(f, at, i, here ? at->step : 0, &n);
         left += forecast_end(f, at, i, n);
+        if (at->again && !at->fine_first && i + 1 == at->n_levels)
+            stage_turn(at, f->cfg);
     }
     return f->work > 0.0 ? f->seconds * left / f->work : 0.0;
 }

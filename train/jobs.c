@@ -67,10 +67,14 @@ static enum err_code jobs_fill(const struct train_scene *s, const struct run_cel
         return rc;
     memcpy(out->id, job->cell.id, sizeof out->id);
     out->photos = job->n_images;
-    out->n_levels = (uint32_t)job->cfg->level_count;
-    out->fine_first = job->cfg->level_order == SCHEDULE_FINE_TO_COARSE;
-    for (uint32_t l = 0; l < out->n_levels; l++)
-        out->steps[l] = schedule[l].steps;
+    const uint32_t n = (uint32_t)job->cfg->level_count;
+    out->n_turns = job->cfg->level_order == SCHEDULE_BOTH ? 2 * n - 1 : n;
+    for (uint32_t l = 0; l < n; l++) {
+        const struct schedule again = schedule_again(&schedule[l], job->cfg);
+        out->steps[schedule[l].turn - 1] = schedule[l].steps;
+        if (out->n_turns > n && l + 1 < n)
+            out->steps[again.turn - 1] = again.steps;
+    }
     out->state = file_exists(path) ? JOBS_DONE : JOBS_NEW;
     rc = file_join(path, dir, "resume.ckpt", e);
     if (!rc && file_exists(path))
@@ -268,14 +272,13 @@ static void jobs_look(struct jobs_child *c)
         char *line = strrchr(text, '\n');
         line = line ? line + 1 : text;
         json_t *o = strstr(line, "\"event\":\"step\"") ? json_loads(line, 0, NULL) : NULL;
-        json_int_t level = json_integer_value(json_object_get(o, "level"));
-        if (level >= 1 && level <= (json_int_t)c->cell->n_levels) {
-            c->level = (uint32_t)level;
+        json_int_t turn = json_integer_value(json_object_get(o, "turn"));
+        if (turn >= 1 && turn <= (json_int_t)c->cell->n_turns) {
+            c->level = (uint32_t)json_integer_value(json_object_get(o, "level"));
             c->psnr_db = json_number_value(json_object_get(o, "psnr_mean_db"));
             c->steps_done = (uint64_t)json_integer_value(json_object_get(o, "step"));
-            for (uint32_t l = 0; l < c->cell->n_levels; l++)
-                if (c->cell->fine_first ? l >= c->level : l + 1 < c->level)
-                    c->steps_done += c->cell->steps[l];
+            for (json_int_t k = 0; k + 1 < turn; k++)
+                c->steps_done += c->cell->steps[k];
             json_decref(o);
             return;
         }
@@ -467,8 +470,8 @@ static enum err_code jobs_prepare(struct jobs *j, const struct jobs_list *list, 
     for (size_t i = 0; i < j->n; i++) {
         struct jobs_child *c = &j->child[i];
         c->cell = &list->cells[i];
-        for (uint32_t l = 0; l < c->cell->n_levels; l++)
-            c->steps += c->cell->steps[l];
+        for (uint32_t k = 0; k < c->cell->n_turns; k++)
+            c->steps += c->cell->steps[k];
         enum err_code rc = jobs_dir(j->scene_dir, j->cfg, c->cell->id, c->dir, e);
         if (rc)
             return rc;

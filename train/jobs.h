@@ -23,8 +23,8 @@ struct jobs_cell {
     /* by the files in its folder; options are compared later, in training */
     enum jobs_state state;
     size_t photos; /* number of training photographs */
-    uint32_t n_levels, steps[TRAIN_LEVELS_MAX];
-    bool fine_first;            /* the finest level is trained first */
+    /* steps of the levels in the order in which they are trained (schedule.turn) */
+    uint32_t n_turns, steps[TRAIN_TURNS_MAX];
     double memory_bytes, cpu_s; /* as in struct expect; 0: not asked for */
 };
 struct jobs_list { /* in the order of the plan; {0} is empty; free with jobs_list_free */

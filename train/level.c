@@ -56,7 +56,8 @@ void level_init(struct level *l, const struct run_cell *job, const uint32_t *ima
                         .engine = {job->dev, job->render, job->loss},
                         .site = {.cell = job->cell},
                         .stage = {.n_levels = (uint32_t)c->level_count,
-                                  .fine_first = c->level_order == SCHEDULE_FINE_TO_COARSE}};
+                                  .fine_first = c->level_order == SCHEDULE_FINE_TO_COARSE,
+                                  .again = c->level_order == SCHEDULE_BOTH}};
     l->stage.at = stage_first(&l->stage);
     l->gallery = (struct gallery){
         .cfg = c,
@@ -258,6 +259,8 @@ enum err_code level_next(struct level *l, struct err *e)
     struct stage *at = &l->stage;
     const uint32_t next = stage_after(at, at->at);
     enum err_code rc = model_settle(&l->model, e);
+    if (at->again && !at->fine_first && at->at + 1 == at->n_levels)
+        stage_turn(at, l->cfg);
     if (!rc && next < at->n_levels && at->levels[next].derived)
         rc = level_coarsen(l, next, e);
     if (!rc)

@@ -77,7 +77,7 @@ static double memory_passing(double shown)
 /* Of a coarser level that is made of a finer one, at once: rows before and after, and the work. */
 static double memory_merging(const struct train_config *cfg, double n, double row)
 {
-    return cfg->level_order == SCHEDULE_FINE_TO_COARSE && cfg->level_count > 1
+    return cfg->level_order != SCHEDULE_COARSE_TO_FINE && cfg->level_count > 1
                ? fmin(n, COARSEN_ROWS) * (2.0 * row + MEMORY_MERGE)
                : 0.0;
 }

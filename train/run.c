@@ -107,7 +107,7 @@ static enum err_code run_start(struct run *t, const struct timing *clock, struct
     if (t->begin.resumes) {
         rc = level_resume(l, t->begin.resume_path, e);
         if (!rc)
-            rc = begin_earlier_levels(&t->begin, l->stage.at, t->result, e);
+            rc = begin_earlier_levels(&t->begin, &l->stage, t->result, e);
         if (!rc)
             log_info("train", "resume cell=%s level=%u step=%u gaussians=%u", l->site.cell.id,
                      l->stage.at + 1, l->stage.step, l->model.gauss.n);
@@ -186,12 +186,13 @@ static enum err_code run_report(struct run *t, const struct photometric_value *v
     double now = clock_s(), seconds = now - l->step_s;
     l->step_s = now;
     double seen = (double)l->model.seen.groups / (double)l->model.gauss.groups;
-    json_t *o = json_pack(
-        "{s:i, s:i, s:f, s:f, s:f, s:f, s:I, s:f, s:f, s:I, s:f}", "level", (int)l->stage.at + 1,
-        "step", (int)l->stage.step, "loss", v->total, "l1", v->l1, "ssim", v->ssim, "psnr_mean_db",
-        psnr, "gaussians", (json_int_t)l->model.gauss.n, "stepped_share", seen, "s_since_last_line",
-        seconds, "photo_loader_bytes", (json_int_t)photo_loader_bytes(l->gallery.photos),
-        "opacity_offset", l->offset_mean);
+    json_t *o = json_pack("{s:i, s:i, s:i, s:f, s:f, s:f, s:f, s:I, s:f, s:f, s:I, s:f}", "level",
+                          (int)l->stage.at + 1, "turn", (int)stage_schedule(&l->stage)->turn,
+                          "step", (int)l->stage.step, "loss", v->total, "l1", v->l1, "ssim",
+                          v->ssim, "psnr_mean_db", psnr, "gaussians", (json_int_t)l->model.gauss.n,
+                          "stepped_share", seen, "s_since_last_line", seconds, "photo_loader_bytes",
+                          (json_int_t)photo_loader_bytes(l->gallery.photos), "opacity_offset",
+                          l->offset_mean);
     return metrics_log_line(l->metrics, "step", o, e);
 }
 

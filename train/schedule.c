@@ -41,13 +41,25 @@ struct schedule_base {
     double downsample, until, tau;
 };
 
+/* Steps of a coarser level that is made of the finer one. With --level-order both they are taken
+ * from those that the level has: half of them at most. */
+static int64_t schedule_base_tuned(const struct train_config *cfg, size_t level)
+{
+    const struct options_ints *n = &cfg->iterations;
+    const size_t last = TRAIN_LEVELS_MAX - 1;
+    const int64_t part = (int64_t)schedule_round((double)n->v[last] * cfg->tune_share);
+    if (cfg->level_order != SCHEDULE_BOTH || level == last)
+        return 0;
+    return part < n->v[level] / 2 ? part : n->v[level] / 2;
+}
+
 /* Where the finest level is trained first, the others are only fine-tuned: for a part of its steps,
  * unless a list says for how long. */
 static int64_t schedule_base_steps(const struct train_config *cfg, size_t level)
 {
     const struct options_ints *n = &cfg->iterations;
     const size_t last = TRAIN_LEVELS_MAX - 1;
-    if (cfg->level_order == SCHEDULE_COARSE_TO_FINE || n->n > 1 || level == last)
+    if (cfg->level_order != SCHEDULE_FINE_TO_COARSE || n->n > 1 || level == last)
         return n->v[level];
     return (int64_t)schedule_round((double)n->v[last] * cfg->tune_share);
 }
@@ -183,6 +195,19 @@ static void schedule_derive(struct schedule *s)
     s->sh_interval = 0;
 }
 
+struct schedule schedule_again(const struct schedule *s, const struct train_config *cfg)
+{
+    struct schedule again = *s;
+    again.steps = again.planned = again.most = s->tuned > 0 ? s->tuned : 1;
+    again.turn = 2 * s->n_levels - s->level;
+    again.derived = true;
+    again.lr_mean_first = s->turn > 1 ? s->lr_mean_first : s->lr_mean_first * cfg->lr_mean_restart;
+    again.lr_mean_last = fmin(s->lr_mean_last, again.lr_mean_first);
+    again.fade_from = (uint32_t)floor((double)again.steps * (1.0 - schedule_fade_share(cfg)) + 0.5);
+    schedule_derive(&again);
+    return again;
+}
+
 double schedule_total(const struct schedule *s)
 {
     return s->total + (double)s->steps - (double)s->planned;
@@ -257,7 +282,9 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
             return err_set(e, ERR_ARG,
                            "level %u of %u would have %.0f steps: change --iterations or %s", l + 1,
                            n, steps, "--level-count");
-        s->steps = s->planned = s->most = (uint32_t)steps;
+        const double tuned = floor((double)schedule_base_tuned(cfg, first + l) * kappa + 0.5);
+        s->tuned = (uint32_t)fmin(tuned, floor(0.5 * steps));
+        s->steps = s->planned = s->most = (uint32_t)steps - s->tuned;
         s->full = total;
         s->total = total * kappa;
         schedule_fill(cfg, b, kappa, cell, s);

@@ -13,10 +13,11 @@
 
 struct schedule { /* schedule of one level; steps are 1-based and restart at every level */
     uint32_t level, n_levels; /* 1 .. n_levels, 1 = coarsest */
-    uint32_t turn;            /* 1 .. n_levels: which of them is trained first, second, third */
+    uint32_t turn;            /* from 1: which of them is trained first, second, ... */
     uint32_t steps;
     uint32_t planned; /* steps before the level goes on (schedule_go_on); else equal to steps */
     uint32_t most;    /* steps to which it may go on */
+    uint32_t tuned;   /* --level-order both: steps of the level when it is made of the finer one */
     double downsample;
     size_t budget; /* Gaussians inside the cell */
     size_t around; /* Gaussians of the coarse model around the cell */
@@ -44,13 +45,15 @@ struct schedule { /* schedule of one level; steps are 1-based and restart at eve
 };
 struct cell;
 /* --level-order, in the order of options.def. */
-enum schedule_order { SCHEDULE_COARSE_TO_FINE, SCHEDULE_FINE_TO_COARSE };
+enum schedule_order { SCHEDULE_COARSE_TO_FINE, SCHEDULE_FINE_TO_COARSE, SCHEDULE_BOTH };
 /* Steps of all levels in a run of full length, before they grow with the photographs. */
 double schedule_full(const struct train_config *cfg);
 /* Fills out[0 .. level_count). ERR_ARG: a level would have no steps. */
 enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
                             const struct cell *cell, struct schedule out[TRAIN_LEVELS_MAX],
                             struct err *e) ERR_USE;
+/* The level when it is made of the finer one, with --level-order both. */
+struct schedule schedule_again(const struct schedule *s, const struct train_config *cfg);
 /* The finest level as it goes on after its own steps until `steps`, without growth. Its rates are
  * those at the end of a run that is as long, and fall after the step fade_from (>= steps: never).
  * `s`: of schedule_make, or of this. */

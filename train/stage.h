@@ -10,7 +10,8 @@
 struct stage {
     struct schedule levels[TRAIN_LEVELS_MAX];
     uint32_t n_levels;
-    bool fine_first; /* the finest level is trained first (--level-order) */
+    bool fine_first; /* the finest level comes first; with --level-order both: it is done */
+    bool again;      /* --level-order both: levels are made of the finest once it is done */
     uint32_t at;     /* levels[at] is the current level; n_levels: all are done */
     uint32_t step;   /* of this level: the step in work, or the last one done; 0 at first */
     bool pruned;     /* level_prune, the end of the level, is done */
@@ -27,9 +28,16 @@ static inline uint32_t stage_first(const struct stage *s)
 }
 static inline uint32_t stage_after(const struct stage *s, uint32_t at)
 {
-    if (s->fine_first)
+    if (s->fine_first || (s->again && at + 1 == s->n_levels))
         return at > 0 ? at - 1 : s->n_levels;
     return at + 1;
+}
+/* With --level-order both: from here on the coarser levels are made of the finer ones. */
+static inline void stage_turn(struct stage *s, const struct train_config *cfg)
+{
+    s->fine_first = true;
+    for (uint32_t l = 0; l + 1 < s->n_levels; l++)
+        s->levels[l] = schedule_again(&s->levels[l], cfg);
 }
 /* Schedule of the current level, or of the finest one when all are done. */
 static inline const struct schedule *stage_schedule(const struct stage *s)

@@ -73,6 +73,10 @@ static json_t *state_meta(const struct model *m, const struct state *st, const c
         json_decref(o);
         o = NULL;
     }
+    if (o && at->again && at->fine_first && json_object_set_new(o, "again", json_true())) {
+        json_decref(o);
+        o = NULL;
+    }
     if (o && json_object_set_new(o, "pruned", json_boolean(at->pruned))) {
         json_decref(o);
         o = NULL;
@@ -472,6 +476,8 @@ static enum err_code state_apply(struct state *s, const json_t *meta, const stru
         return err_set(e, rc, "%s: go back to that, or begin anew with --overwrite", why.msg);
     if (!rc)
         rc = state_integer(meta, path, "level", 1, at->n_levels, &level, e);
+    if (!rc && at->again && !at->fine_first && json_is_true(json_object_get(meta, "again")))
+        stage_turn(at, cfg);
     if (!rc)
         rc = state_apply_go_on(s, &at->levels[(int)level - 1], meta, path, e);
     if (!rc)

@@ -211,6 +211,7 @@ static void resumed_anywhere_it_ends_in_the_same_bytes(void **state)
     (void)state;
     resumed_anywhere(SCHEDULE_COARSE_TO_FINE);
     resumed_anywhere(SCHEDULE_FINE_TO_COARSE);
+    resumed_anywhere(SCHEDULE_BOTH);
 }
 
 /* ---- F28 ---- */
