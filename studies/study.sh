@@ -728,12 +728,10 @@ study_thin_ochota() { seeded thin_ochota thin_rows thin_ochota ochota-400; }
 # Which level is trained first. Every level on photographs of its own size, and tiles of a store that are picked for
 # photographs made small, as if from farther away.
 order_rows() { # STUDY SCENE
-  local study=$1 scene=$2 n base
-  n=$(steps "$study")
-  base=(--depth-prior "$OUT/$scene-depth")
-  row "$study" "coarse to fine" "$scene" "" --iterations $((n * 4 / 3)) "${base[@]}" --level-order coarse-to-fine --tiles --max-edge-px 96 --half-image off
-  row "$study" "fine to coarse" "$scene" "" --iterations $((n * 4 / 3)) "${base[@]}" --level-order fine-to-coarse --tiles --max-edge-px 96 --half-image off
-  row "$study" "fine to coarse, three quarters of the steps" "$scene" "" --iterations "$n" "${base[@]}" --level-order fine-to-coarse --tiles --max-edge-px 96 --half-image off
+  local study=$1 scene=$2 base
+  base=(--iterations "$(steps "$study")" --depth-prior "$OUT/$scene-depth")
+  row "$study" "coarse to fine" "$scene" "" "${base[@]}" --level-order coarse-to-fine --tiles --max-edge-px 96 --half-image off
+  row "$study" "and coarse ones again" "$scene" "" "${base[@]}" --level-order both --tiles --max-edge-px 96 --half-image off
 }
 study_order() {
   local MAP_VIEWS=1 SURFACE=city
