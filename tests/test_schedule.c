@@ -21,6 +21,7 @@ static struct train_config defaults(struct arena *a)
     struct train_config c;
     struct err e = {0};
     kit_ok(options_defaults(train_options(), &c, a, &e), e);
+    c.level_order = SCHEDULE_COARSE_TO_FINE; /* the published order */
     return c;
 }
 

@@ -276,25 +276,23 @@ static void embeddings_of_what_is_seen_move(void **state)
 
 /* ---- resuming ---- */
 
-static void a_run_with_appearance_resumes_bit_by_bit(void **state)
+static void resumes_bit_by_bit(enum schedule_order order, const int64_t *pieces, size_t n_pieces)
 {
-    (void)state;
     struct err e = {0};
     struct arena a = {0};
     struct train_result r = {0};
     char dir[FILE_PATH_MAX], whole[FILE_PATH_MAX], parts[FILE_PATH_MAX];
-    /* the last two stop while level 2 takes over the network */
-    static const int64_t pieces[] = {5, 20, 33, 41, 2, 60, 45, 2};
     toy_appearance_scene(dir, 0.5);
     kit_tmpdir(whole);
     kit_tmpdir(parts);
     struct train_config c = toy_config(&a, whole);
     c.appearance = true;
+    c.level_order = order;
     c.iterations.one = 200;
     kit_ok(train_run(dir, &c, &r, &e), e);
     train_result_free(&r);
     c.output = parts;
-    for (size_t i = 0; i < sizeof pieces / sizeof pieces[0]; i++) {
+    for (size_t i = 0; i < n_pieces; i++) {
         c.stop_after = pieces[i];
         c.resume = i > 0;
         kit_fails(train_run(dir, &c, &r, &e), ERR_CANCEL, e, "--resume goes on");
@@ -327,6 +325,17 @@ static void a_run_with_appearance_resumes_bit_by_bit(void **state)
     arena_free(&a);
 }
 
+static void a_run_with_appearance_resumes_bit_by_bit(void **state)
+{
+    (void)state;
+    /* the last two stop while level 2 takes over the network */
+    static const int64_t up[] = {5, 20, 33, 41, 2, 60, 45, 2};
+    resumes_bit_by_bit(SCHEDULE_COARSE_TO_FINE, up, sizeof up / sizeof up[0]);
+    /* 30, 30 and 100 steps, then 20 and 20 */
+    static const int64_t both[] = {5, 20, 33, 41, 70, 2, 20};
+    resumes_bit_by_bit(SCHEDULE_BOTH, both, sizeof both / sizeof both[0]);
+}
+
 /* ---- one network for all levels ---- */
 
 static bool same_network(const struct ckpt *x, const struct ckpt *y)
@@ -352,6 +361,7 @@ static void coarser_levels_take_over_the_network(void **state)
         kit_tmpdir(out[all]);
         struct train_config c = toy_config(&a, out[all]);
         c.appearance = true;
+        c.level_order = SCHEDULE_COARSE_TO_FINE;
         c.iterations.one = 200;
         c.appearance_levels = all ? 3 : 1;
         kit_ok(train_run(dir, &c, &r[all], &e), e);

@@ -87,6 +87,7 @@ static void ring_train(struct ring *ring)
     snprintf(path, sizeof path, "%s/plan.json", dir);
     kit_ok(cell_plan_write(path, &s, &ring->plan, &e), e);
     struct train_config cfg = toy_config(&a, NULL);
+    cfg.level_order = SCHEDULE_COARSE_TO_FINE; /* all steps before the last densification */
     cfg.iterations.one = CELLS_STEPS;
     cfg.budget.v[0] = CELLS_BUDGET / 2;
     cfg.budget.v[1] = CELLS_BUDGET * 3 / 4;
