@@ -59,8 +59,8 @@ fi
 align --no-look || fail "align: exit $?"
 count_placed() { placed=$(sed -n 's/^ *"placed": \([0-9]*\),*$/\1/p' "$out/align.json"); }
 count_placed
-# COLMAP draws its samples by the clock, whatever --random_seed says: with one thread, too, three runs have three numbers
-# of matches. Rarely a model of so few photographs ends before the last two. That is no fault of ours as long as align
+# COLMAP draws its samples by chance: with one thread, too, three runs have three numbers of matches (its --random_seed was
+# not tried). Rarely a model of so few photographs ends before the last two. That is no fault of ours as long as align
 # names them, and another draw places all.
 if [ -z "$KILLS" ] && [ "${placed:-0}" -lt $PLACED_LEAST ] && [ "${placed:-0}" -ge $((PLACED_LEAST - 2)) ]; then
   [ "$(grep -c '^unplaced' "$work/log")" = $((PHOTOS - placed)) ] || fail "placed $placed of $PHOTOS, and does not name the others"
