@@ -184,16 +184,26 @@ static enum err_code store_check_meta(const struct store *s, struct err *e)
     return ERR_OK;
 }
 
-/* Older stores do not have it: "". */
-static enum err_code store_meta_heights(struct store *s, sqlite3_stmt *q, struct store_meta *m,
-                                        struct err *e)
+/* A value that older stores do not have: "". Valid until the next use of q; NULL: out of memory. */
+static enum err_code store_meta_newer(struct store *s, sqlite3_stmt *q, const char *key,
+                                      const char **text, struct err *e)
 {
     sqlite3_reset(q);
-    sqlite3_bind_text(q, 1, "heights", -1, SQLITE_STATIC);
+    sqlite3_bind_text(q, 1, key, -1, SQLITE_STATIC);
     int code = sqlite3_step(q);
     if (code != SQLITE_ROW && code != SQLITE_DONE)
         return store_db_fail(s, code, "meta", e);
-    const char *text = code == SQLITE_ROW ? (const char *)sqlite3_column_text(q, 0) : "";
+    *text = code == SQLITE_ROW ? (const char *)sqlite3_column_text(q, 0) : "";
+    return ERR_OK;
+}
+
+static enum err_code store_meta_heights(struct store *s, sqlite3_stmt *q, struct store_meta *m,
+                                        struct err *e)
+{
+    const char *text = NULL;
+    enum err_code rc = store_meta_newer(s, q, "heights", &text, e);
+    if (rc)
+        return rc;
     if (!text || strlen(text) >= sizeof m->heights || !heights_valid(text))
         return err_set(e, ERR_FORMAT, "%s: meta: heights is none of those known", s->path);
     memcpy(m->heights, text, strlen(text) + 1);
@@ -202,17 +212,14 @@ static enum err_code store_meta_heights(struct store *s, sqlite3_stmt *q, struct
 
 #define STORE_PIXEL_MOST_M 1e6
 
-/* Older stores do not have them. */
 static enum err_code store_meta_pixels(struct store *s, sqlite3_stmt *q, struct store_meta *m,
                                        struct err *e)
 {
-    sqlite3_reset(q);
-    sqlite3_bind_text(q, 1, "level_pixel_m", -1, SQLITE_STATIC);
-    int code = sqlite3_step(q);
-    if (code != SQLITE_ROW && code != SQLITE_DONE)
-        return store_db_fail(s, code, "meta", e);
-    const char *text = code == SQLITE_ROW ? (const char *)sqlite3_column_text(q, 0) : "";
+    const char *text = NULL;
     size_t n = 0;
+    enum err_code rc = store_meta_newer(s, q, "level_pixel_m", &text, e);
+    if (rc)
+        return rc;
     while (text && *text && n < STORE_LEVEL_MAX) {
         char *end = NULL;
         const double v = strtod(text, &end);
