@@ -20,18 +20,24 @@
 enum { SERVED_ZOOM_MIN = 15, SERVED_ZOOM_MAX = 17 };
 static const struct geo_origin served_origin = {13.4, 52.5, 40};
 
+/* n Gaussians about the middle of a tile, and its entry. Free *g with gauss_free. */
+static inline struct store_entry served_gauss(struct key key, size_t n, struct gauss *g)
+{
+    struct err e = {0};
+    double lon, lat;
+    key_center(key, &lon, &lat);
+    kit_gauss(key.z * 1000 + key.x % 100 * 10 + key.y % 10, n, 30, 1, 0, g);
+    kit_ok(geo_to_enu(&served_origin, lon, lat, 40, g->origin_enu_m, &e), e);
+    const uint8_t level = key.z < SERVED_ZOOM_MIN ? 0 : (uint8_t)(key.z - SERVED_ZOOM_MIN + 1);
+    return (struct store_entry){.tile = {.key = key, .level = level}};
+}
+
 static inline void served_put(struct store *s, struct key key, size_t n)
 {
     struct err e = {0};
     struct gauss g = {0};
-    double lon, lat;
-    key_center(key, &lon, &lat);
-    kit_gauss(key.z * 1000 + key.x % 100 * 10 + key.y % 10, n, 30, 1, 0, &g);
-    kit_ok(geo_to_enu(&served_origin, lon, lat, 40, g.origin_enu_m, &e), e);
-    struct store_entry t = {
-        .tile = {.key = key,
-                 .level = (uint8_t)(key.z < SERVED_ZOOM_MIN ? 0 : key.z - SERVED_ZOOM_MIN + 1)},
-        .shape.geometric_error_m = SERVED_ZOOM_MAX - key.z};
+    struct store_entry t = served_gauss(key, n, &g);
+    t.shape.geometric_error_m = SERVED_ZOOM_MAX - key.z;
     kit_ok(store_put(s, &t, &g, &e), e);
     gauss_free(&g);
 }

@@ -1,5 +1,6 @@
 /* Routes as pure calls: documents, links, redirects, refusals, the viewer's files, how jobs end,
- * header by header. No socket is opened; jobs are run by the test itself.
+ * header by header. No socket is opened; jobs are run by the test itself. It is one long file,
+ * because every case asks the same few stores.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

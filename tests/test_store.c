@@ -1,6 +1,5 @@
 /* The tile store: writing and reading, hashes, damage that affects only its own tile, no
- * half-written files.
- * One file over 800 lines, because every case needs the small store at its head.
+ * half-written files. It is one long file, because every case needs the small store at its head.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -14,14 +14,9 @@ static void city_put(struct store *s, struct key key, size_t n)
 {
     struct err e = {0};
     struct gauss g = {0};
-    double lon, lat;
-    key_center(key, &lon, &lat);
-    kit_gauss(key.z * 1000 + key.x % 100 * 10 + key.y % 10, n, 30, 1, 0, &g);
-    kit_ok(geo_to_enu(&served_origin, lon, lat, 40, g.origin_enu_m, &e), e);
+    struct store_entry t = served_gauss(key, n, &g);
     for (size_t k = 0; k < 3; k++)
         g.origin_enu_m[k] = round(g.origin_enu_m[k]);
-    const uint8_t level = key.z < SERVED_ZOOM_MIN ? 0 : (uint8_t)(key.z - SERVED_ZOOM_MIN + 1);
-    struct store_entry t = {.tile = {.key = key, .level = level}};
     kit_ok(store_put(s, &t, &g, &e), e);
     gauss_free(&g);
 }

@@ -276,6 +276,14 @@ static void embeddings_of_what_is_seen_move(void **state)
 
 /* ---- resuming ---- */
 
+static bool same_network(const struct ckpt *x, const struct ckpt *y)
+{
+    const struct ckpt_blob *p = ckpt_find(x, APPEARANCE_TRAIN_BLOB),
+                           *q = ckpt_find(y, APPEARANCE_TRAIN_BLOB);
+    assert_true(p && q && p->size_bytes == q->size_bytes);
+    return !memcmp(p->data, q->data, p->size_bytes);
+}
+
 static void resumes_bit_by_bit(enum schedule_order order, const int64_t *pieces, size_t n_pieces)
 {
     struct err e = {0};
@@ -318,6 +326,13 @@ static void resumes_bit_by_bit(enum schedule_order order, const int64_t *pieces,
         ckpt_free(&x);
         ckpt_free(&y);
     }
+    struct ckpt level[3];
+    for (unsigned k = 0; k < 3; k++) { /* tiles share one */
+        toy_read_level(parts, k + 1, &level[k]);
+        assert_true(same_network(&level[k], &level[0]));
+    }
+    for (unsigned k = 0; k < 3; k++)
+        ckpt_free(&level[k]);
     train_result_free(&r);
     kit_rmdir(dir);
     kit_rmdir(whole);
@@ -337,14 +352,6 @@ static void a_run_with_appearance_resumes_bit_by_bit(void **state)
 }
 
 /* ---- one network for all levels ---- */
-
-static bool same_network(const struct ckpt *x, const struct ckpt *y)
-{
-    const struct ckpt_blob *p = ckpt_find(x, APPEARANCE_TRAIN_BLOB),
-                           *q = ckpt_find(y, APPEARANCE_TRAIN_BLOB);
-    assert_true(p && q && p->size_bytes == q->size_bytes);
-    return !memcmp(p->data, q->data, p->size_bytes);
-}
 
 /* The network learns at all levels; in the end coarser ones have the last network, colours and
  * embeddings that fit to it, and are otherwise what they were. */
