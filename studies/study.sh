@@ -231,7 +231,7 @@ model_errors() {
 
 # row STUDY ROW SCENE SET OPTIONS...: train with OPTIONS, score every level at its own size, record with the
 # numbers SET (budget=50000,...). Options of eval come after `--eval`, those of a second scoring as tiles after
-# `--tiles`. MAP_VIEWS=1 also scores the scene's map views, SURFACE=city or points its surface, KEEP=1 leaves the trained cells where they are, SHARED=1 in
+# `--tiles`. MAP_VIEWS=1 also scores the scene's map views, MAP_VIEWS=tiles with those tiles as well, SURFACE=city or points its surface, KEEP=1 leaves the trained cells where they are, SHARED=1 in
 # the scene's own folder, for other studies that train it alike.
 row() {
   local study=$1 name=$2 scene=$3 set=$4 part=train folder command o surface=
@@ -252,6 +252,7 @@ row() {
   [[ $command != *"--depth-prior $scene-depth"* ]] || command="citysplat stereo $scene -o $scene-depth; $command"
   [ $part != tiles ] || command+="; citysplat tile $scene --crop none; citysplat eval $scene --tiles CITY.tiles${tiles[*]:+ ${tiles[*]}}"
   [ -z "${MAP_VIEWS:-}" ] || command+="; citysplat eval $scene --views $scene-photos/map-views"
+  [ "${MAP_VIEWS:-}" != tiles ] || command+="; citysplat eval $scene --tiles CITY.tiles --views $scene-photos/map-views"
   case ${SURFACE:-} in
     city)
       command+="; citysplat eval $scene --surface $scene-photos; citysplat tile $scene; citysplat dsm CITY.tiles --gsd-m ${GSD_M:-0.192}; citysplat synth --city $scene-photos --map DSM"
@@ -275,6 +276,10 @@ row() {
   if [ -n "${MAP_VIEWS:-}" ]; then
     citysplat eval "$OUT/$scene" --results "$folder" --views "$OUT/$scene-photos/map-views" -o "$folder/views.json" --overwrite >&2
     scores+=,$folder/views.json
+  fi
+  if [ "${MAP_VIEWS:-}" = tiles ]; then
+    citysplat eval "$OUT/$scene" --tiles "$folder/city.tiles" --views "$OUT/$scene-photos/map-views" -o "$folder/tiles-views.json" --overwrite >&2
+    scores+=,$folder/tiles-views.json
   fi
   if [ -n "$surface" ]; then
     citysplat eval "$OUT/$scene" --results "$folder" --surface "$surface" -o "$folder/surface.json" --overwrite >&2
@@ -734,7 +739,7 @@ order_rows() { # STUDY SCENE
   row "$study" "and coarse ones again" "$scene" "" "${base[@]}" --level-order both --tiles --max-edge-px 96 --half-image off
 }
 study_order() {
-  local MAP_VIEWS=1 SURFACE=city
+  local MAP_VIEWS=tiles SURFACE=city
   seeded order order_rows order exact
 }
 study_order_caliterra() { seeded order_caliterra order_rows order_caliterra caliterra-400; }

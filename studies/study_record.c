@@ -239,7 +239,7 @@ static enum err_code record_score(struct record_run *r, const json_t *score, con
                                   struct err *e)
 {
     const char *what = runs_text(score, "what"), *key;
-    char kind[64];
+    char kind[96];
     json_t *numbers = json_object(), *v;
     unsigned level = r->n_levels;
     enum err_code rc = numbers ? ERR_OK : record_full(e);
@@ -257,7 +257,8 @@ static enum err_code record_score(struct record_run *r, const json_t *score, con
         return rc;
     }
     if (runs_text(score, "views_of")[0]) { /* a kind of map views */
-        snprintf(kind, sizeof kind, "%s, %s", what, runs_text(score, "views_of"));
+        snprintf(kind, sizeof kind, "%s%s, %s", strncmp(what, "tiles", 5) ? "" : "views of ", what,
+                 runs_text(score, "views_of"));
         what = kind;
     }
     return record_add(r, what, device, numbers, e);

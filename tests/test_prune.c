@@ -17,7 +17,7 @@ static void the_faintest_hundredth_goes(void **state)
     double scratch[6];
     uint8_t keep[6];
     struct prune_report r = {0};
-    prune_choose(sum, views, 6, &(struct prune_rule){PRUNE_ALL, 0.01, 0}, scratch, keep, &r);
+    prune_choose(sum, views, 6, &(struct prune_rule){0.01, 0}, scratch, keep, &r);
     assert_memory_equal(keep, want, sizeof keep);
     assert_int_equal(r.faint, 3);
     assert_int_equal(r.unsupported, 0);
@@ -31,7 +31,7 @@ static void nothing_goes_when_nothing_may(void **state)
     double scratch[3];
     uint8_t keep[3];
     struct prune_report r = {0};
-    prune_choose(sum, views, 3, &(struct prune_rule){PRUNE_ALL, 0.0, 0}, scratch, keep, &r);
+    prune_choose(sum, views, 3, &(struct prune_rule){0.0, 0}, scratch, keep, &r);
     assert_true(keep[0] && keep[1] && keep[2]);
     assert_int_equal(r.faint + r.unsupported, 0);
 }
@@ -44,7 +44,7 @@ static void few_photographs_are_no_support(void **state)
     double scratch[4];
     uint8_t keep[4];
     struct prune_report r = {0};
-    prune_choose(sum, views, 4, &(struct prune_rule){PRUNE_ALL, 1e-3, 3}, scratch, keep, &r);
+    prune_choose(sum, views, 4, &(struct prune_rule){1e-3, 3}, scratch, keep, &r);
     assert_true(keep[0] && !keep[1] && keep[2] && !keep[3]);
     assert_int_equal(r.faint, 1); /* counted once, for its contribution */
     assert_int_equal(r.unsupported, 1);
@@ -59,26 +59,9 @@ static void few_photographs_do_not_make_faint(void **state)
     double scratch[4];
     uint8_t keep[4];
     struct prune_report r = {0};
-    prune_choose(sum, views, 4, &(struct prune_rule){PRUNE_ALL, 0.02, 0}, scratch, keep, &r);
+    prune_choose(sum, views, 4, &(struct prune_rule){0.02, 0}, scratch, keep, &r);
     assert_true(keep[0] && keep[1] && !keep[2] && keep[3]);
     assert_int_equal(r.faint, 1);
-}
-
-/* Some photographs measured: what none of them shows stays, what they show faintly goes. */
-static void what_no_photograph_shows_is_not_judged(void **state)
-{
-    (void)state;
-    float sum[3] = {10.0f, 0.0f, 0.0f};
-    const uint16_t views[3] = {1, 0, 1};
-    double scratch[3];
-    uint8_t keep[3];
-    struct prune_report some = {0}, all = {0};
-    prune_choose(sum, views, 3, &(struct prune_rule){PRUNE_SOME, 0.01, 0}, scratch, keep, &some);
-    assert_true(keep[0] && keep[1] && !keep[2]);
-    prune_choose(sum, views, 3, &(struct prune_rule){PRUNE_ALL, 0.01, 0}, scratch, keep, &all);
-    assert_true(keep[0] && !keep[1] && !keep[2]);
-    assert_int_equal(some.faint, 1);
-    assert_int_equal(all.faint, 2);
 }
 
 int main(void)
@@ -88,7 +71,6 @@ int main(void)
         cmocka_unit_test(nothing_goes_when_nothing_may),
         cmocka_unit_test(few_photographs_are_no_support),
         cmocka_unit_test(few_photographs_do_not_make_faint),
-        cmocka_unit_test(what_no_photograph_shows_is_not_judged),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -631,6 +631,54 @@ static void coarser_levels_are_made_of_the_finest(void **state)
     arena_free(&a);
 }
 
+/* Levels at whose end Gaussians that contribute nothing were removed, as bits. */
+static unsigned pruned_levels(const char *out)
+{
+    char path[FILE_PATH_MAX], line[4096];
+    struct err e = {0};
+    unsigned levels = 0;
+    kit_ok(file_join(path, out, "cells/all/metrics.jsonl", &e), e);
+    FILE *f = fopen(path, "re");
+    assert_non_null(f);
+    while (fgets(line, sizeof line, f)) {
+        json_t *o = json_loads(line, 0, NULL);
+        const char *event = json_string_value(json_object_get(o, "event"));
+        if (event && !strcmp(event, "prune") &&
+            json_integer_value(json_object_get(o, "removed")) > 0)
+            levels |= 1u << (json_integer_value(json_object_get(o, "level")) - 1);
+        json_decref(o);
+    }
+    fclose(f);
+    return levels;
+}
+
+/* A level that is made of the finest one keeps what little its own photographs show of it: they are
+ * coarse, and it would leave gaps in other views. */
+static void levels_that_are_trained_once_are_pruned(void **state)
+{
+    (void)state;
+    static const struct {
+        enum schedule_order order;
+        unsigned pruned;
+    } runs[] = {{SCHEDULE_COARSE_TO_FINE, 7}, {SCHEDULE_FINE_TO_COARSE, 4}, {SCHEDULE_BOTH, 4}};
+    for (size_t i = 0; i < sizeof runs / sizeof *runs; i++) {
+        struct err e = {0};
+        struct arena a = {0};
+        struct train_result r = {0};
+        char out[FILE_PATH_MAX];
+        kit_tmpdir(out);
+        struct train_config c = toy_config(&a, out);
+        c.level_order = runs[i].order;
+        c.prune_contribution = 0.1;
+        c.prune_loss_db = 100.0;
+        kit_ok(train_again(scene_dir, &c, &r, &e), e);
+        assert_int_equal(pruned_levels(out), runs[i].pruned);
+        train_result_free(&r);
+        kit_rmdir(out);
+        arena_free(&a);
+    }
+}
+
 /* They take over its network, which does not change any more. */
 static void coarser_levels_have_the_finest_network(void **state)
 {
@@ -1264,6 +1312,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(a_stopped_run_goes_on_as_if_it_had_not_been),
         cmocka_unit_test(a_model_in_files_trains_to_the_same_bytes),
         cmocka_unit_test(coarser_levels_are_made_of_the_finest),
+        cmocka_unit_test(levels_that_are_trained_once_are_pruned),
         cmocka_unit_test(coarser_levels_have_the_finest_network),
         cmocka_unit_test(a_run_goes_on_while_that_gains),
         cmocka_unit_test(a_last_fit_takes_all_photographs),

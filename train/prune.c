@@ -7,9 +7,8 @@
  *
  * Candidates are moved behind all others, the weakest last, so drawing fewer rows means drawing
  * without the weakest. The number to remove is found by bisection: a few photographs are drawn
- * again and may lose no more than the option allows. One pass over the photographs measures scores.
- * At coarser levels of short runs only some photographs are measured. Then support does not make
- * candidates, and Gaussians that no measured photograph shows are kept.
+ * again and may lose no more than the option allows. One pass over all photographs measures scores:
+ * what is hidden in some of them is often what closes a gap in the others.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -30,8 +29,6 @@
 
 enum { PRUNE_SUMS = 8, PRUNE_PIXELS = 1, PRUNE_SHARE = 2 };
 enum {
-    PRUNE_STEPS = 40,   /* of the level for a photograph that measures: together 2 % of its time */
-    PRUNE_LEAST = 16,   /* photographs that measure, if there are so many */
     PRUNE_CHECKS = 8,   /* photographs that are drawn again */
     PRUNE_HALVES = 5,   /* bisections: to a 32nd of the candidates */
     PRUNE_CHUNK = 16384 /* Gaussians that a thread takes at a time */
@@ -78,12 +75,6 @@ static enum err_code prune_draw(struct prune *c, size_t nth, double *mse, struct
     return rc ? rc : dev_zero(g->engine.dev, c->weight, 0, bytes, e);
 }
 
-/* Photograph k of m that are spread evenly over all. */
-static size_t prune_nth(const struct prune *c, size_t k, size_t m)
-{
-    return k * c->gallery->n_images / m;
-}
-
 /* What a view adds to the scores of a chunk of Gaussians. */
 static enum err_code prune_add_chunk(void *user, size_t chunk, struct err *e)
 {
@@ -110,7 +101,7 @@ static enum err_code prune_add(struct prune *c, struct err *e)
     return rc ? rc : model_look_unmap(c->m, &c->look, e);
 }
 
-static enum err_code prune_measure(struct prune *c, size_t n_views, struct err *e)
+static enum err_code prune_measure(struct prune *c, struct err *e)
 {
     struct model *m = c->m;
     struct gallery *g = c->gallery;
@@ -123,8 +114,7 @@ static enum err_code prune_measure(struct prune *c, size_t n_views, struct err *
     enum err_code rc = render_importance_open(g->engine.render, &c->device, e);
     if (!rc)
         rc = gallery_filter(g, c->at, m, e);
-    for (size_t v = 0; !rc && v < n_views; v++) {
-        size_t nth = prune_nth(c, v, n_views);
+    for (size_t nth = 0; !rc && nth < g->n_images; nth++) {
         rc = prune_draw(c, nth, &c->mse[nth], e);
         if (!rc)
             rc = prune_add(c, e);
@@ -151,9 +141,7 @@ void prune_choose(float *sum, const uint16_t *views, size_t n, const struct prun
         given += scratch[i];
     }
     for (size_t i = 0; i < n; i++) {
-        bool judged = rule->measured == PRUNE_ALL || views[i];
-        bool faint = judged && rule->share > 0.0 && sum[i] < limit,
-             alone = views[i] < rule->least_views;
+        bool faint = rule->share > 0.0 && sum[i] < limit, alone = views[i] < rule->least_views;
         keep[i] = !faint && !alone;
         out->faint += faint;
         out->unsupported += alone && !faint;
@@ -184,16 +172,15 @@ static enum err_code prune_order(const struct prune *c, const uint8_t *keep, siz
 }
 
 /* PSNR of some photographs, drawn with the first n rows; n 0: as they were at first. */
-static enum err_code prune_psnr(struct prune *c, size_t n, size_t n_views, double *db,
-                                struct err *e)
+static enum err_code prune_psnr(struct prune *c, size_t n, double *db, struct err *e)
 {
-    size_t m = n_views < PRUNE_CHECKS ? n_views : PRUNE_CHECKS;
+    const size_t all = c->gallery->n_images, m = all < PRUNE_CHECKS ? all : PRUNE_CHECKS;
     double sum = 0.0;
     enum err_code rc = n ? model_show(c->m, n, e) : ERR_OK;
     if (!rc && n)
         rc = gallery_filter(c->gallery, c->at, c->m, e);
-    for (size_t k = 0; !rc && k < m; k++) { /* of those that were measured */
-        size_t nth = prune_nth(c, k * n_views / m, n_views);
+    for (size_t k = 0; !rc && k < m; k++) { /* spread evenly over all */
+        size_t nth = k * all / m;
         double mse = c->mse[nth];
         if (n)
             rc = prune_draw(c, nth, &mse, e);
@@ -204,19 +191,20 @@ static enum err_code prune_psnr(struct prune *c, size_t n, size_t n_views, doubl
 }
 
 /* How many of the candidates, the last rows, can go. */
-static enum err_code prune_bisect(struct prune *c, size_t n, size_t n_candidates, size_t n_views,
+static enum err_code prune_bisect(struct prune *c, size_t n, size_t n_candidates,
                                   struct prune_report *r, struct err *e)
 {
     size_t lo = 0, hi = n_candidates;
+    const size_t n_images = c->gallery->n_images;
     double before, all = 0.0;
-    enum err_code rc = prune_psnr(c, 0, n_views, &before, e);
-    for (size_t k = 0; k < n_views; k++)
-        all += c->mse[prune_nth(c, k, n_views)] / (double)n_views;
+    enum err_code rc = prune_psnr(c, 0, &before, e);
+    for (size_t k = 0; k < n_images; k++)
+        all += c->mse[k] / (double)n_images;
     r->psnr_before_db = -10.0 * log10(all);
     for (int k = 0; !rc && k <= PRUNE_HALVES && lo < hi; k++) {
         size_t go = k ? lo + (hi - lo + 1) / 2 : hi; /* all of them first */
         double db;
-        rc = prune_psnr(c, n - go, n_views, &db, e);
+        rc = prune_psnr(c, n - go, &db, e);
         if (db >= before - c->gallery->cfg->prune_loss_db) {
             lo = go;
             r->lost_db = before - db;
@@ -232,7 +220,7 @@ static enum err_code prune_bisect(struct prune *c, size_t n, size_t n_candidates
 
 /* Put candidates behind, see how many can go, and put the rest back where they were. */
 static enum err_code prune_apply(struct prune *c, const uint8_t *keep, size_t n_keep,
-                                 size_t n_views, struct prune_report *r, struct err *e)
+                                 struct prune_report *r, struct err *e)
 {
     struct model *m = c->m;
     struct err why = {0};
@@ -248,7 +236,7 @@ static enum err_code prune_apply(struct prune *c, const uint8_t *keep, size_t n_
         return rc;
     }
     c->residuals = NULL; /* they know these photographs */
-    rc = prune_bisect(c, n, n - n_keep, n_views, r, e);
+    rc = prune_bisect(c, n, n - n_keep, r, e);
     for (size_t i = 0; i < n; i++)
         back[i] = UINT32_MAX;
     for (size_t d = 0; d < n - r->removed; d++)
@@ -265,43 +253,32 @@ static enum err_code prune_apply(struct prune *c, const uint8_t *keep, size_t n_
     return rc;
 }
 
-/* Photographs that measure: all at the finest level, whose residuals are wanted. */
-static size_t prune_views(const struct gallery *g, const struct stage *at,
-                          const struct residual_list *residuals)
-{
-    size_t some = stage_schedule(at)->steps / PRUNE_STEPS;
-    some = some > PRUNE_LEAST ? some : PRUNE_LEAST;
-    return some < g->n_images && !residuals ? some : g->n_images;
-}
-
 enum err_code prune_level(struct model *m, struct gallery *g, const struct footprint *ground,
                           const struct stage *at, struct prune_report *out,
                           struct residual_list *residuals, struct err *e)
 {
     struct prune c = {.m = m, .gallery = g, .at = at, .ground = ground, .residuals = residuals};
-    size_t n = m->gauss.n, n_views = prune_views(g, at, residuals);
+    size_t n = m->gauss.n;
     uint32_t support = (uint32_t)g->cfg->prune_support;
     *out = (struct prune_report){.before = n};
     if (!(g->cfg->prune_contribution > 0.0) && !support && !residuals)
         return ERR_OK;
-    if (n_views < g->n_images || g->n_images < 2 * support) /* then few say nothing */
+    if (g->n_images < 2 * support) /* then few say nothing */
         support = 0;
     uint8_t *keep = mem_array(n, 1);
-    enum err_code rc = keep ? prune_measure(&c, n_views, e)
+    enum err_code rc = keep ? prune_measure(&c, e)
                             : err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
     render_importance_close(&c.device);
     double *scratch = rc ? NULL : mem_array(n, sizeof *scratch);
     if (!rc && !scratch)
         rc = err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
     if (!rc)
-        prune_choose(c.total, c.views, n,
-                     &(struct prune_rule){n_views < g->n_images ? PRUNE_SOME : PRUNE_ALL,
-                                          g->cfg->prune_contribution, support},
+        prune_choose(c.total, c.views, n, &(struct prune_rule){g->cfg->prune_contribution, support},
                      scratch, keep, out);
     mem_free(scratch);
     size_t n_keep = n - out->faint - out->unsupported;
     if (!rc && n_keep && n_keep < n)
-        rc = prune_apply(&c, keep, n_keep, n_views, out, e);
+        rc = prune_apply(&c, keep, n_keep, out, e);
     mem_free(c.total);
     mem_free(c.views);
     mem_free(c.mse);

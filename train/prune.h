@@ -22,7 +22,7 @@ struct prune_report {
     /* faint, unsupported: candidates by contribution, and by support alone */
     size_t before, faint, unsupported;
     size_t removed;        /* candidates that were removed, the weakest first */
-    double psnr_before_db; /* PSNR of the mean MSE over the measured photographs */
+    double psnr_before_db; /* PSNR of the mean MSE over all photographs */
     double lost_db;        /* loss by the removal, in the photographs that were drawn again */
 };
 /* Prunes at the end of a level. It draws training photographs, each in its own appearance. For
@@ -31,18 +31,14 @@ struct prune_report {
  * cfg->prune_contribution of the sum, and Gaussians that fewer than cfg->prune_support photographs
  * see. Candidates are removed, the weakest first, until the loss of PSNR would exceed
  * cfg->prune_loss_db. If both options are 0, nothing is removed. Moments are kept. Statistics of
- * density control become 0. With `residuals` all photographs are drawn, and each gets a row with
- * its fit before the removal. Without (NULL) a short level draws only some of the photographs and
- * ignores support. ground (may be NULL) gives the coverage for these rows. ERR_CANCEL: stopped by a
- * signal, and nothing was removed. ERR_MEM, ERR_DEVICE, and the errors of photo_loader_get_nth. */
+ * density control become 0. `residuals` (may be NULL) gets a row for each photograph with its fit
+ * before the removal, and ground (may be NULL) gives the coverage for these rows. ERR_CANCEL:
+ * stopped by a signal, and nothing was removed. ERR_MEM, ERR_DEVICE, and the errors of
+ * photo_loader_get_nth. */
 enum err_code prune_level(struct model *m, struct gallery *g, const struct footprint *ground,
                           const struct stage *at, struct prune_report *out,
                           struct residual_list *residuals, struct err *e) ERR_USE;
-/* Whether all photographs were measured. If only some were, a Gaussian that none of them shows is
- * kept. */
-enum prune_measured { PRUNE_ALL, PRUNE_SOME };
 struct prune_rule {
-    enum prune_measured measured;
     double share;         /* share of the total contribution that the faintest may have together */
     uint32_t least_views; /* number of photographs that must show a Gaussian */
 };
