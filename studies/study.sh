@@ -750,9 +750,8 @@ study_full() {
   row full ochota ochota-800 "" --iterations "$(steps full)" --appearance --eval --half-image on
 }
 
-# A square kilometre in twelve cells, trained once for the studies of its tiles and levels as well. Opacities are reset twice
-# in each level, which needs a shorter interval than that of the full method.
-big_options() { printf '%s\n' --iterations "$(steps big)" --reset-interval 750 --budget 30000,60000,100000 --jobs 2; }
+# A square kilometre in twelve cells, trained once for the studies of its tiles and levels as well.
+big_options() { printf '%s\n' --iterations "$(steps big)" --budget 30000,60000,100000 --jobs 2; }
 study_big() {
   local base MAP_VIEWS=1
   mapfile -t base < <(big_options)
