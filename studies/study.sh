@@ -408,8 +408,6 @@ study_long() { # what going on does to photographs, and what takes it away
     row long "$n steps" "${base[@]}" --iterations "$n"
   done
   row long "30000 steps, no resets" "${base[@]}" --iterations 30000 --reset-interval 0
-  row long "30000 steps, no resets, degree 1" "${base[@]}" --iterations 30000 --reset-interval 0 --sh-degree 1
-  row long "30000 steps, no resets, half the Gaussians" "${base[@]}" --iterations 30000 --reset-interval 0 --budget 50000
 }
 
 study_budgets() { # accuracy against the number of Gaussians
