@@ -351,13 +351,22 @@ static size_t jobs_free_slot(const struct jobs *j)
     return 0;
 }
 
+/* The longest of those that wait: begun last, it would run alone at the end. NULL: none waits. */
+static struct jobs_child *jobs_longest(struct jobs *j)
+{
+    struct jobs_child *longest = NULL;
+    for (size_t i = 0; i < j->n; i++) {
+        struct jobs_child *c = &j->child[i];
+        if (c->phase == JOBS_WAITING && (!longest || c->steps > longest->steps))
+            longest = c;
+    }
+    return longest;
+}
+
 static void jobs_fill_slots(struct jobs *j)
 {
-    for (size_t i = 0; i < j->n && j->running < j->slots; i++) {
-        struct jobs_child *c = &j->child[i];
+    for (struct jobs_child *c; j->running < j->slots && (c = jobs_longest(j));) {
         struct err e = {0};
-        if (c->phase != JOBS_WAITING)
-            continue;
         c->slot = jobs_free_slot(j);
         if (!jobs_start(j, c, &e))
             continue;
