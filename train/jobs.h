@@ -42,10 +42,10 @@ void jobs_list_free(struct jobs_list *l);
 const char *jobs_state_name(enum jobs_state s); /* "new", "started", "done" */
 
 /* Trains all cells, cfg->jobs at a time, the longest first. Each is a child process `program train
- * SCENE --cell ID` with its log in cells/<id>/train.log. Cores are divided evenly. If cfg->device is a
- * comma-separated list, slot k uses entry k modulo their number. A cell that fails does not stop
- * the others. The result is then the first error, with the cell's name. `program` is the path of
- * this executable. ERR_CANCEL: stopped by a signal; every child saved its state. */
+ * SCENE --cell ID` with its log in cells/<id>/train.log. Cores are divided evenly. If cfg->device
+ * is a comma-separated list, slot k uses entry k modulo their number. A cell that fails does not
+ * stop the others. The result is then the first error, with the cell's name. `program` is the path
+ * of this executable. ERR_CANCEL: stopped by a signal; every child saved its state. */
 enum err_code jobs_run(const char *program, const char *scene_dir, const struct train_config *cfg,
                        struct train_result *out, struct err *e) ERR_USE;
 
