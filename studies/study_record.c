@@ -60,6 +60,7 @@ static enum err_code record_full(struct err *e)
 static enum err_code record_read_cell(struct record_run *r, const char *path, struct err *e)
 {
     json_t *lines = NULL, *line;
+    double ended_s[TRAIN_LEVELS_MAX] = {0}; /* a level that is made again ends twice */
     size_t i;
     enum err_code rc = runs_read_lines(path, &lines, e);
     if (rc)
@@ -77,10 +78,13 @@ static enum err_code record_read_cell(struct record_run *r, const char *path, st
             l->pruned += runs_number(line, "removed");
         if (strcmp(event, "level"))
             continue;
-        l->train_s += s;
-        l->train_longest_s = fmax(l->train_longest_s, s);
+        ended_s[(size_t)level - 1] = s;
         l->peak_bytes = fmax(l->peak_bytes, runs_number(line, "peak_bytes"));
         r->n_levels = (unsigned)level > r->n_levels ? (unsigned)level : r->n_levels;
+    }
+    for (size_t k = 0; k < TRAIN_LEVELS_MAX; k++) {
+        r->level[k].train_s += ended_s[k];
+        r->level[k].train_longest_s = fmax(r->level[k].train_longest_s, ended_s[k]);
     }
     json_decref(lines);
     return ERR_OK;
