@@ -111,24 +111,37 @@ static enum err_code train_footprint(const char *scene_dir, const struct train_c
     return rc;
 }
 
+/* Where --jobs is left to the program: a run that it does not share out. */
+static bool train_is_one(const char *scene_dir, const struct train_config *cfg)
+{
+    char plan[FILE_PATH_MAX];
+    struct err none = {0};
+    return cfg->cell || cfg->coarse_only || cfg->trace || cfg->stop_after > 0 ||
+           file_join(plan, scene_dir, "plan.json", &none) || !file_exists(plan);
+}
+
 static enum err_code train_all(const char *scene_dir, const struct train_config *cfg,
                                struct train_result *out, struct err *e)
 {
+    struct train_config many = *cfg;
     struct jobs_list list;
     signals_catch();
-    if (cfg->jobs == 1)
+    if (cfg->jobs == 1 || (!cfg->jobs && train_is_one(scene_dir, cfg)))
         return train_run(scene_dir, cfg, out, e);
     if (cfg->coarse_only)
         return train_coarse_first(scene_dir, cfg, out, e);
-    enum err_code rc = jobs_list(scene_dir, cfg, false, &list, e);
-    size_t n = list.n_cells;
+    enum err_code rc = jobs_list(scene_dir, cfg, !cfg->jobs, &list, e);
+    size_t n = list.n_cells, at_once = (size_t)cfg->jobs;
+    if (!rc && !cfg->jobs)
+        rc = jobs_at_once(cfg, &list, &at_once, e);
     jobs_list_free(&list);
-    if (!rc && n > 1)
-        rc = train_coarse_first(scene_dir, cfg, out, e);
-    if (rc)
-        return rc;
-    return n > 1 ? jobs_run("/proc/self/exe", scene_dir, cfg, out, e)
-                 : train_run(scene_dir, cfg, out, e);
+    if (rc || n < 2 || at_once < 2)
+        return rc ? rc : train_run(scene_dir, cfg, out, e);
+    many.jobs = (int64_t)at_once;
+    if (!cfg->jobs)
+        log_info("train", "%zu of %zu cells at a time (--jobs)", at_once, n);
+    rc = train_coarse_first(scene_dir, &many, out, e);
+    return rc ? rc : jobs_run("/proc/self/exe", scene_dir, &many, out, e);
 }
 
 static enum err_code train_trace_end(enum err_code rc, const char *path, struct err *e)
@@ -153,7 +166,7 @@ static enum err_code train_traced(const char *scene_dir, const struct train_conf
 {
     if (!cfg->trace)
         return train_all(scene_dir, cfg, out, e);
-    if (cfg->jobs != 1)
+    if (cfg->jobs > 1)
         return err_set(e, ERR_ARG,
                        "--trace records one process, and --jobs %d starts others: leave one out",
                        (int)cfg->jobs);

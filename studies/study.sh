@@ -207,7 +207,10 @@ trained() {
     printf '%s' "$scene $*" >"$folder/options"
   fi
   [ -e "$folder/done" ] && return 0
+  local begun=$EPOCHREALTIME whole=1
+  [ ! -d "$folder/cells" ] || whole=0 # it goes on: how long it took is not known
   citysplat train "$OUT/$scene" --output "$folder" --resume "$@" >&2
+  [ $whole = 0 ] || awk -v a="$begun" -v b="$EPOCHREALTIME" 'BEGIN { printf "%.1f", b - a }' >"$folder/done"
   touch "$folder/done"
 }
 
@@ -266,6 +269,7 @@ row() {
   folder=$OUT/trained/$([ -n "${SHARED:-}" ] && slug shared "$scene" || slug "$study" "$name")
   ceilings
   trained "$folder" "$scene" "${train[@]}"
+  [ ! -s "$folder/done" ] || set+=${set:+,}run_s=$(cat "$folder/done")
   citysplat eval "$OUT/$scene" --results "$folder" -o "$folder/scores.json" --overwrite "${eval[@]}" >&2
   local scores=$folder/scores.json
   if [ $part = tiles ]; then

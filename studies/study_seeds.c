@@ -57,7 +57,7 @@ static struct seeds_sum seeds_of(const json_t *own, const char *key)
 /* Times have neighbours in them, which are no property of the row: its median. */
 static bool seeds_is_time(const char *key)
 {
-    return !strcmp(key, "train_s") || !strcmp(key, "ms_frame");
+    return !strcmp(key, "train_s") || !strcmp(key, "run_s") || !strcmp(key, "ms_frame");
 }
 
 static int seeds_order(const void *a, const void *b)

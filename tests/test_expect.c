@@ -8,6 +8,7 @@
 
 #include "tests/kit.h"
 #include "train/expect.h"
+#include "train/jobs.h"
 
 /* Runs on two cores: processor seconds (0: not known) and seconds by the clock of a machine without
  * or with little other work (0: not known). One level: the mean of four runs of docs/alignment.md.
@@ -135,11 +136,22 @@ static void more_work_takes_longer(void **state)
     arena_free(&arena);
 }
 
+static void as_many_cells_as_cores_and_memory_have_room_for(void **state)
+{
+    (void)state;
+    assert_int_equal(jobs_fit(10, 0.5e9, 2, 8e9), 2);
+    assert_int_equal(jobs_fit(3, 0.5e9, 16, 8e9), 3);
+    assert_int_equal(jobs_fit(40, 0.5e9, 16, 2.2e9), 4);
+    assert_int_equal(jobs_fit(40, 5e9, 16, 2e9), 1); /* --memory does the rest: files */
+    assert_int_equal(jobs_fit(0, 0.0, 16, 2e9), 1);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(recorded_trainings_are_forecast),
         cmocka_unit_test(more_work_takes_longer),
+        cmocka_unit_test(as_many_cells_as_cores_and_memory_have_room_for),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -39,9 +39,15 @@ second=$(sed -n 2p "$work/list" | cut -f1)
 train -o "$work/early" --cell "$second"
 check 'a cell waits for the coarse model' [ $? = 1 ]
 check 'and says what makes it' said "--coarse-only"
-check 'one process' train -o "$work/serial"
+check 'one process' train -o "$work/serial" --jobs 1
 check 'four processes' train -o "$work/jobs" --jobs 4
 check 'the same bytes' same_levels "$work/serial" "$work/jobs"
+check 'by itself as many as there are threads' train -o "$work/itself" --threads 3 --device cpu
+check 'and says so' said "3 of $n cells at a time"
+check 'the same bytes again' same_levels "$work/serial" "$work/itself"
+check 'one at a time where memory has room for one' train -o "$work/narrow" --threads 3 --device cpu --memory 300M
+check 'in one process' [ ! -e "$work/narrow/cells/$second/train.log" ]
+check 'with the same bytes' same_levels "$work/serial" "$work/narrow"
 check 'done is listed' sh -c "[ \"\$('$bin' train '$work/scene' $short -o '$work/jobs' --list | cut -f2 | sort -u)\" = done ]"
 check 'again: nothing to do' train -o "$work/jobs" --jobs 4 --resume
 check 'says so' [ "$(grep -c 'complete already' "$work/jobs"/cells/*/train.log | grep -c ':1$')" = "$n" ]

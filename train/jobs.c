@@ -24,6 +24,7 @@
 
 #include <jansson.h>
 
+#include "core/dev.h"
 #include "core/machine.h"
 #include "core/pool.h"
 #include "train/coarse.h"
@@ -154,6 +155,40 @@ void jobs_list_free(struct jobs_list *l)
 {
     mem_free(l->cells);
     *l = (struct jobs_list){0};
+}
+
+size_t jobs_fit(size_t n_cells, double cell_bytes, size_t n_cores, double memory_bytes)
+{
+    size_t most = n_cells < n_cores ? n_cells : n_cores;
+    double room = cell_bytes > 0.0 ? floor(memory_bytes / cell_bytes) : (double)most;
+    size_t n = room < (double)most ? (size_t)fmax(room, 0.0) : most;
+    return n > 0 ? n : 1;
+}
+
+enum err_code jobs_at_once(const struct train_config *cfg, const struct jobs_list *list,
+                           size_t *out, struct err *e)
+{
+    struct dev dev;
+    double cell_bytes = 0.0;
+    size_t memory = 0;
+    *out = 1;
+    for (size_t i = 0; i < list->n_cells; i++)
+        cell_bytes = fmax(cell_bytes, list->cells[i].memory_bytes);
+    enum err_code rc = machine_memory_parse(cfg->memory, machine_memory(), &memory, e);
+    if (rc || list->n_cells < 2)
+        return rc;
+    for (const char *c = cfg->device; *c; c++) /* a list of devices: one job each */
+        *out += *c == ',';
+    if (*out > 1)
+        return ERR_OK;
+    rc = dev_open(cfg->device, &dev, e);
+    if (rc)
+        return rc;
+    if (dev.is_cpu)
+        *out = jobs_fit(list->n_cells, cell_bytes,
+                        cfg->threads ? (size_t)cfg->threads : pool_cores(), (double)memory);
+    dev_close(&dev);
+    return ERR_OK;
 }
 
 /* ---- one child ---- */

@@ -41,11 +41,21 @@ enum err_code jobs_list(const char *scene_dir, const struct train_config *cfg, b
 void jobs_list_free(struct jobs_list *l);
 const char *jobs_state_name(enum jobs_state s); /* "new", "started", "done" */
 
-/* Trains all cells, cfg->jobs at a time, the longest first. Each is a child process `program train
- * SCENE --cell ID` with its log in cells/<id>/train.log. Cores are divided evenly. If cfg->device
- * is a comma-separated list, slot k uses entry k modulo their number. A cell that fails does not
- * stop the others. The result is then the first error, with the cell's name. `program` is the path
- * of this executable. ERR_CANCEL: stopped by a signal; every child saved its state. */
+/* How many cells of the list, which must know what each needs, are trained at a time where
+ * cfg->jobs is 0. Small pictures do not keep two cores busy, so on a CPU a cell gets one core, and
+ * as many are in work as --memory has room for. A GPU is kept busy by one. Opens the device to see
+ * which it is. ERR_ARG, ERR_DEVICE. */
+enum err_code jobs_at_once(const struct train_config *cfg, const struct jobs_list *list,
+                           size_t *out, struct err *e) ERR_USE;
+/* The same for n_cells cells of at most cell_bytes each, n_cores and memory_bytes. */
+size_t jobs_fit(size_t n_cells, double cell_bytes, size_t n_cores, double memory_bytes);
+
+/* Trains all cells, cfg->jobs (at least 1) at a time, the longest first. Each is a child process
+ * `program train SCENE --cell ID` with its log in cells/<id>/train.log. Cores are divided evenly.
+ * If cfg->device is a comma-separated list, slot k uses entry k modulo their number. A cell that
+ * fails does not stop the others. The result is then the first error, with the cell's name.
+ * `program` is the path of this executable. ERR_CANCEL: stopped by a signal; every child saved its
+ * state. */
 enum err_code jobs_run(const char *program, const char *scene_dir, const struct train_config *cfg,
                        struct train_result *out, struct err *e) ERR_USE;
 
