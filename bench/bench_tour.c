@@ -54,7 +54,7 @@ struct tour {
 
 static void tour_free(struct tour *t)
 {
-    cl_mem *const mems[] = {&t->all.adam.m1,  &t->all.adam.m2,    &t->stats.grad, &t->stats.count,
+    cl_mem *const mems[] = {&t->all.adam.moments, &t->stats.grad, &t->stats.count,
                             &t->stats.radius, &t->stats.repaired, &t->target};
     for (size_t i = 0; i < sizeof mems / sizeof *mems; i++)
         dev_release(mems[i]);
@@ -158,7 +158,7 @@ static enum err_code tour_scatter(struct tour *t, struct err *e)
 static enum err_code tour_arrays(struct tour *t, size_t n, uint32_t degree, struct err *e)
 {
     struct render_model *m = &t->model;
-    cl_mem *const arrays[PAGED_ARRAYS] = {&m->params, &t->all.adam.m1, &t->all.adam.m2};
+    cl_mem *const arrays[PAGED_ARRAYS] = {&m->params, &t->all.adam.moments};
     enum err_code rc = ERR_OK;
     m->n = (uint32_t)n;
     m->sh_degree = degree;

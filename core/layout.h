@@ -32,8 +32,9 @@ typedef uchar16 layout_uchar16 __attribute__((aligned(1)));
 #define LAYOUT_TILE_PIXELS (LAYOUT_TILE * LAYOUT_TILE)
 #define LAYOUT_BANDS 10 /* column ranges in a splat record */
 
-/* Parameters lie in groups of 16 Gaussians, [planes][LAYOUT_LANES] floats a group. Gradients and
- * moments have the same layout. The value of plane p of Gaussian i is
+/* Parameters lie in groups of 16 Gaussians, [planes][LAYOUT_LANES] floats a group. Gradients have
+ * the same layout, and so have the moments of Adam, one word of 32 bits a parameter
+ * (render/adam.cl). The value of plane p of Gaussian i is
  *
  *     params[((i / LAYOUT_LANES) * planes + p) * LAYOUT_LANES + i % LAYOUT_LANES]
  *
@@ -262,6 +263,7 @@ struct layout_adam {
      * unit of normalised device coordinates, the unit of densification thresholds. */
     float half_width, half_height;
     LAYOUT_U32 wants; /* LAYOUT_STEP_*; buffers for other tasks are not read */
+    LAYOUT_U32 step;  /* from 1; moments are rounded by it */
 };
 #define LAYOUT_STEP_EXTRA 1 /* add extra gradients, [groups][LAYOUT_PLANES_GEOMETRY][16] */
 /* add extra gradients of sizes and rotation alone, [groups][LAYOUT_PLANES_SHAPE][16] */
@@ -296,7 +298,7 @@ static_assert(offsetof(struct layout_splat, p) == 4 * LAYOUT_SPLAT_P &&
                   offsetof(struct layout_splat, bands) == 4 * LAYOUT_SPLAT_BANDS,
               "words of a record");
 static_assert(LAYOUT_PLANES_GEOMETRY == LAYOUT_PLANE_OPACITY + 1, "opacity is the last before SH");
-static_assert(sizeof(struct layout_adam) == 17 * 4, "no padding: an argument of a kernel");
+static_assert(sizeof(struct layout_adam) == 18 * 4, "no padding: an argument of a kernel");
 static_assert(sizeof(struct layout_counts) == 8 * (2 + LAYOUT_SORT_CHUNKS) + 4 * LAYOUT_BIN_CHUNKS,
               "no padding");
 static_assert(sizeof(struct layout_view) == 44 * 4, "no padding: kernels read the same words");
@@ -312,7 +314,7 @@ static inline size_t layout_at(size_t row, uint32_t planes)
 {
     return row / LAYOUT_LANES * planes * LAYOUT_LANES + row % LAYOUT_LANES;
 }
-/* Number of floats of an array with n rows. */
+/* Number of floats, or words of moments, of an array with n rows. */
 static inline size_t layout_floats(size_t n, uint32_t planes)
 {
     return (n + LAYOUT_LANES - 1) / LAYOUT_LANES * planes * LAYOUT_LANES;

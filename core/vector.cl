@@ -13,6 +13,8 @@ typedef uint16 VU;
 // One plane of a group; p: first float of the group.
 #define LD(p, plane) LAYOUT_WIDE(const __global, float, (p) + LAYOUT_LANES * (plane))
 #define ST(p, plane, v) LAYOUT_WIDE(__global, float, (p) + LAYOUT_LANES * (plane)) = (v)
+#define LD_WORD(p, plane) LAYOUT_WIDE(const __global, uint, (p) + LAYOUT_LANES * (plane))
+#define ST_WORD(p, plane, v) LAYOUT_WIDE(__global, uint, (p) + LAYOUT_LANES * (plane)) = (v)
 #define ANY(m) any(m)
 #define AS_V as_float16
 #define AS_VI as_int16
@@ -27,6 +29,8 @@ typedef uint VU;
 // One plane of a Gaussian; p: its lane's place in the first plane of its group.
 #define LD(p, plane) ((p)[(plane)*LAYOUT_LANES])
 #define ST(p, plane, v) ((p)[(plane)*LAYOUT_LANES] = (v))
+#define LD_WORD LD
+#define ST_WORD ST
 #define ANY(m) (m)
 #define AS_V as_float
 #define AS_VI as_int

@@ -10,9 +10,10 @@
 #include "core/layout.h"
 #include "loss/embed_smoothness.h"
 
-extern const char embed_smoothness_cl[];
+extern const char vector_cl[], adam_cl[], embed_smoothness_cl[];
 
-enum { EMBED_SMOOTHNESS_LOCAL = 64, EMBED_SMOOTHNESS_PIECE = 16384 };
+enum { EMBED_SMOOTHNESS_PIECE = 16384 /* rows: whole groups */ };
+#define EMBED_SMOOTHNESS_SALT 0x80000000u /* no step is as high */
 
 struct embed_smoothness_step {
     struct dev *dev; /* borrowed */
@@ -39,13 +40,15 @@ void embed_smoothness_step_close(struct embed_smoothness_step **p)
 enum err_code embed_smoothness_step_open(struct dev *dev, struct embed_smoothness_step **out,
                                          struct err *e)
 {
-    const struct dev_source source = {"loss/embed_smoothness.cl", embed_smoothness_cl};
+    const struct dev_source sources[] = {{"core/vector.cl", vector_cl},
+                                         {"render/adam.cl", adam_cl},
+                                         {"loss/embed_smoothness.cl", embed_smoothness_cl}};
     struct embed_smoothness_step *s = mem_array(1, sizeof *s);
     *out = NULL;
     if (!s)
         return err_set(e, ERR_MEM, "embed_smoothness: out of memory");
     s->dev = dev;
-    enum err_code rc = dev_build(dev, &source, 1, NULL, &s->program, e);
+    enum err_code rc = dev_build(dev, sources, sizeof sources / sizeof *sources, NULL, &s->program, e);
     if (!rc)
         rc = dev_kernel(s->program, "embed_smoothness_add", &s->add, e);
     if (rc)
@@ -72,7 +75,7 @@ static enum err_code step_add(struct embed_smoothness_step *s, const struct rend
                               const float *grad, struct err *e)
 {
     cl_uint from = (cl_uint)row, n = (cl_uint)count, planes = m->planes, len = s->len,
-            at = m->planes - len;
+            at = m->planes - len, salt = adam->step ^ EMBED_SMOOTHNESS_SALT;
     cl_float k1 = (1.0f - adam->beta1) / adam->beta1, k2 = (1.0f - adam->beta2) / adam->beta2;
     enum err_code rc = dev_write(s->dev, s->rows, 0, count * len * sizeof *grad, grad, e);
     cl_int bad = dev_arg(s->add, 0, s->rows);
@@ -83,11 +86,14 @@ static enum err_code step_add(struct embed_smoothness_step *s, const struct rend
     bad |= dev_arg(s->add, 5, len);
     bad |= dev_arg(s->add, 6, k1);
     bad |= dev_arg(s->add, 7, k2);
-    bad |= dev_arg(s->add, 8, adam->m1);
-    bad |= dev_arg(s->add, 9, adam->m2);
+    bad |= dev_arg(s->add, 8, salt);
+    bad |= dev_arg(s->add, 9, adam->moments);
     if (!rc && bad != CL_SUCCESS)
         rc = err_set(e, ERR_DEVICE, "embed_smoothness_add: arguments: %s", dev_error_name(bad));
-    return rc ? rc : dev_run(s->dev, s->add, "embed_smoothness_add", n, EMBED_SMOOTHNESS_LOCAL, e);
+    const uint32_t width = s->dev->vector_width;
+    return rc ? rc
+              : dev_run(s->dev, s->add, "embed_smoothness_add", (n + width - 1) / width,
+                        dev_local(s->dev), e);
 }
 
 static enum err_code step_launch(struct embed_smoothness_step *s, const struct render_model *m,

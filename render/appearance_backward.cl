@@ -4,7 +4,7 @@
 // there are no atomic additions. For any VW: the sum of all chunks.
 //   in   y_grads [groups][4][16] (dL/dy, where visible), params, tiles_of, frame (see
 //        appearance.cl)
-//   out  the embedding's planes of grads (appearance_backward), or of params and both moments
+//   out  the embedding's planes of grads (appearance_backward), or of params and moments
 //        (appearance_step); parts [LAYOUT_APPEARANCE_CHUNKS][APPEARANCE_ROW]
 // `each` is added to dL/dy3 of all visible Gaussians: the weight of the mean opacity offset divided
 // by their number. Formulas and reference: appearance.cl.
@@ -51,16 +51,22 @@ INLINE void render_appearance_row(const struct render_appearance_terms *t, __loc
 
 // What the embeddings' gradients are put into: planes of grads, or Adam's where rates is not 0.
 struct embed_target {
-    __global float *grads, *params, *m1, *m2;
+    __global float *grads, *params;
+    __global uint *moments;
     const struct layout_adam *rates;
 };
 
-INLINE void embed_put(const struct embed_target *to, size_t at, uint first,
+INLINE void embed_put(const struct embed_target *to, size_t at, uint row, uint first,
                       const V g[APPEARANCE_LEN], bool real)
 {
     if (to->rates) {
-        struct adam a = {to->params + at,      to->m1 + at, to->m2 + at, to->rates,
-                         to->rates->inv_bias2, 1.0f,        1.0f};
+        struct adam a = {to->params + at,
+                         to->moments + at,
+                         to->rates,
+                         to->rates->inv_bias2,
+                         1.0f,
+                         1.0f,
+                         adam_key(row, to->rates->step)};
         adam_embed(&a, first, g, real);
     } else {
         for (uint p = 0; p < APPEARANCE_LEN; p++)
@@ -101,7 +107,7 @@ INLINE void render_appearance_chunk(__constant struct layout_view *v, __constant
                 row[c] = 0.0f;
         }
         if (here)
-            embed_put(to_embed, at, first, t.embed, i < v->n);
+            embed_put(to_embed, at, (uint)i, first, t.embed, i < v->n);
         barrier(CLK_LOCAL_MEM_FENCE);
         for (uint s = 0; s < APPEARANCE_SUMS_EACH; s++) {
             uint2 c =
@@ -126,7 +132,7 @@ __kernel APPEARANCE_GROUP void appearance_backward(__constant struct layout_view
                                                    __global float *parts, __global float *grads)
 {
     __local float tile[APPEARANCE_ITEMS * APPEARANCE_STRIDE];
-    struct embed_target to = {grads, params, params, params, 0};
+    struct embed_target to = {grads, params, 0, 0};
     render_appearance_chunk(v, frame, tiles_of, y_grads, each, &to, parts, tile);
 }
 
@@ -134,11 +140,11 @@ __kernel APPEARANCE_GROUP void appearance_step(__constant struct layout_view *v,
                                                __constant float *frame, __global float *params,
                                                __global const uint *tiles_of,
                                                __global const float *y_grads, float each,
-                                               __global float *parts, __global float *m1,
-                                               __global float *m2, struct layout_adam rates)
+                                               __global float *parts, __global uint *moments,
+                                               struct layout_adam rates)
 {
     __local float tile[APPEARANCE_ITEMS * APPEARANCE_STRIDE];
-    struct embed_target to = {params, params, m1, m2, &rates};
+    struct embed_target to = {params, params, moments, &rates};
     render_appearance_chunk(v, frame, tiles_of, y_grads, each, &to, parts, tile);
 }
 #endif

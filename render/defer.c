@@ -13,7 +13,7 @@
 #include "core/base.h"
 #include "render/frame.h"
 
-extern const char defer_cl[];
+extern const char adam_cl[], defer_cl[];
 
 enum {
     DEFER_HORIZON = 256, /* steps after which c^t, 2e-12 there, is nothing */
@@ -69,7 +69,8 @@ void defer_close(struct defer **p)
 
 enum err_code defer_open(struct render *r, struct defer **out, struct err *e)
 {
-    const struct dev_source sources[] = {FRAME_SOURCES, {"render/defer.cl", defer_cl}};
+    const struct dev_source sources[] = {
+        FRAME_SOURCES, {"render/adam.cl", adam_cl}, {"render/defer.cl", defer_cl}};
     struct defer *d = *out = mem_array(1, sizeof *d);
     if (!d)
         return err_set(e, ERR_MEM, "deferred steps: out of memory");
@@ -233,7 +234,7 @@ static enum err_code defer_run_bound(struct defer *d, const struct render_model 
                                 FRAME_ARG(g.end), FRAME_ARG(m->n), FRAME_ARG(m->planes),
                                 FRAME_ARG(step), FRAME_ARG(d->base), FRAME_ARG(a->eps),
                                 FRAME_ARG(smooth), FRAME_ARG(d->table.mem), FRAME_ARG(filter),
-                                FRAME_ARG(m->params), FRAME_ARG(a->m1), FRAME_ARG(a->m2),
+                                FRAME_ARG(m->params), FRAME_ARG(a->moments),
                                 FRAME_ARG(d->settled.mem), FRAME_ARG(d->bounds.mem)),
                      items, local, e);
 }
@@ -249,7 +250,7 @@ static enum err_code defer_run_settle(struct defer *d, const struct render_model
                                 FRAME_ARG(a->step), FRAME_ARG(d->base), FRAME_ARG(a->eps),
                                 FRAME_ARG(a->scale_log_min), FRAME_ARG(a->scale_log_max),
                                 FRAME_ARG(d->settled.mem), FRAME_ARG(d->table.mem),
-                                FRAME_ARG(m->params), FRAME_ARG(a->m1), FRAME_ARG(a->m2)),
+                                FRAME_ARG(m->params), FRAME_ARG(a->moments)),
                      items, local, e);
 }
 

@@ -134,19 +134,21 @@ __kernel void defer_list(__constant struct layout_view *view, __global const flo
 
 // One kind of planes: [from, to) of a group.
 struct owed {
-    __global float *p, *m1, *m2;
+    __global float *p;
+    __global uint *moments;
     float decay1, decay2, eps;
-    bool moments;
+    bool keeps; // moments are stored, too
+    VU key;     // by which they are rounded: adam.cl
 };
 
 INLINE V owed_plane(const struct owed *o, uint plane, float w, VI real)
 {
-    V p = LD(o->p, plane), m1 = LD(o->m1, plane), m2 = LD(o->m2, plane);
+    VU was = LD_WORD(o->moments, plane);
+    V p = LD(o->p, plane), m1 = adam_first(was), m2 = adam_second(was);
     V q = p - w * (m1 / (sqrt(m2) + o->eps));
-    if (o->moments) {
-        ST(o->m1, plane, real ? o->decay1 * m1 : m1);
-        ST(o->m2, plane, real ? o->decay2 * m2 : m2);
-    }
+    if (o->keeps)
+        ST_WORD(o->moments, plane,
+                real ? adam_word(o->key, plane, o->decay1 * m1, o->decay2 * m2) : was);
     return real ? q : p;
 }
 
@@ -155,8 +157,8 @@ INLINE V owed_plane(const struct owed *o, uint plane, float w, VI real)
 __kernel void defer_settle(__global const uint *list, uint listed, uint from, uint groups, uint n,
                            uint planes, uint to, uint base, float eps, float scale_log_min,
                            float scale_log_max, __global const uint *settled,
-                           __global const float *table, __global float *params, __global float *m1,
-                           __global float *m2)
+                           __global const float *table, __global float *params,
+                           __global uint *moments)
 {
     uint id = (uint)get_global_id(0);
 #if VW == 16
@@ -173,9 +175,13 @@ __kernel void defer_settle(__global const uint *list, uint listed, uint from, ui
         VI real = LANE + (int)(group * LAYOUT_LANES + lane) < (int)n;
         __global const float *w = table + (size_t)(since - base) * LAYOUT_DEFER_ROW,
                              *k = table + (size_t)(to - since) * LAYOUT_DEFER_ROW;
-        struct owed o = {
-            params + at, m1 + at, m2 + at, k[LAYOUT_DEFER_DECAY], k[LAYOUT_DEFER_DECAY + 1],
-            eps,         !listed};
+        struct owed o = {params + at,
+                         moments + at,
+                         k[LAYOUT_DEFER_DECAY],
+                         k[LAYOUT_DEFER_DECAY + 1],
+                         eps,
+                         !listed,
+                         adam_key(group * LAYOUT_LANES + lane, to)};
         for (uint p = 0; p < planes; p++) {
             uint rate = p < LAYOUT_PLANE_SCALE     ? LAYOUT_DEFER_MEAN
                         : p < LAYOUT_PLANE_QUAT    ? LAYOUT_DEFER_SCALE
@@ -194,25 +200,26 @@ __kernel void defer_settle(__global const uint *list, uint listed, uint from, ui
 }
 
 // How far momentum can take plane `plane` until the group is in view again, in units of its rate.
-INLINE V defer_speed(__global const float *a1, __global const float *a2, uint plane, float eps)
+INLINE V defer_speed(__global const uint *moments, uint plane, float eps)
 {
-    return fabs(LD(a1, plane)) / (sqrt(LD(a2, plane)) + eps);
+    VU word = LD_WORD(moments, plane);
+    return fabs(adam_first(word)) / (sqrt(adam_second(word)) + eps);
 }
 
 // How far a Gaussian then reaches from its mean, m: where its alpha falls below 1/255.
-INLINE V defer_reach(__global const float *g, __global const float *a1, __global const float *a2,
+INLINE V defer_reach(__global const float *g, __global const uint *moments,
                      __global const float *filter, __global const float *row, float eps)
 {
     V wide = (V)(-1e30f);
     for (uint k = LAYOUT_PLANE_SCALE; k < LAYOUT_PLANE_SCALE + 3; k++) {
-        V s = LD(g, k) + row[LAYOUT_DEFER_DRIFT + 1] * defer_speed(a1, a2, k, eps);
+        V s = LD(g, k) + row[LAYOUT_DEFER_DRIFT + 1] * defer_speed(moments, k, eps);
         wide = MAX_(s, wide);
     }
     V sigma = exp(wide);
     if (filter)
         sigma += LD(filter, 0);
     V logit = LD(g, LAYOUT_PLANE_OPACITY) +
-              row[LAYOUT_DEFER_DRIFT + 2] * defer_speed(a1, a2, LAYOUT_PLANE_OPACITY, eps);
+              row[LAYOUT_DEFER_DRIFT + 2] * defer_speed(moments, LAYOUT_PLANE_OPACITY, eps);
     V over = log(256.0f / (1.0f + exp(-logit))); // a little more than 255
     return sqrt(2.0f * MAX_(over, 0.01f)) * sigma;
 }
@@ -222,8 +229,8 @@ INLINE V defer_reach(__global const float *g, __global const float *a1, __global
 __kernel void defer_bound(__global const uint *list, uint listed, uint from, uint groups, uint n,
                           uint planes, uint step, uint base, float eps, uint smooth,
                           __global const float *table, __global const float *filter,
-                          __global const float *params, __global const float *m1,
-                          __global const float *m2, __global uint *settled, __global float *bounds)
+                          __global const float *params, __global const uint *moments,
+                          __global uint *settled, __global float *bounds)
 {
     uint id = (uint)get_global_id(0);
 #if VW == 16
@@ -248,12 +255,12 @@ __kernel void defer_bound(__global const uint *list, uint listed, uint from, uin
             for (uint k = 0; k < 3; k++) {
                 V x = LD(params + own, LAYOUT_PLANE_MEAN + k),
                   drift = row[LAYOUT_DEFER_DRIFT] *
-                          defer_speed(m1 + own, m2 + own, LAYOUT_PLANE_MEAN + k, eps);
+                          defer_speed(moments + own, LAYOUT_PLANE_MEAN + k, eps);
                 V below = drift - x, above = drift + x;
                 lo[k] = (real & (below > lo[k])) ? below : lo[k];
                 hi[k] = (real & (above > hi[k])) ? above : hi[k];
             }
-            V reach = defer_reach(params + own, m1 + own, m2 + own,
+            V reach = defer_reach(params + own, moments + own,
                                   smooth ? filter + group * LAYOUT_LANES + lane : 0, row, eps);
             reach = reach < 1e30f ? reach : (V)(1e30f); // NaN, too
             most = (real & (reach > most)) ? reach : most;

@@ -1,4 +1,5 @@
-/* Reorders rows of Gaussians in the device layout, [groups][planes][16].
+/* Reorders rows of Gaussians in the device layout, [groups][planes][16]. Values are only copied, so
+ * they may be other words of 32 bits than floats.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -4,8 +4,9 @@
 //   in   params [groups][planes][16], tiles_of, slot_first, slots, marks (see blend_backward.cl)
 //        list [groups], with view->listed and of project_step alone: which groups of params,
 //        moments, filter and statistics these are; settled and owed are settled and table of
-//        defer.cl, whose steps up to owed_to the moments have not made
-//   out  grads, same layout; or params and both moments in place, and the densification statistics
+//        defer.cl, whose steps before rates.step the moments have not made
+//   out  grads, same layout; or params and moments (adam.cl) in place, and the densification
+//        statistics
 // One work-item: LAYOUT_PROJECT_GROUPS groups when VW is 16, one Gaussian when VW is 1. Slots of a
 // Gaussian are added in slot order, so the sum does not depend on who ran when.
 //
@@ -407,21 +408,24 @@ inline uint item_groups(__constant struct layout_view *v, uint *to, uint *lane)
 // ---- Adam
 
 struct adam {
-    __global float *p, *m1, *m2; // of this group
+    __global float *p; // of this group, as are the moments
+    __global uint *moments;
     const struct layout_adam *rates;
     float inv_bias2;    // of the planes at hand
     float owed1, owed2; // what steps that were owed leave of the moments: render/defer.h
+    VU key;             // by which moments are rounded: adam.cl
 };
 
-// One plane. Lanes outside `keep` stay as they are. Returns the new value.
+// One plane. Lanes outside `keep` stay as they are. Returns the new value, which is that of moments
+// that were not rounded.
 inline V adam_plane(const struct adam *a, uint plane, float lr, V g, VI keep)
 {
-    V p = LD(a->p, plane), m1 = a->owed1 * LD(a->m1, plane), m2 = a->owed2 * LD(a->m2, plane);
+    VU was = LD_WORD(a->moments, plane);
+    V p = LD(a->p, plane), m1 = a->owed1 * adam_first(was), m2 = a->owed2 * adam_second(was);
     float b1 = a->rates->beta1, b2 = a->rates->beta2;
     V n1 = b1 * m1 + (1.0f - b1) * g, n2 = b2 * m2 + (1.0f - b2) * (g * g);
     V q = p - lr * n1 / (sqrt(n2) * a->inv_bias2 + a->rates->eps);
-    ST(a->m1, plane, keep ? n1 : m1);
-    ST(a->m2, plane, keep ? n2 : m2);
+    ST_WORD(a->moments, plane, adam_word(a->key, plane, keep ? n1 : m1, keep ? n2 : m2));
     return keep ? q : p;
 }
 
@@ -447,10 +451,8 @@ inline VI adam_quat(const struct adam *a, const struct gradient *d, VI keep, VI 
     for (uint k = 0; k < 4; k++)
         ST(a->p, LAYOUT_PLANE_QUAT + k, good ? q[k] : (k == 0 ? (V)(1.0f) : (V)(0.0f)));
     if (ANY(!good))
-        for (uint plane = LAYOUT_PLANE_QUAT; plane < LAYOUT_PLANE_QUAT + 4; plane++) {
-            ST(a->m1, plane, good ? LD(a->m1, plane) : (V)(0.0f));
-            ST(a->m2, plane, good ? LD(a->m2, plane) : (V)(0.0f));
-        }
+        for (uint plane = LAYOUT_PLANE_QUAT; plane < LAYOUT_PLANE_QUAT + 4; plane++)
+            ST_WORD(a->moments, plane, good ? LD_WORD(a->moments, plane) : (VU)(0));
     return !good;
 }
 
@@ -605,12 +607,12 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
                            __global const struct layout_splat *splats,
                            __global const uint *tiles_of, __global const uint *slot_first,
                            __global const float *slots, __global const uchar *marks,
-                           __global float *m1, __global float *m2, struct layout_adam rates,
+                           __global uint *moments, struct layout_adam rates,
                            __global const float *extra, __global float *stat_grad,
                            __global float *stat_absg, __global float *stat_count,
                            __global float *stat_radius, __global float *stat_opacity,
                            __global uint *repaired, __global const uint *settled,
-                           __global const float *owed, uint owed_to EFFECTIVE_ARG APPEARANCE_ARG)
+                           __global const float *owed EFFECTIVE_ARG APPEARANCE_ARG)
 {
     uint to, lane, used = (v->sh_degree + 1) * (v->sh_degree + 1), wants = rates.wants;
     struct stats stats = {stat_grad, stat_absg, stat_count, stat_radius, stat_opacity};
@@ -620,9 +622,11 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
         size_t at = group_at(own, v->planes) + lane;
         uint i = group * LAYOUT_LANES + lane;
         VI visible = tiles_some(tiles_of + i), real = LANE + (int)i < (int)v->n;
-        struct adam a = {params + at, m1 + at, m2 + at, &rates, rates.inv_bias2, 1.0f, 1.0f};
+        struct adam a = {params + at, moments + at, &rates, rates.inv_bias2,
+                         1.0f,        1.0f,         adam_key(row, rates.step)};
         if (v->listed) {
-            __global const float *left = owed + (size_t)(owed_to - settled[own]) * LAYOUT_DEFER_ROW;
+            __global const float *left =
+                owed + (size_t)(rates.step - 1 - settled[own]) * LAYOUT_DEFER_ROW;
             a.owed1 = left[LAYOUT_DEFER_DECAY];
             a.owed2 = left[LAYOUT_DEFER_DECAY + 1];
         }

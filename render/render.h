@@ -224,9 +224,12 @@ enum err_code render_backward_appearance(struct render *r, const struct render_m
                                          cl_mem grads, struct render_appearance_grad *a,
                                          struct err *e) ERR_USE;
 
-/* Adam's state for a model: the same layout as params. */
+/* Adam's state for a model. */
 struct render_adam {
-    cl_mem m1, m2; /* first and second moments */
+    /* Both moments of each parameter in one word of 32 bits, in the layout of params. Each is the
+     * upper half of a float, the first in the upper half of the word. They are rounded at random,
+     * by step, row and plane: see adam.cl. A word of 0 is a parameter that had no gradient. */
+    cl_mem moments;
     float lr_mean, lr_scale, lr_quat, lr_opacity, lr_sh_dc, lr_sh_rest;
     float beta1, beta2, eps;
     uint32_t step;                      /* from 1, for bias correction */

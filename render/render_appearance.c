@@ -16,7 +16,8 @@
 #include "core/base.h"
 #include "render/frame.h"
 
-extern const char appearance_cl[], project_cl[], project_backward_cl[], appearance_backward_cl[];
+extern const char adam_cl[], appearance_cl[], project_cl[], project_backward_cl[],
+    appearance_backward_cl[];
 
 struct render_appearance_kernels {
     uint32_t len, hidden;
@@ -64,6 +65,7 @@ static enum err_code render_appearance_build(struct render *r, struct render_app
     const struct dev_source sources[] = {FRAME_SOURCES,
                                          {"render/appearance.cl", appearance_cl},
                                          {"render/project.cl", project_cl},
+                                         {"render/adam.cl", adam_cl},
                                          {"render/project_backward.cl", project_backward_cl},
                                          {"render/appearance_backward.cl", appearance_backward_cl}};
     struct {
@@ -203,7 +205,7 @@ static enum err_code render_appearance_backward(struct render *r, const struct r
 {
     const struct render_appearance_kernels *l = r->appearance;
     size_t items = LAYOUT_APPEARANCE_ITEMS(l->len, l->hidden);
-    struct frame_arg args[10] = {FRAME_ARG(r->view_mem),
+    struct frame_arg args[9] = {FRAME_ARG(r->view_mem),
                                  FRAME_ARG(r->appearance_frame.mem),
                                  FRAME_ARG(m->params),
                                  FRAME_ARG(r->tiles_of.mem),
@@ -212,8 +214,7 @@ static enum err_code render_appearance_backward(struct render *r, const struct r
                                  FRAME_ARG(r->appearance_parts.mem)};
     size_t n = 7;
     if (rates) {
-        args[n++] = (struct frame_arg)FRAME_ARG(adam->m1);
-        args[n++] = (struct frame_arg)FRAME_ARG(adam->m2);
+        args[n++] = (struct frame_arg)FRAME_ARG(adam->moments);
         args[n++] = (struct frame_arg)FRAME_ARG(*rates);
     } else {
         args[n++] = (struct frame_arg)FRAME_ARG(grads);

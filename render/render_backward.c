@@ -17,7 +17,7 @@
 #include "core/base.h"
 #include "render/frame.h"
 
-extern const char blend_cpu_cl[], blend_backward_cl[], project_backward_cl[];
+extern const char adam_cl[], blend_cpu_cl[], blend_backward_cl[], project_backward_cl[];
 
 /* Pixel gradients are scaled to normalised device coordinates by half the picture, at most this:
  * with larger pictures thresholds tuned on ordinary ones would split without end. */
@@ -51,10 +51,12 @@ static enum err_code backward_open(struct render *r, struct err *e)
 {
     const struct dev_source sources[] = {FRAME_SOURCES,
                                          {"render/blend_backward.cl", blend_backward_cl},
+                                         {"render/adam.cl", adam_cl},
                                          {"render/project_backward.cl", project_backward_cl}};
     const struct dev_source wide[] = {FRAME_SOURCES,
                                       {"render/blend_cpu.cl", blend_cpu_cl},
                                       {"render/blend_backward.cl", blend_backward_cl},
+                                      {"render/adam.cl", adam_cl},
                                       {"render/project_backward.cl", project_backward_cl}};
     bool cpu = r->dev->vector_width > 1;
     struct render_backward_state *s = r->backward;
@@ -65,7 +67,7 @@ static enum err_code backward_open(struct render *r, struct err *e)
         return err_set(e, ERR_MEM, "render_backward: out of memory");
     r->backward = s;
     r->backward_free = backward_release;
-    enum err_code rc = dev_build(r->dev, cpu ? wide : sources, cpu ? 5 : 4, NULL, &s->program, e);
+    enum err_code rc = dev_build(r->dev, cpu ? wide : sources, cpu ? 6 : 5, NULL, &s->program, e);
     if (!rc)
         rc = dev_kernel(s->program, "blend_backward", &s->blend, e);
     if (!rc)
@@ -255,7 +257,8 @@ static struct layout_adam backward_rates(const struct render *r, const struct re
                             .scale_log_max = a->scale_log_max,
                             .half_width = (float)fmin(0.5 * r->view.width, half_max_px),
                             .half_height = (float)fmin(0.5 * r->view.height, half_max_px),
-                            .wants = backward_wants(a, stats)};
+                            .wants = backward_wants(a, stats),
+                            .step = a->step};
     backward_bias(a, a->step, &bias1, &k.inv_bias2);
     k.lr_mean = (float)((double)a->lr_mean / bias1);
     k.lr_scale = (float)((double)a->lr_scale / bias1);
@@ -283,7 +286,6 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
     cl_mem filter = m->filter ? m->filter : m->params; /* not read without, as is the list */
     cl_mem list = m->list ? m->list : m->params, settled = m->list ? m->settled : m->params,
            owed = m->list ? m->owed : m->params;
-    cl_uint owed_to = adam->step - 1;
     enum err_code rc = ERR_OK;
     struct render_appearance_call call = {.step = s->step};
     for (size_t i = 0; i < sizeof buffers / sizeof *buffers; i++)
@@ -304,8 +306,7 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
         FRAME_ARG(r->slot_first.mem),
         FRAME_ARG(r->slots.mem),
         FRAME_ARG(s->marks.mem),
-        FRAME_ARG(adam->m1),
-        FRAME_ARG(adam->m2),
+        FRAME_ARG(adam->moments),
         FRAME_ARG(rates),
         FRAME_ARG(extra),
         FRAME_ARG(d.grad),
@@ -316,7 +317,6 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
         FRAME_ARG(d.repaired),
         FRAME_ARG(settled),
         FRAME_ARG(owed),
-        FRAME_ARG(owed_to),
     };
     rc = backward_run(r, call.step, "project_step", args, sizeof args / sizeof *args, &call, e);
     if (!rc && r->appearance)

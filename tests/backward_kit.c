@@ -404,21 +404,21 @@ struct trainer trainer_make(const struct gauss *g)
     kit_ok(render_open(d, &t.r, &e), e);
     kit_ok(render_model_upload(t.r, g, &t.m, &e), e);
     size_t bytes = (size_t)t.m.groups * t.m.planes * 64, lanes = (size_t)t.m.groups * 64;
-    cl_mem *const mems[7] = {&t.adam.m1,     &t.adam.m2,      &t.stats.grad,    &t.stats.absg,
-                             &t.stats.count, &t.stats.radius, &t.stats.repaired};
-    for (size_t i = 0; i < 7; i++) {
-        kit_ok(dev_buffer(d, i < 2 ? bytes : lanes, NULL, mems[i], &e), e);
-        kit_ok(dev_zero(d, *mems[i], 0, i < 2 ? bytes : lanes, &e), e);
+    cl_mem *const mems[6] = {&t.adam.moments, &t.stats.grad,   &t.stats.absg,
+                             &t.stats.count,  &t.stats.radius, &t.stats.repaired};
+    for (size_t i = 0; i < 6; i++) {
+        kit_ok(dev_buffer(d, i < 1 ? bytes : lanes, NULL, mems[i], &e), e);
+        kit_ok(dev_zero(d, *mems[i], 0, i < 1 ? bytes : lanes, &e), e);
     }
     return t;
 }
 
 void trainer_free(struct trainer *t)
 {
-    cl_mem *const mems[8] = {&t->adam.m1,        &t->adam.m2,        &t->stats.grad,
-                             &t->stats.absg,     &t->stats.count,    &t->stats.radius,
-                             &t->stats.repaired, &t->adam.extra_grad};
-    for (size_t i = 0; i < 8; i++)
+    cl_mem *const mems[7] = {&t->adam.moments,  &t->stats.grad,     &t->stats.absg,
+                             &t->stats.count,   &t->stats.radius,   &t->stats.repaired,
+                             &t->adam.extra_grad};
+    for (size_t i = 0; i < 7; i++)
         dev_release(mems[i]);
     render_model_free(&t->m);
     render_close(&t->r);
@@ -447,4 +447,88 @@ float *floats_read(cl_mem mem, size_t n)
     assert_non_null(v);
     kit_ok(dev_read(dev_get(), mem, 0, n * sizeof *v, v, &e), e);
     return v;
+}
+
+/* ---- moments ---- */
+
+static float float_of(uint32_t bits)
+{
+    float x;
+    memcpy(&x, &bits, sizeof x);
+    return x;
+}
+
+static uint32_t bits_of(float x)
+{
+    uint32_t bits;
+    memcpy(&bits, &x, sizeof bits);
+    return bits;
+}
+
+void moments_split(const void *words, size_t n, float *out)
+{
+    const uint32_t *w = words;
+    for (size_t i = 0; i < n; i++) {
+        out[i] = float_of(w[i] & 0xffff0000u);
+        out[n + i] = float_of(w[i] << 16);
+    }
+}
+
+float *moments_read(cl_mem mem, size_t n)
+{
+    struct err e = {0};
+    uint32_t *words = mem_array(n, sizeof *words);
+    float *v = mem_array(n, 2 * sizeof *v);
+    assert_true(words && v);
+    kit_ok(dev_read(dev_get(), mem, 0, n * sizeof *words, words, &e), e);
+    moments_split(words, n, v);
+    mem_free(words);
+    return v;
+}
+
+void moments_write(cl_mem mem, const float *first, const float *second, size_t n)
+{
+    struct err e = {0};
+    uint32_t *words = mem_array(n, sizeof *words);
+    assert_non_null(words);
+    for (size_t i = 0; i < n; i++)
+        words[i] = (bits_of(first[i]) & 0xffff0000u) | bits_of(second[i]) >> 16;
+    kit_ok(dev_write(dev_get(), mem, 0, n * sizeof *words, words, &e), e);
+    mem_free(words);
+}
+
+/* The distance of the neighbours of x that 16 bits hold: eight bits of a number are kept. */
+static double moment_step(double x)
+{
+    int exponent;
+    (void)frexp(fmax(fabs(x), 0x1p-126), &exponent);
+    return ldexp(1.0, exponent - 8);
+}
+
+bool moment_rounds(struct moment_rounding *r, float got, double want, double tolerance)
+{
+    const double step = moment_step(want), x = fabs(want) / step, rel = tolerance / step,
+                 over = x - floor(x), is = fabs((double)got) / step;
+    if ((signbit(got) != 0) != (want < 0.0) && fabs((double)got) > tolerance)
+        return false;
+    if (is < floor(x - rel) || is > floor(x + rel) + 1.0)
+        return false;
+    if (is > 0.0 && rel < 0.01) {
+        const size_t at = (size_t)(over * MOMENT_STRATA);
+        r->n[at]++;
+        r->over[at] += over;
+        r->up[at] += is > floor(x) + 0.5;
+    }
+    return true;
+}
+
+void moment_rounding_check(const struct moment_rounding *r, size_t least)
+{
+    for (size_t i = 0; i < MOMENT_STRATA; i++) {
+        const double n = (double)r->n[i], share = r->over[i] / n;
+        if (r->n[i] < least ||
+            fabs(r->up[i] / n - share) > 5.0 * sqrt((share * (1.0 - share) + 1.0 / n) / n))
+            fail_msg("of %zu numbers %.3f of a step above a neighbour, %.3f were rounded up",
+                     r->n[i], share, r->up[i] / n);
+    }
 }

@@ -64,6 +64,24 @@ double clear_ambiguous(struct view_case *s);
 
 struct dev *dev_get(void);                /* opened once a process; close it at the end */
 float *floats_read(cl_mem mem, size_t n); /* free with mem_free */
+/* The moments of a struct render_adam as floats: n first ones, n second ones; free with mem_free */
+float *moments_read(cl_mem mem, size_t n);
+/* The same of n words, into out [2][n]. */
+void moments_split(const void *words, size_t n, float *out);
+/* Sets them; values that 16 bits do not hold lose their lower bits. */
+void moments_write(cl_mem mem, const float *first, const float *second, size_t n);
+/* How often moments were rounded up, by how far they lay above their lower neighbour. */
+enum { MOMENT_STRATA = 8 };
+struct moment_rounding {
+    size_t n[MOMENT_STRATA];
+    double over[MOMENT_STRATA], up[MOMENT_STRATA]; /* sums: what should be, and what was */
+};
+/* Whether `got` is one of the two neighbours of a moment that is `want` to within `tolerance`.
+ * Counts it. */
+bool moment_rounds(struct moment_rounding *r, float got, double want, double tolerance);
+/* Each stratum has `least` of them, and as many were rounded up as should be, within five standard
+ * deviations. */
+void moment_rounding_check(const struct moment_rounding *r, size_t least);
 /* Draws s and sets dL/d(colour). It uploads s first if m is empty. */
 void kernel_forward(struct render *r, const struct view_case *s, struct render_model *m);
 /* Converts a buffer in the layout of the parameters to arrays in the layout of gauss. */

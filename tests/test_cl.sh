@@ -40,7 +40,11 @@ for f in core/*.cl render/*.cl loss/*.cl stereo/*.cl bench/*.cl; do
             esac
             case $f in
                 render/appearance_backward.cl)
-                    prelude="$prelude -include render/appearance.cl -include render/project_backward.cl" ;;
+                    prelude="$prelude -include render/appearance.cl -include render/adam.cl \
+                        -include render/project_backward.cl" ;;
+                loss/embed_smoothness.cl)
+                    prelude="$prelude -include core/vector.cl -include render/adam.cl" ;;
+                render/project_backward.cl | render/defer.cl) prelude="$prelude -include render/adam.cl" ;;
             esac
             compile "$prelude"
             case $f in # with appearance they are others

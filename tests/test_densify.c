@@ -25,7 +25,7 @@ enum { PLANES = 18 /* degree 0, embeddings of 4 */, LANES = LAYOUT_LANES };
 
 struct toy {
     size_t n;
-    float *params, *grad, *score, *m1, *m2;
+    float *params, *grad, *score, *moments;
 };
 
 static float *at(float *p, size_t i, uint32_t plane)
@@ -42,7 +42,6 @@ static struct toy toy_make(size_t n)
                     mem_array(floats, 4),
                     mem_array(n, 4),
                     mem_array(n, 4),
-                    mem_array(floats, 4),
                     mem_array(floats, 4)};
     for (size_t i = 0; i < n; i++) {
         for (uint32_t k = 0; k < 3; k++) {
@@ -55,10 +54,8 @@ static struct toy toy_make(size_t n)
             *at(t.params, i, k) = (float)i;
         t.grad[i] = 1.0f;
         t.score[i] = (float)rng_unit(1, 3, i) + 0.01f;
-        for (uint32_t k = 0; k < PLANES; k++) {
-            *at(t.m1, i, k) = 1.0f + (float)i;
-            *at(t.m2, i, k) = 2.0f + (float)i;
-        }
+        for (uint32_t k = 0; k < PLANES; k++)
+            *at(t.moments, i, k) = 1.0f + (float)i;
     }
     return t;
 }
@@ -68,8 +65,7 @@ static void toy_free(struct toy *t)
     mem_free(t->params);
     mem_free(t->grad);
     mem_free(t->score);
-    mem_free(t->m1);
-    mem_free(t->m2);
+    mem_free(t->moments);
 }
 
 static const struct cell everything = {
@@ -293,7 +289,7 @@ static void the_most_wanted_are_cut_first(void **state)
 }
 
 struct arrays {
-    float *params, *m1, *m2;
+    float *params, *moments;
 };
 
 /* The rows of a plan; the caller frees the arrays. */
@@ -304,12 +300,11 @@ static struct arrays apply(const struct densify_params *p, const struct toy *t,
     struct densify_input in = input_of(t, false);
     struct densify_order order;
     size_t floats = layout_floats(plan->n, PLANES);
-    struct arrays to = {mem_array(floats, 4), mem_array(floats, 4), mem_array(floats, 4)};
-    assert_true(to.params && to.m1 && to.m2);
+    struct arrays to = {mem_array(floats, 4), mem_array(floats, 4)};
+    assert_true(to.params && to.moments);
     kit_ok(densify_order(p, &in, plan, &order, &e), e);
     kit_ok(permute_move(&order.rows, false, t->params, to.params, &e), e);
-    kit_ok(permute_move(&order.rows, true, t->m1, to.m1, &e), e);
-    kit_ok(permute_move(&order.rows, true, t->m2, to.m2, &e), e);
+    kit_ok(permute_move(&order.rows, true, t->moments, to.moments, &e), e);
     densify_halve(&order, &in, to.params);
     densify_order_free(&order);
     return to;
@@ -318,8 +313,7 @@ static struct arrays apply(const struct densify_params *p, const struct toy *t,
 static void arrays_free(struct arrays *a)
 {
     mem_free(a->params);
-    mem_free(a->m1);
-    mem_free(a->m2);
+    mem_free(a->moments);
 }
 
 /* Count the rows of a plan by side, children of splits at their own places. */
@@ -441,9 +435,9 @@ static void clones_are_copies_and_halves_lie_within_their_parent(void **state)
     for (size_t i = 0; i < plan.n; i++) {
         size_t source = (size_t)*at(to.params, i, 11); /* its colour says who the parent was */
         bool split = source % 3 == 2;
-        bool carries =
-            *at(to.m1, i, 5) == 1.0f + (float)source && *at(to.m2, i, 12) == 2.0f + (float)source;
-        bool zero = *at(to.m1, i, 5) == 0.0f && *at(to.m2, i, 12) == 0.0f;
+        bool carries = *at(to.moments, i, 5) == 1.0f + (float)source &&
+                       *at(to.moments, i, 12) == 1.0f + (float)source;
+        bool zero = *at(to.moments, i, 5) == 0.0f && *at(to.moments, i, 12) == 0.0f;
         assert_true(carries || zero);
         kept += carries;
         fresh += zero;
@@ -459,7 +453,7 @@ static void clones_are_copies_and_halves_lie_within_their_parent(void **state)
     assert_int_equal(fresh, 22 + 22);
     assert_int_equal(moved, 22);
     for (size_t i = plan.n; i % LANES; i++) /* lanes after the last one are zero */
-        assert_true(*at(to.params, i, 6) == 0.0f && *at(to.m1, i, 6) == 0.0f);
+        assert_true(*at(to.params, i, 6) == 0.0f && *at(to.moments, i, 6) == 0.0f);
     arrays_free(&to);
     densify_plan_free(&plan);
     toy_free(&t);

@@ -44,9 +44,46 @@ static void adam_plain(const struct render_adam *a, const float *grads, size_t g
 
 /* float Adam against double: a rounding of 1e-7 in p and a few in the moments a step; where |g| is
  * far below what it was, m1 / sqrt(m2) keeps 1e-6. The unfused gradients come from another kernel:
- * 1e-6 again. */
+ * 1e-6 again. Moments that are stored have 16 bits, but the step is that of moments that were not
+ * rounded, so its tolerance is that of floats. */
 #define ADAM_REL 2e-5
 #define ADAM_ABS 2e-6
+#define ADAM_MOMENT 4e-6 /* of the terms that a new moment is the sum of */
+
+/* Moments of step t->adam.step against those of adam_plain, m [2][words], before they are rounded.
+ * was [2][words]: those of the step before. m becomes what is stored. */
+static void check_moments(const struct trainer *t, size_t words, const float *was, double *m,
+                          struct moment_rounding *rounding)
+{
+    float *got = moments_read(t->adam.moments, words);
+    for (size_t i = 0; i < 2 * words; i++) {
+        const double beta = (double)(i < words ? t->adam.beta1 : t->adam.beta2),
+                     old = beta * fabs((double)was[i]), term = fabs(m[i] - beta * (double)was[i]);
+        if (i % words / 16 / t->m.planes * 16 + i % 16 >= t->m.n)
+            assert_true(got[i] == was[i]); /* padding lanes are nobody's */
+        else if (m[i] == (double)was[i])
+            assert_true(got[i] == was[i]); /* planes that the frame did not draw */
+        else if (!moment_rounds(rounding, got[i], m[i], ADAM_MOMENT * (old + term)))
+            fail_msg("moment %zu is %g, not next to %g", i, (double)got[i], m[i]);
+        assert_true(i < words || !signbit(got[i]));
+        m[i] = (double)got[i];
+    }
+    mem_free(got);
+}
+
+/* Random ones from before, also of the Gaussians that nobody sees. */
+static float *moments_before(const struct trainer *t, size_t words)
+{
+    float *m = mem_array(words, 2 * sizeof *m);
+    assert_non_null(m);
+    for (size_t i = 0; i < words; i++) {
+        m[i] = (float)(1e-3 * rng_normal(1, 1, i));
+        m[words + i] = (float)(1e-6 * (0.1 + rng_unit(1, 2, i)));
+    }
+    moments_write(t->adam.moments, m, m + words, words);
+    mem_free(m);
+    return moments_read(t->adam.moments, words);
+}
 
 static void check_adam(bool with_extra, int sh_degree, uint32_t width)
 {
@@ -59,24 +96,18 @@ static void check_adam(bool with_extra, int sh_degree, uint32_t width)
             s.g.mean_m[3 * i + a] -= (float)(9 * s.cam.rot[6 + a]);
     s.o.sh_degree = sh_degree;
     struct trainer t = trainer_make(&s.g);
+    struct moment_rounding rounding = {0};
     size_t words = (size_t)t.m.groups * t.m.planes * 16,
            used = gauss_sh_count(sh_degree < 0 ? 2 : (uint32_t)sh_degree);
-    double *v = mem_array(words, 3 * sizeof *v), *p = v, *m1 = v + words, *m2 = m1 + words;
+    double *v = mem_array(words, 3 * sizeof *v), *p = v, *m = v + words;
     float *start = floats_read(t.m.params, words), *raw = mem_array(words, sizeof *raw);
     cl_mem grads;
     assert_true(v && raw);
-    for (size_t i = 0; i < words;
-         i++) { /* moments from before, also of the Gaussians that nobody sees */
+    float *was = moments_before(&t, words);
+    for (size_t i = 0; i < words; i++)
         p[i] = (double)start[i];
-        m1[i] = (double)(float)(1e-3 * rng_normal(1, 1, i));
-        raw[i] = (float)m1[i];
-    }
-    kit_ok(dev_write(d, t.adam.m1, 0, words * sizeof *raw, raw, &e), e);
-    for (size_t i = 0; i < words; i++) {
-        m2[i] = (double)(float)(1e-6 * (0.1 + rng_unit(1, 2, i)));
-        raw[i] = (float)m2[i];
-    }
-    kit_ok(dev_write(d, t.adam.m2, 0, words * sizeof *raw, raw, &e), e);
+    for (size_t i = 0; i < 2 * words; i++)
+        m[i] = (double)was[i];
     kit_ok(dev_buffer(d, words * sizeof *raw, NULL, &grads, &e), e);
     if (with_extra) {
         for (size_t i = 0; i < (size_t)t.m.groups * 176; i++)
@@ -100,25 +131,22 @@ static void check_adam(bool with_extra, int sh_degree, uint32_t width)
         t.adam.step++;
         kit_ok(render_backward_step(t.r, &t.m, &t.adam, &t.stats, &e), e);
         d->vector_width = own;
-        adam_plain(&t.adam, g, t.m.groups, t.m.planes, used, p, m1, m2);
-        float *const got[3] = {floats_read(t.m.params, words), floats_read(t.adam.m1, words),
-                               floats_read(t.adam.m2, words)};
-        double *const want[3] = {p, m1, m2};
-        static const char *const names[3] = {"parameters", "first moments", "second moments"};
-        for (size_t k = 0; k < 3; k++) {
-            for (size_t i = 0; i < words;
-                 i++) { /* padding lanes are nobody's; then follow the kernel's rounding */
-                if (i / 16 / t.m.planes * 16 + i % 16 >= t.m.n)
-                    want[k][i] = (double)got[k][i];
-            }
-            kit_near(names[k], got[k], want[k], words, ADAM_ABS, ADAM_REL);
-            for (size_t i = 0; i < words; i++)
-                want[k][i] = (double)got[k][i];
-            mem_free(got[k]);
-        }
+        adam_plain(&t.adam, g, t.m.groups, t.m.planes, used, p, m, m + words);
+        float *got = floats_read(t.m.params, words);
+        for (size_t i = 0; i < words; i++) /* padding lanes are nobody's */
+            if (i / 16 / t.m.planes * 16 + i % 16 >= t.m.n)
+                p[i] = (double)got[i];
+        kit_near("parameters", got, p, words, ADAM_ABS, ADAM_REL);
+        check_moments(&t, words, was, m, &rounding);
+        for (size_t i = 0; i < words; i++) /* then follow the kernel's rounding */
+            p[i] = (double)got[i];
+        for (size_t i = 0; i < 2 * words; i++)
+            was[i] = (float)m[i];
+        mem_free(got);
         mem_free(g);
         mem_free(extra);
     }
+    moment_rounding_check(&rounding, 1000);
     float *end = floats_read(t.m.params, words);
     size_t moved = 0;
     for (size_t i = 0; i < words; i++) {
@@ -133,6 +161,7 @@ static void check_adam(bool with_extra, int sh_degree, uint32_t width)
     mem_free(end);
     mem_free(start);
     mem_free(raw);
+    mem_free(was);
     mem_free(v);
     dev_release(&grads);
     trainer_free(&t);
@@ -146,6 +175,120 @@ static void test_step_is_adam(void **state)
     check_adam(true, -1, 0);
     check_adam(false, 1, 0);
     check_adam(true, -1, 1); /* as a GPU has it */
+}
+
+/* ---- how moments are stored ---- */
+
+enum { COAST = 400, COAST_EXACT = 20, COAST_GAUSSIANS = 203 };
+/* Each step moves a moment by less than half of a 16-bit step in the mean of squares, so after 400
+ * of them single ones are a few hundredths off, and the mean of thousands is right. */
+#define COAST_BIAS 0.003
+#define COAST_SPREAD_LEAST 0.01
+#define COAST_SPREAD_MOST 0.09
+
+static uint32_t bits_of(float x)
+{
+    uint32_t bits;
+    memcpy(&bits, &x, sizeof bits);
+    return bits;
+}
+
+/* render/adam.cl, said once more. */
+static uint32_t word_plain(uint32_t step, uint32_t row, uint32_t plane, float first, float second)
+{
+    uint32_t x = row ^ step * 0x9e3779b9u;
+    x = (x ^ x >> 16) * 0x7feb352du;
+    x = (x ^ x >> 15) * 0x846ca68bu;
+    x = (x ^ x >> 16) + plane * 0x9e3779b9u;
+    x = (x ^ x >> 16) * 0x7feb352du;
+    x ^= x >> 15;
+    return ((bits_of(first) + (x >> 16)) & 0xffff0000u) | (bits_of(second) + (x & 0xffff)) >> 16;
+}
+
+static void words_read(const struct trainer *t, uint32_t *out, size_t n)
+{
+    struct err e = {0};
+    kit_ok(dev_read(dev_get(), t->adam.moments, 0, n * sizeof *out, out, &e), e);
+}
+
+/* Mean and spread of moments as shares of what they should be. */
+static void check_coasted(const char *what, const float *was, const float *is, size_t n,
+                          double factor)
+{
+    double sum = 0.0, squares = 0.0, count = 0.0;
+    for (size_t i = 0; i < n; i++) {
+        if (was[i] == 0.0f) {
+            assert_true(is[i] == 0.0f);
+            continue;
+        }
+        double share = (double)is[i] / ((double)was[i] * factor);
+        sum += share;
+        squares += share * share;
+        count++;
+    }
+    const double mean = sum / count, spread = sqrt(squares / count - mean * mean);
+    kit_figure("moments", "%s after %d steps: %.4f of the exact, spread %.4f", what, COAST, mean,
+               spread);
+    assert_true(count > 5000.0 && fabs(mean - 1.0) < COAST_BIAS);
+    assert_true(spread > COAST_SPREAD_LEAST && spread < COAST_SPREAD_MOST);
+}
+
+/* Steps without gradient: moments fall as they should in the mean, although a step takes less from
+ * the second than 16 bits can hold. Their bits are those of the plain code, for both widths. */
+static void check_coast(uint32_t width)
+{
+    struct view_case s = view_case_make(37, COAST_GAUSSIANS, RENDER_AA_2D, 2);
+    struct dev *d = dev_get();
+    const uint32_t own = d->vector_width;
+    s.cam.trans[2] = -1e4; /* everything is behind it */
+    struct trainer t = trainer_make(&s.g);
+    const size_t words = (size_t)t.m.groups * t.m.planes * 16;
+    float *start = moments_before(&t, words);
+    for (size_t i = 0; i < words; i += 7)
+        start[i] = start[words + i] = 0.0f;
+    for (size_t i = 0; i < words; i++)
+        if (i / 16 / t.m.planes * 16 + i % 16 >= t.m.n)
+            start[i] = start[words + i] = 0.0f;
+    moments_write(t.adam.moments, start, start + words, words);
+    uint32_t *is = mem_array(words, 2 * sizeof *is), *want = is + words;
+    assert_non_null(is);
+    words_read(&t, want, words);
+    for (int k = 0; k < (width ? COAST_EXACT : COAST); k++) {
+        d->vector_width = width ? width : own;
+        trainer_step(&t, &s);
+        d->vector_width = own;
+        for (size_t i = 0; k < COAST_EXACT && i < words; i++) {
+            const uint32_t row = (uint32_t)(i / 16 / t.m.planes * 16 + i % 16), high = want[i],
+                           low = want[i] << 16;
+            float first, second;
+            memcpy(&first, &(uint32_t){high & 0xffff0000u}, sizeof first);
+            memcpy(&second, &low, sizeof second);
+            want[i] = word_plain(t.adam.step, row, (uint32_t)(i / 16 % t.m.planes),
+                                 t.adam.beta1 * first, t.adam.beta2 * second);
+        }
+        if (k < COAST_EXACT) {
+            words_read(&t, is, words);
+            assert_memory_equal(is, want, words * sizeof *is);
+        }
+    }
+    if (!width) {
+        float *end = moments_read(t.adam.moments, words);
+        check_coasted("first moments", start, end, words, pow((double)t.adam.beta1, COAST));
+        check_coasted("second moments", start + words, end + words, words,
+                      pow((double)t.adam.beta2, COAST));
+        mem_free(end);
+    }
+    mem_free(is);
+    mem_free(start);
+    trainer_free(&t);
+    view_case_free(&s);
+}
+
+static void test_moments_fall_as_they_should(void **state)
+{
+    (void)state;
+    check_coast(0);
+    check_coast(1);
 }
 
 /* F1: what must never be in a model is repaired, and counted. */
@@ -333,6 +476,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_step_is_adam),       cmocka_unit_test(test_repairs),
+        cmocka_unit_test(test_moments_fall_as_they_should),
         cmocka_unit_test(test_dropped_updates),    cmocka_unit_test(test_wild_shapes),
         cmocka_unit_test(test_density_statistics),
     };

@@ -15,6 +15,7 @@
 #include "render/render.h"
 #include "train/coarsen.h"
 #include "train/config.h"
+#include "train/paged.h"
 #include "train/photo_loader.h"
 #include "train/schedule.h"
 
@@ -130,7 +131,7 @@ struct memory_need memory_estimate(const struct train_config *cfg, const struct 
     bool extra = depth || cfg->scale_weight > 0.0 || cfg->solid_flat > 0.0 || cfg->solid_rim > 0.0;
     double words = MEMORY_STATS + 2.0 * light + (cfg->aa == RENDER_AA_MIP) +
                    MEMORY_EXTRA * (double)extra + MEMORY_DEPTH * (double)depth;
-    double trained = 3.0 * row + MEMORY_WORD * words;
+    double trained = PAGED_ARRAYS * row + MEMORY_WORD * words;
     double drawn = MEMORY_FRAME_ROOM * (sizeof(struct layout_splat) + MEMORY_WORD * MEMORY_KEYS +
                                         MEMORY_INTERSECTIONS * MEMORY_INTERSECTION);
     double passing = fmax(memory_passing(1.0), MEMORY_MOVE);
@@ -141,7 +142,7 @@ struct memory_need memory_estimate(const struct train_config *cfg, const struct 
     double per_gaussian = trained + drawn + passing;
     double shown = memory_shown(s, images, n_images);
     double regularized = MEMORY_WORD * MEMORY_EXTRA * (double)extra;
-    double beside = trained - 3.0 * row - regularized + shown * (drawn + regularized) +
+    double beside = trained - PAGED_ARRAYS * row - regularized + shown * (drawn + regularized) +
                     memory_passing(shown) + MEMORY_DEFERRED;
     double others = pixels * per_pixel + photos + groups;
     double merging = memory_merging(cfg, n, row); /* while nothing else passes */
@@ -157,6 +158,6 @@ struct memory_need memory_estimate(const struct train_config *cfg, const struct 
                                 .gaussians = (size_t)n,
                                 .pixels = (size_t)pixels,
                                 .total = (size_t)(n * per_gaussian + others + more),
-                                .arrays = (size_t)(n * 3.0 * row),
+                                .arrays = (size_t)(n * PAGED_ARRAYS * row),
                                 .beside = (size_t)(n * beside + others + more_beside)};
 }

@@ -18,7 +18,7 @@ struct train_config;
 /* Memory of device and host together: on a CPU device they are the same. */
 struct memory_need {
     size_t per_gaussian; /* bytes: sum of the next three */
-    size_t trained;      /* parameters, both Adam moments, statistics, gradients of regularizers */
+    size_t trained;      /* parameters, moments of Adam, statistics, gradients of regularizers */
     size_t drawn;        /* records and keys of a frame, lists of intersections and their slots */
     size_t passing;      /* largest temporary need of density control, scores or pruning */
     size_t per_pixel;    /* for the finest level: pictures, loss, scores, evaluation */
@@ -27,7 +27,7 @@ struct memory_need {
     size_t gaussians;    /* largest number of Gaussians, inside the cell and outside */
     size_t pixels;       /* of the largest picture */
     size_t total;        /* all, without the program itself and its OpenCL compiler */
-    size_t arrays;       /* of the total: parameters and both Adam moments */
+    size_t arrays;       /* of the total: parameters and moments of Adam */
     size_t beside; /* what is in memory besides these where they lie in files (train/paged.h) */
 };
 /* Estimates the memory. Budgets are levels[0 .. n_levels - 1].budget and .around. `whole`: the cell

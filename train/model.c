@@ -14,14 +14,13 @@
 #include "loss/mip.h"
 #include "render/defer.h"
 
-enum { MODEL_ARRAYS = 3, MODEL_STATS = 5 };
+enum { MODEL_ARRAYS = PAGED_ARRAYS, MODEL_STATS = 5 };
 
-/* Parameters and both moments. */
+/* Parameters and moments: words of 4 bytes, of which 0 is 0. */
 static void model_arrays(struct model *m, cl_mem *out[MODEL_ARRAYS])
 {
     out[0] = &m->gauss.params;
-    out[1] = &m->adam.m1;
-    out[2] = &m->adam.m2;
+    out[1] = &m->adam.moments;
 }
 
 /* The statistics, and how many of them are kept: the last only with appearance. */
@@ -48,8 +47,7 @@ void model_close(struct model *m)
     defer_close(&m->defer);
     m->seen = (struct render_model){0};
     render_model_free(&m->gauss);
-    dev_release(&m->adam.m1);
-    dev_release(&m->adam.m2);
+    dev_release(&m->adam.moments);
     paged_close(&m->paged);
     model_release_stats(m);
     dev_release(&m->stats.repaired);
@@ -81,13 +79,9 @@ static void model_count(struct model *m, size_t n)
 enum err_code model_zero_moments(struct model *m, struct err *e)
 {
     enum err_code rc = model_settle(m, e);
-    if (m->paged.dir) {
-        rc = rc ? rc : paged_zero(&m->paged, 1, e);
-        return rc ? rc : paged_zero(&m->paged, 2, e);
-    }
-    if (!rc)
-        rc = dev_zero(m->dev, m->adam.m1, 0, model_bytes(m), e);
-    return rc ? rc : dev_zero(m->dev, m->adam.m2, 0, model_bytes(m), e);
+    if (!rc && m->paged.dir)
+        return paged_zero(&m->paged, 1, e);
+    return rc ? rc : dev_zero(m->dev, m->adam.moments, 0, model_bytes(m), e);
 }
 
 enum err_code model_zero_stats(struct model *m, struct err *e)

@@ -2,8 +2,9 @@
  * both Adam moments, statistics for densification, and the 3-D filter of Mip-Splatting. It does not
  * know levels, photographs or options.
  *
- *     gauss.params, adam.m1, adam.m2   float [groups][planes][16], capacity gauss.cap rows
- *     stats.*, gauss.filter            float [cap]
+ *     gauss.params             float [groups][planes][16], capacity gauss.cap rows
+ *     adam.moments             uint32_t, the same: both moments of each parameter (render.h)
+ *     stats.*, gauss.filter    float [cap]
  *
  * Only one thread at a time uses a model. The device's queue orders the work on it.
  *
@@ -52,7 +53,7 @@ enum err_code model_fill(struct model *m, const struct gauss *g, struct err *e) 
 /* Copies the present Gaussians. The caller sets whether they are anti-aliased. Free *out with
  * gauss_free. ERR_MEM, ERR_DEVICE. */
 enum err_code model_gauss(const struct model *m, struct gauss *out, struct err *e) ERR_USE;
-/* Bytes in use in each of three arrays: the parameters and the two moments. */
+/* Bytes in use in each of two arrays: the parameters and their moments. */
 size_t model_bytes(const struct model *m);
 
 /* Sets m->seen, the Gaussians that a step with this view draws and moves. With `defers` these are

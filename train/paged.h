@@ -13,7 +13,10 @@
 
 struct permutation;
 
-enum { PAGED_ARRAYS = 3, PAGED_PART = 4096 }; /* a pass over all takes so many groups at a time */
+enum {
+    PAGED_ARRAYS = 2,  /* parameters, and both moments of each in a word */
+    PAGED_PART = 4096, /* a pass over all takes so many groups at a time */
+};
 
 struct paged { /* {0}: arrays are buffers of the device as always; free with paged_close */
     /* -- set by the owner of the model before model_open, and kept by paged_close -- */
@@ -31,7 +34,7 @@ struct paged { /* {0}: arrays are buffers of the device as always; free with pag
     bool streams;              /* passes over all go from start to end */
     uint64_t fetched, dropped; /* groups, so far */
 };
-/* Makes the files of three arrays for n_groups of `planes` planes, and buffers over them. Call
+/* Makes the files of both arrays for n_groups of `planes` planes, and buffers over them. Call
  * paged_close after the buffers are released, also after an error. ERR_IO: the disk has no room.
  * ERR_LIMIT, ERR_MEM, ERR_DEVICE. */
 enum err_code paged_open(struct paged *s, struct dev *dev, size_t n_groups, uint32_t planes,

@@ -1,6 +1,6 @@
 /* The files of a run: the state to resume from, and the result of each level.
  *
- * A state has the Gaussians, both Adam moments and the densification statistics in the device's
+ * A state has the Gaussians, the moments of Adam and the densification statistics in the device's
  * layout, the last step that each group of Gaussians has made, and three numbers: level, step, and
  * Gaussians at the level's start. Everything else (order of photographs, schedules, random numbers)
  * follows from these, the options and the cell.
@@ -27,6 +27,7 @@
 #include "train/model.h"
 
 enum { STATE_STATS = 5, STATE_APPEARANCE = 2, STATE_SLICE = 65536 };
+#define STATE_MOMENTS "adam" /* uint32_t: both moments of each parameter, see render.h */
 #define STATE_OWED "settled" /* uint32_t [groups]: see render/defer.h */
 static const char *const state_stat_names[STATE_STATS] = {"stat_grad", "stat_absg", "stat_count",
                                                           "stat_radius", "stat_opacity"};
@@ -96,15 +97,15 @@ static json_t *state_meta(const struct model *m, const struct state *st, const c
  * copied, however large the level. */
 struct state_moments {
     struct model *m;
-    const void *at[2];
+    const void *at;
 };
 
 struct state_view {
     struct state_moments moments; /* first: state_passed takes a view for it */
     struct model *m;
     struct gauss like;
-    cl_mem mem[5 + STATE_STATS];
-    void *at[5 + STATE_STATS]; /* [0]: the parameters */
+    cl_mem mem[4 + STATE_STATS];
+    void *at[4 + STATE_STATS]; /* [0]: the parameters */
     size_t n;
     float *filter; /* [n] to fold in, or NULL */
 };
@@ -182,15 +183,14 @@ static enum err_code state_rows(void *user, enum ckpt_field field, size_t first,
     return ERR_OK;
 }
 
-/* Bytes [from, to) of an array of moments have been passed; other blobs are small. */
+/* Bytes [from, to) of the moments have been passed; other blobs are small. */
 static void state_passed(void *user, const void *data, size_t from, size_t to)
 {
     const struct state_moments *s = user;
     const size_t group = (size_t)s->m->gauss.planes * LAYOUT_LANES * sizeof(float);
-    for (size_t k = 0; k < 2; k++)
-        if (data == s->at[k])
-            model_walked(s->m, true, from / group * LAYOUT_LANES,
-                         to == model_bytes(s->m) ? s->m->gauss.n : to / group * LAYOUT_LANES);
+    if (data == s->at)
+        model_walked(s->m, true, from / group * LAYOUT_LANES,
+                     to == model_bytes(s->m) ? s->m->gauss.n : to / group * LAYOUT_LANES);
 }
 
 static enum err_code state_view_filter(struct state_view *v, const struct model *m, struct err *e)
@@ -272,7 +272,7 @@ static enum err_code state_appearance_blobs(const struct appearance_train *a,
 enum err_code state_save(struct model *m, const struct state *s, const char *path, struct err *e)
 {
     struct state_view v = {0};
-    struct ckpt_blob blobs[4 + STATE_STATS + STATE_APPEARANCE] = {0};
+    struct ckpt_blob blobs[3 + STATE_STATS + STATE_APPEARANCE] = {0};
     cl_mem owed = NULL;
     const struct render_model *g = &m->gauss;
     size_t n = 0, moments = model_bytes(m), n_appearance = 0;
@@ -289,9 +289,7 @@ enum err_code state_save(struct model *m, const struct state *s, const char *pat
     if (!rc)
         rc = state_view_open(m, s->run.cfg->aa != RENDER_AA_NONE, &v, e);
     if (!rc)
-        rc = state_blob(&v, "adam_m1", m->adam.m1, moments, &blobs[n++], e);
-    if (!rc)
-        rc = state_blob(&v, "adam_m2", m->adam.m2, moments, &blobs[n++], e);
+        rc = state_blob(&v, STATE_MOMENTS, m->adam.moments, moments, &blobs[n++], e);
     for (size_t i = 0; !rc && i < STATE_STATS && stats[i]; i++)
         rc = state_blob(&v, state_stat_names[i], stats[i], g->n * sizeof(float), &blobs[n++], e);
     if (!rc && owed)
@@ -302,7 +300,7 @@ enum err_code state_save(struct model *m, const struct state *s, const char *pat
         rc = state_appearance_blobs(s->appearance, blobs + n, e);
         n_appearance = STATE_APPEARANCE;
     }
-    v.moments = (struct state_moments){m, {blobs[0].data, blobs[1].data}};
+    v.moments = (struct state_moments){m, blobs[0].data};
     const struct ckpt_source from = {
         .like = &v.like, .rows = state_rows, .wrote = state_passed, .user = &v};
     if (!rc)
@@ -334,9 +332,9 @@ static enum err_code state_fill(struct model *m, const struct ckpt_rows *c, cons
     void *at = NULL;
     struct err why = {0};
     enum err_code rc = dev_map(m->dev, to, CL_MAP_WRITE, bytes, &at, e);
-    struct state_moments moments = {m, {at, NULL}};
-    const bool large = to == m->adam.m1 || to == m->adam.m2;
-    const struct ckpt_target target = {at, bytes, large ? state_passed : NULL, &moments};
+    struct state_moments moments = {m, at};
+    const struct ckpt_target target = {at, bytes, to == m->adam.moments ? state_passed : NULL,
+                                       &moments};
     if (!rc)
         rc = ckpt_rows_blob_to(c, name, &target, e);
     enum err_code done = dev_unmap(m->dev, to, &at, &why);
@@ -386,9 +384,7 @@ static enum err_code state_fill_all(struct model *m, struct state *s, const stru
     if (!rc)
         rc = state_fill_appearance(s->appearance, c, path, e);
     if (!rc)
-        rc = state_fill(m, c, "adam_m1", m->adam.m1, moments, e);
-    if (!rc)
-        rc = state_fill(m, c, "adam_m2", m->adam.m2, moments, e);
+        rc = state_fill(m, c, STATE_MOMENTS, m->adam.moments, moments, e);
     for (size_t i = 0; !rc && i < STATE_STATS && stats[i]; i++)
         rc = state_fill(m, c, state_stat_names[i], stats[i], m->gauss.n * sizeof(float), e);
     return rc;
@@ -499,6 +495,17 @@ static enum err_code state_apply(struct state *s, const json_t *meta, const stru
     return ERR_OK;
 }
 
+/* Older states have moments of twice the size. To round them would not be the run that it was. */
+static enum err_code state_check_moments(const struct ckpt_rows *c, const char *path, struct err *e)
+{
+    return ckpt_rows_has(c, STATE_MOMENTS)
+               ? ERR_OK
+               : err_set(e, ERR_FORMAT,
+                         "%s: is of a version that stored moments of Adam in 32 bits: finish the "
+                         "run with that version, or begin anew with --overwrite",
+                         path);
+}
+
 enum err_code state_load(struct model *m, const struct engine *with, struct state *s,
                          const char *path, struct err *e)
 {
@@ -509,6 +516,8 @@ enum err_code state_load(struct model *m, const struct engine *with, struct stat
         rc = ckpt_rows_meta(c, &meta, e);
     if (!rc)
         rc = state_apply(s, meta, ckpt_rows_like(c), path, e);
+    if (!rc)
+        rc = state_check_moments(c, path, e);
     if (!rc)
         rc = model_open(m, with->dev, with->render, ckpt_rows_like(c),
                         schedule_most(stage_schedule(&s->at), s->run.cell), e);

@@ -161,13 +161,13 @@ static void and_with_appearance(void **state)
 
 /* ---- rows in place ---- */
 
-enum { REMOVAL_STEPS = 12, REMOVAL_PARTS = 3 };
+enum { REMOVAL_STEPS = 12, REMOVAL_PARTS = 2 };
 
-/* Parameters and both moments as they lie on the device. */
+/* Parameters and moments as they lie on the device. */
 static float *arrays_of(const struct level *l, size_t floats)
 {
     struct err e = {0};
-    cl_mem parts[REMOVAL_PARTS] = {l->model.gauss.params, l->model.adam.m1, l->model.adam.m2};
+    cl_mem parts[REMOVAL_PARTS] = {l->model.gauss.params, l->model.adam.moments};
     float *all = mem_array(REMOVAL_PARTS * floats, sizeof *all);
     assert_non_null(all);
     for (size_t k = 0; k < REMOVAL_PARTS; k++)
