@@ -45,7 +45,7 @@ struct step_case {
 
 static void step_free(struct step_case *c)
 {
-    cl_mem *const mems[] = {&c->adam.moments, &c->stats.grad,   &c->stats.absg,     &c->stats.count,
+    cl_mem *const mems[] = {&c->adam.moments, &c->stats.grad,     &c->stats.absg, &c->stats.count,
                             &c->stats.radius, &c->stats.repaired, &c->target};
     for (size_t i = 0; i < sizeof mems / sizeof *mems; i++)
         dev_release(mems[i]);
@@ -208,8 +208,8 @@ static enum err_code step_open(struct bench *b, size_t n, uint32_t w, uint32_t h
     if (!rc)
         rc = render_model_upload(c->render, &g, &c->model, e);
     size_t lanes = (size_t)c->model.groups * 16 * sizeof(float), state = lanes * c->model.planes;
-    cl_mem *const mems[] = {&c->adam.moments, &c->stats.grad, &c->stats.absg, &c->stats.count,
-                            &c->stats.radius, &c->stats.repaired};
+    cl_mem *const mems[] = {&c->adam.moments, &c->stats.grad,   &c->stats.absg,
+                            &c->stats.count,  &c->stats.radius, &c->stats.repaired};
     for (size_t i = 0; !rc && i < sizeof mems / sizeof *mems; i++) {
         size_t bytes = i < 1 ? state : lanes;
         rc = dev_buffer(b->dev, bytes, NULL, mems[i], e);

@@ -54,8 +54,8 @@ struct tour {
 
 static void tour_free(struct tour *t)
 {
-    cl_mem *const mems[] = {&t->all.adam.moments, &t->stats.grad, &t->stats.count,
-                            &t->stats.radius, &t->stats.repaired, &t->target};
+    cl_mem *const mems[] = {&t->all.adam.moments, &t->stats.grad,     &t->stats.count,
+                            &t->stats.radius,     &t->stats.repaired, &t->target};
     for (size_t i = 0; i < sizeof mems / sizeof *mems; i++)
         dev_release(mems[i]);
     defer_close(&t->defer);

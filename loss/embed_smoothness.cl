@@ -33,8 +33,8 @@ __kernel void embed_smoothness_add(__global const float *grad, uint from, uint n
     for (uint k = 0; k < len; k++) {
         V g = embed_smoothness_column(grad, i, n, k, len);
         VU was = LD_WORD(at, first + k);
-        ST_WORD(at, first + k,
-                adam_word(key, first + k, adam_first(was) + k1 * g,
-                          adam_second(was) + k2 * (g * g)));
+        ST_WORD(
+            at, first + k,
+            adam_word(key, first + k, adam_first(was) + k1 * g, adam_second(was) + k2 * (g * g)));
     }
 }

@@ -48,7 +48,8 @@ enum err_code embed_smoothness_step_open(struct dev *dev, struct embed_smoothnes
     if (!s)
         return err_set(e, ERR_MEM, "embed_smoothness: out of memory");
     s->dev = dev;
-    enum err_code rc = dev_build(dev, sources, sizeof sources / sizeof *sources, NULL, &s->program, e);
+    enum err_code rc =
+        dev_build(dev, sources, sizeof sources / sizeof *sources, NULL, &s->program, e);
     if (!rc)
         rc = dev_kernel(s->program, "embed_smoothness_add", &s->add, e);
     if (rc)

@@ -136,12 +136,10 @@ __kernel APPEARANCE_GROUP void appearance_backward(__constant struct layout_view
     render_appearance_chunk(v, frame, tiles_of, y_grads, each, &to, parts, tile);
 }
 
-__kernel APPEARANCE_GROUP void appearance_step(__constant struct layout_view *v,
-                                               __constant float *frame, __global float *params,
-                                               __global const uint *tiles_of,
-                                               __global const float *y_grads, float each,
-                                               __global float *parts, __global uint *moments,
-                                               struct layout_adam rates)
+__kernel APPEARANCE_GROUP void
+appearance_step(__constant struct layout_view *v, __constant float *frame, __global float *params,
+                __global const uint *tiles_of, __global const float *y_grads, float each,
+                __global float *parts, __global uint *moments, struct layout_adam rates)
 {
     __local float tile[APPEARANCE_ITEMS * APPEARANCE_STRIDE];
     struct embed_target to = {params, params, moments, &rates};

@@ -602,17 +602,15 @@ __kernel void project_backward(__constant struct layout_view *v, __global const 
     APPEARANCE_CLOSE
 }
 
-__kernel void project_step(__constant struct layout_view *v, __global float *params,
-                           __global const float *filter, __global const uint *list,
-                           __global const struct layout_splat *splats,
-                           __global const uint *tiles_of, __global const uint *slot_first,
-                           __global const float *slots, __global const uchar *marks,
-                           __global uint *moments, struct layout_adam rates,
-                           __global const float *extra, __global float *stat_grad,
-                           __global float *stat_absg, __global float *stat_count,
-                           __global float *stat_radius, __global float *stat_opacity,
-                           __global uint *repaired, __global const uint *settled,
-                           __global const float *owed EFFECTIVE_ARG APPEARANCE_ARG)
+__kernel void
+project_step(__constant struct layout_view *v, __global float *params, __global const float *filter,
+             __global const uint *list, __global const struct layout_splat *splats,
+             __global const uint *tiles_of, __global const uint *slot_first,
+             __global const float *slots, __global const uchar *marks, __global uint *moments,
+             struct layout_adam rates, __global const float *extra, __global float *stat_grad,
+             __global float *stat_absg, __global float *stat_count, __global float *stat_radius,
+             __global float *stat_opacity, __global uint *repaired, __global const uint *settled,
+             __global const float *owed EFFECTIVE_ARG APPEARANCE_ARG)
 {
     uint to, lane, used = (v->sh_degree + 1) * (v->sh_degree + 1), wants = rates.wants;
     struct stats stats = {stat_grad, stat_absg, stat_count, stat_radius, stat_opacity};
@@ -622,8 +620,13 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
         size_t at = group_at(own, v->planes) + lane;
         uint i = group * LAYOUT_LANES + lane;
         VI visible = tiles_some(tiles_of + i), real = LANE + (int)i < (int)v->n;
-        struct adam a = {params + at, moments + at, &rates, rates.inv_bias2,
-                         1.0f,        1.0f,         adam_key(row, rates.step)};
+        struct adam a = {params + at,
+                         moments + at,
+                         &rates,
+                         rates.inv_bias2,
+                         1.0f,
+                         1.0f,
+                         adam_key(row, rates.step)};
         if (v->listed) {
             __global const float *left =
                 owed + (size_t)(rates.step - 1 - settled[own]) * LAYOUT_DEFER_ROW;

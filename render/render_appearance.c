@@ -206,12 +206,12 @@ static enum err_code render_appearance_backward(struct render *r, const struct r
     const struct render_appearance_kernels *l = r->appearance;
     size_t items = LAYOUT_APPEARANCE_ITEMS(l->len, l->hidden);
     struct frame_arg args[9] = {FRAME_ARG(r->view_mem),
-                                 FRAME_ARG(r->appearance_frame.mem),
-                                 FRAME_ARG(m->params),
-                                 FRAME_ARG(r->tiles_of.mem),
-                                 FRAME_ARG(r->y_grads.mem),
-                                 FRAME_ARG(c->each),
-                                 FRAME_ARG(r->appearance_parts.mem)};
+                                FRAME_ARG(r->appearance_frame.mem),
+                                FRAME_ARG(m->params),
+                                FRAME_ARG(r->tiles_of.mem),
+                                FRAME_ARG(r->y_grads.mem),
+                                FRAME_ARG(c->each),
+                                FRAME_ARG(r->appearance_parts.mem)};
     size_t n = 7;
     if (rates) {
         args[n++] = (struct frame_arg)FRAME_ARG(adam->moments);

@@ -415,8 +415,8 @@ struct trainer trainer_make(const struct gauss *g)
 
 void trainer_free(struct trainer *t)
 {
-    cl_mem *const mems[7] = {&t->adam.moments,  &t->stats.grad,     &t->stats.absg,
-                             &t->stats.count,   &t->stats.radius,   &t->stats.repaired,
+    cl_mem *const mems[7] = {&t->adam.moments,   &t->stats.grad,   &t->stats.absg,
+                             &t->stats.count,    &t->stats.radius, &t->stats.repaired,
                              &t->adam.extra_grad};
     for (size_t i = 0; i < 7; i++)
         dev_release(mems[i]);

@@ -268,8 +268,7 @@ static void digest(char out[33])
     for (int i = 0; i < 3; i++)
         trainer_step(&t, &s);
     size_t words = (size_t)t.m.groups * t.m.planes * 16, lanes = (size_t)t.m.groups * 16;
-    const cl_mem mems[5] = {t.m.params, t.adam.moments, t.stats.grad, t.stats.absg,
-                            t.stats.radius};
+    const cl_mem mems[5] = {t.m.params, t.adam.moments, t.stats.grad, t.stats.absg, t.stats.radius};
     struct buf all = {0};
     for (size_t i = 0; i < 5; i++) {
         float *v = floats_read(mems[i], i < 2 ? words : lanes);

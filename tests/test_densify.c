@@ -38,10 +38,7 @@ static float *at(float *p, size_t i, uint32_t plane)
 static struct toy toy_make(size_t n)
 {
     size_t floats = layout_floats(n, PLANES);
-    struct toy t = {n,
-                    mem_array(floats, 4),
-                    mem_array(n, 4),
-                    mem_array(n, 4),
+    struct toy t = {n, mem_array(floats, 4), mem_array(n, 4), mem_array(n, 4),
                     mem_array(floats, 4)};
     for (size_t i = 0; i < n; i++) {
         for (uint32_t k = 0; k < 3; k++) {

@@ -475,9 +475,11 @@ static void test_density_statistics(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_step_is_adam),       cmocka_unit_test(test_repairs),
+        cmocka_unit_test(test_step_is_adam),
+        cmocka_unit_test(test_repairs),
         cmocka_unit_test(test_moments_fall_as_they_should),
-        cmocka_unit_test(test_dropped_updates),    cmocka_unit_test(test_wild_shapes),
+        cmocka_unit_test(test_dropped_updates),
+        cmocka_unit_test(test_wild_shapes),
         cmocka_unit_test(test_density_statistics),
     };
     int failed = cmocka_run_group_tests(tests, NULL, NULL);

@@ -890,6 +890,40 @@ static void a_damaged_state_is_refused(void **state)
     arena_free(&a);
 }
 
+/* States of before have two arrays of floats where there is one of words now. */
+static void a_state_with_wide_moments_is_refused(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    struct train_result r = {0};
+    struct ckpt s;
+    size_t found = 0;
+    char out[FILE_PATH_MAX], path[FILE_PATH_MAX + 64];
+    kit_tmpdir(out);
+    struct train_config c = toy_config(&a, out);
+    c.stop_after = 3;
+    kit_fails(train_again(scene_dir, &c, &r, &e), ERR_CANCEL, e, "step 3");
+    snprintf(path, sizeof path, "%s/cells/all/resume.ckpt", out);
+    kit_ok(ckpt_read(path, &s, &e), e);
+    for (size_t i = 0; i < s.n_blobs; i++)
+        if (!strcmp(s.blobs[i].name, "adam")) {
+            memcpy(s.blobs[i].name, "adam_m1", sizeof "adam_m1");
+            found++;
+        }
+    assert_int_equal(found, 1);
+    kit_ok(ckpt_write(path, s.meta, &s.g, s.blobs, s.n_blobs, &e), e);
+    ckpt_free(&s);
+    c.resume = true;
+    kit_fails(train_again(scene_dir, &c, &r, &e), ERR_FORMAT, e, "begin anew with --overwrite");
+    c.resume = false;
+    c.overwrite = true;
+    kit_fails(train_again(scene_dir, &c, &r, &e), ERR_CANCEL, e, "step 3");
+    kit_rmdir(out);
+    train_result_free(&r);
+    arena_free(&a);
+}
+
 /* One byte more at the end of a file, which no decoder reads. */
 static void lengthen(const char *dir, const char *name)
 {
@@ -1317,6 +1351,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(a_run_goes_on_while_that_gains),
         cmocka_unit_test(a_last_fit_takes_all_photographs),
         cmocka_unit_test(a_damaged_state_is_refused),
+        cmocka_unit_test(a_state_with_wide_moments_is_refused),
         cmocka_unit_test(what_a_run_was_made_of_may_not_change),
         cmocka_unit_test(a_scene_without_points_starts_from_random_ones),
         cmocka_unit_test(cells_of_a_plan_are_trained_on_their_own),

@@ -26,10 +26,10 @@ enum {
     MEMORY_MANY = 30000,
     MEMORY_GROWN = 90000,
     MEMORY_STEPS = 40,
-    /* What a Gaussian may take: 708 are parameters and moments. With appearance three times 16
-     * numbers of its embedding are added, and 16 bytes of its statistics. */
-    MEMORY_LIMIT_BYTES = 1260, /* 96 more than without moments of depth: 12 an intersection */
-    MEMORY_LIMIT_LIGHT_BYTES = MEMORY_LIMIT_BYTES + 3 * 16 * 4 + 16,
+    /* What a Gaussian may take: 472 are parameters and moments. With appearance twice 16 numbers of
+     * its embedding are added, and 16 bytes of its statistics. */
+    MEMORY_LIMIT_BYTES = 1024, /* 96 more than without moments of depth: 12 an intersection */
+    MEMORY_LIMIT_LIGHT_BYTES = MEMORY_LIMIT_BYTES + 2 * 16 * 4 + 16,
 };
 
 /* Memory does not ask what is on the photographs: bands, so that there is something to learn. */
