@@ -20,7 +20,8 @@ INLINE V adam_second(VU word)
     return AS_V(word << 16);
 }
 
-// Of the rows from `row` on in a step. A hash of 32 bits: two rounds of xor-shift and multiply.
+// Random bits of the rows from `row` on in a step: a hash of 32 bits, two rounds of xor-shift and
+// multiply.
 INLINE VU adam_key(uint row, uint step)
 {
     VU x = AS_VU(LANE + (int)row) ^ (step * 0x9e3779b9u);
@@ -29,11 +30,11 @@ INLINE VU adam_key(uint row, uint step)
     return x ^ (x >> 16);
 }
 
-// Both moments of a plane. One more round of the hash; each half of it rounds one of them.
+// Both moments of a plane, each rounded by half of the bits. Planes of a row use the same bits from
+// other places on, which costs one addition: each plane has even and independent bits over rows and
+// steps, and no sum is over planes.
 INLINE VU adam_word(VU key, uint plane, V first, V second)
 {
     VU x = key + plane * 0x9e3779b9u;
-    x = (x ^ (x >> 16)) * 0x7feb352du;
-    x ^= x >> 15;
     return ((AS_VU(first) + (x >> 16)) & 0xffff0000u) | ((AS_VU(second) + (x & 0xffffu)) >> 16);
 }
