@@ -537,8 +537,10 @@ struct dev_timing {
     struct dev_timed {
         const char *name;
         cl_event event;
+        double core_ms;
     } launch[DEV_TIMED_MAX];
     size_t n;
+    bool cores; /* dev_time_cores */
 };
 
 enum err_code dev_time_begin(struct dev *d, struct err *e)
@@ -558,6 +560,20 @@ enum err_code dev_time_begin(struct dev *d, struct err *e)
     d->queue = timed;
     d->timing = t;
     return ERR_OK;
+}
+
+void dev_time_cores(struct dev *d)
+{
+    d->timing->cores = d->is_cpu;
+}
+
+/* Processor seconds of all threads but this one, which only enqueues and waits. */
+static double dev_cores_s(void)
+{
+    struct timespec t;
+    return clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t)
+               ? 0.0
+               : clock_cpu_s() - ((double)t.tv_sec + 1e-9 * (double)t.tv_nsec);
 }
 
 /* Back to the queue that keeps no times. */
@@ -593,6 +609,7 @@ static cl_int dev_timed_add(const struct dev_timed *l, struct dev_time *out, siz
         out[(*n)++] = (struct dev_time){.name = l->name};
     out[at].launches++;
     out[at].ms += (double)(to - from) * 1e-6;
+    out[at].core_ms += l->core_ms;
     return CL_SUCCESS;
 }
 
@@ -660,9 +677,19 @@ static cl_int dev_enqueue(struct dev *d, cl_kernel k, const char *name, size_t g
         dev_trace_drain(d);
     struct dev_timing *t = d->timing && d->timing->n < DEV_TIMED_MAX ? d->timing : NULL;
     cl_event *event = t ? &t->launch[t->n].event : NULL;
-    cl_int code = clEnqueueNDRangeKernel(d->queue, k, 1, NULL, &global, &local, 0, NULL, event);
-    if (t && code == CL_SUCCESS)
-        t->launch[t->n++].name = name;
+    cl_int code = t && t->cores ? clFinish(d->queue) : CL_SUCCESS;
+    double since_s = t && t->cores ? dev_cores_s() : 0.0;
+    if (code == CL_SUCCESS)
+        code = clEnqueueNDRangeKernel(d->queue, k, 1, NULL, &global, &local, 0, NULL, event);
+    if (!t || code != CL_SUCCESS)
+        return code;
+    t->launch[t->n].name = name;
+    t->launch[t->n].core_ms = 0.0;
+    if (t->cores) {
+        code = clFinish(d->queue);
+        t->launch[t->n].core_ms = 1e3 * (dev_cores_s() - since_s);
+    }
+    t->n++;
     return code;
 }
 

@@ -126,9 +126,14 @@ struct dev_time {
     const char *name; /* the name that dev_run was given */
     size_t launches;
     double ms;
+    double core_ms; /* processor time of the threads that ran it; 0 without dev_time_cores */
 };
 enum err_code dev_time_begin(struct dev *d, struct err *e) ERR_USE;
 enum err_code dev_time_end(struct dev *d, struct dev_time *out, size_t max, size_t *n,
                            struct err *e) ERR_USE;
+/* After dev_time_begin, on a device whose threads are those of this process: each launch is waited
+ * for, and its processor time is measured, which other programs on the machine disturb less. What
+ * other threads of this process do meanwhile is counted, too. */
+void dev_time_cores(struct dev *d);
 
 #endif

@@ -212,8 +212,15 @@ static void test_kernels_are_timed_by_name(void **state)
     assert_string_equal(times[1].name, "two");
     assert_int_equal(times[1].launches, 1);
     assert_true(times[0].ms > 0 && times[1].ms > 0);
+    assert_true(times[0].core_ms == 0);
+    kit_ok(dev_time_begin(d, &e), e); /* in processor time, too */
+    dev_time_cores(d);
+    kit_ok(dev_run(d, k, "one", n, 64, &e), e);
+    kit_ok(dev_time_end(d, times, 2, &n_times, &e), e);
+    assert_true(n_times == 1 && times[0].ms > 0);
+    assert_true(d->is_cpu ? times[0].core_ms > 0 : times[0].core_ms == 0);
     kit_ok(dev_read(d, m, 0, sizeof got, &got, &e), e);
-    assert_true(got == 64.0f);
+    assert_true(got == 128.0f);
     dev_release(&m);
     clReleaseKernel(k);
     clReleaseProgram(p);
