@@ -271,8 +271,9 @@ __kernel void photometric_forward(const __global float *color, const __global uc
     part[3] = 0.0f;
 }
 
-/* Horizontal blurs of one row of the three maps into to[3][VECS]. */
-INLINE void backward_row(const __global float *from, size_t plane, float16 *to)
+/* Horizontal blurs of one row of the three maps into to[3][VECS]. A strip's rows are too short for
+ * the hardware to see them coming. */
+INLINE void backward_row(const __global float *from, size_t plane, int pitch, float16 *to)
 {
     float16 v[3][3], blurred[3];
 #pragma unroll
@@ -282,8 +283,10 @@ INLINE void backward_row(const __global float *from, size_t plane, float16 *to)
     }
     for (int j = 0; j < VECS; j++) {
 #pragma unroll
-        for (int m = 0; m < 3; m++)
+        for (int m = 0; m < 3; m++) {
+            PREFETCH(from + m * plane + 2 * pitch + 16 * j);
             v[m][2] = LAYOUT_WIDE(const __global, float, from + m * plane + 16 * (j + 1));
+        }
         blur_rows(v, 3, blurred);
 #pragma unroll
         for (int m = 0; m < 3; m++) {
@@ -339,7 +342,7 @@ __kernel void photometric_backward(const __global float *color, const __global u
             float16 *to = window + (2 * RADIUS + i) * WIDTH;
             if (row >= 0 && row < min(h, y1 + RADIUS))
                 backward_row(maps + ((size_t)c * h + row) * pitch + LAYOUT_LOSS_MARGIN + x0, plane,
-                             to);
+                             pitch, to);
             else
                 for (int j = 0; j < WIDTH; j++)
                     to[j] = (float16)(0.0f);
