@@ -4,7 +4,8 @@
  * A benchmark is a function in bench_NAME.c and a row in benches.def. For each case it calls
  * bench_report, which prints one JSON line on stdout:
  * {"bench","case","value","unit","ratio","against","device"}. Cases of a series also have
- * "gaussians" and "pixels". A table follows at the end. docs/runs/README.md explains the keys. A
+ * "gaussians" and "pixels", and kernels what they had to do (bench_report_kernel). A table follows
+ * at the end. docs/runs/README.md explains the keys. A
  * benchmark never fails because it is slow: other work on the machine is not a bug.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -12,6 +13,7 @@
 #ifndef BENCH_BENCH_H
 #define BENCH_BENCH_H
 
+#include "bench/roofline.h"
 #include "core/base.h"
 #include "core/dev.h"
 
@@ -45,9 +47,28 @@ struct bench {
 /* Reports a case. `ratio` is value over `against` ("DRAM triad", "naive C"). 0 and NULL: none. */
 void bench_report(struct bench *b, const char *case_name, double value, const char *unit,
                   double ratio, const char *against);
+/* As bench_report_at, for a kernel in its launches of a step. value is milliseconds by the device's
+ * clock, ratio is `took_ms` over limit.ms. Adds "took_ms", "bytes", "multiply_adds", "limit_ms" and
+ * "bound" to the line, and a row to a table of its own. */
+void bench_report_kernel(struct bench *b, const char *case_name, double ms, double took_ms,
+                         double ratio, const struct roofline_need *need,
+                         const struct roofline_limit *limit, double gaussians, double pixels);
 /* Reports a case of a series, for so many Gaussians and pixels. */
 void bench_report_at(struct bench *b, const char *case_name, double value, const char *unit,
                      double gaussians, double pixels);
+/* In bench_ceiling.c: both ceilings now, the best of a few runs. On CPUs in processor time of all
+ * cores, as if no other program took a part of it. bench_ceilings_open allocates its arrays. ERR_MEM,
+ * ERR_LIMIT, ERR_DEVICE. */
+struct bench_ceilings {
+    double fma_gflops, triad_gbps;
+};
+struct ceiling;
+enum err_code bench_ceilings_open(struct bench *b, struct ceiling **out, struct err *e) ERR_USE;
+enum err_code bench_ceilings(struct bench *b, struct ceiling *t, struct bench_ceilings *out,
+                             struct err *e) ERR_USE;
+void bench_ceilings_close(struct ceiling **t);
+/* Cores that the device's kernels run on; 1 on a GPU. */
+unsigned bench_cores(const struct bench *b);
 /* Calls fn once and then b->runs times, and gives the median time of these b->runs calls in
  * milliseconds of wall time. spread (may be NULL): half the distance between the quartiles. Errors
  * of fn, ERR_MEM. */

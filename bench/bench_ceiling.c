@@ -5,11 +5,14 @@
  */
 #include "bench/bench.h"
 
+#include <math.h>
+
 extern const char ceiling_cl[];
 
 enum {
     CEILING_ROUNDS = 20000,
     CEILING_CHAINS = 12, /* a round: so many vectors, multiply and add */
+    CEILING_BEST_OF = 5, /* bench_ceilings: runs of a quarter of the rounds */
 };
 
 /* Of a CPU and of a GPU: a GPU has thousands of lanes at work, and more memory than its cache. */
@@ -23,6 +26,7 @@ static const struct ceiling_shape {
 struct ceiling {
     struct dev *dev;
     const struct ceiling_shape *shape;
+    cl_program program;
     cl_kernel fma, triad;
     cl_mem out, a, b, c;
     cl_int rounds;
@@ -59,18 +63,17 @@ static enum err_code ceiling_run_triad(void *user, struct err *e)
     return rc ? rc : dev_finish(t->dev, e);
 }
 
-static enum err_code ceiling_open(struct ceiling *t, struct dev *dev, cl_program *program,
-                                  struct err *e)
+static enum err_code ceiling_open(struct ceiling *t, struct dev *dev, struct err *e)
 {
     const struct dev_source src = {.name = "bench/ceiling.cl", .text = ceiling_cl};
     t->dev = dev;
     t->shape = &ceiling_shapes[dev->vector_width == 1];
     const size_t bytes = ceiling_bytes(t->shape);
-    enum err_code rc = dev_build(dev, &src, 1, "", program, e);
+    enum err_code rc = dev_build(dev, &src, 1, "", &t->program, e);
     if (!rc)
-        rc = dev_kernel(*program, "ceiling_fma", &t->fma, e);
+        rc = dev_kernel(t->program, "ceiling_fma", &t->fma, e);
     if (!rc)
-        rc = dev_kernel(*program, "ceiling_triad", &t->triad, e);
+        rc = dev_kernel(t->program, "ceiling_triad", &t->triad, e);
     if (!rc)
         rc = dev_buffer(dev, t->shape->items * t->shape->lanes * sizeof(float), NULL, &t->out, e);
     cl_mem *arrays[] = {&t->a, &t->b, &t->c};
@@ -82,32 +85,101 @@ static enum err_code ceiling_open(struct ceiling *t, struct dev *dev, cl_program
     return rc;
 }
 
+static void ceiling_close(struct ceiling *t)
+{
+    cl_mem *buffers[] = {&t->out, &t->a, &t->b, &t->c};
+    for (size_t i = 0; i < sizeof buffers / sizeof buffers[0]; i++)
+        dev_release(buffers[i]);
+    if (t->fma)
+        clReleaseKernel(t->fma);
+    if (t->triad)
+        clReleaseKernel(t->triad);
+    if (t->program)
+        clReleaseProgram(t->program);
+}
+
+static double ceiling_flop(const struct ceiling *t)
+{
+    return 2.0 * CEILING_CHAINS * (double)(t->shape->items * t->shape->lanes) * t->rounds;
+}
+
 enum err_code bench_ceiling(struct bench *b, struct err *e)
 {
     struct ceiling t = {0};
-    cl_program program = NULL;
     double fma_ms = 0.0, triad_ms = 0.0;
     t.rounds = b->quick ? CEILING_ROUNDS / 20 : CEILING_ROUNDS;
-    enum err_code rc = ceiling_open(&t, b->dev, &program, e);
+    enum err_code rc = ceiling_open(&t, b->dev, e);
     if (!rc)
         rc = bench_time(b, ceiling_run_fma, &t, &fma_ms, NULL, e);
     if (!rc)
         rc = bench_time(b, ceiling_run_triad, &t, &triad_ms, NULL, e);
     if (!rc) {
-        double flop = 2.0 * CEILING_CHAINS * (double)(t.shape->items * t.shape->lanes);
-        b->fma_gflops = flop * t.rounds / (fma_ms * 1e6);
+        b->fma_gflops = ceiling_flop(&t) / (fma_ms * 1e6);
         b->triad_gbps = 3.0 * (double)ceiling_bytes(t.shape) / (triad_ms * 1e6);
         bench_report(b, "fma", b->fma_gflops, "GFLOP/s", 0.0, NULL);
         bench_report(b, "triad", b->triad_gbps, "GB/s", 0.0, NULL);
     }
-    cl_mem *buffers[] = {&t.out, &t.a, &t.b, &t.c};
-    for (size_t i = 0; i < sizeof buffers / sizeof buffers[0]; i++)
-        dev_release(buffers[i]);
-    if (t.fma)
-        clReleaseKernel(t.fma);
-    if (t.triad)
-        clReleaseKernel(t.triad);
-    if (program)
-        clReleaseProgram(program);
+    ceiling_close(&t);
+    return rc;
+}
+
+/* ---- again and again, between other measurements ---- */
+
+unsigned bench_cores(const struct bench *b)
+{
+    cl_uint cores = 1;
+    if (b->dev->is_cpu && clGetDeviceInfo(b->dev->device, CL_DEVICE_MAX_COMPUTE_UNITS, sizeof cores,
+                                          &cores, NULL) != CL_SUCCESS)
+        cores = 1;
+    return cores;
+}
+
+enum err_code bench_ceilings_open(struct bench *b, struct ceiling **out, struct err *e)
+{
+    struct ceiling *t = *out = mem_array(1, sizeof *t);
+    if (!t)
+        return err_set(e, ERR_MEM, "ceilings: out of memory");
+    enum err_code rc = ceiling_open(t, b->dev, e);
+    t->rounds = b->quick ? CEILING_ROUNDS / 20 : CEILING_ROUNDS / 4;
+    if (!rc) /* the first launch compiles */
+        rc = ceiling_run_fma(t, e);
+    if (!rc)
+        rc = ceiling_run_triad(t, e);
+    if (rc)
+        bench_ceilings_close(out);
+    return rc;
+}
+
+void bench_ceilings_close(struct ceiling **t)
+{
+    if (*t)
+        ceiling_close(*t);
+    mem_free(*t);
+    *t = NULL;
+}
+
+enum err_code bench_ceilings(struct bench *b, struct ceiling *t, struct bench_ceilings *out,
+                             struct err *e)
+{
+    double least[2] = {INFINITY, INFINITY}; /* ms */
+    enum err_code rc = ERR_OK;
+    for (int i = 0; !rc && i < CEILING_BEST_OF; i++) {
+        struct dev_time times[2];
+        size_t n = 0;
+        rc = dev_time_begin(b->dev, e);
+        if (rc)
+            break;
+        dev_time_cores(b->dev);
+        rc = ceiling_run_fma(t, e);
+        if (!rc)
+            rc = ceiling_run_triad(t, e);
+        enum err_code ended = dev_time_end(b->dev, times, 2, &n, e);
+        rc = rc ? rc : ended;
+        for (size_t k = 0; !rc && k < n; k++)
+            least[k] =
+                fmin(least[k], b->dev->is_cpu ? times[k].core_ms / bench_cores(b) : times[k].ms);
+    }
+    out->fma_gflops = ceiling_flop(t) / (least[0] * 1e6);
+    out->triad_gbps = 3.0 * (double)ceiling_bytes(t->shape) / (least[1] * 1e6);
     return rc;
 }

@@ -16,11 +16,13 @@
 #include <string.h>
 
 #include "bench/city.h"
+#include "bench/roofline_count.h"
+#include "core/sort.h"
 #include "loss/photometric.h"
 #include "render/defer.h"
 #include "render/render.h"
 
-enum { SEED = 7, STEP_KERNELS_MAX = 64, STEP_CAMERAS = 6 };
+enum { SEED = 7, STEP_KERNELS_MAX = 64, STEP_CAMERAS = 6, STEP_ROUNDS = 5 };
 enum step_kind { STEP_ALL, STEP_FRUSTUM, STEP_APPEARANCE };
 
 struct step_case {
@@ -378,45 +380,247 @@ enum err_code bench_step_at(struct bench *b, const char *name, size_t n, uint32_
     return rc;
 }
 
-/* What of an iteration each kernel takes, on the device's own clock, and what is left of it: gaps
- * between launches, the host's work and its waiting. */
+/* ---- kernels ---- */
+
+/* A kernel over all turns, and in each round. */
+struct step_kernel {
+    struct dev_time sum;
+    double took_ms[STEP_ROUNDS]; /* of a step, the least of the round's turns */
+};
+
+struct step_kernels {
+    struct step_kernel kernel[STEP_KERNELS_MAX];
+    size_t n;
+    int rounds, turns, steps; /* turns of a round, steps of a turn */
+    struct bench_ceilings ceiling[STEP_ROUNDS];
+    struct roofline_work work; /* of a step */
+};
+
+/* Groups of the list that the step before did not have: they are owed steps. listed: of the step
+ * before, then of this one. */
+static enum err_code step_owed(struct step_case *c, uint8_t *listed, double *owed, struct err *e)
+{
+    const size_t n = c->seen.groups, groups = c->model.groups;
+    uint32_t *list = mem_array(n + 1, sizeof *list);
+    enum err_code rc = list ? ERR_OK : err_set(e, ERR_MEM, "bench_step: out of memory");
+    if (!rc)
+        rc = dev_read(c->dev, c->seen.list, 0, n * sizeof *list, list, e);
+    for (size_t i = 0; !rc && i < n; i++)
+        listed[list[i]] |= 2;
+    *owed = 0.0;
+    for (size_t i = 0; !rc && i < groups; i++) {
+        *owed += listed[i] == 2 ? LAYOUT_LANES : 0;
+        listed[i] >>= 1;
+    }
+    mem_free(list);
+    return rc;
+}
+
+static void step_work_add(struct roofline_work *sum, const struct roofline_work *w, double share)
+{
+    double *const to[] = {&sum->n,       &sum->all,    &sum->owed,    &sum->visible,
+                          &sum->grouped, &sum->lists,  &sum->entries, &sum->drawn,
+                          &sum->blocks,  &sum->pixels, &sum->tiles};
+    const double from[] = {w->n,       w->all,   w->owed,   w->visible, w->grouped, w->lists,
+                           w->entries, w->drawn, w->blocks, w->pixels,  w->tiles};
+    for (size_t i = 0; i < sizeof from / sizeof *from; i++)
+        *to[i] += share * from[i];
+    sum->gpu = w->gpu;
+}
+
+/* The work of a turn, a step in the mean. A turn before it tells whom steps are owed to. */
+static enum err_code step_work(struct step_case *c, struct step_kernels *k, struct err *e)
+{
+    uint8_t *listed = mem_array((size_t)c->model.groups + 1, 1);
+    enum err_code rc = listed ? ERR_OK : err_set(e, ERR_MEM, "bench_step: out of memory");
+    for (int i = 0; !rc && i < 2 * k->steps; i++) {
+        struct roofline_work w = {0};
+        double owed = 0.0;
+        rc = step_once(c, e);
+        if (!rc)
+            rc = roofline_count(c->dev, c->render, &w, e);
+        if (!rc && c->defer)
+            rc = step_owed(c, listed, &owed, e);
+        w.all = c->model.n;
+        w.owed = owed;
+        if (i >= k->steps)
+            step_work_add(&k->work, &w, 1.0 / k->steps);
+    }
+    mem_free(listed);
+    return rc;
+}
+
+static enum err_code step_turn_timed(struct bench *b, struct step_case *c, struct step_kernels *k,
+                                     int round, struct err *e)
+{
+    struct dev_time times[STEP_KERNELS_MAX];
+    size_t n = 0;
+    enum err_code rc = dev_time_begin(b->dev, e), ended = ERR_OK;
+    if (rc)
+        return rc;
+    dev_time_cores(b->dev);
+    for (int i = 0; !rc && i < k->steps; i++)
+        rc = step_once(c, e);
+    ended = dev_time_end(b->dev, times, STEP_KERNELS_MAX, &n, e);
+    rc = rc ? rc : ended;
+    for (size_t i = 0; !rc && i < n; i++) {
+        size_t at = 0;
+        while (at < k->n && strcmp(k->kernel[at].sum.name, times[i].name) != 0)
+            at++;
+        if (at == k->n)
+            k->kernel[k->n++] = (struct step_kernel){.sum = {.name = times[i].name}};
+        struct step_kernel *to = &k->kernel[at];
+        double took_ms = (b->dev->is_cpu ? times[i].core_ms : times[i].ms) / k->steps;
+        to->sum.ms += times[i].ms;
+        to->sum.launches += times[i].launches;
+        if (!(to->took_ms[round] > 0.0) || took_ms < to->took_ms[round])
+            to->took_ms[round] = took_ms;
+    }
+    return rc;
+}
+
+static double step_median(double *v, int n)
+{
+    sort_doubles(v, (size_t)n);
+    return n % 2 ? v[n / 2] : 0.5 * (v[n / 2 - 1] + v[n / 2]);
+}
+
+/* Limits of the rounds, and what was taken, each with the ceilings of its round; *took_ms and
+ * *limit_ms may be sums over kernels. */
+struct step_rounds {
+    double took_ms[STEP_ROUNDS], limit_ms[STEP_ROUNDS];
+};
+
+static void step_medians(const struct step_rounds *r, int rounds, double *took_ms, double *limit_ms,
+                         double *ratio)
+{
+    struct step_rounds s = *r;
+    double ratios[STEP_ROUNDS];
+    for (int i = 0; i < rounds; i++)
+        ratios[i] = r->took_ms[i] / r->limit_ms[i];
+    *took_ms = step_median(s.took_ms, rounds);
+    *limit_ms = step_median(s.limit_ms, rounds);
+    *ratio = step_median(ratios, rounds);
+}
+
+/* Each kernel against its limit, then all of a frame and all of a step. */
+static enum err_code step_report(struct bench *b, const struct step_kernels *k, const char *where,
+                                 struct err *e)
+{
+    const double steps = (double)k->rounds * k->turns * k->steps, cores = bench_cores(b);
+    struct step_rounds sums[2] = {0}; /* of a frame, of a step */
+    struct roofline_need total[2] = {0};
+    double total_ms[2] = {0}, took_ms, limit_ms, ratio;
+    char text[128];
+    for (size_t i = 0; i < k->n; i++) {
+        const struct step_kernel *kernel = &k->kernel[i];
+        struct roofline_need need;
+        struct roofline_limit limit = {0};
+        struct step_rounds rounds = {0};
+        if (!roofline_need(kernel->sum.name, &k->work, &need))
+            return err_set(e, ERR_INTERNAL, "bench_kernels: no formula for %s in roofline.c",
+                           kernel->sum.name);
+        for (int r = 0; r < k->rounds; r++) {
+            limit = roofline_limit(&need, k->ceiling[r].fma_gflops, k->ceiling[r].triad_gbps);
+            rounds.limit_ms[r] = limit.ms;
+            rounds.took_ms[r] = kernel->took_ms[r] / (need.alone ? 1.0 : cores);
+            for (int s = need.frame ? 0 : 1; s < 2; s++) {
+                sums[s].limit_ms[r] += rounds.limit_ms[r];
+                sums[s].took_ms[r] += rounds.took_ms[r];
+            }
+        }
+        for (int s = need.frame ? 0 : 1; s < 2; s++) {
+            total[s].bytes += need.bytes;
+            total[s].multiply_adds += need.multiply_adds;
+            total_ms[s] += kernel->sum.ms / steps;
+        }
+        step_medians(&rounds, k->rounds, &took_ms, &limit.ms, &ratio);
+        snprintf(text, sizeof text, "%s (%.3g launches%s)", kernel->sum.name,
+                 (double)kernel->sum.launches / steps, where);
+        bench_report_kernel(b, text, kernel->sum.ms / steps, took_ms, ratio, &need, &limit,
+                            k->work.all, k->work.pixels);
+    }
+    for (int s = 0; s < 2; s++) {
+        step_medians(&sums[s], k->rounds, &took_ms, &limit_ms, &ratio);
+        const struct roofline_limit limit = {.ms = limit_ms,
+                                             .memory =
+                                                 total[s].bytes / b->triad_gbps >
+                                                 2.0 * total[s].multiply_adds / b->fma_gflops};
+        snprintf(text, sizeof text, "all kernels of a %s%s", s ? "step" : "frame", where);
+        bench_report_kernel(b, text, total_ms[s], took_ms, ratio, &total[s], &limit, k->work.all,
+                            k->work.pixels);
+    }
+    return ERR_OK;
+}
+
+static void step_report_work(struct bench *b, const struct step_kernels *k)
+{
+    const struct roofline_work *w = &k->work;
+    double fma[STEP_ROUNDS], triad[STEP_ROUNDS];
+    const struct {
+        const char *name, *unit;
+        double value;
+    } rows[] = {{"Gaussians of the frame", "Gaussians", w->n},
+                {"visible", "Gaussians", w->visible},
+                {"in groups that are visible", "Gaussians", w->grouped},
+                {"steps are owed to", "Gaussians", w->owed},
+                {"intersections", "intersections", w->lists},
+                {"list entries visited", "intersections", w->entries},
+                {"list entries drawn", "intersections", w->drawn},
+                {"blocks drawn into", "blocks", w->blocks}};
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
+        bench_report_at(b, rows[i].name, rows[i].value, rows[i].unit, w->all, w->pixels);
+    for (int r = 0; r < k->rounds; r++) {
+        fma[r] = k->ceiling[r].fma_gflops;
+        triad[r] = k->ceiling[r].triad_gbps;
+    }
+    bench_report_at(b, "fma, between the turns", step_median(fma, k->rounds), "GFLOP/s", w->all,
+                    w->pixels);
+    bench_report_at(b, "triad, between the turns", step_median(triad, k->rounds), "GB/s", w->all,
+                    w->pixels);
+}
+
+/* What of an iteration each kernel takes, on the device's own clock and against what its bytes and
+ * its arithmetic take at least, and what is left of the iteration: gaps between launches, the
+ * host's work and its waiting.
+ *
+ * Other programs may use the machine. So ceilings and turns of steps are measured in rounds, each
+ * round gives ratios, and medians of these are reported. On a CPU both are in processor time over
+ * the number of cores, of which the least of a round's turns counts. */
 static enum err_code step_kernels(struct bench *b, size_t n, uint32_t w, uint32_t h,
                                   enum step_kind kind, struct err *e)
 {
     struct step_case c;
-    struct dev_time times[STEP_KERNELS_MAX];
-    size_t n_times = 0;
+    struct ceiling *ceiling = NULL;
+    struct step_kernels k = {.rounds = b->runs < STEP_ROUNDS ? 1 : STEP_ROUNDS,
+                             .steps = kind == STEP_FRUSTUM ? STEP_CAMERAS : 1};
+    const char *where = kind == STEP_FRUSTUM ? ", in the frustum" : "";
     double all_ms = 0, kernels_ms = 0;
-    char text[128];
-    enum err_code rc = step_open(b, n, w, h, kind, &c, e), ended;
+    char text[64];
+    k.turns = (b->runs + k.rounds * k.steps - 1) / (k.rounds * k.steps);
+    enum err_code rc = step_open(b, n, w, h, kind, &c, e);
     if (!rc)
         rc = bench_time(b, step_once, &c, &all_ms, NULL, e);
     if (!rc)
-        rc = dev_time_begin(b->dev, e);
-    for (int i = 0; !rc && i < b->runs; i++)
-        rc = step_once(&c, e);
-    if (b->dev->timing) {
-        ended = dev_time_end(b->dev, times, STEP_KERNELS_MAX, &n_times, e);
-        rc = rc ? rc : ended;
+        rc = step_work(&c, &k, e);
+    if (!rc)
+        rc = bench_ceilings_open(b, &ceiling, e);
+    for (int r = 0; !rc && r < k.rounds; r++) {
+        rc = bench_ceilings(b, ceiling, &k.ceiling[r], e);
+        for (int t = 0; !rc && t < k.turns; t++)
+            rc = step_turn_timed(b, &c, &k, r, e);
     }
-    for (size_t i = 0; !rc && i < n_times; i++) {
-        double ms = times[i].ms / b->runs;
-        kernels_ms += ms;
-        snprintf(text, sizeof text, "%s (%.3g launches%s)", times[i].name,
-                 (double)times[i].launches / b->runs,
-                 kind == STEP_FRUSTUM ? ", in the frustum" : "");
-        bench_report_at(b, text, ms, "ms", (double)n, (double)w * h);
-    }
+    if (!rc)
+        rc = step_report(b, &k, where, e);
+    for (size_t i = 0; !rc && i < k.n; i++)
+        kernels_ms += k.kernel[i].sum.ms / (k.rounds * k.turns * k.steps);
     if (!rc) {
-        const struct render_stats *s = render_last_stats(c.render);
-        bench_report_at(b, "visible", (double)s->visible, "Gaussians", (double)n, (double)w * h);
-        bench_report_at(b, "intersections", (double)s->intersections, "intersections", (double)n,
-                        (double)w * h);
+        step_report_work(b, &k);
         bench_report_at(b, "all but kernels", all_ms - kernels_ms, "ms", (double)n, (double)w * h);
-        bench_report_at(
-            b, kind == STEP_FRUSTUM ? "training iteration, in the frustum" : "training iteration",
-            all_ms, "ms", (double)n, (double)w * h);
+        snprintf(text, sizeof text, "training iteration%s", where);
+        bench_report_at(b, text, all_ms, "ms", (double)n, (double)w * h);
     }
+    bench_ceilings_close(&ceiling);
     step_free(&c);
     return rc;
 }

@@ -17,6 +17,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "bench/roofline_count.h"
 #include "codec/ckpt.h"
 #include "core/camera.h"
 #include "core/sort.h"
@@ -149,49 +150,23 @@ static enum err_code trained_check(struct trained *t, struct err *e)
 
 /* How much work the lists were: their entries that blending came to before its tiles were opaque,
  * and the blocks of 4 x 4 pixels that these drew into. Of the last frame, which has hits. */
-static enum err_code trained_visited(const struct trained *t, double *entries, double *blocks,
-                                     struct err *e)
-{
-    const struct render *r = t->render;
-    const size_t bytes = r->tiles * sizeof(uint32_t), n = (size_t)r->intersections;
-    uint32_t *start = mem_array(r->tiles, sizeof *start), *stop = mem_array(r->tiles, sizeof *stop);
-    uint16_t *hits = mem_array(n + 1, sizeof *hits);
-    enum err_code rc = start && stop && hits ? ERR_OK : err_set(e, ERR_MEM, "out of memory");
-    if (!rc)
-        rc = dev_read(t->b->dev, r->tile_start.mem, 0, bytes, start, e);
-    if (!rc)
-        rc = dev_read(t->b->dev, r->tile_stop.mem, 0, bytes, stop, e);
-    if (!rc)
-        rc = dev_read(t->b->dev, r->hits.mem, 0, n * sizeof *hits, hits, e);
-    *entries = *blocks = 0.0;
-    for (size_t i = 0; !rc && i < r->tiles; i++) {
-        *entries += (double)(stop[i] - start[i]);
-        for (uint32_t k = start[i]; k < stop[i]; k++)
-            *blocks += __builtin_popcount(hits[k]);
-    }
-    mem_free(start);
-    mem_free(stop);
-    mem_free(hits);
-    return rc;
-}
-
 static enum err_code trained_lists(struct trained *t, const char *name, struct err *e)
 {
-    double entries = 0.0, blocks = 0.0;
+    struct roofline_work w = {0};
     char text[160];
     t->options.picture = false;
     enum err_code rc = trained_draw(t, e);
     t->options.picture = true;
     if (!rc)
-        rc = trained_visited(t, &entries, &blocks, e);
+        rc = roofline_count_lists(t->b->dev, t->render, &w, e);
     const struct render_stats *s = render_last_stats(t->render);
     const struct {
         const char *name;
         double value;
     } rows[] = {{"visible", s->visible},
                 {"list entries", (double)s->intersections},
-                {"list entries visited", entries},
-                {"blocks drawn into", blocks}};
+                {"list entries visited", w.entries},
+                {"blocks drawn into", w.blocks}};
     for (size_t i = 0; !rc && i < sizeof rows / sizeof *rows; i++) {
         snprintf(text, sizeof text, "%s: %s", name, rows[i].name);
         bench_report(t->b, text, rows[i].value, "", 0, NULL);

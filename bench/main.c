@@ -21,6 +21,9 @@
 struct bench_row {
     const char *bench, *name, *unit, *against;
     double value, ratio;
+    double took_ms; /* of a kernel, with the next two; 0: it is none */
+    struct roofline_need need;
+    struct roofline_limit limit;
 };
 
 enum { BENCH_TEXT_MAX = 160 };
@@ -93,6 +96,29 @@ void bench_report_at(struct bench *b, const char *case_name, double value, const
                             "case", text, "value", value, "unit", unit, "ratio", "against",
                             "series", case_name, "gaussians", gaussians, "pixels", pixels));
     bench_keep(b, text, value, unit, 0.0, NULL);
+}
+
+void bench_report_kernel(struct bench *b, const char *case_name, double ms, double took_ms,
+                         double ratio, const struct roofline_need *need,
+                         const struct roofline_limit *limit, double gaussians, double pixels)
+{
+    const char *bound = limit->memory ? "memory" : "arithmetic", *against = "its limit";
+    char text[BENCH_TEXT_MAX];
+    snprintf(text, sizeof text, "%s: %.0f Gaussians, %.0f pixels", case_name, gaussians, pixels);
+    bench_emit(b,
+               json_pack("{s:s, s:s, s:f, s:s, s:f, s:s, s:s, s:f, s:f, "
+                         "s:f, s:f, s:f, s:f, s:s}",
+                         "bench", b->name, "case", text, "value", ms, "unit", "ms", "ratio", ratio,
+                         "against", against, "series", case_name, "gaussians", gaussians, "pixels",
+                         pixels, "took_ms", took_ms, "bytes", need->bytes, "multiply_adds",
+                         need->multiply_adds, "limit_ms", limit->ms, "bound", bound));
+    size_t at = b->n_rows;
+    bench_keep(b, text, ms, "ms", ratio, against);
+    if (b->n_rows > at) {
+        b->rows[at].took_ms = took_ms;
+        b->rows[at].need = *need;
+        b->rows[at].limit = *limit;
+    }
 }
 
 static enum err_code bench_clock(struct bench *b, double (*now)(void),
@@ -224,6 +250,24 @@ static void print_table(const struct bench *b)
     }
 }
 
+/* What kernels had to do, and what of that binds them. */
+static void print_kernels(const struct bench *b)
+{
+    bool titled = false;
+    for (size_t i = 0; i < b->n_rows; i++) {
+        const struct bench_row *r = &b->rows[i];
+        if (!(r->took_ms > 0.0))
+            continue;
+        if (!titled)
+            fprintf(stderr, "\n%-76s %9s %9s %9s %9s %6s %s\n", "kernel", "MB", "M mul-add",
+                    "took, ms", "limit, ms", "times", "bound by");
+        titled = true;
+        fprintf(stderr, "%-76s %9.4g %9.4g %9.4g %9.4g %6.3g %s\n", r->name, r->need.bytes * 1e-6,
+                r->need.multiply_adds * 1e-6, r->took_ms, r->limit.ms, r->ratio,
+                r->limit.memory ? "memory" : "arithmetic");
+    }
+}
+
 static bool wanted(const struct options_args *args, const struct bench_entry *entry)
 {
     for (size_t i = 0; i < args->n; i++)
@@ -313,8 +357,10 @@ int main(int argc, char **argv)
         log_info("bench", "device name=\"%s\" driver=\"%s\" runs=%d", dev.name, dev.driver, b.runs);
     if (!rc)
         rc = run_all(&b, &args, &e);
-    if (b.n_rows)
+    if (b.n_rows) {
         print_table(&b);
+        print_kernels(&b);
+    }
 out:
     if (rc)
         fprintf(stderr, "citysplat-bench: error: %s\n", e.msg);
