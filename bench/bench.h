@@ -57,8 +57,8 @@ void bench_report_kernel(struct bench *b, const char *case_name, double ms, doub
 void bench_report_at(struct bench *b, const char *case_name, double value, const char *unit,
                      double gaussians, double pixels);
 /* In bench_ceiling.c: both ceilings now, the best of a few runs. On CPUs in processor time of all
- * cores, as if no other program took a part of it. bench_ceilings_open allocates its arrays. ERR_MEM,
- * ERR_LIMIT, ERR_DEVICE. */
+ * cores, as if no other program took a part of it. bench_ceilings_open allocates its arrays.
+ * ERR_MEM, ERR_LIMIT, ERR_DEVICE. */
 struct bench_ceilings {
     double fma_gflops, triad_gbps;
 };
