@@ -47,12 +47,16 @@ struct bench {
 /* Reports a case. `ratio` is value over `against` ("DRAM triad", "naive C"). 0 and NULL: none. */
 void bench_report(struct bench *b, const char *case_name, double value, const char *unit,
                   double ratio, const char *against);
-/* As bench_report_at, for a kernel in its launches of a step. value is milliseconds by the device's
- * clock, ratio is `took_ms` over limit.ms. Adds "took_ms", "bytes", "multiply_adds", "limit_ms" and
- * "bound" to the line, and a row to a table of its own. */
-void bench_report_kernel(struct bench *b, const char *case_name, double ms, double took_ms,
-                         double ratio, const struct roofline_need *need,
-                         const struct roofline_limit *limit, double gaussians, double pixels);
+struct bench_kernel {
+    double ms;             /* by the device's clock */
+    double took_ms, ratio; /* processor time over the cores; over limit.ms */
+    struct roofline_need need;
+    struct roofline_limit limit;
+};
+/* As bench_report_at, for a kernel in its launches of a step. value is k->ms. Adds "took_ms",
+ * "bytes", "multiply_adds", "limit_ms" and "bound" to the line, and a row to a table of its own. */
+void bench_report_kernel(struct bench *b, const char *case_name, const struct bench_kernel *k,
+                         double gaussians, double pixels);
 /* Reports a case of a series, for so many Gaussians and pixels. */
 void bench_report_at(struct bench *b, const char *case_name, double value, const char *unit,
                      double gaussians, double pixels);

@@ -161,7 +161,7 @@ void bench_ceilings_close(struct ceiling **t)
 enum err_code bench_ceilings(struct bench *b, struct ceiling *t, struct bench_ceilings *out,
                              struct err *e)
 {
-    double least[2] = {INFINITY, INFINITY}; /* ms */
+    double least[2] = {(double)INFINITY, (double)INFINITY}; /* ms */
     enum err_code rc = ERR_OK;
     for (int i = 0; !rc && i < CEILING_BEST_OF; i++) {
         struct dev_time times[2];

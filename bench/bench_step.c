@@ -510,45 +510,42 @@ static enum err_code step_report(struct bench *b, const struct step_kernels *k, 
     const double steps = (double)k->rounds * k->turns * k->steps, cores = bench_cores(b);
     struct step_rounds sums[2] = {0}; /* of a frame, of a step */
     struct roofline_need total[2] = {0};
-    double total_ms[2] = {0}, took_ms, limit_ms, ratio;
+    double total_ms[2] = {0};
     char text[128];
     for (size_t i = 0; i < k->n; i++) {
         const struct step_kernel *kernel = &k->kernel[i];
-        struct roofline_need need;
-        struct roofline_limit limit = {0};
+        struct bench_kernel out = {.ms = kernel->sum.ms / steps};
+        struct roofline_need *need = &out.need;
         struct step_rounds rounds = {0};
-        if (!roofline_need(kernel->sum.name, &k->work, &need))
+        if (!roofline_need(kernel->sum.name, &k->work, need))
             return err_set(e, ERR_INTERNAL, "bench_kernels: no formula for %s in roofline.c",
                            kernel->sum.name);
         for (int r = 0; r < k->rounds; r++) {
-            limit = roofline_limit(&need, k->ceiling[r].fma_gflops, k->ceiling[r].triad_gbps);
-            rounds.limit_ms[r] = limit.ms;
-            rounds.took_ms[r] = kernel->took_ms[r] / (need.alone ? 1.0 : cores);
-            for (int s = need.frame ? 0 : 1; s < 2; s++) {
+            out.limit = roofline_limit(need, k->ceiling[r].fma_gflops, k->ceiling[r].triad_gbps);
+            rounds.limit_ms[r] = out.limit.ms;
+            rounds.took_ms[r] = kernel->took_ms[r] / (need->alone ? 1.0 : cores);
+            for (int s = need->frame ? 0 : 1; s < 2; s++) {
                 sums[s].limit_ms[r] += rounds.limit_ms[r];
                 sums[s].took_ms[r] += rounds.took_ms[r];
             }
         }
-        for (int s = need.frame ? 0 : 1; s < 2; s++) {
-            total[s].bytes += need.bytes;
-            total[s].multiply_adds += need.multiply_adds;
-            total_ms[s] += kernel->sum.ms / steps;
+        for (int s = need->frame ? 0 : 1; s < 2; s++) {
+            total[s].bytes += need->bytes;
+            total[s].multiply_adds += need->multiply_adds;
+            total_ms[s] += out.ms;
         }
-        step_medians(&rounds, k->rounds, &took_ms, &limit.ms, &ratio);
+        step_medians(&rounds, k->rounds, &out.took_ms, &out.limit.ms, &out.ratio);
         snprintf(text, sizeof text, "%s (%.3g launches%s)", kernel->sum.name,
                  (double)kernel->sum.launches / steps, where);
-        bench_report_kernel(b, text, kernel->sum.ms / steps, took_ms, ratio, &need, &limit,
-                            k->work.all, k->work.pixels);
+        bench_report_kernel(b, text, &out, k->work.all, k->work.pixels);
     }
     for (int s = 0; s < 2; s++) {
-        step_medians(&sums[s], k->rounds, &took_ms, &limit_ms, &ratio);
-        const struct roofline_limit limit = {.ms = limit_ms,
-                                             .memory =
-                                                 total[s].bytes / b->triad_gbps >
-                                                 2.0 * total[s].multiply_adds / b->fma_gflops};
+        struct bench_kernel out = {.ms = total_ms[s], .need = total[s]};
+        step_medians(&sums[s], k->rounds, &out.took_ms, &out.limit.ms, &out.ratio);
+        out.limit.memory =
+            total[s].bytes / b->triad_gbps > 2.0 * total[s].multiply_adds / b->fma_gflops;
         snprintf(text, sizeof text, "all kernels of a %s%s", s ? "step" : "frame", where);
-        bench_report_kernel(b, text, total_ms[s], took_ms, ratio, &total[s], &limit, k->work.all,
-                            k->work.pixels);
+        bench_report_kernel(b, text, &out, k->work.all, k->work.pixels);
     }
     return ERR_OK;
 }

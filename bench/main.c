@@ -98,26 +98,25 @@ void bench_report_at(struct bench *b, const char *case_name, double value, const
     bench_keep(b, text, value, unit, 0.0, NULL);
 }
 
-void bench_report_kernel(struct bench *b, const char *case_name, double ms, double took_ms,
-                         double ratio, const struct roofline_need *need,
-                         const struct roofline_limit *limit, double gaussians, double pixels)
+void bench_report_kernel(struct bench *b, const char *case_name, const struct bench_kernel *k,
+                         double gaussians, double pixels)
 {
-    const char *bound = limit->memory ? "memory" : "arithmetic", *against = "its limit";
+    const char *bound = k->limit.memory ? "memory" : "arithmetic", *against = "its limit";
     char text[BENCH_TEXT_MAX];
     snprintf(text, sizeof text, "%s: %.0f Gaussians, %.0f pixels", case_name, gaussians, pixels);
-    bench_emit(b,
-               json_pack("{s:s, s:s, s:f, s:s, s:f, s:s, s:s, s:f, s:f, "
-                         "s:f, s:f, s:f, s:f, s:s}",
-                         "bench", b->name, "case", text, "value", ms, "unit", "ms", "ratio", ratio,
-                         "against", against, "series", case_name, "gaussians", gaussians, "pixels",
-                         pixels, "took_ms", took_ms, "bytes", need->bytes, "multiply_adds",
-                         need->multiply_adds, "limit_ms", limit->ms, "bound", bound));
+    bench_emit(b, json_pack("{s:s, s:s, s:f, s:s, s:f, s:s, s:s, s:f, s:f, "
+                            "s:f, s:f, s:f, s:f, s:s}",
+                            "bench", b->name, "case", text, "value", k->ms, "unit", "ms", "ratio",
+                            k->ratio, "against", against, "series", case_name, "gaussians",
+                            gaussians, "pixels", pixels, "took_ms", k->took_ms, "bytes",
+                            k->need.bytes, "multiply_adds", k->need.multiply_adds, "limit_ms",
+                            k->limit.ms, "bound", bound));
     size_t at = b->n_rows;
-    bench_keep(b, text, ms, "ms", ratio, against);
+    bench_keep(b, text, k->ms, "ms", k->ratio, against);
     if (b->n_rows > at) {
-        b->rows[at].took_ms = took_ms;
-        b->rows[at].need = *need;
-        b->rows[at].limit = *limit;
+        b->rows[at].took_ms = k->took_ms;
+        b->rows[at].need = k->need;
+        b->rows[at].limit = k->limit;
     }
 }
 
