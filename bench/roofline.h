@@ -1,6 +1,6 @@
 /* What each kernel of a frame and of a training step has to do at least, and how long a device
  * takes for that: bytes over its memory bandwidth or multiply-adds over its rate of them, whichever
- * is longer. docs/studies/gpu.md and docs/studies/roofline.md have the numbers.
+ * is longer. Results: docs/studies/roofline.md (two cores), docs/studies/gpu.md.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

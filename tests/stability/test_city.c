@@ -1,4 +1,4 @@
-/* A city of a dozen cells, from photographs to tiles with the program itself: F10 (no seam of
+/* A city of nine cells, from photographs to tiles with the program itself: F10 (no seam of
  * geometry between cells, every Gaussian owned once) and what levels of detail save and cost.
  *
  * Without arguments it makes its own small city. With SCENE TRUTH RESULTS CITY.tiles it measures
@@ -29,7 +29,7 @@
 #define SEAM_DB 0.5  /* worse than all pixels, near borders */
 #define LOD_DB 0.3
 #define LOD_SSIM 0.015
-#define LOD_SHARE 0.4
+#define LOD_SHARE 0.35
 enum { CELLS_LEAST = 9, PHOTOS_LEAST = 300, LOD_FAR = 16 };
 
 struct city {
