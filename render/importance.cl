@@ -1,14 +1,17 @@
 // Stage: importance of splats in a frame, for density control. On CPUs it is compiled after
-// blend_cpu.cl and blend_backward.cl, and uses their masks and sums. It repeats the blending of the
+// blend_cpu.cl and blend_backward.cl, and uses their hits and sums. It repeats the blending of the
 // last frame and sums, for every Gaussian, over the pixels in which it was blended:
 //   in   splats, tile_start, intersection_splat, intersection_slot, slot_first, tiles_of,
-//        depth_key: the frame; weight [h][w]: weight of a pixel
+//        depth_key: the frame; hits, tile_stop: what blend drew (CPUs); weight [h][w]: weight of a
+//        pixel
 //   out  slots [intersections][LAYOUT_IMPORTANCE_SLOT] (cleared by the host): weight, 1, alpha T,
 //        distance of the pixel from the mean
 //        sums [n][LAYOUT_IMPORTANCE_SUMS]: those four, then depth in m, half-size in px, 0, 0; all
 //        0 where invisible
 // A slot has one writer and the order is fixed: the same input gives the same bits. The sums are
 // those of Taming 3DGS, Mallick et al. 2024.
+//
+// share_tiles has no weights: it sums 1 and alpha T alone, the other two are 0.
 //
 // removal_tiles has the frame's color [3][h][w] as well, and in place of the weight and the
 // distance sums weight d.d, the squared change of a pixel if this Gaussian alone were not there:
@@ -18,117 +21,36 @@
 
 #if VW == 16
 
+enum { IMPORTANCE_ALL, IMPORTANCE_SHARES, IMPORTANCE_REMOVAL }; // what is summed
+
 struct importance_state { // of each block; pixels beyond the picture's edge have t 0
     float16 t[16], weight[16];
+    float16 rest[16][3]; // of removal: colour from behind what was blended so far
 };
 
-inline void importance_load(struct importance_state *s, __constant struct layout_view *view,
-                            __global const float *weight, uint px, uint py)
-{
-    for (uint k = 0; k < 16; k++) {
-        uint bx = px + 4 * (k & 3), by = py + 4 * (k >> 2);
-        float16 x = (float)bx + BLOCK_X[0], y = (float)by + BLOCK_Y[0];
-        int16 inside = (x < (float)view->width) & (y < (float)view->height);
-        s->weight[k] = backward_block(weight, view->width, view->height, bx, by);
-        s->t[k] = inside ? (float16)(1.0f) : (float16)(0.0f);
-    }
-}
-
-inline void importance_splat(struct importance_state *s, const float *w, float x0, float y0,
-                             uint blocks, __global float *slot)
-{
-    float16 weight = 0.0f, count = 0.0f, shares = 0.0f, dist = 0.0f;
-    struct record e = record_of(w, x0, y0);
-    while (blocks) {
-        uint k = 31 - clz(blocks);
-        blocks ^= 1u << k;
-        float16 dx = block_dx(e.mx, k), dy = block_dy(e.my, k);
-        float16 raw = splat_raw(dx, dy, e.p, e.x_of_y, e.r, e.opacity_log2), t = s->t[k];
-        int16 hit = (t > LAYOUT_TRANSMITTANCE_MIN) & (raw > 0.0f);
-        float16 one = hit ? (float16)(1.0f) : (float16)(0.0f);
-        float16 share = one * MIN_(raw, LAYOUT_ALPHA_MAX) * t;
-        s->t[k] = t - share;
-        weight += one * s->weight[k];
-        count += one;
-        shares += share;
-        dist += one * sqrt(dx * dx + dy * dy);
-    }
-    float16 sums = fold_4(fold_8(weight, count), fold_8(shares, dist));
-    sums = fold_2(sums, sums);
-    vstore4(fold_1(sums, sums).s0123, 0, slot);
-}
-
-// The next n splats of a tile, and the blocks of pixels that each may touch.
-inline void importance_stage(__global const struct layout_splat *splats, __global const uint *which,
-                             uint n, float x0, float y0, uint cull, float *staged, uint *mask)
-{
-    for (uint j = 0; j < n; j++)
-        LAYOUT_WIDE(__private, float, staged + LAYOUT_SPLAT_WORDS * j) =
-            LAYOUT_WIDE(const __global, float, splats + which[j]);
-    for (uint j = 0; j < n; j += 16)
-        blend_masks(staged + LAYOUT_SPLAT_WORDS * j, x0, y0, cull, mask + j);
-}
-
-__kernel void importance_tiles(__constant struct layout_view *view,
-                               __global const struct layout_splat *splats,
-                               __global const uint *tile_start,
-                               __global const uint *intersection_splat,
-                               __global const uint *intersection_slot, __global const float *weight,
-                               __global float *slots)
-{
-    uint tile = (uint)get_global_id(0);
-    if (tile >= view->tiles_x * view->tiles_y)
-        return;
-    uint px = (tile % view->tiles_x) * LAYOUT_TILE, py = (tile / view->tiles_x) * LAYOUT_TILE;
-    float x0 = (float)px + 0.5f, y0 = (float)py + 0.5f;
-    uint at = tile_start[tile], end = tile_start[tile + 1];
-    float staged[BATCH * LAYOUT_SPLAT_WORDS];
-    uint mask[BATCH];
-    struct importance_state s;
-    importance_load(&s, view, weight, px, py);
-    uint active = blend_active(s.t, 0xFFFF);
-    for (uint j = 0; j < BATCH * LAYOUT_SPLAT_WORDS; j += 16)
-        vstore16((float16)(0.0f), 0, staged + j);
-    while (at < end && active) {
-        uint n = min(end - at, (uint)BATCH);
-        importance_stage(splats, intersection_splat + at, n, x0, y0, view->tile_cull, staged, mask);
-        for (uint j = 0; j < n && active; j++) {
-            uint blocks = mask[j] & active;
-            if (blocks)
-                importance_splat(&s, staged + LAYOUT_SPLAT_WORDS * j, x0, y0, blocks,
-                                 slots +
-                                     LAYOUT_IMPORTANCE_SLOT * (size_t)intersection_slot[at + j]);
-            if (j % CHECK_EVERY == CHECK_EVERY - 1)
-                active = blend_active(s.t, active);
-        }
-        at += n;
-    }
-}
-
-struct removal_state { // as importance_state; rest: colour from behind what was blended so far
-    float16 t[16], weight[16], rest[16][3];
-};
-
-inline void removal_load(struct removal_state *s, __constant struct layout_view *view,
-                         __global const float *weight, __global const float *color, uint px,
-                         uint py)
+// kind is a literal, as in the functions below.
+INLINE void importance_load(struct importance_state *s, __constant struct layout_view *view,
+                            __global const float *weight, __global const float *color, uint px,
+                            uint py, const int kind)
 {
     uint w = view->width, h = view->height;
     for (uint k = 0; k < 16; k++) {
         uint bx = px + 4 * (k & 3), by = py + 4 * (k >> 2);
         float16 x = (float)bx + BLOCK_X[0], y = (float)by + BLOCK_Y[0];
         int16 inside = (x < (float)w) & (y < (float)h);
-        s->weight[k] = backward_block(weight, w, h, bx, by);
-        for (uint c = 0; c < 3; c++)
+        if (kind != IMPORTANCE_SHARES)
+            s->weight[k] = backward_block(weight, w, h, bx, by);
+        for (uint c = 0; kind == IMPORTANCE_REMOVAL && c < 3; c++)
             s->rest[k][c] = backward_block(color + c * (size_t)w * h, w, h, bx, by);
         s->t[k] = inside ? (float16)(1.0f) : (float16)(0.0f);
     }
 }
 
-inline void removal_splat(struct removal_state *s, const float *w, float x0, float y0, uint blocks,
-                          __global float *slot)
+// One splat over the blocks that it was drawn into: moves the pixels on and writes the slot.
+INLINE void importance_splat(struct importance_state *s, const float *w, float x0, float y0,
+                             uint blocks, const int kind, __global float *slot)
 {
-    float16 rise = 0.0f, count = 0.0f, shares = 0.0f;
+    float16 first = 0.0f, count = 0.0f, shares = 0.0f, last = 0.0f;
     struct record e = record_of(w, x0, y0);
     while (blocks) {
         uint k = 31 - clz(blocks);
@@ -137,57 +59,105 @@ inline void removal_splat(struct removal_state *s, const float *w, float x0, flo
         float16 raw = splat_raw(dx, dy, e.p, e.x_of_y, e.r, e.opacity_log2), t = s->t[k];
         int16 hit = (t > LAYOUT_TRANSMITTANCE_MIN) & (raw > 0.0f);
         float16 one = hit ? (float16)(1.0f) : (float16)(0.0f);
-        float16 a = one * MIN_(raw, LAYOUT_ALPHA_MAX), share = a * t, odds = a / (1.0f - a);
-        float16 sum = 0.0f;
+        float16 a = one * MIN_(raw, LAYOUT_ALPHA_MAX), share = a * t;
         s->t[k] = t - share;
-        for (uint c = 0; c < 3; c++) {
-            float16 own = share * w[LAYOUT_SPLAT_RGB + c], rest = s->rest[k][c] - own;
-            float16 d = own - rest * odds;
-            s->rest[k][c] = rest;
-            sum = d * d + sum;
-        }
-        rise += s->weight[k] * sum;
         count += one;
         shares += share;
+        if (kind == IMPORTANCE_ALL) {
+            first += one * s->weight[k];
+            last += one * sqrt(dx * dx + dy * dy);
+        }
+        if (kind == IMPORTANCE_REMOVAL) {
+            float16 sum = 0.0f, odds = a / (1.0f - a);
+            for (uint c = 0; c < 3; c++) {
+                float16 own = share * w[LAYOUT_SPLAT_RGB + c], rest = s->rest[k][c] - own;
+                float16 d = own - rest * odds;
+                s->rest[k][c] = rest;
+                sum = d * d + sum;
+            }
+            first += s->weight[k] * sum;
+        }
     }
-    float16 sums = fold_4(fold_8(rise, count), fold_8(shares, (float16)(0.0f)));
+    float16 sums = fold_4(fold_8(first, count), fold_8(shares, last));
     sums = fold_2(sums, sums);
     vstore4(fold_1(sums, sums).s0123, 0, slot);
 }
 
-__kernel void removal_tiles(__constant struct layout_view *view,
+// What blend drew of a tile, as blend_backward goes over it.
+INLINE void importance_tile(__constant struct layout_view *view,
                             __global const struct layout_splat *splats,
                             __global const uint *tile_start,
                             __global const uint *intersection_splat,
-                            __global const uint *intersection_slot, __global const float *weight,
-                            __global float *slots, __global const float *color)
+                            __global const uint *intersection_slot, __global const ushort *hits,
+                            __global const uint *tile_stop, __global float *slots,
+                            __global const float *weight, __global const float *color,
+                            const int kind)
 {
     uint tile = (uint)get_global_id(0);
     if (tile >= view->tiles_x * view->tiles_y)
         return;
     uint px = (tile % view->tiles_x) * LAYOUT_TILE, py = (tile / view->tiles_x) * LAYOUT_TILE;
     float x0 = (float)px + 0.5f, y0 = (float)py + 0.5f;
-    uint at = tile_start[tile], end = tile_start[tile + 1];
+    uint at = tile_start[tile], end = tile_stop[tile];
     float staged[BATCH * LAYOUT_SPLAT_WORDS];
-    uint mask[BATCH];
-    struct removal_state s;
-    removal_load(&s, view, weight, color, px, py);
-    uint active = blend_active(s.t, 0xFFFF);
-    for (uint j = 0; j < BATCH * LAYOUT_SPLAT_WORDS; j += 16)
-        vstore16((float16)(0.0f), 0, staged + j);
-    while (at < end && active) {
-        uint n = min(end - at, (uint)BATCH);
-        importance_stage(splats, intersection_splat + at, n, x0, y0, view->tile_cull, staged, mask);
-        for (uint j = 0; j < n && active; j++) {
-            uint blocks = mask[j] & active;
-            if (blocks)
-                removal_splat(&s, staged + LAYOUT_SPLAT_WORDS * j, x0, y0, blocks,
-                              slots + LAYOUT_IMPORTANCE_SLOT * (size_t)intersection_slot[at + j]);
-            if (j % CHECK_EVERY == CHECK_EVERY - 1)
-                active = blend_active(s.t, active);
+    uint mask[BATCH], slot[BATCH];
+    struct importance_state s;
+    if (at == end)
+        return;
+    importance_load(&s, view, weight, color, px, py, kind);
+    while (at < end) {
+        uint n = 0;
+        for (; at < end && n < BATCH; at++) {
+            PREFETCH(splats + intersection_splat[min(at + BATCH, end - 1)]);
+            uint blocks = hits[at];
+            if (!blocks)
+                continue;
+            mask[n] = blocks;
+            slot[n] = intersection_slot[at];
+            LAYOUT_WIDE(__private, float, staged + LAYOUT_SPLAT_WORDS * n++) =
+                LAYOUT_WIDE(const __global, float, splats + intersection_splat[at]);
         }
-        at += n;
+        for (uint j = 0; j < n; j++) {
+            uint next = slot[min(j + AHEAD, n - 1)];
+            PREFETCH(slots + (size_t)next * LAYOUT_IMPORTANCE_SLOT);
+            importance_splat(&s, staged + LAYOUT_SPLAT_WORDS * j, x0, y0, mask[j], kind,
+                             slots + (size_t)slot[j] * LAYOUT_IMPORTANCE_SLOT);
+        }
     }
+}
+
+__kernel void importance_tiles(__constant struct layout_view *view,
+                               __global const struct layout_splat *splats,
+                               __global const uint *tile_start,
+                               __global const uint *intersection_splat,
+                               __global const uint *intersection_slot,
+                               __global const ushort *hits, __global const uint *tile_stop,
+                               __global float *slots, __global const float *weight)
+{
+    importance_tile(view, splats, tile_start, intersection_splat, intersection_slot, hits,
+                    tile_stop, slots, weight, weight, IMPORTANCE_ALL);
+}
+
+__kernel void share_tiles(__constant struct layout_view *view,
+                          __global const struct layout_splat *splats,
+                          __global const uint *tile_start, __global const uint *intersection_splat,
+                          __global const uint *intersection_slot, __global const ushort *hits,
+                          __global const uint *tile_stop, __global float *slots)
+{
+    importance_tile(view, splats, tile_start, intersection_splat, intersection_slot, hits,
+                    tile_stop, slots, slots, slots, IMPORTANCE_SHARES);
+}
+
+__kernel void removal_tiles(__constant struct layout_view *view,
+                            __global const struct layout_splat *splats,
+                            __global const uint *tile_start,
+                            __global const uint *intersection_splat,
+                            __global const uint *intersection_slot, __global const ushort *hits,
+                            __global const uint *tile_stop, __global float *slots,
+                            __global const float *weight, __global const float *color)
+{
+    importance_tile(view, splats, tile_start, intersection_splat, intersection_slot, hits,
+                    tile_stop, slots, weight, color, IMPORTANCE_REMOVAL);
 }
 
 #else
@@ -197,8 +167,9 @@ __kernel void removal_tiles(__constant struct layout_view *view,
 __kernel __attribute__((reqd_work_group_size(LAYOUT_TILE_PIXELS, 1, 1))) void
 importance_tiles(__constant struct layout_view *v, __global const struct layout_splat *splats,
                  __global const uint *tile_start, __global const uint *intersection_splat,
-                 __global const uint *intersection_slot, __global const float *weight,
-                 __global float *slots)
+                 __global const uint *intersection_slot, __global const ushort *hits,
+                 __global const uint *tile_stop, __global float *slots,
+                 __global const float *weight)
 {
     uint tile = get_group_id(0), lane = get_local_id(0);
     uint x = tile % v->tiles_x * LAYOUT_TILE + lane % LAYOUT_TILE;
@@ -227,10 +198,43 @@ importance_tiles(__constant struct layout_view *v, __global const struct layout_
 }
 
 __kernel __attribute__((reqd_work_group_size(LAYOUT_TILE_PIXELS, 1, 1))) void
+share_tiles(__constant struct layout_view *v, __global const struct layout_splat *splats,
+            __global const uint *tile_start, __global const uint *intersection_splat,
+            __global const uint *intersection_slot, __global const ushort *hits,
+            __global const uint *tile_stop, __global float *slots)
+{
+    uint tile = get_group_id(0), lane = get_local_id(0);
+    uint x = tile % v->tiles_x * LAYOUT_TILE + lane % LAYOUT_TILE;
+    uint y = tile / v->tiles_x * LAYOUT_TILE + lane / LAYOUT_TILE;
+    float t = tile < v->tiles_x * v->tiles_y && x < v->width && y < v->height ? 1.0f : 0.0f;
+    uint begin = tile_start[tile], end = tile_start[tile + 1];
+    __local float2 part[LAYOUT_TILE_PIXELS];
+    for (uint at = begin; at < end; at++) {
+        __global const struct layout_splat *e = splats + intersection_splat[at];
+        float dx = e->mean_x - (float)x - 0.5f, dy = e->mean_y - (float)y - 0.5f;
+        float raw = splat_raw(dx, dy, e->p, e->x_of_y, e->r, e->opacity_log2);
+        float share = MIN_(raw, LAYOUT_ALPHA_MAX) * t;
+        int hit = t > LAYOUT_TRANSMITTANCE_MIN && raw > 0.0f;
+        part[lane] = hit ? (float2)(1.0f, share) : (float2)(0.0f);
+        t = hit ? t - share : t;
+        for (uint half_n = LAYOUT_TILE_PIXELS / 2; half_n; half_n /= 2) {
+            barrier(CLK_LOCAL_MEM_FENCE);
+            if (lane < half_n)
+                part[lane] += part[lane + half_n];
+        }
+        if (lane == 0)
+            vstore4((float4)(0.0f, part[0], 0.0f), 0,
+                    slots + LAYOUT_IMPORTANCE_SLOT * (size_t)intersection_slot[at]);
+        barrier(CLK_LOCAL_MEM_FENCE);
+    }
+}
+
+__kernel __attribute__((reqd_work_group_size(LAYOUT_TILE_PIXELS, 1, 1))) void
 removal_tiles(__constant struct layout_view *v, __global const struct layout_splat *splats,
               __global const uint *tile_start, __global const uint *intersection_splat,
-              __global const uint *intersection_slot, __global const float *weight,
-              __global float *slots, __global const float *color)
+              __global const uint *intersection_slot, __global const ushort *hits,
+              __global const uint *tile_stop, __global float *slots, __global const float *weight,
+              __global const float *color)
 {
     uint tile = get_group_id(0), lane = get_local_id(0);
     uint x = tile % v->tiles_x * LAYOUT_TILE + lane % LAYOUT_TILE;

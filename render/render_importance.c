@@ -14,7 +14,7 @@ enum { IMPORTANCE_LOCAL = 64 };
 struct render_importance {
     struct render *render; /* borrowed */
     cl_program program;
-    cl_kernel tiles, removal, gather;
+    cl_kernel tiles, shares, removal, gather;
     struct frame_buffer sums;
     void *seen; /* sums, mapped for the caller */
 };
@@ -36,6 +36,8 @@ enum err_code render_importance_open(struct render *r, struct render_importance 
     enum err_code rc = dev_build(r->dev, wide ? cpu : gpu, wide ? 5 : 3, NULL, &s->program, e);
     if (!rc)
         rc = dev_kernel(s->program, "importance_tiles", &s->tiles, e);
+    if (!rc)
+        rc = dev_kernel(s->program, "share_tiles", &s->shares, e);
     if (!rc)
         rc = dev_kernel(s->program, "removal_tiles", &s->removal, e);
     if (!rc)
@@ -62,6 +64,8 @@ void render_importance_close(struct render_importance **p)
         return;
     if (s->tiles)
         clReleaseKernel(s->tiles);
+    if (s->shares)
+        clReleaseKernel(s->shares);
     if (s->removal)
         clReleaseKernel(s->removal);
     if (s->gather)
@@ -73,22 +77,25 @@ void render_importance_close(struct render_importance **p)
     *p = NULL;
 }
 
-/* Either kernel over the tiles; only that of removal asks for the colours, which come last. */
+/* One of the kernels over the tiles: that of shares asks for no weights, and only that of removal
+ * for the colours, which come last. */
 static enum err_code render_importance_tiles(struct render_importance *s, cl_kernel tiles,
                                              const char *name, cl_mem weight, struct err *e)
 {
     struct render *r = s->render;
     size_t group = r->dev->vector_width == 1 ? LAYOUT_TILE_PIXELS : 1;
-    cl_mem color = render_color_buffer(r);
-    cl_mem args[] = {r->view_mem,
-                     r->splats.mem,
-                     r->tile_start.mem,
-                     r->intersection_splat.mem,
-                     r->intersection_slot.mem,
-                     weight,
-                     r->slots.mem,
-                     color};
-    cl_uint n = sizeof args / sizeof args[0] - (tiles != s->removal);
+    const cl_mem args[] = {r->view_mem,
+                           r->splats.mem,
+                           r->tile_start.mem,
+                           r->intersection_splat.mem,
+                           r->intersection_slot.mem,
+                           r->hits.mem,
+                           r->tile_stop.mem,
+                           r->slots.mem,
+                           weight,
+                           render_color_buffer(r)};
+    cl_uint n = sizeof args / sizeof args[0];
+    n -= tiles == s->shares ? 2 : tiles != s->removal;
     cl_int bad = CL_SUCCESS;
     for (cl_uint i = 0; i < n; i++)
         bad |= dev_arg(tiles, i, args[i]);
@@ -147,6 +154,12 @@ enum err_code render_importance_run(struct render_importance *s, const struct re
                                     cl_mem weight, const float **sums, struct err *e)
 {
     return render_importance_sum(s, s->tiles, "importance_tiles", m, weight, sums, e);
+}
+
+enum err_code render_share_run(struct render_importance *s, const struct render_model *m,
+                               const float **sums, struct err *e)
+{
+    return render_importance_sum(s, s->shares, "share_tiles", m, NULL, sums, e);
 }
 
 enum err_code render_removal_run(struct render_importance *s, const struct render_model *m,

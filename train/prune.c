@@ -40,8 +40,6 @@ struct prune {
     const struct stage *at;
     const struct footprint *ground;
     struct render_importance *device;
-    cl_mem weight; /* zeros: only alpha T is of interest */
-    size_t weight_bytes;
     struct model_look look;          /* what the last view shows of the model */
     const float *sums;               /* [look.shown.n][PRUNE_SUMS] of that view, mapped */
     float *total;                    /* [n] */
@@ -68,11 +66,7 @@ static enum err_code prune_draw(struct prune *c, size_t nth, double *mse, struct
     if (!rc && c->residuals)
         rc = residual_add(c->residuals, p.name, residual_mse(&p, v.mse), residual_ssim(&p, v.ssim),
                           residual_coverage(c->ground, &p.cam), e);
-    size_t bytes = (size_t)p.cam.width_px * p.cam.height_px * sizeof(float);
-    if (rc || !c->device || bytes <= c->weight_bytes)
-        return rc;
-    rc = dev_reserve(g->engine.dev, bytes, &c->weight, &c->weight_bytes, e);
-    return rc ? rc : dev_zero(g->engine.dev, c->weight, 0, bytes, e);
+    return rc;
 }
 
 /* What a view adds to the scores of a chunk of Gaussians. */
@@ -93,7 +87,7 @@ static enum err_code prune_add_chunk(void *user, size_t chunk, struct err *e)
 /* What the frame that was drawn adds. */
 static enum err_code prune_add(struct prune *c, struct err *e)
 {
-    enum err_code rc = render_importance_run(c->device, &c->look.shown, c->weight, &c->sums, e);
+    enum err_code rc = render_share_run(c->device, &c->look.shown, &c->sums, e);
     if (!rc)
         rc = model_look_map(c->m, &c->look, e);
     if (!rc)
@@ -282,7 +276,6 @@ enum err_code prune_level(struct model *m, struct gallery *g, const struct footp
     mem_free(c.total);
     mem_free(c.views);
     mem_free(c.mse);
-    dev_release(&c.weight);
     mem_free(keep);
     return rc;
 }
