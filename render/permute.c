@@ -7,6 +7,8 @@
  */
 #include "render/permute.h"
 
+#include <string.h>
+
 #include "core/base.h"
 #include "core/pool.h"
 #include "core/simd.h"
@@ -42,6 +44,56 @@ static size_t permute_rows_end(size_t n, size_t chunk)
     return end < permute_groups(n) ? end : permute_groups(n);
 }
 
+/* ---- between planes and rows ---- */
+
+typedef float permute_wide __attribute__((vector_size(16)));
+enum { PERMUTE_WIDE = 4 };
+static_assert((int)PERMUTE_PLANES % (int)PERMUTE_WIDE == 0 &&
+                  (int)PERMUTE_LANES % (int)PERMUTE_WIDE == 0,
+              "planes and lanes of whole vectors");
+
+/* Rows become columns. */
+SIMD_INLINE void permute_turn(permute_wide v[PERMUTE_WIDE])
+{
+    permute_wide a = __builtin_shufflevector(v[0], v[1], 0, 4, 1, 5),
+                 b = __builtin_shufflevector(v[0], v[1], 2, 6, 3, 7),
+                 c = __builtin_shufflevector(v[2], v[3], 0, 4, 1, 5),
+                 d = __builtin_shufflevector(v[2], v[3], 2, 6, 3, 7);
+    v[0] = __builtin_shufflevector(a, c, 0, 1, 4, 5);
+    v[1] = __builtin_shufflevector(a, c, 2, 3, 6, 7);
+    v[2] = __builtin_shufflevector(b, d, 0, 1, 4, 5);
+    v[3] = __builtin_shufflevector(b, d, 2, 3, 6, 7);
+}
+
+/* Rows of a group, all planes that are at hand. */
+SIMD_INLINE void permute_all_out(const float *restrict group, float *restrict rows)
+{
+    for (size_t lane = 0; lane < PERMUTE_LANES; lane += PERMUTE_WIDE)
+        for (size_t p = 0; p < PERMUTE_PLANES; p += PERMUTE_WIDE) {
+            permute_wide v[PERMUTE_WIDE];
+            for (size_t k = 0; k < PERMUTE_WIDE; k++)
+                memcpy(&v[k], group + (p + k) * PERMUTE_LANES + lane, sizeof v[k]);
+            permute_turn(v);
+            for (size_t k = 0; k < PERMUTE_WIDE; k++)
+                memcpy(rows + (lane + k) * PERMUTE_PLANES + p, &v[k], sizeof v[k]);
+        }
+}
+
+/* The same back; row[lane] is NULL for zeros. */
+SIMD_INLINE void permute_all_in(const float *const row[PERMUTE_LANES], float *restrict group)
+{
+    static const float zeros[PERMUTE_PLANES];
+    for (size_t lane = 0; lane < PERMUTE_LANES; lane += PERMUTE_WIDE)
+        for (size_t p = 0; p < PERMUTE_PLANES; p += PERMUTE_WIDE) {
+            permute_wide v[PERMUTE_WIDE];
+            for (size_t k = 0; k < PERMUTE_WIDE; k++)
+                memcpy(&v[k], (row[lane + k] ? row[lane + k] : zeros) + p, sizeof v[k]);
+            permute_turn(v);
+            for (size_t k = 0; k < PERMUTE_WIDE; k++)
+                memcpy(group + (p + k) * PERMUTE_LANES + lane, &v[k], sizeof v[k]);
+        }
+}
+
 /* Rows of a group, `count` of their planes. */
 SIMD_INLINE void permute_rows_out(const float *restrict group, uint32_t count, float *restrict rows)
 {
@@ -70,8 +122,8 @@ SIMD_WIDE static enum err_code permute_lay_aside(void *user, size_t chunk, struc
          g++) {
         const float *from = w->from + (g * w->rows->planes + w->first) * PERMUTE_LANES;
         float *rows = w->aside + g * PERMUTE_LANES * PERMUTE_PLANES;
-        if (w->count == PERMUTE_PLANES) /* a number that the compiler knows */
-            permute_rows_out(from, PERMUTE_PLANES, rows);
+        if (w->count == PERMUTE_PLANES)
+            permute_all_out(from, rows);
         else
             permute_rows_out(from, w->count, rows);
     }
@@ -96,7 +148,7 @@ SIMD_WIDE static enum err_code permute_spread(void *user, size_t chunk, struct e
             row[lane] = zero ? NULL : w->aside + (size_t)(s & ~PERMUTE_NEW) * PERMUTE_PLANES;
         }
         if (w->count == PERMUTE_PLANES)
-            permute_rows_in(row, PERMUTE_PLANES, to);
+            permute_all_in(row, to);
         else
             permute_rows_in(row, w->count, to);
     }

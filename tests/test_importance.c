@@ -145,6 +145,48 @@ static void shares_of_all_add_up_to_what_the_picture_lost(void **state)
     gauss_free(&g);
 }
 
+static enum err_code share_sums(struct render_importance *s, const struct render_model *m,
+                                cl_mem weight, const float **sums, struct err *e)
+{
+    (void)weight;
+    return render_share_run(s, m, sums, e);
+}
+
+/* Both shapes of the kernels; the other sums of a Gaussian are those of importance, to the bit. */
+static void shares_alone_are_the_same_shares(void **state)
+{
+    (void)state;
+    struct gauss g = {0};
+    struct err e = {0};
+    struct dev other = dev;
+    struct render *own = render;
+    float weight[PIXELS];
+    kit_gauss(7, 300, 3.0, 1, 0, &g);
+    for (size_t i = 0; i < g.n; i += 5)
+        g.opacity_logit[i] = 10.0f; /* pixels that stop */
+    for (int i = 0; i < PIXELS; i++)
+        weight[i] = 1.0f;
+    for (int shape = 0; shape < 2; shape++) {
+        struct frame_sums all = run(&g, weight), some = run_by(share_sums, &options, &g, weight);
+        size_t seen = 0;
+        for (size_t i = 0; i < g.n * SUMS; i++) {
+            const bool none = i % SUMS == 0 || i % SUMS == 3;
+            assert_true(some.sums[i] == (none ? 0.0f : all.sums[i]));
+            seen += i % SUMS == 2 && some.sums[i] > 0.0f;
+        }
+        assert_true(seen > 100);
+        mem_free(all.sums);
+        mem_free(some.sums);
+        if (shape)
+            break;
+        other.vector_width = dev.vector_width == 1 ? LAYOUT_LANES : 1;
+        kit_ok(render_open(&other, &render, &e), e);
+    }
+    render_close(&render);
+    render = own;
+    gauss_free(&g);
+}
+
 /* A pixel near a threshold may fall on either side in the two shapes: that is one pixel, at most
  * 1/255 of alpha and at most a picture's diagonal of distance. */
 static void the_other_shape_of_the_kernels_gives_the_same_sums(void **state)
@@ -267,6 +309,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(one_gaussian_is_counted_pixel_by_pixel),
         cmocka_unit_test(shares_of_all_add_up_to_what_the_picture_lost),
+        cmocka_unit_test(shares_alone_are_the_same_shares),
         cmocka_unit_test(the_other_shape_of_the_kernels_gives_the_same_sums),
         cmocka_unit_test(an_empty_view_gives_zeros),
         cmocka_unit_test(a_removal_changes_the_picture_as_predicted),

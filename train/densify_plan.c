@@ -163,15 +163,17 @@ struct densify_lists {
 /* Does it stick out of what photographs show? */
 static enum trim_verdict densify_judge(const struct densify_params *p,
                                        const struct densify_input *in, size_t i,
-                                       const float mean[3])
+                                       const float mean[3], double largest_m)
 {
     double at[3], sigma[3], rot[9];
     if (!p->rim)
         return TRIM_INSIDE;
-    for (uint32_t k = 0; k < 3; k++) {
+    for (uint32_t k = 0; k < 3; k++)
         at[k] = p->origin_enu_m[k] + (double)mean[k];
+    if (trim_is_far(p->rim, at, largest_m))
+        return TRIM_INSIDE;
+    for (uint32_t k = 0; k < 3; k++)
         sigma[k] = exp((double)in->params[densify_at(i, in->planes, LAYOUT_PLANE_SCALE + k)]);
-    }
     densify_rotation(in->params, in->planes, (uint32_t)i, rot);
     return trim_judge(p->rim, at, sigma, rot, p->cut_above_m);
 }
@@ -197,7 +199,7 @@ static enum densify_class densify_classify(const struct densify_params *p,
     if (!(opacity >= p->prune_opacity) || !(largest >= DENSIFY_SMALLEST_M) ||
         (p->prune_above_m > 0.0 && largest > p->prune_above_m) || densify_in_free_space(p, mean))
         return CLASS_PRUNE;
-    enum trim_verdict rim = densify_judge(p, in, i, mean);
+    enum trim_verdict rim = densify_judge(p, in, i, mean, largest);
     if (rim != TRIM_INSIDE)
         return rim == TRIM_OUTSIDE ? CLASS_PRUNE : CLASS_CUT;
     if (densify_is_oversize(p, mean, largest))

@@ -155,7 +155,7 @@ static enum err_code evaluate_one(struct photo_loader *f, size_t nth,
     double gaussians = 0.0, start = 0.0, quickest = HUGE_VAL, lpips = 0.0;
     if (!sum->n_photos)
         rc = src->draw(src->user, &photo.cam, rgb, &gaussians, e);
-    for (int k = 0; !rc && k < EVALUATE_DRAWS; k++) {
+    for (int k = 0; !rc && k < (src->once ? 1 : EVALUATE_DRAWS); k++) {
         start = clock_s();
         rc = src->draw(src->user, &photo.cam, rgb, &gaussians, e);
         quickest = fmin(quickest, clock_s() - start);

@@ -45,6 +45,7 @@ struct evaluate_source {
     struct lpips *lpips;            /* NULL: no weights, no score */
     const struct footprint *ground; /* NULL: no seen_psnr_db */
     struct residual_list *residuals; /* gets a row for each photograph; NULL: none */
+    bool once; /* each photograph is drawn once: seconds of a frame are not what matters */
 };
 /* Adds the PSNR on ground that training photographs show, if that ground fills at least a hundredth
  * of the photograph. ERR_MEM. */

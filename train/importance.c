@@ -255,18 +255,17 @@ struct importance_column { /* one number of each Gaussian of a view, or of all *
 };
 
 /* The finite values above 0 of every step-th row of the model, of those that the view shows: their
- * number; sample may be NULL. Rows that it does not show have none. */
-static size_t importance_sample(const struct importance_column *c, size_t step, float *sample)
+ * number. Rows that it does not show have none. */
+static size_t importance_sample(const struct importance_column *c, uint32_t step, float *sample)
 {
     size_t k = 0;
     const bool all = !c->look || !c->look->groups;
     for (size_t i = 0; i < c->n; i += all ? step : 1) {
         const float x = c->x[c->stride * i];
-        if (!(x > 0.0f) || !isfinite(x) || (!all && model_look_row(c->look, i) % step))
+        if (!(x > 0.0f) || !isfinite(x) ||
+            (!all && step > 1 && (uint32_t)model_look_row(c->look, i) % step))
             continue;
-        if (sample)
-            sample[k] = x;
-        k++;
+        sample[k++] = x;
     }
     return k;
 }
@@ -275,20 +274,19 @@ static size_t importance_sample(const struct importance_column *c, size_t step, 
 static enum err_code importance_column_median(const struct importance_column *c, size_t n_rows,
                                               float *out, struct err *e)
 {
-    size_t step = n_rows / IMPORTANCE_MEDIAN_SAMPLE + 1, k = 0;
+    uint32_t step = (uint32_t)(n_rows / IMPORTANCE_MEDIAN_SAMPLE) + 1;
     *out = 0.0f;
-    for (int pass = 0; !k && pass < 2; pass++, step = 1) { /* few have it: look at all */
-        float *sample;
-        k = importance_sample(c, step, NULL);
-        if (!k)
-            continue;
-        sample = mem_array(k, sizeof *sample);
-        if (!sample)
-            return err_set(e, ERR_MEM, "importance: out of memory for a median of %zu values", k);
-        (void)importance_sample(c, step, sample);
+    float *sample = c->n ? mem_uninit(c->n, sizeof *sample) : NULL;
+    if (!c->n)
+        return ERR_OK;
+    if (!sample)
+        return err_set(e, ERR_MEM, "importance: out of memory for a median of %zu values", c->n);
+    size_t k = importance_sample(c, step, sample);
+    if (!k && step > 1) /* few have it: look at all */
+        k = importance_sample(c, 1, sample);
+    if (k)
         *out = 1.0f / sort_select(sample, k, k / 2);
-        mem_free(sample);
-    }
+    mem_free(sample);
     return ERR_OK;
 }
 

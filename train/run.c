@@ -260,7 +260,8 @@ static enum err_code run_score(struct run *t, struct evaluate_score *out, struct
     struct run_drawing drawing = {&l->model,
                                   {l->engine.render, NULL, gallery_options(&l->gallery, &l->stage),
                                    appearance_train_is_on(&l->appearance) ? &appearance : NULL}};
-    struct evaluate_source source = {.draw = run_draw, .user = &drawing, .ground = l->site.ground};
+    struct evaluate_source source = {
+        .draw = run_draw, .user = &drawing, .ground = l->site.ground, .once = true};
     enum err_code rc = photo_loader_open(&f, &photos, e);
     if (!rc && drawing.model.appearance)
         rc = appearance_view_open(&appearance, &l->appearance.model, l->gallery.scene, e);
