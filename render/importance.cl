@@ -84,14 +84,12 @@ INLINE void importance_splat(struct importance_state *s, const float *w, float x
 }
 
 // What blend drew of a tile, as blend_backward goes over it.
-INLINE void importance_tile(__constant struct layout_view *view,
-                            __global const struct layout_splat *splats,
-                            __global const uint *tile_start,
-                            __global const uint *intersection_splat,
-                            __global const uint *intersection_slot, __global const ushort *hits,
-                            __global const uint *tile_stop, __global float *slots,
-                            __global const float *weight, __global const float *color,
-                            const int kind)
+INLINE void
+importance_tile(__constant struct layout_view *view, __global const struct layout_splat *splats,
+                __global const uint *tile_start, __global const uint *intersection_splat,
+                __global const uint *intersection_slot, __global const ushort *hits,
+                __global const uint *tile_stop, __global float *slots, __global const float *weight,
+                __global const float *color, const int kind)
 {
     uint tile = (uint)get_global_id(0);
     if (tile >= view->tiles_x * view->tiles_y)
@@ -130,9 +128,9 @@ __kernel void importance_tiles(__constant struct layout_view *view,
                                __global const struct layout_splat *splats,
                                __global const uint *tile_start,
                                __global const uint *intersection_splat,
-                               __global const uint *intersection_slot,
-                               __global const ushort *hits, __global const uint *tile_stop,
-                               __global float *slots, __global const float *weight)
+                               __global const uint *intersection_slot, __global const ushort *hits,
+                               __global const uint *tile_stop, __global float *slots,
+                               __global const float *weight)
 {
     importance_tile(view, splats, tile_start, intersection_splat, intersection_slot, hits,
                     tile_stop, slots, weight, weight, IMPORTANCE_ALL);
