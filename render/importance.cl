@@ -180,10 +180,10 @@ importance_tiles(__constant struct layout_view *v, __global const struct layout_
         __global const struct layout_splat *e = splats + intersection_splat[at];
         float dx = e->mean_x - (float)x - 0.5f, dy = e->mean_y - (float)y - 0.5f;
         float raw = splat_raw(dx, dy, e->p, e->x_of_y, e->r, e->opacity_log2);
-        float alpha = MIN_(raw, LAYOUT_ALPHA_MAX);
+        float share = MIN_(raw, LAYOUT_ALPHA_MAX) * t;
         int hit = t > LAYOUT_TRANSMITTANCE_MIN && raw > 0.0f;
-        part[lane] = hit ? (float4)(own, 1.0f, alpha * t, sqrt(dx * dx + dy * dy)) : (float4)(0.0f);
-        t = hit ? t - alpha * t : t;
+        part[lane] = hit ? (float4)(own, 1.0f, share, sqrt(dx * dx + dy * dy)) : (float4)(0.0f);
+        t = hit ? t - share : t;
         for (uint half_n = LAYOUT_TILE_PIXELS / 2; half_n; half_n /= 2) {
             barrier(CLK_LOCAL_MEM_FENCE);
             if (lane < half_n)

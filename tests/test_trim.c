@@ -165,6 +165,23 @@ static void test_places(void **state)
     const double out[3] = {100, 100, 0};
     assert_true(trim_judge(&t, out, small, flat, 1.0) == TRIM_OUTSIDE);
     assert_true(trim_judge(&t, far, small, flat, 1.0) == TRIM_INSIDE); /* a horizon may be */
+    size_t apart = 0; /* what is far is inside however it is turned */
+    for (uint64_t i = 0; i < 4000; i++) {
+        const double x[3] = {240.0 * rng_unit(5, 1, 3 * i) - 120.0,
+                             240.0 * rng_unit(5, 1, 3 * i + 1) - 120.0,
+                             4.0 * rng_unit(5, 1, 3 * i + 2) - 2.0},
+                     sigma[3] = {8.0 * rng_unit(5, 2, 3 * i), 8.0 * rng_unit(5, 2, 3 * i + 1),
+                                 8.0 * rng_unit(5, 2, 3 * i + 2)},
+                     quat[4] = {1.0, rng_normal(5, 3, 3 * i), rng_normal(5, 3, 3 * i + 1),
+                                rng_normal(5, 3, 3 * i + 2)};
+        double rot[9];
+        if (!trim_is_far(&t, x, fmax(fmax(sigma[0], sigma[1]), sigma[2])))
+            continue;
+        camera_quat_to_rot(quat, rot);
+        assert_true(trim_judge(&t, x, sigma, rot, 1.0) == TRIM_INSIDE);
+        apart++;
+    }
+    assert_true(apart > 100 && apart < 3900);
     trim_free(&t);
     footprint_free(&f);
     arena_free(&s.arena);
