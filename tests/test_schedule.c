@@ -22,7 +22,46 @@ static struct train_config defaults(struct arena *a)
     struct err e = {0};
     kit_ok(options_defaults(train_options(), &c, a, &e), e);
     c.level_order = SCHEDULE_COARSE_TO_FINE; /* the published order */
+    memcpy(c.iterations.v, (int64_t[]){15000, 15000, 30000}, sizeof c.iterations.v);
     return c;
+}
+
+/* Nothing asked for: the default's sum, shared as ever, which grows with the photographs and is as
+ * good as asked for otherwise. */
+static void the_default_is_short(void **state)
+{
+    (void)state;
+    struct arena a = {0};
+    struct err e = {0};
+    struct train_config c, one;
+    struct schedule s[3], asked[3];
+    kit_ok(options_defaults(train_options(), &c, &a, &e), e);
+    one = c;
+    one.iterations.one = 7000;
+    one.iterations.n = 1;
+    kit_ok(schedule_make(&c, 600, &cell, s, &e), e);
+    kit_ok(schedule_make(&one, 600, &cell, asked, &e), e);
+    assert_memory_equal(s, asked, sizeof s);
+    assert_int_equal(schedule_asked(&c, 901), 10570); /* 1.51 times */
+    assert_int_equal(schedule_asked(&one, 901), 7000);
+    kit_ok(schedule_make(&c, 901, &cell, s, &e), e);
+    assert_int_equal(s[0].steps + s[1].steps + s[2].steps + s[0].tuned + s[1].tuned, 10570);
+    assert_true(fabs(s[2].kappa - 10570.0 / 60000.0) < 1e-12);
+    assert_true(schedule_full(&c) == 60000.0);
+    c.go_on_db = 0.05;
+    kit_ok(schedule_make(&c, 60, &cell, s, &e), e);
+    assert_true(s[2].most > s[2].steps);
+    c.go_on_db = 0.0;
+    c.level_count = 1;
+    assert_int_equal(schedule_asked(&c, 60), 3500);
+    c.scale_by_images = false;
+    assert_int_equal(schedule_asked(&c, 901), 3500);
+    c.iterations = (struct options_ints){.v = {15000, 15000, 30000}, .n = 3}; /* as published */
+    assert_int_equal(schedule_asked(&c, 60), 0);
+    c.level_count = 3;
+    kit_ok(schedule_make(&c, 60, &cell, s, &e), e);
+    assert_true(s[2].steps == 30000 && s[2].kappa == 1.0);
+    arena_free(&a);
 }
 
 static void cap_rises_from_start_to_exactly_the_budget(void **state)
@@ -452,6 +491,7 @@ int main(void)
         cmocka_unit_test(the_finest_level_can_be_trained_first),
         cmocka_unit_test(opacities_are_reset_to_what_can_be_learnt_from),
         cmocka_unit_test(short_runs_take_larger_steps),
+        cmocka_unit_test(the_default_is_short),
         cmocka_unit_test(cap_rises_from_start_to_exactly_the_budget),
         cmocka_unit_test(cap_has_no_edge_that_divides_by_zero_or_shrinks),
         cmocka_unit_test(full_run_has_the_published_numbers),

@@ -761,7 +761,7 @@ static void a_run_goes_on_while_that_gains(void **state)
     kit_ok(train_again(scene_dir, &c, &r, &e), e);
     assert_int_equal(steps_of(parts, 1), steps_of(whole, 1));
     assert_same_levels_to(1, whole, parts);
-    c.iterations.one = 0;
+    c.iterations = (struct options_ints){.v = {20, 20, 40}}; /* a list */
     c.overwrite = true;
     c.resume = false;
     kit_fails(train_again(scene_dir, &c, &r, &e), ERR_ARG, e, "--go-on-db needs one value");

@@ -44,15 +44,16 @@ static void coarse_first_num(struct options_nums *l, int64_t n_levels)
 }
 
 /* Options of the coarse run: one level that is like the coarsest one of the cells. */
-static struct train_config coarse_config(const struct train_config *cells, const char *resume_path)
+static struct train_config coarse_config(const struct train_config *cells, size_t n_photos,
+                                         const char *resume_path)
 {
     struct train_config c = *cells;
-    const double total = schedule_full(cells);
+    const double total = schedule_full(cells), asked = (double)schedule_asked(cells, n_photos);
     c.iterations.v[0] = c.iterations.v[1] = c.iterations.v[2] = cells->coarse_iterations;
-    if (cells->iterations.one > 0)
-        c.iterations.one = (int64_t)fmax(
-            floor((double)cells->coarse_iterations * (double)cells->iterations.one / total + 0.5),
-            (double)cells->coarse_iterations_min);
+    if (asked > 0.0)
+        c.iterations.one =
+            (int64_t)fmax(floor((double)cells->coarse_iterations * asked / total + 0.5),
+                          (double)cells->coarse_iterations_min);
     c.go_on_db = 0.0;
     c.level_count = 1;
     c.level_order = SCHEDULE_COARSE_TO_FINE; /* of one level there is none */
@@ -125,7 +126,7 @@ void coarse_free(struct coarse *s)
 void coarse_job(const struct run_cell *job, const char *resume_path, struct train_config *cfg,
                 struct run_cell *out)
 {
-    *cfg = coarse_config(job->cfg, resume_path);
+    *cfg = coarse_config(job->cfg, job->n_images, resume_path);
     *out = *job;
     out->cfg = cfg;
     out->shared = NULL;

@@ -21,7 +21,8 @@ static const struct options_spec train_spec = {
              "--resume continues from it. configs/ holds presets with their reasons.",
     .example = "citysplat train scene --iterations 2000 --max-edge-px 400   # a few minutes\n"
                "citysplat train scene --config configs/demo-train.jsonc\n"
-               "citysplat train scene                                       # the full method",
+               "citysplat train scene                                       # 7,000 steps\n"
+               "citysplat train scene --iterations 15000,15000,30000        # as published",
     .defs = train_defs,
     .n_defs = sizeof train_defs / sizeof train_defs[0],
     .min_args = 1,

@@ -2,13 +2,15 @@
  * harmonics, learning rate of positions. All are pure functions of the options, so a resumed run
  * needs no state for them.
  *
- * Lengths grow with the number of photographs, by kappa = max(n / 600, 1), rounded up to two
- * decimals. A run of a given total length (--iterations) is shortened instead. How each interval
- * shrinks then was found by measurements; the reasons stand beside its constant.
+ * Lengths grow with the number of photographs, by max(n / 600, 1), rounded up to two decimals, but
+ * not a total length that was asked for (--iterations). Intervals and rates follow kappa, the run's
+ * part of the published length. How each interval shrinks was found by measurements; the reasons
+ * stand beside its constant.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
 #include <math.h>
+#include <string.h>
 
 #include "cells/cell.h"
 #include "train/config.h"
@@ -19,6 +21,11 @@
 #define SCHEDULE_SIZE_FROM 3000.0       /* first step at which sizes are limited, 3DGS */
 #define SCHEDULE_LOOK 0.1 /* of the steps so far, between looks at a level that goes on */
 enum { SCHEDULE_STEPS_MAX = 1 << 30 };
+
+/* Steps of the levels as published, coarsest first. */
+static const int64_t schedule_published[TRAIN_LEVELS_MAX] = {15000, 15000, 30000};
+/* --iterations when nothing is asked for: docs/decisions/116-default-length.md. */
+static const int64_t schedule_default[TRAIN_LEVELS_MAX] = {1750, 1750, 3500};
 
 /* Half up, as counts are rounded everywhere here. */
 static uint32_t schedule_round(double x)
@@ -35,6 +42,31 @@ static double schedule_kappa(const struct train_config *cfg, size_t n_photos)
     return k > 1.0 ? ceil(100.0 * k - 1e-9) / 100.0 : 1.0;
 }
 
+static bool schedule_is_default(const struct options_ints *n)
+{
+    return n->n <= 1 && !memcmp(n->v, schedule_default, sizeof schedule_default);
+}
+
+/* Steps of a level in a run of full length. */
+static int64_t schedule_base_length(const struct train_config *cfg, size_t level)
+{
+    const struct options_ints *n = &cfg->iterations;
+    return schedule_is_default(n) ? schedule_published[level] : n->v[level];
+}
+
+int64_t schedule_asked(const struct train_config *cfg, size_t n_photos)
+{
+    const struct options_ints *n = &cfg->iterations;
+    int64_t sum = 0;
+    if (n->one > 0)
+        return n->one;
+    if (n->n || !schedule_is_default(n))
+        return 0;
+    for (size_t l = TRAIN_LEVELS_MAX - (size_t)cfg->level_count; l < TRAIN_LEVELS_MAX; l++)
+        sum += schedule_default[l];
+    return (int64_t)schedule_round((double)sum * schedule_kappa(cfg, n_photos));
+}
+
 /* What the lists of the configuration say of each level, the finest last. */
 struct schedule_base {
     int64_t steps, budget, interval;
@@ -45,23 +77,23 @@ struct schedule_base {
  * from those that the level has: half of them at most. */
 static int64_t schedule_base_tuned(const struct train_config *cfg, size_t level)
 {
-    const struct options_ints *n = &cfg->iterations;
     const size_t last = TRAIN_LEVELS_MAX - 1;
-    const int64_t part = (int64_t)schedule_round((double)n->v[last] * cfg->tune_share);
+    const double finest = (double)schedule_base_length(cfg, last);
+    const int64_t part = (int64_t)schedule_round(finest * cfg->tune_share);
+    const int64_t half = schedule_base_length(cfg, level) / 2;
     if (cfg->level_order != SCHEDULE_BOTH || level == last)
         return 0;
-    return part < n->v[level] / 2 ? part : n->v[level] / 2;
+    return part < half ? part : half;
 }
 
 /* Where the finest level is trained first, the others are only fine-tuned: for a part of its steps,
  * unless a list says for how long. */
 static int64_t schedule_base_steps(const struct train_config *cfg, size_t level)
 {
-    const struct options_ints *n = &cfg->iterations;
     const size_t last = TRAIN_LEVELS_MAX - 1;
-    if (cfg->level_order != SCHEDULE_FINE_TO_COARSE || n->n > 1 || level == last)
-        return n->v[level];
-    return (int64_t)schedule_round((double)n->v[last] * cfg->tune_share);
+    if (cfg->level_order != SCHEDULE_FINE_TO_COARSE || cfg->iterations.n > 1 || level == last)
+        return schedule_base_length(cfg, level);
+    return (int64_t)schedule_round((double)schedule_base_length(cfg, last) * cfg->tune_share);
 }
 
 /* One value of --budget and --downsample is the finest level's, and the coarser levels keep their
@@ -254,7 +286,8 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
     enum err_code rc = schedule_check_lists(cfg, e);
     if (rc)
         return rc;
-    if (cfg->go_on_db > 0.0 && cfg->iterations.one <= 0)
+    const int64_t asked = schedule_asked(cfg, n_photos);
+    if (cfg->go_on_db > 0.0 && asked <= 0)
         return err_set(e, ERR_ARG,
                        "--go-on-db needs one value of --iterations, the length from which training "
                        "goes on: 3000 suits most scenes");
@@ -263,8 +296,8 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
     uint32_t n = (uint32_t)cfg->level_count, first = TRAIN_LEVELS_MAX - n;
     double total = schedule_full(cfg), kappa = schedule_kappa(cfg, n_photos), longest = kappa;
     double share = cell->steps_share > 0.0 ? cell->steps_share : 1.0;
-    int64_t left = (int64_t)fmax(floor((double)cfg->iterations.one * share + 0.5), 1.0);
-    kappa = cfg->iterations.one > 0 ? (double)left / total : kappa * share;
+    int64_t left = (int64_t)fmax(floor((double)asked * share + 0.5), 1.0);
+    kappa = asked > 0 ? (double)left / total : kappa * share;
     for (uint32_t l = 0; l < n; l++) {
         const struct schedule_base *b = &base[first + l];
         struct schedule *s = &out[l];
@@ -275,7 +308,7 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
                                .derived = fine_first && l + 1 < n,
                                .mcmc = cfg->strategy};
         double steps = floor((double)b->steps * kappa + 0.5);
-        if (cfg->iterations.one > 0 && l + 1 == n)
+        if (asked > 0 && l + 1 == n)
             steps = (double)left; /* the last level takes what rounding left */
         left -= (int64_t)steps;
         if (!(steps >= 1.0) || steps > SCHEDULE_STEPS_MAX)

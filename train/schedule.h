@@ -46,6 +46,9 @@ struct schedule { /* schedule of one level; steps are 1-based and restart at eve
 struct cell;
 /* --level-order, in the order of options.def. */
 enum schedule_order { SCHEDULE_COARSE_TO_FINE, SCHEDULE_FINE_TO_COARSE, SCHEDULE_BOTH };
+/* Steps of all levels together that --iterations or its default asks for. 0: a list says it of each
+ * level. */
+int64_t schedule_asked(const struct train_config *cfg, size_t n_photos);
 /* Steps of all levels in a run of full length, before they grow with the photographs. */
 double schedule_full(const struct train_config *cfg);
 /* Fills out[0 .. level_count). ERR_ARG: a level would have no steps. */
