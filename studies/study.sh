@@ -414,6 +414,13 @@ study_long() { # what going on does to photographs, and what takes it away
   row long "30000 steps, no resets" "${base[@]}" --iterations 30000 --reset-interval 0
 }
 
+study_long_city() { # the same in a city, by map views too
+  local n MAP_VIEWS=1
+  for n in 2000 8000 30000; do
+    row long_city "$n steps" exact "" --level-count 1 --max-edge-px 240 --iterations "$n"
+  done
+}
+
 study_budgets() { # accuracy against the number of Gaussians
   local b
   for b in 25000 50000 100000 200000 400000; do
@@ -936,7 +943,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full long big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota goes_on thin thin_tricky thin_caliterra thin_ochota side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ochota_cells_light ablation ablation_city cells cells_light
+readonly STUDIES=(time full long long_city big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota goes_on thin thin_tricky thin_caliterra thin_ochota side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ochota_cells_light ablation ablation_city cells cells_light
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {
