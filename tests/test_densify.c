@@ -623,6 +623,28 @@ static void importance_parts_survive_constant_and_empty_input(void **state)
         assert_true(edges[i] == (i == 6 ? 1.0f : 0.0f));
 }
 
+/* Of 5 x 3 pixels the last column and the last row are left out. */
+static void a_photograph_of_half_the_edges_has_the_means_of_four(void **state)
+{
+    (void)state;
+    enum { W = 5, H = 3 };
+    uint8_t px[3 * W * H], mask[W * H], half[3 * 2], half_mask[2];
+    for (uint64_t i = 0; i < sizeof px; i++)
+        px[i] = (uint8_t)(256.0 * rng_unit(6, 1, i));
+    memset(mask, 255, sizeof mask);
+    mask[W + 3] = 0; /* one of the second four */
+    importance_halve(px, 3, W, H, half);
+    importance_halve_mask(mask, W, H, half_mask);
+    for (size_t x = 0; x < 2; x++)
+        for (size_t c = 0; c < 3; c++) {
+            double sum = 0.0;
+            for (size_t k = 0; k < 4; k++)
+                sum += px[3 * (W * (k / 2) + 2 * x + k % 2) + c];
+            assert_int_equal(half[3 * x + c], (int)floor(0.25 * sum + 0.5));
+        }
+    assert_true(half_mask[0] && !half_mask[1]);
+}
+
 static void neighbours_agree_with_looking_at_all_pairs(void **state)
 {
     (void)state;
@@ -699,6 +721,7 @@ int main(void)
         cmocka_unit_test(the_draw_is_proportional_to_the_score),
         cmocka_unit_test(the_draw_has_no_limit_at_two_to_the_24),
         cmocka_unit_test(importance_parts_survive_constant_and_empty_input),
+        cmocka_unit_test(a_photograph_of_half_the_edges_has_the_means_of_four),
         cmocka_unit_test(neighbours_agree_with_looking_at_all_pairs),
         cmocka_unit_test(a_lone_point_does_not_become_a_huge_gaussian),
     };

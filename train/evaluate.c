@@ -39,22 +39,33 @@ static double evaluate_l1(const float *rgb, const uint8_t *target, const uint8_t
     return used ? sum / (double)used : 0.0;
 }
 
+static enum err_code evaluate_brief(const struct photo *p, const float *rgb,
+                                    struct evaluate_score *sum, struct err *e)
+{
+    uint32_t w = p->cam.width_px, h = p->cam.height_px;
+    double psnr, ssim, ssim_valid;
+    enum err_code rc = metric_psnr(rgb, p->px, p->mask, w, h, &psnr, e);
+    if (!rc)
+        rc = metric_ssim_both(rgb, p->px, p->mask, w, h, &ssim, &ssim_valid, e);
+    if (rc)
+        return rc;
+    sum->psnr_db += psnr;
+    sum->ssim += ssim;
+    sum->ssim_valid += ssim_valid;
+    return ERR_OK;
+}
+
 enum err_code evaluate_photo(const struct photo *p, const float *rgb, struct evaluate_score *sum,
                              struct err *e)
 {
     uint32_t w = p->cam.width_px, h = p->cam.height_px;
-    double psnr, ssim, gmsd, ssim_valid;
-    enum err_code rc = metric_psnr(rgb, p->px, p->mask, w, h, &psnr, e);
-    if (!rc)
-        rc = metric_ssim_both(rgb, p->px, p->mask, w, h, &ssim, &ssim_valid, e);
+    double gmsd;
+    enum err_code rc = evaluate_brief(p, rgb, sum, e);
     if (!rc)
         rc = metric_gmsd(rgb, p->px, p->mask, w, h, &gmsd, e);
     if (rc)
         return rc;
     sum->gmsd += gmsd;
-    sum->psnr_db += psnr;
-    sum->ssim += ssim;
-    sum->ssim_valid += ssim_valid;
     sum->l1 += evaluate_l1(rgb, p->px, p->mask, (size_t)w * h * 3);
     return ERR_OK;
 }
@@ -155,7 +166,7 @@ static enum err_code evaluate_one(struct photo_loader *f, size_t nth,
     double gaussians = 0.0, start = 0.0, quickest = HUGE_VAL, lpips = 0.0;
     if (!sum->n_photos)
         rc = src->draw(src->user, &photo.cam, rgb, &gaussians, e);
-    for (int k = 0; !rc && k < (src->once ? 1 : EVALUATE_DRAWS); k++) {
+    for (int k = 0; !rc && k < (src->brief ? 1 : EVALUATE_DRAWS); k++) {
         start = clock_s();
         rc = src->draw(src->user, &photo.cam, rgb, &gaussians, e);
         quickest = fmin(quickest, clock_s() - start);
@@ -164,7 +175,7 @@ static enum err_code evaluate_one(struct photo_loader *f, size_t nth,
         exposure_expose(photo.exposure_ev, rgb, (size_t)photo.cam.width_px * photo.cam.height_px);
     struct evaluate_score one = {0};
     if (!rc)
-        rc = evaluate_photo(&photo, rgb, &one, e);
+        rc = (src->brief ? evaluate_brief : evaluate_photo)(&photo, rgb, &one, e);
     if (!rc && src->ground)
         rc = evaluate_seen(&photo, src->ground, rgb, &one, e);
     if (!rc && src->residuals)

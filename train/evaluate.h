@@ -45,7 +45,8 @@ struct evaluate_source {
     struct lpips *lpips;            /* NULL: no weights, no score */
     const struct footprint *ground; /* NULL: no seen_psnr_db */
     struct residual_list *residuals; /* gets a row for each photograph; NULL: none */
-    bool once; /* each photograph is drawn once: seconds of a frame are not what matters */
+    /* PSNR and SSIM are all that is wanted: l1 and gmsd stay 0, and ms_frame is of one drawing */
+    bool brief;
 };
 /* Adds the PSNR on ground that training photographs show, if that ground fills at least a hundredth
  * of the photograph. ERR_MEM. */

@@ -23,9 +23,13 @@ void importance_free(struct importance **s);
 enum err_code importance_run(struct importance **own, struct model *m, struct gallery *g,
                              const struct stage *at, const float *params, const float *mean_grad,
                              float *score, struct err *e) ERR_USE;
-/* Parts, for tests. importance_stretch maps x to 0..1, or to 0 if all are equal. importance_edges
- * gives edge strengths [h][w], stretched. importance_inverse_median gives 1 / median of the values
- * above 0 among x[0], x[stride] .. x[(n - 1) stride], or 0 if there are none. ERR_MEM. */
+/* Parts, for tests. importance_halve gives means of 2 x 2 pixels [h / 2][w / 2][channels], rounded;
+ * importance_halve_mask is 1 where none of the four is 0. importance_stretch maps x to 0..1, or to
+ * 0 if all are equal. importance_edges gives edge strengths [h][w], stretched.
+ * importance_inverse_median gives 1 / median of the values above 0 among x[0], x[stride] .. x[(n -
+ * 1) stride], or 0 if there are none. ERR_MEM. */
+void importance_halve(const uint8_t *px, uint32_t channels, uint32_t w, uint32_t h, uint8_t *out);
+void importance_halve_mask(const uint8_t *mask, uint32_t w, uint32_t h, uint8_t *out);
 void importance_stretch(float *x, size_t n);
 void importance_edges(const uint8_t *px, uint32_t w, uint32_t h, float *luma, float *out);
 enum err_code importance_inverse_median(const float *x, size_t n, size_t stride, float *out,

@@ -243,7 +243,9 @@ static enum err_code run_draw(void *user, const struct camera *cam, float *rgb, 
     return rc;
 }
 
-static enum err_code run_score(struct run *t, struct evaluate_score *out, struct err *e)
+/* ground: NULL, or of the ground that training photographs show by itself too. */
+static enum err_code run_score(struct run *t, const struct footprint *ground,
+                               struct evaluate_score *out, struct err *e)
 {
     struct level *l = &t->level;
     struct photo_loader *photos = NULL;
@@ -261,7 +263,7 @@ static enum err_code run_score(struct run *t, struct evaluate_score *out, struct
                                   {l->engine.render, NULL, gallery_options(&l->gallery, &l->stage),
                                    appearance_train_is_on(&l->appearance) ? &appearance : NULL}};
     struct evaluate_source source = {
-        .draw = run_draw, .user = &drawing, .ground = l->site.ground, .once = true};
+        .draw = run_draw, .user = &drawing, .ground = ground, .brief = true};
     enum err_code rc = photo_loader_open(&f, &photos, e);
     if (!rc && drawing.model.appearance)
         rc = appearance_view_open(&appearance, &l->appearance.model, l->gallery.scene, e);
@@ -373,7 +375,7 @@ static enum err_code run_finish_level(struct run *t, struct err *e)
         rc = gallery_filter(&l->gallery, &l->stage, &l->model, e);
     (void)timing_turn(&l->timing, TIMING_EVALUATE);
     if (!rc && t->job->n_test)
-        rc = run_score(t, &score, e);
+        rc = run_score(t, NULL, &score, e);
     if (rc == ERR_CANCEL)
         return run_stop(t, e);
     (void)timing_turn(&l->timing, TIMING_CHECKPOINT);
@@ -469,7 +471,7 @@ static enum err_code run_look(struct run *t, bool *more, struct err *e)
     if (!rc)
         rc = gallery_filter(&l->gallery, at, &l->model, e);
     if (!rc)
-        rc = run_score(t, &score, e);
+        rc = run_score(t, l->site.ground, &score, e);
     (void)timing_turn(&l->timing, was);
     if (rc)
         return rc == ERR_CANCEL ? run_stop(t, e) : rc;
@@ -580,7 +582,7 @@ static enum err_code run_refit_level(struct run *t, uint32_t at, struct err *e)
         rc = level_refit_finish(l, e);
     (void)timing_turn(&l->timing, TIMING_EVALUATE);
     if (!rc && t->job->n_test)
-        rc = run_score(t, &score, e);
+        rc = run_score(t, NULL, &score, e);
     level_refit_end(&r, l);
     (void)timing_turn(&l->timing, TIMING_CHECKPOINT);
     if (!rc)
