@@ -261,8 +261,8 @@ enum err_code begin_budget(struct begin *t, struct err *e)
     if (!rc)
         rc = init_count_points(job->scene, job->images, job->n_images, &job->cell, &n_points, e);
     if (!rc && job->coarse)
-        around = init_count_around(job->coarse, job->scene, job->images, t->windows, job->n_images,
-                                   &job->cell);
+        rc = init_count_around(job->coarse, job->scene, job->images, t->windows, job->n_images,
+                               &job->cell, &around, e);
     if (t->shares && job->coarse)
         n_points = 0; /* it begins with as many of the coarse model as are allowed */
     for (int64_t i = 0; i < cfg->level_count; i++)

@@ -257,21 +257,44 @@ enum err_code init_count_points(const struct scene *s, const uint32_t *images, s
 
 /* ---- ground without points ---- */
 
-static bool init_is_seen(const struct scene *s, const uint32_t *images,
-                         const struct camera_window *windows, size_t n_images, const double x[3])
+/* The parts of the photographs that count. */
+struct init_views {
+    struct camera *part; /* [n] */
+    size_t n;
+    size_t last; /* the one that showed the last place: places are asked for in the order of space */
+};
+
+/* Free v->part with mem_free. */
+static enum err_code init_views_open(struct init_views *v, const struct scene *s,
+                                     const uint32_t *images, const struct camera_window *windows,
+                                     size_t n_images, struct err *e)
 {
+    *v = (struct init_views){.part = mem_array(n_images, sizeof *v->part), .n = n_images};
+    if (!v->part && n_images)
+        return err_set(e, ERR_MEM, "init: out of memory for %zu photographs", n_images);
     for (size_t i = 0; i < n_images; i++) {
         const struct camera *full = &s->images[images[i]].cam;
-        struct camera part = windows ? camera_crop(full, &windows[i]) : *full;
-        if (camera_frames(&part, x, 0.0, NULL))
-            return true;
+        v->part[i] = windows ? camera_crop(full, &windows[i]) : *full;
     }
+    return ERR_OK;
+}
+
+static bool init_is_seen(struct init_views *v, const double x[3])
+{
+    if (v->n && camera_frames(&v->part[v->last], x, 0.0, NULL))
+        return true;
+    for (size_t i = 0; i < v->n; i++)
+        if (camera_frames(&v->part[i], x, 0.0, NULL)) {
+            v->last = i;
+            return true;
+        }
     return false;
 }
 
 /* Places on the ground that photographs see and no point marks. out_enu_m: room for all cells,
  * [][3]. */
-static size_t init_ground_places(const struct init_input *in, double *out_enu_m)
+static size_t init_ground_places(const struct init_input *in, struct init_views *views,
+                                 double *out_enu_m)
 {
     const struct footprint *f = in->ground;
     size_t n = 0;
@@ -280,7 +303,7 @@ static size_t init_ground_places(const struct init_input *in, double *out_enu_m)
                        f->corner_m[1] + ((double)(i / f->nx) + 0.5) * f->cell_m,
                        (double)f->ground_m[i]};
         if (f->has_points[i] || !f->views[i] || !isfinite(x[2]) ||
-            !init_is_seen(in->scene, in->images, in->windows, in->n_images, x) ||
+            !init_is_seen(views, x) ||
             (!in->cell->whole && cell_distance(in->cell, x[0], x[1]) > in->cell->edge_m))
             continue;
         memcpy(out_enu_m + 3 * n++, x, sizeof x);
@@ -326,7 +349,11 @@ static enum err_code init_ground(const struct init_input *in, struct init_points
     size_t cells = in->ground->nx * in->ground->ny, n = p->n, taken = 0;
     size_t outside = init_ground_outside(in, p);
     double *place = mem_array(3 * cells, sizeof *place);
-    size_t found = place ? init_ground_places(in, place) : 0;
+    struct init_views views;
+    enum err_code rc =
+        init_views_open(&views, in->scene, in->images, in->windows, in->n_images, e);
+    size_t found = place && !rc ? init_ground_places(in, &views, place) : 0;
+    mem_free(views.part);
     size_t most = (size_t)(in->ground_share * (double)in->limit);
     most = most < in->limit - n ? most : in->limit - n;
     most = most < found ? most : found;
@@ -335,9 +362,8 @@ static enum err_code init_ground(const struct init_input *in, struct init_points
     p->enu_m = enu_m ? enu_m : p->enu_m;
     uint8_t *rgb = mem_resize(p->rgb, 3 * n, 3 * (n + most), 1);
     p->rgb = rgb ? rgb : p->rgb;
-    enum err_code rc = place && enu_m && rgb
-                           ? ERR_OK
-                           : err_set(e, ERR_MEM, "init: out of memory for %zu cells", cells);
+    if (!rc && !(place && enu_m && rgb))
+        rc = err_set(e, ERR_MEM, "init: out of memory for %zu cells", cells);
     for (size_t i = 0; !rc && i < found && taken < most; i++) {
         double left = (double)(found - i), want = (double)(most - taken); /* as above */
         if (rng_unit(in->seed, stream, i) * left >= want)
@@ -449,26 +475,29 @@ enum err_code init_gauss(const struct init_input *in, struct gauss *out, struct 
 
 enum init_part { INIT_INSIDE, INIT_AROUND_IT, INIT_UNSEEN };
 
-static enum init_part init_part(const struct gauss *coarse, size_t row, const struct scene *s,
-                                const uint32_t *images, const struct camera_window *windows,
-                                size_t n_images, const struct cell *cell)
+static enum init_part init_part(const struct gauss *coarse, size_t row, struct init_views *views,
+                                const struct cell *cell)
 {
     double x[3];
     for (int k = 0; k < 3; k++)
         x[k] = coarse->origin_enu_m[k] + (double)coarse->mean_m[3 * row + k];
     if (cell_distance(cell, x[0], x[1]) <= 0.0)
         return INIT_INSIDE;
-    return init_is_seen(s, images, windows, n_images, x) ? INIT_AROUND_IT : INIT_UNSEEN;
+    return init_is_seen(views, x) ? INIT_AROUND_IT : INIT_UNSEEN;
 }
 
-size_t init_count_around(const struct gauss *coarse, const struct scene *s, const uint32_t *images,
-                         const struct camera_window *windows, size_t n_images,
-                         const struct cell *cell)
+enum err_code init_count_around(const struct gauss *coarse, const struct scene *s,
+                                const uint32_t *images, const struct camera_window *windows,
+                                size_t n_images, const struct cell *cell, size_t *out,
+                                struct err *e)
 {
-    size_t n = 0;
-    for (size_t i = 0; i < coarse->n; i++)
-        n += init_part(coarse, i, s, images, windows, n_images, cell) == INIT_AROUND_IT;
-    return n;
+    struct init_views views;
+    enum err_code rc = init_views_open(&views, s, images, windows, n_images, e);
+    *out = 0;
+    for (size_t i = 0; !rc && i < coarse->n; i++)
+        *out += init_part(coarse, i, &views, cell) == INIT_AROUND_IT;
+    mem_free(views.part);
+    return rc;
 }
 
 /* An even random choice of `most` of n rows, in place. Returns the logarithm of how much longer
@@ -493,15 +522,16 @@ enum err_code init_coarse(const struct init_input *in, const struct gauss *coars
              *around = mem_array(coarse->n, sizeof *rows);
     size_t n = 0, n_around = 0, most = 0;
     float longer = 0.0f;
+    struct init_views views;
     *out = (struct gauss){0};
-    enum err_code rc = ERR_OK;
-    if (!rows || !around) {
+    enum err_code rc =
+        init_views_open(&views, in->scene, in->images, in->windows, in->n_images, e);
+    if (!rc && (!rows || !around))
         rc = err_set(e, ERR_MEM, "init: out of memory for %zu Gaussians", (size_t)coarse->n);
+    if (rc)
         goto end;
-    }
     for (size_t i = 0; i < coarse->n; i++) {
-        enum init_part part =
-            init_part(coarse, i, in->scene, in->images, in->windows, in->n_images, in->cell);
+        enum init_part part = init_part(coarse, i, &views, in->cell);
         if (part == INIT_INSIDE)
             rows[n++] = (uint32_t)i;
         else if (part == INIT_AROUND_IT)
@@ -524,6 +554,7 @@ enum err_code init_coarse(const struct init_input *in, const struct gauss *coars
     if (rc)
         gauss_free(out);
 end:
+    mem_free(views.part);
     mem_free(rows);
     mem_free(around);
     return rc;

@@ -51,9 +51,10 @@ enum err_code init_neighbour_dist2(const float *xyz, size_t n, float *dist2, str
  * last init_count_around rows. Free *out with gauss_free. ERR_MEM. */
 enum err_code init_coarse(const struct init_input *in, const struct gauss *coarse,
                           struct gauss *out, struct err *e) ERR_USE;
-size_t init_count_around(const struct gauss *coarse, const struct scene *s, const uint32_t *images,
-                         const struct camera_window *windows, size_t n_images,
-                         const struct cell *cell);
+enum err_code init_count_around(const struct gauss *coarse, const struct scene *s,
+                                const uint32_t *images, const struct camera_window *windows,
+                                size_t n_images, const struct cell *cell, size_t *out,
+                                struct err *e) ERR_USE;
 /* The squared size of the first Gaussians [n], as in init_gauss. It is limited to three times the
  * median size of the nine nearest points, so that an isolated point does not become huge. ERR_MEM,
  * ERR_LIMIT as in knn_build. */
