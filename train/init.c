@@ -261,7 +261,8 @@ enum err_code init_count_points(const struct scene *s, const uint32_t *images, s
 struct init_views {
     struct camera *part; /* [n] */
     size_t n;
-    size_t last; /* the one that showed the last place: places are asked for in the order of space */
+    size_t
+        last; /* the one that showed the last place: places are asked for in the order of space */
 };
 
 /* Free v->part with mem_free. */
@@ -302,8 +303,7 @@ static size_t init_ground_places(const struct init_input *in, struct init_views 
         double x[3] = {f->corner_m[0] + ((double)(i % f->nx) + 0.5) * f->cell_m,
                        f->corner_m[1] + ((double)(i / f->nx) + 0.5) * f->cell_m,
                        (double)f->ground_m[i]};
-        if (f->has_points[i] || !f->views[i] || !isfinite(x[2]) ||
-            !init_is_seen(views, x) ||
+        if (f->has_points[i] || !f->views[i] || !isfinite(x[2]) || !init_is_seen(views, x) ||
             (!in->cell->whole && cell_distance(in->cell, x[0], x[1]) > in->cell->edge_m))
             continue;
         memcpy(out_enu_m + 3 * n++, x, sizeof x);
@@ -350,8 +350,7 @@ static enum err_code init_ground(const struct init_input *in, struct init_points
     size_t outside = init_ground_outside(in, p);
     double *place = mem_array(3 * cells, sizeof *place);
     struct init_views views;
-    enum err_code rc =
-        init_views_open(&views, in->scene, in->images, in->windows, in->n_images, e);
+    enum err_code rc = init_views_open(&views, in->scene, in->images, in->windows, in->n_images, e);
     size_t found = place && !rc ? init_ground_places(in, &views, place) : 0;
     mem_free(views.part);
     size_t most = (size_t)(in->ground_share * (double)in->limit);
@@ -524,8 +523,7 @@ enum err_code init_coarse(const struct init_input *in, const struct gauss *coars
     float longer = 0.0f;
     struct init_views views;
     *out = (struct gauss){0};
-    enum err_code rc =
-        init_views_open(&views, in->scene, in->images, in->windows, in->n_images, e);
+    enum err_code rc = init_views_open(&views, in->scene, in->images, in->windows, in->n_images, e);
     if (!rc && (!rows || !around))
         rc = err_set(e, ERR_MEM, "init: out of memory for %zu Gaussians", (size_t)coarse->n);
     if (rc)
