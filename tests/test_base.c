@@ -559,12 +559,12 @@ static void mem_room_doubles_and_keeps(void **state)
     mem_free(list);
 }
 
-/* A factor gives its matrix again, sides that are solved together have the bits of one alone, and a
- * matrix that is singular in its last row is refused. */
+/* A factor gives its matrix again, what is solved solves it, and a matrix that is singular in its
+ * last row is refused. */
 static void small_systems_are_factored_and_solved(void **state)
 {
     enum { N = 7, STRIDE = 9 };
-    double a[N][STRIDE] = {{0}}, l[N][STRIDE], x[N][CHOLESKY_SIDES];
+    double a[N][STRIDE] = {{0}}, l[N][STRIDE];
     (void)state;
     for (size_t k = 0; k < 2 * N; k++)
         for (size_t i = 0; i < N; i++)
@@ -583,31 +583,59 @@ static void small_systems_are_factored_and_solved(void **state)
             assert_true(fabs(sum - a[i][j]) < 1e-12);
             assert_true(l[i][j] == l[j][i]);
         }
-    for (size_t side = 0; side < CHOLESKY_SIDES; side++)
-        for (size_t i = 0; i < N; i++)
-            x[i][side] = rng_unit(2, side, i);
-    cholesky_solve_sides(&l[0][0], N, STRIDE, x);
-    for (size_t side = 0; side < CHOLESKY_SIDES; side++) {
-        double one[N];
-        for (size_t i = 0; i < N; i++)
-            one[i] = rng_unit(2, side, i);
-        cholesky_solve(&l[0][0], N, STRIDE, one, one);
-        for (size_t i = 0; i < N; i++) {
-            double sum = -rng_unit(2, side, i);
-            for (size_t j = 0; j < N; j++)
-                sum += a[i][j] * one[j];
-            assert_true(fabs(sum) < 1e-10);
-            assert_true(x[i][side] == one[i]);
-        }
+    double x[N];
+    for (size_t i = 0; i < N; i++)
+        x[i] = rng_unit(2, 0, i);
+    cholesky_solve(&l[0][0], N, STRIDE, x, x);
+    for (size_t i = 0; i < N; i++) {
+        double sum = -rng_unit(2, 0, i);
+        for (size_t j = 0; j < N; j++)
+            sum += a[i][j] * x[j];
+        assert_true(fabs(sum) < 1e-10);
     }
     for (size_t j = 0; j < N; j++) /* the last row is the one before */
         a[N - 1][j] = j + 1 < N ? a[N - 2][j] : a[N - 2][N - 2];
     assert_false(cholesky_factor(&a[0][0], N, STRIDE));
 }
 
+/* Each lane as if it were alone, to the bit; one of them is not positive definite. */
+static void systems_side_by_side_are_those_alone(void **state)
+{
+    (void)state;
+    enum { N = 7, STRIDE = 9, BAD = 3 };
+    double a[N * STRIDE][CHOLESKY_LANES] = {{0}}, x[N][CHOLESKY_RIGHT][CHOLESKY_LANES];
+    double one[CHOLESKY_LANES][N * STRIDE] = {{0}};
+    bool ok[CHOLESKY_LANES];
+    for (size_t lane = 0; lane < CHOLESKY_LANES; lane++)
+        for (size_t i = 0; i < N; i++)
+            for (size_t j = 0; j <= i; j++) {
+                double v = rng_unit(7, lane, N * i + j) + (i == j ? (double)N : 0.0);
+                a[i * STRIDE + j][lane] = one[lane][i * STRIDE + j] = lane == BAD ? -v : v;
+            }
+    for (size_t i = 0; i < N; i++)
+        for (size_t side = 0; side < CHOLESKY_RIGHT; side++)
+            for (size_t lane = 0; lane < CHOLESKY_LANES; lane++)
+                x[i][side][lane] = rng_unit(8, lane, N * side + i);
+    cholesky_factor_lanes(a, N, STRIDE, ok);
+    cholesky_solve_lanes(a, N, STRIDE, x);
+    for (size_t lane = 0; lane < CHOLESKY_LANES; lane++) {
+        assert_int_equal(cholesky_factor(one[lane], N, STRIDE), lane != BAD);
+        assert_int_equal(ok[lane], lane != BAD);
+        for (size_t side = 0; lane != BAD && side < CHOLESKY_RIGHT; side++) {
+            double alone[N];
+            for (size_t i = 0; i < N; i++)
+                alone[i] = rng_unit(8, lane, N * side + i);
+            cholesky_solve(one[lane], N, STRIDE, alone, alone);
+            for (size_t i = 0; i < N; i++)
+                assert_true(x[i][side][lane] == alone[i]);
+        }
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(systems_side_by_side_are_those_alone),
         cmocka_unit_test(err_set_keeps_arguments_that_point_into_the_message),
         cmocka_unit_test(mem_array_refuses_overflow_and_fails_on_demand),
         cmocka_unit_test(mem_room_doubles_and_keeps),
