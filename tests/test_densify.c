@@ -313,6 +313,43 @@ static void arrays_free(struct arrays *a)
     mem_free(a->moments);
 }
 
+/* Where the order is kept, row d of the plan is row d, and halves are those of the plan. */
+static void a_kept_order_is_that_of_the_plan(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct toy t = toy_make(500);
+    struct densify_params p = params_of(&everything, 700, 0);
+    struct densify_input in = input_of(&t, false);
+    struct densify_plan plan;
+    struct densify_order order;
+    size_t halves = 0, fresh = 0;
+    for (size_t i = 0; i < t.n; i++)
+        t.grad[i] = i % 3 ? 0.0f : 100.0f;
+    for (size_t i = 0; i < t.n; i += 6) /* every other candidate is large */
+        for (uint32_t k = 3; k < 6; k++)
+            *at(t.params, i, k) = logf(2.0f * (float)p.split_above_m);
+    p.keep_order = true;
+    kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
+    kit_ok(densify_order(&p, &in, &plan, &order, &e), e);
+    assert_int_equal(order.rows.n, plan.n);
+    for (size_t d = 0; d < plan.n; d++) {
+        const bool keeps = plan.rows[d].kind == DENSIFY_KEEP,
+                   half =
+                       plan.rows[d].kind == DENSIFY_SPLIT_A || plan.rows[d].kind == DENSIFY_SPLIT_B;
+        assert_int_equal(order.rows.source[d], plan.rows[d].source | (keeps ? 0 : PERMUTE_NEW));
+        assert_true(!d || plan.rows[d - 1].source <= plan.rows[d].source);
+        if (half)
+            assert_int_equal(order.split[halves++], d);
+        fresh += !keeps;
+    }
+    assert_int_equal(halves, order.n_split);
+    assert_true(halves > 0 && fresh > 100);
+    densify_order_free(&order);
+    densify_plan_free(&plan);
+    toy_free(&t);
+}
+
 /* Count the rows of a plan by side, children of splits at their own places. */
 static void count_sides(const struct densify_params *p, const struct toy *t,
                         struct densify_plan *plan, size_t *inside, size_t *outside)
@@ -720,6 +757,7 @@ int main(void)
         cmocka_unit_test(the_draw_takes_exactly_k_different_ones),
         cmocka_unit_test(the_draw_is_proportional_to_the_score),
         cmocka_unit_test(the_draw_has_no_limit_at_two_to_the_24),
+        cmocka_unit_test(a_kept_order_is_that_of_the_plan),
         cmocka_unit_test(importance_parts_survive_constant_and_empty_input),
         cmocka_unit_test(a_photograph_of_half_the_edges_has_the_means_of_four),
         cmocka_unit_test(neighbours_agree_with_looking_at_all_pairs),

@@ -38,6 +38,7 @@
  * sizes that tiles cut. */
 #define DENSIFY_CUT_SPACINGS 1.0
 #define DENSIFY_CUT_LEAST 2.5
+enum { DENSIFY_SORT_EVERY = 4 };
 
 static_assert((int)DENSIFY_PART == (int)MODEL_PART, "parts that are told leave memory");
 
@@ -156,6 +157,13 @@ static double densify_prune_above(const struct train_config *c, const struct cel
                : 0.0;
 }
 
+/* Children come next to their parents, and a Gaussian moves little until the next time: rows are
+ * put along the curve every few times, and at last. */
+static bool densify_keeps_order(const struct schedule *s, uint32_t x)
+{
+    return x % DENSIFY_SORT_EVERY != 1 && x < schedule_densify_count(s);
+}
+
 static struct densify_params densify_make_params(const struct model *m, const struct densify_run *r,
                                                  uint32_t x)
 {
@@ -175,6 +183,7 @@ static struct densify_params densify_make_params(const struct model *m, const st
         .split = (enum densify_split)c->split,
         .prune_opacity = c->prune_opacity,
         .prune_above_m = limits ? densify_prune_above(c, &site->cell, spacing_m) : 0.0,
+        .keep_order = densify_keeps_order(s, x),
         .seed = (uint64_t)c->seed,
         .level = s->level,
         .step = r->at->step,

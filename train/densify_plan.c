@@ -662,17 +662,19 @@ static enum err_code densify_means(void *user, size_t from, size_t to, float *ou
     return rc;
 }
 
-/* Along the curve; which row of the plan comes where is forgotten once rows and halves are known.
- */
+/* Along the curve, or as they are; which row of the plan comes where is forgotten once rows and
+ * halves are known. */
 static enum err_code densify_sort(struct densify_scan *s, uint32_t *source, struct densify_order *o,
                                   struct err *e)
 {
     const struct densify_plan *plan = s->plan;
     const struct gauss_places places = {plan->n, densify_means, s};
     size_t n = 0, shared = 0;
-    enum err_code rc = gauss_morton_order_of(&places, source, e);
+    enum err_code rc = s->p->keep_order ? ERR_OK : gauss_morton_order_of(&places, source, e);
     if (rc)
         return rc;
+    for (size_t d = 0; s->p->keep_order && d < plan->n; d++)
+        source[d] = (uint32_t)d;
     for (size_t d = 0; d < plan->n; d++) {
         o->n_split += densify_is_half(plan->rows[d]);
         o->n_shared += plan->rows[d].kind == DENSIFY_SHARE;

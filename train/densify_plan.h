@@ -53,6 +53,7 @@ struct densify_params {
     const struct trim
         *rim; /* where the photographs end: Gaussians outside are removed; NULL: not known */
     double cut_above_m; /* larger ones that reach out of the photographs are split first */
+    bool keep_order;    /* no row goes far: children come behind their parents' places */
     uint64_t seed;
     uint32_t level, step;
 };
@@ -92,7 +93,8 @@ enum err_code densify_plan_make(const struct densify_params *p, const struct den
 enum err_code densify_plan_score(const struct densify_params *p, const struct densify_input *in,
                                  struct densify_plan *plan, struct err *e) ERR_USE;
 void densify_plan_free(struct densify_plan *p);
-/* The rows of a plan, in the order of their new means along a Morton curve. */
+/* The rows of a plan, in the order of their new means along a Morton curve, or as they are in the
+ * plan, where the order is kept. */
 struct densify_order {       /* {0} is empty; free with densify_order_free */
     struct permutation rows; /* sources of the rows; all but kept ones are PERMUTE_NEW */
     uint32_t *split;         /* [n_split] rows that are halves */
