@@ -10,6 +10,8 @@
 //   expanded_tile, expanded_splat, expanded_slot [intersections]: in depth order
 //   bin_offset [chunk][stride], stride = tiles rounded up to 16
 // `cap` is the room for intersections. The host has made enough; nothing is ever written beyond it.
+// Neighbours in the depth order lie in different tiles: bin_scatter writes a few words to each of
+// thousands of lines, and asks for them before.
 // Local size 1: one work-item is one chunk.
 
 #define AHEAD 16
@@ -57,9 +59,12 @@ __kernel void bin_expand(__constant struct layout_view *view, __global const uin
     const uint8 burst = (uint8)(0, 1, 2, 3, 4, 5, 6, 7);
     uint k = span.x;
     for (uint i = range.x; i < range.y; i++) {
-        uint id = order[i], ahead = order[min(i + AHEAD, range.y - 1)], slot = slot_first[id];
+        uint id = order[i], ahead = order[min(i + AHEAD, range.y - 1)], slot = 0;
         PREFETCH(splats + ahead);
-        PREFETCH(slot_first + ahead);
+        if (slots) {
+            PREFETCH(slot_first + ahead);
+            slot = slot_first[id];
+        }
         __global const struct layout_splat *s = splats + id;
         uint cover = s->cover, row = cover & 1023, col0 = (cover >> 10) & 1023;
         uint rows = ((cover >> 20) & 1023) + 1, shift = cover >> 30;
@@ -142,11 +147,17 @@ __kernel void bin_scatter(__constant struct layout_view *view,
     for (uint t = 0; t < stride; t += 16)
         vstore16(vload16(0, next + t) + vload16(0, tile_start + t), 0, next + t);
     if (view->picture) {
-        for (uint k = span.x; k < span.y; k++)
+        for (uint k = span.x; k < span.y; k++) {
+            uint ahead = next[expanded_tile[min(k + AHEAD, span.y - 1)]];
+            PREFETCH(intersection_splat + ahead);
             intersection_splat[next[expanded_tile[k]]++] = expanded_splat[k];
+        }
         return;
     }
     for (uint k = span.x; k < span.y; k++) {
+        uint ahead = next[expanded_tile[min(k + AHEAD, span.y - 1)]];
+        PREFETCH(intersection_splat + ahead);
+        PREFETCH(intersection_slot + ahead);
         uint at = next[expanded_tile[k]]++;
         intersection_splat[at] = expanded_splat[k];
         intersection_slot[at] = expanded_slot[k];

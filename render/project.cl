@@ -1,10 +1,11 @@
 // Stage: project. Gaussians -> splat records, depth keys, tile counts.
 //   in   params [groups][planes][16]; filter [groups][16], m, with view->smooth
 //        list [groups], with view->listed: which groups of params these are
-//   out  splats [groups * 16] (only where visible), depth_key (bits of depth, ~0 where culled),
+//   out  splats [groups * 16] (anything where culled), depth_key (bits of depth, ~0 where culled),
 //        tiles_of
-// Culling has several steps, cheapest first. A group ends as soon as all its lanes are culled.
-// Spherical harmonics, three quarters of the bytes, are read last.
+// Culling has several steps, cheapest first: depth, a bound of the extent, the ellipse, its extent.
+// A group ends as soon as all its lanes are culled. Spherical harmonics, three quarters of the
+// bytes, are read last.
 //
 // Tiles: alpha >= 1/255 inside the ellipse u^2 + v^2 <= opacity_log2 + log2(255) = L. In a band of
 // tile rows, the ellipse touches the columns between its leftmost and rightmost point in the band.
@@ -102,10 +103,16 @@ INLINE void project_color(__constant struct layout_view *v, __global const float
     uint count = (v->sh_degree + 1) * (v->sh_degree + 1);
     seen_direction(v, g, dir);
     sh_basis(dir, v->sh_degree, basis);
-    rgb[0] = rgb[1] = rgb[2] = (V)(0.5f);
-    for (uint k = 0; k < count; k++)
-        for (uint ch = 0; ch < 3; ch++)
-            rgb[ch] = basis[k] * LD(g, LAYOUT_PLANE_SH + 3 * k + ch) + rgb[ch];
+    V red = (V)(0.5f), green = red, blue = red; // in registers, where an array lies in memory
+    for (uint k = 0; k < count; k++) {
+        __global const float *sh = g + (LAYOUT_PLANE_SH + 3 * k) * LAYOUT_LANES;
+        red = basis[k] * LD(sh, 0) + red;
+        green = basis[k] * LD(sh, 1) + green;
+        blue = basis[k] * LD(sh, 2) + blue;
+    }
+    rgb[0] = red;
+    rgb[1] = green;
+    rgb[2] = blue;
 #ifndef APPEARANCE_LEN
     for (uint ch = 0; ch < 3; ch++)
         rgb[ch] = CLAMP_(rgb[ch], 0.0f, 1e30f); // finite: blending multiplies it by zeros
@@ -113,14 +120,14 @@ INLINE void project_color(__constant struct layout_view *v, __global const float
 }
 
 #if VW == 16
+// Culled lanes beside visible ones, too: nothing reads them, and choosing costs more.
 INLINE void project_store(__global struct layout_splat *out, V w[LAYOUT_SPLAT_WORDS], VI visible)
 {
+    (void)visible;
     transpose_16(w);
-    int keep[LAYOUT_LANES];
-    vstore16(visible, 0, keep);
+#pragma unroll
     for (int i = 0; i < LAYOUT_LANES; i++)
-        if (keep[i])
-            LAYOUT_WIDE(__global, float, out + i) = w[i];
+        LAYOUT_WIDE(__global, float, out + i) = w[i];
 }
 #else
 INLINE void project_store(__global struct layout_splat *out, V w[LAYOUT_SPLAT_WORDS], VI visible)
@@ -200,6 +207,49 @@ INLINE void project_record(const struct outline *o, const struct coverage *c,
         w[LAYOUT_SPLAT_BANDS + b] = AS_V(c->bands[b]);
 }
 
+// Asks for a third of the harmonics. They come while the ellipse and its tiles are made; a core has
+// no room for all of these lines at once, and waits when it is asked to. project_appearance has
+// asked before.
+INLINE void project_ask(__constant struct layout_view *v, __global const float *g, uint third)
+{
+#if VW == 16 && !defined APPEARANCE_LEN
+    uint planes = (v->sh_degree + 1) * (v->sh_degree + 1), from = LAYOUT_PLANE_SH + third * planes;
+    for (uint plane = from; plane < from + planes; plane++)
+        PREFETCH(g + plane * LAYOUT_LANES);
+#endif
+}
+
+// Could a lane reach into the picture? Where no mean lies in it, by the bound
+//     S00 <= |J0|^2 sigma^2 + kernel,   |J0|^2 = (fx / z)^2 (1 + (t'x / z)^2)
+// with the largest sigma and opacity 1, and the same of S11. A group without one ends before its
+// ellipse is made.
+INLINE int project_near(__constant struct layout_view *v, __global const float *g,
+                        __global const float *filter, VI live, const struct seen *s)
+{
+    V iz = v->orthographic ? (V)(1.0f) : 1.0f / s->cam[2];
+    V x = s->cam[0] * iz, y = s->cam[1] * iz;
+    V out_x = fabs(v->fx * x + (v->cx - 0.5f * (float)v->width)) - 0.5f * (float)v->width;
+    V out_y = fabs(v->fy * y + (v->cy - 0.5f * (float)v->height)) - 0.5f * (float)v->height;
+    if (ANY(live & (out_x <= 0.0f) & (out_y <= 0.0f)))
+        return 1;
+    V most = LD(g, LAYOUT_PLANE_SCALE), second = LD(g, LAYOUT_PLANE_SCALE + 1),
+      third = LD(g, LAYOUT_PLANE_SCALE + 2);
+    most = MAX_(most, second);
+    most = MAX_(most, third);
+    V sigma2 = exp(2.0f * most);
+    if (v->smooth)
+        sigma2 += LD(filter, 0) * LD(filter, 0);
+    V lim_x = CLAMP_(x, -v->lim_neg_x, v->lim_pos_x);
+    V lim_y = CLAMP_(y, -v->lim_neg_y, v->lim_pos_y);
+    V fx = v->fx * iz, fy = v->fy * iz;
+    // a little more than LAYOUT_EXTENT_MAX^2, for rounding
+    const float reach2 = 1.01f * LAYOUT_EXTENT_MAX * LAYOUT_EXTENT_MAX;
+    V x2 = reach2 * (fx * fx * (1.0f + lim_x * lim_x) * sigma2 + v->kernel_px2);
+    V y2 = reach2 * (fy * fy * (1.0f + lim_y * lim_y) * sigma2 + v->kernel_px2);
+    return ANY(live & ((out_x <= 1.0f) | (out_x * out_x <= x2)) &
+               ((out_y <= 1.0f) | (out_y * out_y <= y2)));
+}
+
 // The group (VW 16) or lane (VW 1) whose parameters start at g and whose first index is `index`.
 INLINE void project_some(__constant struct layout_view *v, __global const float *g,
                          __global const float *filter, uint index,
@@ -212,11 +262,12 @@ INLINE void project_some(__constant struct layout_view *v, __global const float 
     VI live = seen_mean(v, g, &s) & ((VI)((int)index) + LANE < (int)v->n);
     *key = (VU)(0xFFFFFFFFu);
     *tiles = (VU)(0);
-    if (!ANY(live))
+    if (!ANY(live) || !project_near(v, g, filter, live, &s))
         return;
     live &= seen_ellipse(v, g, filter, &s);
     if (!ANY(live))
         return;
+    project_ask(v, g, 0);
     o.mx = v->fx * (s.cam[0] * s.inv_z) + v->cx;
     o.my = v->fy * (s.cam[1] * s.inv_z) + v->cy;
 #ifdef APPEARANCE_LEN
@@ -228,7 +279,9 @@ INLINE void project_some(__constant struct layout_view *v, __global const float 
     live = project_outline(v, &s, live, &o);
     if (!ANY(live))
         return;
+    project_ask(v, g, 1);
     project_tiles(v, &o, &c);
+    project_ask(v, g, 2);
     live &= c.tiles > 0;
     if (!ANY(live))
         return;

@@ -337,6 +337,59 @@ static void test_culling_changes_nothing(void **state)
     gauss_free(&g);
 }
 
+static bool mean_in_picture(const struct gauss *g, size_t i, const struct camera *cam)
+{
+    double at[3];
+    for (int k = 0; k < 3; k++) {
+        at[k] = cam->trans[k];
+        for (int c = 0; c < 3; c++)
+            at[k] +=
+                cam->rot[3 * k + c] * ((double)g->mean_m[3 * i + (size_t)c] + g->origin_enu_m[c]);
+    }
+    double x = cam->fx_px * at[0] / at[2] + cam->cx_px, y = cam->fy_px * at[1] / at[2] + cam->cy_px;
+    return at[2] > 0 && x > 0 && y > 0 && x < cam->width_px && y < cam->height_px;
+}
+
+/* A group of 16 whose means all lie outside is culled by a bound; beside one that lies inside each
+ * Gaussian is looked at. Which Gaussians share a group must change nothing. */
+static void test_groups_outside(void **state)
+{
+    const struct camera cam = view_from(3.2, -2.1, 1.6, 90, 60);
+    (void)state;
+    for (unsigned round = 0; round < 6; round++) {
+        struct gauss g, outside, apart;
+        struct render_options o = PLAIN;
+        struct err e = {0};
+        struct picture mixed, grouped, rim;
+        o.aa = (enum render_aa)(round % 3);
+        kit_gauss(700 + round, 1600, 4.0, 1, 0, &g);
+        for (size_t i = 0; i < 3 * g.n; i++)
+            g.scale_log[i] += round < 3 ? 1.0f : -1.0f;
+        kit_ok(gauss_alloc(&apart, g.n, g.sh_degree, 0, &e), e);
+        kit_ok(gauss_alloc(&outside, g.n, g.sh_degree, 0, &e), e);
+        for (int in = 0; in < 2; in++)
+            for (size_t i = 0; i < g.n; i++)
+                if (mean_in_picture(&g, i, &cam) == in)
+                    gauss_copy_row(&apart, apart.n++, &g, i);
+        for (size_t i = 0; i < apart.n && !mean_in_picture(&apart, i, &cam); i++)
+            gauss_copy_row(&outside, outside.n++, &apart, i);
+        mixed = draw(&g, &cam, &o);
+        const uint32_t visible = render_last_stats(render)->visible;
+        grouped = draw(&apart, &cam, &o);
+        assert_int_equal(render_last_stats(render)->visible, visible);
+        expect_same_bits("groups outside", &mixed, &grouped);
+        rim = draw(&outside, &cam, &o);
+        assert_true(render_last_stats(render)->visible > 0);
+        assert_true(render_last_stats(render)->visible < outside.n);
+        picture_free(&mixed);
+        picture_free(&grouped);
+        picture_free(&rim);
+        gauss_free(&g);
+        gauss_free(&outside);
+        gauss_free(&apart);
+    }
+}
+
 /* Lists without slots and hits draw the same bits; nothing that needs those may follow. */
 static void test_picture_alone(void **state)
 {
@@ -873,6 +926,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(test_large_splats),
         cmocka_unit_test(test_ties_are_by_index),
         cmocka_unit_test(test_culling_changes_nothing),
+        cmocka_unit_test(test_groups_outside),
         cmocka_unit_test(test_picture_alone),
         cmocka_unit_test(test_repeatable),
         cmocka_unit_test(test_far_from_origin),
