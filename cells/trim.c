@@ -408,10 +408,10 @@ static bool trim_is_inside(const struct trim *t, const struct trim_piece *p)
     return cell >= 0 && TRIM_REACH * largest <= (t->deep[cell] - 1.0) * t->at->cell_m;
 }
 
-bool trim_is_far(const struct trim *t, const double mean_m[3], double largest_m)
+bool trim_is_far(const struct trim *t, const double mean_m[3], double largest_sigma_m)
 {
     ptrdiff_t cell = t->at ? trim_cell(t->at, mean_m) : -1;
-    return cell < 0 || TRIM_REACH * largest_m <= (t->deep[cell] - 1.0) * t->at->cell_m;
+    return cell < 0 || TRIM_REACH * largest_sigma_m <= (t->deep[cell] - 1.0) * t->at->cell_m;
 }
 
 enum trim_verdict trim_judge(const struct trim *t, const double mean_m[3], const double sigma_m[3],

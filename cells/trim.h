@@ -52,9 +52,9 @@ enum trim_verdict { TRIM_INSIDE, TRIM_STICKS_OUT, TRIM_OUTSIDE };
  * not count for that. */
 enum trim_verdict trim_judge(const struct trim *t, const double mean_m[3], const double sigma_m[3],
                              const double rot[9], double largest_m);
-/* Returns whether trim_judge says TRIM_INSIDE whatever the rotation is, as it is far from where the
- * photographs end: by its mean and its largest sigma. */
-bool trim_is_far(const struct trim *t, const double mean_m[3], double largest_m);
+/* True: the Gaussian is so far from where the photographs end that trim_judge says TRIM_INSIDE for
+ * every rotation. */
+bool trim_is_far(const struct trim *t, const double mean_m[3], double largest_sigma_m);
 /* Cuts rows of g. Pieces are appended after the rows that remain, which keep their order. *gone is
  * the number of rows of which nothing remained. ERR_MEM. */
 enum err_code trim_rows(const struct trim *t, struct gauss *g, size_t *gone, struct err *e) ERR_USE;

@@ -173,6 +173,28 @@ INLINE void backward_splat(struct backward_state *s, const float *w, float x0, f
         vstore2((float2)(0.0f), 0, slot + 12);
 }
 
+// The next BATCH splats of a tile that blend drew, or what is left: records, blocks of pixels and
+// slots, which lie anywhere. Moves *at on; returns their number.
+INLINE uint backward_stage(__global const struct layout_splat *splats,
+                           __global const uint *intersection_splat,
+                           __global const uint *intersection_slot, __global const ushort *hits,
+                           uint *at, uint end, float *staged, uint *mask, uint *slot)
+{
+    uint n = 0, i = *at;
+    for (; i < end && n < BATCH; i++) {
+        PREFETCH(splats + intersection_splat[min(i + BATCH, end - 1)]);
+        uint blocks = hits[i];
+        if (!blocks)
+            continue;
+        mask[n] = blocks;
+        slot[n] = intersection_slot[i];
+        LAYOUT_WIDE(__private, float, staged + LAYOUT_SPLAT_WORDS * n++) =
+            LAYOUT_WIDE(const __global, float, splats + intersection_splat[i]);
+    }
+    *at = i;
+    return n;
+}
+
 __kernel void blend_backward(__constant struct layout_view *view,
                              __global const struct layout_splat *splats,
                              __global const uint *tile_start,
@@ -199,17 +221,8 @@ __kernel void blend_backward(__constant struct layout_view *view,
         return;
     backward_load(&s, view, &maps, px, py);
     while (at < end) {
-        uint n = 0;
-        for (; at < end && n < BATCH; at++) { // what blend drew; records and slots lie anywhere
-            PREFETCH(splats + intersection_splat[min(at + BATCH, end - 1)]);
-            uint blocks = hits[at];
-            if (!blocks)
-                continue;
-            mask[n] = blocks;
-            slot[n] = intersection_slot[at];
-            LAYOUT_WIDE(__private, float, staged + LAYOUT_SPLAT_WORDS * n++) =
-                LAYOUT_WIDE(const __global, float, splats + intersection_splat[at]);
-        }
+        uint n = backward_stage(splats, intersection_splat, intersection_slot, hits, &at, end,
+                                staged, mask, slot);
         for (uint j = 0; j < n; j++) {
             uint next = slot[min(j + AHEAD, n - 1)]; // have the lines ready when they are written
             PREFETCH(slots + (size_t)next * LAYOUT_SLOT_FLOATS);

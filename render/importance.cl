@@ -104,17 +104,8 @@ importance_tile(__constant struct layout_view *view, __global const struct layou
         return;
     importance_load(&s, view, weight, color, px, py, kind);
     while (at < end) {
-        uint n = 0;
-        for (; at < end && n < BATCH; at++) {
-            PREFETCH(splats + intersection_splat[min(at + BATCH, end - 1)]);
-            uint blocks = hits[at];
-            if (!blocks)
-                continue;
-            mask[n] = blocks;
-            slot[n] = intersection_slot[at];
-            LAYOUT_WIDE(__private, float, staged + LAYOUT_SPLAT_WORDS * n++) =
-                LAYOUT_WIDE(const __global, float, splats + intersection_splat[at]);
-        }
+        uint n = backward_stage(splats, intersection_splat, intersection_slot, hits, &at, end,
+                                staged, mask, slot);
         for (uint j = 0; j < n; j++) {
             uint next = slot[min(j + AHEAD, n - 1)];
             PREFETCH(slots + (size_t)next * LAYOUT_IMPORTANCE_SLOT);
@@ -161,7 +152,8 @@ __kernel void removal_tiles(__constant struct layout_view *view,
 #else
 
 // GPU shape: one work-group is one tile, one work-item one pixel; an intersection is summed by a
-// tree of fixed shape.
+// tree of fixed shape. Three kernels repeat its loop: barriers have to stay in a kernel's own body
+// (blend_backward.cl).
 __kernel __attribute__((reqd_work_group_size(LAYOUT_TILE_PIXELS, 1, 1))) void
 importance_tiles(__constant struct layout_view *v, __global const struct layout_splat *splats,
                  __global const uint *tile_start, __global const uint *intersection_splat,
