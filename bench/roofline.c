@@ -215,7 +215,7 @@ static double roofline_blend_backward_ops(const work *w)
 
 /* ---- photometric.cl ---- */
 
-/* Picture 12, photograph 3, nine maps 36. Rows that two bands share are in a cache. */
+/* Picture 12, photograph 3, nine maps 36; the maps and the two again, the gradient 12. */
 static double roofline_photometric_forward_bytes(const work *w)
 {
     return (15.0 + 36.0) * w->pixels;
@@ -226,17 +226,17 @@ static double roofline_photometric_backward_bytes(const work *w)
     return (36.0 + 15.0 + 12.0) * w->pixels;
 }
 
-/* Of each channel: load and sums 7, four maps blurred both ways, ssim_of 25 and a division, its
- * sum. Rows of two bands count once. */
-static double roofline_photometric_forward_ops(const work *w)
+/* Without maps. What two pieces share is in a cache. */
+static double roofline_photometric_both_bytes(const work *w)
 {
-    return 3.0 * (33.0 + 2.0 * 4.0 * BLUR + DIVIDE) * w->pixels;
+    return (15.0 + 12.0) * w->pixels;
 }
 
-/* Of each channel: three maps blurred both ways, backward_write 7. */
-static double roofline_photometric_backward_ops(const work *w)
+/* Of each channel: load and sums 7, four maps blurred both ways, ssim_of 25 and a division, its
+ * sum; three maps blurred both ways, backward_write 7. What pieces make twice counts once. */
+static double roofline_photometric_both_ops(const work *w)
 {
-    return 3.0 * (7.0 + 2.0 * 3.0 * BLUR) * w->pixels;
+    return 3.0 * (33.0 + 2.0 * 4.0 * BLUR + DIVIDE + 7.0 + 2.0 * 3.0 * BLUR) * w->pixels;
 }
 
 /* ---- scale_loss.cl: ln sigma of all; gradients of sizes and rotation ---- */
@@ -351,10 +351,10 @@ static const struct roofline_row {
     {"bin_scatter", CPU, roofline_bin_scatter_bytes, roofline_none, true, false},
     {"bin_gather", GPU, roofline_bin_gather_bytes, roofline_none, true, false},
     {"blend", BOTH, roofline_blend_bytes, roofline_blend_ops, true, false},
-    {"photometric_forward", BOTH, roofline_photometric_forward_bytes,
-     roofline_photometric_forward_ops, false, false},
-    {"photometric_backward", BOTH, roofline_photometric_backward_bytes,
-     roofline_photometric_backward_ops, false, false},
+    {"photometric_both", CPU, roofline_photometric_both_bytes, roofline_photometric_both_ops, false,
+     false},
+    {"photometric_forward", GPU, roofline_photometric_forward_bytes, roofline_none, false, false},
+    {"photometric_backward", GPU, roofline_photometric_backward_bytes, roofline_none, false, false},
     {"scale_count", BOTH, roofline_scale_count_bytes, roofline_scale_ops, false, false},
     {"scale_grad", BOTH, roofline_scale_grad_bytes, roofline_scale_ops, false, false},
     {"blend_backward", BOTH, roofline_blend_backward_bytes, roofline_blend_backward_ops, false,

@@ -228,9 +228,10 @@ struct layout_counts {
 #define LAYOUT_SCALE_ITEMS 64 /* work-items of a group of loss/scale_loss.cl, VW 1 */
 /* planes of the model that loss/depth.cl draws */
 #define LAYOUT_DEPTH_PLANES (LAYOUT_PLANE_SH + 3)
-/* Pieces of photometric.cl: pixels of a strip, rows of a band, margin of a map row in floats. */
-#define LAYOUT_LOSS_STRIP 64
-#define LAYOUT_LOSS_BAND 64
+/* Pieces of photometric.cl: pixels of a strip, most rows of a band; of its maps (VW 1): margin of a
+ * row in floats. */
+#define LAYOUT_LOSS_STRIP 160
+#define LAYOUT_LOSS_BAND 128
 #define LAYOUT_LOSS_MARGIN 16
 #define LAYOUT_LOSS_PARTS 4 /* sums of a piece: |x - y|, S, (x - y)^2, 0 */
 /* lpips.cl: zeros beside and above a map, then rows and output channels of a work-item. */

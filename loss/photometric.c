@@ -1,9 +1,9 @@
-/* The photometric loss on the device: two launches a step, nothing read back unless asked for.
+/* The photometric loss on the device: nothing is read back unless asked for.
  *
- * The forward kernel writes the derivative maps of SSIM and the partial sums of every band of rows,
- * the backward kernel blurs the maps and adds the L1 part. Owns the compiled kernels and the maps,
- * which grow to the largest picture seen. Kernels and their shape: photometric.cl; formulas:
- * photometric_ref.c.
+ * On CPUs one kernel makes the partial sums and the gradient. On GPUs the forward kernel writes the
+ * derivative maps of SSIM and the partial sums of every tile, the backward kernel blurs the maps
+ * and adds the L1 part. Owns the compiled kernels and the maps, which grow to the largest picture
+ * seen. Kernels and their shape: photometric.cl; formulas: photometric_ref.c.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -20,9 +20,10 @@ extern const char photometric_cl[];
 struct photometric {
     struct dev *dev; /* borrowed */
     cl_program program;
-    cl_kernel forward, backward;
-    bool wide; /* the CPU shape of the kernels */
-    cl_mem maps, parts;
+    bool wide;                   /* the CPU shape of the kernels */
+    cl_kernel both;              /* wide */
+    cl_kernel forward, backward; /* not wide */
+    cl_mem maps /* not wide */, parts;
     size_t maps_bytes, parts_bytes;
     uint32_t width_px, height_px; /* of the last run; 0 before the first */
     float l1_weight, ssim_weight;
@@ -40,9 +41,11 @@ enum err_code photometric_open(struct dev *dev, struct photometric **out, struct
     l->dev = dev;
     l->wide = dev->vector_width > 1;
     rc = dev_build(dev, &source, 1, NULL, &l->program, e);
-    if (!rc)
+    if (!rc && l->wide)
+        rc = dev_kernel(l->program, "photometric_both", &l->both, e);
+    if (!rc && !l->wide)
         rc = dev_kernel(l->program, "photometric_forward", &l->forward, e);
-    if (!rc)
+    if (!rc && !l->wide)
         rc = dev_kernel(l->program, "photometric_backward", &l->backward, e);
     if (rc)
         photometric_close(&l);
@@ -59,6 +62,8 @@ void photometric_close(struct photometric **l)
         clReleaseKernel(s->forward);
     if (s->backward)
         clReleaseKernel(s->backward);
+    if (s->both)
+        clReleaseKernel(s->both);
     if (s->program)
         clReleaseProgram(s->program);
     dev_release(&s->maps);
@@ -70,19 +75,26 @@ void photometric_close(struct photometric **l)
 
 static uint32_t photometric_pitch(uint32_t width_px)
 {
-    return (width_px + LAYOUT_LOSS_STRIP - 1) / LAYOUT_LOSS_STRIP * LAYOUT_LOSS_STRIP +
-           2 * LAYOUT_LOSS_MARGIN;
+    return (width_px + LAYOUT_TILE - 1) / LAYOUT_TILE * LAYOUT_TILE + 2 * LAYOUT_LOSS_MARGIN;
 }
 
-/* Work-groups of either launch: pieces of STRIP x BAND pixels or tiles, times 3 channels; *local:
- * their size. */
+/* Rows of a band of the CPU shape: bands of a picture are equally high, whatever the device. */
+static uint32_t photometric_rows(uint32_t height_px)
+{
+    uint32_t bands = (height_px + LAYOUT_LOSS_BAND - 1) / LAYOUT_LOSS_BAND;
+    return ((height_px + bands - 1) / bands + 1) / 2 * 2;
+}
+
+/* Work-groups of a launch: pieces of a strip and a band or tiles, times 3 channels; *local: their
+ * size. */
 static size_t photometric_groups(const struct photometric *l, uint32_t width_px, uint32_t height_px,
                                  size_t *local)
 {
     if (l->wide) {
+        size_t rows = photometric_rows(height_px);
         *local = 1;
         return (((size_t)width_px + LAYOUT_LOSS_STRIP - 1) / LAYOUT_LOSS_STRIP) *
-               (((size_t)height_px + LAYOUT_LOSS_BAND - 1) / LAYOUT_LOSS_BAND) * 3;
+               ((height_px + rows - 1) / rows) * 3;
     }
     *local = LAYOUT_TILE_PIXELS;
     return (((size_t)width_px + LAYOUT_TILE - 1) / LAYOUT_TILE) *
@@ -106,10 +118,10 @@ static enum err_code photometric_reserve(struct photometric *l, uint32_t w, uint
         if (!l->host_parts)
             return err_set(e, ERR_MEM, "photometric_run: out of memory");
     }
-    enum err_code rc = dev_reserve(l->dev, maps_bytes, &l->maps, &l->maps_bytes, e);
-    if (!rc)
-        rc = dev_reserve(l->dev, parts_bytes, &l->parts, &l->parts_bytes, e);
-    if (!rc)
+    enum err_code rc = dev_reserve(l->dev, parts_bytes, &l->parts, &l->parts_bytes, e);
+    if (!rc && !l->wide)
+        rc = dev_reserve(l->dev, maps_bytes, &l->maps, &l->maps_bytes, e);
+    if (!rc && !l->wide)
         rc = dev_zero(l->dev, l->maps, 0, maps_bytes, e);
     if (rc)
         return err_add(e, "photometric_run: %u x %u px", w, h);
@@ -141,28 +153,39 @@ enum err_code photometric_run(struct photometric *l, const struct photometric_in
     cl_float scale_ssim = (float)(-(double)in->ssim_weight / n);
     l->l1_weight = in->l1_weight;
     l->ssim_weight = in->ssim_weight;
-    cl_kernel both[2] = {l->forward, l->backward};
-    cl_int bad = CL_SUCCESS;
-    for (size_t i = 0; i < 2; i++) {
-        cl_kernel k = both[i];
-        bad |= dev_arg(k, 0, in->color);
-        bad |= dev_arg(k, 1, in->target);
-        bad |= dev_arg(k, 2, mask);
-        bad |= dev_arg(k, 3, has_mask);
-        bad |= dev_arg(k, 4, wi);
-        bad |= dev_arg(k, 5, hi);
-        bad |= dev_arg(k, 6, pitch);
-        bad |= dev_arg(k, 7, with_ssim);
-        bad |= dev_arg(k, 8, l->maps);
+    cl_int with_grad = !in->value_only, rows = (cl_int)photometric_rows(h), bad = CL_SUCCESS;
+    cl_kernel both[2] = {l->wide ? l->both : l->forward, l->backward};
+    size_t local, groups = photometric_groups(l, w, h, &local), n_kernels = l->wide ? 1 : 2;
+    for (size_t i = 0; i < n_kernels; i++) {
+        bad |= dev_arg(both[i], 0, in->color);
+        bad |= dev_arg(both[i], 1, in->target);
+        bad |= dev_arg(both[i], 2, mask);
+        bad |= dev_arg(both[i], 3, has_mask);
+        bad |= dev_arg(both[i], 4, wi);
+        bad |= dev_arg(both[i], 5, hi);
+        bad |= l->wide ? dev_arg(l->both, 6, rows) : dev_arg(both[i], 6, pitch);
+        bad |= dev_arg(both[i], 7, with_ssim);
     }
-    bad |= dev_arg(l->forward, 9, l->parts);
-    bad |= dev_arg(l->backward, 9, scale_l1);
-    bad |= dev_arg(l->backward, 10, scale_ssim);
-    if (!in->value_only)
-        bad |= dev_arg(l->backward, 11, grad);
+    if (l->wide) {
+        bad |= dev_arg(l->both, 8, l->parts);
+        bad |= dev_arg(l->both, 9, scale_l1);
+        bad |= dev_arg(l->both, 10, scale_ssim);
+        bad |= dev_arg(l->both, 11, with_grad);
+        /* never written without with_grad, but must be a buffer */
+        bad |= in->value_only ? dev_arg(l->both, 12, l->parts) : dev_arg(l->both, 12, grad);
+    } else {
+        bad |= dev_arg(l->forward, 8, l->maps);
+        bad |= dev_arg(l->forward, 9, l->parts);
+        bad |= dev_arg(l->backward, 8, l->maps);
+        bad |= dev_arg(l->backward, 9, scale_l1);
+        bad |= dev_arg(l->backward, 10, scale_ssim);
+        if (!in->value_only)
+            bad |= dev_arg(l->backward, 11, grad);
+    }
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "photometric_run: arguments: %s", dev_error_name(bad));
-    size_t local, groups = photometric_groups(l, w, h, &local);
+    if (l->wide)
+        return dev_run(l->dev, l->both, "photometric_both", groups * local, local, e);
     rc = dev_run(l->dev, l->forward, "photometric_forward", groups * local, local, e);
     if (!rc && !in->value_only)
         rc = dev_run(l->dev, l->backward, "photometric_backward", groups * local, local, e);

@@ -1,27 +1,34 @@
-/* Stage: L1 + SSIM loss, forward (maps and partial sums) and backward (dL/dx).
+/* Stage: L1 + SSIM loss (partial sums) and its gradient dL/dx.
  *
  *   in   color  float [3][h][w], target uchar [h][w][3], mask uchar [h][w] or absent
- *
- *   mid  maps   float [3 maps][3 channels][h][pitch], pitch = MARGIN + round_up(w, STRIP) + MARGIN
- *               (LAYOUT_LOSS_*): the derivatives of S with respect to Kx, Kx^2 and K(xy); zero
- *               beyond the picture
  *
  *   out  parts  float [pieces][3][4]: |x-y|, S and (x-y)^2 summed over a piece
  *        grad   float [3][h][w]
  *
- * CPU shape (VW 16): one work-item = one piece of STRIP x BAND pixels of one channel. ROWS rows at
- * a time are blurred horizontally into a window in private memory (26 KiB, of the size of a cache),
- * then vertically, two rows at once. GPU shape (VW 1): one work-group = one tile of 16x16 pixels of
- * one channel, one work-item = one pixel; the tile and 5 pixels around it are staged in local
- * memory and blurred there. All sums are taken in a fixed order. The only products needed are
- * x^2 + y^2 and xy, because the two variances enter S as their sum.
+ * CPU shape (VW 16): photometric_both. One work-item = one piece of STRIP columns and a band of
+ * rows of one channel. It goes down the band two rows at a time: they are blurred horizontally into
+ * a ring of 12 rows, and this vertically gives two rows of the derivatives of S with respect to Kx,
+ * Kx^2 and K(xy). Those are blurred horizontally into a second ring, and this vertically gives the
+ * gradient of the two rows that came in 10 rows before. So derivatives never leave the cache (both
+ * rings: 61 KiB), and each piece makes those of 5 pixels around it once more. Its vectors of
+ * derivatives begin 5 columns left of those of the gradient: a blur needs two vectors, not three.
+ *
+ * GPU shape (VW 1): photometric_forward and photometric_backward. One work-group = one tile of
+ * 16x16 pixels of one channel, one work-item = one pixel; the tile and 5 pixels around it are
+ * staged in local memory and blurred there. Between the two kernels lie
+ *
+ *   mid  maps   float [3 maps][3 channels][h][pitch], pitch = MARGIN + round_up(w, 16) + MARGIN:
+ *               the derivatives; zero beyond the picture
+ *
+ * All sums are taken in a fixed order. The only products needed are x^2 + y^2 and xy, because the
+ * two variances enter S as their sum.
  *
  * Reference: photometric_ref.c (which has the formulas). Tolerance: float rounding, 1e-5 relative.
  */
 #define RADIUS 5
 #define TAPS 11
 #define VECS (LAYOUT_LOSS_STRIP / 16)
-#define ROWS 16 /* even */
+#define WINDOW (TAPS + 1) /* rows that two rows of blurs come from */
 
 #define SSIM_C1 0.0001f
 #define SSIM_C2 0.0009f
@@ -84,6 +91,11 @@ struct picture {
     int has_mask, w, h, c;
 };
 
+struct weights {
+    float l1, ssim;
+    int with_ssim, with_grad;
+};
+
 /* x and y of 16 columns of a row, zero outside the picture and where masked. */
 INLINE void pixels_load(const struct picture *p, int row, int col, float16 *x, float16 *y)
 {
@@ -100,6 +112,10 @@ INLINE void pixels_load(const struct picture *p, int row, int col, float16 *x, f
             *x = used ? *x : (float16)(0.0f);
             *y = used ? *y : (float16)(0.0f);
         }
+        return;
+    }
+    if (col + 16 <= 0 || col >= p->w) {
+        *x = *y = (float16)(0.0f);
         return;
     }
     float xs[16], ys[16];
@@ -122,14 +138,14 @@ static float sum16(float16 v)
     return d.x + d.y;
 }
 
-/* Vertical blurs of one column of vectors `step` apart, for the rows in the middle of w[0..10] and
- * of w[1..11]. Taps are symmetric: additions run beside multiplications where half of those do. */
-INLINE void blur_column(const float16 *w, int step, float16 *upper, float16 *lower)
+/* Vertical blurs of one vector's columns, for the rows in the middle of row[0..10] and of
+ * row[1..11]. Taps are symmetric: additions run beside multiplications where half of those do. */
+INLINE void blur_column(float16 *const *row, int at, float16 *upper, float16 *lower)
 {
-    float16 v[TAPS + 1];
+    float16 v[WINDOW];
 #pragma unroll
-    for (int k = 0; k <= TAPS; k++)
-        v[k] = w[k * step];
+    for (int k = 0; k < WINDOW; k++)
+        v[k] = row[k][at];
     float16 a = v[RADIUS] * taps[RADIUS], b = v[RADIUS + 1] * taps[RADIUS];
 #pragma unroll
     for (int k = 1; k <= RADIUS; k++) {
@@ -142,176 +158,112 @@ INLINE void blur_column(const float16 *w, int step, float16 *upper, float16 *low
 
 /* The vector that begins k lanes into a followed by b. A load from there would cross a cache line
  * and take twice as long as an aligned one; two aligned vectors in registers shift in one step,
- * which the compiler knows of integers only. */
+ * which the compiler knows of integers only. WORDS makes integers that it cannot take for floats
+ * again: `zero` is 0, which it does not know. */
+#define WORDS(v) (as_int16(v) | zero)
 #define SHIFT(a, b, k)                                                                             \
-    as_float16(__builtin_shufflevector(as_int16(a), as_int16(b), k, k + 1, k + 2, k + 3, k + 4,    \
-                                       k + 5, k + 6, k + 7, k + 8, k + 9, k + 10, k + 11, k + 12,  \
-                                       k + 13, k + 14, k + 15))
+    as_float16(__builtin_shufflevector(a, b, k, k + 1, k + 2, k + 3, k + 4, k + 5, k + 6, k + 7,   \
+                                       k + 8, k + 9, k + 10, k + 11, k + 12, k + 13, k + 14,       \
+                                       k + 15))
 
-/* Horizontal blurs of n rows of 48 columns, of the 16 in the middle; tap by tap, because one row
- * alone is a chain of additions that wait for each other. */
-#define BLUR_TAP(k)                                                                                \
-    _Pragma("unroll") for (int i = 0; i < n; i++) s[i] =                                           \
-        (SHIFT(v[i][0], v[i][1], 16 - k) + SHIFT(v[i][1], v[i][2], k)) * taps[RADIUS - k] + s[i];
-INLINE void blur_rows(float16 v[][3], const int n, float16 *s)
+/* Horizontal blur of a row's 32 columns, of the 16 from the sixth on. */
+#define BLUR_TAP(k) s = (SHIFT(a, b, RADIUS - k) + SHIFT(a, b, RADIUS + k)) * taps[RADIUS - k] + s;
+INLINE float16 blur_row(int16 a, int16 b)
 {
-#pragma unroll
-    for (int i = 0; i < n; i++)
-        s[i] = v[i][1] * taps[RADIUS];
+    float16 s = SHIFT(a, b, RADIUS) * taps[RADIUS];
     BLUR_TAP(1)
     BLUR_TAP(2)
     BLUR_TAP(3)
     BLUR_TAP(4)
     BLUR_TAP(5)
-}
-
-/* Which piece a work-item is. */
-INLINE int piece_origin(int w, int h, int *x0, int *y0, int *y1)
-{
-    int piece = get_global_id(0) / 3, across = (w + LAYOUT_LOSS_STRIP - 1) / LAYOUT_LOSS_STRIP;
-    *x0 = piece % across * LAYOUT_LOSS_STRIP;
-    *y0 = piece / across * LAYOUT_LOSS_BAND;
-    *y1 = min(*y0 + LAYOUT_LOSS_BAND, h);
-    return get_global_id(0) % 3;
-}
-
-/* Horizontal blurs of x, y, x^2 + y^2 and xy of one row of a strip into to[4][VECS]; adds up what
- * is counted of the row. */
-INLINE void forward_row(const struct picture *p, int row, int x0, int counted, int with_ssim,
-                        float16 *to, float16 *sum_l1, float16 *sum_sq)
-{
-    float16 v[4][3], blurred[4]; /* x, y, x^2 + y^2, xy */
-    for (int j = -1; j <= VECS; j++) {
-        float16 x, y;
-        pixels_load(p, row, x0 + 16 * j, &x, &y);
-        if (counted && j >= 0 && j < VECS) {
-            float16 d = x - y;
-            *sum_l1 += fabs(d);
-            *sum_sq = d * d + *sum_sq;
-        }
-        v[0][2] = x;
-        v[1][2] = y;
-        v[2][2] = x * x + y * y;
-        v[3][2] = x * y;
-        if (with_ssim && j > 0) {
-            blur_rows(v, 4, blurred);
-#pragma unroll
-            for (int k = 0; k < 4; k++)
-                to[k * VECS + j - 1] = blurred[k];
-        }
-#pragma unroll
-        for (int k = 0; k < 4; k++)
-            v[k][0] = v[k][1], v[k][1] = v[k][2];
-    }
-}
-
-/* SSIM of one row of a vector's columns, and its derivatives into the maps. */
-INLINE float16 forward_ssim(const float16 *mean, int left, size_t plane, __global float *to)
-{
-    float16 pm, ps, pc, s = ssim_of(mean[0], mean[1], mean[2], mean[3], &pm, &ps, &pc);
-    if (left < 16) { /* windows centred beyond the edge do not exist */
-        int16 in = (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15) < left;
-        s = in ? s : (float16)(0.0f);
-        pm = in ? pm : (float16)(0.0f);
-        ps = in ? ps : (float16)(0.0f);
-        pc = in ? pc : (float16)(0.0f);
-    }
-    LAYOUT_WIDE(__global, float, to) = pm;
-    LAYOUT_WIDE(__global, float, to + plane) = ps;
-    LAYOUT_WIDE(__global, float, to + 2 * plane) = pc;
     return s;
 }
 
-/* Move the last rows of the window, which the next rows need as well, to its front. */
-INLINE void window_move(float16 *window, int rows, int width)
+/* Horizontal blurs of x, y, x^2 + y^2 and xy of one row, for n vectors from column `col` on, into
+ * to[4][VECS + 1]; zeros where the picture has no such row. */
+INLINE void forward_row(const struct picture *p, int row, int col, int n, int zero, float16 *to)
 {
-    for (int i = 0; i < 2 * RADIUS * width; i++)
-        window[i] = window[rows * width + i];
-}
-
-__kernel void photometric_forward(const __global float *color, const __global uchar *target,
-                                  const __global uchar *mask, int has_mask, int w, int h, int pitch,
-                                  int with_ssim, __global float *maps, __global float *parts)
-{
-    enum { WIDTH = 4 * VECS };
-    int x0, y0, y1, c = piece_origin(w, h, &x0, &y0, &y1), halo = with_ssim ? RADIUS : 0;
-    struct picture p = {color, target, mask, has_mask, w, h, c};
-    float16 window[(ROWS + 2 * RADIUS) * WIDTH], sum_l1 = 0.0f, sum_s = 0.0f, sum_sq = 0.0f;
-    size_t plane = (size_t)3 * h * pitch;
-    /* rows [out - 5, out + 5) are in the window, ROWS more come in, ROWS are written */
-    for (int out = y0 - ROWS; out < y1; out += ROWS) {
-        int first = out < y0 ? ROWS - 2 * halo : 0;
-        for (int i = first; i < ROWS && out + i - halo < y1; i++) {
-            int row = out + halo + i;
-            float16 *to = window + (2 * RADIUS + i) * WIDTH;
-            if (row >= 0 && row < min(h, y1 + halo))
-                forward_row(&p, row, x0, row >= y0 && row < y1, with_ssim, to, &sum_l1, &sum_sq);
-            else
-                for (int j = 0; j < WIDTH; j++)
-                    to[j] = (float16)(0.0f);
-        }
-        for (int i = 0; with_ssim && out >= y0 && i < ROWS && out + i < y1; i += 2)
-            for (int j = 0; j < VECS; j++) {
-                float16 upper[4], lower[4];
-                __global float *to =
-                    maps + ((size_t)c * h + out + i) * pitch + LAYOUT_LOSS_MARGIN + x0 + 16 * j;
-                for (int k = 0; k < 4; k++)
-                    blur_column(window + i * WIDTH + k * VECS + j, WIDTH, upper + k, lower + k);
-                sum_s += forward_ssim(upper, w - x0 - 16 * j, plane, to);
-                if (out + i + 1 < y1)
-                    sum_s += forward_ssim(lower, w - x0 - 16 * j, plane, to + pitch);
-            }
-        if (with_ssim)
-            window_move(window, ROWS, WIDTH);
-    }
-    __global float *part = parts + get_global_id(0) * 4;
-    part[0] = sum16(sum_l1);
-    part[1] = sum16(sum_s);
-    part[2] = sum16(sum_sq);
-    part[3] = 0.0f;
-}
-
-/* Horizontal blurs of one row of the three maps into to[3][VECS]. A strip's rows are too short for
- * the hardware to see them coming. */
-INLINE void backward_row(const __global float *from, size_t plane, int pitch, float16 *to)
-{
-    float16 v[3][3], blurred[3];
-#pragma unroll
-    for (int m = 0; m < 3; m++) {
-        v[m][0] = LAYOUT_WIDE(const __global, float, from + m * plane - 16);
-        v[m][1] = LAYOUT_WIDE(const __global, float, from + m * plane);
-    }
-    for (int j = 0; j < VECS; j++) {
-#pragma unroll
-        for (int m = 0; m < 3; m++) {
-            PREFETCH(from + m * plane + 2 * pitch + 16 * j);
-            v[m][2] = LAYOUT_WIDE(const __global, float, from + m * plane + 16 * (j + 1));
-        }
-        blur_rows(v, 3, blurred);
-#pragma unroll
-        for (int m = 0; m < 3; m++) {
-            to[m * VECS + j] = blurred[m];
-            v[m][0] = v[m][1], v[m][1] = v[m][2];
-        }
-    }
-}
-
-/* The gradient of 16 columns of a row; k: the blurred maps. */
-INLINE void backward_write(const struct picture *p, int row, int col, const float16 *k,
-                           int with_ssim, float scale_l1, float scale_ssim, __global float *grad)
-{
-    float16 x, y, ks = 0.0f;
-    if (col >= p->w)
+    if (row < 0 || row >= p->h) {
+        for (int i = 0; i < 4 * (VECS + 1); i++)
+            to[i] = (float16)(0.0f);
         return;
+    }
+    float16 x, y;
+    int16 last_x, last_y, last_qq, last_xy;
+    pixels_load(p, row, col - RADIUS, &x, &y);
+    last_x = WORDS(x);
+    last_y = WORDS(y);
+    last_qq = WORDS(x * x + y * y);
+    last_xy = WORDS(x * y);
+    for (int j = 0; j < n; j++) {
+        pixels_load(p, row, col - RADIUS + 16 * (j + 1), &x, &y);
+        int16 wx = WORDS(x), wy = WORDS(y), qq = WORDS(x * x + y * y), xy = WORDS(x * y);
+        to[j] = blur_row(last_x, wx);
+        to[VECS + 1 + j] = blur_row(last_y, wy);
+        to[2 * (VECS + 1) + j] = blur_row(last_qq, qq);
+        to[3 * (VECS + 1) + j] = blur_row(last_xy, xy);
+        last_x = wx;
+        last_y = wy;
+        last_qq = qq;
+        last_xy = xy;
+    }
+}
+
+/* Lanes [from, to) of v, zero elsewhere. */
+INLINE float16 lanes_between(float16 v, int from, int to)
+{
+    int16 lane = (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+    return (lane >= from) & (lane < to) ? v : (float16)(0.0f);
+}
+
+/* SSIM of 16 columns of a row from `col` on and its three derivatives, zero beyond the picture:
+ * windows centred there do not exist. */
+INLINE float16 forward_ssim(const struct picture *p, int row, int col, float16 m1, float16 m2,
+                            float16 qq, float16 xy, float16 *pm, float16 *ps, float16 *pc)
+{
+    float16 s = ssim_of(m1, m2, qq, xy, pm, ps, pc);
+    if (row < 0 || row >= p->h || col < 0 || col + 16 > p->w) {
+        int from = -col, to = row < 0 || row >= p->h ? 0 : p->w - col;
+        s = lanes_between(s, from, to);
+        *pm = lanes_between(*pm, from, to);
+        *ps = lanes_between(*ps, from, to);
+        *pc = lanes_between(*pc, from, to);
+    }
+    return s;
+}
+
+/* What a piece adds up. */
+struct sums {
+    float16 l1, s, sq;
+};
+
+INLINE void sums_move(struct sums *from, struct sums *to)
+{
+    to->l1 += from->l1;
+    to->s += from->s;
+    to->sq += from->sq;
+    from->l1 = from->s = from->sq = 0.0f;
+}
+
+/* The gradient of 16 columns of a row, and what is counted of them; k..: the blurred maps. */
+INLINE void backward_write(const struct picture *p, int row, int col, float16 km, float16 ks,
+                           float16 kc, const struct weights *by, __global float *grad,
+                           struct sums *sum)
+{
+    float16 x, y, k = 0.0f;
     pixels_load(p, row, col, &x, &y);
     float16 d = x - y;
-    float16 up = d > 0.0f ? (float16)(scale_l1) : (float16)(0.0f);
-    float16 down = d < 0.0f ? (float16)(scale_l1) : (float16)(0.0f);
-    if (with_ssim) {
-        ks = 2.0f * x * k[1] + k[0];
-        ks = y * k[2] + ks;
+    sum->l1 += fabs(d);
+    sum->sq = d * d + sum->sq;
+    if (!by->with_grad)
+        return;
+    float16 up = d > 0.0f ? (float16)(by->l1) : (float16)(0.0f);
+    float16 down = d < 0.0f ? (float16)(by->l1) : (float16)(0.0f);
+    if (by->with_ssim) {
+        k = 2.0f * x * ks + km;
+        k = y * kc + k;
     }
-    float16 g = ks * scale_ssim + (up - down);
+    float16 g = k * by->ssim + (up - down);
     __global float *to = grad + ((size_t)p->c * p->h + row) * p->w;
     const __global uchar *mp = p->mask + (p->has_mask ? (size_t)row * p->w : 0);
     if (col + 16 <= p->w && !p->has_mask) {
@@ -324,43 +276,91 @@ INLINE void backward_write(const struct picture *p, int row, int col, const floa
     }
 }
 
-/* scale_l1 = l1_weight / 3hw, scale_ssim = -ssim_weight / 3hw. */
-__kernel void photometric_backward(const __global float *color, const __global uchar *target,
-                                   const __global uchar *mask, int has_mask, int w, int h,
-                                   int pitch, int with_ssim, const __global float *maps,
-                                   float scale_l1, float scale_ssim, __global float *grad)
+/* The rows of a ring from the oldest on. */
+INLINE void ring_rows(float16 *ring, int width, int oldest, float16 **row)
 {
-    enum { WIDTH = 3 * VECS };
-    int x0, y0, y1, c = piece_origin(w, h, &x0, &y0, &y1);
-    struct picture p = {color, target, mask, has_mask, w, h, c};
-    float16 window[(ROWS + 2 * RADIUS) * WIDTH];
-    size_t plane = (size_t)3 * h * pitch;
-    for (int out = y0 - ROWS; out < y1; out += ROWS) {
-        int first = out < y0 ? ROWS - 2 * RADIUS : 0;
-        for (int i = first; with_ssim && i < ROWS && out + i - RADIUS < y1; i++) {
-            int row = out + RADIUS + i;
-            float16 *to = window + (2 * RADIUS + i) * WIDTH;
-            if (row >= 0 && row < min(h, y1 + RADIUS))
-                backward_row(maps + ((size_t)c * h + row) * pitch + LAYOUT_LOSS_MARGIN + x0, plane,
-                             pitch, to);
-            else
-                for (int j = 0; j < WIDTH; j++)
-                    to[j] = (float16)(0.0f);
-        }
-        for (int i = 0; out >= y0 && i < ROWS && out + i < y1; i += 2)
-            for (int j = 0; j < VECS; j++) {
-                float16 upper[3], lower[3];
-                int col = x0 + 16 * j;
-                for (int k = 0; with_ssim && k < 3; k++)
-                    blur_column(window + i * WIDTH + k * VECS + j, WIDTH, upper + k, lower + k);
-                backward_write(&p, out + i, col, upper, with_ssim, scale_l1, scale_ssim, grad);
-                if (out + i + 1 < y1)
-                    backward_write(&p, out + i + 1, col, lower, with_ssim, scale_l1, scale_ssim,
-                                   grad);
-            }
-        if (with_ssim)
-            window_move(window, ROWS, WIDTH);
+#pragma unroll
+    for (int k = 0; k < WINDOW; k++)
+        row[k] = ring + (oldest + k < WINDOW ? oldest + k : oldest + k - WINDOW) * width;
+}
+
+/* `rows`: of a band, even. scale_l1 = l1_weight / 3hw, scale_ssim = -ssim_weight / 3hw. */
+__kernel void photometric_both(const __global float *color, const __global uchar *target,
+                               const __global uchar *mask, int has_mask, int w, int h, int rows,
+                               int with_ssim, __global float *parts, float scale_l1,
+                               float scale_ssim, int with_grad, __global float *grad)
+{
+    enum { FORWARD = 4 * (VECS + 1), BACKWARD = 3 * VECS };
+    int piece = get_global_id(0) / 3, across = (w + LAYOUT_LOSS_STRIP - 1) / LAYOUT_LOSS_STRIP;
+    int x0 = piece % across * LAYOUT_LOSS_STRIP, y0 = piece / across * rows;
+    int y1 = min(y0 + rows, h), n = min(VECS, (w - x0 + 15) / 16);
+    struct picture p = {color, target, mask, has_mask, w, h, get_global_id(0) % 3};
+    struct weights by = {scale_l1, scale_ssim, with_ssim, with_grad};
+    struct sums sum = {0.0f, 0.0f, 0.0f}, all = sum; /* of two rows, of the piece */
+    float16 blurred[WINDOW * FORWARD], maps[WINDOW * BACKWARD];
+    int slot = 0, zero = has_mask >> 1;
+    for (int row = y0; !with_ssim && row < y1; row++) {
+        for (int j = 0; j < n; j++)
+            backward_write(&p, row, x0 + 16 * j, 0.0f, 0.0f, 0.0f, &by, grad, &sum);
+        sums_move(&sum, &all);
     }
+    /* rows `in` come in, maps of 5 rows before are made, and the gradient of 5 rows before those */
+    for (int in = y0 - 2 * RADIUS; with_ssim && in - 2 * RADIUS < y1; in += 2) {
+        float16 *from[WINDOW], *map_from[WINDOW];
+        int mid = in - RADIUS, out = mid - RADIUS, oldest = slot + 2 < WINDOW ? slot + 2 : 0;
+        forward_row(&p, in, x0 - RADIUS, n + 1, zero, blurred + slot * FORWARD);
+        forward_row(&p, in + 1, x0 - RADIUS, n + 1, zero, blurred + (slot + 1) * FORWARD);
+        ring_rows(blurred, FORWARD, oldest, from);
+        ring_rows(maps, BACKWARD, oldest, map_from);
+        int16 pm = 0, ps = 0, pc = 0, pm1 = 0, ps1 = 0, pc1 = 0;
+        for (int j = 0; in >= y0 && j <= n; j++) {
+            float16 m1, m2, qq, xy, m1_1, m2_1, qq_1, xy_1, s, qm, qs, qc, qm1, qs1, qc1;
+            int col = x0 - RADIUS + 16 * j, own = j == 0 ? RADIUS : 0, end = j == n ? RADIUS : 16;
+            blur_column(from, j, &m1, &m1_1);
+            blur_column(from, VECS + 1 + j, &m2, &m2_1);
+            blur_column(from, 2 * (VECS + 1) + j, &qq, &qq_1);
+            blur_column(from, 3 * (VECS + 1) + j, &xy, &xy_1);
+            s = forward_ssim(&p, mid, col, m1, m2, qq, xy, &qm, &qs, &qc);
+            if (mid >= y0 && mid < y1)
+                sum.s += lanes_between(s, own, end);
+            s = forward_ssim(&p, mid + 1, col, m1_1, m2_1, qq_1, xy_1, &qm1, &qs1, &qc1);
+            if (mid + 1 >= y0 && mid + 1 < y1)
+                sum.s += lanes_between(s, own, end);
+            int16 wm = WORDS(qm), ws = WORDS(qs), wc = WORDS(qc);
+            int16 wm1 = WORDS(qm1), ws1 = WORDS(qs1), wc1 = WORDS(qc1);
+            if (j > 0) {
+                float16 *to = maps + slot * BACKWARD + j - 1;
+                to[0] = blur_row(pm, wm);
+                to[VECS] = blur_row(ps, ws);
+                to[2 * VECS] = blur_row(pc, wc);
+                to[BACKWARD] = blur_row(pm1, wm1);
+                to[BACKWARD + VECS] = blur_row(ps1, ws1);
+                to[BACKWARD + 2 * VECS] = blur_row(pc1, wc1);
+            }
+            pm = wm;
+            ps = ws;
+            pc = wc;
+            pm1 = wm1;
+            ps1 = ws1;
+            pc1 = wc1;
+        }
+        for (int j = 0; out >= y0 && j < n; j++) {
+            float16 km, ks, kc, km1, ks1, kc1;
+            blur_column(map_from, j, &km, &km1);
+            blur_column(map_from, VECS + j, &ks, &ks1);
+            blur_column(map_from, 2 * VECS + j, &kc, &kc1);
+            backward_write(&p, out, x0 + 16 * j, km, ks, kc, &by, grad, &sum);
+            if (out + 1 < y1)
+                backward_write(&p, out + 1, x0 + 16 * j, km1, ks1, kc1, &by, grad, &sum);
+        }
+        sums_move(&sum, &all);
+        slot = oldest;
+    }
+    __global float *part = parts + get_global_id(0) * 4;
+    part[0] = sum16(all.l1);
+    part[1] = sum16(all.s);
+    part[2] = sum16(all.sq);
+    part[3] = 0.0f;
 }
 
 #else

@@ -52,7 +52,7 @@ static void the_table_of_gpus(void **state)
         {74, {"bin_expand"}, true},
         {66, {"bin_gather"}, false},
         {206, {"blend"}, false},
-        {105, {"photometric_forward", "photometric_backward"}, true},
+        {105, {"photometric_forward", "photometric_backward"}, false},
         {52, {"scale_count", "scale_grad"}, true},
         {376, {"blend_backward"}, false},
         /* a moment of 4 bytes, or of 2 */
