@@ -5,6 +5,7 @@
  */
 #include "loss/solid.h"
 
+#include <assert.h>
 #include <string.h>
 
 #include "core/base.h"
@@ -123,7 +124,8 @@ static enum err_code solid_support(struct solid *s, const struct solid_input *in
         rc = dev_buffer(s->dev, pixels, NULL, &s->supported, e);
         s->pixels = rc ? 0 : pixels;
     }
-    return !rc && in->supported ? dev_write(s->dev, s->supported, 0, pixels, in->supported, e) : rc;
+    return !rc && in->supported ? dev_write_soon(s->dev, s->supported, 0, pixels, in->supported, e)
+                                : rc;
 }
 
 static enum err_code solid_known(struct solid *s, const struct solid_input *in, struct err *e)
@@ -136,7 +138,7 @@ static enum err_code solid_known(struct solid *s, const struct solid_input *in, 
         rc = dev_buffer(s->dev, bytes, NULL, &s->known, e);
         s->known_bytes = rc ? 0 : bytes;
     }
-    return !rc && in->known ? dev_write(s->dev, s->known, 0, bytes, in->known, e) : rc;
+    return !rc && in->known ? dev_write_soon(s->dev, s->known, 0, bytes, in->known, e) : rc;
 }
 
 static enum err_code solid_launch(struct solid *s, struct render *r, const struct solid_input *in,
@@ -182,6 +184,16 @@ static enum err_code solid_launch(struct solid *s, struct render *r, const struc
     return rc ? rc : dev_run(s->dev, s->grad, "solid_grad", h * local, local, e);
 }
 
+enum err_code solid_hand_over(struct solid *s, const struct solid_input *in, struct err *e)
+{
+    enum err_code rc = solid_support(s, in, e);
+    if (!rc)
+        rc = solid_known(s, in, e);
+    if (rc)
+        dev_abandon(s->dev, NULL);
+    return rc;
+}
+
 enum err_code solid_run(struct solid *s, struct render *r, const struct solid_input *in,
                         struct err *e)
 {
@@ -194,11 +206,8 @@ enum err_code solid_run(struct solid *s, struct render *r, const struct solid_in
     if (!grad)
         return err_set(e, ERR_MEM, "solid: no room on the device for gradients of %u x %u px",
                        in->width_px, in->height_px);
+    assert(s->supported && s->known);
     enum err_code rc = solid_reserve(s, in->width_px, in->height_px, e);
-    if (!rc)
-        rc = solid_support(s, in, e);
-    if (!rc)
-        rc = solid_known(s, in, e);
     return rc ? rc : solid_launch(s, r, in, grad, e);
 }
 

@@ -67,7 +67,12 @@ struct solid; /* compiled kernels and buffers */
 /* Builds the kernels. Free *out with solid_close. ERR_DEVICE, ERR_MEM. */
 enum err_code solid_open(struct dev *dev, struct solid **out, struct err *e) ERR_USE;
 void solid_close(struct solid **s);
-/* Enqueues: writes the renderer's gradient of the moments (render_moments_grad_buffer) for its last
+/* Hands `supported` and `known` over without waiting. Call it before the frame is drawn: then they
+ * must stay as they are only until render_forward returns. Waits if it fails. ERR_MEM,
+ * ERR_DEVICE. */
+enum err_code solid_hand_over(struct solid *s, const struct solid_input *in,
+                              struct err *e) ERR_USE;
+/* Enqueues, with what was handed over: writes the renderer's gradient of the moments (render_moments_grad_buffer) for its last
  * frame, which must have moments and this size. ERR_ARG (there is no such frame, or the stride is
  * out of range), ERR_MEM, ERR_DEVICE. */
 enum err_code solid_run(struct solid *s, struct render *r, const struct solid_input *in,

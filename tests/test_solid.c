@@ -133,6 +133,7 @@ static void check_kernels(uint32_t width, struct view_case *s, uint32_t stride)
     }
     dev_get()->vector_width = width ? width : own;
     kit_ok(solid_open(dev_get(), &solid, &e), e);
+    kit_ok(solid_hand_over(solid, &in, &e), e);
     kit_ok(solid_run(solid, r, &in, &e), e);
     kit_ok(solid_read(solid, &got, &e), e);
     dev_get()->vector_width = own;

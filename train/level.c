@@ -568,6 +568,9 @@ enum err_code level_step(struct level *l, struct photometric_value *value, struc
     rc = background_support(&l->background, l->site.ground, &photo, &supported, e);
     if (!rc)
         background_choose(&l->background, l->cfg, supported, &l->stage, &photo, &ro);
+    if (!rc && solid) /* while the device makes the step before; model_see waits for that */
+        rc = solidity_hand_over(&l->solidity, &l->site, &l->gallery, &l->stage, &photo, supported,
+                                e);
     if (step % LEVEL_FILTER_STEPS == 0)
         m->filter_is_current = false;
     if (!rc)
@@ -584,13 +587,15 @@ enum err_code level_step(struct level *l, struct photometric_value *value, struc
     if (!rc)
         rc = gallery_loss(&l->gallery, &photo, e);
     if (!rc && solid)
-        rc = solidity_step(&l->solidity, &l->site, &l->gallery, &l->stage, &photo, supported, e);
+        rc = solidity_step(l->solidity, &l->gallery, e);
     if (!rc)
         rc = level_backward(l, step, photo.image, &ro, e);
     if (!rc)
         rc = regularizer_shake(l->regularizer, m, l->cfg, &l->site.cell, &l->stage, e);
     if (!rc && value)
         rc = level_read_loss(l, value, e);
+    if (rc) /* what was handed over belongs to the host again */
+        dev_abandon(l->engine.dev, NULL);
     const struct schedule *s = stage_schedule(&l->stage);
     uint32_t x = schedule_densify_index(s, step);
     return !rc && (x || schedule_resets(s, step) || level_thins(l)) ? level_control(l, x, e) : rc;

@@ -25,6 +25,7 @@ struct solidity {
     struct solid *solid;
     struct depth_map *maps;  /* NULL: no depth is known */
     char dir[FILE_PATH_MAX]; /* of the maps */
+    struct solid_input in;   /* of the step */
 };
 
 void solidity_free(struct solidity **p)
@@ -84,9 +85,9 @@ static enum err_code solidity_open(struct solidity **own, const struct gallery *
     return rc ? rc : depth_map_open(&maps, &(*own)->maps, e);
 }
 
-enum err_code solidity_step(struct solidity **own, const struct site *site, const struct gallery *g,
-                            const struct stage *at, const struct photo *photo,
-                            const uint8_t *supported, struct err *e)
+enum err_code solidity_hand_over(struct solidity **own, const struct site *site,
+                                 const struct gallery *g, const struct stage *at,
+                                 const struct photo *photo, const uint8_t *supported, struct err *e)
 {
     static const uint32_t strides[] = {1, 2, 4};
     const struct train_config *c = g->cfg;
@@ -96,7 +97,9 @@ enum err_code solidity_step(struct solidity **own, const struct site *site, cons
     enum err_code rc = solidity_open(own, g, e);
     if (!rc && (*own)->maps)
         rc = depth_map_target((*own)->maps, photo->image, &photo->cam, photo->mask, &known, e);
-    const struct solid_input in = {
+    if (rc)
+        return rc;
+    (*own)->in = (struct solid_input){
         .width_px = photo->cam.width_px,
         .height_px = photo->cam.height_px,
         .focal_px = photo->cam.fx_px,
@@ -111,5 +114,10 @@ enum err_code solidity_step(struct solidity **own, const struct site *site, cons
         .known = known.t,
         .known_zeta = known.unit_m / solidity_unit_m(site),
     };
-    return rc ? rc : solid_run((*own)->solid, g->engine.render, &in, e);
+    return solid_hand_over((*own)->solid, &(*own)->in, e);
+}
+
+enum err_code solidity_step(struct solidity *s, const struct gallery *g, struct err *e)
+{
+    return solid_run(s->solid, g->engine.render, &s->in, e);
 }
