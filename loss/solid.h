@@ -72,9 +72,9 @@ void solid_close(struct solid **s);
  * ERR_DEVICE. */
 enum err_code solid_hand_over(struct solid *s, const struct solid_input *in,
                               struct err *e) ERR_USE;
-/* Enqueues, with what was handed over: writes the renderer's gradient of the moments (render_moments_grad_buffer) for its last
- * frame, which must have moments and this size. ERR_ARG (there is no such frame, or the stride is
- * out of range), ERR_MEM, ERR_DEVICE. */
+/* Enqueues, with what was handed over: writes the renderer's gradient of the moments
+ * (render_moments_grad_buffer) for its last frame, which must have moments and this size. ERR_ARG
+ * (there is no such frame, or the stride is out of range), ERR_MEM, ERR_DEVICE. */
 enum err_code solid_run(struct solid *s, struct render *r, const struct solid_input *in,
                         struct err *e) ERR_USE;
 /* Waits, and reads the values of the last run. ERR_DEVICE. */
