@@ -167,7 +167,6 @@ async function show(name, recipe, { hide = "", prepare = null } = {}) {
     const { page, log, close } = await openPage("about:blank", SIZE);
     try {
         const sizes = [];
-        const faults = () => log.filter((line) => !line.endsWith("net::ERR_ABORTED")); // MapLibre takes requests back
         page.on("console", (m) => m.type() === "warning" && m.text().includes(source.url) && log.push(m.text()));
         const data = (url) => url.startsWith(source.url) || /\/(public\/city\/|city\.pmtiles)/.test(url);
         page.on("requestfinished", (request) => {
@@ -178,7 +177,7 @@ async function show(name, recipe, { hide = "", prepare = null } = {}) {
         if (hide) await page.addStyleTag({ content: `${hide} { display: none !important }` });
         let [last, same] = [null, 0];
         const end = Date.now() + TIMEOUT_MS;
-        while (same < 3 && Date.now() < end && !faults().length) {
+        while (same < 3 && Date.now() < end && !log.length) {
             await page.waitForTimeout(250);
             const path = process.env.RECIPES_SHOTS && join(process.env.RECIPES_SHOTS, `${name}.png`);
             const picture = decodePng(await page.screenshot({ timeout: TIMEOUT_MS, ...(path && { path }) }));
@@ -186,7 +185,7 @@ async function show(name, recipe, { hide = "", prepare = null } = {}) {
             same = last && lit && rmsDifference(picture, last) === 0 ? same + 1 : 0;
             last = picture;
         }
-        assert.deepEqual(faults(), [], `${name}'s console`);
+        assert.deepEqual(log, [], `${name}'s console`);
         assert.ok(same >= 3, `${name}: no picture that stays`);
         const bytes = (await Promise.all(sizes)).reduce((sum, { responseBodySize }) => sum + responseBodySize, 0);
         return { picture: last, bytes };

@@ -40,11 +40,9 @@ class Newcomer {
         await waitForViewer(this.page);
     }
 
-    // To a fresh page. What the page asked for when it is left ends with it: that is no fault of it.
+    // To a fresh page.
     async go(url) {
-        const before = this.log.length;
         await this.page.goto("about:blank");
-        this.log.splice(before, Infinity, ...this.log.slice(before).filter((line) => !line.endsWith("net::ERR_ABORTED")));
         await this.page.goto(url);
     }
 

@@ -67,7 +67,7 @@ async function endBrowser() {
 if (testing) after(endBrowser);
 
 // Opens url in a fresh profile. { page, log, close }: log collects console errors and uncaught
-// exceptions. init: a function that runs in the page before its scripts.
+// exceptions, and failed requests. init: a function that runs in the page before its scripts.
 export async function openPage(url, { width = 800, height = 600, init = null, ...more } = {}) {
     const browser = await takeBrowser();
     const context = await browser.newContext({
@@ -85,7 +85,11 @@ export async function openPage(url, { width = 800, height = 600, init = null, ..
     const log = [];
     page.on("console", (m) => m.type() === "error" && log.push(m.text()));
     page.on("pageerror", (e) => log.push(`uncaught: ${e.message}`));
-    page.on("requestfailed", (r) => log.push(`failed: ${r.url()} ${r.failure()?.errorText}`));
+    // The page takes back what it no longer needs, and asks again where a busy server is silent.
+    page.on("requestfailed", (r) => {
+        const why = r.failure()?.errorText;
+        if (why !== "net::ERR_ABORTED") log.push(`failed: ${r.url()} ${why}`);
+    });
     try {
         await page.goto(url, { waitUntil: "load" });
     } catch (error) {
