@@ -70,6 +70,33 @@ bool camera_frames(const struct camera *c, const double enu_m[3], double near_m,
            px[0] < c->width_px && px[1] < c->height_px;
 }
 
+double camera_moved_px(const struct camera *a, const struct camera *b, double near_m)
+{
+    static const double at[5][2] = {{0.5, 0.5}, {0, 0}, {1, 0}, {0, 1}, {1, 1}};
+    double most = 0.0;
+    if (a->width_px != b->width_px || a->height_px != b->height_px)
+        return HUGE_VAL;
+    for (size_t i = 0; i < 2 * sizeof at / sizeof *at; i++) {
+        const double u = at[i / 2][0] * a->width_px, v = at[i / 2][1] * a->height_px;
+        const double ray[3] = {(u - a->cx_px) / a->fx_px, (v - a->cy_px) / a->fy_px, 1.0};
+        const double here = i % 2 ? 0.0 : 1.0 / near_m; /* infinitely far: only turned */
+        double enu[3], seen[3];
+        for (size_t k = 0; k < 3; k++) {
+            enu[k] = 0.0;
+            for (size_t j = 0; j < 3; j++)
+                enu[k] += a->rot[3 * j + k] * (ray[j] - here * a->trans[j]);
+        }
+        for (size_t k = 0; k < 3; k++)
+            seen[k] = b->rot[3 * k] * enu[0] + b->rot[3 * k + 1] * enu[1] +
+                      b->rot[3 * k + 2] * enu[2] + here * b->trans[k];
+        if (!(seen[2] > 1e-3))
+            return HUGE_VAL;
+        most = fmax(most, hypot(b->fx_px * seen[0] / seen[2] + b->cx_px - u,
+                                b->fy_px * seen[1] / seen[2] + b->cy_px - v));
+    }
+    return most;
+}
+
 struct camera camera_resize(const struct camera *c, uint32_t width_px, uint32_t height_px)
 {
     struct camera out = *c;

@@ -156,6 +156,10 @@ struct layout_view {
     float depth_unit_m; /* unit of moments of depth; 0: the frame has none */
     /* 1: a frame that no gradients or scores follow. Intersections have no slots and no hits */
     LAYOUT_U32 picture;
+    /* px: splats are also listed in tiles that they come so near to; 0: only where they are drawn
+     */
+    float room_px;
+    LAYOUT_U32 again; /* 1: the tile lists are those of an earlier frame */
 };
 
 /* Word numbers in struct layout_splat, for kernels that move records as vectors. */
@@ -302,7 +306,7 @@ static_assert(LAYOUT_PLANES_GEOMETRY == LAYOUT_PLANE_OPACITY + 1, "opacity is th
 static_assert(sizeof(struct layout_adam) == 18 * 4, "no padding: an argument of a kernel");
 static_assert(sizeof(struct layout_counts) == 8 * (2 + LAYOUT_SORT_CHUNKS) + 4 * LAYOUT_BIN_CHUNKS,
               "no padding");
-static_assert(sizeof(struct layout_view) == 44 * 4, "no padding: kernels read the same words");
+static_assert(sizeof(struct layout_view) == 46 * 4, "no padding: kernels read the same words");
 
 /* Number of planes of a group of parameters. Embeddings begin at plane layout_planes(sh_degree, 0).
  */

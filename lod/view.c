@@ -22,6 +22,24 @@
 /* Below this many pixels of their largest sigmas in the mean, Gaussians tile surfaces; photographs
  * show them at 1.7 and more (decision 050). */
 #define VIEW_SMALL_PX 1.6
+/* Tile lists of a moving camera: while the picture moves by so little from one to the next that
+ * they can be used again, they have room; they are used until it has moved by more than the room
+ * and the rest (decision 121). Things nearer than the quantile of depth move more. */
+#define VIEW_STEP_MOST_PX 4.0
+#define VIEW_ROOM_PX 2.0
+#define VIEW_BEYOND_PX 2.0
+#define VIEW_NEAR 0.05
+
+struct view_moving {           /* the last picture of a moving camera */
+    bool made;                 /* it may be used */
+    uint64_t frame;            /* of the renderer, when it was drawn */
+    struct camera listed, cam; /* of the picture whose lists it has, and its own */
+    struct render_options ro;
+    uint64_t max_gaussians;
+    double error_px;
+    double near_m, room_px;
+    struct view_stats stats;
+};
 
 struct view {
     struct store *store;
@@ -30,6 +48,7 @@ struct view {
     uint32_t *now;                       /* tiles of the picture being made, scratch */
     const struct appearance *appearance; /* of the store; NULL: none */
     float *frame;                        /* of the appearance, see appearance_frame; NULL: none */
+    struct view_moving moving;
 };
 
 /* Of store, which is taken, also on failure. */
@@ -92,6 +111,7 @@ void view_close(struct view **vp)
 
 void view_shrink(struct view *v)
 {
+    v->moving.made = false;
     resident_shrink(&v->resident);
 }
 
@@ -117,15 +137,22 @@ enum err_code view_set_appearance(struct view *v, const float *image, struct err
     enum err_code rc = ERR_OK;
     if (!a)
         return ERR_OK;
-    if (!v->frame)
-        v->frame = mem_array(appearance_frame_floats(a->len_gauss, a->hidden), sizeof *v->frame);
-    if (!v->frame)
+    const size_t n = appearance_frame_floats(a->len_gauss, a->hidden);
+    float *frame = mem_array(n, sizeof *frame);
+    if (!frame)
         return err_set(e, ERR_MEM, "view: out of memory");
     if (!image)
         rc = bake_find(v->store, BAKE_DEFAULT, by_default, e);
     if (!rc)
-        appearance_frame(a, image ? image : by_default, v->frame);
-    return rc;
+        appearance_frame(a, image ? image : by_default, frame);
+    if (rc) {
+        mem_free(frame);
+        return rc;
+    }
+    v->moving.made = v->moving.made && memcmp(frame, v->frame, n * sizeof *frame) == 0;
+    mem_free(v->frame);
+    v->frame = frame;
+    return ERR_OK;
 }
 
 enum err_code view_find_appearance(struct view *v, const char *text, float *image, struct err *e)
@@ -139,6 +166,7 @@ enum err_code view_model(struct view *v, const struct camera *cam, const struct 
     double t0 = clock_s();
     size_t n = 0, n_tiles;
     *out = NULL;
+    v->moving.made = false;
     enum err_code rc = pick_tiles(v->store, cam, po, v->now, &n, e);
     double t1 = clock_s();
     if (!rc)
@@ -178,6 +206,20 @@ static uint32_t view_supersample(const struct view *v, const struct camera *cam,
     return ro->aa != RENDER_AA_NONE && fits && sigma_px < VIEW_SMALL_PX * count ? 2 : 1;
 }
 
+/* The options of the renderer, for a picture with supersampling as settled. */
+static struct render_options view_options(const struct view *v, const struct render_options *ro,
+                                          uint32_t supersample)
+{
+    struct render_options o = *ro;
+    o.picture = true;
+    o.supersample = supersample;
+    if (v->frame && !o.appearance_frame) {
+        o.appearance_frame = v->frame;
+        o.appearance_hidden = v->appearance->hidden;
+    }
+    return o;
+}
+
 enum err_code view_render_tiles(struct view *v, const struct view_tiles *tiles,
                                 const struct camera *cam, const struct render_options *ro,
                                 float *rgb, struct view_stats *stats, struct err *e)
@@ -185,6 +227,7 @@ enum err_code view_render_tiles(struct view *v, const struct view_tiles *tiles,
     struct view_stats st = {.n_tiles = tiles->n};
     struct frustum f;
     double t0 = clock_s();
+    v->moving.made = false;
     if (tiles->weight && v->appearance)
         return err_set(e, ERR_ARG, "view: tiles with appearance are drawn in full or not at all");
     if (ro->orthographic)
@@ -197,14 +240,10 @@ enum err_code view_render_tiles(struct view *v, const struct view_tiles *tiles,
                                      &st.n_gaussians, e);
     double t1 = clock_s();
     st.ms_load = 1e3 * (t1 - t0);
-    struct render_options o = *ro;
-    o.picture = true;
-    if (o.supersample == VIEW_SUPERSAMPLE_AUTO)
-        o.supersample = view_supersample(v, cam, tiles, ro);
-    if (v->frame && !o.appearance_frame) {
-        o.appearance_frame = v->frame;
-        o.appearance_hidden = v->appearance->hidden;
-    }
+    const struct render_options o =
+        view_options(v, ro,
+                     ro->supersample == VIEW_SUPERSAMPLE_AUTO ? view_supersample(v, cam, tiles, ro)
+                                                              : ro->supersample);
     if (!rc)
         rc = render_forward(v->render, &v->resident.model, cam, &o, rgb, NULL, e);
     st.ms_render = 1e3 * (clock_s() - t1);
@@ -228,6 +267,71 @@ enum err_code view_render(struct view *v, const struct camera *cam, const struct
         rc = view_render_tiles(v, &tiles, cam, ro, rgb, stats, e);
     if (!rc && stats)
         stats->ms_pick = ms_pick;
+    return rc;
+}
+
+/* Whether the last picture of a moving camera was of these Gaussians, and the renderer's last. */
+static bool view_is_next(const struct view *v, const struct render_options *ro,
+                         const struct pick_options *po)
+{
+    const struct view_moving *m = &v->moving;
+    const struct render_options *was = &m->ro;
+    return m->made && m->frame == render_frames(v->render) && was->aa == ro->aa &&
+           was->near_m == ro->near_m && was->kernel_px2 == ro->kernel_px2 &&
+           was->sh_degree == ro->sh_degree && was->supersample == ro->supersample &&
+           m->max_gaussians == po->max_gaussians && m->error_px == po->error_px;
+}
+
+static enum err_code view_draw_again(struct view *v, const struct camera *cam,
+                                     const struct render_options *ro, float *rgb, struct err *e)
+{
+    struct render_options o = view_options(v, ro, ro->supersample);
+    double t0 = clock_s();
+    o.list_again = true;
+    o.list_room_px = (float)v->moving.room_px;
+    v->moving.made = false;
+    enum err_code rc = render_forward(v->render, &v->resident.model, cam, &o, rgb, NULL, e);
+    v->moving.stats.ms_pick = v->moving.stats.ms_load = 0.0;
+    v->moving.stats.ms_render = 1e3 * (clock_s() - t0);
+    return rc;
+}
+
+enum err_code view_render_moving(struct view *v, const struct camera *cam,
+                                 const struct render_options *ro, const struct pick_options *po,
+                                 float *rgb, struct view_stats *stats, struct err *e)
+{
+    const struct pick_options pick = po ? *po : (struct pick_options){0};
+    struct view_moving *m = &v->moving;
+    struct render_options o = *ro;
+    if (ro->orthographic || ro->appearance_frame || ro->background_where || ro->depth_unit_m > 0 ||
+        ro->supersample == VIEW_SUPERSAMPLE_AUTO || pick.before || pick.metric || pick.no_lod)
+        return view_render(v, cam, ro, po, rgb, stats, e);
+    const double fine = ro->supersample > 1 ? ro->supersample : 1;
+    const bool next = view_is_next(v, ro, &pick);
+    double step_px = HUGE_VAL, moved_px = HUGE_VAL;
+    if (next) {
+        step_px = fine * camera_moved_px(&m->cam, cam, m->near_m);
+        moved_px = fine * camera_moved_px(&m->listed, cam, m->near_m);
+    }
+    enum err_code rc = ERR_OK;
+    if (moved_px <= m->room_px + VIEW_BEYOND_PX) {
+        rc = view_draw_again(v, cam, ro, rgb, e);
+    } else {
+        m->room_px = step_px <= VIEW_STEP_MOST_PX ? VIEW_ROOM_PX : 0.0;
+        o.list_room_px = (float)m->room_px;
+        rc = view_render(v, cam, &o, po, rgb, &m->stats, e);
+        if (!rc)
+            rc = render_depth_quantile(v->render, VIEW_NEAR, &m->near_m, e);
+        m->listed = *cam;
+        m->ro = *ro;
+        m->max_gaussians = pick.max_gaussians;
+        m->error_px = pick.error_px;
+    }
+    m->cam = *cam;
+    m->frame = render_frames(v->render);
+    m->made = !rc;
+    if (!rc && stats)
+        *stats = m->stats;
     return rc;
 }
 

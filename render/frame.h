@@ -51,6 +51,8 @@ struct render {
 
     /* ---- the last frame; valid for the backward pass while `drawn` ---- */
     bool drawn;
+    bool listed;     /* its order and tile lists are whole: a frame with list_again may use them */
+    uint64_t frames; /* begun */
     /* Buffers of the model that was drawn, borrowed. They are never NULL while there is a frame:
      * see render_stage_project. */
     cl_mem drawn_params, drawn_filter, drawn_list;

@@ -12,6 +12,10 @@
 // They take two square roots (AccuTile, Hanson et al. 2025, in rows of tiles). A margin of 0.01 px
 // covers rounding, so that no pixel is lost that blending would draw.
 //
+// With view->room_px, tiles and picture are as if they were larger by so much on every side: their
+// lists hold what comes into them when the camera moves a little. A frame of such lists (again)
+// hides the splats that are not in it any more, and leaves tiles_of alone.
+//
 // With APPEARANCE_LEN (appearance.cl) the network runs before extents and culling, for Gaussians
 // that would reach into the picture if they were opaque:
 //   in   frame, its constants;   out  effective [groups * 16], opacity with its offset
@@ -19,6 +23,7 @@
 // Reference: ref_project in render_ref.c.
 
 #define MARGIN_PX 0.01f
+#define HIDDEN_LOG2 (-1e4f) // an opacity that is drawn nowhere
 #ifdef APPEARANCE_LEN
 #define APPEARANCE_ARGS , __constant float *frame, __global float *effective
 #define APPEARANCE(at) , frame, effective + (at)
@@ -57,14 +62,15 @@ struct coverage {
 INLINE void project_tiles(__constant struct layout_view *v, const struct outline *o,
                           struct coverage *c)
 {
-    V mx = o->mx, my = o->my, hx = o->hx + MARGIN_PX, hy = o->hy + MARGIN_PX;
+    const float room = v->room_px, margin = MARGIN_PX + room;
+    V mx = o->mx, my = o->my, hx = o->hx + margin, hy = o->hy + margin;
     VI row0 = tile_first(my - hy, v->tiles_y), row1 = tile_last(my + hy, v->tiles_y);
     VI col0 = tile_first(mx - hx, v->tiles_x), col1 = tile_last(mx + hx, v->tiles_x);
     VI rows = row1 - row0 + 1, cols = col1 - col0 + 1;
     VI shift = cols > 512 ? (VI)(2) : (cols > 256 ? (VI)(1) : (VI)(0));
     VI step = TO_VI(floor(TO_V(rows + (LAYOUT_BANDS - 1)) * (1.0f / LAYOUT_BANDS) + 1e-3f));
-    V inv_p = 1.0f / o->p,
-      y_right = o->y_of_x * hx; // where the ellipse is widest, and its mirror image
+    V inv_p = 1.0f / o->p;
+    V y_right = o->y_of_x * (o->hx + MARGIN_PX); // where it is widest, and its mirror image
     c->cover = AS_VU(row0) | (AS_VU(col0) << 10) | (AS_VU(rows - 1) << 20) | (AS_VU(shift) << 30);
     c->tiles = (VI)(0);
     for (int b = 0; b < LAYOUT_BANDS / 2; b++)
@@ -73,14 +79,14 @@ INLINE void project_tiles(__constant struct layout_view *v, const struct outline
         VI top = row0 + b * step, bottom = MIN_(top + step - 1, row1);
         if (!ANY(top <= row1))
             break;
-        V y0 = TO_V(top) * LAYOUT_TILE + 0.5f - my,
-          y1 = TO_V(bottom) * LAYOUT_TILE + (LAYOUT_TILE - 0.5f) - my;
+        V y0 = TO_V(top) * LAYOUT_TILE + (0.5f - room) - my,
+          y1 = TO_V(bottom) * LAYOUT_TILE + (LAYOUT_TILE - 0.5f + room) - my;
         V yr = CLAMP_(y_right, y0, y1), yl = CLAMP_(-y_right, y0, y1);
         V wr = o->reach - (o->r * yr) * (o->r * yr), wl = o->reach - (o->r * yl) * (o->r * yl);
         wr = sqrt(MAX_(wr, 0.0f)) * inv_p;
         wl = sqrt(MAX_(wl, 0.0f)) * inv_p;
-        VI first = tile_first(mx + (o->x_of_y * yl - wl) - MARGIN_PX, v->tiles_x);
-        VI last = tile_last(mx + (o->x_of_y * yr + wr) + MARGIN_PX, v->tiles_x);
+        VI first = tile_first(mx + (o->x_of_y * yl - wl) - margin, v->tiles_x);
+        VI last = tile_last(mx + (o->x_of_y * yr + wr) + margin, v->tiles_x);
         if (!v->tile_cull) {
             first = col0;
             last = col1;
@@ -142,8 +148,9 @@ INLINE void project_store(__global struct layout_splat *out, V w[LAYOUT_SPLAT_WO
 // The mask of lanes within `hx`, `hy` of the picture.
 INLINE VI project_within(__constant struct layout_view *v, V mx, V my, V hx, V hy)
 {
-    return (mx + hx > 0.0f) & (mx - hx < (float)v->width) & (my + hy > 0.0f) &
-           (my - hy < (float)v->height);
+    const float room = v->room_px;
+    return (mx + hx > -room) & (mx - hx < (float)v->width + room) & (my + hy > -room) &
+           (my - hy < (float)v->height + room);
 }
 
 #ifdef APPEARANCE_LEN
@@ -228,8 +235,9 @@ INLINE int project_near(__constant struct layout_view *v, __global const float *
 {
     V iz = v->orthographic ? (V)(1.0f) : 1.0f / s->cam[2];
     V x = s->cam[0] * iz, y = s->cam[1] * iz;
-    V out_x = fabs(v->fx * x + (v->cx - 0.5f * (float)v->width)) - 0.5f * (float)v->width;
-    V out_y = fabs(v->fy * y + (v->cy - 0.5f * (float)v->height)) - 0.5f * (float)v->height;
+    const float half_w = 0.5f * (float)v->width, half_h = 0.5f * (float)v->height;
+    V out_x = fabs(v->fx * x + (v->cx - half_w)) - (half_w + v->room_px);
+    V out_y = fabs(v->fy * y + (v->cy - half_h)) - (half_h + v->room_px);
     if (ANY(live & (out_x <= 0.0f) & (out_y <= 0.0f)))
         return 1;
     V most = LD(g, LAYOUT_PLANE_SCALE), second = LD(g, LAYOUT_PLANE_SCALE + 1),
@@ -293,9 +301,20 @@ INLINE void project_some(__constant struct layout_view *v, __global const float 
         w[LAYOUT_SPLAT_RGB + ch] = CLAMP_(color, 0.0f, 1.0f);
     }
 #endif
+    if (v->again)
+        w[LAYOUT_SPLAT_OPACITY_LOG2] = live ? o.opacity_log2 : (V)(HIDDEN_LOG2);
     project_store(splats + index, w, live);
     *key = live ? AS_VU(s.cam[2]) : (VU)(0xFFFFFFFFu);
     *tiles = live ? AS_VU(c.tiles) : (VU)(0);
+}
+
+// Lists of an earlier frame name splats of this group (VW 16) or lane (VW 1). None is in the
+// picture any more.
+INLINE void project_hide(__global struct layout_splat *splats, VU tiles, VU listed)
+{
+    if (!ANY(tiles != 0) && ANY(listed != 0))
+        for (int i = 0; i < VW; i++)
+            splats[i].opacity_log2 = HIDDEN_LOG2;
 }
 
 __kernel void project(__constant struct layout_view *view, __global const float *params,
@@ -318,7 +337,11 @@ __kernel void project(__constant struct layout_view *view, __global const float 
                      filter + from * LAYOUT_LANES, (uint)group * LAYOUT_LANES, splats, &key,
                      &tiles APPEARANCE(group * LAYOUT_LANES));
         LAYOUT_WIDE(__global, uint, depth_key + LAYOUT_LANES * group) = key;
-        LAYOUT_WIDE(__global, uint, tiles_of + LAYOUT_LANES * group) = tiles;
+        if (view->again)
+            project_hide(splats + LAYOUT_LANES * group, tiles,
+                         LAYOUT_WIDE(__global, uint, tiles_of + LAYOUT_LANES * group));
+        else
+            LAYOUT_WIDE(__global, uint, tiles_of + LAYOUT_LANES * group) = tiles;
     }
 #else
     if (item < (size_t)view->groups * LAYOUT_LANES) {
@@ -329,7 +352,10 @@ __kernel void project(__constant struct layout_view *view, __global const float 
                      filter + from * LAYOUT_LANES + lane, (uint)item, splats, &key,
                      &tiles APPEARANCE(item));
         depth_key[item] = key;
-        tiles_of[item] = tiles;
+        if (view->again)
+            project_hide(splats + item, tiles, tiles_of[item]);
+        else
+            tiles_of[item] = tiles;
     }
 #endif
 }

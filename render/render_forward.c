@@ -211,6 +211,8 @@ void render_view_fill(const struct render *r, const struct render_model *m, cons
     v->orthographic = o->orthographic;
     v->picture = o->picture;
     v->depth_unit_m = (float)o->depth_unit_m;
+    v->room_px = o->list_room_px;
+    v->again = o->list_again;
 }
 
 /* ---- stages ---- */
@@ -370,6 +372,49 @@ static enum err_code render_before_blend(struct render *r, struct err *e)
     return !rc ? render_go(r, e) : rc;
 }
 
+/* A new order and new tile lists. */
+static enum err_code render_stage_lists(struct render *r, double *since, struct err *e)
+{
+    enum err_code rc = r->order_gpu ? order_gpu_sort(r, e) : render_stage_sort(r, e);
+    if (!rc)
+        rc = render_stage_count(r, e);
+    if (!rc)
+        rc = render_go(r, e); /* the host has waited anyway */
+    if (!rc)
+        rc = frame_clock(r, since, &r->stats.ms_sort, e);
+    if (!rc)
+        rc = r->order_gpu ? order_gpu_bin(r, e) : render_stage_bin(r, e);
+    return !rc ? frame_clock(r, since, &r->stats.ms_bin, e) : rc;
+}
+
+/* Those of an earlier frame: all tiles are to be drawn once more. */
+static enum err_code render_lists_again(struct render *r, struct err *e)
+{
+    static const cl_uint first = 0; /* the device may read it later */
+    r->stats.intersections = r->counted.intersections;
+    r->stats.visible = r->counted.visible;
+    return dev_write_soon(r->dev, r->counts, offsetof(struct layout_counts, next_tile),
+                          sizeof first, &first, e);
+}
+
+static enum err_code render_lists_check(const struct render *r, const struct layout_view *was,
+                                        const struct render_options *o, struct err *e)
+{
+    const struct layout_view *v = &r->view;
+    if (!(o->list_room_px >= 0) || !isfinite(o->list_room_px))
+        return err_set(e, ERR_ARG, "render_forward: room of %g px in lists",
+                       (double)o->list_room_px);
+    if (!o->list_again)
+        return ERR_OK;
+    return r->listed && o->picture && !(v->depth_unit_m > 0) && was->picture &&
+                   v->width == was->width && v->height == was->height && v->n == was->n &&
+                   v->groups == was->groups
+               ? ERR_OK
+               : err_set(e, ERR_ARG,
+                         "render_forward: lists of an earlier frame are for a picture of the same "
+                         "size and Gaussians");
+}
+
 /* Depths of the splats over their pixels, where moments are wanted. */
 static enum err_code render_stage_planes(struct render *r, struct err *e)
 {
@@ -493,16 +538,23 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
 {
     double start = frame_now(r), since = start;
     struct camera fine;
+    const struct layout_view was = r->view;
     enum err_code rc = render_fine_camera(r, cam, o, &fine, e);
     r->drawn = false;
+    r->frames++;
     memset(&r->stats, 0, sizeof r->stats);
-    if (rc)
+    if (rc) {
+        r->listed = false;
         return rc;
+    }
     assert(m->n <= (size_t)m->groups * LAYOUT_LANES &&
            m->planes == layout_planes(m->sh_degree, m->embed_len));
     render_view_fill(r, m, &fine, o, &r->view);
     r->tiles = r->view.tiles_x * r->view.tiles_y;
-    rc = render_go(r, e);
+    rc = render_lists_check(r, &was, o, e);
+    r->listed = false;
+    if (!rc)
+        rc = render_go(r, e);
     if (!rc)
         rc = render_frame_buffers(r, e);
     if (!rc)
@@ -514,17 +566,7 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
     if (!rc)
         rc = frame_clock(r, &since, &r->stats.ms_project, e);
     if (!rc)
-        rc = r->order_gpu ? order_gpu_sort(r, e) : render_stage_sort(r, e);
-    if (!rc)
-        rc = render_stage_count(r, e);
-    if (!rc)
-        rc = render_go(r, e); /* the host has waited anyway */
-    if (!rc)
-        rc = frame_clock(r, &since, &r->stats.ms_sort, e);
-    if (!rc)
-        rc = r->order_gpu ? order_gpu_bin(r, e) : render_stage_bin(r, e);
-    if (!rc)
-        rc = frame_clock(r, &since, &r->stats.ms_bin, e);
+        rc = o->list_again ? render_lists_again(r, e) : render_stage_lists(r, &since, e);
     if (!rc)
         rc = render_before_blend(r, e);
     if (!rc)
@@ -539,7 +581,7 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
         rc = render_frame_output(r, rgb, transmittance, e);
     if (rc)
         dev_abandon(r->dev, &r->counting);
-    r->drawn = !rc;
+    r->drawn = r->listed = !rc;
     r->stats.ms_total = (frame_now(r) - start) * 1e3;
     return rc;
 }
@@ -556,6 +598,28 @@ enum err_code render_transmittance(struct render *r, float *out, struct err *e)
 const struct render_stats *render_last_stats(const struct render *r)
 {
     return &r->stats;
+}
+
+uint64_t render_frames(const struct render *r)
+{
+    return r->frames;
+}
+
+enum err_code render_depth_quantile(struct render *r, double share, double *depth_m, struct err *e)
+{
+    const cl_uint n = r->counted.visible;
+    cl_uint id = 0;
+    float depth = INFINITY; /* its bits are the key */
+    if (!r->drawn || r->view.again)
+        return err_set(e, ERR_ARG, "render_depth_quantile: no frame with lists of its own");
+    size_t at = (size_t)(share * n);
+    enum err_code rc = ERR_OK;
+    if (n)
+        rc = dev_read(r->dev, r->ids[0].mem, (at < n ? at : n - 1) * sizeof id, sizeof id, &id, e);
+    if (!rc && n)
+        rc = dev_read(r->dev, r->depth_key.mem, id * sizeof depth, sizeof depth, &depth, e);
+    *depth_m = (double)depth;
+    return rc;
 }
 
 void render_set_timing(struct render *r, bool on)

@@ -26,7 +26,8 @@ void answer_motion_steer(struct services *s, const struct request *r, struct dat
     if (!answer_view_check(s, p.cam.width_px, p.cam.height_px, p.format, &p.paint, out) ||
         !answer_appearance_find(s, d, p.appearance, &wish.appearance, out))
         return;
-    wish.view = (struct draw_view){p.cam, p.format, p.quality, p.paint, false};
+    wish.view = (struct draw_view){
+        .cam = p.cam, .format = p.format, .quality = p.quality, .paint = p.paint};
     wish.timeout_s = p.timeout_s;
     wish.number = p.number;
     wish.still = p.still;

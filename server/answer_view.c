@@ -77,13 +77,11 @@ bool answer_view_check(struct services *s, uint32_t width_px, uint32_t height_px
 }
 
 static struct hash128 answer_view_id(struct services *s, const struct dataset *d,
-                                     const struct camera *cam, const struct appearance_choice *a,
-                                     enum format format, int quality, const struct paint *paint)
+                                     const struct draw_view *v, const struct appearance_choice *a)
 {
     char device[160];
     picture_about(s->picture, device, sizeof device);
-    return result_id_view(d, device, cam, a, format, quality, paint,
-                          (double)s->cfg->view_gaussians);
+    return result_id_view(d, device, v, a, (double)s->cfg->view_gaussians);
 }
 
 void answer_view(struct services *s, const struct request *r, struct dataset *d,
@@ -110,8 +108,9 @@ void answer_view(struct services *s, const struct request *r, struct dataset *d,
         return;
     }
     paint_roll(&cam, t->pose.roll_e3 / 1e3);
-    int quality = (int)s->cfg->quality;
-    struct hash128 id = answer_view_id(s, d, &cam, &choice, t->form.format, quality, &paint);
+    const struct draw_view view = {
+        .cam = cam, .format = t->form.format, .quality = (int)s->cfg->quality, .paint = paint};
+    struct hash128 id = answer_view_id(s, d, &view, &choice);
     out->type = format_type(t->form.format);
     snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s view", d->meta.name,
              d->meta.revision);
@@ -119,7 +118,7 @@ void answer_view(struct services *s, const struct request *r, struct dataset *d,
         return;
     struct work *w = response_work(d, WORK_VIEW, id, (struct form){.format = t->form.format}, out);
     if (w) {
-        w->view = (struct draw_view){cam, t->form.format, quality, paint, false};
+        w->view = view;
         w->appearance = choice;
     }
 }
@@ -139,14 +138,16 @@ void answer_view_render(struct services *s, const struct request *r, struct data
     if (!answer_view_check(s, p.cam.width_px, p.cam.height_px, p.format, &p.paint, out) ||
         !answer_appearance_find(s, d, p.appearance, &choice, out))
         return;
-    struct hash128 id = answer_view_id(s, d, &p.cam, &choice, p.format, p.quality, &p.paint);
+    const struct draw_view view = {
+        .cam = p.cam, .format = p.format, .quality = p.quality, .paint = p.paint};
+    struct hash128 id = answer_view_id(s, d, &view, &choice);
     out->type = format_type(p.format);
     out->unnamed = true; /* a name of the bytes is of no use */
     if (!response_made(s, r, id, out))
         return;
     struct work *w = response_work(d, WORK_VIEW, id, (struct form){.format = p.format}, out);
     if (w) {
-        w->view = (struct draw_view){p.cam, p.format, p.quality, p.paint, false};
+        w->view = view;
         w->appearance = choice;
     }
     out->timeout_s = p.timeout_s;

@@ -171,7 +171,8 @@ static enum err_code draw_picture(struct draw *d, const struct draw_request *q, 
                                         depth ? more + (left ? n : 0) : NULL};
     double since_s = clock_s();
     if (!rc)
-        rc = view_render(s->view, &v->cam, &ro, &po, rgb, &st, e);
+        rc = (v->moves && !depth ? view_render_moving : view_render)(s->view, &v->cam, &ro, &po,
+                                                                     rgb, &st, e);
     if (!rc)
         draw_note(&st, since_s);
     if (!rc && worker_cancelled(NULL))

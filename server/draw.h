@@ -29,6 +29,7 @@ struct draw_view {
     int quality; /* for JPEG and WebP */
     struct paint paint;
     bool planes; /* not encoded: in planes, for a video (codec/video.h) */
+    bool moves;  /* of a moving camera: it may use the lists of the last one (view_render_moving) */
 };
 enum draw_kind { DRAW_VIEW, DRAW_MAP, DRAW_QUERY };
 struct draw_request {

@@ -27,10 +27,12 @@
 #include "server/work.h"
 
 enum { MOTION_QUALITY = 60, MOTION_THREADS = 2 /* of an encoder */ };
-static const double REST_S = 0.18;         /* a camera that did not move for so long rests */
-static const double DRAW_S = 0.04;         /* what a moving picture may take */
-static const double RETRY_S = 0.25;        /* after a refusal */
-static const double GIVES_WAY = 12;        /* after this part of --stream-idle-s without a camera */
+static const double REST_S = 0.18;   /* a camera that did not move for so long rests */
+static const double DRAW_S = 0.04;   /* what a moving picture may take */
+static const double RETRY_S = 0.25;  /* after a refusal */
+static const double GIVES_WAY = 12;  /* after this part of --stream-idle-s without a camera */
+static const double RUN_LEARN = 0.4; /* share of a new picture in what pictures take */
+static const double RUN_LEAST = 0.75, RUN_MOST = 1.3; /* of DRAW_S over that: about right */
 static const double AREA_FIRST_PX = 60000; /* of moving pictures; follows the time that they take */
 static const double AREA_LEAST_PX = 20000;
 static const double AREA_MOST_PX = 1e6;
@@ -51,7 +53,7 @@ struct motion_stream {
     uint64_t drawn;    /* wish of the newest picture */
     bool drawn_full;
     double again_s;           /* not before this, after a refusal */
-    double area_px;           /* of moving pictures */
+    double area_px, run_s;    /* of moving pictures, and what they take of late; 0: not known */
     struct job_waiter waiter; /* of the picture under way, while flying */
     uint64_t flight;          /* wish of it */
     int64_t flight_number;
@@ -242,16 +244,20 @@ static void motion_notify(struct motion_stream *st)
         st->ready(st->user);
 }
 
-/* Under the lock: moving pictures are as large as is made in time. */
+/* Under the lock: moving pictures are as large as is made in time. They keep their size while that
+ * is about right, because a picture of another size cannot use the last one's lists. */
 static void motion_adapt(struct motion_stream *st, const struct job_result *r,
                          struct film_told *told)
 {
     if (st->flight_film) {
         st->area_px = film_shown(st->film, r->run_s, DRAW_S, told);
     } else if (!st->flight_full && !r->coalesced) {
-        double factor = DRAW_S / fmax(r->run_s, 1e-3);
-        st->area_px *= fmin(1.3, fmax(0.5, factor));
+        st->run_s = st->run_s > 0 ? st->run_s + RUN_LEARN * (r->run_s - st->run_s) : r->run_s;
+        const double factor = DRAW_S / fmax(st->run_s, 1e-3), before_px = st->area_px;
+        if (factor < RUN_LEAST || factor > RUN_MOST)
+            st->area_px *= fmin(1.3, fmax(0.5, factor));
         st->area_px = fmin(AREA_MOST_PX, fmax(AREA_LEAST_PX, st->area_px));
+        st->run_s *= st->area_px / before_px;
     }
 }
 
@@ -318,6 +324,7 @@ static void motion_shrink(const struct motion_stream *st, struct draw_view *v)
              h = (uint32_t)fmax(1, round(height * factor));
     if (factor < 1)
         v->cam = camera_resize(&v->cam, w, h);
+    v->moves = true;
     v->paint.supersample = 1;
     v->quality = v->quality < MOTION_QUALITY ? v->quality : MOTION_QUALITY;
 }
@@ -333,7 +340,7 @@ static bool motion_film(struct motion_stream *st, struct work *w)
         return false;
     v->cam = camera_resize(&v->cam, w->shot.width_px, w->shot.height_px);
     v->paint.supersample = 1;
-    v->planes = true;
+    v->planes = v->moves = true;
     w->film = film_ref(st->film);
     return true;
 }
@@ -389,10 +396,9 @@ static void motion_step(struct motion_stream *st, double now_s)
     if (!w)
         return;
     picture_about(s->picture, device, sizeof device);
-    w->id = w->film
-                ? film_id(w->film)
-                : result_id_view(w->ds, device, &w->view.cam, &w->appearance, w->view.format,
-                                 w->view.quality, &w->view.paint, (double)s->cfg->view_gaussians);
+    w->id = w->film ? film_id(w->film)
+                    : result_id_view(w->ds, device, &w->view, &w->appearance,
+                                     (double)s->cfg->view_gaussians);
     struct motion_stream *held = motion_ref(st); /* the flight's */
     if (job_submit(s->jobs, JOB_MOTION, w->id, w, st->client, timeout_s, &st->waiter)) {
         struct job_result r = st->waiter.result;

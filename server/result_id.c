@@ -8,6 +8,7 @@
 #include <string.h>
 
 #include "lod/store.h"
+#include "server/draw.h"
 #include "server/target_query.h"
 
 /* Make *id the name of the same thing in this appearance. */
@@ -174,15 +175,17 @@ struct hash128 result_id_thumbnail(const struct dataset *d, const char *name)
     return hash_bytes(&id, sizeof id);
 }
 
-struct hash128 result_id_view(const struct dataset *d, const char *device, const struct camera *cam,
-                              const struct appearance_choice *a, enum format format, int quality,
-                              const struct paint *paint, double gaussians)
+struct hash128 result_id_view(const struct dataset *d, const char *device,
+                              const struct draw_view *v, const struct appearance_choice *a,
+                              double gaussians)
 {
+    const struct camera *cam = &v->cam;
+    const struct paint *paint = &v->paint;
     struct {
         struct hash128 salt;
         char rev[16], device[160];
         double rot[9], trans[3], focal[4], gaussians;
-        uint32_t width, height, format, quality, background, rgb, depth, supersample;
+        uint32_t width, height, format, quality, background, rgb, depth, supersample, moves;
     } name;
     memset(&name, 0, sizeof name);
     name.salt = d->salt;
@@ -196,12 +199,13 @@ struct hash128 result_id_view(const struct dataset *d, const char *device, const
     name.focal[3] = cam->cy_px;
     name.width = cam->width_px;
     name.height = cam->height_px;
-    name.format = (uint32_t)format;
-    name.quality = (uint32_t)quality;
+    name.format = (uint32_t)v->format;
+    name.quality = (uint32_t)v->quality;
     name.background = (uint32_t)paint->background;
     name.rgb = paint->rgb;
     name.depth = (uint32_t)paint->depth;
     name.supersample = paint->supersample;
+    name.moves = v->moves;
     name.gaussians = gaussians;
     struct hash128 id = hash_bytes(&name, sizeof name);
     result_id_mix(&id, a);

@@ -16,6 +16,8 @@
 #include "server/map_tile.h"
 #include "server/target.h"
 
+struct draw_view;
+
 /* Name of a tile. form must be complete (encode_form). */
 struct hash128 result_id_tile(const struct dataset *d, const struct store_tile *t, struct form form,
                               const struct appearance_choice *a);
@@ -39,11 +41,12 @@ struct hash128 result_id_tileset(const struct dataset *d, const struct target *t
 struct hash128 result_id_tilejson(const struct dataset *d, const char *public_url);
 /* Name of a photograph's thumbnail in a revision. */
 struct hash128 result_id_thumbnail(const struct dataset *d, const char *name);
-/* Name of a picture. device: name and driver, because other hardware rounds differently. gaussians:
+/* Name of a picture. That of a moving camera says what was asked for: its bytes also depend on the
+ * pictures before. device: name and driver, because other hardware rounds differently. gaussians:
  * the limit of Gaussians. */
-struct hash128 result_id_view(const struct dataset *d, const char *device, const struct camera *cam,
-                              const struct appearance_choice *a, enum format format, int quality,
-                              const struct paint *paint, double gaussians);
+struct hash128 result_id_view(const struct dataset *d, const char *device,
+                              const struct draw_view *v, const struct appearance_choice *a,
+                              double gaussians);
 /* geoid: name of the model; "": none. */
 struct hash128 result_id_query(const struct dataset *d, const char *device, const char *geoid,
                                const struct query *q);
