@@ -16,7 +16,6 @@
 #include <stdio.h>
 
 enum { MAP_SIDE = 10, /* cities along an edge */ MAP_COPY = 100000 /* Gaussians of one */ };
-#define MAP_CITY_M 420.0
 static const struct {
     double edge_m, gsd_m;
 } map_squares[] = {{1000, 0.1}, {4000, 0.4}, {2000, 0.1}, {4000, 0.1}},
@@ -24,32 +23,12 @@ static const struct {
 
 static const struct geo_origin map_origin = {8.6821, 50.1109, 160};
 
-/* side^2 copies of the city in a square about the origin. */
-static enum err_code map_city(size_t side, size_t per, struct gauss *out, struct err *e)
-{
-    struct gauss one = {0};
-    enum err_code rc = city_sorted_degree(per, 0, &one, e);
-    if (!rc)
-        rc = gauss_alloc(out, per * side * side, 0, 0, e);
-    for (size_t c = 0; !rc && c < side * side; c++)
-        for (size_t i = 0; i < per; i++) {
-            size_t to = out->n++;
-            gauss_copy_row(out, to, &one, i);
-            out->mean_m[3 * to] +=
-                (float)(MAP_CITY_M * ((double)(c % side) - 0.5 * (double)(side - 1)));
-            out->mean_m[3 * to + 1] +=
-                (float)(MAP_CITY_M * ((double)(c / side) - 0.5 * (double)(side - 1)));
-        }
-    gauss_free(&one);
-    return rc;
-}
-
 static enum err_code map_store(size_t side, size_t per, const char *path, struct err *e)
 {
     const struct pyramid_config cfg = {.name = "bench"};
     struct pyramid_report report;
     struct gauss g = {0};
-    enum err_code rc = map_city(side, per, &g, e);
+    enum err_code rc = city_square(per, side, 0, 0, &g, e);
     const struct pyramid_level level = {.g = &g, .level = 3};
     if (!rc)
         rc = pyramid_build(&map_origin, &level, 1, &cfg, NULL, 0, path, &report, e);

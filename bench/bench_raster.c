@@ -1,5 +1,5 @@
-/* Map tiles of the server over loopback: the time of a new tile of 256 px, at the finest zoom and
- * at coarser ones, and of a tile that is in memory, against a tile of Gaussians in memory. One
+/* Map tiles of the server over loopback, of a small and a large city: the time of a new tile of 256
+ * px, at every zoom, and of a tile that is in memory, against a tile of Gaussians in memory. One
  * client sends one request after another, so drawing has the whole machine.
  *
  * Checked before timing: every tile is answered 200 with the requested type, and a second answer
@@ -23,17 +23,18 @@
 #include "server/server.h"
 #include "server/services.h"
 
-enum {
-    RASTER_CITY = 200000,
-    RASTER_SIDE = 6 /* tiles, of a square about the middle */,
-    RASTER_HOT = 2000
-};
+enum { RASTER_SIDE = 6 /* tiles, of a square about the middle */, RASTER_HOT = 2000 };
+/* side: of the square that copies of the city make */
+static const struct raster_city {
+    size_t n, side;
+} raster_cities[] = {{200000, 1}, {10400000, 4}}, raster_quick[] = {{20000, 1}};
 static const struct geo_origin raster_origin = {8.6821, 50.1109, 160};
 
 struct raster_case {
     struct server *server;
     int fd;
     struct area area; /* of the dataset, borrowed */
+    size_t n;         /* Gaussians */
     char prefix[64];  /* "/d/bench/r/REV" */
     double ms[RASTER_HOT > RASTER_SIDE *RASTER_SIDE ? RASTER_HOT : RASTER_SIDE *RASTER_SIDE];
 };
@@ -48,11 +49,11 @@ static enum err_code raster_config(struct server_config *cfg, struct arena *a, s
     return rc;
 }
 
-static enum err_code raster_store(size_t n, const char *path, struct err *e)
+static enum err_code raster_store(const struct raster_city *city, const char *path, struct err *e)
 {
     const struct pyramid_config cfg = {.name = "bench"};
     struct gauss g = {0};
-    enum err_code rc = city_sorted_degree(n, 0, &g, e);
+    enum err_code rc = city_square(city->n / (city->side * city->side), city->side, 0, 0, &g, e);
     const struct pyramid_level level = {.g = &g, .level = 3};
     if (!rc)
         rc = pyramid_build(&raster_origin, &level, 1, &cfg, NULL, 0, path, NULL, e);
@@ -129,10 +130,10 @@ static enum err_code raster_cold(struct bench *b, struct raster_case *c, uint8_t
     if (rc || !n)
         return rc ? rc : err_set(e, ERR_INTERNAL, "bench_raster: no tile at zoom %u", z);
     sort_doubles(c->ms, n);
-    snprintf(text, sizeof text, "cold map tile, zoom %u, %zu of them, %zu B: median", z, n,
-             bytes / n);
+    snprintf(text, sizeof text, "%.1f M, cold map tile, zoom %u, %zu of them, %zu B: median",
+             (double)c->n * 1e-6, z, n, bytes / n);
     bench_report(b, text, c->ms[n / 2], "ms", 0, NULL);
-    snprintf(text, sizeof text, "cold map tile, zoom %u: slowest", z);
+    snprintf(text, sizeof text, "%.1f M, cold map tile, zoom %u: slowest", (double)c->n * 1e-6, z);
     bench_report(b, text, c->ms[n - 1], "ms", 0, NULL);
     return ERR_OK;
 }
@@ -177,25 +178,27 @@ static enum err_code raster_compare(struct bench *b, struct raster_case *c, uint
         rc = raster_hot(c, map, &map_ms, &sizes[0], e);
     if (rc)
         return rc;
-    snprintf(text, sizeof text, "hot tile of Gaussians (%zu B), one client", sizes[1]);
+    snprintf(text, sizeof text, "%.1f M, hot tile of Gaussians (%zu B), one client",
+             (double)c->n * 1e-6, sizes[1]);
     bench_report(b, text, splats_ms, "ms", 0, NULL);
-    snprintf(text, sizeof text, "hot map tile (%zu B), one client", sizes[0]);
+    snprintf(text, sizeof text, "%.1f M, hot map tile (%zu B), one client", (double)c->n * 1e-6,
+             sizes[0]);
     bench_report(b, text, map_ms, "ms", map_ms / splats_ms, "the tile of Gaussians");
     return ERR_OK;
 }
 
-enum err_code bench_raster(struct bench *b, struct err *e)
+static enum err_code raster_of_city(struct bench *b, const struct raster_city *city, struct err *e)
 {
     char path[FILE_PATH_MAX];
     struct server_config cfg;
     struct arena arena = {0};
-    struct raster_case c = {.fd = -1};
+    struct raster_case c = {.fd = -1, .n = city->n};
     struct buf body = {0};
     const char *const paths[] = {path};
     size_t size;
     enum err_code rc = file_join(path, bench_tmpdir(b), "raster.tiles", e);
     if (!rc)
-        rc = raster_store(b->quick ? 20000 : RASTER_CITY, path, e);
+        rc = raster_store(city, path, e);
     if (!rc)
         rc = raster_config(&cfg, &arena, e);
     if (!rc)
@@ -207,13 +210,14 @@ enum err_code bench_raster(struct bench *b, struct err *e)
     struct catalog *catalog = services_catalog(server_services(c.server));
     c.area = catalog->ds[0]->area;
     snprintf(c.prefix, sizeof c.prefix, "/d/bench/r/%s", catalog->ds[0]->meta.revision);
-    uint8_t z = raster_zoom_max(&c.area);
+    const uint8_t z = raster_zoom_max(&c.area), least = raster_zoom_min(&c.area);
     char first[64];
-    struct key k = key_at(raster_origin.lon_deg, raster_origin.lat_deg, (uint8_t)(z - 1));
+    struct key k = key_at(raster_origin.lon_deg, raster_origin.lat_deg,
+                          (uint8_t)(z + 1)); /* not timed below */
     snprintf(first, sizeof first, "/map/%u/%u/%u.webp", k.z, k.x, k.y);
     rc = raster_ask(&c, first, &body, &size, e); /* the device starts, kernels are compiled */
-    for (uint8_t over = 0; !rc && over <= 4; over = (uint8_t)(over + 2))
-        rc = raster_cold(b, &c, (uint8_t)(z - over), e);
+    for (int at = z; !rc && at >= least; at--)
+        rc = raster_cold(b, &c, (uint8_t)at, e);
     if (!rc)
         rc = raster_compare(b, &c, z, e);
     catalog_drop(&catalog);
@@ -223,5 +227,16 @@ out:
     server_stop(&c.server);
     arena_free(&arena);
     buf_free(&body);
+    return rc;
+}
+
+enum err_code bench_raster(struct bench *b, struct err *e)
+{
+    const struct raster_city *city = b->quick ? raster_quick : raster_cities;
+    size_t n = b->quick ? sizeof raster_quick / sizeof *raster_quick
+                        : sizeof raster_cities / sizeof *raster_cities;
+    enum err_code rc = ERR_OK;
+    for (size_t i = 0; !rc && i < n; i++)
+        rc = raster_of_city(b, &city[i], e);
     return rc;
 }

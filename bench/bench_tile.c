@@ -26,7 +26,6 @@
 enum { PICTURE_SIDE_MAX = 2048, MANY = 20000 };
 
 #define PICTURE_FOCAL_PX 720.0
-#define CITY_M 420.0
 
 static const struct geo_origin origin = {8.6821, 50.1109, 160};
 

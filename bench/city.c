@@ -15,7 +15,6 @@
 #include "core/base.h"
 
 enum { BLOCKS = 160, SEED = 20250723 };
-#define CITY_M 420.0
 
 static double city_uniform(uint64_t stream, uint64_t i, double lo, double hi)
 {
@@ -126,6 +125,25 @@ enum err_code city_sorted_degree(size_t n, uint32_t sh_degree, struct gauss *out
         rc = gauss_append(out, &g, order, n, e);
     mem_free(order);
     gauss_free(&g);
+    return rc;
+}
+
+enum err_code city_square(size_t per, size_t side, uint32_t sh_degree, uint32_t embed_len,
+                          struct gauss *out, struct err *e)
+{
+    struct gauss one = {0};
+    const double middle = 0.5 * (double)(side - 1);
+    enum err_code rc = city_sorted_degree(per, sh_degree, &one, e);
+    if (!rc)
+        rc = gauss_alloc(out, per * side * side, sh_degree, embed_len, e);
+    for (size_t c = 0; !rc && c < side * side; c++)
+        for (size_t i = 0; i < per; i++) {
+            size_t to = out->n++;
+            gauss_copy_row(out, to, &one, i);
+            out->mean_m[3 * to] += (float)(CITY_M * ((double)(c % side) - middle));
+            out->mean_m[3 * to + 1] += (float)(CITY_M * ((double)(c / side) - middle));
+        }
+    gauss_free(&one);
     return rc;
 }
 

@@ -19,6 +19,11 @@ enum err_code city_make_degree(size_t n, uint32_t sh_degree, struct gauss *out,
                                struct err *e) ERR_USE;
 enum err_code city_sorted_degree(size_t n, uint32_t sh_degree, struct gauss *out,
                                  struct err *e) ERR_USE;
+#define CITY_M 420.0 /* edge of the square that the city fills */
+/* side x side copies of the city, of `per` Gaussians each in Morton order, in a square about the
+ * origin; embeddings are 0. ERR_MEM. */
+enum err_code city_square(size_t per, size_t side, uint32_t sh_degree, uint32_t embed_len,
+                          struct gauss *out, struct err *e) ERR_USE;
 /* Copies Gaussians, and adds embeddings of the default length and an untrained network with one
  * photograph. *frame has the constants of a frame. Free with gauss_free, appearance_free and
  * mem_free. ERR_MEM. */
