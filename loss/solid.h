@@ -70,8 +70,7 @@ void solid_close(struct solid **s);
 /* Hands `supported` and `known` over without waiting. Call it before the frame is drawn: then they
  * must stay as they are only until render_forward returns. Waits if it fails. ERR_MEM,
  * ERR_DEVICE. */
-enum err_code solid_hand_over(struct solid *s, const struct solid_input *in,
-                              struct err *e) ERR_USE;
+enum err_code solid_hand_over(struct solid *s, const struct solid_input *in, struct err *e) ERR_USE;
 /* Enqueues, with what was handed over: writes the renderer's gradient of the moments
  * (render_moments_grad_buffer) for its last frame, which must have moments and this size. ERR_ARG
  * (there is no such frame, or the stride is out of range), ERR_MEM, ERR_DEVICE. */
