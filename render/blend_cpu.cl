@@ -15,6 +15,9 @@
 // that does it is still blended), a block when all its pixels have, the tile when all its blocks
 // have.
 //
+// blend_shares also sums 1 and alpha T over the pixels of each intersection into its slot
+// (LAYOUT_IMPORTANCE_*; cleared by the host), as importance.cl does.
+//
 // blend_moments also sums the depth of the splats and its square, sum w m and sum w m^2 with w =
 // alpha T and m as in core/layout.h.
 //
@@ -104,10 +107,21 @@ struct blend_state {
     float16 m1[16], m2[16];             // moments of depth
 };
 
-// One splat over some blocks: moves the pixels on. moments is a literal.
-INLINE void blend_splat(struct blend_state *s, const float *w, float x0, float y0, uint blocks,
-                        const int moments)
+enum { BLEND_PICTURE, BLEND_MOMENTS, BLEND_SHARES }; // kind: a literal
+
+inline float blend_sum(float16 v) // in the order of importance.cl
 {
+    float8 a = v.lo + v.hi;
+    float4 b = a.lo + a.hi;
+    float2 c = b.lo + b.hi;
+    return c.x + c.y;
+}
+
+// One splat over some blocks: moves the pixels on, and writes the slot of shares.
+INLINE void blend_splat(struct blend_state *s, const float *w, float x0, float y0, uint blocks,
+                        const int kind, __global float *slot)
+{
+    float16 count = 0.0f, shares = 0.0f;
     struct record e = record_of(w, x0, y0);
     float red = w[LAYOUT_SPLAT_RGB], green = w[LAYOUT_SPLAT_RGB + 1],
           blue = w[LAYOUT_SPLAT_RGB + 2];
@@ -125,12 +139,18 @@ INLINE void blend_splat(struct blend_state *s, const float *w, float x0, float y
         s->r[k] = share * red + s->r[k];
         s->g[k] = share * green + s->g[k];
         s->b[k] = share * blue + s->b[k];
-        if (moments) {
+        if (kind == BLEND_SHARES) {
+            count += a > 0.0f ? (float16)(1.0f) : (float16)(0.0f);
+            shares += share;
+        }
+        if (kind == BLEND_MOMENTS) {
             float16 m = tilt_x * dx + (tilt_y * dy + depth), wm = share * m;
             s->m1[k] += wm;
             s->m2[k] = wm * m + s->m2[k];
         }
     }
+    if (kind == BLEND_SHARES)
+        vstore4((float4)(0.0f, blend_sum(count), blend_sum(shares), 0.0f), 0, slot);
 }
 
 inline float blend_max(float16 v) // any() takes five times as long
@@ -199,14 +219,16 @@ inline void blend_fill(__constant struct layout_view *view, float value, uint px
         blend_row(view->width, px, (float16)(value), plane + (size_t)y * view->width + px);
 }
 
-// moments is a literal: 0 leaves `moment_maps` alone.
+// moment_maps, and intersection_slot with slots, are of their kinds alone.
 INLINE void blend_tile(__constant struct layout_view *view,
                        __global const struct layout_splat *splats, __global const uint *tile_start,
                        __global const uint *intersection_splat, __global float *color,
                        __global float *transmit, __global ushort *hits, __global uint *tile_stop,
                        __global struct layout_counts *counts, __global float *moment_maps,
-                       const int moments)
+                       __global const uint *intersection_slot, __global float *slots,
+                       const int kind)
 {
+    const int moments = kind == BLEND_MOMENTS;
     uint tile = atomic_inc(&counts->next_tile);
     if (tile >= view->tiles_x * view->tiles_y)
         return;
@@ -251,7 +273,10 @@ INLINE void blend_tile(__constant struct layout_view *view,
         for (; j < n && active; j++) {
             uint blocks = mask[j] & active;
             if (blocks)
-                blend_splat(&s, staged + LAYOUT_SPLAT_WORDS * j, x0, y0, blocks, moments);
+                blend_splat(&s, staged + LAYOUT_SPLAT_WORDS * j, x0, y0, blocks, kind,
+                            kind == BLEND_SHARES
+                                ? slots + (size_t)intersection_slot[at + j] * LAYOUT_IMPORTANCE_SLOT
+                                : slots);
             if (hit)
                 hits[at + j] = (ushort)blocks;
             if (j % CHECK_EVERY == CHECK_EVERY - 1)
@@ -281,7 +306,18 @@ __kernel void blend(__constant struct layout_view *view, __global const struct l
                     __global uint *tile_stop, __global struct layout_counts *counts)
 {
     blend_tile(view, splats, tile_start, intersection_splat, color, transmit, hits, tile_stop,
-               counts, color, 0);
+               counts, color, tile_start, color, BLEND_PICTURE);
+}
+
+__kernel void blend_shares(__constant struct layout_view *view,
+                           __global const struct layout_splat *splats,
+                           __global const uint *tile_start, __global const uint *intersection_splat,
+                           __global float *color, __global float *transmit, __global ushort *hits,
+                           __global uint *tile_stop, __global struct layout_counts *counts,
+                           __global const uint *intersection_slot, __global float *slots)
+{
+    blend_tile(view, splats, tile_start, intersection_splat, color, transmit, hits, tile_stop,
+               counts, color, intersection_slot, slots, BLEND_SHARES);
 }
 
 __kernel void blend_moments(__constant struct layout_view *view,
@@ -293,5 +329,5 @@ __kernel void blend_moments(__constant struct layout_view *view,
                             __global float *moment_maps)
 {
     blend_tile(view, splats, tile_start, intersection_splat, color, transmit, hits, tile_stop,
-               counts, moment_maps, 1);
+               counts, moment_maps, tile_start, color, BLEND_MOMENTS);
 }

@@ -53,6 +53,7 @@ struct render {
     bool drawn;
     bool listed;     /* its order and tile lists are whole: a frame with list_again may use them */
     uint64_t frames; /* begun */
+    bool shares;     /* render_options.shares of the frame */
     /* Buffers of the model that was drawn, borrowed. They are never NULL while there is a frame:
      * see render_stage_project. */
     cl_mem drawn_params, drawn_filter, drawn_list;
@@ -90,8 +91,8 @@ struct render {
     struct frame_buffer hits;
     struct frame_buffer tile_stop; /* uint [tiles] */
 
-    /* float [intersections][..]: sums for Gaussians, written by the backward pass or by
-     * render_importance_run */
+    /* float [intersections][..]: sums for Gaussians, written by the backward pass, by
+     * render_importance_run, or by blend_shares */
     struct frame_buffer slots;
 
     /* pictures */
@@ -123,7 +124,7 @@ struct render {
         program; /* forward: layout.h common.cl project.cl sort.cl bin.cl blend_cpu.cl or _gpu */
     struct frame_kernels {
         cl_kernel project, sort_count, sort_scan, sort_scatter, bin_total, bin_expand, bin_sum,
-            bin_scan, bin_scatter, planes, blend, blend_moments, background;
+            bin_scan, bin_scatter, planes, blend, blend_moments, blend_shares, background;
     } k;
 
     /* ---- the backward pass: made by render_backward.c, freed by backward_free ---- */

@@ -11,7 +11,8 @@
 // A slot has one writer and the order is fixed: the same input gives the same bits. The sums are
 // those of Taming 3DGS, Mallick et al. 2024.
 //
-// share_tiles has no weights: it sums 1 and alpha T alone, the other two are 0.
+// share_tiles (GPUs; blend_shares elsewhere) has no weights: it sums 1 and alpha T alone, the other
+// two are 0.
 //
 // removal_tiles has the frame's color [3][h][w] as well, and in place of the weight and the
 // distance sums weight d.d, the squared change of a pixel if this Gaussian alone were not there:
@@ -21,7 +22,7 @@
 
 #if VW == 16
 
-enum { IMPORTANCE_ALL, IMPORTANCE_SHARES, IMPORTANCE_REMOVAL }; // what is summed
+enum { IMPORTANCE_ALL, IMPORTANCE_REMOVAL }; // what is summed
 
 struct importance_state { // of each block; pixels beyond the picture's edge have t 0
     float16 t[16], weight[16];
@@ -38,8 +39,7 @@ INLINE void importance_load(struct importance_state *s, __constant struct layout
         uint bx = px + 4 * (k & 3), by = py + 4 * (k >> 2);
         float16 x = (float)bx + BLOCK_X[0], y = (float)by + BLOCK_Y[0];
         int16 inside = (x < (float)w) & (y < (float)h);
-        if (kind != IMPORTANCE_SHARES)
-            s->weight[k] = backward_block(weight, w, h, bx, by);
+        s->weight[k] = backward_block(weight, w, h, bx, by);
         for (uint c = 0; kind == IMPORTANCE_REMOVAL && c < 3; c++)
             s->rest[k][c] = backward_block(color + c * (size_t)w * h, w, h, bx, by);
         s->t[k] = inside ? (float16)(1.0f) : (float16)(0.0f);
@@ -125,16 +125,6 @@ __kernel void importance_tiles(__constant struct layout_view *view,
 {
     importance_tile(view, splats, tile_start, intersection_splat, intersection_slot, hits,
                     tile_stop, slots, weight, weight, IMPORTANCE_ALL);
-}
-
-__kernel void share_tiles(__constant struct layout_view *view,
-                          __global const struct layout_splat *splats,
-                          __global const uint *tile_start, __global const uint *intersection_splat,
-                          __global const uint *intersection_slot, __global const ushort *hits,
-                          __global const uint *tile_stop, __global float *slots)
-{
-    importance_tile(view, splats, tile_start, intersection_splat, intersection_slot, hits,
-                    tile_stop, slots, slots, slots, IMPORTANCE_SHARES);
 }
 
 __kernel void removal_tiles(__constant struct layout_view *view,

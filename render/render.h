@@ -74,6 +74,9 @@ struct render_options {
      * frames after this one; the picture is the same. */
     bool list_again;
     float list_room_px;
+    /* render_share_run follows: on CPUs its sums are made with the picture. Not with `picture` or
+     * depth_unit_m: ERR_ARG. */
+    bool shares;
 };
 
 #define RENDER_NEAR_M 0.2
@@ -301,7 +304,8 @@ void render_importance_close(struct render_importance **s); /* call it before re
 enum err_code render_importance_run(struct render_importance *s, const struct render_model *m,
                                     cl_mem weight, const float **sums, struct err *e) ERR_USE;
 /* As render_importance_run, without weights: it sums pixels and alpha T. The sums of weights and of
- * distances are 0. Errors as there: ERR_ARG, ERR_MEM, ERR_LIMIT, ERR_DEVICE. */
+ * distances are 0. The frame was drawn with `shares` (ERR_ARG), and nothing else was summed since.
+ * Errors as there: ERR_ARG, ERR_MEM, ERR_LIMIT, ERR_DEVICE. */
 enum err_code render_share_run(struct render_importance *s, const struct render_model *m,
                                const float **sums, struct err *e) ERR_USE;
 /* As render_importance_run, with two other sums: LAYOUT_REMOVAL_RISE is the sum of weight times the

@@ -49,9 +49,10 @@ static enum err_code render_build(struct render *r, struct err *e)
                    {"blend", &r->k.blend},
                    {"background", &r->k.background},
                    {"planes", &r->k.planes},
-                   {"blend_moments", &r->k.blend_moments}}; /* the last: VW 16 alone */
+                   {"blend_moments", &r->k.blend_moments}, /* the last two: VW 16 alone */
+                   {"blend_shares", &r->k.blend_shares}};
     size_t n_kernels = sizeof kernels / sizeof *kernels;
-    n_kernels -= r->dev->vector_width == LAYOUT_LANES ? 0 : 1;
+    n_kernels -= r->dev->vector_width == LAYOUT_LANES ? 0 : 2;
     enum err_code rc =
         dev_build(r->dev, sources, sizeof sources / sizeof *sources, NULL, &r->program, e);
     for (size_t i = 0; !rc && i < n_kernels; i++)
@@ -118,10 +119,10 @@ void render_close(struct render **rp)
                                       &r->slots};
     for (size_t i = 0; i < sizeof buffers / sizeof *buffers; i++)
         dev_release(&buffers[i]->mem);
-    cl_kernel kernels[] = {r->k.project,      r->k.sort_count, r->k.sort_scan,  r->k.sort_scatter,
-                           r->k.bin_total,    r->k.bin_expand, r->k.bin_sum,    r->k.bin_scan,
-                           r->k.bin_scatter,  r->k.blend,      r->k.background, r->k.planes,
-                           r->k.blend_moments};
+    cl_kernel kernels[] = {r->k.project,       r->k.sort_count,  r->k.sort_scan,  r->k.sort_scatter,
+                           r->k.bin_total,     r->k.bin_expand,  r->k.bin_sum,    r->k.bin_scan,
+                           r->k.bin_scatter,   r->k.blend,       r->k.background, r->k.planes,
+                           r->k.blend_moments, r->k.blend_shares};
     for (size_t i = 0; i < sizeof kernels / sizeof *kernels; i++)
         if (kernels[i])
             clReleaseKernel(kernels[i]);
@@ -432,16 +433,31 @@ static enum err_code render_stage_blend(struct render *r, struct err *e)
 {
     bool wide = r->dev->vector_width == LAYOUT_LANES, moments = r->view.depth_unit_m > 0;
     size_t local = wide ? 1 : LAYOUT_TILE_PIXELS;
-    const struct frame_arg counts = FRAME_ARG(r->counts), maps = FRAME_ARG(r->moments.mem);
+    bool shares = r->shares && wide;
+    const struct frame_arg counts = FRAME_ARG(r->counts), maps = FRAME_ARG(r->moments.mem),
+                           slot_of = FRAME_ARG(r->intersection_slot.mem);
     const struct frame_arg args[] = {
         FRAME_ARG(r->view_mem),       FRAME_ARG(r->splats.mem),
         FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->intersection_splat.mem),
         FRAME_ARG(r->color.mem),      FRAME_ARG(r->transmit.mem),
         FRAME_ARG(r->hits.mem),       FRAME_ARG(r->tile_stop.mem),
-        wide ? counts : maps,         maps};
-    size_t n = sizeof args / sizeof *args;
-    return frame_run(r, wide && moments ? r->k.blend_moments : r->k.blend, "blend", args,
-                     wide && moments ? n : n - 1, r->tiles * local, local, e);
+        wide ? counts : maps,         shares ? slot_of : maps,
+        FRAME_ARG(r->slots.mem)};
+    size_t n = sizeof args / sizeof *args - (shares ? 0 : wide && moments ? 1 : 2);
+    cl_kernel kernel = shares            ? r->k.blend_shares
+                       : wide && moments ? r->k.blend_moments
+                                         : r->k.blend;
+    return frame_run(r, kernel, "blend", args, n, r->tiles * local, local, e);
+}
+
+/* Slots of shares, which blending writes where it draws. */
+static enum err_code render_stage_slots(struct render *r, struct err *e)
+{
+    size_t bytes = (size_t)r->intersections * LAYOUT_IMPORTANCE_SLOT * sizeof(float);
+    if (!r->shares || r->dev->vector_width == 1)
+        return ERR_OK;
+    enum err_code rc = frame_reserve(r, &r->slots, bytes, e);
+    return rc ? rc : dev_zero(r->dev, r->slots.mem, 0, bytes, e);
 }
 
 /* What the frame gets from the host; render_stage_count waits for it. */
@@ -542,7 +558,10 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
     enum err_code rc = render_fine_camera(r, cam, o, &fine, e);
     r->drawn = false;
     r->frames++;
+    r->shares = o->shares;
     memset(&r->stats, 0, sizeof r->stats);
+    if (!rc && o->shares && (o->picture || o->depth_unit_m > 0))
+        rc = err_set(e, ERR_ARG, "render_forward: shares, and a picture alone or moments of depth");
     if (rc) {
         r->listed = false;
         return rc;
@@ -569,6 +588,8 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
         rc = o->list_again ? render_lists_again(r, e) : render_stage_lists(r, &since, e);
     if (!rc)
         rc = render_before_blend(r, e);
+    if (!rc)
+        rc = render_stage_slots(r, e);
     if (!rc)
         rc = render_stage_planes(r, e);
     if (!rc)

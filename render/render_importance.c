@@ -14,7 +14,7 @@ enum { IMPORTANCE_LOCAL = 64 };
 struct render_importance {
     struct render *render; /* borrowed */
     cl_program program;
-    cl_kernel tiles, shares, removal, gather;
+    cl_kernel tiles, shares /* VW 1 */, removal, gather;
     struct frame_buffer sums;
     void *seen; /* sums, mapped for the caller */
 };
@@ -37,7 +37,7 @@ enum err_code render_importance_open(struct render *r, struct render_importance 
     if (!rc)
         rc = dev_kernel(s->program, "importance_tiles", &s->tiles, e);
     if (!rc)
-        rc = dev_kernel(s->program, "share_tiles", &s->shares, e);
+        rc = wide ? ERR_OK : dev_kernel(s->program, "share_tiles", &s->shares, e);
     if (!rc)
         rc = dev_kernel(s->program, "removal_tiles", &s->removal, e);
     if (!rc)
@@ -77,8 +77,8 @@ void render_importance_close(struct render_importance **p)
     *p = NULL;
 }
 
-/* One of the kernels over the tiles: that of shares asks for no weights, and only that of removal
- * for the colours, which come last. */
+/* One of the kernels over the tiles: that of shares (GPUs; on CPUs blending wrote their slots) asks
+ * for no weights, and only that of removal for the colours, which come last. */
 static enum err_code render_importance_tiles(struct render_importance *s, cl_kernel tiles,
                                              const char *name, cl_mem weight, struct err *e)
 {
@@ -119,6 +119,7 @@ static enum err_code render_importance_gather(struct render_importance *s, uint3
     return dev_run(r->dev, s->gather, "importance_gather", n, IMPORTANCE_LOCAL, e);
 }
 
+/* tiles NULL: the slots are there. */
 static enum err_code render_importance_sum(struct render_importance *s, cl_kernel tiles,
                                            const char *name, const struct render_model *m,
                                            cl_mem weight, const float **sums, struct err *e)
@@ -129,6 +130,8 @@ static enum err_code render_importance_sum(struct render_importance *s, cl_kerne
         return err_set(e, ERR_ARG, "render_importance: no frame of this model was drawn");
     if (r->view.picture)
         return err_set(e, ERR_ARG, "render_importance: the frame was only a picture");
+    if (tiles == s->shares && !r->shares)
+        return err_set(e, ERR_ARG, "render_importance: the frame was drawn without shares");
     if (m->n == 0)
         return ERR_OK;
     size_t slots_bytes = (size_t)r->intersections * LAYOUT_IMPORTANCE_SLOT * sizeof(float);
@@ -138,9 +141,9 @@ static enum err_code render_importance_sum(struct render_importance *s, cl_kerne
         rc = frame_reserve(r, &r->slots, slots_bytes, e);
     if (!rc)
         rc = frame_reserve(r, &s->sums, sums_bytes, e);
-    if (!rc && slots_bytes)
+    if (!rc && slots_bytes && tiles)
         rc = dev_zero(r->dev, r->slots.mem, 0, slots_bytes, e);
-    if (!rc && r->intersections)
+    if (!rc && r->intersections && tiles)
         rc = render_importance_tiles(s, tiles, name, weight, e);
     if (!rc)
         rc = render_importance_gather(s, m->n, e);

@@ -152,6 +152,28 @@ static enum err_code share_sums(struct render_importance *s, const struct render
     return render_share_run(s, m, sums, e);
 }
 
+static void shares_are_asked_for(void **state)
+{
+    (void)state;
+    struct gauss g = {0};
+    struct err e = {0};
+    struct render_model m = {0};
+    struct render_importance *s = NULL;
+    struct camera cam = camera();
+    struct render_options o = options;
+    const float *sums;
+    kit_gauss(7, 30, 3.0, 1, 0, &g);
+    kit_ok(render_importance_open(render, &s, &e), e);
+    kit_ok(render_model_upload(render, &g, &m, &e), e);
+    kit_ok(render_forward(render, &m, &cam, &o, NULL, NULL, &e), e);
+    kit_fails(render_share_run(s, &m, &sums, &e), ERR_ARG, e, "without shares");
+    o.shares = o.picture = true;
+    kit_fails(render_forward(render, &m, &cam, &o, NULL, NULL, &e), ERR_ARG, e, "shares");
+    render_importance_close(&s);
+    render_model_free(&m);
+    gauss_free(&g);
+}
+
 /* Both shapes of the kernels; the other sums of a Gaussian are those of importance, to the bit. */
 static void shares_alone_are_the_same_shares(void **state)
 {
@@ -160,14 +182,17 @@ static void shares_alone_are_the_same_shares(void **state)
     struct err e = {0};
     struct dev other = dev;
     struct render *own = render;
+    struct render_options with_shares = options;
     float weight[PIXELS];
+    with_shares.shares = true;
     kit_gauss(7, 300, 3.0, 1, 0, &g);
     for (size_t i = 0; i < g.n; i += 5)
         g.opacity_logit[i] = 10.0f; /* pixels that stop */
     for (int i = 0; i < PIXELS; i++)
         weight[i] = 1.0f;
     for (int shape = 0; shape < 2; shape++) {
-        struct frame_sums all = run(&g, weight), some = run_by(share_sums, &options, &g, weight);
+        struct frame_sums all = run(&g, weight),
+                          some = run_by(share_sums, &with_shares, &g, weight);
         size_t seen = 0;
         for (size_t i = 0; i < g.n * SUMS; i++) {
             const bool none = i % SUMS == 0 || i % SUMS == 3;
@@ -309,6 +334,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(one_gaussian_is_counted_pixel_by_pixel),
         cmocka_unit_test(shares_of_all_add_up_to_what_the_picture_lost),
+        cmocka_unit_test(shares_are_asked_for),
         cmocka_unit_test(shares_alone_are_the_same_shares),
         cmocka_unit_test(the_other_shape_of_the_kernels_gives_the_same_sums),
         cmocka_unit_test(an_empty_view_gives_zeros),

@@ -158,7 +158,7 @@ enum err_code gallery_hand_over(struct gallery *g, const struct photo *p, struct
 }
 
 static enum err_code gallery_run(struct gallery *g, const struct photo *p, bool value_only,
-                                 struct err *e)
+                                 bool with_ssim, struct err *e)
 {
     const struct photometric_input in = {
         .value_only = value_only,
@@ -168,7 +168,7 @@ static enum err_code gallery_run(struct gallery *g, const struct photo *p, bool 
         .width_px = p->cam.width_px,
         .height_px = p->cam.height_px,
         .l1_weight = (float)g->cfg->l1_weight,
-        .ssim_weight = (float)g->cfg->ssim_weight,
+        .ssim_weight = with_ssim ? (float)g->cfg->ssim_weight : 0.0f,
     };
     return photometric_run(g->engine.loss, &in,
                            value_only ? NULL : render_color_grad_buffer(g->engine.render), e);
@@ -176,22 +176,22 @@ static enum err_code gallery_run(struct gallery *g, const struct photo *p, bool 
 
 enum err_code gallery_loss(struct gallery *g, const struct photo *p, struct err *e)
 {
-    return gallery_run(g, p, false, e);
+    return gallery_run(g, p, false, true, e);
 }
 
 enum err_code gallery_value(struct gallery *g, const struct photo *p, struct err *e)
 {
-    return gallery_run(g, p, true, e);
+    return gallery_run(g, p, true, true, e);
 }
 
 enum err_code gallery_score(struct gallery *g, const struct photo *p, const struct render_model *m,
-                            const struct render_options *ro, struct photometric_value *out,
-                            struct err *e)
+                            const struct render_options *ro, bool with_ssim,
+                            struct photometric_value *out, struct err *e)
 {
     enum err_code rc = gallery_hand_over(g, p, e);
     if (!rc)
         rc = render_forward(g->engine.render, m, &p->cam, ro, NULL, NULL, e);
     if (!rc)
-        rc = gallery_value(g, p, e);
+        rc = gallery_run(g, p, true, with_ssim, e);
     return rc ? rc : photometric_read(g->engine.loss, out, e);
 }

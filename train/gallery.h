@@ -57,11 +57,12 @@ enum err_code gallery_hand_over(struct gallery *g, const struct photo *p, struct
 enum err_code gallery_loss(struct gallery *g, const struct photo *p, struct err *e) ERR_USE;
 /* As gallery_loss, without gradients. Only photometric_read may follow. ERR_MEM, ERR_DEVICE. */
 enum err_code gallery_value(struct gallery *g, const struct photo *p, struct err *e) ERR_USE;
-/* Hands a photograph over, draws Gaussians as it shows them, and reads the value. It waits.
- * ERR_MEM, ERR_DEVICE. */
+/* Hands a photograph over, draws Gaussians as it shows them, and reads the value; without SSIM it
+ * takes a fraction of the time, ssim is 1, and total is without it. It waits. ERR_MEM,
+ * ERR_DEVICE. */
 enum err_code gallery_score(struct gallery *g, const struct photo *p, const struct render_model *m,
-                            const struct render_options *ro, struct photometric_value *out,
-                            struct err *e) ERR_USE;
+                            const struct render_options *ro, bool with_ssim,
+                            struct photometric_value *out, struct err *e) ERR_USE;
 
 /* Cameras of the training photographs, [n_images]; free them with mem_free. NULL: out of memory.
  * _full: at the size of the scene's photographs; the other at the size of a level. */

@@ -6,9 +6,11 @@
  * camera.
  *
  * Candidates are moved behind all others, the weakest last, so drawing fewer rows means drawing
- * without the weakest. The number to remove is found by bisection: a few photographs are drawn
- * again and may lose no more than the option allows. One pass over all photographs measures scores:
- * what is hidden in some of them is often what closes a gap in the others.
+ * without the weakest. The number to remove is found by trials: a few photographs are drawn again
+ * and may lose no more than the option allows. What they lose is about a power of the scores that
+ * were removed, so where the limit lies is guessed from the trials before. One pass over all
+ * photographs measures scores: what is hidden in some of them is often what closes a gap in the
+ * others.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -30,9 +32,14 @@
 enum { PRUNE_SUMS = 8, PRUNE_PIXELS = 1, PRUNE_SHARE = 2 };
 enum {
     PRUNE_CHECKS = 8,   /* photographs that are drawn again */
-    PRUNE_HALVES = 5,   /* bisections: to a 32nd of the candidates */
+    PRUNE_TRIALS = 6,   /* at most */
+    PRUNE_NEAR = 32,    /* a 32nd of the candidates is near enough */
     PRUNE_CHUNK = 16384 /* Gaussians that a thread takes at a time */
 };
+#define PRUNE_POWER 1.5 /* loss over scores: 1.2 to 1.7 were seen */
+#define PRUNE_AIM 0.9   /* of the loss that is allowed; */
+#define PRUNE_ENOUGH 0.7
+#define PRUNE_FAR 8.0 /* a loss of so many times what is allowed tells little of where it lies */
 
 struct prune {
     struct model *m;
@@ -59,9 +66,10 @@ static enum err_code prune_draw(struct prune *c, size_t nth, double *mse, struct
         return rc;
     struct render_options ro = gallery_photo_options(g, c->at, p.image);
     ro.picture = !c->device; /* of those that are drawn again nobody sums weights */
+    ro.shares = c->device != NULL;
     rc = model_look(c->m, &p.cam, &ro, &c->look, e);
     if (!rc)
-        rc = gallery_score(g, &p, &c->look.shown, &ro, &v, e);
+        rc = gallery_score(g, &p, &c->look.shown, &ro, c->residuals != NULL, &v, e);
     *mse = v.mse;
     if (!rc && c->residuals)
         rc = residual_add(c->residuals, p.name, residual_mse(&p, v.mse), residual_ssim(&p, v.ssim),
@@ -184,32 +192,65 @@ static enum err_code prune_psnr(struct prune *c, size_t n, double *db, struct er
     return rc;
 }
 
+size_t prune_next(const double *sum, const struct prune_trial *lo, const struct prune_trial *hi,
+                  double aim_db)
+{
+    size_t least = lo->go + 1, most = hi->go - 1;
+    double from = sum[lo->go], to = sum[hi->go], power = PRUNE_POWER;
+    bool both = lo->lost_db > 0.0 && from > 0.0;
+    if (both)
+        power = log(hi->lost_db / lo->lost_db) / log(to / from);
+    double want = both && hi->lost_db > PRUNE_FAR * aim_db
+                      ? sqrt(from * to)
+                      : to * pow(aim_db / hi->lost_db, 1.0 / power);
+    if (!(want > from && want < to))
+        return least + (most - least) / 2;
+    while (least < most) {
+        size_t mid = least + (most - least + 1) / 2;
+        if (sum[mid] <= want)
+            least = mid;
+        else
+            most = mid - 1;
+    }
+    return least;
+}
+
 /* How many of the candidates, the last rows, can go. */
-static enum err_code prune_bisect(struct prune *c, size_t n, size_t n_candidates,
+static enum err_code prune_search(struct prune *c, const double *sum, size_t n, size_t n_candidates,
                                   struct prune_report *r, struct err *e)
 {
-    size_t lo = 0, hi = n_candidates;
+    const double limit = c->gallery->cfg->prune_loss_db;
+    struct prune_trial lo = {0}, hi = {n_candidates + 1, HUGE_VAL};
     const size_t n_images = c->gallery->n_images;
     double before, all = 0.0;
     enum err_code rc = prune_psnr(c, 0, &before, e);
     for (size_t k = 0; k < n_images; k++)
         all += c->mse[k] / (double)n_images;
     r->psnr_before_db = -10.0 * log10(all);
-    for (int k = 0; !rc && k <= PRUNE_HALVES && lo < hi; k++) {
-        size_t go = k ? lo + (hi - lo + 1) / 2 : hi; /* all of them first */
+    for (int k = 0; !rc && k < PRUNE_TRIALS && lo.go + 1 < hi.go; k++) {
+        size_t go = k ? prune_next(sum, &lo, &hi, PRUNE_AIM * limit) : n_candidates;
         double db;
         rc = prune_psnr(c, n - go, &db, e);
-        if (db >= before - c->gallery->cfg->prune_loss_db) {
-            lo = go;
-            r->lost_db = before - db;
-        } else {
-            hi = go - 1;
-        }
+        bool low = db >= before - limit;
+        *(low ? &lo : &hi) = (struct prune_trial){go, before - db};
         if (!rc && signals_stopping())
             rc = err_set(e, ERR_CANCEL, "stopped while pruning");
+        if (lo.go &&
+            (lo.lost_db >= PRUNE_ENOUGH * limit || hi.go - lo.go <= n_candidates / PRUNE_NEAR))
+            break;
     }
-    r->removed = rc ? 0 : lo;
+    r->removed = rc ? 0 : lo.go;
+    r->lost_db = lo.lost_db;
     return rc;
+}
+
+/* Scores of the weakest so many candidates, sum [n_candidates + 1]. */
+static void prune_sum(const struct prune *c, const uint32_t *order, size_t n, size_t n_candidates,
+                      double *sum)
+{
+    sum[0] = 0.0;
+    for (size_t k = 0; k < n_candidates; k++)
+        sum[k + 1] = sum[k] + (double)c->total[order[n - 1 - k]];
 }
 
 /* Put candidates behind, see how many can go, and put the rest back where they were. */
@@ -220,17 +261,22 @@ static enum err_code prune_apply(struct prune *c, const uint8_t *keep, size_t n_
     struct err why = {0};
     size_t n = m->gauss.n, left = 0;
     uint32_t planes = m->gauss.planes, *order = mem_array(2 * n, sizeof *order);
+    double *sum = mem_array(n - n_keep + 1, sizeof *sum);
     uint32_t *back = order + n;
-    enum err_code rc = order ? prune_order(c, keep, n, n_keep, order, e)
-                             : err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
+    enum err_code rc = order && sum
+                           ? prune_order(c, keep, n, n_keep, order, e)
+                           : err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
     if (!rc)
         rc = model_move(m, &(struct permutation){order, n, n, planes}, n, e);
     if (rc) {
+        mem_free(sum);
         mem_free(order);
         return rc;
     }
+    prune_sum(c, order, n, n - n_keep, sum);
     c->residuals = NULL; /* they know these photographs */
-    rc = prune_bisect(c, n, n - n_keep, r, e);
+    rc = prune_search(c, sum, n, n - n_keep, r, e);
+    mem_free(sum);
     for (size_t i = 0; i < n; i++)
         back[i] = UINT32_MAX;
     for (size_t d = 0; d < n - r->removed; d++)

@@ -46,5 +46,15 @@ struct prune_rule {
  * becomes the mean over the views [n] that show the Gaussian. scratch [n]. */
 void prune_choose(float *sum, const uint16_t *views, size_t n, const struct prune_rule *rule,
                   double *scratch, uint8_t *keep, struct prune_report *out);
+struct prune_trial { /* so many of the weakest removed, and what that costs */
+    size_t go;
+    double lost_db;
+};
+/* How many to remove next, above lo and below hi, which lost too much; for tests. sum [go]: scores
+ * of the weakest `go`. It is where a power through both (hi alone, if lo lost nothing) meets what
+ * is aimed at, halfway between the scores where hi is far off, and halfway between the counts where
+ * neither helps. */
+size_t prune_next(const double *sum, const struct prune_trial *lo, const struct prune_trial *hi,
+                  double aim_db);
 
 #endif

@@ -94,7 +94,7 @@ static enum err_code thin_draw(struct thin *c, size_t nth, struct err *e)
     background_choose(c->background, g->cfg, supported, c->at, &p, &ro);
     rc = model_look(c->m, &p.cam, &ro, &c->look, e);
     if (!rc)
-        rc = gallery_score(g, &p, &c->look.shown, &ro, &v, e);
+        rc = gallery_score(g, &p, &c->look.shown, &ro, false, &v, e);
     c->error += isfinite(v.mse) ? v.mse : 0.0;
     return rc ? rc : thin_weigh(c, &p, e);
 }
