@@ -3,6 +3,9 @@
  * stage, and how long its lists are. The procedural city of bench_frame has few small splats and
  * solid surfaces; trained scenes have neither.
  *
+ * Those of a store are drawn twice: as training draws them, and as a view of the store does, from
+ * pages with harmonics of 16 bits.
+ *
  * Places are found from the middle nine tenths of the Gaussians, so one file always gives the same
  * views. From afar, frames are also drawn as a view of a store draws them: with twice the pixels.
  *
@@ -21,6 +24,7 @@
 #include "codec/ckpt.h"
 #include "core/camera.h"
 #include "core/sort.h"
+#include "lod/resident.h"
 #include "lod/store.h"
 #include "render/frame.h" /* the lists of a frame */
 
@@ -29,7 +33,10 @@ enum { TRAINED_W = 1280, TRAINED_H = 720, TRAINED_RUNS_MAX = 1000, TRAINED_STAGE
 struct trained {
     struct bench *b;
     struct render *render;
-    struct render_model model;
+    struct render_model model; /* of all Gaussians */
+    struct store *store;       /* NULL: of a checkpoint */
+    struct resident resident;
+    const struct render_model *drawn;
     struct render_options options;
     struct camera cam;
     double center_m[3], radius_m, top_m;
@@ -89,6 +96,27 @@ static enum err_code trained_read(const struct bench *b, struct gauss *out, stru
     return rc;
 }
 
+/* The same tiles as a view of the store has them. */
+static enum err_code trained_open_store(struct trained *t, const char *path, struct err *e)
+{
+    size_t n_tiles = 0, n = 0;
+    uint64_t shown;
+    enum err_code rc = store_open(path, &t->store, e);
+    const struct store_tile *tiles = !rc ? store_tiles(t->store, &n_tiles) : NULL;
+    uint32_t *tile = mem_array(n_tiles + 1, sizeof *tile);
+    if (!rc && !tile)
+        rc = err_set(e, ERR_MEM, "out of memory for %zu tiles", n_tiles);
+    for (size_t i = 0; !rc && i < n_tiles; i++)
+        if (tiles[i].key.z == store_info(t->store)->zoom_max)
+            tile[n++] = (uint32_t)i;
+    if (!rc)
+        rc = resident_open(t->store, t->render, 0, 0, &t->resident, e);
+    if (!rc)
+        rc = resident_show(&t->resident, tile, n, NULL, &shown, e);
+    mem_free(tile);
+    return rc;
+}
+
 /* ---- views ---- */
 
 static enum err_code trained_measure(const struct gauss *g, struct trained *t, struct err *e)
@@ -127,7 +155,7 @@ static struct camera trained_camera(const struct trained *t, double radii, doubl
 
 static enum err_code trained_draw(struct trained *t, struct err *e)
 {
-    return render_forward(t->render, &t->model, &t->cam, &t->options, t->rgb, NULL, e);
+    return render_forward(t->render, t->drawn, &t->cam, &t->options, t->rgb, NULL, e);
 }
 
 static enum err_code trained_check(struct trained *t, struct err *e)
@@ -201,6 +229,15 @@ static enum err_code trained_stages(struct trained *t, const char *name, bool cp
     return rc;
 }
 
+/* Its checks, times and lists. */
+static enum err_code trained_view(struct trained *t, const char *name, struct err *e)
+{
+    enum err_code rc = trained_check(t, e);
+    for (int cpu = 0; !rc && cpu < 2; cpu++)
+        rc = trained_stages(t, name, cpu, e);
+    return !rc ? trained_lists(t, name, e) : rc;
+}
+
 enum err_code bench_trained(struct bench *b, struct err *e)
 {
     static const struct {
@@ -227,22 +264,27 @@ enum err_code bench_trained(struct bench *b, struct err *e)
         rc = render_open(b->dev, &t->render, e);
     if (!rc)
         rc = render_model_upload(t->render, &g, &t->model, e);
+    if (!rc && b->tiles)
+        rc = trained_open_store(t, b->tiles, e);
     for (size_t i = 0; !rc && i < sizeof views / sizeof *views; i++) {
         if (views[i].supersample > 1 && t->options.aa == RENDER_AA_NONE)
             continue;
         t->cam = trained_camera(t, views[i].radii, views[i].up_deg);
         t->options.supersample = views[i].supersample;
         snprintf(text, sizeof text, "%zu k, %s", g.n / 1000, views[i].name);
-        rc = trained_check(t, e);
-        for (int cpu = 0; !rc && cpu < 2; cpu++)
-            rc = trained_stages(t, text, cpu, e);
-        if (!rc)
-            rc = trained_lists(t, text, e);
+        t->drawn = &t->model;
+        rc = trained_view(t, text, e);
+        snprintf(text, sizeof text, "%zu k, from pages, %s", g.n / 1000, views[i].name);
+        t->drawn = &t->resident.model;
+        if (!rc && t->store)
+            rc = trained_view(t, text, e);
     }
     if (t) {
         mem_free(t->rgb);
         mem_free(t->again);
         render_model_free(&t->model);
+        resident_close(&t->resident);
+        store_close(&t->store);
         render_close(&t->render);
         mem_free(t);
     }

@@ -191,18 +191,24 @@ SIMD_INLINE void sum_bytes(const uint8_t *in, size_t n, uint8_t *last, uint8_t *
     *last = v;
 }
 
-/* Some rows of a component, whose bytes of all `n` rows follow each other. last: the bytes of the
- * row before, then of the last one. */
-SIMD_INLINE void component_read(const uint8_t *bytes, size_t n, size_t rows, uint8_t last[4],
-                                const size_t value_bytes, float v[BLOCK_ROWS])
+/* Bytes of some rows of a component, whose bytes of all `n` rows follow each other. last: the bytes
+ * of the row before, then of the last one. */
+SIMD_INLINE void component_sum(const uint8_t *bytes, size_t n, size_t rows, uint8_t last[4],
+                               const size_t value_bytes, uint8_t byte[4][BLOCK_ROWS])
 {
-    uint8_t byte[4][BLOCK_ROWS];
     for (size_t b = 0; b < value_bytes; b++, bytes += n) {
         /* More streams of bytes than the hardware follows. Beyond the last it does no harm. */
         for (size_t k = 0; k < BLOCK_ROWS; k += 64)
             SIMD_SOON(bytes + BLOCK_ROWS + k);
         sum_bytes(bytes, rows, &last[b], byte[b]);
     }
+}
+
+SIMD_INLINE void component_read(const uint8_t *bytes, size_t n, size_t rows, uint8_t last[4],
+                                const size_t value_bytes, float v[BLOCK_ROWS])
+{
+    uint8_t byte[4][BLOCK_ROWS];
+    component_sum(bytes, n, rows, last, value_bytes, byte);
     if (value_bytes == 4)
         for (size_t i = 0; i < rows; i++)
             v[i] = float_of(byte[0][i] | (uint32_t)byte[1][i] << 8 | (uint32_t)byte[2][i] << 16 |
@@ -210,6 +216,25 @@ SIMD_INLINE void component_read(const uint8_t *bytes, size_t n, size_t rows, uin
     else
         for (size_t i = 0; i < rows; i++)
             v[i] = float16_to_float(byte[0][i] | (uint32_t)byte[1][i] << 8);
+}
+
+/* The same as halves. *most: see struct placing. */
+SIMD_INLINE void component_read_halves(const uint8_t *bytes, size_t n, size_t rows, uint8_t last[4],
+                                       const size_t value_bytes, uint16_t v[BLOCK_ROWS],
+                                       uint32_t *most)
+{
+    uint8_t byte[4][BLOCK_ROWS];
+    component_sum(bytes, n, rows, last, value_bytes, byte);
+    if (value_bytes == 4)
+        for (size_t i = 0; i < rows; i++) {
+            uint32_t u = byte[0][i] | (uint32_t)byte[1][i] << 8 | (uint32_t)byte[2][i] << 16 |
+                         (uint32_t)byte[3][i] << 24;
+            *most = (u & 0x7fffffff) > *most ? u & 0x7fffffff : *most;
+            v[i] = (uint16_t)float16_from_float(float_of(u));
+        }
+    else
+        for (size_t i = 0; i < rows; i++)
+            v[i] = (uint16_t)(byte[0][i] | byte[1][i] << 8);
 }
 
 SIMD_INLINE void plane_read_of(const struct plane *p, size_t n, const uint8_t *in,
@@ -528,7 +553,8 @@ void payload_sizes(const struct payload *p, float *out)
 /* Some rows on their way: those from `at` on. */
 struct placing {
     size_t n, at, rows;
-    float *to[BLOCK_ROWS]; /* plane 0 of each */
+    float *to[BLOCK_ROWS];       /* plane 0 of each */
+    uint8_t *halves[BLOCK_ROWS]; /* the first of its halves, if there are any */
     float norm2[BLOCK_ROWS];
     uint32_t most; /* of the bits of float32, without sign */
 };
@@ -539,6 +565,8 @@ SIMD_INLINE void placing_rows(struct placing *s, const struct payload_target *t,
     for (size_t i = 0; i < s->rows; i++) {
         size_t k = t->place[s->at + i], in_block = k & (t->block_rows - 1);
         s->to[i] = t->block[k >> shift] + layout_at(in_block, planes);
+        s->halves[i] = (uint8_t *)(s->to[i] + LAYOUT_PLANE_SH * LAYOUT_LANES) -
+                       in_block % LAYOUT_LANES * sizeof(uint16_t);
     }
 }
 
@@ -556,16 +584,25 @@ SIMD_INLINE void placing_look(struct placing *s, const float *v)
     }
 }
 
-/* The planes behind the means. value_bytes: of each of their values. */
-SIMD_INLINE void placing_rest(struct placing *s, const uint8_t *in, size_t width,
-                              uint8_t (*last)[4], const size_t value_bytes)
+/* Harmonics as halves: `width` components of them. */
+SIMD_INLINE void placing_halves(struct placing *s, const uint8_t *in, size_t width,
+                                uint8_t (*last)[4], const size_t value_bytes)
+{
+    uint16_t v[BLOCK_ROWS];
+    for (size_t c = 0; c < width; c++, in += value_bytes * s->n) {
+        component_read_halves(in + s->at, s->n, s->rows, last[c], value_bytes, v, &s->most);
+        for (size_t i = 0; i < s->rows; i++)
+            memcpy(s->halves[i] + c * LAYOUT_LANES * sizeof *v, &v[i], sizeof *v);
+    }
+}
+
+/* `width` components of other planes, from `plane` on. value_bytes: of each of their values. */
+SIMD_INLINE void placing_words(struct placing *s, const uint8_t *in, size_t plane, size_t width,
+                               uint8_t (*last)[4], const size_t value_bytes)
 {
     float v[BLOCK_ROWS];
-    for (size_t i = 0; i < s->rows; i++)
-        s->norm2[i] = 0.0f;
-    for (size_t c = 0, plane = LAYOUT_PLANE_SCALE; c < width; c++, plane++) {
-        const uint8_t *bytes = in + c * value_bytes * s->n + s->at;
-        component_read(bytes, s->n, s->rows, last[c], value_bytes, v);
+    for (size_t c = 0; c < width; c++, plane++, in += value_bytes * s->n) {
+        component_read(in + s->at, s->n, s->rows, last[c], value_bytes, v);
         if (value_bytes == 4)
             placing_look(s, v);
         if (plane >= LAYOUT_PLANE_QUAT && plane < LAYOUT_PLANE_OPACITY)
@@ -575,12 +612,32 @@ SIMD_INLINE void placing_rest(struct placing *s, const uint8_t *in, size_t width
     }
 }
 
+/* The planes behind the means. */
+SIMD_INLINE void placing_rest(struct placing *s, const uint8_t *in, const struct payload *p,
+                              const struct payload_target *t, uint8_t (*last)[4],
+                              const size_t value_bytes, const bool halves)
+{
+    const size_t shape = LAYOUT_PLANE_SH - LAYOUT_PLANE_SCALE,
+                 sh = 3 * gauss_sh_count(p->sh_degree), row = value_bytes * s->n;
+    for (size_t i = 0; i < s->rows; i++)
+        s->norm2[i] = 0.0f;
+    if (halves) {
+        placing_words(s, in, LAYOUT_PLANE_SCALE, shape, last, value_bytes);
+        placing_halves(s, in + shape * row, sh, last + shape, value_bytes);
+        placing_words(s, in + (shape + sh) * row, layout_planes_halves(p->sh_degree, 0),
+                      t->embed_len, last + shape + sh, value_bytes);
+    } else {
+        placing_words(s, in, LAYOUT_PLANE_SCALE, shape + sh + t->embed_len, last, value_bytes);
+    }
+}
+
 /* False if a value is not finite or a rotation is 0. */
 SIMD_INLINE bool place_of(const struct payload *p, const struct payload_target *t,
-                          const size_t value_bytes)
+                          const size_t value_bytes, const bool halves)
 {
     enum { REST_MAX = LAYOUT_PLANE_SH - LAYOUT_PLANE_SCALE + 3 * LAYOUT_SH_MAX + GAUSS_EMBED_MAX };
-    const uint32_t planes = layout_planes(p->sh_degree, t->embed_len);
+    const uint32_t planes =
+        (halves ? layout_planes_halves : layout_planes)(p->sh_degree, t->embed_len);
     const uint8_t *in = p->plain.data;
     uint8_t last_mean[3][4] = {{0}}, last[REST_MAX][4] = {{0}};
     float v[BLOCK_ROWS], least = INFINITY;
@@ -596,7 +653,7 @@ SIMD_INLINE bool place_of(const struct payload *p, const struct payload_target *
                 v[i] = (float)((double)v[i] + shift);
             placing_store(&s, LAYOUT_PLANE_MEAN + k, v);
         }
-        placing_rest(&s, in + 3 * 4 * s.n, planes - LAYOUT_PLANE_SCALE, last, value_bytes);
+        placing_rest(&s, in + 3 * 4 * s.n, p, t, last, value_bytes, halves);
         for (size_t i = 0; i < s.rows; i++)
             least = s.norm2[i] < least ? s.norm2[i] : least;
     }
@@ -605,20 +662,32 @@ SIMD_INLINE bool place_of(const struct payload *p, const struct payload_target *
 
 SIMD_WIDE static bool payload_place4(const struct payload *p, const struct payload_target *t)
 {
-    return place_of(p, t, 4);
+    return place_of(p, t, 4, false);
 }
 
 SIMD_WIDE static bool payload_place2(const struct payload *p, const struct payload_target *t)
 {
-    return place_of(p, t, 2);
+    return place_of(p, t, 2, false);
+}
+
+SIMD_WIDE static bool payload_place_halves4(const struct payload *p, const struct payload_target *t)
+{
+    return place_of(p, t, 4, true);
+}
+
+SIMD_WIDE static bool payload_place_halves2(const struct payload *p, const struct payload_target *t)
+{
+    return place_of(p, t, 2, true);
 }
 
 enum err_code payload_place(const struct payload *p, const struct payload_target *to, struct err *e)
 {
+    static bool (*const place[2][2])(const struct payload *, const struct payload_target *) = {
+        {payload_place2, payload_place_halves2}, {payload_place4, payload_place_halves4}};
     struct gauss rows;
     assert(!to->embed_len || to->embed_len == p->embed_len);
     assert(to->block_rows % LAYOUT_LANES == 0 && !(to->block_rows & (to->block_rows - 1)));
-    if ((p->lossless ? payload_place4 : payload_place2)(p, to))
+    if (place[p->lossless][to->sh_halves](p, to))
         return ERR_OK;
     enum err_code rc = payload_gauss(p, &rows, e); /* says which row */
     gauss_free(&rows);

@@ -53,12 +53,14 @@ struct payload_target {
     float *const *block;   /* row k goes to block[k / block_rows], which is whole groups */
     const uint32_t *place; /* [n]: row i becomes row place[i], which is below n */
     size_t block_rows;     /* a power of two, a multiple of LAYOUT_LANES */
+    bool sh_halves;        /* harmonics are halves */
     uint32_t embed_len;    /* that of the payload, or 0: embeddings are left out */
     double origin_enu_m[3];
 };
 /* Writes the same values as payload_gauss there, with means about the target's origin, without
- * other memory. Lanes of a group that get no row are not changed. ERR_FORMAT as payload_gauss; rows
- * may be written already. ERR_MEM. */
+ * other memory. Harmonics of a lossless payload are rounded where the target has halves. Lanes of a
+ * group that get no row are not changed. ERR_FORMAT as payload_gauss; rows may be written already.
+ * ERR_MEM. */
 enum err_code payload_place(const struct payload *p, const struct payload_target *to,
                             struct err *e) ERR_USE;
 #endif

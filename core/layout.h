@@ -39,7 +39,12 @@ typedef uchar16 layout_uchar16 __attribute__((aligned(1)));
  *     params[((i / LAYOUT_LANES) * planes + p) * LAYOUT_LANES + i % LAYOUT_LANES]
  *
  * SH coefficients are coefficient-major: plane LAYOUT_PLANE_SH + 3 k + channel. The last planes are
- * the appearance embedding, if there is one. */
+ * the appearance embedding, if there is one.
+ *
+ * A model that is only drawn may have its harmonics as halves (IEEE binary16), as a tile's payload
+ * has them. Two of their planes then share one of words, and planes of words are counted. Value j =
+ * 3 k + channel of the Gaussian at lane l is half 16 j + l of those that begin at plane
+ * LAYOUT_PLANE_SH. */
 #define LAYOUT_PLANE_MEAN 0     /* x y z in m, relative to the model's origin */
 #define LAYOUT_PLANE_SCALE 3    /* ln of the three sigmas in m */
 #define LAYOUT_PLANE_QUAT 6     /* w x y z */
@@ -153,7 +158,8 @@ struct layout_view {
     LAYOUT_U32 listed;     /* 1: a list names the groups of parameters to draw */
     /* 1: fx and fy are pixels a metre, and all rays have direction rot[6..8] */
     LAYOUT_U32 orthographic;
-    float depth_unit_m; /* unit of moments of depth; 0: the frame has none */
+    float depth_unit_m;   /* unit of moments of depth; 0: the frame has none */
+    LAYOUT_U32 sh_halves; /* 1: harmonics are halves */
     /* 1: a frame that no gradients or scores follow. Intersections have no slots and no hits */
     LAYOUT_U32 picture;
     /* px: splats are also listed in tiles that they come so near to; 0: only where they are drawn
@@ -306,13 +312,18 @@ static_assert(LAYOUT_PLANES_GEOMETRY == LAYOUT_PLANE_OPACITY + 1, "opacity is th
 static_assert(sizeof(struct layout_adam) == 18 * 4, "no padding: an argument of a kernel");
 static_assert(sizeof(struct layout_counts) == 8 * (2 + LAYOUT_SORT_CHUNKS) + 4 * LAYOUT_BIN_CHUNKS,
               "no padding");
-static_assert(sizeof(struct layout_view) == 46 * 4, "no padding: kernels read the same words");
+static_assert(sizeof(struct layout_view) == 47 * 4, "no padding: kernels read the same words");
 
 /* Number of planes of a group of parameters. Embeddings begin at plane layout_planes(sh_degree, 0).
  */
 static inline uint32_t layout_planes(uint32_t sh_degree, uint32_t embed_len)
 {
     return LAYOUT_PLANE_SH + 3 * (sh_degree + 1) * (sh_degree + 1) + embed_len;
+}
+/* The same where harmonics are halves. */
+static inline uint32_t layout_planes_halves(uint32_t sh_degree, uint32_t embed_len)
+{
+    return LAYOUT_PLANE_SH + (3 * (sh_degree + 1) * (sh_degree + 1) + 1) / 2 + embed_len;
 }
 /* Index of a row's value in plane 0. */
 static inline size_t layout_at(size_t row, uint32_t planes)

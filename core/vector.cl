@@ -15,6 +15,7 @@ typedef uint16 VU;
 #define ST(p, plane, v) LAYOUT_WIDE(__global, float, (p) + LAYOUT_LANES * (plane)) = (v)
 #define LD_WORD(p, plane) LAYOUT_WIDE(const __global, uint, (p) + LAYOUT_LANES * (plane))
 #define ST_WORD(p, plane, v) LAYOUT_WIDE(__global, uint, (p) + LAYOUT_LANES * (plane)) = (v)
+#define LD_HALF(p, plane) vload_half16(plane, p)
 #define ANY(m) any_lane(m)
 #define AS_V as_float16
 #define AS_VI as_int16
@@ -31,6 +32,7 @@ typedef uint VU;
 #define ST(p, plane, v) ((p)[(plane)*LAYOUT_LANES] = (v))
 #define LD_WORD LD
 #define ST_WORD ST
+#define LD_HALF(p, plane) vload_half((plane)*LAYOUT_LANES, p)
 #define ANY(m) (m)
 #define AS_V as_float
 #define AS_VI as_int

@@ -35,6 +35,7 @@ enum err_code resident_open(struct store *s, struct render *r, uint32_t embed_le
         memcpy(out->model.origin_enu_m, first.center_enu_m, sizeof out->model.origin_enu_m);
     }
     out->flat = out->model;
+    out->model.sh_halves = true;
     out->tile = mem_array(out->n_tiles, sizeof *out->tile);
     out->scratch = mem_array(out->n_tiles, sizeof *out->scratch);
     return out->tile && out->scratch
@@ -203,6 +204,7 @@ static enum err_code resident_decode(void *user, size_t i, struct err *e)
         struct payload_target to = {.block = k->block,
                                     .place = k->place,
                                     .block_rows = BLOCK_ROWS,
+                                    .sh_halves = m->sh_halves,
                                     .embed_len = m->embed_len};
         memcpy(to.origin_enu_m, m->origin_enu_m, sizeof to.origin_enu_m);
         if (payload_place(&k->payload, &to, e))
@@ -300,7 +302,8 @@ static void resident_forget_pages(struct resident *r)
 /* As resident_open left it. */
 static void resident_empty(struct render_model *m)
 {
-    struct render_model kept = {.sh_degree = m->sh_degree, .embed_len = m->embed_len};
+    struct render_model kept = {
+        .sh_degree = m->sh_degree, .sh_halves = m->sh_halves, .embed_len = m->embed_len};
     memcpy(kept.origin_enu_m, m->origin_enu_m, sizeof kept.origin_enu_m);
     render_model_free(m);
     *m = kept;
@@ -365,8 +368,7 @@ static void resident_make_room(struct resident *r, size_t pages, uint64_t since)
 static enum err_code resident_reserve(struct resident *r, size_t pages, size_t missing,
                                       uint64_t since, struct err *e)
 {
-    const size_t page_bytes =
-        (size_t)layout_planes(r->model.sh_degree, r->model.embed_len) * BLOCK_ROWS * sizeof(float);
+    const size_t page_bytes = (size_t)render_model_planes(&r->model) * BLOCK_ROWS * sizeof(float);
     const size_t limit = r->limit_bytes / page_bytes;
     struct err why;
     if (missing <= r->n_free && r->n_pages > 0)

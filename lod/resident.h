@@ -30,7 +30,8 @@ struct resident {
     size_t n_tiles;
     size_t limit_bytes; /* of pages beyond those that a picture needs */
     uint64_t clock;
-    /* model: the pages; flat: tiles one after another, see resident_flat */
+    /* model: the pages, with harmonics as halves; flat: tiles one after another, see resident_flat
+     */
     struct render_model model, flat;
     uint32_t *free_page; /* stack, [n_pages] */
     size_t n_free, n_pages;
@@ -56,7 +57,8 @@ void resident_weigh(struct resident *r, uint32_t tile, float share);
  * ERR_LIMIT, ERR_MEM. ERR_CANCEL: the renderer was told to stop (render_set_stop). */
 enum err_code resident_show(struct resident *r, const uint32_t *picked, size_t n,
                             const struct frustum *f, uint64_t *n_gaussians, struct err *e) ERR_USE;
-/* Brings all of these tiles into r->flat, a model without a list. ERR_FORMAT, ERR_IO, ERR_DEVICE,
+/* Brings all of these tiles into r->flat, a model without a list, in floats, so that it has
+ * gradients. ERR_FORMAT, ERR_IO, ERR_DEVICE,
  * ERR_LIMIT, ERR_CANCEL, ERR_MEM. */
 enum err_code resident_flat(struct resident *r, const uint32_t *picked, size_t n,
                             struct err *e) ERR_USE;

@@ -103,18 +103,34 @@ INLINE void project_tiles(__constant struct layout_view *v, const struct outline
     }
 }
 
-INLINE void project_color(__constant struct layout_view *v, __global const float *g, V rgb[3])
+// The halves of a group. lane: of g, VW 1.
+INLINE __global const half *project_halves(__global const float *g, uint lane)
+{
+    return (__global const half *)(g + LAYOUT_PLANE_SH * LAYOUT_LANES) - lane;
+}
+
+INLINE void project_color(__constant struct layout_view *v, __global const float *g, uint lane,
+                          V rgb[3])
 {
     V dir[3], basis[LAYOUT_SH_MAX];
     uint count = (v->sh_degree + 1) * (v->sh_degree + 1);
     seen_direction(v, g, dir);
     sh_basis(dir, v->sh_degree, basis);
     V red = (V)(0.5f), green = red, blue = red; // in registers, where an array lies in memory
-    for (uint k = 0; k < count; k++) {
-        __global const float *sh = g + (LAYOUT_PLANE_SH + 3 * k) * LAYOUT_LANES;
-        red = basis[k] * LD(sh, 0) + red;
-        green = basis[k] * LD(sh, 1) + green;
-        blue = basis[k] * LD(sh, 2) + blue;
+    if (v->sh_halves) {
+        __global const half *sh = project_halves(g, lane);
+        for (uint k = 0; k < count; k++) {
+            red = basis[k] * LD_HALF(sh, 3 * k) + red;
+            green = basis[k] * LD_HALF(sh, 3 * k + 1) + green;
+            blue = basis[k] * LD_HALF(sh, 3 * k + 2) + blue;
+        }
+    } else {
+        for (uint k = 0; k < count; k++) {
+            __global const float *sh = g + (LAYOUT_PLANE_SH + 3 * k) * LAYOUT_LANES;
+            red = basis[k] * LD(sh, 0) + red;
+            green = basis[k] * LD(sh, 1) + green;
+            blue = basis[k] * LD(sh, 2) + blue;
+        }
     }
     rgb[0] = red;
     rgb[1] = green;
@@ -220,7 +236,9 @@ INLINE void project_record(const struct outline *o, const struct coverage *c,
 INLINE void project_ask(__constant struct layout_view *v, __global const float *g, uint third)
 {
 #if VW == 16 && !defined APPEARANCE_LEN
-    uint planes = (v->sh_degree + 1) * (v->sh_degree + 1), from = LAYOUT_PLANE_SH + third * planes;
+    uint planes = (v->sh_degree + 1) * (v->sh_degree + 1);
+    planes = v->sh_halves ? (planes + 1) / 2 : planes;
+    uint from = LAYOUT_PLANE_SH + third * planes;
     for (uint plane = from; plane < from + planes; plane++)
         PREFETCH(g + plane * LAYOUT_LANES);
 #endif
@@ -294,7 +312,7 @@ INLINE void project_some(__constant struct layout_view *v, __global const float 
     if (!ANY(live))
         return;
     project_record(&o, &c, w);
-    project_color(v, g, w + LAYOUT_SPLAT_RGB);
+    project_color(v, g, index % LAYOUT_LANES, w + LAYOUT_SPLAT_RGB);
 #ifdef APPEARANCE_LEN
     for (uint ch = 0; ch < 3; ch++) {
         V color = w[LAYOUT_SPLAT_RGB + ch] + (2.0f * y[ch] - 1.0f);

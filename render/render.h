@@ -95,6 +95,10 @@ enum err_code render_go(const struct render *r, struct err *e) ERR_USE; /* ERR_C
 /* Gaussians on the device. */
 struct render_model {
     cl_mem params; /* float [groups][planes][16] */
+    /* Harmonics are halves, see core/layout.h. Such a model is made of pieces and only drawn: it is
+     * not for render_model_write and render_model_download, and the backward pass refuses it
+     * (ERR_ARG). */
+    bool sh_halves;
     /* may be NULL: float [groups][16], m: sigma f of the 3-D smoothing filter of each Gaussian
      * (Mip-Splatting, Yu et al. 2024). A Gaussian is drawn with sqrt(sigma^2 + f^2) and opacity
      * times prod sigma / sigma'. Gradients are those of the raw parameters. f gets no gradient. The
@@ -107,6 +111,8 @@ struct render_model {
     uint32_t n, cap, groups, planes, sh_degree, embed_len;
     double origin_enu_m[3]; /* origin of the means on the device */
 };
+/* Planes of words of 32 bits in a group: m->planes of a model with memory. */
+uint32_t render_model_planes(const struct render_model *m);
 /* Uploads g and keeps its origin. Free *out with render_model_free. ERR_MEM, ERR_LIMIT, ERR_DEVICE.
  */
 enum err_code render_model_upload(struct render *r, const struct gauss *g, struct render_model *out,
@@ -133,12 +139,13 @@ static inline uint32_t render_piece_groups(size_t n_gaussians)
 {
     return (uint32_t)((n_gaussians + LAYOUT_LANES - 1) / LAYOUT_LANES);
 }
-/* Fills the lanes after the last of n Gaussians in its group, so that they are not drawn. */
+/* Puts the lanes after the last of n Gaussians in its group where they are not drawn. */
 void render_piece_end(float *groups, uint32_t planes, size_t n);
 /* Makes room for n_groups in m, and keeps the first n_kept that are there. The caller sets
- * sh_degree, embed_len and origin_enu_m before; a model that is {0} elsewhere has no memory yet. A
- * buffer that has to grow gets a quarter more room than asked for. render_model_capacity gives the
- * present room. After ERR_MEM, ERR_LIMIT and ERR_DEVICE these first are still there. */
+ * sh_degree, sh_halves, embed_len and origin_enu_m before; a model that is {0} elsewhere has no
+ * memory yet. A buffer that has to grow gets a quarter more room than asked for.
+ * render_model_capacity gives the present room. After ERR_MEM, ERR_LIMIT and ERR_DEVICE these first
+ * are still there. */
 enum err_code render_model_reserve(struct render *r, struct render_model *m, size_t n_groups,
                                    size_t n_kept, struct err *e) ERR_USE;
 static inline uint32_t render_model_capacity(const struct render_model *m)

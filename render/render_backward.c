@@ -137,6 +137,9 @@ static enum err_code backward_blend(struct render *r, const struct render_model 
     if (r->view.orthographic || r->view.picture)
         return err_set(e, ERR_ARG, "render_backward: %s has no backward pass",
                        r->view.picture ? "a frame that is only a picture" : "an orthographic view");
+    if (r->view.sh_halves)
+        return err_set(e, ERR_ARG,
+                       "render_backward: Gaussians with harmonics of 16 bits are only drawn");
     if (m->n != r->view.n || m->groups != r->view.groups || m->planes != r->view.planes)
         return err_set(e, ERR_ARG, "render_backward: %u Gaussians: the last frame drew %u others",
                        m->n, r->view.n);

@@ -209,6 +209,7 @@ void render_view_fill(const struct render *r, const struct render_model *m, cons
     v->tile_cull = !r->box_tiles;
     v->smooth = m->filter != NULL;
     v->listed = m->list != NULL;
+    v->sh_halves = m->sh_halves;
     v->orthographic = o->orthographic;
     v->picture = o->picture;
     v->depth_unit_m = (float)o->depth_unit_m;
@@ -566,8 +567,7 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
         r->listed = false;
         return rc;
     }
-    assert(m->n <= (size_t)m->groups * LAYOUT_LANES &&
-           m->planes == layout_planes(m->sh_degree, m->embed_len));
+    assert(m->n <= (size_t)m->groups * LAYOUT_LANES && m->planes == render_model_planes(m));
     render_view_fill(r, m, &fine, o, &r->view);
     r->tiles = r->view.tiles_x * r->view.tiles_y;
     rc = render_lists_check(r, &was, o, e);

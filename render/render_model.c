@@ -14,6 +14,11 @@
 
 enum { LANES = LAYOUT_LANES, GROUPS_AT_ONCE = 4096 };
 
+uint32_t render_model_planes(const struct render_model *m)
+{
+    return (m->sh_halves ? layout_planes_halves : layout_planes)(m->sh_degree, m->embed_len);
+}
+
 /* One parameter array of struct gauss and where its planes start. */
 struct plane_set {
     float *data;
@@ -68,7 +73,7 @@ enum err_code render_model_write(struct render *r, struct render_model *m, size_
     size_t group_floats = (size_t)m->planes * LANES, groups = (g->n + LANES - 1) / LANES;
     size_t at_once = groups < GROUPS_AT_ONCE ? groups : GROUPS_AT_ONCE;
     enum err_code rc = ERR_OK;
-    assert(first % LANES == 0 && g->n <= m->cap && first <= m->cap - g->n);
+    assert(first % LANES == 0 && g->n <= m->cap && first <= m->cap - g->n && !m->sh_halves);
     float *staging = mem_array(at_once * group_floats, sizeof *staging);
     if (!staging)
         return err_set(e, ERR_MEM, "render_model_write: %zu Gaussians", g->n);
@@ -116,6 +121,7 @@ enum err_code render_model_download(struct render *r, const struct render_model 
     size_t at_once = m->groups < GROUPS_AT_ONCE ? m->groups : GROUPS_AT_ONCE;
     enum err_code rc = ERR_OK;
     float *staging = NULL;
+    assert(!m->sh_halves);
     if (g->cap == 0)
         rc = gauss_alloc(g, m->n, m->sh_degree, m->embed_len, e);
     else if (g->sh_degree != m->sh_degree)
@@ -149,7 +155,7 @@ enum err_code render_model_download(struct render *r, const struct render_model 
 void render_piece_end(float *groups, uint32_t planes, size_t n)
 {
     for (size_t i = n; i % LANES != 0; i++)
-        for (uint32_t p = 0; p < planes; p++)
+        for (uint32_t p = 0; p < LAYOUT_PLANES_GEOMETRY; p++)
             groups[layout_at(i, planes) + p * LANES] = p < LAYOUT_PLANE_MEAN + 3 ? NOWHERE_M : 0.0f;
 }
 
@@ -157,7 +163,7 @@ enum err_code render_model_reserve(struct render *r, struct render_model *m, siz
                                    size_t n_kept, struct err *e)
 {
     cl_mem params = NULL;
-    m->planes = layout_planes(m->sh_degree, m->embed_len);
+    m->planes = render_model_planes(m);
     if (m->params && n_groups <= render_model_capacity(m))
         return ERR_OK;
     const size_t cap = n_groups + n_groups / 4 + 1, group = m->planes * LANES * sizeof(float);

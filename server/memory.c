@@ -15,7 +15,7 @@ enum { MEMORY_MB = 1 << 20, MEMORY_SLOTS = 4, MEMORY_CONNECTIONS_MIN = 64 };
 #define MEMORY_DRAWING ((size_t)110 * MEMORY_MB) /* OpenCL by PoCL, kernels, libraries */
 #define MEMORY_CONNECTION ((size_t)20 << 10)     /* an idle one */
 #define MEMORY_ENCODING 5                        /* a worker, of a tile's decoded bytes */
-#define MEMORY_GAUSSIAN ((size_t)335)            /* drawn */
+#define MEMORY_GAUSSIAN ((size_t)240)            /* drawn */
 #define MEMORY_PIXEL ((size_t)16)                /* drawn */
 #define MEMORY_PIXELS_A_PICTURE 4                /* supersampled */
 /* The least that works. */

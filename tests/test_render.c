@@ -12,6 +12,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "codec/payload.h"
 #include "core/camera.h"
 #include "core/dev.h"
 #include "render/frame.h"
@@ -26,6 +27,9 @@
  */
 #define ROUNDING_TOL 5e-5
 #define OUTLIERS_PER_VALUE 2e-3
+/* Harmonics as halves have errors of 2^-12 of themselves. A colour is the sum of 16 of them, times
+ * basis functions whose squares add up to 16 / (4 pi), and they are 0.8 and less here. */
+#define HALVES_RMS_TOL 2e-4 /* 74 dB */
 
 static struct dev dev;
 static struct render *render;
@@ -214,6 +218,97 @@ static void test_sh_degrees(void **state)
             check(what, &g, &cam, &o);
             gauss_free(&g);
         }
+}
+
+/* Rows of a group in the layout with halves. */
+static void put_halves(const struct gauss *g, size_t i, float *row)
+{
+    const size_t n_sh = 3 * gauss_sh_count(g->sh_degree);
+    uint16_t halves[3 * LAYOUT_SH_MAX];
+    uint8_t *to = (uint8_t *)(row + LAYOUT_PLANE_SH * LAYOUT_LANES) - i % LAYOUT_LANES * 2;
+    for (size_t k = 0; k < 3; k++) {
+        row[(LAYOUT_PLANE_MEAN + k) * LAYOUT_LANES] = g->mean_m[3 * i + k];
+        row[(LAYOUT_PLANE_SCALE + k) * LAYOUT_LANES] = g->scale_log[3 * i + k];
+    }
+    for (size_t k = 0; k < 4; k++)
+        row[(LAYOUT_PLANE_QUAT + k) * LAYOUT_LANES] = g->quat_wxyz[4 * i + k];
+    row[LAYOUT_PLANE_OPACITY * LAYOUT_LANES] = g->opacity_logit[i];
+    payload_to_float16(g->sh + n_sh * i, n_sh, halves);
+    for (size_t k = 0; k < n_sh; k++)
+        memcpy(to + k * LAYOUT_LANES * 2, &halves[k], 2);
+}
+
+/* One piece, as tiles of a store are placed. */
+static void place_halves(const struct gauss *g, struct render_model *m)
+{
+    struct err e = {0};
+    struct render_piece piece = {.n_groups = render_piece_groups(g->n)};
+    struct render_placing placing;
+    *m = (struct render_model){.sh_degree = g->sh_degree, .sh_halves = true};
+    kit_ok(render_model_reserve(render, m, piece.n_groups, 0, &e), e);
+    assert_int_equal(m->planes, layout_planes_halves(g->sh_degree, 0));
+    kit_ok(render_place_open(render, m, &piece, 1, &placing, &e), e);
+    for (size_t i = 0; i < g->n; i++)
+        put_halves(g, i, piece.groups + layout_at(i, m->planes));
+    render_piece_end(piece.groups, m->planes, g->n);
+    kit_ok(render_place_close(render, m, &placing, ERR_OK, &e), e);
+    kit_ok(render_model_list(render, NULL, piece.n_groups, m, &e), e);
+}
+
+/* Harmonics as halves are the same picture as their values in floats, and near that of the values
+ * before they were rounded. There is no way back. */
+static void expect_halves(const char *what, struct gauss *g, const struct render_options *o)
+{
+    struct err e = {0};
+    struct render_model m;
+    const struct camera cam = view_from(6, 6, 3, 40, 32);
+    const size_t n_sh = g->n * 3 * gauss_sh_count(g->sh_degree), n = (size_t)3 * 40 * 32;
+    static float got[3 * 40 * 32];
+    static double exact[3 * 40 * 32], t[40 * 32];
+    double sum = 0.0;
+    uint16_t *halves = mem_array(n_sh, sizeof *halves);
+    assert_non_null(halves);
+    kit_ok(render_ref_forward(g, &cam, o, exact, t, &e), e);
+    place_halves(g, &m);
+    kit_ok(render_forward(render, &m, &cam, o, got, NULL, &e), e);
+    for (size_t i = 0; i < n; i++)
+        sum += ((double)got[i] - exact[i]) * ((double)got[i] - exact[i]);
+    if (sqrt(sum / (double)n) > HALVES_RMS_TOL)
+        fail_msg("%s: rms of halves %.3g (limit %.3g)", what, sqrt(sum / (double)n),
+                 HALVES_RMS_TOL);
+    payload_to_float16(g->sh, n_sh, halves);
+    payload_from_float16(halves, n_sh, g->sh);
+    struct picture floats = draw(g, &cam, o);
+    if (memcmp(floats.rgb, got, sizeof got))
+        fail_msg("%s: not the picture of the same values in floats", what);
+    check(what, g, &cam, o);
+    kit_ok(render_forward(render, &m, &cam, o, got, NULL, &e), e);
+    kit_fails(render_backward(render, &m, m.params, &e), ERR_ARG, e, "16 bits");
+    picture_free(&floats);
+    mem_free(halves);
+    render_model_free(&m);
+}
+
+static void check_halves(void)
+{
+    static const size_t counts[] = {1, 16, 60, 100};
+    for (uint32_t has = 0; has <= 3; has++)
+        for (int use = -1; use <= 3; use += 2) {
+            struct gauss g;
+            struct render_options o = PLAIN;
+            char what[64];
+            snprintf(what, sizeof what, "halves of degree %u, limited to %d", has, use);
+            o.sh_degree = use;
+            kit_gauss(37 + has, counts[has], 3.0, has, 0, &g);
+            expect_halves(what, &g, &o);
+            gauss_free(&g);
+        }
+}
+
+static void test_halves(void **state)
+{
+    (void)state;
+    check_halves();
 }
 
 static void test_camera_inside(void **state)
@@ -748,6 +843,7 @@ static void test_gpu_shapes(void **state)
         check("other shapes", &g, &cam, &o);
         gauss_free(&g);
     }
+    check_halves();
     render_close(&render);
     render = wide;
 }
@@ -920,6 +1016,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(test_antialiasing_modes),
         cmocka_unit_test(test_modes_differ),
         cmocka_unit_test(test_sh_degrees),
+        cmocka_unit_test(test_halves),
         cmocka_unit_test(test_camera_inside),
         cmocka_unit_test(test_off_frustum),
         cmocka_unit_test(test_saturated),

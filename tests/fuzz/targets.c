@@ -119,18 +119,22 @@ void fuzz_sog(const uint8_t *bytes, size_t n)
 }
 
 /* Straight into drawn rows, in their order. It is decoded if and only if payload_decode can. */
-static bool payload_is_placed(const uint8_t *bytes, size_t n)
+static bool payload_is_placed(const uint8_t *bytes, size_t n, bool halves)
 {
     struct payload p = {0};
     bool good = payload_open(&p, bytes, n, &limits, NULL) == ERR_OK;
     if (good) {
         const size_t groups = (p.n + LAYOUT_LANES - 1) / LAYOUT_LANES;
-        const uint32_t planes = layout_planes(p.sh_degree, p.embed_len);
+        const uint32_t planes =
+            (halves ? layout_planes_halves : layout_planes)(p.sh_degree, p.embed_len);
         float *rows = mem_array(groups * LAYOUT_LANES + 1, planes * sizeof *rows);
         float **block = mem_array(groups + 1, sizeof *block), *size_log = mem_array(p.n, 4);
         uint32_t *place = mem_array(p.n + 1, sizeof *place);
-        const struct payload_target to = {
-            .block = block, .place = place, .block_rows = LAYOUT_LANES, .embed_len = p.embed_len};
+        const struct payload_target to = {.block = block,
+                                          .place = place,
+                                          .block_rows = LAYOUT_LANES,
+                                          .sh_halves = halves,
+                                          .embed_len = p.embed_len};
         assert(rows && block && place && size_log);
         for (size_t i = 0; i < groups; i++)
             block[i] = rows + i * LAYOUT_LANES * planes;
@@ -154,7 +158,8 @@ void fuzz_payload(const uint8_t *bytes, size_t n)
     if (good)
         check_gauss(&g);
     gauss_free(&g);
-    assert(payload_is_placed(bytes, n) == good);
+    for (int halves = 0; halves < 2; halves++)
+        assert(payload_is_placed(bytes, n, halves) == good);
 }
 
 void fuzz_npy(const uint8_t *bytes, size_t n)
