@@ -199,7 +199,7 @@ SIMD_INLINE void component_sum(const uint8_t *bytes, size_t n, size_t rows, uint
     for (size_t b = 0; b < value_bytes; b++, bytes += n) {
         /* More streams of bytes than the hardware follows. Beyond the last it does no harm. */
         for (size_t k = 0; k < BLOCK_ROWS; k += 64)
-            SIMD_SOON(bytes + BLOCK_ROWS + k);
+            SIMD_SOON(bytes + 2 * BLOCK_ROWS - 1 - k);
         sum_bytes(bytes, rows, &last[b], byte[b]);
     }
 }
