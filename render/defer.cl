@@ -224,6 +224,22 @@ INLINE V defer_reach(__global const float *g, __global const uint *moments,
     return sqrt(2.0f * MAX_(over, 0.01f)) * sigma;
 }
 
+#if VW == 16
+#define BOUND_AHEAD 2
+
+// Asks for what defer_bound reads of a group: a line each of planes that the hardware does not see
+// coming, because groups lie far apart.
+INLINE void defer_ask(__global const float *g, __global const uint *moments)
+{
+    for (uint k = LAYOUT_PLANE_MEAN; k < LAYOUT_PLANE_SCALE + 3; k++) {
+        PREFETCH(g + k * LAYOUT_LANES);
+        PREFETCH(moments + k * LAYOUT_LANES);
+    }
+    PREFETCH(g + LAYOUT_PLANE_OPACITY * LAYOUT_LANES);
+    PREFETCH(moments + LAYOUT_PLANE_OPACITY * LAYOUT_LANES);
+}
+#endif
+
 // Where the groups of a list, or [from, groups) of all, can draw. step: it was just made; 0:
 // settled says.
 __kernel void defer_bound(__global const uint *list, uint listed, uint from, uint groups, uint n,
@@ -246,6 +262,11 @@ __kernel void defer_bound(__global const uint *list, uint listed, uint from, uin
         __global float *b =
             bounds + group_at(group / LAYOUT_LANES, LAYOUT_DEFER_BOUND) + group % LAYOUT_LANES;
         V lo[3], hi[3], most = (V)(0.0f);
+#if VW == 16
+        uint next = min(i + BOUND_AHEAD, end - 1);
+        size_t ahead = group_at(listed ? list[next] : next, planes);
+        defer_ask(params + ahead, moments + ahead);
+#endif
         for (uint k = 0; k < 3; k++)
             lo[k] = hi[k] = (V)(-1e30f); // lo: of the negative
         DEFER_EACH(lane)

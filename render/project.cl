@@ -75,6 +75,9 @@ INLINE void project_tiles(__constant struct layout_view *v, const struct outline
     c->tiles = (VI)(0);
     for (int b = 0; b < LAYOUT_BANDS / 2; b++)
         c->bands[b] = (VU)(0);
+#if VW == 16
+#pragma unroll // or the words of the bands lie in memory
+#endif
     for (int b = 0; b < LAYOUT_BANDS; b++) {
         VI top = row0 + b * step, bottom = MIN_(top + step - 1, row1);
         if (!ANY(top <= row1))

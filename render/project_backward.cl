@@ -636,6 +636,11 @@ project_step(__constant struct layout_view *v, __global float *params, __global 
         struct left in = {splats + i, tiles_of + i, slot_first + i, slots, marks};
         struct gradient d;
         V dir[3], basis[LAYOUT_SH_MAX];
+#if VW == 16
+        if (group + 1 < to) // records of the next group, for their colours
+            for (uint k = 0; k < LAYOUT_LANES; k++)
+                PREFETCH(splats + i + LAYOUT_LANES + k);
+#endif
         if (ANY(visible)) {
             gradient_all(v, a.p, filter + row, &in, visible, &d EFFECTIVE(i));
             seen_direction(v, a.p, dir); // before the mean moves
