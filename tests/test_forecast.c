@@ -65,7 +65,7 @@ static void open_demo(struct fixture *f)
                                             .interval = 50,
                                             .densify_until = 750,
                                             .reset_interval = 10000};
-    forecast_open(&f->forecast, &f->gallery, &f->at, TESTS);
+    forecast_open(&f->forecast, &f->gallery, &f->at, TESTS, true);
 }
 
 /* From 10 s on, a seventh of the run, until its last steps. */
@@ -108,7 +108,7 @@ static void a_step_in_the_frustum_is_shorter(void **state)
         f.cfg.defer_from = i ? 20000 : 0;
         f.cfg.appearance = i == 2;
         f.cfg.depth_sparse = i == 3;
-        forecast_open(&f.forecast, &f.gallery, &f.at, TESTS);
+        forecast_open(&f.forecast, &f.gallery, &f.at, TESTS, true);
         f.forecast.work = f.forecast.seconds = 1.0; /* a unit is a second */
         left[i] = forecast_left_s(&f.forecast, &f.at, 10000.0);
     }

@@ -14,6 +14,7 @@
 #include "train/depth_prior.h"
 #include "train/forecast.h"
 #include "train/gallery.h"
+#include "train/init.h"
 #include "train/memory.h"
 #include "train/refit.h"
 #include "train/run_cell.h"
@@ -21,7 +22,7 @@
 
 /* Processor seconds of a unit of train/forecast.h, without and with known depths. Fitted to runs on
  * two cores with AVX-512 (docs/sizing.md). */
-static const double unit_s = 1.17e-7, unit_known_s = 1.45e-7;
+static const double unit_s = 1.01e-7, unit_known_s = 1.18e-7;
 static const double program_bytes = 0.15e9; /* of the program and its OpenCL compiler */
 static const double ckpt_bytes = 236;       /* of a Gaussian in a level's checkpoint */
 static const double sparse_share = 0.1;     /* sparse points, of the first level's budget */
@@ -50,17 +51,20 @@ static enum err_code expect_scene_make(const struct expect_photos *p, struct exp
     return ERR_OK;
 }
 
-/* Units of work of all levels, and of a last fit. first: Gaussians that it begins with. */
-static double expect_work(const struct gallery *g, size_t n_test, double first, struct stage *at)
+/* Units of work of all levels, and of a last fit. first: Gaussians inside the cell that it begins
+ * with. */
+static double expect_work(const struct gallery *g, size_t n_test, bool whole, double first,
+                          struct stage *at)
 {
     struct forecast f;
-    forecast_open(&f, g, at, n_test);
+    forecast_open(&f, g, at, n_test, whole);
     f.work = f.seconds = 1.0;
-    double work = forecast_left_s(&f, at, first);
+    double work = forecast_left_s(&f, at, forecast_all(&f, stage_schedule(at), first));
     if (g->cfg->final_all && n_test) {
         at->at = at->n_levels - 1;
         at->levels[at->at] = refit_schedule_last(&at->levels[at->at], g->cfg->final_share);
-        work += forecast_steps_s(&f, at, (double)at->levels[at->at].budget);
+        work += forecast_steps_s(
+            &f, at, forecast_all(&f, &at->levels[at->at], (double)at->levels[at->at].budget));
     }
     return work;
 }
@@ -75,9 +79,10 @@ static struct stage expect_stage(const struct train_config *cfg)
     return at;
 }
 
-/* From budgets that are known. known: depths are. */
+/* From budgets that are known. known: depths are. The levels' `around` is for memory, the most;
+ * around: those that there will be. */
 static void expect_sum(const struct gallery *g, size_t n_test, bool whole, bool known, double first,
-                       struct stage *at, struct expect *out)
+                       double around, struct stage *at, struct expect *out)
 {
     for (uint32_t k = 0; k < at->n_levels; k++) {
         out->gaussians[k] = at->levels[k].budget;
@@ -87,7 +92,9 @@ static void expect_sum(const struct gallery *g, size_t n_test, bool whole, bool 
     struct memory_need m =
         memory_estimate(g->cfg, g->scene, g->images, g->n_images, at->levels, at->n_levels, whole);
     out->memory_bytes = (double)m.total + program_bytes;
-    out->cpu_s = (known ? unit_known_s : unit_s) * expect_work(g, n_test, first, at);
+    for (uint32_t k = 0; k < at->n_levels; k++)
+        at->levels[k].around = (size_t)around;
+    out->cpu_s = (known ? unit_known_s : unit_s) * expect_work(g, n_test, whole, first, at);
 }
 
 enum err_code expect_training(const struct train_config *cfg, const struct expect_photos *p,
@@ -108,7 +115,7 @@ enum err_code expect_training(const struct train_config *cfg, const struct expec
         budget_limit(&photos, cfg, at.levels);
         double first =
             (double)at.levels[at.at].budget * (p->depths ? cfg->seed_dense : sparse_share);
-        expect_sum(&g, p->n_test, true, known, first, &at, out);
+        expect_sum(&g, p->n_test, true, known, first, 0.0, &at, out);
     }
     mem_free(in.train);
     mem_free(in.scene.images);
@@ -122,10 +129,14 @@ enum err_code expect_cell(const struct run_cell *job, size_t n_around, struct ex
     struct begin b = {.job = job, .lock_fd = -1};
     struct stage at = expect_stage(cfg);
     char depths[FILE_PATH_MAX] = "";
+    double inside = 0.0, around = 0.0;
     *out = (struct expect){0};
     enum err_code rc = depth_prior_dir(cfg, job->scene, depths, e);
     if (!rc)
         rc = begin_budget(&b, e);
+    if (!rc && n_around)
+        rc = init_point_shares(job->scene, job->images, b.windows, job->n_images, &job->cell,
+                               &inside, &around, e);
     if (!rc) {
         const struct gallery g = {.cfg = cfg,
                                   .scene = job->scene,
@@ -135,9 +146,11 @@ enum err_code expect_cell(const struct run_cell *job, size_t n_around, struct ex
         memcpy(at.levels, b.levels, sizeof b.levels);
         for (uint32_t k = 0; k < at.n_levels; k++)
             at.levels[k].around = n_around;
-        double share = n_around ? 1.0 : depths[0] ? cfg->seed_dense : sparse_share;
-        double first = (double)at.levels[at.at].budget * share;
-        expect_sum(&g, job->n_test, job->cell.whole, depths[0], first, &at, out);
+        const double most = (double)at.levels[at.at].budget;
+        double first = n_around ? fmin(inside * (double)n_around, most)
+                                : most * (depths[0] ? cfg->seed_dense : sparse_share);
+        expect_sum(&g, job->n_test, job->cell.whole, depths[0], first, around * (double)n_around,
+                   &at, out);
     }
     begin_close(&b);
     return rc;

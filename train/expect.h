@@ -16,7 +16,7 @@ struct run_cell;
 
 /* Share of the cores that a training keeps busy: with it, recorded times by the clock agree with
  * processor seconds of other runs. */
-#define EXPECT_BUSY 0.72
+#define EXPECT_BUSY 0.9
 
 struct expect_photos {
     size_t n_train, n_test;

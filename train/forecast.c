@@ -19,16 +19,17 @@
 /* A Gaussian where a step moves those in the frustum alone: makes whole runs 0.91 and 0.92 of as
  * long, as they are (docs/decisions/107-deferred-sooner.md). */
 #define FORECAST_SEEN 0.86
-#define FORECAST_DRAW 0.7      /* of a step: drawing a photograph for importance or pruning */
-#define FORECAST_DENSIFY 8.5   /* a Gaussian of a densification, without importance */
-#define FORECAST_SCORE_PX 12.0 /* a pixel of a test photograph */
-#define FORECAST_MERGE 12.0    /* a Gaussian that a coarser level is made of */
-#define FORECAST_KEEP 0.9      /* of what was measured before, a look */
-/* As train/prune.c: photographs that measure at coarser levels, and those that are drawn again. */
-enum { FORECAST_PRUNE_STEPS = 40, FORECAST_PRUNE_LEAST = 16, FORECAST_PRUNE_AGAIN = 48 };
+#define FORECAST_DRAW 0.5        /* of a step: drawing a photograph for pruning */
+#define FORECAST_IMPORTANCE 0.35 /* of a step: drawing half a photograph for importance */
+#define FORECAST_DENSIFY 4.0     /* a Gaussian of a densification, without importance */
+#define FORECAST_SCORE_PX 4.5    /* a pixel of a test photograph */
+#define FORECAST_MERGE 12.0      /* a Gaussian that a coarser level is made of */
+#define FORECAST_OUTSIDE 0.5     /* of those inside a cell: schedule_cap_outside */
+#define FORECAST_KEEP 0.9        /* of what was measured before, a look */
+enum { FORECAST_PRUNE_AGAIN = 32 /* photographs that train/prune.c draws once more */ };
 
 void forecast_open(struct forecast *f, const struct gallery *g, const struct stage *at,
-                   size_t n_tests)
+                   size_t n_tests, bool whole)
 {
     const struct train_config *c = g->cfg;
     const bool all = c->defer_from <= 0 || c->appearance || at->levels[0].mcmc || c->depth_dir ||
@@ -36,6 +37,7 @@ void forecast_open(struct forecast *f, const struct gallery *g, const struct sta
     *f = (struct forecast){.cfg = c,
                            .views = (double)c->importance_views,
                            .seen_from = all ? HUGE_VAL : (double)c->defer_from,
+                           .outside = whole ? 0.0 : FORECAST_OUTSIDE,
                            .n_images = g->n_images,
                            .n_tests = n_tests};
     for (uint32_t k = 0; k < at->n_levels; k++)
@@ -43,6 +45,16 @@ void forecast_open(struct forecast *f, const struct gallery *g, const struct sta
             struct camera cam = gallery_camera(g, i, &at->levels[k]);
             f->pixels[k] += (double)cam.width_px * cam.height_px / (double)g->n_images;
         }
+}
+
+double forecast_all(const struct forecast *f, const struct schedule *s, double inside)
+{
+    return (1.0 + f->outside) * inside + (double)s->around;
+}
+
+static double forecast_inside(const struct forecast *f, const struct stage *at, double gaussians)
+{
+    return fmax(gaussians - (double)stage_schedule(at)->around, 0.0) / (1.0 + f->outside);
 }
 
 static double forecast_step(const struct forecast *f, uint32_t level, double gaussians)
@@ -54,28 +66,28 @@ static double forecast_step(const struct forecast *f, uint32_t level, double gau
 static double forecast_densify(const struct forecast *f, uint32_t level, double gaussians)
 {
     return FORECAST_DENSIFY * gaussians +
-           FORECAST_DRAW * f->views * forecast_step(f, level, gaussians);
+           FORECAST_IMPORTANCE * f->views * forecast_step(f, level, gaussians);
 }
 
 /* Pruning and the test photographs. */
 static double forecast_end(const struct forecast *f, const struct stage *at, uint32_t level,
                            double gaussians)
 {
-    double all = (double)f->n_images;
-    double some = fmax((double)(at->levels[level].steps / FORECAST_PRUNE_STEPS),
-                       (double)FORECAST_PRUNE_LEAST);
-    double views = level + 1 < at->n_levels ? fmin(some, all) : all;
-    return (views + FORECAST_PRUNE_AGAIN) * FORECAST_DRAW * forecast_step(f, level, gaussians) +
+    double views =
+        stage_prunes(at, &at->levels[level]) ? (double)f->n_images + FORECAST_PRUNE_AGAIN : 0.0;
+    return views * FORECAST_DRAW * forecast_step(f, level, gaussians) +
            (double)f->n_tests * FORECAST_SCORE_PX * f->pixels[level];
 }
 
-/* Steps first + 1 to last, with the densifications among them. *gaussians grows by them. */
+/* Steps first + 1 to last, with the densifications among them. *gaussians are those inside the
+ * cell, which grow; those around it are drawn and moved, too. */
 static double forecast_steps(const struct forecast *f, const struct stage *at, uint32_t level,
                              uint32_t first, double *gaussians)
 {
     const struct schedule *s = &at->levels[level];
     uint32_t count = schedule_densify_count(s), from = first;
-    double begin = *gaussians, work = 0.0;
+    const double begin = *gaussians;
+    double work = 0.0;
     uint32_t done = 0; /* densifications before `first` */
     for (uint32_t step = s->interval; step <= first; step += s->interval)
         done = schedule_densify_index(s, step) ? schedule_densify_index(s, step) : done;
@@ -84,13 +96,13 @@ static double forecast_steps(const struct forecast *f, const struct stage *at, u
         uint32_t x = schedule_densify_index(s, step);
         if (!x)
             continue;
-        work += (step - from) * forecast_step(f, level, *gaussians) +
-                forecast_densify(f, level, *gaussians);
+        work += (step - from) * forecast_step(f, level, forecast_all(f, s, *gaussians)) +
+                forecast_densify(f, level, forecast_all(f, s, *gaussians));
         from = step;
         if (x > done && count > done + 1) /* the parabola from here on */
             *gaussians = (double)schedule_cap((size_t)begin, s->budget, x - done, count - done);
     }
-    return work + (s->steps - from) * forecast_step(f, level, *gaussians);
+    return work + (s->steps - from) * forecast_step(f, level, forecast_all(f, s, *gaussians));
 }
 
 void forecast_add(struct forecast *f, const struct stage *at, uint32_t first, double gaussians,
@@ -109,7 +121,7 @@ void forecast_add(struct forecast *f, const struct stage *at, uint32_t first, do
 double forecast_left_s(const struct forecast *f, const struct stage *now, double gaussians)
 {
     struct stage copy = *now, *at = &copy;
-    double left = 0.0, n = gaussians;
+    double left = 0.0, n = forecast_inside(f, now, gaussians);
     for (uint32_t i = at->at; i < at->n_levels; i = stage_after(at, i)) {
         const bool here = i == now->at && at->fine_first == now->fine_first;
         if (!here && at->levels[i].derived) {
@@ -117,7 +129,7 @@ double forecast_left_s(const struct forecast *f, const struct stage *now, double
             n *= fmin((double)at->levels[i].budget / (double)at->levels[i + 1].budget, 1.0);
         }
         left += forecast_steps(f, at, i, here ? at->step : 0, &n);
-        left += forecast_end(f, at, i, n);
+        left += forecast_end(f, at, i, forecast_all(f, &at->levels[i], n));
         if (at->again && !at->fine_first && i + 1 == at->n_levels)
             stage_turn(at, f->cfg);
     }
@@ -126,8 +138,8 @@ double forecast_left_s(const struct forecast *f, const struct stage *now, double
 
 double forecast_steps_s(const struct forecast *f, const struct stage *at, double gaussians)
 {
-    return f->work > 0.0 ? f->seconds * forecast_steps(f, at, at->at, 0, &gaussians) / f->work
-                         : 0.0;
+    double n = forecast_inside(f, at, gaussians);
+    return f->work > 0.0 ? f->seconds * forecast_steps(f, at, at->at, 0, &n) / f->work : 0.0;
 }
 
 void forecast_text(double seconds, char *out, size_t size)

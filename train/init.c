@@ -472,7 +472,16 @@ enum err_code init_gauss(const struct init_input *in, struct gauss *out, struct 
 
 /* ---- from a coarse model of the whole scene ---- */
 
+enum { INIT_LOOK_POINTS = 20000 /* enough for shares */ };
 enum init_part { INIT_INSIDE, INIT_AROUND_IT, INIT_UNSEEN };
+
+static enum init_part init_part_of(const double enu_m[3], struct init_views *views,
+                                   const struct cell *cell)
+{
+    if (cell_distance(cell, enu_m[0], enu_m[1]) <= 0.0)
+        return INIT_INSIDE;
+    return init_is_seen(views, enu_m) ? INIT_AROUND_IT : INIT_UNSEEN;
+}
 
 static enum init_part init_part(const struct gauss *coarse, size_t row, struct init_views *views,
                                 const struct cell *cell)
@@ -480,9 +489,29 @@ static enum init_part init_part(const struct gauss *coarse, size_t row, struct i
     double x[3];
     for (int k = 0; k < 3; k++)
         x[k] = coarse->origin_enu_m[k] + (double)coarse->mean_m[3 * row + k];
-    if (cell_distance(cell, x[0], x[1]) <= 0.0)
-        return INIT_INSIDE;
-    return init_is_seen(views, x) ? INIT_AROUND_IT : INIT_UNSEEN;
+    return init_part_of(x, views, cell);
+}
+
+enum err_code init_point_shares(const struct scene *s, const uint32_t *images,
+                                const struct camera_window *windows, size_t n_images,
+                                const struct cell *cell, double *inside, double *around,
+                                struct err *e)
+{
+    const size_t step = s->n_points / INIT_LOOK_POINTS + 1;
+    struct init_views views;
+    double n = 0.0;
+    *inside = *around = 0.0;
+    enum err_code rc = init_views_open(&views, s, images, windows, n_images, e);
+    for (size_t i = 0; !rc && i < s->n_points; i += step) {
+        enum init_part part = init_part_of(s->points[i].enu_m, &views, cell);
+        *inside += part == INIT_INSIDE;
+        *around += part == INIT_AROUND_IT;
+        n++;
+    }
+    mem_free(views.part);
+    *inside /= fmax(n, 1.0);
+    *around /= fmax(n, 1.0);
+    return rc;
 }
 
 enum err_code init_count_around(const struct gauss *coarse, const struct scene *s,

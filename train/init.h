@@ -55,6 +55,13 @@ enum err_code init_count_around(const struct gauss *coarse, const struct scene *
                                 const uint32_t *images, const struct camera_window *windows,
                                 size_t n_images, const struct cell *cell, size_t *out,
                                 struct err *e) ERR_USE;
+/* The shares of a scene's points that are inside the cell, and around it where its photographs show
+ * them: about the shares of a coarse model that is not there yet. 0, 0: there are no points.
+ * ERR_MEM. */
+enum err_code init_point_shares(const struct scene *s, const uint32_t *images,
+                                const struct camera_window *windows, size_t n_images,
+                                const struct cell *cell, double *inside, double *around,
+                                struct err *e) ERR_USE;
 /* The squared size of the first Gaussians [n], as in init_gauss. It is limited to three times the
  * median size of the nine nearest points, so that an isolated point does not become huge. ERR_MEM,
  * ERR_LIMIT as in knn_build. */

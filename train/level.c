@@ -216,21 +216,13 @@ static enum err_code level_hold_harmonics(struct level *l, struct err *e)
     return rc;
 }
 
-/* A level that is made of a finer one has what is left of that. A level that will be made again
- * only says where the next one begins. */
-static bool level_is_pruned(const struct stage *at)
-{
-    const struct schedule *s = stage_schedule(at);
-    return !s->derived && (!at->again || s->level == s->n_levels);
-}
-
 enum err_code level_prune(struct level *l, struct prune_report *out,
                           struct residual_list *residuals, struct err *e)
 {
     enum err_code rc = model_settle(&l->model, e);
     if (rc || l->stage.pruned)
         return rc;
-    if (level_is_pruned(&l->stage))
+    if (stage_prunes(&l->stage, stage_schedule(&l->stage)))
         rc = prune_level(&l->model, &l->gallery, l->site.ground, &l->stage, out, residuals, e);
     if (!rc)
         rc = level_hold_harmonics(l, e);

@@ -94,7 +94,7 @@ static void run_make_level(struct run *t, const struct timing *clock)
     memcpy(l->stage.levels, b->levels, sizeof b->levels);
     l->appearance = b->appearance;
     b->appearance = (struct appearance_train){0};
-    forecast_open(&t->forecast, &l->gallery, &l->stage, t->job->n_test);
+    forecast_open(&t->forecast, &l->gallery, &l->stage, t->job->n_test, t->job->cell.whole);
 }
 
 /* Go on from where the run was interrupted, or from the first Gaussians. */

@@ -39,6 +39,12 @@ static inline void stage_turn(struct stage *s, const struct train_config *cfg)
     for (uint32_t l = 0; l + 1 < s->n_levels; l++)
         s->levels[l] = schedule_again(&s->levels[l], cfg);
 }
+/* Whether a level is pruned at its end. One that is made of a finer level has what is left of that.
+ * One that will be made again only says where the next one begins. */
+static inline bool stage_prunes(const struct stage *at, const struct schedule *s)
+{
+    return !s->derived && (!at->again || s->level == s->n_levels);
+}
 /* Schedule of the current level, or of the finest one when all are done. */
 static inline const struct schedule *stage_schedule(const struct stage *s)
 {
