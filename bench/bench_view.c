@@ -3,9 +3,9 @@
  * Two flights, each once to fill the cache of tiles, then timed:
  *
  *   fast   across the city in 60 pictures; the appearance changes every few of them
- *   slow   10 m/s and 3 degrees a second at 30 pictures a second, in one appearance: every picture
- *          by itself, and as a view stream makes them (view_render_moving), in turns, each kind
- *          with a renderer of its own
+ *   slow   10 m/s and 3 degrees a second at 30 pictures a second, and a tenth of that (hovering),
+ *          in one appearance: every picture by itself, and as a view stream makes them
+ *          (view_render_moving), in turns, each kind with a renderer of its own
  *
  * The city is that of bench_frame repeated side by side, with random appearance embeddings; the
  * pyramid makes its coarser levels.
@@ -52,7 +52,8 @@ static const struct geo_origin flight_origin = {8.6821, 50.1109, 160};
 struct flight {
     const struct view_city *city;
     uint32_t width_px, height_px;
-    bool slow, moving;
+    bool moving;
+    double slow; /* share of the slow flight's speed; 0: the fast one */
     struct render *render;
     struct view *view;
     const struct appearance *appearance; /* borrowed */
@@ -110,7 +111,7 @@ static enum err_code view_flight_store(struct bench *b, const struct appearance 
 /* Picture k of a flight: over the roofs, looking ahead and down. */
 static struct camera view_flight_camera(const struct flight *c, int k)
 {
-    double along = c->slow ? 0.0 : 2.4 * k / VIEW_FRAMES, passed_s = c->slow ? k / 30.0 : 0.0;
+    double along = c->slow > 0 ? 0.0 : 2.4 * k / VIEW_FRAMES, passed_s = c->slow * k / 30.0;
     double at = CITY_M * c->city->side / 4 * (-1.4 + along) + 8.6 * passed_s;
     double turned = atan2(120, 200) - 3.0 * passed_s * M_PI / 180.0;
     const double eye[3] = {at, 0.6 * at, 120},
@@ -122,7 +123,7 @@ static enum err_code view_flight_frame(struct flight *c, int k, struct err *e)
 {
     struct camera cam = view_flight_camera(c, k);
     const size_t pixels = (size_t)c->width_px * c->height_px;
-    const int photo = c->slow ? 0 : k / 8 % VIEW_PHOTOS;
+    const int photo = c->slow > 0 ? 0 : k / 8 % VIEW_PHOTOS;
     struct view_stats stats;
     struct buf jpeg = {0};
     double start_s = clock_s();
@@ -212,7 +213,7 @@ static void view_row(struct bench *b, const struct flight *c, const char *what, 
 static enum err_code view_fast(struct bench *b, struct flight *c, struct err *e)
 {
     double mean_ms, psnr_db = 0;
-    c->slow = false;
+    c->slow = 0;
     enum err_code rc = view_fly(c, &mean_ms, e);
     if (!rc)
         rc = view_flight_loss(c, &psnr_db, e);
@@ -239,12 +240,14 @@ static enum err_code view_fast(struct bench *b, struct flight *c, struct err *e)
 
 /* own draws every picture by itself, stream those of a moving camera. */
 static enum err_code view_slow(struct bench *b, struct flight *own, struct flight *stream,
-                               struct err *e)
+                               const char *name, double slow, struct err *e)
 {
+    char text[64];
     double own_ms = 0, stream_ms = 0, psnr_db = 99;
     size_t n = 3 * (size_t)own->width_px * own->height_px;
     enum err_code rc = ERR_OK;
-    own->slow = stream->slow = stream->moving = true;
+    own->slow = stream->slow = slow;
+    stream->moving = true;
     for (int pass = 0; !rc && pass < 2; pass++)
         for (int k = 0; !rc && k < VIEW_FRAMES; k++) {
             double sum = 1e-9;
@@ -261,10 +264,12 @@ static enum err_code view_slow(struct bench *b, struct flight *own, struct fligh
         }
     if (rc)
         return rc;
-    view_row(b, own, "slow flight, pictures by themselves", 1e3 / own_ms, "1/s", 0, NULL);
-    view_row(b, own, "slow flight, as a stream", 1e3 / stream_ms, "1/s", own_ms / stream_ms,
-             "by themselves");
-    view_row(b, own, "slow flight, the worst of a stream", psnr_db, "dB", 0, NULL);
+    snprintf(text, sizeof text, "%s, pictures by themselves", name);
+    view_row(b, own, text, 1e3 / own_ms, "1/s", 0, NULL);
+    snprintf(text, sizeof text, "%s, as a stream", name);
+    view_row(b, own, text, 1e3 / stream_ms, "1/s", own_ms / stream_ms, "by themselves");
+    snprintf(text, sizeof text, "%s, the worst of a stream", name);
+    view_row(b, own, text, psnr_db, "dB", 0, NULL);
     return ERR_OK;
 }
 
@@ -280,7 +285,9 @@ static enum err_code view_at(struct bench *b, struct flight c[2], const uint32_t
     if (!rc)
         rc = view_fast(b, &c[0], e);
     if (!rc)
-        rc = view_slow(b, &c[0], &c[1], e);
+        rc = view_slow(b, &c[0], &c[1], "slow flight", 1, e);
+    if (!rc)
+        rc = view_slow(b, &c[0], &c[1], "hovering", 0.1, e);
     for (int i = 0; i < 2; i++)
         image_free(&c[i].picture);
     return rc;

@@ -31,8 +31,8 @@ static const double REST_S = 0.18;   /* a camera that did not move for so long r
 static const double DRAW_S = 0.04;   /* what a moving picture may take */
 static const double RETRY_S = 0.25;  /* after a refusal */
 static const double GIVES_WAY = 12;  /* after this part of --stream-idle-s without a camera */
-static const double RUN_LEARN = 0.4; /* share of a new picture in what pictures take */
-static const double RUN_LEAST = 0.75, RUN_MOST = 1.3; /* of DRAW_S over that: about right */
+static const double RUN_LEARN = 0.3; /* share of a new picture in what pictures take */
+static const double RUN_LEAST = 0.67, RUN_MOST = 1.5; /* of DRAW_S over that: about right */
 static const double AREA_FIRST_PX = 60000; /* of moving pictures; follows the time that they take */
 static const double AREA_LEAST_PX = 20000;
 static const double AREA_MOST_PX = 1e6;
