@@ -34,7 +34,7 @@ enum err_code spill_open(const char *near, bool lossless, struct spill *out, str
         return err_set(e, ERR_LIMIT, "%s: path too long", near);
     out->fd = open(path, O_RDWR | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
     if (out->fd < 0)
-        return err_errno(e, ERR_IO, "%s: cannot create the file for rows in between", path);
+        return err_errno(e, ERR_IO, "%s: cannot write into its folder", near);
     unlink(path);
     return ERR_OK;
 }

@@ -46,6 +46,7 @@ enum err_code frame_reserve(struct render *r, struct frame_buffer *b, size_t n_b
 
 struct render {
     struct dev *dev;                /* borrowed */
+    uint32_t vector_width;          /* of dev when kernels were compiled: the sizes of launches */
     bool (*stop)(const void *user); /* see render_set_stop */
     const void *stop_user;
 

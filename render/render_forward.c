@@ -68,6 +68,7 @@ enum err_code render_open(struct dev *dev, struct render **out, struct err *e)
     if (!r)
         return err_set(e, ERR_MEM, "render_open");
     r->dev = dev;
+    r->vector_width = dev->vector_width;
     r->intersection_max = UINT32_MAX - LAYOUT_TILE; /* slots are 32-bit */
     rc = render_build(r, e);
     if (!rc && dev->vector_width != LAYOUT_LANES)
@@ -567,6 +568,7 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
         r->listed = false;
         return rc;
     }
+    assert(r->vector_width == r->dev->vector_width);
     assert(m->n <= (size_t)m->groups * LAYOUT_LANES && m->planes == render_model_planes(m));
     render_view_fill(r, m, &fine, o, &r->view);
     r->tiles = r->view.tiles_x * r->view.tiles_y;
