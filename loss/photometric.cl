@@ -213,7 +213,7 @@ INLINE void forward_row(const struct picture *p, int row, int col, int n, int ze
 INLINE float16 lanes_between(float16 v, int from, int to)
 {
     int16 lane = (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
-    return (lane >= from) & (lane < to) ? v : (float16)(0.0f);
+    return ((lane >= from) & (lane < to)) ? v : (float16)(0.0f);
 }
 
 /* SSIM of 16 columns of a row from `col` on and its three derivatives, zero beyond the picture:

@@ -5,6 +5,7 @@
  */
 #include "train/expect.h"
 
+#include <math.h>
 #include <string.h>
 
 #include "cells/cell.h"
