@@ -65,13 +65,13 @@ struct render_options {
     /* Only the picture is wanted: a tenth faster, but there is no backward pass after the frame and
      * no importance (ERR_ARG). */
     bool picture;
-    /* Pictures of a camera that moves a little, which take 0.6 of the time. list_again: depth order
-     * and tile lists are those of an earlier frame. The caller sees to it that nothing was drawn in
-     * between but such frames, of the same Gaussians (params and list of the model) in the same
-     * appearance. ERR_ARG: it is not `picture`, it has moments, or the earlier frame had another
-     * size, another number of Gaussians, or failed. Splats that the lists do not have are not
-     * drawn. list_room_px: lists also have what is so near to a tile or to the picture, for such
-     * frames after this one; the picture is the same. */
+    /* For pictures of a camera that moves a little. list_again: depth order and tile lists are
+     * those of an earlier frame. The caller makes sure that nothing was drawn since then but such
+     * frames, of the same Gaussians (params and list of the model) in the same appearance.
+     * ERR_ARG: it is not `picture`, it has moments, or the earlier frame had another size, another
+     * number of Gaussians, or failed. Splats that the lists do not have are not drawn.
+     * list_room_px: lists also have what is so near to a tile or to the picture, for such frames
+     * after this one; the picture is the same. */
     bool list_again;
     float list_room_px;
     /* render_share_run follows: on CPUs its sums are made with the picture. Not with `picture` or
