@@ -28,7 +28,7 @@ static enum err_code map_store(size_t side, size_t per, const char *path, struct
     const struct pyramid_config cfg = {.name = "bench"};
     struct pyramid_report report;
     struct gauss g = {0};
-    enum err_code rc = city_square(per, side, 0, 0, &g, e);
+    enum err_code rc = city_square(&(struct city_size){per * side * side, side}, 0, 0, &g, e);
     const struct pyramid_level level = {.g = &g, .level = 3};
     if (!rc)
         rc = pyramid_build(&map_origin, &level, 1, &cfg, NULL, 0, path, &report, e);

@@ -24,10 +24,8 @@
 #include "server/services.h"
 
 enum { RASTER_SIDE = 6 /* tiles, of a square about the middle */, RASTER_HOT = 2000 };
-/* side: of the square that copies of the city make */
-static const struct raster_city {
-    size_t n, side;
-} raster_cities[] = {{200000, 1}, {10400000, 4}}, raster_quick[] = {{20000, 1}};
+static const struct city_size raster_cities[] = {{200000, 1}, {10400000, 4}, {0}},
+                              raster_quick[] = {{20000, 1}, {0}};
 static const struct geo_origin raster_origin = {8.6821, 50.1109, 160};
 
 struct raster_case {
@@ -49,11 +47,11 @@ static enum err_code raster_config(struct server_config *cfg, struct arena *a, s
     return rc;
 }
 
-static enum err_code raster_store(const struct raster_city *city, const char *path, struct err *e)
+static enum err_code raster_store(const struct city_size *city, const char *path, struct err *e)
 {
     const struct pyramid_config cfg = {.name = "bench"};
     struct gauss g = {0};
-    enum err_code rc = city_square(city->n / (city->side * city->side), city->side, 0, 0, &g, e);
+    enum err_code rc = city_square(city, 0, 0, &g, e);
     const struct pyramid_level level = {.g = &g, .level = 3};
     if (!rc)
         rc = pyramid_build(&raster_origin, &level, 1, &cfg, NULL, 0, path, NULL, e);
@@ -187,7 +185,7 @@ static enum err_code raster_compare(struct bench *b, struct raster_case *c, uint
     return ERR_OK;
 }
 
-static enum err_code raster_of_city(struct bench *b, const struct raster_city *city, struct err *e)
+static enum err_code raster_of_city(struct bench *b, const struct city_size *city, struct err *e)
 {
     char path[FILE_PATH_MAX];
     struct server_config cfg;
@@ -232,11 +230,5 @@ out:
 
 enum err_code bench_raster(struct bench *b, struct err *e)
 {
-    const struct raster_city *city = b->quick ? raster_quick : raster_cities;
-    size_t n = b->quick ? sizeof raster_quick / sizeof *raster_quick
-                        : sizeof raster_cities / sizeof *raster_cities;
-    enum err_code rc = ERR_OK;
-    for (size_t i = 0; !rc && i < n; i++)
-        rc = raster_of_city(b, &city[i], e);
-    return rc;
+    return city_each(b, b->quick ? raster_quick : raster_cities, raster_of_city, e);
 }

@@ -40,17 +40,14 @@ enum {
 /* City.h draws each disc to cover its neighbours; trained ones reach about half way to the next. */
 #define VIEW_THINNER 3.0f
 
-/* side: of the square that the copies of the city make */
-static const struct view_city {
-    size_t n;
-    int side;
-} view_cities[] = {{100000, 1}, {1000000, 2}, {10400000, 4}}, view_quick[] = {{160000, 4}};
+static const struct city_size view_cities[] = {{100000, 1}, {1000000, 2}, {10400000, 4}, {0}},
+                              view_quick[] = {{160000, 4}, {0}};
 static const uint32_t view_px[VIEW_SIZES][2] = {{640, 360}, {1280, 720}};
 
 static const struct geo_origin flight_origin = {8.6821, 50.1109, 160};
 
 struct flight {
-    const struct view_city *city;
+    const struct city_size *city;
     uint32_t width_px, height_px;
     bool moving;
     double slow; /* share of the slow flight's speed; 0: the fast one */
@@ -64,11 +61,10 @@ struct flight {
 };
 
 /* SH of degree 1, with embeddings. */
-static enum err_code view_flight_city(const struct view_city *city, struct gauss *out,
+static enum err_code view_flight_city(const struct city_size *city, struct gauss *out,
                                       struct err *e)
 {
-    const size_t side = (size_t)city->side;
-    enum err_code rc = city_square(city->n / (side * side), side, 1, APPEARANCE_GAUSS_LEN, out, e);
+    enum err_code rc = city_square(city, 1, APPEARANCE_GAUSS_LEN, out, e);
     for (size_t i = 0; i < out->n; i++) {
         for (size_t k = 0; k < 3; k++)
             out->scale_log[3 * i + k] -= logf(VIEW_THINNER);
@@ -79,7 +75,7 @@ static enum err_code view_flight_city(const struct view_city *city, struct gauss
 }
 
 static enum err_code view_flight_store(struct bench *b, const struct appearance *appearance,
-                                       const struct view_city *city, const char *path,
+                                       const struct city_size *city, const char *path,
                                        struct err *e)
 {
     struct appearance kept = {0};
@@ -112,7 +108,7 @@ static enum err_code view_flight_store(struct bench *b, const struct appearance 
 static struct camera view_flight_camera(const struct flight *c, int k)
 {
     double along = c->slow > 0 ? 0.0 : 2.4 * k / VIEW_FRAMES, passed_s = c->slow * k / 30.0;
-    double at = CITY_M * c->city->side / 4 * (-1.4 + along) + 8.6 * passed_s;
+    double at = CITY_M * (double)c->city->side / 4 * (-1.4 + along) + 8.6 * passed_s;
     double turned = atan2(120, 200) - 3.0 * passed_s * M_PI / 180.0;
     const double eye[3] = {at, 0.6 * at, 120},
                  target[3] = {at + 233 * cos(turned), 0.6 * at + 233 * sin(turned), 10};
@@ -293,7 +289,7 @@ static enum err_code view_at(struct bench *b, struct flight c[2], const uint32_t
     return rc;
 }
 
-static enum err_code view_of_city(struct bench *b, const struct view_city *city, struct err *e)
+static enum err_code view_of_city(struct bench *b, const struct city_size *city, struct err *e)
 {
     char path[FILE_PATH_MAX];
     struct appearance appearance = {0};
@@ -323,11 +319,5 @@ static enum err_code view_of_city(struct bench *b, const struct view_city *city,
 
 enum err_code bench_view(struct bench *b, struct err *e)
 {
-    const struct view_city *city = b->quick ? view_quick : view_cities;
-    size_t n = b->quick ? sizeof view_quick / sizeof *view_quick
-                        : sizeof view_cities / sizeof *view_cities;
-    enum err_code rc = ERR_OK;
-    for (size_t i = 0; !rc && i < n; i++)
-        rc = view_of_city(b, &city[i], e);
-    return rc;
+    return city_each(b, b->quick ? view_quick : view_cities, view_of_city, e);
 }

@@ -128,10 +128,11 @@ enum err_code city_sorted_degree(size_t n, uint32_t sh_degree, struct gauss *out
     return rc;
 }
 
-enum err_code city_square(size_t per, size_t side, uint32_t sh_degree, uint32_t embed_len,
+enum err_code city_square(const struct city_size *size, uint32_t sh_degree, uint32_t embed_len,
                           struct gauss *out, struct err *e)
 {
     struct gauss one = {0};
+    const size_t side = size->side, per = size->n / (side * side);
     const double middle = 0.5 * (double)(side - 1);
     enum err_code rc = city_sorted_degree(per, sh_degree, &one, e);
     if (!rc)
@@ -144,6 +145,17 @@ enum err_code city_square(size_t per, size_t side, uint32_t sh_degree, uint32_t 
             out->mean_m[3 * to + 1] += (float)(CITY_M * ((double)(c / side) - middle));
         }
     gauss_free(&one);
+    return rc;
+}
+
+enum err_code city_each(struct bench *b, const struct city_size *sizes,
+                        enum err_code (*run)(struct bench *b, const struct city_size *size,
+                                             struct err *e),
+                        struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    for (; !rc && sizes->n; sizes++)
+        rc = run(b, sizes, e);
     return rc;
 }
 

@@ -30,7 +30,7 @@ struct forecast {                    /* {0} at first, then forecast_open */
  * whole: the cell has no outside. */
 void forecast_open(struct forecast *f, const struct gallery *g, const struct stage *at,
                    size_t n_tests, bool whole);
-/* All Gaussians of a level's model that has so many inside the cell. */
+/* How many Gaussians the model of a level has, if `inside` of them lie inside the cell. */
 double forecast_all(const struct forecast *f, const struct schedule *s, double inside);
 /* Adds a measurement: the steps of the current level from `first` to at->step took `seconds`, with
  * this many Gaussians. Time for compiling kernels is not included. */
