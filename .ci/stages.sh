@@ -23,7 +23,7 @@ beside() { # NAME OTHER: NAME takes what OTHER leaves over of the processor, and
 
 build_preset() { # PRESET [TARGET]
     command -v cmake >/dev/null || { echo "no cmake: ./bootstrap packages installs what is needed"; return 1; }
-    cmake --preset "$1" >/dev/null && cmake --build --preset "$1" --target "${2:-all}"
+    cmake --preset "$1" -DCITYSPLAT_WERROR=ON >/dev/null && cmake --build --preset "$1" --target "${2:-all}"
 }
 
 # Runs ctest by COMMAND. What fails in it is run once more, alone: tests of clocks and browsers may miss their time beside

@@ -422,7 +422,7 @@ static enum err_code partition_divide(const struct survey *v, struct partition *
     p->n_cells++;
     p->n_divided++;
     c[1] = c[0];
-    snprintf(c[1].id, sizeof c[1].id, "%.12sd%zu", c[0].id, p->n_divided);
+    snprintf(c[1].id + strnlen(c[1].id, 12), sizeof c[1].id - 12, "d%zu", p->n_divided);
     c[0].max_m[k] = cut;
     c[1].min_m[k] = cut;
     enum err_code rc = partition_assign(v, p->edge_m, &c[0], &p->arena, e);

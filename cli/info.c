@@ -9,6 +9,7 @@
 #include <jansson.h>
 
 #include "cli/cli.h"
+#include "cli/info_device.h"
 #include "cli/splats.h"
 #include "codec/scene.h"
 #include "core/appearance.h"
@@ -32,13 +33,16 @@ static const struct options_def info_defs[] = {
 
 static const struct options_spec info_spec = {
     .command = "info",
-    .usage = "citysplat info FILE [--json]",
-    .about = "Prints what a tile store, a scene, a checkpoint or a file of Gaussians (.ply .spz "
-             ".glb .drc .splat) holds: counts, sizes, bounds, levels.",
-    .example = "citysplat info city.tiles\ncitysplat info bridge.ply --json",
+    .usage = "citysplat info FILE | --device NAME [--json]",
+    .about =
+        "Prints what a tile store, a scene, a checkpoint or a file of Gaussians (.ply .spz "
+        ".glb .drc .splat) holds: counts, sizes, bounds, levels. With --device: what the OpenCL "
+        "device is, and whether its driver compiles our kernels.",
+    .example = "citysplat info city.tiles\ncitysplat info bridge.ply --json\n"
+               "citysplat info --device auto",
     .defs = info_defs,
     .n_defs = sizeof info_defs / sizeof *info_defs,
-    .min_args = 1,
+    .min_args = 0,
     .max_args = 1};
 
 /* Members that are NULL (out of memory) make the whole call fail. */
@@ -324,6 +328,8 @@ static void info_print(json_t *o)
             printf("%lld", (long long)json_integer_value(value));
         else if (json_is_boolean(value))
             printf("%s", json_is_true(value) ? "yes" : "no");
+        else if (json_is_real(value))
+            printf("%.3g", json_real_value(value));
         for (size_t i = 0; i < json_array_size(value); i++) {
             const json_t *x = json_array_get(value, i);
             if (json_is_string(x))
@@ -335,29 +341,35 @@ static void info_print(json_t *o)
     }
 }
 
+static enum err_code info_file(const char *path, bool tiles, json_t *j, struct err *e)
+{
+    enum splats_kind kind = SPLATS_UNKNOWN;
+    enum err_code rc = splats_kind(path, &kind, e);
+    if (!rc)
+        rc = info_set(j, "file", json_string(path), e);
+    if (!rc)
+        rc = info_set(j, "kind", json_string(splats_kind_name(kind)), e);
+    if (rc)
+        return rc;
+    return kind == SPLATS_STORE   ? info_store(path, tiles, j, e)
+           : kind == SPLATS_SCENE ? info_scene(path, j, e)
+                                  : info_splats(path, j, e);
+}
+
 enum err_code cli_info(int argc, char **argv, struct err *e)
 {
     struct info_options o = {0};
     struct options_args args;
     struct arena arena = {0};
-    enum splats_kind kind = SPLATS_UNKNOWN;
     json_t *j = json_object();
     enum err_code rc = j ? options_parse(&info_spec, argc, argv, &o, &args, &arena, e)
                          : err_set(e, ERR_MEM, "info: out of memory");
     if (rc || args.done)
         goto out;
-    const char *path = args.arg[0];
-    rc = splats_kind(path, &kind, e);
-    if (!rc)
-        rc = info_set(j, "file", json_string(path), e);
-    if (!rc)
-        rc = info_set(j, "kind", json_string(splats_kind_name(kind)), e);
-    if (!rc && kind == SPLATS_STORE)
-        rc = info_store(path, o.tiles, j, e);
-    else if (!rc && kind == SPLATS_SCENE)
-        rc = info_scene(path, j, e);
-    else if (!rc)
-        rc = info_splats(path, j, e);
+    if ((args.n > 0) == (o.device != NULL))
+        rc = err_set(e, ERR_ARG, "info: expected a file, or --device NAME (auto, cpu, gpu)");
+    else
+        rc = o.device ? info_device(o.device, j, e) : info_file(args.arg[0], o.tiles, j, e);
     if (rc)
         goto out;
     if (o.json) {

@@ -15,7 +15,12 @@
 #include "core/base.h"
 
 struct buf;
-enum { DEV_LAUNCHES_MAX = 256 };
+struct compiler_job;
+enum { DEV_LAUNCHES_MAX = 256, DEV_BUILT_MAX = 32 };
+struct dev_built {           /* a program of this device */
+    const char *name, *from; /* its last source; "kept" on the disk, or "compiled" now */
+    double seconds;
+};
 struct dev { /* made by dev_open; only one thread at a time may use it */
     cl_platform_id platform;
     cl_device_id device;
@@ -32,6 +37,9 @@ struct dev { /* made by dev_open; only one thread at a time may use it */
     size_t n_launched;
     char programs[FILE_PATH_MAX]; /* folder of compiled programs; "": none are kept */
     bool said_compiling;
+    size_t method; /* that the compiler did not die of: dev_build.c */
+    struct dev_built built[DEV_BUILT_MAX];
+    size_t n_built;
     struct dev_timing *timing; /* dev_time_begin; NULL: no kernel is timed */
 };
 
@@ -48,13 +56,18 @@ struct dev_source {
 };
 /* dev_build compiles the sources in order, with core/layout.h before them and a #line before each.
  * `options` are added to the fixed ones (-cl-std=CL1.2 -cl-denorms-are-zero -DVW=...). On PoCL the
- * compiled program is kept on the disk for the next start. On failure e has the whole build log.
- * The caller releases with clReleaseProgram and clReleaseKernel.
- * ERR_DEVICE, ERR_MEM. */
+ * compiled program is kept on the disk for the next start, and compiling happens in a process of its
+ * own, which may die without harm (core/compiler.h). On failure e has the whole build log. The caller
+ * releases with clReleaseProgram and clReleaseKernel. ERR_DEVICE, ERR_MEM. */
 enum err_code dev_build(struct dev *d, const struct dev_source *sources, size_t n_sources,
                         const char *options, cl_program *out, struct err *e) ERR_USE;
 enum err_code dev_kernel(cl_program program, const char *name, cl_kernel *out,
                          struct err *e) ERR_USE;
+/* For that process: compiles in this one and adds the binary to `out`. False: it has none. */
+bool dev_compile(struct dev *d, const struct compiler_job *job, struct buf *out);
+/* The way in which the driver compiles work-groups, for people: "as the driver does" or the name of
+ * the one that its compiler survives. */
+const char *dev_method(const struct dev *d);
 /* Appends a build log with the right files and lines. Some drivers (NVIDIA's) ignore #line: their
  * logs cite "<kernel>" and count lines over all `n_text` pieces that the compiler was given.
  * names[i] is the file of piece 2 i + 1; piece 2 i is the #line before it. */

@@ -5,10 +5,13 @@
 #include "core/dev.h"
 
 #include <assert.h>
+#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
+#include "core/compiler.h"
 #include "core/dev_internal.h"
 #include "core/programs.h"
 
@@ -101,41 +104,52 @@ static struct hash128 dev_program_key(const struct dev *d, const char *const *te
     return hash_end(h);
 }
 
-/* The program that was kept, ready to use; NULL: none was, or the driver does not want it. */
-static cl_program dev_program_load(struct dev *d, struct hash128 key, const char *flags)
+/* A binary as a program that is ready to use; NULL: the driver does not want it. */
+static cl_program dev_program_of(struct dev *d, const struct buf *b, const char *flags)
 {
-    struct buf b = {0};
-    cl_program program = NULL;
     cl_int code = CL_SUCCESS, status = CL_SUCCESS;
-    if (!*d->programs || !programs_read(d->programs, key, &b))
-        return NULL;
-    const unsigned char *bytes = b.data;
-    program = clCreateProgramWithBinary(d->context, 1, &d->device, &b.size, &bytes, &status, &code);
+    const unsigned char *bytes = b->data;
+    cl_program program =
+        clCreateProgramWithBinary(d->context, 1, &d->device, &b->size, &bytes, &status, &code);
     if (program && (code != CL_SUCCESS || status != CL_SUCCESS ||
                     clBuildProgram(program, 1, &d->device, flags, NULL, NULL) != CL_SUCCESS)) {
         clReleaseProgram(program);
         program = NULL;
     }
+    return program;
+}
+
+/* The program that was kept; NULL: none was, or it is of no use. */
+static cl_program dev_program_load(struct dev *d, struct hash128 key, const char *flags)
+{
+    struct buf b = {0};
+    cl_program program = NULL;
+    if (*d->programs && programs_read(d->programs, key, &b))
+        program = dev_program_of(d, &b, flags);
     buf_free(&b);
     return program;
 }
 
-/* Asked for a binary, PoCL compiles all kernels of the program. A binary that cannot be kept costs
- * time at the next start, and nothing else. */
-static void dev_program_keep(struct dev *d, struct hash128 key, cl_program program)
+/* A binary that cannot be kept costs time at the next start, and nothing else. */
+static void dev_program_keep(struct dev *d, struct hash128 key, const struct buf *b)
 {
     struct err why = {0};
+    if (*d->programs && programs_write(d->programs, key, b->data, b->size, &why))
+        log_debug("dev", "compiled program is not kept: %s", why.msg);
+}
+
+/* Asked for a binary, PoCL compiles all kernels of the program. */
+static void dev_program_bytes(cl_program program, struct buf *out)
+{
     size_t size = 0;
-    if (!*d->programs ||
-        clGetProgramInfo(program, CL_PROGRAM_BINARY_SIZES, sizeof size, &size, NULL) !=
+    if (clGetProgramInfo(program, CL_PROGRAM_BINARY_SIZES, sizeof size, &size, NULL) !=
             CL_SUCCESS ||
         size == 0)
         return;
     unsigned char *bytes = mem_uninit(size, 1);
     if (bytes &&
-        clGetProgramInfo(program, CL_PROGRAM_BINARIES, sizeof bytes, &bytes, NULL) == CL_SUCCESS &&
-        programs_write(d->programs, key, bytes, size, &why))
-        log_debug("dev", "compiled program is not kept: %s", why.msg);
+        clGetProgramInfo(program, CL_PROGRAM_BINARIES, sizeof bytes, &bytes, NULL) == CL_SUCCESS)
+        buf_add(out, bytes, size);
     mem_free(bytes);
 }
 
@@ -148,12 +162,135 @@ static void dev_say_compiling(struct dev *d)
     d->said_compiling = true;
 }
 
+/* ---- compiling ---- */
+
+/* What this process says if the driver's compiler ends it, about the compilation under way. */
+static char dev_last_words[640];
+
+static void dev_on_death(int sig)
+{
+    (void)!write(STDERR_FILENO, dev_last_words, strlen(dev_last_words));
+    (void)raise(sig); /* as it would have ended: the handler is gone (SA_RESETHAND) */
+}
+
+/* Compiles in this process. It is the only way for drivers that keep no binaries for us. */
+static cl_program dev_compile_here(struct dev *d, const struct compiler_job *job, const char *what,
+                                   cl_int *code)
+{
+    static const int deaths[] = {SIGABRT, SIGSEGV, SIGBUS, SIGILL, SIGFPE};
+    enum { N = sizeof deaths / sizeof *deaths };
+    struct sigaction act = {.sa_handler = dev_on_death, .sa_flags = (int)SA_RESETHAND}, was[N];
+    snprintf(
+        dev_last_words, sizeof dev_last_words,
+        "citysplat: the compiler of the OpenCL driver of %s, version %s, ends the program while "
+        "it compiles %s: update the driver, or take another device: --device cpu needs the "
+        "package pocl-opencl-icd\n",
+        d->name, d->driver, what);
+    for (int i = 0; i < N; i++)
+        (void)sigaction(deaths[i], &act, &was[i]);
+    cl_program program = clCreateProgramWithSource(d->context, (cl_uint)job->n_text,
+                                                   (const char **)(uintptr_t)job->text, NULL, code);
+    if (*code == CL_SUCCESS)
+        *code = clBuildProgram(program, 1, &d->device, job->flags, NULL, NULL);
+    for (int i = 0; i < N; i++)
+        (void)sigaction(deaths[i], &was[i], NULL);
+    return program;
+}
+
+bool dev_compile(struct dev *d, const struct compiler_job *job, struct buf *out)
+{
+    cl_int code = CL_SUCCESS;
+    cl_program program = dev_compile_here(d, job, "kernels", &code);
+    const size_t before = out->size;
+    if (code == CL_SUCCESS)
+        dev_program_bytes(program, out);
+    if (program)
+        clReleaseProgram(program);
+    return out->size > before;
+}
+
+static const char *const dev_methods[] = {NULL /* as it is */, "cbs", "loopvec"};
+enum { DEV_METHODS = sizeof dev_methods / sizeof *dev_methods };
+
+const char *dev_method(const struct dev *d)
+{
+    return dev_methods[d->method] ? dev_methods[d->method] : "as the driver does";
+}
+
+/* Compiles in another process: see compiler.h. Where the driver dies of its usual method the next
+ * one is tried, for this program and those that come after it. Our kernels are as fast with each:
+ * they are made of vectors, and work-items of CPUs are whole pieces of work. *code is CL_SUCCESS and
+ * the program NULL where it has to be compiled here: the source has errors, or there is no such
+ * process. ERR_DEVICE: no method is left. */
+static enum err_code dev_compile_apart(struct dev *d, const struct compiler_job *job,
+                                       const char *what, struct buf *binary, struct err *e)
+{
+    char words[2][320] = {"", ""};
+    enum compiler_end end = COMPILER_DIED;
+    const size_t first = d->method;
+    for (size_t i = first; i < DEV_METHODS && end == COMPILER_DIED; i++) {
+        end = compiler_run(job, dev_methods[i], binary, words[i > first], sizeof words[0]);
+        d->method = end == COMPILER_DONE ? i : d->method;
+    }
+    if (end == COMPILER_MISSING)
+        log_debug("dev", "%s", words[0][0] ? words[0] : words[1]);
+    if (end == COMPILER_DONE && d->method > first)
+        log_info(
+            "dev",
+            "the compiler of the OpenCL driver (%s, version %s) ended while it compiled %s (%s); "
+            "with " COMPILER_METHOD "=%s it does not, and kernels are as fast: nothing has to be "
+            "done",
+            d->name, d->driver, what, words[0], dev_methods[d->method]);
+    if (end != COMPILER_DIED)
+        return ERR_OK;
+    return err_set(
+        e, ERR_DEVICE,
+        "dev_build: %s: the compiler of the OpenCL driver (%s, version %s) ended by itself "
+        "in every way that it has (%s): update the package of the driver (pocl-opencl-icd "
+        "for CPUs), or take another device with --device; `citysplat info --device auto` "
+        "tries again",
+        what, d->name, d->driver, words[0]);
+}
+
+/* For `citysplat info --device`. */
+static void dev_note(struct dev *d, const char *name, const char *from, double seconds)
+{
+    if (d->n_built < DEV_BUILT_MAX)
+        d->built[d->n_built++] = (struct dev_built){name, from, seconds};
+}
+
+/* Not kept yet: compiles it, keeps it. The program may be NULL after an error. */
+static enum err_code dev_program_make(struct dev *d, const struct compiler_job *job,
+                                      struct hash128 key, const char *what, cl_program *out,
+                                      cl_int *code, struct err *e)
+{
+    struct buf binary = {0};
+    enum err_code rc = ERR_OK;
+    *out = NULL;
+    dev_say_compiling(d);
+    if (d->is_pocl)
+        rc = dev_compile_apart(d, job, what, &binary, e);
+    if (!rc && binary.size)
+        *out = dev_program_of(d, &binary, job->flags);
+    if (!rc && !*out) {
+        buf_free(&binary);
+        *out = dev_compile_here(d, job, what, code);
+        if (*code == CL_SUCCESS && d->is_pocl)
+            dev_program_bytes(*out, &binary);
+    }
+    if (!rc && *code == CL_SUCCESS && binary.size)
+        dev_program_keep(d, key, &binary);
+    buf_free(&binary);
+    return rc;
+}
+
 enum err_code dev_build(struct dev *d, const struct dev_source *sources, size_t n_sources,
                         const char *options, cl_program *out, struct err *e)
 {
     enum { TEXTS_MAX = 2 * (SOURCES_MAX + 1) };
     const char *text[TEXTS_MAX], *names[SOURCES_MAX + 1];
     char lines[SOURCES_MAX + 1][160], flags[1024];
+    const char *const what = sources[n_sources - 1].name;
     const size_t n_text = 2 * (n_sources + 1);
     cl_int code = CL_SUCCESS;
     enum err_code rc = ERR_OK;
@@ -171,26 +308,25 @@ enum err_code dev_build(struct dev *d, const struct dev_source *sources, size_t 
                      d->is_cpu ? " -DIS_CPU=1" : "", options && *options ? " " : "",
                      options ? options : "");
     if (n < 0 || (size_t)n >= sizeof flags)
-        return err_set(e, ERR_LIMIT, "dev_build: %s: options too long",
-                       sources[n_sources - 1].name);
+        return err_set(e, ERR_LIMIT, "dev_build: %s: options too long", what);
     const double start_s = clock_s();
     const struct hash128 key = dev_program_key(d, text, n_text, flags);
+    const struct compiler_job job = {
+        .device = d->name, .flags = flags, .text = text, .n_text = n_text};
     cl_program program = dev_program_load(d, key, flags);
-    if (!program) {
-        dev_say_compiling(d);
-        program = clCreateProgramWithSource(d->context, (cl_uint)n_text, text, NULL, &code);
-        if (code != CL_SUCCESS)
-            return dev_fail(e, code, "dev_build", sources[n_sources - 1].name);
-        code = clBuildProgram(program, 1, &d->device, flags, NULL, NULL);
-        if (code == CL_SUCCESS)
-            dev_program_keep(d, key, program);
-    }
+    const bool kept = program != NULL;
+    if (!kept)
+        rc = dev_program_make(d, &job, key, what, &program, &code, e);
     d->compile_s += clock_s() - start_s;
-    if (code != CL_SUCCESS) {
-        rc = dev_build_error(d, program, text, names, n_text, code, e);
-        clReleaseProgram(program);
+    if (!rc && code != CL_SUCCESS)
+        rc = program ? dev_build_error(d, program, text, names, n_text, code, e)
+                     : dev_fail(e, code, "dev_build", what);
+    if (rc) {
+        if (program)
+            clReleaseProgram(program);
         return rc;
     }
+    dev_note(d, what, kept ? "kept" : "compiled", clock_s() - start_s);
     *out = program;
     return ERR_OK;
 }

@@ -11,8 +11,8 @@
 
 #include "core/base.h"
 
-/* Of a folder that is seen from the program's own. */
-static bool library_path(const struct library *l, const char *folder, char out[FILE_PATH_MAX])
+/* In a folder that is seen from the program's own. */
+static bool library_path(const char *file, const char *folder, char out[FILE_PATH_MAX])
 {
     char self[FILE_PATH_MAX];
     ssize_t n = readlink("/proc/self/exe", self, sizeof self - 1);
@@ -20,15 +20,20 @@ static bool library_path(const struct library *l, const char *folder, char out[F
         return false;
     self[n] = 0;
     *strrchr(self, '/') = 0;
-    return snprintf(out, FILE_PATH_MAX, "%s/%s%s", self, folder, l->file) < FILE_PATH_MAX &&
+    return snprintf(out, FILE_PATH_MAX, "%s/%s%s", self, folder, file) < FILE_PATH_MAX &&
            file_exists(out);
+}
+
+bool library_find(const char *file, char out[FILE_PATH_MAX])
+{
+    return library_path(file, "", out) || library_path(file, LIBRARY_FOLDER "/", out);
 }
 
 enum err_code library_load(const struct library *l, const void **table, struct err *e)
 {
     char path[FILE_PATH_MAX];
     *table = NULL;
-    if (!library_path(l, "", path) && !library_path(l, LIBRARY_FOLDER "/", path))
+    if (!library_find(l->file, path))
         return err_set(e, ERR_NOENT,
                        "%s: %s: is neither beside the program nor in %s: install citysplat whole",
                        l->what, l->file, LIBRARY_FOLDER);

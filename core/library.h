@@ -6,9 +6,10 @@
 #ifndef CORE_LIBRARY_H
 #define CORE_LIBRARY_H
 
+#include <stdbool.h>
 #include <stdint.h>
 
-#include "core/err.h"
+#include "core/base.h"
 
 struct library {
     const char *what;   /* for messages, "images" */
@@ -19,5 +20,8 @@ struct library {
 /* Loads a library, which stays loaded. *table is borrowed. ERR_NOENT: the file is missing.
  * ERR_INTERNAL: it cannot be loaded, or is of another version. */
 enum err_code library_load(const struct library *l, const void **table, struct err *e) ERR_USE;
+
+/* The path of a file that lies beside the program or in its library folder. False: there is none. */
+bool library_find(const char *file, char out[FILE_PATH_MAX]);
 
 #endif

@@ -114,7 +114,7 @@ static enum MHD_Result exchange_refuse(struct exchange *x, int status, const cha
 {
     response_problem(&x->res, status, why);
     x->close = true;
-    atomic_fetch_add(&x->f->s->metrics.rejected, status != 503);
+    atomic_fetch_add(&x->f->s->metrics.rejected, status != 503 && !x->f->self);
     if (status == 503)
         x->res.retry_after_s = 1;
     return exchange_send_answer(x);
@@ -187,11 +187,14 @@ static uint64_t exchange_client(const struct exchange *x)
 }
 
 /* What the screen has against this request: 0 or a status. A request that it has not seen is
- * refused as well: then libmicrohttpd reads past it. */
+ * refused as well: then libmicrohttpd reads past it. Where libmicrohttpd is strict by itself, it
+ * refuses such requests with pages of its own. */
 static int exchange_screened(const struct exchange *x, const char **why)
 {
     if (!x->peer)
         return *why = "out of memory", 503;
+    if (!x->f->screened)
+        return 0;
     if (x->peer->screen.requests < x->number)
         return *why = "this program was linked wrongly: requests come unchecked", 500;
     int status = screen_refused(&x->peer->screen, x->number);
@@ -512,12 +515,13 @@ void exchange_on_completed(void *cls, struct MHD_Connection *c, void **con_cls,
     bool whole = how == MHD_REQUEST_TERMINATED_COMPLETED_OK && !x->gone;
     int status = whole ? x->res.status : 499; /* by custom: the client left */
     const double now_s = clock_s(), seconds = now_s - x->start_s;
-    if (!whole)
+    if (!whole && !f->self)
         atomic_fetch_add(&f->s->metrics.client_aborts, 1);
-    metrics_request(&f->s->metrics, router_index(f->s->routes, x->res.route), status, seconds,
-                    whole ? x->sent : 0);
+    if (!f->self)
+        metrics_request(&f->s->metrics, router_index(f->s->routes, x->res.route), status, seconds,
+                        whole ? x->sent : 0);
     trace_overlap("requests", route_path(x->res.route), x->start_s, now_s);
-    if (f->s->access && !(whole && x->res.unlogged))
+    if (f->s->access && !f->self && !(whole && x->res.unlogged))
         exchange_log_access(x, status, seconds);
     if (x->stream) {
         watch_disarm(f->watch, x->slot);
@@ -542,11 +546,11 @@ static struct peer *exchange_peer(struct front *f, int fd, const struct sockaddr
         return NULL;
     p->fd = fd;
     p->address = address_of_socket(address);
-    bool unlimited = f->admin || address_in(&f->proxies, p->address);
+    bool unlimited = f->admin || f->self || address_in(&f->proxies, p->address);
     size_t limit = unlimited ? 0 : (size_t)cfg->per_ip_connections;
     p->slot = watch_add(f->watch, fd, address_number(p->address, f->secret), limit, &p->over);
-    struct tls *tls = !f->admin ? f->s->tls : NULL;
-    if (screen_attach(&p->screen, fd, tls, (size_t)cfg->max_header_kb << 10, NULL)) {
+    p->screen.passes = !f->screened;
+    if (screen_attach(&p->screen, fd, f->tls, (size_t)cfg->max_header_kb << 10, NULL)) {
         watch_remove(f->watch, p->slot);
         mem_free(p);
         return NULL;
@@ -571,11 +575,12 @@ void exchange_on_connection(void *cls, struct MHD_Connection *c, void **context,
         atomic_fetch_sub_explicit(&f->open, 1, memory_order_release);
         return;
     }
-    const union MHD_ConnectionInfo *fd =
+    /* What is returned holds until the next call: libmicrohttpd 1.0 has one union for all. */
+    const union MHD_ConnectionInfo *info =
         MHD_get_connection_info(c, MHD_CONNECTION_INFO_CONNECTION_FD);
-    const union MHD_ConnectionInfo *address =
-        MHD_get_connection_info(c, MHD_CONNECTION_INFO_CLIENT_ADDRESS);
-    *context = fd && address ? exchange_peer(f, fd->connect_fd, address->client_addr) : NULL;
+    const int fd = info ? info->connect_fd : -1;
+    info = MHD_get_connection_info(c, MHD_CONNECTION_INFO_CLIENT_ADDRESS);
+    *context = fd >= 0 && info ? exchange_peer(f, fd, info->client_addr) : NULL;
     atomic_fetch_add_explicit(&f->s->metrics.connections, 1, memory_order_relaxed);
     atomic_fetch_add_explicit(&f->open, 1, memory_order_relaxed);
 }

@@ -15,6 +15,9 @@
 struct front {
     struct services *s;
     bool admin;                  /* the listener for operators */
+    bool self;                   /* of self_test.c: neither counted nor logged */
+    bool screened;               /* screen.c reads before libmicrohttpd */
+    struct tls *tls;             /* NULL: none */
     size_t n_base;               /* length of --base-path */
     struct address_nets proxies; /* trusted proxies */
     struct hash128 secret;       /* for the numbers of clients */

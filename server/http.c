@@ -7,6 +7,7 @@
 
 #include <netinet/in.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sys/random.h>
 #include <sys/socket.h>
@@ -49,6 +50,17 @@ static void http_on_log(void *cls, const char *fmt, va_list args)
     log_debug("http", "%s", text);
 }
 
+/* Version 1.0 refuses by itself what screen.c refuses for older ones (malformed.def). */
+bool http_is_strict(void)
+{
+    return atoi(MHD_get_version()) >= 1;
+}
+
+const char *http_library(void)
+{
+    return MHD_get_version();
+}
+
 static size_t http_connections(const struct http *h)
 {
     return h->front.admin ? HTTP_ADMIN_CONNECTIONS : (size_t)h->front.s->cfg->max_connections;
@@ -65,7 +77,7 @@ static enum err_code http_start_daemon(struct http *h, int fd, struct err *e)
     const struct server_config *cfg = h->front.s->cfg;
     unsigned threads = (unsigned)cfg->http_threads;
     unsigned most = (unsigned)http_connections(h);
-    if (h->front.admin)
+    if (h->front.admin || h->front.self)
         threads = 1;
     else if (!threads)
         threads = pool_cores() < HTTP_THREADS_MAX ? (unsigned)pool_cores() : HTTP_THREADS_MAX;
@@ -76,7 +88,7 @@ static enum err_code http_start_daemon(struct http *h, int fd, struct err *e)
          NULL},
         {MHD_OPTION_CONNECTION_MEMORY_LIMIT, cfg->max_header_kb << 10, NULL},
         {MHD_OPTION_CONNECTION_MEMORY_INCREMENT, 1024, NULL},
-        {MHD_OPTION_STRICT_FOR_CLIENT, 0, NULL},
+        {MHD_OPTION_STRICT_FOR_CLIENT, !h->front.screened, NULL},
         {MHD_OPTION_NOTIFY_COMPLETED, (intptr_t)exchange_on_completed, &h->front},
         {MHD_OPTION_NOTIFY_CONNECTION, (intptr_t)exchange_on_connection, &h->front},
         {MHD_OPTION_URI_LOG_CALLBACK, (intptr_t)exchange_on_target, &h->front},
@@ -87,7 +99,7 @@ static enum err_code http_start_daemon(struct http *h, int fd, struct err *e)
         {MHD_OPTION_END, 0, NULL},
     };
     size_t n = sizeof options / sizeof *options - 4;
-    const bool tls = h->front.s->tls && !h->front.admin;
+    const bool tls = h->front.tls != NULL;
     static char priorities[] = TLS_PRIORITIES;
     if (threads > 1)
         options[n++] = (struct MHD_OptionItem){MHD_OPTION_THREAD_POOL_SIZE, threads, NULL};
@@ -107,64 +119,14 @@ static enum err_code http_start_daemon(struct http *h, int fd, struct err *e)
     return ERR_OK;
 }
 
-/* ---- the contract of screen.c ---- */
-
-/* NOLINTBEGIN(readability-non-const-parameter): the library's type of a function */
-static enum MHD_Result http_refuse(void *cls, struct MHD_Connection *c, const char *url,
-                                   const char *method, const char *version, const char *upload,
-                                   size_t *n_upload, void **con_cls)
-/* NOLINTEND(readability-non-const-parameter) */
-{
-    (void)cls, (void)c, (void)url, (void)method, (void)version, (void)upload, (void)n_upload;
-    (void)con_cls;
-    return MHD_NO;
-}
-
-/* A request on a pair of sockets to a daemon that refuses it. True: the daemon has read it by the
- * recv() of screen.c, which counts requests. False: it has not, or something is used up. */
-static bool http_reads_screened(void)
-{
-    static const char ask[] = "GET / HTTP/1.1\r\nHost: a\r\n\r\n";
-    const struct sockaddr_in from = {.sin_family = AF_INET};
-    struct screen s = {0};
-    struct err e;
-    int pair[2];
-    if (socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0, pair) != 0)
-        return false;
-    struct MHD_Daemon *d = MHD_start_daemon(MHD_USE_EPOLL | MHD_USE_NO_LISTEN_SOCKET, 0, NULL, NULL,
-                                            http_refuse, NULL, MHD_OPTION_END);
-    bool well = d && write(pair[0], ask, sizeof ask - 1) == sizeof ask - 1 &&
-                !screen_attach(&s, pair[1], NULL, sizeof ask, &e);
-    if (well)
-        well = MHD_add_connection(d, pair[1], (const struct sockaddr *)&from, sizeof from);
-    else
-        close(pair[1]);                                /* else it is the daemon's */
-    for (int i = 0; i < 4 && well && !s.requests; i++) /* accepts, reads */
-        well = MHD_run(d);
-    well = well && s.requests == 1;
-    screen_detach(&s, pair[1]);
-    if (d)
-        MHD_stop_daemon(d);
-    close(pair[0]);
-    return well;
-}
-
-static enum err_code http_check_reads(struct err *e)
-{
-    return http_reads_screened()
-               ? ERR_OK
-               : err_set(e, ERR_INTERNAL,
-                         "libmicrohttpd %s does not read requests by this program's recv(), so "
-                         "nothing would check them: link it as a shared library, in version 0.9.75",
-                         MHD_get_version());
-}
-
 /* ---- listening ---- */
 
 static enum err_code http_listen(struct http *h, struct err *e)
 {
     const struct server_config *cfg = h->front.s->cfg;
     bool admin = h->front.admin;
+    if (h->front.self)
+        return listen_open("127.0.0.1", 0, LISTEN_PORT, &h->fd, &h->port, e);
     int held = supervisor_socket(admin ? "admin" : NULL);
     if (held >= 0) {
         h->held = true;
@@ -197,7 +159,7 @@ enum err_code http_check(const struct server_config *cfg, struct err *e)
     enum err_code rc = address_read_nets(cfg->trusted_proxy, &nets, e);
     if (!rc)
         rc = http_check_base(cfg->base_path, &n, e);
-    return !rc ? http_check_reads(e) : rc;
+    return rc;
 }
 
 enum err_code http_open(struct services *s, enum http_side side, struct http **out, struct err *e)
@@ -208,10 +170,11 @@ enum err_code http_open(struct services *s, enum http_side side, struct http **o
         return err_set(e, ERR_MEM, "http: out of memory");
     h->front.s = s;
     h->front.admin = side == HTTP_ADMIN;
+    h->front.self = side == HTTP_SELF || side == HTTP_SELF_TLS;
+    h->front.tls = side == HTTP_PUBLIC || side == HTTP_SELF_TLS ? s->tls : NULL;
+    h->front.screened = !http_is_strict();
     atomic_flag_clear(&h->front.proxy_told);
-    enum err_code rc = http_check_reads(e);
-    if (!rc)
-        rc = address_read_nets(s->cfg->trusted_proxy, &h->front.proxies, e);
+    enum err_code rc = address_read_nets(s->cfg->trusted_proxy, &h->front.proxies, e);
     if (!rc && getrandom(&h->front.secret, sizeof h->front.secret, 0) != sizeof h->front.secret)
         rc = err_errno(e, ERR_IO, "the system has no random numbers");
     if (!rc)
@@ -277,6 +240,11 @@ void http_close(struct http **out)
     struct services *s = h->front.s;
     if (!h->daemon) { /* never started */
         close(h->fd);
+        http_free(h);
+        return;
+    }
+    if (h->front.self) { /* nobody else asks it, and nothing of the server ends with it */
+        MHD_stop_daemon(h->daemon);
         http_free(h);
         return;
     }

@@ -311,21 +311,22 @@ size_t screen_read(struct screen *s, ssize_t (*more)(void *from, char *out, size
     return n;
 }
 
-static ssize_t screen_socket(void *fd, char *out, size_t room)
-{
-    return recvfrom(*(const int *)fd, out, room, 0, NULL, NULL);
-}
-
 struct screen *screen_at(int fd)
 {
     return fd >= 0 && fd < SCREEN_FDS ? atomic_load_explicit(&screen_of[fd], memory_order_acquire)
                                       : NULL;
 }
 
+#ifdef CITYSPLAT_SCREEN /* libmicrohttpd before 1.0 */
+static ssize_t screen_socket(void *fd, char *out, size_t room)
+{
+    return recvfrom(*(const int *)fd, out, room, 0, NULL, NULL);
+}
+
 ssize_t recv(int fd, void *out, size_t room, int flags)
 {
     struct screen *s = flags ? NULL : screen_at(fd);
-    if (!s || s->tls)
+    if (!s || s->tls || s->passes)
         return recvfrom(fd, out, room, flags, NULL, NULL);
     ssize_t last = 1; /* nothing ended it */
     size_t n = screen_read(s, screen_socket, &fd, SCREEN_SOCKET, out, room, &last);
@@ -337,11 +338,12 @@ ssize_t recv(int fd, void *out, size_t room, int flags)
     }
     return last;
 }
+#endif
 
 enum err_code screen_attach(struct screen *s, int fd, struct tls *tls, size_t line_max,
                             struct err *e)
 {
-    *s = (struct screen){.tls = tls, .line_max = line_max};
+    *s = (struct screen){.tls = tls, .passes = s->passes, .line_max = line_max};
     if (fd < 0 || fd >= SCREEN_FDS)
         return err_set(e, ERR_MEM, "screen: descriptor %d is beyond %d", fd, SCREEN_FDS);
     atomic_store_explicit(&screen_of[fd], s, memory_order_release);

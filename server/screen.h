@@ -29,6 +29,7 @@ enum screen_state {
 struct tls;
 /* state of a connection: {0}, screen_attach, screen_detach; only one thread uses it */
 struct screen {
+    bool passes;     /* set before screen_attach: libmicrohttpd checks by itself, nothing is read */
     struct tls *tls; /* the connection uses TLS: tls.c decrypts its bytes; NULL: plain */
     enum screen_state state;
     char *in; /* received bytes; [0, n_ok) were checked */

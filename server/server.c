@@ -25,6 +25,7 @@
 #include "server/link.h"
 #include "server/motion.h"
 #include "server/routes.h"
+#include "server/self_test.h"
 #include "server/services.h"
 #include "server/work.h"
 
@@ -363,6 +364,8 @@ static enum err_code server_begin(const struct server_config *cfg, const char *c
         server_set_url(sv);
         rc = server_start_jobs(sv, e);
     }
+    if (!rc)
+        rc = self_test(s, e);
     if (!rc)
         rc = http_start(sv->http, e);
     if (!rc && sv->admin)

@@ -255,6 +255,7 @@ int tls_certificate(gnutls_session_t session, const gnutls_datum_t *issuers, int
     return 0;
 }
 
+#ifdef CITYSPLAT_SCREEN /* libmicrohttpd before 1.0 */
 static ssize_t tls_records(void *session, char *out, size_t room)
 {
     unsigned char number[8];
@@ -265,11 +266,12 @@ ssize_t gnutls_record_recv(gnutls_session_t session, void *out, size_t room)
 {
     struct screen *s = screen_at(gnutls_transport_get_int(session));
     ssize_t last = GNUTLS_E_AGAIN;
-    if (!s || !s->tls)
+    if (!s || !s->tls || s->passes)
         return tls_records(session, out, room);
     size_t n = screen_read(s, tls_records, session, SCREEN_RECORDS, out, room, &last);
     return n ? (ssize_t)n : last;
 }
+#endif
 
 bool tls_ask(int fd, const char *text, char *answer, size_t room)
 {
