@@ -173,7 +173,8 @@ static void dev_on_death(int sig)
     (void)raise(sig); /* as it would have ended: the handler is gone (SA_RESETHAND) */
 }
 
-/* Compiles in this process. It is the only way for drivers that keep no binaries for us. */
+/* Compiles in this process. It is the only way for drivers that keep no binaries for us. `what` is
+ * for the last words; NULL: another process tells them. */
 static cl_program dev_compile_here(struct dev *d, const struct compiler_job *job, const char *what,
                                    cl_int *code)
 {
@@ -186,13 +187,13 @@ static cl_program dev_compile_here(struct dev *d, const struct compiler_job *job
         "it compiles %s: update the driver, or take another device: --device cpu needs the "
         "package pocl-opencl-icd\n",
         d->name, d->driver, what);
-    for (int i = 0; i < N; i++)
+    for (int i = 0; what && i < N; i++)
         (void)sigaction(deaths[i], &act, &was[i]);
     cl_program program = clCreateProgramWithSource(d->context, (cl_uint)job->n_text,
                                                    (const char **)(uintptr_t)job->text, NULL, code);
     if (*code == CL_SUCCESS)
         *code = clBuildProgram(program, 1, &d->device, job->flags, NULL, NULL);
-    for (int i = 0; i < N; i++)
+    for (int i = 0; what && i < N; i++)
         (void)sigaction(deaths[i], &was[i], NULL);
     return program;
 }
@@ -200,7 +201,7 @@ static cl_program dev_compile_here(struct dev *d, const struct compiler_job *job
 bool dev_compile(struct dev *d, const struct compiler_job *job, struct buf *out)
 {
     cl_int code = CL_SUCCESS;
-    cl_program program = dev_compile_here(d, job, "kernels", &code);
+    cl_program program = dev_compile_here(d, job, NULL, &code);
     const size_t before = out->size;
     if (code == CL_SUCCESS)
         dev_program_bytes(program, out);
