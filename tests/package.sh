@@ -1,11 +1,13 @@
 #!/usr/bin/env bash
 # The Debian package on a system that has nothing of it: its contents and fields, then installed into a clean Debian
 # (debootstrap) with what it depends on, and used there: from a procedural city to a served tile.
-#   tests/package.sh PACKAGE.deb [CHROOT]     CHROOT: a debootstrap of before; it is not changed
+#   tests/package.sh PACKAGE.deb [CHROOT]     CHROOT: a debootstrap of before; it is not changed. By default one of this Debian is made
 # Without root it is unpacked into a folder and run with the libraries of this system.
 #
 # SPDX-License-Identifier: Apache-2.0
 set -euo pipefail
+# shellcheck source=tests/machines/chroot.sh
+. "$(dirname "${BASH_SOURCE[0]}")/machines/chroot.sh"
 package=$(realpath "$1") base=${2:-}
 version=$(dpkg-deb -f "$package" Version)
 work=$(mktemp -d)
@@ -15,7 +17,7 @@ fail() { echo "FAILED: $*" >&2; exit 1; }
 # ---- contents
 
 dpkg-deb -c "$package" | awk '{ print $6 }' >"$work/list"
-for file in bin/citysplat lib/citysplat/citysplat-image.so lib/citysplat/citysplat-gdal.so share/man/man1/citysplat.1.gz \
+for file in bin/citysplat lib/citysplat/citysplat-image.so lib/citysplat/citysplat-gdal.so lib/citysplat/citysplat-compiler share/man/man1/citysplat.1.gz \
     share/man/man1/citysplat-serve.1.gz share/bash-completion/completions/citysplat share/zsh/site-functions/_citysplat \
     share/fish/vendor_completions.d/citysplat.fish lib/systemd/system/citysplat.service lib/systemd/system/citysplat.socket \
     share/citysplat/web/index.html share/citysplat/web/viewer.js share/citysplat/web/LICENSES.txt share/doc/citysplat/copyright \
@@ -26,7 +28,7 @@ done
 ! grep -vE '^\./(usr/.*)?$' "$work/list" || fail 'files outside of /usr'
 dpkg-deb -c "$package" | awk '$2 != "root/root" || $1 ~ /^.{5}w|^.{8}w|[sS]/ && $1 !~ /^l/ { print; bad = 1 } END { exit bad }' || fail 'owners or permissions'
 depends=$(dpkg-deb -f "$package" Depends)
-for name in libc6 libsqlite3-0 libgdal32 libopenimageio2.4 libmicrohttpd12 ocl-icd-libopencl1; do
+for name in libc6 libsqlite3-0 libgdal libopenimageio libmicrohttpd12 ocl-icd-libopencl1; do # libgdal32 on Debian 12, 36 on 13
     case $depends in *"$name"*) ;; *) fail "it does not depend on $name: $depends" ;; esac
 done
 echo "contents: $(wc -l <"$work/list") entries, $(($(stat -c %s "$package") / 1024)) KiB"
@@ -74,17 +76,11 @@ if [ "$(id -u)" != 0 ] || ! command -v debootstrap >/dev/null; then
     PATH=$work/root/usr/bin:$PATH sh "$work/use.sh" "$version"
     exit
 fi
-mirror=$(sed -n 's/^URIs: *\(\S*\)$/\1/p; s/^deb \(\[.*\] \)\?\(\S*\) .*/\2/p' /etc/apt/sources.list /etc/apt/sources.list.d/debian* 2>/dev/null | head -1 || true)
 root=$work/root
-if [ -n "$base" ]; then cp -a "$base" "$root"; else
-    debootstrap --variant=minbase bookworm "$root" "${mirror:-http://deb.debian.org/debian}" >"$work/log" 2>&1 || { tail -20 "$work/log"; fail debootstrap; }
-fi
+chroot_make "$(. /etc/os-release && echo "$VERSION_CODENAME")" "$root" "$base" || fail debootstrap
 cp "$package" "$root/tmp/citysplat.deb"
 cp "$work/use.sh" "$root/tmp/use.sh"
-cp /etc/resolv.conf "$root/etc/resolv.conf"
-# A namespace of its own for mounts: nothing has to be undone. The program finds its
-# folder by /proc/self/exe, and PoCL its cores in /sys.
-inside() { unshare --mount sh -c 'mount -t proc proc "$0/proc" && mount --rbind /sys "$0/sys" && exec chroot "$0" env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root DEBIAN_FRONTEND=noninteractive "$@"' "$root" "$@"; }
+inside() { chroot_inside "$root" "$@"; }
 inside apt-get update -qq
 inside apt-get install -y -qq --no-install-recommends /tmp/citysplat.deb pocl-opencl-icd curl >"$work/log" 2>&1 || { tail -30 "$work/log"; fail 'apt-get install'; }
 inside sh /tmp/use.sh "$version"
