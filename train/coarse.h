@@ -7,7 +7,7 @@
  * - With --coarse-start, the first Gaussians, also those around the cell that its photographs show
  *   (docs/decisions/008-cells.md).
  *
- * The result is cells/coarse/level1.ckpt, which is also its done-file.
+ * The result is cells/coarse/level1.ckpt. The coarse model is complete when this file exists.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
