@@ -163,7 +163,7 @@ enum err_code store_name_tile(const struct store *s, const struct store_tile *t,
  */
 enum err_code store_get_blob(struct store *s, const char *name, struct buf *out,
                              struct err *e) ERR_USE;
-/* The ground that the photographs support (docs/footprint.md), as a GeoJSON Feature in one line.
+/* The ground that the photographs support (docs/scale.md), as a GeoJSON Feature in one line.
  * NULL: none was stored. Borrowed until store_close. */
 #define STORE_FOOTPRINT "footprint" /* name of its blob */
 const char *store_footprint(const struct store *s);
