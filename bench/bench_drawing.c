@@ -1,6 +1,7 @@
-/* The cost of drawing in a separate process (docs/decisions/022). The same requests go to the same
- * code in that process (server/worker.h) and in a thread here, in turns, picture by picture. A
- * ratio is the median over pairs, so other work on the machine affects both sides.
+/* The cost of drawing in a separate process (docs/decisions/025-drawing-processes.md). The same
+ * requests go to the same code in that process (server/worker.h) and in a thread here, in turns,
+ * picture by picture. A ratio is the median over pairs, so other work on the machine affects both
+ * sides.
  *
  * Checked before timing: both give the same bytes.
  *

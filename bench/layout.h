@@ -21,7 +21,7 @@ struct layout { /* {0}: the layout of codec/draco_layout.c */
     enum layout_predict predict;
     bool split_position, split_scale, split_rotation, split_color; /* one attribute a component */
     bool join_channels;     /* all channels of a band in one attribute; false: green apart */
-    bool scale_differences; /* second and third sigma minus the first */
+    bool scale_differences; /* the second and third sigma are differences from the first */
 };
 /* Encodes a cloud without names. Low bits that are 0 in all rows are left out first. ERR_MEM,
  * ERR_INTERNAL. */

@@ -31,8 +31,8 @@ struct cell {              /* a rectangle of the ground plane; Gaussians outside
     /* 1.1 * largest distance of a camera from the cameras' mean, of the cameras in the cell: larger
      * Gaussians are split rather than cloned by this unit */
     double extent_m;
-    /* the same of all cameras of the scene: the unit of Gaussians that are too large. Ground around
-     * a small cell has Gaussians that are large beside the cell, not beside the scene. */
+    /* the same length over all cameras of the scene. Gaussians are removed as too large by this
+     * unit: the ground around a small cell rightly has Gaussians larger than extent_m allows. */
     double scene_extent_m;
 };
 /* Makes the only cell, "all", of a scene without a plan. `images` lists the training photographs,

@@ -2,7 +2,7 @@
  *
  * window.h defines the share of a photograph that shows a cell. A cell takes every photograph whose
  * share is at least share_min, and training cuts the photograph to the part that shows the cell
- * (docs/decisions/085-cut-photographs.md).
+ * (docs/decisions/008-cells.md).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

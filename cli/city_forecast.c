@@ -1,7 +1,7 @@
 /* The forecast of a city: see city.h.
  *
  * A step's processor seconds follow from number and size of the photographs, by what was measured
- * (docs/sizing.md), and from the speed of this machine. How fast it is, and how much other programs
+ * (docs/scale.md), and from the speed of this machine. How fast it is, and how much other programs
  * take of it, is measured by a second of the same arithmetic on all cores. Processor seconds hardly
  * depend on other programs; seconds by the clock do.
  *
@@ -16,7 +16,7 @@
 #include "train/expect.h"
 
 enum { PACE_FLOATS = 4096, PACE_ROUNDS = 20000, PACE_TASKS = 8, PACE_RUNS = 3 };
-/* Processor seconds of a run of all tasks, on the machine of docs/sizing.md. */
+/* Processor seconds of a run of all tasks, on the machine of docs/scale.md. */
 static const double pace_usual_s = 0.15;
 static const double ingest_read_s = 0.06, ingest_write_s = 0.075; /* of a megapixel */
 static const double stereo_s = 16;                                /* of a megapixel of a map */

@@ -615,7 +615,7 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
         eval_print_head();
     rc = v.o.tiles ? eval_tiles(&v, e) : eval_levels(&v, args.arg[0], e);
     if (!rc && !v.lpips && !v.o.views && !v.o.surface && !v.o.flight)
-        printf("LPIPS is not scored: --lpips FILE supplies its weights (docs/evaluation.md).\n");
+        printf("LPIPS is not scored: --lpips FILE supplies its weights (lab/EVALUATION.md).\n");
     if (!rc && !v.o.views && !v.o.surface && !v.o.flight)
         rc = eval_residuals(&v, args.arg[0], e);
     if (!rc && v.o.output)

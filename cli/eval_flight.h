@@ -1,4 +1,4 @@
-/* `citysplat eval --flight`: visible jumps while a camera flies into a city (docs/evaluation.md).
+/* `citysplat eval --flight`: visible jumps while a camera flies into a city (lab/EVALUATION.md).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* `citysplat eval --surface`: solidity and errors of a scene's surface (docs/evaluation.md),
+/* `citysplat eval --surface`: solidity and errors of a scene's surface (lab/EVALUATION.md),
  * against a procedural city (eval_surface.c) or against the scene's own points (eval_points.c).
  *
  * SPDX-License-Identifier: Apache-2.0

@@ -1,7 +1,7 @@
 /* citysplat import-odm: a project of OpenDroneMap or OpenSfM -> a COLMAP model, as align makes one.
  *
  * The frame of the project goes along as positions.tsv, places of the photographs on Earth, to
- * which `ingest --positions` fits the model again. See docs/decisions/074-odm.md.
+ * which `ingest --positions` fits the model again. See docs/decisions/005-poses.md.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

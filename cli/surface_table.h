@@ -1,4 +1,4 @@
-/* Statistics of rays through a surface, as rows of a table and of JSON (docs/evaluation.md,
+/* Statistics of rays through a surface, as rows of a table and of JSON (lab/EVALUATION.md,
  * "Surfaces").
  *
  * SPDX-License-Identifier: Apache-2.0

@@ -36,7 +36,7 @@ struct scene { /* {0} is empty */
     struct geo_origin origin;
     double scale, rot[9], trans[3]; /* COLMAP -> ENU: y = scale * rot * x + trans */
     char heights[HEIGHTS_MAX];      /* reference of heights: core/heights.h */
-    /* fitted offset of GPS altitudes, stored separately, see docs/conventions.md */
+    /* fitted offset of GPS altitudes, stored separately, see docs/architecture.md */
     double vertical_offset_m;
     struct scene_image *images;
     size_t n_images;

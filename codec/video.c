@@ -9,7 +9,7 @@
 #include <vpx/vpx_encoder.h>
 #endif
 
-/* Measured: docs/decisions/082-video.md. */
+/* Measured: docs/decisions/027-streams.md. */
 #define VIDEO_ROOM_FIXED ((size_t)20 << 20)
 enum { VIDEO_ROOM_PIXEL = 76 };
 

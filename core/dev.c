@@ -7,7 +7,7 @@
  *
  * PoCL compiles kernels to its cache folder. If it cannot write there it fails late and without a
  * clear message, so the folder is checked before the first OpenCL call. Its cache still parses the
- * source at every start, so programs are kept as binaries too (docs/decisions/091-programs.md).
+ * source at every start, so programs are kept as binaries too (docs/decisions/003-build.md).
  * PoCL's worker threads do not survive fork().
  *
  * SPDX-License-Identifier: Apache-2.0

@@ -1,6 +1,6 @@
 /* The surveyed ground of a store.
  *
- * A store that was tiled with its footprint (docs/footprint.md) contains it: the ground that the
+ * A store that was tiled with its footprint (docs/scale.md) contains it: the ground that the
  * photographs support. In any other store it is the ground of the finest tiles, except tiles whose
  * Gaussians are much coarser than usual. Training leaves a few large Gaussians far outside a city,
  * for the background of photographs; their tiles were not surveyed.

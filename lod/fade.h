@@ -1,10 +1,10 @@
 /* Cross-fade between levels: the tiles of a frame and their shares of opacity, while some tiles
  * replace others.
  *
- * New tiles become opaque while old ones fade (docs/decisions/052-cross-fade.md gives the reasons).
- * There is one fade at a time. Tiles wanted during a fade wait for its end, unless nothing is drawn
- * in their place. The viewer uses the same curve and rule (web/src/fade.ts).
- * tests/vectors/fade.json tests both.
+ * New tiles become opaque while old ones fade
+ * (docs/decisions/038-viewer-loading-and-light.md gives the reasons). There is one fade at a time.
+ * Tiles wanted during a fade wait for its end, unless nothing is drawn in their place. The viewer
+ * uses the same curve and rule (web/src/fade.ts). tests/vectors/fade.json tests both.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

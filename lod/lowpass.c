@@ -10,7 +10,7 @@
 #include "lod/store.h"
 #include "lod/tree.h"
 
-/* Measured in decision 096. */
+/* Measured in docs/decisions/021-low-pass.md. */
 #define LOWPASS_PX2 0.4   /* added to variances, in square pixels; our renderers add 0.3 */
 #define LOWPASS_FAINT 1.2 /* power of the ratio of areas: cities are seen aslant */
 #define LOWPASS_LEAF 0.55 /* pixel of a leaf's low-pass form, in its median sigma */

@@ -3,7 +3,7 @@
  * A renderer needs such a filter where Gaussians are smaller than a pixel. Ours widens each
  * Gaussian in the picture and makes it fainter. CesiumJS does not; it also drops the smallest. So
  * the tiles that a tileset names have the filter built in, for the smallest pixels at which a
- * client shows them (docs/decisions/096-low-pass.md).
+ * client shows them (docs/decisions/021-low-pass.md).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

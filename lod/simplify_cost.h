@@ -11,7 +11,7 @@
 /* Splats that overlap hide a part of each other, so a pair covers less than the sum of both. This
  * is the share of the hidden part that a merger loses. 1: the merger covers as much as the pair
  * alone, and layers of many splats become thinner. 0: it covers the sum, as if splats never
- * overlapped, and layers become thicker. docs/decisions/007-pyramid.md shows pictures for 1/2. */
+ * overlapped, and layers become thicker. docs/decisions/019-tiles.md shows pictures for 1/2. */
 #define SIMPLIFY_HIDDEN_SHARE 0.5
 /* A colour step of 0.2 costs as much as means one sigma apart, by half its square. */
 #define SIMPLIFY_COLOR_WEIGHT 4.0f

@@ -59,7 +59,8 @@ struct store_meta {
     char attribution[256];
     char heights[HEIGHTS_MAX]; /* reference of heights: core/heights.h; "": the ellipsoid */
     /* of level l at [l - 1]: a pixel, on the ground, of the photographs that trained it; 0: not
-     * known. Errors are at most 16 STORE_PIXEL_SHARE of it (docs/decisions/113-own-pixels.md) */
+     * known. Errors are at most 16 STORE_PIXEL_SHARE of it
+     * (docs/decisions/020-level-selection.md) */
     double pixel_m[STORE_LEVEL_MAX];
     char revision
         [13]; /* by store_commit: hash of tiles, blobs, name, origin, attribution, 12 hex digits */
@@ -162,7 +163,7 @@ enum err_code store_name_tile(const struct store *s, const struct store_tile *t,
  */
 enum err_code store_get_blob(struct store *s, const char *name, struct buf *out,
                              struct err *e) ERR_USE;
-/* The ground that the photographs support (docs/footprint.md), as a GeoJSON Feature in one line.
+/* The ground that the photographs support (docs/scale.md), as a GeoJSON Feature in one line.
  * NULL: none was stored. Borrowed until store_close. */
 #define STORE_FOOTPRINT "footprint" /* name of its blob */
 const char *store_footprint(const struct store *s);

@@ -12,7 +12,7 @@
 #include "core/pool.h"
 
 /* Lengths are in sizes of the usual Gaussian, but not of less than half a pixel: coarser Gaussians
- * are drawn where pixels are larger. What they were chosen for: docs/decisions/061-one-surface.md.
+ * are drawn where pixels are larger. What they were chosen for: docs/decisions/028-surface.md.
  */
 static const double surface_least_sigma_px = 0.5;
 static const double surface_reach = 1.15;      /* of the window */
@@ -26,7 +26,7 @@ static const double surface_step = 1.5;        /* what differs by more around a 
 static const double surface_edge_share = 0.33; /* of its height, beyond that, is uncertain */
 /* Of a pixel at which so many of the five agree. */
 static const double surface_few[NADIR_WAYS + 2] = {0, 1, 0.36, 0.08, 0, 0};
-/* Of a place that so many photographs see, 0 to SEEN_VIEWS_MAX: decision 104. */
+/* Of a place that so many photographs see, 0 to SEEN_VIEWS_MAX: docs/decisions/028-surface.md. */
 static const double surface_seen[SEEN_VIEWS_MAX + 1] = {1.5,  0.8,  0.47, 0.38, 0.2,
                                                         0.15, 0.08, 0.06, 0};
 static const float surface_color = 0.15f; /* standard deviation of colours that weigh alike */

@@ -1,5 +1,5 @@
 /* The surface of a store as a height field with uncertainty. Maps, contour lines, points, questions
- * about heights and comparisons use it. docs/decisions/061-one-surface.md gives the reasons for
+ * about heights and comparisons use it. docs/decisions/028-surface.md gives the reasons for
  * each step.
  *
  * One ray a pixel is noisy where Gaussians are half transparent. Each pixel is therefore seen five

@@ -20,12 +20,12 @@
 
 #define VIEW_CACHE_BYTES ((size_t)1 << 30)
 /* Below this many pixels of their largest sigmas in the mean, Gaussians tile surfaces; photographs
- * show them at 1.7 and more (decision 050). */
+ * show them at 1.7 and more (docs/decisions/021-low-pass.md). */
 #define VIEW_SMALL_PX 1.6
-/* Tile lists of a moving camera (decision 121). They get room where the picture moved by at most
- * VIEW_STEP_MOST_PX since the last one. They are used until it has moved by more than the room and
- * VIEW_BEYOND_PX. Movement is that of things at a near depth: VIEW_NEAR of the splats are nearer,
- * and move more. */
+/* Tile lists of a moving camera (docs/decisions/027-streams.md). They get room where the picture
+ * moved by at most VIEW_STEP_MOST_PX since the last one. They are used until it has moved by more
+ * than the room and VIEW_BEYOND_PX. Movement is that of things at a near depth: VIEW_NEAR of the
+ * splats are nearer, and move more. */
 #define VIEW_STEP_MOST_PX 4.0
 #define VIEW_ROOM_PX 2.0
 #define VIEW_BEYOND_PX 2.0

@@ -67,7 +67,7 @@ enum err_code view_render(struct view *v, const struct camera *cam, const struct
 /* As view_render, for the pictures of a camera that moves: where nothing has moved by more than a
  * few pixels since, tiles, depth order and tile lists are those of an earlier picture, which takes
  * 0.6 to 0.9 of the time. The picture is then not quite the same as view_render's
- * (docs/decisions/121-moving.md). Other pictures of this view or its renderer in between only cost
+ * (docs/decisions/027-streams.md). Other pictures of this view or its renderer in between only cost
  * time. Errors as there: ERR_ARG, ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_DEVICE, ERR_CANCEL, ERR_MEM.
  */
 enum err_code view_render_moving(struct view *v, const struct camera *cam,

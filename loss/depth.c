@@ -9,7 +9,7 @@
  * derivative that ignores the cut; the picture is the same within 1 / 255.
  *
  * It owns its kernels, the copy (56 bytes a Gaussian) and its gradients (as much). The frame of the
- * colours must be drawn afterwards, because this one replaces it. Equations: docs/regularizers.md.
+ * colours must be drawn afterwards, because this one replaces it. Equations: docs/training.md.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
 /* LPIPS: learned perceptual distance between a drawing and a photograph. The user supplies the
- * weights (docs/evaluation.md).
+ * weights (lab/EVALUATION.md).
  *
  * It compares features of VGG16 (after relu1_2, 2_2, 3_3, 4_3, 5_3) or AlexNet (after its five
  * relus). Features are normalised over channels. Squared differences are weighted by channel,

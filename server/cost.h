@@ -16,7 +16,7 @@ struct cost { /* {0} is valid; the caller holds the lock */
 /* Milliseconds for work of a kind that would take expected_ms on the machine that the formulas were
  * fitted to. */
 double cost_predict(const struct cost *c, unsigned kind, double expected_ms);
-/* Learns that such work took took_ms. */
+/* Learns from work of this kind that was expected to take expected_ms, and took took_ms. */
 void cost_learn(struct cost *c, unsigned kind, double expected_ms, double took_ms);
 
 #endif

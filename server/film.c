@@ -13,7 +13,7 @@
 #include "codec/video.h"
 
 enum {
-    FILM_FINEST = 22, /* at JPEG_FINEST; equal SSIM: docs/decisions/082-video.md */
+    FILM_FINEST = 22, /* at JPEG_FINEST; equal SSIM: docs/decisions/027-streams.md */
     FILM_COARSEST = 54,
     FILM_JPEG_FINEST = 60,
     FILM_STEPS = 13, /* of sizes */

@@ -10,7 +10,7 @@
 #include <string.h>
 
 enum { MEMORY_MB = 1 << 20, MEMORY_SLOTS = 4, MEMORY_CONNECTIONS_MIN = 64 };
-/* Measured (docs/serving_tests.md, docs/sizing.md). */
+/* Measured (lab/SERVING.md, docs/scale.md). */
 #define MEMORY_THREADS ((size_t)8 * MEMORY_MB)   /* stacks, buffers of sockets, log */
 #define MEMORY_DRAWING ((size_t)110 * MEMORY_MB) /* OpenCL by PoCL, kernels, libraries */
 #define MEMORY_CONNECTION ((size_t)20 << 10)     /* an idle one */

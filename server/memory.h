@@ -1,7 +1,7 @@
 /* The memory of the server: how the one number --memory (core/machine.h) is shared out.
  *
  * The budget counts memory that the system cannot drop: anonymous pages of both processes. Pages of
- * the program's file and its libraries come in addition, as far as they are used (docs/sizing.md).
+ * the program's file and its libraries come in addition, as far as they are used (docs/scale.md).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,7 +1,8 @@
 /* libmicrohttpd's responses. Making one takes forty allocations for a dozen header fields, as much
  * work as all else for a tile from memory. But a response may be sent many times, by any thread.
- * Frequent ones are therefore kept (decision 040), in a table with one place for each address of
- * bytes. A response takes a place if it comes twice while the present one does not.
+ * Frequent ones are therefore kept (docs/decisions/034-caches.md), in a table with one place for
+ * each address of bytes. A response takes a place if it comes twice while the present one does
+ * not.
  *
  * A kept response only points to the bytes. It is sent for an answer with the same bytes, size and
  * header fields. That answer's own reference keeps the body alive. The table keeps nothing alive,

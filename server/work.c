@@ -271,8 +271,8 @@ size_t work_room(const struct work *w)
     }
 }
 
-/* The formulas of docs/sizing.md for drawing a usual picture of 300,000 Gaussians, those of
- * docs/benchmarks.md for encoding. What they miss is learned: for each kind of question, each
+/* The formulas of docs/scale.md for drawing a usual picture of 300,000 Gaussians, those of
+ * lab/BENCHMARKS.md for encoding. What they miss is learned: for each kind of question, each
  * format of tiles, and what polygons cut, apart from the rest. */
 double work_cost(const void *work, unsigned *kind)
 {

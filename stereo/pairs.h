@@ -5,7 +5,7 @@
  * ground, a0 = 12 degrees, s = 4 degrees below and 10 above (after Yao et al. 2018, MVSNet). A part
  * that chosen neighbours show with weights of sum c counts (1 + c)^-8 for the next one. Otherwise
  * corners of a picture at the rim of the survey, which few photographs show, had no neighbour
- * (docs/decisions/100-neighbours-cover.md).
+ * (docs/decisions/007-stereo.md).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -10,9 +10,9 @@
 # `citysplat-study chart docs/runs -o docs/charts --markdown docs/studies/STUDY.md`; docs/studies/README.md has all of them.
 #
 # Environment:
-#   CITYSPLAT_CALITERRA   folder with images/ and sparse/ of the caliterra survey (docs/caliterra.md); without it
+#   CITYSPLAT_CALITERRA   folder with images/ and sparse/ of the caliterra survey (docs/tutorial.md); without it
 #                         the studies on photographs are skipped, those on the procedural city are not
-#   CITYSPLAT_OCHOTA      the same of the ochota survey (docs/exposure.md)
+#   CITYSPLAT_OCHOTA      the same of the ochota survey (docs/photographs.md)
 #   STUDY_STEPS           steps of every training, for a trial; as stated if not given, and pages take nothing shorter
 #   STUDY_SEEDS           the seeds to run of those stated, "1 2"; all if not given
 #   STUDY_ROWS            the rows to run of the studies on solid surfaces, "stereo off"; all if not given

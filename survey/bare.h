@@ -5,7 +5,7 @@
  * remove what is narrower than the square. A cell that an opening lowers by more than the ground
  * can rise over the square is not ground, unless a gentle slope connects it with ground. Cells that
  * are not ground are filled between the ground around them (Laplace's equation).
- * docs/decisions/064-bare-earth.md gives the reasons.
+ * docs/decisions/030-terrain-and-survey-files.md gives the reasons.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -10,7 +10,7 @@
  * uncertain. A region counts if its volume exceeds CHANGED_SIGMAS standard deviations, and if at
  * least CHANGED_MOST of its pixels differ by more than CHANGED_FIRM of those of a level place:
  * where few photographs look, one pixel in forty errs by three.
- * docs/decisions/063-changes.md has the reasons.
+ * docs/decisions/029-changes.md has the reasons.
  *
  * Errors of neighbouring pixels are alike. The size of a patch of such pixels is measured on ground
  * that did not change; a volume's variance is that of its pixels times the pixels of a patch

@@ -227,7 +227,7 @@ bool synth_model_sees(const struct synth_city *c, const struct lens *lens, const
 /* ---- synth_views.c ---- */
 
 /* Writes ground truth at poses that are usual in maps into the existing folder dir
- * (docs/evaluation.md, "Map views"):
+ * (lab/EVALUATION.md, "Map views"):
  *
  *     views.json              manifest: the kind of each view, and COLMAP -> ENU
  *     NAME.json               camera, as for `citysplat render --camera`; ENU

@@ -62,7 +62,7 @@ const char *kit_program(void);
 bool kit_digest(int argc, char **argv, void (*digest)(char out[33]));
 void kit_same_bits(void (*digest)(char out[33]));
 
-/* Prints a measured number for a failure of docs/stability.md as one line on stdout: "stability F22
+/* Prints a measured number for a failure of lab/STABILITY.md as one line on stdout: "stability F22
  * worst_drop_db=0.31 limit=1.50". Fields are name=value. tests/stability/collect.sh collects them.
  */
 void kit_figure(const char *row, const char *fmt, ...) ERR_PRINTF(2, 3);

@@ -47,7 +47,7 @@ static const struct run {
     {"ochota", {105, 15, 400, 300, true}, 3, 3000, {409600, 819200, 2048000}, 128.2, 0, 344024},
     {"demo", {72, 11, 480, 360, true}, 3, 3000, {40000, 80000, 160000}, 87.8, 0, 144700},
 };
-#define LIMIT 0.25 /* of what was recorded: docs/sizing.md promises it */
+#define LIMIT 0.25 /* of what was recorded: docs/scale.md promises it */
 
 static void recorded_trainings_are_forecast(void **state)
 {

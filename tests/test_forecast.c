@@ -97,7 +97,7 @@ static void a_recorded_run_is_forecast_within_a_fifth(void **state)
 }
 
 /* Where a step moves those in the frustum alone, from 20,000 on, it is shorter by what whole runs
- * are: 0.91 of caliterra's (decision 107). Not with what moves all. */
+ * are: 0.91 of caliterra's (docs/decisions/010-deferred-steps.md). Not with what moves all. */
 static void a_step_in_the_frustum_is_shorter(void **state)
 {
     (void)state;

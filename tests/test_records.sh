@@ -10,7 +10,7 @@ cd "$(dirname "$0")/.." || exit 1
 work=$(mktemp -d "${TMPDIR:-/tmp}/citysplat-records-XXXXXX") || exit 1
 trap 'rm -rf "$work"' EXIT
 failed=0
-for page in docs/benchmarks.md docs/studies; do
+for page in lab/BENCHMARKS.md docs/studies; do
     "$study" chart docs/runs -o docs/charts --check --markdown "$page" -q >"$work/log" 2>&1 || { cat "$work/log"; failed=1; }
 done
 

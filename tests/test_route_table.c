@@ -8,7 +8,7 @@
 
 /* ---- a route of a test's own ---- */
 
-/* One row and one function: docs/recipes.md shows these. */
+/* One row and one function: docs/architecture.md shows these. */
 static void answer_squares(struct services *s, const struct request *r, struct dataset *d,
                            const struct target *asked, struct response *out)
 {

@@ -364,7 +364,7 @@ static void a_city_from_its_photographs(void **state)
     struct city_score s = city_score("scene/depth"), edges = city_score("edges"),
                       two = city_score("two");
     /* 59 % known, 3.5 % of these off by more than 2 %, when this was written; photographs of 480 px
-     * have 1.1 % (decision 069) */
+     * have 1.1 % (docs/decisions/007-stereo.md) */
     if (s.known < s.truth / 3 || s.far > s.known / 20 || s.close < s.known * 3 / 4)
         fail_msg("of %zu pixels %zu are known, %zu off by more than 2 %%, %zu within 0.5 %%",
                  s.truth, s.known, s.far, s.close);

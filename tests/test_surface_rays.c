@@ -1,4 +1,4 @@
-/* Measures of a surface: geometry whose figures are known by hand (docs/evaluation.md, "Surfaces").
+/* Measures of a surface: geometry whose figures are known by hand (lab/EVALUATION.md, "Surfaces").
  *
  * SPDX-License-Identifier: Apache-2.0
  */

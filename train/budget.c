@@ -3,7 +3,7 @@
  * A level with more Gaussians than its photographs can distinguish fits their noise and their wrong
  * poses. On 65 aerial photographs of 400 x 300 px, 7000 steps reach 33.7 dB with 240 k Gaussians.
  * With the 770 k that gradients alone ask for, they reach 32.3 dB in twice the time
- * (docs/decisions/006-density-control.md).
+ * (docs/decisions/011-density-control.md).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -3,11 +3,11 @@
  * It gives all cells the same start in two respects:
  *
  * - The appearance network and its photographs. A colour can be explained by the Gaussian or by the
- *   photograph, and each cell would choose differently (docs/decisions/005-shared-appearance.md).
+ *   photograph, and each cell would choose differently (docs/decisions/017-appearance.md).
  * - With --coarse-start, the first Gaussians, also those around the cell that its photographs show
- *   (docs/decisions/053-coarse-start.md).
+ *   (docs/decisions/008-cells.md).
  *
- * The result is cells/coarse/level1.ckpt, which is also its done-file.
+ * The result is cells/coarse/level1.ckpt. The coarse model is complete when this file exists.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -27,7 +27,7 @@
 #include "train/stage.h"
 #include "train/timing.h"
 
-#define DENSIFY_SHARE_MIN 1e-3 /* of the Gaussians; see docs/decisions/006-density-control.md */
+#define DENSIFY_SHARE_MIN 1e-3 /* of the Gaussians; see docs/decisions/011-density-control.md */
 #define DENSIFY_SHARE_MAX 0.98
 /* Spacings of the budget's Gaussians, laid out on a grid over the cell: what is smaller than this
  * is never removed for its size. Below about one spacing the ground cannot be covered, and then

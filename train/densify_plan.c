@@ -353,7 +353,8 @@ static enum err_code densify_cut_order(const struct densify_input *in, struct de
 }
 
 /* What sticks out is halved first, in a part of the room: there is a next time. Where that is not
- * room enough, those go first that photographs want to move most (decision 103). */
+ * room enough, those go first that photographs want to move most
+ * (docs/decisions/018-sizes-and-harmonics.md). */
 static enum err_code densify_cut(const struct densify_params *p, const struct densify_input *in,
                                  struct densify_lists *w, size_t *taken, struct err *e)
 {

@@ -22,7 +22,7 @@
 #include "train/stage.h"
 
 /* Processor seconds of a unit of train/forecast.h, without and with known depths. Fitted to runs on
- * two cores with AVX-512 (docs/sizing.md). */
+ * two cores with AVX-512 (docs/scale.md). */
 static const double unit_s = 1.01e-7, unit_known_s = 1.18e-7;
 static const double program_bytes = 0.15e9; /* of the program and its OpenCL compiler */
 static const double ckpt_bytes = 236;       /* of a Gaussian in a level's checkpoint */

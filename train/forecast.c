@@ -17,7 +17,7 @@
 #define FORECAST_STEP 25e3 /* launches and waiting, whatever is drawn */
 #define FORECAST_PIXEL 1.1 /* of a step's photograph */
 /* A Gaussian where a step moves those in the frustum alone: makes whole runs 0.91 and 0.92 of as
- * long, as they are (docs/decisions/107-deferred-sooner.md). */
+ * long, as they are (docs/decisions/010-deferred-steps.md). */
 #define FORECAST_SEEN 0.86
 #define FORECAST_DRAW 0.5        /* of a step: drawing a photograph for pruning */
 #define FORECAST_IMPORTANCE 0.35 /* of a step: drawing half a photograph for importance */

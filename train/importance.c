@@ -103,7 +103,8 @@ void importance_halve_mask(const uint8_t *mask, uint32_t w, uint32_t h, uint8_t 
 }
 
 /* What Gaussians add to a photograph of half the edges says as much of their order, in a quarter of
- * the pixels (decision 117). Small ones stay. A last odd row or column is left out. */
+ * the pixels (docs/decisions/012-importance-and-pruning.md). Small ones stay. A last odd row or
+ * column is left out. */
 static enum err_code importance_photo(struct importance *s, struct photo *p, struct err *e)
 {
     const uint32_t w = p->cam.width_px, h = p->cam.height_px;

@@ -1,4 +1,4 @@
-/* Memory for training a cell, as a function of Gaussians, pictures and options. docs/cells.md
+/* Memory for training a cell, as a function of Gaussians, pictures and options. docs/scale.md
  * states the formula, and the test stability_cells checks it. A new buffer in training must be
  * added here.
  *

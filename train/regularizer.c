@@ -84,7 +84,7 @@ static enum err_code regularizer_clear(struct regularizer *r, const struct model
 
 /* Supported ground has the limit. Gaussians are flat well inside of it. At the rim few photographs
  * see a place, and all from one side: there flat Gaussians lie level, or they would stand askew
- * (docs/decisions/099-level-rim.md). */
+ * (docs/decisions/015-solid-surfaces.md). */
 static enum err_code regularizer_parts(struct regularizer *r, const struct train_config *c,
                                        const struct site *site, struct err *e)
 {

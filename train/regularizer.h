@@ -1,5 +1,5 @@
 /* Internal to train/: regularizers, the terms of the loss that do not compare colours with the
- * photograph. Equations, sources and measurements: docs/regularizers.md.
+ * photograph. Equations, sources and measurements: docs/training.md.
  *
  * regularizer_step runs before the step's colours are drawn. It writes the gradients of mean, size,
  * rotation and opacity into one buffer. The fused backward pass adds that buffer to its own

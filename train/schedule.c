@@ -24,7 +24,7 @@ enum { SCHEDULE_STEPS_MAX = 1 << 30 };
 
 /* Steps of the levels as published, coarsest first. */
 static const int64_t schedule_published[TRAIN_LEVELS_MAX] = {15000, 15000, 30000};
-/* --iterations when nothing is asked for: docs/decisions/116-default-length.md. */
+/* --iterations when nothing is asked for: docs/decisions/013-rates-and-length.md. */
 static const int64_t schedule_default[TRAIN_LEVELS_MAX] = {1750, 1750, 3500};
 
 /* Half up, as counts are rounded everywhere here. */
@@ -149,7 +149,7 @@ static double schedule_budget_factor(const struct cell *cell)
 
 /* A run of a part kappa of the full length has fewer steps to get anywhere in and takes larger
  * ones: kappa^-0.4 times the published rates of positions, sizes and rotations, at most `most`
- * times. Measured at 1/20 (docs/decisions/044-short-runs.md). */
+ * times. Measured at 1/20 (docs/decisions/013-rates-and-length.md). */
 #define SCHEDULE_LR_EXPONENT 0.4
 /* Thinnings, and the parts of the steps after densification that they stand at the ends of. */
 enum { SCHEDULE_THIN_PARTS = 6, SCHEDULE_THINNINGS = 3 };

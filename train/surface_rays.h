@@ -1,4 +1,4 @@
-/* Solidity and errors of a surface: statistics of rays through it (docs/evaluation.md, "Surfaces").
+/* Solidity and errors of a surface: statistics of rays through it (lab/EVALUATION.md, "Surfaces").
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# hosts.sh: the recipes of docs/cells.md for hosts without a scheduler, GNU parallel and ssh alone, word by word from the
+# hosts.sh: the recipes of docs/scale.md for hosts without a scheduler, GNU parallel and ssh alone, word by word from the
 # page. Two hosts are an ssh server on this one.
 #
 # SPDX-License-Identifier: Apache-2.0
@@ -12,7 +12,7 @@ need parallel parallel
 trap 'kill ${server:-} 2>/dev/null; wait; rm -rf "$work"' EXIT
 
 recipe() { # HEADING: the commands that stand under it
-    awk -v heading="### $1" '$0 == heading { on = 1; next } /^##/ { on = 0 } on && /^```/ { code = !code; next } on && code' "$root/docs/cells.md"
+    awk -v heading="### $1" '$0 == heading { on = 1; next } /^##/ { on = 0 } on && /^```/ { code = !code; next } on && code' "$root/docs/scale.md"
 }
 
 # ---- two hosts ----

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Runs the tests of docs/stability.md and puts the figures they print into its last section.
+# Runs the tests of lab/STABILITY.md and puts the figures they print into its last section.
 #
 #   tests/stability/collect.sh [BUILD] [all]     BUILD: build/release if not given; all: also those labelled long
 #
@@ -14,7 +14,7 @@ if [ ! -f "$build/CTestTestfile.cmake" ]; then
     echo "collect.sh: $build holds no tests: build first (cmake --build --preset release), or name the folder" >&2
     exit 2
 fi
-page=docs/stability.md
+page=lab/STABILITY.md
 log=$(mktemp) || exit 1
 new=$(mktemp) || exit 1
 trap 'rm -f "$log" "$new"' EXIT

@@ -1,4 +1,4 @@
-/* One appearance for all cells: failure F9 of docs/stability.md, and the shared model that cells
+/* One appearance for all cells: failure F9 of lab/STABILITY.md, and the shared model that cells
  * ask for.
  *
  * SPDX-License-Identifier: Apache-2.0

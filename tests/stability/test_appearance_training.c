@@ -1,4 +1,4 @@
-/* Appearance in training: failures F6, F7 and F8 of docs/stability.md, pruning and budgets in each
+/* Appearance in training: failures F6, F7 and F8 of lab/STABILITY.md, pruning and budgets in each
  * photograph's own appearance, and that a run with appearance can be interrupted.
  *
  * SPDX-License-Identifier: Apache-2.0

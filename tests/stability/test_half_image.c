@@ -1,4 +1,4 @@
-/* Scores by half images: failure F31 of docs/stability.md.
+/* Scores by half images: failure F31 of lab/STABILITY.md.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -439,7 +439,7 @@ static void floaters_fade(void **state)
     off_before = largest_component(&g);
     for (int i = 0; i < F5_RUNS; i++) {
         struct train_config c = plain_config(&a, F5_STEPS);
-        c.lr_short = 1; /* the rates that the table in docs/regularizers.md was measured at */
+        c.lr_short = 1; /* the rates that the table in docs/training.md was measured at */
         c.lr_mean *= 2;
         c.lr_scale *= 2;
         c.lr_quat *= 2;

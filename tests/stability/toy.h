@@ -3,7 +3,7 @@
  *
  * The toy is a patch of ground with seeded Gaussians, photographed from above by cameras on rings.
  * Photographs are drawn by the double-precision reference, so that no kernel is tested against
- * itself. Failures F1 to F32 are those of docs/stability.md.
+ * itself. Failures F1 to F32 are those of lab/STABILITY.md.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
 // What CesiumJS 1.145 draws of a store as it is served, or as its tiles are, where geometric errors are multiplied by a factor,
-// against the server's picture: the figures of docs/decisions/073-geometric-error.md and 096-low-pass.md. It needs no browser: it
+// against the server's picture: the figures of docs/decisions/020-level-selection.md and 021-low-pass.md. It needs no browser: it
 // selects tiles as Cesium3DTileset does and draws them by the arithmetic of Cesium's PrimitiveGaussianSplatVS and -FS.
 //
 //   CITYSPLAT_BIN=... node tests/web/cesium_levels.mjs STORE [--half M] [--size WxH] [--factors 0.5,1,2] [--unfiltered] [--exported]
