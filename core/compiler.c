@@ -1,6 +1,6 @@
-/* Both ends of the conversation with citysplat-compiler: see compiler.h. A job is a number of texts,
- * each with its length before it: the device's name, the flags, the pieces of the source. The answer
- * is one byte, 'd' (done) or 'r' (refused), and the binary.
+/* Both ends of the conversation with citysplat-compiler: see compiler.h. A job is a number of
+ * texts, each with its length before it: the device's name, the flags, the pieces of the source.
+ * The answer is one byte, 'd' (done) or 'r' (refused), and the binary.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

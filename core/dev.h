@@ -56,9 +56,9 @@ struct dev_source {
 };
 /* dev_build compiles the sources in order, with core/layout.h before them and a #line before each.
  * `options` are added to the fixed ones (-cl-std=CL1.2 -cl-denorms-are-zero -DVW=...). On PoCL the
- * compiled program is kept on the disk for the next start, and compiling happens in a process of its
- * own, which may die without harm (core/compiler.h). On failure e has the whole build log. The caller
- * releases with clReleaseProgram and clReleaseKernel. ERR_DEVICE, ERR_MEM. */
+ * compiled program is kept on the disk for the next start, and another process compiles, which may
+ * die without harm (core/compiler.h). On failure e has the whole build log. The caller releases
+ * with clReleaseProgram and clReleaseKernel. ERR_DEVICE, ERR_MEM. */
 enum err_code dev_build(struct dev *d, const struct dev_source *sources, size_t n_sources,
                         const char *options, cl_program *out, struct err *e) ERR_USE;
 enum err_code dev_kernel(cl_program program, const char *name, cl_kernel *out,

@@ -220,9 +220,9 @@ const char *dev_method(const struct dev *d)
 
 /* Compiles in another process: see compiler.h. Where the driver dies of its usual method the next
  * one is tried, for this program and those that come after it. Our kernels are as fast with each:
- * they are made of vectors, and work-items of CPUs are whole pieces of work. *code is CL_SUCCESS and
- * the program NULL where it has to be compiled here: the source has errors, or there is no such
- * process. ERR_DEVICE: no method is left. */
+ * they are made of vectors, and a work-item of a CPU is a whole piece of work. Without an error
+ * `binary` may stay empty: the source has errors, or there is no such process; then it is compiled
+ * here. ERR_DEVICE: no method is left. */
 static enum err_code dev_compile_apart(struct dev *d, const struct compiler_job *job,
                                        const char *what, struct buf *binary, struct err *e)
 {

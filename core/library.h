@@ -21,7 +21,7 @@ struct library {
  * ERR_INTERNAL: it cannot be loaded, or is of another version. */
 enum err_code library_load(const struct library *l, const void **table, struct err *e) ERR_USE;
 
-/* The path of a file that lies beside the program or in its library folder. False: there is none. */
+/* The path of a file beside the program or in its library folder. False: there is none. */
 bool library_find(const char *file, char out[FILE_PATH_MAX]);
 
 #endif

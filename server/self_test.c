@@ -1,5 +1,5 @@
-/* A conversation with itself: see self_test.h. A sound request must be answered 200; a malformed one
- * gets one answer at most, which refuses it, and then the end of the connection.
+/* A conversation with itself: see self_test.h. A sound request must be answered 200. A malformed
+ * one gets one answer at most, which refuses it, and then the end of the connection.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
