@@ -23,6 +23,7 @@
  * address space with its qualifiers, such as const __global. */
 typedef float16 layout_float16 __attribute__((aligned(4)));
 typedef uint16 layout_uint16 __attribute__((aligned(4)));
+typedef ushort16 layout_ushort16 __attribute__((aligned(2)));
 typedef uchar16 layout_uchar16 __attribute__((aligned(1)));
 #define LAYOUT_WIDE(space, type, p) (*(space layout_##type##16 *)(p))
 #endif

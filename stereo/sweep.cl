@@ -20,8 +20,8 @@
 
 #if VW == 16
 typedef ushort16 S;
-#define LOAD(p) vload16(0, p)
-#define STORE(x, p) vstore16(x, 0, p)
+#define LOAD(p) LAYOUT_WIDE(const __private, float, p)
+#define STORE(x, p) LAYOUT_WIDE(__private, float, p) = (x)
 #define TO_S convert_ushort16
 #define TO_BYTE convert_uchar16
 #else
@@ -35,12 +35,8 @@ typedef ushort S;
 INLINE VU take(__global const uint *p, VI at)
 {
 #if VW == 16
-    int i[16];
-    uint v[16];
-    vstore16(at, 0, i);
-    for (int k = 0; k < 16; k++)
-        v[k] = p[i[k]];
-    return vload16(0, v);
+    return (VU)(p[at.s0], p[at.s1], p[at.s2], p[at.s3], p[at.s4], p[at.s5], p[at.s6], p[at.s7],
+                p[at.s8], p[at.s9], p[at.sa], p[at.sb], p[at.sc], p[at.sd], p[at.se], p[at.sf]);
 #else
     return p[at];
 #endif
@@ -246,7 +242,8 @@ __kernel void sweep_cost(__global const uchar *ref, __global const uint *quads,
         for (int y = 0; y < TILE_H && y0 + y < (int)height; y++)
             for (int x = 0; x < TILE_W && x0 + x < (int)width; x += VW) {
                 uchar c[VW];
-                STORE(TO_BYTE(tile_cost(&t, y * TILE_W + x, best) + 0.5f), c);
+                LAYOUT_WIDE(__private, uchar, c) =
+                    TO_BYTE(tile_cost(&t, y * TILE_W + x, best) + 0.5f);
                 size_t at = ((size_t)p * height + y0 + y) * width + x0 + x;
                 for (int i = 0; i < VW && x0 + x + i < (int)width; i++)
                     cost[at + i] = c[i];
@@ -406,6 +403,8 @@ __kernel void sweep_turn(__global const uchar *in, __global const uchar *walls,
 
 #if VW == 16
 
+#define COSTS(p) LAYOUT_WIDE(__private, ushort, p)
+
 INLINE ushort next_least(S x)
 {
     ushort8 a = min(x.lo, x.hi);
@@ -434,14 +433,14 @@ __kernel void sweep_path(__global const uchar *cost, __global const uchar *ref, 
         ushort jump = (ushort)((float)jump_low + (float)(jump_high - jump_low) / (1.0f + change));
         grey = ref[at];
         S most = (S)((ushort)(least + jump)), less = (S)(least), next = (S)((ushort)60000);
-        S left = LOAD(before + VW - 1), step_cost = (S)((ushort)STEP_COST);
+        S left = COSTS(before + VW - 1), step_cost = (S)((ushort)STEP_COST);
         for (int p = 0; p < PLANES; p += VW) {
-            S mid = LOAD(before + VW + p), right = LOAD(before + VW + p + 1);
+            S mid = COSTS(before + VW + p), right = COSTS(before + VW + p + 1);
             S m = min(min(mid, most), (S)(min(left, right) + step_cost));
-            S v = (S)(m - less + TO_S(LOAD(c + p)));
-            left = LOAD(before + VW + p + VW - 1);
-            STORE(v, before + VW + p);
-            STORE((S)(LOAD(s + p) + v), s + p);
+            S v = (S)(m - less + TO_S(LAYOUT_WIDE(const __global, uchar, c + p)));
+            left = COSTS(before + VW + p + VW - 1);
+            COSTS(before + VW + p) = v;
+            LAYOUT_WIDE(__global, ushort, s + p) += v;
             next = min(next, v);
         }
         least = next_least(next);
