@@ -18,49 +18,22 @@
 #include "server/right.h"
 #include "server/target_query.h"
 
-/* What a camera needs on its way; *out NULL where the target names none. False, with the problem
- * set, where it makes no sense. */
-static bool answer_dataset_course(const struct target *t, struct course **out, struct response *res)
-{
-    struct err e = {0};
-    *out = NULL;
-    if (!t->course.path.p)
-        return true;
-    if (!(*out = mem_array(1, sizeof **out))) {
-        response_no_memory(res);
-        return false;
-    }
-    enum err_code rc = course_read(&t->course, *out, &e);
-    if (!rc)
-        return true;
-    mem_free(*out);
-    *out = NULL;
-    response_problem(res, rc == ERR_DATA ? 422 : 400, e.msg);
-    return false;
-}
-
 void answer_dataset_seed(struct services *s, const struct request *r, struct dataset *d,
                          const struct target *t, struct response *out)
 {
     struct form form = encode_form(s->cfg, &d->meta, &t->form);
     struct appearance_choice choice;
-    struct course *c = NULL;
-    if (!answer_appearance_find_tile(s, d, t->appearance, &choice, out) ||
-        !answer_dataset_course(t, &c, out))
+    if (!answer_appearance_find_tile(s, d, t->appearance, &choice, out))
         return;
     form.trained = choice.trained;
-    struct hash128 id = result_id_seed(d, t, c, form);
+    struct hash128 id = result_id_seed(d, t, form);
     out->type = "application/x-ndjson";
     struct work *w =
         response_made(s, r, id, out) ? response_work(d, WORK_SEED, id, form, out) : NULL;
-    if (!w) {
-        mem_free(c);
+    if (!w)
         return;
-    }
     w->target = *t;
-    w->target.course.path.p = NULL; /* borrowed */
     w->appearance = choice;
-    w->course = c;
 }
 
 /* The plain one is made when a dataset is opened; one that asks for its tiles with a query is a

@@ -142,7 +142,7 @@
                  " above (the surface)'}")                                                         \
     X("SeedLine", "{'type':'object','properties':{'url':" OPENAPI_TEXT ",'etag':" OPENAPI_TEXT     \
                   ",'gaussians':" OPENAPI_INTEGER ",'bytes':" OPENAPI_INTEGER                      \
-                  ",'at_s':" OPENAPI_NUMBER ",'next':" OPENAPI_TEXT "}}")                          \
+                  ",'next':" OPENAPI_TEXT "}}")                                                    \
     X("State",                                                                                     \
       "{'type':'object','required':['status'],'properties':{'status':{'type':'string','enum':"     \
       "['ok','ready','degraded']},'failed':{'type':'object','additionalProperties'"                \

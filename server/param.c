@@ -273,19 +273,6 @@ static enum err_code param_own_zooms(struct text *one, struct target *out, struc
     return ERR_OK;
 }
 
-static enum err_code param_own_size(struct text *one, struct target *out, struct err *e)
-{
-    enum { SIDE_MAX = 16384 };
-    uint32_t w, h;
-    if (!text_take_uint(one, &w) || !text_take(one, "x") || !text_take_uint(one, &h))
-        return ERR_NOENT;
-    if (!w || !h || w > SIDE_MAX || h > SIDE_MAX)
-        return err_set(e, ERR_DATA, "a side of size is 1 to %d pixels", SIDE_MAX);
-    out->course.width_px = w;
-    out->course.height_px = h;
-    return ERR_OK;
-}
-
 /* ---- pictures ---- */
 
 static enum err_code param_own_background(struct text *one, struct target *out, struct err *e)

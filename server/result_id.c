@@ -81,11 +81,10 @@ static void result_id_add_query(struct hash128 *id, const struct target *t)
     *id = hash_bytes(&name, sizeof name);
 }
 
-struct hash128 result_id_seed(const struct dataset *d, const struct target *t,
-                              const struct course *c, struct form form)
+struct hash128 result_id_seed(const struct dataset *d, const struct target *t, struct form form)
 {
     struct { /* no padding */
-        struct hash128 salt, course;
+        struct hash128 salt;
         char rev[16], edition[16];
         int32_t bbox_e7[4];
         uint32_t z_min, z_max, format, has_bbox, asked, preset, after, limit, moving, unused;
@@ -102,8 +101,6 @@ struct hash128 result_id_seed(const struct dataset *d, const struct target *t,
     memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
     memcpy(name.edition, d->edition, sizeof d->edition);
     memcpy(name.bbox_e7, t->bbox_e7, sizeof name.bbox_e7);
-    if (c)
-        name.course = hash_bytes(c, sizeof *c); /* made of zeros before it was read */
     struct hash128 id = hash_bytes(&name, sizeof name);
     result_id_add_query(&id, t);
     return id;

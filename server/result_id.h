@@ -11,7 +11,6 @@
 #include "lod/query.h"
 #include "server/appearance_api.h"
 #include "server/config.h"
-#include "server/course.h"
 #include "server/dataset.h"
 #include "server/map_tile.h"
 #include "server/target.h"
@@ -29,8 +28,7 @@ void result_id_tiles_edition(const struct dataset *d, unsigned preset, char out[
 /* The edition of a dataset's pictures and maps. */
 void result_id_pictures_edition(const struct dataset *d, const char *device, int quality,
                                 int supersample, double gaussians, char out[9]);
-struct hash128 result_id_seed(const struct dataset *d, const struct target *t,
-                              const struct course *c, struct form form); /* c: NULL: none */
+struct hash128 result_id_seed(const struct dataset *d, const struct target *t, struct form form);
 /* kept: hash of the named appearances */
 struct hash128 result_id_search(const struct dataset *d, const struct target *t,
                                 struct hash128 kept);

@@ -404,11 +404,6 @@ static enum err_code router_take(struct router_query *q, struct text one, struct
 static enum err_code router_agree(const struct router_query *q, struct target *out, struct err *e)
 {
     struct target_search *s = &out->search;
-    const struct target_course *c = &out->course;
-    if (!c->path.p && (c->width_px || c->fov_e3 || c->error_e3 || c->speed_e3 || c->horizon_e3))
-        return err_set(e, ERR_FORMAT,
-                       "size, fov, error, speed and horizon are those of a camera: path says "
-                       "where it is");
     if (out->route->query & QUERY_PLACE) {
         out->has_place = router_has(q, "lon");
         if (out->has_place != router_has(q, "lat"))

@@ -6,20 +6,18 @@
 #define SERVER_SEED_H
 
 #include "server/appearance_api.h"
-#include "server/course.h"
 #include "server/dataset.h"
 #include "server/target.h"
 
 struct crop_node;
 
 /* Appends a page of the tiles that t selects, most important first, as JSON lines, then the address
- * of the next page if there is one. c: NULL, or the path of a camera; tiles that it needs soonest
- * come first. left: what the polygon of t leaves of the tiles (lod/crop.h); NULL: all. form, a: for
- * entity tags; addresses have them if t does. ERR_MEM, ERR_ARG (a camera). */
-enum err_code seed_write(const struct dataset *d, const struct target *t, const struct course *c,
+ * of the next page if there is one. left: what the polygon of t leaves of the tiles (lod/crop.h);
+ * NULL: all. form, a: for entity tags; addresses have them if t does. ERR_MEM. */
+enum err_code seed_write(const struct dataset *d, const struct target *t,
                          const struct crop_node *left, struct form form,
                          const struct appearance_choice *a, struct buf *out, struct err *e) ERR_USE;
 /* Upper limit of the result's bytes. */
-size_t seed_room(const struct dataset *d, const struct target *t, const struct course *c);
+size_t seed_room(const struct dataset *d, const struct target *t);
 
 #endif

@@ -55,11 +55,6 @@ enum encoding {
     ENCODING_MAPBOX,   /* -10000 + 0.1 (65536 R + 256 G + B) metres */
     ENCODING_TERRARIUM /* -32768 + 256 R + G + B / 256 metres */
 };
-/* The path of a camera (course.h), in thousandths except for pixels; 0: not given. */
-struct target_course {
-    struct text path; /* borrowed from the target's text; p NULL: there is no camera */
-    uint32_t width_px, height_px, fov_e3, error_e3, speed_e3, horizon_e3;
-};
 /* A polygon that does not cross itself, in its only spelling, so that equal polygons are equal
  * bytes. */
 struct target_clip {
@@ -108,7 +103,6 @@ struct target {
     /* for seed and search: */
     uint8_t z_min, z_max;
     uint32_t after, limit; /* number of lines to skip, and largest number of lines */
-    struct target_course course;
     size_t path_size; /* bytes of the path, without the query */
 };
 

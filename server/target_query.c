@@ -39,23 +39,14 @@ static void target_query_measure(struct buf *out, const char *name, uint32_t val
         buf_printf(out, "%s%.3f", name, value_e3 / 1e3);
 }
 
-void target_query_seed(const struct target *t, const char *path, uint32_t after, struct buf *out)
+void target_query_seed(const struct target *t, uint32_t after, struct buf *out)
 {
-    const struct target_course *c = &t->course;
     char form[TARGET_QUERY_MAX];
     target_query_tiles(t, form);
     buf_printf(out, "%s%cf=%s&z=%u-%u", form, form[0] ? '&' : '?', format_ext(t->form.format),
                t->z_min, t->z_max);
     if (t->has_bbox)
         target_query_degrees(out, "&bbox=", t->bbox_e7, 4);
-    if (path)
-        buf_printf(out, "&path=%s", path);
-    if (c->width_px)
-        buf_printf(out, "&size=%ux%u", c->width_px, c->height_px);
-    target_query_measure(out, "&fov=", c->fov_e3);
-    target_query_measure(out, "&error=", c->error_e3);
-    target_query_measure(out, "&speed=", c->speed_e3);
-    target_query_measure(out, "&horizon=", c->horizon_e3);
     buf_printf(out, "&limit=%u&after=%u", t->limit, after);
 }
 

@@ -9,9 +9,8 @@
 
 /* Writes "?preset=NAME&sh=N&clip=C&appearance=A" with the parts that the target has, else "". */
 void target_query_tiles(const struct target *t, char out[TARGET_QUERY_MAX]);
-/* Writes the query of a prefetch list, "?...", for the page after so many lines. path: that of the
- * course, because the borrowed one may be gone; NULL: none. */
-void target_query_seed(const struct target *t, const char *path, uint32_t after, struct buf *out);
+/* Writes the query of a prefetch list, "?...", for the page after so many lines. */
+void target_query_seed(const struct target *t, uint32_t after, struct buf *out);
 /* Writes the query of a search, "?...", for the page after so many results. */
 void target_query_search(const struct target *t, uint32_t after, struct buf *out);
 

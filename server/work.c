@@ -156,7 +156,7 @@ static enum err_code work_make_seed(const struct work *w, struct buf *out, struc
     struct crop_node *left;
     enum err_code rc = work_crop(w, &left, e);
     if (!rc)
-        rc = seed_write(w->ds, &w->target, w->course, left, w->form, &w->appearance, out, e);
+        rc = seed_write(w->ds, &w->target, left, w->form, &w->appearance, out, e);
     mem_free(left);
     return rc;
 }
@@ -251,7 +251,7 @@ size_t work_room(const struct work *w)
     case WORK_QUERY:
         return HEAD + (size_t)MEASURE_SAMPLES_MAX * 160;
     case WORK_SEED:
-        return HEAD + seed_room(w->ds, &w->target, w->course);
+        return HEAD + seed_room(w->ds, &w->target);
     case WORK_TILESET:
         return HEAD + w->ds->n_tiles * (TILESET_ROW + 2 * work_query_bytes(w));
     case WORK_TILEJSON:
@@ -472,7 +472,6 @@ void work_drop(void *services, void *work)
     dataset_drop(&w->ds);
     film_drop(&w->film);
     mem_free(w->query);
-    mem_free(w->course);
     mem_free(w->public_url);
     kept_drop(&w->kept);
     if (w->change) {

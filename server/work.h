@@ -7,7 +7,6 @@
 
 #include "lod/key.h"
 #include "lod/query.h"
-#include "server/course.h"
 #include "server/film.h"
 #include "server/map_tile.h"
 #include "server/services.h"
@@ -47,7 +46,6 @@ struct work { /* freed with work_drop */
     struct map_tile map;        /* WORK_MAP */
     struct query *query;        /* WORK_QUERY, owned */
     char *public_url;           /* WORK_TILEJSON, owned; NULL: its addresses are relative */
-    struct course *course;      /* WORK_SEED, owned; NULL: no camera */
     struct kept_table *kept;    /* WORK_SEARCH: a reference; NULL: there are no named appearances */
     struct work_change *change; /* WORK_KEEP, owned */
     bool keep;                  /* keep the result in the cache */

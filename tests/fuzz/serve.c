@@ -16,7 +16,6 @@
 #include "server/auth.h"
 #include "server/cache_policy.h"
 #include "server/condition.h"
-#include "server/course.h"
 #include "server/describe.h"
 #include "server/guard.h"
 #include "server/kept_shared.h"
@@ -69,38 +68,6 @@ void fuzz_target(const uint8_t *bytes, size_t n)
     for (size_t i = 0; i < t.path_size; i++)
         assert(bytes[i] > 0x20 && bytes[i] < 0x7f && bytes[i] != '%' && bytes[i] != '"');
     assert(!router_read(routes, (const char *)bytes, n, &again, NULL) && again.route == t.route);
-}
-
-/* Where a camera goes, as a prefetch list's query says it: the first bytes are speed and horizon.
- */
-void fuzz_course(const uint8_t *bytes, size_t n)
-{
-    enum { HEAD = 4 };
-    struct target_course t = {0};
-    struct course c;
-    struct camera cam[COURSE_CAMERAS_MAX];
-    double at_s[COURSE_CAMERAS_MAX];
-    size_t n_cam = 0;
-    if (n < HEAD)
-        return;
-    t.speed_e3 = 100u + 997u * bytes[0];
-    t.horizon_e3 = 14000u * bytes[1];
-    t.fov_e3 = 1000u + 500u * bytes[2];
-    t.width_px = 1u + bytes[3];
-    char *path = serve_text(bytes + HEAD, n - HEAD);
-    t.path = (struct text){path, path + (n - HEAD)};
-    if (!course_read(&t, &c, NULL)) {
-        assert(c.n >= 1 && c.n <= COURSE_POSES_MAX);
-        if (!course_cameras(&c, &serve_origin, cam, at_s, &n_cam, NULL)) {
-            assert(n_cam >= 1 && n_cam <= COURSE_CAMERAS_MAX);
-            for (size_t i = 0; i < n_cam; i++) {
-                assert(isfinite(at_s[i]) && (!i || at_s[i] >= at_s[i - 1]));
-                for (size_t k = 0; k < 3; k++)
-                    assert(isfinite(cam[i].trans[k]));
-            }
-        }
-    }
-    mem_free(path);
 }
 
 /* ---- fields ---- */
@@ -297,13 +264,6 @@ bool fuzz_seed_serve(const char *target, size_t i, struct buf *out)
           "/d/toy/r/0123456789ab/static/13.4,52.5,150@10.5,-40,55,3/"
           "640x480@2x.png?background=sky&depth=cm",
           "/d/toy/seed.ndjson?bbox=1,2%2C3,4&z=12-16&f=plain.glb&exp=1&key=k&scope=/d/&sig=x"}},
-        {"course",
-         {"\1\1\1\1"
-          "8.68,50.11,260@10,-30;8.69,50.12,260.5@190.5,-90",
-          "\377\2\170\62"
-          "8.68,50.11,260@10,-30",
-          "\100\20\170\62"
-          "-180,85,0@0,0%3B179.9999999,-85,20000@360,90;0,0,0@-360,0"}},
         {"headers",
          {"GET / HTTP/1.1\r\nHost: a\r\nAccept: */*\r\nRange: bytes=0-1\r\n\r\n",
           "POST /d/toy/render HTTP/1.1\r\nHost: [::1]:80\r\nContent-Length: 2\r\n\r\n{}GET / "
