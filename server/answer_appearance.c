@@ -9,10 +9,9 @@
 
 #include "server/answer.h"
 #include "server/appearance_model.h"
-#include "server/param.h"
 #include "server/result_id.h"
 
-static void answer_appearance_problem(const struct dataset *d, const char *text, enum err_code rc,
+static void answer_appearance_problem(const struct dataset *d, enum err_code rc,
                                       const struct err *e, struct response *out)
 {
     int status = rc == ERR_NOENT ? 404 : rc == ERR_MEM ? 503 : 400;
@@ -20,7 +19,6 @@ static void answer_appearance_problem(const struct dataset *d, const char *text,
                      d->appearance ? e->msg
                                    : "this dataset was trained without appearance: it has one "
                                      "appearance, leave `appearance` out");
-    out->unknown_name = rc == ERR_NOENT && d->appearance && param_is_kept_name(text);
 }
 
 bool answer_appearance_find_tile(struct services *s, const struct dataset *d, const char *text,
@@ -38,7 +36,7 @@ bool answer_appearance_find_tile(struct services *s, const struct dataset *d, co
     if (!rc)
         rc = appearance_api_find(d, is, out, &e);
     if (rc)
-        answer_appearance_problem(d, text, rc, &e, res);
+        answer_appearance_problem(d, rc, &e, res);
     kept_drop(&kept);
     return !rc;
 }
@@ -64,7 +62,6 @@ bool answer_appearance_resolve(struct services *s, const struct dataset *d, stru
     kept_drop(&kept);
     if (rc)
         response_problem(out, 404, e.msg);
-    out->unknown_name = rc; /* another server may have kept it again */
     return !rc;
 }
 
@@ -77,7 +74,7 @@ static void answer_appearance_describe(const struct request *r, struct dataset *
     if (!rc)
         response_document(r, RESPONSE_JSON, b, out);
     else
-        answer_appearance_problem(d, text, rc, &e, out);
+        answer_appearance_problem(d, rc, &e, out);
 }
 
 void answer_appearance_one(struct services *s, const struct request *r, struct dataset *d,

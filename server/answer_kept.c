@@ -95,8 +95,7 @@ void answer_kept_read(struct services *s, const struct request *r, struct datase
         response_problem(out, 404,
                          s->kept ? "no appearance is kept under this name"
                                  : "no appearance is kept: the server was started without "
-                                   "--state-dir and --state-url");
-        out->unknown_name = true;
+                                   "--state-dir");
     } else if (appearance_api_describe_kept(d, row, &b, &e)) {
         response_no_memory(out);
     } else {
@@ -126,7 +125,6 @@ void answer_kept_change(struct services *s, const struct request *r, struct data
         response_problem(out, 409, e.msg);
     else
         response_refused(out, rc, e.msg);
-    out->unknown_name = rc == ERR_NOENT;
 }
 
 /* ---- when the change was made ---- */
@@ -161,9 +159,6 @@ void answer_kept_finish(struct job_result *result, struct response *out)
     const int status = answer_kept_status(result->code);
     response_problem(out, status,
                      status == 500 ? "the change could not be written; the log says why"
-                     : result->code == ERR_BUSY
-                         ? "the server that keeps the names does not answer now, and whether the "
-                           "change was made is not known: ask again"
-                         : result->msg);
+                                   : result->msg);
     out->retry_after_s = status == 503 ? 1 : 0;
 }

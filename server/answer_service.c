@@ -55,7 +55,7 @@ static struct body *answer_service_card(struct services *s, const struct request
     char origin[ORIGIN_MAX];
     if (!d || !right_is_public(r, d->meta.name))
         return NULL;
-    const bool pictures = s->picture && picture_state(s->picture) != PICTURE_OFF && !d->packed;
+    const bool pictures = s->picture && picture_state(s->picture) != PICTURE_OFF;
     if (card_page(index, d, origin_of(s, r, origin), pictures, &page, NULL))
         body_drop(&page);
     return page;

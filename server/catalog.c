@@ -40,24 +40,10 @@ static enum err_code catalog_make_tileset(struct dataset *d, enum tileset_links_
     return document_take(rc, &b, out, e);
 }
 
-/* The entry of a 3TZ. Its tiles are asked for in this revision, as those of a store are. */
-static enum err_code catalog_make_packed(struct dataset *d, struct err *e)
+static enum err_code catalog_make_documents(struct dataset *d, const struct catalog_options *o,
+                                            struct err *e)
 {
-    struct buf prefix = {0}, b = {0};
-    const struct link l = link_to(LINK_DATASET, NULL, d, d->edition);
-    if (!dataset_has_tiles(d))
-        return ERR_OK;
-    link_revision(&l, &prefix);
-    buf_u8(&prefix, 0);
-    enum err_code rc = buf_check(&prefix, e);
-    if (!rc)
-        rc = packed_entry(d->packed, (const char *)prefix.data, &b, e);
-    buf_free(&prefix);
-    return document_take(rc, &b, &d->tileset_moving, e);
-}
-
-static enum err_code catalog_make_of_store(struct dataset *d, struct err *e)
-{
+    const struct collection_options collection = catalog_collection(o);
     enum err_code rc = catalog_make_tileset(d, TILESET_LINKS_ENTRY, &d->tileset, e);
     if (!rc)
         rc = catalog_make_tileset(d, TILESET_LINKS_MOVING, &d->tileset_moving, e);
@@ -69,14 +55,6 @@ static enum err_code catalog_make_of_store(struct dataset *d, struct err *e)
         rc = appearance_model_photographs(d, &d->photographs, d->taken, e);
     if (!rc && d->appearance)
         rc = search_open(d, &d->search, e);
-    return rc;
-}
-
-static enum err_code catalog_make_documents(struct dataset *d, const struct catalog_options *o,
-                                            struct err *e)
-{
-    const struct collection_options collection = catalog_collection(o);
-    enum err_code rc = d->packed ? catalog_make_packed(d, e) : catalog_make_of_store(d, e);
     if (!rc)
         rc = collection_describe(d, &collection, &d->collection, e);
     struct body *const documents[] = {d->tileset,     d->tileset_moving, d->collection,
@@ -104,7 +82,7 @@ static struct dataset *catalog_at(const struct catalog *older, const char *path)
 {
     for (size_t i = 0; older && i < older->n_current; i++) {
         struct dataset *d = older->ds[i];
-        if (!atomic_load(&d->n_failed) && !dataset_replaced(d) && !strcmp(d->path, path))
+        if (!atomic_load(&d->n_failed) && !store_replaced(d->index) && !strcmp(d->path, path))
             return d;
     }
     return NULL;
@@ -121,30 +99,18 @@ static enum err_code catalog_is_store(const struct dataset *d, const char *path,
     return rc;
 }
 
-/* Are two openings of an exported file of the same bytes? */
-static bool catalog_is_packed(const struct dataset *a, const struct dataset *b)
-{
-    return !strcmp(a->meta.revision, b->meta.revision) && !strcmp(a->edition, b->edition) &&
-           !strcmp(a->meta.name, b->meta.name);
-}
-
 /* The dataset of `older` at this path if file and clip are still the same, else open it anew. */
 static enum err_code catalog_open_or_keep(const char *path, const struct catalog_options *o,
                                           const struct catalog *older, struct dataset **out,
                                           struct err *e)
 {
     struct dataset *was = catalog_at(older, path);
-    const bool packed = packed_kind_of(path) != PACKED_NONE;
     bool same = false;
-    enum err_code rc = was && !packed ? catalog_is_store(was, path, o, &same, e) : ERR_OK;
+    enum err_code rc = was ? catalog_is_store(was, path, o, &same, e) : ERR_OK;
     if (!rc && !same)
         rc = dataset_open(path, o->readers, o->clip, o->clip_dir, out, e);
     if (!rc && !same)
         result_id_tiles_edition(*out, o->preset, (*out)->edition);
-    if (!rc && was && packed && catalog_is_packed(was, *out)) {
-        same = true;
-        dataset_drop(out);
-    }
     if (!rc && same)
         *out = dataset_ref(was);
     else if (!rc)
@@ -224,7 +190,8 @@ enum err_code catalog_open(const char *const *paths, size_t n, const struct cata
     for (size_t i = 1; i < c->n && !rc; i++)
         if (!strcmp(c->ds[i]->meta.name, c->ds[i - 1]->meta.name))
             rc = err_set(e, ERR_ARG, "%s and %s: both hold a dataset named '%s': serve one of them",
-                         dataset_shown(c->ds[i - 1]), dataset_shown(c->ds[i]), c->ds[i]->meta.name);
+                         store_path(c->ds[i - 1]->index), store_path(c->ds[i]->index),
+                         c->ds[i]->meta.name);
     const struct collection_options collection = catalog_collection(o);
     if (!rc)
         rc = collection_list(c->ds, c->n_current, &collection, &c->collections, e);

@@ -89,38 +89,6 @@ static void collection_add_facts(const struct dataset *d, json_t *splats)
         json_object_set_new(splats, "taken", json_pack("[s,s]", d->taken[0], d->taken[1]));
 }
 
-/* What an exported file holds, and where that is. */
-static json_t *collection_packed(const struct dataset *d, const char *up,
-                                 const struct collection_options *opt)
-{
-    const char *url = opt->public_url;
-    const bool tiles = dataset_has_tiles(d);
-    const double *b = d->bbox, ground[4] = {b[0], b[1], b[3], b[4]};
-    static const struct collection_link
-        self = {"self", "application/json", NULL, link_collection},
-        tileset = {"http://www.opengis.net/def/rel/ogc/1.0/3d-geovolumes",
-                   "application/3dtiles+json", "3D Tiles 1.1", link_tileset_moving},
-        map = {"tiles", "application/json", "Map from straight above: TileJSON 3.0.0",
-               link_mapjson};
-    json_t *links = json_array();
-    collection_add(d, url && *url ? url : up, &self, links);
-    collection_add(d, up, tiles ? &tileset : &map, links);
-    json_t *o = json_pack("{s:s,s:s,s:s,s:s,s:o}", "id", d->meta.name, "title", d->meta.name,
-                          "collectionType", tiles ? "3d-container" : "map", "attribution",
-                          d->meta.attribution, "links", links);
-    if (tiles)
-        collection_add_extents(d, o);
-    else
-        json_object_set_new(o, "extent",
-                            json_pack("{s:{s:[o],s:s}}", "spatial", "bbox",
-                                      document_numbers(ground, 4), "crs",
-                                      "http://www.opengis.net/def/crs/OGC/1.3/CRS84"));
-    json_object_set_new(
-        o, "package",
-        json_pack("{s:s,s:s}", "type", tiles ? "3tz" : "pmtiles", "revision", d->meta.revision));
-    return o;
-}
-
 /* `up` leads from the document to the service's root: NULL or "..". */
 static json_t *collection_json(const struct dataset *d, const char *up,
                                const struct collection_options *opt)
@@ -179,7 +147,7 @@ static json_t *collection_json(const struct dataset *d, const char *up,
 enum err_code collection_describe(const struct dataset *d, const struct collection_options *opt,
                                   struct body **out, struct err *e)
 {
-    return document_make((d->packed ? collection_packed : collection_json)(d, "..", opt), out, e);
+    return document_make(collection_json(d, "..", opt), out, e);
 }
 
 enum err_code collection_list(struct dataset *const *ds, size_t n,
@@ -188,8 +156,7 @@ enum err_code collection_list(struct dataset *const *ds, size_t n,
 {
     json_t *list = json_array();
     for (size_t i = 0; i < n; i++)
-        json_array_append_new(
-            list, (ds[i]->packed ? collection_packed : collection_json)(ds[i], NULL, opt));
+        json_array_append_new(list, collection_json(ds[i], NULL, opt));
     char self[40];
     link_text(link_collections, &(struct link){.from = LINK_ROOT}, self, sizeof self);
     json_t *o =

@@ -110,24 +110,6 @@ static enum err_code dataset_find_area(struct dataset *d, struct err *e)
     return rc == ERR_DATA ? ERR_OK : rc;
 }
 
-static enum err_code dataset_open_packed(struct dataset *d, size_t readers, const struct clip *clip,
-                                         struct err *e)
-{
-    if (clip)
-        return err_set(e, ERR_ARG,
-                       "%s: --clip is of tile stores: clip the store, and export it again",
-                       d->path);
-    enum err_code rc = packed_open(d->path, readers, &d->packed, e);
-    if (rc)
-        return rc;
-    const struct packed_about *a = packed_about(d->packed);
-    d->meta = a->meta;
-    d->salt = a->hash;
-    memcpy(d->source, a->meta.revision, sizeof d->source);
-    memcpy(d->bbox, a->bbox, sizeof d->bbox);
-    return ERR_OK;
-}
-
 static enum err_code dataset_open_store(struct dataset *d, size_t readers, const struct clip *clip,
                                         const char *clip_dir, struct err *e)
 {
@@ -166,36 +148,10 @@ enum err_code dataset_open(const char *path, size_t readers, const struct clip *
     if (!(d->path = mem_text(path)))
         rc = err_set(e, ERR_MEM, "out of memory for a dataset");
     if (!rc)
-        rc = packed_kind_of(path) ? dataset_open_packed(d, readers, clip, e)
-                                  : dataset_open_store(d, readers, clip, clip_dir, e);
+        rc = dataset_open_store(d, readers, clip, clip_dir, e);
     if (rc)
         dataset_drop(out);
     return rc;
-}
-
-const char *dataset_shown(const struct dataset *d)
-{
-    return d->packed ? packed_shown(d->packed) : store_path(d->index);
-}
-
-uint64_t dataset_count(const struct dataset *d)
-{
-    return d->packed ? packed_about(d->packed)->n_tiles : d->n_tiles;
-}
-
-bool dataset_has_tiles(const struct dataset *d)
-{
-    return !d->packed || packed_kind(d->packed) == PACKED_TILES;
-}
-
-bool dataset_replaced(const struct dataset *d)
-{
-    return d->packed ? packed_replaced(d->packed) : store_replaced(d->index);
-}
-
-enum err_code dataset_ask(struct dataset *d, double wait_s, struct err *e)
-{
-    return d->packed ? packed_ask(d->packed, wait_s, e) : store_ask(d->stores[0], wait_s, e);
 }
 
 struct dataset *dataset_ref(struct dataset *d)
@@ -215,7 +171,6 @@ void dataset_drop(struct dataset **out)
     *out = NULL;
     if (!d || atomic_fetch_sub_explicit(&d->refs, 1, memory_order_acq_rel) != 1)
         return;
-    packed_close(&d->packed);
     area_free(&d->area);
     for (size_t i = d->n_stores; i-- > 0;) /* the first has the index of all */
         store_close(&d->stores[i]);

@@ -1,5 +1,4 @@
-/* One revision of one store: index, handles and documents. Or an exported file (packed.h), of which
- * there are fewer documents and no index.
+/* One revision of one store: index, handles and documents.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -10,8 +9,8 @@
 #include <stdatomic.h>
 
 #include "lod/area.h"
+#include "lod/store.h"
 #include "server/body.h"
-#include "server/packed.h"
 
 struct clip;
 struct search_index;
@@ -26,7 +25,6 @@ struct dataset { /* immutable except where a comment says otherwise; reference-c
      */
     int fd;
     struct store_meta meta;
-    struct packed *packed; /* not NULL: an exported file; no tiles, index, area or stores */
     const struct store_tile *tiles;
     size_t n_tiles;
     const struct store *index; /* stores[0], for parts of a store that threads may share */
@@ -50,21 +48,12 @@ struct dataset { /* immutable except where a comment says otherwise; reference-c
     size_t n_stores, n_free;
 };
 
-/* Opens `path`, a store or an exported file, with `readers` handles for worker threads. clip (may
- * be NULL) selects a part of a store, which becomes a file in clip_dir that is removed with the
- * dataset. Free *out with dataset_drop. ERR_ARG (an exported file is not clipped), ERR_MEM, and the
- * errors of store_open, clip_open_part and packed_open. */
+/* Opens the store at `path` with `readers` handles for worker threads. clip (may be NULL) selects a
+ * part of it, which becomes a file in clip_dir that is removed with the dataset. Free *out with
+ * dataset_drop. ERR_MEM, and the errors of store_open and clip_open_part. */
 enum err_code dataset_open(const char *path, size_t readers, const struct clip *clip,
                            const char *clip_dir, struct dataset **out, struct err *e) ERR_USE;
 struct dataset *dataset_ref(struct dataset *d);
-/* Path or address of the file, for messages. */
-const char *dataset_shown(const struct dataset *d);
-uint64_t dataset_count(const struct dataset *d); /* tiles, or files of a 3TZ */
-/* Returns whether it has 3D Tiles: an exported map has none. */
-bool dataset_has_tiles(const struct dataset *d);
-/* As store_replaced and store_ask. */
-bool dataset_replaced(const struct dataset *d);
-enum err_code dataset_ask(struct dataset *d, double wait_s, struct err *e) ERR_USE;
 void dataset_drop(struct dataset **d);
 /* Returns whether the caller has all references, `held`. No other thread can then take one. */
 bool dataset_is_last(const struct dataset *d, unsigned held);

@@ -13,7 +13,6 @@
 
 #include "server/answer_appearance.h"
 #include "server/answer_kept.h"
-#include "server/answer_packed.h"
 #include "server/right.h"
 
 static bool dispatch_changes(const struct request *r)
@@ -34,8 +33,7 @@ static const struct route_method *dispatch_method(const struct services *s, cons
         out->cache_control = RESPONSE_NO_STORE;
     } else {
         response_problem(out, 405,
-                         unkept ? "nothing is kept: the server was started without --state-dir and "
-                                  "--state-url"
+                         unkept ? "nothing is kept: the server was started without --state-dir"
                                 : "the method is not one of those in Allow");
     }
     out->allow = route_allow(route, s->kept);
@@ -122,11 +120,7 @@ static void dispatch_dataset(struct services *s, const struct request *r,
 {
     struct catalog *c = services_catalog(s);
     struct dataset *d = catalog_find(c, t->ds, t->rev);
-    if (d && d->packed) {
-        out->cache_control = response_cache_control(s, d, t);
-        answer_packed(s, r, d, t, on->answer, out);
-        dispatch_cached(s, r, d, t, out);
-    } else if (d) {
+    if (d) {
         if (answer_appearance_resolve(s, d, t, out)) {
             out->cache_control = response_cache_control(s, d, t);
             on->answer(s, r, d, t, out);

@@ -1,8 +1,7 @@
 /* A request's life: on_target (the raw target is kept: the one that libmicrohttpd hands out later
  * is decoded and cut at NUL) -> first handler call (guard) -> body calls -> last call
  * (dispatch_answer; sent at once, or suspended behind a job) -> after resume one more call
- * (dispatch_finish, sent) -> on_completed (log, metrics). A request for a name that another server
- * may keep is suspended until the names were read, and then answered once more.
+ * (dispatch_finish, sent) -> on_completed (log, metrics).
  *
  * Requests of a connection come one after the other, so each lies in its connection's peer: an
  * allocation a request would be a tenth of what a tile in memory costs.
@@ -36,7 +35,7 @@ enum { EXCHANGE_AUTHORITY = 256 }; /* of a target in absolute form */
 enum { EXCHANGE_ID_MAX = 65, EXCHANGE_TARGET = 192 /* longer ones are allocated */ };
 static const double EXCHANGE_OVER_S = 1; /* for the request of a connection too many */
 
-enum stage { STAGE_HEAD, STAGE_BODY, STAGE_NAMES, STAGE_WAIT, STAGE_SENT };
+enum stage { STAGE_HEAD, STAGE_BODY, STAGE_WAIT, STAGE_SENT };
 
 struct exchange { /* one request and its answer */
     struct front *f;
@@ -52,7 +51,6 @@ struct exchange { /* one request and its answer */
     struct request req;
     struct response res;
     struct job_waiter waiter;
-    struct kept_waiter names;
     struct motion_stream *stream; /* NULL: none */
     struct buf body;
     bool too_large, close, gone;
@@ -259,27 +257,6 @@ static enum MHD_Result exchange_wait_for_job(struct exchange *x)
     return MHD_YES;
 }
 
-/* ---- names that another server keeps ---- */
-
-static void exchange_on_names(struct kept_waiter *w)
-{
-    struct exchange *x = (struct exchange *)(void *)((char *)w - offsetof(struct exchange, names));
-    MHD_resume_connection(x->connection);
-}
-
-/* Suspended first, as for a job. A client that leaves is noticed when the names have come, which
- * takes two seconds at most. */
-static enum MHD_Result exchange_wait_for_names(struct exchange *x)
-{
-    x->stage = STAGE_NAMES;
-    x->names = (struct kept_waiter){.wake = exchange_on_names, .failed = true};
-    watch_phase(x->slot, WATCH_WORK, 0);
-    MHD_suspend_connection(x->connection);
-    if (!kept_await(x->f->s->kept, &x->names))
-        MHD_resume_connection(x->connection);
-    return MHD_YES;
-}
-
 /* ---- streams ---- */
 
 static enum MHD_Result exchange_begin_stream(struct exchange *x)
@@ -308,29 +285,10 @@ static enum MHD_Result exchange_begin_stream(struct exchange *x)
 
 static enum MHD_Result exchange_answer(struct exchange *x)
 {
-    struct services *s = x->f->s;
-    dispatch_answer(s, &x->req, &x->res);
-    if (x->res.unknown_name && !x->req.renewed && kept_is_shared(s->kept))
-        return exchange_wait_for_names(x);
+    dispatch_answer(x->f->s, &x->req, &x->res);
     if (x->res.stream[0])
         return exchange_begin_stream(x);
     return x->res.work ? exchange_wait_for_job(x) : exchange_send_answer(x);
-}
-
-/* The names were read, or could not be: then it is not known whether there is this one. */
-static enum MHD_Result exchange_answer_again(struct exchange *x)
-{
-    x->req.renewed = true;
-    if (!x->names.failed) {
-        response_free(&x->res);
-        return exchange_answer(x);
-    }
-    response_problem(&x->res, 503,
-                     "it is not known whether there is an appearance of this name: the server "
-                     "that keeps the names does not answer now");
-    x->res.cache_control = RESPONSE_NO_STORE;
-    x->res.retry_after_s = 1;
-    return exchange_send_answer(x);
 }
 
 /* ---- callbacks ---- */
@@ -446,8 +404,6 @@ enum MHD_Result exchange_on_request(void *cls, struct MHD_Connection *c, const c
     }
     if (x->stage == STAGE_SENT)
         return MHD_YES;
-    if (x->stage == STAGE_NAMES)
-        return exchange_answer_again(x);
     if (x->stage == STAGE_WAIT) {
         dispatch_finish(f->s, &x->req, &x->waiter.result, &x->res);
         return exchange_send_answer(x);

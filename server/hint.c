@@ -102,7 +102,7 @@ void hint_write(const struct catalog *c, const char *query, size_t n, char out[H
         return;
     hint_add(out, link_collections, &(struct link){.from = LINK_ROOT}, "");
     const struct dataset *d = hint_find(c, scene);
-    if (depth == HINT_SCENE && d && dataset_has_tiles(d))
+    if (depth == HINT_SCENE && d)
         hint_add_scene(d, out);
 }
 

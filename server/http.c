@@ -293,7 +293,6 @@ void http_close(struct http **out)
     http_await_end(h, s->cfg->drain_timeout_s);
     /* Wakes whoever still waits: libmicrohttpd aborts on suspended connections. */
     job_stop(s->jobs);
-    kept_stop(s->kept);
     http_await_end(h, 2);
     MHD_stop_daemon(h->daemon);
     if (fd >= 0)

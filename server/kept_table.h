@@ -10,7 +10,6 @@
 #include "server/target.h"
 
 enum { KEPT_DATASET_MAX = 1000, KEPT_MAX = 4096 }; /* most names of one dataset; of all */
-enum { KEPT_TAG_MAX = 160 };                       /* of the entity tag of an object */
 
 struct kept_row {
     char ds[64], name[TARGET_KEPT_MAX];
@@ -20,8 +19,7 @@ struct kept_row {
 struct kept_table { /* reference-counted */
     _Atomic uint32_t refs;
     size_t n;
-    struct kept_row *row;    /* [n], sorted by ds, then name */
-    char etag[KEPT_TAG_MAX]; /* of the object that it was read from; "": none */
+    struct kept_row *row; /* [n], sorted by ds, then name */
 };
 /* Allocates an empty table with room for n rows. NULL: out of memory. */
 struct kept_table *kept_table_alloc(size_t n);

@@ -139,31 +139,6 @@ static json_t *map_document_layers(void)
                      "source", "hillshade", "paint", "hillshade-exaggeration", MAP_DOCUMENT_SHADE);
 }
 
-enum err_code map_document_packed(const struct dataset *d, const char *base, struct body **out,
-                                  struct err *e)
-{
-    static const char dense[] = "@2x";
-    const struct packed_about *a = packed_about(d->packed);
-    const double bounds[4] = {a->bbox[0], a->bbox[1], a->bbox[3], a->bbox[4]};
-    const double center[3] = {a->meta.origin.lon_deg, a->meta.origin.lat_deg, a->zoom_center};
-    char url[MAP_DOCUMENT_URL_MAX];
-    struct link l = map_document_link(d, d->edition, base);
-    l.ext = format_ext(a->format);
-    link_text(link_map, &l, url, sizeof url - sizeof dense);
-    char *dot = strrchr(url, '.');
-    if (dot && a->tile_px > RASTER_PX) {
-        memmove(dot + sizeof dense - 1, dot, strlen(dot) + 1);
-        memcpy(dot, dense, sizeof dense - 1);
-    }
-    return document_make(json_pack("{s:s,s:s,s:s,s:s,s:[s],s:i,s:i,s:i,s:o,s:o}", "tilejson",
-                                   "3.0.0", "name", d->meta.name, "attribution",
-                                   d->meta.attribution, "scheme", "xyz", "tiles", url, "minzoom",
-                                   (int)a->zoom_min, "maxzoom", (int)a->zoom_max, "tileSize",
-                                   (int)a->tile_px, "bounds", document_numbers(bounds, 4), "center",
-                                   document_numbers(center, 3)),
-                         out, e);
-}
-
 enum err_code map_document_style(const struct dataset *d, const char *edition,
                                  const struct target *t, const char *base, struct body **out,
                                  struct err *e)

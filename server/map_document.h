@@ -25,8 +25,4 @@ enum err_code map_document_wmts(const struct dataset *d, const char *edition,
                                 const struct target *t, const char *base, struct body **out,
                                 struct err *e) ERR_USE;
 
-/* TileJSON of an exported map (packed.h). */
-enum err_code map_document_packed(const struct dataset *d, const char *base, struct body **out,
-                                  struct err *e) ERR_USE;
-
 #endif

@@ -148,18 +148,6 @@ static void metrics_text_disk(struct services *s, struct buf *out)
     metrics_text_one(out, "disk_cache_bytes", "gauge", "Bytes held.", st.bytes);
 }
 
-/* Names that servers share. */
-static void metrics_text_names(struct services *s, struct buf *out)
-{
-    struct kept_stats st;
-    kept_count(s->kept, &st);
-    metrics_text_one(out, "names_reads_total", "counter", "Reads of --state-url.", st.reads);
-    metrics_text_one(out, "names_read_failures_total", "counter", "Those that failed.", st.failed);
-    metrics_text_head(out, "names_age_seconds", "gauge",
-                      "Since the last one that succeeded; -1: none has.");
-    buf_printf(out, "citysplat_names_age_seconds %.3f\n", st.age_s);
-}
-
 enum err_code metrics_text_write(struct services *s, struct buf *out, struct err *e)
 {
     struct metrics *m = &s->metrics;
@@ -229,8 +217,6 @@ enum err_code metrics_text_write(struct services *s, struct buf *out, struct err
         metrics_text_disk(s, out);
     if (s->jobs)
         metrics_text_jobs(s->jobs, out);
-    if (kept_is_shared(s->kept))
-        metrics_text_names(s, out);
     struct catalog *c = services_catalog(s);
     metrics_text_head(out, "dataset_info", "gauge", "Revisions served.");
     for (size_t i = 0; i < c->n; i++)

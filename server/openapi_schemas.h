@@ -18,11 +18,6 @@
     "{'type':'object','properties':{'spatial':{'type':'object','properties':{"                     \
     "'bbox':{'type':'array','items':" OPENAPI_NUMBERS(n, n) "},'crs':" OPENAPI_TEXT "}}}}"
 
-/* End of a collection: what an exported file is. */
-#define OPENAPI_PACKAGE                                                                            \
-    ",'package':{'type':'object','required':['type','revision'],'properties':{'type':"             \
-    "{'type':'string','enum':['3tz','pmtiles']},'revision':" OPENAPI_TEXT "}}}}"
-
 /* X(name, schema) */
 #define OPENAPI_SCHEMAS(X)                                                                         \
     X("Problem",                                                                                   \
@@ -52,8 +47,7 @@
       "{'type':'object','required':['id','extent','links'],'properties':{'id':" OPENAPI_TEXT       \
       ",'title':" OPENAPI_TEXT ",'collectionType':" OPENAPI_TEXT ",'attribution':" OPENAPI_TEXT    \
       ",'extent':" OPENAPI_EXTENT(4) ",'contentExtent':" OPENAPI_EXTENT(                           \
-          6) ",'links':" OPENAPI_LIST_OF("Link") ",'splats':" OPENAPI_OF("Splats")                 \
-          OPENAPI_PACKAGE)                                                                         \
+          6) ",'links':" OPENAPI_LIST_OF("Link") ",'splats':" OPENAPI_OF("Splats") "}}")           \
     X("Collections",                                                                               \
       "{'type':'object','required':['links','collections'],'properties':{'links'"                  \
       ":" OPENAPI_LIST_OF("Link") ",'collections':" OPENAPI_LIST_OF("Collection") "}}")            \
@@ -140,9 +134,9 @@
                  " metres) and gsd_m'}")                                                           \
     X("Visible", "{'type':'object','description':'from, to: lon, lat, and height (ellipsoidal) or" \
                  " above (the surface)'}")                                                         \
-    X("SeedLine", "{'type':'object','properties':{'url':" OPENAPI_TEXT ",'etag':" OPENAPI_TEXT     \
-                  ",'gaussians':" OPENAPI_INTEGER ",'bytes':" OPENAPI_INTEGER                      \
-                  ",'next':" OPENAPI_TEXT "}}")                                                    \
+    X("SeedLine",                                                                                  \
+      "{'type':'object','properties':{'url':" OPENAPI_TEXT ",'etag':" OPENAPI_TEXT                 \
+      ",'gaussians':" OPENAPI_INTEGER ",'bytes':" OPENAPI_INTEGER ",'next':" OPENAPI_TEXT "}}")    \
     X("State",                                                                                     \
       "{'type':'object','required':['status'],'properties':{'status':{'type':'string','enum':"     \
       "['ok','ready','degraded']},'failed':{'type':'object','additionalProperties'"                \

@@ -26,7 +26,7 @@ void response_edition(struct services *s, const struct dataset *d, enum edition 
 {
     char device[160];
     out[0] = '\0';
-    if (of == EDITION_TILES || d->packed) {
+    if (of == EDITION_TILES) {
         memcpy(out, d->edition, sizeof d->edition);
     } else if (s->picture && picture_state(s->picture) == PICTURE_READY) {
         picture_about(s->picture, device, sizeof device);

@@ -30,7 +30,6 @@ struct request {                  /* borrowed from the connection */
     const char *if_modified_since, *if_unmodified_since;
     const void *body;
     size_t body_size;
-    bool renewed;      /* shared names were read after it came (kept_await) */
     bool prefetch;     /* Sec-Purpose: prefetch, or a low Priority */
     bool from_page;    /* it has Origin: a page of some site made it */
     struct auth *auth; /* as it is while this request is answered; NULL: all is public */
@@ -69,7 +68,6 @@ struct response { /* {0}, then dispatch_answer; free with response_free */
     bool same_origin;      /* pages of other sites may not read it: no CORS fields */
     bool unlogged;         /* one of many small answers: counted, not logged */
     bool unnamed;          /* the bytes have no name: they are not kept and have no entity tag */
-    bool unknown_name;     /* 404, because of a name that another server may keep */
     int retry_after_s;     /* 0 = none */
     double queue_s, run_s; /* of the job, for Server-Timing; < 0: there was none */
     const char *cache;     /* "hit", "miss" or "shared": for the log */

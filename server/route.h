@@ -36,7 +36,7 @@ enum {
     SCOPE_MOVES = 16,    /* with --admin the public listener does not answer it */
     SCOPE_FILE = 32,     /* a file of the viewer; without such a file there is no route */
     SCOPE_SIGNED = 64,   /* the seal that opens the rest of the path, which is a path of its own */
-    SCOPE_STATE = 128,   /* PUT and DELETE need --state-dir or --state-url */
+    SCOPE_STATE = 128,   /* PUT and DELETE need --state-dir */
 };
 /* What caches may do with an answer. */
 enum route_cache {

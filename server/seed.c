@@ -20,7 +20,7 @@ enum { SEED_ROW = 256 }; /* bytes of a line without its query, from above */
 struct seed {
     const struct dataset *d;
     const struct target *t;
-    const struct crop_node *left; /* of each tile; NULL: all of it */
+    const struct crop_node *left;  /* of each tile; NULL: all of it */
     const struct store_tile **row; /* [n] */
     size_t n;
 };

@@ -39,7 +39,7 @@ struct services { /* all are shared and thread-safe */
     struct cache *cache;
     struct flight *flight;
     struct disk *disk; /* NULL: no --cache-dir */
-    struct kept *kept; /* named appearances; NULL: no --state-dir and no --state-url */
+    struct kept *kept; /* named appearances; NULL: no --state-dir */
     struct jobs *jobs;
     struct picture *picture; /* NULL: pictures are off */
     struct motion *motion;   /* streams; the code that opened it closes it, after services_free */

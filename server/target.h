@@ -103,7 +103,7 @@ struct target {
     /* for seed and search: */
     uint8_t z_min, z_max;
     uint32_t after, limit; /* number of lines to skip, and largest number of lines */
-    size_t path_size; /* bytes of the path, without the query */
+    size_t path_size;      /* bytes of the path, without the query */
 };
 
 #endif

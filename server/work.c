@@ -196,8 +196,6 @@ static enum err_code work_make_bytes(struct services *s, const struct job *j, co
         return work_make_tilejson(w, out, e);
     case WORK_THUMBNAIL:
         return work_make_thumbnail(w, out, e);
-    case WORK_PACKED:
-        return packed_read(w->ds->packed, &w->packed, out, e);
     case WORK_SEARCH:
         return w->target.search.asked
                    ? search_write(w->ds, w->ds->search, &w->target, w->kept, out, e)
@@ -241,7 +239,7 @@ size_t work_room(const struct work *w)
 {
     enum { HEAD = WORK_ROOM_HEAD, TILESET_ROW = 768, TILEJSON_ROW = 384 };
     const struct store_tile *t = NULL;
-    const char *footprint = w->ds->index ? store_footprint(w->ds->index) : NULL;
+    const char *footprint = store_footprint(w->ds->index);
     size_t sh = 3 * gauss_sh_count(w->ds->meta.sh_degree);
     switch (w->kind) {
     case WORK_VIEW:
@@ -256,8 +254,6 @@ size_t work_room(const struct work *w)
         return HEAD + w->ds->n_tiles * (TILESET_ROW + 2 * work_query_bytes(w));
     case WORK_TILEJSON:
         return HEAD + (footprint ? strlen(footprint) : 0) + w->ds->n_tiles * TILEJSON_ROW;
-    case WORK_PACKED:
-        return HEAD + w->packed.size_bytes;
     case WORK_THUMBNAIL:
         return HEAD + PHOTOGRAPH_BYTES_MAX;
     case WORK_SEARCH:
@@ -326,7 +322,6 @@ const char *work_noun(enum work_kind kind)
                                         [WORK_QUERY] = "answer",
                                         [WORK_THUMBNAIL] = "thumbnail",
                                         [WORK_SEARCH] = "list of appearances",
-                                        [WORK_PACKED] = "part of the file",
                                         [WORK_KEEP] = "change"};
     return nouns[kind];
 }
@@ -356,7 +351,7 @@ static enum err_code work_change(struct services *s, const struct work *w, struc
     bool created = false;
     enum err_code rc = c->removes ? kept_remove(s->kept, c->row.ds, c->row.name, &when, e)
                                   : kept_put(s->kept, &c->row, &when, &created, e);
-    if (rc == ERR_IO || rc == ERR_FORMAT || rc == ERR_MEM || rc == ERR_BUSY)
+    if (rc == ERR_IO || rc == ERR_FORMAT || rc == ERR_MEM)
         log_error("serve", "%s of ds=%s is not %s: %s", c->row.name, c->row.ds,
                   c->removes ? "forgotten" : "kept", e->msg);
     if (rc)
@@ -428,8 +423,7 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
         if (!*out)
             rc = err_set(e, ERR_MEM, "out of memory for the encoded bytes");
     }
-    if (!rc && (w->kind == WORK_TILESET || w->kind == WORK_TILEJSON || w->kind == WORK_SEARCH ||
-                (w->kind == WORK_PACKED && w->part)))
+    if (!rc && (w->kind == WORK_TILESET || w->kind == WORK_TILEJSON || w->kind == WORK_SEARCH))
         body_compress(*out);
     if (!rc)
         flight_add(s->flight, w->id, *out);

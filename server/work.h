@@ -21,7 +21,6 @@ enum work_kind {
     WORK_QUERY,
     WORK_THUMBNAIL,
     WORK_SEARCH,
-    WORK_PACKED,
     WORK_KEEP
 };
 /* A change of a named appearance. */
@@ -35,12 +34,11 @@ struct work { /* freed with work_drop */
     struct dataset *ds; /* a reference */
     struct hash128 id;  /* name of the result: cache key and job id */
     struct key key;     /* WORK_TILE, WORK_MAP; WORK_TILESET with part */
-    bool part;          /* WORK_TILESET: the document that begins at key; WORK_PACKED: a document */
+    bool part;          /* WORK_TILESET: the document that begins at key */
     struct form form;   /* complete (encode_form) */
     struct appearance_choice appearance;
     struct target target;       /* for lists and thumbnails; for WORK_TILE its clip */
     struct draw_view view;      /* WORK_VIEW */
-    struct packed_part packed;  /* WORK_PACKED */
     struct film *film;          /* WORK_VIEW: a reference; NULL: it is a picture by itself */
     struct film_shot shot;      /* with film */
     struct map_tile map;        /* WORK_MAP */

@@ -482,7 +482,7 @@ static void test_files_of_others_and_limits(void **state)
         sql(bad[i]);
         kit_fails(kept_open(state_dir, &k, &e), ERR_FORMAT, e, "appearances.sqlite");
         assert_null(k);
-        kit_fails(kept_check(state_dir, NULL, &e), ERR_FORMAT, e, "appearances.sqlite");
+        kit_fails(kept_check(state_dir, &e), ERR_FORMAT, e, "appearances.sqlite");
         kit_rmdir(state_dir);
     }
     kit_ok(file_mkdir(state_dir, &e), e);
@@ -492,7 +492,7 @@ static void test_files_of_others_and_limits(void **state)
 
     kit_ok(kept_open(state_dir, &k, &e), e);
     kit_fails(kept_open(state_dir, &other, &e), ERR_BUSY, e, "another server");
-    kit_ok(kept_check(state_dir, NULL, &e), e);
+    kit_ok(kept_check(state_dir, &e), e);
     kept_close(&k);
     sql("WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i+1 FROM n WHERE i<1000) INSERT INTO "
         "kept SELECT 'toy', 'n'||i, 'p1.jpg', zeroblob(16) FROM n");

@@ -146,7 +146,7 @@ static void test_seed(void **state)
     response_free(&r);
 }
 
-/* ---- what a camera needs ---- */
+/* ---- pages of prefetch lists ---- */
 
 struct row { /* of a list */
     unsigned z;
@@ -177,8 +177,8 @@ static size_t list_rows(const char *target, struct row *out, size_t room, char n
         assert_true(n < room);
         t_at = strstr(url, "t/1");
         assert_non_null(t_at);
-        out[n++] = (struct row){(unsigned)atoi(t_at + 2),
-                                json_integer_value(json_object_get(o, "bytes"))};
+        out[n++] =
+            (struct row){(unsigned)atoi(t_at + 2), json_integer_value(json_object_get(o, "bytes"))};
         json_decref(o);
     }
     mem_free(text);
@@ -402,14 +402,10 @@ static void test_no_memory_for_a_tile(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_tiles),
-        cmocka_unit_test(test_ranges),
-        cmocka_unit_test(test_seed),
-        cmocka_unit_test(test_presets),
-        cmocka_unit_test(test_seed_pages),
-        cmocka_unit_test(test_links),
-        cmocka_unit_test(test_damaged_tile),
-        cmocka_unit_test(test_no_memory_for_a_tile),
+        cmocka_unit_test(test_tiles),        cmocka_unit_test(test_ranges),
+        cmocka_unit_test(test_seed),         cmocka_unit_test(test_presets),
+        cmocka_unit_test(test_seed_pages),   cmocka_unit_test(test_links),
+        cmocka_unit_test(test_damaged_tile), cmocka_unit_test(test_no_memory_for_a_tile),
     };
     return cmocka_run_group_tests(tests, setup, teardown);
 }

@@ -18,7 +18,6 @@
 #include "server/condition.h"
 #include "server/describe.h"
 #include "server/guard.h"
-#include "server/kept_shared.h"
 #include "server/router.h"
 #include "server/routes.h"
 #include "server/screen.h"
@@ -181,26 +180,6 @@ void fuzz_body(const uint8_t *bytes, size_t n)
 
 /* ---- what operators write ---- */
 
-/* The object of --state-url. What was read is read again from its own text. */
-void fuzz_names(const uint8_t *bytes, size_t n)
-{
-    struct kept_table *t = NULL, *again = NULL;
-    struct buf b = {0};
-    if (kept_shared_parse("names", bytes, n, &t, NULL))
-        return;
-    for (size_t i = 0; i < t->n; i++) {
-        const struct kept_row *row = &t->row[i];
-        assert(kept_find(t, row->ds, row->name) == row && text_is_utf8(row->text));
-    }
-    if (!kept_shared_text(t, &b, NULL) && !kept_shared_parse("names", b.data, b.size, &again, NULL))
-        assert(again->n == t->n && !memcmp(again->row, t->row, t->n * sizeof *t->row));
-    else
-        assert(b.failed);
-    kept_drop(&again);
-    kept_drop(&t);
-    buf_free(&b);
-}
-
 void fuzz_conf(const uint8_t *bytes, size_t n)
 {
     struct arena arena = {0};
@@ -287,14 +266,6 @@ bool fuzz_seed_serve(const char *target, size_t i, struct buf *out)
           "\"world_to_camera\":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1]},\"quality\":50,\"depth\":\"cm\","
           "\"format\":\"png\"}",
           "{\"polygon\":[[7.57,47.55],[7.58,47.55],[7.57,47.56]],\"base\":\"rim\",\"gsd_m\":0.5}"}},
-        {"names",
-         {"{\"format\":\"citysplat-names-1\",\"names\":[{\"dataset\":\"b\",\"name\":\"evening\","
-          "\"appearance\":\"p:1,q:2\"},{\"dataset\":\"a\",\"name\":\"x_1\",\"appearance\":\"="
-          "AAAA\","
-          "\"model\":\"00112233445566778899aabbccddeeff\"}]}",
-          "{\"format\":\"citysplat-names-1\",\"names\":[]}",
-          "{\"names\":[{\"dataset\":\"\\u00e9\",\"name\":\"a\",\"appearance\":\"dawn\"}],"
-          "\"format\":\"citysplat-names-1\"}"}},
         {"conf",
          {"// a file\n{\"port\": 80, \"device\": \"none\", \"admin\": \"127.0.0.1:9090\", "
           "\"keep_s\": 3.5}",
