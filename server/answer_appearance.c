@@ -7,9 +7,11 @@
 
 #include <stdio.h>
 
+#include "lod/photograph.h"
 #include "server/answer.h"
 #include "server/appearance_model.h"
 #include "server/result_id.h"
+#include "server/search.h"
 
 static void answer_appearance_problem(const struct dataset *d, enum err_code rc,
                                       const struct err *e, struct response *out)
@@ -55,10 +57,13 @@ bool answer_appearance_resolve(struct services *s, const struct dataset *d, stru
                                struct response *out)
 {
     struct err e = {0};
-    if (!t->appearance[0] || !s->kept)
+    struct target_tiles *tiles = target_group(t, TARGET_tiles);
+    struct target_appearance *other = target_group(t, TARGET_appearance);
+    char *appearance = tiles ? tiles->appearance : other ? other->appearance : NULL;
+    if (!appearance || !appearance[0] || !s->kept)
         return true;
     struct kept_table *kept = kept_now(s->kept);
-    enum err_code rc = appearance_api_resolve(d, kept, t->appearance, t->kept, &e);
+    enum err_code rc = appearance_api_resolve(d, kept, appearance, t->names.kept, &e);
     kept_drop(&kept);
     if (rc)
         response_problem(out, 404, e.msg);
@@ -81,7 +86,7 @@ void answer_appearance_one(struct services *s, const struct request *r, struct d
                            const struct target *t, struct response *out)
 {
     (void)s;
-    answer_appearance_describe(r, d, t->appearance, out);
+    answer_appearance_describe(r, d, target_of_appearance(t)->appearance.appearance, out);
 }
 
 void answer_appearance_mix(struct services *s, const struct request *r, struct dataset *d,
@@ -127,10 +132,51 @@ void answer_appearance_photographs(struct services *s, const struct request *r, 
     answer_appearance_document(r, d, d->photographs, out);
 }
 
+/* ---- thumbnails ---- */
+
+struct answer_appearance_thumbnail_own {
+    uint32_t row;
+};
+
+static enum err_code answer_appearance_make_thumbnail(struct services *s, const struct job *j,
+                                                      const struct work *w, struct buf *out,
+                                                      struct err *e)
+{
+    const struct answer_appearance_thumbnail_own *o = work_own(w);
+    struct store *store;
+    (void)s, (void)j;
+    enum err_code rc = work_borrow(w, &store, e);
+    if (rc)
+        return rc;
+    rc = photograph_thumbnail(store, appearance_model_photograph(w->ds, o->row), out, e);
+    dataset_return(w->ds, store);
+    return rc == ERR_NOENT ? err_set(e, ERR_NOENT, "this photograph has no thumbnail") : rc;
+}
+
+static size_t answer_appearance_thumbnail_room(const struct work *w)
+{
+    (void)w;
+    return PHOTOGRAPH_BYTES_MAX;
+}
+
+static void answer_appearance_tell_thumbnail(const struct work *w, char *out, size_t room)
+{
+    const struct answer_appearance_thumbnail_own *o = work_own(w);
+    snprintf(out, room, "thumbnail %u", (unsigned)o->row);
+}
+
+static const struct work_kind answer_appearance_thumbnail_work = {
+    .noun = "thumbnail",
+    .size = sizeof(struct answer_appearance_thumbnail_own),
+    .make = answer_appearance_make_thumbnail,
+    .room = answer_appearance_thumbnail_room,
+    .tell = answer_appearance_tell_thumbnail};
+
 void answer_appearance_thumbnail(struct services *s, const struct request *r, struct dataset *d,
                                  const struct target *t, struct response *out)
 {
-    const char *name = appearance_model_photograph(d, t->row);
+    const uint32_t row = target_of_thumbnail(t)->row.row;
+    const char *name = appearance_model_photograph(d, row);
     if (!name) {
         response_problem(out, 404, "no photograph has this number");
         return;
@@ -140,33 +186,71 @@ void answer_appearance_thumbnail(struct services *s, const struct request *r, st
     snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s", d->meta.name, d->meta.revision);
     if (!response_made(s, r, id, out))
         return;
-    struct work *w = response_work(d, WORK_THUMBNAIL, id, (struct form){.format = FORMAT_JPG}, out);
-    if (w)
-        w->target = *t;
+    struct answer_appearance_thumbnail_own *own =
+        response_work(d, &answer_appearance_thumbnail_work, id, out);
+    if (own) {
+        own->row = row;
+        out->work->may_lack = true;
+    }
 }
+
+/* ---- lists ---- */
+
+struct answer_appearance_list_own {
+    struct appearances_target asked;
+    struct kept_table *kept; /* a reference; NULL: there are no named appearances */
+};
+
+static enum err_code answer_appearance_make_list(struct services *s, const struct job *j,
+                                                 const struct work *w, struct buf *out,
+                                                 struct err *e)
+{
+    const struct answer_appearance_list_own *o = work_own(w);
+    (void)s, (void)j;
+    return o->asked.search.asked ? search_write(w->ds, w->ds->search, &o->asked, o->kept, out, e)
+                                 : appearance_api_write_list(w->ds, o->kept, out, e);
+}
+
+static size_t answer_appearance_list_room(const struct work *w)
+{
+    const struct answer_appearance_list_own *o = work_own(w);
+    return search_room(w->ds, &o->asked, o->kept);
+}
+
+static void answer_appearance_free_list(void *own)
+{
+    kept_drop(&((struct answer_appearance_list_own *)own)->kept);
+}
+
+static const struct work_kind answer_appearance_list_work = {
+    .noun = "list of appearances",
+    .traits = WORK_COMPRESSED,
+    .size = sizeof(struct answer_appearance_list_own),
+    .make = answer_appearance_make_list,
+    .room = answer_appearance_list_room,
+    .free = answer_appearance_free_list};
 
 /* What the query looks for; without one the list of all, which is made when a dataset is opened,
  * and again when names are kept or forgotten. */
 void answer_appearance_list(struct services *s, const struct request *r, struct dataset *d,
                             const struct target *t, struct response *out)
 {
+    const struct appearances_target *asked = target_of_appearances(t);
     const struct kept_row *row = NULL;
     struct kept_table *kept = kept_now(s->kept);
     const size_t n_kept = d->appearance ? kept_of(kept, d->meta.name, &row) : 0;
     out->type = RESPONSE_JSON;
-    if (!t->search.asked && !n_kept) {
+    if (!asked->search.asked && !n_kept) {
         response_body(r, body_ref(d->appearances), out);
     } else if (!d->search) {
         response_problem(out, 404, "this dataset was trained without appearance");
     } else {
-        struct hash128 id = result_id_search(d, t, kept_hash(kept, d->meta.name));
-        struct work *w = response_made(s, r, id, out)
-                             ? response_work(d, WORK_SEARCH, id, (struct form){0}, out)
-                             : NULL;
-        if (w) {
-            w->target = *t;
-            w->kept = kept_ref(kept);
-        }
+        struct hash128 id = result_id_search(d, asked, kept_hash(kept, d->meta.name));
+        struct answer_appearance_list_own *own =
+            response_made(s, r, id, out) ? response_work(d, &answer_appearance_list_work, id, out)
+                                         : NULL;
+        if (own)
+            *own = (struct answer_appearance_list_own){*asked, kept_ref(kept)};
     }
     kept_drop(&kept);
 }

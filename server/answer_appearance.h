@@ -13,7 +13,7 @@ bool answer_appearance_find(struct services *s, const struct dataset *d, const c
 /* As answer_appearance_find, for tiles, which may also have no appearance applied. */
 bool answer_appearance_find_tile(struct services *s, const struct dataset *d, const char *text,
                                  struct appearance_choice *out, struct response *res);
-/* Replaces a named appearance in t->appearance by its meaning, and sets t->kept to the name. False:
+/* Replaces a named appearance in the target by its meaning, and sets names.kept to the name. False:
  * it has no meaning in this revision; the problem is set. */
 bool answer_appearance_resolve(struct services *s, const struct dataset *d, struct target *t,
                                struct response *out);

@@ -8,85 +8,239 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "lod/clip.h"
+#include "lod/crop.h"
 #include "lod/tileset.h"
+#include "lod/tree.h"
 #include "server/answer.h"
 #include "server/collection.h"
 #include "server/encode.h"
 #include "server/link.h"
 #include "server/origin.h"
+#include "server/param_clip.h"
 #include "server/result_id.h"
 #include "server/right.h"
+#include "server/seed.h"
 #include "server/target_query.h"
+#include "server/tileset_links.h"
+
+/* ---- prefetch lists ---- */
+
+/* What the polygon of a query leaves of the tiles of one document that begins at a tile (`start`),
+ * or of all (from the root); mem_free it. NULL where there is no polygon. */
+static enum err_code answer_dataset_crop(const struct work *w, const struct target_clip *c,
+                                         const struct key *start, bool documents,
+                                         struct crop_node **out, struct err *e)
+{
+    struct store *s = NULL;
+    struct clip clip = {0};
+    uint32_t first = store_tree(w->ds->index)->root;
+    *out = NULL;
+    if (!c->n)
+        return ERR_OK;
+    enum err_code rc = param_clip_open(c, &clip, e);
+    if (!rc)
+        rc = work_borrow(w, &s, e);
+    if (start)
+        first = (uint32_t)(store_find(w->ds->index, *start) - w->ds->tiles);
+    if (!rc)
+        rc = crop_tiles(&clip, s, first, documents, out, e);
+    if (!rc && !start && !(*out)[first].any)
+        rc = err_set(e, ERR_NOENT, "nothing of this dataset lies within clip");
+    if (s)
+        dataset_return(w->ds, s);
+    clip_free(&clip);
+    return rc;
+}
+
+/* Of a list of all tiles; polygons differ. */
+static double answer_dataset_list_cost(const struct work *w, const struct target_clip *c,
+                                       unsigned *variant)
+{
+    const double row_ms = 2e-3;
+    *variant = c->n > 0;
+    return 1 + (double)w->ds->n_tiles * row_ms * (c->n ? 1000 : 1);
+}
+
+struct answer_dataset_seed_own {
+    struct seed_target asked;
+    struct form form; /* complete (encode_form) */
+    struct appearance_choice appearance;
+};
+
+static enum err_code answer_dataset_make_seed(struct services *s, const struct job *j,
+                                              const struct work *w, struct buf *out, struct err *e)
+{
+    const struct answer_dataset_seed_own *o = work_own(w);
+    struct crop_node *left;
+    (void)s, (void)j;
+    enum err_code rc = answer_dataset_crop(w, &o->asked.tiles.clip, NULL, false, &left, e);
+    if (!rc)
+        rc = seed_write(w->ds, &o->asked, left, o->form, &o->appearance, out, e);
+    mem_free(left);
+    return rc;
+}
+
+static size_t answer_dataset_seed_room(const struct work *w)
+{
+    const struct answer_dataset_seed_own *o = work_own(w);
+    return seed_room(w->ds, &o->asked);
+}
+
+static double answer_dataset_seed_cost(const struct work *w, unsigned *variant)
+{
+    const struct answer_dataset_seed_own *o = work_own(w);
+    return answer_dataset_list_cost(w, &o->asked.tiles.clip, variant);
+}
+
+static const struct work_kind answer_dataset_seed_work = {
+    .noun = "list of tiles",
+    .size = sizeof(struct answer_dataset_seed_own),
+    .make = answer_dataset_make_seed,
+    .room = answer_dataset_seed_room,
+    .cost = answer_dataset_seed_cost};
+
+static void answer_dataset_list(struct services *s, const struct request *r, struct dataset *d,
+                                const struct seed_target *asked, struct response *out)
+{
+    struct form form = encode_form(s->cfg, &d->meta, &asked->tiles.form);
+    struct appearance_choice choice;
+    if (!answer_appearance_find_tile(s, d, asked->tiles.appearance, &choice, out))
+        return;
+    form.trained = choice.trained;
+    struct hash128 id = result_id_seed(d, asked, form);
+    out->type = "application/x-ndjson";
+    struct answer_dataset_seed_own *own =
+        response_made(s, r, id, out) ? response_work(d, &answer_dataset_seed_work, id, out) : NULL;
+    if (!own)
+        return;
+    *own = (struct answer_dataset_seed_own){*asked, form, choice};
+    out->work->apart = out->work->may_lack = asked->tiles.clip.n;
+}
 
 void answer_dataset_seed(struct services *s, const struct request *r, struct dataset *d,
                          const struct target *t, struct response *out)
 {
-    struct form form = encode_form(s->cfg, &d->meta, &t->form);
-    struct appearance_choice choice;
-    if (!answer_appearance_find_tile(s, d, t->appearance, &choice, out))
-        return;
-    form.trained = choice.trained;
-    struct hash128 id = result_id_seed(d, t, form);
-    out->type = "application/x-ndjson";
-    struct work *w =
-        response_made(s, r, id, out) ? response_work(d, WORK_SEED, id, form, out) : NULL;
-    if (!w)
-        return;
-    w->target = *t;
-    w->appearance = choice;
+    answer_dataset_list(s, r, d, target_of_seed(t), out);
 }
 
+void answer_dataset_seed_moving(struct services *s, const struct request *r, struct dataset *d,
+                                const struct target *t, struct response *out)
+{
+    const struct seed_moving_target *asked = target_of_seed_moving(t);
+    const struct seed_target same = {asked->all, asked->page, asked->zooms, asked->tiles};
+    answer_dataset_list(s, r, d, &same, out);
+}
+
+/* ---- tilesets ---- */
+
+struct answer_dataset_tileset_own {
+    struct target_tiles tiles; /* how it asks for them */
+    enum tileset_links_of of;
+    struct key key; /* TILESET_LINKS_PART: the document that begins here */
+};
+
+/* A tileset whose tiles are all asked for with the same query, or a part of one. */
+static enum err_code answer_dataset_make_tileset(struct services *s, const struct job *j,
+                                                 const struct work *w, struct buf *out,
+                                                 struct err *e)
+{
+    const struct answer_dataset_tileset_own *o = work_own(w);
+    const struct key *part = o->of == TILESET_LINKS_PART ? &o->key : NULL;
+    char query[TARGET_QUERY_MAX];
+    struct buf text = {0};
+    struct tileset_links links;
+    struct crop_node *left = NULL;
+    (void)s, (void)j;
+    target_query_tiles(&o->tiles, query);
+    enum err_code rc = tileset_links_make(w->ds, o->of, query, &text, &links, e);
+    if (!rc)
+        rc = answer_dataset_crop(w, &o->tiles.clip, part, true, &left, e);
+    if (!rc)
+        rc = tileset_write(w->ds->index, &links, part, left, out, e);
+    mem_free(left);
+    buf_free(&text);
+    return rc;
+}
+
+/* Rows repeat the query, which may be longer than all the rest of them. */
+static size_t answer_dataset_tileset_room(const struct work *w)
+{
+    enum { ROW = 768 };
+    const struct answer_dataset_tileset_own *o = work_own(w);
+    char query[TARGET_QUERY_MAX];
+    target_query_tiles(&o->tiles, query);
+    return w->ds->n_tiles * (ROW + 2 * strlen(query));
+}
+
+static double answer_dataset_tileset_cost(const struct work *w, unsigned *variant)
+{
+    const struct answer_dataset_tileset_own *o = work_own(w);
+    return answer_dataset_list_cost(w, &o->tiles.clip, variant);
+}
+
+static const struct work_kind answer_dataset_tileset_work = {
+    .noun = "tileset",
+    .traits = WORK_COMPRESSED,
+    .size = sizeof(struct answer_dataset_tileset_own),
+    .make = answer_dataset_make_tileset,
+    .room = answer_dataset_tileset_room,
+    .cost = answer_dataset_tileset_cost};
+
 /* The plain one is made when a dataset is opened; one that asks for its tiles with a query is a
- * job, and so are the parts of large ones. */
+ * job, and so are the parts of large ones. part: for TILESET_LINKS_PART. */
 static void answer_dataset_entry(struct services *s, const struct request *r, struct dataset *d,
-                                 const struct target *t, const struct key *part,
-                                 struct response *out)
+                                 const struct target_tiles *tiles, enum tileset_links_of of,
+                                 const struct key *part, struct response *out)
 {
     char query[TARGET_QUERY_MAX];
     struct appearance_choice choice;
-    const bool moving = !t->rev[0];
-    target_query_tiles(t, query);
+    const bool moving = of == TILESET_LINKS_MOVING;
+    target_query_tiles(tiles, query);
     out->type = RESPONSE_JSON;
     if (!moving)
         snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s", d->meta.name,
                  d->meta.revision);
     if (!part && right_is_public(r, d->meta.name))
-        hint_tileset(d, t, out->hints);
+        hint_tileset(d, moving, tiles, out->hints);
     if (!query[0] && !part) {
         response_body(r, body_ref(moving ? d->tileset_moving : d->tileset), out);
         return;
     }
-    struct hash128 id = result_id_tileset(d, t, part);
-    if (!answer_appearance_find_tile(s, d, t->appearance, &choice, out) ||
+    struct hash128 id = result_id_tileset(d, tiles, moving, part);
+    if (!answer_appearance_find_tile(s, d, tiles->appearance, &choice, out) ||
         !response_made(s, r, id, out))
         return;
-    struct work *w = response_work(d, WORK_TILESET, id, (struct form){0}, out);
-    if (!w)
+    struct answer_dataset_tileset_own *own =
+        response_work(d, &answer_dataset_tileset_work, id, out);
+    if (!own)
         return;
-    w->target = *t;
-    if (part) {
-        w->part = true;
-        w->key = *part;
-    }
+    own->tiles = *tiles;
+    own->of = of;
+    if (part)
+        own->key = *part;
+    out->work->apart = out->work->may_lack = tiles->clip.n;
 }
 
 void answer_dataset_tileset(struct services *s, const struct request *r, struct dataset *d,
                             const struct target *t, struct response *out)
 {
-    answer_dataset_entry(s, r, d, t, NULL, out);
+    answer_dataset_entry(s, r, d, &target_of_tileset(t)->tiles, TILESET_LINKS_ENTRY, NULL, out);
 }
 
 void answer_dataset_tileset_moving(struct services *s, const struct request *r, struct dataset *d,
                                    const struct target *t, struct response *out)
 {
-    answer_dataset_entry(s, r, d, t, NULL, out);
+    answer_dataset_entry(s, r, d, &target_of_tileset_moving(t)->tiles, TILESET_LINKS_MOVING, NULL,
+                         out);
 }
 
 void answer_dataset_tileset_part(struct services *s, const struct request *r, struct dataset *d,
                                  const struct target *t, struct response *out)
 {
-    if (tileset_has_part(d->index, t->key))
-        answer_dataset_entry(s, r, d, t, &t->key, out);
+    const struct tileset_part_target *asked = target_of_tileset_part(t);
+    if (tileset_has_part(d->index, asked->cell.key))
+        answer_dataset_entry(s, r, d, &asked->tiles, TILESET_LINKS_PART, &asked->cell.key, out);
     else
         response_problem(out, 404, "no part of the tileset begins at this tile");
 }
@@ -149,6 +303,57 @@ void answer_dataset_collection(struct services *s, const struct request *r, stru
         response_document(r, RESPONSE_JSON, b, out);
 }
 
+struct answer_dataset_tilejson_own {
+    char *public_url; /* owned; NULL: its addresses are relative */
+};
+
+/* A row a tile: 200 bytes and 2 us each, so it is made when it is asked for. */
+static enum err_code answer_dataset_make_tilejson(struct services *s, const struct job *j,
+                                                  const struct work *w, struct buf *out,
+                                                  struct err *e)
+{
+    const struct answer_dataset_tilejson_own *o = work_own(w);
+    struct buf tile = {0};
+    (void)s, (void)j;
+    struct link l =
+        link_to(LINK_ROOT, o->public_url ? o->public_url : "../..", w->ds, w->ds->edition);
+    l.ext = format_ext(FORMAT_GLB);
+    link_tile(&l, &tile);
+    buf_u8(&tile, 0);
+    enum err_code rc = buf_check(&tile, e);
+    if (!rc)
+        rc = tileset_tilejson(w->ds->index, (const char *)tile.data, out, e);
+    buf_free(&tile);
+    return rc;
+}
+
+static size_t answer_dataset_tilejson_room(const struct work *w)
+{
+    enum { ROW = 384 };
+    const char *footprint = store_footprint(w->ds->index);
+    return (footprint ? strlen(footprint) : 0) + w->ds->n_tiles * ROW;
+}
+
+static double answer_dataset_tilejson_cost(const struct work *w, unsigned *variant)
+{
+    const struct target_clip none = {0};
+    return answer_dataset_list_cost(w, &none, variant);
+}
+
+static void answer_dataset_free_tilejson(void *own)
+{
+    mem_free(((struct answer_dataset_tilejson_own *)own)->public_url);
+}
+
+static const struct work_kind answer_dataset_tilejson_work = {
+    .noun = "TileJSON",
+    .traits = WORK_COMPRESSED,
+    .size = sizeof(struct answer_dataset_tilejson_own),
+    .make = answer_dataset_make_tilejson,
+    .room = answer_dataset_tilejson_room,
+    .cost = answer_dataset_tilejson_cost,
+    .free = answer_dataset_free_tilejson};
+
 void answer_dataset_tilejson(struct services *s, const struct request *r, struct dataset *d,
                              const struct target *t, struct response *out)
 {
@@ -160,7 +365,8 @@ void answer_dataset_tilejson(struct services *s, const struct request *r, struct
     out->type = RESPONSE_JSON;
     if (!response_made(s, r, id, out))
         return;
-    struct work *w = response_work(d, WORK_TILEJSON, id, (struct form){0}, out);
-    if (w && url && !(w->public_url = mem_text(url)))
+    struct answer_dataset_tilejson_own *own =
+        response_work(d, &answer_dataset_tilejson_work, id, out);
+    if (own && url && !(own->public_url = mem_text(url)))
         response_no_memory(out);
 }

@@ -12,8 +12,52 @@
 #include <string.h>
 
 #include "server/answer.h"
-#include "server/answer_kept.h"
 #include "server/right.h"
+
+/* ---- the work ---- */
+
+struct answer_kept_own {
+    bool removes;
+    struct kept_row row;      /* to remove a name: only ds and name are set */
+    char *match, *none_match; /* owned; NULL: absent */
+};
+
+static void answer_kept_free(void *own)
+{
+    struct answer_kept_own *o = own;
+    mem_free(o->match);
+    mem_free(o->none_match);
+}
+
+/* Keep a name or forget one. What is kept is described to whoever kept it; empty is the body of a
+ * name that was there before, or is no more. */
+static enum err_code answer_kept_act(struct services *s, const struct work *w, struct body **out,
+                                     struct err *e)
+{
+    const struct answer_kept_own *o = work_own(w);
+    const struct kept_condition when = {o->match, o->none_match};
+    struct buf none = {0};
+    char etag[BODY_ETAG_SIZE] = "";
+    bool created = false;
+    enum err_code rc = o->removes ? kept_remove(s->kept, o->row.ds, o->row.name, &when, e)
+                                  : kept_put(s->kept, &o->row, &when, &created, e);
+    if (rc == ERR_IO || rc == ERR_FORMAT || rc == ERR_MEM)
+        log_error("serve", "%s of ds=%s is not %s: %s", o->row.name, o->row.ds,
+                  o->removes ? "forgotten" : "kept", e->msg);
+    if (rc)
+        return rc;
+    log_info("serve", "appearance %s of ds=%s is %s", o->row.name, o->row.ds,
+             o->removes ? "forgotten" : "kept");
+    if (!o->removes)
+        kept_etag(&o->row, etag);
+    if (created)
+        rc = appearance_api_describe_kept(w->ds, &o->row, out, e);
+    else
+        *out = body_take(&none, etag);
+    if (!rc && !*out)
+        rc = err_set(e, ERR_MEM, "out of memory for the answer");
+    return rc;
+}
 
 static int answer_kept_status(enum err_code rc)
 {
@@ -24,6 +68,48 @@ static int answer_kept_status(enum err_code rc)
            : rc == ERR_BUSY  ? 503
                              : 500;
 }
+
+/* A name that is new is described, and Location is that of the request, whose last part is the
+ * name; else all is said by the status. */
+static void answer_kept_done(struct body *b, struct response *out)
+{
+    char name[TARGET_KEPT_MAX];
+    size_t n = 0;
+    while (n < out->n_instance && out->instance[out->n_instance - n - 1] != '/')
+        n++;
+    snprintf(name, sizeof name, "%.*s", (int)n, out->instance + out->n_instance - n);
+    out->body = b;
+    out->data = b->data;
+    out->size = b->size;
+    memcpy(out->etag, b->etag, sizeof out->etag);
+    out->status = b->size ? 201 : 204;
+    out->type = b->size ? RESPONSE_JSON : NULL;
+    out->location = b->size ? mem_text(name) : NULL;
+}
+
+static void answer_kept_finish(struct job_result *result, struct response *out)
+{
+    struct body *b = result->body;
+    result->body = NULL;
+    if (result->end == JOB_OK) {
+        answer_kept_done(b, out);
+        return;
+    }
+    body_drop(&b);
+    const int status = answer_kept_status(result->code);
+    response_problem(out, status,
+                     status == 500 ? "the change could not be written; the log says why"
+                                   : result->msg);
+    out->retry_after_s = status == 503 ? 1 : 0;
+}
+
+static const struct work_kind answer_kept_work = {.noun = "change",
+                                                  .size = sizeof(struct answer_kept_own),
+                                                  .act = answer_kept_act,
+                                                  .free = answer_kept_free,
+                                                  .finish = answer_kept_finish};
+
+/* ---- the answers ---- */
 
 /* May whoever asks change names? Else the problem is set. */
 static bool answer_kept_may(struct services *s, const struct request *r, const struct target *t,
@@ -37,7 +123,7 @@ static bool answer_kept_may(struct services *s, const struct request *r, const s
     else if (r->admin)
         return true;
     else
-        switch (right_check(r, t, AUTH_WRITE, t->ds)) {
+        switch (right_check(r, t, AUTH_WRITE, t->names.ds)) {
         case AUTH_OK:
             return true;
         case AUTH_UNKNOWN:
@@ -63,19 +149,13 @@ static void answer_kept_ask(struct services *s, const struct request *r, struct 
 {
     static _Atomic uint64_t asked;
     const uint64_t name[2] = {atomic_fetch_add(&asked, 1), (uint64_t)(uintptr_t)s};
-    struct work_change *c = mem_array(1, sizeof *c);
-    bool failed = !c;
+    bool failed = false;
     out->unnamed = true;
     out->cache_control = RESPONSE_NO_STORE;
-    struct work *w =
-        c ? response_work(d, WORK_KEEP, hash_bytes(name, sizeof name), (struct form){0}, out)
-          : NULL;
-    if (!w) {
-        mem_free(c);
-        response_no_memory(out);
+    struct answer_kept_own *c =
+        response_work(d, &answer_kept_work, hash_bytes(name, sizeof name), out);
+    if (!c)
         return;
-    }
-    w->change = c; /* response_free takes it back from here on */
     c->removes = r->method == METHOD_DELETE;
     c->row = *row;
     c->match = answer_kept_copy(r->if_match, &failed);
@@ -90,7 +170,7 @@ void answer_kept_read(struct services *s, const struct request *r, struct datase
     struct err e = {0};
     struct body *b = NULL;
     struct kept_table *kept = kept_now(s->kept);
-    const struct kept_row *row = kept_find(kept, d->meta.name, t->kept);
+    const struct kept_row *row = kept_find(kept, d->meta.name, t->names.kept);
     if (!row) {
         response_problem(out, 404,
                          s->kept ? "no appearance is kept under this name"
@@ -112,7 +192,7 @@ void answer_kept_change(struct services *s, const struct request *r, struct data
     if (!answer_kept_may(s, r, t, out))
         return;
     snprintf(row.ds, sizeof row.ds, "%s", d->meta.name);
-    snprintf(row.name, sizeof row.name, "%s", t->kept);
+    snprintf(row.name, sizeof row.name, "%s", t->names.kept);
     enum err_code rc = ERR_OK;
     if (r->method == METHOD_PUT) {
         struct kept_table *kept = kept_now(s->kept);
@@ -125,40 +205,4 @@ void answer_kept_change(struct services *s, const struct request *r, struct data
         response_problem(out, 409, e.msg);
     else
         response_refused(out, rc, e.msg);
-}
-
-/* ---- when the change was made ---- */
-
-/* A name that is new is described, and Location is that of the request, whose last part is the
- * name; else all is said by the status. */
-static void answer_kept_done(struct body *b, struct response *out)
-{
-    char name[TARGET_KEPT_MAX];
-    size_t n = 0;
-    while (n < out->n_instance && out->instance[out->n_instance - n - 1] != '/')
-        n++;
-    snprintf(name, sizeof name, "%.*s", (int)n, out->instance + out->n_instance - n);
-    out->body = b;
-    out->data = b->data;
-    out->size = b->size;
-    memcpy(out->etag, b->etag, sizeof out->etag);
-    out->status = b->size ? 201 : 204;
-    out->type = b->size ? RESPONSE_JSON : NULL;
-    out->location = b->size ? mem_text(name) : NULL;
-}
-
-void answer_kept_finish(struct job_result *result, struct response *out)
-{
-    struct body *b = result->body;
-    result->body = NULL;
-    if (result->end == JOB_OK) {
-        answer_kept_done(b, out);
-        return;
-    }
-    body_drop(&b);
-    const int status = answer_kept_status(result->code);
-    response_problem(out, status,
-                     status == 500 ? "the change could not be written; the log says why"
-                                   : result->msg);
-    out->retry_after_s = status == 503 ? 1 : 0;
 }

@@ -25,14 +25,14 @@ bool answer_map_is_surveyed(const struct dataset *d, struct response *out)
 }
 
 /* False, with the answer set, where there is nothing to draw. */
-static bool answer_map_there(const struct dataset *d, const struct target *t,
-                             enum map_document_of of, struct response *out)
+static bool answer_map_there(const struct dataset *d, struct key key, bool terrain,
+                             struct response *out)
 {
     char text[160];
     int most = raster_zoom_max(&d->area) + RASTER_ZOOM_OVER;
     if (!answer_map_is_surveyed(d, out))
         return false;
-    if (t->key.z > most) {
+    if (key.z > most) {
         snprintf(text, sizeof text,
                  "tiles end at zoom %d, where pixels are finer than what was "
                  "surveyed",
@@ -40,90 +40,140 @@ static bool answer_map_there(const struct dataset *d, const struct target *t,
         response_problem(out, 404, text);
         return false;
     }
-    if (of == MAP_DOCUMENT_TERRAIN || area_touches(&d->area, t->key))
+    if (terrain || area_touches(&d->area, key))
         return true;
     out->status = 204; /* a tile like any other, with nothing on it */
     return false;
 }
 
+/* ---- the work ---- */
+
+struct answer_map_own {
+    struct map_tile tile;
+    struct appearance_choice appearance;
+};
+
+static enum err_code answer_map_make(struct services *s, const struct job *j, const struct work *w,
+                                     struct buf *out, struct err *e)
+{
+    const struct answer_map_own *o = work_own(w);
+    struct draw_request q;
+    memset(&q, 0, sizeof q);
+    q.kind = DRAW_MAP;
+    q.appearance = o->appearance;
+    q.map = o->tile;
+    return work_draw(s, j, w, &q, out, e);
+}
+
+static size_t answer_map_room(const struct work *w)
+{
+    const struct answer_map_own *o = work_own(w);
+    return (size_t)o->tile.size_px * o->tile.size_px * 4;
+}
+
+static double answer_map_cost(const struct work *w, unsigned *variant)
+{
+    const struct answer_map_own *o = work_own(w);
+    (void)variant;
+    return 5 + 4 * DRAW_PIXEL_MS * (double)o->tile.size_px * o->tile.size_px;
+}
+
+static void answer_map_tell(const struct work *w, char *out, size_t room)
+{
+    const struct map_tile *t = &((const struct answer_map_own *)work_own(w))->tile;
+    snprintf(out, room, "map tile %u/%u/%u.%s", t->key.z, t->key.x, t->key.y,
+             format_ext(t->format));
+}
+
+static const struct work_kind answer_map_work = {.noun = "map tile",
+                                                 .traits = WORK_DRAWN | WORK_ON_DISK,
+                                                 .size = sizeof(struct answer_map_own),
+                                                 .make = answer_map_make,
+                                                 .room = answer_map_room,
+                                                 .cost = answer_map_cost,
+                                                 .tell = answer_map_tell};
+
+/* ---- tiles ---- */
+
+/* tile: its key, size, format and encoding. appearance NULL: of heights. */
 static void answer_map_draw(struct services *s, const struct request *r, struct dataset *d,
-                            const struct target *t, enum map_document_of of, struct response *out)
+                            const struct map_tile *tile, const char *appearance,
+                            struct response *out)
 {
     struct appearance_choice choice = {0};
     char device[160];
-    const bool terrain = of == MAP_DOCUMENT_TERRAIN;
-    if (!answer_map_there(d, t, of, out) || !answer_view_can_draw(s, out) ||
-        (!terrain && !answer_appearance_find(s, d, t->appearance, &choice, out)))
+    if (!answer_map_there(d, tile->key, !appearance, out) || !answer_view_can_draw(s, out) ||
+        (appearance && !answer_appearance_find(s, d, appearance, &choice, out)))
         return;
-    const struct map_tile tile = {.key = t->key,
-                                  .size_px = (uint32_t)RASTER_PX * t->scale,
-                                  .format = terrain ? FORMAT_PNG : t->form.format,
-                                  .encoding = !terrain ? ENCODING_UNSAID
-                                              : t->encoding == ENCODING_TERRARIUM
-                                                  ? ENCODING_TERRARIUM
-                                                  : ENCODING_MAPBOX,
-                                  .quality = (int)s->cfg->quality};
     picture_about(s->picture, device, sizeof device);
-    struct hash128 id = result_id_map(d, device, &tile, map_tile_is_flat(&d->area, &tile), &choice);
-    out->type = format_type(tile.format);
+    struct hash128 id = result_id_map(d, device, tile, map_tile_is_flat(&d->area, tile), &choice);
+    out->type = format_type(tile->format);
     snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s map", d->meta.name,
              d->meta.revision);
     if (!response_made(s, r, id, out))
         return;
-    struct work *w = response_work(d, WORK_MAP, id, (struct form){.format = tile.format}, out);
-    if (w) {
-        w->key = t->key;
-        w->map = tile;
-        w->appearance = choice;
-    }
+    struct answer_map_own *own = response_work(d, &answer_map_work, id, out);
+    if (own)
+        *own = (struct answer_map_own){*tile, choice};
 }
 
 void answer_map_tile(struct services *s, const struct request *r, struct dataset *d,
                      const struct target *t, struct response *out)
 {
-    answer_map_draw(s, r, d, t, MAP_DOCUMENT_COLOURS, out);
+    const struct map_target *asked = target_of_map(t);
+    const struct map_tile tile = {.key = asked->cell.key,
+                                  .size_px = (uint32_t)RASTER_PX * asked->cell.scale,
+                                  .format = asked->map.format,
+                                  .quality = (int)s->cfg->quality};
+    answer_map_draw(s, r, d, &tile, asked->appearance.appearance, out);
 }
 
 void answer_map_terrain(struct services *s, const struct request *r, struct dataset *d,
                         const struct target *t, struct response *out)
 {
-    answer_map_draw(s, r, d, t, MAP_DOCUMENT_TERRAIN, out);
+    const struct terrain_target *asked = target_of_terrain(t);
+    const bool terrarium = asked->terrain.encoding == ENCODING_TERRARIUM;
+    const struct map_tile tile = {.key = asked->cell.key,
+                                  .size_px = (uint32_t)RASTER_PX * asked->cell.scale,
+                                  .format = FORMAT_PNG,
+                                  .encoding = terrarium ? ENCODING_TERRARIUM : ENCODING_MAPBOX,
+                                  .quality = (int)s->cfg->quality};
+    answer_map_draw(s, r, d, &tile, NULL, out);
 }
 
 /* ---- documents ---- */
 
-void answer_map_document(const struct services *s, const struct request *r, const char *type,
-                         struct body *b, struct response *out)
+static void answer_map_document(const struct services *s, const struct request *r, const char *type,
+                                struct body *b, struct response *out)
 {
     response_document(r, type, b, out);
     if (out->status < 400 && !(s->cfg->public_url && *s->cfg->public_url))
         out->vary = out->vary ? ORIGIN_VARY_ENCODED : ORIGIN_VARY;
 }
 
-/* The edition that a document names in its addresses. False, and answered: there is no survey, or
- * not the appearance that was asked for; terrain has none. */
-static bool answer_map_edition(struct services *s, struct dataset *d, const struct target *t,
-                               enum map_document_of of, char edition[9], struct response *out)
+/* The edition that a document names in its addresses. appearance NULL: it is one of heights. False,
+ * and answered: there is no survey, or not the appearance that was asked for. */
+static bool answer_map_edition(struct services *s, struct dataset *d, const char *appearance,
+                               char edition[9], struct response *out)
 {
     struct appearance_choice choice;
     if (!answer_map_is_surveyed(d, out))
         return false;
-    if (of == MAP_DOCUMENT_COLOURS && !answer_appearance_find(s, d, t->appearance, &choice, out))
+    if (appearance && !answer_appearance_find(s, d, appearance, &choice, out))
         return false;
     response_edition(s, d, EDITION_PICTURES, edition);
     return true;
 }
 
 static void answer_map_describe(struct services *s, const struct request *r, struct dataset *d,
-                                const struct target *t, enum map_document_of of,
-                                struct response *out)
+                                const struct map_document_ask *ask, struct response *out)
 {
     struct err e = {0};
     struct body *b = NULL;
     char edition[9], origin[ORIGIN_MAX];
-    if (!answer_map_edition(s, d, t, of, edition, out))
+    if (!answer_map_edition(s, d, ask->appearance, edition, out))
         return;
-    if (map_document_tilejson(d, edition, of, t, origin_of(s, r, origin), &b, &e))
+    if (map_document_tilejson(d, edition, ask, origin_of(s, r, origin), &b, &e))
         response_no_memory(out);
     else
         answer_map_document(s, r, RESPONSE_JSON, b, out);
@@ -132,13 +182,15 @@ static void answer_map_describe(struct services *s, const struct request *r, str
 void answer_map_tilejson(struct services *s, const struct request *r, struct dataset *d,
                          const struct target *t, struct response *out)
 {
-    answer_map_describe(s, r, d, t, MAP_DOCUMENT_COLOURS, out);
+    const struct map_document_ask ask = {.appearance = target_of_mapjson(t)->appearance.appearance};
+    answer_map_describe(s, r, d, &ask, out);
 }
 
 void answer_map_terrain_tilejson(struct services *s, const struct request *r, struct dataset *d,
                                  const struct target *t, struct response *out)
 {
-    answer_map_describe(s, r, d, t, MAP_DOCUMENT_TERRAIN, out);
+    const struct map_document_ask ask = {.encoding = target_of_terrainjson(t)->terrain.encoding};
+    answer_map_describe(s, r, d, &ask, out);
 }
 
 void answer_map_style(struct services *s, const struct request *r, struct dataset *d,
@@ -147,9 +199,10 @@ void answer_map_style(struct services *s, const struct request *r, struct datase
     struct err e = {0};
     struct body *b = NULL;
     char edition[9], origin[ORIGIN_MAX];
-    if (!answer_map_edition(s, d, t, MAP_DOCUMENT_COLOURS, edition, out))
+    const char *appearance = target_of_style(t)->appearance.appearance;
+    if (!answer_map_edition(s, d, appearance, edition, out))
         return;
-    if (map_document_style(d, edition, t, origin_of(s, r, origin), &b, &e))
+    if (map_document_style(d, edition, appearance, origin_of(s, r, origin), &b, &e))
         response_no_memory(out);
     else
         answer_map_document(s, r, RESPONSE_JSON, b, out);
@@ -161,9 +214,11 @@ void answer_map_wmts(struct services *s, const struct request *r, struct dataset
     struct err e = {0};
     struct body *b = NULL;
     char edition[9], origin[ORIGIN_MAX];
-    if (!answer_map_edition(s, d, t, MAP_DOCUMENT_COLOURS, edition, out))
+    const char *appearance = target_of_wmts(t)->appearance.appearance;
+    if (!answer_map_edition(s, d, appearance, edition, out))
         return;
-    enum err_code rc = map_document_wmts(d, edition, t, origin_or_own(s, r, origin), &b, &e);
+    enum err_code rc =
+        map_document_wmts(d, edition, appearance, origin_or_own(s, r, origin), &b, &e);
     if (rc == ERR_ARG)
         response_problem(out, 404, e.msg);
     else if (rc)

@@ -11,9 +11,4 @@
  * problem is set. */
 bool answer_map_is_surveyed(const struct dataset *d, struct response *out);
 
-/* Answers with a document whose addresses begin with the host that was asked, where --public-url
- * does not say which. It takes over the reference to b. */
-void answer_map_document(const struct services *s, const struct request *r, const char *type,
-                         struct body *b, struct response *out);
-
 #endif

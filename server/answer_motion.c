@@ -32,7 +32,7 @@ void answer_motion_steer(struct services *s, const struct request *r, struct dat
     wish.number = p.number;
     wish.still = p.still;
     wish.key = p.key;
-    if (motion_steer(s->motion, d, t->stream, &wish, &e)) {
+    if (motion_steer(s->motion, d, target_of_motion(t)->stream.name, &wish, &e)) {
         response_problem(out, 404, e.msg);
         return;
     }
@@ -49,7 +49,8 @@ void answer_motion(struct services *s, const struct request *r, struct dataset *
     out->type = MULTIPART_TYPE;
     if (r->method == METHOD_HEAD)
         return;
-    out->video = t->video;
-    snprintf(out->stream, sizeof out->stream, "%s", t->stream);
+    const struct target_stream *stream = &target_of_motion(t)->stream;
+    out->video = stream->video;
+    snprintf(out->stream, sizeof out->stream, "%s", stream->name);
     snprintf(out->stream_of, sizeof out->stream_of, "%s", d->meta.name);
 }

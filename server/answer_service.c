@@ -204,7 +204,7 @@ void answer_service_version(struct services *s, const struct request *r, struct 
 
 /* Does a dataset meet the box that is asked for? One that ends east of where it begins crosses the
  * date line. */
-static bool answer_service_meets(const struct dataset *d, const struct target *t)
+static bool answer_service_meets(const struct dataset *d, const struct target_box *t)
 {
     const double west = t->bbox_e7[0] / 1e7, south = t->bbox_e7[1] / 1e7,
                  east = t->bbox_e7[2] / 1e7, north = t->bbox_e7[3] / 1e7;
@@ -219,9 +219,10 @@ void answer_service_collections(struct services *s, const struct request *r, str
                                 const struct target *t, struct response *out)
 {
     (void)d;
+    const struct target_box *box = &target_of_collections(t)->box;
     struct catalog *c = services_catalog(s);
     struct body *b = NULL;
-    if (t->has_bbox || r->auth) {
+    if (box->has_bbox || r->auth) {
         struct origin_places at;
         origin_read(s, r, &at);
         const struct collection_options collection = {at.public_url, at.base_path, s->cfg->basemap,
@@ -230,7 +231,7 @@ void answer_service_collections(struct services *s, const struct request *r, str
         size_t n = 0;
         for (size_t i = 0; ds && i < c->n_current; i++)
             if (answer_service_shows(r, t, c->ds[i]) &&
-                (!t->has_bbox || answer_service_meets(c->ds[i], t)))
+                (!box->has_bbox || answer_service_meets(c->ds[i], box)))
                 ds[n++] = c->ds[i];
         if (!ds || collection_list(ds, n, &collection, &b, NULL))
             body_drop(&b);

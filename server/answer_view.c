@@ -76,6 +76,64 @@ bool answer_view_check(struct services *s, uint32_t width_px, uint32_t height_px
     return true;
 }
 
+/* ---- the work ---- */
+
+static enum err_code answer_view_make(struct services *s, const struct job *j, const struct work *w,
+                                      struct buf *out, struct err *e)
+{
+    const struct answer_view_own *o = work_own(w);
+    struct draw_request q;
+    memset(&q, 0, sizeof q);
+    q.kind = DRAW_VIEW;
+    q.appearance = o->appearance;
+    q.view = o->view;
+    return work_draw(s, j, w, &q, out, e);
+}
+
+size_t answer_view_room(const struct draw_view *v)
+{
+    return (size_t)v->cam.width_px * v->cam.height_px * 4;
+}
+
+static size_t answer_view_work_room(const struct work *w)
+{
+    const struct answer_view_own *o = work_own(w);
+    return answer_view_room(&o->view);
+}
+
+/* The formula of docs/sizing.md for drawing a usual picture of 300,000 Gaussians. */
+double answer_view_cost_ms(const struct draw_view *v)
+{
+    const double gaussian_ms = 25e-6, drawn = 3e5;
+    return 5 + gaussian_ms * drawn +
+           DRAW_PIXEL_MS * (double)v->cam.width_px * v->cam.height_px *
+               fmax(1, v->paint.supersample * v->paint.supersample);
+}
+
+static double answer_view_cost(const struct work *w, unsigned *variant)
+{
+    const struct answer_view_own *o = work_own(w);
+    (void)variant;
+    return answer_view_cost_ms(&o->view);
+}
+
+const struct work_kind answer_view_work = {.noun = "picture",
+                                           .traits = WORK_DRAWN | WORK_PICTURE | WORK_ON_DISK,
+                                           .size = sizeof(struct answer_view_own),
+                                           .make = answer_view_make,
+                                           .room = answer_view_work_room,
+                                           .cost = answer_view_cost};
+
+static void answer_view_ask(struct dataset *d, struct hash128 id, const struct draw_view *v,
+                            const struct appearance_choice *a, struct response *out)
+{
+    struct answer_view_own *own = response_work(d, &answer_view_work, id, out);
+    if (own)
+        *own = (struct answer_view_own){*v, *a};
+}
+
+/* ---- the answers ---- */
+
 static struct hash128 answer_view_id(struct services *s, const struct dataset *d,
                                      const struct draw_view *v, const struct appearance_choice *a)
 {
@@ -89,38 +147,36 @@ void answer_view(struct services *s, const struct request *r, struct dataset *d,
 {
     struct err e = {0};
     struct camera cam;
+    const struct view_target *asked = target_of_view(t);
+    const struct target_view *v = &asked->view;
     const struct view_pose pose = {
-        .lon_deg = t->pose.lon_e7 / 1e7,
-        .lat_deg = t->pose.lat_e7 / 1e7,
-        .h_m = t->pose.h_mm / 1e3,
-        .heading_deg = t->pose.heading_e3 / 1e3,
-        .pitch_deg = t->pose.pitch_e3 / 1e3,
-        .fov_y_deg = t->pose.fov_e3 / 1e3,
+        .lon_deg = v->pose.lon_e7 / 1e7,
+        .lat_deg = v->pose.lat_e7 / 1e7,
+        .h_m = v->pose.h_mm / 1e3,
+        .heading_deg = v->pose.heading_e3 / 1e3,
+        .pitch_deg = v->pose.pitch_e3 / 1e3,
+        .fov_y_deg = v->pose.fov_e3 / 1e3,
     };
     struct appearance_choice choice;
-    struct paint paint = t->paint;
-    if (!answer_view_check(s, t->width_px, t->height_px, t->form.format, &paint, out) ||
-        !answer_appearance_find(s, d, t->appearance, &choice, out))
+    struct paint paint = v->paint;
+    if (!answer_view_check(s, v->width_px, v->height_px, v->format, &paint, out) ||
+        !answer_appearance_find(s, d, asked->appearance.appearance, &choice, out))
         return;
-    if (paint_check(&t->paint, t->form.format, &e) ||
-        view_camera(&d->meta.origin, &pose, t->width_px, t->height_px, &cam, &e)) {
+    if (paint_check(&v->paint, v->format, &e) ||
+        view_camera(&d->meta.origin, &pose, v->width_px, v->height_px, &cam, &e)) {
         response_problem(out, 422, e.msg);
         return;
     }
-    paint_roll(&cam, t->pose.roll_e3 / 1e3);
+    paint_roll(&cam, v->pose.roll_e3 / 1e3);
     const struct draw_view view = {
-        .cam = cam, .format = t->form.format, .quality = (int)s->cfg->quality, .paint = paint};
+        .cam = cam, .format = v->format, .quality = (int)s->cfg->quality, .paint = paint};
     struct hash128 id = answer_view_id(s, d, &view, &choice);
-    out->type = format_type(t->form.format);
+    out->type = format_type(v->format);
     snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s view", d->meta.name,
              d->meta.revision);
     if (!response_made(s, r, id, out))
         return;
-    struct work *w = response_work(d, WORK_VIEW, id, (struct form){.format = t->form.format}, out);
-    if (w) {
-        w->view = view;
-        w->appearance = choice;
-    }
+    answer_view_ask(d, id, &view, &choice, out);
 }
 
 void answer_view_render(struct services *s, const struct request *r, struct dataset *d,
@@ -145,10 +201,6 @@ void answer_view_render(struct services *s, const struct request *r, struct data
     out->unnamed = true; /* a name of the bytes is of no use */
     if (!response_made(s, r, id, out))
         return;
-    struct work *w = response_work(d, WORK_VIEW, id, (struct form){.format = p.format}, out);
-    if (w) {
-        w->view = view;
-        w->appearance = choice;
-    }
+    answer_view_ask(d, id, &view, &choice, out);
     out->timeout_s = p.timeout_s;
 }

@@ -15,4 +15,14 @@ bool answer_view_can_draw(struct services *s, struct response *out);
 bool answer_view_check(struct services *s, uint32_t width_px, uint32_t height_px, enum format f,
                        struct paint *paint, struct response *out);
 
+/* The work of drawing a view: for streams, too. */
+struct answer_view_own {
+    struct draw_view view;
+    struct appearance_choice appearance;
+};
+extern const struct work_kind answer_view_work;
+/* Upper limit of the bytes of a view in any format, and the time that a usual one takes. */
+size_t answer_view_room(const struct draw_view *v);
+double answer_view_cost_ms(const struct draw_view *v);
+
 #endif

@@ -15,18 +15,30 @@
 #define COST_MOST 1e3
 #define COST_LEAST_MS 0.01
 
-double cost_predict(const struct cost *c, unsigned kind, double expected_ms)
+/* NULL: nothing was learned of it yet. */
+static const struct cost_factor *cost_find(const struct cost *c, struct cost_kind kind)
 {
-    const double f = kind < COST_KINDS && c->factor[kind] > 0 ? c->factor[kind] : 1;
-    return fmax(expected_ms, COST_LEAST_MS) * f;
+    for (size_t i = 0; i < c->n; i++)
+        if (c->learned[i].kind.of == kind.of && c->learned[i].kind.variant == kind.variant)
+            return &c->learned[i];
+    return NULL;
 }
 
-void cost_learn(struct cost *c, unsigned kind, double expected_ms, double took_ms)
+double cost_predict(const struct cost *c, struct cost_kind kind, double expected_ms)
 {
-    if (kind >= COST_KINDS || !(took_ms >= 0) || !isfinite(expected_ms))
+    const struct cost_factor *f = cost_find(c, kind);
+    return fmax(expected_ms, COST_LEAST_MS) * (f ? f->factor : 1);
+}
+
+void cost_learn(struct cost *c, struct cost_kind kind, double expected_ms, double took_ms)
+{
+    const struct cost_factor *found = cost_find(c, kind);
+    const size_t at = found ? (size_t)(found - c->learned) : c->n;
+    if (at == COST_KINDS || !(took_ms >= 0) || !isfinite(expected_ms))
         return;
-    const double f = c->factor[kind] > 0 ? c->factor[kind] : 1,
-                 now = took_ms / fmax(expected_ms, COST_LEAST_MS);
+    const double f = found ? found->factor : 1, now = took_ms / fmax(expected_ms, COST_LEAST_MS);
     const double held = fmin(fmax(now, f / COST_STEP), f * COST_STEP);
-    c->factor[kind] = fmin(fmax(f + COST_WEIGHT * (held - f), COST_LEAST), COST_MOST);
+    c->learned[at] =
+        (struct cost_factor){kind, fmin(fmax(f + COST_WEIGHT * (held - f), COST_LEAST), COST_MOST)};
+    c->n += !found;
 }

@@ -12,7 +12,6 @@
 #include <time.h>
 
 #include "server/answer_appearance.h"
-#include "server/answer_kept.h"
 #include "server/right.h"
 
 static bool dispatch_changes(const struct request *r)
@@ -93,9 +92,9 @@ static void dispatch_cached(const struct services *s, const struct request *r,
     out->tag_header = dispatch_tag_header(s->cfg);
     if (!out->surrogate[0] && out->status < 400)
         snprintf(out->surrogate, sizeof out->surrogate, "ds-%s", d->meta.name);
-    if (t->kept[0] && out->status < 400)
+    if (t->names.kept[0] && out->status < 400)
         snprintf(out->surrogate + strlen(out->surrogate),
-                 sizeof out->surrogate - strlen(out->surrogate), " a-%s", t->kept);
+                 sizeof out->surrogate - strlen(out->surrogate), " a-%s", t->names.kept);
 }
 
 /* The queue of what takes a job. */
@@ -119,14 +118,14 @@ static void dispatch_dataset(struct services *s, const struct request *r,
                              const struct route_method *on, struct target *t, struct response *out)
 {
     struct catalog *c = services_catalog(s);
-    struct dataset *d = catalog_find(c, t->ds, t->rev);
+    struct dataset *d = catalog_find(c, t->names.ds, t->names.rev);
     if (d) {
         if (answer_appearance_resolve(s, d, t, out)) {
             out->cache_control = response_cache_control(s, d, t);
             on->answer(s, r, d, t, out);
         }
         dispatch_cached(s, r, d, t, out);
-    } else if (catalog_find(c, t->ds, "")) {
+    } else if (catalog_find(c, t->names.ds, "")) {
         response_problem(out, 404, "this server does not have this revision, or not any more");
         out->cache_control = RESPONSE_NO_STORE; /* a reload may bring it */
     } else {
@@ -139,13 +138,13 @@ static void dispatch_dataset(struct services *s, const struct request *r,
  * path. False, with the answer set, where the seal does not hold. */
 static bool dispatch_unseal(struct request *r, const struct target *t, struct response *out)
 {
-    const size_t n_seal = (size_t)(t->seal.end - t->seal.p);
-    const size_t n = (size_t)(t->seal.end - r->target);
-    if (!dispatch_may(r, auth_check_seal(r->auth, t->seal.p, n_seal, (int64_t)time(NULL)), out))
+    const struct text seal = target_of_signed(t)->seal.text;
+    const size_t n_seal = (size_t)(seal.end - seal.p), n = (size_t)(seal.end - r->target);
+    if (!dispatch_may(r, auth_check_seal(r->auth, seal.p, n_seal, (int64_t)time(NULL)), out))
         return false;
     if (n == t->path_size) { /* relative addresses would not lie below it */
         struct buf b = {0};
-        buf_printf(&b, "%.*s/", (int)n_seal, t->seal.p);
+        buf_printf(&b, "%.*s/", (int)n_seal, seal.p);
         buf_u8(&b, 0);
         out->status = 308;
         out->cache_control = RESPONSE_NO_STORE;
@@ -153,7 +152,7 @@ static bool dispatch_unseal(struct request *r, const struct target *t, struct re
         buf_free(&b);
         return false;
     }
-    r->seal = t->seal.p;
+    r->seal = seal.p;
     r->n_seal = n_seal;
     r->prefix = r->target;
     r->n_prefix = n;
@@ -164,13 +163,14 @@ static bool dispatch_unseal(struct request *r, const struct target *t, struct re
 }
 
 /* False, with the answer set, where the target is none. */
-static bool dispatch_read(const struct services *s, struct request *r, struct target *t,
+static bool dispatch_read(const struct services *s, struct request *r, union target_any *any,
                           struct response *out)
 {
     struct err e = {0};
-    enum err_code rc = router_read(s->routes, r->target, r->target_size, t, &e);
+    const struct target *t = &any->all;
+    enum err_code rc = router_read(s->routes, r->target, r->target_size, any, &e);
     if (!rc && t->route->scope & SCOPE_SIGNED && r->auth && !r->admin && !r->seal)
-        return dispatch_unseal(r, t, out) && dispatch_read(s, r, t, out);
+        return dispatch_unseal(r, t, out) && dispatch_read(s, r, any, out);
     if (rc != ERR_FORMAT && !(!rc && t->route->scope & SCOPE_SIGNED)) {
         out->instance = r->target;
         out->n_instance = t->path_size;
@@ -184,30 +184,31 @@ static bool dispatch_read(const struct services *s, struct request *r, struct ta
 
 static void dispatch_route(struct services *s, struct request *r, struct response *out)
 {
-    struct target t;
-    if (!dispatch_read(s, r, &t, out))
+    union target_any any;
+    struct target *t = &any.all;
+    if (!dispatch_read(s, r, &any, out))
         return;
-    out->route = t.route;
+    out->route = t->route;
     /* A page that is open in the browser of an operator reaches this listener. */
     if (r->admin && r->from_page) {
         response_problem(out, 403, "the operators' listener answers no pages");
         return;
     }
-    const struct route_method *on = dispatch_method(s, r, t.route, out);
+    const struct route_method *on = dispatch_method(s, r, t->route, out);
     if (!on)
         return;
     out->timeout_s = s->cfg->deadline_s;
-    out->cls = dispatch_queue(r, t.route->rate);
-    if (!(t.route->scope & SCOPE_DATASET)) {
-        out->cache_control = t.route->cache == CACHE_NONE ? RESPONSE_NO_STORE : RESPONSE_MOVING;
-        on->answer(s, r, NULL, &t, out);
+    out->cls = dispatch_queue(r, t->route->rate);
+    if (!(t->route->scope & SCOPE_DATASET)) {
+        out->cache_control = t->route->cache == CACHE_NONE ? RESPONSE_NO_STORE : RESPONSE_MOVING;
+        on->answer(s, r, NULL, t, out);
     } else if (r->admin || dispatch_changes(r) || /* which answer_kept.c allows */
                dispatch_may(r,
-                            right_check(r, &t,
-                                        t.route->scope & SCOPE_RENDER ? AUTH_RENDER : AUTH_READ,
-                                        t.ds),
+                            right_check(r, t,
+                                        t->route->scope & SCOPE_RENDER ? AUTH_RENDER : AUTH_READ,
+                                        t->names.ds),
                             out)) {
-        dispatch_dataset(s, r, on, &t, out);
+        dispatch_dataset(s, r, on, t, out);
     }
 }
 
@@ -248,15 +249,14 @@ static void dispatch_failed(struct services *s, const struct job_result *result,
                                                                                 : 503,
                          dispatch_says(result));
         out->retry_after_s = result->retry_s ? result->retry_s : job_retry_after(s->jobs, cls);
-    } else if (result->code == ERR_DATA && out->kind == WORK_QUERY) {
+    } else if (result->code == ERR_DATA && out->kind->traits & WORK_JUDGES) {
         response_problem(out, 422, result->msg); /* a question without an answer */
     } else if (result->code == ERR_NOENT) {
         response_problem(out, 404, result->msg);
     } else if (out->tile_of[0]) {
         response_tile_problem(out, result->code == ERR_FORMAT);
     } else {
-        snprintf(text, sizeof text, "the %s could not be made; the log says why",
-                 work_noun(out->kind));
+        snprintf(text, sizeof text, "the %s could not be made; the log says why", out->kind->noun);
         response_problem(out, 500, text);
     }
 }
@@ -268,8 +268,8 @@ void dispatch_finish(struct services *s, const struct request *r, struct job_res
     out->run_s = result->run_s;
     out->cache = result->coalesced ? "shared" : out->cache;
     out->work = NULL; /* the job owned it */
-    if (out->kind == WORK_KEEP) {
-        answer_kept_finish(result, out);
+    if (out->kind->finish) {
+        out->kind->finish(result, out);
         return;
     }
     struct body *b = result->body;

@@ -110,11 +110,12 @@ void hint_write(const struct catalog *c, const char *query, size_t n, char out[H
 
 enum { HINT_QUERY = 64 }; /* a longer one would be most of the field */
 
-void hint_tileset(const struct dataset *d, const struct target *t, char out[HINT_SIZE])
+void hint_tileset(const struct dataset *d, bool moving, const struct target_tiles *t,
+                  char out[HINT_SIZE])
 {
     const struct tree *tree = store_tree(d->index);
     char query[TARGET_QUERY_MAX];
-    struct link l = link_to(t->rev[0] ? LINK_REVISION : LINK_DATASET, NULL, d, d->edition);
+    struct link l = link_to(moving ? LINK_DATASET : LINK_REVISION, NULL, d, d->edition);
     target_query_tiles(t, query);
     out[0] = '\0';
     if (t->clip.n || strlen(query) > HINT_QUERY || tree->root == TREE_NONE ||
@@ -125,7 +126,7 @@ void hint_tileset(const struct dataset *d, const struct target *t, char out[HINT
     hint_add(out, link_tile, &l, query);
 }
 
-void hint_tile(const struct dataset *d, const struct store_tile *tile, const struct target *t,
+void hint_tile(const struct dataset *d, const struct store_tile *tile, const struct target_tiles *t,
                char out[HINT_SIZE])
 {
     enum { NUMBERS = 3 * TEXT_UINT + 48 /* and the words between */ };

@@ -17,12 +17,13 @@ void hint_write(const struct catalog *c, const char *query, size_t n, char out[H
 /* The dataset that the page with this query opens; NULL: of another server, or there is none. It is
  * borrowed from the catalogue. */
 const struct dataset *hint_scene(const struct catalog *c, const char *query, size_t n);
-/* For a tileset's entry: the tile that every view begins with (rel=preload). "": there are several.
- */
-void hint_tileset(const struct dataset *d, const struct target *t, char out[HINT_SIZE]);
+/* For a tileset's entry, moving or of a revision: the tile that every view begins with
+ * (rel=preload). "": there are several. */
+void hint_tileset(const struct dataset *d, bool moving, const struct target_tiles *t,
+                  char out[HINT_SIZE]);
 /* For a tile: the tiles that replace it when a camera comes near (rel=prefetch), in the same form.
  */
-void hint_tile(const struct dataset *d, const struct store_tile *tile, const struct target *t,
+void hint_tile(const struct dataset *d, const struct store_tile *tile, const struct target_tiles *t,
                char out[HINT_SIZE]);
 
 #endif

@@ -6,6 +6,7 @@
 #define SERVER_JOB_H
 
 #include "server/body.h"
+#include "server/cost.h"
 
 /* JOB_MOTION: pictures of streams that follow a camera. A stream requests one at a time, so they do
  * not count against rates of clients. JOB_SLOW: work that was submitted as JOB_TILE and takes long.
@@ -63,7 +64,7 @@ struct job_config {
     size_t queue_limit[JOB_CLASSES]; /* of JOB_SLOW: that of JOB_TILE */
     /* Estimates the time of work by a formula, in ms, and gives its kind (cost.h). The queue learns
      * from the time that it took. Called with the lock held. NULL: 1 ms. */
-    double (*cost)(const void *work, unsigned *kind);
+    double (*cost)(const void *work, struct cost_kind *kind);
     double client_views_s, client_tiles_s; /* new jobs a second for one client; 0: no limit */
     double stop_s; /* how long job_stop waits for the threads that draw; 0 = 10 s */
     /* a failed job is not repeated for this time, which doubles up to 60 s; 0 = 2 s */

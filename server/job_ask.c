@@ -111,7 +111,7 @@ static struct job *job_find_or_add(struct jobs *js, enum job_class cls, struct h
                                    uint64_t client, double timeout_s, void **work,
                                    struct job_waiter *w, struct job **shed)
 {
-    unsigned kind = 0;
+    struct cost_kind kind = {0};
     struct job *j = *job_table_find(js, id);
     double now_s = clock_s();
     if (js->stopping) {

@@ -31,7 +31,6 @@
 #include <pthread.h>
 
 #include "core/pool.h"
-#include "server/cost.h"
 #include "server/failure.h"
 #include "server/job.h"
 #include "server/rate.h"
@@ -53,7 +52,7 @@ struct job {
     struct job *table_next;
     struct turn_item place; /* position in its queue */
     uint64_t client;        /* whose time it takes */
-    unsigned kind;          /* of its cost, see job_config.cost */
+    struct cost_kind kind;  /* see job_config.cost */
     double expected_ms, predicted_ms;
     double queued_s, started_s;
 };

@@ -19,16 +19,15 @@ static const double MAP_DOCUMENT_SCALE0 = 559082264.0287178; /* of zoom 0, WebMe
 static const double MAP_DOCUMENT_HALF_M = 20037508.342789244;
 enum { MAP_DOCUMENT_URL_MAX = TARGET_QUERY_MAX + FILE_PATH_MAX + 64 };
 
-static void map_document_query(const struct target *t, enum map_document_of of,
-                               char out[TARGET_QUERY_MAX])
+static void map_document_query(const struct map_document_ask *ask, char out[TARGET_QUERY_MAX])
 {
     out[0] = '\0';
-    if (of == MAP_DOCUMENT_TERRAIN) {
-        if (t->encoding == ENCODING_TERRARIUM)
+    if (!ask->appearance) {
+        if (ask->encoding == ENCODING_TERRARIUM)
             snprintf(out, TARGET_QUERY_MAX, "?encoding=terrarium");
-    } else if (t->appearance[0]) {
+    } else if (ask->appearance[0]) {
         strcpy(out, "?appearance=");
-        text_escape(t->appearance, out + strlen(out));
+        text_escape(ask->appearance, out + strlen(out));
     }
 }
 
@@ -41,16 +40,15 @@ static struct link map_document_link(const struct dataset *d, const char *editio
 
 /* What TileJSON and a source of a style have alike. */
 static json_t *map_document_tiles(const struct dataset *d, const char *edition,
-                                  enum map_document_of of, const struct target *t, const char *base)
+                                  const struct map_document_ask *ask, const char *base)
 {
     const struct area *a = &d->area;
     const double bounds[4] = {a->west_deg, a->south_deg, a->east_deg, a->north_deg};
     char url[MAP_DOCUMENT_URL_MAX];
     struct link l = map_document_link(d, edition, base);
     l.ext = format_ext(FORMAT_WEBP);
-    link_text(of == MAP_DOCUMENT_TERRAIN ? link_terrain : link_map, &l, url,
-              sizeof url - TARGET_QUERY_MAX);
-    map_document_query(t, of, url + strlen(url));
+    link_text(ask->appearance ? link_map : link_terrain, &l, url, sizeof url - TARGET_QUERY_MAX);
+    map_document_query(ask, url + strlen(url));
     return json_pack("{s:[s],s:i,s:i,s:i,s:o}", "tiles", url, "minzoom", (int)raster_zoom_min(a),
                      "maxzoom", (int)raster_zoom_max(a), "tileSize", RASTER_PX, "bounds",
                      document_numbers(bounds, 4));
@@ -75,21 +73,22 @@ static json_t *map_document_center(const struct area *a)
 }
 
 enum err_code map_document_tilejson(const struct dataset *d, const char *edition,
-                                    enum map_document_of of, const struct target *t,
-                                    const char *base, struct body **out, struct err *e)
+                                    const struct map_document_ask *ask, const char *base,
+                                    struct body **out, struct err *e)
 {
     const struct area *a = &d->area;
     const int zoom_min = raster_zoom_min(a), zoom_max = raster_zoom_max(a);
     json_t *o =
         map_document_join(json_pack("{s:s,s:s,s:s,s:s}", "tilejson", "3.0.0", "name", d->meta.name,
                                     "attribution", d->meta.attribution, "scheme", "xyz"),
-                          map_document_tiles(d, edition, of, t, base));
+                          map_document_tiles(d, edition, ask, base));
     json_t *center = map_document_center(a);
     json_array_append_new(center, json_integer(zoom_min + 3 < zoom_max ? zoom_min + 3 : zoom_max));
     json_object_set_new(o, "center", center);
-    if (of == MAP_DOCUMENT_TERRAIN) {
+    if (!ask->appearance) {
         json_object_set_new(
-            o, "encoding", json_string(t->encoding == ENCODING_TERRARIUM ? "terrarium" : "mapbox"));
+            o, "encoding",
+            json_string(ask->encoding == ENCODING_TERRARIUM ? "terrarium" : "mapbox"));
         char datum[HEIGHTS_WORDS_MAX];
         heights_datum(d->meta.heights, datum);
         json_object_set_new(o, "verticalDatum", json_string(datum));
@@ -119,14 +118,15 @@ static double map_document_zoom(const struct area *a)
  * MapLibre would have the city on a block above height 0. Terrain and hillshade have a source each,
  * because MapLibre asks for that. */
 static json_t *map_document_sources(const struct dataset *d, const char *edition,
-                                    const struct target *t, const char *base)
+                                    const char *appearance, const char *base)
 {
+    const struct map_document_ask colours = {.appearance = appearance}, terrain = {NULL};
     json_t *city = map_document_join(
         json_pack("{s:s,s:s}", "type", "raster", "attribution", d->meta.attribution),
-        map_document_tiles(d, edition, MAP_DOCUMENT_COLOURS, t, base));
+        map_document_tiles(d, edition, &colours, base));
     json_t *heights =
         map_document_join(json_pack("{s:s,s:s}", "type", "raster-dem", "encoding", "mapbox"),
-                          map_document_tiles(d, edition, MAP_DOCUMENT_TERRAIN, t, base));
+                          map_document_tiles(d, edition, &terrain, base));
     json_object_del(heights, "bounds");
     return json_pack("{s:o,s:O,s:o}", "city", city, "terrain", heights, "hillshade", heights);
 }
@@ -140,22 +140,22 @@ static json_t *map_document_layers(void)
 }
 
 enum err_code map_document_style(const struct dataset *d, const char *edition,
-                                 const struct target *t, const char *base, struct body **out,
+                                 const char *appearance, const char *base, struct body **out,
                                  struct err *e)
 {
-    return document_make(json_pack("{s:i,s:s,s:o,s:f,s:f,s:o,s:{s:s,s:i},s:o}", "version", 8,
-                                   "name", d->meta.name, "center", map_document_center(&d->area),
-                                   "zoom", map_document_zoom(&d->area), "pitch",
-                                   MAP_DOCUMENT_PITCH_DEG, "sources",
-                                   map_document_sources(d, edition, t, base), "terrain", "source",
-                                   "terrain", "exaggeration", 1, "layers", map_document_layers()),
-                         out, e);
+    return document_make(
+        json_pack("{s:i,s:s,s:o,s:f,s:f,s:o,s:{s:s,s:i},s:o}", "version", 8, "name", d->meta.name,
+                  "center", map_document_center(&d->area), "zoom", map_document_zoom(&d->area),
+                  "pitch", MAP_DOCUMENT_PITCH_DEG, "sources",
+                  map_document_sources(d, edition, appearance, base), "terrain", "source",
+                  "terrain", "exaggeration", 1, "layers", map_document_layers()),
+        out, e);
 }
 
 /* ---- WMTS ---- */
 
-static void map_document_layer(struct buf *b, const struct dataset *d, const struct target *t,
-                               struct link l)
+static void map_document_layer(struct buf *b, const struct dataset *d,
+                               const struct map_document_ask *ask, struct link l)
 {
     static const enum format formats[] = {FORMAT_PNG, FORMAT_WEBP, FORMAT_JPG};
     static const char *const names[3] = {"TileMatrix", "TileCol", "TileRow"};
@@ -180,7 +180,7 @@ static void map_document_layer(struct buf *b, const struct dataset *d, const str
                    format_type(formats[i]));
         l.ext = format_ext(formats[i]);
         link_text(link_map, &l, url, sizeof url - TARGET_QUERY_MAX);
-        map_document_query(t, MAP_DOCUMENT_COLOURS, url + strlen(url));
+        map_document_query(ask, url + strlen(url));
         buf_markup(b, url);
         buf_printf(b, "\"/>\n");
     }
@@ -208,11 +208,12 @@ static void map_document_matrices(struct buf *b, int zoom_max)
 }
 
 enum err_code map_document_wmts(const struct dataset *d, const char *edition,
-                                const struct target *t, const char *base, struct body **out,
+                                const char *appearance, const char *base, struct body **out,
                                 struct err *e)
 {
     struct buf b = {0};
     const struct link l = link_to(LINK_ROOT, base, d, edition);
+    const struct map_document_ask ask = {.appearance = appearance};
     char self[MAP_DOCUMENT_URL_MAX];
     if (!base || !*base)
         return err_set(e, ERR_ARG,
@@ -228,11 +229,11 @@ enum err_code map_document_wmts(const struct dataset *d, const char *edition,
                "<ows:ServiceTypeVersion>1.0.0</ows:ServiceTypeVersion>"
                "</ows:ServiceIdentification>\n<Contents>\n",
                d->meta.name);
-    map_document_layer(&b, d, t, l);
+    map_document_layer(&b, d, &ask, l);
     map_document_matrices(&b, raster_zoom_max(&d->area));
     buf_printf(&b, "</Contents>\n<ServiceMetadataURL xlink:href=\"");
     link_text(link_wmts, &l, self, sizeof self - TARGET_QUERY_MAX);
-    map_document_query(t, MAP_DOCUMENT_COLOURS, self + strlen(self));
+    map_document_query(&ask, self + strlen(self));
     buf_markup(&b, self);
     buf_printf(&b, "\"/>\n</Capabilities>\n");
     return document_take(buf_check(&b, e), &b, out, e);

@@ -9,20 +9,23 @@
 #include "server/dataset.h"
 #include "server/target.h"
 
-enum map_document_of { MAP_DOCUMENT_COLOURS, MAP_DOCUMENT_TERRAIN };
-/* edition: of the tiles (result_id.h); "": not known yet. t: appearance or encoding of the tiles.
- * base: address of the service as clients see it, with or without '/' at its end. NULL or "":
- * addresses are relative to the document; WMTS has no such addresses (ERR_ARG). ERR_MEM. */
+struct map_document_ask {
+    const char *appearance; /* "": the default; NULL: tiles of heights */
+    enum encoding encoding; /* of heights */
+};
+/* edition: of the tiles (result_id.h); "": not known yet. base: address of the service as clients
+ * see it, with or without '/' at its end. NULL or "": addresses are relative to the document; WMTS
+ * has no such addresses (ERR_ARG). ERR_MEM. */
 enum err_code map_document_tilejson(const struct dataset *d, const char *edition,
-                                    enum map_document_of of, const struct target *t,
-                                    const char *base, struct body **out, struct err *e) ERR_USE;
+                                    const struct map_document_ask *ask, const char *base,
+                                    struct body **out, struct err *e) ERR_USE;
 /* A style (version 8): the city from straight above on its terrain, with hillshade, and a view that
  * frames it in a window of 640 x 480 or larger. */
 enum err_code map_document_style(const struct dataset *d, const char *edition,
-                                 const struct target *t, const char *base, struct body **out,
+                                 const char *appearance, const char *base, struct body **out,
                                  struct err *e) ERR_USE;
 enum err_code map_document_wmts(const struct dataset *d, const char *edition,
-                                const struct target *t, const char *base, struct body **out,
+                                const char *appearance, const char *base, struct body **out,
                                 struct err *e) ERR_USE;
 
 #endif

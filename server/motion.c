@@ -21,10 +21,10 @@
 
 #include "codec/video.h"
 #include "core/pool.h"
+#include "server/answer_view.h"
 #include "server/film.h"
 #include "server/multipart.h"
 #include "server/result_id.h"
-#include "server/work.h"
 
 enum { MOTION_QUALITY = 60, MOTION_THREADS = 2 /* of an encoder */ };
 static const double REST_S = 0.18;   /* a camera that did not move for so long rests */
@@ -329,20 +329,89 @@ static void motion_shrink(const struct motion_stream *st, struct draw_view *v)
     v->quality = v->quality < MOTION_QUALITY ? v->quality : MOTION_QUALITY;
 }
 
-/* Under the lock: a moving picture becomes a frame of the video, if it can be one. */
-static bool motion_film(struct motion_stream *st, struct work *w)
+/* The work of a frame of a video. That of other pictures is answer_view_work. */
+struct motion_frame_own {
+    struct draw_view view;
+    struct appearance_choice appearance;
+    struct film *film; /* a reference */
+    struct film_shot shot;
+};
+
+/* Drawn by the other process, encoded here, where the encoder is. */
+static enum err_code motion_frame_make(struct services *s, const struct job *j,
+                                       const struct work *w, struct buf *out, struct err *e)
 {
-    struct draw_view *v = &w->view;
+    const struct motion_frame_own *o = work_own(w);
+    struct buf planes = {0};
+    struct draw_request q;
+    memset(&q, 0, sizeof q);
+    q.kind = DRAW_VIEW;
+    q.appearance = o->appearance;
+    q.view = o->view;
+    enum err_code rc = work_draw(s, j, w, &q, &planes, e);
+    if (!rc)
+        rc = buf_check(&planes, e);
+    if (!rc && job_cancelled(j))
+        rc = err_set(e, ERR_CANCEL, "cancelled");
+    if (!rc)
+        rc = film_encode(o->film, &o->shot, planes.data, planes.size, out, e);
+    buf_free(&planes);
+    return rc;
+}
+
+static size_t motion_frame_room(const struct work *w)
+{
+    const struct motion_frame_own *o = work_own(w);
+    return answer_view_room(&o->view);
+}
+
+/* Encoding is a part of the time that is learned. */
+static double motion_frame_cost(const struct work *w, unsigned *variant)
+{
+    const struct motion_frame_own *o = work_own(w);
+    (void)variant;
+    return answer_view_cost_ms(&o->view);
+}
+
+static void motion_frame_free(void *own)
+{
+    film_drop(&((struct motion_frame_own *)own)->film);
+}
+
+static const struct work_kind motion_frame_work = {.noun = "frame",
+                                                   .traits = WORK_DRAWN | WORK_PICTURE,
+                                                   .size = sizeof(struct motion_frame_own),
+                                                   .make = motion_frame_make,
+                                                   .room = motion_frame_room,
+                                                   .cost = motion_frame_cost,
+                                                   .free = motion_frame_free};
+
+/* Under the lock: can a moving picture be a frame of the video? Then it is planned. */
+static bool motion_is_frame(struct motion_stream *st, struct draw_view *v, struct film_shot *shot)
+{
     const bool can = st->film && v->paint.depth == DEPTH_NONE && v->format != FORMAT_NPY &&
                      v->paint.background != BACKGROUND_TRANSPARENT;
     if (!can ||
-        !film_next(st->film, v->cam.width_px, v->cam.height_px, st->area_px, v->quality, &w->shot))
+        !film_next(st->film, v->cam.width_px, v->cam.height_px, st->area_px, v->quality, shot))
         return false;
-    v->cam = camera_resize(&v->cam, w->shot.width_px, w->shot.height_px);
+    v->cam = camera_resize(&v->cam, shot->width_px, shot->height_px);
     v->paint.supersample = 1;
     v->planes = v->moves = true;
-    w->film = film_ref(st->film);
     return true;
+}
+
+/* Under the lock. NULL: out of memory. */
+static struct work *motion_make_work(struct motion_stream *st, const struct draw_view *v,
+                                     const struct film_shot *shot)
+{
+    struct work *w = work_make(st->flight_film ? &motion_frame_work : &answer_view_work, st->d);
+    if (w && st->flight_film)
+        *(struct motion_frame_own *)(void *)w->own =
+            (struct motion_frame_own){*v, st->wish.appearance, film_ref(st->film), *shot};
+    else if (w)
+        *(struct answer_view_own *)(void *)w->own =
+            (struct answer_view_own){*v, st->wish.appearance};
+    return w;
 }
 
 /* Under the lock: whether a picture is to be drawn now. *full: of a camera that rests. */
@@ -355,32 +424,29 @@ static bool motion_is_due(const struct motion_stream *st, double now_s, bool *fu
     return !busy && st->d && now_s >= st->again_s && (fresh || (!st->drawn_full && *full));
 }
 
-/* Under the lock: what is to be drawn now, and for the flight to begin. NULL: nothing. */
-static struct work *motion_next(struct motion_stream *st, double now_s)
+/* Under the lock: what is to be drawn now, *v, and for the flight to begin. NULL: nothing. */
+static struct work *motion_next(struct motion_stream *st, double now_s, struct draw_view *v)
 {
+    struct film_shot shot = {0};
     bool full;
     if (!motion_is_due(st, now_s, &full))
         return NULL;
-    struct work *w = mem_array(1, sizeof *w);
+    *v = st->wish.view;
+    st->flight_film = !full && motion_is_frame(st, v, &shot);
+    if (!full && !st->flight_film)
+        motion_shrink(st, v);
+    struct work *w = motion_make_work(st, v, &shot);
     if (!w) {
         st->again_s = now_s + RETRY_S;
         return NULL;
     }
-    w->kind = WORK_VIEW;
-    w->ds = dataset_ref(st->d);
-    w->view = st->wish.view;
-    w->appearance = st->wish.appearance;
-    w->form.format = w->view.format;
-    st->flight_film = !full && motion_film(st, w);
-    if (!full && !st->flight_film)
-        motion_shrink(st, &w->view);
     st->flying = true;
     st->flight = st->wished;
     st->flight_full = full;
     st->flight_number = st->wish.number;
-    st->flight_type = st->flight_film ? MULTIPART_FRAME_TYPE : format_type(w->view.format);
-    st->flight_px[0] = w->view.cam.width_px;
-    st->flight_px[1] = w->view.cam.height_px;
+    st->flight_type = st->flight_film ? MULTIPART_FRAME_TYPE : format_type(v->format);
+    st->flight_px[0] = v->cam.width_px;
+    st->flight_px[1] = v->cam.height_px;
     return w;
 }
 
@@ -388,17 +454,20 @@ static struct work *motion_next(struct motion_stream *st, double now_s)
 static void motion_step(struct motion_stream *st, double now_s)
 {
     struct services *s = st->m->s;
+    struct draw_view view;
     char device[160];
     pthread_mutex_lock(&st->m->lock);
-    struct work *w = motion_next(st, now_s);
+    struct work *w = motion_next(st, now_s, &view);
+    const struct appearance_choice appearance = st->wish.appearance;
+    const bool frame = st->flight_film;
     double timeout_s = st->wish.timeout_s;
     pthread_mutex_unlock(&st->m->lock);
     if (!w)
         return;
     picture_about(s->picture, device, sizeof device);
-    w->id = w->film ? film_id(w->film)
-                    : result_id_view(w->ds, device, &w->view, &w->appearance,
-                                     (double)s->cfg->view_gaussians);
+    w->id = frame
+                ? film_id(st->film)
+                : result_id_view(w->ds, device, &view, &appearance, (double)s->cfg->view_gaussians);
     struct motion_stream *held = motion_ref(st); /* the flight's */
     if (job_submit(s->jobs, JOB_MOTION, w->id, w, st->client, timeout_s, &st->waiter)) {
         struct job_result r = st->waiter.result;

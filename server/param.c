@@ -44,9 +44,15 @@ const char *param_choice(const struct param *p, uint32_t i, size_t *n)
     return word;
 }
 
+/* Where the value goes. */
+static void *param_member(const struct param *p, struct target *out)
+{
+    return (char *)out + out->route->at[p->group] + p->at;
+}
+
 static void param_keep(const struct param *p, uint32_t v, struct target *out)
 {
-    uint8_t *to = (uint8_t *)out + p->at;
+    uint8_t *to = param_member(p, out);
     if (p->size == 1)
         *to = (uint8_t)(v < 255 ? v : 255);
     else
@@ -86,9 +92,9 @@ static enum err_code param_read_decimal(const struct param *p, struct text *t, s
 /* The rest of a query's part, or of a path up to the next slash. */
 static bool param_read_span(const struct param *p, struct text *t, struct target *out)
 {
-    const char *slash = p->groups & PARAM_PATH ? memchr(t->p, '/', (size_t)(t->end - t->p)) : NULL;
+    const char *slash = p->in & PARAM_PATH ? memchr(t->p, '/', (size_t)(t->end - t->p)) : NULL;
     const struct text span = {t->p, slash ? slash : t->end};
-    memcpy((char *)out + p->at, &span, sizeof span);
+    memcpy(param_member(p, out), &span, sizeof span);
     t->p = span.end;
     return span.end - span.p >= (ptrdiff_t)p->least;
 }
@@ -99,7 +105,7 @@ enum err_code param_read(const struct param *p, struct text *t, struct target *o
     bool ok = true;
     switch (p->type) {
     case PARAM_NAME:
-        ok = param_take_name(t, (size_t)p->least, (size_t)p->most, (char *)out + p->at);
+        ok = param_take_name(t, (size_t)p->least, (size_t)p->most, param_member(p, out));
         break;
     case PARAM_NATURAL:
     case PARAM_COUNT:
@@ -115,7 +121,7 @@ enum err_code param_read(const struct param *p, struct text *t, struct target *o
         ok = param_read_choice(p, t, out);
         break;
     case PARAM_TEXT:
-        ok = text_take_decoded(t, (char *)out + p->at, p->size);
+        ok = text_take_decoded(t, param_member(p, out), p->size);
         break;
     case PARAM_SPAN:
         ok = param_read_span(p, t, out);
@@ -124,7 +130,7 @@ enum err_code param_read(const struct param *p, struct text *t, struct target *o
         t->p = t->end;
         break;
     case PARAM_OWN:
-        return p->read(t, out, e);
+        return p->read(t, (char *)out + out->route->at[p->group], e);
     }
     return ok ? ERR_OK : ERR_NOENT;
 }
@@ -145,8 +151,9 @@ static bool param_take_hex(struct text *t, int n, char *out)
 }
 
 /* REV or REV-EDITION */
-static enum err_code param_own_rev(struct text *t, struct target *out, struct err *e)
+static enum err_code param_own_rev(struct text *t, void *group, struct err *e)
 {
+    struct target_names *out = group;
     (void)e;
     return param_take_hex(t, 12, out->rev) &&
                    (!text_take(t, "-") || param_take_hex(t, 8, out->edition)) &&
@@ -155,8 +162,9 @@ static enum err_code param_own_rev(struct text *t, struct target *out, struct er
                : ERR_NOENT;
 }
 
-static enum err_code param_own_row_2x(struct text *t, struct target *out, struct err *e)
+static enum err_code param_own_row_2x(struct text *t, void *group, struct err *e)
 {
+    struct target_cell *out = group;
     (void)e;
     if (!text_take_uint(t, &out->key.y))
         return ERR_NOENT;
@@ -177,16 +185,18 @@ bool param_is_kept_name(const char *name)
     return param_take_kept(&t, again) && text_at_end(&t);
 }
 
-static enum err_code param_own_kept(struct text *t, struct target *out, struct err *e)
+static enum err_code param_own_kept(struct text *t, void *group, struct err *e)
 {
+    struct target_names *out = group;
     (void)e;
     return param_take_kept(t, out->kept) ? ERR_OK : ERR_NOENT;
 }
 
 /* ---- places ---- */
 
-static enum err_code param_own_bbox(struct text *one, struct target *out, struct err *e)
+static enum err_code param_own_bbox(struct text *one, void *group, struct err *e)
 {
+    struct target_page *out = group;
     enum err_code rc = text_take_degrees(one, 4, "bbox:", out->bbox_e7, e);
     out->has_bbox = true;
     return !rc && out->bbox_e7[1] > out->bbox_e7[3]
@@ -194,7 +204,7 @@ static enum err_code param_own_bbox(struct text *one, struct target *out, struct
                : rc;
 }
 
-static bool param_take_box(struct text t, bool solid, struct target *out)
+static bool param_take_box(struct text t, bool solid, struct target_box *out)
 {
     for (int k = 0; k < 2; k++)
         if ((k && !text_take_mark(&t, ',')) ||
@@ -205,8 +215,9 @@ static bool param_take_box(struct text t, bool solid, struct target *out)
 }
 
 /* Of collections: four numbers, or six with heights. */
-static enum err_code param_own_box(struct text *one, struct target *out, struct err *e)
+static enum err_code param_own_box(struct text *one, void *group, struct err *e)
 {
+    struct target_box *out = group;
     (void)e;
     out->has_heights = !param_take_box(*one, false, out);
     out->has_bbox = !out->has_heights || param_take_box(*one, true, out);
@@ -214,9 +225,9 @@ static enum err_code param_own_box(struct text *one, struct target *out, struct 
     return out->has_bbox && out->bbox_e7[1] <= out->bbox_e7[3] ? ERR_OK : ERR_NOENT;
 }
 
-static enum err_code param_own_near(struct text *one, struct target *out, struct err *e)
+static enum err_code param_own_near(struct text *one, void *group, struct err *e)
 {
-    struct target_search *q = &out->search;
+    struct target_search *q = group;
     int64_t radius;
     enum err_code rc = text_take_degrees(one, 2, "near:", q->near_e7, e);
     q->has_near = true;
@@ -232,35 +243,38 @@ static enum err_code param_own_near(struct text *one, struct target *out, struct
 
 /* ---- lists ---- */
 
-static enum err_code param_own_hours(struct text *one, struct target *out, struct err *e)
+static enum err_code param_own_hours(struct text *one, void *group, struct err *e)
 {
+    struct target_search *out = group;
     uint32_t from, to;
     if (!text_take_uint(one, &from) || !text_take(one, "-") || !text_take_uint(one, &to))
         return ERR_NOENT;
     if (from > 23 || to > 24 || from == to)
         return err_set(e, ERR_DATA,
                        "hours: from 0 to 23, to another one, at most 24; 22-4 is over midnight");
-    out->search.hours[0] = (uint8_t)from;
-    out->search.hours[1] = (uint8_t)to;
-    out->search.has_hours = true;
+    out->hours[0] = (uint8_t)from;
+    out->hours[1] = (uint8_t)to;
+    out->has_hours = true;
     return ERR_OK;
 }
 
-static enum err_code param_own_colour(struct text *one, struct target *out, struct err *e)
+static enum err_code param_own_colour(struct text *one, void *group, struct err *e)
 {
+    struct target_search *out = group;
     struct paint p = {0};
     const size_t n = (size_t)(one->end - one->p);
     (void)e;
     if (n != 6 || !paint_read_background(one->p, n, &p) || p.background != BACKGROUND_COLOUR)
         return ERR_NOENT;
-    out->search.rgb = p.rgb;
-    out->search.has_colour = true;
+    out->rgb = p.rgb;
+    out->has_colour = true;
     one->p = one->end;
     return ERR_OK;
 }
 
-static enum err_code param_own_zooms(struct text *one, struct target *out, struct err *e)
+static enum err_code param_own_zooms(struct text *one, void *group, struct err *e)
 {
+    struct target_zooms *out = group;
     uint32_t a, b;
     (void)e;
     if (!text_take_uint(one, &a))
@@ -275,8 +289,9 @@ static enum err_code param_own_zooms(struct text *one, struct target *out, struc
 
 /* ---- pictures ---- */
 
-static enum err_code param_own_background(struct text *one, struct target *out, struct err *e)
+static enum err_code param_own_background(struct text *one, void *group, struct err *e)
 {
+    struct target_view *out = group;
     (void)e;
     if (!paint_read_background(one->p, (size_t)(one->end - one->p), &out->paint))
         return ERR_NOENT;
@@ -287,9 +302,10 @@ static enum err_code param_own_background(struct text *one, struct target *out, 
 /* ---- the table ---- */
 
 #define PATH PARAM_PATH
+#define QUERY(group) 1u << TARGET_##group
 #define PARAM_OWN(function) PARAM_OWN, .read = function
 const struct param PARAMS[] = {
-#define PARAM(id, in, form, from, to, list, left_out, member, message, text)                       \
+#define PARAM(id, in, form, from, to, list, left_out, group, member, message, text)                \
     {PARAM_##form,                                                                                 \
      .name = #id,                                                                                  \
      in,                                                                                           \
@@ -297,8 +313,9 @@ const struct param PARAMS[] = {
      to,                                                                                           \
      list,                                                                                         \
      left_out,                                                                                     \
-     offsetof(struct target, member),                                                              \
-     sizeof((struct target *)0)->member,                                                           \
+     TARGET_##group,                                                                               \
+     offsetof(struct target_##group, member),                                                      \
+     sizeof((struct target_##group *)0)->member,                                                   \
      message,                                                                                      \
      text},
 #include "server/params.def"

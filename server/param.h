@@ -8,7 +8,8 @@
 #include "server/target.h"
 #include "server/text.h"
 
-enum { PARAM_PATH = 1 << 16 }; /* with the groups of route.h: the parameter is part of a path */
+/* with bits of groups: the parameter is part of a path */
+enum { PARAM_PATH = 1 << TARGET_GROUPS };
 enum param_type {
     PARAM_NAME,    /* [a-z0-9][a-z0-9_-]*, with a length in the range */
     PARAM_NATURAL, /* a natural number; its range is checked later */
@@ -25,20 +26,23 @@ enum param_type {
 };
 struct param {
     enum param_type type;
-    enum err_code (*read)(struct text *t, struct target *out, struct err *e); /* for PARAM_OWN */
+    /* for PARAM_OWN; group: its struct target_GROUP */
+    enum err_code (*read)(struct text *t, void *group, struct err *e);
     const char *name;
-    unsigned groups;
+    unsigned in; /* bits of groups, as route.takes, and PARAM_PATH */
     double least, most;
     const char *words;    /* "a|b|c"; for PARAM_SPAN and PARAM_OWN a pattern; may be NULL */
     const char *standard; /* default; NULL: nothing is set */
-    size_t at, size;      /* of its member in struct target */
+    enum target_group group;
+    size_t at, size; /* of its member in the group's struct */
     const char *must, *about;
 };
 extern const struct param PARAMS[];
 extern const size_t PARAMS_COUNT;
 
-/* Reads one value from t on; in a query it must end there. ERR_NOENT: there is no such value; e is
- * not set. ERR_DATA, ERR_FORMAT: the value is impossible; e says why. */
+/* Reads one value from t on; in a query it must end there. out->route takes its group. ERR_NOENT:
+ * there is no such value; e is not set. ERR_DATA, ERR_FORMAT: the value is impossible; e says why.
+ */
 enum err_code param_read(const struct param *p, struct text *t, struct target *out,
                          struct err *e) ERR_USE;
 /* The i-th choice [n] of a format or word. NULL: there are no more. */

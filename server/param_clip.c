@@ -59,9 +59,9 @@ static void param_clip_order(struct target_clip *c, bool back)
                sizeof *c->corner_e7);
 }
 
-enum err_code param_clip_read(struct text *one, struct target *target, struct err *e)
+enum err_code param_clip_read(struct text *one, void *tiles, struct err *e)
 {
-    struct target_clip *out = &target->clip;
+    struct target_clip *out = &((struct target_tiles *)tiles)->clip;
     double at[TARGET_CLIP_CORNERS][2];
     enum err_code rc = param_clip_corners(one, out, e);
     param_clip_degrees(out, at);

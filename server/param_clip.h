@@ -10,8 +10,9 @@
 struct clip;
 struct text;
 
-/* Reads the text after "clip=". ERR_NOENT: it is no such text. ERR_DATA: it is no valid polygon. */
-enum err_code param_clip_read(struct text *one, struct target *out, struct err *e) ERR_USE;
+/* Reads the text after "clip=" into a struct target_tiles. ERR_NOENT: it is no such text. ERR_DATA:
+ * it is no valid polygon. */
+enum err_code param_clip_read(struct text *one, void *tiles, struct err *e) ERR_USE;
 /* Makes a clip of the polygon. Free it with clip_free. ERR_DATA, ERR_MEM. */
 enum err_code param_clip_open(const struct target_clip *c, struct clip *out, struct err *e) ERR_USE;
 /* Writes "lon,lat,lon,lat,...", its only spelling. Returns its end. */

@@ -57,8 +57,9 @@ bool param_time_read(const char *text, size_t n, int64_t *from_s, int64_t *to_s)
     return param_time_take(&t, from_s, to_s) && text_at_end(&t);
 }
 
-enum err_code param_time_interval(struct text *one, struct target *out, struct err *e)
+enum err_code param_time_interval(struct text *one, void *search, struct err *e)
 {
+    struct target_search *out = search;
     bool open = false;
     int n = 0;
     int64_t s[2][2] = {{INT64_MIN, INT64_MAX}, {INT64_MIN, INT64_MAX}};
@@ -71,9 +72,9 @@ enum err_code param_time_interval(struct text *one, struct target *out, struct e
     } while (++n < 2 && text_take_mark(one, '/'));
     if (!text_at_end(one) || (n == 1 && open))
         return ERR_NOENT;
-    out->search.has_time = true;
-    out->search.time_s[0] = s[0][0];
-    out->search.time_s[1] = s[n - 1][1];
+    out->has_time = true;
+    out->time_s[0] = s[0][0];
+    out->time_s[1] = s[n - 1][1];
     return s[0][0] > s[n - 1][1] ? err_set(e, ERR_DATA, "datetime ends before it begins") : ERR_OK;
 }
 

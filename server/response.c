@@ -46,8 +46,9 @@ const char *response_cache_control(struct services *s, const struct dataset *d,
         return RESPONSE_IMMUTABLE;
     response_edition(s, d, cache == CACHE_TILES ? EDITION_TILES : EDITION_PICTURES, edition);
     /* A name may stand for something else tomorrow. */
-    return edition[0] && !t->kept[0] && !strcmp(edition, t->edition) ? RESPONSE_IMMUTABLE
-                                                                     : RESPONSE_MOVING;
+    return edition[0] && !t->names.kept[0] && !strcmp(edition, t->names.edition)
+               ? RESPONSE_IMMUTABLE
+               : RESPONSE_MOVING;
 }
 
 const char *response_status_text(int status)
@@ -301,18 +302,17 @@ bool response_made(struct services *s, const struct request *r, struct hash128 i
     return true;
 }
 
-struct work *response_work(struct dataset *d, enum work_kind kind, struct hash128 id,
-                           struct form form, struct response *out)
+void *response_work(struct dataset *d, const struct work_kind *kind, struct hash128 id,
+                    struct response *out)
 {
-    struct work *w = mem_array(1, sizeof *w);
+    struct work *w = work_make(kind, d);
     if (!w) {
         response_no_memory(out);
         return NULL;
     }
-    w->kind = out->kind = kind;
-    w->ds = dataset_ref(d);
     w->id = id;
-    w->form = form;
     w->keep = !out->unnamed;
-    return out->work = w;
+    out->kind = kind;
+    out->work = w;
+    return w->own;
 }

@@ -73,7 +73,7 @@ struct response { /* {0}, then dispatch_answer; free with response_free */
     const char *cache;     /* "hit", "miss" or "shared": for the log */
     struct work *work;     /* not NULL: submit it, then call dispatch_finish */
     enum job_class cls;
-    enum work_kind kind; /* of the work */
+    const struct work_kind *kind; /* of the work; NULL: there was none */
     double timeout_s;
     char stream[64], stream_of[64]; /* not "": a stream of this dataset begins */
     bool video;                     /* moving pictures are frames of a video */
@@ -112,10 +112,10 @@ void response_document(const struct request *r, const char *type, struct body *b
  * returns true. */
 bool response_made(struct services *s, const struct request *r, struct hash128 id,
                    struct response *out);
-/* Makes work for a job, in out->work. Its result is kept unless out->unnamed. NULL: out of memory;
- * the problem is set. */
-struct work *response_work(struct dataset *d, enum work_kind kind, struct hash128 id,
-                           struct form form, struct response *out);
+/* Makes work for a job, in out->work. Its result is kept unless out->unnamed. Returns the zeroed
+ * parameters of the kind. NULL: out of memory; the problem is set. */
+void *response_work(struct dataset *d, const struct work_kind *kind, struct hash128 id,
+                    struct response *out);
 void response_free(struct response *r);
 
 #endif

@@ -70,7 +70,7 @@ void result_id_pictures_edition(const struct dataset *d, const char *device, int
 }
 
 /* Add the query to the name of what is made from it. */
-static void result_id_add_query(struct hash128 *id, const struct target *t)
+static void result_id_add_query(struct hash128 *id, const struct target_tiles *t)
 {
     struct {
         struct hash128 id, query;
@@ -81,7 +81,8 @@ static void result_id_add_query(struct hash128 *id, const struct target *t)
     *id = hash_bytes(&name, sizeof name);
 }
 
-struct hash128 result_id_seed(const struct dataset *d, const struct target *t, struct form form)
+struct hash128 result_id_seed(const struct dataset *d, const struct seed_target *t,
+                              struct form form)
 {
     struct { /* no padding */
         struct hash128 salt;
@@ -89,24 +90,24 @@ struct hash128 result_id_seed(const struct dataset *d, const struct target *t, s
         int32_t bbox_e7[4];
         uint32_t z_min, z_max, format, has_bbox, asked, preset, after, limit, moving, unused;
     } name = {.salt = d->salt,
-              .after = t->after,
-              .limit = t->limit,
-              .moving = !t->rev[0],
-              .z_min = t->z_min,
-              .z_max = t->z_max,
+              .after = t->page.after,
+              .limit = t->page.limit,
+              .moving = !t->all.names.rev[0],
+              .z_min = t->zooms.z_min,
+              .z_max = t->zooms.z_max,
               .format = (uint32_t)form.format,
-              .asked = (uint32_t)t->form.preset << 8 | t->form.sh_degree,
+              .asked = (uint32_t)t->tiles.form.preset << 8 | t->tiles.form.sh_degree,
               .preset = form.preset,
-              .has_bbox = t->has_bbox};
+              .has_bbox = t->page.has_bbox};
     memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
     memcpy(name.edition, d->edition, sizeof d->edition);
-    memcpy(name.bbox_e7, t->bbox_e7, sizeof name.bbox_e7);
+    memcpy(name.bbox_e7, t->page.bbox_e7, sizeof name.bbox_e7);
     struct hash128 id = hash_bytes(&name, sizeof name);
-    result_id_add_query(&id, t);
+    result_id_add_query(&id, &t->tiles);
     return id;
 }
 
-struct hash128 result_id_search(const struct dataset *d, const struct target *t,
+struct hash128 result_id_search(const struct dataset *d, const struct appearances_target *t,
                                 struct hash128 kept)
 {
     struct {
@@ -118,15 +119,15 @@ struct hash128 result_id_search(const struct dataset *d, const struct target *t,
               .asked = hash_bytes(&t->search, sizeof t->search), /* zeros before it was read */
               .kept = kept,
               .kind = "search",
-              .has_bbox = t->has_bbox,
-              .limit = t->limit,
-              .after = t->after};
-    memcpy(name.bbox_e7, t->bbox_e7, sizeof name.bbox_e7);
+              .has_bbox = t->page.has_bbox,
+              .limit = t->page.limit,
+              .after = t->page.after};
+    memcpy(name.bbox_e7, t->page.bbox_e7, sizeof name.bbox_e7);
     memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
     return hash_bytes(&name, sizeof name);
 }
 
-struct hash128 result_id_tileset(const struct dataset *d, const struct target *t,
+struct hash128 result_id_tileset(const struct dataset *d, const struct target_tiles *t, bool moving,
                                  const struct key *part)
 {
     struct {
@@ -134,7 +135,6 @@ struct hash128 result_id_tileset(const struct dataset *d, const struct target *t
         char rev[16], edition[16], kind[16];
         uint32_t z, x, y, unused;
     } name = {.salt = d->salt};
-    const bool moving = !t->rev[0];
     memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
     memcpy(name.edition, d->edition, sizeof d->edition);
     memcpy(name.kind, moving ? "tileset moving" : "tileset", moving ? 15 : 8);

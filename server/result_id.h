@@ -28,12 +28,14 @@ void result_id_tiles_edition(const struct dataset *d, unsigned preset, char out[
 /* The edition of a dataset's pictures and maps. */
 void result_id_pictures_edition(const struct dataset *d, const char *device, int quality,
                                 int supersample, double gaussians, char out[9]);
-struct hash128 result_id_seed(const struct dataset *d, const struct target *t, struct form form);
+struct hash128 result_id_seed(const struct dataset *d, const struct seed_target *t,
+                              struct form form);
 /* kept: hash of the named appearances */
-struct hash128 result_id_search(const struct dataset *d, const struct target *t,
+struct hash128 result_id_search(const struct dataset *d, const struct appearances_target *t,
                                 struct hash128 kept);
-/* part: the tile that the document begins at; NULL: the entry. */
-struct hash128 result_id_tileset(const struct dataset *d, const struct target *t,
+/* moving: its addresses lead to the current revision. part: the tile that the document begins at;
+ * NULL: the entry. */
+struct hash128 result_id_tileset(const struct dataset *d, const struct target_tiles *t, bool moving,
                                  const struct key *part);
 /* public_url: base of its addresses; NULL: they are relative */
 struct hash128 result_id_tilejson(const struct dataset *d, const char *public_url);

@@ -9,6 +9,7 @@
 
 #include <stdbool.h>
 #include <stddef.h>
+#include <stdint.h>
 
 struct dataset;
 struct request;
@@ -55,22 +56,7 @@ enum route_rate {
     RATE_MAPS,
     RATE_THUMBNAILS,
 };
-/* Groups of query parameters (params.def), as bits. Some also choose between two forms of a
- * parameter of the path. */
-enum {
-    QUERY_APPEARANCE = 1,
-    QUERY_TILES = 2, /* preset, sh, clip, and an appearance that may be none */
-    QUERY_VIEW = 4,
-    QUERY_MAP = 8,
-    QUERY_TERRAIN = 16,
-    QUERY_SEED = 32,
-    QUERY_SEARCH = 64,
-    QUERY_PLACE = 128,
-    QUERY_BBOX = 256,
-    QUERY_MOTION = 512,
-    QUERY_PART = 1024,
-    QUERY_STRICT = QUERY_SEED | QUERY_SEARCH, /* a query with any other key is refused */
-};
+enum { ROUTE_GROUPS = 16 }; /* of parameters: enum target_group */
 
 /* Fills the response. It does not block and cannot fail: a failure is an answer, too. d is NULL for
  * a route without SCOPE_DATASET. */
@@ -93,7 +79,9 @@ struct route {
     unsigned scope;
     enum route_cache cache;
     enum route_rate rate;
-    unsigned query;
+    unsigned takes;            /* groups of parameters, bits 1 << enum target_group */
+    uint16_t size;             /* bytes of its target */
+    uint16_t at[ROUTE_GROUPS]; /* where each of its groups is in its target; 0: it has not */
     struct route_method on[ROUTE_METHODS]; /* HEAD follows from GET, OPTIONS from all */
 };
 /* The row's entry for a method. NULL: there is none. */

@@ -47,11 +47,11 @@ static const struct param *router_param(const char *name, size_t n, unsigned gro
 {
     const struct param *found = NULL;
     for (const struct param *p = PARAMS; p < PARAMS + PARAMS_COUNT; p++) {
-        if (!(p->groups & PARAM_PATH) || strlen(p->name) != n || memcmp(p->name, name, n) != 0)
+        if (!(p->in & PARAM_PATH) || strlen(p->name) != n || memcmp(p->name, name, n) != 0)
             continue;
-        if (p->groups & groups)
+        if (p->in & groups)
             return p;
-        if (p->groups == PARAM_PATH)
+        if (p->in == PARAM_PATH)
             found = p;
     }
     return found;
@@ -92,18 +92,20 @@ static enum err_code router_compile(struct router_row *row, const struct route *
         if (*p != '{')
             continue;
         const size_t n = strcspn(++p, "}");
-        const struct param *param = row->n[0] < ROUTER_PARAMS ? router_param(p, n, r->query) : NULL;
-        if (!param)
-            return err_set(e, ERR_INTERNAL, "route %s: params.def has no {%.*s} of paths", r->name,
-                           (int)n, p);
+        const struct param *param = row->n[0] < ROUTER_PARAMS ? router_param(p, n, r->takes) : NULL;
+        if (!param || (param->group != TARGET_names && !r->at[param->group]))
+            return err_set(e, ERR_INTERNAL, "route %s: params.def has no {%.*s} of its groups",
+                           r->name, (int)n, p);
         row->param[0][row->n[0]++] = param;
         row->form = strcmp(param->name, "rev") != 0 ? param->must : NULL;
         p += n;
     }
+    if (r->size > sizeof(union target_any))
+        return err_set(e, ERR_INTERNAL, "route %s: too large a target", r->name);
     if (depth || p - r->path > UINT8_MAX)
         return err_set(e, ERR_INTERNAL, "route %s: too long a template, or brackets", r->name);
     for (const struct param *q = PARAMS; q < PARAMS + PARAMS_COUNT; q++)
-        if (q->groups & r->query && !(q->groups & PARAM_PATH) && row->n[1] < ROUTER_PARAMS)
+        if (q->in & r->takes && !(q->in & PARAM_PATH) && row->n[1] < ROUTER_PARAMS)
             row->param[1][row->n[1]++] = q;
     router_cut(row, r);
     return ERR_OK;
@@ -281,7 +283,7 @@ static enum err_code router_match(const struct route *r, const struct router_row
                                                                            : NULL;
     if (says && !w->says) {
         w->says = says;
-        w->code = r->query & QUERY_VIEW ? ERR_FORMAT : ERR_NOENT;
+        w->code = r->at[TARGET_view] ? ERR_FORMAT : ERR_NOENT;
     }
     return ERR_NOENT;
 }
@@ -299,12 +301,27 @@ static bool router_may_match(const struct router_row *row, const struct router_p
     return true;
 }
 
+/* The target of a row, with nothing given. */
+static void router_blank(const struct route *row, struct target *out)
+{
+    memset(out, 0, row->size);
+    out->route = row;
+    struct target_tiles *tiles = target_group(out, TARGET_tiles);
+    struct target_cell *cell = target_group(out, TARGET_cell);
+    if (tiles) {
+        tiles->form.preset = QUANT_PRESETS;
+        tiles->form.sh_degree = FORM_UNSAID;
+    }
+    if (cell)
+        cell->scale = 1;
+}
+
 static enum err_code router_try(const struct router *r, size_t i, struct text t,
                                 struct router_walk *w, struct target *out, struct err *e)
 {
+    router_blank(&r->rows[i], out);
     enum err_code rc = router_match(&r->rows[i], &r->row[i], t, w, out, e);
-    if (rc != ERR_NOENT)
-        out->route = rc ? NULL : &r->rows[i];
+    out->route = rc ? NULL : out->route;
     return rc;
 }
 
@@ -324,7 +341,7 @@ static enum err_code router_miss(const struct router *r, struct text t, struct t
             return rc;
     }
     if (file && !w.named) {
-        out->route = file;
+        router_blank(file, out);
         return ERR_OK;
     }
     return err_set(e, w.code, "%s", w.says ? w.says : "there is nothing at this path");
@@ -393,7 +410,7 @@ static enum err_code router_take(struct router_query *q, struct text one, struct
             return err_set(e, ERR_FORMAT, "%s is %s, given once", p->name, p->must);
         return rc;
     }
-    if (out->route->query & QUERY_STRICT)
+    if (out->route->at[TARGET_page])
         return router_unknown(q->row, e);
     return out->route->scope & SCOPE_DATASET && text_take(&one, "clip=")
                ? err_set(e, ERR_FORMAT, "clip is of tiles, tilesets and prefetch lists")
@@ -403,13 +420,14 @@ static enum err_code router_take(struct router_query *q, struct text one, struct
 /* What parameters say of each other. */
 static enum err_code router_agree(const struct router_query *q, struct target *out, struct err *e)
 {
-    struct target_search *s = &out->search;
-    if (out->route->query & QUERY_PLACE) {
-        out->has_place = router_has(q, "lon");
-        if (out->has_place != router_has(q, "lat"))
+    struct target_place *place = target_group(out, TARGET_place);
+    struct target_search *s = target_group(out, TARGET_search);
+    if (place) {
+        place->given = router_has(q, "lon");
+        if (place->given != router_has(q, "lat"))
             return err_set(e, ERR_FORMAT, "lon and lat are given together");
     }
-    if (!(out->route->query & QUERY_SEARCH))
+    if (!s)
         return ERR_OK;
     s->asked = q->seen != 0;
     if (!router_has(q, "sort"))
@@ -439,28 +457,35 @@ static enum err_code router_read_query(const struct router_row *row, struct text
 
 /* ---- both ---- */
 
-enum err_code router_read(const struct router *r, const char *text, size_t n, struct target *out,
+/* What numbers of the path say of each other. */
+static enum err_code router_check_path(struct target *out, struct err *e)
+{
+    const struct target_cell *cell = target_group(out, TARGET_cell);
+    struct target_view *v = target_group(out, TARGET_view);
+    if (cell && !key_valid(cell->key))
+        return err_set(e, ERR_NOENT, "tile %u/%u/%u does not exist: z <= 24, x and y < 2^z",
+                       cell->key.z, cell->key.x, cell->key.y);
+    for (int k = 0; v && k < 2; k++) {
+        uint32_t *side = k ? &v->height_px : &v->width_px;
+        *side = (*side < TARGET_SIDE_MAX ? *side : TARGET_SIDE_MAX) * v->scale;
+    }
+    return ERR_OK;
+}
+
+enum err_code router_read(const struct router *r, const char *text, size_t n, union target_any *any,
                           struct err *e)
 {
-    memset(out, 0, sizeof *out);
-    out->form.preset = QUANT_PRESETS;
-    out->form.sh_degree = FORM_UNSAID;
-    out->scale = 1;
+    struct target *out = &any->all;
     const char *mark = n ? memchr(text, '?', n) : NULL, *end = mark ? mark : text + n;
-    out->path_size = (size_t)(end - text);
     struct router_parts parts;
-    enum err_code rc = router_check(text, out->path_size, n, &parts, e);
+    *out = (struct target){.route = NULL};
+    enum err_code rc = router_check(text, (size_t)(end - text), n, &parts, e);
     if (!rc)
         rc = router_find(r, &parts, (struct text){text, end}, out, e);
-    if (rc)
-        return rc;
-    if (!key_valid(out->key))
-        return err_set(e, ERR_NOENT, "tile %u/%u/%u does not exist: z <= 24, x and y < 2^z",
-                       out->key.z, out->key.x, out->key.y);
-    for (int k = 0; k < 2; k++) {
-        uint32_t *side = k ? &out->height_px : &out->width_px;
-        *side = (*side < TARGET_SIDE_MAX ? *side : TARGET_SIDE_MAX) * out->scale;
-    }
-    return router_read_query(&r->row[router_index(r, out->route)],
-                             (struct text){mark ? mark + 1 : end, text + n}, out, e);
+    out->path_size = (size_t)(end - text);
+    if (!rc)
+        rc = router_check_path(out, e);
+    return rc ? rc
+              : router_read_query(&r->row[router_index(r, out->route)],
+                                  (struct text){mark ? mark + 1 : end, text + n}, out, e);
 }

@@ -26,7 +26,7 @@ size_t router_params(const struct router *r, const struct route *row, bool of_qu
 /* Parses text [n], which may contain a NUL. ERR_FORMAT: it has bytes that no valid target has
  * (400). ERR_DATA: it is well formed, with impossible numbers (422). ERR_NOENT: there is no such
  * route, or a tile key is out of range (404). */
-enum err_code router_read(const struct router *r, const char *text, size_t n, struct target *out,
+enum err_code router_read(const struct router *r, const char *text, size_t n, union target_any *out,
                           struct err *e) ERR_USE;
 
 #endif

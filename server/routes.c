@@ -5,6 +5,7 @@
 #include "server/routes.h"
 
 #include "server/answer.h"
+#include "server/target.h"
 
 enum { /* scopes */
        ROUTES_PUBLIC = SCOPE_PUBLIC,
@@ -17,19 +18,6 @@ enum { /* scopes */
        ROUTES_KEPT = SCOPE_PUBLIC | SCOPE_OPERATORS | SCOPE_DATASET | SCOPE_STATE,
        ROUTES_SIGNED = SCOPE_PUBLIC | SCOPE_SIGNED,
 };
-enum { /* queries */
-       BBOX = QUERY_BBOX,
-       TILES = QUERY_TILES,
-       TILE = QUERY_TILES | QUERY_PART,
-       SEED_TILES = QUERY_SEED | QUERY_TILES,
-       PICTURE = QUERY_VIEW | QUERY_APPEARANCE,
-       MAP_APPEARANCE = QUERY_MAP | QUERY_APPEARANCE,
-       TERRAIN = QUERY_TERRAIN,
-       APPEARANCE = QUERY_APPEARANCE,
-       SEARCH = QUERY_SEARCH,
-       PLACE = QUERY_PLACE,
-       MOTION = QUERY_MOTION,
-};
 #define JSON(schema) "200 application/json " schema ","
 #define BYTES(media) "200 " media " Bytes,"
 #define GET(f, gives, about) {METHOD_GET, f, NULL, gives, about, false},
@@ -38,9 +26,29 @@ enum { /* queries */
 #define PUT(f, takes, gives, about) {METHOD_PUT, f, takes, gives, about, false},
 #define DELETE(f, gives, about) {METHOD_DELETE, f, NULL, gives, about, false},
 
+/* Of a sequence of these, first the bits of the groups and then their places. */
+#define MAY(group) | 1u << TARGET_##group
+#define TAKES(route, group) MAY(group)
+enum {
+#define ROUTE(name, path, scope, cache, rate, takes, on) ROUTES_TAKES_##name = 0 takes,
+#include "server/routes.def"
+#undef ROUTE
+};
+#undef MAY
+#undef TAKES
+#define MAY(group)
+#define TAKES(route, group) [TARGET_##group] = offsetof(struct route##_target, group),
 const struct route ROUTES[] = {
-#define ROUTE(name, path, scope, cache, rate, query, on)                                           \
-    {#name, path, ROUTES_##scope, CACHE_##cache, RATE_##rate, query, {on}},
+#define ROUTE(name, path, scope, cache, rate, takes, on)                                           \
+    {#name,                                                                                        \
+     path,                                                                                         \
+     ROUTES_##scope,                                                                               \
+     CACHE_##cache,                                                                                \
+     RATE_##rate,                                                                                  \
+     ROUTES_TAKES_##name,                                                                          \
+     sizeof(struct name##_target),                                                                 \
+     {[TARGET_names] = 0, takes},                                                                  \
+     {on}},
 #include "server/routes.def"
 #undef ROUTE
 };

@@ -130,13 +130,13 @@ struct search_hit {
     double by;                 /* what it is sorted by */
 };
 
-static bool search_in_area(const struct target *t, const struct search_photo *p)
+static bool search_in_area(const struct appearances_target *t, const struct search_photo *p)
 {
     const double lon = p->lon_deg * 1e7, lat = p->lat_deg * 1e7;
-    const int32_t *b = t->bbox_e7;
+    const int32_t *b = t->page.bbox_e7;
     const bool across = b[0] > b[2]; /* of the antimeridian */
     const bool east_west = across ? lon >= b[0] || lon <= b[2] : lon >= b[0] && lon <= b[2];
-    return !t->has_bbox || (p->posed && east_west && lat >= b[1] && lat <= b[3]);
+    return !t->page.has_bbox || (p->posed && east_west && lat >= b[1] && lat <= b[3]);
 }
 
 static bool search_in_time(const struct target_search *q, const struct search_photo *p)
@@ -150,8 +150,8 @@ static bool search_in_time(const struct target_search *q, const struct search_ph
 }
 
 /* True: it is one of those that are asked for. */
-static bool search_hits(const struct target *t, const double near_m[3], const double lab[3],
-                        const struct search_photo *p, struct search_hit *hit)
+static bool search_hits(const struct appearances_target *t, const double near_m[3],
+                        const double lab[3], const struct search_photo *p, struct search_hit *hit)
 {
     const struct target_search *q = &t->search;
     if (!search_in_area(t, p) || !search_in_time(q, p) || (q->has_near && !p->posed) ||
@@ -192,7 +192,7 @@ static json_t *search_link(const char *rel, void (*to)(const struct link *l, str
     return document_link(rel, "application/json", href, NULL);
 }
 
-static json_t *search_row(const struct dataset *d, const struct target *t,
+static json_t *search_row(const struct dataset *d, const struct appearances_target *t,
                           const struct search_hit *hit)
 {
     const struct search_photo *p = hit->photo;
@@ -226,11 +226,11 @@ static json_t *search_row(const struct dataset *d, const struct target *t,
     return o;
 }
 
-static json_t *search_page(const struct dataset *d, const struct target *t,
+static json_t *search_page(const struct dataset *d, const struct appearances_target *t,
                            const struct search_hit *hit, size_t n)
 {
-    const size_t first = t->after < n ? t->after : n;
-    const size_t end = n - first < t->limit ? n : first + t->limit;
+    const size_t first = t->page.after < n ? t->page.after : n;
+    const size_t end = n - first < t->page.limit ? n : first + t->page.limit;
     json_t *list = json_array(), *links = json_array();
     const struct link here = {.from = LINK_DATASET};
     struct buf self = {0}, next = {0};
@@ -238,7 +238,7 @@ static json_t *search_page(const struct dataset *d, const struct target *t,
     link_appearances(&here, &next);
     for (size_t i = first; i < end; i++)
         json_array_append_new(list, search_row(d, t, &hit[i]));
-    target_query_search(t, t->after, &self);
+    target_query_search(t, t->page.after, &self);
     target_query_search(t, (uint32_t)end, &next);
     buf_u8(&self, 0);
     buf_u8(&next, 0);
@@ -272,7 +272,7 @@ static size_t search_kept(const struct dataset *d, const struct search_index *s,
 }
 
 /* The page of all hits, sorted. */
-static enum err_code search_write_hits(const struct dataset *d, const struct target *t,
+static enum err_code search_write_hits(const struct dataset *d, const struct appearances_target *t,
                                        struct search_hit *hit, size_t n, struct buf *out,
                                        struct err *e)
 {
@@ -281,8 +281,8 @@ static enum err_code search_write_hits(const struct dataset *d, const struct tar
 }
 
 enum err_code search_write(const struct dataset *d, const struct search_index *s,
-                           const struct target *t, const struct kept_table *kept, struct buf *out,
-                           struct err *e)
+                           const struct appearances_target *t, const struct kept_table *kept,
+                           struct buf *out, struct err *e)
 {
     const struct target_search *q = &t->search;
     const uint8_t rgb[3] = {(uint8_t)(q->rgb >> 16), (uint8_t)(q->rgb >> 8), (uint8_t)q->rgb};
@@ -309,10 +309,11 @@ enum err_code search_write(const struct dataset *d, const struct search_index *s
     return rc;
 }
 
-size_t search_room(const struct dataset *d, const struct target *t, const struct kept_table *kept)
+size_t search_room(const struct dataset *d, const struct appearances_target *t,
+                   const struct kept_table *kept)
 {
     const struct kept_row *row = NULL;
     const size_t all =
         (d->appearance ? d->appearance->n_images : 0) + kept_of(kept, d->meta.name, &row);
-    return (t->search.asked && t->limit < all ? t->limit : all) * SEARCH_ROW + 4096;
+    return (t->search.asked && t->page.limit < all ? t->page.limit : all) * SEARCH_ROW + 4096;
 }

@@ -19,7 +19,7 @@ enum { SEED_ROW = 256 }; /* bytes of a line without its query, from above */
 
 struct seed {
     const struct dataset *d;
-    const struct target *t;
+    const struct seed_target *t;
     const struct crop_node *left;  /* of each tile; NULL: all of it */
     const struct store_tile **row; /* [n] */
     size_t n;
@@ -47,8 +47,9 @@ static bool seed_in_bbox(struct key k, const int32_t bbox_e7[4])
 
 static bool seed_lists(const struct seed *s, const struct store_tile *x)
 {
-    return !(s->left && !s->left[x - s->d->tiles].count) && x->key.z >= s->t->z_min &&
-           x->key.z <= s->t->z_max && !(s->t->has_bbox && !seed_in_bbox(x->key, s->t->bbox_e7));
+    return !(s->left && !s->left[x - s->d->tiles].count) && x->key.z >= s->t->zooms.z_min &&
+           x->key.z <= s->t->zooms.z_max &&
+           !(s->t->page.has_bbox && !seed_in_bbox(x->key, s->t->page.bbox_e7));
 }
 
 /* list: what addresses are relative to. */
@@ -62,11 +63,11 @@ static void seed_write_row(const struct seed *s, const struct store_tile *tile,
     const uint32_t count = left ? left->count : tile->count;
     struct hash128 id = result_id_tile(s->d, tile, form, a);
     if (left && left->across)
-        result_id_clip(&id, &s->t->clip);
+        result_id_clip(&id, &s->t->tiles.clip);
     body_etag(id, etag);
     etag[strlen(etag) - 1] = 0; /* without its quotes, which JSON would have to escape */
     at.key = &tile->key;
-    at.ext = format_ext(s->t->form.format);
+    at.ext = format_ext(s->t->tiles.form.format);
     buf_printf(out, "{\"url\":\"");
     link_tile(&at, out);
     buf_printf(out, "%s\",\"etag\":\"\\\"%s\\\"\",\"gaussians\":%u,\"bytes\":%llu}\n", query,
@@ -78,10 +79,10 @@ static void seed_write_page(const struct seed *s, struct form form,
 {
     char query[TARGET_QUERY_MAX];
     const struct link list =
-        link_to(s->t->rev[0] ? LINK_REVISION : LINK_DATASET, NULL, s->d, s->d->edition);
-    size_t first = s->t->after < s->n ? s->t->after : s->n;
-    size_t end = s->n - first < s->t->limit ? s->n : first + s->t->limit;
-    target_query_tiles(s->t, query);
+        link_to(s->t->all.names.rev[0] ? LINK_REVISION : LINK_DATASET, NULL, s->d, s->d->edition);
+    size_t first = s->t->page.after < s->n ? s->t->page.after : s->n;
+    size_t end = s->n - first < s->t->page.limit ? s->n : first + s->t->page.limit;
+    target_query_tiles(&s->t->tiles, query);
     for (size_t i = first; i < end; i++)
         seed_write_row(s, s->row[i], &list, query, form, a, out);
     if (end < s->n) {
@@ -92,7 +93,7 @@ static void seed_write_page(const struct seed *s, struct form form,
     }
 }
 
-enum err_code seed_write(const struct dataset *d, const struct target *t,
+enum err_code seed_write(const struct dataset *d, const struct seed_target *t,
                          const struct crop_node *left, struct form form,
                          const struct appearance_choice *a, struct buf *out, struct err *e)
 {
@@ -109,10 +110,10 @@ enum err_code seed_write(const struct dataset *d, const struct target *t,
     return buf_check(out, e);
 }
 
-size_t seed_room(const struct dataset *d, const struct target *t)
+size_t seed_room(const struct dataset *d, const struct seed_target *t)
 {
     char query[TARGET_QUERY_MAX];
-    size_t n = d->n_tiles < t->limit ? d->n_tiles : t->limit;
-    target_query_tiles(t, query);
+    size_t n = d->n_tiles < t->page.limit ? d->n_tiles : t->page.limit;
+    target_query_tiles(&t->tiles, query);
     return n * (SEED_ROW + strlen(query)) + 1024 + strlen(query);
 }

@@ -9,7 +9,7 @@
 #include "server/param_time.h"
 #include "server/text.h"
 
-void target_query_tiles(const struct target *t, char out[TARGET_QUERY_MAX])
+void target_query_tiles(const struct target_tiles *t, char out[TARGET_QUERY_MAX])
 {
     const struct form *f = &t->form;
     char *p = out;
@@ -39,18 +39,18 @@ static void target_query_measure(struct buf *out, const char *name, uint32_t val
         buf_printf(out, "%s%.3f", name, value_e3 / 1e3);
 }
 
-void target_query_seed(const struct target *t, uint32_t after, struct buf *out)
+void target_query_seed(const struct seed_target *t, uint32_t after, struct buf *out)
 {
     char form[TARGET_QUERY_MAX];
-    target_query_tiles(t, form);
-    buf_printf(out, "%s%cf=%s&z=%u-%u", form, form[0] ? '&' : '?', format_ext(t->form.format),
-               t->z_min, t->z_max);
-    if (t->has_bbox)
-        target_query_degrees(out, "&bbox=", t->bbox_e7, 4);
-    buf_printf(out, "&limit=%u&after=%u", t->limit, after);
+    target_query_tiles(&t->tiles, form);
+    buf_printf(out, "%s%cf=%s&z=%u-%u", form, form[0] ? '&' : '?', format_ext(t->tiles.form.format),
+               t->zooms.z_min, t->zooms.z_max);
+    if (t->page.has_bbox)
+        target_query_degrees(out, "&bbox=", t->page.bbox_e7, 4);
+    buf_printf(out, "&limit=%u&after=%u", t->page.limit, after);
 }
 
-void target_query_search(const struct target *t, uint32_t after, struct buf *out)
+void target_query_search(const struct appearances_target *t, uint32_t after, struct buf *out)
 {
     static const char *const sorts[] = {[SEARCH_BY_NUMBER] = "number",
                                         [SEARCH_BY_DISTANCE] = "distance",
@@ -58,8 +58,8 @@ void target_query_search(const struct target *t, uint32_t after, struct buf *out
                                         [SEARCH_BY_COLOUR] = "colour"};
     const struct target_search *q = &t->search;
     buf_printf(out, "?sort=%s", sorts[q->sort]);
-    if (t->has_bbox)
-        target_query_degrees(out, "&bbox=", t->bbox_e7, 4);
+    if (t->page.has_bbox)
+        target_query_degrees(out, "&bbox=", t->page.bbox_e7, 4);
     if (q->has_near)
         target_query_degrees(out, "&near=", q->near_e7, 2);
     target_query_measure(out, ",", q->radius_e3);
@@ -75,5 +75,5 @@ void target_query_search(const struct target *t, uint32_t after, struct buf *out
         buf_printf(out, "&colour=%06x", (unsigned)q->rgb);
     if (q->kept)
         buf_printf(out, "&kept=true");
-    buf_printf(out, "&limit=%u&after=%u", t->limit, after);
+    buf_printf(out, "&limit=%u&after=%u", t->page.limit, after);
 }

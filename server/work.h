@@ -1,63 +1,75 @@
-/* What a job does: from a dataset to bytes.
+/* What a job does: from a dataset to bytes. A kind of work is a struct of functions in the file of
+ * the answer that it serves, with parameters that only this file knows.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
 #ifndef SERVER_WORK_H
 #define SERVER_WORK_H
 
-#include "lod/key.h"
-#include "lod/query.h"
-#include "server/film.h"
-#include "server/map_tile.h"
+#include <stddef.h>
+
+#include "server/cost.h"
+#include "server/draw.h"
 #include "server/services.h"
 
-enum work_kind {
-    WORK_TILE,
-    WORK_SEED,
-    WORK_TILESET,
-    WORK_TILEJSON,
-    WORK_VIEW,
-    WORK_MAP,
-    WORK_QUERY,
-    WORK_THUMBNAIL,
-    WORK_SEARCH,
-    WORK_KEEP
+struct work;
+struct response;
+
+enum {                      /* properties of a kind, as bits */
+       WORK_DRAWN = 1,      /* the process that draws makes it */
+       WORK_PICTURE = 2,    /* it is useful only to the clients that wait: job_config.passing */
+       WORK_ON_DISK = 4,    /* reading it from --cache-dir is quicker than making it */
+       WORK_COMPRESSED = 8, /* gzip and Brotli are kept beside it */
+       WORK_OF_STORE = 16,  /* its failures count as errors of the store */
+       WORK_JUDGES = 32,    /* ERR_DATA is an answer: the question has none */
 };
-/* A change of a named appearance. */
-struct work_change {
-    bool removes;
-    struct kept_row row;      /* to remove a name: only ds and name are set */
-    char *match, *none_match; /* owned; NULL: absent */
+struct work_kind {
+    const char *noun; /* "map tile": for messages */
+    unsigned traits;
+    size_t size; /* of its parameters */
+    /* Makes the bytes, in a worker thread. ERR_MEM, and the errors of the kind. */
+    enum err_code (*make)(struct services *s, const struct job *j, const struct work *w,
+                          struct buf *out, struct err *e);
+    /* In place of make: does what is no result with a name, and gives the body of its answer. */
+    enum err_code (*act)(struct services *s, const struct work *w, struct body **out,
+                         struct err *e);
+    /* Upper limit of the bytes. NULL: they are few. */
+    size_t (*room)(const struct work *w);
+    /* Estimates the time by a formula, in ms. *variant: what is learned apart (cost.h). NULL: 2 ms.
+     */
+    double (*cost)(const struct work *w, unsigned *variant);
+    void (*free)(void *own); /* frees what the parameters own; NULL: nothing */
+    /* Writes which one it is, for the log. NULL: the noun says enough. */
+    void (*tell)(const struct work *w, char *out, size_t room);
+    /* Turns the result into the answer, and takes over its body. NULL: the body is the answer. */
+    void (*finish)(struct job_result *result, struct response *out);
 };
 struct work { /* freed with work_drop */
-    enum work_kind kind;
+    const struct work_kind *kind;
     struct dataset *ds; /* a reference */
     struct hash128 id;  /* name of the result: cache key and job id */
-    struct key key;     /* WORK_TILE, WORK_MAP; WORK_TILESET with part */
-    bool part;          /* WORK_TILESET: the document that begins at key */
-    struct form form;   /* complete (encode_form) */
-    struct appearance_choice appearance;
-    struct target target;       /* for lists and thumbnails; for WORK_TILE its clip */
-    struct draw_view view;      /* WORK_VIEW */
-    struct film *film;          /* WORK_VIEW: a reference; NULL: it is a picture by itself */
-    struct film_shot shot;      /* with film */
-    struct map_tile map;        /* WORK_MAP */
-    struct query *query;        /* WORK_QUERY, owned */
-    char *public_url;           /* WORK_TILEJSON, owned; NULL: its addresses are relative */
-    struct kept_table *kept;    /* WORK_SEARCH: a reference; NULL: there are no named appearances */
-    struct work_change *change; /* WORK_KEEP, owned */
-    bool keep;                  /* keep the result in the cache */
-    struct body *made; /* body that is written to the disk after the waiters have it; NULL: none */
+    bool keep;          /* keep the result in the cache */
+    bool may_lack;      /* ERR_NOENT is an answer, and no failure */
+    bool apart;         /* one of very many, as those of a polygon: disk_put */
+    struct body *made;  /* body that is written to the disk after the waiters have it; NULL: none */
+    max_align_t own[];  /* parameters of the kind */
 };
+/* Makes work with zeroed parameters. NULL: out of memory. */
+struct work *work_make(const struct work_kind *kind, struct dataset *d);
+/* The parameters, for the kind's functions. */
+const void *work_own(const struct work *w);
 /* Upper limit of the result's bytes: its share of --inflight-mb while it is made. */
 enum { WORK_ROOM_HEAD = 4096 }; /* part of work_room for head and end */
 size_t work_room(const struct work *w);
-/* Estimates the time of work by formulas, in ms, and gives the kind that learns from it:
- * job_config.cost. */
-double work_cost(const void *work, unsigned *kind);
-const char *work_noun(enum work_kind kind); /* "map tile": for messages */
-/* Makes the bytes in a worker thread, from the store. The result is in the cache before the job
- * ends. ERR_MEM, and the errors of the kind of work. */
+/* Estimates the time of work, in ms, and says what learns from it: job_config.cost. */
+double work_cost(const void *work, struct cost_kind *kind);
+/* Borrows a handle of the dataset's store until dataset_return. ERR_INTERNAL. */
+enum err_code work_borrow(const struct work *w, struct store **s, struct err *e) ERR_USE;
+/* Has the process that draws answer a request. Errors are those of picture_make. */
+enum err_code work_draw(struct services *s, const struct job *j, const struct work *w,
+                        struct draw_request *q, struct buf *out, struct err *e) ERR_USE;
+/* Makes the bytes in a worker thread. The result is in the cache before the job ends. ERR_MEM, and
+ * the errors of the kind of work. */
 enum err_code work_run(void *services, const struct job *j, void *work, size_t worker,
                        struct body **out, struct err *e) ERR_USE;
 void work_drop(void *services, void *work);

@@ -119,8 +119,7 @@ static struct response ask(enum method method, const char *target, const char *b
         } else {
             kit_ok(result.code, e);
         }
-        assert_true(!result.body || w->kind != WORK_SEED ||
-                    result.body->size <= work_room(w) - WORK_ROOM_HEAD);
+        assert_true(!result.body || !w->kind->room || result.body->size <= work_room(w));
         work_drop(NULL, w);
         dispatch_finish(&t.s, &r, &result, &out);
     }

@@ -100,21 +100,24 @@ static void test_parts_of_time(void **state)
 static void test_costs_are_learned(void **state)
 {
     struct cost c = {0};
-    (void)state;
-    assert_true(fabs(cost_predict(&c, 1, 20) - 20) < 1e-9);
+    const struct cost_kind one = {&c, 1}, two = {&c, 2}, other = {state, 1};
+    assert_true(fabs(cost_predict(&c, one, 20) - 20) < 1e-9);
     for (int i = 0; i < 30; i++)
-        cost_learn(&c, 1, 10, 35);
-    assert_true(fabs(cost_predict(&c, 1, 20) / 70 - 1) < 0.02);
-    assert_true(fabs(cost_predict(&c, 2, 20) - 20) < 1e-9); /* another kind */
-    cost_learn(&c, 1, 10, 1e6);
-    assert_true(cost_predict(&c, 1, 20) < 120);
+        cost_learn(&c, one, 10, 35);
+    assert_true(fabs(cost_predict(&c, one, 20) / 70 - 1) < 0.02);
+    assert_true(fabs(cost_predict(&c, two, 20) - 20) < 1e-9); /* another kind */
+    assert_true(fabs(cost_predict(&c, other, 20) - 20) < 1e-9);
+    cost_learn(&c, one, 10, 1e6);
+    assert_true(cost_predict(&c, one, 20) < 120);
     for (int i = 0; i < 60; i++)
-        cost_learn(&c, 1, 10, 0);
-    assert_true(cost_predict(&c, 1, 20) > 0 && cost_predict(&c, 1, 20) < 1);
-    cost_learn(&c, 1, (double)NAN, 5);
-    cost_learn(&c, 99, 1, 5);
-    assert_true(isfinite(cost_predict(&c, 1, 20)));
-    assert_true(fabs(cost_predict(&c, 99, 20) - 20) < 1e-9);
+        cost_learn(&c, one, 10, 0);
+    assert_true(cost_predict(&c, one, 20) > 0 && cost_predict(&c, one, 20) < 1);
+    cost_learn(&c, one, (double)NAN, 5);
+    assert_true(isfinite(cost_predict(&c, one, 20)));
+    for (unsigned i = 0; i < 2 * COST_KINDS; i++) /* more than are learned */
+        cost_learn(&c, (struct cost_kind){&c, i}, 1, 5);
+    assert_true(cost_predict(&c, (struct cost_kind){&c, 0}, 20) > 20);
+    assert_true(fabs(cost_predict(&c, (struct cost_kind){&c, 2 * COST_KINDS - 1}, 20) - 20) < 1e-9);
 }
 
 /* Who gives way: one of whoever has most; of equals, who had a turn last; never one who has

@@ -49,24 +49,30 @@ static char *serve_text(const uint8_t *bytes, size_t n)
 void fuzz_target(const uint8_t *bytes, size_t n)
 {
     static struct router *routes; /* once for all inputs */
-    struct target t, again;
+    union target_any any, again;
+    const struct target *t = &any.all;
     char query[TARGET_QUERY_MAX];
     if (!routes)
         assert(!router_open(ROUTES, ROUTES_COUNT, &routes, NULL));
-    if (router_read(routes, (const char *)bytes, n, &t, NULL))
+    if (router_read(routes, (const char *)bytes, n, &any, NULL))
         return;
-    const char *name = t.route->name;
-    assert(t.path_size <= n);
-    assert(strspn(t.ds, "abcdefghijklmnopqrstuvwxyz0123456789_-") == strlen(t.ds));
-    assert(strspn(t.rev, "0123456789abcdef") == strlen(t.rev));
-    assert(strcmp(name, "tile") != 0 || key_valid(t.key));
-    assert(strcmp(name, "view") != 0 || (t.pose.fov_e3 >= 1000 && t.pose.heading_e3 >= 0));
-    assert(strcmp(name, "kept") != 0 || param_is_kept_name(t.kept));
-    target_query_tiles(&t, query);
-    assert(strlen(query) < sizeof query);
-    for (size_t i = 0; i < t.path_size; i++)
+    assert(t->path_size <= n);
+    assert(strspn(t->names.ds, "abcdefghijklmnopqrstuvwxyz0123456789_-") == strlen(t->names.ds));
+    assert(strspn(t->names.rev, "0123456789abcdef") == strlen(t->names.rev));
+    if (target_is(t, "view")) {
+        const struct target_pose *pose = &any.of_view.view.pose;
+        assert(pose->fov_e3 >= 1000 && pose->heading_e3 >= 0);
+    } else if (target_is(t, "kept")) {
+        assert(param_is_kept_name(t->names.kept));
+    } else if (target_is(t, "tile")) {
+        assert(key_valid(any.of_tile.cell.key));
+        target_query_tiles(&any.of_tile.tiles, query);
+        assert(strlen(query) < sizeof query);
+    }
+    for (size_t i = 0; i < t->path_size; i++)
         assert(bytes[i] > 0x20 && bytes[i] < 0x7f && bytes[i] != '%' && bytes[i] != '"');
-    assert(!router_read(routes, (const char *)bytes, n, &again, NULL) && again.route == t.route);
+    assert(!router_read(routes, (const char *)bytes, n, &again, NULL) &&
+           again.all.route == t->route);
 }
 
 /* ---- fields ---- */
