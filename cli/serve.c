@@ -113,6 +113,7 @@ enum err_code cli_serve(int argc, char **argv, struct err *e)
     sigset_t hup;
     sigemptyset(&hup);
     sigaddset(&hup, SIGHUP);
+    config_fix(&cfg);
     enum err_code rc = options_parse(&serve_spec, argc, argv, &cfg, &args, &arena, e);
     if (rc || args.done)
         goto out;

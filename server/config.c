@@ -4,6 +4,13 @@
  */
 #include "server/config.h"
 
+void config_fix(struct server_config *out)
+{
+#define FIXED(type, key, value) out->key = value;
+#include "server/fixed.def"
+#undef FIXED
+}
+
 enum err_code config_defaults(struct server_config *out, struct arena *a, struct err *e)
 {
     static const struct options_def defs[] = {
@@ -14,5 +21,6 @@ enum err_code config_defaults(struct server_config *out, struct arena *a, struct
     };
     const struct options_spec spec = {
         .command = "serve", .defs = defs, .n_defs = sizeof defs / sizeof *defs};
+    config_fix(out);
     return options_defaults(&spec, out, a, e);
 }

@@ -1,4 +1,4 @@
-/* The options of the server, as `citysplat serve` reads them (server/options.def).
+/* The options of the server, as `citysplat serve` reads them (server/options.def), and constants.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -12,8 +12,13 @@ struct server_config { /* texts are borrowed and live as long as the server */
 #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "server/options.def"
 #undef OPT
+#define FIXED(type, key, value) OPTIONS_C_##type key;
+#include "server/fixed.def"
+#undef FIXED
 };
-/* Sets every option to its default. Texts live in the arena. ERR_MEM. */
+/* Sets what is no option (fixed.def). */
+void config_fix(struct server_config *out);
+/* Sets every member to its default. Texts live in the arena. ERR_MEM. */
 enum err_code config_defaults(struct server_config *out, struct arena *a, struct err *e) ERR_USE;
 
 #endif

@@ -102,8 +102,7 @@ static enum err_code http_start_daemon(struct http *h, int fd, struct err *e)
                          0, NULL, NULL, exchange_on_request, &h->front, MHD_OPTION_EXTERNAL_LOGGER,
                          http_on_log, NULL, MHD_OPTION_ARRAY, options, MHD_OPTION_END);
     if (!h->daemon)
-        return err_set(e, ERR_IO,
-                       "the HTTP threads did not start; --http-threads 1 needs fewest resources");
+        return err_set(e, ERR_IO, "the HTTP threads did not start");
     return ERR_OK;
 }
 

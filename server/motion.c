@@ -30,7 +30,7 @@ enum { MOTION_QUALITY = 60, MOTION_THREADS = 2 /* of an encoder */ };
 static const double REST_S = 0.18;   /* a camera that did not move for so long rests */
 static const double DRAW_S = 0.04;   /* what a moving picture may take */
 static const double RETRY_S = 0.25;  /* after a refusal */
-static const double GIVES_WAY = 12;  /* after this part of --stream-idle-s without a camera */
+static const double GIVES_WAY = 12;  /* after this part of stream_idle_s without a camera */
 static const double RUN_LEARN = 0.3; /* share of a new picture in what pictures take */
 static const double RUN_LEAST = 0.67, RUN_MOST = 1.5; /* of DRAW_S over that: about right */
 static const double AREA_FIRST_PX = 60000; /* of moving pictures; follows the time that they take */
@@ -405,12 +405,12 @@ static struct work *motion_make_work(struct motion_stream *st, const struct draw
                                      const struct film_shot *shot)
 {
     struct work *w = work_make(st->flight_film ? &motion_frame_work : &answer_view_work, st->d);
+    void *own = w ? work_own(w) : NULL;
     if (w && st->flight_film)
-        *(struct motion_frame_own *)(void *)w->own =
+        *(struct motion_frame_own *)own =
             (struct motion_frame_own){*v, st->wish.appearance, film_ref(st->film), *shot};
     else if (w)
-        *(struct answer_view_own *)(void *)w->own =
-            (struct answer_view_own){*v, st->wish.appearance};
+        *(struct answer_view_own *)own = (struct answer_view_own){*v, st->wish.appearance};
     return w;
 }
 

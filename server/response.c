@@ -314,5 +314,5 @@ void *response_work(struct dataset *d, const struct work_kind *kind, struct hash
     w->keep = !out->unnamed;
     out->kind = kind;
     out->work = w;
-    return w->own;
+    return work_own(w);
 }

@@ -300,7 +300,7 @@ static enum err_code server_set_remote(const struct server_config *cfg, struct e
 {
     char dir[FILE_PATH_MAX];
     enum err_code rc = cfg->cache_dir ? file_join(dir, cfg->cache_dir, "stores", e) : ERR_OK;
-    blocks_configure(cfg->cache_dir && !rc ? dir : NULL, (uint64_t)cfg->remote_cache_mb << 20);
+    blocks_configure(cfg->cache_dir && !rc ? dir : NULL, (uint64_t)cfg->cache_dir_mb << 20);
     remote_patience(cfg->deadline_s);
     return rc;
 }

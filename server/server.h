@@ -81,7 +81,7 @@ const char *server_url(const struct server *s);
  * server_stop. */
 struct services *server_services(struct server *s);
 
-/* Opens the stores again. Replaced revisions stay for a day (--keep-s, --keep-revisions). After an
+/* Opens the stores again. Replaced revisions stay for a day (--keep-s). After an
  * error (those of server_start about stores) the old data stay, and /readyz reports it. Only one
  * thread at a time may call this and server_expire. */
 enum err_code server_reload(struct server *s, struct err *e) ERR_USE;

@@ -29,9 +29,9 @@ struct work *work_make(const struct work_kind *kind, struct dataset *d)
     return w;
 }
 
-const void *work_own(const struct work *w)
+void *work_own(const struct work *w)
 {
-    return w->own;
+    return (void *)(uintptr_t)w->own;
 }
 
 enum err_code work_borrow(const struct work *w, struct store **s, struct err *e)

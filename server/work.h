@@ -56,9 +56,9 @@ struct work { /* freed with work_drop */
 };
 /* Makes work with zeroed parameters. NULL: out of memory. */
 struct work *work_make(const struct work_kind *kind, struct dataset *d);
-/* The parameters, for the kind's functions. */
-const void *work_own(const struct work *w);
-/* Upper limit of the result's bytes: its share of --inflight-mb while it is made. */
+/* The parameters: set by who makes the work, before it is submitted, and then only read. */
+void *work_own(const struct work *w);
+/* Upper limit of the result's bytes: its share of memory for answers while it is made. */
 enum { WORK_ROOM_HEAD = 4096 }; /* part of work_room for head and end */
 size_t work_room(const struct work *w);
 /* Estimates the time of work, in ms, and says what learns from it: job_config.cost. */

@@ -616,7 +616,7 @@ static void tilesets_and_prefetch_lists_carry_the_look(void **state)
     json_decref(line);
     response_free(&tile);
     response_free(&r);
-    /* a row repeats the query: --inflight-mb counts that (ask) */
+    /* a row repeats the query: work_room counts that (ask) */
     r = get(
         "/d/lit/seed.ndjson?appearance=p1.jpg:1.00000000000000000000000000000000000000000000000001,"
         "p2.jpg:1.00000000000000000000000000000000000000000000000000000000000000000000000000001,"

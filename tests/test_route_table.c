@@ -236,7 +236,7 @@ static void test_one_kind_of_work(void **state)
     struct work *w = work_make(&cube_work, s.catalog->ds[0]);
     struct cost_kind kind;
     assert_non_null(w);
-    *(struct cube_own *)(void *)w->own = (struct cube_own){7, mem_text("a note")};
+    *(struct cube_own *)work_own(w) = (struct cube_own){7, mem_text("a note")};
     assert_int_equal(work_room(w), WORK_ROOM_HEAD + 6 + 16);
     assert_true(work_cost(w, &kind) == 3 && kind.of == &cube_work && kind.variant == 1);
     assert_true(work_passing(w)); /* it is not kept */
