@@ -28,7 +28,7 @@ bool answer_appearance_find_tile(struct services *s, const struct dataset *d, co
 {
     struct err e = {0};
     char is[TARGET_APPEARANCE_MAX], name[TARGET_KEPT_MAX];
-    struct kept_table *kept = *text ? kept_now(s->kept) : NULL;
+    struct named_appearance_table *kept = *text ? named_appearance_now(s->named_appearances) : NULL;
     is[0] = '\0';
     enum err_code rc = ERR_OK;
     if (*text) { /* most tiles have none */
@@ -39,7 +39,7 @@ bool answer_appearance_find_tile(struct services *s, const struct dataset *d, co
         rc = appearance_api_find(d, is, out, &e);
     if (rc)
         answer_appearance_problem(d, rc, &e, res);
-    kept_drop(&kept);
+    named_appearance_drop(&kept);
     return !rc;
 }
 
@@ -60,11 +60,11 @@ bool answer_appearance_resolve(struct services *s, const struct dataset *d, stru
     struct target_tiles *tiles = target_group(t, TARGET_tiles);
     struct target_appearance *other = target_group(t, TARGET_appearance);
     char *appearance = tiles ? tiles->appearance : other ? other->appearance : NULL;
-    if (!appearance || !appearance[0] || !s->kept)
+    if (!appearance || !appearance[0] || !s->named_appearances)
         return true;
-    struct kept_table *kept = kept_now(s->kept);
+    struct named_appearance_table *kept = named_appearance_now(s->named_appearances);
     enum err_code rc = appearance_api_resolve(d, kept, appearance, t->names.kept, &e);
-    kept_drop(&kept);
+    named_appearance_drop(&kept);
     if (rc)
         response_problem(out, 404, e.msg);
     return !rc;
@@ -95,11 +95,11 @@ void answer_appearance_mix(struct services *s, const struct request *r, struct d
     (void)t;
     struct err e = {0};
     char text[TARGET_APPEARANCE_MAX], name[TARGET_KEPT_MAX];
-    struct kept_table *kept = kept_now(s->kept);
+    struct named_appearance_table *kept = named_appearance_now(s->named_appearances);
     enum err_code rc = appearance_api_read_mix(d, r->body, r->body_size, text, &e);
     if (!rc)
         rc = appearance_api_resolve(d, kept, text, name, &e);
-    kept_drop(&kept);
+    named_appearance_drop(&kept);
     if (!rc)
         answer_appearance_describe(r, d, text, out);
     else
@@ -198,7 +198,7 @@ void answer_appearance_thumbnail(struct services *s, const struct request *r, st
 
 struct answer_appearance_list_own {
     struct appearances_target asked;
-    struct kept_table *kept; /* a reference; NULL: there are no named appearances */
+    struct named_appearance_table *kept; /* a reference; NULL: there are no named appearances */
 };
 
 static enum err_code answer_appearance_make_list(struct services *s, const struct job *j,
@@ -219,7 +219,7 @@ static size_t answer_appearance_list_room(const struct work *w)
 
 static void answer_appearance_free_list(void *own)
 {
-    kept_drop(&((struct answer_appearance_list_own *)own)->kept);
+    named_appearance_drop(&((struct answer_appearance_list_own *)own)->kept);
 }
 
 static const struct work_kind answer_appearance_list_work = {
@@ -236,21 +236,21 @@ void answer_appearance_list(struct services *s, const struct request *r, struct 
                             const struct target *t, struct response *out)
 {
     const struct appearances_target *asked = target_of_appearances(t);
-    const struct kept_row *row = NULL;
-    struct kept_table *kept = kept_now(s->kept);
-    const size_t n_kept = d->appearance ? kept_of(kept, d->meta.name, &row) : 0;
+    const struct named_appearance_row *row = NULL;
+    struct named_appearance_table *kept = named_appearance_now(s->named_appearances);
+    const size_t n_kept = d->appearance ? named_appearance_of(kept, d->meta.name, &row) : 0;
     out->type = RESPONSE_JSON;
     if (!asked->search.asked && !n_kept) {
         response_body(r, body_ref(d->appearances), out);
     } else if (!d->search) {
         response_problem(out, 404, "this dataset was trained without appearance");
     } else {
-        struct hash128 id = result_id_search(d, asked, kept_hash(kept, d->meta.name));
+        struct hash128 id = result_id_search(d, asked, named_appearance_hash(kept, d->meta.name));
         struct answer_appearance_list_own *own =
             response_made(s, r, id, out) ? response_work(d, &answer_appearance_list_work, id, out)
                                          : NULL;
         if (own)
-            *own = (struct answer_appearance_list_own){*asked, kept_ref(kept)};
+            *own = (struct answer_appearance_list_own){*asked, named_appearance_ref(kept)};
     }
-    kept_drop(&kept);
+    named_appearance_drop(&kept);
 }

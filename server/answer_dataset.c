@@ -18,9 +18,9 @@
 #include "server/link.h"
 #include "server/origin.h"
 #include "server/param_clip.h"
+#include "server/permissions.h"
+#include "server/prefetch_list.h"
 #include "server/result_id.h"
-#include "server/right.h"
-#include "server/seed.h"
 #include "server/target_query.h"
 #include "server/tileset_links.h"
 
@@ -76,7 +76,7 @@ static enum err_code answer_dataset_make_seed(struct services *s, const struct j
     (void)s, (void)j;
     enum err_code rc = answer_dataset_crop(w, &o->asked.tiles.clip, NULL, false, &left, e);
     if (!rc)
-        rc = seed_write(w->ds, &o->asked, left, o->form, &o->appearance, out, e);
+        rc = prefetch_list_write(w->ds, &o->asked, left, o->form, &o->appearance, out, e);
     mem_free(left);
     return rc;
 }
@@ -84,7 +84,7 @@ static enum err_code answer_dataset_make_seed(struct services *s, const struct j
 static size_t answer_dataset_seed_room(const struct work *w)
 {
     const struct answer_dataset_seed_own *o = work_own(w);
-    return seed_room(w->ds, &o->asked);
+    return prefetch_list_room(w->ds, &o->asked);
 }
 
 static double answer_dataset_seed_cost(const struct work *w, unsigned *variant)
@@ -201,8 +201,8 @@ static void answer_dataset_entry(struct services *s, const struct request *r, st
     if (!moving)
         snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s", d->meta.name,
                  d->meta.revision);
-    if (!part && right_is_public(r, d->meta.name))
-        hint_tileset(d, moving, tiles, out->hints);
+    if (!part && permissions_is_public(r, d->meta.name))
+        link_header_tileset(d, moving, tiles, out->hints);
     if (!query[0] && !part) {
         response_body(r, body_ref(moving ? d->tileset_moving : d->tileset), out);
         return;

@@ -8,20 +8,20 @@
 #include <string.h>
 #include <strings.h>
 
-#include "server/card.h"
 #include "server/collection.h"
 #include "server/condition.h"
 #include "server/document.h"
-#include "server/hint.h"
+#include "server/link_header.h"
 #include "server/metrics_text.h"
 #include "server/origin.h"
-#include "server/right.h"
+#include "server/permissions.h"
+#include "server/social_preview.h"
 
 /* Is who asks told that there is this dataset? */
 static bool answer_service_shows(const struct request *r, const struct target *t,
                                  const struct dataset *d)
 {
-    return r->admin || right_check(r, t, AUTH_READ, d->meta.name) == AUTH_OK;
+    return r->admin || permissions_check(r, t, AUTH_READ, d->meta.name) == AUTH_OK;
 }
 
 static enum err_code answer_service_about(struct services *s, const struct request *r,
@@ -50,13 +50,13 @@ static struct body *answer_service_card(struct services *s, const struct request
                                         const struct catalog *c, const struct body *index,
                                         const char *query, size_t n)
 {
-    const struct dataset *d = hint_scene(c, query, n);
+    const struct dataset *d = link_header_scene(c, query, n);
     struct body *page = NULL;
     char origin[ORIGIN_MAX];
-    if (!d || !right_is_public(r, d->meta.name))
+    if (!d || !permissions_is_public(r, d->meta.name))
         return NULL;
     const bool pictures = s->picture && picture_state(s->picture) != PICTURE_OFF;
-    if (card_page(index, d, origin_of(s, r, origin), pictures, &page, NULL))
+    if (social_preview_page(index, d, origin_of(s, r, origin), pictures, &page, NULL))
         body_drop(&page);
     return page;
 }
@@ -74,7 +74,7 @@ void answer_service_landing(struct services *s, const struct request *r, struct 
     size_t from = t->path_size < r->target_size ? t->path_size + 1 : r->target_size;
     struct catalog *c = services_catalog(s);
     if (!r->auth) /* hints name datasets, and caches keep the page for whoever comes next */
-        hint_write(c, r->target + from, r->target_size - from, out->hints);
+        link_header_write(c, r->target + from, r->target_size - from, out->hints);
     struct body *page =
         answer_service_card(s, r, c, index->body, r->target + from, r->target_size - from);
     catalog_drop(&c);
@@ -99,7 +99,7 @@ static void answer_service_state(struct services *s, const struct request *r, st
             continue;
         degraded = true;
         json_object_set_new(failed,
-                            r->admin || right_is_public(r, c->ds[i]->meta.name)
+                            r->admin || permissions_is_public(r, c->ds[i]->meta.name)
                                 ? c->ds[i]->meta.name
                                 : "(not public)",
                             json_integer(n));
@@ -162,7 +162,7 @@ static bool answer_service_token(const char *given, const char *token)
 static bool answer_service_may(const struct services *s, const struct request *r)
 {
     const struct server_config *cfg = s->cfg;
-    if (r->admin || (r->auth && right_check(r, NULL, AUTH_ADMIN, NULL) == AUTH_OK))
+    if (r->admin || (r->auth && permissions_check(r, NULL, AUTH_ADMIN, NULL) == AUTH_OK))
         return true;
     if (!strcmp(cfg->metrics, "public"))
         return true;

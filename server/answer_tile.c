@@ -15,8 +15,8 @@
 #include "server/answer_appearance.h"
 #include "server/encode.h"
 #include "server/param_clip.h"
+#include "server/permissions.h"
 #include "server/result_id.h"
-#include "server/right.h"
 #include "server/text.h"
 
 /* What caches purge by. */
@@ -149,8 +149,8 @@ void answer_tile(struct services *s, const struct request *r, struct dataset *d,
     out->type = format_type(form.format);
     answer_tile_tags(d, key.z, out->surrogate);
     const bool job = response_made(s, r, id, out);
-    if (out->status < 300 && right_is_public(r, d->meta.name)) /* a 304 has none */
-        hint_tile(d, tile, &asked->tiles, out->hints);
+    if (out->status < 300 && permissions_is_public(r, d->meta.name)) /* a 304 has none */
+        link_header_tile(d, tile, &asked->tiles, out->hints);
     if (!job)
         return;
     struct answer_tile_own *own = response_work(d, &answer_tile_work, id, out);

@@ -11,8 +11,8 @@
 #include "lod/view.h"
 #include "server/answer.h"
 #include "server/answer_appearance.h"
-#include "server/describe.h"
-#include "server/paint.h"
+#include "server/composite.h"
+#include "server/posted_view.h"
 #include "server/result_id.h"
 
 /* Of --max-view-mpx are drawn for a picture: the largest one may be twice as fine. */
@@ -47,7 +47,7 @@ bool answer_view_can_draw(struct services *s, struct response *out)
 }
 
 bool answer_view_check(struct services *s, uint32_t width_px, uint32_t height_px, enum format f,
-                       struct paint *paint, struct response *out)
+                       struct composite *paint, struct response *out)
 {
     char text[256];
     if (!answer_view_can_draw(s, out))
@@ -72,7 +72,7 @@ bool answer_view_check(struct services *s, uint32_t width_px, uint32_t height_px
         response_problem(out, 422, text);
         return false;
     }
-    paint_settle(paint, f, (uint32_t)s->cfg->supersample, px, most_px);
+    composite_settle(paint, f, (uint32_t)s->cfg->supersample, px, most_px);
     return true;
 }
 
@@ -107,7 +107,7 @@ double answer_view_cost_ms(const struct draw_view *v)
     const double gaussian_ms = 25e-6, drawn = 3e5;
     return 5 + gaussian_ms * drawn +
            DRAW_PIXEL_MS * (double)v->cam.width_px * v->cam.height_px *
-               fmax(1, v->paint.supersample * v->paint.supersample);
+               fmax(1, v->composite.supersample * v->composite.supersample);
 }
 
 static double answer_view_cost(const struct work *w, unsigned *variant)
@@ -158,18 +158,18 @@ void answer_view(struct services *s, const struct request *r, struct dataset *d,
         .fov_y_deg = v->pose.fov_e3 / 1e3,
     };
     struct appearance_choice choice;
-    struct paint paint = v->paint;
+    struct composite paint = v->composite;
     if (!answer_view_check(s, v->width_px, v->height_px, v->format, &paint, out) ||
         !answer_appearance_find(s, d, asked->appearance.appearance, &choice, out))
         return;
-    if (paint_check(&v->paint, v->format, &e) ||
+    if (composite_check(&v->composite, v->format, &e) ||
         view_camera(&d->meta.origin, &pose, v->width_px, v->height_px, &cam, &e)) {
         response_problem(out, 422, e.msg);
         return;
     }
-    paint_roll(&cam, v->pose.roll_e3 / 1e3);
+    composite_roll(&cam, v->pose.roll_e3 / 1e3);
     const struct draw_view view = {
-        .cam = cam, .format = v->format, .quality = (int)s->cfg->quality, .paint = paint};
+        .cam = cam, .format = v->format, .quality = (int)s->cfg->quality, .composite = paint};
     struct hash128 id = answer_view_id(s, d, &view, &choice);
     out->type = format_type(v->format);
     snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s view", d->meta.name,
@@ -184,18 +184,18 @@ void answer_view_render(struct services *s, const struct request *r, struct data
 {
     (void)t;
     struct err e = {0};
-    struct describe_render p;
+    struct posted_view p;
     struct appearance_choice choice;
-    enum err_code rc = describe_read_render(s->cfg, &d->meta.origin, r->body, r->body_size, &p, &e);
+    enum err_code rc = posted_view_read(s->cfg, &d->meta.origin, r->body, r->body_size, &p, &e);
     if (rc) {
         response_refused(out, rc, e.msg);
         return;
     }
-    if (!answer_view_check(s, p.cam.width_px, p.cam.height_px, p.format, &p.paint, out) ||
+    if (!answer_view_check(s, p.cam.width_px, p.cam.height_px, p.format, &p.composite, out) ||
         !answer_appearance_find(s, d, p.appearance, &choice, out))
         return;
     const struct draw_view view = {
-        .cam = p.cam, .format = p.format, .quality = p.quality, .paint = p.paint};
+        .cam = p.cam, .format = p.format, .quality = p.quality, .composite = p.composite};
     struct hash128 id = answer_view_id(s, d, &view, &choice);
     out->type = format_type(p.format);
     out->unnamed = true; /* a name of the bytes is of no use */

@@ -13,7 +13,7 @@ bool answer_view_can_draw(struct services *s, struct response *out);
 /* Checks a picture and chooses its supersampling. False: pictures are off, or this one is too large
  * or too expensive; the problem is set. */
 bool answer_view_check(struct services *s, uint32_t width_px, uint32_t height_px, enum format f,
-                       struct paint *paint, struct response *out);
+                       struct composite *paint, struct response *out);
 
 /* The work of drawing a view: for streams, too. */
 struct answer_view_own {

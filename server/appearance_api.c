@@ -4,8 +4,9 @@
  * --appearance of the programs): a photograph's name, a blend NAME:WEIGHT,NAME:WEIGHT, or =BASE64
  * of a whole embedding (bake_find). Nothing that a client posts is stored. A mix is answered with a
  * text that means the same on every server with the same store, so appearances can be cached,
- * linked and prefetched. Named appearances (kept.h) are replaced by such a text first. Two texts
- * with one embedding are one appearance, because results are named by the embedding's hash.
+ * linked and prefetched. Named appearances (named_appearance.h) are replaced by such a text first.
+ * Two texts with one embedding are one appearance, because results are named by the embedding's
+ * hash.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -102,14 +103,15 @@ static void appearance_api_add(json_t *list, const char *name, bool kept)
     json_array_append_new(list, o);
 }
 
-static json_t *appearance_api_list_json(const struct dataset *d, const struct kept_table *t)
+static json_t *appearance_api_list_json(const struct dataset *d,
+                                        const struct named_appearance_table *t)
 {
     const struct appearance *a = d->appearance;
     json_t *list = json_array();
     for (size_t i = 0; a && i < a->n_images; i++)
         appearance_api_add(list, a->names[i], false);
-    const struct kept_row *row = NULL;
-    const size_t n = a ? kept_of(t, d->meta.name, &row) : 0;
+    const struct named_appearance_row *row = NULL;
+    const size_t n = a ? named_appearance_of(t, d->meta.name, &row) : 0;
     for (size_t i = 0; i < n; i++) {
         struct appearance_choice c;
         if (!appearance_api_find_kept(d, &row[i], &c, NULL))
@@ -124,8 +126,9 @@ enum err_code appearance_api_list(const struct dataset *d, struct body **out, st
     return document_make(appearance_api_list_json(d, NULL), out, e);
 }
 
-enum err_code appearance_api_write_list(const struct dataset *d, const struct kept_table *t,
-                                        struct buf *out, struct err *e)
+enum err_code appearance_api_write_list(const struct dataset *d,
+                                        const struct named_appearance_table *t, struct buf *out,
+                                        struct err *e)
 {
     return document_write(appearance_api_list_json(d, t), out, e);
 }
@@ -221,8 +224,8 @@ static struct hash128 appearance_api_model(const struct appearance *a)
     return hash_bytes(a->w1, appearance_weights(a) * sizeof *a->w1);
 }
 
-static enum err_code appearance_api_fits(const struct dataset *d, const struct kept_row *row,
-                                         struct err *e)
+static enum err_code appearance_api_fits(const struct dataset *d,
+                                         const struct named_appearance_row *row, struct err *e)
 {
     if (*row->text != '=' || !d->appearance)
         return ERR_OK;
@@ -235,18 +238,20 @@ static enum err_code appearance_api_fits(const struct dataset *d, const struct k
                          row->name);
 }
 
-enum err_code appearance_api_find_kept(const struct dataset *d, const struct kept_row *row,
+enum err_code appearance_api_find_kept(const struct dataset *d,
+                                       const struct named_appearance_row *row,
                                        struct appearance_choice *out, struct err *e)
 {
     enum err_code rc = appearance_api_fits(d, row, e);
     return rc ? rc : appearance_api_find(d, row->text, out, e);
 }
 
-enum err_code appearance_api_resolve(const struct dataset *d, const struct kept_table *t,
+enum err_code appearance_api_resolve(const struct dataset *d,
+                                     const struct named_appearance_table *t,
                                      char text[TARGET_APPEARANCE_MAX], char name[TARGET_KEPT_MAX],
                                      struct err *e)
 {
-    const struct kept_row *row = kept_find(t, d->meta.name, text);
+    const struct named_appearance_row *row = named_appearance_find(t, d->meta.name, text);
     name[0] = '\0';
     if (!row || !d->appearance || appearance_find(d->appearance, text) >= 0)
         return ERR_OK; /* a photograph of a later revision has its name */
@@ -258,7 +263,8 @@ enum err_code appearance_api_resolve(const struct dataset *d, const struct kept_
     return ERR_OK;
 }
 
-enum err_code appearance_api_describe_kept(const struct dataset *d, const struct kept_row *row,
+enum err_code appearance_api_describe_kept(const struct dataset *d,
+                                           const struct named_appearance_row *row,
                                            struct body **out, struct err *e)
 {
     struct err why = {0};
@@ -273,15 +279,15 @@ enum err_code appearance_api_describe_kept(const struct dataset *d, const struct
                    : appearance_api_json(d->appearance, row->text, row->name, image);
     json_object_set_new(o, "name", json_string(row->name));
     rc = document_make(o, out, e);
-    kept_etag(row, etag);
+    named_appearance_etag(row, etag);
     if (!rc)
         memcpy((*out)->etag, etag, sizeof etag);
     return rc;
 }
 
-enum err_code appearance_api_read_kept(const struct dataset *d, const struct kept_table *t,
-                                       const void *body, size_t n, struct kept_row *row,
-                                       struct err *e)
+enum err_code appearance_api_read_kept(const struct dataset *d,
+                                       const struct named_appearance_table *t, const void *body,
+                                       size_t n, struct named_appearance_row *row, struct err *e)
 {
     char of[TARGET_KEPT_MAX];
     struct appearance_choice c;

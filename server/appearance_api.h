@@ -7,7 +7,7 @@
 
 #include "core/appearance.h"
 #include "server/dataset.h"
-#include "server/kept.h"
+#include "server/named_appearance.h"
 #include "server/target.h"
 
 #define APPEARANCE_NONE "none" /* for tiles: trained colours */
@@ -29,25 +29,30 @@ const float *appearance_api_image(const struct appearance_choice *c);
 /* Replaces `text`, if it is a named appearance of t (may be NULL), by its meaning, and sets `name`
  * to the name; else name is "". The name of a photograph is never a named appearance. ERR_NOENT:
  * its embedding is for another network. */
-enum err_code appearance_api_resolve(const struct dataset *d, const struct kept_table *t,
+enum err_code appearance_api_resolve(const struct dataset *d,
+                                     const struct named_appearance_table *t,
                                      char text[TARGET_APPEARANCE_MAX], char name[TARGET_KEPT_MAX],
                                      struct err *e) ERR_USE;
 /* The embedding of a named appearance in this dataset. ERR_NOENT, ERR_ARG: it has no meaning there.
  */
-enum err_code appearance_api_find_kept(const struct dataset *d, const struct kept_row *row,
+enum err_code appearance_api_find_kept(const struct dataset *d,
+                                       const struct named_appearance_row *row,
                                        struct appearance_choice *out, struct err *e) ERR_USE;
 /* Parses a body that names an appearance, into row->text and row->model. t: names that it may use,
  * or NULL. ERR_ARG is 409: the name is that of a photograph. Else as appearance_api_read_mix. */
-enum err_code appearance_api_read_kept(const struct dataset *d, const struct kept_table *t,
-                                       const void *body, size_t n, struct kept_row *row,
+enum err_code appearance_api_read_kept(const struct dataset *d,
+                                       const struct named_appearance_table *t, const void *body,
+                                       size_t n, struct named_appearance_row *row,
                                        struct err *e) ERR_USE;
 /* Make documents: all appearances of a dataset, with the named ones of t (NULL: none), or a single
  * appearance, named or not. ERR_NOENT, ERR_ARG as above; ERR_MEM. */
 enum err_code appearance_api_list(const struct dataset *d, struct body **out,
                                   struct err *e) ERR_USE;
-enum err_code appearance_api_write_list(const struct dataset *d, const struct kept_table *t,
-                                        struct buf *out, struct err *e) ERR_USE;
-enum err_code appearance_api_describe_kept(const struct dataset *d, const struct kept_row *row,
+enum err_code appearance_api_write_list(const struct dataset *d,
+                                        const struct named_appearance_table *t, struct buf *out,
+                                        struct err *e) ERR_USE;
+enum err_code appearance_api_describe_kept(const struct dataset *d,
+                                           const struct named_appearance_row *row,
                                            struct body **out, struct err *e) ERR_USE;
 enum err_code appearance_api_describe(const struct dataset *d, const char *text, struct body **out,
                                       struct err *e) ERR_USE;

@@ -22,10 +22,10 @@ struct body { /* immutable once shared; reference-counted; body_drop frees it */
     /* the same bytes, compressed by the viewer's build; NULL except for the viewer's files */
     uint8_t *brotli;
     size_t brotli_size;
-    void (*gone)(struct body *b); /* called before it is freed; NULL: none. By flight.c: */
-    struct flight *flight;
+    void (*gone)(struct body *b); /* called before it is freed; NULL: none. By live_bodies.c: */
+    struct live_bodies *live_bodies;
     struct hash128 id;
-    struct body *flight_next;
+    struct body *live_bodies_next;
 };
 /* Makes a body of b's bytes, and leaves b {0}. etag NULL: the hash of the bytes. NULL: out of
  * memory, and b was freed. */

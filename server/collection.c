@@ -8,11 +8,11 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "server/card.h"
 #include "server/document.h"
 #include "server/format.h"
 #include "server/link.h"
 #include "server/ogc_tiles.h"
+#include "server/social_preview.h"
 
 struct collection_link {
     const char *rel, *type, *title;
@@ -35,7 +35,7 @@ static void collection_add_preview(const struct dataset *d, const char *up, json
 {
     enum { WIDTH = 320, HEIGHT = 200 };
     struct buf href = {0};
-    card_picture(d, up ? up : "", WIDTH, HEIGHT, &href);
+    social_preview_picture(d, up ? up : "", WIDTH, HEIGHT, &href);
     if (href.size) {
         buf_u8(&href, 0);
         json_array_append_new(links, href.failed

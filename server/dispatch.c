@@ -12,7 +12,7 @@
 #include <time.h>
 
 #include "server/answer_appearance.h"
-#include "server/right.h"
+#include "server/permissions.h"
 
 static bool dispatch_changes(const struct request *r)
 {
@@ -24,7 +24,8 @@ static const struct route_method *dispatch_method(const struct services *s, cons
                                                   const struct route *route, struct response *out)
 {
     const struct route_method *on = route_on(route, r->method);
-    const bool unkept = route->scope & SCOPE_STATE && dispatch_changes(r) && on && !s->kept;
+    const bool unkept =
+        route->scope & SCOPE_STATE && dispatch_changes(r) && on && !s->named_appearances;
     if (on && !unkept)
         return on;
     if (r->method == METHOD_OPTIONS) {
@@ -35,7 +36,7 @@ static const struct route_method *dispatch_method(const struct services *s, cons
                          unkept ? "nothing is kept: the server was started without --state-dir"
                                 : "the method is not one of those in Allow");
     }
-    out->allow = route_allow(route, s->kept);
+    out->allow = route_allow(route, s->named_appearances);
     return NULL;
 }
 
@@ -87,7 +88,7 @@ static const char *dispatch_tag_header(const struct server_config *cfg)
 static void dispatch_cached(const struct services *s, const struct request *r,
                             const struct dataset *d, const struct target *t, struct response *out)
 {
-    bool shared = right_is_public(r, d->meta.name);
+    bool shared = permissions_is_public(r, d->meta.name);
     out->cache_control = cache_policy_of(&s->policy, d->meta.name, shared, out->cache_control);
     out->tag_header = dispatch_tag_header(s->cfg);
     if (!out->surrogate[0] && out->status < 400)
@@ -202,12 +203,12 @@ static void dispatch_route(struct services *s, struct request *r, struct respons
     if (!(t->route->scope & SCOPE_DATASET)) {
         out->cache_control = t->route->cache == CACHE_NONE ? RESPONSE_NO_STORE : RESPONSE_MOVING;
         on->answer(s, r, NULL, t, out);
-    } else if (r->admin || dispatch_changes(r) || /* which answer_kept.c allows */
-               dispatch_may(r,
-                            right_check(r, t,
-                                        t->route->scope & SCOPE_RENDER ? AUTH_RENDER : AUTH_READ,
-                                        t->names.ds),
-                            out)) {
+    } else if (r->admin || dispatch_changes(r) || /* which answer_named_appearance.c allows */
+               dispatch_may(
+                   r,
+                   permissions_check(r, t, t->route->scope & SCOPE_RENDER ? AUTH_RENDER : AUTH_READ,
+                                     t->names.ds),
+                   out)) {
         dispatch_dataset(s, r, on, t, out);
     }
 }

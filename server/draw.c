@@ -22,7 +22,7 @@
 #include "lod/remote.h"
 #include "lod/view.h"
 #include "render/render.h"
-#include "server/paint.h"
+#include "server/composite.h"
 
 enum {
     DRAW_OVER = 16 /* a process that holds so much of its memory too much, 1/16, is replaced */
@@ -153,10 +153,11 @@ static enum err_code draw_picture(struct draw *d, const struct draw_request *q, 
                                   struct buf *out, struct err *e)
 {
     const struct draw_view *v = &q->view;
-    const struct paint *paint = &v->paint;
+    const struct composite *paint = &v->composite;
     size_t n = (size_t)v->cam.width_px * v->cam.height_px;
     struct view_stats st;
-    bool left = paint_needs_transmittance(paint), depth = paint_needs_depth(paint, v->format);
+    bool left = composite_needs_transmittance(paint),
+         depth = composite_needs_depth(paint, v->format);
     struct render_options ro = {.aa = q->antialiased ? RENDER_AA_2D : RENDER_AA_NONE,
                                 .sh_degree = -1};
     if (q->antialiased)
@@ -167,8 +168,8 @@ static enum err_code draw_picture(struct draw *d, const struct draw_request *q, 
     float *rgb = mem_array(n, (3 + left + depth) * sizeof(float));
     enum err_code rc = rgb ? ERR_OK : err_set(e, ERR_MEM, "picture: out of memory");
     float *more = rgb ? rgb + 3 * n : NULL;
-    const struct paint_planes planes = {rgb, left ? more : NULL,
-                                        depth ? more + (left ? n : 0) : NULL};
+    const struct composite_planes planes = {rgb, left ? more : NULL,
+                                            depth ? more + (left ? n : 0) : NULL};
     double since_s = clock_s();
     if (!rc)
         rc = (v->moves && !depth ? view_render_moving : view_render)(s->view, &v->cam, &ro, &po,
@@ -184,8 +185,8 @@ static enum err_code draw_picture(struct draw *d, const struct draw_request *q, 
         worker_span(DRAW_MEASURES, since_s, clock_s());
     since_s = clock_s();
     if (!rc)
-        rc = v->planes ? paint_frame(paint, &v->cam, &planes, out, e)
-                       : paint_encode(paint, &v->cam, v->format, v->quality, &planes, out, e);
+        rc = v->planes ? composite_frame(paint, &v->cam, &planes, out, e)
+                       : composite_encode(paint, &v->cam, v->format, v->quality, &planes, out, e);
     worker_span(DRAW_ENCODES, since_s, clock_s());
     mem_free(rgb);
     return rc;

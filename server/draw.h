@@ -28,7 +28,7 @@ struct draw_view {
     struct camera cam;
     enum format format;
     int quality; /* for JPEG and WebP */
-    struct paint paint;
+    struct composite composite;
     bool planes; /* not encoded: in planes, for a video (codec/video.h) */
     bool moves;  /* of a moving camera: it may use the lists of the last one (view_render_moving) */
 };

@@ -21,8 +21,8 @@
 #include "server/dispatch.h"
 #include "server/guard.h"
 #include "server/link.h"
-#include "server/motion.h"
 #include "server/screen.h"
+#include "server/view_stream.h"
 
 /* Of a stream: what libmicrohttpd asks for at once, and what may wait in the socket, so that a
  * picture that is drawn next is of the camera of now and not of that many bytes ago. */
@@ -51,7 +51,7 @@ struct exchange { /* one request and its answer */
     struct request req;
     struct response res;
     struct job_waiter waiter;
-    struct motion_stream *stream; /* NULL: none */
+    struct view_stream *stream; /* NULL: none */
     struct buf body;
     bool too_large, close, gone;
     uint64_t sent;
@@ -74,14 +74,14 @@ static ssize_t exchange_read_stream(void *cls, uint64_t at, char *out, size_t ro
 {
     struct exchange *x = cls;
     (void)at;
-    ssize_t n = motion_read(x->stream, out, room);
+    ssize_t n = view_stream_read(x->stream, out, room);
     if (n < 0)
         return MHD_CONTENT_READER_END_OF_STREAM;
     x->sent += (uint64_t)n;
     watch_phase(x->slot, WATCH_STREAM, n ? x->f->s->cfg->write_timeout_s : 0);
     if (!n) { /* suspended first, so that the end of a picture cannot come before it */
         MHD_suspend_connection(x->connection);
-        if (!motion_await(x->stream))
+        if (!view_stream_await(x->stream))
             MHD_resume_connection(x->connection);
     }
     return n;
@@ -181,7 +181,7 @@ static uint64_t exchange_client(const struct exchange *x)
         log_warn("http", "requests come through a proxy, and all its clients share one client's "
                          "part; --trusted-proxy ADDRESS tells them apart");
     peer = address_client(&f->proxies, peer, x->req.forwarded, x->req.n_forwarded);
-    return address_number(crowd_client(f->crowd, peer, clock_s()), f->secret);
+    return address_number(ipv6_groups_client(f->ipv6_groups, peer, clock_s()), f->secret);
 }
 
 /* What the screen has against this request: 0 or a status. A request that it has not seen is
@@ -263,13 +263,13 @@ static enum MHD_Result exchange_begin_stream(struct exchange *x)
 {
     struct err e = {0};
     const int waiting = x->res.video ? EXCHANGE_VIDEO_WAITING : EXCHANGE_STREAM_WAITING;
-    const struct motion_reader reader = {.ds = x->res.stream_of,
-                                         .name = x->res.stream,
-                                         .client = exchange_client(x),
-                                         .video = x->res.video,
-                                         .ready = exchange_on_stream,
-                                         .user = x};
-    enum err_code rc = motion_begin(x->f->s->motion, &reader, &x->stream, &e);
+    const struct view_stream_reader reader = {.ds = x->res.stream_of,
+                                              .name = x->res.stream,
+                                              .client = exchange_client(x),
+                                              .video = x->res.video,
+                                              .ready = exchange_on_stream,
+                                              .user = x};
+    enum err_code rc = view_stream_begin(x->f->s->view_streams, &reader, &x->stream, &e);
     if (rc) {
         response_problem(&x->res, rc == ERR_ARG ? 409 : rc == ERR_LIMIT ? 429 : 503, e.msg);
         x->res.retry_after_s = rc == ERR_ARG ? 0 : 10;
@@ -477,7 +477,7 @@ void exchange_on_completed(void *cls, struct MHD_Connection *c, void **con_cls,
         exchange_log_access(x, status, seconds);
     if (x->stream) {
         watch_disarm(f->watch, x->slot);
-        motion_leave(&x->stream);
+        view_stream_leave(&x->stream);
     }
     watch_phase_at(x->slot, WATCH_IDLE, f->s->cfg->idle_timeout_s, now_s);
     atomic_fetch_sub_explicit(&f->s->metrics.inflight, 1, memory_order_relaxed);

@@ -6,7 +6,7 @@
 #ifndef SERVER_EXCHANGE_H
 #define SERVER_EXCHANGE_H
 
-#include "server/crowd.h"
+#include "server/ipv6_groups.h"
 #include "server/reply.h"
 #include "server/services.h"
 #include "server/watch.h"
@@ -18,7 +18,7 @@ struct front {
     size_t n_base;               /* length of --base-path */
     struct address_nets proxies; /* trusted proxies */
     struct hash128 secret;       /* for the numbers of clients */
-    struct crowd *crowd;
+    struct ipv6_groups *ipv6_groups;
     struct watch *watch;
     struct replies *replies;
     /* it was logged that requests come through a proxy that is not trusted */

@@ -16,9 +16,9 @@
 #include "core/pool.h"
 #include "server/exchange.h"
 #include "server/listen.h"
-#include "server/motion.h"
 #include "server/screen.h"
 #include "server/supervisor.h"
+#include "server/view_stream.h"
 
 enum { HTTP_ADMIN_CONNECTIONS = 32 };
 enum { HTTP_THREADS_MAX = 4, HTTP_SPARE = 64 /* connections: to answer those over the limit */ };
@@ -216,11 +216,11 @@ enum err_code http_open(struct services *s, enum http_side side, struct http **o
     if (!rc)
         rc = http_check_base(s->cfg->base_path, &h->front.n_base, e);
     if (!rc)
-        rc = crowd_open(h->front.secret, &h->front.crowd, e);
+        rc = ipv6_groups_open(h->front.secret, &h->front.ipv6_groups, e);
     if (!rc)
         rc = http_listen(h, e);
     if (rc) {
-        crowd_close(&h->front.crowd);
+        ipv6_groups_close(&h->front.ipv6_groups);
         mem_free(h);
         *out = NULL;
     }
@@ -263,7 +263,7 @@ static void http_free(struct http *h)
 {
     watch_close(&h->front.watch);
     reply_close(&h->front.replies);
-    crowd_close(&h->front.crowd);
+    ipv6_groups_close(&h->front.ipv6_groups);
     mem_free(h);
 }
 
@@ -288,7 +288,7 @@ void http_close(struct http **out)
     int fd = MHD_quiesce_daemon(h->daemon);
     if (fd >= 0 && !h->held)
         (void)shutdown(fd, SHUT_RDWR);
-    motion_stop(s->motion);
+    view_stream_stop(s->view_streams);
     http_await_end(h, s->cfg->drain_timeout_s);
     /* Wakes whoever still waits: libmicrohttpd aborts on suspended connections. */
     job_stop(s->jobs);

@@ -28,12 +28,12 @@ static void job_join(struct jobs *js, struct job *j, enum job_class cls, uint64_
     if (j->running)
         return;
     if ((j->cls == JOB_PREFETCH && cls == JOB_TILE) || (j->cls == JOB_AHEAD && cls == JOB_VIEW)) {
-        turn_remove(js->queue[j->cls], &j->place);
+        fair_queue_remove(js->queue[j->cls], &j->place);
         j->cls = cls;
         job_queue_add(js, j, client);
     } else {
-        turn_join(js->queue[j->cls], &j->place, client);
-        j->client = turn_owner(&j->place);
+        fair_queue_join(js->queue[j->cls], &j->place, client);
+        j->client = fair_queue_owner(&j->place);
     }
 }
 
@@ -44,10 +44,12 @@ static double job_wait_s(const struct jobs *js, enum job_class cls, uint64_t cli
     size_t sharing = 1, threads = job_is_drawn(cls) ? js->cfg.draw_threads : 1;
     for (int c = 0; c < JOB_CLASSES; c++)
         sharing += c != (int)cls && c != JOB_PREFETCH && c != JOB_AHEAD &&
-                   job_is_drawn((enum job_class)c) == job_is_drawn(cls) && turn_count(js->queue[c]);
+                   job_is_drawn((enum job_class)c) == job_is_drawn(cls) &&
+                   fair_queue_count(js->queue[c]);
     if (!job_is_drawn(cls) && js->cfg.tile_threads > 1)
         threads = js->cfg.tile_threads - (cls == JOB_SLOW);
-    return turn_wait_ms(js->queue[cls], client) * 1e-3 * (double)sharing / fmax(1, (double)threads);
+    return fair_queue_wait_ms(js->queue[cls], client) * 1e-3 * (double)sharing /
+           fmax(1, (double)threads);
 }
 
 static int job_seconds(double wait_s)
@@ -64,12 +66,12 @@ static bool job_make_room(struct jobs *js, enum job_class cls, uint64_t client, 
     const enum job_class limited = cls == JOB_SLOW ? JOB_TILE : cls;
     const bool waits = cls != JOB_PREFETCH && cls != JOB_AHEAD; /* those run when nothing waits */
     const double wait_s = waits ? job_wait_s(js, cls, client) : 0;
-    const bool full = turn_count(js->queue[cls]) >= js->cfg.queue_limit[limited];
+    const bool full = fair_queue_count(js->queue[cls]) >= js->cfg.queue_limit[limited];
     if (!full && wait_s <= timeout_s)
         return true;
     js->stats.ended[cls][JOB_SHED]++;
-    *shed = job_at(full              ? turn_shed(js->queue[cls], client)
-                   : cls == JOB_VIEW ? turn_oldest(js->queue[cls], client)
+    *shed = job_at(full              ? fair_queue_shed(js->queue[cls], client)
+                   : cls == JOB_VIEW ? fair_queue_oldest(js->queue[cls], client)
                                      : NULL);
     if (*shed)
         return true;
@@ -177,7 +179,7 @@ enum err_code job_submit(struct jobs *js, enum job_class cls, struct hash128 id,
         j->waiters = w;
     }
     if (shed) {
-        bool own = turn_owner(&shed->place) == client;
+        bool own = fair_queue_owner(&shed->place) == client;
         struct job_result r = {.end = JOB_SHED, .code = own ? ERR_LIMIT : ERR_BUSY};
         snprintf(r.msg, sizeof r.msg, "%s",
                  own ? "newer pictures were asked for"
@@ -201,7 +203,7 @@ int job_retry_after(struct jobs *js, enum job_class cls)
     double mean_s = n ? js->stats.run_s[cls] / (double)n : 1;
     double threads =
         fmax(1, (double)(job_is_drawn(cls) ? js->cfg.draw_threads : js->cfg.tile_threads));
-    double wait_s = ceil((double)turn_count(js->queue[cls]) * mean_s / threads);
+    double wait_s = ceil((double)fair_queue_count(js->queue[cls]) * mean_s / threads);
     pthread_mutex_unlock(&js->lock);
     return wait_s < 1 ? 1 : wait_s > 10 ? 10 : (int)wait_s;
 }

@@ -2,7 +2,7 @@
  *
  * A job is named by a 128-bit id. While it waits or runs, every request for the same id becomes a
  * waiter of the same run (single flight). Clients have equal parts of the time of each queue
- * (turn.c), and queues of one thread have equal parts of its time. What work takes is learned
+ * (fair_queue.c), and queues of one thread have equal parts of its time. What work takes is learned
  * (cost.c). Work is refused if it would wait longer than its deadline. Queues are limited as well:
  * if one is full, the client with most items in it loses one. New work takes one of its client's
  * tokens (rate.c). A request that joins a job takes no token. A prefetched tile that moves up takes
@@ -32,9 +32,9 @@
 
 #include "core/pool.h"
 #include "server/failure.h"
+#include "server/fair_queue.h"
 #include "server/job.h"
 #include "server/rate.h"
-#include "server/turn.h"
 
 enum { JOB_TABLE = 1024 };
 #define JOB_LONG_MS 40.0 /* predicted */
@@ -50,9 +50,9 @@ struct job {
     _Atomic bool cancel;
     struct job_waiter *waiters;
     struct job *table_next;
-    struct turn_item place; /* position in its queue */
-    uint64_t client;        /* whose time it takes */
-    struct cost_kind kind;  /* see job_config.cost */
+    struct fair_queue_item place; /* position in its queue */
+    uint64_t client;              /* whose time it takes */
+    struct cost_kind kind;        /* see job_config.cost */
     double expected_ms, predicted_ms;
     double queued_s, started_s;
 };
@@ -70,7 +70,7 @@ struct jobs { /* `lock` guards all except cfg */
     size_t n_workers;
     pthread_mutex_t lock;
     pthread_cond_t tile_ready, view_ready;
-    struct turns *queue[JOB_CLASSES];
+    struct fair_queue *queue[JOB_CLASSES];
     struct rate *rate[JOB_CLASSES]; /* NULL: that of JOB_TILE is used */
     struct job *table[JOB_TABLE];
     struct failures failures;
@@ -97,7 +97,7 @@ struct jobs { /* `lock` guards all except cfg */
 /* place of a job in the table, or place to insert it */
 struct job **job_table_find(struct jobs *js, struct hash128 id);
 void job_table_remove(struct jobs *js, struct job *j);
-struct job *job_at(struct turn_item *it); /* NULL: `it` is NULL */
+struct job *job_at(struct fair_queue_item *it); /* NULL: `it` is NULL */
 bool job_is_drawn(enum job_class cls);
 /* Of what is drawn: work that is predicted to take so long is left to the other threads. */
 double job_long_ms(const struct jobs *js);

@@ -34,7 +34,7 @@ static void job_settle(struct jobs *js, const struct job *j, const struct job_re
     const double ms = r->run_s * 1e3;
     const bool alone = job_is_drawn(j->cls) && ms > LONG_MS && js->cfg.draw_threads == 1;
     const double more = ms * (alone ? LONG_PAYS : 1) - j->predicted_ms;
-    turn_charge(js->queue[j->cls], j->client, more);
+    fair_queue_charge(js->queue[j->cls], j->client, more);
     js->class_ms[j->cls] += more;
     if (r->end == JOB_OK)
         cost_learn(&js->cost, j->kind, j->expected_ms, ms);
@@ -104,9 +104,10 @@ static double job_class_ms(const struct jobs *js, enum job_class c)
 
 /* Of a class the work of the client that had least time, of quick work if long work may not begin.
  * NULL: none. */
-static struct turn_item *job_next(const struct jobs *js, enum job_class c, bool quick)
+static struct fair_queue_item *job_next(const struct jobs *js, enum job_class c, bool quick)
 {
-    return quick ? turn_first_below(js->queue[c], job_long_ms(js)) : turn_first(js->queue[c]);
+    return quick ? fair_queue_first_below(js->queue[c], job_long_ms(js))
+                 : fair_queue_first(js->queue[c]);
 }
 
 /* Of these classes the one with work that had least time; JOB_CLASSES: none has work. */
@@ -126,9 +127,9 @@ static struct job *job_take(struct jobs *js, enum job_class c, bool quick)
 {
     if (c == JOB_CLASSES)
         return NULL;
-    struct turn_item *next = job_next(js, c, quick);
+    struct fair_queue_item *next = job_next(js, c, quick);
     struct job *j = job_at(next);
-    turn_take(js->queue[c], next);
+    fair_queue_take(js->queue[c], next);
     js->now_ms[job_is_drawn(c)] = job_class_ms(js, c);
     js->class_ms[c] = job_class_ms(js, c) + j->predicted_ms;
     return j;
@@ -139,9 +140,9 @@ static double job_begins_s(struct jobs *js, enum job_class c)
 {
     const double until_s = js->stream_s > 0 ? js->stream_s + STREAM_S : 0;
     if (c == JOB_CLASSES || js->cfg.draw_threads > 1 || clock_s() >= until_s ||
-        turn_first(js->queue[c])->ms < JOB_LONG_MS)
+        fair_queue_first(js->queue[c])->ms < JOB_LONG_MS)
         return 0;
-    const bool due = turn_is_due(js->queue[JOB_MOTION], js->stream) &&
+    const bool due = fair_queue_is_due(js->queue[JOB_MOTION], js->stream) &&
                      (c == JOB_MOTION || job_class_ms(js, JOB_MOTION) < job_class_ms(js, c));
     return due ? until_s : 0;
 }
@@ -152,7 +153,7 @@ static void job_await_stream(struct jobs *js, double until_s)
     const double from_s = clock_s();
     (void)pool_cond_wait(&js->view_ready, &js->lock, until_s);
     const double ms = (clock_s() - from_s) * 1e3 * STREAM_PAYS;
-    turn_charge(js->queue[JOB_MOTION], js->stream, ms);
+    fair_queue_charge(js->queue[JOB_MOTION], js->stream, ms);
     js->class_ms[JOB_MOTION] = job_class_ms(js, JOB_MOTION) + ms;
 }
 
@@ -179,8 +180,8 @@ static struct job *job_next_drawn(struct jobs *js, size_t drawer)
     }
     struct job *j = js->stopping ? NULL : job_take(js, c, quick);
     if (!j && !js->stopping && job_next(js, JOB_AHEAD, quick)) {
-        struct turn_item *ahead = job_next(js, JOB_AHEAD, quick);
-        turn_take(js->queue[JOB_AHEAD], ahead);
+        struct fair_queue_item *ahead = job_next(js, JOB_AHEAD, quick);
+        fair_queue_take(js->queue[JOB_AHEAD], ahead);
         j = job_at(ahead);
     }
     if (j)
@@ -195,7 +196,7 @@ static struct job *job_next_tile(struct jobs *js)
     const bool slow = js->stats.running[JOB_SLOW] + 1 < js->cfg.tile_threads ||
                       clock_s() - js->quick_s > JOB_QUICK_S || js->cfg.tile_threads == 1;
     struct job *j = job_take(js, job_least(js, order, 1 + slow, false), false);
-    return j ? j : job_at(turn_next(js->queue[JOB_PREFETCH]));
+    return j ? j : job_at(fair_queue_next(js->queue[JOB_PREFETCH]));
 }
 
 /* Until there may be work. Of several threads that draw one looks again if it left work. */
@@ -258,7 +259,7 @@ enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct e
     pool_cond_init(&js->view_ready);
     pool_cond_init(&js->ended);
     for (int c = 0; c < JOB_CLASSES && !rc; c++)
-        rc = turn_open(c == JOB_VIEW, &js->queue[c], e);
+        rc = fair_queue_open(c == JOB_VIEW, &js->queue[c], e);
     if (!rc)
         rc = rate_open(cfg->client_views_s, JOB_BURST_S, &js->rate[JOB_VIEW], e);
     if (!rc)
@@ -286,7 +287,7 @@ void job_count(struct jobs *js, struct job_stats *out)
     pthread_mutex_lock(&js->lock);
     *out = js->stats;
     for (int c = 0; c < JOB_CLASSES; c++)
-        out->queued[c] = turn_count(js->queue[c]);
+        out->queued[c] = fair_queue_count(js->queue[c]);
     pthread_mutex_unlock(&js->lock);
 }
 
@@ -378,7 +379,7 @@ bool job_close(struct jobs **out)
     pthread_cond_destroy(&js->ended);
     pthread_mutex_destroy(&js->lock);
     for (int c = 0; c < JOB_CLASSES; c++) {
-        turn_close(&js->queue[c]);
+        fair_queue_close(&js->queue[c]);
         rate_close(&js->rate[c]);
     }
     mem_free(js->workers);

@@ -22,7 +22,7 @@ struct job **job_table_find(struct jobs *js, struct hash128 id)
     return p;
 }
 
-struct job *job_at(struct turn_item *it)
+struct job *job_at(struct fair_queue_item *it)
 {
     return it ? (struct job *)(void *)((char *)it - offsetof(struct job, place)) : NULL;
 }
@@ -58,7 +58,7 @@ void job_queue_add(struct jobs *js, struct job *j, uint64_t client)
 {
     j->client = client;
     j->predicted_ms = cost_predict(&js->cost, j->kind, j->expected_ms);
-    turn_add(js->queue[j->cls], &j->place, client, j->predicted_ms);
+    fair_queue_add(js->queue[j->cls], &j->place, client, j->predicted_ms);
     if (!job_is_drawn(j->cls)) {
         pthread_cond_signal(&js->tile_ready);
         return;
@@ -102,7 +102,7 @@ struct job *job_abandon(struct jobs *js, struct job *j)
         atomic_store(&j->cancel, true);
         return NULL;
     }
-    turn_remove(js->queue[j->cls], &j->place);
+    fair_queue_remove(js->queue[j->cls], &j->place);
     return j;
 }
 
@@ -207,7 +207,8 @@ void job_tick(struct jobs *js, double now_s)
     static const struct job_result late = {
         .end = JOB_TIMEOUT, .code = ERR_BUSY, .msg = "not made within the time allowed"};
     pthread_mutex_lock(&js->lock);
-    if (turn_count(js->queue[JOB_SLOW])) /* a thread that was left to quick work may take it now */
+    if (fair_queue_count(
+            js->queue[JOB_SLOW])) /* a thread that was left to quick work may take it now */
         pthread_cond_signal(&js->tile_ready);
     pthread_mutex_unlock(&js->lock);
     job_claim_where(js, now_s, &late, false);

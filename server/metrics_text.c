@@ -8,7 +8,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "server/motion.h"
+#include "server/view_stream.h"
 
 static const char *const metrics_text_classes[JOB_CLASSES] = {"view",   "tile",  "prefetch", "map",
                                                               "motion", "ahead", "slow"};
@@ -173,8 +173,8 @@ enum err_code metrics_text_write(struct services *s, struct buf *out, struct err
                      "Tiles that could not be read or encoded.", atomic_load(&m->store_errors));
     metrics_text_one(out, "reload_failed_total", "counter", "Reloads that kept the old data.",
                      atomic_load(&m->reload_failed));
-    struct motion_counts streams;
-    motion_count(s->motion, &streams);
+    struct view_stream_counts streams;
+    view_stream_count(s->view_streams, &streams);
     metrics_text_one(out, "streams", "gauge", "Streams of pictures that are open.",
                      streams.streams);
     metrics_text_one(out, "stream_pictures_total", "counter", "Pictures of streams.",
@@ -199,9 +199,9 @@ enum err_code metrics_text_write(struct services *s, struct buf *out, struct err
                      cs.evictions);
     metrics_text_one(out, "inflight_bytes", "gauge",
                      "Bytes of answers that are made or sent and not in the cache.",
-                     flight_held(s->flight, cache_bytes(s->cache)));
+                     live_bodies_held(s->live_bodies, cache_bytes(s->cache)));
     metrics_text_one(out, "inflight_limit_bytes", "gauge", "Above it answers are refused.",
-                     flight_limit(s->flight));
+                     live_bodies_limit(s->live_bodies));
     metrics_text_one(out, "memory_budget_bytes", "gauge", "--memory.", s->plan.budget);
     metrics_text_one(out, "memory_held_bytes", "gauge",
                      "Memory of the server and its drawing process that cannot be dropped.",
@@ -210,7 +210,7 @@ enum err_code metrics_text_write(struct services *s, struct buf *out, struct err
                      "Answers refused because memory ran out.", atomic_load(&m->memory_short));
     metrics_text_one(out, "live_bytes", "gauge",
                      "Bytes of live answers, those in the cache among them.",
-                     flight_bytes(s->flight));
+                     live_bodies_bytes(s->live_bodies));
     metrics_text_one(out, "cache_entries", "gauge", "Entries.", cs.entries);
     metrics_text_one(out, "cache_bytes", "gauge", "Bytes held.", cs.bytes);
     if (s->disk)

@@ -9,7 +9,7 @@
 #include <string.h>
 
 #include "codec/quant.h"
-#include "server/paint.h"
+#include "server/composite.h"
 #include "server/param_clip.h"
 #include "server/param_time.h"
 #include "server/route.h"
@@ -261,10 +261,10 @@ static enum err_code param_own_hours(struct text *one, void *group, struct err *
 static enum err_code param_own_colour(struct text *one, void *group, struct err *e)
 {
     struct target_search *out = group;
-    struct paint p = {0};
+    struct composite p = {0};
     const size_t n = (size_t)(one->end - one->p);
     (void)e;
-    if (n != 6 || !paint_read_background(one->p, n, &p) || p.background != BACKGROUND_COLOUR)
+    if (n != 6 || !composite_read_background(one->p, n, &p) || p.background != BACKGROUND_COLOUR)
         return ERR_NOENT;
     out->rgb = p.rgb;
     out->has_colour = true;
@@ -293,7 +293,7 @@ static enum err_code param_own_background(struct text *one, void *group, struct 
 {
     struct target_view *out = group;
     (void)e;
-    if (!paint_read_background(one->p, (size_t)(one->end - one->p), &out->paint))
+    if (!composite_read_background(one->p, (size_t)(one->end - one->p), &out->composite))
         return ERR_NOENT;
     one->p = one->end;
     return ERR_OK;

@@ -39,7 +39,7 @@ bool picture_rests(const struct picture *p, size_t drawer);
  * appearance of q and the members of that kind; the rest is filled in. limit: largest number of
  * bytes. It keeps a reference to d until the next picture of another dataset. ERR_DEVICE, ERR_BUSY:
  * there is no process. ERR_NOENT (the revision's file is gone), ERR_CANCEL, ERR_MEM, and the errors
- * of view_render, map_tile_make, query_answer and paint_encode. */
+ * of view_render, map_tile_make, query_answer and composite_encode. */
 enum err_code picture_make(struct picture *p, size_t drawer, const struct job *j, struct dataset *d,
                            struct draw_request *q, size_t limit, struct buf *out,
                            struct err *e) ERR_USE;

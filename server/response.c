@@ -289,7 +289,8 @@ bool response_made(struct services *s, const struct request *r, struct hash128 i
     if (again) /* those in memory are not read from the disk, which would forget them */
         disk_note(s->disk, id);
     if (!b)
-        b = flight_get(s->flight, id); /* too large to be kept, but others are reading it */
+        b = live_bodies_get(s->live_bodies,
+                            id); /* too large to be kept, but others are reading it */
     out->cache = b ? "hit" : "miss";
     if (b) {
         response_body(r, b, out);

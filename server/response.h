@@ -5,7 +5,7 @@
 #ifndef SERVER_RESPONSE_H
 #define SERVER_RESPONSE_H
 
-#include "server/hint.h"
+#include "server/link_header.h"
 #include "server/route.h"
 #include "server/services.h"
 #include "server/work.h"
@@ -46,7 +46,7 @@ struct response { /* {0}, then dispatch_answer; free with response_free */
     const char *type, *cache_control, *allow, *vary, *encoding; /* static strings; NULL = none */
     char *location, *set_cookie;                                /* owned */
     char etag[BODY_ETAG_SIZE];                                  /* "" = none */
-    char hints[HINT_SIZE];         /* Link for the viewer's page; "" = none */
+    char hints[LINK_HEADER_SIZE];  /* Link for the viewer's page; "" = none */
     char surrogate[RESPONSE_TAGS]; /* tags by which caches purge, sent as tag_header */
     const char *tag_header;        /* NULL: not sent */
     bool id_sent;                  /* the client or a proxy sent the id, so the answer repeats it */

@@ -177,7 +177,7 @@ struct hash128 result_id_view(const struct dataset *d, const char *device,
                               double gaussians)
 {
     const struct camera *cam = &v->cam;
-    const struct paint *paint = &v->paint;
+    const struct composite *paint = &v->composite;
     struct {
         struct hash128 salt;
         char rev[16], device[160];

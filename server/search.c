@@ -21,8 +21,8 @@
 #include "server/appearance_model.h"
 #include "server/dataset.h"
 #include "server/document.h"
-#include "server/kept.h"
 #include "server/link.h"
+#include "server/named_appearance.h"
 #include "server/param_time.h"
 #include "server/search_index.h"
 #include "server/target_query.h"
@@ -256,7 +256,8 @@ static json_t *search_page(const struct dataset *d, const struct appearances_tar
 
 /* Names that are kept, as photographs that nobody took. */
 static size_t search_kept(const struct dataset *d, const struct search_index *s,
-                          const struct kept_row *row, size_t n, struct search_photo *out)
+                          const struct named_appearance_row *row, size_t n,
+                          struct search_photo *out)
 {
     size_t n_out = 0;
     for (size_t i = 0; i < n; i++) {
@@ -281,14 +282,15 @@ static enum err_code search_write_hits(const struct dataset *d, const struct app
 }
 
 enum err_code search_write(const struct dataset *d, const struct search_index *s,
-                           const struct appearances_target *t, const struct kept_table *kept,
-                           struct buf *out, struct err *e)
+                           const struct appearances_target *t,
+                           const struct named_appearance_table *kept, struct buf *out,
+                           struct err *e)
 {
     const struct target_search *q = &t->search;
     const uint8_t rgb[3] = {(uint8_t)(q->rgb >> 16), (uint8_t)(q->rgb >> 8), (uint8_t)q->rgb};
     double near_m[3] = {0}, lab[3];
-    const struct kept_row *row = NULL;
-    const size_t n_row = kept_of(kept, d->meta.name, &row);
+    const struct named_appearance_row *row = NULL;
+    const size_t n_row = named_appearance_of(kept, d->meta.name, &row);
     size_t n = 0;
     struct search_hit *hit = mem_array(s->n + n_row + 1, sizeof *hit);
     struct search_photo *named = mem_array(n_row + 1, sizeof *named);
@@ -310,10 +312,10 @@ enum err_code search_write(const struct dataset *d, const struct search_index *s
 }
 
 size_t search_room(const struct dataset *d, const struct appearances_target *t,
-                   const struct kept_table *kept)
+                   const struct named_appearance_table *kept)
 {
-    const struct kept_row *row = NULL;
-    const size_t all =
-        (d->appearance ? d->appearance->n_images : 0) + kept_of(kept, d->meta.name, &row);
+    const struct named_appearance_row *row = NULL;
+    const size_t all = (d->appearance ? d->appearance->n_images : 0) +
+                       named_appearance_of(kept, d->meta.name, &row);
     return (t->search.asked && t->page.limit < all ? t->page.limit : all) * SEARCH_ROW + 4096;
 }

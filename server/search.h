@@ -9,7 +9,7 @@
 #include "server/target.h"
 
 struct dataset;
-struct kept_table;
+struct named_appearance_table;
 struct search_index;
 
 /* Builds the index of a dataset with appearance. Free *out with search_index_close. The colour of
@@ -21,10 +21,11 @@ enum err_code search_open(const struct dataset *d, struct search_index **out,
 /* Appends a page of JSON with the photographs that match t, and with named appearances (kept NULL:
  * none). ERR_MEM. */
 enum err_code search_write(const struct dataset *d, const struct search_index *s,
-                           const struct appearances_target *t, const struct kept_table *kept,
-                           struct buf *out, struct err *e) ERR_USE;
+                           const struct appearances_target *t,
+                           const struct named_appearance_table *kept, struct buf *out,
+                           struct err *e) ERR_USE;
 /* Upper limit of the result's bytes. Without a search it is that of the list of all. */
 size_t search_room(const struct dataset *d, const struct appearances_target *t,
-                   const struct kept_table *kept);
+                   const struct named_appearance_table *kept);
 
 #endif

@@ -23,9 +23,9 @@
 #include "lod/remote.h"
 #include "server/http.h"
 #include "server/link.h"
-#include "server/motion.h"
 #include "server/routes.h"
 #include "server/services.h"
+#include "server/view_stream.h"
 #include "server/work.h"
 
 struct server {
@@ -84,7 +84,7 @@ static enum err_code server_start_jobs(struct server *sv, struct err *e)
     if (!rc && views)
         rc = picture_start(s->picture, e);
     if (!rc)
-        rc = motion_open(s, &s->motion, e);
+        rc = view_stream_open(s, &s->view_streams, e);
     return !rc ? job_open(&jobs, &s->jobs, e) : rc;
 }
 
@@ -201,7 +201,7 @@ static enum err_code server_plan(struct server *sv, const struct catalog *c,
                              .drawers = (unsigned)cfg->drawers,
                              .view_gaussians = (uint64_t)cfg->view_gaussians,
                              .view_mpx = cfg->max_view_mpx,
-                             .video = motion_video_bytes((size_t)cfg->streams),
+                             .video = view_stream_video_bytes((size_t)cfg->streams),
                              .cache = (size_t)cfg->cache_mb << 20,
                              .inflight = (size_t)cfg->inflight_mb << 20,
                              .view_cache = (size_t)cfg->view_cache_mb << 20};
@@ -344,7 +344,7 @@ static enum err_code server_begin(const struct server_config *cfg, const char *c
     if (!rc && cfg->cache_dir)
         rc = disk_open(cfg->cache_dir, (uint64_t)cfg->cache_dir_mb << 20, &s->disk, e);
     if (!rc && cfg->state_dir)
-        rc = kept_open(cfg->state_dir, &s->kept, e);
+        rc = named_appearance_open(cfg->state_dir, &s->named_appearances, e);
     if (!rc)
         rc = http_open(s, HTTP_PUBLIC, &sv->http, e);
     if (!rc && cfg->admin)
@@ -401,7 +401,7 @@ static enum err_code server_reload_auth(struct server *sv, struct err *e)
     const bool same = auth_is_same(a, now);
     auth_close(&a);
     if (!same) {
-        motion_recheck(sv->services.motion, now);
+        view_stream_recheck(sv->services.view_streams, now);
         log_info("serve", "tokens, keys and signatures are those of %s as it is now", sv->cfg.auth);
     }
     auth_close(&now);
@@ -490,7 +490,7 @@ bool server_stop(struct server **out)
     log_stop(1);
     clip_free(&sv->clip);
     if (ended) {
-        motion_close(&sv->services.motion);
+        view_stream_close(&sv->services.view_streams);
         mem_free(sv);
     }
     return ended;
@@ -559,7 +559,7 @@ enum err_code server_check(const struct server_config *cfg, const char *const *p
     if (!rc && cfg->cache_dir)
         rc = disk_check(cfg->cache_dir, e);
     if (!rc && cfg->state_dir)
-        rc = kept_check(cfg->state_dir, e);
+        rc = named_appearance_check(cfg->state_dir, e);
     for (size_t i = 0; !rc && out && i < s->catalog->n; i++)
         fprintf(out, "dataset %s revision %s, %zu tiles: %s\n", s->catalog->ds[i]->meta.name,
                 s->catalog->ds[i]->meta.revision, s->catalog->ds[i]->n_tiles,

@@ -11,9 +11,9 @@
 #include <time.h>
 
 #include "server/api_page.h"
-#include "server/describe.h"
 #include "server/ogc_tiles.h"
 #include "server/openapi.h"
+#include "server/service_document.h"
 
 /* A template that a browser can ask with: another one would only show as an empty map. */
 static enum err_code services_check_basemap(const char *url, struct err *e)
@@ -66,7 +66,8 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
     if (!rc)
         rc = cache_open(services_share(cfg->cache_mb, s->plan.cache), &s->cache, e);
     if (!rc)
-        rc = flight_open(services_share(cfg->inflight_mb, s->plan.inflight), &s->flight, e);
+        rc = live_bodies_open(services_share(cfg->inflight_mb, s->plan.inflight), &s->live_bodies,
+                              e);
     if (!rc && cfg->access_log)
         rc = access_open((enum access_format)cfg->access_format, &s->access, e);
     if (!rc)
@@ -78,9 +79,9 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
     if (!rc && cfg->geoid)
         rc = geoid_open(cfg->geoid, cfg->geoid_dir, &s->geoid, e);
     if (!rc)
-        rc = describe_landing(&s->landing, e);
+        rc = service_document_landing(&s->landing, e);
     if (!rc)
-        rc = describe_conformance(&s->conformance, e);
+        rc = service_document_conformance(&s->conformance, e);
     if (!rc)
         rc = ogc_tiles_matrices(&s->matrices, e);
     if (!rc)
@@ -106,9 +107,9 @@ bool services_free(struct services *s)
     catalog_drop(&s->catalog);
     static_free(&s->web);
     cache_close(&s->cache);
-    flight_close(&s->flight);
+    live_bodies_close(&s->live_bodies);
     disk_close(&s->disk);
-    kept_close(&s->kept);
+    named_appearance_close(&s->named_appearances);
     access_close(&s->access);
     auth_close(&s->auth);
     tls_close(&s->tls);

@@ -15,17 +15,17 @@
 #include "server/catalog.h"
 #include "server/config.h"
 #include "server/disk.h"
-#include "server/flight.h"
 #include "server/job.h"
-#include "server/kept.h"
+#include "server/live_bodies.h"
 #include "server/memory.h"
 #include "server/metrics.h"
+#include "server/named_appearance.h"
 #include "server/picture.h"
 #include "server/router.h"
 #include "server/static.h"
 #include "server/tls.h"
 
-struct motion;
+struct view_streams;
 struct services { /* all are shared and thread-safe */
     const struct server_config *cfg;
     struct geoid *geoid; /* --geoid; NULL: none */
@@ -37,15 +37,16 @@ struct services { /* all are shared and thread-safe */
     char reload_error[256]; /* why the last reload failed; "": it did not fail */
     struct static_table web;
     struct cache *cache;
-    struct flight *flight;
-    struct disk *disk; /* NULL: no --cache-dir */
-    struct kept *kept; /* named appearances; NULL: no --state-dir */
+    struct live_bodies *live_bodies;
+    struct disk *disk;                          /* NULL: no --cache-dir */
+    struct named_appearance *named_appearances; /* named appearances; NULL: no --state-dir */
     struct jobs *jobs;
     struct picture *picture; /* NULL: pictures are off */
-    struct motion *motion;   /* streams; the code that opened it closes it, after services_free */
-    struct access *access;   /* NULL: no access log */
-    struct auth *auth;       /* by catalog_lock; NULL: everything is public */
-    struct tls *tls;         /* NULL: the first listener has no TLS */
+    struct view_streams
+        *view_streams;     /* streams; the code that opened it closes it, after services_free */
+    struct access *access; /* NULL: no access log */
+    struct auth *auth;     /* by catalog_lock; NULL: everything is public */
+    struct tls *tls;       /* NULL: the first listener has no TLS */
     struct cache_policy policy;
     struct router *routes;   /* what is served */
     struct memory_plan plan; /* {0}: memory has no limit but those of the options */

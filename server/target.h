@@ -111,7 +111,7 @@ struct target_pose {              /* fixed point, so that equal views have equal
 /* The background of a picture, or depth instead of its colours, and its supersampling. */
 enum background { BACKGROUND_COLOUR, BACKGROUND_SKY, BACKGROUND_TRANSPARENT };
 enum depth { DEPTH_NONE, DEPTH_MM, DEPTH_CM, DEPTH_DM, DEPTH_M }; /* unit of a depth picture */
-struct paint {                                                    /* {0}: black background */
+struct composite {                                                /* {0}: black background */
     enum background background;
     uint32_t rgb; /* for BACKGROUND_COLOUR: 0xRRGGBB */
     enum depth depth;
@@ -123,7 +123,7 @@ struct target_view {
     uint32_t width_px, height_px; /* with the factor of @2x and so on */
     uint8_t scale;
     enum format format;
-    struct paint paint;
+    struct composite composite;
 };
 /* map: a map tile. */
 struct target_map {

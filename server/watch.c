@@ -23,7 +23,7 @@
 #include <unistd.h>
 
 #include "core/pool.h"
-#include "server/motion.h"
+#include "server/view_stream.h"
 
 enum { TICK_MS = 100, GONE_MS = 250, EVENTS = 64, POLLED = 256 };
 /* A request that is not complete, and an answer that is not read, after this long are slow enough
@@ -38,7 +38,7 @@ struct watch_slot {
     uint32_t generation, next_free;
     enum arm arm;
     struct job_waiter *waiter;
-    struct motion_stream *stream; /* in place of a waiter; borrowed while armed */
+    struct view_stream *stream;   /* in place of a waiter; borrowed while armed */
     uint64_t client;              /* this line and the next by the lock */
     bool displaced;               /* it was ended for another: counts no more */
     _Atomic uint64_t since_ms;    /* of its phase */
@@ -75,7 +75,7 @@ static uint64_t watch_now_ms(void)
 static void watch_on_event(struct watch *w, uint64_t id, uint32_t events)
 {
     struct job_waiter *left = NULL;
-    struct motion_stream *ended = NULL;
+    struct view_stream *ended = NULL;
     uint32_t index = (uint32_t)id, generation = (uint32_t)(id >> 32);
     pthread_mutex_lock(&w->lock);
     struct watch_slot *s = &w->slot[index];
@@ -83,7 +83,7 @@ static void watch_on_event(struct watch *w, uint64_t id, uint32_t events)
         bool half = !(events & (EPOLLHUP | EPOLLERR));
         struct epoll_event again = {.events = EPOLLONESHOT, .data.u64 = id};
         if (s->stream)
-            ended = motion_ref(s->stream);
+            ended = view_stream_ref(s->stream);
         else if (half && !job_is_picture(job_class_of(w->s->jobs, s->waiter)))
             (void)epoll_ctl(w->epoll_fd, EPOLL_CTL_MOD, s->fd, &again);
         else if (job_leave(w->s->jobs, s->waiter))
@@ -93,8 +93,8 @@ static void watch_on_event(struct watch *w, uint64_t id, uint32_t events)
     if (left)
         w->gone(left);
     if (ended) {
-        motion_end(ended);
-        motion_drop(&ended);
+        view_stream_end(ended);
+        view_stream_drop(&ended);
     }
 }
 
@@ -186,7 +186,7 @@ static void watch_main(void *user)
         next = watch_now_ms() + TICK_MS;
         watch_reap(w);
         job_tick(w->s->jobs, clock_s());
-        motion_tick(w->s->motion, clock_s());
+        view_stream_tick(w->s->view_streams, clock_s());
         if (w->s->access)
             access_flush(w->s->access);
         if (watch_now_ms() >= next_gone) {
@@ -390,7 +390,7 @@ void watch_expect(struct watch *w, struct watch_slot *s)
 
 /* Under the lock. */
 static void watch_arm_slot(struct watch *w, struct watch_slot *s, struct job_waiter *waiter,
-                           struct motion_stream *st)
+                           struct view_stream *st)
 {
     struct epoll_event event = {
         .events = EPOLLRDHUP | EPOLLONESHOT,
@@ -413,7 +413,7 @@ void watch_arm(struct watch *w, struct watch_slot *s, struct job_waiter *waiter)
     pthread_mutex_unlock(&w->lock);
 }
 
-void watch_arm_stream(struct watch *w, struct watch_slot *s, struct motion_stream *st)
+void watch_arm_stream(struct watch *w, struct watch_slot *s, struct view_stream *st)
 {
     if (!s)
         return;

@@ -8,7 +8,7 @@
 #include "server/services.h"
 
 enum watch_phase { WATCH_IDLE, WATCH_HEADER, WATCH_BODY, WATCH_WORK, WATCH_SEND, WATCH_STREAM };
-struct motion_stream;
+struct view_stream;
 struct watch;
 struct watch_slot;
 /* Watches up to `most` connections. At that number a new connection displaces another. gone() is
@@ -37,7 +37,7 @@ void watch_expect(struct watch *w, struct watch_slot *slot);
 void watch_arm(struct watch *w, struct watch_slot *slot, struct job_waiter *waiter);
 /* The same for the reader of a stream, until watch_disarm. The stream ends when the reader hangs
  * up. */
-void watch_arm_stream(struct watch *w, struct watch_slot *slot, struct motion_stream *st);
+void watch_arm_stream(struct watch *w, struct watch_slot *slot, struct view_stream *st);
 void watch_disarm(struct watch *w, struct watch_slot *slot);
 /* ends reading on idle connections, before the server stops */
 void watch_stop_idle(struct watch *w);

@@ -120,11 +120,11 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
     remote_until(clock_s() + REMOTE_PART * s->cfg->deadline_s);
     if (w->kind->act)
         return w->kind->act(s, w, out, e);
-    if (w->keep &&
-        ((*out = cache_get(s->cache, w->id, NULL)) || (*out = flight_get(s->flight, w->id))))
+    if (w->keep && ((*out = cache_get(s->cache, w->id, NULL)) ||
+                    (*out = live_bodies_get(s->live_bodies, w->id))))
         return ERR_OK; /* made between the question for it and the question for a job */
     size_t room = work_room(w);
-    enum err_code rc = flight_reserve(s->flight, room, cache_bytes(s->cache), e);
+    enum err_code rc = live_bodies_reserve(s->live_bodies, room, cache_bytes(s->cache), e);
     if (rc)
         return rc;
     const bool for_disk = work_is_for_disk(s, w);
@@ -140,8 +140,8 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
     if (!rc && w->kind->traits & WORK_COMPRESSED)
         body_compress(*out);
     if (!rc)
-        flight_add(s->flight, w->id, *out);
-    flight_release(s->flight, room);
+        live_bodies_add(s->live_bodies, w->id, *out);
+    live_bodies_release(s->live_bodies, room);
     if (!rc && w->keep)
         cache_put(s->cache, w->id, *out);
     if (!rc && for_disk && !read)

@@ -11,11 +11,11 @@
 
 #include "server/answer_view.h"
 #include "server/auth.h"
-#include "server/card.h"
 #include "server/condition.h"
 #include "server/headers.h"
 #include "server/metrics_text.h"
 #include "server/origin.h"
+#include "server/social_preview.h"
 #include "tests/routed.h"
 
 static void test_documents(void **state)
@@ -618,7 +618,7 @@ static void test_card(void **state)
                               "<meta property=\"og:title\" content=\"x\" />\n<title>x</title>"
                               "<noscript>x</noscript><main>y</main><svg><title>z</title></svg>"),
                 *made = NULL;
-    kit_ok(card_page(page, d, "https://a.example/below", true, &made, &e), e);
+    kit_ok(social_preview_page(page, d, "https://a.example/below", true, &made, &e), e);
     struct response one = {.data = made->data, .size = made->size};
     assert_true(says(&one, "property=\"og:image\" "
                            "content=\"https://a.example/below/d/toy/static/"));
@@ -629,7 +629,7 @@ static void test_card(void **state)
     assert_false(says(&one, "content=\"x\""));
     assert_false(says(&one, ">x<"));
     body_drop(&made);
-    kit_ok(card_page(page, d, "", true, &made, &e), e); /* who asks by no name */
+    kit_ok(social_preview_page(page, d, "", true, &made, &e), e); /* who asks by no name */
     one = (struct response){.data = made->data, .size = made->size};
     assert_false(says(&one, "og:image"));
     assert_false(says(&one, "og:url"));

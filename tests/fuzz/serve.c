@@ -16,8 +16,8 @@
 #include "server/auth.h"
 #include "server/cache_policy.h"
 #include "server/condition.h"
-#include "server/describe.h"
 #include "server/guard.h"
+#include "server/posted_view.h"
 #include "server/router.h"
 #include "server/routes.h"
 #include "server/screen.h"
@@ -164,12 +164,12 @@ void fuzz_body(const uint8_t *bytes, size_t n)
     serve_mix(bytes, n);
     static struct server_config cfg = {
         .max_view_px = 2048, .max_view_mpx = 4, .quality = 85, .deadline_s = 15};
-    struct describe_render p;
+    struct posted_view p;
     struct err e = {0};
     json_t *o = NULL;
     for (int motion = 0; motion < 2; motion++)
-        if (!(motion ? describe_read_motion(&cfg, &serve_origin, bytes, n, &p, &e)
-                     : describe_read_render(&cfg, &serve_origin, bytes, n, &p, &e))) {
+        if (!(motion ? posted_view_read_stream(&cfg, &serve_origin, bytes, n, &p, &e)
+                     : posted_view_read(&cfg, &serve_origin, bytes, n, &p, &e))) {
             assert(isfinite(p.cam.fx_px) && p.cam.fx_px > 0 && isfinite(p.cam.trans[0]));
             assert(p.cam.width_px && p.cam.height_px && p.quality >= 1 && p.quality <= 100);
             assert(p.timeout_s > 0 && p.timeout_s <= 30 && p.number >= 0);
