@@ -100,7 +100,7 @@ enum err_code prefetch_list_write(const struct dataset *d, const struct seed_tar
     struct prefetch_list s = {.d = d, .t = t, .left = left};
     s.row = mem_array(d->n_tiles, sizeof *s.row);
     if (!s.row)
-        return err_set(e, ERR_MEM, "seed list: out of memory");
+        return err_set(e, ERR_MEM, "prefetch list: out of memory");
     for (size_t i = 0; i < d->n_tiles; i++)
         if (prefetch_list_lists(&s, &d->tiles[i]))
             s.row[s.n++] = &d->tiles[i];

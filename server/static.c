@@ -119,7 +119,7 @@ static bool static_is_of(const struct body *b)
     return size == (uint32_t)b->size && crc == libdeflate_crc32(0, b->data, b->size);
 }
 
-/* Pages stay: they are made again with a card of their scene. */
+/* Pages stay: they are made again with a preview of their scene. */
 static void static_leave_plain(const struct static_file *f)
 {
     struct body *b = f->body;

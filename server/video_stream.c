@@ -113,7 +113,7 @@ static void video_stream_choose_step(struct video_stream *f, double factor)
     f->larger = f->smaller = 0;
 }
 
-/* Memory of an encoder of this size, in place of what this film has. */
+/* Memory of an encoder of this size, in place of what this video has. */
 static bool video_stream_reserve(struct video_stream *f, uint32_t width_px, uint32_t height_px)
 {
     struct video_stream_room *room = f->room;

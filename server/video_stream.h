@@ -13,7 +13,7 @@
 
 #include "core/base.h"
 
-struct video_stream_room { /* shared by all films of a server */
+struct video_stream_room { /* shared by all videos of a server */
     size_t limit_bytes;    /* most that their encoders may hold */
     unsigned threads;      /* of an encoder */
     _Atomic size_t held_bytes;
@@ -31,7 +31,7 @@ struct video_stream_told { /* of the newest frame */
     double encode_s;
 };
 
-/* NULL: out of memory. The room is borrowed until the last film is dropped. */
+/* NULL: out of memory. The room is borrowed until the last video is dropped. */
 struct video_stream *video_stream_begin(struct video_stream_room *room);
 struct video_stream *video_stream_ref(struct video_stream *f);
 void video_stream_drop(struct video_stream **f);

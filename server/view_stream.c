@@ -73,7 +73,7 @@ struct view_streams {
     size_t n;
     bool stopping;
     uint64_t pictures, full;
-    struct video_stream_room films;
+    struct video_stream_room videos;
 };
 
 static void view_stream_on_wake(struct job_waiter *w);
@@ -86,8 +86,8 @@ enum err_code view_stream_open(struct services *s, struct view_streams **out, st
     if (!*out)
         return err_set(e, ERR_MEM, "motion: out of memory");
     (*out)->s = s;
-    (*out)->films.limit_bytes = s->plan.budget ? s->plan.video : SIZE_MAX;
-    (*out)->films.threads = pool_cores() > 1 ? VIEW_STREAM_THREADS : 1;
+    (*out)->videos.limit_bytes = s->plan.budget ? s->plan.video : SIZE_MAX;
+    (*out)->videos.threads = pool_cores() > 1 ? VIEW_STREAM_THREADS : 1;
     pthread_mutex_init(&(*out)->lock, NULL);
     return ERR_OK;
 }
@@ -180,9 +180,9 @@ static struct view_stream *view_stream_make(struct view_streams *m,
 {
     const bool video = r->video && video_can();
     struct view_stream *st = mem_array(1, sizeof *st);
-    struct video_stream *film = video ? video_stream_begin(&m->films) : NULL;
-    if (!st || (video && !film)) {
-        video_stream_drop(&film);
+    struct video_stream *made = video ? video_stream_begin(&m->videos) : NULL;
+    if (!st || (video && !made)) {
+        video_stream_drop(&made);
         mem_free(st);
         (void)err_set(e, ERR_MEM, "out of memory for a stream");
         return NULL;
@@ -193,7 +193,7 @@ static struct view_stream *view_stream_make(struct view_streams *m,
         view_stream_on_wake; /* the rest of it is touched by jobs alone, under their lock */
     st->ready = r->ready;
     st->user = r->user;
-    st->video = film;
+    st->video = made;
     st->wished_s = clock_s();
     st->area_px = AREA_FIRST_PX;
     snprintf(st->ds, sizeof st->ds, "%s", r->ds);
@@ -659,10 +659,10 @@ void view_stream_count(struct view_streams *m, struct view_stream_counts *out)
     *out = (struct view_stream_counts){m->n,
                                        m->pictures,
                                        m->full,
-                                       atomic_load(&m->films.encoders),
-                                       atomic_load(&m->films.held_bytes),
-                                       atomic_load(&m->films.frames),
-                                       (double)atomic_load(&m->films.encode_us) * 1e-6};
+                                       atomic_load(&m->videos.encoders),
+                                       atomic_load(&m->videos.held_bytes),
+                                       atomic_load(&m->videos.frames),
+                                       (double)atomic_load(&m->videos.encode_us) * 1e-6};
     pthread_mutex_unlock(&m->lock);
 }
 
