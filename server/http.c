@@ -1,4 +1,4 @@
-/* libmicrohttpd's daemon: listening, its options, draining. exchange.c has its callbacks for
+/* libmicrohttpd's daemon: listening, its options, draining. mhd_callbacks.c has its callbacks for
  * requests, reply.c makes what it sends. No other file includes microhttpd.h.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -14,9 +14,9 @@
 #include <unistd.h>
 
 #include "core/pool.h"
-#include "server/exchange.h"
 #include "server/listen.h"
-#include "server/screen.h"
+#include "server/mhd_callbacks.h"
+#include "server/request_screen.h"
 #include "server/supervisor.h"
 #include "server/view_stream.h"
 
@@ -77,9 +77,9 @@ static enum err_code http_start_daemon(struct http *h, int fd, struct err *e)
         {MHD_OPTION_CONNECTION_MEMORY_LIMIT, cfg->max_header_kb << 10, NULL},
         {MHD_OPTION_CONNECTION_MEMORY_INCREMENT, 1024, NULL},
         {MHD_OPTION_STRICT_FOR_CLIENT, 0, NULL},
-        {MHD_OPTION_NOTIFY_COMPLETED, (intptr_t)exchange_on_completed, &h->front},
-        {MHD_OPTION_NOTIFY_CONNECTION, (intptr_t)exchange_on_connection, &h->front},
-        {MHD_OPTION_URI_LOG_CALLBACK, (intptr_t)exchange_on_target, &h->front},
+        {MHD_OPTION_NOTIFY_COMPLETED, (intptr_t)mhd_callbacks_on_completed, &h->front},
+        {MHD_OPTION_NOTIFY_CONNECTION, (intptr_t)mhd_callbacks_on_connection, &h->front},
+        {MHD_OPTION_URI_LOG_CALLBACK, (intptr_t)mhd_callbacks_on_target, &h->front},
         {MHD_OPTION_UNESCAPE_CALLBACK, (intptr_t)http_keep_escapes, h},
         {MHD_OPTION_END, 0, NULL},
         {MHD_OPTION_END, 0, NULL},
@@ -96,17 +96,17 @@ static enum err_code http_start_daemon(struct http *h, int fd, struct err *e)
                                                (void *)(intptr_t)tls_certificate};
         options[n++] = (struct MHD_OptionItem){MHD_OPTION_HTTPS_PRIORITIES, 0, priorities};
     }
-    h->daemon =
-        MHD_start_daemon(MHD_USE_EPOLL_INTERNAL_THREAD | MHD_ALLOW_SUSPEND_RESUME |
-                             MHD_USE_ERROR_LOG | (tls ? MHD_USE_TLS : 0),
-                         0, NULL, NULL, exchange_on_request, &h->front, MHD_OPTION_EXTERNAL_LOGGER,
-                         http_on_log, NULL, MHD_OPTION_ARRAY, options, MHD_OPTION_END);
+    h->daemon = MHD_start_daemon(MHD_USE_EPOLL_INTERNAL_THREAD | MHD_ALLOW_SUSPEND_RESUME |
+                                     MHD_USE_ERROR_LOG | (tls ? MHD_USE_TLS : 0),
+                                 0, NULL, NULL, mhd_callbacks_on_request, &h->front,
+                                 MHD_OPTION_EXTERNAL_LOGGER, http_on_log, NULL, MHD_OPTION_ARRAY,
+                                 options, MHD_OPTION_END);
     if (!h->daemon)
         return err_set(e, ERR_IO, "the HTTP threads did not start");
     return ERR_OK;
 }
 
-/* ---- the contract of screen.c ---- */
+/* ---- the contract of request_screen.c ---- */
 
 /* NOLINTBEGIN(readability-non-const-parameter): the library's type of a function */
 static enum MHD_Result http_refuse(void *cls, struct MHD_Connection *c, const char *url,
@@ -120,12 +120,12 @@ static enum MHD_Result http_refuse(void *cls, struct MHD_Connection *c, const ch
 }
 
 /* A request on a pair of sockets to a daemon that refuses it. True: the daemon has read it by the
- * recv() of screen.c, which counts requests. False: it has not, or something is used up. */
+ * recv() of request_screen.c, which counts requests. False: it has not, or something is used up. */
 static bool http_reads_screened(void)
 {
     static const char ask[] = "GET / HTTP/1.1\r\nHost: a\r\n\r\n";
     const struct sockaddr_in from = {.sin_family = AF_INET};
-    struct screen s = {0};
+    struct request_screen s = {0};
     struct err e;
     int pair[2];
     if (socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0, pair) != 0)
@@ -133,7 +133,7 @@ static bool http_reads_screened(void)
     struct MHD_Daemon *d = MHD_start_daemon(MHD_USE_EPOLL | MHD_USE_NO_LISTEN_SOCKET, 0, NULL, NULL,
                                             http_refuse, NULL, MHD_OPTION_END);
     bool well = d && write(pair[0], ask, sizeof ask - 1) == sizeof ask - 1 &&
-                !screen_attach(&s, pair[1], NULL, sizeof ask, &e);
+                !request_screen_attach(&s, pair[1], NULL, sizeof ask, &e);
     if (well)
         well = MHD_add_connection(d, pair[1], (const struct sockaddr *)&from, sizeof from);
     else
@@ -141,7 +141,7 @@ static bool http_reads_screened(void)
     for (int i = 0; i < 4 && well && !s.requests; i++) /* accepts, reads */
         well = MHD_run(d);
     well = well && s.requests == 1;
-    screen_detach(&s, pair[1]);
+    request_screen_detach(&s, pair[1]);
     if (d)
         MHD_stop_daemon(d);
     close(pair[0]);
@@ -229,8 +229,8 @@ enum err_code http_open(struct services *s, enum http_side side, struct http **o
 
 enum err_code http_start(struct http *h, struct err *e)
 {
-    enum err_code rc =
-        watch_open(http_connections(h), h->front.s, exchange_on_gone, &h->front.watch, e);
+    enum err_code rc = client_watch_open(http_connections(h), h->front.s, mhd_callbacks_on_gone,
+                                         &h->front.watch, e);
     if (!rc)
         rc = reply_open(&h->front.replies, e);
     return !rc ? http_start_daemon(h, h->fd, e) : rc;
@@ -254,14 +254,14 @@ static void http_await_end(struct http *h, double wait_s)
 {
     double end_s = clock_s() + wait_s;
     while (atomic_load(&h->front.open) > 0 && clock_s() < end_s) {
-        watch_stop_idle(h->front.watch);
+        client_watch_stop_idle(h->front.watch);
         http_pause_ms(10);
     }
 }
 
 static void http_free(struct http *h)
 {
-    watch_close(&h->front.watch);
+    client_watch_close(&h->front.watch);
     reply_close(&h->front.replies);
     ipv6_groups_close(&h->front.ipv6_groups);
     mem_free(h);

@@ -11,7 +11,7 @@ enum http_side { HTTP_PUBLIC, HTTP_ADMIN }; /* HTTP_ADMIN: the listener for oper
 struct http;
 /* Opens the port of cfg, or takes over the socket of a supervisor, before slow parts of the server
  * start. Clients wait in the backlog. The errors of listen_open, ERR_MEM; ERR_INTERNAL:
- * libmicrohttpd does not read through screen.c. */
+ * libmicrohttpd does not read through request_screen.c. */
 enum err_code http_open(struct services *s, enum http_side side, struct http **out,
                         struct err *e) ERR_USE;
 /* Checks the options that http_open reads, without listening. ERR_ARG, ERR_INTERNAL. */

@@ -69,7 +69,7 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
         rc = live_bodies_open(services_share(cfg->inflight_mb, s->plan.inflight), &s->live_bodies,
                               e);
     if (!rc && cfg->access_log)
-        rc = access_open((enum access_format)cfg->access_format, &s->access, e);
+        rc = access_log_open((enum access_format)cfg->access_format, &s->access, e);
     if (!rc)
         rc = cache_policy_read(cfg->cache_policy, &s->policy, e);
     if (!rc && cfg->auth)
@@ -110,7 +110,7 @@ bool services_free(struct services *s)
     live_bodies_close(&s->live_bodies);
     disk_close(&s->disk);
     named_appearance_close(&s->named_appearances);
-    access_close(&s->access);
+    access_log_close(&s->access);
     auth_close(&s->auth);
     tls_close(&s->tls);
     geoid_close(&s->geoid);

@@ -8,7 +8,7 @@
 #include <pthread.h>
 
 #include "core/geo.h"
-#include "server/access.h"
+#include "server/access_log.h"
 #include "server/auth.h"
 #include "server/cache.h"
 #include "server/cache_policy.h"
@@ -43,10 +43,10 @@ struct services { /* all are shared and thread-safe */
     struct jobs *jobs;
     struct picture *picture; /* NULL: pictures are off */
     struct view_streams
-        *view_streams;     /* streams; the code that opened it closes it, after services_free */
-    struct access *access; /* NULL: no access log */
-    struct auth *auth;     /* by catalog_lock; NULL: everything is public */
-    struct tls *tls;       /* NULL: the first listener has no TLS */
+        *view_streams;         /* streams; the code that opened it closes it, after services_free */
+    struct access_log *access; /* NULL: no access log */
+    struct auth *auth;         /* by catalog_lock; NULL: everything is public */
+    struct tls *tls;           /* NULL: the first listener has no TLS */
     struct cache_policy policy;
     struct router *routes;   /* what is served */
     struct memory_plan plan; /* {0}: memory has no limit but those of the options */

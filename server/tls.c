@@ -1,8 +1,8 @@
 /* TLS by libmicrohttpd and GnuTLS. libmicrohttpd reads decrypted bytes with gnutls_record_recv(),
  * as it reads other sockets with recv(). This file defines that function for the same reason for
- * which screen.c defines recv(): bytes pass the screen before a parser gets them. Records are read
- * with gnutls_record_recv_seq(); sessions without a screen use that directly. GnuTLS's own recv(),
- * for encrypted bytes, does not use the screen.
+ * which request_screen.c defines recv(): bytes pass the screen before a parser gets them. Records
+ * are read with gnutls_record_recv_seq(); sessions without a screen use that directly. GnuTLS's own
+ * recv(), for encrypted bytes, does not use the screen.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -18,7 +18,7 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "server/screen.h"
+#include "server/request_screen.h"
 
 enum { TLS_CHAIN_MAX = 16, TLS_FILE_MAX = 1 << 20, TLS_SOON_DAYS = 14 };
 
@@ -242,7 +242,7 @@ int tls_certificate(gnutls_session_t session, const gnutls_datum_t *issuers, int
                     const gnutls_pk_algorithm_t *kinds, int n_kinds, gnutls_pcert_st **out,
                     unsigned *n_out, gnutls_privkey_t *key)
 {
-    const struct screen *s = screen_at(gnutls_transport_get_int(session));
+    const struct request_screen *s = request_screen_at(gnutls_transport_get_int(session));
     struct tls *t = s ? s->tls : NULL;
     (void)issuers, (void)n_issuers, (void)kinds, (void)n_kinds;
     if (!t)
@@ -263,11 +263,12 @@ static ssize_t tls_records(void *session, char *out, size_t room)
 
 ssize_t gnutls_record_recv(gnutls_session_t session, void *out, size_t room)
 {
-    struct screen *s = screen_at(gnutls_transport_get_int(session));
+    struct request_screen *s = request_screen_at(gnutls_transport_get_int(session));
     ssize_t last = GNUTLS_E_AGAIN;
     if (!s || !s->tls)
         return tls_records(session, out, room);
-    size_t n = screen_read(s, tls_records, session, SCREEN_RECORDS, out, room, &last);
+    size_t n =
+        request_screen_read(s, tls_records, session, REQUEST_SCREEN_RECORDS, out, room, &last);
     return n ? (ssize_t)n : last;
 }
 

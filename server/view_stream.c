@@ -1,9 +1,9 @@
 /* Streams of pictures that follow a camera. While the camera moves, pictures are small and made
  * quickly. When it rests, one is drawn at full size. A stream has at most one picture in progress,
  * always that of the newest camera. The next one is drawn when the last byte of the one before is
- * in the socket. A slow line therefore gets fewer pictures, never old ones (exchange.c limits the
- * bytes in the socket). A frame of a video is drawn only when the one before is in the socket as a
- * whole: each frame refers to the one before, so those that are too many must not be encoded.
+ * in the socket. A slow line therefore gets fewer pictures, never old ones (mhd_callbacks.c limits
+ * the bytes in the socket). A frame of a video is drawn only when the one before is in the socket
+ * as a whole: each frame refers to the one before, so those that are too many must not be encoded.
  *
  * One connection reads a stream, any number of requests set its camera, and one job at a time draws
  * for it. One mutex guards all streams. No job is submitted and no callback is called with it held.

@@ -297,7 +297,7 @@ static void test_addresses(void **state)
 /* STARTED: what may have been under way, or next in turn, when the victim came and when it left:
  * the tile that the one worker makes, and one more, twice. */
 enum { ABUSERS = 24, VICTIM = ABUSERS, TILES = 12, STARTED = 4 };
-enum { HEAD_SLOW_MS = 500 }; /* watch.c: a request that is not complete then gives way */
+enum { HEAD_SLOW_MS = 500 }; /* client_watch.c: a request that is not complete then gives way */
 struct ipv6_groups {
     atomic_bool stop;
     atomic_int served, refused; /* abusers' answers */

@@ -159,7 +159,7 @@ struct watcher {
     int frames, keys;
 };
 
-static void watch_open(struct watcher *w, const char *target)
+static void client_watch_open(struct watcher *w, const char *target)
 {
     struct err e = {0};
     memset(w, 0, sizeof *w);
@@ -167,7 +167,7 @@ static void watch_open(struct watcher *w, const char *target)
     kit_ok(video_decoder_open(&w->decoder, &e), e);
 }
 
-static void watch_close(struct watcher *w)
+static void client_watch_close(struct watcher *w)
 {
     reader_close(&w->r);
     video_decoder_close(&w->decoder);
@@ -244,7 +244,7 @@ static void watch_begin(struct watcher *w)
     if (!video_can())
         skip();
     start_drawing();
-    watch_open(w, VIDEO);
+    client_watch_open(w, VIDEO);
     await_streams(1);
 }
 
@@ -301,7 +301,7 @@ static void test_frames_are_what_is_drawn(void **state)
     assert_int_equal(p.key, 1);
     assert_int_equal(counts().encoders, 1);
     assert_true(counts().encoder_bytes > 0 && counts().frames >= (uint64_t)w.frames);
-    watch_close(&w);
+    client_watch_close(&w);
     await_streams(0);
     for (double end_s = clock_s() + PATIENCE_S;
          (counts().encoders || counts().encoder_bytes) && clock_s() < end_s;)
@@ -352,7 +352,7 @@ static void test_slow_reader(void **state)
     assert_true(counts().frames - frames - encoded <= 2); /* the newest, and one on its way */
     print_message("%d cameras, %d frames of %zu bytes\n", last - 2, (int)encoded,
                   w.r.raw.size - before);
-    watch_close(&w);
+    client_watch_close(&w);
     await_streams(0);
 }
 

@@ -16,11 +16,11 @@
 #include "server/auth.h"
 #include "server/cache_policy.h"
 #include "server/condition.h"
-#include "server/guard.h"
 #include "server/posted_view.h"
+#include "server/request_guard.h"
+#include "server/request_screen.h"
 #include "server/router.h"
 #include "server/routes.h"
-#include "server/screen.h"
 #include "server/target_query.h"
 #include "server/text.h"
 #include "tests/fuzz/fuzz.h"
@@ -81,23 +81,24 @@ void fuzz_target(const uint8_t *bytes, size_t n)
 void fuzz_headers(const uint8_t *bytes, size_t n)
 {
     static struct server_config cfg = {.max_target_bytes = 2048, .max_body_kb = 64};
-    struct screen s = {0};
+    struct request_screen s = {0};
     struct request r = {.target = "/", .target_size = 1};
-    struct guard g = {.req = &r};
+    struct request_guard g = {.req = &r};
     char *out = mem_array(n + 4096, 1);
     size_t got = 0;
     assert(out);
-    if (screen_attach(&s, 1000, NULL, 4096, NULL)) {
+    if (request_screen_attach(&s, 1000, NULL, 4096, NULL)) {
         mem_free(out);
         return;
     }
     for (size_t at = 0, piece = 1; at < n; at += piece, piece = piece % 97 + 1) {
-        screen_put(&s, (const char *)bytes + at, piece < n - at ? piece : n - at);
-        for (size_t k; got < n + 4095 && (k = screen_take(&s, out + got, n + 4095 - got)) > 0;)
+        request_screen_put(&s, (const char *)bytes + at, piece < n - at ? piece : n - at);
+        for (size_t k;
+             got < n + 4095 && (k = request_screen_take(&s, out + got, n + 4095 - got)) > 0;)
             got += k;
         piece = piece < n - at ? piece : n - at;
     }
-    assert(!screen_refused(&s, s.requests + 1)); /* of what has not come nothing is known */
+    assert(!request_screen_refused(&s, s.requests + 1)); /* of what has not come nothing is known */
     char *save = NULL;
     for (char *line = strtok_r(out, "\r\n", &save); line; line = strtok_r(NULL, "\r\n", &save)) {
         char *colon = strchr(line, ':');
@@ -105,18 +106,18 @@ void fuzz_headers(const uint8_t *bytes, size_t n)
             continue;
         *colon++ = '\0';
         colon += strspn(colon, " \t");
-        guard_field(&g, line, strlen(line), colon, strlen(colon));
+        request_guard_field(&g, line, strlen(line), colon, strlen(colon));
     }
     const char *why;
-    (void)guard_check(&g, &cfg, "HTTP/1.1", &why);
-    (void)guard_local(&g, "HTTP/1.1");
+    (void)request_guard_check(&g, &cfg, "HTTP/1.1", &why);
+    (void)request_guard_local(&g, "HTTP/1.1");
     struct address_nets nets;
     if (!address_read_nets("10.0.0.0/8,::1", &nets, NULL)) {
         struct address peer = {.ip = {[10] = 0xff, 0xff, 10, 1, 2, 3}};
         char text[ADDRESS_TEXT];
         address_write(address_client(&nets, peer, r.forwarded, r.n_forwarded), text, sizeof text);
     }
-    screen_detach(&s, 1000);
+    request_screen_detach(&s, 1000);
     mem_free(out);
 }
 

@@ -4,14 +4,14 @@
  * does both. Each connection has a slot with a deadline for its present phase (an atomic, so
  * requests take no lock). The sockets of waiting clients are in an epoll set.
  *
- * A slot's fd is valid from watch_add to watch_remove, which libmicrohttpd calls before it closes
- * the socket. shutdown() under the lock therefore never hits a reused number. A waiter is used only
- * while the slot is armed and the lock is held. Code that resumes a connection disarms the slot
- * first.
+ * A slot's fd is valid from client_watch_add to client_watch_remove, which libmicrohttpd calls
+ * before it closes the socket. shutdown() under the lock therefore never hits a reused number. A
+ * waiter is used only while the slot is armed and the lock is held. Code that resumes a connection
+ * disarms the slot first.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "server/watch.h"
+#include "server/client_watch.h"
 
 #include <errno.h>
 #include <linux/tcp.h>
@@ -33,7 +33,7 @@ enum { TALLIES = 4096 };
 enum { POLL_GONE = 0x2000 }; /* POLLRDHUP, which Linux has and POSIX does not */
 enum arm { ARM_EXPECTED, ARM_ON, ARM_OFF };
 
-struct watch_slot {
+struct client_watch_slot {
     int fd; /* -1 when free; this line and the next by the lock */
     uint32_t generation, next_free;
     enum arm arm;
@@ -49,11 +49,11 @@ struct watch_slot {
     _Atomic int phase;
     _Atomic uint32_t requests;
 };
-struct watch {
+struct client_watch {
     struct services *s;
     void (*gone)(struct job_waiter *w);
     pthread_mutex_t lock;
-    struct watch_slot *slot;
+    struct client_watch_slot *slot;
     uint32_t n, used, first_free; /* used: slots ever taken; first_free: n = none */
     size_t most, n_open;          /* connections; these by the lock */
     uint32_t tally[TALLIES];      /* of n_open, by client: an upper bound of its connections */
@@ -62,7 +62,7 @@ struct watch {
     _Atomic bool stop;
 };
 
-static uint64_t watch_now_ms(void)
+static uint64_t client_watch_now_ms(void)
 {
     return (uint64_t)(clock_s() * 1000);
 }
@@ -72,13 +72,13 @@ static uint64_t watch_now_ms(void)
 /* The client behind this slot hung up, or closed its sending half. A half-closed client may still
  * read (RFC 9112, section 9.6), and a tile is soon made and worth keeping, so only a picture is
  * given up for that. */
-static void watch_on_event(struct watch *w, uint64_t id, uint32_t events)
+static void client_watch_on_event(struct client_watch *w, uint64_t id, uint32_t events)
 {
     struct job_waiter *left = NULL;
     struct view_stream *ended = NULL;
     uint32_t index = (uint32_t)id, generation = (uint32_t)(id >> 32);
     pthread_mutex_lock(&w->lock);
-    struct watch_slot *s = &w->slot[index];
+    struct client_watch_slot *s = &w->slot[index];
     if (s->fd >= 0 && s->generation == generation && s->arm == ARM_ON) {
         bool half = !(events & (EPOLLHUP | EPOLLERR));
         struct epoll_event again = {.events = EPOLLONESHOT, .data.u64 = id};
@@ -99,7 +99,7 @@ static void watch_on_event(struct watch *w, uint64_t id, uint32_t events)
 }
 
 /* Bytes that the client's side has taken over the life of the connection. */
-static uint64_t watch_acked(int fd)
+static uint64_t client_watch_acked(int fd)
 {
     struct tcp_info info = {0};
     socklen_t n = sizeof info;
@@ -109,11 +109,12 @@ static uint64_t watch_acked(int fd)
 /* An answer that is being sent goes on as long as it moves: the client must have taken min_rate_kb
  * a second since the last look, write_timeout_s ago. Answers that are out between two ticks are
  * never looked at. True when the client is too slow. */
-static bool watch_stalls(struct watch *w, struct watch_slot *s, uint64_t deadline, uint64_t now)
+static bool client_watch_stalls(struct client_watch *w, struct client_watch_slot *s,
+                                uint64_t deadline, uint64_t now)
 {
     const struct server_config *cfg = w->s->cfg;
     uint64_t window_ms = (uint64_t)(cfg->write_timeout_s * 1000) + 1;
-    uint64_t acked = watch_acked(s->fd);
+    uint64_t acked = client_watch_acked(s->fd);
     if (s->window != deadline) { /* first look at this answer */
         s->window = deadline;
         s->acked = acked;
@@ -130,19 +131,19 @@ static bool watch_stalls(struct watch *w, struct watch_slot *s, uint64_t deadlin
     return false;
 }
 
-static void watch_reap(struct watch *w)
+static void client_watch_reap(struct client_watch *w)
 {
-    uint64_t now = watch_now_ms();
+    uint64_t now = client_watch_now_ms();
     pthread_mutex_lock(&w->lock);
     for (uint32_t i = 0; i < w->used; i++) {
-        struct watch_slot *s = &w->slot[i];
+        struct client_watch_slot *s = &w->slot[i];
         uint64_t deadline = atomic_load_explicit(&s->deadline_ms, memory_order_relaxed);
         if (s->fd < 0 || !deadline)
             continue;
-        bool sending = atomic_load(&s->phase) == WATCH_SEND;
-        if (sending ? !watch_stalls(w, s, deadline, now) : now < deadline)
+        bool sending = atomic_load(&s->phase) == CLIENT_WATCH_SEND;
+        if (sending ? !client_watch_stalls(w, s, deadline, now) : now < deadline)
             continue;
-        if (atomic_load(&s->phase) != WATCH_IDLE)
+        if (atomic_load(&s->phase) != CLIENT_WATCH_IDLE)
             atomic_fetch_add(&w->s->metrics.reaped, 1);
         atomic_store(&s->deadline_ms, 0);
         shutdown(s->fd, SHUT_RDWR);
@@ -152,14 +153,14 @@ static void watch_reap(struct watch *w)
 
 /* libmicrohttpd listens edge-triggered, and misses a client that closes just as its answer goes
  * out. Idle connections whose client is gone would then be kept until the idle timeout. */
-static void watch_close_gone(struct watch *w)
+static void client_watch_close_gone(struct client_watch *w)
 {
     struct pollfd p[POLLED];
     nfds_t n = 0;
     pthread_mutex_lock(&w->lock);
     for (uint32_t i = 0; i < w->used; i++) {
-        struct watch_slot *s = &w->slot[i];
-        if (s->fd >= 0 && atomic_load(&s->phase) == WATCH_IDLE)
+        struct client_watch_slot *s = &w->slot[i];
+        if (s->fd >= 0 && atomic_load(&s->phase) == CLIENT_WATCH_IDLE)
             p[n++] = (struct pollfd){.fd = s->fd, .events = POLL_GONE};
         if (n < POLLED && i + 1 < w->used)
             continue;
@@ -172,36 +173,36 @@ static void watch_close_gone(struct watch *w)
     pthread_mutex_unlock(&w->lock);
 }
 
-static void watch_main(void *user)
+static void client_watch_main(void *user)
 {
-    struct watch *w = user;
-    uint64_t next = watch_now_ms(), next_gone = next;
+    struct client_watch *w = user;
+    uint64_t next = client_watch_now_ms(), next_gone = next;
     while (!atomic_load(&w->stop)) {
         struct epoll_event event[EVENTS];
         int n = epoll_wait(w->epoll_fd, event, EVENTS, TICK_MS);
         for (int i = 0; i < n; i++)
-            watch_on_event(w, event[i].data.u64, event[i].events);
-        if (watch_now_ms() < next)
+            client_watch_on_event(w, event[i].data.u64, event[i].events);
+        if (client_watch_now_ms() < next)
             continue;
-        next = watch_now_ms() + TICK_MS;
-        watch_reap(w);
+        next = client_watch_now_ms() + TICK_MS;
+        client_watch_reap(w);
         job_tick(w->s->jobs, clock_s());
         view_stream_tick(w->s->view_streams, clock_s());
         if (w->s->access)
-            access_flush(w->s->access);
-        if (watch_now_ms() >= next_gone) {
-            watch_close_gone(w);
-            next_gone = watch_now_ms() + GONE_MS;
+            access_log_flush(w->s->access);
+        if (client_watch_now_ms() >= next_gone) {
+            client_watch_close_gone(w);
+            next_gone = client_watch_now_ms() + GONE_MS;
         }
     }
 }
 
 /* ---- the interface ---- */
 
-enum err_code watch_open(size_t most, struct services *s, void (*gone)(struct job_waiter *w),
-                         struct watch **out, struct err *e)
+enum err_code client_watch_open(size_t most, struct services *s, void (*gone)(struct job_waiter *w),
+                                struct client_watch **out, struct err *e)
 {
-    struct watch *w = mem_array(1, sizeof *w);
+    struct client_watch *w = mem_array(1, sizeof *w);
     size_t limit = most * 2 + 128; /* those over the limit as well */
     *out = w;
     if (!w || !(w->slot = mem_array(limit, sizeof *w->slot))) {
@@ -217,15 +218,15 @@ enum err_code watch_open(size_t most, struct services *s, void (*gone)(struct jo
     w->epoll_fd = epoll_create1(EPOLL_CLOEXEC);
     enum err_code rc = w->epoll_fd < 0 ? err_errno(e, ERR_IO, "watch: epoll_create1") : ERR_OK;
     if (!rc)
-        rc = pool_start(watch_main, w, &w->thread, e);
+        rc = pool_start(client_watch_main, w, &w->thread, e);
     if (rc)
-        watch_close(out);
+        client_watch_close(out);
     return rc;
 }
 
-void watch_close(struct watch **out)
+void client_watch_close(struct client_watch **out)
 {
-    struct watch *w = *out;
+    struct client_watch *w = *out;
     *out = NULL;
     if (!w)
         return;
@@ -241,7 +242,7 @@ void watch_close(struct watch **out)
 
 /* ---- who gives way ---- */
 
-static void watch_uncount(struct watch *w, struct watch_slot *s)
+static void client_watch_uncount(struct client_watch *w, struct client_watch_slot *s)
 {
     w->n_open--;
     w->tally[s->client % TALLIES]--;
@@ -249,17 +250,17 @@ static void watch_uncount(struct watch *w, struct watch_slot *s)
 
 /* How easily a connection gives way: 0 not at all, else the more the longer it has been idle, or
  * slow. Whoever waits for a job, or is being answered, keeps its place. */
-static uint64_t watch_ease(const struct watch_slot *s, uint64_t now)
+static uint64_t client_watch_ease(const struct client_watch_slot *s, uint64_t now)
 {
     uint64_t since = atomic_load_explicit(&s->since_ms, memory_order_relaxed);
     uint64_t age = since && now > since ? now - since : 0;
     switch (atomic_load_explicit(&s->phase, memory_order_relaxed)) {
-    case WATCH_IDLE:
+    case CLIENT_WATCH_IDLE:
         return age + 1;
-    case WATCH_HEADER:
-    case WATCH_BODY:
+    case CLIENT_WATCH_HEADER:
+    case CLIENT_WATCH_BODY:
         return age > HEAD_SLOW_MS ? age : 0;
-    case WATCH_SEND:
+    case CLIENT_WATCH_SEND:
         return age > SEND_SLOW_MS ? age : 0;
     default:
         return 0;
@@ -268,16 +269,16 @@ static uint64_t watch_ease(const struct watch_slot *s, uint64_t now)
 
 /* End the connection that gives way most easily among those of a client, or of all whose tally is
  * this one. False: none does. */
-static bool watch_displace(struct watch *w, bool one_client, uint64_t client)
+static bool client_watch_displace(struct client_watch *w, bool one_client, uint64_t client)
 {
-    uint64_t now = watch_now_ms(), most = 0;
-    struct watch_slot *victim = NULL;
+    uint64_t now = client_watch_now_ms(), most = 0;
+    struct client_watch_slot *victim = NULL;
     for (uint32_t i = 0; i < w->used; i++) {
-        struct watch_slot *s = &w->slot[i];
+        struct client_watch_slot *s = &w->slot[i];
         bool own = one_client ? s->client == client : s->client % TALLIES == client % TALLIES;
         if (s->fd < 0 || s->displaced || !own)
             continue;
-        uint64_t ease = watch_ease(s, now);
+        uint64_t ease = client_watch_ease(s, now);
         if (ease > most) {
             most = ease;
             victim = s;
@@ -286,15 +287,15 @@ static bool watch_displace(struct watch *w, bool one_client, uint64_t client)
     if (!victim)
         return false;
     /* A request that has come to an idle one just now is still read and answered. */
-    bool idle = atomic_load_explicit(&victim->phase, memory_order_relaxed) == WATCH_IDLE;
+    bool idle = atomic_load_explicit(&victim->phase, memory_order_relaxed) == CLIENT_WATCH_IDLE;
     victim->displaced = true;
-    watch_uncount(w, victim);
+    client_watch_uncount(w, victim);
     shutdown(victim->fd, idle ? SHUT_RD : SHUT_RDWR);
     atomic_fetch_add(&w->s->metrics.displaced, 1);
     return true;
 }
 
-static size_t watch_count(const struct watch *w, uint64_t client)
+static size_t client_watch_count(const struct client_watch *w, uint64_t client)
 {
     size_t n = 0;
     for (uint32_t i = 0; i < w->used; i++)
@@ -303,23 +304,24 @@ static size_t watch_count(const struct watch *w, uint64_t client)
 }
 
 /* Room for one more connection of a client. */
-static bool watch_make_room(struct watch *w, uint64_t client, size_t limit)
+static bool client_watch_make_room(struct client_watch *w, uint64_t client, size_t limit)
 {
-    if (limit && w->tally[client % TALLIES] >= limit && watch_count(w, client) >= limit)
-        return watch_displace(w, true, client);
+    if (limit && w->tally[client % TALLIES] >= limit && client_watch_count(w, client) >= limit)
+        return client_watch_displace(w, true, client);
     if (w->n_open < w->most)
         return true;
     uint64_t most = 0;
     for (uint64_t i = 1; i < TALLIES; i++)
         most = w->tally[i] > w->tally[most] ? i : most;
-    return watch_displace(w, false, most);
+    return client_watch_displace(w, false, most);
 }
 
-struct watch_slot *watch_add(struct watch *w, int fd, uint64_t client, size_t limit, bool *over)
+struct client_watch_slot *client_watch_add(struct client_watch *w, int fd, uint64_t client,
+                                           size_t limit, bool *over)
 {
-    struct watch_slot *s = NULL;
+    struct client_watch_slot *s = NULL;
     pthread_mutex_lock(&w->lock);
-    *over = !watch_make_room(w, client, limit);
+    *over = !client_watch_make_room(w, client, limit);
     if (w->first_free < w->n) {
         s = &w->slot[w->first_free];
         w->first_free = s->next_free;
@@ -335,8 +337,9 @@ struct watch_slot *watch_add(struct watch *w, int fd, uint64_t client, size_t li
         s->displaced = *over; /* it is answered and closed: it takes nobody's place */
         w->n_open += !*over;
         w->tally[client % TALLIES] += !*over;
-        atomic_store(&s->phase, WATCH_HEADER); /* not idle for long, as who had the slot before */
-        atomic_store(&s->since_ms, watch_now_ms());
+        atomic_store(&s->phase,
+                     CLIENT_WATCH_HEADER); /* not idle for long, as who had the slot before */
+        atomic_store(&s->since_ms, client_watch_now_ms());
         atomic_store(&s->deadline_ms, 0);
         atomic_store(&s->requests, 0);
     }
@@ -344,26 +347,28 @@ struct watch_slot *watch_add(struct watch *w, int fd, uint64_t client, size_t li
     return s;
 }
 
-void watch_remove(struct watch *w, struct watch_slot *s)
+void client_watch_remove(struct client_watch *w, struct client_watch_slot *s)
 {
     if (!s)
         return;
-    watch_disarm(w, s);
+    client_watch_disarm(w, s);
     pthread_mutex_lock(&w->lock);
     s->fd = -1;
     if (!s->displaced)
-        watch_uncount(w, s);
+        client_watch_uncount(w, s);
     s->next_free = w->first_free;
     w->first_free = (uint32_t)(s - w->slot);
     pthread_mutex_unlock(&w->lock);
 }
 
-void watch_phase(struct watch_slot *s, enum watch_phase phase, double timeout_s)
+void client_watch_phase(struct client_watch_slot *s, enum client_watch_phase phase,
+                        double timeout_s)
 {
-    watch_phase_at(s, phase, timeout_s, timeout_s > 0 ? clock_s() : 0);
+    client_watch_phase_at(s, phase, timeout_s, timeout_s > 0 ? clock_s() : 0);
 }
 
-void watch_phase_at(struct watch_slot *s, enum watch_phase phase, double timeout_s, double now_s)
+void client_watch_phase_at(struct client_watch_slot *s, enum client_watch_phase phase,
+                           double timeout_s, double now_s)
 {
     if (!s)
         return;
@@ -374,12 +379,12 @@ void watch_phase_at(struct watch_slot *s, enum watch_phase phase, double timeout
                           memory_order_relaxed);
 }
 
-uint32_t watch_requests(struct watch_slot *s)
+uint32_t client_watch_requests(struct client_watch_slot *s)
 {
     return s ? atomic_fetch_add_explicit(&s->requests, 1, memory_order_relaxed) + 1 : 1;
 }
 
-void watch_expect(struct watch *w, struct watch_slot *s)
+void client_watch_expect(struct client_watch *w, struct client_watch_slot *s)
 {
     if (!s)
         return;
@@ -389,8 +394,8 @@ void watch_expect(struct watch *w, struct watch_slot *s)
 }
 
 /* Under the lock. */
-static void watch_arm_slot(struct watch *w, struct watch_slot *s, struct job_waiter *waiter,
-                           struct view_stream *st)
+static void client_watch_arm_slot(struct client_watch *w, struct client_watch_slot *s,
+                                  struct job_waiter *waiter, struct view_stream *st)
 {
     struct epoll_event event = {
         .events = EPOLLRDHUP | EPOLLONESHOT,
@@ -403,26 +408,28 @@ static void watch_arm_slot(struct watch *w, struct watch_slot *s, struct job_wai
     }
 }
 
-void watch_arm(struct watch *w, struct watch_slot *s, struct job_waiter *waiter)
+void client_watch_arm(struct client_watch *w, struct client_watch_slot *s,
+                      struct job_waiter *waiter)
 {
     if (!s)
         return;
     pthread_mutex_lock(&w->lock);
     if (s->arm == ARM_EXPECTED) /* else the job has ended already, and the waiter with it */
-        watch_arm_slot(w, s, waiter, NULL);
+        client_watch_arm_slot(w, s, waiter, NULL);
     pthread_mutex_unlock(&w->lock);
 }
 
-void watch_arm_stream(struct watch *w, struct watch_slot *s, struct view_stream *st)
+void client_watch_arm_stream(struct client_watch *w, struct client_watch_slot *s,
+                             struct view_stream *st)
 {
     if (!s)
         return;
     pthread_mutex_lock(&w->lock);
-    watch_arm_slot(w, s, NULL, st);
+    client_watch_arm_slot(w, s, NULL, st);
     pthread_mutex_unlock(&w->lock);
 }
 
-void watch_disarm(struct watch *w, struct watch_slot *s)
+void client_watch_disarm(struct client_watch *w, struct client_watch_slot *s)
 {
     if (!s)
         return;
@@ -435,13 +442,13 @@ void watch_disarm(struct watch *w, struct watch_slot *s)
     pthread_mutex_unlock(&w->lock);
 }
 
-void watch_stop_idle(struct watch *w)
+void client_watch_stop_idle(struct client_watch *w)
 {
     pthread_mutex_lock(&w->lock);
     for (uint32_t i = 0; i < w->used; i++) {
-        struct watch_slot *s = &w->slot[i];
+        struct client_watch_slot *s = &w->slot[i];
         /* Reading half only: a request that arrived just now is still read, and answered. */
-        if (s->fd >= 0 && atomic_load(&s->phase) == WATCH_IDLE)
+        if (s->fd >= 0 && atomic_load(&s->phase) == CLIENT_WATCH_IDLE)
             shutdown(s->fd, SHUT_RD);
     }
     pthread_mutex_unlock(&w->lock);

@@ -3,13 +3,13 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#ifndef SERVER_EXCHANGE_H
-#define SERVER_EXCHANGE_H
+#ifndef SERVER_MHD_CALLBACKS_H
+#define SERVER_MHD_CALLBACKS_H
 
+#include "server/client_watch.h"
 #include "server/ipv6_groups.h"
 #include "server/reply.h"
 #include "server/services.h"
-#include "server/watch.h"
 
 /* Shared by the connections of a listener. http.c fills and frees it. */
 struct front {
@@ -19,7 +19,7 @@ struct front {
     struct address_nets proxies; /* trusted proxies */
     struct hash128 secret;       /* for the numbers of clients */
     struct ipv6_groups *ipv6_groups;
-    struct watch *watch;
+    struct client_watch *watch;
     struct replies *replies;
     /* it was logged that requests come through a proxy that is not trusted */
     atomic_flag proxy_told;
@@ -27,19 +27,19 @@ struct front {
 };
 
 /* MHD_OPTION_NOTIFY_CONNECTION: makes and frees the state of a connection. */
-void exchange_on_connection(void *cls, struct MHD_Connection *c, void **context,
-                            enum MHD_ConnectionNotificationCode what);
+void mhd_callbacks_on_connection(void *cls, struct MHD_Connection *c, void **context,
+                                 enum MHD_ConnectionNotificationCode what);
 /* MHD_OPTION_URI_LOG_CALLBACK: a request begins. */
-void *exchange_on_target(void *cls, const char *target, struct MHD_Connection *c);
+void *mhd_callbacks_on_target(void *cls, const char *target, struct MHD_Connection *c);
 /* The access handler. It is called for the head, the body and the end of a request, and once more
  * after a job. */
-enum MHD_Result exchange_on_request(void *cls, struct MHD_Connection *c, const char *url,
-                                    const char *method, const char *version, const char *upload,
-                                    size_t *n_upload, void **con_cls);
+enum MHD_Result mhd_callbacks_on_request(void *cls, struct MHD_Connection *c, const char *url,
+                                         const char *method, const char *version,
+                                         const char *upload, size_t *n_upload, void **con_cls);
 /* MHD_OPTION_NOTIFY_COMPLETED: counts, logs, frees. */
-void exchange_on_completed(void *cls, struct MHD_Connection *c, void **con_cls,
-                           enum MHD_RequestTerminationCode how);
-/* For watch_open: the client of a waiting request has hung up. */
-void exchange_on_gone(struct job_waiter *w);
+void mhd_callbacks_on_completed(void *cls, struct MHD_Connection *c, void **con_cls,
+                                enum MHD_RequestTerminationCode how);
+/* For client_watch_open: the client of a waiting request has hung up. */
+void mhd_callbacks_on_gone(struct job_waiter *w);
 
 #endif

@@ -5,7 +5,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "server/guard.h"
+#include "server/request_guard.h"
 
 #include <string.h>
 #include <strings.h>
@@ -13,7 +13,7 @@
 #include "server/address.h"
 #include "server/text.h"
 
-static bool guard_name_is(const char *name, size_t n, const char *want)
+static bool request_guard_name_is(const char *name, size_t n, const char *want)
 {
     /* Every field is held against twenty names: nearly all differ in the first letter. */
     return n && (name[0] | 0x20) == (want[0] | 0x20) && n == strlen(want) &&
@@ -21,7 +21,7 @@ static bool guard_name_is(const char *name, size_t n, const char *want)
 }
 
 /* What RFC 3986 allows in a host and a port; it may be empty. */
-static bool guard_is_host(const char *p)
+static bool request_guard_is_host(const char *p)
 {
     for (; *p; p++) /* strspn makes a table of its words each time */
         if (!((*p >= 'a' && *p <= 'z') || (*p >= '0' && *p <= ';') || (*p >= 'A' && *p <= 'Z') ||
@@ -30,7 +30,7 @@ static bool guard_is_host(const char *p)
     return true;
 }
 
-static bool guard_clean_name(const char *p, size_t n)
+static bool request_guard_clean_name(const char *p, size_t n)
 {
     for (size_t i = 0; i < n; i++)
         if ((unsigned char)p[i] <= 0x20 || (unsigned char)p[i] >= 0x7f || p[i] == ':')
@@ -39,7 +39,7 @@ static bool guard_clean_name(const char *p, size_t n)
 }
 
 /* Digits only; false for anything else or beyond 2^53. */
-static bool guard_read_length(const char *p, size_t n, uint64_t *out)
+static bool request_guard_read_length(const char *p, size_t n, uint64_t *out)
 {
     uint64_t v = 0;
     for (size_t i = 0; i < n; i++) {
@@ -52,7 +52,8 @@ static bool guard_read_length(const char *p, size_t n, uint64_t *out)
 }
 
 /* Priority: u=7 (RFC 9218) and Sec-Purpose: prefetch go behind everything else. */
-static void guard_keep_field(struct request *r, const char *name, size_t n, const char *value)
+static void request_guard_keep_field(struct request *r, const char *name, size_t n,
+                                     const char *value)
 {
     const struct {
         const char *name;
@@ -74,80 +75,81 @@ static void guard_keep_field(struct request *r, const char *name, size_t n, cons
         {"X-Request-Id", &r->id},
     };
     for (size_t i = 0; i < sizeof kept / sizeof *kept; i++)
-        if (guard_name_is(name, n, kept[i].name) && !*kept[i].to)
+        if (request_guard_name_is(name, n, kept[i].name) && !*kept[i].to)
             *kept[i].to = value;
-    if ((guard_name_is(name, n, "Sec-Purpose") && strstr(value, "prefetch")) ||
-        (guard_name_is(name, n, "Priority") && (strstr(value, "u=6") || strstr(value, "u=7"))))
+    if ((request_guard_name_is(name, n, "Sec-Purpose") && strstr(value, "prefetch")) ||
+        (request_guard_name_is(name, n, "Priority") &&
+         (strstr(value, "u=6") || strstr(value, "u=7"))))
         r->prefetch = true;
 }
 
 /* Fields by which proxies say that they are there, and for whom. */
-static bool guard_is_proxys(const char *name, size_t n)
+static bool request_guard_is_proxys(const char *name, size_t n)
 {
     static const char *const names[] = {"Forwarded",        "Via",
                                         "X-Real-IP",        "X-Client-IP",
                                         "Client-IP",        "True-Client-IP",
                                         "CF-Connecting-IP", "X-Cluster-Client-IP"};
     for (size_t i = 0; i < sizeof names / sizeof *names; i++)
-        if (guard_name_is(name, n, names[i]))
+        if (request_guard_name_is(name, n, names[i]))
             return true;
     return n > strlen("X-Forwarded") && !strncasecmp(name, "X-Forwarded", strlen("X-Forwarded"));
 }
 
-void guard_field(struct guard *f, const char *name, size_t n_name, const char *value,
-                 size_t n_value)
+void request_guard_field(struct request_guard *f, const char *name, size_t n_name,
+                         const char *value, size_t n_value)
 {
     value = value ? value : "";
     f->n++;
-    if (!guard_clean_name(name, n_name) || !text_is_clean(value, n_value))
+    if (!request_guard_clean_name(name, n_name) || !text_is_clean(value, n_value))
         f->bad = true;
-    if (guard_name_is(name, n_name, "Content-Length")) {
+    if (request_guard_name_is(name, n_name, "Content-Length")) {
         f->n_length++;
-        f->bad |= !guard_read_length(value, n_value, &f->length);
-    } else if (guard_name_is(name, n_name, "Transfer-Encoding")) {
+        f->bad |= !request_guard_read_length(value, n_value, &f->length);
+    } else if (request_guard_name_is(name, n_name, "Transfer-Encoding")) {
         f->n_coding++;
         f->coding_bad |= strcasecmp(value, "chunked") != 0;
-    } else if (guard_name_is(name, n_name, "Host")) {
+    } else if (request_guard_name_is(name, n_name, "Host")) {
         f->n_host++;
-        f->bad |= !guard_is_host(value);
+        f->bad |= !request_guard_is_host(value);
         f->host_local = address_host_is_loopback(value);
         f->req->host = value;
-    } else if (guard_is_proxys(name, n_name)) {
+    } else if (request_guard_is_proxys(name, n_name)) {
         f->req->proxied = true;
-        if (guard_name_is(name, n_name, "X-Forwarded-Host"))
+        if (request_guard_name_is(name, n_name, "X-Forwarded-Host"))
             f->req->forwarded_host = value;
-        if (guard_name_is(name, n_name, "X-Forwarded-Proto"))
+        if (request_guard_name_is(name, n_name, "X-Forwarded-Proto"))
             f->req->forwarded_proto = value;
-        if (guard_name_is(name, n_name, "X-Forwarded-For") &&
+        if (request_guard_name_is(name, n_name, "X-Forwarded-For") &&
             f->req->n_forwarded < REQUEST_FIELDS_MAX)
             f->req->forwarded[f->req->n_forwarded++] = value;
     } else {
-        f->has_origin |= guard_name_is(name, n_name, "Origin");
+        f->has_origin |= request_guard_name_is(name, n_name, "Origin");
         f->req->from_page = f->has_origin;
-        guard_keep_field(f->req, name, n_name, value);
+        request_guard_keep_field(f->req, name, n_name, value);
     }
 }
 
-void guard_authority(struct guard *g, const char *authority)
+void request_guard_authority(struct request_guard *g, const char *authority)
 {
-    g->bad |= !guard_is_host(authority);
+    g->bad |= !request_guard_is_host(authority);
     g->host_local = address_host_is_loopback(authority);
     g->req->host = authority;
 }
 
-const char *guard_method_name(enum method m)
+const char *request_guard_method_name(enum method m)
 {
     static const char *const names[] = {"GET",    "HEAD",    "POST",  "PUT",
                                         "DELETE", "OPTIONS", "OTHER", "UNKNOWN"};
     return names[m];
 }
 
-bool guard_local(const struct guard *g, const char *version)
+bool request_guard_local(const struct request_guard *g, const char *version)
 {
     return !g->req->proxied && !g->has_origin && g->host_local && strcmp(version, "HTTP/1.0") != 0;
 }
 
-enum method guard_method(const char *name)
+enum method request_guard_method(const char *name)
 {
     static const struct {
         const char *name;
@@ -163,8 +165,8 @@ enum method guard_method(const char *name)
     return METHOD_UNKNOWN;
 }
 
-int guard_check(const struct guard *f, const struct server_config *cfg, const char *version,
-                const char **why)
+int request_guard_check(const struct request_guard *f, const struct server_config *cfg,
+                        const char *version, const char **why)
 {
     const struct request *r = f->req;
     bool old = !strcmp(version, "HTTP/1.0");
