@@ -14,7 +14,7 @@
 #include "server/map_document.h"
 #include "server/ogc_tiles.h"
 #include "server/origin.h"
-#include "server/result_id.h"
+#include "server/picture_id.h"
 
 bool answer_map_is_surveyed(const struct dataset *d, struct response *out)
 {
@@ -106,7 +106,7 @@ static void answer_map_draw(struct services *s, const struct request *r, struct 
         (appearance && !answer_appearance_find(s, d, appearance, &choice, out)))
         return;
     picture_about(s->picture, device, sizeof device);
-    struct hash128 id = result_id_map(d, device, tile, map_tile_is_flat(&d->area, tile), &choice);
+    struct hash128 id = picture_id_map(d, device, tile, map_tile_is_flat(&d->area, tile), &choice);
     out->type = format_type(tile->format);
     snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s map", d->meta.name,
              d->meta.revision);

@@ -10,7 +10,7 @@
 
 #include "server/answer_map.h"
 #include "server/answer_view.h"
-#include "server/result_id.h"
+#include "server/picture_id.h"
 
 /* ERR_FORMAT: no JSON (400). ERR_DATA: impossible numbers (422). */
 static enum err_code answer_query_read(const struct request *r, const struct dataset *d,
@@ -92,7 +92,7 @@ static void answer_query(struct services *s, const struct request *r, struct dat
         response_refused(out, rc, e.msg);
     } else if (answer_view_can_draw(s, out)) {
         picture_about(s->picture, device, sizeof device);
-        struct hash128 id = result_id_query(d, device, s->geoid ? geoid_name(s->geoid) : "", q);
+        struct hash128 id = picture_id_query(d, device, s->geoid ? geoid_name(s->geoid) : "", q);
         out->unnamed |= r->method == METHOD_POST;
         out->type = RESPONSE_JSON;
         struct query *own =

@@ -12,8 +12,8 @@
 #include "server/answer.h"
 #include "server/answer_appearance.h"
 #include "server/composite.h"
+#include "server/picture_id.h"
 #include "server/posted_view.h"
-#include "server/result_id.h"
 
 /* Of --max-view-mpx are drawn for a picture: the largest one may be twice as fine. */
 #define VIEW_DRAWN 4.0
@@ -139,7 +139,7 @@ static struct hash128 answer_view_id(struct services *s, const struct dataset *d
 {
     char device[160];
     picture_about(s->picture, device, sizeof device);
-    return result_id_view(d, device, v, a, (double)s->cfg->view_gaussians);
+    return picture_id_view(d, device, v, a, (double)s->cfg->view_gaussians);
 }
 
 void answer_view(struct services *s, const struct request *r, struct dataset *d,

@@ -197,28 +197,6 @@ void composite_roll(struct camera *cam, double roll_deg)
     }
 }
 
-bool composite_read_background(const char *text, size_t n, struct composite *out)
-{
-    uint32_t rgb = 0;
-    out->said_background = true;
-    if (n == strlen("sky") && !memcmp(text, "sky", n))
-        return out->background = BACKGROUND_SKY, true;
-    if (n == strlen("transparent") && !memcmp(text, "transparent", n))
-        return out->background = BACKGROUND_TRANSPARENT, true;
-    for (size_t i = 0; i < n; i++) {
-        char c = text[i];
-        int v = c >= '0' && c <= '9'   ? c - '0'
-                : c >= 'a' && c <= 'f' ? c - 'a' + 10
-                : c >= 'A' && c <= 'F' ? c - 'A' + 10
-                                       : -1;
-        if (v < 0 || n != 6)
-            return false;
-        rgb = rgb * 16 + (uint32_t)v;
-    }
-    out->rgb = rgb;
-    return n == 6;
-}
-
 bool composite_read_depth(const char *text, size_t n, struct composite *out)
 {
     static const char *const units[] = {

@@ -8,8 +8,6 @@
 #include "core/camera.h"
 #include "server/target.h"
 
-/* Parses text [n] as a background: RRGGBB, "sky" or "transparent". Returns false for any other. */
-bool composite_read_background(const char *text, size_t n, struct composite *out);
 /* Parses text [n] as a unit of depth: "mm", "cm", "dm" or "m". Returns false for any other. */
 bool composite_read_depth(const char *text, size_t n, struct composite *out);
 

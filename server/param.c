@@ -9,7 +9,6 @@
 #include <string.h>
 
 #include "codec/quant.h"
-#include "server/composite.h"
 #include "server/param_clip.h"
 #include "server/param_time.h"
 #include "server/route.h"
@@ -192,6 +191,28 @@ static enum err_code param_own_kept(struct text *t, void *group, struct err *e)
     return param_take_kept(t, out->kept) ? ERR_OK : ERR_NOENT;
 }
 
+bool param_read_background(const char *text, size_t n, struct composite *out)
+{
+    uint32_t rgb = 0;
+    out->said_background = true;
+    if (n == strlen("sky") && !memcmp(text, "sky", n))
+        return out->background = BACKGROUND_SKY, true;
+    if (n == strlen("transparent") && !memcmp(text, "transparent", n))
+        return out->background = BACKGROUND_TRANSPARENT, true;
+    for (size_t i = 0; i < n; i++) {
+        char c = text[i];
+        int v = c >= '0' && c <= '9'   ? c - '0'
+                : c >= 'a' && c <= 'f' ? c - 'a' + 10
+                : c >= 'A' && c <= 'F' ? c - 'A' + 10
+                                       : -1;
+        if (v < 0 || n != 6)
+            return false;
+        rgb = rgb * 16 + (uint32_t)v;
+    }
+    out->rgb = rgb;
+    return n == 6;
+}
+
 /* ---- places ---- */
 
 static enum err_code param_own_bbox(struct text *one, void *group, struct err *e)
@@ -264,7 +285,7 @@ static enum err_code param_own_colour(struct text *one, void *group, struct err 
     struct composite p = {0};
     const size_t n = (size_t)(one->end - one->p);
     (void)e;
-    if (n != 6 || !composite_read_background(one->p, n, &p) || p.background != BACKGROUND_COLOUR)
+    if (n != 6 || !param_read_background(one->p, n, &p) || p.background != BACKGROUND_COLOUR)
         return ERR_NOENT;
     out->rgb = p.rgb;
     out->has_colour = true;
@@ -293,7 +314,7 @@ static enum err_code param_own_background(struct text *one, void *group, struct 
 {
     struct target_view *out = group;
     (void)e;
-    if (!composite_read_background(one->p, (size_t)(one->end - one->p), &out->composite))
+    if (!param_read_background(one->p, (size_t)(one->end - one->p), &out->composite))
         return ERR_NOENT;
     one->p = one->end;
     return ERR_OK;

@@ -50,5 +50,7 @@ const char *param_choice(const struct param *p, uint32_t i, size_t *n);
 /* Returns whether an appearance may have this name: [a-z0-9][a-z0-9_-]*, and no word with another
  * meaning. */
 bool param_is_kept_name(const char *name);
+/* Parses text [n] as a background: RRGGBB, "sky" or "transparent". Returns false for any other. */
+bool param_read_background(const char *text, size_t n, struct composite *out);
 
 #endif

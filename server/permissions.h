@@ -5,7 +5,9 @@
 #ifndef SERVER_PERMISSIONS_H
 #define SERVER_PERMISSIONS_H
 
-#include "server/response.h"
+#include "server/auth.h"
+#include "server/request.h"
+#include "server/target.h"
 
 /* AUTH_OK where there is no --auth. t NULL: the path does not count. ds NULL with AUTH_ADMIN. */
 enum auth_answer permissions_check(const struct request *r, const struct target *t,

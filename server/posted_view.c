@@ -12,6 +12,7 @@
 #include "lod/view.h"
 #include "render/supersample.h"
 #include "server/composite.h"
+#include "server/param.h"
 
 /* An optional whole number in [lo, hi]; `what` was *out already. */
 static enum err_code posted_view_read_int(const json_t *o, const char *key, json_int_t lo,
@@ -138,9 +139,9 @@ static enum err_code posted_view_read_paint(const json_t *o, enum format f, stru
 {
     const json_t *background = json_object_get(o, "background"),
                  *depth = json_object_get(o, "depth");
-    if (background && !(json_is_string(background) &&
-                        composite_read_background(json_string_value(background),
-                                                  json_string_length(background), out)))
+    if (background &&
+        !(json_is_string(background) && param_read_background(json_string_value(background),
+                                                              json_string_length(background), out)))
         return err_set(e, ERR_DATA, "background must be RRGGBB, sky or transparent");
     if (depth && !(json_is_string(depth) &&
                    composite_read_depth(json_string_value(depth), json_string_length(depth), out)))

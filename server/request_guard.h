@@ -5,7 +5,8 @@
 #ifndef SERVER_REQUEST_GUARD_H
 #define SERVER_REQUEST_GUARD_H
 
-#include "server/response.h"
+#include "server/config.h"
+#include "server/request.h"
 
 struct request_guard { /* {.req = r}, then request_guard_field for each header field */
     struct request *req;

@@ -12,7 +12,7 @@
 
 #include "lod/key.h"
 #include "server/condition.h"
-#include "server/result_id.h"
+#include "server/picture_id.h"
 #include "server/text.h"
 
 const char RESPONSE_IMMUTABLE[] = "public, max-age=31536000, immutable";
@@ -30,8 +30,8 @@ void response_edition(struct services *s, const struct dataset *d, enum edition 
         memcpy(out, d->edition, sizeof d->edition);
     } else if (s->picture && picture_state(s->picture) == PICTURE_READY) {
         picture_about(s->picture, device, sizeof device);
-        result_id_pictures_edition(d, device, (int)s->cfg->quality, (int)s->cfg->supersample,
-                                   (double)s->cfg->view_gaussians, out);
+        picture_id_edition(d, device, (int)s->cfg->quality, (int)s->cfg->supersample,
+                           (double)s->cfg->view_gaussians, out);
     }
 }
 

@@ -7,16 +7,15 @@
 #ifndef SERVER_RESULT_ID_H
 #define SERVER_RESULT_ID_H
 
-#include "core/camera.h"
-#include "lod/query.h"
 #include "server/appearance_api.h"
 #include "server/config.h"
 #include "server/dataset.h"
-#include "server/map_tile.h"
 #include "server/target.h"
 
-struct draw_view;
-
+/* Makes *id the name of the same thing in an appearance. */
+void result_id_mix(struct hash128 *id, const struct appearance_choice *a);
+/* Writes an edition: a short hash of a name [n]. */
+void result_id_edition(const void *name, size_t n, char out[9]);
 /* Name of a tile. form must be complete (encode_form). */
 struct hash128 result_id_tile(const struct dataset *d, const struct store_tile *t, struct form form,
                               const struct appearance_choice *a);
@@ -25,9 +24,6 @@ void result_id_clip(struct hash128 *id, const struct target_clip *c);
 /* The edition of a dataset's tiles: a hash of the inputs that determine their bytes and are in
  * neither the revision nor the rest of an address. preset: that of addresses without one. */
 void result_id_tiles_edition(const struct dataset *d, unsigned preset, char out[9]);
-/* The edition of a dataset's pictures and maps. */
-void result_id_pictures_edition(const struct dataset *d, const char *device, int quality,
-                                int supersample, double gaussians, char out[9]);
 struct hash128 result_id_seed(const struct dataset *d, const struct seed_target *t,
                               struct form form);
 /* kept: hash of the named appearances */
@@ -41,17 +37,5 @@ struct hash128 result_id_tileset(const struct dataset *d, const struct target_ti
 struct hash128 result_id_tilejson(const struct dataset *d, const char *public_url);
 /* Name of a photograph's thumbnail in a revision. */
 struct hash128 result_id_thumbnail(const struct dataset *d, const char *name);
-/* Name of a picture. That of a moving camera says what was asked for: its bytes also depend on the
- * pictures before. device: name and driver, because other hardware rounds differently. gaussians:
- * the limit of Gaussians. */
-struct hash128 result_id_view(const struct dataset *d, const char *device,
-                              const struct draw_view *v, const struct appearance_choice *a,
-                              double gaussians);
-/* geoid: name of the model; "": none. */
-struct hash128 result_id_query(const struct dataset *d, const char *device, const char *geoid,
-                               const struct query *q);
-/* flat: the tile shows nothing of the survey, so all such tiles are the same. */
-struct hash128 result_id_map(const struct dataset *d, const char *device, const struct map_tile *t,
-                             bool flat, const struct appearance_choice *a);
 
 #endif

@@ -11,22 +11,12 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "server/request.h"
+
 struct dataset;
-struct request;
 struct response;
 struct services;
 struct target;
-
-enum method {
-    METHOD_GET,
-    METHOD_HEAD,
-    METHOD_POST,
-    METHOD_PUT,
-    METHOD_DELETE,
-    METHOD_OPTIONS,
-    METHOD_OTHER,
-    METHOD_UNKNOWN
-};
 
 /* Who may ask, as bits. The first listener is the public one, the second is --admin. */
 enum {

@@ -23,7 +23,7 @@
 #include "core/pool.h"
 #include "server/answer_view.h"
 #include "server/multipart.h"
-#include "server/result_id.h"
+#include "server/picture_id.h"
 #include "server/video_stream.h"
 
 enum { VIEW_STREAM_QUALITY = 60, VIEW_STREAM_THREADS = 2 /* of an encoder */ };
@@ -469,9 +469,9 @@ static void view_stream_step(struct view_stream *st, double now_s)
     if (!w)
         return;
     picture_about(s->picture, device, sizeof device);
-    w->id = frame
-                ? video_stream_id(st->video)
-                : result_id_view(w->ds, device, &view, &appearance, (double)s->cfg->view_gaussians);
+    w->id =
+        frame ? video_stream_id(st->video)
+              : picture_id_view(w->ds, device, &view, &appearance, (double)s->cfg->view_gaussians);
     struct view_stream *held = view_stream_ref(st); /* the flight's */
     if (job_submit(s->jobs, JOB_MOTION, w->id, w, st->client, timeout_s, &st->waiter)) {
         struct job_result r = st->waiter.result;

@@ -6,7 +6,7 @@
 #include "codec/quant.h"
 #include "lod/view.h"
 #include "server/answer_view.h"
-#include "server/result_id.h"
+#include "server/picture_id.h"
 #include "tests/routed.h"
 
 #include <math.h>
@@ -179,14 +179,14 @@ static void test_configuration_and_tags(void **state)
         response_free(&b);
     }
     catalog_drop(&others);
-    result_id_pictures_edition(d, "one", 85, 0, 1000, device);
-    result_id_pictures_edition(d, "two", 85, 0, 1000, edition);
+    picture_id_edition(d, "one", 85, 0, 1000, device);
+    picture_id_edition(d, "two", 85, 0, 1000, edition);
     assert_string_not_equal(device, edition);
-    result_id_pictures_edition(d, "one", 86, 0, 1000, edition);
+    picture_id_edition(d, "one", 86, 0, 1000, edition);
     assert_string_not_equal(device, edition);
-    result_id_pictures_edition(d, "one", 85, 1, 1000, edition);
+    picture_id_edition(d, "one", 85, 1, 1000, edition);
     assert_string_not_equal(device, edition);
-    result_id_pictures_edition(d, "one", 85, 0, 1001, edition);
+    picture_id_edition(d, "one", 85, 0, 1001, edition);
     assert_string_not_equal(device, edition);
 }
 
