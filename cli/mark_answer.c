@@ -8,10 +8,10 @@
 #include <string.h>
 
 #include "cli/mark_work.h"
-#include "server/answer.h"
-#include "server/document.h"
-#include "server/origin.h"
-#include "server/target.h"
+#include "server/answers/answer.h"
+#include "server/answers/origin.h"
+#include "server/base/document.h"
+#include "server/route/target.h"
 
 /* Else the problem is set. */
 static struct mark_work *mark_enter(struct services *s, const struct request *r,

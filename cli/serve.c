@@ -14,14 +14,14 @@
 #include "cli/cli.h"
 #include "cli/output.h"
 #include "core/trace.h"
+#include "server/http/supervisor.h"
 #include "server/server.h"
-#include "server/supervisor.h"
 
 static const struct options_def serve_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct server_config, type, tier, key, def, lo, hi, unit, help)
-#include "server/options.def"
+#include "server/base/options.def"
 #undef OPT
 };
 

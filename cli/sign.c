@@ -7,10 +7,10 @@
 #include <time.h>
 
 #include "cli/cli.h"
-#include "server/auth.h"
-#include "server/link.h"
-#include "server/router.h"
-#include "server/routes.h"
+#include "server/access/auth.h"
+#include "server/answers/routes.h"
+#include "server/documents/link.h"
+#include "server/route/router.h"
 
 struct sign_config {
 #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;

@@ -23,7 +23,7 @@
 #include <unistd.h>
 
 #include "core/pool.h"
-#include "server/view_stream.h"
+#include "server/answers/view_stream.h"
 
 enum { TICK_MS = 100, GONE_MS = 250, EVENTS = 64, POLLED = 256 };
 /* A request that is not complete, and an answer that is not read, after this long are slow enough

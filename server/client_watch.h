@@ -5,7 +5,7 @@
 #ifndef SERVER_CLIENT_WATCH_H
 #define SERVER_CLIENT_WATCH_H
 
-#include "server/services.h"
+#include "server/answers/services.h"
 
 enum client_watch_phase {
     CLIENT_WATCH_IDLE,

@@ -10,7 +10,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "server/condition.h"
+#include "server/base/condition.h"
 
 static void headers_add(struct headers *h, const char *name, const char *value)
 {

@@ -14,11 +14,11 @@
 #include <unistd.h>
 
 #include "core/pool.h"
-#include "server/listen.h"
+#include "server/answers/view_stream.h"
+#include "server/http/listen.h"
+#include "server/http/request_screen.h"
+#include "server/http/supervisor.h"
 #include "server/mhd_callbacks.h"
-#include "server/request_screen.h"
-#include "server/supervisor.h"
-#include "server/view_stream.h"
 
 enum { HTTP_ADMIN_CONNECTIONS = 32 };
 enum { HTTP_THREADS_MAX = 4, HTTP_SPARE = 64 /* connections: to answer those over the limit */ };

@@ -5,7 +5,7 @@
 #ifndef SERVER_HTTP_H
 #define SERVER_HTTP_H
 
-#include "server/services.h"
+#include "server/answers/services.h"
 
 enum http_side { HTTP_PUBLIC, HTTP_ADMIN }; /* HTTP_ADMIN: the listener for operators */
 struct http;

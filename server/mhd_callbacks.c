@@ -18,11 +18,11 @@
 #include <sys/socket.h>
 
 #include "core/trace.h"
-#include "server/dispatch.h"
-#include "server/link.h"
-#include "server/request_guard.h"
-#include "server/request_screen.h"
-#include "server/view_stream.h"
+#include "server/answers/dispatch.h"
+#include "server/answers/view_stream.h"
+#include "server/documents/link.h"
+#include "server/http/request_guard.h"
+#include "server/http/request_screen.h"
 
 /* Of a stream: what libmicrohttpd asks for at once, and what may wait in the socket, so that a
  * picture that is drawn next is of the camera of now and not of that many bytes ago. */

@@ -6,10 +6,10 @@
 #ifndef SERVER_MHD_CALLBACKS_H
 #define SERVER_MHD_CALLBACKS_H
 
+#include "server/answers/services.h"
 #include "server/client_watch.h"
-#include "server/ipv6_groups.h"
+#include "server/http/ipv6_groups.h"
 #include "server/reply.h"
-#include "server/services.h"
 
 /* Shared by the connections of a listener. http.c fills and frees it. */
 struct front {

@@ -21,12 +21,12 @@
 #include "lod/blocks.h"
 #include "lod/clip.h"
 #include "lod/remote.h"
+#include "server/answers/routes.h"
+#include "server/answers/services.h"
+#include "server/answers/view_stream.h"
+#include "server/answers/work.h"
+#include "server/documents/link.h"
 #include "server/http.h"
-#include "server/link.h"
-#include "server/routes.h"
-#include "server/services.h"
-#include "server/view_stream.h"
-#include "server/work.h"
 
 struct server {
     struct server_config cfg;     /* texts are borrowed from the caller */

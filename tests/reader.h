@@ -6,8 +6,8 @@
 #define TESTS_READER_H
 
 #include "codec/image.h"
-#include "server/multipart.h"
-#include "server/view_stream.h"
+#include "server/answers/view_stream.h"
+#include "server/http/multipart.h"
 #include "tests/client.h"
 
 static const char NAME[] = "0123456789abcdef";

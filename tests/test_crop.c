@@ -10,7 +10,7 @@
 
 #include "core/gauss.h"
 #include "lod/crop.h"
-#include "server/param_clip.h"
+#include "server/route/param_clip.h"
 
 /* About the finest tile's centre, 1e-5 degrees: a triangle that leaves a part of what is there, one
  * in a gap, one far away, and a square around all of the city. */

@@ -7,7 +7,7 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "core/trace.h"
-#include "server/view_stream.h"
+#include "server/answers/view_stream.h"
 #include "tests/client.h"
 
 #include <jansson.h>

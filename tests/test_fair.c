@@ -8,11 +8,11 @@
 #include <math.h>
 
 #include "core/pool.h"
-#include "server/address.h"
-#include "server/cost.h"
-#include "server/fair_queue.h"
-#include "server/ipv6_groups.h"
-#include "server/rate.h"
+#include "server/base/address.h"
+#include "server/http/ipv6_groups.h"
+#include "server/jobs/cost.h"
+#include "server/jobs/fair_queue.h"
+#include "server/jobs/rate.h"
 
 /* ---- turns ---- */
 

@@ -12,7 +12,7 @@
 #include <time.h>
 
 #include "core/pool.h"
-#include "server/job.h"
+#include "server/jobs/job.h"
 
 enum { WAITERS = 100 };
 

@@ -4,7 +4,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "server/auth.h"
+#include "server/access/auth.h"
 #include "tests/client.h"
 #include "tests/survey_kit.h"
 
@@ -14,11 +14,11 @@
 #include "core/dev.h"
 #include "lod/clip.h"
 #include "lod/raster.h"
-#include "server/body.h"
-#include "server/dispatch.h"
-#include "server/map_document.h"
-#include "server/map_tile.h"
-#include "server/services.h"
+#include "server/answers/dispatch.h"
+#include "server/answers/services.h"
+#include "server/base/body.h"
+#include "server/documents/map_document.h"
+#include "server/drawing/map_tile.h"
 
 static const char IMMUTABLE[] = "public, max-age=31536000, immutable";
 static uint8_t zoom;     /* of most tests: pixels of 0.19 m */

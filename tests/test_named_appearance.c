@@ -13,9 +13,9 @@
 #include <sqlite3.h>
 #include <sys/wait.h>
 
-#include "server/auth.h"
-#include "server/condition.h"
-#include "server/named_appearance.h"
+#include "server/access/auth.h"
+#include "server/base/condition.h"
+#include "server/data/named_appearance.h"
 
 static const char TOKEN[] = "a token that opens the names of one dataset";
 static char state_dir[FILE_PATH_MAX], state_file[FILE_PATH_MAX];

@@ -5,7 +5,7 @@
  */
 #include "tests/client.h"
 
-#include "server/text.h"
+#include "server/base/text.h"
 
 /* ---- malformed requests ---- */
 

@@ -9,13 +9,13 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "server/answer_view.h"
-#include "server/auth.h"
-#include "server/condition.h"
+#include "server/access/auth.h"
+#include "server/answers/answer_view.h"
+#include "server/answers/metrics_text.h"
+#include "server/answers/origin.h"
+#include "server/base/condition.h"
+#include "server/documents/social_preview.h"
 #include "server/headers.h"
-#include "server/metrics_text.h"
-#include "server/origin.h"
-#include "server/social_preview.h"
 #include "tests/routed.h"
 
 static void test_documents(void **state)

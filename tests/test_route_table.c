@@ -3,7 +3,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "server/metrics_text.h"
+#include "server/answers/metrics_text.h"
 #include "tests/routed.h"
 
 /* ---- a route of a test's own ---- */

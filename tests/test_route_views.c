@@ -5,8 +5,8 @@
  */
 #include "codec/quant.h"
 #include "lod/view.h"
-#include "server/answer_view.h"
-#include "server/picture_id.h"
+#include "server/answers/answer_view.h"
+#include "server/drawing/picture_id.h"
 #include "tests/routed.h"
 
 #include <math.h>

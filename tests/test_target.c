@@ -3,9 +3,9 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "codec/quant.h"
-#include "server/condition.h"
-#include "server/router.h"
-#include "server/routes.h"
+#include "server/answers/routes.h"
+#include "server/base/condition.h"
+#include "server/route/router.h"
 #include "tests/kit.h"
 
 #include <string.h>

@@ -1,12 +1,12 @@
-/* A program in which libmicrohttpd does not get the recv() of server/request_screen.c, because its
- * linker was told to hide it: no server starts, and the message says why. In the other test programs
- * of the server it does, so they start.
+/* A program in which libmicrohttpd does not get the recv() of request_screen.c, because its linker
+ * was told to hide it: no server starts, and the message says why. In the other test programs of
+ * the server it does, so they start.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "tests/kit.h"
 
-#include "server/config.h"
+#include "server/base/config.h"
 #include "server/http.h"
 
 static void test_refuses_to_start(void **state)

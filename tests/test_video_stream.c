@@ -6,7 +6,7 @@
  */
 #include "codec/video.h"
 #include "loss/metric.h"
-#include "server/video_stream.h"
+#include "server/drawing/video_stream.h"
 #include "tests/reader.h"
 
 #include <math.h>

@@ -11,24 +11,24 @@
 #include "core/appearance.h"
 #include "core/options.h"
 #include "lod/query.h"
-#include "server/address.h"
-#include "server/appearance_api.h"
-#include "server/auth.h"
-#include "server/cache_policy.h"
-#include "server/condition.h"
-#include "server/posted_view.h"
-#include "server/request_guard.h"
-#include "server/request_screen.h"
-#include "server/router.h"
-#include "server/routes.h"
-#include "server/target_query.h"
-#include "server/text.h"
+#include "server/access/auth.h"
+#include "server/access/cache_policy.h"
+#include "server/answers/posted_view.h"
+#include "server/answers/routes.h"
+#include "server/base/address.h"
+#include "server/base/condition.h"
+#include "server/base/text.h"
+#include "server/documents/appearance_api.h"
+#include "server/http/request_guard.h"
+#include "server/http/request_screen.h"
+#include "server/route/router.h"
+#include "server/route/target_query.h"
 #include "tests/fuzz/fuzz.h"
 
 static const struct options_def serve_defs[] = {
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct server_config, type, tier, key, def, lo, hi, unit, help)
-#include "server/options.def"
+#include "server/base/options.def"
 #undef OPT
 };
 static const struct options_spec serve_spec = {
