@@ -84,7 +84,7 @@ enum err_code view_stream_open(struct services *s, struct view_streams **out, st
 {
     *out = mem_array(1, sizeof **out);
     if (!*out)
-        return err_set(e, ERR_MEM, "motion: out of memory");
+        return err_set(e, ERR_MEM, "streams: out of memory");
     (*out)->s = s;
     (*out)->videos.limit_bytes = s->plan.budget ? s->plan.video : SIZE_MAX;
     (*out)->videos.threads = pool_cores() > 1 ? VIEW_STREAM_THREADS : 1;
@@ -441,6 +441,8 @@ static struct work *view_stream_next(struct view_stream *st, double now_s, struc
         view_stream_shrink(st, v);
     struct work *w = view_stream_make_work(st, v, &shot);
     if (!w) {
+        if (st->flight_frame) /* it was planned, and may have been one */
+            video_stream_need_key(st->video);
         st->again_s = now_s + RETRY_S;
         return NULL;
     }
