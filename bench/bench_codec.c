@@ -21,7 +21,7 @@
 #include "codec/spz.h"
 #include "lod/store.h"
 #include "lod/tree.h"
-#include "server/encode.h"
+#include "server/data/encode.h"
 
 #include <math.h>
 #include <stdio.h>

@@ -1,7 +1,6 @@
-/* The cost of drawing in a separate process (docs/decisions/025-drawing-processes.md). The same
- * requests go to the same code in that process (server/worker.h) and in a thread here, in turns,
- * picture by picture. A ratio is the median over pairs, so other work on the machine affects both
- * sides.
+/* The cost of drawing in a separate process (docs/decisions/022). The same requests go to the same
+ * code in that process (server/drawing/worker.h) and in a thread here, in turns, picture by
+ * picture. A ratio is the median over pairs, so other work on the machine affects both sides.
  *
  * Checked before timing: both give the same bytes.
  *
@@ -21,7 +20,7 @@
 #include "core/pool.h"
 #include "core/sort.h"
 #include "lod/pyramid.h"
-#include "server/draw.h"
+#include "server/drawing/draw.h"
 
 enum { DRAWING_PICTURES = 60, DRAWING_QUICK = 6, DRAWING_LIMIT = 64 << 20 };
 static const struct geo_origin drawing_origin = {8.6821, 50.1109, 160};

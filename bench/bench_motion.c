@@ -28,8 +28,8 @@
 #include "codec/video.h"
 #include "core/pool.h"
 #include "core/sort.h"
+#include "server/answers/services.h"
 #include "server/server.h"
-#include "server/services.h"
 
 enum { MOTION_PICTURES = 2000, MOTION_PAIRS = 8, MOTION_WORD = 64 };
 enum { MOTION_PIECES = 512, MOTION_PIECE = 16384 }; /* cleared when a client dials: little */

@@ -24,8 +24,8 @@
 
 #include "core/pool.h"
 #include "core/sort.h"
+#include "server/answers/services.h"
 #include "server/server.h"
-#include "server/services.h"
 
 enum { CLIENTS = 100, HEAVY = 4, FLOOD = 8, TILES = 40, WIDTH = 1280, HEIGHT = 720 };
 enum { HOST_OWN = 2, HOST_OTHER = 3, HOST_FIRST = 10 }; /* last numbers of addresses */

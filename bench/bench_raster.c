@@ -20,8 +20,8 @@
 #include "core/sort.h"
 #include "lod/pyramid.h"
 #include "lod/raster.h"
+#include "server/answers/services.h"
 #include "server/server.h"
-#include "server/services.h"
 
 enum { RASTER_SIDE = 6 /* tiles, of a square about the middle */, RASTER_HOT = 2000 };
 static const struct city_size raster_cities[] = {{200000, 1}, {10400000, 4}, {0}},

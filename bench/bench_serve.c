@@ -25,8 +25,8 @@
 #include "core/pool.h"
 #include "core/sort.h"
 #include "lod/store.h"
+#include "server/answers/services.h"
 #include "server/server.h"
-#include "server/services.h"
 
 /* ---- the cases ---- */
 

@@ -24,8 +24,8 @@
 
 #include "core/pool.h"
 #include "core/sort.h"
+#include "server/answers/services.h"
 #include "server/server.h"
-#include "server/services.h"
 
 extern char **environ;
 

@@ -10,7 +10,7 @@
 
 #include "core/base.h"
 #include "lod/key.h"
-#include "server/config.h"
+#include "server/base/config.h"
 
 enum { LOAD_CLIENTS = 2, LOAD_CONNECTIONS = 16 /* each client */, LOAD_ZOOM = 17 };
 enum { LOAD_CORE_SERVER = 0, LOAD_CORE_CLIENT = 1 };

@@ -16,7 +16,7 @@
 #include "bench/bench.h"
 #include "core/options.h"
 #include "core/sort.h"
-#include "server/draw.h"
+#include "server/drawing/draw.h"
 
 struct bench_row {
     const char *bench, *name, *unit, *against;

@@ -14,7 +14,7 @@
 
 #include "codec/pmtiles.h"
 #include "lod/raster.h"
-#include "server/map_tile.h"
+#include "server/drawing/map_tile.h"
 
 struct export_map_place {
     uint64_t id;

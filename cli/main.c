@@ -19,7 +19,7 @@
 #include "cli/cli.h"
 #include "core/options_completion.h"
 #include "core/options_help.h"
-#include "server/draw.h"
+#include "server/drawing/draw.h"
 
 struct command {
     const char *name, *about;

@@ -13,8 +13,8 @@
 #include "codec/scene.h"
 #include "ingest/gcp_read.h"
 #include "ingest/ingest.h"
-#include "server/config.h"
-#include "server/static.h"
+#include "server/base/config.h"
+#include "server/http/static.h"
 
 struct mark_options {
 #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;

@@ -8,9 +8,10 @@
 #include <string.h>
 
 #include "cli/mark_work.h"
-#include "server/answer.h"
-#include "server/document.h"
-#include "server/origin.h"
+#include "server/answers/answer.h"
+#include "server/answers/origin.h"
+#include "server/base/document.h"
+#include "server/route/target.h"
 
 /* Else the problem is set. */
 static struct mark_work *mark_enter(struct services *s, const struct request *r,
@@ -96,6 +97,17 @@ static void mark_state(const struct marking *m, size_t point, const struct reque
     response_document(r, RESPONSE_JSON, b, out);
 }
 
+/* The target of every row. */
+struct mark_target {
+    struct target all;
+    struct target_row row;
+};
+
+static const struct target_row *mark_row(const struct target *t)
+{
+    return &((const struct mark_target *)t)->row;
+}
+
 static void mark_answer_home(struct services *s, const struct request *r, struct dataset *d,
                              const struct target *t, struct response *out)
 {
@@ -138,31 +150,32 @@ static void mark_answer_point(struct services *s, const struct request *r, struc
     if (!w)
         return;
     pthread_mutex_lock(&w->lock);
-    if (t->row < marking_list(w->marking)->n)
-        mark_state(w->marking, t->row, r, out);
+    const uint32_t row = mark_row(t)->row;
+    if (row < marking_list(w->marking)->n)
+        mark_state(w->marking, row, r, out);
     else
         response_problem(out, 404, "there is no such point");
     pthread_mutex_unlock(&w->lock);
 }
 
 /* Any photograph, or a part of it; errors are those of mark_photo_whole. */
-static void mark_picture(struct mark_work *w, const struct target *t, bool part,
+static void mark_picture(struct mark_work *w, const struct target_row *at, bool part,
                          const struct request *r, struct response *out)
 {
     char path[FILE_PATH_MAX];
     struct buf b = {0};
     struct err e = {0};
     const struct ingest_survey *survey = marking_survey(w->marking); /* it does not change */
-    if (t->row >= survey->n) {
+    if (at->row >= survey->n) {
         response_problem(out, 404, "there is no such photograph");
         return;
     }
-    const struct ingest_survey_photo *p = &survey->photos[t->row];
+    const struct ingest_survey_photo *p = &survey->photos[at->row];
     const uint32_t longest = p->width_px > p->height_px ? p->width_px : p->height_px;
     enum err_code rc = file_join(path, w->images_dir, p->file, &e);
     if (!rc)
-        rc = part ? mark_photo_part(&w->album, path, t->row, t->part.column, t->part.line, &b, &e)
-                  : mark_photo_whole(&w->album, path, t->row, longest, &b, &e);
+        rc = part ? mark_photo_part(&w->album, path, at->row, at->column, at->line, &b, &e)
+                  : mark_photo_whole(&w->album, path, at->row, longest, &b, &e);
     if (!rc) {
         response_document(r, "image/jpeg", body_take(&b, NULL), out);
         return;
@@ -179,7 +192,7 @@ static void mark_answer_photo(struct services *s, const struct request *r, struc
     struct mark_work *w = mark_enter(s, r, out);
     (void)d;
     if (w)
-        mark_picture(w, t, false, r, out);
+        mark_picture(w, mark_row(t), false, r, out);
 }
 
 static void mark_answer_part(struct services *s, const struct request *r, struct dataset *d,
@@ -188,7 +201,7 @@ static void mark_answer_part(struct services *s, const struct request *r, struct
     struct mark_work *w = mark_enter(s, r, out);
     (void)d;
     if (w)
-        mark_picture(w, t, true, r, out);
+        mark_picture(w, mark_row(t), true, r, out);
 }
 
 /* {"revision": 3, "point": 0, "photo": 12, "at": [1024.5, 330.1]}; at null: the mark goes. */
@@ -257,7 +270,8 @@ static void mark_answer_change(struct services *s, const struct request *r, stru
 
 #define MARK_ROUTE(name, path, scope, method, function, takes, gives, about)                       \
     {                                                                                              \
-        name, path, SCOPE_PUBLIC | (scope), CACHE_NONE, RATE_MEMORY, 0,                            \
+        name, path, SCOPE_PUBLIC | (scope), CACHE_NONE, RATE_MEMORY, 1u << TARGET_row,             \
+            sizeof(struct mark_target), {[TARGET_row] = offsetof(struct mark_target, row)},        \
         {                                                                                          \
             {METHOD_##method, function, takes, gives, about, false},                               \
         }                                                                                          \

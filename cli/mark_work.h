@@ -10,7 +10,7 @@
 #include "codec/image.h"
 #include "core/options.h"
 #include "ingest/marking.h"
-#include "server/route.h"
+#include "server/route/route.h"
 #include "server/server.h"
 
 enum { MARK_TOKEN = 33 };

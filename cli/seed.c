@@ -42,11 +42,9 @@ static const struct options_spec seed_spec = {
     .about =
         "Fills a cache or CDN. Requests the tiles of a prefetch list, most important first, and "
         "checks their tags. URL is a dataset (https://cdn.example/d/city), or its prefetch list "
-        "with an area, a path of a camera, zooms and a format.",
+        "with an area, zooms and a format.",
     .example = "citysplat seed https://cdn.example/d/city --rate 50\n"
-               "citysplat seed 'https://cdn.example/d/city/seed.ndjson?z=12-16&f=drc'\n"
-               "citysplat seed 'https://cdn.example/d/city/seed.ndjson?"
-               "path=8.67,50.1,220@0,-30;8.68,50.1,220@0,-30'",
+               "citysplat seed 'https://cdn.example/d/city/seed.ndjson?z=12-16&f=drc'",
     .defs = seed_defs,
     .n_defs = sizeof seed_defs / sizeof *seed_defs,
     .min_args = 1,

@@ -14,27 +14,25 @@
 #include "cli/cli.h"
 #include "cli/output.h"
 #include "core/trace.h"
+#include "server/http/supervisor.h"
 #include "server/server.h"
-#include "server/supervisor.h"
 
 static const struct options_def serve_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct server_config, type, tier, key, def, lo, hi, unit, help)
-#include "server/options.def"
+#include "server/base/options.def"
 #undef OPT
 };
 
 static const struct options_spec serve_spec = {
     .command = "serve",
-    .usage = "citysplat serve CITY.tiles|CITY.3tz|CITY.pmtiles|URL [MORE ...] [options]",
+    .usage = "citysplat serve CITY.tiles|URL [MORE ...] [options]",
     .about =
         "Serves tile stores to map clients: Gaussian tiles as .glb, .spz, .drc and .ply, 3D "
         "Tiles and TileJSON descriptions, rendered views as .jpg, .png and .webp, and the "
         "viewer. A store is a file, or an object at https://, http:// or s3:// that is read in "
-        "parts. So is a .3tz or .pmtiles of citysplat export: of these the 3D Tiles and the map "
-        "are "
-        "served. It listens on this machine only; --address changes that. For the internet use "
+        "parts. It listens on this machine only; --address changes that. For the internet use "
         "--tls-cert, or a proxy with TLS. SIGTERM finishes the running requests and exits. "
         "SIGHUP opens the stores again; the older revision is served for another day. --check "
         "tells whether it would start. Exit codes are those of sysexits.h: 64 options, 65 and "
@@ -43,7 +41,7 @@ static const struct options_spec serve_spec = {
     .example = "citysplat serve city.tiles\n"
                "citysplat serve old-town.tiles harbour.tiles --address 0.0.0.0 --port 8000\n"
                "citysplat serve https://cdn.example/city.tiles --cache-dir /var/cache/citysplat\n"
-               "citysplat serve s3://bucket/city.3tz",
+               "citysplat serve s3://bucket/city.tiles",
     .defs = serve_defs,
     .n_defs = sizeof serve_defs / sizeof *serve_defs,
     .min_args = 1,
@@ -115,6 +113,7 @@ enum err_code cli_serve(int argc, char **argv, struct err *e)
     sigset_t hup;
     sigemptyset(&hup);
     sigaddset(&hup, SIGHUP);
+    config_fix(&cfg);
     enum err_code rc = options_parse(&serve_spec, argc, argv, &cfg, &args, &arena, e);
     if (rc || args.done)
         goto out;

@@ -7,10 +7,10 @@
 #include <time.h>
 
 #include "cli/cli.h"
-#include "server/auth.h"
-#include "server/link.h"
-#include "server/router.h"
-#include "server/routes.h"
+#include "server/access/auth.h"
+#include "server/answers/routes.h"
+#include "server/documents/link.h"
+#include "server/route/router.h"
 
 struct sign_config {
 #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
@@ -44,17 +44,18 @@ static const struct options_spec sign_spec = {
  * addresses the signature would not open. */
 static enum err_code sign_check(const struct router *routes, const char *path, struct err *e)
 {
-    struct target t;
-    enum err_code rc = router_read(routes, path, strlen(path), &t, e);
+    union target_any any;
+    const struct target *t = &any.all;
+    enum err_code rc = router_read(routes, path, strlen(path), &any, e);
     if (rc)
         return err_add(e, "%s", path), rc;
-    if (!(t.route->scope & SCOPE_DATASET) || t.path_size < strlen(path))
+    if (!(t->route->scope & SCOPE_DATASET) || t->path_size < strlen(path))
         return err_set(e, ERR_ARG, "%s: no path of a dataset", path);
-    if (route_names_others(t.route))
+    if (route_names_others(t->route))
         return err_set(e, ERR_ARG,
                        "%s: it leads to other addresses, which this signature would not open: sign "
                        "the dataset (citysplat sign %s)",
-                       path, t.ds);
+                       path, t->names.ds);
     return ERR_OK;
 }
 

@@ -42,8 +42,6 @@ struct range_answer { /* what has come of one answer */
     double retry_s;       /* Retry-After; 0: none */
     uint8_t *out;
     size_t room, got, other;
-    struct buf *whole; /* in place of `out`: the bytes of a 200, at most `room` */
-    bool too_large;
 };
 
 static _Atomic uint64_t range_count;
@@ -248,25 +246,12 @@ static size_t range_head(char *line, size_t size, size_t n, void *user)
     return size * n;
 }
 
-/* Bytes of a whole object. */
-static size_t range_take_whole(struct range_answer *a, const char *bytes, size_t n)
-{
-    a->too_large = n > a->room - a->whole->size;
-    if (a->coded || a->too_large)
-        return 0;
-    buf_add(a->whole, bytes, n);
-    return a->whole->failed ? 0 : n;
-}
-
-/* Bytes of the part that was asked for; other bodies are read a little and left. */
 static size_t range_body(char *bytes, size_t size, size_t n, void *user)
 {
     struct range_answer *a = user;
     long status = 0;
     n *= size;
     curl_easy_getinfo(a->curl, CURLINFO_RESPONSE_CODE, &status);
-    if (a->whole && status == 200)
-        return range_take_whole(a, bytes, n);
     if (status != 206) {
         a->other += n;
         return (status == 200 && a->room) || a->other > RANGE_OTHER_BODY ? 0 : n;
@@ -394,19 +379,18 @@ static enum err_code range_judge_part(const struct range *r, struct range_object
     return ERR_OK;
 }
 
-/* A status that no kind of request expects. done: what may not be done. */
-static enum err_code range_judge_other(const struct range *r, long status, const char *done,
-                                       struct err *e)
+/* A status that no kind of request expects. */
+static enum err_code range_judge_other(const struct range *r, long status, struct err *e)
 {
     if (status == 401 || status == 403)
-        return err_set(e, ERR_IO, "%s: status %ld: it may not be %s: %s", r->shown, status, done,
+        return err_set(e, ERR_IO, "%s: status %ld: it may not be read: %s", r->shown, status,
                        r->sign[0]
                            ? "check the keys, AWS_REGION and the rights of the bucket"
                            : "allow it at the server; for a bucket set AWS_ACCESS_KEY_ID and "
                              "AWS_SECRET_ACCESS_KEY");
     if (status == 408 || status == 425 || status == 429 || status >= 500)
         return err_set(e, ERR_BUSY, "%s: status %ld", r->shown, status);
-    return err_set(e, ERR_IO, "%s: status %ld: it cannot be %s", r->shown, status, done);
+    return err_set(e, ERR_IO, "%s: status %ld: it cannot be read", r->shown, status);
 }
 
 static enum err_code range_judge_status(const struct range *r, const struct range_object *o,
@@ -426,7 +410,7 @@ static enum err_code range_judge_status(const struct range *r, const struct rang
                        r->shown, status);
     if (status == 416)
         return err_set(e, ERR_FORMAT, "%s: it is empty", r->shown);
-    return range_judge_other(r, status, "read", e);
+    return range_judge_other(r, status, e);
 }
 
 /* Failures of the connection pass, but not those of address and certificate. */
@@ -530,88 +514,4 @@ enum err_code range_check(struct range *r, const struct range_object *o, double 
     struct range_object same = *o;
     const struct range_ask q = {.n = 1, .out = &byte, .check = true};
     return range_ask(r, &same, &q, NULL, until_s, e);
-}
-
-/* ---- whole objects ---- */
-
-enum err_code range_whole(struct range *r, struct range_object *o, size_t most, struct buf *out,
-                          bool *same, double until_s, struct err *e)
-{
-    long status = 0;
-    struct range_answer a = {.curl = r->curl, .room = most, .whole = out};
-    out->size = 0;
-    r->why[0] = '\0';
-    range_usual(r, &a, until_s - clock_s());
-    struct curl_slist *headers = range_headers(r, o, true);
-    if (!headers)
-        return err_set(e, ERR_MEM, "%s: out of memory", r->shown);
-    enum err_code rc = range_perform(r, headers, &status, e);
-    *same = !rc && status == 304 && o->etag[0];
-    if (rc || *same)
-        return rc;
-    if (status == 404 || status == 410)
-        return err_set(e, ERR_NOENT, "%s: status %ld: there is no such object", r->shown, status);
-    if (status != 200)
-        return range_judge_other(r, status, "read", e);
-    if (a.coded)
-        return err_set(e, ERR_FORMAT, "%s: its server sends it compressed: turn that off for it",
-                       r->shown);
-    if (a.too_large)
-        return err_set(e, ERR_LIMIT, "%s: it has more than %zu bytes", r->shown, most);
-    rc = buf_check(out, e);
-    if (!rc && a.object.etag[0] != '"')
-        rc = err_set(e, ERR_FORMAT,
-                     "%s: its server sends no strong ETag, without which a change of another "
-                     "would be lost: keep it at a server that does",
-                     r->shown);
-    if (!rc)
-        *o = a.object;
-    return rc;
-}
-
-static enum err_code range_judge_put(const struct range *r, const struct range_object *o,
-                                     long status, struct err *e)
-{
-    if (status == 200 || status == 201 || status == 204)
-        return ERR_OK;
-    if (status == 412 || status == 409 || (status == 404 && o->etag[0]))
-        return err_set(e, ERR_DATA, "%s: status %ld: another has changed it%s", r->shown, status,
-                       status == 409 ? ", or there is no folder for it" : "");
-    if (status == 404)
-        return err_set(e, ERR_NOENT, "%s: status 404: there is no such bucket or folder", r->shown);
-    if (status == 405 || status == 501)
-        return err_set(e, ERR_IO, "%s: status %ld: its server takes no PUT", r->shown, status);
-    return range_judge_other(r, status, "written", e);
-}
-
-enum err_code range_put(struct range *r, struct range_object *o, const void *bytes, size_t n,
-                        double until_s, struct err *e)
-{
-    long status = 0;
-    struct range_answer a = {.curl = r->curl};
-    const struct range_object now = {.etag = ""};
-    r->why[0] = '\0';
-    range_usual(r, &a, until_s - clock_s());
-    curl_easy_setopt(r->curl, CURLOPT_CUSTOMREQUEST, "PUT");
-    curl_easy_setopt(r->curl, CURLOPT_FOLLOWLOCATION, 0L); /* a PUT may come to lead nowhere */
-    curl_easy_setopt(r->curl, CURLOPT_POSTFIELDS, bytes);
-    curl_easy_setopt(r->curl, CURLOPT_POSTFIELDSIZE_LARGE, (curl_off_t)n);
-    struct curl_slist *headers = range_headers(r, o->etag[0] ? o : &now, false), *more = headers;
-    if (more)
-        more = curl_slist_append(headers, "Content-Type: application/json");
-    if (more && !o->etag[0])
-        more = curl_slist_append(headers, "If-None-Match: *");
-    if (!more) {
-        curl_slist_free_all(headers);
-        return err_set(e, ERR_MEM, "%s: out of memory", r->shown);
-    }
-    enum err_code rc = range_perform(r, headers, &status, e);
-    if (!rc)
-        rc = range_judge_put(r, o, status, e);
-    if (!rc) {
-        *o = (struct range_object){.size_bytes = n};
-        if (a.object.etag[0] == '"')
-            memcpy(o->etag, a.object.etag, sizeof o->etag);
-    }
-    return rc;
 }

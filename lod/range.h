@@ -42,19 +42,6 @@ enum err_code range_get(struct range *r, struct range_object *o, uint64_t at, si
  * those of range_get. */
 enum err_code range_check(struct range *r, const struct range_object *o, double until_s,
                           struct err *e) ERR_USE;
-/* Reads a whole object of at most `most` bytes into `out`, which is emptied first, in one request.
- * If o->etag is set and the object still has it, nothing is read and *same is true. Else *o becomes
- * the object's. until_s: as above, but nothing is repeated. ERR_NOENT: there is none. ERR_LIMIT: it
- * is larger. ERR_FORMAT: the server sends no entity tag that is strong, or sends it compressed.
- * Other errors are those of range_get. */
-enum err_code range_whole(struct range *r, struct range_object *o, size_t most, struct buf *out,
-                          bool *same, double until_s, struct err *e) ERR_USE;
-/* Replaces *o by n bytes of JSON, or creates it if o->etag is "", in one request. The server must
- * check the condition and write in one step. o->etag becomes the new one, or "" if the server does
- * not say it. ERR_DATA: the object is not *o (any more), and nothing was written. ERR_BUSY:
- * temporary, and not known whether it was written. ERR_NOENT, ERR_IO (refused), ERR_MEM. */
-enum err_code range_put(struct range *r, struct range_object *o, const void *bytes, size_t n,
-                        double until_s, struct err *e) ERR_USE;
 /* Requests that were sent by this process. */
 uint64_t range_requests(void);
 

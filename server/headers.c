@@ -1,7 +1,7 @@
 /* The header fields of a response. Any page may read every answer (RFC 9110; CORS as in the Fetch
  * standard). This is safe for two reasons. Answers for this machine alone are not sent to requests
- * with an Origin, which pages of other sites send (guard_local). Answers that need a token are sent
- * only to its holders.
+ * with an Origin, which pages of other sites send (request_guard_local). Answers that need a token
+ * are sent only to its holders.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -10,7 +10,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "server/condition.h"
+#include "server/base/condition.h"
 
 static void headers_add(struct headers *h, const char *name, const char *value)
 {

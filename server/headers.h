@@ -5,7 +5,7 @@
 #ifndef SERVER_HEADERS_H
 #define SERVER_HEADERS_H
 
-#include "server/response.h"
+#include "server/answers/response.h"
 
 enum { HEADERS_MAX = 32 };
 struct headers { /* values are borrowed from the response, or lie in the texts below */

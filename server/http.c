@@ -1,4 +1,4 @@
-/* libmicrohttpd's daemon: listening, its options, draining. exchange.c has its callbacks for
+/* libmicrohttpd's daemon: listening, its options, draining. mhd_callbacks.c has its callbacks for
  * requests, reply.c makes what it sends. No other file includes microhttpd.h.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -15,11 +15,11 @@
 #include <unistd.h>
 
 #include "core/pool.h"
-#include "server/exchange.h"
-#include "server/listen.h"
-#include "server/motion.h"
-#include "server/screen.h"
-#include "server/supervisor.h"
+#include "server/answers/view_stream.h"
+#include "server/http/listen.h"
+#include "server/http/request_screen.h"
+#include "server/http/supervisor.h"
+#include "server/mhd_callbacks.h"
 
 enum { HTTP_ADMIN_CONNECTIONS = 32 };
 enum { HTTP_THREADS_MAX = 4, HTTP_SPARE = 64 /* connections: to answer those over the limit */ };
@@ -50,7 +50,7 @@ static void http_on_log(void *cls, const char *fmt, va_list args)
     log_debug("http", "%s", text);
 }
 
-/* Version 1.0 refuses by itself what screen.c refuses for older ones (malformed.def). */
+/* Version 1.0 refuses by itself what request_screen.c refuses for older ones (malformed.def). */
 bool http_is_strict(void)
 {
     return atoi(MHD_get_version()) >= 1;
@@ -89,9 +89,9 @@ static enum err_code http_start_daemon(struct http *h, int fd, struct err *e)
         {MHD_OPTION_CONNECTION_MEMORY_LIMIT, cfg->max_header_kb << 10, NULL},
         {MHD_OPTION_CONNECTION_MEMORY_INCREMENT, 1024, NULL},
         {MHD_OPTION_STRICT_FOR_CLIENT, !h->front.screened, NULL},
-        {MHD_OPTION_NOTIFY_COMPLETED, (intptr_t)exchange_on_completed, &h->front},
-        {MHD_OPTION_NOTIFY_CONNECTION, (intptr_t)exchange_on_connection, &h->front},
-        {MHD_OPTION_URI_LOG_CALLBACK, (intptr_t)exchange_on_target, &h->front},
+        {MHD_OPTION_NOTIFY_COMPLETED, (intptr_t)mhd_callbacks_on_completed, &h->front},
+        {MHD_OPTION_NOTIFY_CONNECTION, (intptr_t)mhd_callbacks_on_connection, &h->front},
+        {MHD_OPTION_URI_LOG_CALLBACK, (intptr_t)mhd_callbacks_on_target, &h->front},
         {MHD_OPTION_UNESCAPE_CALLBACK, (intptr_t)http_keep_escapes, h},
         {MHD_OPTION_END, 0, NULL},
         {MHD_OPTION_END, 0, NULL},
@@ -108,14 +108,13 @@ static enum err_code http_start_daemon(struct http *h, int fd, struct err *e)
                                                (void *)(intptr_t)tls_certificate};
         options[n++] = (struct MHD_OptionItem){MHD_OPTION_HTTPS_PRIORITIES, 0, priorities};
     }
-    h->daemon =
-        MHD_start_daemon(MHD_USE_EPOLL_INTERNAL_THREAD | MHD_ALLOW_SUSPEND_RESUME |
-                             MHD_USE_ERROR_LOG | (tls ? MHD_USE_TLS : 0),
-                         0, NULL, NULL, exchange_on_request, &h->front, MHD_OPTION_EXTERNAL_LOGGER,
-                         http_on_log, NULL, MHD_OPTION_ARRAY, options, MHD_OPTION_END);
+    h->daemon = MHD_start_daemon(MHD_USE_EPOLL_INTERNAL_THREAD | MHD_ALLOW_SUSPEND_RESUME |
+                                     MHD_USE_ERROR_LOG | (tls ? MHD_USE_TLS : 0),
+                                 0, NULL, NULL, mhd_callbacks_on_request, &h->front,
+                                 MHD_OPTION_EXTERNAL_LOGGER, http_on_log, NULL, MHD_OPTION_ARRAY,
+                                 options, MHD_OPTION_END);
     if (!h->daemon)
-        return err_set(e, ERR_IO,
-                       "the HTTP threads did not start; --http-threads 1 needs fewest resources");
+        return err_set(e, ERR_IO, "the HTTP threads did not start");
     return ERR_OK;
 }
 
@@ -180,11 +179,11 @@ enum err_code http_open(struct services *s, enum http_side side, struct http **o
     if (!rc)
         rc = http_check_base(s->cfg->base_path, &h->front.n_base, e);
     if (!rc)
-        rc = crowd_open(h->front.secret, &h->front.crowd, e);
+        rc = ipv6_groups_open(h->front.secret, &h->front.ipv6_groups, e);
     if (!rc)
         rc = http_listen(h, e);
     if (rc) {
-        crowd_close(&h->front.crowd);
+        ipv6_groups_close(&h->front.ipv6_groups);
         mem_free(h);
         *out = NULL;
     }
@@ -193,8 +192,8 @@ enum err_code http_open(struct services *s, enum http_side side, struct http **o
 
 enum err_code http_start(struct http *h, struct err *e)
 {
-    enum err_code rc =
-        watch_open(http_connections(h), h->front.s, exchange_on_gone, &h->front.watch, e);
+    enum err_code rc = client_watch_open(http_connections(h), h->front.s, mhd_callbacks_on_gone,
+                                         &h->front.watch, e);
     if (!rc)
         rc = reply_open(&h->front.replies, e);
     return !rc ? http_start_daemon(h, h->fd, e) : rc;
@@ -218,16 +217,16 @@ static void http_await_end(struct http *h, double wait_s)
 {
     double end_s = clock_s() + wait_s;
     while (atomic_load(&h->front.open) > 0 && clock_s() < end_s) {
-        watch_stop_idle(h->front.watch);
+        client_watch_stop_idle(h->front.watch);
         http_pause_ms(10);
     }
 }
 
 static void http_free(struct http *h)
 {
-    watch_close(&h->front.watch);
+    client_watch_close(&h->front.watch);
     reply_close(&h->front.replies);
-    crowd_close(&h->front.crowd);
+    ipv6_groups_close(&h->front.ipv6_groups);
     mem_free(h);
 }
 
@@ -257,11 +256,10 @@ void http_close(struct http **out)
     int fd = MHD_quiesce_daemon(h->daemon);
     if (fd >= 0 && !h->held)
         (void)shutdown(fd, SHUT_RDWR);
-    motion_stop(s->motion);
+    view_stream_stop(s->view_streams);
     http_await_end(h, s->cfg->drain_timeout_s);
     /* Wakes whoever still waits: libmicrohttpd aborts on suspended connections. */
     job_stop(s->jobs);
-    kept_stop(s->kept);
     http_await_end(h, 2);
     MHD_stop_daemon(h->daemon);
     if (fd >= 0)

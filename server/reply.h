@@ -7,7 +7,7 @@
 
 #include <microhttpd.h>
 
-#include "server/response.h"
+#include "server/answers/response.h"
 
 struct replies; /* for one listener; any thread */
 /* Call reply_close when no connection is left. ERR_MEM. */

@@ -16,7 +16,7 @@
 #include <unistd.h>
 
 #include "server/http.h"
-#include "server/link.h"
+#include "server/documents/link.h"
 
 enum { SELF_TEST_REQUEST = 256, SELF_TEST_ANSWER = 16 << 10, SELF_TEST_WAIT_S = 5 };
 

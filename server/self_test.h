@@ -5,7 +5,7 @@
 #ifndef SERVER_SELF_TEST_H
 #define SERVER_SELF_TEST_H
 
-#include "server/services.h"
+#include "server/answers/services.h"
 
 /* Opens a listener on loopback that answers as the public one does, but is neither logged nor
  * counted, and asks it for /healthz and all of malformed.def; with s->tls once more by TLS. It

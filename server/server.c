@@ -21,13 +21,13 @@
 #include "lod/blocks.h"
 #include "lod/clip.h"
 #include "lod/remote.h"
+#include "server/answers/routes.h"
+#include "server/answers/services.h"
+#include "server/answers/view_stream.h"
+#include "server/answers/work.h"
+#include "server/documents/link.h"
 #include "server/http.h"
-#include "server/link.h"
-#include "server/motion.h"
-#include "server/routes.h"
 #include "server/self_test.h"
-#include "server/services.h"
-#include "server/work.h"
 
 struct server {
     struct server_config cfg;     /* texts are borrowed from the caller */
@@ -43,14 +43,9 @@ struct server {
     char url[128], memory[256];
 };
 
-/* Pictures are drawn from stores: who serves exported files alone needs no device. */
-static bool server_draws(const struct server *sv)
+static bool server_draws(const struct server_config *cfg)
 {
-    size_t n_packed = 0;
-    for (size_t i = 0; i < sv->n_paths; i++)
-        n_packed += packed_kind_of(sv->paths[i]) != PACKED_NONE;
-    return (!sv->cfg.device || strcmp(sv->cfg.device, "none") != 0) &&
-           (!n_packed || n_packed < sv->n_paths);
+    return !cfg->device || strcmp(cfg->device, "none") != 0;
 }
 
 static void server_stop_drawing(void *user)
@@ -67,7 +62,7 @@ static enum err_code server_start_jobs(struct server *sv, struct err *e)
 {
     struct services *s = &sv->services;
     const struct server_config *cfg = &sv->cfg;
-    const bool views = server_draws(sv);
+    const bool views = server_draws(&sv->cfg);
     const struct job_config jobs = {
         .tile_threads = sv->workers,
         .draw_threads = !views            ? 0
@@ -90,7 +85,7 @@ static enum err_code server_start_jobs(struct server *sv, struct err *e)
     if (!rc && views)
         rc = picture_start(s->picture, e);
     if (!rc)
-        rc = motion_open(s, &s->motion, e);
+        rc = view_stream_open(s, &s->view_streams, e);
     return !rc ? job_open(&jobs, &s->jobs, e) : rc;
 }
 
@@ -185,8 +180,6 @@ static void server_needs(const struct catalog *c, struct memory_needs *n)
         const size_t row =
             (11 + 3 * gauss_sh_count(d->meta.sh_degree) + d->meta.embed_len) * sizeof(float);
         uint64_t of_zoom[KEY_ZOOM_MAX + 1] = {0};
-        const size_t part = d->packed ? packed_about(d->packed)->largest_bytes : 0;
-        n->largest_tile = part > n->largest_tile ? part : n->largest_tile;
         for (size_t k = 0; k < d->n_tiles; k++) {
             const struct store_tile *t = &d->tiles[k];
             of_zoom[t->key.z] += t->count;
@@ -205,11 +198,11 @@ static enum err_code server_plan(struct server *sv, const struct catalog *c,
     struct memory_needs n = {.base = mem_held_bytes(0),
                              .workers = sv->workers,
                              .connections = (size_t)cfg->max_connections,
-                             .draws = server_draws(sv),
+                             .draws = server_draws(&sv->cfg),
                              .drawers = (unsigned)cfg->drawers,
                              .view_gaussians = (uint64_t)cfg->view_gaussians,
                              .view_mpx = cfg->max_view_mpx,
-                             .video = motion_video_bytes((size_t)cfg->streams),
+                             .video = view_stream_video_bytes((size_t)cfg->streams),
                              .cache = (size_t)cfg->cache_mb << 20,
                              .inflight = (size_t)cfg->inflight_mb << 20,
                              .view_cache = (size_t)cfg->view_cache_mb << 20};
@@ -308,7 +301,7 @@ static enum err_code server_set_remote(const struct server_config *cfg, struct e
 {
     char dir[FILE_PATH_MAX];
     enum err_code rc = cfg->cache_dir ? file_join(dir, cfg->cache_dir, "stores", e) : ERR_OK;
-    blocks_configure(cfg->cache_dir && !rc ? dir : NULL, (uint64_t)cfg->remote_cache_mb << 20);
+    blocks_configure(cfg->cache_dir && !rc ? dir : NULL, (uint64_t)cfg->cache_dir_mb << 20);
     remote_patience(cfg->deadline_s);
     return rc;
 }
@@ -319,9 +312,8 @@ static void server_log_start(const struct server *sv)
     log_info("serve", "%s", sv->memory);
     server_log_disk(sv);
     for (size_t i = 0; i < c->n; i++)
-        log_info("serve", "dataset name=%s revision=%s tiles=%llu file=%s", c->ds[i]->meta.name,
-                 c->ds[i]->meta.revision, (unsigned long long)dataset_count(c->ds[i]),
-                 dataset_shown(c->ds[i]));
+        log_info("serve", "dataset name=%s revision=%s tiles=%zu file=%s", c->ds[i]->meta.name,
+                 c->ds[i]->meta.revision, c->ds[i]->n_tiles, store_path(c->ds[i]->index));
 }
 
 static enum err_code server_begin(const struct server_config *cfg, const char *const *paths,
@@ -353,9 +345,7 @@ static enum err_code server_begin(const struct server_config *cfg, const char *c
     if (!rc && cfg->cache_dir)
         rc = disk_open(cfg->cache_dir, (uint64_t)cfg->cache_dir_mb << 20, &s->disk, e);
     if (!rc && cfg->state_dir)
-        rc = kept_open(cfg->state_dir, &s->kept, e);
-    if (!rc && cfg->state_url)
-        rc = kept_open_shared(cfg->state_url, cfg->state_refresh_s, &s->kept, e);
+        rc = named_appearance_open(cfg->state_dir, &s->named_appearances, e);
     if (!rc)
         rc = http_open(s, HTTP_PUBLIC, &sv->http, e);
     if (!rc && cfg->admin)
@@ -414,7 +404,7 @@ static enum err_code server_reload_auth(struct server *sv, struct err *e)
     const bool same = auth_is_same(a, now);
     auth_close(&a);
     if (!same) {
-        motion_recheck(sv->services.motion, now);
+        view_stream_recheck(sv->services.view_streams, now);
         log_info("serve", "tokens, keys and signatures are those of %s as it is now", sv->cfg.auth);
     }
     auth_close(&now);
@@ -464,9 +454,10 @@ void server_look(struct server *sv, double now_s)
     for (size_t i = 0; i < c->n_current; i++) {
         struct err e = {0};
         struct dataset *d = c->ds[i];
-        if (asks && !dataset_replaced(d) && dataset_ask(d, ask_s, &e) && e.code != ERR_DATA)
+        if (asks && !store_replaced(d->index) && store_ask(d->stores[0], ask_s, &e) &&
+            e.code != ERR_DATA)
             log_warn("serve", "not known whether ds=%s is as it was: %s", d->meta.name, e.msg);
-        replaced |= dataset_replaced(d);
+        replaced |= store_replaced(d->index);
     }
     catalog_drop(&c);
     if (asks)
@@ -502,7 +493,7 @@ bool server_stop(struct server **out)
     log_stop(1);
     clip_free(&sv->clip);
     if (ended) {
-        motion_close(&sv->services.motion);
+        view_stream_close(&sv->services.view_streams);
         mem_free(sv);
     }
     return ended;
@@ -570,13 +561,12 @@ enum err_code server_check(const struct server_config *cfg, const char *const *p
         rc = http_check(cfg, e);
     if (!rc && cfg->cache_dir)
         rc = disk_check(cfg->cache_dir, e);
-    if (!rc && (cfg->state_dir || cfg->state_url))
-        rc = kept_check(cfg->state_dir, cfg->state_url, e);
+    if (!rc && cfg->state_dir)
+        rc = named_appearance_check(cfg->state_dir, e);
     for (size_t i = 0; !rc && out && i < s->catalog->n; i++)
-        fprintf(out, "dataset %s revision %s, %llu tiles: %s\n", s->catalog->ds[i]->meta.name,
-                s->catalog->ds[i]->meta.revision,
-                (unsigned long long)dataset_count(s->catalog->ds[i]),
-                dataset_shown(s->catalog->ds[i]));
+        fprintf(out, "dataset %s revision %s, %zu tiles: %s\n", s->catalog->ds[i]->meta.name,
+                s->catalog->ds[i]->meta.revision, s->catalog->ds[i]->n_tiles,
+                store_path(s->catalog->ds[i]->index));
     if (!rc && out && s->tls) {
         char text[256];
         tls_about(s->tls, text, sizeof text);

@@ -42,7 +42,7 @@
 #include <stdio.h>
 
 #include "core/base.h"
-#include "server/config.h"
+#include "server/base/config.h"
 
 struct server;
 struct services;
@@ -77,11 +77,11 @@ enum err_code server_start_own(const struct server_config *cfg, const struct ser
 /* "http://127.0.0.1:8080/", with the port in use. It lives until server_stop. */
 const char *server_url(const struct server *s);
 
-/* The services of its answers (server/services.h), for tests and benchmarks. They live until
- * server_stop. */
+/* The services of its answers (server/answers/services.h), for tests and benchmarks. They live
+ * until server_stop. */
 struct services *server_services(struct server *s);
 
-/* Opens the stores again. Replaced revisions stay for a day (--keep-s, --keep-revisions). After an
+/* Opens the stores again. Replaced revisions stay for a day (--keep-s). After an
  * error (those of server_start about stores) the old data stay, and /readyz reports it. Only one
  * thread at a time may call this and server_expire. */
 enum err_code server_reload(struct server *s, struct err *e) ERR_USE;

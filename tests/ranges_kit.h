@@ -1,5 +1,5 @@
 /* Servers of objects for tests: nginx, from which stores are read, and a server that misbehaves on
- * request. The latter also takes PUT with conditions, as a bucket does.
+ * request.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -110,12 +110,7 @@ enum ranges_way {
     RANGES_NONE,      /* 404 */
     RANGES_FORBIDDEN, /* 403 */
     RANGES_AROUND,    /* redirected to itself */
-    RANGES_FILE,      /* redirected to a file of the client */
-    RANGES_DEAF,      /* conditions of a PUT are ignored */
-    RANGES_FIXED,     /* a PUT is 403 */
-    RANGES_LOST,      /* every other PUT is done, but not answered */
-    RANGES_BEATEN,    /* every other PUT finds that another was quicker */
-    RANGES_BARE       /* If-Match of a PUT is compared with the tag without quotes, as Ceph does */
+    RANGES_FILE       /* redirected to a file of the client */
 };
 
 static struct { /* of the whole test program */
@@ -124,9 +119,8 @@ static struct { /* of the whole test program */
     pthread_t thread;
     pthread_mutex_t lock; /* for the next three */
     struct buf object;
-    char etag[32];          /* "": there is no object */
-    struct buf asked;       /* the head of the last request */
-    _Atomic unsigned n_put; /* PUT */
+    char etag[32];    /* "": there is no object */
+    struct buf asked; /* the head of the last request */
     _Atomic int way;
     _Atomic unsigned n; /* requests */
     _Atomic bool over;
@@ -184,50 +178,6 @@ static inline void ranges_part(int fd, int way, unsigned number, const char *hea
     }
 }
 
-/* The rest of a body of which `n` bytes came with the head. */
-static inline void ranges_take(int fd, const char *head, const char *part, size_t n,
-                               struct buf *out)
-{
-    char bytes[4096];
-    const char *length = strstr(head, "\nContent-Length: ");
-    const size_t all = length ? strtoull(length + 17, NULL, 10) : 0;
-    buf_add(out, part, n);
-    for (ssize_t k; out->size < all && (k = recv(fd, bytes, sizeof bytes, 0)) > 0;)
-        buf_add(out, bytes, (size_t)k);
-}
-
-static inline void ranges_put(int fd, int way, const char *head, struct buf *body)
-{
-    const unsigned number = atomic_fetch_add(&ranges.n_put, 1) + 1;
-    const char *same = strstr(head, "\nIf-Match: "), *none = strstr(head, "\nIf-None-Match: *");
-    const size_t n_etag = strlen(ranges.etag), bare = way == RANGES_BARE && n_etag > 2;
-    const bool holds =
-        (!same || (n_etag && !strncmp(same + 11, ranges.etag + bare, n_etag - 2 * bare))) &&
-        (!none || !n_etag);
-    char text[160];
-    const char *say = "412 Precondition Failed";
-    if (way == RANGES_FIXED)
-        say = "403 No";
-    else if (way == RANGES_BUSY && number % 2)
-        say = "503 Busy";
-    else if (way == RANGES_BEATEN && number % 2)
-        snprintf(ranges.etag, sizeof ranges.etag, "\"beaten%u\"", number);
-    else if (holds || way == RANGES_DEAF) {
-        say = ranges.etag[0] ? "204 Done" : "201 Made";
-        buf_free(&ranges.object);
-        ranges.object = *body;
-        *body = (struct buf){0};
-        snprintf(ranges.etag, sizeof ranges.etag, "\"put%u\"", number);
-        if (way == RANGES_LOST && number % 2)
-            return;
-    }
-    ranges_say(fd, text,
-               (size_t)snprintf(text, sizeof text,
-                                "HTTP/1.1 %s\r\nETag: %s\r\nContent-Length: 0\r\n"
-                                "Connection: close\r\n\r\n",
-                                say, ranges.etag));
-}
-
 static inline void ranges_answer(int fd)
 {
     char head[8192];
@@ -243,16 +193,10 @@ static inline void ranges_answer(int fd)
     const int way = atomic_load(&ranges.way);
     const unsigned number = atomic_fetch_add(&ranges.n, 1);
     const char *say = NULL;
-    const bool puts = !strncmp(head, "PUT ", 4);
-    struct buf body = {0};
-    if (puts) {
-        const char *from = strstr(head, "\r\n\r\n") + 4;
-        ranges_take(fd, head, from, (size_t)(head + n - from), &body);
-    }
     pthread_mutex_lock(&ranges.lock);
     ranges.asked.size = 0;
     buf_add(&ranges.asked, head, n + 1);
-    if (way == RANGES_DOWN || (way == RANGES_BUSY && number % 2 && !puts))
+    if (way == RANGES_DOWN || (way == RANGES_BUSY && number % 2))
         say = "503 Busy\r\nRetry-After: 0";
     else if (way == RANGES_NONE)
         say = "404 None";
@@ -272,13 +216,10 @@ static inline void ranges_answer(int fd)
     } else if (way == RANGES_SILENT) {
         struct pollfd p = {.fd = fd, .events = POLLIN};
         (void)poll(&p, 1, 3000); /* until the client leaves */
-    } else if (puts) {
-        ranges_put(fd, way, head, &body);
     } else {
         ranges_part(fd, way, number, head);
     }
     pthread_mutex_unlock(&ranges.lock);
-    buf_free(&body);
 }
 
 static void *ranges_run(void *arg)
@@ -305,15 +246,6 @@ static inline void ranges_serve(const char *path, const char *etag)
     buf_free(&ranges.object);
     kit_ok(file_read(path, 0, &ranges.object, &e), e);
     snprintf(ranges.etag, sizeof ranges.etag, "\"%s\"", etag);
-    pthread_mutex_unlock(&ranges.lock);
-}
-
-/* From now on there is no object. */
-static inline void ranges_forget(void)
-{
-    pthread_mutex_lock(&ranges.lock);
-    buf_free(&ranges.object);
-    ranges.etag[0] = '\0';
     pthread_mutex_unlock(&ranges.lock);
 }
 

@@ -6,8 +6,8 @@
 #define TESTS_READER_H
 
 #include "codec/image.h"
-#include "server/motion.h"
-#include "server/multipart.h"
+#include "server/answers/view_stream.h"
+#include "server/http/multipart.h"
 #include "tests/client.h"
 
 static const char NAME[] = "0123456789abcdef";
@@ -154,10 +154,10 @@ static inline int steer(const char *name, int number, double heading, int width,
     return r.status;
 }
 
-static inline struct motion_counts counts(void)
+static inline struct view_stream_counts counts(void)
 {
-    struct motion_counts c;
-    motion_count(server_services(t.server)->motion, &c);
+    struct view_stream_counts c;
+    view_stream_count(server_services(t.server)->view_streams, &c);
     return c;
 }
 

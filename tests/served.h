@@ -12,9 +12,9 @@
 #include <string.h>
 
 #include "lod/store.h"
-#include "server/dispatch.h"
-#include "server/encode.h"
-#include "server/routes.h"
+#include "server/answers/dispatch.h"
+#include "server/answers/routes.h"
+#include "server/data/encode.h"
 #include "server/server.h"
 
 enum { SERVED_ZOOM_MIN = 15, SERVED_ZOOM_MAX = 17 };

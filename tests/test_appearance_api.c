@@ -119,8 +119,7 @@ static struct response ask(enum method method, const char *target, const char *b
         } else {
             kit_ok(result.code, e);
         }
-        assert_true(!result.body || w->kind != WORK_SEED ||
-                    result.body->size <= work_room(w) - WORK_ROOM_HEAD);
+        assert_true(!result.body || !w->kind->room || result.body->size <= work_room(w));
         work_drop(NULL, w);
         dispatch_finish(&t.s, &r, &result, &out);
     }
@@ -617,7 +616,7 @@ static void tilesets_and_prefetch_lists_carry_the_look(void **state)
     json_decref(line);
     response_free(&tile);
     response_free(&r);
-    /* a row repeats the query: --inflight-mb counts that (ask) */
+    /* a row repeats the query: work_room counts that (ask) */
     r = get(
         "/d/lit/seed.ndjson?appearance=p1.jpg:1.00000000000000000000000000000000000000000000000001,"
         "p2.jpg:1.00000000000000000000000000000000000000000000000000000000000000000000000000001,"

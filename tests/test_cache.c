@@ -8,7 +8,7 @@
 #include <string.h>
 
 #include "core/pool.h"
-#include "server/cache.h"
+#include "server/data/cache.h"
 
 static struct hash128 key_of(uint64_t i)
 {

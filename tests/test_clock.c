@@ -8,7 +8,7 @@
 #include <fcntl.h>
 #include <stdatomic.h>
 
-#include "server/auth.h"
+#include "server/access/auth.h"
 
 int __real_clock_gettime(clockid_t id, struct timespec *out); // NOLINT: the linker's names
 int __wrap_clock_gettime(clockid_t id, struct timespec *out); // NOLINT

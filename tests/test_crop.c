@@ -10,7 +10,7 @@
 
 #include "core/gauss.h"
 #include "lod/crop.h"
-#include "server/param_clip.h"
+#include "server/route/param_clip.h"
 
 /* About the finest tile's centre, 1e-5 degrees: a triangle that leaves a part of what is there, one
  * in a gap, one far away, and a square around all of the city. */
@@ -338,7 +338,9 @@ static void test_bad_polygons(void **state)
 /* A spiral of n corners; 40 are taken and one more is not, and a closing one counts for nothing. */
 static void test_many_corners(void **state)
 {
-    struct target a, b;
+    union target_any a, b;
+    const struct target_clip *one = &a.of_tileset_moving.tiles.clip,
+                             *other = &b.of_tileset_moving.tiles.clip;
     struct router *routes = NULL;
     char text[1400], clip[TARGET_CLIP_TEXT];
     (void)state;
@@ -355,17 +357,17 @@ static void test_many_corners(void **state)
             continue;
         size += (size_t)snprintf(text + size, sizeof text - size, ",-101,-50.0000000");
         kit_ok(router_read(routes, text, size, &a, &e), e);
-        assert_int_equal(a.clip.n, n);
+        assert_int_equal(one->n, n);
         /* what it writes is read as the same */
-        param_clip_text(&a.clip, clip);
+        param_clip_text(one, clip);
         size = (size_t)snprintf(text, sizeof text, "/d/toy/tileset.json?clip=%s", clip);
         kit_ok(router_read(routes, text, size, &b, &e), e);
-        assert_memory_equal(&a.clip, &b.clip, sizeof a.clip);
+        assert_memory_equal(one, other, sizeof *one);
     }
     struct err e = {0};
     const char *least = "/d/toy/tileset.json?clip=-179.0000001,-0.5,0,-89.9999999,1.50,20";
     kit_ok(router_read(routes, least, strlen(least), &a, &e), e);
-    param_clip_text(&a.clip, clip);
+    param_clip_text(one, clip);
     assert_string_equal(clip, "-179.0000001,-0.5,0,-89.9999999,1.5,20");
     router_close(&routes);
 }

@@ -13,7 +13,7 @@
 #include <sys/wait.h>
 
 #include "core/pool.h"
-#include "server/disk.h"
+#include "server/data/disk.h"
 
 ssize_t __real_write(int fd, const void *bytes, size_t n); // NOLINT: the linker's names
 ssize_t __wrap_write(int fd, const void *bytes, size_t n); // NOLINT

@@ -7,7 +7,7 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "core/trace.h"
-#include "server/motion.h"
+#include "server/answers/view_stream.h"
 #include "tests/client.h"
 
 #include <jansson.h>

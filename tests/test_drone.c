@@ -180,7 +180,7 @@ static void files_are_read(void **state)
 
 /* ---- a city ---- */
 
-struct flight {
+struct live_bodies {
     double barometer_m, absolute_m; /* errors of what is written; NAN: not written */
     double jump_m;                  /* of the barometer, from the middle of the flight on */
     double tilt_deg;                /* of all gimbals, to the east; NAN: not written */
@@ -189,8 +189,8 @@ struct flight {
 };
 
 /* XMP of the photograph that truly is `p`: as text. */
-static void write_xmp(const struct flight *f, const json_t *p, size_t i, size_t n, double origin_h,
-                      struct buf *out)
+static void write_xmp(const struct live_bodies *f, const json_t *p, size_t i, size_t n,
+                      double origin_h, struct buf *out)
 {
     struct err e = {0};
     double center[3], m[16], up[3], tilt = f->tilt_deg / DEG;
@@ -220,7 +220,7 @@ static void write_xmp(const struct flight *f, const json_t *p, size_t i, size_t 
 }
 
 /* A folder of the city's photographs with such XMP. */
-static void write_flight(const struct flight *f, const json_t *truth, const char *images)
+static void write_flight(const struct live_bodies *f, const json_t *truth, const char *images)
 {
     struct err e = {0};
     char path[FILE_PATH_MAX], from[FILE_PATH_MAX], text[128];
@@ -275,7 +275,7 @@ static void lift_of(const struct scene *s, const json_t *truth, double *up_m, do
 
 /* Ingest the city with such XMP; the report and the scene's error in height: its median cameras'
  * height off, and how it is tilted, degrees. */
-static void ingest_flight(const char *name, const struct flight *f, double offset_m, bool exif,
+static void ingest_flight(const char *name, const struct live_bodies *f, double offset_m, bool exif,
                           json_t **report, double *up_m, double *tilt_deg)
 {
     struct err e = {0};
@@ -310,13 +310,13 @@ static double number(const json_t *o, const char *a, const char *b)
 
 static void barometers_keep_the_level(void **state)
 {
-    const struct flight f = {.barometer_m = 0.1,
-                             .absolute_m = (double)NAN,
-                             .tilt_deg = (double)NAN},
-                        jumps = {.barometer_m = 0.1,
-                                 .absolute_m = (double)NAN,
-                                 .jump_m = 30,
-                                 .tilt_deg = (double)NAN};
+    const struct live_bodies f = {.barometer_m = 0.1,
+                                  .absolute_m = (double)NAN,
+                                  .tilt_deg = (double)NAN},
+                             jumps = {.barometer_m = 0.1,
+                                      .absolute_m = (double)NAN,
+                                      .jump_m = 30,
+                                      .tilt_deg = (double)NAN};
     json_t *r;
     double up_m, tilt, exif_up_m, exif_tilt;
     (void)state;
@@ -343,7 +343,7 @@ static void barometers_keep_the_level(void **state)
 /* RTK counts from the ellipsoid: --geoid-offset-m, which is for EXIF's, leaves it alone. */
 static void rtk_counts_from_the_ellipsoid(void **state)
 {
-    const struct flight f = {
+    const struct live_bodies f = {
         .barometer_m = 0.1, .absolute_m = 0.02, .tilt_deg = (double)NAN, .rtk = true};
     json_t *r;
     double up_m, tilt;
@@ -360,18 +360,18 @@ static void rtk_counts_from_the_ellipsoid(void **state)
 
 static void gimbals_tell_the_tilt(void **state)
 {
-    const struct flight f = {.barometer_m = (double)NAN,
-                             .absolute_m = (double)NAN,
-                             .tilt_deg = 0,
-                             .wobble_deg = 0.3},
-                        off = {.barometer_m = 0.1,
-                               .absolute_m = (double)NAN,
-                               .tilt_deg = 5,
-                               .wobble_deg = 0.3},
-                        wild = {.barometer_m = (double)NAN,
-                                .absolute_m = (double)NAN,
-                                .tilt_deg = 0,
-                                .wobble_deg = 40};
+    const struct live_bodies f = {.barometer_m = (double)NAN,
+                                  .absolute_m = (double)NAN,
+                                  .tilt_deg = 0,
+                                  .wobble_deg = 0.3},
+                             off = {.barometer_m = 0.1,
+                                    .absolute_m = (double)NAN,
+                                    .tilt_deg = 5,
+                                    .wobble_deg = 0.3},
+                             wild = {.barometer_m = (double)NAN,
+                                     .absolute_m = (double)NAN,
+                                     .tilt_deg = 0,
+                                     .wobble_deg = 40};
     json_t *r;
     double up_m, tilt;
     (void)state;

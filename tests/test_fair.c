@@ -8,30 +8,30 @@
 #include <math.h>
 
 #include "core/pool.h"
-#include "server/address.h"
-#include "server/cost.h"
-#include "server/crowd.h"
-#include "server/rate.h"
-#include "server/turn.h"
+#include "server/base/address.h"
+#include "server/http/ipv6_groups.h"
+#include "server/jobs/cost.h"
+#include "server/jobs/fair_queue.h"
+#include "server/jobs/rate.h"
 
 /* ---- turns ---- */
 
 struct thing {
-    struct turn_item place;
+    struct fair_queue_item place;
     int number;
 };
 
-static int taken(struct turns *q)
+static int taken(struct fair_queue *q)
 {
-    struct turn_item *it = turn_next(q);
+    struct fair_queue_item *it = fair_queue_next(q);
     return it ? ((struct thing *)(void *)it)->number : -1;
 }
 
 enum { THINGS = 8 };
-static void begin(bool newest, struct thing x[THINGS], struct turns **q)
+static void begin(bool newest, struct thing x[THINGS], struct fair_queue **q)
 {
     struct err e = {0};
-    kit_ok(turn_open(newest, q, &e), e);
+    kit_ok(fair_queue_open(newest, q, &e), e);
     for (int i = 0; i < THINGS; i++)
         x[i] = (struct thing){.number = i};
 }
@@ -39,25 +39,25 @@ static void begin(bool newest, struct thing x[THINGS], struct turns **q)
 static void test_turns(void **state)
 {
     struct thing x[THINGS];
-    struct turns *q = NULL;
+    struct fair_queue *q = NULL;
     (void)state;
     for (int newest = 0; newest < 2; newest++) {
         begin(newest, x, &q);
         assert_int_equal(taken(q), -1);
         for (int i = 0; i < 5; i++)
-            turn_add(q, &x[i].place, 77, 1);
-        turn_add(q, &x[5].place, 88, 1);
-        turn_add(q, &x[6].place, 99, 1);
-        assert_int_equal(turn_count(q), 7);
+            fair_queue_add(q, &x[i].place, 77, 1);
+        fair_queue_add(q, &x[5].place, 88, 1);
+        fair_queue_add(q, &x[6].place, 99, 1);
+        assert_int_equal(fair_queue_count(q), 7);
         const int old_first[] = {0, 5, 6, 1, 2}, new_first[] = {4, 5, 6, 3, 2};
         for (int i = 0; i < 5; i++)
             assert_int_equal(taken(q), (newest ? new_first : old_first)[i]);
-        turn_add(q, &x[7].place, 88, 1); /* 88 had its turn before 77 had its last */
+        fair_queue_add(q, &x[7].place, 88, 1); /* 88 had its turn before 77 had its last */
         assert_int_equal(taken(q), 7);
-        turn_remove(q, &x[newest ? 1 : 3].place);
+        fair_queue_remove(q, &x[newest ? 1 : 3].place);
         assert_int_equal(taken(q), newest ? 0 : 4);
         assert_int_equal(taken(q), -1);
-        turn_close(&q);
+        fair_queue_close(&q);
     }
 }
 
@@ -67,54 +67,57 @@ static void test_parts_of_time(void **state)
 {
     enum { CHEAP = 300 };
     static struct thing cheap[CHEAP], dear[THINGS];
-    struct turns *q = NULL;
+    struct fair_queue *q = NULL;
     struct err e = {0};
     (void)state;
-    kit_ok(turn_open(false, &q, &e), e);
+    kit_ok(fair_queue_open(false, &q, &e), e);
     for (int i = 0; i < THINGS; i++) {
         dear[i] = (struct thing){.number = 1000 + i};
-        turn_add(q, &dear[i].place, 1, 100);
+        fair_queue_add(q, &dear[i].place, 1, 100);
     }
     for (int i = 0; i < CHEAP; i++) {
         cheap[i] = (struct thing){.number = i};
-        turn_add(q, &cheap[i].place, 2, 1);
+        fair_queue_add(q, &cheap[i].place, 2, 1);
     }
     int n_dear = 0, n_cheap = 0;
     while (n_cheap < 200)
         *(taken(q) >= 1000 ? &n_dear : &n_cheap) += 1;
     assert_in_range(n_dear, 2, 3);
     /* a third sees what both have before it: their parts, up to its own */
-    assert_true(turn_wait_ms(q, 3) <= 101);
-    assert_true(turn_wait_ms(q, 1) >= 100 * (THINGS - 3));
-    turn_charge(q, 2, 500);
+    assert_true(fair_queue_wait_ms(q, 3) <= 101);
+    assert_true(fair_queue_wait_ms(q, 1) >= 100 * (THINGS - 3));
+    fair_queue_charge(q, 2, 500);
     for (int i = 0; i < 4; i++)
         assert_true(taken(q) >= 1000);
-    assert_ptr_equal(turn_oldest(q, 2), &cheap[200].place);
-    assert_null(turn_oldest(q, 9));
-    while (turn_count(q))
+    assert_ptr_equal(fair_queue_oldest(q, 2), &cheap[200].place);
+    assert_null(fair_queue_oldest(q, 9));
+    while (fair_queue_count(q))
         taken(q);
-    turn_close(&q);
+    fair_queue_close(&q);
 }
 
 /* What work takes is learned within some jobs, by kind; one that took very long is no rule. */
 static void test_costs_are_learned(void **state)
 {
     struct cost c = {0};
-    (void)state;
-    assert_true(fabs(cost_predict(&c, 1, 20) - 20) < 1e-9);
+    const struct cost_kind one = {&c, 1}, two = {&c, 2}, other = {state, 1};
+    assert_true(fabs(cost_predict(&c, one, 20) - 20) < 1e-9);
     for (int i = 0; i < 30; i++)
-        cost_learn(&c, 1, 10, 35);
-    assert_true(fabs(cost_predict(&c, 1, 20) / 70 - 1) < 0.02);
-    assert_true(fabs(cost_predict(&c, 2, 20) - 20) < 1e-9); /* another kind */
-    cost_learn(&c, 1, 10, 1e6);
-    assert_true(cost_predict(&c, 1, 20) < 120);
+        cost_learn(&c, one, 10, 35);
+    assert_true(fabs(cost_predict(&c, one, 20) / 70 - 1) < 0.02);
+    assert_true(fabs(cost_predict(&c, two, 20) - 20) < 1e-9); /* another kind */
+    assert_true(fabs(cost_predict(&c, other, 20) - 20) < 1e-9);
+    cost_learn(&c, one, 10, 1e6);
+    assert_true(cost_predict(&c, one, 20) < 120);
     for (int i = 0; i < 60; i++)
-        cost_learn(&c, 1, 10, 0);
-    assert_true(cost_predict(&c, 1, 20) > 0 && cost_predict(&c, 1, 20) < 1);
-    cost_learn(&c, 1, (double)NAN, 5);
-    cost_learn(&c, 99, 1, 5);
-    assert_true(isfinite(cost_predict(&c, 1, 20)));
-    assert_true(fabs(cost_predict(&c, 99, 20) - 20) < 1e-9);
+        cost_learn(&c, one, 10, 0);
+    assert_true(cost_predict(&c, one, 20) > 0 && cost_predict(&c, one, 20) < 1);
+    cost_learn(&c, one, (double)NAN, 5);
+    assert_true(isfinite(cost_predict(&c, one, 20)));
+    for (unsigned i = 0; i < 2 * COST_KINDS; i++) /* more than are learned */
+        cost_learn(&c, (struct cost_kind){&c, i}, 1, 5);
+    assert_true(cost_predict(&c, (struct cost_kind){&c, 0}, 20) > 20);
+    assert_true(fabs(cost_predict(&c, (struct cost_kind){&c, 2 * COST_KINDS - 1}, 20) - 20) < 1e-9);
 }
 
 /* Who gives way: one of whoever has most; of equals, who had a turn last; never one who has
@@ -122,34 +125,34 @@ static void test_costs_are_learned(void **state)
 static void test_who_gives_way(void **state)
 {
     struct thing x[THINGS];
-    struct turns *q = NULL;
+    struct fair_queue *q = NULL;
     (void)state;
     for (int newest = 0; newest < 2; newest++) {
         begin(newest, x, &q);
-        turn_add(q, &x[0].place, 1, 1);
-        turn_add(q, &x[1].place, 1, 1);
-        turn_add(q, &x[2].place, 1, 1);
-        turn_add(q, &x[3].place, 2, 1);
-        assert_ptr_equal(turn_shed(q, 2),
+        fair_queue_add(q, &x[0].place, 1, 1);
+        fair_queue_add(q, &x[1].place, 1, 1);
+        fair_queue_add(q, &x[2].place, 1, 1);
+        fair_queue_add(q, &x[3].place, 2, 1);
+        assert_ptr_equal(fair_queue_shed(q, 2),
                          &x[newest ? 0 : 2].place); /* 2 has two with the new one */
-        assert_ptr_equal(turn_shed(q, 3), &x[newest ? 0 : 2].place);
-        assert_ptr_equal(turn_shed(q, 1), newest ? &x[0].place : NULL); /* its own */
-        turn_join(q, &x[2].place, 3); /* the third wants what the first waits for */
-        assert_int_equal(turn_owner(&x[2].place), 3);
-        turn_join(q, &x[3].place, 1);
-        assert_int_equal(turn_owner(&x[3].place), 2); /* who has more takes nothing over */
-        while (turn_count(q))
+        assert_ptr_equal(fair_queue_shed(q, 3), &x[newest ? 0 : 2].place);
+        assert_ptr_equal(fair_queue_shed(q, 1), newest ? &x[0].place : NULL); /* its own */
+        fair_queue_join(q, &x[2].place, 3); /* the third wants what the first waits for */
+        assert_int_equal(fair_queue_owner(&x[2].place), 3);
+        fair_queue_join(q, &x[3].place, 1);
+        assert_int_equal(fair_queue_owner(&x[3].place), 2); /* who has more takes nothing over */
+        while (fair_queue_count(q))
             taken(q);
         for (int i = 4; i < 7; i++)
-            turn_add(q, &x[i].place, (uint64_t)i, 1);
-        assert_null(turn_shed(q, 1));  /* all have one, and the asker had a turn last */
-        assert_null(turn_shed(q, 99)); /* nobody of them had one */
+            fair_queue_add(q, &x[i].place, (uint64_t)i, 1);
+        assert_null(fair_queue_shed(q, 1));  /* all have one, and the asker had a turn last */
+        assert_null(fair_queue_shed(q, 99)); /* nobody of them had one */
         int first = taken(q);
-        turn_add(q, &x[first].place, (uint64_t)first, 1);
-        assert_ptr_equal(turn_shed(q, 99), &x[first].place);
-        while (turn_count(q))
+        fair_queue_add(q, &x[first].place, (uint64_t)first, 1);
+        assert_ptr_equal(fair_queue_shed(q, 99), &x[first].place);
+        while (fair_queue_count(q))
             taken(q);
-        turn_close(&q);
+        fair_queue_close(&q);
     }
 }
 
@@ -158,21 +161,21 @@ static void test_very_many_clients(void **state)
 {
     enum { N = 9000 };
     struct thing *x = mem_array(N, sizeof *x);
-    struct turns *q = NULL;
+    struct fair_queue *q = NULL;
     struct err e = {0};
     uint64_t sum = 0;
     (void)state;
     assert_non_null(x);
-    kit_ok(turn_open(false, &q, &e), e);
+    kit_ok(fair_queue_open(false, &q, &e), e);
     for (int i = 0; i < N; i++) {
         x[i].number = i;
-        turn_add(q, &x[i].place, rng_u64(3, 0, (uint64_t)i), 1);
+        fair_queue_add(q, &x[i].place, rng_u64(3, 0, (uint64_t)i), 1);
     }
     for (int i = 0; i < N; i++)
         sum += (uint64_t)taken(q);
     assert_int_equal(sum, (uint64_t)N * (N - 1) / 2);
     assert_int_equal(taken(q), -1);
-    turn_close(&q);
+    fair_queue_close(&q);
     mem_free(x);
 }
 
@@ -294,8 +297,8 @@ static void test_addresses(void **state)
 /* STARTED: what may have been under way, or next in turn, when the victim came and when it left:
  * the tile that the one worker makes, and one more, twice. */
 enum { ABUSERS = 24, VICTIM = ABUSERS, TILES = 12, STARTED = 4 };
-enum { HEAD_SLOW_MS = 500 }; /* watch.c: a request that is not complete then gives way */
-struct crowd {
+enum { HEAD_SLOW_MS = 500 }; /* client_watch.c: a request that is not complete then gives way */
+struct ipv6_groups {
     atomic_bool stop;
     atomic_int served, refused; /* abusers' answers */
     double end_s;               /* nobody goes on after this */
@@ -331,7 +334,7 @@ static int ask_as(const char *target, const char *client)
 
 static enum err_code crowd_run(void *user, size_t i, struct err *e)
 {
-    struct crowd *c = user;
+    struct ipv6_groups *c = user;
     char target[160];
     (void)e;
     if (i != VICTIM) {
@@ -373,7 +376,7 @@ static void test_a_share_of_tiles(void **state)
     t.cfg.trusted_proxy = "127.0.0.1";
     start();
     t.paths[0] = t.path;
-    struct crowd c = {.end_s = clock_s() + 3 * PATIENCE_S};
+    struct ipv6_groups c = {.end_s = clock_s() + 3 * PATIENCE_S};
     kit_ok(pool_for(ABUSERS + 1, ABUSERS + 1, crowd_run, &c, &e), e);
     int theirs = (int)(c.made_after - c.made_before) - c.victim_ok;
     print_message("victim: %d tiles in %.2f s, the others %d, and %d refused\n", c.victim_ok,
@@ -424,41 +427,42 @@ static void test_limited_rates(void **state)
  * /56s of a /48 likewise. Others, and IPv4, are not touched. */
 static void test_networks(void **state)
 {
-    struct crowd *c = NULL;
+    struct ipv6_groups *c = NULL;
     struct err e = {0};
     struct address a = {.ip = {0x20, 1, 0xd, 0xb8, 0, 1}},
                    other = {.ip = {0x20, 1, 0xd, 0xb8, 0, 2}};
     struct address v4;
     (void)state;
     assert_true(address_parse("192.0.2.7", 9, &v4));
-    kit_ok(crowd_open((struct hash128){4, 5}, &c, &e), e);
+    kit_ok(ipv6_groups_open((struct hash128){4, 5}, &c, &e), e);
     a.ip[15] = other.ip[15] = 1;
     for (int round = 0; round < 3; round++)
-        for (int i = 0; i < CROWD_MOST; i++) {
+        for (int i = 0; i < IPV6_GROUPS_MOST; i++) {
             a.ip[7] = (uint8_t)i;
-            struct address got = crowd_client(c, a, 10 + round);
+            struct address got = ipv6_groups_client(c, a, 10 + round);
             assert_memory_equal(got.ip, a.ip, 8);
             assert_int_equal(got.ip[15], 0);
         }
     a.ip[7] = 100;
-    assert_int_equal(crowd_client(c, a, 20).ip[7], 0); /* the ninth: all are one */
+    assert_int_equal(ipv6_groups_client(c, a, 20).ip[7], 0); /* the ninth: all are one */
     a.ip[7] = 3;
-    assert_int_equal(crowd_client(c, a, 21).ip[7], 0);
-    assert_int_equal(crowd_client(c, a, 20.5 + CROWD_S).ip[7], 3); /* over: only two asked since */
+    assert_int_equal(ipv6_groups_client(c, a, 21).ip[7], 0);
+    assert_int_equal(ipv6_groups_client(c, a, 20.5 + IPV6_GROUPS_S).ip[7],
+                     3);             /* over: only two asked since */
     for (int i = 0; i < 1000; i++) { /* of a /48: a /64 in each of its /56s */
         a.ip[6] = (uint8_t)i;
         a.ip[7] = (uint8_t)(i / 3);
-        struct address got = crowd_client(c, a, 200 + 0.01 * i);
-        assert_int_equal(got.ip[6] || got.ip[7], i > 0 && i < CROWD_MOST);
+        struct address got = ipv6_groups_client(c, a, 200 + 0.01 * i);
+        assert_int_equal(got.ip[6] || got.ip[7], i > 0 && i < IPV6_GROUPS_MOST);
     }
     other.ip[7] = 9;
-    assert_memory_equal(crowd_client(c, other, 200).ip, other.ip, 8);
-    assert_memory_equal(crowd_client(c, v4, 200).ip, v4.ip, 16);
+    assert_memory_equal(ipv6_groups_client(c, other, 200).ip, other.ip, 8);
+    assert_memory_equal(ipv6_groups_client(c, v4, 200).ip, v4.ip, 16);
     for (uint32_t i = 0; i < 100000; i++) { /* very many networks: others are forgotten */
         memcpy(a.ip + 2, &i, 4);
-        assert_memory_equal(crowd_client(c, a, 300 + 1e-3 * i).ip, a.ip, 8);
+        assert_memory_equal(ipv6_groups_client(c, a, 300 + 1e-3 * i).ip, a.ip, 8);
     }
-    crowd_close(&c);
+    ipv6_groups_close(&c);
 }
 
 /* ---- connections ---- */

@@ -221,7 +221,7 @@ static void test_large_bodies_in_flight(void **state)
             refused += status == 503;
         }
     assert_true(refused > 0);
-    assert_true(flight_bytes(server_services(t.server)->flight) <= (size_t)17 << 20);
+    assert_true(live_bodies_bytes(server_services(t.server)->live_bodies) <= (size_t)17 << 20);
     ask("GET", tile_target(15, "glb", other), "", &r); /* small ones may wait, too */
     assert_true(r.status == 200 || (r.status == 503 && atoi(header(&r, "Retry-After")) > 0));
     buf_free(&r.raw);

@@ -12,7 +12,7 @@
 #include <time.h>
 
 #include "core/pool.h"
-#include "server/job.h"
+#include "server/jobs/job.h"
 
 enum { WAITERS = 100 };
 
@@ -123,14 +123,14 @@ static void client_wake(struct job_waiter *w)
 }
 
 static bool (*bench_passing)(const void *work); /* of the benches opened next */
-static double (*bench_cost)(const void *work, unsigned *kind);
+static double (*bench_cost)(const void *work, struct cost_kind *kind);
 
 /* 10 ms, and a second for numbers whose last digit is 9. */
-static double item_cost(const void *work, unsigned *kind)
+static double item_cost(const void *work, struct cost_kind *kind)
 {
     const struct item *it = work;
-    *kind = it->number % 10 == 9;
-    return *kind ? 1000 : 10;
+    kind->variant = it->number % 10 == 9;
+    return kind->variant ? 1000 : 10;
 }
 
 static bool (*bench_rests)(void *user, size_t drawer);

@@ -4,7 +4,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "server/auth.h"
+#include "server/access/auth.h"
 #include "tests/client.h"
 #include "tests/survey_kit.h"
 
@@ -14,11 +14,11 @@
 #include "core/dev.h"
 #include "lod/clip.h"
 #include "lod/raster.h"
-#include "server/body.h"
-#include "server/map_document.h"
-#include "server/map_tile.h"
-#include "server/services.h"
-#include "server/work.h"
+#include "server/answers/dispatch.h"
+#include "server/answers/services.h"
+#include "server/base/body.h"
+#include "server/documents/map_document.h"
+#include "server/drawing/map_tile.h"
 
 static const char IMMUTABLE[] = "public, max-age=31536000, immutable";
 static uint8_t zoom;     /* of most tests: pixels of 0.19 m */
@@ -669,8 +669,7 @@ static void wmts_names_itself(void **state)
     start();
     struct catalog *c = services_catalog(server_services(t.server));
     d = catalog_find(c, "survey", "");
-    const struct target there_is = {.appearance = "a b"};
-    kit_ok(map_document_wmts(d, "", &there_is, "https://maps.example", &b, &e), e);
+    kit_ok(map_document_wmts(d, "", "a b", "https://maps.example", &b, &e), e);
     assert_non_null(strstr((const char *)b->data,
                            "https://maps.example/d/survey/wmts.xml?appearance=a%20b\"/>"));
     body_drop(&b);
@@ -700,20 +699,25 @@ static void questions_end_with_their_client(void **state)
     if (!start_drawing())
         skip();
     struct services *s = server_services(t.server);
-    struct catalog *c = services_catalog(s);
-    struct query *q = mem_array(1, sizeof *q);
-    struct work *w = mem_array(1, sizeof *w);
-    assert_true(q && w);
-    *q = (struct query){.kind = QUERY_HEIGHT, .n = 256, .gsd_m = 0.001};
-    for (int i = 0; i < 256; i++) {
-        q->place[i][0] = origin.lon_deg + (i % 16 - 8) * 2e-5;
-        q->place[i][1] = origin.lat_deg + (i / 16 - 8) * 2e-5;
-    }
-    *w = (struct work){.kind = WORK_QUERY,
-                       .ds = dataset_ref(catalog_find(c, "survey", "")),
-                       .id = {.lo = 1, .hi = 2},
-                       .query = q};
-    catalog_drop(&c);
+    struct buf body = {0};
+    buf_printf(&body, "{\"gsd_m\":0.001,\"places\":[");
+    for (int i = 0; i < 256; i++)
+        buf_printf(&body, "%s[%.7f,%.7f]", i ? "," : "", origin.lon_deg + (i % 16 - 8) * 2e-5,
+                   origin.lat_deg + (i / 16 - 8) * 2e-5);
+    buf_printf(&body, "]}");
+    const char *target = "/d/survey/height";
+    const struct request ask = {.method = METHOD_POST,
+                                .target = target,
+                                .target_size = strlen(target),
+                                .body = body.data,
+                                .body_size = body.size};
+    struct response asked;
+    dispatch_answer(s, &ask, &asked);
+    struct work *w = asked.work;
+    assert_non_null(w);
+    asked.work = NULL;
+    response_free(&asked);
+    buf_free(&body);
     job_count(s->jobs, &st);
     uint64_t cancelled = st.ended[JOB_MAP][JOB_CANCELLED]; /* of the tests before */
     assert_int_equal(job_submit(s->jobs, JOB_MAP, w->id, w, 1, 60, &waiter), ERR_OK);

@@ -6,9 +6,9 @@
 #include "tests/client.h"
 
 #include "core/machine.h"
-#include "server/memory.h"
-#include "server/services.h"
-#include "server/work.h"
+#include "server/answers/services.h"
+#include "server/answers/work.h"
+#include "server/base/memory.h"
 
 enum { MB = 1 << 20 };
 

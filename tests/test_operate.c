@@ -5,7 +5,7 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #define _XOPEN_SOURCE 700 // NOLINT(cert-dcl51-cpp)
-#include "server/cache_policy.h"
+#include "server/access/cache_policy.h"
 #include "tests/rights_kit.h"
 
 #include <errno.h>

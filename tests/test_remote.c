@@ -386,7 +386,7 @@ static void asked(const char *name, char out[512])
 }
 
 /* Signature version 4 by its definition, over the request that came. */
-static void assert_signed(const char *method, const char *path)
+static void assert_signed(const char *path)
 {
     char auth[512], names[256], date[512], value[512], text[65];
     struct buf request = {0}, say = {0};
@@ -400,7 +400,7 @@ static void assert_signed(const char *method, const char *path)
     snprintf(names, sizeof names, "%.*s", (int)strcspn(list + 14, ","), list + 14);
     assert_non_null(strstr(names, "host"));
     assert_non_null(strstr(names, "x-amz-security-token"));
-    buf_printf(&request, "%s\n%s\n\n", method, path);
+    buf_printf(&request, "GET\n%s\n\n", path);
     char copy[256], *save = NULL;
     snprintf(copy, sizeof copy, "%s", names);
     for (char *name = strtok_r(copy, ";", &save); name; name = strtok_r(NULL, ";", &save)) {
@@ -447,37 +447,8 @@ static void requests_to_a_bucket_are_signed(void **state)
     kit_ok(store_open("s3://some-bucket/a city/first.tiles", &far, &e), e);
     assert_same_store(near, far);
     assert_string_equal(store_path(far), "s3://some-bucket/a city/first.tiles");
-    assert_signed("GET", "/some-bucket/a%20city/first.tiles");
+    assert_signed("/some-bucket/a%20city/first.tiles");
     store_close(&far);
-    /* an object that is read as a whole, and replaced */
-    struct range *range = NULL;
-    struct range_object o = {0};
-    struct buf all = {0};
-    bool same = true;
-    kit_ok(range_open("s3://some-bucket/a name.json", &range, &e), e);
-    kit_ok(range_whole(range, &o, SIZE_MAX, &all, &same, clock_s() + 5, &e), e);
-    assert_signed("GET", "/some-bucket/a%20name.json");
-    assert_int_equal(all.size, ranges.object.size);
-    assert_false(same);
-    kit_ok(range_put(range, &o, "{}", 2, clock_s() + 5, &e), e);
-    assert_signed("PUT", "/some-bucket/a%20name.json");
-    assert_string_equal(o.etag, ranges.etag);
-    kit_ok(range_whole(range, &o, 2, &all, &same, clock_s() + 5, &e), e);
-    assert_true(same);
-    const struct range_object was = o;
-    kit_ok(range_put(range, &o, "[1]", 3, clock_s() + 5, &e), e);
-    o = was;
-    kit_fails(range_put(range, &o, "[2]", 3, clock_s() + 5, &e), ERR_DATA, e,
-              "another has changed");
-    o = (struct range_object){0};
-    kit_fails(range_put(range, &o, "[2]", 3, clock_s() + 5, &e), ERR_DATA, e,
-              "another has changed");
-    kit_fails(range_whole(range, &o, 2, &all, &same, clock_s() + 5, &e), ERR_LIMIT, e,
-              "more than 2");
-    assert_int_equal(ranges.object.size, 3);
-    ranges_serve(r.first, "one");
-    range_close(&range);
-    buf_free(&all);
     for (const char *const *name =
              (const char *const[]){"AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY",
                                    "AWS_SESSION_TOKEN", NULL};

@@ -3,7 +3,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "server/auth.h"
+#include "server/access/auth.h"
 #include "tests/rights_kit.h"
 
 #include <jansson.h>

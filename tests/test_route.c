@@ -9,12 +9,13 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "server/auth.h"
-#include "server/card.h"
-#include "server/condition.h"
+#include "server/access/auth.h"
+#include "server/answers/answer_view.h"
+#include "server/answers/metrics_text.h"
+#include "server/answers/origin.h"
+#include "server/base/condition.h"
+#include "server/documents/social_preview.h"
 #include "server/headers.h"
-#include "server/metrics_text.h"
-#include "server/origin.h"
 #include "tests/routed.h"
 
 static void test_documents(void **state)
@@ -617,7 +618,7 @@ static void test_card(void **state)
                               "<meta property=\"og:title\" content=\"x\" />\n<title>x</title>"
                               "<noscript>x</noscript><main>y</main><svg><title>z</title></svg>"),
                 *made = NULL;
-    kit_ok(card_page(page, d, "https://a.example/below", true, &made, &e), e);
+    kit_ok(social_preview_page(page, d, "https://a.example/below", true, &made, &e), e);
     struct response one = {.data = made->data, .size = made->size};
     assert_true(says(&one, "property=\"og:image\" "
                            "content=\"https://a.example/below/d/toy/static/"));
@@ -628,7 +629,7 @@ static void test_card(void **state)
     assert_false(says(&one, "content=\"x\""));
     assert_false(says(&one, ">x<"));
     body_drop(&made);
-    kit_ok(card_page(page, d, "", true, &made, &e), e); /* who asks by no name */
+    kit_ok(social_preview_page(page, d, "", true, &made, &e), e); /* who asks by no name */
     one = (struct response){.data = made->data, .size = made->size};
     assert_false(says(&one, "og:image"));
     assert_false(says(&one, "og:url"));
@@ -704,7 +705,8 @@ static void test_job_ends(void **state)
     (void)state;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         struct request q = {.target = "/", .target_size = 1};
-        struct response r = {.cache_control = IMMUTABLE, .cls = JOB_TILE, .queue_s = -1};
+        struct response r = {
+            .cache_control = IMMUTABLE, .cls = JOB_TILE, .kind = &answer_view_work, .queue_s = -1};
         struct job_result result = {.end = rows[i].end, .code = rows[i].code, .msg = "because"};
         dispatch_finish(&t.s, &q, &result, &r);
         assert_int_equal(r.status, rows[i].status);
@@ -714,20 +716,24 @@ static void test_job_ends(void **state)
     }
 }
 
+/* Each kind of work has a word of its own. */
 static void test_words_of_failures(void **state)
 {
     static const struct {
-        enum work_kind kind;
-        const char *says;
-    } rows[] = {{WORK_VIEW, "the picture could not"},       {WORK_MAP, "the map tile could not"},
-                {WORK_QUERY, "the answer could not"},       {WORK_SEED, "the list of tiles could"},
-                {WORK_TILEJSON, "the TileJSON could"},      {WORK_TILESET, "the tileset could not"},
-                {WORK_THUMBNAIL, "the thumbnail could not"}};
+        const char *target, *says;
+    } rows[] = {{"/d/toy/r/REV/t/KEY15.glb", "tile 15/"},
+                {"/d/toy/seed.ndjson", "the list of tiles could"},
+                {"/collections/toy/tiles.json", "the TileJSON could"},
+                {"/d/toy/tileset.json?sh=0", "the tileset could not"}};
     (void)state;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
-        struct request q = {.target = "/", .target_size = 1};
-        struct response r = {.cls = JOB_MAP, .kind = rows[i].kind, .queue_s = -1};
+        struct request q = {.target = expand(rows[i].target, last_target, sizeof last_target)};
+        q.target_size = strlen(q.target);
+        struct response r;
         struct job_result result = {.end = JOB_ERROR, .code = ERR_INTERNAL, .msg = "a path"};
+        dispatch_answer(&t.s, &q, &r);
+        assert_non_null(r.work);
+        work_drop(NULL, r.work);
         dispatch_finish(&t.s, &q, &result, &r);
         assert_int_equal(r.status, 500);
         if (!says(&r, rows[i].says) || says(&r, "a path"))
@@ -785,6 +791,7 @@ static void test_metrics_are_local(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_words_of_failures), /* before these documents are kept */
         cmocka_unit_test(test_documents),
         cmocka_unit_test(test_version),
         cmocka_unit_test(test_documents_without_memory),
@@ -802,7 +809,6 @@ int main(void)
         cmocka_unit_test(test_card),
         cmocka_unit_test(test_basemap),
         cmocka_unit_test(test_job_ends),
-        cmocka_unit_test(test_words_of_failures),
         cmocka_unit_test(test_metrics_are_local),
         cmocka_unit_test(test_origins),
     };

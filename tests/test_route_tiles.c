@@ -146,11 +146,10 @@ static void test_seed(void **state)
     response_free(&r);
 }
 
-/* ---- what a camera needs ---- */
+/* ---- pages of prefetch lists ---- */
 
 struct row { /* of a list */
     unsigned z;
-    double at_s;
     long long bytes;
 };
 
@@ -179,8 +178,7 @@ static size_t list_rows(const char *target, struct row *out, size_t room, char n
         t_at = strstr(url, "t/1");
         assert_non_null(t_at);
         out[n++] =
-            (struct row){(unsigned)atoi(t_at + 2), json_number_value(json_object_get(o, "at_s")),
-                         json_integer_value(json_object_get(o, "bytes"))};
+            (struct row){(unsigned)atoi(t_at + 2), json_integer_value(json_object_get(o, "bytes"))};
         json_decref(o);
     }
     mem_free(text);
@@ -188,150 +186,24 @@ static size_t list_rows(const char *target, struct row *out, size_t room, char n
     return n;
 }
 
-enum { PLACED_MAX = 800 };
-/* X and Y in a target become the finest tile's centre, S and F places 3 and 5 km south of it. */
-static const char *placed(const char *text, char out[PLACED_MAX])
-{
-    double lon, lat;
-    size_t n = 0;
-    key_center(served_key(SERVED_ZOOM_MAX), &lon, &lat);
-    for (; *text && n + 16 < PLACED_MAX; text++) {
-        const char *of = strchr("XYSF", *text);
-        const double value[] = {lon, lat, lat - 0.027, lat - 0.045};
-        if (of)
-            n += (size_t)snprintf(out + n, 16, "%.6f", value[of - "XYSF"]);
-        else
-            out[n++] = *text;
-    }
-    out[n] = '\0';
-    return out;
-}
-
-static void test_seed_of_a_camera(void **state)
-{
-    struct row rows[8];
-    char next[600], at[PLACED_MAX];
-    size_t n;
-    (void)state;
-    /* Straight down from 100 m: all that is above the tile as well, coarse first. */
-    n = list_rows(placed("/d/toy/seed.ndjson?path=X,Y,85@0,-90", at), rows, 8, next);
-    assert_true(n >= 3);
-    for (size_t i = 0; i < n; i++) {
-        assert_true(rows[i].at_s == 0 && rows[i].bytes > 0);
-        assert_true(i == 0 ? rows[i].z == 15 : rows[i].z >= rows[i - 1].z);
-    }
-    assert_int_equal(rows[n - 1].z, 17);
-    /* From 5 km away the coarsest does; looking away there is nothing. */
-    n = list_rows(placed("/d/toy/seed.ndjson?path=X,F,140@0,0", at), rows, 8, next);
-    assert_int_equal(n, 1);
-    assert_int_equal(rows[0].z, 15);
-    assert_int_equal(list_rows(placed("/d/toy/seed.ndjson?path=X,F,140@180,0", at), rows, 8, next),
-                     0);
-    /* A client that refines more, or has a sharper lens, needs more. */
-    n = list_rows(placed("/d/toy/seed.ndjson?path=X,F,140@0,0&error=0.5&fov=10", at), rows, 8,
-                  next);
-    assert_true(n >= 3);
-    n = list_rows(placed("/d/toy/seed.ndjson?path=X,F,140@0,0&error=0.5&fov=10&z=16", at), rows, 8,
-                  next);
-    assert_true(n >= 1 && rows[0].z == 16);
-}
-
-/* When the zooms of a list are wanted, and that it is in order of time. */
-static void check_flight(const char *query, double z15_s, double fine_s, double fine_to_s)
-{
-    struct row rows[8];
-    char target[900], next[600], at[PLACED_MAX];
-    double first[18] = {0}, last_s = 0;
-    snprintf(target, sizeof target, "/d/toy/seed.ndjson?%s", placed(query, at));
-    size_t n = list_rows(target, rows, 8, next);
-    for (size_t k = 0; k < 18; k++)
-        first[k] = -1;
-    for (size_t k = n; k-- > 0;)
-        first[rows[k].z] = rows[k].at_s;
-    for (size_t k = 0; k < n; k++) {
-        assert_true(rows[k].at_s >= last_s);
-        last_s = rows[k].at_s;
-    }
-    bool far = z15_s == 0 ? first[15] == 0 : first[15] >= 1 && first[15] <= 4;
-    bool fine = fine_s < 0 ? n == 1 : first[17] > fine_s && first[17] < fine_to_s;
-    if (!far || !fine)
-        fail_msg("%s: %zu rows, zoom 15 after %g s, 17 after %g s", query, n, first[15], first[17]);
-}
-
-/* From 3 km away at 100 m/s: the finest tile comes within 39 m of the one above it, where a metre
- * of error is 16 px of the 623 px that f is; that one reaches up to 130 m further than the finest.
- * */
-static void test_seed_of_a_flight(void **state)
-{
-#define FLIGHT "X,S,85@0,0;X,Y,85@0,-30"
-    static const struct {
-        const char *query;
-        double z15_s, fine_s, fine_to_s; /* fine_s < 0: none */
-    } paths[] = {
-        {"path=" FLIGHT "&speed=100", 0, 27, 30.1},
-        {"path=" FLIGHT "&speed=200", 0, 13.5, 15.1},
-        {"path=X%2CS%2C85%400%2C0%3BX,Y,85@0,-30&speed=100", 0, 27, 30.1},
-        {"path=" FLIGHT "&speed=100&horizon=5", 0, -1, 0},
-        {"path=X,S,85@0,0&speed=100&horizon=32", 0, 27, 30.1}, /* straight ahead */
-        {"path=X,S,85@0,0&speed=100", 0, -1, 0},               /* for 10 s */
-        {"path=X,S,85@180,0;X,S,85@0,0", 1, -1, 0},            /* turns: 45 degrees a second */
-    };
-    (void)state;
-    for (size_t i = 0; i < sizeof paths / sizeof *paths; i++)
-        check_flight(paths[i].query, paths[i].z15_s, paths[i].fine_s, paths[i].fine_to_s);
-}
-
-static void test_seed_of_an_impossible_flight(void **state)
-{
-    static const struct {
-        const char *path;
-        int status;
-    } bad[] = {
-        {"13.4,52.5,140@0", 400},          {"13.4,52.5,140@0,-90;", 400},
-        {"13.4,52.5,140@0,-90,60", 400},   {"nan,52.5,140@0,-90", 400},
-        {"13.4,52.5,140@0,-90%00", 400},   {"", 400},
-        {"13.4,92.5,140@0,-90", 422},      {"13.4,52.5,140@0,-91", 422},
-        {"13.4,52.5,999999999@0,-9", 422},
-    };
-    (void)state;
-    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
-        char target[200];
-        snprintf(target, sizeof target, "/d/toy/seed.ndjson?path=%s", bad[i].path);
-        struct response r = get(target);
-        if (r.status != bad[i].status)
-            fail_msg("%s: %d", target, r.status);
-        response_free(&r);
-    }
-    char target[2000] = "/d/toy/seed.ndjson?path=1,2,3@4,5";
-    for (int k = 0; k < 64; k++) {
-        size_t n = strlen(target);
-        snprintf(target + n, sizeof target - n, ";1,2,3@4,5");
-    }
-    struct response r = get(target);
-    assert_int_equal(r.status, 422);
-    response_free(&r);
-}
-
 /* Pages: together they are the whole list, in order, each at an address of the revision. */
 static void test_seed_pages(void **state)
 {
-    static const char *const queries[] = {"", "f=drc&preset=spz&sh=1&bbox=-1.5,50,14,53&",
-                                          "path=X,Y,85@0,-90;X,F,99@90,-4.5&speed=30&"};
+    static const char *const queries[] = {"", "f=drc&preset=spz&sh=1&bbox=-1.5,50,14,53&"};
     (void)state;
     for (size_t q = 0; q < sizeof queries / sizeof *queries; q++) {
         struct row all[8], page[8];
-        char target[900], next[600], query[PLACED_MAX];
+        char target[900], next[600];
         size_t n_pages = 0, n = 0;
-        snprintf(target, sizeof target, "/d/toy/seed.ndjson?%s", placed(queries[q], query));
+        snprintf(target, sizeof target, "/d/toy/seed.ndjson?%s", queries[q]);
         target[strlen(target) - 1] = '\0'; /* ? or & */
         size_t n_all = list_rows(target, all, 8, next);
         expect("next", next, "");
-        snprintf(target, sizeof target, "/d/toy/seed.ndjson?%slimit=1", query);
+        snprintf(target, sizeof target, "/d/toy/seed.ndjson?%slimit=1", queries[q]);
         for (;; n_pages++) {
             size_t got = list_rows(target, page, 8, next);
             assert_int_equal(got, 1);
-            assert_true(page[0].z == all[n].z && page[0].at_s == all[n].at_s &&
-                        page[0].bytes == all[n].bytes);
+            assert_true(page[0].z == all[n].z && page[0].bytes == all[n].bytes);
             n++;
             if (!next[0])
                 break;
@@ -530,17 +402,10 @@ static void test_no_memory_for_a_tile(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_tiles),
-        cmocka_unit_test(test_ranges),
-        cmocka_unit_test(test_seed),
-        cmocka_unit_test(test_presets),
-        cmocka_unit_test(test_seed_of_a_camera),
-        cmocka_unit_test(test_seed_of_a_flight),
-        cmocka_unit_test(test_seed_of_an_impossible_flight),
-        cmocka_unit_test(test_seed_pages),
-        cmocka_unit_test(test_links),
-        cmocka_unit_test(test_damaged_tile),
-        cmocka_unit_test(test_no_memory_for_a_tile),
+        cmocka_unit_test(test_tiles),        cmocka_unit_test(test_ranges),
+        cmocka_unit_test(test_seed),         cmocka_unit_test(test_presets),
+        cmocka_unit_test(test_seed_pages),   cmocka_unit_test(test_links),
+        cmocka_unit_test(test_damaged_tile), cmocka_unit_test(test_no_memory_for_a_tile),
     };
     return cmocka_run_group_tests(tests, setup, teardown);
 }

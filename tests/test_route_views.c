@@ -5,7 +5,8 @@
  */
 #include "codec/quant.h"
 #include "lod/view.h"
-#include "server/result_id.h"
+#include "server/answers/answer_view.h"
+#include "server/drawing/picture_id.h"
 #include "tests/routed.h"
 
 #include <math.h>
@@ -28,12 +29,14 @@ static void test_views(void **state)
     r = answer(&(struct ask){.target = target, .prefetch = true});
     assert_non_null(r.work);
     assert_int_equal(r.cls, JOB_AHEAD);
-    assert_int_equal(r.work->view.cam.width_px, 64);
+    assert_ptr_equal(r.work->kind, &answer_view_work);
+    const struct camera *cam = &((const struct answer_view_own *)work_own(r.work))->view.cam;
+    assert_int_equal(cam->width_px, 64);
     struct camera want;
     const struct view_pose pose = {13.4, 52.5, 120, 0, -90, 60};
     kit_ok(view_camera(&served_origin, &pose, 64, 48, &want, &e), e);
     for (int i = 0; i < 9; i++)
-        assert_true(fabs(r.work->view.cam.rot[i] - want.rot[i]) < 1e-12);
+        assert_true(fabs(cam->rot[i] - want.rot[i]) < 1e-12);
     response_free(&r);
     r = get("/d/toy/r/REV/static/13.4,52.5,120@0,-90/4000x48.jpg");
     assert_int_equal(r.status, 422);
@@ -176,14 +179,14 @@ static void test_configuration_and_tags(void **state)
         response_free(&b);
     }
     catalog_drop(&others);
-    result_id_pictures_edition(d, "one", 85, 0, 1000, device);
-    result_id_pictures_edition(d, "two", 85, 0, 1000, edition);
+    picture_id_edition(d, "one", 85, 0, 1000, device);
+    picture_id_edition(d, "two", 85, 0, 1000, edition);
     assert_string_not_equal(device, edition);
-    result_id_pictures_edition(d, "one", 86, 0, 1000, edition);
+    picture_id_edition(d, "one", 86, 0, 1000, edition);
     assert_string_not_equal(device, edition);
-    result_id_pictures_edition(d, "one", 85, 1, 1000, edition);
+    picture_id_edition(d, "one", 85, 1, 1000, edition);
     assert_string_not_equal(device, edition);
-    result_id_pictures_edition(d, "one", 85, 0, 1001, edition);
+    picture_id_edition(d, "one", 85, 0, 1001, edition);
     assert_string_not_equal(device, edition);
 }
 

@@ -11,8 +11,8 @@
 #include <time.h>
 
 #include "lod/photograph.h"
-#include "server/param_time.h"
-#include "server/search.h"
+#include "server/documents/search.h"
+#include "server/route/param_time.h"
 
 enum { PHOTOS = 60, LEN = 4, IMAGE = 8, BARE = 7 /* of this nothing is known but its embedding */ };
 static struct photo {

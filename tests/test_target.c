@@ -3,9 +3,9 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "codec/quant.h"
-#include "server/condition.h"
-#include "server/router.h"
-#include "server/routes.h"
+#include "server/answers/routes.h"
+#include "server/base/condition.h"
+#include "server/route/router.h"
 #include "tests/kit.h"
 
 #include <string.h>
@@ -124,16 +124,7 @@ static void test_targets(void **state)
         {"/d/toy/seed.ndjson?limit=0", ERR_FORMAT, "seed_moving"},
         {"/d/toy/seed.ndjson?limit=100001", ERR_FORMAT, "seed_moving"},
         {"/d/toy/seed.ndjson?after=-1", ERR_FORMAT, "seed_moving"},
-        {"/d/toy/"
-         "seed.ndjson?path=1,2,3@4,5;1,2,9@4,5&speed=15&horizon=8.5&size=640x480&fov=50&error=8",
-         ERR_OK, "seed_moving"},
-        {"/d/toy/seed.ndjson?speed=15", ERR_FORMAT, "seed_moving"}, /* of what? */
-        {"/d/toy/seed.ndjson?path=1,2,3@4,5&speed=0", ERR_DATA, "seed_moving"},
-        {"/d/toy/seed.ndjson?path=1,2,3@4,5&speed=1e9", ERR_FORMAT, "seed_moving"},
-        {"/d/toy/seed.ndjson?path=1,2,3@4,5&horizon=9999", ERR_DATA, "seed_moving"},
-        {"/d/toy/seed.ndjson?path=1,2,3@4,5&size=0x5", ERR_DATA, "seed_moving"},
-        {"/d/toy/seed.ndjson?path=1,2,3@4,5&size=640", ERR_FORMAT, "seed_moving"},
-        {"/d/toy/seed.ndjson?path=1,2,3@4,5&path=1,2,3@4,5", ERR_FORMAT, "seed_moving"},
+        {"/d/toy/seed.ndjson?path=1,2,3@4,5", ERR_FORMAT, "seed_moving"},
         {"/d/toy/r/0123456789ab/tileset/3/4/5.json", ERR_OK, "tileset_part"},
         {"/d/toy/r/0123456789ab/tileset/3/4/5.json?sh=0", ERR_OK, "tileset_part"},
         {"/d/toy/r/0123456789ab/tileset/3/4/8.json", ERR_NOENT, NULL},
@@ -173,9 +164,9 @@ static void test_targets(void **state)
     (void)state;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         struct err e = {0};
-        struct target got;
+        union target_any got;
         enum err_code rc = router_read(routes, rows[i].text, strlen(rows[i].text), &got, &e);
-        const char *name = got.route ? got.route->name : "-";
+        const char *name = got.all.route ? got.all.route->name : "-";
         if (rc != rows[i].code || (!rc && strcmp(name, rows[i].route) != 0))
             fail_msg("'%s': got %s %s (%s), want %s %s", rows[i].text, err_name(rc), name, e.msg,
                      err_name(rows[i].code), rows[i].route ? rows[i].route : "-");
@@ -185,48 +176,48 @@ static void test_targets(void **state)
 static void test_target_numbers(void **state)
 {
     struct err e = {0};
-    struct target g;
+    union target_any g;
     (void)state;
     const char *view =
         "/d/toy/r/0123456789ab/static/-13.40000004,52.12345678,-1.0005@-90,-45.5,60.25/640x480.png";
     kit_ok(router_read(routes, view, strlen(view), &g, &e), e);
-    assert_int_equal(g.pose.lon_e7, -134000000);
-    assert_int_equal(g.pose.lat_e7, 521234568);
-    assert_int_equal(g.pose.h_mm, -1001);
-    assert_int_equal(g.pose.heading_e3, 270000);
-    assert_int_equal(g.pose.pitch_e3, -45500);
-    assert_int_equal(g.pose.fov_e3, 60250);
-    assert_int_equal(g.width_px, 640);
-    assert_int_equal(g.height_px, 480);
-    assert_int_equal(g.form.format, FORMAT_PNG);
-    assert_string_equal(g.rev, "0123456789ab");
+    assert_int_equal(g.of_view.view.pose.lon_e7, -134000000);
+    assert_int_equal(g.of_view.view.pose.lat_e7, 521234568);
+    assert_int_equal(g.of_view.view.pose.h_mm, -1001);
+    assert_int_equal(g.of_view.view.pose.heading_e3, 270000);
+    assert_int_equal(g.of_view.view.pose.pitch_e3, -45500);
+    assert_int_equal(g.of_view.view.pose.fov_e3, 60250);
+    assert_int_equal(g.of_view.view.width_px, 640);
+    assert_int_equal(g.of_view.view.height_px, 480);
+    assert_int_equal(g.of_view.view.format, FORMAT_PNG);
+    assert_string_equal(g.all.names.rev, "0123456789ab");
     const char *same = "/d/toy/static/-0,0.0,0.000@360,-0.0,60/1x1.png";
     kit_ok(router_read(routes, same, strlen(same), &g, &e), e);
-    assert_int_equal(g.pose.heading_e3, 0);
-    assert_int_equal(g.pose.fov_e3, 60000);
+    assert_int_equal(g.of_view_moving.view.pose.heading_e3, 0);
+    assert_int_equal(g.of_view_moving.view.pose.fov_e3, 60000);
     const char *tile = "/d/old_town-2/r/ffffffffffff/t/17/70406/42987.spz";
     kit_ok(router_read(routes, tile, strlen(tile), &g, &e), e);
-    assert_string_equal(g.ds, "old_town-2");
-    assert_int_equal(g.key.z, 17);
-    assert_int_equal(g.key.x, 70406);
-    assert_int_equal(g.key.y, 42987);
-    assert_int_equal(g.form.format, FORMAT_SPZ);
-    assert_int_equal(g.form.preset, QUANT_PRESETS);
-    assert_int_equal(g.form.sh_degree, FORM_UNSAID);
+    assert_string_equal(g.all.names.ds, "old_town-2");
+    assert_int_equal(g.of_tile.cell.key.z, 17);
+    assert_int_equal(g.of_tile.cell.key.x, 70406);
+    assert_int_equal(g.of_tile.cell.key.y, 42987);
+    assert_int_equal(g.of_tile.tiles.form.format, FORMAT_SPZ);
+    assert_int_equal(g.of_tile.tiles.form.preset, QUANT_PRESETS);
+    assert_int_equal(g.of_tile.tiles.form.sh_degree, FORM_UNSAID);
     tile = "/d/toy/t/17/70406/42987.drc?sh=1&v=2&preset=near-lossless";
     kit_ok(router_read(routes, tile, strlen(tile), &g, &e), e);
-    assert_int_equal(g.form.preset, QUANT_NEAR_LOSSLESS);
-    assert_int_equal(g.form.sh_degree, 1);
-    assert_int_equal(g.form.part, 0);
+    assert_int_equal(g.of_tile_moving.tiles.form.preset, QUANT_NEAR_LOSSLESS);
+    assert_int_equal(g.of_tile_moving.tiles.form.sh_degree, 1);
+    assert_int_equal(g.of_tile_moving.tiles.form.part, 0);
     tile = "/d/toy/t/17/70406/42987.drc?part=2";
     kit_ok(router_read(routes, tile, strlen(tile), &g, &e), e);
-    assert_int_equal(g.form.part, 2);
+    assert_int_equal(g.of_tile_moving.tiles.form.part, 2);
     const char *seed = "/d/toy/seed.ndjson?z=16&bbox=-1.5,2,3.25,4";
     kit_ok(router_read(routes, seed, strlen(seed), &g, &e), e);
-    assert_int_equal(g.z_min, 16);
-    assert_int_equal(g.z_max, 16);
-    assert_int_equal(g.bbox_e7[0], -15000000);
-    assert_int_equal(g.bbox_e7[2], 32500000);
+    assert_int_equal(g.of_seed_moving.zooms.z_min, 16);
+    assert_int_equal(g.of_seed_moving.zooms.z_max, 16);
+    assert_int_equal(g.of_seed_moving.page.bbox_e7[0], -15000000);
+    assert_int_equal(g.of_seed_moving.page.bbox_e7[2], 32500000);
 }
 
 /* Any bytes: no crash, no reading past the end (the copy is exactly as long as the text). */
@@ -246,11 +237,11 @@ static void test_target_any_bytes(void **state)
             n += strlen(w);
         }
         char *exact = mem_array(n, 1);
-        struct target g;
+        union target_any g;
         memcpy(exact, text, n);
         enum err_code rc = router_read(routes, exact, n, &g, NULL);
         assert_true(!rc || rc == ERR_FORMAT || rc == ERR_NOENT || rc == ERR_DATA);
-        assert_true(rc || g.route);
+        assert_true(rc || g.all.route);
         mem_free(exact);
     }
 }

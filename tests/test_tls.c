@@ -1,5 +1,5 @@
 /* TLS: the same bytes as without it, the screen in front of the parser, certificates that a reload
- * replaces, and what is refused. test_guard.c also runs over TLS (guard_tls).
+ * replaces, and what is refused. test_request_guard.c also runs over TLS (request_guard_tls).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -20,7 +20,7 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "server/worker.h"
+#include "server/drawing/worker.h"
 
 static const double PATIENCE_S = 20;
 

@@ -34,7 +34,7 @@ export const table = [
     { what: "a Host that is no name", when: is("host bad"), field: "answers", ours: /^400/, nginx: any,
         why: "RFC 9112 (3.2): 400 for an invalid value. nginx takes `a@b` and `a,b`." },
     { what: "a long line", when: is("header long", "target long"), field: "answers", ours: /^(414|431)/, nginx: any,
-        why: "--max-header-kb, and no address has more than 2 KB. 414 and 431 say which; nginx has 400 for a field." },
+        why: "Headers have 16 KB, and no address has more than 2 KB. 414 and 431 say which; nginx has 400 for a field." },
     { what: "bytes that no target has", when: is("target control", "target form", "target badabsolute"), field: "answers", ours: /^400/, nginx: any,
         why: "RFC 9112 (3.2): 400 for an invalid request line; a fragment is never sent." },
     { what: "an absolute target without a path", when: sent(/^\w+ +http:\/\/files\.example +HTTP/), field: "answers", ours: any, nginx: /^403/,

@@ -53,15 +53,6 @@ serve() { # NUMBER PORT [OPTIONS]: starts a server of $store, else of $work/toy.
     cat "$work/$i.log"
     exit 1
 }
-operators() { # NUMBER: the port of that server's operators (--admin) in admin[NUMBER], when it has one
-    for _ in $(seq 50); do
-        admin[$1]=$(sed -n 's|^operators: port ||p' "$work/$1.out")
-        [ -z "${admin[$1]}" ] || return 0
-        sleep 0.05
-    done
-    exit 1
-}
-
 free_port() { # a port that is free now
     perl -MIO::Socket::INET -e 'print IO::Socket::INET->new(Listen => 1, LocalAddr => "127.0.0.1")->sockport'
 }

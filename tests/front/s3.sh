@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# s3.sh: an implementation of S3 that is not ours, Ceph's gateway (a monitor, a store in memory, radosgw). Two servers
-# without data read a private store of a bucket with signed requests, and share the name of an appearance in it.
+# s3.sh: an implementation of S3 that is not ours, Ceph's gateway (a monitor, a store in memory, radosgw). A server
+# without data reads a private store of a bucket with signed requests.
 #
 # SPDX-License-Identifier: Apache-2.0
 set -u
@@ -74,13 +74,7 @@ check 'a wrong key is told' grep -q 'status 403' <(AWS_SECRET_ACCESS_KEY=other "
 check 'every tile is whole' "$bin" verify s3://maps/toy.tiles
 began=$(wc -l <"$c/client.rgw.log")
 
-admin=()
-node_up() { # NUMBER
-    XDG_CACHE_HOME=$work/cache$1 store=s3://maps/toy.tiles serve "$1" 0 --admin 127.0.0.1:0 --state-url s3://maps/names.json --state-refresh-s 1
-    operators "$1"
-}
-node_up 1
-node_up 2
+XDG_CACHE_HOME=$work/cache1 store=s3://maps/toy.tiles serve 1 0
 store=$work/lit.tiles serve 3 0
 rev=$(revision)
 tiles >"$work/paths"
@@ -90,21 +84,7 @@ n=$(wc -l <"$work/paths")
 check 'every tile comes' is "$(sums "$work/a" "$n" | grep -c .)" "$n"
 check 'with the bytes of the file' cmp <(sums "$work/a" "$n") <(sums "$work/b" "$n")
 
-keep() { # NODE NAME: status
-    status -X PUT "http://127.0.0.1:${admin[$1]}/d/toy/appearances/$2" -d '{"weights":{"p1.jpg":1,"p2.jpg":3}}'
-    echo
-}
-check 'a name is kept at one' is "$(keep 1 first)" 201
-check 'and found at the other' is "$(status "http://127.0.0.1:${ports[2]}/d/toy/tileset.json?appearance=first")" 200
-# Ceph 16 refuses If-Match with quotes, which both must find out, and do then change it at the same time.
-keep_many() { for k in $(seq 20); do keep "$1" "n$1-$k"; done >"$work/kept$1"; }
-keep_many 1 & one=$!
-keep_many 2
-wait $one
-check 'both change it at once' is "$(sort "$work"/kept[12] | uniq -c | xargs)" '40 201'
-names=$(s3 GET maps/names.json | grep -oE '"n[12]-[0-9]+"' | sort -u | wc -l)
-check 'and nothing is lost' is "$names" 40
 echo "s3: $n tiles, $(grep -c 'GET /maps/toy.tiles.* 206' "$c/client.rgw.log") requests for ranges"
-tail -n +"$began" "$c/client.rgw.log" | grep -oE '"[A-Z]+ [^"]* HTTP[^"]*"' | grep -vE '"GET /maps/toy.tiles HTTP|"(GET|PUT) /maps/names.json HTTP' >"$work/else"
+tail -n +"$began" "$c/client.rgw.log" | grep -oE '"[A-Z]+ [^"]* HTTP[^"]*"' | grep -v '"GET /maps/toy.tiles HTTP' >"$work/else"
 check 'nothing else is asked of the bucket' is "$(wc -l <"$work/else")" 0
 exit $failed

@@ -9,7 +9,6 @@
 #include "codec/image.h"
 #include "codec/payload.h"
 #include "codec/ply.h"
-#include "codec/pmtiles.h"
 #include "codec/quant.h"
 #include "codec/seen.h"
 #include "codec/sog.h"
@@ -61,41 +60,6 @@ static enum err_code seen_seed(size_t i, struct buf *out)
     uint8_t views[6] = {0, 1, 2, 3, 5, 8};
     const struct seen_grid s = {{-10, 5}, 1.5, i ? 3 : 1, 2, views};
     return seen_encode(&s, out, NULL);
-}
-
-static enum err_code unzip_seed(size_t i, struct buf *out)
-{
-    uint8_t json[] = "{}", tile[] = "tile";
-    const struct archive_part part[3] = {{"tileset.json", {.data = json, .size = 2}},
-                                         {"content/3/1/2.glb", {.data = tile, .size = sizeof tile}},
-                                         {"empty", {.data = tile, .size = 0}}};
-    return archive_write(part, 1 + i % 3, out, NULL);
-}
-
-/* The writer makes files alone. */
-static enum err_code pmtiles_seed(size_t i, struct buf *out)
-{
-    char dir[] = "/tmp/citysplat-fuzz-XXXXXX", path[FILE_PATH_MAX];
-    static const struct pmtiles_about about = {.type = PMTILES_PNG,
-                                               .zoom_max = 3,
-                                               .bbox_deg = {7, 47, 8, 48},
-                                               .metadata = "{\"name\":\"seed\"}"};
-    struct pmtiles *p = NULL;
-    if (!mkdtemp(dir))
-        return ERR_IO;
-    enum err_code rc = file_join(path, dir, "seed.pmtiles", NULL);
-    if (!rc)
-        rc = pmtiles_begin(path, &p, NULL);
-    for (uint64_t id = 0; !rc && id < 5 + 40 * i; id++)
-        rc = pmtiles_add(p, 2 * id, id % 3 ? "even" : "odd!", 4, NULL);
-    if (!rc)
-        rc = pmtiles_commit(&p, &about, NULL);
-    pmtiles_abort(&p);
-    if (!rc)
-        rc = file_read(path, 0, out, NULL);
-    (void)remove(path);
-    (void)remove(dir);
-    return rc;
 }
 
 static enum err_code tensors_seed(size_t i, struct buf *out)
@@ -201,10 +165,6 @@ bool fuzz_seed(const char *target, size_t i, struct buf *out)
         return fuzz_seed_geojson(i, out);
     if (!strcmp(target, "tensors"))
         return tensors_seed(i, out) == ERR_OK;
-    if (!strcmp(target, "unzip"))
-        return unzip_seed(i, out) == ERR_OK;
-    if (!strcmp(target, "pmtiles"))
-        return pmtiles_seed(i, out) == ERR_OK;
     if (!strcmp(target, "seen"))
         return seen_seed(i, out) == ERR_OK;
     if (!strcmp(target, "npy"))

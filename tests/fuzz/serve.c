@@ -11,26 +11,24 @@
 #include "core/appearance.h"
 #include "core/options.h"
 #include "lod/query.h"
-#include "server/address.h"
-#include "server/appearance_api.h"
-#include "server/auth.h"
-#include "server/cache_policy.h"
-#include "server/condition.h"
-#include "server/course.h"
-#include "server/describe.h"
-#include "server/guard.h"
-#include "server/kept_shared.h"
-#include "server/router.h"
-#include "server/routes.h"
-#include "server/screen.h"
-#include "server/target_query.h"
-#include "server/text.h"
+#include "server/access/auth.h"
+#include "server/access/cache_policy.h"
+#include "server/answers/posted_view.h"
+#include "server/answers/routes.h"
+#include "server/base/address.h"
+#include "server/base/condition.h"
+#include "server/base/text.h"
+#include "server/documents/appearance_api.h"
+#include "server/http/request_guard.h"
+#include "server/http/request_screen.h"
+#include "server/route/router.h"
+#include "server/route/target_query.h"
 #include "tests/fuzz/fuzz.h"
 
 static const struct options_def serve_defs[] = {
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct server_config, type, tier, key, def, lo, hi, unit, help)
-#include "server/options.def"
+#include "server/base/options.def"
 #undef OPT
 };
 static const struct options_spec serve_spec = {
@@ -51,56 +49,30 @@ static char *serve_text(const uint8_t *bytes, size_t n)
 void fuzz_target(const uint8_t *bytes, size_t n)
 {
     static struct router *routes; /* once for all inputs */
-    struct target t, again;
+    union target_any any, again;
+    const struct target *t = &any.all;
     char query[TARGET_QUERY_MAX];
     if (!routes)
         assert(!router_open(ROUTES, ROUTES_COUNT, &routes, NULL));
-    if (router_read(routes, (const char *)bytes, n, &t, NULL))
+    if (router_read(routes, (const char *)bytes, n, &any, NULL))
         return;
-    const char *name = t.route->name;
-    assert(t.path_size <= n);
-    assert(strspn(t.ds, "abcdefghijklmnopqrstuvwxyz0123456789_-") == strlen(t.ds));
-    assert(strspn(t.rev, "0123456789abcdef") == strlen(t.rev));
-    assert(strcmp(name, "tile") != 0 || key_valid(t.key));
-    assert(strcmp(name, "view") != 0 || (t.pose.fov_e3 >= 1000 && t.pose.heading_e3 >= 0));
-    assert(strcmp(name, "kept") != 0 || param_is_kept_name(t.kept));
-    target_query_tiles(&t, query);
-    assert(strlen(query) < sizeof query);
-    for (size_t i = 0; i < t.path_size; i++)
-        assert(bytes[i] > 0x20 && bytes[i] < 0x7f && bytes[i] != '%' && bytes[i] != '"');
-    assert(!router_read(routes, (const char *)bytes, n, &again, NULL) && again.route == t.route);
-}
-
-/* Where a camera goes, as a prefetch list's query says it: the first bytes are speed and horizon.
- */
-void fuzz_course(const uint8_t *bytes, size_t n)
-{
-    enum { HEAD = 4 };
-    struct target_course t = {0};
-    struct course c;
-    struct camera cam[COURSE_CAMERAS_MAX];
-    double at_s[COURSE_CAMERAS_MAX];
-    size_t n_cam = 0;
-    if (n < HEAD)
-        return;
-    t.speed_e3 = 100u + 997u * bytes[0];
-    t.horizon_e3 = 14000u * bytes[1];
-    t.fov_e3 = 1000u + 500u * bytes[2];
-    t.width_px = 1u + bytes[3];
-    char *path = serve_text(bytes + HEAD, n - HEAD);
-    t.path = (struct text){path, path + (n - HEAD)};
-    if (!course_read(&t, &c, NULL)) {
-        assert(c.n >= 1 && c.n <= COURSE_POSES_MAX);
-        if (!course_cameras(&c, &serve_origin, cam, at_s, &n_cam, NULL)) {
-            assert(n_cam >= 1 && n_cam <= COURSE_CAMERAS_MAX);
-            for (size_t i = 0; i < n_cam; i++) {
-                assert(isfinite(at_s[i]) && (!i || at_s[i] >= at_s[i - 1]));
-                for (size_t k = 0; k < 3; k++)
-                    assert(isfinite(cam[i].trans[k]));
-            }
-        }
+    assert(t->path_size <= n);
+    assert(strspn(t->names.ds, "abcdefghijklmnopqrstuvwxyz0123456789_-") == strlen(t->names.ds));
+    assert(strspn(t->names.rev, "0123456789abcdef") == strlen(t->names.rev));
+    if (target_is(t, "view")) {
+        const struct target_pose *pose = &any.of_view.view.pose;
+        assert(pose->fov_e3 >= 1000 && pose->heading_e3 >= 0);
+    } else if (target_is(t, "kept")) {
+        assert(param_is_kept_name(t->names.kept));
+    } else if (target_is(t, "tile")) {
+        assert(key_valid(any.of_tile.cell.key));
+        target_query_tiles(&any.of_tile.tiles, query);
+        assert(strlen(query) < sizeof query);
     }
-    mem_free(path);
+    for (size_t i = 0; i < t->path_size; i++)
+        assert(bytes[i] > 0x20 && bytes[i] < 0x7f && bytes[i] != '%' && bytes[i] != '"');
+    assert(!router_read(routes, (const char *)bytes, n, &again, NULL) &&
+           again.all.route == t->route);
 }
 
 /* ---- fields ---- */
@@ -109,23 +81,24 @@ void fuzz_course(const uint8_t *bytes, size_t n)
 void fuzz_headers(const uint8_t *bytes, size_t n)
 {
     static struct server_config cfg = {.max_target_bytes = 2048, .max_body_kb = 64};
-    struct screen s = {0};
+    struct request_screen s = {0};
     struct request r = {.target = "/", .target_size = 1};
-    struct guard g = {.req = &r};
+    struct request_guard g = {.req = &r};
     char *out = mem_array(n + 4096, 1);
     size_t got = 0;
     assert(out);
-    if (screen_attach(&s, 1000, NULL, 4096, NULL)) {
+    if (request_screen_attach(&s, 1000, NULL, 4096, NULL)) {
         mem_free(out);
         return;
     }
     for (size_t at = 0, piece = 1; at < n; at += piece, piece = piece % 97 + 1) {
-        screen_put(&s, (const char *)bytes + at, piece < n - at ? piece : n - at);
-        for (size_t k; got < n + 4095 && (k = screen_take(&s, out + got, n + 4095 - got)) > 0;)
+        request_screen_put(&s, (const char *)bytes + at, piece < n - at ? piece : n - at);
+        for (size_t k;
+             got < n + 4095 && (k = request_screen_take(&s, out + got, n + 4095 - got)) > 0;)
             got += k;
         piece = piece < n - at ? piece : n - at;
     }
-    assert(!screen_refused(&s, s.requests + 1)); /* of what has not come nothing is known */
+    assert(!request_screen_refused(&s, s.requests + 1)); /* of what has not come nothing is known */
     char *save = NULL;
     for (char *line = strtok_r(out, "\r\n", &save); line; line = strtok_r(NULL, "\r\n", &save)) {
         char *colon = strchr(line, ':');
@@ -133,18 +106,18 @@ void fuzz_headers(const uint8_t *bytes, size_t n)
             continue;
         *colon++ = '\0';
         colon += strspn(colon, " \t");
-        guard_field(&g, line, strlen(line), colon, strlen(colon));
+        request_guard_field(&g, line, strlen(line), colon, strlen(colon));
     }
     const char *why;
-    (void)guard_check(&g, &cfg, "HTTP/1.1", &why);
-    (void)guard_local(&g, "HTTP/1.1");
+    (void)request_guard_check(&g, &cfg, "HTTP/1.1", &why);
+    (void)request_guard_local(&g, "HTTP/1.1");
     struct address_nets nets;
     if (!address_read_nets("10.0.0.0/8,::1", &nets, NULL)) {
         struct address peer = {.ip = {[10] = 0xff, 0xff, 10, 1, 2, 3}};
         char text[ADDRESS_TEXT];
         address_write(address_client(&nets, peer, r.forwarded, r.n_forwarded), text, sizeof text);
     }
-    screen_detach(&s, 1000);
+    request_screen_detach(&s, 1000);
     mem_free(out);
 }
 
@@ -192,12 +165,12 @@ void fuzz_body(const uint8_t *bytes, size_t n)
     serve_mix(bytes, n);
     static struct server_config cfg = {
         .max_view_px = 2048, .max_view_mpx = 4, .quality = 85, .deadline_s = 15};
-    struct describe_render p;
+    struct posted_view p;
     struct err e = {0};
     json_t *o = NULL;
     for (int motion = 0; motion < 2; motion++)
-        if (!(motion ? describe_read_motion(&cfg, &serve_origin, bytes, n, &p, &e)
-                     : describe_read_render(&cfg, &serve_origin, bytes, n, &p, &e))) {
+        if (!(motion ? posted_view_read_stream(&cfg, &serve_origin, bytes, n, &p, &e)
+                     : posted_view_read(&cfg, &serve_origin, bytes, n, &p, &e))) {
             assert(isfinite(p.cam.fx_px) && p.cam.fx_px > 0 && isfinite(p.cam.trans[0]));
             assert(p.cam.width_px && p.cam.height_px && p.quality >= 1 && p.quality <= 100);
             assert(p.timeout_s > 0 && p.timeout_s <= 30 && p.number >= 0);
@@ -213,26 +186,6 @@ void fuzz_body(const uint8_t *bytes, size_t n)
 }
 
 /* ---- what operators write ---- */
-
-/* The object of --state-url. What was read is read again from its own text. */
-void fuzz_names(const uint8_t *bytes, size_t n)
-{
-    struct kept_table *t = NULL, *again = NULL;
-    struct buf b = {0};
-    if (kept_shared_parse("names", bytes, n, &t, NULL))
-        return;
-    for (size_t i = 0; i < t->n; i++) {
-        const struct kept_row *row = &t->row[i];
-        assert(kept_find(t, row->ds, row->name) == row && text_is_utf8(row->text));
-    }
-    if (!kept_shared_text(t, &b, NULL) && !kept_shared_parse("names", b.data, b.size, &again, NULL))
-        assert(again->n == t->n && !memcmp(again->row, t->row, t->n * sizeof *t->row));
-    else
-        assert(b.failed);
-    kept_drop(&again);
-    kept_drop(&t);
-    buf_free(&b);
-}
 
 void fuzz_conf(const uint8_t *bytes, size_t n)
 {
@@ -297,13 +250,6 @@ bool fuzz_seed_serve(const char *target, size_t i, struct buf *out)
           "/d/toy/r/0123456789ab/static/13.4,52.5,150@10.5,-40,55,3/"
           "640x480@2x.png?background=sky&depth=cm",
           "/d/toy/seed.ndjson?bbox=1,2%2C3,4&z=12-16&f=plain.glb&exp=1&key=k&scope=/d/&sig=x"}},
-        {"course",
-         {"\1\1\1\1"
-          "8.68,50.11,260@10,-30;8.69,50.12,260.5@190.5,-90",
-          "\377\2\170\62"
-          "8.68,50.11,260@10,-30",
-          "\100\20\170\62"
-          "-180,85,0@0,0%3B179.9999999,-85,20000@360,90;0,0,0@-360,0"}},
         {"headers",
          {"GET / HTTP/1.1\r\nHost: a\r\nAccept: */*\r\nRange: bytes=0-1\r\n\r\n",
           "POST /d/toy/render HTTP/1.1\r\nHost: [::1]:80\r\nContent-Length: 2\r\n\r\n{}GET / "
@@ -327,14 +273,6 @@ bool fuzz_seed_serve(const char *target, size_t i, struct buf *out)
           "\"world_to_camera\":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1]},\"quality\":50,\"depth\":\"cm\","
           "\"format\":\"png\"}",
           "{\"polygon\":[[7.57,47.55],[7.58,47.55],[7.57,47.56]],\"base\":\"rim\",\"gsd_m\":0.5}"}},
-        {"names",
-         {"{\"format\":\"citysplat-names-1\",\"names\":[{\"dataset\":\"b\",\"name\":\"evening\","
-          "\"appearance\":\"p:1,q:2\"},{\"dataset\":\"a\",\"name\":\"x_1\",\"appearance\":\"="
-          "AAAA\","
-          "\"model\":\"00112233445566778899aabbccddeeff\"}]}",
-          "{\"format\":\"citysplat-names-1\",\"names\":[]}",
-          "{\"names\":[{\"dataset\":\"\\u00e9\",\"name\":\"a\",\"appearance\":\"dawn\"}],"
-          "\"format\":\"citysplat-names-1\"}"}},
         {"conf",
          {"// a file\n{\"port\": 80, \"device\": \"none\", \"admin\": \"127.0.0.1:9090\", "
           "\"keep_s\": 3.5}",

@@ -11,14 +11,12 @@
 #include "codec/npy.h"
 #include "codec/payload.h"
 #include "codec/ply.h"
-#include "codec/pmtiles_read.h"
 #include "codec/quant.h"
 #include "codec/seen.h"
 #include "codec/sog.h"
 #include "codec/splat.h"
 #include "codec/spz.h"
 #include "codec/tensors.h"
-#include "codec/unzip.h"
 #include "core/appearance.h"
 #include "core/layout.h"
 #include "tests/fuzz/fuzz.h"
@@ -184,56 +182,6 @@ void fuzz_seen(const uint8_t *bytes, size_t n)
         assert(at >= 0.0 && at <= SEEN_VIEWS_MAX);
     }
     seen_free(&s);
-}
-
-/* As a file that is read in parts: a read beyond its end is a fault of the reader. */
-struct fuzz_file {
-    const uint8_t *bytes;
-    size_t n;
-};
-
-static enum err_code fuzz_read(void *user, uint64_t at, void *out, size_t n, struct err *e)
-{
-    const struct fuzz_file *f = user;
-    (void)e;
-    assert(at <= f->n && n <= f->n - at);
-    if (n)
-        memcpy(out, f->bytes + at, n);
-    return ERR_OK;
-}
-
-void fuzz_unzip(const uint8_t *bytes, size_t n)
-{
-    struct fuzz_file f = {bytes, n};
-    const struct read_at from = {.name = "fuzz", .size_bytes = n, .user = &f, .read = fuzz_read};
-    struct unzip *u = NULL;
-    if (unzip_open(&from, &u, NULL) != ERR_OK)
-        return;
-    size_t files;
-    const struct unzip_file *file = unzip_files(u, &files);
-    assert(files <= n / 46); /* an entry of the directory takes as much */
-    for (size_t i = 0; i < files && i < 16; i++) {
-        struct buf out = {0};
-        if (unzip_read(&from, &file[i], &out, NULL) == ERR_OK)
-            assert(out.size == file[i].plain);
-        buf_free(&out);
-    }
-    unzip_close(&u);
-}
-
-void fuzz_pmtiles(const uint8_t *bytes, size_t n)
-{
-    struct fuzz_file f = {bytes, n};
-    const struct read_at from = {.name = "fuzz", .size_bytes = n, .user = &f, .read = fuzz_read};
-    struct pmtiles_read *p = NULL;
-    if (pmtiles_read_open(&from, &p, NULL) != ERR_OK)
-        return;
-    for (uint64_t id = 0; id < 400; id++) {
-        struct pmtiles_place at;
-        if (pmtiles_read_find(p, id, &at))
-            assert(at.at <= n && at.size_bytes <= n - at.at);
-    }
-    pmtiles_read_close(&p);
 }
 
 void fuzz_tensors(const uint8_t *bytes, size_t n)

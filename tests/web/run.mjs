@@ -20,7 +20,7 @@ const BROWSER_TESTS = new Set(
         ...["cesium", "globe", "engines", "recipes", "three", "raster", "parts", "maplibre"],
     ],
 );
-const TESTS = ["api", "views", "decoder", "source", "pick", "pmtiles", "streamed", "exported", "validate", "readers", "las", "writers", "seed", "ground", "tools", ...BROWSER_TESTS];
+const TESTS = ["api", "views", "decoder", "source", "pick", "pmtiles", "streamed", "validate", "readers", "las", "writers", "seed", "ground", "tools", ...BROWSER_TESTS];
 const SKIP = 77;
 
 const { values, positionals } = parseArgs({

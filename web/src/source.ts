@@ -73,7 +73,6 @@ interface Collection {
   title?: string;
   attribution?: string;
   links?: { rel?: string; href?: string }[];
-  package?: { type?: string };
   splats?: { revision?: string; formats?: unknown; heights?: string; created?: string; taken?: string[] };
 }
 interface TilesetDocument {
@@ -106,7 +105,6 @@ function entryOf(collection: Collection, base: URL): SceneEntry {
   const map = collection.links?.find((link) => /\/map\.json$/.test(link.href ?? ""))?.href;
   const { revision, heights = "ellipsoid", created = "", taken } = collection.splats ?? {};
   const folder = `d/${encodeURIComponent(id)}/`;
-  const packed = collection.package; // an exported file: nothing draws it or answers questions about it
   return {
     id,
     title: collection.title || id,
@@ -118,8 +116,8 @@ function entryOf(collection: Collection, base: URL): SceneEntry {
     tileset: new URL(href(VOLUMES) ?? `${folder}tileset.json`, base),
     appearances: appearances ? new URL(appearances, base) : null,
     network: network ? new URL(network, base) : null,
-    pictures: packed ? null : new URL(revision ? `${folder}r/${revision}/static/` : `${folder}static/`, base),
-    questions: packed ? null : new URL(folder, base),
+    pictures: new URL(revision ? `${folder}r/${revision}/static/` : `${folder}static/`, base),
+    questions: new URL(folder, base),
     map: map ? new URL(map, base) : null,
     preview: preview ? new URL(preview, base) : null,
     packed: Array.isArray(collection.splats?.formats) && collection.splats.formats.includes("drc"),
@@ -145,9 +143,8 @@ export async function findScenes(link: Link, url: URL): Promise<SceneEntry[]> {
   const body = (await link.json(new URL("collections", base))) as { collections?: Collection[] };
   if (!Array.isArray(body?.collections))
     throw new Problem("notCitysplat", { url: new URL("collections", base).pathname });
-  const scenes = body.collections.filter((one) => one.package?.type !== "pmtiles"); // a map alone
-  if (!scenes.length) throw new Problem("noScenes");
-  return scenes.map((collection) => entryOf(collection, base));
+  if (!body.collections.length) throw new Problem("noScenes");
+  return body.collections.map((collection) => entryOf(collection, base));
 }
 
 // The first of some places that has scenes. A place that says no is passed over; one that does not

@@ -1,0 +1,96 @@
+/* See origin.h.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/answers/origin.h"
+
+#include <stdio.h>
+#include <string.h>
+#include <strings.h>
+
+const char ORIGIN_VARY[] = "Host, X-Forwarded-Host, X-Forwarded-Proto",
+           ORIGIN_VARY_ENCODED[] = "Accept-Encoding, Host, X-Forwarded-Host, X-Forwarded-Proto";
+
+/* A name or an address, and a port: nothing that could end the address or be markup. */
+static bool origin_is_host(const char *host)
+{
+    static const char plain[] =
+        "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789.-_:[]";
+    const size_t n = host ? strlen(host) : 0;
+    return n && n < 256 && strspn(host, plain) == n;
+}
+
+static const char *origin_host(const struct request *r)
+{
+    return r->trusted && r->forwarded_host ? r->forwarded_host : r->host;
+}
+
+static bool origin_begins_with_https(const char *url)
+{
+    return !strncasecmp(url, "https:", strlen("https:"));
+}
+
+bool origin_is_tls(const struct services *s, const struct request *r)
+{
+    if (s->cfg->public_url && *s->cfg->public_url)
+        return origin_begins_with_https(s->cfg->public_url);
+    if (r->trusted && r->forwarded_proto)
+        return !strcasecmp(r->forwarded_proto, "https");
+    return s->tls && !r->admin;
+}
+
+bool origin_is_own_page(const struct services *s, const struct request *r)
+{
+    const char *host = r->origin ? strstr(r->origin, "://") : NULL, *own = origin_host(r);
+    const char *url = s->cfg->public_url ? strstr(s->cfg->public_url, "://") : NULL;
+    if (!r->from_page)
+        return true;
+    if (!host)
+        return false;
+    host += 3;
+    const size_t n = strlen(host);
+    return (own && !strcasecmp(host, own)) ||
+           (url && !strncasecmp(host, url + 3, n) && (url[3 + n] == '/' || !url[3 + n]));
+}
+
+/* What stands before the path of a signed address, behind `base` without its slash. "" where it
+ * does not fit. */
+static const char *origin_below(const char *base, const struct request *r, char out[ORIGIN_MAX])
+{
+    size_t n = strlen(base);
+    while (n && base[n - 1] == '/')
+        n--;
+    if (snprintf(out, ORIGIN_MAX, "%.*s%.*s", (int)n, base, (int)r->n_prefix,
+                 r->prefix ? r->prefix : "") >= ORIGIN_MAX)
+        out[0] = '\0';
+    return out;
+}
+
+const char *origin_of(const struct services *s, const struct request *r, char out[ORIGIN_MAX])
+{
+    char base[ORIGIN_MAX];
+    out[0] = '\0';
+    if (s->cfg->public_url && *s->cfg->public_url)
+        return origin_below(s->cfg->public_url, r, out);
+    if (r->proxied && !r->trusted)
+        return out;
+    if (origin_is_host(origin_host(r)) &&
+        snprintf(base, sizeof base, "%s://%s%s", origin_is_tls(s, r) ? "https" : "http",
+                 origin_host(r), s->cfg->base_path ? s->cfg->base_path : "") < ORIGIN_MAX)
+        return origin_below(base, r, out);
+    return out;
+}
+
+const char *origin_or_own(const struct services *s, const struct request *r, char out[ORIGIN_MAX])
+{
+    if (!*origin_of(s, r, out) && s->url)
+        return origin_below(s->url, r, out);
+    return out;
+}
+
+void origin_read(const struct services *s, const struct request *r, struct origin_places *out)
+{
+    const char *url = s->cfg->public_url, *base = s->cfg->base_path;
+    out->public_url = url && *url ? origin_below(url, r, out->text[0]) : NULL;
+    out->base_path = origin_below(base ? base : "", r, out->text[1]);
+}

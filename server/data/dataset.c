@@ -1,0 +1,208 @@
+/* A dataset is one revision of one store: its index (read without locks, because it never changes),
+ * one store handle for each worker, and its documents. It is immutable and counted. Requests in
+ * progress keep the one that they began with.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/data/dataset.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "lod/bake.h"
+#include "lod/clip.h"
+#include "server/data/encode.h"
+#include "server/data/search_index.h"
+
+/* West south hmin east north hmax of the coarsest level's boxes: it covers every Gaussian. */
+static enum err_code dataset_find_bbox(struct dataset *d, struct err *e)
+{
+    const double start[6] = {180, 90, HUGE_VAL, -180, -90, -HUGE_VAL};
+    memcpy(d->bbox, start, sizeof start);
+    for (size_t i = 0; i < d->n_tiles; i++) {
+        const struct store_tile *t = &d->tiles[i];
+        if (t->key.z != d->tiles[0].key.z)
+            break;
+        const struct store_shape x = store_shape(d->index, t);
+        for (int corner = 0; corner < 8; corner++) {
+            double p[3], at[3];
+            for (int a = 0; a < 3; a++)
+                p[a] = corner >> a & 1 ? x.max_enu_m[a] : x.min_enu_m[a];
+            enum err_code rc = geo_from_enu(&d->meta.origin, p, &at[0], &at[1], &at[2], e);
+            if (rc)
+                return rc;
+            for (int a = 0; a < 3; a++) {
+                d->bbox[a] = fmin(d->bbox[a], at[a]);
+                d->bbox[a + 3] = fmax(d->bbox[a + 3], at[a]);
+            }
+        }
+    }
+    if (!d->n_tiles) {
+        const double *o =
+            (const double[]){d->meta.origin.lon_deg, d->meta.origin.lat_deg, d->meta.origin.h_m};
+        for (int a = 0; a < 6; a++)
+            d->bbox[a] = o[a % 3];
+    }
+    return ERR_OK;
+}
+
+/* The store's file, or a part of it. */
+static enum err_code dataset_open_file(struct dataset *d, const struct clip *clip,
+                                       const char *clip_dir, struct err *e)
+{
+    struct store *whole = NULL;
+    struct clip_report r;
+    double start_s = clock_s();
+    int fd = -1;
+    if (!clip)
+        return store_open_file(d->path, &d->fd, e);
+    enum err_code rc = store_open_file(d->path, &fd, e);
+    if (!rc)
+        rc = store_open_fd(fd, d->path, &whole, e);
+    if (fd >= 0)
+        close(fd);
+    if (!rc)
+        memcpy(d->source, store_info(whole)->revision, sizeof d->source);
+    if (!rc)
+        rc = clip_open_part(clip, d->path, clip_dir, &d->fd, &r, e);
+    if (!rc)
+        log_info("serve", "clipped file=%s tiles=%zu kept=%zu left_out=%zu seconds=%.1f",
+                 store_path(whole), r.n_tiles, r.n_kept, r.n_dropped, clock_s() - start_s);
+    store_close(&whole);
+    return rc;
+}
+
+static enum err_code dataset_open_stores(struct dataset *d, size_t n, struct err *e)
+{
+    d->stores = mem_array(n, sizeof *d->stores);
+    d->free_store = mem_array(n, sizeof *d->free_store);
+    if (!d->stores || !d->free_store)
+        return err_set(e, ERR_MEM, "out of memory for a dataset");
+    for (size_t i = 0; i < n; i++) {
+        enum err_code rc = i ? store_open_more(d->fd, d->stores[0], &d->stores[i], e)
+                             : store_open_fd(d->fd, d->path, &d->stores[i], e);
+        if (rc)
+            return rc;
+        d->n_stores++;
+        if (i)
+            d->free_store[d->n_free++] = d->stores[i];
+    }
+    return ERR_OK;
+}
+
+/* Tiles are sent in the store's default appearance: another appearance model makes other bytes of
+ * the same payload. */
+static enum err_code dataset_salt_appearance(struct dataset *d, struct err *e)
+{
+    struct hash128 both[2] = {d->salt};
+    enum err_code rc = bake_hash(d->stores[0], &both[1], e);
+    if (!rc && (both[1].lo || both[1].hi))
+        d->salt = hash_bytes(both, sizeof both);
+    return rc;
+}
+
+/* A store without Gaussians has no maps, and is served. */
+static enum err_code dataset_find_area(struct dataset *d, struct err *e)
+{
+    enum err_code rc = area_make(d->index, &d->area, e);
+    return rc == ERR_DATA ? ERR_OK : rc;
+}
+
+static enum err_code dataset_open_store(struct dataset *d, size_t readers, const struct clip *clip,
+                                        const char *clip_dir, struct err *e)
+{
+    enum err_code rc = dataset_open_file(d, clip, clip_dir, e);
+    if (!rc)
+        rc = dataset_open_stores(d, readers + 1, e);
+    if (!rc) {
+        d->index = d->stores[0];
+        d->meta = *store_info(d->index);
+        if (!clip)
+            memcpy(d->source, d->meta.revision, sizeof d->source);
+        d->clip = clip_hash(clip);
+        d->tiles = store_tiles(d->index, &d->n_tiles);
+        rc = dataset_find_bbox(d, e);
+    }
+    if (!rc)
+        rc = dataset_find_area(d, e);
+    if (!rc)
+        rc = encode_fingerprint(&d->meta, &d->salt, e);
+    if (!rc)
+        rc = dataset_salt_appearance(d, e);
+    return !rc ? bake_of(d->stores[0], &d->appearance, e) : rc;
+}
+
+enum err_code dataset_open(const char *path, size_t readers, const struct clip *clip,
+                           const char *clip_dir, struct dataset **out, struct err *e)
+{
+    struct dataset *d = mem_array(1, sizeof *d);
+    *out = d;
+    if (!d)
+        return err_set(e, ERR_MEM, "out of memory for a dataset");
+    atomic_init(&d->refs, 1);
+    d->fd = -1;
+    pthread_mutex_init(&d->lock, NULL);
+    enum err_code rc = ERR_OK;
+    if (!(d->path = mem_text(path)))
+        rc = err_set(e, ERR_MEM, "out of memory for a dataset");
+    if (!rc)
+        rc = dataset_open_store(d, readers, clip, clip_dir, e);
+    if (rc)
+        dataset_drop(out);
+    return rc;
+}
+
+struct dataset *dataset_ref(struct dataset *d)
+{
+    atomic_fetch_add_explicit(&d->refs, 1, memory_order_relaxed);
+    return d;
+}
+
+bool dataset_is_last(const struct dataset *d, unsigned held)
+{
+    return (unsigned)atomic_load_explicit(&d->refs, memory_order_acquire) == held;
+}
+
+void dataset_drop(struct dataset **out)
+{
+    struct dataset *d = *out;
+    *out = NULL;
+    if (!d || atomic_fetch_sub_explicit(&d->refs, 1, memory_order_acq_rel) != 1)
+        return;
+    area_free(&d->area);
+    for (size_t i = d->n_stores; i-- > 0;) /* the first has the index of all */
+        store_close(&d->stores[i]);
+    if (d->fd >= 0)
+        close(d->fd);
+    mem_free(d->stores);
+    mem_free(d->free_store);
+    body_drop(&d->tileset);
+    body_drop(&d->tileset_moving);
+    body_drop(&d->collection);
+    body_drop(&d->appearances);
+    body_drop(&d->model);
+    body_drop(&d->photographs);
+    search_index_close(&d->search);
+    pthread_mutex_destroy(&d->lock);
+    mem_free(d->path);
+    mem_free(d);
+}
+
+struct store *dataset_borrow(struct dataset *d)
+{
+    struct store *s = NULL;
+    pthread_mutex_lock(&d->lock);
+    if (d->n_free)
+        s = d->free_store[--d->n_free];
+    pthread_mutex_unlock(&d->lock);
+    return s;
+}
+
+void dataset_return(struct dataset *d, struct store *s)
+{
+    pthread_mutex_lock(&d->lock);
+    d->free_store[d->n_free++] = s;
+    pthread_mutex_unlock(&d->lock);
+}

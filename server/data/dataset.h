@@ -1,0 +1,65 @@
+/* One revision of one store: index, handles and documents.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SERVER_DATASET_H
+#define SERVER_DATASET_H
+
+#include <pthread.h>
+#include <stdatomic.h>
+
+#include "lod/area.h"
+#include "lod/store.h"
+#include "server/base/body.h"
+
+struct clip;
+struct search_index;
+
+struct dataset { /* immutable except where a comment says otherwise; reference-counted */
+    _Atomic uint32_t refs;
+    char *path; /* path of this revision when it was opened */
+    /* revision of the store at that path; equal to meta.revision unless it was clipped */
+    char source[13];
+    struct hash128 clip; /* clip_hash of the clip */
+    /* its open file, even if the path names another one by now; if clipped, the file with the part
+     */
+    int fd;
+    struct store_meta meta;
+    const struct store_tile *tiles;
+    size_t n_tiles;
+    const struct store *index; /* stores[0], for parts of a store that threads may share */
+    const struct appearance *appearance; /* of the store; NULL: only one appearance */
+    /* days of its first and last photograph, 2024-06-01; "": not known; set with `photographs` */
+    char taken[2][11];
+    struct area area;     /* surveyed area; .in NULL: not known */
+    double bbox[6];       /* west south hmin east north hmax, in degrees and metres */
+    struct hash128 salt;  /* hash of all that determines an encoded tile except its payload */
+    char edition[9];      /* of its tiles (result_id.h); catalog.c sets this and the next six: */
+    struct body *tileset; /* with URIs relative to d/NAME/r/REV/ */
+    struct body *tileset_moving; /* with URIs relative to d/NAME/ */
+    struct body *collection;
+    struct body *appearances;
+    struct body *model, *photographs; /* NULL without appearance; so is search */
+    struct search_index *search;      /* index of its photographs */
+    /* number of results that could not be read from its file: the file is damaged */
+    _Atomic uint32_t n_failed;
+    pthread_mutex_t lock; /* for free_store and n_free */
+    struct store **stores, **free_store;
+    size_t n_stores, n_free;
+};
+
+/* Opens the store at `path` with `readers` handles for worker threads. clip (may be NULL) selects a
+ * part of it, which becomes a file in clip_dir that is removed with the dataset. Free *out with
+ * dataset_drop. ERR_MEM, and the errors of store_open and clip_open_part. */
+enum err_code dataset_open(const char *path, size_t readers, const struct clip *clip,
+                           const char *clip_dir, struct dataset **out, struct err *e) ERR_USE;
+struct dataset *dataset_ref(struct dataset *d);
+void dataset_drop(struct dataset **d);
+/* Returns whether the caller has all references, `held`. No other thread can then take one. */
+bool dataset_is_last(const struct dataset *d, unsigned held);
+/* Borrows a handle for this thread until dataset_return. NULL: more threads borrow than `readers`.
+ */
+struct store *dataset_borrow(struct dataset *d);
+void dataset_return(struct dataset *d, struct store *s);
+
+#endif

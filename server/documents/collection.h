@@ -1,0 +1,29 @@
+/* Documents about datasets: collections as in OGC API Common and the 3D GeoVolumes draft.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SERVER_COLLECTION_H
+#define SERVER_COLLECTION_H
+
+#include "server/data/dataset.h"
+
+struct collection_options {
+    const char *public_url; /* address of the service as clients see it; NULL, "": not known */
+    const char *base_path;  /* path of the service on its host; NULL, "": none */
+    /* map tiles of another provider that the viewer may show below its own: a URL with {z}, {x} and
+     * {y}; NULL, "": none */
+    const char *basemap;
+    const char *attribution; /* attribution of that map; NULL: none */
+};
+
+/* Describes a dataset. With a public_url, `self` and the link to the map's tilesets are absolute.
+ * Without one, `self` is relative to the document, and that link begins with '/' (ogc_tiles.h).
+ * ERR_MEM. */
+enum err_code collection_describe(const struct dataset *d, const struct collection_options *opt,
+                                  struct body **out, struct err *e) ERR_USE;
+/* Describes ds [n], without replaced revisions. ERR_MEM. */
+enum err_code collection_list(struct dataset *const *ds, size_t n,
+                              const struct collection_options *opt, struct body **out,
+                              struct err *e) ERR_USE;
+
+#endif

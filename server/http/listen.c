@@ -1,0 +1,111 @@
+/* Listening sockets. They are bound before slow parts of the server start, or taken over from a
+ * supervisor.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/http/listen.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <netdb.h>
+#include <netinet/in.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+static enum err_code listen_failed(const char *address, int port, const char *option, struct err *e)
+{
+    if (errno == EADDRINUSE)
+        return err_set(e, ERR_BUSY,
+                       "port %d of %s is in use by another program: choose one with %s, or port 0 "
+                       "for any free one",
+                       port, address, option);
+    if (errno == EACCES)
+        return err_set(e, ERR_IO,
+                       "port %d: only root may listen below 1024: choose another with %s", port,
+                       option);
+    if (errno == EADDRNOTAVAIL)
+        return err_set(e, ERR_IO,
+                       "cannot listen on %s: no interface of this machine has that address; "
+                       "0.0.0.0 or :: is all of them",
+                       address);
+    return err_errno(e, ERR_IO, "cannot listen on %s port %d", address, port);
+}
+
+static uint16_t listen_port(const struct sockaddr_storage *bound)
+{
+    if (bound->ss_family == AF_INET6)
+        return ntohs(((const struct sockaddr_in6 *)(const void *)bound)->sin6_port);
+    return bound->ss_family == AF_INET
+               ? ntohs(((const struct sockaddr_in *)(const void *)bound)->sin_port)
+               : 0;
+}
+
+enum err_code listen_open(const char *address, int port, const char *option, int *fd,
+                          uint16_t *taken, struct err *e)
+{
+    char service[8];
+    struct addrinfo hints = {.ai_flags = AI_NUMERICHOST | AI_NUMERICSERV | AI_PASSIVE,
+                             .ai_socktype = SOCK_STREAM};
+    struct addrinfo *a = NULL;
+    struct sockaddr_storage bound;
+    socklen_t n = sizeof bound;
+    const int yes = 1;
+    *fd = -1;
+    snprintf(service, sizeof service, "%d", port);
+    if (!address || getaddrinfo(address, service, &hints, &a) != 0)
+        return err_set(e, ERR_ARG, "%s %s: not an IP address (127.0.0.1, 0.0.0.0, ::1, ::)",
+                       strcmp(option, LISTEN_PORT) ? option : "--address",
+                       address ? address : "\"\"");
+    enum err_code rc = ERR_OK;
+    *fd = socket(a->ai_family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+    if (*fd < 0 || setsockopt(*fd, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof yes) != 0 ||
+        bind(*fd, a->ai_addr, a->ai_addrlen) != 0 || listen(*fd, 1024) != 0 ||
+        getsockname(*fd, (struct sockaddr *)&bound, &n) != 0)
+        rc = listen_failed(address, port, option, e);
+    else
+        *taken = listen_port(&bound);
+    freeaddrinfo(a);
+    if (rc && *fd >= 0)
+        close(*fd);
+    return rc;
+}
+
+enum err_code listen_open_at(const char *text, const char *option, int *fd, uint16_t *taken,
+                             struct err *e)
+{
+    char address[64];
+    const char *colon = strrchr(text, ':'), *from = text;
+    size_t n = colon ? (size_t)(colon - text) : 0;
+    if (n >= 2 && text[0] == '[' && text[n - 1] == ']') {
+        from++;
+        n -= 2;
+    }
+    *fd = -1;
+    if (!n || n >= sizeof address || !colon[1] || colon[1 + strspn(colon + 1, "0123456789")] ||
+        strlen(colon + 1) > 5 || atoi(colon + 1) > 65535)
+        return err_set(e, ERR_ARG,
+                       "%s %.80s: an address and a port, as 127.0.0.1:9090 or [::1]:9090", option,
+                       text);
+    memcpy(address, from, n);
+    address[n] = '\0';
+    return listen_open(address, atoi(colon + 1), option, fd, taken, e);
+}
+
+enum err_code listen_take(int fd, uint16_t *port, struct err *e)
+{
+    int listens = 0;
+    socklen_t n = sizeof listens;
+    struct sockaddr_storage bound;
+    socklen_t n_bound = sizeof bound;
+    if (getsockopt(fd, SOL_SOCKET, SO_ACCEPTCONN, &listens, &n) != 0 || !listens ||
+        getsockname(fd, (struct sockaddr *)&bound, &n_bound) != 0)
+        return err_set(e, ERR_ARG,
+                       "descriptor %d of the supervisor: not a stream socket that listens", fd);
+    *port = listen_port(&bound);
+    (void)fcntl(fd, F_SETFL, fcntl(fd, F_GETFL) | O_NONBLOCK);
+    (void)fcntl(fd, F_SETFD, FD_CLOEXEC);
+    return ERR_OK;
+}

@@ -1,0 +1,82 @@
+/* Communication with a supervisor, by libsystemd.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/http/supervisor.h"
+
+#ifdef CITYSPLAT_SYSTEMD
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <systemd/sd-daemon.h>
+#include <time.h>
+
+int supervisor_socket(const char *name)
+{
+    char **names = NULL;
+    int n = sd_listen_fds_with_names(0, &names), found = -1;
+    for (int i = 0; i < n && names; i++) {
+        bool same = name ? !strcmp(names[i], name) : strcmp(names[i], "admin") != 0;
+        if (found < 0 && same)
+            found = SD_LISTEN_FDS_START + i;
+        free(names[i]);
+    }
+    free(names);
+    return found;
+}
+
+void supervisor_ready(const char *status)
+{
+    sd_notifyf(0, "READY=1\nSTATUS=%s", status);
+}
+
+void supervisor_reloading(void)
+{
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    sd_notifyf(0, "RELOADING=1\nMONOTONIC_USEC=%lld",
+               (long long)now.tv_sec * 1000000 + now.tv_nsec / 1000);
+}
+
+void supervisor_stopping(void)
+{
+    sd_notify(0, "STOPPING=1");
+}
+
+double supervisor_watchdog_s(void)
+{
+    uint64_t us = 0;
+    return sd_watchdog_enabled(0, &us) > 0 ? (double)us * 1e-6 : 0;
+}
+
+void supervisor_well(void)
+{
+    sd_notify(0, "WATCHDOG=1");
+}
+
+#else
+
+int supervisor_socket(const char *name)
+{
+    (void)name;
+    return -1;
+}
+
+void supervisor_ready(const char *status)
+{
+    (void)status;
+}
+
+void supervisor_reloading(void) {}
+
+void supervisor_stopping(void) {}
+
+double supervisor_watchdog_s(void)
+{
+    return 0;
+}
+
+void supervisor_well(void) {}
+
+#endif
