@@ -362,14 +362,11 @@ inline void gradient_none(struct gradient *out)
 #endif
 }
 
-// Add what the regularizers ask for, see LAYOUT_STEP_EXTRA.
+// Add what terms of the loss on Gaussians ask for, see LAYOUT_STEP_EXTRA.
 inline void gradient_extra(struct gradient *d, __global const float *extra, uint group, uint lane,
                            uint wants)
 {
     if (wants & LAYOUT_STEP_EXTRA)
-        for (uint k = 0; k < LAYOUT_PLANES_GEOMETRY; k++)
-            d->geometry[k] += LD(extra + group_at(group, LAYOUT_PLANES_GEOMETRY) + lane, k);
-    else if (wants & LAYOUT_STEP_EXTRA_SHAPE)
         for (uint k = 0; k < LAYOUT_PLANES_SHAPE; k++)
             d->geometry[LAYOUT_PLANE_SCALE + k] +=
                 LD(extra + group_at(group, LAYOUT_PLANES_SHAPE) + lane, k);

@@ -267,11 +267,9 @@ struct render_adam {
     float lr_embed;
     uint32_t embed_step;
     struct render_appearance_grad *appearance;
-    /* may be NULL: float [groups][LAYOUT_PLANES_GEOMETRY][16], added to the gradients of these
-     * planes of every Gaussian, visible or not (regularizers) */
+    /* may be NULL: float [groups][LAYOUT_PLANES_SHAPE][16], added to the gradients of sizes and
+     * rotation of every Gaussian, visible or not (terms of the loss on Gaussians) */
     cl_mem extra_grad;
-    /* extra_grad is float [groups][LAYOUT_PLANES_SHAPE][16] instead, of sizes and rotation */
-    bool extra_shape;
 };
 /* Statistics of each Gaussian for densification, accumulated by render_backward_step:
  *

@@ -241,7 +241,7 @@ static uint32_t backward_wants(const struct render_adam *a,
 {
     uint32_t wants = 0;
     if (a->extra_grad)
-        wants |= a->extra_shape ? LAYOUT_STEP_EXTRA_SHAPE : LAYOUT_STEP_EXTRA;
+        wants |= LAYOUT_STEP_EXTRA;
     if (stats)
         wants |= LAYOUT_STEP_STATS | (stats->absg ? LAYOUT_STEP_ABS : 0) |
                  (stats->opacity ? LAYOUT_STEP_OPACITY : 0);
