@@ -154,7 +154,6 @@ struct layout_view {
     LAYOUT_U32 sh_degree;  /* degree that is evaluated */
     LAYOUT_U32 compensate; /* 1: opacity is multiplied by rho = sqrt(det S0 / det S) */
     LAYOUT_U32 tile_cull;  /* 1: exact tiles of a splat; 0: all tiles of its bounding box */
-    LAYOUT_U32 smooth;     /* 1: each Gaussian is widened by its 3-D filter */
     LAYOUT_U32 listed;     /* 1: a list names the groups of parameters to draw */
     /* 1: fx and fy are pixels a metre, and all rays have direction rot[6..8] */
     LAYOUT_U32 orthographic;
@@ -301,7 +300,7 @@ static_assert(LAYOUT_PLANES_GEOMETRY == LAYOUT_PLANE_OPACITY + 1, "opacity is th
 static_assert(sizeof(struct layout_adam) == 18 * 4, "no padding: an argument of a kernel");
 static_assert(sizeof(struct layout_counts) == 8 * (2 + LAYOUT_SORT_CHUNKS) + 4 * LAYOUT_BIN_CHUNKS,
               "no padding");
-static_assert(sizeof(struct layout_view) == 47 * 4, "no padding: kernels read the same words");
+static_assert(sizeof(struct layout_view) == 46 * 4, "no padding: kernels read the same words");
 
 /* Number of planes of a group of parameters. Embeddings begin at plane layout_planes(sh_degree, 0).
  */

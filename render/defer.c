@@ -218,8 +218,6 @@ static enum err_code defer_run_bound(struct defer *d, const struct render_model 
                                      const struct render_adam *a, struct defer_range g,
                                      cl_uint step, struct err *e)
 {
-    cl_uint smooth = m->filter != NULL;
-    cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
     size_t local, items = frame_items(d->r, g.end - g.from, &local);
     if (d->r->dev->vector_width == 1)
         items = (g.end - g.from + local - 1) / local * local;
@@ -227,9 +225,9 @@ static enum err_code defer_run_bound(struct defer *d, const struct render_model 
                      FRAME_ARGS(FRAME_ARG(d->listed.mem), FRAME_ARG(g.listed), FRAME_ARG(g.from),
                                 FRAME_ARG(g.end), FRAME_ARG(m->n), FRAME_ARG(m->planes),
                                 FRAME_ARG(step), FRAME_ARG(d->base), FRAME_ARG(a->eps),
-                                FRAME_ARG(smooth), FRAME_ARG(d->table.mem), FRAME_ARG(filter),
-                                FRAME_ARG(m->params), FRAME_ARG(a->moments),
-                                FRAME_ARG(d->settled.mem), FRAME_ARG(d->bounds.mem)),
+                                FRAME_ARG(d->table.mem), FRAME_ARG(m->params),
+                                FRAME_ARG(a->moments), FRAME_ARG(d->settled.mem),
+                                FRAME_ARG(d->bounds.mem)),
                      items, local, e);
 }
 
