@@ -35,9 +35,6 @@ struct bench {
     const char *scene, *tiles, *trained, *record;
     double edge_m; /* for `map`: edge of the only square to draw; 0: all sizes */
     int64_t most;  /* for `sizes`: largest number of Gaussians; 0: no limit; for `tour`: number */
-    /* for `tour`: most megabytes of a model in files that may be in memory; 0: it is no file */
-    int64_t held_mb;
-    int64_t near;         /* for `tour`: photographs on end, at least 1 */
     uint32_t edge_px;     /* for `tour`: longest edge of its pictures; 0: of the photographs */
     double round_trip_ms; /* for `motion`: the only one; below 0: all */
     const char *dataset, *study, *command, *commit; /* members of every row */

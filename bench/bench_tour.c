@@ -6,10 +6,6 @@
  * points. Learning rates are 0, so that every step does the same work. The loss is against a grey
  * picture.
  *
- * With --held-mb parameters and moments lie in files (train/paged.h), of which so much may be in
- * memory, and only steps of the frustum are made. Run it in turns with one of --held-mb -1, which
- * makes the same steps in memory.
- *
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "bench/bench.h"
@@ -25,7 +21,6 @@
 #include "loss/photometric.h"
 #include "render/defer.h"
 #include "render/render.h"
-#include "train/paged.h"
 
 enum { TOUR_SEED = 7, TOUR_DEGREE = 3, TOUR_GREY = 128, TOUR_WARM = 10 };
 #define TOUR_SPACINGS                                                                              \
@@ -45,7 +40,6 @@ struct tour {
     struct photometric *loss;
     struct render_model model;
     struct defer *defer;
-    struct paged paged;
     struct render_density_stats stats;
     cl_mem target;
     struct tour_kind all, seen;
@@ -60,7 +54,6 @@ static void tour_free(struct tour *t)
         dev_release(mems[i]);
     defer_close(&t->defer);
     render_model_free(&t->model);
-    paged_close(&t->paged);
     photometric_close(&t->loss);
     render_close(&t->render);
     scene_free(&t->scene);
@@ -121,9 +114,6 @@ static enum err_code tour_write(struct tour *t, struct tour_scatter *s, struct e
         rc = pool_for((s->slice.n + TOUR_CHUNK - 1) / TOUR_CHUNK, 0, tour_fill, s, e);
         if (!rc)
             rc = render_model_write(t->render, &t->model, s->first, &s->slice, e);
-        const size_t from = s->first / LAYOUT_LANES;
-        if (!rc && t->b->held_mb > 0)
-            paged_walked(&t->paged, false, from, from + s->slice.n / LAYOUT_LANES);
     }
     gauss_free(&s->slice);
     return rc;
@@ -154,23 +144,18 @@ static enum err_code tour_scatter(struct tour *t, struct err *e)
     return rc;
 }
 
-/* Parameters and moments for n Gaussians, in memory or in files. */
+/* Parameters and moments for n Gaussians. */
 static enum err_code tour_arrays(struct tour *t, size_t n, uint32_t degree, struct err *e)
 {
     struct render_model *m = &t->model;
-    cl_mem *const arrays[PAGED_ARRAYS] = {&m->params, &t->all.adam.moments};
+    cl_mem *const arrays[] = {&m->params, &t->all.adam.moments};
     enum err_code rc = ERR_OK;
     m->n = (uint32_t)n;
     m->sh_degree = degree;
     m->planes = layout_planes(degree, 0);
     m->groups = (m->n + LAYOUT_LANES - 1) / LAYOUT_LANES;
     m->cap = m->groups * LAYOUT_LANES;
-    if (t->b->held_mb > 0) {
-        t->paged.dir = bench_tmpdir(t->b);
-        t->paged.most_bytes = (size_t)t->b->held_mb * 1000000;
-        return paged_open(&t->paged, t->b->dev, m->groups, m->planes, arrays, e);
-    }
-    for (size_t k = 0; !rc && k < PAGED_ARRAYS; k++) {
+    for (size_t k = 0; !rc && k < sizeof arrays / sizeof *arrays; k++) {
         size_t bytes = layout_floats(n, m->planes) * sizeof(float);
         rc = dev_buffer(t->b->dev, bytes, NULL, arrays[k], e);
         if (!rc)
@@ -198,8 +183,6 @@ static enum err_code tour_model(struct tour *t, struct err *e)
         rc = tour_scatter(t, e);
     }
     ckpt_free(&c);
-    if (!rc && t->b->held_mb > 0)
-        paged_drop_all(&t->paged);
     return rc;
 }
 
@@ -249,9 +232,6 @@ static enum err_code tour_open(struct tour *t, struct err *e)
         rc = defer_open(t->render, &t->defer, e);
     if (rc)
         return rc;
-    const struct defer_watch watch = {&t->paged, paged_listed, paged_passed, PAGED_PART};
-    if (t->b->held_mb > 0)
-        defer_set_watch(t->defer, &watch);
     size_t lanes = (size_t)t->model.groups * LAYOUT_LANES * sizeof(float);
     cl_mem *const mems[] = {&t->stats.grad, &t->stats.count, &t->stats.radius, &t->stats.repaired};
     for (size_t i = 0; !rc && i < sizeof mems / sizeof *mems; i++) {
@@ -314,30 +294,11 @@ static void tour_report(struct tour *t, const char *what, double *all, double *s
     bench_report(t->b, name, seen[n / 2], "ms", seen[n / 2] / all[n / 2], "all");
 }
 
-/* At random with repetition: single photographs, or so many on end by their names, which is along
- * the flight. */
+/* At random with repetition. */
 static struct camera tour_next(const struct tour *t, ptrdiff_t i)
 {
-    size_t nth = (size_t)(i + TOUR_WARM), n = t->scene.n_images, near = (size_t)t->b->near;
-    double at = rng_unit(TOUR_SEED, 99, nth / near);
-    return tour_camera(t, ((size_t)(at * (double)n) + nth % near) % n);
-}
-
-/* Bytes that this process has had read from the disk, and written. */
-static void tour_disk(double mb[2])
-{
-    char line[128];
-    unsigned long long v;
-    FILE *f = fopen("/proc/self/io", "re");
-    mb[0] = mb[1] = 0.0;
-    while (f && fgets(line, sizeof line, f)) {
-        if (sscanf(line, "read_bytes: %llu", &v) == 1)
-            mb[0] = 1e-6 * (double)v;
-        else if (sscanf(line, "write_bytes: %llu", &v) == 1)
-            mb[1] = 1e-6 * (double)v;
-    }
-    if (f)
-        fclose(f);
+    double at = rng_unit(TOUR_SEED, 99, (size_t)(i + TOUR_WARM));
+    return tour_camera(t, (size_t)(at * (double)t->scene.n_images));
 }
 
 static double tour_median(double *x, size_t n)
@@ -346,48 +307,11 @@ static double tour_median(double *x, size_t n)
     return x[n / 2];
 }
 
-/* Steps of the frustum alone, of arrays in memory or in files. */
-static enum err_code tour_run_held(struct tour *t, ptrdiff_t n, struct err *e)
-{
-    const char *where = t->b->held_mb > 0 ? "in files" : "in memory";
-    double from[2] = {0.0}, to[2];
-    char name[96];
-    enum err_code rc = ERR_OK;
-    for (ptrdiff_t i = -TOUR_WARM; !rc && i < n; i++) {
-        struct camera cam = tour_next(t, i);
-        if (!i) {
-            tour_disk(from);
-            (void)mem_peak_reset();
-        }
-        rc = tour_step(t, &cam, true, i, e);
-    }
-    tour_disk(to);
-    if (rc)
-        return rc;
-    const double rows[] = {tour_median(t->seen.ms, (size_t)n),
-                           tour_median(t->seen.cpu_ms, (size_t)n),
-                           100.0 * tour_median(t->share, (size_t)n),
-                           (to[0] - from[0]) / (double)n,
-                           (to[1] - from[1]) / (double)n,
-                           1e-6 * (double)mem_peak_bytes()};
-    static const char *const what[][2] = {
-        {"time of a step", "ms"},       {"CPU time of a step", "ms"},
-        {"in the frustum", "%"},        {"read from the disk a step", "MB"},
-        {"written to it a step", "MB"}, {"memory at most", "MB"}};
-    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
-        snprintf(name, sizeof name, "%u k %s, %s", t->model.n / 1000, where, what[i][0]);
-        bench_report(t->b, name, rows[i], what[i][1], 0, NULL);
-    }
-    return ERR_OK;
-}
-
 static enum err_code tour_run(struct tour *t, struct err *e)
 {
     ptrdiff_t n = t->b->runs < TOUR_RUNS_MAX ? t->b->runs : TOUR_RUNS_MAX;
     enum err_code rc = ERR_OK;
     char name[96];
-    if (t->b->held_mb)
-        return tour_run_held(t, n, e);
     for (ptrdiff_t i = -TOUR_WARM; !rc && i < n; i++) {
         struct camera cam = tour_next(t, i);
         bool turn = i & 1;

@@ -334,8 +334,6 @@ int main(int argc, char **argv)
     b.edge_m = cfg.edge_m;
     b.most = cfg.most;
     b.edge_px = (uint32_t)cfg.edge_px;
-    b.held_mb = cfg.held_mb;
-    b.near = cfg.near;
     b.round_trip_ms = cfg.round_trip_ms;
     b.record = cfg.record;
     b.dataset = cfg.dataset ? cfg.dataset : "unnamed";

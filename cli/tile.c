@@ -353,8 +353,7 @@ static enum err_code tile_check_blob(struct tile_scene *s, const struct ckpt_blo
         return ERR_OK;
     return err_set(e, ERR_DATA,
                    "%s: its appearance model is not that of the checkpoints before: tiles share "
-                   "one; train all levels and cells with --appearance-levels 1 and "
-                   "--appearance-shared",
+                   "one; train all cells in one run, with --appearance-shared",
                    path);
 }
 

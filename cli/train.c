@@ -11,6 +11,7 @@
 #include "cli/output.h"
 #include "codec/scene.h"
 #include "core/trace.h"
+#include "train/auto_plan.h"
 #include "train/config.h"
 #include "train/jobs.h"
 #include "train/timing.h"
@@ -126,11 +127,14 @@ static enum err_code train_all(const char *scene_dir, const struct train_config 
     struct train_config many = *cfg;
     struct jobs_list list;
     signals_catch();
+    enum err_code rc = auto_plan(scene_dir, cfg, e);
+    if (rc)
+        return rc;
     if (cfg->jobs == 1 || (!cfg->jobs && train_is_one(scene_dir, cfg)))
         return train_run(scene_dir, cfg, out, e);
     if (cfg->coarse_only)
         return train_coarse_first(scene_dir, cfg, out, e);
-    enum err_code rc = jobs_list(scene_dir, cfg, !cfg->jobs, &list, e);
+    rc = jobs_list(scene_dir, cfg, !cfg->jobs, &list, e);
     size_t n = list.n_cells, at_once = (size_t)cfg->jobs;
     if (!rc && !cfg->jobs)
         rc = jobs_at_once(cfg, &list, &at_once, e);

@@ -179,18 +179,15 @@ static enum err_code ckpt_put_rows(struct ckpt_writer *w, enum ckpt_field field,
     return rc;
 }
 
-/* What lies in memory already, in pieces: who gave it may let each of them go. */
+/* What lies in memory already, in pieces. */
 static enum err_code ckpt_put_blob(struct ckpt_writer *w, struct ckpt_entry *t, struct err *e)
 {
-    const struct ckpt_source *from = w->from;
     struct hash_state *h = hash_begin();
     enum err_code rc = h ? ERR_OK : err_set(e, ERR_MEM, "ckpt_write: %s: out of memory", w->path);
     for (size_t at = 0, n; !rc && at < t->size; at += n) {
         n = t->size - at < CKPT_PIECE ? (size_t)t->size - at : CKPT_PIECE;
         hash_add(h, (const uint8_t *)t->data + at, n);
         rc = ckpt_put(w, (const uint8_t *)t->data + at, n, e);
-        if (from->wrote)
-            from->wrote(from->user, t->data, at, at + n);
     }
     t->hash = hash_end(h);
     return rc;
@@ -658,17 +655,14 @@ enum err_code ckpt_rows_read(const struct ckpt_rows *r, size_t from, size_t n, s
 
 /* A section's bytes to where there is room for them, against its hash. */
 static enum err_code ckpt_read_section(const struct ckpt_rows *r, const struct ckpt_entry *s,
-                                       const struct ckpt_target *to, struct err *e)
+                                       uint8_t *out, struct err *e)
 {
-    uint8_t *out = to->at;
     struct hash_state *h = hash_begin();
     enum err_code rc = h ? ERR_OK : err_set(e, ERR_MEM, "%s: out of memory", r->path);
     for (size_t at = 0, n; !rc && at < s->size; at += n) {
         n = s->size - at < CKPT_PIECE ? (size_t)s->size - at : CKPT_PIECE;
         rc = ckpt_pread(r, out + at, n, s->offset + at, e);
         hash_add(h, out + at, rc ? 0 : n);
-        if (to->passed)
-            to->passed(to->user, out, at, at + n);
     }
     const struct hash128 got = hash_end(h);
     if (!rc && (got.lo != s->hash.lo || got.hi != s->hash.hi))
@@ -684,8 +678,7 @@ enum err_code ckpt_rows_blob(const struct ckpt_rows *r, const char *name, struct
     if (!s)
         return ERR_OK;
     uint8_t *to = buf_grow(out, s->size);
-    const struct ckpt_target all = {.at = to};
-    enum err_code rc = to ? ckpt_read_section(r, s, &all, e)
+    enum err_code rc = to ? ckpt_read_section(r, s, to, e)
                           : err_set(e, ERR_MEM, "%s: out of memory for '%s'", r->path, name);
     if (rc)
         buf_free(out);
@@ -697,14 +690,13 @@ bool ckpt_rows_has(const struct ckpt_rows *r, const char *name)
     return ckpt_section(r->entry, r->n_entries, name) != NULL;
 }
 
-enum err_code ckpt_rows_blob_to(const struct ckpt_rows *r, const char *name,
-                                const struct ckpt_target *to, struct err *e)
+enum err_code ckpt_rows_blob_to(const struct ckpt_rows *r, const char *name, void *out,
+                                size_t n_bytes, struct err *e)
 {
     const struct ckpt_entry *s = ckpt_section(r->entry, r->n_entries, name);
-    if (!s || s->size != to->n_bytes)
-        return err_set(e, ERR_FORMAT, "%s: '%s' does not hold %zu bytes", r->path, name,
-                       to->n_bytes);
-    return ckpt_read_section(r, s, to, e);
+    if (!s || s->size != n_bytes)
+        return err_set(e, ERR_FORMAT, "%s: '%s' does not hold %zu bytes", r->path, name, n_bytes);
+    return ckpt_read_section(r, s, out, e);
 }
 
 void ckpt_rows_close(struct ckpt_rows **rp)

@@ -39,8 +39,6 @@ struct ckpt_source {
     /* writes rows [first, first + n) of a field to `out`, as in struct gauss */
     enum err_code (*rows)(void *user, enum ckpt_field field, size_t first, size_t n, float *out,
                           struct err *e);
-    /* may be NULL: bytes [from, to) of a blob's data were written, from its start to its end */
-    void (*wrote)(void *user, const void *data, size_t from, size_t to);
     void *user;
 };
 /* As ckpt_write, with Gaussians from `from`. ERR_ARG, ERR_LIMIT, ERR_IO, ERR_MEM, and what
@@ -72,14 +70,7 @@ enum err_code ckpt_rows_blob(const struct ckpt_rows *r, const char *name, struct
 bool ckpt_rows_has(const struct ckpt_rows *r, const char *name);
 /* As ckpt_rows_blob, into out [n_bytes]. ERR_FORMAT: the blob is missing or has another size.
  * ERR_IO. */
-struct ckpt_target {
-    void *at; /* [n_bytes] */
-    size_t n_bytes;
-    /* may be NULL: bytes [from, to) are there, from the start to the end */
-    void (*passed)(void *user, const void *at, size_t from, size_t to);
-    void *user;
-};
-enum err_code ckpt_rows_blob_to(const struct ckpt_rows *r, const char *name,
-                                const struct ckpt_target *to, struct err *e) ERR_USE;
+enum err_code ckpt_rows_blob_to(const struct ckpt_rows *r, const char *name, void *out,
+                                size_t n_bytes, struct err *e) ERR_USE;
 void ckpt_rows_close(struct ckpt_rows **r);
 #endif

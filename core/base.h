@@ -153,6 +153,7 @@ enum err_code file_list(const char *dir, const char *const *suffixes, struct are
 
 enum log_level { LOG_ERROR, LOG_WARN, LOG_INFO, LOG_DEBUG };
 void log_set_level(enum log_level level); /* call before threads start */
+enum log_level log_get_level(void);
 /* Writes lines as JSON: {"ts","level","module","msg"}. Call it before threads start. */
 void log_set_json(bool json);
 bool log_is_json(void);

@@ -366,28 +366,6 @@ static enum err_code dev_too_large(const struct dev *d, size_t size_bytes, struc
         size_bytes, d->name, (unsigned long long)d->max_alloc_bytes);
 }
 
-/* PoCL's CPU devices use a buffer of the host where it is. */
-bool dev_shares_memory(const struct dev *d)
-{
-    return d->is_cpu && d->is_pocl;
-}
-
-enum err_code dev_buffer_over(struct dev *d, void *at, size_t size_bytes, cl_mem *out,
-                              struct err *e)
-{
-    cl_int code = CL_SUCCESS;
-    *out = NULL;
-    assert(dev_shares_memory(d) && size_bytes % BUFFER_ROUND == 0);
-    if (size_bytes > d->max_alloc_bytes)
-        return dev_too_large(d, size_bytes, e);
-    *out =
-        clCreateBuffer(d->context, CL_MEM_READ_WRITE | CL_MEM_USE_HOST_PTR, size_bytes, at, &code);
-    if (code == CL_SUCCESS)
-        return ERR_OK;
-    *out = NULL;
-    return dev_fail(e, code, "dev_buffer_over", d->name);
-}
-
 enum err_code dev_buffer(struct dev *d, size_t size_bytes, const void *host, cl_mem *out,
                          struct err *e)
 {

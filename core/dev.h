@@ -78,12 +78,6 @@ void dev_cite(const char *log, const char *const *text, const char *const *names
  * allows. */
 enum err_code dev_buffer(struct dev *d, size_t size_bytes, const void *host, cl_mem *out,
                          struct err *e) ERR_USE;
-/* A buffer of size_bytes, a multiple of 64, that is the host's memory at `at`, which begins a page
- * and stays until after dev_release. Only where dev_shares_memory: then nothing is copied. ERR_MEM,
- * ERR_LIMIT, ERR_DEVICE. */
-enum err_code dev_buffer_over(struct dev *d, void *at, size_t size_bytes, cl_mem *out,
-                              struct err *e) ERR_USE;
-bool dev_shares_memory(const struct dev *d);
 void dev_release(cl_mem *m); /* NULL is accepted; leaves NULL */
 /* Makes *m a buffer of at least n_bytes; *room is its size, 0 at first. A buffer that is too small
  * is replaced, and its values are lost. After ERR_MEM or ERR_LIMIT there is no buffer. */

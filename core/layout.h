@@ -155,7 +155,6 @@ struct layout_view {
     LAYOUT_U32 sh_degree;  /* degree that is evaluated */
     LAYOUT_U32 compensate; /* 1: opacity is multiplied by rho = sqrt(det S0 / det S) */
     LAYOUT_U32 tile_cull;  /* 1: exact tiles of a splat; 0: all tiles of its bounding box */
-    LAYOUT_U32 smooth;     /* 1: each Gaussian is widened by its 3-D filter */
     LAYOUT_U32 listed;     /* 1: a list names the groups of parameters to draw */
     /* 1: fx and fy are pixels a metre, and all rays have direction rot[6..8] */
     LAYOUT_U32 orthographic;
@@ -237,8 +236,6 @@ struct layout_counts {
 /* Losses sum over Gaussians or pixels in this many fixed pieces. */
 #define LAYOUT_LOSS_PIECES 256
 #define LAYOUT_SCALE_ITEMS 64 /* work-items of a group of loss/scale_loss.cl, VW 1 */
-/* planes of the model that loss/depth.cl draws */
-#define LAYOUT_DEPTH_PLANES (LAYOUT_PLANE_SH + 3)
 /* Pieces of photometric.cl: pixels of a strip, most rows of a band; of its maps (VW 1): margin of a
  * row in floats. */
 #define LAYOUT_LOSS_STRIP 160
@@ -249,18 +246,10 @@ struct layout_counts {
 #define LAYOUT_LPIPS_MARGIN 16
 #define LAYOUT_LPIPS_ROWS 2
 #define LAYOUT_LPIPS_CHANNELS 8
-/* loss/mip.cl: a camera sees a point that is farther than NEAR_M and lies in the picture */
-#define LAYOUT_MIP_NEAR_M 0.01f
-#define LAYOUT_MIP_GROW 0.15f /* or outside it by up to this share of its size */
 
 struct layout_scale_piece {
     LAYOUT_U32 n, m; /* n: axes longer than s_max; m: Gaussians whose axis ratio is above r_max */
     float size, ratio;
-    float flat, tilt; /* sums of log(1 + (least axis / flat_m)^2), and of 1 - n_z^2 */
-};
-
-struct layout_mip_camera { /* trans is relative to the model's origin */
-    float rot[9], trans[3], fx, fy, cx, cy, width, height;
 };
 
 /* One step of Adam (Kingma and Ba 2015) with its side tasks: an argument of project_step. */
@@ -277,9 +266,8 @@ struct layout_adam {
     LAYOUT_U32 wants; /* LAYOUT_STEP_*; buffers for other tasks are not read */
     LAYOUT_U32 step;  /* from 1; moments are rounded by it */
 };
-#define LAYOUT_STEP_EXTRA 1 /* add extra gradients, [groups][LAYOUT_PLANES_GEOMETRY][16] */
-/* add extra gradients of sizes and rotation alone, [groups][LAYOUT_PLANES_SHAPE][16] */
-#define LAYOUT_STEP_EXTRA_SHAPE 2
+/* add extra gradients of sizes and rotation, [groups][LAYOUT_PLANES_SHAPE][16] */
+#define LAYOUT_STEP_EXTRA 1
 #define LAYOUT_STEP_STATS 4    /* collect densification statistics; the next two need it */
 #define LAYOUT_STEP_ABS 8      /* also absolute gradients of positions (AbsGS) */
 #define LAYOUT_STEP_OPACITY 16 /* also the largest opacity that was drawn */
@@ -313,7 +301,7 @@ static_assert(LAYOUT_PLANES_GEOMETRY == LAYOUT_PLANE_OPACITY + 1, "opacity is th
 static_assert(sizeof(struct layout_adam) == 18 * 4, "no padding: an argument of a kernel");
 static_assert(sizeof(struct layout_counts) == 8 * (2 + LAYOUT_SORT_CHUNKS) + 4 * LAYOUT_BIN_CHUNKS,
               "no padding");
-static_assert(sizeof(struct layout_view) == 47 * 4, "no padding: kernels read the same words");
+static_assert(sizeof(struct layout_view) == 46 * 4, "no padding: kernels read the same words");
 
 /* Number of planes of a group of parameters. Embeddings begin at plane layout_planes(sh_degree, 0).
  */

@@ -20,6 +20,11 @@ void log_set_level(enum log_level level)
     log_level = level;
 }
 
+enum log_level log_get_level(void)
+{
+    return log_level;
+}
+
 static bool log_json;
 
 void log_set_json(bool json)

@@ -1,10 +1,5 @@
-/* Known depths of a photograph: a map of relative inverse depth from a network, aligned to metres
- * by the sparse points that the photograph observes, or these points alone.
- *
- * A network's map is right up to a scale and an offset. So a y + b is fitted to the points' inverse
- * depths for each photograph. Maps that fit badly are left out and counted (the hierarchical 3D
- * Gaussian Splatting of Kerbl et al. 2024 aligns in the same way). Only alignments are kept; maps
- * are read again when needed. It owns the alignments and one target picture.
+/* Known depths of a photograph. Maps are read again when they are needed. It owns one target
+ * picture.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -18,81 +13,14 @@
 #include "core/sort.h"
 #include "loss/depth_map.h"
 
-#define DEPTH_ERROR_MAX_PX 1.5f /* reprojection error of points to align with */
-#define DEPTH_RANGE_MIN 0.05    /* (largest - smallest) / median inverse depth */
-#define DEPTH_LOG_RATIO_MAX 0.3
-#define DEPTH_SCALE_MIN 0.2 /* against the median scale of all maps */
-#define DEPTH_SCALE_MAX 5.0
-enum { DEPTH_FEW = 10, DEPTH_MEDIAN_SAMPLE = 16384, DEPTH_EDGE_MAX = 16384 };
-
-const char *const depth_verdict_text[DEPTH_VERDICTS] = {
-    "used",
-    "have no map",
-    "observe 10 good points or fewer",
-    "see points of too equal depth, or the map is constant there",
-    "have a map that does not fit the points (is it depth, not inverse depth?)",
-    "have a map of another scale than the rest",
-};
-
-struct depth_photo {
-    double a, b;
-    enum depth_verdict verdict;
-    size_t first, last; /* its observations in scene->tracks */
-};
+enum { DEPTH_MEDIAN_SAMPLE = 16384, DEPTH_EDGE_MAX = 16384 };
 
 struct depth_map {
     struct depth_map_config cfg;
-    struct depth_photo *photos; /* by image of the scene */
-    size_t count[DEPTH_VERDICTS];
+    bool *has; /* by image of the scene */
     float *target;
     size_t pixels; /* room in target */
 };
-
-/* ---- alignment ---- */
-
-static double depth_deviation(const double *v, size_t n, double about)
-{
-    double sum = 0.0;
-    for (size_t i = 0; i < n; i++)
-        sum += fabs(v[i] - about);
-    return sum / (double)n;
-}
-
-/* With scratch[n]. */
-static enum depth_verdict depth_fit(const double *x, const double *y, size_t n, double *scratch,
-                                    double *a, double *b)
-{
-    memcpy(scratch, x, n * sizeof *x);
-    double mx = sort_median(scratch, n), range = scratch[n - 1] - scratch[0];
-    memcpy(scratch, y, n * sizeof *y);
-    double my = sort_median(scratch, n);
-    double dx = depth_deviation(x, n, mx), dy = depth_deviation(y, n, my), together = 0.0;
-    if (!(range > DEPTH_RANGE_MIN * mx) || !(dy > 0.0))
-        return DEPTH_MAP_FLAT;
-    *a = dx / dy;
-    *b = mx - *a * my;
-    for (size_t i = 0; i < n; i++) {
-        double t = *a * y[i] + *b;
-        together += (x[i] - mx) * (y[i] - my);
-        scratch[i] = t > 0.0 ? fabs(log(t / x[i])) : (double)INFINITY;
-    }
-    if (!(together > 0.0) || !(sort_median(scratch, n) <= DEPTH_LOG_RATIO_MAX))
-        return DEPTH_MAP_MISFIT;
-    return DEPTH_MAP_OK;
-}
-
-enum depth_verdict depth_align(const double *x, const double *y, size_t n, double *a, double *b)
-{
-    *a = *b = 0.0;
-    if (n <= DEPTH_FEW)
-        return DEPTH_MAP_FEW;
-    double *scratch = mem_array(n, sizeof *scratch);
-    if (!scratch)
-        return DEPTH_MAP_FEW; /* as good as none: the photograph goes without */
-    enum depth_verdict v = depth_fit(x, y, n, scratch, a, b);
-    mem_free(scratch);
-    return v;
-}
 
 /* ---- files ---- */
 
@@ -176,133 +104,40 @@ static struct depth_frame depth_frame_of(const struct camera *full, const struct
                                 round(full->height_px * sy)};
 }
 
-/* ---- points ---- */
-
-/* Inverse depth of observation t in its photograph; 0: behind it, outside, or a bad point. */
-static double depth_of_track(const struct scene *s, const struct scene_track *t)
-{
-    const struct camera *c = &s->images[t->image].cam;
-    const struct scene_point *p = &s->points[t->point];
-    double z = c->trans[2];
-    for (int k = 0; k < 3; k++)
-        z += c->rot[6 + k] * p->enu_m[k];
-    bool inside = t->x_px >= 0.0f && t->y_px >= 0.0f && t->x_px < (float)c->width_px &&
-                  t->y_px < (float)c->height_px;
-    return z > 0.0 && inside && p->error_px < DEPTH_ERROR_MAX_PX ? 1.0 / z : 0.0;
-}
-
-static enum err_code depth_align_photo(struct depth_map *d, uint32_t image, struct err *e)
-{
-    const struct scene *s = d->cfg.scene;
-    struct depth_photo *p = &d->photos[image];
-    const struct camera *c = &s->images[image].cam;
-    struct depth_file f = {0};
-    char path[FILE_PATH_MAX];
-    bool found;
-    size_t n = 0;
-    p->verdict = DEPTH_MAP_MISSING;
-    enum err_code rc = depth_map_find(d->cfg.dir, s->images[image].name, &found, path, e);
-    if (rc || !found)
-        return rc;
-    if (d->cfg.metric) {
-        p->a = 1.0;
-        p->verdict = DEPTH_MAP_OK;
-        return ERR_OK;
-    }
-    rc = depth_read_file(path, &f, e);
-    double *x = mem_array(p->last - p->first, sizeof *x),
-           *y = mem_array(p->last - p->first, sizeof *y);
-    if (!rc && (!x || !y))
-        rc = err_set(e, ERR_MEM, "%s: out of memory", path);
-    for (size_t i = p->first; !rc && i < p->last; i++) {
-        const struct scene_track *t = &s->tracks[i];
-        x[n] = depth_of_track(s, t);
-        y[n] = depth_sample(&f, (double)t->x_px / c->width_px, (double)t->y_px / c->height_px);
-        n += x[n] > 0.0 && isfinite(y[n]);
-    }
-    if (!rc)
-        p->verdict = depth_align(x, y, n, &p->a, &p->b);
-    mem_free(x);
-    mem_free(y);
-    mem_free(f.px);
-    return rc;
-}
-
 /* ---- all photographs ---- */
 
-static void depth_find_tracks(struct depth_map *d)
+static enum err_code depth_find_all(struct depth_map *d, struct err *e)
 {
-    const struct scene *s = d->cfg.scene;
-    for (size_t i = 0; i < s->n_tracks; i++) { /* sorted by image */
-        struct depth_photo *p = &d->photos[s->tracks[i].image];
-        if (p->first == p->last)
-            p->first = i;
-        p->last = i + 1;
+    char path[FILE_PATH_MAX];
+    size_t used = 0, n = d->cfg.n_images;
+    enum err_code rc = ERR_OK;
+    for (size_t i = 0; !rc && i < n; i++) {
+        const uint32_t image = d->cfg.images[i];
+        rc = depth_map_find(d->cfg.dir, d->cfg.scene->images[image].name, &d->has[image], path, e);
+        used += d->has[image];
     }
-}
-
-/* A map whose scale is far from that of the others was aligned to something else. */
-static enum err_code depth_check_scales(struct depth_map *d, struct err *e)
-{
-    double *a = mem_array(d->cfg.n_images, sizeof *a);
-    size_t n = 0;
-    if (!a)
-        return err_set(e, ERR_MEM, "depth maps: out of memory");
-    for (size_t i = 0; i < d->cfg.n_images; i++)
-        if (d->photos[d->cfg.images[i]].verdict == DEPTH_MAP_OK)
-            a[n++] = d->photos[d->cfg.images[i]].a;
-    double middle = sort_median(a, n);
-    for (size_t i = 0; i < d->cfg.n_images; i++) {
-        struct depth_photo *p = &d->photos[d->cfg.images[i]];
-        if (p->verdict == DEPTH_MAP_OK &&
-            !(p->a >= DEPTH_SCALE_MIN * middle && p->a <= DEPTH_SCALE_MAX * middle))
-            p->verdict = DEPTH_MAP_SCALE;
-        d->count[p->verdict]++;
-    }
-    mem_free(a);
-    return ERR_OK;
-}
-
-static enum err_code depth_report(const struct depth_map *d, struct err *e)
-{
-    enum depth_verdict worst = DEPTH_MAP_MISSING;
-    for (enum depth_verdict v = DEPTH_MAP_MISSING; v < DEPTH_VERDICTS; v++) {
-        if (d->count[v])
-            log_warn("train", "depth maps: %zu of %zu photographs %s", d->count[v], d->cfg.n_images,
-                     depth_verdict_text[v]);
-        worst = d->count[v] > d->count[worst] ? v : worst;
-    }
-    log_info("train", "depth maps used=%zu of=%zu", d->count[DEPTH_MAP_OK], d->cfg.n_images);
-    if (d->count[DEPTH_MAP_OK])
-        return ERR_OK;
-    return err_set(e, ERR_DATA, "%s: no depth map can be used: %zu of %zu photographs %s",
-                   d->cfg.dir, d->count[worst], d->cfg.n_images, depth_verdict_text[worst]);
+    if (rc)
+        return rc;
+    if (used < n)
+        log_warn("train", "depth maps: %zu of %zu photographs have no map", n - used, n);
+    log_info("train", "depth maps used=%zu of=%zu", used, n);
+    return used ? ERR_OK
+                : err_set(e, ERR_DATA,
+                          "%s: no depth map can be used: %zu of %zu photographs have no map",
+                          d->cfg.dir, n, n);
 }
 
 enum err_code depth_map_open(const struct depth_map_config *cfg, struct depth_map **out,
                              struct err *e)
 {
     struct depth_map *d = mem_array(1, sizeof *d);
-    enum err_code rc = ERR_OK;
     *out = NULL;
-    if (!d || !(d->photos = mem_array(cfg->scene->n_images, sizeof *d->photos))) {
+    if (!d || !(d->has = mem_array(cfg->scene->n_images, sizeof *d->has))) {
         mem_free(d);
         return err_set(e, ERR_MEM, "depth maps: out of memory");
     }
     d->cfg = *cfg;
-    for (size_t i = 0; i < cfg->scene->n_images; i++)
-        d->photos[i].verdict = DEPTH_MAP_MISSING;
-    depth_find_tracks(d);
-    for (size_t i = 0; !rc && cfg->dir && i < cfg->n_images; i++)
-        rc = depth_align_photo(d, cfg->images[i], e);
-    if (!rc)
-        rc = depth_check_scales(d, e);
-    if (!rc && cfg->dir)
-        rc = depth_report(d, e);
-    if (!rc && !cfg->dir && !cfg->scene->n_tracks)
-        rc = err_set(e, ERR_DATA,
-                     "%s: the scene holds no observations of points: there is no sparse depth",
-                     cfg->scene->dir);
+    enum err_code rc = depth_find_all(d, e);
     if (rc)
         depth_map_close(&d);
     *out = d;
@@ -314,15 +149,10 @@ void depth_map_close(struct depth_map **p)
     struct depth_map *d = *p;
     if (!d)
         return;
-    mem_free(d->photos);
+    mem_free(d->has);
     mem_free(d->target);
     mem_free(d);
     *p = NULL;
-}
-
-size_t depth_map_count(const struct depth_map *d, enum depth_verdict v)
-{
-    return d->count[v];
 }
 
 /* ---- targets ---- */
@@ -330,7 +160,6 @@ size_t depth_map_count(const struct depth_map *d, enum depth_verdict v)
 static enum err_code depth_fill_map(struct depth_map *d, uint32_t image, const struct camera *cam,
                                     size_t *n_known, struct err *e)
 {
-    const struct depth_photo *p = &d->photos[image];
     struct depth_file f = {0};
     char path[FILE_PATH_MAX];
     bool found;
@@ -346,36 +175,12 @@ static enum err_code depth_fill_map(struct depth_map *d, uint32_t image, const s
         for (uint32_t x = 0; x < cam->width_px; x++) {
             double v =
                 depth_sample(&f, (x + 0.5 + in.left) / in.width, (y + 0.5 + in.top) / in.height);
-            double t = isfinite(v) ? fmax(p->a * v + p->b, 0.0) : -1.0;
+            double t = isfinite(v) ? fmax(v, 0.0) : -1.0;
             d->target[(size_t)y * cam->width_px + x] = (float)t;
             *n_known += t >= 0.0;
         }
     mem_free(f.px);
     return rc;
-}
-
-/* Each observed point in its pixel, the nearest where there are several. */
-static void depth_fill_points(struct depth_map *d, uint32_t image, const struct camera *cam,
-                              size_t *n_known)
-{
-    const struct scene *s = d->cfg.scene;
-    const struct camera *full = &s->images[image].cam;
-    const struct depth_photo *p = &d->photos[image];
-    const struct depth_frame in = depth_frame_of(full, cam);
-    for (size_t i = 0; i < (size_t)cam->width_px * cam->height_px; i++)
-        d->target[i] = -1.0f;
-    for (size_t i = p->first; i < p->last; i++) {
-        double t = depth_of_track(s, &s->tracks[i]);
-        if (!(t > 0.0))
-            continue;
-        double x = floor((double)s->tracks[i].x_px / full->width_px * in.width) - in.left,
-               y = floor((double)s->tracks[i].y_px / full->height_px * in.height) - in.top;
-        if (!(x >= 0.0 && y >= 0.0 && x < cam->width_px && y < cam->height_px))
-            continue; /* in another part of the photograph */
-        float *to = &d->target[(size_t)y * cam->width_px + (size_t)x];
-        *n_known += *to < 0.0f;
-        *to = fmaxf(*to, (float)t);
-    }
 }
 
 /* 1 / median of the known values, from an even sample of them; 0 when it is 0. */
@@ -403,8 +208,7 @@ enum err_code depth_map_target(struct depth_map *d, uint32_t image, const struct
     size_t pixels = (size_t)cam->width_px * cam->height_px;
     enum err_code rc = ERR_OK;
     *out = (struct depth_target){0};
-    bool map = d->photos[image].verdict == DEPTH_MAP_OK;
-    if (!map && !d->cfg.sparse)
+    if (!d->has[image])
         return ERR_OK;
     if (pixels > d->pixels) {
         mem_free(d->target);
@@ -413,10 +217,7 @@ enum err_code depth_map_target(struct depth_map *d, uint32_t image, const struct
         if (!d->target)
             return err_set(e, ERR_MEM, "depth maps: out of memory for %zu pixels", pixels);
     }
-    if (map)
-        rc = depth_fill_map(d, image, cam, &out->n_known, e);
-    else
-        depth_fill_points(d, image, cam, &out->n_known);
+    rc = depth_fill_map(d, image, cam, &out->n_known, e);
     for (size_t i = 0; !rc && mask && i < pixels; i++)
         if (!mask[i] && d->target[i] >= 0.0f) {
             d->target[i] = -1.0f;

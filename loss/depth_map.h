@@ -1,4 +1,4 @@
-/* Known depths of a photograph.
+/* Known depths of a photograph: maps of inverse depth, as `citysplat stereo` makes them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -13,21 +13,6 @@
 #include "core/err.h"
 
 struct scene;
-/* Why a map is not used. DEPTH_MAP_OK: it is used. */
-enum depth_verdict {
-    DEPTH_MAP_OK,
-    DEPTH_MAP_MISSING, /* there is no such file */
-    DEPTH_MAP_FEW,     /* at most 10 good observations */
-    DEPTH_MAP_FLAT,    /* inverse depths of the points, or the map there, hardly differ */
-    /* the map falls where it should rise, or is off by a factor e^0.3 after alignment */
-    DEPTH_MAP_MISFIT,
-    DEPTH_MAP_SCALE, /* its scale differs from that of the other photographs' maps */
-    DEPTH_VERDICTS
-};
-extern const char *const depth_verdict_text[DEPTH_VERDICTS];
-/* Aligns a map to inverse depths: x of n points, y of the map there, x ~ a y + b. It uses mean
- * absolute deviations about medians, which outliers hardly change. */
-enum depth_verdict depth_align(const double *x, const double *y, size_t n, double *a, double *b);
 
 /* Finds the map of a photograph in a folder. path has FILE_PATH_MAX bytes; *found: there is such a
  * file. ERR_LIMIT. */
@@ -38,19 +23,16 @@ struct depth_map_config {
     const struct scene *scene; /* borrowed, as is images */
     const uint32_t *images;
     size_t n_images;
-    /* folder with NAME.npy, .png, .pfm or .tif of inverse depth, NAME with or without its own
-     * extension; NULL: none */
+    /* folder with NAME.npy, .png, .pfm or .tif of inverse depth in 1/m, NAME with or without its
+     * own extension */
     const char *dir;
-    bool metric; /* maps are in 1/m: they are taken as they are */
-    bool sparse; /* photographs without a map use the points that they observe */
 };
-struct depth_map; /* alignments of all maps, and the target of one photograph */
-/* Reads every map once. Close *out with depth_map_close. ERR_DATA: no map can be used; the message
- * gives the reason. ERR_IO, ERR_MEM. */
+struct depth_map; /* which photographs have a map, and the target of one photograph */
+/* Looks for the map of every photograph. Close *out with depth_map_close. ERR_DATA: there is none.
+ * ERR_LIMIT, ERR_MEM. */
 enum err_code depth_map_open(const struct depth_map_config *cfg, struct depth_map **out,
                              struct err *e) ERR_USE;
 void depth_map_close(struct depth_map **d);
-size_t depth_map_count(const struct depth_map *d, enum depth_verdict v);
 
 struct depth_target {
     /* [h][w] inverse depth times unit_m, below 0 = unknown; borrowed until the next call */

@@ -11,6 +11,10 @@
 
 #include "render/render.h"
 
+/* Gaussians that are compared with their neighbours at a step of training, and how many nearest
+ * ones, itself included: REUrbanGS. */
+enum { EMBED_SMOOTHNESS_SAMPLES = 20480, EMBED_SMOOTHNESS_NEIGHBOURS = 16 };
+
 /* The sum goes over `samples` Gaussians i drawn at random, or all if there are fewer. n_0 .. n_k-1
  * are the k nearest of i by distance, itself included, and e^ = e / |e|:
  *

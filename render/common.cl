@@ -77,8 +77,7 @@ struct seen {
     V pr[6];         // P = J W R, 2 x 3, before scaling by sigma
     V s00, s01, s11; // S, kernel included
     V det0, det;
-    V opacity, rho; // sigmoid; compensation, and what the 3-D filter takes
-    V keep[3];      // sigma^2 / (sigma^2 + f^2) of the 3-D filter; only with v->smooth
+    V opacity, rho; // sigmoid; compensation
 };
 
 // Camera-space mean; the mask of lanes in front of the near plane.
@@ -119,24 +118,8 @@ INLINE void seen_rotation(__global const float *g, struct seen *s)
     s->rot[8] = 1.0f - 2.0f * (x * x + y * y);
 }
 
-// Mip-Splatting's 3-D filter (Yu et al. 2024, eq. 9): sigma'^2 = sigma^2 + f^2, opacity times
-// prod sigma / sigma'.
-INLINE V seen_smooth(__global const float *filter, struct seen *s)
-{
-    V f = LD(filter, 0), f2 = f * f, rho2 = (V)(1.0f);
-    for (int c = 0; c < 3; c++) {
-        V own = s->scale[c] * s->scale[c], wide = own + f2;
-        s->keep[c] = own / wide;
-        s->scale[c] = sqrt(wide);
-        rho2 *= s->keep[c];
-    }
-    return sqrt(rho2);
-}
-
-// Everything about the ellipse, after seen_mean; the mask of lanes with a usable one. filter: f of
-// these lanes, read with v->smooth only.
-INLINE VI seen_ellipse(__constant struct layout_view *v, __global const float *g,
-                       __global const float *filter, struct seen *s)
+// Everything about the ellipse, after seen_mean; the mask of lanes with a usable one.
+INLINE VI seen_ellipse(__constant struct layout_view *v, __global const float *g, struct seen *s)
 {
     V z = s->cam[2], iz = v->orthographic ? (V)(1.0f) : 1.0f / z; // then the limits are 0, too
     seen_rotation(g, s);
@@ -148,11 +131,9 @@ INLINE VI seen_ellipse(__constant struct layout_view *v, __global const float *g
         s->jw[m] = fx * (v->rot[m] - s->clamped[0] * v->rot[6 + m]);
         s->jw[3 + m] = fy * (v->rot[3 + m] - s->clamped[1] * v->rot[6 + m]);
     }
-    V p[6], smooth = (V)(1.0f);
+    V p[6];
     for (int c = 0; c < 3; c++)
         s->scale[c] = exp(LD(g, LAYOUT_PLANE_SCALE + c));
-    if (v->smooth)
-        smooth = seen_smooth(filter, s);
     for (int c = 0; c < 3; c++) {
         s->pr[c] = s->jw[0] * s->rot[c] + (s->jw[1] * s->rot[3 + c] + s->jw[2] * s->rot[6 + c]);
         s->pr[3 + c] = s->jw[3] * s->rot[c] + (s->jw[4] * s->rot[3 + c] + s->jw[5] * s->rot[6 + c]);
@@ -175,8 +156,6 @@ INLINE VI seen_ellipse(__constant struct layout_view *v, __global const float *g
         V ratio = s->det0 / s->det;
         s->rho = sqrt(MAX_(ratio, LAYOUT_RHO2_MIN));
     }
-    if (v->smooth)
-        s->rho *= smooth;
     VI ok = (s->det > 0.0f) & (s->det < LAYOUT_DET_MAX);
 #ifndef APPEARANCE_LEN // with it, opacity is not final yet
     ok &= s->opacity * s->rho >= LAYOUT_ALPHA_MIN;

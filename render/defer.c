@@ -22,8 +22,7 @@ enum {
 #define DEFER_DRIFT_ROOM 1.05 /* drift is a bound: roundings, and rates that grow a little */
 
 struct defer {
-    struct render *r;         /* borrowed */
-    struct defer_watch watch; /* part 0: there is none */
+    struct render *r; /* borrowed */
     cl_program program;
     cl_kernel count, list, settle, bound;
     cl_mem view, counts;
@@ -92,11 +91,6 @@ enum err_code defer_open(struct render *r, struct defer **out, struct err *e)
     if (rc)
         defer_close(out);
     return rc;
-}
-
-void defer_set_watch(struct defer *d, const struct defer_watch *w)
-{
-    d->watch = *w;
 }
 
 /* ---- the table ---- */
@@ -224,8 +218,6 @@ static enum err_code defer_run_bound(struct defer *d, const struct render_model 
                                      const struct render_adam *a, struct defer_range g,
                                      cl_uint step, struct err *e)
 {
-    cl_uint smooth = m->filter != NULL;
-    cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
     size_t local, items = frame_items(d->r, g.end - g.from, &local);
     if (d->r->dev->vector_width == 1)
         items = (g.end - g.from + local - 1) / local * local;
@@ -233,9 +225,9 @@ static enum err_code defer_run_bound(struct defer *d, const struct render_model 
                      FRAME_ARGS(FRAME_ARG(d->listed.mem), FRAME_ARG(g.listed), FRAME_ARG(g.from),
                                 FRAME_ARG(g.end), FRAME_ARG(m->n), FRAME_ARG(m->planes),
                                 FRAME_ARG(step), FRAME_ARG(d->base), FRAME_ARG(a->eps),
-                                FRAME_ARG(smooth), FRAME_ARG(d->table.mem), FRAME_ARG(filter),
-                                FRAME_ARG(m->params), FRAME_ARG(a->moments),
-                                FRAME_ARG(d->settled.mem), FRAME_ARG(d->bounds.mem)),
+                                FRAME_ARG(d->table.mem), FRAME_ARG(m->params),
+                                FRAME_ARG(a->moments), FRAME_ARG(d->settled.mem),
+                                FRAME_ARG(d->bounds.mem)),
                      items, local, e);
 }
 
@@ -254,37 +246,13 @@ static enum err_code defer_run_settle(struct defer *d, const struct render_model
                      items, local, e);
 }
 
-/* All groups, in one launch or part by part: bounds, or the steps that they are owed. A part that
- * is in memory gets its bounds as well: who looks at the model then need not read it again. */
-static enum err_code defer_run_all(struct defer *d, const struct render_model *m,
-                                   const struct render_adam *a, bool settles, struct err *e)
-{
-    uint32_t part = d->watch.part ? d->watch.part : m->groups;
-    enum err_code rc = ERR_OK;
-    for (uint32_t from = 0; !rc && from < m->groups; from += part) {
-        uint32_t end = m->groups - from < part ? m->groups : from + part;
-        struct defer_range g = {false, from, end};
-        if (settles)
-            rc = defer_run_settle(d, m, a, g, e);
-        if (!rc && (!settles || d->watch.part))
-            rc = defer_run_bound(d, m, a, g, 0, e);
-        if (!rc && d->watch.part)
-            rc = dev_finish(d->r->dev, e);
-        if (!rc && d->watch.part)
-            d->watch.passed(d->watch.user, from, end);
-        if (end == m->groups)
-            break;
-    }
-    return rc;
-}
-
 /* settled and bounds as they are after the last step. */
 static enum err_code defer_catch_up(struct defer *d, const struct render_model *m,
                                     const struct render_adam *a, struct err *e)
 {
     enum err_code rc = defer_send(d, e);
     if (!rc && !d->bounded)
-        rc = defer_run_all(d, m, a, false, e);
+        rc = defer_run_bound(d, m, a, (struct defer_range){false, 0, m->groups}, 0, e);
     d->bounded = true;
     if (!rc && d->pending)
         rc = defer_run_bound(d, m, a, (struct defer_range){true, 0, d->n_listed}, d->step, e);
@@ -350,19 +318,6 @@ static enum err_code defer_find(struct defer *d, const struct render_model *m,
     return ERR_OK;
 }
 
-/* The watch gets the list. */
-static enum err_code defer_tell(struct defer *d, struct err *e)
-{
-    void *listed = NULL;
-    if (!d->watch.part)
-        return ERR_OK;
-    enum err_code rc =
-        dev_map(d->r->dev, d->listed.mem, CL_MAP_READ, d->n_listed * sizeof(uint32_t), &listed, e);
-    if (!rc)
-        d->watch.listed(d->watch.user, listed, d->n_listed);
-    return rc ? rc : dev_unmap(d->r->dev, d->listed.mem, &listed, e);
-}
-
 /* Of a copy of the model, the groups that were found. */
 static void defer_show(const struct defer *d, bool has_last, struct render_model *seen)
 {
@@ -385,8 +340,6 @@ enum err_code defer_see(struct defer *d, const struct render_model *m,
     rc = defer_catch_up(d, m, adam, e);
     if (!rc)
         rc = defer_find(d, m, cam, o, &has_last, e);
-    if (!rc)
-        rc = defer_tell(d, e);
     if (!rc)
         rc = defer_run_settle(d, m, adam, (struct defer_range){true, 0, d->n_listed}, e);
     d->pending = !rc;
@@ -423,8 +376,6 @@ enum err_code defer_look(struct defer *d, const struct render_model *m,
         rc = defer_keep_still(d, m, adam, e);
     if (!rc)
         rc = defer_find(d, m, cam, o, &has_last, e);
-    if (!rc)
-        rc = defer_tell(d, e);
     defer_show(d, has_last, seen);
     return rc;
 }
@@ -443,9 +394,8 @@ enum err_code defer_settle(struct defer *d, const struct render_model *m,
     assert(m->n == d->n);
     enum err_code rc = defer_catch_up(d, m, adam, e);
     if (!rc)
-        rc = defer_run_all(d, m, adam, true, e);
-    d->known = false;
-    d->still = !rc && d->watch.part;
+        rc = defer_run_settle(d, m, adam, (struct defer_range){false, 0, m->groups}, e);
+    d->known = d->still = false;
     return rc;
 }
 

@@ -208,7 +208,7 @@ INLINE V defer_speed(__global const uint *moments, uint plane, float eps)
 
 // How far a Gaussian then reaches from its mean, m: where its alpha falls below 1/255.
 INLINE V defer_reach(__global const float *g, __global const uint *moments,
-                     __global const float *filter, __global const float *row, float eps)
+                     __global const float *row, float eps)
 {
     V wide = (V)(-1e30f);
     for (uint k = LAYOUT_PLANE_SCALE; k < LAYOUT_PLANE_SCALE + 3; k++) {
@@ -216,8 +216,6 @@ INLINE V defer_reach(__global const float *g, __global const uint *moments,
         wide = MAX_(s, wide);
     }
     V sigma = exp(wide);
-    if (filter)
-        sigma += LD(filter, 0);
     V logit = LD(g, LAYOUT_PLANE_OPACITY) +
               row[LAYOUT_DEFER_DRIFT + 2] * defer_speed(moments, LAYOUT_PLANE_OPACITY, eps);
     V over = log(256.0f / (1.0f + exp(-logit))); // a little more than 255
@@ -243,8 +241,7 @@ INLINE void defer_ask(__global const float *g, __global const uint *moments)
 // Where the groups of a list, or [from, groups) of all, can draw. step: it was just made; 0:
 // settled says.
 __kernel void defer_bound(__global const uint *list, uint listed, uint from, uint groups, uint n,
-                          uint planes, uint step, uint base, float eps, uint smooth,
-                          __global const float *table, __global const float *filter,
+                          uint planes, uint step, uint base, float eps, __global const float *table,
                           __global const float *params, __global const uint *moments,
                           __global uint *settled, __global float *bounds)
 {
@@ -281,8 +278,7 @@ __kernel void defer_bound(__global const uint *list, uint listed, uint from, uin
                 lo[k] = (real & (below > lo[k])) ? below : lo[k];
                 hi[k] = (real & (above > hi[k])) ? above : hi[k];
             }
-            V reach = defer_reach(params + own, moments + own,
-                                  smooth ? filter + group * LAYOUT_LANES + lane : 0, row, eps);
+            V reach = defer_reach(params + own, moments + own, row, eps);
             reach = reach < 1e30f ? reach : (V)(1e30f); // NaN, too
             most = (real & (reach > most)) ? reach : most;
         }

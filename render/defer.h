@@ -35,17 +35,6 @@ struct defer;
 enum err_code defer_open(struct render *r, struct defer **out, struct err *e) ERR_USE;
 void defer_close(struct defer **d);
 
-/* For arrays that do not fit in memory. `listed` is told the groups that a step is about to touch,
- * ascending; nothing else uses the arrays then. A pass over all groups goes by parts of `part`
- * groups, and `passed` is told after each; the device has finished it. */
-struct defer_watch {
-    void *user;
-    void (*listed)(void *user, const uint32_t *groups, size_t n);
-    void (*passed)(void *user, size_t from, size_t to);
-    uint32_t part;
-};
-void defer_set_watch(struct defer *d, const struct defer_watch *w);
-
 /* Lists in *seen, a copy of *m, the groups that this view may show, and lets them make what steps
  * they are owed. If nothing is known of the groups, all count as settled at adam->step. *seen has
  * d's list: do not free it, and draw it before the next call. Then call render_backward_step with
@@ -63,9 +52,8 @@ enum err_code defer_settle(struct defer *d, const struct render_model *m,
                            const struct render_adam *adam, struct err *e) ERR_USE;
 /* Lists in *seen the groups of a model that is owed nothing, for a frame that is only drawn: then
  * call neither render_backward_step nor defer_stepped. The first such call after steps or
- * defer_moved finds the bounds of all groups, unless defer_settle has just found them, as it does
- * where there is a watch. m may have fewer rows than then. Draw *seen before the next call. ERR_ARG
- * (camera), ERR_MEM, ERR_LIMIT, ERR_DEVICE. */
+ * defer_moved finds the bounds of all groups. m may have fewer rows than then. Draw *seen before
+ * the next call. ERR_ARG (camera), ERR_MEM, ERR_LIMIT, ERR_DEVICE. */
 enum err_code defer_look(struct defer *d, const struct render_model *m,
                          const struct render_adam *adam, const struct camera *cam,
                          const struct render_options *o, struct render_model *seen,

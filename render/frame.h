@@ -57,7 +57,7 @@ struct render {
     bool shares;     /* render_options.shares of the frame */
     /* Buffers of the model that was drawn, borrowed. They are never NULL while there is a frame:
      * see render_stage_project. */
-    cl_mem drawn_params, drawn_filter, drawn_list;
+    cl_mem drawn_params, drawn_list;
     struct layout_view view; /* as uploaded to view_mem */
     /* how many times larger than the picture `view` is, on each axis; 1: no supersampling */
     uint32_t supersample;

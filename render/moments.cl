@@ -1,5 +1,5 @@
 // Stage: planes of splats, between the tile lists and blend, in frames with moments of depth.
-//   in   params, filter, tiles_of
+//   in   params, tiles_of
 //   out  splats: words LAYOUT_SPLAT_DEPTH and the two behind it, of those that are visible
 //
 // How deep does a pixel's ray meet a Gaussian? Under the local affine map of EWA splatting the
@@ -12,12 +12,11 @@
 // In Cholesky form S^-1 = 2 ln2 L L^T, N = L^T P: the tilt is -2 ln2 L (N p_z).
 // Reference: ref_plane in render_ref.c.
 
-INLINE void plane_of(__constant struct layout_view *v, __global const float *g,
-                     __global const float *filter, V out[3])
+INLINE void plane_of(__constant struct layout_view *v, __global const float *g, V out[3])
 {
     struct seen s;
     (void)seen_mean(v, g, &s);
-    (void)seen_ellipse(v, g, filter, &s);
+    (void)seen_ellipse(v, g, &s);
     V x_of_y = s.s01 / s.s11, r = sqrt((0.5f * LOG2E) / s.s11),
       p = sqrt((0.5f * LOG2E) * s.s11 / s.det), n0 = (V)(0.0f), n1 = (V)(0.0f);
     for (int k = 0; k < 3; k++) {
@@ -35,8 +34,8 @@ INLINE void plane_of(__constant struct layout_view *v, __global const float *g,
 }
 
 __kernel void planes(__constant struct layout_view *view, __global const float *params,
-                     __global const float *filter, __global const uint *list,
-                     __global const uint *tiles_of, __global struct layout_splat *splats)
+                     __global const uint *list, __global const uint *tiles_of,
+                     __global struct layout_splat *splats)
 {
     size_t item = get_global_id(0);
 #if VW == 16
@@ -48,8 +47,7 @@ __kernel void planes(__constant struct layout_view *view, __global const float *
         float rows[3][LAYOUT_LANES];
         if (!ANY(tiles != 0))
             continue;
-        plane_of(view, params + from * view->planes * LAYOUT_LANES, filter + from * LAYOUT_LANES,
-                 plane);
+        plane_of(view, params + from * view->planes * LAYOUT_LANES, plane);
         for (int k = 0; k < 3; k++)
             vstore16(plane[k], 0, rows[k]);
         for (int lane = 0; lane < LAYOUT_LANES; lane++) {
@@ -65,8 +63,7 @@ __kernel void planes(__constant struct layout_view *view, __global const float *
     size_t group = item / LAYOUT_LANES, lane = item % LAYOUT_LANES;
     size_t from = view->listed ? list[group] : group;
     V plane[3];
-    plane_of(view, params + from * view->planes * LAYOUT_LANES + lane,
-             filter + from * LAYOUT_LANES + lane, plane);
+    plane_of(view, params + from * view->planes * LAYOUT_LANES + lane, plane);
     for (int k = 0; k < 3; k++)
         ((__global float *)(splats + item))[LAYOUT_SPLAT_DEPTH + k] = plane[k];
 #endif

@@ -30,11 +30,4 @@ enum { PERMUTE_SPARE = 32 };
 enum err_code permute_move(const struct permutation *r, bool zero_new, const float *from, float *to,
                            struct err *e) ERR_USE;
 
-/* The same into another array, for the new rows [first, end) alone; first is a multiple of
- * LAYOUT_LANES, and lanes after the last row become 0 where end is r->n. It needs no memory. It is
- * for orders in which neighbours come from neighbours: every value is read from its place. ERR_MEM.
- */
-enum err_code permute_part(const struct permutation *r, bool zero_new, size_t first, size_t end,
-                           const float *from, float *to, struct err *e) ERR_USE;
-
 #endif

@@ -1,5 +1,5 @@
 // Stage: project. Gaussians -> splat records, depth keys, tile counts.
-//   in   params [groups][planes][16]; filter [groups][16], m, with view->smooth
+//   in   params [groups][planes][16]
 //        list [groups], with view->listed: which groups of params these are
 //   out  splats [groups * 16] (anything where culled), depth_key (bits of depth, ~0 where culled),
 //        tiles_of
@@ -251,8 +251,8 @@ INLINE void project_ask(__constant struct layout_view *v, __global const float *
 //     S00 <= |J0|^2 sigma^2 + kernel,   |J0|^2 = (fx / z)^2 (1 + (t'x / z)^2)
 // with the largest sigma and opacity 1, and the same of S11. A group without one ends before its
 // ellipse is made.
-INLINE int project_near(__constant struct layout_view *v, __global const float *g,
-                        __global const float *filter, VI live, const struct seen *s)
+INLINE int project_near(__constant struct layout_view *v, __global const float *g, VI live,
+                        const struct seen *s)
 {
     V iz = v->orthographic ? (V)(1.0f) : 1.0f / s->cam[2];
     V x = s->cam[0] * iz, y = s->cam[1] * iz;
@@ -266,8 +266,6 @@ INLINE int project_near(__constant struct layout_view *v, __global const float *
     most = MAX_(most, second);
     most = MAX_(most, third);
     V sigma2 = exp(2.0f * most);
-    if (v->smooth)
-        sigma2 += LD(filter, 0) * LD(filter, 0);
     V lim_x = CLAMP_(x, -v->lim_neg_x, v->lim_pos_x);
     V lim_y = CLAMP_(y, -v->lim_neg_y, v->lim_pos_y);
     V fx = v->fx * iz, fy = v->fy * iz;
@@ -280,8 +278,7 @@ INLINE int project_near(__constant struct layout_view *v, __global const float *
 }
 
 // The group (VW 16) or lane (VW 1) whose parameters start at g and whose first index is `index`.
-INLINE void project_some(__constant struct layout_view *v, __global const float *g,
-                         __global const float *filter, uint index,
+INLINE void project_some(__constant struct layout_view *v, __global const float *g, uint index,
                          __global struct layout_splat *splats, VU *key, VU *tiles APPEARANCE_ARGS)
 {
     struct seen s;
@@ -291,9 +288,9 @@ INLINE void project_some(__constant struct layout_view *v, __global const float 
     VI live = seen_mean(v, g, &s) & ((VI)((int)index) + LANE < (int)v->n);
     *key = (VU)(0xFFFFFFFFu);
     *tiles = (VU)(0);
-    if (!ANY(live) || !project_near(v, g, filter, live, &s))
+    if (!ANY(live) || !project_near(v, g, live, &s))
         return;
-    live &= seen_ellipse(v, g, filter, &s);
+    live &= seen_ellipse(v, g, &s);
     if (!ANY(live))
         return;
     project_ask(v, g, 0);
@@ -339,9 +336,8 @@ INLINE void project_hide(__global struct layout_splat *splats, VU tiles, VU list
 }
 
 __kernel void project(__constant struct layout_view *view, __global const float *params,
-                      __global const float *filter, __global const uint *list,
-                      __global struct layout_splat *splats, __global uint *depth_key,
-                      __global uint *tiles_of APPEARANCE_ARGS)
+                      __global const uint *list, __global struct layout_splat *splats,
+                      __global uint *depth_key, __global uint *tiles_of APPEARANCE_ARGS)
 {
     size_t item = get_global_id(0);
 #if VW == 16
@@ -354,9 +350,8 @@ __kernel void project(__constant struct layout_view *view, __global const float 
         // All but the colour, which streams behind them.
         for (uint plane = 0; plane < LAYOUT_PLANES_GEOMETRY; plane++)
             PREFETCH(ahead + plane * LAYOUT_LANES);
-        project_some(view, params + from * view->planes * LAYOUT_LANES,
-                     filter + from * LAYOUT_LANES, (uint)group * LAYOUT_LANES, splats, &key,
-                     &tiles APPEARANCE(group * LAYOUT_LANES));
+        project_some(view, params + from * view->planes * LAYOUT_LANES, (uint)group * LAYOUT_LANES,
+                     splats, &key, &tiles APPEARANCE(group * LAYOUT_LANES));
         LAYOUT_WIDE(__global, uint, depth_key + LAYOUT_LANES * group) = key;
         if (view->again)
             project_hide(splats + LAYOUT_LANES * group, tiles,
@@ -369,9 +364,8 @@ __kernel void project(__constant struct layout_view *view, __global const float 
         VU key, tiles;
         size_t group = item / LAYOUT_LANES, lane = item % LAYOUT_LANES;
         size_t from = view->listed ? list[group] : group;
-        project_some(view, params + from * view->planes * LAYOUT_LANES + lane,
-                     filter + from * LAYOUT_LANES + lane, (uint)item, splats, &key,
-                     &tiles APPEARANCE(item));
+        project_some(view, params + from * view->planes * LAYOUT_LANES + lane, (uint)item, splats,
+                     &key, &tiles APPEARANCE(item));
         depth_key[item] = key;
         if (view->again)
             project_hide(splats + item, tiles, tiles_of[item]);

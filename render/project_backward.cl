@@ -3,7 +3,7 @@
 // (project_step).
 //   in   params [groups][planes][16], tiles_of, slot_first, slots, marks (see blend_backward.cl)
 //        list [groups], with view->listed and of project_step alone: which groups of params,
-//        moments, filter and statistics these are; settled and owed are settled and table of
+//        moments and statistics these are; settled and owed are settled and table of
 //        defer.cl, whose steps before rates.step the moments have not made
 //   out  grads, same layout; or params and moments (adam.cl) in place, and the densification
 //        statistics
@@ -198,8 +198,7 @@ INLINE void ellipse_plane(__constant struct layout_view *v, const struct seen *s
 }
 
 // Axis by axis: dL/d ln s_k, and the sums over the axes.
-INLINE void ellipse_axes(__constant struct layout_view *v, const struct seen *s,
-                         const struct sums *m, struct ellipse *e, V scale[3])
+INLINE void ellipse_axes(const struct seen *s, struct ellipse *e, V scale[3])
 {
     e->along = e->h02 = e->h12 = e->gn0 = e->gn1 = (V)(0.0f);
     e->torque[0] = e->torque[1] = e->torque[2] = (V)(0.0f);
@@ -213,8 +212,7 @@ INLINE void ellipse_axes(__constant struct layout_view *v, const struct seen *s,
         V e0 = e->p * t0, e1 = e->r * t1 - e->x_of_y * e0; // dL/dP, column k
         V own = n0 * t0 + n1 * t1;
         e->along += own;
-        V sum = own + (e->act - e->per_det0 * (e->m[k] * e->m[k])) - b * z3;
-        scale[k] = v->smooth ? s->keep[k] * (sum - m->q) + m->q : sum;
+        scale[k] = own + (e->act - e->per_det0 * (e->m[k] * e->m[k])) - b * z3;
         V x = e->axes[k], y = e->axes[3 + k], z = e->axes[6 + k];
         V e0s = e0 * s->scale[k], e1s = e1 * s->scale[k];
         e->h02 = e0s * z + e->h02;
@@ -276,16 +274,15 @@ INLINE V ellipse_radius(const struct seen *s)
 
 // Gradient of mean, scale, rotation and opacity. Lanes that were culled hold anything.
 inline void gradient_geometry(__constant struct layout_view *v, __global const float *g,
-                              __global const float *filter, const struct sums *m,
-                              struct gradient *out EFFECTIVE_ARG)
+                              const struct sums *m, struct gradient *out EFFECTIVE_ARG)
 {
     struct seen s;
     struct ellipse e;
     (void)seen_mean(v, g, &s);
-    (void)seen_ellipse(v, g, filter, &s);
+    (void)seen_ellipse(v, g, &s);
     ellipse_of(v, &s, m, &e);
     ellipse_plane(v, &s, m, &e);
-    ellipse_axes(v, &s, m, &e, out->geometry + LAYOUT_PLANE_SCALE);
+    ellipse_axes(&s, &e, out->geometry + LAYOUT_PLANE_SCALE);
     ellipse_mean(v, &s, m, &e, out->px, out->geometry + LAYOUT_PLANE_MEAN);
     ellipse_quat(v, &s, &e, out->geometry + LAYOUT_PLANE_QUAT);
 #ifdef APPEARANCE_LEN
@@ -325,12 +322,11 @@ inline VI tiles_some(__global const uint *tiles)
 
 // All gradients of a group, 0 in lanes that were not seen.
 inline void gradient_all(__constant struct layout_view *v, __global const float *g,
-                         __global const float *filter, const struct left *in, VI visible,
-                         struct gradient *out EFFECTIVE_ARG)
+                         const struct left *in, VI visible, struct gradient *out EFFECTIVE_ARG)
 {
     struct sums s;
     sums_gather(in, &s);
-    gradient_geometry(v, g, filter, &s, out EFFECTIVE(0));
+    gradient_geometry(v, g, &s, out EFFECTIVE(0));
     for (uint k = 0; k < LAYOUT_PLANES_GEOMETRY; k++)
         out->geometry[k] = visible ? out->geometry[k] : (V)(0.0f);
     for (uint c = 0; c < 3; c++) {
@@ -362,14 +358,11 @@ inline void gradient_none(struct gradient *out)
 #endif
 }
 
-// Add what the regularizers ask for, see LAYOUT_STEP_EXTRA.
+// Add what terms of the loss on Gaussians ask for, see LAYOUT_STEP_EXTRA.
 inline void gradient_extra(struct gradient *d, __global const float *extra, uint group, uint lane,
                            uint wants)
 {
     if (wants & LAYOUT_STEP_EXTRA)
-        for (uint k = 0; k < LAYOUT_PLANES_GEOMETRY; k++)
-            d->geometry[k] += LD(extra + group_at(group, LAYOUT_PLANES_GEOMETRY) + lane, k);
-    else if (wants & LAYOUT_STEP_EXTRA_SHAPE)
         for (uint k = 0; k < LAYOUT_PLANES_SHAPE; k++)
             d->geometry[LAYOUT_PLANE_SCALE + k] +=
                 LD(extra + group_at(group, LAYOUT_PLANES_SHAPE) + lane, k);
@@ -562,7 +555,6 @@ inline void gradient_store(const struct gradient *d, const V basis[LAYOUT_SH_MAX
 }
 
 __kernel void project_backward(__constant struct layout_view *v, __global const float *params,
-                               __global const float *filter,
                                __global const struct layout_splat *splats,
                                __global const uint *tiles_of, __global const uint *slot_first,
                                __global const float *slots, __global const uchar *marks,
@@ -583,7 +575,7 @@ __kernel void project_backward(__constant struct layout_view *v, __global const 
         struct left in = {splats + i, tiles_of + i, slot_first + i, slots, marks};
         struct gradient d;
         V dir[3], basis[LAYOUT_SH_MAX];
-        gradient_all(v, params + at, filter + i, &in, visible, &d EFFECTIVE(i));
+        gradient_all(v, params + at, &in, visible, &d EFFECTIVE(i));
 #if defined(APPEARANCE_LEN) && VW == 1
         appearance_leave(&d, group, lane, y_grads);
 #endif
@@ -602,15 +594,16 @@ __kernel void project_backward(__constant struct layout_view *v, __global const 
     APPEARANCE_CLOSE
 }
 
-__kernel void
-project_step(__constant struct layout_view *v, __global float *params, __global const float *filter,
-             __global const uint *list, __global const struct layout_splat *splats,
-             __global const uint *tiles_of, __global const uint *slot_first,
-             __global const float *slots, __global const uchar *marks, __global uint *moments,
-             struct layout_adam rates, __global const float *extra, __global float *stat_grad,
-             __global float *stat_absg, __global float *stat_count, __global float *stat_radius,
-             __global float *stat_opacity, __global uint *repaired, __global const uint *settled,
-             __global const float *owed EFFECTIVE_ARG APPEARANCE_ARG)
+__kernel void project_step(__constant struct layout_view *v, __global float *params,
+                           __global const uint *list, __global const struct layout_splat *splats,
+                           __global const uint *tiles_of, __global const uint *slot_first,
+                           __global const float *slots, __global const uchar *marks,
+                           __global uint *moments, struct layout_adam rates,
+                           __global const float *extra, __global float *stat_grad,
+                           __global float *stat_absg, __global float *stat_count,
+                           __global float *stat_radius, __global float *stat_opacity,
+                           __global uint *repaired, __global const uint *settled,
+                           __global const float *owed EFFECTIVE_ARG APPEARANCE_ARG)
 {
     uint to, lane, used = (v->sh_degree + 1) * (v->sh_degree + 1), wants = rates.wants;
     struct stats stats = {stat_grad, stat_absg, stat_count, stat_radius, stat_opacity};
@@ -642,7 +635,7 @@ project_step(__constant struct layout_view *v, __global float *params, __global 
                 PREFETCH(splats + i + LAYOUT_LANES + k);
 #endif
         if (ANY(visible)) {
-            gradient_all(v, a.p, filter + row, &in, visible, &d EFFECTIVE(i));
+            gradient_all(v, a.p, &in, visible, &d EFFECTIVE(i));
             seen_direction(v, a.p, dir); // before the mean moves
             sh_basis(dir, v->sh_degree, basis);
         } else {

@@ -27,8 +27,7 @@
 enum render_aa {
     RENDER_AA_NONE, /* classic 3DGS: +0.3 px^2, no compensation */
     RENDER_AA_2D,   /* the same, with opacity multiplied by rho = sqrt(det S0 / det S) */
-    /* Mip-Splatting: kernel of 0.1 px^2 with rho; the 3-D filter is render_model.filter, or folded
-     * into the Gaussians */
+    /* Mip-Splatting: kernel of 0.1 px^2 with rho; its 3-D filter is folded into the Gaussians */
     RENDER_AA_MIP,
 };
 
@@ -99,11 +98,6 @@ struct render_model {
      * not for render_model_write and render_model_download, and the backward pass refuses it
      * (ERR_ARG). */
     bool sh_halves;
-    /* may be NULL: float [groups][16], m: sigma f of the 3-D smoothing filter of each Gaussian
-     * (Mip-Splatting, Yu et al. 2024). A Gaussian is drawn with sqrt(sigma^2 + f^2) and opacity
-     * times prod sigma / sigma'. Gradients are those of the raw parameters. f gets no gradient. The
-     * caller sets it, render_model_free frees it. */
-    cl_mem filter;
     /* may be NULL: uint [groups], see render_model_list and render/defer.h. render_backward refuses
      * such a model (ERR_ARG); render_backward_step steps the listed groups */
     cl_mem list;
@@ -267,11 +261,9 @@ struct render_adam {
     float lr_embed;
     uint32_t embed_step;
     struct render_appearance_grad *appearance;
-    /* may be NULL: float [groups][LAYOUT_PLANES_GEOMETRY][16], added to the gradients of these
-     * planes of every Gaussian, visible or not (regularizers) */
+    /* may be NULL: float [groups][LAYOUT_PLANES_SHAPE][16], added to the gradients of sizes and
+     * rotation of every Gaussian, visible or not (terms of the loss on Gaussians) */
     cl_mem extra_grad;
-    /* extra_grad is float [groups][LAYOUT_PLANES_SHAPE][16] instead, of sizes and rotation */
-    bool extra_shape;
 };
 /* Statistics of each Gaussian for densification, accumulated by render_backward_step:
  *

@@ -204,14 +204,14 @@ enum err_code render_backward_appearance(struct render *r, const struct render_m
     if (rc)
         return rc;
     const struct render_backward_state *s = r->backward;
-    cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
     struct render_appearance_call call = {.grads = s->grads};
     if (r->appearance)
         rc = render_appearance_prepare(r, a, &call, e);
     const struct frame_arg args[] = {
-        FRAME_ARG(r->view_mem),   FRAME_ARG(m->params),       FRAME_ARG(filter),
-        FRAME_ARG(r->splats.mem), FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->slot_first.mem),
-        FRAME_ARG(r->slots.mem),  FRAME_ARG(s->marks.mem),    FRAME_ARG(grads),
+        FRAME_ARG(r->view_mem),       FRAME_ARG(m->params),
+        FRAME_ARG(r->splats.mem),     FRAME_ARG(r->tiles_of.mem),
+        FRAME_ARG(r->slot_first.mem), FRAME_ARG(r->slots.mem),
+        FRAME_ARG(s->marks.mem),      FRAME_ARG(grads),
     };
     if (!rc)
         rc = backward_run(r, call.grads, "project_backward", args, sizeof args / sizeof *args,
@@ -241,7 +241,7 @@ static uint32_t backward_wants(const struct render_adam *a,
 {
     uint32_t wants = 0;
     if (a->extra_grad)
-        wants |= a->extra_shape ? LAYOUT_STEP_EXTRA_SHAPE : LAYOUT_STEP_EXTRA;
+        wants |= LAYOUT_STEP_EXTRA;
     if (stats)
         wants |= LAYOUT_STEP_STATS | (stats->absg ? LAYOUT_STEP_ABS : 0) |
                  (stats->opacity ? LAYOUT_STEP_OPACITY : 0);
@@ -286,7 +286,6 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
     cl_mem none = s->unused, extra = adam->extra_grad ? adam->extra_grad : none;
     struct render_density_stats d = stats ? *stats : (struct render_density_stats){0};
     cl_mem *const buffers[] = {&d.grad, &d.absg, &d.count, &d.radius, &d.repaired, &d.opacity};
-    cl_mem filter = m->filter ? m->filter : m->params; /* not read without, as is the list */
     cl_mem list = m->list ? m->list : m->params, settled = m->list ? m->settled : m->params,
            owed = m->list ? m->owed : m->params;
     enum err_code rc = ERR_OK;
@@ -302,7 +301,7 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
     const struct frame_arg args[] = {
         FRAME_ARG(r->view_mem),
         FRAME_ARG(m->params),
-        FRAME_ARG(filter),
+
         FRAME_ARG(list),
         FRAME_ARG(r->splats.mem),
         FRAME_ARG(r->tiles_of.mem),

@@ -208,7 +208,6 @@ void render_view_fill(const struct render *r, const struct render_model *m, cons
                        ? (uint32_t)o->sh_degree
                        : m->sh_degree;
     v->tile_cull = !r->box_tiles;
-    v->smooth = m->filter != NULL;
     v->listed = m->list != NULL;
     v->sh_halves = m->sh_halves;
     v->orthographic = o->orthographic;
@@ -261,17 +260,15 @@ static enum err_code render_stage_project(struct render *r, const struct render_
                                           struct err *e)
 {
     size_t local, items = frame_items(r, m->groups, &local);
-    cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
     cl_mem list = m->list ? m->list : m->params;
     r->drawn_params = m->params;
-    r->drawn_filter = filter;
     r->drawn_list = list;
     if (r->appearance)
         return render_appearance_project(r, m, e);
     return frame_run(r, r->k.project, "project",
-                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(filter),
-                                FRAME_ARG(list), FRAME_ARG(r->splats.mem),
-                                FRAME_ARG(r->depth_key.mem), FRAME_ARG(r->tiles_of.mem)),
+                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(list),
+                                FRAME_ARG(r->splats.mem), FRAME_ARG(r->depth_key.mem),
+                                FRAME_ARG(r->tiles_of.mem)),
                      items, local, e);
 }
 
@@ -426,8 +423,8 @@ static enum err_code render_stage_planes(struct render *r, struct err *e)
         return ERR_OK;
     return frame_run(r, r->k.planes, "planes",
                      FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->drawn_params),
-                                FRAME_ARG(r->drawn_filter), FRAME_ARG(r->drawn_list),
-                                FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->splats.mem)),
+                                FRAME_ARG(r->drawn_list), FRAME_ARG(r->tiles_of.mem),
+                                FRAME_ARG(r->splats.mem)),
                      items, local, e);
 }
 

@@ -255,7 +255,6 @@ void render_model_free(struct render_model *m)
     if (!m)
         return;
     dev_release(&m->params);
-    dev_release(&m->filter);
     dev_release(&m->list);
     memset(m, 0, sizeof *m);
 }

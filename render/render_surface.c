@@ -64,8 +64,8 @@ static enum err_code surface_tilts(struct render_surface *s, struct err *e)
         return rc;
     return frame_run(r, s->tilts, "surface_tilts",
                      FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->drawn_params),
-                                FRAME_ARG(r->drawn_filter), FRAME_ARG(r->drawn_list),
-                                FRAME_ARG(r->depth_key.mem), FRAME_ARG(s->tilt.mem)),
+                                FRAME_ARG(r->drawn_list), FRAME_ARG(r->depth_key.mem),
+                                FRAME_ARG(s->tilt.mem)),
                      items, local, e);
 }
 

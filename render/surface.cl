@@ -22,13 +22,12 @@
 
 // Of the Gaussians that are visible, tilts [groups][LAYOUT_SURFACE_TILT][16]: A as 00 01 02 11 12
 // 22 over the largest of its eigenvalues, and half of the Gaussian's own depth, m.
-INLINE void tilt_of(__constant struct layout_view *v, __global const float *g,
-                    __global const float *filter, __global float *out)
+INLINE void tilt_of(__constant struct layout_view *v, __global const float *g, __global float *out)
 {
     struct seen s;
     V tilt[LAYOUT_SURFACE_TILT], own[3], least, depth2 = (V)(0.0f);
     (void)seen_mean(v, g, &s);
-    (void)seen_ellipse(v, g, filter, &s);
+    (void)seen_ellipse(v, g, &s);
     for (int k = 0; k < 3; k++)
         own[k] = MAX_(s.scale[k], 1e-12f) * MAX_(s.scale[k], 1e-12f);
     least = MIN_(own[0], own[1]);
@@ -51,8 +50,8 @@ INLINE void tilt_of(__constant struct layout_view *v, __global const float *g,
 }
 
 __kernel void surface_tilts(__constant struct layout_view *view, __global const float *params,
-                            __global const float *filter, __global const uint *list,
-                            __global const uint *depth_key, __global float *tilts)
+                            __global const uint *list, __global const uint *depth_key,
+                            __global float *tilts)
 {
     size_t item = get_global_id(0);
 #if VW == 16
@@ -61,7 +60,7 @@ __kernel void surface_tilts(__constant struct layout_view *view, __global const 
         size_t from = view->listed ? list[group] : group;
         VU key = LAYOUT_WIDE(const __global, uint, depth_key + LAYOUT_LANES * group);
         if (ANY(key != 0xFFFFFFFFu))
-            tilt_of(view, params + from * view->planes * LAYOUT_LANES, filter + from * LAYOUT_LANES,
+            tilt_of(view, params + from * view->planes * LAYOUT_LANES,
                     tilts + group_at((uint)group, LAYOUT_SURFACE_TILT));
     }
 #else
@@ -70,7 +69,7 @@ __kernel void surface_tilts(__constant struct layout_view *view, __global const 
     size_t group = item / LAYOUT_LANES, lane = item % LAYOUT_LANES;
     size_t from = view->listed ? list[group] : group;
     tilt_of(view, params + from * view->planes * LAYOUT_LANES + lane,
-            filter + from * LAYOUT_LANES + lane,
+
             tilts + group_at((uint)group, LAYOUT_SURFACE_TILT) + lane);
 #endif
 }

@@ -434,7 +434,7 @@ sh_rows() { # STUDY SCENE DEGREES BUDGET, then what follows --tiles or --eval
   local d study=$1 scene=$2 degrees=$3 budget=$4
   shift 4
   for d in $degrees; do # the default first: the others are compared with it
-    row "$study" "degree $d" "$scene" "sh_degree=$d" --level-count 1 --iterations "$(steps "$study")" --budget "$budget" --sh-degree "$d" --sh-interval 250 "$@"
+    row "$study" "degree $d" "$scene" "sh_degree=$d" --level-count 1 --iterations "$(steps "$study")" --budget "$budget" --sh-degree "$d" "$@"
   done
 }
 sh_caliterra_rows() { sh_rows sh caliterra-400 "3 0 1 2" 100000 --tiles; }
@@ -457,8 +457,6 @@ ablation_rows() { # STUDY SCENE OPTIONS
   row "$study" "no AbsGS" "$scene" "" "$@" --absgrad-from 4 --tau 2e-4
   row "$study" "no AbsGS, lower threshold" "$scene" "" "$@" --absgrad-from 4 --tau 5e-5
   row "$study" "no anti-aliasing" "$scene" "" "$@" --aa none --eval --aa none
-  row "$study" "Mip-Splatting" "$scene" "" "$@" --aa mip
-  row "$study" "sparse depth" "$scene" "" "$@" --depth-sparse
 }
 ablation_city_rows() {
   local MAP_VIEWS=1
@@ -472,7 +470,6 @@ cells_rows() {
   local MAP_VIEWS=1 base=(--iterations "$(steps cells)" --budget 20000,40000,80000)
   row cells full cells "" "${base[@]}"
   row cells "no visibility selection" cells-location "" "${base[@]}"
-  row cells "no prioritised densification" cells "" "${base[@]}" --tau-outside 1
   row cells "from sparse points" cells "" "${base[@]}" --no-coarse-start
 }
 study_cells() { seeded cells cells_rows; }
@@ -496,7 +493,6 @@ study_embedding() { seeded embedding embedding_rows; } # length of a Gaussian's 
 # Which levels the appearance network learns at; the others are brought to the last one.
 network_rows() {
   local base=(--iterations "$(steps network)" --budget 15000,25000,40000)
-  row network "first level" light "" "${base[@]}" --appearance --appearance-levels 1 --eval --half-image on
   row network "all levels" light "" "${base[@]}" --appearance --eval --half-image on
   row network "no appearance" light "" "${base[@]}" --eval --half-image on
 }
@@ -539,15 +535,12 @@ study_ochota_cells_light() { seeded ochota_cells_light ochota_cells_rows ochota_
 # What looking at many photographs before a Gaussian is split is worth, where the budget binds: thirty thousand Gaussians
 # for photographs that support 100,000 and more.
 importance_rows() {
-  local n base=(--level-count 1 --iterations "$(steps importance)" --budget-rule table --budget 30000 --tau 1e-4)
-  for n in 10 1; do
-    row importance "$n views" caliterra-400 "importance_views=$n" "${base[@]}" --importance-views "$n"
-  done
+  row importance "10 views" caliterra-400 "" --level-count 1 --iterations "$(steps importance)" --budget-rule table --budget 30000 --tau 1e-4
 }
 study_importance() { seeded importance importance_rows; }
 
-# What map views have for how many Gaussians, bytes, seconds and milliseconds, by fixed budgets, those the trainer chooses
-# without and with thinning, and with the other strategy of density control.
+# What map views have for how many Gaussians, bytes, seconds and milliseconds, by fixed budgets, and those the trainer
+# chooses without and with thinning.
 pareto_rows() {
   local b base=(--iterations "$(steps pareto)") MAP_VIEWS=1
   row pareto "split: fit" demo "" "${base[@]}" --budget-rule fit --thin-db 0
@@ -557,9 +550,6 @@ pareto_rows() {
   for b in 0.05 0.1 0.2; do
     row pareto "split: fit, thinned by $b dB" demo "thin_db=$b" "${base[@]}" --thin-db "$b"
   done
-  for b in 80000 160000; do
-    row pareto "mcmc: $((b / 1000)) k" demo "budget=$b" "${base[@]}" --strategy mcmc --budget-rule table --budget "$((b / 4))","$((b / 2))","$b"
-  done
 }
 study_pareto() { seeded pareto pareto_rows; }
 
@@ -568,14 +558,8 @@ remedy_rows() { # STUDY SCENE TRAIN-OPTIONS
   local study=$1 scene=$2 until
   shift 2
   row "$study" full "$scene" "" "$@"
-  row "$study" "no seeded ground" "$scene" "" "$@" --seed-ground 0
-  row "$study" "no free space" "$scene" "" "$@" --free-space 0
   row "$study" "no pruning at the end" "$scene" "" "$@" --prune-contribution 0 --prune-support 0
-  row "$study" "no trimming of the rim" "$scene" "" "$@" --no-trim-rim
-  row "$study" "no removal by size" "$scene" "" "$@" --prune-size 0
   row "$study" "no loss on sizes" "$scene" "" "$@" --scale-weight 0
-  row "$study" "no limit of sizes" "$scene" "" "$@" --size-limit 0
-  row "$study" "harmonics as trained" "$scene" "" "$@" --sh-ridge 0
   [ "$study" = remedies ] && until=1,1,0.8 # three levels
   row "$study" "opacity resets" "$scene" "" "$@" --reset-interval 200 --densify-until "${until:-0.8}"
 }
@@ -668,17 +652,14 @@ study_solid_ochota() { solid solid_ochota ochota-400 points; }
 # What long Gaussians and harmonics do to views from where nobody photographed.
 side_rows() {
   local MAP_VIEWS=1 base=(--iterations "$(steps side)" --budget 20000,40000,80000)
-  row side "neither" above "" "${base[@]}" --size-limit 0 --sh-ridge 0
   row side "both" above "" "${base[@]}"
 }
 side_demo_rows() {
   local MAP_VIEWS=1 base=(--iterations "$(steps side_demo)" "${SMALL[@]}")
-  row side_demo "neither" demo "" "${base[@]}" --size-limit 0 --sh-ridge 0
   row side_demo "both" demo "" "${base[@]}"
 }
 side_caliterra_rows() {
   local base=(--level-count 1 --iterations "$(steps side_caliterra)" --budget 200000)
-  row side_caliterra "neither" caliterra-400 "" "${base[@]}" --size-limit 0 --sh-ridge 0
   row side_caliterra "both" caliterra-400 "" "${base[@]}"
 }
 study_side() { seeded side side_rows; }

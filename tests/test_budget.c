@@ -53,7 +53,6 @@ static void what_fits_is_worked_out_by_hand(void **state)
     scene_make(&s, images);
     for (uint32_t i = 0; i < PHOTOS; i++)
         list[i] = i;
-    c.budget_density = 10.0;
     /* sqrt(400 * 225) = 300; 40 photographs: 10 * 40 * 300. */
     assert_int_equal(fit(&s, list, PHOTOS, 500, &c, 1000000), 120000);
     assert_int_equal(fit(&s, list, 10, 500, &c, 1000000), 30000);
@@ -117,7 +116,7 @@ static void presets_are_the_published_table(void **state)
         snprintf(file, sizeof file, "%s", table[k].file);
         char *argv[] = {train, scene, config, file, NULL};
         kit_ok(options_parse(train_options(), 4, argv, &c, &args, &a, &e), e);
-        assert_true(c.appearance && c.embed_len > 0 && c.depth_sparse && c.depth_weight > 0.0);
+        assert_true(c.appearance && c.embed_len > 0);
         kit_ok(schedule_make(&c, 600, &cell, s, &e), e);
         budget_limit(&(struct budget_photos){0}, &c, s); /* a table: photographs are not asked */
         for (size_t i = 0; i < 3; i++) {

@@ -151,37 +151,7 @@ static enum err_code give_rows(void *user, enum ckpt_field field, size_t first, 
     return ERR_OK;
 }
 
-/* Bytes of blobs that were written or read, told from start to end. */
-struct pieces {
-    const void *of;
-    size_t at, ends;
-};
-static void told(struct pieces *p, const void *data, size_t from, size_t to)
-{
-    assert_true(data != p->of ? from == 0 : from == p->at);
-    assert_true(to > from);
-    p->of = data;
-    p->at = to;
-    p->ends += to;
-}
-
-struct source {
-    struct pieces pieces;
-    const struct gauss *g;
-};
-static enum err_code give_told_rows(void *user, enum ckpt_field field, size_t first, size_t n,
-                                    float *out, struct err *e)
-{
-    const struct source *s = user;
-    return give_rows((void *)(uintptr_t)s->g, field, first, n, out, e);
-}
-static void told_bytes(void *user, const void *data, size_t from, size_t to)
-{
-    told(user, data, from, to); /* of a source, it is the first member */
-}
-
-/* A blob in pieces: they are told as they are written and as they are read, and a byte of the last
- * that has changed is noticed. */
+/* A blob that is written and read in pieces: a byte of the last that has changed is noticed. */
 static void large_blobs_go_in_pieces(void **state)
 {
     (void)state;
@@ -189,33 +159,23 @@ static void large_blobs_go_in_pieces(void **state)
     struct err e = {0};
     struct fixture f;
     struct ckpt_rows *r = NULL;
-    struct gauss none = {.n = 0}, *g = &none;
+    struct gauss none = {.n = 0};
     uint8_t *large = mem_array(BYTES, 2), *back = large + BYTES;
     assert_non_null(large);
     fixture_make(&f, 1, 0);
     for (size_t i = 0; i < BYTES; i++)
         large[i] = (uint8_t)(i * 2654435761U >> 13);
-    struct source of = {.g = g};
     const struct ckpt_blob blob = {.name = "large", .data = large, .size_bytes = BYTES};
-    const struct ckpt_source from = {
-        .like = g, .rows = give_told_rows, .wrote = told_bytes, .user = &of};
-    kit_ok(ckpt_write_from(f.path, f.meta, &from, &blob, 1, &e), e);
-    assert_int_equal(of.pieces.at, BYTES);
-    assert_true(of.pieces.ends > 2 * (size_t)BYTES); /* more than one */
-    struct source read = {.g = g};
-    struct ckpt_target to = {.at = back, .n_bytes = BYTES, .passed = told_bytes, .user = &read};
+    kit_ok(ckpt_write(f.path, f.meta, &none, &blob, 1, &e), e);
     kit_ok(ckpt_rows_open(f.path, &r, &e), e);
-    kit_ok(ckpt_rows_blob_to(r, "large", &to, &e), e);
-    assert_int_equal(read.pieces.at, BYTES);
-    assert_true(read.pieces.ends > 2 * (size_t)BYTES);
+    kit_ok(ckpt_rows_blob_to(r, "large", back, BYTES, &e), e);
     assert_memory_equal(large, back, BYTES);
     FILE *file = fopen(f.path, "r+b");
     assert_non_null(file);
     assert_int_equal(fseek(file, -1, SEEK_END), 0);
     fputc(large[BYTES - 1] ^ 1, file);
     fclose(file);
-    read = (struct source){.g = g};
-    kit_fails(ckpt_rows_blob_to(r, "large", &to, &e), ERR_FORMAT, e, "'large'");
+    kit_fails(ckpt_rows_blob_to(r, "large", back, BYTES, &e), ERR_FORMAT, e, "'large'");
     ckpt_rows_close(&r);
     mem_free(large);
     fixture_free(&f);
@@ -254,12 +214,10 @@ static void slices_make_the_same_file(void **state)
     kit_ok(ckpt_rows_meta(r, &meta, &e), e);
     assert_true(json_equal(meta, f.meta));
     json_decref(meta);
-    struct ckpt_target to = {.at = moments, .n_bytes = sizeof moments};
-    kit_ok(ckpt_rows_blob_to(r, "adam", &to, &e), e);
+    kit_ok(ckpt_rows_blob_to(r, "adam", moments, sizeof moments, &e), e);
     assert_memory_equal(moments, f.moments, sizeof moments);
-    to.n_bytes = 8;
-    kit_fails(ckpt_rows_blob_to(r, "adam", &to, &e), ERR_FORMAT, e, "8 bytes");
-    kit_fails(ckpt_rows_blob_to(r, "even", &to, &e), ERR_FORMAT, e, "'even'");
+    kit_fails(ckpt_rows_blob_to(r, "adam", moments, 8, &e), ERR_FORMAT, e, "8 bytes");
+    kit_fails(ckpt_rows_blob_to(r, "even", moments, 8, &e), ERR_FORMAT, e, "'even'");
     ckpt_rows_close(&r);
     buf_free(&whole);
     buf_free(&sliced);

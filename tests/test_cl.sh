@@ -26,9 +26,10 @@ for f in core/*.cl render/*.cl loss/*.cl stereo/*.cl bench/*.cl; do
             case $f in
                 render/common.cl | loss/lanes.cl) prelude="$prelude -include core/vector.cl" ;;
                 render/*) prelude="$prelude -include core/vector.cl -include render/common.cl" ;;
-                loss/mcmc.cl) prelude="$prelude -include core/vector.cl" ;;
-                loss/mip.cl | loss/scale_loss.cl | loss/depth.cl | loss/solid.cl)
+                loss/axes.cl | loss/solid.cl)
                     prelude="$prelude -include core/vector.cl -include loss/lanes.cl" ;;
+                loss/scale_loss.cl | loss/flat_loss.cl)
+                    prelude="$prelude -include core/vector.cl -include loss/lanes.cl -include loss/axes.cl" ;;
                 stereo/sweep.cl)
                     prelude="-DPLANES=192 -DRADIUS=3 -DSLAB=16 -DCOST_MOST=200.0f -DSTEP_COST=4 -DNOISE=1e-3f \
                         -DLIKE=0.1f -DTILE_W=64 -DTILE_H=32 -DWALL_MORE=12 -DWALL_COST=4 -DWALL_EVERY=2.0f -DDOWN=0.05f $prelude -include core/vector.cl" ;;

@@ -45,15 +45,13 @@ static void square(struct gauss *g)
     g->n = N;
 }
 
-static void coarsen_square(const struct coarsen_rule *r, const char *files, struct gauss *out)
+static void coarsen_square(const struct coarsen_rule *r, struct gauss *out)
 {
     struct err e = {0};
     struct gauss g = {0};
     struct render *render = NULL;
     struct model m = {0};
     square(&g);
-    m.paged.dir = files;
-    m.paged.most_bytes = (size_t)1 << 20;
     kit_ok(render_open(&dev, &render, &e), e);
     kit_ok(model_open(&m, &dev, render, &g, N, &e), e);
     kit_ok(model_fill(&m, &g, &e), e);
@@ -101,7 +99,7 @@ static void both_sides_are_merged_apart_and_to_their_numbers(void **state)
     const struct coarsen_rule r = {.cell = &west, .budget = N / 8, .share = 0.5, .around = N / 4};
     struct gauss g = {0};
     assert_true(N > 2 * COARSEN_ROWS);
-    coarsen_square(&r, NULL, &g);
+    coarsen_square(&r, &g);
     const struct counts c = count(&g);
     assert_true(c.inside <= N / 8 && c.inside >= N / 8 - 2);
     assert_true(c.outside <= 3 * N / 8 && c.outside >= 3 * N / 8 - 2);
@@ -128,30 +126,12 @@ static void nothing_is_merged_within_the_budget(void **state)
     const struct coarsen_rule r = {.cell = &west, .budget = N, .share = 1.0};
     struct gauss g = {0}, was = {0};
     square(&was);
-    coarsen_square(&r, NULL, &g);
+    coarsen_square(&r, &g);
     assert_int_equal(g.n, N);
     const struct counts c = count(&g);
     assert_true(c.inside == N / 2 && c.outside == N / 2);
     gauss_free(&g);
     gauss_free(&was);
-}
-
-static void a_model_in_files_becomes_the_same(void **state)
-{
-    (void)state;
-    const struct coarsen_rule r = {.cell = &west, .budget = N / 8, .share = 0.5, .around = 1000};
-    struct gauss memory = {0}, files = {0};
-    char dir[FILE_PATH_MAX];
-    kit_tmpdir(dir);
-    coarsen_square(&r, NULL, &memory);
-    coarsen_square(&r, dir, &files);
-    assert_int_equal(memory.n, files.n);
-    assert_memory_equal(memory.mean_m, files.mean_m, memory.n * 12);
-    assert_memory_equal(memory.scale_log, files.scale_log, memory.n * 12);
-    assert_memory_equal(memory.sh, files.sh, memory.n * 12);
-    gauss_free(&memory);
-    gauss_free(&files);
-    kit_rmdir(dir);
 }
 
 static int open_device(void **state)
@@ -175,7 +155,6 @@ int main(void)
         cmocka_unit_test(rules_say_how_many_are_left),
         cmocka_unit_test(both_sides_are_merged_apart_and_to_their_numbers),
         cmocka_unit_test(nothing_is_merged_within_the_budget),
-        cmocka_unit_test(a_model_in_files_becomes_the_same),
     };
     return cmocka_run_group_tests_name("coarsen", tests, open_device, close_device);
 }

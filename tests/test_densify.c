@@ -18,8 +18,9 @@
 
 enum { PLANES = 18 /* degree 0, embeddings of 4 */, LANES = LAYOUT_LANES };
 #define LOGIT_HALF 0.0f
-#define SHRINK 0.47000363f /* ln 1.6 */
-#define FLOAT_TOL 1e-6f    /* one rounding of values of order 1 */
+#define SHRINK 0.51082562f      /* -ln 0.6, of the longest axis */
+#define LOGIT_SPLIT -0.3364722f /* of opacity 0.5 / 1.2 */
+#define FLOAT_TOL 1e-6f         /* one rounding of values of order 1 */
 /* Chance that a fair draw deviates more than this many standard deviations: 6e-5. */
 #define SIGMAS 4.0
 
@@ -83,7 +84,6 @@ static struct densify_params params_of(const struct cell *cell, size_t inside, s
                                    .tau = 0.5,
                                    .tau_outside = 4.0,
                                    .split_above_m = 1.0,
-                                   .split = DENSIFY_SPLIT_RANDOM,
                                    .prune_opacity = 0.005,
                                    .seed = 7,
                                    .level = 1,
@@ -302,7 +302,7 @@ static struct arrays apply(const struct densify_params *p, const struct toy *t,
     kit_ok(densify_order(p, &in, plan, &order, &e), e);
     kit_ok(permute_move(&order.rows, false, t->params, to.params, &e), e);
     kit_ok(permute_move(&order.rows, true, t->moments, to.moments, &e), e);
-    densify_halve(&order, &in, to.params);
+    densify_halve(&order, to.params);
     densify_order_free(&order);
     return to;
 }
@@ -477,11 +477,11 @@ static void clones_are_copies_and_halves_lie_within_their_parent(void **state)
         fresh += zero;
         float shrink = split ? SHRINK : 0.0f;
         assert_true(fabsf(*at(to.params, i, 3) - (*at(t.params, source, 3) - shrink)) < FLOAT_TOL);
-        assert_true(*at(to.params, i, 10) == LOGIT_HALF);
+        assert_true(fabsf(*at(to.params, i, 10) - (split ? LOGIT_SPLIT : LOGIT_HALF)) < FLOAT_TOL);
         assert_true(*at(to.params, i, PLANES - 1) == (float)source); /* and its embedding */
         float d = fabsf(*at(to.params, i, 0) - *at(t.params, source, 0));
         moved += d > 0.0f;
-        assert_true(split ? d < 6.0f * 5.0f : d == 0.0f);
+        assert_true(split ? fabsf(d - 0.8f * 5.0f) < 1e-5f : d == 0.0f);
     }
     assert_int_equal(kept, 22); /* one of each clone pair; both halves of a split start anew */
     assert_int_equal(fresh, 22 + 22);
@@ -507,7 +507,6 @@ static void halves_along_the_axis_keep_the_moments(void **state)
     static const double sigma[3] = {1.5, 4.0, 2.5};
     double rot[9], axis[3], opacity = 0.0, second = 0.0, middle[3] = {0};
     const double quat_d[4] = {0.5, (double)0.1f, (double)-0.7f, (double)0.3f};
-    p.split = DENSIFY_SPLIT_AXIS;
     for (uint32_t k = 0; k < 4; k++)
         *at(t.params, 2, 6 + k) = quat[k];
     for (uint32_t k = 0; k < 3; k++)

@@ -45,7 +45,7 @@ struct fixture {
 
 static void open_demo(struct fixture *f)
 {
-    *f = (struct fixture){.cfg = {.importance_views = 10}};
+    *f = (struct fixture){0};
     for (uint32_t i = 0; i < PHOTOS; i++) {
         f->images[i].cam = (struct camera){.width_px = 480, .height_px = 360};
         f->list[i] = i;
@@ -102,18 +102,17 @@ static void a_step_in_the_frustum_is_shorter(void **state)
 {
     (void)state;
     static struct fixture f;
-    double left[4];
-    for (size_t i = 0; i < 4; i++) {
+    double left[3];
+    for (size_t i = 0; i < 3; i++) {
         open_demo(&f);
         f.cfg.defer_from = i ? 20000 : 0;
         f.cfg.appearance = i == 2;
-        f.cfg.depth_sparse = i == 3;
         forecast_open(&f.forecast, &f.gallery, &f.at, TESTS, true);
         f.forecast.work = f.forecast.seconds = 1.0; /* a unit is a second */
         left[i] = forecast_left_s(&f.forecast, &f.at, 10000.0);
     }
     assert_true(left[1] < 0.94 * left[0] && left[1] > 0.88 * left[0]);
-    assert_true(left[2] == left[0] && left[3] == left[0]);
+    assert_true(left[2] == left[0]);
 }
 
 /* A machine that is K times slower, with steps that all cost what the model says. */
@@ -156,12 +155,11 @@ static void the_order_of_levels_counts(void **state)
     static struct fixture f;
     double left[LEVELS + 1];
     open_demo(&f);
-    f.at.fine_first = true;
+    f.at.turned = true;
     f.at.levels[0].derived = f.at.levels[1].derived = true;
     for (size_t k = 0; k < 2; k++)
         f.at.levels[k].densify_until = 0;
-    f.at.at = stage_first(&f.at);
-    assert_int_equal(f.at.at, LEVELS - 1);
+    f.at.at = LEVELS - 1;
     f.at.step = 100;
     forecast_add(&f.forecast, &f.at, 0, 20000.0, 2.0);
     f.at.step = 0;

@@ -171,19 +171,16 @@ static void what_is_longer_than_pixels_on_the_ground_is_split(void **state)
     uint32_t first = 0;
     survey(&s);
     kit_ok(footprint_of(&s, &f, &e), e);
-    struct train_config cfg = {.split_px = 2.0, .percent_dense = 0.05};
+    struct train_config cfg = {0};
     struct gallery g = {.cfg = &cfg, .scene = &s, .images = &first, .n_images = 1};
     struct site site = {.cell = {.extent_m = 40.0}, .ground = &f};
     const struct schedule fine = {.downsample = 1.0}, coarse = {.downsample = 4.0};
     double px_m = 1.0 / f.px_per_m;
-    assert_true(fabs(gallery_split_above(&g, &site, &fine) - 2.0 * px_m) < 1e-9 * px_m);
+    assert_true(fabs(gallery_split_above(&g, &site, &fine) - px_m) < 1e-9 * px_m);
     /* pictures of a quarter of the size have pixels four times as large, but for rounding */
-    assert_true(fabs(gallery_split_above(&g, &site, &coarse) - 8.0 * px_m) < 0.1 * px_m);
-    cfg.split_px = 0.0;
-    assert_true(fabs(gallery_split_above(&g, &site, &fine) - 2.0) < 1e-12);
-    cfg.split_px = 2.0;
+    assert_true(fabs(gallery_split_above(&g, &site, &coarse) - 4.0 * px_m) < 0.05 * px_m);
     site.ground = NULL;
-    assert_true(fabs(gallery_split_above(&g, &site, &fine) - 2.0) < 1e-12);
+    assert_true(fabs(gallery_split_above(&g, &site, &fine) - 0.4) < 1e-12);
     footprint_free(&f);
     arena_free(&s.arena);
 }

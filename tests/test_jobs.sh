@@ -84,6 +84,34 @@ check 'a stop ends it' said 'error: stopped: 0 of 5 cells are complete; .*--resu
 check 'with states saved' [ "$(ls "$work"/stop/cells/*/resume.ckpt | wc -l)" = 2 ]
 check 'and no process left' sh -c "! ps ax -o args | grep -v grep | grep -q '$work/stop'"
 
+# A scene without a plan whose forecast exceeds --memory is cut into cells, and its commands go on with them.
+"$bin" synth -o "$work/wide" --photos 160 --width-px 160 --height-px 120 --extent-m 200 --points 4000 >"$work/log" 2>&1 &&
+    "$bin" ingest "$work/wide/images" "$work/wide/sparse" -o "$work/large" --min-points 8 >>"$work/log" 2>&1 ||
+    { cat "$work/log"; exit 1; }
+auto() { "$bin" train "$work/large" --iterations 40 --coarse-iterations-min 20 --device cpu "$@" >"$work/log" 2>&1; }
+whole=$("$bin" train "$work/large" --list 2>"$work/log" | cut -f5)
+auto --memory half
+check 'memory is a size' said "--memory half"
+auto --memory 1M --stop-after 1
+check 'with no cut that fits it stays whole and says so' said "no cut into cells fits: it is trained in one piece"
+check 'without a plan' [ ! -e "$work/large/plan.json" ]
+auto --memory $((whole * 8 / 10))M --resume --stop-after 1
+check 'what has begun in one piece goes on so and says that' said "has begun so and goes on so"
+rm -r "$work/large/cells"
+check 'a model that fits is one piece' auto --memory $((whole + 1))M -o "$work/fits"
+check 'in one cell' [ "$(ls "$work/fits/cells")" = all ]
+check 'one that does not is cut' auto --memory $((whole * 8 / 10))M
+check 'with the forecast, the limit and the number of cells' said "in one piece is [0-9.]+ GB, --memory is [0-9.]+ GB: it is cut into [0-9]+ cells of [0-9]+ m"
+cut -f1,5 >"$work/cells" <<LIST
+$("$bin" train "$work/large" --list 2>>"$work/log")
+LIST
+check 'every cell has its result' sh -c "[ \"\$(wc -l <'$work/cells')\" -gt 1 ] && cut -f1 '$work/cells' | while read -r c; do [ -e '$work/large/cells/'\$c/done.json ] || exit 1; done"
+check 'and fits' [ "$(awk -v most=$((whole * 8 / 10)) '$2 > most' "$work/cells" | wc -l)" = 0 ]
+by_hand=$(sed -n 's/.*as by `citysplat plan .* \(--edge-m [0-9]*\)`.*/\1/p' "$work/log")
+cp "$work/large/plan.json" "$work/plan.json"
+check 'the plan is the one that was named' sh -c "'$bin' plan '$work/large' $by_hand >/dev/null && cmp '$work/large/plan.json' '$work/plan.json'"
+check 'tiles are cut of its cells' "$bin" tile "$work/large" --name large -o "$work/large.tiles" -q
+
 # The jobs of configs/slurm on a make-believe Slurm that runs them at once; tests/machines/slurm.sh has a real one.
 mkdir "$work/path"
 ln -s "$bin" "$work/path/citysplat"

@@ -52,11 +52,6 @@ static void check(size_t n_old, size_t n, bool zero_new)
     const struct permutation r = {source, n, n_old, PLANES};
     kit_ok(permute_move(&r, zero_new, from, to, &e), e);
     expect_rows(to, &r, zero_new);
-    size_t third = n / 3 / LAYOUT_LANES * LAYOUT_LANES;
-    memset(to, 0xff, layout_floats(n, PLANES) * sizeof *to);
-    kit_ok(permute_part(&r, zero_new, third, n, from, to, &e), e);
-    kit_ok(permute_part(&r, zero_new, 0, third, from, to, &e), e);
-    expect_rows(to, &r, zero_new);
     kit_ok(permute_move(&r, zero_new, from, from, &e), e);
     expect_rows(from, &r, zero_new);
     mem_free(source);

@@ -80,7 +80,7 @@ sample() { # COMMAND KEY STATE: the flag, from the table of the reference
     cache-dir-mb) value=100 ;;
     *) value=7 ;;
     esac
-    case $flag in gcp-scale | appearance-refit | vehicle-share) value=0.7 ;; esac
+    case $flag in gcp-scale | vehicle-share) value=0.7 ;; esac
     printf -- '--%s=%s' "$flag" "$value"
 }
 sed -n 's/^RULE("\([^"]*\)", "\([^"]*\)", "\([^"]*\)", "\([^"]*\)", "\([^"]*\)", \([A-Z]*\), "\([^"]*\)")$/\1|\2|\3|\4|\5|\6|\7/p' \
@@ -137,7 +137,7 @@ bash --norc --noprofile -c '
     completes "citysplat help se" serve seed
     completes "citysplat train x --it" --iterations
     completes "citysplat train --no-m" --no-masks
-    completes "citysplat train x --aa " none 2d mip
+    completes "citysplat train x --aa " none 2d
     completes "citysplat completion " bash zsh fish
     cd "$2" && completes "citysplat serve cit" citysplat && completes "citysplat train x -o ma" man1
     completes "citysplat train x --seed "

@@ -85,9 +85,6 @@ static void it_happens_while_steps_are_left(void **state)
     s.level = 2; /* the next level would fill the gaps */
     assert_false(schedule_thins(&s, 400));
     s.level = 3;
-    s.mcmc = true; /* it uses the whole budget */
-    assert_false(schedule_thins(&s, 400));
-    s.mcmc = false;
     s.densify_until = 1000; /* no step would be left to recover */
     assert_false(schedule_thins(&s, 1000));
     s.densify_until = 0; /* of a last fit */

@@ -27,7 +27,17 @@
  * that what is never asked for stays alike, and with a gradient through the normalisation.
  * Photographs that begin at N(0, 1) keep arbitrary differences (docs/appearance.md). */
 #define APPEARANCE_TRAIN_NOISE 0.01
-enum { APPEARANCE_TRAIN_NEAREST = 3, APPEARANCE_TRAIN_STATE_VERSION = 1 };
+/* Learning rate of network and embeddings: at the start of the first level, and at the end of each.
+ * The next levels start at half of the one before. */
+#define APPEARANCE_TRAIN_LR 0.01
+#define APPEARANCE_TRAIN_LR_FINAL 2.5e-4
+enum {
+    APPEARANCE_TRAIN_NEAREST = 3,
+    APPEARANCE_TRAIN_STATE_VERSION = 1,
+    /* length of a photograph's embedding, and width of the hidden layer; docs/studies/network.md */
+    APPEARANCE_TRAIN_IMAGE_LEN = 32,
+    APPEARANCE_TRAIN_HIDDEN = 32
+};
 
 bool appearance_train_wanted(const struct train_config *cfg)
 {
@@ -84,8 +94,8 @@ static enum err_code appearance_train_fresh(struct appearance_train *k,
                                             const uint32_t *images, size_t n_images, struct err *e)
 {
     enum err_code rc =
-        appearance_alloc(&k->model, (uint32_t)cfg->embed_len, (uint32_t)cfg->embed_image_len,
-                         (uint32_t)cfg->appearance_hidden, n_images, e);
+        appearance_alloc(&k->model, (uint32_t)cfg->embed_len, APPEARANCE_TRAIN_IMAGE_LEN,
+                         APPEARANCE_TRAIN_HIDDEN, n_images, e);
     if (rc)
         return rc;
     appearance_init(&k->model, (uint64_t)cfg->seed);
@@ -111,13 +121,12 @@ static enum err_code appearance_train_copy(struct appearance_train *k,
                                            const struct appearance *from, struct err *e)
 {
     if (from->len_gauss != (uint32_t)cfg->embed_len ||
-        from->len_image != (uint32_t)cfg->embed_image_len ||
-        from->hidden != (uint32_t)cfg->appearance_hidden)
+        from->len_image != APPEARANCE_TRAIN_IMAGE_LEN || from->hidden != APPEARANCE_TRAIN_HIDDEN)
         return err_set(e, ERR_DATA,
                        "the shared appearance model has lengths %u, %u and %u, the options say "
-                       "%lld, %lld and %lld: train it anew with these options",
+                       "%lld, %d and %d: train it anew with these options",
                        from->len_gauss, from->len_image, from->hidden, (long long)cfg->embed_len,
-                       (long long)cfg->embed_image_len, (long long)cfg->appearance_hidden);
+                       APPEARANCE_TRAIN_IMAGE_LEN, APPEARANCE_TRAIN_HIDDEN);
     enum err_code rc = appearance_alloc(&k->model, from->len_gauss, from->len_image, from->hidden,
                                         from->n_images, e);
     if (rc)
@@ -246,13 +255,9 @@ enum err_code appearance_train_embed(const struct appearance_train *k, uint64_t 
 
 /* ---- when ---- */
 
-bool appearance_train_learns(const struct appearance_train *k, const struct train_config *cfg,
-                             const struct schedule *s)
+bool appearance_train_learns(const struct appearance_train *k, const struct schedule *s)
 {
-    /* Checkpoints of Mip-Splatting have its filter folded in: a coarser level could not go on from
-     * its own to take over a later network (refit.c). One made of a finer level has its network. */
-    int64_t levels = cfg->aa == RENDER_AA_MIP ? 1 : cfg->appearance_levels;
-    return !k->shared && !s->derived && (int64_t)s->turn <= levels;
+    return !k->shared && !s->derived; /* one made of a finer level has its network */
 }
 
 uint32_t appearance_train_warmup(const struct appearance_train *k, const struct train_config *cfg,
@@ -267,8 +272,8 @@ double appearance_train_lr(const struct appearance_train *k, const struct train_
                            const struct schedule *s, uint32_t step)
 {
     uint32_t from = appearance_train_warmup(k, cfg, s);
-    double first = cfg->lr_appearance * pow(0.5, (double)s->turn - 1.0);
-    double last = fmin(cfg->lr_appearance_final, first);
+    double first = APPEARANCE_TRAIN_LR * pow(0.5, (double)s->turn - 1.0);
+    double last = fmin(APPEARANCE_TRAIN_LR_FINAL, first);
     if (step <= from || !(first > 0.0))
         return 0.0;
     double t = 1.0;

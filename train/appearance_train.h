@@ -59,8 +59,7 @@ enum err_code appearance_train_embed(const struct appearance_train *k, uint64_t 
 
 /* appearance_train_learns: whether the network learns at this level. appearance_train_warmup: the
  * first step whose frames use it. */
-bool appearance_train_learns(const struct appearance_train *k, const struct train_config *cfg,
-                             const struct schedule *s);
+bool appearance_train_learns(const struct appearance_train *k, const struct schedule *s);
 uint32_t appearance_train_warmup(const struct appearance_train *k, const struct train_config *cfg,
                                  const struct schedule *s);
 /* Learning rate of the network and of both embeddings; 0 during the warm-up. */

@@ -22,19 +22,12 @@
 #include "train/done.h"
 #include "train/init.h"
 #include "train/memory.h"
-#include "train/paged.h"
-#include "train/regularizer.h"
 #include "train/result.h"
 #include "train/run_cell.h"
 #include "train/state.h"
 #include "train/state_check.h"
 
-enum {
-    BEGIN_SURE = 5, /* photographs that know how far away a thing is */
-    /* of a model in files, at least one part of so many may be in memory */
-    BEGIN_PAGED_LEAST = 8
-};
-#define BEGIN_PROGRAM ((size_t)250000000) /* the program and its compiler of kernels */
+enum { BEGIN_SURE = 5 /* photographs that know how far away a thing is */ };
 
 enum err_code begin_finest_path(const struct begin *t, char *out, struct err *e)
 {
@@ -136,7 +129,7 @@ enum err_code begin_earlier_levels(const struct begin *t, const struct stage *at
     enum err_code rc = ERR_OK;
     for (uint32_t i = 0; !rc && i < at->n_levels; i++) {
         char path[FILE_PATH_MAX];
-        if (at->at < at->n_levels && (at->fine_first ? i <= at->at : i >= at->at))
+        if (at->at < at->n_levels && (at->turned ? i <= at->at : i >= at->at))
             continue;
         rc = begin_level_path(t, i + 1, path, e);
         if (!rc)
@@ -147,20 +140,11 @@ enum err_code begin_earlier_levels(const struct begin *t, const struct stage *at
     return rc;
 }
 
-/* Schedule of the level that is trained first. */
-static const struct schedule *begin_first(const struct begin *t)
-{
-    const struct train_config *cfg = t->job->cfg;
-    return &t->levels[cfg->level_order == SCHEDULE_FINE_TO_COARSE ? cfg->level_count - 1 : 0];
-}
-
 /* Points fused from known depths, where the options ask for them. */
 static enum err_code begin_dense(const struct run_cell *job, float **out, size_t *n, struct err *e)
 {
     char dir[FILE_PATH_MAX];
     *n = 0;
-    if (!(job->cfg->seed_dense > 0.0))
-        return ERR_OK;
     enum err_code rc = depth_prior_dir(job->cfg, job->scene, dir, e);
     return rc || !dir[0] ? rc : depth_prior_points(dir, out, n, e);
 }
@@ -177,11 +161,11 @@ enum err_code begin_gauss(const struct begin *t, const struct appearance_train *
                                .n_images = job->n_images,
                                .cell = &job->cell,
                                .ground = t->ground.nx ? &t->ground : NULL,
-                               .ground_share = cfg->seed_ground,
-                               .dense_share = cfg->seed_dense,
+                               .ground_share = INIT_GROUND_SHARE,
+                               .dense_share = INIT_DENSE_SHARE,
                                .no_masks = !cfg->masks,
                                .sh_degree = (uint32_t)cfg->sh_degree,
-                               .limit = begin_first(t)->budget,
+                               .limit = t->levels[0].budget,
                                .seed = (uint64_t)cfg->seed};
     enum err_code rc = job->coarse ? init_coarse(&first, job->coarse, out, e) : ERR_OK;
     if (!rc && !out->n) { /* no coarse model, or nothing of it is seen here */
@@ -274,61 +258,6 @@ enum err_code begin_budget(struct begin *t, struct err *e)
     return rc;
 }
 
-/* Why the arrays of the model cannot lie in files; NULL: they can. */
-static const char *begin_no_paged(const struct begin *t, const struct memory_need *m)
-{
-    const struct run_cell *job = t->job;
-    if (!dev_shares_memory(job->dev))
-        return "the device has memory of its own";
-    if (job->dev->max_alloc_bytes < m->arrays / PAGED_ARRAYS + PAGED_ARRAYS)
-        return "the device allows no buffer as large as one of them";
-    if (appearance_train_is_on(&t->appearance) || !(job->cfg->defer_from > 0) ||
-        regularizer_moves_all(job->cfg, &job->cell))
-        return "with --appearance, --strategy mcmc, --depth-dir, --depth-sparse and "
-               "--defer-from 0 every step moves all Gaussians";
-    return scratch_is_memory(t->dir) ? "the output folder lies in memory" : NULL;
-}
-
-/* How many bytes of the model may be in memory, where it does not fit: see paged_bytes. */
-static enum err_code begin_paged(struct begin *t, const struct memory_need *m, struct err *e)
-{
-    const struct train_config *cfg = t->job->cfg;
-    const char *id = t->job->cell.id, *why = begin_no_paged(t, m);
-    const size_t machine = machine_memory(), total = m->total + BEGIN_PROGRAM,
-                 rest = m->beside + BEGIN_PROGRAM, least = m->arrays / BEGIN_PAGED_LEAST + 1;
-    size_t memory;
-    char scratch[FILE_PATH_MAX];
-    struct err room = {0};
-    enum err_code rc = machine_memory_parse(cfg->memory, machine, &memory, e);
-    if (!rc)
-        rc = file_join(scratch, t->dir, "scratch", e); /* for messages: it has no name */
-    if (rc || total <= memory)
-        return rc;
-    uint64_t disk = paged_disk_bytes(m->gaussians, layout_planes((uint32_t)cfg->sh_degree, 0));
-    if (!why && file_room(scratch, disk, &room)) {
-        if (total > machine)
-            return err_set(e, ERR_IO, "a model that does not fit in --memory %s: %s", cfg->memory,
-                           room.msg);
-        why = room.msg;
-    }
-    if (why) {
-        log_warn("train",
-                 "cell=%s may need %.2f GB, --memory is %.2f GB, and parameters and moments cannot "
-                 "lie in files: %s",
-                 id, 1e-9 * (double)total, 1e-9 * (double)memory, why);
-        return ERR_OK;
-    }
-    t->paged_bytes = memory > rest + least ? memory - rest : least;
-    log_info("train",
-             "cell=%s may need %.2f GB, --memory is %.2f GB: parameters and moments lie in files, "
-             "%.2f of their %.2f GB in memory at a time, beside %.2f GB",
-             id, 1e-9 * (double)total, 1e-9 * (double)memory, 1e-9 * (double)t->paged_bytes,
-             1e-9 * (double)m->arrays, 1e-9 * (double)rest);
-    if (rest + t->paged_bytes > memory)
-        log_warn("train", "cell=%s: that is more than --memory; a smaller --budget needs less", id);
-    return ERR_OK;
-}
-
 /* What people need to know before days of computing. */
 static enum err_code begin_memory(struct begin *t, struct err *e)
 {
@@ -341,7 +270,15 @@ static enum err_code begin_memory(struct begin *t, struct err *e)
              "%zu B, photographs %.0f MiB, neighbours %.0f MiB",
              job->cell.id, (double)m.total / 1048576.0, m.gaussians, m.per_gaussian, m.pixels,
              m.per_pixel, (double)m.photo_bytes / 1048576.0, (double)m.group_bytes / 1048576.0);
-    return begin_paged(t, &m, e);
+    size_t memory;
+    enum err_code rc = machine_memory_parse(job->cfg->memory, machine_memory(), &memory, e);
+    const double need = (double)m.total + MEMORY_PROGRAM_BYTES;
+    if (!rc && !job->cell.whole && need > (double)memory) /* train/auto_plan.c tells of others */
+        log_warn("train",
+                 "cell=%s may need %.2f GB, --memory is %.2f GB: a smaller --budget, or smaller "
+                 "cells (`citysplat plan`), need less",
+                 job->cell.id, 1e-9 * need, 1e-9 * (double)memory);
+    return rc;
 }
 
 /* Which photographs are not trained on. */
@@ -373,8 +310,7 @@ static void begin_tell_length(const struct begin *t)
     }
     bool goes_on = t->job->cfg->go_on_db > 0.0 && t->job->n_test;
     int64_t asked = schedule_asked(t->job->cfg, t->job->n_images);
-    log_info("train", "cell=%s %.0f steps, by level %s%s%s", t->job->cell.id, steps, parts,
-             begin_first(t)->level > 1 ? ", the last first" : "",
+    log_info("train", "cell=%s %.0f steps, by level %s%s", t->job->cell.id, steps, parts,
              goes_on                       ? ", and more while they gain"
              : t->job->cfg->iterations.one ? ""
              : asked                       ? ": the default; --iterations N asks for another length"
@@ -392,7 +328,7 @@ static enum err_code begin_check_warmup(const struct begin *t, struct err *e)
     const struct appearance_train *a = &t->appearance;
     if (!appearance_train_is_on(a) || a->shared)
         return ERR_OK;
-    const struct schedule *first = begin_first(t);
+    const struct schedule *first = &t->levels[0];
     uint32_t warmup = appearance_train_warmup(a, t->job->cfg, first);
     return warmup < first->steps
                ? ERR_OK
@@ -406,13 +342,10 @@ static enum err_code begin_check_warmup(const struct begin *t, struct err *e)
 /* What the sparse points and photographs say about where there can be Gaussians. */
 static enum err_code begin_ground(struct begin *t, struct err *e)
 {
-    const struct train_config *cfg = t->job->cfg;
-    enum err_code rc = ERR_OK;
-    if (cfg->free_space > 0.0 || cfg->seed_ground > 0.0 || cfg->trim_rim)
-        rc = footprint_of(t->job->scene, &t->ground, e);
-    if (rc || !t->ground.nx || !cfg->trim_rim)
+    enum err_code rc = footprint_of(t->job->scene, &t->ground, e);
+    if (rc || !t->ground.nx)
         return rc;
-    return trim_open(t->job->scene, &t->ground, BEGIN_SURE, cfg->free_space * t->ground.height_m,
+    return trim_open(t->job->scene, &t->ground, BEGIN_SURE, BEGIN_FREE_SPACE * t->ground.height_m,
                      &t->rim, e);
 }
 

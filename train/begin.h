@@ -12,6 +12,10 @@
 #include "train/inputs.h"
 #include "train/schedule.h"
 
+/* Nothing is farther above the highest or below the lowest sparse point nearby, in flight heights
+ * (docs/decisions/006-density-control.md). */
+#define BEGIN_FREE_SPACE 0.05
+
 struct run_cell;
 struct stage;
 struct train_cell_result;
@@ -31,9 +35,6 @@ struct begin { /* {.job, .lock_fd = -1} at first; call begin_close, also after a
     struct footprint ground;            /* nx 0: not known */
     struct trim rim;
     struct inputs inputs; /* hashes of the run's inputs */
-    /* of parameters and moments, so many bytes may be in memory: they lie in files in dir; 0: all
-     * is in memory */
-    size_t paged_bytes;
     int lock_fd;
 };
 

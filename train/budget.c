@@ -16,6 +16,8 @@
 #include "train/photo_loader.h"
 #include "train/schedule.h"
 
+#define BUDGET_DENSITY 10.0 /* docs/decisions/006-density-control.md */
+
 size_t budget_fit(const struct budget_photos *p, const struct train_config *cfg, double downsample,
                   size_t table)
 {
@@ -25,7 +27,7 @@ size_t budget_fit(const struct budget_photos *p, const struct train_config *cfg,
                                               (uint32_t)cfg->max_edge_px, downsample);
         sum += (p->shares ? p->shares[i] : 1.0) * sqrt((double)c.width_px * c.height_px);
     }
-    double fit = fmax(floor(cfg->budget_density * sum), (double)p->n_points);
+    double fit = fmax(floor(BUDGET_DENSITY * sum), (double)p->n_points);
     return fit < (double)table ? (size_t)fmax(fit, 1.0) : table;
 }
 

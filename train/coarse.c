@@ -68,7 +68,6 @@ static struct train_config coarse_config(const struct train_config *cells, size_
         c.budget.v[i] = cells->coarse_budget;
     c.budget.n = c.iterations.n = 0;
     c.absgrad_from = TRAIN_LEVELS_MAX + 1;
-    c.appearance_levels = 1;
     c.coarse_only = c.coarse_start = false;
     c.final_all = false; /* the cells that begin from it are scored */
     c.appearance = coarse_has_appearance(cells);

@@ -140,7 +140,6 @@ enum err_code coarsen_model(struct model *m, const struct coarsen_rule *r, struc
     for (size_t k = 0, first = 0; !rc && k < c.n_parts; k++) {
         size_t end = (k + 1) * n / c.n_parts;
         rc = coarsen_part(&c, first, end, e);
-        model_walked(m, false, first, end);
         first = end;
     }
     enum err_code done = dev_unmap(m->dev, m->gauss.params, &params, &why);

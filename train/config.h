@@ -26,14 +26,11 @@ enum train_stream_id {
     TRAIN_STREAM_SHUFFLE = 1,
     TRAIN_STREAM_INIT,
     TRAIN_STREAM_RACE,
-    TRAIN_STREAM_SPLIT,
-    TRAIN_STREAM_VIEWS,
+    TRAIN_STREAM_VIEWS = 5, /* 4 was used by a split that is gone */
     TRAIN_STREAM_SIMILARITY,
     TRAIN_STREAM_EMBED,
     TRAIN_STREAM_BACKGROUND,
-    TRAIN_STREAM_GROUND,
-    TRAIN_STREAM_RELOCATE,
-    TRAIN_STREAM_NOISE
+    TRAIN_STREAM_GROUND
 };
 uint64_t train_stream(enum train_stream_id id, uint32_t level, uint64_t step);
 #endif

@@ -27,7 +27,10 @@
 #include "train/stage.h"
 #include "train/timing.h"
 
-#define DENSIFY_SHARE_MIN 1e-3 /* of the Gaussians; see docs/decisions/011-density-control.md */
+#define DENSIFY_TAU_OUTSIDE 4.0     /* of the threshold, at one cell edge outside; REUrbanGS */
+#define DENSIFY_PRUNE_OPACITY 0.005 /* 3DGS */
+#define DENSIFY_PRUNE_SIZE 0.1      /* in camera extents of the scene; 3DGS */
+#define DENSIFY_SHARE_MIN 1e-3 /* of the Gaussians; see docs/decisions/006-density-control.md */
 #define DENSIFY_SHARE_MAX 0.98
 /* Spacings of the budget's Gaussians, laid out on a grid over the cell: what is smaller than this
  * is never removed for its size. Below about one spacing the ground cannot be covered, and then
@@ -39,13 +42,6 @@
 #define DENSIFY_CUT_SPACINGS 1.0
 #define DENSIFY_CUT_LEAST 2.5
 enum { DENSIFY_SORT_EVERY = 4 };
-
-static_assert((int)DENSIFY_PART == (int)MODEL_PART, "parts that are told leave memory");
-
-static void densify_passed(void *user, size_t from, size_t to)
-{
-    model_walked(user, false, from, to);
-}
 
 struct densify_work {
     void *params; /* mapped */
@@ -118,7 +114,7 @@ static enum err_code densify_count(const struct model *m, const struct densify_r
 static void densify_check_share(const struct schedule *s, const struct densify_report *r)
 {
     double share = (double)(r->clone_candidates + r->split_candidates) / (double)r->before;
-    if (s->mcmc || (share >= DENSIFY_SHARE_MIN && share <= DENSIFY_SHARE_MAX))
+    if (share >= DENSIFY_SHARE_MIN && share <= DENSIFY_SHARE_MAX)
         return;
     log_warn("train",
              "level %u: %.2g %% of the Gaussians are candidates for densification, %.2g to %.0f %% "
@@ -149,14 +145,6 @@ static enum err_code densify_tell(struct metrics_log *metrics, const struct stag
     return metrics_log_line(metrics, "densify", o, e);
 }
 
-static double densify_prune_above(const struct train_config *c, const struct cell *cell,
-                                  double spacing_m)
-{
-    return c->prune_size > 0.0
-               ? fmax(c->prune_size * cell->scene_extent_m, DENSIFY_SPACINGS * spacing_m)
-               : 0.0;
-}
-
 /* Children come next to their parents, and a Gaussian moves little until the next time: rows are
  * put along the curve every few times, and at last. */
 static bool densify_keeps_order(const struct schedule *s, uint32_t x)
@@ -176,13 +164,13 @@ static struct densify_params densify_make_params(const struct model *m, const st
         .cell = &site->cell,
         .cap_inside = schedule_cap(r->at->start, s->budget, x, schedule_densify_count(s)),
         .cap_outside = schedule_cap_outside(s),
-        .strategy = (enum densify_strategy)c->strategy,
         .tau = s->tau,
-        .tau_outside = c->tau_outside,
+        .tau_outside = DENSIFY_TAU_OUTSIDE,
         .split_above_m = gallery_split_above(r->gallery, site, s),
-        .split = (enum densify_split)c->split,
-        .prune_opacity = c->prune_opacity,
-        .prune_above_m = limits ? densify_prune_above(c, &site->cell, spacing_m) : 0.0,
+        .prune_opacity = DENSIFY_PRUNE_OPACITY,
+        .prune_above_m = limits ? fmax(DENSIFY_PRUNE_SIZE * site->cell.scene_extent_m,
+                                       DENSIFY_SPACINGS * spacing_m)
+                                : 0.0,
         .keep_order = densify_keeps_order(s, x),
         .seed = (uint64_t)c->seed,
         .level = s->level,
@@ -190,7 +178,7 @@ static struct densify_params densify_make_params(const struct model *m, const st
     };
     if (site->ground && limits) {
         p.ground = site->ground;
-        p.free_space_m = c->free_space > 0.0 ? c->free_space * site->ground->height_m : HUGE_VAL;
+        p.free_space_m = BEGIN_FREE_SPACE * site->ground->height_m;
         p.size_limit_m = gallery_size_limit(r->gallery, site, s);
     }
     if (site->rim && limits)
@@ -210,9 +198,7 @@ static enum err_code densify_decide(struct model *m, const struct densify_run *r
                                .n = m->gauss.n,
                                .planes = m->gauss.planes,
                                .mean_grad = c->mean_grad,
-                               .opacity = c->opacity,
-                               .passed = densify_passed,
-                               .user = m};
+                               .opacity = c->opacity};
     if (!rc)
         rc = densify_plan_make(p, &in, &c->plan, e);
     if (!rc && c->plan.report.needs_importance) {
@@ -241,12 +227,12 @@ static enum err_code densify_commit(struct model *m, size_t most, const struct d
 {
     void *params = NULL;
     enum err_code rc = model_move(m, &c->order.rows, most, e);
-    if (rc || !(c->order.n_split + c->order.n_shared))
+    if (rc || !c->order.n_split)
         return rc;
     rc = dev_map(m->dev, m->gauss.params, CL_MAP_READ | CL_MAP_WRITE, model_bytes(m), &params, e);
     if (rc)
         return rc;
-    densify_halve(&c->order, &(struct densify_input){.passed = densify_passed, .user = m}, params);
+    densify_halve(&c->order, params);
     return dev_unmap(m->dev, m->gauss.params, &params, e);
 }
 

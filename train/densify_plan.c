@@ -30,18 +30,14 @@
 #include "render/render.h"
 #include "train/config.h"
 #include "train/densify_plan.h"
-#include "train/relocate.h"
 
-#define DENSIFY_SPLIT_SHRINK 1.6
 #define DENSIFY_AXIS_OFFSET 0.8 /* d, in sigmas of the parent */
 #define DENSIFY_AXIS_SHRINK 0.6 /* sqrt(1 - d^2): the pair keeps the parent's covariance */
 enum {
     DENSIFY_CUT_SHARE = 4, /* of the room, for what sticks out */
     DENSIFY_CHUNK = 4096   /* rows that a thread takes at a time */
 };
-static_assert((int)DENSIFY_PART == (int)GAUSS_SLICE, "means are asked for in parts that are told");
-#define DENSIFY_CLEAR_LEAST 1e-6 /* 1 - opacity of what is shared: beyond, it has no root */
-#define DENSIFY_SMALLEST_M 1e-4  /* scene units; smaller Gaussians are removed */
+#define DENSIFY_SMALLEST_M 1e-4 /* scene units; smaller Gaussians are removed */
 
 static size_t densify_at(size_t i, uint32_t planes, uint32_t plane)
 {
@@ -69,27 +65,20 @@ static uint32_t densify_longest(const float *params, uint32_t planes, size_t i)
 }
 
 /* Of a half from its parent, along the parent's axes, m. */
-static void densify_offset(const struct densify_params *p, const struct densify_input *in,
-                           struct densify_row row, double local[3])
+static void densify_offset(const struct densify_input *in, struct densify_row row, double local[3])
 {
     size_t i = row.source;
     bool second = row.kind == DENSIFY_SPLIT_B;
-    uint64_t stream = train_stream(TRAIN_STREAM_SPLIT, p->level, p->step);
-    uint64_t first = (uint64_t)i * 6 + (second ? 3 : 0);
     uint32_t longest = densify_longest(in->params, in->planes, i);
     for (uint32_t k = 0; k < 3; k++) {
-        double along = p->split == DENSIFY_SPLIT_RANDOM ? rng_normal(p->seed, stream, first + k)
-                       : k != longest                   ? 0.0
-                       : second                         ? DENSIFY_AXIS_OFFSET
-                                                        : -DENSIFY_AXIS_OFFSET;
+        double along = k != longest ? 0.0 : second ? DENSIFY_AXIS_OFFSET : -DENSIFY_AXIS_OFFSET;
         local[k] =
             along * exp((double)in->params[densify_at(i, in->planes, LAYOUT_PLANE_SCALE + k)]);
     }
 }
 
 /* Mean of a row of the plan, metres from the origin. */
-static void densify_mean(const struct densify_params *p, const struct densify_input *in,
-                         struct densify_row row, float mean[3])
+static void densify_mean(const struct densify_input *in, struct densify_row row, float mean[3])
 {
     size_t i = row.source;
     for (uint32_t k = 0; k < 3; k++)
@@ -98,7 +87,7 @@ static void densify_mean(const struct densify_params *p, const struct densify_in
         return;
     double rot[9], local[3];
     densify_rotation(in->params, in->planes, i, rot);
-    densify_offset(p, in, row, local);
+    densify_offset(in, row, local);
     for (int k = 0; k < 3; k++)
         mean[k] = (float)((double)mean[k] + rot[3 * k] * local[0] + rot[3 * k + 1] * local[1] +
                           rot[3 * k + 2] * local[2]);
@@ -139,7 +128,7 @@ static bool densify_row_inside(const struct densify_params *p, const struct dens
     float mean[3];
     if (p->cell->whole)
         return true;
-    densify_mean(p, in, row, mean);
+    densify_mean(in, row, mean);
     return densify_distance(p, mean) <= 0.0;
 }
 
@@ -152,7 +141,6 @@ struct densify_lists {
     bool known;                    /* both are filled */
     uint8_t *chosen;               /* [n] */
     uint32_t *drawn;               /* scratch for a draw, and the candidates behind it */
-    uint8_t *copies;               /* [n] MCMC: how many come to each; otherwise NULL */
     struct densify_side {          /* 0 outside the cell, 1 inside */
         uint32_t *clones, *splits; /* candidates, ascending */
         size_t n_clones, n_splits, room;
@@ -205,7 +193,7 @@ static enum densify_class densify_classify(const struct densify_params *p,
     if (densify_is_oversize(p, mean, largest))
         return CLASS_CUT;
     double ramp = 1.0 + (p->tau_outside - 1.0) * fmin(d / p->cell->edge_m, 1.0);
-    if (p->strategy == DENSIFY_STRATEGY_MCMC || !((double)in->mean_grad[i] >= p->tau * ramp))
+    if (!((double)in->mean_grad[i] >= p->tau * ramp))
         return CLASS_KEEP;
     return largest > p->split_above_m ? CLASS_SPLIT : CLASS_CLONE;
 }
@@ -245,20 +233,14 @@ static enum err_code densify_classify_chunk(void *user, size_t chunk, struct err
 
 static enum err_code densify_classify_all(struct densify_scan *s, struct err *e)
 {
-    const struct densify_input *in = s->in;
-    enum err_code rc = ERR_OK;
-    for (s->first = 0; !rc && s->first < in->n; s->first = s->end) {
-        s->end = in->n - s->first < DENSIFY_PART ? in->n : s->first + DENSIFY_PART;
-        rc = pool_for(densify_chunks(s->end - s->first), 0, densify_classify_chunk, s, e);
-        if (in->passed)
-            in->passed(in->user, s->first, s->end);
-    }
-    return rc;
+    s->first = 0;
+    s->end = s->in->n;
+    return pool_for(densify_chunks(s->end), 0, densify_classify_chunk, s, e);
 }
 
-/* Room for as many candidates as there are. Relocation draws from all that live. */
-static enum err_code densify_alloc(const struct densify_params *p, const struct densify_input *in,
-                                   struct densify_lists *w, struct err *e)
+/* Room for as many candidates as there are. */
+static enum err_code densify_alloc(const struct densify_input *in, struct densify_lists *w,
+                                   struct err *e)
 {
     size_t n[CLASS_CUT + 1][2] = {{0}}, drawn = 0, all = 0;
     for (size_t i = 0; i < in->n; i++)
@@ -269,7 +251,6 @@ static enum err_code densify_alloc(const struct densify_params *p, const struct 
             all += n[c][side];
             drawn = n[c][side] > drawn ? n[c][side] : drawn;
         }
-    drawn = p->strategy == DENSIFY_STRATEGY_MCMC ? in->n : drawn;
     w->drawn = mem_array(drawn + all, sizeof *w->drawn);
     if (!w->drawn)
         return err_set(e, ERR_MEM, "densify: out of memory for %zu candidates", all);
@@ -308,8 +289,8 @@ static void densify_gain(const struct densify_params *p, const struct densify_in
         *out_gain = !w->inside[i];
         return;
     }
-    int a = densify_row_inside(p, in, (struct densify_row){i, DENSIFY_SPLIT_A, 0});
-    int b = densify_row_inside(p, in, (struct densify_row){i, DENSIFY_SPLIT_B, 0});
+    int a = densify_row_inside(p, in, (struct densify_row){i, DENSIFY_SPLIT_A});
+    int b = densify_row_inside(p, in, (struct densify_row){i, DENSIFY_SPLIT_B});
     *in_gain = a + b - w->inside[i];
     *out_gain = 2 - a - b - !w->inside[i];
 }
@@ -393,14 +374,10 @@ static enum err_code densify_rows(const struct densify_input *in, const struct d
         uint32_t s = (uint32_t)i;
         if (w->class[i] == CLASS_PRUNE)
             continue;
-        for (uint16_t part = 0; w->copies && w->copies[i] && part <= w->copies[i]; part++)
-            out->rows[n++] = (struct densify_row){s, DENSIFY_SHARE, w->copies[i] + 1};
-        if (w->copies && w->copies[i])
-            continue;
         bool split = w->chosen[i] && w->class[i] != CLASS_CLONE;
-        out->rows[n++] = (struct densify_row){s, split ? DENSIFY_SPLIT_A : DENSIFY_KEEP, 0};
+        out->rows[n++] = (struct densify_row){s, split ? DENSIFY_SPLIT_A : DENSIFY_KEEP};
         if (w->chosen[i])
-            out->rows[n++] = (struct densify_row){s, split ? DENSIFY_SPLIT_B : DENSIFY_CLONE, 0};
+            out->rows[n++] = (struct densify_row){s, split ? DENSIFY_SPLIT_B : DENSIFY_CLONE};
     }
     out->n = n;
     return ERR_OK;
@@ -436,62 +413,6 @@ static enum err_code densify_draw_side(const struct densify_params *p,
     return rc;
 }
 
-/* MCMC: the dead come back elsewhere, and inside the cell their number grows to the ceiling. */
-static enum err_code densify_relocate_side(const struct densify_params *p,
-                                           const struct densify_input *in, struct densify_lists *w,
-                                           bool inside, struct err *e)
-{
-    size_t n = 0, dead = 0, placed = 0, *count = inside ? &w->n_in : &w->n_out;
-    size_t cap = inside ? p->cap_inside : p->cap_outside;
-    float *opacity = mem_array(in->n, sizeof *opacity);
-    if (!opacity)
-        return err_set(e, ERR_MEM, "densify: out of memory for %zu Gaussians", in->n);
-    for (size_t i = 0; i < in->n; i++) {
-        if ((bool)w->inside[i] != inside || w->class[i] == CLASS_CUT)
-            continue;
-        if (w->class[i] == CLASS_PRUNE) {
-            dead++;
-            continue;
-        }
-        float logit = in->params[densify_at(i, in->planes, LAYOUT_PLANE_OPACITY)];
-        opacity[i] = 1.0f / (1.0f + expf(-logit));
-        w->drawn[n++] = (uint32_t)i;
-    }
-    size_t room = cap > *count ? cap - *count : 0;
-    if (!inside && room > dead)
-        room = dead;
-    struct relocate_from from = {
-        .weight = opacity,
-        .ids = w->drawn,
-        .n = n,
-        .seed = p->seed,
-        .stream = train_stream(TRAIN_STREAM_RELOCATE, p->level, 2 * (uint64_t)p->step + inside),
-    };
-    enum err_code rc = relocate_draw(&from, room, w->copies, &placed, e);
-    *count += placed;
-    mem_free(opacity);
-    return rc;
-}
-
-static enum err_code densify_relocate(const struct densify_params *p,
-                                      const struct densify_input *in, struct densify_lists *w,
-                                      struct densify_plan *out, struct err *e)
-{
-    struct densify_report *r = &out->report;
-    size_t before = w->n_in + w->n_out;
-    w->copies = mem_array(in->n, sizeof *w->copies);
-    enum err_code rc = w->copies
-                           ? densify_relocate_side(p, in, w, true, e)
-                           : err_set(e, ERR_MEM, "densify: out of memory for %zu Gaussians", in->n);
-    if (!rc && !p->cell->whole)
-        rc = densify_relocate_side(p, in, w, false, e);
-    r->inside = w->n_in;
-    r->outside = w->n_out;
-    r->after = w->n_in + w->n_out;
-    r->room = r->cloned = r->after - before;
-    return rc ? rc : densify_rows(in, w, out, e);
-}
-
 static enum err_code densify_fill(const struct densify_params *p, const struct densify_input *in,
                                   struct densify_lists *w, struct densify_plan *out, struct err *e)
 {
@@ -500,7 +421,7 @@ static enum err_code densify_fill(const struct densify_params *p, const struct d
     struct densify_scan scan = {.p = p, .in = in, .class = w->class, .inside = w->inside};
     enum err_code rc = w->known ? ERR_OK : densify_classify_all(&scan, e);
     if (!rc)
-        rc = densify_alloc(p, in, w, e);
+        rc = densify_alloc(in, w, e);
     if (rc)
         return rc;
     densify_list(in, w);
@@ -518,8 +439,6 @@ static enum err_code densify_fill(const struct densify_params *p, const struct d
                                  .clone_candidates = inside->n_clones + outside->n_clones,
                                  .split_candidates = inside->n_splits + outside->n_splits,
                                  .room = inside->room + outside->room};
-    if (p->strategy == DENSIFY_STRATEGY_MCMC)
-        return densify_relocate(p, in, w, out, e);
     if (!in->score && binds) {
         r->needs_importance = true;
         return ERR_OK;
@@ -552,7 +471,6 @@ static enum err_code densify_choose(const struct densify_params *p, const struct
     else
         rc = densify_fill(p, in, &w, out, e);
     mem_free(w.chosen);
-    mem_free(w.copies);
     mem_free(w.drawn);
     if (rc)
         densify_plan_free(out);
@@ -597,42 +515,19 @@ static void densify_halve_row(const struct densify_order *o, float *params, size
     for (uint32_t k = 0; k < 3; k++) {
         float *scale = &params[densify_at(d, planes, LAYOUT_PLANE_SCALE + k)];
         params[densify_at(d, planes, LAYOUT_PLANE_MEAN + k)] = mean[k];
-        if (o->how == DENSIFY_SPLIT_RANDOM)
-            *scale -= (float)log(DENSIFY_SPLIT_SHRINK);
-        else if (k == longest)
+        if (k == longest)
             *scale += (float)log(DENSIFY_AXIS_SHRINK);
     }
-    if (o->how == DENSIFY_SPLIT_RANDOM)
-        return;
     /* 2 x 0.6 sigma long: as much mass needs 1 / 1.2 of the opacity. */
     float *logit = &params[densify_at(d, planes, LAYOUT_PLANE_OPACITY)];
     double opacity = 0.5 / DENSIFY_AXIS_SHRINK / (1.0 + exp(-(double)*logit));
     *logit = (float)log(opacity / (1.0 - opacity));
 }
 
-/* Row d holds a copy of what `parts` share. */
-static void densify_share_row(uint32_t planes, float *params, size_t d, unsigned parts)
+void densify_halve(const struct densify_order *o, float *params)
 {
-    float *logit = &params[densify_at(d, planes, LAYOUT_PLANE_OPACITY)];
-    double most = 1.0 - DENSIFY_CLEAR_LEAST;
-    struct relocate_share s = relocate_share(fmin(1.0 / (1.0 + exp(-(double)*logit)), most), parts);
-    *logit = (float)log(s.opacity / (1.0 - s.opacity));
-    for (uint32_t k = 0; k < 3; k++)
-        params[densify_at(d, planes, LAYOUT_PLANE_SCALE + k)] += (float)log(s.shrink);
-}
-
-void densify_halve(const struct densify_order *o, const struct densify_input *in, float *params)
-{
-    size_t i = 0, k = 0;
-    for (size_t from = 0; from < o->rows.n; from += DENSIFY_PART) {
-        const size_t to = o->rows.n - from < DENSIFY_PART ? o->rows.n : from + DENSIFY_PART;
-        for (; i < o->n_split && o->split[i] < to; i++)
-            densify_halve_row(o, params, o->split[i], o->mean + 3 * i);
-        for (; k < o->n_shared && o->shared[k] < to; k++)
-            densify_share_row(o->rows.planes, params, o->shared[k], o->parts[k]);
-        if (in->passed)
-            in->passed(in->user, from, to);
-    }
+    for (size_t i = 0; i < o->n_split; i++)
+        densify_halve_row(o, params, o->split[i], o->mean + 3 * i);
 }
 
 static bool densify_is_half(struct densify_row row)
@@ -645,7 +540,7 @@ static enum err_code densify_mean_chunk(void *user, size_t chunk, struct err *e)
     const struct densify_scan *s = user;
     (void)e;
     for (size_t i = s->first + chunk * DENSIFY_CHUNK; i < densify_chunk_end(s, chunk); i++)
-        densify_mean(s->p, s->in, s->plan->rows[i], s->mean + 3 * (i - s->first));
+        densify_mean(s->in, s->plan->rows[i], s->mean + 3 * (i - s->first));
     return ERR_OK;
 }
 
@@ -653,14 +548,10 @@ static enum err_code densify_mean_chunk(void *user, size_t chunk, struct err *e)
 static enum err_code densify_means(void *user, size_t from, size_t to, float *out, struct err *e)
 {
     struct densify_scan *s = user;
-    const struct densify_row *rows = s->plan->rows;
     s->first = from;
     s->end = to;
     s->mean = out;
-    enum err_code rc = pool_for(densify_chunks(to - from), 0, densify_mean_chunk, s, e);
-    if (s->in->passed)
-        s->in->passed(s->in->user, rows[from].source, to < s->plan->n ? rows[to].source : s->in->n);
-    return rc;
+    return pool_for(densify_chunks(to - from), 0, densify_mean_chunk, s, e);
 }
 
 /* Along the curve, or as they are; which row of the plan comes where is forgotten once rows and
@@ -670,35 +561,26 @@ static enum err_code densify_sort(struct densify_scan *s, uint32_t *source, stru
 {
     const struct densify_plan *plan = s->plan;
     const struct gauss_places places = {plan->n, densify_means, s};
-    size_t n = 0, shared = 0;
+    size_t n = 0;
     enum err_code rc = s->p->keep_order ? ERR_OK : gauss_morton_order_of(&places, source, e);
     if (rc)
         return rc;
     for (size_t d = 0; s->p->keep_order && d < plan->n; d++)
         source[d] = (uint32_t)d;
-    for (size_t d = 0; d < plan->n; d++) {
+    for (size_t d = 0; d < plan->n; d++)
         o->n_split += densify_is_half(plan->rows[d]);
-        o->n_shared += plan->rows[d].kind == DENSIFY_SHARE;
-    }
     o->split = mem_array(o->n_split, sizeof *o->split);
     o->mean = mem_array(3 * o->n_split, sizeof *o->mean);
-    o->shared = mem_array(o->n_shared, sizeof *o->shared);
-    o->parts = mem_array(o->n_shared, sizeof *o->parts);
-    if (!o->split || !o->mean || !o->shared || !o->parts)
-        return err_set(e, ERR_MEM, "densify: out of memory for %zu halves and %zu parts",
-                       o->n_split, o->n_shared);
+    if (!o->split || !o->mean)
+        return err_set(e, ERR_MEM, "densify: out of memory for %zu halves", o->n_split);
     for (size_t d = 0; d < plan->n; d++) {
         uint32_t at = source[d];
         struct densify_row row = plan->rows[at];
         source[d] = row.source | (row.kind == DENSIFY_KEEP ? 0 : PERMUTE_NEW);
-        if (row.kind == DENSIFY_SHARE) {
-            o->shared[shared] = (uint32_t)d;
-            o->parts[shared++] = row.parts;
-        }
         if (!densify_is_half(row))
             continue;
         o->split[n] = (uint32_t)d;
-        densify_mean(s->p, s->in, row, o->mean + 3 * n++);
+        densify_mean(s->in, row, o->mean + 3 * n++);
     }
     return ERR_OK;
 }
@@ -709,7 +591,7 @@ enum err_code densify_order(const struct densify_params *p, const struct densify
 {
     uint32_t *source = mem_array(plan->n, sizeof *source);
     struct densify_scan scan = {.p = p, .in = in, .plan = plan};
-    *out = (struct densify_order){.rows = {source, plan->n, in->n, in->planes}, .how = p->split};
+    *out = (struct densify_order){.rows = {source, plan->n, in->n, in->planes}};
     enum err_code rc =
         source ? densify_sort(&scan, source, out, e)
                : err_set(e, ERR_MEM, "densify: out of memory for %zu Gaussians", plan->n);
@@ -723,7 +605,5 @@ void densify_order_free(struct densify_order *o)
     mem_free((void *)(uintptr_t)o->rows.source);
     mem_free(o->split);
     mem_free(o->mean);
-    mem_free(o->shared);
-    mem_free(o->parts);
     *o = (struct densify_order){0};
 }

@@ -15,36 +15,21 @@ struct cell;
 struct footprint;
 struct trim;
 
-enum densify_kind {
-    DENSIFY_KEEP,
-    DENSIFY_CLONE,
-    DENSIFY_SPLIT_A,
-    DENSIFY_SPLIT_B,
-    DENSIFY_SHARE /* one of `parts` in the same place, see relocate.h */
-};
+enum densify_kind { DENSIFY_KEEP, DENSIFY_CLONE, DENSIFY_SPLIT_A, DENSIFY_SPLIT_B };
+/* The halves of a Gaussian that is split lie at +-0.8 sigma on the longest axis, which is shortened
+ * to 0.6 in each. The pair has the parent's mean and covariance. With 0.83 of the parent's opacity
+ * it also has its mass. This is the long-axis split of Improved-GS (arXiv 2508.12313); the offsets
+ * follow from the moments. */
 struct densify_row {
     uint32_t source;
-    uint16_t kind, parts;
+    enum densify_kind kind;
 };
-/* in the order of options.def */
-enum densify_strategy { DENSIFY_STRATEGY_SPLIT, DENSIFY_STRATEGY_MCMC };
-/* How a Gaussian is split in two, in the order of --split.
- *
- * - DENSIFY_SPLIT_AXIS: the halves lie at +-0.8 sigma on the longest axis, which is shortened to
- *   0.6 in each. The pair has the parent's mean and covariance. With 0.83 of the parent's opacity
- *   it also has its mass. This is the long-axis split of Improved-GS (arXiv 2508.12313); the
- *   offsets follow from the moments.
- * - DENSIFY_SPLIT_RANDOM: the halves lie at two random places of the parent's distribution. All
- *   axes are 1.6 times shorter, and the opacity is the same (3DGS). */
-enum densify_split { DENSIFY_SPLIT_AXIS, DENSIFY_SPLIT_RANDOM };
 struct densify_params {
     const struct cell *cell;
     double origin_enu_m[3]; /* origin of the means in `params` */
     size_t cap_inside, cap_outside;
-    enum densify_strategy strategy; /* with MCMC, tau, split and scores are not used */
     /* a candidate above split_above_m is split, a smaller one cloned */
     double tau, tau_outside, split_above_m;
-    enum densify_split split;
     /* Gaussians above prune_above_m are removed; 0 = no limit */
     double prune_opacity, prune_above_m;
     const struct footprint *ground; /* NULL: not known */
@@ -65,12 +50,7 @@ struct densify_input { /* host copies in the device's layout, [groups][planes][1
     const float *mean_grad;
     const float *opacity; /* [n] compared with prune_opacity; NULL: use the opacity in `params` */
     const float *score;   /* [n] importance, >= 0; NULL if the budget does not bind: all equal */
-    /* May be NULL: who goes through the parameters from start to end tells which rows it has
-     * passed, about DENSIFY_PART of them at a time, up to the last. */
-    void (*passed)(void *user, size_t from, size_t to);
-    void *user;
 };
-enum { DENSIFY_PART = 65536 };
 struct densify_report {
     size_t before, pruned, clone_candidates, split_candidates, room, cloned, split, after, inside,
         outside, cut;      /* cut: those of `split` that reach out of the photographs */
@@ -100,17 +80,12 @@ struct densify_order {       /* {0} is empty; free with densify_order_free */
     uint32_t *split;         /* [n_split] rows that are halves */
     float *mean;             /* [n_split][3] their places */
     size_t n_split;
-    uint32_t *shared; /* [n_shared] rows that share a place */
-    uint16_t *parts;  /* [n_shared] number of Gaussians in that place, this one included */
-    size_t n_shared;
-    enum densify_split how;
 };
 /* Computes that order. Free *out with densify_order_free. ERR_MEM. */
 enum err_code densify_order(const struct densify_params *p, const struct densify_input *in,
                             const struct densify_plan *plan, struct densify_order *out,
                             struct err *e) ERR_USE;
 void densify_order_free(struct densify_order *o);
-/* Call it after permute_move of the parameters. Copies of split parents become halves, and copies
- * that share a place become parts. in: of its members only `passed` is used, for the new rows. */
-void densify_halve(const struct densify_order *o, const struct densify_input *in, float *params);
+/* Call it after permute_move of the parameters. Copies of split parents become halves. */
+void densify_halve(const struct densify_order *o, float *params);
 #endif

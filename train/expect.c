@@ -24,9 +24,8 @@
 /* Processor seconds of a unit of train/forecast.h, without and with known depths. Fitted to runs on
  * two cores with AVX-512 (docs/scale.md). */
 static const double unit_s = 1.01e-7, unit_known_s = 1.18e-7;
-static const double program_bytes = 0.15e9; /* of the program and its OpenCL compiler */
-static const double ckpt_bytes = 236;       /* of a Gaussian in a level's checkpoint */
-static const double sparse_share = 0.1;     /* sparse points, of the first level's budget */
+static const double ckpt_bytes = 236;   /* of a Gaussian in a level's checkpoint */
+static const double sparse_share = 0.1; /* sparse points, of the first level's budget */
 
 struct expect_scene {
     struct scene scene;
@@ -63,7 +62,7 @@ static double expect_work(const struct gallery *g, size_t n_test, bool whole, do
     double work = forecast_left_s(&f, at, forecast_all(&f, stage_schedule(at), first));
     if (g->cfg->final_all && n_test) {
         at->at = at->n_levels - 1;
-        at->levels[at->at] = refit_schedule_last(&at->levels[at->at], g->cfg->final_share);
+        at->levels[at->at] = refit_schedule_last(&at->levels[at->at]);
         work += forecast_steps_s(
             &f, at, forecast_all(&f, &at->levels[at->at], (double)at->levels[at->at].budget));
     }
@@ -73,11 +72,8 @@ static double expect_work(const struct gallery *g, size_t n_test, bool whole, do
 /* Before the first step. */
 static struct stage expect_stage(const struct train_config *cfg)
 {
-    struct stage at = {.n_levels = (uint32_t)cfg->level_count,
-                       .fine_first = cfg->level_order == SCHEDULE_FINE_TO_COARSE,
-                       .again = cfg->level_order == SCHEDULE_BOTH};
-    at.at = stage_first(&at);
-    return at;
+    return (struct stage){.n_levels = (uint32_t)cfg->level_count,
+                          .again = cfg->level_order == SCHEDULE_BOTH};
 }
 
 /* From budgets that are known. known: depths are. The levels' `around` is for memory, the most;
@@ -92,7 +88,7 @@ static void expect_sum(const struct gallery *g, size_t n_test, bool whole, bool 
     }
     struct memory_need m =
         memory_estimate(g->cfg, g->scene, g->images, g->n_images, at->levels, at->n_levels, whole);
-    out->memory_bytes = (double)m.total + program_bytes;
+    out->memory_bytes = (double)m.total + MEMORY_PROGRAM_BYTES;
     for (uint32_t k = 0; k < at->n_levels; k++)
         at->levels[k].around = (size_t)around;
     out->cpu_s = (known ? unit_known_s : unit_s) * expect_work(g, n_test, whole, first, at);
@@ -115,7 +111,7 @@ enum err_code expect_training(const struct train_config *cfg, const struct expec
         bool known = p->depths && strcmp(cfg->depth_prior, "none") != 0;
         budget_limit(&photos, cfg, at.levels);
         double first =
-            (double)at.levels[at.at].budget * (p->depths ? cfg->seed_dense : sparse_share);
+            (double)at.levels[at.at].budget * (p->depths ? INIT_DENSE_SHARE : sparse_share);
         expect_sum(&g, p->n_test, true, known, first, 0.0, &at, out);
     }
     mem_free(in.train);
@@ -149,7 +145,7 @@ enum err_code expect_cell(const struct run_cell *job, size_t n_around, struct ex
             at.levels[k].around = n_around;
         const double most = (double)at.levels[at.at].budget;
         double first = n_around ? fmin(inside * (double)n_around, most)
-                                : most * (depths[0] ? cfg->seed_dense : sparse_share);
+                                : most * (depths[0] ? INIT_DENSE_SHARE : sparse_share);
         expect_sum(&g, job->n_test, job->cell.whole, depths[0], first, around * (double)n_around,
                    &at, out);
     }

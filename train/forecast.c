@@ -9,6 +9,7 @@
 
 #include "codec/scene.h"
 #include "train/gallery.h"
+#include "train/importance.h"
 #include "train/photo_loader.h"
 #include "train/stage.h"
 
@@ -32,10 +33,9 @@ void forecast_open(struct forecast *f, const struct gallery *g, const struct sta
                    size_t n_tests, bool whole)
 {
     const struct train_config *c = g->cfg;
-    const bool all = c->defer_from <= 0 || c->appearance || at->levels[0].mcmc || c->depth_dir ||
-                     c->depth_sparse; /* as begin_no_paged says */
+    const bool all = c->defer_from <= 0 || c->appearance; /* every step moves all */
     *f = (struct forecast){.cfg = c,
-                           .views = (double)c->importance_views,
+                           .views = (double)IMPORTANCE_VIEWS,
                            .seen_from = all ? HUGE_VAL : (double)c->defer_from,
                            .outside = whole ? 0.0 : FORECAST_OUTSIDE,
                            .n_images = g->n_images,
@@ -123,14 +123,14 @@ double forecast_left_s(const struct forecast *f, const struct stage *now, double
     struct stage copy = *now, *at = &copy;
     double left = 0.0, n = forecast_inside(f, now, gaussians);
     for (uint32_t i = at->at; i < at->n_levels; i = stage_after(at, i)) {
-        const bool here = i == now->at && at->fine_first == now->fine_first;
+        const bool here = i == now->at && at->turned == now->turned;
         if (!here && at->levels[i].derived) {
             left += FORECAST_MERGE * n;
             n *= fmin((double)at->levels[i].budget / (double)at->levels[i + 1].budget, 1.0);
         }
         left += forecast_steps(f, at, i, here ? at->step : 0, &n);
         left += forecast_end(f, at, i, forecast_all(f, &at->levels[i], n));
-        if (at->again && !at->fine_first && i + 1 == at->n_levels)
+        if (at->again && !at->turned && i + 1 == at->n_levels)
             stage_turn(at, f->cfg);
     }
     return f->work > 0.0 ? f->seconds * left / f->work : 0.0;

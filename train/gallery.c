@@ -15,6 +15,9 @@
 #include "train/stage.h"
 
 #define GALLERY_SPACING_PX 2.0
+#define GALLERY_SIZE_LIMIT 5.0     /* docs/studies/side.md */
+#define GALLERY_SPLIT_PX 1.0       /* docs/decisions/006-density-control.md */
+#define GALLERY_PERCENT_DENSE 0.01 /* 3DGS */
 
 enum err_code gallery_open(struct gallery *g, const struct schedule *s, struct err *e)
 {
@@ -30,7 +33,6 @@ enum err_code gallery_open(struct gallery *g, const struct schedule *s, struct e
         .no_masks = !g->cfg->masks,
         .seed = (uint64_t)g->cfg->seed,
         .level = s->level,
-        .near = (uint32_t)g->cfg->near_photos,
     };
     photo_loader_close(&g->photos);
     return photo_loader_open(&f, &g->photos, e);
@@ -60,27 +62,6 @@ struct camera gallery_camera(const struct gallery *g, size_t nth, const struct s
     return g->windows ? camera_crop(&c, &g->windows[nth]) : c;
 }
 
-struct camera *gallery_cameras(const struct gallery *g, const struct schedule *s)
-{
-    struct camera *cams = gallery_cameras_full(g);
-    for (size_t i = 0; cams && i < g->n_images; i++)
-        cams[i] = gallery_camera(g, i, s);
-    return cams;
-}
-
-enum err_code gallery_filter(const struct gallery *g, const struct stage *at, struct model *m,
-                             struct err *e)
-{
-    if (g->cfg->aa != RENDER_AA_MIP || m->filter_is_current || at->at >= at->n_levels)
-        return ERR_OK;
-    struct camera *cams = gallery_cameras(g, stage_schedule(at));
-    if (!cams)
-        return err_set(e, ERR_MEM, "mip: out of memory for %zu cameras", g->n_images);
-    enum err_code rc = model_filter(m, cams, g->n_images, e);
-    mem_free(cams);
-    return rc;
-}
-
 double gallery_footprint_m(const struct gallery *g, const struct site *site,
                            const struct schedule *s)
 {
@@ -96,9 +77,9 @@ double gallery_size_limit(const struct gallery *g, const struct site *site,
                           const struct schedule *s)
 {
     double footprint_m = gallery_footprint_m(g, site, s);
-    if (!(g->cfg->size_limit > 0.0) || !(footprint_m > 0.0))
+    if (!(footprint_m > 0.0))
         return 0.0;
-    return g->cfg->size_limit *
+    return GALLERY_SIZE_LIMIT *
            fmax(site->cell.edge_m / sqrt((double)s->budget), GALLERY_SPACING_PX * footprint_m);
 }
 
@@ -106,9 +87,8 @@ double gallery_split_above(const struct gallery *g, const struct site *site,
                            const struct schedule *s)
 {
     double footprint_m = gallery_footprint_m(g, site, s);
-    return g->cfg->split_px > 0.0 && footprint_m > 0.0
-               ? g->cfg->split_px * footprint_m
-               : g->cfg->percent_dense * site->cell.extent_m;
+    return footprint_m > 0.0 ? GALLERY_SPLIT_PX * footprint_m
+                             : GALLERY_PERCENT_DENSE * site->cell.extent_m;
 }
 
 /* ---- how frames are drawn ---- */
@@ -167,7 +147,7 @@ static enum err_code gallery_run(struct gallery *g, const struct photo *p, bool 
         .mask = p->mask ? g->mask : NULL,
         .width_px = p->cam.width_px,
         .height_px = p->cam.height_px,
-        .l1_weight = (float)g->cfg->l1_weight,
+        .l1_weight = (float)(1.0 - g->cfg->ssim_weight),
         .ssim_weight = with_ssim ? (float)g->cfg->ssim_weight : 0.0f,
     };
     return photometric_run(g->engine.loss, &in,

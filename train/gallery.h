@@ -64,29 +64,23 @@ enum err_code gallery_score(struct gallery *g, const struct photo *p, const stru
                             const struct render_options *ro, bool with_ssim,
                             struct photometric_value *out, struct err *e) ERR_USE;
 
-/* Cameras of the training photographs, [n_images]; free them with mem_free. NULL: out of memory.
- * _full: at the size of the scene's photographs; the other at the size of a level. */
+/* Cameras of the training photographs at the size of the scene's, [n_images]; free them with
+ * mem_free. NULL: out of memory. */
 struct camera *gallery_cameras_full(const struct gallery *g);
-struct camera *gallery_cameras(const struct gallery *g, const struct schedule *s);
 /* The camera of photograph `nth` of the list, as it is drawn at a level. */
 struct camera gallery_camera(const struct gallery *g, size_t nth, const struct schedule *s);
-/* With Mip-Splatting, computes the model's 3-D filter for the photographs of the current level, if
- * the Gaussians have changed. Without, it does nothing. ERR_MEM, ERR_DEVICE. */
-enum err_code gallery_filter(const struct gallery *g, const struct stage *at, struct model *m,
-                             struct err *e) ERR_USE;
 /* The footprint of a pixel of the level's photographs on the ground, in metres. 0: the ground is
  * not known. */
 double gallery_footprint_m(const struct gallery *g, const struct site *site,
                            const struct schedule *s);
 /* The longest sigma in metres of Gaussians that density control clones; longer ones are split. It
- * is cfg->split_px pixels of the level's photographs on the ground. Where the ground is not known
- * or split_px is 0, it is cfg->percent_dense of the camera extent (3DGS). */
+ * is a pixel of the level's photographs on the ground. Where the ground is not known it is a part
+ * of the camera extent (3DGS). */
 double gallery_split_above(const struct gallery *g, const struct site *site,
                            const struct schedule *s);
-/* The length in metres that no Gaussian should exceed over supported ground. It is cfg->size_limit
- * times the larger of two lengths: the spacing of the level's budget if it covered the cell evenly,
- * and two pixels of the level's photographs on the ground. 0: no limit, or the ground is not known.
- */
+/* The length in metres that no Gaussian should exceed over supported ground. It is five times the
+ * larger of two lengths: the spacing of the level's budget if it covered the cell evenly, and two
+ * pixels of the level's photographs on the ground. 0: the ground is not known. */
 double gallery_size_limit(const struct gallery *g, const struct site *site,
                           const struct schedule *s);
 

@@ -193,12 +193,7 @@ enum err_code harmonics_level(struct model *m, const struct harmonics_rule *r, s
     enum err_code rc =
         dev_map(m->dev, g->params, CL_MAP_READ | CL_MAP_WRITE, model_bytes(m), &params, e);
     if (!rc) {
-        for (size_t i = 0, n; !rc && i < g->n; i += n) {
-            n = g->n - i < MODEL_PART ? g->n - i : MODEL_PART;
-            rc = harmonics_hold(r, (float *)params + layout_at(i, g->planes), n, g->planes,
-                                g->origin_enu_m, e);
-            model_walked(m, false, i, i + n);
-        }
+        rc = harmonics_hold(r, params, g->n, g->planes, g->origin_enu_m, e);
         enum err_code done = dev_unmap(m->dev, g->params, &params, &why);
         if (!rc && done)
             rc = err_set(e, done, "%s", why.msg);

@@ -382,15 +382,8 @@ static enum err_code importance_static_chunk(void *user, size_t chunk, struct er
 
 static enum err_code importance_static(struct importance_work *w, struct err *e)
 {
-    static_assert((int)MODEL_PART % (int)IMPORTANCE_CHUNK == 0, "parts are whole chunks");
-    enum err_code rc = ERR_OK;
-    for (w->first = 0; !rc && w->first < w->n; w->first += MODEL_PART) {
-        const size_t n = w->n - w->first < MODEL_PART ? w->n - w->first : MODEL_PART;
-        rc = pool_for((n + IMPORTANCE_CHUNK - 1) / IMPORTANCE_CHUNK, 0, importance_static_chunk, w,
-                      e);
-        model_walked(w->m, false, w->first, w->first + n);
-    }
-    return rc;
+    return pool_for((w->n + IMPORTANCE_CHUNK - 1) / IMPORTANCE_CHUNK, 0, importance_static_chunk, w,
+                    e);
 }
 
 static enum err_code importance_own_field(void *user, size_t f, struct err *e)
@@ -497,8 +490,7 @@ enum err_code importance_run(struct importance **own, struct model *m, struct ga
     struct importance_work w = {
         .m = m, .gallery = g, .at = at, .params = params, .total = score, .n = m->gauss.n};
     uint32_t *views = NULL, *all = mem_array(g->n_images, sizeof *all);
-    size_t wanted = (size_t)g->cfg->importance_views,
-           n_views = wanted < g->n_images ? wanted : g->n_images;
+    size_t n_views = g->n_images < IMPORTANCE_VIEWS ? g->n_images : IMPORTANCE_VIEWS;
     views = mem_array(n_views, sizeof *views);
     enum err_code rc = all && views ? importance_make(own, g->engine.render, e)
                                     : err_set(e, ERR_MEM, "importance: out of memory");

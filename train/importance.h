@@ -16,7 +16,9 @@ struct stage;
 
 struct importance;
 void importance_free(struct importance **s);
-/* Computes the importance of every Gaussian over cfg->importance_views random training photographs:
+/* docs/studies/importance.md */
+enum { IMPORTANCE_VIEWS = 10 };
+/* Computes the importance of every Gaussian over so many random training photographs:
  * score [n], finite and >= 0. params: host view of the model's parameters; mean_grad [n]. *own
  * keeps kernels and buffers between calls; it is NULL at first, free it with importance_free.
  * ERR_MEM, ERR_DEVICE, and the errors of photo_loader_get_nth. */

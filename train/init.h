@@ -15,6 +15,11 @@ struct cell;
 struct footprint;
 struct scene;
 
+/* Largest shares of the first level's budget that Gaussians on ground without points
+ * (docs/footprint.md), and at points of known depths (docs/decisions/069-stereo.md), have. */
+#define INIT_GROUND_SHARE 0.25
+#define INIT_DENSE_SHARE 0.7
+
 struct init_input { /* all borrowed */
     const struct scene *scene;
     const uint32_t *images;              /* [n_images] training photographs */

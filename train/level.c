@@ -20,7 +20,6 @@
 #include "codec/ckpt.h"
 #include "codec/scene.h"
 #include "loss/photometric.h"
-#include "loss/solid.h"
 #include "train/coarsen.h"
 #include "train/config.h"
 #include "train/densify_apply.h"
@@ -30,10 +29,9 @@
 #include "train/photo_loader.h"
 #include "train/prune.h"
 #include "train/refit.h"
-#include "train/regularizer.h"
 #include "train/run_cell.h"
-#include "train/solidity.h"
 #include "train/state.h"
+#include "train/terms.h"
 #include "train/thin.h"
 
 /* Of the cell's edge: beyond, exp() and determinants lose their digits. */
@@ -42,9 +40,17 @@
 #define LEVEL_BETA1 0.9f
 #define LEVEL_BETA2 0.999f
 #define LEVEL_EPS 1e-15f
-#define LEVEL_MEAN_KEEP 0.95       /* of the running means shown to people */
-#define LEVEL_NEAR_SHARE 1000.0    /* near planes in a cell's edge */
-enum { LEVEL_FILTER_STEPS = 100 }; /* the filter of Mip-Splatting is computed this often */
+/* Learning rates, 3DGS; those of positions follow the schedule. */
+#define LEVEL_LR_SCALE 5e-3
+#define LEVEL_LR_QUAT 1e-3
+#define LEVEL_LR_OPACITY 5e-2
+#define LEVEL_LR_SH_DC 2.5e-3
+#define LEVEL_LR_SH_REST 1.25e-4
+#define LEVEL_RESET_OPACITY 0.01 /* 3DGS */
+#define LEVEL_MEAN_KEEP 0.95     /* of the running means shown to people */
+/* Weight of the size of harmonics at the end of a level. Measured: docs/studies/side.md. */
+#define LEVEL_SH_RIDGE 0.03
+#define LEVEL_NEAR_SHARE 1000.0 /* near planes in a cell's edge */
 
 /* ---- opening ---- */
 
@@ -52,13 +58,11 @@ void level_init(struct level *l, const struct run_cell *job, const uint32_t *ima
                 size_t n_images)
 {
     const struct train_config *c = job->cfg;
-    *l = (struct level){.cfg = c,
-                        .engine = {job->dev, job->render, job->loss},
-                        .site = {.cell = job->cell},
-                        .stage = {.n_levels = (uint32_t)c->level_count,
-                                  .fine_first = c->level_order == SCHEDULE_FINE_TO_COARSE,
-                                  .again = c->level_order == SCHEDULE_BOTH}};
-    l->stage.at = stage_first(&l->stage);
+    *l = (struct level){
+        .cfg = c,
+        .engine = {job->dev, job->render, job->loss},
+        .site = {.cell = job->cell},
+        .stage = {.n_levels = (uint32_t)c->level_count, .again = c->level_order == SCHEDULE_BOTH}};
     l->gallery = (struct gallery){
         .cfg = c,
         .engine = l->engine,
@@ -73,16 +77,15 @@ void level_init(struct level *l, const struct run_cell *job, const uint32_t *ima
 /* The learning rates of a step. */
 static void level_set_rates(struct level *l, uint32_t step)
 {
-    const struct train_config *c = l->cfg;
     const struct schedule *s = stage_schedule(&l->stage);
     struct render_adam *adam = &l->model.adam;
     double fade = schedule_fade(s, step), shape = s->still ? 0.0 : fade;
     adam->lr_mean = (float)(schedule_lr_mean(s, step) * fade);
-    adam->lr_scale = (float)(c->lr_scale * s->lr_factor * shape);
-    adam->lr_quat = (float)(c->lr_quat * s->lr_factor * shape);
-    adam->lr_opacity = (float)(c->lr_opacity * shape);
-    adam->lr_sh_dc = (float)(c->lr_sh_dc * fade);
-    adam->lr_sh_rest = (float)(c->lr_sh_rest * fade);
+    adam->lr_scale = (float)(LEVEL_LR_SCALE * s->lr_factor * shape);
+    adam->lr_quat = (float)(LEVEL_LR_QUAT * s->lr_factor * shape);
+    adam->lr_opacity = (float)(LEVEL_LR_OPACITY * shape);
+    adam->lr_sh_dc = (float)(LEVEL_LR_SH_DC * fade);
+    adam->lr_sh_rest = (float)(LEVEL_LR_SH_REST * fade);
 }
 
 static void level_start_optimiser(struct level *l)
@@ -116,9 +119,8 @@ enum err_code level_open(struct level *l, const struct gauss *g, struct err *e)
 void level_close(struct level *l)
 {
     importance_free(&l->importance);
-    regularizer_free(&l->regularizer);
+    terms_free(&l->terms);
     background_free(&l->background);
-    solidity_free(&l->solidity);
     model_close(&l->model);
     gallery_close(&l->gallery);
     appearance_train_close(&l->appearance);
@@ -146,7 +148,7 @@ enum err_code level_begin(struct level *l, struct err *e)
     l->loss_mean = l->mse_mean = 0.0;
     l->step_s = clock_s();
     rc = gallery_open(&l->gallery, stage_schedule(&l->stage), e);
-    return rc ? rc : regularizer_open(&l->regularizer, &l->gallery, &l->site, e);
+    return rc ? rc : terms_open(&l->terms, &l->gallery, &l->site, e);
 }
 
 /* ---- checkpoints ---- */
@@ -182,8 +184,7 @@ enum err_code level_save_result(struct level *l, const char *path,
                                 const struct evaluate_score *score, struct err *e)
 {
     struct state s = level_state(l, 0.0);
-    enum err_code rc = gallery_filter(&l->gallery, &l->stage, &l->model, e);
-    return rc ? rc : state_save_level(&l->model, &s, path, score, e);
+    return state_save_level(&l->model, &s, path, score, e);
 }
 
 /* ---- a level that goes on ---- */
@@ -198,15 +199,13 @@ enum err_code level_go_on(struct level *l, uint32_t steps, uint32_t fade_from, s
 
 /* ---- between levels ---- */
 
-/* The smallest harmonics that look alike from where photographs stood (option sh_ridge). */
+/* The smallest harmonics that look alike from where photographs stood. */
 static enum err_code level_hold_harmonics(struct level *l, struct err *e)
 {
     const struct schedule *s = stage_schedule(&l->stage);
     struct harmonics_rule r = {.n_cams = l->gallery.n_images,
-                               .weight = l->cfg->sh_ridge,
+                               .weight = LEVEL_SH_RIDGE,
                                .degree = schedule_sh_degree(s, s->steps)};
-    if (!(r.weight > 0.0))
-        return ERR_OK;
     struct camera *cams = gallery_cameras_full(&l->gallery);
     if (!cams)
         return err_set(e, ERR_MEM, "harmonics: out of memory for %zu photographs", r.n_cams);
@@ -260,7 +259,7 @@ enum err_code level_next(struct level *l, struct err *e)
     struct stage *at = &l->stage;
     const uint32_t next = stage_after(at, at->at);
     enum err_code rc = model_settle(&l->model, e);
-    if (at->again && !at->fine_first && at->at + 1 == at->n_levels)
+    if (at->again && !at->turned && at->at + 1 == at->n_levels)
         stage_turn(at, l->cfg);
     if (!rc && next < at->n_levels && at->levels[next].derived)
         rc = level_coarsen(l, next, e);
@@ -273,7 +272,6 @@ enum err_code level_next(struct level *l, struct err *e)
     at->pruned = false;
     at->held_db = 0.0;
     at->in_vain = 0;
-    l->model.filter_is_current = false;
     appearance_train_restart(&l->appearance);
     rc = model_zero_moments(&l->model, e);
     if (!rc)
@@ -299,7 +297,7 @@ enum err_code level_back(struct level *l, const struct schedule *planned, const 
     const double seconds = l->seconds; /* of processes before this one */
     l->stage.levels[l->stage.n_levels - 1] = *planned;
     importance_free(&l->importance);
-    regularizer_free(&l->regularizer);
+    terms_free(&l->terms);
     model_close(&l->model);
     enum err_code rc = level_resume(l, path, e);
     l->seconds = seconds;
@@ -312,7 +310,7 @@ enum err_code level_back(struct level *l, const struct schedule *planned, const 
 static enum err_code level_refit_load(struct level *l, const struct ckpt_rows *c, struct err *e)
 {
     importance_free(&l->importance); /* made anew where needed, for as many as there are */
-    regularizer_free(&l->regularizer);
+    terms_free(&l->terms);
     model_close(&l->model);
     enum err_code rc = model_open(&l->model, l->engine.dev, l->engine.render, ckpt_rows_like(c),
                                   ckpt_rows_count(c), e);
@@ -330,7 +328,7 @@ static enum err_code level_refit_begin(struct level *l, uint32_t at, const struc
     s->at = at;
     s->step = 0;
     s->pruned = true;
-    s->levels[at] = refit_schedule(&s->levels[at], l->cfg->appearance_refit);
+    s->levels[at] = refit_schedule(&s->levels[at]);
     l->appearance.shared = true;
     appearance_train_restart(&l->appearance);
     enum err_code rc = level_refit_load(l, c, e);
@@ -377,9 +375,8 @@ static void level_set_photos(struct level *l, const struct gallery *from)
     l->gallery.images = from->images;
     l->gallery.n_images = from->n_images;
     l->gallery.windows = from->windows;
-    regularizer_free(&l->regularizer);
+    terms_free(&l->terms);
     importance_free(&l->importance);
-    solidity_free(&l->solidity);
 }
 
 enum err_code level_last_open(struct level_last *r, struct level *l, const uint32_t *images,
@@ -391,7 +388,7 @@ enum err_code level_last_open(struct level_last *r, struct level *l, const uint3
     *r = (struct level_last){.was = s->levels[s->at], .gallery = l->gallery};
     s->step = 0;
     s->pruned = true;
-    s->levels[s->at] = refit_schedule_last(&r->was, l->cfg->final_share);
+    s->levels[s->at] = refit_schedule_last(&r->was);
     level_set_photos(l, &all);
     enum err_code rc = model_zero_moments(&l->model, e);
     return rc ? rc : level_begin(l, e);
@@ -447,7 +444,7 @@ static enum err_code level_control(struct level *l, uint32_t x, struct err *e)
     if (!rc && x)
         rc = densify_apply(&l->model, &run, x, e);
     if (!rc && schedule_resets(stage_schedule(&l->stage), l->stage.step))
-        rc = model_reset_opacity(&l->model, l->cfg->reset_opacity, e);
+        rc = model_reset_opacity(&l->model, LEVEL_RESET_OPACITY, e);
     if (!rc && level_thins(l))
         rc = level_thin(l, e);
     (void)timing_turn(&l->timing, was);
@@ -495,9 +492,8 @@ static void level_ask_appearance(struct level *l, uint32_t step, const struct re
     adam->appearance = NULL;
     if (!ro->appearance_frame)
         return;
-    *grad = (struct render_appearance_grad){
-        .offset_weight = (float)c->opacity_offset_weight,
-        .frame = appearance_train_learns(a, c, s) ? a->frame_grad : NULL};
+    *grad = (struct render_appearance_grad){.frame = appearance_train_learns(a, s) ? a->frame_grad
+                                                                                   : NULL};
     adam->lr_embed = (float)appearance_train_lr(a, c, s, step);
     adam->embed_step = step - appearance_train_warmup(a, c, s);
     adam->appearance = grad;
@@ -514,9 +510,10 @@ static void level_learn_appearance(struct level *l, uint32_t image)
 }
 
 /* The backward pass of the frame of a photograph, fused with Adam. */
-static enum err_code level_backward(struct level *l, uint32_t step, uint32_t image,
+static enum err_code level_backward(struct level *l, const struct term_step *terms,
                                     const struct render_options *ro, struct err *e)
 {
+    const uint32_t step = l->stage.step;
     const struct schedule *s = stage_schedule(&l->stage);
     struct model *m = &l->model;
     struct render_appearance_grad grad;
@@ -526,11 +523,13 @@ static enum err_code level_backward(struct level *l, uint32_t step, uint32_t ima
     level_ask_appearance(l, step, ro, &grad);
     if (!s->absgrad || step >= s->densify_until)
         stats.absg = NULL; /* densification would not look at it: saves a tenth of the pass */
-    enum err_code rc = render_backward_step(l->engine.render, &m->seen, &m->adam, &stats, e);
+    enum err_code rc = terms_backward(l->terms, terms, e);
+    if (!rc)
+        rc = render_backward_step(l->engine.render, &m->seen, &m->adam, &stats, e);
     if (!rc)
         rc = model_stepped(m, e);
     if (!rc && m->adam.appearance)
-        level_learn_appearance(l, image);
+        level_learn_appearance(l, terms->photo->image);
     m->adam.appearance = NULL; /* it lives here */
     return rc;
 }
@@ -539,8 +538,7 @@ static enum err_code level_backward(struct level *l, uint32_t step, uint32_t ima
 static bool level_defers(const struct level *l)
 {
     const struct render_model *g = &l->model.gauss;
-    return l->cfg->defer_from > 0 && g->n >= l->cfg->defer_from && !g->embed_len &&
-           !regularizer_reaches_all(&l->gallery, &l->site);
+    return l->cfg->defer_from > 0 && g->n >= l->cfg->defer_from && !g->embed_len;
 }
 
 enum err_code level_step(struct level *l, struct photometric_value *value, struct err *e)
@@ -554,36 +552,31 @@ enum err_code level_step(struct level *l, struct photometric_value *value, struc
     if (rc)
         return rc;
     struct render_options ro = gallery_photo_options(&l->gallery, &l->stage, photo.image);
-    const uint8_t *supported;
-    bool solid = solidity_acts(l->cfg, &l->stage);
-    ro.depth_unit_m = solid ? solidity_unit_m(&l->site) : 0.0;
-    rc = background_support(&l->background, l->site.ground, &photo, &supported, e);
+    struct term_step terms = {.gallery = &l->gallery,
+                              .site = &l->site,
+                              .at = &l->stage,
+                              .photo = &photo,
+                              .model = m,
+                              .timing = &l->timing};
+    if (terms_act(&l->gallery, &l->stage, TERM_RAYS))
+        ro.depth_unit_m = terms_depth_unit_m(&l->site);
+    rc = background_support(&l->background, l->site.ground, &photo, &terms.supported, e);
     if (!rc)
-        background_choose(&l->background, l->cfg, supported, &l->stage, &photo, &ro);
-    if (!rc && solid) /* while the device makes the step before; model_see waits for that */
-        rc = solidity_hand_over(&l->solidity, &l->site, &l->gallery, &l->stage, &photo, supported,
-                                e);
-    if (step % LEVEL_FILTER_STEPS == 0)
-        m->filter_is_current = false;
-    if (!rc)
-        rc = gallery_filter(&l->gallery, &l->stage, m, e);
+        background_choose(&l->background, l->cfg, terms.supported, &l->stage, &photo, &ro);
+    if (!rc) /* while the device makes the step before; model_see waits for that */
+        rc = terms_hand_over(l->terms, &terms, e);
     if (!rc)
         rc = model_see(m, level_defers(l), &photo.cam, &ro, e);
-    const struct regularizer_input terms = {&l->gallery, &l->site, &l->stage, &photo, &l->timing};
     if (!rc)
-        rc = regularizer_step(l->regularizer, m, &terms, e);
+        rc = terms_before(l->terms, &terms, e);
     if (!rc)
         rc = gallery_hand_over(&l->gallery, &photo, e);
     if (!rc)
         rc = render_forward(l->engine.render, &m->seen, &photo.cam, &ro, NULL, NULL, e);
     if (!rc)
-        rc = gallery_loss(&l->gallery, &photo, e);
-    if (!rc && solid)
-        rc = solidity_step(l->solidity, &l->gallery, e);
+        rc = terms_after(l->terms, &terms, e);
     if (!rc)
-        rc = level_backward(l, step, photo.image, &ro, e);
-    if (!rc)
-        rc = regularizer_shake(l->regularizer, m, l->cfg, &l->site.cell, &l->stage, e);
+        rc = level_backward(l, &terms, &ro, e);
     if (!rc && value)
         rc = level_read_loss(l, value, e);
     if (rc) /* what was handed over belongs to the host again */

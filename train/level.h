@@ -19,9 +19,9 @@ struct importance;
 struct metrics_log;
 struct photometric_value;
 struct prune_report;
-struct regularizer;
 struct residual_list;
 struct run_cell;
+struct terms;
 
 struct level { /* level_init, then level_close, also after an error */
     /* -- fixed for the run -- */
@@ -37,12 +37,11 @@ struct level { /* level_init, then level_close, also after an error */
     bool owes; /* the model needs to know the steps from owes_from on: see level_begin */
     uint32_t owes_from;
     struct appearance_train appearance; /* {0}: none; opened before level_open */
-    /* -- photographs and regularizers -- */
+    /* -- photographs and the loss -- */
     struct gallery gallery;
     struct background background;
-    struct regularizer *regularizer; /* opened by level_begin */
-    struct solidity *solidity;       /* this and the next: made on first use */
-    struct importance *importance;
+    struct terms *terms;           /* opened by level_begin */
+    struct importance *importance; /* made on first use */
     /* -- for logs -- */
     struct timing timing;       /* run.c starts it; {0} in tests, which ignore it */
     uint32_t repaired;          /* number of non-finite updates so far */
@@ -62,9 +61,9 @@ enum err_code level_open(struct level *l, const struct gauss *g, struct err *e) 
  * ERR_NOENT, ERR_IO as in state_load; ERR_MEM, ERR_DEVICE. */
 enum err_code level_resume(struct level *l, const char *path, struct err *e) ERR_USE;
 void level_close(struct level *l);
-/* Opens the photographs of the current level and the regularizers, and sets the optimiser. Call it
- * after level_open and level_resume; level_next calls it. ERR_MEM, ERR_LIMIT, and the errors of
- * regularizer_open. */
+/* Opens the photographs of the current level and the terms of the loss, and sets the optimiser.
+ * Call it after level_open and level_resume; level_next calls it. ERR_MEM, ERR_LIMIT, and the
+ * errors of terms_open. */
 enum err_code level_begin(struct level *l, struct err *e) ERR_USE;
 /* Makes one step: photograph, forward pass, loss, backward pass with Adam, density control. `value`
  * (may be NULL) gets the loss, which waits for the device. ERR_DATA: the loss is not finite, or no
@@ -119,7 +118,7 @@ struct level_last { /* level_last_open, then level_last_end, also after an error
 };
 /* Prepares a last fit after all levels: the present Gaussians, which are those of the finest level,
  * ready for level_step with these photographs. `windows` as in struct gallery; both are borrowed
- * until level_last_end. ERR_MEM, ERR_LIMIT, and the errors of regularizer_open. */
+ * until level_last_end. ERR_MEM, ERR_LIMIT, and the errors of terms_open. */
 enum err_code level_last_open(struct level_last *r, struct level *l, const uint32_t *images,
                               size_t n_images, const struct camera_window *windows,
                               struct err *e) ERR_USE;

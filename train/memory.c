@@ -12,10 +12,10 @@
 #include "codec/scene.h"
 #include "core/base.h"
 #include "core/layout.h"
+#include "loss/embed_smoothness.h"
 #include "render/render.h"
 #include "train/coarsen.h"
 #include "train/config.h"
-#include "train/paged.h"
 #include "train/photo_loader.h"
 #include "train/schedule.h"
 
@@ -24,8 +24,7 @@ enum {
     MEMORY_STATS = 4, /* words: grad, absg, count, radius; + opacity with appearance */
     MEMORY_KEYS = 7,  /* words a Gaussian: depth_key, tiles_of, slot_first, keys, ids */
     MEMORY_INTERSECTION = 5 * 4 + 2 /* lists, hits */ + LAYOUT_SLOT_FLOATS * 4 + 1 /* slot, mark */,
-    MEMORY_EXTRA = LAYOUT_PLANES_GEOMETRY, /* words: gradients of regularizers of size and depth */
-    MEMORY_DEPTH = LAYOUT_DEPTH_PLANES,    /* words: the depth picture's own model */
+    MEMORY_EXTRA = LAYOUT_PLANES_SHAPE, /* words: gradients of the terms on sizes and rotations */
     MEMORY_CHOICE = 44, /* the plan's rows and their Morton order; its lists need less */
     MEMORY_MOVE = 52,   /* sources of rows, halves and their means, spare rows */
     MEMORY_SUMS = LAYOUT_IMPORTANCE_SUMS * 4, /* of a view */
@@ -42,13 +41,7 @@ enum {
 #define MEMORY_INTERSECTIONS 3.0 /* a Gaussian of the cell, in the fullest view */
 #define MEMORY_MARGIN_PX 128.0   /* of a row of the loss's maps */
 #define MEMORY_OUTSIDE 1.5       /* budget inside, half of it outside */
-/* Where frames show the groups in their frustum: of the sparse points that the photographs frame,
- * the largest share that one of them does, and this much more, because Gaussians are not spread as
- * points are and groups reach over the rim. */
-#define MEMORY_SHOWN_ROOM 1.5
-#define MEMORY_SHOWN_LEAST 0.02
-#define MEMORY_DEFERRED 2.5 /* bytes a Gaussian: bounds, last steps, list, when it was seen */
-enum { MEMORY_POINTS = 8192 /* sparse points that are looked at */ };
+enum { MEMORY_ARRAYS = 2 /* parameters, and both moments of each in a word */ };
 
 static double memory_photos(const struct train_config *cfg, const struct scene *s,
                             const uint32_t *images, size_t n, double downsample, double *pixels,
@@ -69,41 +62,12 @@ static double memory_photos(const struct train_config *cfg, const struct scene *
     return fmin(kept, (double)cfg->cache_mib * 1048576.0) + MEMORY_DECODERS * decoding;
 }
 
-/* The largest temporary need a Gaussian, where a view shows this share of them. */
-static double memory_passing(double shown)
-{
-    return fmax(MEMORY_CHOICE, MEMORY_SCORES + MEMORY_SUMS * fmin(MEMORY_FRAME_ROOM * shown, 1.0));
-}
-
 /* Of a coarser level that is made of a finer one, at once: rows before and after, and the work. */
 static double memory_merging(const struct train_config *cfg, double n, double row)
 {
     return cfg->level_order != SCHEDULE_COARSE_TO_FINE && cfg->level_count > 1
                ? fmin(n, COARSEN_ROWS) * (2.0 * row + MEMORY_MERGE)
                : 0.0;
-}
-
-/* The largest share of all Gaussians that a photograph shows; 1 where too few points tell. */
-static double memory_shown(const struct scene *s, const uint32_t *images, size_t n)
-{
-    const size_t every = s->n_points / MEMORY_POINTS + 1;
-    size_t framed = 0, most = 0;
-    uint8_t *seen = mem_array(MEMORY_POINTS, 1);
-    for (size_t i = 0; seen && i < n; i++) {
-        size_t own = 0;
-        for (size_t k = 0, at = 0; at < s->n_points; k++, at += every) {
-            const bool in =
-                camera_frames(&s->images[images[i]].cam, s->points[at].enu_m, RENDER_NEAR_M, NULL);
-            framed += in && !seen[k];
-            seen[k] |= in;
-            own += in;
-        }
-        most = own > most ? own : most;
-    }
-    mem_free(seen);
-    return framed > 0
-               ? fmin(MEMORY_SHOWN_ROOM * (double)most / (double)framed + MEMORY_SHOWN_LEAST, 1.0)
-               : 1.0;
 }
 
 struct memory_need memory_estimate(const struct train_config *cfg, const struct scene *s,
@@ -122,32 +86,24 @@ struct memory_need memory_estimate(const struct train_config *cfg, const struct 
     n = whole ? n : MEMORY_OUTSIDE * n + around;
     double groups = 0.0; /* of neighbours whose embeddings are compared: ids, places, gradients */
     if (light && cfg->embed_smoothness_weight > 0.0)
-        groups = fmin((double)cfg->embed_smoothness_samples, n) *
-                 (double)cfg->embed_smoothness_neighbours * MEMORY_WORD *
+        groups = fmin(EMBED_SMOOTHNESS_SAMPLES, n) * EMBED_SMOOTHNESS_NEIGHBOURS * MEMORY_WORD *
                  (2.0 + (double)cfg->embed_len);
     double photos =
         memory_photos(cfg, s, images, n_images, downsample, &pixels, &photometric_pixels);
-    bool depth = (cfg->depth_dir || cfg->depth_sparse) && cfg->depth_weight > 0.0;
-    bool extra = depth || cfg->scale_weight > 0.0 || cfg->solid_flat > 0.0 || cfg->solid_rim > 0.0;
-    double words = MEMORY_STATS + 2.0 * light + (cfg->aa == RENDER_AA_MIP) +
-                   MEMORY_EXTRA * (double)extra + MEMORY_DEPTH * (double)depth;
-    double trained = PAGED_ARRAYS * row + MEMORY_WORD * words;
+    bool extra = cfg->scale_weight > 0.0 || cfg->solid_flat > 0.0 || cfg->solid_rim > 0.0;
+    double words = MEMORY_STATS + 2.0 * light + MEMORY_EXTRA * (double)extra;
+    double trained = MEMORY_ARRAYS * row + MEMORY_WORD * words;
     double drawn = MEMORY_FRAME_ROOM * (sizeof(struct layout_splat) + MEMORY_WORD * MEMORY_KEYS +
                                         MEMORY_INTERSECTIONS * MEMORY_INTERSECTION);
-    double passing = fmax(memory_passing(1.0), MEMORY_MOVE);
+    double passing = fmax(fmax(MEMORY_CHOICE, MEMORY_SCORES + MEMORY_SUMS), MEMORY_MOVE);
     double per_pixel = MEMORY_FRAME_ROOM * MEMORY_FRAME_PX +
                        (pixels > 0.0 ? MEMORY_LOSS_PX * photometric_pixels / pixels : 0.0) +
                        MEMORY_HOST_PX + MEMORY_EVALUATE_PX +
                        MEMORY_FRAME_ROOM * 2.0 * MEMORY_INTERSECTION; /* large splats: 2 a pixel */
     double per_gaussian = trained + drawn + passing;
-    double shown = memory_shown(s, images, n_images);
-    double regularized = MEMORY_WORD * MEMORY_EXTRA * (double)extra;
-    double beside = trained - PAGED_ARRAYS * row - regularized + shown * (drawn + regularized) +
-                    memory_passing(shown) + MEMORY_DEFERRED;
     double others = pixels * per_pixel + photos + groups;
     double merging = memory_merging(cfg, n, row); /* while nothing else passes */
-    double more = fmax(merging - n * passing, 0.0),
-           more_beside = fmax(merging - n * memory_passing(shown), 0.0);
+    double more = fmax(merging - n * passing, 0.0);
     return (struct memory_need){.per_gaussian = (size_t)per_gaussian,
                                 .trained = (size_t)trained,
                                 .drawn = (size_t)drawn,
@@ -157,7 +113,5 @@ struct memory_need memory_estimate(const struct train_config *cfg, const struct 
                                 .group_bytes = (size_t)groups,
                                 .gaussians = (size_t)n,
                                 .pixels = (size_t)pixels,
-                                .total = (size_t)(n * per_gaussian + others + more),
-                                .arrays = (size_t)(n * PAGED_ARRAYS * row),
-                                .beside = (size_t)(n * beside + others + more_beside)};
+                                .total = (size_t)(n * per_gaussian + others + more)};
 }

@@ -15,6 +15,8 @@ struct scene;
 struct schedule;
 struct train_config;
 
+#define MEMORY_PROGRAM_BYTES 0.15e9 /* of the program and its OpenCL compiler */
+
 /* Memory of device and host together: on a CPU device they are the same. */
 struct memory_need {
     size_t per_gaussian; /* bytes: sum of the next three */
@@ -27,8 +29,6 @@ struct memory_need {
     size_t gaussians;    /* largest number of Gaussians, inside the cell and outside */
     size_t pixels;       /* of the largest picture */
     size_t total;        /* all, without the program itself and its OpenCL compiler */
-    size_t arrays;       /* of the total: parameters and moments of Adam */
-    size_t beside; /* what is in memory besides these where they lie in files (train/paged.h) */
 };
 /* Estimates the memory. Budgets are levels[0 .. n_levels - 1].budget and .around. `whole`: the cell
  * has no outside. */

@@ -11,10 +11,9 @@
 #include <string.h>
 
 #include "cells/cell.h"
-#include "loss/mip.h"
 #include "render/defer.h"
 
-enum { MODEL_ARRAYS = PAGED_ARRAYS, MODEL_STATS = 5 };
+enum { MODEL_ARRAYS = 2, MODEL_STATS = 5 };
 
 /* Parameters and moments: words of 4 bytes, of which 0 is 0. */
 static void model_arrays(struct model *m, cl_mem *out[MODEL_ARRAYS])
@@ -48,10 +47,8 @@ void model_close(struct model *m)
     m->seen = (struct render_model){0};
     render_model_free(&m->gauss);
     dev_release(&m->adam.moments);
-    paged_close(&m->paged);
     model_release_stats(m);
     dev_release(&m->stats.repaired);
-    mip_close(&m->mip);
 }
 
 size_t model_bytes(const struct model *m)
@@ -61,17 +58,15 @@ size_t model_bytes(const struct model *m)
 
 /* Room for n Gaussians that are there, and for those to come. Memory that is reserved and not
  * touched costs a CPU device nothing, but a buffer that has become too small takes a copy: when all
- * that there may be is no more than twice as many, that is the size. Files have it at once. */
-static size_t model_room(const struct model *m, size_t n, size_t most)
+ * that there may be is no more than twice as many, that is the size. */
+static size_t model_room(size_t n, size_t most)
 {
-    bool all = most >= n && (most / 2 <= n || m->paged.dir);
-    size_t cap = all ? most : n + n / 4;
+    size_t cap = most >= n && most / 2 <= n ? most : n + n / 4;
     return (cap + LAYOUT_LANES - 1) / LAYOUT_LANES * LAYOUT_LANES;
 }
 
 static void model_count(struct model *m, size_t n)
 {
-    m->filter_is_current = false;
     m->gauss.n = (uint32_t)n;
     m->gauss.groups = (uint32_t)((n + LAYOUT_LANES - 1) / LAYOUT_LANES);
 }
@@ -79,8 +74,6 @@ static void model_count(struct model *m, size_t n)
 enum err_code model_zero_moments(struct model *m, struct err *e)
 {
     enum err_code rc = model_settle(m, e);
-    if (!rc && m->paged.dir)
-        return paged_zero(&m->paged, 1, e);
     return rc ? rc : dev_zero(m->dev, m->adam.moments, 0, model_bytes(m), e);
 }
 
@@ -101,7 +94,7 @@ enum err_code model_open(struct model *m, struct dev *dev, struct render *render
                          const struct gauss *like, size_t most, struct err *e)
 {
     struct render_model *g = &m->gauss;
-    size_t cap = model_room(m, like->n, most);
+    size_t cap = model_room(like->n, most);
     if (cap > UINT32_MAX)
         return err_set(e, ERR_LIMIT, "%zu Gaussians are more than the renderer counts", like->n);
     m->dev = dev;
@@ -116,9 +109,7 @@ enum err_code model_open(struct model *m, struct dev *dev, struct render *render
     model_arrays(m, arrays);
     size_t bytes = layout_floats(cap, g->planes) * sizeof(float);
     enum err_code rc = ERR_OK;
-    if (m->paged.dir)
-        rc = paged_open(&m->paged, dev, cap / LAYOUT_LANES, g->planes, arrays, e);
-    for (size_t i = 0; !rc && !m->paged.dir && i < MODEL_ARRAYS; i++)
+    for (size_t i = 0; !rc && i < MODEL_ARRAYS; i++)
         rc = dev_buffer(dev, bytes, NULL, arrays[i], e);
     if (!rc)
         rc = dev_buffer(dev, sizeof(uint32_t), NULL, &m->stats.repaired, e);
@@ -148,16 +139,6 @@ enum err_code model_settle(struct model *m, struct err *e)
     return m->defer ? defer_settle(m->defer, &m->gauss, &m->adam, e) : ERR_OK;
 }
 
-/* Files are told which groups are about to be touched. */
-static enum err_code model_open_defer(struct model *m, struct err *e)
-{
-    const struct defer_watch watch = {&m->paged, paged_listed, paged_passed, PAGED_PART};
-    enum err_code rc = defer_open(m->render, &m->defer, e);
-    if (!rc && m->paged.dir)
-        defer_set_watch(m->defer, &watch);
-    return rc;
-}
-
 enum err_code model_see(struct model *m, bool defers, const struct camera *cam,
                         const struct render_options *o, struct err *e)
 {
@@ -170,7 +151,7 @@ enum err_code model_see(struct model *m, bool defers, const struct camera *cam,
         return rc;
     }
     if (!m->defer)
-        rc = model_open_defer(m, e);
+        rc = defer_open(m->render, &m->defer, e);
     return rc ? rc : defer_see(m->defer, &m->gauss, &m->adam, cam, o, &m->seen, e);
 }
 
@@ -178,10 +159,7 @@ enum err_code model_look(struct model *m, const struct camera *cam, const struct
                          struct model_look *out, struct err *e)
 {
     *out = (struct model_look){.shown = m->gauss};
-    if (!m->paged.dir && !m->defer)
-        return ERR_OK;
-    enum err_code rc = m->defer ? ERR_OK : model_open_defer(m, e);
-    return rc ? rc : defer_look(m->defer, &m->gauss, &m->adam, cam, o, &out->shown, e);
+    return m->defer ? defer_look(m->defer, &m->gauss, &m->adam, cam, o, &out->shown, e) : ERR_OK;
 }
 
 enum err_code model_look_map(const struct model *m, struct model_look *l, struct err *e)
@@ -209,30 +187,11 @@ enum err_code model_owed(struct model *m, cl_mem *out, struct err *e)
 
 enum err_code model_owe(struct model *m, const uint32_t *settled, uint32_t *first, struct err *e)
 {
-    enum err_code rc = m->defer ? ERR_OK : model_open_defer(m, e);
+    enum err_code rc = m->defer ? ERR_OK : defer_open(m->render, &m->defer, e);
     return rc ? rc : defer_restore(m->defer, &m->gauss, settled, first, e);
 }
 
 /* ---- moving rows ---- */
-
-void model_walked(struct model *m, bool all, size_t from, size_t to)
-{
-    const size_t rounds = to == m->gauss.n ? LAYOUT_LANES - 1 : 0;
-    if (m->paged.dir && m->gauss.n)
-        paged_walked(&m->paged, all, from / LAYOUT_LANES, (to + rounds) / LAYOUT_LANES);
-}
-
-/* Arrays in files, one after another into a spare one. */
-static enum err_code model_move_paged(struct model *m, const struct permutation *r, size_t cap,
-                                      struct err *e)
-{
-    cl_mem *arrays[MODEL_ARRAYS];
-    enum err_code rc = ERR_OK;
-    model_arrays(m, arrays);
-    for (size_t k = 0; !rc && k < MODEL_ARRAYS; k++)
-        rc = paged_move(&m->paged, k, r, cap / LAYOUT_LANES, arrays[k], e);
-    return rc ? rc : paged_moved(&m->paged, cap / LAYOUT_LANES, e);
-}
 
 /* One of the arrays, in place or into a new one of `cap`, which takes its place. */
 static enum err_code model_move_array(struct model *m, size_t nth, const struct permutation *r,
@@ -274,17 +233,13 @@ static enum err_code model_move_array(struct model *m, size_t nth, const struct 
 
 enum err_code model_move(struct model *m, const struct permutation *r, size_t most, struct err *e)
 {
-    size_t cap = r->n > m->gauss.cap ? model_room(m, r->n, most) : m->gauss.cap;
+    size_t cap = r->n > m->gauss.cap ? model_room(r->n, most) : m->gauss.cap;
     enum err_code rc = ERR_OK;
     if (cap > UINT32_MAX)
         return err_set(e, ERR_LIMIT, "%zu Gaussians are more than the renderer counts", r->n);
-    if (cap > m->gauss.cap) {
+    if (cap > m->gauss.cap)
         model_release_stats(m);
-        dev_release(&m->gauss.filter);
-    }
-    if (m->paged.dir)
-        rc = model_move_paged(m, r, cap, e);
-    for (size_t k = 0; !rc && !m->paged.dir && k < MODEL_ARRAYS; k++)
+    for (size_t k = 0; !rc && k < MODEL_ARRAYS; k++)
         rc = model_move_array(m, k, r, cap, e);
     if (rc)
         return err_add(e, "training %zu Gaussians", r->n);
@@ -332,13 +287,6 @@ enum err_code model_keep(struct model *m, size_t n, struct err *e)
 
 /* ---- looking at it and changing it in place ---- */
 
-/* Row i was passed. */
-static void model_pass(struct model *m, bool all, size_t i)
-{
-    if ((i + 1) % MODEL_PART == 0 || i + 1 == m->gauss.n)
-        model_walked(m, all, i / MODEL_PART * MODEL_PART, i + 1);
-}
-
 enum err_code model_reset_opacity(struct model *m, double top, struct err *e)
 {
     const struct render_model *g = &m->gauss;
@@ -353,7 +301,6 @@ enum err_code model_reset_opacity(struct model *m, double top, struct err *e)
             float *o = (float *)mapped + layout_at(i, g->planes) +
                        (size_t)LAYOUT_PLANE_OPACITY * LAYOUT_LANES;
             *o = k ? 0.0f : fminf(*o, logit);
-            model_pass(m, true, i);
         }
         if (!rc)
             rc = dev_unmap(m->dev, *arrays[k], &mapped, e);
@@ -374,23 +321,7 @@ enum err_code model_count_inside(struct model *m, const struct cell *cell, size_
         const float *mean = (const float *)params + layout_at(i, g->planes);
         n += cell_distance(cell, g->origin_enu_m[0] + (double)mean[0],
                            g->origin_enu_m[1] + (double)mean[LAYOUT_LANES]) <= 0.0;
-        model_pass(m, false, i);
     }
     *out = n;
     return dev_unmap(m->dev, g->params, &params, e);
-}
-
-enum err_code model_filter(struct model *m, const struct camera *cams, size_t n_cams, struct err *e)
-{
-    if (m->filter_is_current)
-        return ERR_OK;
-    enum err_code rc = model_settle(m, e);
-    if (!rc && !m->mip)
-        rc = mip_open(m->dev, &m->mip, e);
-    if (!rc)
-        rc = mip_run(m->mip, &m->gauss, cams, n_cams, e);
-    if (m->defer)
-        defer_moved(m->defer); /* bounds have the filter in them */
-    m->filter_is_current = !rc;
-    return rc;
 }

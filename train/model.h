@@ -1,10 +1,10 @@
 /* Internal to train/: the Gaussians in training on the device, and their optimiser: parameters,
- * both Adam moments, statistics for densification, and the 3-D filter of Mip-Splatting. It does not
- * know levels, photographs or options.
+ * both Adam moments, and statistics for densification. It does not know levels, photographs or
+ * options.
  *
  *     gauss.params             float [groups][planes][16], capacity gauss.cap rows
  *     adam.moments             uint32_t, the same: both moments of each parameter (render.h)
- *     stats.*, gauss.filter    float [cap]
+ *     stats.*                  float [cap]
  *
  * Only one thread at a time uses a model. The device's queue orders the work on it.
  *
@@ -15,13 +15,11 @@
 
 #include "render/permute.h"
 #include "render/render.h"
-#include "train/paged.h"
 
 struct camera;
 struct cell;
 struct defer;
 struct dev;
-struct mip;
 struct render_options;
 
 struct model {       /* {0} is empty; free with model_close */
@@ -30,21 +28,16 @@ struct model {       /* {0} is empty; free with model_close */
     struct render_model gauss;         /* Gaussians to draw; cap may exceed n */
     struct render_adam adam;           /* moments, and learning rates set by level.c */
     struct render_density_stats stats; /* opacity is NULL if Gaussians have no embeddings */
-    struct paged paged;                /* where parameters and moments lie; see there */
     struct defer *defer;               /* steps that Gaussians are owed; made on first use */
     struct render_model
-        seen;               /* model_see: what the step at hand draws, borrowed of the two above */
-    struct mip *mip;        /* made on first use */
-    bool filter_is_current; /* gauss.filter belongs to the present Gaussians */
+        seen; /* model_see: what the step at hand draws, borrowed of the two above */
 };
 
 /* Allocates room for like->n Gaussians with like's degree, embedding length and origin. `like`
- * needs no arrays. With m->paged.dir parameters and moments lie in files, which are made for `most`
- * at once. Parameters and moments are not filled, statistics are 0. `most` is the largest
+ * needs no arrays. Parameters and moments are not filled, statistics are 0. `most` is the largest
  * number expected now; room for it is allocated at once if it is less than twice n. Call
  * model_close afterwards, also after an error; the model can be opened again then. ERR_LIMIT: more
- * than the renderer can count. ERR_MEM, ERR_DEVICE: the device has no room. ERR_IO: the disk has
- * none. */
+ * than the renderer can count. ERR_MEM, ERR_DEVICE: the device has no room. */
 enum err_code model_open(struct model *m, struct dev *dev, struct render *render,
                          const struct gauss *like, size_t most, struct err *e) ERR_USE;
 void model_close(struct model *m);
@@ -66,8 +59,8 @@ enum err_code model_stepped(struct model *m, struct err *e) ERR_USE;
  * parameters or moments. ERR_MEM, ERR_DEVICE. */
 enum err_code model_settle(struct model *m, struct err *e) ERR_USE;
 
-/* What a frame shows that is only drawn: all Gaussians, or where they lie in files or steps were
- * deferred the groups in its frustum. The frame has the same bits. */
+/* What a frame shows that is only drawn: all Gaussians, or where steps were deferred the groups in
+ * its frustum. The frame has the same bits. */
 struct model_look {
     struct render_model shown; /* borrowed of the model; draw it before it looks again */
     void *groups; /* model_look_map: [shown.groups], mapped; NULL: all, in their order */
@@ -94,12 +87,6 @@ enum err_code model_owed(struct model *m, cl_mem *out, struct err *e) ERR_USE;
 enum err_code model_owe(struct model *m, const uint32_t *settled, uint32_t *first,
                         struct err *e) ERR_USE;
 
-/* Who goes through the parameters of all Gaussians on the host, from the first to the last, tells
- * which rows it has passed, after every MODEL_PART of them or so; with `all` also of the moments.
- * Where arrays lie in files, rows that were passed leave memory. */
-enum { MODEL_PART = PAGED_PART * LAYOUT_LANES };
-void model_walked(struct model *m, bool all, size_t from, size_t to);
-
 /* Replaces the rows by those that r describes. Moments are 0 for PERMUTE_NEW, statistics become 0.
  * Arrays are changed one after another, so at most one of them exists twice when they grow. `most`:
  * as in model_open. ERR_LIMIT: more than the renderer can count. ERR_MEM, ERR_DEVICE. */
@@ -111,7 +98,7 @@ enum err_code model_show(struct model *m, size_t n, struct err *e) ERR_USE;
 /* Removes the hidden rows for good. ERR_DEVICE. */
 enum err_code model_forget(struct model *m, struct err *e) ERR_USE;
 /* The first n rows, which were written over in place, are the model from now on. Moments and
- * statistics become 0. ERR_IO, ERR_DEVICE. */
+ * statistics become 0. ERR_DEVICE. */
 enum err_code model_keep(struct model *m, size_t n, struct err *e) ERR_USE;
 
 /* Set moments, or statistics, to 0. ERR_DEVICE. */
@@ -122,9 +109,5 @@ enum err_code model_reset_opacity(struct model *m, double top, struct err *e) ER
 /* Number of Gaussians inside the cell. ERR_DEVICE. */
 enum err_code model_count_inside(struct model *m, const struct cell *cell, size_t *out,
                                  struct err *e) ERR_USE;
-/* Computes gauss.filter for these cameras if it is not current; all are settled then. ERR_MEM,
- * ERR_DEVICE. */
-enum err_code model_filter(struct model *m, const struct camera *cams, size_t n_cams,
-                           struct err *e) ERR_USE;
 
 #endif

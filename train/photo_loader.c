@@ -1,8 +1,7 @@
 /* Photographs at training size, decoded before their use.
  *
  * Order: every epoch is a new Fisher-Yates shuffle from (seed, level, epoch) alone. The photograph
- * of a step therefore does not depend on caches, threads or where a run was resumed. With `near`
- * groups of neighbours are shuffled, and the photographs of each. Memory:
+ * of a step therefore does not depend on caches, threads or where a run was resumed. Memory:
  * decoded bytes are kept up to a limit, and the least recently used are dropped first. A photograph
  * that was returned is pinned until the next call. One thread decodes the photographs of the coming
  * steps while the device works.
@@ -55,8 +54,6 @@ struct photo_loader {
     size_t n_want;
     uint32_t *shuffle; /* [n], of epoch shuffle_epoch; used by callers of photo_loader_get only */
     uint64_t shuffle_epoch; /* 1-based, 0 = none yet */
-    uint32_t *curve;        /* [n] along a curve through where they were taken; NULL: near is 1 */
-    uint32_t *block;        /* [n] scratch: groups of neighbours */
     struct err fail;        /* why a slot failed */
 };
 
@@ -199,35 +196,18 @@ static void photo_loader_thread(void *user)
 
 /* ---- order ---- */
 
-/* Fisher-Yates, with random numbers from `first` on. */
-static void photo_loader_shuffle(const struct photo_loader *f, uint64_t epoch, uint64_t first,
-                                 uint32_t *a, size_t n)
+/* Fisher-Yates. */
+static void photo_loader_shuffle(struct photo_loader *f, uint64_t epoch)
 {
     uint64_t stream = train_stream(TRAIN_STREAM_SHUFFLE, f->cfg.level, epoch);
-    for (size_t i = n; i-- > 1;) {
-        size_t j = (size_t)(rng_unit(f->cfg.seed, stream, first + i) * (double)(i + 1));
+    uint32_t *a = f->shuffle;
+    for (size_t i = 0; i < f->cfg.n_images; i++)
+        a[i] = (uint32_t)i;
+    for (size_t i = f->cfg.n_images; i-- > 1;) {
+        size_t j = (size_t)(rng_unit(f->cfg.seed, stream, i) * (double)(i + 1));
         uint32_t swap = a[i];
         a[i] = a[j];
         a[j] = swap;
-    }
-}
-
-/* Groups begin elsewhere on the curve in every epoch. */
-static void photo_loader_shuffle_near(struct photo_loader *f, uint64_t epoch)
-{
-    const size_t n = f->cfg.n_images, near = f->cfg.near, blocks = (n + near - 1) / near;
-    const uint64_t stream = train_stream(TRAIN_STREAM_SHUFFLE, f->cfg.level, epoch);
-    const size_t begin = (size_t)(rng_unit(f->cfg.seed, stream, 0) * (double)n);
-    size_t at = 0;
-    for (size_t b = 0; b < blocks; b++)
-        f->block[b] = (uint32_t)b;
-    photo_loader_shuffle(f, epoch, 1, f->block, blocks);
-    for (size_t b = 0; b < blocks; b++) {
-        const size_t from = f->block[b] * near, end = n - from < near ? n : from + near;
-        for (size_t i = from; i < end; i++)
-            f->shuffle[at + i - from] = f->curve[(begin + i) % n];
-        photo_loader_shuffle(f, epoch, 1 + n + from, f->shuffle + at, end - from);
-        at += end - from;
     }
 }
 
@@ -235,13 +215,8 @@ static size_t photo_loader_slot_of(struct photo_loader *f, uint64_t step)
 {
     size_t n = f->cfg.n_images;
     uint64_t epoch = (step - 1) / n + 1;
-    if (f->shuffle_epoch != epoch && f->curve) {
-        photo_loader_shuffle_near(f, epoch);
-    } else if (f->shuffle_epoch != epoch) {
-        for (size_t i = 0; i < n; i++)
-            f->shuffle[i] = (uint32_t)i;
-        photo_loader_shuffle(f, epoch, 0, f->shuffle, n);
-    }
+    if (f->shuffle_epoch != epoch)
+        photo_loader_shuffle(f, epoch);
     f->shuffle_epoch = epoch;
     return f->shuffle[(step - 1) % n];
 }
@@ -322,29 +297,6 @@ size_t photo_loader_bytes(const struct photo_loader *f)
 
 /* ---- life ---- */
 
-/* Where the cameras stood, along a curve. */
-static enum err_code photo_loader_curve(struct photo_loader *f, struct err *e)
-{
-    const size_t n = f->cfg.n_images;
-    float *place = mem_array(n, 3 * sizeof *place);
-    f->curve = mem_array(n, sizeof *f->curve);
-    f->block = mem_array(n, sizeof *f->block);
-    if (!place || !f->curve || !f->block) {
-        mem_free(place);
-        return err_set(e, ERR_MEM, "photographs: out of memory for %zu photographs", n);
-    }
-    for (size_t i = 0; i < n; i++) {
-        double center[3];
-        camera_center(&f->cams[i], center);
-        for (size_t k = 0; k < 3; k++)
-            place[3 * i + k] = (float)center[k];
-    }
-    const struct gauss shape = {.n = n, .mean_m = place};
-    enum err_code rc = gauss_morton_order(&shape, f->curve, e);
-    mem_free(place);
-    return rc;
-}
-
 enum err_code photo_loader_open(const struct photo_loader_config *cfg, struct photo_loader **out,
                                 struct err *e)
 {
@@ -375,8 +327,6 @@ enum err_code photo_loader_open(const struct photo_loader_config *cfg, struct ph
         rc = scene_photo_masks(cfg->scene, cfg->images[i], !cfg->no_masks,
                                cfg->exposure == PHOTO_LOADER_TO_MEAN, &f->masks[i], e);
     }
-    if (!rc && cfg->near > 1)
-        rc = photo_loader_curve(f, e);
     if (!rc)
         rc = pool_start(photo_loader_thread, f, &f->thread, e);
 out:
@@ -406,8 +356,6 @@ void photo_loader_close(struct photo_loader **p)
     mem_free(f->cams);
     mem_free(f->slots);
     mem_free(f->shuffle);
-    mem_free(f->curve);
-    mem_free(f->block);
     mem_free(f);
     *p = NULL;
 }

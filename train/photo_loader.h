@@ -40,7 +40,6 @@ struct photo_loader_config {
     size_t cache_bytes; /* limit of decoded photographs in memory; at least one is kept */
     uint64_t seed;
     uint32_t level;
-    uint32_t near; /* neighbours that come one after another; 0 and 1: in any order */
 };
 struct photo_loader; /* an LRU cache, and a thread that decodes in the order of use */
 /* Opens a loader; nothing is read yet. Only one thread at a time may use it. Close it with

@@ -114,8 +114,6 @@ static enum err_code prune_measure(struct prune *c, struct err *e)
     if (!c->total || !c->views || !c->mse)
         return err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
     enum err_code rc = render_importance_open(g->engine.render, &c->device, e);
-    if (!rc)
-        rc = gallery_filter(g, c->at, m, e);
     for (size_t nth = 0; !rc && nth < g->n_images; nth++) {
         rc = prune_draw(c, nth, &c->mse[nth], e);
         if (!rc)
@@ -179,8 +177,6 @@ static enum err_code prune_psnr(struct prune *c, size_t n, double *db, struct er
     const size_t all = c->gallery->n_images, m = all < PRUNE_CHECKS ? all : PRUNE_CHECKS;
     double sum = 0.0;
     enum err_code rc = n ? model_show(c->m, n, e) : ERR_OK;
-    if (!rc && n)
-        rc = gallery_filter(c->gallery, c->at, c->m, e);
     for (size_t k = 0; !rc && k < m; k++) { /* spread evenly over all */
         size_t nth = k * all / m;
         double mse = c->mse[nth];

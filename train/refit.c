@@ -10,11 +10,12 @@
 #include "train/appearance_train.h"
 #include "train/stage.h"
 
-bool refit_wanted(const struct appearance_train *a, const struct train_config *cfg,
-                  const struct stage *at)
+#define REFIT_SHARE 0.2 /* of the level's steps */
+
+bool refit_wanted(const struct appearance_train *a, const struct stage *at)
 {
     return appearance_train_is_on(a) && !a->shared && at->n_levels > 1 &&
-           appearance_train_learns(a, cfg, &at->levels[1]);
+           appearance_train_learns(a, &at->levels[1]);
 }
 
 enum err_code refit_look(const struct appearance_train *a, const struct ckpt_rows *c, bool *needed,
@@ -31,10 +32,10 @@ enum err_code refit_look(const struct appearance_train *a, const struct ckpt_row
     return rc;
 }
 
-struct schedule refit_schedule(const struct schedule *level, double share)
+struct schedule refit_schedule(const struct schedule *level)
 {
     struct schedule s = *level;
-    double steps = floor((double)s.steps * share + 0.5);
+    double steps = floor((double)s.steps * REFIT_SHARE + 0.5);
     s.steps = steps >= 1.0 ? (uint32_t)steps : 1;
     s.densify_until = 0;
     s.reset_interval = 0;
@@ -45,9 +46,9 @@ struct schedule refit_schedule(const struct schedule *level, double share)
     return s;
 }
 
-struct schedule refit_schedule_last(const struct schedule *level, double share)
+struct schedule refit_schedule_last(const struct schedule *level)
 {
-    struct schedule s = refit_schedule(level, share);
+    struct schedule s = refit_schedule(level);
     s.lr_mean_first = s.lr_mean_last = level->lr_mean_last;
     s.last = true;
     s.still = false;

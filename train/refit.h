@@ -21,16 +21,15 @@ struct stage;
 struct train_config;
 
 /* Returns whether this run needs it. */
-bool refit_wanted(const struct appearance_train *a, const struct train_config *cfg,
-                  const struct stage *at);
+bool refit_wanted(const struct appearance_train *a, const struct stage *at);
 /* Sets *needed: the network in a level's checkpoint differs from the present one. ERR_FORMAT,
  * ERR_DATA, ERR_IO: of the checkpoint. ERR_MEM. */
 enum err_code refit_look(const struct appearance_train *a, const struct ckpt_rows *c, bool *needed,
                          struct err *e) ERR_USE;
-/* The schedule of a refit: a share of the level's steps, without movement, growth or resets. */
-struct schedule refit_schedule(const struct schedule *level, double share);
-/* The schedule of a last fit with all photographs: a share of the level's steps, without growth or
+/* The schedule of a refit: a fifth of the level's steps, without movement, growth or resets. */
+struct schedule refit_schedule(const struct schedule *level);
+/* The schedule of a last fit with all photographs: a fifth of the level's steps, without growth or
  * resets. Learning rates and weights are those of the level's last step. */
-struct schedule refit_schedule_last(const struct schedule *level, double share);
+struct schedule refit_schedule_last(const struct schedule *level);
 
 #endif

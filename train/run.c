@@ -66,11 +66,10 @@ static enum err_code run_open_metrics(struct run *t, struct err *e)
         return rc;
     return metrics_log_line(
         l->metrics, t->cfg->resume ? "resume" : "start",
-        json_pack("{s:s, s:s, s:I, s:I, s:I, s:I, s:i, s:i, s:f, s:f}", "cell", cell->id, "device",
+        json_pack("{s:s, s:s, s:I, s:I, s:I, s:i, s:i, s:f, s:f}", "cell", cell->id, "device",
                   l->engine.dev->name, "photographs", (json_int_t)l->gallery.n_images,
                   "test_photographs", (json_int_t)t->job->n_test, "gaussians",
-                  (json_int_t)l->model.gauss.n, "paged_bytes",
-                  (json_int_t)l->model.paged.most_bytes, "level", (int)l->stage.at + 1, "step",
+                  (json_int_t)l->model.gauss.n, "level", (int)l->stage.at + 1, "step",
                   (int)l->stage.step, "edge_m", cell->edge_m, "extent_m", cell->extent_m),
         e);
 }
@@ -82,15 +81,11 @@ static void run_make_level(struct run *t, const struct timing *clock)
     struct level *l = &t->level;
     level_init(l, t->job, t->job->images, t->job->n_images);
     l->gallery.windows = b->windows;
-    if (b->paged_bytes) {
-        l->model.paged.dir = b->dir;
-        l->model.paged.most_bytes = b->paged_bytes;
-    }
     l->timing = *clock;
     timing_compiles(&l->timing, &l->engine.dev->compile_s);
     l->site.inputs = &b->inputs;
     l->site.ground = b->ground.nx ? &b->ground : NULL;
-    l->site.rim = b->ground.nx && t->cfg->trim_rim ? &b->rim : NULL;
+    l->site.rim = b->ground.nx ? &b->rim : NULL;
     memcpy(l->stage.levels, b->levels, sizeof b->levels);
     l->appearance = b->appearance;
     b->appearance = (struct appearance_train){0};
@@ -326,8 +321,7 @@ static enum err_code run_prune(struct run *t, struct err *e)
 /* What follows the levels and can be interrupted. */
 static bool run_goes_on(const struct run *t)
 {
-    return begin_wants_last(&t->begin) ||
-           refit_wanted(&t->level.appearance, t->cfg, &t->level.stage);
+    return begin_wants_last(&t->begin) || refit_wanted(&t->level.appearance, &t->level.stage);
 }
 
 /* What a fit after the levels begins from: the state at the end of the last level, and, where that
@@ -353,7 +347,7 @@ static enum err_code run_remove_old(const struct run *t, struct err *e)
     enum err_code rc = ERR_OK;
     for (uint32_t j = 0; !rc && j < TRAIN_LEVELS_MAX; j++) {
         char path[FILE_PATH_MAX];
-        if (j < at->n_levels && (at->fine_first ? j >= at->at : j <= at->at))
+        if (j < at->n_levels && (at->turned ? j >= at->at : j <= at->at))
             continue;
         rc = begin_level_path(&t->begin, j + 1, path, e);
         if (!rc)
@@ -371,8 +365,6 @@ static enum err_code run_finish_level(struct run *t, struct err *e)
     uint32_t k = l->stage.at + 1;
     (void)timing_turn(&l->timing, TIMING_PRUNE);
     enum err_code rc = run_prune(t, e);
-    if (!rc)
-        rc = gallery_filter(&l->gallery, &l->stage, &l->model, e);
     (void)timing_turn(&l->timing, TIMING_EVALUATE);
     if (!rc && t->job->n_test)
         rc = run_score(t, NULL, &score, e);
@@ -468,8 +460,6 @@ static enum err_code run_look(struct run *t, bool *more, struct err *e)
     struct evaluate_score score = {0};
     enum timing_on was = timing_turn(&l->timing, TIMING_EVALUATE);
     enum err_code rc = model_settle(&l->model, e);
-    if (!rc)
-        rc = gallery_filter(&l->gallery, at, &l->model, e);
     if (!rc)
         rc = run_score(t, l->site.ground, &score, e);
     (void)timing_turn(&l->timing, was);
@@ -603,7 +593,7 @@ static enum err_code run_refit(struct run *t, struct err *e)
 {
     struct level *l = &t->level;
     enum err_code rc = ERR_OK;
-    if (!refit_wanted(&l->appearance, t->cfg, &l->stage))
+    if (!refit_wanted(&l->appearance, &l->stage))
         return ERR_OK;
     for (uint32_t at = l->stage.n_levels - 1; !rc && at-- > 0;)
         rc = run_refit_level(t, at, e);
@@ -619,7 +609,7 @@ static enum err_code run_back_to_finest(struct run *t, struct err *e)
 {
     struct level *l = &t->level;
     char path[FILE_PATH_MAX];
-    if (!l->stage.fine_first || l->stage.n_levels == 1)
+    if (!l->stage.turned || l->stage.n_levels == 1)
         return ERR_OK;
     (void)timing_turn(&l->timing, TIMING_CHECKPOINT);
     enum err_code rc = begin_finest_path(&t->begin, path, e);

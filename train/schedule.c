@@ -16,10 +16,12 @@
 #include "train/config.h"
 #include "train/schedule.h"
 
-#define SCHEDULE_PHOTOS 600.0           /* photographs at which lengths begin to stretch */
-#define SCHEDULE_MCMC_UNTIL (5.0 / 6.0) /* of a level: 25,000 of 30,000 steps, as published */
-#define SCHEDULE_SIZE_FROM 3000.0       /* first step at which sizes are limited, 3DGS */
-#define SCHEDULE_LOOK 0.1 /* of the steps so far, between looks at a level that goes on */
+#define SCHEDULE_PHOTOS 600.0       /* photographs at which lengths begin to stretch */
+#define SCHEDULE_SIZE_FROM 3000.0   /* first step at which sizes are limited, 3DGS */
+#define SCHEDULE_LR_FINAL 1.6e-6    /* rate of positions at a level's end, half cell edges; 3DGS */
+#define SCHEDULE_LR_RESTART 0.5     /* of lr_mean, at the start of levels after the first */
+#define SCHEDULE_SH_INTERVAL 1000.0 /* steps before the next degree of harmonics; 3DGS */
+#define SCHEDULE_LOOK 0.1           /* of the steps so far, between looks at a level that goes on */
 enum { SCHEDULE_STEPS_MAX = 1 << 30 };
 
 /* Steps of the levels as published, coarsest first. */
@@ -34,10 +36,8 @@ static uint32_t schedule_round(double x)
     return r < 1.0 ? 1 : r > SCHEDULE_STEPS_MAX ? SCHEDULE_STEPS_MAX : (uint32_t)r;
 }
 
-static double schedule_kappa(const struct train_config *cfg, size_t n_photos)
+static double schedule_kappa(size_t n_photos)
 {
-    if (!cfg->scale_by_images)
-        return 1.0;
     double k = (double)n_photos / SCHEDULE_PHOTOS;
     return k > 1.0 ? ceil(100.0 * k - 1e-9) / 100.0 : 1.0;
 }
@@ -64,7 +64,7 @@ int64_t schedule_asked(const struct train_config *cfg, size_t n_photos)
         return 0;
     for (size_t l = TRAIN_LEVELS_MAX - (size_t)cfg->level_count; l < TRAIN_LEVELS_MAX; l++)
         sum += schedule_default[l];
-    return (int64_t)schedule_round((double)sum * schedule_kappa(cfg, n_photos));
+    return (int64_t)schedule_round((double)sum * schedule_kappa(n_photos));
 }
 
 /* What the lists of the configuration say of each level, the finest last. */
@@ -86,16 +86,6 @@ static int64_t schedule_base_tuned(const struct train_config *cfg, size_t level)
     return part < half ? part : half;
 }
 
-/* Where the finest level is trained first, the others are only fine-tuned: for a part of its steps,
- * unless a list says for how long. */
-static int64_t schedule_base_steps(const struct train_config *cfg, size_t level)
-{
-    const size_t last = TRAIN_LEVELS_MAX - 1;
-    if (cfg->level_order != SCHEDULE_FINE_TO_COARSE || cfg->iterations.n > 1 || level == last)
-        return schedule_base_length(cfg, level);
-    return (int64_t)schedule_round((double)schedule_base_length(cfg, last) * cfg->tune_share);
-}
-
 /* One value of --budget and --downsample is the finest level's, and the coarser levels keep their
  * proportion to it; one value of the others holds at all levels. */
 static struct schedule_base schedule_base_at(const struct train_config *cfg, size_t level)
@@ -105,7 +95,7 @@ static struct schedule_base schedule_base_at(const struct train_config *cfg, siz
     const struct options_nums *d = &cfg->downsample;
     double part = (double)b->v[level] / (double)b->v[last];
     return (struct schedule_base){
-        .steps = schedule_base_steps(cfg, level),
+        .steps = schedule_base_length(cfg, level),
         .budget = b->n == 1 ? (int64_t)ceil((double)b->one * part) : b->v[level],
         .interval = every->n == 1 ? every->one : every->v[level],
         .downsample = d->n == 1 ? d->one * d->v[level] / d->v[last] : d->v[level],
@@ -164,9 +154,9 @@ static void schedule_rates(const struct train_config *cfg, const struct cell *ce
     double unit_m = 0.5 * cell->edge_m;
     s->lr_factor = schedule_lr_factor(cfg->lr_short, s->kappa);
     s->lr_mean_first =
-        cfg->lr_mean * s->lr_factor * unit_m * (s->turn > 1 ? cfg->lr_mean_restart : 1.0);
+        cfg->lr_mean * s->lr_factor * unit_m * (s->turn > 1 ? SCHEDULE_LR_RESTART : 1.0);
     /* over kappa: a short run has more left to go at its end */
-    double last = cfg->lr_mean_final * pow(s->lr_factor, 1.0 / SCHEDULE_LR_EXPONENT);
+    double last = SCHEDULE_LR_FINAL * pow(s->lr_factor, 1.0 / SCHEDULE_LR_EXPONENT);
     s->lr_mean_last = fmin(last * unit_m, s->lr_mean_first);
 }
 
@@ -181,8 +171,7 @@ static void schedule_fill(const struct train_config *cfg, const struct schedule_
     s->budget = (size_t)floor((double)b->budget * schedule_budget_factor(cell));
     s->interval = schedule_round(fmax(interval, floor_steps));
     s->densify_from = (uint32_t)floor((double)cfg->densify_from * kappa + 0.5);
-    double until = s->mcmc ? fmax(b->until, SCHEDULE_MCMC_UNTIL) : b->until;
-    s->densify_until = (uint32_t)floor((double)s->steps * until + 0.5);
+    s->densify_until = (uint32_t)floor((double)s->steps * b->until + 0.5);
     /* Not shrunk: a run shorter than the interval is better without resets than with hasty ones. */
     s->reset_interval = cfg->reset_interval > 0
                             ? schedule_round((double)cfg->reset_interval * fmax(kappa, 1.0))
@@ -191,7 +180,7 @@ static void schedule_fill(const struct train_config *cfg, const struct schedule_
      * such. Shrinks with the run, which need not have a reset. */
     s->size_from = s->turn == 1 ? schedule_round(SCHEDULE_SIZE_FROM * kappa) : 0;
     s->sh_degree = (uint32_t)cfg->sh_degree;
-    s->sh_interval = s->turn == 1 ? schedule_round((double)cfg->sh_interval * shrink) : 0;
+    s->sh_interval = s->turn == 1 ? schedule_round(SCHEDULE_SH_INTERVAL * shrink) : 0;
     s->tau = b->tau;
     schedule_rates(cfg, cell, s);
 }
@@ -199,7 +188,7 @@ static void schedule_fill(const struct train_config *cfg, const struct schedule_
 /* Part of the finest level in which rates fall. */
 static double schedule_fade_share(const struct train_config *cfg)
 {
-    return cfg->lr_end < 1.0 ? cfg->lr_end_share : 0.0;
+    return cfg->lr_end < 1.0 ? SCHEDULE_FADE_SHARE : 0.0;
 }
 
 /* How a level ends from which no other goes on: its rates fall. With --go-on-db the finest one goes
@@ -208,23 +197,13 @@ static void schedule_fill_end(const struct train_config *cfg, double longest, st
 {
     s->fade_from = s->steps;
     s->fade_to = cfg->lr_end;
-    if (s->level < s->n_levels && !s->derived)
+    if (s->level < s->n_levels)
         return;
     double stays = 1.0 - schedule_fade_share(cfg);
-    if (!(cfg->go_on_db > 0.0) || s->derived)
+    if (!(cfg->go_on_db > 0.0))
         s->fade_from = (uint32_t)floor((double)s->steps * stays + 0.5);
     else if (longest > s->kappa)
         s->most = schedule_round(((double)s->steps + s->full * (longest - s->kappa)) * stays);
-}
-
-/* A level that is made of the finer one has all its Gaussians, and what fades during a level is at
- * its end. */
-static void schedule_derive(struct schedule *s)
-{
-    s->densify_until = 0;
-    s->reset_interval = 0;
-    s->size_from = 0;
-    s->sh_interval = 0;
 }
 
 struct schedule schedule_again(const struct schedule *s, const struct train_config *cfg)
@@ -233,10 +212,13 @@ struct schedule schedule_again(const struct schedule *s, const struct train_conf
     again.steps = again.planned = again.most = s->tuned > 0 ? s->tuned : 1;
     again.turn = 2 * s->n_levels - s->level;
     again.derived = true;
-    again.lr_mean_first = s->turn > 1 ? s->lr_mean_first : s->lr_mean_first * cfg->lr_mean_restart;
+    again.lr_mean_first = s->turn > 1 ? s->lr_mean_first : s->lr_mean_first * SCHEDULE_LR_RESTART;
     again.lr_mean_last = fmin(s->lr_mean_last, again.lr_mean_first);
     again.fade_from = (uint32_t)floor((double)again.steps * (1.0 - schedule_fade_share(cfg)) + 0.5);
-    schedule_derive(&again);
+    again.densify_until = 0; /* it has all its Gaussians */
+    again.reset_interval = 0;
+    again.size_from = 0;
+    again.sh_interval = 0; /* what fades during a level is at its end */
     return again;
 }
 
@@ -274,7 +256,7 @@ double schedule_full(const struct train_config *cfg)
 {
     double total = 0.0;
     for (size_t l = TRAIN_LEVELS_MAX - (size_t)cfg->level_count; l < TRAIN_LEVELS_MAX; l++)
-        total += (double)schedule_base_steps(cfg, l);
+        total += (double)schedule_base_length(cfg, l);
     return total;
 }
 
@@ -294,19 +276,14 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
     for (size_t l = 0; l < TRAIN_LEVELS_MAX; l++)
         base[l] = schedule_base_at(cfg, l);
     uint32_t n = (uint32_t)cfg->level_count, first = TRAIN_LEVELS_MAX - n;
-    double total = schedule_full(cfg), kappa = schedule_kappa(cfg, n_photos), longest = kappa;
+    double total = schedule_full(cfg), kappa = schedule_kappa(n_photos), longest = kappa;
     double share = cell->steps_share > 0.0 ? cell->steps_share : 1.0;
     int64_t left = (int64_t)fmax(floor((double)asked * share + 0.5), 1.0);
     kappa = asked > 0 ? (double)left / total : kappa * share;
     for (uint32_t l = 0; l < n; l++) {
         const struct schedule_base *b = &base[first + l];
         struct schedule *s = &out[l];
-        const bool fine_first = cfg->level_order == SCHEDULE_FINE_TO_COARSE;
-        *s = (struct schedule){.level = l + 1,
-                               .n_levels = n,
-                               .turn = fine_first ? n - l : l + 1,
-                               .derived = fine_first && l + 1 < n,
-                               .mcmc = cfg->strategy};
+        *s = (struct schedule){.level = l + 1, .n_levels = n, .turn = l + 1};
         double steps = floor((double)b->steps * kappa + 0.5);
         if (asked > 0 && l + 1 == n)
             steps = (double)left; /* the last level takes what rounding left */
@@ -322,8 +299,6 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
         s->total = total * kappa;
         schedule_fill(cfg, b, kappa, cell, s);
         schedule_fill_end(cfg, longest * share, s);
-        if (s->derived)
-            schedule_derive(s);
         s->absgrad = (int64_t)(first + l + 1) >= cfg->absgrad_from;
         if (l > 0 && s->budget < out[l - 1].budget)
             return err_set(e, ERR_ARG,
@@ -382,7 +357,7 @@ static uint32_t schedule_last_reset(const struct schedule *s)
 
 bool schedule_resets(const struct schedule *s, uint32_t step)
 {
-    return !s->mcmc && s->reset_interval > 0 && step > 0 && step % s->reset_interval == 0 &&
+    return s->reset_interval > 0 && step > 0 && step % s->reset_interval == 0 &&
            step <= schedule_last_reset(s);
 }
 
@@ -390,7 +365,7 @@ bool schedule_thins(const struct schedule *s, uint32_t step)
 {
     uint32_t from = s->densify_until, rest = s->steps > from ? s->steps - from : 0;
     uint32_t every = rest / SCHEDULE_THIN_PARTS;
-    bool wanted = !s->mcmc && !s->last && s->level == s->n_levels;
+    bool wanted = !s->last && s->level == s->n_levels;
     return wanted && from > 0 && every > 0 && step >= from && (step - from) % every == 0 &&
            (step - from) / every < SCHEDULE_THINNINGS;
 }

@@ -28,7 +28,6 @@ struct schedule { /* schedule of one level; steps are 1-based and restart at eve
     uint32_t sh_interval, sh_degree; /* sh_interval 0: full degree from the start */
     bool absgrad;
     bool derived; /* made of the next finer level, and fine-tuned without growth */
-    bool mcmc;    /* --strategy mcmc: no opacity resets, and positions move for longer */
     bool last;    /* after the level's own steps: what fades during a level stays as at its end */
     bool still;   /* positions, sizes, rotations and opacities stay; only colours learn */
     double tau;
@@ -45,7 +44,9 @@ struct schedule { /* schedule of one level; steps are 1-based and restart at eve
 };
 struct cell;
 /* --level-order, in the order of options.def. */
-enum schedule_order { SCHEDULE_COARSE_TO_FINE, SCHEDULE_FINE_TO_COARSE, SCHEDULE_BOTH };
+enum schedule_order { SCHEDULE_COARSE_TO_FINE, SCHEDULE_BOTH };
+/* Part of the finest level in which its rates fall, its last (docs/decisions/112-rates-fall.md). */
+#define SCHEDULE_FADE_SHARE 0.2
 /* Steps of all levels together that --iterations or its default asks for. 0: a list says it of each
  * level. */
 int64_t schedule_asked(const struct train_config *cfg, size_t n_photos);

@@ -10,32 +10,28 @@
 struct stage {
     struct schedule levels[TRAIN_LEVELS_MAX];
     uint32_t n_levels;
-    bool fine_first; /* the finest level comes first; with --level-order both: it is done */
-    bool again;      /* --level-order both: levels are made of the finest once it is done */
-    uint32_t at;     /* levels[at] is the current level; n_levels: all are done */
-    uint32_t step;   /* of this level: the step in work, or the last one done; 0 at first */
-    bool pruned;     /* level_prune, the end of the level, is done */
+    bool again;    /* --level-order both: levels are made of the finest once it is done */
+    bool turned;   /* and it is done */
+    uint32_t at;   /* levels[at] is the current level; n_levels: all are done */
+    uint32_t step; /* of this level: the step in work, or the last one done; 0 at first */
+    bool pruned;   /* level_prune, the end of the level, is done */
     /* of a level that goes on: score at the last look that showed a gain (0: there was no look),
      * and looks since */
     double held_db;
     uint32_t in_vain;
     size_t start; /* Gaussians inside the cell when this level began */
 };
-/* The level that is trained first, and the one that follows `at`; n_levels: none does. */
-static inline uint32_t stage_first(const struct stage *s)
-{
-    return s->fine_first ? s->n_levels - 1 : 0;
-}
+/* The level that follows `at`; n_levels: none does. */
 static inline uint32_t stage_after(const struct stage *s, uint32_t at)
 {
-    if (s->fine_first || (s->again && at + 1 == s->n_levels))
+    if (s->turned || (s->again && at + 1 == s->n_levels))
         return at > 0 ? at - 1 : s->n_levels;
     return at + 1;
 }
 /* With --level-order both: from here on the coarser levels are made of the finer ones. */
 static inline void stage_turn(struct stage *s, const struct train_config *cfg)
 {
-    s->fine_first = true;
+    s->turned = true;
     for (uint32_t l = 0; l + 1 < s->n_levels; l++)
         s->levels[l] = schedule_again(&s->levels[l], cfg);
 }

@@ -18,7 +18,6 @@
 
 #include "codec/ckpt.h"
 #include "core/layout.h"
-#include "loss/mip.h"
 #include "train/appearance_train.h"
 #include "train/config.h"
 #include "train/evaluate.h"
@@ -74,7 +73,7 @@ static json_t *state_meta(const struct model *m, const struct state *st, const c
         json_decref(o);
         o = NULL;
     }
-    if (o && at->again && at->fine_first && json_object_set_new(o, "again", json_true())) {
+    if (o && at->again && at->turned && json_object_set_new(o, "again", json_true())) {
         json_decref(o);
         o = NULL;
     }
@@ -95,19 +94,12 @@ static json_t *state_meta(const struct model *m, const struct state *st, const c
 
 /* Buffers of the device that the host looks at while a file is written: on CPU devices nothing is
  * copied, however large the level. */
-struct state_moments {
-    struct model *m;
-    const void *at;
-};
-
 struct state_view {
-    struct state_moments moments; /* first: state_passed takes a view for it */
     struct model *m;
     struct gauss like;
     cl_mem mem[4 + STATE_STATS];
     void *at[4 + STATE_STATS]; /* [0]: the parameters */
     size_t n;
-    float *filter; /* [n] to fold in, or NULL */
 };
 
 static enum err_code state_view_map(struct state_view *v, cl_mem mem, size_t bytes, struct err *e)
@@ -140,22 +132,7 @@ static enum err_code state_view_close(struct state_view *v, enum err_code rc, st
         if (!rc && done)
             rc = err_set(e, done, "%s", why.msg);
     }
-    mem_free(v->filter);
     return rc;
-}
-
-/* Results carry the 3-D filter in their sizes and opacities: whoever draws them needs to know
- * nothing of it. */
-static void state_fold(const struct state_view *v, enum ckpt_field field, size_t row, float *out)
-{
-    const float *p = (const float *)v->at[0] + layout_at(row, v->m->gauss.planes);
-    float scale[3], opacity = p[LAYOUT_PLANE_OPACITY * LAYOUT_LANES];
-    struct gauss one = {.n = 1, .scale_log = scale, .opacity_logit = &opacity};
-    for (size_t k = 0; k < 3; k++)
-        scale[k] = p[(LAYOUT_PLANE_SCALE + k) * LAYOUT_LANES];
-    mip_fold(&one, v->filter + row);
-    memcpy(out, field == CKPT_SCALE ? scale : &opacity,
-           (field == CKPT_SCALE ? 3 : 1) * sizeof *out);
 }
 
 /* Rows of one array of the Gaussians, for ckpt_write_from. */
@@ -170,37 +147,13 @@ static enum err_code state_rows(void *user, enum ckpt_field field, size_t first,
                               LAYOUT_PLANE_SH,   layout_planes(m->sh_degree, 0),
                               m->planes};
     size_t count = plane[field + 1] - plane[field];
-    bool fold = v->filter && (field == CKPT_SCALE || field == CKPT_OPACITY);
     for (size_t i = 0; i < n; i++) {
         const float *p = (const float *)v->at[0] + layout_at(first + i, m->planes) +
                          (size_t)plane[field] * LAYOUT_LANES;
-        if (fold)
-            state_fold(v, field, first + i, out + i * count);
-        for (size_t k = 0; !fold && k < count; k++)
+        for (size_t k = 0; k < count; k++)
             out[i * count + k] = p[k * LAYOUT_LANES];
     }
-    model_walked(v->m, false, first, first + n);
     return ERR_OK;
-}
-
-/* Bytes [from, to) of the moments have been passed; other blobs are small. */
-static void state_passed(void *user, const void *data, size_t from, size_t to)
-{
-    const struct state_moments *s = user;
-    const size_t group = (size_t)s->m->gauss.planes * LAYOUT_LANES * sizeof(float);
-    if (data == s->at)
-        model_walked(s->m, true, from / group * LAYOUT_LANES,
-                     to == model_bytes(s->m) ? s->m->gauss.n : to / group * LAYOUT_LANES);
-}
-
-static enum err_code state_view_filter(struct state_view *v, const struct model *m, struct err *e)
-{
-    v->filter = mem_array(m->gauss.n, sizeof *v->filter);
-    enum err_code rc =
-        v->filter ? ERR_OK
-                  : err_set(e, ERR_MEM, "checkpoint: out of memory for %u Gaussians", m->gauss.n);
-    return rc ? rc
-              : dev_read(m->dev, m->gauss.filter, 0, m->gauss.n * sizeof *v->filter, v->filter, e);
 }
 
 enum err_code state_save_level(struct model *m, const struct state *s, const char *path,
@@ -229,8 +182,6 @@ enum err_code state_save_level(struct model *m, const struct state *s, const cha
     blob.size_bytes = appearance.size;
     if (!rc) {
         rc = state_view_open(m, s->run.cfg->aa != RENDER_AA_NONE, &v, e);
-        if (!rc && s->run.cfg->aa == RENDER_AA_MIP)
-            rc = state_view_filter(&v, m, e);
         const struct ckpt_source from = {.like = &v.like, .rows = state_rows, .user = &v};
         if (!rc)
             rc = ckpt_write_from(path, meta, &from, &blob, with, e);
@@ -272,7 +223,7 @@ static enum err_code state_appearance_blobs(const struct appearance_train *a,
 enum err_code state_save(struct model *m, const struct state *s, const char *path, struct err *e)
 {
     struct state_view v = {0};
-    struct ckpt_blob blobs[3 + STATE_STATS + STATE_APPEARANCE] = {0};
+    struct ckpt_blob blobs[2 + STATE_STATS + STATE_APPEARANCE] = {0};
     cl_mem owed = NULL;
     const struct render_model *g = &m->gauss;
     size_t n = 0, moments = model_bytes(m), n_appearance = 0;
@@ -294,15 +245,11 @@ enum err_code state_save(struct model *m, const struct state *s, const char *pat
         rc = state_blob(&v, state_stat_names[i], stats[i], g->n * sizeof(float), &blobs[n++], e);
     if (!rc && owed)
         rc = state_blob(&v, STATE_OWED, owed, g->groups * sizeof(uint32_t), &blobs[n++], e);
-    if (!rc && g->filter && m->filter_is_current)
-        rc = state_blob(&v, "filter", g->filter, g->n * sizeof(float), &blobs[n++], e);
     if (!rc && appearance_train_is_on(s->appearance)) {
         rc = state_appearance_blobs(s->appearance, blobs + n, e);
         n_appearance = STATE_APPEARANCE;
     }
-    v.moments = (struct state_moments){m, blobs[0].data};
-    const struct ckpt_source from = {
-        .like = &v.like, .rows = state_rows, .wrote = state_passed, .user = &v};
+    const struct ckpt_source from = {.like = &v.like, .rows = state_rows, .user = &v};
     if (!rc)
         rc = ckpt_write_from(path, meta, &from, blobs, n + n_appearance, e);
     for (size_t i = 0; i < n_appearance; i++)
@@ -332,11 +279,8 @@ static enum err_code state_fill(struct model *m, const struct ckpt_rows *c, cons
     void *at = NULL;
     struct err why = {0};
     enum err_code rc = dev_map(m->dev, to, CL_MAP_WRITE, bytes, &at, e);
-    struct state_moments moments = {m, at};
-    const struct ckpt_target target = {at, bytes, to == m->adam.moments ? state_passed : NULL,
-                                       &moments};
     if (!rc)
-        rc = ckpt_rows_blob_to(c, name, &target, e);
+        rc = ckpt_rows_blob_to(c, name, at, bytes, e);
     enum err_code done = dev_unmap(m->dev, to, &at, &why);
     return !rc && done ? err_set(e, done, "%s", why.msg) : rc;
 }
@@ -368,7 +312,6 @@ enum err_code state_fill_rows(struct model *m, const struct ckpt_rows *c, struct
                             e);
         if (!rc)
             rc = render_model_write(m->render, &m->gauss, i, &g, e);
-        model_walked(m, false, i, rc ? i : i + g.n);
         gauss_free(&g);
     }
     return rc;
@@ -390,19 +333,6 @@ static enum err_code state_fill_all(struct model *m, struct state *s, const stru
     return rc;
 }
 
-/* The filter of Mip-Splatting is as old as its last computation: without it the next one would come
- * too early and the run would take another way. */
-static enum err_code state_fill_filter(struct model *m, const struct ckpt_rows *c, struct err *e)
-{
-    if (!ckpt_rows_has(c, "filter"))
-        return ERR_OK;
-    enum err_code rc = dev_buffer(m->dev, m->gauss.cap * sizeof(float), NULL, &m->gauss.filter, e);
-    if (!rc)
-        rc = state_fill(m, c, "filter", m->gauss.filter, m->gauss.n * sizeof(float), e);
-    m->filter_is_current = !rc;
-    return rc;
-}
-
 /* Steps that groups of Gaussians were owed. */
 static enum err_code state_fill_owed(struct model *m, struct state *s, const struct ckpt_rows *c,
                                      const char *path, struct err *e)
@@ -414,8 +344,7 @@ static enum err_code state_fill_owed(struct model *m, struct state *s, const str
     uint32_t *settled = mem_array(groups, sizeof *settled);
     if (!settled)
         return err_set(e, ERR_MEM, "%s: out of memory for %zu groups", path, groups);
-    const struct ckpt_target to = {.at = settled, .n_bytes = groups * sizeof *settled};
-    enum err_code rc = ckpt_rows_blob_to(c, STATE_OWED, &to, e);
+    enum err_code rc = ckpt_rows_blob_to(c, STATE_OWED, settled, groups * sizeof *settled, e);
     for (size_t i = 0; !rc && i < groups; i++)
         if (settled[i] > s->at.step)
             rc = err_set(e, ERR_FORMAT, "%s: group %zu has made step %u of %u", path, i, settled[i],
@@ -439,7 +368,7 @@ static enum err_code state_apply_go_on(struct state *s, struct schedule *level, 
     double in_vain = json_number_value(json_array_get(o, 3));
     double most = schedule_end(level, s->run.cfg);
     if (level->most > level->steps)
-        most = (double)level->most / (1.0 - s->run.cfg->lr_end_share) + 1.0;
+        most = (double)level->most / (1.0 - SCHEDULE_FADE_SHARE) + 1.0;
     if (!(steps >= level->steps && steps <= most && fade_from >= level->steps &&
           fade_from <= steps && held_db >= 0.0 && isfinite(held_db) && in_vain >= 0.0 &&
           in_vain < 100.0))
@@ -472,7 +401,7 @@ static enum err_code state_apply(struct state *s, const json_t *meta, const stru
         return err_set(e, rc, "%s: go back to that, or begin anew with --overwrite", why.msg);
     if (!rc)
         rc = state_integer(meta, path, "level", 1, at->n_levels, &level, e);
-    if (!rc && at->again && !at->fine_first && json_is_true(json_object_get(meta, "again")))
+    if (!rc && at->again && !at->turned && json_is_true(json_object_get(meta, "again")))
         stage_turn(at, cfg);
     if (!rc)
         rc = state_apply_go_on(s, &at->levels[(int)level - 1], meta, path, e);
@@ -523,8 +452,6 @@ enum err_code state_load(struct model *m, const struct engine *with, struct stat
                         schedule_most(stage_schedule(&s->at), s->run.cell), e);
     if (!rc)
         rc = state_fill_all(m, s, c, path, e);
-    if (!rc && s->run.cfg->aa == RENDER_AA_MIP)
-        rc = state_fill_filter(m, c, e);
     if (!rc)
         rc = state_fill_owed(m, s, c, path, e);
     json_decref(meta);

@@ -34,8 +34,7 @@ enum err_code state_save(struct model *m, const struct state *s, const char *pat
  * ERR_MEM, ERR_DEVICE. */
 enum err_code state_load(struct model *m, const struct engine *with, struct state *s,
                          const char *path, struct err *e) ERR_USE;
-/* Saves the result of the current level. With Mip-Splatting the model's filter must be current.
- * `score` may be NULL. ERR_IO, ERR_MEM, ERR_DEVICE. */
+/* Saves the result of the current level. `score` may be NULL. ERR_IO, ERR_MEM, ERR_DEVICE. */
 enum err_code state_save_level(struct model *m, const struct state *s, const char *path,
                                const struct evaluate_score *score, struct err *e) ERR_USE;
 /* Reads the number of Gaussians of such a result, and the scores of the test photographs; NaN:

@@ -129,8 +129,6 @@ static enum err_code thin_measure(struct thin *c, size_t n_views, struct err *e)
 {
     struct gallery *g = c->gallery;
     enum err_code rc = render_importance_open(g->engine.render, &c->device, e);
-    if (!rc)
-        rc = gallery_filter(g, c->at, c->m, e);
     for (size_t v = 0; !rc && v < n_views; v++) {
         rc = thin_draw(c, v * g->n_images / n_views, e);
         if (!rc)

@@ -3,9 +3,10 @@
  * Reading order: begin.c prepares a cell, and run.c goes through its levels. level.c is the loop
  * over steps; it gives every part what that part uses. stage.h has the position of the run, and
  * fixed.h the data that never change. gallery.c has the photographs, model.c the Gaussians on the
- * device. schedule.c says what happens at which step. init.c, densify_plan.c, importance.c and
- * prune.c decide which Gaussians there are. state.c saves and restores; train.c goes through the
- * cells; evaluate.c scores the result. Losses and metrics are in loss/.
+ * device. terms.def lists what is minimised; term_*.c compute it. schedule.c says what happens at
+ * which step. init.c, densify_plan.c, importance.c and prune.c decide which Gaussians there are.
+ * state.c saves and restores; train.c goes through the cells; evaluate.c scores the result. Losses
+ * and metrics are in loss/.
  *
  * Levels are trained one after another, level 1 the coarsest. Each continues with the Gaussians of
  * the level before, and has its own budget, densification interval and picture size. Sources:

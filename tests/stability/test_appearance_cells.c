@@ -167,7 +167,6 @@ static void cells_agree_on_appearance_at_their_border(void **state)
         struct train_config c = toy_appearance_config(&a, NULL, true);
         c.iterations.one = 0;
         c.iterations.v[2] = SEAM_STEPS;
-        c.scale_by_images = false;
         c.coarse_iterations = SEAM_COARSE_STEPS;
         c.appearance_shared = shared;
         c.overwrite = shared;

@@ -40,7 +40,7 @@ static void paint_bands(void *user, size_t i, const struct camera *cam, double *
         rgb[k] = 0.5 + 0.4 * sin(0.2 * (double)(k / 3 % cam->width_px) + (double)(i + k % 3));
 }
 
-enum kind { MEMORY_PLAIN, MEMORY_LIGHT, MEMORY_FINE_FIRST };
+enum kind { MEMORY_PLAIN, MEMORY_LIGHT, MEMORY_BOTH };
 
 /* The options of such a run. */
 static struct train_config same_config(struct arena *a, size_t budget, enum kind kind)
@@ -50,9 +50,8 @@ static struct train_config same_config(struct arena *a, size_t budget, enum kind
     cfg.sh_degree = 3;
     cfg.iterations.one = MEMORY_STEPS;
     cfg.appearance = kind == MEMORY_LIGHT;
-    cfg.level_order = kind == MEMORY_FINE_FIRST ? SCHEDULE_FINE_TO_COARSE : SCHEDULE_COARSE_TO_FINE;
+    cfg.level_order = kind == MEMORY_BOTH ? SCHEDULE_BOTH : SCHEDULE_COARSE_TO_FINE;
     cfg.scale_weight = 0.05;
-    cfg.embed_smoothness_samples = 400;
     cfg.budget.v[1] = (int64_t)budget / 2;
     cfg.budget.v[2] = (int64_t)budget;
     return cfg;
@@ -85,16 +84,16 @@ static size_t peak_of(const char *program, size_t n, size_t budget, enum kind ki
     kit_tmpdir(dir);
     toy_write(dir, &t, &g);
     gauss_free(&g);
-    int rc = kit_run(
-        &said,
-        "%s train %s --iterations %d --level-count 2 --budget-rule table --budget %zu,%zu "
-        "--densify-from 2 --densify-interval-min 5 --tau 1e-7 --prune-contribution 0 "
-        "--prune-support 0 "
-        "--importance-views 2 --checkpoint-interval 25 %s -q",
-        program, dir, MEMORY_STEPS, budget / 2, budget,
-        appearance ? "--appearance --embed-smoothness-interval 5 --embed-smoothness-samples 400"
-        : kind == MEMORY_FINE_FIRST ? "--level-order fine-to-coarse"
-                                    : "");
+    int rc =
+        kit_run(&said,
+                "%s train %s --iterations %d --level-count 2 --budget-rule table --budget %zu,%zu "
+                "--densify-from 2 --densify-interval-min 5 --tau 1e-7 --prune-contribution 0 "
+                "--prune-support 0 "
+                "--checkpoint-interval 25 %s -q",
+                program, dir, MEMORY_STEPS, budget / 2, budget,
+                appearance            ? "--appearance --level-order coarse-to-fine"
+                : kind == MEMORY_BOTH ? "--level-order both"
+                                      : "--level-order coarse-to-fine");
     buf_u8(&said, 0);
     if (rc)
         fail_msg("train: %s", (const char *)said.data);
@@ -150,7 +149,7 @@ static void memory_stays_below_the_estimate(void **state)
 {
     (void)state;
     expect_below_the_estimate(MEMORY_PLAIN);
-    expect_below_the_estimate(MEMORY_FINE_FIRST);
+    expect_below_the_estimate(MEMORY_BOTH);
 }
 
 static void and_with_appearance(void **state)

@@ -30,9 +30,9 @@ static void mean_gradients(const char *dir, const struct gauss *g, float *grad, 
     struct train_config c = toy_config(&a, NULL);
     c.level_count = 1;
     c.densify_from = 1000000;
-    c.lr_mean = c.lr_mean_final = c.lr_sh_dc = c.lr_sh_rest = c.lr_opacity = c.lr_scale =
-        c.lr_quat = 0.0;
     toy_run_open_from(&r, dir, &c, g);
+    r.level.stage.levels[0].fade_from = 0;
+    r.level.stage.levels[0].fade_to = 0.0;
     toy_run_steps(&r, F15_STEPS);
     kit_ok(dev_read(&toy_dev, r.level.model.stats.grad, 0, sizeof count, grad, &e), e);
     kit_ok(dev_read(&toy_dev, r.level.model.stats.absg, 0, sizeof count, absg, &e), e);
@@ -210,7 +210,6 @@ static void resumed_anywhere_it_ends_in_the_same_bytes(void **state)
 {
     (void)state;
     resumed_anywhere(SCHEDULE_COARSE_TO_FINE);
-    resumed_anywhere(SCHEDULE_FINE_TO_COARSE);
     resumed_anywhere(SCHEDULE_BOTH);
 }
 

@@ -180,7 +180,6 @@ struct train_config toy_config(struct arena *a, const char *out)
     c.budget.v[1] = 100;
     c.budget.v[2] = 150;
     c.densify_interval_min = 8;
-    c.importance_views = 3;
     c.coarse_iterations_min = 1;
     c.sh_degree = 1;
     return c;
