@@ -52,7 +52,6 @@ static enum err_code eval_half_run(struct eval_photographs *v, const struct eval
                                         .lr = HALF_IMAGE_LR,
                                         .lr_end = HALF_IMAGE_LR_END,
                                         .exposure = d->exposure,
-                                        .random = v->o.half_image_random,
                                         .seed = 1};
     if (!rc)
         rc = half_image_open(&f, &half, e);

@@ -223,8 +223,7 @@ static enum err_code surface_views(struct eval_surface *v, struct err *e)
         rc = file_join(list, dir, "views.json", e);
     if (!rc && !v->q->views && !file_exists(list)) {
         log_warn("eval",
-                 "%s: no map views: rays from above alone; `citysplat synth --city %s "
-                 "--map-views 24` makes them",
+                 "%s: no map views: rays from above alone; `citysplat-lab map-views %s` makes them",
                  path, v->q->city);
         return ERR_OK;
     }

@@ -302,9 +302,7 @@ static void half_image_start(struct half_image *h, const struct photo *p)
 {
     struct appearance_view *v = h->c.appearance;
     size_t len = v->model->len_image;
-    size_t n = h->c.random ? 0
-                           : appearance_train_nearest(v->model, v->scene, v->row, &p->cam,
-                                                      v->reach_m, h->image);
+    size_t n = appearance_train_nearest(v->model, v->scene, v->row, &p->cam, v->reach_m, h->image);
     for (size_t i = 0; !n && i < len; i++)
         h->image[i] = (float)rng_normal(h->c.seed, p->image, i);
 }

@@ -45,7 +45,6 @@ struct half_image_config { /* all borrowed */
     /* measure the photograph's exposure on the half that is learned from; false: use its
      * exposure_ev */
     bool exposure;
-    bool random; /* start from N(0, 1) instead of the mean of the nearest cameras */
     uint64_t seed;
 };
 #define HALF_IMAGE_STEPS 200

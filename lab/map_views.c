@@ -171,7 +171,7 @@ enum err_code map_views_read(const char *dir, const struct scene *s, struct map_
     if (!rc)
         rc = jsonc_read(path, &root, e);
     if (rc)
-        return err_add(e, "map views (`citysplat synth --map-views` makes them)");
+        return err_add(e, "map views (`citysplat-lab map-views` makes them)");
     const json_t *list = json_object_get(root, "views");
     rc = jsonc_text(root, "format", &format, e);
     if (!rc && strcmp(format, "citysplat-views"))

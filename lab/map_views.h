@@ -1,5 +1,5 @@
 /* Map views: ground truth at camera poses that are usual in maps, and scores of drawings against
- * it. `citysplat synth --map-views` writes them; docs/evaluation.md explains the files and the
+ * it. `citysplat-lab map-views` writes them; docs/evaluation.md explains the files and the
  * measures.
  *
  * SPDX-License-Identifier: Apache-2.0
