@@ -32,14 +32,15 @@ enum {
 };
 #define PARTITION_ERROR_PX 2.0f /* ... with at most this reprojection error */
 #define PARTITION_NEAR_M 0.01
+/* As published: photographs farther than P are not considered, and a sixth of a view is needed. */
+#define PARTITION_GATE 1.0
+#define PARTITION_VISIBILITY (1.0 / 6.0)
 #define PARTITION_EPS_M 1e-6
 
 struct partition_config partition_defaults(void)
 {
     return (struct partition_config){.edge_m = 0.0,
                                      .location_margin = 0.1,
-                                     .visibility_gate = 1.0,
-                                     .visibility_min = 1.0 / 6.0,
                                      .images_few = 64,
                                      .images_many = 1200,
                                      .images_least = 32,
@@ -276,8 +277,8 @@ static enum err_code partition_assign(const struct survey *v, double edge_m,
             continue;
         }
         if (partition_survey_uses(v, i) &&
-            partition_near(c, v->center[i], relax * cfg->visibility_gate * edge_m) &&
-            partition_visibility(v, c, i, scratch) >= cfg->visibility_min / relax)
+            partition_near(c, v->center[i], relax * PARTITION_GATE * edge_m) &&
+            partition_visibility(v, c, i, scratch) >= PARTITION_VISIBILITY / relax)
             list[c->n_images++] = (uint32_t)i;
     }
     mem_free(scratch);

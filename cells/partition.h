@@ -27,10 +27,8 @@ struct partition_config { /* filled by partition_defaults */
     /* share of P by which a cell grows on every side; cameras in the overlap belong to several
      * cells */
     double location_margin;
-    double visibility_gate; /* in P: farther photographs are not considered */
-    double visibility_min;  /* least ratio of the hulls */
-    size_t images_few;      /* cells with fewer photographs are merged where possible */
-    size_t images_many;     /* cells with more photographs are divided, down to an edge of P/2 */
+    size_t images_few;  /* cells with fewer photographs are merged where possible */
+    size_t images_many; /* cells with more photographs are divided, down to an edge of P/2 */
     /* cells that still have fewer photographs are not trained: they are a neighbour's background */
     size_t images_least;
     bool use_visibility; /* false: location alone, for comparison */

@@ -135,7 +135,7 @@ static void print_man_index(void)
     options_help_mdoc_head(stdout, "citysplat", about_text);
     printf(".Sh SYNOPSIS\n.Nm\n.Ar command\n.Op Ar arguments\n.Op Ar options\n.Nm\n.Cm "
            "help\n.Op Ar command\n.Sh DESCRIPTION\nThe commands, in their usual order.\n"
-           "Each has a page of its own:\n.Bl -tag -width citysplat-gradient(1)\n");
+           "Each has a page of its own:\n.Bl -tag -width citysplat-import-odm(1)\n");
     for (const struct command *c = commands; c->name; c++) {
         printf(".It Xr citysplat-%s 1\n", c->name);
         options_help_mdoc_text(stdout, c->about);

@@ -87,16 +87,14 @@ enum err_code cli_plan(int argc, char **argv, struct err *e)
     rc = plan_grid(&o, &grid, e);
     if (rc)
         goto out;
-    const struct partition_config cfg = {.edge_m = o.edge_m,
-                                         .grid = grid,
-                                         .location_margin = o.location_margin,
-                                         .visibility_gate = o.visibility_gate,
-                                         .visibility_min = o.visibility_min,
-                                         .images_few = (size_t)o.images_few,
-                                         .images_many = (size_t)o.images_many,
-                                         .images_least = (size_t)o.images_least,
-                                         .use_visibility = o.visibility,
-                                         .all_images = o.all_images};
+    struct partition_config cfg = partition_defaults();
+    cfg.edge_m = o.edge_m;
+    cfg.grid = grid;
+    cfg.images_few = (size_t)o.images_few;
+    cfg.images_many = (size_t)o.images_many;
+    cfg.images_least = (size_t)o.images_least;
+    cfg.use_visibility = o.visibility;
+    cfg.all_images = o.all_images;
     rc = partition_make(&scene, &cfg, &p, e);
     if (!rc)
         rc = share_photographs(&scene, o.share_min, o.all_images, &p, e);

@@ -151,7 +151,6 @@ static enum err_code render_store(struct render_job *job, const char *path, stru
     const struct render_cli_options *o = job->o;
     struct view *v = NULL;
     struct view_stats st = {0};
-    double first = 0.0, rest = 0.0;
     enum err_code rc = view_open(path, job->render, 0, &v, e);
     if (rc)
         return rc;
@@ -170,11 +169,8 @@ static enum err_code render_store(struct render_job *job, const char *path, stru
         job->ro.supersample = VIEW_SUPERSAMPLE_AUTO;
     if (!rc)
         rc = render_buffer(job, e);
-    for (int64_t i = 0; !rc && i < o->repeat; i++) {
+    if (!rc)
         rc = view_render(v, &job->cam, &job->ro, &po, job->rgb, &st, e);
-        first = i == 0 ? st.ms_load : first;
-        rest += st.ms_render;
-    }
     if (!rc)
         rc = render_write(o, &job->cam, job->rgb, e);
     if (!rc)
@@ -182,7 +178,7 @@ static enum err_code render_store(struct render_job *job, const char *path, stru
                "render %.1f ms\n",
                o->output, job->cam.width_px, job->cam.height_px, st.n_tiles,
                (unsigned long long)st.n_gaussians, render_last_stats(job->render)->visible,
-               st.ms_pick, first, rest / (double)o->repeat);
+               st.ms_pick, st.ms_load, st.ms_render);
     view_close(&v);
     return rc;
 }
@@ -211,7 +207,7 @@ static enum err_code render_file(struct render_job *job, const char *path, struc
         uploaded = !rc;
     }
     double t1 = clock_s();
-    for (int64_t i = 0; !rc && i < o->repeat; i++)
+    if (!rc)
         rc = render_forward(job->render, &m, &job->cam, &job->ro, job->rgb, NULL, e);
     double t2 = clock_s();
     if (!rc)
@@ -219,8 +215,7 @@ static enum err_code render_file(struct render_job *job, const char *path, struc
     if (!rc)
         printf("%s: %u x %u, %zu Gaussians, %u visible; load %.1f ms, render %.1f ms\n", o->output,
                job->cam.width_px, job->cam.height_px, s.g.n,
-               render_last_stats(job->render)->visible, 1e3 * (t1 - t0),
-               1e3 * (t2 - t1) / (double)o->repeat);
+               render_last_stats(job->render)->visible, 1e3 * (t1 - t0), 1e3 * (t2 - t1));
     if (uploaded)
         render_model_free(&m);
     splats_free(&s);

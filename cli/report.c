@@ -48,6 +48,7 @@ static const struct options_spec report_spec = {
     .max_args = 1};
 
 enum { REPORT_DROPPED_MAX = 200, REPORT_BARS = 12 };
+#define REPORT_PICTURE_PX 1000.0 /* longest side of orthophoto and surface model */
 
 struct report {
     const struct report_options *o;
@@ -188,8 +189,7 @@ static void report_summary(struct report *r)
                words, s->origin.lon_deg, s->origin.lat_deg, s->origin.h_m);
 }
 
-/* Orthophoto or surface model of the store, no larger than asked for, from a file beside the
- * report. */
+/* Orthophoto or surface model of the store, from a file beside the report. */
 static enum err_code report_picture(struct report *r, struct nadir *n, enum geotiff_kind kind,
                                     struct err *e)
 {
@@ -197,7 +197,7 @@ static enum err_code report_picture(struct report *r, struct nadir *n, enum geot
     double wide = key_edge_m(0.5 * (a->south_deg + a->north_deg), 0) / 360,
            edge = fmax((a->east_deg - a->west_deg) * wide, (a->north_deg - a->south_deg) * 111320),
            range_m[2] = {0};
-    const struct map_request request = {.kind = kind, .gsd_m = edge / (double)r->o->picture_px};
+    const struct map_request request = {.kind = kind, .gsd_m = edge / REPORT_PICTURE_PX};
     char path[FILE_PATH_MAX];
     struct sheet *sheet = NULL;
     struct image img = {0};

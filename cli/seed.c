@@ -17,6 +17,7 @@ enum {
     SEED_CONNECTIONS_MAX = 64,
     SEED_WAIT_MS = 50,         /* for the network, at most */
     SEED_TIMEOUT_S = 120,      /* of one answer */
+    SEED_TRIES = 5,            /* of a tile before it counts as failed */
     SEED_PAUSE_MAX_S = 60,     /* that a server may ask for */
     SEED_NAMED_MAX = 5,        /* failures that are told one by one */
     SEED_LIST_MAX = 256 << 20, /* bytes of a page of the list */
@@ -297,7 +298,7 @@ static void seed_finish(struct seed_run *r, struct seed_get *g, CURLcode code)
     g->tile = NULL;
     r->busy--;
     const bool again = code || status == 429 || status == 502 || status == 503 || status == 504;
-    if (again && t->tries < r->o->tries) {
+    if (again && t->tries < SEED_TRIES) {
         double pause_s = g->retry_s > 0 ? g->retry_s : 0.5 * t->tries;
         t->not_before_s = clock_s() + (pause_s < SEED_PAUSE_MAX_S ? pause_s : SEED_PAUSE_MAX_S);
         return;

@@ -27,12 +27,8 @@ static enum err_code stereo_make(const struct stereo_options *o, const char *dir
 {
     const struct depths_config cfg = {.max_edge_px = (uint32_t)o->max_edge_px,
                                       .near = (size_t)o->neighbours,
-                                      .agree = (size_t)o->agree,
                                       .sure = o->sure,
-                                      .tolerance = o->tolerance,
-                                      .spacing_px = o->spacing_px,
                                       .edge = o->edge,
-                                      .move_px = o->move_px,
                                       .walls = o->walls,
                                       .test_split = o->test_split,
                                       .overwrite = o->overwrite};

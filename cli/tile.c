@@ -16,7 +16,6 @@
 
 #include <jansson.h>
 
-#include "cells/camera_hull.h"
 #include "cells/cell_plan.h"
 #include "cells/footprint.h"
 #include "cells/partition.h"
@@ -74,8 +73,6 @@ struct tile_scene {
     const char *dir, *trained; /* scene.json and plan.json; cells/ */
     struct tile_cell *cells;   /* sorted by id */
     size_t n_cells;
-    struct camera_hull ground;  /* of the photographs */
-    double crop_margin_m;       /* negative: nothing is left out */
     struct footprint footprint; /* empty: nothing is left out */
     struct trim trim;           /* empty: nothing is cut at the edge */
     struct clip clip;           /* --clip, if `clips` */
@@ -284,15 +281,12 @@ static enum err_code tile_own(const struct tile_scene *s, const struct tile_cell
                               struct gauss *g, struct err *e)
 {
     size_t n = 0, gone = 0;
-    if (!s->plan.n_cells && s->crop_margin_m < 0.0 && !s->footprint.nx)
+    if (!s->plan.n_cells && !s->footprint.nx)
         return ERR_OK;
     for (size_t i = 0; i < g->n; i++) {
         double x = (double)g->mean_m[3 * i] + g->origin_enu_m[0],
                y = (double)g->mean_m[3 * i + 1] + g->origin_enu_m[1];
         if (s->plan.n_cells && partition_owner(&s->plan, x, y) != c->owner)
-            continue;
-        if (s->crop_margin_m >= 0.0 &&
-            !(camera_hull_distance(&s->ground, x, y) <= s->crop_margin_m))
             continue;
         if (!tile_fade(&s->footprint, g, i)) {
             atomic_fetch_add(s->cropped, 1);
@@ -704,9 +698,6 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
     s.origin = scene.origin;
     if (!rc)
         rc = clip_of_options(o->clip, o->clip_low_m, o->clip_high_m, "clip-", &s.clip, &s.clips, e);
-    s.crop_margin_m = o->crop_margin_m;
-    if (!rc && s.crop_margin_m >= 0.0)
-        rc = camera_hull_of(&scene, &s.ground, e);
     if (!rc)
         rc = tile_crop(&s, &scene, o->crop, e);
     if (!rc)
@@ -729,7 +720,6 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
     trim_free(&s.trim);
     footprint_free(&s.footprint);
     partition_free(&s.plan);
-    camera_hull_free(&s.ground);
     mem_free(s.cells);
     scene_free(&scene);
     return rc;

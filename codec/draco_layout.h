@@ -63,7 +63,7 @@ size_t draco_layout(uint32_t sh_degree, uint32_t embed_len,
 enum err_code draco_check(const void *bytes, size_t n, const struct codec_limits *lim,
                           struct draco_head *out, struct err *e) ERR_USE;
 
-/* Encodes integers as attributes of a sequential cloud without names. `citysplat-bench layout`
+/* Encodes integers as attributes of a sequential cloud without names. `citysplat-lab layout`
  * measures other layouts with it; none of our readers opens it. Appends to `out`. ERR_MEM,
  * ERR_INTERNAL. */
 enum draco_prediction { DRACO_PREDICT_NEVER, DRACO_PREDICT_ROW, DRACO_PREDICT_WHERE_IT_PAYS };

@@ -129,8 +129,9 @@ static void options_help_more(FILE *f, const struct options_spec *spec)
         before = ", ";
     }
     if (at < sizeof text)
-        snprintf(text + at, sizeof text - at, "%s%s %zu; `citysplat %s --help=all` shows them",
-                 before, options_help_always_title, always, spec->command);
+        snprintf(text + at, sizeof text - at, "%s%s %zu; `%.*s %s --help=all` shows them", before,
+                 options_help_always_title, always, (int)strcspn(spec->usage, " "), spec->usage,
+                 spec->command);
     putc('\n', f);
     options_help_wrapped(f, text, 0, 0);
 }

@@ -239,6 +239,8 @@ static int ingest_moment_compare(const void *a, const void *b)
     return (p->photo > q->photo) - (p->photo < q->photo);
 }
 
+#define INGEST_FLIGHT_GAP_MIN 20.0 /* minutes: a pause of this length begins another flight */
+
 /* Flights: a pause begins another. Without times, every folder is one. */
 static enum err_code ingest_find_flights(struct ingest *g, struct err *e)
 {
@@ -254,7 +256,7 @@ static enum err_code ingest_find_flights(struct ingest *g, struct err *e)
     qsort(m, n, sizeof *m, ingest_moment_compare);
     uint32_t flight = 0;
     for (size_t k = 0; k < n; k++) {
-        flight += k && m[k].s - m[k - 1].s > 60 * g->cfg->flight_gap_min;
+        flight += k && m[k].s - m[k - 1].s > 60 * INGEST_FLIGHT_GAP_MIN;
         g->photos[m[k].photo].geo.flight_hint = flight;
     }
     for (size_t i = 1; n == 0 && i < g->n; i++) {

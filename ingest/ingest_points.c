@@ -29,6 +29,9 @@ enum {
     POINTS_TAIL = 2,     /* of them, at either end, that do not count as the surface */
     POINTS_FEW_VIEWS = 3 /* observations of a weak point, at most */
 };
+#define POINTS_ANGLE_DEG 1.0  /* least angle between the rays of a point */
+#define POINTS_ERROR 8.0      /* largest reprojection error, in medians of all points */
+#define POINTS_GAP_MOST 8.0   /* largest gap, in those of the points around */
 #define POINTS_WEAK_ERROR 2.0 /* median errors of a weak point, at least */
 #define POINTS_GAP_PX 2.0     /* gaps of so many pixels are usual */
 #define POINTS_STEP_PX 8.0    /* and steps in height of so many */
@@ -37,7 +40,6 @@ enum {
 
 struct points_work {
     const struct scene *s;
-    const struct ingest_config *cfg;
     size_t *first;       /* [n + 1] observations of a point in `seen_by` */
     uint32_t *seen_by;   /* images */
     double (*center)[3]; /* [n_images] */
@@ -147,7 +149,7 @@ static bool points_alone(const struct points_work *w, size_t i)
     for (size_t k = 0; k < n; k++)
         gap[k] = (double)w->gap_m[ids[k]];
     double usual = fmax(sort_median(gap, n), POINTS_GAP_PX * (double)w->pixel_m[i]);
-    return n == POINTS_AROUND && (double)w->gap_m[i] > w->cfg->max_point_gap * usual;
+    return n == POINTS_AROUND && (double)w->gap_m[i] > POINTS_GAP_MOST * usual;
 }
 
 static bool points_weak(const struct points_work *w, size_t i)
@@ -179,14 +181,13 @@ static enum err_code points_judge_task(void *user, size_t i, struct err *e)
 {
     (void)e;
     struct points_work *w = user;
-    const struct ingest_config *cfg = w->cfg;
     bool weak = points_weak(w, i);
     enum ingest_point v = INGEST_POINT_KEPT;
     double off = points_off_surface(w, i);
     if (w->first[i + 1] - w->first[i] >= 2 &&
-        points_angle(w, i) < cfg->min_point_angle_deg / 57.29577951308232)
+        points_angle(w, i) < POINTS_ANGLE_DEG / 57.29577951308232)
         v = INGEST_POINT_ANGLE;
-    else if ((double)w->s->points[i].error_px > cfg->max_point_error * w->error_px)
+    else if ((double)w->s->points[i].error_px > POINTS_ERROR * w->error_px)
         v = INGEST_POINT_ERROR;
     else if (points_alone(w, i))
         v = INGEST_POINT_ALONE;
@@ -275,7 +276,7 @@ static enum err_code points_remove(struct scene *s, const uint8_t *verdict, stru
 enum err_code ingest_points_filter(const struct ingest_config *cfg, struct scene *s,
                                    size_t count[INGEST_POINT_VERDICTS], struct err *e)
 {
-    struct points_work w = {.s = s, .cfg = cfg};
+    struct points_work w = {.s = s};
     size_t n = s->n_points;
     memset(count, 0, INGEST_POINT_VERDICTS * sizeof *count);
     count[INGEST_POINT_KEPT] = n;

@@ -19,7 +19,12 @@
 #include "stereo/pairs.h"
 #include "stereo/sweep.h"
 
-#define DEPTHS_JUMP 5.0 /* footprints of a pixel from one to the next: an edge */
+/* Measured: docs/decisions/007-stereo.md. */
+#define DEPTHS_AGREE 2        /* neighbours that must have the same height, */
+#define DEPTHS_TOLERANCE 1.5  /* within so many planes */
+#define DEPTHS_MOVE_PX 0.75   /* most that a step of one plane may move a neighbour's pixel */
+#define DEPTHS_SPACING_PX 2.0 /* edge of the cubes of fused points, in footprints of a pixel */
+#define DEPTHS_JUMP 5.0       /* footprints of a pixel from one to the next: an edge */
 
 enum { DEPTHS_SAMPLES_MAX = 16 << 20 };
 
@@ -130,7 +135,7 @@ static bool depths_input(const struct depths *d, size_t i, struct sweep_input *i
         const struct depths_view *other = &d->views[d->pairs.near[i][k]];
         in->near[in->n_near++] = (struct sweep_view){other->cam, other->grey};
     }
-    return in->n_near && pairs_planes(&d->pairs, d->cfg->move_px, in);
+    return in->n_near && pairs_planes(&d->pairs, DEPTHS_MOVE_PX, in);
 }
 
 static enum err_code depths_sweep(struct depths *d, struct sweep *s, size_t i, float *score,
@@ -174,7 +179,7 @@ static double depths_agreed(const struct depths *d, size_t i, size_t p)
             px[1] < 0.0 || px[0] >= o->cam.width_px || px[1] >= o->cam.height_px)
             continue;
         double other = (double)o->height_m[(size_t)px[1] * o->cam.width_px + (size_t)px[0]];
-        double most = d->cfg->tolerance * fmax(v->step_m, o->step_m);
+        double most = DEPTHS_TOLERANCE * fmax(v->step_m, o->step_m);
         if (fabs(other - z) <= most) {
             sum += other;
             n++;
@@ -182,7 +187,7 @@ static double depths_agreed(const struct depths *d, size_t i, size_t p)
             through += other < z;
     }
     bool one = n && !through && v->sure[p] >= 255.0 * d->cfg->sure;
-    return n >= d->cfg->agree || one ? sum / (double)(n + 1) : (double)NAN;
+    return n >= DEPTHS_AGREE || one ? sum / (double)(n + 1) : (double)NAN;
 }
 
 /* Writes 1 for the pixels behind an edge: deeper than one beside them by DEPTHS_JUMP footprints. */
@@ -302,7 +307,7 @@ static enum err_code depths_points(const struct depths *d, struct depths_result 
     if (!samples)
         return err_set(e, ERR_MEM, "stereo: out of memory for %zu samples", n);
     (void)depths_samples(d, step, samples, &footprint_m);
-    enum err_code rc = fuse_samples(samples, n, fmax(d->cfg->spacing_px * footprint_m, 1e-6),
+    enum err_code rc = fuse_samples(samples, n, fmax(DEPTHS_SPACING_PX * footprint_m, 1e-6),
                                     &points, &out->points, e);
     const size_t shape[2] = {out->points, FUSE_COLUMNS};
     if (!rc)
@@ -383,8 +388,8 @@ static enum err_code depths_tell(const struct depths *d, struct depths_result *o
         json_pack("{s:s, s:I, s:I, s:I, s:I, s:i, s:i, s:i, s:f, s:f}", "depth", "inverse, 1/m",
                   "photographs", (json_int_t)out->photographs, "maps", (json_int_t)out->maps,
                   "pixels", (json_int_t)out->pixels, "known", (json_int_t)out->known, "max_edge_px",
-                  (int)d->cfg->max_edge_px, "neighbours", (int)d->cfg->near, "agree",
-                  (int)d->cfg->agree, "tolerance", d->cfg->tolerance, "sure", d->cfg->sure);
+                  (int)d->cfg->max_edge_px, "neighbours", (int)d->cfg->near, "agree", DEPTHS_AGREE,
+                  "tolerance", DEPTHS_TOLERANCE, "sure", d->cfg->sure);
     rc = j ? jsonc_write(path, j, e) : err_set(e, ERR_MEM, "%s: out of memory", path);
     json_decref(j);
     return rc;

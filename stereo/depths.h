@@ -2,11 +2,11 @@
  * its neighbours.
  *
  * The place of a pixel is looked up in each neighbour's map. A neighbour agrees if its map has the
- * same height there, within `tolerance` planes. A pixel is kept if at least `agree` neighbours
- * agree, and its height becomes the mean of theirs and its own. This is the left-right check of
- * stereo, for many views (Merrell et al. 2007). Few photographs look into a court, or at the foot
- * of a wall. One neighbour is therefore enough where windows correlate by at least `sure` and no
- * neighbour sees lower ground through the place.
+ * same height there, within DEPTHS_TOLERANCE planes. A pixel is kept if at least DEPTHS_AGREE
+ * neighbours agree, and its height becomes the mean of theirs and its own. This is the left-right
+ * check of stereo, for many views (Merrell et al. 2007). Few photographs look into a court, or at
+ * the foot of a wall. One neighbour is therefore enough where windows correlate by at least `sure`
+ * and no neighbour sees lower ground through the place.
  *
  * Samples of all maps are fused into points (stereo/fuse.h). Training begins with these.
  *
@@ -27,15 +27,11 @@ struct scene;
 struct depths_config {
     uint32_t max_edge_px; /* of maps */
     size_t near;          /* neighbours of a photograph */
-    size_t agree;
-    double sure;      /* 0..1 */
-    double tolerance; /* planes */
+    double sure;          /* 0..1 */
     /* planes: a pixel is not kept if its window reaches ground this much lower over an edge */
     double edge;
-    double spacing_px; /* edge of the cubes of fused points, in footprints of a pixel */
-    double move_px;    /* most that a step of one plane may move a neighbour's pixel */
-    bool walls;        /* upright planes too (stereo/sweep.h) */
-    bool test_split;   /* leave the test photographs out */
+    bool walls;      /* upright planes too (stereo/sweep.h) */
+    bool test_split; /* leave the test photographs out */
     bool overwrite;
 };
 struct depths_result {

@@ -208,11 +208,6 @@ static enum err_code synth_write_truth(const struct job *j, const struct synth_s
                               synth_photo_to_json(&j->photos[i], i % (size_t)cfg->test_every == 0));
     json_object_del(config, "output"); /* the same city has the same bytes wherever it is */
     json_object_del(config, "overwrite");
-    json_object_del(config, "city");
-    json_object_del(config, "map_views"); /* nor does it depend on what is drawn of it */
-    json_object_del(config, "map_seed");
-    json_object_del(config, "map_light");
-    json_object_del(config, "map_blur_px");
     if (cfg->paint == SYNTH_PAINT_RICH) /* cities had it before there was another */
         json_object_del(config, "paint");
     if (cfg->block_m3 == 0) /* likewise */
@@ -246,17 +241,6 @@ static enum err_code synth_make_folders(const char *dir, struct err *e)
     return rc;
 }
 
-static enum err_code synth_write_views(const struct job *j, struct err *e)
-{
-    char path[FILE_PATH_MAX];
-    if (!j->cfg->map_views)
-        return ERR_OK;
-    enum err_code rc = file_join(path, j->dir, "map-views", e);
-    if (!rc)
-        rc = file_mkdir(path, e);
-    return rc ? rc : synth_views_write(j->cfg, j->city, j->photos, path, e);
-}
-
 static enum err_code synth_write_all(struct job *j, struct synth_photo *photos,
                                      const struct synth_city *city, struct err *e)
 {
@@ -284,8 +268,6 @@ static enum err_code synth_write_all(struct job *j, struct synth_photo *photos,
     }
     if (!rc)
         rc = synth_write_truth(j, &frame, e);
-    if (!rc)
-        rc = synth_write_views(j, e);
     colmap_free(&model);
     return rc;
 }

@@ -3,9 +3,8 @@
  * With it people can try the program without a download, and tests know the right answer: poses,
  * depth, clean pictures, and errors of GPS positions. Reading order: synth.c (what is written),
  * synth_city.c (objects), synth_flight.c (cameras), synth_trace.c (rays), synth_shade.c (colours),
- * synth_draw.c (a picture), synth_map.c (a map), synth_model.c (the COLMAP model), synth_views.c
- * (ground truth at poses that are usual in maps), synth_splats.c (a city of any size as Gaussians)
- * and synth_splats_write.c (into files).
+ * synth_draw.c (a picture) and synth_model.c (the COLMAP model). lab/ draws more of it: maps, map
+ * views, and a city of any size as Gaussians.
  *
  * The city has its own frame: metres, z up, ground at z = 0, streets along x and y. ENU is that
  * frame rotated by city.yaw_rad about z.
@@ -25,10 +24,12 @@ struct lens;
 struct synth_config {
 #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "synth/synth.def"
+#include "synth/synth_vary.def"
 #undef OPT
 };
 enum { SYNTH_PAINT_RICH, SYNTH_PAINT_TRICKY }; /* cfg->paint */
-/* The table of struct synth_config: flags, defaults, ranges, help. */
+/* The table of struct synth_config: flags, defaults, ranges, help. `citysplat synth` has those of
+ * synth.def alone. */
 const struct options_spec *synth_options(void);
 /* Makes the city of cfg in cfg->output:
  *
@@ -177,16 +178,6 @@ double synth_draw_hit(const struct synth_draw *d, const struct camera *cam, doub
 /* Computes the depth at every pixel centre: depth [h][w]. */
 void synth_draw_depth(const struct synth_draw *d, const struct camera *cam, float *depth);
 
-/* ---- synth_map.c ---- */
-
-/* Draws the city without vehicles from straight above, with parallel rays, as an orthophoto should
- * show it. corner_enu_m: ENU of the corners, top left, top right, bottom left, bottom right; pixels
- * are evenly spaced between. A pixel is the mean of supersample^2 rays, and the picture is then
- * blurred. It uses all cores. Free *out with image_free, also after ERR_MEM. */
-enum err_code synth_map_draw(const struct synth_city *c, const double corner_enu_m[4][2],
-                             const uint32_t size_px[2], int supersample, double blur_px,
-                             struct image *out, struct err *e) ERR_USE;
-
 /* ---- synth_flight.c ---- */
 
 struct synth_photo {
@@ -223,35 +214,6 @@ bool synth_model_frames(const struct lens *lens, const struct camera *cam,
 /* Returns whether a photograph shows it: in the picture, and not hidden. */
 bool synth_model_sees(const struct synth_city *c, const struct lens *lens, const struct camera *cam,
                       const double place_enu_m[3]);
-
-/* ---- synth_views.c ---- */
-
-/* Writes ground truth at poses that are usual in maps into the existing folder dir
- * (lab/EVALUATION.md, "Map views"):
- *
- *     views.json              manifest: the kind of each view, and COLMAP -> ENU
- *     NAME.json               camera, as for `citysplat render --camera`; ENU
- *     NAME.png, NAME.npy      picture without lens errors; depth along the axis, m, 0 = sky
- *     NAME_mask.png           255: surface that three training photographs see, each pair of
- *                             them at least 5 degrees apart; 128: one sees it; 64: hidden in
- *                             each that looks there; 0: none looks there, or sky
- *     NAME_square.png         255: inside the built-up square
- *
- * View i depends on the options of the city, cfg->map_seed and i alone. ERR_ARG, ERR_IO, ERR_MEM,
- * ERR_CANCEL. */
-enum err_code synth_views_write(const struct synth_config *cfg, const struct synth_city *city,
-                                const struct synth_photo *photos, const char *dir,
-                                struct err *e) ERR_USE;
-/* Reads the options of the city in folder asked->city; options of map views are those of `asked`.
- * Texts live in the arena. ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_DATA, ERR_ARG: of its truth.json.
- * ERR_MEM. */
-enum err_code synth_views_config(const struct synth_config *asked, struct synth_config *out,
-                                 struct arena *a, struct err *e) ERR_USE;
-/* As synth_views_write, for a city that this command made before in folder cfg->city; its other
- * options are read from there. Writes into cfg->output, or if that is NULL into the city's
- * map-views/; *out_dir is that folder. Errors of synth_views_config and synth_views_write. */
-enum err_code synth_views_run(const struct synth_config *cfg, char out_dir[FILE_PATH_MAX],
-                              struct err *e) ERR_USE;
 
 /* Streams of random numbers. */
 enum synth_stream {

@@ -29,7 +29,7 @@ number() { # KEY FILE
   sed -n "s/^ *\"$1\": \([0-9]*\),*$/\1/p" "$2"
 }
 
-"$bin" synth -q -o "$work/city" --photos 24 --width-px 96 --height-px 72 --extent-m 60 --points 1500 --supersample 1 >/dev/null || exit 1
+"$bin-lab" synth -q -o "$work/city" --photos 24 --width-px 96 --height-px 72 --extent-m 60 --points 1500 --supersample 1 >/dev/null || exit 1
 photos=$work/city/images
 mapfile -t names < <(ls "$photos")
 
@@ -114,7 +114,7 @@ expect "a mixed folder" "unplaced ${names[7]}: .*only 12 features"
 "$bin" ingest "$work/mixed" "$work/b/sparse" -o "$work/scene3" -q >"$work/log" 2>&1 || fail "ingest of a mixed folder: exit $?"
 
 # Two places: told before the work.
-"$bin" synth -q -o "$work/far" --photos 12 --width-px 96 --height-px 72 --extent-m 40 --supersample 1 --lat-deg 47.6 --seed 2 >/dev/null
+"$bin-lab" synth -q -o "$work/far" --photos 12 --width-px 96 --height-px 72 --extent-m 40 --supersample 1 --lat-deg 47.6 --seed 2 >/dev/null
 mkdir "$work/two" && cp -r "$photos" "$work/two/first flight" && cp -r "$work/far/images" "$work/two/second"
 FAKE_SPLIT=second align "$work/two" -o "$work/d" --dry-run || fail "two places: exit $?"
 expect "two places" "lie in 2 places, [0-9]+ m apart"

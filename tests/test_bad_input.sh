@@ -98,18 +98,18 @@ cat >"$work/camera.json" <<'JSON'
 JSON
 refuse "no library of images" 1 "images: citysplat-image.so: is neither beside the program nor in" "$work/one.tif" \
     "$work/alone/citysplat" render "$work/one.splat" --camera "$work/camera.json" -o "$work/one.tif" -q
-refuse "no library of maps" 1 "maps and projections: citysplat-gdal.so: is neither beside the program nor in" "" \
-    "$work/alone/citysplat" synth --city "$work/city" --map "$work/file" -q
+"$bin" import "$work/one.splat" --origin 8,50,100 -o "$work/lone.tiles" -q || exit 1
+refuse "no library of maps" 1 "maps and projections: citysplat-gdal.so: is neither beside the program nor in" "$work/map.tif" \
+    "$work/alone/citysplat" ortho "$work/lone.tiles" -o "$work/map.tif" -q
 echo 'not a library' >"$work/alone/citysplat-gdal.so"
-refuse "a library that is none" 1 "citysplat-gdal.so: cannot be loaded" "" \
-    "$work/alone/citysplat" synth --city "$work/city" --map "$work/file" -q
+refuse "a library that is none" 1 "citysplat-gdal.so: cannot be loaded" "$work/map.tif" \
+    "$work/alone/citysplat" ortho "$work/lone.tiles" -o "$work/map.tif" -q
 
-# An installed program finds both: it writes a .tif, and GDAL says what the file is not.
+# An installed program finds both: it writes a .tif and a map.
 if [ -f "$(dirname "$bin")/CMakeCache.txt" ]; then
     cmake --install "$(dirname "$bin")" --prefix "$work/usr" >"$work/log" 2>&1 || { cat "$work/log"; exit 1; }
     "$work/usr/bin/citysplat" render "$work/one.splat" --camera "$work/camera.json" -o "$work/one.tif" -q || exit 1
-    refuse "a map that is none, by an installed program" 1 "file: not a GeoTIFF" "" \
-        "$work/usr/bin/citysplat" synth --city "$work/city" --map "$work/file" -q
+    "$work/usr/bin/citysplat" ortho "$work/lone.tiles" -o "$work/map.tif" -q || exit 1
 else
     echo "skip an installed program: this one is not in its build folder"
 fi

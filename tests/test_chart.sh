@@ -1,10 +1,10 @@
 #!/bin/sh
-# `citysplat-study record` and `chart`, and `citysplat chart`: a tiny set of runs becomes charts and tables; missing
+# `citysplat-lab study-record`, `study-chart` and `chart`: a tiny set of runs becomes charts and tables; missing
 # gnuplot and bad records are one clear error. Needs CITYSPLAT_BIN; what needs gnuplot is skipped (77) without it.
 #
 # SPDX-License-Identifier: Apache-2.0
 bin=${CITYSPLAT_BIN:?set it to the citysplat program}
-study=$(dirname "$bin")/citysplat-study
+lab=$bin-lab
 work=$(mktemp -d "${TMPDIR:-/tmp}/citysplat-chart-XXXXXX") || exit 1
 trap 'rm -rf "$work"' EXIT
 fail() { echo "FAIL $*"; exit 1; }
@@ -22,7 +22,7 @@ for cell in a b; do
 done
 printf '{"bench":"ceiling","case":"fma","value":80,"unit":"GFLOP/s"}\n{"bench":"ceiling","case":"triad","value":20,"unit":"GB/s"}\n' >"$work/ceilings"
 add() { # STUDY ROW SET
-    "$study" record "$runs/$1.jsonl" --study "$1" --row "$2" --command "train $2 --iterations 2000" --dataset "toy city" --commit abc \
+    "$lab" study-record "$runs/$1.jsonl" --study "$1" --row "$2" --command "train $2 --iterations 2000" --dataset "toy city" --commit abc \
         --scores "$work/scores.json" --results "$work/run" --ceilings "$work/ceilings" --set "$3" || fail "record $1 $2"
 }
 scores 21 0.6 1000; add budgets "1 k" budget=1000
@@ -54,18 +54,18 @@ refuse() { # PATTERN COMMAND...
     expect "$pattern" "$work/log"
     [ "$(grep -c 'error:' "$work/log")" = 1 ] || fail "not one error line: $*"
 }
-refuse 'expected a number' "$study" record "$work/x.jsonl" --study a --row b --set k=x
-refuse 'required' "$study" record "$work/x.jsonl" --study a
-refuse 'not the results' "$study" record "$work/x.jsonl" --study a --row b --results "$work/none"
-refuse 'apt-get install gnuplot' env PATH=/nonexistent "$study" chart "$runs" -o "$work/none"
+refuse 'expected a number' "$lab" study-record "$work/x.jsonl" --study a --row b --set k=x
+refuse 'required' "$lab" study-record "$work/x.jsonl" --study a
+refuse 'not the results' "$lab" study-record "$work/x.jsonl" --study a --row b --results "$work/none"
+refuse 'apt-get install gnuplot' env PATH=/nonexistent "$lab" study-chart "$runs" -o "$work/none"
 ls "$work/none"/* >/dev/null 2>&1 && fail "without gnuplot something was written"
 mkdir "$work/empty"
-refuse 'no recorded runs' "$study" chart "$work/empty" -o "$work/none"
+refuse 'no recorded runs' "$lab" study-chart "$work/empty" -o "$work/none"
 echo '{"study":"a","row":"b"}' >"$work/bad.jsonl"
-refuse "record 1: no text 'what'" "$study" chart "$work/bad.jsonl" -o "$work/none"
+refuse "record 1: no text 'what'" "$lab" study-chart "$work/bad.jsonl" -o "$work/none"
 echo 'nonsense' >"$work/bad.jsonl"
-refuse 'line 1: expected a JSON object' "$study" chart "$work/bad.jsonl" -o "$work/none"
-refuse 'no such chart' "$study" chart "$runs" -o "$work/none" --only nosuch
+refuse 'line 1: expected a JSON object' "$lab" study-chart "$work/bad.jsonl" -o "$work/none"
+refuse 'no such chart' "$lab" study-chart "$runs" -o "$work/none" --only nosuch
 
 command -v gnuplot >/dev/null || { echo "skipped: gnuplot is not installed"; exit 77; }
 
@@ -73,7 +73,7 @@ command -v gnuplot >/dev/null || { echo "skipped: gnuplot is not installed"; exi
 mkdir "$work/docs"
 doc=$work/docs/page.md
 printf 'Before.\n\n<!-- chart budgets -->\nold\n<!-- end -->\n\nBetween.\n\n<!-- table budgets -->\n<!-- end -->\n<!-- table lod -->\nold\n<!-- end -->\nAfter.\n' >"$doc"
-"$study" chart "$runs" -o "$work/docs/charts" --markdown "$doc" >"$work/log" 2>&1 || { cat "$work/log"; fail chart; }
+"$lab" study-chart "$runs" -o "$work/docs/charts" --markdown "$doc" >"$work/log" 2>&1 || { cat "$work/log"; fail chart; }
 for f in budgets ablation; do
     [ -s "$work/docs/charts/$f.svg" ] && [ -s "$work/docs/charts/$f.png" ] || fail "no chart $f"
     head -c 400 "$work/docs/charts/$f.svg" | grep -q '<svg' || fail "$f.svg is not SVG"
@@ -87,26 +87,26 @@ grep -q "$(basename "$HOME")/" "$work/docs/charts/ablation.svg" && fail "a varia
 expect '^!\[.*\](charts/budgets.svg)$' "$doc"
 expect '^| 2 k | 4.0 | 25.00 | 0.7600 |' "$doc"
 [ "$(grep -c '^| 2 k | 4.0 |' "$doc")" = 1 ] || fail "the surface is in the table of photographs"
-expect 'Not recorded: `studies/study.sh lod`' "$doc"
+expect 'Not recorded: `lab/study.sh lod`' "$doc"
 expect 'abc, on a device, FMA 80 GFLOP/s, triad 20 GB/s' "$doc"
 for text in Before Between After; do expect "^$text" "$doc"; done
 grep -q '^old' "$doc" && fail "old tables stay"
 cp "$doc" "$work/again"
-"$study" chart "$runs" -o "$work/docs/charts" --no-png --markdown "$doc" -q >/dev/null || fail "chart again"
+"$lab" study-chart "$runs" -o "$work/docs/charts" --no-png --markdown "$doc" -q >/dev/null || fail "chart again"
 cmp -s "$doc" "$work/again" || fail "writing again changes the page"
 pages=$work/docs/pages
 mkdir "$pages"
 cp "$doc" "$pages/a.md"
 printf 'One\n<!-- table lod -->\nold\n<!-- end -->\n' >"$pages/b.md"
-"$study" chart "$runs" -o "$work/docs/charts" --no-png --markdown "$pages" -q >/dev/null || fail "pages of a folder"
+"$lab" study-chart "$runs" -o "$work/docs/charts" --no-png --markdown "$pages" -q >/dev/null || fail "pages of a folder"
 if grep -q '^old' "$pages/b.md"; then fail "the second page stays"; fi
-"$study" chart "$runs" -o "$work/docs/charts" --check --markdown "$pages" -q >/dev/null || fail "check of a folder"
+"$lab" study-chart "$runs" -o "$work/docs/charts" --check --markdown "$pages" -q >/dev/null || fail "check of a folder"
 echo '<!-- chart nosuch -->' >>"$pages/b.md"
-refuse "no chart is called 'nosuch'" "$study" chart "$runs" -o "$work/docs/charts" --markdown "$pages"
+refuse "no chart is called 'nosuch'" "$lab" study-chart "$runs" -o "$work/docs/charts" --markdown "$pages"
 echo '<!-- chart nosuch -->' >>"$doc"
-refuse "no chart is called 'nosuch'" "$study" chart "$runs" -o "$work/docs/charts" --markdown "$doc"
+refuse "no chart is called 'nosuch'" "$lab" study-chart "$runs" -o "$work/docs/charts" --markdown "$doc"
 printf '<!-- chart lod -->\nopen\n' >"$doc"
-refuse "not closed" "$study" chart "$runs" -o "$work/docs/charts" --markdown "$doc"
+refuse "not closed" "$lab" study-chart "$runs" -o "$work/docs/charts" --markdown "$doc"
 expect '^open' "$doc"
 ls "$work/docs/charts"/*.part* >/dev/null 2>&1 && fail "part files stay"
 
@@ -117,16 +117,16 @@ for cell in near/cells/a near/cells/b far/cells/all; do
         "$(case $cell in *a) echo 24 ;; *b) echo 26 ;; *) echo 30 ;; esac)" >"$work/$cell/metrics.jsonl"
     head -c 1000000 /dev/zero >"$work/$cell/level2.ckpt"
 done
-"$bin" chart "$work/near" "$work/far" -o "$work/own" >"$work/table" 2>"$work/log" || { cat "$work/log"; fail "chart of scenes"; }
+"$lab" chart "$work/near" "$work/far" -o "$work/own" >"$work/table" 2>"$work/log" || { cat "$work/log"; fail "chart of scenes"; }
 for f in accuracy_seconds accuracy_gaussians accuracy_bytes accuracy_frame; do
     [ -s "$work/own/$f.svg" ] && [ -s "$work/own/$f.png" ] || fail "no chart $f"
 done
 # Both cells: 600 Gaussians, 60 s, 2 MB, the mean of 24 and 26 dB over as many photographs.
 expect 'near: level 2 |.*25\.00.*0\.6.*2\.00.*60\.0' "$work/table"
 expect 'far: level 2 |.*30\.00' "$work/table"
-refuse 'not a trained scene' "$bin" chart "$work/runs" -o "$work/own"
+refuse 'not a trained scene' "$lab" chart "$work/runs" -o "$work/own"
 mkdir -p "$work/bare/cells/all"
-refuse 'no cell has a metrics.jsonl' "$bin" chart "$work/bare" -o "$work/own"
+refuse 'no cell has a metrics.jsonl' "$lab" chart "$work/bare" -o "$work/own"
 printf '{"event":"level","level":1,"gaussians":100,"test_photographs":0,"seconds":10}\n' >"$work/bare/cells/all/metrics.jsonl"
-refuse 'no level has a score' "$bin" chart "$work/bare" -o "$work/own"
+refuse 'no level has a score' "$lab" chart "$work/bare" -o "$work/own"
 echo ok

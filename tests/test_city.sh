@@ -17,7 +17,7 @@ expect() { grep -q -- "$2" "$work/log" || fail "$1: '$2' is not said"; }
 city() { ./bootstrap city "$@" --no-serve --iterations 600 --max-edge-px 64 >"$work/log" 2>&1; }
 
 for place in a b; do
-  "$bin" synth -q -o "$work/$place/my flight" --photos 16 --width-px 64 --height-px 48 --extent-m 60 --points 600 \
+  "$bin-lab" synth -q -o "$work/$place/my flight" --photos 16 --width-px 64 --height-px 48 --extent-m 60 --points 600 \
     --supersample 1 --seed $((${#place} + 1)) >/dev/null || exit 1
 done
 

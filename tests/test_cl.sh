@@ -13,7 +13,7 @@ compile() { # options, besides those of $f, $target and $vw
         -I. $1 -fsyntax-only -Wall -Wno-unused-function -Werror "$f" || {
         echo "$f: does not compile for $target with VW=$vw and $1"; status=1; }
 }
-for f in core/*.cl render/*.cl loss/*.cl stereo/*.cl bench/*.cl; do
+for f in core/*.cl render/*.cl loss/*.cl stereo/*.cl lab/*.cl; do
     [ -f "$f" ] || continue
     for target in spir64 nvptx64 amdgcn--amdhsa; do
         case $f in

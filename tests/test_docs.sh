@@ -57,8 +57,9 @@ function quoted(text, at,    n, k, word, command) {
     n = split(text, word, /[ \t]+/); command = ""
     for (k = 1; k <= n; k++) {
         if (word[k] ~ /^#/) return
-        if (word[k] ~ /(^|[\/$(])citysplat-bench$/) {
-            command = "-bench"
+        if (word[k] ~ /(^|[\/$(])citysplat-lab$/) {
+            if (word[k + 1] ~ /^[a-z]+(-[a-z]+)?$/) print FILENAME "\t" at "\t-lab " word[k + 1] "\t"
+            command = "-lab"
         } else if (word[k] ~ /(^|[\/$(])(citysplat|bootstrap)$/ && word[k - 1] != "comment") {
             command = word[k + 1]
             if (command !~ /^[a-z]+(-[a-z]+)?$/) command = ""
@@ -88,14 +89,16 @@ fence || /^    / {
         line = substr(rest, b + 1)
     }
 }' <"$work/files" | sort -u -t'	' -k3,4 >"$work/quoted"
-# What there is: docs/commands.md, which tests/test_reference.sh compares with the program; the rows of options of
-# citysplat-bench; the usage of bootstrap.
+# What there is: docs/commands.md, which tests/test_reference.sh compares with the program; the tables of commands and
+# options of citysplat-lab; the usage of bootstrap.
 {
     printf 'help\t--markdown\nhelp\t--man\nhelp\t\ncompletion\t\n'
     awk '
     /^## citysplat / { command = $3; for (k = split("--config --print-config --help", all, " "); k; k--) print command "\t" all[k]; print command "\t" }
     command != "" && match($0, /^\| `--[a-z0-9-]+`/) { print command "\t" substr($0, 4, RLENGTH - 4) }' docs/commands.md
-    sed -n 's/^OPT([A-Z]*, [A-Z]*, *\([a-z_]*\),.*/\1/p' bench/options.def | sed 's/_/-/g; s/^/-bench\t--/'
+    printf -- '-lab help\t\n-lab\t--help\n-lab\t--config\n'
+    sed -n 's/^COMMAND([a-z_]*, "\([a-z-]*\)".*/-lab \1\t/p; s/^BENCH[A-Z_]*(\([a-z]*\),.*/-lab \1\t/p' lab/*.def
+    sed -n 's/^OPT([A-Z]*, [A-Z]*, *\([a-z_0-9]*\),.*/\1/p' lab/*.def cli/eval_city.def synth/*.def | sed 's/_/-/g; s/.*/-lab\t--&\n-lab\t--no-&/'
     ./bootstrap help | sed -n 's|^ *\./bootstrap \([a-z]*\).*|bootstrap \1\t|p'
 } >"$work/known"
 awk -F'\t' 'NR == FNR { known[$1, $2]; next }

@@ -14,7 +14,7 @@ export PATH=$work/path:$PATH FAKE_TRUTH=$work/city/sparse/0 FAKE_LOG=$work/calls
 export LC_ALL=C.UTF-8
 failed=0 passed=0
 
-"$bin" synth -q -o "$work/city" --photos 12 --width-px 64 --height-px 48 --extent-m 40 --points 800 --supersample 1 >/dev/null || exit 1
+"$bin-lab" synth -q -o "$work/city" --photos 12 --width-px 64 --height-px 48 --extent-m 40 --points 800 --supersample 1 >/dev/null || exit 1
 mapfile -t names < <(ls "$work/city/images")
 
 # begin NAME [poses]: $f is a fresh copy of the good folder: photographs alone, or with COLMAP's model.
@@ -96,7 +96,7 @@ begin 'nothing matches'; FAKE_ALONE=.jpg judge 1 'only 1 of 12 photographs hang 
 begin 'one matches none'; FAKE_ALONE=${names[5]} judge 0 "${names[5]}: .*matches no neighbour"
 begin 'one shows water'; FAKE_BLANK=${names[6]} judge 0 "${names[6]}: .*only 12 features"
 begin 'a second flight elsewhere'
-"$bin" synth -q -o "$work/far" --photos 8 --width-px 64 --height-px 48 --extent-m 40 --supersample 1 --lat-deg 47.6 --seed 2 >/dev/null
+"$bin-lab" synth -q -o "$work/far" --photos 8 --width-px 64 --height-px 48 --extent-m 40 --supersample 1 --lat-deg 47.6 --seed 2 >/dev/null
 mkdir "$p/second" && cp "$work/far/images/"*.jpg "$p/second/"; FAKE_SPLIT=second judge 0 'lie in 2 places'
 
 # ---- COLMAP and its model

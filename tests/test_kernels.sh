@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
-# test_kernels.sh: `citysplat-bench kernels` has a limit for every kernel that a step launches, and sums of a frame and
+# test_kernels.sh: `citysplat-lab kernels` has a limit for every kernel that a step launches, and sums of a frame and
 # of a step.
 #
 # SPDX-License-Identifier: Apache-2.0
 set -euo pipefail
-bench=$(dirname "$CITYSPLAT_BIN")/citysplat-bench
-[ -x "$bench" ] || { echo "no $bench"; exit 77; }
+lab=$CITYSPLAT_BIN-lab
+[ -x "$lab" ] || { echo "no $lab"; exit 77; }
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
-"$bench" kernels --quick --runs 1 >"$work/lines" 2>"$work/table" || { cat "$work/table"; exit 1; }
+"$lab" kernels --quick --runs 1 >"$work/lines" 2>"$work/table" || { cat "$work/table"; exit 1; }
 # A line: a kernel or a sum, all of its numbers above 0 and finite but for the multiply-adds, which may be 0.
 awk -F'[,{}]' '
     !/"series":"[a-z_]* \([0-9.]* launches|"series":"all kernels of a / { next }

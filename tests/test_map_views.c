@@ -16,9 +16,10 @@
 #include "codec/npy.h"
 #include "codec/scene.h"
 #include "core/layout.h"
+#include "lab/map_views.h"
+#include "lab/synth_views.h"
 #include "loss/metric.h"
 #include "render/render_ref.h"
-#include "train/map_views.h"
 
 enum { WIDTH = 53, HEIGHT = 37, PIXELS = WIDTH * HEIGHT };
 #define DEPTH_REL 1e-5 /* float sums of some hundred terms */
@@ -459,7 +460,6 @@ static void city_config(struct synth_config *cfg, struct arena *a, const char *d
     cfg->height_px = 48;
     cfg->extent_m = 90;
     cfg->points = 400;
-    cfg->map_views = 8;
 }
 
 static void same_file(const char *a, const char *b, const char *name)
@@ -547,13 +547,14 @@ static double roughness(const struct scene *s, const char *dir)
 }
 
 /* Pictures have the blur that is asked for, whatever that of the photographs. */
-static void check_blur(struct synth_config *again, const struct scene *s, const char *dir)
+static void check_blur(const char *city, struct synth_views_options *again, const struct scene *s,
+                       const char *dir)
 {
     char out[FILE_PATH_MAX];
     struct err e = {0};
     double soft = roughness(s, dir);
-    again->map_blur_px = 0;
-    kit_ok(synth_views_run(again, out, &e), e);
+    again->blur_px = 0;
+    kit_ok(synth_views_run(city, again, out, &e), e);
     double sharp = roughness(s, dir);
     if (!(soft < 0.8 * sharp && soft > 0.2 * sharp))
         fail_msg("roughness %g sharp, %g blurred", sharp, soft);
@@ -564,7 +565,8 @@ static void synth_writes_views_that_are_true(void **state)
     (void)state;
     char tmp[FILE_PATH_MAX], city_dir[FILE_PATH_MAX], own[FILE_PATH_MAX], out[FILE_PATH_MAX];
     char more[FILE_PATH_MAX];
-    struct synth_config cfg, again;
+    struct synth_config cfg;
+    struct synth_views_options first = {.count = 8, .seed = 1, .blur_px = 0.6};
     struct arena a = {0};
     struct err e = {0};
     struct map_views v;
@@ -577,13 +579,13 @@ static void synth_writes_views_that_are_true(void **state)
     snprintf(more, sizeof more, "%.3000s/more", tmp);
     city_config(&cfg, &a, city_dir);
     kit_ok(synth_run(&cfg, &e), e);
-    /* Of the finished folder, more of them: the first are the same. */
-    kit_ok(options_defaults(synth_options(), &again, &a, &e), e);
-    again.city = city_dir;
+    kit_ok(synth_views_run(city_dir, &first, out, &e), e);
+    assert_string_equal(out, own);
+    /* More of them: the first are the same. */
+    struct synth_views_options again = first;
     again.output = more;
-    kit_fails(synth_views_run(&again, out, &e), ERR_ARG, e, "--map-views");
-    again.map_views = 9;
-    kit_ok(synth_views_run(&again, out, &e), e);
+    again.count = 9;
+    kit_ok(synth_views_run(city_dir, &again, out, &e), e);
     assert_string_equal(out, more);
     struct scene s = truth_scene(&cfg);
     kit_ok(map_views_read(own, &s, &v, &e), e);
@@ -607,16 +609,16 @@ static void synth_writes_views_that_are_true(void **state)
     assert_int_equal(kinds, 6);
     assert_true(seen[0] > 100 && seen[1] > 20 && seen[2] > 300);
     /* Other seeds stand elsewhere, and nothing is overwritten unasked. */
-    kit_fails(synth_views_run(&again, out, &e), ERR_ARG, e, "--overwrite");
+    kit_fails(synth_views_run(city_dir, &again, out, &e), ERR_ARG, e, "--overwrite");
     again.overwrite = true;
-    again.map_seed = 2;
-    again.map_views = 1;
-    kit_ok(synth_views_run(&again, out, &e), e);
+    again.seed = 2;
+    again.count = 1;
+    kit_ok(synth_views_run(city_dir, &again, out, &e), e);
     struct map_views w;
     kit_ok(map_views_read(more, &s, &w, &e), e);
     assert_true(memcmp(w.views[0].cam.trans, v.views[0].cam.trans, sizeof w.views[0].cam.trans));
     map_views_free(&w);
-    check_blur(&again, &s, more);
+    check_blur(city_dir, &again, &s, more);
     map_views_free(&v);
     synth_city_free(&city);
     arena_free(&a);

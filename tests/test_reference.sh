@@ -75,12 +75,11 @@ sample() { # COMMAND KEY STATE: the flag, from the table of the reference
     case $flag in
     lpips-range) value=unit ;;
     depth-pass) value=soft ;;
-    distance-m) value=50,100 ;;
     test-block) value=0.25 ;;
     cache-dir-mb) value=100 ;;
     *) value=7 ;;
     esac
-    case $flag in gcp-scale | vehicle-share) value=0.7 ;; esac
+    case $flag in gcp-scale) value=0.7 ;; esac
     printf -- '--%s=%s' "$flag" "$value"
 }
 sed -n 's/^RULE("\([^"]*\)", "\([^"]*\)", "\([^"]*\)", "\([^"]*\)", "\([^"]*\)", \([A-Z]*\), "\([^"]*\)")$/\1|\2|\3|\4|\5|\6|\7/p' \
@@ -92,7 +91,6 @@ while IFS='|' read -r c a a_is b b_is verdict words; do
     kind=refuses
     [ "$verdict" = REFUSE ] || kind=warns
     set -- "$c" "$work/none"
-    [ "$c" != synth ] || set -- synth # it takes no argument
     [ "$c" != ingest ] || set -- ingest "$work/none" "$work/none"
     $kind "$words" "$@" ${one:+"$one"} ${two:+"$two"} </dev/null
     $kind "$words" "$@" ${two:+"$two"} ${one:+"$one"} </dev/null
@@ -110,7 +108,7 @@ printed --iterations 200,300 >"$work/again.jsonc"
 [ "$(printed --config "$work/again.jsonc")" = "$(cat "$work/again.jsonc")" ] || fail "a printed configuration is not read back"
 refuses 'budget A,B,C' train x --budget-3 5
 refuses 'densify-until A,B,C' train x --densify-until-1 0.5
-refuses 'distance-m A,B' eval x --distance-1-m 5
+"$bin-lab" eval-photographs x --distance-1-m 5 2>&1 | grep -q 'distance-m A,B' || fail "the older name of --distance-m"
 printf '{"budget_2": 5}' >"$work/c.jsonc"
 refuses '"budget": .A, B, C' train x --config "$work/c.jsonc"
 refuses 'budget-rule' train x --budget fit

@@ -1,9 +1,9 @@
-/* What kernels have to do (bench/roofline.c): the table of docs/studies/gpu.md for the benchmark's
+/* What kernels have to do (lab/roofline.c): the table of lab/studies/gpu.md for the benchmark's
  * city, every kernel with a limit, and limits worked out by hand.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "bench/roofline.h"
+#include "lab/roofline.h"
 #include "tests/kit.h"
 
 #include <math.h>

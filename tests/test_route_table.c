@@ -8,7 +8,7 @@
 
 /* ---- a route of a test's own ---- */
 
-/* One row and one function: docs/recipes.md shows these. */
+/* One row and one function: docs/architecture.md shows these. */
 struct squares_target { /* routes.def makes those of its rows */
     struct target all;
     struct target_page page;
@@ -97,7 +97,7 @@ static void test_one_row_and_one_function(void **state)
 
 /* ---- a kind of work of a test's own ---- */
 
-/* A struct of functions, one row and one answer: docs/recipes.md shows these. */
+/* A struct of functions, one row and one answer: docs/architecture.md shows these. */
 struct cube_own {
     uint32_t edge;
     char *note; /* owned */

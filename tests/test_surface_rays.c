@@ -8,8 +8,8 @@
 #include <string.h>
 
 #include "core/camera.h"
-#include "train/surface_match.h"
-#include "train/surface_rays.h"
+#include "lab/surface_match.h"
+#include "lab/surface_rays.h"
 
 enum { SIDE = 33, PIXELS = SIDE * SIDE, MIDDLE = PIXELS / 2 };
 #define DEPTH_M 1e-4 /* float depths of some ten metres */

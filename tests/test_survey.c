@@ -4,6 +4,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "lab/synth_map.h"
 #include "tests/survey_kit.h"
 
 #include <math.h>
@@ -682,7 +683,7 @@ static void painted_city(const char *name, double east_m, char path[FILE_PATH_MA
     gauss_free(&g);
 }
 
-/* What `citysplat synth` says of an orthophoto of this store, dB. */
+/* What `citysplat-lab truth` says of an orthophoto of this store, dB. */
 static double score(const char *tiles)
 {
     struct buf out = {0};
@@ -690,7 +691,7 @@ static double score(const char *tiles)
     const char *bin = kit_program(), *at;
     assert_int_equal(kit_run(&out,
                              "cd '%s' && '%s' ortho -q '%s' -o o.tif --gsd-m 0.25 --overwrite && "
-                             "'%s' synth -q --city . --map o.tif -o truth.tif --overwrite",
+                             "'%s-lab' truth . o.tif -o truth.tif -q",
                              f.dir, bin, tiles, bin),
                      0);
     at = strstr((const char *)out.data, "; ");
@@ -725,9 +726,8 @@ static void ortho_is_the_citys_picture(void **state)
     double off = score(path);
     printf("survey ortho: PSNR %.2f dB against the city, %.2f dB a metre off\n", there, off);
     assert_true(there > 25 && off < there - 5);
-    assert_int_equal(kit_run(&out, "cd '%s' && '%s' synth -q --city . --map truth/truth.json",
-                             f.dir, kit_program()),
-                     1);
+    assert_int_equal(
+        kit_run(&out, "cd '%s' && '%s-lab' truth . truth/truth.json -q", f.dir, kit_program()), 1);
     kit_expect_text((const char *)out.data, "not a GeoTIFF", __FILE__, __LINE__);
     buf_free(&out);
 }

@@ -17,8 +17,8 @@
 #include "core/geo.h"
 #include "core/pool.h"
 #include "kit.h"
+#include "lab/synth_splats.h"
 #include "synth/synth.h"
-#include "synth/synth_splats.h"
 
 static const double tol_gps_m =
     0.02; /* EXIF keeps 1e-4 seconds of arc or better, and centimetres */
@@ -563,18 +563,13 @@ static void test_splats_districts(void **state)
     synth_splats_free(&s);
 }
 
-static void splats_write(const struct city *base, const char *dir, const char *name, int64_t seed,
-                         char path[FILE_PATH_MAX])
+static void splats_write(const char *dir, const char *name, int64_t seed, char path[FILE_PATH_MAX])
 {
-    struct synth_config cfg = base->cfg;
     struct err e = {0};
+    const struct synth_splats_options o = {
+        .output = path, .count = 9001, .sh_degree = 2, .spacing_m = 8, .seed = seed};
     kit_ok(file_join(path, dir, name, &e), e);
-    cfg.output = path;
-    cfg.splats = 9001;
-    cfg.sh_degree = 2;
-    cfg.spacing_m = 8;
-    cfg.seed = seed;
-    kit_ok(synth_splats_write(&cfg, &e), e);
+    kit_ok(synth_splats_write(&o, &e), e);
 }
 
 /* The same bytes whatever the number of threads, others of another seed; three levels that hold
@@ -591,12 +586,12 @@ static void test_splats_files(void **state)
     struct err e = {0};
     kit_tmpdir(tmp);
     city_defaults(&base, tmp, "base");
-    splats_write(&base, tmp, "a.ply", 1, path[0]);
+    splats_write(tmp, "a.ply", 1, path[0]);
     pool_limit(1);
-    splats_write(&base, tmp, "b.ply", 1, path[1]);
+    splats_write(tmp, "b.ply", 1, path[1]);
     pool_limit(0);
-    splats_write(&base, tmp, "c.ply", 2, path[2]);
-    splats_write(&base, tmp, "levels", 1, path[3]);
+    splats_write(tmp, "c.ply", 2, path[2]);
+    splats_write(tmp, "levels", 1, path[3]);
     kit_ok(file_read(path[0], 0, &one, &e), e);
     kit_ok(file_read(path[1], 0, &other, &e), e);
     assert_int_equal(one.size, other.size);

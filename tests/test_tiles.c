@@ -51,7 +51,8 @@ static void ERR_PRINTF(6, 7) run_at(struct fixture *f, int want, const char *par
     char args[2048];
     struct buf out = {0};
     va_list ap;
-    f->bin = kit_program();
+    if (!f->bin)
+        f->bin = kit_program();
     va_start(ap, fmt);
     vsnprintf(args, sizeof args, fmt, ap);
     va_end(ap);
@@ -504,21 +505,23 @@ static void a_city_without_training(void **state)
 {
     struct fixture *f = *state;
     struct buf out = {0};
-    run(f, 0, "20000 Gaussians", "synth --splats 20k -o flat.ply -q");
+    struct fixture lab = *f;
+    char bin[FILE_PATH_MAX];
+    snprintf(bin, sizeof bin, "%.*s-lab", FILE_PATH_MAX - 8, kit_program());
+    lab.bin = bin;
+    run(&lab, 0, "20000 Gaussians", "splats --count 20k -o flat.ply -q");
     run(f, 0, "tiles", "import flat.ply -o flat.tiles -q");
-    run(f, 0, "20000", "synth --splats 20k -o deep -q");
+    run(&lab, 0, "20000", "splats --count 20k -o deep -q");
     run(f, 0, "level 2         10000", "tile deep -o deep.tiles -q");
     struct statvfs disk;
     assert_int_equal(statvfs(f->dir, &disk), 0);
     if ((double)disk.f_bavail * (double)disk.f_frsize < 1e12)
-        run(f, 1, "are needed on the disk", "synth --splats 4G --sh-degree 3 -o no.ply -q");
-    run(f, 2, "exists", "synth --splats 1k -o flat.ply -q");
-    run(f, 2, "--splats", "synth --spacing-m 3 -o no -q");
-    run(f, 2, "--splats", "synth --sh-degree 1 -o no -q");
+        run(&lab, 1, "are needed on the disk", "splats --count 4G --sh-degree 3 -o no.ply -q");
+    run(&lab, 2, "exists", "splats --count 1k -o flat.ply -q");
     kit_run(&out,
-            "cd '%s' && mkdir dies && { '%s' synth --splats 20M -o dies/x.ply -q & p=$!; sleep "
+            "cd '%s' && mkdir dies && { '%s' splats --count 20M -o dies/x.ply -q & p=$!; sleep "
             "0.4; kill -9 $p; wait $p; ls dies; }",
-            f->dir, f->bin);
+            f->dir, lab.bin);
     assert_null(strstr((const char *)out.data, "x.ply"));
     assert_false(kit_run(&out, "cd '%s' && ls no.ply*", f->dir) == 0);
     buf_free(&out);

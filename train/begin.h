@@ -13,7 +13,7 @@
 #include "train/schedule.h"
 
 /* Nothing is farther above the highest or below the lowest sparse point nearby, in flight heights
- * (docs/decisions/006-density-control.md). */
+ * (docs/decisions/011-density-control.md). */
 #define BEGIN_FREE_SPACE 0.05
 
 struct run_cell;

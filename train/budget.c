@@ -16,7 +16,7 @@
 #include "train/photo_loader.h"
 #include "train/schedule.h"
 
-#define BUDGET_DENSITY 10.0 /* docs/decisions/006-density-control.md */
+#define BUDGET_DENSITY 10.0 /* docs/decisions/011-density-control.md */
 
 size_t budget_fit(const struct budget_photos *p, const struct train_config *cfg, double downsample,
                   size_t table)

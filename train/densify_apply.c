@@ -30,7 +30,7 @@
 #define DENSIFY_TAU_OUTSIDE 4.0     /* of the threshold, at one cell edge outside; REUrbanGS */
 #define DENSIFY_PRUNE_OPACITY 0.005 /* 3DGS */
 #define DENSIFY_PRUNE_SIZE 0.1      /* in camera extents of the scene; 3DGS */
-#define DENSIFY_SHARE_MIN 1e-3 /* of the Gaussians; see docs/decisions/006-density-control.md */
+#define DENSIFY_SHARE_MIN 1e-3 /* of the Gaussians; see docs/decisions/011-density-control.md */
 #define DENSIFY_SHARE_MAX 0.98
 /* Spacings of the budget's Gaussians, laid out on a grid over the cell: what is smaller than this
  * is never removed for its size. Below about one spacing the ground cannot be covered, and then

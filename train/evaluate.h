@@ -34,10 +34,6 @@ struct evaluate_source {
     enum err_code (*draw)(void *user, const struct camera *cam, float *rgb, double *gaussians,
                           struct err *e);
     void *user;
-    /* passed instead of `user` to draw without supersampling, for maps of the surface; NULL: `user`
-     * itself */
-    void *own_size;
-    void *above; /* passed instead of `user` to draw orthographically; NULL: it cannot */
     /* folder for NAME.png with photograph left and drawing right; NULL: none */
     const char *pictures;
     double bytes;                   /* size of the source's files, copied to the score */

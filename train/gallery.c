@@ -16,7 +16,7 @@
 
 #define GALLERY_SPACING_PX 2.0
 #define GALLERY_SIZE_LIMIT 5.0     /* docs/studies/side.md */
-#define GALLERY_SPLIT_PX 1.0       /* docs/decisions/006-density-control.md */
+#define GALLERY_SPLIT_PX 1.0       /* docs/decisions/011-density-control.md */
 #define GALLERY_PERCENT_DENSE 0.01 /* 3DGS */
 
 enum err_code gallery_open(struct gallery *g, const struct schedule *s, struct err *e)

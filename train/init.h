@@ -16,7 +16,7 @@ struct footprint;
 struct scene;
 
 /* Largest shares of the first level's budget that Gaussians on ground without points
- * (docs/footprint.md), and at points of known depths (docs/decisions/069-stereo.md), have. */
+ * (docs/scale.md), and at points of known depths (docs/decisions/007-stereo.md), have. */
 #define INIT_GROUND_SHARE 0.25
 #define INIT_DENSE_SHARE 0.7
 

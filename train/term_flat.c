@@ -34,7 +34,7 @@ static void term_flat_close(void *own)
 
 /* Gaussians are flat well inside of the ground. At the rim few photographs see a place, and all
  * from one side: there flat Gaussians lie level, or they would stand askew
- * (docs/decisions/099-level-rim.md). */
+ * (docs/decisions/015-solid-surfaces.md). */
 static enum err_code term_flat_open(const struct gallery *g, const struct site *site, void **own,
                                     struct err *e)
 {

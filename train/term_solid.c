@@ -18,11 +18,11 @@
 #include "train/terms.h"
 
 /* They begin with the second level, or in the middle of a finest level that begins alone: before,
- * narrow courts would be bridged before they are seen (docs/decisions/060-solid.md). */
+ * narrow courts would be bridged before they are seen (docs/decisions/015-solid-surfaces.md). */
 #define TERM_SOLID_FROM 1.0
 #define TERM_SOLID_SINGLE 0.5
 /* Part of the weights of spread, bend and prior at the end of a level; below 1 so that photographs
- * count more there (docs/decisions/075-known-and-unknown.md). */
+ * count more there (docs/decisions/015-solid-surfaces.md). */
 #define TERM_SOLID_FINAL 0.3
 /* In photographs with known depths, spread and bend count this part where a pixel's depth is not
  * known: narrow courts would be filled otherwise (the same decision). */

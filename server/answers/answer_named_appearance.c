@@ -4,7 +4,7 @@
  * A name may stand for something else tomorrow: an address that says one is cached for a minute,
  * and documents hand out what it stands for, which is as immutable as ever. Its tag is a-NAME.
  *
- * Changes come from the operators' listener, or with a token that may write (decision 046).
+ * Changes come from the operators' listener, or with a token that may write (decision 036).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -99,7 +99,7 @@ static size_t answer_tile_room(const struct work *w)
     return n * (20 + sh + w->ds->meta.embed_len);
 }
 
-/* The formula of docs/benchmarks.md for encoding. Formats differ, and what polygons cut. */
+/* The formula of lab/BENCHMARKS.md for encoding. Formats differ, and what polygons cut. */
 static double answer_tile_cost(const struct work *w, unsigned *variant)
 {
     const double encode_ms = 1.5e-3;

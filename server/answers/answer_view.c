@@ -101,7 +101,7 @@ static size_t answer_view_work_room(const struct work *w)
     return answer_view_room(&o->view);
 }
 
-/* The formula of docs/sizing.md for drawing a usual picture of 300,000 Gaussians. */
+/* The formula of docs/scale.md for drawing a usual picture of 300,000 Gaussians. */
 double answer_view_cost_ms(const struct draw_view *v)
 {
     const double gaussian_ms = 25e-6, drawn = 3e5;

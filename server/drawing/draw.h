@@ -14,7 +14,7 @@
 #include "server/drawing/worker.h"
 
 enum { DRAW_SLOTS = 4 /* number of stores that the process keeps open */ };
-#define DRAW_PIXEL_MS 34e-6 /* time of a drawn pixel: docs/sizing.md */
+#define DRAW_PIXEL_MS 34e-6 /* time of a drawn pixel: docs/scale.md */
 
 struct draw_hello {                                        /* sent once, at the start */
     char device[128], geoid[64], geoid_dir[FILE_PATH_MAX]; /* as in the options; geoid "": none */

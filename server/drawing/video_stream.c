@@ -13,7 +13,7 @@
 #include "codec/video.h"
 
 enum {
-    VIDEO_STREAM_FINEST = 22, /* at JPEG_FINEST; equal SSIM: docs/decisions/082-video.md */
+    VIDEO_STREAM_FINEST = 22, /* at JPEG_FINEST; equal SSIM: docs/decisions/027-streams.md */
     VIDEO_STREAM_COARSEST = 54,
     VIDEO_STREAM_JPEG_FINEST = 60,
     VIDEO_STREAM_STEPS = 13, /* of sizes */

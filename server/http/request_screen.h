@@ -1,5 +1,5 @@
 /* Checks the bytes of requests before libmicrohttpd's parser gets them
- * (docs/decisions/012-screen.md).
+ * (docs/decisions/031-request-screen.md).
  *
  * The parser gets only whole lines that were checked. It never sees a line with a control byte, a
  * field without a valid name, a length that is not digits, a second length or coding, or a bad

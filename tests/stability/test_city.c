@@ -310,7 +310,7 @@ static void a_city_of_many_cells(void **state)
     snprintf(c.results, sizeof c.results, "%.500s/results", dir);
     snprintf(c.tiles, sizeof c.tiles, "%.500s/city.tiles", dir);
     RUN("synth -o %s/city --photos 320 --extent-m 240 --width-px 160 --height-px 120 "
-        "--supersample 2 --points 20000",
+        "--points 20000",
         dir);
     RUN("ingest %s/city/images %s/city/sparse/0 -o %s", dir, dir, c.scene);
     RUN("plan %s --edge-m 80 --images-few 24 --images-least 12", c.scene);

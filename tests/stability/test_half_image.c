@@ -2,11 +2,11 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "lab/half_image.h"
 #include "tests/stability/toy_appearance.h"
 #include "train/appearance_train.h"
 #include "train/config.h"
 #include "train/evaluate.h"
-#include "train/half_image.h"
 #include "train/photo_loader.h"
 
 #include <string.h>

@@ -86,7 +86,7 @@ async function click(at, tap = false) {
 before(async () => {
     if (skip.skip) return;
     dir = mkdtempSync(join(tmpdir(), "citysplat-mark-"));
-    run(..."synth -q -o city --photos 10 --width-px 320 --height-px 240 --extent-m 80 --supersample 1 --points 3000".split(" "));
+    run(..."synth -q -o city --photos 10 --width-px 320 --height-px 240 --extent-m 80 --points 3000".split(" "));
     run(..."ingest -q city/images city/sparse/0 -o by-gps --min-points 20 --no-exposure".split(" "));
     truth = JSON.parse(readFileSync(join(dir, "by-gps/scene.json"), "utf8"));
     const { lon_deg: lon, lat_deg: lat, h_m: h } = truth.origin;

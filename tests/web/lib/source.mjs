@@ -135,8 +135,8 @@ export function openTwoDates() {
     return openScenes({ fcity: makeCity(), later: makeCity().map((one) => ({ ...one, rgb: one.rgb.toReversed() })) });
 }
 
-function run(args) {
-    const done = spawnSync(BIN, args, { encoding: "utf8" });
+function run(args, program = BIN) {
+    const done = spawnSync(program, args, { encoding: "utf8" });
     if (done.status !== 0)
         throw new Error(`citysplat ${args.join(" ")}\n${done.stdout}${done.stderr}`);
 }
@@ -157,7 +157,7 @@ export async function openLitCity({ many = null, serveWith = [] } = {}) {
             ...options("synth -q --photos 16 --extent-m 40 --width-px 96 --height-px 72 --seed 3"),
             ...options("--points 3000 --exposure-ev 0.8 --sun-variation 0.5 -o"),
             at("photos"),
-        ]);
+        ], `${BIN}-lab`);
         run([
             ...["ingest", at("photos/images"), at("photos/sparse")],
             ...options("--min-points 8 --no-exposure -q -o"),
