@@ -291,6 +291,9 @@ static enum err_code ingest_judge_poses(struct ingest *g, struct err *e)
     size_t most = 0;
     for (size_t i = 0; i < g->n; i++)
         most = g->photos[i].image->n_obs > most ? g->photos[i].image->n_obs : most;
+    if (!g->model.n_tracks)
+        log_warn("ingest", "the COLMAP model does not say which photographs see which points: "
+                           "its poses are taken as they are, unchecked");
     double *scratch = mem_array(most, sizeof *scratch);
     if (!scratch)
         return ingest_no_memory(e);
@@ -305,7 +308,8 @@ static enum err_code ingest_judge_poses(struct ingest *g, struct err *e)
             if (p->image->obs[k].point >= 0)
                 scratch[p->n_points++] = ingest_reprojection_at(g, p, &p->image->obs[k]);
         p->reprojection_px = sort_median(scratch, p->n_points);
-        if (p->verdict == INGEST_KEPT && p->n_points < (size_t)g->cfg->min_points)
+        if (p->verdict == INGEST_KEPT && g->model.n_tracks &&
+            p->n_points < (size_t)g->cfg->min_points)
             p->verdict = INGEST_FEW_POINTS;
         else if (p->verdict == INGEST_KEPT && p->reprojection_px > g->cfg->max_reprojection_px)
             p->verdict = INGEST_POSE;
