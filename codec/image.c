@@ -177,26 +177,14 @@ enum err_code image_read_map(const char *path, const struct codec_limits *lim, u
     return ERR_OK;
 }
 
-static bool image_no_attribute(const void *user, const char *name, char *text, size_t room)
-{
-    (void)user, (void)name;
-    if (room)
-        *text = '\0';
-    return false;
-}
-
-/* The head of a plain JPEG without OpenImageIO, which is needed only for the XMP of drones. */
-static bool image_info_plain(const char *path, uint32_t *width_px, uint32_t *height_px,
-                             struct drone_meta *drone)
+/* The size of a plain JPEG without OpenImageIO. */
+static bool image_size_plain(const char *path, uint32_t size_px[2])
 {
     struct jpg *j;
-    if (!jpg_open(path, &j, width_px, height_px))
+    if (!jpg_open(path, &j, &size_px[0], &size_px[1]))
         return false;
-    bool ok = !drone || !jpg_has_xmp(j);
     jpg_close(j);
-    if (ok && drone)
-        drone_read(image_no_attribute, NULL, drone);
-    return ok;
+    return true;
 }
 
 enum err_code image_read_info(const char *path, uint32_t *width_px, uint32_t *height_px,
@@ -205,21 +193,29 @@ enum err_code image_read_info(const char *path, uint32_t *width_px, uint32_t *he
     struct image_input *in;
     struct image_spec s;
     uint32_t size_px[2];
-    if (!image_info_plain(path, &size_px[0], &size_px[1], drone)) {
+    struct image_gps gps_here;
+    struct drone_meta drone_here;
+    if (!image_size_plain(path, size_px)) {
         enum err_code rc = image_open(path, &in, &s, e);
         if (rc)
             return rc;
         size_px[0] = (uint32_t)s.width_px;
         size_px[1] = (uint32_t)s.height_px;
-        if (drone)
-            drone_read(image_table->attribute, in, drone);
         image_table->close(in);
     }
     if (width_px)
         *width_px = size_px[0];
     if (height_px)
         *height_px = size_px[1];
-    return gps ? exif_read(path, gps, e) : ERR_OK;
+    gps = gps ? gps : &gps_here;
+    drone = drone ? drone : &drone_here;
+    enum err_code rc = exif_read(path, gps, drone, e);
+    if (!rc && !gps->has_position && drone->has_position) {
+        gps->has_position = true;
+        gps->lat_deg = drone->lat_deg;
+        gps->lon_deg = drone->lon_deg;
+    }
+    return rc;
 }
 
 /* ---- writing ---- */

@@ -14,7 +14,7 @@
 
 #define IMAGE_LIBRARY_FILE "citysplat-image.so"
 #define IMAGE_LIBRARY_SYMBOL "image_library_table"
-#define IMAGE_LIBRARY_VERSION 1u /* changes with every change of this table */
+#define IMAGE_LIBRARY_VERSION 2u /* changes with every change of this table */
 
 struct image;
 struct image_input; /* an open file */
@@ -39,8 +39,6 @@ struct image_library {
     enum err_code (*read_u8)(struct image_input *in, int take, uint8_t *px, struct image_why *why);
     /* Reads the first channel: integers as 0..1, floats unchanged. ERR_FORMAT. */
     enum err_code (*read_float)(struct image_input *in, float *px, struct image_why *why);
-    /* Reads an XMP attribute "prefix:Name", as drone_read needs it; `in` is an image_input. */
-    bool (*attribute)(const void *in, const char *name, char *text, size_t room);
     /* Encodes .jpg and other formats in memory. quality is 1..100. ERR_ARG (format), ERR_LIMIT (too
      * large for it). */
     enum err_code (*encode)(const struct image *img, const char *format, int quality,

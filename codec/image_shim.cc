@@ -90,20 +90,6 @@ try {
 }
 IMAGE_CATCH(ERR_FORMAT)
 
-static bool image_attribute(const void *in, const char *name, char *text, size_t room)
-try {
-    const OIIO::ParamValue *v =
-        static_cast<const image_input *>(in)->file->spec().find_attribute(name);
-    if (!v)
-        return false;
-    int n = v->type() == OIIO::TypeFloat // a type that it guesses
-                ? snprintf(text, room, "%.9g", (double)*static_cast<const float *>(v->data()))
-                : snprintf(text, room, "%s", v->get_string().c_str());
-    return n > 0 && (size_t)n < room;
-} catch (...) {
-    return false;
-}
-
 static OIIO::ImageSpec image_output_spec(const struct image *img, int quality)
 {
     OIIO::ImageSpec s((int)img->width_px, (int)img->height_px, (int)img->channels,
@@ -151,5 +137,5 @@ IMAGE_CATCH(ERR_INTERNAL)
 
 extern "C" const struct image_library image_library_table;
 const struct image_library image_library_table = {
-    IMAGE_LIBRARY_VERSION, image_open,      image_close,         image_read_u8,
-    image_read_float,      image_attribute, image_encode_memory, image_write_tiff};
+    IMAGE_LIBRARY_VERSION, image_open,          image_close,      image_read_u8,
+    image_read_float,      image_encode_memory, image_write_tiff};

@@ -40,6 +40,10 @@ enum ingest_point { /* verdict on a sparse point: ingest_points.c */
 enum ingest_altitude { /* source of the altitude that is used: ingest_drone.c */
                        INGEST_ALTITUDE_EXIF,
                        INGEST_ALTITUDE_BAROMETER,
+                       INGEST_ALTITUDE_XMP,     /* where EXIF's are wrong or missing */
+                       INGEST_ALTITUDE_TAKEOFF, /* above the place of take-off */
+                       INGEST_ALTITUDE_NONE,    /* 0 for all photographs */
+                       INGEST_ALTITUDE_EXIF_ELLIPSOID,
                        INGEST_ALTITUDE_RTK,
                        INGEST_ALTITUDE_FILE, /* of --positions */
                        INGEST_ALTITUDES
@@ -143,7 +147,8 @@ void ingest_heights_name(struct ingest *g);
 /* ---- ingest_positions.c ---- */
 
 /* Sets positions and accuracies of photographs from the file of --positions, or accuracies from
- * XMP. ERR_DATA: the file does not fit the photographs. ERR_MEM. */
+ * XMP. ERR_DATA: the file does not fit the photographs, or lies kilometres from their GPS, or EXIF
+ * from XMP. ERR_MEM. */
 enum err_code ingest_positions_apply(struct ingest *g, struct err *e) ERR_USE;
 
 /* ---- ingest_drone.c ---- */
