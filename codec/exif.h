@@ -28,9 +28,9 @@ struct image_gps {
     bool odd_sign;                    /* a sign and a hemisphere contradict each other */
 };
 
-/* Reads the fields of a file, and what drones write into XMP: in the file or in a sidecar, photo.xmp
- * or photo.JPG.xmp. Missing or damaged fields are not errors: has_position is false, numbers are 0,
- * texts "". ERR_NOENT, ERR_IO, ERR_MEM. */
+/* Reads the fields of a file, and what drones write into XMP: in the file or in a sidecar,
+ * photo.xmp or photo.JPG.xmp. Missing or damaged fields are not errors: has_position is false,
+ * numbers are 0, texts "". ERR_NOENT, ERR_IO, ERR_MEM. */
 enum err_code exif_read(const char *path, struct image_gps *gps, struct drone_meta *drone,
                         struct err *e) ERR_USE;
 /* Reads the fields from a whole file in memory, and adds its XMP to `xmp`, which may be NULL. */
