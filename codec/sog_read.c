@@ -1,6 +1,6 @@
-/* Reading SOG, versions 1 and 2: see sog.c for the layout of the latter. Version 1 has no code books:
- * values lie evenly between "mins" and "maxs", and opacity is a logit. Every texture's size is checked against the
- * number of Gaussians before it is decoded.
+/* Reading SOG, versions 1 and 2: see sog.c for the layout of the latter. Version 1 has no code
+ * books: values lie evenly between "mins" and "maxs", and opacity is a logit. Every texture's size
+ * is checked against the number of Gaussians before it is decoded.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -11,7 +11,7 @@
  * anything is allocated: DEFLATE cannot expand data more than 1032 times, and zstd not more than
  * 128 KiB a block of 4 bytes. Extensions (flag 2), type, length and payload each, stand between the
  * head and the sizes, or behind the streams. Of those of others one is read: SPZ_ADOBE_coordinate_
- * system, the axes. Version 1 has positions of 16-bit floats, 6n. Source: github.com/nianticlabs/spz.
+ * system, the axes. Version 1 has positions of 16-bit floats. Source: github.com/nianticlabs/spz.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

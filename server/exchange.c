@@ -23,6 +23,7 @@
 #include "server/guard.h"
 #include "server/link.h"
 #include "server/motion.h"
+#include "server/router.h"
 #include "server/screen.h"
 
 /* Of a stream: what libmicrohttpd asks for at once, and what may wait in the socket, so that a
@@ -374,6 +375,8 @@ static void exchange_take_target(struct exchange *x, const char *target)
     x->req.target_size = n;
     if (x->target && n && x->target[0] != '/')
         exchange_take_authority(x);
+    if (x->target && n)
+        x->req.target_size = router_unescape(x->target + (x->req.target - x->target));
 }
 
 void *exchange_on_target(void *cls, const char *target, struct MHD_Connection *c)
