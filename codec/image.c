@@ -137,7 +137,7 @@ enum err_code image_read(const char *path, const struct codec_limits *lim, struc
     if (!rc)
         rc = image_alloc((uint32_t)s.width_px, (uint32_t)s.height_px, 3, &img, e);
     int take = s.channels >= 3 ? 3 : 1; /* 2 is grey and alpha */
-    if (!rc && (rc = image_table->read_u8(in, take, img.px, &why)) != ERR_OK)
+    if (!rc && (rc = image_table->read_u8(in, 0, take, img.px, &why)) != ERR_OK)
         (void)err_set(e, rc, "image: %s: damaged or truncated (%s)", path, why.text);
     if (!rc && take == 1)
         for (size_t i = 0; i < (size_t)img.width_px * img.height_px; i++)
@@ -146,6 +146,35 @@ enum err_code image_read(const char *path, const struct codec_limits *lim, struc
     if (rc)
         image_free(&img);
     *out = img;
+    return rc;
+}
+
+enum err_code image_read_alpha(const char *path, const struct codec_limits *lim, struct image *out,
+                               struct err *e)
+{
+    struct image_input *in;
+    struct image_spec s;
+    struct image_why why;
+    struct jpg *j;
+    uint32_t size_px[2];
+    *out = (struct image){0};
+    if (jpg_open(path, &j, &size_px[0], &size_px[1])) { /* none has any */
+        jpg_close(j);
+        return ERR_OK;
+    }
+    enum err_code rc = image_open(path, &in, &s, e);
+    if (rc)
+        return rc;
+    const bool there = s.alpha >= 0 && s.alpha < s.channels;
+    if (there)
+        rc = image_check(path, &s, lim, e);
+    if (!rc && there)
+        rc = image_alloc((uint32_t)s.width_px, (uint32_t)s.height_px, 3, out, e);
+    if (!rc && there && (rc = image_table->read_u8(in, s.alpha, 1, out->px, &why)) != ERR_OK)
+        (void)err_set(e, rc, "image: %s: damaged or truncated (%s)", path, why.text);
+    image_table->close(in);
+    if (rc)
+        image_free(out);
     return rc;
 }
 

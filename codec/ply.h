@@ -21,7 +21,7 @@ struct gauss;
  * origin lon lat h" gives info->origin and info->has_origin. Means become float32 relative to
  * origin_enu_m, which is 0 unless the file has doubles. info may be NULL. Free *out with
  * gauss_free; it is empty on errors. Unusable rows are left out. Colours of red, green and blue
- * alone are taken, and 2DGS' two scales: the third is a thousandth of the smaller one. ERR_NOENT and
+ * alone are taken, and 2DGS' two scales: the third is a thousandth of the smaller. ERR_NOENT and
  * ERR_IO (ply_read), ERR_FORMAT names line or
  * property, ERR_DATA, ERR_LIMIT, ERR_MEM. Any thread. */
 enum err_code ply_read(const char *path, const struct codec_limits *lim, struct gauss *out,

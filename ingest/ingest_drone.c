@@ -17,7 +17,7 @@
  * Where altitudes are EXIF's or XMP's, the barometer's heights above take-off are used at their
  * level, the median difference, because they do not jump as those of satellites do; unless that
  * difference is not constant (the drone took off elsewhere, or was calibrated on the way), or a
- * photograph has none.
+ * photograph has none. If it is constant for XMP's and not for EXIF's, EXIF's jump: XMP's count.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -40,9 +40,10 @@ static bool drone_counts(const struct ingest_photo *p, uint32_t flight)
     return p->verdict < INGEST_MISSING && p->geo.flight_hint == flight;
 }
 
-/* EXIF's altitude minus the barometer's, of all that have both; their median, and whether nearly
- * all of the flight are near it. */
-static bool drone_level(const struct ingest *g, uint32_t flight, double *scratch, double *level_m)
+/* The altitude, or XMP's absolute one, minus the barometer's, of all that have both; their median,
+ * and whether nearly all of the flight are near it. */
+static bool drone_level(const struct ingest *g, uint32_t flight, bool absolute, double *scratch,
+                        double *level_m)
 {
     size_t n = 0, all = 0, near = 0;
     for (size_t i = 0; i < g->n; i++) {
@@ -50,19 +51,14 @@ static bool drone_level(const struct ingest *g, uint32_t flight, double *scratch
         if (!drone_counts(p, flight))
             continue;
         all++;
-        if (p->drone.has_relative && p->gps.has_altitude)
-            scratch[n++] = p->gps.alt_m - p->drone.relative_m;
+        if (p->drone.has_relative && (absolute ? p->drone.has_absolute : p->gps.has_altitude))
+            scratch[n++] = (absolute ? p->drone.absolute_m : p->gps.alt_m) - p->drone.relative_m;
     }
     if (!n)
         return false;
     *level_m = sort_median(scratch, n);
     for (size_t i = 0; i < n; i++)
         near += fabs(scratch[i] - *level_m) < drone_keeps_m;
-    if (n == all && (double)near < drone_keeps_share * (double)all)
-        log_warn("ingest",
-                 "flight %u: heights above take-off and EXIF's altitudes do not keep their "
-                 "distance: EXIF's count",
-                 flight + 1);
     return n == all && (double)near >= drone_keeps_share * (double)all;
 }
 
@@ -170,25 +166,46 @@ static void drone_take(struct ingest_photo *p, enum ingest_altitude from, bool a
         p->gps.has_altitude = false;
 }
 
-static void drone_flight(struct ingest *g, uint32_t flight, double *scratch)
+/* All photographs of a flight by one source, at whose level the barometer counts if it keeps its
+ * distance. Returns whether it does. */
+static bool drone_use(struct ingest *g, uint32_t flight, enum ingest_altitude from,
+                      const struct drone_sources *s, double *scratch)
 {
-    struct drone_sources s;
     double level_m = 0;
-    drone_sources_find(g, flight, scratch, &s);
-    if (!s.n)
-        return;
-    const enum ingest_altitude from = drone_choose(flight, &s);
     for (size_t i = 0; i < g->n; i++)
         if (drone_counts(&g->photos[i], flight))
-            drone_take(&g->photos[i], from, !s.absolute_flat || from >= INGEST_ALTITUDE_TAKEOFF);
+            drone_take(&g->photos[i], from, !s->absolute_flat || from >= INGEST_ALTITUDE_TAKEOFF);
     if ((from != INGEST_ALTITUDE_EXIF && from != INGEST_ALTITUDE_XMP) ||
-        !drone_level(g, flight, scratch, &level_m))
-        return;
+        !drone_level(g, flight, false, scratch, &level_m))
+        return false;
     for (size_t i = 0; i < g->n; i++)
         if (drone_counts(&g->photos[i], flight)) {
             g->photos[i].gps.alt_m = level_m + g->photos[i].drone.relative_m;
             g->photos[i].altitude = INGEST_ALTITUDE_BAROMETER;
         }
+    return true;
+}
+
+static void drone_flight(struct ingest *g, uint32_t flight, double *scratch)
+{
+    struct drone_sources s;
+    drone_sources_find(g, flight, scratch, &s);
+    if (!s.n)
+        return;
+    const enum ingest_altitude from = drone_choose(flight, &s);
+    if (drone_use(g, flight, from, &s, scratch) || from != INGEST_ALTITUDE_EXIF || s.relative < s.n)
+        return;
+    /* EXIF's jump against the barometer. Do XMP's? */
+    double level_m;
+    const bool keeps =
+        s.absolute == s.n && !s.absolute_flat && drone_level(g, flight, true, scratch, &level_m);
+    if (keeps)
+        (void)drone_use(g, flight, INGEST_ALTITUDE_XMP, &s, scratch);
+    if (s.exif == s.n)
+        log_warn("ingest",
+                 "flight %u: heights above take-off and EXIF's altitudes do not keep their "
+                 "distance: %s count",
+                 flight + 1, keeps ? "XMP's" : "EXIF's");
 }
 
 /* Altitudes of 0 are none; which photographs had one is kept in `zero`. */

@@ -122,8 +122,8 @@ struct ingest {
     bool gcps_of_sea;    /* the geoid is added to heights of ground control points */
     struct scene scene;
     struct progress progress;
-    atomic_flag progress_busy; /* only its holder may use `progress` */
-    atomic_size_t done, masks;
+    atomic_flag progress_busy;         /* only its holder may use `progress` */
+    atomic_size_t done, masks, alphas; /* masks of --mask-dir, and by alpha */
     size_t points[INGEST_POINT_VERDICTS];
 };
 
@@ -179,10 +179,11 @@ enum err_code ingest_exposure_find(struct ingest *g, struct err *e) ERR_USE;
 
 /* ---- ingest_mask.c ---- */
 
-/* Converts the mask of a photograph for its pinhole picture, as PNG. ERR_NOENT, ERR_FORMAT,
+/* Converts the mask of a photograph, or the photograph's own alpha, for its pinhole picture, as PNG.
+ * *made: there was one. ERR_NOENT, ERR_FORMAT,
  * ERR_LIMIT: the mask cannot be read. ERR_IO, ERR_MEM. */
-enum err_code ingest_mask_convert(const struct ingest_view *v, const char *from, const char *to,
-                                  struct err *e) ERR_USE;
+enum err_code ingest_mask_convert(const struct ingest_view *v, const char *from, bool alpha,
+                                  const char *to, bool *made, struct err *e) ERR_USE;
 
 /* ---- ingest_report.c ---- */
 
