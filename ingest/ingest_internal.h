@@ -179,9 +179,9 @@ enum err_code ingest_exposure_find(struct ingest *g, struct err *e) ERR_USE;
 
 /* ---- ingest_mask.c ---- */
 
-/* Converts the mask of a photograph, or the photograph's own alpha, for its pinhole picture, as PNG.
- * *made: there was one. ERR_NOENT, ERR_FORMAT,
- * ERR_LIMIT: the mask cannot be read. ERR_IO, ERR_MEM. */
+/* Converts the mask of a photograph, or the photograph's own alpha, for its pinhole picture, as
+ * PNG. *made: there was one. ERR_NOENT, ERR_FORMAT, ERR_LIMIT: the mask cannot be read. ERR_IO,
+ * ERR_MEM. */
 enum err_code ingest_mask_convert(const struct ingest_view *v, const char *from, bool alpha,
                                   const char *to, bool *made, struct err *e) ERR_USE;
 
