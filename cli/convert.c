@@ -12,6 +12,7 @@
 
 #include "cli/cli.h"
 #include "cli/output.h"
+#include "cli/splats.h"
 #include "codec/axes.h"
 #include "codec/draco.h"
 #include "codec/glb.h"
@@ -48,7 +49,8 @@ enum convert_format {
 enum convert_axes {
     AXES_AUTO,
     AXES_ENU,
-    AXES_GLTF
+    AXES_GLTF,
+    AXES_YDOWN
 }; /* as in the options; AUTO is also "unknown" */
 
 struct converted {
@@ -70,9 +72,13 @@ static enum err_code convert_format_of(const char *path, enum convert_format *ou
             return ERR_OK;
         }
     }
+    if (splats_is_sog_meta(path)) {
+        *out = CONVERT_SOG;
+        return ERR_OK;
+    }
     return err_set(e, ERR_ARG,
                    "%s: its name must end in .ply, .compressed.ply, .spz, .drc, .glb or .sog "
-                   "(.splat to read)",
+                   "(to read also .splat, and the meta.json of a SOG's folder)",
                    path);
 }
 
@@ -105,6 +111,8 @@ static enum err_code convert_read(const char *path, const struct codec_limits *l
     } else if (format == CONVERT_SPLAT) {
         rc = splat_decode(b.data, b.size, lim, &c->g, e);
         c->axes = AXES_AUTO;
+    } else if (format == CONVERT_SOG && splats_is_sog_meta(path)) {
+        rc = sog_read(path, lim, &c->g, e);
     } else if (format == CONVERT_SOG) {
         rc = sog_decode(b.data, b.size, lim, &c->g, e);
     } else if (format == CONVERT_SPZ) {
@@ -161,19 +169,39 @@ static enum err_code convert_set_degree(struct gauss *g, uint32_t degree, struct
     return rc;
 }
 
-/* Turn from what is known of IN to what OUT is to be; returns what it then is. */
+/* Turns from what is known of IN to what OUT is to be; returns what it then is. ENU is a quarter
+ * turn of glTF's axes, and y down another one on. */
 static enum convert_axes convert_turn(struct converted *c, enum convert_axes want, const char *path)
 {
     if (c->axes == AXES_AUTO && want != AXES_AUTO)
-        log_warn("convert", "axes of %s are not known: nothing is turned; say --axes enu or gltf",
+        log_warn("convert",
+                 "axes of %s are not known: its numbers are kept as they are; say --axes ydown (as "
+                 "most trainers write), enu or gltf",
                  path);
-    if (c->axes == AXES_ENU && want == AXES_GLTF)
-        axes_enu_to_gltf(&c->g);
-    else if (c->axes == AXES_GLTF && want == AXES_ENU)
-        axes_gltf_to_enu(&c->g);
-    else
+    if (c->axes == AXES_AUTO || want == AXES_AUTO || c->axes == want)
         return c->axes;
+    if (c->axes == AXES_GLTF)
+        axes_gltf_to_enu(&c->g);
+    if (c->axes == AXES_YDOWN)
+        axes_enu_to_gltf(&c->g);
+    if (want == AXES_GLTF)
+        axes_enu_to_gltf(&c->g);
+    if (want == AXES_YDOWN)
+        axes_gltf_to_enu(&c->g);
     return want;
+}
+
+/* .sog has y down, as trainers' .ply have it: of unknown axes, its numbers stay what they are. */
+static void convert_turn_for_sog(struct converted *c, const char *path)
+{
+    if (c->axes == AXES_AUTO) {
+        log_warn("convert",
+                 "axes of %s are not known: its numbers are kept as they are, which .sog has y "
+                 "down (as most trainers write); say --axes enu or gltf if that is wrong",
+                 path);
+        c->axes = AXES_YDOWN;
+    }
+    convert_turn(c, AXES_GLTF, path);
 }
 
 /* A compressed one is always sorted: 256 rows share a box. */
@@ -184,7 +212,8 @@ static enum err_code convert_write_ply(struct converted *c, enum convert_format 
     enum convert_axes want = o->ply_axes            ? (enum convert_axes)o->ply_axes
                              : c->axes == AXES_AUTO ? AXES_AUTO
                                                     : AXES_ENU;
-    static const enum ply_axes said[] = {PLY_AXES_UNKNOWN, PLY_AXES_ENU, PLY_AXES_GLTF};
+    static const enum ply_axes said[] = {PLY_AXES_UNKNOWN, PLY_AXES_ENU, PLY_AXES_GLTF,
+                                         PLY_AXES_UNKNOWN};
     c->info.axes = said[convert_turn(c, want, in)];
     if (format == CONVERT_PLY)
         return ply_encode(&c->g, &c->info, out, e);
@@ -243,7 +272,10 @@ static enum err_code convert_write(struct converted *c, enum convert_format form
             "convert: %s: coordinates are about %.0f %.0f %.0f m: such numbers do not fit the "
             "format ; use --center",
             in, c->g.origin_enu_m[0], c->g.origin_enu_m[1], c->g.origin_enu_m[2]);
-    convert_turn(c, AXES_GLTF, in);
+    if (format == CONVERT_SOG)
+        convert_turn_for_sog(c, in);
+    else
+        convert_turn(c, AXES_GLTF, in);
     if (o->sort)
         rc = convert_sort_gauss(&c->g, e);
     if (!rc && format == CONVERT_SOG)
@@ -284,6 +316,9 @@ enum err_code cli_convert(int argc, char **argv, struct err *e)
     rc = convert_format_of(args.arg[1], &format, e);
     if (!rc && format == CONVERT_SPLAT)
         rc = err_set(e, ERR_ARG, "%s: .splat is read, not written", args.arg[1]);
+    if (!rc && format == CONVERT_SOG && splats_is_sog_meta(args.arg[1]))
+        rc = err_set(e, ERR_ARG, "%s: a SOG of files in a folder is read, not written: name a .sog",
+                     args.arg[1]);
     if (!rc)
         rc = output_check(args.arg[1], o.overwrite, e);
     const struct codec_limits lim = {.max_gaussians = (size_t)o.max_gaussians,

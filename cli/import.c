@@ -4,6 +4,7 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include <math.h>
+#include <stdatomic.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -13,6 +14,7 @@
 #include "codec/axes.h"
 #include "codec/limits.h"
 #include "codec/ply.h"
+#include "core/sort.h"
 #include "lod/pyramid.h"
 
 enum { IMPORT_AXES_AUTO, IMPORT_AXES_ENU, IMPORT_AXES_YUP, IMPORT_AXES_YDOWN };
@@ -33,9 +35,10 @@ static const struct options_def import_defs[] = {
 static const struct options_spec import_spec = {
     .command = "import",
     .usage = "citysplat import FILE --origin LON,LAT,H -o CITY.tiles [options]",
-    .about = "Makes a tile store from Gaussians that were trained elsewhere. Reads .ply "
-             "(INRIA's and SuperSplat's compressed), .spz, .glb, .drc, .splat or a checkpoint, "
-             "cuts it into tiles and makes the coarser levels.",
+    .about =
+        "Makes a tile store from Gaussians that were trained elsewhere. Reads .ply "
+        "(INRIA's and SuperSplat's compressed), .spz, .glb, .drc, .sog, .splat or a checkpoint, "
+        "cuts it into tiles and makes the coarser levels.",
     .example = "citysplat import bridge.ply --origin 8.6821,50.1109,160 -o bridge.tiles\n"
                "citysplat import garden.spz --origin 8.68,50.11,160 --scale 2.5 -o garden.tiles",
     .defs = import_defs,
@@ -69,8 +72,101 @@ static void import_scale(struct gauss *g, double scale)
     }
 }
 
+/* ---- outliers ---- */
+
+/* A Gaussian so many times as far from the middle as half of them, and at least so far, is no part
+ * of the city. One whose distance in median sigmas has more bits than a tile's positions makes
+ * tiles that cannot be read. */
+#define IMPORT_FAR_TIMES 100.0
+#define IMPORT_FAR_LEAST_M 1000.0
+#define IMPORT_REACH_SIGMAS (double)(1 << 22)
+enum { IMPORT_NAMED = 5, IMPORT_SAMPLES = 16 };
+
+struct import_far {
+    bool drop;
+    double middle[3], limit_m, reach_m; /* in ENU */
+    atomic_size_t n;
+    atomic_ullong farthest_m;
+};
+
+static double import_far_m(const struct import_far *f, const struct gauss *g, size_t i)
+{
+    double d[3];
+    for (size_t k = 0; k < 3; k++)
+        d[k] = (double)g->mean_m[3 * i + k] + g->origin_enu_m[k] - f->middle[k];
+    return hypot(hypot(d[0], d[1]), d[2]);
+}
+
+/* The middle, and what is far from it, by a part or all of the Gaussians. */
+static enum err_code import_far_find(const struct gauss *g, struct import_far *f, struct err *e)
+{
+    double *v = mem_array(3 * g->n, sizeof *v);
+    size_t n = 0;
+    if (!v)
+        return err_set(e, ERR_MEM, "import: out of memory for %zu Gaussians", g->n);
+    for (size_t k = 0; k < 3; k++) {
+        for (size_t i = n = 0; i < g->n; i++)
+            if (isfinite(g->mean_m[3 * i + k]))
+                v[n++] = (double)g->mean_m[3 * i + k] + g->origin_enu_m[k];
+        f->middle[k] = sort_median(v, n);
+    }
+    for (size_t i = n = 0; i < g->n; i++) {
+        v[n] = import_far_m(f, g, i);
+        n += isfinite(v[n]);
+    }
+    f->limit_m = fmax(IMPORT_FAR_LEAST_M, IMPORT_FAR_TIMES * sort_median(v, n));
+    for (size_t i = n = 0; i < 3 * g->n; i++)
+        if (isfinite(g->scale_log[i]))
+            v[n++] = (double)g->scale_log[i];
+    f->reach_m = fmax(f->limit_m, IMPORT_REACH_SIGMAS * exp(sort_median(v, n)));
+    mem_free(v);
+    return ERR_OK;
+}
+
+/* Leaves outliers out, or counts them; `first` is the row of the file. Any thread. */
+static enum err_code import_far_check(struct import_far *f, size_t first, struct gauss *g,
+                                      struct err *e)
+{
+    size_t kept = 0;
+    for (size_t i = 0; i < g->n; i++) {
+        const double m = import_far_m(f, g, i);
+        const bool far = isfinite(m) && m > f->limit_m;
+        if (far && m > f->reach_m && !f->drop)
+            return err_set(e, ERR_DATA,
+                           "row %zu lies %.0f km from the middle, where half of the Gaussians lie "
+                           "within %.0f m: no tiles can hold both; leave such rows out by "
+                           "--drop-outliers",
+                           first + i, 1e-3 * m, f->limit_m / IMPORT_FAR_TIMES);
+        if (far) {
+            unsigned long long most = atomic_load(&f->farthest_m);
+            while (m > (double)most &&
+                   !atomic_compare_exchange_weak(&f->farthest_m, &most, (unsigned long long)m))
+                ;
+            if (atomic_fetch_add(&f->n, 1) < IMPORT_NAMED)
+                log_info("import", "outlier row=%zu distance_m=%.0f", first + i, m);
+        }
+        if (!far || !f->drop) {
+            if (kept < i)
+                gauss_copy_row(g, kept, g, i);
+            kept++;
+        }
+    }
+    g->n = kept;
+    return ERR_OK;
+}
+
+static void import_far_tell(const struct import_far *f)
+{
+    if (f->n)
+        log_warn("import", "%zu Gaussians lie more than %.0f m from the middle, up to %.1f km: %s",
+                 (size_t)f->n, f->limit_m, 1e-3 * (double)f->farthest_m,
+                 f->drop ? "left out" : "--drop-outliers leaves them out");
+}
+
 static void import_print(const char *path, const struct pyramid_report *r)
 {
+    if (r->n_bad)
+        printf("%s: %zu rows are left out: not finite, or no rotation\n", path, r->n_bad);
     printf("%s: %zu tiles, zoom %u to %u, at most %zu Gaussians in one, revision %s, %.1f s\n",
            path, r->n_tiles, r->zoom_min, r->zoom_max, r->max_in_tile, r->revision, r->seconds);
     log_info("tile", "seconds=%.2f read_s=%.2f plan_s=%.2f write_s=%.2f cpu_s=%.2f peak_bytes=%zu",
@@ -87,6 +183,7 @@ struct import_stream {
     const struct import_options *o;
     const struct splats *like; /* kind and frame */
     size_t n;
+    struct import_far *far;
 };
 
 static enum err_code import_load(void *user, size_t part, struct gauss *out, struct err *e)
@@ -99,6 +196,29 @@ static enum err_code import_load(void *user, size_t part, struct gauss *out, str
         import_turn(s->like, s->o->axes, out);
         import_scale(out, s->o->scale);
     }
+    if (!rc && s->far->limit_m > 0)
+        rc = import_far_check(s->far, first, out, e);
+    return rc;
+}
+
+/* By some parts of the file. */
+static enum err_code import_far_sample(const struct import_stream *s, size_t n_parts, struct err *e)
+{
+    const size_t step = (n_parts + IMPORT_SAMPLES - 1) / IMPORT_SAMPLES;
+    struct gauss all = {0};
+    enum err_code rc = ERR_OK;
+    for (size_t k = 0; !rc && k < n_parts; k += step) {
+        struct gauss part = {0};
+        rc = import_load((void *)(uintptr_t)s, k, &part, e);
+        if (!rc && !all.block)
+            rc = gauss_alloc(&all, part.n, 0, 0, e);
+        if (!rc)
+            rc = gauss_append(&all, &part, NULL, part.n, e);
+        gauss_free(&part);
+    }
+    if (!rc)
+        rc = import_far_find(&all, s->far, e);
+    gauss_free(&all);
     return rc;
 }
 
@@ -116,7 +236,8 @@ static enum err_code import_run(const char *path, const struct import_options *o
     struct splats s = {0};
     struct geo_origin origin;
     struct pyramid_report report;
-    struct import_stream stream = {.o = o, .like = &s};
+    struct import_far far = {.drop = o->drop_outliers};
+    struct import_stream stream = {.o = o, .like = &s, .far = &far};
     struct pyramid_level level = {.level = (uint8_t)o->level_count};
     struct pyramid_config cfg = {.tile_edge_m = o->tile_edge_m,
                                  .max_per_tile = (uint32_t)o->max_per_tile,
@@ -150,15 +271,21 @@ static enum err_code import_run(const char *path, const struct import_options *o
         level.user = &stream;
         level.n_parts = (rows.n + IMPORT_PART_ROWS - 1) / IMPORT_PART_ROWS;
         rc = file_room(o->output, import_room(&rows, o->lossless), e);
-        if (rc)
-            goto out;
+        if (!rc)
+            rc = import_far_sample(&stream, level.n_parts, e);
     } else {
         import_turn(&s, o->axes, &s.g);
         import_scale(&s.g, o->scale);
         level.g = &s.g;
+        rc = import_far_find(&s.g, &far, e);
+        if (!rc)
+            rc = import_far_check(&far, 0, &s.g, e);
     }
+    if (rc)
+        goto out;
     snprintf(cfg.attribution, sizeof cfg.attribution, "%s", o->attribution ? o->attribution : "");
     rc = pyramid_build(&origin, &level, 1, &cfg, NULL, 0, o->output, &report, e);
+    import_far_tell(&far);
     if (!rc)
         import_print(o->output, &report);
     else if (rc != ERR_ARG && !stream.ply)

@@ -256,13 +256,11 @@ static enum err_code info_scene(const char *path, json_t *o, struct err *e)
 static enum err_code info_splats(const char *path, json_t *o, struct err *e)
 {
     struct splats s;
-    size_t first = 0;
     enum err_code rc = splats_read(path, NULL, &s, e);
     if (rc)
         return rc;
     double lo[3], hi[3];
     gauss_bounds(&s.g, 0, lo, hi);
-    size_t bad = gauss_count_bad(&s.g, &first);
     rc = info_set(o, "gaussians", json_integer((json_int_t)s.g.n), e);
     if (!rc)
         rc = info_set(o, "sh_degree", json_integer(s.g.sh_degree), e);
@@ -271,7 +269,7 @@ static enum err_code info_splats(const char *path, json_t *o, struct err *e)
     if (!rc)
         rc = info_set(o, "antialiased", json_boolean(s.g.antialiased), e);
     if (!rc)
-        rc = info_set(o, "unusable", json_integer((json_int_t)bad), e);
+        rc = info_set(o, "unusable", json_integer((json_int_t)s.g.n_left_out), e);
     if (!rc && isfinite(lo[0] + lo[1] + lo[2] + hi[0] + hi[1] + hi[2]))
         rc = info_set(o, "box", info_box(lo, hi), e);
     if (!rc && s.info.has_origin)

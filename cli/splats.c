@@ -37,6 +37,12 @@ const char *splats_kind_name(enum splats_kind k)
     return names[k];
 }
 
+bool splats_is_sog_meta(const char *path)
+{
+    const char *slash = strrchr(path, '/');
+    return !strcmp(slash ? slash + 1 : path, "meta.json");
+}
+
 static enum splats_kind splats_sniff(const char *path, const uint8_t *head, size_t n)
 {
     const char *dot = strrchr(path, '.');
@@ -44,7 +50,7 @@ static enum splats_kind splats_sniff(const char *path, const uint8_t *head, size
         return SPLATS_PLY;
     if (n >= 4 && !memcmp(head, "glTF", 4))
         return SPLATS_GLB;
-    if (n >= 4 && !memcmp(head, "PK\3\4", 4))
+    if ((n >= 4 && !memcmp(head, "PK\3\4", 4)) || (n && *head == '{' && splats_is_sog_meta(path)))
         return SPLATS_SOG;
     if (n >= 5 && !memcmp(head, "DRACO", 5))
         return SPLATS_DRC;
@@ -89,6 +95,10 @@ static enum err_code splats_decode(const char *path, const struct codec_limits *
 {
     struct buf b = {0};
     struct quant q = {0};
+    if (s->kind == SPLATS_SOG && splats_is_sog_meta(path)) {
+        enum err_code rc = sog_read(path, lim, &s->g, e);
+        return rc ? err_add(e, "%s", path) : ERR_OK;
+    }
     enum err_code rc =
         file_read(path, lim && lim->max_bytes ? lim->max_bytes : CODEC_MAX_BYTES, &b, e);
     if (rc)

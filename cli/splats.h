@@ -32,6 +32,8 @@ struct splats { /* {0} is empty */
 /* Recognises a file by its first bytes. A folder with a scene.json is a scene. ERR_NOENT, ERR_IO.
  */
 enum err_code splats_kind(const char *path, enum splats_kind *out, struct err *e) ERR_USE;
+/* Returns whether a path is that of the meta.json of a SOG that is files of a folder. */
+bool splats_is_sog_meta(const char *path);
 const char *splats_kind_name(enum splats_kind k);
 /* Reads .ply, .spz, .glb, .drc, .sog, .splat or a checkpoint. lim NULL: default limits; checkpoints
  * have no limit. Free *out with splats_free. ERR_FORMAT: any other file. ERR_LIMIT, ERR_NOENT,

@@ -18,7 +18,7 @@
 #include "codec/colmap_parse.h"
 
 enum {
-    CAMERA_MIN = 24 + 3 * 8,
+    CAMERA_MIN = 24 + 2 * 8,
     IMAGE_MIN = 4 + 7 * 8 + 4 + 1 + 8,
     POINT_MIN = 8 + 24 + 3 + 8 + 8,
     OBS_SIZE = 24,
@@ -71,12 +71,13 @@ enum err_code colmap_bin_cameras(const struct buf *file, struct colmap_model *m,
         cam->id = cursor_u32(&c);
         uint32_t model = cursor_u32(&c);
         uint64_t w = cursor_u64(&c), h = cursor_u64(&c);
-        if (!c.bad && model >= LENS_COUNT)
+        struct colmap_lens lens = {0};
+        double params[COLMAP_PARAMS_MAX] = {0};
+        if (!c.bad && !colmap_lens_find(NULL, model, &lens))
             return err_set(e, ERR_FORMAT, "%s: camera %zu of %zu: unknown model %u", name, i + 1, n,
                            model);
-        cam->lens.model = (enum lens_model)model;
-        for (size_t k = 0; !c.bad && k < lens_param_count(cam->lens.model); k++)
-            cam->lens.params[k] = cursor_f64(&c);
+        for (size_t k = 0; k < lens.n_params; k++)
+            params[k] = cursor_f64(&c);
         if (c.bad)
             return err_set(e, ERR_FORMAT, "%s: camera %zu of %zu: truncated", name, i + 1, n);
         if (!(w >= 1 && h >= 1 && w <= 1 << 20 && h <= 1 << 20))
@@ -84,7 +85,7 @@ enum err_code colmap_bin_cameras(const struct buf *file, struct colmap_model *m,
                            name, i + 1, n, (unsigned long long)w, (unsigned long long)h);
         cam->lens.width_px = (uint32_t)w;
         cam->lens.height_px = (uint32_t)h;
-        const char *why = colmap_check_camera(cam);
+        const char *why = colmap_set_lens(&lens, params, cam);
         if (why)
             return err_set(e, ERR_FORMAT, "%s: camera %zu of %zu: %s", name, i + 1, n, why);
     }

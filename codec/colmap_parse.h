@@ -8,14 +8,17 @@
 #ifndef CODEC_COLMAP_PARSE_H
 #define CODEC_COLMAP_PARSE_H
 
-#include "core/err.h"
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "core/camera.h"
 
 struct buf;
 struct colmap_camera;
 struct colmap_image;
 struct colmap_model;
 struct colmap_point;
-struct err;
 
 /* Each reads the bytes of one file into its part of m, which m's arena owns. ERR_FORMAT names file
  * and record. ERR_MEM. */
@@ -31,9 +34,22 @@ enum err_code colmap_txt_cameras(struct buf *file, struct colmap_model *m, struc
 enum err_code colmap_txt_images(struct buf *file, struct colmap_model *m, struct err *e) ERR_USE;
 enum err_code colmap_txt_points(struct buf *file, struct colmap_model *m, struct err *e) ERR_USE;
 
+/* A camera model by COLMAP's number, or if `name` is not NULL, by its name. */
+struct colmap_lens {
+    const char *name;
+    size_t n_params;
+    enum lens_model
+        model; /* whose first parameters these are, the others 0; LENS_COUNT: not read */
+};
+/* Returns whether COLMAP has such a model. */
+bool colmap_lens_find(const char *name, uint32_t id, struct colmap_lens *out);
+enum { COLMAP_PARAMS_MAX = 16 };
+/* Takes the parameters [l->n_params] over. Returns NULL if the camera is valid or of a model that
+ * is not read, else what is wrong with it. */
+const char *colmap_set_lens(const struct colmap_lens *l, const double *params,
+                            struct colmap_camera *c);
 /* Check one record, for both readers. They return NULL if it is valid, else what is wrong with it.
  */
-const char *colmap_check_camera(const struct colmap_camera *c);
 const char *colmap_check_image(const struct colmap_image *im);
 const char *colmap_check_point(const struct colmap_point *p);
 

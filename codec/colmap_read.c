@@ -16,7 +16,11 @@
 #include "codec/colmap.h"
 #include "codec/colmap_parse.h"
 
-enum { PART_COUNT = 3, MODELS_GAP = 16 /* numbers without a model that end the search */ };
+enum {
+    PART_COUNT = 3,
+    MODELS_GAP = 16,              /* numbers without a model that end the search */
+    COLMAP_BEHIND_PX = 1000000000 /* error of a point behind a camera that has it */
+};
 static const char *const part_names[PART_COUNT] = {"cameras", "images", "points3D"};
 
 void colmap_free(struct colmap_model *m)
@@ -30,6 +34,8 @@ void colmap_free(struct colmap_model *m)
 static int colmap_camera_compare(const void *a, const void *b)
 {
     const struct colmap_camera *p = a, *q = b;
+    if (!p->foreign != !q->foreign) /* foreign ones last */
+        return p->foreign ? 1 : -1;
     return (p->id > q->id) - (p->id < q->id);
 }
 
@@ -110,15 +116,34 @@ static uint64_t colmap_point_id_at(const struct colmap_model *m, size_t i)
     return m->points[i].id;
 }
 
+static enum err_code colmap_camera_missing(const struct colmap_model *m, size_t n_foreign,
+                                           const struct colmap_image *im, struct err *e)
+{
+    for (const struct colmap_camera *c = m->cameras + m->n_cameras; n_foreign-- > 0; c++)
+        if (c->id == im->camera)
+            return err_set(
+                e, ERR_FORMAT, "images: '%.200s' is by camera %u, whose model %s is not read: %s",
+                im->name, c->id, c->foreign,
+                strcmp(c->foreign, "EQUIRECTANGULAR")
+                    ? "make pictures without distortion by `colmap image_undistorter`, and give "
+                      "these and their model"
+                    : "cut the panoramas into pictures of a pinhole camera, and align these");
+    return err_set(e, ERR_FORMAT,
+                   "images: '%.200s' refers to camera %zu, which cameras does not hold", im->name,
+                   im->camera);
+}
+
+/* Cameras of a model that is not read are forgotten, unless a photograph is by one. */
 static enum err_code colmap_resolve_images(struct colmap_model *m, struct err *e)
 {
+    size_t n_foreign = 0;
+    for (; m->n_cameras && m->cameras[m->n_cameras - 1].foreign; m->n_cameras--)
+        n_foreign++;
     for (size_t i = 0; i < m->n_images; i++) {
         struct colmap_image *im = &m->images[i];
         size_t cam = colmap_find_id(m, m->n_cameras, im->camera, colmap_camera_id_at);
         if (cam == m->n_cameras)
-            return err_set(e, ERR_FORMAT,
-                           "images: '%.200s' refers to camera %zu, which cameras does not hold",
-                           im->name, im->camera);
+            return colmap_camera_missing(m, n_foreign, im, e);
         im->camera = cam;
         for (size_t j = 0; j < im->n_obs; j++) {
             if (im->obs[j].point == -1)
@@ -165,6 +190,40 @@ static enum err_code colmap_resolve_tracks(struct colmap_model *m, struct err *e
     return ERR_OK;
 }
 
+/* Mean distance of a point's observations from where it projects; 0: nobody sees it. */
+static double colmap_point_error(const struct colmap_model *m, const struct colmap_point *p)
+{
+    double sum = 0;
+    for (size_t k = 0; k < p->n_track; k++) {
+        const struct colmap_track_element *t = &m->tracks[p->track + k];
+        const struct colmap_image *im = &m->images[t->image];
+        double rot[9], at[3], u, v;
+        camera_quat_to_rot(im->quat_wxyz, rot);
+        for (int a = 0; a < 3; a++)
+            at[a] = rot[3 * a] * p->xyz[0] + rot[3 * a + 1] * p->xyz[1] +
+                    rot[3 * a + 2] * p->xyz[2] + im->trans[a];
+        if (!(at[2] > 0))
+            return COLMAP_BEHIND_PX;
+        lens_distort(&m->cameras[im->camera].lens, at[0] / at[2], at[1] / at[2], &u, &v);
+        sum += hypot(u - im->obs[t->obs].x_px, v - im->obs[t->obs].y_px);
+    }
+    return p->n_track ? sum / (double)p->n_track : 0;
+}
+
+/* COLMAP writes -1 for an error that nobody has computed. */
+static void colmap_compute_errors(struct colmap_model *m)
+{
+    size_t n = 0;
+    for (size_t i = 0; i < m->n_points; i++)
+        if (!(m->points[i].error_px >= 0) || isinf(m->points[i].error_px)) {
+            m->points[i].error_px = colmap_point_error(m, &m->points[i]);
+            n++;
+        }
+    if (n)
+        log_info("colmap", "%zu of %zu points have no error: it is computed from observations", n,
+                 m->n_points);
+}
+
 static enum err_code colmap_model_resolve(struct colmap_model *m, struct err *e)
 {
     enum err_code rc = colmap_sort_and_check_unique(m, e);
@@ -172,6 +231,8 @@ static enum err_code colmap_model_resolve(struct colmap_model *m, struct err *e)
         rc = colmap_resolve_images(m, e);
     if (!rc)
         rc = colmap_resolve_tracks(m, e);
+    if (!rc)
+        colmap_compute_errors(m);
     return rc;
 }
 

@@ -128,23 +128,22 @@ static enum err_code txt_camera_line(char *s, struct colmap_camera *cam, struct 
 {
     if (!txt_id32_next(&s, &cam->id))
         return err_set(e, ERR_FORMAT, "expected a camera id");
-    enum err_code rc = lens_from_name(txt_word_next(&s), &cam->lens.model, e);
-    if (rc)
-        return rc;
+    struct colmap_lens lens;
+    double params[COLMAP_PARAMS_MAX];
+    const char *model = txt_word_next(&s);
+    if (!colmap_lens_find(model, 0, &lens))
+        return err_set(e, ERR_FORMAT, "camera model '%.40s' is none of COLMAP's", model);
     uint32_t w, h;
     if (!txt_id32_next(&s, &w) || !txt_id32_next(&s, &h) || !w || !h || w > 1 << 20 || h > 1 << 20)
         return err_set(e, ERR_FORMAT, "expected width and height in pixels");
     cam->lens.width_px = w;
     cam->lens.height_px = h;
-    size_t want = lens_param_count(cam->lens.model);
-    for (size_t k = 0; k < want; k++)
-        if (!txt_number_next(&s, &cam->lens.params[k]))
-            return err_set(e, ERR_FORMAT, "%s needs %zu parameters", lens_name(cam->lens.model),
-                           want);
+    for (size_t k = 0; k < lens.n_params; k++)
+        if (!txt_number_next(&s, &params[k]))
+            return err_set(e, ERR_FORMAT, "%s needs %zu parameters", lens.name, lens.n_params);
     if (!txt_at_end(s))
-        return err_set(e, ERR_FORMAT, "%s has only %zu parameters", lens_name(cam->lens.model),
-                       want);
-    const char *why = colmap_check_camera(cam);
+        return err_set(e, ERR_FORMAT, "%s has only %zu parameters", lens.name, lens.n_params);
+    const char *why = colmap_set_lens(&lens, params, cam);
     return why ? err_set(e, ERR_FORMAT, "%s", why) : ERR_OK;
 }
 

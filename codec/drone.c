@@ -73,6 +73,70 @@ static bool drone_body(const struct drone_source *s, double up[3])
     return true;
 }
 
+/* Degrees of XMP: "47.5", or as EXIF's namespace has it "47,33.48N" and "47,33,28.8N". */
+static bool drone_angle_of(const char *text, double *out)
+{
+    double part[3] = {0};
+    size_t n = 0;
+    const char *p = text;
+    for (char *end; n < 3; p = end + (*end == ',')) {
+        part[n] = strtod(p, &end);
+        if (end == p || !isfinite(part[n++]))
+            return false;
+        if (*end != ',') {
+            p = end;
+            break;
+        }
+    }
+    *out = fabs(part[0]) + part[1] / 60 + part[2] / 3600;
+    const char letter = *p ? (char)(*p | 0x20) : '\0';
+    if (signbit(part[0]) || letter == 's' || letter == 'w')
+        *out = -*out;
+    return part[1] >= 0 && part[2] >= 0 && (!*p || (strchr("nsew", letter) && !p[1]));
+}
+
+static bool drone_angle(const struct drone_source *s, const char *const *names, double most,
+                        double *out)
+{
+    for (; *names; names++) {
+        char text[DRONE_TEXT_MAX];
+        if (s->get(s->user, *names, text, sizeof text) && drone_angle_of(text, out) &&
+            fabs(*out) <= most)
+            return true;
+    }
+    return false;
+}
+
+static void drone_position(const struct drone_source *s, struct drone_meta *out)
+{
+    /* The first is DJI's own spelling. */
+    static const char *const lon[] = {"drone-dji:GpsLongtitude", "drone-dji:GpsLongitude",
+                                      "drone-autel:GpsLongitude", "exif:GPSLongitude", NULL},
+                             *const lat[] = {"drone-dji:GpsLatitude", "drone-autel:GpsLatitude",
+                                             "exif:GPSLatitude", NULL};
+    out->has_position = drone_angle(s, lat, 90, &out->lat_deg) &&
+                        drone_angle(s, lon, 180, &out->lon_deg) &&
+                        (out->lat_deg != 0 || out->lon_deg != 0);
+}
+
+/* EXIF's altitude as XMP has it, a fraction: "42700/100". */
+static bool drone_exif_altitude(const struct drone_source *s, double *out)
+{
+    char text[DRONE_TEXT_MAX], *end;
+    if (!s->get(s->user, "exif:GPSAltitude", text, sizeof text))
+        return false;
+    double v = strtod(text, &end), den = 1;
+    if (end != text && *end == '/')
+        den = strtod(end + 1, &end);
+    v /= den;
+    if (*end || !(fabs(v) <= 20000) || v == 0)
+        return false;
+    *out = s->get(s->user, "exif:GPSAltitudeRef", text, sizeof text) && !strcmp(text, "1")
+               ? -fabs(v)
+               : v;
+    return true;
+}
+
 static bool drone_says(const struct drone_source *s, const char *name, const char *word)
 {
     char text[DRONE_TEXT_MAX];
@@ -110,11 +174,17 @@ void drone_read(bool (*get)(const void *user, const char *name, char *text, size
     double rtk = 0;
     *out = (struct drone_meta){0};
     drone_sigma(&s, out->sigma_m);
+    drone_position(&s, out);
     out->has_relative = drone_number(&s, relative, -2000, 20000, &out->relative_m);
-    out->has_absolute = drone_number(&s, absolute, -1000, 20000, &out->absolute_m);
+    out->has_absolute = (drone_number(&s, absolute, -1000, 20000, &out->absolute_m) &&
+                         out->absolute_m != 0) || /* 0 is what it has without a fix */
+                        drone_exif_altitude(&s, &out->absolute_m);
     out->has_up = drone_gimbal(&s, out->up_cam) || drone_body(&s, out->up_cam);
-    /* 50: carrier phases are resolved. A base or a network gives places on the ellipsoid. */
+    /* 50: carrier phases are resolved; 34: not yet; 16: without them. A base or a network gives
+     * places on the ellipsoid. The type alone stands in photographs of drones without RTK. */
     (void)drone_number(&s, flag, 0, 1000, &rtk);
-    out->ellipsoidal = rtk == 50 || drone_says(&s, "drone-dji:AltitudeType", "RtkAlt") ||
-                       drone_says(&s, "Camera:VerticalCS", "ellipsoidal");
+    out->ellipsoidal =
+        rtk == 50 ||
+        ((rtk == 16 || rtk == 34) && drone_says(&s, "drone-dji:AltitudeType", "RtkAlt")) ||
+        drone_says(&s, "Camera:VerticalCS", "ellipsoidal");
 }

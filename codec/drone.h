@@ -14,10 +14,12 @@ extern "C" {
 #endif
 
 struct drone_meta { /* {0}: nothing is known */
-    bool has_relative, has_absolute, has_up;
+    bool has_relative, has_absolute, has_up, has_position;
     double relative_m; /* height above take-off, by the barometer */
     double absolute_m;
-    bool ellipsoidal; /* absolute_m and EXIF's altitude are heights above the ellipsoid */
+    double lat_deg, lon_deg; /* position by XMP, which repeats EXIF's or stands for it */
+    /* absolute_m and EXIF's altitude are heights above the ellipsoid: RTK says so with a fix */
+    bool ellipsoidal;
     /* accuracy of the position, on each horizontal axis and of height; 0: not given */
     double sigma_m[2];
     /* unit vector up in camera axes (x right, y down, z forward), from the gimbal */

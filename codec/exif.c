@@ -1,4 +1,5 @@
-/* EXIF position, time and exposure of photographs, read from and put into JPEG, PNG, WebP and TIFF.
+/* EXIF position, time and exposure of photographs, read from and put into JPEG, PNG, WebP and TIFF;
+ * and where XMP packets are in them (xmp.c).
  *
  * EXIF is a small TIFF file inside the picture. OpenImageIO reads its rationals into float32, which
  * is a metre at the equator for cameras that write decimal degrees, and its writer stores no GPS in
@@ -19,6 +20,8 @@
 #include <string.h>
 #include <zlib.h>
 
+#include "codec/drone.h"
+#include "codec/xmp.h"
 #include "core/base.h"
 
 enum {
@@ -29,6 +32,7 @@ enum {
     TAG_DATE_ORIGINAL = 0x9003,
     TAG_FOCAL = 0x920a,
     TAG_FOCAL_35MM = 0xa405,
+    TAG_XMP = 0x02bc,
     TAG_MAKE = 0x010f,
     TAG_MODEL = 0x0110,
     TAG_GPS_LAT_REF = 1,
@@ -42,8 +46,16 @@ enum {
     TYPE_SHORT = 3,
     TYPE_LONG = 4,
     TYPE_RATIONAL = 5,
+    TYPE_SBYTE = 6,
+    TYPE_SSHORT = 8,
+    TYPE_SLONG = 9,
     TYPE_SRATIONAL = 10,
-    HEAD_BYTES = 256 * 1024, /* an APP1 segment is at most 64 KiB and comes first */
+    TYPE_FLOAT = 11,
+    TYPE_DOUBLE = 12,
+    HEAD_BYTES = 256 * 1024, /* a segment is at most 64 KiB; those of interest come first */
+    EXIF_PACKETS = 8,
+    EXIF_INFLATED_MAX = 1 << 20,
+    EXIF_WRAPPED = 100000 /* no angle, and no altitude in metres, is larger */
 };
 
 /* ---- reading ---- */
@@ -109,22 +121,55 @@ static bool exif_ifd_find(const struct tiff *t, uint32_t ifd, unsigned tag, stru
     return false;
 }
 
+static int32_t exif_signed(uint32_t v, size_t bytes)
+{
+    return bytes == 1 ? (int8_t)v : bytes == 2 ? (int16_t)v : (int32_t)v;
+}
+
+/* false: there is none, its denominator is 0, or it is not finite. Any type of numbers is taken:
+ * cameras write what the standard does not allow. */
 static bool exif_field_num(const struct tiff *t, const struct field *f, size_t i, double *out)
 {
+    const size_t bytes = exif_type_bytes(f->type);
     if (i >= f->count)
         return false;
-    const uint8_t *p = f->data + i * exif_type_bytes(f->type);
-    if (f->type == TYPE_SHORT || f->type == TYPE_LONG || f->type == TYPE_BYTE) {
-        *out = exif_tiff_uint(t, p, (unsigned)exif_type_bytes(f->type));
-        return true;
+    const uint8_t *p = f->data + i * bytes;
+    uint32_t v = exif_tiff_uint(t, p, bytes < 4 ? (unsigned)bytes : 4), den;
+    uint64_t wide;
+    float single;
+    switch (f->type) {
+    case TYPE_BYTE:
+    case TYPE_SHORT:
+    case TYPE_LONG:
+        *out = v;
+        break;
+    case TYPE_SBYTE:
+    case TYPE_SSHORT:
+    case TYPE_SLONG:
+        *out = exif_signed(v, bytes);
+        break;
+    case TYPE_RATIONAL:
+    case TYPE_SRATIONAL:
+        den = exif_tiff_uint(t, p + 4, 4);
+        if (!den)
+            return false;
+        *out = f->type == TYPE_RATIONAL ? (double)v / den : (double)(int32_t)v / (int32_t)den;
+        if (*out > EXIF_WRAPPED && v > INT32_MAX) /* a negative number without its type */
+            *out = (double)(int32_t)v / den;
+        break;
+    case TYPE_FLOAT:
+        memcpy(&single, &v, sizeof single);
+        *out = (double)single;
+        break;
+    case TYPE_DOUBLE:
+        wide = exif_tiff_uint(t, p + 4, 4);
+        wide = t->big_endian ? (uint64_t)v << 32 | wide : wide << 32 | v;
+        memcpy(out, &wide, sizeof *out);
+        break;
+    default:
+        return false;
     }
-    if (f->type != TYPE_RATIONAL && f->type != TYPE_SRATIONAL)
-        return false;
-    uint32_t num = exif_tiff_uint(t, p, 4), den = exif_tiff_uint(t, p + 4, 4);
-    if (!den)
-        return false;
-    *out = f->type == TYPE_RATIONAL ? (double)num / den : (double)(int32_t)num / (int32_t)den;
-    return true;
+    return isfinite(*out);
 }
 
 static double exif_ifd_num(const struct tiff *t, uint32_t ifd, unsigned tag)
@@ -140,22 +185,61 @@ static uint32_t exif_ifd_offset(const struct tiff *t, uint32_t ifd, unsigned tag
     return v >= 0 && v <= UINT32_MAX ? (uint32_t)v : 0;
 }
 
-/* Degrees, minutes and seconds; missing or 0/0 minutes and seconds count as 0 (decimal degrees). */
-static bool exif_ifd_angle(const struct tiff *t, uint32_t ifd, unsigned tag, char negative,
-                           double *out)
+/* The first letter of a text, in lower case; 0: none. */
+static int exif_ifd_letter(const struct tiff *t, uint32_t ifd, unsigned tag)
 {
-    struct field f, ref;
-    double deg, min = 0, sec = 0;
-    if (!exif_ifd_find(t, ifd, tag, &f) || !exif_field_num(t, &f, 0, &deg))
+    struct field f;
+    if (exif_ifd_find(t, ifd, tag, &f))
+        for (size_t i = 0; i < f.count * exif_type_bytes(f.type); i++)
+            if (f.data[i] > ' ')
+                return f.data[i] | 0x20;
+    return 0;
+}
+
+/* Degrees, minutes and seconds. A fraction of one that the next repeats counts once. Minutes and
+ * seconds that are missing or n/0 are 0. South and west are what either the letter or a sign says;
+ * *odd: the letter says the other hemisphere. */
+static bool exif_ifd_angle(const struct tiff *t, uint32_t ifd, unsigned tag, char negative,
+                           double *out, bool *odd)
+{
+    struct field f;
+    double part[3] = {0};
+    if (!exif_ifd_find(t, ifd, tag, &f) || !exif_field_num(t, &f, 0, &part[0]))
         return false;
-    if (!exif_field_num(t, &f, 1, &min))
-        min = 0;
-    if (!exif_field_num(t, &f, 2, &sec))
-        sec = 0;
-    *out = deg + min / 60 + sec / 3600;
-    if (exif_ifd_find(t, ifd, tag - 1, &ref) && (ref.data[0] | 0x20) == (negative | 0x20))
+    for (size_t i = 1; i < 3; i++)
+        if (!exif_field_num(t, &f, i, &part[i]))
+            part[i] = 0;
+    const bool minus = part[0] < 0 || part[1] < 0 || part[2] < 0;
+    for (size_t i = 0; i < 3; i++)
+        part[i] = fabs(part[i]);
+    if (fabs((part[0] - floor(part[0])) * 60 - part[1]) < 1 && part[0] > floor(part[0]))
+        part[1] = part[2] = 0;
+    if (fabs((part[1] - floor(part[1])) * 60 - part[2]) < 1 && part[1] > floor(part[1]))
+        part[2] = 0;
+    const int letter = exif_ifd_letter(t, ifd, tag - 1);
+    *out = part[0] + part[1] / 60 + part[2] / 3600;
+    *odd |= minus && letter && letter != (negative | 0x20);
+    if (minus || letter == (negative | 0x20))
         *out = -*out;
     return true;
+}
+
+/* EXIF 3.0: 0 above, 1 below the sea; 2 above, 3 below the ellipsoid. Some write the digit. */
+static void exif_altitude(const struct tiff *t, uint32_t gps, struct image_gps *out)
+{
+    struct field f;
+    double ref = 0;
+    if (!exif_ifd_find(t, gps, TAG_GPS_ALT, &f) || !exif_field_num(t, &f, 0, &out->alt_m))
+        return;
+    out->has_altitude = true;
+    if (!exif_ifd_find(t, gps, TAG_GPS_ALT_REF, &f))
+        return;
+    if (!exif_field_num(t, &f, 0, &ref))
+        ref = f.data[0];
+    ref = ref >= '0' && ref <= '3' ? ref - '0' : ref;
+    out->ellipsoidal = ref == 2 || ref == 3;
+    if (ref == 1 || ref == 3)
+        out->alt_m = -fabs(out->alt_m);
 }
 
 static void exif_blob(const uint8_t *p, size_t n, struct image_gps *out)
@@ -175,19 +259,41 @@ static void exif_blob(const uint8_t *p, size_t n, struct image_gps *out)
         for (size_t i = 0; i < len && f.data[i] >= 0x20 && f.data[i] < 0x7f; i++)
             out->time[i] = (char)f.data[i];
     }
-    double lat, lon, below = 0;
-    if (exif_ifd_angle(&t, gps, TAG_GPS_LAT, 'S', &lat) &&
-        exif_ifd_angle(&t, gps, TAG_GPS_LON, 'W', &lon) && fabs(lat) <= 90 && fabs(lon) <= 180) {
+    double lat, lon;
+    if (exif_ifd_angle(&t, gps, TAG_GPS_LAT, 'S', &lat, &out->odd_sign) &&
+        exif_ifd_angle(&t, gps, TAG_GPS_LON, 'W', &lon, &out->odd_sign) && fabs(lat) <= 90 &&
+        fabs(lon) <= 180) {
         out->has_position = true;
         out->lat_deg = lat;
         out->lon_deg = lon;
     }
-    if (exif_ifd_find(&t, gps, TAG_GPS_ALT, &f) && exif_field_num(&t, &f, 0, &out->alt_m)) {
-        out->has_altitude = true;
-        if (exif_ifd_find(&t, gps, TAG_GPS_ALT_REF, &f) && exif_field_num(&t, &f, 0, &below) &&
-            below == 1)
-            out->alt_m = -out->alt_m;
-    }
+    exif_altitude(&t, gps, out);
+}
+
+/* ---- where EXIF and XMP are in a file ---- */
+
+struct exif_bytes {
+    const uint8_t *p; /* NULL: there are none */
+    size_t n;
+};
+struct exif_parts { /* {0}, then exif_find; exif_parts_free it */
+    struct exif_bytes exif, packet[EXIF_PACKETS];
+    size_t n_packets;
+    /* Packets that the file does not have in one piece: put together, or inflated. */
+    struct buf extended, inflated;
+    bool cut; /* the bytes end before all of them could come */
+};
+
+static void exif_parts_free(struct exif_parts *x)
+{
+    buf_free(&x->extended);
+    buf_free(&x->inflated);
+}
+
+static void exif_packet(struct exif_parts *x, const uint8_t *p, size_t n)
+{
+    if (n && x->n_packets < EXIF_PACKETS)
+        x->packet[x->n_packets++] = (struct exif_bytes){p, n};
 }
 
 static uint32_t exif_be32(const uint8_t *p)
@@ -215,85 +321,195 @@ static bool exif_is_webp(const uint8_t *p, size_t n)
     return n >= 20 && !memcmp(p, "RIFF", 4) && !memcmp(p + 8, "WEBP", 4);
 }
 
-static void exif_parse_jpeg(const uint8_t *p, size_t n, struct image_gps *out)
+/* A part of a packet that is too long for a segment: length of all, place, bytes (XMP part 3,
+ * 1.1.3.1). */
+static void exif_extended(struct exif_parts *x, const uint8_t *p, size_t n)
 {
-    for (size_t at = 2; at + 4 <= n && p[at] == 0xff && p[at + 1] != 0xda;) {
-        size_t len = (size_t)p[at + 2] << 8 | p[at + 3];
-        if (len < 2 || len > n - at - 2)
-            return;
-        if (p[at + 1] == 0xe1 && len >= 8 && !memcmp(p + at + 4, "Exif\0\0", 6)) {
-            exif_blob(p + at + 10, len - 8, out);
+    const size_t all = exif_be32(p), at = exif_be32(p + 4);
+    if (!x->extended.size && all <= XMP_BYTES_MAX) {
+        uint8_t *room = buf_grow(&x->extended, all);
+        if (room)
+            memset(room, ' ', all);
+    }
+    if (all == x->extended.size && !x->extended.failed && at <= all && n - 8 <= all - at)
+        memcpy(x->extended.data + at, p + 8, n - 8);
+}
+
+static void exif_segment(struct exif_parts *x, const uint8_t *p, size_t n)
+{
+    static const char packet[] = "http://ns.adobe.com/xap/1.0/",
+                      extended[] = "http://ns.adobe.com/xmp/extension/";
+    const size_t head = sizeof extended + 32; /* and a digest */
+    if (n >= 6 && !memcmp(p, "Exif\0\0", 6) && !x->exif.p)
+        x->exif = (struct exif_bytes){p + 6, n - 6};
+    else if (n > sizeof packet && !memcmp(p, packet, sizeof packet))
+        exif_packet(x, p + sizeof packet, n - sizeof packet);
+    else if (n >= head + 8 && !memcmp(p, extended, sizeof extended))
+        exif_extended(x, p + head, n - head);
+}
+
+static void exif_find_jpeg(const uint8_t *p, size_t n, struct exif_parts *x)
+{
+    size_t at = 2;
+    while (at + 4 <= n && p[at] == 0xff && p[at + 1] != 0xda) {
+        const size_t len = (size_t)p[at + 2] << 8 | p[at + 3];
+        if (p[at + 1] == 0xff) { /* markers may be padded */
+            at++;
+            continue;
+        }
+        if (len < 2 || len > n - at - 2) {
+            x->cut = len >= 2;
             return;
         }
+        if (p[at + 1] == 0xe1)
+            exif_segment(x, p + at + 4, len - 2);
         at += 2 + len;
     }
+    x->cut = at + 4 > n;
 }
 
-static void exif_parse_png(const uint8_t *p, size_t n, struct image_gps *out)
+/* A text chunk: keyword, whether it is compressed, how, two texts, and the packet. */
+static void exif_chunk_packet(struct exif_parts *x, const uint8_t *p, size_t n)
+{
+    static const char key[] = "XML:com.adobe.xmp";
+    const uint8_t *end = p + n, *at = p + sizeof key + 2;
+    if (n < sizeof key + 4 || memcmp(p, key, sizeof key) != 0)
+        return;
+    for (int texts = 0; texts < 2 && at; texts++) {
+        at = memchr(at, 0, (size_t)(end - at));
+        at = at ? at + 1 : NULL;
+    }
+    if (!at || !p[sizeof key]) {
+        exif_packet(x, at, at ? (size_t)(end - at) : 0);
+        return;
+    }
+    uLongf got = EXIF_INFLATED_MAX;
+    uint8_t *room = x->inflated.size ? NULL : buf_grow(&x->inflated, EXIF_INFLATED_MAX);
+    if (room && uncompress(room, &got, at, (uLong)(end - at)) == Z_OK)
+        exif_packet(x, room, got);
+}
+
+static void exif_find_png(const uint8_t *p, size_t n, struct exif_parts *x)
 {
     for (size_t at = 8; n - at >= 12;) {
-        size_t len = exif_be32(p + at);
+        const size_t len = exif_be32(p + at);
         if (len > n - at - 12)
-            return;
-        if (!memcmp(p + at + 4, "eXIf", 4)) {
-            exif_blob(p + at + 8, len, out);
-            return;
-        }
+            break;
+        if (!memcmp(p + at + 4, "eXIf", 4) && !x->exif.p)
+            x->exif = (struct exif_bytes){p + at + 8, len};
+        if (!memcmp(p + at + 4, "iTXt", 4))
+            exif_chunk_packet(x, p + at + 8, len);
         at += 12 + len;
     }
+    x->cut = true; /* they may stand behind the picture */
 }
 
-static void exif_parse_webp(const uint8_t *p, size_t n, struct image_gps *out)
+static void exif_find_webp(const uint8_t *p, size_t n, struct exif_parts *x)
 {
     for (size_t at = 12; at <= n && n - at >= 8;) {
-        size_t len = exif_le32(p + at + 4);
+        const size_t len = exif_le32(p + at + 4);
         if (len > n - at - 8)
-            return;
-        if (!memcmp(p + at, "EXIF", 4)) {
+            break;
+        if (!memcmp(p + at, "EXIF", 4) && !x->exif.p) {
             size_t skip = len >= 6 && !memcmp(p + at + 8, "Exif\0\0", 6) ? 6 : 0;
-            exif_blob(p + at + 8 + skip, len - skip, out);
-            return;
+            x->exif = (struct exif_bytes){p + at + 8 + skip, len - skip};
         }
+        if (!memcmp(p + at, "XMP ", 4))
+            exif_packet(x, p + at + 8, len);
         at += 8 + len + (len & 1);
     }
+    x->cut = true;
 }
 
-void exif_parse(const void *bytes, size_t n, struct image_gps *out)
+static void exif_find(const uint8_t *p, size_t n, struct exif_parts *x)
 {
-    const uint8_t *p = bytes;
-    *out = (struct image_gps){0};
+    struct tiff t;
+    struct field f;
+    uint32_t ifd0;
     if (exif_is_jpeg(p, n))
-        exif_parse_jpeg(p, n, out);
+        exif_find_jpeg(p, n, x);
     else if (exif_is_png(p, n))
-        exif_parse_png(p, n, out);
+        exif_find_png(p, n, x);
     else if (exif_is_webp(p, n))
-        exif_parse_webp(p, n, out);
-    else
-        exif_blob(p, n, out);
+        exif_find_webp(p, n, x);
+    else {
+        x->exif = (struct exif_bytes){p, n};
+        x->cut = true;
+    }
+    if (x->exif.p && exif_tiff_open(x->exif.p, x->exif.n, &t, &ifd0)) {
+        if (exif_ifd_find(&t, ifd0, TAG_XMP, &f))
+            exif_packet(x, f.data, f.count * exif_type_bytes(f.type));
+        if (exif_ifd_find(&t, exif_ifd_offset(&t, ifd0, TAG_EXIF_IFD), TAG_XMP, &f)) /* DJI's */
+            exif_packet(x, f.data, f.count * exif_type_bytes(f.type));
+    }
+    exif_packet(x, x->extended.data, x->extended.failed ? 0 : x->extended.size);
 }
 
-enum err_code exif_read(const char *path, struct image_gps *out, struct err *e)
+void exif_parse(const void *bytes, size_t n, struct image_gps *out, struct xmp *xmp)
 {
+    struct exif_parts x = {0};
     *out = (struct image_gps){0};
+    exif_find(bytes, n, &x);
+    if (x.exif.p)
+        exif_blob(x.exif.p, x.exif.n, out);
+    for (size_t i = 0; xmp && i < x.n_packets; i++)
+        xmp_add(xmp, x.packet[i].p, x.packet[i].n);
+    exif_parts_free(&x);
+}
+
+/* The bytes that have EXIF and XMP in them: the head of a JPEG, or all. */
+static enum err_code exif_file(const char *path, struct buf *out, struct err *e)
+{
+    struct exif_parts x = {0};
     FILE *f = fopen(path, "rb");
     if (!f)
         return err_errno(e, file_exists(path) ? ERR_IO : ERR_NOENT, "exif: %s", path);
-    uint8_t *head = mem_array(HEAD_BYTES, 1);
-    if (!head) {
-        fclose(f);
-        return err_set(e, ERR_MEM, "exif: %s: out of memory", path);
-    }
-    size_t n = fread(head, 1, HEAD_BYTES, f);
+    uint8_t *head = buf_grow(out, HEAD_BYTES);
+    const size_t n = head ? fread(head, 1, HEAD_BYTES, f) : 0;
     fclose(f);
-    exif_parse(head, n, out);
-    bool whole = n < HEAD_BYTES || exif_is_jpeg(head, n);
-    mem_free(head);
-    if (whole)
+    if (!head)
+        return err_set(e, ERR_MEM, "exif: %s: out of memory", path);
+    out->size = n;
+    exif_find(head, n, &x);
+    const bool more = x.cut && n == HEAD_BYTES;
+    exif_parts_free(&x);
+    if (!more)
         return ERR_OK;
-    struct buf b = {0}; /* WebP and TIFF may keep it at the end */
-    enum err_code rc = file_read(path, 0, &b, e);
-    if (!rc)
-        exif_parse(b.data, b.size, out);
+    buf_free(out);
+    return file_read(path, 0, out, e);
+}
+
+/* photo.xmp and photo.JPG.xmp beside photo.JPG, in either case. */
+static void exif_sidecars(const char *path, struct xmp *xmp)
+{
+    const char *slash = strrchr(path, '/'), *dot = strrchr(slash ? slash : path, '.');
+    for (int k = 0; k < 4; k++) {
+        const int stem = k % 2 && dot ? (int)(dot - path) : (int)strlen(path);
+        char name[FILE_PATH_MAX];
+        struct buf b = {0};
+        if (snprintf(name, sizeof name, "%.*s%s", stem, path, k < 2 ? ".xmp" : ".XMP") <
+                (int)sizeof name &&
+            file_exists(name) && !file_read(name, XMP_BYTES_MAX, &b, NULL))
+            xmp_add(xmp, b.data, b.size);
+        buf_free(&b);
+    }
+}
+
+enum err_code exif_read(const char *path, struct image_gps *gps, struct drone_meta *drone,
+                        struct err *e)
+{
+    struct buf b = {0};
+    struct xmp *xmp = mem_array(1, sizeof *xmp);
+    *gps = (struct image_gps){0};
+    *drone = (struct drone_meta){0};
+    enum err_code rc =
+        xmp ? exif_file(path, &b, e) : err_set(e, ERR_MEM, "exif: %s: out of memory", path);
+    if (!rc) {
+        exif_parse(b.data, b.size, gps, xmp);
+        exif_sidecars(path, xmp);
+        drone_read(xmp_get, xmp, drone);
+    }
+    mem_free(xmp);
     buf_free(&b);
     return rc;
 }
@@ -335,23 +551,14 @@ static void exif_camera_blob(const uint8_t *p, size_t n, struct exif_camera *out
 enum err_code exif_camera_read(const char *path, struct exif_camera *out, struct err *e)
 {
     struct buf b = {0};
+    struct exif_parts x = {0};
     *out = (struct exif_camera){0};
-    enum err_code rc = file_read(path, 0, &b, e);
-    const uint8_t *p = b.data;
-    if (!rc && exif_is_jpeg(p, b.size)) {
-        for (size_t at = 2; at + 4 <= b.size && p[at] == 0xff && p[at + 1] != 0xda;) {
-            size_t len = (size_t)p[at + 2] << 8 | p[at + 3];
-            if (len < 2 || len > b.size - at - 2)
-                break;
-            if (p[at + 1] == 0xe1 && len >= 8 && !memcmp(p + at + 4, "Exif\0\0", 6)) {
-                exif_camera_blob(p + at + 10, len - 8, out);
-                break;
-            }
-            at += 2 + len;
-        }
-    } else if (!rc) {
-        exif_camera_blob(p, b.size, out);
-    }
+    enum err_code rc = exif_file(path, &b, e);
+    if (!rc)
+        exif_find(b.data, b.size, &x);
+    if (x.exif.p)
+        exif_camera_blob(x.exif.p, x.exif.n, out);
+    exif_parts_free(&x);
     buf_free(&b);
     return rc;
 }

@@ -12,6 +12,8 @@
 #include "core/err.h"
 
 struct buf;
+struct drone_meta;
+struct xmp;
 
 #ifdef __cplusplus
 extern "C" {
@@ -22,13 +24,17 @@ struct image_gps {
     double lat_deg, lon_deg, alt_m;   /* alt_m as in the file: usually above sea level */
     char time[32];                    /* EXIF DateTimeOriginal or "" */
     double exposure_s, iso, focal_mm; /* 0 = not given */
+    bool ellipsoidal;                 /* EXIF says that alt_m counts from the ellipsoid */
+    bool odd_sign;                    /* a sign and a hemisphere contradict each other */
 };
 
-/* Reads the fields of a file. Missing or damaged fields are not errors: has_position is false,
- * numbers are 0, texts "". ERR_NOENT, ERR_IO. */
-enum err_code exif_read(const char *path, struct image_gps *out, struct err *e) ERR_USE;
-/* As exif_read, from a whole file in memory. */
-void exif_parse(const void *bytes, size_t n, struct image_gps *out);
+/* Reads the fields of a file, and what drones write into XMP: in the file or in a sidecar,
+ * photo.xmp or photo.JPG.xmp. Missing or damaged fields are not errors: has_position is false,
+ * numbers are 0, texts "". ERR_NOENT, ERR_IO, ERR_MEM. */
+enum err_code exif_read(const char *path, struct image_gps *gps, struct drone_meta *drone,
+                        struct err *e) ERR_USE;
+/* Reads the fields from a whole file in memory, and adds its XMP to `xmp`, which may be NULL. */
+void exif_parse(const void *bytes, size_t n, struct image_gps *out, struct xmp *xmp);
 /* Puts an EXIF block into an encoded picture. Angles are stored to 1e-7 arc seconds, heights to 0.1
  * mm. ERR_FORMAT (not a JPEG, PNG, WebP or TIFF), ERR_MEM. */
 enum err_code exif_insert(struct buf *file, const struct image_gps *gps, struct err *e) ERR_USE;

@@ -553,7 +553,7 @@ static void glb_from_linear(struct gauss *g)
     for (size_t i = 0; i < g->n; i++) {
         float a = g->opacity_logit[i], *q = g->quat_wxyz + 4 * i;
         float w = q[3];                                        /* from x y z w */
-        a = a < 1e-6f ? 1e-6f : a > 1 - 1e-6f ? 1 - 1e-6f : a; /* NaN stays, and is refused */
+        a = a < 1e-6f ? 1e-6f : a > 1 - 1e-6f ? 1 - 1e-6f : a; /* NaN stays, and is left out */
         g->opacity_logit[i] = logf(a / (1 - a));
         q[3] = q[2];
         q[2] = q[1];
@@ -568,7 +568,7 @@ static enum err_code glb_decode_plain(const struct glb *f, const struct codec_li
     struct values position;
     char name[64];
     uint32_t degree = 0;
-    size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS, bad = 0;
+    size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS;
     const json_t *attributes = json_object_get(f->primitive, "attributes");
     enum err_code rc = glb_values_find(f, "POSITION", 3, &position, e);
     if (rc)
@@ -596,8 +596,7 @@ static enum err_code glb_decode_plain(const struct glb *f, const struct codec_li
             rc = glb_values_read(f, glb_sh_name(name, l, m), n, 3, out->sh + at, row, e);
     if (!rc) {
         glb_from_linear(out);
-        if (gauss_count_bad(out, &bad))
-            rc = err_set(e, ERR_DATA, "glb: row %zu: not finite, or no rotation", bad);
+        rc = gauss_keep_good(out, "glb", e);
     }
     if (rc)
         gauss_free(out);

@@ -137,7 +137,7 @@ enum err_code image_read(const char *path, const struct codec_limits *lim, struc
     if (!rc)
         rc = image_alloc((uint32_t)s.width_px, (uint32_t)s.height_px, 3, &img, e);
     int take = s.channels >= 3 ? 3 : 1; /* 2 is grey and alpha */
-    if (!rc && (rc = image_table->read_u8(in, take, img.px, &why)) != ERR_OK)
+    if (!rc && (rc = image_table->read_u8(in, 0, take, img.px, &why)) != ERR_OK)
         (void)err_set(e, rc, "image: %s: damaged or truncated (%s)", path, why.text);
     if (!rc && take == 1)
         for (size_t i = 0; i < (size_t)img.width_px * img.height_px; i++)
@@ -146,6 +146,35 @@ enum err_code image_read(const char *path, const struct codec_limits *lim, struc
     if (rc)
         image_free(&img);
     *out = img;
+    return rc;
+}
+
+enum err_code image_read_alpha(const char *path, const struct codec_limits *lim, struct image *out,
+                               struct err *e)
+{
+    struct image_input *in;
+    struct image_spec s;
+    struct image_why why;
+    struct jpg *j;
+    uint32_t size_px[2];
+    *out = (struct image){0};
+    if (jpg_open(path, &j, &size_px[0], &size_px[1])) { /* none has any */
+        jpg_close(j);
+        return ERR_OK;
+    }
+    enum err_code rc = image_open(path, &in, &s, e);
+    if (rc)
+        return rc;
+    const bool there = s.alpha >= 0 && s.alpha < s.channels;
+    if (there)
+        rc = image_check(path, &s, lim, e);
+    if (!rc && there)
+        rc = image_alloc((uint32_t)s.width_px, (uint32_t)s.height_px, 3, out, e);
+    if (!rc && there && (rc = image_table->read_u8(in, s.alpha, 1, out->px, &why)) != ERR_OK)
+        (void)err_set(e, rc, "image: %s: damaged or truncated (%s)", path, why.text);
+    image_table->close(in);
+    if (rc)
+        image_free(out);
     return rc;
 }
 
@@ -177,26 +206,14 @@ enum err_code image_read_map(const char *path, const struct codec_limits *lim, u
     return ERR_OK;
 }
 
-static bool image_no_attribute(const void *user, const char *name, char *text, size_t room)
-{
-    (void)user, (void)name;
-    if (room)
-        *text = '\0';
-    return false;
-}
-
-/* The head of a plain JPEG without OpenImageIO, which is needed only for the XMP of drones. */
-static bool image_info_plain(const char *path, uint32_t *width_px, uint32_t *height_px,
-                             struct drone_meta *drone)
+/* The size of a plain JPEG without OpenImageIO. */
+static bool image_size_plain(const char *path, uint32_t size_px[2])
 {
     struct jpg *j;
-    if (!jpg_open(path, &j, width_px, height_px))
+    if (!jpg_open(path, &j, &size_px[0], &size_px[1]))
         return false;
-    bool ok = !drone || !jpg_has_xmp(j);
     jpg_close(j);
-    if (ok && drone)
-        drone_read(image_no_attribute, NULL, drone);
-    return ok;
+    return true;
 }
 
 enum err_code image_read_info(const char *path, uint32_t *width_px, uint32_t *height_px,
@@ -205,21 +222,29 @@ enum err_code image_read_info(const char *path, uint32_t *width_px, uint32_t *he
     struct image_input *in;
     struct image_spec s;
     uint32_t size_px[2];
-    if (!image_info_plain(path, &size_px[0], &size_px[1], drone)) {
+    struct image_gps gps_here;
+    struct drone_meta drone_here;
+    if (!image_size_plain(path, size_px)) {
         enum err_code rc = image_open(path, &in, &s, e);
         if (rc)
             return rc;
         size_px[0] = (uint32_t)s.width_px;
         size_px[1] = (uint32_t)s.height_px;
-        if (drone)
-            drone_read(image_table->attribute, in, drone);
         image_table->close(in);
     }
     if (width_px)
         *width_px = size_px[0];
     if (height_px)
         *height_px = size_px[1];
-    return gps ? exif_read(path, gps, e) : ERR_OK;
+    gps = gps ? gps : &gps_here;
+    drone = drone ? drone : &drone_here;
+    enum err_code rc = exif_read(path, gps, drone, e);
+    if (!rc && !gps->has_position && drone->has_position) {
+        gps->has_position = true;
+        gps->lat_deg = drone->lat_deg;
+        gps->lon_deg = drone->lon_deg;
+    }
+    return rc;
 }
 
 /* ---- writing ---- */

@@ -33,6 +33,10 @@ struct image { /* {0} is empty */
  * file), ERR_LIMIT, ERR_MEM. */
 enum err_code image_read(const char *path, const struct codec_limits *lim, struct image *out,
                          struct err *e) ERR_USE;
+/* Reads the alpha of a picture into the first of three channels; out->px is NULL if it has none.
+ * Free it with image_free. ERR_NOENT, ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
+enum err_code image_read_alpha(const char *path, const struct codec_limits *lim, struct image *out,
+                               struct err *e) ERR_USE;
 /* Reads size, EXIF and the drone's XMP without decoding pixels. Any output may be NULL. ERR_NOENT,
  * ERR_FORMAT, ERR_LIMIT, ERR_IO, ERR_MEM. */
 enum err_code image_read_info(const char *path, uint32_t *width_px, uint32_t *height_px,

@@ -14,12 +14,13 @@
 
 #define IMAGE_LIBRARY_FILE "citysplat-image.so"
 #define IMAGE_LIBRARY_SYMBOL "image_library_table"
-#define IMAGE_LIBRARY_VERSION 1u /* changes with every change of this table */
+#define IMAGE_LIBRARY_VERSION 3u /* changes with every change of this table */
 
 struct image;
 struct image_input; /* an open file */
 struct image_spec { /* of a file, as the file states it; not checked */
     int width_px, height_px, depth, channels;
+    int alpha; /* index of its channel; -1: none */
 };
 struct image_why { /* the reason of a failure, in one line */
     char text[256];
@@ -34,13 +35,12 @@ struct image_library {
     enum err_code (*open)(const char *path, struct image_input **in, struct image_spec *spec,
                           struct image_why *why);
     void (*close)(struct image_input *in);
-    /* Reads the first `take` channels as 8 bits, three bytes a pixel. ERR_FORMAT: damaged or
+    /* Reads `take` channels from `first` on as 8 bits, three bytes a pixel. ERR_FORMAT: damaged or
      * truncated. */
-    enum err_code (*read_u8)(struct image_input *in, int take, uint8_t *px, struct image_why *why);
+    enum err_code (*read_u8)(struct image_input *in, int first, int take, uint8_t *px,
+                             struct image_why *why);
     /* Reads the first channel: integers as 0..1, floats unchanged. ERR_FORMAT. */
     enum err_code (*read_float)(struct image_input *in, float *px, struct image_why *why);
-    /* Reads an XMP attribute "prefix:Name", as drone_read needs it; `in` is an image_input. */
-    bool (*attribute)(const void *in, const char *name, char *text, size_t room);
     /* Encodes .jpg and other formats in memory. quality is 1..100. ERR_ARG (format), ERR_LIMIT (too
      * large for it). */
     enum err_code (*encode)(const struct image *img, const char *format, int quality,

@@ -62,7 +62,7 @@ try {
     if (!opened->file)
         return image_fail(why, ERR_FORMAT, OIIO::geterror());
     const OIIO::ImageSpec &s = opened->file->spec();
-    *spec = {s.width, s.height, s.depth, s.nchannels};
+    *spec = {s.width, s.height, s.depth, s.nchannels, s.alpha_channel};
     *in = opened.release();
     return ERR_OK;
 }
@@ -73,10 +73,10 @@ static void image_close(struct image_input *in)
     delete in;
 }
 
-static enum err_code image_read_u8(struct image_input *in, int take, uint8_t *px,
+static enum err_code image_read_u8(struct image_input *in, int first, int take, uint8_t *px,
                                    struct image_why *why)
 try {
-    bool ok = in->file->read_image(0, 0, 0, take, OIIO::TypeDesc::UINT8, px, 3);
+    bool ok = in->file->read_image(0, 0, first, first + take, OIIO::TypeDesc::UINT8, px, 3);
     std::string text = in->file->geterror();
     return ok && text.empty() ? ERR_OK : image_fail(why, ERR_FORMAT, text);
 }
@@ -89,20 +89,6 @@ try {
     return ok && text.empty() ? ERR_OK : image_fail(why, ERR_FORMAT, text);
 }
 IMAGE_CATCH(ERR_FORMAT)
-
-static bool image_attribute(const void *in, const char *name, char *text, size_t room)
-try {
-    const OIIO::ParamValue *v =
-        static_cast<const image_input *>(in)->file->spec().find_attribute(name);
-    if (!v)
-        return false;
-    int n = v->type() == OIIO::TypeFloat // a type that it guesses
-                ? snprintf(text, room, "%.9g", (double)*static_cast<const float *>(v->data()))
-                : snprintf(text, room, "%s", v->get_string().c_str());
-    return n > 0 && (size_t)n < room;
-} catch (...) {
-    return false;
-}
 
 static OIIO::ImageSpec image_output_spec(const struct image *img, int quality)
 {
@@ -151,5 +137,5 @@ IMAGE_CATCH(ERR_INTERNAL)
 
 extern "C" const struct image_library image_library_table;
 const struct image_library image_library_table = {
-    IMAGE_LIBRARY_VERSION, image_open,      image_close,         image_read_u8,
-    image_read_float,      image_attribute, image_encode_memory, image_write_tiff};
+    IMAGE_LIBRARY_VERSION, image_open,          image_close,     image_read_u8,
+    image_read_float,      image_encode_memory, image_write_tiff};

@@ -15,8 +15,6 @@
 
 enum { JPG_FULL_CHROMA_QUALITY = 95 }; /* as in image_shim.cc */
 
-static const char jpg_xmp[] = "http://ns.adobe.com/xap/1.0/"; /* XMP specification, part 3, 1.1.3 */
-
 struct jpg {
     struct jpeg_decompress_struct dec;
     struct jpeg_error_mgr say;
@@ -58,7 +56,6 @@ static bool jpg_read_head(struct jpg *j)
         return false;
     jpeg_create_decompress(&j->dec);
     jpeg_stdio_src(&j->dec, j->file);
-    jpeg_save_markers(&j->dec, JPEG_APP0 + 1, 0xffff);
     return jpeg_read_header(&j->dec, TRUE) == JPEG_HEADER_OK && jpg_is_plain(j);
 }
 
@@ -82,14 +79,6 @@ bool jpg_open(const char *path, struct jpg **out, uint32_t *width_px, uint32_t *
     *height_px = j->dec.image_height;
     *out = j;
     return true;
-}
-
-bool jpg_has_xmp(const struct jpg *j)
-{
-    for (const struct jpeg_marker_struct *m = j->dec.marker_list; m; m = m->next)
-        if (m->data_length >= sizeof jpg_xmp && !memcmp(m->data, jpg_xmp, sizeof jpg_xmp))
-            return true;
-    return false;
 }
 
 /* From the end, because the grey of a pixel lies before its place as RGB. */

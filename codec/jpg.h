@@ -19,8 +19,6 @@ struct jpg; /* an open file */
 /* Reads the head. The size is as the file states it and unchecked. Returns whether the file is
  * plain; if so, the caller closes *out. */
 bool jpg_open(const char *path, struct jpg **out, uint32_t *width_px, uint32_t *height_px);
-/* Returns whether the head has XMP. */
-bool jpg_has_xmp(const struct jpg *j);
 /* Reads the pixels as RGB: px [h][w][3]. Call it once. Grey is expanded. Returns whether nothing is
  * damaged or missing. */
 bool jpg_read(struct jpg *j, uint8_t *px);

@@ -22,12 +22,13 @@ enum err_code mask_path(const char *dir, const char *photo_name, char out[FILE_P
     return file_join(out, dir, name, e);
 }
 
-enum err_code mask_read(const char *path, uint32_t width_px, uint32_t height_px, struct image *out,
-                        struct err *e)
+/* `from` is freed. */
+static enum err_code mask_take(const char *path, struct image *from, uint32_t width_px,
+                               uint32_t height_px, struct image *out, struct err *e)
 {
-    struct image img = {0};
-    *out = (struct image){0};
-    enum err_code rc = image_read(path, NULL, &img, e);
+    struct image img = *from;
+    enum err_code rc = ERR_OK;
+    *from = (struct image){0};
     if (!rc && (img.width_px != width_px || img.height_px != height_px))
         rc = err_set(e, ERR_DATA, "%s: a mask of %u x %u pixels for a photograph of %u x %u", path,
                      img.width_px, img.height_px, width_px, height_px);
@@ -36,6 +37,29 @@ enum err_code mask_read(const char *path, uint32_t width_px, uint32_t height_px,
     for (size_t i = 0; !rc && i < (size_t)width_px * height_px; i++)
         out->px[i] = img.px[i * img.channels] < MASK_USE ? 0 : 255;
     image_free(&img);
+    return rc;
+}
+
+enum err_code mask_read(const char *path, uint32_t width_px, uint32_t height_px, struct image *out,
+                        struct err *e)
+{
+    struct image img = {0};
+    *out = (struct image){0};
+    enum err_code rc = image_read(path, NULL, &img, e);
+    return rc ? rc : mask_take(path, &img, width_px, height_px, out, e);
+}
+
+enum err_code mask_read_alpha(const char *photo, uint32_t width_px, uint32_t height_px,
+                              struct image *out, struct err *e)
+{
+    struct image img = {0};
+    *out = (struct image){0};
+    enum err_code rc = image_read_alpha(photo, NULL, &img, e);
+    if (!rc && img.px)
+        rc = mask_take(photo, &img, width_px, height_px, out, e);
+    const size_t n = (size_t)out->width_px * out->height_px;
+    if (!rc && out->px && !memchr(out->px, 0, n))
+        image_free(out);
     return rc;
 }
 

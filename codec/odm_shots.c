@@ -125,7 +125,7 @@ static enum err_code odm_shot_lens(const struct odm_shots *s, const json_t *prop
     for (*k = 0; *k < m->n_cameras; ++*k)
         if (!memcmp(&m->cameras[*k].lens, &lens, sizeof lens))
             return ERR_OK;
-    m->cameras[*k] = (struct colmap_camera){(uint32_t)(*k + 1), lens};
+    m->cameras[*k] = (struct colmap_camera){.id = (uint32_t)(*k + 1), .lens = lens};
     m->n_cameras++;
     return ERR_OK;
 }

@@ -37,12 +37,22 @@ static const char *const fixed_names[N_FIXED] = {
     "x",       "y",       "z",       "f_dc_0", "f_dc_1", "f_dc_2", "opacity",
     "scale_0", "scale_1", "scale_2", "rot_0",  "rot_1",  "rot_2",  "rot_3"};
 
+static const char *const ply_rgb_names[3] = {"red", "green", "blue"};
+#define PLY_THIN_LOG 6.9077553f /* of a thousandth */
+
 struct columns {
-    const struct ply_property *fixed[N_FIXED];
+    const struct ply_property *fixed[N_FIXED]; /* [9] is NULL: two scales, a disc */
+    double color_most; /* of colours that are red, green and blue; 0: they are f_dc */
     const struct ply_property *rest[N_REST_MAX];
     size_t n_rest; /* per channel */
     uint32_t sh_degree;
 };
+
+/* White of a colour of this type. */
+static double ply_color_most(enum ply_type type)
+{
+    return type == PLY_U8 ? 255 : type == PLY_U16 ? 65535 : 1;
+}
 
 static enum err_code ply_columns_find(const struct ply_element *v, struct columns *out,
                                       struct err *e)
@@ -50,9 +60,18 @@ static enum err_code ply_columns_find(const struct ply_element *v, struct column
     char name[16];
     size_t n = 0;
     for (int i = 0; i < N_FIXED; i++)
-        if (!(out->fixed[i] = ply_head_property(v, fixed_names[i])))
-            return err_set(e, ERR_FORMAT, "ply: property %s is missing: not a file of Gaussians",
-                           fixed_names[i]);
+        out->fixed[i] = ply_head_property(v, fixed_names[i]);
+    if (!out->fixed[3] && !out->fixed[4] && !out->fixed[5]) {
+        for (int c = 0; c < 3; c++)
+            out->fixed[3 + c] = ply_head_property(v, ply_rgb_names[c]);
+        out->color_most = out->fixed[3] ? ply_color_most(out->fixed[3]->type) : 0;
+    }
+    if (!out->fixed[7] && !out->fixed[10])
+        return err_set(e, ERR_FORMAT,
+                       "ply: no scale_0 and no rot_0: points or a mesh, not a file of Gaussians");
+    for (int i = 0; i < N_FIXED; i++)
+        if (!out->fixed[i] && (i != 9 || !out->fixed[7] || !out->fixed[8]))
+            return err_set(e, ERR_FORMAT, "ply: property %s is missing", fixed_names[i]);
     for (; n < N_REST_MAX; n++) {
         snprintf(name, sizeof name, "f_rest_%zu", n);
         if (!(out->rest[n] = ply_head_property(v, name)))
@@ -62,6 +81,8 @@ static enum err_code ply_columns_find(const struct ply_element *v, struct column
     if (n != 0 && n != 9 && n != 24 && n != 45 && n != 72)
         return err_set(e, ERR_FORMAT,
                        "ply: %zu f_rest properties: 0, 9, 24 or 45 make whole SH degrees", n);
+    if (n == 72)
+        log_warn("ply", "harmonics of degree 4: those above 3 are left out");
     out->sh_degree = n >= 45 ? 3 : n >= 24 ? 2 : n >= 9 ? 1 : 0;
     return ERR_OK;
 }
@@ -116,6 +137,8 @@ static void ply_means_read(const struct source *s, const struct columns *col, st
         if (col->fixed[c]->type == PLY_F64 || s->text)
             for (size_t i = 0; i < g->n; i++) {
                 double v = ply_source_get(s, i, col->fixed[c]);
+                if (!isfinite(v))
+                    continue;
                 lo[c] = v < lo[c] ? v : lo[c];
                 hi[c] = v > hi[c] ? v : hi[c];
             }
@@ -134,7 +157,7 @@ static void ply_means_read(const struct source *s, const struct columns *col, st
 static bool ply_rows_plain(const struct source *s, const struct columns *col)
 {
     const struct ply_property *const *f = col->fixed;
-    if (s->text || s->head->format != PLY_LITTLE)
+    if (s->text || s->head->format != PLY_LITTLE || col->color_most > 0 || !f[9])
         return false;
     for (size_t i = 0; i < N_FIXED; i++)
         if (f[i]->type != PLY_F32)
@@ -181,10 +204,14 @@ static void ply_rows_read(const struct source *s, const struct columns *col, str
     ply_means_read(s, col, g);
     for (size_t i = 0; i < g->n; i++) {
         float *sh = g->sh + 3 * k * i;
+        float *scale = g->scale_log + 3 * i;
         for (size_t c = 0; c < 3; c++) {
-            float ln = (float)ply_source_get(s, i, col->fixed[7 + c]);
-            g->scale_log[3 * i + c] = ln < SCALE_LOG_MIN && !isfinite(ln) ? SCALE_LOG_MIN : ln;
+            float ln = col->fixed[7 + c] ? (float)ply_source_get(s, i, col->fixed[7 + c])
+                                         : fminf(scale[0], scale[1]) - PLY_THIN_LOG;
+            scale[c] = ln < SCALE_LOG_MIN && !isfinite(ln) ? SCALE_LOG_MIN : ln;
             sh[c] = (float)ply_source_get(s, i, col->fixed[3 + c]);
+            if (col->color_most > 0)
+                sh[c] = (float)(((double)sh[c] / col->color_most - 0.5) / GAUSS_SH_C0);
             for (size_t r = 0; r < n_rest; r++)
                 sh[3 * (r + 1) + c] = (float)ply_source_get(s, i, col->rest[c * col->n_rest + r]);
         }
@@ -201,8 +228,7 @@ static enum err_code ply_inria_read(const struct ply_head *h, const struct codec
     const struct ply_element *v = ply_head_element(h, "vertex");
     struct columns col = {0};
     double *text = NULL;
-    size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS, bad = 0,
-           n_bad;
+    size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS;
     if (!v)
         return err_set(e, ERR_FORMAT, "ply: no element vertex");
     enum err_code rc = ply_columns_find(v, &col, e);
@@ -220,10 +246,7 @@ static enum err_code ply_inria_read(const struct ply_head *h, const struct codec
         out->n = v->count;
         out->antialiased = h->antialiased;
         ply_rows_read(&s, &col, out);
-        if ((n_bad = gauss_count_bad(out, &bad)))
-            rc = err_set(e, ERR_DATA,
-                         "ply: row %zu: not finite, or no rotation (%zu such rows): remove them",
-                         bad, n_bad);
+        rc = gauss_keep_good(out, "ply", e);
     }
     if (rc)
         gauss_free(out);
@@ -327,7 +350,7 @@ enum err_code ply_stream_read(const struct ply_stream *s, size_t first, size_t n
                               struct err *e)
 {
     const struct ply_element *v = s->vertex;
-    size_t got = 0, bad = 0, n_bad;
+    size_t got = 0;
     *out = (struct gauss){0};
     if (first > v->count || n > v->count - first)
         return err_set(e, ERR_ARG, "%s: rows %zu to %zu of %zu", s->path, first, first + n,
@@ -346,11 +369,6 @@ enum err_code ply_stream_read(const struct ply_stream *s, size_t first, size_t n
         out->n = n;
         out->antialiased = s->head.antialiased;
         ply_rows_read(&from, &s->col, out);
-        if ((n_bad = gauss_count_bad(out, &bad)))
-            rc = err_set(e, ERR_DATA,
-                         "%s: row %zu: not finite, or no rotation (%zu such rows near it): remove "
-                         "them",
-                         s->path, first + bad, n_bad);
     }
     if (rc)
         gauss_free(out);

@@ -20,7 +20,9 @@ struct gauss;
  * skipped. The SH degree follows from the number of f_rest properties. The comment "citysplat
  * origin lon lat h" gives info->origin and info->has_origin. Means become float32 relative to
  * origin_enu_m, which is 0 unless the file has doubles. info may be NULL. Free *out with
- * gauss_free; it is empty on errors. ERR_NOENT and ERR_IO (ply_read), ERR_FORMAT names line or
+ * gauss_free; it is empty on errors. Unusable rows are left out. Colours of red, green and blue
+ * alone are taken, and 2DGS' two scales: the third is a thousandth of the smaller. ERR_NOENT and
+ * ERR_IO (ply_read), ERR_FORMAT names line or
  * property, ERR_DATA, ERR_LIMIT, ERR_MEM. Any thread. */
 enum err_code ply_read(const char *path, const struct codec_limits *lim, struct gauss *out,
                        struct ply_info *info, struct err *e) ERR_USE;
@@ -46,9 +48,10 @@ void ply_encode_rows(const struct gauss *g, bool doubles, uint8_t *out);
 /* Reads an INRIA .ply in parts. *out is NULL, without an error, when the file cannot be read in
  * parts (text, compressed); ply_read reads such files. Counts are checked against the size of the
  * file. Any thread may read; close it with ply_stream_close, idempotent. Each part has an origin of
- * its own where coordinates are doubles. ply_stream_open: ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_MEM.
+ * its own where coordinates are doubles. Unusable rows are as they are. ply_stream_open: ERR_NOENT,
+ * ERR_IO, ERR_FORMAT, ERR_MEM.
  * ply_stream_read (free *out with gauss_free): ERR_IO, ERR_FORMAT (the file became shorter),
- * ERR_DATA names the row, ERR_ARG (rows that are not there), ERR_MEM. */
+ * ERR_ARG (rows that are not there), ERR_MEM. */
 struct ply_stream;
 enum err_code ply_stream_open(const char *path, struct ply_stream **out, struct ply_info *info,
                               struct err *e) ERR_USE;

@@ -141,7 +141,7 @@ enum err_code ply_packed_read(const struct ply_head *h, const struct codec_limit
 {
     struct packed p;
     float range[N_RANGES] = {0};
-    size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS, bad = 0;
+    size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS;
     enum err_code rc = packed_find(h, &p, e);
     if (!rc && p.vertex->count > most)
         rc = err_set(e, ERR_LIMIT, "ply: %zu Gaussians: the limit is %zu", p.vertex->count, most);
@@ -163,10 +163,9 @@ enum err_code ply_packed_read(const struct ply_head *h, const struct codec_limit
                            : 0;
         packed_row_read(&p, range, i, out);
     }
-    if (gauss_count_bad(out, &bad)) {
-        rc = err_set(e, ERR_DATA, "ply: row %zu: not finite, or no rotation", bad);
+    rc = gauss_keep_good(out, "ply", e);
+    if (rc)
         gauss_free(out);
-    }
     return rc;
 }
 

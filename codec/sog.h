@@ -20,8 +20,11 @@ enum err_code sog_encode(const struct gauss *g, uint32_t sh_degree, struct buf *
  * sog_encode, and ERR_IO, ERR_LIMIT (path). */
 enum err_code sog_write(const struct gauss *g, uint32_t sh_degree, const char *dir,
                         struct err *e) ERR_USE;
-/* Reads version 2 into glTF axes. Hostile bytes are safe. Free *out with gauss_free; it is empty on
- * errors. ERR_FORMAT, ERR_DATA, ERR_LIMIT, ERR_MEM. */
+/* Reads versions 1 and 2 into glTF axes. Hostile bytes are safe. Unusable rows are left out. Free
+ * *out with gauss_free; it is empty on errors. ERR_FORMAT, ERR_DATA, ERR_LIMIT, ERR_MEM. */
 enum err_code sog_decode(const void *bytes, size_t n, const struct codec_limits *lim,
                          struct gauss *out, struct err *e) ERR_USE;
+/* As sog_decode, from a folder: `path` is that of its meta.json. Also ERR_NOENT, ERR_IO. */
+enum err_code sog_read(const char *path, const struct codec_limits *lim, struct gauss *out,
+                       struct err *e) ERR_USE;
 #endif

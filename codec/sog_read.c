@@ -1,5 +1,6 @@
-/* Reading SOG, version 2: see sog.c for the layout. Every texture's size is checked against the
- * number of Gaussians before it is decoded.
+/* Reading SOG, versions 1 and 2: see sog.c for the layout of the latter. Version 1 has no code
+ * books: values lie evenly between "mins" and "maxs", and opacity is a logit. Every texture's size
+ * is checked against the number of Gaussians before it is decoded.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -7,6 +8,7 @@
 
 #include <jansson.h>
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
 
 #include "codec/archive.h"
@@ -15,10 +17,12 @@
 #include "codec/sog_layout.h"
 #include "codec/webp.h"
 
-enum { SOG_META_MOST = 1 << 20, SOG_EDGE_SPARE_PX = 1 << 16 };
+enum { SOG_META_MOST = 1 << 20, SOG_EDGE_SPARE_PX = 1 << 16, SOG_CHANNELS = 4 };
 
 struct sog_reader {
-    struct archive_reader *zip;
+    struct archive_reader *zip; /* NULL: files of a folder */
+    const char *dir;
+    bool first; /* version 1: values lie evenly between a least and a largest one */
     json_t *meta;
     size_t n;
     uint32_t sh_degree;
@@ -30,6 +34,19 @@ struct sog_texture {
     uint32_t width_px, height_px;
 };
 
+/* The bytes of a file beside meta.json. */
+static enum err_code sog_file(const struct sog_reader *r, const char *name, size_t most,
+                              struct buf *out, struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    if (r->zip)
+        return archive_get(r->zip, name, most, out, e);
+    if (strchr(name, '/') || !strcmp(name, ".."))
+        return err_set(e, ERR_FORMAT, "a name with a folder");
+    enum err_code rc = file_join(path, r->dir, name, e);
+    return rc ? rc : file_read(path, most, out, e);
+}
+
 /* The k-th file of a member of meta.json; at least `least` texels. */
 static enum err_code sog_load(struct sog_reader *r, const char *key, size_t k, size_t least,
                               struct sog_texture *out, struct err *e)
@@ -40,7 +57,7 @@ static enum err_code sog_load(struct sog_reader *r, const char *key, size_t k, s
     struct buf b = {0};
     if (!name)
         return err_set(e, ERR_FORMAT, "sog: %s has no file %zu", key, k);
-    enum err_code rc = archive_get(r->zip, name, 8 * most_px, &b, e);
+    enum err_code rc = sog_file(r, name, 8 * most_px, &b, e);
     if (!rc)
         rc = webp_decode(b.data, b.size, most_px, &out->px, &out->width_px, &out->height_px, e);
     if (!rc && (size_t)out->width_px * out->height_px < least)
@@ -71,6 +88,23 @@ static enum err_code sog_numbers(const struct sog_reader *r, const char *key, co
         out[i] = (float)x;
     }
     return ERR_OK;
+}
+
+/* What a byte of channel c means: book[c * CLUSTER_BOOK + byte]. Version 2 has one list for all. */
+static enum err_code sog_book_read(const struct sog_reader *r, const char *key, size_t channels,
+                                   float *book, struct err *e)
+{
+    float lo[SOG_CHANNELS], hi[SOG_CHANNELS];
+    enum err_code rc = r->first ? sog_numbers(r, key, "mins", channels, lo, e)
+                                : sog_numbers(r, key, "codebook", CLUSTER_BOOK, book, e);
+    if (!rc && r->first)
+        rc = sog_numbers(r, key, "maxs", channels, hi, e);
+    for (size_t i = 0; !rc && i < channels * CLUSTER_BOOK; i++) {
+        const size_t c = i / CLUSTER_BOOK;
+        const float t = (float)(i % CLUSTER_BOOK) / (CLUSTER_BOOK - 1);
+        book[i] = r->first ? lo[c] + t * (hi[c] - lo[c]) : book[i % CLUSTER_BOOK];
+    }
+    return rc;
 }
 
 /* The first texture that is there says that the count is no lie: only then there is room for
@@ -126,12 +160,12 @@ static enum err_code sog_get_quats(struct sog_reader *r, struct err *e)
 static enum err_code sog_get_scales(struct sog_reader *r, struct err *e)
 {
     struct sog_texture t = {0};
-    float book[CLUSTER_BOOK];
-    enum err_code rc = sog_numbers(r, "scales", "codebook", CLUSTER_BOOK, book, e);
+    float book[3 * CLUSTER_BOOK];
+    enum err_code rc = sog_book_read(r, "scales", 3, book, e);
     if (!rc)
         rc = sog_load(r, "scales", 0, r->n, &t, e);
     for (size_t i = 0; !rc && i < 3 * r->n; i++)
-        r->g->scale_log[i] = book[t.px[4 * (i / 3) + i % 3]];
+        r->g->scale_log[i] = book[i % 3 * CLUSTER_BOOK + t.px[4 * (i / 3) + i % 3]];
     mem_free(t.px);
     return rc;
 }
@@ -140,16 +174,17 @@ static enum err_code sog_get_color(struct sog_reader *r, struct err *e)
 {
     const size_t k = 3 * gauss_sh_count(r->g->sh_degree);
     struct sog_texture t = {0};
-    float book[CLUSTER_BOOK];
-    enum err_code rc = sog_numbers(r, "sh0", "codebook", CLUSTER_BOOK, book, e);
+    float book[SOG_CHANNELS * CLUSTER_BOOK];
+    enum err_code rc = sog_book_read(r, "sh0", SOG_CHANNELS, book, e);
     if (!rc)
         rc = sog_load(r, "sh0", 0, r->n, &t, e);
     for (size_t i = 0; !rc && i < r->n; i++) {
         float a = (float)t.px[4 * i + 3];
         a = a < 0.25f ? 0.25f : a > 254.75f ? 254.75f : a; /* finite logits */
-        r->g->opacity_logit[i] = logf(a / (255 - a));
+        r->g->opacity_logit[i] =
+            r->first ? book[3 * CLUSTER_BOOK + t.px[4 * i + 3]] : logf(a / (255 - a));
         for (size_t c = 0; c < 3; c++)
-            r->g->sh[k * i + c] = book[t.px[4 * i + c]];
+            r->g->sh[k * i + c] = book[c * CLUSTER_BOOK + t.px[4 * i + c]];
     }
     mem_free(t.px);
     return rc;
@@ -161,7 +196,7 @@ static enum err_code sog_get_harmonics(struct sog_reader *r, size_t n_palette, s
     const size_t rows = (n_palette + SOG_PALETTE_COLUMNS - 1) / SOG_PALETTE_COLUMNS;
     struct sog_texture palette = {0}, label = {0};
     float book[CLUSTER_BOOK];
-    enum err_code rc = sog_numbers(r, "shN", "codebook", CLUSTER_BOOK, book, e);
+    enum err_code rc = sog_book_read(r, "shN", 1, book, e);
     if (!rc)
         rc = sog_load(r, "shN", 0, rows * SOG_PALETTE_COLUMNS * coefs, &palette, e);
     if (!rc && palette.width_px != SOG_PALETTE_COLUMNS * coefs)
@@ -184,25 +219,55 @@ static enum err_code sog_get_harmonics(struct sog_reader *r, size_t n_palette, s
     return rc;
 }
 
+static json_int_t sog_shape(const json_t *member, size_t k)
+{
+    return json_integer_value(json_array_get(json_object_get(member, "shape"), k));
+}
+
+/* Version 1 says neither bands nor rows of the palette: its texture's size does. The shape has the
+ * number of values of a Gaussian, or that of one channel. */
+static enum err_code sog_head_1(struct sog_reader *r, const json_t *sh, json_int_t *bands,
+                                json_int_t *palette, struct err *e)
+{
+    struct sog_texture t = {0};
+    const json_int_t each = sog_shape(sh, 1);
+    const size_t coefs = (size_t)(each == 9 || each == 24 || each == 45 ? each / 3 : each);
+    enum err_code rc =
+        coefs == 3 || coefs == 8 || coefs == 15
+            ? sog_load(r, "shN", 0, SOG_PALETTE_COLUMNS * coefs, &t, e)
+            : err_set(e, ERR_FORMAT, "sog: shN: %lld values of a Gaussian", (long long)each);
+    *bands = coefs == 3 ? 1 : coefs == 8 ? 2 : 3;
+    *palette = rc ? 0 : (json_int_t)t.height_px * SOG_PALETTE_COLUMNS;
+    mem_free(t.px);
+    return rc;
+}
+
 /* meta.json: how many rows, and how large the palette is (0: none). */
 static enum err_code sog_head(struct sog_reader *r, const struct codec_limits *lim,
                               size_t *n_palette, struct err *e)
 {
     struct buf b = {0};
     const size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS;
-    enum err_code rc = archive_get(r->zip, "meta.json", SOG_META_MOST, &b, e);
+    enum err_code rc = sog_file(r, "meta.json", SOG_META_MOST, &b, e);
     if (!rc)
         rc = jsonc_parse((const char *)b.data, b.size, "meta.json", &r->meta, e);
     buf_free(&b);
     if (rc)
         return rc;
-    const json_int_t version = json_integer_value(json_object_get(r->meta, "version"));
-    const json_int_t n = json_integer_value(json_object_get(r->meta, "count"));
+    const json_t *version = json_object_get(r->meta, "version");
     const json_t *sh = json_object_get(r->meta, "shN");
-    const json_int_t bands = sh ? json_integer_value(json_object_get(sh, "bands")) : 0;
-    const json_int_t palette = sh ? json_integer_value(json_object_get(sh, "count")) : 0;
-    if (version != 2)
-        return err_set(e, ERR_FORMAT, "sog: version %lld: 2 is read", (long long)version);
+    json_int_t n = json_integer_value(json_object_get(r->meta, "count"));
+    json_int_t bands = sh ? json_integer_value(json_object_get(sh, "bands")) : 0;
+    json_int_t palette = sh ? json_integer_value(json_object_get(sh, "count")) : 0;
+    if (version && json_integer_value(version) != 2)
+        return err_set(e, ERR_FORMAT, "sog: version %lld: 1 and 2 are read",
+                       (long long)json_integer_value(version));
+    if (!version) { /* what has no version is the first, whose arrays have shapes */
+        r->first = true;
+        n = sog_shape(json_object_get(r->meta, "means"), 0);
+        if (sh && (rc = sog_head_1(r, sh, &bands, &palette, e)) != ERR_OK)
+            return rc;
+    }
     if (n < 1 || (uint64_t)n > most)
         return err_set(e, n < 1 ? ERR_FORMAT : ERR_LIMIT, "sog: %lld Gaussians: 1 to %zu are read",
                        (long long)n, most);
@@ -216,34 +281,54 @@ static enum err_code sog_head(struct sog_reader *r, const struct codec_limits *l
     return ERR_OK;
 }
 
+/* What an archive or a folder has. */
+static enum err_code sog_read_all(struct sog_reader *r, const struct codec_limits *lim,
+                                  struct err *e)
+{
+    size_t n_palette = 0;
+    enum err_code rc = sog_head(r, lim, &n_palette, e);
+    if (!rc)
+        rc = sog_get_means(r, e);
+    if (!rc)
+        rc = sog_get_quats(r, e);
+    if (!rc)
+        rc = sog_get_scales(r, e);
+    if (!rc)
+        rc = sog_get_color(r, e);
+    if (!rc && n_palette)
+        rc = sog_get_harmonics(r, n_palette, e);
+    if (!rc) {
+        r->g->n = r->n;
+        r->g->antialiased = json_is_true(json_object_get(r->meta, "antialias"));
+        rc = gauss_keep_good(r->g, "sog", e);
+    }
+    if (rc)
+        gauss_free(r->g);
+    json_decref(r->meta);
+    return rc;
+}
+
 enum err_code sog_decode(const void *bytes, size_t n, const struct codec_limits *lim,
                          struct gauss *out, struct err *e)
 {
     struct sog_reader r = {.g = out};
-    size_t n_palette = 0, bad;
     *out = (struct gauss){0};
     enum err_code rc = archive_open(bytes, n, &r.zip, e);
     if (!rc)
-        rc = sog_head(&r, lim, &n_palette, e);
-    if (!rc)
-        rc = sog_get_means(&r, e);
-    if (!rc)
-        rc = sog_get_quats(&r, e);
-    if (!rc)
-        rc = sog_get_scales(&r, e);
-    if (!rc)
-        rc = sog_get_color(&r, e);
-    if (!rc && n_palette)
-        rc = sog_get_harmonics(&r, n_palette, e);
-    if (!rc) {
-        out->n = r.n;
-        out->antialiased = json_is_true(json_object_get(r.meta, "antialias"));
-    }
-    if (!rc && gauss_count_bad(out, &bad))
-        rc = err_set(e, ERR_DATA, "sog: row %zu: not finite, or no rotation", bad);
-    if (rc)
-        gauss_free(out);
-    json_decref(r.meta);
+        rc = sog_read_all(&r, lim, e);
     archive_close(&r.zip);
     return rc;
+}
+
+enum err_code sog_read(const char *path, const struct codec_limits *lim, struct gauss *out,
+                       struct err *e)
+{
+    char dir[FILE_PATH_MAX];
+    const char *slash = strrchr(path, '/');
+    struct sog_reader r = {.g = out, .dir = dir};
+    *out = (struct gauss){0};
+    if (snprintf(dir, sizeof dir, "%.*s", slash ? (int)(slash - path) + 1 : 1,
+                 slash ? path : ".") >= (int)sizeof dir)
+        return err_set(e, ERR_LIMIT, "%.80s...: the path is too long", path);
+    return sog_read_all(&r, lim, e);
 }

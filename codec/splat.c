@@ -23,7 +23,7 @@ static void splat_row_read(struct cursor *c, size_t i, struct gauss *g)
     for (size_t k = 0; k < 3; k++) {
         float sigma = cursor_f32(c);
         g->scale_log[3 * i + k] =
-            logf(sigma < 1e-9f ? 1e-9f : sigma); /* NaN stays, and is refused */
+            logf(sigma < 1e-9f ? 1e-9f : sigma); /* NaN stays, and is left out */
     }
     for (size_t k = 0; k < 3; k++)
         g->sh[3 * i + k] = ((float)cursor_u8(c) / 255 - 0.5f) / (float)GAUSS_SH_C0;
@@ -37,7 +37,7 @@ static void splat_row_read(struct cursor *c, size_t i, struct gauss *g)
 enum err_code splat_decode(const void *bytes, size_t n, const struct codec_limits *lim,
                            struct gauss *out, struct err *e)
 {
-    size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS, bad = 0;
+    size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS;
     struct cursor c = cursor_over(bytes, n);
     *out = (struct gauss){0};
     if (!n || n % ROW_BYTES)
@@ -50,9 +50,8 @@ enum err_code splat_decode(const void *bytes, size_t n, const struct codec_limit
     out->n = n / ROW_BYTES;
     for (size_t i = 0; i < out->n; i++)
         splat_row_read(&c, i, out);
-    if (gauss_count_bad(out, &bad)) {
-        rc = err_set(e, ERR_FORMAT, "splat: row %zu: not finite, or no rotation", bad);
+    rc = gauss_keep_good(out, "splat", e);
+    if (rc)
         gauss_free(out);
-    }
     return rc;
 }

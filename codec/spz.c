@@ -1,15 +1,17 @@
-/* .spz: Gaussians as byte streams, compressed by gzip (versions 2 and 3) or zstd (version 4).
+/* .spz: Gaussians as byte streams, compressed by gzip (versions 1 to 3) or zstd (version 4).
  *
- *     v2, v3   gzip( head of 16 bytes | streams back to back )
+ *     v1 - v3  gzip( head of 16 bytes | streams back to back )
  *     v4       head of 32 bytes | (packed, plain) size of each stream | a zstd frame each
  *     head     magic, version, count, SH degree, fraction bits, flags, 0 or number of streams;
  *              v4: where the sizes are, 12 * 0
- *     streams  position 9n, alpha n, color 3n, scale 3n, rotation 4n (v2: 3n), sh 3n(K-1)
+ *     streams  position 9n (v1: 6n), alpha n, color 3n, scale 3n, rotation 4n (v1, v2: 3n),
+ *              sh 3n(K-1)
  *
  * gzip is libdeflate's, which is twice as fast as zlib. Sizes are bounded by the file's size before
  * anything is allocated: DEFLATE cannot expand data more than 1032 times, and zstd not more than
- * 128 KiB a block of 4 bytes. Extensions (flag 2) are skipped. One can be written, between the head
- * and the sizes: type, length, payload. Source: github.com/nianticlabs/spz.
+ * 128 KiB a block of 4 bytes. Extensions (flag 2), type, length and payload each, stand between the
+ * head and the sizes, or behind the streams. Of those of others one is read: SPZ_ADOBE_coordinate_
+ * system, the axes. Version 1 has positions of 16-bit floats. Source: github.com/nianticlabs/spz.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -35,18 +37,24 @@ enum {
     DEFLATE_GROWTH_MAX = 1032,
     ZSTD_GROWTH_MAX = 32768,
     POSITION_LIMIT = 1 << 23,
+    AXES_TYPE = (int)0xadbe0003,
     PLACE_TYPE = 0x4e530001,
     PLACE_BYTES = 76 /* and the name of the reference system */
 };
 
 struct spz_head {
     uint32_t version, n, sh_degree, fraction_bits, flags, n_streams, toc;
+    uint32_t axes; /* of the record of axes: SPZ_RUB and others; 0: none */
 };
 
 static size_t spz_stream_bytes(const struct spz_head *h, int stream)
 {
-    const size_t row[N_STREAMS] = {
-        9, 1, 3, 3, h->version == 2 ? 3 : 4, 3 * (gauss_sh_count(h->sh_degree) - 1)};
+    const size_t row[N_STREAMS] = {h->version == 1 ? 6 : 9,
+                                   1,
+                                   3,
+                                   3,
+                                   h->version <= 2 ? 3 : 4,
+                                   3 * (gauss_sh_count(h->sh_degree) - 1)};
     return h->n * row[stream];
 }
 
@@ -213,8 +221,8 @@ static enum err_code spz_head_read(struct cursor *c, const struct codec_limits *
     h->n_streams = cursor_u8(c);
     if (c->bad || magic != MAGIC)
         return err_set(e, ERR_FORMAT, "spz: not an SPZ file, or truncated in its header");
-    if (h->version < 2 || h->version > 4)
-        return err_set(e, ERR_FORMAT, "spz: version %u: 2, 3 and 4 are read", h->version);
+    if (h->version < 1 || h->version > 4)
+        return err_set(e, ERR_FORMAT, "spz: version %u: 1 to 4 are read", h->version);
     if (h->sh_degree > (h->version == 4 ? 4u : 3u) || h->fraction_bits > FRACTION_BITS_MAX)
         return err_set(e, ERR_FORMAT, "spz: SH degree %u, %u fraction bits: out of range",
                        h->sh_degree, h->fraction_bits);
@@ -224,9 +232,39 @@ static enum err_code spz_head_read(struct cursor *c, const struct codec_limits *
     return ERR_OK;
 }
 
+/* A number of 16 bits: sign, 5 bits of exponent, 10 of fraction (IEEE 754). */
+static double spz_half(const uint8_t *p)
+{
+    const unsigned v = p[0] | (unsigned)p[1] << 8, exponent = v >> 10 & 31, fraction = v & 1023;
+    const double x = !exponent       ? ldexp(fraction, -24)
+                     : exponent < 31 ? ldexp(1024 + fraction, (int)exponent - 25)
+                                     : HUGE_VAL;
+    return v >> 15 ? -x : x;
+}
+
+/* Version 1 has floats: as integers of as many bits as they fit. */
+static enum err_code spz_positions_read_1(const uint8_t *p, struct quant *q, struct err *e)
+{
+    double most = 0;
+    for (size_t i = 0; i < 3 * q->n; i++) {
+        const double v = fabs(spz_half(p + 2 * i));
+        if (!isfinite(v))
+            return err_set(e, ERR_FORMAT, "spz: row %zu: its position is not finite", i / 3);
+        most = fmax(most, v);
+    }
+    q->frac_bits = QUANT_FRAC_BITS;
+    while (most * (1u << q->frac_bits) >= POSITION_LIMIT - 1)
+        q->frac_bits--;
+    for (size_t i = 0; i < 3 * q->n; i++)
+        q->position[i] = (int32_t)lround(spz_half(p + 2 * i) * (1u << q->frac_bits));
+    return ERR_OK;
+}
+
 static enum err_code spz_positions_read(const struct spz_head *h, const uint8_t *p, struct quant *q,
                                         struct err *e)
 {
+    if (h->version == 1)
+        return spz_positions_read_1(p, q, e);
     q->frac_bits = h->fraction_bits;
     for (size_t i = 0; i < 3 * q->n; i++, p += 3) {
         q->position[i] = spz_get_i24(p);
@@ -257,6 +295,62 @@ static uint32_t spz_rotation_v3(const uint8_t *p)
     return r;
 }
 
+/* ---- axes ---- */
+
+/* Which way x, y and z go, by the record of axes: 1 LDB, 2 RDB, 3 LUB, 4 RUB ... 8 RUF (left or
+ * right, down or up, back or front). */
+static bool spz_signs(uint32_t axes, float sign[3])
+{
+    if (axes < 1 || axes > 8)
+        return false;
+    sign[0] = (axes - 1) & 1 ? 1.0f : -1.0f;
+    sign[1] = (axes - 1) & 2 ? 1.0f : -1.0f;
+    sign[2] = (axes - 1) & 4 ? -1.0f : 1.0f;
+    return true;
+}
+
+/* Into glTF's axes, RUB. A mirrored axis turns rotations about the other two the other way. */
+static void spz_turn(uint32_t axes, struct quant *q)
+{
+    float s[3];
+    if (!axes)
+        return;
+    if (!spz_signs(axes, s)) {
+        log_warn("spz", "axes of kind %u are not known: they are taken as those of glTF", axes);
+        return;
+    }
+    const float x = s[0], y = s[1], z = s[2], quat[4] = {1, y * z, x * z, x * y};
+    const float sh[15] = {y, z, x, x * y, y * z, 1, x * z, 1, y, x * y * z, y, z, x, z, x};
+    const size_t k = gauss_sh_count(q->sh_degree) - 1;
+    for (size_t i = 0; i < q->n; i++) {
+        float r[4];
+        for (size_t c = 0; c < 3; c++)
+            q->position[3 * i + c] = s[c] < 0 ? -q->position[3 * i + c] : q->position[3 * i + c];
+        quant_unpack_rotation(q->rotation[i], r);
+        for (size_t c = 0; c < 4; c++)
+            r[c] *= quat[c];
+        q->rotation[i] = quant_pack_rotation(r);
+        for (size_t c = 0; c < 3 * k; c++) {
+            uint8_t *v = &q->sh[3 * k * i + c]; /* 128 is 0 */
+            *v = (uint8_t)(sh[c / 3] > 0 ? *v : *v ? 256 - *v : 255);
+        }
+    }
+}
+
+/* Records: type, length, payload. */
+static uint32_t spz_axes(struct cursor c)
+{
+    while (cursor_left(&c) >= 8) {
+        const uint32_t type = cursor_u32(&c), n = cursor_u32(&c);
+        struct cursor payload = c;
+        if (!cursor_take(&c, n))
+            break;
+        if (type == (uint32_t)AXES_TYPE && n >= 4)
+            return cursor_u32(&payload);
+    }
+    return 0;
+}
+
 static enum err_code spz_streams_read(const struct spz_head *h,
                                       const uint8_t *const stream[N_STREAMS], struct quant *q,
                                       struct err *e)
@@ -276,10 +370,14 @@ static enum err_code spz_streams_read(const struct spz_head *h,
     memcpy(q->color, stream[2], 3 * q->n);
     memcpy(q->scale, stream[3], 3 * q->n);
     for (size_t i = 0; i < q->n; i++)
-        q->rotation[i] = h->version == 2 ? spz_rotation_v2(stream[4] + 3 * i)
+        q->rotation[i] = h->version <= 2 ? spz_rotation_v2(stream[4] + 3 * i)
                                          : spz_rotation_v3(stream[4] + 4 * i);
-    for (size_t i = 0; i < q->n && sh_out; i++) /* degree 4 loses its last band */
+    for (size_t i = 0; i < q->n && sh_out; i++)
         memcpy(q->sh + i * sh_out, stream[5] + i * sh_in, sh_out);
+    if (degree < h->sh_degree)
+        log_warn("spz", "harmonics of degree %u: those above %u are left out", h->sh_degree,
+                 degree);
+    spz_turn(h->axes, q);
     return ERR_OK;
 }
 
@@ -324,6 +422,8 @@ static enum err_code spz_decode_gzip(const uint8_t *bytes, size_t n, const struc
                          s);
     if (!rc && cursor_left(&c) && !(h.flags & FLAG_EXTENSIONS))
         rc = err_set(e, ERR_FORMAT, "spz: %zu bytes after the last stream", cursor_left(&c));
+    if (!rc && h.flags & FLAG_EXTENSIONS)
+        h.axes = spz_axes(c);
     if (!rc)
         rc = spz_streams_read(&h, stream, out, e);
     buf_free(&plain);
@@ -367,6 +467,8 @@ static enum err_code spz_decode_zstd(const uint8_t *bytes, size_t n, const struc
         return err_set(e, ERR_FORMAT, "spz: version %u, %u streams: header is damaged or truncated",
                        h.version, h.n_streams);
     const uint8_t *data = bytes + h.toc + toc_bytes;
+    if (h.flags & FLAG_EXTENSIONS)
+        h.axes = spz_axes(cursor_over(bytes + HEAD4_BYTES, h.toc - HEAD4_BYTES));
     rc = spz_toc_read(cursor_over(bytes + h.toc, toc_bytes), &h, n - h.toc - toc_bytes, packed, e);
     for (int s = 0; s < N_STREAMS; s++)
         bytes_plain += spz_stream_bytes(&h, s);

@@ -22,8 +22,8 @@ struct spz_place {
  * of github.com/nianticlabs/spz). Readers that do not know it skip it. ERR_LIMIT, ERR_MEM. */
 enum err_code spz_encode_placed(const struct quant *q, const struct spz_place *place,
                                 struct buf *out, struct err *e) ERR_USE;
-/* Reads versions 2, 3 and 4. Hostile bytes are safe. Free *out with quant_free; it is empty on
- * errors. ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
+/* Reads versions 1 to 4 into glTF axes. Hostile bytes are safe. Free *out with quant_free; it is
+ * empty on errors. ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
 enum err_code spz_decode(const void *bytes, size_t n, const struct codec_limits *lim,
                          struct quant *out, struct err *e) ERR_USE;
 #endif

@@ -340,20 +340,45 @@ static bool gauss_all_good(const struct gauss *g)
            gauss_finite(g->embed, (g->embed ? g->embed_len : 0) * g->n);
 }
 
+static bool gauss_row_good(const struct gauss *g, size_t i)
+{
+    const size_t k = 3 * gauss_sh_count(g->sh_degree);
+    const float *q = &g->quat_wxyz[4 * i];
+    return gauss_finite(&g->mean_m[3 * i], 3) && gauss_finite(&g->scale_log[3 * i], 3) &&
+           gauss_finite(q, 4) && isfinite(g->opacity_logit[i]) && gauss_finite(&g->sh[k * i], k) &&
+           gauss_finite(g->embed ? &g->embed[g->embed_len * i] : NULL, g->embed_len) &&
+           q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] > 0.0f;
+}
+
 size_t gauss_count_bad(const struct gauss *g, size_t *first_bad)
 {
-    size_t bad = 0, k = 3 * gauss_sh_count(g->sh_degree);
+    size_t bad = 0;
     if (gauss_all_good(g))
         return 0;
-    for (size_t i = 0; i < g->n; i++) {
-        const float *q = &g->quat_wxyz[4 * i];
-        bool ok = gauss_finite(&g->mean_m[3 * i], 3) && gauss_finite(&g->scale_log[3 * i], 3) &&
-                  gauss_finite(q, 4) && isfinite(g->opacity_logit[i]) &&
-                  gauss_finite(&g->sh[k * i], k) &&
-                  gauss_finite(g->embed ? &g->embed[g->embed_len * i] : NULL, g->embed_len) &&
-                  q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] > 0.0f;
-        if (!ok && bad++ == 0 && first_bad)
+    for (size_t i = 0; i < g->n; i++)
+        if (!gauss_row_good(g, i) && bad++ == 0 && first_bad)
             *first_bad = i;
-    }
     return bad;
+}
+
+enum err_code gauss_keep_good(struct gauss *g, const char *format, struct err *e)
+{
+    size_t first = 0, n = 0;
+    const size_t bad = gauss_count_bad(g, &first);
+    if (!bad)
+        return ERR_OK;
+    if (bad == g->n)
+        return err_set(e, ERR_DATA, "%s: none of %zu rows is finite and has a rotation", format,
+                       g->n);
+    for (size_t i = 0; i < g->n; i++)
+        if (gauss_row_good(g, i)) {
+            if (n < i)
+                gauss_copy_row(g, n, g, i);
+            n++;
+        }
+    log_warn(format, "%zu of %zu rows are left out: not finite, or no rotation; row %zu first", bad,
+             g->n, first);
+    g->n = n;
+    g->n_left_out = bad;
+    return ERR_OK;
 }

@@ -24,6 +24,7 @@ struct gauss { /* {0} is valid and empty */
     uint32_t sh_degree; /* 0..3; K = (sh_degree + 1)^2 */
     uint32_t embed_len; /* length of the appearance embedding, 0 = none */
     bool antialiased;   /* trained with opacity compensation (Mip-Splatting's rho) */
+    size_t n_left_out;  /* unusable rows of the file that it was read from */
     double origin_enu_m[3];
     float *mean_m;        /* [n][3], relative to origin_enu_m */
     float *scale_log;     /* [n][3], ln(sigma in metres) */
@@ -83,5 +84,7 @@ void gauss_bounds(const struct gauss *g, double k_sigma, double min_enu_m[3], do
 /* Counts the rows with a value that is not finite or with a zero quaternion. first_bad may be NULL.
  */
 size_t gauss_count_bad(const struct gauss *g, size_t *first_bad);
+/* Leaves these rows out, and says so in the name of a file format. ERR_DATA: none is left. */
+enum err_code gauss_keep_good(struct gauss *g, const char *format, struct err *e) ERR_USE;
 
 #endif

@@ -14,6 +14,7 @@ static const struct {
     {"", "the WGS 84 ellipsoid", "WGS 84 ellipsoid"},
     {"sea-exif", "sea level by EXIF (no geoid known)", "sea level by EXIF (no geoid known)"},
     {"sea", "sea level (no geoid known)", "sea level (no geoid known)"},
+    {"takeoff", "the place of take-off, whose height is not known", "take-off (height not known)"},
     {"unknown", "a surface that is not known", "unknown"},
 };
 enum { HEIGHTS_KINDS = sizeof kinds / sizeof *kinds };

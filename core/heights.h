@@ -3,6 +3,7 @@
  *     ellipsoid   the WGS 84 ellipsoid; "" means the same, for imports
  *     sea-exif    above sea level, as cameras write it into EXIF; the geoid is not known
  *     sea         above sea level; the geoid is not known
+ *     takeoff     above the place where the drone took off; its height is not known
  *     EPSG:7837   heights of this vertical coordinate system
  *     unknown     the reference was not given
  *

@@ -154,32 +154,10 @@ static enum gcp_column gcp_columns(char *text, struct gcp_table *t, int *epsg)
     return (enum gcp_column)c;
 }
 
-/* "EPSG:32632", "EPSG:25832+7837" with the heights' code, "WGS84 UTM 32N", well-known text; 0 for
- * other words. */
-static int gcp_epsg(const char *text, int *heights)
-{
-    int code = 0, zone = 0;
-    char side = 0;
-    *heights = 0;
-    if (!strncasecmp(text, "CoordinateSystem:", 17)) { /* Metashape */
-        text += 17;
-        text += strspn(text, " \t");
-    }
-    if (wkt_epsg(text, &code, heights))
-        return code;
-    if (sscanf(text, "EPSG:%d+%d", &code, heights) >= 1 ||
-        sscanf(text, "epsg:%d+%d", &code, heights) >= 1)
-        return code;
-    if (sscanf(text, "WGS84 UTM %d%c", &zone, &side) == 2 && zone >= 1 && zone <= 60 &&
-        (side == 'N' || side == 'S'))
-        return (side == 'N' ? 32600 : 32700) + zone;
-    return 0;
-}
-
 static void gcp_take_epsg(const char *text, struct gcp_list *l)
 {
-    int heights, code = gcp_epsg(text, &heights);
-    if (code) {
+    int heights, code;
+    if (wkt_system(text, &code, &heights)) {
         l->epsg = code;
         l->heights_epsg = heights;
     }
@@ -330,6 +308,48 @@ static size_t gcp_named(const struct gcp_list *l, const char *name)
     return GCP_MAX;
 }
 
+/* Fields of a line with tabs are divided at them alone, if these are enough: names may have blanks.
+ */
+static size_t gcp_split(const struct gcp_table *t, char *text, char *field[TABLE_FIELDS])
+{
+    size_t tabs = 0;
+    for (const char *p = text; *p; p++)
+        tabs += *p == '\t' && p[1] != '\t';
+    const size_t least = t->bare ? 2 : GCP_IMAGE;
+    if (t->comma || tabs < least || strpbrk(text, ",;"))
+        return table_split(text, t->comma, field);
+    char *to = text; /* tabs in a row divide once */
+    for (const char *p = text; *p; p++)
+        if (*p != '\t' || p[1] != '\t')
+            *to++ = *p;
+    *to = '\0';
+    return table_split(text, '\t', field);
+}
+
+/* Does a name end as photographs' do? */
+static bool gcp_is_photo(const char *name)
+{
+    static const char *const ends[] = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".dng"};
+    const char *dot = strrchr(name, '.');
+    for (size_t k = 0; dot && k < sizeof ends / sizeof *ends; k++)
+        if (!strcasecmp(dot, ends[k]))
+            return true;
+    return false;
+}
+
+/* A name with blanks in a line that is divided by blanks would shift what follows. */
+static enum err_code gcp_check_blanks(const struct gcp_table *t, char *field[TABLE_FIELDS],
+                                      size_t n, struct err *e)
+{
+    for (size_t i = GCP_IMAGE + 1; !t->comma && i < n && !gcp_is_photo(field[GCP_IMAGE]); i++)
+        if (gcp_is_photo(field[i]))
+            return err_set(e, ERR_FORMAT,
+                           "%s: line %zu: the name of the photograph, '%s ... %s', has blanks: "
+                           "divide the fields by tabs, or rename it",
+                           t->path, t->line, field[GCP_IMAGE], field[i]);
+    return ERR_OK;
+}
+
 static enum err_code gcp_row(const struct gcp_table *t, char *text, struct gcp_list *l,
                              struct err *e)
 {
@@ -338,7 +358,7 @@ static enum err_code gcp_row(const struct gcp_table *t, char *text, struct gcp_l
     enum err_code rc = gcp_check_commas(t, text, e);
     if (rc)
         return rc;
-    size_t n = table_split(text, t->comma, field);
+    size_t n = gcp_split(t, text, field);
     const bool alone = gcp_has_marks_alone(t), bare = !alone && gcp_is_bare(t, field, n);
     if (bare && gcp_is_nowhere(t, field, n))
         return ERR_OK;
@@ -359,7 +379,9 @@ static enum err_code gcp_row(const struct gcp_table *t, char *text, struct gcp_l
         return err_set(e, ERR_FORMAT,
                        "%s: line %zu: '%.40s...': names of photographs have at most %d bytes",
                        t->path, t->line, image, GCP_IMAGE_MAX - 1);
-    rc = gcp_check_fields(t, field, n, image, e);
+    rc = gcp_check_blanks(t, field, n, e);
+    if (!rc)
+        rc = gcp_check_fields(t, field, n, image, e);
     for (size_t k = 0; !rc && k < 4; k++)
         rc = gcp_sigma(t, field, n, (enum gcp_column)(GCP_PLAN_SIGMA + k), &sigma[k], e);
     const char *name = t->column[GCP_NAME] < n ? field[t->column[GCP_NAME]] : "";

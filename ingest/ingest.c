@@ -15,6 +15,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <strings.h>
 
 #include <jansson.h>
 
@@ -293,6 +294,9 @@ static enum err_code ingest_judge_poses(struct ingest *g, struct err *e)
     size_t most = 0;
     for (size_t i = 0; i < g->n; i++)
         most = g->photos[i].image->n_obs > most ? g->photos[i].image->n_obs : most;
+    if (!g->model.n_tracks)
+        log_warn("ingest", "the COLMAP model does not say which photographs see which points: "
+                           "its poses are taken as they are, unchecked");
     double *scratch = mem_array(most, sizeof *scratch);
     if (!scratch)
         return ingest_no_memory(e);
@@ -307,7 +311,8 @@ static enum err_code ingest_judge_poses(struct ingest *g, struct err *e)
             if (p->image->obs[k].point >= 0)
                 scratch[p->n_points++] = ingest_reprojection_at(g, p, &p->image->obs[k]);
         p->reprojection_px = sort_median(scratch, p->n_points);
-        if (p->verdict == INGEST_KEPT && p->n_points < (size_t)g->cfg->min_points)
+        if (p->verdict == INGEST_KEPT && g->model.n_tracks &&
+            p->n_points < (size_t)g->cfg->min_points)
             p->verdict = INGEST_FEW_POINTS;
         else if (p->verdict == INGEST_KEPT && p->reprojection_px > g->cfg->max_reprojection_px)
             p->verdict = INGEST_POSE;
@@ -342,22 +347,28 @@ static enum err_code ingest_check_some_left(const struct ingest *g, struct err *
         few, g->n, (long long)g->cfg->min_points, most, pose, broken);
 }
 
+/* The mask of a photograph: of --mask-dir, or else what its alpha calls transparent. */
 static enum err_code ingest_convert_mask(struct ingest *g, const struct ingest_photo *p,
-                                         struct err *e)
+                                         const char *photo, struct err *e)
 {
-    char from[FILE_PATH_MAX], to[FILE_PATH_MAX], folder[FILE_PATH_MAX];
-    enum err_code rc = mask_path(g->cfg->mask_dir, p->image->name, from, e);
-    if (!rc && !file_exists(from))
+    char from[FILE_PATH_MAX] = "", to[FILE_PATH_MAX], folder[FILE_PATH_MAX];
+    bool made = false;
+    enum err_code rc =
+        g->cfg->mask_dir ? mask_path(g->cfg->mask_dir, p->image->name, from, e) : ERR_OK;
+    const bool alpha = !rc && !(from[0] && file_exists(from));
+    const char *dot = strrchr(photo, '.');
+    if (alpha && dot && (!strcasecmp(dot, ".jpg") || !strcasecmp(dot, ".jpeg")))
         return ERR_OK;
     if (!rc)
         rc = file_join(folder, g->dir.part, "masks", e);
     if (!rc)
-        rc = file_mkdir(folder, e);
-    if (!rc)
         rc = mask_path(folder, p->out_name, to, e);
     if (!rc)
-        rc = ingest_mask_convert(&g->views[p->view], from, to, e);
-    atomic_fetch_add(&g->masks, 1);
+        rc = file_mkdir(folder, e);
+    if (!rc)
+        rc = ingest_mask_convert(&g->views[p->view], alpha ? photo : from, alpha, to, &made, e);
+    if (made)
+        atomic_fetch_add(alpha ? &g->alphas : &g->masks, 1);
     return rc;
 }
 
@@ -380,8 +391,8 @@ static enum err_code ingest_convert_task(void *user, size_t i, struct err *e)
             rc = ingest_photo_convert(&g->views[p->view], from, to, &lim, e);
         if (rc == ERR_FORMAT)
             rc = ingest_set_aside(g, p, rc, e);
-        else if (!rc && g->cfg->mask_dir)
-            rc = ingest_convert_mask(g, p, e);
+        else if (!rc)
+            rc = ingest_convert_mask(g, p, from, e);
     }
     ingest_step_done(g);
     return rc;
@@ -519,6 +530,12 @@ static enum err_code ingest_run_steps(struct ingest *g, const char *sparse_dir, 
         rc = file_mkdir(folder, e);
     if (!rc)
         rc = ingest_convert(g, e);
+    if (!rc && atomic_load(&g->alphas))
+        log_info("ingest", "%zu photographs have transparent pixels: these are masked",
+                 atomic_load(&g->alphas));
+    if (!rc && !atomic_load(&g->alphas) && !atomic_load(&g->masks) &&
+        !file_join(folder, g->dir.part, "masks", e))
+        (void)remove(folder); /* made for photographs that turned out to be opaque */
     if (!rc && g->cfg->mask_dir)
         rc = ingest_check_masks(g, e);
     if (!rc && g->cfg->exposure)

@@ -81,7 +81,7 @@ static enum err_code frame_median_place(const struct ingest *g, struct geo_origi
 
 static bool frame_point_is_reliable(const struct colmap_point *p)
 {
-    return p->n_track >= RELIABLE_TRACK && p->error_px <= reliable_px;
+    return (p->n_track >= RELIABLE_TRACK || !p->n_track) && p->error_px <= reliable_px;
 }
 
 /* Normal of the ground: the direction in which the reliable points, without the farthest, spread

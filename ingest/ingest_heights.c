@@ -12,7 +12,8 @@
 #include "ingest/ingest.h"
 #include "ingest/ingest_internal.h"
 
-enum { HEIGHTS_3D = 4979 }; /* WGS 84 with ellipsoidal heights */
+enum { HEIGHTS_3D = 4979 };           /* WGS 84 with ellipsoidal heights */
+enum { HEIGHTS_GROUND_NONE = -1000 }; /* --ground-h: not given */
 
 /* What heights of ground control points count from, before a geoid is applied. */
 static void heights_of_gcps(const struct ingest *g, char out[HEIGHTS_MAX])
@@ -80,18 +81,28 @@ static void heights_of_positions(const struct ingest *g, char out[HEIGHTS_MAX])
     snprintf(out, HEIGHTS_MAX, "%s", said);
 }
 
+/* --ground-h: the height of the place of take-off. */
+static bool heights_ground_known(const struct ingest *g)
+{
+    return g->cfg->ground_h > HEIGHTS_GROUND_NONE;
+}
+
 double ingest_heights_photo_m(const struct ingest *g, const struct ingest_photo *p)
 {
     char said[HEIGHTS_MAX];
-    if (p->altitude == INGEST_ALTITUDE_RTK)
+    if (p->altitude == INGEST_ALTITUDE_RTK || p->altitude == INGEST_ALTITUDE_EXIF_ELLIPSOID)
         return p->gps.alt_m;
+    if (p->altitude == INGEST_ALTITUDE_TAKEOFF && !heights_ground_known(g))
+        return p->gps.alt_m; /* no geoid makes it anything else */
+    const double alt_m =
+        p->gps.alt_m + (p->altitude == INGEST_ALTITUDE_TAKEOFF ? g->cfg->ground_h : 0);
     if (p->altitude == INGEST_ALTITUDE_FILE) {
         heights_of_positions(g, said);
         if (heights_ellipsoidal(said))
             return p->gps.alt_m;
     }
-    return p->gps.alt_m + (g->geoid ? geoid_above(g->geoid, p->gps.lon_deg, p->gps.lat_deg)
-                                    : g->cfg->geoid_offset_m);
+    return alt_m + (g->geoid ? geoid_above(g->geoid, p->gps.lon_deg, p->gps.lat_deg)
+                             : g->cfg->geoid_offset_m);
 }
 
 void ingest_heights_name(struct ingest *g)
@@ -114,16 +125,30 @@ void ingest_heights_name(struct ingest *g)
     for (size_t i = 0; i < g->n; i++)
         if (g->photos[i].verdict == INGEST_KEPT && g->photos[i].geo.has_gps)
             n[g->photos[i].altitude]++;
-    size_t sea = n[INGEST_ALTITUDE_EXIF] + n[INGEST_ALTITUDE_BAROMETER];
-    bool mixed = sea && n[INGEST_ALTITUDE_RTK] && !moved;
+    const size_t takeoff = n[INGEST_ALTITUDE_TAKEOFF], none = n[INGEST_ALTITUDE_NONE],
+                 sea = n[INGEST_ALTITUDE_EXIF] + n[INGEST_ALTITUDE_BAROMETER] +
+                       n[INGEST_ALTITUDE_XMP] + (heights_ground_known(g) ? takeoff : 0),
+                 rtk = n[INGEST_ALTITUDE_RTK] + n[INGEST_ALTITUDE_EXIF_ELLIPSOID];
+    const bool mixed = sea && rtk && !moved, low = takeoff && !heights_ground_known(g);
     if (mixed && g->fitted)
         log_warn("ingest",
-                 "%zu heights count from the ellipsoid (RTK) and %zu from the sea (EXIF): give "
+                 "%zu heights count from the ellipsoid and %zu from the sea (EXIF): give "
                  "--geoid NAME",
-                 n[INGEST_ALTITUDE_RTK], sea);
+                 rtk, sea);
+    if (low && g->fitted)
+        log_warn("ingest",
+                 "%zu altitudes are heights above the place of take-off%s: say its height above "
+                 "the sea by --ground-h, or give --gcp or --positions",
+                 takeoff, sea || rtk ? ", the others are not" : "");
+    if (heights_ground_known(g) && !takeoff)
+        log_warn("ingest", "--ground-h: no altitude counts from the place of take-off: it changes "
+                           "nothing");
     /* --origin without GPS is ellipsoidal, by what it is documented to be. */
     snprintf(out, HEIGHTS_MAX, "%s",
-             !g->fitted || moved || !sea ? "ellipsoid"
-             : mixed                     ? "unknown"
-                                         : "sea-exif");
+             !g->fitted                                  ? "ellipsoid"
+             : none || mixed || (low && (sea || rtk))    ? "unknown"
+             : low                                       ? "takeoff"
+             : moved || !sea                             ? "ellipsoid"
+             : heights_ground_known(g) && takeoff == sea ? "sea"
+                                                         : "sea-exif");
 }

@@ -40,6 +40,10 @@ enum ingest_point { /* verdict on a sparse point: ingest_points.c */
 enum ingest_altitude { /* source of the altitude that is used: ingest_drone.c */
                        INGEST_ALTITUDE_EXIF,
                        INGEST_ALTITUDE_BAROMETER,
+                       INGEST_ALTITUDE_XMP,     /* where EXIF's are wrong or missing */
+                       INGEST_ALTITUDE_TAKEOFF, /* above the place of take-off */
+                       INGEST_ALTITUDE_NONE,    /* 0 for all photographs */
+                       INGEST_ALTITUDE_EXIF_ELLIPSOID,
                        INGEST_ALTITUDE_RTK,
                        INGEST_ALTITUDE_FILE, /* of --positions */
                        INGEST_ALTITUDES
@@ -118,8 +122,8 @@ struct ingest {
     bool gcps_of_sea;    /* the geoid is added to heights of ground control points */
     struct scene scene;
     struct progress progress;
-    atomic_flag progress_busy; /* only its holder may use `progress` */
-    atomic_size_t done, masks;
+    atomic_flag progress_busy;         /* only its holder may use `progress` */
+    atomic_size_t done, masks, alphas; /* masks of --mask-dir, and by alpha */
     size_t points[INGEST_POINT_VERDICTS];
 };
 
@@ -143,7 +147,8 @@ void ingest_heights_name(struct ingest *g);
 /* ---- ingest_positions.c ---- */
 
 /* Sets positions and accuracies of photographs from the file of --positions, or accuracies from
- * XMP. ERR_DATA: the file does not fit the photographs. ERR_MEM. */
+ * XMP. ERR_DATA: the file does not fit the photographs, or lies kilometres from their GPS, or EXIF
+ * from XMP. ERR_MEM. */
 enum err_code ingest_positions_apply(struct ingest *g, struct err *e) ERR_USE;
 
 /* ---- ingest_drone.c ---- */
@@ -174,10 +179,11 @@ enum err_code ingest_exposure_find(struct ingest *g, struct err *e) ERR_USE;
 
 /* ---- ingest_mask.c ---- */
 
-/* Converts the mask of a photograph for its pinhole picture, as PNG. ERR_NOENT, ERR_FORMAT,
- * ERR_LIMIT: the mask cannot be read. ERR_IO, ERR_MEM. */
-enum err_code ingest_mask_convert(const struct ingest_view *v, const char *from, const char *to,
-                                  struct err *e) ERR_USE;
+/* Converts the mask of a photograph, or the photograph's own alpha, for its pinhole picture, as
+ * PNG. *made: there was one. ERR_NOENT, ERR_FORMAT, ERR_LIMIT: the mask cannot be read. ERR_IO,
+ * ERR_MEM. */
+enum err_code ingest_mask_convert(const struct ingest_view *v, const char *from, bool alpha,
+                                  const char *to, bool *made, struct err *e) ERR_USE;
 
 /* ---- ingest_report.c ---- */
 

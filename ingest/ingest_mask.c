@@ -10,12 +10,16 @@
 
 enum { INGEST_MASK_SUB_MAX = 8 };
 
-enum err_code ingest_mask_convert(const struct ingest_view *v, const char *from, const char *to,
-                                  struct err *e)
+enum err_code ingest_mask_convert(const struct ingest_view *v, const char *from, bool alpha,
+                                  const char *to, bool *made, struct err *e)
 {
     struct image in = {0}, out = {0};
     uint32_t w = v->pinhole.width_px, h = v->pinhole.height_px;
-    enum err_code rc = mask_read(from, v->lens.width_px, v->lens.height_px, &in, e);
+    enum err_code rc =
+        (alpha ? mask_read_alpha : mask_read)(from, v->lens.width_px, v->lens.height_px, &in, e);
+    *made = !rc && in.px;
+    if (!*made)
+        return rc;
     if (!rc && !v->undistort)
         rc = mask_resize(&in, w, h, &out, e);
     else if (!rc)

@@ -46,7 +46,7 @@ struct points_work {
     float *xyz, *xy0;    /* [n][3]; the second with height 0 */
     float *gap_m;        /* [n] */
     float *pixel_m;      /* [n] size of a pixel of the nearest observer */
-    double error_px;     /* median of all */
+    double error_px;     /* median of all that photographs see */
     struct knn space, map;
     uint8_t *verdict; /* [n] enum ingest_point */
 };
@@ -155,8 +155,8 @@ static bool points_alone(const struct points_work *w, size_t i)
 static bool points_weak(const struct points_work *w, size_t i)
 {
     const struct scene_point *p = &w->s->points[i];
-    return p->track_length <= POINTS_FEW_VIEWS ||
-           (double)p->error_px > POINTS_WEAK_ERROR * w->error_px;
+    return p->track_length && (p->track_length <= POINTS_FEW_VIEWS ||
+                               (double)p->error_px > POINTS_WEAK_ERROR * w->error_px);
 }
 
 /* Metres below (negative) or above what is near on the map, in steps that would be usual there. */
@@ -187,7 +187,8 @@ static enum err_code points_judge_task(void *user, size_t i, struct err *e)
     if (w->first[i + 1] - w->first[i] >= 2 &&
         points_angle(w, i) < POINTS_ANGLE_DEG / 57.29577951308232)
         v = INGEST_POINT_ANGLE;
-    else if ((double)w->s->points[i].error_px > POINTS_ERROR * w->error_px)
+    else if (w->s->points[i].track_length &&
+             (double)w->s->points[i].error_px > POINTS_ERROR * w->error_px)
         v = INGEST_POINT_ERROR;
     else if (points_alone(w, i))
         v = INGEST_POINT_ALONE;
@@ -204,7 +205,7 @@ static enum err_code points_judge_task(void *user, size_t i, struct err *e)
 static enum err_code points_open(struct points_work *w, struct err *e)
 {
     const struct scene *s = w->s;
-    size_t n = s->n_points;
+    size_t n = s->n_points, n_seen = 0;
     double *error = mem_array(n, sizeof *error);
     w->first = mem_array(n + 1, sizeof *w->first);
     w->seen_by = mem_array(s->n_tracks, sizeof *w->seen_by);
@@ -219,13 +220,14 @@ static enum err_code points_open(struct points_work *w, struct err *e)
         !w->pixel_m || !w->verdict)
         rc = err_set(e, ERR_MEM, "ingest: out of memory for %zu points", n);
     for (size_t i = 0; !rc && i < n; i++) {
-        error[i] = (double)s->points[i].error_px;
+        if (s->points[i].track_length) /* others come without an error */
+            error[n_seen++] = (double)s->points[i].error_px;
         for (int k = 0; k < 3; k++)
             w->xyz[3 * i + k] = (float)s->points[i].enu_m[k];
         memcpy(w->xy0 + 3 * i, w->xyz + 3 * i, 2 * sizeof *w->xy0);
     }
     if (!rc)
-        w->error_px = sort_median(error, n);
+        w->error_px = sort_median(error, n_seen);
     mem_free(error);
     if (!rc)
         points_observers(w);

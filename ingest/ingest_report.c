@@ -219,7 +219,11 @@ static const struct {
 } altitude_words[INGEST_ALTITUDES] = {
     [INGEST_ALTITUDE_EXIF] = {"exif", "EXIF's altitudes, as the camera has them"},
     [INGEST_ALTITUDE_BAROMETER] = {"barometer", "the barometer's above take-off, at the level of "
-                                                "EXIF's"},
+                                                "EXIF's or XMP's"},
+    [INGEST_ALTITUDE_XMP] = {"xmp", "XMP's, because EXIF has none or wrong ones"},
+    [INGEST_ALTITUDE_TAKEOFF] = {"takeoff", "above the place of take-off"},
+    [INGEST_ALTITUDE_NONE] = {"none", "0 in all photographs: not known"},
+    [INGEST_ALTITUDE_EXIF_ELLIPSOID] = {"exif_ellipsoid", "EXIF's, above the ellipsoid"},
     [INGEST_ALTITUDE_RTK] = {"rtk", "RTK's, above the ellipsoid"},
     [INGEST_ALTITUDE_FILE] = {"positions", "those of --positions"},
 };
@@ -242,7 +246,7 @@ static void report_print_drone(const struct ingest_result *r)
     for (size_t k = 0; k < INGEST_ALTITUDES; k++)
         if (n[k] && r->georef)
             printf("heights  %zu photographs: %s%s\n", n[k], altitude_words[k].text,
-                   k >= INGEST_ALTITUDE_RTK      ? ""
+                   k >= INGEST_ALTITUDE_TAKEOFF  ? ""
                    : r->cfg->geoid               ? ", moved by --geoid"
                    : r->cfg->geoid_offset_m != 0 ? ", moved by --geoid-offset-m"
                                                  : "");

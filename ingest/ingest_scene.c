@@ -151,8 +151,8 @@ static int scene_track_compare(const void *a, const void *b)
     return (p->point > q->point) - (p->point < q->point);
 }
 
-/* Points with the observations of kept photographs; a point that nobody sees any more is left out.
- */
+/* Points with the observations of kept photographs. A point that nobody sees any more is left out;
+ * one without a track, as of a dense cloud, stays. */
 static enum err_code scene_fill_points(struct ingest *g, struct err *e)
 {
     struct scene *s = &g->scene;
@@ -187,7 +187,7 @@ static enum err_code scene_fill_points(struct ingest *g, struct err *e)
                 s->tracks[s->n_tracks++] = (struct scene_track){
                     (uint32_t)s->n_points, g->kept[t->image], (float)u, (float)v};
         }
-        if (!seen)
+        if (!seen && p->n_track)
             continue;
         *out = (struct scene_point){.error_px = (float)p->error_px, .track_length = (uint32_t)seen};
         memcpy(out->rgb, p->rgb, sizeof out->rgb);

@@ -19,6 +19,7 @@
 #include "core/base.h"
 #include "core/sort.h"
 #include "ingest/table.h"
+#include "ingest/wkt.h"
 
 enum column {
     COLUMN_IMAGE,
@@ -146,6 +147,20 @@ struct positions_head {
     size_t column[COLUMNS], wide;
 };
 
+/* Metres and degrees: a heading with another unit would give silent nonsense. */
+static enum err_code positions_check_unit(const struct table *t, const char *field, struct err *e)
+{
+    static const char *const bad[] = {"f", "us", "km", "mm", "cm", "rad", "dms", "gra"};
+    const char *unit = strpbrk(field, "([{");
+    for (size_t k = 0; unit && k < sizeof bad / sizeof *bad; k++)
+        if (!strncasecmp(unit + 1, bad[k], strlen(bad[k])))
+            return err_set(e, ERR_FORMAT,
+                           "%s: line %zu: column '%.40s': metres and decimal degrees are read: "
+                           "convert it",
+                           t->path, t->line, field);
+    return ERR_OK;
+}
+
 static enum err_code positions_csv_head(const struct table *t, char *line, struct positions *p,
                                         struct positions_head *h, struct err *e)
 {
@@ -156,7 +171,12 @@ static enum err_code positions_csv_head(const struct table *t, char *line, struc
     for (size_t c = 0; c < COLUMNS; c++)
         h->column[c] = SIZE_MAX;
     for (size_t i = 0; i < h->wide; i++) {
-        enum column c = positions_column(field[i], &p->epsg, p->heights);
+        int lonlat = 0;
+        enum column c = positions_column(field[i], &lonlat, p->heights);
+        p->epsg = p->epsg ? p->epsg : lonlat; /* a comment above may say it better */
+        enum err_code rc = c < COLUMNS ? positions_check_unit(t, field[i], e) : ERR_OK;
+        if (rc)
+            return rc;
         if (c < COLUMNS && h->column[c] == SIZE_MAX)
             h->column[c] = i;
     }
@@ -167,6 +187,20 @@ static enum err_code positions_csv_head(const struct table *t, char *line, struc
                            "the columns of a CSV file, RTKLIB's .pos or DJI's .MRK",
                            t->path, t->line, wanted[c]);
     return ERR_OK;
+}
+
+/* A photograph whose coordinates are empty, not a number, or all 0: it has none. */
+static bool positions_nowhere(const struct positions_head *h, char *const field[TABLE_FIELDS],
+                              size_t n)
+{
+    size_t none = 0;
+    for (size_t c = COLUMN_X; c <= COLUMN_Z; c++) {
+        const size_t i = h->column[c];
+        double v;
+        none += i >= n || !*field[i] || !strcasecmp(field[i], "nan") || !strcmp(field[i], "-") ||
+                (table_number(field[i], &v) && v == 0);
+    }
+    return none == 3;
 }
 
 static enum err_code positions_csv_row(const struct table *t, const struct positions_head *h,
@@ -183,6 +217,10 @@ static enum err_code positions_csv_row(const struct table *t, const struct posit
                        "%s: line %zu: %zu fields, but the first line names %zu; are there decimal "
                        "commas? Write numbers with a decimal point",
                        t->path, t->line, most, h->wide);
+    if (positions_nowhere(h, field, n)) {
+        p->n_left_out++;
+        return ERR_OK;
+    }
     for (size_t c = COLUMN_X; c < COLUMNS; c++) {
         size_t i = h->column[c];
         bool there = i < n && *field[i];
@@ -203,14 +241,56 @@ static enum err_code positions_csv_row(const struct table *t, const struct posit
     return positions_add(p, &one, e);
 }
 
+/* Is it a heading, as Metashape's "#Label,X/Longitude,..."? Other lines that begin so are comments.
+ */
+static bool positions_is_heading(const char *line)
+{
+    char copy[TABLE_LINE_MAX], *field[TABLE_FIELDS], heights[HEIGHTS_MAX];
+    int epsg = 0;
+    size_t known = 0;
+    snprintf(copy, sizeof copy, "%s", line);
+    const size_t n = table_split(copy,
+                                 strchr(line, ',')   ? ','
+                                 : strchr(line, ';') ? ';'
+                                                     : '\t',
+                                 field);
+    for (size_t i = 0; i < n; i++)
+        known += positions_column(field[i], &epsg, heights) <= COLUMN_Z;
+    return known >= 3;
+}
+
+/* Comments above the heading; one may name the coordinate system. */
+static enum err_code positions_comments(struct table *t, char *line, struct positions *p,
+                                        struct err *e)
+{
+    bool more = true;
+    int epsg, heights;
+    enum err_code rc = ERR_OK;
+    while (!rc && more && (*line == '#' || !strncmp(line, "//", 2)) &&
+           !positions_is_heading(line)) {
+        if (wkt_system(line, &epsg, &heights)) {
+            p->epsg = epsg;
+            if (heights)
+                snprintf(p->heights, sizeof p->heights, "EPSG:%d", heights);
+        }
+        rc = table_next(t, line, &more, e);
+    }
+    return !rc && !more ? err_set(e, ERR_DATA, "%s: no positions", t->path) : rc;
+}
+
 static enum err_code positions_csv(struct table *t, char *line, struct positions *p, struct err *e)
 {
     struct positions_head h;
     bool more = true;
-    enum err_code rc = positions_csv_head(t, line, p, &h, e);
+    enum err_code rc = positions_comments(t, line, p, e);
+    if (!rc)
+        rc = positions_csv_head(t, line, p, &h, e);
     while (!rc && !(rc = table_next(t, line, &more, e)) && more)
         if (*line != '#')
             rc = positions_csv_row(t, &h, line, p, e);
+    if (!rc && p->n_left_out)
+        log_warn("positions", "%s: %zu rows have no coordinates and are left out", t->path,
+                 p->n_left_out);
     return rc;
 }
 

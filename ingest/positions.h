@@ -27,6 +27,7 @@ struct position {
 struct positions { /* {0} is empty; positions_free */
     struct position *list;
     size_t n, cap;
+    size_t n_left_out; /* rows without coordinates */
     enum position_by by;
     size_t files;
     int epsg; /* of the file; 0: not given */

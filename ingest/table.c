@@ -69,6 +69,13 @@ size_t table_split(char *text, char comma, char *field[TABLE_FIELDS])
         if (!comma && !*p)
             break;
         size_t len = strcspn(p, end);
+        const char *close = comma && *p == '"' ? strchr(p + 1, '"') : NULL;
+        if (close && (close[1] == comma || !close[1 + strspn(close + 1, " \t")])) {
+            p++; /* a quoted field may have commas */
+            len = (size_t)(close - p);
+            p[len++] = ' ';
+            len += strcspn(p + len, end);
+        }
         bool last = !p[len];
         field[n++] = p;
         p[len] = '\0';
@@ -87,7 +94,7 @@ void table_heading(const char *field, char out[TABLE_HEADING])
     field += *field == '#';
     if (*field && field[1] == '/')
         field += 2;
-    for (const char *p = field; *p && *p != '(' && n + 1 < TABLE_HEADING; p++)
+    for (const char *p = field; *p && !strchr("([{", *p) && n + 1 < TABLE_HEADING; p++)
         out[n++] = *p == ' ' || *p == '-' ? '_' : *p;
     while (n && out[n - 1] == '_')
         n--;

@@ -29,7 +29,7 @@ void table_close(struct table *t);
 enum err_code table_next(struct table *t, char line[TABLE_LINE_MAX], bool *more,
                          struct err *e) ERR_USE;
 /* Splits text in place at `comma`, or if that is 0 at blanks, commas and semicolons. Blanks around
- * fields are removed. Returns the number of fields. */
+ * fields are removed, and with a comma quotes. Returns the number of fields. */
 size_t table_split(char *text, char comma, char *field[TABLE_FIELDS]);
 /* Writes the name of a column in a standard form: "Accuracy Horizontal (m)" as accuracy_horizontal,
  * "#Label" as Label, "X/Easting" as Easting. */

@@ -78,3 +78,69 @@ bool wkt_epsg(const char *wkt, int *epsg, int *heights)
     }
     return true;
 }
+
+/* The number of "+zone=32" and its like; 0: none. */
+static int wkt_proj_number(const char *text, const char *key)
+{
+    const char *at = strstr(text, key);
+    int v = 0;
+    return at && sscanf(at + strlen(key), "%d", &v) == 1 ? v : 0;
+}
+
+/* Zones of UTM by datum: WGS 84, ETRS89, NAD83; 0: none of them. */
+static int wkt_utm(const char *datum, int zone, bool south)
+{
+    if (zone < 1 || zone > 60)
+        return 0;
+    if (strstr(datum, "etrs") || strstr(datum, "grs80"))
+        return !south && zone >= 28 && zone <= 38 ? 25800 + zone : 0;
+    if (strstr(datum, "nad83"))
+        return !south && zone <= 23 ? 26900 + zone : 0;
+    if (!strstr(datum, "wgs"))
+        return 0;
+    return (south ? 32700 : 32600) + zone;
+}
+
+/* "+proj=utm +zone=32 +datum=WGS84", "+proj=longlat"; in small letters. */
+static int wkt_proj(const char *text)
+{
+    if (strstr(text, "+proj=longlat") || strstr(text, "+proj=latlong"))
+        return strstr(text, "wgs84") || strstr(text, "grs80") ? 4326 : 0;
+    return strstr(text, "+proj=utm") && !strstr(text, "+units=us-ft") && !strstr(text, "+units=ft")
+               ? wkt_utm(text, wkt_proj_number(text, "+zone="), strstr(text, "+south") != NULL)
+               : 0;
+}
+
+bool wkt_system(const char *text, int *epsg, int *heights)
+{
+    static const char metashape[] = "CoordinateSystem:";
+    char low[160];
+    size_t n = 0;
+    *epsg = *heights = 0;
+    text += strspn(text, " \t#");
+    if (!strncasecmp(text, metashape, sizeof metashape - 1))
+        text += sizeof metashape - 1;
+    text += strspn(text, " \t");
+    if (wkt_epsg(text, epsg, heights))
+        return *epsg > 0;
+    for (; text[n] && n + 1 < sizeof low; n++)
+        low[n] = (char)(text[n] >= 'A' && text[n] <= 'Z' ? text[n] + 32 : text[n]);
+    low[n] = '\0';
+    const char *code = strstr(low, "epsg"), *utm = strstr(low, "utm");
+    if (code && (code == low || !strncmp(low, "urn:", 4))) {
+        code += 4 + strspn(code + 4, ": \t");
+        return sscanf(code, "%d+%d", epsg, heights) >= 1 && *epsg > 0;
+    }
+    if (*low == '+')
+        *epsg = wkt_proj(low);
+    else if (utm) { /* "WGS84 UTM 32N", "WGS 84 / UTM zone 32N" */
+        int zone = 0;
+        char side = 0;
+        utm += 3 + strspn(utm + 3, " ");
+        utm += !strncmp(utm, "zone", 4) ? 4 : 0;
+        if (sscanf(utm, "%d %c", &zone, &side) == 2 && (side == 'n' || side == 's'))
+            *epsg = wkt_utm(low, zone, side == 's');
+    } else if (!strcmp(low, "wgs84") || !strcmp(low, "wgs 84"))
+        *epsg = 4326;
+    return *epsg > 0;
+}

@@ -23,6 +23,7 @@
 #include "server/documents/link.h"
 #include "server/http/request_guard.h"
 #include "server/http/request_screen.h"
+#include "server/route/router.h"
 
 /* Of a stream: what libmicrohttpd asks for at once, and what may wait in the socket, so that a
  * picture that is drawn next is of the camera of now and not of that many bytes ago. */
@@ -337,6 +338,8 @@ static void mhd_callbacks_take_target(struct exchange *x, const char *target)
     x->req.target_size = n;
     if (x->target && n && x->target[0] != '/')
         mhd_callbacks_take_authority(x);
+    if (x->target && n)
+        x->req.target_size = router_unescape(x->target + (x->req.target - x->target));
 }
 
 void *mhd_callbacks_on_target(void *cls, const char *target, struct MHD_Connection *c)

@@ -233,7 +233,7 @@ static enum err_code model_assemble(const struct maker *m, struct colmap_model *
     if (!out->cameras || !out->images || !out->points || !out->tracks || !obs)
         return err_set(e, ERR_MEM, "synth: out of memory for a model of %zu points", m->n_points);
     out->n_cameras = 1;
-    out->cameras[0] = (struct colmap_camera){1, m->lens};
+    out->cameras[0] = (struct colmap_camera){.id = 1, .lens = m->lens};
     out->n_images = m->n_photos;
     out->n_points = m->n_points;
     out->n_tracks = m->n;

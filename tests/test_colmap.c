@@ -22,8 +22,9 @@ static void make_model(struct colmap_model *m)
     m->n_cameras = N_CAMERAS;
     m->cameras = arena_get(a, N_CAMERAS, sizeof *m->cameras);
     m->cameras[0] = (struct colmap_camera){
-        3, {LENS_OPENCV, 640, 480, {500, 501, 320, 240, -0.1, 0.02, 0.001, 0.002}}};
-    m->cameras[1] = (struct colmap_camera){8, {LENS_SIMPLE_PINHOLE, 320, 240, {250, 160, 120}}};
+        .id = 3, .lens = {LENS_OPENCV, 640, 480, {500, 501, 320, 240, -0.1, 0.02, 0.001, 0.002}}};
+    m->cameras[1] =
+        (struct colmap_camera){.id = 8, .lens = {LENS_SIMPLE_PINHOLE, 320, 240, {250, 160, 120}}};
     m->n_images = N_IMAGES;
     m->images = arena_get(a, N_IMAGES, sizeof *m->images);
     m->n_points = N_POINTS;
@@ -314,6 +315,85 @@ static void test_named_errors(void **state)
     kit_rmdir(dir);
 }
 
+/* COLMAP writes -1 for an error that was not computed, other programs NaN. */
+static void test_unknown_errors(void **state)
+{
+    (void)state;
+    char dir[FILE_PATH_MAX];
+    struct colmap_model m = {0}, out;
+    struct err e = {0};
+    make_model(&m);
+    for (size_t t = 0; t < m.n_tracks; t++) { /* 5 px from where the point is */
+        const struct colmap_image *im = &m.images[m.tracks[t].image];
+        struct colmap_observation *o = &im->obs[m.tracks[t].obs];
+        double rot[9], at[3];
+        camera_quat_to_rot(im->quat_wxyz, rot);
+        for (int a = 0; a < 3; a++) {
+            at[a] = im->trans[a];
+            for (int b = 0; b < 3; b++)
+                at[a] += rot[3 * a + b] * m.points[o->point].xyz[b];
+        }
+        lens_distort(&m.cameras[im->camera].lens, at[0] / at[2], at[1] / at[2], &o->x_px, &o->y_px);
+        o->x_px += 3;
+        o->y_px -= 4;
+    }
+    m.points[2].error_px = -1;
+    m.points[3].error_px = (double)NAN;
+    m.points[4].error_px = (double)INFINITY;
+    kit_tmpdir(dir);
+    for (int text = 0; text < 2; text++) {
+        if (text)
+            write_text(dir, &m);
+        else
+            kit_ok(colmap_write_bin(dir, &m, &e), e);
+        kit_ok(colmap_read(dir, &out, &e), e);
+        for (size_t i = 0; i < out.n_points; i++)
+            assert_true(fabs(out.points[i].error_px -
+                             (i >= 2 && i <= 4 ? 5 : m.points[i].error_px)) < 1e-9);
+        colmap_free(&out);
+    }
+    colmap_free(&m);
+    kit_rmdir(dir);
+}
+
+/* Models of newer COLMAPs: fisheyes without distortion are read, the others named, and only if a
+ * photograph needs them. */
+static void test_newer_models(void **state)
+{
+    (void)state;
+    static const char last[] = "8 FISHEYE 320 240 250 251 160 120\n";
+    static const struct {
+        const char *line, *says;
+    } foreign[] = {{"3 DIVISION 640 480 500 500 320 240 0.1\n", "image_undistorter"},
+                   {"3 EUCM 640 480 500 500 320 240 0.5 1\n", "EUCM is not read"},
+                   {"3 EQUIRECTANGULAR 640 480 640 480\n", "panoramas"},
+                   {"3 EUCM 640 480 500 500 320 240 0.5\n", "EUCM needs 6"}};
+    char dir[FILE_PATH_MAX], text[400];
+    struct colmap_model m = {0}, out;
+    struct err e = {0};
+    make_model(&m);
+    kit_tmpdir(dir);
+    write_text(dir, &m);
+    colmap_free(&m);
+    snprintf(text, sizeof text, "3 SIMPLE_FISHEYE 640 480 500 320 240\n%s%s", last,
+             "9 SIMPLE_DIVISION 640 480 500 320 240 0.1\n");
+    put_part(dir, "cameras.txt", text, strlen(text));
+    kit_ok(colmap_read(dir, &out, &e), e);
+    assert_int_equal(out.n_cameras, 2);
+    double u, v, angle = atan(0.5);
+    lens_distort(&out.cameras[0].lens, 0.5, 0, &u, &v);
+    assert_true(fabs(u - 320 - 500 * angle) < 1e-9 && fabs(v - 240) < 1e-9);
+    lens_distort(&out.cameras[1].lens, 0, 0.5, &u, &v);
+    assert_true(fabs(u - 160) < 1e-9 && fabs(v - 120 - 251 * angle) < 1e-9);
+    colmap_free(&out);
+    for (size_t i = 0; i < sizeof foreign / sizeof *foreign; i++) {
+        snprintf(text, sizeof text, "%s%s", foreign[i].line, last);
+        put_part(dir, "cameras.txt", text, strlen(text));
+        kit_fails(colmap_read(dir, &out, &e), ERR_FORMAT, e, foreign[i].says);
+    }
+    kit_rmdir(dir);
+}
+
 static void test_out_of_memory(void **state)
 {
     (void)state;
@@ -343,7 +423,8 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_round_trip),    cmocka_unit_test(test_truncation),
         cmocka_unit_test(test_cut_texts),     cmocka_unit_test(test_named_errors),
-        cmocka_unit_test(test_out_of_memory),
+        cmocka_unit_test(test_out_of_memory), cmocka_unit_test(test_unknown_errors),
+        cmocka_unit_test(test_newer_models),
     };
     return cmocka_run_group_tests_name("colmap", tests, NULL, NULL);
 }

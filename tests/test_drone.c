@@ -155,6 +155,7 @@ static void files_are_read(void **state)
     assert_true(!m.has_relative && !m.has_up);
     put_xmp(from, to,
             XMP_HEAD "drone-dji:RelativeAltitude=\"+1060.123\" drone-dji:AltitudeType=\"RtkAlt\" "
+                     "drone-dji:RtkFlag=\"34\" "
                      "drone-dji:AbsoluteAltitude=\"+1345.678\"><Camera:Pitch>0.5</Camera:Pitch>"
                      "<Camera:Roll>0</Camera:Roll>" XMP_TAIL);
     kit_ok(image_read_info(to, NULL, NULL, &gps, &m, &e), e);
@@ -180,7 +181,10 @@ static void files_are_read(void **state)
 
 /* ---- a city ---- */
 
-struct live_bodies {
+enum exif { AS_IT_IS, MIRRORED, ZERO, ABSENT, ABOVE_TAKE_OFF, APART };
+struct flight {
+    enum exif exif;                 /* what EXIF's altitude is made */
+    bool flat;                      /* the absolute altitude is above take-off too */
     double barometer_m, absolute_m; /* errors of what is written; NAN: not written */
     double jump_m;                  /* of the barometer, from the middle of the flight on */
     double tilt_deg;                /* of all gimbals, to the east; NAN: not written */
@@ -189,7 +193,7 @@ struct live_bodies {
 };
 
 /* XMP of the photograph that truly is `p`: as text. */
-static void write_xmp(const struct live_bodies *f, const json_t *p, size_t i, size_t n,
+static void write_xmp(const struct flight *f, const json_t *p, size_t i, size_t n,
                       double origin_h, struct buf *out)
 {
     struct err e = {0};
@@ -203,7 +207,8 @@ static void write_xmp(const struct live_bodies *f, const json_t *p, size_t i, si
                        f->barometer_m * rng_normal(5, 0, i));
     if (isfinite(f->absolute_m))
         buf_printf(out, "drone-dji:AbsoluteAltitude=\"%+.3f\" ",
-                   origin_h + center[2] + f->absolute_m * rng_normal(5, 1, i));
+                   origin_h + center[2] - (f->flat ? TAKE_OFF_M : 0) +
+                       f->absolute_m * rng_normal(5, 1, i));
     if (f->rtk)
         buf_printf(out, "drone-dji:RtkFlag=\"50\" ");
     if (isfinite(f->tilt_deg)) {
@@ -219,8 +224,27 @@ static void write_xmp(const struct live_bodies *f, const json_t *p, size_t i, si
     buf_printf(out, ">" XMP_TAIL);
 }
 
+/* Rewrites EXIF's altitude. */
+static void write_exif(const struct flight *f, const char *path)
+{
+    struct err e = {0};
+    struct buf b = {0};
+    struct image_gps gps;
+    struct drone_meta m;
+    kit_ok(file_read(path, 0, &b, &e), e);
+    kit_ok(image_read_info(path, NULL, NULL, &gps, &m, &e), e);
+    gps.has_altitude = f->exif != ABSENT;
+    gps.alt_m = f->exif == MIRRORED         ? -gps.alt_m
+                : f->exif == ZERO           ? 0
+                : f->exif == ABOVE_TAKE_OFF ? m.relative_m
+                                            : gps.alt_m + 50;
+    kit_ok(exif_insert(&b, &gps, &e), e);
+    kit_ok(file_write(path, b.data, b.size, &e), e);
+    buf_free(&b);
+}
+
 /* A folder of the city's photographs with such XMP. */
-static void write_flight(const struct live_bodies *f, const json_t *truth, const char *images)
+static void write_flight(const struct flight *f, const json_t *truth, const char *images)
 {
     struct err e = {0};
     char path[FILE_PATH_MAX], from[FILE_PATH_MAX], text[128];
@@ -240,6 +264,8 @@ static void write_flight(const struct live_bodies *f, const json_t *truth, const
         write_xmp(f, p, i, n, city_origin(truth)->h_m, &xmp);
         kit_ok(buf_check(&xmp, &e), e);
         put_xmp(from, path, (const char *)xmp.data);
+        if (f->exif)
+            write_exif(f, path);
         buf_free(&xmp);
     }
 }
@@ -275,7 +301,7 @@ static void lift_of(const struct scene *s, const json_t *truth, double *up_m, do
 
 /* Ingest the city with such XMP; the report and the scene's error in height: its median cameras'
  * height off, and how it is tilted, degrees. */
-static void ingest_flight(const char *name, const struct live_bodies *f, double offset_m, bool exif,
+static void ingest_flight(const char *name, const struct flight *f, double offset_m, bool exif,
                           json_t **report, double *up_m, double *tilt_deg)
 {
     struct err e = {0};
@@ -310,7 +336,7 @@ static double number(const json_t *o, const char *a, const char *b)
 
 static void barometers_keep_the_level(void **state)
 {
-    const struct live_bodies f = {.barometer_m = 0.1,
+    const struct flight f = {.barometer_m = 0.1,
                                   .absolute_m = (double)NAN,
                                   .tilt_deg = (double)NAN},
                              jumps = {.barometer_m = 0.1,
@@ -343,7 +369,7 @@ static void barometers_keep_the_level(void **state)
 /* RTK counts from the ellipsoid: --geoid-offset-m, which is for EXIF's, leaves it alone. */
 static void rtk_counts_from_the_ellipsoid(void **state)
 {
-    const struct live_bodies f = {
+    const struct flight f = {
         .barometer_m = 0.1, .absolute_m = 0.02, .tilt_deg = (double)NAN, .rtk = true};
     json_t *r;
     double up_m, tilt;
@@ -358,9 +384,131 @@ static void rtk_counts_from_the_ellipsoid(void **state)
     json_decref(r);
 }
 
+/* Which altitudes are believed: the table of ingest_drone.c. */
+static void altitudes_are_believed_by_a_table(void **state)
+{
+    static const struct {
+        const char *name;
+        struct flight flight;
+        const char *altitudes, *heights;
+        double up_m, tolerance_m;
+    } cases[] = {
+        {"mirrored", {.exif = MIRRORED, .barometer_m = 0.1}, "barometer", "sea-exif", 0, 0.2},
+        {"zero", {.exif = ZERO, .barometer_m = 0.1}, "barometer", "sea-exif", 0, 0.2},
+        {"absent", {.exif = ABSENT, .barometer_m = (double)NAN}, "xmp", "sea-exif", 0, 0.2},
+        /* two that are both plausible: EXIF's count, which is said */
+        {"apart", {.exif = APART, .barometer_m = (double)NAN}, "exif", "sea-exif", 50, 2},
+        /* EXIF's above take-off, XMP's not */
+        {"low-exif", {.exif = ABOVE_TAKE_OFF, .barometer_m = 0}, "barometer", "sea-exif", 0, 2},
+        /* heights above take-off alone */
+        {"flat",
+         {.exif = ABSENT, .flat = true, .barometer_m = 0},
+         "takeoff",
+         "takeoff",
+         -TAKE_OFF_M,
+         0.2},
+        {"zero-flat",
+         {.exif = ZERO, .flat = true, .barometer_m = 0},
+         "takeoff",
+         "takeoff",
+         -TAKE_OFF_M,
+         0.2},
+        {"low",
+         {.exif = ABSENT, .absolute_m = (double)NAN, .barometer_m = 0.1},
+         "takeoff",
+         "takeoff",
+         -TAKE_OFF_M,
+         0.5},
+        /* XMP's absolute altitude is above take-off, EXIF's is not */
+        {"low-xmp", {.flat = true, .barometer_m = 0}, "barometer", "sea-exif", 0, 2},
+        /* nothing but zeros */
+        {"nothing",
+         {.exif = ZERO, .absolute_m = (double)NAN, .barometer_m = (double)NAN},
+         "none",
+         "unknown",
+         (double)NAN,
+         0},
+    };
+    (void)state;
+    log_set_level(LOG_ERROR);
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        struct flight f = cases[i].flight;
+        json_t *r;
+        double up_m, tilt;
+        f.tilt_deg = (double)NAN;
+        ingest_flight(cases[i].name, &f, 0, false, &r, &up_m, &tilt);
+        const char *heights = json_string_value(json_object_get(r, "heights"));
+        printf("drone: %s: %.2f m off, heights %s\n", cases[i].name, up_m, heights);
+        assert_string_equal(heights, cases[i].heights);
+        assert_true(number(r, "altitudes", cases[i].altitudes) > 30);
+        assert_true(!isfinite(cases[i].up_m) || fabs(up_m - cases[i].up_m) < cases[i].tolerance_m);
+        json_decref(r);
+    }
+    log_set_level(LOG_WARN);
+}
+
+/* One value in every form that a packet may have it in. */
+static void packets_have_many_forms(void **state)
+{
+#define RDF "<rdf:RDF xmlns:rdf=\"http://www.w3.org/1999/02/22-rdf-syntax-ns#\">"
+#define DJI "xmlns:d=\"http://www.dji.com/drone-dji/1.0/\""
+    static const char *const forms[] = {
+        RDF "<rdf:Description " DJI " d:RelativeAltitude='+12.5' d:GpsLatitude='47.5' "
+            "d:GpsLongtitude='7.25'/></rdf:RDF>",
+        RDF "<rdf:Description " DJI "><d:RelativeAltitude>\n +12.5 </d:RelativeAltitude>"
+            "<d:GpsLatitude>47.5</d:GpsLatitude><d:GpsLongtitude>7.25</d:GpsLongtitude>"
+            "</rdf:Description></rdf:RDF>",
+        RDF "<rdf:Description " DJI "><d:RelativeAltitude rdf:parseType='Resource'><rdf:value>12.5"
+            "</rdf:value></d:RelativeAltitude></rdf:Description><rdf:Description " DJI " "
+            "d:GpsLatitude='+47.5' d:GpsLongitude='+7.25'/></rdf:RDF>",
+        "\xef\xbb\xbf" RDF "<rdf:Description xmlns='http://www.dji.com/drone-dji/1.0/'>"
+        "<RelativeAltitude>12.5</RelativeAltitude><GpsLatitude>47.5</GpsLatitude>"
+        "<GpsLongitude>7.25</GpsLongitude></rdf:Description></rdf:RDF>\n\n  ",
+        /* not declared; EXIF's own position; rubbish behind the packet */
+        RDF "<rdf:Description drone-dji:RelativeAltitude='12.5' "
+            "xmlns:e='http://ns.adobe.com/exif/1.0/' e:GPSLatitude='47,30.0N' "
+            "e:GPSLongitude='7,15,0.0E'/></rdf:RDF><damaged",
+    };
+    struct err e = {0};
+    struct image_gps gps;
+    struct drone_meta m;
+    char from[FILE_PATH_MAX], to[FILE_PATH_MAX], side[FILE_PATH_MAX];
+    (void)state;
+    first_photo(from);
+    kit_ok(file_join(to, kit_tmp, "form.jpg", &e), e);
+    for (size_t i = 0; i < sizeof forms / sizeof *forms; i++) {
+        put_xmp(from, to, forms[i]);
+        kit_ok(image_read_info(to, NULL, NULL, &gps, &m, &e), e);
+        if (!m.has_relative || m.relative_m != 12.5 || !m.has_position || m.lat_deg != 47.5 ||
+            m.lon_deg != 7.25)
+            fail_msg("form %zu: %d %g, %d %g %g", i, m.has_relative, m.relative_m, m.has_position,
+                     m.lat_deg, m.lon_deg);
+    }
+    /* A sidecar stands in for what the photograph has not; what it has comes first. */
+    static const char *const sidecars[] = {"side.xmp", "side.jpg.XMP"};
+    kit_ok(file_join(to, kit_tmp, "side.jpg", &e), e);
+    for (size_t i = 0; i < 2; i++) {
+        kit_ok(file_join(side, kit_tmp, sidecars[i], &e), e);
+        put_xmp(from, to, RDF "</rdf:RDF>");
+        kit_ok(file_write(side, forms[i], strlen(forms[i]), &e), e);
+        kit_ok(image_read_info(to, NULL, NULL, &gps, &m, &e), e);
+        assert_true(m.has_relative && m.relative_m == 12.5 && m.lon_deg == 7.25);
+        put_xmp(from, to, RDF "<rdf:Description " DJI " d:RelativeAltitude='99'/></rdf:RDF>");
+        kit_ok(image_read_info(to, NULL, NULL, &gps, &m, &e), e);
+        assert_true(m.relative_m == 99);
+        assert_int_equal(remove(side), 0);
+    }
+    /* A document type could declare entities of any size. */
+    put_xmp(from, to,
+            "<!DOCTYPE a [<!ENTITY h '12.5'>]>" RDF "<rdf:Description " DJI
+            " d:RelativeAltitude='&h;'/></rdf:RDF>");
+    kit_ok(image_read_info(to, NULL, NULL, &gps, &m, &e), e);
+    assert_false(m.has_relative);
+}
+
 static void gimbals_tell_the_tilt(void **state)
 {
-    const struct live_bodies f = {.barometer_m = (double)NAN,
+    const struct flight f = {.barometer_m = (double)NAN,
                                   .absolute_m = (double)NAN,
                                   .tilt_deg = 0,
                                   .wobble_deg = 0.3},
@@ -424,6 +572,8 @@ int main(void)
         cmocka_unit_test(barometers_keep_the_level),
         cmocka_unit_test(rtk_counts_from_the_ellipsoid),
         cmocka_unit_test(gimbals_tell_the_tilt),
+        cmocka_unit_test(altitudes_are_believed_by_a_table),
+        cmocka_unit_test(packets_have_many_forms),
     };
     return cmocka_run_group_tests_name("drone", tests, setup, teardown);
 }

@@ -223,12 +223,13 @@ static void test_exif_round_trip(void **state)
     (void)state;
     static const struct image_gps all[] = {
         {true, true, 47.376912345678, 8.541234567891, 408.1234, "2026:05:17 10:20:30", 0.002, 100,
-         24},
-        {true, true, -33.856784, -151.215296, -12.5, "2026:05:17 10:20:31", 0.5, 6400, 4.5},
-        {true, true, 0.00013888888888888889, 180, 0, "", 0, 0,
-         0}, /* 0.5 arc seconds; the date line */
+         24, false, false},
+        {true, true, -33.856784, -151.215296, -12.5, "2026:05:17 10:20:31", 0.5, 6400, 4.5, false,
+         false},
+        {true, true, 0.00013888888888888889, 180, 0, "", 0, 0, 0, false,
+         false}, /* 0.5 arc seconds; the date line */
         {true, true, 89.99999999999, -0.016666666666666666, 8848.86, "2026:01:01 00:00:00", 30, 50,
-         8.8},
+         8.8, false, false},
     };
     struct err e = {0};
     struct image img = picture(33, 17, 3), back;
@@ -281,7 +282,7 @@ static void test_one_exif(void **state)
     (void)state;
     struct err e = {0};
     struct buf b = {0};
-    const struct image_gps gps = {true, true, 47, 8, 400, "", 0, 0, 0};
+    const struct image_gps gps = {true, true, 47, 8, 400, "", 0, 0, 0, false, false};
     struct image img = picture(33, 17, 3);
     size_t n = 0;
     kit_ok(image_write(in_tmp("one.jpg"), &img, 95, &gps, &e), e);
@@ -352,7 +353,7 @@ static void test_exif_big_endian_decimal_degrees(void **state)
     }
     assert_int_equal(b.size, 112);
     struct image_gps got;
-    exif_parse(b.data, b.size, &got);
+    exif_parse(b.data, b.size, &got, NULL);
     assert_true(got.has_position);
     assert_true(fabs(got.lat_deg + 33.8567891) < 1e-12);
     assert_true(fabs(got.lon_deg + 140.1234567) < 1e-12);
@@ -361,19 +362,316 @@ static void test_exif_big_endian_decimal_degrees(void **state)
         uint8_t *part = mem_array(n, 1);
         if (n)
             memcpy(part, b.data, n);
-        exif_parse(part, n, &got);
+        exif_parse(part, n, &got, NULL);
         assert_false(got.has_position);
         mem_free(part);
     }
     buf_free(&b);
 }
 
+/* What cameras write against the standard: signs beside letters, signed and unsigned types, floats,
+ * a fraction that the next number repeats, altitudes from the ellipsoid. */
+static void test_exif_odd_numbers(void **state)
+{
+    (void)state;
+    enum { BYTE = 1, ASCII, LONG = 4, RATIONAL, SLONG = 9, SRATIONAL, FLOAT, DOUBLE };
+    static const struct {
+        char north, east;
+        uint32_t type, count, lat[6], lon[6];
+        uint32_t ref_type, ref, alt_type, alt[2];
+        bool place, ellipsoidal, odd;
+        double lat_deg, lon_deg, alt_m;
+    } cases[] = {
+        /* both say south and west */
+        {'S',
+         'W',
+         SRATIONAL,
+         1,
+         {(uint32_t)-338600000, 10000000},
+         {-706500000, 10000000},
+         BYTE,
+         0,
+         RATIONAL,
+         {520, 1},
+         true,
+         false,
+         false,
+         -33.86,
+         -70.65,
+         520},
+        /* only the sign does; the letter is wrong, or missing */
+        {'N',
+         'E',
+         SRATIONAL,
+         1,
+         {-3386, 100},
+         {-7065, 100},
+         BYTE,
+         0,
+         RATIONAL,
+         {520, 1},
+         true,
+         false,
+         true,
+         -33.86,
+         -70.65,
+         520},
+        {0,
+         0,
+         SRATIONAL,
+         1,
+         {-3386, 100},
+         {7065, 100},
+         BYTE,
+         0,
+         RATIONAL,
+         {520, 1},
+         true,
+         false,
+         false,
+         -33.86,
+         70.65,
+         520},
+        /* the sign in each of the three, small letters */
+        {'s',
+         'w',
+         SRATIONAL,
+         3,
+         {-33, 1, -51, 1, -36, 1},
+         {-70, 1, -39, 1, 0, 1},
+         BYTE,
+         0,
+         RATIONAL,
+         {520, 1},
+         true,
+         false,
+         false,
+         -33.86,
+         -70.65,
+         520},
+        /* a negative number in an unsigned type */
+        {'S',
+         'E',
+         RATIONAL,
+         1,
+         {-3386, 100},
+         {7065, 100},
+         BYTE,
+         0,
+         RATIONAL,
+         {-50, 10},
+         true,
+         false,
+         false,
+         -33.86,
+         70.65,
+         -5},
+        /* decimal degrees, and minutes and seconds once more */
+        {'N',
+         'E',
+         RATIONAL,
+         3,
+         {4755, 100, 33, 1, 0, 1},
+         {750, 100, 30, 1, 0, 1},
+         BYTE,
+         0,
+         RATIONAL,
+         {520, 1},
+         true,
+         false,
+         false,
+         47.55,
+         7.5,
+         520},
+        {'N',
+         'E',
+         RATIONAL,
+         3,
+         {47, 1, 335, 10, 30, 1},
+         {7, 1, 305, 10, 0, 0},
+         BYTE,
+         0,
+         RATIONAL,
+         {520, 1},
+         true,
+         false,
+         false,
+         47 + 33.5 / 60,
+         7 + 30.5 / 60,
+         520},
+        /* floats; a whole number */
+        {'N',
+         'W',
+         FLOAT,
+         1,
+         {0x423e0000},
+         {0x40f00000},
+         BYTE,
+         0,
+         LONG,
+         {520},
+         true,
+         false,
+         false,
+         47.5,
+         -7.5,
+         520},
+        {'S',
+         'E',
+         FLOAT,
+         1,
+         {0x423e0000},
+         {0x7fc00000},
+         BYTE,
+         0,
+         SLONG,
+         {-7},
+         false,
+         false,
+         false,
+         0,
+         0,
+         -7},
+        /* altitudes: below the sea, however it is said; from the ellipsoid */
+        {'N',
+         'E',
+         RATIONAL,
+         1,
+         {47, 1},
+         {7, 1},
+         BYTE,
+         1u << 24,
+         SRATIONAL,
+         {-12, 1},
+         true,
+         false,
+         false,
+         47,
+         7,
+         -12},
+        {'N',
+         'E',
+         RATIONAL,
+         1,
+         {47, 1},
+         {7, 1},
+         ASCII,
+         '1' << 24,
+         RATIONAL,
+         {12, 1},
+         true,
+         false,
+         false,
+         47,
+         7,
+         -12},
+        {'N',
+         'E',
+         RATIONAL,
+         1,
+         {47, 1},
+         {7, 1},
+         BYTE,
+         2u << 24,
+         RATIONAL,
+         {470, 1},
+         true,
+         true,
+         false,
+         47,
+         7,
+         470},
+        {'N',
+         'E',
+         RATIONAL,
+         1,
+         {47, 1},
+         {7, 1},
+         BYTE,
+         3u << 24,
+         RATIONAL,
+         {20, 1},
+         true,
+         true,
+         false,
+         47,
+         7,
+         -20},
+        /* n/0 is no number; there is no 91 degrees north */
+        {'N',
+         'E',
+         RATIONAL,
+         1,
+         {47, 0},
+         {7, 1},
+         BYTE,
+         0,
+         RATIONAL,
+         {470, 1},
+         false,
+         false,
+         false,
+         0,
+         0,
+         470},
+        {'N',
+         'E',
+         RATIONAL,
+         1,
+         {91, 1},
+         {7, 1},
+         BYTE,
+         0,
+         RATIONAL,
+         {470, 1},
+         false,
+         false,
+         false,
+         0,
+         0,
+         470},
+    };
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        enum { VALUES = 26 + 2 + 6 * 12 + 4 };
+        const bool wide = cases[i].type != FLOAT;
+        struct buf b = {0};
+        struct image_gps got;
+        buf_add(&b, "MM\0*", 4);
+        be32(&b, 8);
+        be16(&b, 1);
+        be_entry(&b, 0x8825, 4, 1, 26);
+        be32(&b, 0);
+        be16(&b, 6);
+        be_entry(&b, 1, ASCII, 2, (uint32_t)cases[i].north << 24);
+        be_entry(&b, 2, cases[i].type, cases[i].count, wide ? VALUES : cases[i].lat[0]);
+        be_entry(&b, 3, ASCII, 2, (uint32_t)cases[i].east << 24);
+        be_entry(&b, 4, cases[i].type, cases[i].count, wide ? VALUES + 24 : cases[i].lon[0]);
+        be_entry(&b, 5, cases[i].ref_type, cases[i].ref_type == ASCII ? 2 : 1, cases[i].ref);
+        be_entry(&b, 6, cases[i].alt_type, 1,
+                 cases[i].alt_type == RATIONAL || cases[i].alt_type == SRATIONAL ? VALUES + 48
+                                                                                 : cases[i].alt[0]);
+        be32(&b, 0);
+        for (int k = 0; k < 12; k++)
+            be32(&b, k < 6 ? cases[i].lat[k] : cases[i].lon[k - 6]);
+        be32(&b, cases[i].alt[0]);
+        be32(&b, cases[i].alt[1]);
+        exif_parse(b.data, b.size, &got, NULL);
+        buf_free(&b);
+        if (got.has_position != cases[i].place || fabs(got.lat_deg - cases[i].lat_deg) > 1e-9 ||
+            fabs(got.lon_deg - cases[i].lon_deg) > 1e-9 || !got.has_altitude ||
+            fabs(got.alt_m - cases[i].alt_m) > 1e-9 || got.ellipsoidal != cases[i].ellipsoidal ||
+            got.odd_sign != cases[i].odd)
+            fail_msg("case %zu: %d %.9f %.9f %.3f %d %d", i, got.has_position, got.lat_deg,
+                     got.lon_deg, got.alt_m, got.ellipsoidal, got.odd_sign);
+    }
+}
+
 /* Random bytes over good files: nothing may be read out of bounds, and angles stay angles. */
 static void test_exif_survives_flips(void **state)
 {
     (void)state;
-    static const struct image_gps gps = {true, true, 12.5, -7.25, 90, "2026:05:17 10:20:30",
-                                         0.01, 100,  8};
+    static const struct image_gps gps = {true, true, 12.5, -7.25, 90,   "2026:05:17 10:20:30",
+                                         0.01, 100,  8,    false, false};
     struct err e = {0};
     struct image img = picture(9, 9, 3);
     for (const char *const *f = (const char *const[]){"jpg", "png", "webp", NULL}; *f; f++) {
@@ -387,7 +685,7 @@ static void test_exif_survives_flips(void **state)
             for (uint64_t k = 0; k < 3; k++)
                 copy[rng_u64(1, i, 2 * k) % (b.size < 400 ? b.size : 400)] =
                     (uint8_t)rng_u64(1, i, 2 * k + 1);
-            exif_parse(copy, b.size, &got);
+            exif_parse(copy, b.size, &got, NULL);
             if (got.has_position)
                 assert_true(fabs(got.lat_deg) <= 90 && fabs(got.lon_deg) <= 180);
         }
@@ -520,6 +818,7 @@ int main(void)
         cmocka_unit_test(test_one_exif),
         cmocka_unit_test(test_no_exif),
         cmocka_unit_test(test_exif_big_endian_decimal_degrees),
+        cmocka_unit_test(test_exif_odd_numbers),
         cmocka_unit_test(test_exif_survives_flips),
         cmocka_unit_test(test_bad_files),
         cmocka_unit_test(test_truncated),

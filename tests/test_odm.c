@@ -63,7 +63,7 @@ static json_t *numbers(const double *v, size_t n)
 }
 
 /* A rotation matrix as axis times angle. */
-static json_t *fair_queue_of(const double rot[9])
+static json_t *turn_of(const double rot[9])
 {
     double q[4], v[3];
     camera_rot_to_quat(rot, q);
@@ -92,7 +92,7 @@ static json_t *shots_of(const struct city *c)
     for (size_t i = 0; i < PHOTOS; i++)
         json_object_set_new(shots, c->photos[i].name,
                             json_pack("{s:o, s:o, s:s, s:i}", "rotation",
-                                      fair_queue_of(c->photos[i].cam.rot), "translation",
+                                      turn_of(c->photos[i].cam.rot), "translation",
                                       numbers(c->photos[i].cam.trans, 3), "camera", "v2 maker",
                                       "orientation", 1));
     return shots;
@@ -389,7 +389,7 @@ static json_t *geojson_of(const struct city *c, const double shift[3])
                       "properties", "filename", c->photos[i].name, "focal",
                       c->lens.params[0] / c->lens.width_px, "width", (int)c->lens.width_px,
                       "height", (int)c->lens.height_px, "translation", numbers(at, 3), "rotation",
-                      fair_queue_of(c->photos[i].cam.rot), "geometry", "type", "Point",
+                      turn_of(c->photos[i].cam.rot), "geometry", "type", "Point",
                       "coordinates", numbers(lonlat, 3)));
     }
     return json_pack("{s:s, s:o}", "type", "FeatureCollection", "features", features);

@@ -14,6 +14,7 @@
 #include "core/gtx.h"
 #include "ingest/ingest.h"
 #include "ingest/positions.h"
+#include "ingest/wkt.h"
 #include "survey/crs.h"
 #include "tests/city_kit.h"
 
@@ -259,6 +260,79 @@ static void events_are_matched_by_time(void **state)
     buf_free(&week);
 }
 
+/* Tables as other programs export them, and what they call coordinate systems. */
+static void tables_of_other_programs_are_read(void **state)
+{
+    static const struct {
+        const char *text;
+        int epsg;
+        double lon, lat, h;
+        size_t left_out;
+    } tables[] = {
+        {"# CoordinateSystem: GEOGCS[\"WGS 84\",AUTHORITY[\"EPSG\",\"4326\"]]\n"
+         "#Label,X/Longitude,Y/Latitude,Z/Altitude,Yaw\nA.jpg,7.5,47.5,300,0\nB.jpg,,,,\n",
+         4326, 7.5, 47.5, 300, 1},
+        {"# CoordinateSystem: EPSG:25832\r\n#Label,X/Easting,Y/Northing,Z/Altitude\r\n"
+         "A.jpg,7.5,47.5,300\r\n",
+         25832, 7.5, 47.5, 300, 0},
+        {"\xef\xbb\xbfimagename,latitude [decimal degrees],longitude [decimal degrees],"
+         "altitude [meter],accuracy vertical [meter]\nA.jpg,47.5,7.5,300,0.1\nB.jpg,0,0,0,0.1\n",
+         4326, 7.5, 47.5, 300, 1},
+        {"# one\n// two\n\n\"Image\";\"Lon\";\"Lat\";\"Height\"\n\"A, 1.jpg\";7.5;47.5;300\n"
+         "B.jpg;nan;nan;nan\n",
+         4326, 7.5, 47.5, 300, 1},
+        {"\"image\",\"lon\",\"lat\",\"z\"\n\"A, 1.jpg\",\"7.5\",\"47.5\",\"300\"\n", 4326, 7.5,
+         47.5, 300, 0},
+    };
+    static const struct {
+        const char *text;
+        int epsg;
+    } systems[] = {{"EPSG:32632", 32632},
+                   {"epsg 32632", 32632},
+                   {"EPSG::25832", 25832},
+                   {"urn:ogc:def:crs:EPSG::25832", 25832},
+                   {"WGS84 UTM 32N", 32632},
+                   {"wgs 84 / utm zone 23s", 32723},
+                   {"ETRS89 / UTM zone 33N", 25833},
+                   {"NAD83 / UTM zone 10N", 26910},
+                   {"+proj=utm +zone=32 +ellps=WGS84 +datum=WGS84 +units=m +no_defs", 32632},
+                   {"+proj=utm +zone=23 +south +datum=WGS84 +units=m +no_defs", 32723},
+                   {"+proj=utm +zone=32 +ellps=GRS80 +units=m", 25832},
+                   {"+proj=longlat +datum=WGS84 +no_defs +type=crs", 4326},
+                   {"WGS84", 4326},
+                   {"+proj=utm +zone=32 +ellps=bessel", 0},
+                   {"+proj=utm +zone=32 +datum=WGS84 +units=us-ft", 0},
+                   {"ED50 / UTM zone 32N", 0},
+                   {"WGS84 UTM 61N", 0},
+                   {"x y z", 0}};
+    static const char feet[] = "image,lon,lat,altitude [ft]\nA.jpg,7.5,47.5,984\n";
+    struct positions p;
+    struct err e = {0};
+    char path[FILE_PATH_MAX];
+    (void)state;
+    log_set_level(LOG_ERROR);
+    for (size_t i = 0; i < sizeof tables / sizeof *tables; i++) {
+        put("other.csv", tables[i].text, path);
+        kit_ok(positions_read(path, &p, &e), e);
+        if (p.n != 1 || p.epsg != tables[i].epsg || p.list[0].at[0] != tables[i].lon ||
+            p.list[0].at[1] != tables[i].lat || p.list[0].at[2] != tables[i].h ||
+            p.n_left_out != tables[i].left_out || p.list[0].image[0] != 'A' ||
+            !strstr(p.list[0].image, ".jpg"))
+            fail_msg("table %zu: n=%zu epsg=%d left out %zu, '%s'", i, p.n, p.epsg, p.n_left_out,
+                     p.list[0].image);
+        positions_free(&p);
+    }
+    log_set_level(LOG_WARN);
+    put("feet.csv", feet, path);
+    kit_fails(positions_read(path, &p, &e), ERR_FORMAT, e, "altitude [ft]");
+    for (size_t i = 0; i < sizeof systems / sizeof *systems; i++) {
+        int epsg, heights;
+        if (wkt_system(systems[i].text, &epsg, &heights) != (systems[i].epsg > 0) ||
+            epsg != systems[i].epsg)
+            fail_msg("'%s' is %d, not %d", systems[i].text, epsg, systems[i].epsg);
+    }
+}
+
 static void nonsense_is_refused(void **state)
 {
     static const struct {
@@ -363,6 +437,7 @@ int main(void)
         cmocka_unit_test(accuracies_weigh),
         cmocka_unit_test(dji_numbers_photographs),
         cmocka_unit_test(events_are_matched_by_time),
+        cmocka_unit_test(tables_of_other_programs_are_read),
         cmocka_unit_test(nonsense_is_refused),
         cmocka_unit_test(a_geoid_makes_heights_ellipsoidal),
     };

@@ -5,6 +5,7 @@
  */
 #include "codec/limits.h"
 #include "codec/spz.h"
+#include "core/camera.h"
 #include "tests/kit.h"
 #include "tests/quant_kit.h"
 
@@ -337,6 +338,123 @@ static void test_reads_version_2_and_3_by_the_book(void **state)
     buf_free(&z);
 }
 
+/* Version 1 has positions of 16-bit floats. */
+static void test_reads_version_1_by_the_book(void **state)
+{
+    (void)state;
+    struct buf plain = {0}, z = {0};
+    struct quant q;
+    struct gauss g;
+    struct err e = {0};
+    static const uint16_t halves[3] = {0x3c00, 0xc500, 0x6b80}; /* 1, -5, 3840 */
+    for (int k = 0; k < 2; k++) {
+        spz_head(&plain, 1, 1, 0, 0, 0);
+        for (int c = 0; c < 3; c++)
+            buf_u16(&plain, k && c == 1 ? 0x7c00 : halves[c]); /* infinity */
+        buf_add(&plain, (const uint8_t[]){51, 128, 128, 128, 160, 160, 160, 255, 128, 128}, 10);
+        gzip(&plain, &z);
+        if (k) {
+            kit_fails(spz_decode(z.data, z.size, NULL, &q, &e), ERR_FORMAT, e, "row 0");
+            continue;
+        }
+        kit_ok(spz_decode(z.data, z.size, NULL, &q, &e), e);
+        kit_ok(quant_to_gauss(&q, &g, &e), e);
+        const double want[3] = {1, -5, 3840}, turn[4] = {0, 1, 0.00392, 0.00392};
+        kit_near("position", g.mean_m, want, 3, 1e-3, 0);
+        kit_near("rotation", g.quat_wxyz, turn, 4, 0.003, 0);
+        gauss_free(&g);
+        quant_free(&q);
+    }
+    buf_free(&plain);
+    buf_free(&z);
+}
+
+/* The basis of harmonics of degrees 1 to 3, but for its factors. */
+static void basis(const double d[3], double out[15])
+{
+    const double x = d[0], y = d[1], z = d[2];
+    const double b[15] = {y,
+                          z,
+                          x,
+                          x * y,
+                          y * z,
+                          2 * z * z - x * x - y * y,
+                          x * z,
+                          x * x - y * y,
+                          y * (3 * x * x - y * y),
+                          x * y * z,
+                          y * (4 * z * z - x * x - y * y),
+                          z * (2 * z * z - 3 * x * x - 3 * y * y),
+                          x * (4 * z * z - x * x - y * y),
+                          z * (x * x - y * y),
+                          x * (x * x - 3 * y * y)};
+    memcpy(out, b, sizeof b);
+}
+
+/* A record says which way the axes go: what is read is the same thing in glTF's. */
+static void test_other_axes_are_turned(void **state)
+{
+    (void)state;
+    struct gauss g, back;
+    struct quant q, other;
+    struct buf plain = {0}, z = {0};
+    struct err e = {0};
+    kit_gauss(9, 50, 20, 3, 0, &g);
+    kit_ok(quant_from_gauss(&g, 3, NULL, &q, &e), e);
+    gauss_free(&g);
+    kit_ok(quant_to_gauss(&q, &g, &e), e);
+    for (uint32_t axes = 0; axes <= 9; axes++) {
+        const bool known = axes >= 1 && axes <= 8;
+        const double s[3] = {known && !((axes - 1) & 1) ? -1 : 1,
+                             known && !((axes - 1) & 2) ? -1 : 1, axes >= 5 && known ? -1 : 1};
+        spz_head(&plain, 3, (uint32_t)q.n, 3, q.frac_bits, 2);
+        for (size_t i = 0; i < 3 * q.n; i++)
+            for (int b = 0; b < 3; b++)
+                buf_u8(&plain, (uint32_t)q.position[i] >> 8 * b & 255);
+        buf_add(&plain, q.alpha, q.n);
+        buf_add(&plain, q.color, 3 * q.n);
+        buf_add(&plain, q.scale, 3 * q.n);
+        for (size_t i = 0; i < q.n; i++)
+            buf_u32(&plain, q.rotation[i]);
+        buf_add(&plain, q.sh, 45 * q.n);
+        buf_u32(&plain, 0x4e530001); /* another record, then that of axes */
+        buf_u32(&plain, 3);
+        buf_add(&plain, "abc", 3);
+        buf_u32(&plain, 0xadbe0003);
+        buf_u32(&plain, 4);
+        buf_u32(&plain, axes);
+        gzip(&plain, &z);
+        log_set_level(LOG_ERROR);
+        kit_ok(spz_decode(z.data, z.size, NULL, &other, &e), e);
+        log_set_level(LOG_WARN);
+        kit_ok(quant_to_gauss(&other, &back, &e), e);
+        for (size_t i = 0; i < g.n; i++) {
+            double r[9], t[9], d[3], was[15], is[15];
+            const float *a = &g.quat_wxyz[4 * i], *b = &back.quat_wxyz[4 * i];
+            camera_quat_to_rot((double[4]){a[0], a[1], a[2], a[3]}, r);
+            camera_quat_to_rot((double[4]){b[0], b[1], b[2], b[3]}, t);
+            for (int c = 0; c < 9; c++)
+                assert_true(fabs(t[c] - s[c / 3] * s[c % 3] * r[c]) < 1e-5);
+            for (int c = 0; c < 3; c++) {
+                assert_true(back.mean_m[3 * i + c] == (float)s[c] * g.mean_m[3 * i + c]);
+                d[c] = rng_normal(4, i, (uint64_t)c);
+            }
+            basis(d, was);
+            basis((double[3]){s[0] * d[0], s[1] * d[1], s[2] * d[2]}, is);
+            for (int k = 0; k < 15; k++) /* a step of -128 has no counterpart */
+                assert_true(fabs(is[k] * (double)back.sh[48 * i + 3 + 3 * k] -
+                                 was[k] * (double)g.sh[48 * i + 3 + 3 * k]) <=
+                            fabs(was[k]) / 128 + 1e-9);
+        }
+        gauss_free(&back);
+        quant_free(&other);
+    }
+    gauss_free(&g);
+    quant_free(&q);
+    buf_free(&plain);
+    buf_free(&z);
+}
+
 /* The bytes we write, field by field, after unpacking with zlib. */
 static void test_writes_version_3_by_the_book(void **state)
 {
@@ -527,6 +645,8 @@ int main(void)
         cmocka_unit_test(test_refuses_what_cannot_be_written),
         cmocka_unit_test(test_round_trip),
         cmocka_unit_test(test_reads_version_2_and_3_by_the_book),
+        cmocka_unit_test(test_reads_version_1_by_the_book),
+        cmocka_unit_test(test_other_axes_are_turned),
         cmocka_unit_test(test_writes_version_3_by_the_book),
         cmocka_unit_test(test_truncation_and_flips),
         cmocka_unit_test(test_hostile_counts),

@@ -8,6 +8,7 @@
 #include "server/route/router.h"
 #include "tests/kit.h"
 
+#include <stdio.h>
 #include <string.h>
 
 /* ---- targets ---- */
@@ -170,6 +171,28 @@ static void test_targets(void **state)
         if (rc != rows[i].code || (!rc && strcmp(name, rows[i].route) != 0))
             fail_msg("'%s': got %s %s (%s), want %s %s", rows[i].text, err_name(rc), name, e.msg,
                      err_name(rows[i].code), rows[i].route ? rows[i].route : "-");
+    }
+}
+
+static void test_target_unescaped(void **state)
+{
+    static const char *const rows[][2] = {
+        {"/d/demo/map/17/68293/45802%402x.png", "/d/demo/map/17/68293/45802@2x.png"},
+        {"/static/7.5%2C47.5%2c420@10,%2d45/160x120.jpg?a=%2C",
+         "/static/7.5,47.5,420@10,-45/160x120.jpg?a=%2C"},
+        {"/%61%2e%2e", "/a.."},
+        {"/a%2Fb%00%20%25", "/a%2Fb%00%20%25"}, /* no byte of a path */
+        {"/a%2", "/a%2"},
+        {"/a%", "/a%"},
+        {"/%%34", "/%4"},
+        {"", ""},
+    };
+    (void)state;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        char text[80];
+        snprintf(text, sizeof text, "%s", rows[i][0]);
+        assert_int_equal(router_unescape(text), strlen(rows[i][1]));
+        assert_string_equal(text, rows[i][1]);
     }
 }
 
@@ -357,9 +380,8 @@ static void test_conditions(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_targets),
-        cmocka_unit_test(test_target_numbers),
-        cmocka_unit_test(test_target_any_bytes),
+        cmocka_unit_test(test_targets),        cmocka_unit_test(test_target_unescaped),
+        cmocka_unit_test(test_target_numbers), cmocka_unit_test(test_target_any_bytes),
         cmocka_unit_test(test_conditions),
     };
     return cmocka_run_group_tests(tests, setup_routes, teardown_routes);

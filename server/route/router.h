@@ -23,6 +23,9 @@ size_t router_index(const struct router *r, const struct route *row);
  * that its query may have. Returns their number. The array lives as long as r. */
 size_t router_params(const struct router *r, const struct route *row, bool of_query,
                      const struct param *const **out);
+/* Replaces, in place, percent-encoded characters of the path that it may have plainly, such as
+ * "%2C" and "%40" (RFC 3986, 6.2.2.2). Others stay: "%2F" is no slash. Returns the new length. */
+size_t router_unescape(char *text);
 /* Parses text [n], which may contain a NUL. ERR_FORMAT: it has bytes that no valid target has
  * (400). ERR_DATA: it is well formed, with impossible numbers (422). ERR_NOENT: there is no such
  * route, or a tile key is out of range (404). */

@@ -17,6 +17,7 @@
 #include "codec/splat.h"
 #include "codec/spz.h"
 #include "codec/tensors.h"
+#include "codec/xmp.h"
 #include "core/appearance.h"
 #include "core/layout.h"
 #include "tests/fuzz/fuzz.h"
@@ -207,7 +208,11 @@ void fuzz_tensors(const uint8_t *bytes, size_t n)
 void fuzz_exif(const uint8_t *bytes, size_t n)
 {
     struct image_gps gps;
-    exif_parse(bytes, n, &gps);
+    struct xmp xmp = {0};
+    exif_parse(bytes, n, &gps, &xmp);
+    assert(xmp.n <= XMP_VALUES);
+    for (size_t i = 0; i < xmp.n; i++)
+        assert(memchr(xmp.value[i].name, 0, XMP_NAME) && memchr(xmp.value[i].text, 0, XMP_TEXT));
     assert(!gps.has_position || (fabs(gps.lat_deg) <= 90 && fabs(gps.lon_deg) <= 180));
     assert(memchr(gps.time, 0, sizeof gps.time));
 }

@@ -24,7 +24,7 @@ enum { W = 240, H = 180, OVER = 3, VALUES = W * H * 3 };
 
 /* Of PSNR between frames 1 m apart, beyond what the finest level loses there; and of the mean loss
  * of all frames. */
-struct live_bodies_limit {
+struct flight_limit {
     double jump_db, mean_db;
 };
 #define F22_HOLE (1.0 / 255) /* with culling against without */
@@ -193,7 +193,7 @@ static struct camera on_the_path(size_t i)
     return camera_heading(eye, 20.0 + 0.2 * (double)i, -28.0, 0.9, W, H);
 }
 
-struct live_bodies {
+struct flight {
     double worst_db, mean_db, share;
     size_t changes; /* frames at which the set of tiles changed */
 };
@@ -220,10 +220,10 @@ static void leg_make(struct leg *l)
 
 /* Fly the path with these options. The jump of a frame is by how much its PSNR changes against the
  * frame before, beyond the change that the finest level shows there: up or down, both are seen. */
-static struct live_bodies fly(const struct leg *l, const struct pick_options *po)
+static struct flight fly(const struct leg *l, const struct pick_options *po)
 {
     static float lod[VALUES];
-    struct live_bodies f = {0};
+    struct flight f = {0};
     double before = 0.0;
     uint64_t n_before = 0, sum = 0;
     struct pick_options tiles = *po;
@@ -245,11 +245,10 @@ static struct live_bodies fly(const struct leg *l, const struct pick_options *po
     return f;
 }
 
-static struct live_bodies flown(const struct leg *l, const char *metric,
-                                const struct pick_options *po,
-                                const struct live_bodies_limit *limit)
+static struct flight flown(const struct leg *l, const char *metric, const struct pick_options *po,
+                           const struct flight_limit *limit)
 {
-    struct live_bodies f = fly(l, po);
+    struct flight f = fly(l, po);
     kit_figure("F22",
                "metric=%s worst_jump_db=%.2f limit=%.2f mean_loss_db=%.2f limit=%.2f changes=%zu "
                "gaussians_share=%.2f",
@@ -266,9 +265,9 @@ static void flying_over_the_city_does_not_pop(void **state)
     const struct pick_options distance = {.metric = PICK_DISTANCE, .distance_m = {90.0, 180.0}};
     struct leg l;
     leg_make(&l);
-    struct live_bodies f = flown(&l, "screen", &screen, &(struct live_bodies_limit){0.1, 0.15}),
-                       c = flown(&l, "screen-2px", &coarse, &(struct live_bodies_limit){1.5, 2.5});
-    (void)flown(&l, "distance-90-180", &distance, &(struct live_bodies_limit){0.5, 4.5});
+    struct flight f = flown(&l, "screen", &screen, &(struct flight_limit){0.1, 0.15}),
+                  c = flown(&l, "screen-2px", &coarse, &(struct flight_limit){1.5, 2.5});
+    (void)flown(&l, "distance-90-180", &distance, &(struct flight_limit){0.5, 4.5});
     mem_free(l.truth);
     assert_true(f.changes > 5); /* levels did change on the way */
     assert_true(f.share <= 1.0 && c.share < f.share);
