@@ -6,7 +6,7 @@
 #define CLI_ALIGN_DB_H
 
 #include "core/base.h"
-#include "ingest/align_plan.h"
+#include "scene/ingest/align_plan.h"
 
 struct align_seen {    /* of a photograph */
     uint32_t features; /* 0: none were sought yet */

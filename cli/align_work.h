@@ -15,7 +15,7 @@
 
 #include "cli/align_db.h"
 #include "core/options.h"
-#include "ingest/align_plan.h"
+#include "scene/ingest/align_plan.h"
 
 const struct options_spec *align_options(void);
 

@@ -26,7 +26,7 @@
 #include "cli/city.h"
 #include "cli/cli.h"
 #include "codec/image.h"
-#include "ingest/ingest_files.h"
+#include "scene/ingest/ingest_files.h"
 
 enum { CITY_ARGS = 48, CITY_NAP_MS = 50 };
 

@@ -6,7 +6,7 @@
 #ifndef CLI_CONTROL_H
 #define CLI_CONTROL_H
 
-#include "ingest/gcp.h"
+#include "scene/ingest/gcp.h"
 
 /* Converts the points by PROJ. epsg: --gcp-epsg; 0: as the file says. path is for messages.
  * ERR_ARG: the system is not known, or a point has no place in it. ERR_NOENT, ERR_INTERNAL,

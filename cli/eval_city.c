@@ -10,10 +10,10 @@
 #include <string.h>
 #include <sys/stat.h>
 
-#include "cells/cell_plan.h"
 #include "codec/ckpt.h"
 #include "core/exposure.h"
 #include "lod/view.h"
+#include "scene/cells/cell_plan.h"
 #include "train/coarse.h"
 #include "train/config.h"
 #include "train/train_scene.h"

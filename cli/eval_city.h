@@ -6,11 +6,11 @@
 #ifndef CLI_EVAL_CITY_H
 #define CLI_EVAL_CITY_H
 
-#include "cells/partition.h"
 #include "codec/scene.h"
 #include "core/dev.h"
 #include "core/options.h"
 #include "lod/pick.h"
+#include "scene/cells/partition.h"
 #include "train/appearance_train.h"
 #include "train/evaluate.h"
 

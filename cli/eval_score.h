@@ -5,9 +5,9 @@
 #ifndef CLI_EVAL_SCORE_H
 #define CLI_EVAL_SCORE_H
 
-#include "cells/footprint.h"
 #include "cli/eval_city.h"
-#include "loss/lpips.h"
+#include "scene/cells/footprint.h"
+#include "train/loss/lpips.h"
 
 struct photo_loader;
 struct residual_list;

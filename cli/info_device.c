@@ -7,10 +7,10 @@
 #include <jansson.h>
 
 #include "core/dev.h"
-#include "loss/photometric.h"
-#include "loss/solid.h"
 #include "render/render.h"
-#include "stereo/sweep.h"
+#include "scene/stereo/sweep.h"
+#include "train/loss/photometric.h"
+#include "train/loss/solid.h"
 
 /* Programs of every step: photographs, pictures, training. What is opened first is closed last. */
 enum { INFO_PLANES = 64 /* room for them; the program is the same for any number */ };

@@ -2,15 +2,15 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "ingest/ingest.h"
+#include "scene/ingest/ingest.h"
 
 #include <math.h>
 
 #include "cli/cli.h"
 #include "cli/control.h"
 #include "core/heights.h"
-#include "ingest/gcp_read.h"
-#include "ingest/positions.h"
+#include "scene/ingest/gcp_read.h"
+#include "scene/ingest/positions.h"
 #include "survey/crs.h"
 
 /* Is it a vertical system? 4979 has ellipsoidal heights. */

@@ -11,8 +11,8 @@
 #include "cli/control.h"
 #include "cli/mark_work.h"
 #include "codec/scene.h"
-#include "ingest/gcp_read.h"
-#include "ingest/ingest.h"
+#include "scene/ingest/gcp_read.h"
+#include "scene/ingest/ingest.h"
 #include "server/base/config.h"
 #include "server/http/static.h"
 

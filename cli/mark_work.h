@@ -9,7 +9,7 @@
 
 #include "codec/image.h"
 #include "core/options.h"
-#include "ingest/marking.h"
+#include "scene/ingest/marking.h"
 #include "server/route/route.h"
 #include "server/server.h"
 

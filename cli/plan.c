@@ -5,11 +5,11 @@
 #include <math.h>
 #include <stdio.h>
 
-#include "cells/cell_plan.h"
-#include "cells/partition.h"
-#include "cells/share.h"
 #include "cli/cli.h"
 #include "codec/scene.h"
+#include "scene/cells/cell_plan.h"
+#include "scene/cells/partition.h"
+#include "scene/cells/share.h"
 
 #define PLAN_RAD_PER_DEG 0.017453292519943295
 

@@ -14,11 +14,11 @@
 #include <string.h>
 #include <time.h>
 
-#include "cells/footprint.h"
 #include "cli/cli.h"
 #include "cli/output.h"
 #include "cli/report_map.h"
 #include "codec/scene.h"
+#include "scene/cells/footprint.h"
 #include "survey/sheet.h"
 
 struct report_options {

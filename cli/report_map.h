@@ -5,9 +5,9 @@
 #ifndef CLI_REPORT_MAP_H
 #define CLI_REPORT_MAP_H
 
-#include "cells/footprint.h"
 #include "codec/image.h"
 #include "codec/scene.h"
+#include "scene/cells/footprint.h"
 
 enum {
     REPORT_VIEWS = 6 /* classes of coverage: 0, 1, 2, 3 to 4, 5 to 9, 10 and more photographs */

@@ -8,7 +8,7 @@
 #include "codec/scene.h"
 #include "core/dev.h"
 #include "core/pool.h"
-#include "stereo/depths.h"
+#include "scene/stereo/depths.h"
 
 struct stereo_options {
 #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;

@@ -8,12 +8,12 @@
 #include <stdio.h>
 
 #include "cli/cli.h"
-#include "synth/synth.h"
+#include "scene/synth/synth.h"
 
 static const struct options_def synth_defs[] = {
 #define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
     OPTIONS_ROW(struct synth_config, type, tier, key, def, lo, hi, unit, help)
-#include "synth/synth.def"
+#include "scene/synth/synth.def"
 #undef OPT
 };
 

@@ -16,11 +16,6 @@
 
 #include <jansson.h>
 
-#include "cells/cell_plan.h"
-#include "cells/footprint.h"
-#include "cells/partition.h"
-#include "cells/support.h"
-#include "cells/trim.h"
 #include "cli/cli.h"
 #include "cli/output.h"
 #include "cli/photographs.h"
@@ -33,6 +28,11 @@
 #include "lod/clip.h"
 #include "lod/pyramid.h"
 #include "lod/update.h"
+#include "scene/cells/cell_plan.h"
+#include "scene/cells/footprint.h"
+#include "scene/cells/partition.h"
+#include "scene/cells/support.h"
+#include "scene/cells/trim.h"
 #include "train/config.h"
 
 enum { TILE_LEVELS_MAX = 7, TILE_PART_ROWS = 131072 };

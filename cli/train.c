@@ -6,11 +6,11 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "cells/footprint.h"
 #include "cli/cli.h"
 #include "cli/output.h"
 #include "codec/scene.h"
 #include "core/trace.h"
+#include "scene/cells/footprint.h"
 #include "train/auto_plan.h"
 #include "train/config.h"
 #include "train/jobs.h"

@@ -1,5 +1,5 @@
-/* The number of photographs that see each place of a city (cells/support.h), as a store keeps it in
- * its blob `seen` (docs/formats.md).
+/* The number of photographs that see each place of a city (scene/cells/support.h), as a store
+ * keeps it in its blob `seen` (docs/formats.md).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

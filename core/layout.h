@@ -235,7 +235,7 @@ struct layout_counts {
 
 /* Losses sum over Gaussians or pixels in this many fixed pieces. */
 #define LAYOUT_LOSS_PIECES 256
-#define LAYOUT_SCALE_ITEMS 64 /* work-items of a group of loss/scale_loss.cl, VW 1 */
+#define LAYOUT_SCALE_ITEMS 64 /* work-items of a group of train/loss/scale_loss.cl, VW 1 */
 /* Pieces of photometric.cl: pixels of a strip, most rows of a band; of its maps (VW 1): margin of a
  * row in floats. */
 #define LAYOUT_LOSS_STRIP 160

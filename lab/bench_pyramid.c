@@ -24,14 +24,14 @@
 
 #include <jansson.h>
 
-#include "cells/cell_plan.h"
-#include "cells/partition.h"
 #include "codec/ckpt.h"
 #include "codec/scene.h"
 #include "core/sort.h"
 #include "lab/bench.h"
 #include "lab/test_views.h"
 #include "lod/simplify.h"
+#include "scene/cells/cell_plan.h"
+#include "scene/cells/partition.h"
 #include "train/config.h"
 #include "train/photo_loader.h"
 #include "train/train.h"

@@ -18,9 +18,9 @@
 #include "core/sort.h"
 #include "lab/city.h"
 #include "lab/roofline_count.h"
-#include "loss/photometric.h"
 #include "render/defer.h"
 #include "render/render.h"
+#include "train/loss/photometric.h"
 
 enum { SEED = 7, STEP_KERNELS_MAX = 64, STEP_CAMERAS = 6, STEP_ROUNDS = 5 };
 enum step_kind { STEP_ALL, STEP_FRUSTUM, STEP_APPEARANCE };

@@ -18,9 +18,9 @@
 #include "codec/scene.h"
 #include "core/pool.h"
 #include "core/sort.h"
-#include "loss/photometric.h"
 #include "render/defer.h"
 #include "render/render.h"
+#include "train/loss/photometric.h"
 
 enum { TOUR_SEED = 7, TOUR_DEGREE = 3, TOUR_GREY = 128, TOUR_WARM = 10 };
 #define TOUR_SPACINGS                                                                              \

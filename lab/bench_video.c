@@ -17,8 +17,8 @@
 #include "lod/pick.h"
 #include "lod/store.h"
 #include "lod/view.h"
-#include "loss/metric.h"
 #include "render/render.h"
+#include "train/loss/metric.h"
 
 #include <math.h>
 #include <stdio.h>

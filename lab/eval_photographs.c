@@ -11,7 +11,7 @@
 #include "lab/eval_lab.h"
 #include "lab/half_image.h"
 #include "lab/lab.h"
-#include "loss/photometric.h"
+#include "train/loss/photometric.h"
 #include "train/photo_loader.h"
 
 struct eval_photographs_options {

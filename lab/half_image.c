@@ -13,9 +13,9 @@
 
 #include "core/exposure.h"
 #include "core/layout.h"
-#include "loss/photometric.h"
 #include "train/appearance_train.h"
 #include "train/evaluate.h"
+#include "train/loss/photometric.h"
 #include "train/photo_loader.h"
 
 struct half_image {

@@ -20,7 +20,7 @@
 #include "codec/npy.h"
 #include "codec/scene.h"
 #include "core/sort.h"
-#include "loss/metric.h"
+#include "train/loss/metric.h"
 
 enum { MASK_SUPPORTED = 255, MASK_SEEN = MAP_VIEWS_SEEN };
 static const double share_min = 0.01; /* of a picture: smaller masks have no PSNR worth a mean */

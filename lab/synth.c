@@ -2,7 +2,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "synth/synth.h"
+#include "scene/synth/synth.h"
 
 #include <stdio.h>
 

@@ -5,7 +5,7 @@
 #ifndef LAB_SYNTH_MAP_H
 #define LAB_SYNTH_MAP_H
 
-#include "synth/synth.h"
+#include "scene/synth/synth.h"
 
 /* Draws the city without vehicles from straight above, with parallel rays, as an orthophoto should
  * show it. corner_enu_m: ENU of the corners, top left, top right, bottom left, bottom right; pixels

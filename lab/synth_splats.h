@@ -10,7 +10,7 @@
 #define LAB_SYNTH_SPLATS_H
 
 #include "core/gauss.h"
-#include "synth/synth.h"
+#include "scene/synth/synth.h"
 
 struct synth_splats { /* {0} is empty; synth_splats_free */
     uint32_t seed, sh_degree;

@@ -6,7 +6,7 @@
 #ifndef LAB_SYNTH_VIEWS_H
 #define LAB_SYNTH_VIEWS_H
 
-#include "synth/synth.h"
+#include "scene/synth/synth.h"
 
 struct synth_views_options {
 #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;

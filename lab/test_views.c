@@ -9,7 +9,7 @@
 
 #include "codec/scene.h"
 #include "core/exposure.h"
-#include "loss/metric.h"
+#include "train/loss/metric.h"
 #include "train/photo_loader.h"
 
 #define VIEWS_SAME_DB 120.0 /* of a picture to itself */

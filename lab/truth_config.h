@@ -5,7 +5,7 @@
 #ifndef LAB_TRUTH_CONFIG_H
 #define LAB_TRUTH_CONFIG_H
 
-#include "synth/synth.h"
+#include "scene/synth/synth.h"
 
 /* Reads the options of the city that the same version of the program made in a folder. Texts live
  * in the arena. ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_DATA, ERR_ARG: of its truth.json. ERR_MEM. */

@@ -6,8 +6,8 @@
 #define LAB_TRUTH_HEIGHTS_H
 
 #include "lab/surface_rays.h"
+#include "scene/synth/synth.h"
 #include "survey/edge.h"
-#include "synth/synth.h"
 
 /* How well the standard deviations of a map predict its errors, over pixels that have one. */
 struct truth_sigma {

@@ -6,7 +6,7 @@
 #define LAB_TRUTH_RAYS_H
 
 #include "lab/map_views.h"
-#include "synth/synth.h"
+#include "scene/synth/synth.h"
 
 struct truth_city { /* free with truth_city_close */
     struct synth_config cfg;

@@ -18,7 +18,8 @@ enum err_code http_open(struct services *s, enum http_side side, struct http **o
 enum err_code http_check(const struct server_config *cfg, struct err *e) ERR_USE;
 /* Begins to answer; it needs s->jobs. ERR_IO, ERR_MEM. */
 enum err_code http_start(struct http *h, struct err *e) ERR_USE;
-/* Is libmicrohttpd strict by itself (1.0 or newer)? Else request_screen.c stands before its parser. */
+/* Is libmicrohttpd strict by itself (1.0 or newer)? Else request_screen.c stands before its
+ * parser. */
 bool http_is_strict(void);
 const char *http_library(void); /* its version */
 /* Number of file descriptors for max_connections connections, and for those above this limit, which

@@ -15,8 +15,8 @@
 #include <sys/time.h>
 #include <unistd.h>
 
-#include "server/http.h"
 #include "server/documents/link.h"
+#include "server/http.h"
 
 enum { SELF_TEST_REQUEST = 256, SELF_TEST_ANSWER = 16 << 10, SELF_TEST_WAIT_S = 5 };
 

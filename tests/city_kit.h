@@ -7,7 +7,7 @@
 
 #include "tests/kit.h"
 
-#include "synth/synth.h"
+#include "scene/synth/synth.h"
 
 /* Options of a city of 100 m in folder `dir`, which is not there yet. Photographs have 80 x 60
  * pixels. Texts of the options lie in `a`. */

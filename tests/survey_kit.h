@@ -16,7 +16,7 @@
 #include "lod/nadir.h"
 #include "lod/pyramid.h"
 #include "lod/store.h"
-#include "synth/synth.h"
+#include "scene/synth/synth.h"
 
 #define SPACING_M 0.25 /* distance between the Gaussians */
 #define EXTENT_M 64

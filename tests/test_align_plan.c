@@ -8,7 +8,7 @@
 
 #include "codec/image.h"
 #include "codec/limits.h"
-#include "ingest/align_plan.h"
+#include "scene/ingest/align_plan.h"
 #include "tests/city_kit.h"
 
 enum { PHOTOS = 20, NEIGHBOURS = 4, NEXT = 2 };

@@ -17,8 +17,8 @@
 #include "codec/colmap.h"
 #include "codec/scene.h"
 #include "core/geo.h"
-#include "ingest/ingest.h"
-#include "ingest/sim3.h"
+#include "scene/ingest/ingest.h"
+#include "scene/ingest/sim3.h"
 
 static struct arena texts;
 

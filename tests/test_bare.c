@@ -11,8 +11,8 @@
 #include <string.h>
 
 #include "core/base.h"
+#include "scene/synth/synth.h"
 #include "survey/bare.h"
-#include "synth/synth.h"
 
 enum { EDGE = 160 /* m, and cells */, SUB = 4 /* rays along a cell */ };
 static const double noise_m = 0.05, eye_m = 1000;

@@ -3,9 +3,9 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "cells/cell.h"
 #include "codec/scene.h"
 #include "core/options.h"
+#include "scene/cells/cell.h"
 #include "tests/kit.h"
 #include "train/budget.h"
 #include "train/config.h"

@@ -5,9 +5,9 @@
 #include <math.h>
 #include <string.h>
 
-#include "cells/cell.h"
 #include "codec/scene.h"
 #include "core/gauss.h"
+#include "scene/cells/cell.h"
 #include "tests/kit.h"
 #include "train/init.h"
 

@@ -2,8 +2,8 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "cells/cell.h"
 #include "core/gauss.h"
+#include "scene/cells/cell.h"
 #include "tests/kit.h"
 #include "train/coarsen.h"
 #include "train/model.h"

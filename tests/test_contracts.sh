@@ -10,7 +10,7 @@
 cd "$(dirname "$0")/.." || exit 1
 todo=tests/contracts_todo.txt
 all=$#
-[ $# -gt 0 ] || set -- $(find core codec render lod loss cells train survey -name '*.h' 2>/dev/null | grep -vx core/err.h | sort)
+[ $# -gt 0 ] || set -- $(find core codec render lod scene/cells train survey -name '*.h' 2>/dev/null | grep -vx core/err.h | sort)
 awk -v todo="$([ "$all" = 0 ] && echo "$todo")" '
 BEGIN {
     while ((getline line < "core/err.h") > 0) # the list: X(ERR_NAME, "text")

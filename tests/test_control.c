@@ -12,9 +12,9 @@
 
 #include "codec/colmap.h"
 #include "codec/scene.h"
-#include "ingest/gcp_fit.h"
-#include "ingest/gcp_read.h"
-#include "ingest/ingest.h"
+#include "scene/ingest/gcp_fit.h"
+#include "scene/ingest/gcp_read.h"
+#include "scene/ingest/ingest.h"
 #include "survey/crs.h"
 #include "tests/city_kit.h"
 

@@ -2,12 +2,12 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "cells/cell.h"
-#include "cells/footprint.h"
 #include "core/camera.h"
 #include "core/layout.h"
 #include "core/sample.h"
 #include "render/permute.h"
+#include "scene/cells/cell.h"
+#include "scene/cells/footprint.h"
 #include "tests/kit.h"
 #include "train/densify_plan.h"
 #include "train/importance.h"

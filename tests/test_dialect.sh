@@ -13,7 +13,7 @@ cd "$(dirname "$0")/.." || exit 1
 todo=tests/dialect_todo.txt
 [ $# -eq 0 ] || todo=
 # shellcheck disable=SC2046 # names of files are words
-[ $# -gt 0 ] || set -- $(find core codec render cells ingest synth loss stereo lod train server cli lab tests -name node_modules -prune \
+[ $# -gt 0 ] || set -- $(find core codec render scene lod train server cli lab tests -name node_modules -prune \
     -o \( -name '*.[ch]' -o -name '*.cc' \) -print 2>/dev/null | sort)
 awk -v todo="$todo" '
 BEGIN {

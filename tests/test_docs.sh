@@ -98,7 +98,7 @@ fence || /^    / {
     command != "" && match($0, /^\| `--[a-z0-9-]+`/) { print command "\t" substr($0, 4, RLENGTH - 4) }' docs/commands.md
     printf -- '-lab help\t\n-lab\t--help\n-lab\t--config\n'
     sed -n 's/^COMMAND([a-z_]*, "\([a-z-]*\)".*/-lab \1\t/p; s/^BENCH[A-Z_]*(\([a-z]*\),.*/-lab \1\t/p' lab/*.def
-    sed -n 's/^OPT([A-Z]*, [A-Z]*, *\([a-z_0-9]*\),.*/\1/p' lab/*.def cli/eval_city.def synth/*.def | sed 's/_/-/g; s/.*/-lab\t--&\n-lab\t--no-&/'
+    sed -n 's/^OPT([A-Z]*, [A-Z]*, *\([a-z_0-9]*\),.*/\1/p' lab/*.def cli/eval_city.def scene/synth/*.def | sed 's/_/-/g; s/.*/-lab\t--&\n-lab\t--no-&/'
     ./bootstrap help | sed -n 's|^ *\./bootstrap \([a-z]*\).*|bootstrap \1\t|p'
 } >"$work/known"
 awk -F'\t' 'NR == FNR { known[$1, $2]; next }

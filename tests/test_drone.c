@@ -10,7 +10,7 @@
 
 #include "codec/image.h"
 #include "codec/scene.h"
-#include "ingest/ingest.h"
+#include "scene/ingest/ingest.h"
 #include "tests/city_kit.h"
 
 #define DEG 57.29577951308232
@@ -193,8 +193,8 @@ struct flight {
 };
 
 /* XMP of the photograph that truly is `p`: as text. */
-static void write_xmp(const struct flight *f, const json_t *p, size_t i, size_t n,
-                      double origin_h, struct buf *out)
+static void write_xmp(const struct flight *f, const json_t *p, size_t i, size_t n, double origin_h,
+                      struct buf *out)
 {
     struct err e = {0};
     double center[3], m[16], up[3], tilt = f->tilt_deg / DEG;
@@ -337,12 +337,12 @@ static double number(const json_t *o, const char *a, const char *b)
 static void barometers_keep_the_level(void **state)
 {
     const struct flight f = {.barometer_m = 0.1,
-                                  .absolute_m = (double)NAN,
-                                  .tilt_deg = (double)NAN},
-                             jumps = {.barometer_m = 0.1,
-                                      .absolute_m = (double)NAN,
-                                      .jump_m = 30,
-                                      .tilt_deg = (double)NAN};
+                             .absolute_m = (double)NAN,
+                             .tilt_deg = (double)NAN},
+                        jumps = {.barometer_m = 0.1,
+                                 .absolute_m = (double)NAN,
+                                 .jump_m = 30,
+                                 .tilt_deg = (double)NAN};
     json_t *r;
     double up_m, tilt, exif_up_m, exif_tilt;
     (void)state;
@@ -509,17 +509,17 @@ static void packets_have_many_forms(void **state)
 static void gimbals_tell_the_tilt(void **state)
 {
     const struct flight f = {.barometer_m = (double)NAN,
-                                  .absolute_m = (double)NAN,
-                                  .tilt_deg = 0,
-                                  .wobble_deg = 0.3},
-                             off = {.barometer_m = 0.1,
-                                    .absolute_m = (double)NAN,
-                                    .tilt_deg = 5,
-                                    .wobble_deg = 0.3},
-                             wild = {.barometer_m = (double)NAN,
-                                     .absolute_m = (double)NAN,
-                                     .tilt_deg = 0,
-                                     .wobble_deg = 40};
+                             .absolute_m = (double)NAN,
+                             .tilt_deg = 0,
+                             .wobble_deg = 0.3},
+                        off = {.barometer_m = 0.1,
+                               .absolute_m = (double)NAN,
+                               .tilt_deg = 5,
+                               .wobble_deg = 0.3},
+                        wild = {.barometer_m = (double)NAN,
+                                .absolute_m = (double)NAN,
+                                .tilt_deg = 0,
+                                .wobble_deg = 40};
     json_t *r;
     double up_m, tilt;
     (void)state;

@@ -4,9 +4,9 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "core/knn.h"
-#include "loss/embed_smoothness.h"
-#include "loss/photometric.h"
 #include "tests/kit.h"
+#include "train/loss/embed_smoothness.h"
+#include "train/loss/photometric.h"
 
 #include <math.h>
 #include <string.h>

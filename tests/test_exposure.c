@@ -10,8 +10,8 @@
 #include "codec/image.h"
 #include "codec/scene.h"
 #include "core/exposure.h"
-#include "ingest/ingest_internal.h"
 #include "kit.h"
+#include "scene/ingest/ingest_internal.h"
 
 enum { W = 96, H = 64, PHOTOS = 10, POINTS = 60, PATCH = 2 };
 

@@ -8,7 +8,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "cells/footprint.h"
+#include "scene/cells/footprint.h"
 #include "tests/flight_kit.h"
 
 /* The flight, and a tower in its middle. */

@@ -6,7 +6,7 @@
 cd "$(dirname "$0")/.." || exit 1
 tool=$(command -v clang-format-14 || command -v clang-format) || { echo "skipped: no clang-format"; exit 77; }
 "$tool" --version | grep -q 'version 14' || { echo "skipped: $("$tool" --version)"; exit 77; }
-files=$(find core render codec lod survey synth ingest cells loss stereo train server cli lab tests -name node_modules -prune -o \
+files=$(find core render codec lod survey scene train server cli lab tests -name node_modules -prune -o \
     \( -name '*.[ch]' -o -name '*.cc' -o -name '*.cl' \) -print | sort)
 # Comments are wrapped by hand (ReflowComments is off, for tables and drawings).
 # shellcheck disable=SC2086

@@ -10,8 +10,8 @@
 
 #include "codec/colmap.h"
 #include "codec/scene.h"
-#include "ingest/gcp_read.h"
-#include "ingest/ingest.h"
+#include "scene/ingest/gcp_read.h"
+#include "scene/ingest/ingest.h"
 #include "tests/city_kit.h"
 
 static char tmp[FILE_PATH_MAX], city[FILE_PATH_MAX], images[FILE_PATH_MAX];

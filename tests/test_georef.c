@@ -10,8 +10,8 @@
 #include <string.h>
 
 #include "core/camera.h"
-#include "ingest/georef.h"
 #include "kit.h"
+#include "scene/ingest/georef.h"
 
 enum { SEEDS = 40, N_MAX = 400 };
 static const double sigma_m = 3;

@@ -6,10 +6,10 @@
 #include <math.h>
 #include <string.h>
 
-#include "cells/cell.h"
-#include "cells/footprint.h"
-#include "cells/trim.h"
 #include "codec/scene.h"
+#include "scene/cells/cell.h"
+#include "scene/cells/footprint.h"
+#include "scene/cells/trim.h"
 #include "tests/kit.h"
 #include "train/densify_plan.h"
 #include "train/gallery.h"

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Which folder may include which (docs/architecture.md): lab/ may all, and nothing of the product lab/; a room of server/ is a folder. C++ headers only in the three shims, microhttpd.h
+# Which folder may include which (docs/architecture.md): lab/ may all, and nothing of the product lab/; a room (server/data) counts as one. C++ headers only in the three shims, microhttpd.h
 # only in server/http.c, mhd_callbacks and reply, GDAL's in survey/. No circle of headers, and none of modules, where a .c counts with its header and an include
 # of another's header is an arrow. No circle of sources either: a call is an arrow to the .c that defines the function,
 # whatever header declares it, and in web/src an import is an arrow. tests/circles_todo.txt names the modules and sources
@@ -13,21 +13,21 @@
 # SPDX-License-Identifier: Apache-2.0
 cd "$(dirname "$0")/.." || exit 1
 awk '
-function folder(path,    n, q) { # a room of server/ counts as a folder
+function folder(path,    n, q) { # a room of a folder counts as one
     n = split(path, q, "/")
-    return q[1] == "server" && n == 3 ? "server/" q[2] : q[1]
+    return n == 3 ? q[1] "/" q[2] : q[1]
 }
 BEGIN {
     ok["core"] = " core "
     ok["render"] = " core render "
     ok["codec"] = " core codec "
     ok["lod"] = " core codec render lod "
-    ok["synth"] = " core codec synth "
-    ok["ingest"] = " core codec ingest "
-    ok["cells"] = " core codec cells "
-    ok["loss"] = " core codec render loss "
-    ok["stereo"] = " core codec stereo "
-    ok["train"] = " core codec render lod cells loss train "
+    ok["scene/synth"] = " core codec scene/synth "
+    ok["scene/ingest"] = " core codec scene/ingest "
+    ok["scene/cells"] = " core codec scene/cells "
+    ok["train/loss"] = " core codec render train/loss "
+    ok["scene/stereo"] = " core codec scene/stereo "
+    ok["train"] = " core codec render lod scene/cells train/loss train "
     ok["survey"] = " core codec render lod survey "
     ok["server/base"] = " core codec server/base "
     ok["server/http"] = " core server/base server/http "
@@ -39,7 +39,7 @@ BEGIN {
     ok["server/drawing"] = " core codec render lod server/base server/route server/data server/documents server/jobs server/drawing "
     ok["server/answers"] = " core codec render lod server/base server/http server/route server/access server/data server/documents server/jobs server/drawing server/answers "
     ok["server"] = " core lod server/base server/http server/route server/access server/data server/documents server/jobs server/drawing server/answers server "
-    ok["cli"] = " core codec render lod cells loss synth ingest stereo train survey server server/base server/answers server/data server/documents server/drawing server/jobs server/route server/access server/http cli "
+    ok["cli"] = " core codec render lod scene/cells train/loss scene/synth scene/ingest scene/stereo train survey server server/base server/answers server/data server/documents server/drawing server/jobs server/route server/access server/http cli "
 }
 /^#include "/ {
     from = folder(FILENAME); to = substr($2, 2); sub(/"$/, "", to)
@@ -57,14 +57,14 @@ BEGIN {
 /^#include <microhttpd.h>/ && FILENAME !~ /^server\/(http\.c|mhd_callbacks\.[ch]|reply\.[ch])$/ {
     print FILENAME ":" FNR ": only server/http.c, mhd_callbacks and reply include microhttpd.h"; bad = 1
 }
-END { exit bad }' core/*.[ch] core/*.cc render/*.[ch] codec/*.[ch] codec/*.cc lod/*.[ch] synth/*.[ch] ingest/*.[ch] cells/*.[ch] loss/*.[ch] stereo/*.[ch] train/*.[ch] survey/*.[ch] server/*.[ch] server/*/*.[ch] cli/*.[ch] || exit 1
-cxx=$(find core render codec lod synth ingest cells loss stereo train survey server cli lab -name '*.cc' -o -name '*.cpp' | sort | tr '\n' ' ')
+END { exit bad }' core/*.[ch] core/*.cc render/*.[ch] codec/*.[ch] codec/*.cc lod/*.[ch] scene/synth/*.[ch] scene/ingest/*.[ch] scene/cells/*.[ch] train/loss/*.[ch] scene/stereo/*.[ch] train/*.[ch] survey/*.[ch] server/*.[ch] server/*/*.[ch] cli/*.[ch] || exit 1
+cxx=$(find core render codec lod scene train survey server cli lab -name '*.cc' -o -name '*.cpp' | sort | tr '\n' ' ')
 if [ "$cxx" != "codec/draco_shim.cc codec/image_shim.cc core/geo_shim.cc " ]; then
     echo "C++ outside the three shims: $cxx"
     exit 1
 fi
 
-folders="core render codec cells ingest synth loss stereo lod train survey server cli lab"
+folders="core render codec scene lod train survey server cli lab"
 sources() { # ENDING...: files of the program
     for ending; do find $folders -name "*.$ending"; done | sort
 }

@@ -15,8 +15,8 @@
 #include "codec/limits.h"
 #include "codec/scene.h"
 #include "core/sort.h"
-#include "ingest/ingest.h"
-#include "ingest/ingest_internal.h"
+#include "scene/ingest/ingest.h"
+#include "scene/ingest/ingest_internal.h"
 #include "tests/city_kit.h"
 
 static const double tol_place_m = 0.02; /* EXIF rounding, averaged over the photographs */

@@ -25,7 +25,7 @@ done <"$work/passes"
 while IFS=$tab read -r pass name weight reference test check equation what; do
     cut -f1 "$work/passes" | grep -qx "$pass" || fail "term $name: there is no pass $pass"
     grep -q "^OPT([A-Z]*, [A-Z]*, $weight," train/options.def || fail "term $name: there is no option $weight"
-    grep -Eq "^[a-z].*[ *]$reference\(" loss/*.h render/*.h || fail "term $name: no header declares $reference"
+    grep -Eq "^[a-z].*[ *]$reference\(" train/loss/*.h render/*.h || fail "term $name: no header declares $reference"
     grep -q "cmocka_unit_test($check)" "tests/$test" || fail "term $name: tests/$test does not run $check"
 done <"$work/terms"
 

@@ -8,9 +8,9 @@
 #include <string.h>
 
 #include "codec/tensors.h"
-#include "loss/lpips.h"
 #include "tests/kit.h"
 #include "tests/torture.h"
+#include "train/loss/lpips.h"
 
 #define TOLERANCE 1e-4 /* relative: thirteen layers in float */
 

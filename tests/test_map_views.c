@@ -18,8 +18,8 @@
 #include "core/layout.h"
 #include "lab/map_views.h"
 #include "lab/synth_views.h"
-#include "loss/metric.h"
 #include "render/render_ref.h"
+#include "train/loss/metric.h"
 
 enum { WIDTH = 53, HEIGHT = 37, PIXELS = WIDTH * HEIGHT };
 #define DEPTH_REL 1e-5 /* float sums of some hundred terms */

@@ -7,11 +7,11 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "ingest/gcp_read.h"
-#include "ingest/ingest.h"
-#include "ingest/marking.h"
-#include "ingest/table.h"
-#include "ingest/wkt.h"
+#include "scene/ingest/gcp_read.h"
+#include "scene/ingest/ingest.h"
+#include "scene/ingest/marking.h"
+#include "scene/ingest/table.h"
+#include "scene/ingest/wkt.h"
 #include "tests/kit.h"
 
 static char tmp[FILE_PATH_MAX];

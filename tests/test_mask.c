@@ -3,13 +3,13 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "cells/cell.h"
 #include "codec/image.h"
 #include "codec/mask.h"
 #include "codec/scene.h"
 #include "core/options.h"
-#include "ingest/ingest.h"
-#include "ingest/ingest_internal.h"
+#include "scene/cells/cell.h"
+#include "scene/ingest/ingest.h"
+#include "scene/ingest/ingest_internal.h"
 #include "tests/kit.h"
 #include "train/init.h"
 

@@ -389,8 +389,8 @@ static json_t *geojson_of(const struct city *c, const double shift[3])
                       "properties", "filename", c->photos[i].name, "focal",
                       c->lens.params[0] / c->lens.width_px, "width", (int)c->lens.width_px,
                       "height", (int)c->lens.height_px, "translation", numbers(at, 3), "rotation",
-                      turn_of(c->photos[i].cam.rot), "geometry", "type", "Point",
-                      "coordinates", numbers(lonlat, 3)));
+                      turn_of(c->photos[i].cam.rot), "geometry", "type", "Point", "coordinates",
+                      numbers(lonlat, 3)));
     }
     return json_pack("{s:s, s:o}", "type", "FeatureCollection", "features", features);
 }

@@ -2,12 +2,12 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "cells/cell.h"
-#include "cells/cell_plan.h"
-#include "cells/partition.h"
-#include "cells/share.h"
-#include "cells/window.h"
 #include "codec/scene.h"
+#include "scene/cells/cell.h"
+#include "scene/cells/cell_plan.h"
+#include "scene/cells/partition.h"
+#include "scene/cells/share.h"
+#include "scene/cells/window.h"
 #include "tests/kit.h"
 
 #include <math.h>

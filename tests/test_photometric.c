@@ -1,12 +1,12 @@
-/* The photometric loss and the metrics (loss/photometric.c, photometric_ref.c, metric.c): closed
- * forms, finite differences in double, values of other programs, kernels against the reference at
- * awkward sizes, and equal bits in every run and for any number of worker threads.
+/* The photometric loss and the metrics (train/loss/photometric.c, photometric_ref.c, metric.c):
+ * closed forms, finite differences in double, values of other programs, kernels against the
+ * reference at awkward sizes, and equal bits in every run and for any number of worker threads.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "loss/metric.h"
-#include "loss/photometric.h"
 #include "tests/kit.h"
+#include "train/loss/metric.h"
+#include "train/loss/photometric.h"
 
 #include <inttypes.h>
 #include <math.h>

@@ -7,9 +7,9 @@
 #include <string.h>
 
 #include "codec/scene.h"
-#include "ingest/ingest.h"
-#include "ingest/ingest_internal.h"
 #include "kit.h"
+#include "scene/ingest/ingest.h"
+#include "scene/ingest/ingest_internal.h"
 
 enum { SIDE = 60, CAMERAS = 16, ROOM = 6000 };
 

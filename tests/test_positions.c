@@ -12,9 +12,9 @@
 #include "codec/scene.h"
 #include "core/geo.h"
 #include "core/gtx.h"
-#include "ingest/ingest.h"
-#include "ingest/positions.h"
-#include "ingest/wkt.h"
+#include "scene/ingest/ingest.h"
+#include "scene/ingest/positions.h"
+#include "scene/ingest/wkt.h"
 #include "survey/crs.h"
 #include "tests/city_kit.h"
 

@@ -3,9 +3,9 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "loss/flat_loss.h"
-#include "loss/scale_loss.h"
 #include "tests/backward_kit.h"
+#include "train/loss/flat_loss.h"
+#include "train/loss/scale_loss.h"
 
 #include <math.h>
 #include <string.h>

@@ -5,8 +5,8 @@
  */
 #include "tests/client.h"
 
-#include "server/http.h"
 #include "server/base/text.h"
+#include "server/http.h"
 
 /* ---- malformed requests ---- */
 

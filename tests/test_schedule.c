@@ -2,7 +2,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "cells/cell.h"
+#include "scene/cells/cell.h"
 #include "tests/kit.h"
 #include "train/config.h"
 #include "train/schedule.h"

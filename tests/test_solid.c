@@ -3,8 +3,8 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "loss/solid.h"
 #include "tests/backward_kit.h"
+#include "train/loss/solid.h"
 
 #include <math.h>
 #include <string.h>

@@ -15,9 +15,9 @@
 #include "codec/npy.h"
 #include "codec/scene.h"
 #include "core/dev.h"
-#include "stereo/fuse.h"
-#include "stereo/pairs.h"
-#include "stereo/sweep.h"
+#include "scene/stereo/fuse.h"
+#include "scene/stereo/pairs.h"
+#include "scene/stereo/sweep.h"
 #include "tests/city_kit.h"
 
 enum { VIEWS = 4, VIEW_W = 90, VIEW_H = 70, PLANES = 40 };

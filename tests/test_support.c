@@ -5,10 +5,10 @@
 #include <math.h>
 #include <string.h>
 
-#include "cells/footprint.h"
-#include "cells/support.h"
 #include "codec/scene.h"
 #include "codec/seen.h"
+#include "scene/cells/footprint.h"
+#include "scene/cells/support.h"
 #include "tests/kit.h"
 
 enum { CELLS = 20, PHOTOS = 4 };

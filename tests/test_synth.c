@@ -18,7 +18,7 @@
 #include "core/pool.h"
 #include "kit.h"
 #include "lab/synth_splats.h"
-#include "synth/synth.h"
+#include "scene/synth/synth.h"
 
 static const double tol_gps_m =
     0.02; /* EXIF keeps 1e-4 seconds of arc or better, and centimetres */

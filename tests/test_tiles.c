@@ -3,8 +3,6 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "cells/cell_plan.h"
-#include "cells/partition.h"
 #include "codec/archive.h"
 #include "codec/ckpt.h"
 #include "codec/image.h"
@@ -13,6 +11,8 @@
 #include "codec/scene.h"
 #include "lod/store.h"
 #include "lod/view.h"
+#include "scene/cells/cell_plan.h"
+#include "scene/cells/partition.h"
 #include "tests/kit.h"
 
 #include <math.h>

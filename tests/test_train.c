@@ -7,16 +7,16 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "cells/cell.h"
-#include "cells/cell_plan.h"
-#include "cells/partition.h"
-#include "cells/share.h"
 #include "codec/image.h"
-#include "loss/photometric.h"
 #include "render/render.h"
+#include "scene/cells/cell.h"
+#include "scene/cells/cell_plan.h"
+#include "scene/cells/partition.h"
+#include "scene/cells/share.h"
 #include "tests/stability/toy.h"
 #include "train/init.h"
 #include "train/inputs.h"
+#include "train/loss/photometric.h"
 #include "train/photo_loader.h"
 #include "train/run_cell.h"
 #include "train/schedule.h"

@@ -5,10 +5,10 @@
 #include <math.h>
 #include <string.h>
 
-#include "cells/footprint.h"
 #include "core/camera.h"
 #include "core/options.h"
 #include "render/render.h"
+#include "scene/cells/footprint.h"
 #include "tests/kit.h"
 #include "train/background.h"
 #include "train/config.h"

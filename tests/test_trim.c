@@ -5,9 +5,9 @@
 #include <math.h>
 #include <string.h>
 
-#include "cells/footprint.h"
-#include "cells/trim.h"
 #include "core/gauss.h"
+#include "scene/cells/footprint.h"
+#include "scene/cells/trim.h"
 #include "tests/flight_kit.h"
 
 enum { GRID = 60 };

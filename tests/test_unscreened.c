@@ -1,6 +1,7 @@
-/* A program in which libmicrohttpd does not get the recv() of server/http/request_screen.c, because its linker
- * was told to hide it: the server asks itself, starts not, and says why. In the other test programs
- * of the server it does, so they start. From libmicrohttpd 1.0 on there is no such recv().
+/* A program in which libmicrohttpd does not get the recv() of server/http/request_screen.c,
+ * because its linker was told to hide it: the server asks itself, starts not, and says why. In the
+ * other test programs of the server it does, so they start. From libmicrohttpd 1.0 on there is no
+ * such recv().
  *
  * SPDX-License-Identifier: Apache-2.0
  */

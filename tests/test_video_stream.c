@@ -5,9 +5,9 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "codec/video.h"
-#include "loss/metric.h"
 #include "server/drawing/video_stream.h"
 #include "tests/reader.h"
+#include "train/loss/metric.h"
 
 #include <math.h>
 #include <signal.h>

@@ -7,12 +7,12 @@
 #include <math.h>
 #include <unistd.h>
 
-#include "cells/cell_plan.h"
-#include "cells/partition.h"
-#include "cells/share.h"
 #include "codec/scene.h"
 #include "core/base.h"
 #include "core/machine.h"
+#include "scene/cells/cell_plan.h"
+#include "scene/cells/partition.h"
+#include "scene/cells/share.h"
 #include "train/config.h"
 #include "train/jobs.h"
 

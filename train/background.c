@@ -6,9 +6,9 @@
 
 #include <string.h>
 
-#include "cells/footprint.h"
 #include "core/base.h"
 #include "render/render.h"
+#include "scene/cells/footprint.h"
 #include "train/config.h"
 #include "train/photo_loader.h"
 #include "train/stage.h"

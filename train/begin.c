@@ -12,9 +12,9 @@
 
 #include <jansson.h>
 
-#include "cells/window.h"
 #include "codec/scene.h"
 #include "core/machine.h"
+#include "scene/cells/window.h"
 #include "train/appearance_train.h"
 #include "train/budget.h"
 #include "train/config.h"

@@ -5,9 +5,9 @@
 #ifndef TRAIN_BEGIN_H
 #define TRAIN_BEGIN_H
 
-#include "cells/footprint.h"
-#include "cells/trim.h"
 #include "core/base.h"
+#include "scene/cells/footprint.h"
+#include "scene/cells/trim.h"
 #include "train/appearance_train.h"
 #include "train/inputs.h"
 #include "train/schedule.h"
@@ -29,7 +29,7 @@ struct begin { /* {.job, .lock_fd = -1} at first; call begin_close, also after a
     size_t n_all;
     /* [n_all] part of each that shows the cell; NULL: all of each */
     struct camera_window *windows;
-    double *shares; /* sizes of these parts as shares (cells/window.h) */
+    double *shares; /* sizes of these parts as shares (scene/cells/window.h) */
     struct schedule levels[TRAIN_LEVELS_MAX];
     struct appearance_train appearance; /* {0}: none; the level takes it over */
     struct footprint ground;            /* nx 0: not known */

@@ -7,9 +7,9 @@
 #include <math.h>
 #include <string.h>
 
-#include "cells/cell.h"
 #include "codec/ckpt.h"
 #include "codec/scene.h"
+#include "scene/cells/cell.h"
 #include "train/appearance_train.h"
 #include "train/config.h"
 #include "train/result.h"

@@ -10,9 +10,9 @@
 
 #include <math.h>
 
-#include "cells/cell.h"
 #include "core/gauss.h"
 #include "lod/simplify.h"
+#include "scene/cells/cell.h"
 #include "train/model.h"
 
 enum { COARSEN_FIELDS = 6, COARSEN_SIDES = 2 };

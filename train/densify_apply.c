@@ -14,9 +14,9 @@
 
 #include <jansson.h>
 
-#include "cells/footprint.h"
-#include "cells/trim.h"
 #include "core/layout.h"
+#include "scene/cells/footprint.h"
+#include "scene/cells/trim.h"
 #include "train/appearance_train.h"
 #include "train/config.h"
 #include "train/densify_plan.h"

@@ -19,15 +19,15 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "cells/cell.h"
-#include "cells/footprint.h"
-#include "cells/trim.h"
 #include "core/gauss.h"
 #include "core/pool.h"
 #include "core/sample.h"
 #include "core/sort.h"
 #include "render/permute.h"
 #include "render/render.h"
+#include "scene/cells/cell.h"
+#include "scene/cells/footprint.h"
+#include "scene/cells/trim.h"
 #include "train/config.h"
 #include "train/densify_plan.h"
 

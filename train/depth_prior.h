@@ -16,8 +16,8 @@ struct train_config;
  * option asks for does not exist; the message says how to make it. ERR_LIMIT. */
 enum err_code depth_prior_dir(const struct train_config *cfg, const struct scene *s, char *out,
                               struct err *e) ERR_USE;
-/* Reads the folder's points.npy, [n][6] as stereo/fuse.h. n is 0 without such a file. Free *out
- * with mem_free. ERR_FORMAT, ERR_IO, ERR_MEM. */
+/* Reads the folder's points.npy, [n][6] as scene/stereo/fuse.h. n is 0 without such a file. Free
+ * *out with mem_free. ERR_FORMAT, ERR_IO, ERR_MEM. */
 enum err_code depth_prior_points(const char *dir, float **out, size_t *n, struct err *e) ERR_USE;
 
 #endif

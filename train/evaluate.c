@@ -9,13 +9,13 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "cells/footprint.h"
 #include "codec/image.h"
 #include "core/exposure.h"
-#include "loss/lpips.h"
-#include "loss/metric.h"
+#include "scene/cells/footprint.h"
 #include "train/appearance_train.h"
 #include "train/evaluate.h"
+#include "train/loss/lpips.h"
+#include "train/loss/metric.h"
 #include "train/photo_loader.h"
 #include "train/residual.h"
 

@@ -11,7 +11,7 @@
 
 #include "render/render.h"
 
-struct footprint; /* cells/footprint.h */
+struct footprint; /* scene/cells/footprint.h */
 struct photo;
 struct photo_loader;
 
@@ -27,7 +27,7 @@ struct evaluate_score { /* means over the photographs */
     double ms_frame;
     double bytes; /* size of the source's files; 0: not known */
 };
-struct lpips;         /* loss/lpips.h */
+struct lpips;         /* train/loss/lpips.h */
 struct residual_list; /* train/residual.h */
 /* A source of drawings. draw() renders into rgb [h][w][3] and returns the number of Gaussians. */
 struct evaluate_source {

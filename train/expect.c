@@ -8,8 +8,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "cells/cell.h"
 #include "codec/scene.h"
+#include "scene/cells/cell.h"
 #include "train/begin.h"
 #include "train/budget.h"
 #include "train/depth_prior.h"

@@ -6,7 +6,7 @@
 #ifndef TRAIN_FIXED_H
 #define TRAIN_FIXED_H
 
-#include "cells/cell.h"
+#include "scene/cells/cell.h"
 
 struct dev;
 struct footprint;

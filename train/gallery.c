@@ -6,10 +6,10 @@
 
 #include <math.h>
 
-#include "cells/footprint.h"
 #include "codec/scene.h"
-#include "loss/photometric.h"
+#include "scene/cells/footprint.h"
 #include "train/appearance_train.h"
+#include "train/loss/photometric.h"
 #include "train/model.h"
 #include "train/photo_loader.h"
 #include "train/stage.h"

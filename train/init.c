@@ -8,13 +8,13 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "cells/cell.h"
-#include "cells/footprint.h"
 #include "codec/mask.h"
 #include "codec/scene.h"
 #include "core/camera.h"
 #include "core/knn.h"
 #include "core/pool.h"
+#include "scene/cells/cell.h"
+#include "scene/cells/footprint.h"
 #include "train/config.h"
 #include "train/init.h"
 

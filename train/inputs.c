@@ -15,9 +15,9 @@
 #include "codec/mask.h"
 #include "codec/scene.h"
 #include "core/base.h"
-#include "loss/depth_map.h"
 #include "train/config.h"
 #include "train/depth_prior.h"
+#include "train/loss/depth_map.h"
 #include "train/run_cell.h"
 
 enum { INPUTS_CHUNK = 1 << 20 };

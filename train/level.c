@@ -19,12 +19,12 @@
 
 #include "codec/ckpt.h"
 #include "codec/scene.h"
-#include "loss/photometric.h"
 #include "train/coarsen.h"
 #include "train/config.h"
 #include "train/densify_apply.h"
 #include "train/harmonics.h"
 #include "train/importance.h"
+#include "train/loss/photometric.h"
 #include "train/metrics_log.h"
 #include "train/photo_loader.h"
 #include "train/prune.h"

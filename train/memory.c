@@ -12,10 +12,10 @@
 #include "codec/scene.h"
 #include "core/base.h"
 #include "core/layout.h"
-#include "loss/embed_smoothness.h"
 #include "render/render.h"
 #include "train/coarsen.h"
 #include "train/config.h"
+#include "train/loss/embed_smoothness.h"
 #include "train/photo_loader.h"
 #include "train/schedule.h"
 

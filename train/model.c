@@ -10,8 +10,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "cells/cell.h"
 #include "render/defer.h"
+#include "scene/cells/cell.h"
 
 enum { MODEL_ARRAYS = 2, MODEL_STATS = 5 };
 

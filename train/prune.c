@@ -21,9 +21,9 @@
 
 #include "core/pool.h"
 #include "core/sort.h"
-#include "loss/photometric.h"
 #include "render/permute.h"
 #include "train/gallery.h"
+#include "train/loss/photometric.h"
 #include "train/model.h"
 #include "train/photo_loader.h"
 #include "train/residual.h"

@@ -16,8 +16,8 @@
 
 #include <jansson.h>
 
-#include "cells/footprint.h"
 #include "core/camera.h"
+#include "scene/cells/footprint.h"
 #include "train/photo_loader.h"
 
 #define RESIDUAL_NORMAL 0.6745 /* MAD of a normal distribution of deviation 1 */

@@ -10,7 +10,6 @@
 
 #include <jansson.h>
 
-#include "loss/photometric.h"
 #include "train/appearance_train.h"
 #include "train/begin.h"
 #include "train/config.h"
@@ -18,6 +17,7 @@
 #include "train/evaluate.h"
 #include "train/forecast.h"
 #include "train/level.h"
+#include "train/loss/photometric.h"
 #include "train/metrics_log.h"
 #include "train/photo_loader.h"
 #include "train/prune.h"

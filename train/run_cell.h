@@ -9,7 +9,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "cells/cell.h"
+#include "scene/cells/cell.h"
 
 struct appearance;
 struct dev;

@@ -12,7 +12,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "cells/cell.h"
+#include "scene/cells/cell.h"
 #include "train/config.h"
 #include "train/schedule.h"
 

@@ -10,8 +10,8 @@
 
 #include <jansson.h>
 
-#include "cells/cell.h"
 #include "codec/ckpt.h"
+#include "scene/cells/cell.h"
 #include "train/appearance_train.h"
 #include "train/config.h"
 #include "train/inputs.h"

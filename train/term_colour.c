@@ -1,4 +1,4 @@
-/* The loss on colours, L1 and SSIM (loss/photometric.h): the frame of the step against its
+/* The loss on colours, L1 and SSIM (train/loss/photometric.h): the frame of the step against its
  * photograph.
  *
  * SPDX-License-Identifier: Apache-2.0

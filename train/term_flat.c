@@ -1,12 +1,12 @@
-/* Flat Gaussians, and level ones at the rim (loss/flat_loss.h): when and where.
+/* Flat Gaussians, and level ones at the rim (train/loss/flat_loss.h): when and where.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "cells/footprint.h"
 #include "core/base.h"
-#include "loss/flat_loss.h"
+#include "scene/cells/footprint.h"
 #include "train/fixed.h"
 #include "train/gallery.h"
+#include "train/loss/flat_loss.h"
 #include "train/model.h"
 #include "train/stage.h"
 #include "train/term_size.h"

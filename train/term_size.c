@@ -1,4 +1,4 @@
-/* The loss on sizes (loss/scale_loss.h): when it acts, and which sizes have no loss.
+/* The loss on sizes (train/loss/scale_loss.h): when it acts, and which sizes have no loss.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -7,11 +7,11 @@
 #include <math.h>
 #include <string.h>
 
-#include "cells/footprint.h"
 #include "core/base.h"
-#include "loss/scale_loss.h"
+#include "scene/cells/footprint.h"
 #include "train/fixed.h"
 #include "train/gallery.h"
+#include "train/loss/scale_loss.h"
 #include "train/model.h"
 #include "train/stage.h"
 #include "train/terms.h"

@@ -8,7 +8,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "loss/ground_parts.h"
+#include "train/loss/ground_parts.h"
 
 struct gallery;
 struct schedule;

@@ -1,12 +1,12 @@
-/* The loss on appearance embeddings of neighbours (loss/embed_smoothness.h): when it acts.
+/* The loss on appearance embeddings of neighbours (train/loss/embed_smoothness.h): when it acts.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "core/base.h"
-#include "loss/embed_smoothness.h"
 #include "train/appearance_train.h"
 #include "train/fixed.h"
 #include "train/gallery.h"
+#include "train/loss/embed_smoothness.h"
 #include "train/model.h"
 #include "train/stage.h"
 #include "train/terms.h"

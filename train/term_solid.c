@@ -1,6 +1,6 @@
-/* The terms that make surfaces solid (loss/solid.h): when they act, and with which weights. The
- * distance between compared pixels changes at every step, so that depth becomes smooth over one
- * pixel and over several.
+/* The terms that make surfaces solid (train/loss/solid.h): when they act, and with which weights.
+ * The distance between compared pixels changes at every step, so that depth becomes smooth over
+ * one pixel and over several.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -9,10 +9,10 @@
 
 #include "codec/scene.h"
 #include "core/base.h"
-#include "loss/depth_map.h"
-#include "loss/solid.h"
 #include "train/depth_prior.h"
 #include "train/gallery.h"
+#include "train/loss/depth_map.h"
+#include "train/loss/solid.h"
 #include "train/photo_loader.h"
 #include "train/stage.h"
 #include "train/terms.h"

@@ -7,9 +7,9 @@
 
 #include <assert.h>
 
-#include "cells/footprint.h"
 #include "core/base.h"
 #include "core/layout.h"
+#include "scene/cells/footprint.h"
 #include "train/fixed.h"
 #include "train/model.h"
 

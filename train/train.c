@@ -5,10 +5,10 @@
 #include "train/train.h"
 
 #include "core/pool.h"
-#include "loss/photometric.h"
 #include "render/render.h"
 #include "train/coarse.h"
 #include "train/config.h"
+#include "train/loss/photometric.h"
 #include "train/run.h"
 #include "train/train_scene.h"
 

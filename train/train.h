@@ -18,7 +18,7 @@
  *     cells/<id>/done.json       written last
  *     cells/<id>/metrics.jsonl, config.jsonc
  *
- * Without a plan.json (cells/partition.h) the scene is one cell, "all".
+ * Without a plan.json (scene/cells/partition.h) the scene is one cell, "all".
  *
  * Determinism: the same seed, scene, options, device and build give the same bytes, and a resumed
  * run equals an uninterrupted one. Every random number is rng_*(seed, stream, index);

@@ -7,8 +7,8 @@
 
 #include <string.h>
 
-#include "cells/cell.h"
-#include "cells/cell_plan.h"
+#include "scene/cells/cell.h"
+#include "scene/cells/cell_plan.h"
 #include "train/config.h"
 
 enum err_code train_scene_images(struct scene *s, enum scene_split split, bool test_split,

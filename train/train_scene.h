@@ -8,8 +8,8 @@
 #include <stdbool.h>
 #include <stddef.h>
 
-#include "cells/partition.h"
 #include "codec/scene.h"
+#include "scene/cells/partition.h"
 #include "train/run.h"
 
 struct train_config;

@@ -3,10 +3,10 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "cells/cell_plan.h"
-#include "cells/partition.h"
 #include "codec/ckpt.h"
 #include "codec/scene.h"
+#include "scene/cells/cell_plan.h"
+#include "scene/cells/partition.h"
 #include "tests/stability/toy_appearance.h"
 #include "train/appearance_train.h"
 #include "train/coarse.h"

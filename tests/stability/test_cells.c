@@ -2,9 +2,9 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "cells/cell_plan.h"
-#include "cells/partition.h"
 #include "codec/scene.h"
+#include "scene/cells/cell_plan.h"
+#include "scene/cells/partition.h"
 #include "tests/stability/toy.h"
 #include "train/budget.h"
 #include "train/config.h"

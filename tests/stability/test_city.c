@@ -7,8 +7,6 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "cells/cell_plan.h"
-#include "cells/partition.h"
 #include "codec/ckpt.h"
 #include "codec/image.h"
 #include "codec/npy.h"
@@ -16,8 +14,10 @@
 #include "lod/pick.h"
 #include "lod/store.h"
 #include "lod/view.h"
-#include "loss/metric.h"
+#include "scene/cells/cell_plan.h"
+#include "scene/cells/partition.h"
 #include "tests/stability/toy.h"
+#include "train/loss/metric.h"
 
 #include <math.h>
 #include <stdio.h>

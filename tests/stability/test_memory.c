@@ -3,10 +3,10 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "cells/cell.h"
 #include "codec/ckpt.h"
 #include "codec/scene.h"
 #include "core/layout.h"
+#include "scene/cells/cell.h"
 #include "tests/stability/toy.h"
 #include "train/config.h"
 #include "train/level.h"

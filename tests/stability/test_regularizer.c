@@ -7,10 +7,10 @@
 #include "codec/npy.h"
 #include "codec/scene.h"
 #include "core/layout.h"
-#include "loss/depth_map.h"
 #include "tests/stability/toy.h"
 #include "train/config.h"
 #include "train/level.h"
+#include "train/loss/depth_map.h"
 #include "train/train.h"
 #include "train/train_scene.h"
 

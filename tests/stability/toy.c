@@ -8,15 +8,15 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "cells/cell.h"
 #include "codec/image.h"
 #include "codec/scene.h"
-#include "loss/photometric.h"
+#include "scene/cells/cell.h"
 #include "train/appearance_train.h"
 #include "train/config.h"
 #include "train/evaluate.h"
 #include "train/init.h"
 #include "train/level.h"
+#include "train/loss/photometric.h"
 #include "train/photo_loader.h"
 #include "train/run_cell.h"
 #include "train/schedule.h"

@@ -5,8 +5,8 @@
 #include "tests/stability/toy_appearance.h"
 
 #include "lab/half_image.h"
-#include "loss/photometric.h"
 #include "train/appearance_train.h"
+#include "train/loss/photometric.h"
 #include "train/photo_loader.h"
 
 #include <math.h>

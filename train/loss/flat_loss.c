@@ -1,0 +1,170 @@
+/* Gaussians are flat, and at the rim they lie level: one launch, and the reference.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "train/loss/flat_loss.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "core/base.h"
+#include "core/layout.h"
+
+extern const char vector_cl[], lanes_cl[], axes_cl[], flat_loss_cl[];
+
+struct flat_loss {
+    struct dev *dev; /* borrowed */
+    cl_program program;
+    cl_kernel grad;
+    cl_mem parts; /* uint8 [ny][nx] of the ground of the first run */
+    bool wide;    /* the shape of the kernel: VW 16 */
+};
+
+void flat_loss_close(struct flat_loss **p)
+{
+    struct flat_loss *s = *p;
+    if (!s)
+        return;
+    if (s->grad)
+        clReleaseKernel(s->grad);
+    if (s->program)
+        clReleaseProgram(s->program);
+    dev_release(&s->parts);
+    mem_free(s);
+    *p = NULL;
+}
+
+enum err_code flat_loss_open(struct dev *dev, struct flat_loss **out, struct err *e)
+{
+    const struct dev_source sources[] = {{"core/vector.cl", vector_cl},
+                                         {"train/loss/lanes.cl", lanes_cl},
+                                         {"train/loss/axes.cl", axes_cl},
+                                         {"train/loss/flat_loss.cl", flat_loss_cl}};
+    struct flat_loss *s = mem_array(1, sizeof *s);
+    *out = NULL;
+    if (!s)
+        return err_set(e, ERR_MEM, "flat_loss: out of memory");
+    s->dev = dev;
+    s->wide = dev->vector_width == LAYOUT_LANES;
+    enum err_code rc =
+        dev_build(dev, sources, sizeof sources / sizeof *sources, NULL, &s->program, e);
+    if (!rc)
+        rc = dev_kernel(s->program, "flat_grad", &s->grad, e);
+    if (rc)
+        flat_loss_close(&s);
+    *out = s;
+    return rc;
+}
+
+/* Arguments 4 to 9: where the terms hold. */
+static enum err_code flat_set_ground(struct flat_loss *s, const struct render_model *m,
+                                     const struct ground_parts *g, cl_int *bad, struct err *e)
+{
+    cl_uint nx = g ? (cl_uint)g->nx : 0, ny = g ? (cl_uint)g->ny : 0;
+    cl_float per_m = g ? (cl_float)(1.0 / g->cell_m) : 0.0f, corner[2] = {0.0f, 0.0f};
+    cl_mem params = m->params; /* not read without a ground */
+    enum err_code rc = ERR_OK;
+    if (g && !s->parts)
+        rc = dev_buffer(s->dev, g->nx * g->ny, g->parts, &s->parts, e);
+    for (size_t k = 0; g && k < 2; k++)
+        corner[k] = (cl_float)(g->corner_m[k] - m->origin_enu_m[k]);
+    *bad |= dev_arg(s->grad, 4, corner[0]);
+    *bad |= dev_arg(s->grad, 5, corner[1]);
+    *bad |= dev_arg(s->grad, 6, per_m);
+    *bad |= dev_arg(s->grad, 7, nx);
+    *bad |= dev_arg(s->grad, 8, ny);
+    *bad |= dev_arg(s->grad, 9, *(s->parts ? &s->parts : &params));
+    return rc;
+}
+
+enum err_code flat_loss_run(struct flat_loss *s, const struct render_model *m,
+                            const struct flat_loss_input *in, bool fresh, cl_mem extra,
+                            struct err *e)
+{
+    cl_uint is_fresh = fresh, n = m->n, planes = m->planes, groups = m->groups;
+    cl_uint listed = m->list != NULL;
+    cl_mem params = m->params, list = m->list ? m->list : m->params; /* not read without */
+    cl_float flat = n ? (cl_float)(in->flat_weight / n) : 0.0f,
+             per_flat = in->flat_weight > 0.0 ? (cl_float)(1.0 / in->flat_m) : 0.0f,
+             level = n ? (cl_float)(in->level_weight / n) : 0.0f;
+    cl_int bad = CL_SUCCESS;
+    enum err_code rc = flat_set_ground(s, m, in->ground, &bad, e);
+    if (rc)
+        return rc;
+    bad |= dev_arg(s->grad, 0, params);
+    bad |= dev_arg(s->grad, 1, n);
+    bad |= dev_arg(s->grad, 2, planes);
+    bad |= dev_arg(s->grad, 3, groups);
+    bad |= dev_arg(s->grad, 10, per_flat);
+    bad |= dev_arg(s->grad, 11, level);
+    bad |= dev_arg(s->grad, 12, flat);
+    bad |= dev_arg(s->grad, 13, is_fresh);
+    bad |= dev_arg(s->grad, 14, extra);
+    bad |= dev_arg(s->grad, 15, list);
+    bad |= dev_arg(s->grad, 16, listed);
+    if (bad != CL_SUCCESS)
+        return err_set(e, ERR_DEVICE, "flat_loss: arguments: %s", dev_error_name(bad));
+    size_t local = s->wide ? 1 : LAYOUT_SCALE_ITEMS;
+    size_t of_group = s->wide ? LAYOUT_PROJECT_GROUPS : LAYOUT_SCALE_ITEMS / LAYOUT_LANES;
+    size_t items = (groups + of_group - 1) / of_group * local;
+    return dev_run(s->dev, s->grad, "flat_grad", items, local, e);
+}
+
+/* ---- the reference ---- */
+
+static bool flat_lies_on(const struct flat_loss_input *in, const double *mean,
+                         enum ground_part part)
+{
+    return in->ground && mean ? ground_parts_has(in->ground, mean, part) : part == GROUND_PART_FLAT;
+}
+
+static int flat_least(const double *scale_log)
+{
+    int least = 0;
+    for (int k = 1; k < 3; k++)
+        if (scale_log[k] < scale_log[least])
+            least = k; /* the first of equals */
+    return least;
+}
+
+/* n_z of the least axis and its derivatives on the rotation. */
+static double flat_upright(const double *q, int least, double d[4])
+{
+    double w = q[0], x = q[1], y = q[2], z = q[3], per = 1.0 / (w * w + x * x + y * y + z * z);
+    const double up[3] = {2.0 * (x * z - w * y), 2.0 * (y * z + w * x),
+                          w * w - x * x - y * y + z * z};
+    const double of[3][4] = {{-2.0 * y, 2.0 * z, -2.0 * w, 2.0 * x},
+                             {2.0 * x, 2.0 * w, 2.0 * z, 2.0 * y},
+                             {2.0 * w, -2.0 * x, -2.0 * y, 2.0 * z}};
+    double n_z = up[least] * per;
+    for (int k = 0; k < 4; k++)
+        d[k] = (of[least][k] - 2.0 * n_z * q[k]) * per;
+    return n_z;
+}
+
+double flat_loss_ref_run(const struct flat_loss_gauss *g, const struct flat_loss_input *in,
+                         double *grad)
+{
+    double flat = 0.0, tilt = 0.0, d[4];
+    double pull = g->n ? in->flat_weight / (double)g->n : 0.0,
+           level = g->n ? in->level_weight / (double)g->n : 0.0;
+    if (grad)
+        memset(grad, 0, 7 * g->n * sizeof *grad);
+    for (size_t i = 0; i < g->n; i++) {
+        const double *mean = g->mean ? g->mean + 3 * i : NULL;
+        int least = flat_least(g->scale_log + 3 * i);
+        if (pull > 0.0 && flat_lies_on(in, mean, GROUND_PART_FLAT)) {
+            double thick = pow(exp(g->scale_log[3 * i + (size_t)least]) / in->flat_m, 2.0);
+            flat += log1p(thick);
+            if (grad)
+                grad[7 * i + (size_t)least] = pull * thick / (1.0 + thick);
+        }
+        if (level > 0.0 && flat_lies_on(in, mean, GROUND_PART_LEVEL)) {
+            double up = flat_upright(g->quat + 4 * i, least, d);
+            tilt += 1.0 - up * up;
+            for (size_t k = 0; grad && k < 4; k++)
+                grad[7 * i + 3 + k] = -2.0 * level * up * d[k];
+        }
+    }
+    return 0.5 * pull * flat + level * tilt;
+}
