@@ -45,8 +45,8 @@ struct schedule { /* schedule of one level; steps are 1-based and restart at eve
 struct cell;
 /* --level-order, in the order of options.def. */
 enum schedule_order { SCHEDULE_COARSE_TO_FINE, SCHEDULE_BOTH };
-/* Part of the finest level in which its rates fall, its last (docs/decisions/013-rates-and-
- * length.md). */
+/* Part of the finest level in which its rates fall, its last
+ * (docs/decisions/013-rates-and-length.md). */
 #define SCHEDULE_FADE_SHARE 0.2
 /* Steps of all levels together that --iterations or its default asks for. 0: a list says it of each
  * level. */
