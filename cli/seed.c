@@ -1,6 +1,7 @@
 /* citysplat seed: requests every tile of a prefetch list, most important first, so that the cache
- * or CDN in front of a server has them early. The server makes the list (server/seed.c). An answer
- * must have the entity tag that the list names. It uses libcurl.
+ * or CDN in front of a server has them early. The server makes the list
+ * (server/documents/prefetch_list.c). An answer must have the entity tag that the list names. It
+ * uses libcurl.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

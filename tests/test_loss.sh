@@ -48,7 +48,7 @@ Made of `train/terms.def` by `tests/test_loss.sh --write`; do not edit.
 A step of training minimises the weighted sum of these terms, for one photograph. The table has the order of execution. Terms of one
 pass share a file, `train/term_PASS.c`, and a launch of a kernel. x is the frame, y the photograph. A is the opacity of a pixel, T = 1 - A
 its transmittance. n is the number of values that are summed: pixels or Gaussians. Sources and measurements are in
-[regularizers](regularizers.md). Each reference is in double precision; the test named in the last column compares it with finite
+[training](training.md). Each reference is in double precision; the test named in the last column compares it with finite
 differences, and others compare the kernels with it.
 
 | pass | term | what for | acts on | weight | default | term without its weight | reference, check |

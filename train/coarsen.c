@@ -2,7 +2,7 @@
  *
  * Rows of a model lie along a Morton curve, so a part of them is a region. Each part is merged on
  * its own, in place: what is left of it is written behind what is left of the parts before. So the
- * bytes depend on the rows alone, and a model in files is walked through once.
+ * bytes depend on the rows alone, and memory is walked through once.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -6,7 +6,7 @@
  * device. terms.def lists what is minimised; term_*.c compute it. schedule.c says what happens at
  * which step. init.c, densify_plan.c, importance.c and prune.c decide which Gaussians there are.
  * state.c saves and restores; train.c goes through the cells; evaluate.c scores the result. Losses
- * and metrics are in loss/.
+ * and metrics are in train/loss/.
  *
  * Levels are trained one after another, level 1 the coarsest. Each continues with the Gaussians of
  * the level before, and has its own budget, densification interval and picture size. Sources:

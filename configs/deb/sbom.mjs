@@ -20,7 +20,7 @@ const LINKED = {
   "libc": ["LGPL-2.1-or-later", "C library"],
   "libgcc-s": ["GPL-3.0-or-later WITH GCC-exception-3.1", "run time of the compiler"],
   "libstdc++": ["GPL-3.0-or-later WITH GCC-exception-3.1", "C++ library"],
-  "libcurl3-gnutls": ["curl", "`citysplat seed`"],
+  "libcurl3-gnutls": ["curl", "stores at addresses, `citysplat seed`"],
   "libdeflate": ["MIT", "compression"],
   "libdraco": ["Apache-2.0", "`.drc`"],
   "libexpat": ["MIT", "XMP of photographs, markers of Metashape"],
@@ -230,8 +230,8 @@ whoever ships the program together with them; the Debian package of citysplat co
 |---|---|---|---|
 ${rows.join("\n")}
 
-At run time it needs an OpenCL driver, PoCL (MIT) for CPUs. \`align\` runs COLMAP (BSD-3-Clause) and \`chart\` runs gnuplot as programs
-of their own.
+At run time it needs an OpenCL driver, PoCL (MIT) for CPUs. \`align\` runs COLMAP (BSD-3-Clause) as a
+program of its own.
 
 ## What the viewer contains
 

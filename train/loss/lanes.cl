@@ -1,4 +1,4 @@
-// Follows core/vector.cl in programs of loss/ over Gaussians: lanes of a group, fixed pieces of the
+// Follows core/vector.cl in programs of train/loss/ over Gaussians: lanes of a group, fixed pieces of the
 // groups, sums.
 
 // VW 16: a work-item walks whole groups; VW 1: it walks the lanes of its groups one by one.

@@ -1,5 +1,5 @@
-/* Internal to loss/: the map of structural similarity (Wang, Bovik, Sheikh, Simoncelli 2004) of
- * the metrics, in double on all cores. photometric_ref.c has the same map with its derivatives.
+/* Internal to train/loss/: the map of structural similarity (Wang, Bovik, Sheikh, Simoncelli 2004)
+ * of the metrics, in double on all cores. photometric_ref.c has the same map with its derivatives.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
