@@ -1,6 +1,6 @@
 #!/bin/sh
-# What documents point at is there: files behind relative links, headings behind #anchors, and in every quoted
-# `citysplat COMMAND --option` the command and the option. Decisions have the same parts and stand in their index.
+# What documents point at is there: files behind relative links, headings behind #anchors, sources that are named, and in
+# every quoted `citysplat COMMAND --option` the command and the option. Decisions have the same parts and stand in their index.
 #
 # SPDX-License-Identifier: Apache-2.0
 cd "$(dirname "$0")/.." || exit 1
@@ -48,6 +48,13 @@ while IFS='	' read -r file line target; do
 done <"$work/links"
 awk -F'\t' 'NR == FNR { there[$0]; next } !($2 in there) { print $1 ": no such heading"; bad = 1 } END { exit bad }' \
     "$work/anchors" "$work/wanted" || failed=1
+# Sources by their path. codec/xyz is the example of docs/architecture.md.
+grep -v '^CHANGELOG.md$' "$work/files" | xargs grep -noHE \
+    '(core|codec|render|lod|scene|train|survey|server|cli|lab|tests|configs)/[a-z0-9_/]+\.(c|h|cl|cc|def|sh|jsonc)\b' |
+    grep -vE ':(codec/xyz\.[ch]|scene/.*\.jsonc?)$' >"$work/sources"
+while IFS=: read -r file line path; do
+    [ -e "$path" ] || { echo "$file:$line: there is no $path"; failed=1; }
+done <"$work/sources"
 echo "$(wc -l <"$work/links") links in $(wc -l <"$work/files") documents"
 
 # FILE LINE COMMAND OPTION, an empty option for the command itself. Blocks of code, with lines that go on after a

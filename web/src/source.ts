@@ -88,7 +88,7 @@ interface Node {
 const ANSWER_MS = 20_000;
 const APPEARANCE_NONE = "none";
 const LOWPASS = /\.lowpass\.glb(?=\?|$)/;
-export const DRAFT = "preset=preview&sh=0"; // letter by letter what server/hint.c says
+export const DRAFT = "preset=preview&sh=0"; // letter by letter what server/documents/link_header.c says
 const VOLUMES = "http://www.opengis.net/def/rel/ogc/1.0/3d-geovolumes";
 
 // Credits may be HTML; the viewer shows their text.
