@@ -1,8 +1,8 @@
 /* What a thin client sees while its camera turns: one request a picture, against a stream of JPEG
  * and a stream of video (server/answers/view_stream.c), for two sizes and several round-trip
  * times. A relay delays both directions; it models nothing else of the line. The camera turns at
- * 20 degrees a second for a few seconds. A picture counts as seen when its last byte has come: decoding is the
- * client's.
+ * 20 degrees a second for a few seconds. A picture counts as seen when its last byte has come:
+ * decoding is the client's.
  *
  * A busy machine is waited for as long as the server waits itself. What came until then is
  * reported, beside the load, and so is what was refused or did not come.

@@ -23,7 +23,7 @@ const LINKED = {
   "libcurl3-gnutls": ["curl", "stores at addresses, `citysplat seed`"],
   "libdeflate": ["MIT", "compression"],
   "libdraco": ["Apache-2.0", "`.drc`"],
-  "libexpat": ["MIT", "XMP of photographs, markers of Metashape"],
+  "libexpat": ["MIT", "XMP of photographs"],
   "libgdal": ["MIT", "maps and heights as files; `citysplat-gdal.so`"],
   "libgeographiclib": ["MIT", "geodesy"],
   "libgnutls": ["LGPL-2.1-or-later", "HTTPS"],
