@@ -1,6 +1,6 @@
 /* Both ends of the conversation with citysplat-compiler: see compiler.h. A job is a number of
- * texts, each with its length before it: the device's name, the flags, the pieces of the source.
- * The answer is one byte, 'd' (done) or 'r' (refused), and the binary.
+ * texts, each with its length before it: the version, the device's name, the flags, the pieces of
+ * the source. The answer is one byte, 'd' (done) or 'r' (refused), and the binary.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -14,6 +14,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
+#include <sys/prctl.h>
 #include <sys/resource.h>
 #include <sys/socket.h>
 #include <sys/wait.h>
@@ -22,6 +23,8 @@
 #include "core/library.h"
 
 enum { COMPILER_FD = 3, COMPILER_TEXTS = 64, COMPILER_JOB_MAX = 16 << 20, COMPILER_SAID = 4096 };
+/* The longest compilation; of its exit codes: it was asked wrongly, or by another version. */
+enum { COMPILER_MOST_S = 900, COMPILER_ASKED_WRONGLY = 127 };
 
 extern char **environ;
 
@@ -154,8 +157,12 @@ static enum compiler_end compiler_ask(const char *path, const struct buf *job, c
                     compiler_take(sv[0], binary) && binary->size > 0;
         while (waitpid(pid, &status, 0) < 0 && errno == EINTR)
             ;
-        well = well && WIFEXITED(status) && WEXITSTATUS(status) == 0;
-        end = !well ? COMPILER_DIED : binary->data[0] == 'd' ? COMPILER_DONE : COMPILER_REFUSED;
+        const int left = WIFEXITED(status) ? WEXITSTATUS(status) : 0;
+        well = well && WIFEXITED(status) && left == 0;
+        end = well && binary->data[0] == 'd' ? COMPILER_DONE
+              : well                         ? COMPILER_REFUSED
+              : left >= 126 ? COMPILER_MISSING /* 127 of the system's linker, too */
+                            : COMPILER_DIED;
         if (!well)
             compiler_tell(status, said, words, room);
     }
@@ -180,6 +187,7 @@ enum compiler_end compiler_run(const struct compiler_job *job, const char *metho
         snprintf(words, room, "citysplat-compiler: is not beside the program");
         return COMPILER_MISSING;
     }
+    compiler_add_text(&b, CITYSPLAT_VERSION);
     compiler_add_text(&b, job->device);
     compiler_add_text(&b, job->flags);
     for (size_t i = 0; i < job->n_text; i++)
@@ -210,7 +218,7 @@ static size_t compiler_read(const struct buf *b, const char *text[COMPILER_TEXTS
         text[n] = (const char *)b->data + at;
         at += (size_t)length + 1;
     }
-    return n > 2 ? n : 0;
+    return n > 3 && !strcmp(text[0], CITYSPLAT_VERSION) ? n : 0;
 }
 
 int compiler_serve(bool (*build)(const struct compiler_job *job, struct buf *out))
@@ -219,16 +227,19 @@ int compiler_serve(bool (*build)(const struct compiler_job *job, struct buf *out
     const char *text[COMPILER_TEXTS];
     struct buf in = {0}, out = {0};
     (void)setrlimit(RLIMIT_CORE, &no_core);
+    (void)prctl(PR_SET_DUMPABLE, 0);
+    (void)prctl(PR_SET_PDEATHSIG, SIGKILL); /* nobody waits for it any more */
+    (void)alarm(COMPILER_MOST_S);
     size_t n = compiler_take(COMPILER_FD, &in) && in.size <= COMPILER_JOB_MAX
                    ? compiler_read(&in, text)
                    : 0;
     if (!n) {
         fprintf(stderr,
                 "citysplat-compiler: compiles OpenCL programs for citysplat, which starts it\n");
-        return 2;
+        return COMPILER_ASKED_WRONGLY;
     }
     const struct compiler_job job = {
-        .device = text[0], .flags = text[1], .text = text + 2, .n_text = n - 2};
+        .device = text[1], .flags = text[2], .text = text + 3, .n_text = n - 3};
     buf_add(&out, "d", 1);
     const bool well = build(&job, &out) && !out.failed;
     return (well ? compiler_put(COMPILER_FD, out.data, out.size)

@@ -181,12 +181,14 @@ static cl_program dev_compile_here(struct dev *d, const struct compiler_job *job
     static const int deaths[] = {SIGABRT, SIGSEGV, SIGBUS, SIGILL, SIGFPE};
     enum { N = sizeof deaths / sizeof *deaths };
     struct sigaction act = {.sa_handler = dev_on_death, .sa_flags = (int)SA_RESETHAND}, was[N];
-    snprintf(
-        dev_last_words, sizeof dev_last_words,
-        "citysplat: the compiler of the OpenCL driver of %s, version %s, ends the program while "
-        "it compiles %s: update the driver, or take another device: --device cpu needs the "
-        "package pocl-opencl-icd\n",
-        d->name, d->driver, what);
+    if (what)
+        snprintf(
+            dev_last_words, sizeof dev_last_words,
+            "citysplat: the compiler of the OpenCL driver of %s, version %s, ends the program "
+            "while "
+            "it compiles %s: update the driver, or take another device: --device cpu needs the "
+            "package pocl-opencl-icd\n",
+            d->name, d->driver, what);
     for (int i = 0; what && i < N; i++)
         (void)sigaction(deaths[i], &act, &was[i]);
     cl_program program = clCreateProgramWithSource(d->context, (cl_uint)job->n_text,
@@ -232,6 +234,11 @@ static enum err_code dev_compile_apart(struct dev *d, const struct compiler_job 
     for (size_t i = first; i < DEV_METHODS && end == COMPILER_DIED; i++) {
         end = compiler_run(job, dev_methods[i], binary, words[i > first], sizeof words[0]);
         d->method = end == COMPILER_DONE ? i : d->method;
+        if (end == COMPILER_DIED && strstr(words[i > first], "signal 9,"))
+            return err_set(
+                e, ERR_MEM,
+                "dev_build: %s: the compiler was killed (%s): there is too little memory", what,
+                words[i > first]);
     }
     if (end == COMPILER_MISSING)
         log_debug("dev", "%s", words[0][0] ? words[0] : words[1]);

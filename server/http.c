@@ -177,7 +177,7 @@ enum err_code http_open(struct services *s, enum http_side side, struct http **o
     if (!rc && getrandom(&h->front.secret, sizeof h->front.secret, 0) != sizeof h->front.secret)
         rc = err_errno(e, ERR_IO, "the system has no random numbers");
     if (!rc)
-        rc = http_check_base(s->cfg->base_path, &h->front.n_base, e);
+        rc = http_check_base(h->front.self ? NULL : s->cfg->base_path, &h->front.n_base, e);
     if (!rc)
         rc = ipv6_groups_open(h->front.secret, &h->front.ipv6_groups, e);
     if (!rc)

@@ -483,7 +483,8 @@ void mhd_callbacks_on_completed(void *cls, struct MHD_Connection *c, void **con_
     if (!f->self)
         metrics_request(&f->s->metrics, router_index(f->s->routes, x->res.route), status, seconds,
                         whole ? x->sent : 0);
-    trace_overlap("requests", route_path(x->res.route), x->start_s, now_s);
+    if (!f->self)
+        trace_overlap("requests", route_path(x->res.route), x->start_s, now_s);
     if (f->s->access && !f->self && !(whole && x->res.unlogged))
         mhd_callbacks_log_access(x, status, seconds);
     if (x->stream) {

@@ -17,6 +17,7 @@
 
 #include "server/documents/link.h"
 #include "server/http.h"
+#include "server/http/listen.h"
 
 enum { SELF_TEST_REQUEST = 256, SELF_TEST_ANSWER = 16 << 10, SELF_TEST_WAIT_S = 5 };
 
@@ -86,7 +87,8 @@ static enum err_code self_test_fail(const char *what, const char *how, int statu
 /* A connection broke: the machine's fault, or there is no memory; not that of the library. */
 static enum err_code self_test_broken(struct err *e)
 {
-    return err_errno(e, ERR_IO, "a test of itself: the connection to its own listener");
+    return errno ? err_errno(e, ERR_IO, "a test of itself: the connection to its own listener")
+                 : err_set(e, ERR_IO, "a test of itself: a request got no answer");
 }
 
 /* A command with routes of its own (`citysplat mark`) has none of this name. */
@@ -101,7 +103,7 @@ static enum err_code self_test_sound(const struct services *s, const char *line,
 }
 
 static enum err_code self_test_malformed(const struct self_test_case *c, uint16_t port,
-                                         struct err *e)
+                                         bool patience, struct err *e)
 {
     char bytes[SELF_TEST_REQUEST], answer[SELF_TEST_ANSWER] = "";
     const size_t n = strlen(c->bytes);
@@ -113,6 +115,8 @@ static enum err_code self_test_malformed(const struct self_test_case *c, uint16_
     const bool asked = n <= sizeof bytes && send(fd, bytes, n, MSG_NOSIGNAL) == (ssize_t)n;
     const int broken = asked ? self_test_hear(fd, answer) : errno;
     close(fd);
+    if (broken == EAGAIN && patience) /* a machine that is busy with something else */
+        return self_test_malformed(c, port, false, e);
     if (broken == EAGAIN || broken == EMSGSIZE)
         return self_test_fail(c->what, "not followed by the end of the connection", 0, e);
     errno = broken;
@@ -144,7 +148,7 @@ static enum err_code self_test_plain(const struct services *s, uint16_t port, st
     close(fd);
     enum err_code rc = self_test_sound(s, self_test_line(answer), "GET /healthz", e);
     for (size_t i = 0; !rc && i < SELF_TEST_CASES; i++)
-        rc = self_test_malformed(&self_test_cases[i], port, e);
+        rc = self_test_malformed(&self_test_cases[i], port, true, e);
     return rc;
 }
 
@@ -159,8 +163,12 @@ static enum err_code self_test_tls(const struct services *s, uint16_t port, stru
         if (fd < 0)
             return self_test_broken(e);
         memset(answer, 0, sizeof answer);
-        (void)tls_ask(fd, i ? malformed : ask, answer, sizeof answer - 1);
+        const bool heard = tls_ask(fd, i ? malformed : ask, answer, sizeof answer - 1);
         close(fd);
+        if (!i && !heard) { /* its client is GnuTLS's own, with the policy of this machine */
+            log_warn("serve", "TLS is not tested: a client of this machine does not accept it");
+            return ERR_OK;
+        }
         const char *line = self_test_line(answer);
         if (!i && self_test_sound(s, line, "GET /healthz by TLS", e))
             return e->code;
@@ -170,9 +178,35 @@ static enum err_code self_test_tls(const struct services *s, uint16_t port, stru
     return ERR_OK;
 }
 
+/* Some machines let nobody connect to 127.0.0.1: a network of its own that is down, a sandbox. */
+static bool self_test_can(void)
+{
+    static const int never[] = {ENETUNREACH, EHOSTUNREACH, ENETDOWN,     EADDRNOTAVAIL,
+                                EPERM,       EACCES,       EAFNOSUPPORT, ETIMEDOUT};
+    struct err e = {0};
+    uint16_t port = 0;
+    int listening = -1;
+    errno = 0;
+    enum err_code rc = listen_open("127.0.0.1", 0, LISTEN_PORT, &listening, &port, &e);
+    const int fd = rc ? -1 : self_test_dial(port), code = errno;
+    if (fd >= 0)
+        close(fd);
+    if (listening >= 0 && !rc)
+        close(listening);
+    for (size_t i = 0; fd < 0 && i < sizeof never / sizeof *never; i++)
+        if (code == never[i]) {
+            log_warn("serve", "does not test itself: nothing can connect to 127.0.0.1 here (%s)",
+                     strerror(code));
+            return false;
+        }
+    return true;
+}
+
 enum err_code self_test(struct services *s, struct err *e)
 {
     enum err_code rc = ERR_OK;
+    if (!self_test_can())
+        return ERR_OK;
     for (int tls = 0; !rc && tls <= (s->tls != NULL); tls++) {
         struct http *h = NULL;
         rc = http_open(s, tls ? HTTP_SELF_TLS : HTTP_SELF, &h, e);

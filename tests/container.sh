@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
 # configs/Containerfile: built whole by buildah, and the image used as its first lines say, read-only and as nobody: from a
 # procedural city to a served tile and picture.
-#   tests/container.sh [BASE]     BASE: a folder with a Debian 12 (debootstrap); it is not changed
-# Where the registry of debian:12-slim cannot be reached, the base image is made by debootstrap from Debian's packages.
+#   tests/container.sh [BASE]     BASE: a folder with a Debian 13 (debootstrap); it is not changed
+# Where the registry of debian:13-slim cannot be reached, the base image is made by debootstrap from Debian's packages.
 # Exits with 77 where it cannot run.
 #
 # SPDX-License-Identifier: Apache-2.0
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
-base=${1:-} name=docker.io/library/debian:12-slim pid=
+base=${1:-} name=docker.io/library/debian:13-slim pid=
 skip() { echo "not built: $*"; exit 77; }
 fail() { echo "FAILED: $*" >&2; exit 1; }
 [ "$(id -u)" = 0 ] || skip 'not root, which buildah needs for a build without namespaces of users'
@@ -37,8 +37,8 @@ else
         command -v debootstrap >/dev/null || skip "$name cannot be pulled, and there is no debootstrap: $(tail -1 "$work/log")"
         base=$work/base
         mirror=$(sed -n 's/^URIs: *\(\S*\)$/\1/p; s/^deb \(\[.*\] \)\?\(\S*\) .*/\2/p' /etc/apt/sources.list /etc/apt/sources.list.d/debian* 2>/dev/null | head -1 || true)
-        debootstrap --variant=minbase bookworm "$base" "${mirror:-http://deb.debian.org/debian}" >"$work/log" 2>&1 ||
-            { tail -20 "$work/log"; skip 'the registry of debian:12-slim cannot be reached, and debootstrap failed'; }
+        debootstrap --variant=minbase trixie "$base" "${mirror:-http://deb.debian.org/debian}" >"$work/log" 2>&1 ||
+            { tail -20 "$work/log"; skip 'the registry of debian:13-slim cannot be reached, and debootstrap failed'; }
     fi
     c=$(b from scratch)
     b add -q "$c" "$base" / >/dev/null
