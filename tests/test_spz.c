@@ -431,8 +431,10 @@ static void test_other_axes_are_turned(void **state)
         for (size_t i = 0; i < g.n; i++) {
             double r[9], t[9], d[3], was[15], is[15];
             const float *a = &g.quat_wxyz[4 * i], *b = &back.quat_wxyz[4 * i];
-            camera_quat_to_rot((double[4]){a[0], a[1], a[2], a[3]}, r);
-            camera_quat_to_rot((double[4]){b[0], b[1], b[2], b[3]}, t);
+            camera_quat_to_rot((double[4]){(double)a[0], (double)a[1], (double)a[2], (double)a[3]},
+                               r);
+            camera_quat_to_rot((double[4]){(double)b[0], (double)b[1], (double)b[2], (double)b[3]},
+                               t);
             for (int c = 0; c < 9; c++)
                 assert_true(fabs(t[c] - s[c / 3] * s[c % 3] * r[c]) < 1e-5);
             for (int c = 0; c < 3; c++) {

@@ -18,6 +18,7 @@
 #include "scene/cells/footprint.h"
 #include "scene/cells/trim.h"
 #include "train/appearance_train.h"
+#include "train/begin.h"
 #include "train/config.h"
 #include "train/densify_plan.h"
 #include "train/gallery.h"
