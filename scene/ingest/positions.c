@@ -280,7 +280,7 @@ static enum err_code positions_comments(struct table *t, char *line, struct posi
 
 static enum err_code positions_csv(struct table *t, char *line, struct positions *p, struct err *e)
 {
-    struct positions_head h;
+    struct positions_head h = {0};
     bool more = true;
     enum err_code rc = positions_comments(t, line, p, e);
     if (!rc)
