@@ -86,7 +86,7 @@ struct import_far {
     bool drop;
     double middle[3], limit_m, reach_m; /* in ENU */
     atomic_size_t n;
-    atomic_ullong farthest_m;
+    _Atomic double farthest_m; /* up to 6e38: more than an integer holds */
 };
 
 static double import_far_m(const struct import_far *f, const struct gauss *g, size_t i)
@@ -138,9 +138,8 @@ static enum err_code import_far_check(struct import_far *f, size_t first, struct
                            "--drop-outliers",
                            first + i, 1e-3 * m, f->limit_m / IMPORT_FAR_TIMES);
         if (far) {
-            unsigned long long most = atomic_load(&f->farthest_m);
-            while (m > (double)most &&
-                   !atomic_compare_exchange_weak(&f->farthest_m, &most, (unsigned long long)m))
+            double most = atomic_load(&f->farthest_m);
+            while (m > most && !atomic_compare_exchange_weak(&f->farthest_m, &most, m))
                 ;
             if (atomic_fetch_add(&f->n, 1) < IMPORT_NAMED)
                 log_info("import", "outlier row=%zu distance_m=%.0f", first + i, m);
@@ -158,8 +157,8 @@ static enum err_code import_far_check(struct import_far *f, size_t first, struct
 static void import_far_tell(const struct import_far *f)
 {
     if (f->n)
-        log_warn("import", "%zu Gaussians lie more than %.0f m from the middle, up to %.1f km: %s",
-                 (size_t)f->n, f->limit_m, 1e-3 * (double)f->farthest_m,
+        log_warn("import", "%zu Gaussians lie more than %.0f m from the middle, up to %.6g km: %s",
+                 (size_t)f->n, f->limit_m, 1e-3 * f->farthest_m,
                  f->drop ? "left out" : "--drop-outliers leaves them out");
 }
 

@@ -47,13 +47,18 @@ static enum err_code sog_file(const struct sog_reader *r, const char *name, size
     return rc ? rc : file_read(path, most, out, e);
 }
 
-/* The k-th file of a member of meta.json; at least `least` texels. */
+/* Texels of a texture for n values: it may be wider or higher than they need. */
+static size_t sog_most_px(size_t n)
+{
+    return 4 * n + SOG_EDGE_SPARE_PX;
+}
+
+/* The k-th file of a member of meta.json; `least` to `most_px` texels. */
 static enum err_code sog_load(struct sog_reader *r, const char *key, size_t k, size_t least,
-                              struct sog_texture *out, struct err *e)
+                              size_t most_px, struct sog_texture *out, struct err *e)
 {
     const json_t *files = json_object_get(json_object_get(r->meta, key), "files");
     const char *name = json_string_value(json_array_get(files, k));
-    const size_t most_px = 4 * least + SOG_EDGE_SPARE_PX;
     struct buf b = {0};
     if (!name)
         return err_set(e, ERR_FORMAT, "sog: %s has no file %zu", key, k);
@@ -72,20 +77,22 @@ static enum err_code sog_load(struct sog_reader *r, const char *key, size_t k, s
     return rc;
 }
 
+/* One number, as version 1 has it for harmonics, is the value of all. */
 static enum err_code sog_numbers(const struct sog_reader *r, const char *key, const char *member,
                                  size_t n, float *out, struct err *e)
 {
     const json_t *list = json_object_get(json_object_get(r->meta, key), member);
-    const size_t there = json_array_size(list);
+    const bool one = json_is_number(list);
+    const size_t there = one ? 1 : json_array_size(list);
     if (!there || there > n)
         return err_set(e, ERR_FORMAT, "sog: %s.%s: %zu numbers: 1 to %zu are expected", key, member,
                        there, n);
     for (size_t i = 0; i < n; i++) {
-        const json_t *v = json_array_get(list, i < there ? i : there - 1);
-        double x = json_number_value(v);
+        const json_t *v = one ? list : json_array_get(list, i < there ? i : there - 1);
+        const float x = (float)json_number_value(v);
         if (!json_is_number(v) || !isfinite(x))
             return err_set(e, ERR_FORMAT, "sog: %s.%s[%zu] is no number", key, member, i);
-        out[i] = (float)x;
+        out[i] = x;
     }
     return ERR_OK;
 }
@@ -117,9 +124,9 @@ static enum err_code sog_get_means(struct sog_reader *r, struct err *e)
     if (!rc)
         rc = sog_numbers(r, "means", "maxs", 3, hi, e);
     if (!rc)
-        rc = sog_load(r, "means", 0, r->n, &low, e);
+        rc = sog_load(r, "means", 0, r->n, sog_most_px(r->n), &low, e);
     if (!rc)
-        rc = sog_load(r, "means", 1, r->n, &high, e);
+        rc = sog_load(r, "means", 1, r->n, sog_most_px(r->n), &high, e);
     if (!rc)
         rc = gauss_alloc(r->g, r->n, r->sh_degree, 0, e);
     for (size_t i = 0; !rc && i < 3 * r->n; i++) {
@@ -136,7 +143,7 @@ static enum err_code sog_get_means(struct sog_reader *r, struct err *e)
 static enum err_code sog_get_quats(struct sog_reader *r, struct err *e)
 {
     struct sog_texture t = {0};
-    enum err_code rc = sog_load(r, "quats", 0, r->n, &t, e);
+    enum err_code rc = sog_load(r, "quats", 0, r->n, sog_most_px(r->n), &t, e);
     for (size_t i = 0; !rc && i < r->n; i++) {
         const uint8_t *texel = t.px + 4 * i;
         const int largest = texel[3] - SOG_QUAT_TAG;
@@ -163,7 +170,7 @@ static enum err_code sog_get_scales(struct sog_reader *r, struct err *e)
     float book[3 * CLUSTER_BOOK];
     enum err_code rc = sog_book_read(r, "scales", 3, book, e);
     if (!rc)
-        rc = sog_load(r, "scales", 0, r->n, &t, e);
+        rc = sog_load(r, "scales", 0, r->n, sog_most_px(r->n), &t, e);
     for (size_t i = 0; !rc && i < 3 * r->n; i++)
         r->g->scale_log[i] = book[i % 3 * CLUSTER_BOOK + t.px[4 * (i / 3) + i % 3]];
     mem_free(t.px);
@@ -177,7 +184,7 @@ static enum err_code sog_get_color(struct sog_reader *r, struct err *e)
     float book[SOG_CHANNELS * CLUSTER_BOOK];
     enum err_code rc = sog_book_read(r, "sh0", SOG_CHANNELS, book, e);
     if (!rc)
-        rc = sog_load(r, "sh0", 0, r->n, &t, e);
+        rc = sog_load(r, "sh0", 0, r->n, sog_most_px(r->n), &t, e);
     for (size_t i = 0; !rc && i < r->n; i++) {
         float a = (float)t.px[4 * i + 3];
         a = a < 0.25f ? 0.25f : a > 254.75f ? 254.75f : a; /* finite logits */
@@ -194,16 +201,17 @@ static enum err_code sog_get_harmonics(struct sog_reader *r, size_t n_palette, s
 {
     const size_t coefs = gauss_sh_count(r->g->sh_degree) - 1, k = 3 * (coefs + 1);
     const size_t rows = (n_palette + SOG_PALETTE_COLUMNS - 1) / SOG_PALETTE_COLUMNS;
+    const size_t texels = rows * SOG_PALETTE_COLUMNS * coefs;
     struct sog_texture palette = {0}, label = {0};
     float book[CLUSTER_BOOK];
     enum err_code rc = sog_book_read(r, "shN", 1, book, e);
     if (!rc)
-        rc = sog_load(r, "shN", 0, rows * SOG_PALETTE_COLUMNS * coefs, &palette, e);
+        rc = sog_load(r, "shN", 0, texels, sog_most_px(texels), &palette, e);
     if (!rc && palette.width_px != SOG_PALETTE_COLUMNS * coefs)
         rc = err_set(e, ERR_FORMAT, "sog: shN: the palette is %u px wide, not %zu",
                      palette.width_px, SOG_PALETTE_COLUMNS * coefs);
     if (!rc)
-        rc = sog_load(r, "shN", 1, r->n, &label, e);
+        rc = sog_load(r, "shN", 1, r->n, sog_most_px(r->n), &label, e);
     for (size_t i = 0; !rc && i < r->n; i++) {
         const size_t row = label.px[4 * i] | (size_t)label.px[4 * i + 1] << 8;
         if (row >= n_palette) {
@@ -234,7 +242,7 @@ static enum err_code sog_head_1(struct sog_reader *r, const json_t *sh, json_int
     const size_t coefs = (size_t)(each == 9 || each == 24 || each == 45 ? each / 3 : each);
     enum err_code rc =
         coefs == 3 || coefs == 8 || coefs == 15
-            ? sog_load(r, "shN", 0, SOG_PALETTE_COLUMNS * coefs, &t, e)
+            ? sog_load(r, "shN", 0, SOG_PALETTE_COLUMNS * coefs, SOG_PALETTE_MOST * coefs, &t, e)
             : err_set(e, ERR_FORMAT, "sog: shN: %lld values of a Gaussian", (long long)each);
     *bands = coefs == 3 ? 1 : coefs == 8 ? 2 : 3;
     *palette = rc ? 0 : (json_int_t)t.height_px * SOG_PALETTE_COLUMNS;

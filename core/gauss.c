@@ -350,6 +350,19 @@ static bool gauss_row_good(const struct gauss *g, size_t i)
            q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] > 0.0f;
 }
 
+SIMD_WIDE static bool gauss_scales_fit(const float *scale_log, size_t n)
+{
+    float most = -INFINITY;
+    for (size_t i = 0; i < n; i++)
+        most = scale_log[i] > most ? scale_log[i] : most;
+    return most <= GAUSS_SCALE_LOG_MOST;
+}
+
+static bool gauss_row_fits(const struct gauss *g, size_t i)
+{
+    return gauss_row_good(g, i) && gauss_scales_fit(&g->scale_log[3 * i], 3);
+}
+
 size_t gauss_count_bad(const struct gauss *g, size_t *first_bad)
 {
     size_t bad = 0;
@@ -361,17 +374,28 @@ size_t gauss_count_bad(const struct gauss *g, size_t *first_bad)
     return bad;
 }
 
+size_t gauss_count_unusable(const struct gauss *g, size_t *first)
+{
+    size_t bad = 0;
+    if (gauss_scales_fit(g->scale_log, 3 * g->n) && gauss_all_good(g))
+        return 0;
+    for (size_t i = 0; i < g->n; i++)
+        if (!gauss_row_fits(g, i) && bad++ == 0 && first)
+            *first = i;
+    return bad;
+}
+
 enum err_code gauss_keep_good(struct gauss *g, const char *format, struct err *e)
 {
     size_t first = 0, n = 0;
-    const size_t bad = gauss_count_bad(g, &first);
+    const size_t bad = gauss_count_unusable(g, &first);
     if (!bad)
         return ERR_OK;
     if (bad == g->n)
         return err_set(e, ERR_DATA, "%s: none of %zu rows is finite and has a rotation", format,
                        g->n);
     for (size_t i = 0; i < g->n; i++)
-        if (gauss_row_good(g, i)) {
+        if (gauss_row_fits(g, i)) {
             if (n < i)
                 gauss_copy_row(g, n, g, i);
             n++;

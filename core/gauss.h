@@ -84,7 +84,10 @@ void gauss_bounds(const struct gauss *g, double k_sigma, double min_enu_m[3], do
 /* Counts the rows with a value that is not finite or with a zero quaternion. first_bad may be NULL.
  */
 size_t gauss_count_bad(const struct gauss *g, size_t *first_bad);
-/* Leaves these rows out, and says so in the name of a file format. ERR_DATA: none is left. */
+#define GAUSS_SCALE_LOG_MOST 88.0f /* exp of it is a finite float */
+/* Counts these rows, and those with a log scale above GAUSS_SCALE_LOG_MOST. first may be NULL. */
+size_t gauss_count_unusable(const struct gauss *g, size_t *first);
+/* Leaves all of them out, and says so in the name of a file format. ERR_DATA: none is left. */
 enum err_code gauss_keep_good(struct gauss *g, const char *format, struct err *e) ERR_USE;
 
 #endif

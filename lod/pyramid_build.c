@@ -56,13 +56,13 @@ static size_t pyramid_n_parts(const struct pyramid_level *l)
 static enum err_code pyramid_code_rows(const struct pyramid *p, const struct gauss *g,
                                        struct sort_item *items, size_t *n, struct err *e)
 {
-    bool all_good = gauss_count_bad(g, NULL) == 0;
+    bool all_good = gauss_count_unusable(g, NULL) == 0;
     *n = 0;
     for (size_t i = 0; i < g->n; i++) {
         struct gauss one = pyramid_view(g, i, 1);
         struct key k;
         double enu[3];
-        if (!all_good && gauss_count_bad(&one, NULL))
+        if (!all_good && gauss_count_unusable(&one, NULL))
             continue;
         for (size_t a = 0; a < 3; a++)
             enu[a] = (double)g->mean_m[3 * i + a] + g->origin_enu_m[a];

@@ -204,7 +204,7 @@ static enum err_code update_sort_rows(struct update *u, uint8_t level, const str
                                       struct sort_item *items, size_t *n, struct err *e)
 {
     enum err_code rc = ERR_OK;
-    bool all_good = gauss_count_bad(g, NULL) == 0;
+    bool all_good = gauss_count_unusable(g, NULL) == 0;
     uint8_t z = update_zoom(u, level);
     *n = 0;
     for (size_t i = 0; !rc && i < g->n; i++) {
@@ -212,7 +212,7 @@ static enum err_code update_sort_rows(struct update *u, uint8_t level, const str
         struct key k;
         double at[3];
         update_place(g, i, at);
-        if (!all_good && (one = pyramid_view(g, i, 1), gauss_count_bad(&one, NULL)))
+        if (!all_good && (one = pyramid_view(g, i, 1), gauss_count_unusable(&one, NULL)))
             continue;
         if (!update_owned(u, at))
             continue;

@@ -120,6 +120,30 @@ refuse "no tile store" 66 "nothing.tiles" "" "$bin" serve "$work/nothing.tiles" 
 printf 'ply\nformat binary_little_endian 1.0\nelement vertex 4294967295\nproperty float x\nend_header\n' >"$work/huge.ply"
 refuse "a .ply that lies about its size" 1 "huge.ply" "$work/huge.tiles" \
     "$bin" import "$work/huge.ply" --origin 8,50,100 -o "$work/huge.tiles" -q
+
+# Rows that no float or no tile can hold are left out, and what is said of them is true.
+{
+    printf 'ply\nformat ascii 1.0\nelement vertex 202\n'
+    for k in x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3; do
+        echo "property float $k"
+    done
+    echo end_header
+    awk 'BEGIN {
+        for (i = 0; i < 200; i++) print i % 10, int(i / 10), i % 3, "0 0 0 2 -2 -2 -2 1 0 0 0"
+        print "5 5 1 0 0 0 2 -2 800 -2 1 0 0 0"
+        print "3e38 5 1 0 0 0 2 -2 -2 -2 1 0 0 0"
+    }'
+} >"$work/absurd.ply"
+refuse "a mean beyond all tiles" 1 "row 200 lies 3[0-9]{35} km from the middle.*--drop-outliers" "$work/absurd.tiles" \
+    "$bin" import "$work/absurd.ply" --origin 8,50,100 -o "$work/absurd.tiles"
+if "$bin" import "$work/absurd.ply" --origin 8,50,100 -o "$work/absurd.tiles" --drop-outliers >"$work/log" 2>&1 &&
+    grep -q '1 of 202 rows are left out' "$work/log" && grep -q 'up to 3e+35 km: left out' "$work/log"; then
+    passed=$((passed + 1))
+else
+    failed=$((failed + 1))
+    echo "FAIL absurd rows: they are to be left out"
+    sed 's/^/  | /' "$work/log"
+fi
 refuse "an origin that is no place" 2 "origin" "$work/huge.tiles" \
     "$bin" import "$work/huge.ply" --origin 8,95,100 -o "$work/huge.tiles" -q
 

@@ -383,6 +383,12 @@ static void gauss_survives_growth_and_a_moved_origin(void **state)
     memset(&h.quat_wxyz[4 * 9], 0, 4 * sizeof(float));
     assert_int_equal(gauss_count_bad(&h, &first), 2);
     assert_int_equal(first, 7);
+    h.scale_log[3 * 4 + 2] = GAUSS_SCALE_LOG_MOST;
+    h.scale_log[3 * 5 + 1] = nextafterf(GAUSS_SCALE_LOG_MOST, INFINITY);
+    assert_true(isfinite(expf(GAUSS_SCALE_LOG_MOST)));
+    assert_int_equal(gauss_count_bad(&h, NULL), 2);
+    assert_int_equal(gauss_count_unusable(&h, &first), 3);
+    assert_int_equal(first, 5);
     gauss_free(&g);
     gauss_free(&h);
     gauss_free(&h);

@@ -298,7 +298,7 @@ static void test_addresses(void **state)
  * the tile that the one worker makes, and one more, twice. */
 enum { ABUSERS = 24, VICTIM = ABUSERS, TILES = 12, STARTED = 4 };
 enum { HEAD_SLOW_MS = 500 }; /* client_watch.c: a request that is not complete then gives way */
-struct ipv6_groups {
+struct load {
     atomic_bool stop;
     atomic_int served, refused; /* abusers' answers */
     double end_s;               /* nobody goes on after this */
@@ -334,7 +334,7 @@ static int ask_as(const char *target, const char *client)
 
 static enum err_code crowd_run(void *user, size_t i, struct err *e)
 {
-    struct ipv6_groups *c = user;
+    struct load *c = user;
     char target[160];
     (void)e;
     if (i != VICTIM) {
@@ -376,7 +376,7 @@ static void test_a_share_of_tiles(void **state)
     t.cfg.trusted_proxy = "127.0.0.1";
     start();
     t.paths[0] = t.path;
-    struct ipv6_groups c = {.end_s = clock_s() + 3 * PATIENCE_S};
+    struct load c = {.end_s = clock_s() + 3 * PATIENCE_S};
     kit_ok(pool_for(ABUSERS + 1, ABUSERS + 1, crowd_run, &c, &e), e);
     int theirs = (int)(c.made_after - c.made_before) - c.victim_ok;
     print_message("victim: %d tiles in %.2f s, the others %d, and %d refused\n", c.victim_ok,

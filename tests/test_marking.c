@@ -157,6 +157,10 @@ static void systems_are_known_by_their_text(void **state)
          true, 32632, 0},
         {"PROJCS[\"home-made\",GEOGCS[\"WGS 84\",AUTHORITY[\"EPSG\",\"4326\"]]]", true, 0, 0},
         {"PROJCS[\"a\",AUTHORITY[\"ESRI\",\"102100\"]]", true, 0, 0},
+        {"PROJCS[\"a\",AUTHORITY[\"EPSG\",\"99999999999\"]]", true, 0, 0}, /* over 32 bits */
+        {"PROJCS[\"a\",AUTHORITY[\"EPSG\",\"4294992128\"]]", true, 0, 0},  /* 2^32 + 24832 */
+        {"PROJCS[\"a\",AUTHORITY[\"EPSG\",\"-25832\"]]", true, 0, 0},
+        {"PROJCS[\"a\",AUTHORITY[\"EPSG\"],UNIT[\"m\",1]]", true, 0, 0},
         {"LOCAL_CS[\"Local Coordinates (m)\"]", true, 0, 0},
         {"PROJCS[", true, 0, 0},
         {"PROJCS", false, 0, 0},

@@ -452,6 +452,12 @@ static void test_bad_rows_are_named(void **state)
     assert_true(back.n == 8 && back.n_left_out == 1);
     assert_memory_equal(back.mean_m, g.mean_m, 3 * 8 * sizeof *g.mean_m);
     gauss_free(&back);
+    const float huge = 89; /* a log scale: no float holds its exp */
+    memcpy(b.data + b.size - 68, &g.mean_m[3 * 8], 4);
+    memcpy(b.data + b.size - 68 + 40, &huge, 4);
+    kit_ok(ply_decode(b.data, b.size, NULL, &back, NULL, &e), e);
+    assert_true(back.n == 8 && back.n_left_out == 1);
+    gauss_free(&back);
     for (size_t i = 0; i < 9; i++) /* no rotation in any row */
         memset(b.data + b.size - 68 * (i + 1) + 52, 0, 16);
     kit_fails(ply_decode(b.data, b.size, NULL, &back, NULL, &e), ERR_DATA, e, "none of 9 rows");

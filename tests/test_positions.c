@@ -287,24 +287,49 @@ static void tables_of_other_programs_are_read(void **state)
     static const struct {
         const char *text;
         int epsg;
-    } systems[] = {{"EPSG:32632", 32632},
-                   {"epsg 32632", 32632},
-                   {"EPSG::25832", 25832},
-                   {"urn:ogc:def:crs:EPSG::25832", 25832},
-                   {"WGS84 UTM 32N", 32632},
-                   {"wgs 84 / utm zone 23s", 32723},
-                   {"ETRS89 / UTM zone 33N", 25833},
-                   {"NAD83 / UTM zone 10N", 26910},
-                   {"+proj=utm +zone=32 +ellps=WGS84 +datum=WGS84 +units=m +no_defs", 32632},
-                   {"+proj=utm +zone=23 +south +datum=WGS84 +units=m +no_defs", 32723},
-                   {"+proj=utm +zone=32 +ellps=GRS80 +units=m", 25832},
-                   {"+proj=longlat +datum=WGS84 +no_defs +type=crs", 4326},
-                   {"WGS84", 4326},
-                   {"+proj=utm +zone=32 +ellps=bessel", 0},
-                   {"+proj=utm +zone=32 +datum=WGS84 +units=us-ft", 0},
-                   {"ED50 / UTM zone 32N", 0},
-                   {"WGS84 UTM 61N", 0},
-                   {"x y z", 0}};
+    } systems[] = {
+        {"EPSG:32632", 32632},
+        {"epsg 32632", 32632},
+        {"EPSG::25832", 25832},
+        {"urn:ogc:def:crs:EPSG::25832", 25832},
+        {"WGS84 UTM 32N", 32632},
+        {"wgs 84 / utm zone 23s", 32723},
+        {"ETRS89 / UTM zone 33N", 25833},
+        {"NAD83 / UTM zone 10N", 26910},
+        {"+proj=utm +zone=32 +ellps=WGS84 +datum=WGS84 +units=m +no_defs", 32632},
+        {"+proj=utm +zone=23 +south +datum=WGS84 +units=m +no_defs", 32723},
+        {"+proj=utm +zone=32 +ellps=GRS80 +units=m", 25832},
+        {"+proj=longlat +datum=WGS84 +no_defs +type=crs", 4326},
+        {"WGS84", 4326},
+        {"+proj=utm +zone=32 +ellps=bessel", 0},
+        {"+proj=utm +zone=32 +datum=WGS84 +units=us-ft", 0},
+        {"ED50 / UTM zone 32N", 0},
+        {"WGS84 UTM 61N", 0},
+        {"WGS 1984 UTM Zone 32N", 32632},
+        {"WGS 72 / UTM zone 32N", 0},
+        {"WGS84 UTM 99999999999N", 0},
+        {"+proj=utm +zone=32 +datum=WGS84 +towgs84=0,0,0,0,0,0,0", 32632},
+        {"+proj=utm +zone=32 +ellps=WGS84 +towgs84=0.0,0,0 +no_defs", 32632},
+        {"+proj=utm +zone=33 +datum=ETRS89", 25833},
+        {"+proj=utm +zone=10 +ellps=GRS80 +datum=NAD83", 26910},
+        {"+proj=utm +zone=32 +ellps=intl +towgs84=-87,-98,-121,0,0,0,0", 0},
+        {"+proj=utm +zone=32 +ellps=intl +towgs84=0,0,0", 0},
+        {"+proj=utm +zone=32 +ellps=GRS80 +towgs84=0,0,1", 0},
+        {"+proj=utm +zone=32 +towgs84=0,0,0", 0},
+        {"+proj=utm +zone=32 +datum=WGS84 +ellps=bessel", 0},
+        {"+proj=utm +zone=32 +datum=WGS72", 0},
+        {"+proj=utm +zone=32 +datum=WGS84 +units=km", 0},
+        {"+proj=pipeline +step +proj=utm +zone=32 +ellps=WGS84", 0},
+        {"+proj=longlat +ellps=GRS80 +no_defs", 4326},
+        {"+proj=longlat +ellps=WGS84 +towgs84=0,0,0", 4326},
+        {"+proj=longlat +ellps=bessel +towgs84=598.1,73.7,418.2,0.202,0.045,-2.455,6.7", 0},
+        {"+proj=longlat +datum=WGS84 +pm=paris", 0},
+        {"urn:ogc:def:crs:EPSG:9.8.1:25832", 25832},
+        {"urn:ogc:def:crs,crs:EPSG::25832,crs:EPSG::7837", 25832},
+        {"EPSG:99999999999", 0},
+        {"EPSG:25832+99999999999", 0},
+        {"EPSG:-32632", 0},
+        {"x y z", 0}};
     static const char feet[] = "image,lon,lat,altitude [ft]\nA.jpg,7.5,47.5,984\n";
     struct positions p;
     struct err e = {0};
@@ -331,6 +356,13 @@ static void tables_of_other_programs_are_read(void **state)
             epsg != systems[i].epsg)
             fail_msg("'%s' is %d, not %d", systems[i].text, epsg, systems[i].epsg);
     }
+    for (int pad = 0; pad < 4000; pad += 40) { /* a text that is too long never loses its end */
+        char text[4096];
+        int epsg, heights;
+        snprintf(text, sizeof text, "+proj=utm +zone=23 +datum=WGS84 %*s +south", pad, "");
+        assert_true(wkt_system(text, &epsg, &heights) == (epsg == 32723));
+        assert_true(epsg == 32723 || (pad > 160 && epsg == 0));
+    }
 }
 
 static void nonsense_is_refused(void **state)
@@ -346,6 +378,7 @@ static void nonsense_is_refused(void **state)
         {"f.pos", "% x-ecef(m)\n2024/06/01 10:00:00 1 2 3 1 1 1 1 1\n", "out-solformat llh"},
         {"g.pos", "2024/06/01 10:00:00 47.5\n", "expected is time"},
         {"h.MRK", "1 2 [3] 1,N 1,E 1,V 95.0,Lat 7.0,Lon 300,Ellh 1,1,1 50,Q\n", "(DJI)"},
+        {"j.MRK", "1 inf [3] 1,N 1,E 1,V 47.0,Lat 7.0,Lon 300,Ellh 1,1,1 50,Q\n", "(DJI)"},
         {"i.csv", "", "no positions"},
     };
     struct positions p;

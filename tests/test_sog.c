@@ -7,6 +7,8 @@
 #include "codec/cluster.h"
 #include "codec/limits.h"
 #include "codec/sog.h"
+#include "codec/sog_layout.h"
+#include "codec/webp.h"
 #include "tests/kit.h"
 #include "tests/torture.h"
 
@@ -16,6 +18,7 @@
 
 #define QUAT_STEP (0.5 / 255 * 1.4142136) /* half a step of a component that is kept */
 #define OPACITY_STEP (0.5 / 255 + 1e-6)
+#define FIRST_TOL 1e-5 /* floats below 10 */
 
 static double sigmoid(double x)
 {
@@ -286,6 +289,104 @@ static void test_lies_in_meta(void **state)
     }
 }
 
+/* ---- version 1 ---- */
+
+enum { FIRST_N = 64, FIRST_EDGE = 8, FIRST_COEFS = 15, FIRST_PALETTE = 5000 };
+
+static size_t first_row(size_t i)
+{
+    return FIRST_PALETTE - 1 - 70 * i;
+}
+
+static uint8_t first_byte(size_t row, size_t c)
+{
+    return (uint8_t)(row * 7 + c);
+}
+
+static void first_texture(const char *name, const uint8_t *px, uint32_t w, uint32_t h,
+                          struct archive_part *out)
+{
+    struct err e = {0};
+    out->name = name;
+    kit_ok(webp_encode_exact(px, w, h, &out->bytes, &e), e);
+}
+
+/* Harmonics of `values` numbers, whose least is the text `mins`. All other texels are alike. */
+static enum err_code first_decode(const char *values, const char *mins, struct gauss *out,
+                                  struct err *e)
+{
+    enum { W = SOG_PALETTE_COLUMNS * FIRST_COEFS, H = FIRST_PALETTE / SOG_PALETTE_COLUMNS + 1 };
+    static uint8_t palette[4 * W * H];
+    uint8_t same[4 * FIRST_N], label[4 * FIRST_N];
+    struct archive_part part[4] = {{.name = "meta.json"}};
+    struct buf file = {0};
+    for (size_t t = 0; t < (size_t)W * H; t++) {
+        for (size_t c = 0; c < 3; c++)
+            palette[4 * t + c] = first_byte(t / FIRST_COEFS, t % FIRST_COEFS * 3 + c);
+        palette[4 * t + 3] = 255;
+    }
+    for (size_t i = 0; i < FIRST_N; i++) {
+        memcpy(&same[4 * i], (uint8_t[]){51, 102, 204, SOG_QUAT_TAG}, 4);
+        label[4 * i] = (uint8_t)first_row(i);
+        label[4 * i + 1] = (uint8_t)(first_row(i) >> 8);
+        label[4 * i + 2] = 0;
+        label[4 * i + 3] = 255;
+    }
+    buf_printf(&part[0].bytes,
+               "{\"means\":{\"shape\":[%d,3],\"mins\":[-1,-2,-3],\"maxs\":[1,2,3],\"files\":["
+               "\"s\",\"s\"]},\"scales\":{\"mins\":[-9,-8,-7],\"maxs\":[1,2,3],\"files\":[\"s\"]},"
+               "\"quats\":{\"files\":[\"s\"]},\"sh0\":{\"mins\":[0,-1,-2,-5],\"maxs\":[1,2,3,5],"
+               "\"files\":[\"s\"]},\"shN\":{\"shape\":[%d,%s],\"mins\":%s,\"maxs\":2,"
+               "\"files\":[\"c\",\"l\"]}}",
+               FIRST_N, FIRST_N, values, mins);
+    first_texture("s", same, FIRST_EDGE, FIRST_EDGE, &part[1]);
+    first_texture("c", palette, W, H, &part[2]);
+    first_texture("l", label, FIRST_EDGE, FIRST_EDGE, &part[3]);
+    kit_ok(archive_write(part, 4, &file, e), *e);
+    enum err_code rc = sog_decode(file.data, file.size, NULL, out, e);
+    for (size_t i = 0; i < 4; i++)
+        buf_free(&part[i].bytes);
+    buf_free(&file);
+    return rc;
+}
+
+/* A palette as large as encoders make it, and one least and one largest number for harmonics. */
+static void test_version_1(void **state)
+{
+    static const char *const values[] = {"45", "15"}, *const mins[] = {"-1.5", "[-1.5]"};
+    static const char *const bad[] = {"\"-1.5\"", "null", "[]", "1e39", "[-1.5,0]"};
+    (void)state;
+    for (size_t k = 0; k < 2; k++) {
+        struct gauss g;
+        struct err e = {0};
+        kit_ok(first_decode(values[k], mins[k], &g, &e), e);
+        assert_true(g.n == FIRST_N && g.sh_degree == 3);
+        for (size_t i = 0; i < FIRST_N; i++) {
+            const float *sh = &g.sh[48 * i];
+            for (size_t c = 0; c < 3; c++) {
+                const double t = (double)(51 << c) / 255;
+                assert_true(fabs((double)g.scale_log[3 * i + c] - (-9 + (double)c + 10 * t)) <
+                            FIRST_TOL);
+                assert_true(fabs((double)sh[c] - (-(double)c + (1 + 2 * (double)c) * t)) <
+                            FIRST_TOL);
+            }
+            for (size_t c = 0; c < 3 * FIRST_COEFS; c++) {
+                const double t = first_byte(first_row(i), c) / 255.0;
+                assert_true(fabs((double)sh[3 + c] -
+                                 (double)sog_flip_sh[c / 3] * (-1.5 + 3.5 * t)) < FIRST_TOL);
+            }
+            assert_true(fabs((double)g.opacity_logit[i] - (-5 + 10 * 252 / 255.0)) < FIRST_TOL);
+        }
+        gauss_free(&g);
+    }
+    for (size_t k = 0; k < sizeof bad / sizeof *bad; k++) {
+        struct gauss g;
+        struct err e = {0};
+        kit_fails(first_decode("45", bad[k], &g, &e), ERR_FORMAT, e, "shN.mins");
+        gauss_free(&g);
+    }
+}
+
 static void test_memory(void **state)
 {
     (void)state;
@@ -320,6 +421,7 @@ int main(void)
         cmocka_unit_test(test_codebook),
         cmocka_unit_test(test_torture),
         cmocka_unit_test(test_lies_in_meta),
+        cmocka_unit_test(test_version_1),
         cmocka_unit_test(test_memory),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

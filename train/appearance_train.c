@@ -34,7 +34,7 @@
 enum {
     APPEARANCE_TRAIN_NEAREST = 3,
     APPEARANCE_TRAIN_STATE_VERSION = 1,
-    /* length of a photograph's embedding, and width of the hidden layer; docs/studies/network.md */
+    /* length of a photograph's embedding, and width of the hidden layer; lab/studies/network.md */
     APPEARANCE_TRAIN_IMAGE_LEN = 32,
     APPEARANCE_TRAIN_HIDDEN = 32
 };

@@ -15,7 +15,7 @@
 #include "train/stage.h"
 
 #define GALLERY_SPACING_PX 2.0
-#define GALLERY_SIZE_LIMIT 5.0     /* docs/studies/side.md */
+#define GALLERY_SIZE_LIMIT 5.0     /* lab/studies/side.md */
 #define GALLERY_SPLIT_PX 1.0       /* docs/decisions/011-density-control.md */
 #define GALLERY_PERCENT_DENSE 0.01 /* 3DGS */
 

@@ -16,7 +16,7 @@ struct stage;
 
 struct importance;
 void importance_free(struct importance **s);
-/* docs/studies/importance.md */
+/* lab/studies/importance.md */
 enum { IMPORTANCE_VIEWS = 10 };
 /* Computes the importance of every Gaussian over so many random training photographs:
  * score [n], finite and >= 0. params: host view of the model's parameters; mean_grad [n]. *own

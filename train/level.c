@@ -48,7 +48,7 @@
 #define LEVEL_LR_SH_REST 1.25e-4
 #define LEVEL_RESET_OPACITY 0.01 /* 3DGS */
 #define LEVEL_MEAN_KEEP 0.95     /* of the running means shown to people */
-/* Weight of the size of harmonics at the end of a level. Measured: docs/studies/side.md. */
+/* Weight of the size of harmonics at the end of a level. Measured: lab/studies/side.md. */
 #define LEVEL_SH_RIDGE 0.03
 #define LEVEL_NEAR_SHARE 1000.0 /* near planes in a cell's edge */
 

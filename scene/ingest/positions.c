@@ -372,15 +372,16 @@ static enum err_code positions_mrk_row(const struct table *t, const char *line, 
     one.at[0] = positions_mrk_value(line, ",Lon");
     one.at[2] = positions_mrk_value(line, ",Ellh");
     bool known = sscanf(line, "%lf %lf [%lf]", &number, &seconds, &week) == 3 && number >= 0 &&
-                 number < 1e9 && fabs(one.at[0]) <= 180 && fabs(one.at[1]) <= 90 &&
-                 isfinite(one.at[2]);
+                 number < 1e9 && isfinite(seconds) && isfinite(week) && fabs(one.at[0]) <= 180 &&
+                 fabs(one.at[1]) <= 90 && isfinite(one.at[2]);
     if (!known)
         return err_set(
             e, ERR_FORMAT,
             "%s: line %zu: expected is number, seconds, [week], offsets, Lat, Lon, Ellh, "
             "three accuracies, Q (DJI)",
             t->path, t->line);
-    if (sscanf(sigma + 5, " %lf , %lf , %lf", &north, &east, &up) == 3) {
+    if (sscanf(sigma + 5, " %lf , %lf , %lf", &north, &east, &up) == 3 &&
+        isfinite(north + east + up)) {
         one.sigma_m[0] = sqrt(0.5 * (north * north + east * east));
         one.sigma_m[1] = fabs(up);
     }

@@ -12,8 +12,8 @@
 bool wkt_epsg(const char *wkt, int *epsg, int *heights);
 /* As wkt_epsg, from any text that names a system: well-known text, "EPSG:25832+7837", "EPSG 32632",
  * "WGS84 UTM 32N", "WGS 84 / UTM zone 32N", "+proj=utm +zone=32 +datum=WGS84", "+proj=longlat ...",
- * and Metashape's "# CoordinateSystem: ...", in any case. Returns false if the code is not known.
- */
+ * and Metashape's "# CoordinateSystem: ...", in any case. Returns false if the code is not known:
+ * a shift, another ellipsoid, meridian or unit makes another system, whatever its datum's name. */
 bool wkt_system(const char *text, int *epsg, int *heights);
 
 #endif
