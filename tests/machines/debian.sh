@@ -65,7 +65,7 @@ echo "$asked addresses answered 200"
 # ---- tests
 
 [ "${DEBIAN_TESTS:-}" = none ] || inside "./bootstrap test ${DEBIAN_TESTS:--LE 'long|texts'}" >"$work/test.log" 2>&1 ||
-    { sed -n '/tests passed, /,$p' "$work/test.log"; fail 'tests: the log ends with'; }
+    { tail -40 "$work/test.log"; fail 'tests'; }
 sed -n '/tests passed, /,$p' "$work/test.log" 2>/dev/null || true
 grep -h 'seconds:' "$work/demo.log"
 mkdir -p build/ci
