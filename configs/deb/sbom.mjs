@@ -113,7 +113,8 @@ function debianNames(name) {
 }
 
 function linkedOf(name) {
-  const known = LINKED[name] ?? LINKED[name.replace(/-?[0-9][0-9.]*g?(t64)?$/, "")]; // libsqlite3-0, zlib1g
+  const plain = name.replace("t64", ""); // libcurl3t64-gnutls of Debian 13
+  const known = LINKED[plain] ?? LINKED[plain.replace(/-?[0-9][0-9.]*g?$/, "")]; // libsqlite3-0, zlib1g
   if (!known) throw new Error(`${name} is linked, and configs/deb/sbom.mjs does not know its licence: read /usr/share/doc/${name}/copyright`);
   return { licence: known[0], what: known[1] };
 }
