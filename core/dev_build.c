@@ -173,40 +173,46 @@ static void dev_on_death(int sig)
     (void)raise(sig); /* as it would have ended: the handler is gone (SA_RESETHAND) */
 }
 
-/* Compiles in this process. It is the only way for drivers that keep no binaries for us. `what` is
- * for the last words; NULL: another process tells them. */
-static cl_program dev_compile_here(struct dev *d, const struct compiler_job *job, const char *what,
+static const int dev_deaths[] = {SIGABRT, SIGSEGV, SIGBUS, SIGILL, SIGFPE};
+enum { DEV_DEATHS = sizeof dev_deaths / sizeof *dev_deaths };
+
+/* From here to dev_mourn_end the last words are about this program. */
+static void dev_mourn_begin(const struct dev *d, const char *what, struct sigaction *was)
+{
+    struct sigaction act = {.sa_handler = dev_on_death, .sa_flags = (int)SA_RESETHAND};
+    snprintf(dev_last_words, sizeof dev_last_words,
+             "citysplat: the compiler of the OpenCL driver of %s, version %s, ends the program "
+             "while it compiles %s: update the driver, or take another device: --device cpu needs "
+             "the package pocl-opencl-icd\n",
+             d->name, d->driver, what);
+    for (int i = 0; i < DEV_DEATHS; i++)
+        (void)sigaction(dev_deaths[i], &act, &was[i]);
+}
+
+static void dev_mourn_end(const struct sigaction *was)
+{
+    for (int i = 0; i < DEV_DEATHS; i++)
+        (void)sigaction(dev_deaths[i], &was[i], NULL);
+}
+
+/* Compiles in this process, and adds the binary to `out` (NULL: it is not wanted). */
+static cl_program dev_compile_here(struct dev *d, const struct compiler_job *job, struct buf *out,
                                    cl_int *code)
 {
-    static const int deaths[] = {SIGABRT, SIGSEGV, SIGBUS, SIGILL, SIGFPE};
-    enum { N = sizeof deaths / sizeof *deaths };
-    struct sigaction act = {.sa_handler = dev_on_death, .sa_flags = (int)SA_RESETHAND}, was[N];
-    if (what)
-        snprintf(
-            dev_last_words, sizeof dev_last_words,
-            "citysplat: the compiler of the OpenCL driver of %s, version %s, ends the program "
-            "while "
-            "it compiles %s: update the driver, or take another device: --device cpu needs the "
-            "package pocl-opencl-icd\n",
-            d->name, d->driver, what);
-    for (int i = 0; what && i < N; i++)
-        (void)sigaction(deaths[i], &act, &was[i]);
     cl_program program = clCreateProgramWithSource(d->context, (cl_uint)job->n_text,
                                                    (const char **)(uintptr_t)job->text, NULL, code);
     if (*code == CL_SUCCESS)
         *code = clBuildProgram(program, 1, &d->device, job->flags, NULL, NULL);
-    for (int i = 0; what && i < N; i++)
-        (void)sigaction(deaths[i], &was[i], NULL);
+    if (*code == CL_SUCCESS && out)
+        dev_program_bytes(program, out);
     return program;
 }
 
 bool dev_compile(struct dev *d, const struct compiler_job *job, struct buf *out)
 {
-    cl_int code = CL_SUCCESS;
-    cl_program program = dev_compile_here(d, job, NULL, &code);
     const size_t before = out->size;
-    if (code == CL_SUCCESS)
-        dev_program_bytes(program, out);
+    cl_int code = CL_SUCCESS;
+    cl_program program = dev_compile_here(d, job, out, &code);
     if (program)
         clReleaseProgram(program);
     return out->size > before;
@@ -281,10 +287,11 @@ static enum err_code dev_program_make(struct dev *d, const struct compiler_job *
     if (!rc && binary.size)
         *out = dev_program_of(d, &binary, job->flags);
     if (!rc && !*out) {
+        struct sigaction was[DEV_DEATHS];
         buf_free(&binary);
-        *out = dev_compile_here(d, job, what, code);
-        if (*code == CL_SUCCESS && d->is_pocl)
-            dev_program_bytes(*out, &binary);
+        dev_mourn_begin(d, what, was);
+        *out = dev_compile_here(d, job, d->is_pocl ? &binary : NULL, code);
+        dev_mourn_end(was);
     }
     if (!rc && *code == CL_SUCCESS && binary.size)
         dev_program_keep(d, key, &binary);

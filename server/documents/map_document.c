@@ -120,7 +120,8 @@ static double map_document_zoom(const struct area *a)
 static json_t *map_document_sources(const struct dataset *d, const char *edition,
                                     const char *appearance, const char *base)
 {
-    const struct map_document_ask colours = {.appearance = appearance}, terrain = {.appearance = NULL};
+    const struct map_document_ask colours = {.appearance = appearance},
+                                  terrain = {.appearance = NULL};
     json_t *city = map_document_join(
         json_pack("{s:s,s:s}", "type", "raster", "attribution", d->meta.attribution),
         map_document_tiles(d, edition, &colours, base));
