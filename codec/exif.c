@@ -5,6 +5,7 @@
  * is a metre at the equator for cameras that write decimal degrees, and its writer stores no GPS in
  * PNG, WebP and TIFF (and 0.5" as infinity in JPEG). So the dozen fields that georeferencing needs
  * are handled here: all arithmetic in double, every offset checked against the bytes at hand.
+ * Reading and writing stay in one file, because both walk the same containers.
  *
  * Sources: EXIF 2.32 (CIPA DC-008), TIFF 6.0, PNG 1.5 extensions (eXIf), RIFF container of WebP.
  *
