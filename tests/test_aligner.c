@@ -111,7 +111,7 @@ static void robust_options(double error_m, char out[96])
     struct buf said = {0};
     const char *old = "--robust_alignment ";
     kit_run(&said, "QT_QPA_PLATFORM=offscreen colmap model_aligner --help");
-    if (memmem(said.data, said.size, old, strlen(old)))
+    if (strstr((const char *)said.data, old)) /* kit_run ends it with NUL */
         snprintf(out, 96, "%s%d --robust_alignment_max_error %g", old, error_m > 0,
                  error_m > 0 ? error_m : 1);
     else
