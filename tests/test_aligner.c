@@ -104,7 +104,7 @@ static void center_of(const struct colmap_image *image, double out[3])
                    rot[6 + a] * image->trans[2]);
 }
 
-/* Options of COLMAP's alignment. 3.10 and later have one estimator, a robust one, whose result is the
+/* Options of COLMAP's alignment. 3.10 and later have one estimator, a robust one: its result is the
  * least squares over what it keeps: all, if the error is large. */
 static void robust_options(double error_m, char out[96])
 {
