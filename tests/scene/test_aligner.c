@@ -104,6 +104,21 @@ static void center_of(const struct colmap_image *image, double out[3])
                    rot[6 + a] * image->trans[2]);
 }
 
+/* Options of COLMAP's alignment. 3.10 and later have one estimator, a robust one: its result is the
+ * least squares over what it keeps: all, if the error is large. */
+static void robust_options(double error_m, char out[96])
+{
+    struct buf said = {0};
+    const char *old = "--robust_alignment ";
+    kit_run(&said, "QT_QPA_PLATFORM=offscreen colmap model_aligner --help");
+    if (strstr((const char *)said.data, old)) /* kit_run ends it with NUL */
+        snprintf(out, 96, "%s%d --robust_alignment_max_error %g", old, error_m > 0,
+                 error_m > 0 ? error_m : 1);
+    else
+        snprintf(out, 96, "--alignment_max_error %g", error_m > 0 ? error_m : 1e4);
+    buf_free(&said);
+}
+
 /* COLMAP's similarity from the model's frame into ECEF. error_m 0: least squares over all. */
 static void aligner_run(const char *sparse, const struct colmap_model *m, const char *positions,
                         double error_m, struct sim3 *out)
@@ -116,8 +131,7 @@ static void aligner_run(const char *sparse, const struct colmap_model *m, const 
     double up[3] = {0, 0, 1};
     assert_true(x && y);
     join(dir, kit_tmp, "aligned");
-    snprintf(robust, sizeof robust, "--robust_alignment %d --robust_alignment_max_error %g",
-             error_m > 0, error_m > 0 ? error_m : 1);
+    robust_options(error_m, robust);
     if (kit_run(&said,
                 "rm -rf '%s' && mkdir '%s' && QT_QPA_PLATFORM=offscreen colmap model_aligner "
                 "--input_path '%s' --output_path '%s' --ref_images_path '%s' --ref_is_gps 1 "
