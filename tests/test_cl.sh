@@ -24,9 +24,9 @@ for f in core/*.cl render/*.cl train/loss/*.cl scene/stereo/*.cl lab/*.cl; do
         for vw in $widths; do
             prelude="-include core/layout.h"
             case $f in
-                render/common.cl | train/loss/lanes.cl) prelude="$prelude -include core/vector.cl" ;;
+                render/common.cl | train/loss/lanes.cl | train/loss/solid.cl) prelude="$prelude -include core/vector.cl" ;;
                 render/*) prelude="$prelude -include core/vector.cl -include render/common.cl" ;;
-                train/loss/axes.cl | train/loss/solid.cl)
+                train/loss/axes.cl)
                     prelude="$prelude -include core/vector.cl -include train/loss/lanes.cl" ;;
                 train/loss/scale_loss.cl | train/loss/flat_loss.cl)
                     prelude="$prelude -include core/vector.cl -include train/loss/lanes.cl -include train/loss/axes.cl" ;;
