@@ -1,6 +1,7 @@
 // The loss on solid surfaces: moments of depth -> their gradients. train/loss/solid.h has the
 // equations.
-//   solid_grad  moments [2][h][w], transmit [h][w], supported [h][w], known [h][w] -> grad [3][h][w]
+//   solid_grad  moments [2][h][w], transmit [h][w], supported [h][w], known [h][w]
+//               -> grad [3][h][w]
 // A work-item has BLOCK pixels: many on CPUs, VW at a time, one on GPUs.
 // Reference: solid_ref.c.
 
