@@ -613,21 +613,16 @@ solid_rows() { # CALL STUDY SCENE TRAIN-OPTIONS
     esac
   done
 }
-# Which terms a city needs, at a budget that binds and at one near `fit`: known depths, and without ("no depths").
+# Which terms a city needs, at a budget that binds: with known depths, and without ("no depths").
 solid_terms_rows() { # STUDY SCENE TRAIN-OPTIONS
-  local study=$1 scene=$2 budget known=(--depth-prior "$OUT/$2-depth") spread=(--solid-spread 0) light=(--solid-light 0) flat=(--solid-flat 0)
+  local study=$1 scene=$2 known=(--depth-prior "$OUT/$2-depth") spread=(--solid-spread 0) light=(--solid-light 0) flat=(--solid-flat 0)
   shift 2
-  for budget in 20000,30000,40000 25000,45000,75000; do
-    local k="${budget##*,}" o=("$@" --budget "$budget")
-    k="${k%000} k:"
-    row "$study" "$k none" "$scene" "" "${o[@]}" "${spread[@]}" "${light[@]}" "${flat[@]}"
-    row "$study" "$k light" "$scene" "" "${o[@]}" "${known[@]}" "${spread[@]}" "${flat[@]}"
-    row "$study" "$k spread, light" "$scene" "" "${o[@]}" "${known[@]}" "${flat[@]}"
-    row "$study" "$k default" "$scene" "" "${o[@]}" "${known[@]}"
-    row "$study" "$k no depths, light" "$scene" "" "${o[@]}" "${spread[@]}" "${flat[@]}"
-    row "$study" "$k no depths, spread, light" "$scene" "" "${o[@]}" "${flat[@]}"
-    row "$study" "$k no depths, default" "$scene" "" "${o[@]}"
-  done
+  row "$study" none "$scene" "" "$@" "${spread[@]}" "${light[@]}" "${flat[@]}"
+  row "$study" light "$scene" "" "$@" "${known[@]}" "${spread[@]}" "${flat[@]}"
+  row "$study" "spread, light" "$scene" "" "$@" "${known[@]}" "${flat[@]}"
+  row "$study" default "$scene" "" "$@" "${known[@]}"
+  row "$study" "no depths, light" "$scene" "" "$@" "${spread[@]}" "${flat[@]}"
+  row "$study" "no depths, default" "$scene" "" "$@"
 }
 # solid STUDY SCENE SURFACE: all rows with their seeds, then two trainings of each against each other.
 solid() {
@@ -639,7 +634,7 @@ solid() {
 study_solid() { MAP_VIEWS=1 solid solid exact city; }
 study_solid_terms() {
   local MAP_VIEWS=1 SURFACE=city GSD_M=0.384
-  seeded solid_terms solid_terms_rows solid_terms small --iterations "$(steps solid_terms)"
+  seeded solid_terms solid_terms_rows solid_terms small --iterations "$(steps solid_terms)" --budget 20000,30000,40000
 }
 study_solid_tricky() { MAP_VIEWS=1 solid solid_tricky tricky city; }
 # Photographs of twice as many pixels across: half the footprint of a pixel.
