@@ -12,9 +12,9 @@
 #include <string.h>
 
 #include "core/pool.h"
-#include "lod/clip.h"
-#include "lod/range.h"
-#include "lod/remote.h"
+#include "lod/export/clip.h"
+#include "lod/store/range.h"
+#include "lod/store/remote.h"
 #include "server/answers/services.h"
 
 static const double STORES_FAR_S = 5;     /* for addresses, where somebody waits for them */

@@ -16,9 +16,9 @@
 #include <string.h>
 #include <time.h>
 
-#include "lod/clip.h"
-#include "lod/range.h"
-#include "lod/store.h"
+#include "lod/export/clip.h"
+#include "lod/store/range.h"
+#include "lod/store/store.h"
 #include "server/base/document.h"
 #include "server/documents/appearance_api.h"
 #include "server/documents/appearance_model.h"
