@@ -420,6 +420,8 @@ static void server_tell_reload(struct server *sv, enum err_code rc, bool stores_
     else
         log_info("serve", "reloaded");
     snprintf(status, sizeof status, rc ? "reload failed: %s" : "serving", e->msg);
+    for (char *p = status; *p; p++) /* a line of the protocol */
+        *p = (unsigned char)*p < 0x20 ? ' ' : *p;
     supervisor_ready(status);
 }
 

@@ -156,6 +156,9 @@ static int catalog_is_store_name(const struct dirent *d)
 {
     static const char end[] = ".tiles";
     const size_t n = strlen(d->d_name), m = sizeof end - 1;
+    for (size_t i = 0; i < n; i++)
+        if ((unsigned char)d->d_name[i] < 0x20) /* it would end lines of the log */
+            return false;
     return d->d_name[0] != '.' && n > m && !strcmp(d->d_name + n - m, end);
 }
 
