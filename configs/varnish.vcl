@@ -76,18 +76,15 @@ sub vcl_backend_response {
     # Answered when no server is left, and for that kept a day beyond its time.
     set beresp.grace = 24h;
     set beresp.keep = 24h;
-    if (beresp.http.Cache-Control ~ "(private|no-store)") {
-        set beresp.uncacheable = true;
-        set beresp.ttl = 0s;
-        set beresp.grace = 0s;
-    }
     # A server that fails does not take the place of an answer that is still there.
     if (beresp.status >= 500 && bereq.is_bgfetch) {
         return (abandon);
     }
-    if (beresp.status >= 500) {
+    # For ten seconds, requests for what is not kept do not wait for each other.
+    if (beresp.status >= 500 || beresp.http.Cache-Control ~ "(private|no-store)") {
         set beresp.uncacheable = true;
-        set beresp.ttl = 0s;
+        set beresp.ttl = 10s;
+        set beresp.grace = 0s;
     }
 }
 

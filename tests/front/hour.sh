@@ -73,15 +73,21 @@ client() { while [ $SECONDS -lt $end ]; do ways "$1"; sleep "${2:-0.2}"; done; }
 
 # ---- what happens meanwhile
 
+every() { # SECONDS: waits so long; false at the end of all
+    local k
+    for k in $(seq "$1"); do
+        [ $SECONDS -lt $end ] || return 1
+        sleep 1
+    done
+}
 reloads() {
-    while [ $SECONDS -lt $end ]; do
-        sleep 5
+    while every 5; do
         echo "reload $(status -X POST "$admin/-/reload") $EPOCHREALTIME $EPOCHREALTIME" >>"$work/answers.reloads"
     done
 }
 replaces() { # each revision is another
     local n=0
-    while sleep "$replace_s" && [ $SECONDS -lt $end ]; do
+    while every "$replace_s"; do
         n=$((n + 1))
         "$city" "$work/next.tiles" $((2000 + n)) && mv "$work/next.tiles" "$work/stores/toy.tiles" && echo $n >"$work/replaced"
     done
@@ -89,7 +95,7 @@ replaces() { # each revision is another
 drawing() { cat "/proc/$pid"/task/*/children 2>/dev/null | tr ' ' '\n' | sort -u | while read -r p; do grep -aqs draw-for-serve "/proc/$p/cmdline" && echo "$p"; done; }
 kills() {
     local p
-    while sleep "$kill_s" && [ $SECONDS -lt $end ]; do
+    while every "$kill_s"; do
         for p in $(drawing); do kill -9 "$p" && echo "$EPOCHREALTIME" >>"$work/killed"; done
     done
 }
@@ -132,6 +138,7 @@ check 'stores were replaced' at_least "$(cat "$work/replaced")" 3
 check 'the process that draws was killed' at_least "$(wc -l <"$work/killed")" 2
 check 'descriptors are flat' at_most "$fds" "$((fds_then + 8))"
 check 'memory is flat' at_most "$kb" "$((kb_then * 110 / 100 + 8000))"
+for _ in $(seq 150); do curl -s "$admin/readyz" | grep -q '"ready"' && break; sleep 0.2; done
 check 'it is ready' is "$(curl -s "$admin/readyz" | grep -c '"ready"')" 1
 kill "$pid"
 wait "$pid"

@@ -33,6 +33,13 @@ codes=$(curl -s --no-progress-meter --parallel --parallel-immediate --parallel-m
 check '200 at once are answered' is "$codes" ' 200 200'
 check '200 at once are one request' is "$(asked "${cold##*/t/}")" 1
 
+for i in $(seq 30); do printf 'url="%s"\noutput="/dev/null"\n' "$url/version"; done >"$work/many"
+from=${EPOCHREALTIME/./}
+codes=$(curl -s --no-progress-meter --parallel --parallel-immediate --parallel-max 30 -w '%{http_code}\n' -K "$work/many" 2>/dev/null | sort | uniq -c | tr -s ' ')
+ms=$(((${EPOCHREALTIME/./} - from) / 1000))
+check 'thirty at once for what is not kept' is "$codes" ' 30 200'
+check "they take $ms ms" at_most "$ms" 2000
+
 moving=/d/toy/tileset.json
 curl -s -o /dev/null "$url$moving"
 sleep 2.2
