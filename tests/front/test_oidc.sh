@@ -37,7 +37,7 @@ check 'the page to sign in' is "$(curl -s "$url/oauth2/start")" 'sign in here'
 
 signed=$("$bin" sign toy --auth "$work/auth.jsonc" --url "$url") || exit 1
 check 'a signed address needs no token' is "$(status "$signed${there#/}")" 200
-check 'its maps lie below it, by https' is "$(curl -s "${signed}d/toy/map.json" -H 'Host: maps.example' | grep -c "\"https://maps.example/signed/k")" 1
+check 'its maps lie below it, by https' is "$(curl -s "${signed}d/toy/map.json" -H 'Host: splats.example.org' | grep -c "\"https://splats.example.org/signed/k")" 1
 check 'seed' "$bin" seed "${signed}d/toy" --rate 1000
 check 'another signature' is "$(status "${signed%/}x/d/toy/tileset.json")" 403
 sleep 0.3

@@ -35,7 +35,7 @@ for document in style.json map.json terrain.json wmts.xml; do
             *) got=$(visitor -w '%{http_code}' -H "${how%% *}: ${how#* }" "$url$path") ;;
         esac
         case $how in
-            target* | Host*) check "$how: nothing, for $document" is "$got" 000 ;;
+            target* | Host*) check "$how: nothing, for $document" is "${got: -3}" 000 ;;
             *) check "$how: $document all the same" is "${got: -3}" 200 ;;
         esac
         check "then $document has our addresses alone" is "$(visitor "$url$path" | addresses)" "https://$site"
