@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # configs/citysplat.service, citysplat.socket and serve.jsonc as they are shipped, in a systemd of its own: this system's
-# files under an overlay, booted by systemd-nspawn. With no store, with broken ones, with twenty, with a wrong
+# files under an overlay, booted by systemd-nspawn. With no store, with broken ones, with a wrong
 # configuration, after kill -9, over a restart, and stopped. Needs root, and cgroups that may be written.
 #
 # SPDX-License-Identifier: Apache-2.0
