@@ -26,6 +26,12 @@ for _ in $(seq 240); do # the device draws, its kernels are compiled
     sleep 0.5
 done
 [ "$drawn" = 200 ] || skip 'there is no OpenCL device'
+replace() { "$city" "$work/next.tiles" "$1" && mv "$work/next.tiles" "$work/stores/toy.tiles"; } # each NUMBER is another revision
+# As many revisions as a server keeps: descriptors and memory are those of a server that runs for long.
+for n in $(seq 9); do
+    replace $((3000 + n))
+    status -X POST "$admin/-/reload" >"$work/null"
+done
 end=$((SECONDS + seconds))
 
 # ---- what is asked for
@@ -49,7 +55,7 @@ ways() { # of asking
             near 4 | awk -v at="$url/d/toy/static" '{ printf "%s/%s,%s,%s@%s,-50/320x240.%s\n", at, $1, $2, $3, $4, NR % 2 ? "jpg" : "webp" }' | ask pictures -L ;;
         questions)
             near 6 | awk -v at="$url/d/toy/height" '{ printf "%s?lon=%s&lat=%s\n", at, $1, $2 }' | ask questions
-            echo "$url/d/toy/measure" | ask questions -d '{"polygon": [[13.3998, 52.4999], [13.4002, 52.4999], [13.4, 52.5002]]}' ;;
+            echo "$url/d/toy/measure" | ask questions -d '{"polygon": [[13.3998, 52.4999], [13.4002, 52.4999], [13.4, 52.5002]], "base": 30}' ;;
         documents)
             printf "$url%s\n" / /collections /collections/toy /version /readyz /api /d/toy/tileset.json /d/toy/style.json /d/toy/wmts.xml /d/toy/map.json |
                 ask documents --compressed ;;
@@ -85,11 +91,11 @@ reloads() {
         echo "reload $(status -X POST "$admin/-/reload") $EPOCHREALTIME $EPOCHREALTIME" >>"$work/answers.reloads"
     done
 }
-replaces() { # each revision is another
+replaces() {
     local n=0
     while every "$replace_s"; do
         n=$((n + 1))
-        "$city" "$work/next.tiles" $((2000 + n)) && mv "$work/next.tiles" "$work/stores/toy.tiles" && echo $n >"$work/replaced"
+        replace $((2000 + n)) && echo $n >"$work/replaced"
     done
 }
 drawing() { cat "/proc/$pid"/task/*/children 2>/dev/null | tr ' ' '\n' | sort -u | while read -r p; do grep -aqs draw-for-serve "/proc/$p/cmdline" && echo "$p"; done; }

@@ -31,7 +31,7 @@ admin=$(sed -n 's/^operators: port \([0-9]*\).*/\1/p' "$work/1.out")
 [ -n "$admin" ] || { cat "$work/1.log" "$work/1.out"; exit 1; }
 ask() { # what makes both counters of the cache, and errors
     curl -sk -o "$work/null" "https://127.0.0.1:${ports[1]}/d/toy/tileset.json"
-    curl -s -o "$work/null" -L "http://127.0.0.1:${ports[2]}/d/toy/static/13.4,52.5,90@0,-90/64x48.jpg" "http://127.0.0.1:${ports[2]}/d/toy/tileset.json"
+    curl -s -L "http://127.0.0.1:${ports[2]}/d/toy/static/13.4,52.5,90@0,-90/64x48.jpg" "http://127.0.0.1:${ports[2]}/d/toy/tileset.json" >"$work/null"
 }
 ask
 gone=$(free_port) port=$(free_port)

@@ -27,7 +27,7 @@ finish() {
     wait "${pids[1]}" 2>/dev/null
     rm -f "$work/1.log"
 }
-ready() { curl -s "$admin/readyz"; }
+ready() { curl -s "$admin/readyz" -w '%{http_code}' | tr -d '\n'; } # one line, the status behind it
 reload() { status -X POST "$admin/-/reload"; }
 logged() { # PATTERN: lines of the log with it
     sleep 0.3
@@ -64,7 +64,7 @@ check 'ready' until_ready '"ready"'
 row '`/readyz` says `stores`'
 head -c 3000 "$work/toy.tiles" >"$work/stores/cut.tiles"
 check 'the reload fails visibly' is "$(reload)" 500
-check 'readiness names the file, and is 200' is "$(curl -s -w '%{http_code}' "$admin/readyz" | grep -c 'cut.tiles.*200$')" 1
+check 'readiness names the file, and is 200' is "$(ready | grep -c 'cut.tiles.*200$')" 1
 check 'the log names it' at_least "$(logged 'cut\.tiles')" 1
 check 'the gauge counts it' is "$(metric stores_degraded)" 1
 check 'the others are served' is "$(status "$here/d/toy/tileset.json")" 200
@@ -141,7 +141,7 @@ check 'the counter says limited' at_least "$(curl -s "$admin/metrics" | sed -n '
 check 'the log has the client' at_least "$(logged '429.*192\.0\.2\.1|192\.0\.2\.1.*429')" 1
 finish
 begin --trusted-proxy 192.0.2.9
-status -H 'X-Forwarded-For: 192.0.2.1' "$here/healthz" >"$work/null"
+status -H 'X-Forwarded-For: 192.0.2.1' "$here$(first_tile)" >"$work/null"
 check 'a proxy that is not named: the log says so' at_least "$(logged 'trusted-proxy')" 1
 finish
 
@@ -157,11 +157,11 @@ row '`/readyz` says `memory`'
 put toy "$work/large.tiles"
 begin --memory 4G
 vast=$(first_tile ply)
-prlimit --pid "${pids[1]}" --as=$(($(awk '/^VmSize/ { print $2 }' "/proc/${pids[1]}/status") * 1024 + 4000000))
+prlimit --pid "${pids[1]}" --as="$(($(awk '/^VmSize/ { print $2 }' "/proc/${pids[1]}/status") * 1024 + 4000000)):"
 check 'what does not fit is a 503' is "$(status "$here$vast")" 503
 check 'readiness says memory' at_least "$(ready | grep -c '"memory"')" 1
 check 'the log says so' at_least "$(logged 'out of memory')" 1
-prlimit --pid "${pids[1]}" --as=unlimited
+prlimit --pid "${pids[1]}" --as=unlimited:
 check 'with more it is there' is "$(status --retry 3 --retry-all-errors "$here$vast")" 200
 check 'held and budget are there to compare' at_least "$(awk -v a="$(metric memory_held_bytes)" -v b="$(metric memory_budget_bytes)" 'BEGIN { print (a > 0 && b > a) }')" 1
 finish

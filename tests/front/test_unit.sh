@@ -53,7 +53,7 @@ mkdir $stores/folder.tiles
 install -m 600 -o root /check/toy.tiles $stores/secret.tiles
 systemctl restart citysplat
 check 'with a truncated store, a FIFO, a folder and one that it may not read, the others are served' is "$(status $here/d/toy/tileset.json)" 200
-check 'ready, and degraded' is "$(curl -s -w '%{http_code}' $admin/readyz | grep -c '"degraded".*200$')" 1
+check 'ready, and degraded' is "$(curl -s -w '%{http_code}' $admin/readyz | tr -d '\n' | grep -c '"degraded".*200$')" 1
 for name in broken fifo folder secret; do check "readiness names $name.tiles" at_least "$(curl -s $admin/readyz | grep -c "$name.tiles")" 1; done
 check 'no request was lost over the restart, and the process is another' test "$pid" != "$(of MainPID)"
 rm -r $stores/{broken,fifo,folder,secret}.tiles
