@@ -12,6 +12,7 @@ need node nodejs
 own=a-token-of-nginx-alone
 sha=$(printf %s $own | sha256sum | cut -d' ' -f1)
 echo "{\"keys\": {\"k\": \"a key of this test alone, 32 characters\"}, \"tokens\": [{\"sha256\": \"$sha\", \"scope\": [\"read:toy\", \"render:toy\"]}]}" >"$work/auth.jsonc"
+chmod 600 "$work/auth.jsonc"
 serve 1 0 --auth "$work/auth.jsonc"
 mkdir -p "$work/id"
 node "$(dirname "$0")/identity.mjs" "$work/id" &
