@@ -69,6 +69,8 @@ enum err_code store_db_connect(struct store *s, const char *at, const char *vfs,
     if (code == SQLITE_OK) {
         sqlite3_db_config(s->db, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, NULL);
         sqlite3_db_config(s->db, SQLITE_DBCONFIG_DEFENSIVE, 1, NULL);
+        /* 120 KB a handle, which of a thousand stores nobody has to spare */
+        sqlite3_db_config(s->db, SQLITE_DBCONFIG_LOOKASIDE, NULL, 0, 0);
         s->remote = store_remote_of(s->db);
         sqlite3_limit(s->db, SQLITE_LIMIT_LENGTH,
                       s->size_bytes < INT_MAX ? (int)s->size_bytes : INT_MAX);

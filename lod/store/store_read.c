@@ -362,6 +362,8 @@ static enum err_code store_open_at(const char *at, const char *path, const char 
     }
     if (rc)
         store_close(&s);
+    else if (!far)
+        (void)sqlite3_db_release_memory(s->db); /* pages of what was read once */
     *out = s;
     return rc;
 }
