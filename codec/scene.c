@@ -384,7 +384,7 @@ static enum err_code scene_frame_from_json(const json_t *root, struct scene *s, 
     const char *heights = json_string_value(json_object_get(root, "heights"));
     if (!rc && heights && !heights_valid(heights))
         rc = err_set(e, ERR_FORMAT,
-                     "heights: '%.40s' is none of ellipsoid, sea-exif, sea, takeoff, unknown and "
+                     "heights: '%.40s' is none of ellipsoid, sea-exif, sea, takeoff, unknown, unscaled and "
                      "EPSG:CODE",
                      heights);
     if (!rc && heights)
