@@ -1,11 +1,11 @@
 /* All steps from photographs and a COLMAP model to a scene folder.
  *
- * Photographs are judged by three questions. Does their pose agree with the points that they see? (A
- * wrong pose has a large reprojection error, whatever GPS says.) Do these points fix the pose
- * (pose_error.c)? Does their place agree with their GPS position (georef.c)? Photographs that fail are dropped with their
- * observations, and the report names them. The split into training and test photographs uses the
- * rank among all photographs of the model, so it does not depend on what was dropped. The scene
- * appears when it is complete.
+ * Photographs are judged by three questions. Does their pose agree with the points that they see?
+ * (A wrong pose has a large reprojection error, whatever GPS says.) Do these points fix the pose
+ * (pose_error.c)? Does their place agree with their GPS position (georef.c)? Photographs that fail
+ * are dropped with their observations, and the report names them. The split into training and test
+ * photographs uses the rank among all photographs of the model, so it does not depend on what was
+ * dropped. The scene appears when it is complete.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -19,16 +19,16 @@
 
 #include <jansson.h>
 
-#include "codec/colmap.h"
-#include "codec/image.h"
+#include "codec/image/image.h"
 #include "codec/limits.h"
-#include "codec/mask.h"
-#include "codec/scene.h"
+#include "codec/scene/colmap.h"
+#include "codec/scene/mask.h"
+#include "codec/scene/scene.h"
+#include "core/math/sort.h"
 #include "core/outdir.h"
 #include "core/pool.h"
-#include "core/sort.h"
+#include "scene/control/table.h"
 #include "scene/ingest/ingest_internal.h"
-#include "scene/ingest/table.h"
 
 static enum err_code ingest_no_memory(struct err *e)
 {

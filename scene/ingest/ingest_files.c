@@ -10,8 +10,8 @@
 #include <sys/stat.h>
 
 #include "core/base.h"
+#include "scene/control/table.h"
 #include "scene/ingest/ingest_files.h"
-#include "scene/ingest/table.h"
 
 enum { FILES_DEEP = 8 };
 

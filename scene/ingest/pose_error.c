@@ -20,8 +20,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "core/cholesky.h"
-#include "core/sort.h"
+#include "core/math/cholesky.h"
+#include "core/math/sort.h"
 
 enum { POSE = 6, GRID = 3, PICTURE_EDGE_PX = 1600 };
 static const double picture_px = 2, detector_px = 0.5;

@@ -8,7 +8,7 @@
 #ifndef SCENE_INGEST_POSE_ERROR_H
 #define SCENE_INGEST_POSE_ERROR_H
 
-#include "codec/colmap.h"
+#include "codec/scene/colmap.h"
 
 struct pose_error {
     size_t n_points;        /* points that the photograph sees */

@@ -1,0 +1,272 @@
+/* Lines of fields: see table.h.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "scene/control/table.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include <strings.h>
+
+#include "core/base.h"
+
+enum err_code table_open(const char *path, struct table *out, struct err *e)
+{
+    *out = (struct table){.path = path, .bytes = mem_array(1, sizeof *out->bytes)};
+    enum err_code rc = out->bytes ? file_read(path, 0, out->bytes, e)
+                                  : err_set(e, ERR_MEM, "%s: out of memory", path);
+    if (!rc) {
+        buf_u8(out->bytes, 0);
+        rc = buf_check(out->bytes, e);
+    }
+    if (rc) {
+        table_close(out);
+        return rc;
+    }
+    out->next = (char *)out->bytes->data;
+    if (!strncmp(out->next, "\xef\xbb\xbf", 3)) /* the byte-order mark of UTF-8 */
+        out->next += 3;
+    return ERR_OK;
+}
+
+void table_close(struct table *t)
+{
+    if (t->bytes)
+        buf_free(t->bytes);
+    mem_free(t->bytes);
+    t->bytes = NULL;
+    t->next = NULL;
+}
+
+enum err_code table_next(struct table *t, char line[TABLE_LINE_MAX], bool *more, struct err *e)
+{
+    for (*more = false; t->next && !*more;) {
+        char *p = t->next;
+        size_t n = strcspn(p, "\r\n");
+        t->next = !p[n] ? NULL : p[n] == '\r' && p[n + 1] == '\n' ? p + n + 2 : p + n + 1;
+        t->line++;
+        p += strspn(p, " \t");
+        n = strcspn(p, "\r\n");
+        if (!n)
+            continue;
+        if (n >= TABLE_LINE_MAX)
+            return err_set(e, ERR_FORMAT, "%s: line %zu is too long", t->path, t->line);
+        memcpy(line, p, n);
+        line[n] = '\0';
+        *more = true;
+    }
+    return ERR_OK;
+}
+
+size_t table_split(char *text, char comma, char *field[TABLE_FIELDS])
+{
+    const char commas[2] = {comma, '\0'}, *end = comma ? commas : " \t,;";
+    size_t n = 0;
+    char *p = text;
+    while (n < TABLE_FIELDS) {
+        p += comma ? strspn(p, " \t") : strspn(p, end);
+        if (!comma && !*p)
+            break;
+        size_t len = strcspn(p, end);
+        const char *close = comma && *p == '"' ? strchr(p + 1, '"') : NULL;
+        if (close && (close[1] == comma || !close[1 + strspn(close + 1, " \t")])) {
+            p++; /* a quoted field may have commas */
+            len = (size_t)(close - p);
+            p[len++] = ' ';
+            len += strcspn(p + len, end);
+        }
+        bool last = !p[len];
+        field[n++] = p;
+        p[len] = '\0';
+        for (size_t k = len; comma && k > 0 && (p[k - 1] == ' ' || p[k - 1] == '\t'); k--)
+            p[k - 1] = '\0';
+        if (last)
+            break;
+        p += len + 1;
+    }
+    return n;
+}
+
+void table_heading(const char *field, char out[TABLE_HEADING])
+{
+    size_t n = 0;
+    field += *field == '#';
+    if (*field && field[1] == '/')
+        field += 2;
+    for (const char *p = field; *p && !strchr("([{", *p) && n + 1 < TABLE_HEADING; p++)
+        out[n++] = *p == ' ' || *p == '-' ? '_' : *p;
+    while (n && out[n - 1] == '_')
+        n--;
+    out[n] = '\0';
+}
+
+bool table_number(const char *text, double *out)
+{
+    char *end;
+    *out = strtod(text, &end);
+    return end != text && !*end && isfinite(*out) && fabs(*out) <= 1e12;
+}
+
+size_t table_decimal_comma(const char *line, const char **at)
+{
+    for (const char *p = strchr(line, ','); p; p = strchr(p + 1, ',')) {
+        const char *a = p, *b = p + 1;
+        while (a > line && strchr("0123456789+-.", a[-1]))
+            a--;
+        b += strspn(b, "0123456789");
+        if (a == p || b == p + 1 || (*b && !strchr(" \t;\"", *b)) ||
+            (a > line && !strchr(" \t;\"", a[-1])))
+            continue;
+        *at = a;
+        return (size_t)(b - a);
+    }
+    return 0;
+}
+
+void table_decimal_points(struct table *t, char *line)
+{
+    const char *at;
+    for (size_t n; (n = table_decimal_comma(line, &at)) > 0;) {
+        char *number = line + (at - line), *comma = strchr(number, ',');
+        if (!t->commas)
+            log_info("table", "%s: line %zu: decimal commas are read as points: '%.*s'", t->path,
+                     t->line, (int)(n < 40 ? n : 40), number);
+        t->commas = true;
+        *comma = '.';
+    }
+}
+
+/* ---- names of photographs ---- */
+
+static bool table_is_slash(char c)
+{
+    return c == '/' || c == '\\';
+}
+
+/* Length without the ending of a file's name; as it is if there is none. */
+static size_t table_stem(const char *path)
+{
+    size_t n = strlen(path), dot = n;
+    for (size_t k = n; k > 0 && !table_is_slash(path[k - 1]); k--)
+        if (path[k - 1] == '.' && dot == n)
+            dot = k - 1;
+    return dot;
+}
+
+/* As table_alike, of the first n and k characters. */
+static size_t table_rate(const char *photo, size_t n, const char *listed, size_t k)
+{
+    size_t same = 0, least = n < k ? n : k;
+    while (same < least) {
+        char a = photo[n - same - 1], b = listed[k - same - 1];
+        if (table_is_slash(a) ? !table_is_slash(b) : strncasecmp(&a, &b, 1) != 0)
+            return 0;
+        same++;
+    }
+    if ((n > least && !table_is_slash(photo[n - least - 1])) ||
+        (k > least && !table_is_slash(listed[k - least - 1])))
+        return 0;
+    return 4 * same + 2 * (n == k) + (n == k && !strncmp(photo, listed, n));
+}
+
+/* Also without the ending that the listed one lacks. */
+static size_t table_rate_ends(const char *photo, const char *listed)
+{
+    const size_t n = strlen(photo), k = strlen(listed), stem = table_stem(photo);
+    const size_t rate = table_rate(photo, n, listed, k);
+    return rate || stem == n || !stem || table_stem(listed) != k
+               ? rate
+               : table_rate(photo, stem, listed, k);
+}
+
+/* A character of UTF-8; 0: the end, or none. */
+static uint32_t table_character(const char **p)
+{
+    const unsigned char *s = (const unsigned char *)*p;
+    const size_t more = *s < 0xc0 ? 0 : *s < 0xe0 ? 1 : *s < 0xf0 ? 2 : 3;
+    uint32_t c = more ? *s & (0x3fu >> more) : *s;
+    *p += *s != 0;
+    for (size_t k = 0; k < more && (**p & 0xc0) == 0x80; k++)
+        c = c << 6 | ((unsigned char)*(*p)++ & 0x3f);
+    return c;
+}
+
+/* Combining marks of letters, and of kana. */
+static bool table_is_mark(uint32_t c)
+{
+    return (c >= 0x300 && c < 0x370) || c == 0x3099 || c == 0x309a;
+}
+
+/* Letters of which some are one with a mark: Latin, Greek and Cyrillic, kana. */
+static bool table_may_have_mark(uint32_t c)
+{
+    return (c >= 0xc0 && c < 0x530) || (c >= 0x1e00 && c < 0x2000) || (c >= 0x3040 && c < 0x3100);
+}
+
+/* Replaces each letter with a mark, in one character or two, by one sign. Returns whether there
+ * were any and `out` holds all. */
+static bool table_without_marks(const char *text, char *out, size_t room)
+{
+    const char sign = 1;
+    bool any = false;
+    size_t n = 0;
+    for (const char *p = text, *from = p; *p; from = p) {
+        const uint32_t c = table_character(&p);
+        bool marked = table_may_have_mark(c);
+        for (const char *q = p; table_is_mark(table_character(&q)); p = q)
+            marked = true;
+        const size_t len = marked ? 1 : (size_t)(p - from);
+        if (n + len >= room)
+            return false;
+        memcpy(out + n, marked ? &sign : from, len);
+        n += len;
+        any = any || marked;
+    }
+    out[n] = '\0';
+    return any;
+}
+
+size_t table_alike(const char *photo, const char *listed)
+{
+    char a[TABLE_LINE_MAX], b[TABLE_LINE_MAX];
+    const size_t rate = table_rate_ends(photo, listed);
+    return rate || !table_without_marks(photo, a, sizeof a) ||
+                   !table_without_marks(listed, b, sizeof b)
+               ? rate
+               : table_rate_ends(a, b) > 0;
+}
+
+bool table_same_path(const char *a, const char *b)
+{
+    char x[TABLE_LINE_MAX], y[TABLE_LINE_MAX];
+    if (table_without_marks(a, x, sizeof x) && table_without_marks(b, y, sizeof y)) {
+        a = x;
+        b = y;
+    }
+    return strlen(a) == strlen(b) && table_rate(a, strlen(a), b, strlen(b)) > 0;
+}
+
+void table_rename(struct table_renamed *r, const char *photo, const char *listed)
+{
+    const size_t n = strlen(photo), k = strlen(listed), stem = table_stem(photo);
+    const size_t ends[] = {n, stem};
+    for (size_t i = 0; i < 2; i++) {
+        const size_t least = ends[i] < k ? ends[i] : k;
+        if (!memcmp(photo + ends[i] - least, listed + k - least, least))
+            return;
+    }
+    if (!r->n++) {
+        r->photo = photo;
+        r->listed = listed;
+    }
+}
+
+void table_tell_renamed(const struct table_renamed *r, const char *what)
+{
+    if (r->n)
+        log_info("table",
+                 "%s: %zu names differ from those of the photographs in case, slashes or accents; "
+                 "'%s' is taken for '%s'",
+                 what, r->n, r->listed, r->photo);
+}
