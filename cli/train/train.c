@@ -33,7 +33,7 @@ static void train_print_cell(const struct train_cell_result *c)
 }
 
 /* Photographs of one survey score so differently, as a standard deviation (docs/training.md). */
-static const double photo_spread_db = 2.0;
+static const double photo_spread_db = 1.5;
 enum { SCORES_FEW = 16 };
 
 static void train_print_worth(const struct train_result *r)
