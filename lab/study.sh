@@ -480,7 +480,7 @@ ablation_rows() { # STUDY SCENE OPTIONS
   row "$study" full "$scene" "" "$@"
   row "$study" "no AbsGS" "$scene" "" "$@" --absgrad-from 4 --tau 2e-4
   row "$study" "no AbsGS, lower threshold" "$scene" "" "$@" --absgrad-from 4 --tau 5e-5
-  row "$study" "no anti-aliasing" "$scene" "" "$@" --aa none --eval --aa none
+  row "$study" "no anti-aliasing" "$scene" "" "$@" --aa none
 }
 ablation_city_rows() {
   local MAP_VIEWS=1
