@@ -128,10 +128,10 @@ test("server lost mid-load and back: full detail without a touch, the picture st
 test("after an outage it is back within two seconds, and a button tries at once", skip, async (t) => {
     const page = await open("?lang=en");
     await waitForViewer(page);
-    // A request that cannot be answered tells it.
+    // A request that cannot be answered tells it, of something that the browser has not kept.
     const lose = async () => {
         await proxy.down();
-        await page.evaluate(() => void window.citysplat.viewer.get(new URL("collections", location.href)).catch(() => {}));
+        await page.evaluate(() => void window.citysplat.viewer.get(new URL("collections/none", location.href)).catch(() => {}));
         await page.waitForSelector("#banner-link.wait button");
     };
     const isBack = () => until(page, () => window.citysplat.state.link === "ok");

@@ -186,6 +186,8 @@ test("one finger scrolls the article, two move the city", async (t) => {
     await page.waitForFunction(() => scrollY > 20);
     const scrolled = await look();
     assert.equal(scrolled[1], before[1], "one finger moved the city");
+    // It slides on for a moment.
+    await page.waitForFunction(() => ((window.rests = scrollY === window.lastY ? (window.rests ?? 0) + 1 : 0), (window.lastY = scrollY), window.rests > 20), null, { polling: 50 });
     await page.evaluate(() => scrollTo(0, 0));
     await drag([180, 100, -6, 0], [220, 100, 6, 0]);
     await page.waitForFunction((pose) => JSON.stringify(document.querySelector("city-splat").viewer.pose) !== pose, before[1]);
@@ -201,14 +203,15 @@ test("a dead server is said in the element, and it comes when the server does", 
     const said = page.getByRole("alert");
     await said.waitFor();
     assert.match(await said.textContent(), /No reply from .*Try again$/);
-    await proxy.up();
     await page.getByRole("button", { name: "Try again" }).click();
+    assert.equal(await said.isVisible(), true, "silent while it is still dead");
+    await proxy.up();
     await ready(page);
     assert.equal(await said.isVisible(), false);
     await drawn(page, "city-splat");
     // Gone while the city is there: the picture stays, and it says so.
     await proxy.down();
-    await page.evaluate(() => void document.querySelector("city-splat").viewer.get(new URL(document.querySelector("city-splat").src)).catch(() => {}));
+    await page.evaluate(() => void document.querySelector("city-splat").viewer.get(new URL("collections/none", document.querySelector("city-splat").src)).catch(() => {}));
     await said.waitFor();
     assert.match(await said.textContent(), /does not answer.*Try now$/);
     await proxy.up();

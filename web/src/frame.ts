@@ -83,7 +83,7 @@ export class ElementFrame {
     if (label)
       this.said.append(
         button(label, "", () => {
-          this.say("");
+          if (this.viewer?.state.link !== "away") this.say(""); // else it stays until the server answers
           run();
         }),
       );

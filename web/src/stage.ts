@@ -55,7 +55,7 @@ const WALK_M_S = 4;
 const WALK_ZOOM_M = 3; // that a press of a button to zoom walks,
 const WALK_WHEEL_M = 0.01; // a pixel of the wheel,
 const WALK_PINCH_M = 8; // and fingers, for each natural logarithm
-const TAP_S = 0.1; // a key counts for so long at least: a short press may lie between two frames
+const TAP_S = 0.05; // a key counts for so long at least: a press may be over before the next frame, or lie in one after a rest
 const TWICE_MS = 350; // between two presses of one
 const TWICE_PX = 20;
 const TWICE_ZOOM = 0.5;
@@ -677,9 +677,9 @@ export class Stage {
       const [action, sign] = KEYS[code]!;
       amount[action] += sign;
     }
-    const short = [...this.tapped].some((code) => !this.held.has(code));
+    const least = this.tapped.size ? TAP_S : 0;
     this.tapped.clear();
-    this.apply(amount, short ? TAP_S : Math.min(seconds, 0.1));
+    this.apply(amount, Math.max(least, Math.min(seconds, 0.1)));
   }
 
   private applyGamepad(seconds: number) {
