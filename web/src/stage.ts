@@ -605,15 +605,16 @@ export class Stage {
     if (performance.now() - this.thrownAt > 60) this.throwing.set(0, 0, 0);
     const [rest] = this.pointers.values();
     if (rest && !this.shares()) this.beginDrag(rest, false);
-    else if (still && event.type === "pointerup" && event.button === 0) this.click(pressed.x, pressed.y);
+    else if (still && event.type === "pointerup" && event.button === 0) this.click(pressed.x, pressed.y, event.timeStamp);
     this.onMove();
   }
 
   // The second of two presses of one place is no click: it goes nearer.
-  private click(x: number, y: number) {
+  // By the time of the events: a slow frame between them does not count.
+  private click(x: number, y: number, at: number) {
     const { clicked } = this;
-    const twice = performance.now() - clicked.at < TWICE_MS && Math.hypot(x - clicked.x, y - clicked.y) < TWICE_PX;
-    this.clicked = { x, y, at: twice ? -Infinity : performance.now() };
+    const twice = at - clicked.at < TWICE_MS && Math.hypot(x - clicked.x, y - clicked.y) < TWICE_PX;
+    this.clicked = { x, y, at: twice ? -Infinity : at };
     if (twice) this.goNearer(x, y);
     else this.onClick(x, y);
   }
