@@ -7,13 +7,13 @@
 #include <math.h>
 #include <unistd.h>
 
-#include "codec/scene.h"
+#include "codec/scene/scene.h"
 #include "core/base.h"
 #include "core/machine.h"
 #include "scene/cells/cell_plan.h"
 #include "scene/cells/partition.h"
 #include "scene/cells/share.h"
-#include "train/config.h"
+#include "train/base/config.h"
 #include "train/jobs.h"
 
 /* Cells train on all photographs of which they take this share, as by `citysplat plan`. */
@@ -54,7 +54,7 @@ static enum err_code auto_plan_write(const char *path, const struct scene *s, do
     cfg.edge_m = edge_m;
     enum err_code rc = partition_make(s, &cfg, &p, e);
     if (!rc)
-        rc = share_photographs(s, AUTO_PLAN_SHARE_MIN, cfg.all_images, &p, e);
+        rc = share_photographs(s, AUTO_PLAN_SHARE_MIN, &p, e);
     *edge_out = p.edge_m;
     *n_cells = 0;
     for (size_t i = 0; !rc && i < p.n_cells; i++)

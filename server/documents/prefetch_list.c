@@ -8,8 +8,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "lod/crop.h"
-#include "lod/store.h"
+#include "lod/export/crop.h"
+#include "lod/store/store.h"
 #include "server/data/encode.h"
 #include "server/documents/link.h"
 #include "server/documents/result_id.h"

@@ -12,8 +12,9 @@
 struct crop_node;
 
 /* Appends a page of the tiles that t selects, most important first, as JSON lines, then the address
- * of the next page if there is one. left: what the polygon of t leaves of the tiles (lod/crop.h);
- * NULL: all. form, a: for entity tags; addresses have them if t does. ERR_MEM. */
+ * of the next page if there is one. left: what the polygon of t leaves of the tiles
+ * (lod/export/crop.h); NULL: all. form, a: for entity tags; addresses have them if t does.
+ * ERR_MEM. */
 enum err_code prefetch_list_write(const struct dataset *d, const struct seed_target *t,
                                   const struct crop_node *left, struct form form,
                                   const struct appearance_choice *a, struct buf *out,

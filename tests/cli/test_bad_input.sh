@@ -1,0 +1,216 @@
+#!/bin/sh
+# Bad input through the whole program: each case must give a non-zero exit code, one clear message that names
+# what and which, and leave nothing half-written behind. Needs CITYSPLAT_BIN.
+#
+# SPDX-License-Identifier: Apache-2.0
+bin=${CITYSPLAT_BIN:?set it to the citysplat program}
+work=$(mktemp -d "${TMPDIR:-/tmp}/citysplat-bad-XXXXXX") || exit 1
+trap 'chmod -R u+w "$work" 2>/dev/null; rm -rf "$work"' EXIT
+failed=0
+passed=0
+
+# refuse NAME EXIT PATTERN OUTPUT-THAT-MUST-NOT-EXIST COMMAND...
+refuse() {
+    name=$1 want=$2 pattern=$3 absent=$4
+    shift 4
+    "$@" >"$work/log" 2>&1 </dev/null
+    rc=$?
+    why=
+    [ "$rc" = "$want" ] || why="exit code $rc, want $want"
+    grep -Eiq -- "$pattern" "$work/log" || why="$why; message does not match '$pattern'"
+    [ "$(grep -c 'error:' "$work/log")" = 1 ] || why="$why; not exactly one error line"
+    [ -z "$absent" ] || [ ! -e "$absent" ] || why="$why; $absent was left behind"
+    if [ -n "$absent" ] && ls -d "$absent".part* >/dev/null 2>&1; then why="$why; a .part file was left behind"; fi
+    if [ -n "$why" ]; then
+        failed=$((failed + 1))
+        printf 'FAIL %s: %s\n  ran: %s\n' "$name" "$why" "$*"
+        sed 's/^/  | /' "$work/log" | tail -5
+    else
+        passed=$((passed + 1))
+        printf 'ok   %s: %s\n' "$name" "$(grep 'error:' "$work/log" | cut -c1-150)"
+    fi
+}
+
+"$bin" synth -o "$work/city" --photos 12 --width-px 64 --height-px 48 --extent-m 40 -q || exit 1
+fresh() { rm -rf "$work/bad"; cp -r "$work/city" "$work/bad"; }
+
+# -- COLMAP ----------------------------------------------------------------------------------------------
+for f in cameras images points3D; do
+    fresh
+    size=$(wc -c <"$work/bad/sparse/0/$f.bin")
+    truncate -s $((size * 2 / 3)) "$work/bad/sparse/0/$f.bin"
+    refuse "truncated $f.bin" 1 "$f\.bin" "$work/scene" \
+        "$bin" ingest "$work/bad/images" "$work/bad/sparse" -o "$work/scene" -q
+done
+refuse "no COLMAP model" 1 "cameras.*sparse.*citysplat align" "$work/scene" \
+    "$bin" ingest "$work/city/images" "$work/city/truth" -o "$work/scene" -q
+
+# -- photographs -------------------------------------------------------------------------------------------
+fresh
+first=$(ls "$work/bad/images" | head -1)
+printf 'this is not a photograph' >"$work/bad/images/$first"
+# One of them is named and set aside; of all of them nothing can be made.
+"$bin" ingest "$work/bad/images" "$work/bad/sparse" -o "$work/scene" -q >"$work/log" 2>&1
+if [ $? = 0 ] && grep -q "set aside: .*$first" "$work/log"; then
+    passed=$((passed + 1))
+else
+    failed=$((failed + 1))
+    echo "FAIL one file that is no image: it is to be named and set aside"
+fi
+rm -rf "$work/scene"
+for f in "$work/bad/images"/*.jpg; do printf 'this is not a photograph' >"$f"; done
+refuse "no images" 1 "files of 12 are broken" "$work/scene" \
+    "$bin" ingest "$work/bad/images" "$work/bad/sparse" -o "$work/scene" -q
+fresh
+for f in "$work/bad/images"/*.jpg; do
+    # Strip the APP1 segment: decode and encode again without metadata.
+    oiiotool "$f" --eraseattrib ".*" -o "$f.tmp.jpg" >/dev/null 2>&1 && mv "$f.tmp.jpg" "$f"
+done
+refuse "photographs without GPS" 1 "GPS" "$work/scene" \
+    "$bin" ingest "$work/bad/images" "$work/bad/sparse" -o "$work/scene" -q
+refuse "no photographs" 1 "no such|not found|cannot|image" "$work/scene" \
+    "$bin" ingest "$work/nothing" "$work/city/sparse" -o "$work/scene" -q
+
+# -- the machine ---------------------------------------------------------------------------------------------
+echo x >"$work/file"
+refuse "output folder cannot be made" 1 "$work/file" "" \
+    "$bin" ingest "$work/city/images" "$work/city/sparse" -o "$work/file/scene" -q
+"$bin" ingest "$work/city/images" "$work/city/sparse" -o "$work/good" --min-points 4 -q || exit 1
+refuse "no OpenCL device" 1 "pocl-opencl-icd" "$work/good/cells" \
+    env OCL_ICD_VENDORS=/nonexistent "$bin" train "$work/good" --iterations 10 -q
+if unshare -rm true 2>/dev/null; then
+    mkdir "$work/tiny"
+    # shellcheck disable=SC2016
+    refuse "full disk" 1 "No space left" "" \
+        unshare -rm sh -c 'mount -t tmpfs -o size=64k none "$1/tiny" && "$2" ingest "$1/city/images" "$1/city/sparse" -o "$1/tiny/scene" --min-points 4 -q; rc=$?; ls "$1/tiny" | grep . && rc=99; exit $rc' \
+        sh "$work" "$bin"
+else
+    echo "skip full disk: no user namespaces here"
+fi
+
+# -- libraries of the program -------------------------------------------------------------------------------------
+mkdir "$work/alone"
+cp "$bin" "$work/alone/citysplat"
+# Plain JPEGs need no library; a .tif does. One Gaussian of .splat: mean and size as 6 floats, RGBA, rotation.
+printf '\0\0\0\0\0\0\0\0\0\0\200\100\315\314\314\075\315\314\314\075\315\314\314\075\377\200\100\377\377\200\200\200' >"$work/one.splat"
+cat >"$work/camera.json" <<'JSON'
+{"width": 64, "height": 48, "fx": 50, "fy": 50, "cx": 32, "cy": 24, "world_to_camera": [1,0,0,0, 0,1,0,0, 0,0,1,0, 0,0,0,1]}
+JSON
+refuse "no library of images" 1 "images: citysplat-image.so: is neither beside the program nor in" "$work/one.tif" \
+    "$work/alone/citysplat" render "$work/one.splat" --camera "$work/camera.json" -o "$work/one.tif" -q
+"$bin" import "$work/one.splat" --origin 8,50,100 -o "$work/lone.tiles" -q || exit 1
+refuse "no library of maps" 1 "maps and projections: citysplat-gdal.so: is neither beside the program nor in" "$work/map.tif" \
+    "$work/alone/citysplat" ortho "$work/lone.tiles" -o "$work/map.tif" -q
+echo 'not a library' >"$work/alone/citysplat-gdal.so"
+refuse "a library that is none" 1 "citysplat-gdal.so: cannot be loaded" "$work/map.tif" \
+    "$work/alone/citysplat" ortho "$work/lone.tiles" -o "$work/map.tif" -q
+
+# An installed program finds both: it writes a .tif and a map.
+if [ -f "$(dirname "$bin")/CMakeCache.txt" ]; then
+    cmake --install "$(dirname "$bin")" --prefix "$work/usr" >"$work/log" 2>&1 || { cat "$work/log"; exit 1; }
+    "$work/usr/bin/citysplat" render "$work/one.splat" --camera "$work/camera.json" -o "$work/one.tif" -q || exit 1
+    "$work/usr/bin/citysplat" ortho "$work/lone.tiles" -o "$work/map.tif" -q || exit 1
+else
+    echo "skip an installed program: this one is not in its build folder"
+fi
+
+# -- tile stores and splats --------------------------------------------------------------------------------------
+refuse "not a tile store" 65 "$work/file" "" "$bin" serve "$work/file" --port 0 -q
+mkfifo "$work/pipe.tiles"
+refuse "a pipe as a store" 65 "pipe.tiles: no file" "" timeout 20 "$bin" serve "$work/pipe.tiles" --port 0 -q
+refuse "a pipe for info" 1 "pipe.tiles: no file, but a pipe" "" timeout 20 "$bin" info "$work/pipe.tiles"
+refuse "no tile store" 66 "nothing.tiles" "" "$bin" serve "$work/nothing.tiles" --port 0 -q
+printf 'ply\nformat binary_little_endian 1.0\nelement vertex 4294967295\nproperty float x\nend_header\n' >"$work/huge.ply"
+refuse "a .ply that lies about its size" 1 "huge.ply" "$work/huge.tiles" \
+    "$bin" import "$work/huge.ply" --origin 8,50,100 -o "$work/huge.tiles" -q
+
+# Rows that no float or no tile can hold are left out, and what is said of them is true.
+{
+    printf 'ply\nformat ascii 1.0\nelement vertex 202\n'
+    for k in x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3; do
+        echo "property float $k"
+    done
+    echo end_header
+    awk 'BEGIN {
+        for (i = 0; i < 200; i++) print i % 10, int(i / 10), i % 3, "0 0 0 2 -2 -2 -2 1 0 0 0"
+        print "5 5 1 0 0 0 2 -2 800 -2 1 0 0 0"
+        print "3e38 5 1 0 0 0 2 -2 -2 -2 1 0 0 0"
+    }'
+} >"$work/absurd.ply"
+refuse "a mean beyond all tiles" 1 "row 200 lies 3[0-9]{35} km from the middle.*--drop-outliers" "$work/absurd.tiles" \
+    "$bin" import "$work/absurd.ply" --origin 8,50,100 -o "$work/absurd.tiles"
+if "$bin" import "$work/absurd.ply" --origin 8,50,100 -o "$work/absurd.tiles" --drop-outliers >"$work/log" 2>&1 &&
+    grep -q '1 of 202 rows are left out' "$work/log" && grep -q 'up to 3e+35 km: left out' "$work/log"; then
+    passed=$((passed + 1))
+else
+    failed=$((failed + 1))
+    echo "FAIL absurd rows: they are to be left out"
+    sed 's/^/  | /' "$work/log"
+fi
+refuse "an origin that is no place" 2 "origin" "$work/huge.tiles" \
+    "$bin" import "$work/huge.ply" --origin 8,95,100 -o "$work/huge.tiles" -q
+
+refuse "a name that is too long" 2 "at most 63" "$work/huge.tiles" \
+    "$bin" import "$work/huge.ply" --origin 8,50,100 -o "$work/huge.tiles" -q \
+    --name "$(printf %064d 0)"
+
+# -- files that are there ----------------------------------------------------------------------------------------
+mkdir "$work/kept"
+keep() { # NAME OUTPUT COMMAND...: refused, and the file is as it was
+    file=$work/kept/$2
+    echo precious >"$file"
+    name=$1
+    shift 2
+    refuse "$name over a file" "${want:-2}" "exists; choose another name, or replace it with --overwrite" "" "$@"
+    [ "$(cat "$file")" = precious ] || { failed=$((failed + 1)); echo "FAIL $name: the file was touched"; }
+}
+keep tile a.tiles "$bin" tile "$work/city" -o "$work/kept/a.tiles" -q
+keep import a.tiles "$bin" import "$work/huge.ply" --origin 8,50,100 -o "$work/kept/a.tiles" -q
+keep merge a.tiles "$bin" merge "$work/a.tiles" "$work/b.tiles" -o "$work/kept/a.tiles" -q
+keep clip a.tiles "$bin" clip "$work/a.tiles" --high-m 100 -o "$work/kept/a.tiles" -q
+keep convert a.spz "$bin" convert "$work/huge.ply" "$work/kept/a.spz" -q
+keep render a.png "$bin" render "$work/a.tiles" --lon 8 --lat 50 --height-m 9 -o "$work/kept/a.png" -q
+keep report a.html "$bin" report "$work/city" -o "$work/kept/a.html" -q
+keep eval a.json "$bin" eval "$work/city" -o "$work/kept/a.json" -q
+for end in ply spz sog glb compressed.ply 3tz pmtiles; do
+    keep "export .$end" "a.$end" "$bin" export "$work/a.tiles" -o "$work/kept/a.$end" -q
+done
+for map in "ortho a.tif" "dsm a.TIF" "contour a.gpkg" "points a.las"; do
+    keep "${map% *}" "${map#* }" "$bin" ${map% *} "$work/a.tiles" -o "$work/kept/${map#* }" -q
+done
+keep compare a.tif "$bin" compare "$work/a.tiles" "$work/a.tiles" -o "$work/kept/a.tif" -q
+
+if unshare -rm true 2>/dev/null; then
+    "$bin" import "$work/one.splat" --origin 7.5,47.5,300 -o "$work/one.tiles" -q || exit 1
+    # shellcheck disable=SC2016
+    refuse "full disk, a map" 1 "are needed on the disk, .* free; make room" "" \
+        unshare -rm sh -c 'mount -t tmpfs -o size=4k none "$1/tiny" && "$2" dsm "$1/one.tiles" -o "$1/tiny/a.tif" -q; rc=$?; ls "$1/tiny" | grep . && rc=99; exit $rc' \
+        sh "$work" "$bin"
+fi
+
+# -- endings that say what nobody writes ---------------------------------------------------------------------------
+for asked in "ortho a.png .tif or .tiff" "dsm a.jpg .tif or .tiff" "points a.laz pdal.translate" "points a.csv .las" \
+    "contour a.shp .geojson or .gpkg" "export a.laz .ply" "export a.png .ply"; do
+    set -- $asked
+    command=$1 file=$2
+    shift 2
+    refuse "$command -o $file" 2 "$*" "$work/none-$file" "$bin" "$command" "$work/a.tiles" -o "$work/none-$file" -q
+done
+
+# -- what is something else ---------------------------------------------------------------------------------------
+refuse "a folder as a store" 65 "a folder, and a tile store is a file; .citysplat tile" "" "$bin" serve "$work/good" --port 0
+cp -r "$work/good" "$work/hurt"
+hurt=$(ls "$work/hurt/images" | head -1)
+head -c 400 "$work/good/images/$hurt" >"$work/hurt/images/$hurt"
+refuse "a photograph that broke after ingest" 1 "ingest the scene again: .*$hurt" "$work/hurt/cells/all/level1.ckpt" \
+    "$bin" train "$work/hurt" --iterations 10 --budget 100 -q
+
+# -- the command line -----------------------------------------------------------------------------------------------
+refuse "unknown option" 2 "did you mean --output" "" "$bin" ingest a b --ouput x
+refuse "unknown command" 2 "no command 'trian'; did you mean 'train'" "" "$bin" trian
+refuse "a command like no other" 2 "no command 'q'; .citysplat help" "" "$bin" q
+refuse "a value out of range" 64 "from" "" "$bin" serve x.tiles --port 70000
+refuse "missing argument" 2 "too few" "" "$bin" train
+
+echo "$passed passed, $failed failed"
+[ "$failed" = 0 ]
