@@ -6,8 +6,7 @@
 // - The coarsest tiles come before all others.
 // - A tile that no view wants any more is given up, also when it is on its way.
 // - A coarsest tile comes as a draft; where the view ends with it, the whole tile follows.
-// - On a slow line a tile comes in two parts, the Gaussians that show most before the rest, where what stands there is
-//   far too coarse. Elsewhere the first part would be the worse picture: it lacks what is small, as marks on roads.
+// - On a slow line a tile comes in two parts: the Gaussians that show most, of all tiles, before the rest of any.
 // - A level between the coarsest and the wanted one is left out when the wanted one comes soon, or when it is
 //   hardly finer than what is there.
 //
@@ -36,7 +35,6 @@ const AGAIN_FIRST_MS = 2000;
 const AGAIN_MOST_MS = 60_000;
 const SOON_S = 6; // levels between are left out when the whole view comes within this time
 const TILE_BYTES_FIRST = 200_000; // a tile's size until some have come
-const PARTS_FROM = 8; // times too coarse
 const FINISHING_MOST = 3; // asked for at a time where the picture gets better with each
 
 export interface CityTile extends Tile {
@@ -143,11 +141,7 @@ export class CityTiles extends BaseTiles {
   }
 
   private comesInParts(url: string): boolean {
-    if (!this.packed || url.includes(DRAFT) || !this.link.slow) return false;
-    const tile = [...this.loadingTiles].find(({ content, internal }) => new URL(content?.uri ?? "", `${internal.basePath}/`).href === url);
-    let up = tile?.parent;
-    while (up && !this.blocks.has(up)) up = up.parent;
-    return tile !== undefined && (!up || up.traversal.error > PARTS_FROM * this.errorTarget);
+    return this.packed && !url.includes(DRAFT) && this.link.slow;
   }
 
   // The rest of a large tileset, an external one.
