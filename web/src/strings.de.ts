@@ -211,6 +211,8 @@ export const de: Partial<Record<TextKey, string>> = {
   "height.sea": "über dem Meer",
   "height.system": "({code})",
   "height.unknown": "(Nullpunkt unbekannt)",
+  "height.takeoff": "über dem Startplatz",
+  "height.unscaled": "(keine Meter: Maßstab und Ort unbekannt)",
   "compass": "N NO O SO S SW W NW",
   "facts.place": "Breite {lat}°, Länge {lon}°",
   "facts.taken": "Fotografiert {days}",

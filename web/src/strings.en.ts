@@ -255,6 +255,8 @@ export const page = {
   "height.sea": "above sea level",
   "height.system": "({code})",
   "height.unknown": "(zero not known)",
+  "height.takeoff": "above take-off",
+  "height.unscaled": "(units are no metres: scale and place are not known)",
   "compass": "N NE E SE S SW W NW",
   "facts.place": "lat {lat}°, lon {lon}°",
   "facts.taken": "Photographed {days}",
