@@ -2,6 +2,7 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import { parseView } from "./address";
+import { ElementFrame, FRAME_STYLE } from "./frame";
 import { Problem, type ProblemKind } from "./problem";
 import { loadStory, Tour, type TourState } from "./tour";
 import { TOUR_STYLE, TourCard } from "./tourcard";
@@ -15,7 +16,7 @@ export type CitySplatEvents = { [Name in EventName]: CustomEvent<ViewerEvents[Na
 const ATTRIBUTES = ["src", "scene", "view", "appearance", "mode", "theme", "detail", "memory", "backdrop", "basemap", "basemap-credit", "tour"] as const;
 type Attribute = (typeof ATTRIBUTES)[number];
 
-const STYLE = ":host{display:block;position:relative;aspect-ratio:16/9;overflow:hidden}:host([hidden]){display:none}div{position:absolute;inset:0}" + TOUR_STYLE;
+const STYLE = ":host{display:block;position:relative;aspect-ratio:16/9;overflow:hidden}:host([hidden]){display:none}div{position:absolute;inset:0}" + FRAME_STYLE + TOUR_STYLE;
 
 // A page that is made on a server imports this, too, and has no elements there.
 const Base = typeof HTMLElement === "function" ? HTMLElement : (class {} as unknown as typeof HTMLElement);
@@ -27,6 +28,7 @@ export class CitySplatElement extends Base {
   private reading = 0; // the newest text of a tour counts
   private readonly box: HTMLDivElement;
   private readonly card = new TourCard();
+  private readonly frame = new ElementFrame();
 
   constructor() {
     super();
@@ -35,9 +37,9 @@ export class CitySplatElement extends Base {
     sheet.replaceSync(STYLE);
     root.adoptedStyleSheets = [sheet];
     this.box = document.createElement("div");
-    root.append(this.box, this.card.node);
+    root.append(this.box, ...this.frame.nodes, this.card.node);
     // The element has a click of its own, with the place.
-    for (const node of [this.box, this.card.node]) node.addEventListener("click", (event) => event.stopPropagation());
+    for (const node of [this.box, ...this.frame.nodes, this.card.node]) node.addEventListener("click", (event) => event.stopPropagation());
   }
 
   // All that the module can do; null while the element is in no document.
@@ -100,6 +102,7 @@ export class CitySplatElement extends Base {
       ...(Number(text("memory")) > 0 ? { memoryMb: Number(text("memory")) } : {}),
     };
     const viewer = createViewer(this.box, options);
+    this.frame.serve(viewer, this);
     for (const name of EVENTS) viewer.on(name, (value) => this.tell(name, value));
     if (text("tour")) void this.readTour(viewer);
     return viewer;

@@ -55,6 +55,13 @@ export interface MapHost {
   getCanvas(): HTMLCanvasElement;
   triggerRepaint(): void;
   getTerrain?(): unknown;
+  addControl?(control: MapControl, position: "bottom-right"): unknown;
+  removeControl?(control: MapControl): unknown;
+}
+// What a map shows at its rim, as MapLibre's IControl.
+export interface MapControl {
+  onAdd(): HTMLElement;
+  onRemove(): void;
 }
 export interface MapFrame {
   nearZ: number;
@@ -115,6 +122,20 @@ export class MapLayer {
   private error: Error | null = null;
   private wasReady = false;
   private refused = false; // this browser does not draw
+  private creditNode: HTMLElement | null = null;
+  // Whose the city is, beside whose the map is.
+  private readonly credit: MapControl = {
+    onAdd: () => {
+      this.creditNode = document.createElement("div");
+      this.creditNode.className = "maplibregl-ctrl maplibregl-ctrl-attrib citysplat-credit";
+      this.showCredit();
+      return this.creditNode;
+    },
+    onRemove: () => {
+      this.creditNode?.remove();
+      this.creditNode = null;
+    },
+  };
 
   constructor(private readonly options: MapLayerOptions = {}) {
     this.id = options.id ?? "citysplat";
@@ -229,6 +250,7 @@ export class MapLayer {
       if (!keep) this.core = null;
       this.frame = new Frame(info.transform);
       city.open(info, this.frame, keep, tint);
+      this.showCredit();
       this.events.emit(keep ? "appearance" : "scene", (keep ? appearance : entry) as never);
       this.wake();
     } catch (error) {
@@ -258,15 +280,23 @@ export class MapLayer {
     this.events.emit("problem", this.error);
   }
 
+  private showCredit() {
+    if (!this.creditNode) return;
+    this.creditNode.textContent = this.attribution;
+    this.creditNode.hidden = !this.attribution;
+  }
+
   // ---- as MapLibre calls it ----
 
   onAdd(map: MapHost) {
     this.map = map;
+    map.addControl?.(this.credit, "bottom-right");
     this.wake();
   }
 
   onRemove() {
     this.opening++;
+    this.map?.removeControl?.(this.credit);
     this.jobs = [];
     this.city?.dispose();
     this.link?.dispose();
