@@ -168,6 +168,7 @@ static enum err_code server_read_stores(struct server *sv, size_t readers, struc
                                           .keep_revisions = (size_t)cfg->keep_revisions,
                                           .basemap = cfg->basemap,
                                           .basemap_attribution = cfg->basemap_attribution,
+                                          .city_gaussians = (size_t)cfg->city_gaussians,
                                           .preset = (unsigned)cfg->preset};
     return rc;
 }
@@ -242,8 +243,13 @@ static enum err_code server_open_services(struct server *sv, struct err *e)
 {
     struct catalog *c = NULL;
     struct static_table web = {0};
+    struct geoid *geoid = NULL;
     struct memory_plan plan;
-    enum err_code rc = catalog_open(sv->paths, sv->n_paths, &sv->stores, NULL, &c, e);
+    enum err_code rc =
+        sv->cfg.geoid ? geoid_open(sv->cfg.geoid, sv->cfg.geoid_dir, &geoid, e) : ERR_OK;
+    sv->stores.geoid = geoid;
+    if (!rc)
+        rc = catalog_open(sv->paths, sv->n_paths, &sv->stores, NULL, &c, e);
     if (!rc)
         rc = server_load_web(sv, &web, e);
     if (!rc)
@@ -257,7 +263,9 @@ static enum err_code server_open_services(struct server *sv, struct err *e)
         sv->services.own = sv->own ? sv->own->data : NULL;
         sv->services.catalog = c;
         sv->services.web = web;
+        sv->services.geoid = geoid;
     } else {
+        geoid_close(&geoid);
         static_free(&web);
         catalog_drop(&c);
     }

@@ -76,8 +76,6 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
         rc = auth_open(cfg->auth, &s->auth, e);
     if (!rc && (cfg->tls_cert || cfg->tls_key))
         rc = tls_open(cfg->tls_cert, cfg->tls_key, &s->tls, e);
-    if (!rc && cfg->geoid)
-        rc = geoid_open(cfg->geoid, cfg->geoid_dir, &s->geoid, e);
     if (!rc)
         rc = service_document_landing(&s->landing, e);
     if (!rc)

@@ -25,7 +25,7 @@
 static struct collection_options catalog_collection(const struct catalog_options *o)
 {
     return (struct collection_options){o->public_url, o->base_path, o->basemap,
-                                       o->basemap_attribution};
+                                       o->basemap_attribution, o->city_gaussians};
 }
 
 static enum err_code catalog_make_tileset(struct dataset *d, enum tileset_links_of of,
@@ -47,14 +47,14 @@ static enum err_code catalog_make_documents(struct dataset *d, const struct cata
     enum err_code rc = catalog_make_tileset(d, TILESET_LINKS_ENTRY, &d->tileset, e);
     if (!rc)
         rc = catalog_make_tileset(d, TILESET_LINKS_MOVING, &d->tileset_moving, e);
-    if (!rc)
-        rc = appearance_api_list(d, &d->appearances, e);
     if (!rc && d->appearance)
         rc = appearance_model_describe(d, &d->model, e);
     if (!rc && d->appearance)
         rc = appearance_model_photographs(d, &d->photographs, d->taken, e);
     if (!rc && d->appearance)
         rc = search_open(d, &d->search, e);
+    if (!rc)
+        rc = search_all(d, &d->appearances, e);
     if (!rc)
         rc = collection_describe(d, &collection, &d->collection, e);
     struct body *const documents[] = {d->tileset,     d->tileset_moving, d->collection,
@@ -108,7 +108,7 @@ static enum err_code catalog_open_or_keep(const char *path, const struct catalog
     bool same = false;
     enum err_code rc = was ? catalog_is_store(was, path, o, &same, e) : ERR_OK;
     if (!rc && !same)
-        rc = dataset_open(path, o->readers, o->clip, o->clip_dir, out, e);
+        rc = dataset_open(path, o->readers, o->clip, o->clip_dir, o->geoid, out, e);
     if (!rc && !same)
         result_id_tiles_edition(*out, o->preset, (*out)->edition);
     if (!rc && same)

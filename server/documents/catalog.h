@@ -7,6 +7,8 @@
 
 #include "server/data/dataset.h"
 
+struct geoid;
+
 struct catalog { /* immutable, reference-counted; a reload makes a new one */
     _Atomic uint32_t refs;
     size_t n, n_current;
@@ -26,7 +28,9 @@ struct catalog_options {
     size_t keep_revisions;  /* and at most this many of a dataset */
     const char *basemap;    /* for the viewer's inset map, see collection_list */
     const char *basemap_attribution;
-    unsigned preset; /* of tiles whose address names none: enum quant_preset */
+    size_t city_gaussians;     /* for collections */
+    unsigned preset;           /* of tiles whose address names none: enum quant_preset */
+    const struct geoid *geoid; /* turns heights above the sea into ellipsoidal ones; NULL: none */
 };
 /* Opens all paths. `older` (may be NULL) gives unchanged datasets and older revisions; it is not
  * changed. Free *out with catalog_drop. ERR_ARG: two datasets have the same name. Else the errors

@@ -50,21 +50,27 @@ static void social_preview_stand(const double lo[3], const double hi[3], double 
         out_m[c] = (lo[c] + hi[c]) / 2 - away * ahead[c];
 }
 
+bool social_preview_camera(const struct dataset *d, double aspect, double out[5])
+{
+    const struct tree *tree = d->index ? store_tree(d->index) : NULL;
+    double at_m[3];
+    if (!tree || tree->root == TREE_NONE)
+        return false;
+    const struct tree_bounds root = tree_bounds(tree, tree->root);
+    social_preview_stand(root.core_min_enu_m, root.core_max_enu_m, aspect, at_m);
+    out[3] = SOCIAL_PREVIEW_HEADING_DEG;
+    out[4] = SOCIAL_PREVIEW_PITCH_DEG;
+    return !geo_from_enu(&d->meta.origin, at_m, &out[0], &out[1], &out[2], NULL);
+}
+
 void social_preview_picture(const struct dataset *d, const char *up, unsigned width_px,
                             unsigned height_px, struct buf *out)
 {
-    const struct tree *tree = d->index ? store_tree(d->index) : NULL;
-    double at_m[3], lon, lat, h;
-    if (!tree || tree->root == TREE_NONE)
-        return;
-    const struct tree_bounds root = tree_bounds(tree, tree->root);
-    social_preview_stand(root.core_min_enu_m, root.core_max_enu_m, (double)width_px / height_px,
-                         at_m);
-    if (geo_from_enu(&d->meta.origin, at_m, &lon, &lat, &h, NULL))
-        return;
-    buf_printf(out, "%s%sd/%s/static/%.7f,%.7f,%.2f@%.0f,%.0f,%.0f/%ux%u.jpg", up, *up ? "/" : "",
-               d->meta.name, lon, lat, h, SOCIAL_PREVIEW_HEADING_DEG, SOCIAL_PREVIEW_PITCH_DEG,
-               SOCIAL_PREVIEW_FOV_DEG, width_px, height_px);
+    double at[5];
+    if (social_preview_camera(d, (double)width_px / height_px, at))
+        buf_printf(out, "%s%sd/%s/static/%.7f,%.7f,%.2f@%.0f,%.0f,%.0f/%ux%u.jpg", up,
+                   *up ? "/" : "", d->meta.name, at[0], at[1], at[2], at[3], at[4],
+                   SOCIAL_PREVIEW_FOV_DEG, width_px, height_px);
 }
 
 /* ---- the page ---- */
