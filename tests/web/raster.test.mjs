@@ -72,7 +72,7 @@ async function screenshot(name) {
     return decodePng(await opened.page.screenshot(path ? { path } : {}));
 }
 
-const [STYLE, SOURCES] = snippets("clients.md", "## MapLibre", "html");
+const [, STYLE, SOURCES] = snippets("clients.md", "## MapLibre", "html");
 
 // The page of a recipe, whose map is window.shown.
 async function showMap(recipe) {

@@ -299,4 +299,5 @@ export const de: Partial<Record<TextKey, string>> = {
   "problem.badTour.text": "Der Rundgang ist nicht zu lesen: {why}.",
   "problem.http.title": "Fehler {status}",
   "problem.other.title": "Etwas ging schief",
+  "problem.other.text": "{why}",
 };

@@ -303,6 +303,7 @@ export const en = {
   "problem.http.title": "Error {status}",
   "problem.http.text": "{text}",
   "problem.other.title": "Something went wrong",
+  "problem.other.text": "{why}",
 };
 
 export type TextKey = keyof typeof en;
