@@ -89,7 +89,7 @@ export async function use(): Promise<string> {
 export function onMap(container: HTMLElement): MapLayer {
     const map = new MapView({ container, style: { version: 8, sources: {}, layers: [] } });
     const layer = createMapLayer({ url: "https://city.example/", lower: "ground", id: "town" });
-    layer.on("scene", ({ title, bounds }) => void map.fitBounds(bounds, { pitch: 55 }) ?? title);
+    layer.on("scene", ({ title, bounds }) => void [title.length, map.fitBounds(bounds, { pitch: 55 })]);
     layer.on("problem", ({ kind, requestId }) => void (kind === "http" && requestId?.length));
     layer.on("ready", (state) => state.tiles.toFixed());
     map.addLayer(layer);

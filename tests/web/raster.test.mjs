@@ -184,7 +184,19 @@ test("MapLibre opens the city by one address: in its frame, with its credit, upr
     assert.deepEqual(opened.log, []);
 });
 
+test("MapLibre's ground is bare in the style of the server", skip, async (t) => {
+    await lookAt("maplibre-ground", { center: MIDDLE, zoom: 17, pitch: 60, bearing: 20 });
+    const [red, blue, ground] = await opened.page.evaluate((places) => places.map((at) => window.shown.queryTerrainElevation(at)), [RED_TOP, BLUE_TOP, [25, -25, 0]].map(lonLat));
+    t.diagnostic(`under the towers ${(red - ground).toFixed(1)} and ${(blue - ground).toFixed(1)} m above the ground beside`);
+    for (const [name, height] of Object.entries({ red, blue })) assert.ok(Math.abs(height - ground) < 3, `${name} tower ${height}, ground ${ground}`);
+    assert.deepEqual(opened.log, []);
+});
+
 test("MapLibre raises the map by the terrain: towers are as high as they are", skip, async (t) => {
+    await opened.page.evaluate((url) => {
+        window.shown.addSource("dem", { type: "raster-dem", url, tileSize: 256 });
+        window.shown.setTerrain({ source: "dem" });
+    }, await documentUrl("terrain.json"));
     await opened.page.evaluate(() => window.shown.setPaintProperty("background", "background-color", "#fff"));
     const picture = await lookAt("maplibre-terrain", { center: MIDDLE, zoom: 17, pitch: 60, bearing: 20 });
     const heights = await opened.page.evaluate(
