@@ -23,9 +23,9 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "cli/base/cli.h"
 #include "cli/city.h"
-#include "cli/cli.h"
-#include "codec/image.h"
+#include "codec/image/image.h"
 #include "scene/ingest/ingest_files.h"
 
 enum { CITY_ARGS = 48, CITY_NAP_MS = 50 };

@@ -5,7 +5,7 @@
 #ifndef CLI_CITY_H
 #define CLI_CITY_H
 
-#include "core/options.h"
+#include "core/options/options.h"
 
 struct city_options {
 #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;

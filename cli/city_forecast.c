@@ -10,8 +10,8 @@
 #include <math.h>
 #include <stdio.h>
 
-#include "cli/align_work.h"
 #include "cli/city.h"
+#include "cli/scene/align_work.h"
 #include "core/pool.h"
 #include "train/expect.h"
 

@@ -16,9 +16,9 @@
 #include <string.h>
 #include <sysexits.h>
 
-#include "cli/cli.h"
-#include "core/options_completion.h"
-#include "core/options_help.h"
+#include "cli/base/cli.h"
+#include "core/options/options_completion.h"
+#include "core/options/options_help.h"
 #include "server/drawing/draw.h"
 
 struct command {
@@ -29,7 +29,7 @@ struct command {
 static const struct command commands[] = {
 #define COMMAND(name, about) {#name, about, cli_##name},
 #define COMMAND_AS(function, name, about) {name, about, cli_##function},
-#include "cli/commands.def"
+#include "cli/base/commands.def"
 #undef COMMAND_AS
 #undef COMMAND
     {NULL, NULL, NULL},

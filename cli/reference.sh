@@ -6,7 +6,7 @@
 # SPDX-License-Identifier: Apache-2.0
 set -e
 bin=$1 to=$2
-commands=$(sed -n -e 's/^COMMAND(\([a-z]*\),.*/\1/p' -e 's/^COMMAND_AS([a-z_]*, "\([a-z-]*\)",.*/\1/p' "$(dirname "$0")/commands.def")
+commands=$(sed -n -e 's/^COMMAND(\([a-z]*\),.*/\1/p' -e 's/^COMMAND_AS([a-z_]*, "\([a-z-]*\)",.*/\1/p' "$(dirname "$0")/base/commands.def")
 [ -n "$commands" ]
 rm -rf "$to/man1" "$to/done"
 mkdir -p "$to/man1"

@@ -64,7 +64,8 @@ typedef uchar16 layout_uchar16 __attribute__((aligned(1)));
 #define LAYOUT_ALPHA_MIN_LOG2 (-7.99435343685886f)
 #define LAYOUT_TRANSMITTANCE_MIN 1e-4f
 
-/* Outputs of the appearance network (core/appearance.h): offsets of three colours, then of opacity.
+/* Outputs of the appearance network (core/splat/appearance.h): offsets of three colours, then of
+ * opacity.
  */
 #define LAYOUT_APPEARANCE_OUT 4
 #define LAYOUT_APPEARANCE_OPACITY 3 /* the fourth output */

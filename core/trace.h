@@ -2,7 +2,7 @@
  * ui.perfetto.dev show it. A process has at most one trace. Without a trace, a span costs one
  * comparison.
  *
- * Tracks of a training: "work" is the kind of work (train/timing.h), "device" its kernels,
+ * Tracks of a training: "work" is the kind of work (train/base/timing.h), "device" its kernels,
  * "photographs" what the loader reads, "host 1" and so on the threads of a parallel loop.
  * Of a server: "requests", "queue", "tiles 1" and so on the threads that encode, "pictures" the
  * thread that waits for the process that draws, "drawing" what that process does.

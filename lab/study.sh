@@ -6,7 +6,7 @@
 # Every row of a study is one run: train, then score, then `citysplat-lab study-record` into lab/runs/STUDY.jsonl. A row that
 # is recorded there by the same command is skipped, so a stopped study goes on where it was, and changing a
 # setting repeats the rows it touches. Training itself is resumed too. Steps and seeds of every study are stated in
-# lab/studies.def: there is no other default. Redraw a page afterwards with
+# lab/study/studies.def: there is no other default. Redraw a page afterwards with
 # `citysplat-lab study-chart lab/runs -o lab/charts --markdown lab/studies/STUDY.md`; lab/studies/README.md has all of them.
 #
 # Environment:
@@ -40,11 +40,11 @@ die() { printf 'study: error: %s\n' "$*" >&2; exit 1; }
 citysplat() { "$BIN/citysplat" "$@"; }
 lab() { "$BIN/citysplat-lab" "$@"; }
 
-# What lab/studies.def states of a study.
+# What lab/study/studies.def states of a study.
 stated() { # STUDY 1|2
   local n
-  n=$(sed -n "s/^STUDY(\"$1\", *\([0-9][0-9]*\), *\([0-9][0-9]*\))\$/\\$2/p" lab/studies.def)
-  [ -n "$n" ] || die "study '$1' is not in lab/studies.def"
+  n=$(sed -n "s/^STUDY(\"$1\", *\([0-9][0-9]*\), *\([0-9][0-9]*\))\$/\\$2/p" lab/study/studies.def)
+  [ -n "$n" ] || die "study '$1' is not in lab/study/studies.def"
   printf '%s' "$n"
 }
 steps() { # STUDY

@@ -1,4 +1,4 @@
-// Behind core/vector.cl in the programs that change Adam's two moments: how they are stored.
+// Behind core/device/vector.cl in the programs that change Adam's two moments: how they are stored.
 //
 // Both are 16 bits, the upper half of a float (bfloat16): the range of a float, and a relative step
 // of 2^-8 to 2^-7. They share a word, the first moment in its upper half.

@@ -15,7 +15,7 @@
 // g_z. Each fixed piece of the Gaussians has a row of APPEARANCE_ROW floats for them, with the sum
 // of y3 last. appearance_sum (appearance_backward.cl) adds the rows in order.
 //
-// Reference: appearance_eval in core/appearance.c, ref_appearance in render/render_ref.c and
+// Reference: appearance_eval in core/splat/appearance.c, ref_appearance in render/render_ref.c and
 // appearance_splat in render/render_ref_backward.c.
 
 #ifndef APPEARANCE_LEN // defined by render_appearance.c for the model at hand

@@ -1,5 +1,5 @@
-// Behind core/vector.cl in every program of render/: the maths that forward and backward must agree
-// on to the last bit (what a splat is on the screen, and what it does to a pixel).
+// Behind core/device/vector.cl in every program of render/: the maths that forward and backward
+// must agree on to the last bit (what a splat is on the screen, and what it does to a pixel).
 
 // How many lanes are set.
 INLINE uint lanes_count(VI mask)

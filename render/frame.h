@@ -215,7 +215,7 @@ void order_gpu_close(struct order_gpu **op);
 /* The sources after core/layout.h with which every program of render/ begins. */
 extern const char vector_cl[], common_cl[];
 #define FRAME_SOURCES                                                                              \
-    {"core/vector.cl", vector_cl},                                                                 \
+    {"core/device/vector.cl", vector_cl},                                                          \
     {                                                                                              \
         "render/common.cl", common_cl                                                              \
     }

@@ -18,7 +18,7 @@
 // distance sums weight d.d, the squared change of a pixel if this Gaussian alone were not there:
 //     d = alpha T rgb - rest alpha / (1 - alpha),   rest: the colour of the pixel from behind it,
 // which is what the frame has less what was summed up to here. Nothing walks back through small T.
-// Reference: tests/test_importance.c draws without it.
+// Reference: tests/render/test_importance.c draws without it.
 
 #if VW == 16
 

@@ -10,8 +10,8 @@
 #include <string.h>
 
 #include "core/base.h"
+#include "core/math/simd.h"
 #include "core/pool.h"
-#include "core/simd.h"
 
 enum {
     PERMUTE_LANES = LAYOUT_LANES,

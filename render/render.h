@@ -19,10 +19,10 @@
 #ifndef RENDER_RENDER_H
 #define RENDER_RENDER_H
 
-#include "core/camera.h"
-#include "core/dev.h"
-#include "core/gauss.h"
+#include "core/device/dev.h"
 #include "core/layout.h"
+#include "core/splat/camera.h"
+#include "core/splat/gauss.h"
 
 enum render_aa {
     RENDER_AA_NONE, /* classic 3DGS: +0.3 px^2, no compensation */
@@ -48,7 +48,7 @@ struct render_options {
      * Its centre is any point of the axis with everything visible in front of it. Such a frame has
      * no backward pass (ERR_ARG). */
     bool orthographic;
-    /* Appearance, see core/appearance.h: constants of a frame from appearance_frame(), for
+    /* Appearance, see core/splat/appearance.h: constants of a frame from appearance_frame(), for
      * embeddings of the model's length and this many hidden units. They are copied. NULL: no
      * appearance. The first frame with a pair of lengths compiles kernels. */
     const float *appearance_frame;

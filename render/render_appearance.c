@@ -5,15 +5,15 @@
  * The plain renderer's program does not contain the network. A frame drawn with appearance has
  * r->appearance set, and its constants in r->appearance_frame. render_forward.c and
  * render_backward.c then launch these kernels instead of their own. The network's formulas are in
- * render/appearance.cl and, in double, in core/appearance.c and render_ref.c.
+ * render/appearance.cl and, in double, in core/splat/appearance.c and render_ref.c.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
 #include <stdio.h>
 #include <string.h>
 
-#include "core/appearance.h"
 #include "core/base.h"
+#include "core/splat/appearance.h"
 #include "render/frame.h"
 
 extern const char adam_cl[], appearance_cl[], project_cl[], project_backward_cl[],

@@ -178,7 +178,7 @@ double ref_depth(const struct ref_splat *s, const double d[2])
     return s->depth + s->tilt[0] * d[0] + s->tilt[1] * d[1];
 }
 
-/* y = sigmoid(W2 max(0, W1 g^ + b) + b2), see core/appearance.h. */
+/* y = sigmoid(W2 max(0, W1 g^ + b) + b2), see core/splat/appearance.h. */
 double ref_appearance(const struct ref_view *v, const struct gauss *g, size_t i, double *unit,
                       double *hidden, double y[APPEARANCE_OUT])
 {

@@ -7,7 +7,7 @@
 #ifndef RENDER_RENDER_REF_H
 #define RENDER_RENDER_REF_H
 
-#include "core/appearance.h"
+#include "core/splat/appearance.h"
 #include "render/render.h"
 
 struct ref_view {            /* a camera and options, with all defaults filled in */

@@ -11,8 +11,8 @@
 #include <stdbool.h>
 
 #include "core/base.h"
+#include "core/math/simd.h"
 #include "core/pool.h"
-#include "core/simd.h"
 
 #define SUPERSAMPLE_SIGMAS 3.0
 enum {

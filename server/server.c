@@ -18,9 +18,9 @@
 
 #include "core/machine.h"
 #include "core/pool.h"
-#include "lod/blocks.h"
-#include "lod/clip.h"
-#include "lod/remote.h"
+#include "lod/export/clip.h"
+#include "lod/store/blocks.h"
+#include "lod/store/remote.h"
 #include "server/answers/routes.h"
 #include "server/answers/services.h"
 #include "server/answers/view_stream.h"

@@ -9,7 +9,7 @@
 #include <string.h>
 
 #include "core/base.h"
-#include "core/sort.h"
+#include "core/math/sort.h"
 #include "survey/gdal_library.h"
 #include "survey/layer.h"
 #include "survey/region.h"

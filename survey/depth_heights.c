@@ -13,13 +13,13 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "codec/npy.h"
-#include "codec/scene.h"
+#include "codec/container/npy.h"
+#include "codec/scene/scene.h"
 #include "core/base.h"
-#include "core/camera.h"
-#include "core/geo.h"
-#include "core/heights.h"
-#include "core/sort.h"
+#include "core/geo/geo.h"
+#include "core/geo/heights.h"
+#include "core/math/sort.h"
+#include "core/splat/camera.h"
 
 enum {
     NODES = 17,        /* of the table of places, an axis */

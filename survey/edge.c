@@ -9,7 +9,7 @@
 #include <stdint.h>
 
 #include "core/base.h"
-#include "core/sort.h"
+#include "core/math/sort.h"
 
 /* A wall has level ground below and a level roof above, so far and so much. */
 static const double edge_level_m = 0.5, edge_beside_m = 1.5, edge_aslant_max = 1.7320508;

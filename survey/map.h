@@ -6,7 +6,7 @@
 #ifndef SURVEY_MAP_H
 #define SURVEY_MAP_H
 
-#include "lod/surface.h"
+#include "lod/surface/surface.h"
 #include "survey/geotiff.h"
 
 struct geoid;

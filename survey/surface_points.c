@@ -8,7 +8,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "core/geo.h"
+#include "core/geo/geo.h"
 #include "survey/bare.h"
 #include "survey/las.h"
 

@@ -13,7 +13,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include "core/camera.h"
+#include "core/splat/camera.h"
 
 void kit_expect_text(const char *msg, const char *part, const char *file, int line)
 {

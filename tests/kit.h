@@ -15,7 +15,7 @@
 #include <cmocka.h>
 
 #include "core/base.h"
-#include "core/gauss.h"
+#include "core/splat/gauss.h"
 
 /* Expects ERR_OK, else prints the message and fails. `e` is the struct err of the call. */
 #define kit_ok(call, e)                                                                            \

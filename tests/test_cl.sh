@@ -13,8 +13,7 @@ compile() { # options, besides those of $f, $target and $vw
         -I. $1 -fsyntax-only -Wall -Wno-unused-function -Werror "$f" || {
         echo "$f: does not compile for $target with VW=$vw and $1"; status=1; }
 }
-for f in core/*.cl render/*.cl train/loss/*.cl scene/stereo/*.cl lab/*.cl; do
-    [ -f "$f" ] || continue
+for f in $(find core render train scene lab -name '*.cl' | sort); do
     for target in spir64 nvptx64 amdgcn--amdhsa; do
         case $f in
             *_gpu.cl) widths=1 ;; # one shape only: a work-group a tile, scalar lanes
@@ -24,15 +23,15 @@ for f in core/*.cl render/*.cl train/loss/*.cl scene/stereo/*.cl lab/*.cl; do
         for vw in $widths; do
             prelude="-include core/layout.h"
             case $f in
-                render/common.cl | train/loss/lanes.cl) prelude="$prelude -include core/vector.cl" ;;
-                render/*) prelude="$prelude -include core/vector.cl -include render/common.cl" ;;
+                render/common.cl | train/loss/lanes.cl) prelude="$prelude -include core/device/vector.cl" ;;
+                render/*) prelude="$prelude -include core/device/vector.cl -include render/common.cl" ;;
                 train/loss/axes.cl | train/loss/solid.cl)
-                    prelude="$prelude -include core/vector.cl -include train/loss/lanes.cl" ;;
+                    prelude="$prelude -include core/device/vector.cl -include train/loss/lanes.cl" ;;
                 train/loss/scale_loss.cl | train/loss/flat_loss.cl)
-                    prelude="$prelude -include core/vector.cl -include train/loss/lanes.cl -include train/loss/axes.cl" ;;
+                    prelude="$prelude -include core/device/vector.cl -include train/loss/lanes.cl -include train/loss/axes.cl" ;;
                 scene/stereo/sweep.cl)
                     prelude="-DPLANES=192 -DRADIUS=3 -DSLAB=16 -DCOST_MOST=200.0f -DSTEP_COST=4 -DNOISE=1e-3f \
-                        -DLIKE=0.1f -DTILE_W=64 -DTILE_H=32 -DWALL_MORE=12 -DWALL_COST=4 -DWALL_EVERY=2.0f -DDOWN=0.05f $prelude -include core/vector.cl" ;;
+                        -DLIKE=0.1f -DTILE_W=64 -DTILE_H=32 -DWALL_MORE=12 -DWALL_COST=4 -DWALL_EVERY=2.0f -DDOWN=0.05f $prelude -include core/device/vector.cl" ;;
             esac
             case $f:$vw in # compiled after others, see their heads
                 render/blend_cpu.cl:1) continue ;; # the CPU shape alone
@@ -45,7 +44,7 @@ for f in core/*.cl render/*.cl train/loss/*.cl scene/stereo/*.cl lab/*.cl; do
                     prelude="$prelude -include render/appearance.cl -include render/adam.cl \
                         -include render/project_backward.cl" ;;
                 train/loss/embed_smoothness.cl)
-                    prelude="$prelude -include core/vector.cl -include render/adam.cl" ;;
+                    prelude="$prelude -include core/device/vector.cl -include render/adam.cl" ;;
                 render/project_backward.cl | render/defer.cl) prelude="$prelude -include render/adam.cl" ;;
             esac
             compile "$prelude"

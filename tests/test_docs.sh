@@ -48,10 +48,10 @@ while IFS='	' read -r file line target; do
 done <"$work/links"
 awk -F'\t' 'NR == FNR { there[$0]; next } !($2 in there) { print $1 ": no such heading"; bad = 1 } END { exit bad }' \
     "$work/anchors" "$work/wanted" || failed=1
-# Sources by their path. codec/xyz is the example of docs/architecture.md.
+# Sources by their path. codec/splat/xyz is the example of docs/architecture.md.
 grep -v '^CHANGELOG.md$' "$work/files" | xargs grep -noHE \
     '(core|codec|render|lod|scene|train|survey|server|cli|lab|tests|configs)/[a-z0-9_/]+\.(c|h|cl|cc|def|sh|jsonc)\b' |
-    grep -vE ':(codec/xyz\.[ch]|scene/.*\.jsonc?)$' >"$work/sources"
+    grep -vE ':(codec/splat/xyz\.[ch]|scene/.*\.jsonc?)$' >"$work/sources"
 while IFS=: read -r file line path; do
     [ -e "$path" ] || { echo "$file:$line: there is no $path"; failed=1; }
 done <"$work/sources"
@@ -104,8 +104,8 @@ fence || /^    / {
     /^## citysplat / { command = $3; for (k = split("--config --print-config --help", all, " "); k; k--) print command "\t" all[k]; print command "\t" }
     command != "" && match($0, /^\| `--[a-z0-9-]+`/) { print command "\t" substr($0, 4, RLENGTH - 4) }' docs/commands.md
     printf -- '-lab help\t\n-lab\t--help\n-lab\t--config\n'
-    sed -n 's/^COMMAND([a-z_]*, "\([a-z-]*\)".*/-lab \1\t/p; s/^BENCH[A-Z_]*(\([a-z]*\),.*/-lab \1\t/p' lab/*.def
-    sed -n 's/^OPT([A-Z]*, [A-Z]*, *\([a-z_0-9]*\),.*/\1/p' lab/*.def cli/eval_city.def scene/synth/*.def | sed 's/_/-/g; s/.*/-lab\t--&\n-lab\t--no-&/'
+    sed -n 's/^COMMAND([a-z_]*, "\([a-z-]*\)".*/-lab \1\t/p; s/^BENCH[A-Z_]*(\([a-z]*\),.*/-lab \1\t/p' lab/*.def lab/*/*.def
+    sed -n 's/^OPT([A-Z]*, [A-Z]*, *\([a-z_0-9]*\),.*/\1/p' lab/*/*.def cli/train/eval_city.def scene/synth/*.def | sed 's/_/-/g; s/.*/-lab\t--&\n-lab\t--no-&/'
     ./bootstrap help | sed -n 's|^ *\./bootstrap \([a-z]*\).*|bootstrap \1\t|p'
 } >"$work/known"
 awk -F'\t' 'NR == FNR { known[$1, $2]; next }

@@ -13,8 +13,8 @@ fail() { echo "FAIL $*"; exit 1; }
 
 "$bin" help --markdown >"$work/commands.md" || fail "citysplat help --markdown"
 cli/reference.sh "$bin" "$work" || fail "cli/reference.sh"
-commands=$(sed -n -e 's/^COMMAND(\([a-z]*\),.*/\1/p' -e 's/^COMMAND_AS([a-z_]*, "\([a-z-]*\)",.*/\1/p' cli/commands.def)
-[ -n "$commands" ] || fail "cli/commands.def names no command"
+commands=$(sed -n -e 's/^COMMAND(\([a-z]*\),.*/\1/p' -e 's/^COMMAND_AS([a-z_]*, "\([a-z-]*\)",.*/\1/p' cli/base/commands.def)
+[ -n "$commands" ] || fail "cli/base/commands.def names no command"
 [ "$1" != --write ] || cp "$work/commands.md" docs/commands.md || fail "not written"
 again='CITYSPLAT_BIN=PROGRAM tests/test_reference.sh --write makes it anew'
 diff -u docs/commands.md "$work/commands.md" || fail "docs/commands.md is not what the program prints: $again"
@@ -83,8 +83,8 @@ sample() { # COMMAND KEY STATE: the flag, from the table of the reference
     printf -- '--%s=%s' "$flag" "$value"
 }
 sed -n 's/^RULE("\([^"]*\)", "\([^"]*\)", "\([^"]*\)", "\([^"]*\)", "\([^"]*\)", \([A-Z]*\), "\([^"]*\)")$/\1|\2|\3|\4|\5|\6|\7/p' \
-    core/options_rules.def >"$work/rules"
-[ "$(wc -l <"$work/rules")" = "$(grep -c '^RULE' core/options_rules.def)" ] || fail "a row of core/options_rules.def is not read"
+    core/options/options_rules.def >"$work/rules"
+[ "$(wc -l <"$work/rules")" = "$(grep -c '^RULE' core/options/options_rules.def)" ] || fail "a row of core/options/options_rules.def is not read"
 while IFS='|' read -r c a a_is b b_is verdict words; do
     one=$(sample "$c" "$a" "$a_is")
     two=$(sample "$c" "$b" "$b_is")

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # docs/tutorial.md, word by word: the commands of its blocks are run in their order, in one shell, and what they make has
-# the sizes of its tables within a factor. COLMAP is a stand-in (tests/fake_colmap.c) unless TUTORIAL_COLMAP=real. The
+# the sizes of its tables within a factor. COLMAP is a stand-in (tests/cli/fake_colmap.c) unless TUTORIAL_COLMAP=real. The
 # port is another one, because 8080 may be taken.
 #
 # SPDX-License-Identifier: Apache-2.0

@@ -7,13 +7,13 @@
 #include <math.h>
 #include <unistd.h>
 
-#include "codec/scene.h"
+#include "codec/scene/scene.h"
 #include "core/base.h"
 #include "core/machine.h"
 #include "scene/cells/cell_plan.h"
 #include "scene/cells/partition.h"
 #include "scene/cells/share.h"
-#include "train/config.h"
+#include "train/base/config.h"
 #include "train/jobs.h"
 
 /* Cells train on all photographs of which they take this share, as by `citysplat plan`. */

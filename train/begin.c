@@ -12,18 +12,19 @@
 
 #include <jansson.h>
 
-#include "codec/scene.h"
+#include "codec/scene/scene.h"
 #include "core/machine.h"
 #include "scene/cells/window.h"
-#include "train/appearance_train.h"
-#include "train/budget.h"
-#include "train/config.h"
-#include "train/depth_prior.h"
+#include "train/base/config.h"
+#include "train/base/result.h"
+#include "train/base/run_cell.h"
+#include "train/density/budget.h"
 #include "train/done.h"
-#include "train/init.h"
 #include "train/memory.h"
-#include "train/result.h"
-#include "train/run_cell.h"
+#include "train/model/appearance_train.h"
+#include "train/model/densify_plan.h"
+#include "train/model/init.h"
+#include "train/photographs/depth_prior.h"
 #include "train/state.h"
 #include "train/state_check.h"
 
@@ -345,7 +346,7 @@ static enum err_code begin_ground(struct begin *t, struct err *e)
     enum err_code rc = footprint_of(t->job->scene, &t->ground, e);
     if (rc || !t->ground.nx)
         return rc;
-    return trim_open(t->job->scene, &t->ground, BEGIN_SURE, BEGIN_FREE_SPACE * t->ground.height_m,
+    return trim_open(t->job->scene, &t->ground, BEGIN_SURE, DENSIFY_FREE_SPACE * t->ground.height_m,
                      &t->rim, e);
 }
 

@@ -8,13 +8,9 @@
 #include "core/base.h"
 #include "scene/cells/footprint.h"
 #include "scene/cells/trim.h"
-#include "train/appearance_train.h"
-#include "train/inputs.h"
-#include "train/schedule.h"
-
-/* Nothing is farther above the highest or below the lowest sparse point nearby, in flight heights
- * (docs/decisions/011-density-control.md). */
-#define BEGIN_FREE_SPACE 0.05
+#include "train/base/schedule.h"
+#include "train/model/appearance_train.h"
+#include "train/photographs/inputs.h"
 
 struct run_cell;
 struct stage;

@@ -7,14 +7,14 @@
 #include <math.h>
 #include <string.h>
 
-#include "codec/ckpt.h"
-#include "codec/scene.h"
+#include "codec/container/ckpt.h"
+#include "codec/scene/scene.h"
 #include "scene/cells/cell.h"
-#include "train/appearance_train.h"
-#include "train/config.h"
-#include "train/result.h"
+#include "train/base/config.h"
+#include "train/base/result.h"
+#include "train/base/schedule.h"
+#include "train/model/appearance_train.h"
 #include "train/run.h"
-#include "train/schedule.h"
 
 static bool coarse_has_appearance(const struct train_config *cfg)
 {

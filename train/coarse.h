@@ -14,8 +14,8 @@
 #ifndef TRAIN_COARSE_H
 #define TRAIN_COARSE_H
 
-#include "core/appearance.h"
-#include "core/gauss.h"
+#include "core/splat/appearance.h"
+#include "core/splat/gauss.h"
 #include "train/run.h"
 
 struct ckpt;

@@ -22,7 +22,7 @@
 #include <jansson.h>
 
 #include "core/base.h"
-#include "train/result.h"
+#include "train/base/result.h"
 
 enum { DONE_VERSION = 1 };
 

@@ -8,18 +8,18 @@
 #include <math.h>
 #include <string.h>
 
-#include "codec/scene.h"
+#include "codec/scene/scene.h"
 #include "scene/cells/cell.h"
+#include "train/base/run_cell.h"
+#include "train/base/stage.h"
 #include "train/begin.h"
-#include "train/budget.h"
-#include "train/depth_prior.h"
+#include "train/density/budget.h"
 #include "train/forecast.h"
-#include "train/gallery.h"
-#include "train/init.h"
 #include "train/memory.h"
+#include "train/model/init.h"
+#include "train/photographs/depth_prior.h"
+#include "train/photographs/gallery.h"
 #include "train/refit.h"
-#include "train/run_cell.h"
-#include "train/stage.h"
 
 /* Processor seconds of a unit of train/forecast.h, without and with known depths. Fitted to runs on
  * two cores with AVX-512 (docs/scale.md). */

@@ -10,7 +10,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "train/config.h"
+#include "train/base/config.h"
 
 struct run_cell;
 

@@ -7,11 +7,11 @@
 #include <math.h>
 #include <stdio.h>
 
-#include "codec/scene.h"
-#include "train/gallery.h"
-#include "train/importance.h"
-#include "train/photo_loader.h"
-#include "train/stage.h"
+#include "codec/scene/scene.h"
+#include "train/base/stage.h"
+#include "train/density/importance.h"
+#include "train/photographs/gallery.h"
+#include "train/photographs/photo_loader.h"
 
 /* Costs in Gaussians of a step. Measured on the demo city on two cores, 3,000 steps at three
  * levels, where a Gaussian of a step takes 0.06 us. */
@@ -27,7 +27,7 @@
 #define FORECAST_MERGE 12.0      /* a Gaussian that a coarser level is made of */
 #define FORECAST_OUTSIDE 0.5     /* of those inside a cell: schedule_cap_outside */
 #define FORECAST_KEEP 0.9        /* of what was measured before, a look */
-enum { FORECAST_PRUNE_AGAIN = 32 /* photographs that train/prune.c draws once more */ };
+enum { FORECAST_PRUNE_AGAIN = 32 /* photographs that train/density/prune.c draws once more */ };
 
 void forecast_open(struct forecast *f, const struct gallery *g, const struct stage *at,
                    size_t n_tests, bool whole)

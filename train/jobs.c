@@ -24,16 +24,16 @@
 
 #include <jansson.h>
 
-#include "core/dev.h"
+#include "core/device/dev.h"
 #include "core/machine.h"
 #include "core/pool.h"
+#include "train/base/config.h"
+#include "train/base/result.h"
+#include "train/base/schedule.h"
 #include "train/coarse.h"
-#include "train/config.h"
 #include "train/done.h"
 #include "train/expect.h"
-#include "train/result.h"
 #include "train/run.h"
-#include "train/schedule.h"
 #include "train/train_scene.h"
 
 enum { JOBS_TAIL_BYTES = 8192, JOBS_POLL_MS = 200, JOBS_ARGS_MAX = 20 };

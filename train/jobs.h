@@ -11,7 +11,7 @@
 #ifndef TRAIN_JOBS_H
 #define TRAIN_JOBS_H
 
-#include "train/config.h"
+#include "train/base/config.h"
 
 struct train_cell_result;
 struct train_result;

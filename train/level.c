@@ -17,22 +17,22 @@
 
 #include <jansson.h>
 
-#include "codec/ckpt.h"
-#include "codec/scene.h"
-#include "train/coarsen.h"
-#include "train/config.h"
-#include "train/densify_apply.h"
-#include "train/harmonics.h"
-#include "train/importance.h"
+#include "codec/container/ckpt.h"
+#include "codec/scene/scene.h"
+#include "train/base/config.h"
+#include "train/base/metrics_log.h"
+#include "train/base/run_cell.h"
+#include "train/density/densify_apply.h"
+#include "train/density/importance.h"
+#include "train/density/prune.h"
+#include "train/density/thin.h"
 #include "train/loss/photometric.h"
-#include "train/metrics_log.h"
-#include "train/photo_loader.h"
-#include "train/prune.h"
+#include "train/model/coarsen.h"
+#include "train/model/harmonics.h"
+#include "train/photographs/photo_loader.h"
 #include "train/refit.h"
-#include "train/run_cell.h"
 #include "train/state.h"
-#include "train/terms.h"
-#include "train/thin.h"
+#include "train/terms/terms.h"
 
 /* Of the cell's edge: beyond, exp() and determinants lose their digits. */
 #define LEVEL_SIGMA_MIN 1e-6

@@ -6,13 +6,13 @@
 #ifndef TRAIN_LEVEL_H
 #define TRAIN_LEVEL_H
 
-#include "train/appearance_train.h"
-#include "train/background.h"
-#include "train/fixed.h"
-#include "train/gallery.h"
-#include "train/model.h"
-#include "train/stage.h"
-#include "train/timing.h"
+#include "train/base/fixed.h"
+#include "train/base/stage.h"
+#include "train/base/timing.h"
+#include "train/model/appearance_train.h"
+#include "train/model/model.h"
+#include "train/photographs/background.h"
+#include "train/photographs/gallery.h"
 
 struct evaluate_score;
 struct importance;
@@ -73,13 +73,15 @@ enum err_code level_step(struct level *l, struct photometric_value *value, struc
  * ERR_DEVICE. */
 enum err_code level_go_on(struct level *l, uint32_t steps, uint32_t fade_from,
                           struct err *e) ERR_USE;
-/* Ends a level after its last step: removes Gaussians that contribute nothing (train/prune.h) and
- * reduces harmonics (train/harmonics.h). If that was done before, it does nothing. ERR_CANCEL:
- * stopped by a signal. ERR_MEM, ERR_DEVICE, and the errors of photo_loader_get_nth. */
+/* Ends a level after its last step: removes Gaussians that contribute nothing
+ * (train/density/prune.h) and reduces harmonics (train/model/harmonics.h). If that was done before,
+ * it does nothing. ERR_CANCEL: stopped by a signal. ERR_MEM, ERR_DEVICE, and the errors of
+ * photo_loader_get_nth. */
 enum err_code level_prune(struct level *l, struct prune_report *out,
                           struct residual_list *residuals, struct err *e) ERR_USE;
 /* Goes to the next level, which starts from the present Gaussians with a new optimiser. Where it is
- * a coarser one, these are merged first (train/coarsen.h). ERR_MEM, ERR_LIMIT, ERR_IO, ERR_DEVICE.
+ * a coarser one, these are merged first (train/model/coarsen.h). ERR_MEM, ERR_LIMIT, ERR_IO,
+ * ERR_DEVICE.
  */
 enum err_code level_next(struct level *l, struct err *e) ERR_USE;
 

@@ -9,15 +9,15 @@
 
 #include <math.h>
 
-#include "codec/scene.h"
+#include "codec/scene/scene.h"
 #include "core/base.h"
 #include "core/layout.h"
 #include "render/render.h"
-#include "train/coarsen.h"
-#include "train/config.h"
+#include "train/base/config.h"
+#include "train/base/schedule.h"
 #include "train/loss/embed_smoothness.h"
-#include "train/photo_loader.h"
-#include "train/schedule.h"
+#include "train/model/coarsen.h"
+#include "train/photographs/photo_loader.h"
 
 enum {
     MEMORY_WORD = 4,

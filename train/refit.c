@@ -6,9 +6,9 @@
 
 #include <math.h>
 
-#include "codec/ckpt.h"
-#include "train/appearance_train.h"
-#include "train/stage.h"
+#include "codec/container/ckpt.h"
+#include "train/base/stage.h"
+#include "train/model/appearance_train.h"
 
 #define REFIT_SHARE 0.2 /* of the level's steps */
 

@@ -10,20 +10,20 @@
 
 #include <jansson.h>
 
-#include "train/appearance_train.h"
+#include "train/base/config.h"
+#include "train/base/metrics_log.h"
+#include "train/base/result.h"
 #include "train/begin.h"
-#include "train/config.h"
+#include "train/density/prune.h"
 #include "train/done.h"
-#include "train/evaluate.h"
 #include "train/forecast.h"
 #include "train/level.h"
 #include "train/loss/photometric.h"
-#include "train/metrics_log.h"
-#include "train/photo_loader.h"
-#include "train/prune.h"
+#include "train/model/appearance_train.h"
+#include "train/photographs/evaluate.h"
+#include "train/photographs/photo_loader.h"
+#include "train/photographs/residual.h"
 #include "train/refit.h"
-#include "train/residual.h"
-#include "train/result.h"
 #include "train/run.h"
 
 #define RUN_COMPILED 0.05 /* of a look: more than that, and the look does not count */

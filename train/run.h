@@ -6,7 +6,7 @@
 #define TRAIN_RUN_H
 
 #include "core/err.h"
-#include "train/run_cell.h"
+#include "train/base/run_cell.h"
 
 struct train_cell_result;
 

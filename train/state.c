@@ -16,14 +16,14 @@
 
 #include <jansson.h>
 
-#include "codec/ckpt.h"
+#include "codec/container/ckpt.h"
 #include "core/layout.h"
-#include "train/appearance_train.h"
-#include "train/config.h"
-#include "train/evaluate.h"
-#include "train/fixed.h"
-#include "train/inputs.h"
-#include "train/model.h"
+#include "train/base/config.h"
+#include "train/base/fixed.h"
+#include "train/model/appearance_train.h"
+#include "train/model/model.h"
+#include "train/photographs/evaluate.h"
+#include "train/photographs/inputs.h"
 
 enum { STATE_STATS = 5, STATE_APPEARANCE = 2, STATE_SLICE = 65536 };
 #define STATE_MOMENTS "adam" /* uint32_t: both moments of each parameter, see render.h */

@@ -5,7 +5,7 @@
 #ifndef TRAIN_STATE_H
 #define TRAIN_STATE_H
 
-#include "train/stage.h"
+#include "train/base/stage.h"
 #include "train/state_check.h"
 
 struct ckpt_rows;

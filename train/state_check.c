@@ -10,11 +10,11 @@
 
 #include <jansson.h>
 
-#include "codec/ckpt.h"
+#include "codec/container/ckpt.h"
 #include "scene/cells/cell.h"
-#include "train/appearance_train.h"
-#include "train/config.h"
-#include "train/inputs.h"
+#include "train/base/config.h"
+#include "train/model/appearance_train.h"
+#include "train/photographs/inputs.h"
 
 #define STATE_CHECK_SAME_M 1e-6 /* lengths of a plan go through text */
 

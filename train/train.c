@@ -6,8 +6,8 @@
 
 #include "core/pool.h"
 #include "render/render.h"
+#include "train/base/config.h"
 #include "train/coarse.h"
-#include "train/config.h"
 #include "train/loss/photometric.h"
 #include "train/run.h"
 #include "train/train_scene.h"

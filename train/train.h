@@ -22,15 +22,15 @@
  *
  * Determinism: the same seed, scene, options, device and build give the same bytes, and a resumed
  * run equals an uninterrupted one. Every random number is rng_*(seed, stream, index);
- * train/config.h lists the streams.
+ * train/base/config.h lists the streams.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
 #ifndef TRAIN_TRAIN_H
 #define TRAIN_TRAIN_H
 
-#include "train/config.h"
-#include "train/result.h"
+#include "train/base/config.h"
+#include "train/base/result.h"
 
 void train_result_free(struct train_result *r);
 /* Returns whether several cells with these options need a shared coarse model first

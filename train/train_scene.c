@@ -9,7 +9,7 @@
 
 #include "scene/cells/cell.h"
 #include "scene/cells/cell_plan.h"
-#include "train/config.h"
+#include "train/base/config.h"
 
 enum err_code train_scene_images(struct scene *s, enum scene_split split, bool test_split,
                                  uint32_t **out, size_t *n, struct err *e)

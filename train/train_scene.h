@@ -8,7 +8,7 @@
 #include <stdbool.h>
 #include <stddef.h>
 
-#include "codec/scene.h"
+#include "codec/scene/scene.h"
 #include "scene/cells/partition.h"
 #include "train/run.h"
 

@@ -12,7 +12,7 @@
 #include <math.h>
 #include <stdio.h>
 
-#include "codec/scene.h"
+#include "codec/scene/scene.h"
 #include "scene/cells/cell.h"
 #include "scene/cells/partition.h"
 

@@ -8,7 +8,7 @@
 
 #include <jansson.h>
 
-#include "codec/scene.h"
+#include "codec/scene/scene.h"
 #include "scene/cells/cell_plan.h"
 #include "scene/cells/partition.h"
 

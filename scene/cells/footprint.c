@@ -9,10 +9,10 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "codec/scene.h"
-#include "core/camera.h"
+#include "codec/scene/scene.h"
+#include "core/math/sort.h"
 #include "core/pool.h"
-#include "core/sort.h"
+#include "core/splat/camera.h"
 #include "scene/cells/footprint_internal.h"
 
 enum {

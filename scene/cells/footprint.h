@@ -48,9 +48,10 @@ struct footprint { /* {0} is empty: all ground counts as supported; free with fo
 /* Computes the footprint from training photographs and sparse points. If no ground is supported
  * (too few points or photographs) it warns, and *out is empty (nx 0). ERR_MEM. */
 enum err_code footprint_of(const struct scene *s, struct footprint *out, struct err *e) ERR_USE;
-/* Replaces the ground of the scene's footprint `f` by that of a GeoJSON file (codec/geojson.h).
- * Heights stay. Borders are accurate to half a cell of the grid. ERR_DATA: it lies elsewhere.
- * ERR_NOENT, ERR_IO, ERR_LIMIT, ERR_FORMAT, ERR_DATA, ERR_MEM as in geojson_read. */
+/* Replaces the ground of the scene's footprint `f` by that of a GeoJSON file
+ * (codec/container/geojson.h). Heights stay. Borders are accurate to half a cell of the grid.
+ * ERR_DATA: it lies elsewhere. ERR_NOENT, ERR_IO, ERR_LIMIT, ERR_FORMAT, ERR_DATA, ERR_MEM as in
+ * geojson_read. */
 enum err_code footprint_read(struct footprint *f, const char *path, const struct geo_origin *origin,
                              struct err *e) ERR_USE;
 void footprint_free(struct footprint *f);

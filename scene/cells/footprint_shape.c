@@ -11,9 +11,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "codec/geojson.h"
+#include "codec/container/geojson.h"
 #include "core/base.h"
-#include "core/geo.h"
+#include "core/geo/geo.h"
 #include "scene/cells/footprint.h"
 #include "scene/cells/footprint_internal.h"
 

@@ -14,10 +14,10 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "codec/scene.h"
-#include "core/camera.h"
+#include "codec/scene/scene.h"
+#include "core/math/sort.h"
 #include "core/pool.h"
-#include "core/sort.h"
+#include "core/splat/camera.h"
 
 enum {
     PARTITION_TRACK_MIN = 3,  /* "reliable" point: seen in three photographs ... */

@@ -4,7 +4,7 @@
  */
 #include "scene/cells/share.h"
 
-#include "codec/scene.h"
+#include "codec/scene/scene.h"
 #include "scene/cells/partition.h"
 #include "scene/cells/window.h"
 

@@ -7,12 +7,12 @@
 #include <math.h>
 #include <string.h>
 
-#include "codec/scene.h"
-#include "codec/seen.h"
+#include "codec/container/seen.h"
+#include "codec/scene/scene.h"
 #include "core/base.h"
-#include "core/camera.h"
+#include "core/math/sort.h"
 #include "core/pool.h"
-#include "core/sort.h"
+#include "core/splat/camera.h"
 #include "scene/cells/footprint.h"
 
 #define SUPPORT_OPACITY 0.5

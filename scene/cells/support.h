@@ -1,7 +1,7 @@
 /* The number of training photographs that see each place of a city, with what stands in front of
  * the place taken into account. The footprint counts photographs that show a place; behind a tree
  * or a house none of them may see it. Heights there are guesses, and a surface model says so
- * (lod/surface.h).
+ * (lod/surface/surface.h).
  *
  * It is a grid over the ground. The surface of a cell is its highest opaque Gaussian, without
  * columns that stand alone. A photograph sees a cell if its picture holds the cell's surface and no
@@ -35,7 +35,7 @@ void support_free(struct support *s);
 void support_add(struct support *s, const double mean_m[3], double opacity);
 /* Counts the training photographs that see each cell, after all Gaussians are there. ERR_MEM. */
 enum err_code support_count(struct support *s, const struct scene *scene, struct err *e) ERR_USE;
-/* Appends the blob that a store keeps (codec/seen.h). ERR_MEM. */
+/* Appends the blob that a store keeps (codec/container/seen.h). ERR_MEM. */
 enum err_code support_write(const struct support *s, struct buf *out, struct err *e) ERR_USE;
 
 #endif

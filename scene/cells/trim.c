@@ -13,10 +13,10 @@
 #include <math.h>
 #include <string.h>
 
-#include "codec/scene.h"
-#include "core/camera.h"
-#include "core/gauss.h"
+#include "codec/scene/scene.h"
 #include "core/pool.h"
+#include "core/splat/camera.h"
+#include "core/splat/gauss.h"
 #include "scene/cells/footprint.h"
 
 enum {

@@ -7,9 +7,9 @@
 #include <math.h>
 #include <string.h>
 
-#include "codec/scene.h"
-#include "core/knn.h"
-#include "core/sort.h"
+#include "codec/scene/scene.h"
+#include "core/math/knn.h"
+#include "core/math/sort.h"
 #include "scene/cells/partition.h"
 
 #define WINDOW_TAIL 0.005  /* of a cell's samples, on each side */

@@ -19,8 +19,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "core/camera.h"
 #include "core/err.h"
+#include "core/splat/camera.h"
 
 struct partition;
 struct scene;

@@ -16,12 +16,12 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "codec/exif_camera.h"
-#include "codec/image.h"
+#include "codec/image/exif_camera.h"
+#include "codec/image/image.h"
 #include "codec/limits.h"
-#include "core/geo.h"
+#include "core/geo/geo.h"
+#include "core/math/sort.h"
 #include "core/pool.h"
-#include "core/sort.h"
 #include "scene/ingest/ingest_internal.h"
 
 enum { PLAN_EDGE_PX = 800, PLAN_ALL_PAIRS = 80, PLAN_FEW = 3, PLAN_NO_GPS = 3 };

@@ -19,14 +19,14 @@
 
 #include <jansson.h>
 
-#include "codec/colmap.h"
-#include "codec/image.h"
+#include "codec/image/image.h"
 #include "codec/limits.h"
-#include "codec/mask.h"
-#include "codec/scene.h"
+#include "codec/scene/colmap.h"
+#include "codec/scene/mask.h"
+#include "codec/scene/scene.h"
+#include "core/math/sort.h"
 #include "core/outdir.h"
 #include "core/pool.h"
-#include "core/sort.h"
 #include "scene/ingest/ingest_internal.h"
 
 static enum err_code ingest_no_memory(struct err *e)

@@ -8,7 +8,7 @@
 #ifndef SCENE_INGEST_INGEST_H
 #define SCENE_INGEST_INGEST_H
 
-#include "core/options.h"
+#include "core/options/options.h"
 
 struct gcp_list;
 struct positions;

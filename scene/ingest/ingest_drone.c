@@ -1,5 +1,5 @@
-/* Data of drones about their photographs (codec/drone.h): the altitude to use, and the direction up
- * by their gimbals.
+/* Data of drones about their photographs (codec/image/drone.h): the altitude to use, and the
+ * direction up by their gimbals.
  *
  * Which altitudes are believed, flight by flight, the first that holds:
  *
@@ -24,7 +24,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "core/sort.h"
+#include "core/math/sort.h"
 #include "scene/ingest/ingest.h"
 #include "scene/ingest/ingest_internal.h"
 

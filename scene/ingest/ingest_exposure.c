@@ -15,9 +15,9 @@
 #include <math.h>
 #include <string.h>
 
-#include "codec/image.h"
-#include "core/exposure.h"
+#include "codec/image/image.h"
 #include "core/pool.h"
+#include "core/splat/exposure.h"
 #include "scene/ingest/ingest_internal.h"
 
 enum { EXPOSURE_HALF_PX = 2, EXPOSURE_SWEEPS = 100, EXPOSURE_OBSERVATIONS_MIN = 30 };

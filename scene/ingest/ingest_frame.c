@@ -11,9 +11,9 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "codec/colmap.h"
-#include "codec/image.h"
-#include "core/sort.h"
+#include "codec/image/image.h"
+#include "codec/scene/colmap.h"
+#include "core/math/sort.h"
 #include "scene/ingest/ingest.h"
 #include "scene/ingest/ingest_internal.h"
 

@@ -7,16 +7,16 @@
 
 #include <stdatomic.h>
 
-#include "codec/colmap.h"
-#include "codec/image.h"
-#include "codec/scene.h"
+#include "codec/image/image.h"
+#include "codec/scene/colmap.h"
+#include "codec/scene/scene.h"
 #include "core/outdir.h"
-#include "scene/ingest/gcp_fit.h"
-#include "scene/ingest/georef.h"
+#include "scene/control/gcp_fit.h"
+#include "scene/control/georef.h"
+#include "scene/control/positions.h"
 #include "scene/ingest/ingest_files.h"
 #include "scene/ingest/ingest_look.h"
 #include "scene/ingest/ingest_photo.h"
-#include "scene/ingest/positions.h"
 
 struct ingest_config;
 

@@ -5,10 +5,10 @@
 #ifndef SCENE_INGEST_INGEST_LOOK_H
 #define SCENE_INGEST_INGEST_LOOK_H
 
-#include "codec/colmap.h"
-#include "core/geo.h"
-#include "scene/ingest/gcp_locate.h"
-#include "scene/ingest/sim3.h"
+#include "codec/scene/colmap.h"
+#include "core/geo/geo.h"
+#include "scene/control/gcp_locate.h"
+#include "scene/control/sim3.h"
 
 struct ingest_survey_photo {
     char *file; /* path below the folder of photographs */

@@ -4,8 +4,8 @@
  */
 #include <math.h>
 
-#include "codec/image.h"
-#include "codec/mask.h"
+#include "codec/image/image.h"
+#include "codec/scene/mask.h"
 #include "scene/ingest/ingest_internal.h"
 
 enum { INGEST_MASK_SUB_MAX = 8 };

@@ -13,7 +13,7 @@
 #include <string.h>
 #include <strings.h>
 
-#include "codec/image.h"
+#include "codec/image/image.h"
 #include "codec/limits.h"
 #include "scene/ingest/ingest_photo.h"
 

@@ -9,7 +9,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "core/camera.h"
+#include "core/splat/camera.h"
 
 struct codec_limits;
 

@@ -15,10 +15,10 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "codec/scene.h"
-#include "core/knn.h"
+#include "codec/scene/scene.h"
+#include "core/math/knn.h"
+#include "core/math/sort.h"
 #include "core/pool.h"
-#include "core/sort.h"
 #include "scene/ingest/ingest.h"
 #include "scene/ingest/ingest_internal.h"
 

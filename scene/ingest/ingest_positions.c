@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "core/sort.h"
+#include "core/math/sort.h"
 #include "scene/ingest/ingest.h"
 #include "scene/ingest/ingest_internal.h"
 

@@ -9,10 +9,10 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "codec/colmap.h"
-#include "codec/scene.h"
-#include "core/sort.h"
-#include "scene/ingest/gcp_fit.h"
+#include "codec/scene/colmap.h"
+#include "codec/scene/scene.h"
+#include "core/math/sort.h"
+#include "scene/control/gcp_fit.h"
 #include "scene/ingest/ingest.h"
 #include "scene/ingest/ingest_internal.h"
 

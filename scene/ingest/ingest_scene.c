@@ -6,9 +6,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "codec/colmap.h"
-#include "codec/scene.h"
-#include "core/sort.h"
+#include "codec/scene/colmap.h"
+#include "codec/scene/scene.h"
+#include "core/math/sort.h"
 #include "scene/ingest/ingest.h"
 #include "scene/ingest/ingest_internal.h"
 

@@ -8,9 +8,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "scene/ingest/gcp_solve.h"
+#include "scene/control/gcp_solve.h"
+#include "scene/control/table.h"
 #include "scene/ingest/ingest.h"
-#include "scene/ingest/table.h"
 
 static const double ground_sigma = 0.2; /* rad: how far GPS may put up off */
 /* Errors of marks, over what people do: with few points a wrong mark would excuse itself. */

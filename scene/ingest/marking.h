@@ -14,7 +14,7 @@
 #ifndef SCENE_INGEST_MARKING_H
 #define SCENE_INGEST_MARKING_H
 
-#include "scene/ingest/gcp_write.h"
+#include "scene/control/gcp_write.h"
 #include "scene/ingest/ingest_look.h"
 
 enum marking_source { /* what places a point */

@@ -9,9 +9,9 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "codec/image.h"
-#include "codec/npy.h"
-#include "codec/scene.h"
+#include "codec/container/npy.h"
+#include "codec/image/image.h"
+#include "codec/scene/scene.h"
 #include "core/base.h"
 #include "core/outdir.h"
 #include "core/pool.h"

@@ -7,7 +7,7 @@
 #include <math.h>
 
 #include "core/base.h"
-#include "core/sort.h"
+#include "core/math/sort.h"
 
 enum { FUSE_AXIS_MAX = (1 << 21) - 1 };
 

@@ -7,9 +7,9 @@
 #include <math.h>
 #include <string.h>
 
-#include "codec/scene.h"
+#include "codec/scene/scene.h"
 #include "core/base.h"
-#include "core/sort.h"
+#include "core/math/sort.h"
 
 #define PAIRS_ANGLE 12.0 /* degrees */
 #define PAIRS_BELOW 4.0

@@ -9,7 +9,7 @@
 #include <string.h>
 
 #include "core/base.h"
-#include "core/dev.h"
+#include "core/device/dev.h"
 
 extern const char vector_cl[], sweep_cl[];
 
@@ -64,7 +64,7 @@ void sweep_close(struct sweep **p)
 
 static enum err_code sweep_build(struct sweep *s, struct err *e)
 {
-    const struct dev_source sources[] = {{"core/vector.cl", vector_cl},
+    const struct dev_source sources[] = {{"core/device/vector.cl", vector_cl},
                                          {"scene/stereo/sweep.cl", sweep_cl}};
     char flags[256];
     snprintf(flags, sizeof flags,

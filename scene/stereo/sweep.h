@@ -43,8 +43,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "core/camera.h"
 #include "core/err.h"
+#include "core/splat/camera.h"
 
 struct dev;
 

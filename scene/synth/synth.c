@@ -14,10 +14,10 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "codec/colmap.h"
-#include "codec/image.h"
-#include "codec/npy.h"
-#include "core/geo.h"
+#include "codec/container/npy.h"
+#include "codec/image/image.h"
+#include "codec/scene/colmap.h"
+#include "core/geo/geo.h"
 #include "core/outdir.h"
 #include "core/pool.h"
 

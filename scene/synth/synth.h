@@ -14,8 +14,8 @@
 #ifndef SCENE_SYNTH_SYNTH_H
 #define SCENE_SYNTH_SYNTH_H
 
-#include "core/camera.h"
-#include "core/options.h"
+#include "core/options/options.h"
+#include "core/splat/camera.h"
 
 struct camera;
 struct colmap_model;

@@ -6,7 +6,7 @@
 #include <math.h>
 #include <stdlib.h>
 
-#include "codec/image.h"
+#include "codec/image/image.h"
 #include "scene/synth/synth.h"
 
 enum { LENS_STEP_PX = 2 }; /* spacing of the table of rays; linear in between is good to 1e-3 px */

@@ -10,7 +10,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "codec/colmap.h"
+#include "codec/scene/colmap.h"
 #include "scene/synth/synth.h"
 
 static const double noise_px = 0.35,

@@ -7,7 +7,7 @@
 
 #include <stdio.h>
 
-#include "lod/photograph.h"
+#include "lod/store/photograph.h"
 #include "server/answers/answer.h"
 #include "server/documents/appearance_model.h"
 #include "server/documents/result_id.h"

@@ -6,7 +6,7 @@
 
 #include <stdio.h>
 
-#include "lod/clip.h"
+#include "lod/export/clip.h"
 #include "server/answers/answer_appearance.h"
 #include "server/data/encode.h"
 #include "server/documents/result_id.h"

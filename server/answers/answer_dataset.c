@@ -8,10 +8,10 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "lod/clip.h"
-#include "lod/crop.h"
-#include "lod/tileset.h"
-#include "lod/tree.h"
+#include "lod/export/clip.h"
+#include "lod/export/crop.h"
+#include "lod/export/tileset.h"
+#include "lod/store/tree.h"
 #include "server/access/permissions.h"
 #include "server/answers/answer.h"
 #include "server/answers/origin.h"

@@ -8,10 +8,10 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "codec/part.h"
-#include "lod/clip.h"
-#include "lod/crop.h"
-#include "lod/store.h"
+#include "codec/splat/part.h"
+#include "lod/export/clip.h"
+#include "lod/export/crop.h"
+#include "lod/store/store.h"
 #include "server/access/permissions.h"
 #include "server/answers/answer_appearance.h"
 #include "server/base/text.h"

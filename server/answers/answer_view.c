@@ -8,7 +8,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "lod/view.h"
+#include "lod/choose/view.h"
 #include "server/answers/answer.h"
 #include "server/answers/answer_appearance.h"
 #include "server/answers/posted_view.h"

@@ -8,8 +8,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "core/geo.h"
-#include "lod/view.h"
+#include "core/geo/geo.h"
+#include "lod/choose/view.h"
 #include "render/supersample.h"
 #include "server/drawing/composite.h"
 #include "server/route/param.h"

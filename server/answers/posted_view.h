@@ -5,7 +5,7 @@
 #ifndef SERVER_POSTED_VIEW_H
 #define SERVER_POSTED_VIEW_H
 
-#include "core/camera.h"
+#include "core/splat/camera.h"
 #include "server/base/config.h"
 #include "server/route/target.h"
 

@@ -10,7 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "lod/key.h"
+#include "lod/store/key.h"
 #include "server/base/condition.h"
 #include "server/base/text.h"
 #include "server/drawing/picture_id.h"

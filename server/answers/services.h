@@ -7,7 +7,7 @@
 
 #include <pthread.h>
 
-#include "core/geo.h"
+#include "core/geo/geo.h"
 #include "server/access/auth.h"
 #include "server/access/cache_policy.h"
 #include "server/answers/metrics.h"

@@ -19,7 +19,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "codec/video.h"
+#include "codec/image/video.h"
 #include "core/pool.h"
 #include "server/answers/answer_view.h"
 #include "server/drawing/picture_id.h"

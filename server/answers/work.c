@@ -9,7 +9,7 @@
 #include <stdio.h>
 
 #include "core/trace.h"
-#include "lod/remote.h"
+#include "lod/store/remote.h"
 
 /* Tracks of a trace; threads beyond the last share it. */
 static const char *const work_tracks[] = {"tiles 1", "tiles 2", "tiles 3", "tiles 4",

@@ -6,8 +6,8 @@
 #ifndef SERVER_CONFIG_H
 #define SERVER_CONFIG_H
 
-#include "codec/quant.h"
-#include "core/options.h"
+#include "codec/splat/quant.h"
+#include "core/options/options.h"
 
 struct server_config { /* texts are borrowed and live as long as the server */
 #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;

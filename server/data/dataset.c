@@ -11,8 +11,8 @@
 #include <string.h>
 #include <unistd.h>
 
-#include "lod/bake.h"
-#include "lod/clip.h"
+#include "lod/export/clip.h"
+#include "lod/store/bake.h"
 #include "server/data/encode.h"
 #include "server/data/search_index.h"
 

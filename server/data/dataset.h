@@ -8,8 +8,8 @@
 #include <pthread.h>
 #include <stdatomic.h>
 
-#include "lod/area.h"
-#include "lod/store.h"
+#include "lod/store/area.h"
+#include "lod/store/store.h"
 #include "server/base/body.h"
 
 struct clip;

@@ -9,19 +9,19 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "codec/axes.h"
-#include "codec/draco.h"
-#include "codec/glb.h"
-#include "codec/part.h"
-#include "codec/ply.h"
-#include "codec/quant.h"
-#include "codec/sog.h"
-#include "codec/spz.h"
-#include "core/gauss.h"
-#include "lod/bake.h"
-#include "lod/lowpass.h"
-#include "lod/store.h"
-#include "lod/tree.h"
+#include "codec/splat/axes.h"
+#include "codec/splat/draco.h"
+#include "codec/splat/glb.h"
+#include "codec/splat/part.h"
+#include "codec/splat/ply.h"
+#include "codec/splat/quant.h"
+#include "codec/splat/sog.h"
+#include "codec/splat/spz.h"
+#include "core/splat/gauss.h"
+#include "lod/export/lowpass.h"
+#include "lod/store/bake.h"
+#include "lod/store/store.h"
+#include "lod/store/tree.h"
 
 enum {
     ENCODE_EMBED_BITS = 3

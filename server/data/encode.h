@@ -5,8 +5,8 @@
 #ifndef SERVER_ENCODE_H
 #define SERVER_ENCODE_H
 
-#include "lod/clip.h"
-#include "lod/store.h"
+#include "lod/export/clip.h"
+#include "lod/store/store.h"
 #include "server/base/config.h"
 #include "server/route/target.h"
 

@@ -17,7 +17,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "lod/bake.h"
+#include "lod/store/bake.h"
 #include "server/base/document.h"
 #include "server/base/text.h"
 #include "server/documents/link.h"

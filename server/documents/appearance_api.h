@@ -5,7 +5,7 @@
 #ifndef SERVER_APPEARANCE_API_H
 #define SERVER_APPEARANCE_API_H
 
-#include "core/appearance.h"
+#include "core/splat/appearance.h"
 #include "server/data/dataset.h"
 #include "server/data/named_appearance.h"
 #include "server/route/target.h"

@@ -10,9 +10,9 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "core/appearance.h"
-#include "lod/bake.h"
-#include "lod/photograph.h"
+#include "core/splat/appearance.h"
+#include "lod/store/bake.h"
+#include "lod/store/photograph.h"
 #include "server/base/document.h"
 #include "server/base/format.h"
 #include "server/documents/link.h"

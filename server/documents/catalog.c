@@ -11,8 +11,8 @@
 #include <string.h>
 #include <time.h>
 
-#include "lod/clip.h"
-#include "lod/store.h"
+#include "lod/export/clip.h"
+#include "lod/store/store.h"
 #include "server/base/document.h"
 #include "server/documents/appearance_api.h"
 #include "server/documents/appearance_model.h"

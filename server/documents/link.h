@@ -6,7 +6,7 @@
 #define SERVER_LINK_H
 
 #include "core/base.h"
-#include "lod/key.h"
+#include "lod/store/key.h"
 
 struct dataset;
 

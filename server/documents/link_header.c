@@ -11,8 +11,8 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "lod/store.h"
-#include "lod/tree.h"
+#include "lod/store/store.h"
+#include "lod/store/tree.h"
 #include "server/base/text.h"
 #include "server/documents/link.h"
 #include "server/route/target_query.h"

@@ -9,8 +9,8 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "lod/key.h"
-#include "lod/raster.h"
+#include "lod/store/key.h"
+#include "lod/surface/raster.h"
 #include "server/base/document.h"
 #include "server/base/text.h"
 #include "server/documents/link.h"

@@ -14,7 +14,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "lod/raster.h"
+#include "lod/surface/raster.h"
 #include "server/base/document.h"
 #include "server/base/format.h"
 #include "server/documents/link.h"

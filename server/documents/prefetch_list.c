@@ -8,10 +8,10 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "lod/crop.h"
-#include "lod/lowpass.h"
-#include "lod/store.h"
-#include "lod/tree.h"
+#include "lod/export/crop.h"
+#include "lod/export/lowpass.h"
+#include "lod/store/store.h"
+#include "lod/store/tree.h"
 #include "server/base/text.h"
 #include "server/data/encode.h"
 #include "server/documents/link.h"
@@ -61,7 +61,7 @@ static bool prefetch_list_lists(const struct prefetch_list *s, const struct stor
 /* Which tiles a client asks for in a form. */
 enum prefetch_tiles {
     PREFETCH_ALL,     /* all of them */
-    PREFETCH_ENTRY,   /* as tilesets name them: filtered where tiles are (lod/tileset.c) */
+    PREFETCH_ENTRY,   /* as tilesets name them: filtered where tiles are (lod/export/tileset.c) */
     PREFETCH_NEAR,    /* leaves of which the filtered form comes first */
     PREFETCH_FIRST,   /* the one that every view begins with */
     PREFETCH_IN_PARTS /* those of which there is a second part */

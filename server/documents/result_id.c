@@ -7,7 +7,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "lod/store.h"
+#include "lod/store/store.h"
 #include "server/route/target_query.h"
 
 void result_id_mix(struct hash128 *id, const struct appearance_choice *a)

@@ -14,10 +14,10 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "core/appearance.h"
-#include "core/gauss.h"
-#include "lod/bake.h"
-#include "lod/photograph.h"
+#include "core/splat/appearance.h"
+#include "core/splat/gauss.h"
+#include "lod/store/bake.h"
+#include "lod/store/photograph.h"
 #include "server/base/document.h"
 #include "server/base/text.h"
 #include "server/data/dataset.h"

@@ -9,8 +9,8 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "lod/store.h"
-#include "lod/tree.h"
+#include "lod/store/store.h"
+#include "lod/store/tree.h"
 #include "server/base/document.h"
 
 /* The direction of the viewer's own first view (web/src/stage.ts). */

@@ -5,7 +5,7 @@
 #ifndef SERVER_TILESET_LINKS_H
 #define SERVER_TILESET_LINKS_H
 
-#include "lod/tileset.h"
+#include "lod/export/tileset.h"
 #include "server/data/dataset.h"
 
 /* The document that has the templates: the entry of a revision, a part of it, or the entry of the

@@ -11,9 +11,9 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "core/heights.h"
-#include "lod/store.h"
-#include "lod/tree.h"
+#include "core/geo/heights.h"
+#include "lod/store/store.h"
+#include "lod/store/tree.h"
 #include "server/base/document.h"
 #include "server/data/dataset.h"
 #include "server/data/encode.h"

@@ -11,9 +11,9 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "codec/image.h"
-#include "codec/png.h"
-#include "codec/video.h"
+#include "codec/image/image.h"
+#include "codec/image/png.h"
+#include "codec/image/video.h"
 
 static const double composite_unit_m[] = {
     [DEPTH_NONE] = 0, [DEPTH_MM] = 1e-3, [DEPTH_CM] = 1e-2, [DEPTH_DM] = 0.1, [DEPTH_M] = 1};

@@ -5,7 +5,7 @@
 #ifndef SERVER_COMPOSITE_H
 #define SERVER_COMPOSITE_H
 
-#include "core/camera.h"
+#include "core/splat/camera.h"
 #include "server/route/target.h"
 
 /* Parses text [n] as a unit of depth: "mm", "cm", "dm" or "m". Returns false for any other. */

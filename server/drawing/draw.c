@@ -14,13 +14,13 @@
 #include <sys/resource.h>
 #include <unistd.h>
 
-#include "codec/image.h"
-#include "core/dev.h"
-#include "core/geo.h"
-#include "lod/nadir.h"
-#include "lod/pick.h"
-#include "lod/remote.h"
-#include "lod/view.h"
+#include "codec/image/image.h"
+#include "core/device/dev.h"
+#include "core/geo/geo.h"
+#include "lod/choose/pick.h"
+#include "lod/choose/view.h"
+#include "lod/store/remote.h"
+#include "lod/surface/nadir.h"
 #include "render/render.h"
 #include "server/drawing/composite.h"
 

@@ -7,8 +7,8 @@
 #ifndef SERVER_DRAW_H
 #define SERVER_DRAW_H
 
-#include "core/camera.h"
-#include "lod/query.h"
+#include "core/splat/camera.h"
+#include "lod/surface/query.h"
 #include "server/documents/appearance_api.h"
 #include "server/drawing/map_tile.h"
 #include "server/drawing/worker.h"
@@ -29,7 +29,7 @@ struct draw_view {
     enum format format;
     int quality; /* for JPEG and WebP */
     struct composite composite;
-    bool planes; /* not encoded: in planes, for a video (codec/video.h) */
+    bool planes; /* not encoded: in planes, for a video (codec/image/video.h) */
     bool moves;  /* of a moving camera: it may use the lists of the last one (view_render_moving) */
 };
 enum draw_kind { DRAW_VIEW, DRAW_MAP, DRAW_QUERY };

@@ -6,7 +6,7 @@
 
 #include <math.h>
 
-#include "codec/image.h"
+#include "codec/image/image.h"
 
 static uint8_t map_tile_byte(float v)
 {

@@ -5,7 +5,7 @@
 #ifndef SERVER_MAP_TILE_H
 #define SERVER_MAP_TILE_H
 
-#include "lod/raster.h"
+#include "lod/surface/raster.h"
 #include "server/route/target.h"
 
 enum { MAP_TILE_REACH_PX = 16 /* distance over which holes of terrain are filled */ };

@@ -17,7 +17,7 @@
 #include <string.h>
 
 #include "core/trace.h"
-#include "lod/store.h"
+#include "lod/store/store.h"
 
 enum { PICTURE_NICE = 5 };
 static const double PAUSE_S = 0.25, PAUSE_MOST_S = 30, STEADY_S = 10;

@@ -5,7 +5,7 @@
 #ifndef SERVER_PICTURE_ID_H
 #define SERVER_PICTURE_ID_H
 
-#include "lod/query.h"
+#include "lod/surface/query.h"
 #include "server/data/dataset.h"
 #include "server/drawing/draw.h"
 

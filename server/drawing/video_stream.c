@@ -10,7 +10,7 @@
 
 #include <math.h>
 
-#include "codec/video.h"
+#include "codec/image/video.h"
 
 enum {
     VIDEO_STREAM_FINEST = 22, /* at JPEG_FINEST; equal SSIM: docs/decisions/027-streams.md */

@@ -22,7 +22,7 @@ struct video_stream_room { /* shared by all videos of a server */
 struct video_stream; /* reference-counted */
 struct video_stream_shot {
     uint32_t width_px, height_px;
-    int quantizer; /* codec/video.h */
+    int quantizer; /* codec/image/video.h */
     bool key;      /* the reader lacks the frame that other frames refer to */
 };
 struct video_stream_told { /* of the newest frame */

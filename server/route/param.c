@@ -8,7 +8,7 @@
 
 #include <string.h>
 
-#include "codec/quant.h"
+#include "codec/splat/quant.h"
 #include "server/route/param_clip.h"
 #include "server/route/param_time.h"
 #include "server/route/route.h"

@@ -10,8 +10,8 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "core/outline.h"
-#include "lod/clip.h"
+#include "core/geo/outline.h"
+#include "lod/export/clip.h"
 #include "server/base/text.h"
 
 static const double PARAM_CLIP_UNIT = 1e-7; /* degrees */

@@ -17,7 +17,7 @@
 
 #include <string.h>
 
-#include "codec/quant.h"
+#include "codec/splat/quant.h"
 
 enum { ROUTER_PARAMS = 20, ROUTER_PARTS = 10 };
 

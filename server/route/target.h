@@ -13,7 +13,7 @@
 #include <string.h>
 
 #include "core/base.h"
-#include "lod/key.h"
+#include "lod/store/key.h"
 #include "server/base/format.h"
 #include "server/base/text.h"
 #include "server/route/route.h"
@@ -55,7 +55,7 @@ struct form { /* of a tile; for quantised formats (.glb .spz .drc) preset and de
     enum format format;
     uint8_t preset;    /* enum quant_preset; QUANT_PRESETS: not given */
     uint8_t sh_degree; /* highest band; FORM_UNSAID: not given */
-    uint8_t part;      /* of .drc: 1 or 2 (codec/part.h); 0: all of it */
+    uint8_t part;      /* of .drc: 1 or 2 (codec/splat/part.h); 0: all of it */
     bool trained;      /* trained colours without an appearance; never set by the parser */
 };
 /* A polygon that does not cross itself, in its only spelling, so that equal polygons are equal

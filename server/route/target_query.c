@@ -4,7 +4,7 @@
  */
 #include "server/route/target_query.h"
 
-#include "codec/quant.h"
+#include "codec/splat/quant.h"
 #include "server/base/text.h"
 #include "server/route/param_clip.h"
 #include "server/route/param_time.h"

@@ -4,7 +4,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "tests/lit.h"
+#include "tests/server/lit.h"
 
 #include <math.h>
 #include <stdlib.h>

@@ -13,10 +13,10 @@
 
 #include <jansson.h>
 
-#include "codec/ckpt.h"
-#include "codec/colmap.h"
-#include "codec/geojson.h"
-#include "codec/odm.h"
+#include "codec/container/ckpt.h"
+#include "codec/container/geojson.h"
+#include "codec/scene/colmap.h"
+#include "codec/scene/odm.h"
 #include "tests/fuzz/fuzz.h"
 
 enum { CKPT_HEAD = 64, CKPT_ENTRY = 64, CKPT_HASHED = 24, COLMAP_HEAD = 5, ODM_HEAD = 3 };

@@ -2,18 +2,18 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "codec/archive.h"
-#include "codec/draco.h"
-#include "codec/exif.h"
-#include "codec/glb.h"
-#include "codec/image.h"
-#include "codec/payload.h"
-#include "codec/ply.h"
-#include "codec/quant.h"
-#include "codec/seen.h"
-#include "codec/sog.h"
-#include "codec/spz.h"
-#include "core/appearance.h"
+#include "codec/container/archive.h"
+#include "codec/container/seen.h"
+#include "codec/image/exif.h"
+#include "codec/image/image.h"
+#include "codec/splat/draco.h"
+#include "codec/splat/glb.h"
+#include "codec/splat/payload.h"
+#include "codec/splat/ply.h"
+#include "codec/splat/quant.h"
+#include "codec/splat/sog.h"
+#include "codec/splat/spz.h"
+#include "core/splat/appearance.h"
 #include "tests/fuzz/fuzz.h"
 
 #include <assert.h>

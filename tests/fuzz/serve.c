@@ -8,9 +8,9 @@
 #include <math.h>
 #include <string.h>
 
-#include "core/appearance.h"
-#include "core/options.h"
-#include "lod/query.h"
+#include "core/options/options.h"
+#include "core/splat/appearance.h"
+#include "lod/surface/query.h"
 #include "server/access/auth.h"
 #include "server/access/cache_policy.h"
 #include "server/answers/posted_view.h"

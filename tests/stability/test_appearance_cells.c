@@ -3,14 +3,14 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "codec/ckpt.h"
-#include "codec/scene.h"
+#include "codec/container/ckpt.h"
+#include "codec/scene/scene.h"
 #include "scene/cells/cell_plan.h"
 #include "scene/cells/partition.h"
 #include "tests/stability/toy_appearance.h"
-#include "train/appearance_train.h"
+#include "train/base/config.h"
 #include "train/coarse.h"
-#include "train/config.h"
+#include "train/model/appearance_train.h"
 #include "train/train.h"
 
 #include <jansson.h>

@@ -3,18 +3,18 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "codec/ckpt.h"
-#include "codec/image.h"
+#include "codec/container/ckpt.h"
+#include "codec/image/image.h"
 #include "tests/stability/toy_appearance.h"
-#include "train/appearance_train.h"
-#include "train/config.h"
+#include "train/base/config.h"
+#include "train/density/prune.h"
+#include "train/density/thin.h"
 #include "train/level.h"
 #include "train/loss/metric.h"
 #include "train/loss/photometric.h"
-#include "train/photo_loader.h"
-#include "train/prune.h"
-#include "train/residual.h"
-#include "train/thin.h"
+#include "train/model/appearance_train.h"
+#include "train/photographs/photo_loader.h"
+#include "train/photographs/residual.h"
 #include "train/train.h"
 
 #include <math.h>

@@ -2,12 +2,12 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "codec/scene.h"
+#include "codec/scene/scene.h"
 #include "scene/cells/cell_plan.h"
 #include "scene/cells/partition.h"
 #include "tests/stability/toy.h"
-#include "train/budget.h"
-#include "train/config.h"
+#include "train/base/config.h"
+#include "train/density/budget.h"
 #include "train/train.h"
 
 #include <math.h>

@@ -7,13 +7,13 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "codec/ckpt.h"
-#include "codec/image.h"
-#include "codec/npy.h"
-#include "codec/scene.h"
-#include "lod/pick.h"
-#include "lod/store.h"
-#include "lod/view.h"
+#include "codec/container/ckpt.h"
+#include "codec/container/npy.h"
+#include "codec/image/image.h"
+#include "codec/scene/scene.h"
+#include "lod/choose/pick.h"
+#include "lod/choose/view.h"
+#include "lod/store/store.h"
 #include "scene/cells/cell_plan.h"
 #include "scene/cells/partition.h"
 #include "tests/stability/toy.h"

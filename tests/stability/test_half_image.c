@@ -2,12 +2,12 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "lab/half_image.h"
+#include "lab/eval/half_image.h"
 #include "tests/stability/toy_appearance.h"
-#include "train/appearance_train.h"
-#include "train/config.h"
-#include "train/evaluate.h"
-#include "train/photo_loader.h"
+#include "train/base/config.h"
+#include "train/model/appearance_train.h"
+#include "train/photographs/evaluate.h"
+#include "train/photographs/photo_loader.h"
 
 #include <string.h>
 

@@ -4,8 +4,8 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "tests/stability/toy.h"
-#include "train/config.h"
-#include "train/schedule.h"
+#include "train/base/config.h"
+#include "train/base/schedule.h"
 
 #include <math.h>
 

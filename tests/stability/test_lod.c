@@ -12,9 +12,9 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "lod/pick.h"
-#include "lod/pyramid.h"
-#include "lod/view.h"
+#include "lod/choose/pick.h"
+#include "lod/choose/view.h"
+#include "lod/make/pyramid.h"
 #include "tests/stability/toy.h"
 
 enum { W = 240, H = 180, OVER = 3, VALUES = W * H * 3 };

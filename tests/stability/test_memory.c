@@ -3,16 +3,16 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "codec/ckpt.h"
-#include "codec/scene.h"
+#include "codec/container/ckpt.h"
+#include "codec/scene/scene.h"
 #include "core/layout.h"
 #include "scene/cells/cell.h"
 #include "tests/stability/toy.h"
-#include "train/config.h"
+#include "train/base/config.h"
+#include "train/base/schedule.h"
+#include "train/density/prune.h"
 #include "train/level.h"
 #include "train/memory.h"
-#include "train/prune.h"
-#include "train/schedule.h"
 #include "train/train.h"
 #include "train/train_scene.h"
 

@@ -3,15 +3,15 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "codec/image.h"
-#include "codec/mask.h"
-#include "codec/scene.h"
+#include "codec/image/image.h"
+#include "codec/scene/mask.h"
+#include "codec/scene/scene.h"
 #include "tests/stability/toy.h"
-#include "train/config.h"
-#include "train/evaluate.h"
+#include "train/base/config.h"
 #include "train/level.h"
-#include "train/photo_loader.h"
-#include "train/residual.h"
+#include "train/photographs/evaluate.h"
+#include "train/photographs/photo_loader.h"
+#include "train/photographs/residual.h"
 
 #include <math.h>
 #include <stdio.h>

@@ -3,12 +3,12 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "codec/ckpt.h"
-#include "codec/npy.h"
-#include "codec/scene.h"
+#include "codec/container/ckpt.h"
+#include "codec/container/npy.h"
+#include "codec/scene/scene.h"
 #include "core/layout.h"
 #include "tests/stability/toy.h"
-#include "train/config.h"
+#include "train/base/config.h"
 #include "train/level.h"
 #include "train/loss/depth_map.h"
 #include "train/train.h"

@@ -6,7 +6,7 @@
  */
 #include "render/frame.h"
 #include "render/render_ref.h"
-#include "tests/backward_kit.h"
+#include "tests/render/backward_kit.h"
 
 #include <math.h>
 #include <stdlib.h>

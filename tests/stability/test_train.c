@@ -5,8 +5,8 @@
  */
 #include "core/layout.h"
 #include "tests/stability/toy.h"
-#include "train/config.h"
-#include "train/importance.h"
+#include "train/base/config.h"
+#include "train/density/importance.h"
 #include "train/level.h"
 #include "train/state.h"
 

@@ -10,12 +10,12 @@
 #ifndef TESTS_STABILITY_TOY_H
 #define TESTS_STABILITY_TOY_H
 
-#include "codec/ckpt.h"
-#include "codec/scene.h"
+#include "codec/container/ckpt.h"
+#include "codec/scene/scene.h"
 #include "tests/kit.h"
-#include "train/config.h"
-#include "train/evaluate.h"
+#include "train/base/config.h"
 #include "train/level.h"
+#include "train/photographs/evaluate.h"
 
 enum { TOY_PHOTOS_MAX = 64 };
 #define TOY_HEIGHT_M 10.0 /* height of the flight, for poses that are refined */

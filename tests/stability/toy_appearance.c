@@ -4,10 +4,10 @@
  */
 #include "tests/stability/toy_appearance.h"
 
-#include "lab/half_image.h"
-#include "train/appearance_train.h"
+#include "lab/eval/half_image.h"
 #include "train/loss/photometric.h"
-#include "train/photo_loader.h"
+#include "train/model/appearance_train.h"
+#include "train/photographs/photo_loader.h"
 
 #include <math.h>
 

@@ -1,5 +1,5 @@
-// Which tiles the web client shows, against tests/vectors/pick.json, which tests/test_pick.c runs
-// through the server's level selection (lod/pick.c): 3d-tiles-renderer itself, the version that
+// Which tiles the web client shows, against tests/vectors/pick.json, which tests/lod/test_pick.c runs
+// through the server's level selection (lod/choose/pick.c): 3d-tiles-renderer itself, the version that
 // web/ ships, walks a tileset of the same tiles with the same cameras.
 //
 // Clients of others know boundingVolume alone and measure distance to that box; the server measures to
@@ -45,7 +45,7 @@ function isBelow([z, x, y], [Z, X, Y]) {
     return z > Z && x >> (z - Z) === X && y >> (z - Z) === Y;
 }
 
-// The tileset of a scene, as lod/tileset.c writes one: geometric error 0 at leaves, REPLACE.
+// The tileset of a scene, as lod/export/tileset.c writes one: geometric error 0 at leaves, REPLACE.
 function makeTileset(rows) {
     const nodes = rows.map((row) => {
         const [lo, hi] = [row.slice(3, 6), row.slice(6, 9)];

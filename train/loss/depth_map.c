@@ -7,10 +7,10 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "codec/image.h"
-#include "codec/npy.h"
-#include "codec/scene.h"
-#include "core/sort.h"
+#include "codec/container/npy.h"
+#include "codec/image/image.h"
+#include "codec/scene/scene.h"
+#include "core/math/sort.h"
 #include "train/loss/depth_map.h"
 
 enum { DEPTH_MEDIAN_SAMPLE = 16384, DEPTH_EDGE_MAX = 16384 };

@@ -9,8 +9,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "core/camera.h"
 #include "core/err.h"
+#include "core/splat/camera.h"
 
 struct scene;
 

@@ -13,10 +13,10 @@
 #include <string.h>
 
 #include "core/base.h"
-#include "core/knn.h"
 #include "core/layout.h"
+#include "core/math/knn.h"
+#include "core/math/sample.h"
 #include "core/pool.h"
-#include "core/sample.h"
 #include "train/loss/embed_smoothness.h"
 
 #define EMBED_SMOOTHNESS_LENGTH_MIN 1e-12

@@ -40,7 +40,7 @@ void embed_smoothness_step_close(struct embed_smoothness_step **p)
 enum err_code embed_smoothness_step_open(struct dev *dev, struct embed_smoothness_step **out,
                                          struct err *e)
 {
-    const struct dev_source sources[] = {{"core/vector.cl", vector_cl},
+    const struct dev_source sources[] = {{"core/device/vector.cl", vector_cl},
                                          {"render/adam.cl", adam_cl},
                                          {"train/loss/embed_smoothness.cl", embed_smoothness_cl}};
     struct embed_smoothness_step *s = mem_array(1, sizeof *s);

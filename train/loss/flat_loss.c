@@ -36,7 +36,7 @@ void flat_loss_close(struct flat_loss **p)
 
 enum err_code flat_loss_open(struct dev *dev, struct flat_loss **out, struct err *e)
 {
-    const struct dev_source sources[] = {{"core/vector.cl", vector_cl},
+    const struct dev_source sources[] = {{"core/device/vector.cl", vector_cl},
                                          {"train/loss/lanes.cl", lanes_cl},
                                          {"train/loss/axes.cl", axes_cl},
                                          {"train/loss/flat_loss.cl", flat_loss_cl}};

@@ -1,5 +1,5 @@
-// Follows core/vector.cl in programs of train/loss/ over Gaussians: lanes of a group, fixed pieces
-// of the groups, sums.
+// Follows core/device/vector.cl in programs of train/loss/ over Gaussians: lanes of a group, fixed
+// pieces of the groups, sums.
 
 // VW 16: a work-item walks whole groups; VW 1: it walks the lanes of its groups one by one.
 #if VW == 16

@@ -13,7 +13,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "codec/tensors.h"
+#include "codec/container/tensors.h"
 #include "core/base.h"
 #include "core/layout.h"
 

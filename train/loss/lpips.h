@@ -11,7 +11,7 @@
 #ifndef TRAIN_LOSS_LPIPS_H
 #define TRAIN_LOSS_LPIPS_H
 
-#include "core/dev.h"
+#include "core/device/dev.h"
 
 /* Range of the network's input: colours scaled to -1..1, as LPIPS is defined, or 0..1, as in the
  * tables of 3D Gaussian Splatting papers. */

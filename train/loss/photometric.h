@@ -15,7 +15,7 @@
 #ifndef TRAIN_LOSS_PHOTOMETRIC_H
 #define TRAIN_LOSS_PHOTOMETRIC_H
 
-#include "core/dev.h"
+#include "core/device/dev.h"
 
 #define PHOTOMETRIC_L1_WEIGHT 0.8f
 #define PHOTOMETRIC_SSIM_WEIGHT 0.2f

@@ -47,7 +47,7 @@ void scale_loss_close(struct scale_loss **p)
 
 enum err_code scale_loss_open(struct dev *dev, struct scale_loss **out, struct err *e)
 {
-    const struct dev_source sources[] = {{"core/vector.cl", vector_cl},
+    const struct dev_source sources[] = {{"core/device/vector.cl", vector_cl},
                                          {"train/loss/lanes.cl", lanes_cl},
                                          {"train/loss/axes.cl", axes_cl},
                                          {"train/loss/scale_loss.cl", scale_loss_cl}};

@@ -58,7 +58,7 @@ void solid_close(struct solid **p)
 
 enum err_code solid_open(struct dev *dev, struct solid **out, struct err *e)
 {
-    const struct dev_source sources[] = {{"core/vector.cl", vector_cl},
+    const struct dev_source sources[] = {{"core/device/vector.cl", vector_cl},
                                          {"train/loss/lanes.cl", lanes_cl},
                                          {"train/loss/solid.cl", solid_cl}};
     struct solid *s = mem_array(1, sizeof *s);

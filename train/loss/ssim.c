@@ -12,8 +12,8 @@
 #include <string.h>
 
 #include "core/base.h"
+#include "core/math/simd.h"
 #include "core/pool.h"
-#include "core/simd.h"
 
 enum {
     SSIM_RADIUS = 5,

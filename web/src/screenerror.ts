@@ -1,4 +1,4 @@
-// How coarse a tile is on the screen, as the server has it (lod/pick.c): by the distance to where nearly all of its
+// How coarse a tile is on the screen, as the server has it (lod/choose/pick.c): by the distance to where nearly all of its
 // Gaussians are, which tilesets of citysplat tell. Boxes hold every splat whole and are nearer: by them a view
 // gets finer tiles than it needs, which cost more and alias.
 //

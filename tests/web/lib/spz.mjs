@@ -1,5 +1,5 @@
 // SPZ version 3, encoder and decoder, written from the format's description alone: an independent
-// check of codec/spz.c. Positions 24-bit fixed point, smallest-three rotations, one byte for
+// check of codec/splat/spz.c. Positions 24-bit fixed point, smallest-three rotations, one byte for
 // everything else.
 //
 // SPDX-License-Identifier: Apache-2.0

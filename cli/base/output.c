@@ -1,0 +1,16 @@
+/* See output.h.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "cli/base/output.h"
+
+#include <sys/stat.h>
+
+enum err_code output_check(const char *path, bool overwrite, struct err *e)
+{
+    struct stat st;
+    return !path || overwrite || stat(path, &st) || !S_ISREG(st.st_mode)
+               ? ERR_OK
+               : err_set(e, ERR_ARG,
+                         "%s: exists; choose another name, or replace it with --overwrite", path);
+}

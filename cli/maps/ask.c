@@ -1,0 +1,57 @@
+/* Questions about a surface from the command line: see ask.h.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "cli/maps/ask.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+
+#include <jansson.h>
+
+#include "cli/maps/maps.h"
+
+enum err_code ask_place(const char *text, double out[2], struct err *e)
+{
+    char *end;
+    out[0] = strtod(text, &end);
+    const char *lat = end + 1;
+    if (end == text || *end != ',')
+        return err_set(e, ERR_ARG, "'%s': LON,LAT in degrees is expected, e.g. 8.6821,50.1109",
+                       text);
+    out[1] = strtod(lat, &end);
+    if (end == lat || *end || !(fabs(out[0]) <= 180) || !(fabs(out[1]) <= 90))
+        return err_set(e, ERR_ARG, "'%s': LON,LAT in degrees is expected, e.g. 8.6821,50.1109",
+                       text);
+    return ERR_OK;
+}
+
+enum err_code ask_print(const char *store, const struct ask_options *o, const struct query *q,
+                        struct err *e)
+{
+    struct nadir_options no = {.device = o->device};
+    struct geoid *geoid = NULL;
+    struct nadir *n = NULL;
+    json_t *answer = NULL;
+    enum err_code rc = maps_number("--ceiling-m", o->ceiling_m, &no.ceiling_m, e);
+    if (!rc && o->geoid)
+        rc = geoid_open(o->geoid, o->geoid_dir, &geoid, e);
+    if (!rc)
+        rc = nadir_open(store, &no, &n, e);
+    if (!rc && geoid && !heights_ellipsoidal(store_info(nadir_store(n))->heights))
+        rc = err_set(e, ERR_ARG,
+                     "--geoid: heights of this store count from '%s', not from the ellipsoid, so "
+                     "no geoid can be taken off; give --geoid to ingest",
+                     store_info(nadir_store(n))->heights);
+    if (!rc)
+        rc = query_answer(n, geoid, q, &answer, e);
+    if (!rc) {
+        json_dumpf(answer, stdout, JSON_INDENT(2) | JSON_REAL_PRECISION(13));
+        printf("\n");
+    }
+    json_decref(answer);
+    nadir_close(&n);
+    geoid_close(&geoid);
+    return rc == ERR_DATA ? ERR_ARG : rc; /* the question's fault */
+}

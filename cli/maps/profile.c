@@ -1,0 +1,55 @@
+/* citysplat profile: heights of the surface along a line, as JSON.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "cli/base/cli.h"
+#include "cli/maps/ask.h"
+
+struct profile_options {
+#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "cli/maps/profile.def"
+#undef OPT
+    struct ask_options ask;
+};
+
+static const struct options_def profile_defs[] = {
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct profile_options, type, tier, key, def, lo, hi, unit, help)
+#include "cli/maps/profile.def"
+#undef OPT
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW_IN(struct profile_options, ask, type, tier, key, def, lo, hi, unit, help)
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
+#include "cli/maps/ask.def"
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
+#include "cli/maps/geoid.def"
+#undef OPT
+};
+
+static const struct options_spec profile_spec = {
+    .command = "profile",
+    .usage = "citysplat profile CITY.tiles LON,LAT LON,LAT [LON,LAT ...] [options]",
+    .about = "Samples the surface of a tile store along a line of places. Prints one JSON "
+             "object: distance, place and height of every sample, lengths in plan and along the "
+             "surface, climb and fall.",
+    .example = "citysplat profile city.tiles 8.6821,50.1109 8.6860,50.1131 --step-m 1",
+    .defs = profile_defs,
+    .n_defs = sizeof profile_defs / sizeof *profile_defs,
+    .min_args = 3,
+    .max_args = 1 + 15};
+
+enum err_code cli_profile(int argc, char **argv, struct err *e)
+{
+    struct profile_options o = {0};
+    struct options_args args;
+    struct arena arena = {0};
+    struct query q = {.kind = QUERY_PROFILE};
+    enum err_code rc = options_parse(&profile_spec, argc, argv, &o, &args, &arena, e);
+    q.step_m = o.step_m;
+    for (size_t i = 1; !rc && !args.done && i < args.n; i++) /* before the store is opened */
+        rc = ask_place(args.arg[i], q.place[q.n++], e);
+    if (!rc && !args.done)
+        rc = ask_print(args.arg[0], &o.ask, &q, e);
+    arena_free(&arena);
+    return rc;
+}

@@ -1,0 +1,81 @@
+/* Ground control points in longitude and latitude: see control.h.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "cli/scene/control.h"
+
+#include <math.h>
+
+#include "core/base.h"
+#include "survey/crs.h"
+
+/* One place, by a system that is named only now; its errors are answers. */
+static enum err_code control_unproject_one(int epsg, double *x, double *y, struct err *e)
+{
+    struct crs *crs = NULL;
+    enum err_code rc = crs_open(epsg, &crs, e);
+    if (!rc)
+        rc = crs_unproject(crs, 1, x, y, e);
+    crs_close(&crs);
+    return rc;
+}
+
+/* A system that is used elsewhere on Earth is the wrong one, or x and y are swapped. */
+static void control_check_area(const struct crs *crs, const struct gcp *g)
+{
+    double off_deg = crs_outside_deg(crs, g->at[0], g->at[1]);
+    if (off_deg > 3)
+        log_warn("gcp",
+                 "line %zu: ground control point %s lies %.0f degrees outside of where EPSG:%d is "
+                 "used: another zone, x and y swapped, or feet?",
+                 g->line, g->name, off_deg, crs_epsg(crs));
+}
+
+/* What is likely wrong with a point that lies nowhere in its system. */
+static const char *control_suspicion(const struct gcp *g)
+{
+    const double zone = floor(g->file[0] / 1e6), rest = g->file[0] - 1e6 * zone;
+    return zone >= 1 && zone <= 60 && rest > 1e5 && rest < 9e5 && fabs(g->file[1]) < 1e7
+               ? "do the eastings begin with the number of the zone"
+               : "x and y swapped, feet, or millimetres";
+}
+
+/* The system as text, for files that have it so. Heights that PROJ does not know are left out here:
+ * ingest refuses them. */
+static enum err_code control_tell_system(struct crs *crs, struct gcp_list *l, struct err *e)
+{
+    if (l->heights_epsg && l->heights_epsg != 4979 && crs_set_vertical(crs, l->heights_epsg, NULL))
+        log_debug("gcp", "EPSG:%d is no system of heights", l->heights_epsg);
+    mem_free(l->wkt);
+    l->wkt = NULL;
+    return crs_wkt(crs, &l->wkt, e);
+}
+
+enum err_code control_unproject(const char *path, int epsg, struct gcp_list *l, struct err *e)
+{
+    struct crs *crs = NULL;
+    enum err_code rc = ERR_OK;
+    epsg = epsg ? epsg : l->epsg;
+    if (!epsg)
+        rc = err_set(e, ERR_ARG,
+                     "%s: does not say its coordinate system in words known here: give it with "
+                     "--gcp-epsg CODE, e.g. 32632, or 4326 for longitude and latitude",
+                     path);
+    if (!rc && epsg != GCP_LONLAT)
+        rc = crs_open(epsg, &crs, e);
+    for (size_t i = 0; !rc && crs && i < l->n; i++) {
+        struct gcp *g = &l->gcps[i];
+        rc = crs_unproject(crs, 1, &g->at[0], &g->at[1], e);
+        if (rc)
+            err_add(e, "%s: line %zu: ground control point %s (%s?)", path, g->line, g->name,
+                    control_suspicion(g));
+        else
+            control_check_area(crs, g);
+    }
+    if (!rc && crs)
+        rc = control_tell_system(crs, l, e);
+    l->epsg = epsg;
+    l->unproject = control_unproject_one;
+    crs_close(&crs);
+    return rc;
+}

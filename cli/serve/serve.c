@@ -1,0 +1,155 @@
+/* citysplat serve: tile stores over HTTP, until SIGTERM or Ctrl-C. SIGHUP opens the stores again.
+ * stdout gets one line, the address to open; everything else is log.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <pthread.h>
+#include <signal.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "cli/base/cli.h"
+#include "cli/base/output.h"
+#include "core/trace.h"
+#include "server/http/supervisor.h"
+#include "server/server.h"
+
+static const struct options_def serve_defs[] = {
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
+#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
+    OPTIONS_ROW(struct server_config, type, tier, key, def, lo, hi, unit, help)
+#include "server/base/options.def"
+#undef OPT
+};
+
+static const struct options_spec serve_spec = {
+    .command = "serve",
+    .usage = "citysplat serve CITY.tiles|URL [MORE ...] [options]",
+    .about =
+        "Serves tile stores to map clients: Gaussian tiles as .glb, .spz, .drc and .ply, 3D "
+        "Tiles and TileJSON descriptions, rendered views as .jpg, .png and .webp, and the "
+        "viewer. A store is a file, or an object at https://, http:// or s3:// that is read in "
+        "parts. It listens on this machine only; --address changes that. For the internet use "
+        "--tls-cert, or a proxy with TLS. SIGTERM finishes the running requests and exits. "
+        "SIGHUP opens the stores again; the older revision is served for another day. --check "
+        "tells whether it would start. Exit codes are those of sysexits.h: 64 options, 65 and "
+        "66 stores, 69 port or device, 71 memory, 74 input and output, 78 a configuration file, "
+        "--auth or --check.",
+    .example = "citysplat serve city.tiles\n"
+               "citysplat serve old-town.tiles harbour.tiles --address 0.0.0.0 --port 8000\n"
+               "citysplat serve https://cdn.example/city.tiles --cache-dir /var/cache/citysplat\n"
+               "citysplat serve s3://bucket/city.tiles",
+    .defs = serve_defs,
+    .n_defs = sizeof serve_defs / sizeof *serve_defs,
+    .min_args = 1,
+    .max_args = 16,
+};
+
+static void serve_reload(struct server *sv)
+{
+    struct err e = {0};
+    supervisor_reloading();
+    if (server_reload(sv, &e) == ERR_OK)
+        log_info("serve", "reloaded");
+    else
+        log_error("serve", "reload failed, the old data stay: %s", e.msg);
+    supervisor_ready(e.code ? "serving the data from before a reload that failed" : "serving");
+}
+
+/* Half of the time that the supervisor gives: say that the program answers, while it does. */
+static void serve_watch(const struct server *sv, double *next_s)
+{
+    double every_s = supervisor_watchdog_s() / 2;
+    if (every_s <= 0 || clock_s() < *next_s)
+        return;
+    if (server_answers(sv, every_s / 2))
+        supervisor_well();
+    else
+        log_error("serve", "the program does not answer its own request");
+    *next_s = clock_s() + every_s;
+}
+
+/* Until SIGTERM, or until pictures fail for too long and that is to end the program. */
+static enum err_code serve_run(struct server *sv, const struct server_config *cfg,
+                               const sigset_t *hup, struct err *e)
+{
+    double next_s = 0;
+    while (!signals_stopping()) {
+        const struct timespec wait = {.tv_nsec = 100000000};
+        if (sigtimedwait(hup, NULL, &wait) == SIGHUP || server_reload_asked(sv))
+            serve_reload(sv);
+        server_look(sv, clock_s());
+        server_expire(sv, clock_s());
+        server_keep_memory(sv, clock_s());
+        serve_watch(sv, &next_s);
+        if (cfg->exit_hung && server_failing_s(sv) > fmax(cfg->device_timeout_s, 10))
+            return err_set(e, ERR_DEVICE, "pictures have failed for %.0f s, and --exit-hung is set",
+                           server_failing_s(sv));
+    }
+    return ERR_OK;
+}
+
+/* The trace is written whatever ended the server. */
+static void serve_trace_end(const char *path)
+{
+    struct trace_result t;
+    struct err e = {0};
+    if (trace_end(&t, &e))
+        log_error("serve", "%s", e.msg);
+    else
+        log_info("serve", "trace %s: spans=%zu dropped=%zu seconds=%.1f cores=%.2f", path, t.spans,
+                 t.dropped, t.seconds, t.cores);
+}
+
+enum err_code cli_serve(int argc, char **argv, struct err *e)
+{
+    struct server_config cfg;
+    struct options_args args;
+    struct arena arena = {0};
+    struct server *sv = NULL;
+    sigset_t hup;
+    sigemptyset(&hup);
+    sigaddset(&hup, SIGHUP);
+    config_fix(&cfg);
+    enum err_code rc = options_parse(&serve_spec, argc, argv, &cfg, &args, &arena, e);
+    if (rc || args.done)
+        goto out;
+    log_set_json(cfg.log_format);
+    if (cfg.check) {
+        rc = server_check(&cfg, args.arg, args.n, stdout, e);
+        goto out;
+    }
+    /* Threads inherit the mask, so SIGHUP waits for sigtimedwait below. */
+    pthread_sigmask(SIG_BLOCK, &hup, NULL);
+    signals_catch();
+    if (cfg.trace)
+        rc = output_check(cfg.trace, false, e);
+    if (!rc && cfg.trace)
+        rc = trace_begin(cfg.trace, e);
+    if (!rc)
+        rc = server_start(&cfg, args.arg, args.n, &sv, e);
+    if (rc)
+        goto out;
+    printf("citysplat serves %zu dataset%s: open %s\n", args.n, args.n == 1 ? "" : "s",
+           server_url(sv));
+    if (cfg.admin)
+        printf("operators: port %u\n", (unsigned)server_admin_port(sv));
+    fflush(stdout);
+    supervisor_ready("serving");
+    rc = serve_run(sv, &cfg, &hup, e);
+    supervisor_stopping();
+    log_info("serve", "stopping: answers under way are finished first");
+out:;
+    const bool stopped = server_stop(&sv);
+    if (trace_on())
+        serve_trace_end(cfg.trace);
+    if (!stopped) {
+        fflush(stdout);
+        _exit(rc ? EXIT_FAILURE : EXIT_SUCCESS); /* not through the driver's own end */
+    }
+    arena_free(&arena);
+    return rc;
+}

@@ -1,0 +1,163 @@
+/* XMP packets: see xmp.h.
+ *
+ * A prefix means nothing by itself: its namespace does. Names are stored with the prefix that the
+ * namespace usually has. Cameras also write prefixes that they do not declare; such a name stays as
+ * it is. Expat bounds what entities can expand to, and a document type, which could declare any,
+ * ends the packet.
+ *
+ * Sources: XMP specification part 1 (2012), DJI's and Autel's photographs, Pix4D's tags.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "codec/image/xmp.h"
+
+#include <expat.h>
+#include <stdio.h>
+#include <string.h>
+
+enum { XMP_PREFIXES = 32, XMP_PREFIX = 24, XMP_DEEP = 12 };
+
+/* What the address of a namespace has in it -> its usual prefix. */
+static const char *const xmp_spaces[][2] = {
+    {"drone-dji", "drone-dji"},       {"drone-autel", "drone-autel"},
+    {"drone-parrot", "drone-parrot"}, {"drone-skydio", "drone-skydio"},
+    {"pix4d.com/camera", "Camera"},   {"adobe.com/exif/1.0", "exif"},
+    {"22-rdf-syntax-ns", "rdf"}};
+enum { XMP_SPACES = sizeof xmp_spaces / sizeof *xmp_spaces };
+
+struct xmp_reader {
+    XML_Parser parser;
+    struct xmp *to;
+    struct {
+        char text[XMP_PREFIX];
+        const char *means; /* usual prefix; NULL: the namespace is not known, or that of the name */
+    } prefix[XMP_PREFIXES];
+    size_t n_prefixes, deep;
+    char name[XMP_DEEP][XMP_NAME]; /* of the open elements */
+    char text[XMP_TEXT];           /* of the innermost */
+    size_t n_text;
+};
+
+static void xmp_declare(struct xmp_reader *r, const char *prefix, const char *address)
+{
+    const size_t n = strlen(prefix);
+    size_t k = 0;
+    if (n >= XMP_PREFIX || r->n_prefixes == XMP_PREFIXES)
+        return;
+    memcpy(r->prefix[r->n_prefixes].text, prefix, n + 1);
+    while (k < XMP_SPACES && !strstr(address, xmp_spaces[k][0]))
+        k++;
+    r->prefix[r->n_prefixes++].means = k < XMP_SPACES ? xmp_spaces[k][1] : NULL;
+}
+
+/* "dji:GpsLatitude" as "drone-dji:GpsLatitude"; "" if it is of no known namespace. */
+static void xmp_name(const struct xmp_reader *r, const char *name, char out[XMP_NAME])
+{
+    const char *colon = strchr(name, ':'), *means = NULL;
+    const size_t n = colon ? (size_t)(colon - name) : 0;
+    for (size_t i = r->n_prefixes; i-- > 0 && !means;)
+        if (!strncmp(r->prefix[i].text, name, n) && !r->prefix[i].text[n])
+            means = r->prefix[i].means;
+    for (size_t k = 0; k < XMP_SPACES && !means; k++)
+        if (n && strlen(xmp_spaces[k][1]) == n && !strncmp(xmp_spaces[k][1], name, n))
+            means = xmp_spaces[k][1];
+    if (!means || snprintf(out, XMP_NAME, "%s:%s", means, colon ? colon + 1 : name) >= XMP_NAME)
+        out[0] = '\0';
+}
+
+/* Without blanks around it. */
+static void xmp_keep(struct xmp_reader *r, const char *name, const char *text)
+{
+    struct xmp *x = r->to;
+    text += strspn(text, " \t\r\n");
+    size_t n = strlen(text);
+    while (n && strchr(" \t\r\n", text[n - 1]))
+        n--;
+    if (!*name || !n || n >= XMP_TEXT || x->n == XMP_VALUES || !strncmp(name, "rdf:", 4))
+        return;
+    for (size_t i = 0; i < x->n; i++)
+        if (!strcmp(x->value[i].name, name))
+            return;
+    memcpy(x->value[x->n].name, name, strlen(name) + 1);
+    memcpy(x->value[x->n].text, text, n);
+    x->value[x->n++].text[n] = '\0';
+}
+
+static void XMLCALL xmp_open(void *user, const XML_Char *name, const XML_Char **att)
+{
+    struct xmp_reader *r = user;
+    char full[XMP_NAME];
+    for (size_t i = 0; att[i]; i += 2)
+        if (!strncmp(att[i], "xmlns:", 6))
+            xmp_declare(r, att[i] + 6, att[i + 1]);
+        else if (!strcmp(att[i], "xmlns"))
+            xmp_declare(r, "", att[i + 1]);
+    for (size_t i = 0; att[i]; i += 2) {
+        xmp_name(r, att[i], full);
+        xmp_keep(r, full, att[i + 1]);
+    }
+    if (r->deep < XMP_DEEP)
+        xmp_name(r, name, r->name[r->deep]);
+    r->deep++;
+    r->n_text = 0;
+}
+
+static void XMLCALL xmp_text(void *user, const XML_Char *text, int n)
+{
+    struct xmp_reader *r = user;
+    for (int i = 0; i < n; i++)
+        if (r->n_text < XMP_TEXT && (r->n_text || !strchr(" \t\r\n", text[i])))
+            r->text[r->n_text++] = text[i];
+}
+
+/* A text belongs to its element; one in rdf:value to the property around it. */
+static void XMLCALL xmp_close(void *user, const XML_Char *name)
+{
+    struct xmp_reader *r = user;
+    (void)name;
+    size_t at = --r->deep;
+    if (at < XMP_DEEP && r->n_text && r->n_text < XMP_TEXT) {
+        r->text[r->n_text] = '\0';
+        bool value = !strcmp(r->name[at], "rdf:value");
+        while (value && at && !strncmp(r->name[at], "rdf:", 4))
+            at--;
+        xmp_keep(r, r->name[at], r->text);
+    }
+    r->n_text = 0;
+}
+
+static void XMLCALL xmp_refuse(void *user, const XML_Char *name, const XML_Char *system,
+                               const XML_Char *id, int internal)
+{
+    struct xmp_reader *r = user;
+    (void)name, (void)system, (void)id, (void)internal;
+    XML_StopParser(r->parser, XML_FALSE);
+}
+
+void xmp_add(struct xmp *x, const void *packet, size_t n)
+{
+    const char *text = packet;
+    struct xmp_reader r = {.to = x};
+    while (n && strchr(" \t\r\n", *text) && *text) { /* nothing may stand before a declaration */
+        text++;
+        n--;
+    }
+    r.parser = n && n <= XMP_BYTES_MAX ? XML_ParserCreate(NULL) : NULL;
+    if (!r.parser)
+        return;
+    XML_SetUserData(r.parser, &r);
+    XML_SetElementHandler(r.parser, xmp_open, xmp_close);
+    XML_SetCharacterDataHandler(r.parser, xmp_text);
+    XML_SetStartDoctypeDeclHandler(r.parser, xmp_refuse);
+    (void)XML_Parse(r.parser, text, (int)n, XML_TRUE);
+    XML_ParserFree(r.parser);
+}
+
+bool xmp_get(const void *xmp, const char *name, char *text, size_t room)
+{
+    const struct xmp *x = xmp;
+    for (size_t i = 0; i < x->n; i++)
+        if (!strcmp(x->value[i].name, name))
+            return (size_t)snprintf(text, room, "%s", x->value[i].text) < room;
+    return false;
+}

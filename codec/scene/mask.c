@@ -1,0 +1,112 @@
+/* Masks of photographs: reading, shrinking, undistorting, and their effect on points and residuals.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "codec/scene/mask.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "codec/image/image.h"
+#include "codec/scene/scene.h"
+
+enum { MASK_USE = 128 };
+
+enum err_code mask_path(const char *dir, const char *photo_name, char out[FILE_PATH_MAX],
+                        struct err *e)
+{
+    char name[FILE_PATH_MAX];
+    if (snprintf(name, sizeof name, "%s.png", photo_name) >= (int)sizeof name)
+        return err_set(e, ERR_LIMIT, "%.100s...: the name is too long", photo_name);
+    return file_join(out, dir, name, e);
+}
+
+/* `from` is freed. */
+static enum err_code mask_take(const char *path, struct image *from, uint32_t width_px,
+                               uint32_t height_px, struct image *out, struct err *e)
+{
+    struct image img = *from;
+    enum err_code rc = ERR_OK;
+    *from = (struct image){0};
+    if (!rc && (img.width_px != width_px || img.height_px != height_px))
+        rc = err_set(e, ERR_DATA, "%s: a mask of %u x %u pixels for a photograph of %u x %u", path,
+                     img.width_px, img.height_px, width_px, height_px);
+    if (!rc)
+        rc = image_alloc(width_px, height_px, 1, out, e);
+    for (size_t i = 0; !rc && i < (size_t)width_px * height_px; i++)
+        out->px[i] = img.px[i * img.channels] < MASK_USE ? 0 : 255;
+    image_free(&img);
+    return rc;
+}
+
+enum err_code mask_read(const char *path, uint32_t width_px, uint32_t height_px, struct image *out,
+                        struct err *e)
+{
+    struct image img = {0};
+    *out = (struct image){0};
+    enum err_code rc = image_read(path, NULL, &img, e);
+    return rc ? rc : mask_take(path, &img, width_px, height_px, out, e);
+}
+
+enum err_code mask_read_alpha(const char *photo, uint32_t width_px, uint32_t height_px,
+                              struct image *out, struct err *e)
+{
+    struct image img = {0};
+    *out = (struct image){0};
+    enum err_code rc = image_read_alpha(photo, NULL, &img, e);
+    if (!rc && img.px)
+        rc = mask_take(photo, &img, width_px, height_px, out, e);
+    const size_t n = (size_t)out->width_px * out->height_px;
+    if (!rc && out->px && !memchr(out->px, 0, n))
+        image_free(out);
+    return rc;
+}
+
+enum err_code mask_resize(const struct image *in, uint32_t width_px, uint32_t height_px,
+                          struct image *out, struct err *e)
+{
+    enum err_code rc = image_alloc(width_px, height_px, 1, out, e);
+    if (rc)
+        return rc;
+    memset(out->px, 255, (size_t)width_px * height_px);
+    for (uint32_t y = 0; y < in->height_px; y++)
+        for (uint32_t x = 0; x < in->width_px; x++) {
+            if (in->px[(size_t)y * in->width_px + x])
+                continue;
+            /* All pixels of the result that this one touches. */
+            uint64_t x0 = (uint64_t)x * width_px / in->width_px;
+            uint64_t x1 = ((uint64_t)(x + 1) * width_px - 1) / in->width_px;
+            uint64_t y0 = (uint64_t)y * height_px / in->height_px;
+            uint64_t y1 = ((uint64_t)(y + 1) * height_px - 1) / in->height_px;
+            for (uint64_t j = y0; j <= y1; j++)
+                memset(out->px + j * width_px + x0, 0, x1 - x0 + 1);
+        }
+    return ERR_OK;
+}
+
+enum err_code mask_points(const struct scene *s, const uint32_t *images, size_t n_images,
+                          uint8_t *use, struct err *e)
+{
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    enum err_code rc = file_join(dir, s->dir, "masks", e);
+    if (rc || !file_is_dir(dir))
+        return rc;
+    for (size_t i = 0; !rc && i < n_images; i++) {
+        const struct scene_image *im = &s->images[images[i]];
+        struct image mask = {0};
+        rc = mask_path(dir, im->name, path, e);
+        if (rc || !file_exists(path))
+            continue;
+        rc = mask_read(path, im->cam.width_px, im->cam.height_px, &mask, e);
+        for (size_t t = scene_first_track(s, images[i]);
+             !rc && t < s->n_tracks && s->tracks[t].image == images[i]; t++) {
+            float x = s->tracks[t].x_px, y = s->tracks[t].y_px;
+            if (x >= 0.0f && y >= 0.0f && x < (float)mask.width_px && y < (float)mask.height_px &&
+                !mask.px[(size_t)y * mask.width_px + (size_t)x])
+                use[s->tracks[t].point] = 0;
+        }
+        image_free(&mask);
+    }
+    return rc;
+}

@@ -1,0 +1,71 @@
+/* A part of a store, cut out by polygons and a range of heights. A Gaussian belongs to it if its
+ * mean does. It is then kept whole, even if it reaches outside.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef LOD_CLIP_H
+#define LOD_CLIP_H
+
+#include <stdbool.h>
+#include <stddef.h>
+
+#include "codec/container/geojson.h"
+#include "core/base.h"
+
+struct buf;
+struct gauss;
+struct geo_origin;
+
+struct clip {                 /* free with clip_free */
+    struct geojson_area area; /* empty: everywhere */
+    double low_m, high_m;     /* ellipsoidal; -INFINITY, INFINITY: no limit */
+};
+/* Reads the polygons of a GeoJSON file (codec/container/geojson.h), by the even-odd rule. path
+ * NULL: everywhere. ERR_DATA: low_m is not below high_m. ERR_NOENT, ERR_IO, ERR_LIMIT, ERR_FORMAT,
+ * ERR_DATA, ERR_MEM as in geojson_read. */
+enum err_code clip_open(const char *path, double low_m, double high_m, struct clip *out,
+                        struct err *e) ERR_USE;
+/* As clip_open, from the texts of three options, each of which may be NULL: the polygons' file and
+ * two heights. `prefix` of the options' names, such as "clip-", is for messages. *any: at least one
+ * is given. ERR_ARG (not a number), ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_DATA, ERR_MEM. */
+enum err_code clip_of_options(const char *path, const char *low_m, const char *high_m,
+                              const char *prefix, struct clip *out, bool *any,
+                              struct err *e) ERR_USE;
+/* A polygon of one ring [n] of longitude and latitude, for any height. The first corner is not
+ * repeated at the end. ERR_DATA: it crosses itself or has no area. ERR_MEM. */
+enum err_code clip_of_ring(const double (*at)[2], size_t n, struct clip *out,
+                           struct err *e) ERR_USE;
+void clip_free(struct clip *c);
+/* A hash of polygons and heights. It is 0 for NULL. */
+struct hash128 clip_hash(const struct clip *c);
+bool clip_holds(const struct clip *c, double lon_deg, double lat_deg, double h_m);
+/* Removes the rows of g that the clip does not hold. The others keep their order. origin: of the
+ * ENU frame. ERR_ARG. */
+enum err_code clip_rows(const struct clip *c, const struct geo_origin *origin, struct gauss *g,
+                        struct err *e) ERR_USE;
+
+struct clip_report {
+    size_t n_tiles, n_copied; /* tiles written; tiles among them that were copied byte by byte */
+    size_t n_kept, n_dropped; /* Gaussians of all levels */
+    char revision[13];
+};
+/* Writes the blob STORE_CLIP of a clipped store: GeoJSON, with this clip added to the features of
+ * `before`. `before` is the blob of a store that was clipped already, or NULL. A clip without
+ * polygons adds nothing. ERR_MEM. */
+enum err_code clip_describe(const struct clip *c, const char *before, struct buf *out,
+                            struct err *e) ERR_USE;
+/* Writes a store with the Gaussians that the clip holds, at every level. Blobs are copied, and
+ * STORE_CLIP describes the clip. The same store and clip give the same revision. name NULL: that of
+ * the store. ERR_DATA: nothing is left; the message says where the store lies. ERR_ARG (the name,
+ * or the output is the store itself), ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM,
+ * ERR_CANCEL. */
+enum err_code clip_store(const struct clip *c, const char *path, const char *name,
+                         const char *out_path, struct clip_report *report, struct err *e) ERR_USE;
+
+/* As clip_store, into an unnamed file in the folder dir (NULL: TMPDIR, or /tmp). The file
+ * disappears when the caller closes *fd. Open it with store_open_fd. ERR_DATA, ERR_NOENT,
+ * ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM, ERR_CANCEL. */
+enum err_code clip_open_part(const struct clip *c, const char *path, const char *dir, int *fd,
+                             struct clip_report *report, struct err *e) ERR_USE;
+
+#endif

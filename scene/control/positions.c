@@ -1,0 +1,665 @@
+/* Positions from files: see positions.h.
+ *
+ * DJI's .MRK has a line for each photograph of a flight: number, seconds and week of GPS time,
+ * vector from the antenna to the camera (already added), latitude, longitude, ellipsoidal height,
+ * their standard deviations, kind of solution (user manuals of Zenmuse P1 and Matrice 4: "after
+ * compensation"). RTKLIB's .pos has a line for each moment, with times in GPS or UTC. A file of
+ * camera events has one line for each photograph, without names.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "scene/control/positions.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <strings.h>
+
+#include "core/base.h"
+#include "core/math/sort.h"
+#include "scene/control/table.h"
+#include "scene/control/wkt.h"
+
+enum column {
+    COLUMN_IMAGE,
+    COLUMN_X,
+    COLUMN_Y,
+    COLUMN_Z,
+    COLUMN_PLAN,
+    COLUMN_EAST,
+    COLUMN_NORTH,
+    COLUMN_HEIGHT,
+    COLUMN_BOTH,
+    COLUMNS
+};
+
+void positions_free(struct positions *p)
+{
+    mem_free(p->list);
+    *p = (struct positions){0};
+}
+
+static enum err_code positions_add(struct positions *p, const struct position *one, struct err *e)
+{
+    struct position *list = mem_room(p->list, p->n, &p->cap, 64, sizeof *list);
+    if (!list)
+        return err_set(e, ERR_MEM, "out of memory for positions of photographs");
+    p->list = list;
+    p->list[p->n] = *one;
+    p->list[p->n++].file = p->files;
+    return ERR_OK;
+}
+
+static double positions_seconds(int y, int mo, int d, double of_day)
+{
+    /* Days of the proleptic Gregorian calendar, March first so that leap days come last. */
+    int a = mo < 3, yy = y - a, mm = mo + 12 * a - 3;
+    return (365.0 * yy + yy / 4 - yy / 100 + yy / 400 + (153 * mm + 2) / 5 + d) * 86400 + of_day;
+}
+
+double positions_time(const char *text)
+{
+    int y, mo, d, h, mi;
+    double s;
+    if ((sscanf(text, "%4d:%2d:%2d %2d:%2d:%lf", &y, &mo, &d, &h, &mi, &s) != 6 &&
+         sscanf(text, "%4d/%2d/%2d %2d:%2d:%lf", &y, &mo, &d, &h, &mi, &s) != 6) ||
+        y < 1900 || mo < 1 || mo > 12 || !(s >= 0 && s < 61))
+        return (double)NAN;
+    return positions_seconds(y, mo, d, h * 3600 + mi * 60 + s);
+}
+
+/* Seconds of a week of GPS, which counts from 1980-01-06. */
+static double positions_week(double week, double seconds)
+{
+    return positions_seconds(1980, 1, 6, 0) + week * 604800 + seconds;
+}
+
+/* ---- CSV ---- */
+
+static enum column positions_column(const char *word, int *epsg, char heights[HEIGHTS_MAX])
+{
+    static const struct {
+        const char *word;
+        enum column column;
+    } words[] = {{"image", COLUMN_IMAGE},
+                 {"photo", COLUMN_IMAGE},
+                 {"photograph", COLUMN_IMAGE},
+                 {"file", COLUMN_IMAGE},
+                 {"filename", COLUMN_IMAGE},
+                 {"file_name", COLUMN_IMAGE},
+                 {"image_name", COLUMN_IMAGE},
+                 {"imagename", COLUMN_IMAGE},
+                 {"name", COLUMN_IMAGE},
+                 {"label", COLUMN_IMAGE},
+                 {"x", COLUMN_X},
+                 {"easting", COLUMN_X},
+                 {"east", COLUMN_X},
+                 {"lon", COLUMN_X},
+                 {"longitude", COLUMN_X},
+                 {"y", COLUMN_Y},
+                 {"northing", COLUMN_Y},
+                 {"north", COLUMN_Y},
+                 {"lat", COLUMN_Y},
+                 {"latitude", COLUMN_Y},
+                 {"z", COLUMN_Z},
+                 {"height", COLUMN_Z},
+                 {"h", COLUMN_Z},
+                 {"alt", COLUMN_Z},
+                 {"altitude", COLUMN_Z},
+                 {"elevation", COLUMN_Z},
+                 {"ellipsoidal_height", COLUMN_Z},
+                 {"ellh", COLUMN_Z},
+                 {"accuracy_xy", COLUMN_PLAN},
+                 {"accuracy_horizontal", COLUMN_PLAN},
+                 {"horizontal_accuracy", COLUMN_PLAN},
+                 {"accuracy_h", COLUMN_PLAN},
+                 {"sigma_xy", COLUMN_PLAN},
+                 {"sde", COLUMN_EAST},
+                 {"sigma_e", COLUMN_EAST},
+                 {"sdn", COLUMN_NORTH},
+                 {"sigma_n", COLUMN_NORTH},
+                 {"accuracy_z", COLUMN_HEIGHT},
+                 {"accuracy_vertical", COLUMN_HEIGHT},
+                 {"vertical_accuracy", COLUMN_HEIGHT},
+                 {"accuracy_v", COLUMN_HEIGHT},
+                 {"sdu", COLUMN_HEIGHT},
+                 {"sigma_u", COLUMN_HEIGHT},
+                 {"sigma_z", COLUMN_HEIGHT},
+                 {"accuracy", COLUMN_BOTH},
+                 {"sigma", COLUMN_BOTH}};
+    char plain[TABLE_HEADING];
+    table_heading(word, plain);
+    for (size_t w = 0; w < sizeof words / sizeof *words; w++) {
+        if (strcasecmp(plain, words[w].word))
+            continue;
+        if (!strncasecmp(plain, "lon", 3))
+            *epsg = POSITIONS_LONLAT;
+        if (!strncasecmp(plain, "ell", 3))
+            snprintf(heights, HEIGHTS_MAX, "ellipsoid");
+        return words[w].column;
+    }
+    return COLUMNS;
+}
+
+struct positions_head {
+    char comma;
+    size_t column[COLUMNS], wide;
+};
+
+/* Metres and degrees: a heading with another unit would give silent nonsense. */
+static enum err_code positions_check_unit(const struct table *t, const char *field, struct err *e)
+{
+    static const char *const bad[] = {"f", "us", "km", "mm", "cm", "rad", "dms", "gra"};
+    const char *unit = strpbrk(field, "([{");
+    for (size_t k = 0; unit && k < sizeof bad / sizeof *bad; k++)
+        if (!strncasecmp(unit + 1, bad[k], strlen(bad[k])))
+            return err_set(e, ERR_FORMAT,
+                           "%s: line %zu: column '%.40s': metres and decimal degrees are read: "
+                           "convert it",
+                           t->path, t->line, field);
+    return ERR_OK;
+}
+
+static enum err_code positions_csv_head(const struct table *t, char *line, struct positions *p,
+                                        struct positions_head *h, struct err *e)
+{
+    static const char *const wanted[] = {"image", "x (or lon)", "y (or lat)", "z (or height)"};
+    char *field[TABLE_FIELDS];
+    h->comma = strchr(line, ';') && !strchr(line, ',') ? ';' : strchr(line, ',') ? ',' : '\t';
+    h->wide = table_split(line, h->comma, field);
+    for (size_t c = 0; c < COLUMNS; c++)
+        h->column[c] = SIZE_MAX;
+    for (size_t i = 0; i < h->wide; i++) {
+        int lonlat = 0;
+        enum column c = positions_column(field[i], &lonlat, p->heights);
+        p->epsg = p->epsg ? p->epsg : lonlat; /* a comment above may say it better */
+        enum err_code rc = c < COLUMNS ? positions_check_unit(t, field[i], e) : ERR_OK;
+        if (rc)
+            return rc;
+        if (c < COLUMNS && h->column[c] == SIZE_MAX)
+            h->column[c] = i;
+    }
+    for (size_t c = COLUMN_IMAGE; c <= COLUMN_Z; c++)
+        if (h->column[c] == SIZE_MAX)
+            return err_set(e, ERR_FORMAT,
+                           "%s: line %zu: no column for %s; expected are a first line that names "
+                           "the columns of a CSV file, RTKLIB's .pos or DJI's .MRK",
+                           t->path, t->line, wanted[c]);
+    return ERR_OK;
+}
+
+/* A photograph whose coordinates are empty, not a number, or all 0: it has none. */
+static bool positions_nowhere(const struct positions_head *h, char *const field[TABLE_FIELDS],
+                              size_t n)
+{
+    size_t none = 0;
+    for (size_t c = COLUMN_X; c <= COLUMN_Z; c++) {
+        const size_t i = h->column[c];
+        double v;
+        none += i >= n || !*field[i] || !strcasecmp(field[i], "nan") || !strcmp(field[i], "-") ||
+                (table_number(field[i], &v) && v == 0);
+    }
+    return none == 3;
+}
+
+static enum err_code positions_csv_row(const struct table *t, const struct positions_head *h,
+                                       char *line, struct positions *p, struct err *e)
+{
+    char *field[TABLE_FIELDS];
+    double v[COLUMNS] = {0};
+    struct position one = {.time_s = (double)NAN, .line = t->line};
+    size_t n = table_split(line, h->comma, field), most = n;
+    while (most > h->wide && !*field[most - 1])
+        most--;
+    if (most > h->wide)
+        return err_set(e, ERR_FORMAT,
+                       "%s: line %zu: %zu fields, but the first line names %zu; are there decimal "
+                       "commas? Write numbers with a decimal point",
+                       t->path, t->line, most, h->wide);
+    if (positions_nowhere(h, field, n)) {
+        p->n_left_out++;
+        return ERR_OK;
+    }
+    for (size_t c = COLUMN_X; c < COLUMNS; c++) {
+        size_t i = h->column[c];
+        bool there = i < n && *field[i];
+        if (there ? !table_number(field[i], &v[c]) || (c > COLUMN_Z && v[c] < 0) : c <= COLUMN_Z)
+            return err_set(e, ERR_FORMAT, "%s: line %zu: field %zu, '%.40s', is no number%s",
+                           t->path, t->line, i + 1, there ? field[i] : "",
+                           there && strchr(field[i], ',') ? ": write it with a decimal point" : "");
+    }
+    const char *image = h->column[COLUMN_IMAGE] < n ? field[h->column[COLUMN_IMAGE]] : "";
+    if (!*image || strlen(image) >= sizeof one.image)
+        return err_set(e, ERR_FORMAT, "%s: line %zu: no photograph is named, or by over %d bytes",
+                       t->path, t->line, POSITION_IMAGE_MAX - 1);
+    snprintf(one.image, sizeof one.image, "%s", image);
+    memcpy(one.at, v + COLUMN_X, sizeof one.at);
+    double axes = sqrt(0.5 * (v[COLUMN_EAST] * v[COLUMN_EAST] + v[COLUMN_NORTH] * v[COLUMN_NORTH]));
+    one.sigma_m[0] = v[COLUMN_PLAN] > 0 ? v[COLUMN_PLAN] : axes > 0 ? axes : v[COLUMN_BOTH];
+    one.sigma_m[1] = v[COLUMN_HEIGHT] > 0 ? v[COLUMN_HEIGHT] : v[COLUMN_BOTH];
+    return positions_add(p, &one, e);
+}
+
+/* Is it a heading, as Metashape's "#Label,X/Longitude,..."? Other lines that begin so are comments.
+ */
+static bool positions_is_heading(const char *line)
+{
+    char copy[TABLE_LINE_MAX], *field[TABLE_FIELDS], heights[HEIGHTS_MAX];
+    int epsg = 0;
+    size_t known = 0;
+    snprintf(copy, sizeof copy, "%s", line);
+    const size_t n = table_split(copy,
+                                 strchr(line, ',')   ? ','
+                                 : strchr(line, ';') ? ';'
+                                                     : '\t',
+                                 field);
+    for (size_t i = 0; i < n; i++)
+        known += positions_column(field[i], &epsg, heights) <= COLUMN_Z;
+    return known >= 3;
+}
+
+/* Comments above the heading; one may name the coordinate system. */
+static enum err_code positions_comments(struct table *t, char *line, struct positions *p,
+                                        struct err *e)
+{
+    bool more = true;
+    int epsg, heights;
+    enum err_code rc = ERR_OK;
+    while (!rc && more && (*line == '#' || !strncmp(line, "//", 2)) &&
+           !positions_is_heading(line)) {
+        if (wkt_system(line, &epsg, &heights)) {
+            p->epsg = epsg;
+            if (heights)
+                snprintf(p->heights, sizeof p->heights, "EPSG:%d", heights);
+        }
+        rc = table_next(t, line, &more, e);
+    }
+    return !rc && !more ? err_set(e, ERR_DATA, "%s: no positions", t->path) : rc;
+}
+
+static enum err_code positions_csv(struct table *t, char *line, struct positions *p, struct err *e)
+{
+    struct positions_head h = {0};
+    bool more = true;
+    enum err_code rc = positions_comments(t, line, p, e);
+    if (!rc)
+        rc = positions_csv_head(t, line, p, &h, e);
+    while (!rc && !(rc = table_next(t, line, &more, e)) && more)
+        if (*line != '#')
+            rc = positions_csv_row(t, &h, line, p, e);
+    if (!rc && p->n_left_out)
+        log_warn("positions", "%s: %zu rows have no coordinates and are left out", t->path,
+                 p->n_left_out);
+    return rc;
+}
+
+/* ---- RTKLIB ---- */
+
+static enum err_code positions_pos_row(const struct table *t, char *line, struct positions *p,
+                                       struct err *e)
+{
+    char *field[TABLE_FIELDS];
+    double v[8];
+    struct position one = {.line = t->line, .time_s = positions_time(line)};
+    size_t n = table_split(line, '\0', field);
+    bool known = n >= 10;
+    for (size_t k = 0; known && k < 8; k++) /* lat lon height Q ns sdn sde sdu */
+        known = table_number(field[2 + k], &v[k]);
+    double week = 0, of_week = 0;
+    if (known && !isfinite(one.time_s) && table_number(field[0], &week) &&
+        table_number(field[1], &of_week))
+        one.time_s = positions_week(week, of_week);
+    if (!known || !isfinite(one.time_s) || fabs(v[0]) > 90 || fabs(v[1]) > 360)
+        return err_set(e, ERR_FORMAT,
+                       "%s: line %zu: expected is time, latitude, longitude, height, Q, ns, sdn, "
+                       "sde, sdu (RTKLIB, degrees)",
+                       t->path, t->line);
+    one.at[0] = v[1];
+    one.at[1] = v[0];
+    one.at[2] = v[2];
+    one.sigma_m[0] = sqrt(0.5 * (v[5] * v[5] + v[6] * v[6]));
+    one.sigma_m[1] = fabs(v[7]);
+    return positions_add(p, &one, e);
+}
+
+static enum err_code positions_pos(struct table *t, char *line, struct positions *p, struct err *e)
+{
+    bool more = true;
+    enum err_code rc = ERR_OK;
+    p->by = POSITION_BY_TIME;
+    p->epsg = POSITIONS_LONLAT;
+    snprintf(p->heights, sizeof p->heights, "ellipsoid");
+    for (; !rc && more; rc = rc ? rc : table_next(t, line, &more, e)) {
+        if (*line != '%') {
+            rc = positions_pos_row(t, line, p, e);
+            continue;
+        }
+        if (strstr(line, "/geodetic"))
+            snprintf(p->heights, sizeof p->heights, "sea");
+        if (strstr(line, "x-ecef") || strstr(line, "e-baseline") || strstr(line, "(d'\")"))
+            rc = err_set(e, ERR_FORMAT,
+                         "%s: line %zu: coordinates of another kind; write latitude, longitude and "
+                         "height in degrees (RTKLIB: out-solformat llh, out-outdegform deg)",
+                         t->path, t->line);
+    }
+    return rc;
+}
+
+/* ---- DJI ---- */
+
+/* The number before ",Lat" and its like; NAN: none. */
+static double positions_mrk_value(const char *line, const char *mark)
+{
+    const char *at = strstr(line, mark);
+    if (!at)
+        return (double)NAN;
+    const char *p = at;
+    while (p > line && strchr("0123456789+-.eE", p[-1]))
+        p--;
+    char *end;
+    double v = strtod(p, &end);
+    return end == at && p < at ? v : (double)NAN;
+}
+
+static enum err_code positions_mrk_row(const struct table *t, const char *line, const char *prefix,
+                                       struct positions *p, struct err *e)
+{
+    struct position one = {.line = t->line};
+    double number, seconds, week, north, east, up;
+    const char *sigma = strstr(line, ",Ellh");
+    one.at[1] = positions_mrk_value(line, ",Lat");
+    one.at[0] = positions_mrk_value(line, ",Lon");
+    one.at[2] = positions_mrk_value(line, ",Ellh");
+    bool known = sscanf(line, "%lf %lf [%lf]", &number, &seconds, &week) == 3 && number >= 0 &&
+                 number < 1e9 && isfinite(seconds) && isfinite(week) && fabs(one.at[0]) <= 180 &&
+                 fabs(one.at[1]) <= 90 && isfinite(one.at[2]);
+    if (!known)
+        return err_set(
+            e, ERR_FORMAT,
+            "%s: line %zu: expected is number, seconds, [week], offsets, Lat, Lon, Ellh, "
+            "three accuracies, Q (DJI)",
+            t->path, t->line);
+    if (sscanf(sigma + 5, " %lf , %lf , %lf", &north, &east, &up) == 3 &&
+        isfinite(north + east + up)) {
+        one.sigma_m[0] = sqrt(0.5 * (north * north + east * east));
+        one.sigma_m[1] = fabs(up);
+    }
+    one.number = (size_t)number;
+    one.time_s = positions_week(week, seconds);
+    snprintf(one.image, sizeof one.image, "%s", prefix);
+    return positions_add(p, &one, e);
+}
+
+static enum err_code positions_mrk(struct table *t, char *line, struct positions *p, struct err *e)
+{
+    char prefix[POSITION_IMAGE_MAX];
+    const char *slash = strrchr(t->path, '/'), *name = slash ? slash + 1 : t->path;
+    bool more = true;
+    enum err_code rc = ERR_OK;
+    const char *end = strstr(name, "_Timestamp"), *dot = strrchr(name, '.');
+    end = end ? end : dot ? dot : name + strlen(name);
+    snprintf(prefix, sizeof prefix, "%.*s", (int)(end - name), name);
+    p->by = POSITION_BY_NUMBER;
+    p->epsg = POSITIONS_LONLAT;
+    snprintf(p->heights, sizeof p->heights, "ellipsoid");
+    for (; !rc && more; rc = rc ? rc : table_next(t, line, &more, e))
+        rc = positions_mrk_row(t, line, prefix, p, e);
+    return rc;
+}
+
+/* ---- any ---- */
+
+static enum err_code positions_read_one(const char *path, struct positions *p, struct err *e)
+{
+    struct table t;
+    char line[TABLE_LINE_MAX];
+    bool more = false;
+    enum position_by by = p->by;
+    enum err_code rc = table_open(path, &t, e);
+    if (!rc)
+        rc = table_next(&t, line, &more, e);
+    if (!rc && !more)
+        rc = err_set(e, ERR_DATA, "%s: no positions", path);
+    const char *dot = strrchr(path, '.');
+    if (!rc && strstr(line, ",Ellh") && strchr(line, '['))
+        rc = positions_mrk(&t, line, p, e);
+    else if (!rc && (*line == '%' || (dot && !strcasecmp(dot, ".pos"))))
+        rc = positions_pos(&t, line, p, e);
+    else if (!rc)
+        rc = positions_csv(&t, line, p, e);
+    table_close(&t);
+    if (!rc && p->files && (by != p->by || p->by != POSITION_BY_NUMBER))
+        rc = err_set(e, ERR_DATA, "%s: several files of positions must all be .MRK", path);
+    p->files++;
+    return rc;
+}
+
+enum err_code positions_read(const char *paths, struct positions *out, struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    *out = (struct positions){.heights = "unknown"};
+    for (const char *p = paths; !rc && *p;) {
+        char path[FILE_PATH_MAX];
+        size_t n = strcspn(p, ",");
+        if (n >= sizeof path)
+            rc = err_set(e, ERR_LIMIT, "--positions: the path is too long");
+        if (!rc) {
+            memcpy(path, p, n);
+            path[n] = '\0';
+            rc = positions_read_one(path, out, e);
+        }
+        p += n + (p[n] == ',');
+    }
+    if (!rc && !out->n)
+        rc = err_set(e, ERR_DATA, "%s: no positions", paths);
+    if (rc)
+        positions_free(out);
+    return rc;
+}
+
+/* ---- which photograph ---- */
+
+static enum err_code positions_match_names(const struct positions *p, struct position_photo *photos,
+                                           size_t n, struct err *e)
+{
+    for (size_t i = 0; i < n; i++) {
+        size_t most = 0, other = SIZE_MAX;
+        photos[i].position = SIZE_MAX;
+        for (size_t k = 0; k < p->n; k++) {
+            size_t alike = table_alike(photos[i].name, p->list[k].image);
+            if (alike && alike == most)
+                other = k;
+            if (alike <= most)
+                continue;
+            most = alike;
+            other = SIZE_MAX;
+            photos[i].position = k;
+        }
+        if (other != SIZE_MAX)
+            return err_set(e, ERR_DATA,
+                           "positions: lines %zu and %zu both fit %.200s: name photographs with "
+                           "their folders, and each once",
+                           p->list[photos[i].position].line, p->list[other].line, photos[i].name);
+    }
+    return ERR_OK;
+}
+
+/* The last group of digits of a name without its ending; SIZE_MAX: none. */
+static size_t positions_number(const char *name)
+{
+    const char *slash = strrchr(name, '/'), *base = slash ? slash + 1 : name,
+               *end = strrchr(base, '.');
+    end = end ? end : base + strlen(base);
+    while (end > base && !(end[-1] >= '0' && end[-1] <= '9'))
+        end--;
+    const char *p = end;
+    while (p > base && p[-1] >= '0' && p[-1] <= '9' && end - p < 9)
+        p--;
+    return p < end ? (size_t)strtoul(p, NULL, 10) : SIZE_MAX;
+}
+
+/* Do the photograph's name or its folder begin as the .MRK's does? */
+static bool positions_of_flight(const char *name, const char *prefix)
+{
+    const char *slash = strrchr(name, '/'), *base = slash ? slash + 1 : name, *folder = name;
+    for (const char *q = name; slash && q < slash; q++)
+        folder = *q == '/' ? q + 1 : folder;
+    size_t n = strlen(prefix);
+    return !strncmp(base, prefix, n) ||
+           (slash && (size_t)(slash - folder) == n && !strncmp(folder, prefix, n));
+}
+
+static enum err_code positions_match_numbers(const struct positions *p,
+                                             struct position_photo *photos, size_t n, struct err *e)
+{
+    bool named = false;
+    for (size_t i = 0; i < n; i++)
+        for (size_t k = 0; k < p->n && !named; k++)
+            named = positions_of_flight(photos[i].name, p->list[k].image);
+    if (!named && p->files > 1)
+        return err_set(e, ERR_DATA,
+                       "positions: no photograph or folder is named as '%s' is: which of %zu .MRK "
+                       "files belongs to which cannot be told",
+                       p->list[0].image, p->files);
+    for (size_t i = 0; i < n; i++) {
+        size_t number = positions_number(photos[i].name);
+        photos[i].position = SIZE_MAX;
+        for (size_t k = 0; k < p->n; k++)
+            if (p->list[k].number == number &&
+                (!named || positions_of_flight(photos[i].name, p->list[k].image)))
+                photos[i].position = k;
+        for (size_t j = 0; j < i && photos[i].position != SIZE_MAX; j++)
+            if (photos[j].position == photos[i].position)
+                return err_set(e, ERR_DATA,
+                               "positions: %.100s and %.100s both are photograph %zu of the .MRK: "
+                               "give one .MRK a folder",
+                               photos[j].name, photos[i].name, number);
+    }
+    return ERR_OK;
+}
+
+static int positions_order_compare(const void *a, const void *b)
+{
+    const double *p = a, *q = b;
+    return p[0] != q[0] ? (p[0] < q[0] ? -1 : 1) : (p[1] > q[1]) - (p[1] < q[1]);
+}
+
+/* Clock of photographs plus shift, against that of positions, both [..][2] (time, index) in order:
+ * how many fit within a second, one to one; their positions into `out` [n], SIZE_MAX: none. */
+static size_t positions_shifted(const double (*photo)[2], size_t n, const double (*at)[2], size_t m,
+                                double shift, size_t *out)
+{
+    size_t k = 0, fits = 0;
+    for (size_t i = 0; i < n; i++) {
+        double t = photo[i][0] + shift;
+        out[i] = SIZE_MAX;
+        while (k < m && at[k][0] < t - 1.01)
+            k++;
+        if (k < m && at[k][0] <= t + 1.01) {
+            out[i] = (size_t)at[k++][1];
+            fits++;
+        }
+    }
+    return fits;
+}
+
+/* Median distance of GPS from the positions, metres roughly; 0: no GPS. */
+static double positions_apart(const struct positions *p, const struct position_photo *photos,
+                              const double (*photo)[2], size_t n, const size_t *match,
+                              double *scratch)
+{
+    size_t k = 0;
+    for (size_t i = 0; i < n; i++) {
+        const struct position_photo *f = &photos[(size_t)photo[i][1]];
+        if (match[i] == SIZE_MAX || !f->has_gps)
+            continue;
+        const double *at = p->list[match[i]].at;
+        scratch[k++] =
+            111320 * hypot((at[0] - f->lon_deg) * cos(f->lat_deg / 57.2957795), at[1] - f->lat_deg);
+    }
+    return sort_median(scratch, k);
+}
+
+struct positions_clock {
+    double (*photo)[2], (*at)[2], *scratch;
+    size_t *match, *best, n;
+};
+
+/* Try every shift that brings one of the first photographs onto a position. */
+static size_t positions_try(const struct positions *p, const struct position_photo *photos,
+                            struct positions_clock *c)
+{
+    size_t most = 0;
+    double least = HUGE_VAL;
+    for (size_t i = 0; i < c->n && i < 3; i++)
+        for (size_t k = 0; k < p->n; k++) {
+            size_t fits =
+                positions_shifted((const double(*)[2])c->photo, c->n, (const double(*)[2])c->at,
+                                  p->n, c->at[k][0] - c->photo[i][0], c->match);
+            if (10 * fits < 9 * c->n || 10 * fits < 9 * most)
+                continue;
+            double apart = positions_apart(p, photos, (const double(*)[2])c->photo, c->n, c->match,
+                                           c->scratch);
+            if (fits <= most && !(apart < least))
+                continue;
+            most = fits > most ? fits : most;
+            least = apart;
+            memcpy(c->best, c->match, c->n * sizeof *c->best);
+        }
+    return most;
+}
+
+static enum err_code positions_match_times(const struct positions *p, struct position_photo *photos,
+                                           size_t n, struct err *e)
+{
+    struct positions_clock c = {.photo = mem_array(n, sizeof *c.photo),
+                                .at = mem_array(p->n, sizeof *c.at),
+                                .scratch = mem_array(n, sizeof *c.scratch),
+                                .match = mem_array(n, sizeof *c.match),
+                                .best = mem_array(n, sizeof *c.best)};
+    bool room = c.photo && c.at && c.scratch && c.match && c.best;
+    enum err_code rc = room ? ERR_OK : err_set(e, ERR_MEM, "out of memory for positions");
+    for (size_t i = 0; room && i < n; i++) {
+        photos[i].position = SIZE_MAX;
+        if (!isfinite(photos[i].time_s))
+            continue;
+        c.photo[c.n][0] = photos[i].time_s;
+        c.photo[c.n++][1] = (double)i;
+    }
+    for (size_t k = 0; room && k < p->n; k++) {
+        c.at[k][0] = p->list[k].time_s;
+        c.at[k][1] = (double)k;
+    }
+    if (room) {
+        qsort(c.photo, c.n, sizeof *c.photo, positions_order_compare);
+        qsort(c.at, p->n, sizeof *c.at, positions_order_compare);
+    }
+    if (!rc && p->n > 3 * n + 10)
+        rc = err_set(e, ERR_DATA,
+                     "positions: %zu for %zu photographs: that is the way of the receiver, not the "
+                     "camera's events; give the .pos of events (Emlid: *_events.pos)",
+                     p->n, n);
+    size_t fits = rc ? 0 : positions_try(p, photos, &c);
+    if (!rc && (c.n < n || !fits))
+        rc = err_set(e, ERR_DATA,
+                     "positions: %zu of %zu photographs say their time, and no difference of "
+                     "clocks brings nine tenths of them onto the %zu positions",
+                     c.n, n, p->n);
+    for (size_t i = 0; !rc && i < c.n; i++)
+        photos[(size_t)c.photo[i][1]].position = c.best[i];
+    mem_free(c.photo);
+    mem_free(c.at);
+    mem_free(c.scratch);
+    mem_free(c.match);
+    mem_free(c.best);
+    return rc;
+}
+
+enum err_code positions_match(const struct positions *p, struct position_photo *photos, size_t n,
+                              struct err *e)
+{
+    return p->by == POSITION_BY_NAME     ? positions_match_names(p, photos, n, e)
+           : p->by == POSITION_BY_NUMBER ? positions_match_numbers(p, photos, n, e)
+                                         : positions_match_times(p, photos, n, e);
+}

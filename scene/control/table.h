@@ -1,0 +1,49 @@
+/* Reads lines of fields, as in lists of ground control points and of positions. Fields are
+ * separated by commas, semicolons or blanks, and numbers have a decimal point. Also compares names
+ * of photographs in such lists.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SCENE_CONTROL_TABLE_H
+#define SCENE_CONTROL_TABLE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+
+#include "core/err.h"
+
+struct buf;
+
+enum { TABLE_FIELDS = 32, TABLE_LINE_MAX = 4096, TABLE_HEADING = 64 };
+struct table { /* {0}, then table_open; table_close it */
+    const char *path;
+    struct buf *bytes;
+    char *next;  /* NULL: no more */
+    size_t line; /* number of the last line that was read, from 1 */
+};
+/* Opens a file. Close *out with table_close. ERR_NOENT, ERR_IO, ERR_LIMIT, ERR_MEM. */
+enum err_code table_open(const char *path, struct table *out, struct err *e) ERR_USE;
+void table_close(struct table *t);
+/* Reads the next line that is not empty, without leading blanks. *more: there was one. ERR_FORMAT:
+ * it is too long. */
+enum err_code table_next(struct table *t, char line[TABLE_LINE_MAX], bool *more,
+                         struct err *e) ERR_USE;
+/* Splits text in place at `comma`, or if that is 0 at blanks, commas and semicolons. Blanks around
+ * fields are removed, and with a comma quotes. Returns the number of fields. */
+size_t table_split(char *text, char comma, char *field[TABLE_FIELDS]);
+/* Writes the name of a column in a standard form: "Accuracy Horizontal (m)" as accuracy_horizontal,
+ * "#Label" as Label, "X/Easting" as Easting. */
+void table_heading(const char *field, char out[TABLE_HEADING]);
+/* Parses a finite number of at most 1e12 and nothing else. Returns false if the text is no such
+ * number. */
+bool table_number(const char *text, double *out);
+/* Finds a decimal comma, as in "634676,12", in a line whose fields are not separated by commas.
+ * Returns its length; 0: there is none. */
+size_t table_decimal_comma(const char *line, const char **at);
+/* Rates how well the path of a photograph matches one in a list, from its end. 0: no match. Folders
+ * that both have must be equal. Case is ignored, because cameras write .JPG. A match of the whole
+ * path rates higher than one of a part, and a name with its ending higher than a name without, such
+ * as Metashape's labels. */
+size_t table_alike(const char *photo, const char *listed);
+
+#endif

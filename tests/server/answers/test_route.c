@@ -1,0 +1,857 @@
+/* Routes as pure calls: documents, links, redirects, refusals, the viewer's files, how jobs end,
+ * header by header. No socket is opened; jobs are run by the test itself. It is one long file,
+ * because every case asks the same few stores.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "server/access/auth.h"
+#include "server/answers/answer_view.h"
+#include "server/answers/metrics_text.h"
+#include "server/answers/origin.h"
+#include "server/base/condition.h"
+#include "server/documents/social_preview.h"
+#include "server/headers.h"
+#include "tests/server/routed.h"
+
+static void test_documents(void **state)
+{
+    static const struct {
+        const char *target, *type, *cache_control;
+    } rows[] = {
+        {"/", "application/json", MOVING},
+        {"/conformance", "application/json", MOVING},
+        {"/api", "application/vnd.oai.openapi+json;version=3.0", MOVING},
+        {"/collections", "application/json", MOVING},
+        {"/collections/toy", "application/json", MOVING},
+        {"/collections/toy/tiles.json", "application/json", MOVING},
+        {"/collections/toy/map/tiles", "application/json", MOVING},
+        {"/collections/toy/map/tiles/WebMercatorQuad", "application/json", MOVING},
+        {"/tileMatrixSets/WebMercatorQuad", "application/json", MOVING},
+        {"/d/toy/tileset.json", "application/json", MOVING},
+        {"/d/toy/r/REV+/tileset.json", "application/json", IMMUTABLE},
+        {"/d/toy/r/REV/tileset.json", "application/json", MOVING},
+        {"/healthz", "application/json", "no-store"},
+        {"/readyz", "application/json", "no-store"},
+        {"/version", "application/json", "no-store"},
+    };
+    (void)state;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        struct response r = get(rows[i].target);
+        assert_int_equal(r.status, 200);
+        expect("type", r.type, rows[i].type);
+        expect("Cache-Control", r.cache_control, rows[i].cache_control);
+        assert_int_equal(strlen(r.etag), 24);
+        json_decref(json_of(&r));
+        struct response gz =
+            answer(&(struct ask){.target = rows[i].target, .accept_encoding = "br, gzip"});
+        if (r.vary &&
+            strstr(r.vary,
+                   "Accept-Encoding")) { /* there are two codings, and they have two names */
+            expect("Content-Encoding", gz.encoding, "gzip");
+            expect("Vary", gz.vary, r.vary);
+            assert_true(gz.size < r.size);
+            assert_string_not_equal(gz.etag, r.etag);
+        } else {
+            expect("Content-Encoding", gz.encoding, NULL);
+            if (strcmp(rows[i].target, "/version") != 0)
+                assert_string_equal(gz.etag, r.etag);
+        }
+        response_free(&gz);
+        response_free(&r);
+    }
+}
+
+static void test_version(void **state)
+{
+    (void)state;
+    struct response r = get("/version");
+    assert_int_equal(r.status, 200);
+    json_t *o = json_of(&r), *datasets = json_object_get(o, "datasets");
+    expect("name", json_string_value(json_object_get(o, "name")), "citysplat");
+    expect("version", json_string_value(json_object_get(o, "version")), CITYSPLAT_VERSION);
+    assert_int_equal(json_object_size(datasets), 1);
+    expect("revision", json_string_value(json_object_get(datasets, "toy")), t.rev);
+    json_decref(o);
+    response_free(&r);
+}
+
+/* Documents made for a request when the k-th allocation fails: whole, or 503. The sanitizers see
+ * what is not freed. */
+static void test_documents_without_memory(void **state)
+{
+    static const char *const targets[] = {"/version", "/metrics"};
+    (void)state;
+    for (size_t i = 0; i < 2; i++) {
+        size_t refused = 0;
+        for (size_t k = 1; k < 12; k++) {
+            mem_fail_at(k);
+            struct response r = get(targets[i]);
+            mem_fail_at(0);
+            if (r.status == 503)
+                refused++;
+            else
+                assert_int_equal(r.status, 200);
+            assert_true(r.status == 503 || r.size > 100);
+            response_free(&r);
+        }
+        assert_in_range(refused, 1, 10);
+    }
+}
+
+/* What meets a box; what is no box is refused. */
+static void test_collections_in_a_box(void **state)
+{
+    static const struct {
+        const char *query;
+        int n; /* -1: 400 */
+    } rows[] = {
+        {"", 1},
+        {"?bbox=13,52,14,53", 1},
+        {"?bbox=13%2C52%2C14%2C53&limit=10", 1},
+        {"?bbox=14,52,15,53", 0},
+        {"?bbox=13,53,14,54", 0},
+        {"?bbox=13.39,52.49,13.41,52.51", 1},
+        {"?bbox=13,52,-100,14,53,5000", 1},
+        {"?bbox=13,52,5000,14,53,6000", 0},
+        {"?bbox=170,-90,20,90", 1}, /* across the date line */
+        {"?bbox=170,-90,-170,90", 0},
+        {"?bbox=", -1},
+        {"?bbox=1,2,3", -1},
+        {"?bbox=1,2,3,4,5", -1},
+        {"?bbox=1,2,3,4,5,6,7", -1},
+        {"?bbox=13,53,14,52", -1},
+        {"?bbox=13,52,14,a", -1},
+        {"?bbox=181,0,182,1", -1},
+        {"?bbox=13,52,14,91", -1},
+        {"?bbox=13,52,14,53&bbox=13,52,14,53", -1},
+    };
+    (void)state;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        char target[128];
+        snprintf(target, sizeof target, "/collections%s", rows[i].query);
+        struct response r = get(target);
+        if (r.status != (rows[i].n < 0 ? 400 : 200))
+            fail_msg("%s: %d", target, r.status);
+        json_t *o = json_of(&r);
+        if (rows[i].n >= 0 && (int)json_array_size(json_object_get(o, "collections")) != rows[i].n)
+            fail_msg("%s: not %d datasets", target, rows[i].n);
+        json_decref(o);
+        response_free(&r);
+    }
+}
+
+static void test_links_lead_somewhere(void **state)
+{
+    static const char *const docs[][2] = {
+        {"/", "/"}, {"/collections", "/"}, {"/collections/toy", "/collections/"}};
+    (void)state;
+    for (size_t i = 0; i < 3; i++) {
+        struct response r = get(docs[i][0]);
+        json_t *o = json_of(&r), *links = json_object_get(o, "links"), *link;
+        size_t k;
+        if (i == 1)
+            links = json_object_get(json_array_get(json_object_get(o, "collections"), 0), "links");
+        assert_true(json_array_size(links) >= 3);
+        json_array_foreach(links, k, link)
+        {
+            char path[256];
+            const char *href = json_string_value(json_object_get(link, "href"));
+            assert_non_null(href);
+            assert_null(strstr(href, "://"));
+            if (!strncmp(href, "../", 3))
+                snprintf(path, sizeof path, "/%s", href + 3);
+            else if (href[0] == '/')
+                snprintf(path, sizeof path, "%s", href);
+            else
+                snprintf(path, sizeof path, "%s%s", docs[i][1], !strcmp(href, "./") ? "" : href);
+            struct response to = get(path);
+            const char *rel = json_string_value(json_object_get(link, "rel"));
+            assert_int_equal(to.status, rel && !strcmp(rel, "preview") ? 307 : 200);
+            response_free(&to);
+        }
+        json_decref(o);
+        response_free(&r);
+    }
+}
+
+/* Addresses begin with the host that was asked. A proxy that is not trusted may have another. */
+static void test_origins(void **state)
+{
+    static const struct {
+        struct request r;
+        const char *public_url, *base_path, *want;
+    } rows[] = {
+        {{.host = "maps.example:8080"}, NULL, NULL, "http://maps.example:8080"},
+        {{.host = "[::1]:80"}, NULL, "/splats", "http://[::1]:80/splats"},
+        {{.host = "a"}, "https://public.example/", "/splats", "https://public.example"},
+        {{.host = "a", .proxied = true}, NULL, NULL, ""},
+        {{.host = "a", .proxied = true, .forwarded_host = "b"}, NULL, NULL, ""},
+        {{.host = "a", .proxied = true, .trusted = true}, NULL, NULL, "http://a"},
+        {{.host = "a", .proxied = true, .trusted = true, .forwarded_proto = "https"},
+         NULL,
+         NULL,
+         "https://a"},
+        {{.host = "a", .proxied = true, .trusted = true, .forwarded_proto = "javascript"},
+         NULL,
+         NULL,
+         "http://a"},
+        {{.host = "a",
+          .proxied = true,
+          .trusted = true,
+          .forwarded_host = "maps.example",
+          .forwarded_proto = "HTTPS"},
+         NULL,
+         "/x",
+         "https://maps.example/x"},
+        {{.host = "a\"><b"}, NULL, NULL, ""},
+        {{.host = "a/../b"}, NULL, NULL, ""},
+        {{.host = ""}, NULL, NULL, ""},
+        {{.host = NULL}, NULL, NULL, ""},
+    };
+    (void)state;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        struct server_config cfg = {.public_url = rows[i].public_url,
+                                    .base_path = rows[i].base_path};
+        const struct services s = {.cfg = &cfg};
+        char out[ORIGIN_MAX];
+        expect(rows[i].r.host ? rows[i].r.host : "no host", origin_of(&s, &rows[i].r, out),
+               rows[i].want);
+    }
+}
+
+static void test_tileset_uris(void **state)
+{
+    char want[128];
+    (void)state;
+    struct response fixed = get("/d/toy/r/REV/tileset.json"), moving = get("/d/toy/tileset.json");
+    struct response tilejson = get("/collections/toy/tiles.json");
+    assert_true(says(&fixed, expand("\"t/KEY15.glb\"", want, sizeof want)));
+    assert_true(says(&moving, expand("\"r/REV+/t/KEY15.glb\"", want, sizeof want)));
+    assert_true(
+        says(&tilejson, expand("\"../../d/toy/r/REV+/t/{z}/{x}/{y}.glb\"", want, sizeof want)));
+    response_free(&fixed);
+    response_free(&moving);
+    response_free(&tilejson);
+}
+
+/* The page of a dataset has its words in place of those in braces; others stay. */
+static void test_a_page_says_how_to_use_a_dataset(void **state)
+{
+    char want[200];
+    const struct key k = served_key(SERVED_ZOOM_MAX);
+    (void)state;
+    struct response r = get("/d/toy/use");
+    assert_int_equal(r.status, 200);
+    snprintf(want, sizeof want, "/d/toy/t/%u/", k.z);
+    assert_true(says(&r, "<p>toy of http") && says(&r, want) && says(&r, ".spz, {nothing}"));
+    assert_false(says(&r, "{tile}"));
+    response_free(&r);
+}
+
+/* The module has an address for ever; that of another version leads to the present one. */
+static void test_the_module_has_an_address_for_ever(void **state)
+{
+    char path[40];
+    const struct static_file *f = static_find(&t.s.web, "/viewer.js", strlen("/viewer.js"));
+    (void)state;
+    assert_non_null(f);
+    struct response r = get("/viewer.js");
+    snprintf(path, sizeof path, "/viewer-%s.js", f->digest);
+    assert_non_null(strstr(r.hints, path + 1));
+    response_free(&r);
+    r = get(path);
+    assert_int_equal(r.status, 200);
+    assert_non_null(strstr(r.cache_control, "immutable"));
+    assert_true(says(&r, "export {}"));
+    response_free(&r);
+    r = get("/viewer-000000000000.js");
+    assert_int_equal(r.status, 307);
+    assert_string_equal(r.location, "viewer.js");
+    response_free(&r);
+    r = get("/viewer-12.js");
+    assert_int_equal(r.status, 404);
+    response_free(&r);
+}
+
+static void test_refusals(void **state)
+{
+    static const struct {
+        enum method method;
+        const char *target;
+        int status;
+        const char *allow, *cache_control;
+    } rows[] = {
+        {METHOD_GET, "/nothing", 404, NULL, "public, max-age=60"},
+        {METHOD_GET, "/d/none/tileset.json", 404, NULL, "public, max-age=60"},
+        {METHOD_GET, "/d/toy/r/000000000000/tileset.json", 404, NULL, "no-store"},
+        {METHOD_GET, "/d/toy/r/REV/t/17/0/0.glb", 404, NULL, "public, max-age=60"},
+        {METHOD_GET, "/d/toy/r/REV/t/99/0/0.glb", 404, NULL, "public, max-age=60"},
+        {METHOD_GET, "/%2e%2e/secret", 400, NULL, "no-store"},
+        {METHOD_GET, "/d/toy/static/x,0,0@0,0/64x64.jpg", 400, NULL, "no-store"},
+        {METHOD_GET, "/d/toy/static/0,99,0@0,0/64x64.jpg", 422, NULL, "no-store"},
+        {METHOD_GET, "/d/toy/render", 405, "POST, OPTIONS", "no-store"},
+        {METHOD_POST, "/d/toy/tileset.json", 405, "GET, HEAD, OPTIONS", "no-store"},
+        {METHOD_POST, "/", 405, "GET, HEAD, OPTIONS", "no-store"},
+        {METHOD_OTHER, "/d/toy/r/REV/t/KEY17.glb", 405, "GET, HEAD, OPTIONS", "no-store"},
+        {METHOD_OTHER, "/nothing", 404, NULL, "public, max-age=60"},
+    };
+    (void)state;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        struct response r =
+            answer(&(struct ask){.method = rows[i].method, .target = rows[i].target});
+        if (r.status != rows[i].status)
+            fail_msg("%s: got %d, want %d", last_target, r.status, rows[i].status);
+        expect("Allow", r.allow, rows[i].allow);
+        expect("Cache-Control", r.cache_control, rows[i].cache_control);
+        expect("type", r.type, "application/problem+json");
+        json_t *o = json_of(&r);
+        assert_int_equal(json_integer_value(json_object_get(o, "status")), r.status);
+        expect("title", json_string_value(json_object_get(o, "title")),
+               response_status_text(r.status));
+        assert_true(strlen(json_string_value(json_object_get(o, "detail"))) > 5);
+        assert_false(says(&r, "secret")); /* input is not echoed */
+        json_decref(o);
+        response_free(&r);
+    }
+    struct response r = answer(&(struct ask){.method = METHOD_OPTIONS, .target = "/d/toy/render"});
+    assert_int_equal(r.status, 204);
+    expect("Allow", r.allow, "POST, OPTIONS");
+    response_free(&r);
+}
+
+/* A problem says which resource it is about, where that can be said: a target that could be
+ * read. */
+static void test_instances(void **state)
+{
+    static const struct {
+        const char *target, *instance;
+    } rows[] = {
+        {"/nothing?a=b", "/nothing"},
+        {"/d/toy/r/000000000000/tileset.json", "/d/toy/r/000000000000/tileset.json"},
+        {"/d/toy/static/0,99,0@0,0/64x64.jpg", "/d/toy/static/0,99,0@0,0/64x64.jpg"},
+        {"/d/toy/r/REV/static/0,9,0@0,0/64x64.jpg?appearance=x",
+         "/d/toy/r/REV/static/0,9,0@0,0/64x64.jpg"},
+        {"/%22%0a", NULL},
+    };
+    char want[256];
+    (void)state;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        struct response r = get(rows[i].target);
+        json_t *o = json_of(&r);
+        expect("instance", json_string_value(json_object_get(o, "instance")),
+               rows[i].instance ? expand(rows[i].instance, want, sizeof want) : NULL);
+        json_decref(o);
+        response_free(&r);
+    }
+}
+
+/* Entry documents say when what they describe was written; who has it since then gets 304, unless
+ * he also says which he has. */
+static void test_last_modified(void **state)
+{
+    static const char *const targets[] = {"/",
+                                          "/api",
+                                          "/conformance",
+                                          "/collections",
+                                          "/collections/toy",
+                                          "/d/toy/tileset.json",
+                                          "/d/toy/r/REV/tileset.json",
+                                          "/d/toy/appearances",
+                                          "/assets/index-D3adBeef.js"};
+    static const struct {
+        int64_t at_s;
+        const char *text;
+    } dates[] = {{784111777, "Sun, 06 Nov 1994 08:49:37 GMT"},
+                 {951782400, "Tue, 29 Feb 2000 00:00:00 GMT"},
+                 {4102444799, "Thu, 31 Dec 2099 23:59:59 GMT"},
+                 {1, "Thu, 01 Jan 1970 00:00:01 GMT"}};
+    static const char *const bad[] = {"",
+                                      "Sun, 06 Nov 1994",
+                                      "Sunday, 06-Nov-94 08:49:37 GMT",
+                                      "0",
+                                      "Sun, 06 Nxv 1994 08:49:37 GMT",
+                                      "Sun, 06 Nov 1994 08:49:37 CET"};
+    char date[CONDITION_DATE];
+    (void)state;
+    for (size_t i = 0; i < sizeof dates / sizeof *dates; i++) {
+        condition_date(dates[i].at_s, date);
+        assert_string_equal(date, dates[i].text);
+        assert_true(condition_not_modified(date, dates[i].at_s));
+        assert_false(condition_not_modified(date, dates[i].at_s + 1));
+        assert_false(
+            condition_not_modified(date, dates[i].at_s - 1)); /* a file that was put back */
+    }
+    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++)
+        assert_false(condition_not_modified(bad[i], 1));
+    for (size_t i = 0; i < sizeof targets / sizeof *targets; i++) {
+        struct response r = get(targets[i]);
+        assert_int_equal(r.status, 200);
+        assert_true(r.modified_s > 1577836800); /* 2020 */
+        condition_date(r.modified_s, date);
+        response_free(&r);
+        struct ask a = {.target = targets[i], .if_modified_since = date};
+        r = answer(&a);
+        assert_int_equal(r.status, 304);
+        response_free(&r);
+        a.if_none_match = "\"another\"";
+        r = answer(&a);
+        assert_int_equal(r.status, 200);
+        response_free(&r);
+        a = (struct ask){.target = targets[i],
+                         .if_modified_since = "Sun, 06 Nov 1994 08:49:37 GMT"};
+        r = answer(&a);
+        assert_int_equal(r.status, 200);
+        response_free(&r);
+        const struct {
+            const char *date, *match;
+            int status;
+        } unmodified[] = {{date, NULL, 200},
+                          {"Thu, 31 Dec 2099 23:59:59 GMT", NULL, 200},
+                          {"Sun, 06 Nov 1994 08:49:37 GMT", NULL, 412},
+                          {"Sun, 06 Nov 1994 08:49:37 GMT", "*", 200}, /* comes first */
+                          {"long ago", NULL, 200}};
+        for (size_t k = 0; k < sizeof unmodified / sizeof *unmodified; k++) {
+            r = answer(&(struct ask){.target = targets[i],
+                                     .if_unmodified_since = unmodified[k].date,
+                                     .if_match = unmodified[k].match});
+            assert_int_equal(r.status, unmodified[k].status);
+            response_free(&r);
+        }
+    }
+}
+
+static void test_redirects(void **state)
+{
+    char want[256];
+    (void)state;
+    struct response r = get("/d/toy/t/KEY17.glb");
+    assert_int_equal(r.status, 307);
+    expect("Location", r.location, expand("../../../r/REV+/t/KEY17.glb", want, sizeof want));
+    response_free(&r);
+    r = get("/d/toy/static/13.4,52.5,120@0,-90/64x64.jpg");
+    assert_int_equal(r.status, 307);
+    expect("Location", r.location,
+           expand("../../r/REV/static/13.4,52.5,120@0,-90/64x64.jpg", want, sizeof want));
+    expect("Cache-Control", r.cache_control, MOVING);
+    response_free(&r);
+}
+
+static void test_viewer_files(void **state)
+{
+    static const char script[] = "/assets/index-D3adBeef.js";
+    (void)state;
+    struct response r = answer(&(struct ask){.target = "/", .accept = "text/html,*/*;q=0.8"});
+    expect("type", r.type, "text/html; charset=utf-8");
+    assert_non_null(r.vary);
+    assert_non_null(strstr(r.vary, "Accept"));
+    response_free(&r);
+    r = answer(&(struct ask){.target = "/", .accept = "application/json, text/html;q=0.9"});
+    expect("type", r.type, "application/json");
+    response_free(&r);
+    r = answer(&(struct ask){.target = script, .accept_encoding = "gzip"});
+    assert_int_equal(r.status, 200);
+    expect("type", r.type, "text/javascript; charset=utf-8");
+    expect("Cache-Control", r.cache_control, IMMUTABLE);
+    expect("Content-Encoding", r.encoding, "gzip");
+    expect("Vary", r.vary, "Accept-Encoding");
+    char etag[BODY_ETAG_SIZE];
+    memcpy(etag, r.etag, sizeof etag);
+    assert_non_null(strstr(etag, "-gz\""));
+    response_free(&r);
+    r = answer(&(struct ask){.target = script, .accept_encoding = "gzip", .if_none_match = etag});
+    assert_int_equal(r.status, 304);
+    response_free(&r);
+    r = answer(&(struct ask){.target = script,
+                             .if_none_match = etag}); /* the identity form has another name */
+    assert_int_equal(r.status, 200);
+    assert_int_equal(r.size, 2000);
+    response_free(&r);
+    r = answer(&(struct ask){.target = script, .accept_encoding = "gzip, deflate, br"});
+    assert_int_equal(r.status, 200);
+    expect("Content-Encoding", r.encoding, "br");
+    expect("type", r.type, "text/javascript; charset=utf-8");
+    expect("Vary", r.vary, "Accept-Encoding");
+    assert_int_equal(r.size, 100);
+    assert_non_null(strstr(r.etag, "-br\""));
+    assert_string_not_equal(r.etag, etag);
+    response_free(&r);
+    for (int coded = 0; coded < 2; coded++) { /* a form of a file is no file */
+        r = get(coded ? "/assets/index-D3adBeef.js.br" : "/assets/index-D3adBeef.js.gz");
+        assert_int_equal(r.status, 404);
+        response_free(&r);
+    }
+    r = get("/assets/logo-big.svg"); /* no hash in its name: it may change */
+    expect("Cache-Control", r.cache_control, MOVING);
+    response_free(&r);
+    r = get("/assets/index-D3adBeef");
+    assert_int_equal(r.status, 404);
+    response_free(&r);
+}
+
+/* Forms of files whose name stays while their bytes change: of other bytes when they are older. */
+static void test_coded_of_other_bytes(void **state)
+{
+    static const struct {
+        long older_s;
+        size_t size, got;
+    } rows[] = {{0, 40, 40}, {-9, 40, 40}, {9, 40, 0}, {0, 2000, 0}, {0, 0, 0}};
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], coded[FILE_PATH_MAX], text[2000];
+    (void)state;
+    memset(text, ' ', sizeof text);
+    kit_tmpdir(dir);
+    for (size_t i = 0; i < 2 * (sizeof rows / sizeof *rows); i++) {
+        struct static_table table = {0};
+        struct err e = {0};
+        bool gzip = i % 2;
+        kit_ok(file_join(path, dir, "viewer.js", &e), e);
+        kit_ok(file_write(path, text, 1000, &e), e);
+        kit_ok(file_join(coded, dir, gzip ? "viewer.js.gz" : "viewer.js.br", &e), e);
+        kit_ok(file_write(coded, text, rows[i / 2].size, &e), e);
+        const struct timespec at = {.tv_sec = time(NULL) - rows[i / 2].older_s};
+        assert_int_equal(0, utimensat(AT_FDCWD, coded, (const struct timespec[2]){at, at}, 0));
+        kit_ok(static_load(dir, &table, &e), e);
+        const struct static_file *f = static_find(&table, "/viewer.js", strlen("/viewer.js"));
+        assert_int_equal(table.n, 1);
+        assert_int_equal(f->body->brotli_size, gzip ? 0 : rows[i / 2].got);
+        bool taken = f->body->gzip_size == 40; /* else it is made at start */
+        assert_true(f->body->gzip && taken == (gzip && rows[i / 2].got));
+        static_free(&table);
+        assert_int_equal(unlink(coded), 0);
+    }
+    kit_rmdir(dir);
+}
+
+/* Of large text only the compressed forms are in memory; who takes none gets the file's bytes. */
+static void test_plain_of_coded(void **state)
+{
+    enum { LINES = 20000 };
+    static const char gz[] = "viewer.js.gz";
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    struct static_table table = {0}, before = t.s.web;
+    struct err e = {0};
+    struct buf text = {0};
+    (void)state;
+    for (int i = 0; i < LINES; i++)
+        buf_printf(&text, "draw(%d);\n", i);
+    kit_tmpdir(dir);
+    kit_ok(file_join(path, dir, "viewer.js", &e), e);
+    kit_ok(file_write(path, text.data, text.size, &e), e);
+    kit_ok(static_load(dir, &table, &e), e);
+    const struct static_file *f = static_find(&table, "/viewer.js", strlen("/viewer.js"));
+    assert_null(f->body->data);
+    t.s.web = table;
+    char etag[BODY_ETAG_SIZE] = "";
+    for (int i = 0; i < 2; i++) { /* unpacked, and then from the cache */
+        struct response r = get("/viewer.js");
+        assert_int_equal(r.status, 200);
+        assert_int_equal(r.size, text.size);
+        assert_memory_equal(r.data, text.data, text.size);
+        expect("Vary", r.vary, "Accept-Encoding");
+        expect("Content-Encoding", r.encoding, NULL);
+        assert_false(r.accept_ranges);
+        assert_true(r.modified_s > 0);
+        memcpy(etag, r.etag, sizeof etag);
+        expect("ETag", etag, f->body->etag);
+        response_free(&r);
+    }
+    struct response r = answer(&(struct ask){.target = "/viewer.js", .if_none_match = etag});
+    assert_int_equal(r.status, 304);
+    response_free(&r);
+    r = answer(&(struct ask){.target = "/viewer.js", .accept_encoding = "gzip"});
+    expect("Content-Encoding", r.encoding, "gzip");
+    assert_ptr_equal(r.data, f->body->gzip);
+    response_free(&r);
+    static_free(&table);
+
+    kit_ok(file_join(path, dir, gz, &e), e); /* what cannot be unpacked to the file */
+    kit_ok(file_write(path, "no gzip at all", 14, &e), e);
+    kit_ok(static_load(dir, &table, &e), e);
+    f = static_find(&table, "/viewer.js", strlen("/viewer.js"));
+    assert_non_null(f->body->data);
+    static_free(&table);
+    t.s.web = before;
+    buf_free(&text);
+    kit_rmdir(dir);
+}
+
+/* What the page will ask for, by its query. */
+static void test_hints(void **state)
+{
+    static const char how[] = "; rel=preload; as=fetch; crossorigin";
+    static const struct {
+        const char *target;
+        size_t n;
+        const char *last;
+    } rows[] = {
+        {"/", 3, "<d/toy/r/REV+/t/KEY15.drc?preset=preview&sh=0>"},
+        {"/?scene=toy&lang=de", 3, "<d/toy/r/REV+/t/KEY15.drc?preset=preview&sh=0>"},
+        {"/?scene=other", 1, "<collections>"},
+        {"/?thin", 1, "<collections>"},
+        {"/?ui=off&colours=server", 1, "<collections>"},
+        {"/?scene=%zz", 1, "<collections>"},
+        {"/?server=https://city.example/", 0, ""},
+        {"/?scene=toy&url=x.json", 0, ""},
+    };
+    char want[200];
+    (void)state;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        struct response r = answer(&(struct ask){.target = rows[i].target, .accept = "text/html"});
+        size_t n = 0;
+        for (const char *p = r.hints; (p = strstr(p, how)); p++)
+            n++;
+        if (n != rows[i].n || !strstr(r.hints, expand(rows[i].last, want, sizeof want)))
+            fail_msg("%s: Link is '%s'", rows[i].target, r.hints);
+        struct headers h;
+        headers_make(&r, false, &h);
+        size_t sent = 0;
+        for (size_t k = 0; k < h.n; k++)
+            sent += !strcmp(h.field[k].name, "Link") && h.field[k].value == r.hints;
+        assert_int_equal(sent, rows[i].n > 0);
+        response_free(&r);
+    }
+    struct response r = get("/"); /* as JSON */
+    expect("Link", r.hints, "");
+    response_free(&r);
+
+    /* A server that asks for tokens names no dataset in a page that caches keep. */
+    static const char access[] = "{\"public\": [\"toy\"]}";
+    struct err e = {0};
+    assert_int_equal(auth_parse(access, sizeof access - 1, "access.json", &t.s.auth, &e), 0);
+    r = answer(&(struct ask){.target = "/", .accept = "text/html"});
+    expect("Link", r.hints, "");
+    response_free(&r);
+    auth_close(&t.s.auth);
+}
+
+/* The page says which scene it is, in words that cannot become markup; of private ones nothing. */
+static void test_card(void **state)
+{
+    static const char private[] = "{\"public\": []}", plain[] = "<title>viewer</title>";
+    struct dataset *d = t.s.catalog->ds[0];
+    char kept[sizeof d->meta.attribution];
+    struct err e = {0};
+    (void)state;
+    memcpy(kept, d->meta.attribution, sizeof kept);
+    snprintf(d->meta.attribution, sizeof d->meta.attribution, "%s",
+             "\"><script>alert(1)</script>&'");
+    struct response r = answer(
+        &(struct ask){.target = "/?scene=toy", .accept = "text/html", .host = "city.example"});
+    assert_int_equal(r.status, 200);
+    assert_true(says(&r, "<title>toy – citysplat</title>"));
+    assert_true(says(&r, "property=\"og:title\" content=\"toy\""));
+    assert_true(says(&r, "content=\"http://city.example/?scene=toy\""));
+    assert_true(says(&r, "&quot;&gt;&lt;script&gt;alert(1)&lt;/script&gt;&amp;&#39;"));
+    assert_false(says(&r, "<script>alert"));
+    assert_false(says(&r, "og:image")); /* nothing is drawn here */
+    assert_false(says(&r, plain));
+    assert_non_null(strstr(r.vary, "Host"));
+    response_free(&r);
+
+    struct body *page =
+                    body_text("<!doctype html><meta name=\"description\" content=\"x\" />\n"
+                              "<meta property=\"og:title\" content=\"x\" />\n<title>x</title>"
+                              "<noscript>x</noscript><main>y</main><svg><title>z</title></svg>"),
+                *made = NULL;
+    kit_ok(social_preview_page(page, d, "https://a.example/below", true, &made, &e), e);
+    struct response one = {.data = made->data, .size = made->size};
+    assert_true(says(&one, "property=\"og:image\" "
+                           "content=\"https://a.example/below/d/toy/static/"));
+    assert_true(says(&one, "/1200x630.jpg\""));
+    assert_true(says(&one, "content=\"summary_large_image\""));
+    assert_true(says(&one, "<noscript><img src=\"./d/toy/static/"));
+    assert_true(says(&one, "<main>y</main><svg><title>z</title></svg>"));
+    assert_false(says(&one, "content=\"x\""));
+    assert_false(says(&one, ">x<"));
+    body_drop(&made);
+    kit_ok(social_preview_page(page, d, "", true, &made, &e), e); /* who asks by no name */
+    one = (struct response){.data = made->data, .size = made->size};
+    assert_false(says(&one, "og:image"));
+    assert_false(says(&one, "og:url"));
+    body_drop(&made);
+    body_drop(&page);
+    memcpy(d->meta.attribution, kept, sizeof kept);
+
+    r = answer(&(struct ask){.target = "/?scene=none", .accept = "text/html"});
+    assert_true(says(&r, plain));
+    response_free(&r);
+    assert_int_equal(auth_parse(private, sizeof private - 1, "access.json", &t.s.auth, &e), 0);
+    r = answer(&(struct ask){.target = "/?scene=toy", .accept = "text/html"});
+    assert_true(says(&r, plain));
+    assert_false(says(&r, "toy"));
+    response_free(&r);
+    auth_close(&t.s.auth);
+}
+
+static void test_basemap(void **state)
+{
+    static const struct {
+        const char *url;
+        bool fits;
+    } rows[] = {{"https://maps.example/{z}/{x}/{y}.png", true},
+                {"/base/{z}/{x}/{y}", true},
+                {"maps.example/{z}/{x}/{y}", false},
+                {"https://maps.example/{z}/{x}", false},
+                {"javascript:{z}{x}{y}", false},
+                {"", true}};
+    (void)state;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        struct server_config cfg = t.cfg;
+        struct services s = {0};
+        struct catalog *c = NULL;
+        struct err e = {0};
+        const char *paths[] = {t.path};
+        struct catalog_options o = served_stores;
+        cfg.basemap = o.basemap = rows[i].url;
+        o.basemap_attribution = "Example";
+        enum err_code rc = services_open(&s, &cfg, NULL, ROUTES, ROUTES_COUNT, &e);
+        if (rc != (rows[i].fits ? ERR_OK : ERR_ARG))
+            fail_msg("--basemap %s: %s", rows[i].url, e.msg);
+        (void)services_free(&s);
+        if (rc)
+            continue;
+        kit_ok(catalog_open(paths, 1, &o, NULL, &c, &e), e);
+        json_t *doc = json_loadb((const char *)c->collections->data, c->collections->size, 0, NULL);
+        const json_t *basemap = json_object_get(doc, "basemap");
+        assert_int_equal(basemap != NULL, *rows[i].url != 0);
+        if (basemap) {
+            assert_string_equal(json_string_value(json_object_get(basemap, "tiles")), rows[i].url);
+            assert_string_equal(json_string_value(json_object_get(basemap, "attribution")),
+                                "Example");
+        }
+        json_decref(doc);
+        catalog_drop(&c);
+    }
+}
+
+static void test_job_ends(void **state)
+{
+    static const struct {
+        enum job_end end;
+        enum err_code code;
+        int status;
+        bool retry;
+    } rows[] = {
+        {JOB_ERROR, ERR_FORMAT, 500, false},    {JOB_ERROR, ERR_MEM, 503, true},
+        {JOB_ERROR, ERR_DEVICE, 503, true},     {JOB_ERROR, ERR_NOENT, 404, false},
+        {JOB_SHED, ERR_BUSY, 503, true},        {JOB_TIMEOUT, ERR_BUSY, 504, true},
+        {JOB_CANCELLED, ERR_CANCEL, 503, true},
+    };
+    (void)state;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        struct request q = {.target = "/", .target_size = 1};
+        struct response r = {
+            .cache_control = IMMUTABLE, .cls = JOB_TILE, .kind = &answer_view_work, .queue_s = -1};
+        struct job_result result = {.end = rows[i].end, .code = rows[i].code, .msg = "because"};
+        dispatch_finish(&t.s, &q, &result, &r);
+        assert_int_equal(r.status, rows[i].status);
+        assert_int_equal(r.retry_after_s > 0, rows[i].retry);
+        assert_true(r.status == 404 || !strcmp(r.cache_control, "no-store"));
+        response_free(&r);
+    }
+}
+
+/* Each kind of work has a word of its own. */
+static void test_words_of_failures(void **state)
+{
+    static const struct {
+        const char *target, *says;
+    } rows[] = {{"/d/toy/r/REV/t/KEY15.glb", "tile 15/"},
+                {"/d/toy/seed.ndjson", "the list of tiles could"},
+                {"/collections/toy/tiles.json", "the TileJSON could"},
+                {"/d/toy/tileset.json?sh=0", "the tileset could not"}};
+    (void)state;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        struct request q = {.target = expand(rows[i].target, last_target, sizeof last_target)};
+        q.target_size = strlen(q.target);
+        struct response r;
+        struct job_result result = {.end = JOB_ERROR, .code = ERR_INTERNAL, .msg = "a path"};
+        dispatch_answer(&t.s, &q, &r);
+        assert_non_null(r.work);
+        work_drop(NULL, r.work);
+        dispatch_finish(&t.s, &q, &result, &r);
+        assert_int_equal(r.status, 500);
+        if (!says(&r, rows[i].says) || says(&r, "a path"))
+            fail_msg("%.*s, not %s", (int)r.size, (const char *)r.data, rows[i].says);
+        response_free(&r);
+    }
+}
+
+static void test_metrics_are_local(void **state)
+{
+    (void)state;
+    struct response r = get("/metrics");
+    assert_int_equal(r.status, 200);
+    assert_true(says(&r, "citysplat_dataset_info{ds=\"toy\""));
+    response_free(&r);
+    struct request q = {.target = "/metrics", .target_size = 8};
+    dispatch_answer(&t.s, &q, &r);
+    assert_int_equal(r.status, 403);
+    response_free(&r);
+    static const struct {
+        const char *metrics, *authorization;
+        bool local;
+        int status;
+    } rows[] = {
+        {"local", NULL, true, 200},
+        {"local", "Bearer local", false, 403},
+        {"public", NULL, false, 200},
+        {"sixteen characters", NULL, true, 403},
+        {"sixteen characters", "Bearer sixteen characters", false, 200},
+        {"sixteen characters", "bearer sixteen characters", false, 200},
+        {"sixteen characters", "Bearer sixteen charactersx", false, 403},
+        {"sixteen characters", "Bearer sixteen character", false, 403},
+        {"sixteen characters", "Bearer ", false, 403},
+        {"sixteen characters", "sixteen characters", false, 403},
+    };
+    struct server_config cfg = t.cfg;
+    t.s.cfg = &cfg;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        cfg.metrics = rows[i].metrics;
+        q.local = rows[i].local;
+        q.authorization = rows[i].authorization;
+        dispatch_answer(&t.s, &q, &r);
+        if (r.status != rows[i].status)
+            fail_msg("--metrics '%s', '%s': %d", rows[i].metrics,
+                     q.authorization ? q.authorization : "", r.status);
+        response_free(&r);
+    }
+    t.s.cfg = &t.cfg;
+    struct services other;
+    struct err e = {0};
+    cfg.metrics = "short";
+    kit_fails(services_open(&other, &cfg, NULL, ROUTES, ROUTES_COUNT, &e), ERR_ARG, e, "--metrics");
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_words_of_failures), /* before these documents are kept */
+        cmocka_unit_test(test_documents),
+        cmocka_unit_test(test_version),
+        cmocka_unit_test(test_documents_without_memory),
+        cmocka_unit_test(test_collections_in_a_box),
+        cmocka_unit_test(test_links_lead_somewhere),
+        cmocka_unit_test(test_tileset_uris),
+        cmocka_unit_test(test_a_page_says_how_to_use_a_dataset),
+        cmocka_unit_test(test_the_module_has_an_address_for_ever),
+        cmocka_unit_test(test_refusals),
+        cmocka_unit_test(test_instances),
+        cmocka_unit_test(test_last_modified),
+        cmocka_unit_test(test_redirects),
+        cmocka_unit_test(test_viewer_files),
+        cmocka_unit_test(test_coded_of_other_bytes),
+        cmocka_unit_test(test_plain_of_coded),
+        cmocka_unit_test(test_hints),
+        cmocka_unit_test(test_card),
+        cmocka_unit_test(test_basemap),
+        cmocka_unit_test(test_job_ends),
+        cmocka_unit_test(test_metrics_are_local),
+        cmocka_unit_test(test_origins),
+    };
+    return cmocka_run_group_tests(tests, setup, teardown);
+}

@@ -1,0 +1,574 @@
+/* What operators rely on: tokens that are revoked, caches by dataset, ids of requests, logs of
+ * three kinds, their own listener, base paths, --check and exit codes, and a supervisor that is
+ * told the state and hands over sockets.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#define _XOPEN_SOURCE 700 // NOLINT(cert-dcl51-cpp)
+#include "server/access/cache_policy.h"
+#include "tests/server/rights_kit.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <jansson.h>
+#include <signal.h>
+#include <sys/stat.h>
+#include <sys/un.h>
+#include <sys/wait.h>
+#include <sysexits.h>
+
+/* ---- caches ---- */
+
+static void test_cache_policies(void **state)
+{
+    static const char immutable[] = "public, max-age=31536000, immutable",
+                      moving[] =
+                          "public, max-age=60, stale-while-revalidate=600, stale-if-error=86400";
+    static const char *const bad[] = {"a",    "=private",   "a=",    "a=never",
+                                      "a=-1", "a=99999999", "a=b=c", ",a=1"};
+    struct cache_policy p;
+    struct err e = {0};
+    struct reply r;
+    char target[128];
+    (void)state;
+    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++)
+        kit_fails(cache_policy_read(bad[i], &p, &e), ERR_ARG, e, "--cache-policy");
+    kit_ok(cache_policy_read("a=private,b=no-store,c=300,*=public", &p, &e), e);
+    assert_string_equal(cache_policy_of(&p, "a", true, immutable),
+                        "private, max-age=31536000, immutable");
+    assert_string_equal(cache_policy_of(&p, "a", true, moving), "private, max-age=60");
+    assert_string_equal(cache_policy_of(&p, "a", true, "no-store"), "no-store");
+    assert_string_equal(cache_policy_of(&p, "b", true, immutable), "private, no-store");
+    assert_string_equal(cache_policy_of(&p, "c", true, immutable), immutable);
+    assert_string_equal(cache_policy_of(&p, "c", true, moving),
+                        "public, max-age=300, stale-while-revalidate=600, stale-if-error=86400");
+    assert_string_equal(cache_policy_of(&p, "d", true, moving), moving);
+    assert_string_equal(cache_policy_of(&p, "d", false, immutable),
+                        "private, max-age=31536000, immutable");
+    kit_ok(cache_policy_read(NULL, &p, &e), e);
+    assert_string_equal(cache_policy_of(&p, "d", true, immutable), immutable);
+
+    static const char *const tags[] = {"Surrogate-Key", "xkey", "Cache-Tag", "none"};
+    t.cfg.cache_policy = "toy=private";
+    for (int k = 0; k < 4; k++) {
+        t.cfg.tag_header = k;
+        start();
+        for (int again = 0; again < 2; again++) {
+            ask("GET", tile_target(17, "glb", target), "", &r);
+            assert_string_equal(header(&r, "Cache-Control"),
+                                "private, max-age=31536000, immutable");
+            assert_string_equal(header(&r, "Cache-Status"),
+                                again ? "citysplat; hit" : "citysplat; fwd=miss; stored");
+            for (int i = 0; i < 3; i++)
+                assert_int_equal(header(&r, tags[i])[0] != 0, i == k);
+            buf_free(&r.raw);
+        }
+        ask("GET", "/d/toy/tileset.json", "", &r); /* what moves has the tag of its dataset */
+        assert_string_equal(header(&r, "Cache-Control"), "private, max-age=60");
+        if (k < 3)
+            assert_string_equal(header(&r, tags[k]), "ds-toy");
+        buf_free(&r.raw);
+        server_stop(&t.server);
+    }
+}
+
+/* ---- ids of requests, base path, listener of operators ---- */
+
+static void test_request_ids(void **state)
+{
+    struct reply r;
+    char own[2][80];
+    const char *at;
+    (void)state;
+    start();
+    ask("GET", "/healthz", "X-Request-Id: proxy-7.a_B\r\n", &r);
+    assert_string_equal(header(&r, "X-Request-Id"), "proxy-7.a_B");
+    buf_free(&r.raw);
+    ask("GET", "/healthz", "", &r);
+    assert_string_equal(header(&r, "X-Request-Id"), "");
+    buf_free(&r.raw);
+    for (int i = 0; i < 2; i++) { /* neither quotes nor what is too long are repeated */
+        ask("GET", "/nothing/here", i ? "X-Request-Id: a\"b\r\n" : "", &r);
+        assert_int_equal(r.status, 404);
+        snprintf(own[i], sizeof own[i], "%s", header(&r, "X-Request-Id"));
+        assert_int_equal(strlen(own[i]), 16);
+        assert_non_null(at = strstr((const char *)r.body, "\"request_id\":\""));
+        assert_memory_equal(at + 14, own[i], 16);
+        buf_free(&r.raw);
+    }
+    assert_string_not_equal(own[0], own[1]);
+    char line[200] = "X-Request-Id: ";
+    memset(line + 14, 'a', 65);
+    memcpy(line + 79, "\r\n", 3);
+    ask("GET", "/nothing/here", line, &r);
+    assert_int_equal(strlen(header(&r, "X-Request-Id")), 16);
+    buf_free(&r.raw);
+}
+
+static void test_base_path(void **state)
+{
+    static const char *const bad[] = {"splats", "/", "/splats/", "//a", "/a/../b", "/a b"};
+    struct err e = {0};
+    struct reply r;
+    struct server *none = NULL;
+    (void)state;
+    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
+        t.cfg.base_path = bad[i];
+        kit_fails(server_start(&t.cfg, t.paths, 1, &none, &e), ERR_ARG, e, "--base-path");
+    }
+    t.cfg.base_path = "/maps/splats";
+    start();
+    assert_int_equal(status_of("GET", "/maps/splats/d/toy/tileset.json", ""), 200);
+    assert_int_equal(status_of("GET", "/d/toy/tileset.json", ""), 200); /* a proxy that strips it */
+    assert_int_equal(status_of("GET", "/maps/splatsd/toy/tileset.json", ""), 404);
+    assert_int_equal(status_of("GET", "/maps/splats/maps/splats/healthz", ""), 404);
+    ask("GET", "/maps/splats", "", &r);
+    assert_int_equal(r.status, 308);
+    assert_string_equal(header(&r, "Location"), "/maps/splats/");
+    buf_free(&r.raw);
+    ask("GET", "/maps/splats/d/toy/t/17/1/1.glb", "",
+        &r); /* relative, so it holds below the path */
+    assert_int_equal(r.status, 307);
+    assert_int_not_equal(header(&r, "Location")[0], '/');
+    buf_free(&r.raw);
+}
+
+/* A page in an operator's browser: it asks for nothing, and reads nothing. */
+static void admin_refuses_pages(uint16_t admin)
+{
+    struct reply r;
+    ask_port(admin, "POST", "/-/reload",
+             "Origin: https://elsewhere.example\r\nContent-Length: 0\r\n", &r);
+    assert_int_equal(r.status, 403);
+    assert_string_equal(header(&r, "Access-Control-Allow-Origin"), "");
+    buf_free(&r.raw);
+    assert_false(server_reload_asked(t.server));
+    ask_port(admin, "GET", "/metrics", "Origin: https://elsewhere.example\r\n", &r);
+    assert_int_equal(r.status, 403);
+    buf_free(&r.raw);
+}
+
+static void test_admin_listener(void **state)
+{
+    struct err e = {0};
+    struct reply r;
+    struct server *none = NULL;
+    (void)state;
+    t.cfg.admin = "localhost:1";
+    kit_fails(server_start(&t.cfg, t.paths, 1, &none, &e), ERR_ARG, e, "--admin");
+    t.cfg.admin = "127.0.0.1";
+    kit_fails(server_start(&t.cfg, t.paths, 1, &none, &e), ERR_ARG, e, "--admin");
+    t.cfg.admin = "127.0.0.1:0";
+    start();
+    uint16_t admin = server_admin_port(t.server);
+    assert_int_not_equal(admin, 0);
+    assert_int_not_equal(admin, t.port);
+    assert_int_equal(status_of("GET", "/metrics", ""), 404);
+    assert_int_equal(status_of("POST", "/-/reload", "Content-Length: 0\r\n"), 404);
+    ask_port(admin, "GET", "/metrics", "X-Forwarded-For: 1.2.3.4\r\n", &r);
+    assert_int_equal(r.status, 200);
+    assert_non_null(strstr((const char *)r.body, "citysplat_http_requests_total"));
+    buf_free(&r.raw);
+    static const char *const there[] = {"/healthz", "/readyz", "/version"},
+                             *const not_there[] = {"/", "/d/toy/tileset.json", "/collections"};
+    for (int i = 0; i < 3; i++) {
+        ask_port(admin, "GET", there[i], "", &r);
+        assert_int_equal(r.status, 200);
+        buf_free(&r.raw);
+        ask_port(admin, "GET", not_there[i], "", &r);
+        assert_int_equal(r.status, 404);
+        buf_free(&r.raw);
+    }
+    assert_false(server_reload_asked(t.server));
+    admin_refuses_pages(admin);
+    ask_port(admin, "GET", "/metrics", "", &r);
+    assert_int_equal(r.status, 200);
+    assert_string_equal(header(&r, "Access-Control-Allow-Origin"), "");
+    assert_string_equal(header(&r, "Cross-Origin-Resource-Policy"), "same-origin");
+    buf_free(&r.raw);
+    ask_port(admin, "POST", "/-/reload", "Content-Length: 0\r\n", &r);
+    assert_int_equal(r.status, 202);
+    buf_free(&r.raw);
+    assert_true(server_reload_asked(t.server));
+    assert_false(server_reload_asked(t.server));
+    assert_true(server_answers(t.server, 2));
+    /* idle connections of operators do not hold up the end */
+    int fd = dial(admin);
+    say(fd, "GET /healthz HTTP/1.1\r\n" H "\r\n");
+    hear(fd, true, NULL, &r);
+    buf_free(&r.raw);
+    double start_s = clock_s();
+    server_stop(&t.server);
+    assert_true(clock_s() - start_s < 5);
+    close(fd);
+}
+
+/* ---- the program ---- */
+
+struct program {
+    pid_t pid;
+    int out, notify; /* what it prints; what its supervisor hears */
+    char log[FILE_PATH_MAX], socket[FILE_PATH_MAX], line[256];
+    uint16_t port;
+};
+
+static void program_exec(struct program *p, const char *name, const int *listener,
+                         const char *const *args)
+{
+    const char *argv[24] = {name, "serve", t.path, "--device", "none"};
+    char pid[16], fds[4] = "0";
+    int n = 5, k = 0;
+    for (; args[n - 5]; n++)
+        argv[n] = args[n - 5];
+    for (; k < 2 && listener && listener[k] >= 0; k++)
+        if (dup2(listener[k], 3 + k) < 0)
+            _exit(126);
+    dup2(p->out, 1);
+    if (!freopen(p->log, "w", stderr))
+        _exit(126);
+    snprintf(pid, sizeof pid, "%ld", (long)getpid());
+    snprintf(fds, sizeof fds, "%d", k);
+    setenv("NOTIFY_SOCKET", p->socket, 1);
+    setenv("WATCHDOG_PID", pid, 1);
+    setenv("WATCHDOG_USEC", "400000", 1);
+    if (k) {
+        setenv("LISTEN_PID", pid, 1);
+        setenv("LISTEN_FDS", fds, 1);
+        setenv("LISTEN_FDNAMES", k > 1 ? "http:admin" : "http", 1);
+    }
+    execv(argv[0], (char *const *)(uintptr_t)argv);
+    _exit(127);
+}
+
+static void program_start(struct program *p, const int *listener, const char *const *args)
+{
+    struct err e = {0};
+    struct sockaddr_un a = {.sun_family = AF_UNIX};
+    int out[2];
+    const char *name = kit_program(); /* skips the test where there is none */
+    kit_ok(file_join(p->log, t.dir, "operate.log", &e), e);
+    kit_ok(file_join(p->socket, t.dir, "notify", &e), e);
+    unlink(p->socket);
+    snprintf(a.sun_path, sizeof a.sun_path, "%.100s", p->socket);
+    p->notify = socket(AF_UNIX, SOCK_DGRAM, 0);
+    assert_int_equal(bind(p->notify, (struct sockaddr *)&a, sizeof a), 0);
+    assert_int_equal(pipe(out), 0);
+    p->out = out[1];
+    p->pid = fork();
+    assert_true(p->pid >= 0);
+    if (p->pid == 0)
+        program_exec(p, name, listener, args);
+    close(out[1]);
+    p->out = out[0];
+    size_t n = 0;
+    for (; n + 1 < sizeof p->line && read(p->out, p->line + n, 1) == 1; n++)
+        if (p->line[n] == '\n')
+            break;
+    p->line[n] = '\0';
+    const char *colon = strrchr(p->line, ':');
+    p->port = colon ? (uint16_t)atoi(colon + 1) : 0;
+}
+
+static int program_end(struct program *p, int sig)
+{
+    int status = -1;
+    if (sig)
+        kill(p->pid, sig);
+    assert_int_equal(waitpid(p->pid, &status, 0), p->pid);
+    close(p->out);
+    close(p->notify);
+    assert_true(WIFEXITED(status));
+    return WEXITSTATUS(status);
+}
+
+/* The supervisor hears this before PATIENCE_S is over. */
+static void hears(struct program *p, const char *what)
+{
+    char text[512];
+    for (double end_s = clock_s() + PATIENCE_S; clock_s() < end_s;) {
+        struct pollfd f = {.fd = p->notify, .events = POLLIN};
+        if (poll(&f, 1, 1000) != 1)
+            continue;
+        ssize_t n = recv(p->notify, text, sizeof text - 1, 0);
+        text[n > 0 ? n : 0] = '\0';
+        if (strstr(text, what))
+            return;
+    }
+    fail_msg("the supervisor does not hear %s", what);
+}
+
+/* A trace that was asked for is there when the program has ended, and replaces no file. */
+static void test_trace_is_written(void **state)
+{
+    char path[FILE_PATH_MAX];
+    const char *args[] = {"--port", "0", "--trace", path, NULL};
+    struct program p;
+    struct reply r;
+    struct err e = {0};
+    bool seen = false;
+    size_t i;
+    const json_t *ev;
+    (void)state;
+    kit_ok(file_join(path, t.dir, "trace.json", &e), e);
+    program_start(&p, NULL, args);
+    ask_port(p.port, "GET", "/d/toy/tileset.json", "", &r);
+    assert_int_equal(r.status, 200);
+    buf_free(&r.raw);
+    assert_false(file_exists(path));
+    assert_int_equal(program_end(&p, SIGTERM), 0);
+    json_t *o = json_load_file(path, 0, NULL);
+    assert_non_null(o);
+    json_array_foreach(json_object_get(o, "traceEvents"), i, ev) seen |=
+        !strcmp(json_string_value(json_object_get(ev, "name")), "/d/{ds}/tileset.json");
+    assert_true(seen);
+    json_decref(o);
+    program_start(&p, NULL, args);
+    assert_true(program_end(&p, 0) != 0);
+}
+
+static void test_supervisor(void **state)
+{
+    static const char *const args[] = {"--port", "0", "--log-format", "json", NULL};
+    struct program p;
+    struct reply r;
+    struct buf log = {0};
+    struct err e = {0};
+    (void)state;
+#ifndef CITYSPLAT_SYSTEMD
+    skip();
+#endif
+    program_start(&p, NULL, args);
+    hears(&p, "READY=1");
+    hears(&p, "WATCHDOG=1");
+    hears(&p, "WATCHDOG=1"); /* again and again */
+    ask_port(p.port, "GET", "/d/toy/tileset.json?v=\"", "User-Agent: a\"b\\c\r\n", &r);
+    buf_free(&r.raw);
+    ask_port(p.port, "GET", "/d/toy/tileset.json?v=%22",
+             "User-Agent: a\"b\\c\r\nX-Request-Id: q7\r\n", &r);
+    assert_int_equal(r.status, 200);
+    buf_free(&r.raw);
+    kill(p.pid, SIGHUP);
+    hears(&p, "RELOADING=1");
+    hears(&p, "READY=1");
+    kill(p.pid, SIGTERM);
+    hears(&p, "STOPPING=1");
+    assert_int_equal(program_end(&p, 0), 0);
+    kit_ok(file_read(p.log, 0, &log, &e), e);
+    buf_add(&log, "", 1);
+    bool seen = false;
+    int lines = 0;
+    for (char *line = (char *)log.data; *line; lines++) { /* every line is an object */
+        size_t n = strcspn(line, "\n");
+        json_error_t je;
+        json_t *o = json_loadb(line, n, JSON_REJECT_DUPLICATES, &je);
+        if (!o)
+            fail_msg("not JSON: %.*s: %s", (int)n, line, je.text);
+        const char *id = json_string_value(json_object_get(o, "id"));
+        assert_non_null(json_string_value(json_object_get(o, "ts")));
+        if (id && !strcmp(id, "q7")) {
+            seen = true;
+            assert_string_equal(json_string_value(json_object_get(o, "agent")), "a\"b\\c");
+            assert_string_equal(json_string_value(json_object_get(o, "client")), "127.0.0.1");
+            assert_int_equal(json_integer_value(json_object_get(o, "status")), 200);
+        }
+        json_decref(o);
+        line += n + (line[n] == '\n');
+    }
+    assert_true(seen && lines > 4);
+    buf_free(&log);
+}
+
+static int listen_here(uint16_t *port)
+{
+    struct sockaddr_in a = {.sin_family = AF_INET};
+    socklen_t n = sizeof a;
+    a.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    int fd = socket(AF_INET, SOCK_STREAM, 0);
+    assert_int_equal(bind(fd, (struct sockaddr *)&a, sizeof a), 0);
+    assert_int_equal(listen(fd, 100), 0);
+    assert_int_equal(getsockname(fd, (struct sockaddr *)&a, &n), 0);
+    *port = ntohs(a.sin_port);
+    return fcntl(fd, F_DUPFD, 20); /* away from 3 and 4 */
+}
+
+/* The sockets outlive the program: what comes while it is started anew waits, and nothing is
+ * refused. */
+static void test_socket_activation(void **state)
+{
+    static const char *const args[] = {
+        "--admin", "127.0.0.1:0", "--access-format", "combined", "--log-clients", "network", NULL};
+    struct program p;
+    struct reply r;
+    uint16_t port, admin;
+    (void)state;
+#ifndef CITYSPLAT_SYSTEMD
+    skip();
+#endif
+    const int fds[2] = {listen_here(&port), listen_here(&admin)};
+    for (int round = 0; round < 3; round++) {
+        int early = dial(port); /* before there is a program */
+        say(early, "GET /d/toy/tileset.json HTTP/1.1\r\n" H
+                   "Referer: http://a/\r\nConnection: close\r\n\r\n");
+        program_start(&p, fds, args);
+        hear(early, true, NULL, &r);
+        assert_int_equal(r.status, 200);
+        buf_free(&r.raw);
+        close(early);
+        ask_port(admin, "GET", "/metrics", "", &r);
+        assert_int_equal(r.status, 200);
+        buf_free(&r.raw);
+        assert_int_equal(program_end(&p, SIGTERM), 0);
+    }
+    struct buf log = {0};
+    struct err e = {0};
+    kit_ok(file_read(p.log, 0, &log, &e), e);
+    buf_add(&log, "", 1);
+    const char *line = strstr((char *)log.data, "127.0.0.0 - - [");
+    assert_non_null(line);
+    assert_non_null(strstr(line, "] \"GET /d/toy/tileset.json HTTP/1.1\" 200 "));
+    assert_non_null(strstr(line, " \"http://a/\" \"-\"\n"));
+    buf_free(&log);
+    close(fds[0]);
+    close(fds[1]);
+}
+
+static int exit_code(const char *const *args, struct buf *said)
+{
+    struct program p;
+    struct err e = {0};
+    program_start(&p, NULL, args);
+    int code = program_end(&p, 0);
+    kit_ok(file_read(p.log, 0, said, &e), e);
+    buf_add(said, "", 1);
+    return code;
+}
+
+/* The log has '-' in the place of secrets [n], which it has none of. */
+static void log_has_no(const struct buf *log, const char *const *secrets, size_t n)
+{
+    for (size_t i = 0; i < n; i++) {
+        char secret[48];
+        snprintf(secret, sizeof secret, "%.43s", secrets[i]);
+        if (strstr((const char *)log->data, secret))
+            fail_msg("the log has %s", secret);
+    }
+    assert_non_null(strstr((const char *)log->data, "GET /signed/-/d/toy/tileset.json HTTP"));
+    assert_non_null(strstr((const char *)log->data, "\"http://h/signed/-/d/toy/tileset.json\""));
+    assert_non_null(strstr((const char *)log->data, "&key=k1&sig=- HTTP"));
+}
+
+/* A token and a key that are taken from the file open nothing a second after SIGHUP, by whatever
+ * they opened before; the log has none of what opens. */
+static void test_revocation(void **state)
+{
+    char path[FILE_PATH_MAX], bearer[128], cookie[2 * AUTH_SEAL_MAX + 300],
+        sealed[AUTH_SEAL_MAX + 200], query[AUTH_QUERY_MAX], alone[AUTH_QUERY_MAX + 200],
+        seal[AUTH_SEAL_MAX];
+    const char *const args[] = {"--port", "0", "--access-format", "combined", "--auth", path, NULL};
+    struct program p;
+    struct reply r;
+    struct auth *a = NULL;
+    struct err e = {0};
+    struct buf log = {0};
+    int64_t for_s;
+    (void)state;
+    rights_file("\"read:toy\"", "", path);
+    program_start(&p, NULL, args);
+    kit_ok(auth_open(path, &a, &e), e);
+    const int64_t now_s = (int64_t)time(NULL);
+    kit_ok(auth_sign(a, NULL, AUTH_SCOPE_BOTH, "toy", now_s + 60, now_s, seal, &e), e);
+    snprintf(sealed, sizeof sealed, "/signed/%s/d/toy/tileset.json", seal);
+    kit_ok(
+        auth_sign_path(a, NULL, "/d/toy/r/000000000000/t/0/0/0.glb", now_s + 60, now_s, query, &e),
+        e);
+    snprintf(alone, sizeof alone, "/d/toy/r/000000000000/t/0/0/0.glb?%s", query);
+    assert_int_equal(auth_session(a, TOKEN, now_s, seal, &for_s), AUTH_OK);
+    auth_close(&a);
+    snprintf(bearer, sizeof bearer, "Authorization: Bearer %s\r\n", TOKEN);
+    snprintf(cookie, sizeof cookie, "Cookie: citysplat=%s\r\nReferer: http://h%s\r\n", seal,
+             sealed);
+    const struct {
+        const char *target, *fields;
+        int before, after;
+    } rows[] = {{"/d/toy/tileset.json", bearer, 200, 403},
+                {"/d/toy/tileset.json", cookie, 200, 401},
+                {sealed, "", 200, 403},
+                {alone, "", 404, 403}}; /* 404: allowed, and not there */
+    for (int after = 0; after < 2; after++) {
+        for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+            ask_port(p.port, "GET", rows[i].target, rows[i].fields, &r);
+            if (r.status != (after ? rows[i].after : rows[i].before))
+                fail_msg("row %zu, file %d: %d", i, after, r.status);
+            buf_free(&r.raw);
+        }
+        rights_put("auth.jsonc", "{\"keys\": {\"k1\": \"another-key-another-key-another-key\"}}",
+                   path);
+        kill(p.pid, SIGHUP);
+        nap_ms(900);
+        for (char said[512]; recv(p.notify, said, sizeof said, MSG_DONTWAIT) > 0;)
+            ; /* what its supervisor does not hear would hold it up */
+    }
+    assert_int_equal(program_end(&p, SIGTERM), 0);
+    kit_ok(file_read(p.log, 0, &log, &e), e);
+    buf_u8(&log, 0);
+    const char *const secrets[] = {TOKEN, strrchr(seal, '.'), strstr(sealed, ".toy.") + 5,
+                                   strstr(query, "sig=") + 4};
+    log_has_no(&log, secrets, sizeof secrets / sizeof *secrets);
+    buf_free(&log);
+}
+
+static void test_check_and_exit_codes(void **state)
+{
+    char bad[FILE_PATH_MAX], conf[FILE_PATH_MAX], fifo[FILE_PATH_MAX];
+    struct err e = {0};
+    (void)state;
+    kit_ok(file_join(fifo, t.dir, "fifo.tiles", &e), e);
+    assert_int_equal(mkfifo(fifo, 0600), 0);
+    rights_put("bad.tiles", "this is no store", bad);
+    rights_put("bad-conf.jsonc", "{\"port\": 70000}", conf);
+    int busy = -1;
+    uint16_t port;
+    char taken[16];
+    busy = listen_here(&port);
+    snprintf(taken, sizeof taken, "%d", port);
+    const struct {
+        int code;
+        const char *says, *args[8];
+    } rows[] = {
+        {0, "", {"--check"}},
+        {EX_CONFIG, "--base-path", {"--check", "--base-path", "x"}},
+        {EX_CONFIG, "--cache-policy", {"--check", "--cache-policy", "x"}},
+        {EX_CONFIG, "/nonexistent", {"--check", "--auth", "/nonexistent"}},
+        {EX_CONFIG, "bad.tiles", {"--check", bad}},
+        {EX_CONFIG, "no file", {"--check", fifo}}, /* not waited for */
+        {EX_CONFIG, "/nonexistent", {"--check", "--clip", "/nonexistent"}},
+        {EX_CONFIG, "--trusted-proxy", {"--check", "--trusted-proxy", "x"}},
+        {EX_CONFIG, "/nonexistent", {"--check", "--web-dir", "/nonexistent"}},
+        {EX_USAGE, "--prot", {"--prot", "1"}},
+        {EX_CONFIG, "port", {"--config", conf}},
+        {EX_DATAERR, "bad.tiles", {bad, "--port", "0"}},
+        {EX_NOINPUT, "/nonexistent", {"/nonexistent.tiles", "--port", "0"}},
+        {EX_UNAVAILABLE, "--port", {"--port", taken}},
+    };
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        struct buf said = {0};
+        int code = exit_code(rows[i].args, &said);
+        if (code != rows[i].code || !strstr((char *)said.data, rows[i].says))
+            fail_msg("row %zu: exit code %d, want %d: %s", i, code, rows[i].code,
+                     (char *)said.data);
+        buf_free(&said);
+    }
+    close(busy);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        HTTP_TEST(test_revocation),           HTTP_TEST(test_cache_policies),
+        HTTP_TEST(test_request_ids),          HTTP_TEST(test_base_path),
+        HTTP_TEST(test_admin_listener),       HTTP_TEST(test_supervisor),
+        HTTP_TEST(test_trace_is_written),     HTTP_TEST(test_socket_activation),
+        HTTP_TEST(test_check_and_exit_codes),
+    };
+    return cmocka_run_group_tests(tests, setup_all, teardown_all);
+}

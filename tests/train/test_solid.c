@@ -1,0 +1,258 @@
+/* The loss on solid surfaces: the reference in double against finite differences, the kernels in
+ * both shapes against the reference, and values that can be worked out by hand.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/render/backward_kit.h"
+#include "train/loss/solid.h"
+
+#include <math.h>
+#include <string.h>
+
+#define FD_STEP 4e-6
+#define FD_REL 2e-6 /* fourth-order differences in double, of a sum that other pixels dominate */
+#define FD_ABS 2e-8
+#define KERNEL_REL 2e-3 /* V is a difference of float moments of the order of 0.1 */
+#define KERNEL_L2 1e-4
+#define VALUE_REL 1e-4
+
+#define KNOWN_ZETA 1.2
+
+static uint8_t support[PX_H * PX_W];
+static float known[PX_H * PX_W];
+
+/* Weights that make the terms of the same order; half of the picture is supported, and depth is
+ * known in a quarter of it. */
+static struct solid_input input(uint32_t stride)
+{
+    for (size_t i = 0; i < sizeof support; i++)
+        support[i] = i % PX_W > PX_W / 2 ? 3 : 0;
+    for (size_t i = 0; i < sizeof known / sizeof *known; i++) {
+        double zeta = 1 + 0.1 * rng_normal(9, 1, i);
+        known[i] = i / PX_W > PX_H / 2 && i % 2 ? (float)(KNOWN_ZETA / zeta) : -1.0f;
+    }
+    return (struct solid_input){.width_px = PX_W,
+                                .height_px = PX_H,
+                                .focal_px = 45,
+                                .spread = 0.7,
+                                .prior = 0.8,
+                                .bend = 0.9,
+                                .light = 1.3,
+                                .light_known = 0.6,
+                                .unknown = 0.4,
+                                .stride = stride,
+                                .supported = support,
+                                .known = known,
+                                .known_zeta = KNOWN_ZETA};
+}
+
+/* Moments that Gaussians could have made: A from 0 to 1, depths about 0 with steps. */
+static double *moments_make(uint64_t seed)
+{
+    double *m = mem_array((size_t)PX_W * PX_H, 3 * sizeof *m);
+    assert_non_null(m);
+    for (size_t i = 0; i < (size_t)PX_W * PX_H; i++) {
+        double a = i % 11 ? rng_unit(seed, 1, i) : 0.02, d = 0.1 * rng_normal(seed, 2, i / 3);
+        d += i % PX_W > 20 ? 0.4 : 0.0;
+        double v = 1e-3 + 0.01 * rng_unit(seed, 3, i) * rng_unit(seed, 4, i);
+        m[3 * i] = a * d;
+        m[3 * i + 1] = a * (d * d + v);
+        m[3 * i + 2] = 1 - a;
+    }
+    return m;
+}
+
+static double weighted(const struct solid_input *in, const double *moments, const double *held)
+{
+    struct solid_value v = solid_ref_value(in, moments, held);
+    return in->spread * v.spread + in->prior * v.prior + in->bend * v.bend + in->light * v.light +
+           in->light_known * v.light_known;
+}
+
+/* A pixel whose cover is not within a step of a threshold. */
+static bool away(const double m[3])
+{
+    double a = 1 - m[2];
+    return fabs(a - SOLID_COVER_MIN) > 1e-4 && fabs(a - SOLID_BEND_COVER) > 1e-4;
+}
+
+static void test_differences(void **state)
+{
+    (void)state;
+    for (uint32_t stride = 1; stride <= 4; stride *= 2) {
+        struct solid_input in = input(stride);
+        size_t n = (size_t)3 * PX_W * PX_H, bent = 0;
+        double *m = moments_make(stride), *held = moments_make(stride),
+               *grad = mem_array(n, sizeof *grad), *fd = mem_array(n, sizeof *fd);
+        assert_true(grad && fd);
+        solid_ref_grad(&in, m, grad);
+        for (size_t i = 0; i < n; i++) {
+            fd[i] = grad[i];
+            if (!away(m + i / 3 * 3))
+                continue;
+            const double keep = m[i];
+            double f[4];
+            for (int k = 0; k < 4; k++) {
+                static const double step[4] = {-2, -1, 1, 2};
+                m[i] = keep + step[k] * FD_STEP;
+                f[k] = weighted(&in, m, held);
+            }
+            fd[i] = (8 * (f[2] - f[1]) - (f[3] - f[0])) / (12 * FD_STEP);
+            m[i] = keep;
+            bent += i % 3 == 0 && fd[i] != 0;
+        }
+        assert_true(bent > n / 6);
+        kit_near_d("solid", grad, fd, n, FD_ABS, FD_REL);
+        mem_free(m);
+        mem_free(held);
+        mem_free(grad);
+        mem_free(fd);
+    }
+}
+
+static void check_kernels(uint32_t width, struct view_case *s, uint32_t stride)
+{
+    struct solid_input in = input(stride);
+    size_t px = (size_t)PX_W * PX_H;
+    uint32_t own = dev_get()->vector_width;
+    struct render_model model = {0};
+    struct render *r;
+    struct solid *solid;
+    struct solid_value got;
+    struct err e = {0};
+    double *m = mem_array(px, 3 * sizeof *m), *want = mem_array(px, 3 * sizeof *want);
+    assert_true(m && want);
+    kit_ok(render_open(dev_get(), &r, &e), e);
+    kernel_forward(r, s, &model);
+    float *moments = floats_read(render_moments_buffer(r), 2 * px),
+          *t = floats_read(render_transmittance_buffer(r), px);
+    for (size_t i = 0; i < px; i++) {
+        m[3 * i] = (double)moments[i];
+        m[3 * i + 1] = (double)moments[px + i];
+        m[3 * i + 2] = (double)t[i];
+    }
+    dev_get()->vector_width = width ? width : own;
+    kit_ok(solid_open(dev_get(), &solid, &e), e);
+    kit_ok(solid_hand_over(solid, &in, &e), e);
+    kit_ok(solid_run(solid, r, &in, &e), e);
+    kit_ok(solid_read(solid, &got, &e), e);
+    dev_get()->vector_width = own;
+    float *grad = floats_read(render_moments_grad_buffer(r), 3 * px);
+    solid_ref_grad(&in, m, want);
+    struct solid_value v = solid_ref_value(&in, m, m);
+    double err2 = 0, ref2 = 0;
+    for (size_t i = 0; i < 3 * px; i++) {
+        double g = (double)grad[i % 3 * px + i / 3], d = g - want[i];
+        err2 += d * d;
+        ref2 += want[i] * want[i];
+        if (fabs(d) > KERNEL_REL * (fabs(want[i]) + rms(want, 3 * px)))
+            fail_msg("pixel %zu, %zu: %g, reference %g", i / 3, i % 3, g, want[i]);
+    }
+    assert_true(sqrt(err2) <= KERNEL_L2 * sqrt(ref2));
+    assert_true(v.spread > 0.05 && v.prior > 0.05 && v.bend > 0.05 && v.light > 0.05);
+    assert_true(fabs(got.prior - v.prior) < VALUE_REL * v.prior);
+    assert_true(fabs(got.spread - v.spread) < VALUE_REL * v.spread);
+    assert_true(fabs(got.bend - v.bend) < VALUE_REL * v.bend);
+    assert_true(fabs(got.light - v.light) < VALUE_REL * v.light);
+    assert_true(v.light_known > 0.02 &&
+                fabs(got.light_known - v.light_known) < VALUE_REL * v.light_known);
+    solid_close(&solid);
+    render_model_free(&model);
+    render_close(&r);
+    mem_free(moments);
+    mem_free(t);
+    mem_free(grad);
+    mem_free(m);
+    mem_free(want);
+}
+
+static void test_kernels_match_reference(void **state)
+{
+    (void)state;
+    for (uint32_t width = 0; width < 2; width++)
+        for (uint32_t stride = 1; stride <= SOLID_STRIDE_MAX; stride *= 2) {
+            struct view_case s = view_case_make(300 + stride, 120, RENDER_AA_2D, 0);
+            for (size_t i = 0; i < s.g.n; i++)
+                s.g.opacity_logit[i] += 1.0f; /* few holes */
+            view_case_moments(&s);
+            check_kernels(width, &s, stride);
+            view_case_free(&s);
+        }
+}
+
+/* A plane aslant has no bend and two sheets have their distance as spread. */
+static void test_by_hand(void **state)
+{
+    (void)state;
+    struct solid_input in = input(2);
+    static float all_known[PX_H * PX_W];
+    size_t px = (size_t)PX_W * PX_H;
+    in.known = NULL;
+    double *m = mem_array(px, 3 * sizeof *m);
+    assert_non_null(m);
+    for (size_t i = 0; i < px; i++) { /* 1/z linear in x and y; opaque */
+        double q = 0.8 + 0.004 * (double)(i % PX_W) - 0.003 * (double)(i / PX_W), d = 1 / q - 1;
+        m[3 * i] = d;
+        m[3 * i + 1] = d * d;
+    }
+    struct solid_value v = solid_ref_value(&in, m, m);
+    assert_true(v.spread < 1e-12 && v.bend < 1e-12 && v.light == 0.0);
+    for (size_t i = 0; i < px; i++) { /* half of the light at 0, half of what is left at 0.2 */
+        m[3 * i] = 0.25 * 0.2;
+        m[3 * i + 1] = 0.25 * 0.2 * 0.2;
+        m[3 * i + 2] = 0.25;
+    }
+    v = solid_ref_value(&in, m, m);
+    double mean = 0.2 / 3, var = 0.04 / 3 - mean * mean, px_m = 45 / (1 + mean), soft = 0.25 / px_m;
+    double s = px_m * (sqrt(var + soft * soft) - soft), r = s / SOLID_SPREAD_PX;
+    assert_true(fabs(v.spread - 0.75 * 0.5 * (s / (1 + r * r) + SOLID_SPREAD_PX * atan(r))) < 1e-9);
+    assert_true(fabs(v.light - (0.25 - SOLID_LIGHT_T / 2) * 19 / 40) < 1e-9 && v.bend < 1e-12);
+    in.known = all_known; /* all of it at 0.2: two thirds of the light is 0.2 off */
+    for (size_t i = 0; i < px; i++)
+        all_known[i] = 1.0f;
+    v = solid_ref_value(&in, m, m);
+    s = px_m * (sqrt(0.04 * 2 / 3 + soft * soft) - soft);
+    r = s / SOLID_PRIOR_PX;
+    assert_true(fabs(v.prior - 0.75 * 0.5 * (s / (1 + r * r) + SOLID_PRIOR_PX * atan(r))) < 1e-9);
+    assert_true(v.spread == 0.0 && v.light == 0.0 &&
+                fabs(v.light_known - (0.25 - SOLID_LIGHT_T / 2) * 19 / 40) < 1e-9);
+    mem_free(m);
+}
+
+static void test_errors(void **state)
+{
+    (void)state;
+    struct view_case s = view_case_make(1, 4, RENDER_AA_2D, 0);
+    struct solid_input in = input(1);
+    struct render_model model = {0};
+    struct render *r;
+    struct solid *solid;
+    struct err e = {0};
+    kit_ok(render_open(dev_get(), &r, &e), e);
+    kit_ok(solid_open(dev_get(), &solid, &e), e);
+    kernel_forward(r, &s, &model);
+    kit_fails(solid_run(solid, r, &in, &e), ERR_ARG, e, "no moments");
+    view_case_moments(&s);
+    kernel_forward(r, &s, &model);
+    in.stride = SOLID_STRIDE_MAX + 1;
+    kit_fails(solid_run(solid, r, &in, &e), ERR_ARG, e, "stride");
+    s.o.orthographic = true;
+    kit_fails(render_forward(r, &model, &s.cam, &s.o, NULL, NULL, &e), ERR_ARG, e, "perspective");
+    solid_close(&solid);
+    render_model_free(&model);
+    render_close(&r);
+    view_case_free(&s);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_differences),
+        cmocka_unit_test(test_kernels_match_reference),
+        cmocka_unit_test(test_by_hand),
+        cmocka_unit_test(test_errors),
+    };
+    int failed = cmocka_run_group_tests(tests, NULL, NULL);
+    dev_close(dev_get());
+    return failed;
+}

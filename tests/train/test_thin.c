@@ -1,0 +1,105 @@
+/* Thinning: the choice worked out by hand, and the steps that it follows.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/kit.h"
+
+#include "train/base/schedule.h"
+#include "train/density/thin.h"
+
+static size_t choose(const float *rise, const uint16_t *views, size_t n, double limit, bool all,
+                     uint32_t *keep, double *given)
+{
+    struct err e = {0};
+    size_t n_keep = 0;
+    kit_ok(thin_choose(rise, views, n, &(struct thin_rule){limit, all}, keep, &n_keep, given, &e),
+           e);
+    return n_keep;
+}
+
+static void the_cheapest_go_up_to_the_limit(void **state)
+{
+    (void)state;
+    enum { N = 9 };
+    const float rise[N] = {4.0f, 0.5f, 9.0f, 0.25f, 8.0f, 1.0f, 9.0f, 8.0f, 7.0f};
+    const uint16_t views[N] = {3, 3, 3, 3, 3, 3, 3, 3, 3};
+    uint32_t keep[N];
+    double given;
+    assert_int_equal(choose(rise, views, N, 1.75, true, keep, &given), N - 3); /* .25 .5 1 fit */
+    assert_true(keep[0] == 0 && keep[1] == 2 && keep[2] == 4 && keep[3] == 6 && given == 1.75);
+    assert_int_equal(choose(rise, views, N, 1.5, true, keep, &given), N - 2);
+    assert_true(keep[0] == 0 && keep[1] == 2 && keep[2] == 4 && keep[3] == 5 && given == 0.75);
+    assert_int_equal(choose(rise, views, N, 0.0, true, keep, &given), N);
+    assert_true(given == 0.0);
+}
+
+/* Prices hold while neighbours stay: whatever the limit, two thirds remain. */
+static void no_more_than_a_third_goes(void **state)
+{
+    (void)state;
+    const float rise[3] = {1.0f, 3.0f, 2.0f};
+    const uint16_t views[3] = {1, 1, 1};
+    uint32_t keep[3];
+    double given;
+    assert_int_equal(choose(rise, views, 3, 1e9, true, keep, &given), 2);
+    assert_true(keep[0] == 1 && keep[1] == 2 && given == 1.0);
+    assert_int_equal(choose(rise, views, 1, 1e9, true, keep, &given), 1);
+    assert_int_equal(choose(rise, views, 0, 1e9, true, keep, &given), 0);
+}
+
+static void equal_ones_go_in_the_order_of_rows(void **state)
+{
+    (void)state;
+    const float rise[7] = {1.0f, 1.0f, 1.0f, 1.0f, 1.0f, 1.0f, 1.0f};
+    const uint16_t views[7] = {1, 2, 1, 2, 1, 1, 1};
+    uint32_t keep[7];
+    double given;
+    assert_int_equal(choose(rise, views, 7, 2.0, true, keep, &given), 5);
+    for (uint32_t k = 0; k < 5; k++)
+        assert_int_equal(keep[k], k + 2);
+}
+
+static void what_no_photograph_shows_goes_if_all_were_asked(void **state)
+{
+    (void)state;
+    const float rise[6] = {0.0f, 1.0f, 0.0f, 5.0f, 5.0f, 5.0f};
+    const uint16_t views[6] = {0, 2, 1, 2, 2, 2};
+    uint32_t keep[6];
+    double given;
+    assert_int_equal(choose(rise, views, 6, 0.5, true, keep, &given), 4);
+    assert_true(keep[0] == 1 && keep[1] == 3);
+    assert_int_equal(choose(rise, views, 6, 0.5, false, keep, &given), 5);
+    assert_true(keep[0] == 0 && keep[1] == 1 && keep[2] == 3);
+}
+
+/* Three times in the first half of the steps that follow densification, at the finest level. */
+static void it_happens_while_steps_are_left(void **state)
+{
+    (void)state;
+    struct schedule s = {.level = 3, .n_levels = 3, .steps = 1000, .densify_until = 400};
+    uint32_t n = 0;
+    for (uint32_t step = 1; step <= s.steps; step++)
+        n += schedule_thins(&s, step);
+    assert_int_equal(n, 3);
+    assert_true(schedule_thins(&s, 400) && schedule_thins(&s, 500) && schedule_thins(&s, 600));
+    s.level = 2; /* the next level would fill the gaps */
+    assert_false(schedule_thins(&s, 400));
+    s.level = 3;
+    s.densify_until = 1000; /* no step would be left to recover */
+    assert_false(schedule_thins(&s, 1000));
+    s.densify_until = 0; /* of a last fit */
+    for (uint32_t step = 1; step <= s.steps; step++)
+        assert_false(schedule_thins(&s, step));
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(the_cheapest_go_up_to_the_limit),
+        cmocka_unit_test(no_more_than_a_third_goes),
+        cmocka_unit_test(equal_ones_go_in_the_order_of_rows),
+        cmocka_unit_test(what_no_photograph_shows_goes_if_all_were_asked),
+        cmocka_unit_test(it_happens_while_steps_are_left),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,404 @@
+/* What happens at which step of a level: length, densification, opacity resets, degree of
+ * harmonics, learning rate of positions. All are pure functions of the options, so a resumed run
+ * needs no state for them.
+ *
+ * Lengths grow with the number of photographs, by max(n / 600, 1), rounded up to two decimals, but
+ * not a total length that was asked for (--iterations). Intervals and rates follow kappa, the run's
+ * part of the published length. How each interval shrinks was found by measurements; the reasons
+ * stand beside its constant.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <string.h>
+
+#include "scene/cells/cell.h"
+#include "train/base/config.h"
+#include "train/base/schedule.h"
+
+#define SCHEDULE_PHOTOS 600.0       /* photographs at which lengths begin to stretch */
+#define SCHEDULE_SIZE_FROM 3000.0   /* first step at which sizes are limited, 3DGS */
+#define SCHEDULE_LR_FINAL 1.6e-6    /* rate of positions at a level's end, half cell edges; 3DGS */
+#define SCHEDULE_LR_RESTART 0.5     /* of lr_mean, at the start of levels after the first */
+#define SCHEDULE_SH_INTERVAL 1000.0 /* steps before the next degree of harmonics; 3DGS */
+#define SCHEDULE_LOOK 0.1           /* of the steps so far, between looks at a level that goes on */
+enum { SCHEDULE_STEPS_MAX = 1 << 30 };
+
+/* Steps of the levels as published, coarsest first. */
+static const int64_t schedule_published[TRAIN_LEVELS_MAX] = {15000, 15000, 30000};
+/* --iterations when nothing is asked for: docs/decisions/013-rates-and-length.md. */
+static const int64_t schedule_default[TRAIN_LEVELS_MAX] = {1750, 1750, 3500};
+
+/* Half up, as counts are rounded everywhere here. */
+static uint32_t schedule_round(double x)
+{
+    double r = floor(x + 0.5);
+    return r < 1.0 ? 1 : r > SCHEDULE_STEPS_MAX ? SCHEDULE_STEPS_MAX : (uint32_t)r;
+}
+
+static double schedule_kappa(size_t n_photos)
+{
+    double k = (double)n_photos / SCHEDULE_PHOTOS;
+    return k > 1.0 ? ceil(100.0 * k - 1e-9) / 100.0 : 1.0;
+}
+
+static bool schedule_is_default(const struct options_ints *n)
+{
+    return n->n <= 1 && !memcmp(n->v, schedule_default, sizeof schedule_default);
+}
+
+/* Steps of a level in a run of full length. */
+static int64_t schedule_base_length(const struct train_config *cfg, size_t level)
+{
+    const struct options_ints *n = &cfg->iterations;
+    return schedule_is_default(n) ? schedule_published[level] : n->v[level];
+}
+
+int64_t schedule_asked(const struct train_config *cfg, size_t n_photos)
+{
+    const struct options_ints *n = &cfg->iterations;
+    int64_t sum = 0;
+    if (n->one > 0)
+        return n->one;
+    if (n->n || !schedule_is_default(n))
+        return 0;
+    for (size_t l = TRAIN_LEVELS_MAX - (size_t)cfg->level_count; l < TRAIN_LEVELS_MAX; l++)
+        sum += schedule_default[l];
+    return (int64_t)schedule_round((double)sum * schedule_kappa(n_photos));
+}
+
+/* What the lists of the configuration say of each level, the finest last. */
+struct schedule_base {
+    int64_t steps, budget, interval;
+    double downsample, until, tau;
+};
+
+/* Steps of a coarser level that is made of the finer one. With --level-order both they are taken
+ * from those that the level has: half of them at most. */
+static int64_t schedule_base_tuned(const struct train_config *cfg, size_t level)
+{
+    const size_t last = TRAIN_LEVELS_MAX - 1;
+    const double finest = (double)schedule_base_length(cfg, last);
+    const int64_t part = (int64_t)schedule_round(finest * cfg->tune_share);
+    const int64_t half = schedule_base_length(cfg, level) / 2;
+    if (cfg->level_order != SCHEDULE_BOTH || level == last)
+        return 0;
+    return part < half ? part : half;
+}
+
+/* One value of --budget and --downsample is the finest level's, and the coarser levels keep their
+ * proportion to it; one value of the others holds at all levels. */
+static struct schedule_base schedule_base_at(const struct train_config *cfg, size_t level)
+{
+    const size_t last = TRAIN_LEVELS_MAX - 1;
+    const struct options_ints *b = &cfg->budget, *every = &cfg->densify_interval;
+    const struct options_nums *d = &cfg->downsample;
+    double part = (double)b->v[level] / (double)b->v[last];
+    return (struct schedule_base){
+        .steps = schedule_base_length(cfg, level),
+        .budget = b->n == 1 ? (int64_t)ceil((double)b->one * part) : b->v[level],
+        .interval = every->n == 1 ? every->one : every->v[level],
+        .downsample = d->n == 1 ? d->one * d->v[level] / d->v[last] : d->v[level],
+        .until = cfg->densify_until.n == 1 ? cfg->densify_until.one : cfg->densify_until.v[level],
+        .tau = cfg->tau.n == 1 ? cfg->tau.one : cfg->tau.v[level],
+    };
+}
+
+/* A list has one value, or one a level. */
+static enum err_code schedule_check_lists(const struct train_config *cfg, struct err *e)
+{
+    const struct {
+        const char *flag;
+        size_t n;
+    } lists[] = {
+        {"iterations", cfg->iterations.n},
+        {"budget", cfg->budget.n},
+        {"densify-interval", cfg->densify_interval.n},
+        {"densify-until", cfg->densify_until.n},
+        {"downsample", cfg->downsample.n},
+        {"tau", cfg->tau.n},
+    };
+    for (size_t i = 0; i < sizeof lists / sizeof *lists; i++)
+        if (lists[i].n > 1 && lists[i].n != (size_t)cfg->level_count)
+            return err_set(e, ERR_ARG,
+                           "--%s has %zu values and --level-count is %lld: give one value, or one "
+                           "for each level, coarsest first",
+                           lists[i].flag, lists[i].n, (long long)cfg->level_count);
+    return ERR_OK;
+}
+
+/* A cell that was merged from several has more ground to cover. */
+static double schedule_budget_factor(const struct cell *cell)
+{
+    if (cell->whole)
+        return 1.0;
+    double area =
+        (cell->max_enu_m[0] - cell->min_enu_m[0]) * (cell->max_enu_m[1] - cell->min_enu_m[1]);
+    return fmin(fmax(sqrt(area) / cell->edge_m, 1.0), 2.0);
+}
+
+/* A run of a part kappa of the full length has fewer steps to get anywhere in and takes larger
+ * ones: kappa^-0.4 times the published rates of positions, sizes and rotations, at most `most`
+ * times. Measured at 1/20 (docs/decisions/013-rates-and-length.md). */
+#define SCHEDULE_LR_EXPONENT 0.4
+/* Thinnings, and the parts of the steps after densification that they stand at the ends of. */
+enum { SCHEDULE_THIN_PARTS = 6, SCHEDULE_THINNINGS = 3 };
+static double schedule_lr_factor(double most, double kappa)
+{
+    return fmin(fmax(pow(kappa, -SCHEDULE_LR_EXPONENT), 1.0), most);
+}
+
+static void schedule_rates(const struct train_config *cfg, const struct cell *cell,
+                           struct schedule *s)
+{
+    double unit_m = 0.5 * cell->edge_m;
+    s->lr_factor = schedule_lr_factor(cfg->lr_short, s->kappa);
+    s->lr_mean_first =
+        cfg->lr_mean * s->lr_factor * unit_m * (s->turn > 1 ? SCHEDULE_LR_RESTART : 1.0);
+    /* over kappa: a short run has more left to go at its end */
+    double last = SCHEDULE_LR_FINAL * pow(s->lr_factor, 1.0 / SCHEDULE_LR_EXPONENT);
+    s->lr_mean_last = fmin(last * unit_m, s->lr_mean_first);
+}
+
+static void schedule_fill(const struct train_config *cfg, const struct schedule_base *b,
+                          double kappa, const struct cell *cell, struct schedule *s)
+{
+    double shrink = kappa < 1.0 ? kappa : 1.0;
+    double interval = (double)b->interval * kappa;
+    double floor_steps = fmin((double)b->interval, (double)cfg->densify_interval_min);
+    s->kappa = kappa;
+    s->downsample = b->downsample;
+    s->budget = (size_t)floor((double)b->budget * schedule_budget_factor(cell));
+    s->interval = schedule_round(fmax(interval, floor_steps));
+    s->densify_from = (uint32_t)floor((double)cfg->densify_from * kappa + 0.5);
+    s->densify_until = (uint32_t)floor((double)s->steps * b->until + 0.5);
+    /* Not shrunk: a run shorter than the interval is better without resets than with hasty ones. */
+    s->reset_interval = cfg->reset_interval > 0
+                            ? schedule_round((double)cfg->reset_interval * fmax(kappa, 1.0))
+                            : 0;
+    /* The first Gaussians may be as large as the gaps between points; later levels begin without
+     * such. Shrinks with the run, which need not have a reset. */
+    s->size_from = s->turn == 1 ? schedule_round(SCHEDULE_SIZE_FROM * kappa) : 0;
+    s->sh_degree = (uint32_t)cfg->sh_degree;
+    s->sh_interval = s->turn == 1 ? schedule_round(SCHEDULE_SH_INTERVAL * shrink) : 0;
+    s->tau = b->tau;
+    schedule_rates(cfg, cell, s);
+}
+
+/* Part of the finest level in which rates fall. */
+static double schedule_fade_share(const struct train_config *cfg)
+{
+    return cfg->lr_end < 1.0 ? SCHEDULE_FADE_SHARE : 0.0;
+}
+
+/* How a level ends from which no other goes on: its rates fall. With --go-on-db the finest one goes
+ * on before they do. */
+static void schedule_fill_end(const struct train_config *cfg, double longest, struct schedule *s)
+{
+    s->fade_from = s->steps;
+    s->fade_to = cfg->lr_end;
+    if (s->level < s->n_levels)
+        return;
+    double stays = 1.0 - schedule_fade_share(cfg);
+    if (!(cfg->go_on_db > 0.0))
+        s->fade_from = (uint32_t)floor((double)s->steps * stays + 0.5);
+    else if (longest > s->kappa)
+        s->most = schedule_round(((double)s->steps + s->full * (longest - s->kappa)) * stays);
+}
+
+struct schedule schedule_again(const struct schedule *s, const struct train_config *cfg)
+{
+    struct schedule again = *s;
+    again.steps = again.planned = again.most = s->tuned > 0 ? s->tuned : 1;
+    again.turn = 2 * s->n_levels - s->level;
+    again.derived = true;
+    again.lr_mean_first = s->turn > 1 ? s->lr_mean_first : s->lr_mean_first * SCHEDULE_LR_RESTART;
+    again.lr_mean_last = fmin(s->lr_mean_last, again.lr_mean_first);
+    again.fade_from = (uint32_t)floor((double)again.steps * (1.0 - schedule_fade_share(cfg)) + 0.5);
+    again.densify_until = 0; /* it has all its Gaussians */
+    again.reset_interval = 0;
+    again.size_from = 0;
+    again.sh_interval = 0; /* what fades during a level is at its end */
+    return again;
+}
+
+double schedule_total(const struct schedule *s)
+{
+    return s->total + (double)s->steps - (double)s->planned;
+}
+
+uint32_t schedule_next_look(const struct schedule *s)
+{
+    double next = ceil((double)s->steps + SCHEDULE_LOOK * schedule_total(s));
+    return (uint32_t)fmax(fmin(next, (double)s->most), (double)s->steps);
+}
+
+uint32_t schedule_end(const struct schedule *s, const struct train_config *cfg)
+{
+    return schedule_round((double)s->steps / (1.0 - schedule_fade_share(cfg)));
+}
+
+struct schedule schedule_go_on(const struct schedule *s, const struct train_config *cfg,
+                               const struct cell *cell, uint32_t steps, uint32_t fade_from)
+{
+    struct schedule on = *s;
+    on.steps = steps;
+    on.kappa = schedule_total(&on) / on.full;
+    on.fade_from = fade_from;
+    on.reset_interval = 0;
+    on.last = true;
+    schedule_rates(cfg, cell, &on);
+    on.lr_mean_first = on.lr_mean_last;
+    return on;
+}
+
+double schedule_full(const struct train_config *cfg)
+{
+    double total = 0.0;
+    for (size_t l = TRAIN_LEVELS_MAX - (size_t)cfg->level_count; l < TRAIN_LEVELS_MAX; l++)
+        total += (double)schedule_base_length(cfg, l);
+    return total;
+}
+
+enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
+                            const struct cell *cell, struct schedule out[TRAIN_LEVELS_MAX],
+                            struct err *e)
+{
+    struct schedule_base base[TRAIN_LEVELS_MAX];
+    enum err_code rc = schedule_check_lists(cfg, e);
+    if (rc)
+        return rc;
+    const int64_t asked = schedule_asked(cfg, n_photos);
+    if (cfg->go_on_db > 0.0 && asked <= 0)
+        return err_set(e, ERR_ARG,
+                       "--go-on-db needs one value of --iterations, the length from which training "
+                       "goes on: 3000 suits most scenes");
+    for (size_t l = 0; l < TRAIN_LEVELS_MAX; l++)
+        base[l] = schedule_base_at(cfg, l);
+    uint32_t n = (uint32_t)cfg->level_count, first = TRAIN_LEVELS_MAX - n;
+    double total = schedule_full(cfg), kappa = schedule_kappa(n_photos), longest = kappa;
+    double share = cell->steps_share > 0.0 ? cell->steps_share : 1.0;
+    int64_t left = (int64_t)fmax(floor((double)asked * share + 0.5), 1.0);
+    kappa = asked > 0 ? (double)left / total : kappa * share;
+    for (uint32_t l = 0; l < n; l++) {
+        const struct schedule_base *b = &base[first + l];
+        struct schedule *s = &out[l];
+        *s = (struct schedule){.level = l + 1, .n_levels = n, .turn = l + 1};
+        double steps = floor((double)b->steps * kappa + 0.5);
+        if (asked > 0 && l + 1 == n)
+            steps = (double)left; /* the last level takes what rounding left */
+        left -= (int64_t)steps;
+        if (!(steps >= 1.0) || steps > SCHEDULE_STEPS_MAX)
+            return err_set(e, ERR_ARG,
+                           "level %u of %u would have %.0f steps: change --iterations or %s", l + 1,
+                           n, steps, "--level-count");
+        const double tuned = floor((double)schedule_base_tuned(cfg, first + l) * kappa + 0.5);
+        s->tuned = (uint32_t)fmin(tuned, floor(0.5 * steps));
+        s->steps = s->planned = s->most = (uint32_t)steps - s->tuned;
+        s->full = total;
+        s->total = total * kappa;
+        schedule_fill(cfg, b, kappa, cell, s);
+        schedule_fill_end(cfg, longest * share, s);
+        s->absgrad = (int64_t)(first + l + 1) >= cfg->absgrad_from;
+        if (l > 0 && s->budget < out[l - 1].budget)
+            return err_set(e, ERR_ARG,
+                           "level %u: budget %zu is below level %u's %zu: budgets must not fall",
+                           l + 1, s->budget, l, out[l - 1].budget);
+    }
+    return ERR_OK;
+}
+
+size_t schedule_cap(size_t start, size_t budget, uint32_t x, uint32_t n)
+{
+    if (start >= budget)
+        return start;
+    if (n <= 1 || x >= n - 1)
+        return budget;
+    double u = (double)x / (double)(n - 1);
+    return start + (size_t)floor((double)(budget - start) * (2.0 * u - u * u));
+}
+
+size_t schedule_cap_outside(const struct schedule *s)
+{
+    return s->budget / 2 + s->around;
+}
+
+/* Last step at which densification is allowed: before both `until` and the end. */
+static uint32_t schedule_densify_last(const struct schedule *s)
+{
+    uint32_t end = s->densify_until < s->steps ? s->densify_until : s->steps;
+    return end > 0 ? end - 1 : 0;
+}
+
+size_t schedule_most(const struct schedule *s, const struct cell *cell)
+{
+    return s->budget + (cell->whole ? 0 : schedule_cap_outside(s));
+}
+
+uint32_t schedule_densify_count(const struct schedule *s)
+{
+    uint32_t first = s->densify_from / s->interval, last = schedule_densify_last(s) / s->interval;
+    return last > first ? last - first + 1 : 1;
+}
+
+uint32_t schedule_densify_index(const struct schedule *s, uint32_t step)
+{
+    if (step <= s->densify_from || step > schedule_densify_last(s) || step % s->interval)
+        return 0;
+    return step / s->interval - s->densify_from / s->interval;
+}
+
+/* The last interval before densification ends is left for the opacities to come back. */
+static uint32_t schedule_last_reset(const struct schedule *s)
+{
+    uint32_t end = schedule_densify_last(s);
+    return end > s->reset_interval ? end - s->reset_interval : 0;
+}
+
+bool schedule_resets(const struct schedule *s, uint32_t step)
+{
+    return s->reset_interval > 0 && step > 0 && step % s->reset_interval == 0 &&
+           step <= schedule_last_reset(s);
+}
+
+bool schedule_thins(const struct schedule *s, uint32_t step)
+{
+    uint32_t from = s->densify_until, rest = s->steps > from ? s->steps - from : 0;
+    uint32_t every = rest / SCHEDULE_THIN_PARTS;
+    bool wanted = !s->last && s->level == s->n_levels;
+    return wanted && from > 0 && every > 0 && step >= from && (step - from) % every == 0 &&
+           (step - from) / every < SCHEDULE_THINNINGS;
+}
+
+bool schedule_limits_size(const struct schedule *s, uint32_t step)
+{
+    return step > s->size_from;
+}
+
+uint32_t schedule_sh_degree(const struct schedule *s, uint32_t step)
+{
+    if (!s->sh_interval)
+        return s->sh_degree;
+    uint32_t d = step / s->sh_interval;
+    return d < s->sh_degree ? d : s->sh_degree;
+}
+
+double schedule_done(const struct schedule *s, uint32_t step)
+{
+    return s->last || s->derived ? 1.0 : fmin((double)step / (double)s->steps, 1.0);
+}
+
+double schedule_fade(const struct schedule *s, uint32_t step)
+{
+    if (step <= s->fade_from || s->fade_from >= s->steps)
+        return 1.0;
+    return pow(s->fade_to, (double)(step - s->fade_from) / (double)(s->steps - s->fade_from));
+}
+
+double schedule_lr_mean(const struct schedule *s, uint32_t step)
+{
+    if (!(s->lr_mean_first > 0.0) || !(s->lr_mean_last > 0.0))
+        return s->lr_mean_first;
+    double t = s->last ? 1.0 : fmin((double)step / (double)s->steps, 1.0);
+    return exp((1.0 - t) * log(s->lr_mean_first) + t * log(s->lr_mean_last));
+}
