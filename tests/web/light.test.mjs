@@ -55,7 +55,7 @@ async function coloursAt(share) {
 }
 
 test("three clients move between the same two lights", skip, async (t) => {
-    await opened.page.waitForFunction(() => window.two, null, { timeout: TIMEOUT_MS });
+    await opened.page.waitForFunction(() => window.two && window.viewer.state.ready, null, { timeout: TIMEOUT_MS });
     const [first, second] = [await coloursAt(0), await coloursAt(1)];
     const change = Object.fromEntries(PANES.map((id) => [id, second[id].map((v, i) => v - first[id][i])]));
     const length = (v) => Math.hypot(...v);
