@@ -193,10 +193,11 @@ test("MapLibre's ground is bare in the style of the server", skip, async (t) => 
 });
 
 test("MapLibre raises the map by the terrain: towers are as high as they are", skip, async (t) => {
-    await opened.page.evaluate((url) => {
-        window.shown.addSource("dem", { type: "raster-dem", url, tileSize: 256 });
+    const { tiles, minzoom, maxzoom } = await getJson(await documentUrl("terrain.json")); // without bounds, as the style's
+    await opened.page.evaluate((source) => {
+        window.shown.addSource("dem", { type: "raster-dem", tileSize: 256, ...source });
         window.shown.setTerrain({ source: "dem" });
-    }, await documentUrl("terrain.json"));
+    }, { tiles, minzoom, maxzoom });
     await opened.page.evaluate(() => window.shown.setPaintProperty("background", "background-color", "#fff"));
     const picture = await lookAt("maplibre-terrain", { center: MIDDLE, zoom: 17, pitch: 60, bearing: 20 });
     const heights = await opened.page.evaluate(
