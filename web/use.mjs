@@ -7,7 +7,7 @@ import { mkdirSync, readFileSync, writeFileSync } from "node:fs";
 
 const at = (path) => new URL(path, import.meta.url);
 const json = (path) => JSON.parse(readFileSync(at(path), "utf8"));
-const locked = { ...json("package-lock.json").packages, ...json("../tests/web/package-lock.json").packages };
+const locked = { ...json("../tests/web/package-lock.json").packages, ...json("package-lock.json").packages };
 const text = readFileSync(at("../docs/clients.md"), "utf8");
 
 const escape = (s) => s.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;").replace(/"/g, "&quot;");

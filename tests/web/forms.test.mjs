@@ -20,7 +20,7 @@ import { GIVEN_TILES, MOCK, openLitCity, openSource } from "./lib/source.mjs";
 useWholeBrowser();
 
 const HERE = dirname(fileURLToPath(import.meta.url));
-const NPM = ["node_modules", "../../web/node_modules"].map((name) => join(HERE, name));
+const NPM = ["../../web/node_modules", "node_modules"].map((name) => join(HERE, name));
 const SIZE = { width: 480, height: 320 };
 const COPIES = 12; // of each Gaussian, so that tiles have enough to be cut in two
 const SLOW = 120_000; // bytes a second

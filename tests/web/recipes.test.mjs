@@ -30,7 +30,7 @@ const TIMEOUT_MS = 120000;
 const LEAST = { city: 0.95, map: 0.98 }; // SSIM of what is not background, to the server's picture
 const SHARE_LEAST = 0.05; // of the picture: something is in sight
 const skip = { skip: MOCK || GIVEN_TILES ? "needs the test city" : false };
-const NPM = ["node_modules", "../../web/node_modules"].map((name) => join(HERE, name));
+const NPM = ["../../web/node_modules", "node_modules"].map((name) => join(HERE, name));
 const TYPES = { ".html": "text/html", ".js": "text/javascript", ".mjs": "text/javascript", ".css": "text/css", ".json": "application/json" };
 const NORTH_M = 70; // so far from the origin the city lies in one tile
 const CAMERA = { from: [60, 90, 160 - NORTH_M], to: [0, 5, -NORTH_M] }; // metres east, up, south
@@ -62,7 +62,7 @@ before(async () => {
     // Commands: the program, its store and npm's programs are at hand.
     mkdirSync(join(dir, "bin"));
     symlinkSync(resolve(BIN), join(dir, "bin/citysplat"));
-    symlinkSync(NPM[0], join(dir, "node_modules"));
+    symlinkSync(NPM[1], join(dir, "node_modules"));
     symlinkSync(join(source.dir, "city.tiles"), join(dir, "city.tiles"));
 });
 after(async () => {
