@@ -322,13 +322,12 @@ static enum err_code change_create(struct change_job *j, const char *path,
                        : "height of the later minus that of the earlier",
         .rows = true};
     double sigma_m = fmax(nadir_area(j->nadir[0])->sigma_m, nadir_area(j->nadir[1])->sigma_m);
-    const struct changed_request request = {
-        .path = path,
-        .polygons = r->polygons,
-        .about = source,
-        .least_m = j->least_m,
-        .sigma_m = sigma_m,
-        .least_m2 = r->least_m2 > 0 ? r->least_m2 : CHANGE_LEAST_SIGMA2 * sigma_m * sigma_m};
+    const struct changed_request request = {.path = path,
+                                            .polygons = r->polygons,
+                                            .about = source,
+                                            .least_m = j->least_m,
+                                            .sigma_m = sigma_m,
+                                            .least_m2 = CHANGE_LEAST_SIGMA2 * sigma_m * sigma_m};
     enum err_code rc = changed_begin(&request, &info, &j->changed, e);
     return rc ? rc : geotiff_create(path, GEOTIFF_SURFACE, &info, &j->out, e);
 }

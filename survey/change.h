@@ -19,7 +19,6 @@ struct change_request {
     double gsd_m;           /* 0: that of the coarser store */
     const double *bbox_deg; /* NULL: where both were surveyed */
     double least_m;         /* a height that differs by more has changed; 0: CHANGE_LEAST_M */
-    double least_m2;        /* smallest ground of a change; 0: CHANGE_LEAST_SIGMA2 */
     const char *polygons;   /* file of what changed, see survey/layer.h; NULL: none */
     bool align;             /* first move and tilt the later store onto the earlier one */
 };

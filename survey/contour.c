@@ -13,8 +13,6 @@
 #include "survey/gdal_library.h"
 #include "survey/layer.h"
 
-enum { CONTOUR_FIELD_MAX = 31 };
-
 struct contour_job {
     const struct contour_request *request;
     const struct store_meta *meta;
@@ -42,17 +40,9 @@ static enum err_code contour_fail(const struct contour_job *j, const char *what,
 static enum err_code contour_check(struct contour_job *j, struct err *e)
 {
     const struct contour_request *r = j->request;
-    size_t n = strspn(r->field, "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_");
     enum err_code rc = layer_check(j->path, e);
     if (rc)
         return rc;
-    if (!n || r->field[n] || n > CONTOUR_FIELD_MAX || (*r->field >= '0' && *r->field <= '9') ||
-        !strcasecmp(r->field, "fid") || !strcasecmp(r->field, "geom"))
-        return err_set(
-            e, ERR_ARG,
-            "the field of heights cannot be '%.80s': up to %d letters, digits and _, not "
-            "fid or geom, no digit first",
-            r->field, CONTOUR_FIELD_MAX);
     if (!(r->interval_m > 0) || !isfinite(r->base_m) || !(r->least_m >= 0))
         return err_set(e, ERR_ARG,
                        "lines every %g m from %g m on: the interval must be more than 0",
@@ -111,7 +101,7 @@ static enum err_code contour_count(const struct contour_job *j, struct err *e)
 
 static enum err_code contour_open(struct contour_job *j, struct err *e)
 {
-    const char *const field[1] = {j->request->field};
+    static const char *const field[1] = {"height_m"};
     char about[200];
     snprintf(about, sizeof about, "%s, m; %s %s", j->heights, j->meta->name, j->meta->revision);
     const struct layer_info info = {"contours", about, j->crs, false, field, 1};

@@ -18,16 +18,15 @@ struct contour_request {
     double interval_m;      /* height between lines */
     double base_m;          /* a height that has a line if the surface reaches it */
     double least_m;         /* shorter lines are left out, in metres of the projection */
-    const char *field;      /* name of the height in the file */
 };
 struct contour_report {
     struct map_report map;
     uint64_t lines, points, n_short;
 };
 /* Writes the lines. The extension of path is .geojson, .json or .gpkg. The file is written under
- * another name and renamed. ERR_ARG: another extension, an invalid field, or more than
- * CONTOUR_LEVELS_MAX heights; the message says what is allowed. ERR_IO, ERR_CANCEL, ERR_DEVICE,
- * ERR_FORMAT, ERR_LIMIT, ERR_MEM as in map_run and geotiff.h. */
+ * another name and renamed. ERR_ARG: another extension, or more than CONTOUR_LEVELS_MAX heights;
+ * the message says what is allowed. ERR_IO, ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_LIMIT, ERR_MEM
+ * as in map_run and geotiff.h. */
 enum err_code contour_write(struct nadir *n, const struct contour_request *r, const char *path,
                             struct contour_report *report, struct err *e) ERR_USE;
 

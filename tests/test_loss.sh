@@ -26,7 +26,7 @@ while IFS=$tab read -r pass name weight reference test check equation what; do
     cut -f1 "$work/passes" | grep -qx "$pass" || fail "term $name: there is no pass $pass"
     grep -q "^OPT([A-Z]*, [A-Z]*, $weight," train/base/options.def || fail "term $name: there is no option $weight"
     grep -Eq "^[a-z].*[ *]$reference\(" train/loss/*.h render/*.h || fail "term $name: no header declares $reference"
-    grep -q "cmocka_unit_test($check)" "tests/$test" || fail "term $name: tests/$test does not run $check"
+    grep -q "cmocka_unit_test($check)" "$test" || fail "term $name: $test does not run $check"
 done <"$work/terms"
 
 place_of() { # PASS: in words
@@ -57,7 +57,7 @@ TEXT
     while IFS=$tab read -r pass name weight reference test check equation what; do
         default=$(sed -n "s/^OPT([A-Z]*, [A-Z]*, $weight, \"\([^\"]*\)\".*/\1/p" train/base/options.def)
         flag=$(echo "$weight" | tr _ -)
-        echo "| $pass | $name | $what | $(place_of "$pass") | \`--$flag\` | $default | $equation | \`$reference\`, \`tests/$test\` |" |
+        echo "| $pass | $name | $what | $(place_of "$pass") | \`--$flag\` | $default | $equation | \`$reference\`, \`$test\` |" |
             sed 's/|x - y|/\\|x - y\\|/'
     done <"$work/terms"
 } >"$work/loss.md"

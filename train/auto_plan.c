@@ -54,7 +54,7 @@ static enum err_code auto_plan_write(const char *path, const struct scene *s, do
     cfg.edge_m = edge_m;
     enum err_code rc = partition_make(s, &cfg, &p, e);
     if (!rc)
-        rc = share_photographs(s, AUTO_PLAN_SHARE_MIN, cfg.all_images, &p, e);
+        rc = share_photographs(s, AUTO_PLAN_SHARE_MIN, &p, e);
     *edge_out = p.edge_m;
     *n_cells = 0;
     for (size_t i = 0; !rc && i < p.n_cells; i++)

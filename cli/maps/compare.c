@@ -97,7 +97,6 @@ enum err_code cli_compare(int argc, char **argv, struct err *e)
                                            .gsd_m = r->gsd_m,
                                            .bbox_deg = r->bbox_deg,
                                            .least_m = o.least_m,
-                                           .least_m2 = o.least_m2,
                                            .polygons = o.polygons,
                                            .align = o.align};
     if (run && !rc)

@@ -91,13 +91,11 @@ enum err_code cli_plan(int argc, char **argv, struct err *e)
     cfg.edge_m = o.edge_m;
     cfg.grid = grid;
     cfg.images_few = (size_t)o.images_few;
-    cfg.images_many = (size_t)o.images_many;
     cfg.images_least = (size_t)o.images_least;
     cfg.use_visibility = o.visibility;
-    cfg.all_images = o.all_images;
     rc = partition_make(&scene, &cfg, &p, e);
     if (!rc)
-        rc = share_photographs(&scene, o.share_min, o.all_images, &p, e);
+        rc = share_photographs(&scene, o.share_min, &p, e);
     if (!rc)
         rc = file_join(path, args.arg[0], "plan.json", e);
     if (!rc)

@@ -26,10 +26,8 @@ static const struct options_def stereo_defs[] = {
 static enum err_code stereo_make(const struct stereo_options *o, const char *dir, struct err *e)
 {
     const struct depths_config cfg = {.max_edge_px = (uint32_t)o->max_edge_px,
-                                      .near = (size_t)o->neighbours,
-                                      .sure = o->sure,
-                                      .edge = o->edge,
-                                      .walls = o->walls,
+                                      .sure = DEPTHS_SURE,
+                                      .edge = DEPTHS_EDGE,
                                       .test_split = o->test_split,
                                       .overwrite = o->overwrite};
     struct scene scene = {0};

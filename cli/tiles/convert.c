@@ -82,45 +82,43 @@ static enum err_code convert_format_of(const char *path, enum convert_format *ou
                    path);
 }
 
-static enum err_code convert_decode_glb(const struct buf *b, const struct codec_limits *lim,
-                                        struct converted *c, struct err *e)
+static enum err_code convert_decode_glb(const struct buf *b, struct converted *c, struct err *e)
 {
     const void *spz;
     size_t n;
     enum err_code rc = glb_find_spz(b->data, b->size, &spz, &n, e);
     if (!rc)
-        return spz_decode(spz, n, lim, &c->q, e);
-    return rc == ERR_NOENT ? glb_decode(b->data, b->size, lim, &c->g, e) : rc;
+        return spz_decode(spz, n, NULL, &c->q, e);
+    return rc == ERR_NOENT ? glb_decode(b->data, b->size, NULL, &c->g, e) : rc;
 }
 
-static enum err_code convert_read(const char *path, const struct codec_limits *lim,
-                                  struct converted *c, struct err *e)
+static enum err_code convert_read(const char *path, struct converted *c, struct err *e)
 {
     static const enum convert_axes of_ply[] = {AXES_AUTO, AXES_ENU, AXES_GLTF};
     enum convert_format format;
     struct buf b = {0};
     enum err_code rc = convert_format_of(path, &format, e);
     if (!rc)
-        rc = file_read(path, lim->max_bytes, &b, e);
+        rc = file_read(path, CODEC_MAX_BYTES, &b, e);
     if (rc)
         return rc;
     c->axes = AXES_GLTF;
     if (format == CONVERT_PLY || format == CONVERT_PLY_PACKED) {
-        rc = ply_decode(b.data, b.size, lim, &c->g, &c->info, e);
+        rc = ply_decode(b.data, b.size, NULL, &c->g, &c->info, e);
         c->axes = of_ply[c->info.axes];
     } else if (format == CONVERT_SPLAT) {
-        rc = splat_decode(b.data, b.size, lim, &c->g, e);
+        rc = splat_decode(b.data, b.size, NULL, &c->g, e);
         c->axes = AXES_AUTO;
     } else if (format == CONVERT_SOG && splats_is_sog_meta(path)) {
-        rc = sog_read(path, lim, &c->g, e);
+        rc = sog_read(path, NULL, &c->g, e);
     } else if (format == CONVERT_SOG) {
-        rc = sog_decode(b.data, b.size, lim, &c->g, e);
+        rc = sog_decode(b.data, b.size, NULL, &c->g, e);
     } else if (format == CONVERT_SPZ) {
-        rc = spz_decode(b.data, b.size, lim, &c->q, e);
+        rc = spz_decode(b.data, b.size, NULL, &c->q, e);
     } else if (format == CONVERT_DRC) {
-        rc = draco_decode(b.data, b.size, lim, &c->q, e);
+        rc = draco_decode(b.data, b.size, NULL, &c->q, e);
     } else {
-        rc = convert_decode_glb(&b, lim, c, e);
+        rc = convert_decode_glb(&b, c, e);
     }
     if (!rc && c->q.block)
         rc = quant_to_gauss(&c->q, &c->g, e);
@@ -321,9 +319,7 @@ enum err_code cli_convert(int argc, char **argv, struct err *e)
                      args.arg[1]);
     if (!rc)
         rc = output_check(args.arg[1], o.overwrite, e);
-    const struct codec_limits lim = {.max_gaussians = (size_t)o.max_gaussians,
-                                     .max_bytes = (size_t)o.max_mib << 20};
-    if (rc || (rc = convert_read(args.arg[0], &lim, &c, e)) != ERR_OK)
+    if (rc || (rc = convert_read(args.arg[0], &c, e)) != ERR_OK)
         goto out;
     if (o.axes)
         c.axes = (enum convert_axes)o.axes;

@@ -7,6 +7,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -27,7 +28,6 @@
 #include "core/outdir.h"
 #include "core/pool.h"
 #include "core/splat/appearance.h"
-#include "core/splat/camera.h"
 #include "lod/export/clip.h"
 #include "lod/export/lowpass.h"
 #include "lod/export/tileset.h"
@@ -111,38 +111,14 @@ static enum err_code export_gather(struct store *s, uint8_t zoom, const float *i
     return rc;
 }
 
-/* From glTF axes about the origin (east, up, south) to the Earth's. */
-static enum err_code export_place(const struct geo_origin *origin, struct spz_place *out,
-                                  struct err *e)
+static enum err_code export_spz(struct gauss *g, const struct quant_grid *grid, struct buf *out,
+                                struct err *e)
 {
-    double m[16], rot[9], quat[4];
-    enum err_code rc = geo_enu_to_ecef(origin, m, e);
-    for (int k = 0; !rc && k < 3; k++) {
-        out->origin_m[k] = m[12 + k];
-        rot[3 * k] = m[k];
-        rot[3 * k + 1] = m[8 + k];
-        rot[3 * k + 2] = -m[4 + k];
-    }
-    if (rc)
-        return rc;
-    camera_rot_to_quat(rot, quat);
-    for (int k = 0; k < 4; k++)
-        out->rotation_xyzw[k] = quat[(k + 1) % 4];
-    return ERR_OK;
-}
-
-/* origin: NULL: without its place, as version 3. */
-static enum err_code export_spz(struct gauss *g, const struct quant_grid *grid,
-                                const struct geo_origin *origin, struct buf *out, struct err *e)
-{
-    struct spz_place place;
     struct quant q = {0};
     axes_enu_to_gltf(g);
     enum err_code rc = quant_from_gauss(g, g->sh_degree, grid, &q, e);
-    if (!rc && origin)
-        rc = export_place(origin, &place, e);
     if (!rc)
-        rc = origin ? spz_encode_placed(&q, &place, out, e) : spz_encode(&q, 3, out, e);
+        rc = spz_encode(&q, 3, out, e);
     quant_free(&q);
     return rc;
 }
@@ -195,9 +171,8 @@ static enum err_code export_file(struct store *s, const struct export_options *o
         rc = format == EXPORT_PLY          ? ply_encode(&g, &info, &b, e)
              : format == EXPORT_PLY_PACKED ? export_ply_packed(&g, &info, &b, e)
              : format == EXPORT_SOG        ? export_sog(&g, &b, e)
-             : format == EXPORT_GLB
-                 ? export_plain(&g, store_info(s)->attribution, &b, e)
-                 : export_spz(&g, grid, o->spz_georeference ? &info.origin : NULL, &b, e);
+             : format == EXPORT_GLB        ? export_plain(&g, store_info(s)->attribution, &b, e)
+                                           : export_spz(&g, grid, &b, e);
     if (!rc)
         rc = file_write(o->output, b.data, b.size, e);
     if (!rc)
@@ -439,18 +414,16 @@ static enum err_code export_format(const char *output, int *out, struct err *e)
                          output, dot);
 }
 
-/* The store, or the part of it that --clip and its like leave. */
+/* The store, or the part of it that --clip leaves. */
 static enum err_code export_open(const char *path, const struct export_options *o,
                                  struct store **out, struct err *e)
 {
     struct clip clip = {0};
     struct clip_report report;
-    bool any = false;
     int fd = -1;
-    enum err_code rc =
-        clip_of_options(o->clip, o->clip_low_m, o->clip_high_m, "clip-", &clip, &any, e);
-    if (!rc && !any)
+    if (!o->clip)
         return store_open(path, out, e);
+    enum err_code rc = clip_open(o->clip, -HUGE_VAL, HUGE_VAL, &clip, e);
     if (!rc)
         rc = clip_open_part(&clip, path, NULL, &fd, &report, e);
     if (!rc)
@@ -465,7 +438,7 @@ static enum err_code export_open(const char *path, const struct export_options *
 static enum err_code export_pmtiles(const char *store, const struct export_options *o,
                                     struct err *e)
 {
-    if (o->clip || o->clip_low_m || o->clip_high_m)
+    if (o->clip)
         return err_set(e, ERR_ARG,
                        "--clip: not for pmtiles: write the part as a store first (citysplat clip), "
                        "and export that");
@@ -474,7 +447,6 @@ static enum err_code export_pmtiles(const char *store, const struct export_optio
                                  .appearance = o->appearance,
                                  .zooms = o->zooms,
                                  .format = o->map_format,
-                                 .quality = (int)o->quality,
                                  .dense = o->dense};
     return export_map(store, &m, e);
 }

@@ -16,6 +16,8 @@
 #include "lod/surface/raster.h"
 #include "server/drawing/map_tile.h"
 
+enum { EXPORT_MAP_QUALITY = 85 }; /* of webp and jpg, as `citysplat serve` has it */
+
 struct export_map_place {
     uint64_t id;
     struct key key;
@@ -119,7 +121,7 @@ static enum err_code export_map_draw(const struct export_map_run *r, struct pmti
         const struct map_tile tile = {.key = r->place[i].key,
                                       .size_px = (uint32_t)RASTER_PX << r->o->dense,
                                       .format = formats[r->o->format],
-                                      .quality = r->o->quality};
+                                      .quality = EXPORT_MAP_QUALITY};
         b.size = 0;
         rc = map_tile_make(r->nadir, &tile, &b, e);
         if (!rc)

@@ -11,9 +11,8 @@ struct export_map {
     const char *output, *device;
     /* NULL: the store's default appearance, and the zooms of map.json; else zooms as "14-18" */
     const char *appearance, *zooms;
-    int format;  /* index into EXPORT_MAP_FORMATS */
-    int quality; /* for webp and jpg */
-    bool dense;  /* tiles of 512 px, for dense screens */
+    int format; /* index into EXPORT_MAP_FORMATS */
+    bool dense; /* tiles of 512 px, for dense screens */
 };
 #define EXPORT_MAP_FORMATS "webp|png|jpg"
 /* Draws all tiles that touch the survey, as `citysplat serve` would, and writes them. ERR_ARG

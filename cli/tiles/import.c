@@ -11,7 +11,6 @@
 #include "cli/base/cli.h"
 #include "cli/base/output.h"
 #include "cli/base/splats.h"
-#include "codec/limits.h"
 #include "codec/splat/axes.h"
 #include "codec/splat/ply.h"
 #include "core/math/sort.h"
@@ -238,11 +237,7 @@ static enum err_code import_run(const char *path, const struct import_options *o
     struct import_far far = {.drop = o->drop_outliers};
     struct import_stream stream = {.o = o, .like = &s, .far = &far};
     struct pyramid_level level = {.level = (uint8_t)o->level_count};
-    struct pyramid_config cfg = {.tile_edge_m = o->tile_edge_m,
-                                 .max_per_tile = (uint32_t)o->max_per_tile,
-                                 .lossless = o->lossless};
-    const struct codec_limits lim = {.max_gaussians = (size_t)o->max_gaussians,
-                                     .max_bytes = (size_t)o->max_mib << 20};
+    struct pyramid_config cfg = {.tile_edge_m = o->tile_edge_m, .lossless = o->lossless};
     enum err_code rc = o->origin ? splats_place("--origin", o->origin, &origin, e) : ERR_OK;
     if (!rc && o->attribution && strlen(o->attribution) >= sizeof cfg.attribution)
         rc = err_set(e, ERR_ARG, "--attribution: at most %zu bytes", sizeof cfg.attribution - 1);
@@ -253,7 +248,7 @@ static enum err_code import_run(const char *path, const struct import_options *o
     if (!rc && s.kind == SPLATS_PLY)
         rc = ply_stream_open(path, &stream.ply, &s.info, e);
     if (!rc && !stream.ply)
-        rc = splats_read(path, &lim, &s, e);
+        rc = splats_read(path, NULL, &s, e);
     if (rc)
         goto out;
     if (!o->origin && !s.info.has_origin) {

@@ -500,10 +500,7 @@ static bool tile_may_own(void *user, const double min_m[3], const double max_m[3
 static enum err_code tile_update(struct tile_scene *s, const struct tile_options *o, struct err *e)
 {
     struct tile_ground ground = {.plan = &s->plan};
-    struct update_config cfg = {.owns = tile_owns,
-                                .may_own = tile_may_own,
-                                .user = &ground,
-                                .max_per_tile = (uint32_t)o->max_per_tile};
+    struct update_config cfg = {.owns = tile_owns, .may_own = tile_may_own, .user = &ground};
     struct update_report r;
     struct ckpt level[TILE_LEVELS_MAX + 1] = {{0}};
     const struct tile_cell *cell = NULL;
@@ -639,9 +636,7 @@ static enum err_code tile_build(struct tile_scene *s, const struct scene *scene,
 {
     struct tile_level level[TILE_LEVELS_MAX] = {{0}};
     struct pyramid_level levels[TILE_LEVELS_MAX] = {{0}};
-    struct pyramid_config cfg = {.tile_edge_m = o->tile_edge_m,
-                                 .max_per_tile = (uint32_t)o->max_per_tile,
-                                 .lossless = o->lossless};
+    struct pyramid_config cfg = {.tile_edge_m = o->tile_edge_m, .lossless = o->lossless};
     struct pyramid_report report;
     struct photographs photographs = {0};
     struct buf appearance = {0}, ground = {0}, seen = {0}, clip = {0};
@@ -697,7 +692,7 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
     enum err_code rc = scene_read(dir, &scene, e);
     s.origin = scene.origin;
     if (!rc)
-        rc = clip_of_options(o->clip, o->clip_low_m, o->clip_high_m, "clip-", &s.clip, &s.clips, e);
+        rc = clip_of_options(o->clip, NULL, NULL, "", &s.clip, &s.clips, e);
     if (!rc)
         rc = tile_crop(&s, &scene, o->crop, e);
     if (!rc)

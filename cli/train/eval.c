@@ -63,14 +63,13 @@ static enum err_code eval_residuals(struct eval *v, struct err *e)
     char path[FILE_PATH_MAX];
     struct residual_list *l = &v->residuals;
     const char *dir = v->o.city.results ? v->o.city.results : v->city.scene.dir;
-    const char *to = v->o.residuals ? v->o.residuals : path;
-    if (!v->o.residuals && !v->o.split)
+    if (!v->o.split)
         return ERR_OK;
     enum err_code rc = residual_rank(l, e);
-    if (!rc && !v->o.residuals)
+    if (!rc)
         rc = file_join(path, dir, "residuals.json", e);
     if (!rc)
-        rc = residual_write(l, to, v->residuals_of, e);
+        rc = residual_write(l, path, v->residuals_of, e);
     if (rc || !l->n)
         return rc;
     if (!l->n_suspicious) {
@@ -81,7 +80,7 @@ static enum err_code eval_residuals(struct eval *v, struct err *e)
     }
     printf("%zu of %zu photographs fit much worse than the others (wrong pose? another light?); "
            "all of them are in %s\n%-32s %9s %8s %8s %8s\n",
-           l->n_suspicious, l->n, to, "photograph", "PSNR dB", "SSIM", "z MSE", "z SSIM");
+           l->n_suspicious, l->n, path, "photograph", "PSNR dB", "SSIM", "z MSE", "z SSIM");
     for (size_t i = 0; i < l->n_suspicious && i < EVAL_SUSPICIOUS_MAX; i++)
         printf("%-32s %9.3f %8.4f %8.1f %8.1f\n", l->rows[i].name, -10.0 * log10(l->rows[i].mse),
                l->rows[i].ssim, l->rows[i].z_mse, l->rows[i].z_ssim);
@@ -120,13 +119,11 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
     if (!rc)
         rc = eval_city_open(&v.city, args.arg[0], v.o.split ? SCENE_TRAIN : SCENE_TEST, e);
     if (!rc)
-        rc = eval_score_open(&v.city, v.o.lpips, (enum lpips_range)v.o.lpips_range, &v.score, e);
+        rc = eval_score_open(&v.city, NULL, LPIPS_SIGNED, &v.score, e);
     if (rc)
         goto out;
     eval_score_print_head();
     rc = eval_city_each(&v.city, EVAL_CITY_ALL, eval_drawing, &v, e);
-    if (!rc && !v.o.lpips)
-        printf("LPIPS is not scored: --lpips FILE supplies its weights (lab/EVALUATION.md).\n");
     if (!rc)
         rc = eval_residuals(&v, e);
     if (!rc)

@@ -13,6 +13,7 @@
 #include "codec/container/ckpt.h"
 #include "core/splat/exposure.h"
 #include "lod/choose/view.h"
+#include "lod/store/store.h"
 #include "scene/cells/cell_plan.h"
 #include "train/base/config.h"
 #include "train/coarse.h"
@@ -306,13 +307,14 @@ static enum err_code eval_city_draw_view(void *user, const struct camera *cam, f
 enum err_code eval_city_store(struct eval_city *c, struct view **out, struct render_options *ro,
                               struct pick_options *po, struct err *e)
 {
-    float grey = (float)c->o.background;
-    *ro = (struct render_options){
-        .aa = (enum render_aa)c->o.aa, .background = {grey, grey, grey}, .sh_degree = -1};
+    *ro = (struct render_options){.sh_degree = -1};
     *po = (struct pick_options){.metric = c->metric,
                                 .error_px = c->o.error_px,
                                 .distance_m = {c->distance_m[0], c->distance_m[1]}};
-    return view_open(c->o.tiles, c->render, c->cache_bytes, out, e);
+    enum err_code rc = view_open(c->o.tiles, c->render, c->cache_bytes, out, e);
+    if (!rc) /* as the Gaussians were trained */
+        ro->aa = store_info(view_store(*out))->antialiased ? RENDER_AA_2D : RENDER_AA_NONE;
+    return rc;
 }
 
 static enum err_code eval_city_tiles(struct eval_city *c, bool with_levels, eval_city_fn *fn,
@@ -336,7 +338,7 @@ static enum err_code eval_city_tiles(struct eval_city *c, bool with_levels, eval
                              .prepare = eval_city_prepare_view,
                              .prepare_user = &w,
                              .appearance = w.appearance,
-                             .exposure = c->exposed && c->o.exposure,
+                             .exposure = c->exposed,
                              .max_edge_px = (uint32_t)c->o.max_edge_px,
                              .downsample = 1.0,
                              .gaussians = (double)NAN,

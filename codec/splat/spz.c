@@ -38,8 +38,6 @@ enum {
     ZSTD_GROWTH_MAX = 32768,
     POSITION_LIMIT = 1 << 23,
     AXES_TYPE = (int)0xadbe0003,
-    PLACE_TYPE = 0x4e530001,
-    PLACE_BYTES = 76 /* and the name of the reference system */
 };
 
 struct spz_head {
@@ -113,39 +111,13 @@ static enum err_code spz_gzip_write(const struct buf *plain, struct buf *out, st
     return ERR_OK;
 }
 
-/* A record: the coordinates have no epoch, and the scale is 1. */
-static void spz_place_write(struct buf *b, const struct spz_place *place)
-{
-    static const char crs[] = "EPSG:4978";
-    const unsigned n = sizeof crs - 1;
-    buf_u32(b, PLACE_TYPE);
-    buf_u32(b, PLACE_BYTES + n);
-    buf_u8(b, 1);
-    buf_u8(b, 0);
-    buf_u16(b, n);
-    for (int k = 0; k < 3; k++)
-        buf_f64(b, place->origin_m[k]);
-    for (int k = 0; k < 4; k++)
-        buf_f64(b, place->rotation_xyzw[k]);
-    buf_f64(b, 1);
-    buf_f64(b, (double)NAN);
-    buf_add(b, crs, n);
-}
-
 static enum err_code spz_zstd_write(const struct quant *q, const struct spz_head *h,
-                                    const struct spz_place *place, const uint8_t *plain,
-                                    struct buf *out, struct err *e)
+                                    const uint8_t *plain, struct buf *out, struct err *e)
 {
     const int n_streams = q->sh_degree ? N_STREAMS : N_STREAMS - 1;
-    struct buf record = {0};
-    if (place)
-        spz_place_write(&record, place);
-    spz_head_write(out, q, 4, place ? FLAG_EXTENSIONS : 0, (unsigned)n_streams);
-    buf_u32(out, HEAD4_BYTES + (uint32_t)record.size);
+    spz_head_write(out, q, 4, 0, (unsigned)n_streams);
+    buf_u32(out, HEAD4_BYTES);
     buf_add(out, (const uint8_t[12]){0}, 12);
-    buf_add(out, record.data, record.size);
-    out->failed |= record.failed;
-    buf_free(&record);
     size_t toc = out->size, written[N_STREAMS] = {0};
     buf_grow(out, (size_t)n_streams * 16);
     for (int s = 0; s < n_streams; s++) {
@@ -168,8 +140,7 @@ static enum err_code spz_zstd_write(const struct quant *q, const struct spz_head
     return ERR_OK;
 }
 
-static enum err_code spz_write(const struct quant *q, int version, const struct spz_place *place,
-                               struct buf *out, struct err *e)
+enum err_code spz_encode(const struct quant *q, int version, struct buf *out, struct err *e)
 {
     struct buf plain = {0};
     if (version != 3 && version != 4)
@@ -188,23 +159,12 @@ static enum err_code spz_write(const struct quant *q, int version, const struct 
     if (!rc) {
         spz_streams_write(q, p);
         rc = version == 3 ? spz_gzip_write(&plain, out, e)
-                          : spz_zstd_write(q, &h, place, plain.data, out, e);
+                          : spz_zstd_write(q, &h, plain.data, out, e);
     }
     if (rc)
         out->size = start;
     buf_free(&plain);
     return rc;
-}
-
-enum err_code spz_encode(const struct quant *q, int version, struct buf *out, struct err *e)
-{
-    return spz_write(q, version, NULL, out, e);
-}
-
-enum err_code spz_encode_placed(const struct quant *q, const struct spz_place *place,
-                                struct buf *out, struct err *e)
-{
-    return spz_write(q, 4, place, out, e);
 }
 
 /* ---- decode ---- */

@@ -120,7 +120,7 @@ static void partition_survey_free(struct survey *v)
 
 static bool partition_survey_uses(const struct survey *v, size_t image)
 {
-    return v->cfg->all_images || v->scene->images[image].split == SCENE_TRAIN;
+    return v->scene->images[image].split == SCENE_TRAIN;
 }
 
 /* Project a point; false when it is behind the camera or more than the border outside. Clamps to

@@ -32,7 +32,6 @@ struct partition_config { /* filled by partition_defaults */
     /* cells that still have fewer photographs are not trained: they are a neighbour's background */
     size_t images_least;
     bool use_visibility; /* false: location alone, for comparison */
-    bool all_images;     /* true: test photographs train as well */
     /* {0}: along ENU, centred on the cameras; else its origin is a corner of squares */
     struct cell_grid grid;
 };

@@ -10,12 +10,12 @@
 
 /* Which cells each photograph shows enough of: shows [n_cells][n_images]. */
 static enum err_code share_find(const struct scene *s, const struct partition *p, double share_min,
-                                bool all_images, bool *shows, struct err *e)
+                                bool *shows, struct err *e)
 {
     struct window w;
     enum err_code rc = window_open(s, p, &w, e);
     for (size_t i = 0; !rc && i < s->n_images; i++) {
-        if (!all_images && s->images[i].split != SCENE_TRAIN)
+        if (s->images[i].split != SCENE_TRAIN)
             continue;
         rc = window_look(&w, (uint32_t)i, e);
         for (size_t k = 0; !rc && k < p->n_cells; k++)
@@ -47,8 +47,8 @@ static void share_list(const struct scene *s, bool *shows, uint32_t *list, struc
     partition_count_azimuth(s, &p->grid, c);
 }
 
-enum err_code share_photographs(const struct scene *s, double share_min, bool all_images,
-                                struct partition *p, struct err *e)
+enum err_code share_photographs(const struct scene *s, double share_min, struct partition *p,
+                                struct err *e)
 {
     enum err_code rc = ERR_OK;
     p->share_min = p->n_cells > 1 ? share_min : 0.0;
@@ -57,7 +57,7 @@ enum err_code share_photographs(const struct scene *s, double share_min, bool al
     bool *shows = mem_array(p->n_cells * s->n_images, sizeof *shows);
     if (!shows)
         return err_set(e, ERR_MEM, "out of memory for %zu photographs", s->n_images);
-    rc = share_find(s, p, share_min, all_images, shows, e);
+    rc = share_find(s, p, share_min, shows, e);
     for (size_t i = 0; !rc && i < p->n_cells; i++) {
         struct partition_cell *c = &p->cells[i];
         if (c->parent >= 0)

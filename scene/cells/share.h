@@ -20,7 +20,7 @@ struct scene;
  * p->share_min. Photographs that the cell had by location come first. all_images: test photographs
  * too. A cell that no photograph shows enough of keeps its photographs. If there is only one cell,
  * it keeps all photographs, uncut. ERR_MEM. */
-enum err_code share_photographs(const struct scene *s, double share_min, bool all_images,
-                                struct partition *p, struct err *e) ERR_USE;
+enum err_code share_photographs(const struct scene *s, double share_min, struct partition *p,
+                                struct err *e) ERR_USE;
 
 #endif

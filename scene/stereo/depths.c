@@ -130,7 +130,7 @@ static bool depths_point(const struct camera *c, double x, double y, double z_m,
 static bool depths_input(const struct depths *d, size_t i, struct sweep_input *in)
 {
     const struct depths_view *v = &d->views[i];
-    *in = (struct sweep_input){.ref = {v->cam, v->grey}, .walls = d->cfg->walls};
+    *in = (struct sweep_input){.ref = {v->cam, v->grey}, .walls = true};
     for (size_t k = 0; k < d->pairs.n_swept[i]; k++) {
         const struct depths_view *other = &d->views[d->pairs.near[i][k]];
         in->near[in->n_near++] = (struct sweep_view){other->cam, other->grey};
@@ -331,7 +331,7 @@ static enum err_code depths_open(struct depths *d, struct err *e)
         return err_set(e, ERR_MEM, "stereo: out of memory for %zu photographs", s->n_images);
     for (size_t i = 0; i < s->n_images; i++)
         d->use[i] = !d->cfg->test_split || s->images[i].split == SCENE_TRAIN;
-    enum err_code rc = pairs_find(s, d->use, d->cfg->near, &d->pairs, e);
+    enum err_code rc = pairs_find(s, d->use, DEPTHS_NEAR, &d->pairs, e);
     return rc ? rc : pool_for(s->n_images, 0, depths_read, d, e);
 }
 
@@ -388,7 +388,7 @@ static enum err_code depths_tell(const struct depths *d, struct depths_result *o
         json_pack("{s:s, s:I, s:I, s:I, s:I, s:i, s:i, s:i, s:f, s:f}", "depth", "inverse, 1/m",
                   "photographs", (json_int_t)out->photographs, "maps", (json_int_t)out->maps,
                   "pixels", (json_int_t)out->pixels, "known", (json_int_t)out->known, "max_edge_px",
-                  (int)d->cfg->max_edge_px, "neighbours", (int)d->cfg->near, "agree", DEPTHS_AGREE,
+                  (int)d->cfg->max_edge_px, "neighbours", DEPTHS_NEAR, "agree", DEPTHS_AGREE,
                   "tolerance", DEPTHS_TOLERANCE, "sure", d->cfg->sure);
     rc = j ? jsonc_write(path, j, e) : err_set(e, ERR_MEM, "%s: out of memory", path);
     json_decref(j);

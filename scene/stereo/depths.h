@@ -24,13 +24,17 @@
 struct dev;
 struct scene;
 
+/* Measured: docs/decisions/007-stereo.md. */
+enum { DEPTHS_NEAR = 6 }; /* neighbours that a photograph is compared with */
+#define DEPTHS_SURE 0.4
+#define DEPTHS_EDGE 4.0
+
 struct depths_config {
     uint32_t max_edge_px; /* of maps */
-    size_t near;          /* neighbours of a photograph */
-    double sure;          /* 0..1 */
-    /* planes: a pixel is not kept if its window reaches ground this much lower over an edge */
+    double sure;          /* 0..1; DEPTHS_SURE but in tests */
+    /* planes: a pixel is not kept if its window reaches ground this much lower over an edge.
+     * DEPTHS_EDGE but in tests. */
     double edge;
-    bool walls;      /* upright planes too (scene/stereo/sweep.h) */
     bool test_split; /* leave the test photographs out */
     bool overwrite;
 };

@@ -303,11 +303,9 @@ static void the_program_clips(void **state)
         0);
     kit_expect_text((const char *)out.data, "Gaussians kept", __FILE__, __LINE__);
     buf_free(&out);
-    assert_int_equal(kit_run(&out,
-                             "cd '%s' && '%s' export -q city.tiles -o low.ply --clip-high-m x",
-                             f.dir, bin),
-                     2);
-    kit_expect_text((const char *)out.data, "--clip-high-m", __FILE__, __LINE__);
+    assert_int_equal(
+        kit_run(&out, "cd '%s' && '%s' clip -q city.tiles -o low.tiles --high-m x", f.dir, bin), 2);
+    kit_expect_text((const char *)out.data, "--high-m", __FILE__, __LINE__);
     buf_free(&out);
     assert_int_equal(kit_run(&out, "cd '%s' && '%s' clip -q city.tiles -o x.tiles", f.dir, bin), 2);
     kit_expect_text((const char *)out.data, "--polygon", __FILE__, __LINE__);

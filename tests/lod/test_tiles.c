@@ -284,10 +284,10 @@ static void pictures(void **state)
     json_decref(j);
     const char *place = "--lon 8 --lat 49.9995 --height-m 130 --heading-deg 3 --pitch-deg -25 "
                         "--fov-deg 50 --width-px 64 "
-                        "--height-px 48 --background 0.2,0.4,0.6 --no-lod -q";
+                        "--height-px 48 --background 0.2,0.4,0.6 --error-px 0 -q";
     run(f, 0, "visible", "render a.tiles %s -o place.npy", place);
     run(f, 0, "visible",
-        "render a.tiles --camera cam.json --background 0.2,0.4,0.6 --no-lod -o cam.npy -q");
+        "render a.tiles --camera cam.json --background 0.2,0.4,0.6 --error-px 0 -o cam.npy -q");
     run(f, 0, "visible", "render a.ply --camera cam.json --background 0.2,0.4,0.6 -o ply.npy -q");
     run(f, 0, "visible", "render a.tiles %s -o place.png", place);
     size_t shape[3];
@@ -457,8 +457,9 @@ static void cells_become_one_store(void **state)
     for (size_t i = 0; i < g.n; i++)
         south += (double)g.mean_m[3 * i + 2] < 0;
     gauss_free(&g);
-    /* Cut while it is tiled: what lies above the origin's height goes, of every level. */
-    run(f, 0, "level 1", "tile scene -o low.tiles -q --clip-high-m %.3f", info.origin.h_m);
+    /* Cut: what lies above the origin's height goes, of every level. */
+    run(f, 0, NULL, "tile scene -o whole.tiles -q");
+    run(f, 0, NULL, "clip whole.tiles -o low.tiles -q --high-m %.3f", info.origin.h_m);
     run(f, 0, NULL, "export low.tiles -o low.ply -q");
     read_ply(f, "low.ply", &g, &info);
     assert_true(south > 100 && south < all);
@@ -466,7 +467,7 @@ static void cells_become_one_store(void **state)
     for (size_t i = 0; i < g.n; i++)
         assert_true((double)g.mean_m[3 * i + 2] < 0.05);
     gauss_free(&g);
-    run(f, 2, "--clip-low-m", "tile scene -o x.tiles --clip-low-m high");
+    run(f, 2, "--low-m", "clip whole.tiles -o x.tiles --low-m high");
     run(f, 1, "none.geojson", "tile scene -o x.tiles --clip none.geojson");
     update_one_cell(f, &p, at);
     /* A level that one cell lacks is filled with its coarser one. */

@@ -472,7 +472,7 @@ static void parts_make(struct scene *s, struct partition *p, double share_min)
     cfg.images_few = 0;
     cfg.images_least = 1;
     kit_ok(partition_make(s, &cfg, p, &e), e);
-    kit_ok(share_photographs(s, share_min, false, p, &e), e);
+    kit_ok(share_photographs(s, share_min, p, &e), e);
     assert_int_equal(p->n_cells, 9);
 }
 

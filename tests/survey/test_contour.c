@@ -43,7 +43,7 @@ static void path_of(const char *name, char out[FILE_PATH_MAX])
 static struct contour_request request(double least_m)
 {
     return (struct contour_request){
-        {.kind = GEOTIFF_HEIGHT, .gsd_m = GSD_M}, INTERVAL_M, BASE_M, least_m, "height_m"};
+        {.kind = GEOTIFF_HEIGHT, .gsd_m = GSD_M}, INTERVAL_M, BASE_M, least_m};
 }
 
 static void read_line(const json_t *feature, struct lines *out)
@@ -423,9 +423,6 @@ static void nonsense_is_refused(void **state)
         int status;
     } bad[] = {
         {"contour city.tiles -o no.shp", ".geojson or .gpkg", 2},
-        {"contour city.tiles -o no.gpkg --field fid", "'fid'", 2},
-        {"contour city.tiles -o no.gpkg --field 'a;b'", "letters", 2},
-        {"contour city.tiles -o no.gpkg --field 1st", "no digit first", 2},
         {"contour city.tiles -o no.gpkg --interval-m 0", "interval", 2},
         {"contour city.tiles -o no.geojson --interval-m 0.001 --gsd-m 1", "at most 10000", 2},
         {"contour city.tiles -o none/no.gpkg --gsd-m 1", "none/no.gpkg", 1},

@@ -1074,7 +1074,7 @@ static void cells_of_a_plan_are_trained_on_their_own(void **state)
     pc.images_few = pc.images_least = 2;
     pc.use_visibility = false;
     kit_ok(partition_make(&s, &pc, &plan, &e), e);
-    kit_ok(share_photographs(&s, 0.02, false, &plan, &e), e);
+    kit_ok(share_photographs(&s, 0.02, &plan, &e), e);
     assert_true(plan.share_min > 0.0); /* photographs are cut */
     size_t trained = 0;
     for (size_t i = 0; i < plan.n_cells; i++)

@@ -148,32 +148,6 @@ for (const version of ["3", "4"]) {
     }
 }
 
-// The record as spz's pull request 105 describes it, read from that alone.
-test("an exported .spz says where it lies, and splat-transform reads it", { skip: skip || GIVEN_TILES }, () => {
-    importCity(dir);
-    const args = ["export", path("city.tiles"), "--overwrite", "-o"];
-    run(BIN, [...args, path("placed.spz"), "--spz-georeference"]);
-    run(BIN, [...args, path("plain.spz")]);
-    for (const name of ["placed", "plain"]) transform(`${name}.spz`, `${name}.ply`);
-    const [placed, plain] = ["placed", "plain"].map((name) => load(`${name}.ply`));
-    for (const name of ["x", "y", "z", "opacity"]) assert.deepEqual(placed.column(name), plain.column(name));
-    const bytes = readFileSync(path("placed.spz"));
-    assert.equal(bytes.readUInt32LE(32), 0x4e530001);
-    const record = bytes.subarray(40, 40 + bytes.readUInt32LE(36));
-    assert.equal(bytes.readUInt32LE(16), 40 + record.length);
-    assert.deepEqual([...record.subarray(0, 4)], [1, 0, 9, 0]);
-    assert.equal(record.subarray(76).toString(), "EPSG:4978");
-    const doubles = (at, n) => Array.from({ length: n }, (_, i) => record.readDoubleLE(at + 8 * i));
-    const [origin, [x, y, z, w], [scale]] = [doubles(4, 3), doubles(28, 4), doubles(60, 1)];
-    assert.equal(scale, 1);
-    assert.ok(Math.abs(Math.hypot(x, y, z, w) - 1) < 1e-12);
-    for (const [e, n, u] of [[0, 0, 0], [100, 0, 0], [0, 100, 0], [0, 0, 100], [-40, 70, 12]]) {
-        const turned = product(product([w, x, y, z], [0, e, u, -n]), [w, -x, -y, -z]).slice(1);
-        const want = applyMatrix(enuToEcef(ORIGIN), [e, n, u]);
-        turned.forEach((v, k) => assert.ok(Math.abs(v + origin[k] - want[k]) < 1e-6, `${[e, n, u]}`));
-    }
-});
-
 test("a plain .glb of splat-transform", { skip }, () => {
     transform("in.ply", "theirs.glb");
     convert("theirs.glb", "got.ply", "--ply-axes", "gltf");
