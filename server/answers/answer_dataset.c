@@ -334,8 +334,8 @@ void answer_dataset_use(struct services *s, const struct request *r, struct data
         response_problem(out, rc == ERR_NOENT ? 404 : 503, e.msg);
     else
         response_document(r, page->type, b, out);
-    if (out->status < 400 && !(s->cfg->public_url && *s->cfg->public_url))
-        out->vary = out->vary ? ORIGIN_VARY_ENCODED : ORIGIN_VARY;
+    if (out->status < 400)
+        out->vary = origin_vary(s, out->vary ? ORIGIN_ENCODED : ORIGIN_ALONE);
 }
 
 struct answer_dataset_tilejson_own {
