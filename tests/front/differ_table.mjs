@@ -1,6 +1,7 @@
 // Where `citysplat serve` answers otherwise than nginx 1.22 with the same bytes, and why. differ.mjs takes the first row
 // that fits: `field` that differs, `when` of the request, and what the two answer. `answers` are the statuses of all
-// answers on the connection: those to the request, and to a plain one behind it.
+// answers on the connection: those to the request, and to a plain one behind it. `alone`: libmicrohttpd 1.0 or newer, which
+// reads requests without our screen before it.
 //
 // SPDX-License-Identifier: Apache-2.0
 const is = (...tags) => (r) => tags.some((t) => r.what.has(t));
@@ -55,7 +56,7 @@ export const table = [
         why: "RFC 9110 (13.1.3): If-Modified-Since is ignored beside If-None-Match. nginx asks both." },
     { what: "If-Modified-Since of a tile", when: (r) => is("tile")(r) && is("header since", "header both")(r), field: "answers", ours: any, nginx: /^304/,
         why: "A tile has no date, and an entity tag." },
-    { what: "a tile by its query", when: is("target query"), field: "answers", ours: /^200/, nginx: /^(304|206|412)/, why: "`?sh=0` is another tile with another tag." },
+    { what: "a tile by its query", when: is("target query"), field: "answers", ours: /^(200|412)/, nginx: /^(304|206|412)/, why: "`?sh=0` is another tile with another tag." },
     { what: "HEAD with a range", when: is("method HEAD"), field: "answers", ours: /^200/, nginx: /^(206|416)/, why: "RFC 9110 (14.2): Range is defined for GET alone." },
     { what: "ranges of a document", when: (r) => is("doc")(r) && sent(/^(If-)?Range:/im)(r), field: "answers", ours: /^200/, nginx: /^(206|416)/,
         why: "A document that is also kept compressed has no ranges (`Accept-Ranges` is missing)." },
@@ -73,5 +74,10 @@ export const table = [
     // ---- of answers with one status ----
     { what: "ranges of a document", when: is("doc"), field: "accepts", ours: /none/, nginx: /bytes/, why: "As above." },
     { what: "a tile by its query", when: is("target query", "target badquery", "target long"), field: "body", ours: any, nginx: any, why: "`?sh=0` is another tile; nginx sends the same file." },
+    // ---- libmicrohttpd 1.0 ----
+    { what: "a line that ends with LF alone", alone: true, when: is("end lf", "end onelf", "end leadinglf"), field: "answers", ours: /^(400|closed)/, nginx: any,
+        why: "RFC 9112 (2.2): a recipient may take it for the end of a line, and need not. At strictness 1 the library does not." },
+    { what: "a request line that is none is not answered", alone: true, when: is("end tab", "end spaces", "target control", "target badabsolute", "target long", "version "), field: "answers",
+        ours: /^closed/, nginx: /^(0|4)/, why: "It closes at once: nothing is read as another request, and a client that sends such bytes reads no problem document." },
     { what: "a part of a tile by its query", when: is("target query"), field: "range", ours: any, nginx: any, why: "As above." },
 ];

@@ -9,6 +9,7 @@ set -u
 need nginx nginx-light
 need curl curl
 need node nodejs
+need pkg-config pkg-config
 serve 1 0 --client-tiles-s 0 --header-timeout-s 2 --body-timeout-s 2 --idle-timeout-s 3 --no-access-log
 rev=$(revision)
 place=$(curl -s "http://127.0.0.1:${ports[1]}/d/toy/seed.ndjson" | sed -n '1s|.*/t/\([0-9/]*\)\..*|\1|p')
@@ -30,5 +31,5 @@ front=$(free_port)
 PATH=$PATH:/usr/sbin nginx -p "$work" -c "$work/nginx.conf" &
 pids[4]=$!
 check 'nginx answers' await "http://127.0.0.1:$front/"
-check 'both answer alike, or differ for a reason' node "$(dirname "$0")/differ.mjs" "${ports[1]}" "$front" "$tile" "$document" "${1:-1500}" "${2:-1}"
+check 'both answer alike, or differ for a reason' node "$(dirname "$0")/differ.mjs" "${ports[1]}" "$front" "$tile" "$document" "$(pkg-config --modversion libmicrohttpd)" "${1:-1500}" "${2:-1}"
 exit $failed
