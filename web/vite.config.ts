@@ -1,5 +1,6 @@
 // Builds of the browser client: the page, the globe (`vite build --mode globe` -> dist/cesium.html), the
-// page of `citysplat mark` (`vite build --mode mark` -> dist/mark.html) and the module for other pages (`vite build --mode module` -> dist/viewer.js). Relative URLs,
+// page of `citysplat mark` (`vite build --mode mark` -> dist/mark.html), the module for other pages (`vite build --mode module` -> dist/viewer.js) and
+// its layer for maps alone (`vite build --mode map` -> dist/map.js). Relative URLs,
 // everything bundled, nothing from a CDN.
 //
 // SPDX-License-Identifier: Apache-2.0
@@ -219,6 +220,15 @@ const builds = {
       lib: { entry: "src/module.ts", formats: ["es" as const], fileName: () => "viewer.js" },
     },
   },
+  // The layer for MapLibre alone; what LICENSES.txt lists of the module holds for it.
+  map: {
+    plugins: [leaveOutGltf(), inlineWorkers(new Set()), minifyWhole(version)],
+    build: {
+      emptyOutDir: false,
+      rollupOptions: { output: { inlineDynamicImports: true } },
+      lib: { entry: "src/mapmodule.ts", formats: ["es" as const], fileName: () => "map.js" },
+    },
+  },
 };
 
 export default defineConfig(({ mode }) => {
@@ -227,10 +237,10 @@ export default defineConfig(({ mode }) => {
     base: "./",
     define: {
       __VERSION__: JSON.stringify(version),
-      __ASSETS__: JSON.stringify(mode === "module" ? "./assets/" : "./"), // from the script that needs them
+      __ASSETS__: JSON.stringify(["module", "map"].includes(mode) ? "./assets/" : "./"), // from the script that needs them
     },
     plugins,
-    publicDir: ["globe", "mark", "module"].includes(mode) ? false : "public",
+    publicDir: ["globe", "mark", "module", "map"].includes(mode) ? false : "public",
     build: { target: "es2022", sourcemap: false, ...build },
     worker: { format: "es" },
     server: { proxy: { "/collections": server, "/d/": server } },

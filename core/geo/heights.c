@@ -45,6 +45,11 @@ bool heights_ellipsoidal(const char *text)
     return heights_kind(text) < 2;
 }
 
+bool heights_of_sea(const char *text)
+{
+    return !strcmp(text, "sea") || !strcmp(text, "sea-exif");
+}
+
 void heights_words(const char *text, char out[HEIGHTS_WORDS_MAX])
 {
     size_t k = heights_kind(text);

@@ -20,6 +20,8 @@ enum { HEIGHTS_MAX = 24, HEIGHTS_WORDS_MAX = 80 };
 /* Returns whether it is one of the texts above. */
 bool heights_valid(const char *text);
 bool heights_ellipsoidal(const char *text);
+/* sea, sea-exif: a geoid leads to the ellipsoid. */
+bool heights_of_sea(const char *text);
 /* The code of "EPSG:7837"; 0: none. */
 int heights_epsg(const char *text);
 /* Writes words that follow "height above": "the WGS 84 ellipsoid". */

@@ -55,19 +55,27 @@ static void social_preview_stand(const double lo[3], const double hi[3], double 
         out_m[c] = (lo[c] + hi[c]) / 2 - away * ahead[c];
 }
 
+bool social_preview_camera(const struct dataset *d, double aspect, double out[5])
+{
+    const struct tree *tree = d->index ? store_tree(d->index) : NULL;
+    double at_m[3];
+    if (!tree || tree->root == TREE_NONE)
+        return false;
+    const struct tree_bounds root = tree_bounds(tree, tree->root);
+    social_preview_stand(root.core_min_enu_m, root.core_max_enu_m, aspect, at_m);
+    out[3] = SOCIAL_PREVIEW_HEADING_DEG;
+    out[4] = SOCIAL_PREVIEW_PITCH_DEG;
+    return !geo_from_enu(&d->meta.origin, at_m, &out[0], &out[1], &out[2], NULL);
+}
+
 /* The pose of a picture of all of d, as addresses of views have it; "" if d is empty. */
 static void social_preview_pose(const struct dataset *d, double aspect, char out[96])
 {
-    const struct tree *tree = d->index ? store_tree(d->index) : NULL;
-    double at_m[3], lon, lat, h;
+    double at[5];
     out[0] = '\0';
-    if (!tree || tree->root == TREE_NONE)
-        return;
-    const struct tree_bounds root = tree_bounds(tree, tree->root);
-    social_preview_stand(root.core_min_enu_m, root.core_max_enu_m, aspect, at_m);
-    if (!geo_from_enu(&d->meta.origin, at_m, &lon, &lat, &h, NULL))
-        snprintf(out, 96, "%.7f,%.7f,%.2f@%.0f,%.0f,%.0f", lon, lat, h, SOCIAL_PREVIEW_HEADING_DEG,
-                 SOCIAL_PREVIEW_PITCH_DEG, SOCIAL_PREVIEW_FOV_DEG);
+    if (social_preview_camera(d, aspect, at))
+        snprintf(out, 96, "%.7f,%.7f,%.2f@%.0f,%.0f,%.0f", at[0], at[1], at[2], at[3], at[4],
+                 SOCIAL_PREVIEW_FOV_DEG);
 }
 
 void social_preview_picture(const struct dataset *d, const char *up, unsigned width_px,

@@ -410,29 +410,6 @@ static void nonsense_is_refused(void **state)
 
 /* ---- what heights count from ---- */
 
-/* 45 m everywhere but for a slope along longitude. */
-static void write_gtx(char path[FILE_PATH_MAX])
-{
-    struct err e = {0};
-    uint8_t bytes[40 + 4 * 3 * 4];
-    const double head[4] = {46, 6, 1, 1};
-    const uint32_t size[2] = {3, 4};
-    size_t at = 0;
-    for (size_t k = 0; k < 4; k++)
-        for (size_t i = 8; i-- > 0;)
-            bytes[at++] = ((const uint8_t *)&head[k])[i];
-    for (size_t k = 0; k < 2; k++)
-        for (size_t i = 4; i-- > 0;)
-            bytes[at++] = ((const uint8_t *)&size[k])[i];
-    for (size_t k = 0; k < 12; k++) {
-        float v = 45 + (float)(k % 4);
-        for (size_t i = 4; i-- > 0;)
-            bytes[at++] = ((const uint8_t *)&v)[i];
-    }
-    kit_ok(file_join(path, tmp, "country.gtx", &e), e);
-    kit_ok(file_write(path, bytes, sizeof bytes, &e), e);
-}
-
 static void a_geoid_makes_heights_ellipsoidal(void **state)
 {
     struct err e = {0};
@@ -441,7 +418,8 @@ static void a_geoid_makes_heights_ellipsoidal(void **state)
     char path[FILE_PATH_MAX], heights[HEIGHTS_MAX];
     double rms[2];
     (void)state;
-    write_gtx(path);
+    kit_ok(file_join(path, tmp, "country.gtx", &e), e);
+    kit_gtx(path, 46, 6);
     kit_ok(geoid_open(path, NULL, &g, &e), e);
     assert_true(fabs(geoid_above(g, 7.5, 47.25) - 46.5) < 1e-6);
     assert_true(fabs(geoid_above(g, 9.0, 48.0) - 48) < 1e-6 && isnan(geoid_above(g, 9.5, 47)));

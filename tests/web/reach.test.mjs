@@ -3,8 +3,8 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
-import { execFileSync } from "node:child_process";
-import { cpSync, mkdirSync, mkdtempSync, readFileSync, rmSync, symlinkSync, writeFileSync } from "node:fs";
+import { execFileSync, spawnSync } from "node:child_process";
+import { cpSync, mkdirSync, mkdtempSync, readFileSync, rmSync, statSync, symlinkSync, writeFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { tmpdir } from "node:os";
 import { dirname, join, normalize } from "node:path";
@@ -264,8 +264,8 @@ test("the package holds what it says, and can be imported without a document", (
     assert.equal(name, "citysplat-viewer");
     for (const one of ["README.md", "package.json", "dist/viewer.js", "dist/LICENSES.txt", "dist/types/module.d.ts", "dist/assets/draco_decoder.js"])
         assert.ok(names.includes(one), `${one} is not in it`);
-    assert.deepEqual(names.filter((one) => !/^(README\.md|package\.json|dist\/(viewer\.js|LICENSES\.txt|assets\/draco_decoder\.js|types\/\w+\.d\.ts))$/.test(one)), []);
-    assert.ok(size < 600_000, `${size} bytes`);
+    assert.deepEqual(names.filter((one) => !/^(README\.md|package\.json|require\.cjs|dist\/((viewer|map)\.js|LICENSES\.txt|assets\/draco_decoder\.js|types\/\w+\.d\.ts))$/.test(one)), []);
+    assert.ok(size < 650_000, `${size} bytes`); // two entries, each whole with its workers
     const about = JSON.parse(readFileSync(join(folder, "package.json"), "utf8"));
     assert.equal(about.private, undefined);
     assert.deepEqual([about.dependencies, about.license], [undefined, "Apache-2.0"]);
@@ -279,10 +279,11 @@ test("the package holds what it says, and can be imported without a document", (
 
 test("its declarations compile with nothing beside them, as Node.js finds them", () => {
     const ts = createRequire(join(WEB, "package.json"))("typescript");
-    const page = join(dir, "consumer.ts");
-    cpSync(join(HERE, "consumer.ts"), page);
-    symlinkSync(join(HERE, "node_modules/maplibre-gl"), join(dir, "node_modules/maplibre-gl"));
-    const program = ts.createProgram([page], {
+    const pages = ["consumer.ts", "consumer.tsx"].map((name) => join(dir, name));
+    for (const page of pages) cpSync(join(HERE, page.slice(dir.length + 1)), page);
+    for (const name of ["maplibre-gl", "@types", "csstype"]) symlinkSync(join(HERE, "node_modules", name), join(dir, "node_modules", name));
+    const program = ts.createProgram(pages, {
+        jsx: ts.JsxEmit.ReactJSX,
         target: ts.ScriptTarget.ES2022,
         module: ts.ModuleKind.NodeNext,
         moduleResolution: ts.ModuleResolutionKind.NodeNext,
@@ -292,7 +293,7 @@ test("its declarations compile with nothing beside them, as Node.js finds them",
         types: [],
     });
     // Our files alone: those of other packages are theirs to check.
-    const mine = program.getSourceFiles().filter(({ fileName }) => /consumer\.ts$|citysplat-viewer\//.test(fileName));
+    const mine = program.getSourceFiles().filter(({ fileName }) => /consumer\.tsx?$|citysplat-viewer\//.test(fileName));
     const of = (file) => [...program.getSyntacticDiagnostics(file), ...program.getSemanticDiagnostics(file)];
     const wrong = [...program.getOptionsDiagnostics(), ...mine.flatMap(of)].map(({ file, start, messageText }) => {
         const line = file ? file.getLineAndCharacterOfPosition(start).line + 1 : 0;
@@ -300,6 +301,23 @@ test("its declarations compile with nothing beside them, as Node.js finds them",
     });
     assert.deepEqual(wrong, []);
     assert.ok(mine.length > 10, "the declarations were not read");
+});
+
+test("require is refused with words, the map's entry is smaller, and npm publishes without a warning", () => {
+    const run = (code) => spawnSync(process.execPath, ["--input-type=commonjs", "-e", code], { cwd: dir, encoding: "utf8" });
+    for (const name of ["citysplat-viewer", "citysplat-viewer/map"]) {
+        const { status, stderr } = run(`require("${name}")`);
+        assert.equal(status, 1);
+        assert.match(stderr, /citysplat-viewer is an ES module.*import/);
+    }
+    const loads = run('import("citysplat-viewer/map").then(({ createMapLayer }) => console.log(typeof createMapLayer))');
+    assert.equal(loads.stdout.trim(), "function", loads.stderr);
+    const size = (name) => statSync(join(packed.folder, "dist", name)).size;
+    assert.ok(size("map.js") < 0.9 * size("viewer.js"), `${size("map.js")} of ${size("viewer.js")} bytes`);
+    const publish = spawnSync("npm", ["publish", "--dry-run", "--ignore-scripts", "--offline"], { cwd: WEB, encoding: "utf8" });
+    assert.equal(publish.status, 0, publish.stderr);
+    const warnings = publish.stderr.split("\n").filter((line) => /npm warn/i.test(line) && !line.includes("requires you to be logged in"));
+    assert.deepEqual(warnings, []);
 });
 
 // A script of the other host, built as people build theirs: the package from its folder, the framework from npm.

@@ -11,10 +11,12 @@ import { createViewer, type Viewer } from "./viewer";
 
 const EVENTS = ["ready", "scene", "problem", "move", "click", "appearance", "link"] as const;
 type EventName = (typeof EVENTS)[number];
+// Events of <city-splat> by name; `detail` is what the viewer tells.
 export type CitySplatEvents = { [Name in EventName]: CustomEvent<ViewerEvents[Name]> } & { tour: CustomEvent<TourState> };
 
 const ATTRIBUTES = ["src", "scene", "view", "appearance", "mode", "theme", "detail", "memory", "backdrop", "basemap", "basemap-credit", "tour"] as const;
-type Attribute = (typeof ATTRIBUTES)[number];
+// Attributes of <city-splat>.
+export type Attribute = (typeof ATTRIBUTES)[number];
 
 const STYLE = ":host{display:block;position:relative;aspect-ratio:16/9;overflow:hidden}:host([hidden]){display:none}div{position:absolute;inset:0}" + FRAME_STYLE + TOUR_STYLE;
 
@@ -22,6 +24,7 @@ const STYLE = ":host{display:block;position:relative;aspect-ratio:16/9;overflow:
 const Base = typeof HTMLElement === "function" ? HTMLElement : (class {} as unknown as typeof HTMLElement);
 
 export class CitySplatElement extends Base {
+  // Attributes that count when they change.
   static readonly observedAttributes: readonly string[] = ATTRIBUTES;
   private own: Viewer | null = null;
   private tours: Tour | null = null;
@@ -52,15 +55,18 @@ export class CitySplatElement extends Base {
     return this.tours;
   }
 
+  // For the browser to call.
   connectedCallback() {
     this.own ??= this.start();
   }
 
+  // For the browser to call.
   disconnectedCallback() {
     // Moved to another place of the document, it is there again at the end of this turn.
     queueMicrotask(() => this.isConnected || this.stop());
   }
 
+  // For the browser to call.
   attributeChangedCallback(name: Attribute, before: string | null, now: string | null) {
     if (this.own && before !== now) this.change(this.own, name, now ?? "");
   }
@@ -170,18 +176,21 @@ export class CitySplatElement extends Base {
 
   // ---- attributes as properties, which is what frameworks set ----
 
+  // A citysplat server's folder, or a tileset.json.
   get src(): string {
     return this.getAttribute("src") ?? "";
   }
   set src(value: string) {
     this.setAttribute("src", value);
   }
+  // The id of a scene; "": the first.
   get scene(): string {
     return this.getAttribute("scene") ?? "";
   }
   set scene(value: string) {
     this.setAttribute("scene", value);
   }
+  // longitude,latitude,height,heading,pitch, as a link of the viewer has them.
   get view(): string {
     return this.getAttribute("view") ?? "";
   }
@@ -195,12 +204,31 @@ export class CitySplatElement extends Base {
   set appearance(value: string) {
     this.setAttribute("appearance", value);
   }
+  // A tour of saved views: its text, or the address of its file.
   get tour(): string {
     return this.getAttribute("tour") ?? "";
   }
   set tour(value: string) {
     this.setAttribute("tour", value);
   }
+}
+
+// Its own events, with what comes with each.
+export interface CitySplatElement {
+  // As of every element; its own events are typed.
+  addEventListener<Name extends keyof CitySplatEvents>(
+    name: Name,
+    listener: (this: CitySplatElement, event: CitySplatEvents[Name]) => void,
+    options?: boolean | AddEventListenerOptions,
+  ): void;
+  addEventListener(name: string, listener: EventListenerOrEventListenerObject | null, options?: boolean | AddEventListenerOptions): void;
+  // As of every element; its own events are typed.
+  removeEventListener<Name extends keyof CitySplatEvents>(
+    name: Name,
+    listener: (this: CitySplatElement, event: CitySplatEvents[Name]) => void,
+    options?: boolean | EventListenerOptions,
+  ): void;
+  removeEventListener(name: string, listener: EventListenerOrEventListenerObject | null, options?: boolean | EventListenerOptions): void;
 }
 
 declare global {

@@ -4,6 +4,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { Problem } from "./problem";
 
+// Whether the server answers: ok, busy (it asks to wait), or away.
 export type LinkState = "ok" | "busy" | "away";
 
 const PROBE_FIRST_MS = 500;
@@ -24,9 +25,18 @@ export class HttpError extends Error {
     readonly status: number,
     readonly url: string,
     detail: string,
+    readonly requestId: string | null = null,
   ) {
     super(detail);
   }
+}
+
+// What a page is told of an error.
+/** @internal */
+export function problemOf(error: unknown): Problem {
+  if (error instanceof Problem) return error;
+  if (error instanceof HttpError) return new Problem("http", { status: error.status, text: error.message }, error.requestId);
+  return new Problem("other", { why: error instanceof Error ? error.message : String(error) });
 }
 
 function pause(ms: number, signal: AbortSignal | null): Promise<void> {
@@ -153,7 +163,7 @@ export class Link {
           continue;
         }
         if (!response.ok)
-          throw new HttpError(response.status, response.url, await describe(response));
+          throw new HttpError(response.status, response.url, await describe(response), response.headers.get("x-request-id"));
         const body = await this.read(response, heard);
         if (this.state === "busy") this.turn("ok");
         return { body, headers: response.headers };

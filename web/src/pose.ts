@@ -3,16 +3,19 @@
 // in the horizon at the camera.
 //
 // SPDX-License-Identifier: Apache-2.0
+
+// A place of the data.
 export interface Place {
-  lon: number;
-  lat: number;
-  h: number; // above the ellipsoid
+  lon: number; // degrees
+  lat: number; // degrees
+  h: number; // metres, as the data have them: above the ellipsoid
 }
 
+// A camera.
 export interface Pose extends Place {
-  heading: number;
-  pitch: number;
-  fov: number;
+  heading: number; // degrees, clockwise from north
+  pitch: number; // degrees above the horizon
+  fov: number; // degrees, vertical
 }
 
 export const FOV_DEG = 45; // of the viewer, where nothing else is said

@@ -311,6 +311,7 @@ export const de: Partial<Record<TextKey, string>> = {
   "problem.badTour.text": "Der Rundgang ist nicht zu lesen: {why}.",
   "problem.http.title": "Fehler {status}",
   "problem.other.title": "Etwas ging schief",
+  "problem.other.text": "{why}",
   "walk.orbit.name": "Fliegen oder gehen",
   "walk.fly.name": "Fliegen ist an: als Nächstes gehen",
   "walk.walk.name": "Gehen ist an: als Nächstes zurück über die Stadt",

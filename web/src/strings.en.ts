@@ -332,6 +332,7 @@ export const page = {
   "walk.pictures": "Walking needs the city drawn by this browser.",
   "walk.end": "Leave",
   "problem.other.title": "Something went wrong",
+  "problem.other.text": "{why}",
 };
 
 export type TextKey = keyof typeof own | keyof typeof page;

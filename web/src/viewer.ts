@@ -13,7 +13,7 @@ import type { Area } from "./free";
 import type { Extent } from "./extent";
 import { Frame, type Place, type Pose } from "./geo";
 import { Layers } from "./layers";
-import { HttpError, Link, type LinkState } from "./link";
+import { Link, problemOf, type LinkState } from "./link";
 import { Overlay } from "./overlay";
 import { Pace } from "./pace";
 import { pickMedian } from "./pick";
@@ -82,12 +82,16 @@ function extentOf(info: SceneInfo, frame: Frame): Box3 {
   return box;
 }
 
+// The viewer in a container of a page.
 export class Viewer {
   readonly surface: HTMLElement; // takes pointer and keys
+  // What it draws on.
   readonly canvas: HTMLCanvasElement;
   /** @internal */
   readonly stage: Stage;
+  // Lines, areas and points of the page over the city.
   readonly overlay: Overlay;
+  // Data of others in the city: GeoJSON, models, tiles.
   readonly layers: Layers;
   private readonly pictureCanvas: HTMLCanvasElement;
   private readonly link = new Link();
@@ -122,6 +126,7 @@ export class Viewer {
   private readonly positions: boolean; // the container, which had no position of its own
 
   constructor(
+    // The element that it fills.
     readonly container: HTMLElement,
     private readonly options: ViewerOptions = {},
   ) {
@@ -214,10 +219,12 @@ export class Viewer {
     return new Scenes(host, this.link, this.options);
   }
 
+  // The cities of the server.
   get scenes(): readonly SceneEntry[] {
     return this.book.all;
   }
 
+  // The city that is open; null until it is.
   get scene(): SceneEntry | null {
     return this.book.entry;
   }
@@ -229,12 +236,14 @@ export class Viewer {
 
   // ---- events ----
 
+  // Calls the handler at each event of this name. Returns a function that ends it.
   on<K extends keyof ViewerEvents>(name: K, handler: Handler<ViewerEvents, K>): () => void {
     return this.events.on(name, handler);
   }
 
   // ---- what it is doing ----
 
+  // What it draws and waits for now.
   get state(): ViewerState {
     const drawn = this.currentMode === "splats";
     const stats = (drawn && this.city?.stats()) || NO_STATS;
@@ -242,6 +251,7 @@ export class Viewer {
     return {
       ready: settled && !stats.heldBack && !stats.broken.length && !this.error && this.link.state !== "away",
       settled,
+      // Who draws: this browser (splats), or the server (pictures).
       mode: this.currentMode,
       link: this.link.state,
       scene: this.scene?.id ?? null,
@@ -290,10 +300,12 @@ export class Viewer {
 
   // ---- the camera ----
 
+  // Where the camera stands and looks.
   get pose(): Pose {
     return this.stage.pose();
   }
 
+  // Puts the camera there at once.
   lookAt(pose: Pose) {
     this.touched = true;
     this.poster?.leave(true);
@@ -308,6 +320,7 @@ export class Viewer {
     return this.stage.fly(pose, seconds);
   }
 
+  // Flies to where the whole city is in sight.
   home() {
     this.touched = false;
     this.stage.home();
@@ -387,6 +400,7 @@ export class Viewer {
 
   // ---- scenes and appearance ----
 
+  // Opens a city by its id, in a view and a light where these are given.
   async openScene(id: string, pose: Pose | null = null, appearance = ""): Promise<void> {
     const entry = this.scenes.find((one) => one.id === id);
     if (!entry) return this.fail(new Problem("noScene", { id }));
@@ -443,6 +457,7 @@ export class Viewer {
     return this.currentMode === "pictures" ? this.pictures.drawn > 0 : (this.city?.shows ?? false);
   }
 
+  // Of the camera, in metres.
   get heightAboveGround(): number {
     return this.stage.camera.position.y - this.stage.extent.min.y;
   }
@@ -520,13 +535,9 @@ export class Viewer {
   private fail(error: unknown) {
     if (this.closed || (error instanceof DOMException && error.name === "AbortError")) return;
     if (!this.scene) this.poster?.leave(true);
-    this.error =
-      error instanceof HttpError
-        ? new Problem("http", { status: error.status, text: error.message })
-        : error instanceof Error
-          ? error
-          : new Error(String(error));
-    this.events.emit("problem", this.error);
+    const problem = problemOf(error);
+    this.error = problem;
+    this.events.emit("problem", problem);
     this.wake();
   }
 
@@ -561,6 +572,7 @@ export class Viewer {
 
   // ---- drawing ----
 
+  // Who draws: this browser (splats), or the server (pictures).
   get mode(): Mode {
     return this.currentMode;
   }
@@ -574,6 +586,7 @@ export class Viewer {
       .catch(() => false);
   }
 
+  // Changes who draws.
   setMode(mode: Mode) {
     if (mode === this.currentMode) return;
     if (mode === "splats" && !this.city && !this.startCity()) return;
@@ -586,10 +599,12 @@ export class Viewer {
     this.wake();
   }
 
+  // Pixels that a typical Gaussian may have on the screen; more is coarser.
   set detail(px: number) {
     if (this.city) this.city.errorTarget = PX_PER_SIGMA * px;
   }
 
+  // Sky and ground around the city.
   get backdrop(): boolean {
     return this.city?.backdrop.visible ?? false;
   }
@@ -621,6 +636,7 @@ export class Viewer {
     this.credit.hidden = !this.credit.textContent;
   }
 
+  // dark: a dimmed sky.
   setTheme(theme: "dark" | "light") {
     this.theme = theme;
     this.setGround();
@@ -691,6 +707,7 @@ export class Viewer {
     return new Pictures(canvas, this.link, false);
   }
 
+  // What a picture of the server would show of this view.
   get wantedView(): { entry: SceneEntry | null; appearance: string; width: number; height: number } {
     const { clientWidth: width, clientHeight: height } = this.surface;
     return { entry: this.scene, appearance: this.book.appearance, width, height };
@@ -874,6 +891,7 @@ export class Viewer {
     this.looked = whole;
   }
 
+  // Ends it, and frees memory and the graphics card.
   dispose() {
     this.closed = true;
     this.poster?.leave(true);
@@ -893,6 +911,7 @@ export class Viewer {
   }
 }
 
+// Puts a viewer into a container, which keeps what else it holds.
 export function createViewer(container: HTMLElement, options: ViewerOptions = {}): Viewer {
   return new Viewer(container, options);
 }
