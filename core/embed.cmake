@@ -1,4 +1,4 @@
-# Turns OpenCL sources into C strings: embed_cl(target render/project.cl ...) gives `const char project_cl[]`.
+# Turns OpenCL sources, and other texts, into C strings: embed_cl(target render/project.cl ...) gives `const char project_cl[]`.
 # Included by CMakeLists.txt; run by itself in script mode it is the generator.
 set(EMBED_SCRIPT ${CMAKE_CURRENT_LIST_FILE})
 function(embed_cl target)

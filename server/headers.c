@@ -95,13 +95,13 @@ void headers_make(const struct response *r, bool last, struct headers *h)
     } else if (r->allow && r->status == 204) { /* preflight */
         headers_add(h, "Access-Control-Allow-Methods", r->allow);
         headers_add(h, "Access-Control-Allow-Headers",
-                    "Range, If-None-Match, If-Range, Content-Type, Authorization");
+                    "Range, If-Match, If-None-Match, If-Range, Content-Type, Authorization");
         headers_add(h, "Access-Control-Max-Age", "86400");
     } else {
         headers_add(h, "Access-Control-Expose-Headers",
                     known ? NULL
-                          : "ETag, Content-Length, Content-Range, Retry-After, Server-Timing, "
-                            "X-Request-Id");
+                          : "ETag, Content-Length, Content-Range, Link, Location, Retry-After, "
+                            "Server-Timing, X-Request-Id");
         headers_add(h, "Cross-Origin-Resource-Policy", "cross-origin");
         headers_add(h, "Timing-Allow-Origin", "*");
     }

@@ -30,6 +30,7 @@ struct stores {
     pthread_rwlock_t looking; /* of options.clip: read while places are looked at */
     struct clip clip;         /* options.clip is this or NULL */
     struct catalog_options options;
+    struct geoid *geoid;     /* --geoid; NULL: none */
     struct pool_thread *far; /* NULL: no address is asked for */
     pthread_mutex_t lock;    /* of the catalog's making, and of what follows */
     pthread_cond_t changed;
@@ -252,6 +253,8 @@ static void stores_set_options(struct stores *st, size_t readers)
                                            .keep_revisions = (size_t)cfg->keep_revisions,
                                            .basemap = cfg->basemap,
                                            .basemap_attribution = cfg->basemap_attribution,
+                                           .city_gaussians = (size_t)cfg->city_gaussians,
+                                           .geoid = st->geoid,
                                            .preset = (unsigned)cfg->preset,
                                            .again_s = cfg->again_s};
 }
@@ -324,8 +327,10 @@ enum err_code stores_open(const struct server_config *cfg, const char *const *ar
     pthread_rwlock_init(&st->looking, NULL);
     pthread_mutex_init(&st->lock, NULL);
     pool_cond_init(&st->changed);
+    enum err_code rc = cfg->geoid ? geoid_open(cfg->geoid, cfg->geoid_dir, &st->geoid, e) : ERR_OK;
     stores_set_options(st, readers);
-    enum err_code rc = stores_read_clip(st, e);
+    if (!rc)
+        rc = stores_read_clip(st, e);
     if (!rc)
         rc = stores_list(st, NULL, &list, e);
     enum { FEW = 64 };
@@ -352,6 +357,7 @@ const struct catalog *stores_first(const struct stores *st)
 void stores_give(struct stores *st, struct services *s)
 {
     st->s = s;
+    s->geoid = st->geoid;
     services_set_catalog(s, st->first, NULL);
     st->first = NULL;
 }
@@ -386,6 +392,7 @@ void stores_close(struct stores **out)
         pool_join(&st->far);
     catalog_drop(&st->first);
     clip_free(&st->clip);
+    geoid_close(&st->geoid);
     pthread_cond_destroy(&st->changed);
     pthread_mutex_destroy(&st->lock);
     pthread_rwlock_destroy(&st->looking);

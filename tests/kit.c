@@ -181,6 +181,27 @@ void kit_gauss(uint64_t seed, size_t n, double half_m, uint32_t sh_degree, uint3
     }
 }
 
+void kit_gtx(const char *path, double south_deg, double west_deg)
+{
+    struct err e = {0};
+    uint8_t bytes[40 + 4 * 3 * 4];
+    const double head[4] = {south_deg, west_deg, 1, 1};
+    const uint32_t size[2] = {3, 4};
+    size_t at = 0;
+    for (size_t k = 0; k < 4; k++)
+        for (size_t i = 8; i-- > 0;)
+            bytes[at++] = ((const uint8_t *)&head[k])[i];
+    for (size_t k = 0; k < 2; k++)
+        for (size_t i = 4; i-- > 0;)
+            bytes[at++] = ((const uint8_t *)&size[k])[i];
+    for (size_t k = 0; k < 12; k++) {
+        float v = 45 + (float)(k % 4);
+        for (size_t i = 4; i-- > 0;)
+            bytes[at++] = ((const uint8_t *)&v)[i];
+    }
+    kit_ok(file_write(path, bytes, sizeof bytes, &e), e);
+}
+
 static const char *kit_self;
 
 bool kit_digest(int argc, char **argv, void (*digest)(char out[33]))

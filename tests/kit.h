@@ -67,6 +67,10 @@ void kit_same_bits(void (*digest)(char out[33]));
  */
 void kit_figure(const char *row, const char *fmt, ...) ERR_PRINTF(2, 3);
 
+/* Writes a geoid as a .gtx grid of 3 x 4 degrees: 45 m at its west, 1 m more each degree to the
+ * east. */
+void kit_gtx(const char *path, double south_deg, double west_deg);
+
 /* A camera of 400 x 300 pixels with a focal length of 300 px at `at_m`, straight down, north up. */
 struct camera;
 void kit_camera_down(const double at_m[3], struct camera *out);

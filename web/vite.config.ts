@@ -1,5 +1,6 @@
 // Builds of the browser client: the page, the globe (`vite build --mode globe` -> dist/cesium.html), the
-// page of `citysplat mark` (`vite build --mode mark` -> dist/mark.html) and the module for other pages (`vite build --mode module` -> dist/viewer.js). Relative URLs,
+// page of `citysplat mark` (`vite build --mode mark` -> dist/mark.html), the module for other pages (`vite build --mode module` -> dist/viewer.js) and
+// its layer for maps alone (`vite build --mode map` -> dist/map.js). Relative URLs,
 // everything bundled, nothing from a CDN.
 //
 // SPDX-License-Identifier: Apache-2.0
@@ -10,7 +11,7 @@ import { dirname, join } from "node:path";
 import { buildSync } from "esbuild";
 import { defineConfig, type Plugin } from "vite";
 
-import { inlineWorkers, listLicences, minifyWhole } from "./build";
+import { dropShaderIndent, inlineWorkers, listLicences, minifyWhole } from "./build";
 
 const CESIUM_BASE_URL = JSON.stringify("./cesium/"); // beside the page
 
@@ -152,6 +153,21 @@ function addPolicy(policy: string[]): Plugin {
   };
 }
 
+// A script of its own before all others (src/first.ts). The server writes into its tag.
+function addFirst(): Plugin {
+  const { outputFiles } = buildSync({ entryPoints: ["src/first.ts"], bundle: true, minify: true, write: false, format: "iife", target: "es2022", legalComments: "none" });
+  const source = outputFiles[0]!.contents;
+  const fileName = `assets/first-${createHash("sha256").update(source).digest("hex").slice(0, 8)}.js`;
+  return {
+    name: "add-first",
+    apply: "build",
+    generateBundle() {
+      this.emitFile({ type: "asset", fileName, source });
+    },
+    transformIndexHtml: (html) => html.replace(/<link rel="icon"/, `<script data-first src="./${fileName}"></script>\n    $&`),
+  };
+}
+
 // The page's lines without what they are indented by. It has no <pre>.
 function dropIndent(): Plugin {
   return {
@@ -172,7 +188,7 @@ const inWorkers = new Set<string>(); // sources of the module's workers
 // Modes: the page alone, which empties the folder first; "globe" and "mark", cesium.html and mark.html with
 // nothing in common with the page, so that it loads none of them; "module", for other pages.
 const builds = {
-  page: { plugins: [leaveOutGltf(), copyDraco(), addPolicy(POLICY), dropIndent()], build: { chunkSizeWarningLimit: 1500 } },
+  page: { plugins: [leaveOutGltf(), copyDraco(), dropShaderIndent(), addFirst(), addPolicy(POLICY), dropIndent()], build: { chunkSizeWarningLimit: 1500 } },
   globe: {
     plugins: [
       bundleCesium(),
@@ -195,12 +211,22 @@ const builds = {
       copyParts("maplibre-gl", "dist", MAPLIBRE_PARTS, "maplibre"),
       inlineWorkers(inWorkers),
       minifyWhole(version),
+      dropShaderIndent(),
       listLicences(inWorkers, "../LICENSE"),
     ],
     build: {
       emptyOutDir: false,
       rollupOptions: { output: { inlineDynamicImports: true } }, // all of it in viewer.js
       lib: { entry: "src/module.ts", formats: ["es" as const], fileName: () => "viewer.js" },
+    },
+  },
+  // The layer for MapLibre alone; what LICENSES.txt lists of the module holds for it.
+  map: {
+    plugins: [leaveOutGltf(), inlineWorkers(new Set()), minifyWhole(version)],
+    build: {
+      emptyOutDir: false,
+      rollupOptions: { output: { inlineDynamicImports: true } },
+      lib: { entry: "src/mapmodule.ts", formats: ["es" as const], fileName: () => "map.js" },
     },
   },
 };
@@ -211,10 +237,10 @@ export default defineConfig(({ mode }) => {
     base: "./",
     define: {
       __VERSION__: JSON.stringify(version),
-      __ASSETS__: JSON.stringify(mode === "module" ? "./assets/" : "./"), // from the script that needs them
+      __ASSETS__: JSON.stringify(["module", "map"].includes(mode) ? "./assets/" : "./"), // from the script that needs them
     },
     plugins,
-    publicDir: ["globe", "mark", "module"].includes(mode) ? false : "public",
+    publicDir: ["globe", "mark", "module", "map"].includes(mode) ? false : "public",
     build: { target: "es2022", sourcemap: false, ...build },
     worker: { format: "es" },
     server: { proxy: { "/collections": server, "/d/": server } },

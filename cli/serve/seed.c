@@ -43,10 +43,11 @@ static const struct options_spec seed_spec = {
     .usage = "citysplat seed URL [options]",
     .about =
         "Fills a cache or CDN. Requests the tiles of a prefetch list, most important first, and "
-        "checks their tags. URL is a dataset (https://cdn.example/d/city), or its prefetch list "
-        "with an area, zooms and a format.",
+        "checks their tags. URL is a dataset (https://cdn.example/d/city), or its prefetch list, "
+        "with an area, zooms, and for=cesium, three or viewer, or a format f. Without for and f it "
+        "requests what all three ask for.",
     .example = "citysplat seed https://cdn.example/d/city --rate 50\n"
-               "citysplat seed 'https://cdn.example/d/city/seed.ndjson?z=12-16&f=drc'",
+               "citysplat seed 'https://cdn.example/d/city/seed.ndjson?z=12-16&for=viewer'",
     .defs = seed_defs,
     .n_defs = sizeof seed_defs / sizeof *seed_defs,
     .min_args = 1,
@@ -214,14 +215,20 @@ static enum err_code seed_list(struct seed_run *r, char *url, struct arena *a, s
     return rc;
 }
 
-/* A dataset's address is that of its list without the end. */
+/* A dataset's address is that of its list without the end. Without a client (for) or a form (f),
+ * the list has what all clients ask for. */
 static char *seed_address(const char *given, struct arena *a)
 {
     const size_t n = strcspn(given, "?");
-    if (strstr(given, "seed.ndjson"))
-        return arena_text(a, given);
-    return arena_printf(a, "%.*s%sseed.ndjson%s", (int)n, given,
-                        n && given[n - 1] == '/' ? "" : "/", given + n);
+    const char *query = given + n;
+    const bool list = strstr(given, "seed.ndjson"),
+               said = strstr(query, "?f=") || strstr(query, "&f=") || strstr(query, "for=");
+    return arena_printf(a, "%.*s%s%s%s%s", (int)n, given,
+                        list || (n && given[n - 1] == '/') ? "" : "/", list ? "" : "seed.ndjson",
+                        query,
+                        said     ? ""
+                        : *query ? "&for=all"
+                                 : "?for=all");
 }
 
 /* ---- the tiles ---- */

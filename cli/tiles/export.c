@@ -99,28 +99,14 @@ static enum err_code export_zoom(const struct store *s, const char *level, uint8
     return ERR_OK;
 }
 
-/* All Gaussians of the cut through the tree at `zoom`: tiles of that zoom, and leaves above it. */
 static enum err_code export_gather(struct store *s, uint8_t zoom, const float *image,
                                    struct gauss *out, struct err *e)
 {
     size_t n;
-    const struct store_tile *t = store_tiles(s, &n);
-    const struct store_meta *m = store_info(s);
     struct progress p;
-    enum err_code rc = gauss_alloc(out, 0, m->sh_degree, m->embed_len, e);
-    out->antialiased = m->antialiased;
+    (void)store_tiles(s, &n);
     progress_start(&p, "export", n);
-    for (size_t i = 0; !rc && i < n; i++) {
-        bool leaf = tree_leaf(store_tree(s), i);
-        progress_step(&p, i + 1, NULL);
-        if (t[i].key.z != zoom && !(leaf && t[i].key.z < zoom))
-            continue;
-        struct gauss g;
-        rc = bake_read(s, t[i].key, image, &g, e);
-        if (!rc)
-            rc = gauss_append(out, &g, NULL, g.n, e);
-        gauss_free(&g);
-    }
+    const enum err_code rc = bake_read_cut(s, zoom, image, &p, out, e);
     progress_end(&p, NULL);
     return rc;
 }
@@ -145,27 +131,11 @@ static enum err_code export_plain(struct gauss *g, const char *copyright, struct
     return glb_encode_plain(g, copyright[0] ? copyright : NULL, out, e);
 }
 
-/* Rows in the order of space, without embeddings: gauss_free *out. */
-static enum err_code export_sort(const struct gauss *g, struct gauss *out, struct err *e)
-{
-    uint32_t *order = mem_array(g->n, sizeof *order);
-    enum err_code rc =
-        order ? gauss_hilbert_order(g, order, e) : err_set(e, ERR_MEM, "export: out of memory");
-    if (!rc)
-        rc = gauss_alloc(out, g->n, g->sh_degree, 0, e);
-    if (!rc) {
-        out->antialiased = g->antialiased;
-        rc = gauss_append(out, g, order, g->n, e);
-    }
-    mem_free(order);
-    return rc;
-}
-
 /* One texture of the whole level: rows that are neighbours in it should be so in space. */
 static enum err_code export_sog(const struct gauss *g, struct buf *out, struct err *e)
 {
     struct gauss sorted = {0};
-    enum err_code rc = export_sort(g, &sorted, e);
+    enum err_code rc = gauss_sorted(g, &sorted, e);
     if (!rc) {
         axes_enu_to_gltf(&sorted);
         rc = sog_encode(&sorted, sorted.sh_degree, out, e);
@@ -178,7 +148,7 @@ static enum err_code export_ply_packed(const struct gauss *g, const struct ply_i
                                        struct buf *out, struct err *e)
 {
     struct gauss sorted = {0};
-    enum err_code rc = export_sort(g, &sorted, e);
+    enum err_code rc = gauss_sorted(g, &sorted, e);
     if (!rc)
         rc = ply_packed_encode(&sorted, sorted.sh_degree, info, out, e);
     gauss_free(&sorted);

@@ -16,6 +16,8 @@ static const struct {
     {"sea", "sea level (no geoid known)", "sea level (no geoid known)"},
     {"takeoff", "the place of take-off, whose height is not known", "take-off (height not known)"},
     {"unknown", "a surface that is not known", "unknown"},
+    {"unscaled", "the model's ground, in units that are not metres (scale not known)",
+     "model's own (metres not known)"},
 };
 enum { HEIGHTS_KINDS = sizeof kinds / sizeof *kinds };
 
@@ -41,6 +43,11 @@ bool heights_valid(const char *text)
 bool heights_ellipsoidal(const char *text)
 {
     return heights_kind(text) < 2;
+}
+
+bool heights_of_sea(const char *text)
+{
+    return !strcmp(text, "sea") || !strcmp(text, "sea-exif");
 }
 
 void heights_words(const char *text, char out[HEIGHTS_WORDS_MAX])

@@ -6,6 +6,8 @@
  *     takeoff     above the place where the drone took off; its height is not known
  *     EPSG:7837   heights of this vertical coordinate system
  *     unknown     the reference was not given
+ *     unscaled    as unknown, and metres are not known either: units are those of a model that
+ *                 photographs without GPS and control gave
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -18,6 +20,8 @@ enum { HEIGHTS_MAX = 24, HEIGHTS_WORDS_MAX = 80 };
 /* Returns whether it is one of the texts above. */
 bool heights_valid(const char *text);
 bool heights_ellipsoidal(const char *text);
+/* sea, sea-exif: a geoid leads to the ellipsoid. */
+bool heights_of_sea(const char *text);
 /* The code of "EPSG:7837"; 0: none. */
 int heights_epsg(const char *text);
 /* Writes words that follow "height above": "the WGS 84 ellipsoid". */

@@ -288,6 +288,21 @@ enum err_code gauss_hilbert_order(const struct gauss *g, uint32_t *order, struct
     return ERR_OK;
 }
 
+enum err_code gauss_sorted(const struct gauss *g, struct gauss *out, struct err *e)
+{
+    uint32_t *order = mem_array(g->n, sizeof *order);
+    enum err_code rc = order ? gauss_hilbert_order(g, order, e)
+                             : err_set(e, ERR_MEM, "out of memory for %zu rows in order", g->n);
+    if (!rc)
+        rc = gauss_alloc(out, g->n, g->sh_degree, 0, e);
+    if (!rc) {
+        out->antialiased = g->antialiased;
+        rc = gauss_append(out, g, order, g->n, e);
+    }
+    mem_free(order);
+    return rc;
+}
+
 void gauss_bounds(const struct gauss *g, double k_sigma, double min_enu_m[3], double max_enu_m[3])
 {
     for (size_t k = 0; k < 3; k++) {

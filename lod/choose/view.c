@@ -121,6 +121,11 @@ const struct store *view_store(const struct view *v)
     return v->store;
 }
 
+void view_lift(struct view *v, double up_m)
+{
+    store_lift(v->store, up_m);
+}
+
 enum err_code view_get_blob(struct view *v, const char *name, struct buf *out, struct err *e)
 {
     return store_get_blob(v->store, name, out, e);

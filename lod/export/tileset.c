@@ -239,9 +239,19 @@ enum err_code tileset_write(const struct store *s, const struct tileset_links *l
     }
     buf_printf(out, "{\"asset\":{\"version\":\"1.1\",\"tilesetVersion\":\"%s\"", m->revision);
     if (!part && m->attribution[0]) {
-        buf_printf(out, ",\"extras\":{\"cesium\":{\"credits\":[{\"html\":");
+        buf_printf(out, ",\"copyright\":");
         tileset_text(out, m->attribution);
-        buf_printf(out, ",\"showOnScreen\":true}]}}");
+    }
+    if (!part) {
+        char datum[HEIGHTS_WORDS_MAX];
+        heights_datum(m->heights, datum);
+        buf_printf(out, ",\"extras\":{\"verticalDatum\":\"%s\"", datum);
+        if (m->attribution[0]) {
+            buf_printf(out, ",\"cesium\":{\"credits\":[{\"html\":");
+            tileset_text(out, m->attribution);
+            buf_printf(out, ",\"showOnScreen\":true}]}");
+        }
+        buf_printf(out, "}");
     }
     buf_printf(
         out,

@@ -22,6 +22,7 @@
 #include "lod/store/bake.h"
 #include "lod/store/key.h"
 #include "lod/store/store_db.h"
+#include "lod/store/tree.h"
 
 enum {
     BAKE_SAMPLE = 2048, /* Gaussians the default appearance is fitted to */
@@ -471,6 +472,28 @@ static void bake_targets(struct bake_fit *f, float *frame, float *image)
                 f->want[3 * i + o] += y[o] / (double)n;
         }
     }
+}
+
+enum err_code bake_read_cut(struct store *s, uint8_t zoom, const float *image, struct progress *bar,
+                            struct gauss *out, struct err *e)
+{
+    size_t n;
+    const struct store_tile *t = store_tiles(s, &n);
+    const struct store_meta *m = store_info(s);
+    enum err_code rc = gauss_alloc(out, 0, m->sh_degree, m->embed_len, e);
+    out->antialiased = m->antialiased;
+    for (size_t i = 0; !rc && i < n; i++) {
+        struct gauss g;
+        if (bar)
+            progress_step(bar, i + 1, NULL);
+        if (t[i].key.z != zoom && !(tree_leaf(store_tree(s), i) && t[i].key.z < zoom))
+            continue;
+        rc = bake_read(s, t[i].key, image, &g, e);
+        if (!rc)
+            rc = gauss_append(out, &g, NULL, g.n, e);
+        gauss_free(&g);
+    }
+    return rc;
 }
 
 enum err_code bake_default(const struct appearance *a, const struct gauss *g, float *image,

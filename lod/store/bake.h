@@ -58,6 +58,12 @@ enum err_code bake_apply(struct store *s, const float *image, struct gauss *g,
  * ERR_NOENT (no such tile), ERR_DATA, ERR_FORMAT, ERR_IO, ERR_MEM. */
 enum err_code bake_read(struct store *s, struct key k, const float *image, struct gauss *out,
                         struct err *e) ERR_USE;
+/* Reads all Gaussians of the cut through the tree at `zoom`: tiles of that zoom, and leaves above
+ * it, about the store's origin. bar (NULL: none) is stepped from tile to tile. Free *out with
+ * gauss_free. ERR_DATA, ERR_FORMAT, ERR_IO, ERR_MEM as in bake_read. */
+struct progress;
+enum err_code bake_read_cut(struct store *s, uint8_t zoom, const float *image, struct progress *bar,
+                            struct gauss *out, struct err *e) ERR_USE;
 /* Computes the default appearance, image [len_image], of model a. The Gaussians g have embeddings
  * for it. ERR_DATA (no photographs, no rows, other embeddings), ERR_MEM. Any thread. */
 enum err_code bake_default(const struct appearance *a, const struct gauss *g, float *image,

@@ -104,6 +104,10 @@ enum err_code store_commit(struct store **s, struct err *e) ERR_USE;
 
 /* ---- reading: store_read.c ---- */
 
+/* Raises the origin of an open store: its heights counted from the sea, and count from the
+ * ellipsoid now, as another revision. 0 m: nothing changes. */
+void store_lift(struct store *s, double up_m);
+
 /* Opens a store for reading: a file, or an object at http://, https:// or s3://. Close it with
  * store_close. Here and below, ERR_BUSY means that a server does not send the bytes now. ERR_NOENT,
  * ERR_FORMAT (not a tile store, another schema version, or damaged; the message says which),

@@ -432,6 +432,19 @@ enum err_code store_open_fd(int fd, const char *name, struct store **out, struct
     return rc;
 }
 
+void store_lift(struct store *s, double up_m)
+{
+    struct store_meta *m = &s->meta;
+    char text[64];
+    if (up_m == 0)
+        return;
+    const int n = snprintf(text, sizeof text, "%s %.3f", m->revision, up_m);
+    m->origin.h_m += up_m;
+    snprintf(m->heights, sizeof m->heights, "ellipsoid");
+    snprintf(m->revision, sizeof m->revision, "%012llx",
+             (unsigned long long)(hash_bytes(text, (size_t)n).lo & 0xffffffffffff));
+}
+
 enum err_code store_open_more(int fd, const struct store *first, struct store **out, struct err *e)
 {
     char at[32];

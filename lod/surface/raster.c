@@ -9,6 +9,7 @@
 #include "lod/surface/raster.h"
 
 #include <math.h>
+#include <string.h>
 
 #include "lod/surface/surface.h"
 
@@ -215,4 +216,125 @@ void raster_fill(const float *height_m, uint32_t side, uint32_t reach_px, float 
             filled[(size_t)y * side + x] =
                 isfinite(h) ? h : raster_fill_one(height_m, side, x, y, reach_px, base_m);
         }
+}
+
+/* ---- bare ground ---- */
+
+#define RASTER_GROUND_M 25.0             /* half of a building's width, from above */
+#define RASTER_EQUATOR_M 156543.03392804 /* a pixel of zoom 0, on the equator */
+enum { RASTER_GROUND_BLUR_PX = 1, RASTER_GROUND_BLURS = 2 };
+
+static double raster_pixel_m(struct key k, uint32_t size_px)
+{
+    double lon, lat;
+    key_center(k, &lon, &lat);
+    return RASTER_EQUATOR_M * cos(lat * 3.14159265358979323846 / 180) / (double)(1u << k.z) *
+           RASTER_PX / size_px;
+}
+
+uint32_t raster_ground_radius(struct key k, uint32_t size_px)
+{
+    return (uint32_t)fmin(ceil(RASTER_GROUND_M / raster_pixel_m(k, size_px)), 1e6);
+}
+
+uint8_t raster_ground_zoom(const struct area *a)
+{
+    uint8_t z = raster_zoom_max(a);
+    while (z && raster_ground_radius(key_at(a->west_deg, a->south_deg, z), RASTER_PX) >
+                    RASTER_GROUND_PX / 2)
+        z--;
+    return z;
+}
+
+/* Along one line of n values that are `step` apart: the least (or largest) within radius; values
+ * that are not finite do not count. */
+static void raster_extreme_line(const float *in, float *out, uint32_t n, size_t step,
+                                uint32_t radius, bool largest)
+{
+    for (uint32_t i = 0; i < n; i++) {
+        const uint32_t from = i > radius ? i - radius : 0, to = i + radius < n ? i + radius : n - 1;
+        float best = NAN;
+        for (uint32_t k = from; k <= to; k++) {
+            const float v = in[k * step];
+            if (isfinite(v) && !(largest ? v <= best : v >= best))
+                best = v;
+        }
+        out[i * step] = best;
+    }
+}
+
+/* Within a square; scratch [side][side]. */
+static void raster_extreme(float *h, float *scratch, uint32_t side, uint32_t radius, bool largest)
+{
+    for (uint32_t y = 0; y < side; y++)
+        raster_extreme_line(h + (size_t)y * side, scratch + (size_t)y * side, side, 1, radius,
+                            largest);
+    for (uint32_t x = 0; x < side; x++)
+        raster_extreme_line(scratch + x, h + x, side, side, radius, largest);
+}
+
+/* Rows and columns to the nearest height, the larger of the two, at most `most`. */
+static void raster_away(const float *height_m, uint32_t side, uint32_t most, float *away)
+{
+    for (size_t i = 0; i < (size_t)side * side; i++)
+        away[i] = isfinite(height_m[i]) ? 0.0f : (float)most;
+    for (int pass = 0; pass < 2; pass++)
+        for (size_t k = 0; k < (size_t)side * side; k++) {
+            const size_t i = pass ? (size_t)side * side - 1 - k : k, x = i % side, y = i / side;
+            const size_t back = pass ? 1 : 0;
+            const bool row = pass ? y + 1 < side : y > 0, column = pass ? x + 1 < side : x > 0;
+            const bool other = pass ? x > 0 : x + 1 < side;
+            const size_t up = back ? i + side : i - side, left = back ? i + 1 : i - 1;
+            if (row)
+                away[i] = fminf(away[i], away[up] + 1);
+            if (column)
+                away[i] = fminf(away[i], away[left] + 1);
+            if (row && column)
+                away[i] = fminf(away[i], away[back ? up + 1 : up - 1] + 1);
+            if (row && other)
+                away[i] = fminf(away[i], away[back ? up - 1 : up + 1] + 1);
+        }
+}
+
+static void raster_blur(const float *in, float *out, uint32_t side)
+{
+    const int64_t r = RASTER_GROUND_BLUR_PX, n = side;
+    for (int64_t y = 0; y < n; y++)
+        for (int64_t x = 0; x < n; x++) {
+            float sum = 0;
+            for (int64_t v = y - r; v <= y + r; v++)
+                for (int64_t u = x - r; u <= x + r; u++)
+                    sum += in[(v < 0    ? 0
+                               : v >= n ? n - 1
+                                        : v) *
+                                  n +
+                              (u < 0    ? 0
+                               : u >= n ? n - 1
+                                        : u)];
+            out[y * n + x] = sum / (float)((2 * r + 1) * (2 * r + 1));
+        }
+}
+
+enum err_code raster_ground(const float *height_m, uint32_t side, uint32_t radius_px, float base_m,
+                            float *ground, struct err *e)
+{
+    const size_t n = (size_t)side * side;
+    const uint32_t radius = radius_px ? radius_px : 1;
+    float *scratch = mem_array(n, sizeof *scratch);
+    if (!scratch)
+        return err_set(e, ERR_MEM, "out of memory for the ground of %u x %u px", side, side);
+    memcpy(ground, height_m, n * sizeof *ground);
+    raster_extreme(ground, scratch, side, radius_px, false);
+    raster_extreme(ground, scratch, side, radius_px, true);
+    raster_away(height_m, side, 2 * radius, scratch);
+    for (size_t i = 0; i < n; i++) {
+        const float left = fminf(fmaxf(2.0f - scratch[i] / (float)radius, 0), 1);
+        ground[i] = isfinite(ground[i]) ? base_m + (ground[i] - base_m) * left : base_m;
+    }
+    for (int i = 0; i < RASTER_GROUND_BLURS; i++) {
+        raster_blur(ground, scratch, side);
+        memcpy(ground, scratch, n * sizeof *ground);
+    }
+    mem_free(scratch);
+    return ERR_OK;
 }

@@ -14,7 +14,8 @@
 enum {
     RASTER_PX = 256,       /* edge of a tile */
     RASTER_SIDE_MAX = 640, /* largest edge of a drawing, with its margin */
-    RASTER_ZOOM_OVER = 2   /* zooms beyond raster_zoom_max that are drawn too */
+    RASTER_ZOOM_OVER = 2,  /* zooms beyond raster_zoom_max that are drawn too */
+    RASTER_GROUND_PX = 30  /* largest radius of raster_ground: its margin fits about 512 px */
 };
 #define RASTER_OFF_PX 0.1 /* largest error of a pixel's place in the map */
 
@@ -47,6 +48,22 @@ enum err_code raster_draw(struct nadir *n, const struct raster_tile *t, float *r
  * their borders. The result is filled [side][side]. */
 void raster_fill(const float *height_m, uint32_t side, uint32_t reach_px, float base_m,
                  float *filled);
+/* Turns heights of the surface [side][side] (NAN: none) into heights of bare ground: an opening by
+ * a square of 2 radius_px + 1, which takes away what is narrower, as buildings and trees, then a
+ * mean over some pixels. Holes and the ground about the survey get the ground beside them; from
+ * radius_px to twice that away it falls to base_m, so that the survey has no cliff. The result
+ * depends only on what is within raster_ground_margin, so tiles with that margin agree along their
+ * borders. The result is ground [side][side]. ERR_MEM. */
+enum err_code raster_ground(const float *height_m, uint32_t side, uint32_t radius_px, float base_m,
+                            float *ground, struct err *e) ERR_USE;
+static inline uint32_t raster_ground_margin(uint32_t radius_px)
+{
+    return 2 * radius_px + 2;
+}
+/* Pixels of that radius for a tile of a zoom: half of the widest building. */
+uint32_t raster_ground_radius(struct key k, uint32_t size_px);
+/* The finest zoom whose tiles of RASTER_PX have a radius of at most RASTER_GROUND_PX. */
+uint8_t raster_ground_zoom(const struct area *a);
 /* The height for ground that was not surveyed: the survey's floor. Ellipsoidal. */
 float raster_base_m(const struct area *a);
 

@@ -207,8 +207,7 @@ static enum err_code answer_appearance_make_list(struct services *s, const struc
 {
     const struct answer_appearance_list_own *o = work_own(w);
     (void)s, (void)j;
-    return o->asked.search.asked ? search_write(w->ds, w->ds->search, &o->asked, o->kept, out, e)
-                                 : appearance_api_write_list(w->ds, o->kept, out, e);
+    return search_write(w->ds, &o->asked, o->kept, out, e);
 }
 
 static size_t answer_appearance_list_room(const struct work *w)

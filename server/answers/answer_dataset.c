@@ -21,6 +21,8 @@
 #include "server/documents/prefetch_list.h"
 #include "server/documents/result_id.h"
 #include "server/documents/tileset_links.h"
+#include "server/documents/use_page.h"
+#include "server/http/static.h"
 #include "server/route/param_clip.h"
 #include "server/route/target_query.h"
 
@@ -73,10 +75,10 @@ static enum err_code answer_dataset_make_seed(struct services *s, const struct j
 {
     const struct answer_dataset_seed_own *o = work_own(w);
     struct crop_node *left;
-    (void)s, (void)j;
+    (void)j;
     enum err_code rc = answer_dataset_crop(w, &o->asked.tiles.clip, NULL, false, &left, e);
     if (!rc)
-        rc = prefetch_list_write(w->ds, &o->asked, left, o->form, &o->appearance, out, e);
+        rc = prefetch_list_write(s->cfg, w->ds, &o->asked, left, o->form, &o->appearance, out, e);
     mem_free(left);
     return rc;
 }
@@ -296,11 +298,44 @@ void answer_dataset_collection(struct services *s, const struct request *r, stru
     }
     origin_read(s, r, &at); /* what is absolute in it must lie below the seal */
     const struct collection_options collection = {at.public_url, at.base_path, s->cfg->basemap,
-                                                  s->cfg->basemap_attribution};
+                                                  s->cfg->basemap_attribution,
+                                                  (size_t)s->cfg->city_gaussians};
     if (collection_describe(d, &collection, &b, NULL))
         response_no_memory(out);
     else
         response_document(r, RESPONSE_JSON, b, out);
+}
+
+void answer_dataset_use(struct services *s, const struct request *r, struct dataset *d,
+                        const struct target *t, struct response *out)
+{
+    static const char path[] = "/use.html", module[] = "/viewer.js";
+    const struct static_file *page = static_find(&s->web, path, sizeof path - 1);
+    const struct static_file *viewer = static_find(&s->web, module, sizeof module - 1);
+    struct err e = {0};
+    struct body *b = NULL;
+    char origin[ORIGIN_MAX], name[40];
+    (void)t;
+    if (!page || !viewer) {
+        response_problem(out, 404,
+                         "this server has no viewer, which this page comes with: see "
+                         "--web-dir");
+        return;
+    }
+    if (!*origin_or_own(s, r, origin)) {
+        response_problem(out, 404,
+                         "the address that clients see is not known: start the server "
+                         "with --public-url");
+        return;
+    }
+    snprintf(name, sizeof name, "viewer-%s.js", viewer->digest);
+    const enum err_code rc = use_page_write(page->body, d, origin, name, &b, &e);
+    if (rc)
+        response_problem(out, rc == ERR_NOENT ? 404 : 503, e.msg);
+    else
+        response_document(r, page->type, b, out);
+    if (out->status < 400)
+        out->vary = origin_vary(s, out->vary ? ORIGIN_ENCODED : ORIGIN_ALONE);
 }
 
 struct answer_dataset_tilejson_own {

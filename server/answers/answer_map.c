@@ -137,7 +137,14 @@ void answer_map_terrain(struct services *s, const struct request *r, struct data
                                   .size_px = (uint32_t)RASTER_PX * asked->cell.scale,
                                   .format = FORMAT_PNG,
                                   .encoding = terrarium ? ENCODING_TERRARIUM : ENCODING_MAPBOX,
+                                  .ground = asked->terrain.ground,
                                   .quality = (int)s->cfg->quality};
+    if (tile.ground && raster_ground_radius(tile.key, tile.size_px) > RASTER_GROUND_PX) {
+        response_problem(out, 404,
+                         "tiles of bare ground end where pixels are much smaller than "
+                         "buildings: terrain.json?ground=true has their zooms");
+        return;
+    }
     answer_map_draw(s, r, d, &tile, NULL, out);
 }
 
@@ -189,7 +196,8 @@ void answer_map_tilejson(struct services *s, const struct request *r, struct dat
 void answer_map_terrain_tilejson(struct services *s, const struct request *r, struct dataset *d,
                                  const struct target *t, struct response *out)
 {
-    const struct map_document_ask ask = {.encoding = target_of_terrainjson(t)->terrain.encoding};
+    const struct target_terrain *terrain = &target_of_terrainjson(t)->terrain;
+    const struct map_document_ask ask = {.encoding = terrain->encoding, .ground = terrain->ground};
     answer_map_describe(s, r, d, &ask, out);
 }
 

@@ -29,11 +29,13 @@ static enum err_code answer_query_read(const struct request *r, const struct dat
 }
 
 /* The height at the one place of an address. */
-static enum err_code answer_query_read_place(const struct target_place *place, struct query *out,
+static enum err_code answer_query_read_place(const struct target_place *place,
+                                             const struct dataset *d, struct query *out,
                                              struct err *e)
 {
     if (!place->given)
-        return err_set(e, ERR_FORMAT, "say where: ?lon=8.6821&lat=50.1109, or post places");
+        return err_set(e, ERR_FORMAT, "say where: ?lon=%.6f&lat=%.6f, or post places",
+                       d->meta.origin.lon_deg, d->meta.origin.lat_deg);
     out->kind = QUERY_HEIGHT;
     out->n = 1;
     out->place[0][0] = place->lon_e7 / 1e7;
@@ -87,7 +89,7 @@ static void answer_query(struct services *s, const struct request *r, struct dat
     struct query *q = mem_array(1, sizeof *q);
     enum err_code rc = !q                         ? err_set(&e, ERR_MEM, "out of memory")
                        : r->method == METHOD_POST ? answer_query_read(r, d, kind, q, &e)
-                                                  : answer_query_read_place(place, q, &e);
+                                                  : answer_query_read_place(place, d, q, &e);
     if (rc) {
         response_refused(out, rc, e.msg);
     } else if (answer_view_can_draw(s, out)) {

@@ -280,7 +280,8 @@ void answer_service_collections(struct services *s, const struct request *r, str
         struct origin_places at;
         origin_read(s, r, &at);
         const struct collection_options collection = {at.public_url, at.base_path, s->cfg->basemap,
-                                                      s->cfg->basemap_attribution};
+                                                      s->cfg->basemap_attribution,
+                                                      (size_t)s->cfg->city_gaussians};
         struct dataset **ds = mem_array(c->n_current, sizeof *ds);
         size_t n = 0;
         for (size_t i = 0; ds && i < c->n_current; i++)
@@ -303,6 +304,8 @@ void answer_service_collections(struct services *s, const struct request *r, str
 
 /* ---- what never changes ---- */
 
+static const char ANSWER_SERVICE_MODULE[] = "/viewer.js";
+
 /* Of a file of which only compressed forms are in memory, for a client that takes none of them: few
  * do, so it is unpacked here, 10 ms for the largest, and kept as results are. */
 static struct body *answer_service_plain(struct services *s, const struct static_file *file)
@@ -314,18 +317,44 @@ static struct body *answer_service_plain(struct services *s, const struct static
     return b;
 }
 
-void answer_service_file(struct services *s, const struct request *r, struct dataset *d,
-                         const struct target *t, struct response *out)
+static void answer_service_send_file(struct services *s, const struct request *r,
+                                     const struct static_file *file, bool immutable,
+                                     struct response *out)
 {
-    (void)d;
-    const struct static_file *file = static_find(&s->web, r->target, t->path_size);
-    if (file->immutable)
+    if (immutable)
         out->cache_control = RESPONSE_IMMUTABLE;
     const struct body *b = file->body;
     const bool there = b->data || (b->brotli && condition_brotli(r->accept_encoding)) ||
                        (b->gzip && condition_gzip(r->accept_encoding));
     response_document(r, file->type, there ? body_ref(file->body) : answer_service_plain(s, file),
                       out);
+}
+
+void answer_service_file(struct services *s, const struct request *r, struct dataset *d,
+                         const struct target *t, struct response *out)
+{
+    (void)d;
+    const struct static_file *file = static_find(&s->web, r->target, t->path_size);
+    answer_service_send_file(s, r, file, file->immutable, out);
+    if (!strcmp(file->path, ANSWER_SERVICE_MODULE) && out->status < 300)
+        snprintf(out->hints, sizeof out->hints, "<viewer-%s.js>; rel=bookmark", file->digest);
+}
+
+/* Pages keep an address for years, and a server has the files of one version: they get that. */
+void answer_service_module(struct services *s, const struct request *r, struct dataset *d,
+                           const struct target *t, struct response *out)
+{
+    (void)d;
+    const struct static_file *file =
+        static_find(&s->web, ANSWER_SERVICE_MODULE, strlen(ANSWER_SERVICE_MODULE));
+    if (!file)
+        response_problem(out, 404, "this server has no viewer: see --web-dir");
+    else if (!strcmp(file->digest, t->names.rev))
+        answer_service_send_file(s, r, file, true, out);
+    else if ((out->location = mem_text(ANSWER_SERVICE_MODULE + 1)))
+        out->status = 307;
+    else
+        response_no_memory(out);
 }
 
 void answer_service_conformance(struct services *s, const struct request *r, struct dataset *d,

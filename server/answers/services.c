@@ -81,8 +81,6 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
         rc = auth_open(cfg->auth, &s->auth, e);
     if (!rc && (cfg->tls_cert || cfg->tls_key))
         rc = tls_open(cfg->tls_cert, cfg->tls_key, &s->tls, e);
-    if (!rc && cfg->geoid)
-        rc = geoid_open(cfg->geoid, cfg->geoid_dir, &s->geoid, e);
     if (!rc)
         rc = service_document_landing(&s->landing, e);
     if (!rc)
@@ -118,7 +116,6 @@ bool services_free(struct services *s)
     access_log_close(&s->access);
     auth_close(&s->auth);
     tls_close(&s->tls);
-    geoid_close(&s->geoid);
     router_close(&s->routes);
     metrics_free(&s->metrics);
     body_drop(&s->landing);

@@ -29,7 +29,7 @@
 struct view_streams;
 struct services { /* all are shared and thread-safe */
     const struct server_config *cfg;
-    struct geoid *geoid; /* --geoid; NULL: none */
+    const struct geoid *geoid; /* --geoid; borrowed; NULL: none */
     /* address of the service: --public-url, else where it listens; NULL: it listens on every
      * address */
     const char *url;

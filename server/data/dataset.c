@@ -74,8 +74,34 @@ static enum err_code dataset_open_file(struct dataset *d, const struct clip *cli
     return rc;
 }
 
-/* The handle with the index of all; the others come later. */
-static enum err_code dataset_open_first(struct dataset *d, size_t n, struct err *e)
+/* Heights above the sea become ellipsoidal, as clients of 3D Tiles read them. One number is enough:
+ * the geoid's slope is some centimetres a kilometre. */
+static void dataset_find_lift(struct dataset *d, const struct geoid *geoid)
+{
+    const struct store_meta *m = store_info(d->stores[0]);
+    char words[HEIGHTS_WORDS_MAX];
+    heights_words(m->heights, words);
+    if (geoid && heights_of_sea(m->heights)) {
+        const double above_m = geoid_above(geoid, m->origin.lon_deg, m->origin.lat_deg);
+        if (!isfinite(above_m)) {
+            log_warn("serve", "%s lies outside of the geoid %s: its heights stay above %s", m->name,
+                     geoid_name(geoid), words);
+            return;
+        }
+        d->lift_m = above_m;
+        log_info("serve", "heights name=%s above=\"%s\" geoid=%s raised_m=%.2f", m->name, words,
+                 geoid_name(geoid), d->lift_m);
+    } else if (heights_of_sea(m->heights)) {
+        log_warn("serve",
+                 "heights of %s are above %s, and clients of 3D Tiles take them as ellipsoidal: up "
+                 "to 100 m off; --geoid egm96-5 converts them",
+                 m->name, words);
+    }
+}
+
+/* The handle with the index of all; the others come later, and take over its heights. */
+static enum err_code dataset_open_first(struct dataset *d, size_t n, const struct geoid *geoid,
+                                        struct err *e)
 {
     d->stores = mem_array(n, sizeof *d->stores);
     d->free_store = mem_array(n, sizeof *d->free_store);
@@ -84,7 +110,13 @@ static enum err_code dataset_open_first(struct dataset *d, size_t n, struct err 
     enum err_code rc = store_open_fd(d->fd, d->path, &d->stores[0], e);
     d->n_most = n;
     d->n_begun = d->n_stores = !rc;
-    return rc;
+    if (rc)
+        return rc;
+    if (!d->source[0])
+        memcpy(d->source, store_info(d->stores[0])->revision, sizeof d->source);
+    dataset_find_lift(d, geoid);
+    store_lift(d->stores[0], d->lift_m);
+    return ERR_OK;
 }
 
 /* Tiles are sent in the store's default appearance: another appearance model makes other bytes of
@@ -106,16 +138,15 @@ static enum err_code dataset_find_area(struct dataset *d, struct err *e)
 }
 
 static enum err_code dataset_open_store(struct dataset *d, size_t readers, const struct clip *clip,
-                                        const char *clip_dir, struct err *e)
+                                        const char *clip_dir, const struct geoid *geoid,
+                                        struct err *e)
 {
     enum err_code rc = dataset_open_file(d, clip, clip_dir, e);
     if (!rc)
-        rc = dataset_open_first(d, readers + 1, e);
+        rc = dataset_open_first(d, readers + 1, geoid, e);
     if (!rc) {
         d->index = d->stores[0];
         d->meta = *store_info(d->index);
-        if (!clip)
-            memcpy(d->source, d->meta.revision, sizeof d->source);
         d->clip = clip_hash(clip);
         d->tiles = store_tiles(d->index, &d->n_tiles);
         rc = dataset_find_bbox(d, e);
@@ -130,7 +161,8 @@ static enum err_code dataset_open_store(struct dataset *d, size_t readers, const
 }
 
 enum err_code dataset_open(const char *path, size_t readers, const struct clip *clip,
-                           const char *clip_dir, struct dataset **out, struct err *e)
+                           const char *clip_dir, const struct geoid *geoid, struct dataset **out,
+                           struct err *e)
 {
     struct dataset *d = mem_array(1, sizeof *d);
     *out = d;
@@ -143,7 +175,7 @@ enum err_code dataset_open(const char *path, size_t readers, const struct clip *
     if (!(d->path = mem_text(path)))
         rc = err_set(e, ERR_MEM, "out of memory for a dataset");
     if (!rc)
-        rc = dataset_open_store(d, readers, clip, clip_dir, e);
+        rc = dataset_open_store(d, readers, clip, clip_dir, geoid, e);
     if (rc)
         dataset_drop(out);
     return rc;

@@ -18,6 +18,7 @@
 #include "codec/splat/quant.h"
 #include "codec/splat/sog.h"
 #include "codec/splat/spz.h"
+#include "core/splat/gauss.h"
 #include "lod/export/lowpass.h"
 #include "lod/store/bake.h"
 #include "lod/store/store.h"
@@ -45,6 +46,21 @@ struct form encode_form(const struct server_config *cfg, const struct store_meta
         f.sh_degree =
             asked->sh_degree < meta->sh_degree ? asked->sh_degree : (uint8_t)meta->sh_degree;
     return f;
+}
+
+struct form encode_form_of(enum format f)
+{
+    return (struct form){.format = f, .preset = QUANT_PRESETS, .sh_degree = FORM_UNSAID};
+}
+
+struct form encode_draft(void)
+{
+    return (struct form){.format = FORMAT_DRC, .preset = QUANT_PREVIEW, .sh_degree = 0};
+}
+
+bool encode_has_parts(uint32_t count)
+{
+    return part_first(count) < count;
 }
 
 /* g (changed) to bytes of a form. pixel_m: of the low-pass form. */
@@ -131,6 +147,36 @@ enum err_code encode_tile(struct store *s, struct key key, struct form form, con
     return rc;
 }
 
+enum err_code encode_city(struct store *s, struct form form, const float *image,
+                          const struct clip *clip, struct buf *out, struct err *e)
+{
+    struct gauss g = {0}, sorted = {0};
+    const bool sorts = form.format == FORMAT_SOG || form.format == FORMAT_PLY_PACKED;
+    enum err_code rc = bake_read_cut(s, store_info(s)->zoom_max, image, NULL, &g, e);
+    if (!rc && clip)
+        rc = clip_rows(clip, &store_info(s)->origin, &g, e);
+    if (!rc && !g.n)
+        rc = err_set(e, ERR_NOENT, "no Gaussians of this city lie within clip");
+    if (!rc && sorts) /* in a texture, neighbours should be so in space */
+        rc = gauss_sorted(&g, &sorted, e);
+    if (!rc)
+        rc = encode_gauss(sorts ? &sorted : &g, store_info(s), (struct key){0}, form, 0.0, out, e);
+    gauss_free(&sorted);
+    gauss_free(&g);
+    return rc;
+}
+
+uint64_t encode_city_count(const struct store *s)
+{
+    const struct tree *tree = store_tree(s);
+    uint64_t count = 0;
+    size_t n;
+    const struct store_tile *t = store_tiles(s, &n);
+    for (size_t i = 0; i < n; i++)
+        count += tree_leaf(tree, i) ? t[i].count : 0;
+    return count;
+}
+
 uint64_t encode_bytes(const struct store_meta *meta, struct form form, uint32_t count)
 {
     /* Bytes a Gaussian, SH 0 to 3, as the tables of docs/formats.md have them; of .drc, and what
@@ -176,6 +222,14 @@ uint64_t encode_bytes(const struct store_meta *meta, struct form form, uint32_t 
         each = 4.0 * (double)(15 + 3 * gauss_sh_count(all));
     }
     return (uint64_t)(head + each * count);
+}
+
+uint64_t encode_city_bytes(const struct store *s, enum format f)
+{
+    const struct store_meta *m = store_info(s);
+    struct form form = encode_form_of(f);
+    form.sh_degree = (uint8_t)m->sh_degree;
+    return encode_bytes(m, form, (uint32_t)encode_city_count(s));
 }
 
 static enum err_code encode_make_sample(const struct store_meta *meta, struct gauss *g,

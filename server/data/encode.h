@@ -14,12 +14,26 @@
  * A format that is not quantised has one form. Only .drc has parts. */
 struct form encode_form(const struct server_config *cfg, const struct store_meta *meta,
                         const struct form *asked);
+/* A form of which only the format is said. */
+struct form encode_form_of(enum format f);
+/* What the viewer draws first: its coarsest tile in the preset preview, without harmonics. */
+struct form encode_draft(void);
+/* Does a tile of this many Gaussians have a second part? */
+bool encode_has_parts(uint32_t count);
 /* Appends the bytes of a tile in a form. image: an embedding [len_image] of the store's appearance
  * model; NULL: the default one. clip: the part of the tile; NULL: all. ERR_NOENT (no such tile,
  * nothing of it is left, or it has no second part), ERR_FORMAT (damaged), ERR_IO, ERR_MEM,
  * ERR_DATA, ERR_LIMIT. */
 enum err_code encode_tile(struct store *s, struct key key, struct form form, const float *image,
                           const struct clip *clip, struct buf *out, struct err *e) ERR_USE;
+/* Appends the bytes of the finest level in one file, about the store's origin, in a form. image,
+ * clip: as above. ERR_NOENT (nothing is left), and the errors of encode_tile. */
+enum err_code encode_city(struct store *s, struct form form, const float *image,
+                          const struct clip *clip, struct buf *out, struct err *e) ERR_USE;
+/* Gaussians of the finest level, which encode_city writes. */
+uint64_t encode_city_count(const struct store *s);
+/* Estimates the bytes of encode_city, as encode_bytes does. */
+uint64_t encode_city_bytes(const struct store *s, enum format f);
 /* Estimates the bytes of a tile with `count` Gaussians, from trained cities (docs/formats.md).
  * Equal arguments give equal results. */
 uint64_t encode_bytes(const struct store_meta *meta, struct form form, uint32_t count);

@@ -92,47 +92,6 @@ static json_t *appearance_api_numbers(const float *v, uint32_t n)
     return list;
 }
 
-static void appearance_api_add(json_t *list, const char *name, bool kept)
-{
-    json_t *o =
-        json_pack("{s:s,s:[o,o]}", "name", name, "links",
-                  appearance_api_link("item", "application/json", link_appearance, name),
-                  appearance_api_link("tileset", "application/json", link_tileset_moving, name));
-    if (kept)
-        json_object_set_new(o, "kept", json_true());
-    json_array_append_new(list, o);
-}
-
-static json_t *appearance_api_list_json(const struct dataset *d,
-                                        const struct named_appearance_table *t)
-{
-    const struct appearance *a = d->appearance;
-    json_t *list = json_array();
-    for (size_t i = 0; a && i < a->n_images; i++)
-        appearance_api_add(list, a->names[i], false);
-    const struct named_appearance_row *row = NULL;
-    const size_t n = a ? named_appearance_of(t, d->meta.name, &row) : 0;
-    for (size_t i = 0; i < n; i++) {
-        struct appearance_choice c;
-        if (!appearance_api_find_kept(d, &row[i], &c, NULL))
-            appearance_api_add(list, row[i].name, true);
-    }
-    return json_pack("{s:s,s:i,s:o}", "default", a ? BAKE_DEFAULT : "", "embeddingLength",
-                     a ? (int)a->len_image : 0, "appearances", list);
-}
-
-enum err_code appearance_api_list(const struct dataset *d, struct body **out, struct err *e)
-{
-    return document_make(appearance_api_list_json(d, NULL), out, e);
-}
-
-enum err_code appearance_api_write_list(const struct dataset *d,
-                                        const struct named_appearance_table *t, struct buf *out,
-                                        struct err *e)
-{
-    return document_write(appearance_api_list_json(d, t), out, e);
-}
-
 struct appearance_api_near {
     double cosine;
     size_t row;

@@ -44,13 +44,7 @@ enum err_code appearance_api_read_kept(const struct dataset *d,
                                        const struct named_appearance_table *t, const void *body,
                                        size_t n, struct named_appearance_row *row,
                                        struct err *e) ERR_USE;
-/* Make documents: all appearances of a dataset, with the named ones of t (NULL: none), or a single
- * appearance, named or not. ERR_NOENT, ERR_ARG as above; ERR_MEM. */
-enum err_code appearance_api_list(const struct dataset *d, struct body **out,
-                                  struct err *e) ERR_USE;
-enum err_code appearance_api_write_list(const struct dataset *d,
-                                        const struct named_appearance_table *t, struct buf *out,
-                                        struct err *e) ERR_USE;
+/* Make the document of a single appearance, named or not. ERR_NOENT, ERR_ARG as above; ERR_MEM. */
 enum err_code appearance_api_describe_kept(const struct dataset *d,
                                            const struct named_appearance_row *row,
                                            struct body **out, struct err *e) ERR_USE;

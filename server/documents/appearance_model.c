@@ -65,7 +65,8 @@ enum err_code appearance_model_describe(const struct dataset *d, struct body **o
 }
 
 /* What the store knows of one, with its name; NULL when out of memory. */
-static json_t *appearance_model_about(const char *name, size_t number, const struct photograph *p)
+static json_t *appearance_model_about(const struct dataset *d, const char *name, size_t number,
+                                      const struct photograph *p)
 {
     char href[40];
     json_t *o = json_pack("{s:s}", "name", name);
@@ -76,7 +77,7 @@ static json_t *appearance_model_about(const char *name, size_t number, const str
     const struct {
         const char *key;
         double v;
-    } pose[] = {{"lon", p->lon_deg},         {"lat", p->lat_deg},     {"h", p->h_m},
+    } pose[] = {{"lon", p->lon_deg},         {"lat", p->lat_deg},     {"h", p->h_m + d->lift_m},
                 {"heading", p->heading_deg}, {"pitch", p->pitch_deg}, {"fov", p->fov_y_deg}};
     for (size_t i = 0; i < sizeof pose / sizeof *pose; i++)
         json_object_set_new(o, pose[i].key, json_real(pose[i].v));
@@ -117,7 +118,7 @@ static enum err_code appearance_model_add(const struct dataset *d, size_t number
         appearance_model_span(p.time, taken);
     /* One that is missing would pair all after it with embeddings of others. */
     return json_array_append_new(list,
-                                 appearance_model_about(a->names[row], number, rc ? NULL : &p))
+                                 appearance_model_about(d, a->names[row], number, rc ? NULL : &p))
                ? err_set(e, ERR_MEM, "photographs: out of memory")
                : ERR_OK;
 }

@@ -31,7 +31,7 @@
 static struct collection_options catalog_collection(const struct catalog_options *o)
 {
     return (struct collection_options){o->public_url, o->base_path, o->basemap,
-                                       o->basemap_attribution};
+                                       o->basemap_attribution, o->city_gaussians};
 }
 
 static enum err_code catalog_make_tileset(struct dataset *d, enum tileset_links_of of,
@@ -53,14 +53,14 @@ static enum err_code catalog_make_documents(struct dataset *d, const struct cata
     enum err_code rc = catalog_make_tileset(d, TILESET_LINKS_ENTRY, &d->tileset, e);
     if (!rc)
         rc = catalog_make_tileset(d, TILESET_LINKS_MOVING, &d->tileset_moving, e);
-    if (!rc)
-        rc = appearance_api_list(d, &d->appearances, e);
     if (!rc && d->appearance)
         rc = appearance_model_describe(d, &d->model, e);
     if (!rc && d->appearance)
         rc = appearance_model_photographs(d, &d->photographs, d->taken, e);
     if (!rc && d->appearance)
         rc = search_open(d, &d->search, e);
+    if (!rc)
+        rc = search_all(d, &d->appearances, e);
     if (!rc)
         rc = collection_describe(d, &collection, &d->collection, e);
     struct body *const documents[] = {d->tileset,     d->tileset_moving, d->collection,
@@ -291,7 +291,7 @@ void catalog_look(struct catalog_place *p, const struct catalog_options *o,
         return;
     }
     if (!rc)
-        rc = dataset_open(p->path, o->readers, o->clip, o->clip_dir, &p->ds, e);
+        rc = dataset_open(p->path, o->readers, o->clip, o->clip_dir, o->geoid, &p->ds, e);
     if (!rc && !o->lazy)
         rc = dataset_open_all(p->ds, e);
     if (!rc)

@@ -7,6 +7,8 @@
 
 #include "server/data/dataset.h"
 
+struct geoid;
+
 struct catalog_absent { /* a store that is asked for, and is not served as it is now */
     char *path;         /* as it was asked for; log and documents show it by range_show */
     char why[256];      /* begins with the path */
@@ -35,8 +37,10 @@ struct catalog_options {
     size_t keep_revisions;  /* and at most this many of a dataset */
     const char *basemap;    /* for the viewer's inset map, see collection_list */
     const char *basemap_attribution;
-    unsigned preset; /* of tiles whose address names none: enum quant_preset */
-    double again_s;  /* the first pause of a store that is not there; it doubles up to 60 times */
+    size_t city_gaussians;     /* for collections */
+    unsigned preset;           /* of tiles whose address names none: enum quant_preset */
+    const struct geoid *geoid; /* turns heights above the sea into ellipsoidal ones; NULL: none */
+    double again_s; /* the first pause of a store that is not there; it doubles up to 60 times */
 };
 
 /* Where a store is asked for, and what was found there. */

@@ -10,6 +10,7 @@
 
 #include "server/base/document.h"
 #include "server/base/format.h"
+#include "server/data/encode.h"
 #include "server/documents/link.h"
 #include "server/documents/ogc_tiles.h"
 #include "server/documents/social_preview.h"
@@ -44,6 +45,25 @@ static void collection_add_preview(const struct dataset *d, const char *up, json
                                                          (const char *)href.data, d->meta.name));
     }
     buf_free(&href);
+}
+
+/* The whole city in one file, with its size, where the server makes such files. */
+static void collection_add_files(const struct dataset *d, const char *up, size_t most,
+                                 json_t *links)
+{
+    static const enum format formats[] = {FORMAT_SOG, FORMAT_SPZ};
+    const uint64_t n = encode_city_count(d->index);
+    for (size_t i = 0; n <= most && i < sizeof formats / sizeof *formats; i++) {
+        struct link l = link_to(LINK_ROOT, up, d, NULL);
+        char href[FILE_PATH_MAX];
+        l.ext = format_ext(formats[i]);
+        json_t *link = document_link("enclosure", format_type(formats[i]),
+                                     link_text(link_city_moving, &l, href, sizeof href),
+                                     "The whole city in one file");
+        json_object_set_new(link, "length",
+                            json_integer((json_int_t)encode_city_bytes(d->index, formats[i])));
+        json_array_append_new(links, link);
+    }
 }
 
 static void collection_add_maps(const struct dataset *d, const char *up,
@@ -111,6 +131,7 @@ static json_t *collection_json(const struct dataset *d, const char *up,
         {"http://www.opengis.net/def/rel/ogc/1.0/3d-geovolumes", "application/3dtiles+json",
          "3D Tiles 1.1", link_tileset_moving},
         {"tiles", "application/json", "TileJSON 3.0.0", link_tilejson},
+        {"help", "text/html", "Code for map clients, with the addresses of this dataset", link_use},
     };
     static const struct collection_link appearance[] = {
         {"appearances", "application/json", "Light and weather to choose from", link_appearances},
@@ -125,6 +146,7 @@ static json_t *collection_json(const struct dataset *d, const char *up,
         collection_add(d, up, &rows[i], links);
     collection_add_maps(d, up, opt, links);
     collection_add_preview(d, up, links);
+    collection_add_files(d, up, opt->city_gaussians, links);
     for (size_t i = 0; d->appearance && i < sizeof appearance / sizeof *appearance; i++)
         collection_add(d, up, &appearance[i], links);
     json_object_set_new(o, "links", links);

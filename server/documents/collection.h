@@ -14,6 +14,7 @@ struct collection_options {
      * {y}; NULL, "": none */
     const char *basemap;
     const char *attribution; /* attribution of that map; NULL: none */
+    size_t city_gaussians;   /* most that the server writes into one file */
 };
 
 /* Describes a dataset. With a public_url, `self` and the link to the map's tilesets are absolute.

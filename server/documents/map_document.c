@@ -23,8 +23,10 @@ static void map_document_query(const struct map_document_ask *ask, char out[TARG
 {
     out[0] = '\0';
     if (!ask->appearance) {
-        if (ask->encoding == ENCODING_TERRARIUM)
-            snprintf(out, TARGET_QUERY_MAX, "?encoding=terrarium");
+        snprintf(out, TARGET_QUERY_MAX, "%s%s", ask->ground ? "?ground=true" : "",
+                 ask->encoding != ENCODING_TERRARIUM ? ""
+                 : ask->ground                       ? "&encoding=terrarium"
+                                                     : "?encoding=terrarium");
     } else if (ask->appearance[0]) {
         strcpy(out, "?appearance=");
         text_escape(ask->appearance, out + strlen(out));
@@ -50,8 +52,8 @@ static json_t *map_document_tiles(const struct dataset *d, const char *edition,
     link_text(ask->appearance ? link_map : link_terrain, &l, url, sizeof url - TARGET_QUERY_MAX);
     map_document_query(ask, url + strlen(url));
     return json_pack("{s:[s],s:i,s:i,s:i,s:o}", "tiles", url, "minzoom", (int)raster_zoom_min(a),
-                     "maxzoom", (int)raster_zoom_max(a), "tileSize", RASTER_PX, "bounds",
-                     document_numbers(bounds, 4));
+                     "maxzoom", (int)(ask->ground ? raster_ground_zoom(a) : raster_zoom_max(a)),
+                     "tileSize", RASTER_PX, "bounds", document_numbers(bounds, 4));
 }
 
 /* The members of `more`, whose reference it takes over, behind those of `o`. NULL: no memory. */
@@ -101,7 +103,10 @@ enum err_code map_document_tilejson(const struct dataset *d, const char *edition
 
 static const double MAP_DOCUMENT_FIT_PX = 480, /* edge of the survey in the first picture */
     MAP_DOCUMENT_PITCH_DEG = 45, MAP_DOCUMENT_SHADE = 0.25;
-enum { MAP_DOCUMENT_WORLD_PX = 512 }; /* of MapLibre at zoom 0 */
+enum {
+    MAP_DOCUMENT_WORLD_PX = 512,  /* of MapLibre at zoom 0 */
+    MAP_DOCUMENT_COARSE_ZOOMS = 2 /* beyond the first, of what lies under holes */
+};
 
 /* The zoom at which the survey is MAP_DOCUMENT_FIT_PX wide or high. */
 static double map_document_zoom(const struct area *a)
@@ -121,7 +126,7 @@ static json_t *map_document_sources(const struct dataset *d, const char *edition
                                     const char *appearance, const char *base)
 {
     const struct map_document_ask colours = {.appearance = appearance},
-                                  terrain = {.appearance = NULL};
+                                  terrain = {.appearance = NULL, .ground = true};
     json_t *city = map_document_join(
         json_pack("{s:s,s:s}", "type", "raster", "attribution", d->meta.attribution),
         map_document_tiles(d, edition, &colours, base));
@@ -129,15 +134,20 @@ static json_t *map_document_sources(const struct dataset *d, const char *edition
         map_document_join(json_pack("{s:s,s:s}", "type", "raster-dem", "encoding", "mapbox"),
                           map_document_tiles(d, edition, &terrain, base));
     json_object_del(heights, "bounds");
-    return json_pack("{s:o,s:O,s:o}", "city", city, "terrain", heights, "hillshade", heights);
+    json_t *coarse = json_deep_copy(city); /* its pixels have no holes where finer ones do */
+    json_object_set_new(coarse, "maxzoom",
+                        json_integer(raster_zoom_min(&d->area) + MAP_DOCUMENT_COARSE_ZOOMS));
+    return json_pack("{s:o,s:o,s:O,s:o}", "city", city, "coarse", coarse, "terrain", heights,
+                     "hillshade", heights);
 }
 
 static json_t *map_document_layers(void)
 {
-    return json_pack("[{s:s,s:s,s:{s:s}},{s:s,s:s,s:s},{s:s,s:s,s:s,s:{s:f}}]", "id", "background",
-                     "type", "background", "paint", "background-color", "#e6e8e6", "id", "city",
-                     "type", "raster", "source", "city", "id", "hillshade", "type", "hillshade",
-                     "source", "hillshade", "paint", "hillshade-exaggeration", MAP_DOCUMENT_SHADE);
+    return json_pack("[{s:s,s:s,s:{s:s}},{s:s,s:s,s:s},{s:s,s:s,s:s},{s:s,s:s,s:s,s:{s:f}}]", "id",
+                     "background", "type", "background", "paint", "background-color", "#c9ccc4",
+                     "id", "coarse", "type", "raster", "source", "coarse", "id", "city", "type",
+                     "raster", "source", "city", "id", "hillshade", "type", "hillshade", "source",
+                     "hillshade", "paint", "hillshade-exaggeration", MAP_DOCUMENT_SHADE);
 }
 
 enum err_code map_document_style(const struct dataset *d, const char *edition,

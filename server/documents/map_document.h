@@ -12,6 +12,7 @@
 struct map_document_ask {
     const char *appearance; /* "": the default; NULL: tiles of heights */
     enum encoding encoding; /* of heights */
+    bool ground;            /* heights of bare ground */
 };
 /* edition: of the tiles (result_id.h); "": not known yet. base: address of the service as clients
  * see it, with or without '/' at its end. NULL or "": addresses are relative to the document; WMTS

@@ -3,7 +3,7 @@
  *
  * Brackets in a route's template mark an optional part. OpenAPI cannot express that in a path, so
  * it has the long form. A row does not list answers that follow from the kind of its route: 206,
- * 304 and 416 of a GET, and problems.
+ * 304 and 416 of a GET, and problems. Schemas of JSON are openapi_schemas.json, which is embedded.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -14,7 +14,8 @@
 #include <string.h>
 
 #include "server/base/document.h"
-#include "server/documents/openapi_schemas.h"
+
+extern const char openapi_schemas_json[]; /* openapi_schemas.json, embedded */
 
 /* the schema of what has a media type */
 #define OPENAPI_CONTENT "'%s':{'schema':{'$ref':'#/components/schemas/%s'}}"
@@ -209,11 +210,9 @@ enum err_code openapi_describe(const struct router *routes, struct body **out, s
                     "{'name':'operators','description':'On the listener of --admin alone'}],"
                     "'paths':{");
     openapi_paths(routes, &b);
-    openapi_put(&b, "},'components':{'schemas':{");
-#define SCHEMA_ROW(name, schema) openapi_put(&b, ",'" name "':" schema);
-    OPENAPI_SCHEMAS(SCHEMA_ROW)
-#undef SCHEMA_ROW
-    openapi_put(&b, "},'securitySchemes':{'token':{'type':'http','scheme':'bearer'},"
+    openapi_put(&b, "},'components':{'schemas':");
+    buf_printf(&b, "%s", openapi_schemas_json);
+    openapi_put(&b, ",'securitySchemes':{'token':{'type':'http','scheme':'bearer'},"
                     "'signature':{'type':'apiKey','in':'query','name':'sig'}}}}");
     enum err_code rc = buf_check(&b, e);
     if (!rc)

@@ -35,6 +35,22 @@ struct hash128 result_id_tile(const struct dataset *d, const struct store_tile *
     return id;
 }
 
+struct hash128 result_id_city(const struct dataset *d, struct form f,
+                              const struct appearance_choice *a)
+{
+    struct { /* no padding */
+        struct hash128 salt;
+        char rev[16], kind[8];
+        uint32_t format, unused;
+    } name = {.salt = d->salt,
+              .kind = "city",
+              .format = (uint32_t)f.format << 16 | (uint32_t)f.preset << 8 | f.sh_degree};
+    memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
+    struct hash128 id = hash_bytes(&name, sizeof name);
+    result_id_mix(&id, a);
+    return id;
+}
+
 void result_id_clip(struct hash128 *id, const struct target_clip *c)
 {
     struct {
@@ -73,8 +89,9 @@ struct hash128 result_id_seed(const struct dataset *d, const struct seed_target 
         struct hash128 salt;
         char rev[16], edition[16];
         int32_t bbox_e7[4];
-        uint32_t z_min, z_max, format, has_bbox, asked, preset, after, limit, moving, unused;
+        uint32_t z_min, z_max, format, has_bbox, asked, preset, after, limit, moving, client;
     } name = {.salt = d->salt,
+              .client = t->zooms.client,
               .after = t->page.after,
               .limit = t->page.limit,
               .moving = !t->all.names.rev[0],

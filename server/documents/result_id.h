@@ -24,6 +24,9 @@ void result_id_clip(struct hash128 *id, const struct target_clip *c);
 /* The edition of a dataset's tiles: a hash of the inputs that determine their bytes and are in
  * neither the revision nor the rest of an address. preset: that of addresses without one. */
 void result_id_tiles_edition(const struct dataset *d, unsigned preset, char out[9]);
+/* Of the whole city in one file. */
+struct hash128 result_id_city(const struct dataset *d, struct form f,
+                              const struct appearance_choice *a);
 struct hash128 result_id_seed(const struct dataset *d, const struct seed_target *t,
                               struct form form);
 /* kept: hash of the named appearances */

@@ -16,6 +16,7 @@
 
 #include "core/splat/appearance.h"
 #include "core/splat/gauss.h"
+#include "lod/store/bake.h"
 #include "lod/store/photograph.h"
 #include "server/base/document.h"
 #include "server/base/text.h"
@@ -125,7 +126,8 @@ enum err_code search_open(const struct dataset *d, struct search_index **out, st
 
 struct search_hit {
     const struct search_photo *photo;
-    bool kept; /* a name, of no place and no time; numbers are after those of photographs */
+    /* a name, or the default: of no place and no time; numbers are after those of photographs */
+    bool kept, standard;
     double distance_m, colour; /* as far as they are asked for */
     double by;                 /* what it is sorted by */
 };
@@ -200,7 +202,7 @@ static json_t *search_row(const struct dataset *d, const struct appearances_targ
     json_t *o = json_pack("{s:s}", "name", p->name);
     if (hit->kept)
         json_object_set_new(o, "kept", json_true());
-    else
+    else if (!hit->standard)
         json_object_set_new(o, "number", json_integer(p->number));
     if (p->timed)
         json_object_set_new(o, "time", json_string(p->time));
@@ -229,8 +231,9 @@ static json_t *search_row(const struct dataset *d, const struct appearances_targ
 static json_t *search_page(const struct dataset *d, const struct appearances_target *t,
                            const struct search_hit *hit, size_t n)
 {
-    const size_t first = t->page.after < n ? t->page.after : n;
-    const size_t end = n - first < t->page.limit ? n : first + t->page.limit;
+    const bool all = !t->search.asked;
+    const size_t first = all ? 0 : t->page.after < n ? t->page.after : n;
+    const size_t end = all || n - first < t->page.limit ? n : first + t->page.limit;
     json_t *list = json_array(), *links = json_array();
     const struct link here = {.from = LINK_DATASET};
     struct buf self = {0}, next = {0};
@@ -238,7 +241,8 @@ static json_t *search_page(const struct dataset *d, const struct appearances_tar
     link_appearances(&here, &next);
     for (size_t i = first; i < end; i++)
         json_array_append_new(list, search_row(d, t, &hit[i]));
-    target_query_search(t, t->page.after, &self);
+    if (!all)
+        target_query_search(t, t->page.after, &self);
     target_query_search(t, (uint32_t)end, &next);
     buf_u8(&self, 0);
     buf_u8(&next, 0);
@@ -250,11 +254,13 @@ static json_t *search_page(const struct dataset *d, const struct appearances_tar
             links, document_link("next", "application/json", (const char *)next.data, NULL));
     buf_free(&self);
     buf_free(&next);
-    return json_pack("{s:i,s:i,s:o,s:o}", "numberMatched", (int)n, "numberReturned",
-                     (int)(end - first), "appearances", list, "links", links);
+    return json_pack("{s:s,s:i,s:i,s:i,s:o,s:o}", "default", d->appearance ? BAKE_DEFAULT : "",
+                     "embeddingLength", d->appearance ? (int)d->appearance->len_image : 0,
+                     "numberMatched", (int)n, "numberReturned", (int)(end - first), "appearances",
+                     list, "links", links);
 }
 
-/* Names that are kept, as photographs that nobody took. */
+/* Names that are kept, as photographs that nobody took; numbers after that of the default. */
 static size_t search_kept(const struct dataset *d, const struct search_index *s,
                           const struct named_appearance_row *row, size_t n,
                           struct search_photo *out)
@@ -264,7 +270,7 @@ static size_t search_kept(const struct dataset *d, const struct search_index *s,
         struct appearance_choice c;
         if (appearance_api_find_kept(d, &row[i], &c, NULL))
             continue; /* of another revision */
-        out[n_out] = (struct search_photo){.name = row[i].name, .number = (uint32_t)(s->n + i)};
+        out[n_out] = (struct search_photo){.name = row[i].name, .number = (uint32_t)(s->n + 1 + i)};
         if (c.set)
             search_colour(d->appearance, s, c.image, &out[n_out]);
         n_out++;
@@ -281,17 +287,32 @@ static enum err_code search_write_hits(const struct dataset *d, const struct app
     return document_write(search_page(d, t, hit, n), out, e);
 }
 
-enum err_code search_write(const struct dataset *d, const struct search_index *s,
-                           const struct appearances_target *t,
+/* The default appearance, as a photograph that nobody took. */
+static size_t search_standard(const struct dataset *d, const struct search_index *s,
+                              struct search_photo *photo, struct search_hit *out)
+{
+    const ptrdiff_t row = appearance_find(d->appearance, BAKE_DEFAULT);
+    *photo = (struct search_photo){.name = BAKE_DEFAULT, .number = (uint32_t)s->n};
+    if (row < 0)
+        return 0;
+    search_colour(d->appearance, s, d->appearance->images + (size_t)row * d->appearance->len_image,
+                  photo);
+    *out = (struct search_hit){.photo = photo, .standard = true, .by = (double)s->n};
+    return 1;
+}
+
+enum err_code search_write(const struct dataset *d, const struct appearances_target *t,
                            const struct named_appearance_table *kept, struct buf *out,
                            struct err *e)
 {
+    const struct search_index none = {0}, *s = d->search ? d->search : &none;
     const struct target_search *q = &t->search;
     const uint8_t rgb[3] = {(uint8_t)(q->rgb >> 16), (uint8_t)(q->rgb >> 8), (uint8_t)q->rgb};
     double near_m[3] = {0}, lab[3];
     const struct named_appearance_row *row = NULL;
-    const size_t n_row = named_appearance_of(kept, d->meta.name, &row);
+    const size_t n_row = d->search ? named_appearance_of(kept, d->meta.name, &row) : 0;
     size_t n = 0;
+    struct search_photo standard;
     struct search_hit *hit = mem_array(s->n + n_row + 1, sizeof *hit);
     struct search_photo *named = mem_array(n_row + 1, sizeof *named);
     enum err_code rc = hit && named ? geo_to_enu(&d->meta.origin, q->near_e7[0] * 1e-7,
@@ -300,6 +321,8 @@ enum err_code search_write(const struct dataset *d, const struct search_index *s
     search_index_lab(rgb, lab);
     for (size_t i = 0; !rc && !q->kept && i < s->n; i++)
         n += search_hits(t, near_m, lab, &s->photo[i], &hit[n]);
+    if (!rc && !q->asked && d->search)
+        n += search_standard(d, s, &standard, &hit[n]);
     const size_t n_named = !rc ? search_kept(d, s, row, n_row, named) : 0;
     for (size_t i = 0; i < n_named; i++)
         if (search_hits(t, near_m, lab, &named[i], &hit[n]))
@@ -309,6 +332,14 @@ enum err_code search_write(const struct dataset *d, const struct search_index *s
     mem_free(hit);
     mem_free(named);
     return rc;
+}
+
+enum err_code search_all(const struct dataset *d, struct body **out, struct err *e)
+{
+    const struct appearances_target all = {0};
+    struct buf b = {0};
+    const enum err_code rc = search_write(d, &all, NULL, &b, e);
+    return document_take(rc, &b, out, e);
 }
 
 size_t search_room(const struct dataset *d, const struct appearances_target *t,

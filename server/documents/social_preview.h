@@ -10,6 +10,10 @@
 
 /* Appends the address of a picture of the whole scene, as map viewers see it first, behind `up`
  * ("", "..", "https://host/below"). Nothing is appended where the scene has no place. */
+/* Writes the place from which the whole dataset is in sight, in the direction of the viewer's first
+ * view: longitude, latitude in degrees, height in metres, heading and pitch in degrees. False: it
+ * has no Gaussians. */
+bool social_preview_camera(const struct dataset *d, double aspect, double out[5]);
 void social_preview_picture(const struct dataset *d, const char *up, unsigned width_px,
                             unsigned height_px, struct buf *out);
 /* Makes the viewer's page for one dataset from the page for all: title, description, Open Graph and

@@ -115,6 +115,8 @@ static enum err_code draw_find(struct draw *d, const struct draw_request *q, int
         draw_empty(s);
         rc = view_open_fd(fd, q->name, d->render,
                           (size_t)d->hello.view_cache_bytes / d->hello.slots, &s->view, e);
+        if (!rc)
+            view_lift(s->view, q->lift_m);
         worker_span(DRAW_OPENS, from_s, clock_s());
     }
     if (fd >= 0)

@@ -39,6 +39,7 @@ struct draw_request {
     uint32_t drop;    /* a bit for each slot to close first */
     bool opens;       /* a descriptor is attached: the slot holds that store from now on */
     bool antialiased; /* of the store */
+    double lift_m;    /* of the store that is opened: store_lift */
     char name[128];   /* of the store, for messages */
     struct appearance_choice appearance;
     union {

@@ -47,10 +47,17 @@ static uint32_t map_tile_steps(enum encoding encoding, float height_m)
     return (uint32_t)fmin(fmax(floor(steps + 0.5), 0), 0xffffff);
 }
 
+/* Pixels about a tile that decide what heights are in it. */
+static uint32_t map_tile_margin(const struct map_tile *t)
+{
+    return t->ground ? raster_ground_margin(raster_ground_radius(t->key, t->size_px))
+                     : MAP_TILE_REACH_PX;
+}
+
 static enum err_code map_tile_terrain(struct nadir *n, const struct map_tile *t, struct image *img,
                                       struct err *e)
 {
-    const struct raster_tile at = {t->key, t->size_px, MAP_TILE_REACH_PX};
+    const struct raster_tile at = {t->key, t->size_px, map_tile_margin(t)};
     uint32_t side = raster_side(&at);
     size_t pixels = (size_t)side * side;
     float *height = mem_array(pixels, sizeof *height), *filled = mem_array(pixels, sizeof *filled);
@@ -60,7 +67,10 @@ static enum err_code map_tile_terrain(struct nadir *n, const struct map_tile *t,
                            : err_set(e, ERR_MEM, "out of memory for a tile of %u px", t->size_px);
     if (!rc)
         rc = raster_draw(n, &at, NULL, height, in, e);
-    if (!rc)
+    if (!rc && t->ground)
+        rc = raster_ground(height, side, raster_ground_radius(t->key, t->size_px),
+                           raster_base_m(nadir_area(n)), filled, e);
+    else if (!rc)
         raster_fill(height, side, MAP_TILE_REACH_PX, raster_base_m(nadir_area(n)), filled);
     for (size_t y = 0; !rc && y < t->size_px; y++)
         for (size_t x = 0; x < t->size_px; x++) {
@@ -80,7 +90,7 @@ static enum err_code map_tile_terrain(struct nadir *n, const struct map_tile *t,
 bool map_tile_is_flat(const struct area *a, const struct map_tile *t)
 {
     return t->encoding != ENCODING_UNSAID &&
-           !area_is_near(a, t->key, (double)MAP_TILE_REACH_PX / t->size_px);
+           !area_is_near(a, t->key, (double)map_tile_margin(t) / t->size_px);
 }
 
 enum err_code map_tile_make(struct nadir *n, const struct map_tile *t, struct buf *out,

@@ -285,6 +285,7 @@ enum err_code picture_make(struct picture *p, size_t drawer, const struct job *j
     bool opens = picture_slot(p, w, d, q);
     pthread_mutex_unlock(&p->lock);
     q->antialiased = d->meta.antialiased;
+    q->lift_m = d->lift_m;
     snprintf(q->name, sizeof q->name, "%.*s", (int)sizeof q->name - 1, store_path(d->index));
     rc = worker_ask(w->worker, life, q, sizeof *q, opens ? d->fd : -1, limit, picture_stopped, j,
                     out, e);

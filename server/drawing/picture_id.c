@@ -75,7 +75,7 @@ struct hash128 picture_id_map(const struct dataset *d, const char *device, const
               .format = (uint32_t)t->format,
               .encoding = (uint32_t)t->encoding,
               .quality = (uint32_t)t->quality,
-              .flat = flat};
+              .flat = (uint32_t)flat | (uint32_t)(t->ground && !flat) << 1};
     memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
     snprintf(name.device, sizeof name.device, "%s", device);
     struct hash128 id = hash_bytes(&name, sizeof name);

@@ -167,6 +167,8 @@ static enum err_code static_add_file(const char *dir, const char *url, int64_t m
         return err_set(e, ERR_MEM, "%s: out of memory", path);
     }
     f.body->modified_s = modified_s;
+    snprintf(f.digest, sizeof f.digest, "%012llx",
+             (unsigned long long)(hash_bytes(f.body->data, f.body->size).lo & 0xffffffffffff));
     t->file[t->n++] = f;
     if (type >= 0 && types[type].text) {
         rc = static_add_coded(path, &f, bytes, e);

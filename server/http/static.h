@@ -10,7 +10,8 @@
 struct static_file {
     char *path; /* "/assets/x.js" */
     const char *type;
-    bool immutable; /* its name contains a hash of its content */
+    bool immutable;  /* its name contains a hash of its content */
+    char digest[13]; /* 12 hexadecimal digits of a hash of its content */
     struct body *body;
 };
 struct static_table {         /* {0} is empty */

@@ -161,6 +161,14 @@ static enum err_code param_own_rev(struct text *t, void *group, struct err *e)
                : ERR_NOENT;
 }
 
+/* Of a file, in the place of a revision. */
+static enum err_code param_own_digest(struct text *t, void *group, struct err *e)
+{
+    struct target_names *out = group;
+    (void)e;
+    return param_take_hex(t, 12, out->rev) ? ERR_OK : ERR_NOENT;
+}
+
 static enum err_code param_own_row_2x(struct text *t, void *group, struct err *e)
 {
     struct target_cell *out = group;

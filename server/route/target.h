@@ -79,9 +79,11 @@ struct target_page {
     int32_t bbox_e7[4];    /* west south east north */
     uint32_t after, limit; /* number of lines to skip, and largest number of lines */
 };
-/* zooms: of a prefetch list. */
+/* zooms: of a prefetch list, and whose requests it is to hold. */
+enum client { CLIENT_NONE, CLIENT_CESIUM, CLIENT_THREE, CLIENT_VIEWER, CLIENT_ALL };
 struct target_zooms {
     uint8_t z_min, z_max;
+    uint8_t client; /* enum client; CLIENT_NONE: tiles in one form, that of `tiles` */
 };
 /* search: for appearances. */
 enum search_sort { SEARCH_BY_NUMBER, SEARCH_BY_DISTANCE, SEARCH_BY_TIME, SEARCH_BY_COLOUR };
@@ -137,6 +139,7 @@ enum encoding {
 };
 struct target_terrain {
     enum encoding encoding;
+    bool ground; /* bare ground, not the surface */
 };
 /* place: of a question. */
 struct target_place {

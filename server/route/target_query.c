@@ -41,10 +41,16 @@ static void target_query_measure(struct buf *out, const char *name, uint32_t val
 
 void target_query_seed(const struct seed_target *t, uint32_t after, struct buf *out)
 {
+    static const char *const clients[] = {[CLIENT_CESIUM] = "cesium",
+                                          [CLIENT_THREE] = "three",
+                                          [CLIENT_VIEWER] = "viewer",
+                                          [CLIENT_ALL] = "all"};
     char form[TARGET_QUERY_MAX];
     target_query_tiles(&t->tiles, form);
     buf_printf(out, "%s%cf=%s&z=%u-%u", form, form[0] ? '&' : '?', format_ext(t->tiles.form.format),
                t->zooms.z_min, t->zooms.z_max);
+    if (t->zooms.client)
+        buf_printf(out, "&for=%s", clients[t->zooms.client]);
     if (t->page.has_bbox)
         target_query_degrees(out, "&bbox=", t->page.bbox_e7, 4);
     buf_printf(out, "&limit=%u&after=%u", t->page.limit, after);

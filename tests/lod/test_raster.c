@@ -318,12 +318,56 @@ static void sizes_are_limited(void **state)
     kit_fails(raster_draw(f.nadir, &none, NULL, NULL, in, &e), ERR_ARG, e, "at most");
 }
 
+/* A slope with a house, a hole and an end: the house is gone, the hole is ground, the end has no
+ * cliff, and a window that is shifted has the same heights where its margin is. */
+static void bare_ground_has_no_houses_and_no_cliffs(void **state)
+{
+    enum { N = 120, RADIUS = 10, SHIFT = 7, END = 90 };
+    const float slope = 0.05f, base = -4, house = 15, step_most = 1.0f;
+    struct err e = {0};
+    float *h = mem_array((size_t)N * (N + SHIFT), sizeof *h), *one = mem_array(N * N, sizeof *one),
+          *two = mem_array(N * N, sizeof *two), *window = mem_array(N * N, sizeof *window);
+    (void)state;
+    for (int y = 0; y < N; y++)
+        for (int x = 0; x < N + SHIFT; x++) {
+            const bool in_house = x >= 30 && x < 46 && y >= 40 && y < 56;
+            const bool in_hole = x >= 60 && x < 66 && y >= 60 && y < 66;
+            h[y * (N + SHIFT) + x] =
+                x >= END || in_hole ? NAN : slope * (float)x + (in_house ? house : 0);
+        }
+    for (int k = 0; k < 2; k++) {
+        for (int y = 0; y < N; y++)
+            memcpy(window + y * N, h + y * (N + SHIFT) + k * SHIFT, N * sizeof *window);
+        kit_ok(raster_ground(window, N, RADIUS, base, k ? two : one, &e), e);
+    }
+    const int margin = (int)raster_ground_margin(RADIUS);
+    for (int y = margin; y < N - margin; y++) {
+        for (int x = 1; x < N; x++) {
+            const float v = one[y * N + x];
+            if (x >= margin && x < END - margin)
+                assert_true(fabsf(v - slope * (float)x) < slope * 2 * RADIUS);
+            assert_true(fabsf(v - one[y * N + x - 1]) < step_most);
+            if (x >= margin + SHIFT && x < N - margin)
+                assert_true(v == two[y * N + x - SHIFT]);
+        }
+        assert_true(fabsf(one[y * N + N - 1] - base) < 1e-4f); /* more than two radii away */
+    }
+    mem_free(h);
+    mem_free(one);
+    mem_free(two);
+    mem_free(window);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(pixels_lie_where_the_map_has_them), cmocka_unit_test(neighbours_fit),
-        cmocka_unit_test(low_zooms_show_the_city),           cmocka_unit_test(sizes_are_limited),
-        cmocka_unit_test(a_store_of_no_size_has_no_maps),    cmocka_unit_test(holes_are_filled),
+        cmocka_unit_test(bare_ground_has_no_houses_and_no_cliffs),
+        cmocka_unit_test(pixels_lie_where_the_map_has_them),
+        cmocka_unit_test(neighbours_fit),
+        cmocka_unit_test(low_zooms_show_the_city),
+        cmocka_unit_test(sizes_are_limited),
+        cmocka_unit_test(a_store_of_no_size_has_no_maps),
+        cmocka_unit_test(holes_are_filled),
     };
     const struct CMUnitTest half[] = {cmocka_unit_test(the_footprint_is_the_border)};
     const struct CMUnitTest alone[] = {cmocka_unit_test(nonsense_is_no_footprint)};

@@ -82,6 +82,11 @@ static void heads_are_what_engines_look_for(void **state)
     assert_string_equal(json_string_value(json_object_get(json_array_get(credits, 0), "html")),
                         "© Survey <2026> & \"Co\"");
     assert_true(json_is_true(json_object_get(json_array_get(credits, 0), "showOnScreen")));
+    assert_string_equal(json_string_value(json_object_get(asset, "copyright")),
+                        "© Survey <2026> & \"Co\"");
+    assert_string_equal(
+        json_string_value(json_object_get(json_object_get(asset, "extras"), "verticalDatum")),
+        "WGS 84 ellipsoid");
     assert_names(json_object_get(j, "extensionsUsed"), "3DTILES_content_gltf", NULL);
     assert_null(json_object_get(j, "extensionsRequired")); /* never in 1.1 */
     json_t *block = json_object_get(json_object_get(j, "extensions"), "3DTILES_content_gltf");
@@ -336,7 +341,9 @@ static void transforms_errors_and_boxes(void **state)
     struct store_fixture *f = *state;
     build(f, &(struct geo_origin){-122.4, 37.8, 30}, 4000, "");
     json_t *j = tileset_of(f);
-    assert_null(json_object_get(json_object_get(j, "asset"), "extras"));
+    const json_t *asset = json_object_get(j, "asset");
+    assert_null(json_object_get(asset, "copyright"));
+    assert_null(json_object_get(json_object_get(asset, "extras"), "cesium"));
     json_decref(j);
     walk_all(f);
 }

@@ -281,6 +281,10 @@ static void tables_of_other_programs_are_read(void **state)
         {"# one\n// two\n\n\"Image\";\"Lon\";\"Lat\";\"Height\"\n\"A, 1.jpg\";7.5;47.5;300\n"
          "B.jpg;nan;nan;nan\n",
          4326, 7.5, 47.5, 300, 1},
+        {"Image;Lon;Lat;Height\nA.jpg;7,5;47,5;300,00\n", 4326, 7.5, 47.5, 300, 0},
+        {"Image\tLat\tLon\tHeight\nA 1,2.jpg\t47,5\t7,5\t3e2\n", 4326, 7.5, 47.5, 300, 0},
+        {"\"Image\";\"Lon\";\"Lat\";\"H\"\n\"A.jpg\";\"7,5\";\"+47,50\";\"300\"\n", 4326, 7.5, 47.5,
+         300, 0},
         {"\"image\",\"lon\",\"lat\",\"z\"\n\"A, 1.jpg\",\"7.5\",\"47.5\",\"300\"\n", 4326, 7.5,
          47.5, 300, 0},
     };
@@ -373,7 +377,7 @@ static void nonsense_is_refused(void **state)
         {"a.csv", "image,lon,lat\n", "no column for z"},
         {"b.csv", "image,lon,lat,z\na.jpg,7,48\n", "line 2: field 4"},
         {"c.csv", "image,lon,lat,z\na.jpg,7,5,47,5,300\n", "decimal commas"},
-        {"d.csv", "image;lon;lat;z\na.jpg;7,5;47.5;300\n", "decimal point"},
+        {"d.csv", "image;lon;lat;z\na.jpg;7,5,1;47.5;300\n", "decimal point"},
         {"e.csv", "image,lon,lat,z\n", "no positions"},
         {"f.pos", "% x-ecef(m)\n2024/06/01 10:00:00 1 2 3 1 1 1 1 1\n", "out-solformat llh"},
         {"g.pos", "2024/06/01 10:00:00 47.5\n", "expected is time"},
@@ -406,29 +410,6 @@ static void nonsense_is_refused(void **state)
 
 /* ---- what heights count from ---- */
 
-/* 45 m everywhere but for a slope along longitude. */
-static void write_gtx(char path[FILE_PATH_MAX])
-{
-    struct err e = {0};
-    uint8_t bytes[40 + 4 * 3 * 4];
-    const double head[4] = {46, 6, 1, 1};
-    const uint32_t size[2] = {3, 4};
-    size_t at = 0;
-    for (size_t k = 0; k < 4; k++)
-        for (size_t i = 8; i-- > 0;)
-            bytes[at++] = ((const uint8_t *)&head[k])[i];
-    for (size_t k = 0; k < 2; k++)
-        for (size_t i = 4; i-- > 0;)
-            bytes[at++] = ((const uint8_t *)&size[k])[i];
-    for (size_t k = 0; k < 12; k++) {
-        float v = 45 + (float)(k % 4);
-        for (size_t i = 4; i-- > 0;)
-            bytes[at++] = ((const uint8_t *)&v)[i];
-    }
-    kit_ok(file_join(path, tmp, "country.gtx", &e), e);
-    kit_ok(file_write(path, bytes, sizeof bytes, &e), e);
-}
-
 static void a_geoid_makes_heights_ellipsoidal(void **state)
 {
     struct err e = {0};
@@ -437,7 +418,8 @@ static void a_geoid_makes_heights_ellipsoidal(void **state)
     char path[FILE_PATH_MAX], heights[HEIGHTS_MAX];
     double rms[2];
     (void)state;
-    write_gtx(path);
+    kit_ok(file_join(path, tmp, "country.gtx", &e), e);
+    kit_gtx(path, 46, 6);
     kit_ok(geoid_open(path, NULL, &g, &e), e);
     assert_true(fabs(geoid_above(g, 7.5, 47.25) - 46.5) < 1e-6);
     assert_true(fabs(geoid_above(g, 9.0, 48.0) - 48) < 1e-6 && isnan(geoid_above(g, 9.5, 47)));

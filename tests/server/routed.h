@@ -39,6 +39,10 @@ static inline int setup(void **state)
     kit_ok(file_mkdir(path, &e), e);
     kit_ok(file_join(path, t.web, "index.html", &e), e);
     kit_ok(file_write(path, "<!doctype html><title>viewer</title>", 36, &e), e);
+    kit_ok(file_join(path, t.web, "use.html", &e), e);
+    kit_ok(file_write(path, "<p>{ds} of {host}: {tile}.spz, {nothing}", 40, &e), e);
+    kit_ok(file_join(path, t.web, "viewer.js", &e), e);
+    kit_ok(file_write(path, "export {}", 9, &e), e);
     kit_ok(file_join(path, t.web, "assets/logo-big.svg", &e), e);
     kit_ok(file_write(path, "<svg/>", 6, &e), e);
     kit_ok(file_join(path, t.web, "assets/index-D3adBeef.js", &e), e);

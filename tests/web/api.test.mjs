@@ -4,7 +4,8 @@
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
 import { spawnSync } from "node:child_process";
-import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
+import { mkdtempSync, readFileSync, rmSync, symlinkSync, writeFileSync } from "node:fs";
+import { createRequire } from "node:module";
 import { tmpdir } from "node:os";
 import { dirname, join } from "node:path";
 import { after, before, test } from "node:test";
@@ -138,7 +139,7 @@ async function valuesOf(url, ds) {
     const at = [((lon + 180) / 360) * 2 ** zoom, ((1 - Math.asinh(Math.tan(turn)) / Math.PI) / 2) * 2 ** zoom];
     const place = { lon: lon.toFixed(6), lat: lat.toFixed(6) };
     return {
-        path: { ds, rev, z, x, y, ext: "glb", row: "0", name: "evening", stream: "0123456789abcdef0123", seal: "k.1.b.lit.x", rest: "/d/lit" },
+        path: { ds, rev, z, x, y, ext: "glb", row: "0", name: "evening", stream: "0123456789abcdef0123", seal: "k.1.b.lit.x", rest: "/d/lit", digest: "0123456789ab", fmt: "spz" },
         map: { z: String(zoom), x: String(Math.floor(at[0])), y: String(Math.floor(at[1])), fmt: "webp" },
         view: { ...place, height: (h + 60).toFixed(1), heading: "0", pitch: "-60", fov: "50", roll: "0", w: "64", h: "48", s: "1", fmt: "png" },
         place,
@@ -201,4 +202,39 @@ test("every route answers every method with a status and a type that is said", {
     }
     t.diagnostic(JSON.stringify(counts));
     for (const status of [200, 201, 202, 204, 206, 304, 307, 416]) assert.ok(counts[status], `${status} was never answered`);
+});
+
+// ---- a generated client ----
+
+test("a generated client compiles under --strict, calls every operation, and is answered as its types say", { skip: MOCK }, async (t) => {
+    const made = await import("openapi-typescript").catch(() => null);
+    if (!made) return t.skip("openapi-typescript is not among the packages of tests/web: run `npm ci` there");
+    const { default: describe, astToString } = made;
+    const dir = mkdtempSync(join(tmpdir(), "citysplat-client-"));
+    t.after(() => rmSync(dir, { recursive: true, force: true }));
+    const HERE = dirname(fileURLToPath(import.meta.url));
+    const text = readFileSync(join(HERE, "api_client.ts"), "utf8");
+    writeFileSync(join(dir, "api.ts"), astToString(await describe(structuredClone(api))));
+    writeFileSync(join(dir, "client.ts"), text);
+    symlinkSync(join(HERE, "node_modules"), join(dir, "node_modules"));
+    const tsc = spawnSync(process.execPath, [
+        join(HERE, "node_modules/typescript/bin/tsc"), "--strict", "--noEmit", "--skipLibCheck", "--target", "es2022",
+        "--lib", "es2023,dom,dom.iterable", "--moduleResolution", "bundler", "--module", "esnext", "client.ts",
+    ], { cwd: dir, encoding: "utf8" });
+    assert.equal(tsc.status, 0, tsc.stdout);
+    const called = new Set([...text.matchAll(/note\("(\w+ [^"]+)"/g)].map((m) => m[1]));
+    const described = Object.entries(api.paths).flatMap(([path, of]) => Object.keys(of).map((verb) => `${verb.toUpperCase()} ${path}`));
+    assert.deepEqual([...called].sort(), described.sort());
+    const { buildSync } = createRequire(join(HERE, "../../web/package.json"))("esbuild");
+    buildSync({ entryPoints: [join(dir, "client.ts")], bundle: true, format: "esm", platform: "node", logLevel: "error", outfile: join(dir, "client.mjs") });
+    const { callAll } = await import(join(dir, "client.mjs"));
+    const lit = await openLitCity({ serveWith: ["--admin", "127.0.0.1:0", "--state-dir", "DIR/state"] });
+    t.after(() => lit.close());
+    await awaitDevice(lit.url);
+    const operators = `http://127.0.0.1:${/operators: port (\d+)/.exec(lit.said())[1]}`;
+    const statuses = await callAll(lit.url, operators, "lit");
+    // No sessions and seals without --auth; a small tileset has no parts.
+    const without = /session|\/signed\/|tileset\/\{z\}/;
+    for (const [what, status] of Object.entries(statuses)) assert.ok(status < 400 || without.test(what), `${what}: ${status}`);
+    t.diagnostic(`${described.length} operations`);
 });

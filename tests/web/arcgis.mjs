@@ -39,7 +39,7 @@ const dir = mkdtempSync(join(tmpdir(), "citysplat-arcgis-"));
 const other = await serveFiles((path) => join(path.startsWith("/assets/") ? resolve(modules, "@arcgis/core") : dir, normalize(path)));
 const { lon, lat, h, heading, pitch, fov } = SOUTH;
 const tan = Math.tan((fov * Math.PI) / 360) * Math.hypot(1, SIZE.width / SIZE.height);
-const words = { host: source.url, ds, lon, lat, h: h - Number(values.lower), heading, pitch };
+const words = { host: source.url, ds, eye_lon: lon, eye_lat: lat, eye_h: h - Number(values.lower), heading, pitch };
 const [recipe] = snippets("clients.md", "## ArcGIS", "js");
 const script = `${recipe.replace(/\{(\w+)\}/g, (word, name) => words[name] ?? word)}
 view.ui.components = [];

@@ -44,7 +44,7 @@ const ends: (() => void)[] = [
     viewer.on("move", (to: Pose) => to.heading.toFixed()),
     viewer.on("click", ({ x, y, place }) => [x.toFixed(), y.toFixed(), place?.lon.toFixed()]),
     viewer.on("link", (link) => link === "away"),
-    viewer.on("problem", (error: Error) => error.message),
+    viewer.on("problem", (problem: Problem) => [problem.kind === "no3d", problem.title, problem.requestId?.length]),
     viewer.on("mode", (mode: Mode) => mode === "pictures"),
     viewer.on("appearance", (name) => name.length),
     viewer.on("preview", (name) => name.length),
@@ -89,7 +89,8 @@ export async function use(): Promise<string> {
 export function onMap(container: HTMLElement): MapLayer {
     const map = new MapView({ container, style: { version: 8, sources: {}, layers: [] } });
     const layer = createMapLayer({ url: "https://city.example/", lower: "ground", id: "town" });
-    layer.on("scene", () => layer.bounds && map.fitBounds(layer.bounds));
+    layer.on("scene", ({ title, bounds }) => void [title.length, map.fitBounds(bounds, { pitch: 55 })]);
+    layer.on("problem", ({ kind, requestId }) => void (kind === "http" && requestId?.length));
     layer.on("ready", (state) => state.tiles.toFixed());
     map.addLayer(layer);
     map.on("click", ({ point }) => layer.pick(point)?.h.toFixed());
@@ -99,7 +100,13 @@ export function onMap(container: HTMLElement): MapLayer {
 export function asElement(): string {
     const city = document.querySelector("city-splat")!;
     city.view = "13.4,52.5,200,0,-40";
-    city.viewer?.on("problem", (problem) => (problem as Problem).kind === "no3d");
+    city.viewer?.on("problem", (problem) => problem.kind === "no3d");
+    city.addEventListener("ready", ({ detail }) => detail.gaussians.toFixed());
+    city.addEventListener("problem", ({ detail }) => void (detail.kind === "http" && detail.requestId?.length));
+    city.addEventListener("click", (event) => event.detail.place?.lon.toFixed());
+    city.addEventListener("pointerdown", (event) => event.preventDefault());
+    // @ts-expect-error: a viewer's state has no such member
+    city.addEventListener("ready", ({ detail }) => detail.nothing);
     city.tour = "tour.json";
     void city.player?.step(1);
     return [city.src, city.scene, city.appearance, city.viewer?.mode].join();

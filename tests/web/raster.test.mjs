@@ -72,7 +72,7 @@ async function screenshot(name) {
     return decodePng(await opened.page.screenshot(path ? { path } : {}));
 }
 
-const [STYLE, SOURCES] = snippets("clients.md", "## MapLibre", "html");
+const [, STYLE, SOURCES] = snippets("clients.md", "## MapLibre", "html");
 
 // The page of a recipe, whose map is window.shown.
 async function showMap(recipe) {
@@ -184,7 +184,20 @@ test("MapLibre opens the city by one address: in its frame, with its credit, upr
     assert.deepEqual(opened.log, []);
 });
 
+test("MapLibre's ground is bare in the style of the server", skip, async (t) => {
+    await lookAt("maplibre-ground", { center: MIDDLE, zoom: 17, pitch: 60, bearing: 20 });
+    const [red, blue, ground] = await opened.page.evaluate((places) => places.map((at) => window.shown.queryTerrainElevation(at)), [RED_TOP, BLUE_TOP, [25, -25, 0]].map(lonLat));
+    t.diagnostic(`under the towers ${(red - ground).toFixed(1)} and ${(blue - ground).toFixed(1)} m above the ground beside`);
+    for (const [name, height] of Object.entries({ red, blue })) assert.ok(Math.abs(height - ground) < 3, `${name} tower ${height}, ground ${ground}`);
+    assert.deepEqual(opened.log, []);
+});
+
 test("MapLibre raises the map by the terrain: towers are as high as they are", skip, async (t) => {
+    const { tiles, minzoom, maxzoom } = await getJson(await documentUrl("terrain.json")); // without bounds, as the style's
+    await opened.page.evaluate((source) => {
+        window.shown.addSource("dem", { type: "raster-dem", tileSize: 256, ...source });
+        window.shown.setTerrain({ source: "dem" });
+    }, { tiles, minzoom, maxzoom });
     await opened.page.evaluate(() => window.shown.setPaintProperty("background", "background-color", "#fff"));
     const picture = await lookAt("maplibre-terrain", { center: MIDDLE, zoom: 17, pitch: 60, bearing: 20 });
     const heights = await opened.page.evaluate(

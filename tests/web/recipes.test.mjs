@@ -17,7 +17,7 @@ import { BLUE_TOP, makeCity, ORIGIN } from "./lib/city.mjs";
 import { applyMatrix, ecefFrom, enuToEcef, placeFrom, placeOfEnu, project } from "./lib/geo.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { blocks, snippets } from "./lib/snippets.mjs";
-import { BIN, firstDataSet, getBytes, getJson, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
+import { ATTRIBUTION, BIN, firstDataSet, getBytes, getJson, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
 import { ssim } from "./lib/ssim.mjs";
 import { listContents } from "./lib/tileset.mjs";
 
@@ -30,7 +30,7 @@ const TIMEOUT_MS = 120000;
 const LEAST = { city: 0.95, map: 0.98 }; // SSIM of what is not background, to the server's picture
 const SHARE_LEAST = 0.05; // of the picture: something is in sight
 const skip = { skip: MOCK || GIVEN_TILES ? "needs the test city" : false };
-const NPM = ["node_modules", "../../web/node_modules"].map((name) => join(HERE, name));
+const NPM = ["../../web/node_modules", "node_modules"].map((name) => join(HERE, name));
 const TYPES = { ".html": "text/html", ".js": "text/javascript", ".mjs": "text/javascript", ".css": "text/css", ".json": "application/json" };
 const NORTH_M = 70; // so far from the origin the city lies in one tile
 const CAMERA = { from: [60, 90, 160 - NORTH_M], to: [0, 5, -NORTH_M] }; // metres east, up, south
@@ -58,11 +58,11 @@ before(async () => {
     const { url, transform } = contents.at(-1);
     tile = { url: url.replace(/(\.lowpass)?\.glb$/, ""), transform };
     const files = `http://127.0.0.1:${pages.address().port}`;
-    words = { host: source.url, ds, tile: tile.url, npm: `${files}/npm`, files };
+    words = { host: source.url, ds, tile: tile.url, viewer: `${source.url}/viewer.js`, npm: `${files}/npm`, files };
     // Commands: the program, its store and npm's programs are at hand.
     mkdirSync(join(dir, "bin"));
     symlinkSync(resolve(BIN), join(dir, "bin/citysplat"));
-    symlinkSync(NPM[0], join(dir, "node_modules"));
+    symlinkSync(NPM[1], join(dir, "node_modules"));
     symlinkSync(join(source.dir, "city.tiles"), join(dir, "city.tiles"));
 });
 after(async () => {
@@ -160,8 +160,8 @@ async function servedMap([x, y], zoom, type, { width, height } = SIZE) {
 }
 
 // The picture that a page comes to rest at, and the bytes that it had of the city. What it says is an error.
-// prepare: in the page, once it has a picture.
-async function show(name, recipe, { hide = "", prepare = null } = {}) {
+// prepare: in the page, once it has a picture. watch: for each answer.
+async function show(name, recipe, { hide = "", prepare = null, watch = null } = {}) {
     const [frame] = printed("The page of a recipe", "html");
     writeFileSync(join(dir, `${name}.html`), fill(frame, { recipe }).replace("<meta", '<link rel="icon" href="data:,"><meta'));
     const { page, log, close } = await openPage("about:blank", SIZE);
@@ -172,6 +172,7 @@ async function show(name, recipe, { hide = "", prepare = null } = {}) {
         page.on("requestfinished", (request) => {
             if (data(request.url())) sizes.push(request.sizes());
         });
+        if (watch) page.on("response", watch);
         await page.goto(`${words.files}/${name}.html`);
         if (prepare) await prepare(page);
         if (hide) await page.addStyleTag({ content: `${hide} { display: none !important }` });
@@ -204,24 +205,55 @@ function score(t, name, form, { picture, bytes }, want, least) {
 
 const numbers = (list) => list.join(", ");
 const CAMERA_WORDS = { from: numbers(CAMERA.from), to: numbers(CAMERA.to) };
+const eyeWords = ({ lon, lat, h, heading, pitch }) => ({ eye_lon: lon, eye_lat: lat, eye_h: h, heading, pitch });
 
+// The attribution is on the picture, and a click is answered by the server with what the pixel shows.
 test("CesiumJS", skip, async (t) => {
-    const [recipe] = printed("CesiumJS", "html");
+    const [[recipe], [pick]] = [printed("CesiumJS", "html"), printed("CesiumJS", "js")];
     const pose = poseIn(enuToEcef(ORIGIN), CAMERA);
     const fov = degrees(2 * Math.atan((Math.tan(Math.PI / 6) * SIZE.height) / SIZE.width)); // Cesium's own: 60 across
-    const shown = await show("cesium", fill(recipe, pose), { hide: ".cesium-widget-credits" });
+    const both = fill(recipe, eyeWords(pose)).replace(/<\/script>\s*$/, `${fill(pick)}window.shown = viewer;</script>`);
+    let [credit, told, asked] = ["", "", null];
+    const prepare = async (page) => {
+        await page.waitForFunction((words) => document.querySelector(".cesium-credit-textContainer")?.textContent.includes(words), ATTRIBUTION, { timeout: TIMEOUT_MS, polling: 500 });
+        credit = await page.textContent(".cesium-credit-textContainer");
+        await page.waitForFunction(() => {
+            window.shown.scene.requestRender();
+            return window.shown.scene.primitives.get(0).tilesLoaded;
+        }, null, { timeout: TIMEOUT_MS, polling: 500 });
+        page.on("request", (request) => request.url().endsWith("/pick") && (asked = JSON.parse(request.postData())));
+        await page.mouse.click(SIZE.width / 2, SIZE.height / 2);
+        await page.waitForFunction(() => / m$|sky/.test(document.title), null, { timeout: TIMEOUT_MS });
+        told = await page.title();
+    };
+    const shown = await show("cesium", both, { hide: ".cesium-widget-credits", prepare });
     score(t, "CesiumJS", "tileset", shown, await servedView(pose, fov), LEAST.city);
+    assert.ok(credit.includes(ATTRIBUTION), credit);
+    for (const key of ["lon", "lat", "heading", "pitch"]) assert.ok(Math.abs(asked.pose[key] - pose[key]) < 1e-5, key);
+    assert.ok(Math.abs(asked.pose.height - pose.h) < 1e-3 && Math.abs(asked.pose.fov - fov) < 1e-6);
+    const [lon, lat, height] = told.match(/-?[\d.]+/g).map(Number);
+    const target = placeOfEnu(ORIGIN, [CAMERA.to[0], -CAMERA.to[2], CAMERA.to[1]]);
+    assert.ok(Math.hypot((lon - target.lon) * 7e4, (lat - target.lat) * 1.1e5, height - target.h) < 30, `${told}: not what the camera looks at`);
+});
+
+// The city streams, by levels; the place that it looks at is one of the city.
+test("three.js, the tileset by Spark", skip, async (t) => {
+    const [recipe] = printed("three.js: Spark", "html");
+    const at = placeOfEnu(ORIGIN, [CAMERA.to[0], -CAMERA.to[2], CAMERA.to[1]]);
+    const stand = numbers(CAMERA.from.map((v, i) => v - CAMERA.to[i]));
+    const shown = await show("spark-tiles", fill(recipe, { lon: at.lon, lat: at.lat, height: at.h, stand }));
+    score(t, "three.js by 3d-tiles-renderer and Spark", "tileset", shown, await servedView(poseIn(enuToEcef(ORIGIN), CAMERA), FOV), LEAST.city);
 });
 
 // three.js r187 ends each Gaussian at 2 sigma, where it still has 13 % of its opacity.
 const FILES = [
-    ["three.js", "three.js", ".plain.glb", 0.93],
-    ["Spark", "Spark", ".spz", LEAST.city],
+    ["three.js", "three.js by itself", ".plain.glb", 0.93],
+    ["Spark", "three.js: Spark", ".spz", LEAST.city],
     ["PlayCanvas", "PlayCanvas and SuperSplat", ".sog", LEAST.city],
 ];
 for (const [name, heading, form, least] of FILES)
     test(name, skip, async (t) => {
-        const [recipe] = printed(heading, "html");
+        const recipe = printed(heading, "html").at(-1);
         const shown = await show(name, fill(recipe, CAMERA_WORDS));
         score(t, name, form, shown, await servedView(poseIn(tile.transform, CAMERA), FOV), least);
     });
@@ -268,8 +300,27 @@ test("PlayCanvas' streamed SOG, and splat-transform", skip, async (t) => {
 const CITY = placeOfEnu(ORIGIN, [0, NORTH_M, 0]);
 const MIDDLE = pixelOf(CITY, ZOOM);
 
+// As MapLibre sees it from a place: its heights count from the map's ground.
+const lookFrom = (pose) => async (page) => {
+    await page.waitForFunction(() => window.city?.state.ready, null, { timeout: TIMEOUT_MS });
+    await page.evaluate((p) => {
+        const { map, city } = window;
+        map.setMaxPitch(80); // or it stops at 60
+        map.setVerticalFieldOfView(p.fov);
+        map.jumpTo(map.calculateCameraOptionsFromCameraLngLatAltRotation([p.lon, p.lat], p.h - city.lower, p.heading, 90 + p.pitch));
+    }, pose);
+};
+
+test("MapLibre, the city in 3-D", skip, async (t) => {
+    const [recipe] = printed("MapLibre", "html");
+    const pose = { ...poseIn(enuToEcef(ORIGIN), CAMERA), fov: FOV };
+    const shown = fill(recipe, placeAt(MIDDLE, ZOOM)).replace(/const (map|city) =/g, "const $1 = window.$1 =");
+    const picture = await show("maplibre-3d", shown, { hide: ".maplibregl-control-container", prepare: lookFrom(pose) });
+    score(t, "MapLibre, in 3-D", "our module", picture, await servedView(pose, FOV), LEAST.city);
+});
+
 test("MapLibre, with a style of one's own", skip, async (t) => {
-    const recipe = printed("MapLibre", "html")[1];
+    const recipe = printed("MapLibre", "html")[2];
     const shown = await show("maplibre", fill(recipe, placeAt(MIDDLE, ZOOM)), { hide: ".maplibregl-control-container" });
     score(t, "MapLibre", "`map.json`", shown, await servedMap(MIDDLE, ZOOM, "webp"), LEAST.map);
 });
@@ -277,7 +328,7 @@ test("MapLibre, with a style of one's own", skip, async (t) => {
 // A style has a view, a relief and a background of its own: flat, from straight above, before black, it is the server's map. What
 // the relief raises where: the test raster.
 test("MapLibre, by one address", skip, async (t) => {
-    const recipe = printed("MapLibre", "html")[0].replace("new maplibregl.Map(", "window.shown = new maplibregl.Map(");
+    const recipe = printed("MapLibre", "html")[1].replace("new maplibregl.Map(", "window.shown = new maplibregl.Map(");
     const flatten = async (page) => {
         await page.waitForFunction(() => window.shown?.isStyleLoaded());
         await page.evaluate((view) => {
@@ -296,7 +347,7 @@ test("MapLibre, by one address", skip, async (t) => {
 
 test("MapLibre, raised by its terrain", skip, async () => {
     const [terrain] = printed("MapLibre", "js");
-    const recipe = printed("MapLibre", "html")[1].replace("</script>", `${terrain}</script>`);
+    const recipe = printed("MapLibre", "html")[2].replace("</script>", `${terrain}</script>`);
     await show("maplibre-terrain", fill(recipe, placeAt(MIDDLE, ZOOM))); // what lies where: the test raster
 });
 
@@ -311,14 +362,9 @@ test("deck.gl", skip, async (t) => {
     build(fill(shown, placeOfEnu(ORIGIN, [...column, 0])));
     const pose = { ...poseIn(enuToEcef(ORIGIN), CAMERA), fov: FOV };
     const look = (without) => async (page) => {
-        await page.waitForFunction(() => window.overlay && window.city.state.ready);
-        await page.evaluate(([p, without]) => {
-            const { map, city, overlay } = window;
-            map.setMaxPitch(80); // or it stops at 60
-            map.setVerticalFieldOfView(p.fov);
-            map.jumpTo(map.calculateCameraOptionsFromCameraLngLatAltRotation([p.lon, p.lat], p.h - city.lower, p.heading, 90 + p.pitch));
-            if (without) overlay.setProps({ layers: [] });
-        }, [pose, without]);
+        await page.waitForFunction(() => window.overlay);
+        await lookFrom(pose)(page);
+        if (without) await page.evaluate(() => window.overlay.setProps({ layers: [] }));
     };
     const hide = ".maplibregl-control-container";
     const both = await show("deck", fill(recipe), { hide, prepare: look(false) });
@@ -339,14 +385,17 @@ test("PMTiles in MapLibre", skip, async (t) => {
 });
 
 const MAPS = [
-    ["Leaflet", "`map.json`", "webp", ".leaflet-control-container"],
-    ["OpenLayers", "`map.json`", "webp", ".ol-control"],
-    ["OpenLayers", "`wmts.xml`", "png", ".ol-control"],
+    ["Leaflet", 0, "`map.json`", "webp", ".leaflet-control-container"],
+    ["OpenLayers", 0, "`map.json`", "webp", ".ol-control"],
+    ["OpenLayers", 1, "`wmts.xml`", "png", ".ol-control"],
 ];
-for (const [i, [name, form, type, hide]] of MAPS.entries())
+for (const [name, i, form, type, hide] of MAPS)
     test(`${name} by ${form}`, skip, async (t) => {
-        const recipe = printed("Leaflet and OpenLayers", "html")[i];
-        const shown = await show(`map-${i}`, fill(recipe, placeAt(MIDDLE, ZOOM)), { hide });
+        const recipe = printed(name, "html")[i];
+        const types = new Set();
+        const watch = (response) => /\/map\/\d/.test(response.url()) && response.status() === 200 && types.add(response.headers()["content-type"]);
+        const shown = await show(`map-${name}-${i}`, fill(recipe, placeAt(MIDDLE, ZOOM)), { hide, watch });
+        assert.deepEqual([...types], [`image/${type}`], "one form of tiles");
         score(t, name, form, shown, await servedMap(MIDDLE, ZOOM, type), LEAST.map);
     });
 
@@ -363,6 +412,58 @@ test("GDAL", skip, async (t) => {
         runCommands(`gdal_translate -q -of PNG -b 1 -b 2 -b 3 ${file}.tif ${file}.png`);
         score(t, "GDAL", form, { picture: decodePng(readFileSync(join(dir, `${file}.png`))) }, want, LEAST.map);
     }
+});
+
+test("curl", skip, () => {
+    const [commands] = printed("curl", "sh");
+    const pose = poseIn(enuToEcef(ORIGIN), CAMERA);
+    const words = Object.fromEntries(Object.entries(eyeWords(pose)).map(([name, value]) => [name, value.toFixed(6)]));
+    runCommands(commands, { ...words, lon: CITY.lon.toFixed(6), lat: CITY.lat.toFixed(6) });
+    runCommands(`citysplat export -q city.tiles -o exported.sog`);
+    assert.ok(readFileSync(join(dir, "city.sog")).equals(readFileSync(join(dir, "exported.sog"))), "not what export writes");
+    assert.ok(statSync(join(dir, "view.jpg")).size > 1000);
+});
+
+// ---- the page of a server ----
+
+test("a server fills all of it for a dataset", skip, async (t) => {
+    const url = `${source.url}/d/${words.ds}/use`;
+    const response = await fetch(url);
+    assert.equal(response.status, 200);
+    const { page, log, close } = await openPage(url, { width: 1024, height: 640 });
+    t.after(close);
+    const codes = await page.locator("pre").allTextContents();
+    const left = codes.flatMap((code) => [...code.matchAll(/\{(\w+)\}/g)].map((m) => m[1]));
+    assert.deepEqual([...new Set(left)].filter((word) => !["files", "x", "y", "z"].includes(word)), []);
+    // What is printed in the text is on the page, with this city's words.
+    const headings = await page.locator("h2").allTextContents();
+    for (const name of ["MapLibre", "CesiumJS", "three.js: Spark", "deck.gl", "OpenLayers", "Leaflet", "GDAL and QGIS", "curl"]) assert.ok(headings.includes(name), name);
+    assert.ok(codes.some((code) => code.includes(`fromUrl("${source.url}/d/${words.ds}/tileset.json"`)));
+    // The module's address is one for ever.
+    const [, viewer] = /src="(http[^"]*viewer-\w+\.js)"/.exec(codes[0]);
+    const module = await fetch(viewer);
+    assert.equal(module.status, 200);
+    assert.match(module.headers.get("cache-control"), /immutable/);
+    const old = await fetch(viewer.replace(/-\w+\.js/, "-000000000000.js"), { redirect: "manual" });
+    assert.equal(old.status, 307);
+    assert.equal(old.headers.get("location"), "viewer.js");
+    const plain = await fetch(`${source.url}/viewer.js`);
+    assert.match(plain.headers.get("link"), new RegExp(viewer.split("/").at(-1)));
+    // Its tile is there, its size is near, and its camera sees the city.
+    const [tileUrl] = codes.flatMap((code) => code.match(/http[^"]*\/t\/\d+\/\d+\/\d+\.spz/) ?? []);
+    assert.ok((await getBytes(tileUrl)).length > 100);
+    const [view] = codes.flatMap((code) => code.match(/http[^' ]*\/static\/[^' ]*\.jpg/) ?? []);
+    const picture = await decode(await getBytes(view), "jpeg");
+    assert.ok(picture.mean(picture.width / 2, picture.height / 2, 40).some((v) => v > 8), view);
+    // The page of three.js as it stands there shows the city.
+    const streams = codes.find((code) => code.includes("3d-tiles-renderer/plugins")).replace(/https:\/\/cdn\.jsdelivr\.net\/npm\/((?:@[\w-]+\/)?[\w.-]+)@[\w.-]+/g, `${words.npm}/$1`);
+    writeFileSync(join(dir, "use.html"), streams.replace("<meta", '<link rel="icon" href="data:,"><meta'));
+    const opened = await openPage(`${words.files}/use.html`, SIZE);
+    t.after(opened.close);
+    const lit = async () => decodePng(await opened.page.screenshot({ timeout: TIMEOUT_MS })).mean(SIZE.width / 2, SIZE.height / 2, 20).some((v) => v > 8);
+    for (let i = 0; i < 60 && !(await lit()); i++) await opened.page.waitForTimeout(500);
+    assert.ok(await lit(), "nothing is in sight");
+    assert.deepEqual(log, []);
 });
 
 test("3d-tiles-tools", skip, () => {

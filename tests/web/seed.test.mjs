@@ -50,13 +50,13 @@ async function openCache(answer = () => false) {
     return { url, seen, close: () => server.close() };
 }
 
-test("every tile of a dataset, in the list's order", skip, async () => {
+test("what all clients ask for of a dataset, in the list's order", skip, async () => {
     const { url, seen, close } = await openCache();
     const run = await seed(url, "--connections", "1", "--rate", "1000");
-    const want = (await listOf("")).map((line) => `/d/${name}/${line.url}`);
+    const want = (await listOf("?for=all")).map((line) => `/d/${name}/${line.url}`);
     assert.equal(run.status, 0, run.err);
     assert.match(run.out, new RegExp(`^${want.length} tiles, [\\d.]+ MB in [\\d.]+ s, 0 failed, ${want.length} were`));
-    assert.deepEqual(seen.map((one) => one.url), [`/d/${name}/seed.ndjson`, ...want]);
+    assert.deepEqual(seen.map((one) => one.url), [`/d/${name}/seed.ndjson?for=all`, ...want]);
     assert.ok(seen.every((one) => one.purpose === "prefetch"));
     close();
 });
@@ -108,6 +108,17 @@ test("one signed address opens all that its documents name", { skip: MOCK || GIV
     const unsigned = city.url.replace(/\/signed\/.*/, "");
     assert.equal((await fetch(`${unsigned}/d/fcity/tileset.json`)).status, 401);
     assert.doesNotMatch(city.said(), new RegExp(city.url.split(".").at(-1))); // of the log
+});
+
+test("the tiles of one client by the dataset's address", skip, async () => {
+    const { url, seen, close } = await openCache();
+    const run = await seed(`${url}?for=viewer`, "--connections", "1", "--rate", "1000");
+    const want = (await listOf("?for=viewer")).map((line) => `/d/${name}/${line.url}`);
+    assert.equal(run.status, 0, run.err);
+    assert.deepEqual(seen.slice(1).map((one) => one.url), want);
+    assert.ok(want.length && want.every((path) => path.includes(".drc")));
+    assert.equal((await fetch(`${source.url}/d/${name}/seed.ndjson?for=nobody`)).status, 400);
+    close();
 });
 
 test("an area, zooms and a format by the list's address; no faster than told", skip, async () => {

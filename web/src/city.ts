@@ -33,6 +33,7 @@ import { CityTiles, type CardTurn, type CityTile } from "./tiles";
 import { Tint } from "./tint";
 import type { Broken } from "./types";
 
+// What of a city is drawn, and what is on its way.
 export interface CityStats {
   tiles: number; // drawn now
   gaussians: number; // drawn now

@@ -2,6 +2,7 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import { parseView } from "./address";
+import { ElementFrame, FRAME_STYLE } from "./frame";
 import { Problem, type ProblemKind } from "./problem";
 import { loadStory, Tour, type TourState } from "./tour";
 import { TOUR_STYLE, TourCard } from "./tourcard";
@@ -10,23 +11,27 @@ import { createViewer, type Viewer } from "./viewer";
 
 const EVENTS = ["ready", "scene", "problem", "move", "click", "appearance", "link"] as const;
 type EventName = (typeof EVENTS)[number];
+// Events of <city-splat> by name; `detail` is what the viewer tells.
 export type CitySplatEvents = { [Name in EventName]: CustomEvent<ViewerEvents[Name]> } & { tour: CustomEvent<TourState> };
 
 const ATTRIBUTES = ["src", "scene", "view", "appearance", "mode", "theme", "detail", "memory", "backdrop", "basemap", "basemap-credit", "tour"] as const;
-type Attribute = (typeof ATTRIBUTES)[number];
+// Attributes of <city-splat>.
+export type Attribute = (typeof ATTRIBUTES)[number];
 
-const STYLE = ":host{display:block;position:relative;aspect-ratio:16/9;overflow:hidden}:host([hidden]){display:none}div{position:absolute;inset:0}" + TOUR_STYLE;
+const STYLE = ":host{display:block;position:relative;aspect-ratio:16/9;overflow:hidden}:host([hidden]){display:none}div{position:absolute;inset:0}" + FRAME_STYLE + TOUR_STYLE;
 
 // A page that is made on a server imports this, too, and has no elements there.
 const Base = typeof HTMLElement === "function" ? HTMLElement : (class {} as unknown as typeof HTMLElement);
 
 export class CitySplatElement extends Base {
+  // Attributes that count when they change.
   static readonly observedAttributes: readonly string[] = ATTRIBUTES;
   private own: Viewer | null = null;
   private tours: Tour | null = null;
   private reading = 0; // the newest text of a tour counts
   private readonly box: HTMLDivElement;
   private readonly card = new TourCard();
+  private readonly frame = new ElementFrame();
 
   constructor() {
     super();
@@ -35,9 +40,9 @@ export class CitySplatElement extends Base {
     sheet.replaceSync(STYLE);
     root.adoptedStyleSheets = [sheet];
     this.box = document.createElement("div");
-    root.append(this.box, this.card.node);
+    root.append(this.box, ...this.frame.nodes, this.card.node);
     // The element has a click of its own, with the place.
-    for (const node of [this.box, this.card.node]) node.addEventListener("click", (event) => event.stopPropagation());
+    for (const node of [this.box, ...this.frame.nodes, this.card.node]) node.addEventListener("click", (event) => event.stopPropagation());
   }
 
   // All that the module can do; null while the element is in no document.
@@ -50,15 +55,18 @@ export class CitySplatElement extends Base {
     return this.tours;
   }
 
+  // For the browser to call.
   connectedCallback() {
     this.own ??= this.start();
   }
 
+  // For the browser to call.
   disconnectedCallback() {
     // Moved to another place of the document, it is there again at the end of this turn.
     queueMicrotask(() => this.isConnected || this.stop());
   }
 
+  // For the browser to call.
   attributeChangedCallback(name: Attribute, before: string | null, now: string | null) {
     if (this.own && before !== now) this.change(this.own, name, now ?? "");
   }
@@ -100,6 +108,7 @@ export class CitySplatElement extends Base {
       ...(Number(text("memory")) > 0 ? { memoryMb: Number(text("memory")) } : {}),
     };
     const viewer = createViewer(this.box, options);
+    this.frame.serve(viewer, this);
     for (const name of EVENTS) viewer.on(name, (value) => this.tell(name, value));
     if (text("tour")) void this.readTour(viewer);
     return viewer;
@@ -167,18 +176,21 @@ export class CitySplatElement extends Base {
 
   // ---- attributes as properties, which is what frameworks set ----
 
+  // A citysplat server's folder, or a tileset.json.
   get src(): string {
     return this.getAttribute("src") ?? "";
   }
   set src(value: string) {
     this.setAttribute("src", value);
   }
+  // The id of a scene; "": the first.
   get scene(): string {
     return this.getAttribute("scene") ?? "";
   }
   set scene(value: string) {
     this.setAttribute("scene", value);
   }
+  // longitude,latitude,height,heading,pitch, as a link of the viewer has them.
   get view(): string {
     return this.getAttribute("view") ?? "";
   }
@@ -192,12 +204,31 @@ export class CitySplatElement extends Base {
   set appearance(value: string) {
     this.setAttribute("appearance", value);
   }
+  // A tour of saved views: its text, or the address of its file.
   get tour(): string {
     return this.getAttribute("tour") ?? "";
   }
   set tour(value: string) {
     this.setAttribute("tour", value);
   }
+}
+
+// Its own events, with what comes with each.
+export interface CitySplatElement {
+  // As of every element; its own events are typed.
+  addEventListener<Name extends keyof CitySplatEvents>(
+    name: Name,
+    listener: (this: CitySplatElement, event: CitySplatEvents[Name]) => void,
+    options?: boolean | AddEventListenerOptions,
+  ): void;
+  addEventListener(name: string, listener: EventListenerOrEventListenerObject | null, options?: boolean | AddEventListenerOptions): void;
+  // As of every element; its own events are typed.
+  removeEventListener<Name extends keyof CitySplatEvents>(
+    name: Name,
+    listener: (this: CitySplatElement, event: CitySplatEvents[Name]) => void,
+    options?: boolean | EventListenerOptions,
+  ): void;
+  removeEventListener(name: string, listener: EventListenerOrEventListenerObject | null, options?: boolean | EventListenerOptions): void;
 }
 
 declare global {

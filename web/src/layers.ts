@@ -21,31 +21,46 @@ const SCALE_MAX = 1e4;
 
 // Where a model without coordinates of its own stands: the place of its origin, and its turn.
 export interface ModelPlace extends Place {
+  // Degrees, clockwise from north.
   heading: number;
+  // Of the model's own metres.
   scale: number;
 }
+// What add() takes.
 export interface LayerOptions {
+  // Address of the file.
   url?: string | URL;
   file?: File; // instead of the address
+  // For people; default: the file's.
   name?: string;
+  // Default true.
   visible?: boolean;
   drape?: boolean; // GeoJSON; default: what has no heights
   up?: number; // metres to raise it by: heights above the sea are not above the ellipsoid
   place?: ModelPlace; // of a model; default: what is in the middle of the picture
 }
+// What a layer is made of.
 export type LayerKind = "geojson" | "model" | "tiles";
+// Data of others in the city.
 export interface Layer {
+  // Made by add().
   readonly id: number;
+  // For people.
   readonly name: string;
   readonly url: string | null; // null: from a file
   readonly kind: LayerKind | null; // null: not known yet
+  // Whether it is there.
   readonly state: "loading" | "shown" | "failed";
   readonly why: string; // it failed
+  // It is drawn.
   readonly visible: boolean;
   readonly drape: boolean | null; // null: not GeoJSON
+  // Metres by which it is raised.
   readonly up: number;
   readonly place: ModelPlace | null; // null: has coordinates of its own
 }
+
+// What change() may change.
 export type LayerChange = Partial<Pick<Layer, "visible" | "up"> & { drape: boolean; place: ModelPlace }>;
 
 // Why a layer is not there, for the person at the screen.

@@ -13,13 +13,14 @@ import { Box3, Matrix4, PerspectiveCamera, Ray, Vector3, WebGLRenderer } from "t
 import { City, NO_STATS, type CityStats } from "./city";
 import { Events, type Handler } from "./events";
 import { Frame, type Place } from "./geo";
-import { isGone, Link, type LinkState } from "./link";
+import { problemOf, isGone, Link, type LinkState } from "./link";
 import type { Network } from "./network";
 import { pickMedian } from "./pick";
 import { Problem } from "./problem";
 import { findScenes, listAppearances, openScene, type Appearance, type SceneEntry, type SceneInfo } from "./source";
 import { Tint } from "./tint";
 
+// What createMapLayer() takes.
 export interface MapLayerOptions {
   id?: string; // of the layer; default: "citysplat"
   url?: string | URL; // a citysplat server's folder or a tileset.json; default: the page's folder
@@ -33,35 +34,65 @@ export interface MapLayerOptions {
   fadeMs?: number; // that levels take to fade into each other; 0: they change at once; default 280
 }
 
+// West, south, east, north in degrees, as MapLibre's fitBounds() takes them.
+export type Bounds = [number, number, number, number];
+
+// Events of a layer, and what comes with each.
 export interface MapLayerEvents {
-  scene: SceneEntry; // opened: its bounds are known
+  scene: SceneEntry & { bounds: Bounds }; // opened
   ready: MapLayerState; // all that this view wants is on the screen
   appearance: string; // the new one is asked for or computed, and comes with the next frames
+  // Whether the server answers.
   link: LinkState;
-  problem: Error;
+  // What went wrong: its kind, words, and the request that the server's log names.
+  problem: Problem;
 }
 
+// What a layer draws and waits for.
 export interface MapLayerState extends Omit<CityStats, "broken"> {
+  // All that this view wants is on the screen.
   ready: boolean;
+  // The id of the city; null until it is open.
   scene: string | null;
+  // The one that is asked for.
   appearance: string;
+  // Whether the server answers.
   link: LinkState;
+  // Tiles that are wanted and not to be had.
   broken: { name: string; why: string }[];
+  // Why no city is open; null: nothing is wrong.
   error: string | null;
 }
 
 // What the layer needs of a map, and of what a map says in each frame: MapLibre GL JS 5 and 6 do.
 export interface MapHost {
+  // The map's own.
   getCanvas(): HTMLCanvasElement;
+  // Asks for a frame.
   triggerRepaint(): void;
+  // The map's terrain, if it has one.
   getTerrain?(): unknown;
+  addControl?(control: MapControl, position: "bottom-right"): unknown;
+  removeControl?(control: MapControl): unknown;
 }
+// What a map shows at its rim, as MapLibre's IControl.
+export interface MapControl {
+  onAdd(): HTMLElement;
+  onRemove(): void;
+}
+// What MapLibre hands to a custom layer at each frame, as far as it is used.
 export interface MapFrame {
+  // Distance of the near plane, in the map's units.
   nearZ: number;
+  // Without the place of the camera.
   projectionMatrix: ArrayLike<number>;
+  // Of the whole map, flat or a globe.
   defaultProjectionData: {
+    // From the unit square or sphere to the screen.
     mainMatrix: ArrayLike<number>;
+    // Of the flat map, towards which a globe changes as one comes near.
     fallbackMatrix: ArrayLike<number>;
+    // Behind it lies the far side of the globe.
     clippingPlane: ArrayLike<number>;
     projectionTransition: number; // 0: flat, 1: a ball
   };
@@ -94,10 +125,15 @@ function ballFrom({ lon, lat }: Place, altitude: number): Matrix4 {
   return new Matrix4().makeBasis(east, up, south).scale(size).setPosition(at);
 }
 
+// A city as a custom layer of MapLibre: pass it to addLayer().
 export class MapLayer {
+  // Of the layer in the map's style.
   readonly id: string;
+  // As MapLibre asks of custom layers.
   readonly type = "custom" as const;
+  // It shares the depth of the map's other 3-D layers.
   readonly renderingMode = "3d" as const;
+  // The city that is open; null until it is.
   scene: SceneEntry | null = null;
   /** @internal */
   info: SceneInfo | null = null;
@@ -115,6 +151,20 @@ export class MapLayer {
   private error: Error | null = null;
   private wasReady = false;
   private refused = false; // this browser does not draw
+  private creditNode: HTMLElement | null = null;
+  // Whose the city is, beside whose the map is.
+  private readonly credit: MapControl = {
+    onAdd: () => {
+      this.creditNode = document.createElement("div");
+      this.creditNode.className = "maplibregl-ctrl maplibregl-ctrl-attrib citysplat-credit";
+      this.showCredit();
+      return this.creditNode;
+    },
+    onRemove: () => {
+      this.creditNode?.remove();
+      this.creditNode = null;
+    },
+  };
 
   constructor(private readonly options: MapLayerOptions = {}) {
     this.id = options.id ?? "citysplat";
@@ -124,10 +174,12 @@ export class MapLayer {
 
   // ---- events and state ----
 
+  // Calls the handler at each event of this name. Returns a function that ends it.
   on<K extends keyof MapLayerEvents>(name: K, handler: Handler<MapLayerEvents, K>): () => void {
     return this.events.on(name, handler);
   }
 
+  // What it draws and waits for now.
   get state(): MapLayerState {
     const { broken, ...stats } = this.city?.stats() ?? NO_STATS;
     const link = this.link?.state ?? "ok";
@@ -144,7 +196,7 @@ export class MapLayer {
   }
 
   // West, south, east, north of the scene in degrees, as fitBounds() takes it; null until it is open.
-  get bounds(): [number, number, number, number] | null {
+  get bounds(): Bounds | null {
     const { info, frame } = this;
     if (!info || !frame) return null;
     const { center, half } = info;
@@ -154,6 +206,7 @@ export class MapLayer {
     return [low.lon, low.lat, high.lon, high.lat];
   }
 
+  // Whose the city is; "" until it is open.
   get attribution(): string {
     return this.info?.attribution ?? "";
   }
@@ -172,6 +225,7 @@ export class MapLayer {
 
   // ---- scene and appearance ----
 
+  // The photographs whose light the city can have.
   appearances(): Promise<Appearance[]> {
     const { link, scene, info } = this;
     return link && scene ? listAppearances(link, scene, info?.network ?? null) : Promise.resolve([]);
@@ -229,7 +283,9 @@ export class MapLayer {
       if (!keep) this.core = null;
       this.frame = new Frame(info.transform);
       city.open(info, this.frame, keep, tint);
-      this.events.emit(keep ? "appearance" : "scene", (keep ? appearance : entry) as never);
+      this.showCredit();
+      if (keep) this.events.emit("appearance", appearance);
+      else this.events.emit("scene", { ...entry, bounds: this.bounds! });
       this.wake();
     } catch (error) {
       if (ticket !== this.opening || city !== this.city) return;
@@ -254,19 +310,30 @@ export class MapLayer {
 
   private fail(error: unknown) {
     if (error instanceof DOMException && error.name === "AbortError") return;
-    this.error = error instanceof Error ? error : new Error(String(error));
-    this.events.emit("problem", this.error);
+    const problem = problemOf(error);
+    this.error = problem;
+    this.events.emit("problem", problem);
+  }
+
+  private showCredit() {
+    if (!this.creditNode) return;
+    this.creditNode.textContent = this.attribution;
+    this.creditNode.hidden = !this.attribution;
   }
 
   // ---- as MapLibre calls it ----
 
+  // For MapLibre to call.
   onAdd(map: MapHost) {
     this.map = map;
+    map.addControl?.(this.credit, "bottom-right");
     this.wake();
   }
 
+  // For MapLibre to call.
   onRemove() {
     this.opening++;
+    this.map?.removeControl?.(this.credit);
     this.jobs = [];
     this.city?.dispose();
     this.link?.dispose();
@@ -274,6 +341,7 @@ export class MapLayer {
     [this.scene, this.info, this.core, this.wasReady] = [null, null, null, false];
   }
 
+  // For MapLibre to call.
   render(gl: WebGL2RenderingContext, view: MapFrame) {
     if (!this.map) return;
     const city = this.city ?? this.tryBegin(gl);

@@ -6,11 +6,11 @@ import { CitySplatElement } from "./embed";
 export * from "./viewer";
 
 export { createMapLayer, MapLayer } from "./maplayer";
-export type { MapFrame, MapHost, MapLayerEvents, MapLayerOptions, MapLayerState } from "./maplayer";
+export type { Bounds, MapControl, MapFrame, MapHost, MapLayerEvents, MapLayerOptions, MapLayerState } from "./maplayer";
 
 export { createTour, loadStory, type Note, type Stop, type Story, type Tour, type TourState } from "./tour";
 
-export { CitySplatElement, type CitySplatEvents } from "./embed";
+export { CitySplatElement, type Attribute, type CitySplatEvents } from "./embed";
 
 // Where a page is made on a server there are no elements. A second copy of this module leaves the first.
 if (typeof customElements === "object" && !customElements.get("city-splat"))

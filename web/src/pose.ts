@@ -3,16 +3,19 @@
 // in the horizon at the camera.
 //
 // SPDX-License-Identifier: Apache-2.0
+
+// A place of the data.
 export interface Place {
-  lon: number;
-  lat: number;
-  h: number; // above the ellipsoid
+  lon: number; // degrees
+  lat: number; // degrees
+  h: number; // metres, as the data have them: above the ellipsoid
 }
 
+// A camera.
 export interface Pose extends Place {
-  heading: number;
-  pitch: number;
-  fov: number;
+  heading: number; // degrees, clockwise from north
+  pitch: number; // degrees above the horizon
+  fov: number; // degrees, vertical
 }
 
 export const FOV_DEG = 45; // of the viewer, where nothing else is said
@@ -37,6 +40,8 @@ export function parsePose(text: string): Pose | null {
     return null;
   return { lon, lat, h, heading, pitch, fov };
 }
+
+export const EYES_M = 1.7; // above the ground, of somebody on foot
 
 // How a person moves the camera.
 export type Walk = "orbit" | "fly" | "walk";

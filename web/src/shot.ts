@@ -13,14 +13,20 @@ const AREA_MAX = 200e6; // what canvases of browsers hold
 const PART_SIDE = 2048; // what a server draws at once by default
 const PART_AREA = 4e6;
 
+// Formats of a picture.
 export type ShotFormat = "jpg" | "png" | "webp";
+// What a picture is to be.
 export interface ShotOptions {
+  // Pixels.
   width: number;
+  // Pixels.
   height: number;
   format?: ShotFormat; // default: jpg
   background?: "sky" | "black" | "transparent"; // default: as on the screen; transparent: not in jpg
   by?: "server" | "browser"; // default: the server, where there is one that draws
+  // Ends it early.
   signal?: AbortSignal;
+  // Called as parts of the picture come.
   onPart?: (done: number, total: number) => void;
 }
 

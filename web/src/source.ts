@@ -9,14 +9,19 @@ import { HttpError, isGone, type Link } from "./link";
 import { NAME_DEFAULT, Network, type Photograph } from "./network";
 import { Problem } from "./problem";
 
+// A city of a server.
 export interface SceneEntry {
+  // Its name in addresses.
   id: string;
+  // Its name for people.
   title: string;
+  // Whose it is.
   attribution: string;
-  heights: string; // above what: "ellipsoid", "sea", "sea-exif", "takeoff", "EPSG:7837", "unknown"
+  heights: string; // above what: "ellipsoid", "sea", "sea-exif", "takeoff", "EPSG:7837", "unknown", "unscaled"
   created: string; // day when the scene was made, 2024-06-01; "": not known
   taken: [string, string] | null; // days of its first and last photograph; null: not known
   catalogue: URL | null; // the folder of the server that lists it; null on a file server
+  // Address of its 3D Tiles.
   tileset: URL;
   appearances: URL | null; // null where it was trained without
   network: URL | null; // of its revision: colours can be computed here; null where they cannot
@@ -40,17 +45,22 @@ export interface SceneInfo {
   half: Vector3; // half its size along east, north, up
 }
 
+// A light that the city can have: that of a photograph.
 export type Appearance = Photograph;
 
 // Map tiles seen from straight above.
 export interface MapTiles {
   tiles: string; // a URL with {z}, {x}, {y}
+  // Deepest zoom that there is.
   maxZoom: number;
+  // West, south, east, north in degrees.
   bounds: [west: number, south: number, east: number, north: number];
 }
 // Map tiles of somebody else, which the operator chose.
 export interface Basemap {
+  // Address of a tile, with {z}, {x} and {y}.
   tiles: string;
+  // Whose the map is.
   attribution: string;
 }
 

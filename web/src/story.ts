@@ -15,19 +15,26 @@ const HEIGHT_MAX_M = 20_000;
 export const LINK_MAX = 4000; // characters in a link: mail and messengers break longer ones
 const BYTES_MAX = 100_000; // of a link's JSON: a short text may inflate to anything
 
+// A view of a tour, with its words.
 export interface Stop {
   name: string; // also what is said there
   view: string; // as in the address bar
   seconds: number; // of the way there
 }
 
+// Words at a place.
 export interface Note {
+  // Where it stands.
   place: Place;
+  // What it says.
   text: string;
 }
 
+// A tour: views and notes.
 export interface Story {
+  // In their order.
   views: Stop[];
+  // At their places.
   notes: Note[];
 }
 

@@ -21,9 +21,11 @@ export interface TourState {
   at: number; // the view that is shown, or is next
   count: number; // of views
   name: string; // what is said there; "" without views
+  // It flies on by itself.
   playing: boolean;
 }
 
+// Plays the views of a story in a viewer.
 export class Tour {
   onChange: () => void = () => {}; // another view, a pause
   private own: Story = { views: [], notes: [] };
@@ -35,16 +37,19 @@ export class Tour {
 
   constructor(
     private readonly viewer: Viewer,
+    // What is played.
     story: Story = { views: [], notes: [] },
   ) {
     this.ends = [viewer.on("touch", () => this.pause())];
     this.show(story);
   }
 
+  // What is played.
   get story(): Story {
     return this.own;
   }
 
+  // Where it is now.
   get state(): TourState {
     const { at, playing, own: { views } } = this;
     return { at, count: views.length, name: views[at]?.name ?? "", playing };
@@ -85,6 +90,7 @@ export class Tour {
     this.at = 0; // next time from the beginning
   }
 
+  // Stays where it is; play() goes on from there.
   pause() {
     if (!this.playing) return;
     this.run++;
@@ -101,6 +107,7 @@ export class Tour {
     await this.flyTo(stop);
   }
 
+  // To a view before or behind this one.
   step(by: number): Promise<void> {
     return this.visit(this.at + by);
   }

@@ -239,6 +239,45 @@ static void test_tileset_uris(void **state)
     response_free(&tilejson);
 }
 
+/* The page of a dataset has its words in place of those in braces; others stay. */
+static void test_a_page_says_how_to_use_a_dataset(void **state)
+{
+    char want[200];
+    const struct key k = served_key(SERVED_ZOOM_MAX);
+    (void)state;
+    struct response r = get("/d/toy/use");
+    assert_int_equal(r.status, 200);
+    snprintf(want, sizeof want, "/d/toy/t/%u/", k.z);
+    assert_true(says(&r, "<p>toy of http") && says(&r, want) && says(&r, ".spz, {nothing}"));
+    assert_false(says(&r, "{tile}"));
+    response_free(&r);
+}
+
+/* The module has an address for ever; that of another version leads to the present one. */
+static void test_the_module_has_an_address_for_ever(void **state)
+{
+    char path[40];
+    const struct static_file *f = static_find(&t.s.web, "/viewer.js", strlen("/viewer.js"));
+    (void)state;
+    assert_non_null(f);
+    struct response r = get("/viewer.js");
+    snprintf(path, sizeof path, "/viewer-%s.js", f->digest);
+    assert_non_null(strstr(r.hints, path + 1));
+    response_free(&r);
+    r = get(path);
+    assert_int_equal(r.status, 200);
+    assert_non_null(strstr(r.cache_control, "immutable"));
+    assert_true(says(&r, "export {}"));
+    response_free(&r);
+    r = get("/viewer-000000000000.js");
+    assert_int_equal(r.status, 307);
+    assert_string_equal(r.location, "viewer.js");
+    response_free(&r);
+    r = get("/viewer-12.js");
+    assert_int_equal(r.status, 404);
+    response_free(&r);
+}
+
 static void test_refusals(void **state)
 {
     static const struct {
@@ -279,7 +318,20 @@ static void test_refusals(void **state)
         json_decref(o);
         response_free(&r);
     }
-    struct response r = answer(&(struct ask){.method = METHOD_OPTIONS, .target = "/d/toy/render"});
+    /* For a person's browser it is a page, which leads to the viewer; its texts are escaped. */
+    static const char browser[] = "text/html,application/xhtml+xml,*/*;q=0.8";
+    struct response r = answer(&(struct ask){.target = "/nothing", .accept = browser});
+    assert_int_equal(r.status, 404);
+    expect("type", r.type, "text/html; charset=utf-8");
+    expect("Vary", r.vary, "Accept");
+    assert_true(says(&r, "<h1>Not Found</h1>"));
+    assert_true(says(&r, "<a href=\"/\">"));
+    response_free(&r);
+    r = answer(&(struct ask){.target = "/%22%0a", .accept = browser});
+    assert_true(r.status >= 400 && says(&r, "<h1>"));
+    assert_false(says(&r, "%22"));
+    response_free(&r);
+    r = answer(&(struct ask){.method = METHOD_OPTIONS, .target = "/d/toy/render"});
     assert_int_equal(r.status, 204);
     expect("Allow", r.allow, "POST, OPTIONS");
     response_free(&r);
@@ -616,6 +668,7 @@ static void test_card(void **state)
     struct body *page =
                     body_text("<!doctype html><meta name=\"description\" content=\"x\" />\n"
                               "<meta property=\"og:title\" content=\"x\" />\n<title>x</title>"
+                              "<script data-first src=\"./first.js\"></script>"
                               "<noscript>x</noscript><main>y</main><svg><title>z</title></svg>"),
                 *made = NULL;
     kit_ok(social_preview_page(page, d, "https://a.example/below", true, &made, &e), e);
@@ -625,6 +678,8 @@ static void test_card(void **state)
     assert_true(says(&one, "/1200x630.jpg\""));
     assert_true(says(&one, "content=\"summary_large_image\""));
     assert_true(says(&one, "<noscript><img src=\"./d/toy/static/"));
+    assert_true(says(&one, "<script data-first data-still=\"./d/toy/static/\" data-wide=\""));
+    assert_true(says(&one, "@20,-38,45\" src=\"./first.js\"></script>"));
     assert_true(says(&one, "<main>y</main><svg><title>z</title></svg>"));
     assert_false(says(&one, "content=\"x\""));
     assert_false(says(&one, ">x<"));
@@ -798,6 +853,8 @@ int main(void)
         cmocka_unit_test(test_collections_in_a_box),
         cmocka_unit_test(test_links_lead_somewhere),
         cmocka_unit_test(test_tileset_uris),
+        cmocka_unit_test(test_a_page_says_how_to_use_a_dataset),
+        cmocka_unit_test(test_the_module_has_an_address_for_ever),
         cmocka_unit_test(test_refusals),
         cmocka_unit_test(test_instances),
         cmocka_unit_test(test_last_modified),

@@ -352,7 +352,8 @@ static void test_api_knows_no_appearance(void **state)
             if (strcmp(json_string_value(json_object_get(p, "name")), "appearance") != 0)
                 continue;
             bool none = about && strstr(about, "none"),
-                 tiles = strstr(path, "/t/") || strstr(path, "tileset") || strstr(path, "seed");
+                 tiles = strstr(path, "/t/") || strstr(path, "tileset") || strstr(path, "seed") ||
+                         strstr(path, "/city."); /* which says 400 to it */
             if (none != tiles)
                 fail_msg("%s: appearance is '%s'", path, about ? about : "");
             with += none;

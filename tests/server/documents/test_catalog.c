@@ -300,7 +300,7 @@ static void test_handles_share_the_index(void **state)
     struct store *s[READERS];
     size_t n, n_first;
     (void)state;
-    kit_ok(dataset_open(t.path, READERS, NULL, NULL, &d, &e), e);
+    kit_ok(dataset_open(t.path, READERS, NULL, NULL, NULL, &d, &e), e);
     const struct store_tile *first = store_tiles(d->index, &n_first);
     for (int i = 0; i < READERS; i++) {
         struct gauss g;
@@ -317,6 +317,60 @@ static void test_handles_share_the_index(void **state)
     for (int i = 0; i < READERS; i++)
         dataset_return(d, s[i]);
     dataset_drop(&d);
+}
+
+/* With a geoid at hand heights above the sea are served as ellipsoidal ones, as a revision of their
+ * own: clients of 3D Tiles read them so. Others stay, and say what they count from. */
+static void test_a_geoid_makes_heights_ellipsoidal(void **state)
+{
+    const double above_m = 45.4; /* of kit_gtx at the origin */
+    struct err e = {0};
+    char path[FILE_PATH_MAX], grid[FILE_PATH_MAX];
+    struct geoid *geoid = NULL;
+    struct store *s = NULL;
+    (void)state;
+    kit_ok(file_join(grid, t.dir, "geoid.gtx", &e), e);
+    kit_gtx(grid, 52, 13);
+    kit_ok(geoid_open(grid, NULL, &geoid, &e), e);
+    kit_ok(file_join(path, t.dir, "sea.tiles", &e), e);
+    static const char *const kinds[] = {"sea-exif", "sea", "ellipsoid", "takeoff", "EPSG:7837"};
+    for (size_t i = 0; i < sizeof kinds / sizeof *kinds; i++) {
+        struct store_meta meta = {.name = "sea",
+                                  .origin = served_origin,
+                                  .sh_degree = 1,
+                                  .zoom_min = SERVED_ZOOM_MIN,
+                                  .zoom_max = SERVED_ZOOM_MAX};
+        snprintf(meta.heights, sizeof meta.heights, "%s", kinds[i]);
+        kit_ok(store_create(path, &meta, &s, &e), e);
+        served_put(s, served_key(SERVED_ZOOM_MIN), 10);
+        kit_ok(store_commit(&s, &e), e);
+        struct catalog_options options = served_stores;
+        const char *paths[] = {path};
+        struct catalog *without = served_catalog(paths, 1, &options, NULL);
+        options.geoid = geoid;
+        struct catalog *with = served_catalog(paths, 1, &options, NULL);
+        const struct dataset *plain = without->ds[0], *d = with->ds[0];
+        const bool raised = i < 2;
+        assert_true(fabs(d->meta.origin.h_m - served_origin.h_m - (raised ? above_m : 0)) < 1e-6);
+        assert_true(fabs(d->bbox[2] - plain->bbox[2] - (raised ? above_m : 0)) < 1e-3);
+        assert_string_equal(d->meta.heights, raised ? "ellipsoid" : kinds[i]);
+        assert_int_equal(!strcmp(d->meta.revision, plain->meta.revision), !raised);
+        assert_string_equal(d->source, plain->meta.revision);
+        const char *text = (const char *)d->tileset->data;
+        assert_true(!raised || strstr(text, "\"verticalDatum\":\"WGS 84 ellipsoid\""));
+        text = (const char *)plain->tileset->data;
+        char datum[HEIGHTS_WORDS_MAX];
+        heights_datum(kinds[i], datum);
+        assert_non_null(strstr(text, datum));
+        assert_int_equal(memcmp(plain->tileset->data, d->tileset->data, d->tileset->size) == 0,
+                         !raised);
+        struct catalog *again = served_catalog(paths, 1, &options, with); /* nothing has changed */
+        assert_ptr_equal(again->ds[0], d);
+        catalog_drop(&again);
+        catalog_drop(&with);
+        catalog_drop(&without);
+    }
+    geoid_close(&geoid);
 }
 
 /* A reload that fails at its last step has not touched what is served: its revisions are still
@@ -396,6 +450,7 @@ int main(void)
         cmocka_unit_test(test_a_start_reads_no_tiles),
         cmocka_unit_test(test_a_start_reads_no_counts),
         cmocka_unit_test(test_handles_share_the_index),
+        cmocka_unit_test(test_a_geoid_makes_heights_ellipsoidal),
         cmocka_unit_test(test_a_reload_that_fails_late),
     };
     return cmocka_run_group_tests(tests, setup, teardown);

@@ -442,15 +442,23 @@ static void style_leads_to_tiles(void **state)
     for (size_t i = 0; i < 3; i++) {
         const json_t *one = json_object_get(sources, names[i]);
         snprintf(want, sizeof want, "http://localhost/d/survey/r/%s/%s/{z}/{x}/{y}.%s", t.rev,
-                 i ? "terrain" : "map", i ? "png" : "webp");
+                 i ? "terrain" : "map", i ? "png?ground=true" : "webp");
         source = json_string_value(json_array_get(json_object_get(one, "tiles"), 0));
         assert_string_equal(source, want);
         kind = json_string_value(json_object_get(one, "type"));
         assert_string_equal(kind, i ? "raster-dem" : "raster");
-        assert_int_equal(json_integer_value(json_object_get(one, "maxzoom")), raster_zoom_max(a));
+        assert_int_equal(json_integer_value(json_object_get(one, "maxzoom")),
+                         i ? raster_ground_zoom(a) : raster_zoom_max(a));
         assert_int_equal(json_integer_value(json_object_get(one, "tileSize")), RASTER_PX);
         assert_true(!json_object_get(one, "bounds") == (i > 0));
     }
+    const json_t *coarse = json_object_get(sources, "coarse");
+    assert_int_equal(json_integer_value(json_object_get(coarse, "maxzoom")),
+                     raster_zoom_min(a) + 2);
+    const json_t *layers = json_object_get(o, "layers");
+    for (size_t i = 1; i < 3; i++) /* above the background, and below what is finer */
+        assert_string_equal(json_string_value(json_object_get(json_array_get(layers, i), "source")),
+                            i == 1 ? "coarse" : "city");
     assert_true(fabs(json_number_value(json_array_get(center, 1)) -
                      0.5 * (a->south_deg + a->north_deg)) < 1e-9);
     double low[2], high[2];

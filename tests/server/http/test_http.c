@@ -30,6 +30,9 @@ static void test_headers(void **state)
     assert_string_equal(header(&r, "X-Content-Type-Options"), "nosniff");
     assert_string_equal(header(&r, "Vary"), "");
     assert_true(strlen(header(&r, "Server-Timing")) > 0); /* it was a job */
+    const char *shown = header(&r, "Access-Control-Expose-Headers");
+    assert_non_null(strstr(shown, "Link,"));
+    assert_non_null(strstr(shown, "Location,"));
     char etag[64], line[128];
     snprintf(etag, sizeof etag, "%s", header(&r, "ETag"));
     size_t size = r.body_size;
@@ -70,6 +73,7 @@ static void test_headers(void **state)
     assert_string_equal(header(&r, "Allow"), "POST, OPTIONS");
     assert_string_equal(header(&r, "Access-Control-Allow-Methods"), "POST, OPTIONS");
     assert_string_equal(header(&r, "Access-Control-Max-Age"), "86400");
+    assert_non_null(strstr(header(&r, "Access-Control-Allow-Headers"), "If-Match,"));
     assert_string_equal(header(&r, "Content-Length"), "");
     buf_free(&r.raw);
 

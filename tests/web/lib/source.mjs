@@ -22,6 +22,8 @@ export const BIN = process.env.CITYSPLAT_BIN;
 export const GIVEN_TILES = process.env.CITYSPLAT_TILES;
 export const MOCK = process.env.CITYSPLAT_MOCK === "1";
 
+export const ATTRIBUTION = "Test city, drawn by code";
+
 // edgeM: of the finest tiles. city: Gaussians about ORIGIN. antialiased: as trained with a low-pass filter.
 export function importCity(dir, edgeM = 60, name = "fcity", city = makeCity(), antialiased = false) {
     const file = name === "fcity" ? "city" : name;
@@ -39,7 +41,7 @@ export function importCity(dir, edgeM = 60, name = "fcity", city = makeCity(), a
         "--tile-edge-m",
         String(edgeM),
         "--attribution",
-        "Test city, drawn by code",
+        ATTRIBUTION,
     ];
     const run = spawnSync(BIN, args, { encoding: "utf8" });
     if (run.status !== 0)
@@ -161,7 +163,7 @@ export async function openLitCity({ many = null, serveWith = [] } = {}) {
         ], `${BIN}-lab`);
         run([
             ...["ingest", at("photos/images"), at("photos/sparse")],
-            ...options("--min-points 8 --no-exposure -q -o"),
+            ...options("--no-exposure -q -o"),
             at("scene"),
         ]);
         run([
