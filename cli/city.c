@@ -28,7 +28,7 @@
 #include "codec/image/image.h"
 #include "scene/ingest/ingest_files.h"
 
-enum { CITY_ARGS = 48, CITY_NAP_MS = 50 };
+enum { CITY_ARGS = 48, CITY_NAP_MS = 50, CITY_GPS_LEAST = 3 };
 
 static const struct options_def city_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
@@ -175,7 +175,8 @@ static enum err_code city_has_poses(struct city *c, const char *result, bool *ha
     return rc;
 }
 
-/* Without GPS nobody knows where the city lies. Ingest says so too, but after the poses. */
+/* Without GPS nobody knows where the city lies, nor how large it is; with too little of it somebody
+ * has to decide. Ingest says so too, but after the poses. */
 static enum err_code city_has_place(const struct city *c, struct err *e)
 {
     struct ingest_files files;
@@ -196,16 +197,24 @@ static enum err_code city_has_place(const struct city *c, struct err *e)
         n_gps += gps.has_position && gps.has_altitude;
     }
     ingest_files_free(&files);
-    if (!rc && n && 2 * n_gps < n)
-        rc = err_set(
+    if (rc || !n || 2 * n_gps >= n)
+        return rc;
+    if (n_gps >= CITY_GPS_LEAST)
+        return err_set(
             e, ERR_DATA,
-            "%s: %zu of %zu photographs have a GPS position with altitude, so the city has no "
-            "place: "
-            "give ground control points (--gcp) or positions of the photographs "
-            "(--positions), or place it by hand with --origin LON,LAT,H and "
-            "--metres-per-unit",
+            "%s: %zu of %zu photographs have a GPS position with altitude, too few to place the "
+            "city: give ground control points (--gcp) or positions of the photographs "
+            "(--positions), or place it by hand with --origin LON,LAT,H and --metres-per-unit",
             c->images, n_gps, n);
-    return rc;
+    log_warn("city",
+             "%zu of %zu photographs have a GPS position with altitude: the city will have no "
+             "%s. Ground control points (--gcp) or positions of the photographs (--positions) "
+             "give both",
+             n_gps, n,
+             o->metres_per_unit ? "place"
+             : o->origin        ? "metres"
+                                : "place and no metres");
+    return ERR_OK;
 }
 
 static enum err_code city_align(struct city *c, struct err *e)
@@ -276,6 +285,7 @@ static enum err_code city_ingest(struct city *c, struct err *e)
     city_add(&s, "--max-edge-px", edge);
     city_add(&s, "--origin", o->origin);
     city_add(&s, "--metres-per-unit", o->metres_per_unit);
+    city_add(&s, "--ground-h", o->ground_h);
     city_add(&s, "--gcp", o->gcp);
     city_add(&s, "--gcp-epsg", o->gcp_epsg);
     city_add(&s, "--check", o->check);
@@ -388,7 +398,11 @@ static enum err_code city_tile(struct city *c, struct err *e)
     if (!rc)
         rc = city_run(&s, NULL, e);
     if (!rc)
-        printf("next     citysplat serve %s\n", store);
+        printf(
+            "names    %s, of -o, has all that was made and may be renamed; %s, %s, is the name of "
+            "the store and of the city in addresses\n"
+            "next     citysplat serve %s\n",
+            c->o->output, c->name, c->o->name ? "of --name" : "made of it, or of --name", store);
     return rc;
 }
 

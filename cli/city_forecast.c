@@ -202,6 +202,7 @@ static void city_print(const struct city *c, const struct city_need *n)
 enum err_code city_forecast(struct city *c, struct err *e)
 {
     struct city_need n = {0};
+    log_set_level(LOG_WARN); /* what training and its budgets tell when it begins */
     enum err_code rc = align_plan_read(c->images, &n.plan, e);
     if (!rc)
         rc = city_measure_pace(&n.pace, e);

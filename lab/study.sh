@@ -112,7 +112,7 @@ scene_ingest_city() { # FOLDER "MAP-VIEWS OPTIONS" SYNTH OPTIONS...; no map view
   # shellcheck disable=SC2086 # options are words
   [ -z "$views" ] || lab map-views "$folder-photos" -q $views
   # Exposures are left to the network where a scene says nothing else, as when most rows were measured.
-  citysplat ingest "$folder-photos/images" "$folder-photos/sparse" --min-points 24 "${EXPOSURE:---no-exposure}" -o "$folder" -q
+  citysplat ingest "$folder-photos/images" "$folder-photos/sparse" "${EXPOSURE:---no-exposure}" -o "$folder" -q
 }
 
 scene_build() { # NAME FOLDER

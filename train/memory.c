@@ -24,7 +24,7 @@ enum {
     MEMORY_STATS = 4, /* words: grad, absg, count, radius; + opacity with appearance */
     MEMORY_KEYS = 7,  /* words a Gaussian: depth_key, tiles_of, slot_first, keys, ids */
     MEMORY_INTERSECTION = 5 * 4 + 2 /* lists, hits */ + LAYOUT_SLOT_FLOATS * 4 + 1 /* slot, mark */,
-    MEMORY_EXTRA = LAYOUT_PLANES_SCALE, /* words: gradients of the terms on sizes */
+    MEMORY_EXTRA = LAYOUT_PLANES_SHAPE, /* words: gradients of the terms on sizes and rotations */
     MEMORY_CHOICE = 44, /* the plan's rows and their Morton order; its lists need less */
     MEMORY_MOVE = 52,   /* sources of rows, halves and their means, spare rows */
     MEMORY_SUMS = LAYOUT_IMPORTANCE_SUMS * 4, /* of a view */

@@ -384,6 +384,7 @@ static enum err_code run_finish_level(struct run *t, struct err *e)
         return rc;
     double seconds = run_seconds(t);
     t->result->n_gaussians[l->stage.at] = l->model.gauss.n;
+    t->result->n_test = t->job->n_test;
     t->result->psnr_db[l->stage.at] = t->job->n_test ? score.psnr_db : (double)NAN;
     t->result->ssim[l->stage.at] = t->job->n_test ? score.ssim : (double)NAN;
     if (t->job->n_test)

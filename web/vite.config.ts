@@ -11,7 +11,7 @@ import { dirname, join } from "node:path";
 import { buildSync } from "esbuild";
 import { defineConfig, type Plugin } from "vite";
 
-import { inlineWorkers, listLicences, minifyWhole } from "./build";
+import { dropShaderIndent, inlineWorkers, listLicences, minifyWhole } from "./build";
 
 const CESIUM_BASE_URL = JSON.stringify("./cesium/"); // beside the page
 
@@ -153,6 +153,21 @@ function addPolicy(policy: string[]): Plugin {
   };
 }
 
+// A script of its own before all others (src/first.ts). The server writes into its tag.
+function addFirst(): Plugin {
+  const { outputFiles } = buildSync({ entryPoints: ["src/first.ts"], bundle: true, minify: true, write: false, format: "iife", target: "es2022", legalComments: "none" });
+  const source = outputFiles[0]!.contents;
+  const fileName = `assets/first-${createHash("sha256").update(source).digest("hex").slice(0, 8)}.js`;
+  return {
+    name: "add-first",
+    apply: "build",
+    generateBundle() {
+      this.emitFile({ type: "asset", fileName, source });
+    },
+    transformIndexHtml: (html) => html.replace(/<link rel="icon"/, `<script data-first src="./${fileName}"></script>\n    $&`),
+  };
+}
+
 // The page's lines without what they are indented by. It has no <pre>.
 function dropIndent(): Plugin {
   return {
@@ -173,7 +188,7 @@ const inWorkers = new Set<string>(); // sources of the module's workers
 // Modes: the page alone, which empties the folder first; "globe" and "mark", cesium.html and mark.html with
 // nothing in common with the page, so that it loads none of them; "module", for other pages.
 const builds = {
-  page: { plugins: [leaveOutGltf(), copyDraco(), addPolicy(POLICY), dropIndent()], build: { chunkSizeWarningLimit: 1500 } },
+  page: { plugins: [leaveOutGltf(), copyDraco(), dropShaderIndent(), addFirst(), addPolicy(POLICY), dropIndent()], build: { chunkSizeWarningLimit: 1500 } },
   globe: {
     plugins: [
       bundleCesium(),
@@ -196,6 +211,7 @@ const builds = {
       copyParts("maplibre-gl", "dist", MAPLIBRE_PARTS, "maplibre"),
       inlineWorkers(inWorkers),
       minifyWhole(version),
+      dropShaderIndent(),
       listLicences(inWorkers, "../LICENSE"),
     ],
     build: {

@@ -1,13 +1,14 @@
 /* citysplat align: photographs to poses, by an installed COLMAP.
  *
- * Five stages, each of which is skipped when it is complete: look (small pictures, neighbours
- * alone), features, matches, model, result. COLMAP's database keeps what is done within a stage,
- * models are written beside and renamed, and state.json says which stages are complete: so a run
- * that was killed goes on.
+ * Stages, each of which is skipped when it is complete: look (small pictures, neighbours alone),
+ * features, matches, model, again (more features for photographs that lack them), result. COLMAP's
+ * database keeps what is done within a stage, models are written beside and renamed, and state.json
+ * says which stages are complete: so a run that was killed goes on.
  *
  *   align_state.c     the folder, and which stages are complete
  *   align_colmap.c    calls of COLMAP; align_run.c runs it, align_db.c reads its database
  *   align_publish.c   its models, with the true names of photographs
+ *   align_again.c     a second round for photographs that lack features
  *   align_tell.c      what is printed, and align.json
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -49,26 +50,71 @@ const struct options_spec *align_options(void)
 
 enum { ALIGN_LOOK_NEAR = 4, ALIGN_LOOK_NEXT = 2, ALIGN_LOOK_FEATURES = 1024 };
 static const double look_share = 0.25, look_least_px = 400;
+static const double look_most = 0.25; /* of the minutes */
 static const double look_start_s = 2; /* of COLMAP, before it computes */
 static const double pace_most = 8;
 
-/* Small pictures, each compared with its neighbours alone: what will match, and how long this
- * machine takes. */
-static enum err_code align_look_run(struct align *a, char *db, struct err *e)
+/* Size of pictures and features: what was begun with, else what is asked for or affordable. */
+static void align_afford(struct align *a, const struct align_pace *pace)
 {
-    const struct align_spent start = align_spent_now();
+    const json_t *edge = json_object_get(a->state, "edge_px"),
+                 *features = json_object_get(a->state, "features");
+    bool known = json_is_integer(edge) && json_is_integer(features);
+    a->forecast = align_plan_afford(
+        &a->plan, (uint32_t)(known ? json_integer_value(edge) : a->o->max_edge_px),
+        (uint32_t)(known ? json_integer_value(features) : a->o->features), pace,
+        60 * a->o->minutes);
+}
+
+/* Is the look a part of the work, in its database? */
+static bool align_look_shares(const struct align *a)
+{
+    return json_is_true(json_object_get(a->state, "look_shares"));
+}
+
+static char *align_look_db(struct align *a)
+{
+    return align_path(a, align_look_shares(a) ? "work/database.db" : "work/look.db");
+}
+
+/* Size of the look. Where small pictures would take much of the minutes, the look is the first part
+ * of the work instead: the pictures and features that are affordable, in the same database. */
+static enum err_code align_look_choose(struct align *a, struct align_forecast *out, struct err *e)
+{
+    const struct align_pace usual = {.cores = align_cores(a), .slow = 1, .load = 1};
     double longest = 1;
     for (size_t i = 0; i < a->plan.n; i++)
         longest = fmax(longest, fmax(a->plan.photos[i].width_px, a->plan.photos[i].height_px));
-    uint32_t edge = (uint32_t)fmax(look_least_px, look_share * longest);
-    enum err_code rc = align_plan_pairs(&a->plan, ALIGN_LOOK_NEAR, ALIGN_LOOK_NEXT, e);
+    *out = (struct align_forecast){.edge_px = (uint32_t)fmax(look_least_px, look_share * longest),
+                                   .features = ALIGN_LOOK_FEATURES};
+    enum err_code rc = align_plan_pairs(&a->plan, (size_t)a->o->neighbours, (size_t)a->o->next, e);
+    double look_s = align_plan_look_s(&a->plan, 1) / (double)usual.cores;
+    if (rc || a->o->dry_run || (look_s < look_most * 60 * a->o->minutes && !align_look_shares(a)))
+        return rc;
+    align_afford(a, &usual);
+    *out = a->forecast;
+    align_set_options(a);
+    json_object_set_new(a->state, "look_shares", json_true());
+    return align_save(a, e);
+}
+
+/* Each picture is compared with its neighbours alone: what will match, and how long this machine
+ * takes. */
+static enum err_code align_look_run(struct align *a, struct err *e)
+{
+    const struct align_spent start = align_spent_now();
+    struct align_forecast size, f;
+    enum err_code rc = align_look_choose(a, &size, e);
+    char *db = align_look_db(a);
     if (!rc)
-        rc = align_extract(a, db, edge, ALIGN_LOOK_FEATURES, "look", "look: features", e);
+        rc = align_plan_pairs(&a->plan, ALIGN_LOOK_NEAR, ALIGN_LOOK_NEXT, e);
+    if (!rc)
+        rc = align_extract(a, db, size.edge_px, size.features, "look", "look: features", e);
     if (!rc)
         rc = align_match(a, db, "look", "look: pairs", e);
     if (rc)
         return rc;
-    const struct align_forecast f = align_plan_forecast(&a->plan, edge, ALIGN_LOOK_FEATURES, 1);
+    f = align_plan_forecast(&a->plan, size.edge_px, size.features, 1);
     struct align_spent now = align_spent_now();
     double cpu_s = now.cpu_s - start.cpu_s, clock_s = now.clock_s - start.clock_s;
     json_object_set_new(a->state, "slow",
@@ -87,36 +133,29 @@ static double align_factor(const struct align *a, const char *key, double least)
 
 static enum err_code align_look(struct align *a, struct err *e)
 {
-    char *db = align_path(a, "work/look.db");
     size_t largest;
-    enum err_code rc = db ? ERR_OK : align_no_memory(e);
-    if (!rc && a->o->look && !align_is_done(a, ALIGN_LOOK))
-        rc = align_look_run(a, db, e);
+    enum err_code rc = ERR_OK;
+    if (a->o->look && !align_is_done(a, ALIGN_LOOK))
+        rc = align_look_run(a, e);
     a->pace = (struct align_pace){.cores = align_cores(a),
                                   .slow = align_factor(a, "slow", 1 / pace_most),
                                   .load = align_factor(a, "load", 1)};
     if (rc || !align_is_done(a, ALIGN_LOOK))
         return rc;
-    rc = align_db_seen(db, &a->plan, ALIGN_INLIERS, a->seen, &largest, e);
+    char *db = align_look_db(a);
+    rc = db ? align_db_seen(db, &a->plan, ALIGN_INLIERS, a->seen, &largest, e) : align_no_memory(e);
     if (!rc)
         align_print_look(a, largest);
     memset(a->seen, 0, a->plan.n * sizeof *a->seen);
     return rc;
 }
 
-/* The size of pictures: what was begun with, else what is asked for or affordable. */
 static enum err_code align_choose_size(struct align *a, struct err *e)
 {
-    const json_t *edge = json_object_get(a->state, "edge_px"),
-                 *features = json_object_get(a->state, "features");
     enum err_code rc = align_plan_pairs(&a->plan, (size_t)a->o->neighbours, (size_t)a->o->next, e);
     if (rc)
         return rc;
-    bool known = json_is_integer(edge) && json_is_integer(features);
-    a->forecast = align_plan_afford(
-        &a->plan, (uint32_t)(known ? json_integer_value(edge) : a->o->max_edge_px),
-        (uint32_t)(known ? json_integer_value(features) : a->o->features), &a->pace,
-        60 * a->o->minutes);
+    align_afford(a, &a->pace);
     align_print_forecast(a);
     if (a->o->dry_run)
         return ERR_OK;
@@ -135,7 +174,7 @@ static enum err_code align_stage_run(struct align *a, enum align_stage s, char *
     case ALIGN_MATCHES:
         return align_match(a, db, "matches", "pairs", e);
     default:
-        return align_map(a, db, e);
+        return align_map(a, db, "work/sparse", e);
     }
 }
 
@@ -144,7 +183,7 @@ static enum err_code align_stages(struct align *a, struct err *e)
     char *db = align_path(a, "work/database.db");
     size_t largest;
     enum err_code rc = db ? ERR_OK : align_no_memory(e);
-    for (enum align_stage s = ALIGN_FEATURES; !rc && s < ALIGN_STAGES; s++) {
+    for (enum align_stage s = ALIGN_FEATURES; !rc && s < ALIGN_AGAIN; s++) {
         const struct align_spent start = align_spent_now();
         if (align_is_done(a, s))
             continue;
@@ -158,10 +197,27 @@ static enum err_code align_stages(struct align *a, struct err *e)
     return rc ? rc : align_db_seen(db, &a->plan, ALIGN_INLIERS, a->seen, &largest, e);
 }
 
+/* What each photograph matches, by the database of the last round. */
+static enum err_code align_see(struct align *a, struct err *e)
+{
+    char *db = align_path(a, align_is_done(a, ALIGN_AGAIN) ? "work/again.db" : "work/database.db");
+    size_t largest;
+    if (!db)
+        return align_no_memory(e);
+    memset(a->seen, 0, a->plan.n * sizeof *a->seen);
+    return align_db_seen(db, &a->plan, ALIGN_INLIERS, a->seen, &largest, e);
+}
+
 static enum err_code align_result(struct align *a, struct err *e)
 {
     json_t *config = NULL;
-    enum err_code rc = align_publish(a, e);
+    const json_t *again = json_object_get(a->state, "again");
+    bool better = align_is_done(a, ALIGN_AGAIN) && json_is_true(json_object_get(again, "better"));
+    enum err_code rc = align_publish(a, better ? "work/again" : "work/sparse", e);
+    if (!rc)
+        rc = align_again(a, e);
+    if (!rc)
+        rc = align_see(a, e);
     if (!rc)
         rc = options_to_json(&align_spec, a->o, &config, e);
     if (!rc)
@@ -187,7 +243,9 @@ static enum err_code align_read(struct align *a, struct err *e)
         return rc;
     a->seen = arena_get(&a->arena, a->plan.n, sizeof *a->seen);
     a->model_of = arena_get(&a->arena, a->plan.n, sizeof *a->model_of);
-    if (!a->seen || !a->model_of)
+    a->pose = arena_get(&a->arena, a->plan.n, sizeof *a->pose);
+    a->pose_most_px = arena_get(&a->arena, a->plan.n, sizeof *a->pose_most_px);
+    if (!a->seen || !a->model_of || !a->pose || !a->pose_most_px)
         return align_no_memory(e);
     memset(a->model_of, 0xff, a->plan.n * sizeof *a->model_of);
     align_print_plan(a);

@@ -308,10 +308,10 @@ static enum err_code align_map_by(struct align *a, int how, const char *db, cons
     return align_call(&x, "model", "model", a->plan.n_usable, align_count_placed, log, e);
 }
 
-enum err_code align_map(struct align *a, const char *db, struct err *e)
+enum err_code align_map(struct align *a, const char *db, const char *below, struct err *e)
 {
     struct err why = {0};
-    char *part = align_path(a, "work/sparse.part"), *done = align_path(a, "work/sparse"),
+    char *part = align_path(a, "work/sparse.part"), *done = align_path(a, below),
          *log = align_path(a, "logs/model.log");
     if (!part || !done || !log)
         return align_no_memory(e);

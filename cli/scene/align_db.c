@@ -138,3 +138,84 @@ enum err_code align_db_seen(const char *path, const struct align_plan *plan, uin
     mem_free(count);
     return rc;
 }
+
+/* ---- a copy without some ---- */
+
+/* Runs a statement; ?1 and ?2, where it has them, are numbers. */
+static bool db_do(sqlite3 *db, const char *sql, int64_t a, int64_t b)
+{
+    sqlite3_stmt *q = NULL;
+    bool good = sqlite3_prepare_v2(db, sql, -1, &q, NULL) == SQLITE_OK;
+    if (good && sqlite3_bind_parameter_count(q) > 0)
+        sqlite3_bind_int64(q, 1, a);
+    if (good && sqlite3_bind_parameter_count(q) > 1)
+        sqlite3_bind_int64(q, 2, b);
+    good = good && sqlite3_step(q) == SQLITE_DONE;
+    sqlite3_finalize(q);
+    return good;
+}
+
+/* Is it a table of this database? Stand-ins for COLMAP may lack some. */
+static bool db_has(sqlite3 *db, const char *table)
+{
+    return sqlite3_table_column_metadata(db, NULL, table, NULL, NULL, NULL, NULL, NULL, NULL) ==
+           SQLITE_OK;
+}
+
+static bool db_remove(sqlite3 *db, int64_t image)
+{
+    static const char *const by_image[] = {"keypoints", "descriptors"}, *const by_pair[] = {
+                                                                            "matches",
+                                                                            "two_view_geometries"};
+    char sql[160];
+    bool good = true;
+    for (size_t k = 0; k < sizeof by_image / sizeof *by_image; k++) {
+        snprintf(sql, sizeof sql, "DELETE FROM %s WHERE image_id = ?1", by_image[k]);
+        good = good && (!db_has(db, by_image[k]) || db_do(db, sql, image, 0));
+    }
+    for (size_t k = 0; k < sizeof by_pair / sizeof *by_pair; k++) {
+        snprintf(sql, sizeof sql, "DELETE FROM %s WHERE pair_id / ?2 = ?1 OR pair_id %% ?2 = ?1",
+                 by_pair[k]);
+        good = good && (!db_has(db, by_pair[k]) || db_do(db, sql, image, pair_base));
+    }
+    return good;
+}
+
+static bool db_remove_all(sqlite3 *db, const struct align_plan *plan, const bool *of)
+{
+    sqlite3_stmt *q = NULL;
+    bool good =
+        sqlite3_prepare_v2(db, "SELECT image_id, name FROM images", -1, &q, NULL) == SQLITE_OK;
+    while (good && sqlite3_step(q) == SQLITE_ROW) {
+        const char *name = (const char *)sqlite3_column_text(q, 1);
+        size_t i = name ? align_plan_find(plan, name) : SIZE_MAX;
+        if (i != SIZE_MAX && of[i])
+            good = db_remove(db, sqlite3_column_int64(q, 0));
+    }
+    sqlite3_finalize(q);
+    return good;
+}
+
+enum err_code align_db_without(const char *path, const char *to, const struct align_plan *plan,
+                               const bool *of, struct err *e)
+{
+    char part[FILE_PATH_MAX];
+    snprintf(part, sizeof part, "%s.part", to);
+    remove(part); /* of a run that was killed */
+    sqlite3 *db = db_open(path), *copy = NULL;
+    char *sql = sqlite3_mprintf("VACUUM INTO %Q", part);
+    bool good = db && sql && db_do(db, sql, 0, 0) && (copy = db_open(part)) &&
+                db_do(copy, "BEGIN", 0, 0) && db_remove_all(copy, plan, of) &&
+                db_do(copy, "COMMIT", 0, 0);
+    enum err_code rc = good ? ERR_OK
+                            : err_set(e, ERR_IO, "%s: cannot be made: %s", part,
+                                      copy ? sqlite3_errmsg(copy)
+                                      : db ? sqlite3_errmsg(db)
+                                           : "COLMAP's database cannot be opened");
+    sqlite3_free(sql);
+    sqlite3_close(copy);
+    sqlite3_close(db);
+    if (!rc && rename(part, to))
+        rc = err_errno(e, ERR_IO, "%s: cannot rename", part);
+    return rc;
+}

@@ -17,6 +17,10 @@ struct align_seen {    /* of a photograph */
 uint64_t align_db_count(const char *path, const char *table);
 /* Id of the camera that photographs of a group of the plan have; -1: none has a camera yet. */
 long long align_db_camera(const char *path, const struct align_plan *plan, size_t group);
+/* Makes `to`, a copy of a database without features and matches of the photographs of the plan that
+ * are `of`. ERR_IO: it cannot be read or written. */
+enum err_code align_db_without(const char *path, const char *to, const struct align_plan *plan,
+                               const bool *of, struct err *e) ERR_USE;
 /* Fills seen [plan->n]. inliers: least number of inliers of a match. *largest: number of
  * photographs in the largest part. ERR_IO: it cannot be read. ERR_MEM. */
 enum err_code align_db_seen(const char *path, const struct align_plan *plan, uint32_t inliers,

@@ -4,6 +4,7 @@
  */
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "cli/scene/align_work.h"
 #include "codec/scene/colmap.h"
@@ -37,12 +38,13 @@ static int align_sized_compare(const void *a, const void *b)
 }
 
 /* COLMAP's models by size; *n of them, at most `most`. */
-static enum err_code align_list_models(struct align *a, struct align_sized *list, size_t most,
-                                       size_t *n, struct err *e)
+static enum err_code align_list_models(struct align *a, const char *below, struct align_sized *list,
+                                       size_t most, size_t *n, struct err *e)
 {
+    *n = 0;
     for (unsigned k = 0; *n < most && k < 2 * most; k++) {
         struct colmap_model m = {0};
-        char *from = arena_printf(&a->arena, "%s/work/sparse/%u", a->dir, k);
+        char *from = arena_printf(&a->arena, "%s/%s/%u", a->dir, below, k);
         if (!from)
             return align_no_memory(e);
         if (!file_is_dir(from))
@@ -57,13 +59,37 @@ static enum err_code align_list_models(struct align *a, struct align_sized *list
     return ERR_OK;
 }
 
-static enum err_code align_write_model(struct align *a, const struct align_sized *from, size_t to,
-                                       struct err *e)
+/* How well the poses of the largest model are known. */
+static enum err_code align_judge_model(struct align *a, const struct colmap_model *m, struct err *e)
+{
+    struct pose_error *known = arena_get(&a->arena, m->n_images, sizeof *known);
+    enum err_code rc = known ? pose_error_find(m, known, e) : align_no_memory(e);
+    a->n_good = 0;
+    for (size_t i = 0; !rc && i < m->n_images; i++) {
+        size_t p = align_plan_find(&a->plan, m->images[i].name);
+        if (p == SIZE_MAX)
+            continue; /* align_name_model refuses it */
+        a->pose[p] = known[i];
+        a->pose_most_px[p] = pose_error_most_px(&m->cameras[m->images[i].camera].lens);
+        a->n_good += known[i].picture_px <= a->pose_most_px[p];
+    }
+    return rc;
+}
+
+bool align_is_good(const struct align *a, size_t i)
+{
+    return a->model_of[i] == 0 && a->pose[i].picture_px <= a->pose_most_px[i];
+}
+
+static enum err_code align_write_model(struct align *a, const char *below,
+                                       const struct align_sized *from, size_t to, struct err *e)
 {
     struct colmap_model m = {0};
-    char *source = arena_printf(&a->arena, "%s/work/sparse/%u", a->dir, from->from),
+    char *source = arena_printf(&a->arena, "%s/%s/%u", a->dir, below, from->from),
          *folder = arena_printf(&a->arena, "%s/work/named/%zu", a->dir, to);
     enum err_code rc = source && folder ? colmap_read(source, &m, e) : align_no_memory(e);
+    if (!rc && to == 0)
+        rc = align_judge_model(a, &m, e);
     if (!rc)
         rc = align_name_model(a, &m, (uint32_t)to, e);
     if (!rc)
@@ -76,7 +102,7 @@ static enum err_code align_write_model(struct align *a, const struct align_sized
 }
 
 /* All models, the largest first, beside DIR/sparse; then renamed. */
-enum err_code align_publish(struct align *a, struct err *e)
+enum err_code align_publish(struct align *a, const char *below, struct err *e)
 {
     enum { MOST = 50 };
     struct align_sized list[MOST];
@@ -85,14 +111,15 @@ enum err_code align_publish(struct align *a, struct err *e)
     if (!named || !sparse || !a->sizes)
         return align_no_memory(e);
     align_remove(named);
-    enum err_code rc = align_list_models(a, list, MOST, &a->n_models, e);
+    memset(a->model_of, 0xff, a->plan.n * sizeof *a->model_of);
+    enum err_code rc = align_list_models(a, below, list, MOST, &a->n_models, e);
     if (!rc && !a->n_models)
         rc = err_set(e, ERR_DATA,
                      "no two photographs gave a model: too little overlap, blur, or nothing to "
                      "recognise; see %s/logs/model.log",
                      a->dir);
     for (size_t k = 0; !rc && k < a->n_models; k++)
-        rc = align_write_model(a, &list[k], k, e);
+        rc = align_write_model(a, below, &list[k], k, e);
     if (rc)
         return rc;
     align_remove(sparse);

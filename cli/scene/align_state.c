@@ -16,7 +16,8 @@
 #include "cli/scene/align_work.h"
 #include "core/pool.h"
 
-static const char *const stage_names[ALIGN_STAGES] = {"look", "features", "matches", "model"};
+static const char *const stage_names[ALIGN_STAGES] = {"look", "features", "matches", "model",
+                                                      "again"};
 
 size_t align_cores(const struct align *a)
 {

@@ -140,15 +140,17 @@ enum err_code align_write_result(struct align *a, json_t *config, struct err *e)
     for (size_t k = 0; k < a->n_models; k++)
         json_array_append_new(models, json_integer((json_int_t)a->sizes[k]));
     json_t *root = json_pack(
-        "{s:s, s:s, s:s, s:I, s:I, s:I, s:I, s:o, s:I, s:I, s:I, s:O, s:O?, s:O?, s:o, s:o}",
+        "{s:s, s:s, s:s, s:I, s:I, s:I, s:I, s:I, s:o, s:I, s:I, s:I, s:O, s:O?, s:O?, s:O?, s:o, "
+        "s:o}",
         "citysplat", CITYSPLAT_VERSION, "colmap", a->version, "photographs_in", a->photos,
         "photographs", (json_int_t)a->plan.n, "used", (json_int_t)a->plan.n_usable, "placed",
-        (json_int_t)a->placed, "lenses", (json_int_t)a->plan.n_groups, "models", models, "pairs",
-        (json_int_t)a->plan.n_pairs, "edge_px", (json_int_t)a->forecast.edge_px, "features",
-        (json_int_t)a->forecast.features, "seconds", json_object_get(a->state, "seconds"),
-        "processor_seconds", json_object_get(a->state, "processor_seconds"), "mapper",
-        json_object_get(a->state, "mapper"), "unplaced", align_unplaced_to_json(a), "config",
-        config);
+        (json_int_t)a->placed, "kept_by_ingest", (json_int_t)a->n_good, "lenses",
+        (json_int_t)a->plan.n_groups, "models", models, "pairs", (json_int_t)a->plan.n_pairs,
+        "edge_px", (json_int_t)a->forecast.edge_px, "features", (json_int_t)a->forecast.features,
+        "seconds", json_object_get(a->state, "seconds"), "processor_seconds",
+        json_object_get(a->state, "processor_seconds"), "mapper",
+        json_object_get(a->state, "mapper"), "again", json_object_get(a->state, "again"),
+        "unplaced", align_unplaced_to_json(a), "config", config);
     char *path = align_path(a, "align.json");
     enum err_code rc = root && path ? jsonc_write(path, root, e)
                                     : err_set(e, ERR_DATA,
@@ -176,14 +178,25 @@ void align_print_unplaced(const struct align *a)
         printf("unplaced ... and %zu more\n", left - ALIGN_SHOWN);
 }
 
-/* Of all stages. */
-static double align_sum(const struct align *a, const char *key)
+double align_sum(const struct align *a, const char *key)
 {
     double sum = 0;
     for (enum align_stage s = 0; s < ALIGN_STAGES; s++)
         sum +=
             json_number_value(json_object_get(json_object_get(a->state, key), align_stage_name(s)));
     return sum;
+}
+
+/* Placed, but by points that ingest does not trust. */
+static void align_print_loose(const struct align *a)
+{
+    size_t n = 0;
+    for (size_t i = 0; i < a->plan.n; i++)
+        if (a->model_of[i] == 0 && !align_is_good(a, i) && n++ < ALIGN_SHOWN)
+            printf("loose    %s: its %zu points do not fix its pose; ingest leaves it out\n",
+                   a->plan.photos[i].name, a->pose[i].n_points);
+    if (n > ALIGN_SHOWN)
+        printf("loose    ... and %zu more\n", n - ALIGN_SHOWN);
 }
 
 void align_print_result(const struct align *a)
@@ -194,6 +207,7 @@ void align_print_result(const struct align *a)
     for (size_t k = 1; k < a->n_models; k++)
         printf("model    %s/sparse/%zu: %zu photographs that nothing joins to it\n", a->dir, k,
                a->sizes[k]);
+    align_print_loose(a);
     align_print_unplaced(a);
     if (10 * a->placed < 9 * a->plan.n_usable)
         log_warn("align", "%zu of %zu photographs have no place in the model",

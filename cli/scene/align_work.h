@@ -16,6 +16,7 @@
 #include "cli/scene/align_db.h"
 #include "core/options/options.h"
 #include "scene/ingest/align_plan.h"
+#include "scene/ingest/pose_error.h"
 
 const struct options_spec *align_options(void);
 
@@ -27,7 +28,14 @@ struct align_options {
 
 /* ALIGN_INLIERS: COLMAP's least number of inliers of a match */
 enum { ALIGN_SHOWN = 20, ALIGN_INLIERS = 15 };
-enum align_stage { ALIGN_LOOK, ALIGN_FEATURES, ALIGN_MATCHES, ALIGN_MODEL, ALIGN_STAGES };
+enum align_stage {
+    ALIGN_LOOK,
+    ALIGN_FEATURES,
+    ALIGN_MATCHES,
+    ALIGN_MODEL,
+    ALIGN_AGAIN, /* of photographs that lack features; only where there are any */
+    ALIGN_STAGES
+};
 
 struct align {
     const struct align_options *o;
@@ -43,7 +51,9 @@ struct align {
     struct align_pace pace;  /* of this machine, measured by the look */
     struct align_seen *seen; /* [plan.n] */
     uint32_t *model_of;      /* [plan.n] model that has the photograph, UINT32_MAX: none */
-    size_t n_models, placed, *sizes;
+    struct pose_error *pose; /* [plan.n] in the largest model */
+    double *pose_most_px;    /* [plan.n] the most that pose.picture_px may be for ingest */
+    size_t n_models, placed, n_good, *sizes;
     struct arena arena;
 };
 
@@ -90,14 +100,16 @@ enum err_code align_match(struct align *a, char *db, const char *log, const char
                           struct err *e) ERR_USE;
 /* Checks that the mapper that was asked for is there. ERR_ARG: it is not. */
 enum err_code align_check_mapper(struct align *a, struct err *e) ERR_USE;
-/* Computes the models, in work/sparse. */
-enum err_code align_map(struct align *a, const char *db, struct err *e) ERR_USE;
+/* Computes the models, in the folder `below` of DIR. */
+enum err_code align_map(struct align *a, const char *db, const char *below, struct err *e) ERR_USE;
 
 /* ---- align_tell.c: what is printed, and align.json ---- */
 
 void align_print_plan(const struct align *a);
 void align_print_forecast(const struct align *a);
 void align_print_look(const struct align *a, size_t largest);
+/* Sum of a key of the state ("seconds", "processor_seconds") over all stages. */
+double align_sum(const struct align *a, const char *key);
 /* Prints the photographs outside the largest model, with the reason. */
 void align_print_unplaced(const struct align *a);
 void align_print_result(const struct align *a);
@@ -107,8 +119,19 @@ enum err_code align_write_result(struct align *a, json_t *config, struct err *e)
 
 /* ---- align_publish.c ---- */
 
-/* Writes COLMAP's models to DIR/sparse, the largest first, with the true names of photographs.
- * ERR_DATA: there is no model. ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM. */
-enum err_code align_publish(struct align *a, struct err *e) ERR_USE;
+/* Writes COLMAP's models, of the folder `below` of DIR, to DIR/sparse, the largest first, with the
+ * true names of photographs, and judges the poses of the largest. ERR_DATA: there is no model.
+ * ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM. */
+enum err_code align_publish(struct align *a, const char *below, struct err *e) ERR_USE;
+
+/* Is it in the largest model, with a pose that ingest keeps? */
+bool align_is_good(const struct align *a, size_t i);
+
+/* ---- align_again.c ---- */
+
+/* Seeks more features for photographs that match others without finding a pose that ingest keeps,
+ * as far as --minutes allows, and publishes the model if it is better. Errors are those of
+ * align_run and align_publish. */
+enum err_code align_again(struct align *a, struct err *e) ERR_USE;
 
 #endif

@@ -113,15 +113,15 @@ static void import_odm_tell(const struct odm_project *p, const char *project, co
                  "see a point is computed");
     if (p->links == ODM_LINKS_NONE)
         log_warn("import-odm",
-                 "there are no points, so ingest would drop every photograph: give --min-points 0");
+                 "there are no points: poses cannot be checked, and training begins without");
     if (p->n_places)
         printf("%s/positions.tsv: places of %zu photographs\n", model, p->n_places);
     else
         log_warn("import-odm", "the project does not say where on Earth it lies: ingest uses the "
                                "photographs' GPS, or --gcp");
-    printf("next: citysplat ingest %s/images %s%s%s%s%s -o scene\n", project, model,
+    printf("next: citysplat ingest %s/images %s%s%s%s -o scene\n", project, model,
            p->n_places ? " --positions " : "", p->n_places ? model : "",
-           p->n_places ? "/positions.tsv" : "", m->n_points ? "" : " --min-points 0");
+           p->n_places ? "/positions.tsv" : "");
 }
 
 static enum err_code import_odm_run(const char *project, const struct import_odm_options *o,

@@ -111,10 +111,8 @@ static enum err_code mark_look(const struct mark_options *o, const struct mark_s
     const char *scene = o->scene ? o->scene : from->scene;
     enum err_code rc = options_defaults(ingest_options(), &cfg, a, e);
     cfg.skip_missing = true;
-    if (from->scene) {
-        cfg.min_points = from->min_points;
+    if (from->scene)
         cfg.max_reprojection_px = from->max_reprojection_px;
-    }
     if (!rc)
         rc = ingest_look(from->photographs, from->model, &cfg, survey, e);
     if (!rc && scene)

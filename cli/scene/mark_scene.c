@@ -49,7 +49,6 @@ static enum err_code mark_scene_read(const char *scene, struct mark_source *out,
                                 .gcp = mark_scene_path(report, scene, "ground_control", a),
                                 .gcp_epsg = (int)mark_scene_number(report, "gcp_epsg", 0),
                                 .gcp_scale = mark_scene_number(report, "gcp_scale", 1),
-                                .min_points = (int64_t)mark_scene_number(report, "min_points", 128),
                                 .max_reprojection_px =
                                     mark_scene_number(report, "max_reprojection_px", 8)};
     json_decref(report);

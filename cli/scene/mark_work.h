@@ -40,8 +40,7 @@ struct mark_source {         /* what is marked; lives in an arena */
     const char *gcp;         /* the list that the scene was made with; NULL: none */
     int gcp_epsg;            /* 0: as the list says */
     double gcp_scale;
-    int64_t min_points; /* this and the next member: only for a scene */
-    double max_reprojection_px;
+    double max_reprojection_px; /* only for a scene */
 };
 /* Fills *out from the arguments SCENE, or PHOTOGRAPHS MODEL (mark_scene.c). ERR_NOENT: there is no
  * scene, or its photographs are elsewhere. ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM. */

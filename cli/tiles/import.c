@@ -11,6 +11,7 @@
 #include "cli/base/cli.h"
 #include "cli/base/output.h"
 #include "cli/base/splats.h"
+#include "cli/tiles/import_fit.h"
 #include "codec/splat/axes.h"
 #include "codec/splat/ply.h"
 #include "core/math/sort.h"
@@ -45,14 +46,17 @@ static const struct options_spec import_spec = {
     .min_args = 1,
     .max_args = 1};
 
-/* To ENU. y down (x right, y down, z forward, forward taken as north) is glTF's turn the other way
- * round. */
-static void import_turn(const struct splats *s, int axes, struct gauss *g)
+static int import_axes(const struct splats *s, int axes)
 {
     bool gltf = s->kind == SPLATS_SPZ || s->kind == SPLATS_GLB || s->kind == SPLATS_DRC ||
                 s->kind == SPLATS_SOG || (s->kind == SPLATS_PLY && s->info.axes == PLY_AXES_GLTF);
-    if (axes == IMPORT_AXES_AUTO)
-        axes = gltf ? IMPORT_AXES_YUP : IMPORT_AXES_ENU;
+    return axes != IMPORT_AXES_AUTO ? axes : gltf ? IMPORT_AXES_YUP : IMPORT_AXES_ENU;
+}
+
+/* To ENU. y down (x right, y down, z forward, forward taken as north) is glTF's turn the other way
+ * round. */
+static void import_turn(int axes, struct gauss *g)
+{
     if (axes == IMPORT_AXES_YUP)
         axes_gltf_to_enu(g);
     if (axes == IMPORT_AXES_YDOWN)
@@ -69,6 +73,62 @@ static void import_scale(struct gauss *g, double scale)
         g->mean_m[i] = (float)(scale * (double)g->mean_m[i]);
         g->scale_log[i] = (float)((double)g->scale_log[i] + log(scale));
     }
+}
+
+/* Fits places of the file, turned and scaled as its Gaussians are, to those of the ground. */
+static enum err_code import_fit(int axes, double scale, struct import_fit *fit, struct err *e)
+{
+    double turned[IMPORT_FIT_MOST][3];
+    for (size_t i = 0; i < fit->n; i++) {
+        const double *x = fit->file[i];
+        turned[i][0] = scale * x[0];
+        turned[i][1] = scale * (axes == IMPORT_AXES_YUP     ? -x[2]
+                                : axes == IMPORT_AXES_YDOWN ? x[2]
+                                                            : x[1]);
+        turned[i][2] = scale * (axes == IMPORT_AXES_YUP     ? x[1]
+                                : axes == IMPORT_AXES_YDOWN ? -x[1]
+                                                            : x[2]);
+    }
+    return import_fit_make(fit, (const double(*)[3])turned, e);
+}
+
+struct import_place {
+    int axes;
+    double scale;
+    struct geo_origin origin;
+    const struct import_fit *fit; /* NULL: the file is upright and north is its y */
+};
+
+static void import_put(const struct import_place *p, struct gauss *g)
+{
+    import_turn(p->axes, g);
+    import_scale(g, p->scale);
+    if (p->fit)
+        import_fit_apply(p->fit, g);
+}
+
+/* Where the file lies: by --origin, three places of it, or its own word. */
+static enum err_code import_find_place(const char *path, const struct import_options *o,
+                                       const struct splats *s, struct import_fit *fit,
+                                       struct import_place *out, struct err *e)
+{
+    *out = (struct import_place){
+        .axes = import_axes(s, o->axes), .scale = o->scale, .origin = s->info.origin};
+    if (!o->origin && !s->info.has_origin)
+        return err_set(e, ERR_ARG,
+                       "%s does not say where on Earth it is: give --origin LON,LAT,H, or a file "
+                       "of three places",
+                       path);
+    if (!o->origin)
+        return ERR_OK;
+    if (!file_exists(o->origin))
+        return splats_place("--origin", o->origin, &out->origin, e);
+    enum err_code rc = import_fit_read(o->origin, fit, e);
+    if (!rc)
+        rc = import_fit(out->axes, o->scale, fit, e);
+    out->origin = fit->origin;
+    out->fit = fit;
+    return rc;
 }
 
 /* ---- outliers ---- */
@@ -178,8 +238,7 @@ enum { IMPORT_PART_ROWS = 131072 };
 
 struct import_stream {
     struct ply_stream *ply;
-    const struct import_options *o;
-    const struct splats *like; /* kind and frame */
+    const struct import_place *place;
     size_t n;
     struct import_far *far;
 };
@@ -190,10 +249,8 @@ static enum err_code import_load(void *user, size_t part, struct gauss *out, str
     size_t first = part * IMPORT_PART_ROWS, left = s->n - first;
     enum err_code rc =
         ply_stream_read(s->ply, first, left < IMPORT_PART_ROWS ? left : IMPORT_PART_ROWS, out, e);
-    if (!rc) {
-        import_turn(s->like, s->o->axes, out);
-        import_scale(out, s->o->scale);
-    }
+    if (!rc)
+        import_put(s->place, out);
     if (!rc && s->far->limit_m > 0)
         rc = import_far_check(s->far, first, out, e);
     return rc;
@@ -232,13 +289,16 @@ static uint64_t import_room(const struct ply_rows *r, bool lossless)
 static enum err_code import_run(const char *path, const struct import_options *o, struct err *e)
 {
     struct splats s = {0};
-    struct geo_origin origin;
+    struct import_fit fit;
+    struct import_place place;
     struct pyramid_report report;
     struct import_far far = {.drop = o->drop_outliers};
-    struct import_stream stream = {.o = o, .like = &s, .far = &far};
+    struct import_stream stream = {.place = &place, .far = &far};
     struct pyramid_level level = {.level = (uint8_t)o->level_count};
     struct pyramid_config cfg = {.tile_edge_m = o->tile_edge_m, .lossless = o->lossless};
-    enum err_code rc = o->origin ? splats_place("--origin", o->origin, &origin, e) : ERR_OK;
+    enum err_code rc = o->origin && !file_exists(o->origin)
+                           ? splats_place("--origin", o->origin, &place.origin, e)
+                           : ERR_OK;
     if (!rc && o->attribution && strlen(o->attribution) >= sizeof cfg.attribution)
         rc = err_set(e, ERR_ARG, "--attribution: at most %zu bytes", sizeof cfg.attribution - 1);
     if (!rc)
@@ -249,15 +309,10 @@ static enum err_code import_run(const char *path, const struct import_options *o
         rc = ply_stream_open(path, &stream.ply, &s.info, e);
     if (!rc && !stream.ply)
         rc = splats_read(path, NULL, &s, e);
+    if (!rc)
+        rc = import_find_place(path, o, &s, &fit, &place, e);
     if (rc)
         goto out;
-    if (!o->origin && !s.info.has_origin) {
-        rc = err_set(e, ERR_ARG, "%s does not say where on Earth it is: give --origin LON,LAT,H",
-                     path);
-        goto out;
-    }
-    if (!o->origin)
-        origin = s.info.origin;
     if (stream.ply) {
         const struct ply_rows rows = ply_stream_rows(stream.ply);
         stream.n = rows.n;
@@ -268,8 +323,7 @@ static enum err_code import_run(const char *path, const struct import_options *o
         if (!rc)
             rc = import_far_sample(&stream, level.n_parts, e);
     } else {
-        import_turn(&s, o->axes, &s.g);
-        import_scale(&s.g, o->scale);
+        import_put(&place, &s.g);
         level.g = &s.g;
         rc = import_far_find(&s.g, &far, e);
         if (!rc)
@@ -278,7 +332,7 @@ static enum err_code import_run(const char *path, const struct import_options *o
     if (rc)
         goto out;
     snprintf(cfg.attribution, sizeof cfg.attribution, "%s", o->attribution ? o->attribution : "");
-    rc = pyramid_build(&origin, &level, 1, &cfg, NULL, 0, o->output, &report, e);
+    rc = pyramid_build(&place.origin, &level, 1, &cfg, NULL, 0, o->output, &report, e);
     import_far_tell(&far);
     if (!rc)
         import_print(o->output, &report);

@@ -32,6 +32,21 @@ static void train_print_cell(const struct train_cell_result *c)
     }
 }
 
+/* Photographs of one survey score so differently, as a standard deviation (docs/training.md). */
+static const double photo_spread_db = 1.5;
+enum { SCORES_FEW = 16 };
+
+static void train_print_worth(const struct train_result *r)
+{
+    size_t n = 0;
+    for (size_t i = 0; i < r->n_cells; i++)
+        n += r->cells[i].n_test;
+    if (n && n < SCORES_FEW)
+        printf("scores are means of %zu photograph%s that did not train: another choice of so few "
+               "may score %.1f dB more or less\n",
+               n, n == 1 ? "" : "s", photo_spread_db / sqrt((double)n));
+}
+
 static void train_print(const struct train_result *r)
 {
     struct timing_seconds spent = {0};
@@ -42,6 +57,7 @@ static void train_print(const struct train_result *r)
     for (size_t i = 0; i < r->n_cells; i++)
         if (!r->cells[i].was_done)
             timing_add(&spent, &r->cells[i].timing);
+    train_print_worth(r);
     printf("%.1f s, %.0f MiB at most\n", r->seconds, (double)r->peak_bytes / 1048576.0);
     if (timing_total(&spent) > 0.0) {
         timing_text(&spent, text, sizeof text);

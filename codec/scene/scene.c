@@ -384,8 +384,8 @@ static enum err_code scene_frame_from_json(const json_t *root, struct scene *s, 
     const char *heights = json_string_value(json_object_get(root, "heights"));
     if (!rc && heights && !heights_valid(heights))
         rc = err_set(e, ERR_FORMAT,
-                     "heights: '%.40s' is none of ellipsoid, sea-exif, sea, takeoff, unknown and "
-                     "EPSG:CODE",
+                     "heights: '%.40s' is none of ellipsoid, sea-exif, sea, takeoff, unknown, "
+                     "unscaled and EPSG:CODE",
                      heights);
     if (!rc && heights)
         snprintf(s->heights, sizeof s->heights, "%s", heights);

@@ -11,6 +11,8 @@
  */
 #include "codec/splat/axes.h"
 
+#include <math.h>
+
 #define H 0.70710678f  /* sqrt(1/2) */
 #define A 0.866025404f /* sqrt(3)/2 */
 #define B 0.790569415f /* sqrt(10)/4 */
@@ -124,4 +126,48 @@ void axes_gltf_to_enu(struct gauss *g)
         q[3] = H * (z + y);
     }
     axes_turn_sh(g, axes_band1_to_enu, axes_band2_to_enu, axes_band3_to_enu);
+}
+
+/* About z. Of a band, the coefficients of orders m and -m are those of cos and sin of m times the
+ * azimuth, with the same sign. */
+static void axes_turn_z(struct gauss *g, double angle)
+{
+    const float hw = (float)cos(0.5 * angle), hz = (float)sin(0.5 * angle);
+    const size_t k = gauss_sh_count(g->sh_degree);
+    float c[4], s[4];
+    for (size_t m = 0; m < 4; m++) {
+        c[m] = (float)cos((double)m * angle);
+        s[m] = (float)sin((double)m * angle);
+    }
+    for (size_t i = 0; i < g->n; i++) {
+        float *p = g->mean_m + 3 * i, *q = g->quat_wxyz + 4 * i, x = p[0], w = q[0], qx = q[1];
+        p[0] = c[1] * x - s[1] * p[1];
+        p[1] = s[1] * x + c[1] * p[1];
+        q[0] = hw * w - hz * q[3];
+        q[3] = hw * q[3] + hz * w;
+        q[1] = hw * qx - hz * q[2];
+        q[2] = hw * q[2] + hz * qx;
+        for (size_t l = 1; l <= g->sh_degree; l++)
+            for (size_t m = 1; m <= l; m++)
+                for (size_t ch = 0; ch < CH; ch++) {
+                    float *cos_m = g->sh + (i * k + l * l + l + m) * CH + ch,
+                          *sin_m = g->sh + (i * k + l * l + l - m) * CH + ch, was = *cos_m;
+                    *cos_m = c[m] * was - s[m] * *sin_m;
+                    *sin_m = s[m] * was + c[m] * *sin_m;
+                }
+    }
+}
+
+/* About z, y and z (Euler). The turn about y is one about z between two quarter turns. */
+void axes_turn(struct gauss *g, const double rot[9])
+{
+    const double side = hypot(rot[2], rot[5]);
+    const bool upright = !(side > 1e-12);
+    axes_turn_z(g, upright ? 0 : atan2(rot[7], -rot[6]));
+    axes_gltf_to_enu(g);
+    axes_turn_z(g, atan2(side, rot[8]));
+    axes_enu_to_gltf(g);
+    axes_turn_z(g, !upright     ? atan2(rot[5], rot[2])
+                   : rot[8] > 0 ? atan2(rot[3], rot[0])
+                                : atan2(-rot[3], -rot[0]));
 }

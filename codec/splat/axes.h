@@ -1,4 +1,5 @@
-/* Turns Gaussians between the axes of the working frame (ENU, z up) and of glTF (y up).
+/* Turns Gaussians between the axes of the working frame (ENU, z up) and of glTF (y up), and by any
+ * rotation.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -11,4 +12,6 @@
  * in place, cannot fail, and may be called from any thread. */
 void axes_enu_to_gltf(struct gauss *g);
 void axes_gltf_to_enu(struct gauss *g);
+/* Turns by any rotation, p' = rot p, likewise. */
+void axes_turn(struct gauss *g, const double rot[9]);
 #endif

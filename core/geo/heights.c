@@ -16,6 +16,8 @@ static const struct {
     {"sea", "sea level (no geoid known)", "sea level (no geoid known)"},
     {"takeoff", "the place of take-off, whose height is not known", "take-off (height not known)"},
     {"unknown", "a surface that is not known", "unknown"},
+    {"unscaled", "the model's ground, in units that are not metres (scale not known)",
+     "model's own (metres not known)"},
 };
 enum { HEIGHTS_KINDS = sizeof kinds / sizeof *kinds };
 

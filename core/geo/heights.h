@@ -6,6 +6,8 @@
  *     takeoff     above the place where the drone took off; its height is not known
  *     EPSG:7837   heights of this vertical coordinate system
  *     unknown     the reference was not given
+ *     unscaled    as unknown, and metres are not known either: units are those of a model that
+ *                 photographs without GPS and control gave
  *
  * SPDX-License-Identifier: Apache-2.0
  */

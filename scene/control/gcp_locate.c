@@ -122,6 +122,7 @@ static enum err_code locate_sights(const struct gcp_list *list, const struct col
                                    const struct gcp_view *views, size_t n_views, double px_scale,
                                    double mark_px, struct gcp_places *out, struct err *e)
 {
+    struct table_renamed renamed = {0};
     for (size_t k = 0; k < list->n_marks; k++) {
         const struct colmap_image *photo;
         enum err_code rc = gcp_locate_photo(m, list, &list->marks[k], &photo, e);
@@ -129,6 +130,8 @@ static enum err_code locate_sights(const struct gcp_list *list, const struct col
             return rc;
         if (!photo && !out->n_lost++)
             out->lost = list->marks[k].image;
+        if (photo)
+            table_rename(&renamed, photo->name, list->marks[k].image);
         for (size_t v = 0; photo && v < n_views; v++) {
             bool seen = false;
             if (views[v].image != photo)
@@ -141,6 +144,7 @@ static enum err_code locate_sights(const struct gcp_list *list, const struct col
             break;
         }
     }
+    table_tell_renamed(&renamed, "ground control points");
     qsort(out->sights, out->n_sights, sizeof *out->sights, locate_sight_compare);
     for (size_t k = 0; k < out->n_sights; k++) {
         struct gcp_place *p = &out->places[out->sights[k].mark->gcp];

@@ -206,11 +206,15 @@ static enum err_code gcp_head(const char *line, struct gcp_table *t, struct gcp_
                    t->path, t->line, wanted[lacks]);
 }
 
-/* Commas within numbers would shift all that follows by a column. */
-static enum err_code gcp_check_commas(const struct gcp_table *t, const char *line, struct err *e)
+/* Commas within numbers would shift all that follows by a column: they are points where semicolons
+ * or tabs divide the fields. */
+static enum err_code gcp_check_commas(struct table *lines, const struct gcp_table *t, char *line,
+                                      struct err *e)
 {
     const char *at = line;
-    size_t n = t->comma == ',' || !strpbrk(line, " \t;") ? 0 : table_decimal_comma(line, &at);
+    if (t->comma != ',' && strpbrk(line, "\t;"))
+        table_decimal_points(lines, line);
+    size_t n = t->comma == ',' || !strchr(line, ' ') ? 0 : table_decimal_comma(line, &at);
     if (!n)
         return ERR_OK;
     return err_set(e, ERR_FORMAT,
@@ -350,12 +354,12 @@ static enum err_code gcp_check_blanks(const struct gcp_table *t, char *field[TAB
     return ERR_OK;
 }
 
-static enum err_code gcp_row(const struct gcp_table *t, char *text, struct gcp_list *l,
-                             struct err *e)
+static enum err_code gcp_row(struct table *lines, const struct gcp_table *t, char *text,
+                             struct gcp_list *l, struct err *e)
 {
     char *field[TABLE_FIELDS];
     double v[GCP_IMAGE], sigma[4] = {0};
-    enum err_code rc = gcp_check_commas(t, text, e);
+    enum err_code rc = gcp_check_commas(lines, t, text, e);
     if (rc)
         return rc;
     size_t n = gcp_split(t, text, field);
@@ -462,7 +466,7 @@ static enum err_code gcp_read_table(const char *path, bool bare, bool known, str
             rc = gcp_head(line, &t, l, &mark, e);
         head = false;
         if (!rc && mark)
-            rc = gcp_row(&t, line, l, e);
+            rc = gcp_row(&lines, &t, line, l, e);
     }
     table_close(&lines);
     return rc;

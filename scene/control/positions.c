@@ -203,12 +203,14 @@ static bool positions_nowhere(const struct positions_head *h, char *const field[
     return none == 3;
 }
 
-static enum err_code positions_csv_row(const struct table *t, const struct positions_head *h,
-                                       char *line, struct positions *p, struct err *e)
+static enum err_code positions_csv_row(struct table *t, const struct positions_head *h, char *line,
+                                       struct positions *p, struct err *e)
 {
     char *field[TABLE_FIELDS];
     double v[COLUMNS] = {0};
     struct position one = {.time_s = (double)NAN, .line = t->line};
+    if (h->comma != ',')
+        table_decimal_points(t, line);
     size_t n = table_split(line, h->comma, field), most = n;
     while (most > h->wide && !*field[most - 1])
         most--;
@@ -463,6 +465,7 @@ enum err_code positions_read(const char *paths, struct positions *out, struct er
 static enum err_code positions_match_names(const struct positions *p, struct position_photo *photos,
                                            size_t n, struct err *e)
 {
+    struct table_renamed renamed = {0};
     for (size_t i = 0; i < n; i++) {
         size_t most = 0, other = SIZE_MAX;
         photos[i].position = SIZE_MAX;
@@ -481,7 +484,10 @@ static enum err_code positions_match_names(const struct positions *p, struct pos
                            "positions: lines %zu and %zu both fit %.200s: name photographs with "
                            "their folders, and each once",
                            p->list[photos[i].position].line, p->list[other].line, photos[i].name);
+        if (most)
+            table_rename(&renamed, photos[i].name, p->list[photos[i].position].image);
     }
+    table_tell_renamed(&renamed, "--positions");
     return ERR_OK;
 }
 

@@ -124,6 +124,21 @@ size_t table_decimal_comma(const char *line, const char **at)
     return 0;
 }
 
+void table_decimal_points(struct table *t, char *line)
+{
+    const char *at;
+    for (size_t n; (n = table_decimal_comma(line, &at)) > 0;) {
+        char *number = line + (at - line), *comma = strchr(number, ',');
+        if (!t->commas)
+            log_info("table", "%s: line %zu: decimal commas are read as points: '%.*s'", t->path,
+                     t->line, (int)(n < 40 ? n : 40), number);
+        t->commas = true;
+        *comma = '.';
+    }
+}
+
+/* ---- names of photographs ---- */
+
 static bool table_is_slash(char c)
 {
     return c == '/' || c == '\\';
@@ -155,11 +170,103 @@ static size_t table_rate(const char *photo, size_t n, const char *listed, size_t
     return 4 * same + 2 * (n == k) + (n == k && !strncmp(photo, listed, n));
 }
 
-size_t table_alike(const char *photo, const char *listed)
+/* Also without the ending that the listed one lacks. */
+static size_t table_rate_ends(const char *photo, const char *listed)
 {
     const size_t n = strlen(photo), k = strlen(listed), stem = table_stem(photo);
     const size_t rate = table_rate(photo, n, listed, k);
     return rate || stem == n || !stem || table_stem(listed) != k
                ? rate
                : table_rate(photo, stem, listed, k);
+}
+
+/* A character of UTF-8; 0: the end, or none. */
+static uint32_t table_character(const char **p)
+{
+    const unsigned char *s = (const unsigned char *)*p;
+    const size_t more = *s < 0xc0 ? 0 : *s < 0xe0 ? 1 : *s < 0xf0 ? 2 : 3;
+    uint32_t c = more ? *s & (0x3fu >> more) : *s;
+    *p += *s != 0;
+    for (size_t k = 0; k < more && (**p & 0xc0) == 0x80; k++)
+        c = c << 6 | ((unsigned char)*(*p)++ & 0x3f);
+    return c;
+}
+
+/* Combining marks of letters, and of kana. */
+static bool table_is_mark(uint32_t c)
+{
+    return (c >= 0x300 && c < 0x370) || c == 0x3099 || c == 0x309a;
+}
+
+/* Letters of which some are one with a mark: Latin, Greek and Cyrillic, kana. */
+static bool table_may_have_mark(uint32_t c)
+{
+    return (c >= 0xc0 && c < 0x530) || (c >= 0x1e00 && c < 0x2000) || (c >= 0x3040 && c < 0x3100);
+}
+
+/* Replaces each letter with a mark, in one character or two, by one sign. Returns whether there
+ * were any and `out` holds all. */
+static bool table_without_marks(const char *text, char *out, size_t room)
+{
+    const char sign = 1;
+    bool any = false;
+    size_t n = 0;
+    for (const char *p = text, *from = p; *p; from = p) {
+        const uint32_t c = table_character(&p);
+        bool marked = table_may_have_mark(c);
+        for (const char *q = p; table_is_mark(table_character(&q)); p = q)
+            marked = true;
+        const size_t len = marked ? 1 : (size_t)(p - from);
+        if (n + len >= room)
+            return false;
+        memcpy(out + n, marked ? &sign : from, len);
+        n += len;
+        any = any || marked;
+    }
+    out[n] = '\0';
+    return any;
+}
+
+size_t table_alike(const char *photo, const char *listed)
+{
+    char a[TABLE_LINE_MAX], b[TABLE_LINE_MAX];
+    const size_t rate = table_rate_ends(photo, listed);
+    return rate || !table_without_marks(photo, a, sizeof a) ||
+                   !table_without_marks(listed, b, sizeof b)
+               ? rate
+               : table_rate_ends(a, b) > 0;
+}
+
+bool table_same_path(const char *a, const char *b)
+{
+    char x[TABLE_LINE_MAX], y[TABLE_LINE_MAX];
+    if (table_without_marks(a, x, sizeof x) && table_without_marks(b, y, sizeof y)) {
+        a = x;
+        b = y;
+    }
+    return strlen(a) == strlen(b) && table_rate(a, strlen(a), b, strlen(b)) > 0;
+}
+
+void table_rename(struct table_renamed *r, const char *photo, const char *listed)
+{
+    const size_t n = strlen(photo), k = strlen(listed), stem = table_stem(photo);
+    const size_t ends[] = {n, stem};
+    for (size_t i = 0; i < 2; i++) {
+        const size_t least = ends[i] < k ? ends[i] : k;
+        if (!memcmp(photo + ends[i] - least, listed + k - least, least))
+            return;
+    }
+    if (!r->n++) {
+        r->photo = photo;
+        r->listed = listed;
+    }
+}
+
+void table_tell_renamed(const struct table_renamed *r, const char *what)
+{
+    if (r->n)
+        log_info("table",
+                 "%s: %zu names differ from those of the photographs in case, slashes or accents; "
+                 "'%s' is taken for '%s'",
+                 what, r->n, r->listed, r->photo);
 }

@@ -1,5 +1,6 @@
 /* Reads lines of fields, as in lists of ground control points and of positions. Fields are
- * separated by commas, semicolons or blanks, and numbers have a decimal point. Also compares names
+ * separated by commas, semicolons or blanks, and numbers have a decimal point, or a
+ * decimal comma where fields are separated by semicolons or tabs. Also compares names
  * of photographs in such lists.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -20,6 +21,7 @@ struct table { /* {0}, then table_open; table_close it */
     struct buf *bytes;
     char *next;  /* NULL: no more */
     size_t line; /* number of the last line that was read, from 1 */
+    bool commas; /* decimal commas were found, and told */
 };
 /* Opens a file. Close *out with table_close. ERR_NOENT, ERR_IO, ERR_LIMIT, ERR_MEM. */
 enum err_code table_open(const char *path, struct table *out, struct err *e) ERR_USE;
@@ -40,10 +42,26 @@ bool table_number(const char *text, double *out);
 /* Finds a decimal comma, as in "634676,12", in a line whose fields are not separated by commas.
  * Returns its length; 0: there is none. */
 size_t table_decimal_comma(const char *line, const char **at);
+/* Makes decimal commas of such a line points. The first of a table is told. */
+void table_decimal_points(struct table *t, char *line);
 /* Rates how well the path of a photograph matches one in a list, from its end. 0: no match. Folders
  * that both have must be equal. Case is ignored, because cameras write .JPG. A match of the whole
  * path rates higher than one of a part, and a name with its ending higher than a name without, such
- * as Metashape's labels. */
+ * as Metashape's labels. A letter with a mark is the same as one character and as two (NFC and NFD
+ * of Unicode: systems differ in what they make of file names); such a match rates lowest, and which
+ * letter it is does not count. */
 size_t table_alike(const char *photo, const char *listed);
+/* Is it the same path but for case, the direction of slashes, and the form of letters with marks?
+ */
+bool table_same_path(const char *a, const char *b);
+/* Names of a list that are not written as those of the photographs which they match. */
+struct table_renamed {
+    size_t n;
+    const char *photo, *listed; /* the first; borrowed */
+};
+/* Notes a match whose names differ in case, slashes or marks. */
+void table_rename(struct table_renamed *r, const char *photo, const char *listed);
+/* Tells of them, if there are any. what: the list. */
+void table_tell_renamed(const struct table_renamed *r, const char *what);
 
 #endif

@@ -514,9 +514,15 @@ struct align_forecast align_plan_afford(const struct align_plan *p, uint32_t edg
                                         uint32_t features, const struct align_pace *pace,
                                         double seconds)
 {
-    static const uint32_t choices[][2] = {{3200, 8192}, {3200, 6000}, {2400, 4096},
-                                          {2000, 4096}, {1600, 4096}, {1600, 3072},
-                                          {1600, 2048}, {1280, 1536}, {1000, 1024}};
+    static const uint32_t choices[][2] = {{3200, ALIGN_PLAN_FEATURES_MOST},
+                                          {3200, 6000},
+                                          {2400, 4096},
+                                          {2000, 4096},
+                                          {1600, 4096},
+                                          {1600, 3072},
+                                          {1600, 2048},
+                                          {1280, 1536},
+                                          {1000, 1024}};
     struct align_forecast f = {0};
     for (size_t k = 0; k < sizeof choices / sizeof *choices; k++) {
         f = align_plan_forecast(p, edge_px ? edge_px : choices[k][0],

@@ -82,6 +82,7 @@ double align_plan_look_s(const struct align_plan *p, double slow);
 double align_plan_cpu_s(const struct align_forecast *f);
 /* Seconds by the clock. Features and pairs use all cores, the model about one and a half. */
 double align_plan_clock_s(const struct align_forecast *f, const struct align_pace *pace);
+enum { ALIGN_PLAN_FEATURES_MOST = 8192 };
 /* Chooses the finest of the usual values of edge_px and features that takes at most so many seconds
  * by the clock, or else the coarsest. An argument edge_px or features that is not 0 is kept. */
 struct align_forecast align_plan_afford(const struct align_plan *p, uint32_t edge_px,

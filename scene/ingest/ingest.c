@@ -1,11 +1,11 @@
 /* All steps from photographs and a COLMAP model to a scene folder.
  *
- * Photographs are judged by three questions. Do they see enough points? Does their pose agree with
- * these points? (A wrong pose has a large reprojection error, whatever GPS says.) Does their place
- * agree with their GPS position (georef.c)? Photographs that fail are dropped with their
- * observations, and the report names them. The split into training and test photographs uses the
- * rank among all photographs of the model, so it does not depend on what was dropped. The scene
- * appears when it is complete.
+ * Photographs are judged by three questions. Does their pose agree with the points that they see?
+ * (A wrong pose has a large reprojection error, whatever GPS says.) Do these points fix the pose
+ * (pose_error.c)? Does their place agree with their GPS position (georef.c)? Photographs that fail
+ * are dropped with their observations, and the report names them. The split into training and test
+ * photographs uses the rank among all photographs of the model, so it does not depend on what was
+ * dropped. The scene appears when it is complete.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -27,6 +27,7 @@
 #include "core/math/sort.h"
 #include "core/outdir.h"
 #include "core/pool.h"
+#include "scene/control/table.h"
 #include "scene/ingest/ingest_internal.h"
 
 static enum err_code ingest_no_memory(struct err *e)
@@ -94,7 +95,7 @@ static char *ingest_out_name_make(struct ingest *g, const char *name)
     }
     char *out = arena_printf(&g->scene.arena, "%s%s", name, fits ? "" : want[0]);
     for (char *p = out; p && *p; p++)
-        if (*p == '/')
+        if (*p == '/' || *p == '\\')
             *p = '_';
     return out;
 }
@@ -137,6 +138,7 @@ static enum err_code ingest_list_photos(struct ingest *g, struct err *e)
         return ingest_no_memory(e);
     size_t missing = 0;
     const char *first = NULL;
+    struct table_renamed renamed = {0};
     enum err_code listed = ingest_files_list(g->images_dir, &g->files, e);
     if (listed)
         return listed;
@@ -167,7 +169,9 @@ static enum err_code ingest_list_photos(struct ingest *g, struct err *e)
             p->verdict = INGEST_MISSING;
             first = missing++ ? first : p->image->name;
         }
+        table_rename(&renamed, p->file, p->image->name);
     }
+    table_tell_renamed(&renamed, "the COLMAP model");
     if (missing == g->n || (missing && !g->cfg->skip_missing))
         return err_set(
             e, ERR_NOENT,
@@ -273,52 +277,30 @@ static enum err_code ingest_find_flights(struct ingest *g, struct err *e)
 
 /* ---- poses against points ---- */
 
-/* Distance in pixels between an observation and where its point projects; NaN behind the camera. */
-static double ingest_reprojection_at(const struct ingest *g, const struct ingest_photo *p,
-                                     const struct colmap_observation *o)
-{
-    const double *x = g->model.points[o->point].xyz, *r = p->geo.rot;
-    const struct lens *l = &g->model.cameras[p->image->camera].lens;
-    double t[3], u, v;
-    for (int a = 0; a < 3; a++)
-        t[a] = r[3 * a] * x[0] + r[3 * a + 1] * x[1] + r[3 * a + 2] * x[2] + p->image->trans[a];
-    if (!(t[2] > 0))
-        return 1e9;
-    lens_distort(l, t[0] / t[2], t[1] / t[2], &u, &v);
-    double d = hypot(u - o->x_px, v - o->y_px);
-    return d < 1e9 ? d : 1e9;
-}
-
 static enum err_code ingest_judge_poses(struct ingest *g, struct err *e)
 {
-    size_t most = 0;
-    for (size_t i = 0; i < g->n; i++)
-        most = g->photos[i].image->n_obs > most ? g->photos[i].image->n_obs : most;
-    if (!g->model.n_tracks)
+    struct pose_error *known = mem_array(g->model.n_images, sizeof *known);
+    enum err_code rc = known ? pose_error_find(&g->model, known, e) : ingest_no_memory(e);
+    if (!rc && !g->model.n_tracks)
         log_warn("ingest", "the COLMAP model does not say which photographs see which points: "
                            "its poses are taken as they are, unchecked");
-    double *scratch = mem_array(most, sizeof *scratch);
-    if (!scratch)
-        return ingest_no_memory(e);
-    for (size_t i = 0; i < g->n; i++) {
+    for (size_t i = 0; !rc && i < g->n; i++) {
         struct ingest_photo *p = &g->photos[i];
         camera_quat_to_rot(p->image->quat_wxyz, p->geo.rot);
         for (int a = 0; a < 3; a++)
             p->geo.center[a] =
                 -(p->geo.rot[a] * p->image->trans[0] + p->geo.rot[3 + a] * p->image->trans[1] +
                   p->geo.rot[6 + a] * p->image->trans[2]);
-        for (size_t k = 0; k < p->image->n_obs; k++)
-            if (p->image->obs[k].point >= 0)
-                scratch[p->n_points++] = ingest_reprojection_at(g, p, &p->image->obs[k]);
-        p->reprojection_px = sort_median(scratch, p->n_points);
-        if (p->verdict == INGEST_KEPT && g->model.n_tracks &&
-            p->n_points < (size_t)g->cfg->min_points)
-            p->verdict = INGEST_FEW_POINTS;
-        else if (p->verdict == INGEST_KEPT && p->reprojection_px > g->cfg->max_reprojection_px)
+        p->pose = known[p->image - g->model.images];
+        if (p->verdict != INGEST_KEPT || !g->model.n_tracks)
+            continue;
+        if (p->pose.reprojection_px > g->cfg->max_reprojection_px)
             p->verdict = INGEST_POSE;
+        else if (!pose_error_known(&p->pose, &g->model.cameras[p->image->camera].lens))
+            p->verdict = INGEST_LOOSE;
     }
-    mem_free(scratch);
-    return ERR_OK;
+    mem_free(known);
+    return rc;
 }
 
 static size_t ingest_count_verdict(const struct ingest *g, enum ingest_verdict v)
@@ -332,19 +314,18 @@ static size_t ingest_count_verdict(const struct ingest *g, enum ingest_verdict v
 static enum err_code ingest_check_some_left(const struct ingest *g, struct err *e)
 {
     size_t broken = ingest_count_verdict(g, INGEST_BROKEN),
-           few = ingest_count_verdict(g, INGEST_FEW_POINTS),
+           loose = ingest_count_verdict(g, INGEST_LOOSE),
            pose = ingest_count_verdict(g, INGEST_POSE), most = 0;
     if (ingest_count_verdict(g, INGEST_KEPT) >= 3)
         return ERR_OK;
     for (size_t i = 0; i < g->n; i++)
-        most = g->photos[i].n_points > most ? g->photos[i].n_points : most;
+        most = g->photos[i].pose.n_points > most ? g->photos[i].pose.n_points : most;
     return err_set(
         e, ERR_DATA,
-        "no scene is left: %zu of %zu photographs see fewer than %lld points (the best "
-        "one sees %zu; see "
-        "--min-points), %zu disagree with the points they see (--max-reprojection-px), the "
-        "files of %zu are broken",
-        few, g->n, (long long)g->cfg->min_points, most, pose, broken);
+        "no scene is left: the points that %zu of %zu photographs see do not fix their poses (the "
+        "best one sees %zu: align with more --minutes or --features), %zu disagree with the points "
+        "they see (--max-reprojection-px), the files of %zu are broken",
+        loose, g->n, most, pose, broken);
 }
 
 /* The mask of a photograph: of --mask-dir, or else what its alpha calls transparent. */

@@ -1,5 +1,5 @@
 /* The photographs in a folder, and their relation to a model: the file that a name of the model
- * means if case differs (.jpg and .JPG), and photographs that the model lacks.
+ * means if it is written otherwise (.jpg and .JPG), and photographs that the model lacks.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -10,6 +10,7 @@
 #include <sys/stat.h>
 
 #include "core/base.h"
+#include "scene/control/table.h"
 #include "scene/ingest/ingest_files.h"
 
 enum { FILES_DEEP = 8 };
@@ -113,6 +114,19 @@ void ingest_files_free(struct ingest_files *f)
     *f = (struct ingest_files){0};
 }
 
+/* Of a name that case alone does not lead to. */
+static const char *files_find_alike(const struct ingest_files *f, const char *name)
+{
+    const char *found = NULL;
+    size_t fits = 0;
+    for (size_t i = 0; i < f->n; i++)
+        if (table_same_path(f->names[i], name)) {
+            found = f->names[i];
+            fits++;
+        }
+    return fits == 1 ? found : NULL;
+}
+
 const char *ingest_files_find(const struct ingest_files *f, const char *name)
 {
     size_t lo = 0, hi = f->n;
@@ -131,5 +145,5 @@ const char *ingest_files_find(const struct ingest_files *f, const char *name)
             return NULL; /* two that differ in capitals: neither is meant for sure */
         found = f->names[lo];
     }
-    return found;
+    return found ? found : files_find_alike(f, name);
 }

@@ -19,7 +19,8 @@
 
 /* A gimbal knows which way is down to a degree. */
 static const double reliable_px = 2, inlier_m = 8, gimbal_sigma = 0.02;
-enum { RELIABLE_TRACK = 3, HEIGHT_SAMPLES = 200000 };
+static const double flight_units = 100; /* height of a flight whose metres are not known */
+enum { RELIABLE_TRACK = 3, HEIGHT_SAMPLES = 200000, GPS_LEAST = 3 };
 
 static enum err_code frame_no_memory(struct err *e)
 {
@@ -277,26 +278,60 @@ static enum err_code frame_from_gps(struct ingest *g, struct sim3 *sim, struct e
     return rc;
 }
 
+/* Median height of the kept cameras above the sparse points. */
+static double frame_flight_height(const struct ingest *g, const struct sim3 *s, double ground,
+                                  double *scratch)
+{
+    size_t n = 0;
+    for (size_t i = 0; i < g->n; i++) {
+        double at[3];
+        if (g->photos[i].verdict != INGEST_KEPT)
+            continue;
+        sim3_apply(s, g->photos[i].geo.center, at);
+        scratch[n++] = at[2] - ground;
+    }
+    return sort_median(scratch, n);
+}
+
+/* Neither GPS nor control: place and scale as far as options tell, and words on what is missing. A
+ * scene without metres is as large as if it were photographed from 100 m. */
 static enum err_code frame_by_hand(struct ingest *g, size_t n_gps, size_t n_kept, struct sim3 *sim,
                                    struct err *e)
 {
-    double normal[3] = {0}, sigma;
-    if (!g->cfg->origin || !(g->cfg->metres_per_unit > 0))
+    double normal[3] = {0}, sigma, scale = g->cfg->metres_per_unit;
+    g->scaled = scale > 0;
+    if (n_gps >= GPS_LEAST && !(g->cfg->origin && g->scaled))
         return err_set(
             e, ERR_DATA,
             "%zu of %zu photographs have a GPS position with altitude: too few to georeference. "
             "Give ground control points (--gcp) or positions of the photographs (--positions), or "
-            "place the scene by hand with --origin LON,LAT,H and --metres-per-unit%s",
-            n_gps, n_kept, n_gps >= 3 ? ", or accept fewer with --min-gps-share" : "");
-    log_warn("ingest",
-             "frame by hand: %zu of %zu photographs have GPS; no positions were checked, north is "
-             "arbitrary",
-             n_gps, n_kept);
-    enum err_code rc = ingest_frame_parse(g->cfg->origin, &g->scene.origin, e);
+            "place the scene by hand with --origin LON,LAT,H and --metres-per-unit, or accept "
+            "fewer with --min-gps-share",
+            n_gps, n_kept);
+    if (g->scaled && g->cfg->origin)
+        log_warn("ingest",
+                 "frame by hand: %zu of %zu photographs have GPS; no positions were checked, north "
+                 "is arbitrary",
+                 n_gps, n_kept);
+    else
+        log_warn("ingest",
+                 "%zu of %zu photographs have GPS, and no ground control points (--gcp) or "
+                 "positions (--positions) are given: north is arbitrary%s%s. Later, `citysplat "
+                 "export` to .ply and `import --origin FILE` with three places in it and on the "
+                 "ground put what was trained in its place",
+                 n_gps, n_kept,
+                 g->cfg->origin ? ""
+                                : ", the place is not known and stands at longitude 0, "
+                                  "latitude 0 (--origin)",
+                 g->scaled ? ""
+                           : ", and metres are not known: distances are those of a flight 100 "
+                             "units high (--metres-per-unit)");
+    enum err_code rc =
+        g->cfg->origin ? ingest_frame_parse(g->cfg->origin, &g->scene.origin, e) : ERR_OK;
     struct georef_photo *list = mem_array(g->n, sizeof *list);
-    double *scratch =
-        mem_array(g->model.n_points < HEIGHT_SAMPLES ? g->model.n_points : 2 * HEIGHT_SAMPLES,
-                  sizeof *scratch);
+    double *scratch = mem_array(
+        (g->model.n_points < HEIGHT_SAMPLES ? g->model.n_points : 2 * HEIGHT_SAMPLES) + g->n,
+        sizeof *scratch);
     size_t n = 0;
     if (!rc && (!list || !scratch))
         rc = frame_no_memory(e);
@@ -306,7 +341,11 @@ static enum err_code frame_by_hand(struct ingest *g, size_t n_gps, size_t n_kept
     if (!rc)
         rc = frame_upwards(g, normal, &sigma, e);
     if (!rc)
-        rc = georef_upright(list, n, normal, sigma, g->cfg->metres_per_unit, sim, e);
+        rc = georef_upright(list, n, normal, sigma, g->scaled ? scale : 1, sim, e);
+    if (!rc && !g->scaled) {
+        double height = frame_flight_height(g, sim, frame_median_height(g, sim, scratch), scratch);
+        rc = georef_upright(list, n, normal, sigma, height > 0 ? flight_units / height : 1, sim, e);
+    }
     if (!rc)
         sim->trans[2] -= frame_median_height(g, sim, scratch);
     mem_free(list);
@@ -433,7 +472,7 @@ enum err_code ingest_frame_find(struct ingest *g, struct err *e)
             n_kept++;
             n_gps += frame_gps_usable(&g->photos[i].gps);
         }
-    bool enough = n_gps >= 3 && (double)n_gps >= g->cfg->min_gps_share * (double)n_kept;
+    bool enough = n_gps >= GPS_LEAST && (double)n_gps >= g->cfg->min_gps_share * (double)n_kept;
     enum err_code rc = ingest_drone_up(g, &g->gimbal, e);
     if (!rc)
         rc = g->gcps  ? frame_from_gcp(g, &sim, e)

@@ -145,7 +145,8 @@ void ingest_heights_name(struct ingest *g)
                            "nothing");
     /* --origin without GPS is ellipsoidal, by what it is documented to be. */
     snprintf(out, HEIGHTS_MAX, "%s",
-             !g->fitted                                  ? "ellipsoid"
+             !g->fitted && !g->scaled                    ? "unscaled"
+             : !g->fitted                                ? g->cfg->origin ? "ellipsoid" : "unknown"
              : none || mixed || (low && (sea || rtk))    ? "unknown"
              : low                                       ? "takeoff"
              : moved || !sea                             ? "ellipsoid"

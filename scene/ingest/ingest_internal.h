@@ -17,12 +17,13 @@
 #include "scene/ingest/ingest_files.h"
 #include "scene/ingest/ingest_look.h"
 #include "scene/ingest/ingest_photo.h"
+#include "scene/ingest/pose_error.h"
 
 struct ingest_config;
 
 enum ingest_verdict {
     INGEST_KEPT,
-    INGEST_FEW_POINTS,
+    INGEST_LOOSE, /* its points do not fix its pose */
     INGEST_POSE,
     INGEST_GPS,
     INGEST_MISSING,
@@ -69,9 +70,8 @@ struct ingest_photo {
     struct drone_meta drone;
     enum ingest_altitude altitude;
     struct georef_photo geo;
-    size_t n_points;        /* number of triangulated observations */
-    double reprojection_px; /* median */
-    double residual_m;      /* NaN without GPS */
+    struct pose_error pose;
+    double residual_m; /* NaN without GPS */
     /* accuracy of its GPS, on each horizontal axis and of height; 0: not known */
     double sigma_m[2];
     uint32_t flight, view;
@@ -113,6 +113,7 @@ struct ingest {
     uint32_t *kept;
     struct georef_result georef;
     bool fitted;
+    bool scaled; /* what is not fitted has metres, by --metres-per-unit */
     struct ingest_gimbal gimbal;
     const struct gcp_list *gcps;       /* NULL: none */
     const struct positions *positions; /* NULL: none */

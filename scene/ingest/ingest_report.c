@@ -23,14 +23,14 @@ static void report_verdict_text(const struct ingest_result *r, const struct inge
                                 char *out, size_t n)
 {
     switch (p->verdict) {
-    case INGEST_FEW_POINTS:
-        snprintf(out, n, "sees %zu points, fewer than %lld", p->n_points,
-                 (long long)r->cfg->min_points);
+    case INGEST_LOOSE:
+        snprintf(out, n, "its %zu points do not fix its pose: what it shows may be %.1f px off",
+                 p->pose.n_points, p->pose.picture_px);
         break;
     case INGEST_POSE:
         snprintf(out, n,
                  "its pose disagrees with the points it sees: median reprojection error %.1f px",
-                 p->reprojection_px);
+                 p->pose.reprojection_px);
         break;
     case INGEST_GPS:
         snprintf(out, n, "%.1f m from its GPS position, more than %.1f m", p->residual_m,
@@ -276,6 +276,10 @@ static void report_print_frame(const struct ingest_result *r)
         report_print_gcp(r);
         return;
     }
+    if (!g && !strcmp(s->heights, "unscaled")) {
+        printf("frame    scale and north are not known: units are no metres, nothing checked\n");
+        return;
+    }
     if (!g) {
         printf("frame    placed by hand: scale %.6g m per COLMAP unit, north arbitrary, nothing "
                "checked\n",
@@ -403,10 +407,11 @@ static json_t *report_photos_to_json(const struct ingest_result *r)
         const struct ingest_photo *p = &r->photos[i];
         char why[160];
         report_verdict_text(r, p, why, sizeof why);
-        json_array_append_new(list, json_pack("{s:s, s:b, s:s, s:I, s:f, s:o, s:i}", "name",
+        json_array_append_new(list, json_pack("{s:s, s:b, s:s, s:I, s:f, s:o, s:o, s:i}", "name",
                                               p->image->name, "kept", p->verdict == INGEST_KEPT,
-                                              "why", why, "points", (json_int_t)p->n_points,
-                                              "reprojection_px", p->reprojection_px, "residual_m",
+                                              "why", why, "points", (json_int_t)p->pose.n_points,
+                                              "reprojection_px", p->pose.reprojection_px, "pose_px",
+                                              report_real_or_null(p->pose.picture_px), "residual_m",
                                               report_real_or_null(p->residual_m), "flight",
                                               (int)p->flight + 1));
     }

@@ -14,6 +14,8 @@
 #include "server/access/permissions.h"
 #include "server/answers/answer_appearance.h"
 #include "server/answers/origin.h"
+#include "server/base/condition.h"
+#include "server/documents/problem_page.h"
 
 static bool dispatch_changes(const struct request *r)
 {
@@ -220,6 +222,25 @@ static void dispatch_route(struct services *s, struct request *r, struct respons
     }
 }
 
+/* Somebody opened an address in a browser: a problem is a page then. */
+static void dispatch_show(const struct services *s, const struct request *r, struct response *out)
+{
+    struct origin_places at;
+    struct body *page;
+    const bool reads = r->method == METHOD_GET || r->method == METHOD_HEAD;
+    if (out->status < 400 || r->admin || !reads || !out->body || !condition_html(r->accept))
+        return;
+    origin_read(s, r, &at);
+    if (problem_page_make(out->data, out->size, at.public_url ? at.public_url : at.base_path, &page,
+                          NULL))
+        return;
+    body_drop(&out->body);
+    out->body = page;
+    out->data = page->data;
+    out->size = page->size;
+    out->type = "text/html; charset=utf-8";
+}
+
 void dispatch_answer(struct services *s, const struct request *r, struct response *out)
 {
     struct request own = *r;
@@ -230,6 +251,7 @@ void dispatch_answer(struct services *s, const struct request *r, struct respons
     out->id_sent = r->id_sent;
     out->same_origin = r->admin;
     dispatch_route(s, &own, out);
+    dispatch_show(s, &own, out);
     auth_close(&own.auth);
 }
 
@@ -293,5 +315,6 @@ void dispatch_finish(struct services *s, const struct request *r, struct job_res
     } else {
         body_drop(&b);
         dispatch_failed(s, result, out);
+        dispatch_show(s, r, out);
     }
 }

@@ -127,7 +127,8 @@ static void response_send_problem(struct response *out, int status, const char *
     out->status = status;
     out->type = "application/problem+json";
     out->cache_control = kept ? RESPONSE_SHORT : RESPONSE_NO_STORE;
-    out->vary = out->encoding = NULL;
+    out->vary = "Accept"; /* to who opens it in a browser it is a page (dispatch.c) */
+    out->encoding = NULL;
     out->etag[0] = out->surrogate[0] = out->hints[0] = 0;
     out->modified_s = 0;
     out->accept_ranges = false;

@@ -1,5 +1,6 @@
 /* See social_preview.h. The page is read tag by tag: its own title, description and text without
- * scripts make way for those of the dataset, and all else is copied.
+ * scripts make way for those of the dataset, its first script is told where pictures are, and all
+ * else is copied.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -19,6 +20,10 @@
 #define SOCIAL_PREVIEW_FOV_DEG 45.0
 #define SOCIAL_PREVIEW_FILL 0.92 /* of the picture that the box of most Gaussians spans */
 enum { SOCIAL_PREVIEW_WIDTH = 1200, SOCIAL_PREVIEW_HEIGHT = 630 };
+/* Width by height of the screens that the page's first picture is for. */
+#define SOCIAL_PREVIEW_WIDE 1.6
+#define SOCIAL_PREVIEW_TALL 0.75
+static const char SOCIAL_PREVIEW_FIRST[] = "<script data-first"; /* as web/vite.config.ts has it */
 static const double DEG = 3.14159265358979323846 / 180;
 
 static double social_preview_dot(const double a[3], const double b[3])
@@ -63,31 +68,27 @@ bool social_preview_camera(const struct dataset *d, double aspect, double out[5]
     return !geo_from_enu(&d->meta.origin, at_m, &out[0], &out[1], &out[2], NULL);
 }
 
+/* The pose of a picture of all of d, as addresses of views have it; "" if d is empty. */
+static void social_preview_pose(const struct dataset *d, double aspect, char out[96])
+{
+    double at[5];
+    out[0] = '\0';
+    if (social_preview_camera(d, aspect, at))
+        snprintf(out, 96, "%.7f,%.7f,%.2f@%.0f,%.0f,%.0f", at[0], at[1], at[2], at[3], at[4],
+                 SOCIAL_PREVIEW_FOV_DEG);
+}
+
 void social_preview_picture(const struct dataset *d, const char *up, unsigned width_px,
                             unsigned height_px, struct buf *out)
 {
-    double at[5];
-    if (social_preview_camera(d, (double)width_px / height_px, at))
-        buf_printf(out, "%s%sd/%s/static/%.7f,%.7f,%.2f@%.0f,%.0f,%.0f/%ux%u.jpg", up,
-                   *up ? "/" : "", d->meta.name, at[0], at[1], at[2], at[3], at[4],
-                   SOCIAL_PREVIEW_FOV_DEG, width_px, height_px);
+    char pose[96];
+    social_preview_pose(d, (double)width_px / height_px, pose);
+    if (pose[0])
+        buf_printf(out, "%s%sd/%s/static/%s/%ux%u.jpg", up, *up ? "/" : "", d->meta.name, pose,
+                   width_px, height_px);
 }
 
 /* ---- the page ---- */
-
-/* Text as text, also within quotation marks. */
-static void social_preview_text(struct buf *b, const char *text)
-{
-    static const char special[] = "&<>\"'";
-    static const char *const names[] = {"&amp;", "&lt;", "&gt;", "&quot;", "&#39;"};
-    for (const char *p = text; *p; p++) {
-        const char *found = strchr(special, *p);
-        if (found)
-            buf_add(b, names[found - special], strlen(names[found - special]));
-        else
-            buf_add(b, p, 1);
-    }
-}
 
 struct social_preview {
     const struct dataset *d;
@@ -110,7 +111,7 @@ static void social_preview_say(struct social_preview *c)
 static void social_preview_tag(struct buf *b, const char *kind, const char *name, const char *value)
 {
     buf_printf(b, "<meta %s=\"%s\" content=\"", kind, name);
-    social_preview_text(b, value);
+    document_escape(value, b);
     buf_printf(b, "\" />\n");
 }
 
@@ -120,7 +121,7 @@ static void social_preview_head(const struct social_preview *c, struct buf *b)
     struct buf url = {0};
     char size[16];
     buf_printf(b, "<title>");
-    social_preview_text(b, name);
+    document_escape(name, b);
     buf_printf(b, " – citysplat</title>\n");
     social_preview_tag(b, "name", "description", about);
     social_preview_tag(b, "property", "og:type", "website");
@@ -161,10 +162,21 @@ static void social_preview_without_scripts(const struct social_preview *c, struc
                    SOCIAL_PREVIEW_HEIGHT);
     }
     buf_printf(b, "<h1>");
-    social_preview_text(b, c->d->meta.name);
+    document_escape(c->d->meta.name, b);
     buf_printf(b, "</h1><p>");
-    social_preview_text(b, (const char *)c->about.data);
+    document_escape((const char *)c->about.data, b);
     buf_printf(b, "</p><p>Looking around needs JavaScript and WebGL 2.</p></noscript>");
+}
+
+/* Where the page's first script finds a picture of its first view (web/src/first.ts): the folder of
+ * views, and the poses that show all of d on a wide screen and on a tall one. */
+static void social_preview_first(const struct social_preview *c, struct buf *b)
+{
+    char wide[96], tall[96];
+    social_preview_pose(c->d, SOCIAL_PREVIEW_WIDE, wide);
+    social_preview_pose(c->d, SOCIAL_PREVIEW_TALL, tall);
+    buf_printf(b, "%s data-still=\"./d/%s/static/\" data-wide=\"%s\" data-tall=\"%s\"",
+               SOCIAL_PREVIEW_FIRST, c->d->meta.name, wide, tall);
 }
 
 static bool social_preview_begins(const char *p, const char *end, const char *word)
@@ -194,6 +206,10 @@ static const char *social_preview_replace(const struct social_preview *c, const 
         *titled = true;
         social_preview_head(c, b);
         return social_preview_behind(p, end, "</title>");
+    }
+    if (c->pictures && social_preview_begins(p, end, SOCIAL_PREVIEW_FIRST)) {
+        social_preview_first(c, b);
+        return p + strlen(SOCIAL_PREVIEW_FIRST);
     }
     if (social_preview_begins(p, end, "<noscript>")) {
         social_preview_without_scripts(c, b);

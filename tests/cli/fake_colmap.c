@@ -8,6 +8,8 @@
  *   FAKE_FAIL    this command fails
  *   FAKE_ALONE   photographs with this in their name or folder match none
  *   FAKE_BLANK   photographs with this in their name have 12 features
+ *   FAKE_LOOSE   photographs with this in their name see three points, if they have fewer than
+ *                2,000 features
  *   FAKE_SPLIT   photographs with this in their name become a model of their own
  *   FAKE_NEW     it has what COLMAP 3.12 has: GPS as prior, other names of options; "global" in it:
  *                a global mapper too
@@ -25,7 +27,14 @@
 
 #include "codec/scene/colmap.h"
 
-enum { FAKE_NAMES = 1000, FAKE_FEATURES = 1500, FAKE_BLANK_FEATURES = 12, FAKE_INLIERS = 90 };
+enum {
+    FAKE_NAMES = 1000,
+    FAKE_FEATURES = 1500,
+    FAKE_BLANK_FEATURES = 12,
+    FAKE_INLIERS = 90,
+    FAKE_ENOUGH = 2000,
+    FAKE_FEW_POINTS = 3
+};
 
 static int fake_argc;
 static char **fake_argv;
@@ -221,16 +230,26 @@ static int extract(void)
         if (is_set("FAKE_HANG", "feature_extractor") && i >= n / 2)
             hang();
         true_name(folder, names[i], path);
-        if (ask(db, "SELECT image_id FROM images WHERE name = ?1", names[i]) >= 0)
+        long long id = ask(db, "SELECT image_id FROM images WHERE name = ?1", names[i]);
+        if (id >= 0 && ask(db,
+                           "SELECT image_id FROM images JOIN keypoints USING (image_id) WHERE "
+                           "name = ?1",
+                           names[i]) >= 0)
             continue;
         if (camera < 0) {
             camera = 1 + ask(db, "SELECT coalesce(max(camera_id), 0) FROM cameras", NULL);
             insert(db, "INSERT INTO cameras VALUES (?1, ?2)", camera, 4, NULL);
         }
-        long long id = 1 + ask(db, "SELECT coalesce(max(image_id), 0) FROM images", NULL);
-        insert(db, "INSERT INTO images VALUES (?1, ?3, ?2)", id, camera, names[i]);
+        if (id < 0) {
+            id = 1 + ask(db, "SELECT coalesce(max(image_id), 0) FROM images", NULL);
+            insert(db, "INSERT INTO images VALUES (?1, ?3, ?2)", id, camera, names[i]);
+        }
         insert(db, "INSERT INTO keypoints VALUES (?1, ?2)", id,
-               is_set("FAKE_BLANK", tail(path)) ? FAKE_BLANK_FEATURES : FAKE_FEATURES, NULL);
+               is_set("FAKE_BLANK", tail(path)) ? FAKE_BLANK_FEATURES
+               : is_set("FAKE_LOOSE", tail(path))
+                   ? atoll(needed("--SiftExtraction.max_num_features"))
+                   : FAKE_FEATURES,
+               NULL);
     }
     sqlite3_close(db);
     return 0;
@@ -310,6 +329,10 @@ static size_t cut(struct colmap_model *m, sqlite3 *db, const char *folder, int w
         if (!name[0])
             continue;
         printf("Registering image #%u (%zu)\n", m->images[i].id, n + 1);
+        if (is_set("FAKE_LOOSE", tail(path)) &&
+            ask(db, "SELECT rows FROM keypoints JOIN images USING (image_id) WHERE name = ?1",
+                name) < FAKE_ENOUGH)
+            m->images[i].n_obs = FAKE_FEW_POINTS;
         m->images[n] = m->images[i];
         m->images[n].name = arena_text(&m->arena, name);
         to[i] = (uint32_t)n++;
@@ -319,7 +342,7 @@ static size_t cut(struct colmap_model *m, sqlite3 *db, const char *folder, int w
         size_t from = tracks;
         for (size_t t = 0; t < x.n_track; t++) {
             struct colmap_track_element el = m->tracks[x.track + t];
-            if (to[el.image] == UINT32_MAX)
+            if (to[el.image] == UINT32_MAX || el.obs >= m->images[to[el.image]].n_obs)
                 continue;
             el.image = to[el.image];
             m->images[el.image].obs[el.obs].point = (int64_t)points;

@@ -113,6 +113,53 @@ expect "a mixed folder" "unplaced ${names[7]}: .*only 12 features"
 [ "$(grep -c '"why":' "$work/b/align.json")" = 4 ] || fail "align.json does not name the four"
 "$bin" ingest "$work/mixed" "$work/b/sparse" -o "$work/scene3" -q >"$work/log" 2>&1 || fail "ingest of a mixed folder: exit $?"
 
+# -- photographs that lack features ------------------------------------------------------------------------
+# Pictures so large that a minute allows few features: those of two photographs fix no pose. They get more, with those that
+# they are compared with, and the others keep theirs.
+"$bin-lab" synth -q -o "$work/large" --photos 28 --width-px 640 --height-px 480 --extent-m 60 --points 1500 --supersample 1 >/dev/null
+mapfile -t large < <(ls "$work/large/images")
+export FAKE_TRUTH=$work/large/sparse/0 FAKE_LOOSE=${large[4]}
+: >"$FAKE_LOG"
+align "$work/large/images" -o "$work/more" --no-look --minutes 1 --neighbours 2 --next 1 || fail "few features: exit $?"
+expect "few features" "1 photographs match others, but with 1[05][0-9]+ features their poses are not known: these and [0-9]+ beside"
+grep -q "^loose" "$work/log" && fail "few features: a pose is still loose"
+[ "$(placed "$work/more") $(number kept_by_ingest "$work/more/align.json")" = "28 28" ] || fail "few features: placed $(placed "$work/more")"
+grep -q '"better": true' "$work/more/align.json" || fail "few features: the second model was not taken"
+again=$(number photographs "$work/more/align.json" | tail -1)
+[ "$again" -ge 3 ] && [ "$again" -le 8 ] || fail "few features: $again photographs were sought again"
+"$bin" ingest "$work/large/images" "$work/more/sparse" -o "$work/scene4" -q >"$work/log" 2>&1 || fail "few features: ingest: exit $?"
+grep -q '"kept": 28' "$work/scene4/report.json" || fail "few features: ingest drops what align calls good"
+cp "$FAKE_LOG" "$work/before"
+align "$work/large/images" -o "$work/more" --no-look --minutes 1 --neighbours 2 --next 1 || fail "few features, complete: exit $?"
+cmp -s "$FAKE_LOG" "$work/before" || fail "few features, complete: COLMAP was called again"
+grep -q "^loose" "$work/log" && fail "few features, complete: the first model came back"
+# Asked for few features: told what to do, and ingest names the photograph as align does.
+align "$work/large/images" -o "$work/few" --no-look --features 900 || fail "900 features: exit $?"
+expect "900 features" "1 photographs match others, but with 900 features .*give more --features"
+expect "900 features" "^loose    ${large[4]}: its 3 points do not fix its pose"
+"$bin" ingest "$work/large/images" "$work/few/sparse" -o "$work/scene5" >"$work/log" 2>&1 || fail "900 features: ingest: exit $?"
+expect "900 features" "^dropped  ${large[4]}: its 3 points do not fix its pose"
+# Killed within the second round, which minutes allow once --features is not asked for: it goes on there.
+rm -f "$FAKE_LOG.hangs"
+FAKE_HANG=feature_extractor "$bin" align "$work/large/images" -o "$work/few" --no-look --colmap "$fake" >"$work/log" 2>&1 &
+pid=$!
+for _ in $(seq 600); do [ -e "$FAKE_LOG.hangs" ] && break; sleep 0.1; done
+kill -9 $pid
+wait $pid 2>/dev/null
+[ -e "$work/few/work/again.db" ] && [ -e "$work/few/sparse/0/images.bin" ] || fail "a kill in the second round: the first model is gone"
+align "$work/large/images" -o "$work/few" --no-look || fail "after a kill in the second round: exit $?"
+[ "$(number kept_by_ingest "$work/few/align.json")" = 28 ] || fail "after a kill in the second round: $(number kept_by_ingest "$work/few/align.json") good"
+
+# A look that would take more than a quarter of the minutes is the first part of the work: features are sought once, as large.
+: >"$FAKE_LOG"
+FAKE_LOOSE='' align "$work/large/images" -o "$work/shared" --minutes 1 || fail "a dear look: exit $?"
+[ ! -e "$work/shared/work/look.db" ] || fail "a dear look: features were sought twice"
+[ "$(called 'feature_extractor .*/database.db')" = 2 ] && [ "$(grep -o 'max_num_features [0-9]*' "$FAKE_LOG" | sort -u | wc -l)" = 1 ] ||
+  fail "a dear look: not the work's size"
+expect "a dear look" "28 of 28 photographs match a neighbour"
+[ "$(placed "$work/shared")" = 28 ] || fail "a dear look: placed $(placed "$work/shared")"
+export FAKE_TRUTH=$work/city/sparse/0 FAKE_LOOSE=
+
 # Two places: told before the work.
 "$bin-lab" synth -q -o "$work/far" --photos 12 --width-px 96 --height-px 72 --extent-m 40 --supersample 1 --lat-deg 47.6 --seed 2 >/dev/null
 mkdir "$work/two" && cp -r "$photos" "$work/two/first flight" && cp -r "$work/far/images" "$work/two/second"

@@ -71,7 +71,7 @@ if [ -z "$KILLS" ] && [ "${placed:-0}" -lt $PLACED_LEAST ] && [ "${placed:-0}" -
 fi
 [ "${placed:-0}" -ge $PLACED_LEAST ] || fail "placed ${placed:-none} of $PHOTOS"
 [ "$(rows 'SELECT count(DISTINCT camera_id) FROM images')" = 1 ] || fail "more than one camera"
-"$bin" ingest "$work/city/images" "$out/sparse" -o "$work/scene" --min-points 24 >"$work/log" 2>&1 || fail "ingest: exit $?"
+"$bin" ingest "$work/city/images" "$out/sparse" -o "$work/scene" >"$work/log" 2>&1 || fail "ingest: exit $?"
 off=$(sed -n 's/^ *"residual_90_m": \([0-9.e-]*\),*$/\1/p' "$work/scene/report.json" | head -1)
 awk -v x="${off:-99}" -v most=$GPS_MOST_M 'BEGIN { exit !(x < most) }' || fail "poses are ${off:-?} m from exact GPS"
 [ "$bad" = 0 ] && echo "align with COLMAP: $placed of $PHOTOS placed, 90 % within $off m of exact GPS${KILLS:+, after three $KILLS}"

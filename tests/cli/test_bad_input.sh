@@ -62,7 +62,7 @@ for f in "$work/bad/images"/*.jpg; do printf 'this is not a photograph' >"$f"; d
 refuse "no images" 1 "files of 12 are broken" "$work/scene" \
     "$bin" ingest "$work/bad/images" "$work/bad/sparse" -o "$work/scene" -q
 fresh
-for f in "$work/bad/images"/*.jpg; do
+for f in $(ls "$work/bad/images"/*.jpg | tail -n +4); do # three keep their GPS: somebody has to decide
     # Strip the APP1 segment: decode and encode again without metadata.
     oiiotool "$f" --eraseattrib ".*" -o "$f.tmp.jpg" >/dev/null 2>&1 && mv "$f.tmp.jpg" "$f"
 done
@@ -75,14 +75,14 @@ refuse "no photographs" 1 "no such|not found|cannot|image" "$work/scene" \
 echo x >"$work/file"
 refuse "output folder cannot be made" 1 "$work/file" "" \
     "$bin" ingest "$work/city/images" "$work/city/sparse" -o "$work/file/scene" -q
-"$bin" ingest "$work/city/images" "$work/city/sparse" -o "$work/good" --min-points 4 -q || exit 1
+"$bin" ingest "$work/city/images" "$work/city/sparse" -o "$work/good" -q || exit 1
 refuse "no OpenCL device" 1 "pocl-opencl-icd" "$work/good/cells" \
     env OCL_ICD_VENDORS=/nonexistent "$bin" train "$work/good" --iterations 10 -q
 if unshare -rm true 2>/dev/null; then
     mkdir "$work/tiny"
     # shellcheck disable=SC2016
     refuse "full disk" 1 "No space left" "" \
-        unshare -rm sh -c 'mount -t tmpfs -o size=64k none "$1/tiny" && "$2" ingest "$1/city/images" "$1/city/sparse" -o "$1/tiny/scene" --min-points 4 -q; rc=$?; ls "$1/tiny" | grep . && rc=99; exit $rc' \
+        unshare -rm sh -c 'mount -t tmpfs -o size=64k none "$1/tiny" && "$2" ingest "$1/city/images" "$1/city/sparse" -o "$1/tiny/scene" -q; rc=$?; ls "$1/tiny" | grep . && rc=99; exit $rc' \
         sh "$work" "$bin"
 else
     echo "skip full disk: no user namespaces here"

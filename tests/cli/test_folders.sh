@@ -84,9 +84,10 @@ judge 0 'huge.jpg: '
 begin 'one is a folder of that name'; mkdir "$p/folder.jpg"; judge 0 '12 of 12'
 begin 'a link that leads nowhere'; ln -s /nowhere/at/all.jpg "$p/link.jpg"; judge 0 'link.jpg: it cannot be read'
 begin 'a link that leads to itself'; ln -s "$f" "$p/again"; judge 0 '12 of 12'
-begin 'no GPS'; each strip; judge 1 '0 of 12 .*GPS.*--gcp.*--positions.*--origin'; ! grep -q '^look' "$work/log" || { failed=$((failed + 1)); echo 'FAIL no GPS: poses were sought first'; }
+begin 'no GPS'; each strip; judge 0 '0 of 12 .*GPS.*no place and no metres.*--gcp.*--positions'; grep -q 'heights.*unscaled' "$work/out/scene/scene.json" || { failed=$((failed + 1)); echo 'FAIL no GPS: the scene has metres'; }
 begin 'no GPS, placed by hand'; each strip; judge 0 'frame by hand' --origin 7.5,47.5,300 --metres-per-unit 1
-begin 'no GPS, with poses' poses; each strip; judge 1 'GPS.*--gcp.*--positions'
+begin 'no GPS, with poses' poses; each strip; judge 0 'metres are not known.*--metres-per-unit'
+begin 'GPS in a quarter'; for n in "${names[@]:3}"; do strip "$p/$n"; done; judge 1 '3 of 12 .*GPS.*--gcp.*--positions.*--origin'; ! grep -q '^look' "$work/log" || { failed=$((failed + 1)); echo 'FAIL GPS in a quarter: poses were sought first'; }
 begin 'one without GPS'; strip "$p/${names[3]}"; judge 0 '12 of 12'
 begin 'names in capitals, with poses' poses; for n in "${names[@]}"; do mv "$p/$n" "$p/${n%.jpg}.JPG"; done; judge 0 '12 of 12 photographs'
 begin 'blanks and umlauts in names'; mv "$p/${names[0]}" "$p/Über den Dächern 1.jpg"; judge 0 'photographs'

@@ -10,6 +10,8 @@
 /* float32 sums of up to three products of values below 1 */
 #define SH_TOL 2e-6f
 #define ROTATION_TOL 1e-6f
+/* five turns, each with the former, of values up to 3 */
+#define ANY_TOL 1e-5
 
 /* The basis as in the 3DGS paper's code, in double. */
 static double sh_eval(const float *sh, size_t k, size_t channel, const double d[3])
@@ -170,12 +172,64 @@ static void test_single_coefficients_from_six_directions(void **state)
     }
 }
 
+/* A rotation matrix by Euler's angles, and the same turned vectors and colours. */
+static void test_any_turn(void **state)
+{
+    (void)state;
+    static const double angles[][3] = {
+        {0.3, 1.1, -2}, {2.5, 3.1, 0.4}, {0.7, 0, 0.9}, {0.2, 3.14159265358979, 1}, {-1, -0.8, 0}};
+    for (size_t t = 0; t < sizeof angles / sizeof *angles; t++) {
+        const double *a = angles[t], ca = cos(a[0]), sa = sin(a[0]), cb = cos(a[1]), sb = sin(a[1]),
+                     cc = cos(a[2]), sc = sin(a[2]);
+        const double rot[9] = {ca * cb * cc - sa * sc,
+                               -ca * cb * sc - sa * cc,
+                               ca * sb,
+                               sa * cb * cc + ca * sc,
+                               -sa * cb * sc + ca * cc,
+                               sa * sb,
+                               -sb * cc,
+                               sb * sc,
+                               cb};
+        struct gauss g, turned = {0};
+        struct err e = {0};
+        kit_gauss(11, 20, 3, 3, 0, &g);
+        normalise(&g);
+        kit_ok(gauss_alloc(&turned, g.n, 3, 0, &e), e);
+        kit_ok(gauss_append(&turned, &g, NULL, g.n, &e), e);
+        axes_turn(&turned, rot);
+        for (size_t i = 0; i < g.n; i++) {
+            double want[3];
+            for (int r = 0; r < 3; r++)
+                want[r] = rot[3 * r] * (double)g.mean_m[3 * i] +
+                          rot[3 * r + 1] * (double)g.mean_m[3 * i + 1] +
+                          rot[3 * r + 2] * (double)g.mean_m[3 * i + 2];
+            kit_near("mean", turned.mean_m + 3 * i, want, 3, ANY_TOL, 0);
+            for (size_t axis = 0; axis < 3; axis++) {
+                const double unit[3] = {axis == 0, axis == 1, axis == 2};
+                double was[3], is[3], aim[3];
+                rotate(g.quat_wxyz + 4 * i, unit, was);
+                rotate(turned.quat_wxyz + 4 * i, unit, is);
+                for (int r = 0; r < 3; r++)
+                    aim[r] =
+                        rot[3 * r] * was[0] + rot[3 * r + 1] * was[1] + rot[3 * r + 2] * was[2];
+                kit_near_d("axis", is, aim, 3, ANY_TOL, 0);
+                const double from = sh_eval(g.sh + i * 48, 16, axis, was),
+                             to = sh_eval(turned.sh + i * 48, 16, axis, aim);
+                kit_near_d("colour", &to, &from, 1, ANY_TOL, 0);
+            }
+        }
+        gauss_free(&g);
+        gauss_free(&turned);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_looks_the_same),
         cmocka_unit_test(test_there_and_back),
         cmocka_unit_test(test_single_coefficients_from_six_directions),
+        cmocka_unit_test(test_any_turn),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

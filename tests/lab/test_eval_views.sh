@@ -34,7 +34,7 @@ lab eval-views scene lit
 psnr() { awk '$3 == "all" { print $5 }' log; }
 lab synth --extent-m 60 --photos 24 --width-px 96 --height-px 72 --points 3000 --exposure-ev 1 -o bright -q
 lab map-views bright --count 8 --light -q
-run ingest bright/images bright/sparse --min-points 12 -o bright-scene -q
+run ingest bright/images bright/sparse -o bright-scene -q
 cp -r bright/map-views swapped
 awk '/"photograph"/ { sub(/IMG_[0-9]*/, sprintf("IMG_%04d", 2 + 7 * n++ % 22)) } { print }' bright/map-views/views.json >swapped/views.json
 run train bright-scene --level-count 1 --iterations 120 --budget 4000 -o exposure -q

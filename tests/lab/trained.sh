@@ -12,6 +12,6 @@ lab() { "$bin-lab" "$@" >log 2>&1 || fail "lab $*"; }
 run() { "$bin" "$@" >log 2>&1 || fail "$*"; }
 run synth --extent-m 60 --photos 24 --width-px 96 --height-px 72 --points 3000 -o city -q
 lab map-views city --count 8 -q
-run ingest city/images city/sparse --min-points 12 -o scene -q
+run ingest city/images city/sparse -o scene -q
 run train scene --level-count 2 --iterations 120 --budget 3000,4000 -q
 run tile scene --name t -o t.tiles -q

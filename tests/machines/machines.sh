@@ -22,7 +22,7 @@ need() { # PROGRAM PACKAGE
 
 city_in_cells() { # PHOTOS EXTENT_M EDGE_M: $work/scene with a plan; its cells in cells[]
     "$bin" synth -o "$work/city" --photos "$1" --width-px 64 --height-px 48 --extent-m "$2" --points $(($1 * 25)) >"$work/log" 2>&1 &&
-        "$bin" ingest "$work/city/images" "$work/city/sparse" -o "$work/scene" --min-points 8 >>"$work/log" 2>&1 &&
+        "$bin" ingest "$work/city/images" "$work/city/sparse" -o "$work/scene" >>"$work/log" 2>&1 &&
         "$bin" plan "$work/scene" --edge-m "$3" --images-few 4 --images-least 3 >>"$work/log" 2>&1 &&
         "$bin" train "$work/scene" "${short[@]}" --list >"$work/list" 2>>"$work/log" || { cat "$work/log"; exit 1; }
     mapfile -t cells < <(cut -f1 "$work/list")

@@ -338,6 +338,26 @@ static void expect_nothing_left(const char *out)
     buf_free(&b);
 }
 
+/* Of each photograph's points the first so many stay. */
+static void few_points(struct colmap_model *m, size_t most)
+{
+    size_t n_tracks = 0;
+    for (size_t i = 0; i < m->n_images; i++)
+        for (size_t k = 0, n = 0; k < m->images[i].n_obs; k++)
+            if (m->images[i].obs[k].point >= 0 && ++n > most)
+                m->images[i].obs[k].point = -1;
+    for (size_t p = 0; p < m->n_points; p++) {
+        struct colmap_point *x = &m->points[p];
+        size_t from = n_tracks;
+        for (size_t t = x->track; t < x->track + x->n_track; t++)
+            if (m->images[m->tracks[t].image].obs[m->tracks[t].obs].point == (int64_t)p)
+                m->tracks[n_tracks++] = m->tracks[t];
+        x->track = from;
+        x->n_track = n_tracks - from;
+    }
+    m->n_tracks = n_tracks;
+}
+
 static void test_bad_input(void **state)
 {
     (void)state;
@@ -370,9 +390,6 @@ static void test_bad_input(void **state)
     buf_free(&original);
 
     ingest_config(&ic, other, "other-scene");
-    ic.min_points = 100000;
-    kit_fails(ingest_city(city, &ic, &e), ERR_DATA, e, "--min-points");
-    ingest_config(&ic, other, "other-scene");
     kit_fails(ingest_run("/nonexistent", city, &ic, &e), ERR_NOENT, e, "no such folder");
     kit_fails(ingest_run(images, images, &ic, &e), ERR_NOENT, e, "looked for");
     ic.origin = "8,95,100";
@@ -384,8 +401,20 @@ static void test_bad_input(void **state)
     ic.output = other;
     kit_fails(ingest_city(city, &ic, &e), ERR_IO, e, "IMG_0005.jpg");
 
-    /* a name in Latin-1, before anything is converted */
+    /* Four points a photograph fix no pose. */
     struct colmap_model m;
+    ingest_config(&ic, other, "other-scene");
+    kit_ok(colmap_read(city, &m, &e), e);
+    few_points(&m, 4);
+    join(photo, city, "few");
+    kit_ok(file_mkdir(photo, &e), e);
+    kit_ok(colmap_write_bin(photo, &m, &e), e);
+    colmap_free(&m);
+    kit_fails(ingest_run(images, photo, &ic, &e), ERR_DATA, e,
+              "do not fix their poses (the best one sees 4");
+    expect_nothing_left(other);
+
+    /* a name in Latin-1, before anything is converted */
     ingest_config(&ic, other, "latin-scene");
     join(photo, images,
          "Stra\xdf"
@@ -405,7 +434,7 @@ static void test_bad_input(void **state)
     kit_fails(ingest_city(city, &ic, &e), ERR_ARG, e, "--attribution");
 }
 
-/* Photographs without GPS are refused, or placed by hand. */
+/* Photographs without GPS: a scene without metres, or placed by hand. */
 static void test_without_gps(void **state)
 {
     (void)state;
@@ -425,10 +454,27 @@ static void test_without_gps(void **state)
         image_free(&img);
     }
     ingest_config(&ic, out, "nogps-scene");
-    kit_fails(ingest_city(city, &ic, &e), ERR_DATA, e, "--origin");
-    expect_nothing_left(out);
-    ic.origin = "7.5,47.5,300";
     log_set_level(LOG_ERROR); /* it warns */
+    kit_ok(ingest_city(city, &ic, &e), e);
+    kit_ok(scene_read(out, &s, &e), e);
+    assert_string_equal(s.heights, "unscaled");
+    assert_true(s.origin.lon_deg == 0 && s.origin.lat_deg == 0);
+    double height = 0; /* as if from 100 m, whatever COLMAP's unit is; the ground is rough */
+    for (size_t i = 0; i < s.n_images; i++) {
+        double at[3];
+        camera_center(&s.images[i].cam, at);
+        height += at[2] / (double)s.n_images;
+    }
+    assert_true(fabs(height - 100) < 10);
+    scene_free(&s);
+    ic.overwrite = true;
+    ic.metres_per_unit = 2;
+    kit_ok(ingest_city(city, &ic, &e), e);
+    kit_ok(scene_read(out, &s, &e), e);
+    assert_string_equal(s.heights, "unknown");
+    assert_true(s.scale == 2);
+    scene_free(&s);
+    ic.origin = "7.5,47.5,300";
     json_t *truth = read_json(city, "truth/truth.json");
     kit_ok(jsonc_num(json_object_get(truth, "colmap_to_enu"), "scale", &ic.metres_per_unit, &e), e);
     kit_ok(ingest_city(city, &ic, &e), e);
@@ -600,6 +646,105 @@ static void test_largest_model(void **state)
     kit_fails(ingest_city(city, &ic, &e), ERR_NOENT, e, "IMG_0003.jpg");
 }
 
+/* ---- photographs of other systems ---- */
+
+/* A name by a form, in which * stands for the old one without its ending. */
+static void name_by(const char *form, const char *stem, char out[300])
+{
+    const char *star = strchr(form, '*');
+    assert_non_null(star);
+    snprintf(out, 300, "%.*s%s%s", (int)(star - form), form, stem, star + 1);
+}
+
+/* The city's photographs in the folder `to`, made by a command of each ("$1" to "$2"), and its
+ * model with names by a form. */
+static void city_as(const char *city, const char *to, const char *command, const char *file_form,
+                    const char *model_form)
+{
+    struct colmap_model m;
+    struct err e = {0};
+    char path[FILE_PATH_MAX], folder[FILE_PATH_MAX];
+    kit_ok(colmap_read(city, &m, &e), e);
+    join(folder, kit_tmp, to);
+    assert_int_equal(kit_run(NULL, "rm -rf '%s' && mkdir -p '%s/model'", folder, folder), 0);
+    for (size_t i = 0; i < m.n_images; i++) {
+        char file[300], stem[100];
+        snprintf(stem, sizeof stem, "%.*s", (int)strcspn(m.images[i].name, "."), m.images[i].name);
+        name_by(file_form, stem, file);
+        assert_int_equal(kit_run(NULL,
+                                 "set -- '%s/images/%s.jpg' '%s/%s' && "
+                                 "mkdir -p \"$(dirname \"$2\")\" && %s",
+                                 city, stem, folder, file, command),
+                         0);
+        name_by(model_form, stem, file);
+        m.images[i].name = arena_text(&m.arena, file);
+    }
+    join(path, folder, "model");
+    kit_ok(colmap_write_bin(path, &m, &e), e);
+    colmap_free(&m);
+}
+
+static size_t count_masks(const char *scene)
+{
+    struct buf out = {0};
+    kit_run(&out, "ls '%s/masks' 2>/dev/null | wc -l", scene);
+    size_t n = (size_t)atoi((const char *)out.data);
+    buf_free(&out);
+    return n;
+}
+
+/* Names that the model and the folder write in two ways, and photographs with alpha. */
+static void test_other_systems(void **state)
+{
+    static const char link[] = "ln \"$1\" \"$2\"",
+                      half[] = "oiiotool \"$1\" --ch R,G,B,A=1 --fill:color=0.5,0.5,0.5,0 "
+                               "40x60+0+0 -o \"$2\"",
+                      whole[] = "oiiotool \"$1\" --ch R,G,B,A=1 -o \"$2\"";
+    static const struct {
+        const char *command, *file, *model;
+        bool masks;
+    } cases[] = {{link, "*.jpg", "*.JPG", false},
+                 {link, "Flug 1/*.jpg", "FLUG 1\\*.jpg", false},
+                 {link, "K\u00f6ln/*.jpg", "Ko\u0308ln/*.jpg", false},
+                 {link, "e\u0301te\u0301/*.jpg", "\u00e9t\u00e9\\*.JPG", false},
+                 {half, "*.png", "*.png", true},
+                 {half, "*.tif", "*.tif", true},
+                 {half, "*.webp", "*.webp", true},
+                 {whole, "*.png", "*.png", false}};
+    (void)state;
+    char city[FILE_PATH_MAX], dir[FILE_PATH_MAX], out[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    struct synth_config sc;
+    struct ingest_config ic;
+    struct err e = {0};
+    city_config(&sc, city, "systems");
+    sc.photos = 8;
+    kit_ok(synth_run(&sc, &e), e);
+    join(path, kit_tmp, "as");
+    for (size_t k = 0; k < sizeof cases / sizeof *cases; k++) {
+        struct scene s;
+        city_as(city, "as", cases[k].command, cases[k].file, cases[k].model);
+        ingest_config(&ic, out, "as-scene");
+        ic.overwrite = true;
+        ic.origin = "7.5,47.5,300"; /* oiiotool keeps no GPS of some formats */
+        ic.metres_per_unit = 1;
+        ic.min_gps_share = 1;
+        ic.exposure = false;
+        join(dir, path, "model");
+        log_set_level(LOG_ERROR);
+        kit_ok(ingest_run(path, dir, &ic, &e), e);
+        log_set_level(LOG_WARN);
+        kit_ok(scene_read(out, &s, &e), e);
+        if (s.n_images != 8 || count_masks(out) != (cases[k].masks ? 8 : 0))
+            fail_msg("%s: %zu photographs, %zu masks", cases[k].model, s.n_images,
+                     count_masks(out));
+        scene_free(&s);
+    }
+    /* Two files that differ in capitals alone, and the model means neither for sure. */
+    city_as(city, "as", link, "img_*.jpg", "Img_*.jpg");
+    kit_run(NULL, "cp '%s/img_IMG_0003.jpg' '%s/IMG_IMG_0003.jpg'", path, path);
+    kit_fails(ingest_run(path, dir, &ic, &e), ERR_NOENT, e, "1 of the 8 photographs");
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -607,7 +752,7 @@ int main(void)
         cmocka_unit_test(test_undistorted_pixels), cmocka_unit_test(test_bad_input),
         cmocka_unit_test(test_without_gps),        cmocka_unit_test(test_a_block_is_held_out),
         cmocka_unit_test(test_broken_photographs), cmocka_unit_test(test_largest_model),
-        cmocka_unit_test(test_caliterra),
+        cmocka_unit_test(test_other_systems),      cmocka_unit_test(test_caliterra),
     };
     progress_quiet(true);
     log_set_level(LOG_WARN);

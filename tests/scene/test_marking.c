@@ -326,15 +326,41 @@ static void labels_without_endings_are_photographs(void **state)
     static const struct {
         const char *photo, *listed;
         bool alike;
-    } all[] = {{"b/DJI_0001.JPG", "DJI_0001", true},    {"b/DJI_0001.JPG", "b\\dji_0001", true},
-               {"b/DJI_0001.JPG", "c/DJI_0001", false}, {"b/DJI_0001.JPG", "JI_0001", false},
-               {"DJI_0001.JPG", "DJI_0001.JPG", true},  {"DJI_0001.JPG", "DJI_0001.TIF", false},
-               {"DJI_0001.JPG", "DJI_0001.", false},    {"DJI_0001", "DJI_0001.JPG", false},
-               {"a.b/DJI_0001.JPG", "DJI_0001", true},  {".JPG", "", false}};
+    } all[] = {{"b/DJI_0001.JPG", "DJI_0001", true},
+               {"b/DJI_0001.JPG", "b\\dji_0001", true},
+               {"b/DJI_0001.JPG", "c/DJI_0001", false},
+               {"b/DJI_0001.JPG", "JI_0001", false},
+               {"DJI_0001.JPG", "DJI_0001.JPG", true},
+               {"DJI_0001.JPG", "DJI_0001.TIF", false},
+               {"DJI_0001.JPG", "DJI_0001.", false},
+               {"DJI_0001", "DJI_0001.JPG", false},
+               {"a.b/DJI_0001.JPG", "DJI_0001", true},
+               {".JPG", "", false},
+               /* one character and two for a letter with a mark, whichever has which */
+               {"Stra\u00dfe/K\u00f6ln_1.jpg", "Stra\u00dfe/Ko\u0308ln_1.jpg", true},
+               {"e\u0301te\u0301\\3.png", "\u00e9t\u00e9/3.PNG", true},
+               {"\u30ac1.jpg", "\u30ab\u30991", true},
+               {"\u0439/a.jpg", "A.jpg", true},
+               {"Ko\u0308ln_1.jpg", "Koln_1.jpg", false},
+               {"\u6d4b1.jpg", "\u8bd51.jpg", false},
+               {"K\u00f6ln_1.jpg", "K\u00f6ln_2.jpg", false}};
     (void)state;
     for (size_t i = 0; i < sizeof all / sizeof *all; i++)
         assert_true((table_alike(all[i].photo, all[i].listed) > 0) == all[i].alike);
     assert_true(table_alike("DJI_1.JPG", "DJI_1.JPG") > table_alike("DJI_1.JPG", "DJI_1"));
+    /* what is written alike comes before what is meant alike */
+    assert_true(table_alike("\u00f6.jpg", "\u00f6") > table_alike("\u00f6.jpg", "o\u0308.jpg"));
+    assert_true(table_same_path("a/\u00f6.jpg", "A\\o\u0308.JPG"));
+    assert_false(table_same_path("a/\u00f6.jpg", "\u00f6.jpg"));
+
+    struct table_renamed renamed = {0};
+    table_rename(&renamed, "a/DJI_1.JPG", "DJI_1.JPG");
+    table_rename(&renamed, "a/DJI_1.JPG", "DJI_1");
+    table_rename(&renamed, "a/DJI_1.JPG", "/home/a/DJI_1.JPG");
+    assert_int_equal(renamed.n, 0);
+    table_rename(&renamed, "a/DJI_2.JPG", "a\\DJI_2.JPG");
+    table_rename(&renamed, "DJI_3.JPG", "dji_3");
+    assert_true(renamed.n == 2 && !strcmp(renamed.listed, "a\\DJI_2.JPG"));
 }
 
 /* ---- a survey: six cameras above level ground, 100 m high, that look down ---- */

@@ -281,6 +281,10 @@ static void tables_of_other_programs_are_read(void **state)
         {"# one\n// two\n\n\"Image\";\"Lon\";\"Lat\";\"Height\"\n\"A, 1.jpg\";7.5;47.5;300\n"
          "B.jpg;nan;nan;nan\n",
          4326, 7.5, 47.5, 300, 1},
+        {"Image;Lon;Lat;Height\nA.jpg;7,5;47,5;300,00\n", 4326, 7.5, 47.5, 300, 0},
+        {"Image\tLat\tLon\tHeight\nA 1,2.jpg\t47,5\t7,5\t3e2\n", 4326, 7.5, 47.5, 300, 0},
+        {"\"Image\";\"Lon\";\"Lat\";\"H\"\n\"A.jpg\";\"7,5\";\"+47,50\";\"300\"\n", 4326, 7.5, 47.5,
+         300, 0},
         {"\"image\",\"lon\",\"lat\",\"z\"\n\"A, 1.jpg\",\"7.5\",\"47.5\",\"300\"\n", 4326, 7.5,
          47.5, 300, 0},
     };
@@ -373,7 +377,7 @@ static void nonsense_is_refused(void **state)
         {"a.csv", "image,lon,lat\n", "no column for z"},
         {"b.csv", "image,lon,lat,z\na.jpg,7,48\n", "line 2: field 4"},
         {"c.csv", "image,lon,lat,z\na.jpg,7,5,47,5,300\n", "decimal commas"},
-        {"d.csv", "image;lon;lat;z\na.jpg;7,5;47.5;300\n", "decimal point"},
+        {"d.csv", "image;lon;lat;z\na.jpg;7,5,1;47.5;300\n", "decimal point"},
         {"e.csv", "image,lon,lat,z\n", "no positions"},
         {"f.pos", "% x-ecef(m)\n2024/06/01 10:00:00 1 2 3 1 1 1 1 1\n", "out-solformat llh"},
         {"g.pos", "2024/06/01 10:00:00 47.5\n", "expected is time"},

@@ -15,7 +15,7 @@ same_levels() { # DIR-A DIR-B: the levels of all cells, byte by byte
 }
 
 "$bin" synth -o "$work/city" --photos 24 --width-px 64 --height-px 48 --extent-m 120 --points 1200 >"$work/log" 2>&1 &&
-    "$bin" ingest "$work/city/images" "$work/city/sparse" -o "$work/scene" --min-points 8 >>"$work/log" 2>&1 &&
+    "$bin" ingest "$work/city/images" "$work/city/sparse" -o "$work/scene" >>"$work/log" 2>&1 &&
     "$bin" plan "$work/scene" --edge-m 70 --images-few 6 --images-least 3 >>"$work/log" 2>&1 ||
     { cat "$work/log"; exit 1; }
 short="--iterations 40 --level-count 2 --budget 1500,1800 --coarse-iterations-min 20"
@@ -86,7 +86,7 @@ check 'and no process left' sh -c "! ps ax -o args | grep -v grep | grep -q '$wo
 
 # A scene without a plan whose forecast exceeds --memory is cut into cells, and its commands go on with them.
 "$bin" synth -o "$work/wide" --photos 160 --width-px 160 --height-px 120 --extent-m 200 --points 4000 >"$work/log" 2>&1 &&
-    "$bin" ingest "$work/wide/images" "$work/wide/sparse" -o "$work/large" --min-points 8 >>"$work/log" 2>&1 ||
+    "$bin" ingest "$work/wide/images" "$work/wide/sparse" -o "$work/large" >>"$work/log" 2>&1 ||
     { cat "$work/log"; exit 1; }
 auto() { "$bin" train "$work/large" --iterations 40 --coarse-iterations-min 20 --device cpu "$@" >"$work/log" 2>&1; }
 whole=$("$bin" train "$work/large" --list 2>"$work/log" | cut -f5)

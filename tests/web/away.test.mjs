@@ -17,6 +17,7 @@ import { GIVEN_TILES, openSource } from "./lib/source.mjs";
 const SIZE = { width: 480, height: 320 };
 // Of 255: one tile that is drawn coarsely changes 5.6, all of them 18.8.
 const GAP_RMS_MAX = 9;
+const BACK_MS = 2400; // two seconds, and what a busy machine takes to draw them up
 const skip = { skip: GIVEN_TILES ? "needs the test city" : false };
 
 let source;
@@ -122,6 +123,23 @@ test("server lost mid-load and back: full detail without a touch, the picture st
     assert.deepEqual([back.link, back.ready, back.broken.length], ["ok", true, 0]);
     assert.match(await page.textContent("#banner-link"), /is back/);
     assert.deepEqual(await page.evaluate(() => window.citysplat.pose()), pose);
+});
+
+test("after an outage it is back within two seconds, and offers to try at once", skip, async (t) => {
+    const page = await open("?lang=en");
+    await waitForViewer(page);
+    await proxy.down();
+    // A request that cannot be answered tells it, of something that the browser has not kept.
+    await page.evaluate(() => void window.citysplat.viewer.get(new URL("collections/none", location.href)).catch(() => {}));
+    await page.waitForSelector("#banner-link.wait button");
+    assert.equal(await page.textContent("#banner-link button"), "Try now");
+    assert.equal(await page.textContent("#progress-said"), "", "it still says that all is there");
+    await page.waitForTimeout(9000); // pauses have grown to their most
+    await proxy.up();
+    const up = Date.now();
+    await until(page, () => window.citysplat.state.link === "ok");
+    t.diagnostic(`${Date.now() - up} ms after the server was there again`);
+    assert.ok(Date.now() - up < BACK_MS, `${Date.now() - up} ms`);
 });
 
 test("no server at all when the page starts: it waits, and begins when there is one", skip, async () => {

@@ -272,7 +272,7 @@ test("a page at rest costs nothing, and wakes for everything that shows", async 
         pose: () => page.evaluate(() => window.citysplat.viewer.home()),
         size: () => page.setViewportSize({ width: 720, height: 500 }),
         sky: () => page.click("#backdrop"),
-        walk: () => page.evaluate(() => (window.citysplat.viewer.stage.walk = "walk")),
+        walk: async () => (await page.click("#walk"), await page.click("#walk")), // flies, then walks
         overlay: () =>
             page.evaluate(() => {
                 const { viewer } = window.citysplat;

@@ -86,6 +86,7 @@ test("the page shows the whole city, from the map's camera", skip, async () => {
     const [west, south, east, north] = bounds;
     for (const [lon, lat] of [[-85, -85, 0], [85, 85, 0]].map(lonLat))
         assert.ok(west < lon && lon < east && south < lat && lat < north, `${lon}, ${lat}: ${bounds}`);
+    assert.equal(await page.textContent(".maplibregl-ctrl-bottom-right .citysplat-credit"), "Test city, drawn by code");
     await picture("page");
     assert.deepEqual(opened.log, []);
 });

@@ -87,7 +87,7 @@ before(async () => {
     if (skip.skip) return;
     dir = mkdtempSync(join(tmpdir(), "citysplat-mark-"));
     run(..."synth -q -o city --photos 10 --width-px 320 --height-px 240 --extent-m 80 --points 3000".split(" "));
-    run(..."ingest -q city/images city/sparse/0 -o by-gps --min-points 20 --no-exposure".split(" "));
+    run(..."ingest -q city/images city/sparse/0 -o by-gps --no-exposure".split(" "));
     truth = JSON.parse(readFileSync(join(dir, "by-gps/scene.json"), "utf8"));
     const { lon_deg: lon, lat_deg: lat, h_m: h } = truth.origin;
     const rows = Object.entries(PLACES).map(([name, enu]) => {
@@ -280,7 +280,7 @@ test("ingest reads the list as it is, and the city lies where the points say", s
         }
     }
     assert.deepEqual(opened.log, []);
-    const said = run(..."ingest -q city/images city/sparse/0 -o by-gcp --gcp gcp.csv --min-points 20 --no-exposure".split(" "));
+    const said = run(..."ingest -q city/images city/sparse/0 -o by-gcp --gcp gcp.csv --no-exposure".split(" "));
     const report = JSON.parse(readFileSync(join(dir, "by-gcp/report.json"), "utf8"));
     assert.ok(report.ground_control, said);
     const scene = JSON.parse(readFileSync(join(dir, "by-gcp/scene.json"), "utf8"));
@@ -334,7 +334,7 @@ test("a scene knows its photographs, its model and its control; Metashape's XML 
     const xml = readFileSync(join(dir, "markers.xml"), "utf8");
     assert.equal(xml.split("<location ").length - 1, marks + 1);
     assert.match(xml, /<camera id="\d+" label="IMG_\d+"\/>/);
-    run(..."ingest -q city/images city/sparse/0 -o by-xml --gcp markers.xml --min-points 20 --no-exposure".split(" "));
+    run(..."ingest -q city/images city/sparse/0 -o by-xml --gcp markers.xml --no-exposure".split(" "));
     const { control } = JSON.parse(readFileSync(join(dir, "by-xml/report.json"), "utf8")).ground_control;
     assert.ok(control.points === 5 && control.rmse_plan_m < 0.1, JSON.stringify(control));
     const fresh = await start("by-gps", "--points", "points.csv", "-o", "fresh.txt");

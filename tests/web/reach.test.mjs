@@ -17,6 +17,7 @@ import { serveFiles } from "./lib/files.mjs";
 import { installPackage } from "./lib/package.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { hostedBy, snippets } from "./lib/snippets.mjs";
+import { Proxy } from "./lib/proxy.mjs";
 import { openSource } from "./lib/source.mjs";
 
 const HERE = dirname(fileURLToPath(import.meta.url));
@@ -128,6 +129,94 @@ test("the element tells what happens, and follows its attributes", async (t) => 
     for (let i = 0; page.workers().length && i < 50; i++) await page.waitForTimeout(100);
     assert.equal(page.workers().length, 0, "workers are left");
     assert.deepEqual(log, []);
+});
+
+test("in an article it is named, credits whose it is, and leaves the page its wheel and its finger", async (t) => {
+    const body = `${LINE[0]}<p style="height:3000px">Much to read</p>`;
+    const opened = await openOther("article", body, { policy: `${POLICY.trim()}; style-src 'unsafe-inline'` });
+    t.after(() => opened.close());
+    const { page, log } = opened;
+    await ready(page);
+    const surface = page.getByRole("application");
+    assert.match(await surface.getAttribute("aria-label"), /^City view/);
+    assert.equal(await page.locator("city-splat .citysplat-credit").textContent(), "Test city, drawn by code");
+    const look = () => page.evaluate(() => [scrollY, document.querySelector("city-splat").viewer.pose.h]);
+    const box = await page.locator("city-splat").boundingBox();
+    await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
+    const [, high] = await look();
+    await page.mouse.wheel(0, 40);
+    await page.waitForFunction(() => scrollY === 40);
+    await page.waitForFunction(() => /Ctrl|⌘/.test(document.querySelector("city-splat").shadowRoot.querySelector("output.on")?.textContent));
+    assert.equal((await look())[1], high, "the wheel moved the camera");
+    await page.keyboard.down("Control");
+    await page.mouse.wheel(0, -200);
+    await page.keyboard.up("Control");
+    await page.waitForFunction((h) => document.querySelector("city-splat").viewer.pose.h < h - 1, high);
+    assert.equal((await look())[0], 40, "the page scrolled as well");
+    const near = (await look())[1];
+    await page.getByRole("button", { name: "Farther" }).click();
+    await page.waitForFunction((h) => document.querySelector("city-splat").viewer.pose.h > h + 1, near);
+    await page.getByRole("button", { name: "Whole scene" }).click();
+    await page.waitForFunction((h) => Math.abs(document.querySelector("city-splat").viewer.pose.h - h) < 0.1, high);
+    // Where nothing scrolls the wheel is the city's.
+    await page.evaluate(() => document.querySelector("p").remove());
+    await page.mouse.move(box.x + box.width / 3, box.y + box.height / 2);
+    await page.mouse.wheel(0, -200);
+    await page.waitForFunction((h) => document.querySelector("city-splat").viewer.pose.h < h - 1, high);
+    assert.deepEqual(log, []);
+});
+
+test("one finger scrolls the article, two move the city", async (t) => {
+    const opened = await openPage("about:blank", { ...SIZE, hasTouch: true, isMobile: true });
+    t.after(() => opened.close());
+    const { page } = opened;
+    writeFileSync(join(dir, "touch.html"), `<!doctype html><meta name="viewport" content="width=device-width"><title>x</title>${hostedBy(LINE[0], source.url)}<p style="height:3000px">Much to read</p>`);
+    await page.goto(`${other.url}/touch.html`);
+    await ready(page);
+    const look = () => page.evaluate(() => [scrollY, JSON.stringify(document.querySelector("city-splat").viewer.pose)]);
+    const client = await page.context().newCDPSession(page);
+    const drag = async (...fingers) => {
+        const at = (k) => fingers.map(([x, y, dx, dy], id) => ({ id, x: x + k * dx, y: y + k * dy }));
+        await client.send("Input.dispatchTouchEvent", { type: "touchStart", touchPoints: at(0) });
+        for (let k = 1; k <= 8; k++) await client.send("Input.dispatchTouchEvent", { type: "touchMove", touchPoints: at(k) });
+        await client.send("Input.dispatchTouchEvent", { type: "touchEnd", touchPoints: [] });
+    };
+    const before = await look();
+    await drag([200, 150, 0, -12]);
+    await page.waitForFunction(() => scrollY > 20);
+    const scrolled = await look();
+    assert.equal(scrolled[1], before[1], "one finger moved the city");
+    // It slides on for a moment.
+    await page.waitForFunction(() => ((window.rests = scrollY === window.lastY ? (window.rests ?? 0) + 1 : 0), (window.lastY = scrollY), window.rests > 20), null, { polling: 50 });
+    await page.evaluate(() => scrollTo(0, 0));
+    await drag([180, 100, -6, 0], [220, 100, 6, 0]);
+    await page.waitForFunction((pose) => JSON.stringify(document.querySelector("city-splat").viewer.pose) !== pose, before[1]);
+    assert.equal((await look())[0], 0, "two fingers scrolled the page");
+});
+
+test("a dead server is said in the element, and it comes when the server does", async (t) => {
+    const proxy = await Proxy.open(source.url);
+    await proxy.down();
+    const opened = await openOther("dead", `<script type="module" src="${source.url}/viewer.js"></script><city-splat src="${proxy.url}/"></city-splat>`);
+    t.after(() => opened.close());
+    const { page } = opened;
+    const said = page.getByRole("alert");
+    await said.waitFor();
+    assert.match(await said.textContent(), /No reply from .*Try again$/);
+    await page.getByRole("button", { name: "Try again" }).click();
+    assert.equal(await said.isVisible(), true, "silent while it is still dead");
+    await proxy.up();
+    await ready(page);
+    assert.equal(await said.isVisible(), false);
+    await drawn(page, "city-splat");
+    // Gone while the city is there: the picture stays, and it says so.
+    await proxy.down();
+    await page.evaluate(() => void document.querySelector("city-splat").viewer.get(new URL("collections/none", document.querySelector("city-splat").src)).catch(() => {}));
+    await said.waitFor();
+    assert.match(await said.textContent(), /does not answer.*Try now$/);
+    await proxy.up();
+    await said.waitFor({ state: "hidden" });
+    await proxy.down();
 });
 
 test("the module in a page of another host", async (t) => {

@@ -153,6 +153,7 @@ const TASKS = {
         const before = await one.page.evaluate(() => window.citysplat.state.appearance);
         await one.openPanel();
         await one.press("Photographs");
+        assert.ok(!one.touch || (await one.page.getAttribute("#fold", "aria-expanded")) === "false", "the panel lies over the picture");
         const photograph = one.page.locator("#photo-list input").nth(2);
         await one.pressOn(photograph);
         await one.page.waitForFunction((old) => window.citysplat.state.appearance !== old, before);

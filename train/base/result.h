@@ -19,6 +19,7 @@ struct train_cell_result {
     size_t n_gaussians[TRAIN_LEVELS_MAX];
     double psnr_db[TRAIN_LEVELS_MAX],
         ssim[TRAIN_LEVELS_MAX];   /* of test photographs at training size; NaN = none */
+    size_t n_test;                /* test photographs behind these scores; 0 where was_done */
     double seconds;               /* of all processes that worked on the cell */
     struct timing_seconds timing; /* of this process alone, without the time before --resume */
 };

@@ -99,11 +99,13 @@ export class AppearanceControl {
     element("photos-ends").addEventListener("change", () => this.choose());
   }
 
-  showPhotographs(open: boolean) {
-    if (open && !this.list.some((one) => one.name !== NAME_DEFAULT)) return;
+  // False where there are none.
+  showPhotographs(open: boolean): boolean {
+    if (open && !this.list.some((one) => one.name !== NAME_DEFAULT)) return false;
     this.strip.show(open);
     this.choose();
     if (!open) element("photos-button").focus();
+    return true;
   }
 
   get photographsOpen(): boolean {

@@ -2,6 +2,7 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import { parseView } from "./address";
+import { ElementFrame, FRAME_STYLE } from "./frame";
 import { Problem, type ProblemKind } from "./problem";
 import { loadStory, Tour, type TourState } from "./tour";
 import { TOUR_STYLE, TourCard } from "./tourcard";
@@ -17,7 +18,7 @@ const ATTRIBUTES = ["src", "scene", "view", "appearance", "mode", "theme", "deta
 // Attributes of <city-splat>.
 export type Attribute = (typeof ATTRIBUTES)[number];
 
-const STYLE = ":host{display:block;position:relative;aspect-ratio:16/9;overflow:hidden}:host([hidden]){display:none}div{position:absolute;inset:0}" + TOUR_STYLE;
+const STYLE = ":host{display:block;position:relative;aspect-ratio:16/9;overflow:hidden}:host([hidden]){display:none}div{position:absolute;inset:0}" + FRAME_STYLE + TOUR_STYLE;
 
 // A page that is made on a server imports this, too, and has no elements there.
 const Base = typeof HTMLElement === "function" ? HTMLElement : (class {} as unknown as typeof HTMLElement);
@@ -30,6 +31,7 @@ export class CitySplatElement extends Base {
   private reading = 0; // the newest text of a tour counts
   private readonly box: HTMLDivElement;
   private readonly card = new TourCard();
+  private readonly frame = new ElementFrame();
 
   constructor() {
     super();
@@ -38,9 +40,9 @@ export class CitySplatElement extends Base {
     sheet.replaceSync(STYLE);
     root.adoptedStyleSheets = [sheet];
     this.box = document.createElement("div");
-    root.append(this.box, this.card.node);
+    root.append(this.box, ...this.frame.nodes, this.card.node);
     // The element has a click of its own, with the place.
-    for (const node of [this.box, this.card.node]) node.addEventListener("click", (event) => event.stopPropagation());
+    for (const node of [this.box, ...this.frame.nodes, this.card.node]) node.addEventListener("click", (event) => event.stopPropagation());
   }
 
   // All that the module can do; null while the element is in no document.
@@ -106,6 +108,7 @@ export class CitySplatElement extends Base {
       ...(Number(text("memory")) > 0 ? { memoryMb: Number(text("memory")) } : {}),
     };
     const viewer = createViewer(this.box, options);
+    this.frame.serve(viewer, this);
     for (const name of EVENTS) viewer.on(name, (value) => this.tell(name, value));
     if (text("tour")) void this.readTour(viewer);
     return viewer;

@@ -83,9 +83,17 @@ function makeTarget(type: TextureDataType, internal: string, rows: number): WebG
 
 function makeTexture(format: PixelFormat, internal: string, rows: number, width = ROW): DataTexture {
   const texture = new DataTexture(null, width, rows, format, UnsignedIntType);
+  texture.source.dataReady = false; // room alone: WebGL warns of an upload of nothing
   texture.internalFormat = internal as "RGBA32UI";
   texture.minFilter = texture.magFilter = NearestFilter;
   texture.needsUpdate = true;
+  return texture;
+}
+
+function makeOrder(order: Uint32Array<ArrayBuffer>): DataTexture {
+  const texture = makeTexture(RedIntegerFormat, "R32UI", order.length / ORDER_ROW);
+  texture.image.data = order;
+  texture.source.dataReady = true;
   return texture;
 }
 
@@ -419,8 +427,7 @@ export class Gaussians {
     } else {
       this.spare = null;
       this.order?.dispose();
-      this.order = makeTexture(RedIntegerFormat, "R32UI", height);
-      this.order.image.data = order;
+      this.order = makeOrder(order);
     }
     this.order.needsUpdate = true;
     this.drawn = count;
@@ -597,9 +604,7 @@ export class Gaussians {
     if (this.some?.key !== key) {
       this.some?.texture.dispose();
       const order = sortNow(blocks, camera);
-      const texture = makeTexture(RedIntegerFormat, "R32UI", order.length / ORDER_ROW);
-      texture.image.data = order;
-      this.some = { key, texture };
+      this.some = { key, texture: makeOrder(order) };
     }
     return this.some.texture;
   }

@@ -119,12 +119,13 @@ export class Inset {
     map.show(pose, corners, text("map.at", { heading: pose.heading.toFixed(0) }));
   }
 
-  // What was looked at is now this place; who walks or looks ahead stands there.
+  // What was looked at is now this place; who looks ahead stands there, who walks on the street next to it.
   private goTo(place: Pick<Place, "lon" | "lat">) {
     const { module, viewer } = this;
     if (!module) return;
-    const { pose } = viewer;
-    const down = viewer.stage.walk !== "walk" && pose.pitch < LOOK_DOWN_DEG;
+    const { pose, stage } = viewer;
+    if (stage.walk === "walk") return void stage.toStreet(stage.frame.pointOf({ ...place, h: pose.h }));
+    const down = pose.pitch < LOOK_DOWN_DEG;
     const back = down ? module.reach(viewer.heightAboveGround, pose.pitch, this.most) : 0;
     const [lat, lon] = module.along(place, pose.heading + 180, back);
     void viewer.flyTo({ ...pose, lat, lon });

@@ -8,8 +8,9 @@ import { Problem } from "./problem";
 export type LinkState = "ok" | "busy" | "away";
 
 const PROBE_FIRST_MS = 500;
-const PROBE_MOST_MS = 10_000;
-const PROBE_TIMEOUT_MS = 8000;
+const PROBE_MOST_MS = 1500; // and a fifth of it: who waits is back within two seconds of the server
+const PROBE_TIMEOUT_MS = 3000; // of the answer's head
+const BUSY_MOST_MS = 10_000; // that a server may ask us to wait
 const SILENCE_MS = 20_000; // without a byte
 /** @internal */
 export const BUSY = new Set([429, 502, 503, 504]);
@@ -158,7 +159,7 @@ export class Link {
           const seconds = Number(response.headers.get("retry-after")) || 0;
           if (attempt >= 1) this.turn("busy");
           await response.body?.cancel();
-          await pause(Math.min(10_000, Math.max(1000 * seconds, 300 * 2 ** attempt)), signal);
+          await pause(seconds ? Math.min(BUSY_MOST_MS, 1000 * seconds) : Math.min(PROBE_MOST_MS, 300 * 2 ** attempt), signal);
           continue;
         }
         if (!response.ok)
@@ -176,6 +177,11 @@ export class Link {
         this.end();
       }
     }
+  }
+
+  // Asks at once where the next attempt is waited for.
+  tryNow() {
+    this.awake();
   }
 
   dispose() {
@@ -264,7 +270,7 @@ export class Link {
       try {
         const signal = AbortSignal.timeout(PROBE_TIMEOUT_MS);
         const response = await fetch(this.probeUrl ?? location.href, { signal, cache: "no-store" });
-        await response.arrayBuffer();
+        void response.body?.cancel().catch(() => {}); // that it answers is enough
         if (!BUSY.has(response.status)) break;
       } catch {
         // still away

@@ -52,6 +52,7 @@ async function main() {
     colours: query.get("colours") === "server" ? "server" : "here",
     mode: thin ? "pictures" : "auto",
     backdrop: query.get("backdrop") !== "off",
+    ...(document.documentElement.dataset["poster"] ? { poster: document.documentElement.dataset["poster"] } : {}),
     basemap: basemap ? { tiles: basemap, attribution: query.get("credit") ?? "" } : null,
     ...(scene === null ? {} : { scene }),
     ...(fade === null ? {} : { fadeMs: Number(fade) }),

@@ -72,6 +72,17 @@ export interface MapHost {
   triggerRepaint(): void;
   // The map's terrain, if it has one.
   getTerrain?(): unknown;
+  // Shows the credit; maps without it show none.
+  addControl?(control: MapControl, position: "bottom-right"): unknown;
+  // Takes the credit away.
+  removeControl?(control: MapControl): unknown;
+}
+// What a map shows at its rim, as MapLibre's IControl.
+export interface MapControl {
+  // For the map to call.
+  onAdd(): HTMLElement;
+  // For the map to call.
+  onRemove(): void;
 }
 // What MapLibre hands to a custom layer at each frame, as far as it is used.
 export interface MapFrame {
@@ -144,6 +155,20 @@ export class MapLayer {
   private error: Error | null = null;
   private wasReady = false;
   private refused = false; // this browser does not draw
+  private creditNode: HTMLElement | null = null;
+  // Whose the city is, beside whose the map is.
+  private readonly credit: MapControl = {
+    onAdd: () => {
+      this.creditNode = document.createElement("div");
+      this.creditNode.className = "maplibregl-ctrl maplibregl-ctrl-attrib citysplat-credit";
+      this.showCredit();
+      return this.creditNode;
+    },
+    onRemove: () => {
+      this.creditNode?.remove();
+      this.creditNode = null;
+    },
+  };
 
   constructor(private readonly options: MapLayerOptions = {}) {
     this.id = options.id ?? "citysplat";
@@ -262,6 +287,7 @@ export class MapLayer {
       if (!keep) this.core = null;
       this.frame = new Frame(info.transform);
       city.open(info, this.frame, keep, tint);
+      this.showCredit();
       if (keep) this.events.emit("appearance", appearance);
       else this.events.emit("scene", { ...entry, bounds: this.bounds! });
       this.wake();
@@ -293,17 +319,25 @@ export class MapLayer {
     this.events.emit("problem", problem);
   }
 
+  private showCredit() {
+    if (!this.creditNode) return;
+    this.creditNode.textContent = this.attribution;
+    this.creditNode.hidden = !this.attribution;
+  }
+
   // ---- as MapLibre calls it ----
 
   // For MapLibre to call.
   onAdd(map: MapHost) {
     this.map = map;
+    map.addControl?.(this.credit, "bottom-right");
     this.wake();
   }
 
   // For MapLibre to call.
   onRemove() {
     this.opening++;
+    this.map?.removeControl?.(this.credit);
     this.jobs = [];
     this.city?.dispose();
     this.link?.dispose();

@@ -3,10 +3,10 @@
 // SPDX-License-Identifier: Apache-2.0
 import { Vector3 } from "three";
 
-import { copy, download, element, setText, toast } from "./dom";
+import { copy, download, element, later, setText, toast } from "./dom";
 import type { Frame, Place } from "./geo";
 import type { Shape } from "./overlay";
-import { ProfileChart } from "./profile";
+import type { ProfileChart } from "./profile";
 import { text } from "./strings";
 import { formatArea, formatLength, formatPlace, formatVolume } from "./units";
 import { askVolume, type Volume } from "./volume";
@@ -69,10 +69,9 @@ export class MeasureTool {
   private place: Place | null = null;
   private volume: Volume | null = null; // of the area, by the server
   private asking = new AbortController();
-  private readonly profile: ProfileChart;
+  private profile: ProfileChart | null = null; // comes when it is asked for
 
   constructor(private readonly viewer: Viewer) {
-    this.profile = new ProfileChart(viewer);
     viewer.on("click", ({ place }) => this.asleep || (this.open ? this.add(place) : this.tell(place)));
     const click = (id: string, run: () => void) => element(id).addEventListener("click", run);
     click("measure-button", () => this.show(!this.open));
@@ -81,7 +80,7 @@ export class MeasureTool {
     click("measure-clear", () => this.set([]));
     click("measure-copy", () => void copy(this.summary(), text("place.copied")));
     click("measure-save", () => this.save());
-    click("measure-profile", () => void this.profile.show(this.places));
+    click("measure-profile", () => void this.showProfile());
     click("measure-volume", () => void this.findVolume());
     click("place-close", () => this.tell(null, true));
     click("place-copy", () => {
@@ -144,11 +143,18 @@ export class MeasureTool {
     this.shapes = places.length ? this.drawn(places).map((shape) => overlay.add(shape)) : [];
     const line = this.kind === "path" && places.length > 1;
     element<HTMLButtonElement>("measure-profile").disabled = !line;
-    if (!line) this.profile.close();
-    else if (this.profile.isOpen) void this.profile.show(places);
+    if (!line) this.profile?.close();
+    else if (this.profile?.isOpen) void this.profile.show(places);
     setText("measure-text", places.length > 1 ? this.summary() : text("measure.hint"));
     const area = this.kind === "area" && places.length > 2;
     element("measure-volume").hidden = !area || !this.viewer.scene?.questions;
+  }
+
+  private async showProfile() {
+    const module = await later(import("./profile"));
+    if (!module) return;
+    this.profile ??= new module.ProfileChart(this.viewer);
+    await this.profile.show(this.places);
   }
 
   // Above and below the plane of the rim, by the server.

@@ -6,7 +6,7 @@ import { CitySplatElement } from "./embed";
 export * from "./viewer";
 
 export { createMapLayer, MapLayer } from "./maplayer";
-export type { Bounds, MapFrame, MapHost, MapLayerEvents, MapLayerOptions, MapLayerState } from "./maplayer";
+export type { Bounds, MapControl, MapFrame, MapHost, MapLayerEvents, MapLayerOptions, MapLayerState } from "./maplayer";
 
 export { createTour, loadStory, type Note, type Stop, type Story, type Tour, type TourState } from "./tour";
 

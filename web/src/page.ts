@@ -91,6 +91,7 @@ export class Page {
     this.compare.fill();
     if (this.stories) void this.openStories((stories) => stories.translate());
     this.applyDetail();
+    this.nameWalk(this.viewer.stage.walk);
     this.showTitle();
     this.showFacts();
     this.showPlace();
@@ -128,6 +129,11 @@ export class Page {
       this.showTitle();
     });
     viewer.on("slow", (fps) => void this.offer(fps));
+    viewer.on("walk", (how) => this.showWalk(how));
+    viewer.on("sight", (sight) => {
+      if (sight) unbanner("lost");
+      else banner("lost", text("banner.lost"), [{ label: text("tool.home"), run: () => this.home() }]);
+    });
   }
 
   // What is open, or why nothing is.
@@ -186,6 +192,8 @@ export class Page {
   private showMode(mode: Mode) {
     element<HTMLSelectElement>("mode").value = mode;
     element("detail-field").hidden = mode === "pictures";
+    if (mode === "pictures" && this.offered) banner("drawn", text("banner.drawn"), [{ label: text("banner.drawn.no"), run: () => this.viewer.setMode("splats") }]);
+    else unbanner("drawn");
     element<HTMLButtonElement>("server-button").disabled = mode === "pictures";
     if (mode === "pictures") unbanner("slow");
     this.address();
@@ -247,9 +255,7 @@ export class Page {
         this.address(0); // a page that is loaded again has what was kept
       },
       placing: (on: boolean) => (this.measure.asleep = on),
-      clear: () => {
-        if (TOUCH || innerWidth < 700) this.fold(true);
-      },
+      clear: () => this.clear(),
     };
     this.stories ??= import("./storybox").then(({ StoryBox }) => new StoryBox(this.viewer, host, this.story || null));
     const stories = await later(this.stories);
@@ -263,11 +269,16 @@ export class Page {
     const { viewer } = this;
     const click = (id: string, run: () => void) => element(id).addEventListener("click", run);
     click("north", () => viewer.stage.northUp());
-    click("home", () => viewer.home());
+    click("home", () => this.home());
     click("zoom-in", () => viewer.stage.zoom(0.7));
     click("zoom-out", () => viewer.stage.zoom(1 / 0.7));
-    click("walk", () => this.nextWalk());
-    click("help-button", () => element<HTMLDialogElement>("help").showModal());
+    click("walk", () => void this.nextWalk());
+    click("walk-end", () => this.leaveWalk());
+    this.nameWalk("orbit");
+    click("help-button", () => this.help());
+    // What these show is the picture.
+    for (const id of ["photos-button", "appearance-here", "appearance-split", "server-button", "tour-play"]) click(id, () => this.clear());
+    for (const id of ["appearance-from", "appearance-to"]) element(id).addEventListener("change", () => this.clear());
     click("share", () => void this.share());
     click("embed-button", () => void this.embed());
     click("shot-button", () => void this.shot());
@@ -277,7 +288,7 @@ export class Page {
     element("full").hidden = !document.fullscreenEnabled;
     click("full", () => void (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen()));
     click("fold", () => this.fold(!element("panel").classList.contains("folded")));
-    this.fold(TOUCH || innerWidth < 700 || innerHeight < 480);
+    this.fold(this.isSmall);
   }
 
   private fold(folded: boolean) {
@@ -287,20 +298,71 @@ export class Page {
     button.setAttribute("aria-expanded", String(!folded));
     label.dataset["t"] = folded ? "panel.show" : "panel.hide";
     label.textContent = button.title = text(folded ? "panel.show" : "panel.hide");
-    this.viewer.fitInto(freePart);
   }
 
-  private nextWalk() {
+  private get isSmall(): boolean {
+    return TOUCH || innerWidth < 700 || innerHeight < 480;
+  }
+
+  // The picture is what counts now: on a small screen the panel makes way.
+  private clear() {
+    if (this.isSmall) this.fold(true);
+  }
+
+  private home() {
+    this.clear();
+    this.viewer.home();
+  }
+
+  private help() {
+    element("help-p").hidden = element("photos-button").hidden;
+    element("help-v").hidden = element("server-button").hidden;
+    element<HTMLDialogElement>("help").showModal();
+  }
+
+  // ---- on foot ----
+
+  private async nextWalk() {
     const kinds: Walk[] = ["orbit", "fly", "walk"];
     const { stage } = this.viewer;
-    stage.walk = kinds[(kinds.indexOf(stage.walk) + 1) % 3]!;
-    element("walk").dataset["walk"] = stage.walk;
-    toast(text(`walk.${stage.walk}`));
+    const next = kinds[(kinds.indexOf(stage.walk) + 1) % 3]!;
+    this.clear();
+    if (next === "walk" && !stage.walker) {
+      const module = await later(import("./walk"));
+      if (module) stage.walker = new module.Walker(() => this.viewer.blocks);
+    }
+    stage.walk = next;
+    if (stage.walk === next) return;
+    stage.walk = "orbit";
+    toast(text(this.viewer.mode === "pictures" ? "walk.pictures" : "walk.none"));
+  }
+
+  private leaveWalk() {
+    this.viewer.stage.walk = "orbit";
+    element("walk").focus();
+  }
+
+  private showWalk(how: Walk) {
+    element("walk-card").hidden = how === "orbit";
+    setText("walk-text", how === "orbit" ? "" : text(`walk.${how}`));
+    this.nameWalk(how);
+  }
+
+  private nameWalk(how: Walk) {
+    const button = element("walk");
+    button.dataset["walk"] = how;
+    button.setAttribute("aria-pressed", String(how !== "orbit"));
+    button.querySelector(".sr")!.textContent = text(`walk.${how}.name`);
+    button.title = `${text(`walk.${how}.name`)} (G)`;
   }
 
   // A step of the slider is a factor of two.
   private applyDetail() {
-    const px = 2 ** (DETAIL_MIDDLE - Number(element<HTMLInputElement>("detail").value));
+    const slider = element<HTMLInputElement>("detail");
+    const px = 2 ** (DETAIL_MIDDLE - Number(slider.value));
+    const size = text("detail.value", { px: Number(px.toPrecision(2)) });
+    slider.setAttribute("aria-valuetext", size);
+    setText("detail-value", size);
     this.viewer.detail = px;
   }
 
@@ -341,26 +403,30 @@ export class Page {
 
   private wireKeys() {
     const { viewer } = this;
-    const help = element<HTMLDialogElement>("help");
     const shortcuts: Record<string, () => void> = {
       KeyN: () => viewer.stage.northUp(),
-      KeyH: () => viewer.home(),
-      Home: () => viewer.home(),
-      KeyG: () => this.nextWalk(),
+      KeyH: () => this.home(),
+      Home: () => this.home(),
+      KeyG: () => void this.nextWalk(),
       KeyM: () => this.measure.show(!this.measure.open),
-      KeyP: () => this.appearance.showPhotographs(!this.appearance.photographsOpen),
-      KeyV: () => this.compare.show(!this.compare.open),
-      KeyX: () => this.compare.swap(),
+      KeyP: () => this.appearance.showPhotographs(!this.appearance.photographsOpen) || toast(text("photos.none")),
+      KeyV: () => (element("server-button").hidden ? toast(text("compare.nothing")) : this.compare.show(!this.compare.open)),
+      KeyX: () => (this.compare.open ? this.compare.swap() : toast(text("compare.closed"))),
       KeyI: () => void this.shot(),
       KeyL: () => void this.share(),
       KeyO: () => this.inset.toggle(),
       KeyT: () => void this.openStories((stories) => stories.toggle()),
-      Escape: () => this.measure.show(false),
+      Escape: () => {
+        if (this.measure.open) this.measure.show(false);
+        else if (viewer.stage.walk !== "orbit") this.leaveWalk();
+      },
     };
     window.addEventListener("keydown", (event) => {
       if (!isForScene(event)) return;
-      if (event.key === "?") help.showModal();
-      else shortcuts[event.code]?.();
+      if (event.key === "?") return this.help();
+      const run = shortcuts[event.code];
+      if (run && !viewer.scene && event.code !== "Escape") toast(text("loading"));
+      else run?.();
     });
     window.addEventListener("hashchange", () => {
       const view = parseView(location.hash);

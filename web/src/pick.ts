@@ -11,6 +11,15 @@ const ALPHA_LEAST = 1 / 255;
 const REACH_SIGMA = 3.33; // where an opaque Gaussian falls below 1/255
 const SIGMA = Float32Array.from({ length: 256 }, (_, byte) => Math.exp(byte / 16 - 10));
 
+// Gaussians that rays are to meet.
+export interface Cloud {
+  count: number;
+  base: Uint32Array; // as in pack.ts
+  centres: Float32Array;
+}
+
+const cloudOf = ({ splats }: Block): Cloud => ({ count: splats.count, base: splats.base, centres: centresOf(splats) });
+
 interface Hit {
   depth: number;
   alpha: number;
@@ -44,9 +53,7 @@ function rotation(packed: number, out: Float64Array) {
 
 // All Gaussians of a block that the ray meets. A pixel's footprint widens the thin ones, as the
 // low-pass of the picture does.
-function meet(block: Block, ray: Ray, perMetre: number, hits: Hit[]) {
-  const { base, count } = block.splats;
-  const centres = centresOf(block.splats);
+function meet({ base, count, centres }: Cloud, ray: Ray, perMetre: number, hits: Hit[]) {
   const { origin, direction } = ray;
   const [ox, oy, oz] = [origin.x, origin.y, origin.z];
   const [dx, dy, dz] = [direction.x, direction.y, direction.z];
@@ -87,8 +94,12 @@ function meet(block: Block, ray: Ray, perMetre: number, hits: Hit[]) {
 // The point, or null where more than half of the light passes. perMetre: the size of a pixel at one
 // metre.
 export function pickMedian(blocks: readonly Block[], ray: Ray, perMetre: number): Vector3 | null {
+  return pickIn(blocks.map(cloudOf), ray, perMetre);
+}
+
+export function pickIn(clouds: readonly Cloud[], ray: Ray, perMetre: number): Vector3 | null {
   const hits: Hit[] = [];
-  for (const block of blocks) meet(block, ray, perMetre, hits);
+  for (const cloud of clouds) meet(cloud, ray, perMetre, hits);
   hits.sort((a, b) => a.depth - b.depth);
   let passes = 1;
   for (const { depth, alpha } of hits) {
@@ -96,4 +107,21 @@ export function pickMedian(blocks: readonly Block[], ray: Ray, perMetre: number)
     if (passes <= 0.5) return ray.at(depth, new Vector3());
   }
   return null;
+}
+
+// Those within some metres of an upright line, for rays that stay near it.
+export function gather(blocks: readonly Block[], x: number, z: number, reach: number): Cloud {
+  const base: number[] = [];
+  const centres: number[] = [];
+  for (const cloud of blocks.map(cloudOf))
+    for (let i = 0; i < cloud.count; i++) {
+      const sizes = cloud.base[4 * i + 1]!;
+      const sigma = Math.max(SIGMA[(sizes >>> 8) & 255]!, SIGMA[(sizes >>> 16) & 255]!, SIGMA[sizes >>> 24]!);
+      const most = reach + REACH_SIGMA * sigma;
+      const [dx, dz] = [cloud.centres[3 * i]! - x, cloud.centres[3 * i + 2]! - z];
+      if (dx * dx + dz * dz > most * most) continue;
+      for (let k = 0; k < 4; k++) base.push(cloud.base[4 * i + k]!);
+      for (let k = 0; k < 3; k++) centres.push(cloud.centres[3 * i + k]!);
+    }
+  return { count: centres.length / 3, base: Uint32Array.from(base), centres: Float32Array.from(centres) };
 }

@@ -3,7 +3,7 @@
 // always for the newest pose; the full one when it rests. The last picture stays until the next one can be shown.
 //
 // SPDX-License-Identifier: Apache-2.0
-import { Film, type FilmPicture } from "./film";
+import type { Film, FilmPicture } from "./film";
 import type { Pose } from "./geo";
 import type { Link } from "./link";
 import { pictureUrl, type SceneEntry } from "./source";
@@ -84,7 +84,7 @@ export class Pictures {
     this.changedAt = performance.now();
     // A full picture of a pose that is no longer the newest is not worth its time.
     if (this.requestFull) this.request?.abort();
-    if (moved && moves) this.openFilm(entry); // a jump is no film
+    if (moved && moves) void this.openFilm(entry); // a jump is no film
     this.next();
   }
 
@@ -119,10 +119,16 @@ export class Pictures {
     this.moves = false;
   }
 
-  private openFilm({ questions }: SceneEntry) {
+  // Its script comes with the first one. Where that does not come, pictures come one by one.
+  private async openFilm({ id, questions }: SceneEntry) {
     const may = this.moving && this.link.state !== "away" && performance.now() >= this.filmFrom;
     if (this.film || !questions || !may) return;
-    const film = new Film(questions, this.link, (picture) => this.take(picture));
+    this.filmFrom = Infinity;
+    const module = await import("./film").catch(() => null);
+    if (!module) return;
+    this.filmFrom = 0;
+    if (this.film || this.wish?.entry.id !== id) return;
+    const film = new module.Film(questions, this.link, (picture) => this.take(picture));
     film.onEnd = (never) => {
       this.film = null;
       if (never) this.filmFrom = Infinity;

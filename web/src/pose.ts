@@ -41,5 +41,7 @@ export function parsePose(text: string): Pose | null {
   return { lon, lat, h, heading, pitch, fov };
 }
 
+export const EYES_M = 1.7; // above the ground, of somebody on foot
+
 // How a person moves the camera.
 export type Walk = "orbit" | "fly" | "walk";

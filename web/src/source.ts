@@ -17,7 +17,7 @@ export interface SceneEntry {
   title: string;
   // Whose it is.
   attribution: string;
-  heights: string; // above what: "ellipsoid", "sea", "sea-exif", "takeoff", "EPSG:7837", "unknown"
+  heights: string; // above what: "ellipsoid", "sea", "sea-exif", "takeoff", "EPSG:7837", "unknown", "unscaled"
   created: string; // day when the scene was made, 2024-06-01; "": not known
   taken: [string, string] | null; // days of its first and last photograph; null: not known
   catalogue: URL | null; // the folder of the server that lists it; null on a file server

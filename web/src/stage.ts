@@ -11,7 +11,8 @@ import { Box3, Euler, MathUtils, Matrix4, PerspectiveCamera, Plane, Ray, Vector3
 import { cornersOf } from "./extent";
 import { Frame } from "./geo";
 import type { Area } from "./free";
-import { FOV_DEG, type Pose, type Walk } from "./pose";
+import { EYES_M, FOV_DEG, type Pose, type Walk } from "./pose";
+import type { Walker } from "./walk";
 
 const HOME_HEADING_DEG = 20;
 const HOME_PITCH_DEG = -38;
@@ -23,7 +24,7 @@ const TURN_COST = 0.003;
 const MARGIN = { x: 0.07, y: 0.16 };
 const TALL_CUT = 0.26; // more at the sides of a part that is twice as high as wide: there the edge of the city is cut
 const PITCH_MOST = MathUtils.degToRad(89.9);
-const CLEARANCE_M = 1.7; // eyes above the ground
+const ABOVE_M = 200; // of most of the city: from there all of it is below
 
 // Held keys and what they do per second.
 type Action = "east" | "north" | "turn" | "tilt" | "zoom" | "rise";
@@ -51,6 +52,14 @@ const KEYS: Record<string, [action: Action, sign: number]> = {
 };
 const PAN_PER_S = 0.6; // of the distance to what is looked at
 const WALK_M_S = 4;
+const WALK_ZOOM_M = 3; // that a press of a button to zoom walks,
+const WALK_WHEEL_M = 0.01; // a pixel of the wheel,
+const WALK_PINCH_M = 8; // and fingers, for each natural logarithm
+const TAP_S = 0.05; // a key counts for so long at least: a press may be over before the next frame, or lie in one after a rest
+const TWICE_MS = 350; // between two presses of one
+const TWICE_PX = 20;
+const TWICE_ZOOM = 0.5;
+const TWICE_S = 0.4;
 const TURN_RAD_PER_S = 1.2;
 const ZOOM_PER_S = 1.5; // natural logarithm
 const LOOK_RAD_PER_PX = 0.0035;
@@ -86,18 +95,25 @@ export class Stage {
   onMove: () => void = () => {};
   onTouch: () => void = () => {}; // a person moved the camera
   onClick: (x: number, y: number) => void = () => {};
+  onWalk: (how: Walk) => void = () => {};
+  onHeld: (wheel: boolean) => void = () => {}; // a wheel or one finger, which scroll the page here
+  shares: () => boolean = () => false; // the page around scrolls: one finger and a bare wheel are for it
+  walker: Walker | null = null; // knows streets; null: nobody walks
+  private before: Pose | null = null; // where somebody stood who walks now
   heading = 0; // radians clockwise from north
   pitch = -0.6; // above the horizon
   private walking: Walk = "orbit";
   private readonly box = new Box3(new Vector3(-50, 0, -50), new Vector3(50, 20, 50));
   outline: readonly Vector3[] | null = null; // corners of what home shows; null: those of the box
   private readonly held = new Set<string>();
+  private readonly tapped = new Set<string>(); // pressed since the last turn, if only shortly
   private readonly pointers = new Map<number, { x: number; y: number }>();
   private readonly last = { place: new Vector3(), heading: 0, pitch: 0, fov: 0 };
   private readonly throwing = new Vector3(); // metres a second
   private thrownAt = 0;
   private drag: Drag | null = null;
   private pressed = { x: 0, y: 0, at: 0, moved: false };
+  private clicked = { x: 0, y: 0, at: -Infinity }; // the last one
   private flight: { from: Pose; to: Pose; at: number; ms: number; done: () => void } | null = null;
   private readonly listening = new AbortController();
 
@@ -113,13 +129,22 @@ export class Stage {
     on("pointercancel", (event) => this.release(event));
     on("contextmenu", (event) => event.preventDefault());
     on("wheel", (event) => this.wheel(event));
+    // Two fingers are ours: before a page can take them for scrolling.
+    const keep = (event: TouchEvent) => event.touches.length > 1 && event.cancelable && event.preventDefault();
+    on("touchstart", keep);
+    on("touchmove", keep);
     surface.addEventListener("focusin", () => (active = this), { signal });
     stages.add(this);
     active ??= this;
-    surface.style.touchAction = "none";
+    this.shareTouch();
     window.addEventListener("keydown", (event) => this.key(event), { signal });
     window.addEventListener("keyup", (event) => this.held.delete(event.code), { signal });
     window.addEventListener("blur", () => this.held.clear(), { signal });
+    surface.addEventListener("pointerenter", () => this.shareTouch(), { signal });
+  }
+
+  private shareTouch() {
+    this.surface.style.touchAction = this.shares() ? "pan-x pan-y" : "none";
   }
 
   dispose() {
@@ -134,14 +159,41 @@ export class Stage {
     return this.walking;
   }
 
+  // Walking begins on the street nearest to the middle of the view, level; it ends where it began. Where there is no street
+  // it does not begin.
   set walk(how: Walk) {
+    if (how === this.walking) return;
+    const { before } = this;
+    const here = this.pose();
+    if (how === "walk" && !this.toStreet(this.center())) return;
+    this.before = how === "walk" ? here : null;
     this.walking = how;
+    if (how !== "orbit") this.onTouch();
+    if (before) this.flyOver(before);
     this.onMove();
+    this.onWalk(how);
+  }
+
+  // Over to the street nearest to a place, level; false where there is none.
+  toStreet(near: Vector3): boolean {
+    const street = this.walker?.street(this.box.clampPoint(near, new Vector3()), this.box.max.y + ABOVE_M);
+    if (street) this.flyOver({ ...this.frame.placeOf(street.setY(street.y + EYES_M)), pitch: 0 });
+    return Boolean(street);
+  }
+
+  private flyOver(to: Partial<Pose>, seconds?: number) {
+    void this.fly({ ...this.pose(), ...to }, seconds);
+  }
+
+  // Nobody walks or flies any more, and the camera stays.
+  stand() {
+    this.before = null;
+    this.walk = "orbit";
   }
 
   // It moves the camera in the next turn of the loop, or may.
   get moves(): boolean {
-    return this.flight !== null || this.held.size > 0 || this.pointers.size > 0 || this.throwing.lengthSq() >= 1e-4;
+    return this.flight !== null || this.held.size > 0 || this.tapped.size > 0 || this.pointers.size > 0 || this.throwing.lengthSq() >= 1e-4;
   }
 
   // A gamepad may be touched at any time, and has no events.
@@ -175,6 +227,7 @@ export class Stage {
   // headings and angles the one that fills most of it, if it is not far from the usual one.
   home(box: Box3 | null = null) {
     const points = box ? cornersOf(box) : (this.outline ?? cornersOf(this.box));
+    this.stand();
     this.land();
     this.camera.fov = FOV_DEG;
     let best = { heading: 0, pitch: 0, position: new Vector3(), worth: 0 };
@@ -250,6 +303,7 @@ export class Stage {
   }
 
   look(pose: Pose) {
+    if (this.walking === "walk") this.stand();
     this.land();
     this.place(pose);
     this.halt();
@@ -265,11 +319,12 @@ export class Stage {
   // Over to another pose; resolves on arrival, or when a person takes over. At once where motion is
   // not wanted.
   fly(to: Pose, seconds = 2): Promise<void> {
+    this.land();
     if (matchMedia("(prefers-reduced-motion: reduce)").matches || seconds <= 0) {
-      this.look(to);
+      this.place(to);
+      this.halt();
       return Promise.resolve();
     }
-    this.land();
     return new Promise((done) => {
       this.flight = { from: this.pose(), to, at: performance.now(), ms: 1000 * seconds, done };
       this.onMove();
@@ -284,12 +339,14 @@ export class Stage {
 
   // Nearer by a factor, about what is in the middle of the picture.
   zoom(factor: number) {
-    this.nearTo(this.center(), factor);
+    if (this.walking === "walk") this.stepOn(factor < 1 ? WALK_ZOOM_M : -WALK_ZOOM_M);
+    else this.nearTo(this.center(), factor);
     this.onTouch();
     this.onMove();
   }
 
   resize(width: number, height: number) {
+    this.shareTouch();
     this.camera.aspect = width / Math.max(1, height);
     this.camera.updateProjectionMatrix();
     this.onMove();
@@ -301,7 +358,7 @@ export class Stage {
     this.applyKeys(seconds);
     this.applyGamepad(seconds);
     this.glide(seconds);
-    if (this.walk === "walk") this.camera.position.y = this.ground + CLEARANCE_M;
+    if (this.walking === "walk" && !this.flight) this.walker?.settle(this.camera.position, seconds);
     this.adjustPlanes();
     const { last, camera } = this;
     const moved =
@@ -425,6 +482,7 @@ export class Stage {
   }
 
   private takeOver() {
+    if (this.walking === "walk" && this.flight) this.place(this.flight.to); // on the street, not above it
     this.land();
     this.throwing.set(0, 0, 0);
     this.onTouch();
@@ -443,6 +501,12 @@ export class Stage {
     this.surface.setPointerCapture(event.pointerId);
     const at = this.local(event);
     this.pointers.set(event.pointerId, at);
+    const scrolls = event.pointerType === "touch" && this.shares();
+    if (scrolls && this.pointers.size < 2) {
+      this.pressed = { ...at, at: performance.now(), moved: false };
+      this.drag = null;
+      return;
+    }
     this.takeOver();
     this.pressed = { ...at, at: performance.now(), moved: this.pointers.size > 1 };
     this.beginDrag(at, event.button === 2 || event.button === 1 || event.ctrlKey || event.shiftKey);
@@ -466,6 +530,7 @@ export class Stage {
     if (Math.hypot(at.x - pressed.x, at.y - pressed.y) > 5) pressed.moved = true;
     if (this.pointers.size > 1) this.pinch(event.pointerId, before, at);
     else if (this.drag) this.dragTo(this.drag, at);
+    else if (pressed.moved) this.onHeld(false);
     this.pointers.set(event.pointerId, at);
     this.onMove();
   }
@@ -494,15 +559,23 @@ export class Stage {
     if (hit && Math.abs(ray.direction.y) > 0.08 && hit.distanceTo(ray.origin) < 6 * distance) {
       step.copy(pivot).sub(hit);
     } else {
-      const perPx = (2 * distance * Math.tan((this.camera.fov * Math.PI) / 360)) / this.surface.clientHeight;
-      const [dx, dy] = [at.x - this.drag!.x, at.y - this.drag!.y];
-      const [sin, cos] = [Math.sin(this.heading), Math.cos(this.heading)];
-      step.set(-dx * cos + dy * sin, 0, -dx * sin - dy * cos).multiplyScalar(perPx);
+      step.copy(this.stepOf(distance, at.x - this.drag!.x, at.y - this.drag!.y));
     }
     step.y = 0;
     this.camera.position.add(step);
     this.throwing.lerp(step.multiplyScalar(60), 0.5);
     this.thrownAt = performance.now();
+  }
+
+  // What a move by some pixels is worth at a distance.
+  private stepOf(distance: number, dx: number, dy: number): Vector3 {
+    const perPx = (2 * distance * Math.tan((this.camera.fov * Math.PI) / 360)) / this.surface.clientHeight;
+    const [sin, cos] = [Math.sin(this.heading), Math.cos(this.heading)];
+    return new Vector3(-dx * cos + dy * sin, 0, -dx * sin - dy * cos).multiplyScalar(perPx);
+  }
+
+  private slide(pivot: Vector3, dx: number, dy: number) {
+    this.camera.position.add(this.stepOf(pivot.distanceTo(this.camera.position), dx, dy));
   }
 
   // Two fingers: apart is nearer, round each other turns, up and down together tilts.
@@ -513,11 +586,15 @@ export class Stage {
     const angle = (p: { x: number; y: number }) => Math.atan2(p.y - other.y, p.x - other.x);
     const middle = { x: (at.x + other.x) / 2, y: (at.y + other.y) / 2 };
     const pivot = this.under(middle.x, middle.y);
-    this.nearTo(pivot, MathUtils.clamp(span(before) / Math.max(10, span(at)), 0.5, 2));
+    const nearer = MathUtils.clamp(span(before) / Math.max(10, span(at)), 0.5, 2);
+    if (this.walking === "walk") return this.stepOn(-WALK_PINCH_M * Math.log(nearer));
+    this.nearTo(pivot, nearer);
+    // Where one finger is the page's, two move the ground, too.
+    if (this.shares()) this.slide(pivot, (at.x - before.x) / 2, (at.y - before.y) / 2);
     let turn = angle(at) - angle(before);
     if (turn > Math.PI) turn -= 2 * Math.PI;
     if (turn < -Math.PI) turn += 2 * Math.PI;
-    this.turnAbout(pivot, -turn, -(at.y - before.y) * 0.002);
+    this.turnAbout(pivot, -turn, this.shares() ? 0 : -(at.y - before.y) * 0.002);
   }
 
   private release(event: PointerEvent) {
@@ -527,19 +604,48 @@ export class Stage {
     this.drag = null;
     if (performance.now() - this.thrownAt > 60) this.throwing.set(0, 0, 0);
     const [rest] = this.pointers.values();
-    if (rest) this.beginDrag(rest, false);
-    else if (still && event.type === "pointerup" && event.button === 0)
-      this.onClick(pressed.x, pressed.y);
+    if (rest && !this.shares()) this.beginDrag(rest, false);
+    else if (still && event.type === "pointerup" && event.button === 0) this.click(pressed.x, pressed.y, event.timeStamp);
     this.onMove();
   }
 
+  // The second of two presses of one place is no click: it goes nearer.
+  // By the time of the events: a slow frame between them does not count.
+  private click(x: number, y: number, at: number) {
+    const { clicked } = this;
+    const twice = at - clicked.at < TWICE_MS && Math.hypot(x - clicked.x, y - clicked.y) < TWICE_PX;
+    this.clicked = { x, y, at: twice ? -Infinity : at };
+    if (twice) this.goNearer(x, y);
+    else this.onClick(x, y);
+  }
+
+  private goNearer(x: number, y: number) {
+    const { camera, walker } = this;
+    const to = this.under(x, y);
+    this.takeOver();
+    if (this.walking === "walk") {
+      const from = camera.position.clone();
+      walker?.go(camera.position, to.x - from.x, to.z - from.z);
+      to.copy(camera.position);
+      camera.position.copy(from);
+    } else to.lerp(camera.position, TWICE_ZOOM);
+    this.flyOver(this.frame.placeOf(to), TWICE_S);
+  }
+
+  // On foot, along the view.
+  private stepOn(metres: number) {
+    this.walker?.go(this.camera.position, metres * Math.sin(this.heading), -metres * Math.cos(this.heading));
+  }
+
   private wheel(event: WheelEvent) {
+    if (this.shares() && !event.ctrlKey && !event.metaKey) return this.onHeld(true);
     event.preventDefault();
     this.takeOver();
     const lines = event.deltaMode === 1 ? 24 : event.deltaMode === 2 ? 400 : 1;
     const amount = MathUtils.clamp(event.deltaY * lines, -300, 300);
     const at = this.local(event);
-    this.nearTo(this.under(at.x, at.y), Math.exp(amount * 0.0016));
+    if (this.walking === "walk") this.stepOn(-amount * WALK_WHEEL_M);
+    else this.nearTo(this.under(at.x, at.y), Math.exp(amount * 0.0016));
     this.onMove();
   }
 
@@ -560,17 +666,21 @@ export class Stage {
     event.preventDefault();
     if (!this.held.size) this.takeOver();
     this.held.add(event.code);
+    if (!event.repeat) this.tapped.add(event.code);
     this.onMove();
   }
 
   private applyKeys(seconds: number) {
-    if (!this.held.size) return;
+    const pressed = new Set([...this.held, ...this.tapped]);
+    if (!pressed.size) return;
     const amount: Record<Action, number> = { east: 0, north: 0, turn: 0, tilt: 0, zoom: 0, rise: 0 };
-    for (const code of this.held) {
+    for (const code of pressed) {
       const [action, sign] = KEYS[code]!;
       amount[action] += sign;
     }
-    this.apply(amount, Math.min(seconds, 0.1));
+    const least = this.tapped.size ? TAP_S : 0;
+    this.tapped.clear();
+    this.apply(amount, Math.max(least, Math.min(seconds, 0.1)));
   }
 
   private applyGamepad(seconds: number) {
@@ -594,6 +704,7 @@ export class Stage {
 
   private apply(amount: Record<Action, number>, dt: number) {
     const free = this.walk !== "orbit";
+    const on = amount.north + (free ? amount.zoom : 0);
     const pivot = free ? this.camera.position.clone() : this.center();
     const distance = Math.max(2, this.camera.position.distanceTo(pivot));
     if (amount.turn || amount.tilt)
@@ -603,11 +714,12 @@ export class Stage {
     const speed = this.walk === "walk" ? WALK_M_S : free ? Math.max(WALK_M_S, high) : distance * PAN_PER_S;
     const [sin, cos] = [Math.sin(this.heading), Math.cos(this.heading)];
     const step = new Vector3(
-      amount.east * cos + amount.north * sin,
-      amount.rise + (this.walk === "fly" ? amount.north * Math.sin(this.pitch) : 0),
-      amount.east * sin - amount.north * cos,
+      amount.east * cos + on * sin,
+      amount.rise + (this.walk === "fly" ? on * Math.sin(this.pitch) : 0),
+      amount.east * sin - on * cos,
     ).multiplyScalar(speed * dt);
+    if (this.walking === "walk") return this.walker?.go(this.camera.position, step.x, step.z);
     this.camera.position.add(step);
-    if (amount.north || amount.rise) this.stayAbove();
+    if (on || amount.rise) this.stayAbove();
   }
 }

@@ -82,7 +82,8 @@ class ProgressLine {
     this.fill(progress);
     setText("progress-text", link === "away" || now - this.since < LINE_AFTER_MS ? "" : line);
     const due = this.saidAt ? now - this.saidAt > SAY_EVERY_MS : now - this.since > SAY_AFTER_MS;
-    if (!due || link === "away") return; // a banner says that
+    if (link === "away") return setText("progress-said", ""); // a banner says that
+    if (!due) return;
     this.saidAt = now;
     setText("progress-said", line);
   }
@@ -149,7 +150,7 @@ export class Status {
     const { link } = this.viewer.state;
     if (link === "away") {
       this.awayTimer = window.setTimeout(
-        () => banner("link", text("banner.away"), [], true),
+        () => banner("link", text("banner.away"), [{ label: text("banner.away.now"), run: () => this.tryNow() }], true),
         AWAY_AFTER_MS,
       );
     } else if (link === "busy") banner("link", text("banner.busy"), [], true);
@@ -157,6 +158,12 @@ export class Status {
       banner("link", text("banner.back"));
       this.awayTimer = window.setTimeout(() => unbanner("link"), 4000);
     }
+  }
+
+  // The banner stays until the server answers.
+  private tryNow() {
+    this.viewer.retry();
+    this.tellLink();
   }
 
   private showProblem(error: Error) {

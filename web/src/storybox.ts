@@ -74,7 +74,7 @@ export class StoryBox {
   // The tour of the page, by a key: from where it is, or a pause.
   toggle() {
     if (this.tour.state.playing) return this.tour.pause();
-    if (!this.story.views.length) return;
+    if (!this.story.views.length) return toast(text("tour.none"));
     this.host.clear();
     element("tour-card").hidden = false;
     void this.tour.play();

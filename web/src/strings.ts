@@ -2,13 +2,13 @@
 // English.
 //
 // SPDX-License-Identifier: Apache-2.0
-import { en, type TextKey } from "./strings.en";
+import { own, page, type TextKey } from "./strings.en";
 
 export type { TextKey };
 
 export type Language = "en" | "de";
 let language: Language = "en";
-let table: Partial<Record<TextKey, string>> = en;
+let table: Partial<Record<TextKey, string>> = own; // the module's, until a page sets its language
 
 export function getLanguage(): Language {
   return language;
@@ -16,16 +16,18 @@ export function getLanguage(): Language {
 
 // Resolves when its texts are there: other languages than English are a file of their own.
 export async function setLanguage(wanted: string): Promise<void> {
+  const en = { ...own, ...page };
   if (!wanted.toLowerCase().startsWith("de")) return void ([language, table] = ["en", en]);
+  if (table === own) table = en; // until they come
   try {
-    [language, table] = ["de", (await import("./strings.de")).de];
+    [language, table] = ["de", { ...en, ...(await import("./strings.de")).de }];
   } catch (error) {
     console.warn("citysplat: the German texts did not come", error);
   }
 }
 
 export function text(key: TextKey, values: Record<string, string | number> = {}): string {
-  return fill(table[key] ?? en[key], values);
+  return fill(table[key] ?? key, values);
 }
 
 // "{name}" in a text becomes that value.

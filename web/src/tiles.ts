@@ -75,6 +75,7 @@ interface Base {
   cameraInfo: { position: Vector3; sseDenominator: number }[];
   calculateTileViewError(tile: CityTile, target: { error: number }): void;
   disposeTile(tile: CityTile): void;
+  preprocessTileset(document: { asset: object }, url: string, parent: CityTile | null): void;
   _upRotationMatrix: Matrix4;
 }
 const BaseTiles = TilesRenderer as unknown as new (url: string) => Omit<TilesRenderer, keyof Base> &
@@ -122,6 +123,11 @@ export class CityTiles extends BaseTiles {
   }
 
   // ---- requests ----
+
+  // The library warns of 3D Tiles 1.1, whose new parts these tilesets do not have.
+  override preprocessTileset(document: { asset: object }, url: string, parent: CityTile | null) {
+    super.preprocessTileset({ ...document, asset: { ...document.asset, version: "1.0" } }, url, parent);
+  }
 
   fetchData(url: string, options: RequestInit): Promise<unknown> {
     if (this.document) {

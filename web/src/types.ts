@@ -5,6 +5,7 @@ import type { Place, Pose } from "./geo";
 import type { Layer } from "./layers";
 import type { LinkState } from "./link";
 import type { PictureInfo } from "./pictures";
+import type { Walk } from "./pose";
 import type { Problem } from "./problem";
 import type { Basemap, SceneEntry } from "./source";
 
@@ -25,6 +26,8 @@ export interface ViewerOptions {
   backdrop?: boolean; // sky and ground; default true
   basemap?: Basemap | null; // raster tiles on the ground around the city, of whoever it names; default: none
   theme?: "dark" | "light"; // dark: a dimmed sky; default light
+  /** @internal */
+  poster?: string; // address of the picture of the first view that the page shows already; "": no scene comes behind one
   keyboard?: boolean | "focus"; // keys move the camera; "focus": only while it has the focus; default true
 }
 
@@ -35,6 +38,8 @@ export interface ViewerEvents {
   // The camera moved.
   move: Pose;
   touch: null; // a person moved the camera
+  walk: Walk; // how a person moves it now
+  sight: boolean; // whether anything of the city is in the view that came to rest
   appearance: string; // the new one is on the screen
   preview: string; // it is there roughly, and the exact picture follows: where frames take long
   // Whether the server answers.

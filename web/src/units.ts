@@ -19,6 +19,8 @@ export function compass(heading: number): string {
 function aboveWhat(heights: string): string {
   if (heights.startsWith("EPSG:")) return text("height.system", { code: heights });
   if (heights.startsWith("sea")) return text("height.sea");
+  if (heights === "takeoff") return text("height.takeoff");
+  if (heights === "unscaled") return text("height.unscaled");
   return text(heights === "unknown" ? "height.unknown" : "height.ellipsoid");
 }
 

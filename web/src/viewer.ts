@@ -5,6 +5,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { Box3, Ray, Vector3 } from "three";
 
+import type { Block } from "./block";
 import { City, NO_STATS, type CityStats } from "./city";
 import { decodeOnce } from "./core";
 import { Events, type Handler } from "./events";
@@ -18,6 +19,7 @@ import { Pace } from "./pace";
 import { pickMedian } from "./pick";
 import { Pictures } from "./pictures";
 import type { Walk } from "./pose";
+import { Poster, posterUrl } from "./poster";
 import { Problem } from "./problem";
 import { Waits } from "./progress";
 import { Scenes, type Opened, type SceneHost } from "./scenes";
@@ -36,7 +38,9 @@ import {
   type SceneEntry,
   type SceneInfo,
 } from "./source";
+import { seesAny } from "./sight";
 import { Stage } from "./stage";
+import { text } from "./strings";
 import { TOUCH } from "./touch";
 import type { Mode, Progress, ViewerEvents, ViewerOptions, ViewerState } from "./types";
 
@@ -103,6 +107,10 @@ export class Viewer {
   private touched = false;
   private homeless = true; // the scene's extent is not known yet
   private wasReady = false;
+  private looked = false; // for the city in this view, since it came to rest
+  private sight = true;
+  private poster: Poster | null = null;
+  private postered: boolean; // the next scene comes behind one
   private without3d = ""; // why this browser does not draw
   private running = 0; // the next turn of the loop; 0: it rests
   private timer = 0; // that ends the rest
@@ -112,7 +120,7 @@ export class Viewer {
   private readonly listening = new AbortController();
   private readonly resizing: ResizeObserver;
   private map: Basemap | null = null; // on the ground
-  private readonly credit = document.createElement("small"); // of that map
+  private readonly credit = document.createElement("small"); // of the city, and of that map
   private theme: "dark" | "light";
   private memoryMost: number; // MB
   private readonly positions: boolean; // the container, which had no position of its own
@@ -134,26 +142,33 @@ export class Viewer {
     this.pictureCanvas = layer("canvas") as HTMLCanvasElement;
     this.pictureCanvas.hidden = true;
     this.pictureCanvas.className = "citysplat-picture";
-    Object.assign(this.surface.style, { overflow: "hidden", outline: "none", background: "#0b0e13" });
+    Object.assign(this.surface.style, { overflow: "hidden", outline: "none" });
     this.surface.tabIndex = 0;
+    this.surface.setAttribute("role", "application");
+    this.surface.setAttribute("aria-label", text("surface.label"));
     this.credit.className = "citysplat-credit";
     Object.assign(this.credit.style, { position: "absolute", right: "0", bottom: "0", padding: "0 6px", color: "#222", background: "rgb(255 255 255 / 75%)", font: "11px/1.6 system-ui, sans-serif", pointerEvents: "none" });
     this.credit.hidden = true;
     this.surface.append(this.canvas, this.pictureCanvas, this.credit);
+    this.setGround();
     this.positions = getComputedStyle(container).position === "static";
     if (this.positions) container.style.position = "relative";
     container.append(this.surface);
 
+    this.postered = options.poster === undefined;
+    if (options.poster) this.hang(options.poster);
     this.book = this.makeBook();
     this.stage = new Stage(this.surface);
     this.stage.keyboard = options.keyboard ?? true;
     this.stage.onMove = () => this.wake();
     this.stage.onTouch = () => {
       this.touched = true;
+      this.poster?.leave(true);
       this.events.emit("touch", null);
     };
     this.stage.surfaceOn = (ray) => this.surfaceOn(ray);
     this.stage.onClick = (x, y) => void this.tellClick(x, y);
+    this.stage.onWalk = (how) => this.events.emit("walk", how);
     this.overlay = new Overlay(this.surface, this.stage);
     this.overlay.onWake = () => this.wake();
     this.layers = new Layers(this.stage, this.overlay, (place) => this.heightOf(place));
@@ -167,6 +182,7 @@ export class Viewer {
       this.wake(false);
       this.shownAppearance = this.book.appearance;
       this.error = null;
+      if (!info.moving) this.poster?.leave(true); // the same, and larger
       this.events.emit("picture", info);
     };
     this.pictures.onProblem = (error) => this.fail(error);
@@ -272,6 +288,11 @@ export class Viewer {
   }
 
   private isSettled(): boolean {
+    return this.isWhole() && !this.poster?.there;
+  }
+
+  // What is below the poster.
+  private isWhole(): boolean {
     if (this.moving || this.pace.restless || !this.info) return false;
     if (this.currentMode === "pictures") return this.pictures.settled;
     return this.city?.settled ?? false;
@@ -287,12 +308,15 @@ export class Viewer {
   // Puts the camera there at once.
   lookAt(pose: Pose) {
     this.touched = true;
+    this.poster?.leave(true);
     this.stage.look(pose);
   }
 
   // Moves there in some seconds; resolves on arrival or when a person takes over.
   flyTo(pose: Pose, seconds?: number): Promise<void> {
     this.touched = true;
+    this.poster?.leave(true);
+    this.stage.stand();
     return this.stage.fly(pose, seconds);
   }
 
@@ -308,6 +332,21 @@ export class Viewer {
     this.stage.free = free;
     if (!this.touched && !this.homeless) this.stage.home();
     this.wake(); // notes make way
+  }
+
+  // The server's picture of the first view, until our own is whole.
+  private hang(url: string) {
+    this.poster?.leave(true);
+    this.poster = new Poster(this.surface, url);
+    this.poster.onGone = () => {
+      this.poster = null;
+      this.wake(false);
+    };
+  }
+
+  // What is to be seen before anything is drawn.
+  private setGround() {
+    this.surface.style.background = this.theme === "dark" ? "#0b0e13" : "#dfe6ee";
   }
 
   // Where the city is at a point of the container, in CSS pixels from its corner; null for the sky.
@@ -342,6 +381,12 @@ export class Viewer {
     const point = this.stage.frame.pointOf(place);
     const ground = this.city?.groundAt(point) ?? null;
     return ground === null ? null : Math.max(0, point.y - ground);
+  }
+
+  /** @internal */
+  // What is drawn here; nothing where the server draws.
+  get blocks(): readonly Block[] {
+    return (this.currentMode === "splats" && this.city?.engine.visibleBlocks) || [];
   }
 
   private surfaceOn(ray: Ray): Vector3 | null {
@@ -447,11 +492,16 @@ export class Viewer {
       this.touched = before !== null;
       if (before) stage.look(before);
       else stage.home();
+      const { clientWidth, clientHeight } = this.surface;
+      const url = !how.same && this.postered && this.currentMode === "splats" && posterUrl(entry, this.book.appearance, before, clientWidth / Math.max(1, clientHeight));
+      if (url) this.hang(url);
+      this.postered = this.options.poster !== "";
       this.overlay.reset();
       this.layers.reset();
       this.pictures.retry();
     }
     city?.open(info, stage.frame, how.keep, this.book.tint);
+    this.showCredit();
     if (!city) void this.findCore(info);
     this.events.emit("scene", entry);
     this.wake();
@@ -484,6 +534,7 @@ export class Viewer {
 
   private fail(error: unknown) {
     if (this.closed || (error instanceof DOMException && error.name === "AbortError")) return;
+    if (!this.scene) this.poster?.leave(true);
     const problem = problemOf(error);
     this.error = problem;
     this.events.emit("problem", problem);
@@ -511,6 +562,7 @@ export class Viewer {
   retry() {
     const none = !this.scene;
     this.clearProblem();
+    this.link.tryNow();
     this.city?.retry();
     this.pictures.retry();
     if (none) void this.book.start();
@@ -541,6 +593,7 @@ export class Viewer {
     this.currentMode = mode;
     this.pictureCanvas.hidden = mode !== "pictures";
     if (mode === "splats") this.pictures.stop();
+    else this.stage.stand();
     this.pace.forgive();
     this.events.emit("mode", mode);
     this.wake();
@@ -567,8 +620,7 @@ export class Viewer {
     const wrong = basemap !== null && !isTileAddress(basemap.tiles);
     if (wrong) this.tell(new Problem("badBasemap", { tiles: basemap.tiles, z: "{z}", x: "{x}", y: "{y}" }));
     this.map = wrong ? null : basemap;
-    this.credit.textContent = this.basemapCredit;
-    this.credit.hidden = !this.basemapCredit;
+    this.showCredit();
     if (this.city) this.city.basemap = this.map?.tiles ?? "";
     this.wake();
   }
@@ -578,9 +630,16 @@ export class Viewer {
     return this.map ? creditOf(this.map) : "";
   }
 
+  // Whose the city is, and the map.
+  private showCredit() {
+    this.credit.textContent = [this.info?.attribution, this.basemapCredit].filter(Boolean).join(" · ");
+    this.credit.hidden = !this.credit.textContent;
+  }
+
   // dark: a dimmed sky.
   setTheme(theme: "dark" | "light") {
     this.theme = theme;
+    this.setGround();
     this.city?.backdrop.setTheme(theme);
     this.wake();
   }
@@ -633,7 +692,7 @@ export class Viewer {
     const { options, pose, theme } = this;
     const memoryMb = this.memoryMost / 2;
     const backdrop = this.city?.backdrop.visible ?? true;
-    const own = { mode: "splats", scene, pose, theme, backdrop, memoryMb, appearance: "", keyboard: false } as const;
+    const own = { mode: "splats", scene, pose, theme, backdrop, memoryMb, appearance: "", keyboard: false, poster: "" } as const;
     return new Viewer(container, { ...options, ...own });
   }
 
@@ -668,6 +727,7 @@ export class Viewer {
       return false;
     }
     const { city } = this;
+    this.canvas.style.visibility = "hidden"; // until something of the city is on it
     city.onStopped = (error) => this.giveUp(city, error);
     city.onWake = (draw) => this.wake(draw);
     city.onCore = (core) => this.setCore(core);
@@ -787,6 +847,7 @@ export class Viewer {
     if (turn.draw) {
       this.sharpen(turn.sharpness);
       city.draw();
+      if (city.shows || this.isWhole()) this.canvas.style.visibility = "";
       this.overlay.update();
       this.events.emit("frame", null);
     } else if (turn.look || (!city.settled && this.info !== null)) city.choose();
@@ -811,14 +872,29 @@ export class Viewer {
   }
 
   private report() {
+    if (this.isWhole()) this.poster?.leave(false);
+    this.lookForCity();
     const ready = this.state.ready;
     if (ready && !this.wasReady) this.events.emit("ready", this.state);
     this.wasReady = ready;
   }
 
+  // Once a view is whole: whether anything of the city is in it.
+  private lookForCity() {
+    const whole = this.isWhole();
+    if (whole && !this.looked) {
+      const { stage, surface } = this;
+      const sight = seesAny(stage.camera, stage.extent, surface.clientHeight, this.blocks);
+      if (sight !== this.sight) this.events.emit("sight", sight);
+      this.sight = sight;
+    }
+    this.looked = whole;
+  }
+
   // Ends it, and frees memory and the graphics card.
   dispose() {
     this.closed = true;
+    this.poster?.leave(true);
     cancelAnimationFrame(this.running);
     clearTimeout(this.timer);
     this.listening.abort();

@@ -318,7 +318,20 @@ static void test_refusals(void **state)
         json_decref(o);
         response_free(&r);
     }
-    struct response r = answer(&(struct ask){.method = METHOD_OPTIONS, .target = "/d/toy/render"});
+    /* For a person's browser it is a page, which leads to the viewer; its texts are escaped. */
+    static const char browser[] = "text/html,application/xhtml+xml,*/*;q=0.8";
+    struct response r = answer(&(struct ask){.target = "/nothing", .accept = browser});
+    assert_int_equal(r.status, 404);
+    expect("type", r.type, "text/html; charset=utf-8");
+    expect("Vary", r.vary, "Accept");
+    assert_true(says(&r, "<h1>Not Found</h1>"));
+    assert_true(says(&r, "<a href=\"/\">"));
+    response_free(&r);
+    r = answer(&(struct ask){.target = "/%22%0a", .accept = browser});
+    assert_true(r.status >= 400 && says(&r, "<h1>"));
+    assert_false(says(&r, "%22"));
+    response_free(&r);
+    r = answer(&(struct ask){.method = METHOD_OPTIONS, .target = "/d/toy/render"});
     assert_int_equal(r.status, 204);
     expect("Allow", r.allow, "POST, OPTIONS");
     response_free(&r);
@@ -655,6 +668,7 @@ static void test_card(void **state)
     struct body *page =
                     body_text("<!doctype html><meta name=\"description\" content=\"x\" />\n"
                               "<meta property=\"og:title\" content=\"x\" />\n<title>x</title>"
+                              "<script data-first src=\"./first.js\"></script>"
                               "<noscript>x</noscript><main>y</main><svg><title>z</title></svg>"),
                 *made = NULL;
     kit_ok(social_preview_page(page, d, "https://a.example/below", true, &made, &e), e);
@@ -664,6 +678,8 @@ static void test_card(void **state)
     assert_true(says(&one, "/1200x630.jpg\""));
     assert_true(says(&one, "content=\"summary_large_image\""));
     assert_true(says(&one, "<noscript><img src=\"./d/toy/static/"));
+    assert_true(says(&one, "<script data-first data-still=\"./d/toy/static/\" data-wide=\""));
+    assert_true(says(&one, "@20,-38,45\" src=\"./first.js\"></script>"));
     assert_true(says(&one, "<main>y</main><svg><title>z</title></svg>"));
     assert_false(says(&one, "content=\"x\""));
     assert_false(says(&one, ">x<"));

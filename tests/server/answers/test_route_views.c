@@ -152,7 +152,6 @@ static void two_answers(const char *target, const struct server_config *other,
  * server alone whose edition it names, since another answers it with other bytes. */
 static void test_configuration_and_tags(void **state)
 {
-    struct err e = {0};
     struct server_config other = *t.s.cfg;
     struct catalog_options stores = served_stores;
     struct catalog *others = NULL;

@@ -163,7 +163,7 @@ export async function openLitCity({ many = null, serveWith = [] } = {}) {
         ], `${BIN}-lab`);
         run([
             ...["ingest", at("photos/images"), at("photos/sparse")],
-            ...options("--min-points 8 --no-exposure -q -o"),
+            ...options("--no-exposure -q -o"),
             at("scene"),
         ]);
         run([

@@ -1,0 +1,117 @@
+// What <city-splat> shows around the picture: a bar of progress, closer, farther and home, what is wrong in words with a
+// button, and how to move where the page around scrolls.
+//
+// SPDX-License-Identifier: Apache-2.0
+import { Problem } from "./problem";
+import { text } from "./strings";
+import type { Viewer } from "./viewer";
+
+export const FRAME_STYLE =
+  "nav{position:absolute;top:8px;right:8px;display:grid;gap:4px}nav button,aside button{min-width:36px;min-height:36px;padding:0 10px;border:0;border-radius:8px;" +
+  "background:rgb(8 11 16/72%);color:#fff;font:18px/1 system-ui,sans-serif;cursor:pointer}@media(pointer:coarse){nav button,aside button{min-width:44px;min-height:44px}}" +
+  "aside{position:absolute;left:50%;top:50%;transform:translate(-50%,-50%);box-sizing:border-box;width:max-content;max-width:min(420px,100% - 24px);max-height:100%;overflow:auto;padding:12px 16px;" +
+  "border-radius:10px;background:rgb(8 11 16/88%);color:#fff;font:14px/1.45 system-ui,sans-serif;overflow-wrap:anywhere}aside button{background:rgb(255 255 255/18%);font-size:14px;margin-top:8px;display:block}" +
+  "aside.low{top:auto;bottom:26px;transform:translate(-50%,0)}" +
+  "i{position:absolute;left:0;top:0;height:3px;background:#6cc7ff;transition:width .2s}" +
+  "output{position:absolute;inset:0;display:grid;place-items:center;padding:16px;text-align:center;background:rgb(8 11 16/55%);color:#fff;font:18px/1.4 system-ui,sans-serif;opacity:0;transition:opacity .3s;pointer-events:none}" +
+  "output.on{opacity:1}@media(prefers-reduced-motion:reduce){i,output{transition:none}}nav[hidden],aside[hidden],i[hidden]{display:none}" +
+  "button:focus-visible,:host div [tabindex]:focus-visible{outline:2px solid #6cc7ff;outline-offset:-2px}";
+
+const HINT_MS = 1500;
+const MAC = typeof navigator === "object" && /Mac|iPhone|iPad/.test(navigator.platform);
+
+export class ElementFrame {
+  readonly nodes: HTMLElement[];
+  private readonly bar = document.createElement("i");
+  private readonly tools = document.createElement("nav");
+  private readonly said = document.createElement("aside");
+  private readonly hint = document.createElement("output");
+  private timer = 0;
+  private viewer: Viewer | null = null;
+
+  constructor() {
+    const { bar, tools, said, hint } = this;
+    bar.setAttribute("role", "progressbar");
+    bar.setAttribute("aria-label", text("loading"));
+    bar.hidden = said.hidden = true;
+    said.setAttribute("role", "alert");
+    tools.setAttribute("aria-label", text("tools.label"));
+    tools.append(
+      button("+", text("tool.in"), () => this.viewer?.stage.zoom(0.7)),
+      button("−", text("tool.out"), () => this.viewer?.stage.zoom(1 / 0.7)),
+      button("⌂", text("tool.home"), () => this.viewer?.home()),
+    );
+    this.nodes = [bar, hint, tools, said];
+  }
+
+  // Of this viewer from here on.
+  serve(viewer: Viewer, host: HTMLElement) {
+    this.viewer = viewer;
+    this.say("");
+    const { stage } = viewer;
+    stage.shares = () => scrolls(host);
+    stage.onHeld = (wheel) => this.tellHow(wheel);
+    viewer.on("turn", () => this.fill(viewer));
+    viewer.on("scene", () => this.say(""));
+    viewer.on("picture", () => this.say(""));
+    viewer.on("link", (link) => {
+      if (link !== "away") this.say("");
+      else if (viewer.scene) this.say(text("banner.away"), text("banner.away.now"), () => viewer.retry());
+    });
+    viewer.on("sight", (sight) => (sight ? this.say("") : this.say(text("banner.lost"), text("tool.home"), () => viewer.home())));
+    viewer.on("problem", (problem) => {
+      const kind = problem instanceof Problem ? problem.kind : "http";
+      if (!viewer.scene || kind === "nothingDraws") this.say(problem.message, text("problem.retry"), () => viewer.retry());
+    });
+  }
+
+  private fill(viewer: Viewer) {
+    const { progress, link } = viewer.state;
+    this.bar.hidden = !progress || link === "away";
+    if (!progress) return;
+    const { done, total } = progress;
+    this.bar.style.width = total ? `${Math.round((100 * done) / total)}%` : "15%";
+    this.bar.setAttribute("aria-valuemax", String(total || 1));
+    this.bar.setAttribute("aria-valuenow", String(total ? done : 0));
+  }
+
+  // In the middle where nothing is to be seen, else below it. "": nothing is wrong.
+  private say(words: string, label = "", run: () => void = () => {}) {
+    this.said.hidden = !words;
+    this.said.className = this.viewer?.scene ? "low" : "";
+    this.said.replaceChildren(words);
+    if (label)
+      this.said.append(
+        button(label, "", () => {
+          if (this.viewer?.state.link !== "away") this.say(""); // else it stays until the server answers
+          run();
+        }),
+      );
+  }
+
+  private tellHow(wheel: boolean) {
+    this.hint.textContent = text(wheel ? (MAC ? "gestures.mac" : "gestures.wheel") : "gestures.touch");
+    this.hint.className = "on";
+    clearTimeout(this.timer);
+    this.timer = window.setTimeout(() => (this.hint.className = ""), HINT_MS);
+  }
+}
+
+function button(sign: string, name: string, run: () => void): HTMLButtonElement {
+  const one = document.createElement("button");
+  one.type = "button"; // not of a form around the element
+  one.textContent = sign;
+  if (name) one.title = name;
+  if (name) one.setAttribute("aria-label", name);
+  one.addEventListener("click", run);
+  return one;
+}
+
+// Something around it can be scrolled: then a bare wheel and one finger are for that.
+function scrolls(host: HTMLElement): boolean {
+  const page = document.scrollingElement;
+  if (page && page.scrollHeight > page.clientHeight + 1) return !document.fullscreenElement;
+  for (let node = host.parentElement; node && node !== document.body; node = node.parentElement)
+    if (node.scrollHeight > node.clientHeight + 1 && /auto|scroll/.test(getComputedStyle(node).overflowY)) return true;
+  return false;
+}
