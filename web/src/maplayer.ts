@@ -72,12 +72,16 @@ export interface MapHost {
   triggerRepaint(): void;
   // The map's terrain, if it has one.
   getTerrain?(): unknown;
+  // Shows the credit; maps without it show none.
   addControl?(control: MapControl, position: "bottom-right"): unknown;
+  // Takes the credit away.
   removeControl?(control: MapControl): unknown;
 }
 // What a map shows at its rim, as MapLibre's IControl.
 export interface MapControl {
+  // For the map to call.
   onAdd(): HTMLElement;
+  // For the map to call.
   onRemove(): void;
 }
 // What MapLibre hands to a custom layer at each frame, as far as it is used.
