@@ -194,9 +194,13 @@ test("MapLibre's ground is bare in the style of the server", skip, async (t) => 
 
 test("MapLibre raises the map by the terrain: towers are as high as they are", skip, async (t) => {
     const { tiles, minzoom, maxzoom } = await getJson(await documentUrl("terrain.json")); // without bounds, as the style's
-    await opened.page.evaluate((source) => {
-        window.shown.addSource("dem", { type: "raster-dem", tileSize: 256, ...source });
-        window.shown.setTerrain({ source: "dem" });
+    await opened.page.evaluate((source) => { // terrain and hillshade as the style has them, of the surface
+        const { shown } = window;
+        for (const name of ["dem", "shade"]) shown.addSource(name, { type: "raster-dem", tileSize: 256, ...source });
+        const { paint } = shown.getStyle().layers.find(({ id }) => id === "hillshade");
+        shown.removeLayer("hillshade");
+        shown.addLayer({ id: "hillshade", type: "hillshade", source: "shade", paint });
+        shown.setTerrain({ source: "dem" });
     }, { tiles, minzoom, maxzoom });
     await opened.page.evaluate(() => window.shown.setPaintProperty("background", "background-color", "#fff"));
     const picture = await lookAt("maplibre-terrain", { center: MIDDLE, zoom: 17, pitch: 60, bearing: 20 });
