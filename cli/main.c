@@ -91,8 +91,12 @@ static int run(const struct command *c, int argc, char **argv)
     enum err_code rc = c->run(argc, argv, &e);
     if (!rc)
         return 0;
-    fprintf(stderr, "citysplat %s: error: %s\n", c->name, e.msg[0] ? e.msg : err_text(rc));
-    if (rc == ERR_ARG)
+    const char *why = e.msg[0] ? e.msg : err_text(rc);
+    if (log_is_json())
+        log_error(c->name, "%s", why);
+    else
+        fprintf(stderr, "%scitysplat %s: error: %s\n", log_priority(LOG_ERROR), c->name, why);
+    if (rc == ERR_ARG && !log_is_json())
         fprintf(stderr, "`citysplat help %s` lists the options.\n", c->name);
     return !strcmp(c->name, "serve") ? exit_of_service(rc, argc, argv) : rc == ERR_ARG ? 2 : 1;
 }

@@ -1,11 +1,13 @@
 # citysplat behind Varnish 7: a memory cache over three servers that merges requests, answers stale while it asks
-# again and when no server is left, and purges by tag. TLS belongs in front of it (hitch, nginx).
+# again and when no server is left, and purges by tag. TLS belongs in front of it (hitch, nginx): tell the servers the
+# address that clients see (`serve --public-url https://...`), or links in documents begin with http.
 #
-#   varnishd -a :80 -f varnish.vcl -s malloc,4g -p http_gzip_support=off
+#   varnishd -a :80 -a purge=127.0.0.1:8079 -f varnish.vcl -s malloc,4g -p http_gzip_support=off
 #
-# Purge a dataset, or one revision, with `serve --tag-header xkey` (Debian's varnish-modules has the vmod):
-#   curl -X PURGE -H 'xkey-purge: ds-city' http://127.0.0.1/
-#   curl -X PURGE -H 'xkey-purge: rev-0123456789ab' http://127.0.0.1/
+# Purges have a port of their own, which no terminator of TLS passes on to. Purge a dataset, or one revision, with
+# `serve --tag-header xkey` (Debian's varnish-modules has the vmod):
+#   curl -X PURGE -H 'xkey-purge: ds-city' http://127.0.0.1:8079/
+#   curl -X PURGE -H 'xkey-purge: rev-0123456789ab' http://127.0.0.1:8079/
 vcl 4.1;
 
 import directors;
@@ -24,8 +26,6 @@ backend a { .host = "127.0.0.1"; .port = "8081"; .probe = ready; }
 backend b { .host = "127.0.0.1"; .port = "8082"; .probe = ready; }
 backend c { .host = "127.0.0.1"; .port = "8083"; .probe = ready; }
 
-acl operators { "127.0.0.1"; "::1"; }
-
 sub vcl_init {
     # Each tile is kept on one server; when one goes, the tiles of the others stay where they are.
     new servers = directors.shard();
@@ -36,10 +36,10 @@ sub vcl_init {
 }
 
 sub vcl_recv {
+    if ((req.method == "PURGE") != (local.socket == "purge")) {
+        return (synth(405));
+    }
     if (req.method == "PURGE") {
-        if (client.ip !~ operators) {
-            return (synth(403));
-        }
         if (!req.http.xkey-purge) {
             return (purge);
         }
@@ -49,7 +49,14 @@ sub vcl_recv {
     if (req.url ~ "^/metrics") {
         return (synth(404));
     }
+    # CesiumJS adds ?v= to every address: the server does not read it.
+    set req.url = regsub(regsuball(req.url, "([?&])v=[^&]*(&|$)", "\1"), "[?&]$", "");
+    unset req.http.X-Forwarded-Host;
     set req.backend_hint = servers.backend(by = URL);
+    # While a server is there, nobody gets a document of a revision that it does not keep any more (--keep-s).
+    if (std.healthy(req.backend_hint)) {
+        set req.grace = 10m;
+    }
     # Streams of pictures go through as they come.
     if (req.url ~ "^(/signed/[^/]+)?/d/[^/]+/motion/") {
         return (pipe);
@@ -69,18 +76,15 @@ sub vcl_backend_response {
     # Answered when no server is left, and for that kept a day beyond its time.
     set beresp.grace = 24h;
     set beresp.keep = 24h;
-    if (beresp.http.Cache-Control ~ "(private|no-store)") {
-        set beresp.uncacheable = true;
-        set beresp.ttl = 0s;
-        set beresp.grace = 0s;
-    }
     # A server that fails does not take the place of an answer that is still there.
     if (beresp.status >= 500 && bereq.is_bgfetch) {
         return (abandon);
     }
-    if (beresp.status >= 500) {
+    # For ten seconds, requests for what is not kept do not wait for each other.
+    if (beresp.status >= 500 || beresp.http.Cache-Control ~ "(private|no-store)") {
         set beresp.uncacheable = true;
-        set beresp.ttl = 0s;
+        set beresp.ttl = 10s;
+        set beresp.grace = 0s;
     }
 }
 

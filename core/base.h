@@ -139,6 +139,9 @@ enum err_code file_mkdir(const char *path, struct err *e) ERR_USE;
  * is needed and free. ERR_IO: the disk has less room. If the free space is not known, it returns
  * ERR_OK. */
 enum err_code file_room(const char *path, uint64_t bytes, struct err *e) ERR_USE;
+/* Checks that only the owner and a group may read a file with a secret, and only the owner may
+ * change it. `option` is for the message. ERR_ARG: others may. ERR_NOENT, ERR_IO. */
+enum err_code file_check_secret(const char *path, const char *option, struct err *e) ERR_USE;
 bool file_exists(const char *path);
 bool file_is_dir(const char *path);
 /* Joins "dir/name" into `out` [FILE_PATH_MAX]. ERR_LIMIT: too long. */
@@ -157,6 +160,9 @@ enum log_level log_get_level(void);
 /* Writes lines as JSON: {"ts","level","module","msg"}. Call it before threads start. */
 void log_set_json(bool json);
 bool log_is_json(void);
+/* What a line on stderr begins with where stderr is the journal: "<3>" and so on (sd-daemon(3)).
+ * Elsewhere "". */
+const char *log_priority(enum log_level level);
 /* Writes the current time in UTC as RFC 3339, with milliseconds. */
 void log_now(char out[32]);
 /* Writes `text` as the inside of a JSON string, with a NUL. It is cut at `room` bytes. Returns the

@@ -185,6 +185,19 @@ enum err_code file_mkdir(const char *path, struct err *e)
     return ERR_OK;
 }
 
+enum err_code file_check_secret(const char *path, const char *option, struct err *e)
+{
+    struct stat st;
+    if (stat(path, &st))
+        return err_errno(e, errno == ENOENT ? ERR_NOENT : ERR_IO, "%s %s", option, path);
+    if (st.st_mode & (S_IWGRP | S_IRWXO))
+        return err_set(e, ERR_ARG,
+                       "%s %s: others may read or change it: chmod 600 it, or 640 with the "
+                       "group of the service",
+                       option, path);
+    return ERR_OK;
+}
+
 bool file_exists(const char *path)
 {
     struct stat st;

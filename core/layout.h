@@ -53,8 +53,7 @@ typedef uchar16 layout_uchar16 __attribute__((aligned(1)));
 #define LAYOUT_PLANE_SH 11
 #define LAYOUT_PLANES_GEOMETRY LAYOUT_PLANE_SH /* planes before the SH planes */
 #define LAYOUT_PLANES_SCALE 3
-#define LAYOUT_PLANES_SHAPE 7 /* sizes and rotation, from LAYOUT_PLANE_SCALE on */
-#define LAYOUT_SH_MAX 16      /* coefficients of degree 3 */
+#define LAYOUT_SH_MAX 16 /* coefficients of degree 3 */
 
 /* Limits of blending (Kerbl et al. 2023). alpha is cut to LAYOUT_ALPHA_MAX. A splat whose alpha is
  * below LAYOUT_ALPHA_MIN is skipped. A pixel stops when its transmittance is
@@ -267,7 +266,7 @@ struct layout_adam {
     LAYOUT_U32 wants; /* LAYOUT_STEP_*; buffers for other tasks are not read */
     LAYOUT_U32 step;  /* from 1; moments are rounded by it */
 };
-/* add extra gradients of sizes and rotation, [groups][LAYOUT_PLANES_SHAPE][16] */
+/* add extra gradients of sizes, [groups][LAYOUT_PLANES_SCALE][16] */
 #define LAYOUT_STEP_EXTRA 1
 #define LAYOUT_STEP_STATS 4    /* collect densification statistics; the next two need it */
 #define LAYOUT_STEP_ABS 8      /* also absolute gradients of positions (AbsGS) */

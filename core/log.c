@@ -6,7 +6,9 @@
 #include <pthread.h>
 #include <stdarg.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -35,6 +37,26 @@ void log_set_json(bool json)
 bool log_is_json(void)
 {
     return log_json;
+}
+
+/* Is stderr the journal of systemd? It says which file that is (systemd.exec(5)). */
+static bool log_journal;
+static pthread_once_t log_journal_once = PTHREAD_ONCE_INIT;
+
+static void log_find_journal(void)
+{
+    unsigned long long device, inode;
+    struct stat st;
+    const char *text = getenv("JOURNAL_STREAM");
+    log_journal = text && sscanf(text, "%llu:%llu", &device, &inode) == 2 &&
+                  !fstat(STDERR_FILENO, &st) && st.st_dev == device && st.st_ino == inode;
+}
+
+const char *log_priority(enum log_level level)
+{
+    static const char *const priorities[] = {"<3>", "<4>", "<6>", "<7>"};
+    pthread_once(&log_journal_once, log_find_journal);
+    return log_journal ? priorities[level] : "";
 }
 
 void log_now(char out[32])
@@ -96,9 +118,9 @@ static size_t log_vcompose_json(char *line, size_t room, enum log_level level, c
     log_now(now);
     vsnprintf(text, sizeof text, fmt, ap);
     log_quote(text, quoted, sizeof quoted);
-    int n =
-        snprintf(line, room, "{\"ts\":\"%s\",\"level\":\"%s\",\"module\":\"%s\",\"msg\":\"%s\"}\n",
-                 now, log_names[level], module, quoted);
+    int n = snprintf(line, room,
+                     "%s{\"ts\":\"%s\",\"level\":\"%s\",\"module\":\"%s\",\"msg\":\"%s\"}\n",
+                     log_priority(level), now, log_names[level], module, quoted);
     return n > 0 && (size_t)n < room ? (size_t)n : 0;
 }
 
@@ -111,7 +133,8 @@ static size_t log_vcompose(char *line, size_t room, enum log_level level, const 
         return 0;
     if (log_json)
         return log_vcompose_json(line, room, level, module, fmt, ap);
-    int n = snprintf(line, room, "%.2f %s %s ", clock_s(), log_names[level], module);
+    int n = snprintf(line, room, "%s%.2f %s %s ", log_priority(level), clock_s(), log_names[level],
+                     module);
     if (n < 0 || (size_t)n + 1 >= room)
         return 0;
     int m = vsnprintf(line + n, room - (size_t)n - 1, fmt, ap);

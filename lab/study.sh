@@ -82,6 +82,7 @@ scene_about() {
     block) echo "the same city and one with a block of 400 m3 on a street" ;;
     fine) echo "the same city, 84 photographs of 960 x 720 px, 24 map views" ;;
     tricky) echo "the same city in paint that says little of shape" ;;
+    small) echo "city of the demo's size, seed 7, exact GPS, 84 photographs of 240 x 180 px, 48 map views" ;;
     demo) echo "demo city 120 m, 84 photographs of 480 x 360 px, 24 map views" ;;
     gloss) echo "the demo city with surfaces that shine, 84 photographs of 480 x 360 px, 24 map views" ;;
     big) echo "procedural city 1 km, 640 photographs of 512 x 384 px, 12 cells of 340 m, 24 map views" ;;
@@ -134,15 +135,16 @@ scene_build() { # NAME FOLDER
       lab map-views "$2-photos" -q
       citysplat ingest "$2-photos/images" "$2-photos/sparse" --config configs/demo-ingest.jsonc -o "$2" -q
       ;;
-    exact | tricky | fine | block)
-      local city=(--seed 7 --gps-sigma-m 0 --gps-outlier-share 0)
+    exact | tricky | fine | block | small)
+      local city=(--seed 7 --gps-sigma-m 0 --gps-outlier-share 0) views=24
       case $1 in
         tricky) city+=(--paint tricky) ;;
         fine) city+=(--width-px 960 --height-px 720) ;;
         block) city+=(--block-m3 400) ;;
+        small) city+=(--width-px 240 --height-px 180) views=48 ;;
       esac
       lab synth --config configs/demo-synth.jsonc "${city[@]}" -o "$2-photos" --overwrite -q
-      lab map-views "$2-photos" -q
+      lab map-views "$2-photos" --count $views -q
       citysplat ingest "$2-photos/images" "$2-photos/sparse" --config configs/demo-ingest.jsonc -o "$2" -q
       ;;
     gloss)
@@ -606,20 +608,21 @@ solid_rows() { # CALL STUDY SCENE TRAIN-OPTIONS
     case $name in
       stereo) "$call" "$study" stereo "$scene" "" "$@" --depth-prior "$OUT/$scene-depth" ;;
       default) "$call" "$study" default "$scene" "" "$@" ;;
-      off) "$call" "$study" off "$scene" "" "$@" --solid-spread 0 --solid-bend 0 --solid-light 0 \
-      --solid-flat 0 --solid-rim 0 ;;
+      off) "$call" "$study" off "$scene" "" "$@" --solid-spread 0 --solid-light 0 --solid-flat 0 ;;
       *) die "STUDY_ROWS: no row '$name' of stereo, default, off" ;;
     esac
   done
 }
+# Which terms a city needs, at a budget that binds: with known depths, and without ("no depths").
 solid_terms_rows() { # STUDY SCENE TRAIN-OPTIONS
-  local study=$1 scene=$2
+  local study=$1 scene=$2 known=(--depth-prior "$OUT/$2-depth") spread=(--solid-spread 0) light=(--solid-light 0) flat=(--solid-flat 0)
   shift 2
-  row "$study" "spread alone" "$scene" "" "$@" --solid-bend 0 --solid-light 0 --solid-flat 0 --solid-rim 0
-  row "$study" "bend alone" "$scene" "" "$@" --solid-spread 0 --solid-light 0 --solid-flat 0 --solid-rim 0
-  row "$study" "light alone" "$scene" "" "$@" --solid-spread 0 --solid-bend 0 --solid-flat 0 --solid-rim 0
-  row "$study" "flat alone" "$scene" "" "$@" --solid-spread 0 --solid-bend 0 --solid-light 0 --solid-rim 0
-  row "$study" "flat and rim alone" "$scene" "" "$@" --solid-spread 0 --solid-bend 0 --solid-light 0
+  row "$study" none "$scene" "" "$@" "${spread[@]}" "${light[@]}" "${flat[@]}"
+  row "$study" light "$scene" "" "$@" "${known[@]}" "${spread[@]}" "${flat[@]}"
+  row "$study" "spread, light" "$scene" "" "$@" "${known[@]}" "${flat[@]}"
+  row "$study" default "$scene" "" "$@" "${known[@]}"
+  row "$study" "no depths, light" "$scene" "" "$@" "${spread[@]}" "${flat[@]}"
+  row "$study" "no depths, default" "$scene" "" "$@"
 }
 # solid STUDY SCENE SURFACE: all rows with their seeds, then two trainings of each against each other.
 solid() {
@@ -629,10 +632,9 @@ solid() {
   rm -rf "$OUT/trained/$(slug "$study")"-*--seed-*
 }
 study_solid() { MAP_VIEWS=1 solid solid exact city; }
-# Each term alone.
 study_solid_terms() {
-  local MAP_VIEWS=1 SURFACE=city
-  seeded solid_terms solid_terms_rows solid_terms exact --iterations "$(steps solid_terms)"
+  local MAP_VIEWS=1 SURFACE=city GSD_M=0.384
+  seeded solid_terms solid_terms_rows solid_terms small --iterations "$(steps solid_terms)" --budget 20000,30000,40000
 }
 study_solid_tricky() { MAP_VIEWS=1 solid solid_tricky tricky city; }
 # Photographs of twice as many pixels across: half the footprint of a pixel.

@@ -363,9 +363,9 @@ inline void gradient_extra(struct gradient *d, __global const float *extra, uint
                            uint wants)
 {
     if (wants & LAYOUT_STEP_EXTRA)
-        for (uint k = 0; k < LAYOUT_PLANES_SHAPE; k++)
+        for (uint k = 0; k < LAYOUT_PLANES_SCALE; k++)
             d->geometry[LAYOUT_PLANE_SCALE + k] +=
-                LD(extra + group_at(group, LAYOUT_PLANES_SHAPE) + lane, k);
+                LD(extra + group_at(group, LAYOUT_PLANES_SCALE) + lane, k);
 }
 
 // Lanes whose gradient is usable: finite, and small enough to be squared.

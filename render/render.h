@@ -261,8 +261,8 @@ struct render_adam {
     float lr_embed;
     uint32_t embed_step;
     struct render_appearance_grad *appearance;
-    /* may be NULL: float [groups][LAYOUT_PLANES_SHAPE][16], added to the gradients of sizes and
-     * rotation of every Gaussian, visible or not (terms of the loss on Gaussians) */
+    /* may be NULL: float [groups][LAYOUT_PLANES_SCALE][16], added to the gradients of sizes of
+     * every Gaussian, visible or not (terms of the loss on Gaussians) */
     cl_mem extra_grad;
 };
 /* Statistics of each Gaussian for densification, accumulated by render_backward_step:

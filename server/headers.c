@@ -49,6 +49,11 @@ static void headers_add_numbers(const struct response *r, struct headers *h)
     headers_add(h, "Server-Timing", h->timing);
 }
 
+bool headers_repeat_id(const struct response *r)
+{
+    return r->id_sent && (!r->cache_control || strstr(r->cache_control, "no-store"));
+}
+
 void headers_make(const struct response *r, bool last, struct headers *h)
 {
     const bool known =
@@ -70,7 +75,7 @@ void headers_make(const struct response *r, bool last, struct headers *h)
     headers_add(h, "Link", known ? NULL : r->hints);
     headers_add(h, r->tag_header, r->surrogate);
     headers_add(h, "Cache-Status", headers_cache_status(r));
-    if (r->id && (r->id_sent || r->status >= 400))
+    if (r->id && (r->id_sent ? headers_repeat_id(r) : r->status >= 400))
         headers_add(h, "X-Request-Id", r->id);
     if (r->unauthorized)
         headers_add(h, "WWW-Authenticate", "Bearer");

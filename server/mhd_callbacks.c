@@ -216,6 +216,8 @@ static int mhd_callbacks_guard(struct exchange *x, const char *method, const cha
     x->req.trusted = address_in(&x->f->proxies, x->peer->address);
     x->req.proxied |= !strcmp(version, "HTTP/1.0"); /* nginx speaks it to what is behind it */
     mhd_callbacks_identify(x);
+    if (x->req.method == METHOD_POST)
+        x->req.client = mhd_callbacks_client(x);
     x->req.local = request_guard_local(&g, version) && address_is_loopback(x->peer->address);
     return request_guard_check(&g, x->f->s->cfg, version, why);
 }

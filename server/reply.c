@@ -78,7 +78,7 @@ static bool reply_queue(struct MHD_Connection *c, const struct response *r, stru
 /* Whole answers that somebody may ask for again, as they are. */
 static bool reply_may_return(const struct response *r, bool last)
 {
-    return !last && (r->status == 200 || r->status == 304) && r->etag[0] && !r->id_sent &&
+    return !last && (r->status == 200 || r->status == 304) && r->etag[0] && !headers_repeat_id(r) &&
            r->queue_s < 0;
 }
 

@@ -6,6 +6,7 @@
 #include "server/server.h"
 
 #include <arpa/inet.h>
+#include <jansson.h>
 #include <math.h>
 #include <netinet/in.h>
 #include <signal.h>
@@ -14,34 +15,39 @@
 #include <sys/resource.h>
 #include <sys/socket.h>
 #include <sys/time.h>
+#include <time.h>
 #include <unistd.h>
 
 #include "core/machine.h"
 #include "core/pool.h"
-#include "lod/export/clip.h"
 #include "lod/store/blocks.h"
 #include "lod/store/remote.h"
 #include "server/answers/routes.h"
 #include "server/answers/services.h"
 #include "server/answers/view_stream.h"
 #include "server/answers/work.h"
+#include "server/base/document.h"
 #include "server/documents/link.h"
 #include "server/http.h"
+#include "server/http/supervisor.h"
 #include "server/self_test.h"
+#include "server/stores.h"
 
 struct server {
     struct server_config cfg;     /* texts are borrowed from the caller */
     const struct server_own *own; /* NULL: tile stores */
-    const char *const *paths;
-    size_t n_paths, workers;
-    struct clip clip; /* of all stores; in use if stores.clip is set */
-    struct catalog_options stores;
+    size_t workers;
+    struct stores *stores;
     struct services services;
+    pthread_mutex_t reload;    /* one at a time */
     double asked_s, look_s;    /* stores at addresses: last asked; not before, as a reload failed */
     double looked_s;           /* when memory was looked at */
+    uint64_t streams;          /* and encoders, that were open then */
     struct http *http, *admin; /* admin: NULL without --admin */
     char url[128], memory[256];
 };
+
+static enum err_code server_reload_said(void *user, struct body **out, struct err *e);
 
 static bool server_draws(const struct server_config *cfg)
 {
@@ -121,9 +127,10 @@ static void server_fit_descriptors(struct server *sv)
 {
     enum { OTHERS = 64, CONNECTIONS_MIN = 8 };
     struct rlimit limit;
+    const struct catalog *c = stores_first(sv->stores);
     const size_t wanted = (size_t)sv->cfg.max_connections,
-                 others =
-                     OTHERS + sv->n_paths * (2 + sv->stores.keep_revisions) * (sv->workers + 2),
+                 revisions = 2 + (size_t)sv->cfg.keep_revisions,
+                 others = OTHERS + (c->n_current + c->n_absent) * revisions * (sv->workers + 2),
                  need = http_descriptors(wanted) + others;
     if (getrlimit(RLIMIT_NOFILE, &limit) || limit.rlim_cur == RLIM_INFINITY ||
         limit.rlim_cur >= need)
@@ -145,31 +152,6 @@ static void server_fit_descriptors(struct server *sv)
              "descriptors limit=%zu needed=%zu max_connections=%zu instead of %zu: raise the limit "
              "(ulimit -n, LimitNOFILE) or ask for fewer",
              (size_t)limit.rlim_cur, need, room < wanted ? room : wanted, wanted);
-}
-
-static enum err_code server_read_clip(const struct server_config *cfg, struct clip *out, bool *any,
-                                      struct err *e)
-{
-    return clip_of_options(cfg->clip, cfg->clip_low_m, cfg->clip_high_m, "clip-", out, any, e);
-}
-
-/* What options say of stores; sv->clip is freed by the caller. */
-static enum err_code server_read_stores(struct server *sv, size_t readers, struct err *e)
-{
-    const struct server_config *cfg = &sv->cfg;
-    bool clips = false;
-    enum err_code rc = server_read_clip(cfg, &sv->clip, &clips, e);
-    sv->stores = (struct catalog_options){.readers = readers,
-                                          .clip = clips ? &sv->clip : NULL,
-                                          .clip_dir = cfg->clip_dir,
-                                          .public_url = cfg->public_url,
-                                          .base_path = cfg->base_path,
-                                          .keep_s = cfg->keep_s,
-                                          .keep_revisions = (size_t)cfg->keep_revisions,
-                                          .basemap = cfg->basemap,
-                                          .basemap_attribution = cfg->basemap_attribution,
-                                          .preset = (unsigned)cfg->preset};
-    return rc;
 }
 
 /* What the stores ask of memory. */
@@ -237,17 +219,18 @@ static enum err_code server_plan(struct server *sv, const struct catalog *c,
     return ERR_OK;
 }
 
-/* Stores and the viewer's files, which say what is needed, and then what uses memory. */
-static enum err_code server_open_services(struct server *sv, struct err *e)
+/* Stores and the viewer's files, which say what is needed, and then what uses memory. all: also
+ * stores at addresses, however long that takes. */
+static enum err_code server_open_services(struct server *sv, const char *const *paths, size_t n,
+                                          bool all, struct err *e)
 {
-    struct catalog *c = NULL;
     struct static_table web = {0};
     struct memory_plan plan;
-    enum err_code rc = catalog_open(sv->paths, sv->n_paths, &sv->stores, NULL, &c, e);
+    enum err_code rc = stores_open(&sv->cfg, paths, n, sv->workers, all, &sv->stores, e);
     if (!rc)
         rc = server_load_web(sv, &web, e);
     if (!rc)
-        rc = server_plan(sv, c, &plan, e);
+        rc = server_plan(sv, stores_first(sv->stores), &plan, e);
     if (!rc)
         server_fit_descriptors(sv);
     if (!rc)
@@ -255,11 +238,10 @@ static enum err_code server_open_services(struct server *sv, struct err *e)
                            sv->own ? sv->own->n : ROUTES_COUNT, e);
     if (!rc) {
         sv->services.own = sv->own ? sv->own->data : NULL;
-        sv->services.catalog = c;
         sv->services.web = web;
+        stores_give(sv->stores, &sv->services);
     } else {
         static_free(&web);
-        catalog_drop(&c);
     }
     return rc;
 }
@@ -278,7 +260,12 @@ void server_keep_memory(struct server *sv, double now_s)
     if (now_s - sv->looked_s < every_s)
         return;
     sv->looked_s = now_s;
-    if (services_held_bytes(s) <= budget)
+    struct view_stream_counts streams;
+    view_stream_count(s->view_streams, &streams);
+    const uint64_t open = streams.streams + streams.encoders;
+    const bool fewer = open < sv->streams; /* each held megabytes, which malloc keeps */
+    sv->streams = open;
+    if (!fewer && services_held_bytes(s) <= budget)
         return;
     mem_give_back();
     const size_t held = services_held_bytes(s);
@@ -306,16 +293,6 @@ static enum err_code server_set_remote(const struct server_config *cfg, struct e
     return rc;
 }
 
-static void server_log_start(const struct server *sv)
-{
-    const struct catalog *c = sv->services.catalog;
-    log_info("serve", "%s", sv->memory);
-    server_log_disk(sv);
-    for (size_t i = 0; i < c->n; i++)
-        log_info("serve", "dataset name=%s revision=%s tiles=%zu file=%s", c->ds[i]->meta.name,
-                 c->ds[i]->meta.revision, c->ds[i]->n_tiles, store_path(c->ds[i]->index));
-}
-
 static enum err_code server_begin(const struct server_config *cfg, const char *const *paths,
                                   size_t n, const struct server_own *own, struct server **out,
                                   struct err *e)
@@ -329,19 +306,18 @@ static enum err_code server_begin(const struct server_config *cfg, const char *c
            SIG_IGN); /* a client that hangs up is an error of write(), not of the program */
     sv->cfg = *cfg;
     sv->own = own;
-    sv->paths = paths;
-    sv->n_paths = n;
+    pthread_mutex_init(&sv->reload, NULL);
     sv->workers = cfg->workers ? (size_t)cfg->workers : pool_cores();
     struct services *s = &sv->services;
     enum err_code rc = log_start(e);
     if (!rc)
         rc = server_set_remote(cfg, e);
     if (!rc)
-        rc = server_read_stores(sv, sv->workers, e);
-    if (!rc)
-        rc = server_open_services(sv, e);
+        rc = server_open_services(sv, paths, n, false, e);
     if (!rc)
         mem_on_short(server_on_short, s);
+    s->reload = own ? NULL : server_reload_said;
+    s->reload_user = sv;
     if (!rc && cfg->cache_dir)
         rc = disk_open(cfg->cache_dir, (uint64_t)cfg->cache_dir_mb << 20, &s->disk, e);
     if (!rc && cfg->state_dir)
@@ -360,10 +336,16 @@ static enum err_code server_begin(const struct server_config *cfg, const char *c
         rc = http_start(sv->http, e);
     if (!rc && sv->admin)
         rc = http_start(sv->admin, e);
+    if (!rc && !own) {
+        atomic_store(&s->metrics.reload_well, !s->catalog->n_absent);
+        atomic_store(&s->metrics.reload_good_s, (uint64_t)time(NULL));
+        log_info("serve", "%s", sv->memory);
+        server_log_disk(sv);
+    }
+    if (!rc)
+        rc = stores_start(sv->stores, e);
     if (rc)
         server_stop(out);
-    else if (!own)
-        server_log_start(sv);
     return rc;
 }
 
@@ -377,6 +359,14 @@ enum err_code server_start_own(const struct server_config *cfg, const struct ser
                                struct server **out, struct err *e)
 {
     return server_begin(cfg, NULL, 0, own, out, e);
+}
+
+size_t server_count(struct server *sv)
+{
+    struct catalog *c = services_catalog(&sv->services);
+    const size_t n = c->n_current;
+    catalog_drop(&c);
+    return n;
 }
 
 const char *server_url(const struct server *sv)
@@ -411,35 +401,74 @@ static enum err_code server_reload_auth(struct server *sv, struct err *e)
     return ERR_OK;
 }
 
-enum err_code server_reload(struct server *sv, struct err *e)
+/* How the last reload went, for supervisor, /readyz, metrics and whoever asked for it. */
+static void server_tell_reload(struct server *sv, enum err_code rc, bool stores_alone,
+                               const struct err *e)
 {
     struct services *s = &sv->services;
-    struct err own = {0};
-    struct catalog *older = services_catalog(s), *newer = NULL;
-    struct tls_pair *pair = NULL;
-    struct clip clip = {0};
-    struct catalog_options stores = sv->stores;
-    bool clips = false;
-    e = e ? e : &own; /* what it says is kept */
-    enum err_code rc = server_reload_auth(sv, e);
+    char status[sizeof e->msg + 32];
+    atomic_store(&s->metrics.reload_well, !rc);
     if (!rc)
-        rc = server_read_clip(&sv->cfg, &clip, &clips, e); /* as its file is now */
-    stores.clip = clips ? &clip : NULL;
+        atomic_store(&s->metrics.reload_good_s, (uint64_t)time(NULL));
+    else
+        atomic_fetch_add(&s->metrics.reload_failed, 1);
+    services_set_catalog(s, NULL, rc && !stores_alone ? e->msg : "");
+    if (rc)
+        log_error("serve", "reload failed%s: %s",
+                  stores_alone ? ", what could be opened is served" : ", the old data stay",
+                  e->msg);
+    else
+        log_info("serve", "reloaded");
+    snprintf(status, sizeof status, rc ? "reload failed: %s" : "serving", e->msg);
+    for (char *p = status; *p; p++) /* a line of the protocol */
+        *p = (unsigned char)*p < 0x20 ? ' ' : *p;
+    supervisor_ready(status);
+}
+
+/* changes: as of stores_reload; NULL if nothing was tried. */
+static enum err_code server_reload_all(struct server *sv, struct json_t **changes, struct err *e)
+{
+    struct services *s = &sv->services;
+    struct tls_pair *pair = NULL;
+    bool stores = false;
+    pthread_mutex_lock(&sv->reload);
+    supervisor_reloading();
+    enum err_code rc = server_reload_auth(sv, e);
     if (!rc && s->tls)
         rc = tls_read(s->tls, &pair, e);
-    if (!rc)
-        rc = catalog_open(sv->paths, sv->n_paths, &stores, older, &newer, e);
-    if (!rc && s->tls)
+    if (!rc) {
+        rc = stores_reload(sv->stores, changes, e);
+        stores = *changes != NULL;
+    }
+    if (s->tls && (!rc || stores))
         tls_use(s->tls, &pair);
     tls_discard(&pair);
-    if (rc)
-        atomic_fetch_add(&s->metrics.reload_failed, 1);
-    services_set_catalog(s, newer, rc ? e->msg : "");
-    if (!rc)
-        job_forgive(s->jobs);
-    catalog_drop(&older);
-    clip_free(&clip);
+    server_tell_reload(sv, rc, stores, e);
+    pthread_mutex_unlock(&sv->reload);
     return rc;
+}
+
+enum err_code server_reload(struct server *sv, struct err *e)
+{
+    struct err own = {0};
+    struct json_t *changes = NULL;
+    enum err_code rc = server_reload_all(sv, &changes, e ? e : &own); /* what it says is kept */
+    json_decref(changes);
+    return rc;
+}
+
+/* services.reload: the same, and what there is to say about it. */
+static enum err_code server_reload_said(void *user, struct body **out, struct err *e)
+{
+    struct err why = {0};
+    json_t *o = NULL;
+    enum err_code rc = server_reload_all(user, &o, &why);
+    o = o ? o : json_object();
+    json_object_set_new(o, "status", json_string(rc ? "failed" : "reloaded"));
+    if (rc)
+        json_object_set_new(o, "why", json_string(why.msg));
+    const enum err_code made = document_make(o, out, e);
+    return made ? made : rc;
 }
 
 /* A store that was found replaced is opened again at once, but not more often than it is asked:
@@ -471,11 +500,7 @@ void server_look(struct server *sv, double now_s)
 
 void server_expire(struct server *sv, double now_s)
 {
-    struct services *s = &sv->services;
-    struct catalog *now = services_catalog(s), *fewer = NULL;
-    if (!catalog_expire(now, &sv->stores, now_s, &fewer, NULL) && fewer)
-        services_set_catalog(s, fewer, NULL);
-    catalog_drop(&now);
+    stores_tick(sv->stores, now_s);
 }
 
 bool server_stop(struct server **out)
@@ -487,13 +512,14 @@ bool server_stop(struct server **out)
     mem_on_short(NULL, NULL);
     http_close(&sv->http);
     http_close(&sv->admin); /* last: it says how the stopping goes */
+    stores_close(&sv->stores);
     bool ended = services_free(&sv->services);
     if (!ended)
         log_error("serve", "a thread does not return from a call; it is left behind");
     log_stop(1);
-    clip_free(&sv->clip);
     if (ended) {
         view_stream_close(&sv->services.view_streams);
+        pthread_mutex_destroy(&sv->reload);
         mem_free(sv);
     }
     return ended;
@@ -549,24 +575,24 @@ bool server_answers(const struct server *sv, double wait_s)
 enum err_code server_check(const struct server_config *cfg, const char *const *paths, size_t n,
                            FILE *out, struct err *e)
 {
-    struct server sv = {.cfg = *cfg, .paths = paths, .n_paths = n};
+    struct server sv = {.cfg = *cfg};
     struct services *s = &sv.services;
     sv.workers = cfg->workers ? (size_t)cfg->workers : pool_cores();
     enum err_code rc = server_set_remote(cfg, e);
     if (!rc)
-        rc = server_read_stores(&sv, 1, e);
-    if (!rc)
-        rc = server_open_services(&sv, e);
+        rc = server_open_services(&sv, paths, n, true, e);
+    const struct catalog *c = s->catalog;
+    if (!rc && c->n_absent)
+        rc = err_set(e, c->absent[0].code, "%s", c->absent[0].why);
     if (!rc)
         rc = http_check(cfg, e);
     if (!rc && cfg->cache_dir)
         rc = disk_check(cfg->cache_dir, e);
     if (!rc && cfg->state_dir)
         rc = named_appearance_check(cfg->state_dir, e);
-    for (size_t i = 0; !rc && out && i < s->catalog->n; i++)
-        fprintf(out, "dataset %s revision %s, %zu tiles: %s\n", s->catalog->ds[i]->meta.name,
-                s->catalog->ds[i]->meta.revision, s->catalog->ds[i]->n_tiles,
-                store_path(s->catalog->ds[i]->index));
+    for (size_t i = 0; !rc && out && i < c->n; i++)
+        fprintf(out, "dataset %s revision %s, %zu tiles: %s\n", c->ds[i]->meta.name,
+                c->ds[i]->meta.revision, c->ds[i]->n_tiles, store_path(c->ds[i]->index));
     if (!rc && out && s->tls) {
         char text[256];
         tls_about(s->tls, text, sizeof text);
@@ -575,6 +601,6 @@ enum err_code server_check(const struct server_config *cfg, const char *const *p
     if (!rc && out)
         fprintf(out, "%s\nviewer: %zu files\nwell\n", sv.memory, s->web.n);
     (void)services_free(s);
-    clip_free(&sv.clip);
+    stores_close(&sv.stores);
     return rc;
 }

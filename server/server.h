@@ -18,7 +18,7 @@
  *     result_id        the name of a result: a hash of all that determines its bytes
  *     link             addresses in documents and answers
  *     seed, collection prefetch lists; documents about datasets
- *     catalog          the datasets at one moment
+ *     catalog          the datasets at one moment, and the stores that are not served
  *     worker           a second process of the program: started, asked, killed, started again
  *     draw             its work: cameras to pictures, on the device that it alone has
  *     picture          sends requests to it
@@ -30,6 +30,7 @@
  *     dispatch         request + services -> response
  *     watch            slow, idle and gone clients
  *     listen, http     libmicrohttpd -> struct request; suspends and resumes
+ *     stores           opens stores, tries those again that failed, makes catalogs
  *     server           starts and stops all
  *
  * No slow work is done in an HTTP thread.
@@ -48,16 +49,18 @@ struct server;
 struct services;
 struct route;
 
-/* Opens the stores at paths [n] and listens. Requests are answered when it returns.
+/* Opens the stores at paths [n], which are files, folders of stores, or addresses, and listens.
+ * Requests are answered when it returns.
  *
  *     cfg    copied, its texts borrowed until server_stop
  *     paths  borrowed until server_stop (server_reload reads them again)
  *     out    end with server_stop; NULL on failure
  *
- * It makes the process ignore SIGPIPE. ERR_ARG (an address, or two datasets with one name),
- * ERR_BUSY (the port is in use), ERR_IO, ERR_FORMAT, ERR_DATA, ERR_NOENT (a store cannot be
- * opened), ERR_LIMIT (viewer files), ERR_MEM. A device that cannot be opened is no error: pictures
- * are then off. */
+ * It makes the process ignore SIGPIPE. A store that cannot be opened is left out, and tried again
+ * (server_expire); /readyz says so. ERR_ARG (an address), ERR_BUSY (the port is in use), ERR_LIMIT
+ * (viewer files), ERR_MEM; ERR_IO, ERR_FORMAT, ERR_DATA, ERR_NOENT (files alone were given, and
+ * none can be opened). A device that cannot be opened is no error: pictures are off until it can
+ * be. */
 enum err_code server_start(const struct server_config *cfg, const char *const *paths, size_t n,
                            struct server **out, struct err *e) ERR_USE;
 
@@ -74,6 +77,7 @@ struct server_own {
 /* As server_start. own is borrowed until server_stop. */
 enum err_code server_start_own(const struct server_config *cfg, const struct server_own *own,
                                struct server **out, struct err *e) ERR_USE;
+size_t server_count(struct server *s); /* datasets that are served now */
 /* "http://127.0.0.1:8080/", with the port in use. It lives until server_stop. */
 const char *server_url(const struct server *s);
 
@@ -81,23 +85,25 @@ const char *server_url(const struct server *s);
  * until server_stop. */
 struct services *server_services(struct server *s);
 
-/* Opens the stores again. Replaced revisions stay for a day (--keep-s). After an
- * error (those of server_start about stores) the old data stay, and /readyz reports it. Only one
- * thread at a time may call this and server_expire. */
+/* Opens the stores again, those of folders as they are now, and reads --auth and the certificate.
+ * Replaced revisions stay for a day (--keep-s). It logs what changed, and tells the supervisor and
+ * /readyz. Of a store that cannot be opened, what was served before stays; the error is that of the
+ * first one. After another error nothing has changed. Any thread. ERR_ARG, ERR_NOENT, ERR_FORMAT,
+ * ERR_IO, ERR_DATA, ERR_LIMIT, ERR_BUSY, ERR_MEM. */
 enum err_code server_reload(struct server *s, struct err *e) ERR_USE;
 /* Looks whether a store at an address was replaced at its server, and if so, asks for a reload
  * (server_reload_asked). Every --remote-refresh-s the servers are asked, by this thread. Call it
  * from time to time, from the thread that reloads. */
 void server_look(struct server *s, double now_s);
-/* Drops revisions whose time is over, by clock_s(). Call it from time to time. */
+/* Drops revisions whose time is over, by clock_s(), and tries stores again that could not be
+ * opened. Call it a few times a second. */
 void server_expire(struct server *s, double now_s);
 
 /* Stops listening, finishes requests within the configured times, and frees everything. *s may be
  * NULL and becomes NULL. False: a thread does not return from a call. What it uses is not freed,
  * and the program should end without waiting for it (_exit). */
 bool server_stop(struct server **s);
-/* Returns whether an operator asked for a reload (POST /-/reload on the listener of --admin) since
- * the last call. */
+/* Returns whether server_look asked for a reload since the last call. */
 bool server_reload_asked(struct server *s);
 /* Returns whether the server answers a request of its own within wait_s. For a watchdog. */
 bool server_answers(const struct server *s, double wait_s);

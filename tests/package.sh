@@ -25,7 +25,8 @@ for file in bin/citysplat lib/citysplat/citysplat-image.so lib/citysplat/cityspl
     share/doc/citysplat/examples/serve.jsonc share/doc/citysplat/examples/nginx.conf; do
     grep -qx "./usr/$file" "$work/list" || fail "no /usr/$file in the package"
 done
-! grep -vE '^\./(usr/.*)?$' "$work/list" || fail 'files outside of /usr'
+! grep -vE '^\./(usr/.*|etc/(citysplat/(serve\.jsonc)?)?)?$' "$work/list" || fail 'files outside of /usr and /etc/citysplat'
+[ "$(dpkg-deb -I "$package" conffiles)" = /etc/citysplat/serve.jsonc ] || fail 'serve.jsonc is no file of configuration'
 dpkg-deb -c "$package" | awk '$2 != "root/root" || $1 ~ /^.{5}w|^.{8}w|[sS]/ && $1 !~ /^l/ { print; bad = 1 } END { exit bad }' || fail 'owners or permissions'
 depends=$(dpkg-deb -f "$package" Depends)
 for name in libc6 libsqlite3-0 libgdal libopenimageio libmicrohttpd12 ocl-icd-libopencl1; do # libgdal32 on Debian 12, 36 on 13
@@ -84,7 +85,12 @@ inside() { chroot_inside "$root" "$@"; }
 inside apt-get update -qq
 inside apt-get install -y -qq --no-install-recommends /tmp/citysplat.deb pocl-opencl-icd curl >"$work/log" 2>&1 || { tail -30 "$work/log"; fail 'apt-get install'; }
 inside sh /tmp/use.sh "$version"
+inside sh -euc '
+    echo "// changed" >>/etc/citysplat/serve.jsonc
+    [ "$(stat -c %U:%G:%a /var/lib/citysplat /etc/citysplat/serve.jsonc | tr "\n" " ")" = "citysplat:citysplat:755 root:root:644 " ]
+    dpkg -i /tmp/citysplat.deb >/dev/null
+    grep -q changed /etc/citysplat/serve.jsonc' || fail 'user, folder, or a configuration that was changed'
 inside apt-get purge -y -qq citysplat >"$work/log" 2>&1 || { tail -30 "$work/log"; fail 'apt-get purge'; }
-left=$(inside find /usr /lib/systemd /var/lib -name '*citysplat*' -not -path '/var/lib/dpkg/*' 2>/dev/null || true)
+left=$(inside find /usr /etc /lib/systemd /var/lib -name '*citysplat*' -not -path '/var/lib/dpkg/*' 2>/dev/null || true)
 [ -z "$left" ] || fail "purged, and still there: $left"
 echo "installed into a clean Debian $(cat "$root/etc/debian_version"), used, removed"

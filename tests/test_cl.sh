@@ -23,9 +23,9 @@ for f in $(find core render train scene lab -name '*.cl' | sort); do
         for vw in $widths; do
             prelude="-include core/layout.h"
             case $f in
-                render/common.cl | train/loss/lanes.cl) prelude="$prelude -include core/device/vector.cl" ;;
+                render/common.cl | train/loss/lanes.cl | train/loss/solid.cl) prelude="$prelude -include core/device/vector.cl" ;;
                 render/*) prelude="$prelude -include core/device/vector.cl -include render/common.cl" ;;
-                train/loss/axes.cl | train/loss/solid.cl)
+                train/loss/axes.cl)
                     prelude="$prelude -include core/device/vector.cl -include train/loss/lanes.cl" ;;
                 train/loss/scale_loss.cl | train/loss/flat_loss.cl)
                     prelude="$prelude -include core/device/vector.cl -include train/loss/lanes.cl -include train/loss/axes.cl" ;;

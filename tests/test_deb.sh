@@ -59,6 +59,7 @@ if [ -d web/node_modules ]; then
         share/doc/citysplat/CHANGELOG.md.gz share/doc/citysplat/examples/nginx.conf share/doc/citysplat/examples/serve.jsonc; do
         [ -s "$work/root/usr/$file" ] || fail "the package has no /usr/$file"
     done
+    cmp "$work/root/etc/citysplat/serve.jsonc" configs/serve.jsonc || fail 'the package has no /etc/citysplat/serve.jsonc'
     [ ! -e "$work/root/usr/share/doc/citysplat/examples/deb" ] || fail "the package has its own making"
     for name in three maplibre-gl leaflet cesium; do
         grep -q "^$name [0-9]" "$work/root/usr/share/doc/citysplat/licences-npm.txt" || fail "licences-npm.txt has no $name"

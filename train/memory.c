@@ -24,7 +24,7 @@ enum {
     MEMORY_STATS = 4, /* words: grad, absg, count, radius; + opacity with appearance */
     MEMORY_KEYS = 7,  /* words a Gaussian: depth_key, tiles_of, slot_first, keys, ids */
     MEMORY_INTERSECTION = 5 * 4 + 2 /* lists, hits */ + LAYOUT_SLOT_FLOATS * 4 + 1 /* slot, mark */,
-    MEMORY_EXTRA = LAYOUT_PLANES_SHAPE, /* words: gradients of the terms on sizes and rotations */
+    MEMORY_EXTRA = LAYOUT_PLANES_SCALE, /* words: gradients of the terms on sizes */
     MEMORY_CHOICE = 44, /* the plan's rows and their Morton order; its lists need less */
     MEMORY_MOVE = 52,   /* sources of rows, halves and their means, spare rows */
     MEMORY_SUMS = LAYOUT_IMPORTANCE_SUMS * 4, /* of a view */
@@ -90,7 +90,7 @@ struct memory_need memory_estimate(const struct train_config *cfg, const struct 
                  (2.0 + (double)cfg->embed_len);
     double photos =
         memory_photos(cfg, s, images, n_images, downsample, &pixels, &photometric_pixels);
-    bool extra = cfg->scale_weight > 0.0 || cfg->solid_flat > 0.0 || cfg->solid_rim > 0.0;
+    bool extra = cfg->scale_weight > 0.0 || cfg->solid_flat > 0.0;
     double words = MEMORY_STATS + 2.0 * light + MEMORY_EXTRA * (double)extra;
     double trained = MEMORY_ARRAYS * row + MEMORY_WORD * words;
     double drawn = MEMORY_FRAME_ROOM * (sizeof(struct layout_splat) + MEMORY_WORD * MEMORY_KEYS +

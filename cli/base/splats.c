@@ -12,6 +12,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <strings.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <jansson.h>
@@ -77,6 +78,9 @@ enum err_code splats_kind(const char *path, enum splats_kind *out, struct err *e
         *out = !rc && file_exists(scene) ? SPLATS_SCENE : SPLATS_UNKNOWN;
         return rc;
     }
+    struct stat st;
+    if (!stat(path, &st) && !S_ISREG(st.st_mode)) /* what is read twice is no pipe */
+        return err_set(e, ERR_FORMAT, "%s: no file, but a pipe or a device: give a file", path);
     int fd = open(path, O_RDONLY | O_CLOEXEC);
     if (fd < 0)
         return err_errno(e, errno == ENOENT ? ERR_NOENT : ERR_IO, "%s", path);

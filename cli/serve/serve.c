@@ -6,6 +6,7 @@
 #include <math.h>
 #include <pthread.h>
 #include <signal.h>
+#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <time.h>
@@ -27,12 +28,13 @@ static const struct options_def serve_defs[] = {
 
 static const struct options_spec serve_spec = {
     .command = "serve",
-    .usage = "citysplat serve CITY.tiles|URL [MORE ...] [options]",
+    .usage = "citysplat serve CITY.tiles|FOLDER|URL [MORE ...] [options]",
     .about =
         "Serves tile stores to map clients: Gaussian tiles as .glb, .spz, .drc and .ply, 3D "
         "Tiles and TileJSON descriptions, rendered views as .jpg, .png and .webp, and the "
-        "viewer. A store is a file, or an object at https://, http:// or s3:// that is read in "
-        "parts. It listens on this machine only; --address changes that. For the internet use "
+        "viewer. A store is a file, each NAME.tiles of a folder, or an object at https://, http:// "
+        "or s3:// that is read in parts. One that cannot be opened is left out and tried again. "
+        "It listens on this machine only; --address changes that. For the internet use "
         "--tls-cert, or a proxy with TLS. SIGTERM finishes the running requests and exits. "
         "SIGHUP opens the stores again; the older revision is served for another day. --check "
         "tells whether it would start. Exit codes are those of sysexits.h: 64 options, 65 and "
@@ -40,23 +42,38 @@ static const struct options_spec serve_spec = {
         "--auth or --check.",
     .example = "citysplat serve city.tiles\n"
                "citysplat serve old-town.tiles harbour.tiles --address 0.0.0.0 --port 8000\n"
+               "citysplat serve /var/lib/citysplat\n"
                "citysplat serve https://cdn.example/city.tiles --cache-dir /var/cache/citysplat\n"
                "citysplat serve s3://bucket/city.tiles",
     .defs = serve_defs,
     .n_defs = sizeof serve_defs / sizeof *serve_defs,
     .min_args = 1,
-    .max_args = 16,
+    .max_args = SIZE_MAX,
 };
+
+/* A line on stdout: for people as it is, as a line of a JSON log with that format. */
+static void serve_say(const char *fmt, ...) ERR_PRINTF(1, 2);
+static void serve_say(const char *fmt, ...)
+{
+    char text[400], quoted[600], now[32];
+    va_list ap;
+    va_start(ap, fmt);
+    vsnprintf(text, sizeof text, fmt, ap);
+    va_end(ap);
+    log_now(now);
+    log_quote(text, quoted, sizeof quoted);
+    if (log_is_json())
+        printf("{\"ts\":\"%s\",\"level\":\"info\",\"module\":\"serve\",\"msg\":\"%s\"}\n", now,
+               quoted);
+    else
+        printf("%s\n", text);
+    fflush(stdout);
+}
 
 static void serve_reload(struct server *sv)
 {
-    struct err e = {0};
-    supervisor_reloading();
-    if (server_reload(sv, &e) == ERR_OK)
-        log_info("serve", "reloaded");
-    else
-        log_error("serve", "reload failed, the old data stay: %s", e.msg);
-    supervisor_ready(e.code ? "serving the data from before a reload that failed" : "serving");
+    const enum err_code rc = server_reload(sv, NULL);
+    (void)rc; /* the server has told the log, the supervisor and /readyz */
 }
 
 /* Half of the time that the supervisor gives: say that the program answers, while it does. */
@@ -133,11 +150,10 @@ enum err_code cli_serve(int argc, char **argv, struct err *e)
         rc = server_start(&cfg, args.arg, args.n, &sv, e);
     if (rc)
         goto out;
-    printf("citysplat serves %zu dataset%s: open %s\n", args.n, args.n == 1 ? "" : "s",
-           server_url(sv));
+    serve_say("citysplat serves %zu dataset%s: open %s", server_count(sv),
+              server_count(sv) == 1 ? "" : "s", server_url(sv));
     if (cfg.admin)
-        printf("operators: port %u\n", (unsigned)server_admin_port(sv));
-    fflush(stdout);
+        serve_say("operators: port %u", (unsigned)server_admin_port(sv));
     supervisor_ready("serving");
     rc = serve_run(sv, &cfg, &hup, e);
     supervisor_stopping();

@@ -31,7 +31,8 @@ static const struct options_spec sign_spec = {
     .about = "Prints signed addresses for a server that was started with --auth. Of a dataset's "
              "NAME it prints an address that stands for the server's own: below it lie the viewer "
              "and every path of the dataset. Of a PATH, a tile or a picture, it prints the address "
-             "that opens this path alone. An address opens what it says until its time is over.",
+             "that opens this path with this query alone. An address opens what it says until its "
+             "time is over.",
     .example = "citysplat sign city --auth auth.jsonc --for-s 86400 --url https://maps.example\n"
                "citysplat sign /d/city/static/8.68,50.11,260@10,-30/640x480.jpg --auth auth.jsonc",
     .defs = sign_defs,
@@ -49,7 +50,7 @@ static enum err_code sign_check(const struct router *routes, const char *path, s
     enum err_code rc = router_read(routes, path, strlen(path), &any, e);
     if (rc)
         return err_add(e, "%s", path), rc;
-    if (!(t->route->scope & SCOPE_DATASET) || t->path_size < strlen(path))
+    if (!(t->route->scope & SCOPE_DATASET))
         return err_set(e, ERR_ARG, "%s: no path of a dataset", path);
     if (route_names_others(t->route))
         return err_set(e, ERR_ARG,
@@ -68,11 +69,18 @@ static enum err_code sign_print(const struct sign_config *cfg, const struct auth
     const size_t n = strlen(url);
     enum err_code rc;
     if (what[0] == '/') {
-        rc = sign_check(routes, what, e);
+        char *plain = mem_text(what); /* as the server reads it */
+        rc = plain ? ERR_OK : err_set(e, ERR_MEM, "sign: out of memory");
+        if (!rc) {
+            router_unescape(plain);
+            rc = sign_check(routes, plain, e);
+        }
         if (!rc)
-            rc = auth_sign_path(auth, cfg->key, what, until_s, now_s, query, e);
+            rc = auth_sign_path(auth, cfg->key, plain, until_s, now_s, query, e);
         if (!rc)
-            printf("%.*s%s?%s\n", (int)(n && url[n - 1] == '/' ? n - 1 : n), url, what, query);
+            printf("%.*s%s%c%s\n", (int)(n && url[n - 1] == '/' ? n - 1 : n), url, plain,
+                   strchr(plain, '?') ? '&' : '?', query);
+        mem_free(plain);
         return rc;
     }
     rc = auth_sign(auth, cfg->key, (enum auth_scope)cfg->scope, what, until_s, now_s, seal, e);

@@ -20,6 +20,7 @@ install(CODE "
     $<TARGET_FILE:citysplat> $<TARGET_FILE:citysplat-image> $<TARGET_FILE:citysplat-gdal>)" ${of_package})
 install(FILES ${deb}/copyright CHANGELOG.md README.md docs/tutorial.md docs/licences.md DESTINATION ${doc} ${of_package})
 install(FILES configs/citysplat.service configs/citysplat.socket DESTINATION lib/systemd/system ${of_package})
+install(FILES configs/serve.jsonc DESTINATION /etc/citysplat ${of_package})
 install(DIRECTORY configs/ DESTINATION ${doc}/examples ${of_package}
   PATTERN deb EXCLUDE PATTERN Containerfile EXCLUDE PATTERN citysplat.service EXCLUDE PATTERN citysplat.socket EXCLUDE)
 install(CODE "
@@ -43,7 +44,8 @@ set(CPACK_DEBIAN_PACKAGE_SHLIBDEPS ON)
 set(CPACK_DEBIAN_PACKAGE_RECOMMENDS "pocl-opencl-icd | opencl-icd")
 set(CPACK_DEBIAN_PACKAGE_SUGGESTS "colmap, geographiclib-tools")
 set(CPACK_DEBIAN_COMPRESSION_TYPE xz)
-set(CPACK_DEBIAN_PACKAGE_CONTROL_EXTRA ${deb}/postinst ${deb}/prerm ${deb}/postrm)
+set(CPACK_DEBIAN_PACKAGE_DEPENDS passwd)
+set(CPACK_DEBIAN_PACKAGE_CONTROL_EXTRA ${deb}/postinst ${deb}/prerm ${deb}/postrm ${deb}/conffiles)
 set(CPACK_DEBIAN_PACKAGE_CONTROL_STRICT_PERMISSION ON)
 set(CPACK_INSTALL_DEFAULT_DIRECTORY_PERMISSIONS OWNER_READ OWNER_WRITE OWNER_EXECUTE GROUP_READ GROUP_EXECUTE WORLD_READ WORLD_EXECUTE)
 include(CPack)

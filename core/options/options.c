@@ -487,6 +487,7 @@ struct options_walk { /* where the walk over argv is */
     char **argv;
     void *config;
     struct options_args *args;
+    const char **arg; /* room for all of argv */
     struct arena *arena;
     bool help, print;
     enum options_format format; /* of the help */
@@ -579,11 +580,8 @@ static enum err_code options_one(struct options_walk *w, struct err *e)
         return options_long(w, arg, e);
     else if (arg[0] == '-' && arg[1] && !number)
         return err_set(e, ERR_ARG, "unknown option %s", arg);
-    else if (!w->files) {
-        if (w->args->n == sizeof w->args->arg / sizeof w->args->arg[0])
-            return err_set(e, ERR_ARG, "too many arguments, from '%s' on", arg);
-        w->args->arg[w->args->n++] = arg;
-    }
+    else if (!w->files)
+        w->arg[w->args->n++] = arg;
     return ERR_OK;
 }
 
@@ -652,6 +650,8 @@ enum err_code options_parse(const struct options_spec *spec, int argc, char **ar
     enum err_code rc = options_defaults(spec, config, a, e);
     struct options_walk w = {
         .spec = spec, .argc = argc, .argv = argv, .config = config, .args = args, .arena = a};
+    if (!rc && !(args->arg = w.arg = arena_get(a, (size_t)argc, sizeof *w.arg)))
+        rc = err_set(e, ERR_MEM, "options: out of memory");
     if (!rc)
         rc = options_pass(&w, true, e);
     if (!rc && !w.help)

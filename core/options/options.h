@@ -44,8 +44,8 @@
 #include "core/base.h"
 #include "core/options/options_spec.h"
 
-struct options_args { /* positional arguments, borrowed from argv */
-    const char *arg[16];
+struct options_args {       /* positional arguments, borrowed from argv */
+    const char *const *arg; /* [n], in the arena */
     size_t n;
     bool done; /* --help or --print-config was answered on stdout; the command returns ERR_OK */
 };

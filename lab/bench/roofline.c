@@ -239,7 +239,7 @@ static double roofline_photometric_both_ops(const work *w)
     return 3.0 * (33.0 + 2.0 * 4.0 * BLUR + DIVIDE + 7.0 + 2.0 * 3.0 * BLUR) * w->pixels;
 }
 
-/* ---- scale_loss.cl: ln sigma of all; gradients of sizes and rotation ---- */
+/* ---- scale_loss.cl: ln sigma of all; gradients of sizes ---- */
 
 static double roofline_scale_count_bytes(const work *w)
 {
@@ -248,7 +248,7 @@ static double roofline_scale_count_bytes(const work *w)
 
 static double roofline_scale_grad_bytes(const work *w)
 {
-    return 12.0 * w->n + 4.0 * LAYOUT_PLANES_SHAPE * w->n;
+    return 12.0 * w->n + 4.0 * LAYOUT_PLANES_SCALE * w->n;
 }
 
 /* Three exp, the ratio. */

@@ -46,9 +46,9 @@ struct eval_views {
 
 static void eval_views_print_head(void)
 {
-    printf("%-14s %-9s %5s %8s %7s %8s %9s %8s %8s %7s %7s %7s %7s %7s %7s %8s\n", "what", "kind",
-           "views", "PSNR dB", "SSIM", "GMSD", "square dB", "depth %", "95 % %", ">2 %", "halo",
-           "fog", "gaps", "haze %", "veil %", "mask %");
+    printf("%-14s %-9s %5s %8s %9s %7s %8s %9s %9s %8s %8s %7s %7s %7s %7s %7s %7s %8s\n", "what",
+           "kind", "views", "PSNR dB", "bright dB", "SSIM", "GMSD", "square dB", "bright dB",
+           "depth %", "95 % %", ">2 %", "halo", "fog", "gaps", "haze %", "veil %", "mask %");
 }
 
 /* A number, or "-" where there was nothing to measure. */
@@ -65,9 +65,11 @@ static enum err_code eval_views_row(const struct eval_views *v, const char *what
 {
     printf("%-14s %-9s %5zu", what, kind, m->n_views);
     eval_views_cell(8, 3, m->psnr_db);
+    eval_views_cell(9, 3, m->bright_psnr_db);
     eval_views_cell(7, 4, m->ssim);
     eval_views_cell(8, 5, m->gmsd);
     eval_views_cell(9, 3, m->square_psnr_db);
+    eval_views_cell(9, 3, m->bright_square_psnr_db);
     eval_views_cell(8, 3, 100.0 * m->depth_median);
     eval_views_cell(8, 2, 100.0 * m->depth_95);
     eval_views_cell(7, 2, 100.0 * m->depth_above);
@@ -81,14 +83,17 @@ static enum err_code eval_views_row(const struct eval_views *v, const char *what
     fflush(stdout);
     json_t *row = json_pack(
         "{s:s, s:s, s:I, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, "
+        "s:o, s:o, "
         "s:f}",
         "what", what, "views_of", kind, "views", (json_int_t)m->n_views, "psnr_db",
         jsonc_real(m->psnr_db), "ssim", jsonc_real(m->ssim), "gmsd", jsonc_real(m->gmsd),
-        "square_psnr_db", jsonc_real(m->square_psnr_db), "depth_median",
-        jsonc_real(m->depth_median), "depth_95", jsonc_real(m->depth_95), "depth_above_2pct",
-        jsonc_real(m->depth_above), "halo", jsonc_real(m->halo), "fog", jsonc_real(m->fog), "gaps",
-        jsonc_real(m->gaps), "haze", jsonc_real(m->haze), "veil", jsonc_real(m->veil), "mask_share",
-        jsonc_real(m->supported), "unobserved_share", jsonc_real(m->unobserved), "gaussians",
+        "square_psnr_db", jsonc_real(m->square_psnr_db), "bright_psnr_db",
+        jsonc_real(m->bright_psnr_db), "bright_square_psnr_db",
+        jsonc_real(m->bright_square_psnr_db), "depth_median", jsonc_real(m->depth_median),
+        "depth_95", jsonc_real(m->depth_95), "depth_above_2pct", jsonc_real(m->depth_above), "halo",
+        jsonc_real(m->halo), "fog", jsonc_real(m->fog), "gaps", jsonc_real(m->gaps), "haze",
+        jsonc_real(m->haze), "veil", jsonc_real(m->veil), "mask_share", jsonc_real(m->supported),
+        "unobserved_share", jsonc_real(m->unobserved), "gaussians",
         v->gaussians / (double)v->views.n);
     if (!row || json_array_append_new(v->lab.rows, row))
         return err_set(e, ERR_MEM, "eval: out of memory");

@@ -36,7 +36,7 @@ static const char *const servers_names[RIVALS] = {"citysplat", "libmicrohttpd al
 struct rival {
     bool there;
     struct load load;
-    double ms[ROUNDS_MAX], cpu_s;
+    double ms[ROUNDS_MAX], cpu_s[ROUNDS_MAX]; /* a round */
 };
 struct servers {
     struct bench *b;
@@ -143,10 +143,23 @@ static enum err_code servers_run(struct servers *s, int which, int round, struct
     if (round < 0) /* caches are warm now */
         return rc;
     r->ms[round] = (clock_s() - start_s) * 1e3;
-    r->cpu_s += which == RIVAL_NGINX
-                    ? load_cpu_of(s->nginx) - cpu_s
-                    : clock_cpu_s() - cpu_s - (r->load.cpu_s[0] + r->load.cpu_s[1] - clients_s);
+    clients_s = r->load.cpu_s[0] + r->load.cpu_s[1] - clients_s;
+    r->cpu_s[round] =
+        which == RIVAL_NGINX ? load_cpu_of(s->nginx) - cpu_s : clock_cpu_s() - cpu_s - clients_s;
     return rc;
+}
+
+/* To nginx, of the same round: the median, and from the least to the most. */
+static void servers_report_ratio(struct servers *s, const char *what, int rounds)
+{
+    char text[128];
+    double ratio[ROUNDS_MAX];
+    for (int i = 0; i < rounds; i++)
+        ratio[i] = s->rival[RIVAL_OURS].cpu_s[i] / s->rival[RIVAL_NGINX].cpu_s[i];
+    sort_doubles(ratio, (size_t)rounds);
+    snprintf(text, sizeof text, "%s: CPU time to nginx's, %.2f to %.2f in %d rounds", what,
+             ratio[0], ratio[rounds - 1], rounds);
+    bench_report(s->b, text, ratio[rounds / 2], "", 0, NULL);
 }
 
 static void servers_report(struct servers *s, const char *what, int rounds)
@@ -158,14 +171,19 @@ static void servers_report(struct servers *s, const char *what, int rounds)
         double n = LOAD_CLIENTS * (double)r->load.requests;
         if (!r->there)
             continue;
+        double cpu_s[ROUNDS_MAX];
+        memcpy(cpu_s, r->cpu_s, sizeof cpu_s);
         sort_doubles(r->ms, (size_t)rounds);
         per_s[i] = n / r->ms[rounds / 2] * 1e3;
-        us[i] = r->cpu_s / (n * rounds) * 1e6;
+        sort_doubles(cpu_s, (size_t)rounds);
+        us[i] = cpu_s[rounds / 2] / n * 1e6;
         snprintf(text, sizeof text, "%s: %s", what, servers_names[i]);
         bench_report(s->b, text, per_s[i], "requests/s", per_s[i] / per_s[0], "citysplat");
         snprintf(text, sizeof text, "%s: %s, CPU time of a request", what, servers_names[i]);
         bench_report(s->b, text, us[i], "us", us[i] / us[0], "citysplat");
     }
+    if (s->rival[RIVAL_NGINX].there)
+        servers_report_ratio(s, what, rounds);
 }
 
 /* Rounds of all of them. tile: what a 200 must have as its body. */
@@ -177,7 +195,6 @@ static enum err_code servers_compare(struct servers *s, const char *what, const 
     for (int i = 0; i < RIVALS && !rc; i++) {
         struct buf got = {0};
         struct rival *r = &s->rival[i];
-        r->cpu_s = 0;
         if (!r->there)
             continue;
         rc = load_ask(&r->load, &got, NULL, e);

@@ -39,7 +39,7 @@ bool load_send(int fd, const char *text);
 enum err_code load_ask(struct load *l, struct buf *body, char etag[64], struct err *e) ERR_USE;
 /* Runs all clients until they have all answers. `user` is a struct load. ERR_IO, ERR_MEM. */
 enum err_code load_run(void *user, struct err *e) ERR_USE;
-double load_cpu_of(pid_t pid); /* CPU seconds, in steps of the kernel's clock; 0: not known */
+double load_cpu_of(pid_t pid); /* CPU seconds; 0: not known */
 /* load_pin binds this thread, and threads that it starts later, to one core. load_unpin undoes
  * that. */
 void load_pin(int core);

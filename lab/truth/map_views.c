@@ -363,27 +363,46 @@ static bool map_mask_pick(const uint8_t *mask, size_t n, uint8_t *out)
     return (double)used >= share_min * (double)n;
 }
 
+/* Another ground behind the drawing: to is rgb with what `transmittance` lets through of it. */
+static void map_before_bright(const struct map_drawing *d, size_t n, float *to)
+{
+    static const float bright[3] = MAP_VIEWS_BRIGHT;
+    for (size_t i = 0; i < 3 * n; i++)
+        to[i] = d->rgb[i] + d->transmittance[i / 3] * bright[i % 3];
+}
+
+/* `used` and `bright` are scratch, [n] and [n][3]. */
 static enum err_code map_sums_colour(struct map_sums *s, const struct map_truth *t,
-                                     const struct map_drawing *d, uint8_t *used, struct err *e)
+                                     const struct map_drawing *d, uint8_t *used, float *bright,
+                                     struct err *e)
 {
     size_t n = (size_t)t->width_px * t->height_px;
-    struct metric_scores m;
+    const uint8_t *truth = t->picture.px;
+    uint32_t w = t->width_px, h = t->height_px;
+    struct metric_scores m, b;
     enum err_code rc = ERR_OK;
+    map_before_bright(d, n, bright);
     if (map_mask_pick(t->mask, n, used)) {
-        rc = metric_within(d->rgb, t->picture.px, used, t->width_px, t->height_px, &m, e);
+        rc = metric_within(d->rgb, truth, used, w, h, &m, e);
+        if (!rc)
+            rc = metric_within(bright, truth, used, w, h, &b, e);
         if (rc)
             return rc;
         s->sum.n_supported++;
         s->sum.psnr_db += m.psnr_db;
+        s->sum.bright_psnr_db += b.psnr_db;
         s->sum.ssim += m.ssim;
         s->sum.gmsd += m.gmsd;
     }
     if (map_mask_pick(t->square, n, used)) {
-        rc = metric_within(d->rgb, t->picture.px, used, t->width_px, t->height_px, &m, e);
+        rc = metric_within(d->rgb, truth, used, w, h, &m, e);
+        if (!rc)
+            rc = metric_within(bright, truth, used, w, h, &b, e);
         if (rc)
             return rc;
         s->sum.n_square++;
         s->sum.square_psnr_db += m.psnr_db;
+        s->sum.bright_square_psnr_db += b.psnr_db;
     }
     return rc;
 }
@@ -392,18 +411,20 @@ enum err_code map_sums_add(struct map_sums *s, const struct map_truth *t,
                            const struct map_drawing *d, struct err *e)
 {
     size_t n = (size_t)t->width_px * t->height_px;
-    float *limit_m = mem_array(n, sizeof *limit_m);
+    float *limit_m = mem_array(n, sizeof *limit_m), *bright = mem_array(n, 3 * sizeof *bright);
     uint8_t *used = mem_array(n, 1), *edge = mem_array(n, 1);
-    enum err_code rc = limit_m && used && edge ? map_sums_reserve(s, n, e)
-                                               : err_set(e, ERR_MEM, "map views: out of memory");
+    enum err_code rc = limit_m && bright && used && edge
+                           ? map_sums_reserve(s, n, e)
+                           : err_set(e, ERR_MEM, "map views: out of memory");
     if (!rc) {
         map_views_limit(t, limit_m);
         map_spread(t, used, edge);
         map_sums_pixels(s, t, d, limit_m, edge);
         s->sum.n_views++;
-        rc = map_sums_colour(s, t, d, used, e);
+        rc = map_sums_colour(s, t, d, used, bright, e);
     }
     mem_free(limit_m);
+    mem_free(bright);
     mem_free(used);
     mem_free(edge);
     return rc;
@@ -414,9 +435,11 @@ struct map_score map_sums_score(struct map_sums *s)
     struct map_score m = s->sum;
     double supported = (double)m.n_supported, n = (double)s->n_errors;
     m.psnr_db /= supported; /* 0 / 0 is NaN */
+    m.bright_psnr_db /= supported;
     m.ssim /= supported;
     m.gmsd /= supported;
     m.square_psnr_db /= (double)m.n_square;
+    m.bright_square_psnr_db /= (double)m.n_square;
     m.depth_above /= n;
     m.depth_median = m.depth_95 = (double)NAN;
     if (s->n_errors) {

@@ -62,14 +62,22 @@ void map_truth_free(struct map_truth *t);
 #define MAP_VIEWS_HAZE 0.05
 void map_views_limit(const struct map_truth *t, float *limit_m);
 
-struct map_drawing { /* all [h][w], see struct render_surface_maps */
+struct map_drawing { /* all [h][w], see struct render_surface_maps; rgb is before black */
     const float *rgb /*[h][w][3]*/, *median_m, *front, *transmittance;
 };
+/* The second ground behind a drawing: the viewer's own. Before black alone, what is half
+ * transparent looks dark, as ground that lies behind it often is. */
+#define MAP_VIEWS_BRIGHT                                                                           \
+    {                                                                                              \
+        0.62f, 0.66f, 0.40f                                                                        \
+    }
 struct map_score {
     /* number of views; numbers of views with PSNR in each of the two masks */
     size_t n_views, n_supported, n_square;
-    double psnr_db, ssim, gmsd; /* means over views, inside the mask */
+    double psnr_db, ssim, gmsd; /* means over views, inside the mask, before black */
     double square_psnr_db;      /* inside the built-up square, seen or not */
+    /* the same two before MAP_VIEWS_BRIGHT: what is half transparent shows it */
+    double bright_psnr_db, bright_square_psnr_db;
     /* relative error of the median depth, over the pixels of all views; a hole has an error of 1 */
     double depth_median, depth_95;
     double depth_above; /* share of these errors above MAP_VIEWS_DEPTH */

@@ -6,6 +6,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include <math.h>
 #include <stdatomic.h>
 #include <string.h>
 
@@ -41,6 +42,23 @@ static struct hash128 store_value_hash(sqlite3_value *v, bool *ok)
         return (struct hash128){0};
     }
     return store_db_hash_in(p);
+}
+
+/* Sizes go into documents, which have no infinite numbers: nothing is farther than 15 radii of the
+ * earth. */
+#define STORE_SIZE_MOST_M 1e8
+static bool store_shape_ok(const struct store_shape *x)
+{
+    const double *const at[] = {x->center_enu_m, x->min_enu_m, x->max_enu_m, x->core_min_enu_m,
+                                x->core_max_enu_m};
+    const double sizes[] = {x->sigma_median_m, x->sigma_max_m, x->geometric_error_m};
+    bool ok = true;
+    for (size_t i = 0; i < sizeof at / sizeof *at; i++)
+        for (int k = 0; k < 3; k++)
+            ok &= fabs(at[i][k]) <= STORE_SIZE_MOST_M; /* and no NaN */
+    for (size_t i = 0; i < sizeof sizes / sizeof *sizes; i++)
+        ok &= sizes[i] >= 0 && sizes[i] <= STORE_SIZE_MOST_M;
+    return ok;
 }
 
 /* One row; false when its hash says that it is damaged. */
@@ -131,7 +149,13 @@ static void store_take_row(sqlite3_context *c, int n, sqlite3_value **v)
     (void)n;
     if (t->rc)
         return;
-    if (store_row(v, &row))
+    const bool sound = store_row(v, &row);
+    if (sound && !store_shape_ok(&row.shape))
+        t->rc = err_set(t->e, ERR_FORMAT,
+                        "tile %u/%u/%u: a place or a size is beyond %g m: the store was forged, or "
+                        "is of a faulty program; make it again",
+                        row.tile.key.z, row.tile.key.x, row.tile.key.y, STORE_SIZE_MOST_M);
+    else if (sound)
         t->rc = index_add(x, &row, t->expected, t->e);
     else if (!t->n_bad++)
         t->first = row.tile.key;
@@ -181,7 +205,8 @@ static void store_take_half(sqlite3_context *c, int n, sqlite3_value **v)
     (void)n;
     if (h->odd)
         return;
-    const bool room = store_row(v, &row) && atomic_fetch_sub(h->left, 1) - 1 < h->x->cap;
+    const bool room = store_row(v, &row) && store_shape_ok(&row.shape) &&
+                      atomic_fetch_sub(h->left, 1) - 1 < h->x->cap;
     h->odd = !room || !index_set(h->x, h->down ? h->first - h->n : h->first + h->n, &row);
     h->n++;
     if (h->odd)

@@ -366,12 +366,27 @@ static enum err_code store_open_at(const char *at, const char *path, const char 
     return rc;
 }
 
+/* Opening a FIFO would wait for a writer. */
+static enum err_code store_check_file(const char *path, struct err *e)
+{
+    struct stat st;
+    if (!stat(path, &st) && !S_ISREG(st.st_mode))
+        return err_set(e, ERR_FORMAT,
+                       S_ISDIR(st.st_mode) ? "%s: a folder, and a tile store is a file; `citysplat "
+                                             "tile` makes one of a trained scene"
+                                           : "%s: no file: a tile store is a file",
+                       path);
+    return ERR_OK;
+}
+
 enum err_code store_open(const char *path, struct store **out, struct err *e)
 {
     int fd = -1;
     *out = NULL;
-    if (!range_is_url(path))
-        return store_open_at(path, path, NULL, NULL, out, e);
+    if (!range_is_url(path)) {
+        enum err_code rc = store_check_file(path, e);
+        return !rc ? store_open_at(path, path, NULL, NULL, out, e) : rc;
+    }
     enum err_code rc = remote_open(path, &fd, e);
     if (rc)
         return rc;
@@ -382,16 +397,12 @@ enum err_code store_open(const char *path, struct store **out, struct err *e)
 
 enum err_code store_open_file(const char *path, int *fd, struct err *e)
 {
-    struct stat st;
     *fd = -1;
     if (range_is_url(path))
         return remote_open(path, fd, e);
-    if (!stat(path, &st) && !S_ISREG(st.st_mode)) /* opening a FIFO would wait for a writer */
-        return err_set(e, ERR_FORMAT,
-                       S_ISDIR(st.st_mode) ? "%s: a folder, and a tile store is a file; `citysplat "
-                                             "tile` makes one of a trained scene"
-                                           : "%s: no file: a tile store is a file",
-                       path);
+    enum err_code rc = store_check_file(path, e);
+    if (rc)
+        return rc;
     *fd = open(path, O_RDONLY | O_CLOEXEC);
     return *fd < 0 ? err_errno(e, errno == ENOENT ? ERR_NOENT : ERR_IO, "%s", path) : ERR_OK;
 }

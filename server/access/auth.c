@@ -201,7 +201,9 @@ enum err_code auth_open(const char *path, struct auth **out, struct err *e)
 {
     struct buf b = {0};
     *out = NULL;
-    enum err_code rc = file_read(path, 1 << 20, &b, e);
+    enum err_code rc = file_check_secret(path, "--auth", e);
+    if (!rc)
+        rc = file_read(path, 1 << 20, &b, e);
     if (!rc)
         rc = auth_parse((const char *)b.data, b.size, path, out, e);
     buf_free(&b);
@@ -276,6 +278,36 @@ static enum auth_answer auth_check_token(const struct auth *a, enum auth_need ne
 }
 
 /* ---- signatures ---- */
+
+enum { AUTH_TEXT = 2048 + 1 }; /* as long as a target may be */
+
+/* What a signature of one path covers: the path, and behind '?' the query without the signature
+ * itself and without v=, which clients add for caches. Returns the length; 0: it is too long. */
+static size_t auth_text(const char *path, size_t n_path, const char *query, size_t n_query,
+                        char out[AUTH_TEXT])
+{
+    static const char *const left_out[] = {"exp=", "key=", "sig=", "v="};
+    size_t n = n_path;
+    char sign = '?';
+    if (n_path + n_query + 1 >= AUTH_TEXT)
+        return 0;
+    memcpy(out, path, n_path);
+    for (const char *p = query, *end = query + n_query; p < end;) {
+        const char *amp = memchr(p, '&', (size_t)(end - p)), *stop = amp ? amp : end;
+        const size_t m = (size_t)(stop - p);
+        bool covered = m > 0;
+        for (size_t i = 0; i < sizeof left_out / sizeof *left_out; i++)
+            covered &= m < strlen(left_out[i]) || memcmp(p, left_out[i], strlen(left_out[i])) != 0;
+        if (covered) {
+            out[n++] = sign;
+            memcpy(out + n, p, m);
+            n += m;
+            sign = '&';
+        }
+        p = amp ? amp + 1 : end;
+    }
+    return n;
+}
 
 struct auth_part { /* of a query or a seal; n 0: not there */
     const char *p;
@@ -453,11 +485,13 @@ enum auth_answer auth_check(const struct auth *a, enum auth_need need, const cha
         return auth_open_seal(a, need, ds, r, now_s);
     const struct auth_part sig = auth_part(r->query, r->n_query, "sig"),
                            cookie = auth_cookie(r->cookie);
+    char text[AUTH_TEXT];
+    const size_t n = sig.n ? auth_text(r->path, r->n_path, r->query, r->n_query, text) : 0;
     if (sig.n)
-        return r->names_others ? AUTH_FORBIDDEN
-                               : auth_verify(a, auth_part(r->query, r->n_query, "key"),
-                                             auth_part(r->query, r->n_query, "exp"),
-                                             (struct auth_part){r->path, r->n_path}, sig, now_s);
+        return r->names_others || !n ? AUTH_FORBIDDEN
+                                     : auth_verify(a, auth_part(r->query, r->n_query, "key"),
+                                                   auth_part(r->query, r->n_query, "exp"),
+                                                   (struct auth_part){text, n}, sig, now_s);
     return cookie.n ? auth_check_session(a, need, ds, cookie, now_s) : AUTH_UNKNOWN;
 }
 
@@ -517,13 +551,18 @@ enum err_code auth_sign_path(const struct auth *a, const char *key, const char *
                              int64_t now_s, char out[AUTH_QUERY_MAX], struct err *e)
 {
     const struct auth_key *k;
-    char sig[AUTH_SIG + 1];
-    if (path[0] != '/' || strlen(path) > 255)
-        return err_set(e, ERR_ARG, "%.80s: no path of a server: one begins with /", path);
+    char sig[AUTH_SIG + 1], text[AUTH_TEXT];
+    const size_t n_path = strcspn(path, "?"),
+                 n_query = path[n_path] ? strlen(path + n_path + 1) : 0;
+    const size_t n = auth_text(path, n_path, path + n_path + (path[n_path] != 0), n_query, text);
+    if (path[0] != '/' || !n || n + AUTH_QUERY_MAX >= AUTH_TEXT)
+        return err_set(e, ERR_ARG,
+                       "%.80s: no path of a server: one begins with / and has at most %d bytes",
+                       path, AUTH_TEXT - AUTH_QUERY_MAX - 1);
     enum err_code rc = auth_find_key(a, key, exp_s, now_s, &k, e);
     if (rc)
         return rc;
-    auth_mac(k, (struct auth_part){path, strlen(path)}, exp_s, sig);
+    auth_mac(k, (struct auth_part){text, n}, exp_s, sig);
     snprintf(out, AUTH_QUERY_MAX, "exp=%lld&key=%s&sig=%s", (long long)exp_s, k->name, sig);
     return ERR_OK;
 }

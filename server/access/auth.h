@@ -25,7 +25,8 @@ struct auth; /* immutable, reference-counted; any thread */
 /* Reads a file: {"keys": {"NAME": "32 characters or more"}, "tokens": [{"sha256": "64 hexadecimal
  * digits of the token", "scope": ["read:NAME", "render:NAME", "write:NAME", "admin"]}], "public":
  * ["NAME"], "max_age_s": 2592000, "session_s": 43200}. A * stands for all datasets. Close *out with
- * auth_close. ERR_IO, ERR_NOENT, ERR_FORMAT (names the member), ERR_LIMIT, ERR_MEM. */
+ * auth_close. ERR_ARG: users other than the owner and a group may read the file. ERR_IO, ERR_NOENT,
+ * ERR_FORMAT (names the member), ERR_LIMIT, ERR_MEM. */
 enum err_code auth_open(const char *path, struct auth **out, struct err *e) ERR_USE;
 /* As auth_open, from text [n]; name is for messages. */
 enum err_code auth_parse(const char *text, size_t n, const char *name, struct auth **out,
@@ -45,8 +46,8 @@ struct auth_request {
     bool names_others; /* the requested document names other addresses */
 };
 /* Checks whether a request may do `need` with dataset ds (NULL with AUTH_ADMIN). A seal or a cookie
- * opens a whole dataset for reading. A signature in the query opens one path alone, and no document
- * that names other addresses. Writing needs a token. */
+ * opens a whole dataset for reading. A signature in the query opens one path with the rest of the
+ * query alone, and no document that names other addresses. Writing needs a token. */
 enum auth_answer auth_check(const struct auth *a, enum auth_need need, const char *ds,
                             const struct auth_request *r, int64_t now_s);
 /* Checks whether a seal [n] of a signed address is valid now, whatever it opens. */
@@ -57,8 +58,9 @@ enum auth_answer auth_check_seal(const struct auth *a, const char *seal, size_t 
 enum err_code auth_sign(const struct auth *a, const char *key, enum auth_scope scope,
                         const char *ds, int64_t exp_s, int64_t now_s, char out[AUTH_SEAL_MAX],
                         struct err *e) ERR_USE;
-/* Makes the query "exp=...&key=...&sig=..." that opens one path until exp_s. ERR_ARG as auth_sign,
- * and if `path` is no path. */
+/* Makes the query "exp=...&key=...&sig=..." that opens one path, with the query that stands behind
+ * '?' in `path` and no other, until exp_s. It goes behind that query. ERR_ARG as auth_sign, and if
+ * `path` is no path. */
 enum err_code auth_sign_path(const struct auth *a, const char *key, const char *path, int64_t exp_s,
                              int64_t now_s, char out[AUTH_QUERY_MAX], struct err *e) ERR_USE;
 /* Makes the seal of a session. For *for_s it has the token's rights to read and to request

@@ -147,8 +147,8 @@ static void answer_map_document(const struct services *s, const struct request *
                                 struct body *b, struct response *out)
 {
     response_document(r, type, b, out);
-    if (out->status < 400 && !(s->cfg->public_url && *s->cfg->public_url))
-        out->vary = out->vary ? ORIGIN_VARY_ENCODED : ORIGIN_VARY;
+    if (out->status < 400)
+        out->vary = origin_vary(s, out->vary ? ORIGIN_ENCODED : ORIGIN_ALONE);
 }
 
 /* The edition that a document names in its addresses. appearance NULL: it is one of heights. False,

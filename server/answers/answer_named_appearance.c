@@ -42,7 +42,7 @@ static enum err_code answer_named_appearance_act(struct services *s, const struc
     enum err_code rc =
         o->removes ? named_appearance_remove(s->named_appearances, o->row.ds, o->row.name, &when, e)
                    : named_appearance_put(s->named_appearances, &o->row, &when, &created, e);
-    if (rc == ERR_IO || rc == ERR_FORMAT || rc == ERR_MEM)
+    if (rc && rc != ERR_DATA && rc != ERR_NOENT)
         log_error("serve", "%s of ds=%s is not %s: %s", o->row.name, o->row.ds,
                   o->removes ? "forgotten" : "kept", e->msg);
     if (rc)
@@ -99,8 +99,9 @@ static void answer_named_appearance_finish(struct job_result *result, struct res
     body_drop(&b);
     const int status = answer_named_appearance_status(result->code);
     response_problem(out, status,
-                     status == 500 ? "the change could not be written; the log says why"
-                                   : result->msg);
+                     status == 500 || strchr(result->msg, '/') /* a path */
+                         ? "the change could not be written; the log says why"
+                         : result->msg);
     out->retry_after_s = status == 503 ? 1 : 0;
 }
 

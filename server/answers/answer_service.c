@@ -80,60 +80,114 @@ void answer_service_landing(struct services *s, const struct request *r, struct 
     catalog_drop(&c);
     response_document(r, index->type, page ? page : body_ref(index->body), out);
     if (out->status < 400)
-        out->vary = "Accept, Accept-Encoding, Host, X-Forwarded-Host, X-Forwarded-Proto";
+        out->vary = origin_vary(s, ORIGIN_ACCEPTED);
 }
 
 static const double SHORT_S = 60; /* how long memory that ran out is told */
 
-/* Ready, or degraded: the file of a dataset does not give all its tiles, a reload failed, or memory
- * ran out. Still 200, because everything else is served, and taking it out would help nobody. */
-static void answer_service_state(struct services *s, const struct request *r, struct response *out)
+/* Who may learn names of files and what a driver says. */
+static bool answer_service_is_operator(const struct request *r)
 {
-    struct body *b = NULL;
-    bool degraded = false;
+    return r->admin || r->local;
+}
+
+/* Datasets whose files do not give all their tiles. */
+static void answer_service_damaged(const struct catalog *c, const struct request *r, json_t *o)
+{
     json_t *failed = json_object();
-    struct catalog *c = services_catalog(s);
     for (size_t i = 0; i < c->n; i++) {
         uint32_t n = atomic_load(&c->ds[i]->n_failed);
-        if (!n)
-            continue;
-        degraded = true;
-        json_object_set_new(failed,
-                            r->admin || permissions_is_public(r, c->ds[i]->meta.name)
-                                ? c->ds[i]->meta.name
-                                : "(not public)",
-                            json_integer(n));
+        if (n)
+            json_object_set_new(failed,
+                                r->admin || permissions_is_public(r, c->ds[i]->meta.name)
+                                    ? c->ds[i]->meta.name
+                                    : "(not public)",
+                                json_integer(n));
     }
-    catalog_drop(&c);
+    if (json_object_size(failed))
+        json_object_set_new(o, "failed", failed);
+    else
+        json_decref(failed);
+}
+
+/* Stores that are not served as they are now. */
+static void answer_service_absent(const struct catalog *c, const struct request *r, json_t *o)
+{
+    char text[96];
+    if (!c->n_absent)
+        return;
+    snprintf(text, sizeof text, "%zu not served as they are now; the log says why", c->n_absent);
+    if (!answer_service_is_operator(r)) {
+        json_object_set_new(o, "stores", json_string(text));
+        return;
+    }
+    json_t *changes = catalog_changes(NULL, c);
+    json_object_set(o, "stores", json_object_get(changes, "failed"));
+    json_decref(changes);
+}
+
+static void answer_service_pictures(const struct services *s, const struct request *r, json_t *o)
+{
+    struct worker_status drawing = {0};
+    char text[WORKER_ABOUT + 96];
+    if (s->picture)
+        picture_status(s->picture, &drawing);
+    if (drawing.state == WORKER_OFF) {
+        snprintf(text, sizeof text, "off: %s; tried again in %.0f s",
+                 answer_service_is_operator(r) ? drawing.about
+                                               : "the device did not start, the log says why",
+                 drawing.wait_s);
+        json_object_set_new(o, "pictures", json_string(text));
+    } else if (drawing.state == WORKER_AGAIN) {
+        json_object_set_new(o, "pictures",
+                            json_string("the process that draws has ended, and is started again"));
+    }
+}
+
+static void answer_service_reloaded(struct services *s, const struct request *r, json_t *o)
+{
     char why[sizeof s->reload_error];
     pthread_mutex_lock(&s->catalog_lock);
     memcpy(why, s->reload_error, sizeof why);
     pthread_mutex_unlock(&s->catalog_lock);
-    struct worker_status drawing = {0};
-    if (s->picture)
-        picture_status(s->picture, &drawing);
-    const double short_s = services_short_s(s);
-    const bool is_short = short_s >= 0 && short_s < SHORT_S;
-    degraded |= why[0] || drawing.state == WORKER_AGAIN || is_short;
-    json_t *o = degraded ? json_pack("{s:s,s:O}", "status", "degraded", "failed", failed)
-                         : json_pack("{s:s}", "status", "ready");
-    if (why[0]) /* it names files: whoever is not on this machine learns that it is so */
+    if (why[0]) /* it names files */
         json_object_set_new(o, "reload",
-                            json_string(r->local
+                            json_string(answer_service_is_operator(r)
                                             ? why
                                             : "the last reload failed, and the data from before "
                                               "it are served; the log says why"));
-    if (is_short)
+}
+
+/* Ready, or degraded, and by what: a store cannot be opened, or does not give all its tiles, a
+ * reload failed, pictures are off, or memory ran out. Still 200, because everything else is served,
+ * and taking it out would help nobody; but 503 where there is nothing to serve. */
+static void answer_service_state(struct services *s, const struct request *r, struct response *out)
+{
+    struct body *b = NULL;
+    json_t *o = json_pack("{s:s}", "status", "ready");
+    struct catalog *c = services_catalog(s);
+    const bool none = s->reload && !c->n_current;
+    answer_service_damaged(c, r, o);
+    answer_service_absent(c, r, o);
+    catalog_drop(&c);
+    answer_service_reloaded(s, r, o);
+    answer_service_pictures(s, r, o);
+    const double short_s = services_short_s(s);
+    if (short_s >= 0 && short_s < SHORT_S)
         json_object_set_new(o, "memory",
                             json_string("answers were refused because memory ran out; nothing is "
                                         "damaged: give --memory less than there is"));
-    if (drawing.state == WORKER_AGAIN)
-        json_object_set_new(o, "pictures",
-                            json_string("the process that draws has ended, and is started again"));
-    json_decref(failed);
+    if (none)
+        json_object_set_new(o, "help",
+                            json_string("no store is served: add a file NAME.tiles to what serve "
+                                        "was started with, and reload"));
+    if (json_object_size(o) > 1)
+        json_object_set_new(o, "status", json_string(none ? "empty" : "degraded"));
     if (document_make(o, &b, NULL))
         body_drop(&b);
     response_document(r, RESPONSE_JSON, b, out);
+    if (none && b)
+        out->status = 503;
 }
 
 void answer_service_ready(struct services *s, const struct request *r, struct dataset *d,
@@ -309,10 +363,53 @@ void answer_service_health(struct services *s, const struct request *r, struct d
     response_document(r, RESPONSE_JSON, body_text("{\"status\":\"ok\"}\n"), out);
 }
 
+/* ---- a reload, which waits for disks and servers: so a job does it ---- */
+
+static enum err_code answer_service_reload_act(struct services *s, const struct work *w,
+                                               struct body **out, struct err *e)
+{
+    (void)w;
+    enum err_code rc = s->reload(s->reload_user, out, e);
+    return *out ? ERR_OK : rc; /* it says by itself what failed */
+}
+
+/* 200, or 500 where something failed: whoever asked by a script sees it. */
+static void answer_service_reload_finish(struct job_result *result, struct response *out)
+{
+    struct body *b = result->body;
+    result->body = NULL;
+    if (result->end != JOB_OK) {
+        response_problem(out, 503,
+                         "the reload was not begun, or is not done yet; the log says how it goes");
+        out->retry_after_s = 1;
+        return;
+    }
+    json_t *o = json_loadb((const char *)b->data, b->size, 0, NULL);
+    const char *status = json_string_value(json_object_get(o, "status"));
+    out->status = status && !strcmp(status, "reloaded") ? 200 : 500;
+    json_decref(o);
+    out->body = b;
+    out->data = b->data;
+    out->size = b->size;
+    out->type = RESPONSE_JSON;
+}
+
+static const struct work_kind answer_service_reload_work = {
+    .noun = "reload", .act = answer_service_reload_act, .finish = answer_service_reload_finish};
+
 void answer_service_reload(struct services *s, const struct request *r, struct dataset *d,
                            const struct target *t, struct response *out)
 {
-    (void)r, (void)d, (void)t;
-    atomic_store(&s->reload_asked, true);
-    out->status = 202;
+    static _Atomic uint64_t asked;
+    static const double most_s = 600; /* a clip of a large store takes minutes */
+    const uint64_t name[2] = {atomic_fetch_add(&asked, 1), (uint64_t)(uintptr_t)s};
+    (void)r, (void)t;
+    if (!s->reload) {
+        response_problem(out, 404, "nothing is reloaded here");
+        return;
+    }
+    out->unnamed = true;
+    out->timeout_s = most_s;
+    out->cache_control = RESPONSE_NO_STORE;
+    (void)response_work(d, &answer_service_reload_work, hash_bytes(name, sizeof name), out);
 }

@@ -6,6 +6,7 @@
 #include "server/answers/answer.h"
 
 #include <jansson.h>
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 #include <time.h>
@@ -102,8 +103,16 @@ void answer_session_begin(struct services *s, const struct request *r, struct da
         response_problem(out, 400, "the body must be {\"token\": \"...\"}, or a form's token=...");
         return;
     }
+    const double wait_s = services_sign_in(s, r->client, false);
+    if (wait_s > 0) {
+        response_problem(out, 429, "too many wrong tokens came from this client");
+        out->retry_after_s = (int)ceil(wait_s);
+        return;
+    }
     const enum auth_answer answer = auth_session(r->auth, token, (int64_t)time(NULL), seal, &for_s);
     memset(token, 0, sizeof token);
+    if (!answer)
+        (void)services_sign_in(s, r->client, true);
     if (answer == AUTH_UNKNOWN) {
         response_problem(out, 404, "there are no sessions here: the file of --auth has no keys");
         return;

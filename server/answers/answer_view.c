@@ -28,7 +28,7 @@ bool answer_view_can_draw(struct services *s, struct response *out)
                  "pictures, maps and questions about the surface are off: %s; tiles are served",
                  why);
         response_problem(out, 503, text);
-        out->retry_after_s = 10;
+        out->retry_after_s = services_drawing_wait_s(s);
         return false;
     }
     struct worker_status st;

@@ -13,6 +13,7 @@
 
 #include "server/access/permissions.h"
 #include "server/answers/answer_appearance.h"
+#include "server/answers/origin.h"
 
 static bool dispatch_changes(const struct request *r)
 {
@@ -195,6 +196,12 @@ static void dispatch_route(struct services *s, struct request *r, struct respons
         response_problem(out, 403, "the operators' listener answers no pages");
         return;
     }
+    if (r->admin && !origin_is_operators(s, r)) {
+        response_problem(out, 403,
+                         "the operators' listener is not known by this name: ask it by localhost, "
+                         "an IP address, the machine's name or the host of --public-url");
+        return;
+    }
     const struct route_method *on = dispatch_method(s, r, t->route, out);
     if (!on)
         return;
@@ -249,7 +256,9 @@ static void dispatch_failed(struct services *s, const struct job_result *result,
                          : result->code == ERR_LIMIT && result->end == JOB_SHED ? 429
                                                                                 : 503,
                          dispatch_says(result));
+        const int wait_s = out->kind->traits & WORK_DRAWN ? services_drawing_wait_s(s) : 0;
         out->retry_after_s = result->retry_s ? result->retry_s : job_retry_after(s->jobs, cls);
+        out->retry_after_s = out->retry_after_s > wait_s ? out->retry_after_s : wait_s;
     } else if (result->code == ERR_DATA && out->kind->traits & WORK_JUDGES) {
         response_problem(out, 422, result->msg); /* a question without an answer */
     } else if (result->code == ERR_NOENT) {

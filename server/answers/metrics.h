@@ -18,7 +18,8 @@ struct metrics {
     struct metrics_route *route;
     size_t n_routes;
     _Atomic uint64_t response_bytes, inflight, connections, client_aborts, reaped, displaced,
-        store_errors, reload_failed, rejected, memory_short;
+        store_errors, reload_failed, rejected, memory_short, reload_good_s;
+    _Atomic bool reload_well; /* the last one; reload_good_s: the last good one, since 1970 */
 };
 extern const int metrics_codes[METRICS_CODES]; /* ended by 0, which stands for other statuses */
 extern const double metrics_bounds_s[METRICS_BUCKETS];

@@ -106,6 +106,38 @@ static void metrics_text_jobs(struct jobs *jobs, struct buf *out)
                      st.coalesced);
 }
 
+static void metrics_text_real(struct buf *out, const char *name, const char *help, double value)
+{
+    metrics_text_head(out, name, "gauge", help);
+    buf_printf(out, "citysplat_%s %.6g\n", name, value);
+}
+
+/* What an alert looks at: stores, pictures, the last reload, the certificate. */
+static void metrics_text_health(struct services *s, struct buf *out)
+{
+    struct worker_status st;
+    struct metrics *m = &s->metrics;
+    struct catalog *c = services_catalog(s);
+    size_t n_bad = c->n_absent;
+    for (size_t i = 0; i < c->n_current; i++)
+        n_bad += atomic_load(&c->ds[i]->n_failed) != 0;
+    metrics_text_one(out, "datasets", "gauge", "Datasets that are served.", c->n_current);
+    metrics_text_one(out, "stores_degraded", "gauge",
+                     "Stores that are not served as they are now, or not all of them.", n_bad);
+    catalog_drop(&c);
+    metrics_text_one(out, "pictures_on", "gauge", "1: pictures can be drawn.",
+                     s->picture && picture_status(s->picture, &st) > 0);
+    metrics_text_one(out, "last_reload_successful", "gauge",
+                     "1: the start or the last reload found nothing wrong.",
+                     atomic_load(&m->reload_well));
+    metrics_text_one(out, "last_reload_success_timestamp_seconds", "gauge",
+                     "When the server started or last reloaded without an error.",
+                     atomic_load(&m->reload_good_s));
+    if (s->tls)
+        metrics_text_real(out, "certificate_days_left", "Days until the certificate expires.",
+                          tls_days_left(s->tls));
+}
+
 /* The process that draws. */
 static void metrics_text_drawing(struct services *s, struct buf *out)
 {
@@ -206,6 +238,9 @@ enum err_code metrics_text_write(struct services *s, struct buf *out, struct err
     metrics_text_one(out, "memory_held_bytes", "gauge",
                      "Memory of the server and its drawing process that cannot be dropped.",
                      services_held_bytes(s));
+    if (s->plan.budget)
+        metrics_text_real(out, "memory_held_ratio", "Its share of --memory.",
+                          (double)services_held_bytes(s) / (double)s->plan.budget);
     metrics_text_one(out, "memory_short_total", "counter",
                      "Answers refused because memory ran out.", atomic_load(&m->memory_short));
     metrics_text_one(out, "live_bytes", "gauge",
@@ -217,6 +252,7 @@ enum err_code metrics_text_write(struct services *s, struct buf *out, struct err
         metrics_text_disk(s, out);
     if (s->jobs)
         metrics_text_jobs(s->jobs, out);
+    metrics_text_health(s, out);
     struct catalog *c = services_catalog(s);
     metrics_text_head(out, "dataset_info", "gauge", "Revisions served.");
     for (size_t i = 0; i < c->n; i++)

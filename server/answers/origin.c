@@ -7,9 +7,24 @@
 #include <stdio.h>
 #include <string.h>
 #include <strings.h>
+#include <unistd.h>
 
-const char ORIGIN_VARY[] = "Host, X-Forwarded-Host, X-Forwarded-Proto",
-           ORIGIN_VARY_ENCODED[] = "Accept-Encoding, Host, X-Forwarded-Host, X-Forwarded-Proto";
+#include "server/base/address.h"
+
+static bool origin_is_told(const struct services *s)
+{
+    return s->cfg->public_url && *s->cfg->public_url;
+}
+
+const char *origin_vary(const struct services *s, enum origin_vary also)
+{
+    static const char *const host[] =
+        {"Host, X-Forwarded-Host, X-Forwarded-Proto",
+         "Accept-Encoding, Host, X-Forwarded-Host, X-Forwarded-Proto",
+         "Accept, Accept-Encoding, Host, X-Forwarded-Host, X-Forwarded-Proto"},
+                             *const told[] = {NULL, "Accept-Encoding", "Accept, Accept-Encoding"};
+    return origin_is_told(s) ? told[also] : host[also];
+}
 
 /* A name or an address, and a port: nothing that could end the address or be markup. */
 static bool origin_is_host(const char *host)
@@ -32,25 +47,48 @@ static bool origin_begins_with_https(const char *url)
 
 bool origin_is_tls(const struct services *s, const struct request *r)
 {
-    if (s->cfg->public_url && *s->cfg->public_url)
+    if (origin_is_told(s))
         return origin_begins_with_https(s->cfg->public_url);
     if (r->trusted && r->forwarded_proto)
         return !strcasecmp(r->forwarded_proto, "https");
     return s->tls && !r->admin;
 }
 
+/* Is `host` [n] what stands in --public-url before its path? */
+static bool origin_is_public_host(const struct services *s, const char *host, size_t n)
+{
+    const char *url = origin_is_told(s) ? strstr(s->cfg->public_url, "://") : NULL;
+    return url && n && strcspn(url + 3, "/") == n && !strncasecmp(host, url + 3, n);
+}
+
 bool origin_is_own_page(const struct services *s, const struct request *r)
 {
     const char *host = r->origin ? strstr(r->origin, "://") : NULL, *own = origin_host(r);
-    const char *url = s->cfg->public_url ? strstr(s->cfg->public_url, "://") : NULL;
     if (!r->from_page)
         return true;
     if (!host)
         return false;
     host += 3;
-    const size_t n = strlen(host);
-    return (own && !strcasecmp(host, own)) ||
-           (url && !strncasecmp(host, url + 3, n) && (url[3 + n] == '/' || !url[3 + n]));
+    return origin_is_told(s) ? origin_is_public_host(s, host, strlen(host))
+                             : own && !strcasecmp(host, own);
+}
+
+bool origin_is_operators(const struct services *s, const struct request *r)
+{
+    char name[256] = "";
+    struct address a;
+    const char *host = r->host;
+    if (!host) /* HTTP/1.0, which no browser speaks */
+        return true;
+    const size_t n = strcspn(host, ":");
+    if (address_host_is_loopback(host) || address_parse(host, strlen(host), &a))
+        return true;
+    const char *url = origin_is_told(s) ? strstr(s->cfg->public_url, "://") : NULL;
+    if (url && strcspn(url + 3, ":/") == n && !strncasecmp(host, url + 3, n))
+        return true;
+    if (gethostname(name, sizeof name - 1))
+        return false;
+    return n && !strncasecmp(host, name, n) && (!name[n] || name[n] == '.');
 }
 
 /* What stands before the path of a signed address, behind `base` without its slash. "" where it
@@ -70,7 +108,7 @@ const char *origin_of(const struct services *s, const struct request *r, char ou
 {
     char base[ORIGIN_MAX];
     out[0] = '\0';
-    if (s->cfg->public_url && *s->cfg->public_url)
+    if (origin_is_told(s))
         return origin_below(s->cfg->public_url, r, out);
     if (r->proxied && !r->trusted)
         return out;

@@ -8,9 +8,10 @@
 #include "server/answers/response.h"
 
 enum { ORIGIN_MAX = 1024 };
-/* Vary for answers that depend on origin_of. */
-/* the text without Accept-Encoding, then with it */
-extern const char ORIGIN_VARY[], ORIGIN_VARY_ENCODED[];
+/* Vary for answers that depend on origin_of, and on what else. With --public-url no answer depends
+ * on the name that a client says. NULL: it depends on nothing. */
+enum origin_vary { ORIGIN_ALONE, ORIGIN_ENCODED, ORIGIN_ACCEPTED };
+const char *origin_vary(const struct services *s, enum origin_vary also);
 /* Writes the origin: --public-url, else "https://HOST/BASE" from the request, and behind it the
  * prefix of a signed address. The request gives Host and the listener's scheme; behind a trusted
  * proxy (--trusted-proxy) it gives X-Forwarded-Host and X-Forwarded-Proto if the proxy sends them.
@@ -22,9 +23,13 @@ const char *origin_of(const struct services *s, const struct request *r, char ou
 const char *origin_or_own(const struct services *s, const struct request *r, char out[ORIGIN_MAX]);
 /* Returns whether clients reach the service by TLS, as far as it is known. */
 bool origin_is_tls(const struct services *s, const struct request *r);
-/* Returns whether the page that made the request belongs to the service itself, by its Origin. True
- * if no page made it. */
+/* Returns whether the page that made the request belongs to the service itself: its Origin is that
+ * of --public-url, or without that the name that the request says. True if no page made it. */
 bool origin_is_own_page(const struct services *s, const struct request *r);
+/* Returns whether the request names the operators' listener by what no stranger can give to an
+ * address of his own: a loopback name, an IP address, the host of --public-url, or the name of this
+ * machine. A page whose own name leads to this machine (DNS rebinding) names itself. */
+bool origin_is_operators(const struct services *s, const struct request *r);
 
 /* --public-url and --base-path, each followed by the prefix of a signed address. */
 struct origin_places {

@@ -108,6 +108,7 @@ void response_free(struct response *r)
 static void response_send_problem(struct response *out, int status, const char *detail,
                                   const char *members)
 {
+    const bool kept = status == 404 && !out->unauthorized;
     struct buf b = {0};
     response_free(out);
     buf_printf(&b, "{\"type\":\"about:blank\",\"title\":\"%s\",\"status\":%d,\"detail\":\"",
@@ -120,12 +121,12 @@ static void response_send_problem(struct response *out, int status, const char *
     buf_printf(&b, "\"%s", members);
     if (out->instance) /* it holds no byte that JSON would have to escape */
         buf_printf(&b, ",\"instance\":\"%.*s\"", (int)out->n_instance, out->instance);
-    if (out->id)
+    if (out->id && !(kept && out->id_sent)) /* others would get the id of this client */
         buf_printf(&b, ",\"request_id\":\"%s\"", out->id);
     buf_printf(&b, "}\n");
     out->status = status;
     out->type = "application/problem+json";
-    out->cache_control = status == 404 && !out->unauthorized ? RESPONSE_SHORT : RESPONSE_NO_STORE;
+    out->cache_control = kept ? RESPONSE_SHORT : RESPONSE_NO_STORE;
     out->vary = out->encoding = NULL;
     out->etag[0] = out->surrogate[0] = out->hints[0] = 0;
     out->modified_s = 0;

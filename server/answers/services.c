@@ -6,6 +6,7 @@
  */
 #include "server/answers/services.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 #include <time.h>
@@ -57,8 +58,12 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
             "%d characters or more",
             cfg->metrics, TOKEN_MIN);
     }
+    enum { SIGN_IN_TRIES = 10, SIGN_IN_S = 60 };
     pthread_mutex_init(&s->catalog_lock, NULL);
+    pthread_mutex_init(&s->sign_in_lock, NULL);
     enum err_code rc = services_check_basemap(cfg->basemap, e);
+    if (!rc)
+        rc = rate_open((double)SIGN_IN_TRIES / SIGN_IN_S, SIGN_IN_S, &s->sign_in, e);
     if (!rc)
         rc = router_open(routes, n, &s->routes, e);
     if (!rc)
@@ -121,6 +126,8 @@ bool services_free(struct services *s)
     body_drop(&s->matrices);
     body_drop(&s->api);
     body_drop(&s->api_page);
+    rate_close(&s->sign_in);
+    pthread_mutex_destroy(&s->sign_in_lock);
     pthread_mutex_destroy(&s->catalog_lock);
     s->cfg = NULL;
     return true;
@@ -148,6 +155,18 @@ double services_short_s(const struct services *s)
 {
     const uint64_t at_ms = atomic_load(&s->short_ms);
     return at_ms ? clock_s() - (double)at_ms * 1e-3 : -1;
+}
+
+double services_sign_in(struct services *s, uint64_t client, bool give_back)
+{
+    double wait_s = 0;
+    pthread_mutex_lock(&s->sign_in_lock);
+    if (give_back)
+        rate_give(s->sign_in, client);
+    else
+        wait_s = rate_take(s->sign_in, client, clock_s());
+    pthread_mutex_unlock(&s->sign_in_lock);
+    return wait_s;
 }
 
 struct catalog *services_catalog(struct services *s)
@@ -184,6 +203,14 @@ void services_set_catalog(struct services *s, struct catalog *c, const char *rel
         snprintf(s->reload_error, sizeof s->reload_error, "%s", reload_error);
     pthread_mutex_unlock(&s->catalog_lock);
     catalog_drop(&was);
+}
+
+int services_drawing_wait_s(struct services *s)
+{
+    struct worker_status st = {0};
+    if (s->picture)
+        picture_status(s->picture, &st);
+    return st.state == WORKER_OFF || st.wait_s > 0 ? (int)fmax(1, ceil(st.wait_s)) : 0;
 }
 
 double services_failing_s(struct services *s)

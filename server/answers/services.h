@@ -23,6 +23,7 @@
 #include "server/http/static.h"
 #include "server/http/tls.h"
 #include "server/jobs/job.h"
+#include "server/jobs/rate.h"
 #include "server/route/router.h"
 
 struct view_streams;
@@ -48,6 +49,8 @@ struct services { /* all are shared and thread-safe */
     struct auth *auth;         /* by catalog_lock; NULL: everything is public */
     struct tls *tls;           /* NULL: the first listener has no TLS */
     struct cache_policy policy;
+    pthread_mutex_t sign_in_lock;
+    struct rate *sign_in;    /* by sign_in_lock: wrong tokens of each client */
     struct router *routes;   /* what is served */
     struct memory_plan plan; /* {0}: memory has no limit but those of the options */
     /* clock_s() of the last answer that was refused for want of memory, in ms; 0: none yet */
@@ -55,8 +58,12 @@ struct services { /* all are shared and thread-safe */
     struct metrics metrics;
     struct body *landing, *conformance, *api, *api_page,
         *matrices;                       /* documents that never change */
-    _Atomic bool draining, reload_asked; /* reload_asked: by the listener for operators */
+    _Atomic bool draining, reload_asked; /* reload_asked: a store at an address is another one */
     double start_s;
+    /* Opens the stores again, and describes in *out what changed. An error with *out: some could
+     * not be opened. NULL: a command without stores. */
+    enum err_code (*reload)(void *user, struct body **out, struct err *e);
+    void *reload_user;
     void *own; /* of a command with routes of its own (server_start_own); else NULL */
 };
 /* Makes the documents and services. plan NULL: {0}. End with services_free. cfg and routes [n], the
@@ -76,6 +83,10 @@ void services_make_room(struct services *s, size_t bytes);
 void services_note_short(struct services *s);
 /* Seconds since then; -1: it never happened. */
 double services_short_s(const struct services *s);
+/* Counts a try to sign in with a token, before the token is looked at; gives it back if the token
+ * was right. A client has ten wrong ones a minute. Returns the seconds until it may try again; 0:
+ * now. */
+double services_sign_in(struct services *s, uint64_t client, bool give_back);
 struct catalog *services_catalog(struct services *s); /* a reference */
 struct auth *services_auth(struct services *s);       /* a reference; NULL: everything is public */
 /* Takes over the rights *a, and returns the earlier rights in it. */
@@ -83,6 +94,9 @@ void services_set_auth(struct services *s, struct auth **a);
 /* Seconds since the drawing process first ended unexpectedly, of several since all of them did. 0:
  * a process is well, or has been well again for a while. */
 double services_failing_s(struct services *s);
+/* Seconds until a process that draws is started or tried again, at least 1; 0: none is waited for.
+ */
+int services_drawing_wait_s(struct services *s);
 /* Sets the catalog (its reference is taken over; NULL: keep the present one) and reload_error
  * (NULL: keep). */
 void services_set_catalog(struct services *s, struct catalog *c, const char *reload_error);

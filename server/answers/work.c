@@ -25,7 +25,7 @@ struct work *work_make(const struct work_kind *kind, struct dataset *d)
     if (!w)
         return NULL;
     w->kind = kind;
-    w->ds = dataset_ref(d);
+    w->ds = d ? dataset_ref(d) : NULL;
     return w;
 }
 
@@ -36,10 +36,7 @@ void *work_own(const struct work *w)
 
 enum err_code work_borrow(const struct work *w, struct store **s, struct err *e)
 {
-    *s = dataset_borrow(w->ds);
-    return *s ? ERR_OK
-              : err_set(e, ERR_INTERNAL, "dataset %s: fewer store handles than workers",
-                        w->ds->meta.name);
+    return dataset_borrow(w->ds, s, e);
 }
 
 /* Codecs that do not compress add to the room of the result. */

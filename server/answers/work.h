@@ -46,7 +46,7 @@ struct work_kind {
 };
 struct work { /* freed with work_drop */
     const struct work_kind *kind;
-    struct dataset *ds; /* a reference */
+    struct dataset *ds; /* a reference; NULL: it is of no dataset, and the kind has `act` */
     struct hash128 id;  /* name of the result: cache key and job id */
     bool keep;          /* keep the result in the cache */
     bool may_lack;      /* ERR_NOENT is an answer, and no failure */
@@ -54,7 +54,7 @@ struct work { /* freed with work_drop */
     struct body *made;  /* body that is written to the disk after the waiters have it; NULL: none */
     max_align_t own[];  /* parameters of the kind */
 };
-/* Makes work with zeroed parameters. NULL: out of memory. */
+/* Makes work with zeroed parameters, of dataset d or of none (NULL). NULL: out of memory. */
 struct work *work_make(const struct work_kind *kind, struct dataset *d);
 /* The parameters: set by who makes the work, before it is submitted, and then only read. */
 void *work_own(const struct work *w);
@@ -63,7 +63,7 @@ enum { WORK_ROOM_HEAD = 4096 }; /* part of work_room for head and end */
 size_t work_room(const struct work *w);
 /* Estimates the time of work, in ms, and says what learns from it: job_config.cost. */
 double work_cost(const void *work, struct cost_kind *kind);
-/* Borrows a handle of the dataset's store until dataset_return. ERR_INTERNAL. */
+/* Borrows a handle of the dataset's store until dataset_return. Errors of dataset_borrow. */
 enum err_code work_borrow(const struct work *w, struct store **s, struct err *e) ERR_USE;
 /* Has the process that draws answer a request. Errors are those of picture_make. */
 enum err_code work_draw(struct services *s, const struct job *j, const struct work *w,

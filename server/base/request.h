@@ -7,6 +7,7 @@
 
 #include <stdbool.h>
 #include <stddef.h>
+#include <stdint.h>
 
 struct auth;
 
@@ -36,6 +37,7 @@ struct request {                  /* borrowed from the connection */
     const char *referer, *agent; /* for the log */
     const char *id;              /* id of the request; NULL: none */
     bool id_sent;                /* the client or a proxy sent the id, so the answer repeats it */
+    uint64_t client;             /* number of who asks, of a POST alone: address_number */
     bool admin;                  /* it came to the listener for operators */
     const char *if_modified_since, *if_unmodified_since;
     const void *body;

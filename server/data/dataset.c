@@ -74,22 +74,17 @@ static enum err_code dataset_open_file(struct dataset *d, const struct clip *cli
     return rc;
 }
 
-static enum err_code dataset_open_stores(struct dataset *d, size_t n, struct err *e)
+/* The handle with the index of all; the others come later. */
+static enum err_code dataset_open_first(struct dataset *d, size_t n, struct err *e)
 {
     d->stores = mem_array(n, sizeof *d->stores);
     d->free_store = mem_array(n, sizeof *d->free_store);
     if (!d->stores || !d->free_store)
         return err_set(e, ERR_MEM, "out of memory for a dataset");
-    for (size_t i = 0; i < n; i++) {
-        enum err_code rc = i ? store_open_more(d->fd, d->stores[0], &d->stores[i], e)
-                             : store_open_fd(d->fd, d->path, &d->stores[i], e);
-        if (rc)
-            return rc;
-        d->n_stores++;
-        if (i)
-            d->free_store[d->n_free++] = d->stores[i];
-    }
-    return ERR_OK;
+    enum err_code rc = store_open_fd(d->fd, d->path, &d->stores[0], e);
+    d->n_most = n;
+    d->n_begun = d->n_stores = !rc;
+    return rc;
 }
 
 /* Tiles are sent in the store's default appearance: another appearance model makes other bytes of
@@ -115,7 +110,7 @@ static enum err_code dataset_open_store(struct dataset *d, size_t readers, const
 {
     enum err_code rc = dataset_open_file(d, clip, clip_dir, e);
     if (!rc)
-        rc = dataset_open_stores(d, readers + 1, e);
+        rc = dataset_open_first(d, readers + 1, e);
     if (!rc) {
         d->index = d->stores[0];
         d->meta = *store_info(d->index);
@@ -151,6 +146,21 @@ enum err_code dataset_open(const char *path, size_t readers, const struct clip *
         rc = dataset_open_store(d, readers, clip, clip_dir, e);
     if (rc)
         dataset_drop(out);
+    return rc;
+}
+
+enum err_code dataset_open_all(struct dataset *d, struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    while (!rc && d->n_begun < d->n_most) {
+        struct store **s = &d->stores[d->n_stores];
+        rc = store_open_more(d->fd, d->stores[0], s, e);
+        if (rc)
+            break;
+        d->free_store[d->n_free++] = *s;
+        d->n_stores++;
+        d->n_begun++;
+    }
     return rc;
 }
 
@@ -190,14 +200,28 @@ void dataset_drop(struct dataset **out)
     mem_free(d);
 }
 
-struct store *dataset_borrow(struct dataset *d)
+enum err_code dataset_borrow(struct dataset *d, struct store **out, struct err *e)
 {
-    struct store *s = NULL;
+    *out = NULL;
     pthread_mutex_lock(&d->lock);
     if (d->n_free)
-        s = d->free_store[--d->n_free];
+        *out = d->free_store[--d->n_free];
+    const bool more = !*out && d->n_begun < d->n_most;
+    d->n_begun += more;
     pthread_mutex_unlock(&d->lock);
-    return s;
+    if (*out)
+        return ERR_OK;
+    if (!more)
+        return err_set(e, ERR_INTERNAL, "dataset %s: fewer store handles than workers",
+                       d->meta.name);
+    enum err_code rc = store_open_more(d->fd, d->stores[0], out, e);
+    pthread_mutex_lock(&d->lock);
+    if (!rc)
+        d->stores[d->n_stores++] = *out;
+    else
+        d->n_begun--;
+    pthread_mutex_unlock(&d->lock);
+    return rc;
 }
 
 void dataset_return(struct dataset *d, struct store *s)

@@ -43,23 +43,29 @@ struct dataset { /* immutable except where a comment says otherwise; reference-c
     struct search_index *search;      /* index of its photographs */
     /* number of results that could not be read from its file: the file is damaged */
     _Atomic uint32_t n_failed;
-    pthread_mutex_t lock; /* for free_store and n_free */
+    pthread_mutex_t lock; /* for what follows */
+    /* Handles: [n_stores] that are open, [n_free] that nobody has; n_begun: with those that are
+     * being opened, of n_most. A handle is opened when it is needed, or all by dataset_open_all. */
     struct store **stores, **free_store;
-    size_t n_stores, n_free;
+    size_t n_stores, n_free, n_begun, n_most;
 };
 
-/* Opens the store at `path` with `readers` handles for worker threads. clip (may be NULL) selects a
- * part of it, which becomes a file in clip_dir that is removed with the dataset. Free *out with
- * dataset_drop. ERR_MEM, and the errors of store_open and clip_open_part. */
+/* Opens the store at `path` with at most `readers` handles for worker threads. clip (may be NULL)
+ * selects a part of it, which becomes a file in clip_dir that is removed with the dataset. Free
+ * *out with dataset_drop. ERR_MEM, and the errors of store_open and clip_open_part. */
 enum err_code dataset_open(const char *path, size_t readers, const struct clip *clip,
                            const char *clip_dir, struct dataset **out, struct err *e) ERR_USE;
+/* Opens all handles, before threads share d. Handles that are open read what is left of a file that
+ * is cut off in its place; but they take memory, and of a thousand stores few are asked for. Errors
+ * of store_open_more: ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */
+enum err_code dataset_open_all(struct dataset *d, struct err *e) ERR_USE;
 struct dataset *dataset_ref(struct dataset *d);
 void dataset_drop(struct dataset **d);
 /* Returns whether the caller has all references, `held`. No other thread can then take one. */
 bool dataset_is_last(const struct dataset *d, unsigned held);
-/* Borrows a handle for this thread until dataset_return. NULL: more threads borrow than `readers`.
- */
-struct store *dataset_borrow(struct dataset *d);
+/* Borrows a handle for this thread until dataset_return. ERR_INTERNAL: more threads borrow than
+ * `readers`. Else the errors of store_open_more. */
+enum err_code dataset_borrow(struct dataset *d, struct store **out, struct err *e) ERR_USE;
 void dataset_return(struct dataset *d, struct store *s);
 
 #endif

@@ -18,6 +18,7 @@
 #include <sqlite3.h>
 #include <stdio.h>
 #include <string.h>
+#include <sys/stat.h>
 
 enum {
     KEPT_APPLICATION_ID = 0x4353504e, /* "CSPN" */
@@ -179,6 +180,10 @@ static enum err_code named_appearance_file_connect(struct named_appearance_file 
 {
     char sql[128];
     int well = 0;
+    struct stat st;
+    /* SQLite takes an empty file for a new one, but names were lost. */
+    if (!stat(k->path, &st) && !st.st_size)
+        return named_appearance_file_fail(k, SQLITE_NOTADB, "it is empty", e);
     const int code = sqlite3_open_v2(
         k->path, &k->db, SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE | SQLITE_OPEN_NOMUTEX, NULL);
     if (code != SQLITE_OK)

@@ -1,4 +1,4 @@
-/* The datasets that are served at one moment.
+/* The datasets that are served at one moment, and the stores that are not.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -7,16 +7,25 @@
 
 #include "server/data/dataset.h"
 
+struct catalog_absent { /* a store that is asked for, and is not served as it is now */
+    char *path;         /* as it was asked for; log and documents show it by range_show */
+    char why[256];      /* begins with the path */
+    enum err_code code;
+    char name[64];           /* its dataset, which is served as it was before; "": none is */
+    double again_s, pause_s; /* by clock_s(): when it is tried again; the pause before that */
+};
 struct catalog { /* immutable, reference-counted; a reload makes a new one */
     _Atomic uint32_t refs;
-    size_t n, n_current;
+    size_t n, n_current, n_absent;
     struct dataset *
         *ds; /* [0, n_current) are current, sorted by name; then replaced revisions, latest first */
-    double *replaced_s; /* [n] when it was replaced, by clock_s(); 0: current */
+    double *replaced_s;            /* [n] when it was replaced, by clock_s(); 0: current */
+    struct catalog_absent *absent; /* [n_absent] in the order in which they were asked for */
     struct body *collections;
 };
 struct catalog_options {
     size_t readers;          /* handles for each dataset */
+    bool lazy;               /* they are opened when they are needed: there are many datasets */
     const struct clip *clip; /* this part of each store is served; NULL: all */
     /* folder for clipped stores, which are unnamed files; NULL: see clip_open_part */
     const char *clip_dir;
@@ -27,13 +36,47 @@ struct catalog_options {
     const char *basemap;    /* for the viewer's inset map, see collection_list */
     const char *basemap_attribution;
     unsigned preset; /* of tiles whose address names none: enum quant_preset */
+    double again_s;  /* the first pause of a store that is not there; it doubles up to 60 times */
 };
-/* Opens all paths. `older` (may be NULL) gives unchanged datasets and older revisions; it is not
- * changed. Free *out with catalog_drop. ERR_ARG: two datasets have the same name. Else the errors
- * of dataset_open. */
-enum err_code catalog_open(const char *const *paths, size_t n, const struct catalog_options *o,
+
+/* Where a store is asked for, and what was found there. */
+struct catalog_place {
+    const char *path;   /* borrowed */
+    bool far;           /* an address */
+    bool looked;        /* false: what the older catalog has of it stays */
+    struct dataset *ds; /* the store there, a reference; NULL: none, and `why` says why not */
+    struct err why;
+};
+/* Lists the places of stores: the arguments [n] in their order, each once, and in place of a
+ * folder its files NAME.tiles, sorted. What is strange stays in the list: catalog_look says what
+ * is wrong. Of a folder that cannot be read, the places stay that `older` (may be NULL) has of it.
+ * Paths live in the arena. *folders: how many folders are among the arguments. ERR_FORMAT: a
+ * folder is a scene. ERR_MEM. */
+enum err_code catalog_list(const char *const *args, size_t n, const struct catalog *older,
+                           struct arena *a, struct catalog_place **out, size_t *n_out,
+                           size_t *folders, struct err *e) ERR_USE;
+/* Lists the places that a catalog has, whatever is there by now. ERR_MEM. */
+enum err_code catalog_list_same(const struct catalog *c, struct arena *a,
+                                struct catalog_place **out, size_t *n_out, struct err *e) ERR_USE;
+/* Opens the store of a place, or takes it from `older` (may be NULL), where it is still the same.
+ * Threads may look at places of one list. */
+void catalog_look(struct catalog_place *p, const struct catalog_options *o,
+                  const struct catalog *older);
+/* Gives back the datasets of places that no catalog took. */
+void catalog_forget(struct catalog_place *p, size_t n);
+/* Makes a catalog of what was found at places [n], whose datasets it takes over, and of `older`
+ * (may be NULL), which is not changed: datasets of places where nothing was found now stay, and so
+ * do replaced revisions. Of two stores with one name, the one that is served stays, else the
+ * first. Free *out with catalog_drop. ERR_MEM. */
+enum err_code catalog_make(struct catalog_place *p, size_t n, const struct catalog_options *o,
                            const struct catalog *older, struct catalog **out,
                            struct err *e) ERR_USE;
+/* What `newer` has otherwise than `older` (NULL: nothing was served), as JSON: {"added": [NAME],
+ * "removed": [NAME], "replaced": [{"name", "from", "to"}], "failed": [{"store", "why"}]}. NULL: out
+ * of memory. */
+struct json_t *catalog_changes(const struct catalog *older, const struct catalog *newer);
+/* Writes the same to the log, a line each; of stores that failed those whose reason is new. */
+void catalog_log(const struct catalog *older, const struct catalog *newer);
 /* Removes revisions whose time is over: *out is a copy of c without them, or NULL if there are
  * none. ERR_MEM. */
 enum err_code catalog_expire(const struct catalog *c, const struct catalog_options *o, double now_s,

@@ -139,8 +139,9 @@
       ",'gaussians':" OPENAPI_INTEGER ",'bytes':" OPENAPI_INTEGER ",'next':" OPENAPI_TEXT "}}")    \
     X("State",                                                                                     \
       "{'type':'object','required':['status'],'properties':{'status':{'type':'string','enum':"     \
-      "['ok','ready','degraded']},'failed':{'type':'object','additionalProperties'"                \
-      ":" OPENAPI_INTEGER "},'reload':" OPENAPI_TEXT ",'pictures':" OPENAPI_TEXT "}}")             \
+      "['ok','ready','degraded','empty']},'failed':{'type':'object','additionalProperties'"        \
+      ":" OPENAPI_INTEGER "},'stores':{},'reload':" OPENAPI_TEXT ",'pictures':" OPENAPI_TEXT       \
+      ",'memory':" OPENAPI_TEXT ",'help':" OPENAPI_TEXT "}}")                                      \
     X("Version",                                                                                   \
       "{'type':'object','required':['name','version','datasets','pictures'],'properties':{'name'"  \
       ":" OPENAPI_TEXT ",'version':" OPENAPI_TEXT ",'datasets':{'type':'object',"                  \

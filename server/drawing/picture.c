@@ -97,6 +97,8 @@ enum err_code picture_start(struct picture *p, struct err *e)
                                     .ask_s = most_s,
                                     .pause_s = PAUSE_S,
                                     .pause_most_s = PAUSE_MOST_S,
+                                    .off_pause_s = cfg->again_s,
+                                    .off_pause_most_s = 60 * cfg->again_s,
                                     .steady_s = STEADY_S,
                                     .span = picture_span};
     enum err_code rc = ERR_OK;
@@ -216,7 +218,10 @@ void picture_about(struct picture *p, char *out, size_t n)
 {
     struct worker_status st;
     picture_status(p, &st);
-    snprintf(out, n, "%s", st.about);
+    if (st.state == WORKER_OFF)
+        snprintf(out, n, "the device did not start, and is tried again; the server's log says why");
+    else
+        snprintf(out, n, "%s", st.about);
 }
 
 /* Has nobody but the slots this dataset? */

@@ -13,7 +13,7 @@
 
 struct picture;
 /* STARTING: the device is not known yet. READY: it is known, even while the process is started
- * again (picture_status). */
+ * again (picture_status). OFF: it did not start yet, and is tried again. */
 enum picture_state { PICTURE_STARTING, PICTURE_READY, PICTURE_OFF };
 
 /* plan: its part of the memory; {0}: the options alone. Both are borrowed. Close *out with
@@ -25,7 +25,7 @@ enum err_code picture_start(struct picture *p, struct err *e) ERR_USE;
 void picture_stop(struct picture *p); /* gives up the pictures in work; any thread */
 void picture_close(struct picture **p);
 enum picture_state picture_state(const struct picture *p); /* any thread */
-/* Writes the device's name, or why there is none. Any thread. */
+/* Writes the device's name, or that it did not start, without the driver's words. Any thread. */
 void picture_about(struct picture *p, char *out, size_t n);
 /* State of the process that is nearest to drawing, and counts of all. Returns how many are ready.
  * Any thread. */

@@ -25,6 +25,8 @@ struct worker_config {
     double ask_s;   /* longest time for one answer; 0: no limit */
     double pause_s; /* pause before the third start; it doubles up to pause_most_s */
     double pause_most_s;
+    /* pause after a first start at which the process said that it cannot work; doubles too */
+    double off_pause_s, off_pause_most_s;
     double steady_s; /* after this time without a failure the pause starts anew */
     /* Called for what an answer says about its making, by the thread that asked; may be NULL. The
      * process may say anything, but 0 < from_s <= to_s <= now. */
@@ -33,16 +35,18 @@ struct worker_config {
 enum worker_state {
     WORKER_STARTING, /* for the first time */
     WORKER_READY,
-    WORKER_OFF,  /* at its first start it said that it cannot work; `about` says why */
+    WORKER_OFF,  /* it said that it cannot work, and never did; it is tried again after wait_s */
     WORKER_AGAIN /* it has ended, and will be started after wait_s */
 };
 struct worker_status {
     enum worker_state state;
-    char about[WORKER_ABOUT]; /* text that it sent when it got ready, kept from then on */
-    bool known;               /* it was ready once */
-    double wait_s;            /* until the next start */
-    double failing_s;         /* since its first unexpected end, until it is well again */
-    pid_t pid;                /* 0: it does not run */
+    /* text that it sent when it got ready, kept from then on; of WORKER_OFF: the first line of why,
+     * which is for those who run the server, as it may be a driver's */
+    char about[WORKER_ABOUT];
+    bool known;       /* it was ready once */
+    double wait_s;    /* until the next start */
+    double failing_s; /* since its first unexpected end, until it is well again */
+    pid_t pid;        /* 0: it does not run */
     /* kills: because it did not answer; renewals: because it held too much memory */
     uint64_t starts, crashes, kills, cancels, renewals;
     double cpu_s;        /* of all processes, as far as they reported it */
@@ -60,15 +64,14 @@ void worker_stop(struct worker *w);
 void worker_status(struct worker *w, struct worker_status *out); /* any thread */
 /* Waits until it is ready. *life is a new number after each start, because a new process knows
  * nothing of earlier messages. Only one thread at a time may call this and worker_ask. ERR_BUSY: it
- * pauses before the next start. ERR_DEVICE: it is off. ERR_CANCEL: `stop` (may be NULL) returned
- * true. */
+ * pauses before the next start, or is off. ERR_CANCEL: `stop` (may be NULL) returned true. */
 enum err_code worker_ready(struct worker *w, bool (*stop)(const void *user), const void *user,
                            uint64_t *life, struct err *e) ERR_USE;
 /* Sends a request to the process `life`, with the descriptor fd unless that is -1, and appends its
  * answer to `out`, at most `limit` bytes. If `stop` returns true, the process is told that nobody
- * wants the answer. Returns an error of the process itself, or: ERR_DEVICE: it ended during the
- * request, or was ended because it was too slow or its answer invalid. ERR_BUSY: this process has
- * ended already. ERR_CANCEL, ERR_MEM. */
+ * wants the answer. Returns an error of the process itself, or: ERR_DEVICE: the device failed,
+ * which is logged, or the process ended during the request, or was ended because it was too slow
+ * or its answer invalid. ERR_BUSY: this process has ended already. ERR_CANCEL, ERR_MEM. */
 enum err_code worker_ask(struct worker *w, uint64_t life, const void *request, size_t n, int fd,
                          size_t limit, bool (*stop)(const void *user), const void *user,
                          struct buf *out, struct err *e) ERR_USE;

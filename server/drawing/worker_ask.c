@@ -83,7 +83,10 @@ enum err_code worker_ready(struct worker *w, bool (*stop)(const void *user), con
         if (w->stopping || (stop && stop(user)))
             rc = err_set(e, ERR_CANCEL, "cancelled");
         else if (w->now.state == WORKER_OFF)
-            rc = err_set(e, ERR_DEVICE, "pictures are off: %s", w->now.about);
+            rc = err_set(e, ERR_BUSY,
+                         "pictures are off: the device did not start, and is tried again in %.0f "
+                         "s; the server's log says why",
+                         fmax(1, ceil(wait_s)));
         else if (wait_s > 0)
             rc = err_set(e, ERR_BUSY,
                          "the process that draws has ended %u times in a row; it is started again "
@@ -201,5 +204,8 @@ enum err_code worker_ask(struct worker *w, uint64_t life, const void *request, s
                        "the process that draws ended at this (%s); it is started "
                        "again",
                        said->msg);
-    return own.code ? err_set(e, own.code, "%s", own.msg) : rc;
+    if (own.code != ERR_DEVICE)
+        return own.code ? err_set(e, own.code, "%s", own.msg) : rc;
+    log_error("serve", "the device failed: %s", own.msg); /* it may hold a driver's log */
+    return err_set(e, ERR_DEVICE, "the device failed at this; the server's log says why");
 }

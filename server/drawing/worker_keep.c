@@ -6,7 +6,9 @@
  *
  * Pauses: after its first end it is started again at once, because one crash is an accident and a
  * client waits for a picture. If it was not well for steady_s before it ended again, the next start
- * is delayed, twice as long each time.
+ * is delayed, twice as long each time. A process that says at its first start that it cannot work,
+ * because there is no device or its driver fails, is tried again after longer pauses: what was
+ * missing, as room for compiled kernels or a driver that comes late, may be there by then.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -127,6 +129,7 @@ static enum err_code worker_await(struct worker *w, struct err *e)
     w->now.cpu_s = a.cpu_s;
     w->now.peak_bytes = a.peak_bytes;
     w->ready_s = clock_s();
+    w->off_pause_s = 0;
     log_info("serve", "pictures are on device=\"%s\" pid=%ld start_s=%.2f", w->now.about,
              (long)w->now.pid, w->ready_s - start_s);
     pthread_cond_broadcast(&w->changed);
@@ -225,6 +228,16 @@ static bool worker_renewed(struct worker *w)
     return renewed;
 }
 
+/* Until the next start, or until all is to stop. */
+static void worker_rest(struct worker *w)
+{
+    pthread_mutex_lock(&w->lock);
+    while (!w->stopping && clock_s() < w->again_s)
+        worker_wait(w, w->again_s - clock_s());
+    w->again_s = 0;
+    pthread_mutex_unlock(&w->lock);
+}
+
 /* It has ended unasked: when is the next start? */
 static void worker_pause(struct worker *w, const char *how, const struct err *e)
 {
@@ -243,36 +256,40 @@ static void worker_pause(struct worker *w, const char *how, const struct err *e)
     log_error("serve", "the process that draws %s%s%s; tiles are served, it is started again%s",
               how, e->code ? " before it was ready: " : "", e->code ? e->msg : "",
               pause_s > 0 ? " after a pause" : "");
-    pthread_mutex_lock(&w->lock);
-    while (!w->stopping && clock_s() < w->again_s)
-        worker_wait(w, w->again_s - clock_s());
-    w->again_s = 0;
-    pthread_mutex_unlock(&w->lock);
+    worker_rest(w);
 }
 
+/* It cannot work: when is it tried again? */
 static void worker_off(struct worker *w, const char *why)
 {
-    log_warn("serve", "pictures are off, tiles are served: %s", why);
     pthread_mutex_lock(&w->lock);
-    snprintf(w->now.about, sizeof w->now.about, "%.*s", WORKER_ABOUT - 1, why);
+    const double now_s = clock_s();
+    w->off_pause_s =
+        w->off_pause_s > 0 ? fmin(2 * w->off_pause_s, w->cfg.off_pause_most_s) : w->cfg.off_pause_s;
+    w->failing_since_s = w->failing_since_s > 0 ? w->failing_since_s : now_s;
+    w->again_s = now_s + w->off_pause_s;
+    snprintf(w->now.about, sizeof w->now.about, "%.*s",
+             (int)fmin(WORKER_ABOUT - 1, (double)strcspn(why, "\n")), why);
     w->now.state = WORKER_OFF;
     pthread_cond_broadcast(&w->changed);
     pthread_mutex_unlock(&w->lock);
+    log_warn("serve", "pictures are off, tiles are served; tried again in %.0f s: %s",
+             w->off_pause_s, why);
+    worker_rest(w);
 }
 
 void worker_keep(void *user)
 {
     struct worker *w = user;
     char how[128];
-    bool off = false;
-    while (!off && !worker_stopping(w)) {
+    while (!worker_stopping(w)) {
         struct err e = {0};
         enum err_code rc = worker_begin(w, &e);
         if (!rc)
             rc = worker_await(w, &e);
         if (!rc)
             worker_attend(w);
-        off = rc == ERR_DEVICE && !w->now.known; /* a device that was there may come back */
+        const bool off = rc == ERR_DEVICE && !w->now.known; /* one that was there comes back soon */
         worker_end(w, how);
         if (off)
             worker_off(w, e.msg);

@@ -29,6 +29,7 @@ struct worker {
     double failing_since_s;  /* 0: all is well */
     double again_s;          /* earliest time of the next start */
     unsigned failures;       /* in a row */
+    double off_pause_s;      /* the last pause of WORKER_OFF; 0: none since it was ready */
     double cpu_s;            /* of earlier processes */
 };
 

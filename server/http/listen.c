@@ -19,9 +19,9 @@ static enum err_code listen_failed(const char *address, int port, const char *op
 {
     if (errno == EADDRINUSE)
         return err_set(e, ERR_BUSY,
-                       "port %d of %s is in use by another program: choose one with %s, or port 0 "
-                       "for any free one",
-                       port, address, option);
+                       "port %d of %s is in use by another program, which `ss -ltnp sport = :%d` "
+                       "names: stop that one, or choose another port with %s (0: any free one)",
+                       port, address, port, option);
     if (errno == EACCES)
         return err_set(e, ERR_IO,
                        "port %d: only root may listen below 1024: choose another with %s", port,
@@ -87,7 +87,7 @@ enum err_code listen_open_at(const char *text, const char *option, int *fd, uint
     if (!n || n >= sizeof address || !colon[1] || colon[1 + strspn(colon + 1, "0123456789")] ||
         strlen(colon + 1) > 5 || atoi(colon + 1) > 65535)
         return err_set(e, ERR_ARG,
-                       "%s %.80s: an address and a port, as 127.0.0.1:9090 or [::1]:9090", option,
+                       "%s %.80s: an address and a port, as 127.0.0.1:8078 or [::1]:8078", option,
                        text);
     memcpy(address, from, n);
     address[n] = '\0';

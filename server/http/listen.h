@@ -13,7 +13,7 @@
  * what to do), ERR_IO. */
 enum err_code listen_open(const char *address, int port, const char *option, int *fd,
                           uint16_t *taken, struct err *e) ERR_USE;
-/* As listen_open, for "ADDR:PORT" or "[::1]:9090". */
+/* As listen_open, for "ADDR:PORT" or "[::1]:8078". */
 enum err_code listen_open_at(const char *text, const char *option, int *fd, uint16_t *taken,
                              struct err *e) ERR_USE;
 /* Takes over a socket on which a supervisor listens. ERR_ARG: it does not accept connections. */

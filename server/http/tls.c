@@ -14,7 +14,6 @@
 #include <pthread.h>
 #include <stdio.h>
 #include <string.h>
-#include <sys/stat.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -39,20 +38,6 @@ struct tls {
 };
 
 /* ---- files ---- */
-
-/* Who may read the key may be this server: it is for its owner, and at most a group. */
-static enum err_code tls_check_key(const char *path, struct err *e)
-{
-    struct stat st;
-    if (stat(path, &st) != 0)
-        return err_errno(e, errno == ENOENT ? ERR_NOENT : ERR_IO, "--tls-key %s", path);
-    if (st.st_mode & (S_IWGRP | S_IRWXO))
-        return err_set(e, ERR_ARG,
-                       "--tls-key %s: others may read or change it: chmod 600 it, or 640 for a "
-                       "group",
-                       path);
-    return ERR_OK;
-}
 
 static enum err_code tls_gnutls(int rc, enum err_code code, const char *option, const char *path,
                                 struct err *e)
@@ -141,8 +126,8 @@ enum err_code tls_read(const struct tls *t, struct tls_pair **pair, struct err *
 {
     struct buf cert = {0}, key = {0};
     struct tls_pair *p = *pair = mem_array(1, sizeof *p);
-    enum err_code rc =
-        p ? tls_check_key(t->key_path, e) : err_set(e, ERR_MEM, "tls: out of memory");
+    enum err_code rc = p ? file_check_secret(t->key_path, "--tls-key", e)
+                         : err_set(e, ERR_MEM, "tls: out of memory");
     if (!rc)
         rc = file_read(t->cert_path, TLS_FILE_MAX, &cert, e);
     if (!rc)
@@ -223,6 +208,14 @@ void tls_close(struct tls **out)
     mem_free(t->cert_path);
     mem_free(t->key_path);
     mem_free(t);
+}
+
+double tls_days_left(struct tls *t)
+{
+    pthread_mutex_lock(&t->lock);
+    const double left_s = difftime(t->now->until, time(NULL));
+    pthread_mutex_unlock(&t->lock);
+    return left_s / 86400;
 }
 
 void tls_about(struct tls *t, char *out, size_t room)

@@ -28,6 +28,8 @@ void tls_close(struct tls **t);
 enum err_code tls_read(const struct tls *t, struct tls_pair **pair, struct err *e) ERR_USE;
 void tls_use(struct tls *t, struct tls_pair **pair);
 void tls_discard(struct tls_pair **pair);
+/* Days until the certificate expires; negative: it has. */
+double tls_days_left(struct tls *t);
 /* Writes one line about the certificate: its name and its last day. */
 void tls_about(struct tls *t, char *out, size_t room);
 

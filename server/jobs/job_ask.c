@@ -128,6 +128,7 @@ static struct job *job_find_or_add(struct jobs *js, enum job_class cls, struct h
     const struct failure *f = failure_find(&js->failures, id, now_s);
     if (f) {
         job_refuse(w, JOB_ERROR, f->code, f->msg);
+        w->result.retry_s = job_seconds(f->until_s - now_s);
         return NULL;
     }
     const double expected_ms = js->cfg.cost ? js->cfg.cost(*work, &kind) : 1;

@@ -116,6 +116,9 @@ fi
 
 # -- tile stores and splats --------------------------------------------------------------------------------------
 refuse "not a tile store" 65 "$work/file" "" "$bin" serve "$work/file" --port 0 -q
+mkfifo "$work/pipe.tiles"
+refuse "a pipe as a store" 65 "pipe.tiles: no file" "" timeout 20 "$bin" serve "$work/pipe.tiles" --port 0 -q
+refuse "a pipe for info" 1 "pipe.tiles: no file, but a pipe" "" timeout 20 "$bin" info "$work/pipe.tiles"
 refuse "no tile store" 66 "nothing.tiles" "" "$bin" serve "$work/nothing.tiles" --port 0 -q
 printf 'ply\nformat binary_little_endian 1.0\nelement vertex 4294967295\nproperty float x\nend_header\n' >"$work/huge.ply"
 refuse "a .ply that lies about its size" 1 "huge.ply" "$work/huge.tiles" \

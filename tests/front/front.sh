@@ -45,7 +45,7 @@ serve() { # NUMBER PORT [OPTIONS]: starts a server of $store, else of $work/toy.
         >"$work/$i.out" 2>>"$work/$i.log" &
     pids[i]=$!
     for k in $(seq 100); do
-        ports[i]=$(sed -n 's|.*http://[^:]*:\([0-9]*\)/.*|\1|p' "$work/$i.out")
+        ports[i]=$(sed -n 's|.*https*://[^:]*:\([0-9]*\)/.*|\1|p' "$work/$i.out")
         [ -z "${ports[i]}" ] || return 0
         kill -0 "${pids[i]}" 2>/dev/null || break
         sleep 0.05
@@ -57,10 +57,10 @@ free_port() { # a port that is free now
     perl -MIO::Socket::INET -e 'print IO::Socket::INET->new(Listen => 1, LocalAddr => "127.0.0.1")->sockport'
 }
 
-await() { # URL: answers at all, within five seconds
+await() { # URL [CURL OPTIONS]: answers at all, within five seconds
     local k
     for k in $(seq 100); do
-        curl -s -o /dev/null --max-time 1 "$1" && return 0
+        curl -s -o /dev/null --max-time 1 "$@" && return 0
         sleep 0.05
     done
     return 1
@@ -117,19 +117,28 @@ check_first_tile() { # through the cache at $url; leaves its path in $tile
 
 "$city" "$work/toy.tiles" || exit 1
 
-# nginx on 127.0.0.1:$front with a file of configs/ without TLS, its ports and folders changed by options of sed. $url is
-# its address, pids[4] its process.
+# nginx on 127.0.0.1:$front with a file of configs/, its ports and folders changed by options of sed. $url is its address,
+# pids[4] its process. With $site the file keeps TLS, and $url is https://$site:$front, for curl with "${known[@]}"; else it
+# speaks HTTP, and answers to 127.0.0.1 as well. $under: a command that runs it.
+site= known=() under=()
 front_nginx() { # FILE WORKERS SED-OPTION...
     local file=$1 workers=$2 d
     shift 2
     front=$(free_port) url=http://127.0.0.1:$front
     mkdir -p "$work/nginx/logs" "$work/nginx/cache"
+    if [ -n "$site" ]; then
+        front_certificate
+        set -- -e "s|listen 443 |listen 127.0.0.1:$front |" -e "s|/etc/ssl|$work|" "$@"
+        url=https://$site:$front known=(--cacert "$work/splats.pem" --resolve "$site:$front:127.0.0.1")
+    else
+        set -- -e "s|listen 443 ssl http2\(.*\);|listen 127.0.0.1:$front\1;|" -e '/ssl_/d' -e 's|server_name.*example.org|& 127.0.0.1|' "$@"
+    fi
     {
         [ "$(id -u)" != 0 ] || echo 'user root;' # the folder is its own alone
         printf 'daemon off;\nworker_processes %s;\npid %s/nginx/pid;\nerror_log %s/nginx/error.log;\n' "$workers" "$work" "$work"
         printf 'events { worker_connections 512; }\nhttp {\n'
         for d in client_body proxy fastcgi uwsgi scgi; do printf '%s_temp_path %s/nginx/%s;\n' $d "$work" $d; done
-        sed -e "s|listen 443 ssl http2;|listen 127.0.0.1:$front;|" -e '/ssl_certificate/d' "$@" "$root/configs/$file"
+        sed "$@" "$root/configs/$file"
         printf '}\n'
     } >"$work/nginx.conf"
     PATH=$PATH:/usr/sbin
@@ -137,9 +146,17 @@ front_nginx() { # FILE WORKERS SED-OPTION...
         cat "$work/nginx/test"
         exit 1
     fi
-    nginx -p "$work/nginx" -c "$work/nginx.conf" &
+    front_nginx_start
+}
+front_nginx_start() {
+    "${under[@]}" nginx -p "$work/nginx" -c "$work/nginx.conf" &
     pids[4]=$!
-    check 'nginx answers' await "$url/healthz"
+    check 'nginx answers' await "$url/healthz" "${known[@]}"
+}
+front_certificate() { # of $site, in splats.pem and splats.key
+    [ -e "$work/splats.pem" ] || openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 2 -subj "/CN=$site" \
+        -addext "subjectAltName=DNS:$site" -keyout "$work/splats.key" -out "$work/splats.pem" 2>"$work/openssl.log" ||
+        { cat "$work/openssl.log"; exit 1; }
 }
 
 # nginx with the files of $work/far, as a store at an address is read. $far is its address, pids[8] its process, far/log its log.

@@ -57,5 +57,5 @@ sleep 2.2
 check 'no server left: tiles' is "$(status "$url$tile")" 200
 check 'no server left: what moves' is "$(status "$url$moving")" 200
 check 'no server left: it is stale' is "$(header "$url$moving" X-Cache)" STALE
-check 'no server left: what nobody had' is "$(status "$url/d/toy/map.json")" 502
+check 'no server left: what nobody had' is "$(status "$url/d/toy/map.json")" 503
 exit $failed

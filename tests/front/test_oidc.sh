@@ -12,6 +12,7 @@ need node nodejs
 own=a-token-of-nginx-alone
 sha=$(printf %s $own | sha256sum | cut -d' ' -f1)
 echo "{\"keys\": {\"k\": \"a key of this test alone, 32 characters\"}, \"tokens\": [{\"sha256\": \"$sha\", \"scope\": [\"read:toy\", \"render:toy\"]}]}" >"$work/auth.jsonc"
+chmod 600 "$work/auth.jsonc"
 serve 1 0 --auth "$work/auth.jsonc"
 mkdir -p "$work/id"
 node "$(dirname "$0")/identity.mjs" "$work/id" &
@@ -37,10 +38,12 @@ check 'the page to sign in' is "$(curl -s "$url/oauth2/start")" 'sign in here'
 
 signed=$("$bin" sign toy --auth "$work/auth.jsonc" --url "$url") || exit 1
 check 'a signed address needs no token' is "$(status "$signed${there#/}")" 200
-check 'its maps lie below it, by https' is "$(curl -s "${signed}d/toy/map.json" -H 'Host: maps.example' | grep -c "\"https://maps.example/signed/k")" 1
+check 'its maps lie below it, by https' is "$(curl -s "${signed}d/toy/map.json" -H 'Host: splats.example.org' | grep -c "\"https://splats.example.org/signed/k")" 1
 check 'seed' "$bin" seed "${signed}d/toy" --rate 1000
 check 'another signature' is "$(status "${signed%/}x/d/toy/tileset.json")" 403
 sleep 0.3
+check 'another name gets nothing' is "$(status -H 'Host: evil.example' "$signed${there#/}"; status --request-target "http://evil.example/signed/${signed##*/signed/}${there#/}" "$url/")" 000000
+check "a client's X-Forwarded-Host goes no further" is "$(curl -s "${signed}d/toy/map.json" -H 'X-Forwarded-Host: evil.example' | grep -c evil)" 0
 check 'logs of nginx have no signature' is "$(grep -c "${signed##*.}" "$work/nginx/citysplat.log")" 0
 check 'they have the requests' at_least "$(grep -c 'GET /signed/-' "$work/nginx/citysplat.log")" 3
 check 'a cookie goes by TLS alone' is "$(curl -s -D - -o /dev/null -d "token=$own" -H 'X-Forwarded-Proto: https' "http://127.0.0.1:${ports[1]}/session" | grep -ci '^set-cookie: citysplat=.*; Secure')" 1

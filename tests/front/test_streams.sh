@@ -33,7 +33,7 @@ mkdir -p "$work/nginx/logs" "$work/nginx/cache"
     printf 'daemon off;\nworker_processes 1;\npid %s/nginx/pid;\nerror_log %s/nginx/error.log;\n' "$work" "$work"
     printf 'events { worker_connections 512; }\nhttp {\naccess_log off;\n'
     for d in client_body proxy fastcgi uwsgi scgi; do printf '%s_temp_path %s/nginx/%s;\n' $d "$work" $d; done
-    sed -e "s|listen 443 ssl http2;|listen 127.0.0.1:$nginx_port;|" -e '/ssl_certificate/d' \
+    sed -e "s|listen 443 ssl http2\(.*\);|listen 127.0.0.1:$nginx_port\1;|" -e '/ssl_/d' -e 's|server_name.*example.org|& 127.0.0.1|' \
         -e "s|server 127.0.0.1:8080;|server 127.0.0.1:${ports[1]}; server 127.0.0.1:${ports[2]};|" \
         -e "s|/var/cache/nginx/citysplat|$work/nginx/cache|" "$root/configs/nginx.conf"
     printf '}\n'

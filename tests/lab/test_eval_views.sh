@@ -8,7 +8,7 @@
 lab eval-views scene city/map-views -o levels.json --pictures out
 grep -q "overview" log && grep -q "^level 2 *all  *8 " log || fail "rows of the finest level"
 [ "$(ls out/level_2 | wc -l)" = 8 ] || fail "pictures of 8 views"
-for key in psnr_db ssim gmsd square_psnr_db depth_median depth_95 depth_above_2pct halo fog gaps haze veil; do
+for key in psnr_db bright_psnr_db ssim gmsd square_psnr_db bright_square_psnr_db depth_median depth_95 depth_above_2pct halo fog gaps haze veil; do
     grep -q "\"$key\": [0-9]" levels.json || fail "$key in the JSON"
 done
 lab eval-views scene city/map-views --tiles t.tiles --max-edge-px 96

@@ -392,7 +392,7 @@ static void sums_say_halo_haze_and_depth(void **state)
     for (size_t i = 0; i < N; i++) {
         mask[i] = i < 100 ? 0 : i < 200 ? 128 : 255;
         depth[i] = i < 50 ? 0.0f : 100.0f;
-        left[i] = i < 100 ? 0.75f : 0.0f;
+        left[i] = i < 100 ? 0.75f : i < 200 ? 0.0f : 0.1f;
         median[i] = i < 100 ? 20.0f : 101.0f; /* 1 % behind */
         px[3 * i] = px[3 * i + 1] = px[3 * i + 2] = 128;
         for (size_t c = 0; c < 3; c++)
@@ -413,13 +413,18 @@ static void sums_say_halo_haze_and_depth(void **state)
     }
     kit_ok(map_sums_add(&s, &t, &d, &e), e);
     struct map_score m = map_sums_score(&s);
-    const double got[] = {m.halo,        m.haze,    m.veil,      m.depth_median, m.depth_95,
-                          m.depth_above, m.psnr_db, m.supported, m.unobserved,   m.gaps};
-    const double want[] = {0.25, 0.1, 0.25, 0.01, 0.04, 0.1, 20.0, 0.8 / 1.1, 0.1 / 1.1, 0.9};
+    double more[3] = MAP_VIEWS_BRIGHT, mse = 0.0; /* a tenth of it shines through, 0.1 off before */
+    for (int c = 0; c < 3; c++)
+        mse += (0.1 + 0.1 * more[c]) * (0.1 + 0.1 * more[c]) / 3.0;
+    const double got[] = {m.halo,       m.haze,        m.veil,          m.depth_median,
+                          m.depth_95,   m.depth_above, m.psnr_db,       m.supported,
+                          m.unobserved, m.gaps,        m.bright_psnr_db};
+    const double want[] = {
+        0.25, 0.1, 0.25, 0.01, 0.04, 0.1, 20.0, 0.8 / 1.1, 0.1 / 1.1, 0.9, -10.0 * log10(mse)};
     kit_near_d("measures", got, want, sizeof got / sizeof *got, 0.0, 1e-4);
     assert_int_equal(m.n_supported, 1);
     assert_int_equal(m.n_square, 0);
-    assert_true(isnan(m.square_psnr_db));
+    assert_true(isnan(m.square_psnr_db) && isnan(m.bright_square_psnr_db));
     map_sums_free(&s);
 }
 

@@ -21,6 +21,7 @@ node "$here/city.mjs" "$work" || exit 1
 "$bin" dsm -q "$work/city.tiles" -o "$work/dsm.tif" --gsd-m 0.25 || exit 1
 # The city is private: QGIS has one signed address, and sends nothing else.
 echo '{"keys": {"k": "a key of this test alone, 32 characters"}}' >"$work/auth.jsonc"
+chmod 600 "$work/auth.jsonc"
 "$bin" serve "$work/city.tiles" --auth "$work/auth.jsonc" --port 0 --no-access-log >"$work/out" 2>"$work/log" &
 server=$!
 for _ in $(seq 200); do

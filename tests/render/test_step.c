@@ -110,18 +110,18 @@ static void check_adam(bool with_extra, int sh_degree, uint32_t width)
         m[i] = (double)was[i];
     kit_ok(dev_buffer(d, words * sizeof *raw, NULL, &grads, &e), e);
     if (with_extra) {
-        for (size_t i = 0; i < (size_t)t.m.groups * 112; i++)
+        for (size_t i = 0; i < (size_t)t.m.groups * 48; i++)
             raw[i] = (float)(0.01 * rng_normal(1, 3, i));
-        kit_ok(dev_buffer(d, (size_t)t.m.groups * 112 * sizeof *raw, raw, &t.adam.extra_grad, &e),
+        kit_ok(dev_buffer(d, (size_t)t.m.groups * 48 * sizeof *raw, raw, &t.adam.extra_grad, &e),
                e);
     }
     for (t.adam.step = 0; t.adam.step < 4;) {
-        float *extra = with_extra ? floats_read(t.adam.extra_grad, (size_t)t.m.groups * 112) : NULL;
+        float *extra = with_extra ? floats_read(t.adam.extra_grad, (size_t)t.m.groups * 48) : NULL;
         kernel_forward(t.r, &s, &t.m);
         d->vector_width = width ? width : own;
         kit_ok(render_backward(t.r, &t.m, grads, &e), e);
         float *g = floats_read(grads, words);
-        const size_t first = 3, planes = 7; /* sizes and rotation */
+        const size_t first = 3, planes = 3; /* sizes */
         for (size_t i = 0; extra && i < words; i++) {
             size_t plane = i / 16 % t.m.planes;
             if (plane >= first && plane < first + planes)

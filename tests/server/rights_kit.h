@@ -9,6 +9,7 @@
 
 #include <nettle/base16.h>
 #include <nettle/sha2.h>
+#include <sys/stat.h>
 
 #define TOKEN "a-token-that-nobody-guesses"
 #define KEY "0123456789abcdef0123456789abcdef"
@@ -20,6 +21,7 @@ static inline const char *rights_put(const char *name, const char *text, char ou
     struct err e = {0};
     kit_ok(file_join(out, t.dir, name, &e), e);
     kit_ok(file_write(out, text, strlen(text), &e), e);
+    assert_int_equal(chmod(out, 0640), 0);
     return out;
 }
 

@@ -53,7 +53,7 @@ static inline int setup(void **state)
     kit_ok(services_open(&t.s, &t.cfg, NULL, ROUTES, ROUTES_COUNT, &e), e);
     t.s.url = "http://127.0.0.1:8080/";
     const char *paths[] = {t.path};
-    kit_ok(catalog_open(paths, 1, &served_stores, NULL, &t.s.catalog, &e), e);
+    t.s.catalog = served_catalog(paths, 1, &served_stores, NULL);
     kit_ok(static_load(t.web, &t.s.web, &e), e);
     const struct job_config jobs = {.queue_limit = {1, 1, 1}, .run = no_run, .drop = work_drop};
     kit_ok(job_open(&jobs, &t.s.jobs, &e), e);

@@ -70,6 +70,25 @@ static inline void served_city(const char *path, const char *name, size_t n)
 static const struct catalog_options served_stores = {
     .readers = 1, .keep_s = 86400, .keep_revisions = 8};
 
+/* A catalog of the stores at these paths and of `older`: what cannot be opened is in its list of
+ * what is absent. */
+static inline struct catalog *served_catalog(const char *const *paths, size_t n,
+                                             const struct catalog_options *o,
+                                             const struct catalog *older)
+{
+    struct err e = {0};
+    struct arena arena = {0};
+    struct catalog_place *place = NULL;
+    struct catalog *c = NULL;
+    size_t n_places = 0, folders;
+    kit_ok(catalog_list(paths, n, older, &arena, &place, &n_places, &folders, &e), e);
+    for (size_t i = 0; i < n_places; i++)
+        catalog_look(&place[i], o, older);
+    kit_ok(catalog_make(place, n_places, o, older, &c, &e), e);
+    arena_free(&arena);
+    return c;
+}
+
 /* Number of tiles, polygons and lists that ended in this way, quick and slow ones (JOB_SLOW)
  * together: which of the two a job is depends on the machine. */
 static inline uint64_t served_tiles(const struct job_stats *st, enum job_end end)

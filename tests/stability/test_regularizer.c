@@ -77,7 +77,7 @@ static struct train_config plain_config(struct arena *a, int64_t steps)
     c.reset_interval = 1000000000;
     c.scale_weight = 0.0;
     /* they fade floaters as well */
-    c.solid_spread = c.solid_bend = c.solid_light = c.solid_flat = c.solid_rim = 0.0;
+    c.solid_spread = c.solid_light = c.solid_flat = 0.0;
     return c;
 }
 

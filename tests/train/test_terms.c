@@ -55,13 +55,13 @@ static void toy_close(void *own)
 
 static enum err_code toy_run(void *own, const struct term_step *s, struct err *e)
 {
-    float v[GROUPS * LAYOUT_PLANES_SHAPE * LAYOUT_LANES] = {0};
+    float v[GROUPS * LAYOUT_PLANES_SCALE * LAYOUT_LANES] = {0};
     enum err_code rc = s->fresh ? ERR_OK : dev_read(s->model->dev, s->extra, 0, sizeof v, v, e);
     assert_non_null(own);
     note("toy", s->fresh);
     for (size_t g = 0; g < GROUPS; g++)
         for (size_t lane = 0; lane < LAYOUT_LANES; lane++)
-            v[g * LAYOUT_PLANES_SHAPE * LAYOUT_LANES + lane] +=
+            v[g * LAYOUT_PLANES_SCALE * LAYOUT_LANES + lane] +=
                 (float)s->gallery->cfg->scale_weight;
     return rc ? rc : dev_write(s->model->dev, s->extra, 0, sizeof v, v, e);
 }
@@ -131,7 +131,7 @@ static void a_row_is_a_term(void **state)
     kit_ok(terms_backward(terms, &s, &e), e);
     expect_calls(all, sizeof all / sizeof *all);
     assert_true(seen.fresh[1] && !seen.fresh[2]); /* the second adds to what the first wrote */
-    float *got = floats_read(model.adam.extra_grad, (size_t)LAYOUT_PLANES_SHAPE * LAYOUT_LANES);
+    float *got = floats_read(model.adam.extra_grad, (size_t)LAYOUT_PLANES_SCALE * LAYOUT_LANES);
     assert_true(got[0] == 1.0f && got[LAYOUT_LANES] == 0.0f);
     mem_free(got);
     /* Before they act, and with options that do not want them, nothing is run or opened. */

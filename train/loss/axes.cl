@@ -4,7 +4,6 @@
 #define AXES_AHEAD 8
 #define LIMITED 1 // enum ground_part
 #define FLAT 2
-#define LEVEL 4
 
 struct ground { // grid of parts, uchar [ny][nx]; nx 0: there is none
     float corner_x, corner_y, per_m;
@@ -22,7 +21,7 @@ inline uint axes_group(__global const float *params, uint group, uint groups, ui
                        __global const uint *list, uint listed)
 {
     uint next = min(group + AXES_AHEAD, groups - 1), ahead = listed ? list[next] : next;
-    for (uint k = 0; k < LAYOUT_PLANES_SHAPE; k++)
+    for (uint k = 0; k < LAYOUT_PLANES_SCALE; k++)
         PREFETCH(params + group_at(ahead, planes) + (LAYOUT_PLANE_SCALE + k) * LAYOUT_LANES);
     return listed ? list[group] : group;
 }

@@ -1,4 +1,4 @@
-/* Gaussians are flat, and at the rim they lie level: one launch, and the reference.
+/* Gaussians are flat: one launch, and the reference.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -56,7 +56,7 @@ enum err_code flat_loss_open(struct dev *dev, struct flat_loss **out, struct err
     return rc;
 }
 
-/* Arguments 4 to 9: where the terms hold. */
+/* Arguments 4 to 9: where the term holds. */
 static enum err_code flat_set_ground(struct flat_loss *s, const struct render_model *m,
                                      const struct ground_parts *g, cl_int *bad, struct err *e)
 {
@@ -84,9 +84,8 @@ enum err_code flat_loss_run(struct flat_loss *s, const struct render_model *m,
     cl_uint is_fresh = fresh, n = m->n, planes = m->planes, groups = m->groups;
     cl_uint listed = m->list != NULL;
     cl_mem params = m->params, list = m->list ? m->list : m->params; /* not read without */
-    cl_float flat = n ? (cl_float)(in->flat_weight / n) : 0.0f,
-             per_flat = in->flat_weight > 0.0 ? (cl_float)(1.0 / in->flat_m) : 0.0f,
-             level = n ? (cl_float)(in->level_weight / n) : 0.0f;
+    cl_float flat = n ? (cl_float)(in->weight / n) : 0.0f,
+             per_flat = in->weight > 0.0 ? (cl_float)(1.0 / in->flat_m) : 0.0f;
     cl_int bad = CL_SUCCESS;
     enum err_code rc = flat_set_ground(s, m, in->ground, &bad, e);
     if (rc)
@@ -96,12 +95,11 @@ enum err_code flat_loss_run(struct flat_loss *s, const struct render_model *m,
     bad |= dev_arg(s->grad, 2, planes);
     bad |= dev_arg(s->grad, 3, groups);
     bad |= dev_arg(s->grad, 10, per_flat);
-    bad |= dev_arg(s->grad, 11, level);
-    bad |= dev_arg(s->grad, 12, flat);
-    bad |= dev_arg(s->grad, 13, is_fresh);
-    bad |= dev_arg(s->grad, 14, extra);
-    bad |= dev_arg(s->grad, 15, list);
-    bad |= dev_arg(s->grad, 16, listed);
+    bad |= dev_arg(s->grad, 11, flat);
+    bad |= dev_arg(s->grad, 12, is_fresh);
+    bad |= dev_arg(s->grad, 13, extra);
+    bad |= dev_arg(s->grad, 14, list);
+    bad |= dev_arg(s->grad, 15, listed);
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "flat_loss: arguments: %s", dev_error_name(bad));
     size_t local = s->wide ? 1 : LAYOUT_SCALE_ITEMS;
@@ -112,12 +110,6 @@ enum err_code flat_loss_run(struct flat_loss *s, const struct render_model *m,
 
 /* ---- the reference ---- */
 
-static bool flat_lies_on(const struct flat_loss_input *in, const double *mean,
-                         enum ground_part part)
-{
-    return in->ground && mean ? ground_parts_has(in->ground, mean, part) : part == GROUND_PART_FLAT;
-}
-
 static int flat_least(const double *scale_log)
 {
     int least = 0;
@@ -127,44 +119,21 @@ static int flat_least(const double *scale_log)
     return least;
 }
 
-/* n_z of the least axis and its derivatives on the rotation. */
-static double flat_upright(const double *q, int least, double d[4])
-{
-    double w = q[0], x = q[1], y = q[2], z = q[3], per = 1.0 / (w * w + x * x + y * y + z * z);
-    const double up[3] = {2.0 * (x * z - w * y), 2.0 * (y * z + w * x),
-                          w * w - x * x - y * y + z * z};
-    const double of[3][4] = {{-2.0 * y, 2.0 * z, -2.0 * w, 2.0 * x},
-                             {2.0 * x, 2.0 * w, 2.0 * z, 2.0 * y},
-                             {2.0 * w, -2.0 * x, -2.0 * y, 2.0 * z}};
-    double n_z = up[least] * per;
-    for (int k = 0; k < 4; k++)
-        d[k] = (of[least][k] - 2.0 * n_z * q[k]) * per;
-    return n_z;
-}
-
 double flat_loss_ref_run(const struct flat_loss_gauss *g, const struct flat_loss_input *in,
                          double *grad)
 {
-    double flat = 0.0, tilt = 0.0, d[4];
-    double pull = g->n ? in->flat_weight / (double)g->n : 0.0,
-           level = g->n ? in->level_weight / (double)g->n : 0.0;
+    double flat = 0.0, pull = g->n ? in->weight / (double)g->n : 0.0;
     if (grad)
-        memset(grad, 0, 7 * g->n * sizeof *grad);
+        memset(grad, 0, 3 * g->n * sizeof *grad);
     for (size_t i = 0; i < g->n; i++) {
-        const double *mean = g->mean ? g->mean + 3 * i : NULL;
-        int least = flat_least(g->scale_log + 3 * i);
-        if (pull > 0.0 && flat_lies_on(in, mean, GROUND_PART_FLAT)) {
-            double thick = pow(exp(g->scale_log[3 * i + (size_t)least]) / in->flat_m, 2.0);
-            flat += log1p(thick);
-            if (grad)
-                grad[7 * i + (size_t)least] = pull * thick / (1.0 + thick);
-        }
-        if (level > 0.0 && flat_lies_on(in, mean, GROUND_PART_LEVEL)) {
-            double up = flat_upright(g->quat + 4 * i, least, d);
-            tilt += 1.0 - up * up;
-            for (size_t k = 0; grad && k < 4; k++)
-                grad[7 * i + 3 + k] = -2.0 * level * up * d[k];
-        }
+        if (in->ground && g->mean &&
+            !ground_parts_has(in->ground, g->mean + 3 * i, GROUND_PART_FLAT))
+            continue;
+        size_t least = 3 * i + (size_t)flat_least(g->scale_log + 3 * i);
+        double thick = pow(exp(g->scale_log[least]) / in->flat_m, 2.0);
+        flat += log1p(thick);
+        if (grad)
+            grad[least] = pull * thick / (1.0 + thick);
     }
-    return 0.5 * pull * flat + level * tilt;
+    return 0.5 * pull * flat;
 }

@@ -10,9 +10,9 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* LIMITED: sizes have a smaller limit (train/loss/scale_loss.h). FLAT: Gaussians are flat. LEVEL:
- * they lie level (both train/loss/flat_loss.h). */
-enum ground_part { GROUND_PART_LIMITED = 1, GROUND_PART_FLAT = 2, GROUND_PART_LEVEL = 4 };
+/* LIMITED: sizes have a smaller limit (train/loss/scale_loss.h). FLAT: Gaussians are flat
+ * (train/loss/flat_loss.h). */
+enum ground_part { GROUND_PART_LIMITED = 1, GROUND_PART_FLAT = 2 };
 struct ground_parts {     /* borrowed */
     const uint8_t *parts; /* [ny][nx] of enum ground_part, row 0 is the southernmost */
     size_t nx, ny;

@@ -4,7 +4,7 @@
 //        elsewhere s_max
 //        list [groups], if listed: which groups of params these are
 //   mid  pieces [LAYOUT_LOSS_PIECES] counts and sums of a piece
-//   out  extra [groups][LAYOUT_PLANES_SHAPE][16]; if fresh every plane is written
+//   out  extra [groups][LAYOUT_PLANES_SCALE][16]; if fresh every plane is written
 // Counts are integers over fixed pieces: the same input gives the same bits. Reference:
 // scale_loss_ref_run. VW 16: a work-item has a piece, or LAYOUT_PROJECT_GROUPS groups. VW 1: a
 // work-group has a piece, and its items take every LAYOUT_SCALE_ITEMSth Gaussian of it; for
@@ -85,8 +85,6 @@ INLINE void axes_grad(__global const float *g, const struct axes *a, VI real,
         h -= is_middle ? per_m * a->ratio * (a->s[k] / q) : (V)(0.0f);
         axes_store(out, k, h, fresh);
     }
-    for (uint k = LAYOUT_PLANES_SCALE; fresh && k < LAYOUT_PLANES_SHAPE; k++)
-        ST(out, k, (V)(0.0f));
 }
 
 #define LIMITS_ARGS float s_max, float r_max, float s_near, GROUND_ARGS
@@ -141,7 +139,7 @@ __kernel void scale_grad(__global const float *params, uint n, uint planes, uint
         VI real = LANE + (int)(group * LAYOUT_LANES) < (int)n;
         axes_load(g, &a);
         axes_grad(g, &a, real, &l, per_long, per_needle, fresh,
-                  extra + group_at(group, LAYOUT_PLANES_SHAPE));
+                  extra + group_at(group, LAYOUT_PLANES_SCALE));
     }
 }
 #else
@@ -217,7 +215,7 @@ __kernel GROUP void scale_grad(__global const float *params, uint n, uint planes
         axes_load(g, &a);
         axes_grad(g, &a, i < n, &l, weight / ((float)all_n[0] + 1.0f),
                   weight / ((float)all_m[0] + 1.0f), fresh,
-                  extra + group_at(group, LAYOUT_PLANES_SHAPE) + in);
+                  extra + group_at(group, LAYOUT_PLANES_SCALE) + in);
     }
 }
 #endif

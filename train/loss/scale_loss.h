@@ -32,7 +32,7 @@ struct scale_loss; /* compiled kernels */
 /* Builds the kernels. Free *out with scale_loss_close. ERR_DEVICE, ERR_MEM. */
 enum err_code scale_loss_open(struct dev *dev, struct scale_loss **out, struct err *e) ERR_USE;
 void scale_loss_close(struct scale_loss **s);
-/* Enqueues: adds dL/d(sizes) to extra, float [groups][LAYOUT_PLANES_SHAPE][16]; where that is
+/* Enqueues: adds dL/d(sizes) to extra, float [groups][LAYOUT_PLANES_SCALE][16]; where that is
  * fresh, every value is written instead. With m->list the loss is that of the listed groups, and
  * extra is in their order. It does not wait for the device. ERR_DEVICE. */
 enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,

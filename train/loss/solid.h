@@ -1,31 +1,22 @@
-/* The loss on solid surfaces has four terms. Light stops at one depth (spread), and at the known
- * depth where there is one (prior). The depths of neighbouring pixels lie in planes (bend). No
- * light passes through ground that photographs see (light).
+/* The loss on solid surfaces has two terms. Light stops at one depth (spread): at the known one
+ * where there is one. No light passes through ground that photographs see (light).
  *
  * For a pixel, A = 1 - T, D = sum w m / A and V = sum w m^2 / A - D^2 (render_moments_buffer). zeta
  * = 1 + D is its depth in units of the frame's depth. focal is the focal length in pixels, e =
  * SOLID_SOFT_PX zeta / focal, and n the number of pixels.
  *
- *     spread = 1/n sum f A c/2 (r / (1 + r^2) + atan r),   r = s / c,   c = SOLID_SPREAD_PX,
- *              s = focal / zeta (sqrt(V + e^2) - e),   over pixels of unknown depth
- *     prior  = the same over pixels of known depth zeta*, with c = SOLID_PRIOR_PX and
- *              V + (zeta - zeta*)^2 = sum w (m - m*)^2 / A in place of V
- *     bend   = 1/n sum over x, y of f c^2/2 r^2 / (1 + r^2),   r = b / c,   c = SOLID_BEND_PX,
- *              b = focal zeta (q- - 2 q + q+),   q = 1 / zeta
+ *     spread = 1/n sum A c/2 (r / (1 + r^2) + atan r),   r = s / c,   c = SOLID_REACH_PX,
+ *              s = focal / zeta (sqrt(V + e^2) - e);
+ *              where a depth zeta* is known, with V + (zeta - zeta*)^2 = sum w (m - m*)^2 / A in
+ *              place of V; of a photograph with known depths, over pixels of known depth alone
  *     light  = 1/n sum of h(T) over the supported pixels; light_known: those of known depth
  *              h = T^2 / (2 t) below t = SOLID_LIGHT_T, T - t/2 above: what is closed is left alone
  *
- * f is 1, except in a photograph with known depths: there it is `unknown` at pixels whose own depth
- * is not known. At such pixels photographs do not agree (narrow courts, edges, trees), and terms
- * that close and smooth a surface fill courts.
- *
- * s is the standard deviation of depth along the ray. b is the distance of a pixel's depth from the
- * line between the depths of the pixels `stride` to either side; inverse depth is linear over a
- * plane. s and b are in footprints of a pixel. The terms are A s and b^2 / 2 where r is small, and
- * their slopes fall with 1 / (1 + r^2)^2 (Geman and McClure 1985), so large values have hardly any
- * pull. At an edge two surfaces share the light, and depth bends by many footprints. A loss that
- * still pulls there, if only weakly, lifts the ground of narrow courts. The factors A, focal / zeta
- * and focal zeta are held fixed. Otherwise a Gaussian could lower the loss by moving away.
+ * s is the standard deviation of depth along the ray, in footprints of a pixel. The terms are A s
+ * where r is small, and their slopes fall with 1 / (1 + r^2)^2 (Geman and McClure 1985), so large
+ * values have hardly any pull. At an edge two surfaces share the light. A loss that still pulls
+ * there, if only weakly, lifts the ground of narrow courts. The factors A and focal / zeta are held
+ * fixed. Otherwise a Gaussian could lower the loss by moving away.
  *
  * V is the distortion of a ray in 2DGS (Huang et al. 2024; first in Mip-NeRF 360, Barron et al.
  * 2022), without the factor A^2.
@@ -39,32 +30,25 @@
 
 #include "render/render.h"
 
-#define SOLID_SOFT_PX 0.25   /* the gradient of smaller spreads goes to 0 */
-#define SOLID_SPREAD_PX 4.0  /* the gradient of larger spreads goes to 0 */
-#define SOLID_PRIOR_PX 4.0   /* the gradient of larger distances from a known depth goes to 0 */
-#define SOLID_BEND_PX 2.0    /* the gradient of larger bends goes to 0 */
-#define SOLID_LIGHT_T 0.03   /* the gradient of less light falls with it */
-#define SOLID_COVER_MIN 0.1  /* least A of a pixel with a spread */
-#define SOLID_BEND_COVER 0.5 /* least A of the pixels of a bend */
-enum { SOLID_STRIDE_MAX = 8 };
+#define SOLID_SOFT_PX 0.25  /* the gradient of smaller spreads goes to 0 */
+#define SOLID_REACH_PX 4.0  /* the gradient of larger spreads goes to 0 */
+#define SOLID_LIGHT_T 0.03  /* the gradient of less light falls with it */
+#define SOLID_COVER_MIN 0.1 /* least A of a pixel with a spread */
 
 struct solid_input {
     uint32_t width_px, height_px;
     double focal_px;                   /* fx */
-    double spread, prior, bend, light; /* weights */
-    double light_known;                /* weight of light where depth is known */
-    double unknown;                    /* f of pixels of unknown depth, if `known` is given */
-    uint32_t stride;                   /* of the bend, px, 1 to SOLID_STRIDE_MAX */
+    double spread, light, light_known; /* weights; light_known: where depth is known */
     const uint8_t *supported;          /* [h][w], not 0: light counts; NULL: nowhere; borrowed */
-    const float
-        *known; /* [h][w] known_zeta / zeta*; at most 0: not known; NULL: nowhere; borrowed */
+    /* [h][w] known_zeta / zeta*; at most 0: not known; NULL: nowhere; borrowed */
+    const float *known;
     double known_zeta;
 };
 struct solid_value {
-    double spread, prior, bend, light, light_known; /* the terms without weights */
+    double spread, light, light_known; /* the terms without weights */
 };
 struct solid; /* compiled kernels and buffers */
-/* Builds the kernels. Free *out with solid_close. ERR_DEVICE, ERR_MEM. */
+/* Builds the kernel. Free *out with solid_close. ERR_DEVICE, ERR_MEM. */
 enum err_code solid_open(struct dev *dev, struct solid **out, struct err *e) ERR_USE;
 void solid_close(struct solid **s);
 /* Hands `supported` and `known` over without waiting. Call it before the frame is drawn: then they
@@ -72,12 +56,10 @@ void solid_close(struct solid **s);
  * ERR_DEVICE. */
 enum err_code solid_hand_over(struct solid *s, const struct solid_input *in, struct err *e) ERR_USE;
 /* Enqueues, with what was handed over: writes the renderer's gradient of the moments
- * (render_moments_grad_buffer) for its last frame, which must have moments and this size. ERR_ARG
- * (there is no such frame, or the stride is out of range), ERR_MEM, ERR_DEVICE. */
+ * (render_moments_grad_buffer) for its last frame, which must have moments and this size. ERR_ARG:
+ * there is no such frame. ERR_MEM, ERR_DEVICE. */
 enum err_code solid_run(struct solid *s, struct render *r, const struct solid_input *in,
                         struct err *e) ERR_USE;
-/* Waits, and reads the values of the last run. ERR_DEVICE. */
-enum err_code solid_read(struct solid *s, struct solid_value *out, struct err *e) ERR_USE;
 
 /* Reference in double on the host. moments [h][w][3]: sum w m, sum w m^2, T. held: the moments from
  * which the fixed factors are computed. It equals moments, except for finite differences. */

@@ -1,4 +1,4 @@
-/* Flat Gaussians, and level ones at the rim (train/loss/flat_loss.h): when and where.
+/* Flat Gaussians (train/loss/flat_loss.h): when and where.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -21,7 +21,7 @@ struct term_flat {
 
 static bool term_flat_wanted(const struct gallery *g)
 {
-    return g->cfg->solid_flat > 0.0 || g->cfg->solid_rim > 0.0;
+    return g->cfg->solid_flat > 0.0;
 }
 
 static void term_flat_close(void *own)
@@ -33,19 +33,17 @@ static void term_flat_close(void *own)
 }
 
 /* Gaussians are flat well inside of the ground. At the rim few photographs see a place, and all
- * from one side: there flat Gaussians lie level, or they would stand askew
- * (docs/decisions/015-solid-surfaces.md). */
+ * from one side: flat Gaussians would stand askew there (docs/decisions/015-solid-surfaces.md). */
 static enum err_code term_flat_open(const struct gallery *g, const struct site *site, void **own,
                                     struct err *e)
 {
     const struct footprint *f = site->ground;
-    const uint8_t rim = g->cfg->solid_rim > 0.0 ? GROUND_PART_FLAT | GROUND_PART_LEVEL : 0;
     size_t n = f ? f->nx * f->ny : 0;
     struct term_flat *t = *own = mem_array(1, sizeof *t);
     if (!t || (n && !(t->parts = mem_array(n, sizeof *t->parts))))
         return err_set(e, ERR_MEM, "flat Gaussians: out of memory for %zu cells of ground", n);
     for (size_t i = 0; i < n; i++)
-        t->parts[i] = footprint_is_deep(f, i) ? GROUND_PART_FLAT : rim;
+        t->parts[i] = footprint_is_deep(f, i) ? GROUND_PART_FLAT : 0;
     return flat_loss_open(g->engine.dev, &t->loss, e);
 }
 
@@ -59,9 +57,8 @@ static enum err_code term_flat_run(void *own, const struct term_step *step, stru
     struct flat_loss_input in = {.flat_m = 1.0, .ground = &ground};
     bool known = term_size_ground(g, step->site, s, t->parts, &ground);
     if (known) {
-        in.flat_weight = g->cfg->solid_flat;
+        in.weight = g->cfg->solid_flat;
         in.flat_m = TERM_FLAT_PX * gallery_footprint_m(g, step->site, s);
-        in.level_weight = g->cfg->solid_rim;
     } else if (!step->fresh) {
         return ERR_OK;
     } else {

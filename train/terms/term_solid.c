@@ -1,6 +1,4 @@
 /* The terms that make surfaces solid (train/loss/solid.h): when they act, and with which weights.
- * The distance between compared pixels changes at every step, so that depth becomes smooth over
- * one pixel and over several.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -21,12 +19,9 @@
  * narrow courts would be bridged before they are seen (docs/decisions/015-solid-surfaces.md). */
 #define TERM_SOLID_FROM 1.0
 #define TERM_SOLID_SINGLE 0.5
-/* Part of the weights of spread, bend and prior at the end of a level; below 1 so that photographs
+/* Part of the weight of spread at the end of a level; below 1 so that photographs
  * count more there (docs/decisions/015-solid-surfaces.md). */
 #define TERM_SOLID_FINAL 0.3
-/* In photographs with known depths, spread and bend count this part where a pixel's depth is not
- * known: narrow courts would be filled otherwise (the same decision). */
-#define TERM_SOLID_UNKNOWN 0.4
 /* Light where depth is known, of its weight elsewhere: the surface cannot sink there. */
 #define TERM_SOLID_LIGHT_KNOWN 2.0
 
@@ -39,9 +34,7 @@ struct term_solid {
 
 static bool term_solid_wanted(const struct gallery *g)
 {
-    const struct train_config *c = g->cfg;
-    bool own = c->solid_spread > 0.0 || c->solid_bend > 0.0 || c->solid_light > 0.0;
-    return own || (c->solid_prior > 0.0 && c->depth_prior && strcmp(c->depth_prior, "none"));
+    return g->cfg->solid_spread > 0.0 || g->cfg->solid_light > 0.0;
 }
 
 static bool term_solid_acts(const struct gallery *g, const struct stage *at)
@@ -70,7 +63,7 @@ static enum err_code term_solid_open(const struct gallery *g, const struct site 
     if (!t)
         return err_set(e, ERR_MEM, "solid surfaces: out of memory");
     enum err_code rc = solid_open(g->engine.dev, &t->solid, e);
-    if (!rc && g->cfg->solid_prior > 0.0)
+    if (!rc)
         rc = depth_prior_dir(g->cfg, g->scene, t->dir, e);
     if (rc || !t->dir[0])
         return rc;
@@ -81,7 +74,6 @@ static enum err_code term_solid_open(const struct gallery *g, const struct site 
 
 static enum err_code term_solid_hand_over(void *own, const struct term_step *step, struct err *e)
 {
-    static const uint32_t strides[] = {1, 2, 4};
     struct term_solid *t = own;
     const struct train_config *c = step->gallery->cfg;
     const struct photo *photo = step->photo;
@@ -97,12 +89,8 @@ static enum err_code term_solid_hand_over(void *own, const struct term_step *ste
         .height_px = photo->cam.height_px,
         .focal_px = photo->cam.fx_px,
         .spread = c->solid_spread * fade,
-        .prior = c->solid_prior * fade,
-        .bend = c->solid_bend * fade,
         .light = c->solid_light,
         .light_known = TERM_SOLID_LIGHT_KNOWN * c->solid_light,
-        .unknown = TERM_SOLID_UNKNOWN,
-        .stride = strides[step->at->step % (sizeof strides / sizeof *strides)],
         .supported = step->supported,
         .known = known.t,
         .known_zeta = known.unit_m / terms_depth_unit_m(step->site),

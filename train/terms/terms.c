@@ -121,7 +121,7 @@ static enum err_code terms_reserve(struct terms *t, const struct term_step *s, s
     m->adam.extra_grad = NULL;
     if (!any)
         return ERR_OK;
-    size_t bytes = layout_floats(m->gauss.cap, LAYOUT_PLANES_SHAPE) * sizeof(float);
+    size_t bytes = layout_floats(m->gauss.cap, LAYOUT_PLANES_SCALE) * sizeof(float);
     enum err_code rc = dev_reserve(m->dev, bytes, &t->extra, &t->extra_bytes, e);
     if (rc)
         return err_add(e, "terms of the loss of %u Gaussians", m->gauss.n);

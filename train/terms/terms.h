@@ -39,8 +39,8 @@ struct term_step { /* input of one step; all borrowed */
     const uint8_t *supported; /* [h][w] not 0: the photograph shows supported ground; NULL: no */
     struct model *model;
     struct timing *timing;
-    /* TERM_GAUSSIANS: float [groups][LAYOUT_PLANES_SHAPE][16], gradients of sizes and rotations of
-     * model->seen. A pass adds to it; where it is fresh, it writes every value instead. */
+    /* TERM_GAUSSIANS: float [groups][LAYOUT_PLANES_SCALE][16], gradients of sizes of model->seen. A
+     * pass adds to it; where it is fresh, it writes every value instead. */
     cl_mem extra;
     bool fresh;
 };

@@ -7,6 +7,7 @@
 
 #include <fcntl.h>
 #include <stdatomic.h>
+#include <sys/stat.h>
 
 #include "server/access/auth.h"
 
@@ -173,6 +174,7 @@ static void test_dates(void **state)
     (void)state;
     kit_ok(file_join(path, t.dir, "auth.jsonc", &e), e);
     kit_ok(file_write(path, text, sizeof text - 1, &e), e);
+    assert_int_equal(chmod(path, 0600), 0);
     t.cfg.auth = path;
     start();
     kit_ok(auth_open(path, &a, &e), e);

@@ -79,7 +79,7 @@ static void test_signatures(void **state)
 {
     enum { MOST_S = 30 * 86400 };
     char path[FILE_PATH_MAX], seal[AUTH_SEAL_MAX], query[AUTH_QUERY_MAX],
-        other[AUTH_QUERY_MAX + 32];
+        other[AUTH_QUERY_MAX + 64];
     struct err e = {0};
     struct auth *a = NULL;
     (void)state;
@@ -116,6 +116,27 @@ static void test_signatures(void **state)
     assert_int_equal(asked_path(a, "/d/toy/", query, 999), AUTH_FORBIDDEN);
     assert_int_equal(asked_path(a, "/d/toy/t", "", 999), AUTH_UNKNOWN);
     each_byte_counts(a, query, false);
+    /* with its query and no other; v= is for caches */
+    kit_ok(auth_sign_path(a, "k1", "/d/toy/t?depth=mm&supersample=2", 1000, 900, query, &e), e);
+    static const struct {
+        const char *before, *after;
+        enum auth_answer want;
+    } rows[] = {{"depth=mm&supersample=2&", "", AUTH_OK},
+                {"depth=mm&", "&supersample=2", AUTH_OK},
+                {"v=3&depth=mm&supersample=2&", "&v=4", AUTH_OK},
+                {"", "", AUTH_FORBIDDEN},
+                {"depth=mm&", "", AUTH_FORBIDDEN},
+                {"depth=cm&supersample=2&", "", AUTH_FORBIDDEN},
+                {"supersample=2&depth=mm&", "", AUTH_FORBIDDEN},
+                {"depth=mm&supersample=2&", "&appearance=x", AUTH_FORBIDDEN}};
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        snprintf(other, sizeof other, "%s%s%s", rows[i].before, query, rows[i].after);
+        if (asked_path(a, "/d/toy/t", other, 999) != rows[i].want)
+            fail_msg("row %zu", i);
+    }
+    kit_ok(auth_sign_path(a, "k1", "/d/toy/t", 1000, 900, query, &e), e);
+    snprintf(other, sizeof other, "%s&depth=mm", query);
+    assert_int_equal(asked_path(a, "/d/toy/t", other, 999), AUTH_FORBIDDEN);
     /* a longer time under the same signature; what comes twice counts as it came first */
     snprintf(other, sizeof other, "exp=2000&%s", query);
     assert_int_equal(asked_path(a, "/d/toy/t", other, 999), AUTH_FORBIDDEN);
@@ -242,6 +263,88 @@ static void seal_opens_no_more(const char *base, const char *seal)
     buf_free(&r.raw);
 }
 
+/* A client that guesses tokens waits; one behind a trusted proxy does not wait for another. */
+static void test_guesses_wait(void **state)
+{
+    enum { TRIES = 10 };
+    char path[FILE_PATH_MAX], right[256], wrong[256];
+    static const char *const clients[] = {"X-Forwarded-For: 203.0.113.7\r\n",
+                                          "X-Forwarded-For: 203.0.113.8\r\n"};
+    struct reply r;
+    (void)state;
+    t.cfg.auth = rights_file("\"read:toy\"", "", path);
+    t.cfg.trusted_proxy = "127.0.0.1";
+    start();
+    snprintf(wrong, sizeof wrong, "{\"token\": \"%s\"}", "another-token-that-is-not-in-it");
+    snprintf(right, sizeof right, "{\"token\": \"%s\"}", TOKEN);
+    for (int i = 0; i < 3 * TRIES; i++) { /* right ones count nothing */
+        const char *body = i < 2 * TRIES ? right : wrong;
+        char extra[160], text[600];
+        snprintf(extra, sizeof extra, "%sContent-Length: %zu\r\n", clients[0], strlen(body));
+        snprintf(text, sizeof text,
+                 "POST /session HTTP/1.1\r\nHost: localhost\r\n%sConnection: "
+                 "close\r\n\r\n%s",
+                 extra, body);
+        int fd = dial(t.port);
+        say(fd, text);
+        hear(fd, true, NULL, &r);
+        assert_int_equal(r.status, i < 2 * TRIES ? 204 : 403);
+        buf_free(&r.raw);
+        close(fd);
+    }
+    for (int i = 0; i < 2; i++) {
+        char text[600];
+        snprintf(text, sizeof text,
+                 "POST /session HTTP/1.1\r\nHost: localhost\r\n%sContent-Length: "
+                 "%zu\r\nConnection: close\r\n\r\n%s",
+                 clients[i], strlen(right), right);
+        int fd = dial(t.port);
+        say(fd, text);
+        hear(fd, true, NULL, &r);
+        assert_int_equal(r.status, i ? 204 : 429); /* not even the right one is looked at */
+        if (!i)
+            assert_true(atoi(header(&r, "Retry-After")) >= 1 &&
+                        atoi(header(&r, "Retry-After")) <= 6);
+        buf_free(&r.raw);
+        close(fd);
+    }
+}
+
+/* With --public-url no answer depends on the name that a client says, and caches need not know of
+ * it. Without it a stranger's X-Forwarded-Host counts for nothing. */
+static void test_names_of_strangers(void **state)
+{
+    static const char *const documents[] = {
+        "/d/toy/map.json",  "/d/toy/style.json",          "/d/toy/wmts.xml",
+        "/collections/toy", "/collections/toy/map/tiles", "/"};
+    static const char evil[] = "X-Forwarded-Host: evil.example\r\nX-Forwarded-Proto: https\r\n"
+                               "Forwarded: host=evil.example\r\nAccept: text/html\r\n";
+    struct reply r;
+    (void)state;
+    for (int told = 0; told < 2; told++) {
+        t.cfg.public_url = told ? "https://maps.example" : NULL;
+        t.cfg.trusted_proxy = told ? "127.0.0.1" : NULL;
+        start();
+        for (size_t i = 0; i < sizeof documents / sizeof *documents; i++) {
+            char text[600];
+            snprintf(text, sizeof text,
+                     "GET %s HTTP/1.1\r\nHost: %s\r\n%sConnection: close\r\n\r\n", documents[i],
+                     told ? "evil.example" : "localhost", evil);
+            int fd = dial(t.port);
+            say(fd, text);
+            hear(fd, true, NULL, &r);
+            buf_u8(&r.raw, 0);
+            assert_int_equal(r.status, 200);
+            assert_null(strstr((const char *)r.raw.data, "evil.example"));
+            if (told)
+                assert_null(strstr(header(&r, "Vary"), "Host"));
+            buf_free(&r.raw);
+            close(fd);
+        }
+        server_stop(&t.server);
+    }
+}
+
 /* Below a seal lies the whole service, and what is absolute in documents lies there, too. */
 static void test_signed_addresses(void **state)
 {
@@ -347,6 +450,7 @@ int main(void)
         HTTP_TEST(test_files_of_auth), HTTP_TEST(test_signatures),
         HTTP_TEST(test_session_seals), HTTP_TEST(test_signed_addresses),
         HTTP_TEST(test_sessions),      HTTP_TEST(test_private_datasets),
+        HTTP_TEST(test_guesses_wait),  HTTP_TEST(test_names_of_strangers),
     };
     return cmocka_run_group_tests(tests, setup_all, teardown_all);
 }

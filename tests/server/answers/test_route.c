@@ -675,7 +675,7 @@ static void test_basemap(void **state)
         (void)services_free(&s);
         if (rc)
             continue;
-        kit_ok(catalog_open(paths, 1, &o, NULL, &c, &e), e);
+        c = served_catalog(paths, 1, &o, NULL);
         json_t *doc = json_loadb((const char *)c->collections->data, c->collections->size, 0, NULL);
         const json_t *basemap = json_object_get(doc, "basemap");
         assert_int_equal(basemap != NULL, *rows[i].url != 0);

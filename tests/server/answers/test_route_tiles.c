@@ -349,7 +349,7 @@ static void test_damaged_tile(void **state)
     served_city(path, "damaged", 20);
     store_fixture_damage(path, served_key(17), path);
     const char *paths[] = {path};
-    kit_ok(catalog_open(paths, 1, &served_stores, NULL, &damaged, &e), e);
+    damaged = served_catalog(paths, 1, &served_stores, NULL);
     t.s.catalog = damaged;
     char target[256], where[64];
     snprintf(target, sizeof target, "/d/damaged/r/%s/t/%s.glb", damaged->ds[0]->meta.revision,

@@ -163,7 +163,7 @@ static void test_configuration_and_tags(void **state)
     (void)state;
     other.view_gaussians = 1000;
     stores.preset = other.preset = QUANT_PREVIEW;
-    kit_ok(catalog_open(paths, 1, &stores, NULL, &others, &e), e);
+    others = served_catalog(paths, 1, &stores, NULL);
     const struct dataset *d = t.s.catalog->ds[0];
     response_edition(&t.s, d, EDITION_TILES, tiles);
     assert_int_equal(strlen(tiles), 8);

@@ -11,6 +11,7 @@
 #include <nettle/sha2.h>
 #include <signal.h>
 #include <sqlite3.h>
+#include <sys/stat.h>
 #include <sys/wait.h>
 
 #include "server/access/auth.h"
@@ -411,6 +412,7 @@ static void test_who_may(void **state)
             buf_printf(&text, "%02x", digest[k]);
         buf_printf(&text, "\",\"scope\":[%s]}]}", row[i].scope);
         kit_ok(file_write(path, text.data, text.size, &e), e);
+        assert_int_equal(chmod(path, 0600), 0);
         t.cfg.auth = path;
         start();
         say_to(t.port, "PUT", PATH, "", BLEND, &r); /* public is who may read */
@@ -489,6 +491,8 @@ static void test_files_of_others_and_limits(void **state)
     kit_ok(file_mkdir(state_dir, &e), e);
     kit_ok(file_write(state_file, "not a database, but long enough for its head", 44, &e), e);
     kit_fails(named_appearance_open(state_dir, &k, &e), ERR_FORMAT, e, "damaged");
+    kit_ok(file_write(state_file, "", 0, &e), e); /* SQLite would begin anew, without a word */
+    kit_fails(named_appearance_open(state_dir, &k, &e), ERR_FORMAT, e, "it is empty");
     kit_rmdir(state_dir);
 
     kit_ok(named_appearance_open(state_dir, &k, &e), e);

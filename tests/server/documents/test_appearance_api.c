@@ -81,7 +81,7 @@ static int setup(void **state)
     served_config(&t.cfg, &t.arena);
     kit_ok(services_open(&t.s, &t.cfg, NULL, ROUTES, ROUTES_COUNT, &e), e);
     const char *paths[] = {t.lit, t.plain};
-    kit_ok(catalog_open(paths, 2, &served_stores, NULL, &t.s.catalog, &e), e);
+    t.s.catalog = served_catalog(paths, 2, &served_stores, NULL);
     const struct job_config jobs = {.queue_limit = {1, 1, 1}, .run = no_run, .drop = work_drop};
     kit_ok(job_open(&jobs, &t.s.jobs, &e), e);
     return 0;

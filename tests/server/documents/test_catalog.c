@@ -7,6 +7,7 @@
 #include <math.h>
 #include <stdio.h>
 #include <sys/stat.h>
+#include <unistd.h>
 
 #include "codec/container/seen.h"
 #include "lod/export/clip.h"
@@ -20,28 +21,32 @@ static void test_reload(void **state)
     kit_ok(file_join(path, t.dir, "moving.tiles", &e), e);
     const char *paths[] = {path};
     served_city(path, "moving", 10);
-    kit_ok(catalog_open(paths, 1, &served_stores, NULL, &first, &e), e);
-    kit_ok(catalog_open(paths, 1, &served_stores, first, &second, &e), e);
+    first = served_catalog(paths, 1, &served_stores, NULL);
+    second = served_catalog(paths, 1, &served_stores, first);
     assert_int_equal(second->n, 1);
     assert_ptr_equal(second->ds[0], first->ds[0]); /* unchanged: the same one */
     served_city(path, "moving", 11);
-    kit_ok(catalog_open(paths, 1, &served_stores, second, &third, &e), e);
+    third = served_catalog(paths, 1, &served_stores, second);
     assert_int_equal(third->n, 2);
     struct dataset *now = catalog_find(third, "moving", ""), *old = first->ds[0];
     assert_string_not_equal(now->meta.revision, old->meta.revision);
     assert_ptr_equal(catalog_find(third, "moving", old->meta.revision), old);
     struct buf b = {
         0}; /* the older revision's tiles are read from the file that was renamed over */
-    struct store *s = dataset_borrow(old);
+    struct store *s = NULL;
+    kit_ok(dataset_borrow(old, &s, &e), e);
     const struct form form = {FORMAT_SPZ, QUANT_BALANCED, 3, 0, false};
     kit_ok(encode_tile(s, served_key(17), form, NULL, NULL, &b, &e), e);
     dataset_return(old, s);
     buf_free(&b);
-    struct catalog *bad = NULL;
     kit_ok(file_write(path, "not a store", 11, &e), e);
-    kit_fails(catalog_open(paths, 1, &served_stores, third, &bad, &e), ERR_FORMAT, e,
-              "moving.tiles");
-    assert_null(bad);
+    struct catalog *bad = served_catalog(paths, 1, &served_stores, third);
+    assert_int_equal(bad->n_absent, 1); /* what was served stays */
+    assert_int_equal(bad->absent[0].code, ERR_FORMAT);
+    assert_non_null(strstr(bad->absent[0].why, "moving.tiles"));
+    assert_string_equal(bad->absent[0].name, "moving");
+    assert_ptr_equal(catalog_find(bad, "moving", ""), now);
+    catalog_drop(&bad);
     struct catalog *later = NULL; /* a day has passed for the older one */
     kit_ok(catalog_expire(third, &served_stores, clock_s() + 86390, &later, &e), e);
     assert_null(later);
@@ -53,8 +58,159 @@ static void test_reload(void **state)
     catalog_drop(&third);
     catalog_drop(&second);
     catalog_drop(&first);
-    const char *twice[] = {t.path, t.path};
-    kit_fails(catalog_open(twice, 2, &served_stores, NULL, &bad, &e), ERR_ARG, e, "toy");
+    const char *twice[] = {t.path, t.path}; /* is the same as once */
+    bad = served_catalog(twice, 2, &served_stores, NULL);
+    assert_int_equal(bad->n, 1);
+    assert_int_equal(bad->n_absent, 0);
+    catalog_drop(&bad);
+}
+
+/* ---- what is not whole ---- */
+
+static const struct catalog_absent *absent(const struct catalog *c, const char *path)
+{
+    for (size_t i = 0; i < c->n_absent; i++)
+        if (!strcmp(c->absent[i].path, path))
+            return &c->absent[i];
+    fail_msg("%s is not among what is absent", path);
+    return NULL;
+}
+
+/* Rows whose hash is right, with sizes that no document can hold. */
+static void test_forged_sizes(void **state)
+{
+    struct err e = {0};
+    char path[FILE_PATH_MAX];
+    const struct store_meta meta = {.name = "forged",
+                                    .origin = served_origin,
+                                    .sh_degree = 1,
+                                    .zoom_min = SERVED_ZOOM_MAX,
+                                    .zoom_max = SERVED_ZOOM_MAX};
+    (void)state;
+    kit_ok(file_join(path, t.dir, "forged.tiles", &e), e);
+    for (int k = 0; k < 6; k++) {
+        struct store *s = NULL;
+        struct gauss g = {0};
+        struct buf payload = {0};
+        kit_ok(store_create(path, &meta, &s, &e), e);
+        struct store_entry x = served_gauss(served_key(SERVED_ZOOM_MAX), 10, &g);
+        kit_ok(store_encode(s, &x, &g, &payload, &e), e);
+        double *const sizes[] = {&x.shape.geometric_error_m, &x.shape.geometric_error_m,
+                                 &x.shape.max_enu_m[1],      &x.shape.min_enu_m[0],
+                                 &x.shape.center_enu_m[2],   &x.shape.sigma_max_m};
+        static const double forged[] = {HUGE_VAL, -1, HUGE_VAL, -1e300, 1e9, HUGE_VAL};
+        *sizes[k] = forged[k];
+        kit_ok(store_add(s, &x, &payload, &e), e);
+        kit_ok(store_commit(&s, &e), e);
+        kit_fails(store_open(path, &s, &e), ERR_FORMAT, e, "a place or a size is beyond");
+        assert_null(s);
+        const char *args[] = {path};
+        struct catalog *c = served_catalog(args, 1, &served_stores, NULL);
+        assert_int_equal(absent(c, path)->code, ERR_FORMAT); /* exit code 65 */
+        catalog_drop(&c);
+        buf_free(&payload);
+        gauss_free(&g);
+    }
+}
+
+/* A folder with everything that may lie in it: what is whole is served, the rest is named. */
+static void test_a_folder_of_stores(void **state)
+{
+    enum { PLACES = 8 };
+    struct err e = {0};
+    char dir[FILE_PATH_MAX], at[PLACES][FILE_PATH_MAX];
+    static const char *const names[PLACES] = {"a.tiles",    "b.tiles",   "broken.tiles",
+                                              "fifo.tiles", "dir.tiles", "secret.tiles",
+                                              "twin.tiles", "notes.txt"};
+    struct catalog_options o = served_stores;
+    (void)state;
+    o.again_s = 10;
+    kit_ok(file_join(dir, t.dir, "stores", &e), e);
+    kit_ok(file_mkdir(dir, &e), e);
+    for (size_t i = 0; i < PLACES; i++)
+        kit_ok(file_join(at[i], dir, names[i], &e), e);
+    const char *args[] = {dir};
+    struct catalog *c = served_catalog(args, 1, &o, NULL); /* empty yet */
+    assert_int_equal(c->n + c->n_absent, 0);
+    catalog_drop(&c);
+    served_city(at[0], "a", 10);
+    served_city(at[1], "b", 10);
+    kit_ok(file_write(at[2], "cut off", 7, &e), e);
+    assert_int_equal(mkfifo(at[3], 0600), 0);
+    kit_ok(file_mkdir(at[4], &e), e);
+    served_city(at[5], "secret", 10);
+    assert_int_equal(chmod(at[5], 0), 0);
+    served_city(at[6], "a", 12);
+    kit_ok(file_write(at[7], "", 0, &e), e);
+    c = served_catalog(args, 1, &o, NULL);
+    const bool all = geteuid() == 0; /* root reads what nobody may read */
+    assert_int_equal(c->n_current, all ? 3 : 2);
+    assert_int_equal(c->n_absent, all ? 4 : 5);
+    assert_string_equal(catalog_find(c, "a", "")->path, at[0]); /* the first of two */
+    assert_non_null(catalog_find(c, "b", ""));
+    assert_int_equal(absent(c, at[2])->code, ERR_FORMAT);
+    assert_non_null(strstr(absent(c, at[3])->why, "no file"));
+    assert_non_null(strstr(absent(c, at[4])->why, "a folder"));
+    if (!all)
+        assert_int_equal(absent(c, at[5])->code, ERR_IO);
+    assert_non_null(strstr(absent(c, at[6])->why, "serve one of them"));
+    const double pause_s = absent(c, at[2])->pause_s;
+    assert_true(pause_s == 10 && absent(c, at[2])->again_s > clock_s() + 5);
+    json_t *changes = catalog_changes(NULL, c);
+    assert_int_equal(json_array_size(json_object_get(changes, "added")), c->n_current);
+    assert_int_equal(json_array_size(json_object_get(changes, "failed")), c->n_absent);
+    json_decref(changes);
+
+    /* mended, replaced, removed, and the first twin goes */
+    char was[13];
+    memcpy(was, catalog_find(c, "b", "")->meta.revision, sizeof was);
+    served_city(at[2], "mended", 10);
+    served_city(at[1], "b", 11);
+    assert_int_equal(unlink(at[0]), 0);
+    struct catalog *later = served_catalog(args, 1, &o, c);
+    assert_non_null(catalog_find(later, "mended", ""));
+    assert_string_equal(catalog_find(later, "a", "")->path, at[6]);
+    assert_non_null(catalog_find(later, "b", was)); /* for a day */
+    assert_true(absent(later, at[3])->pause_s == 2 * pause_s);
+    changes = catalog_changes(c, later);
+    const json_t *b = json_array_get(json_object_get(changes, "replaced"), 1);
+    assert_string_equal(json_string_value(json_object_get(b, "name")), "b");
+    assert_string_equal(json_string_value(json_object_get(b, "from")), was);
+    assert_int_equal(json_array_size(json_object_get(changes, "added")), 1);
+    assert_int_equal(json_array_size(json_object_get(changes, "removed")), 0);
+    json_decref(changes);
+    catalog_drop(&c);
+    assert_int_equal(unlink(at[2]), 0);
+    c = served_catalog(args, 1, &o, later);
+    assert_null(catalog_find(c, "mended", ""));
+    catalog_drop(&later);
+
+    /* a folder that goes takes nothing with it, and what is in it is found when it is back */
+    char away[FILE_PATH_MAX];
+    kit_ok(file_join(away, t.dir, "away", &e), e);
+    assert_int_equal(rename(dir, away), 0);
+    later = served_catalog(args, 1, &o, c);
+    assert_int_equal(later->n_current, c->n_current);
+    assert_int_equal(absent(later, dir)->code, ERR_NOENT);
+    assert_string_equal(absent(later, at[1])->name, "b");
+    catalog_drop(&c);
+    assert_int_equal(rename(away, dir), 0);
+    c = served_catalog(args, 1, &o, later);
+    assert_int_equal(c->n_current, later->n_current);
+    assert_ptr_equal(catalog_find(c, "b", ""), catalog_find(later, "b", ""));
+    catalog_drop(&later);
+    catalog_drop(&c);
+    assert_int_equal(chmod(at[5], 0600), 0);
+    /* a scene is no folder of stores */
+    struct arena arena = {0};
+    struct catalog_place *place;
+    size_t n, folders;
+    char scene[FILE_PATH_MAX];
+    kit_ok(file_join(scene, dir, "scene.json", &e), e);
+    kit_ok(file_write(scene, "{}", 2, &e), e);
+    kit_fails(catalog_list(args, 1, NULL, &arena, &place, &n, &folders, &e), ERR_FORMAT, e,
+              "citysplat tile");
+    arena_free(&arena);
 }
 
 /* Bytes that this process has read so far; 0: the kernel does not count them. */
@@ -87,7 +243,7 @@ static void test_a_start_reads_no_tiles(void **state)
         kit_ok(file_join(path, t.dir, i ? "large.tiles" : "small.tiles", &e), e);
         served_city(path, "start", gaussians[i]);
         uint64_t before = bytes_read();
-        kit_ok(catalog_open(paths, 1, &served_stores, NULL, &c, &e), e);
+        c = served_catalog(paths, 1, &served_stores, NULL);
         took[i] = bytes_read() - before;
         assert_int_equal(c->ds[0]->n_tiles, 4);
         catalog_drop(&c);
@@ -148,14 +304,16 @@ static void test_handles_share_the_index(void **state)
     const struct store_tile *first = store_tiles(d->index, &n_first);
     for (int i = 0; i < READERS; i++) {
         struct gauss g;
-        assert_non_null(s[i] = dataset_borrow(d));
+        kit_ok(dataset_borrow(d, &s[i], &e), e);
         assert_ptr_equal(store_tiles(s[i], &n), first);
         assert_int_equal(n, n_first);
         kit_ok(store_read_gauss(s[i], served_key(17), &g, &e), e);
         assert_int_equal(g.n, 50);
         gauss_free(&g);
     }
-    assert_null(dataset_borrow(d));
+    struct store *none;
+    kit_fails(dataset_borrow(d, &none, &e), ERR_INTERNAL, e, "handles");
+    assert_null(none);
     for (int i = 0; i < READERS; i++)
         dataset_return(d, s[i]);
     dataset_drop(&d);
@@ -174,16 +332,18 @@ static void test_a_reload_that_fails_late(void **state)
     const char *paths[] = {a, b};
     served_city(a, "a", 10);
     served_city(b, "b", 10);
-    kit_ok(catalog_open(paths, 2, &served_stores, NULL, &first, &e), e);
+    first = served_catalog(paths, 2, &served_stores, NULL);
     served_city(a, "a", 11);
     served_city(b, "a", 12);
-    kit_fails(catalog_open(paths, 2, &served_stores, first, &bad, &e), ERR_ARG, e, "'a'");
-    assert_null(bad);
+    bad = served_catalog(paths, 2, &served_stores, first);
+    assert_non_null(strstr(absent(bad, b)->why, "'a'")); /* and the dataset b, which is gone, too */
+    assert_int_equal(bad->n_current, 1);
+    catalog_drop(&bad);
     assert_int_equal(first->n_current, 2);
     assert_true(first->replaced_s[0] == 0 && first->replaced_s[1] == 0);
     struct dataset *old_a = catalog_find(first, "a", ""), *old_b = catalog_find(first, "b", "");
     served_city(b, "b", 10); /* as it was */
-    kit_ok(catalog_open(paths, 2, &served_stores, first, &second, &e), e);
+    second = served_catalog(paths, 2, &served_stores, first);
     assert_int_equal(second->n, 3);
     assert_ptr_equal(catalog_find(second, "b", ""), old_b);
     assert_ptr_equal(catalog_find(second, "a", old_a->meta.revision), old_a);
@@ -196,7 +356,6 @@ static void test_a_reload_that_fails_late(void **state)
  * keeps it. */
 static void test_a_part_is_served(void **state)
 {
-    struct err e = {0};
     const char *paths[] = {t.path};
     const struct clip below = {.low_m = -HUGE_VAL, .high_m = 40};
     struct catalog_options o = served_stores;
@@ -204,10 +363,10 @@ static void test_a_part_is_served(void **state)
     (void)state;
     o.clip = &below;
     o.clip_dir = t.dir;
-    kit_ok(catalog_open(paths, 1, &served_stores, NULL, &whole, &e), e);
-    kit_ok(catalog_open(paths, 1, &o, NULL, &part, &e), e);
-    kit_ok(catalog_open(paths, 1, &o, part, &again, &e), e);
-    kit_ok(catalog_open(paths, 1, &o, NULL, &anew, &e), e);
+    whole = served_catalog(paths, 1, &served_stores, NULL);
+    part = served_catalog(paths, 1, &o, NULL);
+    again = served_catalog(paths, 1, &o, part);
+    anew = served_catalog(paths, 1, &o, NULL);
     assert_ptr_equal(again->ds[0], part->ds[0]);
     assert_string_equal(anew->ds[0]->meta.revision, part->ds[0]->meta.revision);
     assert_string_not_equal(whole->ds[0]->meta.revision, part->ds[0]->meta.revision);
@@ -220,7 +379,10 @@ static void test_a_part_is_served(void **state)
     catalog_drop(&anew);
     const struct clip nowhere = {.low_m = 5000, .high_m = 6000};
     o.clip = &nowhere;
-    kit_fails(catalog_open(paths, 1, &o, NULL, &part, &e), ERR_DATA, e, "the store lies within");
+    part = served_catalog(paths, 1, &o, NULL);
+    assert_int_equal(absent(part, paths[0])->code, ERR_DATA);
+    assert_non_null(strstr(absent(part, paths[0])->why, "the store lies within"));
+    catalog_drop(&part);
     assert_int_equal(kit_run(NULL, "ls '%s' | grep -q citysplat-clip", t.dir), 1);
 }
 
@@ -228,6 +390,8 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_reload),
+        cmocka_unit_test(test_a_folder_of_stores),
+        cmocka_unit_test(test_forged_sizes),
         cmocka_unit_test(test_a_part_is_served),
         cmocka_unit_test(test_a_start_reads_no_tiles),
         cmocka_unit_test(test_a_start_reads_no_counts),

@@ -9,6 +9,7 @@
 #include "tests/survey/survey_kit.h"
 
 #include <jansson.h>
+#include <sys/stat.h>
 
 #include "codec/image/image.h"
 #include "core/device/dev.h"
@@ -473,6 +474,7 @@ static void make_private(char out[300])
     struct auth *a = NULL;
     kit_ok(file_join(path, f.dir, "auth.jsonc", &e), e);
     kit_ok(file_write(path, text, sizeof text - 1, &e), e);
+    assert_int_equal(chmod(path, 0600), 0);
     kit_ok(auth_open(path, &a, &e), e);
     kit_ok(auth_sign(a, NULL, AUTH_SCOPE_BOTH, "survey", now_s + 3600, now_s, seal, &e), e);
     auth_close(&a);

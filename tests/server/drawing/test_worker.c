@@ -59,14 +59,17 @@ static enum err_code fake_open(const void *hello, size_t n, void **user, char ab
                                struct err *e)
 {
     static int nothing;
-    char text[16] = "";
+    char text[512] = "";
     memcpy(text, hello, n < sizeof text - 1 ? n : sizeof text - 1);
     *user = &nothing;
     if (!strcmp(text, "crash"))
         fake_crash();
     if (!strcmp(text, "hang"))
         fake_hang();
-    snprintf(about, WORKER_ABOUT, "fake %s", text);
+    snprintf(about, WORKER_ABOUT, "fake %.100s", text);
+    if (!strncmp(text, "until ", 6)) /* a device that is there when this file is */
+        return file_exists(text + 6) ? ERR_OK
+                                     : err_set(e, ERR_DEVICE, "no device yet\n/a driver's log");
     return !strcmp(text, "off") ? err_set(e, ERR_DEVICE, "no device here") : ERR_OK;
 }
 
@@ -236,8 +239,13 @@ static void await_gone(pid_t pid)
     assert_true(is_gone(pid));
 }
 
-static const struct worker_config quick = {
-    .start_s = 10, .ask_s = 10, .pause_s = 0.2, .pause_most_s = 1, .steady_s = 0.3};
+static const struct worker_config quick = {.start_s = 10,
+                                           .ask_s = 10,
+                                           .pause_s = 0.2,
+                                           .pause_most_s = 1,
+                                           .off_pause_s = 10,
+                                           .off_pause_most_s = 10,
+                                           .steady_s = 0.3};
 
 /* A process that holds too much answers once more, and is replaced: no crash, no pause. */
 static void test_renewed(void **state)
@@ -419,7 +427,9 @@ static void test_never_ready(void **state)
     (void)state;
     begin("off", &cfg);
     await_state(WORKER_OFF);
-    kit_fails(ask("e1", &e), ERR_DEVICE, e, "pictures are off: no device here");
+    kit_fails(ask("e1", &e), ERR_BUSY, e, "pictures are off: the device did not start");
+    assert_null(strstr(e.msg, "no device here")); /* clients read this */
+    assert_string_equal(status().about, "no device here");
     assert_false(status().known);
     assert_int_equal(status().pid, 0);
     end(NULL);
@@ -440,6 +450,42 @@ static void test_never_ready(void **state)
         nap_ms(1);
     assert_int_equal(status().starts, 2);
     assert_int_equal(status().crashes + status().kills, 2);
+}
+
+/* A device that comes late is found, after pauses that double; meanwhile pictures fail, which
+ * serve --exit-hung counts. */
+static void test_tried_again(void **state)
+{
+    struct err e = {0};
+    struct worker_config cfg = quick;
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], hello[FILE_PATH_MAX + 8];
+    double last_s = 0;
+    (void)state;
+    cfg.off_pause_s = 0.2;
+    cfg.off_pause_most_s = 0.5;
+    kit_tmpdir(dir);
+    kit_ok(file_join(path, dir, "device", &e), e);
+    snprintf(hello, sizeof hello, "until %s", path);
+    begin(hello, &cfg);
+    for (uint64_t i = 1; i <= 4; i++) {
+        for (double end_s = clock_s() + PATIENCE_S;
+             (status().starts < i || status().wait_s <= 0) && clock_s() < end_s;)
+            nap_ms(1);
+        assert_int_equal(status().state, WORKER_OFF);
+        assert_string_equal(status().about, "no device yet");
+        const double want_s = i < 3 ? 0.1 * (1 << i) : 0.5;
+        assert_true(status().wait_s <= want_s);
+        assert_true(status().failing_s >= last_s);
+        last_s = status().failing_s;
+    }
+    assert_true(last_s >= 0.2 + 0.4 + 0.5);
+    kit_ok(file_write(path, "", 0, &e), e);
+    await_state(WORKER_READY);
+    kit_ok(ask("e1", &e), e);
+    nap_ms(600);
+    assert_true(status().failing_s <= 0);
+    end(NULL);
+    kit_rmdir(dir);
 }
 
 /* Says stop from the second time on. */
@@ -592,6 +638,7 @@ int main(int argc, char **argv)
         cmocka_unit_test_teardown(test_nonsense, end),
         cmocka_unit_test_teardown(test_pauses, end),
         cmocka_unit_test_teardown(test_never_ready, end),
+        cmocka_unit_test_teardown(test_tried_again, end),
         cmocka_unit_test_teardown(test_cancelled, end),
         cmocka_unit_test_teardown(test_stopping_while_it_hangs, end),
         cmocka_unit_test_teardown(test_ended_while_idle, end),

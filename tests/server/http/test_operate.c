@@ -84,6 +84,22 @@ static void test_request_ids(void **state)
     ask("GET", "/healthz", "X-Request-Id: proxy-7.a_B\r\n", &r);
     assert_string_equal(header(&r, "X-Request-Id"), "proxy-7.a_B");
     buf_free(&r.raw);
+    static const char *const cached[] = {"/d/toy/tileset.json", "/nothing/here",
+                                         "/d/none/map.json"};
+    for (int i = 0; i < 3; i++) /* a cache would give it to everybody */
+        for (int again = 0; again < 2; again++) {
+            ask("GET", cached[i], "X-Request-Id: of-one\r\n", &r);
+            assert_non_null(strstr(header(&r, "Cache-Control"), "public"));
+            assert_string_equal(header(&r, "X-Request-Id"), "");
+            buf_u8(&r.raw, 0);
+            assert_null(strstr((const char *)r.raw.data, "of-one"));
+            buf_free(&r.raw);
+        }
+    ask("GET", "/metrics", "X-Request-Id: of-one\r\nX-Forwarded-For: 1.2.3.4\r\n", &r);
+    assert_int_equal(r.status, 403); /* not kept: there it is */
+    assert_string_equal(header(&r, "X-Request-Id"), "of-one");
+    assert_non_null(strstr((const char *)r.body, "\"request_id\":\"of-one\""));
+    buf_free(&r.raw);
     ask("GET", "/healthz", "", &r);
     assert_string_equal(header(&r, "X-Request-Id"), "");
     buf_free(&r.raw);
@@ -142,10 +158,50 @@ static void admin_refuses_pages(uint16_t admin)
     assert_int_equal(r.status, 403);
     assert_string_equal(header(&r, "Access-Control-Allow-Origin"), "");
     buf_free(&r.raw);
-    assert_false(server_reload_asked(t.server));
     ask_port(admin, "GET", "/metrics", "Origin: https://elsewhere.example\r\n", &r);
     assert_int_equal(r.status, 403);
     buf_free(&r.raw);
+}
+
+/* The status of a request for metrics that names a host. */
+static int status_by_name(uint16_t port, const char *host)
+{
+    char text[400];
+    struct reply r;
+    snprintf(text, sizeof text, "GET /metrics HTTP/1.1\r\nHost: %s\r\nConnection: close\r\n\r\n",
+             host);
+    int fd = dial(port);
+    say(fd, text);
+    hear(fd, true, NULL, &r);
+    const int status = r.status;
+    buf_free(&r.raw);
+    close(fd);
+    return status;
+}
+
+/* A page of another site whose name leads to this machine (DNS rebinding) learns nothing. */
+static void admin_knows_its_names(uint16_t admin)
+{
+    static const char *const own[] = {"localhost", "LOCALHOST:9", "127.0.0.1:9", "[::1]:9",
+                                      "10.1.2.3:80"},
+                             *const foreign[] = {"evil.example",           "evil.example:80",
+                                                 "localhost.evil.example", "127.0.0.1.evil.example",
+                                                 "maps.example",           ""};
+    char name[300] = "", longer[330];
+    for (size_t i = 0; i < sizeof own / sizeof *own; i++)
+        if (status_by_name(admin, own[i]) != 200)
+            fail_msg("%s is refused", own[i]);
+    for (size_t i = 0; i < sizeof foreign / sizeof *foreign; i++)
+        if (status_by_name(admin, foreign[i]) != 403)
+            fail_msg("%s is not refused", foreign[i]);
+    assert_int_equal(gethostname(name, 256), 0);
+    assert_int_equal(status_by_name(admin, name), 200);
+    snprintf(longer, sizeof longer, "%s.evil.example", name);
+    assert_int_equal(status_by_name(admin, longer), 403);
+    t.cfg.public_url = "https://maps.example:8443/splats";
+    server_services(t.server)->cfg = &t.cfg;
+    assert_int_equal(status_by_name(admin, "maps.example"), 200);
+    t.cfg.public_url = NULL;
 }
 
 static void test_admin_listener(void **state)
@@ -179,18 +235,17 @@ static void test_admin_listener(void **state)
         assert_int_equal(r.status, 404);
         buf_free(&r.raw);
     }
-    assert_false(server_reload_asked(t.server));
     admin_refuses_pages(admin);
+    admin_knows_its_names(admin);
     ask_port(admin, "GET", "/metrics", "", &r);
     assert_int_equal(r.status, 200);
     assert_string_equal(header(&r, "Access-Control-Allow-Origin"), "");
     assert_string_equal(header(&r, "Cross-Origin-Resource-Policy"), "same-origin");
     buf_free(&r.raw);
     ask_port(admin, "POST", "/-/reload", "Content-Length: 0\r\n", &r);
-    assert_int_equal(r.status, 202);
+    assert_int_equal(r.status, 200);
+    assert_non_null(strstr((const char *)r.body, "\"status\": \"reloaded\""));
     buf_free(&r.raw);
-    assert_true(server_reload_asked(t.server));
-    assert_false(server_reload_asked(t.server));
     assert_true(server_answers(t.server, 2));
     /* idle connections of operators do not hold up the end */
     int fd = dial(admin);
@@ -210,22 +265,30 @@ struct program {
     int out, notify; /* what it prints; what its supervisor hears */
     char log[FILE_PATH_MAX], socket[FILE_PATH_MAX], line[256];
     uint16_t port;
+    bool journal; /* its log is taken for the journal */
 };
 
 static void program_exec(struct program *p, const char *name, const int *listener,
                          const char *const *args)
 {
-    const char *argv[24] = {name, "serve", t.path, "--device", "none"};
+    /* of the store of the tests, unless there are others */
+    const char *argv[24] = {name, "serve", "--device", "none", t.path};
     char pid[16], fds[4] = "0";
-    int n = 5, k = 0;
-    for (; args[n - 5]; n++)
-        argv[n] = args[n - 5];
+    int n = args[0] && args[0][0] != '-' ? 4 : 5, k = 0;
+    for (int i = 0; args[i]; i++)
+        argv[n++] = args[i];
+    argv[n] = NULL;
     for (; k < 2 && listener && listener[k] >= 0; k++)
         if (dup2(listener[k], 3 + k) < 0)
             _exit(126);
     dup2(p->out, 1);
-    if (!freopen(p->log, "w", stderr))
+    struct stat st;
+    char stream[64];
+    if (!freopen(p->log, "w", stderr) || fstat(2, &st))
         _exit(126);
+    snprintf(stream, sizeof stream, "%llu:%llu", (unsigned long long)st.st_dev,
+             (unsigned long long)st.st_ino + !p->journal);
+    setenv("JOURNAL_STREAM", stream, 1);
     snprintf(pid, sizeof pid, "%ld", (long)getpid());
     snprintf(fds, sizeof fds, "%d", k);
     setenv("NOTIFY_SOCKET", p->socket, 1);
@@ -297,12 +360,266 @@ static void hears(struct program *p, const char *what)
     fail_msg("the supervisor does not hear %s", what);
 }
 
+/* Each line of the log begins with its priority where stderr is the journal, and not else. With
+ * --log-format json all lines are objects, from the first to the error that ends the program. */
+static void test_lines_of_the_log(void **state)
+{
+    char bad[FILE_PATH_MAX];
+    const char *const whole[] = {"--port", "0", bad, NULL}, *const broken[] = {
+                                                                bad,    "--port",
+                                                                "0",    "--log-format",
+                                                                "json", NULL};
+    struct err e = {0};
+    (void)state;
+    rights_put("lines.tiles", "this is no store", bad);
+    for (int journal = 0; journal < 2; journal++) {
+        struct program p = {.journal = journal};
+        struct buf log = {0};
+        program_start(&p, NULL, whole);
+        assert_int_equal(program_end(&p, SIGTERM), 0);
+        kit_ok(file_read(p.log, 0, &log, &e), e);
+        buf_u8(&log, 0);
+        size_t n = 0;
+        for (const char *line = (char *)log.data; *line; line += strcspn(line, "\n") + 1, n++)
+            if (strncmp(line, "<6>", 3) != 0 && strncmp(line, "<4>", 3) != 0 && journal)
+                fail_msg("%.80s", line);
+            else if (*line == '<' && !journal)
+                fail_msg("%.80s", line);
+        assert_true(n > 3);
+        assert_int_equal(strstr((char *)log.data, "\n<4>") != NULL, journal);
+        buf_free(&log);
+        program_start(&p, NULL, broken);
+        assert_int_equal(program_end(&p, 0), EX_DATAERR);
+        kit_ok(file_read(p.log, 0, &log, &e), e);
+        buf_u8(&log, 0);
+        const char *from = (char *)log.data + (journal ? 3 : 0);
+        if (journal)
+            assert_memory_equal(log.data, "<3>", 3);
+        json_t *o = json_loadb(from, strcspn(from, "\n"), 0, NULL);
+        assert_string_equal(json_string_value(json_object_get(o, "level")), "error");
+        assert_non_null(strstr(json_string_value(json_object_get(o, "msg")), "lines.tiles"));
+        assert_string_equal(from + strcspn(from, "\n"), "\n"); /* and nothing behind it */
+        json_decref(o);
+        buf_free(&log);
+    }
+    const char *const json[] = {"--port", "0", "--log-format", "json", NULL};
+    struct program p = {0};
+    program_start(&p, NULL, json);
+    json_t *o = json_loads(p.line, 0, NULL);
+    assert_non_null(strstr(json_string_value(json_object_get(o, "msg")), "open http://"));
+    json_decref(o);
+    assert_int_equal(program_end(&p, SIGTERM), 0);
+}
+
+/* Waits until /readyz says a word; returns whether it is 200. */
+static bool ready_says(uint16_t port, const char *word)
+{
+    struct reply r;
+    bool said = false;
+    int status = 0;
+    for (double end_s = clock_s() + PATIENCE_S; !said && clock_s() < end_s;) {
+        ask_port(port, "GET", "/readyz", "", &r);
+        buf_u8(&r.raw, 0);
+        said = strstr((const char *)r.body, word) != NULL;
+        status = r.status;
+        buf_free(&r.raw);
+        if (!said)
+            nap_ms(20);
+    }
+    if (!said)
+        fail_msg("/readyz does not say '%s'", word);
+    return status == 200;
+}
+
+/* Expects a line of the metrics. */
+static void measures(uint16_t port, const char *line)
+{
+    struct reply r;
+    char want[128];
+    snprintf(want, sizeof want, "\ncitysplat_%s\n", line);
+    ask_port(port, "GET", "/metrics", "", &r);
+    buf_u8(&r.raw, 0);
+    if (!strstr((const char *)r.body, want))
+        fail_msg("no %s in %s", line, (const char *)r.body);
+    buf_free(&r.raw);
+}
+
+/* Asks for a reload; its answer has this status, and says this. */
+static void reloads(uint16_t admin, int status, const char *says)
+{
+    struct reply r;
+    ask_port(admin, "POST", "/-/reload", "Content-Length: 0\r\n", &r);
+    buf_u8(&r.raw, 0);
+    if (r.status != status || !strstr((const char *)r.body, says))
+        fail_msg("%d, want %d with %s: %s", r.status, status, says, (const char *)r.body);
+    buf_free(&r.raw);
+}
+
+/* A folder that is empty, gets stores, a broken one, and loses one: the program goes on, says what
+ * it serves, and a reload answers what changed. */
+static void test_a_folder_is_served(void **state)
+{
+    char dir[FILE_PATH_MAX], good[FILE_PATH_MAX], bad[FILE_PATH_MAX];
+    const char *const args[] = {dir, "--port", "0", "--admin", "127.0.0.1:0", NULL};
+    struct program p = {0};
+    struct err e = {0};
+    struct buf log = {0};
+    char line[64];
+    (void)state;
+    kit_ok(file_join(dir, t.dir, "stores", &e), e);
+    kit_ok(file_join(good, dir, "good.tiles", &e), e);
+    kit_ok(file_join(bad, dir, "bad.tiles", &e), e);
+    kit_ok(file_mkdir(dir, &e), e);
+    program_start(&p, NULL, args);
+    size_t n = 0;
+    for (; n + 1 < sizeof line && read(p.out, line + n, 1) == 1 && line[n] != '\n'; n++)
+        continue;
+    line[n] = '\0';
+    const uint16_t admin = (uint16_t)atoi(strrchr(line, ' '));
+    assert_false(ready_says(p.port, "add a file NAME.tiles"));
+    assert_false(ready_says(admin, "\"empty\""));
+    served_city(good, "good", 10);
+    reloads(admin, 200, "\"added\": [\n  \"good\"\n ]");
+    assert_true(ready_says(p.port, "\"ready\""));
+    measures(admin, "stores_degraded 0");
+    measures(admin, "datasets 1");
+    measures(admin, "last_reload_successful 1");
+    measures(admin, "pictures_on 0");
+    kit_ok(file_write(bad, "cut off", 7, &e), e);
+    served_city(good, "good", 11);
+    reloads(admin, 500, "\"to\": \""); /* one is replaced, the other fails */
+    reloads(admin, 500, "bad.tiles");
+    assert_true(ready_says(admin, "bad.tiles"));
+    measures(admin, "stores_degraded 1");
+    measures(admin, "last_reload_successful 0");
+    measures(admin, "reload_failed_total 2");
+    struct reply r;
+    ask_port(p.port, "GET", "/readyz", "X-Forwarded-For: 9.9.9.9\r\n", &r); /* no names of files */
+    buf_u8(&r.raw, 0);
+    assert_non_null(strstr((const char *)r.body, "1 not served"));
+    assert_null(strstr((const char *)r.body, "bad.tiles"));
+    buf_free(&r.raw);
+    assert_int_equal(unlink(bad), 0);
+    kill(p.pid, SIGHUP);
+    hears(&p, "STATUS=reload failed"); /* of those before */
+    assert_true(ready_says(admin, "\"ready\""));
+    assert_int_equal(unlink(good), 0);
+    reloads(admin, 200, "\"removed\": [\n  \"good\"\n ]");
+    assert_false(ready_says(admin, "\"empty\""));
+    assert_int_equal(program_end(&p, SIGTERM), 0);
+    kit_ok(file_read(p.log, 0, &log, &e), e);
+    buf_u8(&log, 0);
+    static const char *const says[] = {"no store is served yet: copy NAME.tiles into",
+                                       "dataset name=good",
+                                       "dataset replaced name=good",
+                                       "bad.tiles is not served",
+                                       "reload failed, what could be opened is served",
+                                       "dataset removed name=good"};
+    for (size_t i = 0; i < sizeof says / sizeof *says; i++)
+        kit_expect_text((const char *)log.data, says[i], __FILE__, __LINE__);
+    buf_free(&log);
+}
+
+/* A store that was broken at the start is served when it is mended, without a reload; a server of
+ * an address that is away serves its files at once. */
+static void test_it_starts_with_what_is_whole(void **state)
+{
+    char bad[FILE_PATH_MAX], fifo[FILE_PATH_MAX];
+    static const char away[] = "http://127.0.0.1:1/away.tiles";
+    struct err e = {0};
+    (void)state;
+    kit_ok(file_join(fifo, t.dir, "pipe.tiles", &e), e);
+    assert_int_equal(mkfifo(fifo, 0600), 0);
+    rights_put("mended.tiles", "cut off", bad);
+    const char *const paths[] = {bad, t.path, fifo, away, "/nonexistent/x.tiles"};
+    t.cfg.again_s = 0.1;
+    t.cfg.deadline_s = 1; /* so long an address is asked again at once */
+    t.cfg.admin = "127.0.0.1:0";
+    kit_ok(server_start(&t.cfg, paths, 5, &t.server, &e), e);
+    assert_int_equal(server_count(t.server), 1); /* the address is not waited for */
+    t.port = strrchr(server_url(t.server), ':')
+                 ? (uint16_t)atoi(strrchr(server_url(t.server), ':') + 1)
+                 : 0;
+    const uint16_t admin = server_admin_port(t.server);
+    assert_true(ready_says(t.port, "mended.tiles"));
+    assert_true(ready_says(t.port, "pipe.tiles: no file"));
+    assert_true(ready_says(t.port, "/nonexistent/x.tiles"));
+    assert_true(ready_says(t.port, "http://127.0.0.1:1/away.tiles"));
+    measures(admin, "stores_degraded 4");
+    served_city(bad, "mended", 10);
+    for (double end_s = clock_s() + PATIENCE_S; server_count(t.server) < 2 && clock_s() < end_s;) {
+        server_expire(t.server, clock_s());
+        nap_ms(10);
+    }
+    assert_int_equal(status_of("GET", "/d/mended/tileset.json", ""), 200);
+    measures(admin, "stores_degraded 3");
+    assert_int_not_equal(server_reload(t.server, &e), ERR_OK);
+    assert_int_equal(status_of("GET", "/d/toy/tileset.json", ""), 200);
+}
+
+/* A thousand stores in a folder are served in little memory. How long the start takes is printed.
+ */
+static void test_a_thousand_stores(void **state)
+{
+    enum { STORES = 1000 };
+    static const size_t most_bytes = (size_t)64 << 20; /* of a program of 35 MB without them */
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], name[32];
+    const char *const args[] = {dir, "--port", "0", "--no-access-log", NULL};
+    struct program p = {0};
+    struct reply r;
+    struct err e = {0};
+    (void)state;
+    (void)kit_program(); /* skips the test where there is none */
+    kit_ok(file_join(dir, t.dir, "many", &e), e);
+    kit_ok(file_mkdir(dir, &e), e);
+    for (int i = 0; i < STORES; i++) {
+        snprintf(name, sizeof name, "many-%d.tiles", i);
+        kit_ok(file_join(path, dir, name, &e), e);
+        name[strlen(name) - strlen(".tiles")] = '\0';
+        served_city(path, name, 10);
+    }
+    const double start_s = clock_s();
+    program_start(&p, NULL, args);
+    const double took_s = clock_s() - start_s;
+    const size_t held = mem_held_bytes((int)p.pid);
+    print_message("%d stores: served after %.2f s, %zu MB\n", STORES, took_s, held >> 20);
+    assert_non_null(strstr(p.line, "serves 1000 datasets"));
+    assert_true(held <= most_bytes);
+    ask_port(p.port, "GET", "/d/many-999/tileset.json", "", &r);
+    assert_int_equal(r.status, 200);
+    buf_free(&r.raw);
+    assert_int_equal(program_end(&p, SIGTERM), 0);
+}
+
+/* Pictures that never come end the program, where that is asked for. */
+static void test_exit_hung(void **state)
+{
+    static const char *const args[] = {
+        "--port", "0", "--device", "no such device", "--exit-hung", "--device-timeout-s",
+        "1",      NULL};
+    struct program p = {0};
+    (void)state;
+    program_start(&p, NULL, args);
+    assert_true(ready_says(p.port, "\"pictures\": \"off: "));
+    assert_true(ready_says(p.port, "tried again in"));
+    const double end_s = clock_s() + 3 * PATIENCE_S;
+    char said[512];
+    siginfo_t ended = {0};
+    while (clock_s() < end_s && !ended.si_pid) { /* what its supervisor does not hear holds it up */
+        while (recv(p.notify, said, sizeof said, MSG_DONTWAIT) > 0)
+            continue;
+        assert_int_equal(waitid(P_PID, (id_t)p.pid, &ended, WEXITED | WNOHANG | WNOWAIT), 0);
+        nap_ms(50);
+    }
+    assert_int_equal(program_end(&p, ended.si_pid ? 0 : SIGKILL), EX_UNAVAILABLE);
+}
+
 /* A trace that was asked for is there when the program has ended, and replaces no file. */
 static void test_trace_is_written(void **state)
 {
     char path[FILE_PATH_MAX];
     const char *args[] = {"--port", "0", "--trace", path, NULL};
-    struct program p;
+    struct program p = {0};
     struct reply r;
     struct err e = {0};
     bool seen = false;
@@ -329,7 +646,7 @@ static void test_trace_is_written(void **state)
 static void test_supervisor(void **state)
 {
     static const char *const args[] = {"--port", "0", "--log-format", "json", NULL};
-    struct program p;
+    struct program p = {0};
     struct reply r;
     struct buf log = {0};
     struct err e = {0};
@@ -397,7 +714,7 @@ static void test_socket_activation(void **state)
 {
     static const char *const args[] = {
         "--admin", "127.0.0.1:0", "--access-format", "combined", "--log-clients", "network", NULL};
-    struct program p;
+    struct program p = {0};
     struct reply r;
     uint16_t port, admin;
     (void)state;
@@ -434,7 +751,7 @@ static void test_socket_activation(void **state)
 
 static int exit_code(const char *const *args, struct buf *said)
 {
-    struct program p;
+    struct program p = {0};
     struct err e = {0};
     program_start(&p, NULL, args);
     int code = program_end(&p, 0);
@@ -465,7 +782,7 @@ static void test_revocation(void **state)
         sealed[AUTH_SEAL_MAX + 200], query[AUTH_QUERY_MAX], alone[AUTH_QUERY_MAX + 200],
         seal[AUTH_SEAL_MAX];
     const char *const args[] = {"--port", "0", "--access-format", "combined", "--auth", path, NULL};
-    struct program p;
+    struct program p = {0};
     struct reply r;
     struct auth *a = NULL;
     struct err e = {0};
@@ -519,9 +836,15 @@ static void test_revocation(void **state)
 
 static void test_check_and_exit_codes(void **state)
 {
-    char bad[FILE_PATH_MAX], conf[FILE_PATH_MAX], fifo[FILE_PATH_MAX];
+    char bad[FILE_PATH_MAX], conf[FILE_PATH_MAX], fifo[FILE_PATH_MAX], open[FILE_PATH_MAX],
+        state_dir[FILE_PATH_MAX], names[FILE_PATH_MAX];
     struct err e = {0};
     (void)state;
+    assert_int_equal(chmod(rights_file("\"admin\"", "", open), 0644), 0);
+    kit_ok(file_join(state_dir, t.dir, "state", &e), e);
+    kit_ok(file_mkdir(state_dir, &e), e);
+    kit_ok(file_join(names, state_dir, "appearances.sqlite", &e), e);
+    kit_ok(file_write(names, "", 0, &e), e);
     kit_ok(file_join(fifo, t.dir, "fifo.tiles", &e), e);
     assert_int_equal(mkfifo(fifo, 0600), 0);
     rights_put("bad.tiles", "this is no store", bad);
@@ -539,6 +862,9 @@ static void test_check_and_exit_codes(void **state)
         {EX_CONFIG, "--base-path", {"--check", "--base-path", "x"}},
         {EX_CONFIG, "--cache-policy", {"--check", "--cache-policy", "x"}},
         {EX_CONFIG, "/nonexistent", {"--check", "--auth", "/nonexistent"}},
+        {EX_CONFIG, "others may read", {"--check", "--auth", open}},
+        {EX_CONFIG, "it is empty", {"--check", "--state-dir", state_dir}},
+        {EX_DATAERR, "it is empty", {"--port", "0", "--state-dir", state_dir}},
         {EX_CONFIG, "bad.tiles", {"--check", bad}},
         {EX_CONFIG, "no file", {"--check", fifo}}, /* not waited for */
         {EX_CONFIG, "/nonexistent", {"--check", "--clip", "/nonexistent"}},
@@ -564,11 +890,20 @@ static void test_check_and_exit_codes(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        HTTP_TEST(test_revocation),           HTTP_TEST(test_cache_policies),
-        HTTP_TEST(test_request_ids),          HTTP_TEST(test_base_path),
-        HTTP_TEST(test_admin_listener),       HTTP_TEST(test_supervisor),
-        HTTP_TEST(test_trace_is_written),     HTTP_TEST(test_socket_activation),
+        HTTP_TEST(test_revocation),
+        HTTP_TEST(test_cache_policies),
+        HTTP_TEST(test_request_ids),
+        HTTP_TEST(test_base_path),
+        HTTP_TEST(test_admin_listener),
+        HTTP_TEST(test_supervisor),
+        HTTP_TEST(test_trace_is_written),
+        HTTP_TEST(test_socket_activation),
         HTTP_TEST(test_check_and_exit_codes),
+        HTTP_TEST(test_a_folder_is_served),
+        HTTP_TEST(test_it_starts_with_what_is_whole),
+        HTTP_TEST(test_exit_hung),
+        HTTP_TEST(test_lines_of_the_log),
+        HTTP_TEST(test_a_thousand_stores),
     };
     return cmocka_run_group_tests(tests, setup_all, teardown_all);
 }

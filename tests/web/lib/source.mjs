@@ -82,7 +82,8 @@ export function serve(...argv) {
 // Options of a server whose data are private, in a folder.
 function privateOptions(dir) {
     const file = join(dir, "auth.jsonc");
-    writeFileSync(file, JSON.stringify({ keys: { k: randomBytes(32).toString("base64") } }));
+    const text = JSON.stringify({ keys: { k: randomBytes(32).toString("base64") } });
+    writeFileSync(file, text, { mode: 0o600 });
     return ["--auth", file];
 }
 
