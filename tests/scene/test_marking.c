@@ -249,7 +249,7 @@ static void bad_markers_are_refused_by_line(void **state)
 {
     static const struct {
         const char *in, *out, *says;
-    } bad[] = {{"</group>", "", "line 10: mismatched tag"},
+    } bad[] = {{"</group>", "", "line 9: mismatched tag"},
                {"</document>\n", "", "no element found"},
                {"camera_id=\"0\" pinned=\"true\"", "camera_id=\"5\"",
                 "line 19: there is no camera of id 5"},
