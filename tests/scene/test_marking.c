@@ -256,7 +256,7 @@ static void bad_markers_are_refused_by_line(void **state)
                {"x=\"1024.5\"", "x=\"1024,5\"", "line 19: a place in a photograph has no"},
                {"camera id=\"0\"", "camera ", "line 7: a camera or marker has no id"},
                {"<chunk label", "<chunk/><chunk label", "a second chunk"},
-               {"<chunk label", "<!DOCTYPE a [<!ENTITY b \"c\">]><chunk label", "document types"},
+               {"<document", "<!DOCTYPE a [<!ENTITY b \"c\">]><document", "document types"},
                {"label=\"point 1\">", "label=\"point 1\"", "line 12: not well-formed"},
                {"of before -->", "of before", "unclosed token"},
                {"label=\"off\"", "label=\"point 1\"", "point 1 lies at"},
