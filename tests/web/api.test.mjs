@@ -201,7 +201,7 @@ test("every route answers every method with a status and a type that is said", {
         assert.deepEqual(allow.toSorted(), verbs.toSorted(), path);
     }
     t.diagnostic(JSON.stringify(counts));
-    for (const status of [200, 201, 202, 204, 206, 304, 307, 416]) assert.ok(counts[status], `${status} was never answered`);
+    for (const status of [200, 201, 204, 206, 304, 307, 416]) assert.ok(counts[status], `${status} was never answered`);
 });
 
 // ---- a generated client ----

@@ -32,12 +32,14 @@ export async function callAll(baseUrl: string, operators: string, ds: string): P
     note("GET /api.html", await api.GET("/api.html", text));
     note("GET /healthz", await api.GET("/healthz"));
     const ready = await api.GET("/readyz");
-    const state: "ok" | "ready" | "degraded" | undefined = ready.data?.status;
+    const state: "ok" | "ready" | "degraded" | "empty" | undefined = ready.data?.status;
     if (!state) throw new Error("no state");
     note("GET /readyz", ready);
     note("GET /version", await api.GET("/version"));
     note("GET /metrics", await desk.GET("/metrics", text));
-    note("POST /-/reload", await desk.POST("/-/reload", text));
+    const reload = await desk.POST("/-/reload");
+    reload.data?.failed.map(({ store, why }) => store + why);
+    note("POST /-/reload", reload);
     note("GET /signed/{seal}{rest}", await api.GET("/signed/{seal}{rest}", { params: { path: { seal: "a.b", rest: "x" } }, ...text }));
     note("GET /session", await api.GET("/session", text));
     note("POST /session", await api.POST("/session", { body: { token: "none" }, ...text }));
