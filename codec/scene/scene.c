@@ -19,7 +19,6 @@
 #include <string.h>
 
 #include "codec/scene/scene.h"
-#include "core/splat/exposure.h"
 
 enum { SCENE_VERSION = 1, POINTS_HEAD = 24, POINT_SIZE = 36, TRACK_SIZE = 16, POINTS_TAIL = 16 };
 static const char points_magic[4] = {'C', 'S', 'P', 'T'};
@@ -149,76 +148,6 @@ static enum err_code scene_points_read(const char *path, struct scene *s, struct
 
 /* ---- scene.json ---- */
 
-static json_t *scene_nums_to_json(const double *v, size_t n)
-{
-    json_t *a = json_array();
-    for (size_t i = 0; a && i < n; i++)
-        if (json_array_append_new(a, json_real(v[i]))) {
-            json_decref(a);
-            a = NULL;
-        }
-    return a;
-}
-
-/* null when the first number is NaN. */
-static json_t *scene_maybe_nums(const double *v, size_t n)
-{
-    return isfinite(v[0]) ? scene_nums_to_json(v, n) : json_null();
-}
-
-static json_t *scene_camera_to_json(const struct camera *c)
-{
-    double m[16] = {0};
-    for (int i = 0; i < 3; i++) {
-        for (int j = 0; j < 3; j++)
-            m[4 * i + j] = c->rot[3 * i + j];
-        m[4 * i + 3] = c->trans[i];
-    }
-    m[15] = 1;
-    return json_pack("{s:I, s:I, s:f, s:f, s:f, s:f, s:o}", "width", (json_int_t)c->width_px,
-                     "height", (json_int_t)c->height_px, "fx", c->fx_px, "fy", c->fy_px, "cx",
-                     c->cx_px, "cy", c->cy_px, "world_to_camera", scene_nums_to_json(m, 16));
-}
-
-/* The digits of a text where a pattern has 0, its other characters as they are; from the pattern's
- * point of view a bad text ends it. */
-static bool scene_time_like(const char *text, const char *pattern)
-{
-    for (; *pattern; text++, pattern++)
-        if (*pattern == '0' ? *text < '0' || *text > '9' : *text != *pattern)
-            return false;
-    return !*text;
-}
-
-void scene_time(const char *exif, char out[20])
-{
-    out[0] = '\0';
-    if (!scene_time_like(exif, "0000:00:00 00:00:00") || !strncmp(exif, "0000", 4))
-        return;
-    snprintf(out, 20, "%.4s-%.2s-%.2sT%.8s", exif, exif + 5, exif + 8, exif + 11);
-}
-
-static json_t *scene_image_to_json(const struct scene_image *im)
-{
-    double ev[3] = {(double)im->exposure_ev[0], (double)im->exposure_ev[1],
-                    (double)im->exposure_ev[2]};
-    json_t *o = json_pack("{s:s, s:s, s:I, s:o, s:o, s:o}", "name", im->name, "split",
-                          im->split == SCENE_TEST ? "test" : "train", "group",
-                          (json_int_t)im->group, "camera", scene_camera_to_json(&im->cam),
-                          "gps_enu_m", scene_maybe_nums(im->gps_enu_m, 3), "residual_m",
-                          isfinite(im->residual_m) ? json_real(im->residual_m) : json_null());
-    if (o && !exposure_is_mean(im->exposure_ev) && /* left out where it is not known */
-        json_object_set_new(o, "exposure_ev", scene_nums_to_json(ev, 3))) {
-        json_decref(o);
-        o = NULL;
-    }
-    if (o && im->time[0] && json_object_set_new(o, "time", json_string(im->time))) {
-        json_decref(o);
-        o = NULL;
-    }
-    return o;
-}
-
 static json_t *scene_to_json(const struct scene *s, struct hash128 points_hash)
 {
     char hash[33];
@@ -234,8 +163,8 @@ static json_t *scene_to_json(const struct scene *s, struct hash128 points_hash)
         "s:o}",
         "format", "citysplat-scene", "version", SCENE_VERSION, "origin", "lon_deg",
         s->origin.lon_deg, "lat_deg", s->origin.lat_deg, "h_m", s->origin.h_m, "heights",
-        s->heights, "colmap_to_enu", "scale", s->scale, "rot", scene_nums_to_json(s->rot, 9),
-        "trans", scene_nums_to_json(s->trans, 3), "vertical_offset_m", s->vertical_offset_m,
+        s->heights, "colmap_to_enu", "scale", s->scale, "rot", scene_image_numbers(s->rot, 9),
+        "trans", scene_image_numbers(s->trans, 3), "vertical_offset_m", s->vertical_offset_m,
         "attribution", s->attribution, "points", "file", "points.bin", "count",
         (json_int_t)s->n_points, "tracks", (json_int_t)s->n_tracks, "hash", hash, "images", images);
 }
@@ -258,76 +187,6 @@ enum err_code scene_write(const char *dir, const struct scene *s, struct err *e)
                        path);
     rc = jsonc_write(path, json, e);
     json_decref(json);
-    return rc;
-}
-
-/* A plain file name: what is joined to images/ must stay in there. */
-static bool scene_name_is_plain(const char *s)
-{
-    return s[0] && !strchr(s, '/') && strcmp(s, ".") && strcmp(s, "..");
-}
-
-static enum err_code scene_nums_or_nan(const json_t *o, const char *key, size_t n, double *out,
-                                       struct err *e)
-{
-    const json_t *v = json_object_get(o, key);
-    if (v && !json_is_null(v))
-        return n == 1 ? jsonc_num(o, key, out, e) : jsonc_nums(o, key, n, out, e);
-    for (size_t i = 0; i < n; i++)
-        out[i] = (double)NAN;
-    return ERR_OK;
-}
-
-static enum err_code scene_exposure_from_json(const json_t *o, float out[3], struct err *e)
-{
-    double ev[3] = {0.0};
-    if (!json_object_get(o, "exposure_ev"))
-        return ERR_OK;
-    enum err_code rc = jsonc_nums(o, "exposure_ev", 3, ev, e);
-    for (size_t k = 0; !rc && k < 3; k++) {
-        if (!(fabs(ev[k]) <= (double)EXPOSURE_EV_MAX))
-            rc = err_set(e, ERR_FORMAT, "exposure_ev: %g stops, expected -%g to %g", ev[k],
-                         (double)EXPOSURE_EV_MAX, (double)EXPOSURE_EV_MAX);
-        out[k] = (float)ev[k];
-    }
-    return rc;
-}
-
-static enum err_code scene_image_from_json(const json_t *o, struct scene_image *im, struct arena *a,
-                                           struct err *e)
-{
-    const char *name, *split;
-    double group;
-    enum err_code rc = jsonc_text(o, "name", &name, e);
-    if (!rc && !scene_name_is_plain(name))
-        rc = err_set(e, ERR_FORMAT, "name '%.100s' is not a plain file name", name);
-    if (!rc && !(im->name = arena_text(a, name)))
-        rc = err_set(e, ERR_MEM, "out of memory");
-    if (!rc)
-        rc = jsonc_text(o, "split", &split, e);
-    if (!rc && strcmp(split, "train") && strcmp(split, "test"))
-        rc = err_set(e, ERR_FORMAT, "split: expected train or test");
-    if (!rc)
-        rc = jsonc_num(o, "group", &group, e);
-    if (!rc && !(group >= 0 && group <= UINT32_MAX && group == floor(group)))
-        rc = err_set(e, ERR_FORMAT, "group: expected a whole number");
-    if (!rc)
-        rc = camera_from_json(json_object_get(o, "camera"), &im->cam, e);
-    if (!rc)
-        rc = scene_nums_or_nan(o, "gps_enu_m", 3, im->gps_enu_m, e);
-    if (!rc)
-        rc = scene_nums_or_nan(o, "residual_m", 1, &im->residual_m, e);
-    if (!rc)
-        rc = scene_exposure_from_json(o, im->exposure_ev, e);
-    const char *time = json_string_value(json_object_get(o, "time"));
-    if (!rc && time && scene_time_like(time, "0000-00-00T00:00:00"))
-        memcpy(im->time, time, sizeof im->time);
-    else if (!rc && json_object_get(o, "time"))
-        rc = err_set(e, ERR_FORMAT, "time: expected YYYY-MM-DDThh:mm:ss");
-    if (!rc) {
-        im->split = strcmp(split, "test") ? SCENE_TRAIN : SCENE_TEST;
-        im->group = (uint32_t)group;
-    }
     return rc;
 }
 

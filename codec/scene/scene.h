@@ -9,23 +9,10 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "core/base.h"
+#include "codec/scene/scene_image.h"
 #include "core/geo/geo.h"
 #include "core/geo/heights.h"
-#include "core/splat/camera.h"
 
-enum scene_split { SCENE_TRAIN, SCENE_TEST };
-struct scene_image {
-    char *name;        /* file in images/; lives in the scene's arena */
-    struct camera cam; /* undistorted pinhole, world = ENU metres */
-    enum scene_split split;
-    uint32_t group;      /* appearance group; one per photograph by default */
-    double gps_enu_m[3]; /* NaN when there is no GPS */
-    double residual_m;   /* after registration; NaN when there is no GPS */
-    /* see core/splat/exposure.h: stops against the mean of all photographs; 0: not known */
-    float exposure_ev[3];
-    char time[20]; /* local time of the camera, 2024-06-01T10:00:00, or "" */
-};
 struct scene_point {
     double enu_m[3];
     uint8_t rgb[3];
@@ -59,6 +46,4 @@ enum err_code scene_write(const char *dir, const struct scene *s, struct err *e)
 void scene_free(struct scene *s);
 /* Index of an image's first track, or of the first of a later image: tracks are sorted by image. */
 size_t scene_first_track(const struct scene *s, uint32_t image);
-/* Converts EXIF's "2024:06:01 10:00:00" to the form of a scene. Anything else becomes "". */
-void scene_time(const char *exif, char out[20]);
 #endif

@@ -179,6 +179,8 @@ void access_log_add(struct access_log *a, const struct access_log_line *x)
 {
     char line[ACCESS_LOG_ROOM];
     struct access_log_out o = {line, line + sizeof line};
+    if (a->format == ACCESS_LOG_COMBINED || log_is_json() || !a->muted)
+        access_log_put(&o, log_priority(LOG_INFO));
     if (a->format == ACCESS_LOG_COMBINED)
         access_log_combined(x, &o);
     else if (log_is_json())

@@ -6,6 +6,8 @@
 #include <stdio.h>
 #include <string.h>
 
+#include <jansson.h>
+
 #include "codec/scene/scene.h"
 #include "tests/kit.h"
 
@@ -33,6 +35,7 @@ static void make_scene(struct scene *s)
             camera_look_at((double[3]){10.0 * i, 5, 80}, (double[3]){1.0 + i, 2, 0}, 0.9, 400, 300);
         im->split = i ? SCENE_TRAIN : SCENE_TEST;
         im->group = i;
+        im->exposure_ev[i] = 0.25f * (float)i;
         scene_time(i == 2 ? "yesterday" : "2024:06:01 10:00:59", im->time);
         im->residual_m = i == 2 ? (double)NAN : 0.1 * i;
         for (int k = 0; k < 3; k++)
@@ -68,6 +71,7 @@ static void test_round_trip(void **state)
         assert_string_equal(y->time, i == 2 ? "" : "2024-06-01T10:00:59");
         assert_int_equal(x->split, y->split);
         assert_int_equal(x->group, y->group);
+        assert_memory_equal(x->exposure_ev, y->exposure_ev, sizeof x->exposure_ev);
         assert_true(x->cam.fx_px == y->cam.fx_px && x->cam.width_px == y->cam.width_px);
         kit_near_d("rot", y->cam.rot, x->cam.rot, 9, tol_rot, 0);
         assert_memory_equal(x->cam.trans, y->cam.trans, sizeof x->cam.trans);
@@ -86,6 +90,42 @@ static void test_round_trip(void **state)
     assert_memory_equal(a.tracks, b.tracks, a.n_tracks * sizeof *a.tracks);
     scene_free(&a);
     scene_free(&b);
+    kit_rmdir(dir);
+}
+
+/* Every row of scene_image.def is in the file, in that order, and is left out or null only where it
+ * is not known. */
+static void every_field_is_in_the_file(void **state)
+{
+    static const char *const keys[] = {
+#define FIELD(type, member, key, unit, what) key,
+#include "codec/scene/scene_image.def"
+#undef FIELD
+    };
+    struct scene a;
+    struct err e = {0};
+    struct json_t *root;
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    (void)state;
+    make_scene(&a);
+    kit_tmpdir(dir);
+    kit_ok(scene_write(dir, &a, &e), e);
+    kit_ok(file_join(path, dir, "scene.json", &e), e);
+    kit_ok(jsonc_read(path, &root, &e), e);
+    json_t *images = json_object_get(root, "images"), *value;
+    size_t n = 0;
+    const char *key;
+    json_object_foreach(json_array_get(images, 1), key, value) /* of which all is known */
+    {
+        assert_string_equal(key, keys[n++]);
+        assert_false(json_is_null(value));
+    }
+    assert_int_equal(n, sizeof keys / sizeof *keys);
+    assert_true(json_is_null(json_object_get(json_array_get(images, 2), "residual_m")));
+    assert_null(json_object_get(json_array_get(images, 2), "time"));
+    assert_null(json_object_get(json_array_get(images, 0), "exposure_ev"));
+    json_decref(root);
+    scene_free(&a);
     kit_rmdir(dir);
 }
 
@@ -124,6 +164,8 @@ static void test_refused(void **state)
         {"IMG 1.jpg", "../x.jpg", "images[1]"},
         {"\"test\"", "\"both\"", "split"},
         {"\"group\": 2", "\"group\": -2", "group"},
+        {"0.25", "99", "exposure_ev"},
+        {"T10:00:59", " 10:00:59", "time"},
         {"\"fx\"", "\"fxx\"", "images[0]"},
         {"\"lat_deg\": 47.25", "\"lat_deg\": 147.25", "origin"},
         {"\"scale\"", "\"skale\"", "scale"},
@@ -169,6 +211,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_round_trip),
+        cmocka_unit_test(every_field_is_in_the_file),
         cmocka_unit_test(test_refused),
     };
     return cmocka_run_group_tests_name("scene", tests, NULL, NULL);

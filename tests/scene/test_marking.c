@@ -249,23 +249,23 @@ static void bad_markers_are_refused_by_line(void **state)
 {
     static const struct {
         const char *in, *out, *says;
-    } bad[] = {{"</group>", "", "line 9: an element ends that is not open"},
-               {"</document>\n", "", "ends within an element"},
+    } bad[] = {{"</group>", "", "line 9: mismatched tag"},
+               {"</document>\n", "", "no element found"},
                {"camera_id=\"0\" pinned=\"true\"", "camera_id=\"5\"",
                 "line 19: there is no camera of id 5"},
                {"x=\"1024.5\"", "x=\"1024,5\"", "line 19: a place in a photograph has no"},
                {"camera id=\"0\"", "camera ", "line 7: a camera or marker has no id"},
                {"<chunk label", "<chunk/><chunk label", "a second chunk"},
-               {"<chunk label", "<!DOCTYPE a [<!ENTITY b \"c\">]><chunk label", "document types"},
-               {"label=\"point 1\">", "label=\"point 1\"", "line 11: a tag does not end"},
-               {"of before -->", "of before", "a comment or declaration does not end"},
+               {"<document", "<!DOCTYPE a [<!ENTITY b \"c\">]><document", "document types"},
+               {"label=\"point 1\">", "label=\"point 1\"", "line 12: not well-formed"},
+               {"of before -->", "of before", "unclosed token"},
                {"label=\"off\"", "label=\"point 1\"", "point 1 lies at"},
                {"<marker id=\"3\" label=\"point 1\">",
                 "<marker id=\"3\" label=\"0123456789012345678901"
                 "234567890123456789012345678901234567890123456789\">",
                 "has over 63 bytes"},
                {"camera_id=\"7\" pinned=\"1\"", "camera_id=\"0\" pinned=\"1\"", "both mark"},
-               {"<markers next_id=\"4\">", "<nothing>", "an element ends that is not open"}};
+               {"<markers next_id=\"4\">", "<nothing>", "mismatched tag"}};
     (void)state;
     for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
         struct err e = {0};
