@@ -298,6 +298,7 @@ export class Page {
     button.setAttribute("aria-expanded", String(!folded));
     label.dataset["t"] = folded ? "panel.show" : "panel.hide";
     label.textContent = button.title = text(folded ? "panel.show" : "panel.hide");
+    this.viewer.overlay.onWake(); // notes that lay below it
   }
 
   private get isSmall(): boolean {
