@@ -45,14 +45,9 @@ static enum err_code store_read_header(const char *at, const char *path,
     if (fd < 0)
         return err_errno(e, errno == ENOENT ? ERR_NOENT : ERR_IO, "%s", path);
     struct stat st;
-    bool known = fstat(fd, &st) == 0, folder = known && S_ISDIR(st.st_mode);
-    ssize_t n = known && !folder ? pread(fd, h, STORE_HEADER_BYTES, 0) : -1;
+    const bool known = fstat(fd, &st) == 0;
+    const ssize_t n = known ? pread(fd, h, STORE_HEADER_BYTES, 0) : -1;
     close(fd);
-    if (folder)
-        return err_set(e, ERR_FORMAT,
-                       "%s: a folder, not a tile store: a store is one file, CITY.tiles; give "
-                       "that (of a trained run, `citysplat tile %s -o city.tiles` writes it)",
-                       path, path);
     *got = n > 0 ? (size_t)n : 0;
     *size = known ? (uint64_t)st.st_size : 0;
     return ERR_OK;
@@ -374,9 +369,10 @@ static enum err_code store_check_file(const char *path, struct err *e)
     struct stat st;
     if (!stat(path, &st) && !S_ISREG(st.st_mode))
         return err_set(e, ERR_FORMAT,
-                       S_ISDIR(st.st_mode) ? "%s: a folder, and a tile store is a file; `citysplat "
-                                             "tile` makes one of a trained scene"
-                                           : "%s: no file: a tile store is a file",
+                       S_ISDIR(st.st_mode)
+                           ? "%s: a folder, not a tile store: a store is one file, CITY.tiles; "
+                             "`citysplat tile` makes one of a trained scene"
+                           : "%s: no file: a tile store is a file",
                        path);
     return ERR_OK;
 }

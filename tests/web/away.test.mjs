@@ -50,7 +50,7 @@ const until = (page, check, arg) => page.waitForFunction(check, arg, { timeout: 
 const settled = (page) => until(page, () => window.citysplat.settled);
 
 test("the coarsest tile comes first and is shown while the rest comes", skip, async () => {
-    proxy.bytesPerSecond = 60_000;
+    proxy.bytesPerSecond = 15_000; // the city takes three seconds
     const page = await open();
     await until(page, () => window.citysplat.state.tiles > 0);
     const early = await read(page);

@@ -19,7 +19,7 @@ static void test_views(void **state)
     struct response r = get(target);
     assert_int_equal(r.status, 503); /* --device none */
     assert_true(says(&r, "--device none"));
-    assert_in_range(r.retry_after_s, 1, 10);
+    assert_int_equal(r.retry_after_s, 0); /* waiting does not help */
     response_free(&r);
     kit_ok(picture_open(&t.cfg, &t.s.plan, &t.s.picture, &e), e); /* as while the device starts */
     r = get(target);
