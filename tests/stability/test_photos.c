@@ -91,7 +91,8 @@ static struct ground ground_after_training(const char *dir, const struct toy *t,
     c.iterations.one = F17_STEPS;
     c.level_count = 1;
     c.masks = way == F17_MASKS;
-    c.solid_spread = c.solid_light = c.solid_flat = 0.0; /* they fade what only one photograph has */
+    /* They fade what one photograph alone has. */
+    c.solid_spread = c.solid_light = c.solid_flat = 0.0;
     c.seed = seed;
     toy_run_open(&r, dir, &c);
     toy_run_level(&r);
