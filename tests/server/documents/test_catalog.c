@@ -113,66 +113,74 @@ static void test_forged_sizes(void **state)
     }
 }
 
-/* A folder with everything that may lie in it: what is whole is served, the rest is named. */
-static void test_a_folder_of_stores(void **state)
-{
-    enum { PLACES = 8 };
-    struct err e = {0};
+/* A folder with everything that may lie in it. */
+enum { PLACES = 8 };
+static struct {
     char dir[FILE_PATH_MAX], at[PLACES][FILE_PATH_MAX];
+    struct catalog_options o;
+} folder;
+
+static struct catalog *folder_served(const struct catalog *older)
+{
+    const char *args[] = {folder.dir};
+    return served_catalog(args, 1, &folder.o, older);
+}
+
+static void folder_fill(void)
+{
     static const char *const names[PLACES] = {"a.tiles",    "b.tiles",   "broken.tiles",
                                               "fifo.tiles", "dir.tiles", "secret.tiles",
                                               "twin.tiles", "notes.txt"};
-    struct catalog_options o = served_stores;
-    (void)state;
-    o.again_s = 10;
-    kit_ok(file_join(dir, t.dir, "stores", &e), e);
-    kit_ok(file_mkdir(dir, &e), e);
+    struct err e = {0};
     for (size_t i = 0; i < PLACES; i++)
-        kit_ok(file_join(at[i], dir, names[i], &e), e);
-    const char *args[] = {dir};
-    struct catalog *c = served_catalog(args, 1, &o, NULL); /* empty yet */
-    assert_int_equal(c->n + c->n_absent, 0);
-    catalog_drop(&c);
-    served_city(at[0], "a", 10);
-    served_city(at[1], "b", 10);
-    kit_ok(file_write(at[2], "cut off", 7, &e), e);
-    assert_int_equal(mkfifo(at[3], 0600), 0);
-    kit_ok(file_mkdir(at[4], &e), e);
-    served_city(at[5], "secret", 10);
-    assert_int_equal(chmod(at[5], 0), 0);
-    served_city(at[6], "a", 12);
-    kit_ok(file_write(at[7], "", 0, &e), e);
-    c = served_catalog(args, 1, &o, NULL);
+        kit_ok(file_join(folder.at[i], folder.dir, names[i], &e), e);
+    served_city(folder.at[0], "a", 10);
+    served_city(folder.at[1], "b", 10);
+    kit_ok(file_write(folder.at[2], "cut off", 7, &e), e);
+    assert_int_equal(mkfifo(folder.at[3], 0600), 0);
+    kit_ok(file_mkdir(folder.at[4], &e), e);
+    served_city(folder.at[5], "secret", 10);
+    assert_int_equal(chmod(folder.at[5], 0), 0);
+    served_city(folder.at[6], "a", 12);
+    kit_ok(file_write(folder.at[7], "", 0, &e), e);
+}
+
+/* What is whole is served, the rest is named. */
+static void folder_is_served(const struct catalog *c)
+{
     const bool all = geteuid() == 0; /* root reads what nobody may read */
     assert_int_equal(c->n_current, all ? 3 : 2);
     assert_int_equal(c->n_absent, all ? 4 : 5);
-    assert_string_equal(catalog_find(c, "a", "")->path, at[0]); /* the first of two */
+    assert_string_equal(catalog_find(c, "a", "")->path, folder.at[0]); /* the first of two */
     assert_non_null(catalog_find(c, "b", ""));
-    assert_int_equal(absent(c, at[2])->code, ERR_FORMAT);
-    assert_non_null(strstr(absent(c, at[3])->why, "no file"));
-    assert_non_null(strstr(absent(c, at[4])->why, "a folder"));
+    assert_int_equal(absent(c, folder.at[2])->code, ERR_FORMAT);
+    assert_non_null(strstr(absent(c, folder.at[3])->why, "no file"));
+    assert_non_null(strstr(absent(c, folder.at[4])->why, "a folder"));
     if (!all)
-        assert_int_equal(absent(c, at[5])->code, ERR_IO);
-    assert_non_null(strstr(absent(c, at[6])->why, "serve one of them"));
-    const double pause_s = absent(c, at[2])->pause_s;
-    assert_true(pause_s == 10 && absent(c, at[2])->again_s > clock_s() + 5);
+        assert_int_equal(absent(c, folder.at[5])->code, ERR_IO);
+    assert_non_null(strstr(absent(c, folder.at[6])->why, "serve one of them"));
+    assert_true(absent(c, folder.at[2])->pause_s == 10);
+    assert_true(absent(c, folder.at[2])->again_s > clock_s() + 5);
     json_t *changes = catalog_changes(NULL, c);
     assert_int_equal(json_array_size(json_object_get(changes, "added")), c->n_current);
     assert_int_equal(json_array_size(json_object_get(changes, "failed")), c->n_absent);
     json_decref(changes);
+}
 
-    /* mended, replaced, removed, and the first twin goes */
+/* Stores are mended, replaced and removed, and the first twin goes. Drops c. */
+static struct catalog *folder_changes(struct catalog *c)
+{
     char was[13];
     memcpy(was, catalog_find(c, "b", "")->meta.revision, sizeof was);
-    served_city(at[2], "mended", 10);
-    served_city(at[1], "b", 11);
-    assert_int_equal(unlink(at[0]), 0);
-    struct catalog *later = served_catalog(args, 1, &o, c);
+    served_city(folder.at[2], "mended", 10);
+    served_city(folder.at[1], "b", 11);
+    assert_int_equal(unlink(folder.at[0]), 0);
+    struct catalog *later = folder_served(c);
     assert_non_null(catalog_find(later, "mended", ""));
-    assert_string_equal(catalog_find(later, "a", "")->path, at[6]);
+    assert_string_equal(catalog_find(later, "a", "")->path, folder.at[6]);
     assert_non_null(catalog_find(later, "b", was)); /* for a day */
-    assert_true(absent(later, at[3])->pause_s == 2 * pause_s);
-    changes = catalog_changes(c, later);
+    assert_true(absent(later, folder.at[3])->pause_s == 20);
+    json_t *changes = catalog_changes(c, later);
     const json_t *b = json_array_get(json_object_get(changes, "replaced"), 1);
     assert_string_equal(json_string_value(json_object_get(b, "name")), "b");
     assert_string_equal(json_string_value(json_object_get(b, "from")), was);
@@ -180,33 +188,56 @@ static void test_a_folder_of_stores(void **state)
     assert_int_equal(json_array_size(json_object_get(changes, "removed")), 0);
     json_decref(changes);
     catalog_drop(&c);
-    assert_int_equal(unlink(at[2]), 0);
-    c = served_catalog(args, 1, &o, later);
+    assert_int_equal(unlink(folder.at[2]), 0);
+    c = folder_served(later);
     assert_null(catalog_find(c, "mended", ""));
     catalog_drop(&later);
+    return c;
+}
 
-    /* a folder that goes takes nothing with it, and what is in it is found when it is back */
+/* A folder that goes takes nothing with it, and what is in it is found when it is back. Drops c. */
+static void folder_goes(struct catalog *c)
+{
+    struct err e = {0};
     char away[FILE_PATH_MAX];
     kit_ok(file_join(away, t.dir, "away", &e), e);
-    assert_int_equal(rename(dir, away), 0);
-    later = served_catalog(args, 1, &o, c);
+    assert_int_equal(rename(folder.dir, away), 0);
+    struct catalog *later = folder_served(c);
     assert_int_equal(later->n_current, c->n_current);
-    assert_int_equal(absent(later, dir)->code, ERR_NOENT);
-    assert_string_equal(absent(later, at[1])->name, "b");
+    assert_int_equal(absent(later, folder.dir)->code, ERR_NOENT);
+    assert_string_equal(absent(later, folder.at[1])->name, "b");
     catalog_drop(&c);
-    assert_int_equal(rename(away, dir), 0);
-    c = served_catalog(args, 1, &o, later);
+    assert_int_equal(rename(away, folder.dir), 0);
+    c = folder_served(later);
     assert_int_equal(c->n_current, later->n_current);
     assert_ptr_equal(catalog_find(c, "b", ""), catalog_find(later, "b", ""));
     catalog_drop(&later);
     catalog_drop(&c);
-    assert_int_equal(chmod(at[5], 0600), 0);
-    /* a scene is no folder of stores */
+}
+
+static void test_a_folder_of_stores(void **state)
+{
+    struct err e = {0};
+    const char *args[] = {folder.dir};
     struct arena arena = {0};
     struct catalog_place *place;
     size_t n, folders;
     char scene[FILE_PATH_MAX];
-    kit_ok(file_join(scene, dir, "scene.json", &e), e);
+    (void)state;
+    folder.o = served_stores;
+    folder.o.again_s = 10;
+    kit_ok(file_join(folder.dir, t.dir, "stores", &e), e);
+    kit_ok(file_mkdir(folder.dir, &e), e);
+    struct catalog *c = folder_served(NULL); /* empty yet */
+    assert_int_equal(c->n + c->n_absent, 0);
+    catalog_drop(&c);
+    folder_fill();
+    c = folder_served(NULL);
+    folder_is_served(c);
+    folder_goes(folder_changes(c));
+    assert_int_equal(chmod(folder.at[5], 0600), 0);
+    /* a scene is no folder of stores */
+    kit_ok(file_join(scene, folder.dir, "scene.json", &e), e);
     kit_ok(file_write(scene, "{}", 2, &e), e);
     kit_fails(catalog_list(args, 1, NULL, &arena, &place, &n, &folders, &e), ERR_FORMAT, e,
               "citysplat tile");
