@@ -198,10 +198,18 @@ static void admin_knows_its_names(uint16_t admin)
     assert_int_equal(status_by_name(admin, name), 200);
     snprintf(longer, sizeof longer, "%s.evil.example", name);
     assert_int_equal(status_by_name(admin, longer), 403);
+}
+
+/* The host of --public-url is one of its names. */
+static void test_admin_of_a_public_url(void **state)
+{
+    (void)state;
+    t.cfg.admin = "127.0.0.1:0";
     t.cfg.public_url = "https://maps.example:8443/splats";
-    server_services(t.server)->cfg = &t.cfg;
+    start();
+    const uint16_t admin = server_admin_port(t.server);
     assert_int_equal(status_by_name(admin, "maps.example"), 200);
-    t.cfg.public_url = NULL;
+    assert_int_equal(status_by_name(admin, "evil.example"), 403);
 }
 
 static void test_admin_listener(void **state)
@@ -882,19 +890,13 @@ static void test_check_and_exit_codes(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        HTTP_TEST(test_revocation),
-        HTTP_TEST(test_cache_policies),
-        HTTP_TEST(test_request_ids),
-        HTTP_TEST(test_base_path),
-        HTTP_TEST(test_admin_listener),
-        HTTP_TEST(test_supervisor),
-        HTTP_TEST(test_trace_is_written),
-        HTTP_TEST(test_socket_activation),
-        HTTP_TEST(test_check_and_exit_codes),
-        HTTP_TEST(test_a_folder_is_served),
-        HTTP_TEST(test_it_starts_with_what_is_whole),
-        HTTP_TEST(test_exit_hung),
-        HTTP_TEST(test_lines_of_the_log),
+        HTTP_TEST(test_revocation),         HTTP_TEST(test_cache_policies),
+        HTTP_TEST(test_request_ids),        HTTP_TEST(test_base_path),
+        HTTP_TEST(test_admin_listener),     HTTP_TEST(test_admin_of_a_public_url),
+        HTTP_TEST(test_supervisor),         HTTP_TEST(test_trace_is_written),
+        HTTP_TEST(test_socket_activation),  HTTP_TEST(test_check_and_exit_codes),
+        HTTP_TEST(test_a_folder_is_served), HTTP_TEST(test_it_starts_with_what_is_whole),
+        HTTP_TEST(test_exit_hung),          HTTP_TEST(test_lines_of_the_log),
         HTTP_TEST(test_a_thousand_stores),
     };
     return cmocka_run_group_tests(tests, setup_all, teardown_all);
