@@ -14,27 +14,9 @@ if [ ! -d "$faults" ]; then
 fi
 work=$(mktemp -d "${TMPDIR:-/tmp}/citysplat-foreign-XXXXXX") || exit 1
 trap 'rm -rf "$work"' EXIT
-failed=0 passed=0
-
-# is CASE EXIT PATTERN COMMAND...: runs in the case's folder; each line of PATTERN must match what is printed.
-is() {
-  local name=$1 want=$2 pattern=$3 rc why=
-  shift 3
-  (cd "$faults/$name" && "$@") >"$work/log" 2>&1 </dev/null
-  rc=$?
-  [ "$rc" = "$want" ] || why="exit code $rc, want $want"
-  while IFS= read -r line; do
-    grep -Eq -- "$line" "$work/log" || why="$why; nothing matches '$line'"
-  done <<<"$pattern"
-  if [ -n "$why" ]; then
-    failed=$((failed + 1))
-    printf 'FAIL %s: %s\n  ran: %s\n' "$name" "$why" "$*"
-    tail -12 "$work/log" | sed 's/^/  | /'
-  else
-    passed=$((passed + 1))
-    printf 'ok   %s: %s\n' "$name" "$(grep -E -m1 -- "$(head -1 <<<"$pattern")" "$work/log" | cut -c1-140)"
-  fi
-}
+place() { echo "$faults/$1"; }
+# shellcheck source=tests/cli/foreign.sh
+. "$(dirname "$0")/foreign.sh"
 ingest() { # CASE EXIT PATTERN OPTIONS...
   local name=$1 want=$2 pattern=$3
   shift 3

@@ -1,6 +1,7 @@
 #!/bin/bash
-# Foreign files that this test makes itself: tables with decimal commas and names in other forms, outliers, axes, and the fit of an import to places on the ground. Each gives the right value, or an error that
-# names what, which and what to do. Beside test_foreign.sh, whose inputs are other people's.
+# Foreign files that this test makes itself: tables with decimal commas and names in other forms, outliers, axes, and the
+# fit of an import to places on the ground. Each gives the right value, or an error that says what is wrong, where, and what
+# to do. test_foreign.sh has other people's files.
 #
 # SPDX-License-Identifier: Apache-2.0
 set -u
@@ -8,27 +9,9 @@ bin=$(realpath "${CITYSPLAT_BIN:?set it to the citysplat program}")
 work=$(mktemp -d "${TMPDIR:-/tmp}/citysplat-made-XXXXXX") || exit 1
 trap 'rm -rf "$work"' EXIT
 export LC_ALL=C.UTF-8
-failed=0 passed=0
-
-# is NAME EXIT PATTERNS COMMAND...: each line of PATTERNS must match what is printed.
-is() {
-  local name=$1 want=$2 patterns=$3 rc why=
-  shift 3
-  (cd "$work" && "$@") >"$work/log" 2>&1 </dev/null
-  rc=$?
-  [ "$rc" = "$want" ] || why="exit code $rc, want $want"
-  while IFS= read -r line; do
-    grep -Eq -- "$line" "$work/log" || why="$why; nothing matches '$line'"
-  done <<<"$patterns"
-  if [ -n "$why" ]; then
-    failed=$((failed + 1))
-    printf 'FAIL %s: %s\n  ran: %s\n' "$name" "$why" "$*"
-    tail -12 "$work/log" | sed 's/^/  | /'
-  else
-    passed=$((passed + 1))
-    printf 'ok   %s\n' "$name"
-  fi
-}
+place() { echo "$work"; }
+# shellcheck source=tests/cli/foreign.sh
+. "$(dirname "$0")/foreign.sh"
 check() { # NAME COMMAND...: the command holds
   local name=$1
   shift
@@ -39,7 +22,6 @@ check() { # NAME COMMAND...: the command holds
 mapfile -t names < <(ls "$work/city/images")
 ingest() { "$bin" ingest "$@" -o "$work/scene" --overwrite --max-edge-px 64 --no-exposure; }
 is 'as it is' 0 'origin   lon 7\.573' ingest city/images city/sparse
-
 
 # ---- tables: decimal commas, capitals, backslashes, letters with marks in one character and two
 list() { # SEPARATOR NUMBERS NAMES: positions of the photographs, from their EXIF by our own reading

@@ -1,4 +1,5 @@
-/* Pictures, EXIF and .npy: what is written comes back, and damaged files are refused by name.
+/* Pictures, EXIF and .npy: what is written comes back, and damaged files are refused by name. It is
+ * one long file, because every case writes a picture, changes its bytes and reads it.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,6 @@
-/* The loss on solid surfaces has two terms. Light stops at one depth (spread): at the known one
- * where there is one. No light passes through ground that photographs see (light).
+/* The loss on solid surfaces has two terms. spread is small where all light of a ray comes from one
+ * depth: from the known depth, if the pixel has one. light is small where no light passes through
+ * ground that photographs see.
  *
  * For a pixel, A = 1 - T, D = sum w m / A and V = sum w m^2 / A - D^2 (render_moments_buffer). zeta
  * = 1 + D is its depth in units of the frame's depth. focal is the focal length in pixels, e =
@@ -14,9 +15,9 @@
  *
  * s is the standard deviation of depth along the ray, in footprints of a pixel. The terms are A s
  * where r is small, and their slopes fall with 1 / (1 + r^2)^2 (Geman and McClure 1985), so large
- * values have hardly any pull. At an edge two surfaces share the light. A loss that still pulls
- * there, if only weakly, lifts the ground of narrow courts. The factors A and focal / zeta are held
- * fixed. Otherwise a Gaussian could lower the loss by moving away.
+ * values have hardly any pull. At an edge two surfaces share the light of a pixel. A loss that
+ * pulls there, even weakly, lifts the ground of narrow courts. The gradient takes A and focal / zeta
+ * as constants: a Gaussian must not lower the loss by moving away from the camera.
  *
  * V is the distortion of a ray in 2DGS (Huang et al. 2024; first in Mip-NeRF 360, Barron et al.
  * 2022), without the factor A^2.

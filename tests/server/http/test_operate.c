@@ -1,6 +1,7 @@
 /* What operators rely on: tokens that are revoked, caches by dataset, ids of requests, logs of
  * three kinds, their own listener, base paths, --check and exit codes, and a supervisor that is
- * told the state and hands over sockets.
+ * told the state and hands over sockets. It is one long file, because every case starts the server
+ * or the program by the same few functions.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
