@@ -15,7 +15,10 @@
 
 static bool align_lacks_features(const struct align *a, size_t i)
 {
-    return align_plan_usable(&a->plan.photos[i]) && a->seen[i].matches > 0 && !align_is_good(a, i);
+    const uint32_t model = a->model_of[i];
+    return align_plan_usable(&a->plan.photos[i]) && a->seen[i].matches > 0 &&
+           (model == 0 || model == UINT32_MAX) &&
+           !align_is_good(a, i); /* 1 ...: a block of its own */
 }
 
 /* Photographs to seek anew, and the plan of the work on these alone. */
@@ -80,6 +83,11 @@ static enum err_code align_again_run(struct align *a, const bool *of, struct err
         rc = align_map(a, db, "work/again", e);
     if (!rc)
         rc = align_publish(a, "work/again", e);
+    if (rc == ERR_DATA) { /* the first model is there all the same */
+        log_warn("align", "the second round gave no model, the first one stays: %s", e->msg);
+        a->n_good = 0;
+        rc = ERR_OK;
+    }
     bool better = !rc && a->n_good > good;
     if (!rc)
         json_object_set_new(json_object_get(a->state, "again"), "better", json_boolean(better));

@@ -269,23 +269,35 @@ enum err_code align_check_mapper(struct align *a, struct err *e)
     return ERR_OK;
 }
 
-static void align_mapper_args(struct align *a, int how, const char *db, const char *out,
-                              struct align_args *x)
+/* A call of a mapper. `narrow`: the focal length stays within a factor of two of what it begins with,
+ * EXIF's or 1.2 times the longer edge. */
+struct align_mapping {
+    int how;
+    bool narrow;
+    const char *db, *out;
+    char *log;
+};
+
+static void align_mapper_args(struct align *a, const struct align_mapping *g, struct align_args *x)
 {
     static const char *const axes[] = {"x", "y", "z"};
     static const char *const commands[] = {NULL, "mapper", "pose_prior_mapper", "global_mapper"};
-    bool own = how == ALIGN_GLOBAL && !a->has_global;
-    align_begin(a, x, own ? "mapper" : commands[how]);
+    bool own = g->how == ALIGN_GLOBAL && !a->has_global;
+    align_begin(a, x, own ? "mapper" : commands[g->how]);
     if (own)
         x->argv[0] = glomap;
-    align_text(x, "--database_path", db);
+    align_text(x, "--database_path", g->db);
     align_text(x, "--image_path", align_path(a, "work/.photos"));
-    align_text(x, "--output_path", out);
-    if (how == ALIGN_GLOBAL)
+    align_text(x, "--output_path", g->out);
+    if (g->how == ALIGN_GLOBAL)
         return;
     align_number(x, "--Mapper.num_threads", (long long)align_cores(a));
     align_text(x, "--Mapper.min_model_size", "3");
-    if (how != ALIGN_PRIOR)
+    if (g->narrow) {
+        align_text(x, "--Mapper.min_focal_length_ratio", "0.5");
+        align_text(x, "--Mapper.max_focal_length_ratio", "2");
+    }
+    if (g->how != ALIGN_PRIOR)
         return;
     align_text(x, "--overwrite_priors_covariance", "1");
     align_text(x, "--use_robust_loss_on_prior_position", "1"); /* some positions are far off */
@@ -294,18 +306,49 @@ static void align_mapper_args(struct align *a, int how, const char *db, const ch
                    arena_printf(&a->arena, "%g", (k == 2 ? height_sigmas : 1) * a->o->gps_sigma_m));
 }
 
-static enum err_code align_map_by(struct align *a, int how, const char *db, const char *out,
-                                  char *log, struct err *e)
+static enum err_code align_map_by(struct align *a, const struct align_mapping *g, struct err *e)
 {
     struct align_args x;
-    align_remove(out); /* of a run that was killed */
-    remove(log);       /* photographs are counted in it */
-    enum err_code rc = file_mkdir(out, e);
+    align_remove(g->out); /* of a run that was killed */
+    remove(g->log);       /* photographs are counted in it */
+    enum err_code rc = file_mkdir(g->out, e);
     if (rc)
         return rc;
-    align_mapper_args(a, how, db, out, &x);
-    a->mapper = mapper_names[how];
-    return align_call(&x, "model", "model", a->plan.n_usable, align_count_placed, log, e);
+    align_mapper_args(a, g, &x);
+    a->mapper = mapper_names[g->how];
+    return align_call(&x, "model", "model", a->plan.n_usable, align_count_placed, g->log, e);
+}
+
+/* The model at `done`, made as `g` says, and once more with a narrow focal length if its own is far
+ * off; the one with more observations stays. */
+static enum err_code align_map_focal(struct align *a, struct align_mapping g, const char *below,
+                                     const char *done, struct err *e)
+{
+    struct align_weight first, second = {0};
+    if (rename(g.out, done))
+        return err_errno(e, ERR_IO, "%s: cannot rename", g.out);
+    enum err_code rc = align_weigh(a, g.db, below, &first, e);
+    if (rc || !first.focal_off || g.how == ALIGN_GLOBAL)
+        return rc;
+    log_warn(
+        "align",
+        "the focal length came out at %.2g times that of EXIF, or of a usual lens: the model is "
+        "sought again within a factor of two",
+        first.focal_off);
+    g.narrow = true;
+    rc = align_map_by(a, &g, e);
+    if (!rc)
+        rc = align_weigh(a, g.db, "work/sparse.part", &second, e);
+    if (rc && rc != ERR_DATA)
+        return rc;
+    if (second.n_observations <= first.n_observations) {
+        log_warn("align",
+                 "that gave no better one. If the lens is a usual one, photographs aslant, "
+                 "or the focal length in their EXIF, would help");
+        return ERR_OK;
+    }
+    align_remove(done);
+    return rename(g.out, done) ? err_errno(e, ERR_IO, "%s: cannot rename", g.out) : ERR_OK;
 }
 
 enum err_code align_map(struct align *a, const char *db, const char *below, struct err *e)
@@ -320,17 +363,19 @@ enum err_code align_map(struct align *a, const char *db, const char *below, stru
               : a->has_prior && align_gps_will_do(a) ? ALIGN_PRIOR
                                                      : ALIGN_INCREMENTAL;
     bool may_fail = !a->o->mapper && how == ALIGN_PRIOR;
-    enum err_code rc = align_map_by(a, how, db, part, log, may_fail ? &why : e);
+    struct align_mapping g = {.how = how, .db = db, .out = part, .log = log};
+    enum err_code rc = align_map_by(a, &g, may_fail ? &why : e);
     if (may_fail && rc == ERR_DATA) {
         log_warn("align", "with GPS as prior there is no model (%s): it is sought without",
                  why.msg);
-        rc = align_map_by(a, ALIGN_INCREMENTAL, db, part, log, e);
+        g.how = ALIGN_INCREMENTAL;
+        rc = align_map_by(a, &g, e);
     } else if (may_fail && rc && e) {
         *e = why;
     }
     if (!rc)
+        rc = align_map_focal(a, g, below, done, e);
+    if (!rc)
         json_object_set_new(a->state, "mapper", json_string(a->mapper));
-    if (!rc && rename(part, done))
-        rc = err_errno(e, ERR_IO, "%s: cannot rename", part);
     return rc;
 }

@@ -57,6 +57,22 @@ long long align_db_camera(const char *path, const struct align_plan *plan, size_
     return camera;
 }
 
+double align_db_focal(const char *path, uint32_t camera)
+{
+    sqlite3 *db = db_open(path);
+    sqlite3_stmt *q = NULL;
+    double px = 0; /* the first parameter of all of COLMAP's models */
+    if (db && sqlite3_prepare_v2(db, "SELECT params FROM cameras WHERE camera_id = ?1", -1, &q,
+                                 NULL) == SQLITE_OK) {
+        sqlite3_bind_int64(q, 1, camera);
+        if (sqlite3_step(q) == SQLITE_ROW && sqlite3_column_bytes(q, 0) >= (int)sizeof px)
+            memcpy(&px, sqlite3_column_blob(q, 0), sizeof px);
+    }
+    sqlite3_finalize(q);
+    sqlite3_close(db);
+    return px > 0 ? px : 0;
+}
+
 static uint32_t db_root(uint32_t *parent, uint32_t i)
 {
     while (parent[i] != i)

@@ -26,6 +26,8 @@ static enum err_code align_name_model(struct align *a, struct colmap_model *m, u
     return ERR_OK;
 }
 
+enum { MODELS_MOST = 50 };
+
 struct align_sized {
     size_t n;
     unsigned from;
@@ -57,6 +59,28 @@ static enum err_code align_list_models(struct align *a, const char *below, struc
     }
     qsort(list, *n, sizeof *list, align_sized_compare);
     return ERR_OK;
+}
+
+enum err_code align_weigh(struct align *a, const char *db, const char *below,
+                          struct align_weight *out, struct err *e)
+{
+    struct align_sized list[MODELS_MOST];
+    struct colmap_model m = {0};
+    size_t n = 0;
+    enum err_code rc = align_list_models(a, below, list, MODELS_MOST, &n, e);
+    *out = (struct align_weight){0};
+    if (rc || !n)
+        return rc;
+    char *from = arena_printf(&a->arena, "%s/%s/%u", a->dir, below, list->from);
+    rc = from ? colmap_read(from, &m, e) : align_no_memory(e);
+    out->n_observations = m.n_tracks;
+    for (size_t i = 0; i < m.n_cameras; i++) {
+        const double begun = align_db_focal(db, m.cameras[i].id), px = m.cameras[i].lens.params[0];
+        if (begun > 0 && (px > 2 * begun || 2 * px < begun))
+            out->focal_off = px / begun;
+    }
+    colmap_free(&m);
+    return rc;
 }
 
 /* How well the poses of the largest model are known. */
@@ -104,15 +128,14 @@ static enum err_code align_write_model(struct align *a, const char *below,
 /* All models, the largest first, beside DIR/sparse; then renamed. */
 enum err_code align_publish(struct align *a, const char *below, struct err *e)
 {
-    enum { MOST = 50 };
-    struct align_sized list[MOST];
+    struct align_sized list[MODELS_MOST];
     char *named = align_path(a, "work/named"), *sparse = align_path(a, "sparse");
-    a->sizes = arena_get(&a->arena, MOST, sizeof *a->sizes);
+    a->sizes = arena_get(&a->arena, MODELS_MOST, sizeof *a->sizes);
     if (!named || !sparse || !a->sizes)
         return align_no_memory(e);
     align_remove(named);
     memset(a->model_of, 0xff, a->plan.n * sizeof *a->model_of);
-    enum err_code rc = align_list_models(a, below, list, MOST, &a->n_models, e);
+    enum err_code rc = align_list_models(a, below, list, MODELS_MOST, &a->n_models, e);
     if (!rc && !a->n_models)
         rc = err_set(e, ERR_DATA,
                      "no two photographs gave a model: too little overlap, blur, or nothing to "

@@ -25,6 +25,11 @@ static enum err_code import_fit_line(const struct table *t, char *line, struct i
     if (f->n == IMPORT_FIT_MOST)
         return err_set(e, ERR_DATA, "%s: line %zu: more than %d places", t->path, t->line,
                        IMPORT_FIT_MOST);
+    if (n > 6)
+        return err_set(e, ERR_FORMAT,
+                       "%s: line %zu: %zu fields; expected are six: x y z of the file, longitude, "
+                       "latitude and ellipsoidal height of the ground, with decimal points",
+                       t->path, t->line, n);
     for (size_t k = 0; k < 6; k++)
         if (k >= n || !table_number(field[k], &v[k]))
             return err_set(e, ERR_FORMAT,

@@ -128,7 +128,7 @@ static enum err_code metashape_name(struct metashape *m, const char **att, struc
     struct named one = {.gcp = SIZE_MAX};
     const char *label = metashape_text(att, "label");
     if (!metashape_id(att, "id", &one.id) || !label || strlen(label) >= sizeof one.label)
-        return metashape_bad(m, "a camera or marker has no id, or no label of at most 247 bytes",
+        return metashape_bad(m, "a camera or marker has no id, or no label of at most 255 bytes",
                              e);
     if (strlen(label) >= longest)
         return metashape_bad(m, "the label of a marker has over 63 bytes", e);

@@ -204,18 +204,19 @@ static bool table_may_have_mark(uint32_t c)
     return (c >= 0xc0 && c < 0x530) || (c >= 0x1e00 && c < 0x2000) || (c >= 0x3040 && c < 0x3100);
 }
 
-/* Replaces each letter with a mark, in one character or two, by one sign. Returns whether there
- * were any and `out` holds all. */
-static bool table_without_marks(const char *text, char *out, size_t room)
+/* Replaces each letter with a mark, in one character or two, by one sign, and says whether there
+ * were marks of their own. Returns whether there were any such letters and `out` holds all. */
+static bool table_fold(const char *text, char *out, size_t room, bool *apart)
 {
     const char sign = 1;
     bool any = false;
     size_t n = 0;
+    *apart = false;
     for (const char *p = text, *from = p; *p; from = p) {
         const uint32_t c = table_character(&p);
         bool marked = table_may_have_mark(c);
         for (const char *q = p; table_is_mark(table_character(&q)); p = q)
-            marked = true;
+            marked = *apart = true;
         const size_t len = marked ? 1 : (size_t)(p - from);
         if (n + len >= room)
             return false;
@@ -227,20 +228,27 @@ static bool table_without_marks(const char *text, char *out, size_t room)
     return any;
 }
 
+/* Both without marks, if one has them in characters of their own and the other has not. Names of one
+ * form are compared as they are: which letter it is counts there. */
+static bool table_without_marks(const char *one, const char *other, char a[TABLE_LINE_MAX],
+                                char b[TABLE_LINE_MAX])
+{
+    bool apart_a, apart_b;
+    return table_fold(one, a, TABLE_LINE_MAX, &apart_a) &&
+           table_fold(other, b, TABLE_LINE_MAX, &apart_b) && apart_a != apart_b;
+}
+
 size_t table_alike(const char *photo, const char *listed)
 {
     char a[TABLE_LINE_MAX], b[TABLE_LINE_MAX];
     const size_t rate = table_rate_ends(photo, listed);
-    return rate || !table_without_marks(photo, a, sizeof a) ||
-                   !table_without_marks(listed, b, sizeof b)
-               ? rate
-               : table_rate_ends(a, b) > 0;
+    return rate || !table_without_marks(photo, listed, a, b) ? rate : table_rate_ends(a, b) > 0;
 }
 
 bool table_same_path(const char *a, const char *b)
 {
     char x[TABLE_LINE_MAX], y[TABLE_LINE_MAX];
-    if (table_without_marks(a, x, sizeof x) && table_without_marks(b, y, sizeof y)) {
+    if (table_without_marks(a, b, x, y)) {
         a = x;
         b = y;
     }

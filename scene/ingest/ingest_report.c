@@ -24,8 +24,11 @@ static void report_verdict_text(const struct ingest_result *r, const struct inge
 {
     switch (p->verdict) {
     case INGEST_LOOSE:
-        snprintf(out, n, "its %zu points do not fix its pose: what it shows may be %.1f px off",
-                 p->pose.n_points, p->pose.picture_px);
+        if (isfinite(p->pose.picture_px))
+            snprintf(out, n, "its %zu points do not fix its pose: what it shows may be %.1f px off",
+                     p->pose.n_points, p->pose.picture_px);
+        else
+            snprintf(out, n, "its %zu points do not fix its pose", p->pose.n_points);
         break;
     case INGEST_POSE:
         snprintf(out, n,
