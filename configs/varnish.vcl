@@ -50,7 +50,7 @@ sub vcl_recv {
         return (synth(404));
     }
     # CesiumJS adds ?v= to every address: the server does not read it.
-    set req.url = regsub(regsuball(req.url, "([?&])v=[^&]*(&|$)", "\1"), "[?&]$", "");
+    set req.url = regsub(regsuball(req.url, "([?&])(v=[^&]*(&|$))+", "\1"), "[?&]$", "");
     unset req.http.X-Forwarded-Host;
     set req.backend_hint = servers.backend(by = URL);
     # While a server is there, nobody gets a document of a revision that it does not keep any more (--keep-s).

@@ -337,7 +337,7 @@ static enum err_code server_begin(const struct server_config *cfg, const char *c
     if (!rc && sv->admin)
         rc = http_start(sv->admin, e);
     if (!rc && !own) {
-        atomic_store(&s->metrics.reload_well, !s->catalog->n_absent);
+        atomic_store(&s->metrics.reload_well, true); /* no reload has failed yet */
         atomic_store(&s->metrics.reload_good_s, (uint64_t)time(NULL));
         log_info("serve", "%s", sv->memory);
         server_log_disk(sv);

@@ -94,12 +94,18 @@ static void stores_look_far(struct stores *st, const struct catalog *older, stru
 static enum err_code stores_list(struct stores *st, const struct catalog *older,
                                  struct stores_list *out, struct err *e)
 {
+    enum { FEW = 64 };
     size_t folders;
     *out = (struct stores_list){0};
     enum err_code rc =
         catalog_list(st->args, st->n_args, older, &out->arena, &out->place, &out->n, &folders, e);
     if (!older)
         st->folders = folders;
+    if (st->options.lazy != (out->n > FEW)) { /* who looks at an address is waited for then alone */
+        pthread_rwlock_wrlock(&st->looking);
+        st->options.lazy = !st->options.lazy;
+        pthread_rwlock_unlock(&st->looking);
+    }
     return rc;
 }
 
@@ -333,8 +339,6 @@ enum err_code stores_open(const struct server_config *cfg, const char *const *ar
         rc = stores_read_clip(st, e);
     if (!rc)
         rc = stores_list(st, NULL, &list, e);
-    enum { FEW = 64 };
-    st->options.lazy = list.n > FEW;
     if (!rc)
         rc = stores_look_near(st, NULL, true, &list, e);
     if (!rc)
@@ -418,9 +422,9 @@ enum err_code stores_reload(struct stores *st, struct json_t **changes, struct e
     struct stores_list list = {0};
     struct catalog *older = services_catalog(st->s), *newer = NULL;
     pthread_mutex_lock(&st->reload);
-    enum err_code rc = stores_read_clip(st, e);
+    enum err_code rc = stores_list(st, older, &list, e);
     if (!rc)
-        rc = stores_list(st, older, &list, e);
+        rc = stores_read_clip(st, e);
     if (!rc)
         rc = stores_look_near(st, older, true, &list, e);
     if (!rc)
