@@ -11,6 +11,8 @@
  *   FAKE_LOOSE   photographs with this in their name see three points, if they have fewer than
  *                2,000 features
  *   FAKE_SPLIT   photographs with this in their name become a model of their own
+ *   FAKE_FLAT    cameras begin with a focal length of 1 px, and models have half of their points unless
+ *                it is bounded; "always" in it: even then
  *   FAKE_NEW     it has what COLMAP 3.12 has: GPS as prior, other names of options; "global" in it:
  *                a global mapper too
  *
@@ -115,7 +117,8 @@ static sqlite3 *open_db(void)
 {
     static const char *const tables =
         "PRAGMA synchronous = OFF;" /* it is killed, but the machine lives on */
-        "CREATE TABLE IF NOT EXISTS cameras (camera_id INTEGER PRIMARY KEY, model INTEGER);"
+        "CREATE TABLE IF NOT EXISTS cameras (camera_id INTEGER PRIMARY KEY, model INTEGER,"
+        " params BLOB);"
         "CREATE TABLE IF NOT EXISTS images (image_id INTEGER PRIMARY KEY, name TEXT UNIQUE, "
         "camera_id INTEGER);"
         "CREATE TABLE IF NOT EXISTS keypoints (image_id INTEGER PRIMARY KEY, rows INTEGER);"
@@ -238,7 +241,10 @@ static int extract(void)
             continue;
         if (camera < 0) {
             camera = 1 + ask(db, "SELECT coalesce(max(camera_id), 0) FROM cameras", NULL);
-            insert(db, "INSERT INTO cameras VALUES (?1, ?2)", camera, 4, NULL);
+            insert(db,
+                   getenv("FAKE_FLAT") ? "INSERT INTO cameras VALUES (?1, ?2, x'000000000000f03f')"
+                                       : "INSERT INTO cameras VALUES (?1, ?2, NULL)",
+                   camera, 4, NULL);
         }
         if (id < 0) {
             id = 1 + ask(db, "SELECT coalesce(max(image_id), 0) FROM images", NULL);
@@ -361,6 +367,20 @@ static size_t cut(struct colmap_model *m, sqlite3 *db, const char *folder, int w
     return n;
 }
 
+/* Half of the points only. */
+static void flatten(struct colmap_model *m)
+{
+    const char *flat = getenv("FAKE_FLAT");
+    if (!flat || (option("--Mapper.max_focal_length_ratio") && !strstr(flat, "always")))
+        return;
+    m->n_points /= 2;
+    m->n_tracks = m->points[m->n_points].track;
+    for (size_t i = 0; i < m->n_images; i++)
+        for (size_t k = 0; k < m->images[i].n_obs; k++)
+            if (m->images[i].obs[k].point >= (int64_t)m->n_points)
+                m->images[i].obs[k].point = -1;
+}
+
 static int map(const char *const *known)
 {
     size_t models = 0;
@@ -374,6 +394,7 @@ static int map(const char *const *known)
         if (colmap_read(truth ? truth : "", &m, &e))
             die("FAKE_TRUTH", e.msg);
         size_t n = cut(&m, db, needed("--image_path"), want);
+        flatten(&m);
         if (is_set("FAKE_HANG", "mapper"))
             hang();
         if (n >= 3) {
@@ -407,14 +428,21 @@ static bool is_glomap(void)
     return !strcmp(slash ? slash + 1 : fake_argv[0], "glomap");
 }
 
-static const char *const map_options[] = {"--database_path",         "--image_path",
-                                          "--output_path",           "--Mapper.num_threads",
-                                          "--Mapper.min_model_size", NULL};
+static const char *const map_options[] = {"--database_path",
+                                          "--image_path",
+                                          "--output_path",
+                                          "--Mapper.num_threads",
+                                          "--Mapper.min_model_size",
+                                          "--Mapper.min_focal_length_ratio",
+                                          "--Mapper.max_focal_length_ratio",
+                                          NULL};
 static const char *const prior_options[] = {"--database_path",
                                             "--image_path",
                                             "--output_path",
                                             "--Mapper.num_threads",
                                             "--Mapper.min_model_size",
+                                            "--Mapper.min_focal_length_ratio",
+                                            "--Mapper.max_focal_length_ratio",
                                             "--overwrite_priors_covariance",
                                             "--use_robust_loss_on_prior_position",
                                             "--prior_position_std_x",

@@ -99,6 +99,16 @@ mkdir "$work/path" && ln -s "$fake" "$work/path/glomap"
 PATH=$work/path:$PATH align "$photos" -o "$work/p5" --no-look --mapper global || fail "GLOMAP: exit $?"
 [ "$(mapper "$work/p5")" = global ] && [ "$(placed "$work/p5")" = 24 ] || fail "GLOMAP: $(mapper "$work/p5")"
 
+# -- a focal length that is far off ------------------------------------------------------------------------
+: >"$FAKE_LOG"
+FAKE_FLAT=1 align "$photos" -o "$work/flat" --no-look || fail "a focal length far off: exit $?"
+expect "a focal length far off" "the focal length came out at [0-9.e+]* times .*sought again within a factor of two"
+[ "$(called '^mapper ')" = 2 ] && [ "$(called '^mapper .*--Mapper.max_focal_length_ratio 2')" = 1 ] || fail "a focal length far off: calls"
+cmp -s "$work/flat/sparse/0/points3D.bin" "$work/a/sparse/0/points3D.bin" || fail "a focal length far off: the better model was not taken"
+FAKE_FLAT=always align "$photos" -o "$work/flatter" --no-look || fail "a lens that sees narrowly: exit $?"
+expect "a lens that sees narrowly" "that gave no better one"
+[ "$(placed "$work/flatter")" = 24 ] || fail "a lens that sees narrowly: $(placed "$work/flatter") placed"
+
 # -- photographs without a place ---------------------------------------------------------------------------
 cp -r "$photos" "$work/mixed"
 cp "$work/mixed/${names[3]}" "$work/mixed/zz double.jpg"

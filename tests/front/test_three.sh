@@ -146,6 +146,8 @@ check 'a proxy that is not named: the log says so' at_least "$(logged 'trusted-p
 finish
 
 row 'many 503'
+"$city" "$work/large.tiles" 400000 || exit 1 # a quick machine has a small city within the deadline
+put toy "$work/large.tiles"
 begin --workers 1 --deadline-s 0.1
 check 'a crowd of cold tiles' at_least "$(for f in sog drc compressed.ply; do curl -s "$here/d/toy/seed.ndjson?f=$f"; done | sed -n "s|.*\"url\":\"\([^\"]*\)\".*|$here/d/toy/\1|p" |
     xargs -P 40 -n 1 curl -s -o /dev/null -w '%{http_code} %header{retry-after}\n' | grep -cE '^50[34]')" 1
@@ -153,8 +155,6 @@ check 'the counters say shed or timeout' at_least "$(curl -s "$admin/metrics" | 
 finish
 
 row '`/readyz` says `memory`'
-"$city" "$work/large.tiles" 400000 || exit 1
-put toy "$work/large.tiles"
 begin --memory 4G
 vast=$(first_tile ply)
 prlimit --pid "${pids[1]}" --as="$(($(awk '/^VmSize/ { print $2 }' "/proc/${pids[1]}/status") * 1024 + 4000000)):"

@@ -343,6 +343,9 @@ static void labels_without_endings_are_photographs(void **state)
                {"\u0439/a.jpg", "A.jpg", true},
                {"Ko\u0308ln_1.jpg", "Koln_1.jpg", false},
                {"\u6d4b1.jpg", "\u8bd51.jpg", false},
+               {"S\u00f6/1.jpg", "S\u00fc/1.jpg", false},
+               {"\u0421\u0435\u0432/1.jpg", "\u0417\u0430\u043f/1.jpg", false},
+               {"o\u0308/1.jpg", "u\u0308/1.jpg", false},
                {"K\u00f6ln_1.jpg", "K\u00f6ln_2.jpg", false}};
     (void)state;
     for (size_t i = 0; i < sizeof all / sizeof *all; i++)

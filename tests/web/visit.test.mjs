@@ -38,6 +38,7 @@ async function open(t, query = "", size = SIZE) {
 
 const poseOf = (page) => page.evaluate(() => window.citysplat.pose());
 const until = (page, check, arg) => page.waitForFunction(check, arg, { timeout: 60000, polling: 50 });
+const walks = (page) => until(page, () => document.getElementById("walk").dataset.walk === "walk"); // its module is loaded by now
 const arrived = (page) => until(page, () => window.citysplat.viewer.stage.flight === null && window.citysplat.settled);
 const hashOf = ({ lon, lat, h, heading, pitch }) => [lon, lat, h, heading, pitch].join();
 
@@ -55,6 +56,7 @@ test("walking begins on the nearest street, at eye height, meets walls, and ends
     await page.click("#walk");
     assert.match(await page.textContent("#walk-text"), /^Flying/);
     await page.click("#walk");
+    await walks(page);
     await arrived(page);
     assert.match(await page.textContent("#walk-text"), /^Walking/);
     assert.match(await page.getAttribute("#walk", "title"), /^Walking is on/);
@@ -91,6 +93,7 @@ test("walking begins on the nearest street, at eye height, meets walls, and ends
     assert.ok(Math.abs((await poseOf(page)).h - above.h) < 0.05, "not back where it began");
     await page.keyboard.press("g");
     await page.keyboard.press("g");
+    await walks(page);
     await arrived(page);
     assert.equal(await page.isVisible("#walk-card"), true);
     await page.keyboard.press("h");

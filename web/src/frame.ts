@@ -2,7 +2,6 @@
 // button, and how to move where the page around scrolls.
 //
 // SPDX-License-Identifier: Apache-2.0
-import { Problem } from "./problem";
 import { text } from "./strings";
 import type { Viewer } from "./viewer";
 
@@ -18,6 +17,8 @@ export const FRAME_STYLE =
   "button:focus-visible,:host div [tabindex]:focus-visible{outline:2px solid #6cc7ff;outline-offset:-2px}";
 
 const HINT_MS = 1500;
+const ABOUT = ["problem", "link", "sight"] as const;
+type About = (typeof ABOUT)[number];
 const MAC = typeof navigator === "object" && /Mac|iPhone|iPad/.test(navigator.platform);
 
 export class ElementFrame {
@@ -26,6 +27,7 @@ export class ElementFrame {
   private readonly tools = document.createElement("nav");
   private readonly said = document.createElement("aside");
   private readonly hint = document.createElement("output");
+  private readonly told = new Map<About, { words: string; label: string; run: () => void }>(); // what is wrong now
   private timer = 0;
   private viewer: Viewer | null = null;
 
@@ -47,21 +49,21 @@ export class ElementFrame {
   // Of this viewer from here on.
   serve(viewer: Viewer, host: HTMLElement) {
     this.viewer = viewer;
-    this.say("");
+    this.told.clear();
+    this.say();
     const { stage } = viewer;
     stage.shares = () => scrolls(host);
     stage.onHeld = (wheel) => this.tellHow(wheel);
     viewer.on("turn", () => this.fill(viewer));
-    viewer.on("scene", () => this.say(""));
-    viewer.on("picture", () => this.say(""));
+    viewer.on("scene", () => this.unsay("problem"));
+    viewer.on("picture", () => this.unsay("problem"));
     viewer.on("link", (link) => {
-      if (link !== "away") this.say("");
-      else if (viewer.scene) this.say(text("banner.away"), text("banner.away.now"), () => viewer.retry());
+      if (link !== "away") this.unsay("link");
+      else if (viewer.scene) this.tell("link", text("banner.away"), text("banner.away.now"), () => viewer.retry());
     });
-    viewer.on("sight", (sight) => (sight ? this.say("") : this.say(text("banner.lost"), text("tool.home"), () => viewer.home())));
+    viewer.on("sight", (sight) => (sight ? this.unsay("sight") : this.tell("sight", text("banner.lost"), text("tool.home"), () => viewer.home())));
     viewer.on("problem", (problem) => {
-      const kind = problem instanceof Problem ? problem.kind : "http";
-      if (!viewer.scene || kind === "nothingDraws") this.say(problem.message, text("problem.retry"), () => viewer.retry());
+      if (!viewer.scene || problem.kind === "nothingDraws") this.tell("problem", problem.message, text("problem.retry"), () => viewer.retry());
     });
   }
 
@@ -75,18 +77,30 @@ export class ElementFrame {
     this.bar.setAttribute("aria-valuenow", String(total ? done : 0));
   }
 
-  // In the middle where nothing is to be seen, else below it. "": nothing is wrong.
-  private say(words: string, label = "", run: () => void = () => {}) {
-    this.said.hidden = !words;
+  private tell(about: About, words: string, label: string, run: () => void) {
+    this.told.set(about, { words, label, run });
+    this.say();
+  }
+
+  private unsay(about: About) {
+    this.told.delete(about);
+    this.say();
+  }
+
+  // The weightiest thing that is wrong: in the middle where nothing is to be seen, else below it.
+  private say() {
+    const about = ABOUT.find((one) => this.told.has(one));
+    const one = about && this.told.get(about);
+    this.said.hidden = !one;
     this.said.className = this.viewer?.scene ? "low" : "";
-    this.said.replaceChildren(words);
-    if (label)
-      this.said.append(
-        button(label, "", () => {
-          if (this.viewer?.state.link !== "away") this.say(""); // else it stays until the server answers
-          run();
-        }),
-      );
+    this.said.replaceChildren(one?.words ?? "");
+    if (!one) return;
+    this.said.append(
+      button(one.label, "", () => {
+        if (this.viewer?.state.link !== "away") this.unsay(about!); // else it stays until the server answers
+        one.run();
+      }),
+    );
   }
 
   private tellHow(wheel: boolean) {
@@ -109,9 +123,14 @@ function button(sign: string, name: string, run: () => void): HTMLButtonElement 
 
 // Something around it can be scrolled: then a bare wheel and one finger are for that.
 function scrolls(host: HTMLElement): boolean {
-  const page = document.scrollingElement;
-  if (page && page.scrollHeight > page.clientHeight + 1) return !document.fullscreenElement;
-  for (let node = host.parentElement; node && node !== document.body; node = node.parentElement)
-    if (node.scrollHeight > node.clientHeight + 1 && /auto|scroll/.test(getComputedStyle(node).overflowY)) return true;
+  if (document.fullscreenElement) return false;
+  const long = (node: Element) => node.scrollHeight > node.clientHeight + 1;
+  const way = (node: Element) => getComputedStyle(node).overflowY;
+  const { documentElement: page, body } = document;
+  // What the page has not said, its body says for it.
+  const said = way(page) === "visible" ? way(body) : way(page);
+  if (long(page) && said !== "hidden" && said !== "clip") return true;
+  for (let node = host.parentElement; node && node !== page; node = node.parentElement)
+    if (long(node) && /auto|scroll/.test(way(node))) return true;
   return false;
 }

@@ -159,7 +159,7 @@ export class Link {
           const seconds = Number(response.headers.get("retry-after")) || 0;
           if (attempt >= 1) this.turn("busy");
           await response.body?.cancel();
-          await pause(seconds ? Math.min(BUSY_MOST_MS, 1000 * seconds) : Math.min(PROBE_MOST_MS, 300 * 2 ** attempt), signal);
+          await pause(Math.min(BUSY_MOST_MS, Math.max(1000 * seconds, 300 * 2 ** attempt)), signal);
           continue;
         }
         if (!response.ok)

@@ -330,7 +330,8 @@ export class Page {
     this.clear();
     if (next === "walk" && !stage.walker) {
       const module = await later(import("./walk"));
-      if (module) stage.walker = new module.Walker(() => this.viewer.blocks);
+      if (!module) return;
+      stage.walker = new module.Walker(() => this.viewer.blocks);
     }
     stage.walk = next;
     if (stage.walk === next) return;
@@ -426,7 +427,7 @@ export class Page {
       if (!isForScene(event)) return;
       if (event.key === "?") return this.help();
       const run = shortcuts[event.code];
-      if (run && !viewer.scene && event.code !== "Escape") toast(text("loading"));
+      if (run && !viewer.scene && event.code !== "Escape") toast(viewer.state.error ?? text("loading"));
       else run?.();
     });
     window.addEventListener("hashchange", () => {

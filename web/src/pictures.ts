@@ -127,7 +127,7 @@ export class Pictures {
     const module = await import("./film").catch(() => null);
     if (!module) return;
     this.filmFrom = 0;
-    if (this.film || this.wish?.entry.id !== id) return;
+    if (this.film || !this.moves || document.hidden || this.wish?.entry.id !== id) return;
     const film = new module.Film(questions, this.link, (picture) => this.take(picture));
     film.onEnd = (never) => {
       this.film = null;

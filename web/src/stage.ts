@@ -334,6 +334,7 @@ export class Stage {
   northUp() {
     const pivot = this.center();
     this.turnAbout(pivot, -this.heading, 0);
+    this.onTouch();
     this.halt();
   }
 

@@ -74,6 +74,8 @@ export const own = {
   "gestures.wheel": "Hold Ctrl and turn the wheel to move closer",
   "gestures.mac": "Hold ⌘ and scroll to move closer",
   "gestures.touch": "Use two fingers to move the city",
+  "problem.other.title": "Something went wrong",
+  "problem.other.text": "{why}",
 };
 
 // What the page says beside that.
@@ -331,8 +333,6 @@ export const page = {
   "walk.none": "There is no street near the middle of this view.",
   "walk.pictures": "Walking needs the city drawn by this browser.",
   "walk.end": "Leave",
-  "problem.other.title": "Something went wrong",
-  "problem.other.text": "{why}",
 };
 
 export type TextKey = keyof typeof own | keyof typeof page;

@@ -155,7 +155,7 @@ export class Viewer {
     if (this.positions) container.style.position = "relative";
     container.append(this.surface);
 
-    this.postered = options.poster === undefined;
+    this.postered = options.poster === undefined && options.backdrop !== false; // it has sky and ground
     if (options.poster) this.hang(options.poster);
     this.book = this.makeBook();
     this.stage = new Stage(this.surface);
@@ -323,6 +323,7 @@ export class Viewer {
   // Flies to where the whole city is in sight.
   home() {
     this.touched = false;
+    this.poster?.leave(true);
     this.stage.home();
   }
 
@@ -495,7 +496,7 @@ export class Viewer {
       const { clientWidth, clientHeight } = this.surface;
       const url = !how.same && this.postered && this.currentMode === "splats" && posterUrl(entry, this.book.appearance, before, clientWidth / Math.max(1, clientHeight));
       if (url) this.hang(url);
-      this.postered = this.options.poster !== "";
+      this.postered = this.options.poster !== "" && this.options.backdrop !== false;
       this.overlay.reset();
       this.layers.reset();
       this.pictures.retry();
