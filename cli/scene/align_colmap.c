@@ -269,8 +269,8 @@ enum err_code align_check_mapper(struct align *a, struct err *e)
     return ERR_OK;
 }
 
-/* A call of a mapper. `narrow`: the focal length stays within a factor of two of what it begins with,
- * EXIF's or 1.2 times the longer edge. */
+/* A call of a mapper. `narrow`: the focal length stays within a factor of two of what it begins
+ * with, EXIF's or 1.2 times the longer edge. */
 struct align_mapping {
     int how;
     bool narrow;

@@ -124,8 +124,8 @@ enum err_code align_write_result(struct align *a, json_t *config, struct err *e)
  * ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM. */
 enum err_code align_publish(struct align *a, const char *below, struct err *e) ERR_USE;
 
-/* Of the largest model in the folder `below` of DIR. A plane that is seen straight on does not fix the
- * focal length, so photographs straight down of flat ground nearly fit cameras that see far too
+/* Of the largest model in the folder `below` of DIR. A plane that is seen straight on does not fix
+ * the focal length, so photographs straight down of flat ground nearly fit cameras that see far too
  * narrowly. ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM. */
 struct align_weight {
     double focal_off; /* a focal length by that of EXIF, or by 1.2 edges; 0: within a factor of 2 */

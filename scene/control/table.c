@@ -228,8 +228,8 @@ static bool table_fold(const char *text, char *out, size_t room, bool *apart)
     return any;
 }
 
-/* Both without marks, if one has them in characters of their own and the other has not. Names of one
- * form are compared as they are: which letter it is counts there. */
+/* Both without marks, if one has them in characters of their own and the other has not. Names of
+ * one form are compared as they are: which letter it is counts there. */
 static bool table_without_marks(const char *one, const char *other, char a[TABLE_LINE_MAX],
                                 char b[TABLE_LINE_MAX])
 {

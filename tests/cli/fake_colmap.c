@@ -11,8 +11,8 @@
  *   FAKE_LOOSE   photographs with this in their name see three points, if they have fewer than
  *                2,000 features
  *   FAKE_SPLIT   photographs with this in their name become a model of their own
- *   FAKE_FLAT    cameras begin with a focal length of 1 px, and models have half of their points unless
- *                it is bounded; "always" in it: even then
+ *   FAKE_FLAT    cameras begin with a focal length of 1 px, and models have half of their points
+ *                unless it is bounded; "always" in it: even then
  *   FAKE_NEW     it has what COLMAP 3.12 has: GPS as prior, other names of options; "global" in it:
  *                a global mapper too
  *
