@@ -328,7 +328,7 @@ static enum err_code align_map_focal(struct align *a, struct align_mapping g, co
     if (rename(g.out, done))
         return err_errno(e, ERR_IO, "%s: cannot rename", g.out);
     enum err_code rc = align_weigh(a, g.db, below, &first, e);
-    if (rc || !first.focal_off || g.how == ALIGN_GLOBAL)
+    if (rc || first.focal_off == 0 || g.how == ALIGN_GLOBAL)
         return rc;
     log_warn(
         "align",
