@@ -88,8 +88,8 @@ struct services *server_services(struct server *s);
 /* Opens the stores again, those of folders as they are now, and reads --auth and the certificate.
  * Replaced revisions stay for a day (--keep-s). It logs what changed, and tells the supervisor and
  * /readyz. Of a store that cannot be opened, what was served before stays; the error is that of the
- * first one. After another error nothing has changed but who may read what, which is in force at
- * once. Any thread. ERR_ARG, ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_DATA, ERR_LIMIT, ERR_BUSY,
+ * first one. After another error the same stores are served; a new --auth file is in force all the
+ * same. Any thread. ERR_ARG, ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_DATA, ERR_LIMIT, ERR_BUSY,
  * ERR_MEM. */
 enum err_code server_reload(struct server *s, struct err *e) ERR_USE;
 /* Looks whether a store at an address was replaced at its server, and if so, asks for a reload

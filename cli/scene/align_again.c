@@ -17,8 +17,8 @@ static bool align_lacks_features(const struct align *a, size_t i)
 {
     const uint32_t model = a->model_of[i];
     return align_plan_usable(&a->plan.photos[i]) && a->seen[i].matches > 0 &&
-           (model == 0 || model == UINT32_MAX) &&
-           !align_is_good(a, i); /* 1 ...: a block of its own */
+           (model == 0 || model == UINT32_MAX) && /* a smaller model is sound for itself */
+           !align_is_good(a, i);
 }
 
 /* Photographs to seek anew, and the plan of the work on these alone. */

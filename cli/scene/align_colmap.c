@@ -342,6 +342,7 @@ static enum err_code align_map_focal(struct align *a, struct align_mapping g, co
     if (rc && rc != ERR_DATA)
         return rc;
     if (second.n_observations <= first.n_observations) {
+        align_remove(g.out);
         log_warn("align",
                  "that gave no better one. If the lens is a usual one, photographs aslant, "
                  "or the focal length in their EXIF, would help");

@@ -17,7 +17,7 @@ struct align_seen {    /* of a photograph */
 uint64_t align_db_count(const char *path, const char *table);
 /* Id of the camera that photographs of a group of the plan have; -1: none has a camera yet. */
 long long align_db_camera(const char *path, const struct align_plan *plan, size_t group);
-/* Focal length in pixels that a camera began with; 0: unknown. */
+/* Focal length of a camera before any model was made, in pixels; 0: unknown. */
 double align_db_focal(const char *path, uint32_t camera);
 /* Makes `to`, a copy of a database without features and matches of the photographs of the plan that
  * are `of`. ERR_IO: it cannot be read or written. */

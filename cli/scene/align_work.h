@@ -128,7 +128,9 @@ enum err_code align_publish(struct align *a, const char *below, struct err *e) E
  * the focal length, so photographs straight down of flat ground nearly fit cameras that see far too
  * narrowly. ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM. */
 struct align_weight {
-    double focal_off; /* a focal length by that of EXIF, or by 1.2 edges; 0: within a factor of 2 */
+    /* focal length, as a multiple of what COLMAP began with: EXIF's, or 1.2 times the longer edge;
+     * 0: all cameras are within a factor of two */
+    double focal_off;
     size_t n_observations;
 };
 enum err_code align_weigh(struct align *a, const char *db, const char *below,

@@ -48,8 +48,9 @@ void table_decimal_points(struct table *t, char *line);
  * that both have must be equal. Case is ignored, because cameras write .JPG. A match of the whole
  * path rates higher than one of a part, and a name with its ending higher than a name without, such
  * as Metashape's labels. A letter with a mark is the same as one character and as two (NFC and NFD
- * of Unicode: systems differ in what they make of file names). Such a match rates lowest. It needs
- * one name of each form, and which letters with marks they have is not compared. */
+ * of Unicode: systems differ in what they make of file names). Such a match rates lowest. It is
+ * tried where one name alone has marks as characters of their own; which letters carry marks is not
+ * compared then. */
 size_t table_alike(const char *photo, const char *listed);
 /* Is it the same path but for case, the direction of slashes, and the form of letters with marks?
  */

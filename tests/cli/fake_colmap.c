@@ -11,7 +11,7 @@
  *   FAKE_LOOSE   photographs with this in their name see three points, if they have fewer than
  *                2,000 features
  *   FAKE_SPLIT   photographs with this in their name become a model of their own
- *   FAKE_FLAT    cameras begin with a focal length of 1 px, and models have half of their points
+ *   FAKE_FOCAL   cameras begin with a focal length of 1 px, and models have half of their points
  *                unless it is bounded; "always" in it: even then
  *   FAKE_NEW     it has what COLMAP 3.12 has: GPS as prior, other names of options; "global" in it:
  *                a global mapper too
@@ -242,8 +242,8 @@ static int extract(void)
         if (camera < 0) {
             camera = 1 + ask(db, "SELECT coalesce(max(camera_id), 0) FROM cameras", NULL);
             insert(db,
-                   getenv("FAKE_FLAT") ? "INSERT INTO cameras VALUES (?1, ?2, x'000000000000f03f')"
-                                       : "INSERT INTO cameras VALUES (?1, ?2, NULL)",
+                   getenv("FAKE_FOCAL") ? "INSERT INTO cameras VALUES (?1, ?2, x'000000000000f03f')"
+                                        : "INSERT INTO cameras VALUES (?1, ?2, NULL)",
                    camera, 4, NULL);
         }
         if (id < 0) {
@@ -367,11 +367,11 @@ static size_t cut(struct colmap_model *m, sqlite3 *db, const char *folder, int w
     return n;
 }
 
-/* Half of the points only. */
-static void flatten(struct colmap_model *m)
+/* Leaves half of the points, as a model has whose focal length is wrong. */
+static void halve(struct colmap_model *m)
 {
-    const char *flat = getenv("FAKE_FLAT");
-    if (!flat || (option("--Mapper.max_focal_length_ratio") && !strstr(flat, "always")))
+    const char *wrong = getenv("FAKE_FOCAL");
+    if (!wrong || (option("--Mapper.max_focal_length_ratio") && !strstr(wrong, "always")))
         return;
     m->n_points /= 2;
     m->n_tracks = m->points[m->n_points].track;
@@ -394,7 +394,7 @@ static int map(const char *const *known)
         if (colmap_read(truth ? truth : "", &m, &e))
             die("FAKE_TRUTH", e.msg);
         size_t n = cut(&m, db, needed("--image_path"), want);
-        flatten(&m);
+        halve(&m);
         if (is_set("FAKE_HANG", "mapper"))
             hang();
         if (n >= 3) {
@@ -428,21 +428,12 @@ static bool is_glomap(void)
     return !strcmp(slash ? slash + 1 : fake_argv[0], "glomap");
 }
 
-static const char *const map_options[] = {"--database_path",
-                                          "--image_path",
-                                          "--output_path",
-                                          "--Mapper.num_threads",
-                                          "--Mapper.min_model_size",
-                                          "--Mapper.min_focal_length_ratio",
-                                          "--Mapper.max_focal_length_ratio",
-                                          NULL};
-static const char *const prior_options[] = {"--database_path",
-                                            "--image_path",
-                                            "--output_path",
-                                            "--Mapper.num_threads",
-                                            "--Mapper.min_model_size",
-                                            "--Mapper.min_focal_length_ratio",
-                                            "--Mapper.max_focal_length_ratio",
+#define MAP_OPTIONS                                                                                \
+    "--database_path", "--image_path", "--output_path", "--Mapper.num_threads",                    \
+        "--Mapper.min_model_size", "--Mapper.min_focal_length_ratio",                              \
+        "--Mapper.max_focal_length_ratio"
+static const char *const map_options[] = {MAP_OPTIONS, NULL};
+static const char *const prior_options[] = {MAP_OPTIONS,
                                             "--overwrite_priors_covariance",
                                             "--use_robust_loss_on_prior_position",
                                             "--prior_position_std_x",

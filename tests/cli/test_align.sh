@@ -101,11 +101,11 @@ PATH=$work/path:$PATH align "$photos" -o "$work/p5" --no-look --mapper global ||
 
 # -- a focal length that is far off ------------------------------------------------------------------------
 : >"$FAKE_LOG"
-FAKE_FLAT=1 align "$photos" -o "$work/flat" --no-look || fail "a focal length far off: exit $?"
+FAKE_FOCAL=1 align "$photos" -o "$work/flat" --no-look || fail "a focal length far off: exit $?"
 expect "a focal length far off" "the focal length came out at [0-9.e+]* times .*sought again within a factor of two"
 [ "$(called '^mapper ')" = 2 ] && [ "$(called '^mapper .*--Mapper.max_focal_length_ratio 2')" = 1 ] || fail "a focal length far off: calls"
 cmp -s "$work/flat/sparse/0/points3D.bin" "$work/a/sparse/0/points3D.bin" || fail "a focal length far off: the better model was not taken"
-FAKE_FLAT=always align "$photos" -o "$work/flatter" --no-look || fail "a lens that sees narrowly: exit $?"
+FAKE_FOCAL=always align "$photos" -o "$work/flatter" --no-look || fail "a lens that sees narrowly: exit $?"
 expect "a lens that sees narrowly" "that gave no better one"
 [ "$(placed "$work/flatter")" = 24 ] || fail "a lens that sees narrowly: $(placed "$work/flatter") placed"
 

@@ -57,18 +57,8 @@ if [ "$KILLS" = kills ]; then
   killed model some_model
 fi
 align --no-look || fail "align: exit $?"
-count_placed() { placed=$(sed -n 's/^ *"placed": \([0-9]*\),*$/\1/p' "$out/align.json"); }
-count_placed
-# COLMAP draws its samples by chance: with one thread, too, three runs have three numbers of matches (its --random_seed was
-# not tried). Rarely a model of so few photographs ends before the last two. That is no fault of ours as long as align
-# names them, and another draw places all.
-if [ -z "$KILLS" ] && [ "${placed:-0}" -lt $PLACED_LEAST ] && [ "${placed:-0}" -ge $((PLACED_LEAST - 2)) ]; then
-  [ "$(grep -c '^unplaced' "$work/log")" = $((PHOTOS - placed)) ] || fail "placed $placed of $PHOTOS, and does not name the others"
-  echo "COLMAP's draw placed $placed of $PHOTOS: once more"
-  rm -rf "$out"
-  align --no-look || fail "align, once more: exit $?"
-  count_placed
-fi
+# COLMAP draws its samples by chance. One draw in six has a focal length that is far off; align seeks those again.
+placed=$(sed -n 's/^ *"placed": \([0-9]*\),*$/\1/p' "$out/align.json")
 [ "${placed:-0}" -ge $PLACED_LEAST ] || fail "placed ${placed:-none} of $PHOTOS"
 [ "$(rows 'SELECT count(DISTINCT camera_id) FROM images')" = 1 ] || fail "more than one camera"
 "$bin" ingest "$work/city/images" "$out/sparse" -o "$work/scene" >"$work/log" 2>&1 || fail "ingest: exit $?"

@@ -85,7 +85,7 @@ cat >"$work/places.txt" <<'P'
 10 10 5    8.68 50.11    170
 P
 is 'a fit to four places' 0 $'fit +(1\\.99|2\\.00)[0-9]* m a unit of the file, RMSE 0\\.0[0-9]+ m at 4 places\nplace 4' import plain.ply --origin places.txt
-is 'where it lies' 0 'lon 8\.6799|8\.6799' "$bin" info out.tiles
+is 'where it lies' 0 'origin_lon_lat_h +8\.6799' "$bin" info out.tiles
 sed 's/8.67972019/8.6805/' "$work/places.txt" >"$work/wrong.txt"
 is 'a place that is wrong' 0 'contradict each other' import plain.ply --origin wrong.txt
 printf '0 0 0 8 50 100\n1 1 1 8.0001 50.0001 110\n2 2 2 8.0002 50.0002 120\n' >"$work/line.txt"

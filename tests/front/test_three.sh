@@ -155,6 +155,7 @@ check 'the counters say shed or timeout' at_least "$(curl -s "$admin/metrics" | 
 finish
 
 row '`/readyz` says `memory`'
+# of the large city of the row before
 begin --memory 4G
 vast=$(first_tile ply)
 prlimit --pid "${pids[1]}" --as="$(($(awk '/^VmSize/ { print $2 }' "/proc/${pids[1]}/status") * 1024 + 4000000)):"

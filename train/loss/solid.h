@@ -16,8 +16,8 @@
  * s is the standard deviation of depth along the ray, in footprints of a pixel. The terms are A s
  * where r is small, and their slopes fall with 1 / (1 + r^2)^2 (Geman and McClure 1985), so large
  * values have hardly any pull. At an edge two surfaces share the light of a pixel. A loss that
- * pulls there, even weakly, lifts the ground of narrow courts. The gradient takes A and focal /
- * zeta as constants: a Gaussian must not lower the loss by moving away from the camera.
+ * pulls there, even weakly, lifts the ground of narrow courts. A and focal / zeta are
+ * constants in the gradient: else a Gaussian would lower the loss by moving away from the camera.
  *
  * V is the distortion of a ray in 2DGS (Huang et al. 2024; first in Mip-NeRF 360, Barron et al.
  * 2022), without the factor A^2.
