@@ -88,7 +88,10 @@ double services_short_s(const struct services *s);
  * now. */
 double services_sign_in(struct services *s, uint64_t client, bool give_back);
 struct catalog *services_catalog(struct services *s); /* a reference */
-struct auth *services_auth(struct services *s);       /* a reference; NULL: everything is public */
+/* A document of a dataset: catalog_document. NULL: out of memory. */
+struct body *services_document(const struct services *s, struct dataset *d,
+                               enum dataset_document which);
+struct auth *services_auth(struct services *s); /* a reference; NULL: everything is public */
 /* Takes over the rights *a, and returns the earlier rights in it. */
 void services_set_auth(struct services *s, struct auth **a);
 /* Seconds since the drawing process first ended unexpectedly, of several since all of them did. 0:

@@ -46,28 +46,56 @@ static enum err_code catalog_make_tileset(struct dataset *d, enum tileset_links_
     return document_take(rc, &b, out, e);
 }
 
+static enum err_code catalog_make_document(struct dataset *d, enum dataset_document which,
+                                           const struct collection_options *o, struct body **out,
+                                           struct err *e)
+{
+    switch (which) {
+    case DATASET_TILESET:
+        return catalog_make_tileset(d, TILESET_LINKS_ENTRY, out, e);
+    case DATASET_TILESET_MOVING:
+        return catalog_make_tileset(d, TILESET_LINKS_MOVING, out, e);
+    case DATASET_COLLECTION:
+        return collection_describe(d, o, out, e);
+    default:
+        return search_all(d, out, e);
+    }
+}
+
+struct body *catalog_document(struct dataset *d, enum dataset_document which,
+                              const struct collection_options *o)
+{
+    struct body *b = atomic_load(&d->document[which]), *made = NULL;
+    if (b || catalog_make_document(d, which, o, &made, NULL))
+        return body_ref(b);
+    made->modified_s = d->opened_s;
+    if (atomic_compare_exchange_strong(&d->document[which], &b, made))
+        return body_ref(made);
+    body_drop(&made); /* another thread was faster */
+    return body_ref(b);
+}
+
+/* Those of photographs are made now, whose blobs only this thread may read; of many datasets the
+ * others wait until they are asked for: they take as long as opening a small store. */
 static enum err_code catalog_make_documents(struct dataset *d, const struct catalog_options *o,
                                             struct err *e)
 {
     const struct collection_options collection = catalog_collection(o);
-    enum err_code rc = catalog_make_tileset(d, TILESET_LINKS_ENTRY, &d->tileset, e);
-    if (!rc)
-        rc = catalog_make_tileset(d, TILESET_LINKS_MOVING, &d->tileset_moving, e);
-    if (!rc && d->appearance)
+    enum err_code rc = ERR_OK;
+    d->opened_s = (int64_t)time(NULL); /* of options and program, too */
+    if (d->appearance)
         rc = appearance_model_describe(d, &d->model, e);
     if (!rc && d->appearance)
         rc = appearance_model_photographs(d, &d->photographs, d->taken, e);
     if (!rc && d->appearance)
         rc = search_open(d, &d->search, e);
-    if (!rc)
-        rc = search_all(d, &d->appearances, e);
-    if (!rc)
-        rc = collection_describe(d, &collection, &d->collection, e);
-    struct body *const documents[] = {d->tileset,     d->tileset_moving, d->collection,
-                                      d->appearances, d->model,          d->photographs};
-    for (size_t i = 0; !rc && i < sizeof documents / sizeof *documents; i++)
-        if (documents[i])
-            documents[i]->modified_s = (int64_t)time(NULL); /* of options and program, too */
+    if (!rc && d->appearance)
+        d->model->modified_s = d->photographs->modified_s = d->opened_s;
+    for (int i = 0; !rc && i < DATASET_DOCUMENTS && (d->appearance || !o->lazy); i++) {
+        struct body *b = catalog_document(d, (enum dataset_document)i, &collection);
+        rc = b ? ERR_OK : err_set(e, ERR_MEM, "out of memory for the documents of a dataset");
+        body_drop(&b);
+    }
     return rc;
 }
 
@@ -298,7 +326,9 @@ void catalog_look(struct catalog_place *p, const struct catalog_options *o,
         result_id_tiles_edition(p->ds, o->preset, p->ds->edition);
     if (!rc)
         rc = catalog_make_documents(p->ds, o, e);
-    if (rc)
+    if (!rc)
+        store_rest(p->ds->stores[0]);
+    else
         dataset_drop(&p->ds);
     p->why.code = rc; /* also where out of memory for a message */
 }

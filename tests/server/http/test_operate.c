@@ -575,7 +575,7 @@ static void test_a_thousand_stores(void **state)
 #if defined(__SANITIZE_THREAD__) || defined(__SANITIZE_ADDRESS__)
     static const size_t most_bytes = SIZE_MAX; /* sanitizers keep several bytes for each */
 #else
-    static const size_t most_bytes = (size_t)200 << 20; /* 168 MB were measured */
+    static const size_t most_bytes = (size_t)64 << 20; /* 55 MB were measured */
 #endif
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], name[32];
     const char *const args[] = {dir, "--port", "0", "--no-access-log", NULL};
