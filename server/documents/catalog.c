@@ -397,10 +397,9 @@ static enum err_code catalog_alloc(size_t n, size_t n_absent, struct catalog **o
 
 /* ---- one of old and new ---- */
 
-/* A store is not served as it is now. why NULL: it was not looked at, and is as it was before. was:
- * what is served of it. */
+/* A store is not served as it is now. why NULL: it was not looked at, and is as it was before. */
 static enum err_code catalog_miss(struct catalog *c, const char *path, const struct err *why,
-                                  const struct dataset *was, const struct catalog_absent *before,
+                                  const struct catalog_absent *before,
                                   const struct catalog_options *o, struct err *e)
 {
     struct catalog_absent *x = &c->absent[c->n_absent];
@@ -417,7 +416,6 @@ static enum err_code catalog_miss(struct catalog *c, const char *path, const str
         x->code = ERR_BUSY;
         snprintf(x->why, sizeof x->why, "it is not opened yet");
     }
-    snprintf(x->name, sizeof x->name, "%s", was ? was->meta.name : "");
     x->path = mem_text(path);
     c->n_absent += x->path != NULL;
     return x->path ? ERR_OK : err_set(e, ERR_MEM, "catalog: out of memory");
@@ -433,7 +431,7 @@ static enum err_code catalog_take(struct catalog *c, struct catalog_place *p,
     const bool failed = p->looked && !p->ds;
     enum err_code rc = ERR_OK;
     if (failed || (!p->looked && (before || !was)))
-        rc = catalog_miss(c, p->path, failed ? &p->why : NULL, was, before, o, e);
+        rc = catalog_miss(c, p->path, failed ? &p->why : NULL, before, o, e);
     if (p->ds)
         c->ds[c->n++] = p->ds;
     else if (was)
@@ -473,7 +471,7 @@ static enum err_code catalog_unique(struct catalog *c, const struct catalog_opti
                       "%s: holds a dataset named '%s', as %s does: serve one of them", shown[0],
                       d->meta.name, shown[1]);
         if (!rc)
-            rc = catalog_miss(c, d->path, &why, NULL, catalog_absent_at(older, d->path), o, e);
+            rc = catalog_miss(c, d->path, &why, catalog_absent_at(older, d->path), o, e);
         dataset_drop(&d);
     }
     c->n = n;
@@ -572,13 +570,13 @@ void catalog_log(const struct catalog *older, const struct catalog *newer)
     for (size_t i = 0; i < newer->n_absent; i++) {
         const struct catalog_absent *x = &newer->absent[i],
                                     *was = catalog_absent_at(older, x->path);
+        const struct dataset *ds = catalog_at(newer, x->path);
         if (was && !strcmp(was->why, x->why))
             continue;
         char shown[RANGE_URL_MAX];
         range_show(x->path, shown);
-        log_warn("serve", "store %s is not served%s%s%s: %s", shown,
-                 x->name[0] ? " as it is now; " : "", x->name, x->name[0] ? " stays as it was" : "",
-                 x->why);
+        log_warn("serve", "store %s is not served%s%s%s: %s", shown, ds ? " as it is now; " : "",
+                 ds ? ds->meta.name : "", ds ? " stays as it was" : "", x->why);
     }
     for (size_t i = 0; older && i < older->n_absent; i++) {
         char shown[RANGE_URL_MAX];
@@ -606,7 +604,7 @@ enum err_code catalog_expire(const struct catalog *c, const struct catalog_optio
     (*out)->n_current = c->n_current;
     (*out)->collections = body_ref(c->collections);
     for (size_t i = 0; i < c->n_absent && !rc; i++)
-        rc = catalog_miss(*out, c->absent[i].path, NULL, NULL, &c->absent[i], o, e);
+        rc = catalog_miss(*out, c->absent[i].path, NULL, &c->absent[i], o, e);
     for (size_t i = c->n_current; i < c->n && !rc; i++)
         catalog_keep(*out, c->ds[i], c->replaced_s[i], now_s, o);
     if (rc)

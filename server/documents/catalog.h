@@ -14,7 +14,6 @@ struct catalog_absent { /* a store that is asked for, and is not served as it is
     char *path;         /* as it was asked for; log and documents show it by range_show */
     char why[256];      /* begins with the path */
     enum err_code code;
-    char name[64];           /* its dataset, which is served as it was before; "": none is */
     double again_s, pause_s; /* by clock_s(): when it is tried again; the pause before that */
 };
 struct catalog { /* immutable, reference-counted; a reload makes a new one */

@@ -45,7 +45,6 @@ static void test_reload(void **state)
     assert_int_equal(bad->n_absent, 1); /* what was served stays */
     assert_int_equal(bad->absent[0].code, ERR_FORMAT);
     assert_non_null(strstr(bad->absent[0].why, "moving.tiles"));
-    assert_string_equal(bad->absent[0].name, "moving");
     assert_ptr_equal(catalog_find(bad, "moving", ""), now);
     catalog_drop(&bad);
     struct catalog *later = NULL; /* a day has passed for the older one */
@@ -206,7 +205,8 @@ static void folder_goes(struct catalog *c)
     struct catalog *later = folder_served(c);
     assert_int_equal(later->n_current, c->n_current);
     assert_int_equal(absent(later, folder.dir)->code, ERR_NOENT);
-    assert_string_equal(absent(later, folder.at[1])->name, "b");
+    assert_non_null(absent(later, folder.at[1]));
+    assert_non_null(catalog_find(later, "b", ""));
     catalog_drop(&c);
     assert_int_equal(rename(away, folder.dir), 0);
     c = folder_served(later);
