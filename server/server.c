@@ -128,8 +128,8 @@ static void server_set_url(struct server *sv)
     sv->services.url = sv->cfg.public_url && *sv->cfg.public_url ? sv->cfg.public_url : own;
 }
 
-/* What this process may have open: as much as it is allowed to allow itself, as stores that a reload
- * finds need descriptors, too. */
+/* What this process may have open: as much as it may allow itself, as stores that a reload finds
+ * need descriptors, too. */
 static size_t server_descriptors(void)
 {
     struct rlimit limit;
