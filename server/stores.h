@@ -30,9 +30,8 @@ enum err_code stores_start(struct stores *st, struct err *e) ERR_USE;
 void stores_close(struct stores **st);
 /* Looks at all stores again: those of folders as they are now, the clip as its file is now. Files
  * are served anew before addresses are waited for, which is for five seconds. *tried: whether it
- * came to stores. ERR_ARG, ERR_FORMAT, ERR_IO, ERR_NOENT of the clip or of a folder,
- * with nothing changed; the error of the first store that cannot be opened, with all others changed;
- * ERR_MEM. */
+ * came to stores. ERR_ARG, ERR_FORMAT, ERR_IO, ERR_NOENT of the clip or of a folder, with nothing
+ * changed; the error of the first store that cannot be opened, with all others changed; ERR_MEM. */
 enum err_code stores_reload(struct stores *st, bool *tried, struct err *e) ERR_USE;
 /* Tries again the files whose pause is over, and drops revisions whose time is over. Call it a few
  * times a second. */
