@@ -15,7 +15,9 @@
 #include <assert.h>
 #include <pthread.h>
 #include <string.h>
+#include <unistd.h>
 
+#include "server/base/body_file.h"
 #include "server/headers.h"
 
 enum { REPLY_PLACES = 1024, REPLY_TEXT = 4096 /* bytes of values; more are not kept */ };
@@ -59,6 +61,22 @@ static struct MHD_Response *reply_create(const struct response *r)
         MHD_create_response_from_callback(MHD_SIZE_UNKNOWN, 1024, reply_no_bytes, NULL, NULL);
     if (m)
         (void)MHD_set_response_options(m, MHD_RF_HTTP_1_0_COMPATIBLE_STRICT, MHD_RO_END);
+    return m;
+}
+
+/* Of a body in a file, which the kernel sends without a copy; with TLS there is none to spare. Such
+ * answers are not kept: their file would outlive the body. NULL: it is in no file. */
+static struct MHD_Response *reply_from_file(struct MHD_Connection *c, const struct response *r)
+{
+    uint64_t at = 0;
+    if (!r->body || !r->data || !r->size || !r->body->in_file ||
+        MHD_get_connection_info(c, MHD_CONNECTION_INFO_GNUTLS_SESSION))
+        return NULL;
+    const int fd = body_file_of(r->body, r->data, &at);
+    struct MHD_Response *m =
+        fd < 0 ? NULL : MHD_create_response_from_fd_at_offset64(r->size, fd, at);
+    if (fd >= 0 && !m)
+        close(fd);
     return m;
 }
 
@@ -164,12 +182,12 @@ void reply_close(struct replies **out)
 static bool reply_send_made(struct MHD_Connection *c, const struct response *r,
                             const struct headers *h, struct reply *keep)
 {
-    struct MHD_Response *m = reply_create(r);
+    struct MHD_Response *file = reply_from_file(c, r), *m = file ? file : reply_create(r);
     if (!m)
         return false;
     reply_add_headers(m, h);
     bool ok = reply_queue(c, r, m);
-    if (keep)
+    if (keep && !file)
         reply_keep(keep, r, h, m);
     if (!keep || keep->made != m)
         MHD_destroy_response(m); /* the connection has a reference of its own */

@@ -26,6 +26,7 @@
 #include "server/answers/services.h"
 #include "server/answers/view_stream.h"
 #include "server/answers/work.h"
+#include "server/base/body_file.h"
 #include "server/base/document.h"
 #include "server/documents/link.h"
 #include "server/http.h"
@@ -153,12 +154,16 @@ static size_t server_other_descriptors(const struct server *sv, const struct cat
  * So where there are too few of them, there are fewer connections. */
 static void server_fit_descriptors(struct server *sv)
 {
-    enum { CONNECTIONS_MIN = 8 };
+    enum { CONNECTIONS_MIN = 8, FILES_MOST = 4096 };
     const size_t wanted = (size_t)sv->cfg.max_connections, limit = server_descriptors(),
                  others = server_other_descriptors(sv, stores_first(sv->stores)),
                  need = http_descriptors(wanted) + others;
-    if (limit >= need)
+    if (limit >= need) { /* of what is left, half: each answer from a file takes one, too */
+        const size_t left = (limit - need) / 2;
+        body_file_limit(left < FILES_MOST ? left : FILES_MOST);
         return;
+    }
+    body_file_limit(0);
     size_t room = limit / 8; /* of many datasets some revisions go without */
     while (room < wanted && http_descriptors(room + 1) + others <= limit)
         room++;

@@ -3,7 +3,7 @@
  * above it:
  *
  *     config           options
- *     body             bytes that several answers share, with their entity tag
+ *     body, body_file  bytes that several answers share, with their entity tag; large ones in files
  *     condition        headers of conditional, partial and negotiated requests
  *     route, param     rows of the route table; typed parameters
  *     router           a target becomes a row and integers; no byte of it becomes a path of a file

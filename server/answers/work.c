@@ -10,6 +10,7 @@
 
 #include "core/trace.h"
 #include "lod/store/remote.h"
+#include "server/base/body_file.h"
 
 /* Tracks of a trace; threads beyond the last share it. */
 static const char *const work_tracks[] = {"tiles 1", "tiles 2", "tiles 3", "tiles 4",
@@ -136,6 +137,8 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
     }
     if (!rc && w->kind->traits & WORK_COMPRESSED)
         body_compress(*out);
+    if (!rc && w->keep)
+        body_file_move(*out);
     if (!rc)
         live_bodies_add(s->live_bodies, w->id, *out);
     live_bodies_release(s->live_bodies, room);

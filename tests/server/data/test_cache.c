@@ -6,8 +6,10 @@
 #include "tests/kit.h"
 
 #include <string.h>
+#include <unistd.h>
 
 #include "core/pool.h"
+#include "server/base/body_file.h"
 #include "server/data/cache.h"
 
 static struct hash128 key_of(uint64_t i)
@@ -199,6 +201,44 @@ static void test_gzip_only_when_it_pays(void **state)
     body_drop(&random);
 }
 
+/* As many as may be lie in files, with the same bytes; the others stay as they are. */
+static void test_large_bodies_in_files(void **state)
+{
+    enum { LARGE = 200000, AT = 1234, PART = 100 };
+    uint8_t part[PART];
+    uint64_t at = 0;
+    (void)state;
+    body_file_limit(1);
+    for (int again = 0; again < 2; again++) { /* one that is gone makes room */
+        struct body *first = body_of(1, LARGE), *second = body_of(2, LARGE), *small = body_of(3, 9);
+        const struct hash128 want = hash_bytes(first->data, LARGE);
+        body_file_move(first);
+        body_file_move(second);
+        assert_true(first->in_file);
+        assert_false(second->in_file);
+        assert_int_equal(body_file_of(second, second->data, &at), -1);
+        const struct hash128 got = hash_bytes(first->data, LARGE);
+        assert_true(got.lo == want.lo && got.hi == want.hi && first->size == LARGE);
+        const int fd = body_file_of(first, first->data + AT, &at);
+        assert_true(fd >= 0);
+        assert_int_equal(at, AT);
+        body_drop(&first); /* the answer under way has the bytes still */
+        assert_int_equal(pread(fd, part, PART, AT), PART);
+        for (int i = 0; i < PART; i++)
+            assert_int_equal(part[i], 1);
+        close(fd);
+        body_file_move(small);
+        assert_false(small->in_file);
+        body_drop(&second);
+        body_drop(&small);
+    }
+    body_file_limit(0);
+    struct body *none = body_of(1, LARGE);
+    body_file_move(none);
+    assert_false(none->in_file);
+    body_drop(&none);
+}
+
 static void test_memory_failures(void **state)
 {
     (void)state;
@@ -229,6 +269,7 @@ int main(void)
         cmocka_unit_test(test_many_threads),
         cmocka_unit_test(test_etag),
         cmocka_unit_test(test_gzip_only_when_it_pays),
+        cmocka_unit_test(test_large_bodies_in_files),
         cmocka_unit_test(test_memory_failures),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

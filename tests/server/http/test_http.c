@@ -14,6 +14,58 @@
 
 /* ---- answers ---- */
 
+/* How many results of this process lie in files of memory. */
+static size_t results_in_files(void)
+{
+    char path[64], to[64];
+    size_t n = 0;
+    for (int fd = 0; fd < 256; fd++) {
+        snprintf(path, sizeof path, "/proc/self/fd/%d", fd);
+        const ssize_t size = readlink(path, to, sizeof to - 1);
+        to[size > 0 ? size : 0] = '\0';
+        n += strstr(to, "citysplat-result") != NULL;
+    }
+    return n;
+}
+
+/* A large result comes from memory by a file: the same bytes as when it was made, in parts, too,
+ * and with nothing left open. */
+static void test_large_answers(void **state)
+{
+    enum { AGAIN = 50, FROM = 70000, TO = 170000 };
+    struct reply first, r;
+    char target[128], line[64];
+    (void)state;
+    start();
+    ask("GET", tile_target(17, "ply", target), "", &first);
+    assert_int_equal(first.status, 200);
+    assert_true(first.body_size > TO);
+    assert_int_equal(results_in_files(), 1);
+    for (int i = 0; i < AGAIN; i++) {
+        ask("GET", target, "", &r);
+        assert_int_equal(r.status, 200);
+        assert_int_equal(r.body_size, first.body_size);
+        assert_memory_equal(r.body, first.body, r.body_size);
+        buf_free(&r.raw);
+    }
+    snprintf(line, sizeof line, "Range: bytes=%d-%d\r\n", FROM, TO - 1);
+    ask("GET", target, line, &r);
+    assert_int_equal(r.status, 206);
+    assert_int_equal(r.body_size, TO - FROM);
+    assert_memory_equal(r.body, first.body + FROM, r.body_size);
+    buf_free(&r.raw);
+    ask("HEAD", target, "", &r);
+    assert_int_equal(r.status, 200);
+    assert_int_equal(atoll(header(&r, "Content-Length")), first.body_size);
+    buf_free(&r.raw);
+    buf_free(&first.raw);
+    for (double end_s = clock_s() + 5; results_in_files() > 1 && clock_s() < end_s;)
+        nap_ms(10); /* answers end a moment after their last byte */
+    assert_int_equal(results_in_files(), 1);
+    server_stop(&t.server);
+    assert_int_equal(results_in_files(), 0);
+}
+
 static void test_headers(void **state)
 {
     struct reply r;
@@ -620,6 +672,7 @@ int main(void)
         HTTP_TEST(test_304_of_what_was_not_made),
         HTTP_TEST(test_shared),
         HTTP_TEST(test_vanishing_clients),
+        HTTP_TEST(test_large_answers),
         HTTP_TEST(test_busy_port),
         HTTP_TEST(test_stopping_finishes_answers),
         HTTP_TEST(test_program),
