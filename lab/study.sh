@@ -77,7 +77,6 @@ scene_about() {
     city) echo "procedural city 300 m, 300 photographs of 400 x 300 px, cells of 100 m" ;;
     cells) echo "procedural city 200 m, 150 photographs of 400 x 300 px, 6 cells of 70 m, 24 map views" ;;
     cells-light) echo "procedural city 200 m, 150 photographs of 400 x 300 px under changing light, 11 cells of 66 m" ;;
-    cells-location) echo "procedural city 200 m, 150 photographs of 400 x 300 px, 6 cells of 70 m, without visibility selection, 24 map views" ;;
     exact) echo "city of the demo's size, seed 7, exact GPS, 84 photographs of 480 x 360 px, 24 map views" ;;
     block) echo "the same city and one with a block of 400 m3 on a street" ;;
     fine) echo "the same city, 84 photographs of 960 x 720 px, 24 map views" ;;
@@ -125,7 +124,6 @@ scene_build() { # NAME FOLDER
       citysplat ingest "$CITYSPLAT_OCHOTA/images" "$CITYSPLAT_OCHOTA/sparse" --max-edge-px "${1#*-}" --origin 20.97095,52.218,110 --metres-per-unit 71 -o "$2" -q ;;
     city) scene_ingest_city "$2" "" --extent-m 300 --photos 300 --points 100000; citysplat plan "$2" --edge-m 100 --images-few 16 ;;
     cells) scene_ingest_city "$2" "--count 24" --extent-m 200 --photos 150 --points 45000; citysplat plan "$2" --edge-m 70 --images-few 16 ;;
-    cells-location) scene_ingest_city "$2" "--count 24" --extent-m 200 --photos 150 --points 45000; citysplat plan "$2" --edge-m 70 --images-few 16 --no-visibility --share-min 0 ;;
     cells-light)
       scene_ingest_city "$2" "" --extent-m 200 --photos 150 --points 45000 "${CHANGING[@]}"
       citysplat plan "$2" --edge-m 66 --images-few 16 --images-least 8
@@ -493,7 +491,6 @@ study_ablation_city() { seeded ablation_city ablation_city_rows; }
 cells_rows() {
   local MAP_VIEWS=1 base=(--iterations "$(steps cells)" --budget 20000,40000,80000)
   row cells full cells "" "${base[@]}"
-  row cells "no visibility selection" cells-location "" "${base[@]}"
   row cells "from sparse points" cells "" "${base[@]}" --no-coarse-start
 }
 study_cells() { seeded cells cells_rows; }

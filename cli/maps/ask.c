@@ -34,9 +34,9 @@ enum err_code ask_print(const char *store, const struct ask_options *o, const st
     struct geoid *geoid = NULL;
     struct nadir *n = NULL;
     json_t *answer = NULL;
-    enum err_code rc = maps_number("--ceiling-m", o->ceiling_m, &no.ceiling_m, e);
+    enum err_code rc = options_number_of("--ceiling-m", o->ceiling_m, (double)NAN, &no.ceiling_m, e);
     if (!rc && o->geoid)
-        rc = geoid_open(o->geoid, o->geoid_dir, &geoid, e);
+        rc = geoid_open(o->geoid, &geoid, e);
     if (!rc)
         rc = nadir_open(store, &no, &n, e);
     if (!rc && geoid && !heights_ellipsoidal(store_info(nadir_store(n))->heights))

@@ -92,7 +92,7 @@ static enum err_code dsm_known(const char *scene, const struct dsm_options *o, s
         r.bbox_deg = bbox;
     }
     if (!rc && o->heights.geoid)
-        rc = geoid_open(o->heights.geoid, o->heights.geoid_dir, &geoid, e);
+        rc = geoid_open(o->heights.geoid, &geoid, e);
     r.geoid = geoid;
     if (!rc)
         rc = depth_heights_write(&r, o->maps.output, &report, words, e);

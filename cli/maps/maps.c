@@ -16,18 +16,6 @@
 #include "survey/bare.h"
 #include "survey/bare_draw.h"
 
-enum err_code maps_number(const char *option, const char *text, double *out, struct err *e)
-{
-    char *end;
-    *out = (double)NAN;
-    if (!text)
-        return ERR_OK;
-    *out = strtod(text, &end);
-    return end != text && !*end && isfinite(*out)
-               ? ERR_OK
-               : err_set(e, ERR_ARG, "%s: '%s': a number is expected", option, text);
-}
-
 enum err_code maps_bbox(const char *text, double out[4], struct err *e)
 {
     const char *p = text;
@@ -86,9 +74,9 @@ enum err_code maps_open(const char *store, const struct maps_options *o, const c
     if (!rc && o->bbox)
         rc = maps_bbox(o->bbox, out->bbox, e);
     if (!rc)
-        rc = maps_number("--ceiling-m", o->ceiling_m, &no.ceiling_m, e);
+        rc = options_number_of("--ceiling-m", o->ceiling_m, (double)NAN, &no.ceiling_m, e);
     if (!rc && g && g->geoid)
-        rc = geoid_open(g->geoid, g->geoid_dir, &out->geoid, e);
+        rc = geoid_open(g->geoid, &out->geoid, e);
     if (!rc)
         rc = nadir_open(store, &no, &out->nadir, e);
     out->request = (struct map_request){.epsg = (int)o->epsg,

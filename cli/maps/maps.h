@@ -64,7 +64,5 @@ enum err_code maps_write(const char *store, const struct maps_options *o,
                          const struct maps_command *c, struct err *e) ERR_USE;
 /* Parses west,south,east,north of --bbox, degrees. ERR_ARG. */
 enum err_code maps_bbox(const char *text, double out[4], struct err *e) ERR_USE;
-/* Parses a number of this option. NULL gives NAN. ERR_ARG. */
-enum err_code maps_number(const char *option, const char *text, double *out, struct err *e) ERR_USE;
 
 #endif

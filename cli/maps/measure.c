@@ -48,7 +48,7 @@ static enum err_code measure_polygon_read(const struct measure_options *o, struc
                                           struct err *e)
 {
     struct geojson_area area = {0};
-    enum err_code rc = maps_number("--base-m", o->base_m, &q->base_m, e);
+    enum err_code rc = options_number_of("--base-m", o->base_m, (double)NAN, &q->base_m, e);
     if (!rc)
         rc = geojson_read(o->polygon, &area, e);
     if (!rc && area.n_rings != 1)

@@ -219,8 +219,6 @@ static enum err_code frame_choose_origin(const struct ingest *g, const struct ge
 static enum err_code frame_fit_kept(struct ingest *g, struct err *e)
 {
     struct georef_config cfg = {.inlier_m = inlier_m,
-                                .tau_min_m = g->cfg->tau_min_m,
-                                .tau_max_m = fmax(g->cfg->tau_max_m, g->cfg->tau_min_m),
                                 .seed = 1};
     struct georef_photo *list = mem_array(g->n, sizeof *list);
     size_t n = 0;

@@ -420,7 +420,7 @@ static void a_geoid_makes_heights_ellipsoidal(void **state)
     (void)state;
     kit_ok(file_join(path, tmp, "country.gtx", &e), e);
     kit_gtx(path, 46, 6);
-    kit_ok(geoid_open(path, NULL, &g, &e), e);
+    kit_ok(geoid_open(path, &g, &e), e);
     assert_true(fabs(geoid_above(g, 7.5, 47.25) - 46.5) < 1e-6);
     assert_true(fabs(geoid_above(g, 9.0, 48.0) - 48) < 1e-6 && isnan(geoid_above(g, 9.5, 47)));
     assert_string_equal(geoid_name(g), "country");
@@ -438,9 +438,9 @@ static void a_geoid_makes_heights_ellipsoidal(void **state)
     assert_string_equal(heights, "ellipsoid");
     assert_true(fabs(rms[1] - (45 + truth.origin.lon_deg - 6)) < 3 * plain + 0.5);
     put("truncated.gtx", "no grid", path);
-    kit_fails(geoid_open(path, NULL, &g, &e), ERR_FORMAT, e, "too short");
+    kit_fails(geoid_open(path, &g, &e), ERR_FORMAT, e, "too short");
     if (gtx_find("egm96_15.gtx", path)) { /* as PROJ's cct has it */
-        kit_ok(geoid_open("egm96", NULL, &g, &e), e);
+        kit_ok(geoid_open("egm96", &g, &e), e);
         assert_true(fabs(geoid_above(g, 7.5733, 47.5584) - 48.8782) < 0.001);
         geoid_close(&g);
     }
