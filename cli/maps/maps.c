@@ -44,8 +44,11 @@ const char *const maps_points[] = {".las", NULL};
 enum err_code maps_check_output(const char *path, const char *const *ends, bool overwrite,
                                 struct err *e)
 {
-    size_t n = strlen(path), at = 0;
     char list[80];
+    if (!path)
+        return output_needed(path, overwrite, e);
+    const size_t n = strlen(path);
+    size_t at = 0;
     for (size_t i = 0; ends[i]; i++) {
         size_t m = strlen(ends[i]);
         if (n > m && !strcasecmp(path + n - m, ends[i]))
@@ -64,13 +67,9 @@ enum err_code maps_open(const char *store, const struct maps_options *o, const c
                         struct err *e)
 {
     struct nadir_options no = {.device = o->device, .appearance = appearance};
-    enum err_code rc = ERR_OK;
     *out = (struct maps){0};
     signals_catch();
-    if (!o->output)
-        rc = err_set(e, ERR_ARG, "-o is missing: where to write");
-    else
-        rc = maps_check_output(o->output, ends, o->overwrite, e);
+    enum err_code rc = maps_check_output(o->output, ends, o->overwrite, e);
     if (!rc && o->bbox)
         rc = maps_bbox(o->bbox, out->bbox, e);
     if (!rc)

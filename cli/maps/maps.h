@@ -33,8 +33,8 @@ struct maps { /* free with maps_close */
 };
 /* Endings of file names, one list for each kind of file; NULL after the last. */
 extern const char *const maps_geotiff[], *const maps_vector[], *const maps_points[];
-/* Checks that the name has one of these endings, and that there is no such file or it may be
- * replaced. ERR_ARG says what to do. */
+/* Checks that there is a name, that it has one of these endings, and that there is no such file or
+ * it may be replaced. ERR_ARG says what to do. */
 enum err_code maps_check_output(const char *path, const char *const *ends, bool overwrite,
                                 struct err *e) ERR_USE;
 /* Checks the options and opens the store. appearance and g may be NULL. ERR_ARG names the option.

@@ -56,10 +56,8 @@ enum err_code cli_clip(int argc, char **argv, struct err *e)
     struct arena arena = {0};
     enum err_code rc = options_parse(&clip_spec, argc, argv, &o, &args, &arena, e);
     bool run = !rc && !args.done;
-    if (run && !o.output)
-        rc = err_set(e, ERR_ARG, "-o FILE is missing: where to write the tiles");
-    if (run && !rc)
-        rc = output_check(o.output, o.overwrite, e);
+    if (run)
+        rc = output_needed(o.output, o.overwrite, e);
     if (run && !rc)
         rc = clip_parse(&o, &clip, e);
     if (run && !rc) {

@@ -426,7 +426,7 @@ static void nonsense_is_refused(void **state)
         {"contour city.tiles -o no.geojson --interval-m 0.001 --gsd-m 1", "at most 10000", 2},
         {"contour city.tiles -o none/no.gpkg --gsd-m 1", "none/no.gpkg", 1},
         {"contour city.tiles -o no.gpkg --bbox 9,51,9.1,52", "the area is empty", 2},
-        {"contour city.tiles", "-o is missing", 2},
+        {"contour city.tiles", "-o FILE is missing", 2},
         {"points city.tiles -o no.las --gsd-m 0.0008", "points: at most", 2},
         {"points city.tiles -o no.las --bbox 9,51,9.1,52", "the area is empty", 2},
         {"points none.tiles -o no.las", "none.tiles", 1},
