@@ -3,7 +3,7 @@
 #
 #   lab/study.sh [--dry-run] all | STUDY...      --list names the studies
 #
-# Every row of a study is one run: train, then score, then `citysplat-lab study-record` into lab/runs/STUDY.jsonl. A row that
+# Every row of a study is one run: train, then score, then `citysplat-lab study-record` into lab/runs/. A row that
 # is recorded there by the same command is skipped, so a stopped study goes on where it was, and changing a
 # setting repeats the rows it touches. Training itself is resumed too. Steps and seeds of every study are stated in
 # lab/study/studies.def: there is no other default. Redraw a page afterwards with
@@ -182,10 +182,18 @@ scene() {
 # The ceilings are measured next to every run: what a neighbour takes away shows in them as well.
 ceilings() { lab ceiling --runs 5 >"$OUT/ceilings.jsonl" 2>/dev/null; }
 
+# Studies of one question are recorded in one file: solid, solid_block and solid_fine in solid.jsonl.
+runs_of() { # STUDY
+  case $1 in
+  goes_on | map_views) echo "$RUNS/$1.jsonl" ;;
+  *) echo "$RUNS/${1%%_*}.jsonl" ;;
+  esac
+}
+
 record() { # STUDY ROW COMMAND, then options of `citysplat-lab study-record`
   local study=$1 row=$2 command=$3
   shift 3
-  lab study-record "$RUNS/$study.jsonl" --study "$study" --row "$row" --command "$command" "$@"
+  lab study-record "$(runs_of "$study")" --study "$study" --row "$row" --command "$command" "$@"
 }
 
 # older COMMAND: as records spell it that are of before the laboratory was a program of its own.
@@ -200,7 +208,7 @@ older() {
 
 # recorded STUDY ROW COMMAND
 recorded() {
-  [ -f "$RUNS/$1.jsonl" ] || return 1
+  [ -f "$(runs_of "$1")" ] || return 1
   record "$1" "$2" "$3" --check 2>/dev/null || record "$1" "$2" "$(older "$3")" --check 2>/dev/null
 }
 
@@ -896,7 +904,7 @@ bench_scored() { # NAME STUDY SCENE COMMAND, then options of citysplat-lab bench
   local name=$1 study=$2 scene=$3 command=$4
   shift 4
   lab "$name" "$@" --study "$study" --dataset "$(scene_about "$scene")" --command "$command" \
-    --commit "$COMMIT" --record "$RUNS/$study.jsonl" >&2
+    --commit "$COMMIT" --record "$(runs_of "$study")" >&2
 }
 
 # Bytes a Gaussian against PSNR: every preset and format, and every field of the quantiser by itself; and, as the
