@@ -5,7 +5,7 @@
 import { Ray, Vector3 } from "three";
 
 import type { Block } from "./block";
-import { gather, pickIn, type Cloud } from "./pick";
+import { Columns, gather, pickIn, type Cloud } from "./pick";
 import { EYES_M } from "./pose";
 
 const STEP_UP_M = 0.6; // that legs take,
@@ -57,20 +57,21 @@ export class Walker {
   // The street nearest to a place; null where there is none near by. top: above all of the city.
   street(middle: Vector3, top: number): Vector3 | null {
     const reach = Math.max(...GRIDS_M.map(({ step, count }) => (step * count) / 2)) * Math.SQRT2;
-    const cloud = gather(this.blocks(), middle.x, middle.z, reach);
+    const columns = new Columns(gather(this.blocks(), middle.x, middle.z, reach + LEVEL_WITHIN_M), top, FINE_PER_M);
+    const heightAt = (x: number, z: number) => this.heightIn(columns.at(x, z), x, top, z);
     const found: Vector3[] = [];
     for (const { step, count } of GRIDS_M)
       for (let i = 0; i < count * count; i++) {
         const x = middle.x + step * ((i % count) - (count - 1) / 2);
         const z = middle.z + step * (Math.floor(i / count) - (count - 1) / 2);
-        const y = this.heightIn(cloud, x, top, z);
+        const y = heightAt(x, z);
         if (y !== null) found.push(new Vector3(x, y, z));
       }
     const apart = (a: Vector3, b: Vector3) => Math.hypot(a.x - b.x, a.z - b.z);
     const isLow = (place: Vector3) => found.every((other) => place.y - other.y < ABOVE_M + SLOPE * apart(place, other));
     const isLevel = ({ x, y, z }: Vector3) =>
       [[1, 0], [0, 1], [-1, 0], [0, -1]].every(([east, south]) => {
-        const beside = this.heightIn(cloud, x + LEVEL_WITHIN_M * east!, top, z + LEVEL_WITHIN_M * south!);
+        const beside = heightAt(x + LEVEL_WITHIN_M * east!, z + LEVEL_WITHIN_M * south!);
         return beside !== null && Math.abs(beside - y) < LEVEL_M;
       });
     found.sort((a, b) => apart(a, middle) - apart(b, middle));
