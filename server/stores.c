@@ -270,10 +270,9 @@ static enum err_code stores_read_clip(struct stores *st, struct err *e)
 {
     const struct server_config *cfg = st->cfg;
     struct clip clip = {0}, was;
-    bool any = false;
-    enum err_code rc =
-        clip_of_options(cfg->clip, cfg->clip_low_m, cfg->clip_high_m, "clip-", &clip, &any, e);
-    const struct hash128 now = clip_hash(any ? &clip : NULL), before = clip_hash(st->options.clip);
+    enum err_code rc = cfg->clip ? clip_open(cfg->clip, -HUGE_VAL, HUGE_VAL, &clip, e) : ERR_OK;
+    const struct hash128 now = clip_hash(cfg->clip ? &clip : NULL),
+                         before = clip_hash(st->options.clip);
     if (rc || (now.lo == before.lo && now.hi == before.hi)) {
         clip_free(&clip);
         return rc;
@@ -281,7 +280,7 @@ static enum err_code stores_read_clip(struct stores *st, struct err *e)
     pthread_rwlock_wrlock(&st->looking);
     was = st->clip;
     st->clip = clip;
-    st->options.clip = any ? &st->clip : NULL;
+    st->options.clip = cfg->clip ? &st->clip : NULL;
     pthread_rwlock_unlock(&st->looking);
     clip_free(&was);
     return ERR_OK;
@@ -333,7 +332,7 @@ enum err_code stores_open(const struct server_config *cfg, const char *const *ar
     pthread_rwlock_init(&st->looking, NULL);
     pthread_mutex_init(&st->lock, NULL);
     pool_cond_init(&st->changed);
-    enum err_code rc = cfg->geoid ? geoid_open(cfg->geoid, cfg->geoid_dir, &st->geoid, e) : ERR_OK;
+    enum err_code rc = cfg->geoid ? geoid_open(cfg->geoid, &st->geoid, e) : ERR_OK;
     stores_set_options(st, readers);
     if (!rc)
         rc = stores_read_clip(st, e);

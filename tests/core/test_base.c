@@ -315,11 +315,11 @@ static void help_of_a_switch_says_what_the_shown_flag_does(void **state)
 {
     (void)state;
     struct buf b = {0};
-    assert_int_equal(kit_run(&b, "%s plan --help=all", kit_program()), 0);
+    assert_int_equal(kit_run(&b, "%s ingest --help=all", kit_program()), 0);
     buf_u8(&b, 0);
-    const char *line = strstr((const char *)b.data, "--no-visibility");
+    const char *line = strstr((const char *)b.data, "--no-gimbal");
     assert_non_null(line);
-    kit_expect_text(line, "Turn off: Also take photographs", __FILE__, __LINE__);
+    kit_expect_text(line, "Turn off: Use the gimbal", __FILE__, __LINE__);
     b.size = 0;
     assert_int_equal(kit_run(&b, "%s train --help=all", kit_program()), 0);
     line = strstr((const char *)b.data, "\n  --appearance ");

@@ -393,7 +393,7 @@ static void test_a_geoid_makes_heights_ellipsoidal(void **state)
     (void)state;
     kit_ok(file_join(grid, t.dir, "geoid.gtx", &e), e);
     kit_gtx(grid, 52, 13);
-    kit_ok(geoid_open(grid, NULL, &geoid, &e), e);
+    kit_ok(geoid_open(grid, &geoid, &e), e);
     kit_ok(file_join(path, t.dir, "sea.tiles", &e), e);
     static const char *const kinds[] = {"sea-exif", "sea", "ellipsoid", "takeoff", "EPSG:7837"};
     for (size_t i = 0; i < sizeof kinds / sizeof *kinds; i++) {
