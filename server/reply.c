@@ -69,7 +69,7 @@ static struct MHD_Response *reply_create(const struct response *r)
 static struct MHD_Response *reply_from_file(struct MHD_Connection *c, const struct response *r)
 {
     uint64_t at = 0;
-    if (!r->body || !r->data || !r->size || !r->body->in_file ||
+    if (!r->body || !r->data || !r->size || !r->body->unmap ||
         MHD_get_connection_info(c, MHD_CONNECTION_INFO_GNUTLS_SESSION))
         return NULL;
     const int fd = body_file_of(r->body, r->data, &at);

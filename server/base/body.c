@@ -11,8 +11,6 @@
 #include <libdeflate.h>
 #include <string.h>
 
-#include "server/base/body_file.h"
-
 void body_etag(struct hash128 h, char out[BODY_ETAG_SIZE])
 {
     static const char digit[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_";
@@ -88,7 +86,8 @@ void body_drop(struct body **b)
         return;
     if (body->gone)
         body->gone(body);
-    body_file_free(body);
+    if (body->unmap)
+        body->unmap(body);
     struct buf bytes = {.data = body->data, .size = body->size};
     buf_free(&bytes);
     mem_free(body->gzip);

@@ -14,8 +14,9 @@ struct body { /* immutable once shared; reference-counted; body_drop frees it */
     _Atomic uint32_t refs;
     uint8_t *data; /* NULL: only the gzip form is there (static.h) */
     size_t size;
-    bool coded;   /* it has other forms, whether they are here or not */
-    bool in_file; /* data is a mapping of fd (body_file.h) */
+    bool coded; /* it has other forms, whether they are here or not */
+    /* frees data, which is a mapping of the file fd (body_file.h); NULL: it is in no file */
+    void (*unmap)(struct body *b);
     int fd;
     char etag[BODY_ETAG_SIZE]; /* with quotation marks */
     int64_t modified_s;        /* seconds since 1970, for Last-Modified; 0: not known */

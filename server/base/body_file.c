@@ -28,10 +28,19 @@ static bool body_file_write(int fd, const uint8_t *data, size_t size)
     return true;
 }
 
+static void body_file_unmap(struct body *b)
+{
+    (void)munmap(b->data, b->size);
+    close(b->fd);
+    atomic_fetch_sub(&body_file_count, 1);
+    b->data = NULL;
+    b->unmap = NULL;
+}
+
 void body_file_move(struct body *b)
 {
     enum { LEAST = 128 << 10 }; /* where sendfile begins to take less time than send */
-    if (b->size < LEAST || b->coded || b->in_file)
+    if (b->size < LEAST || b->coded || b->unmap)
         return;
     const bool room = atomic_fetch_add(&body_file_count, 1) < atomic_load(&body_file_most);
     const int fd = room ? memfd_create("citysplat-result", MFD_CLOEXEC) : -1;
@@ -49,24 +58,13 @@ void body_file_move(struct body *b)
     buf_free(&bytes);
     b->data = map;
     b->fd = fd;
-    b->in_file = true;
+    b->unmap = body_file_unmap;
 }
 
 int body_file_of(const struct body *b, const uint8_t *data, uint64_t *at)
 {
-    if (!b->in_file || data < b->data || data >= b->data + b->size)
+    if (!b->unmap || data < b->data || data >= b->data + b->size)
         return -1;
     *at = (uint64_t)(data - b->data);
     return fcntl(b->fd, F_DUPFD_CLOEXEC, 0);
-}
-
-void body_file_free(struct body *b)
-{
-    if (!b->in_file)
-        return;
-    (void)munmap(b->data, b->size);
-    close(b->fd);
-    atomic_fetch_sub(&body_file_count, 1);
-    b->data = NULL;
-    b->in_file = false;
 }

@@ -17,7 +17,5 @@ void body_file_move(struct body *b);
 /* A descriptor of the file, which the caller closes, and where in it `data` lies. -1: it is in no
  * file, or there are no more descriptors. */
 int body_file_of(const struct body *b, const uint8_t *data, uint64_t *at);
-/* For body_drop. */
-void body_file_free(struct body *b);
 
 #endif

@@ -214,8 +214,8 @@ static void test_large_bodies_in_files(void **state)
         const struct hash128 want = hash_bytes(first->data, LARGE);
         body_file_move(first);
         body_file_move(second);
-        assert_true(first->in_file);
-        assert_false(second->in_file);
+        assert_non_null(first->unmap);
+        assert_null(second->unmap);
         assert_int_equal(body_file_of(second, second->data, &at), -1);
         const struct hash128 got = hash_bytes(first->data, LARGE);
         assert_true(got.lo == want.lo && got.hi == want.hi && first->size == LARGE);
@@ -228,14 +228,14 @@ static void test_large_bodies_in_files(void **state)
             assert_int_equal(part[i], 1);
         close(fd);
         body_file_move(small);
-        assert_false(small->in_file);
+        assert_null(small->unmap);
         body_drop(&second);
         body_drop(&small);
     }
     body_file_limit(0);
     struct body *none = body_of(1, LARGE);
     body_file_move(none);
-    assert_false(none->in_file);
+    assert_null(none->unmap);
     body_drop(&none);
 }
 
