@@ -270,9 +270,9 @@ static enum err_code stores_read_clip(struct stores *st, struct err *e)
 {
     const struct server_config *cfg = st->cfg;
     struct clip clip = {0}, was;
-    enum err_code rc =
-        cfg->clip ? clip_open(cfg->clip, -HUGE_VAL, HUGE_VAL, &clip, e) : ERR_OK;
-    const struct hash128 now = clip_hash(cfg->clip ? &clip : NULL), before = clip_hash(st->options.clip);
+    enum err_code rc = cfg->clip ? clip_open(cfg->clip, -HUGE_VAL, HUGE_VAL, &clip, e) : ERR_OK;
+    const struct hash128 now = clip_hash(cfg->clip ? &clip : NULL),
+                         before = clip_hash(st->options.clip);
     if (rc || (now.lo == before.lo && now.hi == before.hi)) {
         clip_free(&clip);
         return rc;

@@ -679,7 +679,7 @@ enum err_code options_parse(const struct options_spec *spec, int argc, char **ar
 }
 
 enum err_code options_number_of(const char *option, const char *text, double none, double *out,
-                             struct err *e)
+                                struct err *e)
 {
     char *end;
     *out = none;

@@ -16,7 +16,7 @@
 enum { DRAW_SLOTS = 4 /* number of stores that the process keeps open */ };
 #define DRAW_PIXEL_MS 34e-6 /* time of a drawn pixel: docs/scale.md */
 
-struct draw_hello {                                        /* sent once, at the start */
+struct draw_hello {                         /* sent once, at the start */
     char device[128], geoid[FILE_PATH_MAX]; /* as in the options; geoid "": none */
     uint64_t view_cache_bytes, view_gaussians;
     uint64_t memory_bytes; /* beyond it, what is kept for the next picture is freed; 0: no limit */

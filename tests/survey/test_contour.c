@@ -41,8 +41,7 @@ static void path_of(const char *name, char out[FILE_PATH_MAX])
 
 static struct contour_request request(double least_m)
 {
-    return (struct contour_request){
-        {.kind = GEOTIFF_HEIGHT, .gsd_m = GSD_M}, INTERVAL_M, least_m};
+    return (struct contour_request){{.kind = GEOTIFF_HEIGHT, .gsd_m = GSD_M}, INTERVAL_M, least_m};
 }
 
 static void read_line(const json_t *feature, struct lines *out)
@@ -115,8 +114,7 @@ static void no_line_is_missing(const struct lines *l)
         double x = (rng_unit(7, 0, (uint64_t)i) - 0.5) * (EXTENT_M - 6),
                y = (rng_unit(7, 1, (uint64_t)i) - 0.5) * (EXTENT_M - 6), a = truth_z(x, y),
                b = truth_z(x + 1, y), lo = fmin(a, b) + 0.3, hi = fmax(a, b) - 0.3,
-               level =
-                   ceil((lo + origin.h_m) / INTERVAL_M) * INTERVAL_M - origin.h_m;
+               level = ceil((lo + origin.h_m) / INTERVAL_M) * INTERVAL_M - origin.h_m;
         bool found = false;
         if (!(level < hi))
             continue;
@@ -406,9 +404,7 @@ static void heights_count_from_the_sea(void **state)
                      0);
     buf_free(&out);
     assert_int_equal(
-        kit_run(&out, "cd '%s' && '%s' dsm -q city.tiles -o no.tif --geoid ./none",
-                f.dir, bin),
-        1);
+        kit_run(&out, "cd '%s' && '%s' dsm -q city.tiles -o no.tif --geoid ./none", f.dir, bin), 1);
     kit_expect_text((const char *)out.data, "geographiclib-get-geoids", __FILE__, __LINE__);
     buf_free(&out);
 }

@@ -1,6 +1,6 @@
 /* The toy that whole runs of training are tested on: coloured blobs on a patch of ground,
- * photographed from above by cameras on a ring. The renderer draws the photographs, so a perfect fit
- * exists.
+ * photographed from above by cameras on a ring. The renderer draws the photographs, so a perfect
+ * fit exists.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
