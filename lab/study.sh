@@ -641,6 +641,16 @@ study_solid_terms() {
   local MAP_VIEWS=1 SURFACE=city GSD_M=0.384
   seeded solid_terms solid_terms_rows solid_terms small --iterations "$(steps solid_terms)" --budget 20000,30000,40000
 }
+# The same question at 480 x 360 px and a budget that binds: three terms with known depths, and none.
+solid_fixed_rows() { # TRAIN-OPTIONS
+  local off=(--solid-spread 0 --solid-light 0 --solid-flat 0)
+  row solid_fixed "three terms" exact "" "$@" --depth-prior "$OUT/exact-depth"
+  row solid_fixed none exact "" "$@" "${off[@]}"
+}
+study_solid_fixed() {
+  local MAP_VIEWS=1 SURFACE=city
+  seeded solid_fixed solid_fixed_rows --iterations "$(steps solid_fixed)" --budget 40000,80000,160000
+}
 study_solid_tricky() { MAP_VIEWS=1 solid solid_tricky tricky city; }
 # Photographs of twice as many pixels across: half the footprint of a pixel.
 fine_rows() {
@@ -956,7 +966,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full long long_city big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota goes_on thin thin_tricky thin_caliterra thin_ochota side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ochota_cells_light ablation ablation_city cells cells_light
+readonly STUDIES=(time full long long_city big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota goes_on thin thin_tricky thin_caliterra thin_ochota side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_fixed solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ochota_cells_light ablation ablation_city cells cells_light
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {

@@ -416,10 +416,10 @@ static enum err_code stores_fault(const struct catalog *c, struct err *e)
                                       c->n_absent, x->why);
 }
 
-enum err_code stores_reload(struct stores *st, struct json_t **changes, struct err *e)
+enum err_code stores_reload(struct stores *st, bool *tried, struct err *e)
 {
     struct stores_list list = {0};
-    struct catalog *older = services_catalog(st->s), *newer = NULL;
+    struct catalog *older = services_catalog(st->s);
     pthread_mutex_lock(&st->reload);
     enum err_code rc = stores_list(st, older, &list, e);
     if (!rc)
@@ -430,15 +430,14 @@ enum err_code stores_reload(struct stores *st, struct json_t **changes, struct e
         rc = stores_publish(st, &list, true, e);
     pthread_mutex_unlock(&st->reload);
     stores_list_free(&list);
-    if (!rc) {
-        stores_far_wait(st);
-        newer = services_catalog(st->s);
-        rc = stores_fault(newer, e);
-    }
-    if (changes && newer)
-        *changes = catalog_changes(older, newer);
-    catalog_drop(&newer);
     catalog_drop(&older);
+    *tried = !rc;
+    if (rc)
+        return rc;
+    stores_far_wait(st);
+    struct catalog *newer = services_catalog(st->s);
+    rc = stores_fault(newer, e);
+    catalog_drop(&newer);
     return rc;
 }
 

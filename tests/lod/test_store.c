@@ -677,8 +677,7 @@ enum { HALVES_SIDE = 16 };
 static bool read_halves(const char *path, const struct store *whole, struct index *out)
 {
     struct err e = {0};
-    struct store s = {.size_bytes = whole->size_bytes, .meta = whole->meta};
-    snprintf(s.path, sizeof s.path, "%s", path);
+    struct store s = {.path = whole->path, .size_bytes = whole->size_bytes, .meta = whole->meta};
     kit_ok(store_db_connect(&s, path, NULL, &e), e);
     const bool done = store_read_halves(&s, path, NULL);
     sqlite3_close(s.db);

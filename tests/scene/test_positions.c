@@ -13,6 +13,7 @@
 #include "core/geo/geo.h"
 #include "core/geo/gtx.h"
 #include "scene/control/positions.h"
+#include "scene/control/table.h"
 #include "scene/control/wkt.h"
 #include "scene/ingest/ingest.h"
 #include "survey/crs.h"
@@ -369,6 +370,31 @@ static void tables_of_other_programs_are_read(void **state)
     }
 }
 
+/* Three digits after the only comma may be thousands; what is not told is certain. */
+static void a_comma_that_may_separate_thousands_is_told(void **state)
+{
+    static const struct {
+        const char *line, *read;
+        bool thousands;
+    } row[] = {
+        {"p1;634,676;5,5", "p1;634.676;5.5", true},
+        {"p1;-12,345;5,5", "p1;-12.345;5.5", true},
+        {"p1;0,125;5,5", "p1;0.125;5.5", false},
+        {"p1;634676,125;5,5", "p1;634676.125;5.5", false},
+        {"p1;634,6760;5,55", "p1;634.6760;5.55", false},
+        {"p1;634,676.5;5.5", "p1;634,676.5;5.5", false}, /* no number: refused by who reads it */
+    };
+    (void)state;
+    for (size_t i = 0; i < sizeof row / sizeof *row; i++) {
+        struct table t = {.path = "list.csv", .line = i + 1};
+        char line[64];
+        snprintf(line, sizeof line, "%s", row[i].line);
+        table_decimal_points(&t, line);
+        assert_string_equal(line, row[i].read);
+        assert_int_equal(t.thousands, row[i].thousands);
+    }
+}
+
 static void nonsense_is_refused(void **state)
 {
     static const struct {
@@ -453,6 +479,7 @@ int main(void)
         cmocka_unit_test(dji_numbers_photographs),
         cmocka_unit_test(events_are_matched_by_time),
         cmocka_unit_test(tables_of_other_programs_are_read),
+        cmocka_unit_test(a_comma_that_may_separate_thousands_is_told),
         cmocka_unit_test(nonsense_is_refused),
         cmocka_unit_test(a_geoid_makes_heights_ellipsoidal),
     };
