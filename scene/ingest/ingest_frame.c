@@ -187,8 +187,8 @@ static enum err_code frame_move_frame(struct sim3 *s, const struct geo_origin *f
     return ERR_OK;
 }
 
-/* The middle of lo to hi in the frame `from`, to 1e-7 degrees; the median point's height, to 1 cm.
- */
+/* The middle of lo to hi in the frame `from`, to 1e-7 degrees; the median point's height, to
+ * 1 cm. */
 static enum err_code frame_middle(const struct ingest *g, const struct geo_origin *from,
                                   const struct sim3 *s, const double lo[2], const double hi[2],
                                   struct geo_origin *out, struct err *e)

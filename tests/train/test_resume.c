@@ -1,5 +1,5 @@
-/* Runs that are stopped and resumed end as if they had not been stopped; what a run was made of may
- * not change meanwhile; and results are replaced only when that was asked for.
+/* Runs that are stopped and gone on with end as if they had not been stopped; what a run was made
+ * of may not change meanwhile; and results are replaced only when that was asked for.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

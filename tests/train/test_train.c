@@ -1,5 +1,6 @@
 /* Training as a whole on a toy: the loss falls as recorded, runs repeat bit by bit, and broken
- * scenes give one clear error. test_resume.c has runs that are stopped, resumed and made again.
+ * scenes give one clear error. test_resume.c has runs that are stopped, gone on with and made
+ * again.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
