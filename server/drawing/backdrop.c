@@ -114,7 +114,7 @@ struct backdrop backdrop_read(const double min_enu_m[3], const double max_enu_m[
     for (int cell = 0; cell < BACKDROP_PX * BACKDROP_PX; cell++)
         far[cell] = 1; /* all of it counts */
     memcpy(out.ground, day_ground, sizeof out.ground);
-    if (backdrop_mean(rgb, transmittance, far, INFINITY, light)) {
+    if (backdrop_mean(rgb, transmittance, far, HUGE_VAL, light)) {
         memcpy(out.ground, light, sizeof out.ground);
         backdrop_inside(transmittance, far);
         (void)backdrop_mean(rgb, transmittance, far, ground_rim * strip, out.ground);
