@@ -58,11 +58,6 @@ struct form encode_draft(void)
     return (struct form){.format = FORMAT_DRC, .preset = QUANT_PREVIEW, .sh_degree = 0};
 }
 
-bool encode_has_parts(uint32_t count)
-{
-    return part_first(count) < count;
-}
-
 /* g (changed) to bytes of a form. pixel_m: of the low-pass form. */
 static enum err_code encode_gauss(struct gauss *g, const struct store_meta *meta, struct key key,
                                   struct form form, double pixel_m, struct buf *out, struct err *e)

@@ -18,8 +18,6 @@ struct form encode_form(const struct server_config *cfg, const struct store_meta
 struct form encode_form_of(enum format f);
 /* What the viewer draws first: its coarsest tile in the preset preview, without harmonics. */
 struct form encode_draft(void);
-/* Does a tile of this many Gaussians have a second part? */
-bool encode_has_parts(uint32_t count);
 /* Appends the bytes of a tile in a form. image: an embedding [len_image] of the store's appearance
  * model; NULL: the default one. clip: the part of the tile; NULL: all. ERR_NOENT (no such tile,
  * nothing of it is left, or it has no second part), ERR_FORMAT (damaged), ERR_IO, ERR_MEM,

@@ -60,11 +60,10 @@ static bool prefetch_list_lists(const struct prefetch_list *s, const struct stor
 
 /* Which tiles a client asks for in a form. */
 enum prefetch_tiles {
-    PREFETCH_ALL,     /* all of them */
-    PREFETCH_ENTRY,   /* as tilesets name them: filtered where tiles are (lod/export/tileset.c) */
-    PREFETCH_NEAR,    /* leaves of which the filtered form comes first */
-    PREFETCH_FIRST,   /* the one that every view begins with */
-    PREFETCH_IN_PARTS /* those of which there is a second part */
+    PREFETCH_ALL,   /* all of them */
+    PREFETCH_ENTRY, /* as tilesets name them: filtered where tiles are (lod/export/tileset.c) */
+    PREFETCH_NEAR,  /* leaves of which the filtered form comes first */
+    PREFETCH_FIRST  /* the one that every view begins with */
 };
 /* The forms by client: what they ask for letter by letter, because a cache keeps answers by their
  * addresses. tests/web/seed.test.mjs compares the rows with what the clients ask for. */
@@ -73,17 +72,14 @@ static const struct prefetch_form {
     enum prefetch_tiles tiles;
     enum format format;
     bool versioned; /* CesiumJS adds the version that tilesets have */
-    uint8_t part;
     bool draft;
 } prefetch_forms[] = {
-    {CLIENT_CESIUM, PREFETCH_ENTRY, FORMAT_GLB_LOWPASS, true, 0, false},
-    {CLIENT_CESIUM, PREFETCH_NEAR, FORMAT_GLB, true, 0, false},
-    {CLIENT_THREE, PREFETCH_ENTRY, FORMAT_GLB_LOWPASS, false, 0, false},
-    {CLIENT_THREE, PREFETCH_NEAR, FORMAT_GLB, false, 0, false},
-    {CLIENT_VIEWER, PREFETCH_FIRST, FORMAT_DRC, false, 0, true},
-    {CLIENT_VIEWER, PREFETCH_ALL, FORMAT_DRC, false, 0, false},
-    {CLIENT_VIEWER, PREFETCH_ALL, FORMAT_DRC, false, 1, false}, /* over slow lines */
-    {CLIENT_VIEWER, PREFETCH_IN_PARTS, FORMAT_DRC, false, 2, false},
+    {CLIENT_CESIUM, PREFETCH_ENTRY, FORMAT_GLB_LOWPASS, true, false},
+    {CLIENT_CESIUM, PREFETCH_NEAR, FORMAT_GLB, true, false},
+    {CLIENT_THREE, PREFETCH_ENTRY, FORMAT_GLB_LOWPASS, false, false},
+    {CLIENT_THREE, PREFETCH_NEAR, FORMAT_GLB, false, false},
+    {CLIENT_VIEWER, PREFETCH_FIRST, FORMAT_DRC, false, true},
+    {CLIENT_VIEWER, PREFETCH_ALL, FORMAT_DRC, false, false},
 };
 enum { PREFETCH_FORMS = sizeof prefetch_forms / sizeof *prefetch_forms };
 
@@ -100,8 +96,6 @@ static bool prefetch_list_wants(const struct prefetch_list *s, const struct pref
         return filtered && !tree_node(tree, node).child_count;
     case PREFETCH_FIRST:
         return node == tree->root;
-    case PREFETCH_IN_PARTS:
-        return encode_has_parts(tile->count);
     default:
         return true;
     }
@@ -146,19 +140,14 @@ static void prefetch_list_write_form(const struct prefetch_list *s, const struct
                         : viewer ? encode_form_of(format)
                                  : s->t->tiles.form;
     asked.format = format;
-    asked.part = f->part;
     struct form form = encode_form(s->cfg, &s->d->meta, &asked);
     form.trained = viewer && s->d->model;
-    if (form.part == 1 && !encode_has_parts(tile->count))
-        form.part = 0; /* the same body under the same tag, as in answer_tile.c */
     if (!viewer)
         p = text_put(p, query);
     if (form.trained)
         p = text_put(p, "&appearance=none");
     if (f->draft)
         p = text_put(p, "&preset=preview&sh=0");
-    if (f->part)
-        p = text_put_uint(text_put(p, "&part="), f->part);
     if (f->versioned)
         p = text_put(text_put(p, "&v="), s->d->meta.revision);
     *p = '\0';

@@ -1,8 +1,5 @@
 /* Turns the renderer's output into the bytes of a picture.
  *
- * The sky is that of the viewer's light theme: a gradient upwards from the horizon, and below it
- * ground that fades towards the horizon.
- *
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "server/drawing/composite.h"
@@ -59,29 +56,17 @@ static uint8_t composite_byte(double v)
     return !(v > 0) ? 0 : v >= 255 ? 255 : (uint8_t)v; /* NaN is 0 */
 }
 
-/* ---- sky ---- */
-
-/* Colour of a direction by the sine of its elevation. */
-static void composite_sky(double up, double out[3])
-{
-    static const double top[3] = {0.36, 0.56, 0.82}, low[3] = {0.82, 0.88, 0.93},
-                        ground[3] = {0.6, 0.62, 0.6};
-    double s = fmin(fmax((up + 0.05) / 0.05, 0), 1), haze = s * s * (3 - 2 * s);
-    double t = up > 0 ? pow(up, 0.45) : haze;
-    for (int a = 0; a < 3; a++)
-        out[a] = up > 0 ? low[a] + (top[a] - low[a]) * t : ground[a] + (low[a] - ground[a]) * t;
-}
-
-/* Sine of the elevation of what pixel x, y looks at, in the frame of the dataset's origin. */
-static double composite_up(const struct camera *c, uint32_t x, uint32_t y)
+/* What pixel x, y looks at behind the city. */
+static void composite_sky(const struct backdrop *sky, const struct camera *c, uint32_t x,
+                          uint32_t y, double out[3])
 {
     const double d[3] = {(x + 0.5 - c->cx_px) / c->fx_px, (y + 0.5 - c->cy_px) / c->fy_px, 1};
-    double up = 0, n2 = 0;
-    for (size_t r = 0; r < 3; r++) {
-        up += c->rot[3 * r + 2] * d[r];
-        n2 += d[r] * d[r];
-    }
-    return up / sqrt(n2);
+    double eye[3], ray[3] = {0};
+    for (size_t a = 0; a < 3; a++)
+        for (size_t r = 0; r < 3; r++)
+            ray[a] += c->rot[3 * r + a] * d[r];
+    camera_center(c, eye);
+    backdrop_color(sky, eye, ray, out);
 }
 
 /* ---- colours ---- */
@@ -97,7 +82,7 @@ static void composite_pixels(const struct composite *p, const struct camera *cam
             double left = in->transmittance ? fmin(fmax((double)in->transmittance[i], 0), 1) : 0;
             double sky[3] = {0}, alpha = 1;
             if (p->background == BACKGROUND_SKY)
-                composite_sky(composite_up(cam, x, y), sky);
+                composite_sky(in->sky, cam, x, y, sky);
             else if (p->background == BACKGROUND_TRANSPARENT)
                 alpha = 1 - left;
             for (int a = 0; a < 3; a++)

@@ -6,6 +6,7 @@
 #define SERVER_COMPOSITE_H
 
 #include "core/splat/camera.h"
+#include "server/drawing/backdrop.h"
 #include "server/route/target.h"
 
 /* Parses text [n] as a unit of depth: "mm", "cm", "dm" or "m". Returns false for any other. */
@@ -16,6 +17,7 @@ struct composite_planes {
     const float *rgb;           /* [3]; for SKY and TRANSPARENT on black */
     const float *transmittance; /* behind the last Gaussian */
     const float *depth_m;       /* of the visible surface, along the optical axis; 0: none */
+    const struct backdrop *sky; /* for SKY */
 };
 /* Return whether a picture needs transmittance, or depth. */
 bool composite_needs_transmittance(const struct composite *p);

@@ -78,7 +78,7 @@ test("parameters are those of the path, operations have names of their own", () 
     }
 });
 
-test("answers have the shapes that are said", async (t) => {
+test("documents that need no more than a dataset and a place, a problem and seed lines have the shapes that are said", async (t) => {
     const ds = await firstDataSet(source.url);
     const { splats } = await getJson(`${source.url}/collections/${ds}`);
     let looked = 0;

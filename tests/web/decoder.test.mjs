@@ -107,41 +107,6 @@ test("a Gaussian of a tile takes 36 bytes, and as many more as its row needs", a
     assert.equal(packed(2 ** 24, 0), 20);
 });
 
-// A tile's fields and those of its parts, packed each by itself and joined.
-test("both parts of a tile make the tile, and nothing else does", async () => {
-    const { join, pack } = await importSource("pack.ts");
-    const [first, rest] = [2048, 1500];
-    const random = makeRandom(13);
-    const whole = (range) => Math.floor(random() * range);
-    const part = (count, more) => ({
-        ...{ count, shDegree: 2, antialiased: true, unit: 2 ** -6, rest: 0 },
-        steps: Int32Array.from({ length: 3 * count }, () => whole(2 ** 20)), // wide: they take rows of `more`
-        colors: Uint8Array.from({ length: 4 * count }, () => whole(256)),
-        scales: Uint8Array.from({ length: 3 * count }, () => whole(256)),
-        rotations: Uint32Array.from({ length: count }, () => whole(2 ** 32)),
-        sh: Uint8Array.from({ length: 24 * count }, () => whole(256)),
-        embedding: {
-            length: 2,
-            ...{ least: new Float32Array([1, 2]), step: new Float32Array([3, 4]) },
-            planes: [Uint32Array.from({ length: 4 * Math.ceil(count / 1024) * 1024 }, () => whole(2 ** 32))],
-        },
-        ...more,
-    });
-    const [a, b] = [part(first, { rest }), part(rest)];
-    const packed = [pack(a, [5, 6, 7]), pack(b, [5, 6, 7])];
-    const joined = join(...packed);
-    assert.deepEqual([joined.count, joined.rest], [first + rest, 0]);
-    const [got, one, two] = [joined, ...packed].map(loosen);
-    for (const name of Object.keys(got)) assert.deepEqual([...got[name]], [...one[name], ...two[name]], name);
-    assert.deepEqual([...joined.embedding.planes[0]], [...a.embedding.planes[0], ...b.embedding.planes[0]]);
-    const refuse = (more, why) => assert.throws(() => join(packed[0], pack(part(rest, more), [5, 6, 7])), why);
-    assert.throws(() => join(packed[0], packed[0]), /2048 Gaussians of degree 2 do not follow where 1500/);
-    refuse({ shDegree: 1, sh: new Uint8Array(9 * rest) }, /of degree 1 do not follow/);
-    refuse({ embedding: null }, /embeddings/);
-    refuse({ embedding: { ...b.embedding, step: new Float32Array([3, 5]) } }, /embeddings/);
-    assert.throws(() => pack(part(1500, { rest: 5 }), [0, 0, 0]), /no whole rows/);
-});
-
 test("damaged files are refused", () => {
     const raw = new Uint8Array(gunzipSync(encodeSpz(makeSplats(10), 1)));
     const changed = (at, value) => Uint8Array.from(raw, (v, i) => (i === at ? value : v));

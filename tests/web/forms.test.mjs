@@ -101,15 +101,14 @@ test("3d-tiles-renderer", skip, async (t) => {
     assert.ok(kinds.has(".lowpass.glb") && [...kinds].every((kind) => /^\.(lowpass\.)?glb$/.test(kind)), `${[...kinds]}`);
 });
 
-// What is quick the viewer measures: on a busy machine it may ask for parts.
-for (const [line, bytesPerSecond, wanted] of [["quick", Infinity, [".drc?preset=preview&sh=0"]], ["slow", SLOW, [".drc?preset=preview&sh=0", ".drc?part=1", ".drc?part=2"]]])
+// Whole tiles over a slow line too: a first part of one lacks what is small, and would stand where a coarser one was better.
+for (const [line, bytesPerSecond] of [["quick", Infinity], ["slow", SLOW]])
     test(`the viewer, over a ${line} line`, skip, async (t) => {
         proxy.bytesPerSecond = bytesPerSecond;
         opened = await openPage(`${proxy.url}/?lang=en#${VIEW}`, SIZE);
         await waitForViewer(opened.page);
         const { kinds, asked, list } = await compare(t, "viewer");
-        for (const kind of wanted) assert.ok(kinds.has(kind), `no ${kind} among ${[...kinds]}`);
-        assert.ok(kinds.has(".drc") || kinds.has(".drc?part=1"), `no whole tile and no part among ${[...kinds]}`);
+        assert.deepEqual([...kinds].sort(), [".drc", ".drc?preset=preview&sh=0"]);
         assert.ok(asked.size < list.size);
     });
 

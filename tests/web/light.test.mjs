@@ -1,13 +1,13 @@
 // examples/light.html: a slider moves a city between two of its lights, in our viewer, in CesiumJS and in pictures of the
-// server, and all three change alike.
+// server, and all three change alike. Sky and ground of the server's pictures are the viewer's.
 //
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
-import { openPage, useWholeBrowser } from "./lib/browser.mjs";
+import { openPage, useWholeBrowser, waitForViewer } from "./lib/browser.mjs";
 import { decodePng } from "./lib/png.mjs";
-import { GIVEN_TILES, MOCK, openLitCity } from "./lib/source.mjs";
+import { getBytes, GIVEN_TILES, MOCK, openLitCity } from "./lib/source.mjs";
 
 useWholeBrowser();
 
@@ -16,6 +16,7 @@ const TIMEOUT_MS = 120000;
 const PANES = ["ours", "cesium", "served"];
 const CHANGE_LEAST = 4; // of 255: the city of the tests has lights that differ
 const ALIKE_LEAST = 0.8; // cosine of two changes of colour
+const GROUND_APART = 8; // of 255: in the browser the city's edge colours what lies near it
 const skip = { skip: MOCK || GIVEN_TILES ? "needs a city of several lights" : false };
 
 let source;
@@ -66,4 +67,30 @@ test("three clients move between the same two lights", skip, async (t) => {
         assert.ok(dot / length(change[id]) / length(change.ours) > ALIKE_LEAST, `${id} ${change[id]}, ours ${change.ours}`);
     }
     assert.deepEqual(opened.log, []);
+});
+
+test("sky and ground of the server's pictures are those of the browser, in each light", skip, async (t) => {
+    const names = await opened.page.evaluate(() => window.two);
+    const seen = [];
+    for (const name of names) {
+        const { page, close } = await openPage(`${source.url}/?scene=lit&ui=off&appearance=${name}`, { width: 640, height: 360, colorScheme: "light" });
+        t.after(close);
+        await waitForViewer(page, TIMEOUT_MS);
+        await page.evaluate(() => window.citysplat.look({ ...window.citysplat.pose(), pitch: -8 }));
+        await waitForViewer(page, TIMEOUT_MS);
+        const own = decodePng(await page.screenshot());
+        const view = await page.evaluate(() => window.citysplat.viewer.serverPicture(640, 360).href.replace(/\.jpg/, ".png"));
+        const url = new URL(view);
+        url.searchParams.set("background", "sky");
+        const served = decodePng(await getBytes(url));
+        const [zenith, horizon, ground] = [[320, 5, 2], [20, 140, 40], [20, 300, GROUND_APART]].map(([x, y, most]) => {
+            const [a, b] = [own, served].map((picture) => picture.mean(x, y, 3));
+            t.diagnostic(`${name} at ${x}, ${y}: ${a.map((v) => v.toFixed(0))} by the browser, ${b.map((v) => v.toFixed(0))} by the server`);
+            a.forEach((v, i) => assert.ok(Math.abs(v - b[i]) <= most, `${name} at ${x}, ${y}: ${a} by the browser, ${b} by the server`));
+            return b;
+        });
+        assert.ok(Math.hypot(...zenith.map((v, i) => v - horizon[i])) > 20 && Math.hypot(...ground.map((v, i) => v - horizon[i])) > 20, "all one colour");
+        seen.push(ground);
+    }
+    assert.ok(Math.hypot(...seen[0].map((v, i) => v - seen[1][i])) > CHANGE_LEAST, `the ground is the same in both lights: ${seen}`);
 });

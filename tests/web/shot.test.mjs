@@ -107,6 +107,25 @@ test("server and browser draw the view at hand, and the view stays as it was", s
     assert.match(error, /16 to 16384 pixels/);
 });
 
+test("a refusal of the server names its answer", skip, async () => {
+    const said = await page.evaluate(async () => {
+        const { viewer } = window.citysplat;
+        await viewer.setAppearance("");
+        const ask = fetch;
+        let id = null;
+        window.fetch = async (url, how) => {
+            const answer = await ask(url, /\/render$/.test(url) ? { ...how, body: '{"camera": 1}' } : how);
+            if (/\/render$/.test(url)) id = answer.headers.get("x-request-id");
+            return answer;
+        };
+        const problem = await viewer.screenshot({ width: 32, height: 32, by: "server" }).catch((error) => error);
+        window.fetch = ask;
+        return { id, kind: problem.kind, status: problem.values?.status, requestId: problem.requestId };
+    });
+    assert.ok(said.id, "the server says no id");
+    assert.deepEqual(said, { id: said.id, kind: "http", status: 422, requestId: said.id });
+});
+
 test("the dialog saves what was chosen, and says what went wrong", skip, async (t) => {
     await page.keyboard.press("i");
     await page.waitForSelector("#shot[open]");

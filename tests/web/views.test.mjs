@@ -84,7 +84,7 @@ test("a background is behind what is drawn", async (t) => {
     const up = await png({ pitch: 15, query: "?background=sky" }); // from 45 degrees above the horizon to 15 below
     const [high, horizon, ground] = [2, H * 0.72, H - 1].map((y) => up.at(1, Math.round(y)));
     assert.ok(high[2] - high[0] > horizon[2] - horizon[0] + 20, `${high} above ${horizon}`);
-    assert.ok(Math.abs(ground[2] - ground[0]) < 6 && ground[1] < horizon[1] - 20, `${ground}`);
+    assert.ok(ground[1] < horizon[1] - 20, `${ground} below ${horizon}`); // its colours: light.test.mjs
 });
 
 test("depth as PNG and as NumPy array is the same", async (t) => {

@@ -91,6 +91,20 @@ test("walking begins on the nearest street, at eye height, meets walls, and ends
     await arrived(page);
     assert.equal(await page.isVisible("#walk-card"), false);
     assert.ok(Math.abs((await poseOf(page)).h - above.h) < 0.05, "not back where it began");
+    // A flight of the page goes on in the mode of who flies; who walks does so no longer, and the card goes.
+    const over = { ...above, heading: above.heading + 10 };
+    const flyTo = async () => {
+        await page.evaluate((pose) => window.citysplat.viewer.flyTo(pose, 0.1), over);
+        await arrived(page);
+    };
+    await page.keyboard.press("g");
+    await flyTo();
+    assert.equal(await page.getAttribute("#walk", "data-walk"), "fly");
+    await page.keyboard.press("g");
+    await walks(page);
+    await flyTo();
+    assert.equal(await page.getAttribute("#walk", "data-walk"), "orbit");
+    assert.equal(await page.isVisible("#walk-card"), false);
     await page.keyboard.press("g");
     await page.keyboard.press("g");
     await walks(page);
@@ -181,12 +195,27 @@ test("two clicks or two taps of a place go nearer to it", skip, async (t) => {
             return window.target.distanceTo(stage.camera.position);
         }, [x, y]);
         const before = await distance();
+        await page.evaluate(() => {
+            window.clicks = [];
+            window.citysplat.viewer.on("click", ({ x: at }) => window.clicks.push(at));
+        });
+        await page.keyboard.press("m");
         if (size.hasTouch) await Promise.all([page.touchscreen.tap(x, y), page.touchscreen.tap(x, y)]);
         else await page.mouse.dblclick(x, y);
         await until(page, (from) => window.target.distanceTo(window.citysplat.viewer.stage.camera.position) < 0.9 * from, before);
         await arrived(page);
         const share = (await distance()) / before;
         assert.ok(Math.abs(share - 0.5) < 0.05, `${share} of the distance`);
+        // It was no click, and is no point of a measurement. One press is, and two of different places are two.
+        await page.waitForTimeout(500);
+        assert.deepEqual(await page.evaluate(() => window.clicks), []);
+        const press = (px) => (size.hasTouch ? page.touchscreen.tap(px, y) : page.mouse.click(px, y));
+        await press(x);
+        await press(x + 60);
+        await until(page, () => window.clicks.length === 2);
+        assert.deepEqual(await page.evaluate(() => window.clicks.map(Math.round)), [x, x + 60]);
+        assert.match(await page.textContent("#measure-text"), / m/);
+        await page.keyboard.press("m");
     }
 });
 
@@ -225,12 +254,32 @@ for (const colorScheme of ["light", "dark"])
         const scripts = await page.evaluate(() => performance.getEntriesByType("resource").find(({ name }) => /assets\/index-.*\.js/.test(name)).responseEnd);
         const early = series.filter(({ at }) => at < scripts);
         assert.ok(early.some(({ colors }) => colors > 50), `nothing is shown before the scripts are there, at ${scripts} ms`);
-        // Before the picture: the page's ground in its own colours, behind the empty white page of the browser.
-        const ground = early.filter(({ colors }) => colors <= 50).at(-1);
-        if (ground) assert.equal(ground.ink.reduce((sum, v) => sum + v, 0) > 382, colorScheme === "light", `the first paint is ${ground.ink}`);
         for (let i = 1; i < series.length; i++)
             assert.ok(series[i].apart <= series[i - 1].apart + WORSE_RMS, `at ${series[i].at} ms it is ${series[i].apart} of 255 off, ${series[i - 1].apart} before`);
         assert.deepEqual(warnings.filter((line) => /texSubImage2D|TilesRenderer/.test(line)), []);
+    });
+
+for (const colorScheme of ["light", "dark"])
+    test(`${colorScheme}: before any picture the page has the colours of its scheme, and none of the poster is left below the city`, skip, async (t) => {
+        const { page, close } = await openPage("about:blank", { ...SIZE, colorScheme });
+        t.after(close);
+        // Pictures and scripts of the server wait, but the small one that the page begins with.
+        let go = () => {};
+        const held = new Promise((resolve) => (go = resolve));
+        await page.route(/\/static\/|assets\/index-.*\.js/, async (route) => {
+            await held;
+            await route.continue();
+        });
+        await page.goto(`${source.url}/?ui=off#${hashOf(SOUTH)}`, { waitUntil: "commit" });
+        await page.waitForFunction(() => document.documentElement.dataset.theme && document.getElementById("view"));
+        const [red, green, blue] = (await shot(page)).mean(SIZE.width / 2, SIZE.height / 2, 2);
+        const [low, high] = colorScheme === "light" ? [200, 250] : [0, 40];
+        assert.ok([red, green, blue].every((v) => v >= low && v <= high), `the first paint is ${[red, green, blue]}`);
+        const picture = () => page.evaluate(() => getComputedStyle(document.getElementById("view")).backgroundImage);
+        assert.match(await picture(), /static/);
+        go();
+        await waitForViewer(page);
+        assert.equal(await picture(), "none");
     });
 
 test("a person at a wrong address gets a page, a program its document", skip, async (t) => {

@@ -463,9 +463,9 @@ export class City {
       bytes: (this.active?.bytes ?? 0) + (this.next?.bytes ?? 0),
       pending: queued + downloading + parsing + (on?.finishingCount ?? 0),
       parsing,
-      came: on?.came ?? 0,
+      came: on?.count ?? 0,
       memory: (this.cache as unknown as { cachedBytes: number }).cachedBytes,
-      heldBack: (stats["refused"] ?? 0) > 0 || (this.active?.heldBack ?? false),
+      heldBack: (stats["refused"] ?? 0) > 0,
       broken: broken.map(([, one]) => one),
     };
   }

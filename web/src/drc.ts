@@ -32,9 +32,8 @@ function crc32(bytes: Uint8Array): number {
   return ~crc >>> 0;
 }
 
-function intOf(metadata: Metadata, name: string, standard?: number): number {
+function intOf(metadata: Metadata, name: string): number {
   const bytes = metadata.get(name);
-  if (!bytes && standard !== undefined) return standard;
   if (bytes?.length !== 4) throw new Error(`.drc: without ${name}`);
   return new DataView(bytes.buffer, bytes.byteOffset, 4).getInt32(0, true);
 }
@@ -144,8 +143,6 @@ export function decodeDrc(
   const shDegree = intOf(metadata, "sh_degree");
   if (shDegree < 0 || shDegree > 3) throw new Error(`.drc: harmonics of degree ${shDegree}`);
   const antialiased = intOf(metadata, "antialiased") !== 0;
-  const rest = intOf(metadata, "rest", 0);
-  if (rest < 0 || rest > MAX_GAUSSIANS) throw new Error(`.drc: ${rest} Gaussians in another part`);
   const position = field(attributes, ID.position, 3, 22);
   const unit = 2 ** (position.shift - intOf(metadata, "frac_bits"));
   const steps = Int32Array.from(position.values, (v) => v - POSITION_OFFSET);
@@ -158,5 +155,5 @@ export function decodeDrc(
   const sh = readHarmonics(attributes, shDegree, count);
   const embedding = readEmbedding(attributes, metadata, Math.ceil(count / ROW) * ROW);
   const fields = { steps, colors, scales, rotations, sh };
-  return pack({ count, shDegree, antialiased, unit, ...fields, embedding, rest }, offset);
+  return pack({ count, shDegree, antialiased, unit, ...fields, embedding }, offset);
 }

@@ -4,7 +4,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { Vector3 } from "three";
 
-import { element, later } from "./dom";
+import { element, later, toast } from "./dom";
 import type { Place } from "./geo";
 import type { MapSource, MiniMap } from "./minimap";
 import { text } from "./strings";
@@ -124,7 +124,10 @@ export class Inset {
     const { module, viewer } = this;
     if (!module) return;
     const { pose, stage } = viewer;
-    if (stage.walk === "walk") return void stage.toStreet(stage.frame.pointOf({ ...place, h: pose.h }));
+    if (stage.walk === "walk") {
+      if (!stage.toStreet(stage.frame.pointOf({ ...place, h: pose.h }))) toast(text("walk.noStreet"));
+      return;
+    }
     const down = pose.pitch < LOOK_DOWN_DEG;
     const back = down ? module.reach(viewer.heightAboveGround, pose.pitch, this.most) : 0;
     const [lat, lon] = module.along(place, pose.heading + 180, back);

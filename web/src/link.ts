@@ -16,7 +16,6 @@ const SILENCE_MS = 20_000; // without a byte
 export const BUSY = new Set([429, 502, 503, 504]);
 const WINDOW_MS = 4000; // of the speed measured
 const TELLING_BYTES = 50_000; // fewer say nothing of a line's speed
-const SLOW_BYTES_S = 400_000;
 const ENOUGH_BYTES = 500_000; // after these our own answers say it best
 
 // An answer that is not there and will not come by waiting.
@@ -115,12 +114,6 @@ export class Link {
     const ms = this.busyMs + (this.running ? performance.now() - this.busySince : 0);
     const own = bytes > TELLING_BYTES && ms > 0 ? (1000 * bytes) / ms : 0;
     return this.received > ENOUGH_BYTES ? own : Math.max(own, speedOfPage());
-  }
-
-  // Whether it carries little. What the page had fetched ahead comes at once: only later answers tell by themselves.
-  get slow(): boolean {
-    const speed = this.received > ENOUGH_BYTES ? this.speed : speedOfPage();
-    return speed > 0 && speed < SLOW_BYTES_S;
   }
 
   async bytes(url: string | URL, signal: AbortSignal | null): Promise<ArrayBuffer> {

@@ -46,7 +46,6 @@ export interface LooseSplats {
   rotations: Uint32Array;
   sh: Uint8Array; // [coefficient][r g b] of the bands of this degree
   embedding: Embedding | null;
-  rest?: number; // Gaussians of the tile that come in another part
 }
 
 export interface DecodedSplats {
@@ -57,7 +56,6 @@ export interface DecodedSplats {
   heads: Uint32Array<ArrayBuffer>;
   more: Uint32Array<ArrayBuffer>;
   embedding: Embedding | null; // of tiles whose colours are as they were trained
-  rest: number; // Gaussians of the tile that come in another part
   // 5th and 95th percentile of the centres along x, y, z: the scene without its strays
   core: { min: [number, number, number]; max: [number, number, number]; outline: Outline };
 }
@@ -175,8 +173,7 @@ function packPlaces(
 
 // offset: added to the positions.
 export function pack(loose: LooseSplats, offset: readonly number[]): DecodedSplats {
-  const { count, shDegree, antialiased, embedding, colors, rotations, rest = 0 } = loose;
-  if (rest && count % ROW) throw new Error(`a first part of ${count} Gaussians: no whole rows`);
+  const { count, shDegree, antialiased, embedding, colors, rotations } = loose;
   const rows = Math.ceil(count / ROW);
   const base = new Uint32Array(4 * ROW * rows);
   const heads = new Uint32Array(HEAD_WORDS * rows);
@@ -192,45 +189,8 @@ export function pack(loose: LooseSplats, offset: readonly number[]): DecodedSpla
     base[4 * i + 2] = rotations[i]!;
     for (let c = 0; c < 4; c++) bytes[16 * i + 12 + c] = colors[4 * i + c]!;
   }
-  const packed = { count, shDegree, antialiased, base, heads, more: more.whole(), embedding, rest };
+  const packed = { count, shDegree, antialiased, base, heads, more: more.whole(), embedding };
   return { ...packed, core: findCore(centresOf(packed)) };
-}
-
-function concat(a: Uint32Array, b: Uint32Array): Uint32Array<ArrayBuffer> {
-  const out = new Uint32Array(a.length + b.length);
-  out.set(a);
-  out.set(b, a.length);
-  return out;
-}
-
-const same = (a: Float32Array, b: Float32Array) => a.length === b.length && a.every((v, i) => v === b[i]);
-
-function joinEmbeddings(a: Embedding | null, b: Embedding | null): Embedding | null {
-  if (!a && !b) return null;
-  if (!a || !b || !same(a.least, b.least) || !same(a.step, b.step))
-    throw new Error("parts with other embeddings do not make a tile");
-  return { ...a, planes: a.planes.map((plane, k) => concat(plane, b.planes[k]!)) };
-}
-
-// Both parts of a tile as one: the first ends with a whole row.
-export function join(first: DecodedSplats, second: DecodedSplats): DecodedSplats {
-  const { count, shDegree } = second;
-  if (count !== first.rest || shDegree !== first.shDegree)
-    throw new Error(`${count} Gaussians of degree ${shDegree} do not follow where ${first.rest} of ${first.shDegree} are missing`);
-  const heads = concat(first.heads, second.heads);
-  for (let i = first.heads.length + 4; i < heads.length; i += HEAD_WORDS) {
-    heads[i]! += first.more.length / ROW;
-    heads[i + 1]! += first.more.length / ROW;
-  }
-  return {
-    ...first,
-    count: first.count + count,
-    base: concat(first.base, second.base),
-    heads,
-    more: concat(first.more, second.more),
-    embedding: joinEmbeddings(first.embedding, second.embedding),
-    rest: 0,
-  };
 }
 
 // x, y, z of each Gaussian, to the last bit what the shaders compute.

@@ -130,6 +130,11 @@ export class Page {
     });
     viewer.on("slow", (fps) => void this.offer(fps));
     viewer.on("walk", (how) => this.showWalk(how));
+    const bare = viewer.on("turn", () => {
+      if (viewer.hasPoster) return;
+      document.documentElement.style.removeProperty("--poster");
+      bare();
+    });
     viewer.on("sight", (sight) => {
       if (sight) unbanner("lost");
       else banner("lost", text("banner.lost"), [{ label: text("tool.home"), run: () => this.home() }]);
@@ -277,7 +282,7 @@ export class Page {
     this.nameWalk("orbit");
     click("help-button", () => this.help());
     // What these show is the picture.
-    for (const id of ["photos-button", "appearance-here", "appearance-split", "server-button", "tour-play"]) click(id, () => this.clear());
+    for (const id of ["photos-button", "appearance-here", "appearance-split", "server-button", "tour-play", "measure-button", "map-button"]) click(id, () => this.clear());
     for (const id of ["appearance-from", "appearance-to"]) element(id).addEventListener("change", () => this.clear());
     click("share", () => void this.share());
     click("embed-button", () => void this.embed());
@@ -410,13 +415,19 @@ export class Page {
       KeyH: () => this.home(),
       Home: () => this.home(),
       KeyG: () => void this.nextWalk(),
-      KeyM: () => this.measure.show(!this.measure.open),
+      KeyM: () => {
+        this.clear();
+        this.measure.show(!this.measure.open);
+      },
       KeyP: () => this.appearance.showPhotographs(!this.appearance.photographsOpen) || toast(text("photos.none")),
       KeyV: () => (element("server-button").hidden ? toast(text("compare.nothing")) : this.compare.show(!this.compare.open)),
       KeyX: () => (this.compare.open ? this.compare.swap() : toast(text("compare.closed"))),
       KeyI: () => void this.shot(),
       KeyL: () => void this.share(),
-      KeyO: () => this.inset.toggle(),
+      KeyO: () => {
+        this.clear();
+        this.inset.toggle();
+      },
       KeyT: () => void this.openStories((stories) => stories.toggle()),
       Escape: () => {
         if (this.measure.open) this.measure.show(false);

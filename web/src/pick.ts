@@ -109,19 +109,74 @@ export function pickIn(clouds: readonly Cloud[], ray: Ray, perMetre: number): Ve
   return null;
 }
 
+function sigmaOf({ base }: Cloud, i: number): number {
+  const sizes = base[4 * i + 1]!;
+  return Math.max(SIGMA[(sizes >>> 8) & 255]!, SIGMA[(sizes >>> 16) & 255]!, SIGMA[sizes >>> 24]!);
+}
+
+// Some of a cloud's Gaussians, behind those that are in `to` already.
+function copyInto(to: Cloud, from: Cloud, chosen: readonly number[]) {
+  for (const i of chosen) {
+    to.base.set(from.base.subarray(4 * i, 4 * i + 4), 4 * to.count);
+    to.centres.set(from.centres.subarray(3 * i, 3 * i + 3), 3 * to.count);
+    to.count++;
+  }
+}
+
+const emptyCloud = (room: number): Cloud => ({ count: 0, base: new Uint32Array(4 * room), centres: new Float32Array(3 * room) });
+
 // Those within some metres of an upright line, for rays that stay near it.
 export function gather(blocks: readonly Block[], x: number, z: number, reach: number): Cloud {
-  const base: number[] = [];
-  const centres: number[] = [];
-  for (const cloud of blocks.map(cloudOf))
+  const near = blocks.map(cloudOf).map((cloud) => {
+    const chosen: number[] = [];
     for (let i = 0; i < cloud.count; i++) {
-      const sizes = cloud.base[4 * i + 1]!;
-      const sigma = Math.max(SIGMA[(sizes >>> 8) & 255]!, SIGMA[(sizes >>> 16) & 255]!, SIGMA[sizes >>> 24]!);
-      const most = reach + REACH_SIGMA * sigma;
+      const most = reach + REACH_SIGMA * sigmaOf(cloud, i);
       const [dx, dz] = [cloud.centres[3 * i]! - x, cloud.centres[3 * i + 2]! - z];
-      if (dx * dx + dz * dz > most * most) continue;
-      for (let k = 0; k < 4; k++) base.push(cloud.base[4 * i + k]!);
-      for (let k = 0; k < 3; k++) centres.push(cloud.centres[3 * i + k]!);
+      if (dx * dx + dz * dz <= most * most) chosen.push(i);
     }
-  return { count: centres.length / 3, base: Uint32Array.from(base), centres: Float32Array.from(centres) };
+    return { cloud, chosen };
+  });
+  const out = emptyCloud(near.reduce((sum, { chosen }) => sum + chosen.length, 0));
+  for (const { cloud, chosen } of near) copyInto(out, cloud, chosen);
+  return out;
+}
+
+const COLUMN_M = 2.5; // a side
+const cellOf = (v: number) => Math.floor(v / COLUMN_M);
+const keyOf = (column: number, row: number) => 65536 * column + row;
+
+// A cloud for many upright rays, each of which meets those of its column alone. top: where the rays begin; perMetre: as theirs.
+export class Columns {
+  private readonly members = new Map<number, number[]>();
+  private readonly clouds = new Map<number, Cloud>();
+
+  constructor(
+    private readonly cloud: Cloud,
+    top: number,
+    perMetre: number,
+  ) {
+    for (let i = 0; i < cloud.count; i++) {
+      const [x, y, z] = [cloud.centres[3 * i]!, cloud.centres[3 * i + 1]!, cloud.centres[3 * i + 2]!];
+      const reach = REACH_SIGMA * (sigmaOf(cloud, i) + perMetre * Math.max(0, top - y));
+      const [west, east, north, south] = [x - reach, x + reach, z - reach, z + reach].map(cellOf) as [number, number, number, number];
+      for (let column = west; column <= east; column++)
+        for (let row = north; row <= south; row++) {
+          const key = keyOf(column, row);
+          const members = this.members.get(key);
+          if (members) members.push(i);
+          else this.members.set(key, [i]);
+        }
+    }
+  }
+
+  at(x: number, z: number): Cloud {
+    const key = keyOf(cellOf(x), cellOf(z));
+    let cloud = this.clouds.get(key);
+    if (!cloud) {
+      const members = this.members.get(key) ?? [];
+      copyInto((cloud = emptyCloud(members.length)), this.cloud, members);
+      this.clouds.set(key, cloud);
+    }
+    return cloud;
+  }
 }

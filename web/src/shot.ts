@@ -88,7 +88,7 @@ async function ask(url: URL, body: unknown, signal: AbortSignal | null): Promise
     const wait = Number(response.headers.get("retry-after"));
     const busy = response.status === 429 || (response.status === 503 && wait > 0);
     if (!busy || attempt >= 4)
-      throw new Problem("http", { status: response.status, text: await describe(response) });
+      throw new Problem("http", { status: response.status, text: await describe(response) }, response.headers.get("x-request-id"));
     await new Promise((done) => setTimeout(done, 1000 * Math.min(10, Math.max(0.5, wait))));
     signal?.throwIfAborted();
   }

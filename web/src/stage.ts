@@ -60,6 +60,7 @@ const TWICE_MS = 350; // between two presses of one
 const TWICE_PX = 20;
 const TWICE_ZOOM = 0.5;
 const TWICE_S = 0.4;
+const WALK_MOST_M = 40; // that two presses walk: longer ways would hold up the page
 const TURN_RAD_PER_S = 1.2;
 const ZOOM_PER_S = 1.5; // natural logarithm
 const LOOK_RAD_PER_PX = 0.0035;
@@ -113,7 +114,7 @@ export class Stage {
   private thrownAt = 0;
   private drag: Drag | null = null;
   private pressed = { x: 0, y: 0, at: 0, moved: false };
-  private clicked = { x: 0, y: 0, at: -Infinity }; // the last one
+  private clicked = { x: 0, y: 0, at: -Infinity, timer: 0 }; // the last one, and what tells it; 0: it is told
   private flight: { from: Pose; to: Pose; at: number; ms: number; done: () => void } | null = null;
   private readonly listening = new AbortController();
 
@@ -149,6 +150,7 @@ export class Stage {
 
   dispose() {
     this.listening.abort();
+    clearTimeout(this.clicked.timer);
     this.flight?.done();
     this.flight = null;
     stages.delete(this);
@@ -508,6 +510,7 @@ export class Stage {
       this.drag = null;
       return;
     }
+    if (this.pointers.size > 1 || Math.hypot(at.x - this.clicked.x, at.y - this.clicked.y) >= TWICE_PX) this.tellClick();
     this.takeOver();
     this.pressed = { ...at, at: performance.now(), moved: this.pointers.size > 1 };
     this.beginDrag(at, event.button === 2 || event.button === 1 || event.ctrlKey || event.shiftKey);
@@ -610,14 +613,25 @@ export class Stage {
     this.onMove();
   }
 
-  // The second of two presses of one place is no click: it goes nearer.
+  // Two presses of one place go nearer, and are no click: so a press is one when no second has followed.
   // By the time of the events: a slow frame between them does not count.
   private click(x: number, y: number, at: number) {
     const { clicked } = this;
     const twice = at - clicked.at < TWICE_MS && Math.hypot(x - clicked.x, y - clicked.y) < TWICE_PX;
-    this.clicked = { x, y, at: twice ? -Infinity : at };
+    if (twice) clearTimeout(clicked.timer);
+    else this.tellClick();
+    this.clicked = { x, y, at: twice ? -Infinity : at, timer: 0 };
     if (twice) this.goNearer(x, y);
-    else this.onClick(x, y);
+    else this.clicked.timer = window.setTimeout(() => this.tellClick(), TWICE_MS);
+  }
+
+  // At the latest before the camera moves: a click is of the picture in which it was.
+  private tellClick() {
+    const { clicked } = this;
+    if (!clicked.timer) return;
+    clearTimeout(clicked.timer);
+    clicked.timer = 0;
+    this.onClick(clicked.x, clicked.y);
   }
 
   private goNearer(x: number, y: number) {
@@ -626,7 +640,8 @@ export class Stage {
     this.takeOver();
     if (this.walking === "walk") {
       const from = camera.position.clone();
-      walker?.go(camera.position, to.x - from.x, to.z - from.z);
+      const most = Math.min(1, WALK_MOST_M / Math.max(1e-6, Math.hypot(to.x - from.x, to.z - from.z)));
+      walker?.go(camera.position, most * (to.x - from.x), most * (to.z - from.z));
       to.copy(camera.position);
       camera.position.copy(from);
     } else to.lerp(camera.position, TWICE_ZOOM);
@@ -641,6 +656,7 @@ export class Stage {
   private wheel(event: WheelEvent) {
     if (this.shares() && !event.ctrlKey && !event.metaKey) return this.onHeld(true);
     event.preventDefault();
+    this.tellClick();
     this.takeOver();
     const lines = event.deltaMode === 1 ? 24 : event.deltaMode === 2 ? 400 : 1;
     const amount = MathUtils.clamp(event.deltaY * lines, -300, 300);
@@ -665,6 +681,7 @@ export class Stage {
     if (!this.keyboard || active !== this || !(event.code in KEYS) || !isForScene(event)) return;
     if (this.keyboard === "focus" && !event.composedPath().includes(this.surface)) return;
     event.preventDefault();
+    this.tellClick();
     if (!this.held.size) this.takeOver();
     this.held.add(event.code);
     if (!event.repeat) this.tapped.add(event.code);

@@ -318,6 +318,7 @@ export const de: Partial<Record<TextKey, string>> = {
   "walk.fly": "Fliegen: Ziehen schaut sich um; Tasten oder zwei Finger bewegen.",
   "walk.walk": "Gehen: Ziehen schaut sich um; Tasten, Rad oder zwei Finger gehen; Doppelklick geht dorthin.",
   "walk.none": "Nahe der Mitte dieser Ansicht ist keine Straße.",
+  "walk.noStreet": "Nahe dieser Stelle ist keine Straße.",
   "walk.pictures": "Zum Gehen muss dieser Browser die Stadt zeichnen.",
   "walk.end": "Beenden",
 };

@@ -331,6 +331,7 @@ export const page = {
   "walk.fly": "Flying: drag looks around; keys or two fingers move.",
   "walk.walk": "Walking: drag looks around; keys, the wheel or two fingers walk; two clicks go there.",
   "walk.none": "There is no street near the middle of this view.",
+  "walk.noStreet": "There is no street near this place.",
   "walk.pictures": "Walking needs the city drawn by this browser.",
   "walk.end": "Leave",
 };

@@ -1,4 +1,4 @@
-// Which tiles to have: 3d-tiles-renderer's choice of level with seven rules of our own.
+// Which tiles to have: 3d-tiles-renderer's choice of level with six rules of our own.
 //
 // - How coarse a tile is on the screen is measured as the server does.
 // - A tile that failed is not "there": the coarser one stays in its place, and it is asked for again
@@ -6,7 +6,6 @@
 // - The coarsest tiles come before all others.
 // - A tile that no view wants any more is given up, also when it is on its way.
 // - A coarsest tile comes as a draft; where the view ends with it, the whole tile follows.
-// - On a slow line a tile comes in two parts: the Gaussians that show most, of all tiles, before the rest of any.
 // - A level between the coarsest and the wanted one is left out when the wanted one comes soon, or when it is
 //   hardly finer than what is there.
 //
@@ -19,7 +18,7 @@ import type { DecoderPool } from "./decoders";
 import type { Block, Piece } from "./block";
 import { Gaussians } from "./gaussians";
 import type { Link } from "./link";
-import { join, type DecodedSplats } from "./pack";
+import type { DecodedSplats } from "./pack";
 import { screenError } from "./screenerror";
 import { DRAFT, usePackedTiles, useUnfilteredTiles } from "./source";
 import type { Tint } from "./tint";
@@ -81,8 +80,6 @@ interface Base {
 const BaseTiles = TilesRenderer as unknown as new (url: string) => Omit<TilesRenderer, keyof Base> &
   Base;
 
-const withQuery = (url: string, query: string) => url + (url.includes("?") ? "&" : "?") + query;
-
 function nameOf(tile: CityTile): string {
   return /(\d+\/\d+\/\d+)\.\w+(\?|$)/.exec(tile.content?.uri ?? "")?.[1] ?? tile.content?.uri ?? "?";
 }
@@ -98,7 +95,6 @@ export class CityTiles extends BaseTiles {
   private before = new Set<Block>(); // on the screen
   private readonly unwanted = new Map<CityTile, number>();
   private readonly drafts = new Set<CityTile>();
-  private readonly halves = new Set<CityTile>(); // of which the first part is there
   private readonly finishing = new Map<CityTile, AbortController>();
   private readonly decoded = new Map<CityTile, () => void>(); // of them: they wait for the others
   gathers = false; // frames take long: all that is finished is drawn at once
@@ -137,11 +133,7 @@ export class CityTiles extends BaseTiles {
     }
     const signal = options.signal ?? null;
     if (/\.json($|\?)/.test(url)) return this.part(url, signal);
-    return this.link.bytes(this.comesInParts(url) ? withQuery(url, "part=1") : url, signal);
-  }
-
-  private comesInParts(url: string): boolean {
-    return this.packed && !url.includes(DRAFT) && this.link.slow;
+    return this.link.bytes(url, signal);
   }
 
   // The rest of a large tileset, an external one.
@@ -264,7 +256,6 @@ export class CityTiles extends BaseTiles {
     const block = await this.put(await this.read(buffer, tile, signal), byteLength, tile, signal);
     if (!block) return;
     if (tile.content?.uri.includes(DRAFT)) this.drafts.add(tile);
-    if (block.splats.rest) this.halves.add(tile);
     this.count++;
     this.onBlock(tile, block);
   }
@@ -293,7 +284,7 @@ export class CityTiles extends BaseTiles {
     return block;
   }
 
-  // Where nothing else comes for this view, drafts and halves of tiles on the screen are made whole.
+  // Where nothing else comes for this view, drafts on the screen are made whole.
   finishTiles() {
     if (this.frozen || this.missing) return;
     const room = this.gathers ? Infinity : Math.max(0, FINISHING_MOST - this.finishing.size);
@@ -302,12 +293,10 @@ export class CityTiles extends BaseTiles {
 
   // Those that may be made whole now: what has most Gaussians comes first.
   private get unfinished(): CityTile[] {
-    if (!this.drafts.size && !this.halves.size) return [];
+    if (!this.drafts.size || this.coming) return [];
     const now = performance.now();
     const may = (tile: CityTile) =>
-      ((this.drafts.has(tile) && !this.coming) || (this.halves.has(tile) && this.hasRoom(tile))) &&
-      !this.finishing.has(tile) &&
-      now >= (this.broken.get(tile)?.again ?? 0);
+      this.drafts.has(tile) && !this.finishing.has(tile) && now >= (this.broken.get(tile)?.again ?? 0);
     const size = (tile: CityTile) => this.blocks.get(tile)?.splats.count ?? 0;
     return this.standing.filter(may).sort((a, b) => size(b) - size(a));
   }
@@ -321,18 +310,6 @@ export class CityTiles extends BaseTiles {
     };
     this.visibleTiles.forEach(visit);
     return out;
-  }
-
-  // Whether memory holds the whole of a tile of which a part is there.
-  private hasRoom(tile: CityTile): boolean {
-    const { count, rest } = this.blocks.get(tile)!.splats;
-    const { cachedBytes, maxBytesSize } = this.lruCache as LRUCache & { cachedBytes: number };
-    return cachedBytes + (this.calculateBytesUsed(tile) * rest) / count <= maxBytesSize;
-  }
-
-  // Parts of tiles of this view that memory has no room for.
-  get heldBack(): boolean {
-    return this.halves.size > 0 && this.standing.some((tile) => this.halves.has(tile) && !this.hasRoom(tile));
   }
 
   // Where frames take long, all that is finished is put on the screen at once: resolves when all others are decoded.
@@ -355,18 +332,15 @@ export class CityTiles extends BaseTiles {
     const stop = new AbortController();
     const before = this.blocks.get(tile)!;
     const { uri } = tile.content!;
-    const half = this.halves.has(tile);
-    const own = half ? withQuery(uri, "part=2") : uri.replace(new RegExp(`[?&]${DRAFT}`), "");
+    const own = uri.replace(new RegExp(`[?&]${DRAFT}`), "");
     this.finishing.set(tile, stop);
     try {
       const file = await this.link.bytes(new URL(own, `${tile.internal.basePath}/`), stop.signal);
       const { byteLength } = file;
-      const read = await this.read(file, tile, stop.signal);
-      const splats = half ? join(before.splats, read) : read;
+      const splats = await this.read(file, tile, stop.signal);
       await this.together(tile);
       if (!(await this.put(splats, byteLength, tile, stop.signal))) return;
       this.drafts.delete(tile);
-      this.halves.delete(tile);
       this.engine.remove(before);
       this.lruCache.setMemoryUsage(tile, this.calculateBytesUsed(tile));
     } catch (error) {
@@ -384,7 +358,6 @@ export class CityTiles extends BaseTiles {
     super.disposeTile(tile);
     this.finishing.get(tile)?.abort();
     this.drafts.delete(tile);
-    this.halves.delete(tile);
     const block = this.blocks.get(tile);
     if (block) this.engine.remove(block);
     this.blocks.delete(tile);
@@ -444,14 +417,8 @@ export class CityTiles extends BaseTiles {
     return queued + downloading + parsing > 0;
   }
 
-  // Tiles of this view that are there, and not whole: on their way, or parts that will be.
+  // Drafts of which the whole is on its way.
   get finishingCount(): number {
-    const waiting = this.halves.size ? this.unfinished.filter((tile) => this.halves.has(tile)) : [];
-    return this.finishing.size + waiting.length;
-  }
-
-  // Tiles that came, whole ones.
-  get came(): number {
-    return this.count - this.halves.size;
+    return this.finishing.size;
   }
 }

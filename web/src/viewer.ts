@@ -150,13 +150,13 @@ export class Viewer {
     Object.assign(this.credit.style, { position: "absolute", right: "0", bottom: "0", padding: "0 6px", color: "#222", background: "rgb(255 255 255 / 75%)", font: "11px/1.6 system-ui, sans-serif", pointerEvents: "none" });
     this.credit.hidden = true;
     this.surface.append(this.canvas, this.pictureCanvas, this.credit);
-    this.setGround();
     this.positions = getComputedStyle(container).position === "static";
     if (this.positions) container.style.position = "relative";
     container.append(this.surface);
 
     this.postered = options.poster === undefined && options.backdrop !== false; // it has sky and ground
     if (options.poster) this.hang(options.poster);
+    this.setGround();
     this.book = this.makeBook();
     this.stage = new Stage(this.surface);
     this.stage.keyboard = options.keyboard ?? true;
@@ -316,7 +316,7 @@ export class Viewer {
   flyTo(pose: Pose, seconds?: number): Promise<void> {
     this.touched = true;
     this.poster?.leave(true);
-    this.stage.stand();
+    if (this.stage.walk === "walk") this.stage.stand(); // over the roofs, no longer on foot
     return this.stage.fly(pose, seconds);
   }
 
@@ -341,13 +341,21 @@ export class Viewer {
     this.poster = new Poster(this.surface, url);
     this.poster.onGone = () => {
       this.poster = null;
+      this.setGround();
       this.wake(false);
     };
   }
 
-  // What is to be seen before anything is drawn.
+  /** @internal */
+  // A picture of the server stands before ours, or is on its way.
+  get hasPoster(): boolean {
+    return this.poster !== null;
+  }
+
+  // What is to be seen before anything is drawn; a page that names a poster shows it behind us until we have it.
   private setGround() {
-    this.surface.style.background = this.theme === "dark" ? "#0b0e13" : "#dfe6ee";
+    const ground = this.theme === "dark" ? "#0b0e13" : "#dfe6ee";
+    this.surface.style.background = this.options.poster && this.poster ? "" : ground;
   }
 
   // Where the city is at a point of the container, in CSS pixels from its corner; null for the sky.

@@ -5,7 +5,7 @@
 import { Ray, Vector3 } from "three";
 
 import type { Block } from "./block";
-import { gather, pickIn, type Cloud } from "./pick";
+import { Columns, gather, pickIn, type Cloud } from "./pick";
 import { EYES_M } from "./pose";
 
 const STEP_UP_M = 0.6; // that legs take,
@@ -13,6 +13,9 @@ const STEP_DOWN_M = 2.5; // and that they dare
 const BODY_M = 0.4; // from eyes to a wall at least
 const BODY_UP_M = [0.8, 1.6]; // where a body meets what stands there
 const STRIDE_M = 0.4; // what lies on the way is looked at so often
+const BESIDE_M = 0.25; // of the way, where a wall is looked at for its direction,
+const WALL_MOST_M = 3; // and how far on it is the same wall
+const HEAD_ON = 0.2; // of a stride along the wall: less is a stop
 const REACH_M = 30; // around somebody who walks,
 const AGAIN_M = 10; // and how far he goes in that
 const FINE_PER_M = 0.002; // of a ray, as a pixel at one metre
@@ -54,20 +57,21 @@ export class Walker {
   // The street nearest to a place; null where there is none near by. top: above all of the city.
   street(middle: Vector3, top: number): Vector3 | null {
     const reach = Math.max(...GRIDS_M.map(({ step, count }) => (step * count) / 2)) * Math.SQRT2;
-    const cloud = gather(this.blocks(), middle.x, middle.z, reach);
+    const columns = new Columns(gather(this.blocks(), middle.x, middle.z, reach + LEVEL_WITHIN_M), top, FINE_PER_M);
+    const heightAt = (x: number, z: number) => this.heightIn(columns.at(x, z), x, top, z);
     const found: Vector3[] = [];
     for (const { step, count } of GRIDS_M)
       for (let i = 0; i < count * count; i++) {
         const x = middle.x + step * ((i % count) - (count - 1) / 2);
         const z = middle.z + step * (Math.floor(i / count) - (count - 1) / 2);
-        const y = this.heightIn(cloud, x, top, z);
+        const y = heightAt(x, z);
         if (y !== null) found.push(new Vector3(x, y, z));
       }
     const apart = (a: Vector3, b: Vector3) => Math.hypot(a.x - b.x, a.z - b.z);
     const isLow = (place: Vector3) => found.every((other) => place.y - other.y < ABOVE_M + SLOPE * apart(place, other));
     const isLevel = ({ x, y, z }: Vector3) =>
       [[1, 0], [0, 1], [-1, 0], [0, -1]].every(([east, south]) => {
-        const beside = this.heightIn(cloud, x + LEVEL_WITHIN_M * east!, top, z + LEVEL_WITHIN_M * south!);
+        const beside = heightAt(x + LEVEL_WITHIN_M * east!, z + LEVEL_WITHIN_M * south!);
         return beside !== null && Math.abs(beside - y) < LEVEL_M;
       });
     found.sort((a, b) => apart(a, middle) - apart(b, middle));
@@ -85,11 +89,39 @@ export class Walker {
   // A way over the ground in strides, as far as it is free; along a wall where it meets one. Moves the eyes.
   go(eye: Vector3, dx: number, dz: number) {
     const strides = Math.ceil(Math.hypot(dx, dz) / STRIDE_M);
+    const [x, z] = [dx / strides, dz / strides];
     for (let i = 0; i < strides; i++) {
-      const [x, z] = [dx / strides, dz / strides];
-      const way = [[x, z], [x, 0], [0, z]].find(([east, south]) => this.stride(eye, east!, south!));
-      if (!way) return;
+      if (this.stride(eye, x, z)) continue;
+      const along = this.alongWall(eye, x, z);
+      if (!along || !this.stride(eye, along.x, along.z)) return;
     }
+  }
+
+  // What of a stride goes along the wall before it, and a little off it where it is too near. null: nothing stands there,
+  // or it is met head on.
+  private alongWall(eye: Vector3, dx: number, dz: number): Vector3 | null {
+    const cloud = this.around(eye);
+    const way = new Vector3(dx, 0, dz);
+    const ahead = way.clone().normalize();
+    const right = new Vector3(-ahead.z, 0, ahead.x);
+    const length = way.length();
+    for (const up of BODY_UP_M) {
+      const from = new Vector3(eye.x, eye.y - EYES_M + up, eye.z);
+      const meet = (aside: number) => pickIn([cloud], new Ray(from.clone().addScaledVector(right, aside), ahead), FINE_PER_M);
+      const wall = meet(0);
+      if (!wall || wall.distanceTo(from) > length + BODY_M) continue;
+      // Beside it the wall is farther on the side to which it leads on; on the other, one may be within it.
+      const ends = [-BESIDE_M, BESIDE_M].map(meet).filter((end) => end !== null && end.distanceTo(wall) < WALL_MOST_M) as Vector3[];
+      const far = ends.sort((a, b) => b.clone().sub(a).dot(ahead))[0];
+      if (!far) return null;
+      const tangent = far.sub(wall).setY(0).normalize();
+      const share = way.dot(tangent);
+      if (Math.abs(share) < HEAD_ON * length) return null;
+      const off = way.clone().addScaledVector(tangent, -share).normalize().negate();
+      const gap = from.clone().sub(wall).setY(0).dot(off);
+      return tangent.multiplyScalar(share).addScaledVector(off, Math.min(0.2 * length, Math.max(0, BODY_M - gap)));
+    }
+    return null;
   }
 
   private stride(eye: Vector3, dx: number, dz: number): boolean {

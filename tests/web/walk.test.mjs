@@ -1,0 +1,75 @@
+// On foot, without a browser: a wall that stands askew is walked along; one that is met head on ends the way.
+//
+// SPDX-License-Identifier: Apache-2.0
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import { importSource } from "./lib/bundle.mjs";
+
+const EYES_M = 1.7;
+const ASKEW_DEG = 30; // the wall's direction from east to south
+const STEP_M = 0.2;
+
+// A street at height 0, and a wall through the origin.
+async function makeWalker() {
+    const { pack } = await importSource("pack.ts");
+    const { Walker } = await importSource("walk.ts");
+    const places = [];
+    for (let x = -24; x <= 24; x += 0.5) for (let z = -24; z <= 24; z += 0.5) places.push([x, 0, z]);
+    const turn = (ASKEW_DEG * Math.PI) / 180;
+    for (let along = -20; along <= 20; along += 0.2)
+        for (let up = 0.2; up < 4; up += 0.2) places.push([along * Math.cos(turn), up, along * Math.sin(turn)]);
+    const count = places.length;
+    const unit = 2 ** -8;
+    const sizes = (sigma) => Math.round(16 * (Math.log(sigma) + 10));
+    const splats = pack(
+        {
+            ...{ count, shDegree: 0, antialiased: false, unit, embedding: null },
+            steps: Int32Array.from(places.flat(), (v) => Math.round(v / unit)),
+            colors: Uint8Array.from({ length: 4 * count }, (_, i) => (i % 4 === 3 ? 250 : 128)),
+            scales: new Uint8Array(3 * count).map((_, i) => sizes(places[Math.floor(i / 3)][1] ? 0.08 : 0.2)),
+            rotations: new Uint32Array(count).fill(3 << 30), // none
+            sh: new Uint8Array(0),
+        },
+        [0, 0, 0],
+    );
+    const block = { id: 1, splats };
+    return new Walker(() => [block]);
+}
+
+// The eyes after some steps in a direction, degrees from east to south.
+async function walk(from, degrees, steps) {
+    const walker = await makeWalker();
+    const { Vector3 } = await importVector();
+    const eye = new Vector3(from[0], EYES_M, from[1]);
+    const [dx, dz] = [Math.cos, Math.sin].map((f) => STEP_M * f((degrees * Math.PI) / 180));
+    for (let i = 0; i < steps; i++) walker.go(eye, dx, dz);
+    return eye;
+}
+
+const importVector = () => import(new URL("../../web/node_modules/three/build/three.module.js", import.meta.url));
+
+// From the wall's direction: how far along it, and how far off it on the side from which one comes.
+function ofWall({ x, z }) {
+    const turn = (ASKEW_DEG * Math.PI) / 180;
+    return { along: x * Math.cos(turn) + z * Math.sin(turn), off: x * Math.sin(turn) - z * Math.cos(turn) };
+}
+
+for (const [name, degrees, least] of [["at 30 degrees", ASKEW_DEG + 30, 5], ["at 60 degrees", ASKEW_DEG + 60, 2.5], ["the other way", ASKEW_DEG + 130, -4]])
+    test(`a wall askew is walked along, met ${name}`, async (t) => {
+        const turn = (ASKEW_DEG * Math.PI) / 180;
+        const start = [1.5 * Math.sin(turn), -1.5 * Math.cos(turn)]; // 1.5 m off its middle
+        const eye = await walk(start, degrees, 60);
+        const { along, off } = ofWall(eye);
+        t.diagnostic(`${along.toFixed(2)} m along, ${off.toFixed(2)} m off`);
+        assert.ok(least > 0 ? along > least : along < least, `${along} m along the wall`);
+        assert.ok(off > 0.15 && off < 1, `${off} m off the wall`);
+        assert.ok(Math.abs(eye.y - EYES_M) < 0.2, `eyes at ${eye.y} m`);
+    });
+
+test("a wall that is met head on ends the way", async () => {
+    const turn = (ASKEW_DEG * Math.PI) / 180;
+    const eye = await walk([3 * Math.sin(turn), -3 * Math.cos(turn)], ASKEW_DEG + 90, 60);
+    const { along, off } = ofWall(eye);
+    assert.ok(Math.abs(along) < 0.5 && off > 0.3 && off < 1, `${along} m along, ${off} m off`);
+});
