@@ -1,6 +1,6 @@
 #!/bin/sh
 # Map views and the flight from end to end: a small city, ingested, trained for a moment and tiled, is scored
-# against its own truth by kind of view, from the checkpoint and from the tiles, and flown into.
+# against its own truth by kind of view, from the checkpoint and from the tiles, flown into, and refined in two orders.
 #
 # SPDX-License-Identifier: Apache-2.0
 # shellcheck source=tests/lab/trained.sh
@@ -25,6 +25,21 @@ lab eval-flight scene --tiles t.tiles --frames 24 --max-edge-px 96 --fade 8
 [ "$at_once" -gt 20 ] && [ $((2 * $(row 5))) -lt "$at_once" ] || fail "a fade pops by half of $at_once or less"
 [ "$(row 8)" -gt 0 ] && [ "$(row 8)" -lt 12 ] || fail "a fade strays little"
 "$bin-lab" eval-flight scene --frames 6 >log 2>&1 && fail "a flight without --tiles"
+grep -q -- "--tiles" log || fail "says what is missing"
+# Orders of refinement: the finest level scores as elsewhere; the order that knows the photographs is the better one; where
+# every tile is coarse, both are the same picture.
+run tile scene --name fine --tile-edge-m 15 -o fine.tiles -q
+lab eval-photographs scene --tiles fine.tiles --half-image off
+finest=$(awk '/^tiles, no LOD/ { print $6 }' log)
+lab eval-order scene --tiles fine.tiles -o order.json
+grep -q "^finest level: $finest dB of 3 photographs" log || fail "the finest level has $finest dB in eval-photographs"
+order() { awk '$1 == "by" && $2 == "'"$1"'" && ++n == '"$2"' { print $'"$3"' }' log; }
+awk -v a="$(order error 1 6)" -v b="$(order photograph 1 6)" 'BEGIN { exit !(b < a) }' || fail "the best order loses less"
+[ -n "$(order error 4 5)" ] && [ "$(order error 4 4) $(order error 4 5)" = "$(order photograph 4 4) $(order photograph 4 5)" ] ||
+    fail "all tiles coarse in both orders"
+awk -v a="$(order error 1 4)" 'BEGIN { exit !(a > 0.8 && a < 0.95) }' || fail "a share of 0.9 is left"
+grep -q '"loss_db"' order.json || fail "loss_db in the JSON"
+"$bin-lab" eval-order scene >log 2>&1 && fail "an order without --tiles"
 grep -q -- "--tiles" log || fail "says what is missing"
 # Views in the light of photographs.
 lab map-views city --count 4 --light -o lit -q
