@@ -8,17 +8,17 @@
 #include <string.h>
 
 /* web/src/groundmap.ts */
-static const double ground_span = 2.5;    /* half of a side of the picture, in halves of the city */
-static const double ground_edge = 0.07;   /* of that half: the strip in which the city's edge fades */
+static const double ground_span = 2.5;    /* half of a side, in halves of the city */
+static const double ground_edge = 0.07;   /* of that half: where the city's edge fades */
 static const double ground_rim = 4;       /* of these strips: whose mean colour the ground takes */
 static const double ground_covered = 0.4; /* what is covered less from above is not city */
 static const double ground_above = 40;    /* halves of the picture: the camera is so high */
 /* web/src/backdrop.ts */
 static const double day_top[3] = {0.36, 0.56, 0.82}, day_low[3] = {0.82, 0.88, 0.93},
                     day_ground[3] = {0.52, 0.53, 0.5};
-static const double night = 0.1;              /* what is left of a day's sky by night */
+static const double night = 0.1;                   /* what is left of a day's sky by night */
 static const double lit_from = 0.04, lit_to = 0.3; /* brightness of a city by night, and by day */
-static const double tinge = 0.35;             /* of the city's light in the horizon */
+static const double tinge = 0.35;                  /* of the city's light in the horizon */
 
 static double backdrop_smooth(double from, double to, double v)
 {
@@ -87,8 +87,8 @@ static void backdrop_inside(const float *transmittance, float *far)
 
 /* Mean colour of the cells that are inside, at most `most` cells from what lies outside. False:
  * there are none. */
-static bool backdrop_mean(const float *rgb, const float *transmittance, const float *far, double most,
-                          double out[3])
+static bool backdrop_mean(const float *rgb, const float *transmittance, const float *far,
+                          double most, double out[3])
 {
     double sum[4] = {0};
     for (int cell = 0; cell < BACKDROP_PX * BACKDROP_PX; cell++)
@@ -124,8 +124,8 @@ struct backdrop backdrop_read(const double min_enu_m[3], const double max_enu_m[
     const double day = night + (1 - night) * backdrop_smooth(lit_from, lit_to, bright);
     for (int a = 0; a < 3; a++) {
         out.top[a] = day_top[a] * day;
-        out.low[a] = fmin(
-            1, day_low[a] * day * (1 + tinge * (fmin(2, light[a] / fmax(0.02, bright)) - 1)));
+        out.low[a] =
+            fmin(1, day_low[a] * day * (1 + tinge * (fmin(2, light[a] / fmax(0.02, bright)) - 1)));
     }
     return out;
 }

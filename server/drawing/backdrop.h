@@ -13,12 +13,12 @@ enum { BACKDROP_PX = 128 }; /* a side of the picture from above */
 
 struct backdrop {
     double top[3], low[3], ground[3]; /* colours 0..1: the zenith, the horizon, the ground below */
-    double level_m; /* height of the ground in the world frame */
-    double reach_m; /* of the city, from its middle: with it the ground goes over into the horizon */
+    double level_m;                   /* height of the ground in the world frame */
+    double reach_m; /* of the city, from its middle: what is far away goes by it */
 };
 
-/* The camera from straight above whose picture backdrop_read takes; world frame ENU metres. min, max:
- * a box around nearly all of the city. */
+/* The camera from straight above whose picture backdrop_read takes; world frame ENU metres. min,
+ * max: a box around nearly all of the city. */
 struct camera backdrop_camera(const double min_enu_m[3], const double max_enu_m[3]);
 /* The backdrop of a city in that box, by its picture from above: rgb [128][128][3] on black,
  * transmittance [128][128]. Where nothing is in the picture, that of a usual day. */

@@ -57,8 +57,8 @@ static uint8_t composite_byte(double v)
 }
 
 /* What pixel x, y looks at behind the city. */
-static void composite_sky(const struct backdrop *sky, const struct camera *c, uint32_t x, uint32_t y,
-                          double out[3])
+static void composite_sky(const struct backdrop *sky, const struct camera *c, uint32_t x,
+                          uint32_t y, double out[3])
 {
     const double d[3] = {(x + 0.5 - c->cx_px) / c->fx_px, (y + 0.5 - c->cy_px) / c->fy_px, 1};
     double eye[3], ray[3] = {0};
