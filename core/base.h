@@ -90,7 +90,7 @@ void buf_f32(struct buf *b, float v);
 void buf_f64(struct buf *b, double v);
 void buf_printf(struct buf *b, const char *fmt, ...)
     ERR_PRINTF(2, 3); /* appends a NUL that size does not count */
-/* Appends text for HTML or XML, also inside a quoted attribute. & < > " become entities. Control
+/* Appends text for HTML or XML, also inside a quoted attribute. & < > " ' become entities. Control
  * characters that XML cannot hold are left out. NULL appends nothing. */
 void buf_markup(struct buf *b, const char *text);
 /* Adds n bytes to the size and returns where they begin. NULL: out of memory. */

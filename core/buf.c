@@ -127,6 +127,9 @@ void buf_markup(struct buf *b, const char *text)
         case '"':
             buf_printf(b, "&quot;");
             break;
+        case '\'':
+            buf_printf(b, "&#39;");
+            break;
         default:
             if ((unsigned char)*text >= 0x20 || strchr("\t\n\r", *text))
                 buf_u8(b, (uint8_t)*text);

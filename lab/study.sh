@@ -3,7 +3,7 @@
 #
 #   lab/study.sh [--dry-run] all | STUDY...      --list names the studies
 #
-# Every row of a study is one run: train, then score, then `citysplat-lab study-record` into lab/runs/STUDY.jsonl. A row that
+# Every row of a study is one run: train, then score, then `citysplat-lab study-record` into lab/runs/. A row that
 # is recorded there by the same command is skipped, so a stopped study goes on where it was, and changing a
 # setting repeats the rows it touches. Training itself is resumed too. Steps and seeds of every study are stated in
 # lab/study/studies.def: there is no other default. Redraw a page afterwards with
@@ -77,7 +77,6 @@ scene_about() {
     city) echo "procedural city 300 m, 300 photographs of 400 x 300 px, cells of 100 m" ;;
     cells) echo "procedural city 200 m, 150 photographs of 400 x 300 px, 6 cells of 70 m, 24 map views" ;;
     cells-light) echo "procedural city 200 m, 150 photographs of 400 x 300 px under changing light, 11 cells of 66 m" ;;
-    cells-location) echo "procedural city 200 m, 150 photographs of 400 x 300 px, 6 cells of 70 m, without visibility selection, 24 map views" ;;
     exact) echo "city of the demo's size, seed 7, exact GPS, 84 photographs of 480 x 360 px, 24 map views" ;;
     block) echo "the same city and one with a block of 400 m3 on a street" ;;
     fine) echo "the same city, 84 photographs of 960 x 720 px, 24 map views" ;;
@@ -125,7 +124,6 @@ scene_build() { # NAME FOLDER
       citysplat ingest "$CITYSPLAT_OCHOTA/images" "$CITYSPLAT_OCHOTA/sparse" --max-edge-px "${1#*-}" --origin 20.97095,52.218,110 --metres-per-unit 71 -o "$2" -q ;;
     city) scene_ingest_city "$2" "" --extent-m 300 --photos 300 --points 100000; citysplat plan "$2" --edge-m 100 --images-few 16 ;;
     cells) scene_ingest_city "$2" "--count 24" --extent-m 200 --photos 150 --points 45000; citysplat plan "$2" --edge-m 70 --images-few 16 ;;
-    cells-location) scene_ingest_city "$2" "--count 24" --extent-m 200 --photos 150 --points 45000; citysplat plan "$2" --edge-m 70 --images-few 16 --no-visibility --share-min 0 ;;
     cells-light)
       scene_ingest_city "$2" "" --extent-m 200 --photos 150 --points 45000 "${CHANGING[@]}"
       citysplat plan "$2" --edge-m 66 --images-few 16 --images-least 8
@@ -184,10 +182,18 @@ scene() {
 # The ceilings are measured next to every run: what a neighbour takes away shows in them as well.
 ceilings() { lab ceiling --runs 5 >"$OUT/ceilings.jsonl" 2>/dev/null; }
 
+# Studies of one question are recorded in one file: solid, solid_block and solid_fine in solid.jsonl.
+runs_of() { # STUDY
+  case $1 in
+  goes_on | map_views) echo "$RUNS/$1.jsonl" ;;
+  *) echo "$RUNS/${1%%_*}.jsonl" ;;
+  esac
+}
+
 record() { # STUDY ROW COMMAND, then options of `citysplat-lab study-record`
   local study=$1 row=$2 command=$3
   shift 3
-  lab study-record "$RUNS/$study.jsonl" --study "$study" --row "$row" --command "$command" "$@"
+  lab study-record "$(runs_of "$study")" --study "$study" --row "$row" --command "$command" "$@"
 }
 
 # older COMMAND: as records spell it that are of before the laboratory was a program of its own.
@@ -202,7 +208,7 @@ older() {
 
 # recorded STUDY ROW COMMAND
 recorded() {
-  [ -f "$RUNS/$1.jsonl" ] || return 1
+  [ -f "$(runs_of "$1")" ] || return 1
   record "$1" "$2" "$3" --check 2>/dev/null || record "$1" "$2" "$(older "$3")" --check 2>/dev/null
 }
 
@@ -493,7 +499,6 @@ study_ablation_city() { seeded ablation_city ablation_city_rows; }
 cells_rows() {
   local MAP_VIEWS=1 base=(--iterations "$(steps cells)" --budget 20000,40000,80000)
   row cells full cells "" "${base[@]}"
-  row cells "no visibility selection" cells-location "" "${base[@]}"
   row cells "from sparse points" cells "" "${base[@]}" --no-coarse-start
 }
 study_cells() { seeded cells cells_rows; }
@@ -635,6 +640,16 @@ study_solid() { MAP_VIEWS=1 solid solid exact city; }
 study_solid_terms() {
   local MAP_VIEWS=1 SURFACE=city GSD_M=0.384
   seeded solid_terms solid_terms_rows solid_terms small --iterations "$(steps solid_terms)" --budget 20000,30000,40000
+}
+# The same question at 480 x 360 px and a budget that binds: three terms with known depths, and none.
+solid_fixed_rows() { # TRAIN-OPTIONS
+  local off=(--solid-spread 0 --solid-light 0 --solid-flat 0)
+  row solid_fixed "three terms" exact "" "$@" --depth-prior "$OUT/exact-depth"
+  row solid_fixed none exact "" "$@" "${off[@]}"
+}
+study_solid_fixed() {
+  local MAP_VIEWS=1 SURFACE=city
+  seeded solid_fixed solid_fixed_rows --iterations "$(steps solid_fixed)" --budget 40000,80000,160000
 }
 study_solid_tricky() { MAP_VIEWS=1 solid solid_tricky tricky city; }
 # Photographs of twice as many pixels across: half the footprint of a pixel.
@@ -899,7 +914,7 @@ bench_scored() { # NAME STUDY SCENE COMMAND, then options of citysplat-lab bench
   local name=$1 study=$2 scene=$3 command=$4
   shift 4
   lab "$name" "$@" --study "$study" --dataset "$(scene_about "$scene")" --command "$command" \
-    --commit "$COMMIT" --record "$RUNS/$study.jsonl" >&2
+    --commit "$COMMIT" --record "$(runs_of "$study")" >&2
 }
 
 # Bytes a Gaussian against PSNR: every preset and format, and every field of the quantiser by itself; and, as the
@@ -951,7 +966,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full long long_city big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota goes_on thin thin_tricky thin_caliterra thin_ochota side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ochota_cells_light ablation ablation_city cells cells_light
+readonly STUDIES=(time full long long_city big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota goes_on thin thin_tricky thin_caliterra thin_ochota side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_fixed solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ochota_cells_light ablation ablation_city cells cells_light
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {

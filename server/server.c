@@ -39,7 +39,14 @@ struct server {
     size_t workers;
     struct stores *stores;
     struct services services;
-    pthread_mutex_t reload;    /* one at a time */
+    struct pool_thread *keeper; /* looks at stores; NULL: there are none */
+    pthread_mutex_t keep;       /* of what follows */
+    pthread_cond_t keep_changed;
+    bool stopping, kept, ticks;    /* kept: the thread has ended; ticks: server_keep was called */
+    uint64_t wanted, begun, ended; /* reloads, each after the one before */
+    bool tried;                    /* the last one came to stores */
+    enum err_code reload_rc;
+    struct err reload_why;
     double asked_s, look_s;    /* stores at addresses: last asked; not before, as a reload failed */
     double looked_s;           /* when memory was looked at */
     uint64_t streams;          /* and encoders, that were open then */
@@ -48,6 +55,7 @@ struct server {
 };
 
 static enum err_code server_reload_said(void *user, struct body **out, struct err *e);
+static void server_keep_main(void *user);
 
 static bool server_draws(const struct server_config *cfg)
 {
@@ -120,30 +128,39 @@ static void server_set_url(struct server *sv)
     sv->services.url = sv->cfg.public_url && *sv->cfg.public_url ? sv->cfg.public_url : own;
 }
 
+/* What this process may have open: as much as it may allow itself, as stores that a reload finds
+ * need descriptors, too. */
+static size_t server_descriptors(void)
+{
+    struct rlimit limit;
+    if (getrlimit(RLIMIT_NOFILE, &limit))
+        return SIZE_MAX;
+    const struct rlimit most = {limit.rlim_max, limit.rlim_max};
+    if (limit.rlim_cur != limit.rlim_max && !setrlimit(RLIMIT_NOFILE, &most))
+        limit = most;
+    return limit.rlim_cur == RLIM_INFINITY ? SIZE_MAX : (size_t)limit.rlim_cur;
+}
+
+/* What stores and the program itself need, without connections. */
+static size_t server_other_descriptors(const struct server *sv, const struct catalog *c)
+{
+    enum { OTHERS = 64 };
+    const size_t revisions = 2 + (size_t)sv->cfg.keep_revisions;
+    return OTHERS + (c->n_current + c->n_absent) * revisions * (sv->workers + 2);
+}
+
 /* Where descriptors run out, accept() fails before an idle connection could give way to a new one.
- * So the limit is raised as far as this process may, and where that is not enough there are fewer
- * connections. */
+ * So where there are too few of them, there are fewer connections. */
 static void server_fit_descriptors(struct server *sv)
 {
-    enum { OTHERS = 64, CONNECTIONS_MIN = 8 };
-    struct rlimit limit;
-    const struct catalog *c = stores_first(sv->stores);
-    const size_t wanted = (size_t)sv->cfg.max_connections,
-                 revisions = 2 + (size_t)sv->cfg.keep_revisions,
-                 others = OTHERS + (c->n_current + c->n_absent) * revisions * (sv->workers + 2),
+    enum { CONNECTIONS_MIN = 8 };
+    const size_t wanted = (size_t)sv->cfg.max_connections, limit = server_descriptors(),
+                 others = server_other_descriptors(sv, stores_first(sv->stores)),
                  need = http_descriptors(wanted) + others;
-    if (getrlimit(RLIMIT_NOFILE, &limit) || limit.rlim_cur == RLIM_INFINITY ||
-        limit.rlim_cur >= need)
+    if (limit >= need)
         return;
-    const struct rlimit more = {
-        limit.rlim_max == RLIM_INFINITY || limit.rlim_max > need ? need : limit.rlim_max,
-        limit.rlim_max};
-    if (!setrlimit(RLIMIT_NOFILE, &more))
-        limit = more;
-    if (limit.rlim_cur >= need)
-        return;
-    size_t room = limit.rlim_cur / 8; /* of many datasets some revisions go without */
-    while (room < wanted && http_descriptors(room + 1) + others <= limit.rlim_cur)
+    size_t room = limit / 8; /* of many datasets some revisions go without */
+    while (room < wanted && http_descriptors(room + 1) + others <= limit)
         room++;
     room = room < CONNECTIONS_MIN ? CONNECTIONS_MIN : room;
     if (room < wanted)
@@ -151,7 +168,22 @@ static void server_fit_descriptors(struct server *sv)
     log_warn("serve",
              "descriptors limit=%zu needed=%zu max_connections=%zu instead of %zu: raise the limit "
              "(ulimit -n, LimitNOFILE) or ask for fewer",
-             (size_t)limit.rlim_cur, need, room < wanted ? room : wanted, wanted);
+             limit, need, room < wanted ? room : wanted, wanted);
+}
+
+/* After a reload, with the stores of now. How many connections there may be was settled before. */
+static void server_check_descriptors(struct server *sv)
+{
+    struct catalog *c = services_catalog(&sv->services);
+    const size_t limit = server_descriptors(),
+                 need = http_descriptors((size_t)sv->cfg.max_connections) +
+                        server_other_descriptors(sv, c);
+    if (limit < need)
+        log_warn("serve",
+                 "descriptors limit=%zu needed=%zu: raise the limit (ulimit -n, LimitNOFILE), or "
+                 "restart, which makes connections fewer",
+                 limit, need);
+    catalog_drop(&c);
 }
 
 /* What the stores ask of memory. */
@@ -306,7 +338,8 @@ static enum err_code server_begin(const struct server_config *cfg, const char *c
            SIG_IGN); /* a client that hangs up is an error of write(), not of the program */
     sv->cfg = *cfg;
     sv->own = own;
-    pthread_mutex_init(&sv->reload, NULL);
+    pthread_mutex_init(&sv->keep, NULL);
+    pool_cond_init(&sv->keep_changed);
     sv->workers = cfg->workers ? (size_t)cfg->workers : pool_cores();
     struct services *s = &sv->services;
     enum err_code rc = log_start(e);
@@ -344,6 +377,8 @@ static enum err_code server_begin(const struct server_config *cfg, const char *c
     }
     if (!rc)
         rc = stores_start(sv->stores, e);
+    if (!rc && !own)
+        rc = pool_start(server_keep_main, sv, &sv->keeper, e);
     if (rc)
         server_stop(out);
     return rc;
@@ -425,45 +460,82 @@ static void server_tell_reload(struct server *sv, enum err_code rc, bool stores_
     supervisor_ready(status);
 }
 
-/* changes: as of stores_reload; NULL if nothing was tried. */
-static enum err_code server_reload_all(struct server *sv, struct json_t **changes, struct err *e)
+static enum err_code server_reload_all(struct server *sv, bool *tried, struct err *e)
 {
     struct services *s = &sv->services;
     struct tls_pair *pair = NULL;
-    bool stores = false;
-    pthread_mutex_lock(&sv->reload);
+    *tried = false;
     supervisor_reloading();
     enum err_code rc = server_reload_auth(sv, e);
     if (!rc && s->tls)
         rc = tls_read(s->tls, &pair, e);
     if (!rc) {
-        rc = stores_reload(sv->stores, changes, e);
-        stores = *changes != NULL;
+        rc = stores_reload(sv->stores, tried, e);
+        server_check_descriptors(sv);
     }
-    if (s->tls && (!rc || stores))
+    if (s->tls && (!rc || *tried))
         tls_use(s->tls, &pair);
     tls_discard(&pair);
-    server_tell_reload(sv, rc, stores, e);
-    pthread_mutex_unlock(&sv->reload);
+    server_tell_reload(sv, rc, *tried, e);
+    return rc;
+}
+
+/* The number of a reload that has not begun yet. */
+static uint64_t server_want(struct server *sv)
+{
+    pthread_mutex_lock(&sv->keep);
+    const uint64_t number = sv->wanted = sv->begun + 1;
+    pthread_cond_broadcast(&sv->keep_changed);
+    pthread_mutex_unlock(&sv->keep);
+    return number;
+}
+
+void server_ask_reload(struct server *sv)
+{
+    (void)server_want(sv);
+}
+
+/* Waits for a reload that begins from now on. */
+static enum err_code server_reload_wait(struct server *sv, bool *tried, struct err *e)
+{
+    const uint64_t number = server_want(sv);
+    enum err_code rc = ERR_OK;
+    pthread_mutex_lock(&sv->keep);
+    while (sv->ended < number && !sv->stopping)
+        pthread_cond_wait(&sv->keep_changed, &sv->keep);
+    *tried = sv->ended >= number && sv->tried;
+    if (sv->ended < number)
+        rc = err_set(e, ERR_BUSY, "the server is stopping");
+    else if (sv->reload_rc)
+        rc = err_set(e, sv->reload_rc, "%s", sv->reload_why.msg);
+    pthread_mutex_unlock(&sv->keep);
     return rc;
 }
 
 enum err_code server_reload(struct server *sv, struct err *e)
 {
-    struct err own = {0};
-    struct json_t *changes = NULL;
-    enum err_code rc = server_reload_all(sv, &changes, e ? e : &own); /* what it says is kept */
-    json_decref(changes);
-    return rc;
+    bool tried;
+    return server_reload_wait(sv, &tried, e);
 }
 
 /* services.reload: the same, and what there is to say about it. */
 static enum err_code server_reload_said(void *user, struct body **out, struct err *e)
 {
+    struct server *sv = user;
+    struct services *s = &sv->services;
     struct err why = {0};
-    json_t *o = NULL;
-    enum err_code rc = server_reload_all(user, &o, &why);
-    o = o ? o : json_object();
+    struct catalog *before = services_catalog(s);
+    enum err_code rc;
+    uint64_t seen;
+    bool tried;
+    do { /* who came while stores were looked at means them as they are now */
+        seen = atomic_load(&s->reloads_wanted);
+        rc = server_reload_wait(sv, &tried, &why);
+    } while (seen != atomic_load(&s->reloads_wanted) && rc != ERR_BUSY);
+    struct catalog *now = services_catalog(s);
+    json_t *o = tried ? catalog_changes(before, now) : json_object();
+    catalog_drop(&now);
+    catalog_drop(&before);
     json_object_set_new(o, "status", json_string(rc ? "failed" : "reloaded"));
     if (rc)
         json_object_set_new(o, "why", json_string(why.msg));
@@ -503,6 +575,86 @@ void server_expire(struct server *sv, double now_s)
     stores_tick(sv->stores, now_s);
 }
 
+/* ---- the thread that looks at stores ---- */
+
+static void server_keep_reload(struct server *sv)
+{
+    struct err why = {0};
+    bool tried = false;
+    const enum err_code rc = server_reload_all(sv, &tried, &why);
+    pthread_mutex_lock(&sv->keep);
+    sv->ended = sv->begun;
+    sv->tried = tried;
+    sv->reload_rc = rc;
+    sv->reload_why = why;
+    pthread_cond_broadcast(&sv->keep_changed);
+    pthread_mutex_unlock(&sv->keep);
+}
+
+static void server_keep_tick(struct server *sv)
+{
+    server_look(sv, clock_s());
+    server_expire(sv, clock_s());
+    if (server_reload_asked(sv))
+        server_ask_reload(sv);
+}
+
+static void server_keep_main(void *user)
+{
+    static const double every_s = 0.1, seldom_s = 60;
+    struct server *sv = user;
+    pthread_mutex_lock(&sv->keep);
+    while (!sv->stopping) {
+        const bool reload = sv->wanted > sv->begun, ticks = sv->ticks;
+        sv->begun += reload;
+        pthread_mutex_unlock(&sv->keep);
+        if (reload)
+            server_keep_reload(sv);
+        if (ticks)
+            server_keep_tick(sv);
+        pthread_mutex_lock(&sv->keep);
+        if (!sv->stopping && sv->wanted == sv->begun && sv->ticks == ticks)
+            (void)pool_cond_wait(&sv->keep_changed, &sv->keep,
+                                 clock_s() + (ticks ? every_s : seldom_s));
+    }
+    sv->kept = true;
+    pthread_cond_broadcast(&sv->keep_changed);
+    pthread_mutex_unlock(&sv->keep);
+}
+
+void server_keep(struct server *sv)
+{
+    pthread_mutex_lock(&sv->keep);
+    sv->ticks = true;
+    pthread_cond_broadcast(&sv->keep_changed);
+    pthread_mutex_unlock(&sv->keep);
+}
+
+/* Has it begin no reload, and those go on who wait for one. */
+static void server_stop_keeper(struct server *sv)
+{
+    pthread_mutex_lock(&sv->keep);
+    sv->stopping = true;
+    pthread_cond_broadcast(&sv->keep_changed);
+    pthread_mutex_unlock(&sv->keep);
+}
+
+/* False: it does not return from a call, such as opening a file of a server that is away. */
+static bool server_end_keeper(struct server *sv)
+{
+    static const double patience_s = 5;
+    if (!sv->keeper)
+        return true;
+    pthread_mutex_lock(&sv->keep);
+    for (const double end_s = clock_s() + patience_s; !sv->kept && clock_s() < end_s;)
+        (void)pool_cond_wait(&sv->keep_changed, &sv->keep, end_s);
+    const bool kept = sv->kept;
+    pthread_mutex_unlock(&sv->keep);
+    if (kept)
+        pool_join(&sv->keeper);
+    return kept;
+}
+
 bool server_stop(struct server **out)
 {
     struct server *sv = *out;
@@ -510,16 +662,21 @@ bool server_stop(struct server **out)
     if (!sv)
         return true;
     mem_on_short(NULL, NULL);
+    server_stop_keeper(sv);
     http_close(&sv->http);
     http_close(&sv->admin); /* last: it says how the stopping goes */
-    stores_close(&sv->stores);
-    bool ended = services_free(&sv->services);
+    bool ended = server_end_keeper(sv);
+    if (ended) {
+        stores_close(&sv->stores);
+        ended = services_free(&sv->services);
+    }
     if (!ended)
         log_error("serve", "a thread does not return from a call; it is left behind");
     log_stop(1);
     if (ended) {
         view_stream_close(&sv->services.view_streams);
-        pthread_mutex_destroy(&sv->reload);
+        pthread_cond_destroy(&sv->keep_changed);
+        pthread_mutex_destroy(&sv->keep);
         mem_free(sv);
     }
     return ended;

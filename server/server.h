@@ -89,22 +89,28 @@ struct services *server_services(struct server *s);
  * Replaced revisions stay for a day (--keep-s). It logs what changed, and tells the supervisor and
  * /readyz. Of a store that cannot be opened, what was served before stays; the error is that of the
  * first one. After another error the same stores are served; a new --auth file is in force all the
- * same. Any thread. ERR_ARG, ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_DATA, ERR_LIMIT, ERR_BUSY,
- * ERR_MEM. */
+ * same. Any thread. ERR_ARG, ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_DATA, ERR_LIMIT, ERR_BUSY
+ * (also: the server is stopping), ERR_MEM. */
 enum err_code server_reload(struct server *s, struct err *e) ERR_USE;
+/* Asks for a reload, and does not wait: opening a file may take as long as the disk, or the server
+ * that it lies at, likes. A thread of the server does it. */
+void server_ask_reload(struct server *s);
+/* From now on that thread calls server_look and server_expire, and reloads where server_look asks
+ * for it. */
+void server_keep(struct server *s);
 /* Looks whether a store at an address was replaced at its server, and if so, asks for a reload
- * (server_reload_asked). Every --remote-refresh-s the servers are asked, by this thread. Call it
- * from time to time, from the thread that reloads. */
+ * (server_reload_asked). Every --remote-refresh-s the servers are asked, by this thread. For
+ * server_keep, and for tests. */
 void server_look(struct server *s, double now_s);
 /* Drops revisions whose time is over, by clock_s(), and tries stores again that could not be
- * opened. Call it a few times a second. */
+ * opened. For server_keep, and for tests. */
 void server_expire(struct server *s, double now_s);
 
 /* Stops listening, finishes requests within the configured times, and frees everything. *s may be
  * NULL and becomes NULL. False: a thread does not return from a call. What it uses is not freed,
  * and the program should end without waiting for it (_exit). */
 bool server_stop(struct server **s);
-/* Returns whether server_look asked for a reload since the last call. */
+/* Returns whether a reload was asked for since the last call. For server_keep, and for tests. */
 bool server_reload_asked(struct server *s);
 /* Returns whether the server answers a request of its own within wait_s. For a watchdog. */
 bool server_answers(const struct server *s, double wait_s);

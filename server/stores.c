@@ -270,10 +270,9 @@ static enum err_code stores_read_clip(struct stores *st, struct err *e)
 {
     const struct server_config *cfg = st->cfg;
     struct clip clip = {0}, was;
-    bool any = false;
-    enum err_code rc =
-        clip_of_options(cfg->clip, cfg->clip_low_m, cfg->clip_high_m, "clip-", &clip, &any, e);
-    const struct hash128 now = clip_hash(any ? &clip : NULL), before = clip_hash(st->options.clip);
+    enum err_code rc = cfg->clip ? clip_open(cfg->clip, -HUGE_VAL, HUGE_VAL, &clip, e) : ERR_OK;
+    const struct hash128 now = clip_hash(cfg->clip ? &clip : NULL),
+                         before = clip_hash(st->options.clip);
     if (rc || (now.lo == before.lo && now.hi == before.hi)) {
         clip_free(&clip);
         return rc;
@@ -281,7 +280,7 @@ static enum err_code stores_read_clip(struct stores *st, struct err *e)
     pthread_rwlock_wrlock(&st->looking);
     was = st->clip;
     st->clip = clip;
-    st->options.clip = any ? &st->clip : NULL;
+    st->options.clip = cfg->clip ? &st->clip : NULL;
     pthread_rwlock_unlock(&st->looking);
     clip_free(&was);
     return ERR_OK;
@@ -333,7 +332,7 @@ enum err_code stores_open(const struct server_config *cfg, const char *const *ar
     pthread_rwlock_init(&st->looking, NULL);
     pthread_mutex_init(&st->lock, NULL);
     pool_cond_init(&st->changed);
-    enum err_code rc = cfg->geoid ? geoid_open(cfg->geoid, cfg->geoid_dir, &st->geoid, e) : ERR_OK;
+    enum err_code rc = cfg->geoid ? geoid_open(cfg->geoid, &st->geoid, e) : ERR_OK;
     stores_set_options(st, readers);
     if (!rc)
         rc = stores_read_clip(st, e);
@@ -417,10 +416,10 @@ static enum err_code stores_fault(const struct catalog *c, struct err *e)
                                       c->n_absent, x->why);
 }
 
-enum err_code stores_reload(struct stores *st, struct json_t **changes, struct err *e)
+enum err_code stores_reload(struct stores *st, bool *tried, struct err *e)
 {
     struct stores_list list = {0};
-    struct catalog *older = services_catalog(st->s), *newer = NULL;
+    struct catalog *older = services_catalog(st->s);
     pthread_mutex_lock(&st->reload);
     enum err_code rc = stores_list(st, older, &list, e);
     if (!rc)
@@ -431,15 +430,14 @@ enum err_code stores_reload(struct stores *st, struct json_t **changes, struct e
         rc = stores_publish(st, &list, true, e);
     pthread_mutex_unlock(&st->reload);
     stores_list_free(&list);
-    if (!rc) {
-        stores_far_wait(st);
-        newer = services_catalog(st->s);
-        rc = stores_fault(newer, e);
-    }
-    if (changes && newer)
-        *changes = catalog_changes(older, newer);
-    catalog_drop(&newer);
     catalog_drop(&older);
+    *tried = !rc;
+    if (rc)
+        return rc;
+    stores_far_wait(st);
+    struct catalog *newer = services_catalog(st->s);
+    rc = stores_fault(newer, e);
+    catalog_drop(&newer);
     return rc;
 }
 

@@ -11,7 +11,6 @@
 #include "server/documents/catalog.h"
 
 struct services;
-struct json_t;
 struct stores; /* any thread */
 
 /* Opens the stores that `args` [n] ask for: files, folders, addresses. What cannot be opened is in
@@ -30,11 +29,10 @@ enum err_code stores_start(struct stores *st, struct err *e) ERR_USE;
 /* Waits for the thread, which may be reading from an address. *st may be NULL. */
 void stores_close(struct stores **st);
 /* Looks at all stores again: those of folders as they are now, the clip as its file is now. Files
- * are served anew before addresses are waited for, which is for five seconds. *changes (may be
- * NULL): catalog_changes. ERR_ARG, ERR_FORMAT, ERR_IO, ERR_NOENT of the clip or of a folder, with
- * nothing changed; the error of the first store that cannot be opened, with all others changed;
- * ERR_MEM. */
-enum err_code stores_reload(struct stores *st, struct json_t **changes, struct err *e) ERR_USE;
+ * are served anew before addresses are waited for, which is for five seconds. *tried: whether it
+ * came to stores. ERR_ARG, ERR_FORMAT, ERR_IO, ERR_NOENT of the clip or of a folder, with nothing
+ * changed; the error of the first store that cannot be opened, with all others changed; ERR_MEM. */
+enum err_code stores_reload(struct stores *st, bool *tried, struct err *e) ERR_USE;
 /* Tries again the files whose pause is over, and drops revisions whose time is over. Call it a few
  * times a second. */
 void stores_tick(struct stores *st, double now_s);

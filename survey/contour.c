@@ -43,10 +43,9 @@ static enum err_code contour_check(struct contour_job *j, struct err *e)
     enum err_code rc = layer_check(j->path, e);
     if (rc)
         return rc;
-    if (!(r->interval_m > 0) || !isfinite(r->base_m) || !(r->least_m >= 0))
-        return err_set(e, ERR_ARG,
-                       "lines every %g m from %g m on: the interval must be more than 0",
-                       r->interval_m, r->base_m);
+    if (!(r->interval_m > 0) || !(r->least_m >= 0))
+        return err_set(e, ERR_ARG, "lines every %g m: the interval must be more than 0",
+                       r->interval_m);
     return ERR_OK;
 }
 
@@ -149,7 +148,7 @@ static enum err_code contour_lines(struct contour_job *j, struct err *e)
     struct progress bar;
     GDALContourGeneratorH cg =
         gdal->GDAL_CG_Create((int)g->width, (int)g->height, TRUE, (double)GEOTIFF_NODATA,
-                             j->request->interval_m, j->request->base_m, contour_line, j);
+                             j->request->interval_m, 0, contour_line, j);
     if (!cg)
         return contour_fail(j, "lines could not be started", e);
     enum err_code rc = ERR_OK;

@@ -15,8 +15,7 @@ enum { CONTOUR_LEVELS_MAX = 10000 };
 
 struct contour_request {
     struct map_request map; /* its kind is GEOTIFF_HEIGHT */
-    double interval_m;      /* height between lines */
-    double base_m;          /* a height that has a line if the surface reaches it */
+    double interval_m;      /* height between lines, which lie at its multiples */
     double least_m;         /* shorter lines are left out, in metres of the projection */
 };
 struct contour_report {

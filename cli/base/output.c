@@ -14,3 +14,9 @@ enum err_code output_check(const char *path, bool overwrite, struct err *e)
                : err_set(e, ERR_ARG,
                          "%s: exists; choose another name, or replace it with --overwrite", path);
 }
+
+enum err_code output_needed(const char *path, bool overwrite, struct err *e)
+{
+    return path ? output_check(path, overwrite, e)
+                : err_set(e, ERR_ARG, "-o FILE is missing: where to write");
+}

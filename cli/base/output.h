@@ -12,5 +12,7 @@
 /* Call it before the work begins. path may be NULL. A pipe or a device is always allowed. ERR_ARG:
  * there is such a file, and --overwrite was not given. */
 enum err_code output_check(const char *path, bool overwrite, struct err *e) ERR_USE;
+/* As output_check, of a file that the command cannot do without: path NULL is ERR_ARG, too. */
+enum err_code output_needed(const char *path, bool overwrite, struct err *e) ERR_USE;
 
 #endif

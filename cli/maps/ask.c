@@ -12,7 +12,8 @@
 
 #include "cli/maps/maps.h"
 
-enum err_code ask_place(const char *text, double out[2], struct err *e)
+/* Parses "LON,LAT". */
+static enum err_code ask_place(const char *text, double out[2], struct err *e)
 {
     char *end;
     out[0] = strtod(text, &end);
@@ -27,18 +28,22 @@ enum err_code ask_place(const char *text, double out[2], struct err *e)
     return ERR_OK;
 }
 
-enum err_code ask_print(const char *store, const struct ask_options *o, const struct query *q,
-                        struct err *e)
+enum err_code ask_print(const struct options_args *args, const struct ask_options *o,
+                        struct query *q, struct err *e)
 {
     struct nadir_options no = {.device = o->device};
     struct geoid *geoid = NULL;
     struct nadir *n = NULL;
     json_t *answer = NULL;
-    enum err_code rc = maps_number("--ceiling-m", o->ceiling_m, &no.ceiling_m, e);
-    if (!rc && o->geoid)
-        rc = geoid_open(o->geoid, o->geoid_dir, &geoid, e);
+    enum err_code rc = ERR_OK;
+    for (size_t i = 1; !rc && i < args->n; i++) /* before the store is opened */
+        rc = ask_place(args->arg[i], q->place[q->n++], e);
     if (!rc)
-        rc = nadir_open(store, &no, &n, e);
+        rc = options_number_of("--ceiling-m", o->ceiling_m, (double)NAN, &no.ceiling_m, e);
+    if (!rc && o->geoid)
+        rc = geoid_open(o->geoid, &geoid, e);
+    if (!rc)
+        rc = nadir_open(args->arg[0], &no, &n, e);
     if (!rc && geoid && !heights_ellipsoidal(store_info(nadir_store(n))->heights))
         rc = err_set(e, ERR_ARG,
                      "--geoid: heights of this store count from '%s', not from the ellipsoid, so "

@@ -8,17 +8,17 @@
 #include "core/options/options.h"
 #include "lod/surface/query.h"
 
+enum { ASK_PLACES_MAX = 15 };
 struct ask_options {
 #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/maps/ask.def"
 #include "cli/maps/geoid.def"
 #undef OPT
 };
-/* Parses "LON,LAT". ERR_ARG says what is expected. */
-enum err_code ask_place(const char *text, double out[2], struct err *e) ERR_USE;
-/* Answers a question and prints it. ERR_ARG: there is no answer. Else the errors of query_answer,
- * nadir_open and geoid_open. */
-enum err_code ask_print(const char *store, const struct ask_options *o, const struct query *q,
-                        struct err *e) ERR_USE;
+/* Asks the store args->arg[0] and prints the answer. The places LON,LAT of the other arguments are
+ * added to those of q. ERR_ARG: a place is none, or there is no answer. Else the errors of
+ * query_answer, nadir_open and geoid_open. */
+enum err_code ask_print(const struct options_args *args, const struct ask_options *o,
+                        struct query *q, struct err *e) ERR_USE;
 
 #endif

@@ -61,7 +61,7 @@ enum err_code cli_contour(int argc, char **argv, struct err *e)
         rc = maps_open(args.arg[0], &o.maps, maps_vector, &o.heights, NULL, &m, e);
     struct contour_report r = {0};
     m.request.kind = GEOTIFF_HEIGHT;
-    const struct contour_request request = {m.request, o.interval_m, o.base_m, o.least_m};
+    const struct contour_request request = {m.request, o.interval_m, o.least_m};
     if (run && !rc)
         rc = contour_write(m.nadir, &request, o.maps.output, &r, e);
     if (run && !rc) {

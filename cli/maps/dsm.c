@@ -84,15 +84,13 @@ static enum err_code dsm_known(const char *scene, const struct dsm_options *o, s
                        "%s: --ground and --ceiling-m are for a tile store: train the scene, then "
                        "run `citysplat tile`",
                        o->bare.ground ? "--ground" : "--ceiling-m");
-    enum err_code rc = o->maps.output
-                           ? maps_check_output(o->maps.output, maps_geotiff, o->maps.overwrite, e)
-                           : err_set(e, ERR_ARG, "-o is missing: where to write");
+    enum err_code rc = maps_check_output(o->maps.output, maps_geotiff, o->maps.overwrite, e);
     if (!rc && o->maps.bbox) {
         rc = maps_bbox(o->maps.bbox, bbox, e);
         r.bbox_deg = bbox;
     }
     if (!rc && o->heights.geoid)
-        rc = geoid_open(o->heights.geoid, o->heights.geoid_dir, &geoid, e);
+        rc = geoid_open(o->heights.geoid, &geoid, e);
     r.geoid = geoid;
     if (!rc)
         rc = depth_heights_write(&r, o->maps.output, &report, words, e);

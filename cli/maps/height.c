@@ -5,8 +5,6 @@
 #include "cli/base/cli.h"
 #include "cli/maps/ask.h"
 
-enum { HEIGHT_PLACES_MAX = 15 };
-
 struct height_options {
 #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/maps/height.def"
@@ -38,7 +36,7 @@ static const struct options_spec height_spec = {
     .defs = height_defs,
     .n_defs = sizeof height_defs / sizeof *height_defs,
     .min_args = 2,
-    .max_args = 1 + HEIGHT_PLACES_MAX};
+    .max_args = 1 + ASK_PLACES_MAX};
 
 enum err_code cli_height(int argc, char **argv, struct err *e)
 {
@@ -48,10 +46,8 @@ enum err_code cli_height(int argc, char **argv, struct err *e)
     struct query q = {.kind = QUERY_HEIGHT};
     enum err_code rc = options_parse(&height_spec, argc, argv, &o, &args, &arena, e);
     q.gsd_m = o.gsd_m;
-    for (size_t i = 1; !rc && !args.done && i < args.n; i++) /* before the store is opened */
-        rc = ask_place(args.arg[i], q.place[q.n++], e);
     if (!rc && !args.done)
-        rc = ask_print(args.arg[0], &o.ask, &q, e);
+        rc = ask_print(&args, &o.ask, &q, e);
     arena_free(&arena);
     return rc;
 }

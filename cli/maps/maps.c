@@ -16,18 +16,6 @@
 #include "survey/bare.h"
 #include "survey/bare_draw.h"
 
-enum err_code maps_number(const char *option, const char *text, double *out, struct err *e)
-{
-    char *end;
-    *out = (double)NAN;
-    if (!text)
-        return ERR_OK;
-    *out = strtod(text, &end);
-    return end != text && !*end && isfinite(*out)
-               ? ERR_OK
-               : err_set(e, ERR_ARG, "%s: '%s': a number is expected", option, text);
-}
-
 enum err_code maps_bbox(const char *text, double out[4], struct err *e)
 {
     const char *p = text;
@@ -56,8 +44,11 @@ const char *const maps_points[] = {".las", NULL};
 enum err_code maps_check_output(const char *path, const char *const *ends, bool overwrite,
                                 struct err *e)
 {
-    size_t n = strlen(path), at = 0;
     char list[80];
+    if (!path)
+        return output_needed(path, overwrite, e);
+    const size_t n = strlen(path);
+    size_t at = 0;
     for (size_t i = 0; ends[i]; i++) {
         size_t m = strlen(ends[i]);
         if (n > m && !strcasecmp(path + n - m, ends[i]))
@@ -76,19 +67,15 @@ enum err_code maps_open(const char *store, const struct maps_options *o, const c
                         struct err *e)
 {
     struct nadir_options no = {.device = o->device, .appearance = appearance};
-    enum err_code rc = ERR_OK;
     *out = (struct maps){0};
     signals_catch();
-    if (!o->output)
-        rc = err_set(e, ERR_ARG, "-o is missing: where to write");
-    else
-        rc = maps_check_output(o->output, ends, o->overwrite, e);
+    enum err_code rc = maps_check_output(o->output, ends, o->overwrite, e);
     if (!rc && o->bbox)
         rc = maps_bbox(o->bbox, out->bbox, e);
     if (!rc)
-        rc = maps_number("--ceiling-m", o->ceiling_m, &no.ceiling_m, e);
+        rc = options_number_of("--ceiling-m", o->ceiling_m, (double)NAN, &no.ceiling_m, e);
     if (!rc && g && g->geoid)
-        rc = geoid_open(g->geoid, g->geoid_dir, &out->geoid, e);
+        rc = geoid_open(g->geoid, &out->geoid, e);
     if (!rc)
         rc = nadir_open(store, &no, &out->nadir, e);
     out->request = (struct map_request){.epsg = (int)o->epsg,

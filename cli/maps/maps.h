@@ -33,8 +33,8 @@ struct maps { /* free with maps_close */
 };
 /* Endings of file names, one list for each kind of file; NULL after the last. */
 extern const char *const maps_geotiff[], *const maps_vector[], *const maps_points[];
-/* Checks that the name has one of these endings, and that there is no such file or it may be
- * replaced. ERR_ARG says what to do. */
+/* Checks that there is a name, that it has one of these endings, and that there is no such file or
+ * it may be replaced. ERR_ARG says what to do. */
 enum err_code maps_check_output(const char *path, const char *const *ends, bool overwrite,
                                 struct err *e) ERR_USE;
 /* Checks the options and opens the store. appearance and g may be NULL. ERR_ARG names the option.
@@ -64,7 +64,5 @@ enum err_code maps_write(const char *store, const struct maps_options *o,
                          const struct maps_command *c, struct err *e) ERR_USE;
 /* Parses west,south,east,north of --bbox, degrees. ERR_ARG. */
 enum err_code maps_bbox(const char *text, double out[4], struct err *e) ERR_USE;
-/* Parses a number of this option. NULL gives NAN. ERR_ARG. */
-enum err_code maps_number(const char *option, const char *text, double *out, struct err *e) ERR_USE;
 
 #endif

@@ -41,14 +41,14 @@ static const struct options_spec measure_spec = {
     .defs = measure_defs,
     .n_defs = sizeof measure_defs / sizeof *measure_defs,
     .min_args = 1,
-    .max_args = 1 + 15};
+    .max_args = 1 + ASK_PLACES_MAX};
 
 /* The one polygon of the file. */
 static enum err_code measure_polygon_read(const struct measure_options *o, struct query *q,
                                           struct err *e)
 {
     struct geojson_area area = {0};
-    enum err_code rc = maps_number("--base-m", o->base_m, &q->base_m, e);
+    enum err_code rc = options_number_of("--base-m", o->base_m, (double)NAN, &q->base_m, e);
     if (!rc)
         rc = geojson_read(o->polygon, &area, e);
     if (!rc && area.n_rings != 1)
@@ -74,13 +74,11 @@ enum err_code cli_measure(int argc, char **argv, struct err *e)
     bool run = !rc && !args.done;
     if (run && (o.polygon ? args.n > 1 : args.n < 3))
         rc = err_set(e, ERR_ARG, "measure: give two or more places LON,LAT, or --polygon FILE");
-    for (size_t i = 1; run && !rc && i < args.n; i++)
-        rc = ask_place(args.arg[i], q.place[q.n++], e);
     if (run && !rc && o.polygon)
         rc = measure_polygon_read(&o, &q, e);
     q.gsd_m = o.gsd_m;
     if (run && !rc)
-        rc = ask_print(args.arg[0], &o.ask, &q, e);
+        rc = ask_print(&args, &o.ask, &q, e);
     arena_free(&arena);
     return rc;
 }

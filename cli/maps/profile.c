@@ -36,7 +36,7 @@ static const struct options_spec profile_spec = {
     .defs = profile_defs,
     .n_defs = sizeof profile_defs / sizeof *profile_defs,
     .min_args = 3,
-    .max_args = 1 + 15};
+    .max_args = 1 + ASK_PLACES_MAX};
 
 enum err_code cli_profile(int argc, char **argv, struct err *e)
 {
@@ -46,10 +46,8 @@ enum err_code cli_profile(int argc, char **argv, struct err *e)
     struct query q = {.kind = QUERY_PROFILE};
     enum err_code rc = options_parse(&profile_spec, argc, argv, &o, &args, &arena, e);
     q.step_m = o.step_m;
-    for (size_t i = 1; !rc && !args.done && i < args.n; i++) /* before the store is opened */
-        rc = ask_place(args.arg[i], q.place[q.n++], e);
     if (!rc && !args.done)
-        rc = ask_print(args.arg[0], &o.ask, &q, e);
+        rc = ask_print(&args, &o.ask, &q, e);
     arena_free(&arena);
     return rc;
 }

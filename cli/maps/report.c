@@ -524,10 +524,8 @@ enum err_code cli_report(int argc, char **argv, struct err *e)
     struct report r = {.o = &o, .ground = {.gsd_m_median = (double)NAN}};
     enum err_code rc = options_parse(&report_spec, argc, argv, &o, &args, &arena, e);
     bool run = !rc && !args.done;
-    if (run && !o.output)
-        rc = err_set(e, ERR_ARG, "-o is missing: where to write");
-    if (run && !rc)
-        rc = output_check(o.output, o.overwrite, e);
+    if (run)
+        rc = output_needed(o.output, o.overwrite, e);
     if (run && !rc) {
         signals_catch();
         r.dir = args.arg[0];

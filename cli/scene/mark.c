@@ -136,19 +136,14 @@ static enum err_code mark_make_token(char out[MARK_TOKEN], struct err *e)
     return ERR_OK;
 }
 
-static enum err_code mark_check_page(const char *web_dir, struct err *e)
+static enum err_code mark_check_page(struct err *e)
 {
     char dir[FILE_PATH_MAX], page[FILE_PATH_MAX];
-    bool found = web_dir != NULL;
-    if (found)
-        snprintf(dir, sizeof dir, "%s", web_dir);
-    else
-        found = static_default_dir(dir);
+    bool found = static_default_dir(dir);
     if (found && !file_join(page, dir, "mark.html", e) && file_exists(page))
         return ERR_OK;
     return err_set(e, ERR_NOENT,
-                   "the page's files are not %s: build web/ (npm ci && npm run build), or give "
-                   "--web-dir DIR",
+                   "the page's files are not %s: build web/ (npm ci && npm run build)",
                    found ? dir : "beside the program");
 }
 
@@ -161,7 +156,6 @@ static enum err_code mark_serve(const struct mark_options *o, struct mark_work *
     enum err_code rc = config_defaults(&cfg, a, e);
     cfg.address = o->address;
     cfg.port = o->port;
-    cfg.web_dir = o->web_dir;
     cfg.device = "none";
     cfg.access_log = false;
     cfg.workers = 1;
@@ -207,7 +201,7 @@ enum err_code cli_mark(int argc, char **argv, struct err *e)
     w.images_dir = from.photographs;
     w.output = o.output;
     signals_catch();
-    rc = mark_check_page(o.web_dir, e);
+    rc = mark_check_page(e);
     if (!rc)
         rc = mark_read_list(&o, &from, &list, e);
     if (!rc)

@@ -92,7 +92,6 @@ enum err_code cli_plan(int argc, char **argv, struct err *e)
     cfg.grid = grid;
     cfg.images_few = (size_t)o.images_few;
     cfg.images_least = (size_t)o.images_least;
-    cfg.use_visibility = o.visibility;
     rc = partition_make(&scene, &cfg, &p, e);
     if (!rc)
         rc = share_photographs(&scene, o.share_min, &p, e);

@@ -70,12 +70,6 @@ static void serve_say(const char *fmt, ...)
     fflush(stdout);
 }
 
-static void serve_reload(struct server *sv)
-{
-    const enum err_code rc = server_reload(sv, NULL);
-    (void)rc; /* the server has told the log, the supervisor and /readyz */
-}
-
 /* Half of the time that the supervisor gives: say that the program answers, while it does. */
 static void serve_watch(const struct server *sv, double *next_s)
 {
@@ -94,12 +88,11 @@ static enum err_code serve_run(struct server *sv, const struct server_config *cf
                                const sigset_t *hup, struct err *e)
 {
     double next_s = 0;
+    server_keep(sv);
     while (!signals_stopping()) {
         const struct timespec wait = {.tv_nsec = 100000000};
-        if (sigtimedwait(hup, NULL, &wait) == SIGHUP || server_reload_asked(sv))
-            serve_reload(sv);
-        server_look(sv, clock_s());
-        server_expire(sv, clock_s());
+        if (sigtimedwait(hup, NULL, &wait) == SIGHUP)
+            server_ask_reload(sv);
         server_keep_memory(sv, clock_s());
         serve_watch(sv, &next_s);
         if (cfg->exit_hung && server_failing_s(sv) > fmax(cfg->device_timeout_s, 10))

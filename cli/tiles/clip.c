@@ -4,6 +4,7 @@
  */
 #include "lod/export/clip.h"
 
+#include <math.h>
 #include <stdio.h>
 
 #include "cli/base/cli.h"
@@ -35,6 +36,17 @@ static const struct options_spec clip_spec = {
     .min_args = 1,
     .max_args = 1};
 
+static enum err_code clip_parse(const struct clip_options *o, struct clip *out, struct err *e)
+{
+    double low_m = 0, high_m = 0;
+    if (!o->polygon && !o->low_m && !o->high_m)
+        return err_set(e, ERR_ARG, "clip: give --polygon FILE, --low-m or --high-m");
+    enum err_code rc = options_number_of("--low-m", o->low_m, -HUGE_VAL, &low_m, e);
+    if (!rc)
+        rc = options_number_of("--high-m", o->high_m, HUGE_VAL, &high_m, e);
+    return rc ? rc : clip_open(o->polygon, low_m, high_m, out, e);
+}
+
 enum err_code cli_clip(int argc, char **argv, struct err *e)
 {
     struct clip_options o = {0};
@@ -42,17 +54,12 @@ enum err_code cli_clip(int argc, char **argv, struct err *e)
     struct clip_report r;
     struct clip clip = {0};
     struct arena arena = {0};
-    bool any = false;
     enum err_code rc = options_parse(&clip_spec, argc, argv, &o, &args, &arena, e);
     bool run = !rc && !args.done;
-    if (run && !o.output)
-        rc = err_set(e, ERR_ARG, "-o FILE is missing: where to write the tiles");
+    if (run)
+        rc = output_needed(o.output, o.overwrite, e);
     if (run && !rc)
-        rc = output_check(o.output, o.overwrite, e);
-    if (run && !rc)
-        rc = clip_of_options(o.polygon, o.low_m, o.high_m, "", &clip, &any, e);
-    if (run && !rc && !any)
-        rc = err_set(e, ERR_ARG, "clip: give --polygon FILE, --low-m or --high-m");
+        rc = clip_parse(&o, &clip, e);
     if (run && !rc) {
         signals_catch();
         rc = clip_store(&clip, args.arg[0], o.name, o.output, &r, e);

@@ -461,10 +461,7 @@ enum err_code cli_export(int argc, char **argv, struct err *e)
     if (rc || args.done)
         goto out;
     signals_catch();
-    if (!o.output)
-        rc = err_set(e, ERR_ARG, "-o is missing: where to write");
-    else
-        rc = output_check(o.output, o.overwrite, e); /* folders are looked at by their writers */
+    rc = output_needed(o.output, o.overwrite, e); /* folders are looked at by their writers */
     int format = (int)o.format;
     if (!rc && format == EXPORT_AUTO)
         rc = export_format(o.output, &format, e);

@@ -69,10 +69,7 @@ static void import_scale(struct gauss *g, double scale)
         return;
     for (size_t k = 0; k < 3; k++)
         g->origin_enu_m[k] *= scale;
-    for (size_t i = 0; i < 3 * g->n; i++) {
-        g->mean_m[i] = (float)(scale * (double)g->mean_m[i]);
-        g->scale_log[i] = (float)((double)g->scale_log[i] + log(scale));
-    }
+    import_fit_scale(g, scale);
 }
 
 /* Fits places of the file, turned and scaled as its Gaussians are, to those of the ground. */
@@ -80,14 +77,13 @@ static enum err_code import_fit(int axes, double scale, struct import_fit *fit, 
 {
     double turned[IMPORT_FIT_MOST][3];
     for (size_t i = 0; i < fit->n; i++) {
-        const double *x = fit->file[i];
-        turned[i][0] = scale * x[0];
-        turned[i][1] = scale * (axes == IMPORT_AXES_YUP     ? -x[2]
-                                : axes == IMPORT_AXES_YDOWN ? x[2]
-                                                            : x[1]);
-        turned[i][2] = scale * (axes == IMPORT_AXES_YUP     ? x[1]
-                                : axes == IMPORT_AXES_YDOWN ? -x[1]
-                                                            : x[2]);
+        memcpy(turned[i], fit->file[i], sizeof turned[i]);
+        if (axes == IMPORT_AXES_YUP)
+            axes_point_to_enu(turned[i]);
+        if (axes == IMPORT_AXES_YDOWN)
+            axes_point_to_gltf(turned[i]);
+        for (size_t k = 0; k < 3; k++)
+            turned[i][k] *= scale;
     }
     return import_fit_make(fit, (const double(*)[3])turned, e);
 }
@@ -350,10 +346,8 @@ enum err_code cli_import(int argc, char **argv, struct err *e)
     struct options_args args;
     struct arena arena = {0};
     enum err_code rc = options_parse(&import_spec, argc, argv, &o, &args, &arena, e);
-    if (!rc && !args.done && !o.output)
-        rc = err_set(e, ERR_ARG, "-o FILE is missing: where to write the tiles");
     if (!rc && !args.done)
-        rc = output_check(o.output, o.overwrite, e);
+        rc = output_needed(o.output, o.overwrite, e);
     if (!rc && !args.done) {
         signals_catch();
         rc = import_run(args.arg[0], &o, e);

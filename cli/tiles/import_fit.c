@@ -125,14 +125,19 @@ enum err_code import_fit_make(struct import_fit *io, const double (*turned)[3], 
     return ERR_OK;
 }
 
+void import_fit_scale(struct gauss *g, double scale)
+{
+    for (size_t i = 0; i < 3 * g->n; i++) {
+        g->mean_m[i] = (float)(scale * (double)g->mean_m[i]);
+        g->scale_log[i] = (float)((double)g->scale_log[i] + log(scale));
+    }
+}
+
 void import_fit_apply(const struct import_fit *f, struct gauss *g)
 {
     double origin[3];
     axes_turn(g, f->sim.rot);
     sim3_apply(&f->sim, g->origin_enu_m, origin);
     memcpy(g->origin_enu_m, origin, sizeof g->origin_enu_m);
-    for (size_t i = 0; i < 3 * g->n; i++) {
-        g->mean_m[i] = (float)(f->sim.scale * (double)g->mean_m[i]);
-        g->scale_log[i] = (float)((double)g->scale_log[i] + log(f->sim.scale));
-    }
+    import_fit_scale(g, f->sim.scale);
 }

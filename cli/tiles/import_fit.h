@@ -24,6 +24,8 @@ enum err_code import_fit_read(const char *path, struct import_fit *out, struct e
  * each place is off. ERR_DATA: they lie on a line. ERR_ARG, ERR_MEM. */
 enum err_code import_fit_make(struct import_fit *io, const double (*turned)[3],
                               struct err *e) ERR_USE;
+/* Scales means and sizes, not the origin. */
+void import_fit_scale(struct gauss *g, double scale);
 /* Brings Gaussians into the frame about the origin. */
 void import_fit_apply(const struct import_fit *f, struct gauss *g);
 

@@ -41,10 +41,8 @@ enum err_code cli_merge(int argc, char **argv, struct err *e)
     struct merge_report r;
     struct arena arena = {0};
     enum err_code rc = options_parse(&merge_spec, argc, argv, &o, &args, &arena, e);
-    if (!rc && !args.done && !o.output)
-        rc = err_set(e, ERR_ARG, "-o FILE is missing: where to write the tiles");
     if (!rc && !args.done)
-        rc = output_check(o.output, o.overwrite, e);
+        rc = output_needed(o.output, o.overwrite, e);
     if (!rc && !args.done) {
         signals_catch();
         rc = merge_build(args.arg[0], args.arg[1], o.name, o.output, &r, e);

@@ -247,10 +247,8 @@ enum err_code cli_render(int argc, char **argv, struct err *e)
     struct options_args args;
     struct arena arena = {0};
     enum err_code rc = options_parse(&render_spec, argc, argv, &o, &args, &arena, e);
-    if (!rc && !args.done && !o.output)
-        rc = err_set(e, ERR_ARG, "-o PICTURE is missing: where to write");
     if (!rc && !args.done)
-        rc = output_check(o.output, o.overwrite, e);
+        rc = output_needed(o.output, o.overwrite, e);
     if (!rc && !args.done)
         rc = render_run(args.arg[0], &o, e);
     arena_free(&arena);

@@ -75,8 +75,7 @@ struct tile_scene {
     size_t n_cells;
     struct footprint footprint; /* empty: nothing is left out */
     struct trim trim;           /* empty: nothing is cut at the edge */
-    struct clip clip;           /* --clip, if `clips` */
-    bool clips;
+    const struct clip *clip;    /* --clip; NULL: none */
     struct geo_origin origin;
     atomic_size_t *cropped; /* rows of all levels that --crop left out; tile_load has threads */
     struct partition plan;  /* only cells with checkpoints; n_cells 0 = no plan */
@@ -314,8 +313,8 @@ static enum err_code tile_load(void *user, size_t part, struct gauss *out, struc
         ckpt_rows_read(file->rows, from, n < TILE_PART_ROWS ? n : TILE_PART_ROWS, out, e);
     if (!rc)
         rc = tile_own(l->scene, &l->scene->cells[file->cell], out, e);
-    if (!rc && l->scene->clips)
-        rc = clip_rows(&l->scene->clip, &l->scene->origin, out, e);
+    if (!rc && l->scene->clip)
+        rc = clip_rows(l->scene->clip, &l->scene->origin, out, e);
     return rc;
 }
 
@@ -525,8 +524,8 @@ static enum err_code tile_update(struct tile_scene *s, const struct tile_options
             rc = ckpt_read(path, &level[l], e);
         if (!rc)
             rc = tile_own(s, cell, &level[l].g, e);
-        if (!rc && s->clips)
-            rc = clip_rows(&s->clip, &s->origin, &level[l].g, e);
+        if (!rc && s->clip)
+            rc = clip_rows(s->clip, &s->origin, &level[l].g, e);
         if (!rc)
             rc = tile_check_blob(s, ckpt_find(&level[l], "appearance"), path, e);
         cfg.level[l] = &level[l].g;
@@ -658,8 +657,8 @@ static enum err_code tile_build(struct tile_scene *s, const struct scene *scene,
         rc = footprint_write(&s->footprint, &scene->origin, &ground, e);
     if (!rc && s->footprint.nx)
         rc = tile_count_views(s, scene, &levels[s->n_levels - 1], &seen, e);
-    if (!rc && s->clip.area.n)
-        rc = clip_describe(&s->clip, NULL, &clip, e);
+    if (!rc && s->clip)
+        rc = clip_describe(s->clip, NULL, &clip, e);
     if (!rc && appearance.size)
         rc = tile_photographs(scene, &appearance, o->thumbnails, &photographs, e);
     if (!rc)
@@ -689,10 +688,12 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
     struct tile_scene s = {
         .dir = dir, .trained = o->trained ? o->trained : dir, .cropped = &cropped};
     struct scene scene = {0};
+    struct clip clip = {0};
     enum err_code rc = scene_read(dir, &scene, e);
     s.origin = scene.origin;
     if (!rc)
-        rc = clip_of_options(o->clip, NULL, NULL, "", &s.clip, &s.clips, e);
+        rc = clip_open(o->clip, -HUGE_VAL, HUGE_VAL, &clip, e);
+    s.clip = o->clip ? &clip : NULL;
     if (!rc)
         rc = tile_crop(&s, &scene, o->crop, e);
     if (!rc)
@@ -710,7 +711,7 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
                 "(--crop)\n",
                 atomic_load(&cropped));
     }
-    clip_free(&s.clip);
+    clip_free(&clip);
     buf_free(&s.appearance);
     trim_free(&s.trim);
     footprint_free(&s.footprint);

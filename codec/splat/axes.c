@@ -113,6 +113,20 @@ void axes_enu_to_gltf(struct gauss *g)
     axes_turn_sh(g, axes_band1_to_gltf, axes_band2_to_gltf, axes_band3_to_gltf);
 }
 
+void axes_point_to_gltf(double p[3])
+{
+    const double north = p[1];
+    p[1] = p[2];
+    p[2] = -north;
+}
+
+void axes_point_to_enu(double p[3])
+{
+    const double up = p[1];
+    p[1] = -p[2];
+    p[2] = up;
+}
+
 void axes_gltf_to_enu(struct gauss *g)
 {
     for (size_t i = 0; i < g->n; i++) {

@@ -12,6 +12,9 @@
  * in place, cannot fail, and may be called from any thread. */
 void axes_enu_to_gltf(struct gauss *g);
 void axes_gltf_to_enu(struct gauss *g);
+/* One point, likewise. */
+void axes_point_to_gltf(double p[3]);
+void axes_point_to_enu(double p[3]);
 /* Turns by any rotation, p' = rot p, likewise. */
 void axes_turn(struct gauss *g, const double rot[9]);
 #endif

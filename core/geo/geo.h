@@ -33,14 +33,13 @@ enum err_code geo_local_axes(const struct geo_origin *o, double lon_deg, double 
 
 /* A model of the geoid: the height of mean sea level above the ellipsoid. */
 struct geoid;
-/* Reads a geoid. `name` is the path of a .gtx grid, or a model of GeographicLib such as "egm96-5"
- * or "egm2008-1", which is the file NAME.pgm in the folder `dir`. dir NULL: GeographicLib's own
- * folder (GEOGRAPHICLIB_GEOID_PATH, or share/GeographicLib/geoids). If there is no file for
- * "egm96", PROJ's grid is used. The file is read whole, so that any thread may use it. Close it
- * with geoid_close. ERR_NOENT: there is no such file or it is no geoid; the message says what to
- * do. ERR_FORMAT, ERR_IO, ERR_LIMIT: a grid cannot be read. ERR_MEM. */
-enum err_code geoid_open(const char *name, const char *dir, struct geoid **out,
-                         struct err *e) ERR_USE;
+/* Reads a geoid. `name` is the path of a .gtx grid or of a .pgm file of GeographicLib, or a model
+ * of GeographicLib such as "egm96-5" or "egm2008-1" in its own folder (GEOGRAPHICLIB_GEOID_PATH, or
+ * share/GeographicLib/geoids). If there is no file for "egm96", PROJ's grid is used. The file is
+ * read whole, so that any thread may use it. Close it with geoid_close. ERR_NOENT: there is no such
+ * file or it is no geoid; the message says what to do. ERR_FORMAT, ERR_IO, ERR_LIMIT: a grid cannot
+ * be read. ERR_MEM. */
+enum err_code geoid_open(const char *name, struct geoid **out, struct err *e) ERR_USE;
 void geoid_close(struct geoid **g);
 const char *geoid_name(const struct geoid *g);
 /* Height of the geoid above the ellipsoid in metres. NAN: not a place on earth. Height above sea

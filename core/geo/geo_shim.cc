@@ -132,17 +132,15 @@ bool ends_with(const std::string &s, const std::string &t)
 
 } // namespace
 
-extern "C" enum err_code geoid_open(const char *name, const char *dir, struct geoid **out,
-                                    struct err *e)
+extern "C" enum err_code geoid_open(const char *name, struct geoid **out, struct err *e)
 try {
     *out = NULL;
-    std::string path(name), folder(dir ? dir : "");
+    std::string path(name);
     size_t slash = path.rfind('/');
     bool plain = slash == std::string::npos;
-    std::string stem = plain ? path : path.substr(slash + 1);
+    std::string stem = plain ? path : path.substr(slash + 1), folder;
     if (ends_with(path, ".gtx"))
-        return open_grid((dir && plain ? folder + "/" + path : path).c_str(),
-                         stem.substr(0, stem.size() - 4), out, e);
+        return open_grid(name, stem.substr(0, stem.size() - 4), out, e);
     if (!plain)
         folder = path.substr(0, slash);
     if (ends_with(stem, ".pgm")) {
@@ -167,8 +165,8 @@ try {
     return err_set(e, ERR_MEM, "geoid %s: out of memory", name);
 } catch (const std::exception &x) {
     return err_set(e, ERR_NOENT,
-                   "geoid %s: %s: give a model of GeographicLib, as egm96-5, and the folder of "
-                   "its .pgm (geographiclib-get-geoids fetches it), or a .gtx file of PROJ",
+                   "geoid %s: %s: give a model of GeographicLib, as egm96-5, or the path of its "
+                   ".pgm (geographiclib-get-geoids fetches it), or a .gtx file of PROJ",
                    name, x.what());
 } catch (...) {
     return err_set(e, ERR_INTERNAL, "geoid %s: unknown exception", name);

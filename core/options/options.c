@@ -677,3 +677,16 @@ enum err_code options_parse(const struct options_spec *spec, int argc, char **ar
                      args->arg[spec->max_args], spec->usage);
     return rc;
 }
+
+enum err_code options_number_of(const char *option, const char *text, double none, double *out,
+                                struct err *e)
+{
+    char *end;
+    *out = none;
+    if (!text)
+        return ERR_OK;
+    *out = strtod(text, &end);
+    return end != text && !*end && isfinite(*out)
+               ? ERR_OK
+               : err_set(e, ERR_ARG, "%s: '%s': a number is expected", option, text);
+}

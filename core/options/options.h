@@ -68,6 +68,10 @@ enum err_code options_to_json(const struct options_spec *spec, const void *confi
 enum err_code options_from_json(const struct options_spec *spec, const struct json_t *o,
                                 void *config, struct arena *a, struct err *e) ERR_USE;
 
+/* Parses the number of a TEXT option, whose default is no number. `option` is for the message. text
+ * NULL gives `none`. ERR_ARG: it is no number. */
+enum err_code options_number_of(const char *option, const char *text, double none, double *out,
+                                struct err *e) ERR_USE;
 /* Levenshtein distance of two names, for "did you mean". SIZE_MAX where b is longer than a name. */
 size_t options_distance(const char *a, const char *b);
 

@@ -29,30 +29,6 @@ enum err_code clip_open(const char *path, double low_m, double high_m, struct cl
     return !rc && path ? geojson_read(path, &out->area, e) : rc;
 }
 
-static enum err_code clip_number(const char *text, const char *prefix, const char *name,
-                                 double *out, struct err *e)
-{
-    char *end;
-    if (!text)
-        return ERR_OK;
-    *out = strtod(text, &end);
-    return end != text && !*end && isfinite(*out)
-               ? ERR_OK
-               : err_set(e, ERR_ARG, "--%s%s: '%s': a number is expected", prefix, name, text);
-}
-
-enum err_code clip_of_options(const char *path, const char *low_m, const char *high_m,
-                              const char *prefix, struct clip *out, bool *any, struct err *e)
-{
-    double low = -HUGE_VAL, high = HUGE_VAL;
-    *out = (struct clip){0};
-    *any = path || low_m || high_m;
-    enum err_code rc = clip_number(low_m, prefix, "low-m", &low, e);
-    if (!rc)
-        rc = clip_number(high_m, prefix, "high-m", &high, e);
-    return !rc && *any ? clip_open(path, low, high, out, e) : rc;
-}
-
 enum err_code clip_of_ring(const double (*at)[2], size_t n, struct clip *out, struct err *e)
 {
     *out = (struct clip){.low_m = -HUGE_VAL, .high_m = HUGE_VAL};

@@ -21,16 +21,10 @@ struct clip {                 /* free with clip_free */
     double low_m, high_m;     /* ellipsoidal; -INFINITY, INFINITY: no limit */
 };
 /* Reads the polygons of a GeoJSON file (codec/container/geojson.h), by the even-odd rule. path
- * NULL: everywhere. ERR_DATA: low_m is not below high_m. ERR_NOENT, ERR_IO, ERR_LIMIT, ERR_FORMAT,
- * ERR_DATA, ERR_MEM as in geojson_read. */
+ * NULL: everywhere. Heights: -HUGE_VAL, HUGE_VAL: no limit. ERR_DATA: low_m is not below high_m.
+ * ERR_NOENT, ERR_IO, ERR_LIMIT, ERR_FORMAT, ERR_DATA, ERR_MEM as in geojson_read. */
 enum err_code clip_open(const char *path, double low_m, double high_m, struct clip *out,
                         struct err *e) ERR_USE;
-/* As clip_open, from the texts of three options, each of which may be NULL: the polygons' file and
- * two heights. `prefix` of the options' names, such as "clip-", is for messages. *any: at least one
- * is given. ERR_ARG (not a number), ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_DATA, ERR_MEM. */
-enum err_code clip_of_options(const char *path, const char *low_m, const char *high_m,
-                              const char *prefix, struct clip *out, bool *any,
-                              struct err *e) ERR_USE;
 /* A polygon of one ring [n] of longitude and latitude, for any height. The first corner is not
  * repeated at the end. ERR_DATA: it crosses itself or has no area. ERR_MEM. */
 enum err_code clip_of_ring(const double (*at)[2], size_t n, struct clip *out,

@@ -29,12 +29,14 @@ static bool area_leaf(const struct tree *t, size_t i)
     return tree_leaf(t, i);
 }
 
-/* Sorts sigmas into bins by their sign, exponent and four bits more. */
+/* Sorts sigmas into bins by their sign, exponent and four bits more; or all into one. */
 enum { AREA_BINS = 1 << 16 };
-static size_t area_bin(double sigma_m)
+static size_t area_bin(double sigma_m, size_t bins)
 {
     uint64_t bits;
     memcpy(&bits, &sigma_m, sizeof bits);
+    if (bins == 1)
+        return 0;
     return (size_t)(bits >> 63 ? ~bits >> 48 : bits >> 48 | AREA_BINS / 2);
 }
 
@@ -54,20 +56,24 @@ static bool area_next(const struct store *s, size_t *i, struct area_weight *w)
 }
 
 /* The median over leaves, each counted by its Gaussians. A million tiles are not sorted for it:
- * only those in the bin where it is. */
+ * only those in the bin where it is. Of few tiles, sorting costs less than a megabyte of bins. */
 static enum err_code area_sigma(const struct store *s, double *out, struct err *e)
 {
+    enum { FEW = 4096 };
+    size_t n;
+    (void)store_tiles(s, &n);
+    const size_t bins = n > FEW ? AREA_BINS : 1;
     struct area_bin {
         uint64_t count;
         size_t tiles;
-    } *bin = mem_array(AREA_BINS, sizeof *bin);
+    } *bin = mem_array(bins, sizeof *bin);
     struct area_weight *w = NULL, one;
     uint64_t total = 0, sum = 0;
     size_t at = 0, used = 0;
     *out = 0.0;
     for (size_t i = 0; bin && area_next(s, &i, &one); total += one.count) {
-        bin[area_bin(one.sigma_m)].count += one.count;
-        bin[area_bin(one.sigma_m)].tiles++;
+        bin[area_bin(one.sigma_m, bins)].count += one.count;
+        bin[area_bin(one.sigma_m, bins)].tiles++;
     }
     if (bin && total) {
         while (2 * (sum + bin[at].count) < total)
@@ -80,7 +86,7 @@ static enum err_code area_sigma(const struct store *s, double *out, struct err *
     if (!total)
         return err_set(e, ERR_DATA, "the store has no Gaussians: nothing to survey");
     for (size_t i = 0; area_next(s, &i, &one);)
-        if (area_bin(one.sigma_m) == at)
+        if (area_bin(one.sigma_m, bins) == at)
             w[used++] = one;
     qsort(w, used, sizeof *w, area_compare);
     for (size_t i = 0; i < used && 2 * sum < total; i++) {

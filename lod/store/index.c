@@ -107,7 +107,7 @@ enum err_code index_reserve(struct index *x, size_t cap, struct err *e)
 static enum err_code index_keep_whole(struct index *x, const struct store_shape *s,
                                       struct index_shape *p, struct err *e)
 {
-    enum { FIRST = 64 };
+    enum { FIRST = 8 };
     struct store_shape *whole =
         x->n_whole < INT32_MAX ? mem_room(x->whole, x->n_whole, &x->cap_whole, FIRST, sizeof *whole)
                                : NULL;

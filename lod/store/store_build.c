@@ -132,15 +132,16 @@ enum err_code store_create(const char *path, const struct store_meta *meta, stru
         return err_set(e, ERR_LIMIT, "%s: path too long", path);
     if (file_is_dir(path))
         return err_set(e, ERR_IO, "%s: is a folder, the name of a file is expected", path);
-    struct store *s = mem_array(1, sizeof *s);
-    if (!s)
-        return err_set(e, ERR_MEM, "%s: out of memory", path);
-    memcpy(s->path, path, strlen(path) + 1);
+    struct store *s = NULL;
+    enum err_code rc = store_alloc(path, &s, e);
+    if (rc)
+        return rc;
     s->meta = *meta;
     memcpy(s->index.pixel_m, s->meta.pixel_m, sizeof s->index.pixel_m);
-    s->building = true;
     s->flush.fd = -1;
-    enum err_code rc = store_start(s, e);
+    s->part = mem_array(FILE_PATH_MAX, 1);
+    s->building = s->part;
+    rc = s->part ? store_start(s, e) : err_set(e, ERR_MEM, "%s: out of memory", path);
     if (rc) {
         store_close(&s);
         return rc;

@@ -12,6 +12,19 @@
 #include "lod/store/remote.h"
 #include "lod/store/store_remote.h"
 
+enum err_code store_alloc(const char *path, struct store **out, struct err *e)
+{
+    struct store *s = mem_array(1, sizeof *s);
+    char *text = s ? mem_text(path) : NULL;
+    *out = text ? s : NULL;
+    if (!text) {
+        mem_free(s);
+        return err_set(e, ERR_MEM, "%s: out of memory", path);
+    }
+    s->path = text;
+    return ERR_OK;
+}
+
 enum err_code store_db_fail(const struct store *s, int code, const char *what, struct err *e)
 {
     if (s->remote && remote_failed(s->remote)->code) {

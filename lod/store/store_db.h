@@ -52,8 +52,8 @@ struct store {
     sqlite3_stmt *get, *put, *get_blob;
     bool building;
     struct store_flush flush; /* while building */
-    char path[FILE_PATH_MAX]; /* path as the caller gave it */
-    char part[FILE_PATH_MAX]; /* while building: the file that is written */
+    char *path;               /* path as the caller gave it; below FILE_PATH_MAX */
+    char *part;               /* [FILE_PATH_MAX] while building: the file that is written */
     uint64_t size_bytes;      /* opened: size of the file */
     struct store_meta meta;
     struct index index; /* opened: sorted by key; building: in the order of store_put */
@@ -71,6 +71,8 @@ struct store {
     struct store *before;
 };
 
+/* A handle without a database; store_close frees it. `path` is below FILE_PATH_MAX. ERR_MEM. */
+enum err_code store_alloc(const char *path, struct store **out, struct err *e) ERR_USE;
 /* Sets ERR_IO, ERR_FORMAT, ERR_MEM or ERR_LIMIT by SQLite's code. The message is "PATH: WHAT:
  * sqlite's message". */
 enum err_code store_db_fail(const struct store *s, int code, const char *what, struct err *e);

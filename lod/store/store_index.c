@@ -128,7 +128,7 @@ static size_t store_expected(const struct store *s)
         n = sqlite3_column_int64(q, 0);
     sqlite3_finalize(q);
     const sqlite3_int64 most = (sqlite3_int64)(s->size_bytes / STORE_ROW_BYTES);
-    return (size_t)(n < UNKNOWN ? UNKNOWN : n < most ? n : most);
+    return (size_t)(n < 1 ? UNKNOWN : n < most ? n : most);
 }
 
 struct store_taken {
@@ -242,13 +242,12 @@ static bool store_find_half(const struct store *s, struct key *from)
 
 bool store_read_halves(struct store *s, const char *at, const char *vfs)
 {
-    struct store other = {.size_bytes = s->size_bytes};
+    struct store other = {.path = s->path, .size_bytes = s->size_bytes};
     struct index x = {0};
     struct key from;
     struct err e = {0};
     const size_t n = store_expected(s);
     atomic_size_t left;
-    memcpy(other.path, s->path, sizeof other.path);
     memcpy(x.pixel_m, s->meta.pixel_m, sizeof x.pixel_m);
     atomic_init(&left, n);
     bool whole = store_find_half(s, &from) && !store_db_connect(&other, at, vfs, &e) &&
@@ -281,9 +280,11 @@ enum err_code store_read_index(struct store *s, const char *at, const char *vfs,
 
 enum err_code store_check_rows(const struct store *s, size_t *n_bad, struct err *e)
 {
-    struct store again = {
-        .db = s->db, .size_bytes = s->size_bytes, .meta = s->meta, .remote = s->remote};
-    memcpy(again.path, s->path, sizeof again.path);
+    struct store again = {.db = s->db,
+                          .path = s->path,
+                          .size_bytes = s->size_bytes,
+                          .meta = s->meta,
+                          .remote = s->remote};
     enum err_code rc = store_read_rows(&again, STORE_ROWS_SQL, n_bad, e);
     index_free(&again.index);
     return rc;

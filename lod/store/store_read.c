@@ -336,11 +336,11 @@ static enum err_code store_open_at(const char *at, const char *path, const char 
         rc = store_check_header(h, got, size_bytes, path, e);
     if (rc)
         return rc;
-    struct store *s = mem_array(1, sizeof *s);
-    if (!s)
-        return err_set(e, ERR_MEM, "%s: out of memory", path);
+    struct store *s = NULL;
+    rc = store_alloc(path, &s, e);
+    if (rc)
+        return rc;
     s->size_bytes = size_bytes;
-    memcpy(s->path, path, strlen(path) + 1);
     rc = store_db_connect(s, at, vfs, e);
     if (!rc)
         rc = store_check_tables(s, e);
@@ -357,8 +357,6 @@ static enum err_code store_open_at(const char *at, const char *path, const char 
     }
     if (rc)
         store_close(&s);
-    else if (!far)
-        (void)sqlite3_db_release_memory(s->db); /* pages of what was read once */
     *out = s;
     return rc;
 }
@@ -447,11 +445,10 @@ enum err_code store_open_more(int fd, const struct store *first, struct store **
     snprintf(at, sizeof at, "%s%d", store_fds, fd);
     pthread_once(&store_vfs_once, store_add_vfs);
     const char *vfs = first->remote ? store_remote_vfs() : store_vfs.zName;
-    *out = NULL;
-    struct store *s = mem_array(1, sizeof *s);
-    if (!s)
-        return err_set(e, ERR_MEM, "%s: out of memory", first->path);
-    memcpy(s->path, first->path, sizeof s->path);
+    enum err_code rc = store_alloc(first->path, out, e);
+    struct store *s = *out;
+    if (rc)
+        return rc;
     s->size_bytes = first->size_bytes;
     s->meta = first->meta;
     s->index = first->index;
@@ -459,7 +456,7 @@ enum err_code store_open_more(int fd, const struct store *first, struct store **
     s->footprint = first->footprint;
     s->clip = first->clip;
     s->borrows = true;
-    enum err_code rc = store_db_connect(s, at, vfs, e);
+    rc = store_db_connect(s, at, vfs, e);
     /* The pages that lead to tiles are in memory from here on: a file that is cut short later has
      * lost tiles, not the way to all of them. Of more tiles than these, SQLite keeps no pages. */
     int code = SQLITE_OK;
@@ -475,6 +472,12 @@ enum err_code store_open_more(int fd, const struct store *first, struct store **
     return rc;
 }
 
+void store_rest(struct store *s)
+{
+    if (!s->remote) /* there a page may be a request */
+        (void)sqlite3_db_release_memory(s->db);
+}
+
 void store_close(struct store **sp)
 {
     struct store *s = *sp;
@@ -488,6 +491,8 @@ void store_close(struct store **sp)
         store_flush_close(&s->flush);
         file_abort(s->part);
     }
+    mem_free(s->part);
+    mem_free(s->path);
     store_close(&s->before);
     if (s->bake_free)
         s->bake_free(s);

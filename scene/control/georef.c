@@ -29,6 +29,8 @@ enum {
     FLIGHTS_PHOTOS_MIN = 12
 };
 static const double collinear_ratio = 0.01;
+/* limits of the rejection distance: GPS without corrections is seldom better or worse */
+static const double tau_min_m = 6, tau_max_m = 64;
 static const double ratio_most = 1000; /* accuracies that are said are believed so far */
 /* For a partition to be taken: cost against that of one flight. Cutting one normal distribution of
  * heights at its middle leaves 0.79 of the cost, so clusters must do much better than that. A
@@ -516,7 +518,7 @@ static double georef_rejection_distance(struct work *w, const struct sim3_fit *f
     for (size_t k = 0; k < w->n_gps; k++)
         w->scratch[k] = fabs(sim3_residual(&w->p, f, w->with_gps[k]) - median);
     double tau = median + 5 * 1.4826 * sort_median(w->scratch, w->n_gps);
-    return fmin(fmax(tau, w->cfg->tau_min_m), w->cfg->tau_max_m);
+    return fmin(fmax(tau, tau_min_m), tau_max_m);
 }
 
 static enum err_code georef_drop_rounds(struct work *w, struct sim3_fit *f, struct georef_result *r,

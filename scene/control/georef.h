@@ -20,16 +20,15 @@ struct georef_photo {         /* photographs in the order of file names */
     uint32_t flight_hint; /* number of the flight by time or folder, from 0 */
 };
 struct georef_config {
-    double inlier_m;             /* distance of inliers in the random draws, usually 8 */
-    double tau_min_m, tau_max_m; /* limits of the rejection distance, usually 6 and 64 */
-    double ground_normal[3];     /* unit vector in COLMAP's frame, either sign; 0 0 0 = unknown */
-    double normal_sigma;         /* its uncertainty in radians; 0: that of ground, about 0.2 */
+    double inlier_m;         /* distance of inliers in the random draws, usually 8 */
+    double ground_normal[3]; /* unit vector in COLMAP's frame, either sign; 0 0 0 = unknown */
+    double normal_sigma;     /* its uncertainty in radians; 0: that of ground, about 0.2 */
     uint64_t seed;
 };
 struct georef_result { /* {0} is empty; georef_free */
     struct sim3 sim;   /* COLMAP -> ENU */
     struct sim3_fit fit;
-    double tau_m; /* photographs farther than this from their GPS position were dropped */
+    double tau_m; /* photographs farther than this from their GPS position were dropped; 6 to 64 */
     int rounds;
     bool collinear; /* the flight line is straight: the roll follows from level cameras */
     size_t n_gps, n_dropped, n_flights;

@@ -124,14 +124,31 @@ size_t table_decimal_comma(const char *line, const char **at)
     return 0;
 }
 
+/* May the comma separate thousands? As in "634,676", which may be millimetres as well. */
+static bool table_may_be_thousands(const char *number, size_t n)
+{
+    const char *first = number + strspn(number, "+-"), *comma = strchr(first, ',');
+    size_t before = (size_t)(comma - first), after = (size_t)(number + n - comma) - 1;
+    return after == 3 && before >= 1 && before <= 3 && *first != '0' &&
+           strspn(first, "0123456789") == before;
+}
+
 void table_decimal_points(struct table *t, char *line)
 {
     const char *at;
     for (size_t n; (n = table_decimal_comma(line, &at)) > 0;) {
         char *number = line + (at - line), *comma = strchr(number, ',');
+        const int shown = (int)(n < 40 ? n : 40);
         if (!t->commas)
             log_info("table", "%s: line %zu: decimal commas are read as points: '%.*s'", t->path,
-                     t->line, (int)(n < 40 ? n : 40), number);
+                     t->line, shown, number);
+        if (!t->thousands && table_may_be_thousands(number, n)) {
+            log_warn("table",
+                     "%s: line %zu: '%.*s' is read as %.*s.%.3s: if the comma separates thousands, "
+                     "write the number without it",
+                     t->path, t->line, shown, number, (int)(comma - number), number, comma + 1);
+            t->thousands = true;
+        }
         t->commas = true;
         *comma = '.';
     }

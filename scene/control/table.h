@@ -19,9 +19,10 @@ enum { TABLE_FIELDS = 32, TABLE_LINE_MAX = 4096, TABLE_HEADING = 64 };
 struct table { /* {0}, then table_open; table_close it */
     const char *path;
     struct buf *bytes;
-    char *next;  /* NULL: no more */
-    size_t line; /* number of the last line that was read, from 1 */
-    bool commas; /* decimal commas were found, and told */
+    char *next;     /* NULL: no more */
+    size_t line;    /* number of the last line that was read, from 1 */
+    bool commas;    /* decimal commas were found, and told */
+    bool thousands; /* one of them may separate thousands, and that was told */
 };
 /* Opens a file. Close *out with table_close. ERR_NOENT, ERR_IO, ERR_LIMIT, ERR_MEM. */
 enum err_code table_open(const char *path, struct table *out, struct err *e) ERR_USE;

@@ -81,19 +81,12 @@ static int ingest_text_compare(const void *a, const void *b)
     return strcmp(*p, *q);
 }
 
-/* "flight 1/DSC_1.JPG" -> "flight 1_DSC_1.JPG", or "....JPG.png" when the format changes. */
+/* "flight 1/DSC_1.JPG" -> "flight 1_DSC_1.JPG", and "DSC_1.PNG" -> "DSC_1.PNG.jpg". */
 static char *ingest_out_name_make(struct ingest *g, const char *name)
 {
-    static const char *const suffixes[2][2] = {{".jpg", ".jpeg"}, {".png", ".png"}};
-    const char *const *want = suffixes[g->cfg->format], *dot = strrchr(name, '.');
-    bool fits = false;
-    for (int k = 0; k < 2 && dot; k++) {
-        char low[8] = "";
-        for (size_t i = 0; i + 1 < sizeof low && dot[i]; i++)
-            low[i] = (char)(dot[i] >= 'A' && dot[i] <= 'Z' ? dot[i] + 32 : dot[i]);
-        fits = fits || !strcmp(low, want[k]);
-    }
-    char *out = arena_printf(&g->scene.arena, "%s%s", name, fits ? "" : want[0]);
+    const char *dot = strrchr(name, '.');
+    bool fits = dot && (!strcasecmp(dot, ".jpg") || !strcasecmp(dot, ".jpeg"));
+    char *out = arena_printf(&g->scene.arena, "%s%s", name, fits ? "" : ".jpg");
     for (char *p = out; p && *p; p++)
         if (*p == '/' || *p == '\\')
             *p = '_';

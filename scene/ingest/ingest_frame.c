@@ -187,25 +187,18 @@ static enum err_code frame_move_frame(struct sim3 *s, const struct geo_origin *f
     return ERR_OK;
 }
 
-/* Middle of the kept photographs by GPS, to 1e-7 degrees; the median point's height, to 1 cm. */
-static enum err_code frame_choose_origin(const struct ingest *g, const struct geo_origin *from,
-                                         const struct sim3 *s, struct geo_origin *out,
-                                         struct err *e)
+/* The middle of lo to hi in the frame `from`, to 1e-7 degrees; the median point's height, to
+ * 1 cm. */
+static enum err_code frame_middle(const struct ingest *g, const struct geo_origin *from,
+                                  const struct sim3 *s, const double lo[2], const double hi[2],
+                                  struct geo_origin *out, struct err *e)
 {
-    double lo[2] = {HUGE_VAL, HUGE_VAL}, hi[2] = {-HUGE_VAL, -HUGE_VAL}, mid[3] = {0}, h;
-    for (size_t i = 0; i < g->n; i++)
-        for (int a = 0; a < 2 && g->photos[i].geo.has_gps && g->photos[i].verdict == INGEST_KEPT;
-             a++) {
-            lo[a] = fmin(lo[a], g->photos[i].geo.gps_enu_m[a]);
-            hi[a] = fmax(hi[a], g->photos[i].geo.gps_enu_m[a]);
-        }
+    double mid[3] = {0.5 * (lo[0] + hi[0]), 0.5 * (lo[1] + hi[1]), 0}, h;
     double *scratch =
         mem_array(g->model.n_points < HEIGHT_SAMPLES ? g->model.n_points : 2 * HEIGHT_SAMPLES,
                   sizeof *scratch);
     if (!scratch)
         return frame_no_memory(e);
-    mid[0] = 0.5 * (lo[0] + hi[0]);
-    mid[1] = 0.5 * (lo[1] + hi[1]);
     mid[2] = frame_median_height(g, s, scratch);
     mem_free(scratch);
     enum err_code rc = geo_from_enu(from, mid, &out->lon_deg, &out->lat_deg, &h, e);
@@ -215,13 +208,25 @@ static enum err_code frame_choose_origin(const struct ingest *g, const struct ge
     return rc;
 }
 
+/* In the middle of the kept photographs by GPS. */
+static enum err_code frame_choose_origin(const struct ingest *g, const struct geo_origin *from,
+                                         const struct sim3 *s, struct geo_origin *out,
+                                         struct err *e)
+{
+    double lo[2] = {HUGE_VAL, HUGE_VAL}, hi[2] = {-HUGE_VAL, -HUGE_VAL};
+    for (size_t i = 0; i < g->n; i++)
+        for (int a = 0; a < 2 && g->photos[i].geo.has_gps && g->photos[i].verdict == INGEST_KEPT;
+             a++) {
+            lo[a] = fmin(lo[a], g->photos[i].geo.gps_enu_m[a]);
+            hi[a] = fmax(hi[a], g->photos[i].geo.gps_enu_m[a]);
+        }
+    return frame_middle(g, from, s, lo, hi, out, e);
+}
+
 /* Run georef_fit on the photographs still kept, write its verdicts back. */
 static enum err_code frame_fit_kept(struct ingest *g, struct err *e)
 {
-    struct georef_config cfg = {.inlier_m = inlier_m,
-                                .tau_min_m = g->cfg->tau_min_m,
-                                .tau_max_m = fmax(g->cfg->tau_max_m, g->cfg->tau_min_m),
-                                .seed = 1};
+    struct georef_config cfg = {.inlier_m = inlier_m, .seed = 1};
     struct georef_photo *list = mem_array(g->n, sizeof *list);
     size_t n = 0;
     enum err_code rc =
@@ -384,7 +389,7 @@ static enum err_code frame_up(const struct ingest *g, double out[3], struct err 
 static enum err_code frame_gcp_origin(struct ingest *g, const struct sim3 *sim, struct err *e)
 {
     struct geo_origin *origin = &g->scene.origin;
-    double lo[2] = {HUGE_VAL, HUGE_VAL}, hi[2] = {-HUGE_VAL, -HUGE_VAL}, mid[3], h;
+    double lo[2] = {HUGE_VAL, HUGE_VAL}, hi[2] = {-HUGE_VAL, -HUGE_VAL};
     if (g->cfg->origin)
         return ingest_frame_parse(g->cfg->origin, origin, e);
     for (size_t i = 0; i < g->n; i++) {
@@ -397,20 +402,7 @@ static enum err_code frame_gcp_origin(struct ingest *g, const struct sim3 *sim, 
             hi[k] = fmax(hi[k], at[k]);
         }
     }
-    double *scratch =
-        mem_array(g->model.n_points < HEIGHT_SAMPLES ? g->model.n_points : 2 * HEIGHT_SAMPLES,
-                  sizeof *scratch);
-    if (!scratch)
-        return frame_no_memory(e);
-    mid[0] = 0.5 * (lo[0] + hi[0]);
-    mid[1] = 0.5 * (lo[1] + hi[1]);
-    mid[2] = frame_median_height(g, sim, scratch);
-    mem_free(scratch);
-    enum err_code rc = geo_from_enu(&g->gcp.frame, mid, &origin->lon_deg, &origin->lat_deg, &h, e);
-    origin->lon_deg = round(origin->lon_deg * 1e7) / 1e7;
-    origin->lat_deg = round(origin->lat_deg * 1e7) / 1e7;
-    origin->h_m = round(h * 100) / 100;
-    return rc;
+    return frame_middle(g, &g->gcp.frame, sim, lo, hi, origin, e);
 }
 
 static void frame_view(const struct ingest *g, const struct ingest_photo *p, struct gcp_view *v)

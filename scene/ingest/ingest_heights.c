@@ -40,8 +40,6 @@ enum err_code ingest_heights_open(struct ingest *g, struct err *e)
         return err_set(e, ERR_ARG,
                        "--heights says what ground control points, or positions, count from: it "
                        "belongs to --gcp or --positions");
-    if (c->geoid_dir && !c->geoid)
-        return err_set(e, ERR_ARG, "--geoid-dir belongs to --geoid NAME");
     if (c->geoid && c->geoid_offset_m != 0)
         return err_set(e, ERR_ARG,
                        "--geoid and --geoid-offset-m both make heights ellipsoidal: give one");
@@ -55,7 +53,7 @@ enum err_code ingest_heights_open(struct ingest *g, struct err *e)
                            "--heights sea, or --heights ellipsoid");
         g->gcps_of_sea = !heights_ellipsoidal(of_gcps);
     }
-    return geoid_open(c->geoid, c->geoid_dir, &g->geoid, e);
+    return geoid_open(c->geoid, &g->geoid, e);
 }
 
 /* Grids end somewhere. */

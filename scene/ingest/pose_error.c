@@ -90,6 +90,22 @@ static void pose_pixel_by_pose(double by_camera[2][3], const double at[3], doubl
     }
 }
 
+/* Observation k, if its point lies before the camera: the point there, and the derivatives of its
+ * pixel by the point in the camera's frame and in the world's. */
+static bool pose_look(const struct colmap_model *m, const struct pose_view *v, size_t k,
+                      double at[3], double by_camera[2][3], double by_point[2][3])
+{
+    const int64_t p = v->image->obs[k].point;
+    if (p < 0)
+        return false;
+    pose_to_camera(v, m->points[p].xyz, at);
+    if (!(at[2] > 0))
+        return false;
+    pose_pixel_by_camera(v->lens, at, by_camera);
+    pose_pixel_by_point(v, by_camera, by_point);
+    return true;
+}
+
 /* The information about every point, of all photographs that see it: [n_points][9]. */
 static void pose_point_information(const struct colmap_model *m, double (*info)[9])
 {
@@ -97,18 +113,13 @@ static void pose_point_information(const struct colmap_model *m, double (*info)[
     for (size_t i = 0; i < m->n_images; i++) {
         const struct pose_view v = pose_view_of(m, i);
         for (size_t k = 0; k < v.image->n_obs; k++) {
-            int64_t p = v.image->obs[k].point;
             double at[3], by_camera[2][3], x[2][3];
-            if (p < 0)
+            if (!pose_look(m, &v, k, at, by_camera, x))
                 continue;
-            pose_to_camera(&v, m->points[p].xyz, at);
-            if (!(at[2] > 0))
-                continue;
-            pose_pixel_by_camera(v.lens, at, by_camera);
-            pose_pixel_by_point(&v, by_camera, x);
+            double *of = info[v.image->obs[k].point];
             for (size_t a = 0; a < 3; a++)
                 for (size_t b = 0; b < 3; b++)
-                    info[p][3 * a + b] += x[0][a] * x[0][b] + x[1][a] * x[1][b];
+                    of[3 * a + b] += x[0][a] * x[0][b] + x[1][a] * x[1][b];
         }
     }
 }
@@ -198,17 +209,11 @@ static struct pose_error pose_error_of(const struct colmap_model *m, size_t i, d
            /* the pose was fitted to these points: what they miss is told by fewer of them */
         sigma = fmax(detector_px, out.reprojection_px / rayleigh_median * sqrt(n / (n - POSE / 2)));
     for (size_t k = 0; k < v.image->n_obs; k++) {
-        int64_t p = v.image->obs[k].point;
         double at[3], by_camera[2][3], by_pose[2][POSE], x[2][3];
-        if (p < 0)
+        if (!pose_look(m, &v, k, at, by_camera, x))
             continue;
-        pose_to_camera(&v, m->points[p].xyz, at);
-        if (!(at[2] > 0))
-            continue;
-        pose_pixel_by_camera(v.lens, at, by_camera);
         pose_pixel_by_pose(by_camera, at, middle, by_pose);
-        pose_pixel_by_point(&v, by_camera, x);
-        pose_add(by_pose, x, info[p], a);
+        pose_add(by_pose, x, info[v.image->obs[k].point], a);
     }
     if (cholesky_factor(&a[0][0], POSE, POSE))
         out.picture_px = sigma * pose_spread_px(v.lens, middle, a);

@@ -240,7 +240,7 @@ void answer_appearance_list(struct services *s, const struct request *r, struct 
     const size_t n_kept = d->appearance ? named_appearance_of(kept, d->meta.name, &row) : 0;
     out->type = RESPONSE_JSON;
     if (!asked->search.asked && !n_kept) {
-        response_body(r, body_ref(d->appearances), out);
+        response_body(r, services_document(s, d, DATASET_APPEARANCES), out);
     } else if (!d->search) {
         response_problem(out, 404, "this dataset was trained without appearance");
     } else {

@@ -206,7 +206,8 @@ static void answer_dataset_entry(struct services *s, const struct request *r, st
     if (!part && permissions_is_public(r, d->meta.name))
         link_header_tileset(d, moving, tiles, out->hints);
     if (!query[0] && !part) {
-        response_body(r, body_ref(moving ? d->tileset_moving : d->tileset), out);
+        response_body(r, services_document(s, d, moving ? DATASET_TILESET_MOVING : DATASET_TILESET),
+                      out);
         return;
     }
     struct hash128 id = result_id_tileset(d, tiles, moving, part);
@@ -293,7 +294,7 @@ void answer_dataset_collection(struct services *s, const struct request *r, stru
     struct origin_places at;
     (void)t;
     if (!r->seal) {
-        response_document(r, RESPONSE_JSON, body_ref(d->collection), out);
+        response_document(r, RESPONSE_JSON, services_document(s, d, DATASET_COLLECTION), out);
         return;
     }
     origin_read(s, r, &at); /* what is absolute in it must lie below the seal */

@@ -98,10 +98,7 @@ static void answer_named_appearance_finish(struct job_result *result, struct res
     }
     body_drop(&b);
     const int status = answer_named_appearance_status(result->code);
-    response_problem(out, status,
-                     status == 500 || strchr(result->msg, '/') /* a path */
-                         ? "the change could not be written; the log says why"
-                         : result->msg);
+    response_problem(out, status, result->msg);
     out->retry_after_s = status == 503 ? 1 : 0;
 }
 

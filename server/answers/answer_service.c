@@ -429,14 +429,14 @@ static const struct work_kind answer_service_reload_work = {
 void answer_service_reload(struct services *s, const struct request *r, struct dataset *d,
                            const struct target *t, struct response *out)
 {
-    static _Atomic uint64_t asked;
-    static const double most_s = 600; /* a clip of a large store takes minutes */
-    const uint64_t name[2] = {atomic_fetch_add(&asked, 1), (uint64_t)(uintptr_t)s};
+    static const double most_s = 600;    /* a clip of a large store takes minutes */
+    static const char name[] = "reload"; /* one: those who ask meanwhile wait for the same job */
     (void)r, (void)t;
     if (!s->reload) {
         response_problem(out, 404, "nothing is reloaded here");
         return;
     }
+    atomic_fetch_add(&s->reloads_wanted, 1); /* first: the job looks again for who joins it */
     out->unnamed = true;
     out->timeout_s = most_s;
     out->cache_control = RESPONSE_NO_STORE;

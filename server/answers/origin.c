@@ -54,11 +54,12 @@ bool origin_is_tls(const struct services *s, const struct request *r)
     return s->tls && !r->admin;
 }
 
-/* Is `host` [n] what stands in --public-url before its path? */
-static bool origin_is_public_host(const struct services *s, const char *host, size_t n)
+/* Is `host` [n] what stands in --public-url before its path ("/"), or its port (":/")? */
+static bool origin_is_public_host(const struct services *s, const char *host, size_t n,
+                                  const char *before)
 {
     const char *url = origin_is_told(s) ? strstr(s->cfg->public_url, "://") : NULL;
-    return url && n && strcspn(url + 3, "/") == n && !strncasecmp(host, url + 3, n);
+    return url && n && strcspn(url + 3, before) == n && !strncasecmp(host, url + 3, n);
 }
 
 bool origin_is_own_page(const struct services *s, const struct request *r)
@@ -69,7 +70,7 @@ bool origin_is_own_page(const struct services *s, const struct request *r)
     if (!host)
         return false;
     host += 3;
-    return origin_is_told(s) ? origin_is_public_host(s, host, strlen(host))
+    return origin_is_told(s) ? origin_is_public_host(s, host, strlen(host), "/")
                              : own && !strcasecmp(host, own);
 }
 
@@ -83,8 +84,7 @@ bool origin_is_operators(const struct services *s, const struct request *r)
     const size_t n = strcspn(host, ":");
     if (address_host_is_loopback(host) || address_parse(host, strlen(host), &a))
         return true;
-    const char *url = origin_is_told(s) ? strstr(s->cfg->public_url, "://") : NULL;
-    if (url && strcspn(url + 3, ":/") == n && !strncasecmp(host, url + 3, n))
+    if (origin_is_public_host(s, host, n, ":/"))
         return true;
     if (gethostname(name, sizeof name - 1))
         return false;

@@ -59,7 +59,6 @@ const char *response_status_text(int status)
     } texts[] = {
         {200, "OK"},
         {201, "Created"},
-        {202, "Accepted"},
         {204, "No Content"},
         {206, "Partial Content"},
         {303, "See Other"},

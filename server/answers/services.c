@@ -12,6 +12,7 @@
 #include <time.h>
 
 #include "server/documents/api_page.h"
+#include "server/documents/collection.h"
 #include "server/documents/ogc_tiles.h"
 #include "server/documents/openapi.h"
 #include "server/documents/service_document.h"
@@ -172,6 +173,15 @@ struct catalog *services_catalog(struct services *s)
     struct catalog *c = catalog_ref(s->catalog);
     pthread_mutex_unlock(&s->catalog_lock);
     return c;
+}
+
+struct body *services_document(const struct services *s, struct dataset *d,
+                               enum dataset_document which)
+{
+    const struct server_config *cfg = s->cfg;
+    const struct collection_options o = {cfg->public_url, cfg->base_path, cfg->basemap,
+                                         cfg->basemap_attribution, (size_t)cfg->city_gaussians};
+    return catalog_document(d, which, &o);
 }
 
 struct auth *services_auth(struct services *s)

@@ -58,10 +58,12 @@ struct services { /* all are shared and thread-safe */
     struct metrics metrics;
     struct body *landing, *conformance, *api, *api_page,
         *matrices;                       /* documents that never change */
-    _Atomic bool draining, reload_asked; /* reload_asked: a store at an address is another one */
+    _Atomic bool draining, reload_asked; /* reload_asked: by a signal, or as a store was replaced */
+    _Atomic uint64_t reloads_wanted;     /* requests for one, so far */
     double start_s;
-    /* Opens the stores again, and describes in *out what changed. An error with *out: some could
-     * not be opened. NULL: a command without stores. */
+    /* Opens the stores again, once more while requests come in (reloads_wanted), and describes in
+     * *out what changed. An error with *out: some could not be opened. NULL: a command without
+     * stores. */
     enum err_code (*reload)(void *user, struct body **out, struct err *e);
     void *reload_user;
     void *own; /* of a command with routes of its own (server_start_own); else NULL */
@@ -88,7 +90,10 @@ double services_short_s(const struct services *s);
  * now. */
 double services_sign_in(struct services *s, uint64_t client, bool give_back);
 struct catalog *services_catalog(struct services *s); /* a reference */
-struct auth *services_auth(struct services *s);       /* a reference; NULL: everything is public */
+/* A document of a dataset: catalog_document. NULL: out of memory. */
+struct body *services_document(const struct services *s, struct dataset *d,
+                               enum dataset_document which);
+struct auth *services_auth(struct services *s); /* a reference; NULL: everything is public */
 /* Takes over the rights *a, and returns the earlier rights in it. */
 void services_set_auth(struct services *s, struct auth **a);
 /* Seconds since the drawing process first ended unexpectedly, of several since all of them did. 0:

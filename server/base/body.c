@@ -98,14 +98,16 @@ void body_compress(struct body *b)
     if (b->size < 256)
         return;
     size_t room = b->size - b->size / 10; /* a larger result is not worth a second form */
-    uint8_t *out = mem_array(room, 1);
+    uint8_t *out = mem_uninit(room, 1);
     struct libdeflate_compressor *c = out ? libdeflate_alloc_compressor(6) : NULL;
     if (c)
         b->gzip_size = libdeflate_gzip_compress(c, b->data, b->size, out, room);
-    if (b->gzip_size)
-        b->gzip = out;
-    else
+    if (b->gzip_size) {
+        uint8_t *exact = mem_resize(out, room, b->gzip_size, 1);
+        b->gzip = exact ? exact : out;
+    } else {
         mem_free(out);
+    }
     b->coded = b->coded || b->gzip;
     libdeflate_free_compressor(c);
 }

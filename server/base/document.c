@@ -54,16 +54,3 @@ json_t *document_numbers(const double *v, size_t n)
         json_array_append_new(list, json_real(v[i]));
     return list;
 }
-
-void document_escape(const char *text, struct buf *out)
-{
-    static const char special[] = "&<>\"'";
-    static const char *const names[] = {"&amp;", "&lt;", "&gt;", "&quot;", "&#39;"};
-    for (const char *p = text; *p; p++) {
-        const char *found = strchr(special, *p);
-        if (found)
-            buf_add(out, names[found - special], strlen(names[found - special]));
-        else
-            buf_add(out, p, 1);
-    }
-}

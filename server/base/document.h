@@ -22,7 +22,5 @@ enum err_code document_take(enum err_code rc, struct buf *b, struct body **out,
 struct json_t *document_link(const char *rel, const char *type, const char *href,
                              const char *title);
 struct json_t *document_numbers(const double *v, size_t n);
-/* Appends a text to a page of HTML, as text, also within quotation marks. */
-void document_escape(const char *text, struct buf *out);
 
 #endif

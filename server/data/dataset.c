@@ -220,10 +220,10 @@ void dataset_drop(struct dataset **out)
         close(d->fd);
     mem_free(d->stores);
     mem_free(d->free_store);
-    body_drop(&d->tileset);
-    body_drop(&d->tileset_moving);
-    body_drop(&d->collection);
-    body_drop(&d->appearances);
+    for (size_t i = 0; i < DATASET_DOCUMENTS; i++) {
+        struct body *b = atomic_load(&d->document[i]);
+        body_drop(&b);
+    }
     body_drop(&d->model);
     body_drop(&d->photographs);
     search_index_close(&d->search);

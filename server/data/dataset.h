@@ -16,6 +16,14 @@ struct clip;
 struct geoid;
 struct search_index;
 
+enum dataset_document {
+    DATASET_TILESET,        /* with URIs relative to d/NAME/r/REV/ */
+    DATASET_TILESET_MOVING, /* with URIs relative to d/NAME/ */
+    DATASET_COLLECTION,
+    DATASET_APPEARANCES,
+    DATASET_DOCUMENTS
+};
+
 struct dataset { /* immutable except where a comment says otherwise; reference-counted */
     _Atomic uint32_t refs;
     char *path; /* path of this revision when it was opened */
@@ -33,16 +41,14 @@ struct dataset { /* immutable except where a comment says otherwise; reference-c
     const struct appearance *appearance; /* of the store; NULL: only one appearance */
     /* days of its first and last photograph, 2024-06-01; "": not known; set with `photographs` */
     char taken[2][11];
-    struct area area;     /* surveyed area; .in NULL: not known */
-    double bbox[6];       /* west south hmin east north hmax, in degrees and metres */
-    struct hash128 salt;  /* hash of all that determines an encoded tile except its payload */
-    char edition[9];      /* of its tiles (result_id.h); catalog.c sets this and the next six: */
-    struct body *tileset; /* with URIs relative to d/NAME/r/REV/ */
-    struct body *tileset_moving; /* with URIs relative to d/NAME/ */
-    struct body *collection;
-    struct body *appearances;
-    struct body *model, *photographs; /* NULL without appearance; so is search */
-    struct search_index *search;      /* index of its photographs */
+    struct area area;    /* surveyed area; .in NULL: not known */
+    double bbox[6];      /* west south hmin east north hmax, in degrees and metres */
+    struct hash128 salt; /* hash of all that determines an encoded tile except its payload */
+    char edition[9];     /* of its tiles (result_id.h); catalog.c sets this and the next five: */
+    int64_t opened_s;    /* seconds since 1970 */
+    struct body *_Atomic document[DATASET_DOCUMENTS]; /* catalog_document; NULL: not made yet */
+    struct body *model, *photographs;                 /* NULL without appearance; so is search */
+    struct search_index *search;                      /* index of its photographs */
     /* number of results that could not be read from its file: the file is damaged */
     _Atomic uint32_t n_failed;
     pthread_mutex_t lock; /* for what follows */

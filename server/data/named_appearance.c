@@ -143,6 +143,19 @@ static enum err_code named_appearance_decide(const struct named_appearance_table
     return *newer ? ERR_OK : err_set(e, ERR_MEM, "names: out of memory");
 }
 
+/* What went wrong with the file is for the log: it names a path, and who asked is a client. */
+static enum err_code named_appearance_write(struct named_appearance *k,
+                                            const struct named_appearance_change *c, struct err *e)
+{
+    struct err why = {0};
+    const enum err_code rc = c->row ? named_appearance_file_put(k->file, c->row, &why)
+                                    : named_appearance_file_remove(k->file, c->ds, c->name, &why);
+    if (!rc)
+        return ERR_OK;
+    log_error("serve", "%s", why.msg);
+    return err_set(e, rc, "the change could not be written; the log says why");
+}
+
 /* The changes of this server come one after the other. */
 static enum err_code named_appearance_change(struct named_appearance *k,
                                              const struct named_appearance_change *c, bool *created,
@@ -154,8 +167,7 @@ static enum err_code named_appearance_change(struct named_appearance *k,
     *created = !named_appearance_find(t, c->ds, c->name);
     enum err_code rc = named_appearance_decide(t, c, &newer, e);
     if (!rc && newer)
-        rc = c->row ? named_appearance_file_put(k->file, c->row, e)
-                    : named_appearance_file_remove(k->file, c->ds, c->name, e);
+        rc = named_appearance_write(k, c, e);
     if (!rc && newer)
         named_appearance_adopt(k, newer);
     else

@@ -46,28 +46,56 @@ static enum err_code catalog_make_tileset(struct dataset *d, enum tileset_links_
     return document_take(rc, &b, out, e);
 }
 
+static enum err_code catalog_make_document(struct dataset *d, enum dataset_document which,
+                                           const struct collection_options *o, struct body **out,
+                                           struct err *e)
+{
+    switch (which) {
+    case DATASET_TILESET:
+        return catalog_make_tileset(d, TILESET_LINKS_ENTRY, out, e);
+    case DATASET_TILESET_MOVING:
+        return catalog_make_tileset(d, TILESET_LINKS_MOVING, out, e);
+    case DATASET_COLLECTION:
+        return collection_describe(d, o, out, e);
+    default:
+        return search_all(d, out, e);
+    }
+}
+
+struct body *catalog_document(struct dataset *d, enum dataset_document which,
+                              const struct collection_options *o)
+{
+    struct body *b = atomic_load(&d->document[which]), *made = NULL;
+    if (b || catalog_make_document(d, which, o, &made, NULL))
+        return body_ref(b);
+    made->modified_s = d->opened_s;
+    if (atomic_compare_exchange_strong(&d->document[which], &b, made))
+        return body_ref(made);
+    body_drop(&made); /* another thread was faster */
+    return body_ref(b);
+}
+
+/* Those of photographs are made now, whose blobs only this thread may read; of many datasets the
+ * others wait until they are asked for: they take as long as opening a small store. */
 static enum err_code catalog_make_documents(struct dataset *d, const struct catalog_options *o,
                                             struct err *e)
 {
     const struct collection_options collection = catalog_collection(o);
-    enum err_code rc = catalog_make_tileset(d, TILESET_LINKS_ENTRY, &d->tileset, e);
-    if (!rc)
-        rc = catalog_make_tileset(d, TILESET_LINKS_MOVING, &d->tileset_moving, e);
-    if (!rc && d->appearance)
+    enum err_code rc = ERR_OK;
+    d->opened_s = (int64_t)time(NULL); /* of options and program, too */
+    if (d->appearance)
         rc = appearance_model_describe(d, &d->model, e);
     if (!rc && d->appearance)
         rc = appearance_model_photographs(d, &d->photographs, d->taken, e);
     if (!rc && d->appearance)
         rc = search_open(d, &d->search, e);
-    if (!rc)
-        rc = search_all(d, &d->appearances, e);
-    if (!rc)
-        rc = collection_describe(d, &collection, &d->collection, e);
-    struct body *const documents[] = {d->tileset,     d->tileset_moving, d->collection,
-                                      d->appearances, d->model,          d->photographs};
-    for (size_t i = 0; !rc && i < sizeof documents / sizeof *documents; i++)
-        if (documents[i])
-            documents[i]->modified_s = (int64_t)time(NULL); /* of options and program, too */
+    if (!rc && d->appearance)
+        d->model->modified_s = d->photographs->modified_s = d->opened_s;
+    for (int i = 0; !rc && i < DATASET_DOCUMENTS && (d->appearance || !o->lazy); i++) {
+        struct body *b = catalog_document(d, (enum dataset_document)i, &collection);
+        rc = b ? ERR_OK : err_set(e, ERR_MEM, "out of memory for the documents of a dataset");
+        body_drop(&b);
+    }
     return rc;
 }
 
@@ -298,7 +326,9 @@ void catalog_look(struct catalog_place *p, const struct catalog_options *o,
         result_id_tiles_edition(p->ds, o->preset, p->ds->edition);
     if (!rc)
         rc = catalog_make_documents(p->ds, o, e);
-    if (rc)
+    if (!rc)
+        store_rest(p->ds->stores[0]);
+    else
         dataset_drop(&p->ds);
     p->why.code = rc; /* also where out of memory for a message */
 }
@@ -367,10 +397,9 @@ static enum err_code catalog_alloc(size_t n, size_t n_absent, struct catalog **o
 
 /* ---- one of old and new ---- */
 
-/* A store is not served as it is now. why NULL: it was not looked at, and is as it was before. was:
- * what is served of it. */
+/* A store is not served as it is now. why NULL: it was not looked at, and is as it was before. */
 static enum err_code catalog_miss(struct catalog *c, const char *path, const struct err *why,
-                                  const struct dataset *was, const struct catalog_absent *before,
+                                  const struct catalog_absent *before,
                                   const struct catalog_options *o, struct err *e)
 {
     struct catalog_absent *x = &c->absent[c->n_absent];
@@ -387,7 +416,6 @@ static enum err_code catalog_miss(struct catalog *c, const char *path, const str
         x->code = ERR_BUSY;
         snprintf(x->why, sizeof x->why, "it is not opened yet");
     }
-    snprintf(x->name, sizeof x->name, "%s", was ? was->meta.name : "");
     x->path = mem_text(path);
     c->n_absent += x->path != NULL;
     return x->path ? ERR_OK : err_set(e, ERR_MEM, "catalog: out of memory");
@@ -403,7 +431,7 @@ static enum err_code catalog_take(struct catalog *c, struct catalog_place *p,
     const bool failed = p->looked && !p->ds;
     enum err_code rc = ERR_OK;
     if (failed || (!p->looked && (before || !was)))
-        rc = catalog_miss(c, p->path, failed ? &p->why : NULL, was, before, o, e);
+        rc = catalog_miss(c, p->path, failed ? &p->why : NULL, before, o, e);
     if (p->ds)
         c->ds[c->n++] = p->ds;
     else if (was)
@@ -443,7 +471,7 @@ static enum err_code catalog_unique(struct catalog *c, const struct catalog_opti
                       "%s: holds a dataset named '%s', as %s does: serve one of them", shown[0],
                       d->meta.name, shown[1]);
         if (!rc)
-            rc = catalog_miss(c, d->path, &why, NULL, catalog_absent_at(older, d->path), o, e);
+            rc = catalog_miss(c, d->path, &why, catalog_absent_at(older, d->path), o, e);
         dataset_drop(&d);
     }
     c->n = n;
@@ -542,13 +570,13 @@ void catalog_log(const struct catalog *older, const struct catalog *newer)
     for (size_t i = 0; i < newer->n_absent; i++) {
         const struct catalog_absent *x = &newer->absent[i],
                                     *was = catalog_absent_at(older, x->path);
+        const struct dataset *ds = catalog_at(newer, x->path);
         if (was && !strcmp(was->why, x->why))
             continue;
         char shown[RANGE_URL_MAX];
         range_show(x->path, shown);
-        log_warn("serve", "store %s is not served%s%s%s: %s", shown,
-                 x->name[0] ? " as it is now; " : "", x->name, x->name[0] ? " stays as it was" : "",
-                 x->why);
+        log_warn("serve", "store %s is not served%s%s%s: %s", shown, ds ? " as it is now; " : "",
+                 ds ? ds->meta.name : "", ds ? " stays as it was" : "", x->why);
     }
     for (size_t i = 0; older && i < older->n_absent; i++) {
         char shown[RANGE_URL_MAX];
@@ -576,7 +604,7 @@ enum err_code catalog_expire(const struct catalog *c, const struct catalog_optio
     (*out)->n_current = c->n_current;
     (*out)->collections = body_ref(c->collections);
     for (size_t i = 0; i < c->n_absent && !rc; i++)
-        rc = catalog_miss(*out, c->absent[i].path, NULL, NULL, &c->absent[i], o, e);
+        rc = catalog_miss(*out, c->absent[i].path, NULL, &c->absent[i], o, e);
     for (size_t i = c->n_current; i < c->n && !rc; i++)
         catalog_keep(*out, c->ds[i], c->replaced_s[i], now_s, o);
     if (rc)

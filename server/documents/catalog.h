@@ -7,13 +7,13 @@
 
 #include "server/data/dataset.h"
 
+struct collection_options;
 struct geoid;
 
 struct catalog_absent { /* a store that is asked for, and is not served as it is now */
     char *path;         /* as it was asked for; log and documents show it by range_show */
     char why[256];      /* begins with the path */
     enum err_code code;
-    char name[64];           /* its dataset, which is served as it was before; "": none is */
     double again_s, pause_s; /* by clock_s(): when it is tried again; the pause before that */
 };
 struct catalog { /* immutable, reference-counted; a reload makes a new one */
@@ -26,8 +26,8 @@ struct catalog { /* immutable, reference-counted; a reload makes a new one */
     struct body *collections;
 };
 struct catalog_options {
-    size_t readers;          /* handles for each dataset */
-    bool lazy;               /* they are opened when they are needed: there are many datasets */
+    size_t readers; /* handles for each dataset */
+    bool lazy; /* there are many datasets: handles and documents are made when they are needed */
     const struct clip *clip; /* this part of each store is served; NULL: all */
     /* folder for clipped stores, which are unnamed files; NULL: see clip_open_part */
     const char *clip_dir;
@@ -66,6 +66,10 @@ enum err_code catalog_list_same(const struct catalog *c, struct arena *a,
  * Threads may look at places of one list. */
 void catalog_look(struct catalog_place *p, const struct catalog_options *o,
                   const struct catalog *older);
+/* A document of a dataset, as a reference; it is made now if nobody asked for it before. The
+ * options must be those of every other call for this dataset. NULL: out of memory. Any thread. */
+struct body *catalog_document(struct dataset *d, enum dataset_document which,
+                              const struct collection_options *o);
 /* Gives back the datasets of places that no catalog took. */
 void catalog_forget(struct catalog_place *p, size_t n);
 /* Makes a catalog of what was found at places [n], whose datasets it takes over, and of `older`

@@ -94,7 +94,6 @@ static const char *openapi_about(const char *status)
 {
     static const char *const rows[] = {"200The resource",
                                        "201It is kept; the name is new",
-                                       "202It will be done",
                                        "204Done, or there is nothing here",
                                        "206The range that was asked for",
                                        "303It is done; a page follows",

@@ -22,7 +22,7 @@ static void problem_page_line(const json_t *o, const char *key, const char *befo
     if (!text)
         return;
     buf_printf(b, "%s", before);
-    document_escape(text, b);
+    buf_markup(b, text);
     buf_printf(b, "%s", after);
 }
 
@@ -41,9 +41,9 @@ enum err_code problem_page_make(const uint8_t *problem, size_t size, const char 
     problem_page_line(o, "detail", "<p>", "</p>\n", &b);
     problem_page_line(o, "instance", "<p><code>", "</code></p>\n", &b);
     buf_printf(&b, "<p><a href=\"");
-    document_escape(home, &b);
+    buf_markup(&b, home);
     buf_printf(&b, "/\">To the city</a> · <a href=\"");
-    document_escape(home, &b);
+    buf_markup(&b, home);
     buf_printf(&b, "/api.html\">All addresses</a></p>\n");
     problem_page_line(o, "request_id", "<p><small>Request ", "</small></p>\n", &b);
     buf_printf(&b, "</html>\n");

@@ -111,7 +111,7 @@ static void social_preview_say(struct social_preview *c)
 static void social_preview_tag(struct buf *b, const char *kind, const char *name, const char *value)
 {
     buf_printf(b, "<meta %s=\"%s\" content=\"", kind, name);
-    document_escape(value, b);
+    buf_markup(b, value);
     buf_printf(b, "\" />\n");
 }
 
@@ -121,7 +121,7 @@ static void social_preview_head(const struct social_preview *c, struct buf *b)
     struct buf url = {0};
     char size[16];
     buf_printf(b, "<title>");
-    document_escape(name, b);
+    buf_markup(b, name);
     buf_printf(b, " – citysplat</title>\n");
     social_preview_tag(b, "name", "description", about);
     social_preview_tag(b, "property", "og:type", "website");
@@ -162,9 +162,9 @@ static void social_preview_without_scripts(const struct social_preview *c, struc
                    SOCIAL_PREVIEW_HEIGHT);
     }
     buf_printf(b, "<h1>");
-    document_escape(c->d->meta.name, b);
+    buf_markup(b, c->d->meta.name);
     buf_printf(b, "</h1><p>");
-    document_escape((const char *)c->about.data, b);
+    buf_markup(b, (const char *)c->about.data);
     buf_printf(b, "</p><p>Looking around needs JavaScript and WebGL 2.</p></noscript>");
 }
 

@@ -8,9 +8,9 @@
 #include <string.h>
 
 /* web/src/groundmap.ts */
-static const double ground_span = 2.5;    /* half of a side, in halves of the city */
-static const double ground_edge = 0.07;   /* of that half: where the city's edge fades */
-static const double ground_rim = 4;       /* of these strips: whose mean colour the ground takes */
+static const double ground_span = 2.5;  /* half of a side of the picture, in halves of the city */
+static const double ground_edge = 0.07; /* of that half: the strip in which the city's edge fades */
+static const double ground_rim = 4;     /* of these strips: whose mean colour the ground takes */
 static const double ground_covered = 0.4; /* what is covered less from above is not city */
 static const double ground_above = 40;    /* halves of the picture: the camera is so high */
 /* web/src/backdrop.ts */

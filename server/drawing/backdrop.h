@@ -14,7 +14,7 @@ enum { BACKDROP_PX = 128 }; /* a side of the picture from above */
 struct backdrop {
     double top[3], low[3], ground[3]; /* colours 0..1: the zenith, the horizon, the ground below */
     double level_m;                   /* height of the ground in the world frame */
-    double reach_m; /* of the city, from its middle: what is far away goes by it */
+    double reach_m; /* of the city, from its middle: there the ground meets the horizon */
 };
 
 /* The camera from straight above whose picture backdrop_read takes; world frame ENU metres. min,

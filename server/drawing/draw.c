@@ -94,7 +94,7 @@ static enum err_code draw_open(const void *hello, size_t n, void **user, char ab
     if (!rc)
         rc = render_open(&d->dev, &d->render, e);
     if (!rc && d->hello.geoid[0])
-        rc = geoid_open(d->hello.geoid, d->hello.geoid_dir, &d->geoid, e);
+        rc = geoid_open(d->hello.geoid, &d->geoid, e);
     if (rc)
         return rc;
     log_set_level(LOG_WARN); /* that kernels are compiled was told; the server tells what is well */

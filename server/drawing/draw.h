@@ -16,8 +16,8 @@
 enum { DRAW_SLOTS = 4 /* number of stores that the process keeps open */ };
 #define DRAW_PIXEL_MS 34e-6 /* time of a drawn pixel: docs/scale.md */
 
-struct draw_hello {                                        /* sent once, at the start */
-    char device[128], geoid[64], geoid_dir[FILE_PATH_MAX]; /* as in the options; geoid "": none */
+struct draw_hello {                         /* sent once, at the start */
+    char device[128], geoid[FILE_PATH_MAX]; /* as in the options; geoid "": none */
     uint64_t view_cache_bytes, view_gaussians;
     uint64_t memory_bytes; /* beyond it, what is kept for the next picture is freed; 0: no limit */
     uint32_t slots;        /* stores to keep open, at most DRAW_SLOTS */

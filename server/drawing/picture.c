@@ -83,7 +83,6 @@ enum err_code picture_start(struct picture *p, struct err *e)
         return err_set(e, ERR_MEM, "picture: out of memory");
     picture_text(h->device, sizeof h->device, cfg->device);
     picture_text(h->geoid, sizeof h->geoid, cfg->geoid);
-    picture_text(h->geoid_dir, sizeof h->geoid_dir, cfg->geoid_dir);
     h->view_cache_bytes = p->plan->view_cache;
     h->memory_bytes = p->plan->drawing / p->n;
     h->slots = p->n_slots;

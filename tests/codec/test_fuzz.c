@@ -58,28 +58,46 @@ static void replay(const char *name, void (*target)(const uint8_t *, size_t))
     }
 }
 
-/* Every file of the target's corpus, each in an allocation of its own size. */
+/* Every input of the target's corpus, each in an allocation of its own size. */
 static void replay_corpus(const char *name, void (*target)(const uint8_t *, size_t))
 {
-    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], **names;
-    struct arena arena = {0};
+    char path[FILE_PATH_MAX];
+    struct buf corpus = {0}, input = {0};
     struct err e = {0};
     size_t n = 0;
-    snprintf(dir, sizeof dir, "tests/fuzz/corpus/%s", name); /* ctest runs in the source folder */
-    kit_ok(file_list(dir, NULL, &arena, &names, &n, &e), e);
-    assert_true(n >= CORPUS_LEAST);
-    for (size_t i = 0; i < n; i++) {
-        struct buf b = {0};
-        kit_ok(file_join(path, dir, names[i], &e), e);
-        kit_ok(file_read(path, 0, &b, &e), e);
-        uint8_t *copy = mem_array(b.size, 1);
-        if (b.size)
-            memcpy(copy, b.data, b.size);
-        target(copy, b.size);
+    snprintf(path, sizeof path, "tests/fuzz/corpus/%s.txt", name); /* of the source folder */
+    kit_ok(file_read(path, 0, &corpus, &e), e);
+    for (size_t at = 0; at < corpus.size; n++) {
+        at = fuzz_corpus_line(&corpus, at, &input);
+        uint8_t *copy = mem_array(input.size, 1);
+        if (input.size)
+            memcpy(copy, input.data, input.size);
+        target(copy, input.size);
         mem_free(copy);
-        buf_free(&b);
     }
-    arena_free(&arena);
+    assert_true(n >= CORPUS_LEAST);
+    buf_free(&corpus);
+    buf_free(&input);
+}
+
+/* An input comes back as it was written. */
+static void lines_are_bytes(void **state)
+{
+    static const char text[] = "a \\x00\\x5c\\xff\n\nlast\\x20\n";
+    struct buf corpus = {0}, input = {0};
+    (void)state;
+    buf_add(&corpus, text, sizeof text - 1);
+    size_t at = fuzz_corpus_line(&corpus, 0, &input);
+    assert_int_equal(input.size, 5);
+    assert_memory_equal(input.data, "a \0\\\xff", 5);
+    at = fuzz_corpus_line(&corpus, at, &input);
+    assert_int_equal(input.size, 0);
+    at = fuzz_corpus_line(&corpus, at, &input);
+    assert_int_equal(input.size, 5);
+    assert_memory_equal(input.data, "last ", 5);
+    assert_int_equal(at, corpus.size);
+    buf_free(&corpus);
+    buf_free(&input);
 }
 
 #define FUZZ(name)                                                                                 \
@@ -95,6 +113,7 @@ static void replay_corpus(const char *name, void (*target)(const uint8_t *, size
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(lines_are_bytes),
 #define FUZZ(name) cmocka_unit_test(test_##name),
 #include "tests/fuzz/targets.def"
 #undef FUZZ

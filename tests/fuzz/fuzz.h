@@ -21,6 +21,13 @@ enum { FUZZ_SEEDS = 3 };
 /* Writes seed i < FUZZ_SEEDS of a target, a small valid file. Returns false: there is no such
  * target. */
 bool fuzz_seed(const char *target, size_t i, struct buf *out);
+/* The corpus of a target is tests/fuzz/corpus/TARGET.txt: an input a line, in which \xNN is a byte;
+ * all but printable characters, and the backslash, are written so. This adds a finding:
+ *
+ *     od -An -v -tx1 FILE | tr -d '\n' | sed 's/ /\\x/g; s/$/\n/' >>tests/fuzz/corpus/TARGET.txt
+ *
+ * Reads the line that begins at `at` into out, and returns where the next one begins. */
+size_t fuzz_corpus_line(const struct buf *corpus, size_t at, struct buf *out);
 /* Functions of files.c that make seeds, one for each of its targets: seed i, or the one seed of a
  * checkpoint. False: the seed could not be made. */
 struct gauss;

@@ -180,3 +180,22 @@ bool fuzz_seed(const char *target, size_t i, struct buf *out)
         return true;
     return gauss_seed(target, i, out) == ERR_OK;
 }
+
+static unsigned corpus_digit(uint8_t c)
+{
+    return c <= '9' ? c - (unsigned)'0' : c - (unsigned)'a' + 10;
+}
+
+size_t fuzz_corpus_line(const struct buf *corpus, size_t at, struct buf *out)
+{
+    const uint8_t *p = corpus->data;
+    out->size = 0;
+    for (; at < corpus->size && p[at] != '\n'; at++)
+        if (p[at] == '\\' && at + 3 < corpus->size) {
+            buf_u8(out, 16 * corpus_digit(p[at + 2]) + corpus_digit(p[at + 3]));
+            at += 3;
+        } else {
+            buf_u8(out, p[at]);
+        }
+    return at + 1;
+}

@@ -48,6 +48,20 @@ static struct key key_of(const double enu[3], uint8_t z)
     return key_at(lon, lat, z);
 }
 
+/* A pyramid of one level at f->path, opened. rep may be NULL. */
+static struct store *build_open(struct store_fixture *f, const struct geo_origin *place,
+                                const struct gauss *g, uint8_t level, struct pyramid_report *rep)
+{
+    struct err e = {0};
+    struct store *s;
+    const struct pyramid_level one = {.g = g, .level = level};
+    log_set_level(LOG_ERROR);
+    kit_ok(pyramid_build(place, &one, 1, &config, NULL, 0, f->path, rep, &e), e);
+    log_set_level(LOG_INFO);
+    kit_ok(store_open(f->path, &s, &e), e);
+    return s;
+}
+
 /* Count how often each row of the level occurs in tiles at that level's zoom, and check ownership.
  */
 static void assert_exactly_once(struct store *s, uint8_t level, uint8_t z, size_t n)
@@ -197,18 +211,15 @@ static void one_level_makes_the_coarser_ones(void **state)
     struct store_fixture *f = *state;
     struct err e = {0};
     struct gauss g;
-    struct pyramid_report rep, again;
-    struct store *s;
+    struct pyramid_report rep;
     city(30, 20000, 150, &g);
     for (size_t i = 0; i < g.n; i++) /* colours from here on */
         g.sh[3 * i] = (float)(rng_unit(30, 60, i) - 0.5);
-    const struct pyramid_level level = {.g = &g, .level = 3};
-    kit_ok(pyramid_build(&origin, &level, 1, &config, NULL, 0, f->path, &rep, &e), e);
+    struct store *s = build_open(f, &origin, &g, 3, &rep);
     assert_int_equal(rep.n_gaussians[3], 20000);
     assert_in_range(rep.n_gaussians[2], 5000, 5200); /* each tile rounds up */
     assert_in_range(rep.n_gaussians[1], 1250, 1500);
     assert_int_equal(rep.n_carried, 0);
-    kit_ok(store_open(f->path, &s, &e), e);
     char revision[13];
     memcpy(revision, store_info(s)->revision, sizeof revision);
     size_t n;
@@ -228,8 +239,7 @@ static void one_level_makes_the_coarser_ones(void **state)
     assert_no_holes(s);
     store_close(&s);
     /* The same input gives the same bytes but for the date. */
-    kit_ok(pyramid_build(&origin, &level, 1, &config, NULL, 0, f->path, &again, &e), e);
-    kit_ok(store_open(f->path, &s, &e), e);
+    s = build_open(f, &origin, &g, 3, NULL);
     assert_string_equal(store_info(s)->revision, revision);
     store_close(&s);
     gauss_free(&g);
@@ -307,16 +317,11 @@ static void far_rows(void **state)
     struct err e = {0};
     struct gauss g;
     struct pyramid_report rep;
-    struct store *s;
     city(55, 400, 50, &g);
     g.mean_m[3 * 5 + 2] = 9000;
     g.mean_m[3 * 6] = 30000;
-    const struct pyramid_level level = {.g = &g, .level = 2};
-    log_set_level(LOG_ERROR);
-    kit_ok(pyramid_build(&origin, &level, 1, &config, NULL, 0, f->path, &rep, &e), e);
-    log_set_level(LOG_INFO);
+    struct store *s = build_open(f, &origin, &g, 2, &rep);
     assert_int_equal(rep.n_far, 1);
-    kit_ok(store_open(f->path, &s, &e), e);
     size_t n, fine = 0;
     const struct store_tile *t = store_tiles(s, &n);
     for (size_t i = 0; i < n; i++) {
@@ -339,15 +344,12 @@ static void lossless_means(void **state)
     struct store_fixture *f = *state;
     struct err e = {0};
     struct gauss g;
-    struct store *s;
     city(60, 4000, 300, &g);
     for (size_t i = 0; i < g.n; i++)
         if (i % 3 == 0) /* many magnitudes about the axes */
             for (size_t k = 0; k < 3; k++)
                 g.mean_m[3 * i + k] *= (float)pow(10, -8 * rng_unit(60, 70, i));
-    const struct pyramid_level level = {.g = &g, .level = 1};
-    kit_ok(pyramid_build(&origin, &level, 1, &config, NULL, 0, f->path, NULL, &e), e);
-    kit_ok(store_open(f->path, &s, &e), e);
+    struct store *s = build_open(f, &origin, &g, 1, NULL);
     size_t n, leaves = 0;
     const struct store_tile *t = store_tiles(s, &n);
     for (size_t i = 0; i < n; i++) {
@@ -376,16 +378,12 @@ static void lossless_means(void **state)
 static void a_scene_across_the_equator(void **state)
 {
     struct store_fixture *f = *state;
-    struct err e = {0};
     struct gauss g;
     struct pyramid_report rep;
-    struct store *s;
     const struct geo_origin null_island = {0, 0, 0};
     city(70, 2000, 200, &g);
-    const struct pyramid_level level = {.g = &g, .level = 1};
-    kit_ok(pyramid_build(&null_island, &level, 1, &config, NULL, 0, f->path, &rep, &e), e);
+    struct store *s = build_open(f, &null_island, &g, 1, &rep);
     assert_true(rep.zoom_min > 12);
-    kit_ok(store_open(f->path, &s, &e), e);
     const struct tree *t = store_tree(s);
     assert_int_equal(tree_node(t, t->root).tile, TREE_NONE);
     assert_in_range(tree_node(t, t->root).child_count, 2, 4);

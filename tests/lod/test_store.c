@@ -64,6 +64,16 @@ static void make_store(const char *path, uint64_t seed)
     assert_null(s);
 }
 
+/* The store of make_store(f->path, 1), opened. */
+static struct store *small_store(const struct store_fixture *f)
+{
+    struct err e = {0};
+    struct store *s;
+    make_store(f->path, 1);
+    kit_ok(store_open(f->path, &s, &e), e);
+    return s;
+}
+
 static void round_trip(void **state)
 {
     struct store_fixture *f = *state;
@@ -71,8 +81,7 @@ static void round_trip(void **state)
     struct store *s;
     struct buf b = {0};
     size_t n;
-    make_store(f->path, 1);
-    kit_ok(store_open(f->path, &s, &e), e);
+    s = small_store(f);
     const struct store_meta *m = store_info(s);
     assert_string_equal(m->name, "test-city");
     assert_string_equal(m->attribution, meta.attribution);
@@ -193,12 +202,10 @@ static void revision_and_versions_follow_the_content(void **state)
     struct store *s;
     char first[13];
     size_t n;
-    make_store(f->path, 1);
-    kit_ok(store_open(f->path, &s, &e), e);
+    s = small_store(f);
     memcpy(first, store_info(s)->revision, sizeof first);
     store_close(&s);
-    make_store(f->path, 1); /* the same again */
-    kit_ok(store_open(f->path, &s, &e), e);
+    s = small_store(f); /* the same again */
     assert_string_equal(store_info(s)->revision, first);
     for (size_t i = 0; i < 3; i++)
         assert_int_equal(store_tiles(s, &n)[i].version, 1);
@@ -293,8 +300,7 @@ static void a_flipped_payload_byte_costs_one_tile(void **state)
     struct store *s;
     struct buf b = {0};
     size_t bad;
-    make_store(f->path, 1);
-    kit_ok(store_open(f->path, &s, &e), e);
+    s = small_store(f);
     kit_ok(store_read(s, (struct key){16, 34309, 22253}, &b, &e), e);
     store_close(&s);
     flip(f->path, b.data, 64, 60);
@@ -317,8 +323,7 @@ static void a_flipped_index_byte_costs_one_tile(void **state)
     struct store *s;
     struct buf b = {0};
     size_t n;
-    make_store(f->path, 1);
-    kit_ok(store_open(f->path, &s, &e), e);
+    s = small_store(f);
     const struct store_shape x = store_shape(s, store_find(s, (struct key){16, 34309, 22253}));
     store_close(&s);
     buf_f64(&b, x.sigma_median_m); /* SQLite stores doubles big-endian */
@@ -351,8 +356,7 @@ static void any_flipped_byte_is_seen_or_harmless(void **state)
     struct store *s;
     struct buf good = {0}, b = {0}, payload[3] = {{0}};
     size_t n, refused = 0, tries = 400;
-    make_store(f->path, 1);
-    kit_ok(store_open(f->path, &s, &e), e);
+    s = small_store(f);
     const struct store_tile *first = store_tiles(s, &n);
     const struct key keys[] = {first[0].key, first[1].key, first[2].key};
     for (size_t k = 0; k < 3; k++)
@@ -489,8 +493,7 @@ static void files_that_are_no_stores(void **state)
     make_store(f->path, 1);
     flip(f->path, "nametest-city", 13, 8); /* "test=city" */
     kit_fails(store_open(f->path, &s, &e), ERR_FORMAT, e, "name is 'test=city'");
-    make_store(f->path, 1);
-    kit_ok(store_open(f->path, &s, &e), e);
+    s = small_store(f);
     char row[32];
     int n_row = snprintf(row, sizeof row, "revision%s", store_info(s)->revision);
     store_close(&s);
@@ -674,8 +677,7 @@ enum { HALVES_SIDE = 16 };
 static bool read_halves(const char *path, const struct store *whole, struct index *out)
 {
     struct err e = {0};
-    struct store s = {.size_bytes = whole->size_bytes, .meta = whole->meta};
-    snprintf(s.path, sizeof s.path, "%s", path);
+    struct store s = {.path = whole->path, .size_bytes = whole->size_bytes, .meta = whole->meta};
     kit_ok(store_db_connect(&s, path, NULL, &e), e);
     const bool done = store_read_halves(&s, path, NULL);
     sqlite3_close(s.db);

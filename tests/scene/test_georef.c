@@ -26,7 +26,7 @@ struct survey {
 
 static struct georef_config config(void)
 {
-    return (struct georef_config){.inlier_m = 8, .tau_min_m = 6, .tau_max_m = 64, .seed = 1};
+    return (struct georef_config){.inlier_m = 8, .seed = 1};
 }
 
 static void random_frame(uint64_t seed, struct sim3 *s)

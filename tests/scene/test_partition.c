@@ -52,6 +52,16 @@ static void flight_make(size_t nx, size_t ny, double step, double reach, struct 
     }
 }
 
+/* Squares of this edge; none is merged with a neighbour for few photographs. */
+static struct partition_config cells_of(double edge_m)
+{
+    struct partition_config cfg = partition_defaults();
+    cfg.edge_m = edge_m;
+    cfg.images_few = 0;
+    cfg.images_least = 1;
+    return cfg;
+}
+
 static void a_grid_covers_every_camera_and_cells_tile_the_plane(void **state)
 {
     (void)state;
@@ -59,10 +69,7 @@ static void a_grid_covers_every_camera_and_cells_tile_the_plane(void **state)
     struct scene s;
     struct partition p;
     flight_make(10, 10, 10.0, 15.0, &s);
-    struct partition_config cfg = partition_defaults();
-    cfg.edge_m = 30.0;
-    cfg.images_few = 0;
-    cfg.images_least = 1;
+    struct partition_config cfg = cells_of(30.0);
     kit_ok(partition_make(&s, &cfg, &p, &e), e);
     assert_int_equal(p.n_cells, 9);
     size_t covered = 0;
@@ -96,10 +103,7 @@ static void visibility_adds_photographs_that_look_in(void **state)
     struct scene s;
     struct partition with, without;
     flight_make(10, 4, 10.0, 20.0, &s);
-    struct partition_config cfg = partition_defaults();
-    cfg.edge_m = 45.0;
-    cfg.images_few = 0;
-    cfg.images_least = 1;
+    struct partition_config cfg = cells_of(45.0);
     kit_ok(partition_make(&s, &cfg, &with, &e), e);
     cfg.use_visibility = false;
     kit_ok(partition_make(&s, &cfg, &without, &e), e);
@@ -165,10 +169,7 @@ static void every_point_of_a_cell_is_seen_by_three_of_its_photographs(void **sta
     struct scene s;
     struct partition p;
     oblique_make(14, 14, 8.0, &s);
-    struct partition_config cfg = partition_defaults();
-    cfg.edge_m = 35.0;
-    cfg.images_few = 0;
-    cfg.images_least = 1;
+    struct partition_config cfg = cells_of(35.0);
     kit_ok(partition_make(&s, &cfg, &p, &e), e);
     uint32_t *all = mem_array(s.n_points, sizeof *all), *own = mem_array(s.n_points, sizeof *own);
     uint8_t *has = mem_array(s.n_images, 1);
@@ -212,11 +213,10 @@ static void poor_cells_merge_into_rectangles_and_rich_ones_divide(void **state)
     struct scene s;
     struct partition p;
     flight_make(12, 12, 10.0, 15.0, &s);
-    struct partition_config cfg = partition_defaults();
-    cfg.edge_m = 20.0; /* 6 x 6 cells of about 9 photographs by location */
+    struct partition_config cfg =
+        cells_of(20.0); /* 6 x 6 cells of about 9 photographs by location */
     cfg.use_visibility = false;
     cfg.images_few = 12;
-    cfg.images_least = 1;
     kit_ok(partition_make(&s, &cfg, &p, &e), e);
     assert_true(p.n_merged > 0);
     double area = 0.0;
@@ -256,10 +256,8 @@ static void empty_and_tiny_cells_become_background(void **state)
     for (size_t i = 0; i < s.n_images; i++)
         if (i % 10 >= 5 && i != 99)
             s.images[i].split = SCENE_TEST;
-    struct partition_config cfg = partition_defaults();
-    cfg.edge_m = 18.0;
+    struct partition_config cfg = cells_of(18.0);
     cfg.use_visibility = false;
-    cfg.images_few = 0;
     cfg.images_least = 4;
     kit_ok(partition_make(&s, &cfg, &p, &e), e);
     size_t trained = 0, empty = 0;
@@ -289,8 +287,7 @@ static void the_plan_file_reads_back_and_refuses_another_scene(void **state)
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
     kit_tmpdir(dir);
     flight_make(8, 8, 10.0, 15.0, &s);
-    struct partition_config cfg = partition_defaults();
-    cfg.edge_m = 30.0;
+    struct partition_config cfg = cells_of(30.0);
     cfg.images_few = 10;
     cfg.images_least = 5;
     kit_ok(partition_make(&s, &cfg, &p, &e), e);
@@ -372,10 +369,7 @@ static void a_turned_grid_cuts_a_turned_scene_alike(void **state)
         flight_make(10, 10, 10.0, 15.0, &s[k]);
         if (k)
             flight_turn(&s[k], yaw_rad, origin_m);
-        struct partition_config cfg = partition_defaults();
-        cfg.edge_m = 30.0;
-        cfg.images_few = 0;
-        cfg.images_least = 1;
+        struct partition_config cfg = cells_of(30.0);
         cfg.grid = cell_grid_make(k ? yaw_rad : 0.0, origin_m);
         kit_ok(partition_make(&s[k], &cfg, &p[k], &e), e);
     }
@@ -442,10 +436,7 @@ static void what_lies_outside_of_all_cells_is_owned_by_the_nearest(void **state)
     struct scene s;
     struct partition p;
     flight_make(10, 10, 10.0, 25.0, &s); /* points reach 25 m beyond the cameras */
-    struct partition_config cfg = partition_defaults();
-    cfg.edge_m = 30.0;
-    cfg.images_few = 0;
-    cfg.images_least = 1;
+    struct partition_config cfg = cells_of(30.0);
     kit_ok(partition_make(&s, &cfg, &p, &e), e);
     assert_int_equal(p.n_cells, 9);
     size_t outside = 0;
@@ -467,10 +458,7 @@ static void parts_make(struct scene *s, struct partition *p, double share_min)
 {
     struct err e = {0};
     flight_make(6, 6, 10.0, 30.0, s);
-    struct partition_config cfg = partition_defaults();
-    cfg.edge_m = 20.0;
-    cfg.images_few = 0;
-    cfg.images_least = 1;
+    struct partition_config cfg = cells_of(20.0);
     kit_ok(partition_make(s, &cfg, p, &e), e);
     kit_ok(share_photographs(s, share_min, p, &e), e);
     assert_int_equal(p->n_cells, 9);

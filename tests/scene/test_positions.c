@@ -13,6 +13,7 @@
 #include "core/geo/geo.h"
 #include "core/geo/gtx.h"
 #include "scene/control/positions.h"
+#include "scene/control/table.h"
 #include "scene/control/wkt.h"
 #include "scene/ingest/ingest.h"
 #include "survey/crs.h"
@@ -369,6 +370,31 @@ static void tables_of_other_programs_are_read(void **state)
     }
 }
 
+/* Three digits after the only comma may be thousands; what is not told is certain. */
+static void a_comma_that_may_separate_thousands_is_told(void **state)
+{
+    static const struct {
+        const char *line, *read;
+        bool thousands;
+    } row[] = {
+        {"p1;634,676;5,5", "p1;634.676;5.5", true},
+        {"p1;-12,345;5,5", "p1;-12.345;5.5", true},
+        {"p1;0,125;5,5", "p1;0.125;5.5", false},
+        {"p1;634676,125;5,5", "p1;634676.125;5.5", false},
+        {"p1;634,6760;5,55", "p1;634.6760;5.55", false},
+        {"p1;634,676.5;5.5", "p1;634,676.5;5.5", false}, /* no number: refused by who reads it */
+    };
+    (void)state;
+    for (size_t i = 0; i < sizeof row / sizeof *row; i++) {
+        struct table t = {.path = "list.csv", .line = i + 1};
+        char line[64];
+        snprintf(line, sizeof line, "%s", row[i].line);
+        table_decimal_points(&t, line);
+        assert_string_equal(line, row[i].read);
+        assert_int_equal(t.thousands, row[i].thousands);
+    }
+}
+
 static void nonsense_is_refused(void **state)
 {
     static const struct {
@@ -420,7 +446,7 @@ static void a_geoid_makes_heights_ellipsoidal(void **state)
     (void)state;
     kit_ok(file_join(path, tmp, "country.gtx", &e), e);
     kit_gtx(path, 46, 6);
-    kit_ok(geoid_open(path, NULL, &g, &e), e);
+    kit_ok(geoid_open(path, &g, &e), e);
     assert_true(fabs(geoid_above(g, 7.5, 47.25) - 46.5) < 1e-6);
     assert_true(fabs(geoid_above(g, 9.0, 48.0) - 48) < 1e-6 && isnan(geoid_above(g, 9.5, 47)));
     assert_string_equal(geoid_name(g), "country");
@@ -438,9 +464,9 @@ static void a_geoid_makes_heights_ellipsoidal(void **state)
     assert_string_equal(heights, "ellipsoid");
     assert_true(fabs(rms[1] - (45 + truth.origin.lon_deg - 6)) < 3 * plain + 0.5);
     put("truncated.gtx", "no grid", path);
-    kit_fails(geoid_open(path, NULL, &g, &e), ERR_FORMAT, e, "too short");
+    kit_fails(geoid_open(path, &g, &e), ERR_FORMAT, e, "too short");
     if (gtx_find("egm96_15.gtx", path)) { /* as PROJ's cct has it */
-        kit_ok(geoid_open("egm96", NULL, &g, &e), e);
+        kit_ok(geoid_open("egm96", &g, &e), e);
         assert_true(fabs(geoid_above(g, 7.5733, 47.5584) - 48.8782) < 0.001);
         geoid_close(&g);
     }
@@ -453,6 +479,7 @@ int main(void)
         cmocka_unit_test(dji_numbers_photographs),
         cmocka_unit_test(events_are_matched_by_time),
         cmocka_unit_test(tables_of_other_programs_are_read),
+        cmocka_unit_test(a_comma_that_may_separate_thousands_is_told),
         cmocka_unit_test(nonsense_is_refused),
         cmocka_unit_test(a_geoid_makes_heights_ellipsoidal),
     };

@@ -503,11 +503,9 @@ static void other_heights_are_named(void **state)
                         __LINE__);
         buf_free(&out);
     }
-    assert_int_equal(kit_run(&out,
-                             "cd '%s' && '%s' dsm -q sea.tiles -o no.tif --geoid egm96 --geoid-dir "
-                             "none",
-                             f.dir, bin),
-                     1);
+    assert_int_equal(
+        kit_run(&out, "cd '%s' && '%s' dsm -q sea.tiles -o no.tif --geoid none/egm96", f.dir, bin),
+        1);
     buf_free(&out);
 }
 

@@ -11,6 +11,7 @@
 
 #include "codec/container/seen.h"
 #include "lod/export/clip.h"
+#include "server/documents/collection.h"
 
 static void test_reload(void **state)
 {
@@ -44,7 +45,6 @@ static void test_reload(void **state)
     assert_int_equal(bad->n_absent, 1); /* what was served stays */
     assert_int_equal(bad->absent[0].code, ERR_FORMAT);
     assert_non_null(strstr(bad->absent[0].why, "moving.tiles"));
-    assert_string_equal(bad->absent[0].name, "moving");
     assert_ptr_equal(catalog_find(bad, "moving", ""), now);
     catalog_drop(&bad);
     struct catalog *later = NULL; /* a day has passed for the older one */
@@ -205,7 +205,8 @@ static void folder_goes(struct catalog *c)
     struct catalog *later = folder_served(c);
     assert_int_equal(later->n_current, c->n_current);
     assert_int_equal(absent(later, folder.dir)->code, ERR_NOENT);
-    assert_string_equal(absent(later, folder.at[1])->name, "b");
+    assert_non_null(absent(later, folder.at[1]));
+    assert_non_null(catalog_find(later, "b", ""));
     catalog_drop(&c);
     assert_int_equal(rename(away, folder.dir), 0);
     c = folder_served(later);
@@ -350,6 +351,36 @@ static void test_handles_share_the_index(void **state)
     dataset_drop(&d);
 }
 
+/* Of many datasets, documents are made when they are asked for: the same bytes, of the same time,
+ * once. */
+static void test_documents_wait_where_there_are_many(void **state)
+{
+    const struct collection_options none = {0};
+    const char *paths[] = {t.path};
+    struct catalog_options options = served_stores;
+    struct catalog *at_once = served_catalog(paths, 1, &options, NULL);
+    options.lazy = true;
+    struct catalog *lazy = served_catalog(paths, 1, &options, NULL);
+    (void)state;
+    for (int i = 0; i < DATASET_DOCUMENTS; i++) {
+        const enum dataset_document which = (enum dataset_document)i;
+        assert_non_null(atomic_load(&at_once->ds[0]->document[i]));
+        assert_null(atomic_load(&lazy->ds[0]->document[i]));
+        struct body *want = catalog_document(at_once->ds[0], which, &none),
+                    *got = catalog_document(lazy->ds[0], which, &none),
+                    *again = catalog_document(lazy->ds[0], which, &none);
+        assert_ptr_equal(got, again);
+        assert_string_equal(got->etag, want->etag);
+        assert_true(got->size == want->size && !memcmp(got->data, want->data, got->size));
+        assert_true(got->modified_s == lazy->ds[0]->opened_s);
+        body_drop(&want);
+        body_drop(&got);
+        body_drop(&again);
+    }
+    catalog_drop(&lazy);
+    catalog_drop(&at_once);
+}
+
 /* With a geoid at hand heights above the sea are served as ellipsoidal ones, as a revision of their
  * own: clients of 3D Tiles read them so. Others stay, and say what they count from. */
 static void test_a_geoid_makes_heights_ellipsoidal(void **state)
@@ -362,7 +393,7 @@ static void test_a_geoid_makes_heights_ellipsoidal(void **state)
     (void)state;
     kit_ok(file_join(grid, t.dir, "geoid.gtx", &e), e);
     kit_gtx(grid, 52, 13);
-    kit_ok(geoid_open(grid, NULL, &geoid, &e), e);
+    kit_ok(geoid_open(grid, &geoid, &e), e);
     kit_ok(file_join(path, t.dir, "sea.tiles", &e), e);
     static const char *const kinds[] = {"sea-exif", "sea", "ellipsoid", "takeoff", "EPSG:7837"};
     for (size_t i = 0; i < sizeof kinds / sizeof *kinds; i++) {
@@ -380,21 +411,22 @@ static void test_a_geoid_makes_heights_ellipsoidal(void **state)
         struct catalog *without = served_catalog(paths, 1, &options, NULL);
         options.geoid = geoid;
         struct catalog *with = served_catalog(paths, 1, &options, NULL);
-        const struct dataset *plain = without->ds[0], *d = with->ds[0];
+        struct dataset *plain = without->ds[0], *d = with->ds[0];
         const bool raised = i < 2;
         assert_true(fabs(d->meta.origin.h_m - served_origin.h_m - (raised ? above_m : 0)) < 1e-6);
         assert_true(fabs(d->bbox[2] - plain->bbox[2] - (raised ? above_m : 0)) < 1e-3);
         assert_string_equal(d->meta.heights, raised ? "ellipsoid" : kinds[i]);
         assert_int_equal(!strcmp(d->meta.revision, plain->meta.revision), !raised);
         assert_string_equal(d->source, plain->meta.revision);
-        const char *text = (const char *)d->tileset->data;
+        struct body *raised_set = atomic_load(&d->document[DATASET_TILESET]),
+                    *plain_set = atomic_load(&plain->document[DATASET_TILESET]);
+        const char *text = (const char *)raised_set->data;
         assert_true(!raised || strstr(text, "\"verticalDatum\":\"WGS 84 ellipsoid\""));
-        text = (const char *)plain->tileset->data;
+        text = (const char *)plain_set->data;
         char datum[HEIGHTS_WORDS_MAX];
         heights_datum(kinds[i], datum);
         assert_non_null(strstr(text, datum));
-        assert_int_equal(memcmp(plain->tileset->data, d->tileset->data, d->tileset->size) == 0,
-                         !raised);
+        assert_int_equal(memcmp(plain_set->data, raised_set->data, raised_set->size) == 0, !raised);
         struct catalog *again = served_catalog(paths, 1, &options, with); /* nothing has changed */
         assert_ptr_equal(again->ds[0], d);
         catalog_drop(&again);
@@ -481,6 +513,7 @@ int main(void)
         cmocka_unit_test(test_a_start_reads_no_tiles),
         cmocka_unit_test(test_a_start_reads_no_counts),
         cmocka_unit_test(test_handles_share_the_index),
+        cmocka_unit_test(test_documents_wait_where_there_are_many),
         cmocka_unit_test(test_a_geoid_makes_heights_ellipsoidal),
         cmocka_unit_test(test_a_reload_that_fails_late),
     };
