@@ -299,9 +299,33 @@ static const char *options_list_of(const struct options_spec *spec, const char *
     return NULL;
 }
 
+/* What to write instead of an option that left. NULL: it was never there. */
+static const char *options_words_of_gone(const struct options_spec *spec, const char *name)
+{
+    static const struct {
+        const char *command, *key, *words;
+    } gone[] = {
+#define GONE(command, key, words) {command, key, words},
+#include "core/options/options_gone.def"
+#undef GONE
+    };
+    char key[OPTIONS_NAME_MAX];
+    snprintf(key, sizeof key, "%s", name);
+    for (char *p = key; *p; p++)
+        *p = *p == '-' ? '_' : *p;
+    for (size_t i = 0; i < sizeof gone / sizeof *gone; i++)
+        if (!strcmp(gone[i].key, key) &&
+            (!*gone[i].command || !strcmp(gone[i].command, spec->command)))
+            return gone[i].words;
+    return NULL;
+}
+
 static enum err_code options_unknown(const struct options_spec *spec, const char *name, bool flag,
                                      struct err *e)
 {
+    const char *gone = options_words_of_gone(spec, name);
+    if (gone)
+        return err_set(e, ERR_ARG, "option %s%s is gone: %s", flag ? "--" : "", name, gone);
     char best[OPTIONS_NAME_MAX] = "", candidate[OPTIONS_NAME_MAX];
     size_t best_d = SIZE_MAX;
     for (size_t i = 0; i < spec->n_defs; i++) {

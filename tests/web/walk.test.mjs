@@ -1,4 +1,5 @@
-// On foot, without a browser: a wall that stands askew is walked along; one that is met head on ends the way.
+// On foot, without a browser: a wall that stands askew is walked along; one that is met head on ends the way. A street is found
+// beside a wide background, too.
 //
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
@@ -10,8 +11,8 @@ const EYES_M = 1.7;
 const ASKEW_DEG = 30; // the wall's direction from east to south
 const STEP_M = 0.2;
 
-// A street at height 0, and a wall through the origin.
-async function makeWalker() {
+// A street at height 0, and a wall through the origin; and Gaussians of a background, as wide as they come.
+async function makeWalker(background = 0) {
     const { pack } = await importSource("pack.ts");
     const { Walker } = await importSource("walk.ts");
     const places = [];
@@ -19,6 +20,8 @@ async function makeWalker() {
     const turn = (ASKEW_DEG * Math.PI) / 180;
     for (let along = -20; along <= 20; along += 0.2)
         for (let up = 0.2; up < 4; up += 0.2) places.push([along * Math.cos(turn), up, along * Math.sin(turn)]);
+    const near = places.length;
+    for (let i = 0; i < background; i++) places.push([300, 60, i]);
     const count = places.length;
     const unit = 2 ** -8;
     const sizes = (sigma) => Math.round(16 * (Math.log(sigma) + 10));
@@ -26,8 +29,8 @@ async function makeWalker() {
         {
             ...{ count, shDegree: 0, antialiased: false, unit, embedding: null },
             steps: Int32Array.from(places.flat(), (v) => Math.round(v / unit)),
-            colors: Uint8Array.from({ length: 4 * count }, (_, i) => (i % 4 === 3 ? 250 : 128)),
-            scales: new Uint8Array(3 * count).map((_, i) => sizes(places[Math.floor(i / 3)][1] ? 0.08 : 0.2)),
+            colors: Uint8Array.from({ length: 4 * count }, (_, i) => (i % 4 < 3 ? 128 : i < 4 * near ? 250 : 3)),
+            scales: new Uint8Array(3 * count).map((_, i) => (i < 3 * near ? sizes(places[Math.floor(i / 3)][1] ? 0.08 : 0.2) : 255)),
             rotations: new Uint32Array(count).fill(3 << 30), // none
             sh: new Uint8Array(0),
         },
@@ -72,4 +75,18 @@ test("a wall that is met head on ends the way", async () => {
     const eye = await walk([3 * Math.sin(turn), -3 * Math.cos(turn)], ASKEW_DEG + 90, 60);
     const { along, off } = ofWall(eye);
     assert.ok(Math.abs(along) < 0.5 && off > 0.3 && off < 1, `${along} m along, ${off} m off`);
+});
+
+test("a street is found beside a wide background, and as soon", async (t) => {
+    const { Vector3 } = await importVector();
+    const middle = new Vector3(-10, 0, 10);
+    const walkers = [await makeWalker(), await makeWalker(40)];
+    const [plain, wide] = walkers.map((walker) => {
+        const start = performance.now();
+        const street = walker.street(middle, 100);
+        return { street, seconds: (performance.now() - start) / 1000 };
+    });
+    t.diagnostic(`${plain.seconds.toFixed(2)} s, with the background ${wide.seconds.toFixed(2)} s`);
+    assert.ok(plain.street && wide.street && plain.street.distanceTo(wide.street) < 0.1, `${wide.street} in place of ${plain.street}`);
+    assert.ok(wide.seconds < 10 * plain.seconds + 1, `${wide.seconds} s in place of ${plain.seconds}`);
 });

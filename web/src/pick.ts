@@ -145,20 +145,26 @@ const COLUMN_M = 2.5; // a side
 const cellOf = (v: number) => Math.floor(v / COLUMN_M);
 const keyOf = (column: number, row: number) => 65536 * column + row;
 
-// A cloud for many upright rays, each of which meets those of its column alone. top: where the rays begin; perMetre: as theirs.
+// A cloud for many upright rays within some metres of an upright line, each of which meets those of its column alone. top: where
+// the rays begin; perMetre: as theirs.
 export class Columns {
   private readonly members = new Map<number, number[]>();
   private readonly clouds = new Map<number, Cloud>();
 
   constructor(
     private readonly cloud: Cloud,
+    { x: middleX, z: middleZ }: { x: number; z: number },
+    within: number,
     top: number,
     perMetre: number,
   ) {
+    // A Gaussian of the far background would be in a million columns: only where rays are.
+    const between = (v: number, middle: number) => cellOf(Math.min(middle + within, Math.max(middle - within, v)));
     for (let i = 0; i < cloud.count; i++) {
       const [x, y, z] = [cloud.centres[3 * i]!, cloud.centres[3 * i + 1]!, cloud.centres[3 * i + 2]!];
       const reach = REACH_SIGMA * (sigmaOf(cloud, i) + perMetre * Math.max(0, top - y));
-      const [west, east, north, south] = [x - reach, x + reach, z - reach, z + reach].map(cellOf) as [number, number, number, number];
+      const [west, east] = [between(x - reach, middleX), between(x + reach, middleX)];
+      const [north, south] = [between(z - reach, middleZ), between(z + reach, middleZ)];
       for (let column = west; column <= east; column++)
         for (let row = north; row <= south; row++) {
           const key = keyOf(column, row);

@@ -321,6 +321,7 @@ export class Stage {
   // Over to another pose; resolves on arrival, or when a person takes over. At once where motion is
   // not wanted.
   fly(to: Pose, seconds = 2): Promise<void> {
+    this.tellClick();
     this.land();
     if (matchMedia("(prefers-reduced-motion: reduce)").matches || seconds <= 0) {
       this.place(to);
@@ -531,7 +532,10 @@ export class Stage {
     if (!before) return;
     const at = this.local(event);
     const { pressed } = this;
-    if (Math.hypot(at.x - pressed.x, at.y - pressed.y) > 5) pressed.moved = true;
+    if (!pressed.moved && Math.hypot(at.x - pressed.x, at.y - pressed.y) > 5) {
+      pressed.moved = true;
+      this.tellClick(); // it is no second one
+    }
     if (this.pointers.size > 1) this.pinch(event.pointerId, before, at);
     else if (this.drag) this.dragTo(this.drag, at);
     else if (pressed.moved) this.onHeld(false);

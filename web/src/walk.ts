@@ -56,8 +56,8 @@ export class Walker {
 
   // The street nearest to a place; null where there is none near by. top: above all of the city.
   street(middle: Vector3, top: number): Vector3 | null {
-    const reach = Math.max(...GRIDS_M.map(({ step, count }) => (step * count) / 2)) * Math.SQRT2;
-    const columns = new Columns(gather(this.blocks(), middle.x, middle.z, reach + LEVEL_WITHIN_M), top, FINE_PER_M);
+    const side = Math.max(...GRIDS_M.map(({ step, count }) => (step * count) / 2)) + LEVEL_WITHIN_M;
+    const columns = new Columns(gather(this.blocks(), middle.x, middle.z, side * Math.SQRT2), middle, side, top, FINE_PER_M);
     const heightAt = (x: number, z: number) => this.heightIn(columns.at(x, z), x, top, z);
     const found: Vector3[] = [];
     for (const { step, count } of GRIDS_M)
