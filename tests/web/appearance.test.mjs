@@ -354,6 +354,7 @@ test("two appearances lie side by side", skip, async () => {
     await choose("appearance-to", names[5]);
     asked.length = 0;
     await page.click("#appearance-split");
+    assert.match(await page.$eval("#appearance-divider", (node) => getComputedStyle(node).backgroundImage), /gradient/); // a line is seen
     await page.focus("#appearance-divider");
     await page.keyboard.press("ArrowLeft");
     await waitForViewer(page);

@@ -150,13 +150,13 @@ export class Viewer {
     Object.assign(this.credit.style, { position: "absolute", right: "0", bottom: "0", padding: "0 6px", color: "#222", background: "rgb(255 255 255 / 75%)", font: "11px/1.6 system-ui, sans-serif", pointerEvents: "none" });
     this.credit.hidden = true;
     this.surface.append(this.canvas, this.pictureCanvas, this.credit);
+    this.setGround();
     this.positions = getComputedStyle(container).position === "static";
     if (this.positions) container.style.position = "relative";
     container.append(this.surface);
 
     this.postered = options.poster === undefined && options.backdrop !== false; // it has sky and ground
     if (options.poster) this.hang(options.poster);
-    this.setGround();
     this.book = this.makeBook();
     this.stage = new Stage(this.surface);
     this.stage.keyboard = options.keyboard ?? true;
@@ -341,7 +341,6 @@ export class Viewer {
     this.poster = new Poster(this.surface, url);
     this.poster.onGone = () => {
       this.poster = null;
-      this.setGround();
       this.wake(false);
     };
   }
@@ -352,10 +351,9 @@ export class Viewer {
     return this.poster !== null;
   }
 
-  // What is to be seen before anything is drawn; a page that names a poster shows it behind us until we have it.
+  // What is to be seen before anything is drawn.
   private setGround() {
-    const ground = this.theme === "dark" ? "#0b0e13" : "#dfe6ee";
-    this.surface.style.background = this.options.poster && this.poster ? "" : ground;
+    this.surface.style.background = this.theme === "dark" ? "#0b0e13" : "#dfe6ee";
   }
 
   // Where the city is at a point of the container, in CSS pixels from its corner; null for the sky.
