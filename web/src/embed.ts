@@ -9,7 +9,7 @@ import { TOUR_STYLE, TourCard } from "./tourcard";
 import type { Mode, ViewerEvents, ViewerOptions } from "./types";
 import { createViewer, type Viewer } from "./viewer";
 
-const EVENTS = ["ready", "scene", "problem", "move", "click", "appearance", "link"] as const;
+const EVENTS = ["ready", "scene", "problem", "move", "click", "unclick", "appearance", "link"] as const;
 type EventName = (typeof EVENTS)[number];
 // Events of <city-splat> by name; `detail` is what the viewer tells.
 export type CitySplatEvents = { [Name in EventName]: CustomEvent<ViewerEvents[Name]> } & { tour: CustomEvent<TourState> };

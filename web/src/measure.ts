@@ -64,6 +64,7 @@ export class MeasureTool {
   open = false;
   asleep = false; // clicks are for somebody else
   private places: Place[] = [];
+  private before: Place[] = []; // those before the last click
   private shapes: number[] = []; // what is measured, and a label for each part of it
   private marker = 0;
   private place: Place | null = null;
@@ -72,7 +73,17 @@ export class MeasureTool {
   private profile: ProfileChart | null = null; // comes when it is asked for
 
   constructor(private readonly viewer: Viewer) {
-    viewer.on("click", ({ place }) => this.asleep || (this.open ? this.add(place) : this.tell(place)));
+    viewer.on("click", ({ place }) => {
+      if (this.asleep) return;
+      this.before = this.places;
+      if (this.open) this.add(place);
+      else this.tell(place);
+    });
+    viewer.on("unclick", () => {
+      if (this.asleep) return;
+      if (!this.open) this.tell(null, true);
+      else if (this.places !== this.before) this.set(this.before);
+    });
     const click = (id: string, run: () => void) => element(id).addEventListener("click", run);
     click("measure-button", () => this.show(!this.open));
     click("measure-close", () => this.show(false));

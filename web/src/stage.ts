@@ -96,6 +96,7 @@ export class Stage {
   onMove: () => void = () => {};
   onTouch: () => void = () => {}; // a person moved the camera
   onClick: (x: number, y: number) => void = () => {};
+  onUnclick: () => void = () => {};
   onWalk: (how: Walk) => void = () => {};
   onHeld: (wheel: boolean) => void = () => {}; // a wheel or one finger, which scroll the page here
   shares: () => boolean = () => false; // the page around scrolls: one finger and a bare wheel are for it
@@ -114,7 +115,7 @@ export class Stage {
   private thrownAt = 0;
   private drag: Drag | null = null;
   private pressed = { x: 0, y: 0, at: 0, moved: false };
-  private clicked = { x: 0, y: 0, at: -Infinity, timer: 0 }; // the last one, and what tells it; 0: it is told
+  private clicked = { x: 0, y: 0, at: -Infinity }; // the last one
   private flight: { from: Pose; to: Pose; at: number; ms: number; done: () => void } | null = null;
   private readonly listening = new AbortController();
 
@@ -150,7 +151,6 @@ export class Stage {
 
   dispose() {
     this.listening.abort();
-    clearTimeout(this.clicked.timer);
     this.flight?.done();
     this.flight = null;
     stages.delete(this);
@@ -321,7 +321,6 @@ export class Stage {
   // Over to another pose; resolves on arrival, or when a person takes over. At once where motion is
   // not wanted.
   fly(to: Pose, seconds = 2): Promise<void> {
-    this.tellClick();
     this.land();
     if (matchMedia("(prefers-reduced-motion: reduce)").matches || seconds <= 0) {
       this.place(to);
@@ -511,7 +510,6 @@ export class Stage {
       this.drag = null;
       return;
     }
-    if (this.pointers.size > 1 || Math.hypot(at.x - this.clicked.x, at.y - this.clicked.y) >= TWICE_PX) this.tellClick();
     this.takeOver();
     this.pressed = { ...at, at: performance.now(), moved: this.pointers.size > 1 };
     this.beginDrag(at, event.button === 2 || event.button === 1 || event.ctrlKey || event.shiftKey);
@@ -532,10 +530,7 @@ export class Stage {
     if (!before) return;
     const at = this.local(event);
     const { pressed } = this;
-    if (!pressed.moved && Math.hypot(at.x - pressed.x, at.y - pressed.y) > 5) {
-      pressed.moved = true;
-      this.tellClick(); // it is no second one
-    }
+    if (Math.hypot(at.x - pressed.x, at.y - pressed.y) > 5) pressed.moved = true;
     if (this.pointers.size > 1) this.pinch(event.pointerId, before, at);
     else if (this.drag) this.dragTo(this.drag, at);
     else if (pressed.moved) this.onHeld(false);
@@ -617,25 +612,15 @@ export class Stage {
     this.onMove();
   }
 
-  // Two presses of one place go nearer, and are no click: so a press is one when no second has followed.
+  // Two presses of one place go nearer. The first is told at once, and taken back by the second.
   // By the time of the events: a slow frame between them does not count.
   private click(x: number, y: number, at: number) {
     const { clicked } = this;
     const twice = at - clicked.at < TWICE_MS && Math.hypot(x - clicked.x, y - clicked.y) < TWICE_PX;
-    if (twice) clearTimeout(clicked.timer);
-    else this.tellClick();
-    this.clicked = { x, y, at: twice ? -Infinity : at, timer: 0 };
-    if (twice) this.goNearer(x, y);
-    else this.clicked.timer = window.setTimeout(() => this.tellClick(), TWICE_MS);
-  }
-
-  // At the latest before the camera moves: a click is of the picture in which it was.
-  private tellClick() {
-    const { clicked } = this;
-    if (!clicked.timer) return;
-    clearTimeout(clicked.timer);
-    clicked.timer = 0;
-    this.onClick(clicked.x, clicked.y);
+    this.clicked = { x, y, at: twice ? -Infinity : at };
+    if (!twice) return this.onClick(x, y);
+    this.onUnclick();
+    this.goNearer(x, y);
   }
 
   private goNearer(x: number, y: number) {
@@ -660,7 +645,6 @@ export class Stage {
   private wheel(event: WheelEvent) {
     if (this.shares() && !event.ctrlKey && !event.metaKey) return this.onHeld(true);
     event.preventDefault();
-    this.tellClick();
     this.takeOver();
     const lines = event.deltaMode === 1 ? 24 : event.deltaMode === 2 ? 400 : 1;
     const amount = MathUtils.clamp(event.deltaY * lines, -300, 300);
@@ -685,7 +669,6 @@ export class Stage {
     if (!this.keyboard || active !== this || !(event.code in KEYS) || !isForScene(event)) return;
     if (this.keyboard === "focus" && !event.composedPath().includes(this.surface)) return;
     event.preventDefault();
-    this.tellClick();
     if (!this.held.size) this.takeOver();
     this.held.add(event.code);
     if (!event.repeat) this.tapped.add(event.code);

@@ -53,6 +53,7 @@ export interface ViewerEvents {
   picture: PictureInfo;
   // Pixels of the container, and what is there; null: the sky.
   click: { x: number; y: number; place: Place | null };
+  unclick: null; // the last click was the first of two that go nearer: what it did is taken back
   layers: readonly Layer[]; // they changed
   frame: null; // something was drawn
   turn: null; // it looked at all that it does, which the state tells now; none while it rests

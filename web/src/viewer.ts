@@ -117,6 +117,7 @@ export class Viewer {
   private previous = 0; // when the last turn was; 0: before the rest
   private moving = false;
   private closed = false;
+  private click = { told: true }; // the last one, and whether what is there was told
   private readonly listening = new AbortController();
   private readonly resizing: ResizeObserver;
   private map: Basemap | null = null; // on the ground
@@ -168,6 +169,7 @@ export class Viewer {
     };
     this.stage.surfaceOn = (ray) => this.surfaceOn(ray);
     this.stage.onClick = (x, y) => void this.tellClick(x, y);
+    this.stage.onUnclick = () => this.takeBackClick();
     this.stage.onWalk = (how) => this.events.emit("walk", how);
     this.overlay = new Overlay(this.surface, this.stage);
     this.overlay.onWake = () => this.wake();
@@ -367,10 +369,19 @@ export class Viewer {
     const { scene, surface } = this;
     const asks = this.currentMode === "pictures" && scene?.questions;
     const { clientWidth: width, clientHeight: height } = surface;
+    const click = { told: false };
+    this.click = click;
     const place = asks
       ? await askPlace(this.link, scene, this.pose, { x, y, width, height }).catch(() => null)
       : this.pick(x, y);
-    if (!this.closed) this.events.emit("click", { x, y, place });
+    if (this.closed || (this.click !== click && asks)) return;
+    click.told = true;
+    this.events.emit("click", { x, y, place });
+  }
+
+  private takeBackClick() {
+    if (this.click.told) this.events.emit("unclick", null);
+    this.click = { told: true }; // one that the server has not answered is not told any more
   }
 
   // The height of what is drawn at a place, seen from straight above; null where there is nothing.
