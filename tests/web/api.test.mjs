@@ -162,10 +162,20 @@ function addressOf(path, values) {
     return path.replace(/{(\w+)}/g, (_, name) => of[name] ?? values.path[name]);
 }
 
+// The program says it after the address that everybody opens.
+async function operatorsOf(city) {
+    for (let n = 0; n < 200; n++) {
+        const said = /operators: port (\d+)\n/.exec(city.said());
+        if (said) return `http://127.0.0.1:${said[1]}`;
+        await new Promise((done) => setTimeout(done, 50));
+    }
+    throw new Error(`no port for operators: ${city.said()}`);
+}
+
 test("every route answers every method with a status and a type that is said", { skip: MOCK }, async (t) => {
     const lit = await openLitCity({ serveWith: ["--admin", "127.0.0.1:0", "--state-dir", "DIR/state"] });
     t.after(() => lit.close());
-    const operators = `http://127.0.0.1:${/operators: port (\d+)/.exec(lit.said())[1]}`;
+    const operators = await operatorsOf(lit);
     const values = await valuesOf(lit.url, "lit");
     const appearances = await getJson(`${lit.url}/d/lit/appearances`);
     values.bodies.Mix = { appearance: appearances.appearances[0].name };
@@ -231,7 +241,7 @@ test("a generated client compiles under --strict, calls every operation, and is 
     const lit = await openLitCity({ serveWith: ["--admin", "127.0.0.1:0", "--state-dir", "DIR/state"] });
     t.after(() => lit.close());
     await awaitDevice(lit.url);
-    const operators = `http://127.0.0.1:${/operators: port (\d+)/.exec(lit.said())[1]}`;
+    const operators = await operatorsOf(lit);
     const statuses = await callAll(lit.url, operators, "lit");
     // No sessions and seals without --auth; a small tileset has no parts.
     const without = /session|\/signed\/|tileset\/\{z\}/;
