@@ -182,10 +182,10 @@ scene() {
 # The ceilings are measured next to every run: what a neighbour takes away shows in them as well.
 ceilings() { lab ceiling --runs 5 >"$OUT/ceilings.jsonl" 2>/dev/null; }
 
-# Studies of one question are recorded in one file: solid, solid_block and solid_fine in solid.jsonl.
+# Studies of one question are recorded in one file: solid, solid_block and solid_fine in solid.jsonl. A file stays below 1 MiB.
 runs_of() { # STUDY
   case $1 in
-  goes_on | map_views) echo "$RUNS/$1.jsonl" ;;
+  goes_on | map_views | solid_terms | solid_fixed | solid_ochota) echo "$RUNS/$1.jsonl" ;;
   *) echo "$RUNS/${1%%_*}.jsonl" ;;
   esac
 }
