@@ -145,7 +145,8 @@ double forecast_left_s(const struct forecast *f, const struct stage *now, double
 double forecast_steps_s(const struct forecast *f, const struct stage *at, double gaussians)
 {
     double n = forecast_inside(f, at, gaussians);
-    return f->work > 0.0 ? f->seconds * forecast_steps(f, stage_schedule(at), 0, &n) / f->work : 0.0;
+    return f->work > 0.0 ? f->seconds * forecast_steps(f, stage_schedule(at), 0, &n) / f->work
+                         : 0.0;
 }
 
 void forecast_text(double seconds, char *out, size_t size)

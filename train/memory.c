@@ -33,8 +33,8 @@ enum {
     MEMORY_HOST_PX = 3 + 1 + 3 * 4,           /* photograph, mask, weights and edges of the score */
     MEMORY_EVALUATE_PX = 12 + 12 * 8,         /* drawing, and planes of doubles of SSIM and GMSD */
     MEMORY_DECODERS = 2,                      /* photo_loader's thread and the training's */
-    MEMORY_THIN = 4 + 2 + 1 + 4,  /* price, photographs, side, rows that stay */
-    MEMORY_RANKS = 2 * 8 + 1,     /* of prices, and what goes */
+    MEMORY_THIN = 4 + 2 + 1 + 4,              /* price, photographs, side, rows that stay */
+    MEMORY_RANKS = 2 * 8 + 1,                 /* of prices, and what goes */
 };
 #define MEMORY_FRAME_ROOM 1.5    /* of a frame's */
 #define MEMORY_INTERSECTIONS 3.0 /* a Gaussian of the cell, in the fullest view */

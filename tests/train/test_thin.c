@@ -121,7 +121,7 @@ static void a_level_is_thinned_to_its_number(void **state)
 }
 
 /* A derived level has its share after the last thinning, inside as outside, but for what came from
- * the coarse model, and never more than its budget; also where it has fewer steps than thinnings. */
+ * the coarse model, and never more than its budget; also where its steps are fewer. */
 static void a_derived_level_ends_with_its_share(void **state)
 {
     (void)state;

@@ -196,8 +196,8 @@ static json_t *metrics_lines(const char *out)
     return all;
 }
 
-/* The number of "thin" lines of the finest level in a run's metrics, and the smallest and the largest number of
- * Gaussians that its lines name. */
+/* The number of "thin" lines of the finest level in a run's metrics, and the smallest and the
+ * largest number of Gaussians that these lines name. */
 static size_t thinnings(const char *out, size_t *least, size_t *most)
 {
     json_t *lines = metrics_lines(out), *o;
@@ -207,8 +207,7 @@ static size_t thinnings(const char *out, size_t *least, size_t *most)
     json_array_foreach(lines, i, o)
     {
         const char *event = json_string_value(json_object_get(o, "event"));
-        if (!event || strcmp(event, "thin") ||
-            json_integer_value(json_object_get(o, "level")) != 3)
+        if (!event || strcmp(event, "thin") || json_integer_value(json_object_get(o, "level")) != 3)
             continue;
         size_t before = (size_t)json_integer_value(json_object_get(o, "before"));
         size_t left = before - (size_t)json_integer_value(json_object_get(o, "removed"));
@@ -263,8 +262,8 @@ static double last_psnr(const char *out, unsigned level)
     return db;
 }
 
-/* Levels that are made of the finer one: few enough, better on photographs than those that were trained
- * for themselves, and the same in every run. */
+/* Levels that are made of the finer one: few enough, better on photographs than those that were
+ * trained for themselves, and the same in every run. */
 static void coarser_levels_are_made_of_the_finest(void **state)
 {
     (void)state;

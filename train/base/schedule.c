@@ -388,9 +388,9 @@ uint32_t schedule_thinning(const struct schedule *s, uint32_t step)
         return 0;
     if (s->derived)
         return schedule_thinning_from(step, 1, every ? every : 1, schedule_thinnings_derived(s));
-    return s->level == s->n_levels && from ? schedule_thinning_from(step, from, every,
-                                                                    SCHEDULE_THINNINGS)
-                                           : 0;
+    return s->level == s->n_levels && from
+               ? schedule_thinning_from(step, from, every, SCHEDULE_THINNINGS)
+               : 0;
 }
 
 bool schedule_limits_size(const struct schedule *s, uint32_t step)

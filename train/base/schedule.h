@@ -27,10 +27,10 @@ struct schedule { /* schedule of one level; steps are 1-based and restart at eve
     uint32_t size_from;              /* Gaussians that are too large are removed after this step */
     uint32_t sh_interval, sh_degree; /* sh_interval 0: full degree from the start */
     bool absgrad;
-    bool derived; /* made of the next finer level by thinning, and fine-tuned without growth */
+    bool derived;      /* made of the next finer level by thinning, and fine-tuned without growth */
     double thin_share; /* derived: the part of the finer level's Gaussians that is left */
-    bool last;    /* after the level's own steps: what fades during a level stays as at its end */
-    bool still;   /* positions, sizes, rotations and opacities stay; only colours learn */
+    bool last;  /* after the level's own steps: what fades during a level stays as at its end */
+    bool still; /* positions, sizes, rotations and opacities stay; only colours learn */
     double tau;
     /* factor on learning rates of positions (included in those below), sizes and rotations */
     double lr_factor;

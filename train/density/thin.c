@@ -33,7 +33,7 @@
 
 enum {
     THIN_STEPS = 20,   /* of the finest level for a photograph that is drawn */
-    THIN_AGAIN = 3, /* of a derived level */
+    THIN_AGAIN = 3,    /* of a derived level */
     THIN_LEAST = 16,   /* photographs that are drawn, if there are so many */
     THIN_MOST = 3,     /* at most this part of the Gaussians goes at once */
     THIN_CHUNK = 16384 /* Gaussians that a thread takes at a time */

@@ -1,8 +1,8 @@
-/* Thins a level: removes the Gaussians whose removal is predicted to cost the least. The steps that
- * follow recover most of it. It happens for two reasons. A coarser level is the finer one thinned
- * down to its share of Gaussians. And with --thin-db the finest level loses in its middle as many as
- * may cost a given share of the squared error of the training photographs; the number of Gaussians
- * then follows from the scene, and hardly from the seed.
+/* Thins a level: removes the Gaussians whose removal is predicted to cost the least. The steps
+ * that follow recover most of it. It happens for two reasons. A coarser level is the finer one
+ * thinned down to its share of Gaussians. And with --thin-db the finest level loses in its middle
+ * as many as may cost a given share of the squared error of the training photographs; the number
+ * of Gaussians then follows from the scene, and hardly from the seed.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -50,9 +50,9 @@ size_t thin_outside(const struct schedule *s, size_t n);
 
 enum { THIN_SIDES = 2 };
 struct thin_rule {
-    double limit;           /* largest sum of the prices of what goes */
-    bool all_drawn;         /* all photographs were drawn */
-    const uint8_t *outside; /* [n] side of each; NULL: all are on side 0 */
+    double limit;            /* largest sum of the prices of what goes */
+    bool all_drawn;          /* all photographs were drawn */
+    const uint8_t *outside;  /* [n] side of each; NULL: all are on side 0 */
     size_t most[THIN_SIDES]; /* of each side that may go */
 };
 /* The choice alone, for tests. rise [n]: prices; views [n]: photographs that show a Gaussian. What
