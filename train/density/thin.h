@@ -37,8 +37,9 @@ struct thin_report {
  * leave its share of Gaussians, inside the cell and outside, after the last thinning
  * (schedule_thinning). Outside, as many as came from the coarse model are no part of that.
  * Gaussians that no photograph shows cost nothing, or go last if a short level draws only some of
- * the photographs. Moments are kept, statistics of density control become 0. ERR_CANCEL: stopped by
- * a signal, and nothing was removed. ERR_MEM, ERR_DEVICE, and the errors of photo_loader_get_nth. */
+ * the photographs. Moments are kept, statistics of density control become 0. ERR_CANCEL: stopped
+ * by a signal, and nothing was removed. ERR_MEM, ERR_DEVICE, and the errors of
+ * photo_loader_get_nth. */
 enum err_code thin_run(struct model *m, struct gallery *g, struct background *background,
                        const struct site *site, const struct stage *at, struct thin_report *out,
                        struct err *e) ERR_USE;
