@@ -278,8 +278,8 @@ static void coarser_levels_are_made_of_the_finest(void **state)
         struct train_config c = toy_config(&a, out[i]);
         c.level_order = i == PLAIN ? SCHEDULE_COARSE_TO_FINE : SCHEDULE_BOTH;
         c.solid_spread = c.solid_light = c.solid_flat = 0.0; /* 30 Gaussians close no ground */
-        /* 100, 100 and 400 steps, then 100 and 100; or 200, 200 and 400 */
-        c.iterations.one = 800;
+        /* 150, 150 and 500 steps, then 100 and 100; or 250, 250 and 500 */
+        c.iterations.one = 1000;
         c.budget.v[0] = 30;
         c.budget.v[1] = 60;
         kit_ok(blobs_train(blobs_dir, &c, &r[i], &e), e);
