@@ -12,8 +12,8 @@
 #include <unistd.h>
 
 #include "lod/store/bake.h"
+#include "server/data/appearance_rows.h"
 #include "server/data/encode.h"
-#include "server/data/search_index.h"
 
 /* West south hmin east north hmax of the coarsest level's boxes: it covers every Gaussian. */
 static enum err_code dataset_find_bbox(struct dataset *d, struct err *e)
@@ -195,7 +195,7 @@ void dataset_drop(struct dataset **out)
     }
     body_drop(&d->model);
     body_drop(&d->photographs);
-    search_index_close(&d->search);
+    appearance_rows_close(&d->rows);
     pthread_mutex_destroy(&d->lock);
     mem_free(d->path);
     mem_free(d);

@@ -12,8 +12,8 @@
 #include "lod/store/store.h"
 #include "server/base/body.h"
 
+struct appearance_rows;
 struct geoid;
-struct search_index;
 
 enum dataset_document {
     DATASET_TILESET,        /* with URIs relative to d/NAME/r/REV/ */
@@ -43,8 +43,8 @@ struct dataset { /* immutable except where a comment says otherwise; reference-c
     char edition[9];     /* of its tiles (result_id.h); catalog.c sets this and the next five: */
     int64_t opened_s;    /* seconds since 1970 */
     struct body *_Atomic document[DATASET_DOCUMENTS]; /* catalog_document; NULL: not made yet */
-    struct body *model, *photographs;                 /* NULL without appearance; so is search */
-    struct search_index *search;                      /* index of its photographs */
+    struct body *model, *photographs;                 /* NULL without appearance; so is rows */
+    struct appearance_rows *rows;                     /* what is known of its photographs */
     /* number of results that could not be read from its file: the file is damaged */
     _Atomic uint32_t n_failed;
     pthread_mutex_t lock; /* for what follows */

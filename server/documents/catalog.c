@@ -20,11 +20,11 @@
 #include "lod/store/store.h"
 #include "server/base/document.h"
 #include "server/documents/appearance_api.h"
+#include "server/documents/appearance_list.h"
 #include "server/documents/appearance_model.h"
 #include "server/documents/collection.h"
 #include "server/documents/link.h"
 #include "server/documents/result_id.h"
-#include "server/documents/search.h"
 #include "server/documents/tileset_links.h"
 
 static struct collection_options catalog_collection(const struct catalog_options *o)
@@ -57,7 +57,7 @@ static enum err_code catalog_make_document(struct dataset *d, enum dataset_docum
     case DATASET_COLLECTION:
         return collection_describe(d, o, out, e);
     default:
-        return search_all(d, out, e);
+        return appearance_list_all(d, out, e);
     }
 }
 
@@ -87,7 +87,7 @@ static enum err_code catalog_make_documents(struct dataset *d, const struct cata
     if (!rc && d->appearance)
         rc = appearance_model_photographs(d, &d->photographs, d->taken, e);
     if (!rc && d->appearance)
-        rc = search_open(d, &d->search, e);
+        rc = appearance_list_open(d, &d->rows, e);
     if (!rc && d->appearance)
         d->model->modified_s = d->photographs->modified_s = d->opened_s;
     for (int i = 0; !rc && i < DATASET_DOCUMENTS && (d->appearance || !o->lazy); i++) {
