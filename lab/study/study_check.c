@@ -56,7 +56,7 @@ static int check_wait(pid_t pid)
     return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
 }
 
-/* What git in folder `dir` prints, from its beginning; close it. NULL: it fails or cannot be run. */
+/* What git in folder `dir` prints, from its beginning on. NULL: it fails, or cannot be run. */
 static FILE *check_git(const char *dir, const char *const words[CHECK_WORDS_MAX])
 {
     const char *argv[CHECK_WORDS_MAX + 4] = {"git", "-C", dir};
