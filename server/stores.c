@@ -12,7 +12,6 @@
 #include <string.h>
 
 #include "core/pool.h"
-#include "lod/export/clip.h"
 #include "lod/store/range.h"
 #include "lod/store/remote.h"
 #include "server/answers/services.h"
@@ -27,8 +26,7 @@ struct stores {
     struct services *s;       /* NULL until stores_give */
     struct catalog *first;    /* until stores_give */
     pthread_mutex_t reload;   /* held by whoever looks at files */
-    pthread_rwlock_t looking; /* of options.clip: read while places are looked at */
-    struct clip clip;         /* options.clip is this or NULL */
+    pthread_rwlock_t looking; /* of options.lazy: read while places are looked at */
     struct catalog_options options;
     struct geoid *geoid;     /* --geoid; NULL: none */
     struct pool_thread *far; /* NULL: no address is asked for */
@@ -252,7 +250,6 @@ static void stores_set_options(struct stores *st, size_t readers)
 {
     const struct server_config *cfg = st->cfg;
     st->options = (struct catalog_options){.readers = readers,
-                                           .clip_dir = cfg->clip_dir,
                                            .public_url = cfg->public_url,
                                            .base_path = cfg->base_path,
                                            .keep_s = cfg->keep_s,
@@ -263,27 +260,6 @@ static void stores_set_options(struct stores *st, size_t readers)
                                            .geoid = st->geoid,
                                            .preset = (unsigned)cfg->preset,
                                            .again_s = cfg->again_s};
-}
-
-/* The clip as its file is now. Who looks at an address is waited for only if it changed. */
-static enum err_code stores_read_clip(struct stores *st, struct err *e)
-{
-    const struct server_config *cfg = st->cfg;
-    struct clip clip = {0}, was;
-    enum err_code rc = cfg->clip ? clip_open(cfg->clip, -HUGE_VAL, HUGE_VAL, &clip, e) : ERR_OK;
-    const struct hash128 now = clip_hash(cfg->clip ? &clip : NULL),
-                         before = clip_hash(st->options.clip);
-    if (rc || (now.lo == before.lo && now.hi == before.hi)) {
-        clip_free(&clip);
-        return rc;
-    }
-    pthread_rwlock_wrlock(&st->looking);
-    was = st->clip;
-    st->clip = clip;
-    st->options.clip = cfg->clip ? &st->clip : NULL;
-    pthread_rwlock_unlock(&st->looking);
-    clip_free(&was);
-    return ERR_OK;
 }
 
 /* Addresses, where there is nothing else to serve, or all shall be looked at. */
@@ -334,8 +310,6 @@ enum err_code stores_open(const struct server_config *cfg, const char *const *ar
     pool_cond_init(&st->changed);
     enum err_code rc = cfg->geoid ? geoid_open(cfg->geoid, &st->geoid, e) : ERR_OK;
     stores_set_options(st, readers);
-    if (!rc)
-        rc = stores_read_clip(st, e);
     if (!rc)
         rc = stores_list(st, NULL, &list, e);
     if (!rc)
@@ -394,7 +368,6 @@ void stores_close(struct stores **out)
     if (st->far)
         pool_join(&st->far);
     catalog_drop(&st->first);
-    clip_free(&st->clip);
     geoid_close(&st->geoid);
     pthread_cond_destroy(&st->changed);
     pthread_mutex_destroy(&st->lock);
@@ -422,8 +395,6 @@ enum err_code stores_reload(struct stores *st, bool *tried, struct err *e)
     struct catalog *older = services_catalog(st->s);
     pthread_mutex_lock(&st->reload);
     enum err_code rc = stores_list(st, older, &list, e);
-    if (!rc)
-        rc = stores_read_clip(st, e);
     if (!rc)
         rc = stores_look_near(st, older, true, &list, e);
     if (!rc)

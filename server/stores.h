@@ -16,7 +16,7 @@ struct stores; /* any thread */
 /* Opens the stores that `args` [n] ask for: files, folders, addresses. What cannot be opened is in
  * the catalog's `absent`. Addresses are looked at now if no file could be opened, for five seconds
  * together, or with `all`, as long as it takes. cfg and args are borrowed until stores_close. *out
- * has the first catalog (stores_first) until stores_give. ERR_ARG (a clip), ERR_MEM; if `args` are
+ * has the first catalog (stores_first) until stores_give. ERR_MEM; if `args` are
  * files alone and none can be opened, the error of the first. */
 enum err_code stores_open(const struct server_config *cfg, const char *const *args, size_t n,
                           size_t readers, bool all, struct stores **out, struct err *e) ERR_USE;
@@ -28,10 +28,10 @@ void stores_give(struct stores *st, struct services *s);
 enum err_code stores_start(struct stores *st, struct err *e) ERR_USE;
 /* Waits for the thread, which may be reading from an address. *st may be NULL. */
 void stores_close(struct stores **st);
-/* Looks at all stores again: those of folders as they are now, the clip as its file is now. Files
- * are served anew before addresses are waited for, which is for five seconds. *tried: whether it
- * came to stores. ERR_ARG, ERR_FORMAT, ERR_IO, ERR_NOENT of the clip or of a folder, with nothing
- * changed; the error of the first store that cannot be opened, with all others changed; ERR_MEM. */
+/* Looks at all stores again, those of folders as they are now. Files are served anew before
+ * addresses are waited for, which is for five seconds. *tried: whether it came to stores.
+ * ERR_FORMAT, ERR_IO, ERR_NOENT of a folder, with nothing changed; the error of the first store
+ * that cannot be opened, with all others changed; ERR_MEM. */
 enum err_code stores_reload(struct stores *st, bool *tried, struct err *e) ERR_USE;
 /* Tries again the files whose pause is over, and drops revisions whose time is over. Call it a few
  * times a second. */

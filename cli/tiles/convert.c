@@ -279,8 +279,7 @@ static enum err_code convert_write(struct converted *c, enum convert_format form
     if (!rc && format == CONVERT_SOG)
         return sog_encode(&c->g, c->g.sh_degree, out, e);
     if (!rc && !integers)
-        return o->glb_payload == 1 ? glb_encode_plain(&c->g, o->copyright, out, e)
-                                   : glb_encode_packed(&c->g, c->g.sh_degree, o->copyright, out, e);
+        return glb_encode_plain(&c->g, o->copyright, out, e);
     quant_free(&c->q);
     if (!rc)
         rc = quant_from_gauss(&c->g, c->g.sh_degree, convert_grid(o), &c->q, e);

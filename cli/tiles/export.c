@@ -28,7 +28,6 @@
 #include "core/outdir.h"
 #include "core/pool.h"
 #include "core/splat/appearance.h"
-#include "lod/export/clip.h"
 #include "lod/export/lowpass.h"
 #include "lod/export/tileset.h"
 #include "lod/store/bake.h"
@@ -414,34 +413,10 @@ static enum err_code export_format(const char *output, int *out, struct err *e)
                          output, dot);
 }
 
-/* The store, or the part of it that --clip leaves. */
-static enum err_code export_open(const char *path, const struct export_options *o,
-                                 struct store **out, struct err *e)
-{
-    struct clip clip = {0};
-    struct clip_report report;
-    int fd = -1;
-    if (!o->clip)
-        return store_open(path, out, e);
-    enum err_code rc = clip_open(o->clip, -HUGE_VAL, HUGE_VAL, &clip, e);
-    if (!rc)
-        rc = clip_open_part(&clip, path, NULL, &fd, &report, e);
-    if (!rc)
-        rc = store_open_fd(fd, path, out, e);
-    if (fd >= 0)
-        close(fd);
-    clip_free(&clip);
-    return rc;
-}
-
 /* The map is drawn from the store itself. */
 static enum err_code export_pmtiles(const char *store, const struct export_options *o,
                                     struct err *e)
 {
-    if (o->clip)
-        return err_set(e, ERR_ARG,
-                       "--clip: not for pmtiles: write the part as a store first (citysplat clip), "
-                       "and export that");
     const struct export_map m = {.output = o->output,
                                  .device = o->device,
                                  .appearance = o->appearance,
@@ -470,7 +445,7 @@ enum err_code cli_export(int argc, char **argv, struct err *e)
         goto out;
     }
     if (!rc)
-        rc = export_open(args.arg[0], &o, &s, e);
+        rc = store_open(args.arg[0], &s, e);
     float image[APPEARANCE_IMAGE_MAX];
     const float *chosen = o.appearance ? image : NULL;
     if (!rc && chosen)

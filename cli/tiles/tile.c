@@ -24,7 +24,6 @@
 #include "codec/container/seen.h"
 #include "codec/scene/scene.h"
 #include "core/splat/appearance.h"
-#include "lod/export/clip.h"
 #include "lod/make/pyramid.h"
 #include "lod/make/update.h"
 #include "lod/store/bake.h"
@@ -75,10 +74,8 @@ struct tile_scene {
     size_t n_cells;
     struct footprint footprint; /* empty: nothing is left out */
     struct trim trim;           /* empty: nothing is cut at the edge */
-    const struct clip *clip;    /* --clip; NULL: none */
-    struct geo_origin origin;
-    atomic_size_t *cropped; /* rows of all levels that --crop left out; tile_load has threads */
-    struct partition plan;  /* only cells with checkpoints; n_cells 0 = no plan */
+    atomic_size_t *cropped;     /* rows of all levels that --crop left out; tile_load has threads */
+    struct partition plan;      /* only cells with checkpoints; n_cells 0 = no plan */
     uint8_t n_levels;
     struct buf appearance; /* appearance model of all checkpoints, as they hold it; empty: none */
     bool look_known;
@@ -313,8 +310,6 @@ static enum err_code tile_load(void *user, size_t part, struct gauss *out, struc
         ckpt_rows_read(file->rows, from, n < TILE_PART_ROWS ? n : TILE_PART_ROWS, out, e);
     if (!rc)
         rc = tile_own(l->scene, &l->scene->cells[file->cell], out, e);
-    if (!rc && l->scene->clip)
-        rc = clip_rows(l->scene->clip, &l->scene->origin, out, e);
     return rc;
 }
 
@@ -524,8 +519,6 @@ static enum err_code tile_update(struct tile_scene *s, const struct tile_options
             rc = ckpt_read(path, &level[l], e);
         if (!rc)
             rc = tile_own(s, cell, &level[l].g, e);
-        if (!rc && s->clip)
-            rc = clip_rows(s->clip, &s->origin, &level[l].g, e);
         if (!rc)
             rc = tile_check_blob(s, ckpt_find(&level[l], "appearance"), path, e);
         cfg.level[l] = &level[l].g;
@@ -581,10 +574,9 @@ static enum err_code tile_describe(const struct tile_options *o, const struct sc
  * caller frees with mem_free. */
 static enum err_code tile_blobs(const struct photographs *photographs, const struct buf *appearance,
                                 const struct buf *ground, const struct buf *seen,
-                                const struct buf *clip, struct store_blob **out, size_t *n,
-                                struct err *e)
+                                struct store_blob **out, size_t *n, struct err *e)
 {
-    struct store_blob *blobs = mem_array(photographs->n_blobs + 4, sizeof *blobs);
+    struct store_blob *blobs = mem_array(photographs->n_blobs + 3, sizeof *blobs);
     if (!blobs)
         return err_set(e, ERR_MEM, "out of memory for %zu blobs", photographs->n_blobs);
     *n = 0;
@@ -596,8 +588,6 @@ static enum err_code tile_blobs(const struct photographs *photographs, const str
         blobs[(*n)++] = (struct store_blob){STORE_FOOTPRINT, ground->data, ground->size};
     if (seen->size)
         blobs[(*n)++] = (struct store_blob){SEEN_BLOB, seen->data, seen->size};
-    if (clip->size)
-        blobs[(*n)++] = (struct store_blob){STORE_CLIP, clip->data, clip->size};
     *out = blobs;
     return ERR_OK;
 }
@@ -638,7 +628,7 @@ static enum err_code tile_build(struct tile_scene *s, const struct scene *scene,
     struct pyramid_config cfg = {.tile_edge_m = o->tile_edge_m, .lossless = o->lossless};
     struct pyramid_report report;
     struct photographs photographs = {0};
-    struct buf appearance = {0}, ground = {0}, seen = {0}, clip = {0};
+    struct buf appearance = {0}, ground = {0}, seen = {0};
     struct store_blob *blobs = NULL;
     size_t n_blobs = 0;
     enum err_code rc = tile_describe(o, scene, &cfg, e);
@@ -657,12 +647,10 @@ static enum err_code tile_build(struct tile_scene *s, const struct scene *scene,
         rc = footprint_write(&s->footprint, &scene->origin, &ground, e);
     if (!rc && s->footprint.nx)
         rc = tile_count_views(s, scene, &levels[s->n_levels - 1], &seen, e);
-    if (!rc && s->clip)
-        rc = clip_describe(s->clip, NULL, &clip, e);
     if (!rc && appearance.size)
         rc = tile_photographs(scene, &appearance, o->thumbnails, &photographs, e);
     if (!rc)
-        rc = tile_blobs(&photographs, &appearance, &ground, &seen, &clip, &blobs, &n_blobs, e);
+        rc = tile_blobs(&photographs, &appearance, &ground, &seen, &blobs, &n_blobs, e);
     if (!rc)
         rc = pyramid_build(&scene->origin, levels, s->n_levels, &cfg, blobs, n_blobs, o->output,
                            &report, e);
@@ -678,7 +666,6 @@ static enum err_code tile_build(struct tile_scene *s, const struct scene *scene,
     buf_free(&appearance);
     buf_free(&ground);
     buf_free(&seen);
-    buf_free(&clip);
     return rc;
 }
 
@@ -688,12 +675,7 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
     struct tile_scene s = {
         .dir = dir, .trained = o->trained ? o->trained : dir, .cropped = &cropped};
     struct scene scene = {0};
-    struct clip clip = {0};
     enum err_code rc = scene_read(dir, &scene, e);
-    s.origin = scene.origin;
-    if (!rc)
-        rc = clip_open(o->clip, -HUGE_VAL, HUGE_VAL, &clip, e);
-    s.clip = o->clip ? &clip : NULL;
     if (!rc)
         rc = tile_crop(&s, &scene, o->crop, e);
     if (!rc)
@@ -711,7 +693,6 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
                 "(--crop)\n",
                 atomic_load(&cropped));
     }
-    clip_free(&clip);
     buf_free(&s.appearance);
     trim_free(&s.trim);
     footprint_free(&s.footprint);

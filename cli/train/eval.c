@@ -119,7 +119,7 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
     if (!rc)
         rc = eval_city_open(&v.city, args.arg[0], v.o.split ? SCENE_TRAIN : SCENE_TEST, e);
     if (!rc)
-        rc = eval_score_open(&v.city, NULL, LPIPS_SIGNED, &v.score, e);
+        rc = eval_score_open(&v.city, &v.score, e);
     if (rc)
         goto out;
     eval_score_print_head();

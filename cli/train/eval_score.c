@@ -9,18 +9,13 @@
 
 #include "train/photographs/photo_loader.h"
 
-enum err_code eval_score_open(struct eval_city *c, const char *lpips, enum lpips_range range,
-                              struct eval_score *out, struct err *e)
+enum err_code eval_score_open(struct eval_city *c, struct eval_score *out, struct err *e)
 {
-    enum err_code rc = footprint_of(&c->scene, &out->ground, e);
-    if (!rc && lpips)
-        rc = lpips_open(&c->dev, lpips, range, &out->lpips, e);
-    return rc;
+    return footprint_of(&c->scene, &out->ground, e);
 }
 
 void eval_score_close(struct eval_score *s)
 {
-    lpips_close(&s->lpips);
     footprint_free(&s->ground);
 }
 
@@ -35,7 +30,7 @@ enum err_code eval_score_row(struct eval_score *s, const char *what, uint32_t ed
                              const struct evaluate_score *score, struct err *e)
 {
     char visible[32] = "", seen[32] = "";
-    bool lpips = s->lpips && score->lpips > 0.0; /* rows of half images have none */
+    const bool more = s->more && score->more > 0.0; /* rows of half images have none */
     if (score->n_seen)
         snprintf(seen, sizeof seen, "%.3f", score->seen_psnr_db);
     if (score->visible > 0.0)
@@ -43,8 +38,8 @@ enum err_code eval_score_row(struct eval_score *s, const char *what, uint32_t ed
     printf("%-14s %6zu %9u %9.3f %9s %8.4f %10.4f %8.5f %12.0f %12s %9.2f %9.2f\n", what,
            score->n_photos, edge_px, score->psnr_db, seen, score->ssim, score->ssim_valid,
            score->gmsd, score->gaussians, visible, score->ms_frame, score->bytes / 1e6);
-    if (lpips)
-        printf("%-14s %s %.4f\n", "", lpips_key(s->lpips), score->lpips);
+    if (more)
+        printf("%-14s %s %.4f\n", "", s->more->key, score->more);
     fflush(stdout);
     json_t *row =
         json_pack("{s:s, s:I, s:i, s:o, s:o, s:o, s:f, s:f, s:f, s:f, s:f}", "what", what,
@@ -53,8 +48,8 @@ enum err_code eval_score_row(struct eval_score *s, const char *what, uint32_t ed
                   jsonc_real(score->ssim_valid), "l1", score->l1, "gmsd", score->gmsd, "gaussians",
                   score->gaussians, "ms_frame", score->ms_frame, "bytes", score->bytes);
     bool ok = row != NULL;
-    if (ok && lpips)
-        ok = !json_object_set_new(row, lpips_key(s->lpips), json_real(score->lpips));
+    if (ok && more)
+        ok = !json_object_set_new(row, s->more->key, json_real(score->more));
     if (ok && score->n_seen)
         ok = !json_object_set_new(row, "seen_psnr_db", jsonc_real(score->seen_psnr_db));
     if (ok && score->visible > 0.0)
@@ -90,7 +85,7 @@ enum err_code eval_score_drawing(struct eval_score *s, const struct eval_city *c
     struct evaluate_score score;
     struct evaluate_source src = d->src;
     src.ground = s->ground.nx ? &s->ground : NULL;
-    src.lpips = s->lpips;
+    src.more = s->more;
     src.residuals = residuals;
     if (d->all_photographs)
         log_warn("eval",

@@ -7,21 +7,19 @@
 
 #include "cli/train/eval_city.h"
 #include "scene/cells/footprint.h"
-#include "train/loss/lpips.h"
+#include "train/photographs/evaluate.h"
 
 struct photo_loader;
 struct residual_list;
 
-struct eval_score {          /* {0} is empty; eval_score_close */
-    const char *pictures;    /* folder for photograph and drawing side by side; NULL: none */
-    struct lpips *lpips;     /* NULL: no weights */
-    struct footprint ground; /* what training photographs show */
-    struct json_t *rows;     /* a JSON array, borrowed */
+struct eval_score {       /* {0} is empty; eval_score_close */
+    const char *pictures; /* folder for photograph and drawing side by side; NULL: none */
+    const struct evaluate_more *more; /* one more score, borrowed; NULL: none */
+    struct footprint ground;          /* what training photographs show */
+    struct json_t *rows;              /* a JSON array, borrowed */
 };
-/* Opens the weights of LPIPS (NULL: none); `pictures` and `rows` are set before. Errors of
- * footprint_of and lpips_open. */
-enum err_code eval_score_open(struct eval_city *c, const char *lpips, enum lpips_range range,
-                              struct eval_score *out, struct err *e) ERR_USE;
+/* `pictures`, `more` and `rows` are set before. Errors of footprint_of. */
+enum err_code eval_score_open(struct eval_city *c, struct eval_score *out, struct err *e) ERR_USE;
 void eval_score_close(struct eval_score *s);
 
 void eval_score_print_head(void);

@@ -5,8 +5,7 @@
  * payload, COLOR_0 present, SH_DEGREE_0 absent (one name more and Cesium drops all SH), no node
  * transform. The bytes inside are in glTF axes and a correct .spz by themselves. The plain form is
  * for three.js, PlayCanvas and Babylon: linear sigmas and opacities, quaternions x y z w, SH as
- * trained. The packed form is the plain one in the smallest numbers that the extension itself
- * allows, so that no decoder is needed: normalised shorts for rotations, opacities and sigmas.
+ * trained.
  *
  * Sources: glTF 2.0; KHR_gaussian_splatting (ratified);
  * KHR_gaussian_splatting_compression_spz_2 (draft).
@@ -169,64 +168,29 @@ out:
     return rc;
 }
 
-/* ---- plain and packed: one accessor, one view, one run of numbers an attribute ---- */
+/* ---- plain: one accessor, one view, one run of floats an attribute ---- */
 
 struct plain {
     const struct gauss *g;
     json_t *attributes, *accessors, *views;
     struct buf bin;
-    uint32_t sh_degree;
-    bool packed;
 };
 
-static size_t glb_component_bytes(int component)
-{
-    return component == FLOAT32                        ? 4
-           : component == INT16 || component == UINT16 ? 2
-           : component == 5120 || component == UINT8   ? 1
-                                                       : 0;
-}
-
-/* Zeroed rows of `component` from a multiple of 4 bytes on, each of them again one; integers are
- * normalised. NULL: no memory, which the buffer remembers. */
-static uint8_t *glb_plain_add(struct plain *p, const char *name, size_t width, int component,
-                              json_t **made)
+/* Rows of `width` floats, each of them to be set. NULL: no memory, which the buffer remembers. */
+static float *glb_plain_add(struct plain *p, const char *name, size_t width, json_t **made)
 {
     static const char *const type[] = {"", "SCALAR", "VEC2", "VEC3", "VEC4"};
-    size_t row = glb_component_bytes(component) * width, stride = (row + 3) & ~(size_t)3;
-    size_t bytes = p->g->n * stride;
-    json_t *a = glb_accessor(p->g->n, component, type[width]);
+    size_t bytes = p->g->n * width * sizeof(float);
+    json_t *a = glb_accessor(p->g->n, FLOAT32, type[width]);
     json_t *view =
         json_pack("{s:i,s:I,s:I,s:i}", "buffer", 0, "byteOffset", (json_int_t)p->bin.size,
                   "byteLength", (json_int_t)bytes, "target", 34962); /* ARRAY_BUFFER */
-    if (stride != row)
-        json_object_set_new(view, "byteStride", json_integer((json_int_t)stride));
-    if (component != FLOAT32)
-        json_object_set_new(a, "normalized", json_true());
     json_object_set_new(a, "bufferView", json_integer((json_int_t)json_array_size(p->views)));
     json_array_append_new(p->views, view);
     glb_add_attribute(p->attributes, p->accessors, name, a);
     if (made)
         *made = a;
-    uint8_t *at = buf_grow(&p->bin, bytes);
-    if (at)
-        memset(at, 0, bytes);
-    return at;
-}
-
-/* A number at `at` as a component: integers stand for 0 (or -1) to 1. */
-static void glb_put(uint8_t *at, int component, float v)
-{
-    if (component == FLOAT32) {
-        memcpy(at, &v, sizeof v);
-        return;
-    }
-    float most = component == INT16 ? 32767 : component == UINT16 ? 65535 : 255;
-    v = v > 1 ? 1 : v < -1 ? -1 : v;
-    uint16_t bits = (uint16_t)(int32_t)lrintf((component == INT16 || v > 0 ? v : 0) * most);
-    at[0] = (uint8_t)bits;
-    if (component != UINT8)
-        at[1] = (uint8_t)(bits >> 8);
+    return (float *)(void *)buf_grow(&p->bin, bytes); /* a multiple of 4 bytes from its start */
 }
 
 static float glb_linear_from_srgb(float v)
@@ -245,11 +209,11 @@ static void glb_plain_fill_sh(struct plain *p)
     const struct gauss *g = p->g;
     size_t k = gauss_sh_count(g->sh_degree), at = 0;
     char name[64];
-    for (uint32_t l = 0; l <= p->sh_degree; l++)
+    for (uint32_t l = 0; l <= g->sh_degree; l++)
         for (uint32_t m = 0; m <= 2 * l; m++, at++) {
-            uint8_t *to = glb_plain_add(p, glb_sh_name(name, l, m), 3, FLOAT32, NULL);
+            float *to = glb_plain_add(p, glb_sh_name(name, l, m), 3, NULL);
             for (size_t i = 0; to && i < g->n; i++)
-                memcpy(to + 12 * i, g->sh + 3 * (i * k + at), 12);
+                memcpy(to + 3 * i, g->sh + 3 * (i * k + at), 12);
         }
 }
 
@@ -258,48 +222,29 @@ static void glb_plain_fill_color(struct plain *p)
 {
     const struct gauss *g = p->g;
     size_t k = gauss_sh_count(g->sh_degree);
-    int component = p->packed ? UINT8 : FLOAT32;
-    size_t step = glb_component_bytes(component);
-    uint8_t *to = glb_plain_add(p, "COLOR_0", 4, component, NULL);
+    float *to = glb_plain_add(p, "COLOR_0", 4, NULL);
     for (size_t i = 0; to && i < g->n; i++)
-        for (size_t c = 0; c < 4; c++, to += step)
-            glb_put(to, component,
-                    c < 3 ? glb_linear_from_srgb((float)GAUSS_SH_C0 * g->sh[3 * k * i + c] + 0.5f)
-                          : glb_opacity(g, i));
-}
-
-/* Normalised shorts end at 1 m: Gaussians of coarse levels are larger and stay floats, because a
- * scale of the node is what CesiumJS stops at and others leave out. */
-static int glb_scale_component(const struct plain *p)
-{
-    const struct gauss *g = p->g;
-    bool fits = p->packed;
-    for (size_t i = 0; fits && i < 3 * g->n; i++)
-        fits = g->scale_log[i] <= 0;
-    return fits ? UINT16 : FLOAT32;
+        for (size_t c = 0; c < 4; c++)
+            *to++ = c < 3 ? glb_linear_from_srgb((float)GAUSS_SH_C0 * g->sh[3 * k * i + c] + 0.5f)
+                          : glb_opacity(g, i);
 }
 
 static void glb_plain_fill_shape(struct plain *p)
 {
     const struct gauss *g = p->g;
-    int component = glb_scale_component(p);
-    size_t step = glb_component_bytes(component), stride = (3 * step + 3) & ~(size_t)3;
-    uint8_t *to = glb_plain_add(p, EXT_SPLAT ":SCALE", 3, component, NULL);
+    float *to = glb_plain_add(p, EXT_SPLAT ":SCALE", 3, NULL);
     for (size_t i = 0; to && i < 3 * g->n; i++)
-        glb_put(to + i / 3 * stride + i % 3 * step, component, expf(g->scale_log[i]));
-    component = p->packed ? INT16 : FLOAT32;
-    step = glb_component_bytes(component);
-    to = glb_plain_add(p, EXT_SPLAT ":ROTATION", 4, component, NULL);
+        to[i] = expf(g->scale_log[i]);
+    to = glb_plain_add(p, EXT_SPLAT ":ROTATION", 4, NULL);
     for (size_t i = 0; to && i < g->n; i++) {
         const float *q = g->quat_wxyz + 4 * i;
         float norm = sqrtf(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-        for (size_t c = 0; c < 4; c++, to += step)
-            glb_put(to, component, q[(c + 1) % 4] / norm);
+        for (size_t c = 0; c < 4; c++)
+            *to++ = q[(c + 1) % 4] / norm;
     }
-    component = p->packed ? UINT16 : FLOAT32;
-    to = glb_plain_add(p, EXT_SPLAT ":OPACITY", 1, component, NULL);
+    to = glb_plain_add(p, EXT_SPLAT ":OPACITY", 1, NULL);
     for (size_t i = 0; to && i < g->n; i++)
-        glb_put(to + 4 * i, component, glb_opacity(g, i));
+        to[i] = glb_opacity(g, i);
 }
 
 static void glb_plain_fill(struct plain *p)
@@ -307,10 +252,9 @@ static void glb_plain_fill(struct plain *p)
     const struct gauss *g = p->g;
     double lo[3], hi[3];
     json_t *position;
-    uint8_t *to = glb_plain_add(p, "POSITION", 3, FLOAT32, &position);
+    float *to = glb_plain_add(p, "POSITION", 3, &position);
     for (size_t i = 0; to && i < 3 * g->n; i++) {
-        double v = (double)g->mean_m[i];
-        glb_put(to + 4 * i, FLOAT32, g->mean_m[i]);
+        double v = (double)(to[i] = g->mean_m[i]);
         lo[i % 3] = i < 3 || v < lo[i % 3] ? v : lo[i % 3];
         hi[i % 3] = i < 3 || v > hi[i % 3] ? v : hi[i % 3];
     }
@@ -321,47 +265,40 @@ static void glb_plain_fill(struct plain *p)
     glb_plain_fill_sh(p);
 }
 
-/* p->g, degree and kind are set. */
-static enum err_code glb_encode_accessors(struct plain *p, const char *copyright, struct buf *out,
-                                          struct err *e)
-{
-    size_t bad = 0;
-    if (!p->g->n)
-        return err_set(e, ERR_DATA, "glb: no Gaussians: a glTF accessor cannot be empty");
-    if (gauss_count_bad(p->g, &bad))
-        return err_set(e, ERR_DATA, "glb: row %zu: not finite, or no rotation", bad);
-    p->attributes = json_object();
-    p->accessors = json_array();
-    p->views = json_array();
-    glb_plain_fill(p);
-    json_t *root = glb_document(copyright, p->attributes, p->accessors, p->views, p->bin.size,
-                                glb_splat_extension(), false);
-    enum err_code rc = buf_check(&p->bin, e);
-    if (!rc && !root)
-        rc = err_set(e, ERR_ARG, "glb: the copyright text is not UTF-8, or out of memory");
-    if (!rc)
-        rc = glb_pack(root, &p->bin, out, e);
-    json_decref(root);
-    buf_free(&p->bin);
-    return rc;
-}
-
 enum err_code glb_encode_plain(const struct gauss *g, const char *copyright, struct buf *out,
                                struct err *e)
 {
-    struct plain p = {.g = g, .sh_degree = g->sh_degree};
-    return glb_encode_accessors(&p, copyright, out, e);
-}
-
-enum err_code glb_encode_packed(const struct gauss *g, uint32_t sh_degree, const char *copyright,
-                                struct buf *out, struct err *e)
-{
-    struct plain p = {
-        .g = g, .sh_degree = sh_degree < g->sh_degree ? sh_degree : g->sh_degree, .packed = true};
-    return glb_encode_accessors(&p, copyright, out, e);
+    struct plain p = {.g = g};
+    size_t bad = 0;
+    if (!g->n)
+        return err_set(e, ERR_DATA, "glb: no Gaussians: a glTF accessor cannot be empty");
+    if (gauss_count_bad(g, &bad))
+        return err_set(e, ERR_DATA, "glb: row %zu: not finite, or no rotation", bad);
+    p.attributes = json_object();
+    p.accessors = json_array();
+    p.views = json_array();
+    glb_plain_fill(&p);
+    json_t *root = glb_document(copyright, p.attributes, p.accessors, p.views, p.bin.size,
+                                glb_splat_extension(), false);
+    enum err_code rc = buf_check(&p.bin, e);
+    if (!rc && !root)
+        rc = err_set(e, ERR_ARG, "glb: the copyright text is not UTF-8, or out of memory");
+    if (!rc)
+        rc = glb_pack(root, &p.bin, out, e);
+    json_decref(root);
+    buf_free(&p.bin);
+    return rc;
 }
 
 /* ---- reading ---- */
+
+static size_t glb_component_bytes(int component)
+{
+    return component == FLOAT32                        ? 4
+           : component == INT16 || component == UINT16 ? 2
+           : component == 5120 || component == UINT8   ? 1
+                                                       : 0;
+}
 
 struct glb {
     json_t *root;

@@ -39,12 +39,10 @@ enum rd_format {
     RD_SPZ4,
     RD_PRESET_FORMATS,
     RD_SOG = RD_PRESET_FORMATS,
-    RD_GLB_PACKED,
     RD_GLB_PLAIN, /* of all degrees alone */
     RD_FORMATS
 };
-static const char *const format_names[RD_FORMATS] = {"drc", "spz 3",      "spz 4",
-                                                     "sog", "packed.glb", "plain.glb"};
+static const char *const format_names[RD_FORMATS] = {"drc", "spz 3", "spz 4", "sog", "plain.glb"};
 
 struct rd {
     struct bench *b;
@@ -69,9 +67,8 @@ static enum err_code rd_trip_own(const struct gauss *tile, enum rd_format f, uin
                                  struct buf *file, struct gauss *out, struct err *e)
 {
     const uint32_t degree = sh_degree < tile->sh_degree ? sh_degree : tile->sh_degree;
-    enum err_code rc = f == RD_SOG          ? sog_encode(tile, degree, file, e)
-                       : f == RD_GLB_PACKED ? glb_encode_packed(tile, degree, NULL, file, e)
-                                            : glb_encode_plain(tile, NULL, file, e);
+    enum err_code rc =
+        f == RD_SOG ? sog_encode(tile, degree, file, e) : glb_encode_plain(tile, NULL, file, e);
     if (rc)
         return rc;
     return f == RD_SOG ? sog_decode(file->data, file->size, NULL, out, e)
@@ -178,8 +175,6 @@ static enum err_code rd_presets(struct rd *r, struct err *e)
         const struct quant_grid g = {.sh_degree = (uint8_t)degree};
         snprintf(row, sizeof row, "degree:%u", degree);
         rc = rd_row(r, row, RD_SOG, &g, e);
-        if (!rc)
-            rc = rd_row(r, row, RD_GLB_PACKED, &g, e);
     }
     const struct quant_grid all = {.sh_degree = (uint8_t)r->leaves.tile[0].sh_degree};
     snprintf(row, sizeof row, "degree:%u", all.sh_degree);

@@ -10,6 +10,7 @@
 #include "cli/train/eval_score.h"
 #include "lab/eval/eval_lab.h"
 #include "lab/eval/half_image.h"
+#include "lab/eval/lpips.h"
 #include "lab/lab.h"
 #include "train/loss/photometric.h"
 #include "train/photographs/photo_loader.h"
@@ -31,6 +32,8 @@ struct eval_photographs {
     struct eval_lab lab;
     struct eval_photographs_options o;
     struct eval_score score;
+    struct lpips *lpips;       /* NULL: no weights */
+    struct evaluate_more more; /* its score */
 };
 
 enum { EVAL_HALF_IMAGE_AUTO, EVAL_HALF_IMAGE_ON, EVAL_HALF_IMAGE_OFF };
@@ -101,6 +104,25 @@ static enum err_code eval_photographs_drawing(void *user, const struct eval_draw
     return rc;
 }
 
+static enum err_code eval_lpips(void *user, const struct photo *p, const float *rgb, double *out,
+                                struct err *e)
+{
+    return lpips_run(user, rgb, p->px, p->mask, p->cam.width_px, p->cam.height_px, out, e);
+}
+
+static enum err_code eval_lpips_open(struct eval_photographs *v, struct err *e)
+{
+    if (!v->o.lpips)
+        return ERR_OK;
+    enum err_code rc =
+        lpips_open(&v->lab.city.dev, v->o.lpips, (enum lpips_range)v->o.lpips_range, &v->lpips, e);
+    if (rc)
+        return rc;
+    v->more = (struct evaluate_more){lpips_key(v->lpips), eval_lpips, v->lpips};
+    v->score.more = &v->more;
+    return ERR_OK;
+}
+
 enum err_code lab_eval_photographs(int argc, char **argv, struct err *e)
 {
     const struct options_spec spec = {
@@ -122,7 +144,9 @@ enum err_code lab_eval_photographs(int argc, char **argv, struct err *e)
     v.lab.city.full_size = v.o.full_size;
     v.score.pictures = v.o.pictures;
     v.score.rows = v.lab.rows;
-    rc = eval_score_open(&v.lab.city, v.o.lpips, (enum lpips_range)v.o.lpips_range, &v.score, e);
+    rc = eval_score_open(&v.lab.city, &v.score, e);
+    if (!rc)
+        rc = eval_lpips_open(&v, e);
     if (rc)
         goto out;
     eval_score_print_head();
@@ -130,6 +154,7 @@ enum err_code lab_eval_photographs(int argc, char **argv, struct err *e)
     if (!rc)
         rc = eval_lab_write(&v.lab, e);
 out:
+    lpips_close(&v.lpips);
     eval_score_close(&v.score);
     eval_lab_close(&v.lab);
     return rc;

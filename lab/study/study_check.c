@@ -16,6 +16,7 @@
 
 #include <jansson.h>
 
+#include "core/base.h"
 #include "lab/study/runs.h"
 #include "lab/study/study.h"
 
@@ -30,10 +31,9 @@ static const struct check_study {
 #undef STUDY
 };
 
-enum { CHECK_COMMITS_MAX = 64, CHECK_WORDS_MAX = 4 };
-struct check_commits { /* looked up, each once */
-    const char *hash[CHECK_COMMITS_MAX];
-    bool in[CHECK_COMMITS_MAX];
+enum { CHECK_WORDS_MAX = 4, CHECK_HASH_LEAST = 4 };
+struct check_commits { /* of HEAD's history, sorted */
+    char (*hash)[41];
     size_t n;
 };
 
@@ -56,9 +56,8 @@ static int check_wait(pid_t pid)
     return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
 }
 
-/* Exit status of git in folder `dir`, its first words into `said` when that is not NULL; -1 where
- * git cannot be run. */
-static int check_git(const char *dir, const char *const words[CHECK_WORDS_MAX], char said[32])
+/* What git in folder `dir` prints, from its beginning on. NULL: it fails, or cannot be run. */
+static FILE *check_git(const char *dir, const char *const words[CHECK_WORDS_MAX])
 {
     const char *argv[CHECK_WORDS_MAX + 4] = {"git", "-C", dir};
     posix_spawn_file_actions_t to;
@@ -74,40 +73,74 @@ static int check_git(const char *dir, const char *const words[CHECK_WORDS_MAX], 
     }
     if (!rc)
         status = check_wait(pid);
-    if (said) {
-        said[0] = '\0';
-        rewind(out);
-        if (!status && fgets(said, 32, out))
-            said[strcspn(said, "\n")] = '\0';
+    if (out && status) {
+        fclose(out);
+        return NULL;
     }
     if (out)
-        fclose(out);
-    return status;
+        rewind(out);
+    return out;
 }
 
 enum study_history study_history(const char *dir)
 {
-    static const char *const words[] = {"rev-parse", "--is-shallow-repository", NULL, NULL};
-    char said[32];
-    if (check_git(dir, words, said))
+    static const char *const words[CHECK_WORDS_MAX] = {"rev-parse", "--is-shallow-repository"};
+    char said[32] = "";
+    FILE *out = check_git(dir, words);
+    if (!out)
         return STUDY_HISTORY_NONE;
-    return strcmp(said, "false") ? STUDY_HISTORY_SHALLOW : STUDY_HISTORY_WHOLE;
+    const bool whole = fgets(said, sizeof said, out) && !strcmp(said, "false\n");
+    fclose(out);
+    return whole ? STUDY_HISTORY_WHOLE : STUDY_HISTORY_SHALLOW;
 }
 
-static bool check_in_history(struct check_commits *c, const char *dir, const char *hash)
+static int check_order(const void *a, const void *b)
 {
-    const char *const words[] = {"merge-base", "--is-ancestor", hash, "HEAD"};
-    for (size_t i = 0; i < c->n; i++)
-        if (!strcmp(c->hash[i], hash))
-            return c->in[i];
-    /* What git would take for an option or a name is no hash. */
-    bool in =
-        *hash && hash[strspn(hash, "0123456789abcdef")] == '\0' && !check_git(dir, words, NULL);
-    if (c->n < CHECK_COMMITS_MAX) {
-        c->hash[c->n] = hash;
-        c->in[c->n++] = in;
+    return strcmp(a, b);
+}
+
+/* ERR_DATA: HEAD has no history. */
+static enum err_code check_read_history(const char *dir, struct check_commits *c, struct err *e)
+{
+    static const char *const words[CHECK_WORDS_MAX] = {"rev-list", "HEAD"};
+    size_t room = 0;
+    char line[64];
+    FILE *out = check_git(dir, words);
+    enum err_code rc = out ? ERR_OK : err_set(e, ERR_DATA, "%s: git lists no commits of HEAD", dir);
+    while (!rc && fgets(line, sizeof line, out)) {
+        if (c->n == room) {
+            void *more = mem_resize(c->hash, c->n, room = 2 * room + 1024, sizeof *c->hash);
+            if (!more) {
+                rc = err_set(e, ERR_MEM, "chart: out of memory for %zu commits", room);
+                break;
+            }
+            c->hash = more;
+        }
+        snprintf(c->hash[c->n++], sizeof *c->hash, "%.40s", line);
     }
-    return in;
+    if (out)
+        fclose(out);
+    if (!rc && c->n)
+        qsort(c->hash, c->n, sizeof *c->hash, check_order);
+    return rc;
+}
+
+/* Does a commit of the history begin with `hash`? What git would take for an option or a name is no
+ * hash. */
+static bool check_in_history(const struct check_commits *c, const char *hash)
+{
+    const size_t n = strlen(hash);
+    size_t lo = 0, hi = c->n;
+    if (n < CHECK_HASH_LEAST || hash[strspn(hash, "0123456789abcdef")])
+        return false;
+    while (lo < hi) {
+        const size_t mid = lo + (hi - lo) / 2;
+        if (strcmp(c->hash[mid], hash) < 0)
+            lo = mid + 1;
+        else
+            hi = mid;
+    }
+    return lo < c->n && !strncmp(c->hash[lo], hash, n);
 }
 
 /* ---- length and seeds ---- */
@@ -147,11 +180,12 @@ size_t study_row_length(const char *row)
 
 bool study_same_row(const json_t *a, const json_t *b)
 {
+    if (strcmp(runs_text(a, "study"), runs_text(b, "study")) != 0) /* of most pairs */
+        return false;
     const char *row_a = runs_text(a, "row"), *row_b = runs_text(b, "row");
     size_t n = study_row_length(row_a);
-    return !strcmp(runs_text(a, "study"), runs_text(b, "study")) &&
-           !strcmp(runs_text(a, "what"), runs_text(b, "what")) && n == study_row_length(row_b) &&
-           !strncmp(row_a, row_b, n);
+    return n == study_row_length(row_b) && !strncmp(row_a, row_b, n) &&
+           !strcmp(runs_text(a, "what"), runs_text(b, "what"));
 }
 
 static size_t check_seeds(const json_t *lines, const json_t *line)
@@ -194,20 +228,21 @@ static enum err_code check_line(const json_t *lines, const json_t *line, struct 
 
 enum err_code study_check(const json_t *lines, const char *history_dir, struct err *e)
 {
-    struct check_commits commits = {.n = 0};
+    struct check_commits commits = {0};
+    enum err_code rc = history_dir ? check_read_history(history_dir, &commits, e) : ERR_OK;
     size_t i;
     json_t *line;
     json_array_foreach(lines, i, line)
     {
-        enum err_code rc = check_line(lines, line, e);
-        if (rc)
-            return rc;
-        if (history_dir && !check_in_history(&commits, history_dir, runs_text(line, "commit")))
-            return err_set(e, ERR_DATA,
-                           "study '%s', row '%s': commit '%s' is not in the history of HEAD, so "
-                           "nobody can repeat it: measure it again (lab/study.sh %s)",
-                           runs_text(line, "study"), runs_text(line, "row"),
-                           runs_text(line, "commit"), runs_text(line, "study"));
+        if (!rc)
+            rc = check_line(lines, line, e);
+        if (!rc && history_dir && !check_in_history(&commits, runs_text(line, "commit")))
+            rc = err_set(e, ERR_DATA,
+                         "study '%s', row '%s': commit '%s' is not in the history of HEAD, so "
+                         "nobody can repeat it: measure it again (lab/study.sh %s)",
+                         runs_text(line, "study"), runs_text(line, "row"),
+                         runs_text(line, "commit"), runs_text(line, "study"));
     }
-    return ERR_OK;
+    mem_free(commits.hash);
+    return rc;
 }

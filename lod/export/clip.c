@@ -41,17 +41,6 @@ void clip_free(struct clip *c)
     *c = (struct clip){0};
 }
 
-struct hash128 clip_hash(const struct clip *c)
-{
-    const double heights_m[2] = {c ? c->low_m : 0, c ? c->high_m : 0};
-    struct hash128 both[2];
-    if (!c)
-        return (struct hash128){0};
-    both[0] = hash_bytes(heights_m, sizeof heights_m);
-    both[1] = hash_bytes(c->area.edges, c->area.n * sizeof *c->area.edges);
-    return hash_bytes(both, sizeof both);
-}
-
 /* ---- what is held ---- */
 
 bool clip_holds(const struct clip *c, double lon_deg, double lat_deg, double h_m)
@@ -113,8 +102,10 @@ static json_t *clip_feature(const struct clip *c)
                      "geometry", "type", "MultiPolygon", "coordinates", polygons);
 }
 
-enum err_code clip_describe(const struct clip *c, const char *before, struct buf *out,
-                            struct err *e)
+/* The blob STORE_CLIP of a part: GeoJSON, with this clip added to the features of `before`, the
+ * blob of a store that is a part already, or NULL. A clip without polygons adds nothing. */
+static enum err_code clip_describe(const struct clip *c, const char *before, struct buf *out,
+                                   struct err *e)
 {
     json_t *root = before ? json_loads(before, 0, NULL) : NULL;
     char *text = NULL;
@@ -265,28 +256,5 @@ enum err_code clip_store(const struct clip *c, const char *path, const char *nam
     if (!rc)
         memcpy(report->revision, store_info(from)->revision, sizeof report->revision);
     store_close(&from);
-    return rc;
-}
-
-/* ---- for as long as it is open ---- */
-
-enum err_code clip_open_part(const struct clip *c, const char *path, const char *dir, int *fd,
-                             struct clip_report *report, struct err *e)
-{
-    char folder[FILE_PATH_MAX], file[FILE_PATH_MAX];
-    const char *in = dir ? dir : getenv("TMPDIR");
-    int n = snprintf(folder, sizeof folder, "%s/citysplat-clip-XXXXXX", in && *in ? in : "/tmp");
-    *fd = -1;
-    if (n < 0 || (size_t)n >= sizeof folder)
-        return err_set(e, ERR_LIMIT, "%.60s...: the path is too long", in);
-    if (!mkdtemp(folder))
-        return err_errno(e, ERR_IO, "%s: no folder for a clipped store", folder);
-    enum err_code rc = file_join(file, folder, "part.tiles", e);
-    if (!rc)
-        rc = clip_store(c, path, NULL, file, report, e);
-    if (!rc && (*fd = open(file, O_RDONLY | O_CLOEXEC)) < 0)
-        rc = err_errno(e, ERR_IO, "%s", file);
-    unlink(file);
-    rmdir(folder);
     return rc;
 }

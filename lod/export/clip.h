@@ -30,8 +30,6 @@ enum err_code clip_open(const char *path, double low_m, double high_m, struct cl
 enum err_code clip_of_ring(const double (*at)[2], size_t n, struct clip *out,
                            struct err *e) ERR_USE;
 void clip_free(struct clip *c);
-/* A hash of polygons and heights. It is 0 for NULL. */
-struct hash128 clip_hash(const struct clip *c);
 bool clip_holds(const struct clip *c, double lon_deg, double lat_deg, double h_m);
 /* Removes the rows of g that the clip does not hold. The others keep their order. origin: of the
  * ENU frame. ERR_ARG. */
@@ -43,11 +41,6 @@ struct clip_report {
     size_t n_kept, n_dropped; /* Gaussians of all levels */
     char revision[13];
 };
-/* Writes the blob STORE_CLIP of a clipped store: GeoJSON, with this clip added to the features of
- * `before`. `before` is the blob of a store that was clipped already, or NULL. A clip without
- * polygons adds nothing. ERR_MEM. */
-enum err_code clip_describe(const struct clip *c, const char *before, struct buf *out,
-                            struct err *e) ERR_USE;
 /* Writes a store with the Gaussians that the clip holds, at every level. Blobs are copied, and
  * STORE_CLIP describes the clip. The same store and clip give the same revision. name NULL: that of
  * the store. ERR_DATA: nothing is left; the message says where the store lies. ERR_ARG (the name,
@@ -55,11 +48,5 @@ enum err_code clip_describe(const struct clip *c, const char *before, struct buf
  * ERR_CANCEL. */
 enum err_code clip_store(const struct clip *c, const char *path, const char *name,
                          const char *out_path, struct clip_report *report, struct err *e) ERR_USE;
-
-/* As clip_store, into an unnamed file in the folder dir (NULL: TMPDIR, or /tmp). The file
- * disappears when the caller closes *fd. Open it with store_open_fd. ERR_DATA, ERR_NOENT,
- * ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM, ERR_CANCEL. */
-enum err_code clip_open_part(const struct clip *c, const char *path, const char *dir, int *fd,
-                             struct clip_report *report, struct err *e) ERR_USE;
 
 #endif

@@ -9,9 +9,9 @@
 
 #include "lod/store/photograph.h"
 #include "server/answers/answer.h"
+#include "server/documents/appearance_list.h"
 #include "server/documents/appearance_model.h"
 #include "server/documents/result_id.h"
-#include "server/documents/search.h"
 
 static void answer_appearance_problem(const struct dataset *d, enum err_code rc,
                                       const struct err *e, struct response *out)
@@ -197,8 +197,7 @@ void answer_appearance_thumbnail(struct services *s, const struct request *r, st
 /* ---- lists ---- */
 
 struct answer_appearance_list_own {
-    struct appearances_target asked;
-    struct named_appearance_table *kept; /* a reference; NULL: there are no named appearances */
+    struct named_appearance_table *kept; /* a reference */
 };
 
 static enum err_code answer_appearance_make_list(struct services *s, const struct job *j,
@@ -207,13 +206,13 @@ static enum err_code answer_appearance_make_list(struct services *s, const struc
 {
     const struct answer_appearance_list_own *o = work_own(w);
     (void)s, (void)j;
-    return search_write(w->ds, &o->asked, o->kept, out, e);
+    return appearance_list_write(w->ds, o->kept, out, e);
 }
 
 static size_t answer_appearance_list_room(const struct work *w)
 {
     const struct answer_appearance_list_own *o = work_own(w);
-    return search_room(w->ds, &o->asked, o->kept);
+    return appearance_list_room(w->ds, o->kept);
 }
 
 static void answer_appearance_free_list(void *own)
@@ -229,27 +228,24 @@ static const struct work_kind answer_appearance_list_work = {
     .room = answer_appearance_list_room,
     .free = answer_appearance_free_list};
 
-/* What the query looks for; without one the list of all, which is made when a dataset is opened,
- * and again when names are kept or forgotten. */
+/* The list is made when a dataset is opened, and again when names are kept or forgotten. */
 void answer_appearance_list(struct services *s, const struct request *r, struct dataset *d,
                             const struct target *t, struct response *out)
 {
-    const struct appearances_target *asked = target_of_appearances(t);
     const struct named_appearance_row *row = NULL;
     struct named_appearance_table *kept = named_appearance_now(s->named_appearances);
     const size_t n_kept = d->appearance ? named_appearance_of(kept, d->meta.name, &row) : 0;
+    (void)t;
     out->type = RESPONSE_JSON;
-    if (!asked->search.asked && !n_kept) {
+    if (!n_kept) {
         response_body(r, services_document(s, d, DATASET_APPEARANCES), out);
-    } else if (!d->search) {
-        response_problem(out, 404, "this dataset was trained without appearance");
     } else {
-        struct hash128 id = result_id_search(d, asked, named_appearance_hash(kept, d->meta.name));
+        struct hash128 id = result_id_appearances(d, named_appearance_hash(kept, d->meta.name));
         struct answer_appearance_list_own *own =
             response_made(s, r, id, out) ? response_work(d, &answer_appearance_list_work, id, out)
                                          : NULL;
         if (own)
-            *own = (struct answer_appearance_list_own){*asked, named_appearance_ref(kept)};
+            own->kept = named_appearance_ref(kept);
     }
     named_appearance_drop(&kept);
 }

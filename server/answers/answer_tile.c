@@ -1,4 +1,4 @@
-/* Tiles: from memory, or by a job.
+/* Tiles, and the whole city in one file for programs that load no tiles: from memory, or by a job.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -58,10 +58,11 @@ static bool answer_tile_clip(const struct dataset *d, const struct store_tile *t
 /* ---- the work ---- */
 
 struct answer_tile_own {
-    struct key key;
+    bool city;        /* the finest level in one file, not a tile */
+    struct key key;   /* of a tile */
     struct form form; /* complete (encode_form) */
     struct appearance_choice appearance;
-    struct target_clip clip; /* n 0: all of the tile */
+    struct target_clip clip; /* n 0: all of it */
 };
 
 static enum err_code answer_tile_make(struct services *s, const struct job *j, const struct work *w,
@@ -74,9 +75,11 @@ static enum err_code answer_tile_make(struct services *s, const struct job *j, c
     enum err_code rc = o->clip.n ? param_clip_open(&o->clip, &clip, e) : ERR_OK;
     if (!rc)
         rc = work_borrow(w, &store, e);
+    const float *image = appearance_api_image(&o->appearance);
+    const struct clip *part = o->clip.n ? &clip : NULL;
     if (!rc)
-        rc = encode_tile(store, o->key, o->form, appearance_api_image(&o->appearance),
-                         o->clip.n ? &clip : NULL, out, e);
+        rc = o->city ? encode_city(store, o->form, image, part, out, e)
+                     : encode_tile(store, o->key, o->form, image, part, out, e);
     if (store)
         dataset_return(w->ds, store);
     clip_free(&clip);
@@ -93,8 +96,7 @@ static size_t answer_tile_room(const struct work *w)
 {
     const struct answer_tile_own *o = work_own(w);
     const size_t n = answer_tile_count(w, o), sh = 3 * gauss_sh_count(w->ds->meta.sh_degree);
-    if (o->form.format == FORMAT_PLY || o->form.format == FORMAT_GLB_PLAIN ||
-        o->form.format == FORMAT_GLB_PACKED)
+    if (o->form.format == FORMAT_PLY || o->form.format == FORMAT_GLB_PLAIN)
         return n * (17 + sh) * sizeof(float);
     return n * (20 + sh + w->ds->meta.embed_len);
 }
@@ -123,7 +125,28 @@ static const struct work_kind answer_tile_work = {.noun = "tile",
                                                   .cost = answer_tile_cost,
                                                   .tell = answer_tile_tell};
 
-/* ---- the answer ---- */
+static size_t answer_tile_city_room(const struct work *w)
+{
+    const size_t sh = 3 * gauss_sh_count(w->ds->meta.sh_degree);
+    return encode_city_count(w->ds->index) * (17 + sh) * sizeof(float);
+}
+
+/* Files of different formats differ. */
+static double answer_tile_city_cost(const struct work *w, unsigned *variant)
+{
+    const double encode_ms = 3e-3;
+    *variant = (unsigned)((const struct answer_tile_own *)work_own(w))->form.format;
+    return 1 + encode_ms * (double)encode_city_count(w->ds->index);
+}
+
+static const struct work_kind answer_tile_city_work = {.noun = "city in one file",
+                                                       .traits = WORK_ON_DISK | WORK_OF_STORE,
+                                                       .size = sizeof(struct answer_tile_own),
+                                                       .make = answer_tile_make,
+                                                       .room = answer_tile_city_room,
+                                                       .cost = answer_tile_city_cost};
+
+/* ---- the answers ---- */
 
 void answer_tile(struct services *s, const struct request *r, struct dataset *d,
                  const struct target *t, struct response *out)
@@ -165,4 +188,42 @@ void answer_tile(struct services *s, const struct request *r, struct dataset *d,
     }
     out->tile = key;
     memcpy(out->tile_of, d->meta.name, sizeof out->tile_of);
+}
+
+void answer_tile_city(struct services *s, const struct request *r, struct dataset *d,
+                      const struct target *t, struct response *out)
+{
+    const struct target_tiles *asked = &target_of_city(t)->tiles;
+    const struct form form = encode_form(s->cfg, &d->meta, &asked->form);
+    const uint64_t n = encode_city_count(d->index);
+    struct appearance_choice choice;
+    char text[200];
+    if (n > (uint64_t)s->cfg->city_gaussians) {
+        snprintf(
+            text, sizeof text,
+            "the finest level has %llu Gaussians, and files of more than %d are not made here: "
+            "take the tiles, or citysplat export",
+            (unsigned long long)n, (int)s->cfg->city_gaussians);
+        response_problem(out, 422, text);
+        return;
+    }
+    if (!answer_appearance_find_tile(s, d, asked->appearance, &choice, out))
+        return;
+    if (choice.trained) {
+        response_problem(out, 400, "a file has an appearance; \"none\" is of tiles");
+        return;
+    }
+    struct hash128 id = result_id_city(d, form, &choice);
+    if (asked->clip.n)
+        result_id_clip(&id, &asked->clip);
+    out->type = format_type(form.format);
+    snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s", d->meta.name, d->meta.revision);
+    struct answer_tile_own *own =
+        response_made(s, r, id, out) ? response_work(d, &answer_tile_city_work, id, out) : NULL;
+    if (!own)
+        return;
+    *own = (struct answer_tile_own){
+        .city = true, .form = form, .appearance = choice, .clip = asked->clip};
+    out->work->apart = true;
+    out->work->may_lack = asked->clip.n;
 }

@@ -12,7 +12,6 @@
     X(DRC, "drc", "application/octet-stream")                                                      \
     X(PLY, "ply", "application/octet-stream")                                                      \
     X(GLB_PLAIN, "plain.glb", "model/gltf-binary")                                                 \
-    X(GLB_PACKED, "packed.glb", "model/gltf-binary")                                               \
     X(GLB_LOWPASS, "lowpass.glb", "model/gltf-binary")                                             \
     X(PLY_PACKED, "compressed.ply", "application/octet-stream")                                    \
     X(SOG, "sog", "application/zip")                                                               \

@@ -11,10 +11,9 @@
 #include <string.h>
 #include <unistd.h>
 
-#include "lod/export/clip.h"
 #include "lod/store/bake.h"
+#include "server/data/appearance_rows.h"
 #include "server/data/encode.h"
-#include "server/data/search_index.h"
 
 /* West south hmin east north hmax of the coarsest level's boxes: it covers every Gaussian. */
 static enum err_code dataset_find_bbox(struct dataset *d, struct err *e)
@@ -46,32 +45,6 @@ static enum err_code dataset_find_bbox(struct dataset *d, struct err *e)
             d->bbox[a] = o[a % 3];
     }
     return ERR_OK;
-}
-
-/* The store's file, or a part of it. */
-static enum err_code dataset_open_file(struct dataset *d, const struct clip *clip,
-                                       const char *clip_dir, struct err *e)
-{
-    struct store *whole = NULL;
-    struct clip_report r;
-    double start_s = clock_s();
-    int fd = -1;
-    if (!clip)
-        return store_open_file(d->path, &d->fd, e);
-    enum err_code rc = store_open_file(d->path, &fd, e);
-    if (!rc)
-        rc = store_open_fd(fd, d->path, &whole, e);
-    if (fd >= 0)
-        close(fd);
-    if (!rc)
-        memcpy(d->source, store_info(whole)->revision, sizeof d->source);
-    if (!rc)
-        rc = clip_open_part(clip, d->path, clip_dir, &d->fd, &r, e);
-    if (!rc)
-        log_info("serve", "clipped file=%s tiles=%zu kept=%zu left_out=%zu seconds=%.1f",
-                 store_path(whole), r.n_tiles, r.n_kept, r.n_dropped, clock_s() - start_s);
-    store_close(&whole);
-    return rc;
 }
 
 /* Heights above the sea become ellipsoidal, as clients of 3D Tiles read them. One number is enough:
@@ -112,8 +85,7 @@ static enum err_code dataset_open_first(struct dataset *d, size_t n, const struc
     d->n_begun = d->n_stores = !rc;
     if (rc)
         return rc;
-    if (!d->source[0])
-        memcpy(d->source, store_info(d->stores[0])->revision, sizeof d->source);
+    memcpy(d->source, store_info(d->stores[0])->revision, sizeof d->source);
     dataset_find_lift(d, geoid);
     store_lift(d->stores[0], d->lift_m);
     return ERR_OK;
@@ -137,17 +109,15 @@ static enum err_code dataset_find_area(struct dataset *d, struct err *e)
     return rc == ERR_DATA ? ERR_OK : rc;
 }
 
-static enum err_code dataset_open_store(struct dataset *d, size_t readers, const struct clip *clip,
-                                        const char *clip_dir, const struct geoid *geoid,
-                                        struct err *e)
+static enum err_code dataset_open_store(struct dataset *d, size_t readers,
+                                        const struct geoid *geoid, struct err *e)
 {
-    enum err_code rc = dataset_open_file(d, clip, clip_dir, e);
+    enum err_code rc = store_open_file(d->path, &d->fd, e);
     if (!rc)
         rc = dataset_open_first(d, readers + 1, geoid, e);
     if (!rc) {
         d->index = d->stores[0];
         d->meta = *store_info(d->index);
-        d->clip = clip_hash(clip);
         d->tiles = store_tiles(d->index, &d->n_tiles);
         rc = dataset_find_bbox(d, e);
     }
@@ -160,9 +130,8 @@ static enum err_code dataset_open_store(struct dataset *d, size_t readers, const
     return !rc ? bake_of(d->stores[0], &d->appearance, e) : rc;
 }
 
-enum err_code dataset_open(const char *path, size_t readers, const struct clip *clip,
-                           const char *clip_dir, const struct geoid *geoid, struct dataset **out,
-                           struct err *e)
+enum err_code dataset_open(const char *path, size_t readers, const struct geoid *geoid,
+                           struct dataset **out, struct err *e)
 {
     struct dataset *d = mem_array(1, sizeof *d);
     *out = d;
@@ -175,7 +144,7 @@ enum err_code dataset_open(const char *path, size_t readers, const struct clip *
     if (!(d->path = mem_text(path)))
         rc = err_set(e, ERR_MEM, "out of memory for a dataset");
     if (!rc)
-        rc = dataset_open_store(d, readers, clip, clip_dir, geoid, e);
+        rc = dataset_open_store(d, readers, geoid, e);
     if (rc)
         dataset_drop(out);
     return rc;
@@ -226,7 +195,7 @@ void dataset_drop(struct dataset **out)
     }
     body_drop(&d->model);
     body_drop(&d->photographs);
-    search_index_close(&d->search);
+    appearance_rows_close(&d->rows);
     pthread_mutex_destroy(&d->lock);
     mem_free(d->path);
     mem_free(d);

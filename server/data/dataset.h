@@ -12,9 +12,8 @@
 #include "lod/store/store.h"
 #include "server/base/body.h"
 
-struct clip;
+struct appearance_rows;
 struct geoid;
-struct search_index;
 
 enum dataset_document {
     DATASET_TILESET,        /* with URIs relative to d/NAME/r/REV/ */
@@ -27,13 +26,10 @@ enum dataset_document {
 struct dataset { /* immutable except where a comment says otherwise; reference-counted */
     _Atomic uint32_t refs;
     char *path; /* path of this revision when it was opened */
-    /* revision of the store at that path; meta.revision unless it was clipped or raised */
+    /* revision of the store at that path; meta.revision unless it was raised */
     char source[13];
-    struct hash128 clip; /* clip_hash of the clip */
     double lift_m; /* by which the geoid raised the store's heights to ellipsoidal ones; else 0 */
-    /* its open file, even if the path names another one by now; if clipped, the file with the part
-     */
-    int fd;
+    int fd;        /* its open file, even if the path names another one by now */
     struct store_meta meta;
     const struct store_tile *tiles;
     size_t n_tiles;
@@ -47,8 +43,8 @@ struct dataset { /* immutable except where a comment says otherwise; reference-c
     char edition[9];     /* of its tiles (result_id.h); catalog.c sets this and the next five: */
     int64_t opened_s;    /* seconds since 1970 */
     struct body *_Atomic document[DATASET_DOCUMENTS]; /* catalog_document; NULL: not made yet */
-    struct body *model, *photographs;                 /* NULL without appearance; so is search */
-    struct search_index *search;                      /* index of its photographs */
+    struct body *model, *photographs;                 /* NULL without appearance; so is rows */
+    struct appearance_rows *rows;                     /* what is known of its photographs */
     /* number of results that could not be read from its file: the file is damaged */
     _Atomic uint32_t n_failed;
     pthread_mutex_t lock; /* for what follows */
@@ -60,12 +56,9 @@ struct dataset { /* immutable except where a comment says otherwise; reference-c
 
 /* Opens the store at `path` with at most `readers` handles for worker threads. geoid (may be NULL):
  * a store whose heights count from the sea becomes a revision of its own, with ellipsoidal heights.
- * clip (may be NULL) selects a part of it, which becomes a file in clip_dir that is removed with
- * the dataset. Free *out with dataset_drop. ERR_MEM, and the errors of store_open and
- * clip_open_part. */
-enum err_code dataset_open(const char *path, size_t readers, const struct clip *clip,
-                           const char *clip_dir, const struct geoid *geoid, struct dataset **out,
-                           struct err *e) ERR_USE;
+ * Free *out with dataset_drop. ERR_MEM, and the errors of store_open. */
+enum err_code dataset_open(const char *path, size_t readers, const struct geoid *geoid,
+                           struct dataset **out, struct err *e) ERR_USE;
 /* Opens all handles, before threads share d. Handles that are open read what is left of a file that
  * is cut off in its place; but they take memory, and of a thousand stores few are asked for. Errors
  * of store_open_more: ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */

@@ -41,8 +41,7 @@ struct form encode_form(const struct server_config *cfg, const struct store_meta
         f.part = asked->part;
     if (encode_is_quantised(f.format))
         f.preset = asked->preset < QUANT_PRESETS ? asked->preset : (uint8_t)cfg->preset;
-    if (encode_is_quantised(f.format) || f.format == FORMAT_SOG || f.format == FORMAT_PLY_PACKED ||
-        f.format == FORMAT_GLB_PACKED)
+    if (encode_is_quantised(f.format) || f.format == FORMAT_SOG || f.format == FORMAT_PLY_PACKED)
         f.sh_degree =
             asked->sh_degree < meta->sh_degree ? asked->sh_degree : (uint8_t)meta->sh_degree;
     return f;
@@ -105,9 +104,6 @@ static enum err_code encode_gauss(struct gauss *g, const struct store_meta *meta
         break;
     case FORMAT_GLB_PLAIN:
         rc = glb_encode_plain(g, copyright, out, e);
-        break;
-    case FORMAT_GLB_PACKED:
-        rc = glb_encode_packed(g, form.sh_degree, copyright, out, e);
         break;
     case FORMAT_SOG:
         rc = sog_encode(g, form.sh_degree, out, e);
@@ -209,9 +205,6 @@ uint64_t encode_bytes(const struct store_meta *meta, struct form form, uint32_t 
         break;
     case FORMAT_PLY_PACKED: /* and ranges of each 256 */
         each = 16 + 3 * (double)(gauss_sh_count(sh) - 1) + 72.0 / 256;
-        break;
-    case FORMAT_GLB_PACKED: /* place, shorts, colour in bytes; sigmas may be floats */
-        each = 12 + 4 + 8 + 4 + 12 + 12.0 * (double)gauss_sh_count(sh);
         break;
     default: /* plain.glb: place, rotation, scale, opacity, colour for those who show points */
         each = 4.0 * (double)(15 + 3 * gauss_sh_count(all));

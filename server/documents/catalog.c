@@ -16,16 +16,15 @@
 #include <string.h>
 #include <time.h>
 
-#include "lod/export/clip.h"
 #include "lod/store/range.h"
 #include "lod/store/store.h"
 #include "server/base/document.h"
 #include "server/documents/appearance_api.h"
+#include "server/documents/appearance_list.h"
 #include "server/documents/appearance_model.h"
 #include "server/documents/collection.h"
 #include "server/documents/link.h"
 #include "server/documents/result_id.h"
-#include "server/documents/search.h"
 #include "server/documents/tileset_links.h"
 
 static struct collection_options catalog_collection(const struct catalog_options *o)
@@ -58,7 +57,7 @@ static enum err_code catalog_make_document(struct dataset *d, enum dataset_docum
     case DATASET_COLLECTION:
         return collection_describe(d, o, out, e);
     default:
-        return search_all(d, out, e);
+        return appearance_list_all(d, out, e);
     }
 }
 
@@ -88,7 +87,7 @@ static enum err_code catalog_make_documents(struct dataset *d, const struct cata
     if (!rc && d->appearance)
         rc = appearance_model_photographs(d, &d->photographs, d->taken, e);
     if (!rc && d->appearance)
-        rc = search_open(d, &d->search, e);
+        rc = appearance_list_open(d, &d->rows, e);
     if (!rc && d->appearance)
         d->model->modified_s = d->photographs->modified_s = d->opened_s;
     for (int i = 0; !rc && i < DATASET_DOCUMENTS && (d->appearance || !o->lazy); i++) {
@@ -124,12 +123,6 @@ static enum err_code catalog_sort(struct dataset **ds, size_t n, struct err *e)
         ds[i] = by[i].ds;
     mem_free(by);
     return ERR_OK;
-}
-
-/* Is it of this revision of its file, and of what the clip leaves of it? */
-static bool catalog_is_of(const struct dataset *d, const char *revision, struct hash128 clip)
-{
-    return !strcmp(d->source, revision) && d->clip.lo == clip.lo && d->clip.hi == clip.hi;
 }
 
 /* The current dataset of `older` at this path. NULL: there is none. */
@@ -288,12 +281,12 @@ enum err_code catalog_list_same(const struct catalog *c, struct arena *a,
 }
 
 /* Is the store at a path still the one of d? */
-static enum err_code catalog_is_store(const struct dataset *d, const char *path,
-                                      const struct catalog_options *o, bool *same, struct err *e)
+static enum err_code catalog_is_store(const struct dataset *d, const char *path, bool *same,
+                                      struct err *e)
 {
     struct store *now = NULL;
     enum err_code rc = store_open(path, &now, e);
-    *same = !rc && catalog_is_of(d, store_info(now)->revision, clip_hash(o->clip));
+    *same = !rc && !strcmp(d->source, store_info(now)->revision);
     store_close(&now);
     return rc;
 }
@@ -313,13 +306,13 @@ void catalog_look(struct catalog_place *p, const struct catalog_options *o,
         return;
     p->looked = true;
     enum err_code rc =
-        was && catalog_is_sound(was) ? catalog_is_store(was, p->path, o, &same, e) : ERR_OK;
+        was && catalog_is_sound(was) ? catalog_is_store(was, p->path, &same, e) : ERR_OK;
     if (!rc && same) {
         p->ds = dataset_ref(was);
         return;
     }
     if (!rc)
-        rc = dataset_open(p->path, o->readers, o->clip, o->clip_dir, o->geoid, &p->ds, e);
+        rc = dataset_open(p->path, o->readers, o->geoid, &p->ds, e);
     if (!rc && !o->lazy)
         rc = dataset_open_all(p->ds, e);
     if (!rc)

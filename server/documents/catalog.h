@@ -28,9 +28,6 @@ struct catalog { /* immutable, reference-counted; a reload makes a new one */
 struct catalog_options {
     size_t readers; /* handles for each dataset */
     bool lazy; /* there are many datasets: handles and documents are made when they are needed */
-    const struct clip *clip; /* this part of each store is served; NULL: all */
-    /* folder for clipped stores, which are unnamed files; NULL: see clip_open_part */
-    const char *clip_dir;
     const char *public_url; /* for collections; NULL, "": none */
     const char *base_path;  /* for collections; NULL, "": none */
     double keep_s;          /* replaced revisions are served for this time */

@@ -153,15 +153,15 @@ static json_t *collection_json(const struct dataset *d, const char *up,
     const double origin[3] = {m->origin.lon_deg, m->origin.lat_deg, m->origin.h_m};
     json_object_set_new(
         o, "splats",
-        json_pack("{s:s,s:o,s:i,s:i,s:i,s:i,s:b,s:I,s:I,s:s,s:s,s:[s,s,s,s,s,s,s,s,s]}", "revision",
+        json_pack("{s:s,s:o,s:i,s:i,s:i,s:i,s:b,s:I,s:I,s:s,s:s,s:[s,s,s,s,s,s,s,s]}", "revision",
                   m->revision, "origin", document_numbers(origin, 3), "minzoom", (int)m->zoom_min,
                   "maxzoom", (int)m->zoom_max, "shDegree", (int)m->sh_degree, "embedLength",
                   (int)m->embed_len, "antialiased", (int)m->antialiased, "tiles",
                   (json_int_t)d->n_tiles, "gaussians", (json_int_t)count, "tileTemplate", tile,
                   "viewTemplate", view, "formats", format_ext(FORMAT_GLB), format_ext(FORMAT_SPZ),
                   format_ext(FORMAT_DRC), format_ext(FORMAT_PLY), format_ext(FORMAT_GLB_PLAIN),
-                  format_ext(FORMAT_GLB_PACKED), format_ext(FORMAT_GLB_LOWPASS),
-                  format_ext(FORMAT_PLY_PACKED), format_ext(FORMAT_SOG)));
+                  format_ext(FORMAT_GLB_LOWPASS), format_ext(FORMAT_PLY_PACKED),
+                  format_ext(FORMAT_SOG)));
     collection_add_facts(d, json_object_get(o, "splats"));
     return o;
 }

@@ -109,22 +109,12 @@ struct hash128 result_id_seed(const struct dataset *d, const struct seed_target 
     return id;
 }
 
-struct hash128 result_id_search(const struct dataset *d, const struct appearances_target *t,
-                                struct hash128 kept)
+struct hash128 result_id_appearances(const struct dataset *d, struct hash128 kept)
 {
     struct {
-        struct hash128 salt, asked, kept;
+        struct hash128 salt, kept;
         char rev[16], kind[16];
-        int32_t bbox_e7[4];
-        uint32_t has_bbox, limit, after, unused;
-    } name = {.salt = d->salt,
-              .asked = hash_bytes(&t->search, sizeof t->search), /* zeros before it was read */
-              .kept = kept,
-              .kind = "search",
-              .has_bbox = t->page.has_bbox,
-              .limit = t->page.limit,
-              .after = t->page.after};
-    memcpy(name.bbox_e7, t->page.bbox_e7, sizeof name.bbox_e7);
+    } name = {.salt = d->salt, .kept = kept, .kind = "appearances"};
     memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
     return hash_bytes(&name, sizeof name);
 }

@@ -30,8 +30,7 @@ struct hash128 result_id_city(const struct dataset *d, struct form f,
 struct hash128 result_id_seed(const struct dataset *d, const struct seed_target *t,
                               struct form form);
 /* kept: hash of the named appearances */
-struct hash128 result_id_search(const struct dataset *d, const struct appearances_target *t,
-                                struct hash128 kept);
+struct hash128 result_id_appearances(const struct dataset *d, struct hash128 kept);
 /* moving: its addresses lead to the current revision. part: the tile that the document begins at;
  * NULL: the entry. */
 struct hash128 result_id_tileset(const struct dataset *d, const struct target_tiles *t, bool moving,

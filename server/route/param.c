@@ -1,5 +1,5 @@
 /* See param.h. A form that many parameters share is a type. A parameter with a form of its own has
- * a function here, or in param_clip.c and param_time.c. Numbers are plain decimals without leading
+ * a function here, or in param_clip.c. Numbers are plain decimals without leading
  * zeros, so that a resource has only one name.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -10,7 +10,6 @@
 
 #include "codec/splat/quant.h"
 #include "server/route/param_clip.h"
-#include "server/route/param_time.h"
 #include "server/route/route.h"
 
 /* ---- types ---- */
@@ -254,52 +253,7 @@ static enum err_code param_own_box(struct text *one, void *group, struct err *e)
     return out->has_bbox && out->bbox_e7[1] <= out->bbox_e7[3] ? ERR_OK : ERR_NOENT;
 }
 
-static enum err_code param_own_near(struct text *one, void *group, struct err *e)
-{
-    struct target_search *q = group;
-    int64_t radius;
-    enum err_code rc = text_take_degrees(one, 2, "near:", q->near_e7, e);
-    q->has_near = true;
-    if (rc || !text_take_mark(one, ','))
-        return rc;
-    if (!text_take_fixed(one, 3, &radius))
-        return ERR_NOENT;
-    if (radius < 1 || radius > 4000000000)
-        return err_set(e, ERR_DATA, "near: the radius is 0.001 to 4000000 m");
-    q->radius_e3 = (uint32_t)radius;
-    return ERR_OK;
-}
-
 /* ---- lists ---- */
-
-static enum err_code param_own_hours(struct text *one, void *group, struct err *e)
-{
-    struct target_search *out = group;
-    uint32_t from, to;
-    if (!text_take_uint(one, &from) || !text_take(one, "-") || !text_take_uint(one, &to))
-        return ERR_NOENT;
-    if (from > 23 || to > 24 || from == to)
-        return err_set(e, ERR_DATA,
-                       "hours: from 0 to 23, to another one, at most 24; 22-4 is over midnight");
-    out->hours[0] = (uint8_t)from;
-    out->hours[1] = (uint8_t)to;
-    out->has_hours = true;
-    return ERR_OK;
-}
-
-static enum err_code param_own_colour(struct text *one, void *group, struct err *e)
-{
-    struct target_search *out = group;
-    struct composite p = {0};
-    const size_t n = (size_t)(one->end - one->p);
-    (void)e;
-    if (n != 6 || !param_read_background(one->p, n, &p) || p.background != BACKGROUND_COLOUR)
-        return ERR_NOENT;
-    out->rgb = p.rgb;
-    out->has_colour = true;
-    one->p = one->end;
-    return ERR_OK;
-}
 
 static enum err_code param_own_zooms(struct text *one, void *group, struct err *e)
 {

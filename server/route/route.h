@@ -46,7 +46,7 @@ enum route_rate {
     RATE_MAPS,
     RATE_THUMBNAILS,
 };
-enum { ROUTE_GROUPS = 16 }; /* of parameters: enum target_group */
+enum { ROUTE_GROUPS = 15 }; /* of parameters: enum target_group */
 
 /* Fills the response. It does not block and cannot fail: a failure is an answer, too. d is NULL for
  * a route without SCOPE_DATASET. */

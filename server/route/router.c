@@ -443,23 +443,12 @@ static enum err_code router_take(struct router_query *q, struct text one, struct
 static enum err_code router_agree(const struct router_query *q, struct target *out, struct err *e)
 {
     struct target_place *place = target_group(out, TARGET_place);
-    struct target_search *s = target_group(out, TARGET_search);
     if (place) {
         place->given = router_has(q, "lon");
         if (place->given != router_has(q, "lat"))
             return err_set(e, ERR_FORMAT, "lon and lat are given together");
     }
-    if (!s)
-        return ERR_OK;
-    s->asked = q->seen != 0;
-    if (!router_has(q, "sort"))
-        s->sort = s->has_near     ? SEARCH_BY_DISTANCE
-                  : s->has_colour ? SEARCH_BY_COLOUR
-                                  : SEARCH_BY_NUMBER;
-    return (s->sort == SEARCH_BY_DISTANCE && !s->has_near) ||
-                   (s->sort == SEARCH_BY_COLOUR && !s->has_colour)
-               ? err_set(e, ERR_FORMAT, "sort=distance is from near, sort=colour from colour")
-               : ERR_OK;
+    return ERR_OK;
 }
 
 static enum err_code router_read_query(const struct router_row *row, struct text t,

@@ -85,17 +85,6 @@ struct target_zooms {
     uint8_t z_min, z_max;
     uint8_t client; /* enum client; CLIENT_NONE: tiles in one form, that of `tiles` */
 };
-/* search: for appearances. */
-enum search_sort { SEARCH_BY_NUMBER, SEARCH_BY_DISTANCE, SEARCH_BY_TIME, SEARCH_BY_COLOUR };
-struct target_search {
-    bool asked, has_near, has_time, has_hours, has_colour, kept; /* kept: only named ones */
-    int32_t near_e7[2];
-    uint32_t radius_e3; /* m; 0: any */
-    int64_t time_s[2];  /* since 1970, by the cameras' clocks; both ends included */
-    uint8_t hours[2];   /* from, and to (excluded); over midnight if from is later */
-    uint32_t rgb;
-    enum search_sort sort;
-};
 /* box: of collections. */
 struct target_box {
     bool has_bbox, has_heights;
@@ -169,7 +158,6 @@ enum target_group {
     TARGET_appearance,
     TARGET_page,
     TARGET_zooms,
-    TARGET_search,
     TARGET_box,
     TARGET_view,
     TARGET_map,

@@ -7,7 +7,6 @@
 #include "codec/splat/quant.h"
 #include "server/base/text.h"
 #include "server/route/param_clip.h"
-#include "server/route/param_time.h"
 
 void target_query_tiles(const struct target_tiles *t, char out[TARGET_QUERY_MAX])
 {
@@ -27,18 +26,6 @@ void target_query_tiles(const struct target_tiles *t, char out[TARGET_QUERY_MAX]
     out[0] = out[0] ? '?' : '\0';
 }
 
-static void target_query_degrees(struct buf *out, const char *name, const int32_t *v_e7, int n)
-{
-    for (int i = 0; i < n; i++)
-        buf_printf(out, "%s%.7f", i ? "," : name, v_e7[i] / 1e7);
-}
-
-static void target_query_measure(struct buf *out, const char *name, uint32_t value_e3)
-{
-    if (value_e3)
-        buf_printf(out, "%s%.3f", name, value_e3 / 1e3);
-}
-
 void target_query_seed(const struct seed_target *t, uint32_t after, struct buf *out)
 {
     static const char *const clients[] = {[CLIENT_CESIUM] = "cesium",
@@ -51,35 +38,7 @@ void target_query_seed(const struct seed_target *t, uint32_t after, struct buf *
                t->zooms.z_min, t->zooms.z_max);
     if (t->zooms.client)
         buf_printf(out, "&for=%s", clients[t->zooms.client]);
-    if (t->page.has_bbox)
-        target_query_degrees(out, "&bbox=", t->page.bbox_e7, 4);
-    buf_printf(out, "&limit=%u&after=%u", t->page.limit, after);
-}
-
-void target_query_search(const struct appearances_target *t, uint32_t after, struct buf *out)
-{
-    static const char *const sorts[] = {[SEARCH_BY_NUMBER] = "number",
-                                        [SEARCH_BY_DISTANCE] = "distance",
-                                        [SEARCH_BY_TIME] = "time",
-                                        [SEARCH_BY_COLOUR] = "colour"};
-    const struct target_search *q = &t->search;
-    buf_printf(out, "?sort=%s", sorts[q->sort]);
-    if (t->page.has_bbox)
-        target_query_degrees(out, "&bbox=", t->page.bbox_e7, 4);
-    if (q->has_near)
-        target_query_degrees(out, "&near=", q->near_e7, 2);
-    target_query_measure(out, ",", q->radius_e3);
-    if (q->has_time) {
-        buf_printf(out, "&datetime=");
-        param_time_write(q->time_s[0], out);
-        buf_printf(out, "/");
-        param_time_write(q->time_s[1], out);
-    }
-    if (q->has_hours)
-        buf_printf(out, "&hours=%u-%u", q->hours[0], q->hours[1]);
-    if (q->has_colour)
-        buf_printf(out, "&colour=%06x", (unsigned)q->rgb);
-    if (q->kept)
-        buf_printf(out, "&kept=true");
+    for (int i = 0; t->page.has_bbox && i < 4; i++)
+        buf_printf(out, "%s%.7f", i ? "," : "&bbox=", t->page.bbox_e7[i] / 1e7);
     buf_printf(out, "&limit=%u&after=%u", t->page.limit, after);
 }

@@ -11,7 +11,5 @@
 void target_query_tiles(const struct target_tiles *t, char out[TARGET_QUERY_MAX]);
 /* Writes the query of a prefetch list, "?...", for the page after so many lines. */
 void target_query_seed(const struct seed_target *t, uint32_t after, struct buf *out);
-/* Writes the query of a search, "?...", for the page after so many results. */
-void target_query_search(const struct appearances_target *t, uint32_t after, struct buf *out);
 
 #endif

@@ -317,62 +317,6 @@ static void test_plain_form(void **state)
     }
 }
 
-/* Half a step of each field, and no extension but the one; sigmas of more than 1 m stay floats. */
-static void test_packed_form(void **state)
-{
-    (void)state;
-    for (int large = 0; large < 2; large++) {
-        struct gauss g, back;
-        struct buf b = {0}, plain = {0};
-        struct err e = {0};
-        size_t bin_at, bin_size;
-        kit_gauss(2, 77, 500, 2, 3, &g);
-        for (size_t i = 0; i < 3 * g.n; i++) /* from 1 mm to 1 m */
-            g.scale_log[i] = -6.9f * (float)(i % 101) / 100;
-        if (large)
-            g.scale_log[3 * g.n - 1] = 0.01f;
-        kit_ok(glb_encode_packed(&g, 3, "c", &b, &e), e);
-        kit_ok(glb_encode_plain(&g, "c", &plain, &e), e);
-        assert_true(b.size + 16 * g.n < plain.size);
-        json_t *root = json_of(&b, &bin_at, &bin_size), *prim = primitive_of(root);
-        assert_null(json_object_get(root, "extensionsRequired"));
-        assert_int_equal(json_array_size(json_object_get(root, "extensionsUsed")), 1);
-        expect_container(&b, root, prim, bin_at, bin_size);
-        accessor_of(root, prim, "POSITION", 5126, "VEC3");
-        accessor_of(root, prim, EXT ":SCALE", large ? 5126 : 5123, "VEC3");
-        accessor_of(root, prim, EXT ":ROTATION", 5122, "VEC4");
-        accessor_of(root, prim, EXT ":OPACITY", 5123, "SCALAR");
-        accessor_of(root, prim, "COLOR_0", 5121, "VEC4");
-        expect_bands(root, prim, 0, 2);
-        json_decref(root);
-        kit_ok(glb_decode(b.data, b.size, NULL, &back, &e), e);
-        assert_int_equal(back.n, g.n);
-        assert_memory_equal(back.mean_m, g.mean_m, g.n * 12);
-        assert_memory_equal(back.sh, g.sh, g.n * 12 * gauss_sh_count(2));
-        for (size_t i = 0; i < g.n; i++) {
-            float got[4];
-            double want[4], norm = 0;
-            for (int c = 0; c < 3; c++) {
-                got[c] = expf(back.scale_log[3 * i + c]);
-                want[c] = exp((double)g.scale_log[3 * i + c]);
-            }
-            kit_near("scale", got, want, 3, 0.5001 / 65535, 1e-6);
-            got[0] = 1 / (1 + expf(-back.opacity_logit[i]));
-            want[0] = 1 / (1 + exp(-(double)g.opacity_logit[i]));
-            kit_near("opacity", got, want, 1, 0.5001 / 65535, 1e-6);
-            for (int c = 0; c < 4; c++)
-                norm += (double)g.quat_wxyz[4 * i + c] * (double)g.quat_wxyz[4 * i + c];
-            for (int c = 0; c < 4; c++)
-                want[c] = (double)g.quat_wxyz[4 * i + c] / sqrt(norm);
-            kit_near("rotation", back.quat_wxyz + 4 * i, want, 4, 0.5001 / 32767, 1e-6);
-        }
-        gauss_free(&back);
-        gauss_free(&g);
-        buf_free(&b);
-        buf_free(&plain);
-    }
-}
-
 /* Two Gaussians whose attributes are quantised as KHR_mesh_quantization and the extension allow. */
 static void test_reads_short_and_byte_accessors(void **state)
 {
@@ -498,7 +442,6 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_spz_form_follows_the_clients),
         cmocka_unit_test(test_plain_form),
-        cmocka_unit_test(test_packed_form),
         cmocka_unit_test(test_reads_short_and_byte_accessors),
         cmocka_unit_test(test_truncation_and_flips),
         cmocka_unit_test(test_refuses_what_cannot_be_written),

@@ -4,7 +4,6 @@
  */
 #include "codec/container/npy.h"
 #include "codec/container/seen.h"
-#include "codec/container/tensors.h"
 #include "codec/image/exif.h"
 #include "codec/image/image.h"
 #include "codec/image/xmp.h"
@@ -20,6 +19,7 @@
 #include "codec/splat/spz.h"
 #include "core/layout.h"
 #include "core/splat/appearance.h"
+#include "lab/eval/tensors.h"
 #include "tests/fuzz/fuzz.h"
 
 #include <assert.h>

@@ -468,7 +468,7 @@ static void cells_become_one_store(void **state)
         assert_true((double)g.mean_m[3 * i + 2] < 0.05);
     gauss_free(&g);
     run(f, 2, "--low-m", "clip whole.tiles -o x.tiles --low-m high");
-    run(f, 1, "none.geojson", "tile scene -o x.tiles --clip none.geojson");
+    run(f, 1, "none.geojson", "clip whole.tiles -o x.tiles --polygon none.geojson");
     update_one_cell(f, &p, at);
     /* A level that one cell lacks is filled with its coarser one. */
     assert_int_equal(kit_run(NULL, "rm '%s/scene/cells/%s/level3.ckpt'", f->dir, p.cells[0].id), 0);

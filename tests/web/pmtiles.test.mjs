@@ -122,7 +122,6 @@ test("the same bytes again, PNG for dense screens, and what is refused", { skip 
         [["--zooms", "9-3"], /--zooms/],
         [["--zooms", "1-40"], /from 0 to/],
         [["--zooms", "x"], /--zooms/],
-        [["--clip", "none.geojson"], /citysplat clip/],
     ]) {
         const { run } = exportMap("bad.pmtiles", ...more);
         assert.notEqual(run.status, 0);

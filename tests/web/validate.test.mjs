@@ -23,7 +23,7 @@ const OWN = {
     UNSUPPORTED_EXTENSION: ({ message }) => message.includes(`'${EXT}`),
     UNUSED_OBJECT: ({ pointer }, form) => form === "glb" && pointer === "/bufferViews/0",
 };
-const FORMS = MOCK ? ["glb"] : ["glb", "plain.glb", "packed.glb"];
+const FORMS = MOCK ? ["glb"] : ["glb", "plain.glb"];
 const POSITION_TOLERANCE_M = 1 / 4096; // one step of the fixed-point positions
 
 let source;

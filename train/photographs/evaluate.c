@@ -12,7 +12,6 @@
 #include "codec/image/image.h"
 #include "core/splat/exposure.h"
 #include "scene/cells/footprint.h"
-#include "train/loss/lpips.h"
 #include "train/loss/metric.h"
 #include "train/model/appearance_train.h"
 #include "train/photographs/evaluate.h"
@@ -163,7 +162,7 @@ static enum err_code evaluate_one(struct photo_loader *f, size_t nth,
     if (!rgb)
         return err_set(e, ERR_MEM, "evaluate: out of memory for %u x %u pixels", photo.cam.width_px,
                        photo.cam.height_px);
-    double gaussians = 0.0, start = 0.0, quickest = HUGE_VAL, lpips = 0.0;
+    double gaussians = 0.0, start = 0.0, quickest = HUGE_VAL, more = 0.0;
     if (!sum->n_photos)
         rc = src->draw(src->user, &photo.cam, rgb, &gaussians, e);
     for (int k = 0; !rc && k < (src->brief ? 1 : EVALUATE_DRAWS); k++) {
@@ -189,10 +188,9 @@ static enum err_code evaluate_one(struct photo_loader *f, size_t nth,
         evaluate_add(sum, &one);
         sum->n_photos++;
     }
-    if (!rc && src->lpips)
-        rc = lpips_run(src->lpips, rgb, photo.px, photo.mask, photo.cam.width_px,
-                       photo.cam.height_px, &lpips, e);
-    sum->lpips += lpips;
+    if (!rc && src->more)
+        rc = src->more->run(src->more->user, &photo, rgb, &more, e);
+    sum->more += more;
     if (!rc && src->pictures)
         rc = evaluate_picture(src->pictures, &photo, rgb, e);
     mem_free(rgb);
@@ -208,7 +206,7 @@ void evaluate_divide(struct evaluate_score *sum, double n)
     sum->ssim_valid /= n;
     sum->l1 /= n;
     sum->gmsd /= n;
-    sum->lpips /= n;
+    sum->more /= n;
     sum->gaussians /= n;
     sum->visible /= n;
     sum->ms_frame /= n;

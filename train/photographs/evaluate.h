@@ -21,14 +21,21 @@ struct evaluate_score { /* means over the photographs */
     double psnr_db, seen_psnr_db; /* seen: on that ground alone; 0: the ground is not known */
     /* ssim: zero padded, as in the loss; ssim_valid: only windows inside */
     double ssim, ssim_valid;
-    double l1, gmsd, lpips; /* lpips: 0 without weights */
-    double gaussians;       /* number given to the renderer for a frame */
-    double visible;         /* number of these in the picture; 0: not known */
+    double l1, gmsd;
+    double more;      /* of evaluate_source.more; 0: there is none */
+    double gaussians; /* number given to the renderer for a frame */
+    double visible;   /* number of these in the picture; 0: not known */
     double ms_frame;
     double bytes; /* size of the source's files; 0: not known */
 };
-struct lpips;         /* train/loss/lpips.h */
 struct residual_list; /* train/photographs/residual.h */
+/* A score beside those of struct evaluate_score. run() compares rgb [h][w][3] with a photograph. */
+struct evaluate_more {
+    const char *key; /* its name in documents */
+    enum err_code (*run)(void *user, const struct photo *p, const float *rgb, double *out,
+                         struct err *e);
+    void *user;
+};
 /* A source of drawings. draw() renders into rgb [h][w][3] and returns the number of Gaussians. */
 struct evaluate_source {
     enum err_code (*draw)(void *user, const struct camera *cam, float *rgb, double *gaussians,
@@ -36,11 +43,11 @@ struct evaluate_source {
     void *user;
     /* folder for NAME.png with photograph left and drawing right; NULL: none */
     const char *pictures;
-    double bytes;                   /* size of the source's files, copied to the score */
-    const struct render *render;    /* renderer of draw(), which gives `visible`; NULL: not known */
-    struct lpips *lpips;            /* NULL: no weights, no score */
-    const struct footprint *ground; /* NULL: no seen_psnr_db */
-    struct residual_list *residuals; /* gets a row for each photograph; NULL: none */
+    double bytes;                /* size of the source's files, copied to the score */
+    const struct render *render; /* renderer of draw(), which gives `visible`; NULL: not known */
+    const struct evaluate_more *more; /* NULL: none */
+    const struct footprint *ground;   /* NULL: no seen_psnr_db */
+    struct residual_list *residuals;  /* gets a row for each photograph; NULL: none */
     /* PSNR and SSIM are all that is wanted: l1 and gmsd stay 0, and ms_frame is of one drawing */
     bool brief;
 };

@@ -190,8 +190,7 @@ static struct {
 static void test_tags(void **state)
 {
     static const char *const exts[] = {
-        "glb", "spz", "drc", "plain.glb", "packed.glb", "lowpass.glb", "compressed.ply",
-        "ply", "sog"};
+        "glb", "spz", "drc", "plain.glb", "lowpass.glb", "compressed.ply", "ply", "sog"};
     static const char *const presets[] = {"", "&preset=spz", "&preset=preview", "&preset=balanced",
                                           "&preset=near-lossless"};
     static const char *const documents[] = {"/collections",

@@ -11,30 +11,28 @@
 /* One row and one function: docs/architecture.md shows these. */
 struct squares_target { /* routes.def makes those of its rows */
     struct target all;
-    struct target_page page;
-    struct target_search search;
+    struct target_row row;
 };
 
 static void answer_squares(struct services *s, const struct request *r, struct dataset *d,
                            const struct target *asked, struct response *out)
 {
-    const uint32_t limit = ((const struct squares_target *)asked)->page.limit;
+    const uint32_t n = ((const struct squares_target *)asked)->row.row;
     struct buf b = {0};
     (void)s;
-    buf_printf(&b, "{\"dataset\":\"%s\",\"square\":%u}\n", d->meta.name, limit * limit);
+    buf_printf(&b, "{\"dataset\":\"%s\",\"square\":%u}\n", d->meta.name, n * n);
     response_document(r, RESPONSE_JSON, body_take(&b, NULL), out);
 }
 
 static const struct route squares = {
     "squares",
-    "/d/{ds}/squares",
+    "/d/{ds}/squares/{row}",
     SCOPE_PUBLIC | SCOPE_DATASET,
     CACHE_MOVING,
     RATE_MEMORY,
-    1u << TARGET_page | 1u << TARGET_search,
+    1u << TARGET_row,
     sizeof(struct squares_target),
-    {[TARGET_page] = offsetof(struct squares_target, page),
-     [TARGET_search] = offsetof(struct squares_target, search)},
+    {[TARGET_row] = offsetof(struct squares_target, row)},
     {{METHOD_GET, answer_squares, NULL, "200 application/json Document,", "A number squared",
       false}}};
 
@@ -61,34 +59,35 @@ static void test_one_row_and_one_function(void **state)
     rows[ROUTES_COUNT] = squares;
     kit_ok(services_open(&s, &t.cfg, NULL, rows, ROUTES_COUNT + 1, &e), e);
     s.catalog = catalog_ref(t.s.catalog);
-    struct response r = ask_squares(&s, METHOD_GET, "/d/toy/squares?limit=7");
+    struct response r = ask_squares(&s, METHOD_GET, "/d/toy/squares/7");
     assert_int_equal(r.status, 200);
     assert_true(says(&r, "{\"dataset\":\"toy\",\"square\":49}"));
     expect("Cache-Control", r.cache_control, MOVING);
     assert_ptr_equal(r.route, &rows[ROUTES_COUNT]);
     response_free(&r);
-    r = ask_squares(&s, METHOD_GET, "/d/toy/squares?limit=0");
-    assert_int_equal(r.status, 400);
+    r = ask_squares(&s, METHOD_GET, "/d/toy/squares/-1");
+    assert_int_equal(r.status, 404);
     response_free(&r);
-    r = ask_squares(&s, METHOD_POST, "/d/toy/squares");
+    r = ask_squares(&s, METHOD_POST, "/d/toy/squares/7");
     assert_int_equal(r.status, 405);
     expect("Allow", r.allow, "GET, HEAD, OPTIONS");
     response_free(&r);
-    r = ask_squares(&s, METHOD_GET, "/d/none/squares");
+    r = ask_squares(&s, METHOD_GET, "/d/none/squares/7");
     assert_int_equal(r.status, 404);
     response_free(&r);
     r = ask_squares(&s, METHOD_GET, "/api");
-    assert_true(says(&r, "\"/d/{ds}/squares\"") && says(&r, "\"A number squared\""));
+    assert_true(says(&r, "\"/d/{ds}/squares/{row}\"") && says(&r, "\"A number squared\""));
     response_free(&r);
     r = ask_squares(&s, METHOD_GET, "/api.html");
-    assert_true(says(&r, "GET /d/{ds}/squares"));
+    assert_true(says(&r, "GET /d/{ds}/squares/{row}"));
     response_free(&r);
     metrics_request(&s.metrics, router_index(s.routes, &rows[ROUTES_COUNT]), 200, 0.1, 1);
     kit_ok(metrics_text_write(&s, &metrics, &e), e);
     buf_u8(&metrics, 0);
-    assert_non_null(strstr((char *)metrics.data, "{route=\"/d/{ds}/squares\",code=\"200\"} 1"));
+    assert_non_null(
+        strstr((char *)metrics.data, "{route=\"/d/{ds}/squares/{row}\",code=\"200\"} 1"));
     buf_free(&metrics);
-    r = get("/d/toy/squares"); /* the program's own table does not have it */
+    r = get("/d/toy/squares/7"); /* the program's own table does not have it */
     assert_int_equal(r.status, 404);
     response_free(&r);
     services_free(&s);
@@ -149,7 +148,7 @@ static const struct work_kind cube_work = {.noun = "cube",
 static void answer_cube(struct services *s, const struct request *r, struct dataset *d,
                         const struct target *asked, struct response *out)
 {
-    const uint32_t edge = ((const struct squares_target *)asked)->page.limit;
+    const uint32_t edge = ((const struct squares_target *)asked)->row.row;
     const struct hash128 id = hash_bytes(&edge, sizeof edge);
     out->type = "text/plain";
     struct cube_own *own =
@@ -207,7 +206,7 @@ static void test_one_kind_of_work(void **state)
     (void)state;
     memcpy(rows, ROUTES, ROUTES_COUNT * sizeof *rows);
     rows[ROUTES_COUNT] = squares;
-    rows[ROUTES_COUNT].path = "/d/{ds}/cube";
+    rows[ROUTES_COUNT].path = "/d/{ds}/cube/{row}";
     rows[ROUTES_COUNT].rate = RATE_LISTS;
     rows[ROUTES_COUNT].on[0].answer = answer_cube;
     kit_ok(services_open(&s, &t.cfg, NULL, rows, ROUTES_COUNT + 1, &e), e);
@@ -220,16 +219,16 @@ static void test_one_kind_of_work(void **state)
                                     .passing = work_passing,
                                     .user = &s};
     kit_ok(job_open(&jobs, &s.jobs, &e), e);
-    struct response r = ask_cube(&s, "/d/toy/cube?limit=7");
+    struct response r = ask_cube(&s, "/d/toy/cube/7");
     assert_int_equal(r.status, 200);
     assert_true(says(&r, "cube 343"));
     expect("cache", r.cache, "miss");
     response_free(&r);
-    r = ask_cube(&s, "/d/toy/cube?limit=7"); /* it is kept under its name */
+    r = ask_cube(&s, "/d/toy/cube/7"); /* it is kept under its name */
     assert_true(says(&r, "cube 343"));
     expect("cache", r.cache, "hit");
     response_free(&r);
-    r = ask_cube(&s, "/d/toy/cube?limit=10"); /* the kind judges */
+    r = ask_cube(&s, "/d/toy/cube/10"); /* the kind judges */
     assert_int_equal(r.status, 422);
     assert_true(says(&r, "an edge of 10 is too long"));
     response_free(&r);

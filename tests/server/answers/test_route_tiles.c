@@ -14,7 +14,6 @@ static void test_tiles(void **state)
     } rows[] = {
         {"glb", "model/gltf-binary", "glTF"},
         {"plain.glb", "model/gltf-binary", "glTF"},
-        {"packed.glb", "model/gltf-binary", "glTF"},
         {"lowpass.glb", "model/gltf-binary", "glTF"},
         {"spz", "application/octet-stream", "\x1f\x8b"},
         {"drc", "application/octet-stream", "DRACO"},
@@ -288,9 +287,6 @@ static void test_presets(void **state)
         {"glb?part=2", "glb", true},
         {"ply", "ply?preset=preview&sh=0", true},
         {"plain.glb", "plain.glb?preset=preview", true},
-        {"packed.glb", "packed.glb?preset=preview", true},
-        {"packed.glb", "plain.glb", false},
-        {"packed.glb", "packed.glb?sh=0", false},
         {"compressed.ply", "compressed.ply?preset=preview", true},
         {"compressed.ply", "compressed.ply?sh=0", false},
         {"compressed.ply", "ply", false},

@@ -332,7 +332,7 @@ static void test_handles_share_the_index(void **state)
     struct store *s[READERS];
     size_t n, n_first;
     (void)state;
-    kit_ok(dataset_open(t.path, READERS, NULL, NULL, NULL, &d, &e), e);
+    kit_ok(dataset_open(t.path, READERS, NULL, &d, &e), e);
     const struct store_tile *first = store_tiles(d->index, &n_first);
     for (int i = 0; i < READERS; i++) {
         struct gauss g;
@@ -469,47 +469,12 @@ static void test_a_reload_that_fails_late(void **state)
     catalog_drop(&second);
 }
 
-/* --clip: the part has a revision of its own, the same each time, and a reload of the same file
- * keeps it. */
-static void test_a_part_is_served(void **state)
-{
-    const char *paths[] = {t.path};
-    const struct clip below = {.low_m = -HUGE_VAL, .high_m = 40};
-    struct catalog_options o = served_stores;
-    struct catalog *whole = NULL, *part = NULL, *again = NULL, *anew = NULL;
-    (void)state;
-    o.clip = &below;
-    o.clip_dir = t.dir;
-    whole = served_catalog(paths, 1, &served_stores, NULL);
-    part = served_catalog(paths, 1, &o, NULL);
-    again = served_catalog(paths, 1, &o, part);
-    anew = served_catalog(paths, 1, &o, NULL);
-    assert_ptr_equal(again->ds[0], part->ds[0]);
-    assert_string_equal(anew->ds[0]->meta.revision, part->ds[0]->meta.revision);
-    assert_string_not_equal(whole->ds[0]->meta.revision, part->ds[0]->meta.revision);
-    assert_string_equal(part->ds[0]->meta.name, whole->ds[0]->meta.name);
-    assert_true(part->ds[0]->n_tiles > 0);
-    assert_true(part->ds[0]->tiles[0].count < whole->ds[0]->tiles[0].count);
-    catalog_drop(&whole);
-    catalog_drop(&part);
-    catalog_drop(&again);
-    catalog_drop(&anew);
-    const struct clip nowhere = {.low_m = 5000, .high_m = 6000};
-    o.clip = &nowhere;
-    part = served_catalog(paths, 1, &o, NULL);
-    assert_int_equal(absent(part, paths[0])->code, ERR_DATA);
-    assert_non_null(strstr(absent(part, paths[0])->why, "the store lies within"));
-    catalog_drop(&part);
-    assert_int_equal(kit_run(NULL, "ls '%s' | grep -q citysplat-clip", t.dir), 1);
-}
-
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_reload),
         cmocka_unit_test(test_a_folder_of_stores),
         cmocka_unit_test(test_forged_sizes),
-        cmocka_unit_test(test_a_part_is_served),
         cmocka_unit_test(test_a_start_reads_no_tiles),
         cmocka_unit_test(test_a_start_reads_no_counts),
         cmocka_unit_test(test_handles_share_the_index),

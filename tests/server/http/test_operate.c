@@ -1018,7 +1018,6 @@ static void test_check_and_exit_codes(void **state)
         {EX_DATAERR, "it is empty", {"--port", "0", "--state-dir", state_dir}},
         {EX_CONFIG, "bad.tiles", {"--check", bad}},
         {EX_CONFIG, "no file", {"--check", fifo}}, /* not waited for */
-        {EX_CONFIG, "/nonexistent", {"--check", "--clip", "/nonexistent"}},
         {EX_CONFIG, "--trusted-proxy", {"--check", "--trusted-proxy", "x"}},
         {EX_CONFIG, "/nonexistent", {"--check", "--web-dir", "/nonexistent"}},
         {EX_USAGE, "--prot", {"--prot", "1"}},

@@ -7,15 +7,15 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "train/loss/lpips.h"
+#include "lab/eval/lpips.h"
 
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
 
-#include "codec/container/tensors.h"
 #include "core/base.h"
 #include "core/layout.h"
+#include "lab/eval/tensors.h"
 
 extern const char lpips_cl[];
 
@@ -167,7 +167,7 @@ static enum err_code lpips_load(struct lpips *l, const struct tensors *t, struct
 
 static enum err_code lpips_build(struct lpips *l, struct err *e)
 {
-    const struct dev_source src = {.name = "train/loss/lpips.cl", .text = lpips_cl};
+    const struct dev_source src = {.name = "lab/eval/lpips.cl", .text = lpips_cl};
     enum err_code rc = dev_build(l->dev, &src, 1, "", &l->program, e);
     if (!rc)
         rc = dev_kernel(l->program, "lpips_conv", &l->conv, e);

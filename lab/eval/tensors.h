@@ -4,8 +4,8 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#ifndef CODEC_TENSORS_H
-#define CODEC_TENSORS_H
+#ifndef LAB_TENSORS_H
+#define LAB_TENSORS_H
 
 #include "core/base.h"
 

@@ -19,10 +19,10 @@ import { dirname, extname, join, normalize, resolve } from "node:path";
 import { fileURLToPath } from "node:url";
 import { parseArgs } from "node:util";
 
-import { openPage, useWholeBrowser } from "./lib/browser.mjs";
-import { placeOfEnu } from "./lib/geo.mjs";
-import { decodePng } from "./lib/png.mjs";
-import { ssim } from "./lib/ssim.mjs";
+import { openPage, useWholeBrowser } from "../../tests/web/lib/browser.mjs";
+import { placeOfEnu } from "../../tests/web/lib/geo.mjs";
+import { decodePng } from "../../tests/web/lib/png.mjs";
+import { ssim } from "../../tests/web/lib/ssim.mjs";
 
 const { values, positionals } = parseArgs({
     allowPositionals: true,
@@ -47,7 +47,7 @@ if (!store || !BIN || !["sog", "ply"].includes(values.form)) {
 }
 useWholeBrowser();
 process.env.CITYSPLAT_TILES = resolve(store);
-const { openSource } = await import("./lib/source.mjs");
+const { openSource } = await import("../../tests/web/lib/source.mjs");
 
 const HERE = dirname(fileURLToPath(import.meta.url));
 const FOV = 50;
@@ -57,8 +57,8 @@ const TYPES = { ".html": "text/html", ".js": "text/javascript", ".mjs": "text/ja
 const ROOTS = {
     "/three/": "../../web/node_modules/three/",
     "/dist/": "../../web/dist/",
-    "/spark/": "node_modules/@sparkjsdev/spark/",
-    "/playcanvas/": "node_modules/playcanvas/",
+    "/spark/": "../../tests/web/node_modules/@sparkjsdev/spark/",
+    "/playcanvas/": "../../tests/web/node_modules/playcanvas/",
 };
 const ENGINES = [
     ["this viewer", "ours", { fullSize: true }],

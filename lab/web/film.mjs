@@ -10,7 +10,7 @@ import { writeFileSync } from "node:fs";
 import { resolve } from "node:path";
 import { parseArgs } from "node:util";
 
-import { openPage, waitForViewer } from "./lib/browser.mjs";
+import { openPage, waitForViewer } from "../../tests/web/lib/browser.mjs";
 
 const { values, positionals } = parseArgs({
     allowPositionals: true,
@@ -22,7 +22,7 @@ if (!store || !out) {
     process.exit(2);
 }
 process.env.CITYSPLAT_TILES = resolve(store);
-const { openSource } = await import("./lib/source.mjs");
+const { openSource } = await import("../../tests/web/lib/source.mjs");
 const SIZE = { width: 480, height: 300 };
 const TURN_DEG = 3; // a frame
 

@@ -14,13 +14,13 @@ import { dirname, join, normalize, resolve } from "node:path";
 import { fileURLToPath } from "node:url";
 import { parseArgs } from "node:util";
 
-import { openPage, useWholeBrowser } from "./lib/browser.mjs";
-import { SOUTH } from "./lib/checks.mjs";
-import { serveFiles } from "./lib/files.mjs";
-import { decodePng } from "./lib/png.mjs";
-import { snippets } from "./lib/snippets.mjs";
-import { firstDataSet, getBytes, openSource } from "./lib/source.mjs";
-import { ssim } from "./lib/ssim.mjs";
+import { openPage, useWholeBrowser } from "../../tests/web/lib/browser.mjs";
+import { SOUTH } from "../../tests/web/lib/checks.mjs";
+import { serveFiles } from "../../tests/web/lib/files.mjs";
+import { decodePng } from "../../tests/web/lib/png.mjs";
+import { snippets } from "../../tests/web/lib/snippets.mjs";
+import { firstDataSet, getBytes, openSource } from "../../tests/web/lib/source.mjs";
+import { ssim } from "../../tests/web/lib/ssim.mjs";
 
 const { values, positionals } = parseArgs({ allowPositionals: true, options: { shot: { type: "string" }, lower: { type: "string", default: "0" } } });
 const [modules] = positionals;

@@ -14,11 +14,11 @@ import { tmpdir } from "node:os";
 import { join, resolve } from "node:path";
 import { parseArgs } from "node:util";
 
-import { importSource } from "./lib/bundle.mjs";
-import { findSpz } from "./lib/glb.mjs";
-import { decodePng } from "./lib/png.mjs";
-import { decodeSpz, unpackRotation } from "./lib/spz.mjs";
-import { ssim } from "./lib/ssim.mjs";
+import { importSource } from "../../tests/web/lib/bundle.mjs";
+import { findSpz } from "../../tests/web/lib/glb.mjs";
+import { decodePng } from "../../tests/web/lib/png.mjs";
+import { decodeSpz, unpackRotation } from "../../tests/web/lib/spz.mjs";
+import { ssim } from "../../tests/web/lib/ssim.mjs";
 
 const FOV_DEG = 45;
 const STOCK_PX = 16;
@@ -176,7 +176,7 @@ function drawServed(dir, name, { eye, rows }) {
 
 const dir = mkdtempSync(join(tmpdir(), "citysplat-levels-"));
 process.env.CITYSPLAT_TILES = resolve(store);
-const { getBytes, getJson, openSource } = await import("./lib/source.mjs");
+const { getBytes, getJson, openSource } = await import("../../tests/web/lib/source.mjs");
 const source = await openSource();
 try {
     const { collections } = await getJson(`${source.url}/collections`);

@@ -7,10 +7,10 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "codec/container/tensors.h"
+#include "lab/eval/lpips.h"
+#include "lab/eval/tensors.h"
 #include "tests/codec/torture.h"
 #include "tests/kit.h"
-#include "train/loss/lpips.h"
 
 #define TOLERANCE 1e-4 /* relative: thirteen layers in float */
 

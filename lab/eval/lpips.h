@@ -8,8 +8,8 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#ifndef TRAIN_LOSS_LPIPS_H
-#define TRAIN_LOSS_LPIPS_H
+#ifndef LAB_LPIPS_H
+#define LAB_LPIPS_H
 
 #include "core/device/dev.h"
 

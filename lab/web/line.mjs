@@ -13,8 +13,8 @@
 import { resolve } from "node:path";
 import { parseArgs } from "node:util";
 
-import { openPage, waitForViewer } from "./lib/browser.mjs";
-import { Proxy } from "./lib/proxy.mjs";
+import { openPage, waitForViewer } from "../../tests/web/lib/browser.mjs";
+import { Proxy } from "../../tests/web/lib/proxy.mjs";
 
 const { values, positionals } = parseArgs({
     allowPositionals: true,
@@ -34,7 +34,7 @@ if (!store) {
     process.exit(2);
 }
 process.env.CITYSPLAT_TILES = resolve(store);
-const { openSource } = await import("./lib/source.mjs");
+const { openSource } = await import("../../tests/web/lib/source.mjs");
 
 // Runs in the page before its scripts: tells of the first frame with Gaussians.
 function watch() {

@@ -9,10 +9,10 @@
 import { join, resolve } from "node:path";
 import { parseArgs } from "node:util";
 
-import { openPage, waitForViewer } from "./lib/browser.mjs";
-import { rmsDifference } from "./lib/checks.mjs";
-import { decodePng } from "./lib/png.mjs";
-import { Proxy } from "./lib/proxy.mjs";
+import { openPage, waitForViewer } from "../../tests/web/lib/browser.mjs";
+import { rmsDifference } from "../../tests/web/lib/checks.mjs";
+import { decodePng } from "../../tests/web/lib/png.mjs";
+import { Proxy } from "../../tests/web/lib/proxy.mjs";
 
 const SIZES = { desk: { width: 1440, height: 900 }, phone: { width: 390, height: 844, hasTouch: true, isMobile: true } };
 const SECONDS = [1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 25, 30];
@@ -31,7 +31,7 @@ if (!store) {
     process.exit(2);
 }
 process.env.CITYSPLAT_TILES = resolve(store);
-const { openSource } = await import("./lib/source.mjs");
+const { openSource } = await import("../../tests/web/lib/source.mjs");
 
 // Of a page whose scripts may not have come yet.
 function look() {

@@ -11,9 +11,9 @@
 import { resolve } from "node:path";
 import { parseArgs } from "node:util";
 
-import { openPage, waitForViewer } from "./lib/browser.mjs";
-import { Proxy } from "./lib/proxy.mjs";
-import { ssim } from "./lib/ssim.mjs";
+import { openPage, waitForViewer } from "../../tests/web/lib/browser.mjs";
+import { Proxy } from "../../tests/web/lib/proxy.mjs";
+import { ssim } from "../../tests/web/lib/ssim.mjs";
 
 const { values, positionals } = parseArgs({
     allowPositionals: true,
@@ -33,7 +33,7 @@ if (!store) {
     process.exit(2);
 }
 process.env.CITYSPLAT_TILES = resolve(store);
-const { openSource } = await import("./lib/source.mjs");
+const { openSource } = await import("../../tests/web/lib/source.mjs");
 
 // Runs in the page before its scripts: keeps what each frame shows.
 function watch() {

@@ -3,7 +3,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "codec/container/tensors.h"
+#include "lab/eval/tensors.h"
 
 #include <string.h>
 
