@@ -11,6 +11,7 @@
 #include "server/access/permissions.h"
 #include "server/answers/metrics_text.h"
 #include "server/answers/origin.h"
+#include "server/base/address.h"
 #include "server/base/condition.h"
 #include "server/base/document.h"
 #include "server/documents/collection.h"
@@ -85,10 +86,15 @@ void answer_service_landing(struct services *s, const struct request *r, struct 
 
 static const double SHORT_S = 60; /* how long memory that ran out is told */
 
+static bool answer_service_is_local(const struct request *r)
+{
+    return r->own_host && address_host_is_loopback(r->own_host);
+}
+
 /* Who may learn names of files and what a driver says. */
 static bool answer_service_is_operator(const struct request *r)
 {
-    return r->admin || r->local;
+    return r->admin || answer_service_is_local(r);
 }
 
 /* Datasets whose files do not give all their tiles. */
@@ -221,7 +227,7 @@ static bool answer_service_may(const struct services *s, const struct request *r
     if (!strcmp(cfg->metrics, "public"))
         return true;
     if (!strcmp(cfg->metrics, "local"))
-        return r->local;
+        return answer_service_is_local(r);
     return answer_service_token(r->authorization, cfg->metrics);
 }
 
