@@ -6,6 +6,7 @@
 #include "codec/splat/quant.h"
 #include "lod/choose/view.h"
 #include "server/answers/answer_view.h"
+#include "server/documents/result_id.h"
 #include "server/drawing/picture_id.h"
 #include "tests/server/routed.h"
 
