@@ -1,6 +1,6 @@
 /* The header fields of a response. Any page may read every answer (RFC 9110; CORS as in the Fetch
  * standard). This is safe for two reasons. Answers for this machine alone are not sent to requests
- * with an Origin, which pages of other sites send (request_guard_local). Answers that need a token
+ * with an Origin, which pages of other sites send (request_guard_alone). Answers that need a token
  * are sent only to its holders.
  *
  * SPDX-License-Identifier: Apache-2.0

@@ -218,7 +218,8 @@ static int mhd_callbacks_guard(struct exchange *x, const char *method, const cha
     mhd_callbacks_identify(x);
     if (x->req.method == METHOD_POST)
         x->req.client = mhd_callbacks_client(x);
-    x->req.local = request_guard_local(&g, version) && address_is_loopback(x->peer->address);
+    if (request_guard_alone(&g, version) && address_is_loopback(x->peer->address))
+        x->req.own_host = x->req.host;
     return request_guard_check(&g, x->f->s->cfg, version, why);
 }
 

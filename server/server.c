@@ -530,13 +530,8 @@ static enum err_code server_reload_said(void *user, struct body **out, struct er
     struct services *s = &sv->services;
     struct err why = {0};
     struct catalog *before = services_catalog(s);
-    enum err_code rc;
-    uint64_t seen;
     bool tried;
-    do { /* who came while stores were looked at means them as they are now */
-        seen = atomic_load(&s->reloads_wanted);
-        rc = server_reload_wait(sv, &tried, &why);
-    } while (seen != atomic_load(&s->reloads_wanted) && rc != ERR_BUSY);
+    const enum err_code rc = server_reload_wait(sv, &tried, &why);
     struct catalog *now = services_catalog(s);
     json_t *o = tried ? catalog_changes(before, now) : json_object();
     catalog_drop(&now);

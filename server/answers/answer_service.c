@@ -11,6 +11,7 @@
 #include "server/access/permissions.h"
 #include "server/answers/metrics_text.h"
 #include "server/answers/origin.h"
+#include "server/base/address.h"
 #include "server/base/condition.h"
 #include "server/base/document.h"
 #include "server/documents/collection.h"
@@ -85,10 +86,15 @@ void answer_service_landing(struct services *s, const struct request *r, struct 
 
 static const double SHORT_S = 60; /* how long memory that ran out is told */
 
+static bool answer_service_is_local(const struct request *r)
+{
+    return r->own_host && address_host_is_loopback(r->own_host);
+}
+
 /* Who may learn names of files and what a driver says. */
 static bool answer_service_is_operator(const struct request *r)
 {
-    return r->admin || r->local;
+    return r->admin || answer_service_is_local(r);
 }
 
 /* Datasets whose files do not give all their tiles. */
@@ -221,7 +227,7 @@ static bool answer_service_may(const struct services *s, const struct request *r
     if (!strcmp(cfg->metrics, "public"))
         return true;
     if (!strcmp(cfg->metrics, "local"))
-        return r->local;
+        return answer_service_is_local(r);
     return answer_service_token(r->authorization, cfg->metrics);
 }
 
@@ -392,12 +398,13 @@ void answer_service_health(struct services *s, const struct request *r, struct d
     response_document(r, RESPONSE_JSON, body_text("{\"status\":\"ok\"}\n"), out);
 }
 
-/* ---- a reload, which waits for disks and servers: so a job does it ---- */
+/* ---- a reload, which waits for disks and servers: so an errand waits for it ---- */
 
 static enum err_code answer_service_reload_act(struct services *s, const struct work *w,
                                                struct body **out, struct err *e)
 {
     (void)w;
+    atomic_fetch_add(&s->reloads_begun, 1); /* first: who comes from now on gets the next one */
     enum err_code rc = s->reload(s->reload_user, out, e);
     return *out ? ERR_OK : rc; /* it says by itself what failed */
 }
@@ -429,16 +436,19 @@ static const struct work_kind answer_service_reload_work = {
 void answer_service_reload(struct services *s, const struct request *r, struct dataset *d,
                            const struct target *t, struct response *out)
 {
-    static const double most_s = 600;    /* a clip of a large store takes minutes */
-    static const char name[] = "reload"; /* one: those who ask meanwhile wait for the same job */
+    static const double most_s = 600; /* a clip of a large store takes minutes */
+    struct {
+        char kind[8];
+        uint64_t begun; /* those who ask before it begins wait for the same one */
+    } name = {.kind = "reload", .begun = atomic_load(&s->reloads_begun)};
     (void)r, (void)t;
     if (!s->reload) {
         response_problem(out, 404, "nothing is reloaded here");
         return;
     }
-    atomic_fetch_add(&s->reloads_wanted, 1); /* first: the job looks again for who joins it */
     out->unnamed = true;
     out->timeout_s = most_s;
+    out->cls = JOB_ERRAND;
     out->cache_control = RESPONSE_NO_STORE;
-    (void)response_work(d, &answer_service_reload_work, hash_bytes(name, sizeof name), out);
+    (void)response_work(d, &answer_service_reload_work, hash_bytes(&name, sizeof name), out);
 }

@@ -37,10 +37,13 @@ static bool answer_tile_clip(const struct dataset *d, const struct store_tile *t
 {
     struct err e = {0};
     struct clip clip = {0};
-    const struct store_shape x = store_shape(d->index, tile);
     enum crop_side side = CROP_INSIDE;
-    enum err_code rc = c->n ? param_clip_open(c, &clip, &e) : ERR_OK;
-    if (!rc && c->n)
+    *part = false;
+    if (!c->n)
+        return true;
+    const struct store_shape x = store_shape(d->index, tile);
+    enum err_code rc = param_clip_open(c, &clip, &e);
+    if (!rc)
         rc = crop_box(&clip, &d->meta.origin, x.min_enu_m, x.max_enu_m, &side, &e);
     clip_free(&clip);
     *part = side == CROP_ACROSS;

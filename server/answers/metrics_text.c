@@ -10,8 +10,8 @@
 
 #include "server/answers/view_stream.h"
 
-static const char *const metrics_text_classes[JOB_CLASSES] = {"view",   "tile",  "prefetch", "map",
-                                                              "motion", "ahead", "slow"};
+static const char *const metrics_text_classes[JOB_CLASSES] = {
+    "view", "tile", "prefetch", "map", "motion", "ahead", "slow", "errand"};
 static const char *const metrics_text_ends[JOB_ENDS] = {"ok",   "error",   "cancel",
                                                         "shed", "timeout", "limited"};
 

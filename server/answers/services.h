@@ -59,11 +59,10 @@ struct services { /* all are shared and thread-safe */
     struct body *landing, *conformance, *api, *api_page,
         *matrices;                       /* documents that never change */
     _Atomic bool draining, reload_asked; /* reload_asked: by a signal, or as a store was replaced */
-    _Atomic uint64_t reloads_wanted;     /* requests for one, so far */
+    _Atomic uint64_t reloads_begun;      /* by requests: names the next one */
     double start_s;
-    /* Opens the stores again, once more while requests come in (reloads_wanted), and describes in
-     * *out what changed. An error with *out: some could not be opened. NULL: a command without
-     * stores. */
+    /* Waits for a reload that begins from now on, and describes in *out what changed. An error with
+     * *out: some stores could not be opened. NULL: a command without stores. */
     enum err_code (*reload)(void *user, struct body **out, struct err *e);
     void *reload_user;
     void *own; /* of a command with routes of its own (server_start_own); else NULL */

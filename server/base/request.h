@@ -49,7 +49,9 @@ struct request {                  /* borrowed from the connection */
      * none. target is without this prefix. */
     const char *seal, *prefix;
     size_t n_seal, n_prefix;
-    bool local; /* the client is this machine, and nothing indicates another client behind it */
+    /* Host, if the client is this machine and nothing indicates another client behind it. That it
+     * names this machine is for who asks to check (address_host_is_loopback): few do. */
+    const char *own_host;
 };
 
 #endif

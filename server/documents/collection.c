@@ -11,6 +11,7 @@
 #include "server/base/document.h"
 #include "server/base/format.h"
 #include "server/data/encode.h"
+#include "server/documents/home_outline.h"
 #include "server/documents/link.h"
 #include "server/documents/ogc_tiles.h"
 #include "server/documents/social_preview.h"
@@ -98,10 +99,14 @@ static void collection_add_extents(const struct dataset *d, json_t *o)
                                   "crs", "http://www.opengis.net/def/crs/OGC/0/CRS84h"));
 }
 
-/* When the store was made, and its photographs were taken; what heights are above. */
+/* What is to be seen first; when the store was made, and its photographs were taken; what heights
+ * are above. */
 static void collection_add_facts(const struct dataset *d, json_t *splats)
 {
     const char *heights = d->meta.heights;
+    double outline[HOME_OUTLINE_NUMBERS];
+    if (home_outline(d, outline))
+        json_object_set_new(splats, "outline", document_numbers(outline, HOME_OUTLINE_NUMBERS));
     json_object_set_new(splats, "heights", json_string(*heights ? heights : "ellipsoid"));
     if (d->meta.created[0])
         json_object_set_new(splats, "created", json_string(d->meta.created));

@@ -13,6 +13,7 @@
 #include "lod/store/store.h"
 #include "lod/store/tree.h"
 #include "server/base/document.h"
+#include "server/documents/home_outline.h"
 
 /* The direction of the viewer's own first view (web/src/stage.ts). */
 #define SOCIAL_PREVIEW_HEADING_DEG 20.0
@@ -20,9 +21,6 @@
 #define SOCIAL_PREVIEW_FOV_DEG 45.0
 #define SOCIAL_PREVIEW_FILL 0.92 /* of the picture that the box of most Gaussians spans */
 enum { SOCIAL_PREVIEW_WIDTH = 1200, SOCIAL_PREVIEW_HEIGHT = 630 };
-/* Width by height of the screens that the page's first picture is for. */
-#define SOCIAL_PREVIEW_WIDE 1.6
-#define SOCIAL_PREVIEW_TALL 0.75
 static const char SOCIAL_PREVIEW_FIRST[] = "<script data-first"; /* as web/vite.config.ts has it */
 static const double DEG = 3.14159265358979323846 / 180;
 
@@ -168,15 +166,20 @@ static void social_preview_without_scripts(const struct social_preview *c, struc
     buf_printf(b, "</p><p>Looking around needs JavaScript and WebGL 2.</p></noscript>");
 }
 
-/* Where the page's first script finds a picture of its first view (web/src/first.ts): the folder of
- * views, and the poses that show all of d on a wide screen and on a tall one. */
+/* What the page's first script (web/src/first.ts) needs to ask for a picture of its first view: the
+ * folder of views, the origin, and the outline of what is to be seen. */
 static void social_preview_first(const struct social_preview *c, struct buf *b)
 {
-    char wide[96], tall[96];
-    social_preview_pose(c->d, SOCIAL_PREVIEW_WIDE, wide);
-    social_preview_pose(c->d, SOCIAL_PREVIEW_TALL, tall);
-    buf_printf(b, "%s data-still=\"./d/%s/static/\" data-wide=\"%s\" data-tall=\"%s\"",
-               SOCIAL_PREVIEW_FIRST, c->d->meta.name, wide, tall);
+    const struct geo_origin *at = &c->d->meta.origin;
+    double outline[HOME_OUTLINE_NUMBERS];
+    buf_printf(b, "%s", SOCIAL_PREVIEW_FIRST);
+    if (!home_outline(c->d, outline))
+        return;
+    buf_printf(b, " data-still=\"./d/%s/static/\" data-origin=\"%.8f,%.8f,%.3f\" data-outline=\"",
+               c->d->meta.name, at->lon_deg, at->lat_deg, at->h_m);
+    for (int i = 0; i < HOME_OUTLINE_NUMBERS; i++)
+        buf_printf(b, "%s%.2f", i ? "," : "", outline[i]);
+    buf_printf(b, "\"");
 }
 
 static bool social_preview_begins(const char *p, const char *end, const char *word)

@@ -9,15 +9,22 @@
 
 #include "server/documents/result_id.h"
 
+/* Raise it when a question that was drawn before is drawn otherwise: what is kept on disk then has
+ * another name. 2: sky and ground follow the light of the city. */
+enum { PICTURE_ID_DRAWING = 2 };
+
 void picture_id_edition(const struct dataset *d, const char *device, int quality, int supersample,
                         double gaussians, char out[9])
 {
     struct { /* no padding */
         struct hash128 salt;
         char device[160];
-        double quality, supersample, gaussians;
-    } name = {
-        .salt = d->salt, .quality = quality, .supersample = supersample, .gaussians = gaussians};
+        double quality, supersample, gaussians, drawing;
+    } name = {.salt = d->salt,
+              .quality = quality,
+              .supersample = supersample,
+              .gaussians = gaussians,
+              .drawing = PICTURE_ID_DRAWING};
     snprintf(name.device, sizeof name.device, "%s", device);
     result_id_edition(&name, sizeof name, out);
 }
@@ -32,7 +39,8 @@ struct hash128 picture_id_view(const struct dataset *d, const char *device,
         struct hash128 salt;
         char rev[16], device[160];
         double rot[9], trans[3], focal[4], gaussians;
-        uint32_t width, height, format, quality, background, rgb, depth, supersample, moves;
+        uint32_t width, height, format, quality, background, rgb, depth, supersample, moves,
+            drawing;
     } name;
     memset(&name, 0, sizeof name);
     name.salt = d->salt;
@@ -53,6 +61,7 @@ struct hash128 picture_id_view(const struct dataset *d, const char *device,
     name.depth = (uint32_t)paint->depth;
     name.supersample = paint->supersample;
     name.moves = v->moves;
+    name.drawing = PICTURE_ID_DRAWING;
     name.gaussians = gaussians;
     struct hash128 id = hash_bytes(&name, sizeof name);
     result_id_mix(&id, a);

@@ -112,7 +112,6 @@ void request_guard_field(struct request_guard *f, const char *name, size_t n_nam
     } else if (request_guard_name_is(name, n_name, "Host")) {
         f->n_host++;
         f->bad |= !request_guard_is_host(value);
-        f->host_local = address_host_is_loopback(value);
         f->req->host = value;
     } else if (request_guard_is_proxys(name, n_name)) {
         f->req->proxied = true;
@@ -133,7 +132,6 @@ void request_guard_field(struct request_guard *f, const char *name, size_t n_nam
 void request_guard_authority(struct request_guard *g, const char *authority)
 {
     g->bad |= !request_guard_is_host(authority);
-    g->host_local = address_host_is_loopback(authority);
     g->req->host = authority;
 }
 
@@ -144,9 +142,9 @@ const char *request_guard_method_name(enum method m)
     return names[m];
 }
 
-bool request_guard_local(const struct request_guard *g, const char *version)
+bool request_guard_alone(const struct request_guard *g, const char *version)
 {
-    return !g->req->proxied && !g->has_origin && g->host_local && strcmp(version, "HTTP/1.0") != 0;
+    return !g->req->proxied && !g->has_origin && strcmp(version, "HTTP/1.0") != 0;
 }
 
 enum method request_guard_method(const char *name)

@@ -11,7 +11,7 @@
 struct request_guard { /* {.req = r}, then request_guard_field for each header field */
     struct request *req;
     size_t n, n_length, n_coding, n_host;
-    bool bad, coding_bad, host_local, has_origin;
+    bool bad, coding_bad, has_origin;
     uint64_t length;
 };
 enum method request_guard_method(const char *name);
@@ -26,9 +26,9 @@ int request_guard_check(const struct request_guard *g, const struct server_confi
 /* The authority of a target in absolute form, in place of Host (RFC 9112, section 3.2.2). Call it
  * after all fields. */
 void request_guard_authority(struct request_guard *g, const char *authority);
-/* Returns whether a request seems to come from this machine. It names a loopback host. It has no
- * sign of a proxy (RFC 9110, section 7.6.3; fields that proxies add; HTTP/1.0, which nginx uses by
- * default). It does not come from a page of another site in a browser on this machine (Origin). */
-bool request_guard_local(const struct request_guard *g, const char *version);
+/* Returns whether nothing indicates that a request comes from somebody else than its client: it has
+ * no sign of a proxy (RFC 9110, section 7.6.3; fields that proxies add; HTTP/1.0, which nginx uses
+ * by default), and does not come from a page of another site in a browser (Origin). */
+bool request_guard_alone(const struct request_guard *g, const char *version);
 
 #endif

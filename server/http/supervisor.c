@@ -6,11 +6,26 @@
 
 #ifdef CITYSPLAT_SYSTEMD
 
+#include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <systemd/sd-daemon.h>
 #include <time.h>
+
+/* A reload may end while the program stops. Nothing but STOPPING is true from then on, so the lock
+ * is held while something is said. */
+static pthread_mutex_t supervisor_lock = PTHREAD_MUTEX_INITIALIZER;
+static bool supervisor_stops;
+
+static void supervisor_say(const char *text, bool last)
+{
+    pthread_mutex_lock(&supervisor_lock);
+    if (!supervisor_stops)
+        sd_notify(0, text);
+    supervisor_stops |= last;
+    pthread_mutex_unlock(&supervisor_lock);
+}
 
 int supervisor_socket(const char *name)
 {
@@ -28,20 +43,24 @@ int supervisor_socket(const char *name)
 
 void supervisor_ready(const char *status)
 {
-    sd_notifyf(0, "READY=1\nSTATUS=%s", status);
+    char text[1024];
+    snprintf(text, sizeof text, "READY=1\nSTATUS=%s", status);
+    supervisor_say(text, false);
 }
 
 void supervisor_reloading(void)
 {
+    char text[64];
     struct timespec now;
     clock_gettime(CLOCK_MONOTONIC, &now);
-    sd_notifyf(0, "RELOADING=1\nMONOTONIC_USEC=%lld",
-               (long long)now.tv_sec * 1000000 + now.tv_nsec / 1000);
+    snprintf(text, sizeof text, "RELOADING=1\nMONOTONIC_USEC=%lld",
+             (long long)now.tv_sec * 1000000 + now.tv_nsec / 1000);
+    supervisor_say(text, false);
 }
 
 void supervisor_stopping(void)
 {
-    sd_notify(0, "STOPPING=1");
+    supervisor_say("STOPPING=1", true);
 }
 
 double supervisor_watchdog_s(void)

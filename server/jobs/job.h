@@ -11,7 +11,9 @@
 /* JOB_MOTION: pictures of streams that follow a camera. A stream requests one at a time, so they do
  * not count against rates of clients. JOB_SLOW: work that was submitted as JOB_TILE and takes long.
  * While there are quick tiles, one of several tile threads is reserved for them. JOB_PREFETCH and
- * JOB_AHEAD: tiles and pictures that nobody looks at yet; they run when nothing else waits. */
+ * JOB_AHEAD: tiles and pictures that nobody looks at yet; they run when nothing else waits.
+ * JOB_ERRAND: waits for another thread and takes no time of a processor, so it has a thread of its
+ * own and does not count against rates of clients. */
 enum job_class {
     JOB_VIEW,
     JOB_TILE,
@@ -20,6 +22,7 @@ enum job_class {
     JOB_MOTION,
     JOB_AHEAD,
     JOB_SLOW,
+    JOB_ERRAND,
     JOB_CLASSES
 };
 bool job_is_picture(enum job_class cls); /* picture of a view, requested now or ahead */
@@ -61,7 +64,7 @@ struct job_config {
     /* Returns whether this thread that draws (0..n-1) leaves work to the others now. Called with
      * the lock held, so it must not block. NULL: none does. */
     bool (*rests)(void *user, size_t drawer);
-    size_t queue_limit[JOB_CLASSES]; /* of JOB_SLOW: that of JOB_TILE */
+    size_t queue_limit[JOB_CLASSES]; /* of JOB_SLOW and JOB_ERRAND: that of JOB_TILE */
     /* Estimates the time of work by a formula, in ms, and gives its kind (cost.h). The queue learns
      * from the time that it took. Called with the lock held. NULL: 1 ms. */
     double (*cost)(const void *work, struct cost_kind *kind);
@@ -71,7 +74,7 @@ struct job_config {
     double slow_s;
     void *user;
     /* Makes the body of `work`. It should call job_cancelled where that is cheap. Tile threads pass
-     * worker 0..n-1, those that draw the numbers behind. */
+     * worker 0..n-1, those that draw and the one for errands the numbers behind. */
     enum err_code (*run)(void *user, const struct job *j, void *work, size_t worker,
                          struct body **out, struct err *e);
     void (*drop)(void *user, void *work); /* frees the work */

@@ -44,9 +44,9 @@ static double job_wait_s(const struct jobs *js, enum job_class cls, uint64_t cli
     size_t sharing = 1, threads = job_is_drawn(cls) ? js->cfg.draw_threads : 1;
     for (int c = 0; c < JOB_CLASSES; c++)
         sharing += c != (int)cls && c != JOB_PREFETCH && c != JOB_AHEAD &&
-                   job_is_drawn((enum job_class)c) == job_is_drawn(cls) &&
+                   job_duty_of((enum job_class)c) == job_duty_of(cls) &&
                    fair_queue_count(js->queue[c]);
-    if (!job_is_drawn(cls) && js->cfg.tile_threads > 1)
+    if (job_duty_of(cls) == JOB_ENCODES && js->cfg.tile_threads > 1)
         threads = js->cfg.tile_threads - (cls == JOB_SLOW);
     return fair_queue_wait_ms(js->queue[cls], client) * 1e-3 * (double)sharing /
            fmax(1, (double)threads);
@@ -63,8 +63,9 @@ static int job_seconds(double wait_s)
 static bool job_make_room(struct jobs *js, enum job_class cls, uint64_t client, double timeout_s,
                           struct job_waiter *w, struct job **shed)
 {
-    const enum job_class limited = cls == JOB_SLOW ? JOB_TILE : cls;
-    const bool waits = cls != JOB_PREFETCH && cls != JOB_AHEAD; /* those run when nothing waits */
+    const enum job_class limited = cls == JOB_SLOW || cls == JOB_ERRAND ? JOB_TILE : cls;
+    /* Those ahead run when nothing waits; how long an errand takes is not this machine's to say. */
+    const bool waits = cls != JOB_PREFETCH && cls != JOB_AHEAD && cls != JOB_ERRAND;
     const double wait_s = waits ? job_wait_s(js, cls, client) : 0;
     const bool full = fair_queue_count(js->queue[cls]) >= js->cfg.queue_limit[limited];
     if (!full && wait_s <= timeout_s)
@@ -86,7 +87,9 @@ static bool job_make_room(struct jobs *js, enum job_class cls, uint64_t client, 
 /* NULL: it is not counted. */
 static struct rate *job_rate(struct jobs *js, enum job_class cls)
 {
-    return cls == JOB_MOTION ? NULL : js->rate[job_is_picture(cls) ? JOB_VIEW : JOB_TILE];
+    return cls == JOB_MOTION || cls == JOB_ERRAND
+               ? NULL
+               : js->rate[job_is_picture(cls) ? JOB_VIEW : JOB_TILE];
 }
 
 /* Under the lock: does the client have a token for one more? */

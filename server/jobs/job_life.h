@@ -56,20 +56,21 @@ struct job {
     double expected_ms, predicted_ms;
     double queued_s, started_s;
 };
+enum job_duty { JOB_ENCODES, JOB_DRAWS, JOB_WAITS, JOB_DUTIES }; /* of a thread */
 struct job_thread {
     struct jobs *js;
-    bool draws;
-    size_t index; /* of those for tiles, or of those that draw */
+    enum job_duty duty;
+    size_t index; /* of those with this duty */
     struct pool_thread *thread;
     double since_s; /* when it began its work, or its start; 0: it waits for work */
     bool ended;
 };
 struct jobs { /* `lock` guards all except cfg */
     struct job_config cfg;
-    struct job_thread *workers; /* tile threads, then those that draw */
+    struct job_thread *workers; /* tile threads, those that draw, the one for errands */
     size_t n_workers;
     pthread_mutex_t lock;
-    pthread_cond_t tile_ready, view_ready;
+    pthread_cond_t tile_ready, view_ready, errand_ready;
     struct fair_queue *queue[JOB_CLASSES];
     struct rate *rate[JOB_CLASSES]; /* NULL: that of JOB_TILE is used */
     struct job *table[JOB_TABLE];
@@ -81,8 +82,8 @@ struct jobs { /* `lock` guards all except cfg */
     double quick_drawn_s, quickest_ms;
     size_t long_drawn; /* long work that is being drawn */
     /* Time that each class had, counted from when it begins to wait. Classes of one thread have
-     * equal parts. now_ms: clock of the class that was served last, for tiles and for drawing. */
-    double class_ms[JOB_CLASSES], now_ms[2];
+     * equal parts. now_ms: clock of the class that was served last, by duty. */
+    double class_ms[JOB_CLASSES], now_ms[JOB_DUTIES];
     /* The stream that was drawn last, and when. Its next picture is asked for in a moment. */
     uint64_t stream;
     double stream_s;
@@ -98,6 +99,7 @@ struct jobs { /* `lock` guards all except cfg */
 struct job **job_table_find(struct jobs *js, struct hash128 id);
 void job_table_remove(struct jobs *js, struct job *j);
 struct job *job_at(struct fair_queue_item *it); /* NULL: `it` is NULL */
+enum job_duty job_duty_of(enum job_class cls);
 bool job_is_drawn(enum job_class cls);
 /* Of what is drawn: work that is predicted to take so long is left to the other threads. */
 double job_long_ms(const struct jobs *js);

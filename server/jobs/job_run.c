@@ -72,9 +72,9 @@ static void job_finish(struct jobs *js, struct job *j, struct job_result *r, str
 static const char *job_noun(enum job_class cls)
 {
     static const char *const nouns[JOB_CLASSES] = {
-        [JOB_VIEW] = "picture",  [JOB_TILE] = "tile",    [JOB_PREFETCH] = "tile ahead",
-        [JOB_MAP] = "map tile",  [JOB_MOTION] = "frame", [JOB_AHEAD] = "picture ahead",
-        [JOB_SLOW] = "slow work"};
+        [JOB_VIEW] = "picture",   [JOB_TILE] = "tile",    [JOB_PREFETCH] = "tile ahead",
+        [JOB_MAP] = "map tile",   [JOB_MOTION] = "frame", [JOB_AHEAD] = "picture ahead",
+        [JOB_SLOW] = "slow work", [JOB_ERRAND] = "errand"};
     return nouns[cls];
 }
 
@@ -99,7 +99,7 @@ static void job_run(struct jobs *js, struct job *j, size_t worker)
 /* A class's time, counted from when it began to wait. */
 static double job_class_ms(const struct jobs *js, enum job_class c)
 {
-    return fmax(js->class_ms[c], js->now_ms[job_is_drawn(c)]);
+    return fmax(js->class_ms[c], js->now_ms[job_duty_of(c)]);
 }
 
 /* Of a class the work of the client that had least time, of quick work if long work may not begin.
@@ -130,7 +130,7 @@ static struct job *job_take(struct jobs *js, enum job_class c, bool quick)
     struct fair_queue_item *next = job_next(js, c, quick);
     struct job *j = job_at(next);
     fair_queue_take(js->queue[c], next);
-    js->now_ms[job_is_drawn(c)] = job_class_ms(js, c);
+    js->now_ms[job_duty_of(c)] = job_class_ms(js, c);
     js->class_ms[c] = job_class_ms(js, c) + j->predicted_ms;
     return j;
 }
@@ -199,11 +199,23 @@ static struct job *job_next_tile(struct jobs *js)
     return j ? j : job_at(fair_queue_next(js->queue[JOB_PREFETCH]));
 }
 
+static struct job *job_next_of(struct jobs *js, const struct job_thread *w)
+{
+    switch (w->duty) {
+    case JOB_DRAWS:
+        return job_next_drawn(js, w->index);
+    case JOB_WAITS:
+        return job_at(fair_queue_next(js->queue[JOB_ERRAND]));
+    default:
+        return job_next_tile(js);
+    }
+}
+
 /* Until there may be work. Of several threads that draw one looks again if it left work. */
 static void job_await_work(struct jobs *js, const struct job_thread *w)
 {
-    if (!w->draws)
-        pthread_cond_wait(&js->tile_ready, &js->lock);
+    if (w->duty != JOB_DRAWS)
+        pthread_cond_wait(w->duty == JOB_WAITS ? &js->errand_ready : &js->tile_ready, &js->lock);
     else if (js->cfg.draw_threads > 1)
         (void)pool_cond_wait(&js->view_ready, &js->lock, clock_s() + AGAIN_S);
     else
@@ -214,12 +226,12 @@ static void job_worker_main(void *user)
 {
     struct job_thread *w = user;
     struct jobs *js = w->js;
-    if (!w->draws)
+    if (w->duty == JOB_ENCODES)
         pool_alone(); /* --workers says how many threads tiles have */
     pthread_mutex_lock(&js->lock);
     w->since_s = 0;
     while (!js->stopping) {
-        struct job *j = w->draws ? job_next_drawn(js, w->index) : job_next_tile(js);
+        struct job *j = job_next_of(js, w);
         if (!j) {
             if (!js->stopping)
                 job_await_work(js, w);
@@ -230,7 +242,7 @@ static void job_worker_main(void *user)
         j->started_s = w->since_s = clock_s();
         js->stats.running[j->cls]++;
         pthread_mutex_unlock(&js->lock);
-        job_run(js, j, w->index + (w->draws ? js->cfg.tile_threads : 0));
+        job_run(js, j, (size_t)(w - js->workers));
         pthread_mutex_lock(&js->lock);
         w->since_s = 0;
     }
@@ -244,7 +256,7 @@ static void job_worker_main(void *user)
 enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct err *e)
 {
     struct jobs *js = mem_array(1, sizeof *js);
-    size_t n = cfg->tile_threads + cfg->draw_threads;
+    const size_t draw_end = cfg->tile_threads + cfg->draw_threads, n = draw_end + 1;
     enum err_code rc = ERR_OK;
     *out = js;
     if (!js || !(js->workers = mem_array(n, sizeof *js->workers))) {
@@ -256,6 +268,7 @@ enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct e
     js->failures.pause_s = cfg->slow_s > 0 ? cfg->slow_s : 2;
     pthread_mutex_init(&js->lock, NULL);
     pthread_cond_init(&js->tile_ready, NULL);
+    pthread_cond_init(&js->errand_ready, NULL);
     pool_cond_init(&js->view_ready);
     pool_cond_init(&js->ended);
     for (int c = 0; c < JOB_CLASSES && !rc; c++)
@@ -267,8 +280,12 @@ enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct e
     for (; js->n_workers < n && !rc; js->n_workers += !rc) {
         struct job_thread *w = &js->workers[js->n_workers];
         w->js = js;
-        w->draws = js->n_workers >= cfg->tile_threads;
-        w->index = js->n_workers - (w->draws ? cfg->tile_threads : 0);
+        w->duty = js->n_workers < cfg->tile_threads ? JOB_ENCODES
+                  : js->n_workers < draw_end        ? JOB_DRAWS
+                                                    : JOB_WAITS;
+        w->index = js->n_workers - (w->duty == JOB_DRAWS   ? cfg->tile_threads
+                                    : w->duty == JOB_WAITS ? draw_end
+                                                           : 0);
         w->since_s = clock_s();
         rc = pool_start(job_worker_main, w, &w->thread, e);
     }
@@ -313,8 +330,8 @@ double job_drawing_s(struct jobs *js)
     pthread_mutex_lock(&js->lock);
     const double now_s = clock_s();
     double most_s = 0;
-    for (size_t i = js->cfg.tile_threads; i < js->n_workers; i++)
-        if (js->workers[i].since_s > 0)
+    for (size_t i = 0; i < js->n_workers; i++)
+        if (js->workers[i].duty == JOB_DRAWS && js->workers[i].since_s > 0)
             most_s = fmax(most_s, now_s - js->workers[i].since_s);
     pthread_mutex_unlock(&js->lock);
     return most_s;
@@ -323,8 +340,8 @@ double job_drawing_s(struct jobs *js)
 /* Under the lock. */
 static bool job_drawers_ended(const struct jobs *js)
 {
-    for (size_t i = js->cfg.tile_threads; i < js->n_workers; i++)
-        if (!js->workers[i].ended)
+    for (size_t i = 0; i < js->n_workers; i++)
+        if (js->workers[i].duty == JOB_DRAWS && !js->workers[i].ended)
             return false;
     return true;
 }
@@ -355,13 +372,14 @@ bool job_stop(struct jobs *js)
     js->stopping = true;
     pthread_cond_broadcast(&js->tile_ready);
     pthread_cond_broadcast(&js->view_ready);
+    pthread_cond_broadcast(&js->errand_ready);
     pthread_mutex_unlock(&js->lock);
     job_claim_where(js, 0, &stop, true);
     if (js->cfg.stop)
         js->cfg.stop(js->cfg.user);
     bool ended = job_await_drawers(js);
     for (size_t i = 0; i < js->n_workers; i++)
-        if (js->workers[i].thread && (ended || i < js->cfg.tile_threads))
+        if (js->workers[i].thread && (ended || js->workers[i].duty != JOB_DRAWS))
             pool_join(&js->workers[i].thread);
     return ended;
 }
@@ -376,6 +394,7 @@ bool job_close(struct jobs **out)
     *out = NULL;
     pthread_cond_destroy(&js->tile_ready);
     pthread_cond_destroy(&js->view_ready);
+    pthread_cond_destroy(&js->errand_ready);
     pthread_cond_destroy(&js->ended);
     pthread_mutex_destroy(&js->lock);
     for (int c = 0; c < JOB_CLASSES; c++) {

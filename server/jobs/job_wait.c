@@ -27,9 +27,24 @@ struct job *job_at(struct fair_queue_item *it)
     return it ? (struct job *)(void *)((char *)it - offsetof(struct job, place)) : NULL;
 }
 
+enum job_duty job_duty_of(enum job_class cls)
+{
+    switch (cls) {
+    case JOB_VIEW:
+    case JOB_MAP:
+    case JOB_MOTION:
+    case JOB_AHEAD:
+        return JOB_DRAWS;
+    case JOB_ERRAND:
+        return JOB_WAITS;
+    default:
+        return JOB_ENCODES;
+    }
+}
+
 bool job_is_drawn(enum job_class cls)
 {
-    return cls == JOB_VIEW || cls == JOB_MAP || cls == JOB_MOTION || cls == JOB_AHEAD;
+    return job_duty_of(cls) == JOB_DRAWS;
 }
 
 bool job_is_picture(enum job_class cls)
@@ -60,7 +75,7 @@ void job_queue_add(struct jobs *js, struct job *j, uint64_t client)
     j->predicted_ms = cost_predict(&js->cost, j->kind, j->expected_ms);
     fair_queue_add(js->queue[j->cls], &j->place, client, j->predicted_ms);
     if (!job_is_drawn(j->cls)) {
-        pthread_cond_signal(&js->tile_ready);
+        pthread_cond_signal(j->cls == JOB_ERRAND ? &js->errand_ready : &js->tile_ready);
         return;
     }
     if (j->cls != JOB_AHEAD)

@@ -110,7 +110,7 @@ void fuzz_headers(const uint8_t *bytes, size_t n)
     }
     const char *why;
     (void)request_guard_check(&g, &cfg, "HTTP/1.1", &why);
-    (void)request_guard_local(&g, "HTTP/1.1");
+    (void)request_guard_alone(&g, "HTTP/1.1");
     struct address_nets nets;
     if (!address_read_nets("10.0.0.0/8,::1", &nets, NULL)) {
         struct address peer = {.ip = {[10] = 0xff, 0xff, 10, 1, 2, 3}};

@@ -127,7 +127,7 @@ static inline struct response answer(const struct ask *a)
         .body = a->body,
         .body_size = a->body ? strlen(a->body) : 0,
         .prefetch = a->prefetch,
-        .local = true,
+        .own_host = "localhost",
     };
     r.target_size = strlen(r.target);
     struct response out;

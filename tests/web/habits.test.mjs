@@ -106,6 +106,7 @@ const SCREENS = [
     { width: 844, height: 390, hasTouch: true, isMobile: true },
 ];
 const HOME_LEAST = 0.6; // of the area that panels leave free, and of the city
+const FIRST_MOST = 0.5; // of its distance, by another direction: the first view is chosen before a Gaussian is there, by the server's outline
 const COVERED_MOST = 0.02; // strays beyond the outline of most cells
 
 for (const size of SCREENS)
@@ -114,6 +115,13 @@ for (const size of SCREENS)
         t.after(close);
         await waitForViewer(page);
         if (process.env.HABITS_SHOTS) await page.screenshot({ path: `${process.env.HABITS_SHOTS}/home-${size.width}x${size.height}.png` });
+        const first = await page.evaluate(() => {
+            const { stage } = window.citysplat.viewer;
+            const before = stage.camera.position.clone();
+            stage.home();
+            return stage.camera.position.distanceTo(before) / stage.camera.position.length();
+        });
+        await waitForViewer(page);
         const covers = await page.evaluate(() =>
             [...document.querySelectorAll("#panel, #tools, footer")]
                 .map((node) => node.getBoundingClientRect())
@@ -129,6 +137,7 @@ for (const size of SCREENS)
             return Math.min(1, 2 / (Math.max(...xs) - Math.min(...xs)));
         });
         t.diagnostic(`${across} x ${down} px of ${free.width} x ${free.height}: ${(100 * filled).toFixed(0)} % of the area, ${(100 * seen).toFixed(0)} % of the city's width`);
+        assert.ok(first < FIRST_MOST, `home is ${first} of its distance from the first view`);
         assert.ok(drawn.covered < COVERED_MOST, `panels cover ${(100 * drawn.covered).toFixed(1)} % of the city`);
         const sides = upright || (drawn.left > 0 && drawn.right < size.width);
         assert.ok(sides && drawn.bottom < size.height, `the city is cut: ${JSON.stringify(drawn)}`);

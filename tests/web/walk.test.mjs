@@ -1,5 +1,5 @@
-// On foot, without a browser: a wall that stands askew is walked along; one that is met head on ends the way. A street is found
-// beside a wide background, too.
+// On foot, without a browser: a wall that stands askew is walked along; one that is met head on ends the way; a curb is
+// stepped on. A street is found beside a wide background, too, and the page is not held up meanwhile.
 //
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
@@ -13,8 +13,6 @@ const STEP_M = 0.2;
 
 // A street at height 0, and a wall through the origin; and Gaussians of a background, as wide as they come.
 async function makeWalker(background = 0) {
-    const { pack } = await importSource("pack.ts");
-    const { Walker } = await importSource("walk.ts");
     const places = [];
     for (let x = -24; x <= 24; x += 0.5) for (let z = -24; z <= 24; z += 0.5) places.push([x, 0, z]);
     const turn = (ASKEW_DEG * Math.PI) / 180;
@@ -22,22 +20,36 @@ async function makeWalker(background = 0) {
         for (let up = 0.2; up < 4; up += 0.2) places.push([along * Math.cos(turn), up, along * Math.sin(turn)]);
     const near = places.length;
     for (let i = 0; i < background; i++) places.push([300, 60, i]);
-    const count = places.length;
+    return walkerAmong(places, near, (y) => (y ? 0.08 : 0.2));
+}
+
+const BLOCK = 60_000; // Gaussians of a tile, at most
+
+// Gaussians at places, of which the first `near` are opaque, as wide as their height says, and the others a background.
+async function walkerAmong(all, near, sigmaAt) {
+    const { pack } = await importSource("pack.ts");
+    const { Walker } = await importSource("walk.ts");
     const unit = 2 ** -8;
     const sizes = (sigma) => Math.round(16 * (Math.log(sigma) + 10));
-    const splats = pack(
-        {
-            ...{ count, shDegree: 0, antialiased: false, unit, embedding: null },
-            steps: Int32Array.from(places.flat(), (v) => Math.round(v / unit)),
-            colors: Uint8Array.from({ length: 4 * count }, (_, i) => (i % 4 < 3 ? 128 : i < 4 * near ? 250 : 3)),
-            scales: new Uint8Array(3 * count).map((_, i) => (i < 3 * near ? sizes(places[Math.floor(i / 3)][1] ? 0.08 : 0.2) : 255)),
-            rotations: new Uint32Array(count).fill(3 << 30), // none
-            sh: new Uint8Array(0),
-        },
-        [0, 0, 0],
-    );
-    const block = { id: 1, splats };
-    return new Walker(() => [block]);
+    const blocks = [];
+    for (let from = 0; from < all.length; from += BLOCK) {
+        const places = all.slice(from, from + BLOCK);
+        const count = places.length;
+        const isNear = (i) => from + i < near;
+        const splats = pack(
+            {
+                ...{ count, shDegree: 0, antialiased: false, unit, embedding: null },
+                steps: Int32Array.from({ length: 3 * count }, (_, i) => Math.round(places[Math.floor(i / 3)][i % 3] / unit)),
+                colors: Uint8Array.from({ length: 4 * count }, (_, i) => (i % 4 < 3 ? 128 : isNear(i >> 2) ? 250 : 3)),
+                scales: new Uint8Array(3 * count).map((_, i) => (isNear(Math.floor(i / 3)) ? sizes(sigmaAt(places[Math.floor(i / 3)][1])) : 255)),
+                rotations: new Uint32Array(count).fill(3 << 30), // none
+                sh: new Uint8Array(0),
+            },
+            [0, 0, 0],
+        );
+        blocks.push({ id: blocks.length, splats });
+    }
+    return new Walker(() => blocks);
 }
 
 // The eyes after some steps in a direction, degrees from east to south.
@@ -81,12 +93,69 @@ test("a street is found beside a wide background, and as soon", async (t) => {
     const { Vector3 } = await importVector();
     const middle = new Vector3(-10, 0, 10);
     const walkers = [await makeWalker(), await makeWalker(40)];
-    const [plain, wide] = walkers.map((walker) => {
+    const found = [];
+    for (const walker of walkers) {
         const start = performance.now();
-        const street = walker.street(middle, 100);
-        return { street, seconds: (performance.now() - start) / 1000 };
-    });
+        const street = await walker.street(middle, 100);
+        found.push({ street, seconds: (performance.now() - start) / 1000 });
+    }
+    const [plain, wide] = found;
     t.diagnostic(`${plain.seconds.toFixed(2)} s, with the background ${wide.seconds.toFixed(2)} s`);
     assert.ok(plain.street && wide.street && plain.street.distanceTo(wide.street) < 0.1, `${wide.street} in place of ${plain.street}`);
     assert.ok(wide.seconds < 10 * plain.seconds + 1, `${wide.seconds} s in place of ${plain.seconds}`);
+});
+
+// A street, and from x = 0 on what is higher: as wide as Gaussians of pavements are, so that they reach above it.
+async function eyesBehindStep(height) {
+    const { Vector3 } = await importVector();
+    const places = [];
+    for (let x = -6; x <= 6; x += 0.15) for (let z = -3; z <= 3; z += 0.15) places.push([x, x < 0 ? 0 : height, z]);
+    for (let up = 0.1; up < height; up += 0.1) for (let z = -3; z <= 3; z += 0.15) places.push([0, up, z]);
+    const walker = await walkerAmong(places, places.length, () => 0.22);
+    const eye = new Vector3(-4, EYES_M, 0);
+    for (let i = 0; i < 30; i++) walker.go(eye, STEP_M, 0);
+    return eye;
+}
+
+for (const height of [0.12, 0.25, 0.4])
+    test(`a curb of ${height} m is stepped on`, async () => {
+        const eye = await eyesBehindStep(height);
+        assert.ok(eye.x > 1.5, `it ends at ${eye.x} m`);
+        assert.ok(Math.abs(eye.y - EYES_M - height) < 0.15, `eyes at ${eye.y} m`);
+    });
+
+for (const height of [1, 2.5])
+    test(`a wall of ${height} m is not`, async () => {
+        const eye = await eyesBehindStep(height);
+        assert.ok(eye.x < 0 && Math.abs(eye.y - EYES_M) < 0.2, `it ends at ${eye.x} m, eyes at ${eye.y} m`);
+    });
+
+test("the search for a street holds the page up for a moment at a time", async (t) => {
+    const MOST_MS = 200;
+    const { Vector3 } = await importVector();
+    const places = [];
+    for (let x = -100; x <= 100; x += 0.18) for (let z = -100; z <= 100; z += 0.18) places.push([x, 0, z]);
+    const walker = await walkerAmong(places, places.length, () => 0.2);
+    // Of the processor: other programs take their part of the time.
+    const passed = () => {
+        const { user, system } = process.cpuUsage();
+        return (user + system) / 1000;
+    };
+    let most = 0;
+    let last = passed();
+    let on = true;
+    const tick = () => {
+        most = Math.max(most, passed() - last);
+        last = passed();
+        if (on) setTimeout(tick);
+    };
+    setTimeout(tick);
+    const began = passed();
+    const street = await walker.street(new Vector3(0, 0, 0), 100);
+    const all = passed() - began;
+    on = false;
+    t.diagnostic(`${all.toFixed(0)} ms in all, at most ${most.toFixed(0)} ms at once`);
+    assert.ok(street && street.y < 0.3);
+    assert.ok(all > 1.5 * MOST_MS, `a search of ${all} ms tells nothing`);
+    assert.ok(most < MOST_MS, `${most} ms at once`);
 });

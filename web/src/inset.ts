@@ -125,7 +125,7 @@ export class Inset {
     if (!module) return;
     const { pose, stage } = viewer;
     if (stage.walk === "walk") {
-      if (!stage.toStreet(stage.frame.pointOf({ ...place, h: pose.h }))) toast(text("walk.noStreet"));
+      void stage.toStreet(stage.frame.pointOf({ ...place, h: pose.h })).then((there) => there || toast(text("walk.noStreet")));
       return;
     }
     const down = pose.pitch < LOOK_DOWN_DEG;

@@ -338,8 +338,11 @@ export class Page {
       if (!module) return;
       stage.walker = new module.Walker(() => this.viewer.blocks);
     }
-    stage.walk = next;
-    if (stage.walk === next) return;
+    if (next !== "walk") {
+      stage.walk = next;
+      return;
+    }
+    if (await stage.toStreet(stage.center())) return;
     stage.walk = "orbit";
     toast(text(this.viewer.mode === "pictures" ? "walk.pictures" : "walk.none"));
   }

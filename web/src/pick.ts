@@ -125,20 +125,38 @@ function copyInto(to: Cloud, from: Cloud, chosen: readonly number[]) {
 
 const emptyCloud = (room: number): Cloud => ({ count: 0, base: new Uint32Array(4 * room), centres: new Float32Array(3 * room) });
 
-// Those within some metres of an upright line, for rays that stay near it.
-export function gather(blocks: readonly Block[], x: number, z: number, reach: number): Cloud {
-  const near = blocks.map(cloudOf).map((cloud) => {
+const SLICE = 1 << 14; // Gaussians that are looked at without a pause
+
+// Those within some metres of an upright line, for rays that stay near it. In steps: a city has millions.
+export function* gatherBySteps(blocks: readonly Block[], x: number, z: number, reach: number): Generator<void, Cloud> {
+  const near: { cloud: Cloud; chosen: number[] }[] = [];
+  for (const block of blocks) {
+    const cloud = cloudOf(block);
     const chosen: number[] = [];
     for (let i = 0; i < cloud.count; i++) {
       const most = reach + REACH_SIGMA * sigmaOf(cloud, i);
       const [dx, dz] = [cloud.centres[3 * i]! - x, cloud.centres[3 * i + 2]! - z];
       if (dx * dx + dz * dz <= most * most) chosen.push(i);
+      if (i % SLICE === SLICE - 1) yield;
     }
-    return { cloud, chosen };
-  });
+    near.push({ cloud, chosen });
+    yield;
+  }
   const out = emptyCloud(near.reduce((sum, { chosen }) => sum + chosen.length, 0));
-  for (const { cloud, chosen } of near) copyInto(out, cloud, chosen);
+  for (const { cloud, chosen } of near)
+    for (let from = 0; from < chosen.length; from += SLICE) {
+      copyInto(out, cloud, chosen.slice(from, from + SLICE));
+      yield;
+    }
   return out;
+}
+
+export function gather(blocks: readonly Block[], x: number, z: number, reach: number): Cloud {
+  const steps = gatherBySteps(blocks, x, z, reach);
+  for (;;) {
+    const { done, value } = steps.next();
+    if (done) return value;
+  }
 }
 
 const COLUMN_M = 2.5; // a side
@@ -151,13 +169,11 @@ export class Columns {
   private readonly members = new Map<number, number[]>();
   private readonly clouds = new Map<number, Cloud>();
 
-  constructor(
-    private readonly cloud: Cloud,
-    { x: middleX, z: middleZ }: { x: number; z: number },
-    within: number,
-    top: number,
-    perMetre: number,
-  ) {
+  constructor(private readonly cloud: Cloud) {}
+
+  // Before the first question, in steps.
+  *fill({ x: middleX, z: middleZ }: { x: number; z: number }, within: number, top: number, perMetre: number): Generator<void, void> {
+    const { cloud } = this;
     // A Gaussian of the far background would be in a million columns: only where rays are.
     const between = (v: number, middle: number) => cellOf(Math.min(middle + within, Math.max(middle - within, v)));
     for (let i = 0; i < cloud.count; i++) {
@@ -172,6 +188,7 @@ export class Columns {
           if (members) members.push(i);
           else this.members.set(key, [i]);
         }
+      if (i % SLICE === SLICE - 1) yield;
     }
   }
 

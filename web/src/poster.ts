@@ -2,23 +2,22 @@
 // replaced by a worse one.
 //
 // SPDX-License-Identifier: Apache-2.0
-import type { Pose } from "./pose";
+import { parsePose, type Pose } from "./pose";
 import { posterSize } from "./postersize";
 import { pictureUrl, type SceneEntry } from "./source";
 
 const LEAVES_MS = 250;
 
-// Of a pose, or of the whole scene where it is null; null where nobody draws it.
-export function posterUrl(entry: SceneEntry, appearance: string, pose: Pose | null, aspect: number): string | null {
-  const size = posterSize(aspect);
-  const [width, height] = size.split("x").map(Number);
-  if (!entry.preview) return null;
-  if (pose) return pictureUrl(entry, appearance, pose, width!, height!, true).href;
-  const url = new URL(entry.preview);
-  url.pathname = url.pathname.replace(/\d+x\d+\.jpg$/, `${size}.jpg`);
-  url.searchParams.set("background", "sky");
-  if (appearance) url.searchParams.set("appearance", appearance);
-  return url.href;
+// Null where nobody draws it.
+export function posterUrl(entry: SceneEntry, appearance: string, pose: Pose, aspect: number): string | null {
+  const [width, height] = posterSize(aspect).split("x").map(Number);
+  return entry.preview && pictureUrl(entry, appearance, pose, width!, height!, true).href;
+}
+
+// What a picture of the server shows, by its address; null where that does not tell.
+export function poseOfPoster(url: string): Pose | null {
+  const pose = /\/static\/([^/]+)\/\d+x\d+\.jpg/.exec(url)?.[1];
+  return pose === undefined ? null : parsePose(pose);
 }
 
 // On a canvas: a page's policy need not allow images.
@@ -26,7 +25,7 @@ export class Poster {
   private canvas: HTMLCanvasElement | null = document.createElement("canvas");
   private readonly asking = new AbortController();
   private timer = 0;
-  onGone: () => void = () => {};
+  onGone: (shown: boolean) => void = () => {};
 
   constructor(surface: HTMLElement, url: string) {
     const canvas = this.canvas!;
@@ -64,9 +63,10 @@ export class Poster {
   }
 
   private end() {
+    const shown = this.canvas?.hidden === false;
     clearTimeout(this.timer);
     this.canvas?.remove();
     this.canvas = null;
-    this.onGone();
+    this.onGone(shown);
   }
 }

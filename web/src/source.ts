@@ -28,6 +28,7 @@ export interface SceneEntry {
   pictures: URL | null; // the folder of its static views; null on a file server
   questions: URL | null; // the folder of height, profile, measure; null on a file server
   map: URL | null; // TileJSON of its map tiles; null where there are none
+  outline: readonly number[] | null; // what home shows: homeview.ts; null: it is found in the coarsest tiles
   preview: URL | null; // a small picture of the whole scene; null where nobody draws one
   packed: boolean; // tiles are to be had as .drc, and as drafts
 }
@@ -83,7 +84,7 @@ interface Collection {
   title?: string;
   attribution?: string;
   links?: { rel?: string; href?: string }[];
-  splats?: { revision?: string; formats?: unknown; heights?: string; created?: string; taken?: string[] };
+  splats?: { revision?: string; formats?: unknown; heights?: string; created?: string; taken?: string[]; outline?: number[] };
 }
 interface TilesetDocument {
   asset?: { tilesetVersion?: string; extras?: { cesium?: { credits?: { html?: string }[] } } };
@@ -113,7 +114,7 @@ function entryOf(collection: Collection, base: URL): SceneEntry {
   const network = href("appearance-model");
   const preview = href("preview");
   const map = collection.links?.find((link) => /\/map\.json$/.test(link.href ?? ""))?.href;
-  const { revision, heights = "ellipsoid", created = "", taken } = collection.splats ?? {};
+  const { revision, heights = "ellipsoid", created = "", taken, outline } = collection.splats ?? {};
   const folder = `d/${encodeURIComponent(id)}/`;
   return {
     id,
@@ -129,6 +130,7 @@ function entryOf(collection: Collection, base: URL): SceneEntry {
     pictures: new URL(revision ? `${folder}r/${revision}/static/` : `${folder}static/`, base),
     questions: new URL(folder, base),
     map: map ? new URL(map, base) : null,
+    outline: Array.isArray(outline) && outline.length === 10 && outline.every(Number.isFinite) ? outline : null,
     preview: preview ? new URL(preview, base) : null,
     packed: Array.isArray(collection.splats?.formats) && collection.splats.formats.includes("drc"),
   };
@@ -140,7 +142,7 @@ function entryOfTileset(tileset: URL): SceneEntry {
   const id = folder || "city";
   const absent = { catalogue: null, appearances: null, network: null };
   const unasked = { pictures: null, questions: null, map: null, preview: null, packed: false };
-  const unknown = { attribution: "", heights: "ellipsoid", created: "", taken: null };
+  const unknown = { attribution: "", heights: "ellipsoid", created: "", taken: null, outline: null };
   return { id, title: id, tileset, ...unknown, ...absent, ...unasked };
 }
 

@@ -11,18 +11,10 @@ import { Box3, Euler, MathUtils, Matrix4, PerspectiveCamera, Plane, Ray, Vector3
 import { cornersOf } from "./extent";
 import { Frame } from "./geo";
 import type { Area } from "./free";
+import { homeView } from "./homeview";
 import { EYES_M, FOV_DEG, type Pose, type Walk } from "./pose";
 import type { Walker } from "./walk";
 
-const HOME_HEADING_DEG = 20;
-const HOME_PITCH_DEG = -38;
-const PITCHES_DEG = [0, 5, 10, -7, -14, -22]; // that home may differ from these two,
-const TURNS_DEG = Array.from({ length: 19 }, (_, i) => 5 * i - 45);
-const PITCH_COST = 0.006; // and what each degree costs of the share of the free part that the city fills
-const TURN_COST = 0.003;
-// Of the free part, on each side: a tenth of what is covered lies outside the outline; at the near side it is large.
-const MARGIN = { x: 0.07, y: 0.16 };
-const TALL_CUT = 0.26; // more at the sides of a part that is twice as high as wide: there the edge of the city is cut
 const PITCH_MOST = MathUtils.degToRad(89.9);
 const ABOVE_M = 200; // of most of the city: from there all of it is below
 
@@ -102,6 +94,7 @@ export class Stage {
   shares: () => boolean = () => false; // the page around scrolls: one finger and a bare wheel are for it
   walker: Walker | null = null; // knows streets; null: nobody walks
   private before: Pose | null = null; // where somebody stood who walks now
+  private searches = 0; // for streets, and what ended them
   heading = 0; // radians clockwise from north
   pitch = -0.6; // above the horizon
   private walking: Walk = "orbit";
@@ -161,26 +154,34 @@ export class Stage {
     return this.walking;
   }
 
-  // Walking begins on the street nearest to the middle of the view, level; it ends where it began. Where there is no street
-  // it does not begin.
-  set walk(how: Walk) {
-    if (how === this.walking) return;
+  // Walking ends where it began.
+  set walk(how: "orbit" | "fly") {
+    this.searches++;
     const { before } = this;
-    const here = this.pose();
-    if (how === "walk" && !this.toStreet(this.center())) return;
-    this.before = how === "walk" ? here : null;
+    this.become(how, null);
+    if (before) this.flyOver(before);
+  }
+
+  private become(how: Walk, before: Pose | null) {
+    if (how === this.walking) return;
+    this.before = before;
     this.walking = how;
     if (how !== "orbit") this.onTouch();
-    if (before) this.flyOver(before);
     this.onMove();
     this.onWalk(how);
   }
 
-  // Over to the street nearest to a place, level; false where there is none.
-  toStreet(near: Vector3): boolean {
-    const street = this.walker?.street(this.box.clampPoint(near, new Vector3()), this.box.max.y + ABOVE_M);
-    if (street) this.flyOver({ ...this.frame.placeOf(street.setY(street.y + EYES_M)), pitch: 0 });
-    return Boolean(street);
+  // Over to the street nearest to a place, level; from then on somebody walks. False where there is none. The search takes a
+  // moment; who does something else meanwhile stays with that.
+  async toStreet(near: Vector3): Promise<boolean> {
+    const search = ++this.searches;
+    const street = await this.walker?.street(this.box.clampPoint(near, new Vector3()), this.box.max.y + ABOVE_M);
+    if (search !== this.searches || this.listening.signal.aborted) return true;
+    if (!street) return false;
+    const here = this.pose();
+    this.flyOver({ ...this.frame.placeOf(street.setY(street.y + EYES_M)), pitch: 0 });
+    this.become("walk", here);
+    return true;
   }
 
   private flyOver(to: Partial<Pose>, seconds?: number) {
@@ -225,78 +226,17 @@ export class Stage {
     return this.box.min.y;
   }
 
-  // The whole city, or a box of the caller's, seen from above at an angle, in the part of the surface that is free. Of some
-  // headings and angles the one that fills most of it, if it is not far from the usual one.
-  home(box: Box3 | null = null) {
+  // The whole city, or a box of the caller's, seen from above at an angle, in the part of the surface that is free. aspect:
+  // of the surface, or near it.
+  home(box: Box3 | null = null, aspect = this.camera.aspect) {
     const points = box ? cornersOf(box) : (this.outline ?? cornersOf(this.box));
     this.stand();
     this.land();
     this.camera.fov = FOV_DEG;
-    let best = { heading: 0, pitch: 0, position: new Vector3(), worth: 0 };
-    for (const tilt of PITCHES_DEG)
-      for (const turn of TURNS_DEG) {
-        const heading = (HOME_HEADING_DEG + turn) * MathUtils.DEG2RAD;
-        const pitch = (HOME_PITCH_DEG + tilt) * MathUtils.DEG2RAD;
-        this.set(heading, pitch);
-        const { position, share } = this.fit(points);
-        const worth = share * (1 - PITCH_COST * Math.abs(tilt)) * (1 - TURN_COST * Math.abs(turn));
-        if (worth > best.worth) best = { heading, pitch, position, worth };
-      }
-    this.set(best.heading, best.pitch);
-    this.camera.position.copy(best.position);
+    const { heading, pitch, position } = homeView(points.map(({ x, y, z }) => [x, y, z] as const), { free: this.free(), aspect, fov: FOV_DEG });
+    this.set(heading * MathUtils.DEG2RAD, pitch * MathUtils.DEG2RAD);
+    this.camera.position.set(...position);
     this.halt();
-  }
-
-  // The nearest place from which all points are in the free part, turned as the camera is; and how much of that part they
-  // span.
-  private fit(points: readonly Vector3[]): { position: Vector3; share: number } {
-    const ahead = this.ahead();
-    const right = new Vector3().crossVectors(ahead, new Vector3(0, 1, 0)).normalize();
-    const up = new Vector3().crossVectors(right, ahead);
-    const target = new Box3().setFromPoints([...points]).getCenter(new Vector3());
-    const corners = points.map((point) => {
-      const corner = point.clone().sub(target);
-      return { x: corner.dot(right), y: corner.dot(up), z: corner.dot(ahead) };
-    });
-    const { left, right: end, top, bottom } = this.free();
-    const tanY = Math.tan(MathUtils.degToRad(this.camera.fov / 2));
-    const tanX = tanY * this.camera.aspect;
-    // From -1 to 1 across the surface, times the tangent: what a corner may have for each metre that it is away.
-    const within = (from: number, to: number, tan: number, margin: number) => {
-      const gap = margin * (to - from);
-      return [tan * (2 * (from + gap) - 1), tan * (2 * (to - gap) - 1)] as const;
-    };
-    const tall = (bottom - top) / ((end - left) * this.camera.aspect); // 1: as high as wide
-    const [x0, x1] = within(left, end, tanX, MARGIN.x - TALL_CUT * MathUtils.clamp(tall - 1, 0, 1));
-    const [y0, y1] = within(1 - bottom, 1 - top, tanY, MARGIN.y);
-    // Where the camera may be across the view so that all corners are within: from the first to the second, if that is a span.
-    const span = (axis: "x" | "y", low: number, high: number, away: number) =>
-      [
-        Math.max(...corners.map((corner) => corner[axis] - high * (corner.z + away))),
-        Math.min(...corners.map((corner) => corner[axis] - low * (corner.z + away))),
-      ] as const;
-    const fits = (away: number) => {
-      const [a, b] = span("x", x0, x1, away);
-      const [c, d] = span("y", y0, y1, away);
-      return a <= b && c <= d;
-    };
-    let near = Math.max(...corners.map(({ z }) => -z)) + this.camera.near;
-    let far = near + 1;
-    while (!fits(far) && far < 1e8) far *= 2;
-    for (let i = 0; i < 50; i++) {
-      const middle = (near + far) / 2;
-      if (fits(middle)) far = middle;
-      else near = middle;
-    }
-    const middle = ([a, b]: readonly [number, number]) => (a + b) / 2;
-    const x = middle(span("x", x0, x1, far));
-    const y = middle(span("y", y0, y1, far));
-    const spread = (axis: "x" | "y", at: number) => {
-      const seen = corners.map((corner) => (corner[axis] - at) / (corner.z + far));
-      return Math.max(...seen) - Math.min(...seen);
-    };
-    const position = target.addScaledVector(right, x).addScaledVector(up, y).addScaledVector(ahead, -far);
-    return { position, share: (spread("x", x) / (x1 - x0)) * (spread("y", y) / (y1 - y0)) };
   }
 
   pose(): Pose {
@@ -400,10 +340,6 @@ export class Stage {
 
   private size(): number {
     return this.box.getSize(new Vector3()).length();
-  }
-
-  private ahead(): Vector3 {
-    return new Vector3(0, 0, -1).applyQuaternion(this.camera.quaternion);
   }
 
   // What is in the middle of the picture.

@@ -19,7 +19,8 @@ import { Pace } from "./pace";
 import { pickMedian } from "./pick";
 import { Pictures } from "./pictures";
 import type { Walk } from "./pose";
-import { Poster, posterUrl } from "./poster";
+import { cornersOfOutline, roughly } from "./homeview";
+import { poseOfPoster, Poster, posterUrl } from "./poster";
 import { Problem } from "./problem";
 import { Waits } from "./progress";
 import { Scenes, type Opened, type SceneHost } from "./scenes";
@@ -110,6 +111,7 @@ export class Viewer {
   private looked = false; // for the city in this view, since it came to rest
   private sight = true;
   private poster: Poster | null = null;
+  private framed = ""; // the size of the surface whose first view is the poster's, which stays; "": it is not
   private postered: boolean; // the next scene comes behind one
   private without3d = ""; // why this browser does not draw
   private running = 0; // the next turn of the loop; 0: it rests
@@ -333,16 +335,48 @@ export class Viewer {
   // Parts of the surface may be covered: home is in what is free. Again, where nobody has moved the camera.
   fitInto(free: () => Area) {
     this.stage.free = free;
-    if (!this.touched && !this.homeless) this.stage.home();
+    this.frameAgain();
     this.wake(); // notes make way
+  }
+
+  // Home, where it may be another now and nobody has moved the camera.
+  private frameAgain() {
+    if (!this.touched && !this.homeless && !this.framed) this.stage.home();
+  }
+
+  private get size(): string {
+    return `${this.surface.clientWidth} ${this.surface.clientHeight}`;
+  }
+
+  // The first view of a scene: the given one, else that of the poster that is there already, else home as it is known before
+  // any tile. The poster is the picture of just that.
+  private begin(entry: SceneEntry, given: Pose | null, same: boolean) {
+    const { stage, options } = this;
+    if (entry.outline) stage.outline = cornersOfOutline(entry.outline).map((corner) => new Vector3(...corner));
+    const hung = this.postered || same || !this.poster || !options.poster ? null : poseOfPoster(options.poster);
+    const { clientWidth, clientHeight } = this.surface;
+    const aspect = clientWidth / Math.max(1, clientHeight);
+    const draws = !same && this.postered && this.currentMode === "splats" && entry.preview !== null;
+    this.touched = given !== null;
+    if (given) stage.look(given);
+    else if (hung) stage.look(hung);
+    else stage.home(null, draws ? roughly(aspect) : aspect);
+    const url = draws && posterUrl(entry, this.book.appearance, given ?? stage.pose(), aspect);
+    if (url) this.hang(url);
+    this.framed = !given && (hung || url) ? this.size : "";
+    this.postered = options.poster !== "" && options.backdrop !== false;
   }
 
   // The server's picture of the first view, until our own is whole.
   private hang(url: string) {
     this.poster?.leave(true);
     this.poster = new Poster(this.surface, url);
-    this.poster.onGone = () => {
+    this.poster.onGone = (shown) => {
       this.poster = null;
+      if (!shown) {
+        this.framed = "";
+        this.frameAgain();
+      }
       this.wake(false);
     };
   }
@@ -507,13 +541,7 @@ export class Viewer {
       stage.frame = new Frame(info.transform);
       this.homeless = true;
       this.setExtent(extentOf(info, stage.frame));
-      this.touched = before !== null;
-      if (before) stage.look(before);
-      else stage.home();
-      const { clientWidth, clientHeight } = this.surface;
-      const url = !how.same && this.postered && this.currentMode === "splats" && posterUrl(entry, this.book.appearance, before, clientWidth / Math.max(1, clientHeight));
-      if (url) this.hang(url);
-      this.postered = this.options.poster !== "" && this.options.backdrop !== false;
+      this.begin(entry, before, how.same);
       this.overlay.reset();
       this.layers.reset();
       this.pictures.retry();
@@ -542,7 +570,7 @@ export class Viewer {
     this.stage.outline = corners;
     this.layers.reset();
     this.homeless = false;
-    if (!this.touched) this.stage.home();
+    this.frameAgain();
   }
 
   private setExtent(box: Box3) {
@@ -799,7 +827,8 @@ export class Viewer {
     this.sharpen(1);
     this.overlay.resize(width, height);
     this.stage.resize(width, height);
-    if (!this.touched && !this.homeless) this.stage.home();
+    if (this.framed !== this.size) this.framed = "";
+    this.frameAgain();
   }
 
   // A page at rest has no loop: it goes on while something moves, is to be drawn or has just happened,

@@ -5,7 +5,7 @@
 import { Ray, Vector3 } from "three";
 
 import type { Block } from "./block";
-import { Columns, gather, pickIn, type Cloud } from "./pick";
+import { Columns, gather, gatherBySteps, pickIn, type Cloud } from "./pick";
 import { EYES_M } from "./pose";
 
 const STEP_UP_M = 0.6; // that legs take,
@@ -19,6 +19,7 @@ const HEAD_ON = 0.2; // of a stride along the wall: less is a stop
 const REACH_M = 30; // around somebody who walks,
 const AGAIN_M = 10; // and how far he goes in that
 const FINE_PER_M = 0.002; // of a ray, as a pixel at one metre
+const TASK_MS = 30; // of the search for a street, without a pause for the page
 // Where a street is looked for: a close grid and a wide one, both about the middle of the view.
 const GRIDS_M = [
   { step: 2.5, count: 9 },
@@ -54,10 +55,22 @@ export class Walker {
     return pickIn([cloud], new Ray(new Vector3(x, from, z), DOWN), FINE_PER_M)?.y ?? null;
   }
 
-  // The street nearest to a place; null where there is none near by. top: above all of the city.
-  street(middle: Vector3, top: number): Vector3 | null {
+  // The street nearest to a place; null where there is none near by. top: above all of the city. The page goes on meanwhile.
+  async street(middle: Vector3, top: number): Promise<Vector3 | null> {
+    const steps = this.streetBySteps(middle, top);
+    for (let since = performance.now(); ; ) {
+      const { done, value } = steps.next();
+      if (done) return value;
+      if (performance.now() - since < TASK_MS) continue;
+      await new Promise((resolve) => setTimeout(resolve));
+      since = performance.now();
+    }
+  }
+
+  private *streetBySteps(middle: Vector3, top: number): Generator<void, Vector3 | null> {
     const side = Math.max(...GRIDS_M.map(({ step, count }) => (step * count) / 2)) + LEVEL_WITHIN_M;
-    const columns = new Columns(gather(this.blocks(), middle.x, middle.z, side * Math.SQRT2), middle, side, top, FINE_PER_M);
+    const columns = new Columns(yield* gatherBySteps(this.blocks(), middle.x, middle.z, side * Math.SQRT2));
+    yield* columns.fill(middle, side, top, FINE_PER_M);
     const heightAt = (x: number, z: number) => this.heightIn(columns.at(x, z), x, top, z);
     const found: Vector3[] = [];
     for (const { step, count } of GRIDS_M)
@@ -66,6 +79,7 @@ export class Walker {
         const z = middle.z + step * (Math.floor(i / count) - (count - 1) / 2);
         const y = heightAt(x, z);
         if (y !== null) found.push(new Vector3(x, y, z));
+        yield;
       }
     const apart = (a: Vector3, b: Vector3) => Math.hypot(a.x - b.x, a.z - b.z);
     const isLow = (place: Vector3) => found.every((other) => place.y - other.y < ABOVE_M + SLOPE * apart(place, other));
@@ -75,7 +89,11 @@ export class Walker {
         return beside !== null && Math.abs(beside - y) < LEVEL_M;
       });
     found.sort((a, b) => apart(a, middle) - apart(b, middle));
-    return found.find((place) => isLow(place) && isLevel(place)) ?? null;
+    for (const place of found) {
+      if (isLow(place) && isLevel(place)) return place;
+      yield;
+    }
+    return null;
   }
 
   // Lets the eyes sink or rise to where they belong, within some seconds.
@@ -130,13 +148,15 @@ export class Walker {
     const cloud = this.around(eye);
     const ahead = new Vector3(dx / length, 0, dz / length);
     const feet = eye.y - EYES_M;
+    const ground = this.heightIn(cloud, eye.x + dx, eye.y, eye.z + dz);
+    if (ground === null || ground - feet > STEP_UP_M || feet - ground > STEP_DOWN_M) return false;
+    const stands = Math.max(feet, ground); // on a curb, what is met is met from above it
     const blocked = BODY_UP_M.some((up) => {
-      const from = new Vector3(eye.x, feet + up, eye.z);
+      const from = new Vector3(eye.x, stands + up, eye.z);
       const wall = pickIn([cloud], new Ray(from, ahead), FINE_PER_M);
       return wall !== null && wall.distanceTo(from) < length + BODY_M;
     });
-    const ground = this.heightIn(cloud, eye.x + dx, eye.y, eye.z + dz);
-    if (blocked || ground === null || ground - feet > STEP_UP_M || feet - ground > STEP_DOWN_M) return false;
+    if (blocked) return false;
     eye.set(eye.x + dx, eye.y + (ground + EYES_M - eye.y) / 2, eye.z + dz);
     return true;
   }

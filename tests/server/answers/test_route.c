@@ -5,15 +5,18 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include <fcntl.h>
+#include <math.h>
 #include <sys/stat.h>
 #include <time.h>
 #include <unistd.h>
 
+#include "lod/store/tree.h"
 #include "server/access/auth.h"
 #include "server/answers/answer_view.h"
 #include "server/answers/metrics_text.h"
 #include "server/answers/origin.h"
 #include "server/base/condition.h"
+#include "server/documents/home_outline.h"
 #include "server/documents/social_preview.h"
 #include "server/headers.h"
 #include "tests/server/routed.h"
@@ -641,6 +644,38 @@ static void test_hints(void **state)
     auth_close(&t.s.auth);
 }
 
+/* A town of blocks that stand askew: its rectangle is turned as they are. Without a footprint it is
+ * the box around most Gaussians. */
+static void test_outline(void **state)
+{
+    enum { N = 400 };
+    const double c = cos(0.6108652), s = sin(0.6108652); /* 35 degrees */
+    double points[N][2], out[HOME_OUTLINE_NUMBERS], far[2] = {0, 0};
+    (void)state;
+    for (int i = 0; i < N; i++) {
+        const double u = 300 * (i % 20) / 19.0, v = 100 * (i / 20) / 19.0;
+        points[i][0] = 50 + c * u - s * v;
+        points[i][1] = -20 + s * u + c * v;
+    }
+    home_outline_around((const double(*)[2])points, N, out);
+    for (int i = 0; i < 4; i++) {
+        const int k = (i + 1) % 4;
+        far[i % 2] = hypot(out[2 * k] - out[2 * i], out[2 * k + 1] - out[2 * i + 1]);
+    }
+    assert_true(fabs(far[0] * far[1] - 300 * 100) < 0.1);
+    assert_true(fabs(fmax(far[0], far[1]) - 300) < 1e-3);
+    bool corner = false;
+    for (int i = 0; i < 4; i++)
+        corner |= hypot(out[2 * i] - 50, out[2 * i + 1] + 20) < 1e-3;
+    assert_true(corner);
+    const struct dataset *d = t.s.catalog->ds[0];
+    const struct tree_bounds b = tree_bounds(store_tree(d->index), store_tree(d->index)->root);
+    assert_true(home_outline(d, out));
+    assert_true(fabs(out[0] - b.core_min_enu_m[0]) < 1e-9);
+    assert_true(fabs(out[5] - b.core_max_enu_m[1]) < 1e-9);
+    assert_true(fabs(out[9] - d->area.ceiling_m) < 1e-9);
+}
+
 /* The page says which scene it is, in words that cannot become markup; of private ones nothing. */
 static void test_card(void **state)
 {
@@ -678,8 +713,9 @@ static void test_card(void **state)
     assert_true(says(&one, "/1200x630.jpg\""));
     assert_true(says(&one, "content=\"summary_large_image\""));
     assert_true(says(&one, "<noscript><img src=\"./d/toy/static/"));
-    assert_true(says(&one, "<script data-first data-still=\"./d/toy/static/\" data-wide=\""));
-    assert_true(says(&one, "@20,-38,45\" src=\"./first.js\"></script>"));
+    assert_true(says(&one, "<script data-first data-still=\"./d/toy/static/\" "
+                           "data-origin=\"13.40000000,52.50000000,40.000\" data-outline=\"-"));
+    assert_true(says(&one, "\" src=\"./first.js\"></script>"));
     assert_true(says(&one, "<main>y</main><svg><title>z</title></svg>"));
     assert_false(says(&one, "content=\"x\""));
     assert_false(says(&one, ">x<"));
@@ -828,7 +864,7 @@ static void test_metrics_are_local(void **state)
     t.s.cfg = &cfg;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         cfg.metrics = rows[i].metrics;
-        q.local = rows[i].local;
+        q.own_host = rows[i].local ? "localhost" : NULL;
         q.authorization = rows[i].authorization;
         dispatch_answer(&t.s, &q, &r);
         if (r.status != rows[i].status)
@@ -864,6 +900,7 @@ int main(void)
         cmocka_unit_test(test_plain_of_coded),
         cmocka_unit_test(test_hints),
         cmocka_unit_test(test_card),
+        cmocka_unit_test(test_outline),
         cmocka_unit_test(test_basemap),
         cmocka_unit_test(test_job_ends),
         cmocka_unit_test(test_metrics_are_local),

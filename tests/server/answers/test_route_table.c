@@ -40,7 +40,7 @@ static const struct route squares = {
 static struct response ask_squares(struct services *s, enum method method, const char *target)
 {
     const struct request r = {
-        .method = method, .target = target, .target_size = strlen(target), .local = true};
+        .method = method, .target = target, .target_size = strlen(target), .own_host = "localhost"};
     struct response out;
     dispatch_answer(s, &r, &out);
     return out;
@@ -178,7 +178,8 @@ static void cube_on_wake(struct job_waiter *w)
 /* What the connection of a client does: asks, submits the work, waits, and answers. */
 static struct response ask_cube(struct services *s, const char *target)
 {
-    const struct request r = {.target = target, .target_size = strlen(target), .local = true};
+    const struct request r = {
+        .target = target, .target_size = strlen(target), .own_host = "localhost"};
     struct response out;
     dispatch_answer(s, &r, &out);
     if (!out.work)

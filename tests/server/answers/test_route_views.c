@@ -6,6 +6,7 @@
 #include "codec/splat/quant.h"
 #include "lod/choose/view.h"
 #include "server/answers/answer_view.h"
+#include "server/documents/result_id.h"
 #include "server/drawing/picture_id.h"
 #include "tests/server/routed.h"
 
@@ -146,6 +147,39 @@ static void two_answers(const char *target, const struct server_config *other,
     dispatch_answer(&t.s, &r, b);
     t.s.cfg = usual;
     t.s.catalog = usuals;
+}
+
+/* Of the versions that drew one sky in every light: what they kept on disk is not found. */
+static void test_pictures_of_before(void **state)
+{
+    static const char device[] = "one";
+    const struct dataset *d = t.s.catalog->ds[0];
+    const struct appearance_choice plain = {0};
+    const struct draw_view view = {0};
+    struct {
+        struct hash128 salt;
+        char device[160];
+        double quality, supersample, gaussians;
+    } edition = {.salt = d->salt, .device = "one", .quality = 85, .gaussians = 1000};
+    struct {
+        struct hash128 salt;
+        char rev[16], device[160];
+        double rot[9], trans[3], focal[4], gaussians;
+        uint32_t numbers[9];
+    } name;
+    char was[9], is[9];
+    (void)state;
+    memset(&name, 0, sizeof name);
+    name.salt = d->salt;
+    memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
+    memcpy(name.device, device, sizeof device);
+    name.gaussians = 1000;
+    result_id_edition(&edition, sizeof edition, was);
+    picture_id_edition(d, device, 85, 0, 1000, is);
+    assert_string_not_equal(is, was);
+    const struct hash128 old = hash_bytes(&name, sizeof name),
+                         now = picture_id_view(d, device, &view, &plain, 1000);
+    assert_true(old.lo != now.lo && old.hi != now.hi);
 }
 
 /* What a server is configured with is in the tag and in the edition: an address is immutable at the
@@ -335,6 +369,7 @@ int main(void)
         cmocka_unit_test(test_views),
         cmocka_unit_test(test_what_is_in_the_tag),
         cmocka_unit_test(test_configuration_and_tags),
+        cmocka_unit_test(test_pictures_of_before),
         cmocka_unit_test(test_pictures_while_the_device_starts),
         cmocka_unit_test(test_foreign_bytes_in_a_redirect),
         cmocka_unit_test(test_posted_cameras),

@@ -104,7 +104,7 @@ static struct response ask(enum method method, const char *target, const char *b
                               .target_size = strlen(target),
                               .body = body,
                               .body_size = body ? strlen(body) : 0,
-                              .local = true};
+                              .own_host = "localhost"};
     struct response out;
     dispatch_answer(&t.s, &r, &out);
     if (out.work) {
