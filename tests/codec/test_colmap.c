@@ -288,7 +288,7 @@ static void test_named_errors(void **state)
         {"images.txt", "1 0 0 0 0 0 0 0 3 a.jpg\n\n", "quaternion"},
         {"images.txt", "1 1 0 0 0 0 0 0 3 a.jpg\n1 2\n", "threes"},
         {"images.txt", "1 1 0 0 0 0 0 0 3 a.jpg\n1 2 -2\n", "observation 0"},
-        {"images.txt", "1 1 0 0 0 0 0 0 3 a.jpg", "observations is missing"},
+        {"images.txt", "1 1 0 0 0 0 0 0 3 a.jpg", "which images does not hold"},
         {"images.txt", "1 1 0 0 0 0 0 0 3 a.jpg\n\n2 1 0 0 0 0 0 0 3 a.jpg\n\n", "twice"},
         {"images.txt", "1 1 0 0 0 0 0 0 3 a.jpg\n1 2 77777\n", "77777"},
         {"points3D.txt", "0 0 0 0 1 2 300 0\n", "R G B"},
@@ -312,6 +312,31 @@ static void test_named_errors(void **state)
     snprintf(path, sizeof path, "%s/points3D.txt", dir);
     assert_int_equal(remove(path), 0);
     kit_fails(colmap_read(dir, &out, &e), ERR_NOENT, e, "has no points3D.txt");
+    kit_rmdir(dir);
+}
+
+/* Poses alone: other programs leave out the lines of observations, and begin with a mark. */
+static void test_no_observations(void **state)
+{
+    (void)state;
+    static const char images[] =
+        "\xef\xbb\xbf# ID, QW...\n1 1 0 0 0 0 0 0 3 001.jpg\n2 1 0 0 0 0 0 0 3 b 2.jpg\n\n"
+        "4 1 0 0 0 1 2 3 3 c.jpg";
+    char dir[FILE_PATH_MAX];
+    struct colmap_model m = {0}, out;
+    struct err e = {0};
+    make_model(&m);
+    kit_tmpdir(dir);
+    write_text(dir, &m);
+    colmap_free(&m);
+    put_part(dir, "images.txt", images, sizeof images - 1);
+    put_part(dir, "points3D.txt", "", 0);
+    kit_ok(colmap_read(dir, &out, &e), e);
+    assert_true(out.n_images == 3 && !out.n_points);
+    assert_string_equal(out.images[1].name, "b 2.jpg");
+    for (size_t i = 0; i < 3; i++)
+        assert_int_equal(out.images[i].n_obs, 0);
+    colmap_free(&out);
     kit_rmdir(dir);
 }
 
@@ -424,7 +449,7 @@ int main(void)
         cmocka_unit_test(test_round_trip),    cmocka_unit_test(test_truncation),
         cmocka_unit_test(test_cut_texts),     cmocka_unit_test(test_named_errors),
         cmocka_unit_test(test_out_of_memory), cmocka_unit_test(test_unknown_errors),
-        cmocka_unit_test(test_newer_models),
+        cmocka_unit_test(test_newer_models),  cmocka_unit_test(test_no_observations),
     };
     return cmocka_run_group_tests_name("colmap", tests, NULL, NULL);
 }

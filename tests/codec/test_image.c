@@ -283,7 +283,7 @@ static void test_one_exif(void **state)
     (void)state;
     struct err e = {0};
     struct buf b = {0};
-    const struct image_gps gps = {true, true, 47, 8, 400, "", 0, 0, 0, false, false};
+    const struct image_gps gps = {true, true, 47, 8, 400, "", 0, 0, 0, false, false, false};
     struct image img = picture(33, 17, 3);
     size_t n = 0;
     kit_ok(image_write(in_tmp("one.jpg"), &img, 95, &gps, &e), e);
@@ -631,6 +631,71 @@ static void test_exif_odd_numbers(void **state)
          0,
          0,
          470},
+        /* longitudes to 360; 0, 0 and a numerator of all ones stand for unknown */
+        {'N',
+         'E',
+         RATIONAL,
+         1,
+         {47, 1},
+         {1411, 4},
+         BYTE,
+         0,
+         RATIONAL,
+         {470, 1},
+         true,
+         false,
+         false,
+         47,
+         -7.25,
+         470},
+        {'N',
+         'E',
+         RATIONAL,
+         1,
+         {0, 1},
+         {0, 1},
+         BYTE,
+         0,
+         RATIONAL,
+         {470, 1},
+         false,
+         false,
+         false,
+         0,
+         0,
+         470},
+        {'N',
+         'E',
+         RATIONAL,
+         1,
+         {47, 1},
+         {7, 1},
+         BYTE,
+         0,
+         RATIONAL,
+         {UINT32_MAX, UINT32_MAX},
+         true,
+         false,
+         false,
+         47,
+         7,
+         (double)NAN},
+        {'N',
+         'E',
+         RATIONAL,
+         1,
+         {47, 1},
+         {7, 1},
+         BYTE,
+         0,
+         RATIONAL,
+         {UINT32_MAX, 1},
+         true,
+         false,
+         false,
+         47,
+         7,
+         (double)NAN},
     };
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
         enum { VALUES = 26 + 2 + 6 * 12 + 4 };
@@ -659,7 +724,8 @@ static void test_exif_odd_numbers(void **state)
         exif_parse(b.data, b.size, &got, NULL);
         buf_free(&b);
         if (got.has_position != cases[i].place || fabs(got.lat_deg - cases[i].lat_deg) > 1e-9 ||
-            fabs(got.lon_deg - cases[i].lon_deg) > 1e-9 || !got.has_altitude ||
+            fabs(got.lon_deg - cases[i].lon_deg) > 1e-9 ||
+            got.has_altitude != isfinite(cases[i].alt_m) ||
             fabs(got.alt_m - cases[i].alt_m) > 1e-9 || got.ellipsoidal != cases[i].ellipsoidal ||
             got.odd_sign != cases[i].odd)
             fail_msg("case %zu: %d %.9f %.9f %.3f %d %d", i, got.has_position, got.lat_deg,
@@ -671,8 +737,8 @@ static void test_exif_odd_numbers(void **state)
 static void test_exif_survives_flips(void **state)
 {
     (void)state;
-    static const struct image_gps gps = {true, true, 12.5, -7.25, 90,   "2026:05:17 10:20:30",
-                                         0.01, 100,  8,    false, false};
+    static const struct image_gps gps = {true, true, 12.5, -7.25, 90,    "2026:05:17 10:20:30",
+                                         0.01, 100,  8,    false, false, false};
     struct err e = {0};
     struct image img = picture(9, 9, 3);
     for (const char *const *f = (const char *const[]){"jpg", "png", "webp", NULL}; *f; f++) {
