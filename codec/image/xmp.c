@@ -181,6 +181,8 @@ static void xmp_salvage(struct xmp_reader *r, const char *text, size_t n)
             continue;
         snprintf(name, sizeof name, "%.*s", (int)(to - from), from);
         snprintf(kept, sizeof kept, "%.*s", (int)(close - value), value);
+        if (!strncmp(name, "xmlns:", 6))
+            xmp_declare(r, name + 6, kept);
         xmp_name(r, name, full);
         xmp_keep(r, full, kept);
     }

@@ -68,6 +68,7 @@ static bool drone_level(const struct ingest *g, uint32_t flight, bool absolute, 
 struct drone_sources {                                  /* of altitude in a flight */
     size_t n, rtk, ellipsoid, exif, absolute, relative; /* photographs that have it */
     size_t pairs;                                       /* with EXIF's and XMP's absolute */
+    size_t below;                                       /* with EXIF's below the sea */
     double exif_m, absolute_m;                          /* their medians */
     double apart_m, mirrored_m; /* median distance of both, and of one from the other's negative */
     double spread_m[2]; /* of EXIF's minus the barometer's, and of its negative minus those */
@@ -111,6 +112,7 @@ static void drone_sources_find(const struct ingest *g, uint32_t flight, double *
         s->rtk += d->ellipsoidal && (d->has_absolute || exif);
         s->ellipsoid += exif && p->gps.ellipsoidal;
         s->exif += exif;
+        s->below += exif && p->gps.alt_m < 0;
         s->absolute += d->has_absolute;
         s->relative += d->has_relative;
         both[0] += exif && d->has_relative;
@@ -213,7 +215,7 @@ static void drone_turn(struct ingest *g, uint32_t flight, struct drone_sources *
 {
     if (s->absolute > 0 && !s->absolute_flat) /* drone_choose sees it */
         return;
-    if (!(s->spread_m[0] > 1 && s->spread_m[1] < s->spread_m[0] / 3))
+    if (s->below < s->exif || !(s->spread_m[0] > 1 && s->spread_m[1] < s->spread_m[0] / 3))
         return;
     log_warn("ingest",
              "flight %u: EXIF's altitudes have the wrong sign: with the other one they keep their "

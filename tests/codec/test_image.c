@@ -224,13 +224,13 @@ static void test_exif_round_trip(void **state)
     (void)state;
     static const struct image_gps all[] = {
         {true, true, 47.376912345678, 8.541234567891, 408.1234, "2026:05:17 10:20:30", 0.002, 100,
-         24, false, false},
+         24, false, false, false},
         {true, true, -33.856784, -151.215296, -12.5, "2026:05:17 10:20:31", 0.5, 6400, 4.5, false,
-         false},
-        {true, true, 0.00013888888888888889, 180, 0, "", 0, 0, 0, false,
+         false, false},
+        {true, true, 0.00013888888888888889, 180, 0, "", 0, 0, 0, false, false,
          false}, /* 0.5 arc seconds; the date line */
         {true, true, 89.99999999999, -0.016666666666666666, 8848.86, "2026:01:01 00:00:00", 30, 50,
-         8.8, false, false},
+         8.8, false, false, false},
     };
     struct err e = {0};
     struct image img = picture(33, 17, 3), back;
