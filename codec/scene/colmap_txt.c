@@ -320,8 +320,7 @@ static enum err_code txt_point_line(char *s, struct colmap_point *p, struct list
             return err_set(e, ERR_FORMAT, "track element %zu: expected IMAGE_ID OBS", p->n_track);
         p->n_track++;
     }
-    const char *why = colmap_check_point(p);
-    return why ? err_set(e, ERR_FORMAT, "%s", why) : ERR_OK;
+    return ERR_OK;
 }
 
 enum err_code colmap_txt_points(struct buf *file, struct colmap_model *m, struct err *e)
