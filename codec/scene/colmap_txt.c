@@ -5,8 +5,8 @@
  *                   X Y POINT_ID ...            (the next line; it may be empty)
  *     points3D.txt  ID X Y Z R G B ERROR IMAGE_ID OBS ...
  *
- * Lines that start with # are comments. Some programs leave out the line of observations where there
- * are none. The number of records is not known beforehand: records are
+ * Lines that start with # are comments. Some programs leave out the line of observations where
+ * there are none. The number of records is not known beforehand: records are
  * collected in a growing list and moved to the model's arena at the end.
  *
  * SPDX-License-Identifier: Apache-2.0

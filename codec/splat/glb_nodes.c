@@ -34,7 +34,7 @@ static bool glb_numbers(const json_t *node, const char *key, size_t n, double *o
     return true;
 }
 
-/* The axes [9] of a matrix of rotation and one scale: divides by it. false: it is no such matrix. */
+/* Divides the axes [9] of a matrix of rotation and one scale by it. false: it is no such matrix. */
 static bool glb_divide(double axes[9], double *scale)
 {
     double det = 0;

@@ -21,7 +21,8 @@ struct glb_places {
 };
 /* Finds all primitives with Gaussians of the scene; of a file without scenes, those of all meshes.
  * A mesh that two nodes show is there twice. `out` is {0}; mem_free out->list, which borrows from
- * root. ERR_FORMAT (none; nodes that are no tree, or that stretch or mirror), ERR_LIMIT, ERR_MEM. */
+ * root. ERR_FORMAT (none; nodes that are no tree, or that stretch or mirror), ERR_LIMIT,
+ * ERR_MEM. */
 enum err_code glb_places_find(const json_t *root, struct glb_places *out, struct err *e) ERR_USE;
 /* root.ARRAY[index]; NULL: there is none. */
 const json_t *glb_array_at(const json_t *root, const char *array, const json_t *index);

@@ -10,10 +10,10 @@
  *   anything is above take-off                  that, and the scene's heights say so
  *   all are 0 or absent                         0, and the scene's heights are not known
  *
- * 0 is what cameras write without a fix: it is no altitude, nor is one that no drone reaches. EXIF's
- * do not count if they are XMP's with the other sign (a firmware that says "below the sea"), or
- * above take-off; nor do XMP's absolute ones that equal the relative ones, by RTK or not, and heights
- * above take-off that all are 0. A contradiction is said with both values.
+ * 0 is what cameras write without a fix: it is no altitude, nor is one that no drone reaches.
+ * EXIF's do not count if they are XMP's with the other sign (a firmware that says "below the
+ * sea"), or above take-off; nor do XMP's absolute ones that equal the relative ones, by RTK or not,
+ * and heights above take-off that all are 0. A contradiction is said with both values.
  *
  * Where altitudes are EXIF's or XMP's, the barometer's heights above take-off are used at their
  * level, the median difference, because they do not jump as those of satellites do; unless that

@@ -468,7 +468,7 @@ static void packets_have_many_forms(void **state)
         RDF "<rdf:Description drone-dji:RelativeAltitude='12.5' "
             "xmlns:e='http://ns.adobe.com/exif/1.0/' e:GPSLatitude='47,30.0N' "
             "e:GPSLongitude='7,15,0.0E'/></rdf:RDF><damaged",
-        /* no XML: an ampersand, an attribute that stands twice, a letter of Latin-1, an encoding that
+        /* no XML: an ampersand, an attribute that stands twice, a letter of Latin-1, a charset that
          * is not known; and numbers as some write them */
         RDF "<rdf:Description " DJI " d:A='x&y' d:RelativeAltitude='12,5' d:GpsLatitude='47.5' "
             "d:GpsLongtitude='7.25'/></rdf:RDF>",
