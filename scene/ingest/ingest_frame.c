@@ -223,8 +223,8 @@ static enum err_code frame_choose_origin(const struct ingest *g, const struct ge
     return frame_middle(g, from, s, lo, hi, out, e);
 }
 
-/* So far satellites alone can be wrong. A pose that its points fix is no worse for it; a wrong one is
- * mostly farther off. */
+/* So far satellites alone can be wrong. A pose that its points fix is no worse for it; a wrong one
+ * is mostly farther off. */
 static const double frame_jump_m = 20;
 
 /* Run georef_fit on the photographs still kept, write its verdicts back. */
