@@ -136,23 +136,41 @@ static enum err_code colmap_camera_missing(const struct colmap_model *m, size_t 
                    im->camera);
 }
 
-/* Points without finite coordinates, n of them behind the others. */
-static size_t colmap_leave_out_points(struct colmap_model *m)
+/* Points without finite coordinates, *n of them behind the others, and their tracks. */
+static enum err_code colmap_leave_out_points(struct colmap_model *m, size_t *n, struct err *e)
 {
-    size_t n = 0;
-    for (; m->n_points && !colmap_point_is_somewhere(&m->points[m->n_points - 1]); m->n_points--)
-        n++;
-    if (n)
-        log_warn("colmap", "%zu of %zu points are left out: their coordinates are not finite", n,
-                 m->n_points + n);
-    return n;
+    size_t kept = 0, at = 0;
+    for (*n = 0; m->n_points && !colmap_point_is_somewhere(&m->points[m->n_points - 1]);
+         m->n_points--)
+        ++*n;
+    if (!*n)
+        return ERR_OK;
+    for (size_t i = 0; i < m->n_points; i++)
+        kept += m->points[i].n_track;
+    struct colmap_track_element *tracks = arena_get(&m->arena, kept, sizeof *tracks);
+    if (!tracks)
+        return err_set(e, ERR_MEM, "out of memory for %zu observations", kept);
+    for (size_t i = 0; i < m->n_points; i++) {
+        struct colmap_point *p = &m->points[i];
+        if (p->n_track)
+            memcpy(tracks + at, m->tracks + p->track, p->n_track * sizeof *tracks);
+        p->track = at;
+        at += p->n_track;
+    }
+    m->tracks = tracks;
+    m->n_tracks = kept;
+    log_warn("colmap", "%zu of %zu points are left out: their coordinates are not finite", *n,
+             m->n_points + *n);
+    return ERR_OK;
 }
 
 /* Cameras of a model that is not read are forgotten, unless a photograph is by one. */
 static enum err_code colmap_resolve_images(struct colmap_model *m, struct err *e)
 {
-    size_t n_foreign = 0;
-    const size_t n_left_out = colmap_leave_out_points(m);
+    size_t n_foreign = 0, n_left_out;
+    enum err_code rc = colmap_leave_out_points(m, &n_left_out, e);
+    if (rc)
+        return rc;
     for (; m->n_cameras && m->cameras[m->n_cameras - 1].foreign; m->n_cameras--)
         n_foreign++;
     for (size_t i = 0; i < m->n_images; i++) {
