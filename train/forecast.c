@@ -10,6 +10,7 @@
 #include "codec/scene/scene.h"
 #include "train/base/stage.h"
 #include "train/density/importance.h"
+#include "train/density/thin.h"
 #include "train/photographs/gallery.h"
 #include "train/photographs/photo_loader.h"
 
@@ -24,7 +25,7 @@
 #define FORECAST_IMPORTANCE 0.35 /* of a step: drawing half a photograph for importance */
 #define FORECAST_DENSIFY 4.0     /* a Gaussian of a densification, without importance */
 #define FORECAST_SCORE_PX 4.5    /* a pixel of a test photograph */
-#define FORECAST_MERGE 12.0      /* a Gaussian that a coarser level is made of */
+#define FORECAST_THIN 1.0        /* of a step: drawing a photograph for thinning */
 #define FORECAST_OUTSIDE 0.5     /* of those inside a cell: schedule_cap_outside */
 #define FORECAST_KEEP 0.9        /* of what was measured before, a look */
 enum { FORECAST_PRUNE_AGAIN = 32 /* photographs that train/density/prune.c draws once more */ };
@@ -40,11 +41,12 @@ void forecast_open(struct forecast *f, const struct gallery *g, const struct sta
                            .outside = whole ? 0.0 : FORECAST_OUTSIDE,
                            .n_images = g->n_images,
                            .n_tests = n_tests};
-    for (uint32_t k = 0; k < at->n_levels; k++)
-        for (size_t i = 0; i < g->n_images; i++) {
-            struct camera cam = gallery_camera(g, i, &at->levels[k]);
-            f->pixels[k] += (double)cam.width_px * cam.height_px / (double)g->n_images;
-        }
+    const struct schedule *s = &at->levels[at->n_levels - 1];
+    for (size_t i = 0; i < g->n_images; i++) {
+        struct camera cam = gallery_camera(g, i, s);
+        f->pixels += (double)cam.width_px * cam.height_px / (double)g->n_images;
+    }
+    f->pixels *= s->downsample * s->downsample;
 }
 
 double forecast_all(const struct forecast *f, const struct schedule *s, double inside)
@@ -57,34 +59,37 @@ static double forecast_inside(const struct forecast *f, const struct stage *at, 
     return fmax(gaussians - (double)stage_schedule(at)->around, 0.0) / (1.0 + f->outside);
 }
 
-static double forecast_step(const struct forecast *f, uint32_t level, double gaussians)
+static double forecast_pixels(const struct forecast *f, const struct schedule *s)
 {
-    const double moved = gaussians < f->seen_from ? gaussians : FORECAST_SEEN * gaussians;
-    return moved + FORECAST_PIXEL * f->pixels[level] + FORECAST_STEP;
+    return f->pixels / (s->downsample * s->downsample);
 }
 
-static double forecast_densify(const struct forecast *f, uint32_t level, double gaussians)
+static double forecast_step(const struct forecast *f, const struct schedule *s, double gaussians)
+{
+    const double moved = gaussians < f->seen_from ? gaussians : FORECAST_SEEN * gaussians;
+    return moved + FORECAST_PIXEL * forecast_pixels(f, s) + FORECAST_STEP;
+}
+
+static double forecast_densify(const struct forecast *f, const struct schedule *s, double gaussians)
 {
     return FORECAST_DENSIFY * gaussians +
-           FORECAST_IMPORTANCE * f->views * forecast_step(f, level, gaussians);
+           FORECAST_IMPORTANCE * f->views * forecast_step(f, s, gaussians);
 }
 
 /* Pruning and the test photographs. */
-static double forecast_end(const struct forecast *f, const struct stage *at, uint32_t level,
-                           double gaussians)
+static double forecast_end(const struct forecast *f, const struct stage *at,
+                           const struct schedule *s, double gaussians)
 {
-    double views =
-        stage_prunes(at, &at->levels[level]) ? (double)f->n_images + FORECAST_PRUNE_AGAIN : 0.0;
-    return views * FORECAST_DRAW * forecast_step(f, level, gaussians) +
-           (double)f->n_tests * FORECAST_SCORE_PX * f->pixels[level];
+    double views = stage_prunes(at, s) ? (double)f->n_images + FORECAST_PRUNE_AGAIN : 0.0;
+    return views * FORECAST_DRAW * forecast_step(f, s, gaussians) +
+           (double)f->n_tests * FORECAST_SCORE_PX * forecast_pixels(f, s);
 }
 
 /* Steps first + 1 to last, with the densifications among them. *gaussians are those inside the
  * cell, which grow; those around it are drawn and moved, too. */
-static double forecast_steps(const struct forecast *f, const struct stage *at, uint32_t level,
-                             uint32_t first, double *gaussians)
+static double forecast_steps(const struct forecast *f, const struct schedule *s, uint32_t first,
+                             double *gaussians)
 {
-    const struct schedule *s = &at->levels[level];
     uint32_t count = schedule_densify_count(s), from = first;
     const double begin = *gaussians;
     double work = 0.0;
@@ -96,24 +101,23 @@ static double forecast_steps(const struct forecast *f, const struct stage *at, u
         uint32_t x = schedule_densify_index(s, step);
         if (!x)
             continue;
-        work += (step - from) * forecast_step(f, level, forecast_all(f, s, *gaussians)) +
-                forecast_densify(f, level, forecast_all(f, s, *gaussians));
+        work += (step - from) * forecast_step(f, s, forecast_all(f, s, *gaussians)) +
+                forecast_densify(f, s, forecast_all(f, s, *gaussians));
         from = step;
         if (x > done && count > done + 1) /* the parabola from here on */
             *gaussians = (double)schedule_cap((size_t)begin, s->budget, x - done, count - done);
     }
-    return work + (s->steps - from) * forecast_step(f, level, forecast_all(f, s, *gaussians));
+    return work + (s->steps - from) * forecast_step(f, s, forecast_all(f, s, *gaussians));
 }
 
 void forecast_add(struct forecast *f, const struct stage *at, uint32_t first, double gaussians,
                   double seconds)
 {
     const struct schedule *s = stage_schedule(at);
-    uint32_t level = at->at;
-    double work = (at->step - first) * forecast_step(f, level, gaussians);
+    double work = (at->step - first) * forecast_step(f, s, gaussians);
     for (uint32_t step = first + 1; step <= at->step; step++)
         if (schedule_densify_index(s, step))
-            work += forecast_densify(f, level, gaussians);
+            work += forecast_densify(f, s, gaussians);
     f->work = FORECAST_KEEP * f->work + work;
     f->seconds = FORECAST_KEEP * f->seconds + seconds;
 }
@@ -124,12 +128,14 @@ double forecast_left_s(const struct forecast *f, const struct stage *now, double
     double left = 0.0, n = forecast_inside(f, now, gaussians);
     for (uint32_t i = at->at; i < at->n_levels; i = stage_after(at, i)) {
         const bool here = i == now->at && at->turned == now->turned;
-        if (!here && at->levels[i].derived) {
-            left += FORECAST_MERGE * n;
-            n *= fmin((double)at->levels[i].budget / (double)at->levels[i + 1].budget, 1.0);
+        const struct schedule *s = &at->levels[i];
+        if (!here && s->derived) {
+            left += FORECAST_THIN * schedule_thinnings_derived(s) *
+                    (double)thin_views(s, f->n_images) * forecast_step(f, s, forecast_all(f, s, n));
+            n *= s->thin_share;
         }
-        left += forecast_steps(f, at, i, here ? at->step : 0, &n);
-        left += forecast_end(f, at, i, forecast_all(f, &at->levels[i], n));
+        left += forecast_steps(f, s, here ? at->step : 0, &n);
+        left += forecast_end(f, at, s, forecast_all(f, s, n));
         if (at->again && !at->turned && i + 1 == at->n_levels)
             stage_turn(at, f->cfg);
     }
@@ -139,7 +145,8 @@ double forecast_left_s(const struct forecast *f, const struct stage *now, double
 double forecast_steps_s(const struct forecast *f, const struct stage *at, double gaussians)
 {
     double n = forecast_inside(f, at, gaussians);
-    return f->work > 0.0 ? f->seconds * forecast_steps(f, at, at->at, 0, &n) / f->work : 0.0;
+    return f->work > 0.0 ? f->seconds * forecast_steps(f, stage_schedule(at), 0, &n) / f->work
+                         : 0.0;
 }
 
 void forecast_text(double seconds, char *out, size_t size)

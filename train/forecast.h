@@ -16,10 +16,10 @@ struct gallery;
 struct schedule;
 struct stage;
 
-struct forecast {                    /* {0} at first, then forecast_open */
-    const struct train_config *cfg;  /* borrowed */
-    double pixels[TRAIN_LEVELS_MAX]; /* mean pixels of a training photograph, by level */
-    double views;                    /* photographs that a densification draws for importance */
+struct forecast {                   /* {0} at first, then forecast_open */
+    const struct train_config *cfg; /* borrowed */
+    double pixels;                  /* of a photograph at the size of downsample 1, in the mean */
+    double views;                   /* photographs that a densification draws for importance */
     double seen_from; /* Gaussians from which on a step moves those in the frustum alone */
     double
         outside; /* Gaussians outside of the cell for each inside, beside those of a coarse model */

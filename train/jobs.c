@@ -71,10 +71,11 @@ static enum err_code jobs_fill(const struct train_scene *s, const struct run_cel
     const uint32_t n = (uint32_t)job->cfg->level_count;
     out->n_turns = job->cfg->level_order == SCHEDULE_BOTH ? 2 * n - 1 : n;
     for (uint32_t l = 0; l < n; l++) {
-        const struct schedule again = schedule_again(&schedule[l], job->cfg);
         out->steps[schedule[l].turn - 1] = schedule[l].steps;
-        if (out->n_turns > n && l + 1 < n)
-            out->steps[again.turn - 1] = again.steps;
+        if (out->n_turns == n || l + 1 == n)
+            continue;
+        const struct schedule again = schedule_again(&schedule[l], &schedule[l + 1], job->cfg);
+        out->steps[again.turn - 1] = again.steps;
     }
     out->state = file_exists(path) ? JOBS_DONE : JOBS_NEW;
     rc = file_join(path, dir, "resume.ckpt", e);

@@ -6,8 +6,8 @@
  * says so, density control (densify_apply.c) and opacity reset follow it: first the step, then
  * densification, so that a new Gaussian starts with the parameters it was given.
  *
- * At a hand-over the Gaussians stay, or are merged where a coarser level follows, and everything of
- * the optimiser starts anew: moments and statistics 0, step 0.
+ * At a hand-over the Gaussians stay, and everything of the optimiser starts anew: moments and
+ * statistics 0, step 0. A coarser level that follows is thinned in its first steps.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -27,7 +27,6 @@
 #include "train/density/prune.h"
 #include "train/density/thin.h"
 #include "train/loss/photometric.h"
-#include "train/model/coarsen.h"
 #include "train/model/harmonics.h"
 #include "train/photographs/photo_loader.h"
 #include "train/refit.h"
@@ -113,7 +112,7 @@ enum err_code level_open(struct level *l, const struct gauss *g, struct err *e)
     enum err_code rc = model_open(&l->model, l->engine.dev, l->engine.render, g, most, e);
     if (!rc)
         rc = model_fill(&l->model, g, e);
-    return rc ? rc : model_count_inside(&l->model, cell, &l->stage.start, e);
+    return rc ? rc : model_count_inside(&l->model, cell, NULL, &l->stage.start, e);
 }
 
 void level_close(struct level *l)
@@ -229,31 +228,6 @@ enum err_code level_prune(struct level *l, struct prune_report *out,
     return rc;
 }
 
-/* The Gaussians of the level in work become those that level `to` begins with. */
-static enum err_code level_coarsen(struct level *l, uint32_t to, struct err *e)
-{
-    const struct schedule *finer = stage_schedule(&l->stage), *s = &l->stage.levels[to];
-    const struct coarsen_rule rule = {.cell = &l->site.cell,
-                                      .budget = s->budget,
-                                      .share = (double)s->budget / (double)finer->budget,
-                                      .around = s->around};
-    const size_t before = l->model.gauss.n;
-    enum timing_on was = timing_turn(&l->timing, TIMING_COARSEN);
-    enum err_code rc = coarsen_model(&l->model, &rule, e);
-    (void)timing_turn(&l->timing, was);
-    if (rc)
-        return rc;
-    log_info("train", "level=%u is made of level %u: gaussians=%zu merged to %u", s->level,
-             finer->level, before, l->model.gauss.n);
-    if (!l->metrics)
-        return ERR_OK;
-    return metrics_log_line(l->metrics, "coarsen",
-                            json_pack("{s:i, s:I, s:I}", "level", (int)s->level, "before",
-                                      (json_int_t)before, "gaussians",
-                                      (json_int_t)l->model.gauss.n),
-                            e);
-}
-
 enum err_code level_next(struct level *l, struct err *e)
 {
     struct stage *at = &l->stage;
@@ -261,10 +235,8 @@ enum err_code level_next(struct level *l, struct err *e)
     enum err_code rc = model_settle(&l->model, e);
     if (at->again && !at->turned && at->at + 1 == at->n_levels)
         stage_turn(at, l->cfg);
-    if (!rc && next < at->n_levels && at->levels[next].derived)
-        rc = level_coarsen(l, next, e);
     if (!rc)
-        rc = model_count_inside(&l->model, &l->site.cell, &at->start, e);
+        rc = model_count_inside(&l->model, &l->site.cell, NULL, &at->start, e);
     if (rc)
         return rc;
     at->at = next;
@@ -318,7 +290,7 @@ static enum err_code level_refit_load(struct level *l, const struct ckpt_rows *c
         rc = state_fill_rows(&l->model, c, e);
     if (!rc)
         rc = model_zero_moments(&l->model, e);
-    return rc ? rc : model_count_inside(&l->model, &l->site.cell, &l->stage.start, e);
+    return rc ? rc : model_count_inside(&l->model, &l->site.cell, NULL, &l->stage.start, e);
 }
 
 static enum err_code level_refit_begin(struct level *l, uint32_t at, const struct ckpt_rows *c,
@@ -406,10 +378,11 @@ void level_last_end(struct level_last *r, struct level *l)
 
 static bool level_thins(const struct level *l)
 {
-    return l->cfg->thin_db > 0.0 && schedule_thins(stage_schedule(&l->stage), l->stage.step);
+    const struct schedule *s = stage_schedule(&l->stage);
+    return (s->derived || l->cfg->thin_db > 0.0) && schedule_thinning(s, l->stage.step);
 }
 
-/* No more than the scene needs. */
+/* No more than the scene needs, or than the level may have. */
 static enum err_code level_thin(struct level *l, struct err *e)
 {
     struct thin_report r;

@@ -79,9 +79,8 @@ enum err_code level_go_on(struct level *l, uint32_t steps, uint32_t fade_from,
  * photo_loader_get_nth. */
 enum err_code level_prune(struct level *l, struct prune_report *out,
                           struct residual_list *residuals, struct err *e) ERR_USE;
-/* Goes to the next level, which starts from the present Gaussians with a new optimiser. Where it is
- * a coarser one, these are merged first (train/model/coarsen.h). ERR_MEM, ERR_LIMIT, ERR_IO,
- * ERR_DEVICE.
+/* Goes to the next level, which starts from the present Gaussians with a new optimiser. ERR_MEM,
+ * ERR_LIMIT, ERR_IO, ERR_DEVICE.
  */
 enum err_code level_next(struct level *l, struct err *e) ERR_USE;
 

@@ -16,7 +16,6 @@
 #include "train/base/config.h"
 #include "train/base/schedule.h"
 #include "train/loss/embed_smoothness.h"
-#include "train/model/coarsen.h"
 #include "train/photographs/photo_loader.h"
 
 enum {
@@ -34,8 +33,8 @@ enum {
     MEMORY_HOST_PX = 3 + 1 + 3 * 4,           /* photograph, mask, weights and edges of the score */
     MEMORY_EVALUATE_PX = 12 + 12 * 8,         /* drawing, and planes of doubles of SSIM and GMSD */
     MEMORY_DECODERS = 2,                      /* photo_loader's thread and the training's */
-    MEMORY_MERGE =
-        176, /* of a row that is merged: clusters, costs, words that are sorted, weights */
+    MEMORY_THIN = 4 + 2 + 1 + 4,              /* price, photographs, side, rows that stay */
+    MEMORY_RANKS = 2 * 8 + 1,                 /* of prices, and what goes */
 };
 #define MEMORY_FRAME_ROOM 1.5    /* of a frame's */
 #define MEMORY_INTERSECTIONS 3.0 /* a Gaussian of the cell, in the fullest view */
@@ -60,14 +59,6 @@ static double memory_photos(const struct train_config *cfg, const struct scene *
         decoding = fmax(decoding, 2.0 * 3.0 * full->width_px * full->height_px);
     }
     return fmin(kept, (double)cfg->cache_mib * 1048576.0) + MEMORY_DECODERS * decoding;
-}
-
-/* Of a coarser level that is made of a finer one, at once: rows before and after, and the work. */
-static double memory_merging(const struct train_config *cfg, double n, double row)
-{
-    return cfg->level_order != SCHEDULE_COARSE_TO_FINE && cfg->level_count > 1
-               ? fmin(n, COARSEN_ROWS) * (2.0 * row + MEMORY_MERGE)
-               : 0.0;
 }
 
 struct memory_need memory_estimate(const struct train_config *cfg, const struct scene *s,
@@ -96,14 +87,13 @@ struct memory_need memory_estimate(const struct train_config *cfg, const struct 
     double drawn = MEMORY_FRAME_ROOM * (sizeof(struct layout_splat) + MEMORY_WORD * MEMORY_KEYS +
                                         MEMORY_INTERSECTIONS * MEMORY_INTERSECTION);
     double passing = fmax(fmax(MEMORY_CHOICE, MEMORY_SCORES + MEMORY_SUMS), MEMORY_MOVE);
+    passing = fmax(passing, MEMORY_THIN + fmax(MEMORY_SUMS + MEMORY_RANKS, MEMORY_MOVE));
     double per_pixel = MEMORY_FRAME_ROOM * MEMORY_FRAME_PX +
                        (pixels > 0.0 ? MEMORY_LOSS_PX * photometric_pixels / pixels : 0.0) +
                        MEMORY_HOST_PX + MEMORY_EVALUATE_PX +
                        MEMORY_FRAME_ROOM * 2.0 * MEMORY_INTERSECTION; /* large splats: 2 a pixel */
     double per_gaussian = trained + drawn + passing;
     double others = pixels * per_pixel + photos + groups;
-    double merging = memory_merging(cfg, n, row); /* while nothing else passes */
-    double more = fmax(merging - n * passing, 0.0);
     return (struct memory_need){.per_gaussian = (size_t)per_gaussian,
                                 .trained = (size_t)trained,
                                 .drawn = (size_t)drawn,
@@ -113,5 +103,5 @@ struct memory_need memory_estimate(const struct train_config *cfg, const struct 
                                 .group_bytes = (size_t)groups,
                                 .gaussians = (size_t)n,
                                 .pixels = (size_t)pixels,
-                                .total = (size_t)(n * per_gaussian + others + more)};
+                                .total = (size_t)(n * per_gaussian + others)};
 }

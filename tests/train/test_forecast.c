@@ -157,6 +157,7 @@ static void the_order_of_levels_counts(void **state)
     open_demo(&f);
     f.at.turned = true;
     f.at.levels[0].derived = f.at.levels[1].derived = true;
+    f.at.levels[0].thin_share = f.at.levels[1].thin_share = 0.5;
     for (size_t k = 0; k < 2; k++)
         f.at.levels[k].densify_until = 0;
     f.at.at = LEVELS - 1;

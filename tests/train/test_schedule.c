@@ -356,6 +356,7 @@ static void coarser_levels_can_be_made_again(void **state)
             assert_int_equal(now->steps, s[at.at].tuned);
             assert_int_equal(s[at.at].steps + s[at.at].tuned, plain[at.at].steps);
             assert_true(fabs(schedule_fade(now, now->steps) - 0.1) < 1e-12);
+            assert_true(now->thin_share == (double)now->budget / (double)s[at.at + 1].budget);
             for (uint32_t t = 1; t <= now->steps; t++)
                 assert_true(!schedule_densify_index(now, t) && !schedule_resets(now, t));
         }
@@ -401,7 +402,7 @@ static void rates_fall_at_the_end(void **state)
     assert_true(schedule_fade(&on, 1800) == 1.0 && schedule_done(&on, 1501) == 1.0);
     for (uint32_t t = 1501; t <= 1800; t++)
         assert_true(!schedule_densify_index(&on, t) && !schedule_resets(&on, t) &&
-                    !schedule_thins(&on, t));
+                    !schedule_thinning(&on, t));
     assert_int_equal(schedule_end(&on, &c), 2250);
     on = schedule_go_on(&on, &c, &cell, 2250, 1800);
     assert_true(schedule_fade(&on, 1800) == 1.0);

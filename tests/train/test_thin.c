@@ -4,6 +4,8 @@
  */
 #include "tests/kit.h"
 
+#include <math.h>
+
 #include "train/base/schedule.h"
 #include "train/density/thin.h"
 
@@ -12,8 +14,8 @@ static size_t choose(const float *rise, const uint16_t *views, size_t n, double 
 {
     struct err e = {0};
     size_t n_keep = 0;
-    kit_ok(thin_choose(rise, views, n, &(struct thin_rule){limit, all}, keep, &n_keep, given, &e),
-           e);
+    const struct thin_rule rule = {.limit = limit, .all_drawn = all, .most = {n / 3, 0}};
+    kit_ok(thin_choose(rise, views, n, &rule, keep, &n_keep, given, &e), e);
     return n_keep;
 }
 
@@ -79,17 +81,72 @@ static void it_happens_while_steps_are_left(void **state)
     struct schedule s = {.level = 3, .n_levels = 3, .steps = 1000, .densify_until = 400};
     uint32_t n = 0;
     for (uint32_t step = 1; step <= s.steps; step++)
-        n += schedule_thins(&s, step);
+        n += schedule_thinning(&s, step) > 0;
     assert_int_equal(n, 3);
-    assert_true(schedule_thins(&s, 400) && schedule_thins(&s, 500) && schedule_thins(&s, 600));
+    assert_true(schedule_thinning(&s, 400) == 1 && schedule_thinning(&s, 500) == 2 &&
+                schedule_thinning(&s, 600) == 3);
     s.level = 2; /* the next level would fill the gaps */
-    assert_false(schedule_thins(&s, 400));
+    assert_int_equal(schedule_thinning(&s, 400), 0);
     s.level = 3;
     s.densify_until = 1000; /* no step would be left to recover */
-    assert_false(schedule_thins(&s, 1000));
+    assert_int_equal(schedule_thinning(&s, 1000), 0);
     s.densify_until = 0; /* of a last fit */
     for (uint32_t step = 1; step <= s.steps; step++)
-        assert_false(schedule_thins(&s, step));
+        assert_int_equal(schedule_thinning(&s, step), 0);
+}
+
+/* Of each side its number, whatever the price; what no photograph shows goes last where some were
+ * not drawn. */
+static void a_level_is_thinned_to_its_number(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    const float rise[8] = {1.0f, 9.0f, 0.0f, 2.0f, 8.0f, 3.0f, 7.0f, 0.5f};
+    const uint16_t views[8] = {1, 1, 0, 1, 1, 1, 1, 1};
+    const uint8_t outside[8] = {0, 0, 0, 1, 1, 1, 0, 0};
+    struct thin_rule rule = {.limit = INFINITY, .outside = outside, .most = {3, 2}};
+    uint32_t keep[8];
+    size_t n_keep = 0;
+    double given = 0.0;
+    kit_ok(thin_choose(rise, views, 8, &rule, keep, &n_keep, &given, &e), e);
+    assert_true(n_keep == 3 && keep[0] == 1 && keep[1] == 2 && keep[2] == 4);
+    assert_true(given == 1.0 + 0.5 + 7.0 + 2.0 + 3.0);
+    rule.most[0] = 5;
+    kit_ok(thin_choose(rise, views, 8, &rule, keep, &n_keep, &given, &e), e);
+    assert_true(n_keep == 1 && keep[0] == 4);
+    rule = (struct thin_rule){
+        .limit = INFINITY, .all_drawn = true, .outside = outside, .most = {1, 0}};
+    kit_ok(thin_choose(rise, views, 8, &rule, keep, &n_keep, &given, &e), e);
+    assert_true(n_keep == 7 && keep[2] == 3); /* row 2 goes, for nothing */
+}
+
+/* A derived level has its share after the last thinning, inside as outside, but for what came from
+ * the coarse model, and never more than its budget; also where its steps are fewer. */
+static void a_derived_level_ends_with_its_share(void **state)
+{
+    (void)state;
+    for (uint32_t steps = 1; steps <= 400; steps = 2 * steps + 1) {
+        struct schedule s = {.level = 2,
+                             .n_levels = 3,
+                             .steps = steps,
+                             .budget = 400,
+                             .around = 50,
+                             .derived = true,
+                             .thin_share = 0.4};
+        size_t inside = 1000, outside = 150, over = 1100, n = 0;
+        for (uint32_t step = 1; step <= steps; step++) {
+            const uint32_t nth = schedule_thinning(&s, step);
+            if (!nth)
+                continue;
+            assert_int_equal(nth, ++n);
+            inside = thin_inside(&s, nth, inside);
+            over = thin_inside(&s, nth, over);
+            outside = thin_outside(&s, outside);
+        }
+        assert_int_equal(n, steps < 3 ? steps : 3);
+        assert_true(inside <= 400 && inside >= 397 && over == 400);
+        assert_true(outside <= 50 + 40 && outside >= 50 + 37);
+    }
 }
 
 int main(void)
@@ -100,6 +157,8 @@ int main(void)
         cmocka_unit_test(equal_ones_go_in_the_order_of_rows),
         cmocka_unit_test(what_no_photograph_shows_goes_if_all_were_asked),
         cmocka_unit_test(it_happens_while_steps_are_left),
+        cmocka_unit_test(a_level_is_thinned_to_its_number),
+        cmocka_unit_test(a_derived_level_ends_with_its_share),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

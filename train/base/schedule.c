@@ -73,13 +73,16 @@ struct schedule_base {
     double downsample, until, tau;
 };
 
+/* Of the finest level's steps. Measured: docs/decisions/014-order-of-levels.md. */
+#define SCHEDULE_TUNE_SHARE 0.2
+
 /* Steps of a coarser level that is made of the finer one. With --level-order both they are taken
  * from those that the level has: half of them at most. */
 static int64_t schedule_base_tuned(const struct train_config *cfg, size_t level)
 {
     const size_t last = TRAIN_LEVELS_MAX - 1;
     const double finest = (double)schedule_base_length(cfg, last);
-    const int64_t part = (int64_t)schedule_round(finest * cfg->tune_share);
+    const int64_t part = (int64_t)schedule_round(finest * SCHEDULE_TUNE_SHARE);
     const int64_t half = schedule_base_length(cfg, level) / 2;
     if (cfg->level_order != SCHEDULE_BOTH || level == last)
         return 0;
@@ -141,8 +144,8 @@ static double schedule_budget_factor(const struct cell *cell)
  * ones: kappa^-0.4 times the published rates of positions, sizes and rotations, at most `most`
  * times. Measured at 1/20 (docs/decisions/013-rates-and-length.md). */
 #define SCHEDULE_LR_EXPONENT 0.4
-/* Thinnings, and the parts of the steps after densification that they stand at the ends of. */
-enum { SCHEDULE_THIN_PARTS = 6, SCHEDULE_THINNINGS = 3 };
+/* Parts of the steps that thinnings stand at the ends of. */
+enum { SCHEDULE_THIN_PARTS = 6 };
 static double schedule_lr_factor(double most, double kappa)
 {
     return fmin(fmax(pow(kappa, -SCHEDULE_LR_EXPONENT), 1.0), most);
@@ -206,12 +209,14 @@ static void schedule_fill_end(const struct train_config *cfg, double longest, st
         s->most = schedule_round(((double)s->steps + s->full * (longest - s->kappa)) * stays);
 }
 
-struct schedule schedule_again(const struct schedule *s, const struct train_config *cfg)
+struct schedule schedule_again(const struct schedule *s, const struct schedule *finer,
+                               const struct train_config *cfg)
 {
     struct schedule again = *s;
     again.steps = again.planned = again.most = s->tuned > 0 ? s->tuned : 1;
     again.turn = 2 * s->n_levels - s->level;
     again.derived = true;
+    again.thin_share = fmin((double)s->budget / (double)finer->budget, 1.0);
     again.lr_mean_first = s->turn > 1 ? s->lr_mean_first : s->lr_mean_first * SCHEDULE_LR_RESTART;
     again.lr_mean_last = fmin(s->lr_mean_last, again.lr_mean_first);
     again.fade_from = (uint32_t)floor((double)again.steps * (1.0 - schedule_fade_share(cfg)) + 0.5);
@@ -361,13 +366,31 @@ bool schedule_resets(const struct schedule *s, uint32_t step)
            step <= schedule_last_reset(s);
 }
 
-bool schedule_thins(const struct schedule *s, uint32_t step)
+uint32_t schedule_thinnings_derived(const struct schedule *s)
+{
+    return s->steps < SCHEDULE_THINNINGS ? s->steps : SCHEDULE_THINNINGS;
+}
+
+/* The thinning at `step` of those that begin at `from` and are `every` steps apart. */
+static uint32_t schedule_thinning_from(uint32_t step, uint32_t from, uint32_t every, uint32_t n)
+{
+    if (step < from || !every || (step - from) % every)
+        return 0;
+    uint32_t nth = (step - from) / every + 1;
+    return nth <= n ? nth : 0;
+}
+
+uint32_t schedule_thinning(const struct schedule *s, uint32_t step)
 {
     uint32_t from = s->densify_until, rest = s->steps > from ? s->steps - from : 0;
     uint32_t every = rest / SCHEDULE_THIN_PARTS;
-    bool wanted = !s->last && s->level == s->n_levels;
-    return wanted && from > 0 && every > 0 && step >= from && (step - from) % every == 0 &&
-           (step - from) / every < SCHEDULE_THINNINGS;
+    if (s->last)
+        return 0;
+    if (s->derived)
+        return schedule_thinning_from(step, 1, every ? every : 1, schedule_thinnings_derived(s));
+    return s->level == s->n_levels && from
+               ? schedule_thinning_from(step, from, every, SCHEDULE_THINNINGS)
+               : 0;
 }
 
 bool schedule_limits_size(const struct schedule *s, uint32_t step)

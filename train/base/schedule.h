@@ -27,9 +27,10 @@ struct schedule { /* schedule of one level; steps are 1-based and restart at eve
     uint32_t size_from;              /* Gaussians that are too large are removed after this step */
     uint32_t sh_interval, sh_degree; /* sh_interval 0: full degree from the start */
     bool absgrad;
-    bool derived; /* made of the next finer level, and fine-tuned without growth */
-    bool last;    /* after the level's own steps: what fades during a level stays as at its end */
-    bool still;   /* positions, sizes, rotations and opacities stay; only colours learn */
+    bool derived;      /* made of the next finer level by thinning, and fine-tuned without growth */
+    double thin_share; /* derived: the part of the finer level's Gaussians that is left */
+    bool last;  /* after the level's own steps: what fades during a level stays as at its end */
+    bool still; /* positions, sizes, rotations and opacities stay; only colours learn */
     double tau;
     /* factor on learning rates of positions (included in those below), sizes and rotations */
     double lr_factor;
@@ -57,8 +58,10 @@ double schedule_full(const struct train_config *cfg);
 enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
                             const struct cell *cell, struct schedule out[TRAIN_LEVELS_MAX],
                             struct err *e) ERR_USE;
-/* The level when it is made of the finer one, with --level-order both. */
-struct schedule schedule_again(const struct schedule *s, const struct train_config *cfg);
+/* The level when it is made of the finer one, with --level-order both. Both of
+ * schedule_make. */
+struct schedule schedule_again(const struct schedule *s, const struct schedule *finer,
+                               const struct train_config *cfg);
 /* The finest level as it goes on after its own steps until `steps`, without growth. Its rates are
  * those at the end of a run that is as long, and fall after the step fade_from (>= steps: never).
  * `s`: of schedule_make, or of this. */
@@ -83,9 +86,13 @@ size_t schedule_most(const struct schedule *s, const struct cell *cell);
 uint32_t schedule_densify_count(const struct schedule *s);
 /* The x of this step, or 0 if it does not densify. */
 uint32_t schedule_densify_index(const struct schedule *s, uint32_t step);
-/* Whether the level is thinned out after this step (train/density/thin.h): three times at the
- * finest level, in the first half of the steps after its densification. */
-bool schedule_thins(const struct schedule *s, uint32_t step);
+/* Thinnings of a level (train/density/thin.h), if it has as many steps: in the first half of the
+ * steps after the finest level's densification, and of those of a derived level from its first. */
+enum { SCHEDULE_THINNINGS = 3 };
+/* Which of them follows this step, from 1; 0: none. */
+uint32_t schedule_thinning(const struct schedule *s, uint32_t step);
+/* How many a derived level has: it ends with its share of Gaussians also where it is short. */
+uint32_t schedule_thinnings_derived(const struct schedule *s);
 bool schedule_resets(const struct schedule *s, uint32_t step);
 /* Returns whether a densification at this step may remove Gaussians for their size. */
 bool schedule_limits_size(const struct schedule *s, uint32_t step);

@@ -33,7 +33,7 @@ static inline void stage_turn(struct stage *s, const struct train_config *cfg)
 {
     s->turned = true;
     for (uint32_t l = 0; l + 1 < s->n_levels; l++)
-        s->levels[l] = schedule_again(&s->levels[l], cfg);
+        s->levels[l] = schedule_again(&s->levels[l], &s->levels[l + 1], cfg);
 }
 /* Whether a level is pruned at its end. One that is made of a finer level has what is left of that.
  * One that will be made again only says where the next one begins. */

@@ -1,17 +1,17 @@
-/* Thinning: no more Gaussians than a scene needs.
+/* Thinning: no more Gaussians than a scene needs, or than a level may have.
  *
  * While a level grows, gradients ask for Gaussians wherever there is error, up to a budget that
- * counts photographs. Many of them repeat what is there. In the middle of the level, when growth
- * has ended, every Gaussian has a price: the squared change of all pixels of all training
+ * counts photographs. Many of them repeat what is there. Once growth has ended, every Gaussian has
+ * a price: the squared change of all pixels of all training
  * photographs if it alone were not drawn. It is the second-order term of the rise of the squared
  * error; the first-order term is near 0 in a trained model. What lies behind shows through, so a
  * Gaussian in front of others of its colour costs little, and the only one before a background of
  * another colour costs much.
  *
- * The cheapest go until their prices add up to a share of the present error. The steps that remain
- * repair most of the loss. It happens a few times, and at most a third of the Gaussians goes at
- * once, since a price holds while the neighbours stay. So a level that does not fit its
- * photographs, whose error is large, is not emptied.
+ * The cheapest go until their prices add up to a share of the present error, or until the level has
+ * its number. The steps that remain repair most of the loss. It happens a few times, since a price
+ * holds while the neighbours stay. By share of error at most a third goes at once, so a level that
+ * does not fit its photographs, whose error is large, is not emptied.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -32,7 +32,8 @@
 #include "train/photographs/photo_loader.h"
 
 enum {
-    THIN_STEPS = 20,   /* of the level for a photograph that is drawn */
+    THIN_STEPS = 20,   /* of the finest level for a photograph that is drawn */
+    THIN_AGAIN = 3,    /* of a derived level */
     THIN_LEAST = 16,   /* photographs that are drawn, if there are so many */
     THIN_MOST = 3,     /* at most this part of the Gaussians goes at once */
     THIN_CHUNK = 16384 /* Gaussians that a thread takes at a time */
@@ -44,6 +45,7 @@ struct thin {
     struct background *background;
     const struct site *site;
     const struct stage *at;
+    uint32_t nth; /* thinning of the level, from 1 */
     struct render_importance *device;
     cl_mem weight; /* float [h][w]: 0 where the photograph is masked */
     size_t weight_bytes;
@@ -125,12 +127,18 @@ static enum err_code thin_add(struct thin *c, struct err *e)
     return rc ? rc : model_look_unmap(c->m, &c->look, e);
 }
 
+/* Spread over the list, and others at each thinning. */
+static size_t thin_nth(uint32_t nth, size_t v, size_t n_views, size_t n)
+{
+    return (SCHEDULE_THINNINGS * v + nth - 1) * n / (SCHEDULE_THINNINGS * n_views);
+}
+
 static enum err_code thin_measure(struct thin *c, size_t n_views, struct err *e)
 {
     struct gallery *g = c->gallery;
     enum err_code rc = render_importance_open(g->engine.render, &c->device, e);
     for (size_t v = 0; !rc && v < n_views; v++) {
-        rc = thin_draw(c, v * g->n_images / n_views, e);
+        rc = thin_draw(c, thin_nth(c->nth, v, n_views, g->n_images), e);
         if (!rc)
             rc = thin_add(c, e);
         if (!rc && signals_stopping())
@@ -144,25 +152,30 @@ enum err_code thin_choose(const float *rise, const uint16_t *views, size_t n,
                           const struct thin_rule *rule, uint32_t *keep, size_t *n_keep,
                           double *given, struct err *e)
 {
-    size_t gone = 0;
+    size_t gone[THIN_SIDES] = {0};
     struct sort_item *rank = mem_array(2 * n, sizeof *rank);
     uint8_t *goes = mem_array(n, 1);
     bool ok = rank && goes;
     *n_keep = 0;
     *given = 0.0;
     for (size_t i = 0; ok && i < n; i++)
-        rank[i] = (struct sort_item){sort_key_float(rise[i]), (uint32_t)i};
+        rank[i] = (struct sort_item){
+            sort_key_float(views[i] || rule->all_drawn ? rise[i] : INFINITY), (uint32_t)i};
     if (ok)
         sort_items(rank, rank + n, n);
-    for (size_t k = 0; ok && k < n && gone < n / THIN_MOST; k++) {
-        uint32_t i = rank[k].row;
-        if (!views[i] && !rule->all_drawn)
+    for (size_t k = 0; ok && k < n; k++) {
+        const uint32_t i = rank[k].row;
+        const uint8_t side = rule->outside ? rule->outside[i] : 0;
+        const bool priced = views[i] || rule->all_drawn;
+        if (gone[side] == rule->most[side])
             continue;
+        if (!priced && isfinite(rule->limit))
+            break;
         if (*given + (double)rise[i] > rule->limit)
             break;
-        *given += (double)rise[i];
+        *given += priced ? (double)rise[i] : 0.0;
         goes[i] = 1;
-        gone++;
+        gone[side]++;
     }
     for (size_t i = 0; ok && i < n; i++)
         if (!goes[i])
@@ -187,32 +200,81 @@ static void thin_even(const struct thin *c, struct thin_report *r)
         c->rise[i] *= c->views[i] ? mean / (float)c->views[i] : 0.0f;
 }
 
+size_t thin_inside(const struct schedule *s, uint32_t nth, size_t n)
+{
+    const uint32_t all = schedule_thinnings_derived(s);
+    const size_t stay = (size_t)floor((double)n * pow(s->thin_share, 1.0 / (double)all));
+    const size_t most = nth < all || s->budget > stay ? stay : s->budget;
+    return most > 0 || n == 0 ? most : 1;
+}
+
+size_t thin_outside(const struct schedule *s, size_t n)
+{
+    const size_t kept = n < s->around ? n : s->around;
+    const double part = pow(s->thin_share, 1.0 / (double)schedule_thinnings_derived(s));
+    return kept + (size_t)floor((double)(n - kept) * part);
+}
+
+static enum err_code thin_make_rule(struct thin *c, uint8_t *outside, struct thin_rule *rule,
+                                    struct err *e)
+{
+    const struct schedule *s = stage_schedule(c->at);
+    const size_t n = c->m->gauss.n;
+    rule->most[0] = n / THIN_MOST;
+    rule->limit = (pow(10.0, c->gallery->cfg->thin_db / 10.0) - 1.0) * c->error;
+    if (!s->derived)
+        return ERR_OK;
+    size_t inside = 0;
+    enum err_code rc = model_count_inside(c->m, &c->site->cell, outside, &inside, e);
+    rule->outside = outside;
+    rule->limit = INFINITY;
+    rule->most[0] = inside - thin_inside(s, c->nth, inside);
+    rule->most[1] = n - inside - thin_outside(s, n - inside);
+    return rc;
+}
+
 static enum err_code thin_remove(struct thin *c, bool all_drawn, struct thin_report *r,
                                  struct err *e)
 {
     struct model *m = c->m;
     size_t n = m->gauss.n, left = 0;
-    double given = 0.0, share = pow(10.0, c->gallery->cfg->thin_db / 10.0) - 1.0;
-    const struct thin_rule rule = {share * c->error, all_drawn};
+    double given = 0.0;
+    struct thin_rule rule = {.all_drawn = all_drawn};
     uint32_t *keep = mem_array(n, sizeof *keep);
-    enum err_code rc = keep ? thin_choose(c->rise, c->views, n, &rule, keep, &left, &given, e)
-                            : err_set(e, ERR_MEM, "thinning: out of memory for %zu Gaussians", n);
+    uint8_t *outside = mem_array(n, 1);
+    enum err_code rc = keep && outside
+                           ? thin_make_rule(c, outside, &rule, e)
+                           : err_set(e, ERR_MEM, "thinning: out of memory for %zu Gaussians", n);
+    if (!rc)
+        rc = thin_choose(c->rise, c->views, n, &rule, keep, &left, &given, e);
     if (!rc && left < n)
         rc = model_move(m, &(struct permutation){keep, left, n, m->gauss.planes}, n, e);
     r->removed = rc ? 0 : n - left;
     r->rise = c->error > 0.0 ? given / c->error : 0.0;
+    mem_free(outside);
     mem_free(keep);
     return rc;
+}
+
+size_t thin_views(const struct schedule *s, size_t n)
+{
+    size_t some = s->steps / (s->derived ? THIN_AGAIN : THIN_STEPS);
+    some = some > THIN_LEAST ? some : THIN_LEAST;
+    return some < n ? some : n;
 }
 
 enum err_code thin_run(struct model *m, struct gallery *g, struct background *background,
                        const struct site *site, const struct stage *at, struct thin_report *out,
                        struct err *e)
 {
-    struct thin c = {.m = m, .gallery = g, .background = background, .site = site, .at = at};
-    size_t n = m->gauss.n, some = stage_schedule(at)->steps / THIN_STEPS;
-    some = some > THIN_LEAST ? some : THIN_LEAST;
-    size_t n_views = some < g->n_images ? some : g->n_images;
+    const struct schedule *s = stage_schedule(at);
+    struct thin c = {.m = m,
+                     .gallery = g,
+                     .background = background,
+                     .site = site,
+                     .at = at,
+                     .nth = schedule_thinning(s, at->step)};
+    const size_t n = m->gauss.n, n_views = thin_views(s, g->n_images);
     *out = (struct thin_report){.before = n};
     c.rise = mem_array(n, sizeof *c.rise);
     c.views = mem_array(n, sizeof *c.views);

@@ -1,7 +1,8 @@
-/* Thins a level out in its middle: removes the Gaussians whose removal is predicted to cost the
- * least, as many as may cost a given share of the squared error of the training photographs. The
- * steps that follow recover most of it. The number of Gaussians then follows from the scene, and
- * hardly from the seed.
+/* Thins a level: removes the Gaussians whose removal is predicted to cost the least. The steps
+ * that follow recover most of it. It happens for two reasons. A coarser level is the finer one
+ * thinned down to its share of Gaussians. And with --thin-db the finest level loses in its middle
+ * as many as may cost a given share of the squared error of the training photographs; the number
+ * of Gaussians then follows from the scene, and hardly from the seed.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -17,6 +18,7 @@
 struct background;
 struct gallery;
 struct model;
+struct schedule;
 struct site;
 struct stage;
 struct render_importance;
@@ -30,22 +32,34 @@ struct thin_report {
 /* Draws training photographs of the current level, each in its own appearance and with the
  * background of the step. For every Gaussian it sums over their pixels the squared change of colour
  * if it alone were not there, brought to the mean number of photographs that show a Gaussian. The
- * least are removed, until the sum of these prices is the share of the squared error that lowers
- * the PSNR by cfg->thin_db. Gaussians that no photograph shows cost nothing; they are kept if a
- * short level draws only some of the photographs. At most a third goes. Moments are kept,
- * statistics of density control become 0. ERR_CANCEL: stopped by a signal, and nothing was removed.
- * ERR_MEM, ERR_DEVICE, and the errors of photo_loader_get_nth. */
+ * least are removed, of the finest level until the sum of these prices is the share of the squared
+ * error that lowers the PSNR by cfg->thin_db, and at most a third; of a derived level as many as
+ * leave its share of Gaussians, inside the cell and outside, after the last thinning
+ * (schedule_thinning). Outside, as many as came from the coarse model are no part of that.
+ * Gaussians that no photograph shows cost nothing, or go last if a short level draws only some of
+ * the photographs. Moments are kept, statistics of density control become 0. ERR_CANCEL: stopped
+ * by a signal, and nothing was removed. ERR_MEM, ERR_DEVICE, and the errors of
+ * photo_loader_get_nth. */
 enum err_code thin_run(struct model *m, struct gallery *g, struct background *background,
                        const struct site *site, const struct stage *at, struct thin_report *out,
                        struct err *e) ERR_USE;
+/* Photographs that a thinning of the level draws, of n. */
+size_t thin_views(const struct schedule *s, size_t n);
+/* How many Gaussians of n stay at a thinning of a derived level; nth: from 1. */
+size_t thin_inside(const struct schedule *s, uint32_t nth, size_t n);
+size_t thin_outside(const struct schedule *s, size_t n);
+
+enum { THIN_SIDES = 2 };
 struct thin_rule {
-    double limit; /* largest sum of the prices of what goes */
-    bool all_drawn;
+    double limit;            /* largest sum of the prices of what goes */
+    bool all_drawn;          /* all photographs were drawn */
+    const uint8_t *outside;  /* [n] side of each; NULL: all are on side 0 */
+    size_t most[THIN_SIDES]; /* of each side that may go */
 };
 /* The choice alone, for tests. rise [n]: prices; views [n]: photographs that show a Gaussian. What
- * none shows goes if all were drawn. keep [n] gets the rows that stay, ascending, *n_keep their
- * number, at least two thirds of n, and *given the prices of what goes. Equal ones go in the order
- * of rows. ERR_MEM. */
+ * none shows goes first if all were drawn, else last, at an infinite price. keep [n] gets the rows
+ * that stay, ascending, *n_keep their number, and *given the finite prices of what goes. Equal ones
+ * go in the order of rows. ERR_MEM. */
 enum err_code thin_choose(const float *rise, const uint16_t *views, size_t n,
                           const struct thin_rule *rule, uint32_t *keep, size_t *n_keep,
                           double *given, struct err *e) ERR_USE;

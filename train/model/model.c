@@ -274,17 +274,6 @@ enum err_code model_forget(struct model *m, struct err *e)
     return rc;
 }
 
-enum err_code model_keep(struct model *m, size_t n, struct err *e)
-{
-    if (m->defer)
-        defer_moved(m->defer);
-    enum err_code rc = model_zero_moments(m, e); /* of the rows that go, too */
-    model_count(m, n);
-    if (!rc)
-        rc = model_forget(m, e);
-    return rc ? rc : model_zero_stats(m, e);
-}
-
 /* ---- looking at it and changing it in place ---- */
 
 enum err_code model_reset_opacity(struct model *m, double top, struct err *e)
@@ -308,8 +297,8 @@ enum err_code model_reset_opacity(struct model *m, double top, struct err *e)
     return rc;
 }
 
-enum err_code model_count_inside(struct model *m, const struct cell *cell, size_t *out,
-                                 struct err *e)
+enum err_code model_count_inside(struct model *m, const struct cell *cell, uint8_t *outside,
+                                 size_t *out, struct err *e)
 {
     const struct render_model *g = &m->gauss;
     size_t n = 0;
@@ -319,8 +308,11 @@ enum err_code model_count_inside(struct model *m, const struct cell *cell, size_
         return rc;
     for (size_t i = 0; i < g->n; i++) {
         const float *mean = (const float *)params + layout_at(i, g->planes);
-        n += cell_distance(cell, g->origin_enu_m[0] + (double)mean[0],
-                           g->origin_enu_m[1] + (double)mean[LAYOUT_LANES]) <= 0.0;
+        const bool inside = cell_distance(cell, g->origin_enu_m[0] + (double)mean[0],
+                                          g->origin_enu_m[1] + (double)mean[LAYOUT_LANES]) <= 0.0;
+        n += inside;
+        if (outside)
+            outside[i] = !inside;
     }
     *out = n;
     return dev_unmap(m->dev, g->params, &params, e);
