@@ -11,6 +11,7 @@
 
 #include <math.h>
 #include <stddef.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <strings.h>
@@ -23,16 +24,36 @@ struct drone_source {
     const void *user;
 };
 
+/* "+427.00", and as some write it: a decimal comma, a fraction, metres behind it. */
+static bool drone_value(const char *text, double *out)
+{
+    char plain[DRONE_TEXT_MAX], *end, *comma;
+    if (snprintf(plain, sizeof plain, "%s", text) >= (int)sizeof plain)
+        return false;
+    comma = strchr(plain, ',');
+    if (comma && !strchr(plain, '.'))
+        *comma = '.';
+    double den = 1;
+    *out = strtod(plain, &end);
+    if (end == plain)
+        return false;
+    if (*end == '/')
+        den = strtod(end + 1, &end);
+    *out /= den;
+    end += strspn(end, " \t\r\n");
+    end += *end == 'm';
+    return !end[strspn(end, " \t\r\n")] && isfinite(*out);
+}
+
 /* The first of the names that holds a number between lo and hi, and nothing else. */
 static bool drone_number(const struct drone_source *s, const char *const *names, double lo,
                          double hi, double *out)
 {
     for (; *names; names++) {
-        char text[DRONE_TEXT_MAX], *end;
-        if (!s->get(s->user, *names, text, sizeof text))
-            continue;
-        double v = strtod(text, &end);
-        if (end != text && !end[strspn(end, " \t\r\n")] && v >= lo && v <= hi) {
+        char text[DRONE_TEXT_MAX];
+        double v;
+        if (s->get(s->user, *names, text, sizeof text) && drone_value(text, &v) && v >= lo &&
+            v <= hi) {
             *out = v;
             return true;
         }
@@ -122,14 +143,10 @@ static void drone_position(const struct drone_source *s, struct drone_meta *out)
 /* EXIF's altitude as XMP has it, a fraction: "42700/100". */
 static bool drone_exif_altitude(const struct drone_source *s, double *out)
 {
-    char text[DRONE_TEXT_MAX], *end;
-    if (!s->get(s->user, "exif:GPSAltitude", text, sizeof text))
-        return false;
-    double v = strtod(text, &end), den = 1;
-    if (end != text && *end == '/')
-        den = strtod(end + 1, &end);
-    v /= den;
-    if (*end || !(fabs(v) <= 20000) || v == 0)
+    char text[DRONE_TEXT_MAX];
+    double v;
+    if (!s->get(s->user, "exif:GPSAltitude", text, sizeof text) || !drone_value(text, &v) ||
+        fabs(v) > 20000 || v == 0)
         return false;
     *out = s->get(s->user, "exif:GPSAltitudeRef", text, sizeof text) && !strcmp(text, "1")
                ? -fabs(v)

@@ -42,6 +42,7 @@ enum {
     TAG_GPS_LON = 4,
     TAG_GPS_ALT_REF = 5,
     TAG_GPS_ALT = 6,
+    TAG_GPS_STATUS = 9,
     TYPE_BYTE = 1,
     TYPE_ASCII = 2,
     TYPE_SHORT = 3,
@@ -127,8 +128,9 @@ static int32_t exif_signed(uint32_t v, size_t bytes)
     return bytes == 1 ? (int8_t)v : bytes == 2 ? (int16_t)v : (int32_t)v;
 }
 
-/* false: there is none, its denominator is 0, or it is not finite. Any type of numbers is taken:
- * cameras write what the standard does not allow. */
+/* false: there is none, its denominator is 0, its numerator is all ones, which stands for unknown,
+ * or it is not finite. Any type of numbers is taken: cameras write what the standard does not
+ * allow. */
 static bool exif_field_num(const struct tiff *t, const struct field *f, size_t i, double *out)
 {
     const size_t bytes = exif_type_bytes(f->type);
@@ -152,7 +154,7 @@ static bool exif_field_num(const struct tiff *t, const struct field *f, size_t i
     case TYPE_RATIONAL:
     case TYPE_SRATIONAL:
         den = exif_tiff_uint(t, p + 4, 4);
-        if (!den)
+        if (!den || (f->type == TYPE_RATIONAL && v == UINT32_MAX))
             return false;
         *out = f->type == TYPE_RATIONAL ? (double)v / den : (double)(int32_t)v / (int32_t)den;
         if (*out > EXIF_WRAPPED && v > INT32_MAX) /* a negative number without its type */
@@ -225,6 +227,21 @@ static bool exif_ifd_angle(const struct tiff *t, uint32_t ifd, unsigned tag, cha
     return true;
 }
 
+/* Longitudes may count to 360. 0, 0 is what cameras write without a fix. */
+static void exif_position(const struct tiff *t, uint32_t gps, struct image_gps *out)
+{
+    double lat, lon;
+    if (!exif_ifd_angle(t, gps, TAG_GPS_LAT, 'S', &lat, &out->odd_sign) ||
+        !exif_ifd_angle(t, gps, TAG_GPS_LON, 'W', &lon, &out->odd_sign))
+        return;
+    lon -= lon > 180 && lon <= 360 ? 360 : 0;
+    if (fabs(lat) > 90 || fabs(lon) > 180 || (lat == 0 && lon == 0))
+        return;
+    out->has_position = true;
+    out->lat_deg = lat;
+    out->lon_deg = lon;
+}
+
 /* EXIF 3.0: 0 above, 1 below the sea; 2 above, 3 below the ellipsoid. Some write the digit. */
 static void exif_altitude(const struct tiff *t, uint32_t gps, struct image_gps *out)
 {
@@ -260,15 +277,9 @@ static void exif_blob(const uint8_t *p, size_t n, struct image_gps *out)
         for (size_t i = 0; i < len && f.data[i] >= 0x20 && f.data[i] < 0x7f; i++)
             out->time[i] = (char)f.data[i];
     }
-    double lat, lon;
-    if (exif_ifd_angle(&t, gps, TAG_GPS_LAT, 'S', &lat, &out->odd_sign) &&
-        exif_ifd_angle(&t, gps, TAG_GPS_LON, 'W', &lon, &out->odd_sign) && fabs(lat) <= 90 &&
-        fabs(lon) <= 180) {
-        out->has_position = true;
-        out->lat_deg = lat;
-        out->lon_deg = lon;
-    }
+    exif_position(&t, gps, out);
     exif_altitude(&t, gps, out);
+    out->interrupted = exif_ifd_letter(&t, gps, TAG_GPS_STATUS) == 'v';
 }
 
 /* ---- where EXIF and XMP are in a file ---- */
@@ -480,16 +491,28 @@ static enum err_code exif_file(const char *path, struct buf *out, struct err *e)
     return file_read(path, 0, out, e);
 }
 
-/* photo.xmp and photo.JPG.xmp beside photo.JPG, in either case. */
+static char exif_in_case(char c, int form)
+{
+    const bool lower = c >= 'a' && c <= 'z', upper = c >= 'A' && c <= 'Z';
+    return (char)((form == 1 && upper) || (form == 2 && lower) ? c ^ 0x20 : c);
+}
+
+/* photo.xmp and photo.JPG.xmp beside photo.JPG: the name as it is, in small letters or in capitals.
+ */
 static void exif_sidecars(const char *path, struct xmp *xmp)
 {
+    static const char *const ends[] = {".xmp", ".XMP", ".Xmp"};
     const char *slash = strrchr(path, '/'), *dot = strrchr(slash ? slash : path, '.');
-    for (int k = 0; k < 4; k++) {
-        const int stem = k % 2 && dot ? (int)(dot - path) : (int)strlen(path);
+    const size_t base = slash ? (size_t)(slash + 1 - path) : 0;
+    for (int k = 0; k < 18; k++) {
+        const int stem = k % 2 && dot ? (int)(dot - path) : (int)strlen(path), form = k / 6;
         char name[FILE_PATH_MAX];
         struct buf b = {0};
-        if (snprintf(name, sizeof name, "%.*s%s", stem, path, k < 2 ? ".xmp" : ".XMP") <
-                (int)sizeof name &&
+        if (snprintf(name, sizeof name, "%.*s%s", stem, path, ends[k / 2 % 3]) >= (int)sizeof name)
+            continue;
+        for (size_t i = base; i < (size_t)stem; i++)
+            name[i] = exif_in_case(name[i], form);
+        if ((!form || memcmp(name + base, path + base, (size_t)stem - base) != 0) &&
             file_exists(name) && !file_read(name, XMP_BYTES_MAX, &b, NULL))
             xmp_add(xmp, b.data, b.size);
         buf_free(&b);

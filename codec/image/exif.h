@@ -26,6 +26,7 @@ struct image_gps {
     double exposure_s, iso, focal_mm; /* 0 = not given */
     bool ellipsoidal;                 /* EXIF says that alt_m counts from the ellipsoid */
     bool odd_sign;                    /* a sign and a hemisphere contradict each other */
+    bool interrupted;                 /* EXIF says that measurement was interrupted */
 };
 
 /* Reads the fields of a file, and what drones write into XMP: in the file or in a sidecar,

@@ -3,7 +3,8 @@
  * A prefix means nothing by itself: its namespace does. Names are stored with the prefix that the
  * namespace usually has. Cameras also write prefixes that they do not declare; such a name stays as
  * it is. Expat bounds what entities can expand to, and a document type, which could declare any,
- * ends the packet.
+ * ends the packet. Of a packet that is no XML, as some cameras write it, name="value" and
+ * <name>value< are taken wherever they stand.
  *
  * Sources: XMP specification part 1 (2012), DJI's and Autel's photographs, Pix4D's tags.
  *
@@ -14,6 +15,9 @@
 #include <expat.h>
 #include <stdio.h>
 #include <string.h>
+#include <strings.h>
+
+#include "core/base.h"
 
 enum { XMP_PREFIXES = 32, XMP_PREFIX = 24, XMP_DEEP = 12 };
 
@@ -134,11 +138,77 @@ static void XMLCALL xmp_refuse(void *user, const XML_Char *name, const XML_Char 
     XML_StopParser(r->parser, XML_FALSE);
 }
 
+static bool xmp_is_name(char c)
+{
+    return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') ||
+           strchr("_-.", c);
+}
+
+/* The end of the value that begins after a name: in quotes, or up to the next element. NULL: there
+ * is none, or it is too long. */
+static const char *xmp_value(const char **at, const char *end)
+{
+    const char *p = *at;
+    while (p < end && strchr(" \t\r\n", *p))
+        p++;
+    char close = '<';
+    if (end - p > 2 && *p == '=') {
+        for (p++; p < end && strchr(" \t\r\n", *p);)
+            p++;
+        if (p == end || (*p != '"' && *p != '\''))
+            return NULL;
+        close = *p;
+    } else if (p == end || *p != '>') {
+        return NULL;
+    }
+    *at = ++p;
+    return memchr(p, close, (size_t)(end - p) < XMP_TEXT ? (size_t)(end - p) : XMP_TEXT);
+}
+
+/* text [n] has no NUL. */
+static void xmp_salvage(struct xmp_reader *r, const char *text, size_t n)
+{
+    const char *end = text + n;
+    for (const char *p = text, *colon; (colon = memchr(p, ':', (size_t)(end - p))) != NULL;) {
+        const char *from = colon, *to = p = colon + 1;
+        while (from > text && xmp_is_name(from[-1]))
+            from--;
+        while (to < end && xmp_is_name(*to))
+            to++;
+        const char *value = to, *close = xmp_value(&value, end);
+        char name[XMP_NAME], full[XMP_NAME], kept[XMP_TEXT];
+        if (!close || (size_t)(to - from) >= sizeof name || (size_t)(close - value) >= sizeof kept)
+            continue;
+        snprintf(name, sizeof name, "%.*s", (int)(to - from), from);
+        snprintf(kept, sizeof kept, "%.*s", (int)(close - value), value);
+        if (!strncmp(name, "xmlns:", 6))
+            xmp_declare(r, name + 6, kept);
+        xmp_name(r, name, full);
+        xmp_keep(r, full, kept);
+    }
+}
+
+/* The packet without NULs, which also makes UTF-16 of Latin letters plain text. */
+static void xmp_salvage_any(struct xmp_reader *r, const char *packet, size_t n)
+{
+    struct buf plain = {0};
+    char *to = (char *)buf_grow(&plain, n + 1);
+    size_t k = 0;
+    for (size_t i = 0; to && i < n; i++)
+        if (packet[i])
+            to[k++] = packet[i];
+    if (to) {
+        to[k] = '\0';
+        xmp_salvage(r, to, k);
+    }
+    buf_free(&plain);
+}
+
 void xmp_add(struct xmp *x, const void *packet, size_t n)
 {
     const char *text = packet;
     struct xmp_reader r = {.to = x};
-    while (n && strchr(" \t\r\n", *text) && *text) { /* nothing may stand before a declaration */
+    while (n && *text && strchr(" \t\r\n", *text)) { /* nothing may stand before a declaration */
         text++;
         n--;
     }
@@ -149,15 +219,18 @@ void xmp_add(struct xmp *x, const void *packet, size_t n)
     XML_SetElementHandler(r.parser, xmp_open, xmp_close);
     XML_SetCharacterDataHandler(r.parser, xmp_text);
     XML_SetStartDoctypeDeclHandler(r.parser, xmp_refuse);
-    (void)XML_Parse(r.parser, text, (int)n, XML_TRUE);
+    const bool whole = XML_Parse(r.parser, text, (int)n, XML_TRUE) == XML_STATUS_OK;
+    const enum XML_Error why = XML_GetErrorCode(r.parser);
     XML_ParserFree(r.parser);
+    if (!whole && why != XML_ERROR_ABORTED && why != XML_ERROR_JUNK_AFTER_DOC_ELEMENT)
+        xmp_salvage_any(&r, text, n);
 }
 
 bool xmp_get(const void *xmp, const char *name, char *text, size_t room)
 {
     const struct xmp *x = xmp;
     for (size_t i = 0; i < x->n; i++)
-        if (!strcmp(x->value[i].name, name))
+        if (!strcasecmp(x->value[i].name, name))
             return (size_t)snprintf(text, room, "%s", x->value[i].text) < room;
     return false;
 }

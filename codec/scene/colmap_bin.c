@@ -199,9 +199,6 @@ enum err_code colmap_bin_points(const struct buf *file, struct colmap_model *m, 
             m->tracks[at].image = cursor_u32(&c);
             m->tracks[at].obs = cursor_u32(&c);
         }
-        const char *why = colmap_check_point(p);
-        if (why)
-            return err_set(e, ERR_FORMAT, "%s: point %zu of %zu: %s", name, i + 1, n, why);
     }
     if (!whole)
         return err_set(e, ERR_FORMAT, "%s: truncated", name);

@@ -78,10 +78,7 @@ const char *colmap_check_image(const struct colmap_image *im)
     return NULL;
 }
 
-const char *colmap_check_point(const struct colmap_point *p)
+bool colmap_point_is_somewhere(const struct colmap_point *p)
 {
-    for (int i = 0; i < 3; i++)
-        if (!isfinite(p->xyz[i]))
-            return "a coordinate is not finite";
-    return NULL;
+    return isfinite(p->xyz[0]) && isfinite(p->xyz[1]) && isfinite(p->xyz[2]);
 }

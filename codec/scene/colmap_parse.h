@@ -48,9 +48,9 @@ enum { COLMAP_PARAMS_MAX = 16 };
  * is not read, else what is wrong with it. */
 const char *colmap_set_lens(const struct colmap_lens *l, const double *params,
                             struct colmap_camera *c);
-/* Check one record, for both readers. They return NULL if it is valid, else what is wrong with it.
- */
+/* Checks a record, for both readers. Returns NULL if it is valid, else what is wrong with it. */
 const char *colmap_check_image(const struct colmap_image *im);
-const char *colmap_check_point(const struct colmap_point *p);
+/* Are its coordinates finite? */
+bool colmap_point_is_somewhere(const struct colmap_point *p);
 
 #endif

@@ -48,6 +48,9 @@ static int colmap_image_compare(const void *a, const void *b)
 static int colmap_point_compare(const void *a, const void *b)
 {
     const struct colmap_point *p = a, *q = b;
+    const bool here = colmap_point_is_somewhere(p);
+    if (here != colmap_point_is_somewhere(q)) /* those without a place last */
+        return here ? -1 : 1;
     return (p->id > q->id) - (p->id < q->id);
 }
 
@@ -133,10 +136,41 @@ static enum err_code colmap_camera_missing(const struct colmap_model *m, size_t 
                    im->camera);
 }
 
+/* Points without finite coordinates, *n of them behind the others, and their tracks. */
+static enum err_code colmap_leave_out_points(struct colmap_model *m, size_t *n, struct err *e)
+{
+    size_t kept = 0, at = 0;
+    for (*n = 0; m->n_points && !colmap_point_is_somewhere(&m->points[m->n_points - 1]);
+         m->n_points--)
+        ++*n;
+    if (!*n)
+        return ERR_OK;
+    for (size_t i = 0; i < m->n_points; i++)
+        kept += m->points[i].n_track;
+    struct colmap_track_element *tracks = arena_get(&m->arena, kept, sizeof *tracks);
+    if (!tracks)
+        return err_set(e, ERR_MEM, "out of memory for %zu observations", kept);
+    for (size_t i = 0; i < m->n_points; i++) {
+        struct colmap_point *p = &m->points[i];
+        if (p->n_track)
+            memcpy(tracks + at, m->tracks + p->track, p->n_track * sizeof *tracks);
+        p->track = at;
+        at += p->n_track;
+    }
+    m->tracks = tracks;
+    m->n_tracks = kept;
+    log_warn("colmap", "%zu of %zu points are left out: their coordinates are not finite", *n,
+             m->n_points + *n);
+    return ERR_OK;
+}
+
 /* Cameras of a model that is not read are forgotten, unless a photograph is by one. */
 static enum err_code colmap_resolve_images(struct colmap_model *m, struct err *e)
 {
-    size_t n_foreign = 0;
+    size_t n_foreign = 0, n_left_out;
+    enum err_code rc = colmap_leave_out_points(m, &n_left_out, e);
+    if (rc)
+        return rc;
     for (; m->n_cameras && m->cameras[m->n_cameras - 1].foreign; m->n_cameras--)
         n_foreign++;
     for (size_t i = 0; i < m->n_images; i++) {
@@ -148,8 +182,14 @@ static enum err_code colmap_resolve_images(struct colmap_model *m, struct err *e
         for (size_t j = 0; j < im->n_obs; j++) {
             if (im->obs[j].point == -1)
                 continue;
-            size_t pt =
-                colmap_find_id(m, m->n_points, (uint64_t)im->obs[j].point, colmap_point_id_at);
+            const struct colmap_point key = {.id = (uint64_t)im->obs[j].point,
+                                             .xyz = {(double)NAN, 0, 0}};
+            size_t pt = colmap_find_id(m, m->n_points, key.id, colmap_point_id_at);
+            if (pt == m->n_points && bsearch(&key, m->points + m->n_points, n_left_out, sizeof key,
+                                             colmap_point_compare)) {
+                im->obs[j].point = -1;
+                continue;
+            }
             if (pt == m->n_points)
                 return err_set(e, ERR_FORMAT,
                                "images: '%.200s': observation %zu refers to point %lld, which "

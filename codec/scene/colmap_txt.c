@@ -5,7 +5,8 @@
  *                   X Y POINT_ID ...            (the next line; it may be empty)
  *     points3D.txt  ID X Y Z R G B ERROR IMAGE_ID OBS ...
  *
- * Lines that start with # are comments. The number of records is not known beforehand: records are
+ * Lines that start with # are comments. Some programs leave out the line of observations where
+ * there are none. The number of records is not known beforehand: records are
  * collected in a growing list and moved to the model's arena at the end.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -55,6 +56,8 @@ static enum err_code txt_lines_open(struct buf *file, const char *name, struct l
     if (memchr(text, 0, file->size) != text + file->size - 1)
         return err_set(e, ERR_FORMAT, "%s: holds a NUL byte: not a text file", name);
     *l = (struct lines){.p = text, .end = text + file->size - 1};
+    if (!strncmp(text, "\xef\xbb\xbf", 3)) /* the byte-order mark of UTF-8 */
+        l->p += 3;
     return ERR_OK;
 }
 
@@ -246,13 +249,29 @@ static enum err_code txt_observations_line(char *s, struct colmap_image *im, str
     return ERR_OK;
 }
 
+/* Is it a photograph's line, and not one of observations? Its tenth word is a name. */
+static bool txt_is_image(const char *s)
+{
+    char *end;
+    for (int k = 0; k < 9; k++) {
+        (void)strtod(s, &end);
+        if (end == s)
+            return false;
+        s = end;
+    }
+    (void)strtod(s, &end);
+    return !txt_at_end(s) && (end == s || (*end && *end != ' ' && *end != '\t'));
+}
+
 enum err_code colmap_txt_images(struct buf *file, struct colmap_model *m, struct err *e)
 {
     static const char name[] = "images.txt";
     struct lines l;
     struct list images = {.size = sizeof *m->images};
     enum err_code rc = txt_lines_open(file, name, &l, e);
-    for (char *s; !rc && (s = txt_record_next(&l));) {
+    bool again = false; /* s is the next record */
+    char none[1] = "";
+    for (char *s = NULL; !rc && (again || (s = txt_record_next(&l)));) {
         struct colmap_image *im = txt_list_add(&images);
         struct err inner = {0};
         if (!im) {
@@ -262,12 +281,8 @@ enum err_code colmap_txt_images(struct buf *file, struct colmap_model *m, struct
         rc = txt_image_line(s, im, &m->arena, &inner);
         if (!rc) {
             s = txt_line_next(&l);
-            if (!s)
-                rc = err_set(&inner, ERR_FORMAT,
-                             "image '%.200s': the line of its observations is missing: truncated",
-                             im->name);
-            else
-                rc = txt_observations_line(s, im, &m->arena, &inner);
+            again = s && txt_is_image(s);
+            rc = txt_observations_line(s && !again ? s : none, im, &m->arena, &inner);
         }
         const char *why = !rc ? colmap_check_image(im) : NULL;
         if (why)
@@ -305,8 +320,7 @@ static enum err_code txt_point_line(char *s, struct colmap_point *p, struct list
             return err_set(e, ERR_FORMAT, "track element %zu: expected IMAGE_ID OBS", p->n_track);
         p->n_track++;
     }
-    const char *why = colmap_check_point(p);
-    return why ? err_set(e, ERR_FORMAT, "%s", why) : ERR_OK;
+    return ERR_OK;
 }
 
 enum err_code colmap_txt_points(struct buf *file, struct colmap_model *m, struct err *e)

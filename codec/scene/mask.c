@@ -49,8 +49,16 @@ enum err_code mask_read(const char *path, uint32_t width_px, uint32_t height_px,
     return rc ? rc : mask_take(path, &img, width_px, height_px, out, e);
 }
 
+static bool mask_is_empty(const uint8_t *px, size_t n)
+{
+    for (size_t i = 0; i < n; i++)
+        if (px[i])
+            return false;
+    return true;
+}
+
 enum err_code mask_read_alpha(const char *photo, uint32_t width_px, uint32_t height_px,
-                              struct image *out, struct err *e)
+                              struct image *out, bool *blank, struct err *e)
 {
     struct image img = {0};
     *out = (struct image){0};
@@ -58,7 +66,8 @@ enum err_code mask_read_alpha(const char *photo, uint32_t width_px, uint32_t hei
     if (!rc && img.px)
         rc = mask_take(photo, &img, width_px, height_px, out, e);
     const size_t n = (size_t)out->width_px * out->height_px;
-    if (!rc && out->px && !memchr(out->px, 0, n))
+    *blank = !rc && out->px && mask_is_empty(out->px, n);
+    if (!rc && out->px && (*blank || !memchr(out->px, 0, n)))
         image_free(out);
     return rc;
 }

@@ -26,10 +26,10 @@ enum err_code mask_path(const char *dir, const char *photo_name, char out[FILE_P
  * file: the mask has another size. ERR_NOENT, ERR_FORMAT, ERR_LIMIT, ERR_MEM as in image_read. */
 enum err_code mask_read(const char *path, uint32_t width_px, uint32_t height_px, struct image *out,
                         struct err *e) ERR_USE;
-/* As mask_read, from the alpha of a photograph. out->px is NULL if it has none, or none below 128.
- * ERR_DATA, ERR_NOENT, ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
+/* As mask_read, from the alpha of a photograph. out->px is NULL if it has none, none below 128, or
+ * nothing else (*blank), which is no mask. ERR_DATA, ERR_NOENT, ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
 enum err_code mask_read_alpha(const char *photo, uint32_t width_px, uint32_t height_px,
-                              struct image *out, struct err *e) ERR_USE;
+                              struct image *out, bool *blank, struct err *e) ERR_USE;
 /* Changes the size of a mask. An output pixel is ignored if any input pixel under it is. Free *out
  * with image_free. ERR_ARG, ERR_MEM. */
 enum err_code mask_resize(const struct image *in, uint32_t width_px, uint32_t height_px,

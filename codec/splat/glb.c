@@ -7,6 +7,9 @@
  * for three.js, PlayCanvas and Babylon: linear sigmas and opacities, quaternions x y z w, SH as
  * trained.
  *
+ * Read are all primitives with Gaussians, where the nodes put them: turned, moved and scaled alike
+ * along all axes. Colours in linear light become sRGB.
+ *
  * Sources: glTF 2.0; KHR_gaussian_splatting (ratified);
  * KHR_gaussian_splatting_compression_spz_2 (draft).
  *
@@ -14,6 +17,8 @@
  */
 #include "codec/splat/glb.h"
 #include "codec/limits.h"
+#include "codec/splat/axes.h"
+#include "codec/splat/glb_nodes.h"
 #include "codec/splat/quant.h"
 #include "codec/splat/spz.h"
 
@@ -33,7 +38,7 @@ enum {
     UINT16 = 5123,
     GLB_HEAD_BYTES = 12,
 };
-#define EXT_SPLAT "KHR_gaussian_splatting"
+#define EXT_SPLAT GLB_SPLAT
 #define EXT_SPZ "KHR_gaussian_splatting_compression_spz_2"
 
 /* ---- writing ---- */
@@ -292,6 +297,8 @@ enum err_code glb_encode_plain(const struct gauss *g, const char *copyright, str
 
 /* ---- reading ---- */
 
+static const double glb_far_m = 1e5; /* float32 coordinates are right to a centimetre up to here */
+
 static size_t glb_component_bytes(int component)
 {
     return component == FLOAT32                        ? 4
@@ -306,41 +313,6 @@ struct glb {
     const uint8_t *bin;
     size_t n_bin;
 };
-
-static const json_t *glb_array_at(const json_t *root, const char *array, const json_t *index)
-{
-    if (!json_is_integer(index) || json_integer_value(index) < 0)
-        return NULL;
-    return json_array_get(json_object_get(root, array), (size_t)json_integer_value(index));
-}
-
-static enum err_code glb_find_primitive(struct glb *f, struct err *e)
-{
-    size_t i, k, found = 0;
-    json_t *mesh, *prim, *node;
-    json_array_foreach(json_object_get(f->root, "meshes"), i, mesh)
-        json_array_foreach(json_object_get(mesh, "primitives"), k, prim)
-    {
-        json_t *splat = json_object_get(json_object_get(prim, "extensions"), EXT_SPLAT);
-        if (!splat)
-            continue;
-        f->primitive = prim;
-        f->splat = splat;
-        found++;
-    }
-    if (found != 1)
-        return err_set(e, ERR_FORMAT, "glb: %zu primitives with " EXT_SPLAT ": exactly one is read",
-                       found);
-    json_array_foreach(
-        json_object_get(f->root, "nodes"), i,
-        node) if (json_object_get(node, "matrix") || json_object_get(node, "translation") ||
-                  json_object_get(node, "rotation") ||
-                  json_object_get(node, "scale")) return err_set(e, ERR_FORMAT,
-                                                                 "glb: node %zu: is transformed "
-                                                                 ": apply the transform first",
-                                                                 i);
-    return ERR_OK;
-}
 
 /* f->root is json_decref'd by the caller, also on failure. */
 static enum err_code glb_open(const void *bytes, size_t n, struct glb *f, struct err *e)
@@ -363,8 +335,30 @@ static enum err_code glb_open(const void *bytes, size_t n, struct glb *f, struct
         if (!f->bin || type != CHUNK_BIN)
             return err_set(e, ERR_FORMAT, "glb: binary chunk is damaged or truncated");
     }
-    enum err_code rc = jsonc_parse((const char *)text, n_json, "glb", &f->root, e);
-    return !rc ? glb_find_primitive(f, e) : rc;
+    return jsonc_parse((const char *)text, n_json, "glb", &f->root, e);
+}
+
+static bool glb_is_linear(const json_t *splat)
+{
+    const char *space = json_string_value(json_object_get(splat, "colorSpace"));
+    return space && !strcmp(space, "lin_rec709_display");
+}
+
+static bool glb_is_usual(const json_t *splat)
+{
+    const char *kernel = json_string_value(json_object_get(splat, "kernel")),
+               *space = json_string_value(json_object_get(splat, "colorSpace"));
+    return (!kernel || !strcmp(kernel, "ellipse")) &&
+           (!space || !strcmp(space, "srgb_rec709_display"));
+}
+
+static bool glb_is_plain_place(const struct glb_place *p)
+{
+    static const double one[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+    bool same = p->scale == 1;
+    for (size_t k = 0; k < 9; k++)
+        same = same && p->rot[k] == one[k] && p->shift[k / 3] == 0;
+    return same;
 }
 
 static bool glb_view_bytes(const struct glb *f, const json_t *view, size_t *at, size_t *n)
@@ -399,9 +393,19 @@ enum err_code glb_find_spz(const void *bytes, size_t n, const void **spz, size_t
                            struct err *e)
 {
     struct glb f = {0};
+    struct glb_places places = {0};
     enum err_code rc = glb_open(bytes, n, &f, e);
     if (!rc)
+        rc = glb_places_find(f.root, &places, e);
+    if (!rc &&
+        (places.n > 1 || !glb_is_plain_place(places.list) || !glb_is_usual(places.list->splat)))
+        rc = err_set(e, ERR_NOENT, "glb: its Gaussians are of several primitives, or transformed");
+    if (!rc) {
+        f.primitive = places.list->primitive;
+        f.splat = places.list->splat;
         rc = glb_seek_spz(&f, spz, n_spz, e);
+    }
+    mem_free(places.list);
     json_decref(f.root);
     return rc;
 }
@@ -540,25 +544,115 @@ static enum err_code glb_decode_plain(const struct glb *f, const struct codec_li
     return rc;
 }
 
+/* Of f->primitive, as it lies in the file. */
+static enum err_code glb_decode_one(const struct glb *f, const struct codec_limits *lim,
+                                    struct gauss *out, struct err *e)
+{
+    struct quant q = {0};
+    const void *spz = NULL;
+    size_t n_spz = 0;
+    if (!json_object_get(json_object_get(f->splat, "extensions"), EXT_SPZ))
+        return glb_decode_plain(f, lim, out, e);
+    enum err_code rc = glb_seek_spz(f, &spz, &n_spz, e);
+    if (!rc)
+        rc = spz_decode(spz, n_spz, lim, &q, e);
+    if (!rc)
+        rc = quant_to_gauss(&q, out, e);
+    quant_free(&q);
+    return rc;
+}
+
+/* Colours that were trained in linear light, as sRGB: the mean exactly, what depends on the
+ * direction to first order. */
+static void glb_to_srgb(struct gauss *g)
+{
+    const size_t k = gauss_sh_count(g->sh_degree);
+    for (size_t i = 0; i < 3 * g->n; i++) {
+        float *sh = g->sh + i / 3 * 3 * k + i % 3;
+        const float v = fminf(fmaxf((float)GAUSS_SH_C0 * sh[0] + 0.5f, 0), 1);
+        const bool low = v <= 0.0031308f;
+        const float srgb = low ? 12.92f * v : 1.055f * powf(v, 1 / 2.4f) - 0.055f,
+                    slope = low ? 12.92f : 1.055f / 2.4f * powf(v, 1 / 2.4f - 1);
+        sh[0] = (srgb - 0.5f) / (float)GAUSS_SH_C0;
+        for (size_t m = 1; m < k; m++)
+            sh[3 * m] *= slope;
+    }
+}
+
+static enum err_code glb_put_place(struct gauss *g, const struct glb_place *at, struct err *e)
+{
+    const char *kernel = json_string_value(json_object_get(at->splat, "kernel")),
+               *space = json_string_value(json_object_get(at->splat, "colorSpace"));
+    if (kernel && strcmp(kernel, "ellipse"))
+        return err_set(e, ERR_FORMAT, "glb: kernel '%.40s': 'ellipse' is read", kernel);
+    if (space && strcmp(space, "srgb_rec709_display") && !glb_is_linear(at->splat))
+        log_warn("glb", "colour space '%.40s' is not known: taken as srgb_rec709_display", space);
+    if (glb_is_linear(at->splat)) {
+        log_info("glb", "colours are linear: made sRGB");
+        glb_to_srgb(g);
+    }
+    if (glb_is_plain_place(at))
+        return ERR_OK;
+    for (size_t k = 0; k < 3; k++)
+        if (!(fabs(at->shift[k]) < glb_far_m))
+            return err_set(
+                e, ERR_LIMIT,
+                "glb: a node is moved by %.0f m, as on a globe: at most %.0f km are read",
+                at->shift[k], 1e-3 * glb_far_m);
+    axes_turn(g, at->rot);
+    for (size_t i = 0; i < 3 * g->n; i++) {
+        g->mean_m[i] = (float)(at->scale * (double)g->mean_m[i] + at->shift[i % 3]);
+        g->scale_log[i] += (float)log(at->scale);
+    }
+    return ERR_OK;
+}
+
+/* Appends g, at the higher degree of the two. */
+static enum err_code glb_join(struct gauss *all, const struct gauss *g, struct err *e)
+{
+    struct gauss wide = {0};
+    enum err_code rc = ERR_OK;
+    const size_t left_out = all->n_left_out + g->n_left_out;
+    if (g->sh_degree > all->sh_degree) {
+        rc = gauss_alloc(&wide, all->n, g->sh_degree, 0, e);
+        if (!rc)
+            rc = gauss_append(&wide, all, NULL, all->n, e);
+        wide.antialiased = all->antialiased;
+        gauss_free(all);
+        *all = wide;
+    }
+    if (!rc)
+        rc = gauss_append(all, g, NULL, g->n, e);
+    all->n_left_out = left_out;
+    return rc;
+}
+
 enum err_code glb_decode(const void *bytes, size_t n, const struct codec_limits *lim,
                          struct gauss *out, struct err *e)
 {
     struct glb f = {0};
-    struct quant q = {0};
-    const void *spz = NULL;
-    size_t n_spz = 0;
+    struct glb_places places = {0};
+    const size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS;
     *out = (struct gauss){0};
     enum err_code rc = glb_open(bytes, n, &f, e);
-    if (!rc && !json_object_get(json_object_get(f.splat, "extensions"), EXT_SPZ)) {
-        rc = glb_decode_plain(&f, lim, out, e);
-    } else if (!rc) {
-        rc = glb_seek_spz(&f, &spz, &n_spz, e);
+    if (!rc)
+        rc = glb_places_find(f.root, &places, e);
+    for (size_t i = 0; !rc && i < places.n; i++) {
+        struct gauss g = {0};
+        f.primitive = places.list[i].primitive;
+        f.splat = places.list[i].splat;
+        rc = glb_decode_one(&f, lim, i ? &g : out, e);
         if (!rc)
-            rc = spz_decode(spz, n_spz, lim, &q, e);
-        if (!rc)
-            rc = quant_to_gauss(&q, out, e);
+            rc = glb_put_place(i ? &g : out, &places.list[i], e);
+        if (!rc && i && g.n > most - out->n)
+            rc = err_set(e, ERR_LIMIT, "glb: %zu Gaussians: the limit is %zu", out->n + g.n, most);
+        if (!rc && i)
+            rc = glb_join(out, &g, e);
+        gauss_free(&g);
     }
-    quant_free(&q);
+    if (rc)
+        gauss_free(out);
+    mem_free(places.list);
     json_decref(f.root);
     return rc;
 }

@@ -41,7 +41,8 @@ static const char *const ply_rgb_names[3] = {"red", "green", "blue"};
 #define PLY_THIN_LOG 6.9077553f /* of a thousandth */
 
 struct columns {
-    const struct ply_property *fixed[N_FIXED]; /* [9] is NULL: two scales, a disc */
+    /* [9] is NULL: two scales, a disc; [8] as well: one, a ball */
+    const struct ply_property *fixed[N_FIXED];
     double color_most; /* of colours that are red, green and blue; 0: they are f_dc */
     const struct ply_property *rest[N_REST_MAX];
     size_t n_rest; /* per channel */
@@ -70,7 +71,7 @@ static enum err_code ply_columns_find(const struct ply_element *v, struct column
         return err_set(e, ERR_FORMAT,
                        "ply: no scale_0 and no rot_0: points or a mesh, not a file of Gaussians");
     for (int i = 0; i < N_FIXED; i++)
-        if (!out->fixed[i] && (i != 9 || !out->fixed[7] || !out->fixed[8]))
+        if (!out->fixed[i] && (i < 8 || i > 9 || !out->fixed[7] || (i == 8 && out->fixed[9])))
             return err_set(e, ERR_FORMAT, "ply: property %s is missing", fixed_names[i]);
     for (; n < N_REST_MAX; n++) {
         snprintf(name, sizeof name, "f_rest_%zu", n);
@@ -108,6 +109,10 @@ static enum err_code ply_ascii_rows(const struct ply_head *h, const struct ply_e
         memcpy(text, h->body, h->n_body);
     for (size_t i = 0; !rc && i < n * v->n_props; i++, p = end) {
         out[i] = strtod(p, &end);
+        if (end != p && *end == '#') { /* "-1.#IND" of Microsoft's library */
+            out[i] = (double)NAN;
+            end += strcspn(end, " \t\r\n");
+        }
         if (end == p)
             rc = err_set(e, ERR_FORMAT, "ply: row %zu: not a number, or truncated", i / v->n_props);
     }
@@ -151,6 +156,18 @@ static void ply_means_read(const struct source *s, const struct columns *col, st
         for (int c = 0; c < 3; c++)
             g->mean_m[3 * i + c] =
                 (float)(ply_source_get(s, i, col->fixed[c]) - g->origin_enu_m[c]);
+}
+
+/* White of colours that are red, green and blue: where these are floats, 255 if one is above 1. */
+static double ply_color_range(const struct source *s, const struct columns *col, size_t n)
+{
+    if (col->color_most != 1)
+        return col->color_most;
+    for (size_t i = 0; i < n; i++)
+        for (size_t c = 3; c < 6; c++)
+            if (ply_source_get(s, i, col->fixed[c]) > 1.01)
+                return 255;
+    return 1;
 }
 
 /* Little-endian float32 in the order of trainers, as nearly all files have it. */
@@ -201,17 +218,19 @@ static void ply_rows_read(const struct source *s, const struct columns *col, str
         return;
     }
     const size_t k = gauss_sh_count(g->sh_degree), n_rest = k - 1;
+    const double color_most = ply_color_range(s, col, g->n);
     ply_means_read(s, col, g);
     for (size_t i = 0; i < g->n; i++) {
         float *sh = g->sh + 3 * k * i;
         float *scale = g->scale_log + 3 * i;
         for (size_t c = 0; c < 3; c++) {
             float ln = col->fixed[7 + c] ? (float)ply_source_get(s, i, col->fixed[7 + c])
-                                         : fminf(scale[0], scale[1]) - PLY_THIN_LOG;
+                       : col->fixed[8]   ? fminf(scale[0], scale[1]) - PLY_THIN_LOG
+                                         : scale[0];
             scale[c] = ln < SCALE_LOG_MIN && !isfinite(ln) ? SCALE_LOG_MIN : ln;
             sh[c] = (float)ply_source_get(s, i, col->fixed[3 + c]);
-            if (col->color_most > 0)
-                sh[c] = (float)(((double)sh[c] / col->color_most - 0.5) / GAUSS_SH_C0);
+            if (color_most > 0)
+                sh[c] = (float)(((double)sh[c] / color_most - 0.5) / GAUSS_SH_C0);
             for (size_t r = 0; r < n_rest; r++)
                 sh[3 * (r + 1) + c] = (float)ply_source_get(s, i, col->rest[c * col->n_rest + r]);
         }

@@ -14,7 +14,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { LINE_MAX_BYTES = 1024, LINES_MAX = 4096, ELEMENTS_MAX = 16, PROPERTIES_MAX = 512 };
+enum { LINE_MAX_BYTES = 1024, LINES_MAX = 65536, ELEMENTS_MAX = 16, PROPERTIES_MAX = 512 };
 
 static const struct {
     const char *name, *other;
@@ -36,7 +36,8 @@ static bool head_type_find(const char *name, enum ply_type *out)
     return false;
 }
 
-/* The next line into `line` without its end; false at the end of the bytes or when too long. */
+/* The next line into `line` without its end, of a comment as much as fits; false at the end of the
+ * bytes or when too long. */
 static bool head_next_line(struct cursor *c, char line[LINE_MAX_BYTES])
 {
     size_t n = 0;
@@ -48,9 +49,10 @@ static bool head_next_line(struct cursor *c, char line[LINE_MAX_BYTES])
             line[n] = 0;
             return true;
         }
-        if (n + 1 >= LINE_MAX_BYTES)
+        if (n + 1 < LINE_MAX_BYTES)
+            line[n++] = ch;
+        else if (strncmp(line, "comment", 7) != 0 && strncmp(line, "obj_info", 8) != 0)
             return false;
-        line[n++] = ch;
     }
     return false;
 }

@@ -300,14 +300,18 @@ static const char *options_list_of(const struct options_spec *spec, const char *
 }
 
 /* What to write instead of an option that left. NULL: it was never there. */
-static const char *options_words_of_gone(const struct options_spec *spec, const char *name)
+static const char *options_words_of_gone(const struct options_spec *spec, const char *name,
+                                         bool *idle)
 {
     static const struct {
         const char *command, *key, *words;
+        bool idle;
     } gone[] = {
-#define GONE(command, key, words) {command, key, words},
+#define GONE(command, key, words) {command, key, words, false},
+#define IDLE(command, key, words) {command, key, words, true},
 #include "core/options/options_gone.def"
 #undef GONE
+#undef IDLE
     };
     char key[OPTIONS_NAME_MAX];
     snprintf(key, sizeof key, "%s", name);
@@ -315,15 +319,28 @@ static const char *options_words_of_gone(const struct options_spec *spec, const 
         *p = *p == '-' ? '_' : *p;
     for (size_t i = 0; i < sizeof gone / sizeof *gone; i++)
         if (!strcmp(gone[i].key, key) &&
-            (!*gone[i].command || !strcmp(gone[i].command, spec->command)))
+            (!*gone[i].command || !strcmp(gone[i].command, spec->command))) {
+            *idle = gone[i].idle;
             return gone[i].words;
+        }
     return NULL;
+}
+
+/* An option that left and does nothing; it is told if `tell`. */
+static bool options_is_idle(const struct options_spec *spec, const char *name, bool tell)
+{
+    bool idle = false;
+    const char *words = options_words_of_gone(spec, name, &idle);
+    if (words && idle && tell)
+        log_warn("options", "option %s is gone and does nothing: %s", name, words);
+    return words && idle;
 }
 
 static enum err_code options_unknown(const struct options_spec *spec, const char *name, bool flag,
                                      struct err *e)
 {
-    const char *gone = options_words_of_gone(spec, name);
+    bool idle;
+    const char *gone = options_words_of_gone(spec, name, &idle);
     if (gone)
         return err_set(e, ERR_ARG, "option %s%s is gone: %s", flag ? "--" : "", name, gone);
     char best[OPTIONS_NAME_MAX] = "", candidate[OPTIONS_NAME_MAX];
@@ -449,7 +466,8 @@ enum err_code options_from_json(const struct options_spec *spec, const struct js
             if (*key && !strcmp(spec->defs[i].key, key))
                 d = &spec->defs[i];
         rc = d ? options_set_json(spec, d, json_object_iter_value(it), config, a, e)
-               : options_unknown(spec, key, false, e);
+             : options_is_idle(spec, key, true) ? ERR_OK
+                                                : options_unknown(spec, key, false, e);
     }
     return rc;
 }
@@ -557,7 +575,9 @@ static enum err_code options_long(struct options_walk *w, const char *arg, struc
     if (!d) {
         char text[OPTIONS_NAME_MAX];
         snprintf(text, sizeof text, "%.*s", (int)(n < sizeof text ? n : sizeof text - 1), name);
-        return options_unknown(w->spec, text, true, e);
+        return options_is_idle(w->spec, text, !w->files)
+                   ? options_value(w, arg, inline_value, &value, e)
+                   : options_unknown(w->spec, text, true, e);
     }
     enum err_code rc = options_value(w, arg, inline_value, &value, e);
     if (!rc && !w->files)

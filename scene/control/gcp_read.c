@@ -49,6 +49,7 @@ static const struct {
                  {"east", GCP_X},
                  {"lon", GCP_X},
                  {"longitude", GCP_X},
+                 {"long", GCP_X},
                  {"y", GCP_Y},
                  {"northing", GCP_Y},
                  {"north", GCP_Y},
@@ -58,6 +59,7 @@ static const struct {
                  {"height", GCP_Z},
                  {"h", GCP_Z},
                  {"elevation", GCP_Z},
+                 {"elev", GCP_Z},
                  {"alt", GCP_Z},
                  {"altitude", GCP_Z},
                  {"px", GCP_PX},
@@ -65,6 +67,10 @@ static const struct {
                  {"col", GCP_PX},
                  {"column", GCP_PX},
                  {"u", GCP_PX},
+                 {"image_x", GCP_PX},
+                 {"pixel_x", GCP_PX},
+                 {"image_y", GCP_PY},
+                 {"pixel_y", GCP_PY},
                  {"py", GCP_PY},
                  {"im_y", GCP_PY},
                  {"row", GCP_PY},
@@ -74,12 +80,18 @@ static const struct {
                  {"photograph", GCP_IMAGE},
                  {"image_name", GCP_IMAGE},
                  {"file", GCP_IMAGE},
+                 {"filename", GCP_IMAGE},
+                 {"file_name", GCP_IMAGE},
                  {"camera", GCP_IMAGE},
                  {"image_u", GCP_PX},
                  {"image_v", GCP_PY},
                  {"name", GCP_NAME},
                  {"marker", GCP_NAME},
                  {"gcp_name", GCP_NAME},
+                 {"gcp_label", GCP_NAME},
+                 {"point", GCP_NAME},
+                 {"point_id", GCP_NAME},
+                 {"point_name", GCP_NAME},
                  {"label", GCP_NAME},
                  {"gcp", GCP_NAME},
                  {"id", GCP_NAME},
@@ -109,6 +121,11 @@ static enum gcp_column gcp_column_of(const char *word)
     return GCP_COLUMNS;
 }
 
+static bool gcp_known(const char *field)
+{
+    return gcp_column_of(field) != GCP_COLUMNS;
+}
+
 /* "marker, camera, x, y" are marks of points that another file has: x and y are pixels. */
 static void gcp_marks_alone(struct gcp_table *t)
 {
@@ -134,7 +151,8 @@ static bool gcp_has_marks_alone(const struct gcp_table *t)
 static enum gcp_column gcp_columns(char *text, struct gcp_table *t, int *epsg)
 {
     char *field[TABLE_FIELDS], plain[TABLE_HEADING];
-    t->comma = strchr(text, ';') && !strchr(text, ',') ? ';' : ',';
+    t->comma = table_separator(text, gcp_known);
+    t->comma = t->comma ? t->comma : ','; /* columns by blanks have no names */
     size_t n = table_split(text, t->comma, field), c = 0;
     t->wide = n;
     for (size_t i = 0; i < GCP_COLUMNS; i++)
@@ -194,7 +212,7 @@ static enum err_code gcp_head(const char *line, struct gcp_table *t, struct gcp_
         t->column[c] = c <= GCP_NAME ? c : SIZE_MAX;
     gcp_take_epsg(line, l);
     strtod(line, &end);
-    *mark = end != line && strchr(" \t,;", *end);
+    *mark = end != line && *end && strchr(" \t,;", *end);
     snprintf(copy, sizeof copy, "%s", line);
     bool comma = strpbrk(line, ",;") && !strchr(line, '['); /* WKT has both */
     const bool names = gcp_names_columns(copy);

@@ -87,6 +87,7 @@ static enum column positions_column(const char *word, int *epsg, char heights[HE
                  {"photograph", COLUMN_IMAGE},
                  {"file", COLUMN_IMAGE},
                  {"filename", COLUMN_IMAGE},
+                 {"sourcefile", COLUMN_IMAGE},
                  {"file_name", COLUMN_IMAGE},
                  {"image_name", COLUMN_IMAGE},
                  {"imagename", COLUMN_IMAGE},
@@ -97,11 +98,15 @@ static enum column positions_column(const char *word, int *epsg, char heights[HE
                  {"east", COLUMN_X},
                  {"lon", COLUMN_X},
                  {"longitude", COLUMN_X},
+                 {"long", COLUMN_X},
+                 {"lng", COLUMN_X},
+                 {"gpslongitude", COLUMN_X},
                  {"y", COLUMN_Y},
                  {"northing", COLUMN_Y},
                  {"north", COLUMN_Y},
                  {"lat", COLUMN_Y},
                  {"latitude", COLUMN_Y},
+                 {"gpslatitude", COLUMN_Y},
                  {"z", COLUMN_Z},
                  {"height", COLUMN_Z},
                  {"h", COLUMN_Z},
@@ -110,11 +115,16 @@ static enum column positions_column(const char *word, int *epsg, char heights[HE
                  {"elevation", COLUMN_Z},
                  {"ellipsoidal_height", COLUMN_Z},
                  {"ellh", COLUMN_Z},
+                 {"gpsaltitude", COLUMN_Z},
                  {"accuracy_xy", COLUMN_PLAN},
                  {"accuracy_horizontal", COLUMN_PLAN},
                  {"horizontal_accuracy", COLUMN_PLAN},
                  {"accuracy_h", COLUMN_PLAN},
+                 {"accuracy_x/y", COLUMN_PLAN},
+                 {"lateral_rms", COLUMN_PLAN},
                  {"sigma_xy", COLUMN_PLAN},
+                 {"accuracy_x", COLUMN_EAST},
+                 {"accuracy_y", COLUMN_NORTH},
                  {"sde", COLUMN_EAST},
                  {"sigma_e", COLUMN_EAST},
                  {"sdn", COLUMN_NORTH},
@@ -123,23 +133,33 @@ static enum column positions_column(const char *word, int *epsg, char heights[HE
                  {"accuracy_vertical", COLUMN_HEIGHT},
                  {"vertical_accuracy", COLUMN_HEIGHT},
                  {"accuracy_v", COLUMN_HEIGHT},
+                 {"elevation_rms", COLUMN_HEIGHT},
                  {"sdu", COLUMN_HEIGHT},
                  {"sigma_u", COLUMN_HEIGHT},
                  {"sigma_z", COLUMN_HEIGHT},
                  {"accuracy", COLUMN_BOTH},
+                 {"accuracy_x/y/z", COLUMN_BOTH},
                  {"sigma", COLUMN_BOTH}};
     char plain[TABLE_HEADING];
     table_heading(word, plain);
     for (size_t w = 0; w < sizeof words / sizeof *words; w++) {
         if (strcasecmp(plain, words[w].word))
             continue;
-        if (!strncasecmp(plain, "lon", 3))
+        if (!strncasecmp(plain, "lon", 3) || !strcasecmp(plain, "lng") ||
+            !strcasecmp(plain, "gpslongitude"))
             *epsg = POSITIONS_LONLAT;
         if (!strncasecmp(plain, "ell", 3))
             snprintf(heights, HEIGHTS_MAX, "ellipsoid");
         return words[w].column;
     }
     return COLUMNS;
+}
+
+static bool positions_known(const char *field)
+{
+    int epsg = 0;
+    char heights[HEIGHTS_MAX];
+    return positions_column(field, &epsg, heights) <= COLUMN_Z;
 }
 
 struct positions_head {
@@ -166,7 +186,7 @@ static enum err_code positions_csv_head(const struct table *t, char *line, struc
 {
     static const char *const wanted[] = {"image", "x (or lon)", "y (or lat)", "z (or height)"};
     char *field[TABLE_FIELDS];
-    h->comma = strchr(line, ';') && !strchr(line, ',') ? ';' : strchr(line, ',') ? ',' : '\t';
+    h->comma = table_separator(line, positions_known);
     h->wide = table_split(line, h->comma, field);
     for (size_t c = 0; c < COLUMNS; c++)
         h->column[c] = SIZE_MAX;
@@ -184,23 +204,38 @@ static enum err_code positions_csv_head(const struct table *t, char *line, struc
         if (h->column[c] == SIZE_MAX)
             return err_set(e, ERR_FORMAT,
                            "%s: line %zu: no column for %s; expected are a first line that names "
-                           "the columns of a CSV file, RTKLIB's .pos or DJI's .MRK",
+                           "the columns of a CSV file (image,lon,lat,height), OpenDroneMap's "
+                           "geo.txt, RTKLIB's .pos or DJI's .MRK",
                            t->path, t->line, wanted[c]);
     return ERR_OK;
 }
 
-/* A photograph whose coordinates are empty, not a number, or all 0: it has none. */
+static bool positions_unknown(const char *field)
+{
+    static const char *const words[] = {"", "-", "nan", "n/a", "null", "none"};
+    for (size_t k = 0; k < sizeof words / sizeof *words; k++)
+        if (!strcasecmp(field, words[k]))
+            return true;
+    return false;
+}
+
+/* A photograph whose coordinates are all 0, empty or no number, or whose height is none: -9999 and
+ * its like stand for unknown. */
 static bool positions_nowhere(const struct positions_head *h, char *const field[TABLE_FIELDS],
                               size_t n)
 {
+    const double least_m = -1000, most_m = 20000;
     size_t none = 0;
+    bool height = true;
     for (size_t c = COLUMN_X; c <= COLUMN_Z; c++) {
         const size_t i = h->column[c];
         double v;
-        none += i >= n || !*field[i] || !strcasecmp(field[i], "nan") || !strcmp(field[i], "-") ||
-                (table_number(field[i], &v) && v == 0);
+        const bool unknown = i >= n || positions_unknown(field[i]);
+        none += unknown || (table_number(field[i], &v) && v == 0);
+        if (c == COLUMN_Z && i < n)
+            height = !unknown && (!table_number(field[i], &v) || (v > least_m && v < most_m));
     }
-    return none == 3;
+    return none == 3 || !height;
 }
 
 static enum err_code positions_csv_row(struct table *t, const struct positions_head *h, char *line,
@@ -211,7 +246,12 @@ static enum err_code positions_csv_row(struct table *t, const struct positions_h
     struct position one = {.time_s = (double)NAN, .line = t->line};
     if (h->comma != ',')
         table_decimal_points(t, line);
-    size_t n = table_split(line, h->comma, field), most = n;
+    size_t tabs = 0;
+    for (const char *q = line; *q; q++)
+        tabs += *q == '\t';
+    /* names may have blanks where tabs divide */
+    const char comma = h->comma || tabs < COLUMN_Z ? h->comma : '\t';
+    size_t n = table_split(line, comma, field), most = n;
     while (most > h->wide && !*field[most - 1])
         most--;
     if (most > h->wide)
@@ -247,17 +287,12 @@ static enum err_code positions_csv_row(struct table *t, const struct positions_h
  */
 static bool positions_is_heading(const char *line)
 {
-    char copy[TABLE_LINE_MAX], *field[TABLE_FIELDS], heights[HEIGHTS_MAX];
-    int epsg = 0;
+    char copy[TABLE_LINE_MAX], *field[TABLE_FIELDS];
     size_t known = 0;
     snprintf(copy, sizeof copy, "%s", line);
-    const size_t n = table_split(copy,
-                                 strchr(line, ',')   ? ','
-                                 : strchr(line, ';') ? ';'
-                                                     : '\t',
-                                 field);
+    const size_t n = table_split(copy, table_separator(line, positions_known), field);
     for (size_t i = 0; i < n; i++)
-        known += positions_column(field[i], &epsg, heights) <= COLUMN_Z;
+        known += positions_known(field[i]);
     return known >= 3;
 }
 
@@ -280,12 +315,32 @@ static enum err_code positions_comments(struct table *t, char *line, struct posi
     return !rc && !more ? err_set(e, ERR_DATA, "%s: no positions", t->path) : rc;
 }
 
+/* OpenDroneMap's geo.txt: below the coordinate system a line has a photograph, x, y, z, and if they
+ * are known three angles and the accuracies in plan and height. */
+static bool positions_geo_head(const char *line, struct positions *p, struct positions_head *h)
+{
+    int epsg, heights;
+    if (wkt_system(line, &epsg, &heights)) {
+        p->epsg = epsg;
+        if (heights)
+            snprintf(p->heights, sizeof p->heights, "EPSG:%d", heights);
+    } else if (*line != '+') { /* a system by PROJ that has no code here */
+        return false;
+    }
+    for (size_t c = 0; c < COLUMNS; c++)
+        h->column[c] = c <= COLUMN_Z ? c : SIZE_MAX;
+    h->column[COLUMN_PLAN] = 7;
+    h->column[COLUMN_HEIGHT] = 8;
+    h->wide = TABLE_FIELDS;
+    return true;
+}
+
 static enum err_code positions_csv(struct table *t, char *line, struct positions *p, struct err *e)
 {
     struct positions_head h = {0};
     bool more = true;
     enum err_code rc = positions_comments(t, line, p, e);
-    if (!rc)
+    if (!rc && !positions_geo_head(line, p, &h))
         rc = positions_csv_head(t, line, p, &h, e);
     while (!rc && !(rc = table_next(t, line, &more, e)) && more)
         if (*line != '#')

@@ -5,21 +5,87 @@
 #include "scene/control/table.h"
 
 #include <math.h>
+#include <stdint.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <strings.h>
 
 #include "core/base.h"
 
+/* ---- the bytes of a file as UTF-8 ---- */
+
+/* Is it UTF-16, and of which order? By its mark, or by the zeros in its first letters. */
+static bool table_is_wide(const uint8_t *p, size_t n, bool *big)
+{
+    *big = n >= 2 && (p[0] == 0xfe || (p[0] == 0 && p[1]));
+    return n >= 4 && ((p[0] == 0xff && p[1] == 0xfe) || (p[0] == 0xfe && p[1] == 0xff) ||
+                      (!p[0] && p[1] && !p[2] && p[3]) || (p[0] && !p[1] && p[2] && !p[3]));
+}
+
+static void table_put(struct buf *out, uint32_t c)
+{
+    if (c < 0x80) {
+        buf_u8(out, c);
+        return;
+    }
+    const unsigned more = c < 0x800 ? 1 : c < 0x10000 ? 2 : 3;
+    buf_u8(out, (0xff00u >> (more + 1) & 0xff) | c >> 6 * more);
+    for (unsigned k = more; k-- > 0;)
+        buf_u8(out, 0x80 | (c >> 6 * k & 0x3f));
+}
+
+static void table_narrow(const uint8_t *p, size_t n, bool big, struct buf *out)
+{
+    for (size_t i = 0; i + 1 < n; i += 2) {
+        uint32_t c = (uint32_t)p[i + big] | (uint32_t)p[i + !big] << 8;
+        if (c >= 0xd800 && c < 0xdc00 && i + 3 < n) { /* the first of a pair */
+            c = 0x10000 + ((c & 0x3ff) << 10) +
+                (((uint32_t)p[i + 2 + big] | (uint32_t)p[i + 2 + !big] << 8) & 0x3ff);
+            i += 2;
+        }
+        table_put(out, c);
+    }
+}
+
+/* No-break spaces are blanks, and typographic minus signs minus. */
+static void table_plain(char *text)
+{
+    char *to = text;
+    for (const char *p = text; *p;) {
+        const bool space = !strncmp(p, "\xc2\xa0", 2), minus = !strncmp(p, "\xe2\x88\x92", 3);
+        *to++ = space ? ' ' : minus ? '-' : *p;
+        p += space ? 2 : minus ? 3 : 1;
+    }
+    *to = '\0';
+}
+
+static enum err_code table_decode(struct table *t, struct err *e)
+{
+    bool big;
+    struct buf wide = *t->bytes;
+    if (table_is_wide(wide.data, wide.size, &big)) {
+        *t->bytes = (struct buf){0};
+        table_narrow(wide.data, wide.size, big, t->bytes);
+        buf_free(&wide);
+    }
+    const void *nul = t->bytes->size ? memchr(t->bytes->data, 0, t->bytes->size) : NULL;
+    buf_u8(t->bytes, 0);
+    enum err_code rc = buf_check(t->bytes, e);
+    if (!rc && nul)
+        rc = err_set(e, ERR_FORMAT, "%s: holds a NUL byte: not a text file", t->path);
+    if (!rc)
+        table_plain((char *)t->bytes->data);
+    return rc;
+}
+
 enum err_code table_open(const char *path, struct table *out, struct err *e)
 {
     *out = (struct table){.path = path, .bytes = mem_array(1, sizeof *out->bytes)};
     enum err_code rc = out->bytes ? file_read(path, 0, out->bytes, e)
                                   : err_set(e, ERR_MEM, "%s: out of memory", path);
-    if (!rc) {
-        buf_u8(out->bytes, 0);
-        rc = buf_check(out->bytes, e);
-    }
+    if (!rc)
+        rc = table_decode(out, e);
     if (rc) {
         table_close(out);
         return rc;
@@ -57,6 +123,25 @@ enum err_code table_next(struct table *t, char line[TABLE_LINE_MAX], bool *more,
         *more = true;
     }
     return ERR_OK;
+}
+
+char table_separator(const char *line, bool (*known)(const char *field))
+{
+    static const char separators[] =
+        ",;\t"; /* if none of these divides it, blanks: names have some */
+    char best = '\0';
+    size_t most = 1;
+    for (size_t k = 0; separators[k]; k++) {
+        char copy[TABLE_LINE_MAX], *field[TABLE_FIELDS];
+        size_t n = 0;
+        snprintf(copy, sizeof copy, "%s", line);
+        for (size_t i = table_split(copy, separators[k], field); i-- > 0;)
+            n += known(field[i]);
+        if (n > most)
+            best = separators[k];
+        most = n > most ? n : most;
+    }
+    return best;
 }
 
 size_t table_split(char *text, char comma, char *field[TABLE_FIELDS])

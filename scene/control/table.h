@@ -24,7 +24,8 @@ struct table { /* {0}, then table_open; table_close it */
     bool commas;    /* decimal commas were found, and told */
     bool thousands; /* one of them may separate thousands, and that was told */
 };
-/* Opens a file. Close *out with table_close. ERR_NOENT, ERR_IO, ERR_LIMIT, ERR_MEM. */
+/* Opens a file of UTF-8 or UTF-16. Close *out with table_close. ERR_NOENT, ERR_FORMAT (no text),
+ * ERR_IO, ERR_LIMIT, ERR_MEM. */
 enum err_code table_open(const char *path, struct table *out, struct err *e) ERR_USE;
 void table_close(struct table *t);
 /* Reads the next line that is not empty, without leading blanks. *more: there was one. ERR_FORMAT:
@@ -34,6 +35,9 @@ enum err_code table_next(struct table *t, char line[TABLE_LINE_MAX], bool *more,
 /* Splits text in place at `comma`, or if that is 0 at blanks, commas and semicolons. Blanks around
  * fields are removed, and with a comma quotes. Returns the number of fields. */
 size_t table_split(char *text, char comma, char *field[TABLE_FIELDS]);
+/* Returns the character that divides a line of headings: of comma, semicolon and tab the one that
+ * gives the most fields which `known` knows; 0: none gives two, blanks divide it. */
+char table_separator(const char *line, bool (*known)(const char *field));
 /* Writes the name of a column in a standard form: "Accuracy Horizontal (m)" as accuracy_horizontal,
  * "#Label" as Label, "X/Easting" as Easting. */
 void table_heading(const char *field, char out[TABLE_HEADING]);

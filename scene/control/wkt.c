@@ -4,6 +4,7 @@
  */
 #include "scene/control/wkt.h"
 
+#include <stdint.h>
 #include <string.h>
 #include <strings.h>
 
@@ -197,20 +198,33 @@ bool wkt_system(const char *text, int *epsg, int *heights)
 {
     static const char metashape[] = "CoordinateSystem:";
     char low[WKT_TEXT_MOST];
-    size_t n = 0;
+    size_t n = 0, quoted = SIZE_MAX;
     *epsg = *heights = 0;
     text += strspn(text, " \t#");
     if (!strncasecmp(text, metashape, sizeof metashape - 1))
         text += sizeof metashape - 1;
     text += strspn(text, " \t");
-    if (wkt_epsg(text, epsg, heights))
-        return *epsg > 0;
-    for (; text[n] && n + 1 < sizeof low; n++)
+    if (wkt_epsg(text, epsg, heights)) {
+        if (*epsg || strncasecmp(text, "PROJ", 4) != 0)
+            return *epsg > 0;
+        text = strchr(text, '"'); /* no code: the name may say it */
+        if (!text)
+            return false;
+        text++;
+        quoted = strcspn(text, "\"");
+    }
+    for (; text[n] && n < quoted && n + 1 < sizeof low; n++)
         low[n] = (char)(text[n] >= 'A' && text[n] <= 'Z' ? text[n] + 32 : text[n]);
     low[n] = '\0';
-    if (text[n]) /* what is cut off might say south */
+    if (text[n] && n < quoted) /* what is cut off might say south */
         return false;
     const char *code = strstr(low, "epsg"), *utm = strstr(low, "utm");
+    if (code && !strncmp(low, "http", 4)) { /* .../def/crs/EPSG/0/32632 */
+        const char *last = strrchr(code, '/');
+        return last && wkt_pair(last + 1, epsg, heights);
+    }
+    if (low[strspn(low, "0123456789")] == '\0' && n >= 4) /* a code alone */
+        return wkt_pair(low, epsg, heights);
     if (code && !strncmp(low, "urn:", 4)) { /* there may be a version before the code */
         code += 4 + (code[4] == ':');
         const size_t version = strcspn(code, ":, \t");

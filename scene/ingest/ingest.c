@@ -326,7 +326,7 @@ static enum err_code ingest_convert_mask(struct ingest *g, const struct ingest_p
                                          const char *photo, struct err *e)
 {
     char from[FILE_PATH_MAX] = "", to[FILE_PATH_MAX], folder[FILE_PATH_MAX];
-    bool made = false;
+    enum ingest_mask made = INGEST_MASK_NONE;
     enum err_code rc =
         g->cfg->mask_dir ? mask_path(g->cfg->mask_dir, p->image->name, from, e) : ERR_OK;
     const bool alpha = !rc && !(from[0] && file_exists(from));
@@ -341,7 +341,9 @@ static enum err_code ingest_convert_mask(struct ingest *g, const struct ingest_p
         rc = file_mkdir(folder, e);
     if (!rc)
         rc = ingest_mask_convert(&g->views[p->view], alpha ? photo : from, alpha, to, &made, e);
-    if (made)
+    if (made == INGEST_MASK_BLANK)
+        atomic_fetch_add(&g->blanks, 1);
+    if (made == INGEST_MASK_MADE)
         atomic_fetch_add(alpha ? &g->alphas : &g->masks, 1);
     return rc;
 }
@@ -504,6 +506,9 @@ static enum err_code ingest_run_steps(struct ingest *g, const char *sparse_dir, 
         rc = file_mkdir(folder, e);
     if (!rc)
         rc = ingest_convert(g, e);
+    if (!rc && atomic_load(&g->blanks))
+        log_warn("ingest", "%zu photographs have the alpha 0 everywhere: it does not count",
+                 atomic_load(&g->blanks));
     if (!rc && atomic_load(&g->alphas))
         log_info("ingest", "%zu photographs have transparent pixels: these are masked",
                  atomic_load(&g->alphas));

@@ -8,11 +8,12 @@
  *   EXIF has some                               EXIF's
  *   XMP has absolute ones                       XMP's
  *   anything is above take-off                  that, and the scene's heights say so
- *   all are 0                                   0, and the scene's heights are not known
+ *   all are 0 or absent                         0, and the scene's heights are not known
  *
- * 0 is what cameras write without a fix: it is no altitude. EXIF's do not count if they are XMP's
- * with the other sign (a firmware that says "below the sea"), or above take-off; nor do XMP's
- * absolute ones that equal the relative ones. A contradiction is said with both values.
+ * 0 is what cameras write without a fix: it is no altitude, nor is one that no drone reaches.
+ * EXIF's do not count if they are XMP's with the other sign (a firmware that says "below the
+ * sea"), or above take-off; nor do XMP's absolute ones that equal the relative ones, by RTK or not,
+ * and heights above take-off that all are 0. A contradiction is said with both values.
  *
  * Where altitudes are EXIF's or XMP's, the barometer's heights above take-off are used at their
  * level, the median difference, because they do not jump as those of satellites do; unless that
@@ -32,6 +33,8 @@ enum { DRONE_LEAST = 5 }; /* photographs that tell which way is up */
 /* Metres and share of photographs by which the barometer keeps its distance from EXIF. */
 /* Altitudes that are the same but for rounding; and that contradict each other. */
 static const double drone_same_m = 0.1, drone_apart_m = 10;
+/* What is an altitude, and how low drones are believed to fly. */
+static const double drone_least_m = -1000, drone_most_m = 20000, drone_low_m = -10;
 static const double drone_keeps_m = 5, drone_keeps_share = 0.9, drone_deg = 57.29577951308232,
                     drone_spread_max_rad = 0.06;
 
@@ -65,14 +68,31 @@ static bool drone_level(const struct ingest *g, uint32_t flight, bool absolute, 
 struct drone_sources {                                  /* of altitude in a flight */
     size_t n, rtk, ellipsoid, exif, absolute, relative; /* photographs that have it */
     size_t pairs;                                       /* with EXIF's and XMP's absolute */
+    size_t below;                                       /* with EXIF's below the sea */
     double exif_m, absolute_m;                          /* their medians */
     double apart_m, mirrored_m; /* median distance of both, and of one from the other's negative */
+    double spread_m[2]; /* of EXIF's minus the barometer's, and of its negative minus those */
     bool exif_flat, absolute_flat; /* they are heights above take-off */
 };
 
 static bool drone_same(double a, double b)
 {
     return fabs(a - b) < drone_same_m;
+}
+
+/* Median distance of EXIF's altitudes times `sign` minus the barometer's from their median. */
+static double drone_spread(const struct ingest *g, uint32_t flight, double sign, double *scratch)
+{
+    size_t n = 0;
+    for (size_t i = 0; i < g->n; i++) {
+        const struct ingest_photo *p = &g->photos[i];
+        if (drone_counts(p, flight) && p->gps.has_altitude && p->drone.has_relative)
+            scratch[n++] = sign * p->gps.alt_m - p->drone.relative_m;
+    }
+    const double middle = sort_median(scratch, n);
+    for (size_t i = 0; i < n; i++)
+        scratch[i] = fabs(scratch[i] - middle);
+    return sort_median(scratch, n);
 }
 
 /* scratch [4 g->n]. */
@@ -92,6 +112,7 @@ static void drone_sources_find(const struct ingest *g, uint32_t flight, double *
         s->rtk += d->ellipsoidal && (d->has_absolute || exif);
         s->ellipsoid += exif && p->gps.ellipsoidal;
         s->exif += exif;
+        s->below += exif && p->gps.alt_m < 0;
         s->absolute += d->has_absolute;
         s->relative += d->has_relative;
         both[0] += exif && d->has_relative;
@@ -109,6 +130,8 @@ static void drone_sources_find(const struct ingest *g, uint32_t flight, double *
     s->absolute_m = sort_median(v[1], s->pairs);
     s->apart_m = sort_median(v[2], s->pairs);
     s->mirrored_m = sort_median(v[3], s->pairs);
+    s->spread_m[0] = drone_spread(g, flight, 1, scratch);
+    s->spread_m[1] = drone_spread(g, flight, -1, scratch);
     s->exif_flat = both[0] && flat[0] == both[0];
     s->absolute_flat = both[1] && flat[1] == both[1];
 }
@@ -129,7 +152,7 @@ static enum ingest_altitude drone_choose(uint32_t flight, const struct drone_sou
     const bool mirrored = s->pairs && s->mirrored_m < drone_apart_m && s->apart_m > drone_apart_m,
                exif = s->exif && !s->exif_flat && !(mirrored && !s->absolute_flat),
                absolute = s->absolute && !s->absolute_flat;
-    if (2 * s->rtk > s->n) {
+    if (2 * s->rtk > s->n && !s->absolute_flat) {
         drone_warn(flight, s, "XMP's count, by RTK");
         return INGEST_ALTITUDE_RTK;
     }
@@ -186,12 +209,58 @@ static bool drone_use(struct ingest *g, uint32_t flight, enum ingest_altitude fr
     return true;
 }
 
+/* A firmware that says "below the sea": with the other sign EXIF's altitudes follow the barometer.
+ */
+static void drone_turn(struct ingest *g, uint32_t flight, struct drone_sources *s, double *scratch)
+{
+    if (s->absolute > 0 && !s->absolute_flat) /* drone_choose sees it */
+        return;
+    if (s->below < s->exif || !(s->spread_m[0] > 1 && s->spread_m[1] < s->spread_m[0] / 3))
+        return;
+    log_warn("ingest",
+             "flight %u: EXIF's altitudes have the wrong sign: with the other one they keep their "
+             "distance from the heights above take-off",
+             flight + 1);
+    for (size_t i = 0; i < g->n; i++)
+        if (drone_counts(&g->photos[i], flight))
+            g->photos[i].gps.alt_m = -g->photos[i].gps.alt_m;
+    drone_sources_find(g, flight, scratch, s);
+}
+
+/* Altitudes that are hardly what they say. */
+static void drone_doubt(const struct ingest *g, uint32_t flight, double *scratch)
+{
+    size_t n = 0;
+    for (size_t i = 0; i < g->n; i++) {
+        const struct ingest_photo *p = &g->photos[i];
+        if (drone_counts(p, flight) && p->gps.has_altitude &&
+            (p->altitude == INGEST_ALTITUDE_EXIF || p->altitude == INGEST_ALTITUDE_XMP))
+            scratch[n++] = p->gps.alt_m;
+    }
+    const double middle_m = sort_median(scratch, n);
+    size_t same = 0;
+    for (size_t i = 0; i < n; i++)
+        same += scratch[i] == middle_m;
+    if (n && middle_m < drone_low_m)
+        log_warn(
+            "ingest",
+            "flight %u: the altitudes lie below the sea, at %.1f m (median): if the place does "
+            "not, their sign is wrong: give --positions or --gcp",
+            flight + 1, middle_m);
+    if (same >= DRONE_LEAST && same == n)
+        log_warn("ingest",
+                 "flight %u: all %zu altitudes are %.1f m: if that is no measurement, heights and "
+                 "tilt are wrong: give --positions or --gcp",
+                 flight + 1, n, middle_m);
+}
+
 static void drone_flight(struct ingest *g, uint32_t flight, double *scratch)
 {
     struct drone_sources s;
     drone_sources_find(g, flight, scratch, &s);
     if (!s.n)
         return;
+    drone_turn(g, flight, &s, scratch);
     const enum ingest_altitude from = drone_choose(flight, &s);
     if (drone_use(g, flight, from, &s, scratch) || from != INGEST_ALTITUDE_EXIF || s.relative < s.n)
         return;
@@ -206,6 +275,37 @@ static void drone_flight(struct ingest *g, uint32_t flight, double *scratch)
                  "flight %u: heights above take-off and EXIF's altitudes do not keep their "
                  "distance: %s count",
                  flight + 1, keeps ? "XMP's" : "EXIF's");
+}
+
+/* Barometers of which all stand at 0 tell nothing. */
+static void drone_forget_barometer(struct ingest *g, uint32_t flight)
+{
+    for (size_t i = 0; i < g->n; i++)
+        if (drone_counts(&g->photos[i], flight) && g->photos[i].drone.has_relative &&
+            g->photos[i].drone.relative_m != 0)
+            return;
+    for (size_t i = 0; i < g->n; i++)
+        if (drone_counts(&g->photos[i], flight))
+            g->photos[i].drone.has_relative = false;
+}
+
+/* Altitudes that no drone reaches are none: -9999, 32767 and their like. */
+static void drone_forget_far(struct ingest *g)
+{
+    const struct ingest_photo *first = NULL;
+    size_t n = 0;
+    for (size_t i = 0; i < g->n; i++) {
+        struct ingest_photo *p = &g->photos[i];
+        if (!p->gps.has_altitude || (p->gps.alt_m > drone_least_m && p->gps.alt_m < drone_most_m))
+            continue;
+        p->gps.has_altitude = false;
+        first = first ? first : p;
+        n++;
+    }
+    if (n)
+        log_warn("ingest",
+                 "%zu photographs have an altitude in EXIF that is none, '%s' first: %.1f m", n,
+                 first->image->name, first->gps.alt_m);
 }
 
 /* Altitudes of 0 are none; which photographs had one is kept in `zero`. */
@@ -253,6 +353,37 @@ static void drone_settle_zeros(struct ingest *g, const bool *zero, size_t n)
         }
 }
 
+/* Positions without an altitude, of some photographs or of all. */
+static void drone_settle_absent(struct ingest *g)
+{
+    size_t known = 0, absent = 0;
+    const char *first = NULL;
+    for (size_t i = 0; i < g->n; i++) {
+        const struct image_gps *x = &g->photos[i].gps;
+        known += x->has_altitude;
+        absent += x->has_position && !x->has_altitude;
+        first = first || !x->has_position || x->has_altitude ? first : g->photos[i].image->name;
+    }
+    if (!absent || g->positions || g->gcps)
+        return;
+    if (known) {
+        log_warn("ingest",
+                 "%zu photographs have a position without an altitude, '%s' first: it does not "
+                 "count",
+                 absent, first);
+        return;
+    }
+    log_warn("ingest",
+             "no photograph has an altitude: heights are not known. They are taken as equal, and "
+             "the scene's mean nothing: give --positions or --gcp");
+    for (size_t i = 0; i < g->n; i++)
+        if (g->photos[i].gps.has_position) {
+            g->photos[i].gps.has_altitude = true;
+            g->photos[i].gps.alt_m = 0;
+            g->photos[i].altitude = INGEST_ALTITUDE_NONE;
+        }
+}
+
 enum err_code ingest_drone_heights(struct ingest *g, struct err *e)
 {
     double *scratch = mem_array(g->n, 4 * sizeof *scratch);
@@ -263,11 +394,18 @@ enum err_code ingest_drone_heights(struct ingest *g, struct err *e)
                            : err_set(e, ERR_MEM, "ingest: out of memory for %zu photographs", g->n);
     for (size_t i = 0; i < g->n; i++)
         last = g->photos[i].geo.flight_hint > last ? g->photos[i].geo.flight_hint : last;
+    if (!rc)
+        drone_forget_far(g);
     const size_t zeros = rc ? 0 : drone_forget_zeros(g, zero);
-    for (uint32_t flight = 0; !rc && g->cfg->altitude == INGEST_AUTO && flight <= last; flight++)
+    for (uint32_t flight = 0; !rc && g->cfg->altitude == INGEST_AUTO && flight <= last; flight++) {
+        drone_forget_barometer(g, flight);
         drone_flight(g, flight, scratch);
+        drone_doubt(g, flight, scratch);
+    }
     if (zeros)
         drone_settle_zeros(g, zero, zeros);
+    else if (!rc)
+        drone_settle_absent(g);
     mem_free(scratch);
     mem_free(zero);
     return rc;

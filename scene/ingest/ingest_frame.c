@@ -223,12 +223,18 @@ static enum err_code frame_choose_origin(const struct ingest *g, const struct ge
     return frame_middle(g, from, s, lo, hi, out, e);
 }
 
+/* So far satellites alone can be wrong. A pose that its points fix is no worse for it; a wrong one
+ * is mostly farther off. */
+static const double frame_jump_m = 20;
+
 /* Run georef_fit on the photographs still kept, write its verdicts back. */
 static enum err_code frame_fit_kept(struct ingest *g, struct err *e)
 {
     struct georef_config cfg = {.inlier_m = inlier_m, .seed = 1};
     struct georef_photo *list = mem_array(g->n, sizeof *list);
-    size_t n = 0;
+    const struct ingest_photo *far = NULL;
+    size_t n = 0, jumps = 0;
+    double far_m = 0;
     enum err_code rc =
         list ? frame_upwards(g, cfg.ground_normal, &cfg.normal_sigma, e) : frame_no_memory(e);
     for (size_t i = 0; !rc && i < g->n; i++)
@@ -245,9 +251,23 @@ static enum err_code frame_fit_kept(struct ingest *g, struct err *e)
             continue;
         p->residual_m = g->georef.residual_m[n];
         p->flight = g->georef.flight[n];
-        if (g->georef.dropped[n++])
+        if (!g->georef.dropped[n++])
+            continue;
+        if (p->residual_m < frame_jump_m && p->pose.n_points) {
+            p->gps.has_position = false;
+            far = !far || p->residual_m > far_m ? p : far;
+            far_m = fmax(far_m, p->residual_m);
+            p->residual_m = (double)NAN;
+            jumps++;
+        } else {
             p->verdict = INGEST_GPS;
+        }
     }
+    if (jumps)
+        log_info("ingest",
+                 "the GPS positions of %zu photographs do not count: they are up to %.1f m from "
+                 "the poses ('%s'), which stay",
+                 jumps, far_m, far->image->name);
     mem_free(list);
     return rc;
 }

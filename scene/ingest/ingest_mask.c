@@ -11,14 +11,19 @@
 enum { INGEST_MASK_SUB_MAX = 8 };
 
 enum err_code ingest_mask_convert(const struct ingest_view *v, const char *from, bool alpha,
-                                  const char *to, bool *made, struct err *e)
+                                  const char *to, enum ingest_mask *made, struct err *e)
 {
     struct image in = {0}, out = {0};
     uint32_t w = v->pinhole.width_px, h = v->pinhole.height_px;
+    bool blank = false;
     enum err_code rc =
-        (alpha ? mask_read_alpha : mask_read)(from, v->lens.width_px, v->lens.height_px, &in, e);
-    *made = !rc && in.px;
-    if (!*made)
+        alpha ? mask_read_alpha(from, v->lens.width_px, v->lens.height_px, &in, &blank, e)
+              : mask_read(from, v->lens.width_px, v->lens.height_px, &in, e);
+    *made = rc      ? INGEST_MASK_NONE
+            : in.px ? INGEST_MASK_MADE
+            : blank ? INGEST_MASK_BLANK
+                    : INGEST_MASK_NONE;
+    if (*made != INGEST_MASK_MADE)
         return rc;
     if (!rc && !v->undistort)
         rc = mask_resize(&in, w, h, &out, e);

@@ -121,12 +121,13 @@ static enum err_code positions_check(const struct ingest *g, const struct positi
 {
     struct position_pair *pair = mem_array(g->n, sizeof *pair);
     double *scratch = mem_array(g->n, sizeof *scratch);
-    size_t n = 0, odd = 0;
+    size_t n = 0, odd = 0, interrupted = 0;
     enum err_code rc = pair && scratch
                            ? ERR_OK
                            : err_set(e, ERR_MEM, "ingest: out of memory for %zu photographs", g->n);
     for (size_t i = 0; !rc && i < g->n; i++) {
         odd += g->photos[i].gps.odd_sign;
+        interrupted += g->photos[i].gps.has_position && g->photos[i].gps.interrupted;
         n += positions_pair(g, photos, i, &pair[n]);
     }
     if (odd && !photos)
@@ -134,6 +135,11 @@ static enum err_code positions_check(const struct ingest *g, const struct positi
                  "%zu photographs have negative degrees and the letter of the other hemisphere in "
                  "EXIF: the sign counts",
                  odd);
+    if (interrupted && !photos)
+        log_warn("ingest",
+                 "%zu photographs say that GPS was interrupted (GPSStatus V): their positions may "
+                 "be old ones",
+                 interrupted);
     if (!rc && n)
         rc = photos ? positions_hold(g, pair, n, "--positions", "the photographs' GPS", e)
                     : positions_hold(g, pair, n, "EXIF", "XMP", e);
@@ -142,6 +148,33 @@ static enum err_code positions_check(const struct ingest *g, const struct positi
     mem_free(pair);
     mem_free(scratch);
     return rc;
+}
+
+/* Positions that all are one place fix neither scale nor north: they are those of a last fix. */
+static void positions_forget_stuck(struct ingest *g)
+{
+    const double same_deg = 1e-7; /* a centimetre */
+    const struct image_gps *first = NULL;
+    size_t n = 0;
+    for (size_t i = 0; i < g->n; i++) {
+        const struct image_gps *x = &g->photos[i].gps;
+        if (!positions_somewhere(x->has_position, x->lon_deg, x->lat_deg))
+            continue;
+        first = first ? first : x;
+        if (fabs(x->lon_deg - first->lon_deg) > same_deg ||
+            fabs(x->lat_deg - first->lat_deg) > same_deg)
+            return;
+        n++;
+    }
+    if (n < 3)
+        return;
+    log_warn(
+        "ingest",
+        "GPS has all %zu photographs at one place, %.7f %.7f: it is that of a last fix and does "
+        "not count; give --positions or --gcp, or --origin and --metres-per-unit",
+        n, first->lon_deg, first->lat_deg);
+    for (size_t i = 0; i < g->n; i++)
+        g->photos[i].gps.has_position = false;
 }
 
 /* Photographs that the file does not name have no position: EXIF's would lie metres beside. */
@@ -168,8 +201,11 @@ enum err_code ingest_positions_apply(struct ingest *g, struct err *e)
 {
     for (size_t i = 0; i < g->n; i++)
         memcpy(g->photos[i].sigma_m, g->photos[i].drone.sigma_m, sizeof g->photos[i].sigma_m);
-    if (!g->positions)
-        return positions_check(g, NULL, e);
+    if (!g->positions) {
+        const enum err_code rc = positions_check(g, NULL, e);
+        positions_forget_stuck(g);
+        return rc;
+    }
     struct position_photo *photos = mem_array(g->n, sizeof *photos);
     if (!photos)
         return err_set(e, ERR_MEM, "ingest: out of memory for %zu photographs", g->n);

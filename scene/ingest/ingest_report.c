@@ -239,6 +239,9 @@ static void report_count_altitudes(const struct ingest_result *r, size_t n[INGES
             n[r->photos[i].altitude]++;
 }
 
+/* Ground that lies so near to the sea is at the shore, or its heights count from take-off. */
+static const double report_shore_m = 3;
+
 static void report_print_drone(const struct ingest_result *r)
 {
     const struct ingest_gimbal *m = r->gimbal;
@@ -259,6 +262,12 @@ static void report_print_drone(const struct ingest_result *r)
                ? "; --geoid egm96 makes them ellipsoidal, as globes expect"
            : !strcmp(r->scene->heights, "unknown") && r->gcp ? "; say it by --heights"
                                                              : "");
+    if (r->georef && !strcmp(r->scene->heights, "sea-exif") &&
+        fabs(r->scene->origin.h_m) < report_shore_m)
+        log_warn("ingest",
+                 "the ground lies at %.1f m above the sea by these altitudes: if it does not, they "
+                 "count from the place of take-off: give its height by --positions or --gcp",
+                 r->scene->origin.h_m);
     if (!m->known)
         return;
     printf("gimbals  %zu photographs: up is %.2f deg from the frame's (%+.2f to the east, %+.2f to "

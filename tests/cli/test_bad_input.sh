@@ -213,6 +213,8 @@ while read -r command key; do # none of them is an option again
     [ -n "$key" ] || key=$command command=dsm
     refuse "$command --$key left" "2 64" "option --$key is gone: " "" "$bin" "$command" a b "--$key" x
 done <"$work/gone"
+refuse "an idle option, and no photographs" "1 2 64 65 66" "option format is gone and does nothing: pictures are JPEG 98" "" \
+    "$bin" ingest "$work/nowhere" "$work/nowhere" --format png -o "$work/none"
 echo '{"write_timeout_s": 5}' >"$work/old.jsonc"
 refuse "an option that left, in a file" 78 "old.jsonc.*option write_timeout_s is gone: it is 30 s" "" "$bin" serve --config "$work/old.jsonc"
 refuse "unknown command" 2 "no command 'trian'; did you mean 'train'" "" "$bin" trian

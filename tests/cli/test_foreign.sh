@@ -27,6 +27,7 @@ ingest() { # CASE EXIT PATTERN OPTIONS...
 ground='h 280\.[0-9]+ m'
 ingest 01-point-error-minus-1 0 '16 of 16 photographs .*, 5901 points'
 ingest 03-alpha-ignored 0 '16 photographs have transparent pixels'
+ingest 03-alpha-ignored 0 'option format is gone and does nothing' --format png
 [ "$(find "$work/x/masks" -name '*.png' | wc -l)" = 16 ] || { failed=$((failed + 1)); echo "FAIL 03: no 16 masks"; }
 ingest 04-xmp-absolute-altitude-ignored 0 "$ground"$'\n''contradict each other: -426\.7 m and 426\.6 m.*wrong sign'
 ingest 05-altitude-zero 0 "$ground"$'\n''16 photographs have the altitude 0 in EXIF'

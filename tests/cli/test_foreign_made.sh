@@ -47,6 +47,18 @@ is 'capitals and backslashes' 0 $'12 names differ from those of the photographs\
 list ';' '%s' 'Ko\u0308ln/%s' >"$work/nfd.csv"
 is 'a folder with an umlaut in two characters' 0 '12 photographs: those of --positions' ingest city/images city/sparse --positions nfd.csv
 
+# OpenDroneMap's geo.txt, UTF-16, and a system by a code alone
+{ echo EPSG:4326 && list ' ' '%s' '%s' | tail -n +2; } >"$work/geo.txt"
+is 'geo.txt' 0 '12 photographs: those of --positions' ingest city/images city/sparse --positions geo.txt
+check 'geo.txt: another scale' grep -qF "$scale" "$work/scene/report.json"
+iconv -t UTF-16 "$work/points.csv" >"$work/wide.csv"
+is 'UTF-16' 0 '12 photographs: those of --positions' ingest city/images city/sparse --positions wide.csv
+check 'UTF-16: another scale' grep -qF "$scale" "$work/scene/report.json"
+sed 's/;360[.][13]$/;-9999/' "$work/points.csv" >"$work/unknown.csv"
+is 'heights of -9999' 0 $'2 rows have no coordinates and are left out\n10 photographs: those of --positions' \
+  ingest city/images city/sparse --positions unknown.csv
+is 'all photographs stay' 0 '12 of 12 photographs' ingest city/images city/sparse --positions unknown.csv
+
 # ---- Gaussians: outliers, unusable rows, axes
 # ply FILE ROW...: an ASCII .ply of 3DGS: 100 in a box of 20 units, and more rows "x y z".
 ply() {

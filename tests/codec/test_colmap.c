@@ -288,11 +288,10 @@ static void test_named_errors(void **state)
         {"images.txt", "1 0 0 0 0 0 0 0 3 a.jpg\n\n", "quaternion"},
         {"images.txt", "1 1 0 0 0 0 0 0 3 a.jpg\n1 2\n", "threes"},
         {"images.txt", "1 1 0 0 0 0 0 0 3 a.jpg\n1 2 -2\n", "observation 0"},
-        {"images.txt", "1 1 0 0 0 0 0 0 3 a.jpg", "observations is missing"},
+        {"images.txt", "1 1 0 0 0 0 0 0 3 a.jpg", "which images does not hold"},
         {"images.txt", "1 1 0 0 0 0 0 0 3 a.jpg\n\n2 1 0 0 0 0 0 0 3 a.jpg\n\n", "twice"},
         {"images.txt", "1 1 0 0 0 0 0 0 3 a.jpg\n1 2 77777\n", "77777"},
         {"points3D.txt", "0 0 0 0 1 2 300 0\n", "R G B"},
-        {"points3D.txt", "0 0 0 inf 1 2 3 0\n", "finite"},
         {"points3D.txt", "0 0 0 0 1 2 3 0 1\n", "IMAGE_ID OBS"},
     };
     for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
@@ -312,6 +311,76 @@ static void test_named_errors(void **state)
     snprintf(path, sizeof path, "%s/points3D.txt", dir);
     assert_int_equal(remove(path), 0);
     kit_fails(colmap_read(dir, &out, &e), ERR_NOENT, e, "has no points3D.txt");
+    kit_rmdir(dir);
+}
+
+/* Poses alone: other programs leave out the lines of observations, and begin with a mark. */
+static void test_no_observations(void **state)
+{
+    (void)state;
+    static const char images[] =
+        "\xef\xbb\xbf# ID, QW...\n1 1 0 0 0 0 0 0 3 001.jpg\n2 1 0 0 0 0 0 0 3 b 2.jpg\n\n"
+        "4 1 0 0 0 1 2 3 3 c.jpg";
+    char dir[FILE_PATH_MAX];
+    struct colmap_model m = {0}, out;
+    struct err e = {0};
+    make_model(&m);
+    kit_tmpdir(dir);
+    write_text(dir, &m);
+    colmap_free(&m);
+    put_part(dir, "images.txt", images, sizeof images - 1);
+    put_part(dir, "points3D.txt", "", 0);
+    kit_ok(colmap_read(dir, &out, &e), e);
+    assert_true(out.n_images == 3 && !out.n_points);
+    assert_string_equal(out.images[1].name, "b 2.jpg");
+    for (size_t i = 0; i < 3; i++)
+        assert_int_equal(out.images[i].n_obs, 0);
+    colmap_free(&out);
+    kit_rmdir(dir);
+}
+
+/* Points that are nowhere are left out, and nobody sees them. */
+static void test_points_that_are_nowhere(void **state)
+{
+    (void)state;
+    char dir[FILE_PATH_MAX];
+    struct colmap_model m = {0}, out;
+    struct err e = {0};
+    make_model(&m);
+    const uint64_t lost[] = {m.points[1].id, m.points[m.n_points - 1].id};
+    size_t seen = 0, want = 0;
+    for (size_t i = 0; i < m.n_images; i++)
+        for (size_t j = 0; j < m.images[i].n_obs; j++)
+            want += m.images[i].obs[j].point >= 0 && m.images[i].obs[j].point != 1 &&
+                    m.images[i].obs[j].point != (int64_t)m.n_points - 1;
+    m.points[1].xyz[2] = (double)NAN;
+    m.points[m.n_points - 1].xyz[0] = (double)INFINITY;
+    kit_tmpdir(dir);
+    log_set_level(LOG_ERROR);
+    for (int text = 0; text < 2; text++) {
+        if (text)
+            write_text(dir, &m);
+        else
+            kit_ok(colmap_write_bin(dir, &m, &e), e);
+        kit_ok(colmap_read(dir, &out, &e), e);
+        assert_int_equal(out.n_points, m.n_points - 2);
+        seen = 0;
+        for (size_t i = 0; i < out.n_points; i++)
+            assert_true(out.points[i].id != lost[0] && out.points[i].id != lost[1]);
+        for (size_t i = 0; i < out.n_images; i++)
+            for (size_t j = 0; j < out.images[i].n_obs; j++)
+                seen += out.images[i].obs[j].point >= 0;
+        assert_int_equal(seen, want);
+        colmap_free(&out);
+        if (!text)
+            for (int part = 0; part < 3; part++) {
+                char path[FILE_PATH_MAX + 32];
+                snprintf(path, sizeof path, "%s/%s.bin", dir, parts[part]);
+                assert_int_equal(remove(path), 0);
+            }
+    }
+    log_set_level(LOG_WARN);
+    colmap_free(&m);
     kit_rmdir(dir);
 }
 
@@ -421,10 +490,15 @@ static void test_out_of_memory(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_round_trip),    cmocka_unit_test(test_truncation),
-        cmocka_unit_test(test_cut_texts),     cmocka_unit_test(test_named_errors),
-        cmocka_unit_test(test_out_of_memory), cmocka_unit_test(test_unknown_errors),
+        cmocka_unit_test(test_round_trip),
+        cmocka_unit_test(test_truncation),
+        cmocka_unit_test(test_cut_texts),
+        cmocka_unit_test(test_named_errors),
+        cmocka_unit_test(test_out_of_memory),
+        cmocka_unit_test(test_unknown_errors),
         cmocka_unit_test(test_newer_models),
+        cmocka_unit_test(test_no_observations),
+        cmocka_unit_test(test_points_that_are_nowhere),
     };
     return cmocka_run_group_tests_name("colmap", tests, NULL, NULL);
 }

@@ -3,6 +3,7 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "codec/limits.h"
+#include "codec/splat/axes.h"
 #include "codec/splat/glb.h"
 #include "codec/splat/quant.h"
 #include "codec/splat/spz.h"
@@ -12,6 +13,7 @@
 #include <jansson.h>
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #define EXT "KHR_gaussian_splatting"
@@ -437,12 +439,189 @@ static void test_refuses_what_cannot_be_written(void **state)
     gauss_free(&g);
 }
 
+/* The file with nodes and scenes by `text`, and with `extra` in the extension of its primitive. */
+static void with_nodes(const struct buf *b, const char *text, const char *extra, struct buf *out)
+{
+    size_t at, n;
+    json_error_t je;
+    struct err e = {0};
+    json_t *root = json_of(b, &at, &n), *nodes = json_loads(text, 0, &je),
+           *more = json_loads(extra, 0, &je);
+    json_t *prim = primitive_of(root);
+    assert_non_null(nodes);
+    assert_non_null(more);
+    json_object_update(json_object_get(json_object_get(prim, "extensions"), EXT), more);
+    json_object_del(root, "scene");
+    json_object_del(root, "scenes");
+    json_object_update(root, nodes);
+    char *json = json_dumps(root, JSON_COMPACT);
+    const size_t n_json = (strlen(json) + 3) & ~(size_t)3;
+    out->size = 0;
+    buf_u32(out, 0x46546c67);
+    buf_u32(out, 2);
+    buf_u32(out, (uint32_t)(28 + n_json + n));
+    buf_u32(out, (uint32_t)n_json);
+    buf_u32(out, 0x4e4f534a);
+    buf_printf(out, "%-*s", (int)n_json, json);
+    buf_u32(out, (uint32_t)n);
+    buf_u32(out, 0x004e4942);
+    buf_add(out, b->data + at, n);
+    kit_ok(buf_check(out, &e), e);
+    free(json);
+    json_decref(more);
+    json_decref(nodes);
+    json_decref(root);
+}
+
+/* Nodes turn, move and scale; a mesh may stand in several; all primitives are read. */
+static void test_nodes_are_applied(void **state)
+{
+    (void)state;
+    static const char one[] = "\"scenes\":[{\"nodes\":[0]}]}";
+    /* a quarter turn about y: x y z -> z y -x; times 2; and 10 along x */
+    static const struct {
+        const char *nodes;
+        double scale;
+        bool turned;
+        double shift[3];
+        size_t copies;
+    } cases[] = {
+        {"{\"nodes\":[{\"mesh\":0,\"matrix\":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1]}],",
+         1,
+         false,
+         {0},
+         1},
+        {"{\"nodes\":[{\"mesh\":0,\"translation\":[10,0,0],\"scale\":[2,2,2],"
+         "\"rotation\":[0,0.70710678118654752,0,0.70710678118654752]}],",
+         2,
+         true,
+         {10, 0, 0},
+         1},
+        {"{\"nodes\":[{\"mesh\":0,\"matrix\":[0,0,-2,0,0,2,0,0,2,0,0,0,10,0,0,1]}],",
+         2,
+         true,
+         {10, 0, 0},
+         1},
+        {"{\"nodes\":[{\"children\":[1],\"scale\":[2,2,2]},{\"children\":[2],"
+         "\"translation\":[5,0,0]},{\"mesh\":0,\"rotation\":[0,0.70710678118654752,0,"
+         "0.70710678118654752]}],",
+         2,
+         true,
+         {10, 0, 0},
+         1},
+        {"{\"nodes\":[{\"children\":[1,1]},{\"mesh\":0}],", 1, false, {0}, 2},
+    };
+    static const struct {
+        const char *nodes, *extra, *says;
+    } bad[] = {
+        {"{\"nodes\":[{\"mesh\":0,\"scale\":[2,1,1]}],", "{}", "stretches or mirrors"},
+        {"{\"nodes\":[{\"mesh\":0,\"scale\":[-1,1,1]}],", "{}", "stretches or mirrors"},
+        {"{\"nodes\":[{\"mesh\":0,\"scale\":[0,0,0]}],", "{}", "stretches or mirrors"},
+        {"{\"nodes\":[{\"mesh\":0,\"rotation\":[0,1]}],", "{}", "stretches or mirrors"},
+        {"{\"nodes\":[{\"mesh\":0,\"translation\":[4e6,5e5,5e6]}],", "{}", "as on a globe"},
+        {"{\"nodes\":[{\"children\":[0]}],", "{}", "no tree"},
+        {"{\"nodes\":[{\"children\":[7]}],", "{}", "no tree"},
+        {"{\"nodes\":[{}],", "{}", "0 primitives"},
+        {"{\"nodes\":[{\"mesh\":0}],", "{\"kernel\":\"cube\"}", "kernel 'cube'"},
+    };
+    struct gauss g, back;
+    struct buf b = {0}, out = {0};
+    struct err e = {0};
+    char text[512];
+    const void *spz;
+    size_t n_spz;
+    kit_gauss(5, 20, 10, 2, 0, &g);
+    for (int packed = 0; packed < 2; packed++) { /* accessors, and SPZ inside */
+        struct quant q = {0};
+        b.size = 0;
+        if (packed) {
+            kit_ok(quant_from_gauss(&g, 2, NULL, &q, &e), e);
+            kit_ok(glb_encode_spz(&q, NULL, &b, &e), e);
+        } else {
+            kit_ok(glb_encode_plain(&g, NULL, &b, &e), e);
+        }
+        quant_free(&q);
+        struct gauss plain;
+        kit_ok(glb_decode(b.data, b.size, NULL, &plain, &e), e);
+        for (size_t k = 0; k < sizeof cases / sizeof *cases; k++) {
+            static const double turn[9] = {0, 0, 1, 0, 1, 0, -1, 0, 0};
+            struct gauss want = {0};
+            kit_ok(gauss_alloc(&want, plain.n, plain.sh_degree, 0, &e), e);
+            kit_ok(gauss_append(&want, &plain, NULL, plain.n, &e), e);
+            if (cases[k].turned)
+                axes_turn(&want, turn);
+            snprintf(text, sizeof text, "%s%s", cases[k].nodes, one);
+            with_nodes(&b, text, "{}", &out);
+            kit_ok(glb_decode(out.data, out.size, NULL, &back, &e), e);
+            assert_int_equal(back.n, cases[k].copies * want.n);
+            for (size_t i = 0; i < 3 * back.n; i++) {
+                const size_t from = i % (3 * want.n);
+                const double mean =
+                    cases[k].scale * (double)want.mean_m[from] + cases[k].shift[i % 3];
+                assert_true(fabs((double)back.mean_m[i] - mean) < 1e-4);
+                assert_true(fabs((double)(back.scale_log[i] - want.scale_log[from]) -
+                                 log(cases[k].scale)) < 1e-5);
+            }
+            for (size_t i = 0; i < 3 * 9 * back.n; i++)
+                assert_true(fabsf(back.sh[i] - want.sh[i % (27 * want.n)]) < 1e-4f);
+            gauss_free(&back);
+            gauss_free(&want);
+        }
+        gauss_free(&plain);
+    }
+    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
+        snprintf(text, sizeof text, "%s%s", bad[i].nodes, one);
+        with_nodes(&b, text, bad[i].extra, &out);
+        const enum err_code rc = glb_decode(out.data, out.size, NULL, &back, &e);
+        assert_true(rc == ERR_FORMAT || rc == ERR_LIMIT);
+        assert_non_null(strstr(e.msg, bad[i].says));
+    }
+    /* SPZ bytes are handed out as they are only where nothing happens to them. */
+    snprintf(text, sizeof text, "%s%s", cases[1].nodes, one);
+    with_nodes(&b, text, "{}", &out);
+    kit_fails(glb_find_spz(out.data, out.size, &spz, &n_spz, &e), ERR_NOENT, e, "transformed");
+    buf_free(&b);
+    buf_free(&out);
+    gauss_free(&g);
+}
+
+/* Colours in linear light: 0.2 of it is 0.4845 of sRGB. */
+static void test_linear_colours_become_srgb(void **state)
+{
+    (void)state;
+    const float dc = (0.2f - 0.5f) / (float)GAUSS_SH_C0;
+    struct gauss g, back;
+    struct buf b = {0}, out = {0};
+    struct err e = {0};
+    kit_gauss(6, 3, 10, 1, 0, &g);
+    for (size_t i = 0; i < 3 * 4 * g.n; i++)
+        g.sh[i] = i % 12 < 3 ? dc : 0.1f;
+    kit_ok(glb_encode_plain(&g, NULL, &b, &e), e);
+    with_nodes(&b, "{\"nodes\":[{\"mesh\":0}],\"scenes\":[{\"nodes\":[0]}]}",
+               "{\"colorSpace\":\"lin_rec709_display\"}", &out);
+    kit_ok(glb_decode(out.data, out.size, NULL, &back, &e), e);
+    const float step = 1e-3f, slope = (1.055f * powf(0.2f + step, 1 / 2.4f) -
+                                       1.055f * powf(0.2f - step, 1 / 2.4f)) /
+                                      (2 * step);
+    for (size_t i = 0; i < 3 * 4 * g.n; i++)
+        if (i % 12 < 3)
+            assert_true(fabsf(0.5f + (float)GAUSS_SH_C0 * back.sh[i] - 0.48453f) < 1e-4f);
+        else
+            assert_true(fabsf(back.sh[i] - 0.1f * slope) < 1e-4f);
+    gauss_free(&back);
+    gauss_free(&g);
+    buf_free(&b);
+    buf_free(&out);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_spz_form_follows_the_clients),
         cmocka_unit_test(test_plain_form),
         cmocka_unit_test(test_reads_short_and_byte_accessors),
+        cmocka_unit_test(test_nodes_are_applied),
+        cmocka_unit_test(test_linear_colours_become_srgb),
         cmocka_unit_test(test_truncation_and_flips),
         cmocka_unit_test(test_refuses_what_cannot_be_written),
     };

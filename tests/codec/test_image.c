@@ -224,13 +224,13 @@ static void test_exif_round_trip(void **state)
     (void)state;
     static const struct image_gps all[] = {
         {true, true, 47.376912345678, 8.541234567891, 408.1234, "2026:05:17 10:20:30", 0.002, 100,
-         24, false, false},
+         24, false, false, false},
         {true, true, -33.856784, -151.215296, -12.5, "2026:05:17 10:20:31", 0.5, 6400, 4.5, false,
-         false},
-        {true, true, 0.00013888888888888889, 180, 0, "", 0, 0, 0, false,
+         false, false},
+        {true, true, 0.00013888888888888889, 180, 0, "", 0, 0, 0, false, false,
          false}, /* 0.5 arc seconds; the date line */
         {true, true, 89.99999999999, -0.016666666666666666, 8848.86, "2026:01:01 00:00:00", 30, 50,
-         8.8, false, false},
+         8.8, false, false, false},
     };
     struct err e = {0};
     struct image img = picture(33, 17, 3), back;
@@ -283,7 +283,7 @@ static void test_one_exif(void **state)
     (void)state;
     struct err e = {0};
     struct buf b = {0};
-    const struct image_gps gps = {true, true, 47, 8, 400, "", 0, 0, 0, false, false};
+    const struct image_gps gps = {true, true, 47, 8, 400, "", 0, 0, 0, false, false, false};
     struct image img = picture(33, 17, 3);
     size_t n = 0;
     kit_ok(image_write(in_tmp("one.jpg"), &img, 95, &gps, &e), e);
@@ -426,6 +426,15 @@ static void test_exif_odd_numbers(void **state)
             false, false, 0, 0, 470),
         GPS('N', 'E', RATIONAL, 1, GPS(91, 1), GPS(7, 1), BYTE, 0, RATIONAL, GPS(470, 1), false,
             false, false, 0, 0, 470),
+        /* longitudes to 360; 0, 0 and a numerator of all ones stand for unknown */
+        GPS('N', 'E', RATIONAL, 1, GPS(47, 1), GPS(1411, 4), BYTE, 0, RATIONAL, GPS(470, 1), true,
+            false, false, 47, -7.25, 470),
+        GPS('N', 'E', RATIONAL, 1, GPS(0, 1), GPS(0, 1), BYTE, 0, RATIONAL, GPS(470, 1), false,
+            false, false, 0, 0, 470),
+        GPS('N', 'E', RATIONAL, 1, GPS(47, 1), GPS(7, 1), BYTE, 0, RATIONAL,
+            GPS(UINT32_MAX, UINT32_MAX), true, false, false, 47, 7, (double)NAN),
+        GPS('N', 'E', RATIONAL, 1, GPS(47, 1), GPS(7, 1), BYTE, 0, RATIONAL, GPS(UINT32_MAX, 1),
+            true, false, false, 47, 7, (double)NAN),
     };
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
         enum { VALUES = 26 + 2 + 6 * 12 + 4 };
@@ -454,7 +463,8 @@ static void test_exif_odd_numbers(void **state)
         exif_parse(b.data, b.size, &got, NULL);
         buf_free(&b);
         if (got.has_position != cases[i].place || fabs(got.lat_deg - cases[i].lat_deg) > 1e-9 ||
-            fabs(got.lon_deg - cases[i].lon_deg) > 1e-9 || !got.has_altitude ||
+            fabs(got.lon_deg - cases[i].lon_deg) > 1e-9 ||
+            got.has_altitude != isfinite(cases[i].alt_m) ||
             fabs(got.alt_m - cases[i].alt_m) > 1e-9 || got.ellipsoidal != cases[i].ellipsoidal ||
             got.odd_sign != cases[i].odd)
             fail_msg("case %zu: %d %.9f %.9f %.3f %d %d", i, got.has_position, got.lat_deg,
@@ -466,8 +476,8 @@ static void test_exif_odd_numbers(void **state)
 static void test_exif_survives_flips(void **state)
 {
     (void)state;
-    static const struct image_gps gps = {true, true, 12.5, -7.25, 90,   "2026:05:17 10:20:30",
-                                         0.01, 100,  8,    false, false};
+    static const struct image_gps gps = {true, true, 12.5, -7.25, 90,    "2026:05:17 10:20:30",
+                                         0.01, 100,  8,    false, false, false};
     struct err e = {0};
     struct image img = picture(9, 9, 3);
     for (const char *const *f = (const char *const[]){"jpg", "png", "webp", NULL}; *f; f++) {

@@ -468,6 +468,17 @@ static void packets_have_many_forms(void **state)
         RDF "<rdf:Description drone-dji:RelativeAltitude='12.5' "
             "xmlns:e='http://ns.adobe.com/exif/1.0/' e:GPSLatitude='47,30.0N' "
             "e:GPSLongitude='7,15,0.0E'/></rdf:RDF><damaged",
+        /* no XML: an ampersand, an attribute that stands twice, a letter of Latin-1, a charset that
+         * is not known; and numbers as some write them */
+        RDF "<rdf:Description " DJI " d:A='x&y' d:RelativeAltitude='12,5' d:GpsLatitude='47.5' "
+            "d:GpsLongtitude='7.25'/></rdf:RDF>",
+        RDF "<rdf:Description " DJI " d:A='1' d:A='1' d:RelativeAltitude='12.50 m' "
+            "d:GpsLatitude='47.5' d:GpsLongtitude='7.25'/></rdf:RDF>",
+        RDF "<rdf:Description " DJI " d:A='\xe9' d:relativealtitude='25/2' d:gpslatitude='47.5' "
+            "d:GpsLongtitude='7.25'/></rdf:RDF>",
+        "<?xml version='1.0' encoding='windows-1252'?>" RDF "<rdf:Description " DJI ">"
+        "<d:RelativeAltitude> 12.5</d:RelativeAltitude><d:GpsLatitude>47.5</d:GpsLatitude>"
+        "<d:GpsLongtitude>7.25</d:GpsLongtitude></rdf:Description></rdf:RDF>",
     };
     struct err e = {0};
     struct image_gps gps;
@@ -485,9 +496,9 @@ static void packets_have_many_forms(void **state)
                      m.lat_deg, m.lon_deg);
     }
     /* A sidecar stands in for what the photograph has not; what it has comes first. */
-    static const char *const sidecars[] = {"side.xmp", "side.jpg.XMP"};
+    static const char *const sidecars[] = {"side.xmp", "side.jpg.XMP", "SIDE.Xmp"};
     kit_ok(file_join(to, kit_tmp, "side.jpg", &e), e);
-    for (size_t i = 0; i < 2; i++) {
+    for (size_t i = 0; i < 3; i++) {
         kit_ok(file_join(side, kit_tmp, sidecars[i], &e), e);
         put_xmp(from, to, RDF "</rdf:RDF>");
         kit_ok(file_write(side, forms[i], strlen(forms[i]), &e), e);

@@ -408,6 +408,23 @@ static void csv_is_read(void **state)
     assert_int_equal(l.epsg, GCP_LONLAT);
     assert_true(l.gcps[0].at[0] == 8.6 && l.gcps[0].at[1] == 50.1);
     gcp_free(&l);
+    put("f.csv", "easting\tnorthing\telev\tpx\tpy\timage\tpoint\n1\t2\t3\t4,5\t5\ta b.jpg\tp 1\n",
+        path);
+    kit_ok(gcp_read(path, &l, &e), e);
+    assert_string_equal(l.gcps[0].name, "p 1");
+    assert_true(l.marks[0].x_px == 4.5 && l.gcps[0].at[2] == 3);
+    gcp_free(&l);
+    put("g.csv",
+        "GCP Label,Easting,Northing,Elevation,Image X,Image Y,Image Name\nq,1,2,3,4,5,a.jpg\n",
+        path);
+    kit_ok(gcp_read(path, &l, &e), e);
+    assert_string_equal(l.gcps[0].name, "q");
+    assert_true(l.marks[0].x_px == 4 && l.marks[0].y_px == 5);
+    gcp_free(&l);
+    put("h.txt", "32632\n1 2 3 4 5 a.jpg\n", path); /* a code alone */
+    kit_ok(gcp_read(path, &l, &e), e);
+    assert_int_equal(l.epsg, 32632);
+    gcp_free(&l);
 }
 
 /* Two folders in which cameras began to count anew: every second photograph is in the other one. */

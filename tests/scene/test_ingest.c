@@ -699,6 +699,7 @@ static void test_other_systems(void **state)
     static const char link[] = "ln \"$1\" \"$2\"",
                       half[] = "oiiotool \"$1\" --ch R,G,B,A=1 --fill:color=0.5,0.5,0.5,0 "
                                "40x60+0+0 -o \"$2\"",
+                      nothing[] = "oiiotool \"$1\" --ch R,G,B,A=0 -o \"$2\"",
                       whole[] = "oiiotool \"$1\" --ch R,G,B,A=1 -o \"$2\"";
     static const struct {
         const char *command, *file, *model;
@@ -710,7 +711,8 @@ static void test_other_systems(void **state)
                  {half, "*.png", "*.png", true},
                  {half, "*.tif", "*.tif", true},
                  {half, "*.webp", "*.webp", true},
-                 {whole, "*.png", "*.png", false}};
+                 {whole, "*.png", "*.png", false},
+                 {nothing, "*.png", "*.png", false}};
     (void)state;
     char city[FILE_PATH_MAX], dir[FILE_PATH_MAX], out[FILE_PATH_MAX], path[FILE_PATH_MAX];
     struct synth_config sc;

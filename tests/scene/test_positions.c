@@ -288,6 +288,29 @@ static void tables_of_other_programs_are_read(void **state)
          300, 0},
         {"\"image\",\"lon\",\"lat\",\"z\"\n\"A, 1.jpg\",\"7.5\",\"47.5\",\"300\"\n", 4326, 7.5,
          47.5, 300, 0},
+        /* OpenDroneMap's geo.txt */
+        {"EPSG:4326\nA.jpg 7.5 47.5 300\n", 4326, 7.5, 47.5, 300, 0},
+        {"WGS84 UTM 32N\nA 1.jpg\t7.5\t47.5\t300\t0\t0\t0\t0.05\t0.1\n", 32632, 7.5, 47.5, 300, 0},
+        {"+proj=utm +zone=32 +datum=WGS84\nA.jpg,7.5,47.5,300\n", 32632, 7.5, 47.5, 300, 0},
+        {"+proj=lcc +lat_1=49 +lat_2=44\nA.jpg 7.5 47.5 300\n", 0, 7.5, 47.5, 300, 0},
+        /* RealityCapture, ExifTool, Emlid; blanks; commas in the names of columns */
+        {"Name,Lat,Long,Alt\nA.jpg,47.5,7.5,300\n", 4326, 7.5, 47.5, 300, 0},
+        {"SourceFile,GPSLatitude,GPSLongitude,GPSAltitude\n./A.jpg,47.5,7.5,300\n", 4326, 7.5, 47.5,
+         300, 0},
+        {"Name,Longitude,Latitude,Ellipsoidal height,Lateral RMS,Elevation RMS\n"
+         "A.jpg,7.5,47.5,300,0.01,0.02\n",
+         4326, 7.5, 47.5, 300, 0},
+        {"image lon lat height\nA.jpg  7.5 47.5 300\n", 4326, 7.5, 47.5, 300, 0},
+        {"Image;Lon (deg, WGS84);Lat (deg, WGS84);Height (m)\nA.jpg;7.5;47.5;300\n", 4326, 7.5,
+         47.5, 300, 0},
+        /* heights that stand for unknown; no-break spaces; typographic minus */
+        {"image,lon,lat,height\nA.jpg,7.5,47.5,300\nB.jpg,7.5,47.5,nan\nC.jpg,7.5,47.5,-9999\n"
+         "D.jpg,7.5,47.5,\n",
+         4326, 7.5, 47.5, 300, 3},
+        {"image,lon,lat,height\nA.jpg,\xe2\x88\x92"
+         "7.5,\xc2\xa0"
+         "47.5,300\n",
+         4326, -7.5, 47.5, 300, 0},
     };
     static const struct {
         const char *text;
@@ -334,6 +357,11 @@ static void tables_of_other_programs_are_read(void **state)
         {"EPSG:99999999999", 0},
         {"EPSG:25832+99999999999", 0},
         {"EPSG:-32632", 0},
+        {"32632", 32632},
+        {"12", 0},
+        {"http://www.opengis.net/def/crs/EPSG/0/32632", 32632},
+        {"PROJCS[\"WGS 84 / UTM zone 32N\",GEOGCS[\"WGS 84\"]]", 32632},
+        {"PROJCS[\"Gauss-Krueger\",GEOGCS[\"WGS 84 UTM 32N\"]]", 0},
         {"x y z", 0}};
     static const char feet[] = "image,lon,lat,altitude [ft]\nA.jpg,7.5,47.5,984\n";
     struct positions p;
@@ -346,7 +374,7 @@ static void tables_of_other_programs_are_read(void **state)
         kit_ok(positions_read(path, &p, &e), e);
         if (p.n != 1 || p.epsg != tables[i].epsg || p.list[0].at[0] != tables[i].lon ||
             p.list[0].at[1] != tables[i].lat || p.list[0].at[2] != tables[i].h ||
-            p.n_left_out != tables[i].left_out || p.list[0].image[0] != 'A' ||
+            p.n_left_out != tables[i].left_out || !strchr("A.", p.list[0].image[0]) ||
             !strstr(p.list[0].image, ".jpg"))
             fail_msg("table %zu: n=%zu epsg=%d left out %zu, '%s'", i, p.n, p.epsg, p.n_left_out,
                      p.list[0].image);
@@ -368,6 +396,39 @@ static void tables_of_other_programs_are_read(void **state)
         assert_true(wkt_system(text, &epsg, &heights) == (epsg == 32723));
         assert_true(epsg == 32723 || (pad > 160 && epsg == 0));
     }
+}
+
+/* UTF-16 of either order, with a mark or without, also beyond the first 65,536 characters. A NUL
+ * byte in other text is an error, and no end of it. */
+static void tables_in_utf16_are_read(void **state)
+{
+    static const char ascii[] = "image,lon,lat,height\n%.jpg,7.5,47.5,300\n";
+    static const uint16_t letter[] = {0xd83d, 0xde00}; /* in the place of % */
+    struct positions p;
+    struct err e = {0};
+    char path[FILE_PATH_MAX];
+    (void)state;
+    kit_ok(file_join(path, tmp, "wide.csv", &e), e);
+    for (unsigned form = 0; form < 4; form++) {
+        const bool big = form & 1, mark = form & 2;
+        struct buf b = {0};
+        for (size_t i = 0; i < sizeof ascii - 1 + mark; i++) {
+            const char c = mark && !i ? '\0' : ascii[i - mark];
+            for (size_t k = 0; k < (c == '%' ? 2 : 1); k++) {
+                const unsigned v = mark && !i ? 0xfeff : c == '%' ? letter[k] : (unsigned char)c;
+                buf_u8(&b, big ? v >> 8 : v & 255);
+                buf_u8(&b, big ? v & 255 : v >> 8);
+            }
+        }
+        kit_ok(file_write(path, b.data, b.size, &e), e);
+        buf_free(&b);
+        kit_ok(positions_read(path, &p, &e), e);
+        assert_string_equal(p.list[0].image, "\xf0\x9f\x98\x80.jpg");
+        assert_true(p.n == 1 && p.list[0].at[1] == 47.5);
+        positions_free(&p);
+    }
+    kit_ok(file_write(path, "image,lon,lat,height\na\0b", 24, &e), e);
+    kit_fails(positions_read(path, &p, &e), ERR_FORMAT, e, "holds a NUL byte");
 }
 
 /* Three digits after the only comma may be thousands; what is not told is certain. */
@@ -479,6 +540,7 @@ int main(void)
         cmocka_unit_test(dji_numbers_photographs),
         cmocka_unit_test(events_are_matched_by_time),
         cmocka_unit_test(tables_of_other_programs_are_read),
+        cmocka_unit_test(tables_in_utf16_are_read),
         cmocka_unit_test(a_comma_that_may_separate_thousands_is_told),
         cmocka_unit_test(nonsense_is_refused),
         cmocka_unit_test(a_geoid_makes_heights_ellipsoidal),
