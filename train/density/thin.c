@@ -186,7 +186,8 @@ enum err_code thin_choose(const float *rise, const uint16_t *views, size_t n,
 }
 
 /* Prices as in a photograph of mean coverage: the rim, which few photographs show, would be cheap
- * otherwise, and maps show it as often as the middle. */
+ * otherwise, and maps show it as often as the middle. These few are also far away, and a Gaussian
+ * covers fewer of their pixels. A derived level, which is for views from afar, allows for that. */
 static void thin_even(const struct thin *c, struct thin_report *r)
 {
     size_t n = c->m->gauss.n;
@@ -196,8 +197,10 @@ static void thin_even(const struct thin *c, struct thin_report *r)
         r->unseen += !c->views[i];
     }
     float mean = (float)(views / fmax((double)(n - r->unseen), 1.0));
-    for (size_t i = 0; i < n; i++)
-        c->rise[i] *= c->views[i] ? mean / (float)c->views[i] : 0.0f;
+    for (size_t i = 0; i < n; i++) {
+        const float part = c->views[i] ? mean / (float)c->views[i] : 0.0f;
+        c->rise[i] *= stage_schedule(c->at)->derived ? part * sqrtf(part) : part;
+    }
 }
 
 size_t thin_inside(const struct schedule *s, uint32_t nth, size_t n)
