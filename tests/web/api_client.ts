@@ -144,7 +144,7 @@ export async function callAll(baseUrl: string, operators: string, ds: string): P
     note("POST /d/{ds}/visible", visible);
 
     // ---- appearances ----
-    const appearances = await api.GET("/d/{ds}/appearances", { params: { path: { ds }, query: { sort: "time" } } });
+    const appearances = await api.GET("/d/{ds}/appearances", { params: { path: { ds } } });
     const same = await api.GET("/d/{ds}/appearances", { params: { path: { ds } } });
     if (Object.keys(same.data!).sort().join() !== Object.keys(appearances.data!).sort().join()) throw new Error("two shapes");
     const { name } = appearances.data!.appearances[0]!;
