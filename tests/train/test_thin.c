@@ -104,7 +104,7 @@ static void a_level_is_thinned_to_its_number(void **state)
     const float rise[8] = {1.0f, 9.0f, 0.0f, 2.0f, 8.0f, 3.0f, 7.0f, 0.5f};
     const uint16_t views[8] = {1, 1, 0, 1, 1, 1, 1, 1};
     const uint8_t outside[8] = {0, 0, 0, 1, 1, 1, 0, 0};
-    struct thin_rule rule = {.limit = INFINITY, .outside = outside, .most = {3, 2}};
+    struct thin_rule rule = {.limit = HUGE_VAL, .outside = outside, .most = {3, 2}};
     uint32_t keep[8];
     size_t n_keep = 0;
     double given = 0.0;
@@ -115,7 +115,7 @@ static void a_level_is_thinned_to_its_number(void **state)
     kit_ok(thin_choose(rise, views, 8, &rule, keep, &n_keep, &given, &e), e);
     assert_true(n_keep == 1 && keep[0] == 4);
     rule = (struct thin_rule){
-        .limit = INFINITY, .all_drawn = true, .outside = outside, .most = {1, 0}};
+        .limit = HUGE_VAL, .all_drawn = true, .outside = outside, .most = {1, 0}};
     kit_ok(thin_choose(rise, views, 8, &rule, keep, &n_keep, &given, &e), e);
     assert_true(n_keep == 7 && keep[2] == 3); /* row 2 goes, for nothing */
 }

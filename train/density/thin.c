@@ -230,7 +230,7 @@ static enum err_code thin_make_rule(struct thin *c, uint8_t *outside, struct thi
     size_t inside = 0;
     enum err_code rc = model_count_inside(c->m, &c->site->cell, outside, &inside, e);
     rule->outside = outside;
-    rule->limit = INFINITY;
+    rule->limit = HUGE_VAL;
     rule->most[0] = inside - thin_inside(s, c->nth, inside);
     rule->most[1] = n - inside - thin_outside(s, n - inside);
     return rc;
