@@ -473,115 +473,133 @@ static void with_nodes(const struct buf *b, const char *text, const char *extra,
     json_decref(root);
 }
 
+static const char one[] = "\"scenes\":[{\"nodes\":[0]}]}";
+/* a quarter turn about y: x y z -> z y -x; times 2; and 10 along x */
+static const struct {
+    const char *nodes;
+    double scale;
+    bool turned;
+    double shift[3];
+    size_t copies;
+} placed[] = {
+    {"{\"nodes\":[{\"mesh\":0,\"matrix\":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1]}],", 1, false, {0}, 1},
+    {"{\"nodes\":[{\"mesh\":0,\"translation\":[10,0,0],\"scale\":[2,2,2],"
+     "\"rotation\":[0,0.70710678118654752,0,0.70710678118654752]}],",
+     2,
+     true,
+     {10, 0, 0},
+     1},
+    {"{\"nodes\":[{\"mesh\":0,\"matrix\":[0,0,-2,0,0,2,0,0,2,0,0,0,10,0,0,1]}],",
+     2,
+     true,
+     {10, 0, 0},
+     1},
+    {"{\"nodes\":[{\"children\":[1],\"scale\":[2,2,2]},{\"children\":[2],"
+     "\"translation\":[5,0,0]},{\"mesh\":0,\"rotation\":[0,0.70710678118654752,0,"
+     "0.70710678118654752]}],",
+     2,
+     true,
+     {10, 0, 0},
+     1},
+    {"{\"nodes\":[{\"children\":[1,1]},{\"mesh\":0}],", 1, false, {0}, 2},
+};
+static const struct {
+    const char *nodes, *extra, *says;
+} misplaced[] = {
+    {"{\"nodes\":[{\"mesh\":0,\"scale\":[2,1,1]}],", "{}", "stretches or mirrors"},
+    {"{\"nodes\":[{\"mesh\":0,\"scale\":[-1,1,1]}],", "{}", "stretches or mirrors"},
+    {"{\"nodes\":[{\"mesh\":0,\"scale\":[0,0,0]}],", "{}", "stretches or mirrors"},
+    {"{\"nodes\":[{\"mesh\":0,\"rotation\":[0,1]}],", "{}", "stretches or mirrors"},
+    {"{\"nodes\":[{\"mesh\":0,\"translation\":[4e6,5e5,5e6]}],", "{}", "as on a globe"},
+    {"{\"nodes\":[{\"children\":[0]}],", "{}", "no tree"},
+    {"{\"nodes\":[{\"children\":[7]}],", "{}", "no tree"},
+    {"{\"nodes\":[{}],", "{}", "0 primitives"},
+    {"{\"nodes\":[{\"mesh\":0}],", "{\"kernel\":\"cube\"}", "kernel 'cube'"},
+};
+
+/* The file with a case's nodes is the file without, turned, moved and scaled. */
+static void stands_as(const struct buf *b, const struct gauss *plain, size_t k)
+{
+    struct gauss back;
+    struct buf out = {0};
+    struct err e = {0};
+    char text[512];
+    static const double turn[9] = {0, 0, 1, 0, 1, 0, -1, 0, 0};
+    struct gauss want = {0};
+    kit_ok(gauss_alloc(&want, plain->n, plain->sh_degree, 0, &e), e);
+    kit_ok(gauss_append(&want, plain, NULL, plain->n, &e), e);
+    if (placed[k].turned)
+        axes_turn(&want, turn);
+    snprintf(text, sizeof text, "%s%s", placed[k].nodes, one);
+    with_nodes(b, text, "{}", &out);
+    kit_ok(glb_decode(out.data, out.size, NULL, &back, &e), e);
+    assert_int_equal(back.n, placed[k].copies * want.n);
+    for (size_t i = 0; i < 3 * back.n; i++) {
+        const size_t from = i % (3 * want.n);
+        const double mean = placed[k].scale * (double)want.mean_m[from] + placed[k].shift[i % 3];
+        assert_true(fabs((double)back.mean_m[i] - mean) < 1e-4);
+        assert_true(
+            fabs((double)(back.scale_log[i] - want.scale_log[from]) - log(placed[k].scale)) < 1e-5);
+    }
+    for (size_t i = 0; i < 3 * 9 * back.n; i++)
+        assert_true(fabsf(back.sh[i] - want.sh[i % (27 * want.n)]) < 1e-4f);
+    gauss_free(&back);
+    gauss_free(&want);
+    buf_free(&out);
+}
+
 /* Nodes turn, move and scale; a mesh may stand in several; all primitives are read. */
 static void test_nodes_are_applied(void **state)
 {
     (void)state;
-    static const char one[] = "\"scenes\":[{\"nodes\":[0]}]}";
-    /* a quarter turn about y: x y z -> z y -x; times 2; and 10 along x */
-    static const struct {
-        const char *nodes;
-        double scale;
-        bool turned;
-        double shift[3];
-        size_t copies;
-    } cases[] = {
-        {"{\"nodes\":[{\"mesh\":0,\"matrix\":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1]}],",
-         1,
-         false,
-         {0},
-         1},
-        {"{\"nodes\":[{\"mesh\":0,\"translation\":[10,0,0],\"scale\":[2,2,2],"
-         "\"rotation\":[0,0.70710678118654752,0,0.70710678118654752]}],",
-         2,
-         true,
-         {10, 0, 0},
-         1},
-        {"{\"nodes\":[{\"mesh\":0,\"matrix\":[0,0,-2,0,0,2,0,0,2,0,0,0,10,0,0,1]}],",
-         2,
-         true,
-         {10, 0, 0},
-         1},
-        {"{\"nodes\":[{\"children\":[1],\"scale\":[2,2,2]},{\"children\":[2],"
-         "\"translation\":[5,0,0]},{\"mesh\":0,\"rotation\":[0,0.70710678118654752,0,"
-         "0.70710678118654752]}],",
-         2,
-         true,
-         {10, 0, 0},
-         1},
-        {"{\"nodes\":[{\"children\":[1,1]},{\"mesh\":0}],", 1, false, {0}, 2},
-    };
-    static const struct {
-        const char *nodes, *extra, *says;
-    } bad[] = {
-        {"{\"nodes\":[{\"mesh\":0,\"scale\":[2,1,1]}],", "{}", "stretches or mirrors"},
-        {"{\"nodes\":[{\"mesh\":0,\"scale\":[-1,1,1]}],", "{}", "stretches or mirrors"},
-        {"{\"nodes\":[{\"mesh\":0,\"scale\":[0,0,0]}],", "{}", "stretches or mirrors"},
-        {"{\"nodes\":[{\"mesh\":0,\"rotation\":[0,1]}],", "{}", "stretches or mirrors"},
-        {"{\"nodes\":[{\"mesh\":0,\"translation\":[4e6,5e5,5e6]}],", "{}", "as on a globe"},
-        {"{\"nodes\":[{\"children\":[0]}],", "{}", "no tree"},
-        {"{\"nodes\":[{\"children\":[7]}],", "{}", "no tree"},
-        {"{\"nodes\":[{}],", "{}", "0 primitives"},
-        {"{\"nodes\":[{\"mesh\":0}],", "{\"kernel\":\"cube\"}", "kernel 'cube'"},
-    };
+    struct gauss g;
+    struct buf b = {0};
+    struct err e = {0};
+    kit_gauss(5, 20, 10, 2, 0, &g);
+    for (int packed = 0; packed < 2; packed++) { /* accessors, and SPZ inside */
+        struct quant q = {0};
+        b.size = 0;
+        kit_ok(quant_from_gauss(&g, 2, NULL, &q, &e), e);
+        kit_ok(packed ? glb_encode_spz(&q, NULL, &b, &e) : glb_encode_plain(&g, NULL, &b, &e), e);
+        quant_free(&q);
+        struct gauss plain;
+        kit_ok(glb_decode(b.data, b.size, NULL, &plain, &e), e);
+        for (size_t k = 0; k < sizeof placed / sizeof *placed; k++)
+            stands_as(&b, &plain, k);
+        gauss_free(&plain);
+    }
+    buf_free(&b);
+    gauss_free(&g);
+}
+
+/* What cannot be applied is an error that names it. */
+static void test_misplaced_nodes_are_named(void **state)
+{
+    (void)state;
     struct gauss g, back;
+    struct quant q = {0};
     struct buf b = {0}, out = {0};
     struct err e = {0};
     char text[512];
     const void *spz;
     size_t n_spz;
     kit_gauss(5, 20, 10, 2, 0, &g);
-    for (int packed = 0; packed < 2; packed++) { /* accessors, and SPZ inside */
-        struct quant q = {0};
-        b.size = 0;
-        if (packed) {
-            kit_ok(quant_from_gauss(&g, 2, NULL, &q, &e), e);
-            kit_ok(glb_encode_spz(&q, NULL, &b, &e), e);
-        } else {
-            kit_ok(glb_encode_plain(&g, NULL, &b, &e), e);
-        }
-        quant_free(&q);
-        struct gauss plain;
-        kit_ok(glb_decode(b.data, b.size, NULL, &plain, &e), e);
-        for (size_t k = 0; k < sizeof cases / sizeof *cases; k++) {
-            static const double turn[9] = {0, 0, 1, 0, 1, 0, -1, 0, 0};
-            struct gauss want = {0};
-            kit_ok(gauss_alloc(&want, plain.n, plain.sh_degree, 0, &e), e);
-            kit_ok(gauss_append(&want, &plain, NULL, plain.n, &e), e);
-            if (cases[k].turned)
-                axes_turn(&want, turn);
-            snprintf(text, sizeof text, "%s%s", cases[k].nodes, one);
-            with_nodes(&b, text, "{}", &out);
-            kit_ok(glb_decode(out.data, out.size, NULL, &back, &e), e);
-            assert_int_equal(back.n, cases[k].copies * want.n);
-            for (size_t i = 0; i < 3 * back.n; i++) {
-                const size_t from = i % (3 * want.n);
-                const double mean =
-                    cases[k].scale * (double)want.mean_m[from] + cases[k].shift[i % 3];
-                assert_true(fabs((double)back.mean_m[i] - mean) < 1e-4);
-                assert_true(fabs((double)(back.scale_log[i] - want.scale_log[from]) -
-                                 log(cases[k].scale)) < 1e-5);
-            }
-            for (size_t i = 0; i < 3 * 9 * back.n; i++)
-                assert_true(fabsf(back.sh[i] - want.sh[i % (27 * want.n)]) < 1e-4f);
-            gauss_free(&back);
-            gauss_free(&want);
-        }
-        gauss_free(&plain);
-    }
-    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
-        snprintf(text, sizeof text, "%s%s", bad[i].nodes, one);
-        with_nodes(&b, text, bad[i].extra, &out);
+    kit_ok(quant_from_gauss(&g, 2, NULL, &q, &e), e);
+    kit_ok(glb_encode_spz(&q, NULL, &b, &e), e);
+    for (size_t i = 0; i < sizeof misplaced / sizeof *misplaced; i++) {
+        snprintf(text, sizeof text, "%s%s", misplaced[i].nodes, one);
+        with_nodes(&b, text, misplaced[i].extra, &out);
         const enum err_code rc = glb_decode(out.data, out.size, NULL, &back, &e);
         assert_true(rc == ERR_FORMAT || rc == ERR_LIMIT);
-        assert_non_null(strstr(e.msg, bad[i].says));
+        assert_non_null(strstr(e.msg, misplaced[i].says));
     }
     /* SPZ bytes are handed out as they are only where nothing happens to them. */
-    snprintf(text, sizeof text, "%s%s", cases[1].nodes, one);
+    snprintf(text, sizeof text, "%s%s", placed[1].nodes, one);
     with_nodes(&b, text, "{}", &out);
     kit_fails(glb_find_spz(out.data, out.size, &spz, &n_spz, &e), ERR_NOENT, e, "transformed");
     buf_free(&b);
     buf_free(&out);
+    quant_free(&q);
     gauss_free(&g);
 }
 
@@ -621,6 +639,7 @@ int main(void)
         cmocka_unit_test(test_plain_form),
         cmocka_unit_test(test_reads_short_and_byte_accessors),
         cmocka_unit_test(test_nodes_are_applied),
+        cmocka_unit_test(test_misplaced_nodes_are_named),
         cmocka_unit_test(test_linear_colours_become_srgb),
         cmocka_unit_test(test_truncation_and_flips),
         cmocka_unit_test(test_refuses_what_cannot_be_written),
