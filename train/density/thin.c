@@ -32,11 +32,12 @@
 #include "train/photographs/photo_loader.h"
 
 enum {
-    THIN_STEPS = 20,   /* of the finest level for a photograph that is drawn */
-    THIN_AGAIN = 3,    /* of a derived level */
-    THIN_LEAST = 16,   /* photographs that are drawn, if there are so many */
-    THIN_MOST = 3,     /* at most this part of the Gaussians goes at once */
-    THIN_CHUNK = 16384 /* Gaussians that a thread takes at a time */
+    THIN_STEPS = 20,       /* of the finest level for a photograph that is drawn */
+    THIN_AGAIN = 3,        /* of a derived level */
+    THIN_LEAST = 16,       /* photographs that are drawn, if there are so many */
+    THIN_LEAST_AGAIN = 96, /* of a derived level */
+    THIN_MOST = 3,         /* at most this part of the Gaussians goes at once */
+    THIN_CHUNK = 16384     /* Gaussians that a thread takes at a time */
 };
 
 struct thin {
@@ -262,7 +263,8 @@ static enum err_code thin_remove(struct thin *c, bool all_drawn, struct thin_rep
 size_t thin_views(const struct schedule *s, size_t n)
 {
     size_t some = s->steps / (s->derived ? THIN_AGAIN : THIN_STEPS);
-    some = some > THIN_LEAST ? some : THIN_LEAST;
+    const size_t least = s->derived ? THIN_LEAST_AGAIN : THIN_LEAST;
+    some = some > least ? some : least;
     return some < n ? some : n;
 }
 
