@@ -8,6 +8,7 @@
 
 #include "train/base/schedule.h"
 #include "train/density/thin.h"
+#include "train/refit.h"
 
 static size_t choose(const float *rise, const uint16_t *views, size_t n, double limit, bool all,
                      uint32_t *keep, double *given)
@@ -146,6 +147,10 @@ static void a_derived_level_ends_with_its_share(void **state)
         assert_int_equal(n, steps < 3 ? steps : 3);
         assert_true(inside <= 400 && inside >= 397 && over == 400);
         assert_true(outside <= 50 + 40 && outside >= 50 + 37);
+        /* the network of the finest level, and a last fit, move what there is */
+        const struct schedule refit = refit_schedule(&s), last = refit_schedule_last(&s);
+        for (uint32_t step = 1; step <= steps; step++)
+            assert_true(!schedule_thinning(&refit, step) && !schedule_thinning(&last, step));
     }
 }
 

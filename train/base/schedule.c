@@ -384,7 +384,7 @@ uint32_t schedule_thinning(const struct schedule *s, uint32_t step)
 {
     uint32_t from = s->densify_until, rest = s->steps > from ? s->steps - from : 0;
     uint32_t every = rest / SCHEDULE_THIN_PARTS;
-    if (s->last)
+    if (s->last || s->still)
         return 0;
     if (s->derived)
         return schedule_thinning_from(step, 1, every ? every : 1, schedule_thinnings_derived(s));

@@ -89,7 +89,7 @@ uint32_t schedule_densify_index(const struct schedule *s, uint32_t step);
 /* Thinnings of a level (train/density/thin.h), if it has as many steps: in the first half of the
  * steps after the finest level's densification, and of those of a derived level from its first. */
 enum { SCHEDULE_THINNINGS = 3 };
-/* Which of them follows this step, from 1; 0: none. */
+/* Which of them follows this step, from 1; 0: none, as in all steps that only fit colours again. */
 uint32_t schedule_thinning(const struct schedule *s, uint32_t step);
 /* How many a derived level has: it ends with its share of Gaussians also where it is short. */
 uint32_t schedule_thinnings_derived(const struct schedule *s);
