@@ -1,7 +1,7 @@
 /* A second round for photographs that lack features: see align_work.h.
  *
  * With few features a photograph may see so few points that its pose is hardly known, or find no
- * place at all. Those that match others get as many features as what is left of --minutes allows,
+ * place at all. Those that match others get as many features as the forecast leaves of --minutes,
  * and so do those that they are compared with: a match needs both. Their features leave a copy of
  * the database, COLMAP fills the gaps, and the model is computed anew. The better of the two models
  * stays.
@@ -49,10 +49,13 @@ static bool align_again_afford(struct align *a, const struct align_plan *part,
                                struct align_forecast *out)
 {
     const json_t *was = json_object_get(a->state, "again");
-    struct align_forecast rest = {
-        .model_s = a->forecast.model_s * (1 - (double)part->n_usable / (double)a->plan.n_usable)};
+    const struct align_pace pace = align_plan_pace(&a->pace);
+    struct align_forecast first = align_plan_forecast(&a->plan, a->forecast.edge_px,
+                                                      a->forecast.features, pace.slow),
+                          rest = {.model_s = first.model_s * (1 - (double)part->n_usable /
+                                                                      (double)a->plan.n_usable)};
     double left_s =
-        60 * a->o->minutes - align_sum(a, "seconds") - align_plan_clock_s(&rest, &a->pace);
+        60 * a->o->minutes - align_plan_clock_s(&first, &pace) - align_plan_clock_s(&rest, &pace);
     if (was) { /* of a run that was killed */
         *out = (struct align_forecast){
             .edge_px = (uint32_t)json_integer_value(json_object_get(was, "edge_px")),
@@ -60,8 +63,9 @@ static bool align_again_afford(struct align *a, const struct align_plan *part,
         return true;
     }
     *out = align_plan_afford(part, (uint32_t)a->o->max_edge_px, 0, &a->pace, left_s);
+    struct align_forecast f = align_plan_forecast(part, out->edge_px, out->features, pace.slow);
     return !a->o->features && out->features > a->forecast.features &&
-           align_plan_clock_s(out, &a->pace) <= left_s;
+           align_plan_clock_s(&f, &pace) <= left_s;
 }
 
 static enum err_code align_again_run(struct align *a, const bool *of, struct err *e)

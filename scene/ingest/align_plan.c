@@ -473,6 +473,7 @@ enum err_code align_plan_pairs(struct align_plan *p, size_t neighbours, size_t n
  * by thousands of features. */
 static const double megapixel_s = 0.35, feature_s = 0.0003, pair_s = 0.04, pair_square_s = 0.06,
                     model_s = 0.9, model_cores = 1.5, look_pairs = 0.4;
+static const double pace_other = 2.5;
 enum { FEATURES_A_MEGAPIXEL = 6000 };
 
 struct align_forecast align_plan_forecast(const struct align_plan *p, uint32_t edge_px,
@@ -510,6 +511,12 @@ double align_plan_clock_s(const struct align_forecast *f, const struct align_pac
            ((f->features_s + f->matches_s) / cores + f->model_s / fmin(cores, model_cores));
 }
 
+struct align_pace align_plan_pace(const struct align_pace *measured)
+{
+    bool usual = measured->slow < pace_other && measured->slow > 1 / pace_other;
+    return (struct align_pace){measured->cores, usual ? 1 : measured->slow, 1};
+}
+
 struct align_forecast align_plan_afford(const struct align_plan *p, uint32_t edge_px,
                                         uint32_t features, const struct align_pace *pace,
                                         double seconds)
@@ -523,12 +530,13 @@ struct align_forecast align_plan_afford(const struct align_plan *p, uint32_t edg
                                           {1600, 2048},
                                           {1280, 1536},
                                           {1000, 1024}};
+    const struct align_pace fixed = align_plan_pace(pace);
     struct align_forecast f = {0};
     for (size_t k = 0; k < sizeof choices / sizeof *choices; k++) {
         f = align_plan_forecast(p, edge_px ? edge_px : choices[k][0],
-                                features ? features : choices[k][1], pace->slow);
-        if (align_plan_clock_s(&f, pace) <= seconds)
+                                features ? features : choices[k][1], fixed.slow);
+        if (align_plan_clock_s(&f, &fixed) <= seconds)
             break;
     }
-    return f;
+    return align_plan_forecast(p, f.edge_px, f.features, pace->slow);
 }

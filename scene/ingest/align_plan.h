@@ -72,6 +72,9 @@ struct align_pace {
     double slow; /* processor seconds of a piece of work, relative to the usual machine */
     double load; /* seconds by the clock, relative to those without other programs; at least 1 */
 };
+/* The pace by which sizes are chosen, so that a folder has the same poses whatever else the machine
+ * does: no load, and the usual machine unless this one is much slower or faster (2.5 times). */
+struct align_pace align_plan_pace(const struct align_pace *measured);
 /* Forecasts the processor seconds of the stages. They hardly depend on other programs. */
 struct align_forecast align_plan_forecast(const struct align_plan *p, uint32_t edge_px,
                                           uint32_t features, double slow);
@@ -84,7 +87,8 @@ double align_plan_cpu_s(const struct align_forecast *f);
 double align_plan_clock_s(const struct align_forecast *f, const struct align_pace *pace);
 enum { ALIGN_PLAN_FEATURES_MOST = 8192 };
 /* Chooses the finest of the usual values of edge_px and features that takes at most so many seconds
- * by the clock, or else the coarsest. An argument edge_px or features that is not 0 is kept. */
+ * by the clock at align_plan_pace, or else the coarsest. An argument edge_px or features that is not
+ * 0 is kept. The forecast is that of the pace as it is. */
 struct align_forecast align_plan_afford(const struct align_plan *p, uint32_t edge_px,
                                         uint32_t features, const struct align_pace *pace,
                                         double seconds);
