@@ -36,7 +36,7 @@ const [, frame] = /^```html\n([\s\S]*?)^```$/m.exec(parts[about].body);
 
 function block(kind, code) {
   const whole = kind === "html" ? frame.replace("{recipe}\n", () => code) : code;
-  return `<pre class="${kind}"><code>${escape(versioned(whole))}</code></pre>\n`;
+  return `<pre class="${kind}" tabindex="0"><code>${escape(versioned(whole))}</code></pre>\n`;
 }
 
 const prose = (s) => s.split(/\n{2,}/).map((p) => p.trim()).filter((p) => p && !p.startsWith("|") && inline(p)).map((p) => `<p>${inline(p)}</p>\n`).join("");
@@ -56,8 +56,8 @@ const page = `<!doctype html>
 <link rel="icon" href="{host}/icon.svg">
 <style>body{font:16px/1.5 system-ui,sans-serif;max-width:62rem;margin:2rem auto;padding:0 1rem}h2{margin:2.5rem 0 .5rem}
 pre{overflow:auto;padding:.8rem;background:#f2f2ee;border-radius:4px;font-size:.85rem;line-height:1.4;user-select:all}
-nav a{margin-right:1rem;white-space:nowrap}summary{cursor:pointer}
-@media(prefers-color-scheme:dark){body{background:#111;color:#ddd}pre{background:#1d1f22}a{color:#8bf}}</style></head><body>
+nav a{display:inline-block;padding:.6rem 1rem .6rem 0;white-space:nowrap}summary{cursor:pointer;padding:.65rem 0}
+@media(prefers-color-scheme:dark){body{background:#111;color:#ddd}pre{background:#1d1f22}a{color:#8bf}}</style></head><body><main>
 <h1>Use {ds}</h1>
 <p>Code to paste, with the addresses and coordinates of this city. A click selects a block. {gaussians} Gaussians, attribution: {attribution}.
 Heights in addresses and answers count from {heights}.</p>
@@ -66,7 +66,7 @@ Heights in addresses and answers count from {heights}.</p>
 <p>Our viewer in any page, in this version for ever (<code>{host}/viewer.js</code> is always the newest):</p>
 ${block("html", `<script type="module" src="{viewer}"></script>\n<city-splat src="{host}/" scene="{ds}"></city-splat>\n`)}
 <nav>${recipes.map(({ heading }) => `<a href="#${anchor(heading)}">${escape(heading)}</a>`).join("\n")}</nav>
-${recipes.map(section).join("")}</body></html>
+${recipes.map(section).join("")}</main></body></html>
 `;
 mkdirSync(at("dist/"), { recursive: true });
 writeFileSync(at("dist/use.html"), page);

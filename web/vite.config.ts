@@ -153,7 +153,7 @@ function addPolicy(policy: string[]): Plugin {
   };
 }
 
-// A script of its own before all others (src/first.ts). The server writes into its tag.
+// A script of its own before all others (src/first.ts), behind the styles that it asks. The server writes into its tag.
 function addFirst(): Plugin {
   const { outputFiles } = buildSync({ entryPoints: ["src/first.ts"], bundle: true, minify: true, write: false, format: "iife", target: "es2022", legalComments: "none" });
   const source = outputFiles[0]!.contents;
@@ -164,7 +164,10 @@ function addFirst(): Plugin {
     generateBundle() {
       this.emitFile({ type: "asset", fileName, source });
     },
-    transformIndexHtml: (html) => html.replace(/<link rel="icon"/, `<script data-first src="./${fileName}"></script>\n    $&`),
+    transformIndexHtml: {
+      order: "post",
+      handler: (html) => html.replace(/<link rel="stylesheet"[^>]*>/, `$&\n    <script data-first src="./${fileName}"></script>`),
+    },
   };
 }
 

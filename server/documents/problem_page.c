@@ -13,7 +13,9 @@ static const char problem_page_head[] =
     "<meta name=\"viewport\" content=\"width=device-width\">"
     "<meta name=\"color-scheme\" content=\"light dark\">\n"
     "<style>body{font:1rem/1.5 system-ui,sans-serif;max-width:36rem;margin:4rem auto;"
-    "padding:0 1rem;overflow-wrap:anywhere}</style>\n<title>";
+    "padding:0 1rem;overflow-wrap:anywhere}p a{display:inline-block;padding:.7rem 0}"
+    "@media(prefers-color-scheme:dark){body{background:#111;color:#ddd}a{color:#8bf}}</style>\n"
+    "<title>";
 
 static void problem_page_line(const json_t *o, const char *key, const char *before,
                               const char *after, struct buf *b)
@@ -37,7 +39,7 @@ enum err_code problem_page_make(const uint8_t *problem, size_t size, const char 
         return err_set(e, ERR_DATA, "problem: no JSON object");
     }
     problem_page_line(o, "title", problem_page_head, " – citysplat</title>\n", &b);
-    problem_page_line(o, "title", "<h1>", "</h1>\n", &b);
+    problem_page_line(o, "title", "<main><h1>", "</h1>\n", &b);
     problem_page_line(o, "detail", "<p>", "</p>\n", &b);
     problem_page_line(o, "instance", "<p><code>", "</code></p>\n", &b);
     buf_printf(&b, "<p><a href=\"");
@@ -46,7 +48,7 @@ enum err_code problem_page_make(const uint8_t *problem, size_t size, const char 
     buf_markup(&b, home);
     buf_printf(&b, "/api.html\">All addresses</a></p>\n");
     problem_page_line(o, "request_id", "<p><small>Request ", "</small></p>\n", &b);
-    buf_printf(&b, "</html>\n");
+    buf_printf(&b, "</main></html>\n");
     json_decref(o);
     return document_take(buf_check(&b, e), &b, out, e);
 }

@@ -11,6 +11,7 @@ import { dirname, extname, join, normalize, resolve } from "node:path";
 import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 
+import { findFaults } from "./lib/axe.mjs";
 import { openPage, useWholeBrowser } from "./lib/browser.mjs";
 import { rmsDifference } from "./lib/checks.mjs";
 import { BLUE_TOP, makeCity, ORIGIN } from "./lib/city.mjs";
@@ -432,6 +433,10 @@ test("a server fills all of it for a dataset", skip, async (t) => {
     assert.equal(response.status, 200);
     const { page, log, close } = await openPage(url, { width: 1024, height: 640 });
     t.after(close);
+    for (const colorScheme of ["dark", "light"]) {
+        await page.emulateMedia({ colorScheme });
+        assert.deepEqual(await findFaults(page), [], colorScheme);
+    }
     const codes = await page.locator("pre").allTextContents();
     const left = codes.flatMap((code) => [...code.matchAll(/\{(\w+)\}/g)].map((m) => m[1]));
     assert.deepEqual([...new Set(left)].filter((word) => !["files", "x", "y", "z"].includes(word)), []);

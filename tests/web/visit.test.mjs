@@ -5,6 +5,7 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
+import { findFaults } from "./lib/axe.mjs";
 import { closeAll, lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
 import { measureContent, rmsDifference, SOUTH } from "./lib/checks.mjs";
 import { ORIGIN } from "./lib/city.mjs";
@@ -120,10 +121,15 @@ test("walking begins on the nearest street, at eye height, meets walls, and ends
 
 test("a view that sees nothing says so and leads back", skip, async (t) => {
     const far = { ...SOUTH, lat: SOUTH.lat + 1, heading: 0, pitch: 0 };
-    const { page } = await open(t, `?lang=en#${hashOf(far)}`);
+    const { page } = await open(t, `?lang=en#${hashOf(far)}`, { width: 1024, height: 640 });
     const said = page.locator("#banner-lost");
     await said.waitFor();
     assert.match(await said.textContent(), /^Nothing of the city is in this view/);
+    await page.evaluate(() => window.citysplat.viewer.events.emit("slow", 3)); // the longest that is told
+    await page.waitForSelector("#banner-slow");
+    const [panel, tools, ...told] = await page.$$eval("#panel, #tools, .banner", (nodes) =>
+        ["panel", "tools"].map((id) => nodes.find((node) => node.id === id)).concat(nodes.filter((node) => node.matches(".banner"))).map((node) => node.getBoundingClientRect().toJSON()));
+    for (const one of told) assert.ok(one.left >= panel.right && one.right <= tools.left, `what is told lies at ${one.left} to ${one.right}, the panel ends at ${panel.right}`);
     await said.getByRole("button", { name: "Whole scene" }).click();
     await waitForViewer(page);
     assert.equal(await said.count(), 0);
@@ -326,7 +332,10 @@ for (const [name, size] of Object.entries({ desk: { width: 1440, height: 900 }, 
             return png;
         };
         await page.goto(source.url, { waitUntil: "commit" });
-        await page.waitForFunction(() => document.documentElement.dataset.poster);
+        await page.waitForFunction(() => document.documentElement.dataset.poster && document.getElementById("embed"));
+        // No control without a word or a sign: their words come with the scripts.
+        const empty = await page.$$eval("button, summary, select", (all) => all.filter((node) => node.checkVisibility() && !node.textContent.trim() && !node.querySelector("svg")).map((node) => node.outerHTML.slice(0, 60)));
+        assert.deepEqual(empty, []);
         const poster = await page.evaluate(() => document.documentElement.dataset.poster);
         const { status } = await fetch(poster);
         if (status === 501 || status === 503) {
@@ -354,6 +363,10 @@ test("a person at a wrong address gets a page, a program its document", skip, as
     const answer = await page.goto(wrong);
     assert.deepEqual([answer.status(), answer.headers()["content-type"]], [404, "text/html; charset=utf-8"]);
     assert.equal(await page.textContent("h1"), "Not Found");
+    for (const colorScheme of ["dark", "light"]) {
+        await page.emulateMedia({ colorScheme });
+        assert.deepEqual(await findFaults(page), [], colorScheme);
+    }
     await page.getByRole("link", { name: "To the city" }).click();
     await waitForViewer(page);
     const own = await fetch(wrong);

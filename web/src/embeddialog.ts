@@ -36,6 +36,8 @@ export class EmbedDialog {
   // tour: what the link carries.
   open(tour: string) {
     this.code.value = embedCode(this.viewer, tour);
+    const { scene } = this.viewer;
+    element<HTMLAnchorElement>("embed-use").href = new URL(`d/${scene!.id}/use`, scene!.catalogue!).href;
     this.dialog.showModal();
   }
 

@@ -25,11 +25,10 @@ function placeAt({ lon, lat, h }: Place, [east, up, south]: Point): Place {
   return { lon: lon + (degrees * east) / (across + h) / Math.cos(b), lat: lat - (degrees * south) / (along + h), h: h + up + (east * east + south * south) / (2 * across) };
 }
 
-// What the page's panels will leave free of a window: as style.css has it.
+// What the page's panels will leave free of a window. There are none yet: style.css, which comes before this, knows.
 function freeOf(width: number, height: number): Area {
-  const bare = root.dataset["ui"] === "off";
-  const [left, right, top, bottom] = bare ? [0, 0, 0, 0] : height <= 480 ? [0, 114, 58, 32] : width <= 700 && height > width ? [0, 0, 58, 107] : [280, 56, 0, 30];
-  return { left: left! / width, right: 1 - right! / width, top: top! / height, bottom: 1 - bottom! / height };
+  const [top = 0, right = 0, bottom = 0, left = 0] = getComputedStyle(root).getPropertyValue("--free").trim().split(" ").map(Number);
+  return { left: left / width, right: 1 - right / width, top: top / height, bottom: 1 - bottom / height };
 }
 
 // The whole city; outline: four corners, each east and north of the place, then the least and the greatest height, metres.

@@ -12,8 +12,9 @@ const SAMPLES = 300;
 const LOCAL_SAMPLES = 160; // each asks all Gaussians that are drawn
 const LOCAL_AT_A_TIME = 8;
 const TIMEOUT_MS = 20_000;
-const WIDTH = 640; // of the chart, in its own units
-const HEIGHT = 136;
+const LEAST_PX = 240; // of the chart's width
+const HEIGHT = 136; // of it, pixels
+const LABEL_PX = 110; // a number below it, with room
 const LEFT = 54;
 const RIGHT = 12;
 const TOP = 10;
@@ -166,6 +167,7 @@ export class ProfileChart {
   private chosen = 0;
   private marker = 0;
   private request = new AbortController();
+  private width = LEAST_PX;
   private x = (_: number) => 0;
   private y = (_: number) => 0;
 
@@ -231,9 +233,10 @@ export class ProfileChart {
     const step = niceStep(Math.max(1, highest - lowest), 3);
     const low = Math.floor(lowest / step) * step;
     const high = Math.max(low + step, Math.ceil(highest / step) * step);
-    this.x = (d) => LEFT + ((WIDTH - LEFT - RIGHT) * d) / Math.max(length, 1e-9);
+    this.width = Math.max(LEAST_PX, chart.clientWidth);
+    this.x = (d) => LEFT + ((this.width - LEFT - RIGHT) * d) / Math.max(length, 1e-9);
     this.y = (h) => TOP + ((HEIGHT - TOP - BOTTOM) * (high - h)) / (high - low);
-    const root = svg("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, "aria-hidden": "true" });
+    const root = svg("svg", { viewBox: `0 0 ${this.width} ${HEIGHT}`, "aria-hidden": "true" });
     root.append(...this.axes(low, high, step, length));
     for (const d of legs.slice(1, -1))
       root.append(svg("line", { class: "leg", x1: this.x(d), x2: this.x(d), y1: TOP, y2: HEIGHT - BOTTOM }));
@@ -252,13 +255,13 @@ export class ProfileChart {
     const out: SVGElement[] = [];
     for (let h = low; h <= high + step / 2; h += step)
       out.push(
-        svg("line", { class: "grid", x1: LEFT, x2: WIDTH - RIGHT, y1: this.y(h), y2: this.y(h) }),
+        svg("line", { class: "grid", x1: LEFT, x2: this.width - RIGHT, y1: this.y(h), y2: this.y(h) }),
         svg("text", { x: LEFT - 6, y: this.y(h) + 4, "text-anchor": "end" }, `${number.format(h)} m`),
       );
-    const along = niceStep(length, 6);
+    const along = niceStep(length, this.width / LABEL_PX);
     for (let d = 0; d <= length * 1.0001; d += along) {
       const last = d + along > length * 1.0001;
-      const anchor = d === 0 ? "start" : last && this.x(d) > WIDTH - 40 ? "end" : "middle";
+      const anchor = d === 0 ? "start" : last && this.x(d) > this.width - 40 ? "end" : "middle";
       out.push(svg("text", { x: this.x(d), y: HEIGHT - 6, "text-anchor": anchor }, `${number.format(d)} m`));
     }
     return out;
@@ -293,9 +296,9 @@ export class ProfileChart {
   private point(event: PointerEvent) {
     if (!this.profile) return;
     const { left, width } = element("profile-chart").getBoundingClientRect();
-    const across = ((event.clientX - left) / Math.max(1, width)) * WIDTH;
+    const across = ((event.clientX - left) / Math.max(1, width)) * this.width;
     const { points } = this.profile;
-    const share = (across - LEFT) / (WIDTH - LEFT - RIGHT);
+    const share = (across - LEFT) / (this.width - LEFT - RIGHT);
     this.choose(Math.round(share * (points.length - 1)));
   }
 

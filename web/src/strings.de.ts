@@ -97,6 +97,7 @@ export const de: Partial<Record<TextKey, string>> = {
   "embed.code": "Zeilen für die Seite",
   "embed.copy": "Kopieren",
   "embed.done": "Zeilen kopiert",
+  "embed.use": "Code für andere Karten und Programme",
   "tool.north": "Nach Norden",
   "tool.in": "Näher",
   "tool.out": "Weiter weg",

@@ -169,6 +169,7 @@ export const page = {
   "embed.code": "Lines for the page",
   "embed.copy": "Copy",
   "embed.done": "Lines copied",
+  "embed.use": "Code for other maps and programs",
   "tool.north": "North up",
   "tool.walk": "Orbit, fly, walk",
   "tool.measure": "Measure",
