@@ -30,6 +30,7 @@ typedef uchar16 layout_uchar16 __attribute__((aligned(1)));
 
 #define LAYOUT_LANES 16 /* Gaussians per group of the AoSoA-16 parameter layout */
 #define LAYOUT_TILE 16  /* pixels per tile edge */
+#define LAYOUT_EDGE 128 /* cells on a side of render_edge */
 #define LAYOUT_TILE_PIXELS (LAYOUT_TILE * LAYOUT_TILE)
 #define LAYOUT_BANDS 10 /* column ranges in a splat record */
 
@@ -167,6 +168,9 @@ struct layout_view {
      */
     float room_px;
     LAYOUT_U32 again; /* 1: the tile lists are those of an earlier frame */
+    /* render_edge: its south-west corner, m from the model's origin; cells a metre, 0: there is none
+     */
+    float edge_x, edge_y, edge_cells;
 };
 
 /* Word numbers in struct layout_splat, for kernels that move records as vectors. */
@@ -302,7 +306,7 @@ static_assert(LAYOUT_PLANES_GEOMETRY == LAYOUT_PLANE_OPACITY + 1, "opacity is th
 static_assert(sizeof(struct layout_adam) == 18 * 4, "no padding: an argument of a kernel");
 static_assert(sizeof(struct layout_counts) == 8 * (2 + LAYOUT_SORT_CHUNKS) + 4 * LAYOUT_BIN_CHUNKS,
               "no padding");
-static_assert(sizeof(struct layout_view) == 46 * 4, "no padding: kernels read the same words");
+static_assert(sizeof(struct layout_view) == 49 * 4, "no padding: kernels read the same words");
 
 /* Number of planes of a group of parameters. Embeddings begin at plane layout_planes(sh_degree, 0).
  */

@@ -103,6 +103,7 @@ struct render {
     /* with view.depth_unit_m: float [2][h][w] and [3][h][w] planar, see render.h */
     struct frame_buffer moments, moments_grad;
     struct frame_buffer where; /* uchar [h][w]: copy of render_options.background_where */
+    struct frame_buffer edge;  /* float [LAYOUT_EDGE][LAYOUT_EDGE]: copy of render_options.edge */
 
     /* ---- appearance: render_appearance.c ---- */
     /* those of the last frame; NULL: it was drawn without appearance */

@@ -1,6 +1,7 @@
 // Stage: project. Gaussians -> splat records, depth keys, tile counts.
 //   in   params [groups][planes][16]
 //        list [groups], with view->listed: which groups of params these are
+//        edge [LAYOUT_EDGE][LAYOUT_EDGE], with view->edge_cells: what is left of opacities
 //   out  splats [groups * 16] (anything where culled), depth_key (bits of depth, ~0 where culled),
 //        tiles_of
 // Culling has several steps, cheapest first: depth, a bound of the extent, the ellipse, its extent.
@@ -194,6 +195,36 @@ INLINE VI project_appearance(__constant struct layout_view *v, __global const fl
 }
 #endif
 
+// What is left of Gaussians near the city's edge: render_edge between the middles of four cells.
+INLINE V project_edge(__constant struct layout_view *v, __global const float *edge,
+                      __global const float *g)
+{
+    V x = (LD(g, LAYOUT_PLANE_MEAN) - v->edge_x) * v->edge_cells - 0.5f;
+    V y = (LD(g, LAYOUT_PLANE_MEAN + 1) - v->edge_y) * v->edge_cells - 0.5f;
+    x = CLAMP_(x, 0.0f, LAYOUT_EDGE - 1.001f); // of NaN: 0
+    y = CLAMP_(y, 0.0f, LAYOUT_EDGE - 1.001f);
+    V column = floor(x), row = floor(y);
+    VI cell = TO_VI(row) * LAYOUT_EDGE + TO_VI(column);
+#if VW == 16
+    int at[16];
+    float corner[4][16];
+    vstore16(cell, 0, at);
+    for (int i = 0; i < 16; i++) {
+        corner[0][i] = edge[at[i]];
+        corner[1][i] = edge[at[i] + 1];
+        corner[2][i] = edge[at[i] + LAYOUT_EDGE];
+        corner[3][i] = edge[at[i] + LAYOUT_EDGE + 1];
+    }
+    V sw = vload16(0, corner[0]), se = vload16(0, corner[1]);
+    V nw = vload16(0, corner[2]), ne = vload16(0, corner[3]);
+#else
+    V sw = edge[cell], se = edge[cell + 1];
+    V nw = edge[cell + LAYOUT_EDGE], ne = edge[cell + LAYOUT_EDGE + 1];
+#endif
+    V south = sw + (x - column) * (se - sw), north = nw + (x - column) * (ne - nw);
+    return south + (y - row) * (north - south);
+}
+
 // How far it reaches, then the rest of the outline. The mask of lanes that are left: those that
 // reach into the picture, and not from just before the lens over all of it.
 INLINE VI project_outline(__constant struct layout_view *v, const struct seen *s, VI live,
@@ -279,7 +310,8 @@ INLINE int project_near(__constant struct layout_view *v, __global const float *
 
 // The group (VW 16) or lane (VW 1) whose parameters start at g and whose first index is `index`.
 INLINE void project_some(__constant struct layout_view *v, __global const float *g, uint index,
-                         __global struct layout_splat *splats, VU *key, VU *tiles APPEARANCE_ARGS)
+                         __global struct layout_splat *splats, VU *key, VU *tiles,
+                         __global const float *edge APPEARANCE_ARGS)
 {
     struct seen s;
     struct outline o;
@@ -302,6 +334,12 @@ INLINE void project_some(__constant struct layout_view *v, __global const float 
     if (!ANY(live))
         return;
 #endif
+    if (v->edge_cells > 0.0f) {
+        s.opacity *= project_edge(v, edge, g);
+        live &= s.opacity * s.rho >= LAYOUT_ALPHA_MIN;
+        if (!ANY(live))
+            return;
+    }
     live = project_outline(v, &s, live, &o);
     if (!ANY(live))
         return;
@@ -337,7 +375,8 @@ INLINE void project_hide(__global struct layout_splat *splats, VU tiles, VU list
 
 __kernel void project(__constant struct layout_view *view, __global const float *params,
                       __global const uint *list, __global struct layout_splat *splats,
-                      __global uint *depth_key, __global uint *tiles_of APPEARANCE_ARGS)
+                      __global uint *depth_key, __global uint *tiles_of,
+                      __global const float *edge APPEARANCE_ARGS)
 {
     size_t item = get_global_id(0);
 #if VW == 16
@@ -351,7 +390,7 @@ __kernel void project(__constant struct layout_view *view, __global const float 
         for (uint plane = 0; plane < LAYOUT_PLANES_GEOMETRY; plane++)
             PREFETCH(ahead + plane * LAYOUT_LANES);
         project_some(view, params + from * view->planes * LAYOUT_LANES, (uint)group * LAYOUT_LANES,
-                     splats, &key, &tiles APPEARANCE(group * LAYOUT_LANES));
+                     splats, &key, &tiles, edge APPEARANCE(group * LAYOUT_LANES));
         LAYOUT_WIDE(__global, uint, depth_key + LAYOUT_LANES * group) = key;
         if (view->again)
             project_hide(splats + LAYOUT_LANES * group, tiles,
@@ -365,7 +404,7 @@ __kernel void project(__constant struct layout_view *view, __global const float 
         size_t group = item / LAYOUT_LANES, lane = item % LAYOUT_LANES;
         size_t from = view->listed ? list[group] : group;
         project_some(view, params + from * view->planes * LAYOUT_LANES + lane, (uint)item, splats,
-                     &key, &tiles APPEARANCE(item));
+                     &key, &tiles, edge APPEARANCE(item));
         depth_key[item] = key;
         if (view->again)
             project_hide(splats + item, tiles, tiles_of[item]);

@@ -31,6 +31,14 @@ enum render_aa {
     RENDER_AA_MIP,
 };
 
+/* What is left of Gaussians near a city's edge, as seen from straight above: their opacity is
+ * multiplied by the value at their mean. Between the middles of cells it is linear, outside of the
+ * square it is that of its border. */
+struct render_edge {
+    float left[LAYOUT_EDGE][LAYOUT_EDGE]; /* 0..1, rows from south to north */
+    double middle_enu_m[2], side_m;       /* of the square, along east and north */
+};
+
 struct render_options {
     enum render_aa aa;
     float background[3]; /* 0..1, seen where transmittance is left */
@@ -73,6 +81,9 @@ struct render_options {
      * after this one; the picture is the same. */
     bool list_again;
     float list_room_px;
+    /* With `picture` alone (ERR_ARG). Borrowed during the call; list_again: the earlier frame's.
+     * NULL: every Gaussian has its own opacity. */
+    const struct render_edge *edge;
     /* render_share_run follows: on CPUs its sums are made with the picture. Not with `picture` or
      * depth_unit_m: ERR_ARG. */
     bool shares;

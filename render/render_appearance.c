@@ -151,8 +151,8 @@ enum err_code render_appearance_project(struct render *r, const struct render_mo
     return frame_run(r, r->appearance->project, "project with appearance",
                      FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(list),
                                 FRAME_ARG(r->splats.mem), FRAME_ARG(r->depth_key.mem),
-                                FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->appearance_frame.mem),
-                                FRAME_ARG(r->effective.mem)),
+                                FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->edge.mem),
+                                FRAME_ARG(r->appearance_frame.mem), FRAME_ARG(r->effective.mem)),
                      items, local, e);
 }
 

@@ -115,6 +115,7 @@ void render_close(struct render **rp)
                                       &r->moments,
                                       &r->moments_grad,
                                       &r->where,
+                                      &r->edge,
                                       &r->hits,
                                       &r->tile_stop,
                                       &r->slots};
@@ -215,6 +216,11 @@ void render_view_fill(const struct render *r, const struct render_model *m, cons
     v->depth_unit_m = (float)o->depth_unit_m;
     v->room_px = o->list_room_px;
     v->again = o->list_again;
+    if (o->edge) {
+        v->edge_x = (float)(o->edge->middle_enu_m[0] - o->edge->side_m / 2 - m->origin_enu_m[0]);
+        v->edge_y = (float)(o->edge->middle_enu_m[1] - o->edge->side_m / 2 - m->origin_enu_m[1]);
+        v->edge_cells = (float)(LAYOUT_EDGE / o->edge->side_m);
+    }
 }
 
 /* ---- stages ---- */
@@ -268,7 +274,7 @@ static enum err_code render_stage_project(struct render *r, const struct render_
     return frame_run(r, r->k.project, "project",
                      FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(list),
                                 FRAME_ARG(r->splats.mem), FRAME_ARG(r->depth_key.mem),
-                                FRAME_ARG(r->tiles_of.mem)),
+                                FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->edge.mem)),
                      items, local, e);
 }
 
@@ -465,6 +471,10 @@ static enum err_code render_hand_over(struct render *r, const struct render_opti
 {
     size_t pixels = (size_t)r->view.width * r->view.height;
     enum err_code rc = dev_write_soon(r->dev, r->view_mem, 0, sizeof r->view, &r->view, e);
+    if (!rc)
+        rc = frame_reserve(r, &r->edge, o->edge ? sizeof o->edge->left : sizeof(float), e);
+    if (!rc && o->edge)
+        rc = dev_write_soon(r->dev, r->edge.mem, 0, sizeof o->edge->left, o->edge->left, e);
     if (!rc && o->background_where)
         rc = frame_reserve(r, &r->where, pixels, e);
     return !rc && o->background_where
@@ -561,6 +571,8 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
     memset(&r->stats, 0, sizeof r->stats);
     if (!rc && o->shares && (o->picture || o->depth_unit_m > 0))
         rc = err_set(e, ERR_ARG, "render_forward: shares, and a picture alone or moments of depth");
+    if (!rc && o->edge && (!o->picture || !(o->edge->side_m > 0)))
+        rc = err_set(e, ERR_ARG, "render_forward: an edge without a side, or not a picture alone");
     if (rc) {
         r->listed = false;
         return rc;

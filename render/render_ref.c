@@ -40,6 +40,8 @@ enum err_code ref_view_init(const struct gauss *g, const struct camera *cam,
         v.background_there[i] = (double)o->background_there[i];
     }
     v.background_where = o->background_where;
+    v.edge = o->edge;
+    memcpy(v.origin_enu_m, g->origin_enu_m, sizeof v.origin_enu_m);
     for (int i = 0; i < 3; i++)
         v.eye[i] = -(v.rot[i] * v.trans[0] + v.rot[3 + i] * v.trans[1] + v.rot[6 + i] * v.trans[2]);
     v.fx = cam->fx_px;
@@ -234,6 +236,23 @@ static void ref_color(const struct ref_view *v, const struct gauss *g, size_t i,
     }
 }
 
+/* render_edge at a mean, between the middles of four cells. */
+static double ref_edge(const struct ref_view *v, const float mean_m[3])
+{
+    double at[2];
+    size_t cell[2];
+    for (int a = 0; a < 2; a++) {
+        const double corner = v->edge->middle_enu_m[a] - v->edge->side_m / 2;
+        at[a] = ((double)mean_m[a] + v->origin_enu_m[a] - corner) * LAYOUT_EDGE / v->edge->side_m;
+        at[a] = fmin(fmax(at[a] - 0.5, 0), LAYOUT_EDGE - 1.001);
+        cell[a] = (size_t)at[a];
+        at[a] -= (double)cell[a];
+    }
+    const float *south = &v->edge->left[cell[1]][cell[0]], *north = south + LAYOUT_EDGE;
+    return (1 - at[1]) * ((1 - at[0]) * (double)south[0] + at[0] * (double)south[1]) +
+           at[1] * ((1 - at[0]) * (double)north[0] + at[0] * (double)north[1]);
+}
+
 bool ref_project(const struct ref_view *v, const struct gauss *g, size_t i, struct ref_splat *out)
 {
     struct ref_splat s = {.index = i};
@@ -254,6 +273,8 @@ bool ref_project(const struct ref_view *v, const struct gauss *g, size_t i, stru
         (void)ref_appearance(v, g, i, unit, hidden, s.y);
         s.opacity = fmin(s.opacity_raw + s.y[LAYOUT_APPEARANCE_OPACITY], 1);
     }
+    if (v->edge)
+        s.opacity *= ref_edge(v, g->mean_m + 3 * i);
     s.rho = v->compensate ? sqrt(fmax((double)LAYOUT_RHO2_MIN, s.det0 / s.det)) : 1;
     s.opacity_eff = s.opacity * s.rho;
     if (!(s.opacity_eff >= (double)LAYOUT_ALPHA_MIN))

@@ -20,7 +20,9 @@ struct ref_view {            /* a camera and options, with all defaults filled i
     double background[3];
     const uint8_t *background_where; /* borrowed; NULL: no pixel has the other background */
     double background_there[3];
-    double depth_unit_m; /* of moments of depth; 0: none */
+    const struct render_edge *edge; /* borrowed; NULL: none */
+    double origin_enu_m[2];         /* of the model */
+    double depth_unit_m;            /* of moments of depth; 0: none */
     bool compensate, orthographic;
     uint32_t sh_degree; /* degree that is evaluated */
     const float *frame; /* constants of a frame with appearance, borrowed; NULL: none */

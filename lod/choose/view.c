@@ -285,7 +285,8 @@ static bool view_is_next(const struct view *v, const struct render_options *ro,
     return m->made && m->frame == render_frames(v->render) && was->aa == ro->aa &&
            was->near_m == ro->near_m && was->kernel_px2 == ro->kernel_px2 &&
            was->sh_degree == ro->sh_degree && was->supersample == ro->supersample &&
-           m->max_gaussians == po->max_gaussians && m->error_px == po->error_px;
+           was->edge == ro->edge && m->max_gaussians == po->max_gaussians &&
+           m->error_px == po->error_px;
 }
 
 static enum err_code view_draw_again(struct view *v, const struct camera *cam,

@@ -81,7 +81,7 @@ static void composite_pixels(const struct composite *p, const struct camera *cam
             const float *rgb = in->rgb + 3 * i;
             double left = in->transmittance ? fmin(fmax((double)in->transmittance[i], 0), 1) : 0;
             double sky[3] = {0}, alpha = 1;
-            if (p->background == BACKGROUND_SKY)
+            if (p->background == BACKGROUND_SKY && left > 0)
                 composite_sky(in->sky, cam, x, y, sky);
             else if (p->background == BACKGROUND_TRANSPARENT)
                 alpha = 1 - left;

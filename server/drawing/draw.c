@@ -191,6 +191,7 @@ static enum err_code draw_sky(struct draw *d, const struct draw_request *q, stru
     if (s->has_sky && !memcmp(&s->sky_of, &q->appearance, sizeof s->sky_of))
         return ERR_OK;
     double min[3], max[3];
+    s->has_sky = false;
     draw_extent(view_store(s->view), min, max);
     const struct camera cam = backdrop_camera(min, max);
     const struct render_options ro = {.aa = q->antialiased ? RENDER_AA_2D : RENDER_AA_NONE,
@@ -202,8 +203,9 @@ static enum err_code draw_sky(struct draw *d, const struct draw_request *q, stru
         rc = view_render(s->view, &cam, &ro, &po, rgb, NULL, e);
     if (!rc)
         rc = render_transmittance(d->render, rgb + (size_t)3 * CELLS, e);
+    if (!rc)
+        rc = backdrop_read(min, max, rgb, rgb + (size_t)3 * CELLS, &s->sky, e);
     if (!rc) {
-        s->sky = backdrop_read(min, max, rgb, rgb + (size_t)3 * CELLS);
         s->sky_of = q->appearance;
         s->has_sky = true;
     }
@@ -232,8 +234,10 @@ static enum err_code draw_picture(struct draw *d, const struct draw_request *q, 
     float *more = rgb ? rgb + 3 * n : NULL;
     const struct composite_planes planes = {rgb, left ? more : NULL,
                                             depth ? more + (left ? n : 0) : NULL, &s->sky};
-    if (!rc && paint->background == BACKGROUND_SKY)
+    if (!rc && paint->background == BACKGROUND_SKY) {
         rc = draw_sky(d, q, s, e);
+        ro.edge = &s->sky.edge;
+    }
     double since_s = clock_s();
     if (!rc)
         rc = (v->moves && !depth ? view_render_moving : view_render)(s->view, &v->cam, &ro, &po,

@@ -583,6 +583,45 @@ static void test_background(void **state)
     gauss_free(&g);
 }
 
+/* What is left of opacities by a map from above, as the reference has it; outside of the map its
+ * border counts. Of ones it changes nothing. */
+static void test_edge(void **state)
+{
+    struct gauss g;
+    struct camera cam = view_from(8, -5, 5, 70, 40);
+    struct render_options o = PLAIN;
+    struct render_edge edge = {.middle_enu_m = {0.3, -0.2}, .side_m = 5};
+    (void)state;
+    kit_gauss(121, 200, 4.0, 1, 0, &g);
+    o.picture = true;
+    struct picture whole = draw(&g, &cam, &o);
+    o.edge = &edge;
+    for (int y = 0; y < LAYOUT_EDGE; y++)
+        for (int x = 0; x < LAYOUT_EDGE; x++)
+            edge.left[y][x] = 1;
+    struct picture ones = draw(&g, &cam, &o);
+    expect_same_bits("an edge of ones", &ones, &whole);
+    for (int y = 0; y < LAYOUT_EDGE; y++) /* other along east than along north */
+        for (int x = 0; x < LAYOUT_EDGE; x++)
+            edge.left[y][x] = fminf(1, (float)(x * (y + 20)) / (LAYOUT_EDGE * LAYOUT_EDGE));
+    struct picture faded = draw(&g, &cam, &o);
+    double apart = 0;
+    for (size_t i = 0; i < faded.pixels; i++)
+        apart = fmax(apart, (double)(faded.t[i] - whole.t[i]));
+    assert_true(apart > 0.2);
+    check("an edge", &g, &cam, &o);
+    o.picture = false;
+    struct err e = {0};
+    struct render_model m;
+    kit_ok(render_model_upload(render, &g, &m, &e), e);
+    kit_fails(render_forward(render, &m, &cam, &o, NULL, NULL, &e), ERR_ARG, e, "edge");
+    render_model_free(&m);
+    picture_free(&whole);
+    picture_free(&ones);
+    picture_free(&faded);
+    gauss_free(&g);
+}
+
 /* Buffers grow when a frame needs more than the last, whatever the order of frames. */
 static void test_growth(void **state)
 {
@@ -1026,6 +1065,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(test_repeatable),
         cmocka_unit_test(test_far_from_origin),
         cmocka_unit_test(test_background),
+        cmocka_unit_test(test_edge),
         cmocka_unit_test(test_growth),
         cmocka_unit_test(test_limits),
         cmocka_unit_test(test_hostile_parameters),

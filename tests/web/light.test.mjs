@@ -5,6 +5,7 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
+import { meanDifference } from "./lib/checks.mjs";
 import { openPage, useWholeBrowser, waitForViewer } from "./lib/browser.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { getBytes, GIVEN_TILES, MOCK, openLitCity } from "./lib/source.mjs";
@@ -16,7 +17,8 @@ const TIMEOUT_MS = 120000;
 const PANES = ["ours", "cesium", "served"];
 const CHANGE_LEAST = 4; // of 255: the city of the tests has lights that differ
 const ALIKE_LEAST = 0.8; // cosine of two changes of colour
-const GROUND_APART = 8; // of 255: in the browser the city's edge colours what lies near it
+const GROUND_APART = 3; // of 255
+const WHOLE_APART = 3; // of 255 in the mean, of a city with its edge
 const skip = { skip: MOCK || GIVEN_TILES ? "needs a city of several lights" : false };
 
 let source;
@@ -76,13 +78,20 @@ test("sky and ground of the server's pictures are those of the browser, in each 
         const { page, close } = await openPage(`${source.url}/?scene=lit&ui=off&appearance=${name}`, { width: 640, height: 360, colorScheme: "light" });
         t.after(close);
         await waitForViewer(page, TIMEOUT_MS);
+        // The view at hand, by both.
+        const both = async () => {
+            await waitForViewer(page, TIMEOUT_MS);
+            const own = decodePng(await page.screenshot());
+            const url = new URL(await page.evaluate(() => window.citysplat.viewer.serverPicture(640, 360).href.replace(/\.jpg/, ".png")));
+            url.searchParams.set("background", "sky");
+            return [own, decodePng(await getBytes(url))];
+        };
+        // The city's edge fades into the same ground.
+        const apart = meanDifference(...(await both()));
+        t.diagnostic(`${name}: the whole city is ${apart.toFixed(2)} of 255 apart`);
+        assert.ok(apart < WHOLE_APART, `${name}: ${apart} of 255`);
         await page.evaluate(() => window.citysplat.look({ ...window.citysplat.pose(), pitch: -8 }));
-        await waitForViewer(page, TIMEOUT_MS);
-        const own = decodePng(await page.screenshot());
-        const view = await page.evaluate(() => window.citysplat.viewer.serverPicture(640, 360).href.replace(/\.jpg/, ".png"));
-        const url = new URL(view);
-        url.searchParams.set("background", "sky");
-        const served = decodePng(await getBytes(url));
+        const [own, served] = await both();
         const [zenith, horizon, ground] = [[320, 5, 2], [20, 140, 40], [20, 300, GROUND_APART]].map(([x, y, most]) => {
             const [a, b] = [own, served].map((picture) => picture.mean(x, y, 3));
             t.diagnostic(`${name} at ${x}, ${y}: ${a.map((v) => v.toFixed(0))} by the browser, ${b.map((v) => v.toFixed(0))} by the server`);

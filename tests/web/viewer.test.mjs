@@ -23,6 +23,7 @@ import { firstDataSet, getJson, GIVEN_TILES, MOCK, openSource } from "./lib/sour
 const SIZE = { width: 720, height: 540 };
 // Client and server round and cut off a little differently (1.7 on the test city, 4.3 on a trained one,
 // where they may also choose other levels). A shift by 5 pixels gives 10, a mirrored picture 21.
+const SAME_GROUND = 7; // of 255: ground of the browser and of the server, whose terrain is level
 const RMS_MAX = GIVEN_TILES ? 8 : 4;
 
 // One red pixel.
@@ -118,6 +119,18 @@ test("the ground goes on around the city, whose edge fades into it, below a sky"
     };
     t.diagnostic(`the steepest 2 m over the edge: ${steps(whole).toFixed(1)} of 255, without ground ${steps(bare).toFixed(1)}`);
     assert.ok(steps(whole) < 10 && steps(bare) > 30, `${steps(whole)} and ${steps(bare)}`);
+    // The server's picture has the same ground, and its city fades into it alike.
+    const address = `${pose.lon.toFixed(8)},${pose.lat.toFixed(8)},${pose.h.toFixed(3)}@0,-14,60`;
+    const answer = await fetch(`${source.url}/d/${await firstDataSet(source.url)}/static/${address}/${SIZE.width}x${SIZE.height}.png?background=sky`);
+    if (![501, 503].includes(answer.status)) {
+        const served = decodePng(Buffer.from(await answer.arrayBuffer()));
+        t.diagnostic(`by the server: ${steps(served).toFixed(1)} of 255`);
+        assert.ok(steps(served) < 10, `the server's city ends in a step of ${steps(served)} of 255`);
+        for (const enu of [[-20, -115, 0], [60, -120, 0], [-60, -125, 0], [-15, -100, 0]]) {
+            const [own, other] = [at(whole, enu), at(served, enu)];
+            assert.ok(own.every((v, c) => Math.abs(v - other[c]) <= SAME_GROUND), `${enu}: ${own} by the browser, ${other} by the server`);
+        }
+    }
     const [red, , blue] = whole.at(10, 10);
     assert.ok(blue > red + 30, `sky: ${whole.at(10, 10)}`);
 

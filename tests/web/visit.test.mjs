@@ -7,7 +7,7 @@ import { after, before, test } from "node:test";
 
 import { findFaults } from "./lib/axe.mjs";
 import { closeAll, lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
-import { measureContent, rmsDifference, SOUTH } from "./lib/checks.mjs";
+import { meanDifference, measureContent, rmsDifference, SOUTH } from "./lib/checks.mjs";
 import { ORIGIN } from "./lib/city.mjs";
 import { placeOfEnu } from "./lib/geo.mjs";
 import { decodePng } from "./lib/png.mjs";
@@ -300,17 +300,6 @@ for (const colorScheme of ["light", "dark"])
         await waitForViewer(page);
         assert.equal(await picture(), "none");
     });
-
-// Of 255, over all pixels and colours.
-function meanDifference(a, b) {
-    let sum = 0;
-    for (let y = 0; y < a.height; y++)
-        for (let x = 0; x < a.width; x++) {
-            const [p, q] = [a.at(x, y), b.at(x, y)];
-            for (let k = 0; k < 3; k++) sum += Math.abs(p[k] - q[k]);
-        }
-    return sum / (3 * a.width * a.height);
-}
 
 const SAME_MEAN = 8;
 

@@ -112,3 +112,14 @@ export function rmsDifference(a, b) {
     }
     return Math.sqrt(sum / n);
 }
+
+// Of 255, over all pixels and colours.
+export function meanDifference(a, b) {
+    let sum = 0;
+    for (let y = 0; y < a.height; y++)
+        for (let x = 0; x < a.width; x++) {
+            const [p, q] = [a.at(x, y), b.at(x, y)];
+            for (let k = 0; k < 3; k++) sum += Math.abs(p[k] - q[k]);
+        }
+    return sum / (3 * a.width * a.height);
+}
