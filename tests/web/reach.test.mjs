@@ -11,6 +11,7 @@ import { dirname, join, normalize } from "node:path";
 import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 
+import { findFaults } from "./lib/axe.mjs";
 import { closeAll, openPage } from "./lib/browser.mjs";
 import { measureContent } from "./lib/checks.mjs";
 import { serveFiles } from "./lib/files.mjs";
@@ -214,11 +215,15 @@ test("a dead server is said in the element, and it comes when the server does", 
     const said = page.getByRole("alert");
     await said.waitFor();
     assert.match(await said.textContent(), /No reply from .*Try again$/);
+    const farther = page.getByRole("button", { name: "Farther" });
+    assert.equal(await farther.isVisible(), false, "buttons lie below the words");
+    assert.deepEqual((await findFaults(page)).filter((fault) => fault.includes("city-splat")), []);
     await page.getByRole("button", { name: "Try again" }).click();
     assert.equal(await said.isVisible(), true, "silent while it is still dead");
     await proxy.up();
     await ready(page);
     assert.equal(await said.isVisible(), false);
+    assert.equal(await farther.isVisible(), true);
     await drawn(page, "city-splat");
     // Gone while the city is there: the picture stays, and it says so.
     await proxy.down();

@@ -386,16 +386,17 @@ test("PMTiles in MapLibre", skip, async (t) => {
 });
 
 const MAPS = [
-    ["Leaflet", 0, "`map.json`", "webp", ".leaflet-control-container"],
-    ["OpenLayers", 0, "`map.json`", "webp", ".ol-control"],
-    ["OpenLayers", 1, "`wmts.xml`", "png", ".ol-control"],
+    ["Leaflet", 0, "`map.json`", "webp", ".leaflet-control-container", ".leaflet-control-attribution"],
+    ["OpenLayers", 0, "`map.json`", "webp", ".ol-control", ".ol-attribution"],
+    ["OpenLayers", 1, "`wmts.xml`", "png", ".ol-control", ".ol-attribution"],
 ];
-for (const [name, i, form, type, hide] of MAPS)
+for (const [name, i, form, type, hide, credits] of MAPS)
     test(`${name} by ${form}`, skip, async (t) => {
         const recipe = printed(name, "html")[i];
         const types = new Set();
         const watch = (response) => /\/map\/\d/.test(response.url()) && response.status() === 200 && types.add(response.headers()["content-type"]);
-        const shown = await show(`map-${name}-${i}`, fill(recipe, placeAt(MIDDLE, ZOOM)), { hide, watch });
+        const credited = (page) => page.waitForFunction(([where, words]) => document.querySelector(where)?.textContent.includes(words), [credits, ATTRIBUTION]);
+        const shown = await show(`map-${name}-${i}`, fill(recipe, placeAt(MIDDLE, ZOOM)), { hide, watch, prepare: credited });
         assert.deepEqual([...types], [`image/${type}`], "one form of tiles");
         score(t, name, form, shown, await servedMap(MIDDLE, ZOOM, type), LEAST.map);
     });

@@ -6,14 +6,14 @@ import { text } from "./strings";
 import type { Viewer } from "./viewer";
 
 export const FRAME_STYLE =
-  "nav{position:absolute;top:8px;right:8px;display:grid;gap:4px}nav button,aside button{min-width:36px;min-height:36px;padding:0 10px;border:0;border-radius:8px;" +
-  "background:rgb(8 11 16/72%);color:#fff;font:18px/1 system-ui,sans-serif;cursor:pointer}@media(pointer:coarse){nav button,aside button{min-width:44px;min-height:44px}}" +
-  "aside{position:absolute;left:50%;top:50%;transform:translate(-50%,-50%);box-sizing:border-box;width:max-content;max-width:min(420px,100% - 24px);max-height:100%;overflow:auto;padding:12px 16px;" +
-  "border-radius:10px;background:rgb(8 11 16/88%);color:#fff;font:14px/1.45 system-ui,sans-serif;overflow-wrap:anywhere}aside button{background:rgb(255 255 255/18%);font-size:14px;margin-top:8px;display:block}" +
-  "aside.low{top:auto;bottom:26px;transform:translate(-50%,0)}" +
+  "nav{position:absolute;top:8px;right:8px;display:grid;gap:4px}nav button,section button{min-width:36px;min-height:36px;padding:0 10px;border:0;border-radius:8px;" +
+  "background:rgb(8 11 16/72%);color:#fff;font:18px/1 system-ui,sans-serif;cursor:pointer}@media(pointer:coarse){nav button,section button{min-width:44px;min-height:44px}}" +
+  "section{position:absolute;left:50%;top:50%;transform:translate(-50%,-50%);box-sizing:border-box;width:max-content;max-width:min(420px,100% - 24px);max-height:100%;overflow:auto;padding:12px 16px;" +
+  "border-radius:10px;background:rgb(8 11 16/88%);color:#fff;font:14px/1.45 system-ui,sans-serif;overflow-wrap:anywhere}section button{background:rgb(255 255 255/18%);font-size:14px;margin-top:8px;display:block}" +
+  "section.low{top:auto;bottom:26px;transform:translate(-50%,0)}" +
   "i{position:absolute;left:0;top:0;height:3px;background:#6cc7ff;transition:width .2s}" +
   "output{position:absolute;inset:0;display:grid;place-items:center;padding:16px;text-align:center;background:rgb(8 11 16/55%);color:#fff;font:18px/1.4 system-ui,sans-serif;opacity:0;transition:opacity .3s;pointer-events:none}" +
-  "output.on{opacity:1}@media(prefers-reduced-motion:reduce){i,output{transition:none}}nav[hidden],aside[hidden],i[hidden]{display:none}" +
+  "output.on{opacity:1}@media(prefers-reduced-motion:reduce){i,output{transition:none}}nav[hidden],section[hidden],i[hidden]{display:none}" +
   "button:focus-visible,:host div [tabindex]:focus-visible{outline:2px solid #6cc7ff;outline-offset:-2px}";
 
 const HINT_MS = 1500;
@@ -25,7 +25,7 @@ export class ElementFrame {
   readonly nodes: HTMLElement[];
   private readonly bar = document.createElement("i");
   private readonly tools = document.createElement("nav");
-  private readonly said = document.createElement("aside");
+  private readonly said = document.createElement("section");
   private readonly hint = document.createElement("output");
   private readonly told = new Map<About, { words: string; label: string; run: () => void }>(); // what is wrong now
   private timer = 0;
@@ -93,6 +93,7 @@ export class ElementFrame {
     const one = about && this.told.get(about);
     this.said.hidden = !one;
     this.said.className = this.viewer?.scene ? "low" : "";
+    this.tools.hidden = Boolean(one) && !this.viewer?.scene; // they would lie below the words, and nothing is there to move
     this.said.replaceChildren(one?.words ?? "");
     if (!one) return;
     this.said.append(
