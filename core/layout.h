@@ -168,8 +168,7 @@ struct layout_view {
      */
     float room_px;
     LAYOUT_U32 again; /* 1: the tile lists are those of an earlier frame */
-    /* render_edge: its south-west corner, m from the model's origin; cells a metre, 0: there is none
-     */
+    /* render_edge: its south-west corner, m from the model's origin; cells a metre, 0: no edge */
     float edge_x, edge_y, edge_cells;
 };
 
