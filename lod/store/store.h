@@ -135,7 +135,8 @@ void store_close(struct store **s);
 const struct store_meta *store_info(const struct store *s);
 /* Path or address of the store, for messages; without password or signature. Borrowed. */
 const char *store_path(const struct store *s);
-/* Returns whether the object at the store's address was found to be another one now. Any thread. */
+/* Returns whether a read or store_ask found that the object at the store's address was replaced.
+ * Any thread. */
 bool store_replaced(const struct store *s);
 /* Asks the server of an address, for wait_s at most, whether its object is the same. ERR_DATA: it
  * is another one; ERR_BUSY, ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. A file is never asked. */

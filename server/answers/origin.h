@@ -24,7 +24,7 @@ const char *origin_or_own(const struct services *s, const struct request *r, cha
 /* Returns whether clients reach the service by TLS, as far as it is known. */
 bool origin_is_tls(const struct services *s, const struct request *r);
 /* Returns whether the page that made the request belongs to the service itself: its Origin is that
- * of --public-url, or without that the name that the request says. True if no page made it. */
+ * of --public-url, or, without that option, of the request's host name. True if no page made it. */
 bool origin_is_own_page(const struct services *s, const struct request *r);
 /* Returns whether the request names the operators' listener by what no stranger can give to an
  * address of his own: a loopback name, an IP address, the host of --public-url, or the name of this

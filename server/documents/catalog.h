@@ -11,7 +11,7 @@ struct collection_options;
 struct geoid;
 
 struct catalog_absent { /* a store that is asked for, and is not served as it is now */
-    char *path;         /* as it was asked for; log and documents show it by range_show */
+    char *path;         /* log and documents show it without secrets (range_show) */
     char why[256];      /* begins with the path */
     enum err_code code;
     double again_s, pause_s; /* by clock_s(): when it is tried again; the pause before that */
