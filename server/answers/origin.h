@@ -26,8 +26,8 @@ bool origin_is_tls(const struct services *s, const struct request *r);
 /* Returns whether the page that made the request belongs to the service itself: its Origin is that
  * of --public-url, or, without that option, of the request's host name. True if no page made it. */
 bool origin_is_own_page(const struct services *s, const struct request *r);
-/* Returns whether the request names the operators' listener by what no stranger can give to an
- * address of his own: a loopback name, an IP address, the host of --public-url, or the name of this
+/* Returns whether the request names the operators' listener by a name that no outsider can point at
+ * its address: a loopback name, an IP address, the host of --public-url, or the name of this
  * machine. A page whose own name leads to this machine (DNS rebinding) names itself. */
 bool origin_is_operators(const struct services *s, const struct request *r);
 
