@@ -2,7 +2,7 @@
  * shape (struct store_shape: boxes, centre and sizes).
  *
  * Shapes take most of the memory, so they are packed: 96 bytes instead of 144. A shape that would
- * not come out with the same bits is kept as it is. No shape that the tiler writes is such.
+ * not be unpacked to the same bits is kept unpacked. The tiler writes no such shape.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

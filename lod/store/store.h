@@ -126,8 +126,8 @@ enum err_code store_open_fd(int fd, const char *name, struct store **out, struct
  */
 enum err_code store_open_more(int fd, const struct store *first, struct store **out,
                               struct err *e) ERR_USE;
-/* Gives back the memory of the pages that were read of a file: SQLite keeps 20 of them, or more,
- * for each handle, which a handle that few reads come to does not need. They are read again. */
+/* Frees the database pages that this handle keeps in memory, 20 or more. A handle that is seldom
+ * read from does not need them; they are read again when needed. */
 void store_rest(struct store *s);
 /* Closes a store. If it is being built, the unfinished file is removed. *s may be NULL. */
 void store_close(struct store **s);

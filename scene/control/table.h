@@ -21,8 +21,8 @@ struct table { /* {0}, then table_open; table_close it */
     struct buf *bytes;
     char *next;     /* NULL: no more */
     size_t line;    /* number of the last line that was read, from 1 */
-    bool commas;    /* decimal commas were found, and told */
-    bool thousands; /* one of them may separate thousands, and that was told */
+    bool commas;    /* decimal commas were found and reported */
+    bool thousands; /* one of them may separate thousands; reported */
 };
 /* Opens a file of UTF-8 or UTF-16. Close *out with table_close. ERR_NOENT, ERR_FORMAT (no text),
  * ERR_IO, ERR_LIMIT, ERR_MEM. */
@@ -47,7 +47,7 @@ bool table_number(const char *text, double *out);
 /* Finds a decimal comma, as in "634676,12", in a line whose fields are not separated by commas.
  * Returns its length; 0: there is none. */
 size_t table_decimal_comma(const char *line, const char **at);
-/* Makes decimal commas of such a line points. The first of a table is told. */
+/* Replaces decimal commas of such a line by points. The first of a table is reported. */
 void table_decimal_points(struct table *t, char *line);
 /* Rates how well the path of a photograph matches one in a list, from its end. 0: no match. Folders
  * that both have must be equal. Case is ignored, because cameras write .JPG. A match of the whole

@@ -8,8 +8,8 @@
 #include "server/answers/response.h"
 
 enum { ORIGIN_MAX = 1024 };
-/* Vary for answers that depend on origin_of, and on what else. With --public-url no answer depends
- * on the name that a client says. NULL: it depends on nothing. */
+/* Vary for answers that depend on origin_of and on what `also` names. With --public-url no answer
+ * depends on the Host that a client sends. NULL: it depends on nothing. */
 enum origin_vary { ORIGIN_ALONE, ORIGIN_ENCODED, ORIGIN_ACCEPTED };
 const char *origin_vary(const struct services *s, enum origin_vary also);
 /* Writes the origin: --public-url, else "https://HOST/BASE" from the request, and behind it the

@@ -48,11 +48,11 @@ struct catalog_place {
     struct dataset *ds; /* the store there, a reference; NULL: none, and `why` says why not */
     struct err why;
 };
-/* Lists the places of stores: the arguments [n] in their order, each once, and in place of a
- * folder its files NAME.tiles, sorted. What is strange stays in the list: catalog_look says what
- * is wrong. Of a folder that cannot be read, the places stay that `older` (may be NULL) has of it.
- * Paths live in the arena. *folders: how many folders are among the arguments. ERR_FORMAT: a
- * folder is a scene. ERR_MEM. */
+/* Lists the places of stores: the arguments [n] in their order, each once, and in place of a folder
+ * its files NAME.tiles, sorted. Invalid entries stay in the list, and catalog_look says what is
+ * wrong. Of a folder that cannot be read, the places stay that `older` (may be NULL) has of it.
+ * Paths live in the arena. *folders: how many folders are among the arguments. ERR_FORMAT: a folder
+ * is a scene. ERR_MEM. */
 enum err_code catalog_list(const char *const *args, size_t n, const struct catalog *older,
                            struct arena *a, struct catalog_place **out, size_t *n_out,
                            size_t *folders, struct err *e) ERR_USE;

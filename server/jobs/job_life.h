@@ -11,7 +11,7 @@
  * A stream asks for its next picture when the one before was sent. Long work of other clients would
  * begin in each such gap, and take nearly all the time. So if the stream that was drawn last has
  * had less than its part of the time, the thread that draws waits a moment for its next picture
- * before it begins long work. Where several draw, one of them is left to what is quick instead
+ * before it begins long work. Where several draw, one of them is kept free for quick work instead
  * (job_run.c).
  *
  * One mutex guards everything. Of all callbacks only cfg.passing and cfg.cost are called with it
@@ -102,7 +102,7 @@ void job_table_remove(struct jobs *js, struct job *j);
 struct job *job_at(struct fair_queue_item *it); /* NULL: `it` is NULL */
 enum job_duty job_duty_of(enum job_class cls);
 bool job_is_drawn(enum job_class cls);
-/* Of what is drawn: work that is predicted to take so long is left to the other threads. */
+/* Predicted time from which work that is drawn counts as long: one thread does not take it. */
 double job_long_ms(const struct jobs *js);
 void job_queue_add(struct jobs *js, struct job *j, uint64_t client);
 /* Takes *p off its job and adds it to the caller's list. */

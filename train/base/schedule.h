@@ -49,8 +49,8 @@ enum schedule_order { SCHEDULE_COARSE_TO_FINE, SCHEDULE_BOTH };
 /* Part of the finest level in which its rates fall, its last
  * (docs/decisions/013-rates-and-length.md). */
 #define SCHEDULE_FADE_SHARE 0.2
-/* Steps of all levels together that --iterations or its default asks for. 0: a list says it of each
- * level. */
+/* Steps of all levels together that --iterations or its default asks for. 0: a list gives the steps
+ * of each level. */
 int64_t schedule_asked(const struct train_config *cfg, size_t n_photos);
 /* Steps of all levels in a run of full length, before they grow with the photographs. */
 double schedule_full(const struct train_config *cfg);

@@ -35,8 +35,9 @@ static inline void stage_turn(struct stage *s, const struct train_config *cfg)
     for (uint32_t l = 0; l + 1 < s->n_levels; l++)
         s->levels[l] = schedule_again(&s->levels[l], &s->levels[l + 1], cfg);
 }
-/* Whether a level is pruned at its end. One that is made of a finer level has what is left of that.
- * One that will be made again only says where the next one begins. */
+/* Whether a level is pruned at its end. A level that is made of a finer one is not: its Gaussians
+ * are what thinning left. Nor is a level that will be made again: it is only the start of the next
+ * one. */
 static inline bool stage_prunes(const struct stage *at, const struct schedule *s)
 {
     return !s->derived && (!at->again || s->level == s->n_levels);
