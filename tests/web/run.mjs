@@ -17,7 +17,7 @@ const HERE = dirname(fileURLToPath(import.meta.url));
 const BROWSER_TESTS = new Set(
     [
         ...["viewer", "ssim", "appearance", "away", "thin", "map", "embed", "layers", "shot", "module", "reach", "habits", "compare", "tasks", "fade", "wander", "mark", "story", "visit"],
-        ...["cesium", "globe", "engines", "recipes", "forms", "light", "three", "raster", "parts", "maplibre"],
+        ...["cesium", "engines", "recipes", "forms", "light", "three", "raster", "parts", "maplibre"],
     ],
 );
 const TESTS = ["api", "views", "decoder", "source", "pick", "walk", "pmtiles", "streamed", "validate", "readers", "las", "writers", "seed", "ground", "tools", ...BROWSER_TESTS];

@@ -106,8 +106,8 @@ export class Page {
       setText("attribution", [viewer.info?.attribution, viewer.basemapCredit].filter(Boolean).join(" · "));
       this.fillChooser();
       this.showFacts();
-      // cesium.html and viewer.js are where a server serves this page.
-      element("globe").hidden = element("embed-button").hidden = !scene.catalogue;
+      // viewer.js is where a server serves this page.
+      element("embed-button").hidden = !scene.catalogue;
       this.showPlace();
       this.frame();
       this.address();
@@ -222,9 +222,7 @@ export class Page {
     clearTimeout(this.addressTimer);
     this.addressTimer = window.setTimeout(() => {
       if (!this.viewer.scene) return;
-      const url = this.url();
-      history.replaceState(null, "", url);
-      element<HTMLAnchorElement>("globe").href = `./cesium.html${url.search}${url.hash}`;
+      history.replaceState(null, "", this.url());
     }, ms);
   }
 
