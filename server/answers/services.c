@@ -13,7 +13,6 @@
 
 #include "server/documents/api_page.h"
 #include "server/documents/collection.h"
-#include "server/documents/ogc_tiles.h"
 #include "server/documents/openapi.h"
 #include "server/documents/service_document.h"
 
@@ -87,15 +86,13 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
     if (!rc)
         rc = service_document_conformance(&s->conformance, e);
     if (!rc)
-        rc = ogc_tiles_matrices(&s->matrices, e);
-    if (!rc)
         rc = openapi_describe(s->routes, &s->api, e);
     if (!rc)
         rc = api_page_describe(s->api, &s->api_page, e);
     int64_t now_s = (int64_t)time(NULL); /* they are the program's, which may be another one now */
     if (!rc)
         s->landing->modified_s = s->conformance->modified_s = s->api->modified_s =
-            s->api_page->modified_s = s->matrices->modified_s = now_s;
+            s->api_page->modified_s = now_s;
     if (rc)
         (void)services_free(s);
     return rc;
@@ -121,7 +118,6 @@ bool services_free(struct services *s)
     metrics_free(&s->metrics);
     body_drop(&s->landing);
     body_drop(&s->conformance);
-    body_drop(&s->matrices);
     body_drop(&s->api);
     body_drop(&s->api_page);
     rate_close(&s->sign_in);
@@ -179,8 +175,8 @@ struct body *services_document(const struct services *s, struct dataset *d,
                                enum dataset_document which)
 {
     const struct server_config *cfg = s->cfg;
-    const struct collection_options o = {cfg->public_url, cfg->base_path, cfg->basemap,
-                                         cfg->basemap_attribution, (size_t)cfg->city_gaussians};
+    const struct collection_options o = {cfg->public_url, cfg->basemap, cfg->basemap_attribution,
+                                         (size_t)cfg->city_gaussians};
     return catalog_document(d, which, &o);
 }
 

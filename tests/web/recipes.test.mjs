@@ -407,11 +407,9 @@ test("GDAL", skip, async (t) => {
     const at = (px, of) => metres * (px - (TILE * 2 ** maxzoom) / 2) * of;
     const box = { west: at(x - half, 1), east: at(x + half, 1), north: at(y - half, -1), south: at(y + half, -1) };
     const want = await servedMap([x, y], maxzoom, "png", { width: BOX, height: BOX });
-    for (const [commands, file, form] of printed("GDAL and QGIS", "sh").map((text, i) => [text, ["city", "box"][i], ["`wmts.xml`", "OGC API"][i]])) {
-        runCommands(commands, box);
-        runCommands(`gdal_translate -q -of PNG -b 1 -b 2 -b 3 ${file}.tif ${file}.png`);
-        score(t, "GDAL", form, { picture: decodePng(readFileSync(join(dir, `${file}.png`))) }, want, LEAST.map);
-    }
+    runCommands(printed("GDAL and QGIS", "sh")[0], box);
+    runCommands("gdal_translate -q -of PNG -b 1 -b 2 -b 3 city.tif city.png");
+    score(t, "GDAL", "`wmts.xml`", { picture: decodePng(readFileSync(join(dir, "city.png"))) }, want, LEAST.map);
 });
 
 test("curl", skip, () => {
