@@ -49,10 +49,6 @@ static void the_default_is_short(void **state)
     assert_int_equal(s[0].steps + s[1].steps + s[2].steps + s[0].tuned + s[1].tuned, 10570);
     assert_true(fabs(s[2].kappa - 10570.0 / 60000.0) < 1e-12);
     assert_true(schedule_full(&c) == 60000.0);
-    c.go_on_db = 0.05;
-    kit_ok(schedule_make(&c, 60, &cell, s, &e), e);
-    assert_true(s[2].most > s[2].steps);
-    c.go_on_db = 0.0;
     c.level_count = 1;
     assert_int_equal(schedule_asked(&c, 60), 3500);
     c.iterations = (struct options_ints){.v = {15000, 15000, 30000}, .n = 3}; /* as published */
@@ -379,7 +375,7 @@ static void rates_fall_at_the_end(void **state)
     struct arena a = {0};
     struct err e = {0};
     struct train_config c = defaults(&a);
-    struct schedule s[3], longer[3];
+    struct schedule s[3];
     c.iterations.one = 3000;
     kit_ok(schedule_make(&c, 60, &cell, s, &e), e);
     for (uint32_t t = 1; t <= 1200; t++)
@@ -389,31 +385,6 @@ static void rates_fall_at_the_end(void **state)
     assert_true(fabs(schedule_fade(&s[2], 1350) - sqrt(0.1)) < 1e-12);
     assert_true(fabs(schedule_fade(&s[2], 1500) - 0.1) < 1e-12);
     assert_true(schedule_fade(&s[0], 750) == 1.0 && schedule_fade(&s[1], 750) == 1.0);
-    c.go_on_db = 0.05;
-    kit_ok(schedule_make(&c, 60, &cell, s, &e), e);
-    assert_true(schedule_fade(&s[2], 1500) == 1.0);
-    assert_int_equal(schedule_next_look(&s[2]), 1800); /* a tenth of 3,000 later */
-    c.iterations.one = 3300;
-    kit_ok(schedule_make(&c, 60, &cell, longer, &e), e);
-    struct schedule on = schedule_go_on(&s[2], &c, &cell, 1800, 1800);
-    assert_true(schedule_total(&on) == 3300.0);
-    assert_true(fabs(on.lr_factor - longer[2].lr_factor) < 1e-12);
-    assert_true(fabs(schedule_lr_mean(&on, 1700) - longer[2].lr_mean_last) < 1e-15);
-    assert_true(schedule_fade(&on, 1800) == 1.0 && schedule_done(&on, 1501) == 1.0);
-    for (uint32_t t = 1501; t <= 1800; t++)
-        assert_true(!schedule_densify_index(&on, t) && !schedule_resets(&on, t) &&
-                    !schedule_thinning(&on, t));
-    assert_int_equal(schedule_end(&on, &c), 2250);
-    on = schedule_go_on(&on, &c, &cell, 2250, 1800);
-    assert_true(schedule_fade(&on, 1800) == 1.0);
-    assert_true(fabs(schedule_fade(&on, 2250) - 0.1) < 1e-12);
-    /* at most as long as the full method */
-    on = s[2];
-    while (schedule_next_look(&on) > on.steps)
-        on = schedule_go_on(&on, &c, &cell, schedule_next_look(&on), schedule_next_look(&on));
-    assert_int_equal(schedule_end(&on, &c), 58500);
-    c.lr_end = 1.0;
-    assert_int_equal(schedule_end(&on, &c), on.steps);
     arena_free(&a);
 }
 
