@@ -253,8 +253,6 @@ static void stores_set_options(struct stores *st, size_t readers)
                                            .public_url = cfg->public_url,
                                            .keep_s = cfg->keep_s,
                                            .keep_revisions = (size_t)cfg->keep_revisions,
-                                           .basemap = cfg->basemap,
-                                           .basemap_attribution = cfg->basemap_attribution,
                                            .city_gaussians = (size_t)cfg->city_gaussians,
                                            .geoid = st->geoid,
                                            .preset = (unsigned)cfg->preset,

@@ -285,8 +285,7 @@ void answer_service_collections(struct services *s, const struct request *r, str
     if (box->has_bbox || r->auth) {
         struct origin_places at;
         origin_read(s, r, &at);
-        const struct collection_options collection = {at.public_url, s->cfg->basemap,
-                                                      s->cfg->basemap_attribution,
+        const struct collection_options collection = {at.public_url,
                                                       (size_t)s->cfg->city_gaussians};
         struct dataset **ds = mem_array(c->n_current, sizeof *ds);
         size_t n = 0;

@@ -180,9 +180,5 @@ enum err_code collection_list(struct dataset *const *ds, size_t n,
     json_t *o =
         json_pack("{s:[o],s:o}", "links",
                   document_link("self", "application/json", self, "Datasets"), "collections", list);
-    if (opt->basemap && *opt->basemap)
-        json_object_set_new(o, "basemap",
-                            json_pack("{s:s,s:s}", "tiles", opt->basemap, "attribution",
-                                      opt->attribution ? opt->attribution : ""));
     return document_make(o, out, e);
 }

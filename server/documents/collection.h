@@ -9,14 +9,11 @@
 
 struct collection_options {
     const char *public_url; /* address of the service as clients see it; NULL, "": not known */
-    /* map tiles of another provider that the viewer may show below its own: a URL with {z}, {x} and
-     * {y}; NULL, "": none */
-    const char *basemap;
-    const char *attribution; /* attribution of that map; NULL: none */
-    size_t city_gaussians;   /* most that the server writes into one file */
+    size_t city_gaussians;  /* most that the server writes into one file */
 };
 
-/* Describes a dataset. `self` is absolute with a public_url, else relative to the document. ERR_MEM. */
+/* Describes a dataset. `self` is absolute with a public_url, else relative to the document.
+ * ERR_MEM. */
 enum err_code collection_describe(const struct dataset *d, const struct collection_options *opt,
                                   struct body **out, struct err *e) ERR_USE;
 /* Describes ds [n], without replaced revisions. ERR_MEM. */

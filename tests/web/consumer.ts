@@ -80,10 +80,9 @@ export async function use(): Promise<string> {
     const picture: URL | null = viewer.serverPicture(800, 600);
     const bytes: ArrayBuffer = await viewer.get("https://city.example/collections");
     const tiles = await viewer.mapTiles();
-    const base = await viewer.basemap();
     for (const end of ends) end();
     viewer.dispose();
-    return [version, place?.h, height, png.size, picture?.href, bytes.byteLength, tiles?.maxZoom, base?.tiles].join();
+    return [version, place?.h, height, png.size, picture?.href, bytes.byteLength, tiles?.maxZoom].join();
 }
 
 export function onMap(container: HTMLElement): MapLayer {

@@ -16,7 +16,6 @@ import { store, stored, theme } from "./choices";
 import { Compare } from "./compare";
 import { copy, element, later, setText, toast } from "./dom";
 import { freePart } from "./free";
-import { Inset } from "./inset";
 import { LayerPanel } from "./layerpanel";
 import { MeasureTool } from "./measure";
 import type { EmbedDialog } from "./embeddialog";
@@ -41,7 +40,6 @@ const ADDRESS_MS = 300; // browsers refuse an address that changes too often
 export class Page {
   private readonly appearance: AppearanceControl;
   private readonly compare: Compare;
-  private readonly inset: Inset;
   private readonly layers: LayerPanel;
   private readonly measure: MeasureTool;
   private shots: ShotDialog | null = null;
@@ -62,7 +60,6 @@ export class Page {
     this.layers = new LayerPanel(viewer);
     this.compare = new Compare(viewer, parseComparison(query));
     this.compare.onChange = () => this.address();
-    this.inset = new Inset(viewer);
     this.measure = new MeasureTool(viewer);
     viewer.surface.setAttribute("role", "application");
     viewer.surface.dataset["tLabel"] = "surface.label";
@@ -86,7 +83,6 @@ export class Page {
     document.documentElement.lang = getLanguage();
     translate(document);
     this.appearance.translate();
-    this.inset.translate();
     this.layers.translate();
     this.compare.fill();
     if (this.stories) void this.openStories((stories) => stories.translate());
@@ -280,7 +276,7 @@ export class Page {
     this.nameWalk("orbit");
     click("help-button", () => this.help());
     // What these show is the picture.
-    for (const id of ["photos-button", "appearance-here", "appearance-split", "server-button", "tour-play", "measure-button", "map-button"]) click(id, () => this.clear());
+    for (const id of ["photos-button", "appearance-here", "appearance-split", "server-button", "tour-play", "measure-button"]) click(id, () => this.clear());
     for (const id of ["appearance-from", "appearance-to"]) element(id).addEventListener("change", () => this.clear());
     click("share", () => void this.share());
     click("embed-button", () => void this.embed());
@@ -425,10 +421,6 @@ export class Page {
       KeyX: () => (this.compare.open ? this.compare.swap() : toast(text("compare.closed"))),
       KeyI: () => void this.shot(),
       KeyL: () => void this.share(),
-      KeyO: () => {
-        this.clear();
-        this.inset.toggle();
-      },
       KeyT: () => void this.openStories((stories) => stories.toggle()),
       Escape: () => {
         if (this.measure.open) this.measure.show(false);

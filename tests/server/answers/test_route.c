@@ -736,47 +736,6 @@ static void test_card(void **state)
     auth_close(&t.s.auth);
 }
 
-static void test_basemap(void **state)
-{
-    static const struct {
-        const char *url;
-        bool fits;
-    } rows[] = {{"https://maps.example/{z}/{x}/{y}.png", true},
-                {"/base/{z}/{x}/{y}", true},
-                {"maps.example/{z}/{x}/{y}", false},
-                {"https://maps.example/{z}/{x}", false},
-                {"javascript:{z}{x}{y}", false},
-                {"", true}};
-    (void)state;
-    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
-        struct server_config cfg = t.cfg;
-        struct services s = {0};
-        struct catalog *c = NULL;
-        struct err e = {0};
-        const char *paths[] = {t.path};
-        struct catalog_options o = served_stores;
-        cfg.basemap = o.basemap = rows[i].url;
-        o.basemap_attribution = "Example";
-        enum err_code rc = services_open(&s, &cfg, NULL, ROUTES, ROUTES_COUNT, &e);
-        if (rc != (rows[i].fits ? ERR_OK : ERR_ARG))
-            fail_msg("--basemap %s: %s", rows[i].url, e.msg);
-        (void)services_free(&s);
-        if (rc)
-            continue;
-        c = served_catalog(paths, 1, &o, NULL);
-        json_t *doc = json_loadb((const char *)c->collections->data, c->collections->size, 0, NULL);
-        const json_t *basemap = json_object_get(doc, "basemap");
-        assert_int_equal(basemap != NULL, *rows[i].url != 0);
-        if (basemap) {
-            assert_string_equal(json_string_value(json_object_get(basemap, "tiles")), rows[i].url);
-            assert_string_equal(json_string_value(json_object_get(basemap, "attribution")),
-                                "Example");
-        }
-        json_decref(doc);
-        catalog_drop(&c);
-    }
-}
-
 static void test_job_ends(void **state)
 {
     static const struct {
@@ -898,7 +857,6 @@ int main(void)
         cmocka_unit_test(test_hints),
         cmocka_unit_test(test_card),
         cmocka_unit_test(test_outline),
-        cmocka_unit_test(test_basemap),
         cmocka_unit_test(test_job_ends),
         cmocka_unit_test(test_metrics_are_local),
         cmocka_unit_test(test_origins),
