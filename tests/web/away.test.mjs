@@ -242,13 +242,12 @@ test("the picture returns when the graphics card comes back", skip, async () => 
 
 test("a part of the page that does not come is said, and comes with the next press", skip, async () => {
     let away = true;
-    proxy.rule = (path) => (away && /assets\/(shotdialog|embeddialog|storybox)/.test(path) ? { status: 503 } : null);
+    proxy.rule = (path) => (away && /assets\/(shotdialog|embeddialog)/.test(path) ? { status: 503 } : null);
     const page = await open("?lang=en");
     await waitForViewer(page);
     const presses = {
         "#shot-button": "#shot[open]",
         "#embed-button": "#embed[open]",
-        "#note-add": "#note:not([hidden])",
     };
     const press = (what) => page.evaluate((one) => document.querySelector(one).click(), what);
     for (const what of Object.keys(presses)) {

@@ -1,5 +1,4 @@
-// The city as a map: places by click, lengths, areas and heights, GeoJSON out and in, saved views,
-// walking.
+// The city as a map: places by click, lengths, areas and heights, GeoJSON out and in, labels, walking.
 //
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
@@ -130,36 +129,41 @@ test("dropped GeoJSON is drawn where it is, and hides behind the city", skip, as
     await page.waitForFunction(() => /not GeoJSON/.test(document.getElementById("toast").textContent));
 });
 
-test("views are saved, kept, exported, and played in order", skip, async () => {
-    const at = (heading) => ({ ...SOUTH, heading });
-    await page.click("#tour-box summary");
-    for (const heading of [10, 40]) {
-        await lookViewer(page, at(heading));
-        await page.click("#tour-add");
-    }
-    await page.waitForFunction(() => document.querySelectorAll("#tour li").length === 2);
-    const coming = page.waitForEvent("download");
-    await page.click("#tour-export");
-    const tour = JSON.parse(readFileSync(await (await coming).path(), "utf8"));
-    assert.deepEqual([tour.type, tour.views.length], ["citysplat-tour", 2]);
-    await page.reload();
+const HOSTILE = 'A roof <img src=x onerror="window.harmed = 1"> of some words';
+
+test("a label is text, over its place, and whole inside of the picture", skip, async () => {
+    await lookViewer(page, SOUTH);
+    await page.evaluate(([place, label]) => void (window.added = window.citysplat.viewer.overlay.add({ kind: "point", places: [place], label })), [placeOfEnu(ORIGIN, RED_TOP), HOSTILE]);
+    await nextFrames(page);
+    const label = page.locator(".citysplat-label", { hasText: "A roof" });
+    const [x, y] = pixelOf(RED_TOP);
+    const box = await label.boundingBox();
+    assert.ok(Math.abs(box.x + box.width / 2 - x) < 12 && box.y < y && y - box.y < 120, JSON.stringify({ box, x, y }));
+    // Turned until the label is at the right edge.
+    const edge = await page.evaluate(async ([pose, w]) => {
+        const { viewer } = window.citysplat;
+        for (let heading = pose.heading; heading > pose.heading - 60; heading -= 0.25) {
+            viewer.lookAt({ ...pose, heading });
+            await new Promise((done) => { const end = viewer.on("frame", () => (end(), done())); });
+            const one = [...document.querySelectorAll(".citysplat-label")].find(({ textContent }) => textContent.startsWith("A roof"));
+            const { left, right, top, bottom } = one.getBoundingClientRect();
+            if (one.hidden) return { none: heading };
+            if (right >= w - 5) return { left, right, top, bottom };
+        }
+        return null;
+    }, [SOUTH, SIZE.width]);
+    assert.ok(edge && edge.right <= SIZE.width - 3 && edge.left > 0 && edge.top > 0 && edge.bottom < SIZE.height, JSON.stringify(edge));
+    assert.equal(await page.evaluate(() => window.harmed), undefined);
+    await page.evaluate(() => window.citysplat.viewer.overlay.remove(window.added));
+});
+
+test("a link of before, with a tour behind its view, opens the view", skip, async () => {
+    const { lon, lat, h, pitch } = SOUTH;
+    await page.goto("about:blank");
+    await page.goto(`${source.url}/#${lon},${lat},${h},40,${pitch}&story=abcdef`);
     await waitForViewer(page);
-    await page.locator("#tour li").nth(1).waitFor({ state: "attached" });
-    assert.equal(await page.locator("#tour li").count(), 2);
-    await lookViewer(page, at(300));
-    await page.click("#tour-box summary");
-    await page.click("#tour-play");
-    const seen = [];
-    for (const heading of [10, 40]) {
-        await page.waitForFunction(
-            (want) => Math.abs(window.citysplat.pose().heading - want) < 0.05,
-            heading,
-            { timeout: 30000 },
-        );
-        seen.push(heading);
-    }
-    assert.deepEqual(seen, [10, 40]);
-    await page.click("#tour-close");
+    assert.ok(Math.abs((await page.evaluate(() => window.citysplat.pose().heading)) - 40) < 0.05);
+    await page.waitForFunction(() => location.hash && !location.hash.includes("story"));
 });
 
 test("sky and ground instead of a void", skip, async () => {

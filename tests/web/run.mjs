@@ -16,7 +16,7 @@ import { parseArgs } from "node:util";
 const HERE = dirname(fileURLToPath(import.meta.url));
 const BROWSER_TESTS = new Set(
     [
-        ...["viewer", "ssim", "appearance", "away", "thin", "map", "embed", "layers", "shot", "module", "reach", "habits", "compare", "tasks", "fade", "wander", "mark", "story", "visit"],
+        ...["viewer", "ssim", "appearance", "away", "thin", "map", "embed", "layers", "shot", "module", "reach", "habits", "compare", "tasks", "fade", "wander", "mark", "visit"],
         ...["cesium", "engines", "recipes", "forms", "light", "three", "raster", "parts", "maplibre"],
     ],
 );

@@ -26,8 +26,6 @@ import { sceneCard } from "./scenecard";
 import { isForScene } from "./stage";
 import { banner, Status, unbanner } from "./status";
 import { getLanguage, setLanguage, text, translate } from "./strings";
-import type { StoryBox } from "./storybox";
-import { isStoryKept, storyOf } from "./storylink";
 import { TOUCH } from "./touch";
 import { compass, formatDays, formatPlace } from "./units";
 import type { Mode, Viewer } from "./viewer";
@@ -44,8 +42,6 @@ export class Page {
   private readonly measure: MeasureTool;
   private shots: ShotDialog | null = null;
   private embeds: EmbedDialog | null = null;
-  private stories: Promise<StoryBox> | null = null;
-  private story = storyOf(location.hash) ?? ""; // what the link carries besides the view
   private addressTimer = 0;
   private offered = false;
   private problem: Error | null = null; // why no scene is open
@@ -85,7 +81,6 @@ export class Page {
     this.appearance.translate();
     this.layers.translate();
     this.compare.fill();
-    if (this.stories) void this.openStories((stories) => stories.translate());
     this.applyDetail();
     this.nameWalk(this.viewer.stage.walk);
     this.showTitle();
@@ -107,7 +102,6 @@ export class Page {
       this.showPlace();
       this.frame();
       this.address();
-      if (this.story || isStoryKept(viewer)) void this.openStories();
     });
     viewer.on("move", () => {
       this.showPlace();
@@ -210,7 +204,7 @@ export class Page {
     for (const layer of this.layers.links) url.searchParams.append("overlay", layer);
     writeComparison(url.searchParams, this.compare.link);
     writeSecondLight(url.searchParams, this.appearance.link);
-    if (viewer.scene) url.hash = formatView({ pose: viewer.pose, appearance: viewer.state.wanted }) + (this.story && `&story=${this.story}`);
+    if (viewer.scene) url.hash = formatView({ pose: viewer.pose, appearance: viewer.state.wanted });
     return url;
   }
 
@@ -243,23 +237,7 @@ export class Page {
     const module = await later(import("./embeddialog"));
     if (!module) return;
     this.embeds ??= new module.EmbedDialog(this.viewer);
-    this.embeds.open(this.story);
-  }
-
-  // Tours and notes, with the first of them: of the link, of this browser, or when somebody opens their list.
-  private async openStories(run: (stories: StoryBox) => void = () => {}) {
-    const host = {
-      changed: (link: string) => {
-        this.story = link;
-        this.address(0); // a page that is loaded again has what was kept
-      },
-      placing: (on: boolean) => (this.measure.asleep = on),
-      clear: () => this.clear(),
-    };
-    this.stories ??= import("./storybox").then(({ StoryBox }) => new StoryBox(this.viewer, host, this.story || null));
-    const stories = await later(this.stories);
-    if (stories) run(stories);
-    else this.stories = null; // asked for again the next time
+    this.embeds.open();
   }
 
   // ---- controls ----
@@ -276,14 +254,11 @@ export class Page {
     this.nameWalk("orbit");
     click("help-button", () => this.help());
     // What these show is the picture.
-    for (const id of ["photos-button", "appearance-here", "appearance-split", "server-button", "tour-play", "measure-button"]) click(id, () => this.clear());
+    for (const id of ["photos-button", "appearance-here", "appearance-split", "server-button", "measure-button"]) click(id, () => this.clear());
     for (const id of ["appearance-from", "appearance-to"]) element(id).addEventListener("change", () => this.clear());
     click("share", () => void this.share());
     click("embed-button", () => void this.embed());
     click("shot-button", () => void this.shot());
-    element("tour-box").addEventListener("toggle", () => void this.openStories());
-    click("tour-add", () => void this.openStories((stories) => stories.addView()));
-    click("note-add", () => void this.openStories((stories) => stories.beginNote()));
     element("full").hidden = !document.fullscreenEnabled;
     click("full", () => void (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen()));
     click("fold", () => this.fold(!element("panel").classList.contains("folded")));
@@ -421,7 +396,6 @@ export class Page {
       KeyX: () => (this.compare.open ? this.compare.swap() : toast(text("compare.closed"))),
       KeyI: () => void this.shot(),
       KeyL: () => void this.share(),
-      KeyT: () => void this.openStories((stories) => stories.toggle()),
       Escape: () => {
         if (this.measure.open) this.measure.show(false);
         else if (viewer.stage.walk !== "orbit") this.leaveWalk();
@@ -439,8 +413,6 @@ export class Page {
       if (!view) return;
       viewer.lookAt(view.pose);
       void viewer.setAppearance(view.appearance);
-      const story = storyOf(location.hash);
-      if (story && story !== this.story) void this.openStories((stories) => void stories.open(story));
     });
   }
 }
