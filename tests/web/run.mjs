@@ -20,7 +20,7 @@ const BROWSER_TESTS = new Set(
         ...["cesium", "engines", "recipes", "forms", "light", "three", "raster", "parts", "maplibre"],
     ],
 );
-const TESTS = ["api", "views", "decoder", "source", "pick", "walk", "pmtiles", "streamed", "validate", "readers", "las", "writers", "seed", "ground", "tools", ...BROWSER_TESTS];
+const TESTS = ["api", "views", "decoder", "source", "pick", "walk", "pmtiles", "validate", "readers", "las", "writers", "seed", "ground", "tools", ...BROWSER_TESTS];
 const SKIP = 77;
 
 const { values, positionals } = parseArgs({
