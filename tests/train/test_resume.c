@@ -64,7 +64,6 @@ static void stopped_run_goes_on(enum schedule_order order, const int64_t *pieces
 
 static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
 {
-    (void)state;
     /* pieces of 1, 7, 30, ... steps: in the middle of levels, at their ends, around densifications
      * and between thinnings */
     static const int64_t up[] = {1, 7, 67, 2, 73, 40, 40, 8};
@@ -77,7 +76,6 @@ static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
 /* They take over its network, which does not change any more. */
 static void coarser_levels_have_the_finest_network(void **state)
 {
-    (void)state;
     struct ckpt level[3];
     struct trial t;
     trial_open(&t);
@@ -187,14 +185,12 @@ static void last_fit(enum schedule_order order)
 /* Scores and coarser levels are those of a run without it. It can be stopped and repeats. */
 static void a_last_fit_takes_all_photographs(void **state)
 {
-    (void)state;
     last_fit(SCHEDULE_COARSE_TO_FINE);
     last_fit(SCHEDULE_BOTH);
 }
 
 static void a_damaged_state_is_refused(void **state)
 {
-    (void)state;
     char path[FILE_PATH_MAX + 64];
     struct buf file = {0};
     struct trial t;
@@ -216,7 +212,6 @@ static void a_damaged_state_is_refused(void **state)
 /* States of before have two arrays of floats where there is one of words now. */
 static void a_state_with_wide_moments_is_refused(void **state)
 {
-    (void)state;
     struct ckpt s;
     size_t found = 0;
     char path[FILE_PATH_MAX + 64];
@@ -303,7 +298,6 @@ static void remove_depths(const char *dir)
  * "complete" nor gone on with. */
 static void what_a_run_was_made_of_may_not_change(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct arena a = {0};
     struct train_result r = {0};
@@ -366,7 +360,6 @@ static void what_a_run_was_made_of_may_not_change(void **state)
 /* Results are replaced only when that was asked for. */
 static void a_finished_run_is_not_lost(void **state)
 {
-    (void)state;
     char path[FILE_PATH_MAX + 64];
     struct buf first = {0}, again = {0};
     struct trial t;

@@ -31,7 +31,6 @@ static struct train_config defaults(struct arena *a)
  * good as asked for otherwise. */
 static void the_default_is_short(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct err e = {0};
     struct train_config c, one;
@@ -61,7 +60,6 @@ static void the_default_is_short(void **state)
 
 static void cap_rises_from_start_to_exactly_the_budget(void **state)
 {
-    (void)state;
     /* S = 60,000, B = 409,600, 49 steps: values by hand from S + (B - S)(2u - u^2), u = x / 48 */
     assert_int_equal(schedule_cap(60000, 409600, 0, 49), 60000);
     assert_int_equal(schedule_cap(60000, 409600, 1, 49), 74414);
@@ -80,7 +78,6 @@ static void cap_rises_from_start_to_exactly_the_budget(void **state)
 
 static void cap_has_no_edge_that_divides_by_zero_or_shrinks(void **state)
 {
-    (void)state;
     assert_int_equal(schedule_cap(500, 400, 3, 10), 500); /* over budget: no growth, no cut */
     assert_int_equal(schedule_cap(400, 400, 0, 10), 400);
     assert_int_equal(schedule_cap(100, 400, 0, 1), 400); /* a single densification may fill it */
@@ -92,7 +89,6 @@ static void cap_has_no_edge_that_divides_by_zero_or_shrinks(void **state)
 
 static void full_run_has_the_published_numbers(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct err e = {0};
     struct train_config c = defaults(&a);
@@ -132,7 +128,6 @@ static void full_run_has_the_published_numbers(void **state)
 
 static void every_index_from_one_to_the_last_is_used_once(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct err e = {0};
     for (int64_t iterations = 7; iterations < 70000; iterations = iterations * 3 + 1) {
@@ -159,7 +154,6 @@ static void every_index_from_one_to_the_last_is_used_once(void **state)
 /* However short the run and however many its levels: some densification removes them. */
 static void runs_of_any_length_remove_huge_gaussians(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct err e = {0};
     for (int64_t iterations = 500; iterations <= 60000; iterations += 100)
@@ -181,7 +175,6 @@ static void runs_of_any_length_remove_huge_gaussians(void **state)
 
 static void many_photographs_stretch_and_short_runs_shrink(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct err e = {0};
     struct train_config c = defaults(&a);
@@ -209,7 +202,6 @@ static void many_photographs_stretch_and_short_runs_shrink(void **state)
 
 static void fewer_levels_take_the_finest_rows(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct err e = {0};
     struct train_config c = defaults(&a);
@@ -227,7 +219,6 @@ static void fewer_levels_take_the_finest_rows(void **state)
 
 static void position_rate_decays_exponentially_and_restarts(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct err e = {0};
     struct train_config c = defaults(&a);
@@ -246,7 +237,6 @@ static void position_rate_decays_exponentially_and_restarts(void **state)
 
 static void impossible_plans_are_refused(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct err e = {0};
     struct train_config c = defaults(&a);
@@ -263,7 +253,6 @@ static void impossible_plans_are_refused(void **state)
  * has a value a level; values for levels that are not trained are refused. */
 static void lists_have_one_value_or_one_a_level(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct err e = {0};
     struct train_config c = defaults(&a);
@@ -292,7 +281,6 @@ static void lists_have_one_value_or_one_a_level(void **state)
  * positions end at the published last rate over kappa. */
 static void short_runs_take_larger_steps(void **state)
 {
-    (void)state;
     const struct {
         int64_t steps;
         double factor;
@@ -325,7 +313,6 @@ static void short_runs_take_larger_steps(void **state)
  * less come when these are made again. */
 static void coarser_levels_can_be_made_again(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct err e = {0};
     struct train_config c = defaults(&a);
@@ -371,7 +358,6 @@ static void coarser_levels_can_be_made_again(void **state)
  * has become, and ends as others do. */
 static void rates_fall_at_the_end(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct err e = {0};
     struct train_config c = defaults(&a);

@@ -28,7 +28,6 @@ static struct key there; /* a tile in the middle of the city */
 static int map_setup_all(void **state)
 {
     struct err e = {0};
-    (void)state;
     log_set_level(LOG_ERROR);
     survey_make(NULL);
     survey_open();
@@ -42,7 +41,6 @@ static int map_setup_all(void **state)
 
 static int map_teardown_all(void **state)
 {
-    (void)state;
     survey_drop();
     return 0;
 }
@@ -130,7 +128,6 @@ static void tiles_show_the_city(void **state)
                  {".jpg", "image/jpeg", "a.jpg", 256},
                  {"@2x.png", "image/png", "b.png", 512}};
     char target[256];
-    (void)state;
     if (!start_drawing())
         skip();
     for (size_t i = 0; i < sizeof kinds / sizeof *kinds; i++) {
@@ -169,7 +166,6 @@ static double decode(const uint8_t *px, bool terrarium)
 static void terrain_is_the_citys(void **state)
 {
     char target[256];
-    (void)state;
     if (!start_drawing())
         skip();
     for (int terrarium = 0; terrarium < 2; terrarium++) {
@@ -204,7 +200,6 @@ static void outside_is_empty(void **state)
     struct image img;
     char target[256], etag[64];
     struct key far = key_at(9.5, 50.5, zoom), farther = key_at(2, 48, 12);
-    (void)state;
     if (!start_drawing())
         skip();
     ask("GET", map_target("map", far, ".png", target), "", &r);
@@ -274,7 +269,6 @@ static void beside_the_survey_is_not_flat(void **state)
     struct area a = *nadir_area(f.nadir);
     char target[256], etag[64];
     double west, south, east, north;
-    (void)state;
     key_bounds(far, &west, &south, &east, &north);
     struct map_tile tile = {.key = far, .size_px = 256, .encoding = ENCODING_MAPBOX};
     const struct {
@@ -310,7 +304,6 @@ static void tiles_are_cached(void **state)
 {
     struct reply r;
     char target[256], line[128], want[256];
-    (void)state;
     if (!start_drawing())
         skip();
     ask("GET", map_target("map", there, ".webp", target), "", &r);
@@ -343,7 +336,6 @@ static void nonsense_is_refused(void **state)
 {
     char target[256];
     struct key deep = key_at(origin.lon_deg, origin.lat_deg, KEY_ZOOM_MAX), none = {3, 8, 0};
-    (void)state;
     if (!start_drawing())
         skip();
     const struct {
@@ -387,7 +379,6 @@ static void tilejson_leads_to_tiles(void **state)
 {
     const struct area *a = nadir_area(f.nadir);
     char want[256];
-    (void)state;
     start(); /* without a device: documents do not need one */
     json_t *o = document("/d/survey/map.json");
     assert_string_equal(json_string_value(json_object_get(o, "tilejson")), "3.0.0");
@@ -432,7 +423,6 @@ static void style_leads_to_tiles(void **state)
 {
     const struct area *a = nadir_area(f.nadir);
     char want[256];
-    (void)state;
     start();
     json_t *o = document("/d/survey/style.json"), *center = json_object_get(o, "center");
     const char *source, *kind;
@@ -497,7 +487,6 @@ static void gdal_opens_the_map(void **state)
     struct err e = {0};
     struct reply r;
     char path[FILE_PATH_MAX], prefix[300], target[900];
-    (void)state;
     needs_gdal("gdal_translate");
     make_private(prefix);
     if (!start_drawing_below(prefix))
@@ -575,7 +564,6 @@ static const char *href_of(const json_t *o, const char *rel)
 static void collections_have_boxes_and_themselves(void **state)
 {
     static const char *const bases[] = {NULL, "/splats/", "https://maps.example/city/"};
-    (void)state;
     for (size_t i = 0; i < 3; i++) {
         char want[256];
         t.cfg.base_path = i == 1 ? "/splats" : "";
@@ -599,7 +587,6 @@ static void collections_have_boxes_and_themselves(void **state)
 static void wmts_needs_an_address(void **state)
 {
     struct reply r;
-    (void)state;
     t.cfg.address = "0.0.0.0";
     start();
     ask("GET", "/d/survey/wmts.xml", "", &r);
@@ -618,7 +605,6 @@ static void wmts_names_itself(void **state)
     struct err e = {0};
     struct body *b = NULL;
     const struct dataset *d;
-    (void)state;
     start();
     struct catalog *c = services_catalog(server_services(t.server));
     d = catalog_find(c, "survey", "");
@@ -648,7 +634,6 @@ static void questions_end_with_their_client(void **state)
     const struct timespec nap = {.tv_nsec = 1000000};
     struct job_stats st = {0};
     struct job_waiter waiter = {.wake = nobody_is_woken};
-    (void)state;
     if (!start_drawing())
         skip();
     struct services *s = server_services(t.server);
@@ -732,7 +717,6 @@ static void questions_are_answered(void **state)
         {"pick", "{\"x\": 1, \"y\": 1}", "one of the two", 422},
     };
     struct reply r;
-    (void)state;
     if (!start_drawing())
         skip();
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
@@ -775,7 +759,6 @@ static void no_ground_no_file(void **state)
     struct buf out = {0};
     struct dev dev;
     char whole[FILE_PATH_MAX], part[FILE_PATH_MAX], map[FILE_PATH_MAX];
-    (void)state;
     if (dev_open("cpu", &dev, &e) != ERR_OK) {
         print_message("skipped: %s\n", e.msg);
         skip();
