@@ -10,6 +10,7 @@
 #include "codec/image/image.h"
 #include "codec/scene/scene.h"
 #include "core/splat/exposure.h"
+#include "lab/eval/exposure_fit.h"
 #include "scene/ingest/ingest_internal.h"
 #include "tests/kit.h"
 

@@ -17,9 +17,9 @@
 
 #include "codec/image/image.h"
 #include "core/library.h"
+#include "lab/truth/edge.h"
 #include "lod/surface/probe.h"
 #include "survey/change.h"
-#include "survey/edge.h"
 #include "survey/gdal_library.h"
 #include "survey/map.h"
 

@@ -8,7 +8,7 @@
 #include <jansson.h>
 
 #include "core/base.h"
-#include "lod/choose/fade.h"
+#include "lab/eval/fade.h"
 #include "lod/store/tree.h"
 
 enum { TILES_MAX = 8 };
