@@ -1,7 +1,8 @@
 /* A second round for photographs that lack features: see align_work.h.
  *
  * With few features a photograph may see so few points that its pose is hardly known, or find no
- * place at all. Those that match others get as many features as the forecast leaves of --minutes,
+ * place at all. Those that match others get as many features as is left of --minutes, by the
+ * forecast or by the clock, whichever leaves more (others may keep the machine busy),
  * and so do those that they are compared with: a match needs both. Their features leave a copy of
  * the database, COLMAP fills the gaps, and the model is computed anew. The better of the two models
  * stays.

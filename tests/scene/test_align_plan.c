@@ -157,7 +157,8 @@ static void sizes_follow_the_time_there_is(void **state)
     struct align_photo photo = {.width_px = 5472, .height_px = 3648, .copy_of = SIZE_MAX};
     struct align_plan p = {
         .photos = &photo, .n = 1, .n_usable = 300, .megapixels = 20, .n_pairs = 3000};
-    const struct align_pace pace = {.cores = 2, .slow = 1, .load = 1}, busy = {2, 1, 3};
+    const struct align_pace pace = {.cores = 2, .slow = 1, .load = 1}, busy = {2, 2, 3},
+                            board = {2, 4, 1};
     struct align_forecast most = align_plan_afford(&p, 0, 0, &pace, 1e9), last = most;
     assert_int_equal(most.edge_px, 3200);
     for (int k = 0; k < 17; k++) {
@@ -166,6 +167,13 @@ static void sizes_follow_the_time_there_is(void **state)
         double all = align_plan_clock_s(&f, &pace);
         assert_true(all > align_plan_cpu_s(&f) / 2 && all < align_plan_cpu_s(&f));
         assert_true(fabs(align_plan_clock_s(&f, &busy) / all - 3) < 1e-9);
+        /* What else the machine does decides no poses. */
+        struct align_forecast same = align_plan_afford(&p, 0, 0, &busy, s),
+                              fewer = align_plan_afford(&p, 0, 0, &board, s),
+                              quarter = align_plan_afford(&p, 0, 0, &pace, s / 4);
+        assert_true(same.edge_px == f.edge_px && same.features == f.features);
+        assert_true(fabs(same.matches_s / f.matches_s - 2) < 1e-9);
+        assert_true(fewer.edge_px == quarter.edge_px && fewer.features == quarter.features);
         assert_true(f.edge_px <= last.edge_px && f.features <= last.features);
         assert_true(all <= s || f.edge_px == 1000);
         last = f;
