@@ -473,7 +473,7 @@ enum err_code align_plan_pairs(struct align_plan *p, size_t neighbours, size_t n
  * by thousands of features. */
 static const double megapixel_s = 0.35, feature_s = 0.0003, pair_s = 0.04, pair_square_s = 0.06,
                     model_s = 0.9, model_cores = 1.5, look_pairs = 0.4;
-static const double pace_other = 2.5;
+static const double pace_other = 4;
 enum { FEATURES_A_MEGAPIXEL = 6000 };
 
 struct align_forecast align_plan_forecast(const struct align_plan *p, uint32_t edge_px,
