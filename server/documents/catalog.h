@@ -28,12 +28,9 @@ struct catalog { /* immutable, reference-counted; a reload makes a new one */
 struct catalog_options {
     size_t readers; /* handles for each dataset */
     bool lazy; /* there are many datasets: handles and documents are made when they are needed */
-    const char *public_url; /* for collections; NULL, "": none */
-    const char *base_path;  /* for collections; NULL, "": none */
-    double keep_s;          /* replaced revisions are served for this time */
-    size_t keep_revisions;  /* and at most this many of a dataset */
-    const char *basemap;    /* for the viewer's inset map, see collection_list */
-    const char *basemap_attribution;
+    const char *public_url;    /* for collections; NULL, "": none */
+    double keep_s;             /* replaced revisions are served for this time */
+    size_t keep_revisions;     /* and at most this many of a dataset */
     size_t city_gaussians;     /* for collections */
     unsigned preset;           /* of tiles whose address names none: enum quant_preset */
     const struct geoid *geoid; /* turns heights above the sea into ellipsoidal ones; NULL: none */

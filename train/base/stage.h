@@ -15,11 +15,7 @@ struct stage {
     uint32_t at;   /* levels[at] is the current level; n_levels: all are done */
     uint32_t step; /* of this level: the step in work, or the last one done; 0 at first */
     bool pruned;   /* level_prune, the end of the level, is done */
-    /* of a level that goes on: score at the last look that showed a gain (0: there was no look),
-     * and looks since */
-    double held_db;
-    uint32_t in_vain;
-    size_t start; /* Gaussians inside the cell when this level began */
+    size_t start;  /* Gaussians inside the cell when this level began */
 };
 /* The level that follows `at`; n_levels: none does. */
 static inline uint32_t stage_after(const struct stage *s, uint32_t at)
